@@ -1,0 +1,69 @@
+//! Radiance fields: density and colour at a point, seen from a direction.
+//!
+//! Everything downstream sees a field through [`RadianceField`] only, so any architecture is a black box. Only this module
+//! knows how models are stored.
+
+pub mod closed_form;
+mod mlp;
+mod open;
+mod voxel;
+
+pub use closed_form::ClosedForm;
+pub use mlp::NerfMlp;
+pub use open::open;
+pub use voxel::VoxelGrid;
+
+use glam::Vec3;
+
+use crate::geometry::Aabb;
+
+/// What a field returns for one position and direction.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Radiance {
+    /// σ ≥ 0, 1 / scene unit.
+    pub density: f32,
+    /// Red, green, blue in `[0, 1]`.
+    pub color: Vec3,
+}
+
+impl Radiance {
+    /// Finite, with a density that is not negative: what compositing can use.
+    #[must_use]
+    pub fn is_valid(&self) -> bool {
+        self.density >= 0.0 && self.density.is_finite() && self.color.is_finite()
+    }
+}
+
+/// A trained (or closed-form) radiance field, evaluated in batches from many threads.
+///
+/// The value for a position and direction must not depend on the other members of the batch.
+pub trait RadianceField: Send + Sync {
+    /// The box outside which the density is zero.
+    fn bounds(&self) -> Aabb;
+
+    /// Density and colour at `positions` (`[n]`, scene units) seen along unit `directions` (`[n]`), into `out` (`[n]`).
+    fn evaluate(&self, positions: &[Vec3], directions: &[Vec3], out: &mut [Radiance]);
+
+    /// Density alone at `positions` (`[n]`), into `out` (`[n]`).
+    fn densities(&self, positions: &[Vec3], out: &mut [f32]) {
+        let mut radiance = vec![Radiance::default(); positions.len()];
+        self.evaluate(positions, &vec![Vec3::Z; positions.len()], &mut radiance);
+        for (out, r) in out.iter_mut().zip(radiance) {
+            *out = r.density;
+        }
+    }
+
+    /// Distance between samples along a ray that resolves this field, scene units.
+    fn suggested_step(&self) -> f64;
+
+    /// Where in a pixel the training rays went: ½ for the centre, 0 for models trained on the upper left corner.
+    fn pixel_offset(&self) -> f64 {
+        0.5
+    }
+
+    /// Parameters and tables, bytes.
+    fn memory(&self) -> usize;
+
+    /// One line for people: architecture and size.
+    fn describe(&self) -> String;
+}

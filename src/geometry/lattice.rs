@@ -1,0 +1,138 @@
+//! The map Φ from scene coordinates to the unit cube, and the finest lattice in it.
+//!
+//! `M` = 2^level cells per axis, M + 1 lattice points per axis: point (i, j, k) sits at `min + (i, j, k) · edge`. Cells are
+//! half-open, `[lo, hi)`; the upper face of the box belongs to the last cell.
+
+use glam::{DVec3, Vec3};
+
+use super::Aabb;
+use crate::{Error, Result};
+
+/// Largest supported level: lattice coordinates need 17 bits per axis, 51 in a Morton code.
+pub const MAX_LEVEL: u8 = 16;
+
+/// The finest lattice {0..M}³ of a box.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Lattice {
+    bounds: Aabb,
+    level: u8,
+}
+
+impl Lattice {
+    /// The lattice with 2^`level` cells along every axis of `bounds`.
+    ///
+    /// # Errors
+    /// If `level` is 0 or above [`MAX_LEVEL`].
+    pub fn new(bounds: Aabb, level: u8) -> Result<Self> {
+        if (1..=MAX_LEVEL).contains(&level) {
+            Ok(Self { bounds, level })
+        } else {
+            Err(Error::setting("level", format!("1 to {MAX_LEVEL}"), level.to_string()))
+        }
+    }
+
+    /// The box that the lattice spans.
+    #[must_use]
+    pub fn bounds(&self) -> &Aabb {
+        &self.bounds
+    }
+
+    /// log2 of the number of cells per axis.
+    #[must_use]
+    pub fn level(&self) -> u8 {
+        self.level
+    }
+
+    /// M: cells per axis.
+    #[must_use]
+    pub fn cells_per_axis(&self) -> u32 {
+        1 << self.level
+    }
+
+    /// Lattice points of the dense grid, (M + 1)³.
+    #[must_use]
+    pub fn dense_vertices(&self) -> u64 {
+        let n = u64::from(self.cells_per_axis()) + 1;
+        n * n * n
+    }
+
+    /// Edge lengths of a finest cell, scene units.
+    #[must_use]
+    pub fn edge(&self) -> DVec3 {
+        self.bounds.size() / f64::from(self.cells_per_axis())
+    }
+
+    /// Lattice coordinates of a scene point, in `[0, M]` per axis; `None` outside the closed box or for NaN.
+    #[must_use]
+    pub fn coordinates(&self, x: Vec3) -> Option<DVec3> {
+        let m = f64::from(self.cells_per_axis());
+        let u = (x.as_dvec3() - self.bounds.min()) / self.bounds.size() * m;
+        (u.cmpge(DVec3::ZERO).all() && u.cmple(DVec3::splat(m)).all()).then_some(u)
+    }
+
+    /// Scene position of lattice coordinates.
+    #[must_use]
+    pub fn position(&self, u: DVec3) -> DVec3 {
+        self.bounds.min() + u / f64::from(self.cells_per_axis()) * self.bounds.size()
+    }
+
+    /// The finest cell that contains lattice coordinates `u` in `[0, M]`³, and the offset inside it in `[0, 1]`³
+    /// (1 only on the box's upper faces).
+    #[must_use]
+    pub fn cell(&self, u: DVec3) -> ([u32; 3], DVec3) {
+        let last = self.cells_per_axis() - 1;
+        let mut cell = [0; 3];
+        let mut offset = DVec3::ZERO;
+        for axis in 0..3 {
+            // A float-to-integer cast saturates, so rounding can never leave the lattice.
+            cell[axis] = (u[axis].floor() as u32).min(last);
+            offset[axis] = u[axis] - f64::from(cell[axis]);
+        }
+        (cell, offset)
+    }
+
+    /// λ of the paper, 1e-4 / M³ per squared longest edge, converted to 1 / scene unit².
+    ///
+    /// The official code uses 1e-4 / M³ in its own world units; tying the unit to the box makes U scale with the scene.
+    #[must_use]
+    pub fn default_lambda(&self) -> f64 {
+        let m = f64::from(self.cells_per_axis());
+        1e-4 / (m * m * m) / self.bounds.longest_edge().powi(2)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn upper_face_belongs_to_the_last_cell() {
+        let lattice = Lattice::new(Aabb::centered_cube(1.0), 3).unwrap();
+        let u = lattice.coordinates(Vec3::new(1.0, -1.0, 0.0)).unwrap();
+        let (cell, offset) = lattice.cell(u);
+        assert_eq!(cell, [7, 0, 4]);
+        assert_eq!(offset, DVec3::new(1.0, 0.0, 0.0));
+    }
+
+    #[test]
+    fn outside_and_nan_have_no_coordinates() {
+        let lattice = Lattice::new(Aabb::centered_cube(1.0), 3).unwrap();
+        assert!(lattice.coordinates(Vec3::new(1.000_001, 0.0, 0.0)).is_none());
+        assert!(lattice.coordinates(Vec3::new(f32::NAN, 0.0, 0.0)).is_none());
+    }
+
+    #[test]
+    fn levels_outside_the_range_are_refused() {
+        for level in [0, 17, 255] {
+            assert!(Lattice::new(Aabb::centered_cube(1.0), level).is_err());
+        }
+    }
+
+    #[test]
+    fn the_paper_prior_shows_as_5_70() {
+        // DESIGN: M = 256 gives log10 U = ½ log10(3 / 2λ) ≈ 5.70 where nothing was seen, for a box of edge 1.
+        let lattice = Lattice::new(Aabb::centered_cube(0.5), 8).unwrap();
+        let log10_u = 0.5 * (3.0 / (2.0 * lattice.default_lambda())).log10();
+        assert!((log10_u - 5.70).abs() < 0.005, "{log10_u}");
+    }
+}

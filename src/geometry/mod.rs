@@ -1,0 +1,14 @@
+//! Boxes, rays, pinhole cameras, and the lattice that maps scene coordinates to the unit cube.
+//!
+//! Positions handed to fields are `f32` in scene units (that is what fields are trained in); rays, cameras and the map to
+//! the lattice are computed in `f64`, because a lattice coordinate at level 16 needs more than 24 bits.
+
+mod aabb;
+mod camera;
+mod lattice;
+mod ray;
+
+pub use aabb::Aabb;
+pub use camera::Camera;
+pub use lattice::{Lattice, MAX_LEVEL};
+pub use ray::Ray;

@@ -1,0 +1,114 @@
+//! Files that appear complete or not at all.
+
+use std::fs::File;
+use std::io::{self, BufWriter, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+
+use tempfile::NamedTempFile;
+
+use crate::{Error, Result};
+
+/// A buffered file under a temporary name beside its target, renamed over the target by [`AtomicFile::commit`] after its
+/// content has reached the disk, and removed if dropped before.
+#[derive(Debug)]
+pub struct AtomicFile {
+    writer: BufWriter<NamedTempFile>,
+    target: PathBuf,
+}
+
+impl AtomicFile {
+    /// Starts a file that will replace `target`.
+    ///
+    /// # Errors
+    /// If the folder does not exist or cannot be written, or `target` is a folder.
+    pub fn create(target: &Path) -> Result<Self> {
+        if target.is_dir() {
+            return Err(Error::malformed(target, "output path", "a file", "a folder"));
+        }
+        let folder = match target.parent() {
+            Some(parent) if !parent.as_os_str().is_empty() => parent,
+            _ => Path::new("."),
+        };
+        let mut builder = tempfile::Builder::new();
+        builder.prefix(".octobayes-").suffix(".part");
+        #[cfg(unix)]
+        {
+            // The usual permissions of a new file (the umask applies), instead of a temporary file's private ones.
+            use std::os::unix::fs::PermissionsExt;
+            builder.permissions(std::fs::Permissions::from_mode(0o666));
+        }
+        let file = builder.tempfile_in(folder).map_err(Error::io(target, "cannot create a file in this folder"))?;
+        Ok(Self { writer: BufWriter::with_capacity(1 << 16, file), target: target.to_path_buf() })
+    }
+
+    /// The path that the file will have.
+    #[must_use]
+    pub fn target(&self) -> &Path {
+        &self.target
+    }
+
+    /// Flushes to disk and gives the file its name.
+    ///
+    /// # Errors
+    /// If the disk is full or the rename fails; the target is then as it was before.
+    pub fn commit(self) -> Result<()> {
+        let Self { writer, target } = self;
+        let file = writer.into_inner().map_err(|e| Error::io(&target, "cannot write")(e.into_error()))?;
+        file.as_file().sync_all().map_err(Error::io(&target, "cannot write"))?;
+        file.persist(&target).map_err(|e| Error::io(&target, "cannot rename the finished file")(e.error))?;
+        Ok(())
+    }
+
+    /// The temporary file read from its start, for content that is copied elsewhere instead of committed.
+    ///
+    /// # Errors
+    /// If buffered data cannot be written.
+    pub fn into_reader(self) -> io::Result<(File, tempfile::TempPath)> {
+        let (mut file, path) = self.writer.into_inner().map_err(io::IntoInnerError::into_error)?.into_parts();
+        file.seek(SeekFrom::Start(0))?;
+        Ok((file, path))
+    }
+}
+
+impl Write for AtomicFile {
+    fn write(&mut self, buf: &[u8]) -> io::Result<usize> {
+        self.writer.write(buf)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.writer.flush()
+    }
+}
+
+impl Seek for AtomicFile {
+    fn seek(&mut self, pos: SeekFrom) -> io::Result<u64> {
+        self.writer.seek(pos)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn dropped_files_leave_nothing_and_committed_ones_replace() {
+        let folder = tempfile::tempdir().unwrap();
+        let target = folder.path().join("x.bin");
+        std::fs::write(&target, b"old").unwrap();
+        let mut file = AtomicFile::create(&target).unwrap();
+        file.write_all(b"half").unwrap();
+        drop(file);
+        assert_eq!(std::fs::read(&target).unwrap(), b"old");
+        let mut file = AtomicFile::create(&target).unwrap();
+        file.write_all(b"new").unwrap();
+        file.commit().unwrap();
+        assert_eq!(std::fs::read(&target).unwrap(), b"new");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "no temporary file is left");
+    }
+
+    #[test]
+    fn a_missing_folder_is_named() {
+        let error = AtomicFile::create(Path::new("no/such/folder/x.bin")).unwrap_err();
+        assert!(error.to_string().starts_with("no/such/folder/x.bin: "), "{error}");
+    }
+}

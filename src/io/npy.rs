@@ -1,0 +1,248 @@
+//! NumPy `.npy` arrays, read as streams.
+
+use std::fs::File;
+use std::io::{BufReader, BufWriter, Read, Write};
+use std::path::{Path, PathBuf};
+
+use npyz::{AutoSerialize, Deserialize, NpyFile, NpyHeader, NpyReader, Order, Serialize, WriteOptions, WriterBuilder};
+
+use super::AtomicFile;
+use crate::{Error, Result};
+
+/// Longest accepted header; NumPy's own are below 128 bytes for plain arrays.
+const MAX_HEADER: usize = 4096;
+
+/// An array in memory, C order.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Array<T> {
+    /// Extent along each axis.
+    pub shape: Vec<usize>,
+    /// Elements, last axis fastest.
+    pub data: Vec<T>,
+}
+
+impl<T> Array<T> {
+    /// Checks the extents; `None` accepts any.
+    ///
+    /// # Errors
+    /// If the number of axes or an extent differs.
+    pub fn expect_shape(&self, path: &Path, name: &str, expected: &[Option<usize>]) -> Result<()> {
+        let shape: Vec<u64> = self.shape.iter().map(|&n| n as u64).collect();
+        check_shape(path, name, &shape, &expected.iter().map(|e| e.map(|n| n as u64)).collect::<Vec<_>>())
+    }
+}
+
+/// An array that is read element by element.
+pub struct ArrayStream<T: Deserialize, R: Read> {
+    reader: NpyReader<T, R>,
+    shape: Vec<u64>,
+    path: PathBuf,
+    name: String,
+}
+
+impl<T: Deserialize, R: Read> ArrayStream<T, R> {
+    /// Starts reading the array `name` of the file `path`, of which `available` bytes (header included) are there at most.
+    ///
+    /// # Errors
+    /// If the header is not that of a C-order array of `T`, or claims more elements than `available` bytes can hold.
+    pub fn new(mut reader: R, available: u64, path: &Path, name: &str) -> Result<Self> {
+        let place = || format!("array `{name}`");
+        let header = read_header(&mut reader, path, name)?;
+        let header = NpyHeader::from_reader(header.as_slice())
+            .map_err(|e| Error::malformed(path, place(), "a NumPy array", e.to_string()))?;
+        let file = NpyFile::with_header(header, reader);
+        if file.order() != Order::C && file.shape().len() > 1 {
+            return Err(Error::malformed(path, place(), "C order (numpy.ascontiguousarray)", "Fortran order"));
+        }
+        let shape = file.shape().to_vec();
+        let found = file.dtype().descr();
+        let bytes = file.dtype().num_bytes().unwrap_or(0) as u64;
+        let claimed = file.len().checked_mul(bytes);
+        if claimed.is_none_or(|c| c > available) {
+            let expected = format!("at most the {available} bytes that are stored");
+            return Err(Error::malformed(path, place(), expected, format!("shape {shape:?} of {found}")));
+        }
+        let reader = file.data::<T>().map_err(|_| {
+            Error::malformed(path, place(), format!("dtype {}", std::any::type_name::<T>()), format!("dtype {found}"))
+        })?;
+        Ok(Self { reader, shape, path: path.to_path_buf(), name: name.to_string() })
+    }
+
+    /// Extent along each axis.
+    #[must_use]
+    pub fn shape(&self) -> &[u64] {
+        &self.shape
+    }
+
+    /// The file's path and the array's name, for messages.
+    #[must_use]
+    pub fn origin(&self) -> (&Path, &str) {
+        (&self.path, &self.name)
+    }
+
+    /// Checks the extents; `None` accepts any.
+    ///
+    /// # Errors
+    /// If the number of axes or an extent differs.
+    pub fn expect_shape(&self, expected: &[Option<u64>]) -> Result<()> {
+        check_shape(&self.path, &self.name, &self.shape, expected)
+    }
+
+    /// The next element, `None` behind the last.
+    ///
+    /// # Errors
+    /// If the file ends early.
+    pub fn next(&mut self) -> Result<Option<T>> {
+        self.reader.next().transpose().map_err(|e| {
+            Error::malformed(&self.path, format!("array `{}`", self.name), format!("shape {:?}", self.shape), e.to_string())
+        })
+    }
+
+    /// The remaining elements.
+    ///
+    /// # Errors
+    /// If the file ends early.
+    pub fn into_array(mut self) -> Result<Array<T>> {
+        let mut data = Vec::new();
+        while let Some(value) = self.next()? {
+            data.push(value);
+        }
+        Ok(Array { shape: self.shape.iter().map(|&n| n as usize).collect(), data })
+    }
+}
+
+fn check_shape(path: &Path, name: &str, shape: &[u64], expected: &[Option<u64>]) -> Result<()> {
+    let fits = shape.len() == expected.len() && shape.iter().zip(expected).all(|(n, e)| e.is_none_or(|e| e == *n));
+    if fits {
+        return Ok(());
+    }
+    let expected: Vec<String> = expected.iter().map(|e| e.map_or("any".into(), |n| n.to_string())).collect();
+    let expected = format!("shape [{}]", expected.join(", "));
+    Err(Error::malformed(path, format!("array `{name}`"), expected, format!("shape {shape:?}")))
+}
+
+/// Reads the header's bytes and makes sure that the parser behind can neither overflow nor recurse deeply.
+fn read_header(reader: &mut impl Read, path: &Path, name: &str) -> Result<Vec<u8>> {
+    let bad = |found: &str| Error::malformed(path, format!("array `{name}`"), "a NumPy array header", found);
+    let mut header = vec![0; 10];
+    reader.read_exact(&mut header).map_err(|_| bad("the end of the data"))?;
+    if !header.starts_with(b"\x93NUMPY") {
+        return Err(bad("other bytes"));
+    }
+    let length = if header[6] == 1 {
+        usize::from(u16::from_le_bytes([header[8], header[9]]))
+    } else {
+        header.resize(12, 0);
+        reader.read_exact(&mut header[10..]).map_err(|_| bad("the end of the data"))?;
+        u32::from_le_bytes([header[8], header[9], header[10], header[11]]) as usize
+    };
+    if length > MAX_HEADER {
+        return Err(bad(&format!("a header of {length} bytes")));
+    }
+    let start = header.len();
+    header.resize(start + length, 0);
+    reader.read_exact(&mut header[start..]).map_err(|_| bad("the end of the data"))?;
+    let text = &header[start..];
+    let brackets = text.iter().filter(|b| b"([{".contains(b)).count();
+    let shape_at = text.iter().position(|&b| b == b'(').unwrap_or(0);
+    let digits = text[shape_at..].iter().filter(|b| b.is_ascii_digit()).count();
+    // A dictionary with one tuple has two brackets; 18 digits in a shape keep its product below 2^64.
+    if brackets > 2 || digits > 18 {
+        return Err(bad("a nested or oversized header"));
+    }
+    Ok(header)
+}
+
+/// Reads a whole `.npy` file.
+///
+/// # Errors
+/// If the file is missing or is not a C-order array of `T`.
+pub fn read<T: Deserialize>(path: &Path) -> Result<Array<T>> {
+    let file = File::open(path).map_err(Error::io(path, "cannot open"))?;
+    let available = file.metadata().map_err(Error::io(path, "cannot read"))?.len();
+    ArrayStream::new(BufReader::new(file), available, path, "data")?.into_array()
+}
+
+/// Writes `data` as an array of `shape` to any stream.
+///
+/// # Errors
+/// If writing fails or the number of elements is not the product of the shape.
+pub fn write_to<T: AutoSerialize + Serialize>(
+    out: impl Write,
+    path: &Path,
+    shape: &[u64],
+    data: impl IntoIterator<Item = T>,
+) -> Result<()> {
+    let failed = || Error::io(path, "cannot write");
+    let mut writer = WriteOptions::new()
+        .default_dtype()
+        .shape(shape)
+        .writer(BufWriter::new(out))
+        .begin_nd()
+        .map_err(failed())?;
+    writer.extend(data).map_err(failed())?;
+    writer.finish().map_err(failed())
+}
+
+/// Writes a `.npy` file.
+///
+/// # Errors
+/// If the file cannot be written.
+pub fn write<T: AutoSerialize + Serialize>(path: &Path, shape: &[u64], data: impl IntoIterator<Item = T>) -> Result<()> {
+    let mut file = AtomicFile::create(path)?;
+    write_to(&mut file, path, shape, data)?;
+    file.commit()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn sample() -> Vec<u8> {
+        let mut bytes = Vec::new();
+        write_to(&mut bytes, Path::new("memory"), &[2, 3], (0..6).map(|i| i as f32)).unwrap();
+        bytes
+    }
+
+    fn parse(bytes: &[u8]) -> Result<Array<f32>> {
+        ArrayStream::new(bytes, bytes.len() as u64, Path::new("x.npy"), "data")?.into_array()
+    }
+
+    #[test]
+    fn arrays_survive() {
+        assert_eq!(parse(&sample()).unwrap(), Array { shape: vec![2, 3], data: vec![0.0, 1.0, 2.0, 3.0, 4.0, 5.0] });
+    }
+
+    #[test]
+    fn a_tiny_file_that_claims_a_trillion_points_is_refused() {
+        let mut bytes = sample();
+        let data = bytes.split_off(bytes.len() - 24);
+        let text = String::from_utf8_lossy(&bytes[10..]).replace("2, 3", "1000000, 1000000");
+        bytes.truncate(8);
+        bytes.extend((text.len() as u16).to_le_bytes());
+        bytes.extend(text.as_bytes());
+        bytes.extend(data);
+        let error = parse(&bytes).unwrap_err().to_string();
+        assert!(error.contains("[1000000, 1000000]"), "{error}");
+    }
+
+    #[test]
+    fn another_dtype_is_named() {
+        let mut bytes = Vec::new();
+        write_to(&mut bytes, Path::new("memory"), &[1], [1_i64]).unwrap();
+        let error = parse(&bytes).unwrap_err().to_string();
+        assert!(error.contains("f32") && error.contains("i8"), "{error}");
+    }
+
+    proptest! {
+        #[test]
+        fn damaged_files_never_panic(position in 0_usize..128, byte: u8, cut in 0_usize..152) {
+            let mut bytes = sample();
+            let n = bytes.len();
+            bytes[position % n] = byte;
+            bytes.truncate(cut.max(1));
+            let _ = parse(&bytes);
+        }
+    }
+}

@@ -1,0 +1,11 @@
+//! x
+pub mod error;
+pub mod field;
+pub mod geometry;
+pub mod io;
+pub mod monitor;
+pub mod octree;
+pub use error::{Error, Result};
+pub mod render;
+pub mod posterior;
+pub mod uncertainty;

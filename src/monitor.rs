@@ -1,0 +1,34 @@
+//! How long work reports its progress and learns that it should stop. The library never prints.
+
+/// Receives progress and is asked whether to stop; implemented by the command line with progress bars.
+pub trait Monitor: Sync {
+    /// A new stage begins that consists of `total` units.
+    fn begin(&self, stage: &str, total: u64);
+    /// `units` more units of the current stage are done.
+    fn advance(&self, units: u64);
+    /// The current stage is done.
+    fn end(&self);
+    /// True once the user asked to stop; work then returns [`crate::Error::Interrupted`] at the next safe point.
+    fn interrupted(&self) -> bool;
+}
+
+/// A monitor that shows nothing and never stops the work.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Silent;
+
+impl Monitor for Silent {
+    fn begin(&self, _stage: &str, _total: u64) {}
+    fn advance(&self, _units: u64) {}
+    fn end(&self) {}
+    fn interrupted(&self) -> bool {
+        false
+    }
+}
+
+/// Returns [`crate::Error::Interrupted`] if the user asked to stop.
+///
+/// # Errors
+/// [`crate::Error::Interrupted`] only.
+pub fn check(monitor: &dyn Monitor) -> crate::Result<()> {
+    if monitor.interrupted() { Err(crate::Error::Interrupted) } else { Ok(()) }
+}

@@ -1,0 +1,233 @@
+//! The cells of the octree: child masks in breadth-first order.
+//!
+//! A cell is *split* (it has eight children) or a leaf. For every split cell above the last level but one a byte says which
+//! of its children are split too; the j-th set bit of the whole sequence belongs to the (j + 1)-th split cell, so a rank
+//! over the bytes replaces all pointers. Split cells of the last level but one need no byte: their children are finest leaves.
+//!
+//! ```text
+//!        6-------7      corner and child c: bit 0 of c is x, bit 1 is y, bit 2 is z
+//!       /|      /|      cells are half-open, [lo, hi) along every axis; a point on the upper
+//!      4-------5 |      face of the box belongs to the last cell
+//!      | 2-----|-3
+//!      |/      |/       z y
+//!      0-------1        |/
+//!                       o--x
+//! ```
+
+use super::morton;
+
+/// Masks between two entries of the rank directory.
+const BLOCK: usize = 64;
+
+/// A cell of the octree.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct Cell {
+    /// 0 is the whole box; a cell of level ℓ spans 2^(finest − ℓ) finest cells per axis.
+    pub level: u8,
+    /// Position among the 2^level cells per axis of its own level.
+    pub index: [u32; 3],
+}
+
+impl Cell {
+    /// Lower corner and edge in units of the finest lattice.
+    #[must_use]
+    pub fn extent(self, finest: u8) -> ([u32; 3], u32) {
+        let shift = finest - self.level;
+        (self.index.map(|i| i << shift), 1 << shift)
+    }
+
+    /// Child c, 0 to 7.
+    #[must_use]
+    pub fn child(self, c: u8) -> Self {
+        let bit = |axis: u8| u32::from(c >> axis & 1);
+        let [x, y, z] = self.index;
+        Self { level: self.level + 1, index: [2 * x + bit(0), 2 * y + bit(1), 2 * z + bit(2)] }
+    }
+}
+
+/// The complete set of cells, as child masks with ranks.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct CellTree {
+    finest: u8,
+    /// Whether the root is split; an octree of one cell has no masks.
+    root_split: bool,
+    masks: Vec<u8>,
+    /// Set bits before every [`BLOCK`]th mask.
+    ranks: Vec<u32>,
+}
+
+impl CellTree {
+    /// The tree whose split cells of each level are given as sorted Morton codes (`split[ℓ]`, ℓ = 0 … finest − 1).
+    ///
+    /// # Panics
+    /// If a split cell's parent is not split.
+    #[must_use]
+    pub fn from_split(finest: u8, split: &[Vec<u64>]) -> Self {
+        assert_eq!(split.len(), usize::from(finest), "one list of split cells per level above the finest");
+        let mut masks = Vec::with_capacity(split.iter().rev().skip(1).map(Vec::len).sum());
+        for pair in split.windows(2) {
+            let mut children = pair[1].iter().peekable();
+            for &code in &pair[0] {
+                let mut mask = 0;
+                while let Some(&child) = children.next_if(|&&child| child >> 3 == code) {
+                    mask |= 1_u8 << (child & 7);
+                }
+                masks.push(mask);
+            }
+            assert!(children.next().is_none(), "a split cell has a parent that is not split");
+        }
+        Self::from_masks(finest, !split[0].is_empty(), masks)
+    }
+
+    fn from_masks(finest: u8, root_split: bool, masks: Vec<u8>) -> Self {
+        let mut ranks = Vec::with_capacity(masks.len().div_ceil(BLOCK));
+        let mut total = 0;
+        for block in masks.chunks(BLOCK) {
+            ranks.push(total);
+            total += block.iter().map(|m| m.count_ones()).sum::<u32>();
+        }
+        Self { finest, root_split, masks, ranks }
+    }
+
+    /// The stored form: whether the root is split, and the masks.
+    #[must_use]
+    pub fn raw(&self) -> (bool, &[u8]) {
+        (self.root_split, &self.masks)
+    }
+
+    /// Rebuilds the split cells per level from the stored form, which may come from an untrusted file.
+    ///
+    /// # Errors
+    /// A sentence about what is wrong if the number of masks does not follow from the masks themselves.
+    pub fn split_from_raw(finest: u8, root_split: bool, masks: &[u8]) -> Result<Vec<Vec<u64>>, String> {
+        let mut split = vec![Vec::new(); usize::from(finest)];
+        if root_split {
+            split[0].push(0);
+        }
+        let mut unread = masks;
+        for level in 0..usize::from(finest) - 1 {
+            let here = split[level].len();
+            let Some((row, rest)) = unread.split_at_checked(here) else {
+                return Err(format!("{} child masks end inside level {level}, which has {here} split cells", masks.len()));
+            };
+            unread = rest;
+            let (above, below) = split.split_at_mut(level + 1);
+            for (&code, &mask) in above[level].iter().zip(row) {
+                below[0].extend((0..8_u64).filter(|c| mask >> c & 1 == 1).map(|c| code << 3 | c));
+            }
+        }
+        if unread.is_empty() { Ok(split) } else { Err(format!("{} child masks are left over", unread.len())) }
+    }
+
+    /// The finest level.
+    #[must_use]
+    pub fn finest(&self) -> u8 {
+        self.finest
+    }
+
+    /// Set bits in all masks before mask `node`.
+    fn rank(&self, node: usize) -> usize {
+        let block = node / BLOCK;
+        let within: u32 = self.masks[block * BLOCK..node].iter().map(|m| m.count_ones()).sum();
+        self.ranks[block] as usize + within as usize
+    }
+
+    /// The leaf that contains finest cell `cell`.
+    #[must_use]
+    pub fn leaf(&self, cell: [u32; 3]) -> Cell {
+        let mut level = 0;
+        let mut node = 0;
+        let mut split = self.root_split;
+        while split {
+            level += 1;
+            if level == self.finest {
+                break;
+            }
+            let shift = self.finest - level;
+            let c = cell[0] >> shift & 1 | (cell[1] >> shift & 1) << 1 | (cell[2] >> shift & 1) << 2;
+            let mask = self.masks[node];
+            split = mask >> c & 1 == 1;
+            if split && level + 1 < self.finest {
+                node = 1 + self.rank(node) + (mask & ((1 << c) - 1)).count_ones() as usize;
+            }
+        }
+        let shift = self.finest - level;
+        Cell { level, index: cell.map(|i| i >> shift) }
+    }
+
+    /// Calls `visit` for every leaf in Morton order.
+    pub fn for_each_leaf(&self, mut visit: impl FnMut(Cell)) {
+        let root = Cell { level: 0, index: [0; 3] };
+        self.descend(root, 0, self.root_split, &mut visit);
+    }
+
+    fn descend(&self, cell: Cell, node: usize, split: bool, visit: &mut impl FnMut(Cell)) {
+        if !split {
+            return visit(cell);
+        }
+        if cell.level + 1 == self.finest {
+            (0..8).for_each(|c| visit(cell.child(c)));
+            return;
+        }
+        let mask = self.masks[node];
+        let deeper = cell.level + 2 < self.finest;
+        let mut next = if deeper { 1 + self.rank(node) } else { 0 };
+        for c in 0..8 {
+            let child_split = mask >> c & 1 == 1;
+            self.descend(cell.child(c), next, child_split, visit);
+            next += usize::from(child_split);
+        }
+    }
+
+    /// Bytes on the heap: child masks, and their rank directory; spare capacity included.
+    #[must_use]
+    pub fn heap_bytes(&self) -> [usize; 2] {
+        [self.masks.capacity(), self.ranks.capacity() * 4]
+    }
+}
+
+/// Split cells per level such that every cell of `wanted` exists (as a leaf or split) and the tree is 2:1 balanced over
+/// faces, edges and corners, with nothing more split than that needs.
+///
+/// A split cell of level ℓ has children of level ℓ + 1, which may touch leaves of level ℓ or finer: so the 26 neighbours of
+/// a split cell must exist, that is, the neighbours' parents must be split. Eight parents cover all 26 neighbours. One
+/// sweep from the finest level up is enough, because it only adds cells to coarser levels.
+#[must_use]
+pub fn balanced_split(finest: u8, wanted: impl IntoIterator<Item = Cell>) -> Vec<Vec<u64>> {
+    let mut split = vec![Vec::new(); usize::from(finest)];
+    for cell in wanted {
+        if cell.level > 0 {
+            split[usize::from(cell.level) - 1].push(morton::encode(cell.index.map(|i| i / 2)));
+        }
+    }
+    for level in (0..usize::from(finest)).rev() {
+        split[level].sort_unstable();
+        split[level].dedup();
+        if level == 0 {
+            continue;
+        }
+        let (above, here) = split.split_at_mut(level);
+        let parents = &mut above[level - 1];
+        let last = (1_i64 << (level - 1)) - 1;
+        for &code in &here[0] {
+            let cell = morton::decode(code);
+            // An even cell touches the parent below it, an odd one the parent above.
+            let choices = cell.map(|i| {
+                let parent = i64::from(i / 2);
+                [parent, if i % 2 == 0 { parent - 1 } else { parent + 1 }]
+            });
+            for c in 0..8_usize {
+                let p = [choices[0][c & 1], choices[1][c >> 1 & 1], choices[2][c >> 2 & 1]];
+                if p.iter().all(|&i| (0..=last).contains(&i)) {
+                    parents.push(morton::encode(p.map(|i| i as u32)));
+                }
+            }
+            // Neighbouring codes push mostly the same parents; this keeps the list from growing eightfold.
+            if parents.len() > 1 << 20 && parents.len() == parents.capacity() {
+                parents.sort_unstable();
+                parents.dedup();
+            }
+        }
+    }
+    split
+}

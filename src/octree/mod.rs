@@ -1,0 +1,235 @@
+//! An adaptive octree of deformation vertices.
+//!
+//! Words. The *lattice* is {0..M}³, M = 2^finest. A *leaf* of level ℓ has edge 2^(finest − ℓ) lattice units. A lattice point
+//! that is a corner of every leaf touching it is a *free vertex* and carries a value. A corner of a leaf that lies inside a
+//! face or an edge of a larger leaf is *hanging*: it carries none, its value is the mean of the two or four corners of that
+//! face's or edge's ends, so that interpolated functions are continuous. Leaves that touch, be it in a corner only, differ by
+//! at most one level (2:1 balance); hence the ends are themselves free.
+//!
+//! This module knows nothing of rays, colour or uncertainty.
+
+mod cells;
+pub mod morton;
+mod set;
+mod validate;
+
+pub use cells::{Cell, CellTree, balanced_split};
+pub use set::MortonSet;
+pub use validate::{Defect, OctreeStats};
+
+use glam::DVec3;
+
+/// Index of a free vertex, in Morton order of its lattice position.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct VertexId(pub u32);
+
+/// Where the value at a leaf's corner comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Corner {
+    /// The corner is a free vertex.
+    Free(VertexId),
+    /// The corner is the middle of an edge of a larger leaf: mean of two.
+    OnEdge([VertexId; 2]),
+    /// The corner is the middle of a face of a larger leaf: mean of four.
+    OnFace([VertexId; 4]),
+}
+
+impl Corner {
+    /// The free vertices that determine the value here; their weights are equal.
+    #[must_use]
+    pub fn masters(&self) -> &[VertexId] {
+        match self {
+            Self::Free(v) => std::slice::from_ref(v),
+            Self::OnEdge(v) => v,
+            Self::OnFace(v) => v,
+        }
+    }
+}
+
+/// The leaf around a point, with what is needed to interpolate there.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Located {
+    /// The leaf that contains the point.
+    pub leaf: Cell,
+    /// Its eight corners: bit 0 of the position is x, bit 1 y, bit 2 z.
+    pub corners: [Corner; 8],
+    /// Trilinear weights of the corners, ≥ 0, summing to 1.
+    pub weights: [f64; 8],
+}
+
+/// Trilinear weights of the eight corners for an offset in `[0, 1]`³; bit 0 of the position is x.
+#[must_use]
+pub fn trilinear(offset: DVec3) -> [f64; 8] {
+    std::array::from_fn(|c| {
+        (0..3).map(|axis| if c >> axis & 1 == 1 { offset[axis] } else { 1.0 - offset[axis] }).product()
+    })
+}
+
+/// A complete, 2:1 balanced octree with its free vertices.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Octree {
+    cells: CellTree,
+    vertices: MortonSet,
+}
+
+impl Octree {
+    /// The coarsest balanced octree in which every cell of `wanted` exists, as a leaf or split further.
+    #[must_use]
+    pub fn refined(finest: u8, wanted: impl IntoIterator<Item = Cell>) -> Self {
+        Self::from_balanced(finest, &balanced_split(finest, wanted))
+    }
+
+    /// The octree of a stored child-mask sequence, which may come from an untrusted file.
+    ///
+    /// # Errors
+    /// A sentence about what is wrong if the masks are inconsistent or the tree is not 2:1 balanced.
+    pub fn from_raw(finest: u8, root_split: bool, masks: &[u8]) -> Result<Self, String> {
+        let split = CellTree::split_from_raw(finest, root_split, masks)?;
+        let wanted = split.iter().enumerate().flat_map(|(level, codes)| {
+            codes.iter().map(move |&code| Cell { level: level as u8, index: morton::decode(code) }.child(0))
+        });
+        if balanced_split(finest, wanted) != split {
+            return Err("the child masks describe an octree that is not 2:1 balanced".into());
+        }
+        Ok(Self::from_balanced(finest, &split))
+    }
+
+    fn from_balanced(finest: u8, split: &[Vec<u64>]) -> Self {
+        let cells = CellTree::from_split(finest, split);
+        let vertices = free_vertices(&cells);
+        Self { cells, vertices }
+    }
+
+    /// The cells.
+    #[must_use]
+    pub fn cells(&self) -> &CellTree {
+        &self.cells
+    }
+
+    /// The finest level.
+    #[must_use]
+    pub fn finest(&self) -> u8 {
+        self.cells.finest()
+    }
+
+    /// Number of free vertices.
+    #[must_use]
+    pub fn vertex_count(&self) -> usize {
+        self.vertices.len()
+    }
+
+    /// The free vertex at a lattice point, if there is one.
+    #[must_use]
+    pub fn vertex(&self, point: [u32; 3]) -> Option<VertexId> {
+        self.vertices.rank(morton::encode(point)).map(VertexId)
+    }
+
+    /// Lattice positions of all free vertices, in the order of their ids.
+    pub fn vertex_positions(&self) -> impl Iterator<Item = [u32; 3]> + '_ {
+        self.vertices.iter().map(morton::decode)
+    }
+
+    /// Whether all (up to eight) finest cells around a lattice point are leaves.
+    #[must_use]
+    pub fn is_surrounded_by_finest(&self, point: [u32; 3]) -> bool {
+        cells_around(point, self.finest()).all(|cell| self.cells.leaf(cell).level == self.finest())
+    }
+
+    /// The leaf, corners and weights at lattice coordinates `u` in `[0, M]`³.
+    #[must_use]
+    pub fn locate(&self, u: DVec3) -> Located {
+        let last = (1_u32 << self.finest()) - 1;
+        let leaf = self.cells.leaf([0, 1, 2].map(|axis| (u[axis] as u32).min(last)));
+        let (origin, edge) = leaf.extent(self.finest());
+        let corners = std::array::from_fn(|c| {
+            let point = std::array::from_fn(|axis| origin[axis] + edge * (c as u32 >> axis & 1));
+            self.corner(point)
+        });
+        let offset = (u - DVec3::from(origin.map(f64::from))) / f64::from(edge);
+        Located { leaf, corners, weights: trilinear(offset) }
+    }
+
+    /// Resolves a corner of some leaf.
+    fn corner(&self, point: [u32; 3]) -> Corner {
+        if let Some(vertex) = self.vertex(point) {
+            return Corner::Free(vertex);
+        }
+        let larger = hanging_on(&self.cells, point).expect("a leaf corner is free or hangs on a larger leaf");
+        let (origin, edge) = larger.extent(self.finest());
+        let master = |ends: [u32; 3]| {
+            let vertex = self.vertex(ends).expect("2:1 balance makes the ends of a hanging corner free");
+            debug_assert!((0..3).all(|a| ends[a] == origin[a] || ends[a] == origin[a] + edge), "ends are corners");
+            vertex
+        };
+        // An axis along which the point is half-way between the larger leaf's corners contributes both of them.
+        let halfway: Vec<usize> = (0..3).filter(|&axis| !(point[axis] - origin[axis]).is_multiple_of(edge)).collect();
+        let end = |choice: u32| {
+            let mut ends = point;
+            for (bit, &axis) in halfway.iter().enumerate() {
+                ends[axis] = origin[axis] + edge * (choice >> bit & 1);
+            }
+            master(ends)
+        };
+        match halfway.len() {
+            1 => Corner::OnEdge([0, 1].map(end)),
+            2 => Corner::OnFace([0, 1, 2, 3].map(end)),
+            n => unreachable!("point {point:?} is half-way along {n} axes of leaf {larger:?}"),
+        }
+    }
+
+    /// Bytes on the heap by part, spare capacity included.
+    #[must_use]
+    pub fn memory(&self) -> Vec<(&'static str, usize)> {
+        let [masks, ranks] = self.cells.heap_bytes();
+        vec![("child masks", masks), ("mask ranks", ranks), ("vertex bricks", self.vertices.heap_bytes())]
+    }
+}
+
+/// The finest cells around a lattice point, clipped to the box.
+fn cells_around(point: [u32; 3], finest: u8) -> impl Iterator<Item = [u32; 3]> {
+    let m = 1_u32 << finest;
+    (0..8_u32).filter_map(move |c| {
+        let mut cell = point;
+        for (axis, i) in cell.iter_mut().enumerate() {
+            *i = i.checked_sub(1 - (c >> axis & 1))?;
+            if *i >= m {
+                return None;
+            }
+        }
+        Some(cell)
+    })
+}
+
+/// The leaf touching `point` that does not have it as a corner, if there is one.
+fn hanging_on(cells: &CellTree, point: [u32; 3]) -> Option<Cell> {
+    cells_around(point, cells.finest()).map(|cell| cells.leaf(cell)).find(|leaf| {
+        let (_, edge) = leaf.extent(cells.finest());
+        point.iter().any(|i| !i.is_multiple_of(edge))
+    })
+}
+
+/// All lattice points that are corners of every leaf touching them.
+///
+/// A free vertex inside the box is the lower corner of the leaf above it, so it is enough to test every leaf's lower corner,
+/// and all corners of the leaves at the box's upper faces.
+fn free_vertices(cells: &CellTree) -> MortonSet {
+    let finest = cells.finest();
+    let m = 1_u32 << finest;
+    let mut codes = Vec::new();
+    cells.for_each_leaf(|leaf| {
+        let (origin, edge) = leaf.extent(finest);
+        for c in 0..8_u32 {
+            let point: [u32; 3] = std::array::from_fn(|axis| origin[axis] + edge * (c >> axis & 1));
+            let on_upper_faces_only = (0..3).all(|axis| c >> axis & 1 == 0 || point[axis] == m);
+            if on_upper_faces_only && hanging_on(cells, point).is_none() {
+                codes.push(morton::encode(point));
+            }
+        }
+    });
+    codes.sort_unstable();
+    codes.dedup();
+    MortonSet::from_sorted(3 * (u32::from(finest) + 1), &codes)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,145 @@
+//! Properties of the octree, against scans over all leaves.
+
+use super::*;
+use proptest::prelude::*;
+
+/// Octrees of level 1 to 5 with a few wanted cells of any level: lone deep cells make the balance work hardest.
+pub(crate) fn octrees() -> impl Strategy<Value = Octree> {
+    (1_u8..=5).prop_flat_map(|finest| {
+        let cell = (0..=finest).prop_flat_map(|level| {
+            let n = 1_u32 << level;
+            [0..n, 0..n, 0..n].prop_map(move |index| Cell { level, index })
+        });
+        proptest::collection::vec(cell, 0..6).prop_map(move |wanted| Octree::refined(finest, wanted))
+    })
+}
+
+/// Lattice coordinates that are often on faces, edges and corners of cells.
+fn points(finest: u8) -> impl Strategy<Value = DVec3> {
+    let m = 1_u32 << finest;
+    let coordinate = prop_oneof![
+        (0..=m).prop_map(f64::from),
+        (0..2 * m).prop_map(|i| f64::from(i) / 2.0),
+        0.0..=f64::from(m),
+        (1..=m).prop_map(|i| f64::from(i).next_down()),
+    ];
+    [coordinate.clone(), coordinate.clone(), coordinate].prop_map(DVec3::from)
+}
+
+fn leaves(octree: &Octree) -> Vec<Cell> {
+    let mut leaves = Vec::new();
+    octree.cells().for_each_leaf(|leaf| leaves.push(leaf));
+    leaves
+}
+
+fn interpolate(octree: &Octree, values: &[f64], u: DVec3) -> f64 {
+    let at = octree.locate(u);
+    at.corners
+        .iter()
+        .zip(at.weights)
+        .map(|(corner, weight)| {
+            let masters = corner.masters();
+            weight * masters.iter().map(|v| values[v.0 as usize]).sum::<f64>() / masters.len() as f64
+        })
+        .sum()
+}
+
+/// Arbitrary but reproducible vertex values in [0, 1).
+fn values(octree: &Octree) -> Vec<f64> {
+    octree.vertex_positions().map(|p| (f64::from(p[0] * 7919 + p[1] * 104_729 + p[2] * 1_299_709) * 0.618_034).fract()).collect()
+}
+
+proptest! {
+    #[test]
+    fn trilinear_weights_are_a_partition_of_unity(x in 0.0..=1.0, y in 0.0..=1.0, z in 0.0..=1.0) {
+        let weights = trilinear(DVec3::new(x, y, z));
+        prop_assert!(weights.iter().all(|&w| w >= 0.0));
+        // Seven additions and eight triple products, each rounded once: below 16 ulps of 1.
+        prop_assert!((weights.iter().sum::<f64>() - 1.0).abs() <= 16.0 * f64::EPSILON);
+    }
+
+    #[test]
+    fn every_octree_is_sound(octree in octrees()) {
+        let stats = octree.validate();
+        prop_assert!(stats.is_ok(), "{:?}", stats);
+        prop_assert_eq!(stats.unwrap().leaves(), leaves(&octree).len() as u64);
+    }
+
+    #[test]
+    fn locate_agrees_with_a_scan_over_leaves((octree, u) in octrees().prop_flat_map(|o| { let f = o.finest(); (Just(o), points(f)) })) {
+        let m = f64::from(1_u32 << octree.finest());
+        let inside = |leaf: &Cell| {
+            let (origin, edge) = leaf.extent(octree.finest());
+            (0..3).all(|axis| {
+                let (lo, hi) = (f64::from(origin[axis]), f64::from(origin[axis] + edge));
+                u[axis] >= lo && (u[axis] < hi || (hi == m && u[axis] == m))
+            })
+        };
+        let found: Vec<Cell> = leaves(&octree).into_iter().filter(inside).collect();
+        prop_assert_eq!(found, vec![octree.locate(u).leaf]);
+    }
+
+    #[test]
+    fn interpolation_reproduces_linear_functions((octree, u) in octrees().prop_flat_map(|o| { let f = o.finest(); (Just(o), points(f)) })) {
+        // Hanging corners are means of their edge's or face's ends, so linear functions pass through unharmed.
+        let linear = |p: DVec3| 1.0 + 2.0 * p.x - 3.0 * p.y + 0.5 * p.z;
+        let values: Vec<f64> = octree.vertex_positions().map(|p| linear(DVec3::from(p.map(f64::from)))).collect();
+        // Values reach 100; a few dozen rounded operations.
+        prop_assert!((interpolate(&octree, &values, u) - linear(u)).abs() < 1e-11);
+    }
+
+    #[test]
+    fn interpolation_is_continuous_across_every_contact((octree, u) in octrees().prop_flat_map(|o| { let f = o.finest(); (Just(o), points(f)) })) {
+        let values = values(&octree);
+        let here = interpolate(&octree, &values, u);
+        let m = f64::from(1_u32 << octree.finest());
+        let step = 1e-9;
+        for side in 0..27 {
+            let steps = DVec3::new(f64::from(side % 3 - 1), f64::from(side / 3 % 3 - 1), f64::from(side / 9 - 1));
+            let near = (u + step * steps).clamp(DVec3::ZERO, DVec3::splat(m));
+            // Values lie in [0, 1), cells have edge >= 1: the slope is below 1 per axis, 3 in all.
+            let jump = (interpolate(&octree, &values, near) - here).abs();
+            prop_assert!(jump <= 3.0 * step + 1e-13, "jump {} at {} towards {}", jump, u, steps);
+        }
+    }
+
+    #[test]
+    fn stored_masks_give_the_same_octree(octree in octrees()) {
+        let (root_split, masks) = octree.cells().raw();
+        prop_assert_eq!(Octree::from_raw(octree.finest(), root_split, masks), Ok(octree.clone()));
+    }
+
+    #[test]
+    fn arbitrary_masks_never_panic(finest in 1_u8..=4, root_split: bool, masks in proptest::collection::vec(any::<u8>(), 0..40)) {
+        if let Ok(octree) = Octree::from_raw(finest, root_split, &masks) {
+            prop_assert!(octree.validate().is_ok());
+        }
+    }
+}
+
+#[test]
+fn balance_adds_nothing_that_is_not_needed() {
+    // One finest cell in a corner: the classic graded chain, one split cell per level.
+    let octree = Octree::refined(5, [Cell { level: 5, index: [0; 3] }]);
+    let stats = octree.validate().unwrap();
+    assert_eq!(stats.leaves_per_level, [0, 7, 7, 7, 7, 8]);
+    // Without wanted cells the octree is the box itself.
+    assert_eq!(Octree::refined(5, []).validate().unwrap().leaves_per_level, [1, 0, 0, 0, 0, 0]);
+}
+
+#[test]
+fn fully_refined_has_all_lattice_points() {
+    let all = (0..512_u64).map(|code| Cell { level: 3, index: morton::decode(code) });
+    let stats = Octree::refined(3, all).validate().unwrap();
+    assert_eq!((stats.free_vertices, stats.hanging_corners), (729, 0));
+}
+
+#[test]
+fn unbalanced_masks_are_refused() {
+    // Root split, child 7 split, its child 0 split: at level 4 that child's children touch leaf 0 of level 1.
+    let split = vec![vec![0], vec![7], vec![7 << 3], vec![7 << 6]];
+    let tree = CellTree::from_split(4, &split);
+    let (root_split, masks) = tree.raw();
+    let refusal = Octree::from_raw(4, root_split, masks).unwrap_err();
+    assert!(refusal.contains("2:1"), "{refusal}");
+}

@@ -1,0 +1,152 @@
+//! The octree describes and checks itself.
+
+use std::collections::BTreeSet;
+
+use super::{Cell, Corner, Octree, hanging_on, morton};
+
+/// What a sound octree consists of.
+#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
+pub struct OctreeStats {
+    /// Leaves of each level, 0 to finest.
+    pub leaves_per_level: Vec<u64>,
+    /// Free vertices: those that carry values.
+    pub free_vertices: u64,
+    /// Distinct leaf corners that hang on a larger leaf.
+    pub hanging_corners: u64,
+}
+
+impl OctreeStats {
+    /// All leaves.
+    #[must_use]
+    pub fn leaves(&self) -> u64 {
+        self.leaves_per_level.iter().sum()
+    }
+}
+
+/// The first property that an octree was found to lack.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum Defect {
+    /// The leaves' volumes do not add up to the box: not complete, or overlapping.
+    #[error("leaves cover {found} finest cells of {expected}")]
+    NotComplete {
+        /// Finest cells of the box.
+        expected: u128,
+        /// Finest cells of all leaves together.
+        found: u128,
+    },
+    /// Looking a leaf up by its own position finds another one.
+    #[error("leaf {leaf:?} is found as {found:?}")]
+    NotFound {
+        /// The leaf visited.
+        leaf: Cell,
+        /// The leaf that the look-up gives.
+        found: Cell,
+    },
+    /// Two touching leaves differ by more than one level.
+    #[error("leaf {leaf:?} touches {neighbor:?}: not 2:1 balanced")]
+    NotBalanced {
+        /// The smaller leaf.
+        leaf: Cell,
+        /// The larger leaf.
+        neighbor: Cell,
+    },
+    /// A corner's status does not follow from the leaves around it.
+    #[error("corner {point:?} of leaf {leaf:?}: {problem}")]
+    WrongCorner {
+        /// The leaf visited.
+        leaf: Cell,
+        /// Lattice position of the corner.
+        point: [u32; 3],
+        /// What is wrong.
+        problem: &'static str,
+    },
+    /// The vertex table has members that are corners of no leaf, or lacks some.
+    #[error("{found} vertices stored, {expected} free corners counted")]
+    WrongVertexCount {
+        /// Free corners found by walking the leaves.
+        expected: u64,
+        /// Size of the vertex table.
+        found: u64,
+    },
+}
+
+impl Octree {
+    /// Checks that the octree is complete, without overlap, 2:1 balanced over faces, edges and corners, that every leaf corner
+    /// is free or hangs on a leaf of the next coarser level with free ends, and that vertex ids are the ranks of positions.
+    ///
+    /// # Errors
+    /// The first defect met.
+    pub fn validate(&self) -> Result<OctreeStats, Defect> {
+        let finest = self.finest();
+        let mut leaves = Vec::new();
+        self.cells().for_each_leaf(|leaf| leaves.push(leaf));
+
+        let mut leaves_per_level = vec![0; usize::from(finest) + 1];
+        let mut volume = 0_u128;
+        let (mut free, mut hanging) = (BTreeSet::new(), BTreeSet::new());
+        for &leaf in &leaves {
+            let (origin, edge) = leaf.extent(finest);
+            leaves_per_level[usize::from(leaf.level)] += 1;
+            volume += u128::from(edge).pow(3);
+            let found = self.cells().leaf(origin);
+            if found != leaf {
+                return Err(Defect::NotFound { leaf, found });
+            }
+            self.check_balance(leaf)?;
+            for c in 0..8_u32 {
+                let point: [u32; 3] = std::array::from_fn(|axis| origin[axis] + edge * (c >> axis & 1));
+                if self.check_corner(leaf, point)? {
+                    free.insert(morton::encode(point));
+                } else {
+                    hanging.insert(morton::encode(point));
+                }
+            }
+        }
+        let box_volume = 1_u128 << (3 * u32::from(finest));
+        if volume != box_volume {
+            return Err(Defect::NotComplete { expected: box_volume, found: volume });
+        }
+        if free.len() != self.vertex_count() {
+            return Err(Defect::WrongVertexCount { expected: free.len() as u64, found: self.vertex_count() as u64 });
+        }
+        Ok(OctreeStats { leaves_per_level, free_vertices: free.len() as u64, hanging_corners: hanging.len() as u64 })
+    }
+
+    /// A larger leaf that touches `leaf` contains the whole cell of `leaf`'s size on that side: 26 look-ups find them all.
+    fn check_balance(&self, leaf: Cell) -> Result<(), Defect> {
+        let per_axis = 1_i64 << leaf.level;
+        let shift = self.finest() - leaf.level;
+        for side in 0..27_i64 {
+            let steps = [side % 3 - 1, side / 3 % 3 - 1, side / 9 - 1];
+            let index: [i64; 3] = std::array::from_fn(|axis| i64::from(leaf.index[axis]) + steps[axis]);
+            if index.iter().any(|i| !(0..per_axis).contains(i)) {
+                continue;
+            }
+            let neighbor = self.cells().leaf(index.map(|i| (i as u32) << shift));
+            if neighbor.level + 1 < leaf.level {
+                return Err(Defect::NotBalanced { leaf, neighbor });
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether a corner is free; an error if the stored status disagrees with the leaves around it.
+    fn check_corner(&self, leaf: Cell, point: [u32; 3]) -> Result<bool, Defect> {
+        let wrong = |problem| Defect::WrongCorner { leaf, point, problem };
+        match (self.vertex(point), hanging_on(self.cells(), point)) {
+            (Some(_), None) => Ok(true),
+            (Some(_), Some(_)) => Err(wrong("stored as free, but hangs on a larger leaf")),
+            (None, None) => Err(wrong("free, but not stored")),
+            (None, Some(larger)) => {
+                let (_, edge) = larger.extent(self.finest());
+                if point.iter().any(|i| !i.is_multiple_of(edge / 2)) {
+                    return Err(wrong("hangs at a place that is not half-way"));
+                }
+                match self.corner(point) {
+                    Corner::Free(_) => Err(wrong("resolved as free")),
+                    Corner::OnEdge(_) | Corner::OnFace(_) => Ok(false),
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,200 @@
+//! Scalars read off a vertex's information.
+
+/// S = Σ_r JᵀJ of one vertex, summed over rays and colour channels: xx, xy, xz, yy, yz, zz, in 1 / scene unit².
+pub type Information = [f64; 6];
+
+/// tr S.
+#[must_use]
+pub fn trace(s: &Information) -> f64 {
+    s[0] + s[3] + s[5]
+}
+
+/// Which standard deviation is read off H_v = (2/R) S_v + 2λ I.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Covariance {
+    /// σ² = Σ_k 1 / H_kk (the paper, Sec. 4.4). Depends on how the axes are turned.
+    #[default]
+    Diagonal,
+    /// σ² = 1 / (tr S / R + λ) (the official code: no factor 2; interpolates variance with normalised squared weights).
+    Trace,
+    /// σ² = tr(H⁻¹) of the full 3×3 block. Does not depend on the axes; counts sliding along a surface as uncertainty.
+    Block,
+}
+
+impl Covariance {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Diagonal, Self::Trace, Self::Block];
+
+    /// The name used on the command line and in files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Diagonal => "diagonal",
+            Self::Trace => "trace",
+            Self::Block => "block",
+        }
+    }
+
+    /// σ_v in scene units, for information `s` from `rays` rays and the prior λ (1 / scene unit²).
+    #[must_use]
+    pub fn deviation(self, s: &Information, rays: u64, lambda: f64) -> f64 {
+        let per_ray = 1.0 / (rays.max(1) as f64);
+        let variance = match self {
+            Self::Diagonal => [s[0], s[3], s[5]].iter().map(|s| 1.0 / (2.0 * per_ray * s + 2.0 * lambda)).sum(),
+            Self::Trace => 1.0 / (per_ray * trace(s) + lambda),
+            Self::Block => trace_of_inverse(s.map(|s| 2.0 * per_ray * s), 2.0 * lambda),
+        };
+        f64::sqrt(variance)
+    }
+
+    /// σ_v where no ray said anything.
+    #[must_use]
+    pub fn prior(self, lambda: f64) -> f64 {
+        self.deviation(&[0.0; 6], 1, lambda)
+    }
+
+    /// U from the deviations of the eight corners of a cell, with their trilinear weights.
+    ///
+    /// The paper's U is trilinear in σ_v; the official code's is √(Σ w² σ² / Σ w²).
+    #[must_use]
+    pub fn interpolate(self, deviations: &[f64; 8], weights: &[f64; 8]) -> f64 {
+        let pairs = || deviations.iter().zip(weights);
+        match self {
+            Self::Diagonal | Self::Block => pairs().map(|(s, w)| s * w).sum(),
+            Self::Trace => {
+                let squares: f64 = weights.iter().map(|w| w * w).sum();
+                (pairs().map(|(s, w)| w * w * s * s).sum::<f64>() / squares).sqrt()
+            }
+        }
+    }
+
+    /// The mean of the deviations at the ends of a hanging corner's edge or face, in the quantity that is interpolated.
+    #[must_use]
+    pub fn mean(self, deviations: impl ExactSizeIterator<Item = f64>) -> f64 {
+        let n = deviations.len() as f64;
+        match self {
+            Self::Diagonal | Self::Block => deviations.sum::<f64>() / n,
+            Self::Trace => (deviations.map(|s| s * s).sum::<f64>() / n).sqrt(),
+        }
+    }
+}
+
+/// Largest tr S that changes log10 U of no covariance by more than `tolerance`, for `rays` rays and the prior λ.
+///
+/// tr S ≤ ε λ R keeps every eigenvalue and every diagonal entry of S below ε λ R, hence H between 2λ and 2λ (1 + ε), so
+/// that no σ_v falls by more than the factor √(1 + ε): ε = 10^(2 · tolerance) − 1.
+#[must_use]
+pub fn negligible_information(tolerance: f64, rays: u64, lambda: f64) -> f64 {
+    (2.0 * tolerance * std::f64::consts::LN_10).exp_m1() * lambda * rays as f64
+}
+
+/// tr((A + floor · I)⁻¹) for a positive semidefinite A (xx, xy, xz, yy, yz, zz), by Cholesky: tr(H⁻¹) = ‖L⁻¹‖².
+///
+/// A may be of rank 1 and 10¹⁵ times larger than `floor`; each pivot is a Schur complement of A + floor · I and therefore at
+/// least `floor`, which is enforced against rounding. So the result is finite, positive, and at most 3 / floor.
+fn trace_of_inverse(a: [f64; 6], floor: f64) -> f64 {
+    let [xx, xy, xz, yy, yz, zz] = a;
+    let l00 = (xx + floor).sqrt();
+    let (l10, l20) = (xy / l00, xz / l00);
+    let l11 = (yy + floor - l10 * l10).max(floor).sqrt();
+    let l21 = (yz - l20 * l10) / l11;
+    let l22 = (zz + floor - l20 * l20 - l21 * l21).max(floor).sqrt();
+    // Rows of L⁻¹.
+    let (m00, m11, m22) = (1.0 / l00, 1.0 / l11, 1.0 / l22);
+    let m10 = -l10 * m00 * m11;
+    let m21 = -l21 * m11 * m22;
+    let m20 = -(l20 * m00 + l21 * m10) * m22;
+    let squares = [m00, m10, m11, m20, m21, m22].map(|m| m * m);
+    squares.iter().sum::<f64>().min(3.0 / floor)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn information() -> impl Strategy<Value = Information> {
+        // Sums of a few outer products over many decades; one product alone is rank 1.
+        let row = ([-1.0..1.0_f64, -1.0..1.0, -1.0..1.0], -8.0..2.0_f64);
+        proptest::collection::vec(row, 0..5).prop_map(|rows| {
+            let mut s = [0.0; 6];
+            for (g, decade) in rows {
+                let k = 10_f64.powf(decade);
+                let products = [g[0] * g[0], g[0] * g[1], g[0] * g[2], g[1] * g[1], g[1] * g[2], g[2] * g[2]];
+                for (s, p) in s.iter_mut().zip(products) {
+                    *s += k * p;
+                }
+            }
+            s
+        })
+    }
+
+    #[test]
+    fn prior_values() {
+        // Paper: ½ log10(3 / 2λ); official code: ½ log10(1 / λ).
+        let lambda = 1e-4 / 256_f64.powi(3);
+        assert!((Covariance::Diagonal.prior(lambda).log10() - 0.5 * (3.0 / (2.0 * lambda)).log10()).abs() < 1e-14);
+        assert!((Covariance::Block.prior(lambda) / Covariance::Diagonal.prior(lambda) - 1.0).abs() < 1e-14);
+        assert!((Covariance::Trace.prior(lambda).log10() - 0.5 * (1.0 / lambda).log10()).abs() < 1e-14);
+    }
+
+    #[test]
+    fn diagonal_depends_on_the_axes_and_block_does_not() {
+        // A textureless wall: all information along its normal. Facing an axis, diagonal is near the prior; at (1,1,1)/√3 it
+        // is decades lower (a known fact of the formula). Block gives the same for both.
+        let (lambda, rays, strength) = (1e-10, 1000, 1e3);
+        let axis = [strength, 0.0, 0.0, 0.0, 0.0, 0.0];
+        let turned = [strength / 3.0; 6];
+        let log10 = |c: Covariance, s| c.deviation(s, rays, lambda).log10();
+        assert!(log10(Covariance::Diagonal, &axis) - log10(Covariance::Diagonal, &turned) > 4.0);
+        // Rounding 1/3 leaves a second eigenvalue of 1e-16 · strength = 1e-13, 1e-16 per ray, against λ = 1e-10.
+        assert!((log10(Covariance::Block, &axis) - log10(Covariance::Block, &turned)).abs() < 1e-5);
+    }
+
+    proptest! {
+        #[test]
+        fn negligible_information_bounds_every_scalar(s in information(), tolerance in 1e-4..0.1_f64) {
+            let (lambda, rays) = (1e-6, 100);
+            let limit = negligible_information(tolerance, rays, lambda);
+            let t = trace(&s);
+            if t > 0.0 {
+                let scaled = s.map(|v| v * limit / t);
+                for covariance in Covariance::ALL {
+                    let change = (covariance.prior(lambda) / covariance.deviation(&scaled, rays, lambda)).log10();
+                    prop_assert!((-1e-12..=tolerance * (1.0 + 1e-9)).contains(&change), "{:?} moves by {}", covariance, change);
+                }
+                // Two-sided: the bound is reached by `trace`.
+                let change = (Covariance::Trace.prior(lambda) / Covariance::Trace.deviation(&scaled, rays, lambda)).log10();
+                prop_assert!((change - tolerance).abs() < 1e-9);
+            }
+        }
+
+        #[test]
+        fn trace_of_inverse_is_the_sum_over_eigenvalues(s in information(), decade in -9.0..0.0_f64) {
+            // tr(H⁻¹) = (sum of principal 2×2 minors) / det, evaluated in integers would be exact; in f64 it is good to
+            // 1e-16 · (largest / floor)², so it is compared only where that is small.
+            let floor = 10_f64.powf(decade);
+            let found = trace_of_inverse(s, floor);
+            let [xx, xy, xz, yy, yz, zz] = [s[0] + floor, s[1], s[2], s[3] + floor, s[4], s[5] + floor];
+            let minors = (yy * zz - yz * yz) + (xx * zz - xz * xz) + (xx * yy - xy * xy);
+            let det = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz);
+            let condition = (trace(&s) + floor) / floor;
+            if condition < 1e5 {
+                let limit = 1e-14 * condition * condition;
+                prop_assert!((found * det / minors - 1.0).abs() < limit.max(1e-12), "{} against {}", found, minors / det);
+            }
+            prop_assert!(found > 0.0 && found <= 3.0 / floor * (1.0 + 1e-12));
+        }
+
+        #[test]
+        fn more_information_never_raises_the_deviation(s in information(), more in information()) {
+            let sum: Information = std::array::from_fn(|k| s[k] + more[k]);
+            for covariance in Covariance::ALL {
+                let (before, after) = (covariance.deviation(&s, 10, 1e-6), covariance.deviation(&sum, 10, 1e-6));
+                // Block goes through a Cholesky factor: relative rounding of 1e-16 · 1e2 / 2e-6.
+                prop_assert!(after <= before * (1.0 + 1e-7), "{:?}: {} after {}", covariance, after, before);
+            }
+        }
+    }
+}

@@ -1,0 +1,116 @@
+//! Random training rays, as a stream of samples with Jacobians.
+
+use rand::{Rng, RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+
+use crate::geometry::{Camera, Ray};
+use crate::monitor::{Monitor, check};
+use crate::render::{Differences, RaySamples, Tracer};
+use crate::{Error, Result};
+
+/// Rays per batch: batch b holds rays b · 512 …, drawn from stream b of the generator, so any part of a run can be drawn
+/// alone.
+const BATCH: u64 = 512;
+/// Batches between two visits to the posterior.
+const GROUP: u64 = 16;
+/// A run fails if a larger share of its rays is dropped because the field was not finite.
+pub const MAX_DROPPED_SHARE: f64 = 0.01;
+
+/// Draws pixels uniformly from all training images and differentiates them.
+pub struct RayStream<'a> {
+    /// Field, sampling and background.
+    pub tracer: Tracer<'a>,
+    /// Finite differences.
+    pub differences: Differences,
+    /// Training cameras, at least one.
+    pub cameras: &'a [Camera],
+    /// Where in a pixel the ray goes through: ½ is its centre.
+    pub pixel_offset: f64,
+    /// Seed of the pixel and jitter sequence.
+    pub seed: u64,
+}
+
+/// What came out of a run, apart from the samples themselves.
+#[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize)]
+pub struct Tally {
+    /// Rays drawn: R.
+    pub rays: u64,
+    /// Samples with a Jacobian.
+    pub samples: u64,
+    /// Rays dropped because the field was not finite.
+    pub dropped: u64,
+    /// Position of the first sample that was not.
+    pub first_invalid: Option<[f32; 3]>,
+}
+
+impl RayStream<'_> {
+    /// Rays and jitters of one batch.
+    fn draw(&self, batch: u64, count: u64) -> (Vec<Ray>, Vec<f64>) {
+        let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
+        rng.set_stream(batch);
+        let pixels: Vec<u64> = self.cameras.iter().map(Camera::pixels).collect();
+        let total: u64 = pixels.iter().sum();
+        let draw = |rng: &mut ChaCha8Rng| {
+            let mut pixel = rng.random_range(0..total);
+            let mut camera = 0;
+            while pixel >= pixels[camera] {
+                pixel -= pixels[camera];
+                camera += 1;
+            }
+            let camera = &self.cameras[camera];
+            let width = u64::from(camera.resolution[0]);
+            let (x, y) = ((pixel % width) as f64, (pixel / width) as f64);
+            (camera.ray(x + self.pixel_offset, y + self.pixel_offset), unit_interval(rng))
+        };
+        (0..count).map(|_| draw(&mut rng)).unzip()
+    }
+
+    /// Draws `rays` rays and hands their samples to `sink`, in ray order.
+    ///
+    /// # Errors
+    /// What `sink` returns, [`Error::Interrupted`], or [`Error::NonFinite`] if more than [`MAX_DROPPED_SHARE`] of the rays
+    /// were dropped.
+    pub fn run(
+        &self,
+        rays: u64,
+        monitor: &dyn Monitor,
+        mut sink: impl FnMut(&[RaySamples]) -> Result<()>,
+    ) -> Result<Tally> {
+        monitor.begin("rays", rays);
+        let mut tally = Tally { rays, ..Tally::default() };
+        let batches = rays.div_ceil(BATCH);
+        for group in (0..batches).step_by(GROUP as usize) {
+            check(monitor)?;
+            let samples: Vec<RaySamples> = (group..(group + GROUP).min(batches))
+                .into_par_iter()
+                .map(|batch| {
+                    let first = batch * BATCH;
+                    let (rays, jitter) = self.draw(batch, BATCH.min(rays - first));
+                    let samples = self.tracer.jacobians(&rays, &jitter, first, self.differences);
+                    monitor.advance(rays.len() as u64);
+                    samples
+                })
+                .collect();
+            for batch in &samples {
+                tally.samples += batch.positions.len() as u64;
+                tally.dropped += batch.dropped;
+                tally.first_invalid = tally.first_invalid.or(batch.first_invalid.map(|x| x.to_array()));
+            }
+            sink(&samples)?;
+        }
+        monitor.end();
+        match tally.first_invalid {
+            Some(first) if tally.dropped as f64 > MAX_DROPPED_SHARE * rays as f64 => {
+                Err(Error::NonFinite { dropped: tally.dropped, rays, limit_percent: 100.0 * MAX_DROPPED_SHARE, first })
+            }
+            _ => Ok(tally),
+        }
+    }
+}
+
+/// A uniform number in [0, 1).
+fn unit_interval(rng: &mut impl Rng) -> f64 {
+    // The upper 53 bits as a binary fraction.
+    (rng.next_u64() >> 11) as f64 * 2.0_f64.powi(-53)
+}

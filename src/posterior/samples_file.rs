@@ -1,0 +1,261 @@
+//! Ray samples in a `.npz` file: the plug for Jacobians from any other framework.
+//!
+//! `positions` f32 `[N, 3]` scene units; `jacobian` f32 `[N, 3, 3]` = ∂C_c/∂x_k, rows colour, columns axis; `ray` u32 or u64
+//! `[N]`, non-decreasing ray index; `rays_total` integer scalar, rays drawn, with those that hit nothing; optionally `weight`
+//! f32 `[N]`, the sample's share of the pixel's colour, from which visible surfaces are known.
+//!
+//! Both directions stream: neither holds more than a few batches in memory.
+
+use std::fs::File;
+use std::io::{BufReader, Read, Write};
+use std::path::{Path, PathBuf};
+
+use glam::Vec3;
+use npyz::{AutoSerialize, DType, WriteOptions, WriterBuilder};
+use zip::read::ZipFile;
+
+use crate::io::AtomicFile;
+use crate::io::npy::ArrayStream;
+use crate::io::npz::{NpzReader, NpzWriter};
+use crate::monitor::{Monitor, check};
+use crate::render::RaySamples;
+use crate::{Error, Result};
+
+/// Rays per batch when reading.
+const BATCH: usize = 512;
+/// Batches handed over together.
+const GROUP: usize = 16;
+
+/// Writes samples as they come; the archive is put together at the end, because a zip holds one member after the other.
+pub struct SamplesWriter {
+    target: PathBuf,
+    /// Raw little-endian data of `positions`, `jacobian`, `ray`, `weight`.
+    parts: [AtomicFile; 4],
+    samples: u64,
+}
+
+impl SamplesWriter {
+    /// Starts a file that will be `target`.
+    ///
+    /// # Errors
+    /// If the folder cannot be written.
+    pub fn create(target: &Path) -> Result<Self> {
+        let part = || AtomicFile::create(target);
+        Ok(Self { target: target.to_path_buf(), parts: [part()?, part()?, part()?, part()?], samples: 0 })
+    }
+
+    /// Appends samples.
+    ///
+    /// # Errors
+    /// If the disk is full.
+    pub fn add(&mut self, batches: &[RaySamples]) -> Result<()> {
+        let [positions, jacobian, ray, weight] = &mut self.parts;
+        let mut write = || {
+            for batch in batches {
+                for x in &batch.positions {
+                    x.to_array().iter().try_for_each(|v| positions.write_all(&v.to_le_bytes()))?;
+                }
+                for j in &batch.jacobians {
+                    j.iter().try_for_each(|v| jacobian.write_all(&v.to_le_bytes()))?;
+                }
+                for w in &batch.weights {
+                    weight.write_all(&w.to_le_bytes())?;
+                }
+                for (index, samples) in batch.iter() {
+                    samples.into_iter().try_for_each(|_| ray.write_all(&index.to_le_bytes()))?;
+                }
+                self.samples += batch.positions.len() as u64;
+            }
+            Ok(())
+        };
+        write().map_err(Error::io(&self.target, "cannot write"))
+    }
+
+    /// Puts the archive together.
+    ///
+    /// # Errors
+    /// If the disk is full.
+    pub fn finish(self, rays_total: u64) -> Result<()> {
+        let Self { target, parts, samples: n } = self;
+        let mut npz = NpzWriter::create(&target)?;
+        let float = f32::default_dtype();
+        let members: [(&str, &[u64], DType); 4] = [
+            ("positions", &[n, 3], float.clone()),
+            ("jacobian", &[n, 3, 3], float.clone()),
+            ("ray", &[n], u64::default_dtype()),
+            ("weight", &[n], float),
+        ];
+        for (part, (name, shape, dtype)) in parts.into_iter().zip(members) {
+            let failed = || Error::io(&target, "cannot write");
+            let (mut data, _removed_at_the_end) = part.into_reader().map_err(failed())?;
+            let member = npz.member(name)?;
+            WriteOptions::new_header_only()
+                .dtype(dtype)
+                .shape(shape)
+                .writer(&mut *member)
+                .write_header_only()
+                .map_err(failed())?;
+            std::io::copy(&mut data, member).map_err(failed())?;
+        }
+        npz.array("rays_total", &[], [rays_total as i64])?;
+        npz.finish()
+    }
+}
+
+/// Reads samples as a stream.
+pub struct SamplesReader {
+    path: PathBuf,
+    rays_total: u64,
+    samples: u64,
+    has_weights: bool,
+    ray_type: &'static str,
+}
+
+/// The `ray` array in either of its types.
+enum RayIndices<R: Read> {
+    U32(ArrayStream<u32, R>),
+    U64(ArrayStream<u64, R>),
+}
+
+impl<R: Read> RayIndices<R> {
+    fn next(&mut self) -> Result<Option<u64>> {
+        match self {
+            Self::U32(stream) => Ok(stream.next()?.map(u64::from)),
+            Self::U64(stream) => stream.next(),
+        }
+    }
+}
+
+impl SamplesReader {
+    /// Opens a file and checks the shapes and types of its arrays.
+    ///
+    /// # Errors
+    /// If an array is missing or not as described in the module's documentation.
+    pub fn open(path: &Path) -> Result<Self> {
+        let mut npz = NpzReader::open(path)?;
+        let positions = npz.stream::<f32>("positions")?;
+        positions.expect_shape(&[None, Some(3)])?;
+        let samples = positions.shape()[0];
+        drop(positions);
+        npz.stream::<f32>("jacobian")?.expect_shape(&[Some(samples), Some(3), Some(3)])?;
+        let ray_type = if npz.stream::<u32>("ray").is_ok() {
+            "u32"
+        } else {
+            // The more general type last: its message names what was found.
+            npz.stream::<u64>("ray")?;
+            "u64"
+        };
+        let has_weights = npz.has("weight");
+        if has_weights {
+            npz.stream::<f32>("weight")?.expect_shape(&[Some(samples)])?;
+        }
+        let rays_total = read_rays_total(&mut npz, path)?;
+        Ok(Self { path: path.to_path_buf(), rays_total, samples, has_weights, ray_type })
+    }
+
+    /// Rays drawn, with those that hit nothing.
+    #[must_use]
+    pub fn rays_total(&self) -> u64 {
+        self.rays_total
+    }
+
+    /// Samples in the file.
+    #[must_use]
+    pub fn samples(&self) -> u64 {
+        self.samples
+    }
+
+    /// Hands all samples to `sink`, in order, a few thousand rays at a time.
+    ///
+    /// # Errors
+    /// What `sink` returns; if a value is not finite, ray indices decrease or reach `rays_total`, or the file ends early.
+    pub fn run(&self, monitor: &dyn Monitor, mut sink: impl FnMut(&[RaySamples]) -> Result<()>) -> Result<()> {
+        let open = || NpzReader::open(&self.path);
+        let (mut a, mut b, mut c, mut d) = (open()?, open()?, open()?, open()?);
+        let mut positions = a.stream::<f32>("positions")?;
+        let mut jacobians = b.stream::<f32>("jacobian")?;
+        let mut rays = match self.ray_type {
+            "u32" => RayIndices::U32(c.stream::<u32>("ray")?),
+            _ => RayIndices::U64(c.stream::<u64>("ray")?),
+        };
+        let mut weights = if self.has_weights { Some(d.stream::<f32>("weight")?) } else { None };
+
+        monitor.begin("samples", self.samples);
+        let mut batches = vec![RaySamples::default()];
+        let mut previous = 0;
+        for sample in 0..self.samples {
+            let ray = self.present(rays.next()?, "ray", sample)?;
+            if ray < previous || ray >= self.rays_total {
+                let expected = format!("from {previous} (non-decreasing) to below rays_total = {}", self.rays_total);
+                return Err(Error::malformed(&self.path, format!("array `ray`, element {sample}"), expected, ray.to_string()));
+            }
+            // Cut between rays only: a ray is summed as a whole.
+            let last = batches.len() - 1;
+            if ray != previous && batches[last].rays.len() >= BATCH {
+                monitor.advance(batches[last].positions.len() as u64);
+                if batches.len() >= GROUP {
+                    check(monitor)?;
+                    sink(&batches)?;
+                    batches.clear();
+                }
+                batches.push(RaySamples::default());
+            }
+            previous = ray;
+            let position = self.floats(&mut positions, sample)?;
+            let jacobian = self.floats(&mut jacobians, sample)?;
+            let weight = match &mut weights {
+                Some(weights) => self.floats::<1>(weights, sample)?[0],
+                None => 0.0,
+            };
+            if let Some(batch) = batches.last_mut() {
+                batch.push(ray, Vec3::from_array(position), jacobian, weight);
+            }
+        }
+        sink(&batches)?;
+        monitor.end();
+        Ok(())
+    }
+
+    /// The next `N` finite numbers of an array.
+    fn floats<const N: usize>(
+        &self,
+        stream: &mut ArrayStream<f32, ZipFile<'_, BufReader<File>>>,
+        sample: u64,
+    ) -> Result<[f32; N]> {
+        let mut values = [0.0; N];
+        for value in &mut values {
+            let next = stream.next()?;
+            *value = self.present(next, stream.origin().1, sample)?;
+            if !value.is_finite() {
+                let place = format!("array `{}`, sample {sample}", stream.origin().1);
+                return Err(Error::malformed(&self.path, place, "finite numbers", value.to_string()));
+            }
+        }
+        Ok(values)
+    }
+
+    fn present<T>(&self, value: Option<T>, name: &str, sample: u64) -> Result<T> {
+        value.ok_or_else(|| {
+            let expected = format!("{} samples", self.samples);
+            Error::malformed(&self.path, format!("array `{name}`"), expected, format!("{sample}"))
+        })
+    }
+}
+
+/// `rays_total` in any of NumPy's usual integer types, as a scalar or an array of one element.
+fn read_rays_total(npz: &mut NpzReader, path: &Path) -> Result<u64> {
+    let value = match npz.array::<i64>("rays_total") {
+        Ok(array) => array.data.first().copied().and_then(|v| u64::try_from(v).ok()),
+        Err(error) if !npz.has("rays_total") => return Err(error),
+        Err(_) => match npz.array::<i32>("rays_total") {
+            Ok(array) => array.data.first().copied().and_then(|v| u64::try_from(v).ok()),
+            Err(_) => match npz.array::<u32>("rays_total") {
+                Ok(array) => array.data.first().copied().map(u64::from),
+                Err(_) => npz.array::<u64>("rays_total")?.data.first().copied(),
+            },
+        },
+    };
+    value
+        .filter(|&v| v > 0)
+        .ok_or_else(|| Error::malformed(path, "array `rays_total`", "one integer above 0", "none or less"))
+}

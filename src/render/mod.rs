@@ -1,0 +1,15 @@
+//! Rays through a field: samples, compositing, and the Jacobian of a pixel with respect to its samples.
+
+mod composite;
+mod jacobian;
+mod march;
+mod occupancy;
+mod trace;
+mod view;
+
+pub use composite::{Pixel, Quadrature};
+pub use jacobian::{Differences, RaySamples};
+pub use march::Marcher;
+pub use occupancy::Occupancy;
+pub use trace::{Tracer, TracedRays};
+pub use view::{Blend, RenderedView, render_view};

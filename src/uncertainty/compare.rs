@@ -1,0 +1,134 @@
+//! How far two fields are apart.
+
+use glam::Vec3;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+
+use super::{Support, UncertaintyField};
+use crate::octree::OctreeStats;
+use crate::{Error, Result};
+
+/// What a field consists of.
+#[derive(Debug, Clone, serde::Serialize)]
+pub struct Summary {
+    /// `dense` or `octree`.
+    pub grid: &'static str,
+    /// Finest level.
+    pub level: u8,
+    /// Vertices that carry values.
+    pub vertices: u64,
+    /// Bytes for queries: structure and one f32 per vertex.
+    pub query_bytes: usize,
+    /// Of these, structure.
+    pub structure_bytes: usize,
+    /// Leaves of each level; empty for a dense grid.
+    pub leaves_per_level: Vec<u64>,
+}
+
+/// |Δ log10 U| over a set of points.
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+pub struct Difference {
+    /// Points compared.
+    pub points: usize,
+    /// Mean.
+    pub mean: f64,
+    /// 95th percentile.
+    pub percentile_95: f64,
+    /// 99th percentile.
+    pub percentile_99: f64,
+    /// Maximum.
+    pub max: f64,
+    /// Scene position of the maximum.
+    pub max_at: [f32; 3],
+    /// log10 U of the two fields there.
+    pub log10_at_max: [f64; 2],
+}
+
+/// Two fields side by side.
+#[derive(Debug, Clone, serde::Serialize)]
+pub struct Comparison {
+    /// The fields.
+    pub fields: [Summary; 2],
+    /// Over points drawn uniformly from the box; `None` if no points were asked for.
+    pub in_box: Option<Difference>,
+    /// Over points on visible surfaces (ray samples of weight ≥ 0.05), if one of the fields holds some.
+    pub on_surfaces: Option<Difference>,
+}
+
+impl UncertaintyField {
+    /// What the field consists of.
+    #[must_use]
+    pub fn summary(&self) -> Summary {
+        let values = self.deviations.capacity() * size_of::<f32>();
+        let (grid, leaves_per_level) = match &self.support {
+            Support::Dense => ("dense", Vec::new()),
+            Support::Octree(octree) => {
+                let mut leaves = vec![0; usize::from(octree.finest()) + 1];
+                octree.cells().for_each_leaf(|leaf| leaves[usize::from(leaf.level)] += 1);
+                ("octree", leaves)
+            }
+        };
+        Summary {
+            grid,
+            level: self.lattice.level(),
+            vertices: self.deviations.len() as u64,
+            query_bytes: self.query_memory(),
+            structure_bytes: self.query_memory() - values,
+            leaves_per_level,
+        }
+    }
+
+    /// Checks the octree; `None` for a dense grid.
+    ///
+    /// # Errors
+    /// The first defect.
+    pub fn validate(&self) -> std::result::Result<Option<OctreeStats>, crate::octree::Defect> {
+        match &self.support {
+            Support::Dense => Ok(None),
+            Support::Octree(octree) => octree.validate().map(Some),
+        }
+    }
+}
+
+/// Compares log10 U at `points` random points of the box (drawn with `seed`), and at up to as many surface points.
+///
+/// # Errors
+/// If the fields are of different boxes.
+pub fn compare(a: &UncertaintyField, b: &UncertaintyField, points: usize, seed: u64) -> Result<Comparison> {
+    let bounds = a.lattice().bounds();
+    if bounds != b.lattice().bounds() {
+        let text = |f: &UncertaintyField| format!("{} to {}", f.lattice().bounds().min(), f.lattice().bounds().max());
+        return Err(Error::setting("the fields' boxes", format!("the same box, {}", text(a)), text(b)));
+    }
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut draw = |axis: usize| bounds.min()[axis] + bounds.size()[axis] * rng.random_range(0.0..1.0_f64);
+    let in_box: Vec<Vec3> =
+        (0..points).map(|_| bounds.clamp(glam::DVec3::new(draw(0), draw(1), draw(2)).as_vec3())).collect();
+    let surface = if a.surface().len() >= b.surface().len() { a.surface() } else { b.surface() };
+    let surface: Vec<Vec3> = surface.iter().take(points).map(|&x| Vec3::from_array(x)).collect();
+    Ok(Comparison {
+        fields: [a.summary(), b.summary()],
+        in_box: difference(a, b, &in_box),
+        on_surfaces: difference(a, b, &surface),
+    })
+}
+
+/// `None` without points.
+fn difference(a: &UncertaintyField, b: &UncertaintyField, points: &[Vec3]) -> Option<Difference> {
+    let mut differences: Vec<f64> = points.par_iter().map(|&x| (a.log10(x) - b.log10(x)).abs()).collect();
+    let at = (0..points.len()).max_by(|&i, &j| differences[i].total_cmp(&differences[j]))?;
+    let (max, max_at) = (differences[at], points[at]);
+    let mean = differences.iter().sum::<f64>() / points.len() as f64;
+    differences.par_sort_unstable_by(f64::total_cmp);
+    let percentile = |share: f64| differences[((share * points.len() as f64).ceil() as usize).clamp(1, points.len()) - 1];
+    Some(Difference {
+        points: points.len(),
+        mean,
+        percentile_95: percentile(0.95),
+        percentile_99: percentile(0.99),
+        max,
+        max_at: max_at.to_array(),
+        log10_at_max: [a.log10(max_at), b.log10(max_at)],
+    })
+}

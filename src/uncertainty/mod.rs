@@ -1,0 +1,271 @@
+//! The finished spatial uncertainty field U(x), in scene units.
+//!
+//! U(x) = Σ_v φ_v(x) σ_v: how far the field could be moved at x without the training images noticing, one standard
+//! deviation. The field lives on a dense grid or on an octree; both are queried, stored and compared in the same way.
+
+mod compare;
+mod file;
+mod official;
+mod threshold;
+
+pub use compare::{Comparison, Difference, Summary, compare};
+pub use file::FORMAT_VERSION;
+pub use official::OfficialGrid;
+pub use threshold::ThresholdedField;
+
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
+
+use crate::geometry::Lattice;
+use crate::octree::{Octree, VertexId, trilinear};
+use crate::posterior::{Covariance, Information};
+use crate::{Error, Result};
+
+/// Everything that the numbers in a field depend on. `None` where the field came from elsewhere and does not say.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Protocol {
+    /// Version of this crate.
+    pub version: String,
+    /// Model and cameras, or samples file.
+    pub source: String,
+    /// R: rays drawn, those that hit nothing included.
+    pub rays: u64,
+    /// Rays dropped because the field was not finite.
+    pub dropped: u64,
+    /// Seed of pixels and jitter.
+    pub seed: Option<u64>,
+    /// λ, 1 / scene unit².
+    pub lambda: f64,
+    /// Scalar read off H.
+    pub covariance: Covariance,
+    /// Largest change of log10 U by leaves that are coarser than the finest level; 0 for a dense grid.
+    pub tolerance: f64,
+    /// Distance between samples along rays, scene units.
+    pub march_step: Option<f64>,
+    /// Finite-difference step along x, y and z, scene units.
+    pub difference_step: Option<[f64; 3]>,
+    /// Samples below this weight and sensitivity were left out.
+    pub cutoff: Option<f64>,
+    /// Colour behind the scene.
+    pub background: Option<[f32; 3]>,
+    /// Where in a pixel rays went through; ½ is the centre.
+    pub pixel_offset: Option<f64>,
+}
+
+/// The vertices that carry values.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Support {
+    /// All (M + 1)³ lattice points, x slowest.
+    Dense,
+    /// The free vertices of an octree.
+    Octree(Octree),
+}
+
+/// U at a point.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Estimate {
+    /// U, scene units.
+    pub uncertainty: f64,
+    /// Level of the leaf around the point (the finest level on a dense grid), 0 outside the box.
+    pub level: u8,
+    /// Whether the point is inside the box; outside, `uncertainty` is the prior's.
+    pub inside: bool,
+}
+
+/// A spatial uncertainty field.
+#[derive(Debug, Clone, PartialEq)]
+pub struct UncertaintyField {
+    protocol: Protocol,
+    lattice: Lattice,
+    support: Support,
+    /// `[vertices]`: σ_v, scene units.
+    deviations: Vec<f32>,
+    /// `[vertices]`: S_v, if kept, so that another covariance can be read off later.
+    information: Option<Vec<Information>>,
+    /// `[n]`: some points on visible surfaces, scene units; for comparisons.
+    surface: Vec<[f32; 3]>,
+}
+
+impl UncertaintyField {
+    /// The field that `information` gives under `protocol`, one entry per vertex of `support`.
+    ///
+    /// # Panics
+    /// If the number of entries is not the number of vertices.
+    #[must_use]
+    pub fn new(protocol: Protocol, lattice: Lattice, support: Support, information: Vec<Information>) -> Self {
+        let vertices = vertex_count(&lattice, &support);
+        assert_eq!(information.len() as u64, vertices, "one information matrix per vertex");
+        let deviations = deviations(&information, &protocol);
+        Self { protocol, lattice, support, deviations, information: Some(information), surface: Vec::new() }
+    }
+
+    /// The same field without the information matrices: a sixth of the memory or less, but the covariance is fixed.
+    #[must_use]
+    pub fn without_information(self) -> Self {
+        Self { information: None, ..self }
+    }
+
+    /// The same field with some points on visible surfaces.
+    #[must_use]
+    pub fn with_surface(self, surface: Vec<[f32; 3]>) -> Self {
+        Self { surface, ..self }
+    }
+
+    /// The same field with another scalar read off the information.
+    ///
+    /// # Errors
+    /// If the information was not kept.
+    pub fn with_covariance(mut self, covariance: Covariance) -> Result<Self> {
+        if covariance != self.protocol.covariance {
+            let Some(information) = &self.information else {
+                let found = format!("a field that holds `{}` only, without the Hessian", self.protocol.covariance.name());
+                return Err(Error::setting("covariance", covariance.name(), found));
+            };
+            self.protocol.covariance = covariance;
+            self.deviations = deviations(information, &self.protocol);
+        }
+        Ok(self)
+    }
+
+    /// What the numbers depend on.
+    #[must_use]
+    pub fn protocol(&self) -> &Protocol {
+        &self.protocol
+    }
+
+    /// Box and finest level.
+    #[must_use]
+    pub fn lattice(&self) -> &Lattice {
+        &self.lattice
+    }
+
+    /// Dense grid or octree.
+    #[must_use]
+    pub fn support(&self) -> &Support {
+        &self.support
+    }
+
+    /// `[vertices]`: S_v, if kept.
+    #[must_use]
+    pub fn information(&self) -> Option<&[Information]> {
+        self.information.as_deref()
+    }
+
+    /// `[vertices]`: σ_v, scene units.
+    #[must_use]
+    pub fn deviations(&self) -> &[f32] {
+        &self.deviations
+    }
+
+    /// `[n]`: points on visible surfaces.
+    #[must_use]
+    pub fn surface(&self) -> &[[f32; 3]] {
+        &self.surface
+    }
+
+    /// U where nothing was seen, scene units.
+    #[must_use]
+    pub fn prior(&self) -> f64 {
+        self.protocol.covariance.prior(self.protocol.lambda)
+    }
+
+    /// U at a scene point. Outside the box (or for NaN) the prior, marked as outside.
+    #[must_use]
+    pub fn query(&self, x: Vec3) -> Estimate {
+        let Some(u) = self.lattice.coordinates(x) else {
+            return Estimate { uncertainty: self.prior(), level: 0, inside: false };
+        };
+        let (corners, weights, level) = match &self.support {
+            Support::Dense => self.dense_corners(u),
+            Support::Octree(octree) => self.octree_corners(octree, u),
+        };
+        let uncertainty = self.protocol.covariance.interpolate(&corners, &weights);
+        Estimate { uncertainty, level, inside: true }
+    }
+
+    /// log10 U at a scene point.
+    #[must_use]
+    pub fn log10(&self, x: Vec3) -> f64 {
+        self.query(x).uncertainty.log10()
+    }
+
+    /// Estimates at many points, in parallel.
+    #[must_use]
+    pub fn query_all(&self, points: &[Vec3]) -> Vec<Estimate> {
+        points.par_iter().with_min_len(1024).map(|&x| self.query(x)).collect()
+    }
+
+    /// tr S at a lattice point: exact where a vertex is, 0 elsewhere (there it is negligible); `None` if not kept.
+    #[must_use]
+    pub fn trace_at(&self, point: [u32; 3]) -> Option<f64> {
+        let information = self.information.as_ref()?;
+        let vertex = match &self.support {
+            Support::Dense => Some(self.dense_index(point)),
+            Support::Octree(octree) => octree.vertex(point).map(|VertexId(v)| v as usize),
+        };
+        Some(vertex.map_or(0.0, |v| crate::posterior::trace(&information[v])))
+    }
+
+    /// Bytes on the heap by part, spare capacity included.
+    #[must_use]
+    pub fn memory(&self) -> Vec<(&'static str, usize)> {
+        let mut parts = vec![("deviations", self.deviations.capacity() * size_of::<f32>())];
+        if let Some(information) = &self.information {
+            parts.push(("information", information.capacity() * size_of::<Information>()));
+        }
+        if let Support::Octree(octree) = &self.support {
+            parts.extend(octree.memory());
+        }
+        parts.push(("surface points", self.surface.capacity() * size_of::<[f32; 3]>()));
+        parts
+    }
+
+    /// Bytes that queries need: one value per vertex, and the structure.
+    #[must_use]
+    pub fn query_memory(&self) -> usize {
+        let structure: usize = match &self.support {
+            Support::Dense => 0,
+            Support::Octree(octree) => octree.memory().iter().map(|part| part.1).sum(),
+        };
+        self.deviations.capacity() * size_of::<f32>() + structure
+    }
+
+    fn dense_index(&self, [x, y, z]: [u32; 3]) -> usize {
+        let n = self.lattice.cells_per_axis() as usize + 1;
+        (x as usize * n + y as usize) * n + z as usize
+    }
+
+    fn dense_corners(&self, u: DVec3) -> ([f64; 8], [f64; 8], u8) {
+        let (cell, offset) = self.lattice.cell(u);
+        let corners = std::array::from_fn(|c| {
+            let point = std::array::from_fn(|axis| cell[axis] + (c as u32 >> axis & 1));
+            f64::from(self.deviations[self.dense_index(point)])
+        });
+        (corners, trilinear(offset), self.lattice.level())
+    }
+
+    fn octree_corners(&self, octree: &Octree, u: DVec3) -> ([f64; 8], [f64; 8], u8) {
+        let at = octree.locate(u);
+        let value = |&VertexId(v): &VertexId| f64::from(self.deviations[v as usize]);
+        let corners = at.corners.each_ref().map(|corner| match corner.masters() {
+            [vertex] => value(vertex),
+            masters => self.protocol.covariance.mean(masters.iter().map(value)),
+        });
+        (corners, at.weights, at.leaf.level)
+    }
+}
+
+fn vertex_count(lattice: &Lattice, support: &Support) -> u64 {
+    match support {
+        Support::Dense => lattice.dense_vertices(),
+        Support::Octree(octree) => octree.vertex_count() as u64,
+    }
+}
+
+fn deviations(information: &[Information], protocol: &Protocol) -> Vec<f32> {
+    let Protocol { covariance, rays, lambda, .. } = *protocol;
+    information.par_iter().map(|s| covariance.deviation(s, rays, lambda) as f32).collect()
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,117 @@
+//! The official code's file: a flat f32 `.npy` of Σ_r tr(JᵀJ) on (M + 1)³ vertices.
+//!
+//! Its index is x·M² + y·M + z: the stride is M although there are M + 1 vertices per axis, so vertices on the upper faces share
+//! entries with vertices elsewhere. It is read and written that way (and nowhere else): vertices below M along y and z are
+//! exact; on the upper faces y = M and z = M an entry is the sum over all vertices that share it.
+
+use std::path::Path;
+
+use super::{Protocol, Support, UncertaintyField};
+use crate::geometry::{Aabb, Lattice};
+use crate::io::npy;
+use crate::posterior::{Covariance, Information};
+use crate::{Error, Result};
+
+/// What the official file does not say.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct OfficialGrid {
+    /// The box that the unit cube was mapped to, scene units.
+    pub bounds: Aabb,
+    /// Rays that the sums run over; the official default is 1000 batches of 4096.
+    pub rays: u64,
+    /// λ, 1 / scene unit²; `None` for 1e-4 / M³ per squared longest edge.
+    pub lambda: Option<f64>,
+}
+
+impl OfficialGrid {
+    /// Rays of the official code's defaults.
+    pub const DEFAULT_RAYS: u64 = 4_096_000;
+
+    /// Reads an official `.npy` as a dense field with the `trace` covariance.
+    ///
+    /// # Errors
+    /// If the array is not flat f32 of (2^level + 1)³ finite values ≥ 0.
+    pub fn read(&self, path: &Path) -> Result<UncertaintyField> {
+        let array = npy::read::<f32>(path)?;
+        array.expect_shape(path, "data", &[None])?;
+        let level = (1..=9_u8).find(|&level| ((1_usize << level) + 1).pow(3) == array.data.len()).ok_or_else(|| {
+            let found = format!("{} values", array.data.len());
+            Error::malformed(path, "data", "(2^lod + 1)^3 values, lod from 1 to 9", found)
+        })?;
+        if let Some(i) = array.data.iter().position(|&v| !(v >= 0.0 && v.is_finite())) {
+            let found = array.data[i].to_string();
+            return Err(Error::malformed(path, format!("data, element {i}"), "a finite sum of squares", found));
+        }
+        let lattice = Lattice::new(self.bounds, level)?;
+        let mut information = Vec::with_capacity(array.data.len());
+        for_each_vertex(lattice.cells_per_axis(), |_, index| {
+            // Only the trace is known: an isotropic matrix has it.
+            let third = f64::from(array.data[index]) / 3.0;
+            information.push([third, 0.0, 0.0, third, 0.0, third] as Information);
+        });
+        let protocol = Protocol {
+            version: env!("CARGO_PKG_VERSION").into(),
+            source: format!("official grid {}", path.display()),
+            rays: self.rays,
+            dropped: 0,
+            seed: None,
+            lambda: self.lambda.unwrap_or_else(|| lattice.default_lambda()),
+            covariance: Covariance::Trace,
+            tolerance: 0.0,
+            march_step: None,
+            difference_step: None,
+            cutoff: None,
+            background: None,
+            pixel_offset: None,
+        };
+        // An isotropic stand-in supports no other covariance honestly, so the matrices are not kept.
+        Ok(UncertaintyField::new(protocol, lattice, Support::Dense, information).without_information())
+    }
+}
+
+impl UncertaintyField {
+    /// Writes Σ_r tr(JᵀJ) as the official code's `.npy`.
+    ///
+    /// # Errors
+    /// If the field keeps no information and is not of `trace`, its level is above 9 (1 GB), or the file cannot be written.
+    pub fn write_official(&self, path: &Path) -> Result<()> {
+        if self.lattice.level() > 9 {
+            let found = format!("level {}", self.lattice.level());
+            return Err(Error::setting("export", "a level up to 9: the official grid is dense", found));
+        }
+        let m = self.lattice.cells_per_axis();
+        let mut sums = vec![0.0_f64; self.lattice.dense_vertices() as usize];
+        let mut missing = false;
+        for_each_vertex(m, |point, index| match self.trace_at(point).or_else(|| self.trace_from_deviation(point)) {
+            Some(trace) => sums[index] += trace,
+            None => missing = true,
+        });
+        if missing {
+            let found = format!("a field that holds `{}` only", self.protocol.covariance.name());
+            return Err(Error::setting("export", "a field with its Hessian, or of `trace`", found));
+        }
+        npy::write(path, &[sums.len() as u64], sums.into_iter().map(|s| s as f32))
+    }
+
+    /// tr S from σ² = 1 / (tr S / R + λ), if that is what the field holds.
+    fn trace_from_deviation(&self, point: [u32; 3]) -> Option<f64> {
+        if self.protocol.covariance != Covariance::Trace {
+            return None;
+        }
+        let x = self.lattice.position(glam::DVec3::from(point.map(f64::from))).as_vec3();
+        let deviation = self.query(self.lattice.bounds().clamp(x)).uncertainty;
+        Some((self.protocol.rays as f64 * (deviation.powi(-2) - self.protocol.lambda)).max(0.0))
+    }
+}
+
+/// Every vertex, x slowest, with its index in the official order.
+fn for_each_vertex(m: u32, mut visit: impl FnMut([u32; 3], usize)) {
+    for x in 0..=m {
+        for y in 0..=m {
+            for z in 0..=m {
+                let stride = m as usize;
+                visit([x, y, z], (x as usize * stride + y as usize) * stride + z as usize);
+            }
+        }
+    }
+}

@@ -1,0 +1,174 @@
+//! Queries, files, and the official format, on small fields with arbitrary information.
+
+use super::*;
+use crate::geometry::Aabb;
+use crate::posterior::{DensePosterior, OctreePosterior, Posterior};
+use crate::render::RaySamples;
+use proptest::prelude::*;
+
+fn protocol(lattice: &Lattice, covariance: Covariance, rays: u64) -> Protocol {
+    Protocol {
+        version: "test".into(),
+        source: "test".into(),
+        rays,
+        dropped: 0,
+        seed: Some(1),
+        lambda: lattice.default_lambda(),
+        covariance,
+        tolerance: 0.01,
+        march_step: Some(0.1),
+        difference_step: None,
+        cutoff: Some(1e-4),
+        background: Some([1.0; 3]),
+        pixel_offset: Some(0.5),
+    }
+}
+
+/// A few rays through a box of edge 2 · scale; Jacobians shrink as lengths grow.
+fn samples(scale: f32) -> RaySamples {
+    let mut out = RaySamples::default();
+    for i in 0..40_u64 {
+        let t = i as f32 / 40.0;
+        let x = Vec3::new(0.9 * (7.0 * t).sin(), 0.5 * (11.0 * t).cos(), 0.3 - 0.2 * t);
+        let jacobian = std::array::from_fn(|k| ((k as f32 + 1.0) * (3.0 * t + 1.0)).sin() / scale);
+        out.push(i / 3, x * scale, jacobian, 0.3);
+    }
+    out
+}
+
+fn fields(covariance: Covariance, scale: f64) -> [UncertaintyField; 2] {
+    let lattice = Lattice::new(Aabb::centered_cube(scale), 5).unwrap();
+    let samples = [samples(scale as f32)];
+    let protocol = protocol(&lattice, covariance, 20);
+    let mut dense = DensePosterior::new(lattice);
+    dense.add(&samples);
+    let mut sparse = OctreePosterior::new(lattice);
+    sparse.add(&samples);
+    let (octree, sums) = sparse.into_octree(protocol.rays, protocol.lambda, protocol.tolerance);
+    let surface = vec![[0.25, -0.5, 0.125]];
+    [
+        UncertaintyField::new(protocol.clone(), lattice, Support::Dense, dense.into_sums()),
+        UncertaintyField::new(protocol, lattice, Support::Octree(octree), sums).with_surface(surface),
+    ]
+}
+
+proptest! {
+    #[test]
+    fn octree_and_dense_agree_within_the_tolerance_everywhere(x in -1.0..=1.0_f32, y in -1.0..=1.0_f32, z in -1.0..=1.0_f32) {
+        thread_local!(static FIELDS: [[UncertaintyField; 2]; 2] =
+            [fields(Covariance::Diagonal, 1.0), fields(Covariance::Block, 1.0)]);
+        FIELDS.with(|fields| {
+            for [dense, octree] in fields {
+                let difference = (dense.log10(Vec3::new(x, y, z)) - octree.log10(Vec3::new(x, y, z))).abs();
+                // The stated tolerance, and the rounding of σ to f32.
+                prop_assert!(difference <= 0.01 + 1e-6, "{}", difference);
+            }
+            Ok(())
+        })?;
+    }
+}
+
+#[test]
+fn scaling_the_scene_scales_the_uncertainty() {
+    for covariance in Covariance::ALL {
+        // Powers of two scale floats exactly, so the only differences are roundings in σ: a few ulps of f32.
+        let [[_, small], [_, large]] = [1.0, 1024.0].map(|scale| fields(covariance, scale));
+        assert_eq!(small.support(), large.support());
+        for (s, l) in small.deviations().iter().zip(large.deviations()) {
+            assert!((l / s / 1024.0 - 1.0).abs() < 1e-6, "{covariance:?}: {s} and {l}");
+        }
+    }
+}
+
+#[test]
+fn outside_the_box_is_the_prior() {
+    let [dense, octree] = fields(Covariance::Diagonal, 1.0);
+    for field in [dense, octree] {
+        for x in [Vec3::splat(1.5), Vec3::new(0.0, -1.001, 0.0), Vec3::splat(f32::NAN), Vec3::splat(f32::INFINITY)] {
+            let estimate = field.query(x);
+            assert!(!estimate.inside && estimate.level == 0 && estimate.uncertainty == field.prior());
+        }
+        assert!(field.query(Vec3::ONE).inside, "the upper face belongs to the box");
+    }
+}
+
+#[test]
+fn files_survive_bit_by_bit() {
+    let folder = tempfile::tempdir().unwrap();
+    for (i, field) in fields(Covariance::Block, 1.0).into_iter().enumerate() {
+        for (j, field) in [field.clone(), field.without_information()].into_iter().enumerate() {
+            let [first, second] = ["a", "b"].map(|name| folder.path().join(format!("{name}{i}{j}.oct")));
+            field.write(&first).unwrap();
+            let read = UncertaintyField::read(&first).unwrap();
+            assert_eq!(read, field);
+            read.write(&second).unwrap();
+            assert_eq!(std::fs::read(first).unwrap(), std::fs::read(second).unwrap());
+        }
+    }
+}
+
+#[test]
+fn every_truncation_and_every_altered_byte_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let [good, bad] = ["good.oct", "bad.oct"].map(|name| folder.path().join(name));
+    let lattice = Lattice::new(Aabb::centered_cube(1.0), 1).unwrap();
+    let octree = Octree::refined(1, []);
+    UncertaintyField::new(protocol(&lattice, Covariance::Trace, 5), lattice, Support::Octree(octree), vec![[0.0; 6]; 8])
+        .write(&good)
+        .unwrap();
+    let bytes = std::fs::read(&good).unwrap();
+    let refused = |content: &[u8], what: &str| {
+        std::fs::write(&bad, content).unwrap();
+        let error = UncertaintyField::read(&bad).expect_err(what).to_string();
+        assert!(error.contains("bad.oct") && !error.contains('\n'), "{error}");
+    };
+    for length in 0..bytes.len() {
+        refused(&bytes[..length], "truncated");
+    }
+    for position in 0..bytes.len() {
+        let mut altered = bytes.clone();
+        altered[position] ^= 0x41;
+        refused(&altered, "altered");
+    }
+    refused(&[&bytes[..], b"x"].concat(), "longer than it says");
+}
+
+#[test]
+fn information_allows_another_covariance_later() {
+    let [_, diagonal] = fields(Covariance::Diagonal, 1.0);
+    let [_, block] = fields(Covariance::Block, 1.0);
+    assert_eq!(diagonal.clone().with_covariance(Covariance::Block).unwrap().deviations(), block.deviations());
+    let error = diagonal.without_information().with_covariance(Covariance::Block).unwrap_err();
+    assert!(error.to_string().contains("without the Hessian"), "{error}");
+}
+
+#[test]
+fn official_file_has_its_own_index_order() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("unc.npy");
+    let [dense, _] = fields(Covariance::Trace, 1.0);
+    dense.write_official(&path).unwrap();
+    let flat = crate::io::npy::read::<f32>(&path).unwrap();
+    let m = 32_usize;
+    assert_eq!(flat.shape, [(m + 1).pow(3)]);
+    // A vertex away from the upper faces sits alone at x·M² + y·M + z.
+    let inner = (1..31_u32).flat_map(|x| (1..31).flat_map(move |y| (1..31).map(move |z| [x, y, z])));
+    let point = inner.max_by(|&a, &b| dense.trace_at(a).unwrap().total_cmp(&dense.trace_at(b).unwrap())).unwrap();
+    let index = (point[0] as usize * m + point[1] as usize) * m + point[2] as usize;
+    let trace = dense.trace_at(point).unwrap();
+    assert!(trace > 0.0 && (f64::from(flat.data[index]) / trace - 1.0).abs() < 1e-6);
+
+    let read = OfficialGrid { bounds: Aabb::centered_cube(1.0), rays: 20, lambda: None }.read(&path).unwrap();
+    for x in [Vec3::new(0.25, -0.25, 0.2), Vec3::new(-0.4, 0.1, 0.3), Vec3::ZERO] {
+        assert!((read.log10(x) - dense.log10(x)).abs() < 1e-6, "{x}");
+    }
+}
+
+#[test]
+fn comparing_fields_of_different_boxes_is_refused() {
+    let [a, _] = fields(Covariance::Trace, 1.0);
+    let [b, _] = fields(Covariance::Trace, 2.0);
+    assert!(compare(&a, &b, 10, 0).is_err());
+    let same = compare(&a, &a, 1000, 0).unwrap().in_box.unwrap();
+    assert_eq!((same.max, same.mean), (0.0, 0.0));
+}
