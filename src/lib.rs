@@ -9,3 +9,7 @@ pub use error::{Error, Result};
 pub mod render;
 pub mod posterior;
 pub mod uncertainty;
+pub mod dataset;
+pub mod metrics;
+pub mod picture;
+pub mod cli;

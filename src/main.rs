@@ -1,1 +1,7 @@
-fn main() { }
+//! The command line: parses, calls the library, prints.
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    octobayes::cli::main()
+}

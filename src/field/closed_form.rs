@@ -1,8 +1,9 @@
 //! Scenes with known answers: sums of simple shapes with closed-form density and colour.
 //!
 //! Letters: `d` signed distance to a shape's surface (negative inside), `s` softness (scene units), `peak` the density deep
-//! inside (1 / scene unit). A shape's density is peak · logistic(−d / s), for s = 0 a step. Densities of shapes add; colours
-//! mix in proportion to them.
+//! inside (1 / scene unit). A shape's density rises from 0 at d = s to peak at d = −s along a smooth ramp (quintic, twice
+//! differentiable), for s = 0 as a step. Like in a trained field, empty space is exactly empty. Densities of shapes add;
+//! colours mix in proportion to them.
 
 use std::f64::consts::PI;
 
@@ -38,11 +39,11 @@ pub enum Shape {
         /// Half edges.
         half: Vec3,
     },
-    /// A Gaussian cloud: density peak · exp(−|x − center|² / 2 radius²); softness is not used.
+    /// A cloud: density peak · (1 − |x − center|² / radius²)³ inside the radius; softness is not used.
     Fog {
         /// Centre.
         center: Vec3,
-        /// Standard deviation.
+        /// Where the cloud ends.
         radius: f32,
     },
 }
@@ -70,7 +71,7 @@ pub struct Primitive {
     pub shape: Shape,
     /// Density deep inside, 1 / scene unit.
     pub peak: f32,
-    /// Width of the transition from inside to outside, scene units; 0 is a step.
+    /// Half the width of the transition from inside to outside, scene units; 0 is a step.
     pub softness: f32,
     /// Colour.
     pub texture: Texture,
@@ -86,11 +87,12 @@ impl Primitive {
                 q.max(Vec3::ZERO).length() + q.max_element().min(0.0)
             }
             Shape::Fog { center, radius } => {
-                return self.peak * (-0.5 * x.distance_squared(center) / (radius * radius)).exp();
+                return self.peak * (1.0 - x.distance_squared(center) / (radius * radius)).max(0.0).powi(3);
             }
         };
         if self.softness > 0.0 {
-            self.peak / (1.0 + (d / self.softness).exp())
+            let t = (0.5 - 0.5 * d / self.softness).clamp(0.0, 1.0);
+            self.peak * t * t * t * (t * (6.0 * t - 15.0) + 10.0)
         } else if d < 0.0 {
             self.peak
         } else {
@@ -158,7 +160,7 @@ impl ClosedForm {
     pub fn ball() -> Self {
         let shape = Shape::Ball { center: Vec3::ZERO, radius: 0.5 };
         let texture = Texture::Waves { base: Vec3::new(0.6, 0.5, 0.3), amplitude: 0.25, frequency: 9.0 };
-        let ball = Primitive { shape, peak: 80.0, softness: 0.02, texture };
+        let ball = Primitive { shape, peak: 80.0, softness: 0.04, texture };
         Self::new("ball", vec![ball], Aabb::centered_cube(1.0), 1.0 / 256.0)
     }
 
@@ -167,14 +169,14 @@ impl ClosedForm {
     pub fn wall(normal: Vec3) -> Self {
         let shape = Shape::Slab { center: Vec3::ZERO, normal: normal.normalize(), half: 0.1 };
         let texture = Texture::Waves { base: Vec3::splat(0.5), amplitude: 0.3, frequency: 12.0 };
-        let wall = Primitive { shape, peak: 60.0, softness: 0.02, texture };
+        let wall = Primitive { shape, peak: 60.0, softness: 0.04, texture };
         Self::new("wall", vec![wall], Aabb::centered_cube(1.0), 1.0 / 256.0)
     }
 
     /// A faint fuzzy cloud, nothing else.
     #[must_use]
     pub fn floater() -> Self {
-        let shape = Shape::Fog { center: Vec3::new(0.1, 0.0, 0.0), radius: 0.2 };
+        let shape = Shape::Fog { center: Vec3::new(0.1, 0.0, 0.0), radius: 0.5 };
         let fog = Primitive { shape, peak: 6.0, softness: 0.0, texture: Texture::Plain(Vec3::new(0.7, 0.6, 0.8)) };
         Self::new("floater", vec![fog], Aabb::centered_cube(1.0), 1.0 / 128.0)
     }
@@ -182,12 +184,12 @@ impl ClosedForm {
     /// Floor, four balls, a box and a fuzzy floater in `[-1, 1]`³; surfaces are about four cells of a 128³ grid thick.
     #[must_use]
     pub fn courtyard() -> Self {
-        let solid = |shape, texture| Primitive { shape, peak: 120.0, softness: 0.014, texture };
+        let solid = |shape, texture| Primitive { shape, peak: 120.0, softness: 0.031, texture };
         let waves = |r, g, b, frequency| Texture::Waves { base: Vec3::new(r, g, b), amplitude: 0.2, frequency };
         let ball = |x, y, texture| solid(Shape::Ball { center: Vec3::new(x, y, -0.35), radius: 0.25 }, texture);
         let slab = Shape::Slab { center: Vec3::new(0.0, 0.0, -0.7), normal: Vec3::Z, half: 0.1 };
         let block = Shape::Box { center: Vec3::new(0.0, 0.0, -0.3), half: Vec3::new(0.15, 0.15, 0.3) };
-        let cloud = Shape::Fog { center: Vec3::new(0.15, -0.45, 0.45), radius: 0.1 };
+        let cloud = Shape::Fog { center: Vec3::new(0.15, -0.45, 0.45), radius: 0.25 };
         let primitives = vec![
             solid(slab, waves(0.55, 0.5, 0.42, 14.0)),
             ball(0.5, 0.5, waves(0.7, 0.3, 0.25, 18.0)),

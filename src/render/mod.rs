@@ -11,5 +11,5 @@ pub use composite::{Pixel, Quadrature};
 pub use jacobian::{Differences, RaySamples};
 pub use march::Marcher;
 pub use occupancy::Occupancy;
-pub use trace::{Tracer, TracedRays};
-pub use view::{Blend, RenderedView, render_view};
+pub use trace::{TracedRays, Tracer};
+pub use view::{Blend, Probe, RenderedView, render_view};

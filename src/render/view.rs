@@ -22,21 +22,31 @@ pub enum Blend {
 /// The official code's log10 U of the part of a ray that hits nothing.
 const OFFICIAL_EMPTY: f64 = -3.0;
 
+/// A scalar of space to blend along rays beside colour: log10 U at a scene point.
+#[derive(Clone, Copy)]
+pub struct Probe<'a> {
+    /// log10 U at a point.
+    pub log10: &'a (dyn Fn(Vec3) -> f64 + Sync),
+    /// How it is blended.
+    pub blend: Blend,
+}
+
 /// An image of a field, row by row from the top left pixel.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct RenderedView {
     /// Width and height, pixels.
     pub resolution: [u32; 2],
     /// `[height · width]`.
     pub pixels: Vec<Pixel>,
-    /// `[height · width]`: blended log10 U; NaN where nothing was hit (with [`Blend::Hit`]). Empty if not asked for.
-    pub log10_uncertainty: Vec<f64>,
+    /// `[probes][height · width]`: blended log10 U; NaN where nothing was hit (with [`Blend::Hit`]).
+    pub log10_uncertainty: Vec<Vec<f64>>,
     /// Rays dropped because the field was not finite; they show the background.
     pub dropped: u64,
 }
 
-/// Renders a camera's image; `pixel_offset` is where in a pixel the ray goes through (½ for the centre), and
-/// `log10_uncertainty` gives log10 U at a scene point.
+/// Renders a camera's image; `pixel_offset` is where in a pixel the ray goes through (½ for the centre).
+///
+/// Advances the monitor by one per row; the caller begins and ends the stage.
 ///
 /// # Errors
 /// [`crate::Error::Interrupted`] only.
@@ -44,63 +54,61 @@ pub fn render_view(
     tracer: &Tracer,
     camera: &Camera,
     pixel_offset: f64,
-    log10_uncertainty: Option<(&(dyn Fn(Vec3) -> f64 + Sync), Blend)>,
+    probes: &[Probe],
     monitor: &dyn Monitor,
 ) -> Result<RenderedView> {
     let [width, height] = camera.resolution;
-    let rows: Vec<_> = (0..height)
+    let rows: Vec<RenderedView> = (0..height)
         .into_par_iter()
         .map(|row| {
             check(monitor)?;
-            let rays: Vec<Ray> =
-                (0..width).map(|x| camera.ray(f64::from(x) + pixel_offset, f64::from(row) + pixel_offset)).collect();
-            let rendered = render_rays(tracer, &rays, log10_uncertainty);
+            let y = f64::from(row) + pixel_offset;
+            let rays: Vec<Ray> = (0..width).map(|x| camera.ray(f64::from(x) + pixel_offset, y)).collect();
+            let rendered = render_rays(tracer, &rays, probes);
             monitor.advance(1);
             Ok(rendered)
         })
         .collect::<Result<_>>()?;
     let mut view = RenderedView {
         resolution: camera.resolution,
-        pixels: Vec::with_capacity(rows.len() * width as usize),
-        log10_uncertainty: Vec::new(),
-        dropped: 0,
+        log10_uncertainty: vec![Vec::new(); probes.len()],
+        ..RenderedView::default()
     };
-    for (pixels, uncertainty, dropped) in rows {
-        view.pixels.extend(pixels);
-        view.log10_uncertainty.extend(uncertainty);
-        view.dropped += dropped;
+    for row in rows {
+        view.pixels.extend(row.pixels);
+        view.dropped += row.dropped;
+        for (all, part) in view.log10_uncertainty.iter_mut().zip(row.log10_uncertainty) {
+            all.extend(part);
+        }
     }
     Ok(view)
 }
 
-fn render_rays(
-    tracer: &Tracer,
-    rays: &[Ray],
-    log10_uncertainty: Option<(&(dyn Fn(Vec3) -> f64 + Sync), Blend)>,
-) -> (Vec<Pixel>, Vec<f64>, u64) {
+/// Renders any group of rays as one row.
+fn render_rays(tracer: &Tracer, rays: &[Ray], probes: &[Probe]) -> RenderedView {
     let background: DVec3 = tracer.background();
     // The middle of every interval: an image is deterministic.
     let traced = tracer.trace(rays, &vec![0.5; rays.len()]);
     let mut quadrature = Quadrature::default();
-    let mut pixels = Vec::with_capacity(rays.len());
-    let mut blended = Vec::new();
+    let mut row = RenderedView {
+        resolution: [rays.len() as u32, 1],
+        pixels: Vec::with_capacity(rays.len()),
+        log10_uncertainty: vec![Vec::with_capacity(rays.len()); probes.len()],
+        dropped: traced.dropped,
+    };
     for ray in 0..rays.len() {
         let samples = traced.samples(ray);
-        quadrature.set(&traced.radiance[samples.clone()], tracer.marcher.step);
-        pixels.push(quadrature.pixel(&traced.radiance[samples.clone()], &traced.t[samples.clone()], background));
-        if let Some((log10_u, blend)) = log10_uncertainty {
-            let (mut sum, mut weight) = (0.0, 0.0);
-            for (&w, &x) in quadrature.weights.iter().zip(&traced.positions[samples]) {
-                if w > 0.0 {
-                    sum += w * log10_u(x);
-                    weight += w;
-                }
-            }
-            blended.push(match blend {
+        let radiance = &traced.radiance[samples.clone()];
+        quadrature.set(radiance, tracer.marcher.step);
+        row.pixels.push(quadrature.pixel(radiance, &traced.t[samples.clone()], background));
+        for (probe, blended) in probes.iter().zip(&mut row.log10_uncertainty) {
+            let hit = quadrature.weights.iter().zip(&traced.positions[samples.clone()]).filter(|(w, _)| **w > 0.0);
+            let (sum, weight) = hit.fold((0.0, 0.0), |(sum, total), (w, &x)| (sum + w * (probe.log10)(x), total + w));
+            blended.push(match probe.blend {
                 Blend::Hit => sum / weight,
                 Blend::Official => sum + OFFICIAL_EMPTY * quadrature.end_transmittance(),
             });
         }
     }
-    (pixels, blended, traced.dropped)
+    row
 }

@@ -1,0 +1,75 @@
+//! `compare`: how far two fields are apart.
+
+use std::path::PathBuf;
+
+use serde_json::json;
+
+use super::options::OfficialOptions;
+use super::report;
+use crate::Result;
+use crate::posterior::Covariance;
+
+/// Compare two fields: memory, and |Δ log10 U| in the box and on visible surfaces
+#[derive(clap::Args)]
+#[command(after_help = "Example: octobayes compare lego.oct lego_dense.oct --points 1000000")]
+pub struct Args {
+    /// One field: `.oct`, or the official code's `.npy` with --box
+    a: PathBuf,
+
+    /// The other
+    b: PathBuf,
+
+    /// Random points in the box, and most points on surfaces
+    #[arg(long, value_name = "N", default_value_t = 1_000_000)]
+    points: usize,
+
+    /// Seed of the points
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+
+    /// Read this covariance off both fields
+    #[arg(long, value_enum)]
+    covariance: Option<Covariance>,
+
+    /// Print one JSON object
+    #[arg(long)]
+    json: bool,
+
+    #[command(flatten)]
+    official: OfficialOptions,
+}
+
+impl Args {
+    /// Runs the verb.
+    pub fn run(self) -> Result<()> {
+        let read = |path: &PathBuf| {
+            let field = self.official.read(path)?;
+            match self.covariance {
+                Some(covariance) => field.with_covariance(covariance),
+                None => Ok(field),
+            }
+        };
+        let (a, b) = (read(&self.a)?, read(&self.b)?);
+        if a.protocol().covariance != b.protocol().covariance {
+            let names = [&a, &b].map(|f| f.protocol().covariance.name());
+            eprintln!("warning: `{}` of one field is compared with `{}` of the other", names[0], names[1]);
+        }
+        let result = crate::uncertainty::compare(&a, &b, self.points, self.seed)?;
+        if self.json {
+            let mut value = json!(result);
+            value["protocols"] = json!([report::protocol_json(&a), report::protocol_json(&b)]);
+            value["files"] = json!([self.a, self.b]);
+            say!("{value}")?;
+        } else {
+            for (name, (path, field)) in ["A", "B"].iter().zip([(&self.a, &a), (&self.b, &b)]) {
+                say!("{name} {}\n{}", path.display(), report::protocol(field))?;
+            }
+            for (name, summary) in ["A", "B"].iter().zip(&result.fields) {
+                say!("{name}: {}", report::summary(summary))?;
+            }
+            say!("A : B memory {:.4}", result.fields[0].query_bytes as f64 / result.fields[1].query_bytes as f64)?;
+            say!("{}", report::comparison(&result))?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,173 @@
+//! `demo`: the whole line on a built-in scene, for people who have nothing yet.
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use glam::{DVec3, Vec3};
+
+use super::panels::{depth_range, view_panels};
+use super::progress::Bars;
+use super::render::IMAGE_CUTOFF;
+use super::report;
+use super::uncertainty::DEFAULT_CUTOFF;
+use crate::dataset::write_transforms;
+use crate::field::{ClosedForm, RadianceField, VoxelGrid};
+use crate::geometry::{Camera, Lattice};
+use crate::monitor::Monitor;
+use crate::picture::{Panel, write_sheet};
+use crate::posterior::{Covariance, DensePosterior, OctreePosterior, Posterior, RayStream};
+use crate::render::{Blend, Differences, Marcher, Occupancy, Probe, RenderedView, Tracer, render_view};
+use crate::uncertainty::{Protocol, Support, ThresholdedField, UncertaintyField, compare};
+use crate::{Error, Result};
+
+/// log10 U above which the demo's clean-up removes density: between the courtyard's surfaces and the floater.
+const THRESHOLD: f64 = 4.0;
+/// Grid points per axis of the baked scene.
+const BAKED: usize = 97;
+/// Cameras of the demo, all on one side.
+const CAMERAS: u32 = 40;
+
+/// Try everything on a built-in scene: a courtyard that no camera saw from behind, with a fuzzy floater
+///
+/// Computes the uncertainty on an octree and on the dense grid from the same ray samples, compares memory, time and values, and
+/// writes pictures, the fields, the cameras and the scene baked into a voxel grid: input for every other verb.
+#[derive(clap::Args)]
+pub struct Args {
+    /// Folder for the results
+    #[arg(long, value_name = "DIR", default_value = "octobayes-demo")]
+    out: PathBuf,
+
+    /// Finest level, 4 to 9
+    #[arg(long, default_value_t = 7, value_parser = clap::value_parser!(u8).range(4..=9))]
+    level: u8,
+
+    /// Rays
+    #[arg(long, default_value_t = 200_000, value_parser = clap::value_parser!(u64).range(1000..))]
+    rays: u64,
+}
+
+impl Args {
+    /// Runs the verb.
+    pub fn run(self, bars: &Bars) -> Result<()> {
+        std::fs::create_dir_all(&self.out).map_err(Error::io(&self.out, "cannot create the folder"))?;
+        let scene = ClosedForm::courtyard();
+        let cameras = ClosedForm::half_circle(CAMERAS, [200, 200]);
+        let lattice = Lattice::new(scene.bounds(), self.level)?;
+        say!("scene: {}, seen by {CAMERAS} cameras from one side only", scene.describe())?;
+
+        let differences = Differences { step: 0.5 * lattice.edge() };
+        let tracer = tracer(&scene, DEFAULT_CUTOFF, differences.step.max_element(), bars)?;
+        let stream = RayStream { tracer, differences, cameras: &cameras, pixel_offset: 0.5, seed: 0 };
+        let fields = self.both_fields(lattice, &stream, bars)?;
+        let [octree, dense] = &fields;
+
+        let comparison = compare(octree, dense, 200_000, 0)?;
+        say!("protocol\n{}", report::protocol(octree))?;
+        say!("{}", report::comparison(&comparison))?;
+
+        self.pictures(&scene, octree, &cameras, bars)?;
+        self.inputs(&scene, &cameras)?;
+        octree.write(&self.out.join("field.oct"))?;
+        dense.clone().without_information().write(&self.out.join("dense.oct"))?;
+        let out = self.out.display();
+        say!("written to {out}: demo.png (look at it first), field.oct, dense.oct, courtyard.npz, transforms.json")?;
+        say!("now try, for example")?;
+        say!("  octobayes info {out}/field.oct")?;
+        say!("  octobayes uncertainty {out}/courtyard.npz --cameras {out}/transforms.json --level 6 --rays 50000 -o {out}/baked.oct")?;
+        say!("  octobayes render {out}/courtyard.npz {out}/baked.oct --cameras {out}/transforms.json --frame 3 -o {out}/view.png")?;
+        Ok(())
+    }
+
+    /// Octree and dense field from the same samples, and a table of what they cost.
+    fn both_fields(&self, lattice: Lattice, stream: &RayStream, bars: &Bars) -> Result<[UncertaintyField; 2]> {
+        let mut octree = OctreePosterior::new(lattice);
+        let mut dense = DensePosterior::new(lattice);
+        let mut spent = [Duration::ZERO; 2];
+        let mut surface: Vec<[f32; 3]> = Vec::new();
+        let start = Instant::now();
+        let tally = stream.run(self.rays, bars, |batches| {
+            for (spent, posterior) in spent.iter_mut().zip([&mut octree as &mut dyn Posterior, &mut dense]) {
+                let start = Instant::now();
+                posterior.add(batches);
+                *spent += start.elapsed();
+            }
+            let visible = batches.iter().flat_map(|b| b.positions.iter().zip(&b.weights)).filter(|(_, w)| **w >= 0.05);
+            surface.extend(visible.map(|(x, _)| x.to_array()).take(200_000 - surface.len()));
+            Ok(())
+        })?;
+        let rays_alone = start.elapsed() - spent[0] - spent[1];
+        let sums_bytes = [octree.memory(), dense.memory()];
+        let protocol = Protocol {
+            version: env!("CARGO_PKG_VERSION").into(),
+            source: "scene:courtyard".into(),
+            rays: tally.rays,
+            dropped: tally.dropped,
+            seed: Some(stream.seed),
+            lambda: lattice.default_lambda(),
+            covariance: Covariance::Diagonal,
+            tolerance: 0.01,
+            march_step: Some(stream.tracer.marcher.step),
+            difference_step: Some(stream.differences.step.to_array()),
+            cutoff: Some(stream.tracer.marcher.cutoff),
+            background: Some(stream.tracer.background.to_array()),
+            pixel_offset: Some(stream.pixel_offset),
+        };
+        let start = Instant::now();
+        let (tree, sums) = octree.into_octree(protocol.rays, protocol.lambda, protocol.tolerance);
+        spent[0] += start.elapsed();
+        let octree = UncertaintyField::new(protocol.clone(), lattice, Support::Octree(tree), sums).with_surface(surface);
+        let protocol = Protocol { tolerance: 0.0, ..protocol };
+        let dense = UncertaintyField::new(protocol, lattice, Support::Dense, dense.into_sums());
+
+        say!("{} samples of {} rays in {:.1} s, shared by both grids", tally.samples, tally.rays, rays_alone.as_secs_f64())?;
+        say!("grid        vertices   field for queries     sums while running   time to sum")?;
+        for ((name, field), (bytes, spent)) in ["octree", "dense"].iter().zip([&octree, &dense]).zip(sums_bytes.iter().zip(spent)) {
+            let [field_bytes, sums] = [field.query_memory(), *bytes].map(report::bytes);
+            let vertices = field.deviations().len();
+            say!("{name:<8} {vertices:>11}   {field_bytes:>17}   {sums:>20}   {:>9.2} s", spent.as_secs_f64())?;
+        }
+        let leaves = octree.summary();
+        say!("octree: {:.1} % of the dense grid's vertices; {}", 100.0 * leaves.vertices as f64 / lattice.dense_vertices() as f64, report::summary(&leaves))?;
+        Ok([octree, dense])
+    }
+
+    /// The scene from the side that was seen and from the side that was not, whole and cleaned.
+    fn pictures(&self, scene: &ClosedForm, field: &UncertaintyField, cameras: &[Camera], bars: &Bars) -> Result<()> {
+        let seen = cameras[cameras.len() / 2].resized([220, 220]);
+        let target = DVec3::new(0.0, 0.0, -0.25);
+        let mirrored = DVec3::new(-seen.position.x, seen.position.y, seen.position.z);
+        let unseen = Camera { ..Camera::look_at(mirrored, target, DVec3::Z, 0.8, [220, 220]) };
+        let cleaned = ThresholdedField { field: scene, uncertainty: field, threshold: THRESHOLD };
+        let log10 = |x| field.log10(x);
+        let probes = [Probe { log10: &log10, blend: Blend::Hit }];
+        let sides = [("seen side", &seen), ("unseen side", &unseen)];
+        let versions: [(&dyn RadianceField, String); 2] =
+            [(scene, String::new()), (&cleaned, format!(", U <= 1e{THRESHOLD}"))];
+        let mut views: Vec<(String, RenderedView)> = Vec::new();
+        for (field, suffix) in &versions {
+            let tracer = tracer(*field, IMAGE_CUTOFF, 0.0, bars)?;
+            bars.begin("rows", 2 * u64::from(seen.resolution[1]));
+            for (side, camera) in sides {
+                views.push((format!("{side}{suffix}"), render_view(&tracer, camera, 0.5, &probes, bars)?));
+            }
+            bars.end();
+        }
+        let range = depth_range(views.iter().map(|v| &v.1));
+        let rows: Vec<Vec<Panel>> = views.iter().map(|(name, view)| view_panels(view, name, range)).collect();
+        write_sheet(&self.out.join("demo.png"), &rows)
+    }
+
+    /// The scene and its cameras as files.
+    fn inputs(&self, scene: &ClosedForm, cameras: &[Camera]) -> Result<()> {
+        VoxelGrid::bake(scene, [BAKED; 3], Vec3::Z).write(&self.out.join("courtyard.npz"))?;
+        let named: Vec<(String, Camera)> =
+            cameras.iter().enumerate().map(|(i, camera)| (format!("train/r_{i}"), *camera)).collect();
+        write_transforms(Path::new(&self.out.join("transforms.json")), &named)
+    }
+}
+
+fn tracer<'a>(field: &'a dyn RadianceField, cutoff: f64, reach: f64, bars: &dyn Monitor) -> Result<Tracer<'a>> {
+    let occupancy = Some(Occupancy::build(field, Occupancy::DEFAULT_RESOLUTION, reach, bars)?);
+    let marcher = Marcher { step: field.suggested_step(), bounds: field.bounds(), occupancy, cutoff };
+    Ok(Tracer { field, marcher, background: Vec3::ONE })
+}

@@ -1,0 +1,88 @@
+//! The command line, one file per verb. Results go to stdout, progress and warnings to stderr; a failure is one line on
+//! stderr and exit code 2 (130 after Ctrl-C).
+
+/// Prints one line (or several) to stdout: `say!(…)?`.
+macro_rules! say {
+    ($($arg:tt)*) => { crate::cli::report::print(format_args!($($arg)*)) };
+}
+
+mod accumulate;
+mod compare;
+mod convert;
+mod demo;
+mod evaluate;
+mod info;
+mod options;
+mod panels;
+mod progress;
+mod query;
+mod render;
+mod report;
+mod uncertainty;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+use crate::Result;
+use progress::Bars;
+
+/// Where can a trained radiance field (NeRF) be trusted?
+///
+/// Asks of every part of space how far it could be moved without any training image noticing (Bayes' Rays, Goli et al.,
+/// CVPR 2024), and stores the answer on an adaptive octree that is fine where the images say something. Start with
+/// `octobayes demo`.
+#[derive(Parser)]
+#[command(name = "octobayes", version, max_term_width = 110)]
+struct Cli {
+    #[command(subcommand)]
+    verb: Verb,
+
+    /// Threads; results do not depend on it [default: all cores]
+    #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    threads: Option<u16>,
+}
+
+#[derive(Subcommand)]
+enum Verb {
+    Demo(demo::Args),
+    Uncertainty(uncertainty::Args),
+    Accumulate(accumulate::Args),
+    Query(query::Args),
+    Compare(compare::Args),
+    Render(render::Args),
+    Evaluate(evaluate::Args),
+    Convert(convert::Args),
+    Info(info::Args),
+}
+
+/// Runs the command line of this process.
+#[must_use]
+pub fn main() -> ExitCode {
+    let cli = Cli::parse();
+    if let Some(threads) = cli.threads {
+        // Fails only if a pool exists already, which it does not at this point.
+        let _ = rayon::ThreadPoolBuilder::new().num_threads(usize::from(threads)).build_global();
+    }
+    match run(cli.verb, &Bars::new()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error}");
+            ExitCode::from(error.exit_code())
+        }
+    }
+}
+
+fn run(verb: Verb, bars: &Bars) -> Result<()> {
+    match verb {
+        Verb::Demo(args) => args.run(bars),
+        Verb::Uncertainty(args) => args.run(bars),
+        Verb::Accumulate(args) => args.run(bars),
+        Verb::Query(args) => args.run(),
+        Verb::Compare(args) => args.run(),
+        Verb::Render(args) => args.run(bars),
+        Verb::Evaluate(args) => args.run(bars),
+        Verb::Convert(args) => args.run(),
+        Verb::Info(args) => args.run(),
+    }
+}

@@ -1,0 +1,294 @@
+//! Options that several verbs share.
+
+use std::path::{Path, PathBuf};
+
+use clap::{Args, ValueEnum};
+use glam::{DVec3, Vec3};
+
+use crate::dataset::{ResolutionSource, Views};
+use crate::field::RadianceField;
+use crate::geometry::{Aabb, Lattice};
+use crate::monitor::Monitor;
+use crate::posterior::Covariance;
+use crate::render::{Marcher, Occupancy, Tracer};
+use crate::uncertainty::{OfficialGrid, UncertaintyField};
+use crate::{Error, Result};
+
+/// Numbers separated by commas.
+fn numbers<const N: usize>(text: &str) -> std::result::Result<[f64; N], String> {
+    let parts: Vec<f64> = text
+        .split(',')
+        .map(|part| part.trim().parse::<f64>().map_err(|_| format!("`{part}` is not a number")))
+        .collect::<std::result::Result<_, _>>()?;
+    if parts.iter().any(|v| !v.is_finite()) {
+        return Err("numbers must be finite".into());
+    }
+    <[f64; N]>::try_from(parts).map_err(|parts| format!("expected {N} numbers separated by commas, found {}", parts.len()))
+}
+
+/// `x0,y0,z0,x1,y1,z1`.
+pub fn parse_box(text: &str) -> std::result::Result<Aabb, String> {
+    let [x0, y0, z0, x1, y1, z1] = numbers::<6>(text)?;
+    Aabb::new(DVec3::new(x0, y0, z0), DVec3::new(x1, y1, z1)).map_err(|e| e.to_string())
+}
+
+/// `offset,scale`.
+pub fn parse_pair(text: &str) -> std::result::Result<[f64; 2], String> {
+    numbers(text)
+}
+
+/// `white`, `black` or `r,g,b`.
+fn parse_background(text: &str) -> std::result::Result<Vec3, String> {
+    match text {
+        "white" => Ok(Vec3::ONE),
+        "black" => Ok(Vec3::ZERO),
+        _ => {
+            let color = DVec3::from(numbers::<3>(text)?).as_vec3();
+            if color.min_element() >= 0.0 && color.max_element() <= 1.0 {
+                Ok(color)
+            } else {
+                Err("red, green and blue must be from 0 to 1".into())
+            }
+        }
+    }
+}
+
+/// `W` or `WxH`.
+fn parse_resolution(text: &str) -> std::result::Result<[u32; 2], String> {
+    let side = |text: &str| match text.parse::<u32>() {
+        Ok(side) if (1..=65_536).contains(&side) => Ok(side),
+        _ => Err(format!("`{text}` is not a whole number of pixels from 1 to 65536")),
+    };
+    match text.split_once('x') {
+        Some((w, h)) => Ok([side(w)?, side(h)?]),
+        None => Ok([side(text)?; 2]),
+    }
+}
+
+/// A finite number above 0.
+pub fn parse_positive(text: &str) -> std::result::Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(v) if v > 0.0 && v.is_finite() => Ok(v),
+        _ => Err("expected a finite number above 0".into()),
+    }
+}
+
+/// A finite number from 0.
+pub fn parse_non_negative(text: &str) -> std::result::Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(v) if v >= 0.0 && v.is_finite() => Ok(v),
+        _ => Err("expected a finite number, 0 or more".into()),
+    }
+}
+
+impl ValueEnum for Covariance {
+    fn value_variants<'a>() -> &'a [Self] {
+        &Self::ALL
+    }
+
+    fn to_possible_value(&self) -> Option<clap::builder::PossibleValue> {
+        let help = match self {
+            Self::Diagonal => "sum of 1/H_kk: the paper's; depends on how the axes are turned",
+            Self::Trace => "1/(tr S/R + lambda): the official code's",
+            Self::Block => "trace of the inverse 3x3 block: does not depend on the axes",
+        };
+        Some(clap::builder::PossibleValue::new(self.name()).help(help))
+    }
+}
+
+/// A radiance field and how rays go through it.
+#[derive(Args)]
+pub struct ModelOptions {
+    /// The trained field: a `.safetensors` MLP NeRF, an `.npz` voxel grid (density, color, box), or `scene:NAME` for a
+    /// built-in scene
+    #[arg(value_name = "MODEL")]
+    pub model: String,
+
+    /// What is behind the scene: white, black or r,g,b in [0, 1]. It enters the derivatives through the rays' final
+    /// transmittance: use what the field was trained with
+    #[arg(long, value_name = "COLOR", default_value = "white", value_parser = parse_background)]
+    pub background: Vec3,
+
+    /// Distance between samples along a ray, scene units [default: what the model suggests]
+    #[arg(long, value_name = "LENGTH", value_parser = parse_positive)]
+    pub march_step: Option<f64>,
+
+    /// Where in a pixel rays go through: 0.5 for its centre, 0 for its upper left corner [default: as the model was trained]
+    #[arg(long, value_name = "OFFSET", value_parser = parse_non_negative)]
+    pub pixel_offset: Option<f64>,
+
+    /// Cells per axis of the occupancy grid that lets rays skip empty space
+    #[arg(long, value_name = "N", default_value_t = Occupancy::DEFAULT_RESOLUTION as u16, value_parser = clap::value_parser!(u16).range(4..=512))]
+    pub occupancy: u16,
+}
+
+impl ModelOptions {
+    /// Opens the model.
+    pub fn open(&self) -> Result<Box<dyn RadianceField>> {
+        crate::field::open(&self.model)
+    }
+
+    /// The pixel offset to use for `field`.
+    pub fn pixel_offset(&self, field: &dyn RadianceField) -> f64 {
+        self.pixel_offset.unwrap_or_else(|| field.pixel_offset())
+    }
+
+    /// A tracer for `field` that leaves out what is certain to matter less than `cutoff`; differences look `reach` far.
+    pub fn tracer<'a>(
+        &self,
+        field: &'a dyn RadianceField,
+        cutoff: f64,
+        reach: f64,
+        monitor: &dyn Monitor,
+    ) -> Result<Tracer<'a>> {
+        let occupancy = if cutoff > 0.0 {
+            Some(Occupancy::build(field, usize::from(self.occupancy), reach, monitor)?)
+        } else {
+            None
+        };
+        let step = self.march_step.unwrap_or_else(|| field.suggested_step());
+        let marcher = Marcher { step, bounds: field.bounds(), occupancy, cutoff };
+        Ok(Tracer { field, marcher, background: self.background })
+    }
+}
+
+/// A camera file.
+#[derive(Args)]
+pub struct CameraOptions {
+    /// transforms.json with intrinsics and camera-to-world poses (OpenGL axes)
+    #[arg(long, value_name = "JSON")]
+    pub cameras: PathBuf,
+
+    /// Image size, W or WxH [default: from the camera file, else from its first image, else 400x400]
+    #[arg(long, value_name = "SIZE", value_parser = parse_resolution)]
+    pub resolution: Option<[u32; 2]>,
+}
+
+impl CameraOptions {
+    /// Reads the file; says so if the image size had to be assumed.
+    pub fn read(&self) -> Result<Views> {
+        let views = Views::read(&self.cameras, self.resolution)?;
+        if views.resolution_source == ResolutionSource::Assumed {
+            let [w, h] = views.frames[0].camera.resolution;
+            let path = self.cameras.display();
+            eprintln!("note: {path} states no image size and its images are not there: assuming {w} x {h} (--resolution)");
+        }
+        Ok(views)
+    }
+}
+
+/// Dense grid or octree.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum GridKind {
+    /// Adaptive octree, finest where rays are sensitive
+    Octree,
+    /// The paper's uniform grid of (2^level + 1)^3 vertices: the reference
+    Dense,
+}
+
+/// Which information to keep in the file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Keep {
+    /// The 3x3 matrices too: another covariance can be chosen later
+    Hessian,
+    /// The deviations only
+    Deviation,
+}
+
+/// How information becomes a field.
+#[derive(Args)]
+pub struct GridOptions {
+    /// Where the field is written
+    #[arg(short, long, value_name = "FIELD.oct")]
+    pub output: PathBuf,
+
+    /// Finest level: 2^level cells per axis, 1 to 16
+    #[arg(long, default_value_t = 8, value_parser = clap::value_parser!(u8).range(1..=16))]
+    pub level: u8,
+
+    /// What carries the field
+    #[arg(long, value_enum, default_value = "octree")]
+    pub grid: GridKind,
+
+    /// Scalar read off the 3x3 matrices
+    #[arg(long, value_enum, default_value = "diagonal")]
+    pub covariance: Covariance,
+
+    /// Prior precision, 1 / scene unit^2 [default: 1e-4 / 2^(3 level) per squared longest edge of the box]
+    #[arg(long, value_name = "LAMBDA", value_parser = parse_positive)]
+    pub lambda: Option<f64>,
+
+    /// Largest change of log10 U that coarse leaves of the octree may cause; 0 keeps every vertex that any ray touched
+    #[arg(long, value_name = "DECADES", default_value_t = 0.01, value_parser = parse_non_negative)]
+    pub tolerance: f64,
+
+    /// What to keep in the file [default: hessian for an octree, deviation for a dense grid]
+    #[arg(long, value_enum)]
+    pub keep: Option<Keep>,
+
+    /// Points on visible surfaces to keep in the file, for `compare`
+    #[arg(long, value_name = "N", default_value_t = 16_384)]
+    pub surface_points: usize,
+
+    /// Print one JSON object
+    #[arg(long)]
+    pub json: bool,
+}
+
+impl GridOptions {
+    /// The lattice over `bounds`; a dense grid that cannot be meant is refused.
+    pub fn lattice(&self, bounds: Aabb) -> Result<Lattice> {
+        let lattice = Lattice::new(bounds, self.level)?;
+        let needed = crate::posterior::DensePosterior::required_memory(&lattice);
+        if self.grid == GridKind::Dense && self.level > 9 {
+            let found = format!("level {}, which needs {:.0} GB; `--grid octree` does not", self.level, needed as f64 / 1e9);
+            return Err(Error::setting("dense grid", "a level up to 9 (6.5 GB)", found));
+        }
+        Ok(lattice)
+    }
+}
+
+/// The box of an official `.npy`, which does not say.
+#[derive(Args)]
+pub struct OfficialOptions {
+    /// Box of the official code's `.npy` grids: x0,y0,z0,x1,y1,z1 in scene units
+    #[arg(long = "box", value_name = "BOX", value_parser = parse_box, allow_hyphen_values = true)]
+    pub bounds: Option<Aabb>,
+
+    /// Rays summed in the official code's `.npy` grids
+    #[arg(long, default_value_t = OfficialGrid::DEFAULT_RAYS, value_parser = clap::value_parser!(u64).range(1..))]
+    pub rays: u64,
+}
+
+impl OfficialOptions {
+    /// Reads a field: `.oct`, or the official code's `.npy`.
+    pub fn read(&self, path: &Path) -> Result<UncertaintyField> {
+        match path.extension().and_then(|e| e.to_str()) {
+            Some("npy") => {
+                let bounds = self.bounds.ok_or_else(|| {
+                    let found = format!("{} without one", path.display());
+                    Error::setting("--box", "the box of the official grid, which its file does not name", found)
+                })?;
+                OfficialGrid { bounds, rays: self.rays, lambda: None }.read(path)
+            }
+            _ => UncertaintyField::read(path),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn texts_become_settings_or_reasons() {
+        assert!(parse_box("-1,-1,-1,1,1,1").is_ok());
+        assert!(parse_box("1,1,1,-1,-1,-1").unwrap_err().contains("min < max"));
+        assert!(parse_box("1,2,3").unwrap_err().contains("6 numbers"));
+        assert_eq!(parse_background("0,0.5,1"), Ok(Vec3::new(0.0, 0.5, 1.0)));
+        assert!(parse_background("0,0.5,2").is_err() && parse_background("red").is_err());
+        assert_eq!(parse_resolution("80x60"), Ok([80, 60]));
+        assert!(parse_resolution("0").is_err() && parse_resolution("8x").is_err());
+        assert!(parse_positive("-1").is_err() && parse_positive("nan").is_err() && parse_non_negative("0").is_ok());
+    }
+}

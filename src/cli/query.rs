@@ -1,0 +1,141 @@
+//! `query`: U at points.
+
+use std::io::{Read, Write};
+use std::path::{Path, PathBuf};
+
+use glam::Vec3;
+
+use super::options::OfficialOptions;
+use crate::io::{AtomicFile, npy};
+use crate::posterior::Covariance;
+use crate::uncertainty::Estimate;
+use crate::{Error, Result};
+
+/// Ask for the uncertainty at points
+///
+/// POINTS is `.npy` (f32 or f64 [N,3]) or `.csv` (columns x,y,z; a header is recognised), in scene units. OUT is `.npy` (f64 [N,2]:
+/// uncertainty, log10 uncertainty) or `.csv` (x,y,z,uncertainty,log10_uncertainty,level,inside). `-` is CSV on stdin or
+/// stdout. Points outside the box get the prior and inside = 0.
+#[derive(clap::Args)]
+#[command(after_help = "Example: echo 0,0,0.5 | octobayes query lego.oct - -o -")]
+pub struct Args {
+    /// The field: `.oct`, or the official code's `.npy`
+    field: PathBuf,
+
+    /// Points: `.npy`, `.csv`, or `-`
+    points: PathBuf,
+
+    /// Answers: `.npy`, `.csv`, or `-`
+    #[arg(short, long, value_name = "OUT")]
+    output: PathBuf,
+
+    /// Another covariance than the field's own, if it keeps its Hessian
+    #[arg(long, value_enum)]
+    covariance: Option<Covariance>,
+
+    #[command(flatten)]
+    official: OfficialOptions,
+}
+
+/// Formats of points and answers.
+#[derive(PartialEq)]
+enum Format {
+    Npy,
+    Csv,
+    Stream,
+}
+
+fn format(path: &Path) -> Result<Format> {
+    match (path.to_str(), path.extension().and_then(|e| e.to_str())) {
+        (Some("-"), _) => Ok(Format::Stream),
+        (_, Some("npy")) => Ok(Format::Npy),
+        (_, Some("csv")) => Ok(Format::Csv),
+        _ => Err(Error::malformed(path, "file name", "`.npy`, `.csv` or `-`", "another extension")),
+    }
+}
+
+impl Args {
+    /// Runs the verb.
+    pub fn run(self) -> Result<()> {
+        let (input, output) = (format(&self.points)?, format(&self.output)?);
+        let mut field = self.official.read(&self.field)?;
+        if let Some(covariance) = self.covariance {
+            field = field.with_covariance(covariance)?;
+        }
+        let points = match input {
+            Format::Npy => read_npy(&self.points)?,
+            Format::Csv => {
+                let file = std::fs::File::open(&self.points).map_err(Error::io(&self.points, "cannot open"))?;
+                read_csv(file, &self.points)?
+            }
+            Format::Stream => read_csv(std::io::stdin().lock(), Path::new("stdin"))?,
+        };
+        let answers = field.query_all(&points);
+        match output {
+            Format::Npy => {
+                let values = answers.iter().flat_map(|a| [a.uncertainty, a.uncertainty.log10()]);
+                npy::write(&self.output, &[answers.len() as u64, 2], values)
+            }
+            Format::Csv => {
+                let mut file = AtomicFile::create(&self.output)?;
+                write_csv(&mut file, &points, &answers).map_err(Error::io(&self.output, "cannot write"))?;
+                file.commit()
+            }
+            Format::Stream => {
+                let out = std::io::stdout().lock();
+                match write_csv(out, &points, &answers) {
+                    // A reader that has seen enough (`| head`) is no failure.
+                    Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => Err(Error::io(Path::new("stdout"), "cannot write")(e)),
+                    _ => Ok(()),
+                }
+            }
+        }
+    }
+}
+
+fn read_npy(path: &Path) -> Result<Vec<Vec3>> {
+    let flat: Vec<f32> = match npy::read::<f32>(path) {
+        Ok(array) => {
+            array.expect_shape(path, "data", &[None, Some(3)])?;
+            array.data
+        }
+        Err(as_f32) => match npy::read::<f64>(path) {
+            Ok(array) => {
+                array.expect_shape(path, "data", &[None, Some(3)])?;
+                array.data.iter().map(|&v| v as f32).collect()
+            }
+            Err(_) => return Err(as_f32),
+        },
+    };
+    Ok(flat.as_chunks::<3>().0.iter().map(|&x| Vec3::from_array(x)).collect())
+}
+
+/// Reads x,y,z from the first three columns; a first line that is no numbers is a header.
+fn read_csv(input: impl Read, path: &Path) -> Result<Vec<Vec3>> {
+    let mut reader = csv::ReaderBuilder::new().has_headers(false).flexible(true).trim(csv::Trim::All).from_reader(input);
+    let mut points = Vec::new();
+    for (row, record) in reader.records().enumerate() {
+        let record = record.map_err(|e| Error::malformed(path, format!("row {}", row + 1), "x,y,z", e.to_string()))?;
+        let numbers: Vec<f32> = record.iter().take(3).map_while(|text| text.parse().ok()).collect();
+        match numbers.as_slice() {
+            &[x, y, z] => points.push(Vec3::new(x, y, z)),
+            _ if row == 0 && record.iter().take(3).all(|text| text.parse::<f32>().is_err()) => {}
+            _ => {
+                let found = record.iter().collect::<Vec<_>>().join(",");
+                return Err(Error::malformed(path, format!("row {}", row + 1), "three numbers x,y,z", found));
+            }
+        }
+    }
+    Ok(points)
+}
+
+fn write_csv(out: impl Write, points: &[Vec3], answers: &[Estimate]) -> std::io::Result<()> {
+    let mut writer = csv::Writer::from_writer(out);
+    writer.write_record(["x", "y", "z", "uncertainty", "log10_uncertainty", "level", "inside"])?;
+    for (x, a) in points.iter().zip(answers) {
+        let numbers = [x.x.to_string(), x.y.to_string(), x.z.to_string(), a.uncertainty.to_string()];
+        let rest = [a.uncertainty.log10().to_string(), a.level.to_string(), u8::from(a.inside).to_string()];
+        writer.write_record(numbers.iter().chain(&rest))?;
+    }
+    writer.flush()
+}

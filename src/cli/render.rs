@@ -1,0 +1,153 @@
+//! `render`: pictures of a field and its uncertainty.
+
+use std::path::PathBuf;
+
+use super::options::{CameraOptions, ModelOptions};
+use super::panels::{depth_range, view_panels};
+use super::progress::Bars;
+use super::report;
+use crate::field::RadianceField;
+use crate::geometry::Aabb;
+use crate::monitor::Monitor;
+use crate::picture::{write_exr, write_sheet};
+use crate::posterior::Covariance;
+use crate::render::{Blend, Probe, RenderedView, render_view};
+use crate::uncertainty::{ThresholdedField, UncertaintyField};
+use crate::{Error, Result};
+
+/// Samples of less weight than this are left out of images: no 8-bit pixel shows them.
+pub const IMAGE_CUTOFF: f64 = 1e-4;
+
+/// Render colour, depth and uncertainty of one view
+///
+/// OUT.png shows labelled panels for people; OUT.exr holds the channels R, G, B, A, depth.Z (median distance from the camera),
+/// uncertainty.U (scene units) and log10_uncertainty.U for tools.
+#[derive(clap::Args)]
+#[command(after_help = "Example: octobayes render lego.safetensors lego.oct --cameras transforms_test.json --frame 0 -o view.png")]
+pub struct Args {
+    #[command(flatten)]
+    model: ModelOptions,
+
+    /// Its uncertainty
+    #[arg(value_name = "FIELD.oct")]
+    field: PathBuf,
+
+    #[command(flatten)]
+    cameras: CameraOptions,
+
+    /// Which frame of the camera file, from 0
+    #[arg(long, value_name = "K", default_value_t = 0)]
+    frame: usize,
+
+    /// Picture to write, `.png` or `.exr`
+    #[arg(short, long, value_name = "OUT")]
+    output: PathBuf,
+
+    /// Remove density where log10 U exceeds this (the paper's clean-up); a PNG shows both, an EXR the cleaned view
+    #[arg(long, value_name = "LOG10_U", allow_negative_numbers = true)]
+    threshold: Option<f64>,
+
+    /// Blend log10 U over what the ray hits, or as the official code does (-3 for the part that hits nothing)
+    #[arg(long, value_enum, default_value = "hit")]
+    blend: BlendName,
+
+    /// Another covariance than the field's own, if it keeps its Hessian
+    #[arg(long, value_enum)]
+    covariance: Option<Covariance>,
+}
+
+/// [`Blend`] as an option.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum BlendName {
+    /// Sum of w log10 U over sum of w
+    Hit,
+    /// Sum of w log10 U, -3 for the rest
+    Official,
+}
+
+impl From<BlendName> for Blend {
+    fn from(name: BlendName) -> Self {
+        match name {
+            BlendName::Hit => Self::Hit,
+            BlendName::Official => Self::Official,
+        }
+    }
+}
+
+impl Args {
+    /// Runs the verb.
+    pub fn run(self, bars: &Bars) -> Result<()> {
+        let as_exr = match self.output.extension().and_then(|e| e.to_str()) {
+            Some("png") => false,
+            Some("exr") => true,
+            _ => return Err(Error::malformed(&self.output, "file name", "`.png` or `.exr`", "another extension")),
+        };
+        let model = self.model.open()?;
+        let mut field = UncertaintyField::read(&self.field)?;
+        if let Some(covariance) = self.covariance {
+            field = field.with_covariance(covariance)?;
+        }
+        check_box(&self.model.model, &model.bounds(), &field)?;
+        let views = self.cameras.read()?;
+        let camera = views.frame(self.frame)?.camera;
+        drop(crate::io::AtomicFile::create(&self.output)?);
+
+        let log10 = |x| field.log10(x);
+        let probes = [Probe { log10: &log10, blend: self.blend.into() }];
+        let picture = |field: &dyn RadianceField| -> Result<RenderedView> {
+            let tracer = self.model.tracer(field, IMAGE_CUTOFF, 0.0, bars)?;
+            bars.begin("rows", u64::from(camera.resolution[1]));
+            let view = render_view(&tracer, &camera, self.model.pixel_offset(&*model), &probes, bars)?;
+            bars.end();
+            Ok(view)
+        };
+        let cleaned = match self.threshold {
+            Some(threshold) => {
+                Some(picture(&ThresholdedField { field: &*model, uncertainty: &field, threshold })?)
+            }
+            None => None,
+        };
+        if as_exr {
+            let view = cleaned.map_or_else(|| picture(&*model), Ok)?;
+            write_exr(&self.output, view.resolution, channels(&view))?;
+        } else {
+            let view = picture(&*model)?;
+            let range = depth_range([&view].into_iter().chain(&cleaned));
+            let mut rows = vec![view_panels(&view, &format!("frame {}", self.frame), range)];
+            if let (Some(cleaned), Some(threshold)) = (&cleaned, self.threshold) {
+                rows.push(view_panels(cleaned, &format!("log10 U <= {threshold}"), range));
+            }
+            write_sheet(&self.output, &rows)?;
+        }
+        say!("{}\nprotocol of the field\n{}", self.output.display(), report::protocol(&field))?;
+        Ok(())
+    }
+}
+
+/// A field says nothing about space outside its box: it must lie in the model's.
+pub fn check_box(name: &str, model: &Aabb, field: &UncertaintyField) -> Result<()> {
+    let bounds = field.lattice().bounds();
+    // Boxes go through f32 in some files.
+    let slack = 1e-5 * model.longest_edge();
+    let inside = (bounds.min() - model.min()).min_element() >= -slack && (model.max() - bounds.max()).min_element() >= -slack;
+    if inside {
+        return Ok(());
+    }
+    let text = |b: &Aabb| format!("{} to {}", b.min(), b.max());
+    Err(Error::setting(format!("box of the field for `{name}`"), format!("inside the model's, {}", text(model)), text(bounds)))
+}
+
+/// The EXR's channels.
+fn channels(view: &RenderedView) -> Vec<(&'static str, Vec<f32>)> {
+    let of_pixel = |value: &dyn Fn(&crate::render::Pixel) -> f64| view.pixels.iter().map(|p| value(p) as f32).collect();
+    let log10 = &view.log10_uncertainty[0];
+    vec![
+        ("R", of_pixel(&|p| p.color.x)),
+        ("G", of_pixel(&|p| p.color.y)),
+        ("B", of_pixel(&|p| p.color.z)),
+        ("A", of_pixel(&|p| p.opacity)),
+        ("depth.Z", of_pixel(&|p| p.median_depth)),
+        ("uncertainty.U", log10.iter().map(|&u| 10_f64.powf(u) as f32).collect()),
+        ("log10_uncertainty.U", log10.iter().map(|&u| u as f32).collect()),
+    ]
+}

@@ -1,0 +1,135 @@
+//! What runs print: protocol and results, for people or as JSON.
+
+use std::io::Write;
+use std::path::Path;
+use std::time::Duration;
+
+use serde_json::{Value, json};
+
+use crate::{Error, Result};
+use crate::uncertainty::{Comparison, Difference, Summary, UncertaintyField};
+
+/// Prints a line to stdout. A reader that has seen enough (`| head`) is no failure.
+///
+/// # Errors
+/// If stdout cannot be written otherwise, a full disk for example.
+pub fn print(text: std::fmt::Arguments) -> Result<()> {
+    match writeln!(std::io::stdout(), "{text}") {
+        Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => Err(Error::io(Path::new("stdout"), "cannot write")(e)),
+        _ => Ok(()),
+    }
+}
+
+/// Bytes for people.
+pub fn bytes(n: usize) -> String {
+    let n = n as f64;
+    match n {
+        n if n < 1e3 => format!("{n} B"),
+        n if n < 1e6 => format!("{:.1} kB", n / 1e3),
+        n if n < 1e9 => format!("{:.2} MB", n / 1e6),
+        n => format!("{:.2} GB", n / 1e9),
+    }
+}
+
+/// Seconds, times and memory of a run.
+pub struct Cost {
+    /// From the first ray to the finished field.
+    pub elapsed: Duration,
+    /// Most that the posterior held.
+    pub posterior_bytes: usize,
+}
+
+/// The protocol of a field as text, one setting a line.
+pub fn protocol(field: &UncertaintyField) -> String {
+    let p = field.protocol();
+    let lattice = field.lattice();
+    let known = |v: Option<String>| v.unwrap_or_else(|| "not stated".into());
+    let bounds = lattice.bounds();
+    let mut out = String::new();
+    let mut line = |name: &str, value: String| out.push_str(&format!("  {name:<12} {value}\n"));
+    line("source", p.source.clone());
+    line("box", format!("{} to {}", bounds.min(), bounds.max()));
+    line("level", format!("{} ({} cells per axis, edge {:.6})", lattice.level(), lattice.cells_per_axis(), lattice.edge().max_element()));
+    line("rays", format!("{} ({} dropped as not finite)", p.rays, p.dropped));
+    line("seed", known(p.seed.map(|s| s.to_string())));
+    line("lambda", format!("{:.6e} per scene unit²", p.lambda));
+    line("covariance", p.covariance.name().into());
+    line("refinement", format!("sensitivity, tolerance {} in log10 U", p.tolerance));
+    line("march step", known(p.march_step.map(|s| format!("{s:.6} scene units"))));
+    line("difference", known(p.difference_step.map(|h| format!("central, h = [{:.6}, {:.6}, {:.6}] scene units", h[0], h[1], h[2]))));
+    line("cutoff", known(p.cutoff.map(|c| format!("{c:e}"))));
+    line("background", known(p.background.map(|b| format!("{b:?}"))));
+    line("pixel offset", known(p.pixel_offset.map(|o| o.to_string())));
+    line("threads", rayon::current_num_threads().to_string());
+    out.trim_end().to_string()
+}
+
+/// The protocol as JSON.
+pub fn protocol_json(field: &UncertaintyField) -> Value {
+    json!({
+        "protocol": field.protocol(),
+        "box": { "min": field.lattice().bounds().min().to_array(), "max": field.lattice().bounds().max().to_array() },
+        "level": field.lattice().level(),
+        "threads": rayon::current_num_threads(),
+    })
+}
+
+/// One line on what a field consists of.
+pub fn summary(s: &Summary) -> String {
+    let leaves: Vec<String> = s.leaves_per_level.iter().enumerate().map(|(l, n)| format!("{l}:{n}")).collect();
+    let leaves = if leaves.is_empty() { String::new() } else { format!(", leaves {}", leaves.join(" ")) };
+    format!(
+        "{} level {}: {} vertices, {} for queries ({} structure, {:.2} B per vertex){leaves}",
+        s.grid,
+        s.level,
+        s.vertices,
+        bytes(s.query_bytes),
+        bytes(s.structure_bytes),
+        s.structure_bytes as f64 / s.vertices.max(1) as f64
+    )
+}
+
+/// Rows of |Δ log10 U|.
+pub fn comparison(c: &Comparison) -> String {
+    let row = |name: &str, d: &Option<Difference>| match d {
+        None => format!("  {name:<10} no points: neither field holds surface points"),
+        Some(d) => format!(
+            "  {name:<10} {:>9}  {:>10.6}  {:>10.6}  {:>10.6}  {:>10.6}  at [{:.4}, {:.4}, {:.4}]: {:.4} and {:.4}",
+            d.points,
+            d.mean,
+            d.percentile_95,
+            d.percentile_99,
+            d.max,
+            d.max_at[0],
+            d.max_at[1],
+            d.max_at[2],
+            d.log10_at_max[0],
+            d.log10_at_max[1]
+        ),
+    };
+    format!(
+        "|Δ log10 U|     points        mean        95 %        99 %         max  where: log10 U of both\n{}\n{}",
+        row("in box", &c.in_box),
+        row("surfaces", &c.on_surfaces)
+    )
+}
+
+/// What a finished run says about its field.
+///
+/// # Errors
+/// If stdout cannot be written.
+pub fn finished(field: &UncertaintyField, cost: &Cost, as_json: bool) -> Result<()> {
+    let s = field.summary();
+    if as_json {
+        let mut value = protocol_json(field);
+        value["summary"] = json!(s);
+        value["seconds"] = json!(cost.elapsed.as_secs_f64());
+        value["posterior_bytes"] = json!(cost.posterior_bytes);
+        say!("{value}")?;
+    } else {
+        say!("protocol\n{}", protocol(field))?;
+        say!("field\n  {}", summary(&s))?;
+        say!("  {} while summing, {:.1} s", bytes(cost.posterior_bytes), cost.elapsed.as_secs_f64())?;
+    }
+    Ok(())
+}

@@ -1,0 +1,321 @@
+//! Camera files: transforms.json of the original NeRF, instant-ngp and nerfstudio.
+//!
+//! Intrinsics at top level or per frame: `fl_x fl_y cx cy w h` in pixels, or `camera_angle_x` (`camera_angle_y`) in radians.
+//! `transform_matrix` is camera-to-world, OpenGL axes (x right, y up, looking along −z).
+
+use std::path::{Path, PathBuf};
+
+use glam::{DMat3, DVec3};
+use serde::Deserialize;
+
+use crate::geometry::Camera;
+use crate::{Error, Result};
+
+/// A camera with the image that belongs to it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Frame {
+    /// Pose and intrinsics.
+    pub camera: Camera,
+    /// `file_path` as written, for messages and for names of depth maps.
+    pub name: String,
+    /// The image's path, extension `.png` added if the file names none; it need not exist.
+    pub image: PathBuf,
+}
+
+/// Where the image size came from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ResolutionSource {
+    /// `w` and `h` in the file.
+    File,
+    /// The size of the first image found.
+    Image,
+    /// The caller's wish.
+    Requested,
+    /// None of these: 400 × 400 assumed.
+    Assumed,
+}
+
+/// All cameras of a file.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Views {
+    /// The file.
+    pub path: PathBuf,
+    /// At least one.
+    pub frames: Vec<Frame>,
+    /// Where the image size came from.
+    pub resolution_source: ResolutionSource,
+}
+
+#[derive(Debug, Clone, Copy, Default, Deserialize)]
+struct Intrinsics {
+    camera_angle_x: Option<f64>,
+    camera_angle_y: Option<f64>,
+    fl_x: Option<f64>,
+    fl_y: Option<f64>,
+    cx: Option<f64>,
+    cy: Option<f64>,
+    w: Option<f64>,
+    h: Option<f64>,
+}
+
+#[derive(Debug, Deserialize)]
+struct RawFrame {
+    #[serde(default)]
+    file_path: String,
+    transform_matrix: Option<Vec<Vec<f64>>>,
+    #[serde(flatten)]
+    intrinsics: Intrinsics,
+}
+
+#[derive(Debug, Deserialize)]
+struct RawFile {
+    frames: Option<Vec<RawFrame>>,
+    #[serde(flatten)]
+    intrinsics: Intrinsics,
+}
+
+/// Assumed image size where nothing tells.
+const ASSUMED: [u32; 2] = [400, 400];
+/// Largest accepted image side; a larger one is a damaged file.
+const MAX_SIDE: f64 = 65_536.0;
+
+impl Intrinsics {
+    /// The frame's own values, where it has some, over the file's.
+    fn over(self, file: Self) -> Self {
+        Self {
+            camera_angle_x: self.camera_angle_x.or(file.camera_angle_x),
+            camera_angle_y: self.camera_angle_y.or(file.camera_angle_y),
+            fl_x: self.fl_x.or(file.fl_x),
+            fl_y: self.fl_y.or(file.fl_y),
+            cx: self.cx.or(file.cx),
+            cy: self.cy.or(file.cy),
+            w: self.w.or(file.w),
+            h: self.h.or(file.h),
+        }
+    }
+
+    /// w and h as an image size, `None` if absent.
+    fn resolution(&self) -> Option<std::result::Result<[u32; 2], String>> {
+        let (w, h) = (self.w?, self.h?);
+        let side = |v: f64| (1.0..=MAX_SIDE).contains(&v) && v.fract() == 0.0;
+        Some(if side(w) && side(h) { Ok([w as u32, h as u32]) } else { Err(format!("{w} x {h}")) })
+    }
+
+    /// Focal lengths and principal point for an image of `resolution` pixels.
+    ///
+    /// `fl_x` is in pixels of the `w` × `h` that the file states; an image of another size scales it.
+    fn project(&self, resolution: [u32; 2]) -> std::result::Result<([f64; 2], [f64; 2]), String> {
+        let [w, h] = resolution.map(f64::from);
+        let scale = [self.w.map_or(1.0, |stated| w / stated), self.h.map_or(1.0, |stated| h / stated)];
+        let from_angle = |angle: f64, side: f64| 0.5 * side / (0.5 * angle).tan();
+        let fx = match (self.fl_x, self.camera_angle_x) {
+            (Some(f), _) => f * scale[0],
+            (None, Some(angle)) => from_angle(angle, w),
+            (None, None) => return Err("neither".into()),
+        };
+        let fy = match (self.fl_y, self.camera_angle_y, self.fl_x) {
+            (Some(f), _, _) => f * scale[1],
+            (None, Some(angle), None) => from_angle(angle, h),
+            // Square pixels.
+            _ => fx * scale[1] / scale[0],
+        };
+        let center = [self.cx.map_or(0.5 * w, |c| c * scale[0]), self.cy.map_or(0.5 * h, |c| c * scale[1])];
+        if [fx, fy].iter().all(|f| *f > 0.0 && f.is_finite()) && center.iter().all(|c| c.is_finite()) {
+            Ok(([fx, fy], center))
+        } else {
+            Err(format!("focal lengths {fx}, {fy}, principal point {center:?}"))
+        }
+    }
+}
+
+impl Views {
+    /// Reads a camera file. The image size is the `requested` one, else the file's `w` and `h`, else that of the first image
+    /// that exists, else 400 × 400.
+    ///
+    /// # Errors
+    /// If the file is missing or no JSON, has no frames or no focal length, or a matrix is not a finite rigid pose (a uniform
+    /// scale is removed).
+    pub fn read(path: &Path, requested: Option<[u32; 2]>) -> Result<Self> {
+        let text = std::fs::read_to_string(path).map_err(Error::io(path, "cannot read"))?;
+        let file: RawFile = serde_json::from_str(&text).map_err(|e| {
+            Error::malformed(path, format!("line {}, column {}", e.line(), e.column()), "a transforms.json", e.to_string())
+        })?;
+        let raw = file.frames.unwrap_or_default();
+        if raw.is_empty() {
+            return Err(Error::malformed(path, "`frames`", "at least one frame", "none"));
+        }
+        let folder = path.parent().unwrap_or(Path::new(""));
+        let images: Vec<PathBuf> = raw.iter().map(|frame| image_path(folder, &frame.file_path)).collect();
+        let from_image = || images.iter().find_map(|image| image::image_dimensions(image).ok());
+        let mut fallback = None;
+
+        let mut frames = Vec::with_capacity(raw.len());
+        let mut source = ResolutionSource::File;
+        for (i, (raw, image)) in raw.into_iter().zip(images.iter()).enumerate() {
+            let place = |what: &str| format!("frame {i} (`{}`), {what}", raw.file_path);
+            let intrinsics = raw.intrinsics.over(file.intrinsics);
+            let resolution = match (requested, intrinsics.resolution()) {
+                (Some(resolution), _) => {
+                    source = ResolutionSource::Requested;
+                    resolution
+                }
+                (None, Some(resolution)) => resolution
+                    .map_err(|found| Error::malformed(path, place("`w`, `h`"), "whole numbers from 1 to 65536", found))?,
+                (None, None) => {
+                    let (resolution, from) = *fallback.get_or_insert_with(|| match from_image() {
+                        Some((w, h)) => ([w, h], ResolutionSource::Image),
+                        None => (ASSUMED, ResolutionSource::Assumed),
+                    });
+                    source = from;
+                    resolution
+                }
+            };
+            let (focal, center) = intrinsics.project(resolution).map_err(|found| {
+                Error::malformed(path, place("intrinsics"), "positive `fl_x` (pixels) or `camera_angle_x` (radians)", found)
+            })?;
+            let (position, axes) = pose(raw.transform_matrix.as_deref()).map_err(|found| {
+                Error::malformed(path, place("`transform_matrix`"), "a 4x4 camera-to-world pose", found)
+            })?;
+            let camera = Camera { position, axes, focal, center, resolution };
+            frames.push(Frame { camera, name: raw.file_path, image: image.clone() });
+        }
+        Ok(Self { path: path.to_path_buf(), frames, resolution_source: source })
+    }
+
+    /// All cameras.
+    #[must_use]
+    pub fn cameras(&self) -> Vec<Camera> {
+        self.frames.iter().map(|f| f.camera).collect()
+    }
+
+    /// Frame `k`.
+    ///
+    /// # Errors
+    /// If there are fewer.
+    pub fn frame(&self, k: usize) -> Result<&Frame> {
+        self.frames.get(k).ok_or_else(|| {
+            let place = format!("frame {k}");
+            Error::malformed(&self.path, place, format!("a frame from 0 to {}", self.frames.len() - 1), "none")
+        })
+    }
+}
+
+fn image_path(folder: &Path, file_path: &str) -> PathBuf {
+    let path = folder.join(file_path);
+    let known = path.extension().and_then(|e| e.to_str()).is_some_and(|e| {
+        ["png", "jpg", "jpeg"].contains(&e.to_ascii_lowercase().as_str())
+    });
+    if known { path } else { PathBuf::from(format!("{}.png", path.display())) }
+}
+
+/// Position and rotation of a pose; what is wrong with it otherwise.
+fn pose(matrix: Option<&[Vec<f64>]>) -> std::result::Result<(DVec3, DMat3), String> {
+    let matrix = matrix.ok_or("none")?;
+    if !(3..=4).contains(&matrix.len()) || matrix.iter().any(|row| row.len() != 4) {
+        return Err(format!("rows of {:?} numbers", matrix.iter().map(Vec::len).collect::<Vec<_>>()));
+    }
+    let column = |k: usize| DVec3::new(matrix[0][k], matrix[1][k], matrix[2][k]);
+    let (linear, position) = (DMat3::from_cols(column(0), column(1), column(2)), column(3));
+    if !linear.is_finite() || !position.is_finite() {
+        return Err("numbers that are not finite".into());
+    }
+    let determinant = linear.determinant();
+    let scale = determinant.cbrt();
+    if scale <= 1e-12 {
+        return Err(format!("a singular or mirrored matrix (determinant {determinant:e})"));
+    }
+    let axes = DMat3::from_cols(linear.x_axis / scale, linear.y_axis / scale, linear.z_axis / scale);
+    let skew = axes.transpose() * axes - DMat3::IDENTITY;
+    let largest = skew.to_cols_array().iter().fold(0.0_f64, |m, v| m.max(v.abs()));
+    // Poses are written with 6 to 8 digits; optimised ones drift by a little more.
+    if largest > 1e-2 {
+        return Err(format!("a matrix that is no rotation (off by {largest:.3})"));
+    }
+    Ok((position, axes))
+}
+
+/// Writes cameras as a transforms.json that [`Views::read`] and other tools read; `names` are the frames' `file_path`s.
+///
+/// # Errors
+/// If the file cannot be written.
+pub fn write_transforms(path: &Path, cameras: &[(String, Camera)]) -> Result<()> {
+    let frames: Vec<_> = cameras
+        .iter()
+        .map(|(name, camera)| {
+            let [x, y, z] = [camera.axes.x_axis, camera.axes.y_axis, camera.axes.z_axis];
+            let row = |k: usize| [x[k], y[k], z[k], camera.position[k]];
+            serde_json::json!({
+                "file_path": name,
+                "fl_x": camera.focal[0], "fl_y": camera.focal[1], "cx": camera.center[0], "cy": camera.center[1],
+                "w": camera.resolution[0], "h": camera.resolution[1],
+                "transform_matrix": [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]],
+            })
+        })
+        .collect();
+    let mut file = crate::io::AtomicFile::create(path)?;
+    serde_json::to_writer_pretty(&mut file, &serde_json::json!({ "frames": frames }))
+        .map_err(|e| Error::io(path, "cannot write")(e.into()))?;
+    file.commit()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::field::ClosedForm;
+
+    fn read(json: &str) -> Result<Views> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("transforms.json");
+        std::fs::write(&path, json).unwrap();
+        Views::read(&path, None)
+    }
+
+    const POSE: &str = r#""transform_matrix": [[1,0,0,1],[0,1,0,2],[0,0,1,3],[0,0,0,1]]"#;
+
+    #[test]
+    fn written_cameras_are_read_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("transforms.json");
+        let cameras: Vec<_> =
+            ClosedForm::half_circle(5, [64, 48]).into_iter().enumerate().map(|(i, c)| (format!("r_{i}"), c)).collect();
+        write_transforms(&path, &cameras).unwrap();
+        let views = Views::read(&path, None).unwrap();
+        assert_eq!(views.resolution_source, ResolutionSource::File);
+        for ((name, camera), frame) in cameras.iter().zip(&views.frames) {
+            assert_eq!(name, &frame.name);
+            let [a, b] = [camera, &frame.camera].map(|c| c.ray(10.5, 3.5));
+            assert!((a.origin - b.origin).length() < 1e-14 && (a.direction - b.direction).length() < 1e-14);
+        }
+    }
+
+    #[test]
+    fn frames_override_the_file() {
+        let json = format!(
+            r#"{{"camera_angle_x": 1.0, "w": 100, "h": 50, "frames": [{{"file_path": "a", {POSE}}},
+               {{"file_path": "b.jpg", "fl_x": 80, "cx": 49, {POSE}}}]}}"#
+        );
+        let views = read(&json).unwrap();
+        assert!((views.frames[0].camera.focal[0] - 50.0 / 0.5_f64.tan()).abs() < 1e-12);
+        assert_eq!(views.frames[0].camera.center, [50.0, 25.0]);
+        assert_eq!((views.frames[1].camera.focal, views.frames[1].camera.center), ([80.0, 80.0], [49.0, 25.0]));
+        assert!(views.frames[0].image.ends_with("a.png") && views.frames[1].image.ends_with("b.jpg"));
+    }
+
+    #[test]
+    fn what_is_wrong_is_said() {
+        let cases = [
+            ("{\"frames\": []}", "at least one frame"),
+            ("{", "line 1"),
+            (&format!("{{\"frames\": [{{{POSE}}}]}}"), "camera_angle_x"),
+            (r#"{"camera_angle_x": 1, "frames": [{"transform_matrix": [[1,0,0,0],[1,0,0,0],[0,0,1,0]]}]}"#, "singular"),
+            (r#"{"camera_angle_x": 1, "frames": [{"transform_matrix": [[1,0,0,0],[0.5,1,0,0],[0,0,1,0]]}]}"#, "no rotation"),
+            (r#"{"camera_angle_x": 1, "frames": [{"transform_matrix": [[1,0,0],[0,1,0],[0,0,1]]}]}"#, "rows of"),
+            (&format!("{{\"fl_x\": -5, \"frames\": [{{{POSE}}}]}}"), "positive"),
+            (&format!("{{\"fl_x\": 5, \"w\": 0, \"h\": 3, \"frames\": [{{{POSE}}}]}}"), "whole numbers"),
+        ];
+        for (json, expected) in cases {
+            let error = read(json).expect_err(json).to_string();
+            assert!(error.contains(expected) && error.contains("transforms.json"), "{error}");
+        }
+    }
+}

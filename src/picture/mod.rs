@@ -1,0 +1,9 @@
+//! Pictures for people: labelled panels as PNG, plots as SVG; and EXR for tools.
+
+mod exr;
+mod panel;
+mod plot;
+
+pub use exr::write_exr;
+pub use panel::{Bar, LOG10_RANGE, Panel, color_panel, scalar_panel, write_sheet};
+pub use plot::{Curve, write_plot};

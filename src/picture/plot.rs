@@ -1,0 +1,61 @@
+//! Line plots as SVG.
+
+use std::io::Write;
+use std::path::Path;
+
+use plotters::prelude::*;
+
+use crate::io::AtomicFile;
+use crate::{Error, Result};
+
+/// One line of a plot.
+#[derive(Debug, Clone)]
+pub struct Curve {
+    /// Name in the legend.
+    pub name: String,
+    /// Points.
+    pub points: Vec<(f64, f64)>,
+    /// Drawn thin and grey, as a reference for the others.
+    pub reference: bool,
+}
+
+/// Writes curves over common axes.
+///
+/// # Errors
+/// If the file cannot be written.
+pub fn write_plot(path: &Path, title: &str, axes: [&str; 2], curves: &[Curve]) -> Result<()> {
+    let all = || curves.iter().flat_map(|c| &c.points).filter(|p| p.0.is_finite() && p.1.is_finite());
+    let range = |value: fn(&(f64, f64)) -> f64| {
+        let (low, high) = all().map(value).fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
+        if low < high { (low, high) } else { (low - 0.5, low + 0.5) }
+    };
+    let ((x0, x1), (y0, y1)) = (range(|p| p.0), range(|p| p.1));
+    let mut svg = String::new();
+    let mut draw = || -> std::result::Result<(), Box<dyn std::error::Error>> {
+        let root = SVGBackend::with_string(&mut svg, (760, 480)).into_drawing_area();
+        root.fill(&WHITE)?;
+        let mut chart = ChartBuilder::on(&root)
+            .caption(title, ("sans-serif", 18))
+            .margin(12)
+            .x_label_area_size(42)
+            .y_label_area_size(60)
+            .build_cartesian_2d(x0..x1, y0..y1 + 0.04 * (y1 - y0))?;
+        chart.configure_mesh().light_line_style(WHITE).x_desc(axes[0]).y_desc(axes[1]).draw()?;
+        for (i, curve) in curves.iter().enumerate() {
+            let (r, g, b) = if curve.reference { (120, 120, 120) } else { Palette99::pick(i).rgb() };
+            let color = RGBColor(r, g, b);
+            let style = color.stroke_width(if curve.reference { 1 } else { 2 });
+            chart
+                .draw_series(LineSeries::new(curve.points.iter().copied(), style))?
+                .label(&curve.name)
+                .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], style));
+        }
+        chart.configure_series_labels().background_style(WHITE.mix(0.85)).border_style(RGBColor(180, 180, 180)).draw()?;
+        root.present()?;
+        Ok(())
+    };
+    draw().map_err(|e| Error::malformed(path, "plot", "drawable curves", e.to_string()))?;
+    let mut file = AtomicFile::create(path)?;
+    file.write_all(svg.as_bytes()).map_err(Error::io(path, "cannot write"))?;
+    file.commit()
+}
