@@ -1,5 +1,6 @@
 //! x
 pub mod error;
+pub mod estimate;
 pub mod field;
 pub mod geometry;
 pub mod io;

@@ -7,17 +7,15 @@ use glam::{DVec3, Vec3};
 
 use super::panels::{depth_range, view_panels};
 use super::progress::Bars;
-use super::render::IMAGE_CUTOFF;
 use super::report;
-use super::uncertainty::DEFAULT_CUTOFF;
 use crate::dataset::write_transforms;
+use crate::estimate::{FieldBuilder, GridKind, GridSettings, Provenance, RaySettings};
 use crate::field::{ClosedForm, RadianceField, VoxelGrid};
-use crate::geometry::{Camera, Lattice};
+use crate::geometry::Camera;
 use crate::monitor::Monitor;
 use crate::picture::{Panel, write_sheet};
-use crate::posterior::{Covariance, DensePosterior, OctreePosterior, Posterior, RayStream};
-use crate::render::{Blend, Differences, Marcher, Occupancy, Probe, RenderedView, Tracer, render_view};
-use crate::uncertainty::{Protocol, Support, ThresholdedField, UncertaintyField, compare};
+use crate::render::{Blend, Probe, RenderedView, render_view};
+use crate::uncertainty::{ThresholdedField, UncertaintyField, compare};
 use crate::{Error, Result};
 
 /// log10 U above which the demo's clean-up removes density: between the courtyard's surfaces and the floater.
@@ -52,13 +50,9 @@ impl Args {
         std::fs::create_dir_all(&self.out).map_err(Error::io(&self.out, "cannot create the folder"))?;
         let scene = ClosedForm::courtyard();
         let cameras = ClosedForm::half_circle(CAMERAS, [200, 200]);
-        let lattice = Lattice::new(scene.bounds(), self.level)?;
         say!("scene: {}, seen by {CAMERAS} cameras from one side only", scene.describe())?;
 
-        let differences = Differences { step: 0.5 * lattice.edge() };
-        let tracer = tracer(&scene, DEFAULT_CUTOFF, differences.step.max_element(), bars)?;
-        let stream = RayStream { tracer, differences, cameras: &cameras, pixel_offset: 0.5, seed: 0 };
-        let fields = self.both_fields(lattice, &stream, bars)?;
+        let fields = self.both_fields(&scene, &cameras, bars)?;
         let [octree, dense] = &fields;
 
         let comparison = compare(octree, dense, 200_000, 0)?;
@@ -79,55 +73,42 @@ impl Args {
     }
 
     /// Octree and dense field from the same samples, and a table of what they cost.
-    fn both_fields(&self, lattice: Lattice, stream: &RayStream, bars: &Bars) -> Result<[UncertaintyField; 2]> {
-        let mut octree = OctreePosterior::new(lattice);
-        let mut dense = DensePosterior::new(lattice);
+    fn both_fields(&self, scene: &ClosedForm, cameras: &[Camera], bars: &Bars) -> Result<[UncertaintyField; 2]> {
+        let kinds = [GridKind::Octree, GridKind::Dense];
+        let settings = |grid| GridSettings { grid, level: self.level, surface_points: 200_000, ..GridSettings::default() };
+        let [mut octree, mut dense] = [FieldBuilder::new(settings(kinds[0]), scene.bounds())?, FieldBuilder::new(settings(kinds[1]), scene.bounds())?];
+        let rays = RaySettings { rays: self.rays, ..RaySettings::default() };
+        let stream = rays.stream(scene, cameras, octree.lattice(), bars)?;
         let mut spent = [Duration::ZERO; 2];
-        let mut surface: Vec<[f32; 3]> = Vec::new();
         let start = Instant::now();
         let tally = stream.run(self.rays, bars, |batches| {
-            for (spent, posterior) in spent.iter_mut().zip([&mut octree as &mut dyn Posterior, &mut dense]) {
+            for (spent, builder) in spent.iter_mut().zip([&mut octree, &mut dense]) {
                 let start = Instant::now();
-                posterior.add(batches);
+                builder.add(batches);
                 *spent += start.elapsed();
             }
-            let visible = batches.iter().flat_map(|b| b.positions.iter().zip(&b.weights)).filter(|(_, w)| **w >= 0.05);
-            surface.extend(visible.map(|(x, _)| x.to_array()).take(200_000 - surface.len()));
             Ok(())
         })?;
         let rays_alone = start.elapsed() - spent[0] - spent[1];
         let sums_bytes = [octree.memory(), dense.memory()];
-        let protocol = Protocol {
-            version: env!("CARGO_PKG_VERSION").into(),
-            source: "scene:courtyard".into(),
-            rays: tally.rays,
-            dropped: tally.dropped,
-            seed: Some(stream.seed),
-            lambda: lattice.default_lambda(),
-            covariance: Covariance::Diagonal,
-            tolerance: 0.01,
-            march_step: Some(stream.tracer.marcher.step),
-            difference_step: Some(stream.differences.step.to_array()),
-            cutoff: Some(stream.tracer.marcher.cutoff),
-            background: Some(stream.tracer.background.to_array()),
-            pixel_offset: Some(stream.pixel_offset),
-        };
-        let start = Instant::now();
-        let (tree, sums) = octree.into_octree(protocol.rays, protocol.lambda, protocol.tolerance);
-        spent[0] += start.elapsed();
-        let octree = UncertaintyField::new(protocol.clone(), lattice, Support::Octree(tree), sums).with_surface(surface);
-        let protocol = Protocol { tolerance: 0.0, ..protocol };
-        let dense = UncertaintyField::new(protocol, lattice, Support::Dense, dense.into_sums());
+        let provenance = Provenance { source: "scene:courtyard".into(), tally, stream: Some(&stream) };
+        let mut fields = Vec::new();
+        for (spent, builder) in spent.iter_mut().zip([octree, dense]) {
+            let start = Instant::now();
+            fields.push(builder.finish(&provenance));
+            *spent += start.elapsed();
+        }
 
         say!("{} samples of {} rays in {:.1} s, shared by both grids", tally.samples, tally.rays, rays_alone.as_secs_f64())?;
         say!("grid        vertices   field for queries     sums while running   time to sum")?;
-        for ((name, field), (bytes, spent)) in ["octree", "dense"].iter().zip([&octree, &dense]).zip(sums_bytes.iter().zip(spent)) {
-            let [field_bytes, sums] = [field.query_memory(), *bytes].map(report::bytes);
-            let vertices = field.deviations().len();
+        for (((kind, field), bytes), spent) in kinds.iter().zip(&fields).zip(sums_bytes).zip(spent) {
+            let [field_bytes, sums] = [field.query_memory(), bytes].map(report::bytes);
+            let (name, vertices) = (format!("{kind:?}").to_lowercase(), field.deviations().len());
             say!("{name:<8} {vertices:>11}   {field_bytes:>17}   {sums:>20}   {:>9.2} s", spent.as_secs_f64())?;
         }
-        let leaves = octree.summary();
-        say!("octree: {:.1} % of the dense grid's vertices; {}", 100.0 * leaves.vertices as f64 / lattice.dense_vertices() as f64, report::summary(&leaves))?;
+        let [octree, dense] = [fields.swap_remove(0), fields.swap_remove(0)];
+        let share = octree.deviations().len() as f64 / dense.deviations().len() as f64;
+        say!("{:.1} % of the dense grid's vertices; {}", 100.0 * share, report::summary(&octree.summary()))?;
         Ok([octree, dense])
     }
 
@@ -145,7 +126,8 @@ impl Args {
             [(scene, String::new()), (&cleaned, format!(", U <= 1e{THRESHOLD}"))];
         let mut views: Vec<(String, RenderedView)> = Vec::new();
         for (field, suffix) in &versions {
-            let tracer = tracer(*field, IMAGE_CUTOFF, 0.0, bars)?;
+            let settings = RaySettings { cutoff: 1e-4, ..RaySettings::default() };
+            let tracer = settings.tracer(*field, 0.0, bars)?;
             bars.begin("rows", 2 * u64::from(seen.resolution[1]));
             for (side, camera) in sides {
                 views.push((format!("{side}{suffix}"), render_view(&tracer, camera, 0.5, &probes, bars)?));
@@ -164,10 +146,4 @@ impl Args {
             cameras.iter().enumerate().map(|(i, camera)| (format!("train/r_{i}"), *camera)).collect();
         write_transforms(Path::new(&self.out.join("transforms.json")), &named)
     }
-}
-
-fn tracer<'a>(field: &'a dyn RadianceField, cutoff: f64, reach: f64, bars: &dyn Monitor) -> Result<Tracer<'a>> {
-    let occupancy = Some(Occupancy::build(field, Occupancy::DEFAULT_RESOLUTION, reach, bars)?);
-    let marcher = Marcher { step: field.suggested_step(), bounds: field.bounds(), occupancy, cutoff };
-    Ok(Tracer { field, marcher, background: Vec3::ONE })
 }

@@ -6,7 +6,7 @@ use serde_json::json;
 
 use super::options::{CameraOptions, ModelOptions, parse_pair};
 use super::progress::Bars;
-use super::render::{BlendName, IMAGE_CUTOFF, check_box};
+use super::render::{BlendName, check_box};
 use super::report;
 use crate::dataset::{DepthEncoding, DepthKind, DepthMap, Frame, PosedImage};
 use crate::geometry::Camera;
@@ -117,8 +117,9 @@ impl Args {
             drop(AtomicFile::create(path)?);
         }
         let frames: Vec<&Frame> = views.frames.iter().step_by(self.every as usize).collect();
-        let tracer = self.model.tracer(&*model, IMAGE_CUTOFF, 0.0, bars)?;
-        let offset = self.model.pixel_offset(&*model);
+        let settings = self.model.image_settings();
+        let tracer = settings.tracer(&*model, 0.0, bars)?;
+        let offset = settings.pixel_offset.unwrap_or_else(|| model.pixel_offset());
         let probed: Vec<_> = readings.iter().map(|r| |x| r.field.log10(x)).collect();
         let probes: Vec<Probe> = probed.iter().map(|log10| Probe { log10, blend: self.blend.into() }).collect();
 

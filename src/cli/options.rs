@@ -7,12 +7,18 @@ use glam::{DVec3, Vec3};
 
 use crate::dataset::{ResolutionSource, Views};
 use crate::field::RadianceField;
-use crate::geometry::{Aabb, Lattice};
-use crate::monitor::Monitor;
+use crate::estimate::{GridKind, GridSettings, RaySettings};
+use crate::geometry::Aabb;
+use crate::io::AtomicFile;
 use crate::posterior::Covariance;
-use crate::render::{Marcher, Occupancy, Tracer};
+use crate::render::Occupancy;
 use crate::uncertainty::{OfficialGrid, UncertaintyField};
 use crate::{Error, Result};
+
+use super::report::{self, Cost};
+
+/// Samples of less weight than this are left out of images: no 8-bit pixel shows them.
+const IMAGE_CUTOFF: f64 = 1e-4;
 
 /// Numbers separated by commas.
 fn numbers<const N: usize>(text: &str) -> std::result::Result<[f64; N], String> {
@@ -128,27 +134,20 @@ impl ModelOptions {
         crate::field::open(&self.model)
     }
 
-    /// The pixel offset to use for `field`.
-    pub fn pixel_offset(&self, field: &dyn RadianceField) -> f64 {
-        self.pixel_offset.unwrap_or_else(|| field.pixel_offset())
+    /// How images are rendered.
+    pub fn image_settings(&self) -> RaySettings {
+        self.ray_settings(RaySettings { cutoff: IMAGE_CUTOFF, ..RaySettings::default() })
     }
 
-    /// A tracer for `field` that leaves out what is certain to matter less than `cutoff`; differences look `reach` far.
-    pub fn tracer<'a>(
-        &self,
-        field: &'a dyn RadianceField,
-        cutoff: f64,
-        reach: f64,
-        monitor: &dyn Monitor,
-    ) -> Result<Tracer<'a>> {
-        let occupancy = if cutoff > 0.0 {
-            Some(Occupancy::build(field, usize::from(self.occupancy), reach, monitor)?)
-        } else {
-            None
-        };
-        let step = self.march_step.unwrap_or_else(|| field.suggested_step());
-        let marcher = Marcher { step, bounds: field.bounds(), occupancy, cutoff };
-        Ok(Tracer { field, marcher, background: self.background })
+    /// `others` with what these options say.
+    pub fn ray_settings(&self, others: RaySettings) -> RaySettings {
+        RaySettings {
+            march_step: self.march_step,
+            background: self.background,
+            pixel_offset: self.pixel_offset,
+            occupancy: usize::from(self.occupancy),
+            ..others
+        }
     }
 }
 
@@ -175,15 +174,6 @@ impl CameraOptions {
         }
         Ok(views)
     }
-}
-
-/// Dense grid or octree.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum GridKind {
-    /// Adaptive octree, finest where rays are sensitive
-    Octree,
-    /// The paper's uniform grid of (2^level + 1)^3 vertices: the reference
-    Dense,
 }
 
 /// Which information to keep in the file.
@@ -236,15 +226,32 @@ pub struct GridOptions {
 }
 
 impl GridOptions {
-    /// The lattice over `bounds`; a dense grid that cannot be meant is refused.
-    pub fn lattice(&self, bounds: Aabb) -> Result<Lattice> {
-        let lattice = Lattice::new(bounds, self.level)?;
-        let needed = crate::posterior::DensePosterior::required_memory(&lattice);
-        if self.grid == GridKind::Dense && self.level > 9 {
-            let found = format!("level {}, which needs {:.0} GB; `--grid octree` does not", self.level, needed as f64 / 1e9);
-            return Err(Error::setting("dense grid", "a level up to 9 (6.5 GB)", found));
+    /// The library's settings.
+    pub fn settings(&self) -> GridSettings {
+        GridSettings {
+            grid: self.grid,
+            level: self.level,
+            covariance: self.covariance,
+            lambda: self.lambda,
+            tolerance: self.tolerance,
+            surface_points: self.surface_points,
         }
-        Ok(lattice)
+    }
+
+    /// Makes sure, before any work, that the output can be written.
+    pub fn check_output(&self) -> Result<()> {
+        AtomicFile::create(&self.output).map(drop)
+    }
+
+    /// Writes a finished field, with or without its information, and reports it.
+    pub fn write(&self, field: UncertaintyField, cost: &Cost) -> Result<()> {
+        let keep = self.keep.unwrap_or(match self.grid {
+            GridKind::Dense => Keep::Deviation,
+            GridKind::Octree => Keep::Hessian,
+        });
+        let field = if keep == Keep::Deviation { field.without_information() } else { field };
+        field.write(&self.output)?;
+        report::finished(&field, cost, self.json)
     }
 }
 

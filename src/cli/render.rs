@@ -15,9 +15,6 @@ use crate::render::{Blend, Probe, RenderedView, render_view};
 use crate::uncertainty::{ThresholdedField, UncertaintyField};
 use crate::{Error, Result};
 
-/// Samples of less weight than this are left out of images: no 8-bit pixel shows them.
-pub const IMAGE_CUTOFF: f64 = 1e-4;
-
 /// Render colour, depth and uncertainty of one view
 ///
 /// OUT.png shows labelled panels for people; OUT.exr holds the channels R, G, B, A, depth.Z (median distance from the camera),
@@ -94,10 +91,12 @@ impl Args {
 
         let log10 = |x| field.log10(x);
         let probes = [Probe { log10: &log10, blend: self.blend.into() }];
+        let settings = self.model.image_settings();
+        let offset = settings.pixel_offset.unwrap_or_else(|| model.pixel_offset());
         let picture = |field: &dyn RadianceField| -> Result<RenderedView> {
-            let tracer = self.model.tracer(field, IMAGE_CUTOFF, 0.0, bars)?;
+            let tracer = settings.tracer(field, 0.0, bars)?;
             bars.begin("rows", u64::from(camera.resolution[1]));
-            let view = render_view(&tracer, &camera, self.model.pixel_offset(&*model), &probes, bars)?;
+            let view = render_view(&tracer, &camera, offset, &probes, bars)?;
             bars.end();
             Ok(view)
         };

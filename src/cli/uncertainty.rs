@@ -3,15 +3,13 @@
 use std::path::PathBuf;
 use std::time::Instant;
 
-use super::accumulate::Gathering;
-use super::options::{CameraOptions, GridKind, GridOptions, ModelOptions, parse_box, parse_non_negative, parse_positive};
+use super::options::{CameraOptions, GridOptions, ModelOptions, parse_box, parse_non_negative, parse_positive};
 use super::progress::Bars;
-use super::report;
+use super::report::Cost;
 use crate::Result;
+use crate::estimate::{FieldBuilder, Provenance, RaySettings};
 use crate::geometry::Aabb;
-use crate::posterior::{RayStream, SamplesWriter};
-use crate::render::Differences;
-use crate::uncertainty::Protocol;
+use crate::posterior::SamplesWriter;
 
 /// Compute the uncertainty of a trained field from its training cameras
 ///
@@ -42,11 +40,11 @@ pub struct Args {
     bounds: Option<Aabb>,
 
     /// Finite-difference step to both sides, in edges of the finest lattice
-    #[arg(long, value_name = "EDGES", default_value_t = 0.5, value_parser = parse_positive)]
+    #[arg(long, value_name = "EDGES", default_value_t = RaySettings::default().step, value_parser = parse_positive)]
     step: f64,
 
     /// Leave out samples whose weight, and whose density bound times |dC/dsigma|, are both below this; 0 leaves out nothing
-    #[arg(long, value_name = "WEIGHT", default_value_t = DEFAULT_CUTOFF, value_parser = parse_non_negative)]
+    #[arg(long, value_name = "WEIGHT", default_value_t = RaySettings::default().cutoff, value_parser = parse_non_negative)]
     cutoff: f64,
 
     /// Also write the ray samples with their Jacobians, as `accumulate` reads them
@@ -54,55 +52,32 @@ pub struct Args {
     dump_samples: Option<PathBuf>,
 }
 
-/// Chosen by measurement: `experiments/left_out.md`.
-pub const DEFAULT_CUTOFF: f64 = 1e-6;
-
 impl Args {
     /// Runs the verb.
     pub fn run(self, bars: &Bars) -> Result<()> {
         let field = self.model.open()?;
         let views = self.cameras.read()?;
-        let lattice = self.grid.lattice(self.bounds.unwrap_or_else(|| field.bounds()))?;
-        let mut gathering = Gathering::start(&self.grid, lattice)?;
+        let mut builder = FieldBuilder::new(self.grid.settings(), self.bounds.unwrap_or_else(|| field.bounds()))?;
+        self.grid.check_output()?;
         let mut dump = self.dump_samples.as_deref().map(SamplesWriter::create).transpose()?;
 
         let start = Instant::now();
-        let differences = Differences { step: self.step * lattice.edge() };
-        let reach = differences.step.max_element();
-        let stream = RayStream {
-            tracer: self.model.tracer(&*field, self.cutoff, reach, bars)?,
-            differences,
-            cameras: &views.cameras(),
-            pixel_offset: self.model.pixel_offset(&*field),
-            seed: self.seed,
-        };
+        let settings = RaySettings { rays: self.rays, seed: self.seed, step: self.step, cutoff: self.cutoff, ..RaySettings::default() };
+        let cameras = views.cameras();
+        let stream = self.model.ray_settings(settings).stream(&*field, &cameras, builder.lattice(), bars)?;
         let tally = stream.run(self.rays, bars, |batches| {
-            gathering.add(batches);
+            builder.add(batches);
             dump.as_mut().map_or(Ok(()), |dump| dump.add(batches))
         })?;
-        if tally.dropped > 0 {
-            let first = tally.first_invalid.unwrap_or_default();
+        if let Some(first) = tally.first_invalid {
             eprintln!("warning: {} rays dropped, the field is not finite; first at {first:?}", tally.dropped);
         }
-        let protocol = Protocol {
-            version: env!("CARGO_PKG_VERSION").into(),
-            source: format!("{} seen by {}", self.model.model, self.cameras.cameras.display()),
-            rays: tally.rays,
-            dropped: tally.dropped,
-            seed: Some(self.seed),
-            lambda: self.grid.lambda.unwrap_or_else(|| lattice.default_lambda()),
-            covariance: self.grid.covariance,
-            tolerance: if self.grid.grid == GridKind::Dense { 0.0 } else { self.grid.tolerance },
-            march_step: Some(stream.tracer.marcher.step),
-            difference_step: Some(differences.step.to_array()),
-            cutoff: Some(self.cutoff),
-            background: Some(self.model.background.to_array()),
-            pixel_offset: Some(stream.pixel_offset),
-        };
         if let Some(dump) = dump {
             dump.finish(tally.rays)?;
         }
-        let (field, posterior_bytes) = gathering.finish(protocol)?;
-        report::finished(&field, &report::Cost { elapsed: start.elapsed(), posterior_bytes }, self.grid.json)
+        let posterior_bytes = builder.memory();
+        let source = format!("{} seen by {}", self.model.model, self.cameras.cameras.display());
+        let field = builder.finish(&Provenance { source, tally, stream: Some(&stream) });
+        self.grid.write(field, &Cost { elapsed: start.elapsed(), posterior_bytes })
     }
 }

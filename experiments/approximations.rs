@@ -1,0 +1,98 @@
+//! Question: what do the two approximations of a ray's Jacobian cost: leaving samples out, and the finite-difference step?
+//!
+//! Cutoff: fields with samples left out at several cutoffs against one with nothing left out (no occupancy grid, no early end
+//! of rays, every sample differentiated), same rays. Step: fields at several steps against the best reference there is: on
+//! the closed-form courtyard a step of 1/64 edge, where central differences have converged; on the MLP each step against its
+//! half, because no exact gradient is at hand. Every row is |Δ log10 U| over 200,000 surface points.
+//!
+//! Without `OCTOBAYES_DATA` only the courtyard is measured. Prints the tables of `experiments/approximations.md`.
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use octobayes::Result;
+use octobayes::dataset::Views;
+use octobayes::estimate::{GridSettings, RaySettings, estimate};
+use octobayes::field::{ClosedForm, NerfMlp, RadianceField};
+use octobayes::geometry::Camera;
+use octobayes::monitor::Silent;
+use octobayes::uncertainty::{Difference, UncertaintyField, compare};
+
+struct Case {
+    name: &'static str,
+    field: Box<dyn RadianceField>,
+    cameras: Vec<Camera>,
+    level: u8,
+    rays: u64,
+}
+
+fn main() -> Result<()> {
+    let mut cases = vec![Case {
+        name: "courtyard",
+        field: Box::new(ClosedForm::courtyard()),
+        cameras: ClosedForm::half_circle(40, [200, 200]),
+        level: 7,
+        rays: 20_480,
+    }];
+    if let Some(data) = std::env::var_os("OCTOBAYES_DATA") {
+        let folder = PathBuf::from(data).join("nerf-mlp-pretrained");
+        cases.push(Case {
+            name: "lego MLP",
+            field: Box::new(NerfMlp::read(&folder.join("lego.safetensors"))?),
+            cameras: Views::read(&folder.join("cameras/lego_train.json"), Some([400, 400]))?.cameras(),
+            level: 8,
+            rays: 20_480,
+        });
+    }
+    for case in &cases {
+        cutoffs(case)?;
+        steps(case)?;
+    }
+    Ok(())
+}
+
+fn run(case: &Case, settings: RaySettings) -> Result<(UncertaintyField, u64, f64)> {
+    let grid = GridSettings { level: case.level, tolerance: 0.0, surface_points: 200_000, ..GridSettings::default() };
+    let start = Instant::now();
+    let rays = RaySettings { rays: case.rays, ..settings };
+    let (field, tally) = estimate(&*case.field, &case.cameras, &rays, &grid, &Silent)?;
+    Ok((field, tally.samples, start.elapsed().as_secs_f64()))
+}
+
+fn columns(difference: &Option<Difference>) -> String {
+    difference.as_ref().map_or(String::new(), |d| {
+        format!("{:.2e} | {:.2e} | {:.2e} | {:.4}", d.mean, d.percentile_95, d.percentile_99, d.max)
+    })
+}
+
+fn cutoffs(case: &Case) -> Result<()> {
+    println!("\n## Leaving samples out: {}, level {}, {} rays\n", case.name, case.level, case.rays);
+    println!("| cutoff | samples | seconds | mean, surfaces | 95 % | 99 % | max | mean, box | 95 % | 99 % | max |");
+    println!("|---|---|---|---|---|---|---|---|---|---|---|");
+    let (all, samples, seconds) = run(case, RaySettings { cutoff: 0.0, ..RaySettings::default() })?;
+    println!("| 0 | {samples} | {seconds:.1} | | | | | | | | |");
+    for cutoff in [1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3] {
+        let (some, samples, seconds) = run(case, RaySettings { cutoff, ..RaySettings::default() })?;
+        let d = compare(&some, &all, 200_000, 0)?;
+        println!("| {cutoff:e} | {samples} | {seconds:.1} | {} | {} |", columns(&d.on_surfaces), columns(&d.in_box));
+    }
+    Ok(())
+}
+
+fn steps(case: &Case) -> Result<()> {
+    println!("\n## Finite-difference step: {}, level {}, {} rays\n", case.name, case.level, case.rays);
+    println!("| step h, lattice edges | against | mean | 95 % | 99 % | max |");
+    println!("|---|---|---|---|---|---|");
+    let field = |step| run(case, RaySettings { step, cutoff: 1e-5, ..RaySettings::default() }).map(|r| r.0);
+    let steps: Vec<f64> = (-9..=1).map(|k| 2_f64.powi(k)).collect();
+    let reference = field(1.0 / 64.0)?;
+    let mut half = field(2_f64.powi(-10))?;
+    for &step in &steps {
+        let this = field(step)?;
+        let [fixed, halved] = [&reference, &half].map(|other| compare(&this, other, 200_000, 0).map(|d| d.on_surfaces));
+        println!("| {step} | 1/64 | {} |", columns(&fixed?));
+        println!("| {step} | h/2 | {} |", columns(&halved?));
+        half = this;
+    }
+    Ok(())
+}

@@ -1,0 +1,103 @@
+//! The whole line on small scenes.
+
+use super::*;
+use crate::field::{ClosedForm, VoxelGrid};
+use crate::monitor::Silent;
+use glam::DVec3;
+
+fn settings(rays: u64) -> RaySettings {
+    RaySettings { rays, occupancy: 48, ..RaySettings::default() }
+}
+
+#[test]
+fn octree_and_dense_agree_on_the_same_rays() {
+    let field = ClosedForm::courtyard();
+    let cameras = ClosedForm::half_circle(6, [40, 40]);
+    let both = [GridKind::Octree, GridKind::Dense].map(|grid| {
+        let grid = GridSettings { grid, level: 6, ..GridSettings::default() };
+        estimate(&field, &cameras, &settings(3000), &grid, &Silent).unwrap().0
+    });
+    let [octree, dense] = &both;
+    // H agrees to rounding at every vertex whose eight cells are finest leaves: sums of at most 3000 positive terms.
+    let Support::Octree(tree) = octree.support() else { panic!("an octree was asked for") };
+    let (a, b) = (octree.information().unwrap(), dense.information().unwrap());
+    let mut surrounded = 0;
+    for (vertex, [x, y, z]) in tree.vertex_positions().enumerate() {
+        if tree.is_surrounded_by_finest([x, y, z]) {
+            surrounded += 1;
+            let s = b[(x as usize * 65 + y as usize) * 65 + z as usize];
+            let scale = s[0] + s[3] + s[5];
+            for k in 0..6 {
+                assert!((a[vertex][k] - s[k]).abs() <= 1e-12 * scale, "{:?} against {s:?}", a[vertex]);
+            }
+        }
+    }
+    assert!(surrounded > 5000, "{surrounded} vertices compared");
+    let compared = crate::uncertainty::compare(octree, dense, 20_000, 1).unwrap();
+    // The tolerance, and the rounding of two deviations to f32.
+    assert!(compared.in_box.unwrap().max <= 0.01 + 1e-6);
+    let on_surfaces = compared.on_surfaces.unwrap();
+    assert!(on_surfaces.points > 1000 && on_surfaces.max <= 0.01 + 1e-6);
+}
+
+#[test]
+fn one_and_two_threads_give_the_same_bits() {
+    let field = ClosedForm::courtyard();
+    let cameras = ClosedForm::half_circle(5, [32, 32]);
+    let grid = GridSettings { level: 6, ..GridSettings::default() };
+    let run = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| estimate(&field, &cameras, &settings(5000), &grid, &Silent).unwrap().0)
+    };
+    let [one, two] = [1, 2].map(run);
+    let bits = |f: &UncertaintyField| f.information().unwrap().iter().flatten().map(|v| v.to_bits()).collect::<Vec<_>>();
+    assert_eq!(bits(&one), bits(&two));
+    assert_eq!(one, two);
+}
+
+#[test]
+fn a_scene_scaled_by_s_has_its_uncertainty_scaled_by_s() {
+    // The same grid values in a box 8 times as large: lengths scale exactly in binary, densities by 1/8.
+    struct Scaled(VoxelGrid, f32);
+    impl RadianceField for Scaled {
+        fn bounds(&self) -> Aabb {
+            let b = self.0.bounds();
+            Aabb::new(b.min() * f64::from(self.1), b.max() * f64::from(self.1)).unwrap()
+        }
+        fn evaluate(&self, positions: &[Vec3], directions: &[Vec3], out: &mut [crate::field::Radiance]) {
+            let small: Vec<Vec3> = positions.iter().map(|x| *x / self.1).collect();
+            self.0.evaluate(&small, directions, out);
+            out.iter_mut().for_each(|r| r.density /= self.1);
+        }
+        fn suggested_step(&self) -> f64 {
+            self.0.suggested_step() * f64::from(self.1)
+        }
+        fn memory(&self) -> usize {
+            0
+        }
+        fn describe(&self) -> String {
+            "scaled".into()
+        }
+    }
+    let grid = GridSettings { level: 5, ..GridSettings::default() };
+    let field = |scale: f64| {
+        let scene = Scaled(VoxelGrid::bake(&ClosedForm::ball(), [24; 3], Vec3::Z), scale as f32);
+        let camera = |eye: DVec3| Camera::look_at(eye * scale, DVec3::ZERO, DVec3::Z, 0.7, [32, 32]);
+        let cameras = [camera(DVec3::new(3.0, 0.5, 0.25)), camera(DVec3::new(-1.0, 2.5, 1.0))];
+        estimate(&scene, &cameras, &settings(2000), &grid, &Silent).unwrap().0
+    };
+    let [small, large] = [field(1.0), field(8.0)];
+    for i in 0..1000 {
+        let x = Vec3::new((i % 10) as f32, (i / 10 % 10) as f32, (i / 100) as f32) / 5.1 - 0.9;
+        let change = large.log10(8.0 * x) - small.log10(x) - 8.0_f64.log10();
+        // Powers of two scale f32 exactly; what is left is the rounding of λ and of the deviations.
+        assert!(change.abs() < 1e-6, "{change} at {x}");
+    }
+    assert!(small.deviations().iter().any(|&d| f64::from(d) < 0.01 * small.prior()), "the rays said something");
+}
+
+#[test]
+fn no_camera_is_an_error() {
+    let field = ClosedForm::ball();
+    assert!(estimate(&field, &[], &settings(100), &GridSettings::default(), &Silent).is_err());
+}
