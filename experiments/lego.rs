@@ -26,10 +26,11 @@ fn main() -> Result<()> {
     let model = NerfMlp::read(&folder.join("lego.safetensors"))?;
     let cameras = Views::read(&folder.join("cameras/lego_train.json"), Some([400, 400]))?.cameras();
 
-    let settings = |grid, tolerance| GridSettings { grid, tolerance, level: LEVEL, surface_points: POINTS, ..GridSettings::default() };
+    let settings = |grid, tolerance| GridSettings { grid, tolerance, level: LEVEL, ..GridSettings::default() };
     let names = ["octree, tolerance 0.01", "octree, nothing left out", "dense"];
     let mut builders = Vec::new();
-    for settings in [settings(GridKind::Octree, 0.01), settings(GridKind::Octree, 0.0), settings(GridKind::Dense, 0.0)] {
+    for settings in [settings(GridKind::Octree, 0.01), settings(GridKind::Octree, 0.0), settings(GridKind::Dense, 0.0)]
+    {
         builders.push(FieldBuilder::new(settings, model.bounds())?);
     }
     let rays = RaySettings { rays: RAYS, ..RaySettings::default() };
@@ -51,9 +52,21 @@ fn main() -> Result<()> {
     let provenance = Provenance { source: "lego.safetensors, lego_train.json".into(), tally, stream: Some(&stream) };
     let fields: Vec<UncertaintyField> = builders.into_iter().map(|b| b.finish(&provenance)).collect();
 
+    // As many surface points as box points; the run's own rays do not give a million.
+    let other = RaySettings { seed: rays.seed + 1, ..rays }.stream(&model, &cameras, fields[0].lattice(), &Silent)?;
+    let surface = other.surface_points(POINTS, 10 * RAYS, &Silent)?;
+    let fields: Vec<_> = fields.into_iter().map(|f| f.with_surface(surface.clone())).collect();
+
     println!("{RAYS} rays, level {LEVEL}, seed {}, {} samples with a Jacobian", rays.seed, tally.samples);
-    println!("occupancy {:.1} s, field and Jacobians {:.1} s, {} threads\n", occupancy.as_secs_f64(), evaluating.as_secs_f64(), rayon::current_num_threads());
-    println!("| grid | vertices | structure, bytes | values f32, bytes | all, bytes | dense : this | sums while running, MB | time to sum, s |");
+    println!(
+        "occupancy {:.1} s, field and Jacobians {:.1} s, {} threads\n",
+        occupancy.as_secs_f64(),
+        evaluating.as_secs_f64(),
+        rayon::current_num_threads()
+    );
+    println!(
+        "| grid | vertices | structure, bytes | values f32, bytes | all, bytes | dense : this | sums while running, MB | time to sum, s |"
+    );
     println!("|---|---|---|---|---|---|---|---|");
     let dense_bytes = fields[2].query_memory() as f64;
     for ((name, field), (sums, spent)) in names.iter().zip(&fields).zip(sums.iter().zip(spent)) {
@@ -80,7 +93,10 @@ fn main() -> Result<()> {
     for (name, field) in names.iter().zip(&fields).take(2) {
         let result = compare(field, &fields[2], POINTS, 1)?;
         let row = |place: &str, d: &Difference| {
-            println!("| {name}, {place} | {} | {:.2e} | {:.2e} | {:.2e} | {:.6} |", d.points, d.mean, d.percentile_95, d.percentile_99, d.max);
+            println!(
+                "| {name}, {place} | {} | {:.2e} | {:.2e} | {:.2e} | {:.6} |",
+                d.points, d.mean, d.percentile_95, d.percentile_99, d.max
+            );
         };
         result.in_box.iter().for_each(|d| row("box", d));
         result.on_surfaces.iter().for_each(|d| row("surfaces", d));
@@ -88,7 +104,7 @@ fn main() -> Result<()> {
     let out = Path::new("target/experiments");
     std::fs::create_dir_all(out).map_err(octobayes::Error::io(out, "cannot create the folder"))?;
     for (name, field) in ["octree", "octree_all", "dense"].iter().zip(&fields) {
-        field.write(&out.join(format!("lego_{name}.oct")))?;
+        field.clone().with_surface(Vec::new()).write(&out.join(format!("lego_{name}.oct")))?;
     }
     Ok(())
 }

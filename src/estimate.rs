@@ -8,7 +8,7 @@ use glam::Vec3;
 use crate::field::RadianceField;
 use crate::geometry::{Aabb, Camera, Lattice};
 use crate::monitor::Monitor;
-use crate::posterior::{Covariance, DensePosterior, OctreePosterior, Posterior, RayStream, Tally};
+use crate::posterior::{Covariance, DensePosterior, OctreePosterior, Posterior, RayStream, SURFACE_WEIGHT, Tally};
 use crate::render::{Differences, Marcher, Occupancy, RaySamples, Tracer};
 use crate::uncertainty::{Protocol, Support, UncertaintyField};
 use crate::{Error, Result};
@@ -81,8 +81,10 @@ pub struct RaySettings {
     pub seed: u64,
     /// Finite-difference step in edges of the finest lattice.
     ///
-    /// Larger steps smooth the field's derivative and move log10 U, smaller ones drown in the rounding of f32: see
-    /// `experiments/approximations.md`, where 1/32 was best on the MLP model and within the noise on smooth scenes.
+    /// Larger steps smooth the field's derivative and move log10 U, smaller ones drown in the rounding of f32. The curves of
+    /// `experiments/approximations.md`: on a smooth scene mean |Δ log10 U| is lowest (2e-5) from 1/128 to 1/32 and grows to
+    /// 4e-4 at 1/512 by rounding; a NeRF MLP, whose encoding oscillates once per lattice edge at level 8, still gains from
+    /// 1/32 (0.04) to 1/128 (0.015) to 1/512 (0.005). 1/128 is safe for the first and good for the second.
     pub step: f64,
     /// Samples whose weight and sensitivity are certain to stay below this are left out; 0 leaves out nothing and takes a
     /// hundred times longer. `experiments/approximations.md` has what it costs.
@@ -102,7 +104,7 @@ impl Default for RaySettings {
         Self {
             rays: 4_096_000,
             seed: 0,
-            step: 1.0 / 32.0,
+            step: 1.0 / 128.0,
             cutoff: 1e-6,
             march_step: None,
             background: Vec3::ONE,
@@ -157,9 +159,6 @@ pub struct Provenance<'a> {
     /// The stream that drew them, if it was this crate's.
     pub stream: Option<&'a RayStream<'a>>,
 }
-
-/// Samples with at least this weight lie on a visible surface.
-const SURFACE_WEIGHT: f32 = 0.05;
 
 /// A posterior of either kind.
 enum AnyPosterior {

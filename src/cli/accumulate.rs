@@ -17,7 +17,9 @@ use crate::posterior::{SamplesReader, Tally};
 /// u32 or u64 [N], the non-decreasing index of the ray a sample belongs to, and `rays_total`, the number of rays drawn, with
 /// those that hit nothing; optionally `weight` f32 [N], the sample's share of the pixel. The file may be larger than memory.
 #[derive(clap::Args)]
-#[command(after_help = "Example: octobayes accumulate samples.npz --box=-1.5,-1.5,-1.5,1.5,1.5,1.5 --level 8 -o field.oct")]
+#[command(
+    after_help = "Example: octobayes accumulate samples.npz --box=-1.5,-1.5,-1.5,1.5,1.5,1.5 --level 8 -o field.oct"
+)]
 pub struct Args {
     /// Ray samples
     #[arg(value_name = "SAMPLES.npz")]

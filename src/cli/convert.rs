@@ -31,7 +31,10 @@ impl Args {
             Some("npy") => {
                 field.write_official(&self.output)?;
                 let (rays, lambda) = (field.protocol().rays, field.protocol().lambda);
-                say!("{}: Σ tr(JᵀJ) of {rays} rays; uncertainty there is log10 of sqrt(1 / (Σ/{rays} + {lambda:e}))", self.output.display())?;
+                say!(
+                    "{}: Σ tr(JᵀJ) of {rays} rays; uncertainty there is log10 of sqrt(1 / (Σ/{rays} + {lambda:e}))",
+                    self.output.display()
+                )?;
                 Ok(())
             }
             Some("oct") => {

@@ -67,16 +67,24 @@ impl Args {
         say!("written to {out}: demo.png (look at it first), field.oct, dense.oct, courtyard.npz, transforms.json")?;
         say!("now try, for example")?;
         say!("  octobayes info {out}/field.oct")?;
-        say!("  octobayes uncertainty {out}/courtyard.npz --cameras {out}/transforms.json --level 6 --rays 50000 -o {out}/baked.oct")?;
-        say!("  octobayes render {out}/courtyard.npz {out}/baked.oct --cameras {out}/transforms.json --frame 3 -o {out}/view.png")?;
+        say!(
+            "  octobayes uncertainty {out}/courtyard.npz --cameras {out}/transforms.json --level 6 --rays 50000 -o {out}/baked.oct"
+        )?;
+        say!(
+            "  octobayes render {out}/courtyard.npz {out}/baked.oct --cameras {out}/transforms.json --frame 3 -o {out}/view.png"
+        )?;
         Ok(())
     }
 
     /// Octree and dense field from the same samples, and a table of what they cost.
     fn both_fields(&self, scene: &ClosedForm, cameras: &[Camera], bars: &Bars) -> Result<[UncertaintyField; 2]> {
         let kinds = [GridKind::Octree, GridKind::Dense];
-        let settings = |grid| GridSettings { grid, level: self.level, surface_points: 200_000, ..GridSettings::default() };
-        let [mut octree, mut dense] = [FieldBuilder::new(settings(kinds[0]), scene.bounds())?, FieldBuilder::new(settings(kinds[1]), scene.bounds())?];
+        let settings =
+            |grid| GridSettings { grid, level: self.level, surface_points: 200_000, ..GridSettings::default() };
+        let [mut octree, mut dense] = [
+            FieldBuilder::new(settings(kinds[0]), scene.bounds())?,
+            FieldBuilder::new(settings(kinds[1]), scene.bounds())?,
+        ];
         let rays = RaySettings { rays: self.rays, ..RaySettings::default() };
         let stream = rays.stream(scene, cameras, octree.lattice(), bars)?;
         let mut spent = [Duration::ZERO; 2];
@@ -99,7 +107,12 @@ impl Args {
             *spent += start.elapsed();
         }
 
-        say!("{} samples of {} rays in {:.1} s, shared by both grids", tally.samples, tally.rays, rays_alone.as_secs_f64())?;
+        say!(
+            "{} samples of {} rays in {:.1} s, shared by both grids",
+            tally.samples,
+            tally.rays,
+            rays_alone.as_secs_f64()
+        )?;
         say!("grid        vertices   field for queries     sums while running   time to sum")?;
         for (((kind, field), bytes), spent) in kinds.iter().zip(&fields).zip(sums_bytes).zip(spent) {
             let [field_bytes, sums] = [field.query_memory(), bytes].map(report::bytes);

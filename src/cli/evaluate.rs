@@ -26,8 +26,10 @@ use crate::{Error, Result};
 /// Several fields and covariances share the rendering. Depth is compared where the image is fully opaque (alpha 255; images
 /// without alpha are opaque everywhere) and the true depth is known.
 #[derive(clap::Args)]
-#[command(after_help = "Example: octobayes evaluate lego.safetensors lego.oct --cameras transforms_test.json --depth test \
-    --depth-encoding 8,-8 --plot ause.svg --csv ause.csv")]
+#[command(
+    after_help = "Example: octobayes evaluate lego.safetensors lego.oct --cameras transforms_test.json --depth test \
+    --depth-encoding 8,-8 --plot ause.svg --csv ause.csv"
+)]
 pub struct Args {
     #[command(flatten)]
     model: ModelOptions,
@@ -130,12 +132,17 @@ impl Args {
             check(bars)?;
             let camera = frame.camera.strided(self.stride, offset);
             let rendered = render_view(&tracer, &camera, offset, &probes, bars)?;
-            judged.push(self.judge(frame, rendered, offset)?);
+            judged.push(self.judge(frame, &rendered, offset)?);
         }
         bars.end();
         let scores = self.scores(&readings, &judged)?;
         if let Some(path) = &self.plot {
-            write_plot(path, "Mean depth error left, scene units", ["removed share of pixels", "mean absolute depth error"], &curves(&readings, &scores[0]))?;
+            write_plot(
+                path,
+                "Mean depth error left, scene units",
+                ["removed share of pixels", "mean absolute depth error"],
+                &curves(&readings, &scores[0]),
+            )?;
         }
         if let Some(path) = &self.csv {
             write_csv(path, &readings, &scores)?;
@@ -160,10 +167,11 @@ impl Args {
     }
 
     /// Compares a rendered view with its image and depth map.
-    fn judge(&self, frame: &Frame, rendered: RenderedView, offset: f64) -> Result<View> {
+    fn judge(&self, frame: &Frame, rendered: &RenderedView, offset: f64) -> Result<View> {
         let image = PosedImage::read(&frame.image)?;
         if image.resolution != frame.camera.resolution {
-            let [expected, found] = [frame.camera.resolution, image.resolution].map(|[w, h]| format!("{w} x {h} pixels"));
+            let [expected, found] =
+                [frame.camera.resolution, image.resolution].map(|[w, h]| format!("{w} x {h} pixels"));
             return Err(Error::malformed(&frame.image, "image", expected, found));
         }
         let stem = Path::new(&frame.name).file_name().unwrap_or_default().to_string_lossy();
@@ -218,7 +226,12 @@ impl Args {
             ErrorKind::ALL.iter().map(|&kind| (0..readings.len()).map(|r| score(kind, r)).collect()).collect();
         all.ok_or_else(|| {
             let found = format!("{}", errors.len());
-            Error::malformed(&self.depth, "depth maps", format!("at least {STEPS} pixels with depth and some error"), found)
+            Error::malformed(
+                &self.depth,
+                "depth maps",
+                format!("at least {STEPS} pixels with depth and some error"),
+                found,
+            )
         })
     }
 
@@ -263,7 +276,12 @@ impl Args {
             say!("{}\n{}", reading.name, report::protocol(&reading.field))?;
         }
         say!("protocol of the evaluation")?;
-        say!("  views        {} of {}, every {}. pixel along x and y", views.len(), self.cameras.cameras.display(), self.stride)?;
+        say!(
+            "  views        {} of {}, every {}. pixel along x and y",
+            views.len(),
+            self.cameras.cameras.display(),
+            self.stride
+        )?;
         let kind = if self.z_depth { "along the viewing axis" } else { "Euclidean" };
         say!("  depth        median of the ray's weights, against {kind} depth of {}", self.depth.display())?;
         say!("  mask         alpha 255 and known depth; {empty} pixels left out where the field shows nothing")?;
@@ -271,7 +289,11 @@ impl Args {
         say!("  U per pixel  log10 U blended `{}`", format!("{:?}", self.blend).to_lowercase())?;
         say!("  AUSE         100 steps, both curves over their common maximum, trapezoid")?;
         say!("PSNR {psnr:.2} dB (mean over views)")?;
-        say!("depth error over {n} pixels: median {:.4}, mean {mean:.4}, 95 % {:.4} scene units", percentile(0.5), percentile(0.95))?;
+        say!(
+            "depth error over {n} pixels: median {:.4}, mean {mean:.4}, 95 % {:.4} scene units",
+            percentile(0.5),
+            percentile(0.95)
+        )?;
         say!("AUSE, all pixels together         mae     mse    rmse   | mean over views   mae     mse    rmse")?;
         for (r, reading) in readings.iter().enumerate() {
             let [a, b, c] = [0, 1, 2].map(|k| scores[k][r].pooled.area);
@@ -284,7 +306,8 @@ impl Args {
 
 /// The curves of mean absolute error, in scene units.
 fn curves(readings: &[Reading], scores: &[Score]) -> Vec<Curve> {
-    let points = |s: &Sparsification, values: &[f64]| s.removed.iter().zip(values).map(|(&r, &v)| (r, v * s.largest)).collect();
+    let points =
+        |s: &Sparsification, values: &[f64]| s.removed.iter().zip(values).map(|(&r, &v)| (r, v * s.largest)).collect();
     let mut curves: Vec<Curve> = readings
         .iter()
         .zip(scores)
@@ -311,8 +334,11 @@ fn write_csv(path: &Path, readings: &[Reading], scores: &[Vec<Score>]) -> Result
             for k in 0..STEPS {
                 let value = |s: &Sparsification, values: &[f64]| (values[k] * s.largest).to_string();
                 let first = &scores[0].pooled;
-                let head = [format!("{kind:?}").to_lowercase(), first.removed[k].to_string(), value(first, &first.by_error)];
-                csv.write_record(head.into_iter().chain(scores.iter().map(|s| value(&s.pooled, &s.pooled.by_uncertainty))))?;
+                let head =
+                    [format!("{kind:?}").to_lowercase(), first.removed[k].to_string(), value(first, &first.by_error)];
+                csv.write_record(
+                    head.into_iter().chain(scores.iter().map(|s| value(&s.pooled, &s.pooled.by_uncertainty))),
+                )?;
             }
         }
         csv.flush()?;

@@ -27,7 +27,9 @@ impl Args {
 
     fn field(&self, path: &Path) -> Result<()> {
         let field = UncertaintyField::read(path)?;
-        let stats = field.validate().map_err(|defect| Error::malformed(path, "octree", "a sound octree", defect.to_string()))?;
+        let stats = field
+            .validate()
+            .map_err(|defect| Error::malformed(path, "octree", "a sound octree", defect.to_string()))?;
         let memory = field.memory();
         if self.json {
             let mut value = report::protocol_json(&field);
@@ -45,7 +47,11 @@ impl Args {
         say!("  prior U {:.4e} (log10 {:.4})", field.prior(), field.prior().log10())?;
         say!("memory")?;
         for (part, bytes) in &memory {
-            say!("  {part:<16} {:>12} B  {:>8.3} B per vertex", bytes, *bytes as f64 / field.deviations().len().max(1) as f64)?;
+            say!(
+                "  {part:<16} {:>12} B  {:>8.3} B per vertex",
+                bytes,
+                *bytes as f64 / field.deviations().len().max(1) as f64
+            )?;
         }
         Ok(())
     }

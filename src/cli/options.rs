@@ -6,8 +6,8 @@ use clap::{Args, ValueEnum};
 use glam::{DVec3, Vec3};
 
 use crate::dataset::{ResolutionSource, Views};
-use crate::field::RadianceField;
 use crate::estimate::{GridKind, GridSettings, RaySettings};
+use crate::field::RadianceField;
 use crate::geometry::Aabb;
 use crate::io::AtomicFile;
 use crate::posterior::Covariance;
@@ -29,7 +29,8 @@ fn numbers<const N: usize>(text: &str) -> std::result::Result<[f64; N], String> 
     if parts.iter().any(|v| !v.is_finite()) {
         return Err("numbers must be finite".into());
     }
-    <[f64; N]>::try_from(parts).map_err(|parts| format!("expected {N} numbers separated by commas, found {}", parts.len()))
+    <[f64; N]>::try_from(parts)
+        .map_err(|parts| format!("expected {N} numbers separated by commas, found {}", parts.len()))
 }
 
 /// `x0,y0,z0,x1,y1,z1`.
@@ -170,7 +171,9 @@ impl CameraOptions {
         if views.resolution_source == ResolutionSource::Assumed {
             let [w, h] = views.frames[0].camera.resolution;
             let path = self.cameras.display();
-            eprintln!("note: {path} states no image size and its images are not there: assuming {w} x {h} (--resolution)");
+            eprintln!(
+                "note: {path} states no image size and its images are not there: assuming {w} x {h} (--resolution)"
+            );
         }
         Ok(views)
     }

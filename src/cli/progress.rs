@@ -34,9 +34,10 @@ impl Bars {
 
 impl Monitor for Bars {
     fn begin(&self, stage: &str, total: u64) {
-        let style = ProgressStyle::with_template("{prefix:>12} [{bar:36}] {human_pos}/{human_len}  {per_sec}  {eta} left")
-            .unwrap_or_else(|_| ProgressStyle::default_bar())
-            .progress_chars("=> ");
+        let style =
+            ProgressStyle::with_template("{prefix:>12} [{bar:36}] {human_pos}/{human_len}  {per_sec}  {eta} left")
+                .unwrap_or_else(|_| ProgressStyle::default_bar())
+                .progress_chars("=> ");
         // `ProgressBar::new` draws to stderr, and only if that is a terminal.
         let bar = ProgressBar::new(total).with_style(style).with_prefix(stage.to_string());
         bar.enable_steady_tick(Duration::from_millis(200));

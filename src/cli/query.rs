@@ -85,7 +85,9 @@ impl Args {
                 let out = std::io::stdout().lock();
                 match write_csv(out, &points, &answers) {
                     // A reader that has seen enough (`| head`) is no failure.
-                    Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => Err(Error::io(Path::new("stdout"), "cannot write")(e)),
+                    Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => {
+                        Err(Error::io(Path::new("stdout"), "cannot write")(e))
+                    }
                     _ => Ok(()),
                 }
             }
@@ -112,7 +114,8 @@ fn read_npy(path: &Path) -> Result<Vec<Vec3>> {
 
 /// Reads x,y,z from the first three columns; a first line that is no numbers is a header.
 fn read_csv(input: impl Read, path: &Path) -> Result<Vec<Vec3>> {
-    let mut reader = csv::ReaderBuilder::new().has_headers(false).flexible(true).trim(csv::Trim::All).from_reader(input);
+    let mut reader =
+        csv::ReaderBuilder::new().has_headers(false).flexible(true).trim(csv::Trim::All).from_reader(input);
     let mut points = Vec::new();
     for (row, record) in reader.records().enumerate() {
         let record = record.map_err(|e| Error::malformed(path, format!("row {}", row + 1), "x,y,z", e.to_string()))?;

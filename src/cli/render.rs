@@ -20,7 +20,9 @@ use crate::{Error, Result};
 /// OUT.png shows labelled panels for people; OUT.exr holds the channels R, G, B, A, depth.Z (median distance from the camera),
 /// uncertainty.U (scene units) and log10_uncertainty.U for tools.
 #[derive(clap::Args)]
-#[command(after_help = "Example: octobayes render lego.safetensors lego.oct --cameras transforms_test.json --frame 0 -o view.png")]
+#[command(
+    after_help = "Example: octobayes render lego.safetensors lego.oct --cameras transforms_test.json --frame 0 -o view.png"
+)]
 pub struct Args {
     #[command(flatten)]
     model: ModelOptions,
@@ -101,9 +103,7 @@ impl Args {
             Ok(view)
         };
         let cleaned = match self.threshold {
-            Some(threshold) => {
-                Some(picture(&ThresholdedField { field: &*model, uncertainty: &field, threshold })?)
-            }
+            Some(threshold) => Some(picture(&ThresholdedField { field: &*model, uncertainty: &field, threshold })?),
             None => None,
         };
         if as_exr {
@@ -128,12 +128,17 @@ pub fn check_box(name: &str, model: &Aabb, field: &UncertaintyField) -> Result<(
     let bounds = field.lattice().bounds();
     // Boxes go through f32 in some files.
     let slack = 1e-5 * model.longest_edge();
-    let inside = (bounds.min() - model.min()).min_element() >= -slack && (model.max() - bounds.max()).min_element() >= -slack;
+    let inside =
+        (bounds.min() - model.min()).min_element() >= -slack && (model.max() - bounds.max()).min_element() >= -slack;
     if inside {
         return Ok(());
     }
     let text = |b: &Aabb| format!("{} to {}", b.min(), b.max());
-    Err(Error::setting(format!("box of the field for `{name}`"), format!("inside the model's, {}", text(model)), text(bounds)))
+    Err(Error::setting(
+        format!("box of the field for `{name}`"),
+        format!("inside the model's, {}", text(model)),
+        text(bounds),
+    ))
 }
 
 /// The EXR's channels.

@@ -6,8 +6,8 @@ use std::time::Duration;
 
 use serde_json::{Value, json};
 
-use crate::{Error, Result};
 use crate::uncertainty::{Comparison, Difference, Summary, UncertaintyField};
+use crate::{Error, Result};
 
 /// Prints a line to stdout. A reader that has seen enough (`| head`) is no failure.
 ///
@@ -49,14 +49,25 @@ pub fn protocol(field: &UncertaintyField) -> String {
     let mut line = |name: &str, value: String| out.push_str(&format!("  {name:<12} {value}\n"));
     line("source", p.source.clone());
     line("box", format!("{} to {}", bounds.min(), bounds.max()));
-    line("level", format!("{} ({} cells per axis, edge {:.6})", lattice.level(), lattice.cells_per_axis(), lattice.edge().max_element()));
+    line(
+        "level",
+        format!(
+            "{} ({} cells per axis, edge {:.6})",
+            lattice.level(),
+            lattice.cells_per_axis(),
+            lattice.edge().max_element()
+        ),
+    );
     line("rays", format!("{} ({} dropped as not finite)", p.rays, p.dropped));
     line("seed", known(p.seed.map(|s| s.to_string())));
     line("lambda", format!("{:.6e} per scene unit²", p.lambda));
     line("covariance", p.covariance.name().into());
     line("refinement", format!("sensitivity, tolerance {} in log10 U", p.tolerance));
     line("march step", known(p.march_step.map(|s| format!("{s:.6} scene units"))));
-    line("difference", known(p.difference_step.map(|h| format!("central, h = [{:.6}, {:.6}, {:.6}] scene units", h[0], h[1], h[2]))));
+    line(
+        "difference",
+        known(p.difference_step.map(|h| format!("central, h = [{:.6}, {:.6}, {:.6}] scene units", h[0], h[1], h[2]))),
+    );
     line("cutoff", known(p.cutoff.map(|c| format!("{c:e}"))));
     line("background", known(p.background.map(|b| format!("{b:?}"))));
     line("pixel offset", known(p.pixel_offset.map(|o| o.to_string())));

@@ -16,7 +16,9 @@ use crate::posterior::SamplesWriter;
 /// Draws random training rays, differentiates their pixels with respect to displacements of space, and sums what they say about
 /// each deformation vertex. The result is a field that `query`, `render`, `compare` and `evaluate` read.
 #[derive(clap::Args)]
-#[command(after_help = "Example: octobayes uncertainty lego.safetensors --cameras lego_train.json -o lego.oct --rays 409600")]
+#[command(
+    after_help = "Example: octobayes uncertainty lego.safetensors --cameras lego_train.json -o lego.oct --rays 409600"
+)]
 pub struct Args {
     #[command(flatten)]
     model: ModelOptions,
@@ -62,7 +64,13 @@ impl Args {
         let mut dump = self.dump_samples.as_deref().map(SamplesWriter::create).transpose()?;
 
         let start = Instant::now();
-        let settings = RaySettings { rays: self.rays, seed: self.seed, step: self.step, cutoff: self.cutoff, ..RaySettings::default() };
+        let settings = RaySettings {
+            rays: self.rays,
+            seed: self.seed,
+            step: self.step,
+            cutoff: self.cutoff,
+            ..RaySettings::default()
+        };
         let cameras = views.cameras();
         let stream = self.model.ray_settings(settings).stream(&*field, &cameras, builder.lattice(), bars)?;
         let tally = stream.run(self.rays, bars, |batches| {

@@ -138,7 +138,12 @@ impl Views {
     pub fn read(path: &Path, requested: Option<[u32; 2]>) -> Result<Self> {
         let text = std::fs::read_to_string(path).map_err(Error::io(path, "cannot read"))?;
         let file: RawFile = serde_json::from_str(&text).map_err(|e| {
-            Error::malformed(path, format!("line {}, column {}", e.line(), e.column()), "a transforms.json", e.to_string())
+            Error::malformed(
+                path,
+                format!("line {}, column {}", e.line(), e.column()),
+                "a transforms.json",
+                e.to_string(),
+            )
         })?;
         let raw = file.frames.unwrap_or_default();
         if raw.is_empty() {
@@ -159,8 +164,9 @@ impl Views {
                     source = ResolutionSource::Requested;
                     resolution
                 }
-                (None, Some(resolution)) => resolution
-                    .map_err(|found| Error::malformed(path, place("`w`, `h`"), "whole numbers from 1 to 65536", found))?,
+                (None, Some(resolution)) => resolution.map_err(|found| {
+                    Error::malformed(path, place("`w`, `h`"), "whole numbers from 1 to 65536", found)
+                })?,
                 (None, None) => {
                     let (resolution, from) = *fallback.get_or_insert_with(|| match from_image() {
                         Some((w, h)) => ([w, h], ResolutionSource::Image),
@@ -171,7 +177,12 @@ impl Views {
                 }
             };
             let (focal, center) = intrinsics.project(resolution).map_err(|found| {
-                Error::malformed(path, place("intrinsics"), "positive `fl_x` (pixels) or `camera_angle_x` (radians)", found)
+                Error::malformed(
+                    path,
+                    place("intrinsics"),
+                    "positive `fl_x` (pixels) or `camera_angle_x` (radians)",
+                    found,
+                )
             })?;
             let (position, axes) = pose(raw.transform_matrix.as_deref()).map_err(|found| {
                 Error::malformed(path, place("`transform_matrix`"), "a 4x4 camera-to-world pose", found)
@@ -202,9 +213,10 @@ impl Views {
 
 fn image_path(folder: &Path, file_path: &str) -> PathBuf {
     let path = folder.join(file_path);
-    let known = path.extension().and_then(|e| e.to_str()).is_some_and(|e| {
-        ["png", "jpg", "jpeg"].contains(&e.to_ascii_lowercase().as_str())
-    });
+    let known = path
+        .extension()
+        .and_then(|e| e.to_str())
+        .is_some_and(|e| ["png", "jpg", "jpeg"].contains(&e.to_ascii_lowercase().as_str()));
     if known { path } else { PathBuf::from(format!("{}.png", path.display())) }
 }
 
@@ -308,7 +320,10 @@ mod tests {
             ("{", "line 1"),
             (&format!("{{\"frames\": [{{{POSE}}}]}}"), "camera_angle_x"),
             (r#"{"camera_angle_x": 1, "frames": [{"transform_matrix": [[1,0,0,0],[1,0,0,0],[0,0,1,0]]}]}"#, "singular"),
-            (r#"{"camera_angle_x": 1, "frames": [{"transform_matrix": [[1,0,0,0],[0.5,1,0,0],[0,0,1,0]]}]}"#, "no rotation"),
+            (
+                r#"{"camera_angle_x": 1, "frames": [{"transform_matrix": [[1,0,0,0],[0.5,1,0,0],[0,0,1,0]]}]}"#,
+                "no rotation",
+            ),
             (r#"{"camera_angle_x": 1, "frames": [{"transform_matrix": [[1,0,0],[0,1,0],[0,0,1]]}]}"#, "rows of"),
             (&format!("{{\"fl_x\": -5, \"frames\": [{{{POSE}}}]}}"), "positive"),
             (&format!("{{\"fl_x\": 5, \"w\": 0, \"h\": 3, \"frames\": [{{{POSE}}}]}}"), "whole numbers"),

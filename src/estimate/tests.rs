@@ -50,7 +50,8 @@ fn one_and_two_threads_give_the_same_bits() {
         pool.install(|| estimate(&field, &cameras, &settings(5000), &grid, &Silent).unwrap().0)
     };
     let [one, two] = [1, 2].map(run);
-    let bits = |f: &UncertaintyField| f.information().unwrap().iter().flatten().map(|v| v.to_bits()).collect::<Vec<_>>();
+    let bits =
+        |f: &UncertaintyField| f.information().unwrap().iter().flatten().map(|v| v.to_bits()).collect::<Vec<_>>();
     assert_eq!(bits(&one), bits(&two));
     assert_eq!(one, two);
 }

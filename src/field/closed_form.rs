@@ -105,7 +105,9 @@ impl Primitive {
             Texture::Plain(color) => color,
             Texture::Waves { base, amplitude, frequency } => {
                 let wave = |phase: f32| {
-                    (frequency * x.x + phase).sin() * (frequency * x.y + 2.0 * phase).sin() * (frequency * x.z - phase).sin()
+                    (frequency * x.x + phase).sin()
+                        * (frequency * x.y + 2.0 * phase).sin()
+                        * (frequency * x.z - phase).sin()
                 };
                 base + amplitude * Vec3::new(wave(0.4), wave(1.1), wave(1.9))
             }

@@ -99,8 +99,11 @@ impl NerfMlp {
             .map_err(|e| Error::malformed(path, "header", "a safetensors file", e.to_string()))?;
         let linear = |name: &str, outputs, inputs| {
             Ok(Linear {
-                weight: Array2::from_shape_vec((outputs, inputs), tensor(path, &tensors, name, "weight", &[outputs, inputs])?)
-                    .expect("the shape was checked"),
+                weight: Array2::from_shape_vec(
+                    (outputs, inputs),
+                    tensor(path, &tensors, name, "weight", &[outputs, inputs])?,
+                )
+                .expect("the shape was checked"),
                 bias: Array1::from_vec(tensor(path, &tensors, name, "bias", &[outputs])?),
             })
         };
@@ -143,7 +146,8 @@ impl NerfMlp {
 /// One tensor of the expected shape, f32, finite.
 fn tensor(path: &Path, tensors: &SafeTensors, layer: &str, part: &str, shape: &[usize]) -> Result<Vec<f32>> {
     let name = format!("{layer}.{part}");
-    let expected = format!("f32 {shape:?} (a plain NeRF MLP with {} position and {} direction features)", ENCODED[0], ENCODED[1]);
+    let expected =
+        format!("f32 {shape:?} (a plain NeRF MLP with {} position and {} direction features)", ENCODED[0], ENCODED[1]);
     let view = tensors
         .tensor(&name)
         .map_err(|_| Error::malformed(path, format!("tensor `{name}`"), &expected, "no such tensor"))?;
@@ -222,7 +226,8 @@ impl RadianceField for NerfMlp {
     }
 
     fn memory(&self) -> usize {
-        let layers = self.layers_xyz.iter().chain([&self.layer1, &self.fc_alpha, &self.fc_feat, &self.layers_dir, &self.fc_rgb]);
+        let layers =
+            self.layers_xyz.iter().chain([&self.layer1, &self.fc_alpha, &self.fc_feat, &self.layers_dir, &self.fc_rgb]);
         layers.map(|l| 4 * (l.weight.len() + l.bias.len())).sum()
     }
 

@@ -50,7 +50,8 @@ impl VoxelGrid {
         let bounds = Aabb::new(corner(0), corner(1)).map_err(|_| {
             Error::malformed(path, "array `box`", "finite min < max along x, y and z", format!("{:?}", corners.data))
         })?;
-        let values = density.data.iter().zip(color.data.as_chunks::<3>().0).map(|(&d, &[r, g, b])| [r, g, b, d]).collect();
+        let values =
+            density.data.iter().zip(color.data.as_chunks::<3>().0).map(|(&d, &[r, g, b])| [r, g, b, d]).collect();
         Ok(Self { bounds, shape: [nx, ny, nz], values })
     }
 

@@ -58,8 +58,7 @@ impl Camera {
         let p = self.axes.transpose() * (x - self.position);
         let depth = -p.z;
         (depth > 0.0).then(|| {
-            let pixel =
-                [self.center[0] + self.focal[0] * p.x / depth, self.center[1] - self.focal[1] * p.y / depth];
+            let pixel = [self.center[0] + self.focal[0] * p.x / depth, self.center[1] - self.focal[1] * p.y / depth];
             (pixel, depth)
         })
     }

@@ -92,9 +92,14 @@ impl<T: Deserialize, R: Read> ArrayStream<T, R> {
     ///
     /// # Errors
     /// If the file ends early.
-    pub fn next(&mut self) -> Result<Option<T>> {
+    pub fn next_element(&mut self) -> Result<Option<T>> {
         self.reader.next().transpose().map_err(|e| {
-            Error::malformed(&self.path, format!("array `{}`", self.name), format!("shape {:?}", self.shape), e.to_string())
+            Error::malformed(
+                &self.path,
+                format!("array `{}`", self.name),
+                format!("shape {:?}", self.shape),
+                e.to_string(),
+            )
         })
     }
 
@@ -104,7 +109,7 @@ impl<T: Deserialize, R: Read> ArrayStream<T, R> {
     /// If the file ends early.
     pub fn into_array(mut self) -> Result<Array<T>> {
         let mut data = Vec::new();
-        while let Some(value) = self.next()? {
+        while let Some(value) = self.next_element()? {
             data.push(value);
         }
         Ok(Array { shape: self.shape.iter().map(|&n| n as usize).collect(), data })
@@ -174,12 +179,8 @@ pub fn write_to<T: AutoSerialize + Serialize>(
     data: impl IntoIterator<Item = T>,
 ) -> Result<()> {
     let failed = || Error::io(path, "cannot write");
-    let mut writer = WriteOptions::new()
-        .default_dtype()
-        .shape(shape)
-        .writer(BufWriter::new(out))
-        .begin_nd()
-        .map_err(failed())?;
+    let mut writer =
+        WriteOptions::new().default_dtype().shape(shape).writer(BufWriter::new(out)).begin_nd().map_err(failed())?;
     writer.extend(data).map_err(failed())?;
     writer.finish().map_err(failed())
 }
@@ -188,7 +189,11 @@ pub fn write_to<T: AutoSerialize + Serialize>(
 ///
 /// # Errors
 /// If the file cannot be written.
-pub fn write<T: AutoSerialize + Serialize>(path: &Path, shape: &[u64], data: impl IntoIterator<Item = T>) -> Result<()> {
+pub fn write<T: AutoSerialize + Serialize>(
+    path: &Path,
+    shape: &[u64],
+    data: impl IntoIterator<Item = T>,
+) -> Result<()> {
     let mut file = AtomicFile::create(path)?;
     write_to(&mut file, path, shape, data)?;
     file.commit()

@@ -43,7 +43,8 @@ impl NpzReader {
     /// If there is no such member or it is not a C-order array of `T`.
     pub fn stream<T: Deserialize>(&mut self, name: &str) -> Result<ArrayStream<T, ZipFile<'_, BufReader<File>>>> {
         let Self { archive, path } = self;
-        let names: Vec<String> = archive.file_names().flatten().map(|n| n.trim_end_matches(".npy").to_string()).collect();
+        let names: Vec<String> =
+            archive.file_names().flatten().map(|n| n.trim_end_matches(".npy").to_string()).collect();
         let keys = names.join(", ");
         let member = archive.by_name(&format!("{name}.npy")).map_err(|e| match e {
             zip::result::ZipError::FileNotFound => {

@@ -99,7 +99,10 @@ mod tests {
         let reversed: Vec<f64> = error.iter().map(|e| -e).collect();
         let scattered: Vec<f64> = error.iter().map(|i| (i * 0.618_033_988_749_894_9) % 1.0).collect();
         let related: Vec<f64> = (0..1000)
-            .map(|i| (f64::from(i) * 0.754_877_666_246_692_7 + 0.3 * scattered[i as usize]) % 1.0 + 0.5 * scattered[i as usize])
+            .map(|i| {
+                (f64::from(i) * 0.754_877_666_246_692_7 + 0.3 * scattered[i as usize]) % 1.0
+                    + 0.5 * scattered[i as usize]
+            })
             .collect();
         let expected = [
             (&reversed, &error, [0.493_041_729_512_317_8, 0.495_268_556_279_659_43, 0.476_101_636_668_403_55]),

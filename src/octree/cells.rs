@@ -108,7 +108,10 @@ impl CellTree {
         for level in 0..usize::from(finest) - 1 {
             let here = split[level].len();
             let Some((row, rest)) = unread.split_at_checked(here) else {
-                return Err(format!("{} child masks end inside level {level}, which has {here} split cells", masks.len()));
+                return Err(format!(
+                    "{} child masks end inside level {level}, which has {here} split cells",
+                    masks.len()
+                ));
             };
             unread = rest;
             let (above, below) = split.split_at_mut(level + 1);

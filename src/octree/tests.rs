@@ -46,7 +46,10 @@ fn interpolate(octree: &Octree, values: &[f64], u: DVec3) -> f64 {
 
 /// Arbitrary but reproducible vertex values in [0, 1).
 fn values(octree: &Octree) -> Vec<f64> {
-    octree.vertex_positions().map(|p| (f64::from(p[0] * 7919 + p[1] * 104_729 + p[2] * 1_299_709) * 0.618_034).fract()).collect()
+    octree
+        .vertex_positions()
+        .map(|p| (f64::from(p[0] * 7919 + p[1] * 104_729 + p[2] * 1_299_709) * 0.618_034).fract())
+        .collect()
 }
 
 proptest! {

@@ -3,7 +3,9 @@
 use std::io::{Cursor, Write};
 use std::path::Path;
 
-use exr::prelude::{AnyChannel, AnyChannels, Encoding, FlatSamples, Image, Layer, LayerAttributes, SmallVec, WritableImage};
+use exr::prelude::{
+    AnyChannel, AnyChannels, Encoding, FlatSamples, Image, Layer, LayerAttributes, SmallVec, WritableImage,
+};
 
 use crate::io::AtomicFile;
 use crate::{Error, Result};

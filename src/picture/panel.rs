@@ -62,7 +62,8 @@ pub struct Panel {
 /// A colour image, `[height · width]` in [0, 1].
 #[must_use]
 pub fn color_panel(title: &str, [width, height]: [u32; 2], colors: impl IntoIterator<Item = DVec3>) -> Panel {
-    let bytes = colors.into_iter().flat_map(|c| c.to_array().map(|v| (255.0 * v.clamp(0.0, 1.0)).round() as u8)).collect();
+    let bytes =
+        colors.into_iter().flat_map(|c| c.to_array().map(|v| (255.0 * v.clamp(0.0, 1.0)).round() as u8)).collect();
     let image = RgbImage::from_raw(width, height, bytes).expect("one colour per pixel");
     Panel { title: title.into(), image, bar: None }
 }
@@ -148,7 +149,10 @@ impl DrawTarget for Sheet {
     type Color = Rgb888;
     type Error = std::convert::Infallible;
 
-    fn draw_iter<I: IntoIterator<Item = GraphicsPixel<Rgb888>>>(&mut self, pixels: I) -> std::result::Result<(), Self::Error> {
+    fn draw_iter<I: IntoIterator<Item = GraphicsPixel<Rgb888>>>(
+        &mut self,
+        pixels: I,
+    ) -> std::result::Result<(), Self::Error> {
         for GraphicsPixel(at, color) in pixels {
             if let (Ok(x), Ok(y)) = (u32::try_from(at.x), u32::try_from(at.y))
                 && x < self.0.width()

@@ -50,7 +50,11 @@ pub fn write_plot(path: &Path, title: &str, axes: [&str; 2], curves: &[Curve]) -
                 .label(&curve.name)
                 .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], style));
         }
-        chart.configure_series_labels().background_style(WHITE.mix(0.85)).border_style(RGBColor(180, 180, 180)).draw()?;
+        chart
+            .configure_series_labels()
+            .background_style(WHITE.mix(0.85))
+            .border_style(RGBColor(180, 180, 180))
+            .draw()?;
         root.present()?;
         Ok(())
     };

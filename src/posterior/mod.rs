@@ -17,7 +17,7 @@ mod samples_file;
 pub use covariance::{Covariance, Information, trace};
 pub use dense::DensePosterior;
 pub use octree::OctreePosterior;
-pub use rays::{MAX_DROPPED_SHARE, RayStream, Tally};
+pub use rays::{MAX_DROPPED_SHARE, RayStream, SURFACE_WEIGHT, Tally};
 pub use samples_file::{SamplesReader, SamplesWriter};
 
 use crate::render::RaySamples;

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use crate::geometry::{Camera, Ray};
 use crate::monitor::{Monitor, check};
-use crate::render::{Differences, RaySamples, Tracer};
+use crate::render::{Differences, Quadrature, RaySamples, TracedRays, Tracer};
 use crate::{Error, Result};
 
 /// Rays per batch: batch b holds rays b · 512 …, drawn from stream b of the generator, so any part of a run can be drawn
@@ -16,6 +16,9 @@ const BATCH: u64 = 512;
 const GROUP: u64 = 16;
 /// A run fails if a larger share of its rays is dropped because the field was not finite.
 pub const MAX_DROPPED_SHARE: f64 = 0.01;
+
+/// A sample with at least this share of its pixel lies on a visible surface.
+pub const SURFACE_WEIGHT: f32 = 0.05;
 
 /// Draws pixels uniformly from all training images and differentiates them.
 pub struct RayStream<'a> {
@@ -107,6 +110,46 @@ impl RayStream<'_> {
             _ => Ok(tally),
         }
     }
+}
+
+impl RayStream<'_> {
+    /// Up to `count` points on visible surfaces, `[n]` scene units: samples of weight ≥ [`SURFACE_WEIGHT`], in ray order,
+    /// found by tracing at most `rays` rays without differentiating them.
+    ///
+    /// # Errors
+    /// [`Error::Interrupted`] only.
+    pub fn surface_points(&self, count: usize, rays: u64, monitor: &dyn Monitor) -> Result<Vec<[f32; 3]>> {
+        let mut points = Vec::new();
+        let batches = rays.div_ceil(BATCH);
+        for group in (0..batches).step_by(GROUP as usize) {
+            check(monitor)?;
+            let found: Vec<Vec<[f32; 3]>> = (group..(group + GROUP).min(batches))
+                .into_par_iter()
+                .map(|batch| {
+                    let (rays, jitter) = self.draw(batch, BATCH);
+                    visible(&self.tracer.trace(&rays, &jitter), self.tracer.marcher.step)
+                })
+                .collect();
+            points.extend(found.into_iter().flatten().take(count - points.len()));
+            if points.len() == count {
+                break;
+            }
+        }
+        Ok(points)
+    }
+}
+
+/// Samples of weight ≥ [`SURFACE_WEIGHT`].
+fn visible(traced: &TracedRays, step: f64) -> Vec<[f32; 3]> {
+    let mut quadrature = Quadrature::default();
+    let mut points = Vec::new();
+    for ray in 0..traced.rays() {
+        let samples = traced.samples(ray);
+        quadrature.set(&traced.radiance[samples.clone()], step);
+        let weighted = quadrature.weights.iter().zip(&traced.positions[samples]);
+        points.extend(weighted.filter(|(w, _)| **w >= f64::from(SURFACE_WEIGHT)).map(|(_, x)| x.to_array()));
+    }
+    points
 }
 
 /// A uniform number in [0, 1).

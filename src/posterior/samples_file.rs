@@ -120,8 +120,8 @@ enum RayIndices<R: Read> {
 impl<R: Read> RayIndices<R> {
     fn next(&mut self) -> Result<Option<u64>> {
         match self {
-            Self::U32(stream) => Ok(stream.next()?.map(u64::from)),
-            Self::U64(stream) => stream.next(),
+            Self::U32(stream) => Ok(stream.next_element()?.map(u64::from)),
+            Self::U64(stream) => stream.next_element(),
         }
     }
 }
@@ -187,7 +187,12 @@ impl SamplesReader {
             let ray = self.present(rays.next()?, "ray", sample)?;
             if ray < previous || ray >= self.rays_total {
                 let expected = format!("from {previous} (non-decreasing) to below rays_total = {}", self.rays_total);
-                return Err(Error::malformed(&self.path, format!("array `ray`, element {sample}"), expected, ray.to_string()));
+                return Err(Error::malformed(
+                    &self.path,
+                    format!("array `ray`, element {sample}"),
+                    expected,
+                    ray.to_string(),
+                ));
             }
             // Cut between rays only: a ray is summed as a whole.
             let last = batches.len() - 1;
@@ -224,7 +229,7 @@ impl SamplesReader {
     ) -> Result<[f32; N]> {
         let mut values = [0.0; N];
         for value in &mut values {
-            let next = stream.next()?;
+            let next = stream.next_element()?;
             *value = self.present(next, stream.origin().1, sample)?;
             if !value.is_finite() {
                 let place = format!("array `{}`, sample {sample}", stream.origin().1);

@@ -90,7 +90,8 @@ impl Tracer<'_> {
         let traced = self.trace(rays, jitter);
         let wanted = self.wanted(&traced);
         let gradients = self.gradients(&traced, rays, &wanted, differences.step);
-        let mut out = RaySamples { dropped: traced.dropped, first_invalid: traced.first_invalid, ..RaySamples::default() };
+        let mut out =
+            RaySamples { dropped: traced.dropped, first_invalid: traced.first_invalid, ..RaySamples::default() };
         // A ray with an invalid neighbour evaluation is dropped as a whole, like one with an invalid sample.
         let mut invalid = vec![false; rays.len()];
         for (w, gradient) in wanted.iter().zip(&gradients) {
@@ -105,7 +106,8 @@ impl Tracer<'_> {
             let mut jacobian = [0.0; 9];
             for channel in 0..3 {
                 for axis in 0..3 {
-                    let g = w.density_derivative[channel] * density_gradient[axis] + w.weight * color_gradient[axis][channel];
+                    let g = w.density_derivative[channel] * density_gradient[axis]
+                        + w.weight * color_gradient[axis][channel];
                     jacobian[3 * channel + axis] = g as f32;
                 }
             }
@@ -147,7 +149,13 @@ impl Tracer<'_> {
     ///
     /// Points are clipped to the box, so that the difference is one-sided at its border, and divided by the distance that
     /// f32 positions really have.
-    fn gradients(&self, traced: &TracedRays, rays: &[Ray], wanted: &[Wanted], step: DVec3) -> Vec<Option<(DVec3, [DVec3; 3])>> {
+    fn gradients(
+        &self,
+        traced: &TracedRays,
+        rays: &[Ray],
+        wanted: &[Wanted],
+        step: DVec3,
+    ) -> Vec<Option<(DVec3, [DVec3; 3])>> {
         let mut positions = Vec::with_capacity(6 * wanted.len());
         let mut directions = Vec::with_capacity(6 * wanted.len());
         for w in wanted {

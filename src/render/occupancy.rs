@@ -83,7 +83,13 @@ impl Occupancy {
 }
 
 /// Densities at the points `min + (index + shift) / cells · size`, `[count³]`, x slowest; NaN becomes ∞.
-fn sample_lattice(field: &dyn RadianceField, count: usize, shift: f64, cells: usize, monitor: &dyn Monitor) -> Vec<f32> {
+fn sample_lattice(
+    field: &dyn RadianceField,
+    count: usize,
+    shift: f64,
+    cells: usize,
+    monitor: &dyn Monitor,
+) -> Vec<f32> {
     let bounds = field.bounds();
     let mut densities = vec![0.0_f32; count * count * count];
     densities.par_chunks_mut(count * count).enumerate().for_each(|(x, slab)| {
@@ -130,8 +136,9 @@ mod tests {
         let reach = 0.05;
         let occupancy = Occupancy::build(&field, 32, reach, &Silent).unwrap();
         let mut densities = vec![0.0; 4096];
-        let positions: Vec<Vec3> =
-            (0..4096).map(|i| Vec3::new((i % 16) as f32, (i / 16 % 16) as f32, (i / 256) as f32) / 7.501 - 1.0).collect();
+        let positions: Vec<Vec3> = (0..4096)
+            .map(|i| Vec3::new((i % 16) as f32, (i / 16 % 16) as f32, (i / 256) as f32) / 7.501 - 1.0)
+            .collect();
         field.densities(&positions, &mut densities);
         for (x, &density) in positions.iter().zip(&densities) {
             for axis in 0..3 {

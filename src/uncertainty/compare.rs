@@ -121,7 +121,8 @@ fn difference(a: &UncertaintyField, b: &UncertaintyField, points: &[Vec3]) -> Op
     let (max, max_at) = (differences[at], points[at]);
     let mean = differences.iter().sum::<f64>() / points.len() as f64;
     differences.par_sort_unstable_by(f64::total_cmp);
-    let percentile = |share: f64| differences[((share * points.len() as f64).ceil() as usize).clamp(1, points.len()) - 1];
+    let percentile =
+        |share: f64| differences[((share * points.len() as f64).ceil() as usize).clamp(1, points.len()) - 1];
     Some(Difference {
         points: points.len(),
         mean,

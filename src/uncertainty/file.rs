@@ -166,7 +166,12 @@ impl UncertaintyField {
         let header = bincode::serde::encode_to_vec(&header, bincode::config::standard())
             .map_err(|e| Error::malformed(path, "header", "an encodable header", e.to_string()))?;
         if header.len() > MAX_HEADER {
-            return Err(Error::malformed(path, "header", format!("at most {MAX_HEADER} bytes"), header.len().to_string()));
+            return Err(Error::malformed(
+                path,
+                "header",
+                format!("at most {MAX_HEADER} bytes"),
+                header.len().to_string(),
+            ));
         }
         let mut file = AtomicFile::create(path)?;
         let mut write = || {
@@ -209,12 +214,13 @@ impl UncertaintyField {
         let information: Vec<Information> = read_section(&mut file, path, "information", information)?;
         let surface = read_section(&mut file, path, "surface", surface)?;
 
-        let support = match header.kind {
-            Kind::Dense => Support::Dense,
-            Kind::Octree { root_split } => Octree::from_raw(lattice.level(), root_split, &masks)
-                .map(Support::Octree)
-                .map_err(|problem| Error::malformed(path, "section `masks`", "a balanced octree", problem))?,
-        };
+        let support =
+            match header.kind {
+                Kind::Dense => Support::Dense,
+                Kind::Octree { root_split } => Octree::from_raw(lattice.level(), root_split, &masks)
+                    .map(Support::Octree)
+                    .map_err(|problem| Error::malformed(path, "section `masks`", "a balanced octree", problem))?,
+            };
         let vertices = vertex_count(&lattice, &support);
         let counts = [("deviations", deviations.len()), ("information", information.len())];
         for (name, count) in counts {
@@ -244,7 +250,12 @@ fn read_header(file: &mut impl Read, path: &Path, length: u64) -> Result<Header>
     let (version, header_length, crc) = (word(8), word(12) as usize, word(16));
     if version == 0 || version > FORMAT_VERSION {
         let expected = format!("version 1 to {FORMAT_VERSION}");
-        return Err(Error::malformed(path, "format", expected, format!("version {version}; a newer octobayes may read it")));
+        return Err(Error::malformed(
+            path,
+            "format",
+            expected,
+            format!("version {version}; a newer octobayes may read it"),
+        ));
     }
     if header_length > MAX_HEADER {
         let expected = format!("at most {MAX_HEADER} bytes");

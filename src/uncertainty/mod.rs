@@ -118,7 +118,8 @@ impl UncertaintyField {
     pub fn with_covariance(mut self, covariance: Covariance) -> Result<Self> {
         if covariance != self.protocol.covariance {
             let Some(information) = &self.information else {
-                let found = format!("a field that holds `{}` only, without the Hessian", self.protocol.covariance.name());
+                let found =
+                    format!("a field that holds `{}` only, without the Hessian", self.protocol.covariance.name());
                 return Err(Error::setting("covariance", covariance.name(), found));
             };
             self.protocol.covariance = covariance;

@@ -113,9 +113,14 @@ fn every_truncation_and_every_altered_byte_is_refused() {
     let [good, bad] = ["good.oct", "bad.oct"].map(|name| folder.path().join(name));
     let lattice = Lattice::new(Aabb::centered_cube(1.0), 1).unwrap();
     let octree = Octree::refined(1, []);
-    UncertaintyField::new(protocol(&lattice, Covariance::Trace, 5), lattice, Support::Octree(octree), vec![[0.0; 6]; 8])
-        .write(&good)
-        .unwrap();
+    UncertaintyField::new(
+        protocol(&lattice, Covariance::Trace, 5),
+        lattice,
+        Support::Octree(octree),
+        vec![[0.0; 6]; 8],
+    )
+    .write(&good)
+    .unwrap();
     let bytes = std::fs::read(&good).unwrap();
     let refused = |content: &[u8], what: &str| {
         std::fs::write(&bad, content).unwrap();

@@ -9,8 +9,14 @@ use proptest::prelude::*;
 /// Rays of samples with arbitrary Jacobians over many decades; positions are often on lattice planes, on the box's faces, or
 /// outside. Jacobians as small as 1e-9 are far below any tolerance.
 fn ray_samples() -> impl Strategy<Value = RaySamples> {
-    let coordinate = prop_oneof![-1.1..1.1_f32, Just(-1.0_f32), Just(1.0_f32), (-4..=4_i32).prop_map(|i| i as f32 / 4.0)];
-    let sample = ([coordinate.clone(), coordinate.clone(), coordinate], proptest::array::uniform9(-1.0..1.0_f32), -9..1_i32, 0..3_u64);
+    let coordinate =
+        prop_oneof![-1.1..1.1_f32, Just(-1.0_f32), Just(1.0_f32), (-4..=4_i32).prop_map(|i| i as f32 / 4.0)];
+    let sample = (
+        [coordinate.clone(), coordinate.clone(), coordinate],
+        proptest::array::uniform9(-1.0..1.0_f32),
+        -9..1_i32,
+        0..3_u64,
+    );
     proptest::collection::vec(sample, 0..60).prop_map(|samples| {
         let mut out = RaySamples::default();
         let mut ray = 0;

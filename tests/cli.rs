@@ -1,0 +1,325 @@
+//! The binary as scripts see it: one clear line for bad input, exit code 2, no partial output; answers in the stated formats.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+
+use octobayes::field::ClosedForm;
+use octobayes::geometry::Camera;
+use octobayes::io::{npy, npz::NpzWriter};
+use octobayes::uncertainty::UncertaintyField;
+
+/// A folder with cameras, a small field and its samples.
+struct Desk {
+    folder: tempfile::TempDir,
+}
+
+impl Desk {
+    fn new() -> Self {
+        let desk = Self { folder: tempfile::tempdir().unwrap() };
+        let named: Vec<(String, Camera)> =
+            ClosedForm::half_circle(4, [32, 32]).into_iter().enumerate().map(|(i, c)| (format!("r_{i}"), c)).collect();
+        octobayes::dataset::write_transforms(&desk.path("transforms.json"), &named).unwrap();
+        desk
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    fn write(&self, name: &str, content: &[u8]) {
+        std::fs::write(self.path(name), content).unwrap();
+    }
+
+    fn command(&self, args: &str) -> Command {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_octobayes"));
+        command.args(args.split_whitespace()).current_dir(self.folder.path());
+        command
+    }
+
+    fn run(&self, args: &str) -> Output {
+        self.command(args).output().unwrap()
+    }
+
+    /// Runs and returns stdout; panics on failure.
+    fn good(&self, args: &str) -> String {
+        let output = self.run(args);
+        assert!(output.status.success(), "{args}: {}", String::from_utf8_lossy(&output.stderr));
+        String::from_utf8(output.stdout).unwrap()
+    }
+
+    fn files(&self) -> Vec<String> {
+        let mut names: Vec<String> = std::fs::read_dir(self.folder.path())
+            .unwrap()
+            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+            .collect();
+        names.sort();
+        names
+    }
+
+    fn with_field() -> Self {
+        let desk = Self::new();
+        desk.good(FIELD);
+        desk
+    }
+}
+
+const FIELD: &str =
+    "uncertainty scene:courtyard --cameras transforms.json --level 5 --rays 3000 --occupancy 32 -o field.oct";
+
+#[test]
+fn bad_input_gets_one_line_exit_code_2_and_no_output() {
+    let desk = Desk::with_field();
+    let bytes = std::fs::read(desk.path("field.oct")).unwrap();
+    desk.write("short.oct", &bytes[..bytes.len() - 1]);
+    desk.write(
+        "altered.oct",
+        &[&bytes[..bytes.len() - 9], &[bytes[bytes.len() - 9] ^ 1], &bytes[bytes.len() - 8..]].concat(),
+    );
+    desk.write("newer.oct", &[&bytes[..8], &99_u32.to_le_bytes(), &bytes[12..]].concat());
+    desk.write("empty.json", b"{\"camera_angle_x\": 0.7, \"frames\": []}");
+    desk.write(
+        "singular.json",
+        br#"{"camera_angle_x": 0.7, "frames": [{"file_path": "a", "transform_matrix":
+        [[0,0,0,1],[0,0,0,2],[0,0,0,3],[0,0,0,1]]}]}"#,
+    );
+    desk.write("text.npz", b"this is no archive");
+    desk.write("points.csv", b"x,y,z\n0,0,0\n1,two,3\n");
+    desk.write("points.txt", b"0,0,0\n");
+    npy::write(&desk.path("pairs.npy"), &[2, 2], [0.0_f32; 4]).unwrap();
+    npy::write(&desk.path("whole.npy"), &[1, 3], [0_i64; 3]).unwrap();
+    let voxels = |name: &str, density: f32, shape: &[u64]| {
+        let mut npz = NpzWriter::create(&desk.path(name)).unwrap();
+        let n: u64 = shape.iter().product();
+        npz.array("box", &[2, 3], [-1.0_f32, -1.0, -1.0, 1.0, 1.0, 1.0]).unwrap();
+        npz.array("density", shape, (0..n).map(|_| density)).unwrap();
+        npz.array("color", &[2, 2, 2, 3], [0.5_f32; 24]).unwrap();
+        npz.finish().unwrap();
+    };
+    voxels("nan.npz", f32::NAN, &[2, 2, 2]);
+    voxels("negative.npz", -1.0, &[2, 2, 2]);
+    voxels("flat.npz", 1.0, &[2, 2]);
+    voxels("other.npz", 1.0, &[2, 2, 3]);
+    let samples = |name: &str, rays: [u64; 2], gradient: f32, total: i64| {
+        let mut npz = NpzWriter::create(&desk.path(name)).unwrap();
+        npz.array("positions", &[2, 3], [0.1_f32; 6]).unwrap();
+        npz.array("jacobian", &[2, 3, 3], [gradient; 18]).unwrap();
+        npz.array("ray", &[2], rays).unwrap();
+        npz.array("rays_total", &[], [total]).unwrap();
+        npz.finish().unwrap();
+    };
+    samples("decreasing.npz", [5, 4], 1.0, 10);
+    samples("nan_samples.npz", [4, 5], f32::NAN, 10);
+    samples("beyond.npz", [4, 50], 1.0, 10);
+    samples("none_drawn.npz", [0, 0], 1.0, 0);
+    let before = desk.files();
+
+    let run = "uncertainty scene:courtyard --cameras transforms.json --level 5 --rays 2000 --occupancy 32 -o x.oct";
+    let sum = "--box=-1,-1,-1,1,1,1 --level 4 -o x.oct";
+    // (command, what the message must name)
+    let table: Vec<(String, Vec<&str>)> = vec![
+        (
+            "uncertainty none.safetensors --cameras transforms.json -o x.oct".into(),
+            vec!["none.safetensors", "cannot read"],
+        ),
+        ("uncertainty model.xyz --cameras transforms.json -o x.oct".into(), vec!["model.xyz", ".safetensors"]),
+        ("uncertainty text.npz --cameras transforms.json -o x.oct".into(), vec!["text.npz", "zip"]),
+        ("uncertainty scene:teapot --cameras transforms.json -o x.oct".into(), vec!["teapot", "courtyard"]),
+        ("uncertainty nan.npz --cameras transforms.json -o x.oct".into(), vec!["nan.npz", "density", "NaN"]),
+        ("uncertainty negative.npz --cameras transforms.json -o x.oct".into(), vec!["negative.npz", "density", "-1"]),
+        ("uncertainty flat.npz --cameras transforms.json -o x.oct".into(), vec!["flat.npz", "shape", "[2, 2]"]),
+        ("uncertainty other.npz --cameras transforms.json -o x.oct".into(), vec!["other.npz", "color", "[2, 2, 3, 3]"]),
+        ("uncertainty scene:ball --cameras none.json -o x.oct".into(), vec!["none.json"]),
+        ("uncertainty scene:ball --cameras empty.json -o x.oct".into(), vec!["empty.json", "at least one frame"]),
+        (
+            "uncertainty scene:ball --cameras singular.json -o x.oct".into(),
+            vec!["singular.json", "frame 0", "singular"],
+        ),
+        (run.replace("--level 5", "--level 0"), vec!["--level", "1..=16"]),
+        (run.replace("--level 5", "--level 17"), vec!["--level", "1..=16"]),
+        (format!("{run} --step=-1"), vec!["--step", "above 0"]),
+        (format!("{run} --lambda=0"), vec!["--lambda", "above 0"]),
+        (format!("{run} --tolerance=nan"), vec!["--tolerance"]),
+        (format!("{run} --background=2,0,0"), vec!["--background", "0 to 1"]),
+        (format!("{run} --grid dense").replace("--level 5", "--level 12"), vec!["dense", "level 12"]),
+        (run.replace("x.oct", "no/folder/x.oct"), vec!["no/folder/x.oct"]),
+        (format!("accumulate none.npz {sum}"), vec!["none.npz"]),
+        (format!("accumulate decreasing.npz {sum}"), vec!["decreasing.npz", "element 1", "non-decreasing", "4"]),
+        (format!("accumulate nan_samples.npz {sum}"), vec!["nan_samples.npz", "jacobian", "sample 0", "NaN"]),
+        (format!("accumulate beyond.npz {sum}"), vec!["beyond.npz", "rays_total", "50"]),
+        (format!("accumulate none_drawn.npz {sum}"), vec!["none_drawn.npz", "rays_total"]),
+        (format!("accumulate nan.npz {sum}"), vec!["nan.npz", "positions"]),
+        ("accumulate decreasing.npz --box=1,1,1,0,0,0 -o x.oct".into(), vec!["--box", "min < max"]),
+        ("query none.oct points.csv -o x.csv".into(), vec!["none.oct"]),
+        ("query short.oct points.csv -o x.csv".into(), vec!["short.oct", "truncated"]),
+        ("query altered.oct points.csv -o x.csv".into(), vec!["altered.oct", "checksum"]),
+        ("query newer.oct points.csv -o x.csv".into(), vec!["newer.oct", "version 99"]),
+        ("query transforms.json points.csv -o x.csv".into(), vec!["transforms.json", "OCTOBAY"]),
+        ("query field.oct points.csv -o x.csv".into(), vec!["points.csv", "row 3", "1,two,3"]),
+        ("query field.oct points.txt -o x.csv".into(), vec!["points.txt", ".npy"]),
+        ("query field.oct pairs.npy -o x.csv".into(), vec!["pairs.npy", "[2, 2]"]),
+        ("query field.oct whole.npy -o x.csv".into(), vec!["whole.npy", "i8"]),
+        ("compare field.oct pairs.npy".into(), vec!["--box", "pairs.npy"]),
+        ("compare field.oct pairs.npy --box=-1,-1,-1,1,1,1".into(), vec!["pairs.npy", "[2, 2]"]),
+        (
+            "render scene:courtyard field.oct --cameras transforms.json --frame 99 -o x.png".into(),
+            vec!["transforms.json", "frame 99"],
+        ),
+        ("render scene:courtyard field.oct --cameras transforms.json -o x.jpg".into(), vec!["x.jpg", ".png"]),
+        ("render nan.npz field.oct --cameras transforms.json -o x.png".into(), vec!["nan.npz"]),
+        ("info points.csv".into(), vec!["points.csv"]),
+        (
+            "evaluate scene:courtyard field.oct --cameras transforms.json --depth . --depth-encoding=0,1".into(),
+            vec!["r_0.png"],
+        ),
+        ("convert field.oct x.txt".into(), vec!["x.txt"]),
+    ];
+    for (args, expected) in table {
+        let output = desk.run(&args);
+        let stderr = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(2), "{args}: {stderr}");
+        for part in expected {
+            assert!(stderr.contains(part), "{args}: `{part}` is not named in: {stderr}");
+        }
+        assert!(!stderr.contains("panicked"), "{args}: {stderr}");
+        assert!(output.stdout.is_empty(), "{args}: {}", String::from_utf8_lossy(&output.stdout));
+        // The command line's own parser adds a hint on usage; everything else is one line.
+        let lines = stderr.lines().filter(|l| !l.starts_with("note: ")).count();
+        assert!(lines == 1 || stderr.contains("For more information, try '--help'"), "{args}: {stderr}");
+        assert_eq!(desk.files(), before, "{args} left something behind");
+    }
+}
+
+#[test]
+fn a_field_of_another_box_is_refused() {
+    let desk = Desk::with_field();
+    desk.good("uncertainty scene:ball --cameras transforms.json --level 4 --rays 2000 --occupancy 32 --box=-0.5,-0.5,-0.5,0.5,0.5,0.5 -o small.oct");
+    let output = desk.run("compare field.oct small.oct");
+    let stderr = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.code() == Some(2) && stderr.contains("same box") && stderr.contains("0.5"), "{stderr}");
+    // A model that is smaller than the field's box.
+    let mut npz = NpzWriter::create(&desk.path("tiny.npz")).unwrap();
+    npz.array("box", &[2, 3], [-0.1_f32, -0.1, -0.1, 0.1, 0.1, 0.1]).unwrap();
+    npz.array("density", &[2, 2, 2], [1.0_f32; 8]).unwrap();
+    npz.array("color", &[2, 2, 2, 3], [0.5_f32; 24]).unwrap();
+    npz.finish().unwrap();
+    let output = desk.run("render tiny.npz field.oct --cameras transforms.json -o x.png");
+    let stderr = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.code() == Some(2) && stderr.contains("box of the field"), "{stderr}");
+}
+
+#[test]
+fn a_full_disk_is_reported_and_leaves_no_field() {
+    // /dev/full refuses every write; a field cannot be renamed onto a device, so answers go there.
+    if !Path::new("/dev/full").exists() {
+        return;
+    }
+    let desk = Desk::with_field();
+    let full = std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+    let mut child = desk
+        .command("query field.oct - -o -")
+        .stdin(Stdio::piped())
+        .stdout(full)
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    child.stdin.take().unwrap().write_all(b"0,0,0\n").unwrap();
+    let output = child.wait_with_output().unwrap();
+    let stderr = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.code() == Some(2) && stderr.contains("stdout: cannot write"), "{stderr}");
+}
+
+#[test]
+#[cfg(unix)]
+fn ctrl_c_leaves_no_file_and_exits_with_130() {
+    let desk = Desk::new();
+    let before = desk.files();
+    let args = "uncertainty scene:courtyard --cameras transforms.json --level 8 --rays 100000000 -o long.oct --dump-samples long.npz";
+    let mut child = desk.command(args).stderr(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
+    // Its temporary files exist before any ray is drawn.
+    let started = std::time::Instant::now();
+    while desk.files() == before {
+        assert!(started.elapsed().as_secs() < 60, "the run did not start");
+        std::thread::sleep(std::time::Duration::from_millis(20));
+    }
+    std::thread::sleep(std::time::Duration::from_millis(700));
+    let killed = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    assert!(killed.success());
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+    assert_eq!(desk.files(), before);
+}
+
+#[test]
+fn queries_answer_in_all_formats() {
+    let desk = Desk::with_field();
+    let field = UncertaintyField::read(&desk.path("field.oct")).unwrap();
+    let points = [[0.5_f32, 0.5, -0.1], [0.0, 0.0, 0.9], [3.0, 0.0, 0.0]];
+    npy::write(&desk.path("points.npy"), &[3, 3], points.into_iter().flatten()).unwrap();
+    let csv: String = points.iter().map(|p| format!("{},{},{}\n", p[0], p[1], p[2])).collect();
+    desk.write("points.csv", format!("x,y,z\n{csv}").as_bytes());
+
+    desk.good("query field.oct points.npy -o out.npy");
+    let answers = npy::read::<f64>(&desk.path("out.npy")).unwrap();
+    assert_eq!(answers.shape, [3, 2]);
+    for (row, point) in answers.data.chunks_exact(2).zip(points) {
+        let expected = field.query(point.into()).uncertainty;
+        assert_eq!((row[0], row[1]), (expected, expected.log10()));
+    }
+    desk.good("query field.oct points.csv -o out.csv");
+    let text = std::fs::read_to_string(desk.path("out.csv")).unwrap();
+    let lines: Vec<&str> = text.lines().collect();
+    assert_eq!(lines[0], "x,y,z,uncertainty,log10_uncertainty,level,inside");
+    assert_eq!(lines.len(), 4);
+    assert!(lines[1].ends_with(",5,1") && lines[3].ends_with(",0,0"), "{text}");
+    assert!(lines[3].contains(&field.prior().to_string()));
+
+    let mut child =
+        desk.command("query field.oct - -o -").stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
+    child.stdin.take().unwrap().write_all(csv.as_bytes()).unwrap();
+    assert_eq!(String::from_utf8(child.wait_with_output().unwrap().stdout).unwrap(), text);
+}
+
+#[test]
+fn json_is_one_object_and_states_the_protocol() {
+    let desk = Desk::new();
+    let out = desk.good(&format!("{FIELD} --json --seed 3"));
+    let value: serde_json::Value = serde_json::from_str(&out).unwrap();
+    assert_eq!((value["protocol"]["rays"].as_u64(), value["protocol"]["seed"].as_u64()), (Some(3000), Some(3)));
+    for key in ["lambda", "covariance", "tolerance", "march_step", "difference_step", "cutoff", "background"] {
+        assert!(!value["protocol"][key].is_null(), "{key}: {out}");
+    }
+    assert!(value["threads"].as_u64() > Some(0) && value["level"] == 5);
+    for args in ["info field.oct --json", "compare field.oct field.oct --points 1000 --json", "info scene:ball --json"]
+    {
+        serde_json::from_str::<serde_json::Value>(&desk.good(args)).unwrap();
+    }
+    let value: serde_json::Value =
+        serde_json::from_str(&desk.good("compare field.oct field.oct --points 1000 --json")).unwrap();
+    assert_eq!(value["in_box"]["max"], 0.0);
+    assert!(value["on_surfaces"]["points"].as_u64() > Some(100));
+}
+
+#[test]
+fn pictures_and_official_grids_are_written() {
+    let desk = Desk::with_field();
+    desk.good("render scene:courtyard field.oct --cameras transforms.json --frame 1 -o view.png --threshold 3.5 --occupancy 32");
+    desk.good("render scene:courtyard field.oct --cameras transforms.json --frame 1 -o view.exr --occupancy 32");
+    let image = image::open(desk.path("view.png")).unwrap();
+    assert!(image.width() > 3 * 32 && image.height() > 2 * 32);
+    let exr = exr::prelude::read_first_flat_layer_from_file(desk.path("view.exr")).unwrap();
+    let names: Vec<String> = exr.layer_data.channel_data.list.iter().map(|c| c.name.to_string()).collect();
+    assert_eq!(names, ["A", "B", "G", "R", "depth.Z", "log10_uncertainty.U", "uncertainty.U"]);
+
+    // The ball stays away from the box's faces, where the official index order lets vertices share entries.
+    desk.good("uncertainty scene:ball --cameras transforms.json --level 5 --rays 3000 --occupancy 32 -o ball.oct");
+    desk.good("convert ball.oct unc.npy");
+    assert_eq!(npy::read::<f32>(&desk.path("unc.npy")).unwrap().shape, [33 * 33 * 33]);
+    let official = "unc.npy --box=-1,-1,-1,1,1,1 --rays 3000";
+    let out = desk.good(&format!("compare ball.oct {official} --covariance trace --points 20000 --json"));
+    let value: serde_json::Value = serde_json::from_str(&out).unwrap();
+    for place in ["in_box", "on_surfaces"] {
+        let max = value[place]["max"].as_f64().unwrap();
+        // Sums go through f32; hanging corners of coarse leaves stay within the tolerance.
+        assert!(max <= 0.01, "{place}: {out}");
+    }
+}
