@@ -13,9 +13,9 @@ use crate::posterior::{SamplesReader, Tally};
 
 /// Sum up ray samples whose Jacobians were computed elsewhere
 ///
-/// SAMPLES.npz holds `positions` f32 [N,3] in scene units, `jacobian` f32 [N,3,3] = dC_c/dx_k (rows colour, columns axis), `ray`
-/// u32 or u64 [N], the non-decreasing index of the ray a sample belongs to, and `rays_total`, the number of rays drawn, with
-/// those that hit nothing; optionally `weight` f32 [N], the sample's share of the pixel. The file may be larger than memory.
+/// SAMPLES.npz holds `positions` f32 N x 3 in scene units, `jacobian` f32 N x 3 x 3 = dC_c/dx_k (rows colour, columns axis), `ray`
+/// u32 or u64 N, the non-decreasing index of the ray a sample belongs to, and `rays_total`, the number of rays drawn, with
+/// those that hit nothing; optionally `weight` f32 N, the sample's share of the pixel. The file may be larger than memory.
 #[derive(clap::Args)]
 #[command(
     after_help = "Example: octobayes accumulate samples.npz --box=-1.5,-1.5,-1.5,1.5,1.5,1.5 --level 8 -o field.oct"

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use glam::{DVec3, Vec3};
 
-use super::panels::{depth_range, view_panels};
+use super::panels::{Ranges, depth_range, view_panels};
 use super::progress::Bars;
 use super::report;
 use crate::dataset::write_transforms;
@@ -19,7 +19,9 @@ use crate::uncertainty::{ThresholdedField, UncertaintyField, compare};
 use crate::{Error, Result};
 
 /// log10 U above which the demo's clean-up removes density: between the courtyard's surfaces and the floater.
-const THRESHOLD: f64 = 4.0;
+const THRESHOLD: f64 = 3.9;
+/// log10 U on the demo's colour bars: from the best seen surface to the prior of level 7, rounded.
+const SHOWN: [f64; 2] = [2.0, 6.0];
 /// Grid points per axis of the baked scene.
 const BAKED: usize = 97;
 /// Cameras of the demo, all on one side.
@@ -136,7 +138,7 @@ impl Args {
         let probes = [Probe { log10: &log10, blend: Blend::Hit }];
         let sides = [("seen side", &seen), ("unseen side", &unseen)];
         let versions: [(&dyn RadianceField, String); 2] =
-            [(scene, String::new()), (&cleaned, format!(", U <= 1e{THRESHOLD}"))];
+            [(scene, String::new()), (&cleaned, format!(", U <= 10^{THRESHOLD}"))];
         let mut views: Vec<(String, RenderedView)> = Vec::new();
         for (field, suffix) in &versions {
             let settings = RaySettings { cutoff: 1e-4, ..RaySettings::default() };
@@ -147,8 +149,8 @@ impl Args {
             }
             bars.end();
         }
-        let range = depth_range(views.iter().map(|v| &v.1));
-        let rows: Vec<Vec<Panel>> = views.iter().map(|(name, view)| view_panels(view, name, range)).collect();
+        let ranges = Ranges { depth: depth_range(views.iter().map(|v| &v.1)), log10: SHOWN };
+        let rows: Vec<Vec<Panel>> = views.iter().map(|(name, view)| view_panels(view, name, ranges)).collect();
         write_sheet(&self.out.join("demo.png"), &rows)
     }
 

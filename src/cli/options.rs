@@ -44,6 +44,12 @@ pub fn parse_pair(text: &str) -> std::result::Result<[f64; 2], String> {
     numbers(text)
 }
 
+/// `low,high`.
+pub fn parse_range(text: &str) -> std::result::Result<[f64; 2], String> {
+    let [low, high] = numbers(text)?;
+    if low < high { Ok([low, high]) } else { Err("the first number must be below the second".into()) }
+}
+
 /// `white`, `black` or `r,g,b`.
 fn parse_background(text: &str) -> std::result::Result<Vec3, String> {
     match text {

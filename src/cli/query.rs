@@ -13,7 +13,7 @@ use crate::{Error, Result};
 
 /// Ask for the uncertainty at points
 ///
-/// POINTS is `.npy` (f32 or f64 [N,3]) or `.csv` (columns x,y,z; a header is recognised), in scene units. OUT is `.npy` (f64 [N,2]:
+/// POINTS is `.npy` (f32 or f64 N x 3) or `.csv` (columns x,y,z; a header is recognised), in scene units. OUT is `.npy` (f64 N x 2:
 /// uncertainty, log10 uncertainty) or `.csv` (x,y,z,uncertainty,log10_uncertainty,level,inside). `-` is CSV on stdin or
 /// stdout. Points outside the box get the prior and inside = 0.
 #[derive(clap::Args)]

@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
-use super::options::{CameraOptions, ModelOptions};
-use super::panels::{depth_range, view_panels};
+use super::options::{CameraOptions, ModelOptions, parse_range};
+use super::panels::{Ranges, depth_range, view_panels};
 use super::progress::Bars;
 use super::report;
 use crate::field::RadianceField;
@@ -45,6 +45,10 @@ pub struct Args {
     /// Remove density where log10 U exceeds this (the paper's clean-up); a PNG shows both, an EXR the cleaned view
     #[arg(long, value_name = "LOG10_U", allow_negative_numbers = true)]
     threshold: Option<f64>,
+
+    /// Ends of the colour bar of log10 U [default: those of the official code, -3,6]
+    #[arg(long, value_name = "LOW,HIGH", value_parser = parse_range, default_value = "-3,6", hide_default_value = true, allow_hyphen_values = true)]
+    range: [f64; 2],
 
     /// Blend log10 U over what the ray hits, or as the official code does (-3 for the part that hits nothing)
     #[arg(long, value_enum, default_value = "hit")]
@@ -111,10 +115,11 @@ impl Args {
             write_exr(&self.output, view.resolution, channels(&view))?;
         } else {
             let view = picture(&*model)?;
-            let range = depth_range([&view].into_iter().chain(&cleaned));
-            let mut rows = vec![view_panels(&view, &format!("frame {}", self.frame), range)];
+            let depth = depth_range([&view].into_iter().chain(&cleaned));
+            let ranges = Ranges { depth, log10: self.range };
+            let mut rows = vec![view_panels(&view, &format!("frame {}", self.frame), ranges)];
             if let (Some(cleaned), Some(threshold)) = (&cleaned, self.threshold) {
-                rows.push(view_panels(cleaned, &format!("log10 U <= {threshold}"), range));
+                rows.push(view_panels(cleaned, &format!("log10 U <= {threshold}"), ranges));
             }
             write_sheet(&self.output, &rows)?;
         }

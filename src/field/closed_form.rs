@@ -199,7 +199,7 @@ impl ClosedForm {
             ball(0.5, -0.5, waves(0.3, 0.4, 0.7, 26.0)),
             ball(-0.5, -0.5, Texture::Plain(Vec3::new(0.75, 0.7, 0.3))),
             solid(block, waves(0.5, 0.35, 0.6, 16.0)),
-            Primitive { shape: cloud, peak: 5.0, softness: 0.0, texture: Texture::Plain(Vec3::new(0.85, 0.8, 0.8)) },
+            Primitive { shape: cloud, peak: 2.0, softness: 0.0, texture: Texture::Plain(Vec3::new(0.85, 0.8, 0.8)) },
         ];
         Self::new("courtyard", primitives, Aabb::centered_cube(1.0), 1.0 / 256.0)
     }

@@ -5,5 +5,5 @@ mod panel;
 mod plot;
 
 pub use exr::write_exr;
-pub use panel::{Bar, LOG10_RANGE, Panel, color_panel, scalar_panel, write_sheet};
+pub use panel::{Bar, Panel, color_panel, scalar_panel, write_sheet};
 pub use plot::{Curve, write_plot};

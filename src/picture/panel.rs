@@ -15,9 +15,6 @@ use image::{ImageFormat, Rgb, RgbImage};
 use crate::io::AtomicFile;
 use crate::{Error, Result};
 
-/// Range of log10 U on every picture, the official code's display range: pictures of different scenes and settings compare.
-pub const LOG10_RANGE: [f64; 2] = [-3.0, 6.0];
-
 const FOREGROUND: Rgb<u8> = Rgb([30, 30, 30]);
 const PAPER: Rgb<u8> = Rgb([255, 255, 255]);
 /// Colour of pixels without a value.

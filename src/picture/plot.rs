@@ -52,6 +52,7 @@ pub fn write_plot(path: &Path, title: &str, axes: [&str; 2], curves: &[Curve]) -
         }
         chart
             .configure_series_labels()
+            .position(SeriesLabelPosition::LowerLeft)
             .background_style(WHITE.mix(0.85))
             .border_style(RGBColor(180, 180, 180))
             .draw()?;
