@@ -81,6 +81,7 @@ pub fn protocol_json(field: &UncertaintyField) -> Value {
         "protocol": field.protocol(),
         "box": { "min": field.lattice().bounds().min().to_array(), "max": field.lattice().bounds().max().to_array() },
         "level": field.lattice().level(),
+        "refinement": "sensitivity",
         "threads": rayon::current_num_threads(),
     })
 }

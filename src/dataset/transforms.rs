@@ -1,14 +1,14 @@
 //! Camera files: transforms.json of the original NeRF, instant-ngp and nerfstudio.
 //!
 //! Intrinsics at top level or per frame: `fl_x fl_y cx cy w h` in pixels, or `camera_angle_x` (`camera_angle_y`) in radians.
-//! `transform_matrix` is camera-to-world, OpenGL axes (x right, y up, looking along −z).
+//! `k1 k2 p1 p2` are OpenCV's lens distortion; fisheye lenses are refused. `transform_matrix` is camera-to-world, OpenGL axes (x right, y up, looking along −z).
 
 use std::path::{Path, PathBuf};
 
 use glam::{DMat3, DVec3};
 use serde::Deserialize;
 
-use crate::geometry::Camera;
+use crate::geometry::{Camera, Distortion};
 use crate::{Error, Result};
 
 /// A camera with the image that belongs to it.
@@ -56,6 +56,13 @@ struct Intrinsics {
     cy: Option<f64>,
     w: Option<f64>,
     h: Option<f64>,
+    k1: Option<f64>,
+    k2: Option<f64>,
+    k3: Option<f64>,
+    k4: Option<f64>,
+    p1: Option<f64>,
+    p2: Option<f64>,
+    is_fisheye: Option<bool>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -91,6 +98,13 @@ impl Intrinsics {
             cy: self.cy.or(file.cy),
             w: self.w.or(file.w),
             h: self.h.or(file.h),
+            k1: self.k1.or(file.k1),
+            k2: self.k2.or(file.k2),
+            k3: self.k3.or(file.k3),
+            k4: self.k4.or(file.k4),
+            p1: self.p1.or(file.p1),
+            p2: self.p2.or(file.p2),
+            is_fisheye: self.is_fisheye.or(file.is_fisheye),
         }
     }
 
@@ -99,6 +113,21 @@ impl Intrinsics {
         let (w, h) = (self.w?, self.h?);
         let side = |v: f64| (1.0..=MAX_SIDE).contains(&v) && v.fract() == 0.0;
         Some(if side(w) && side(h) { Ok([w as u32, h as u32]) } else { Err(format!("{w} x {h}")) })
+    }
+
+    /// The lens; what is wrong with it otherwise.
+    fn distortion(&self) -> std::result::Result<Distortion, String> {
+        let value = |v: Option<f64>| v.unwrap_or(0.0);
+        let distortion = Distortion { k: [self.k1, self.k2].map(value), p: [self.p1, self.p2].map(value) };
+        if self.is_fisheye == Some(true) {
+            Err("a fisheye lens".into())
+        } else if [self.k3, self.k4].map(value) != [0.0; 2] {
+            Err(format!("k3 {}, k4 {}", value(self.k3), value(self.k4)))
+        } else if distortion.k.iter().chain(&distortion.p).all(|c| c.is_finite()) {
+            Ok(distortion)
+        } else {
+            Err(format!("{distortion:?}"))
+        }
     }
 
     /// Focal lengths and principal point for an image of `resolution` pixels.
@@ -187,7 +216,10 @@ impl Views {
             let (position, axes) = pose(raw.transform_matrix.as_deref()).map_err(|found| {
                 Error::malformed(path, place("`transform_matrix`"), "a 4x4 camera-to-world pose", found)
             })?;
-            let camera = Camera { position, axes, focal, center, resolution };
+            let distortion = intrinsics.distortion().map_err(|found| {
+                Error::malformed(path, place("lens"), "a perspective lens with OpenCV's k1, k2, p1, p2", found)
+            })?;
+            let camera = Camera { position, axes, focal, center, resolution, distortion };
             frames.push(Frame { camera, name: raw.file_path, image: image.clone() });
         }
         Ok(Self { path: path.to_path_buf(), frames, resolution_source: source })
@@ -260,6 +292,8 @@ pub fn write_transforms(path: &Path, cameras: &[(String, Camera)]) -> Result<()>
                 "file_path": name,
                 "fl_x": camera.focal[0], "fl_y": camera.focal[1], "cx": camera.center[0], "cy": camera.center[1],
                 "w": camera.resolution[0], "h": camera.resolution[1],
+                "k1": camera.distortion.k[0], "k2": camera.distortion.k[1],
+                "p1": camera.distortion.p[0], "p2": camera.distortion.p[1],
                 "transform_matrix": [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]],
             })
         })
@@ -326,6 +360,7 @@ mod tests {
             ),
             (r#"{"camera_angle_x": 1, "frames": [{"transform_matrix": [[1,0,0],[0,1,0],[0,0,1]]}]}"#, "rows of"),
             (&format!("{{\"fl_x\": -5, \"frames\": [{{{POSE}}}]}}"), "positive"),
+            (&format!("{{\"fl_x\": 5, \"is_fisheye\": true, \"frames\": [{{{POSE}}}]}}"), "fisheye"),
             (&format!("{{\"fl_x\": 5, \"w\": 0, \"h\": 3, \"frames\": [{{{POSE}}}]}}"), "whole numbers"),
         ];
         for (json, expected) in cases {

@@ -237,22 +237,4 @@ impl RadianceField for NerfMlp {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn encoding_is_the_definition() {
-        let v = Vec3::new(0.3, -1.2, 0.05);
-        let mut out = Array2::zeros((1, ENCODED[0]));
-        encode(&[v], OCTAVES[0], out.view_mut());
-        assert_eq!(out[[0, 1]], -1.2);
-        for octave in 0..OCTAVES[0] {
-            for axis in 0..3 {
-                let angle = f64::from(v[axis]) * f64::from(1_u32 << octave);
-                // Doubling is exact in f32; sine and cosine are good to an ulp of 1.
-                assert!((f64::from(out[[0, 3 + 6 * octave + axis]]) - angle.sin()).abs() < 1.2e-7);
-                assert!((f64::from(out[[0, 6 + 6 * octave + axis]]) - angle.cos()).abs() < 1.2e-7);
-            }
-        }
-    }
-}
+mod tests;

@@ -4,7 +4,7 @@
 
 use glam::{DMat3, DVec3};
 
-use super::Ray;
+use super::{Distortion, Ray};
 
 /// A pinhole camera: pose and intrinsics in pixels.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -19,6 +19,8 @@ pub struct Camera {
     pub center: [f64; 2],
     /// Width and height, pixels.
     pub resolution: [u32; 2],
+    /// What the lens does to ideal image coordinates.
+    pub distortion: Distortion,
 }
 
 impl Camera {
@@ -36,13 +38,16 @@ impl Camera {
             focal: [focal; 2],
             center: [0.5 * f64::from(resolution[0]), 0.5 * f64::from(resolution[1])],
             resolution,
+            distortion: Distortion::default(),
         }
     }
 
     /// The ray through image coordinates `(x, y)` in pixels; the centre of pixel (i, j) is `(i + ½, j + ½)`.
     #[must_use]
     pub fn ray(&self, x: f64, y: f64) -> Ray {
-        let direction = DVec3::new((x - self.center[0]) / self.focal[0], -(y - self.center[1]) / self.focal[1], -1.0);
+        let seen = [(x - self.center[0]) / self.focal[0], (y - self.center[1]) / self.focal[1]];
+        let [x, y] = self.distortion.undistort(seen);
+        let direction = DVec3::new(x, -y, -1.0);
         Ray::new(self.position, self.axes * direction)
     }
 
@@ -58,8 +63,8 @@ impl Camera {
         let p = self.axes.transpose() * (x - self.position);
         let depth = -p.z;
         (depth > 0.0).then(|| {
-            let pixel = [self.center[0] + self.focal[0] * p.x / depth, self.center[1] - self.focal[1] * p.y / depth];
-            (pixel, depth)
+            let [x, y] = self.distortion.distort([p.x / depth, -p.y / depth]);
+            ([self.center[0] + self.focal[0] * x, self.center[1] + self.focal[1] * y], depth)
         })
     }
 
@@ -80,10 +85,15 @@ impl Camera {
 mod tests {
     use super::*;
 
+    const PIXELS: [[f64; 2]; 4] = [[0.5, 0.5], [20.0, 15.0], [39.5, 0.5], [3.25, 29.0]];
+
     #[test]
     fn rays_project_back_to_their_pixel() {
-        let camera = Camera::look_at(DVec3::new(3.0, -2.0, 1.5), DVec3::ZERO, DVec3::Z, 0.7, [40, 30]);
-        for pixel in [[0.5, 0.5], [20.0, 15.0], [39.5, 0.5], [3.25, 29.0]] {
+        let pinhole = Camera::look_at(DVec3::new(3.0, -2.0, 1.5), DVec3::ZERO, DVec3::Z, 0.7, [40, 30]);
+        let distortion = Distortion { k: [0.0578, -0.0805], p: [-9.8e-4, 1.6e-4] };
+        for (camera, pixel) in
+            [pinhole, Camera { distortion, ..pinhole }].into_iter().flat_map(|c| PIXELS.map(|p| (c, p)))
+        {
             let ray = camera.ray(pixel[0], pixel[1]);
             let (found, depth) = camera.project(ray.at(2.0)).unwrap();
             assert!(depth > 0.0 && depth <= 2.0);
@@ -92,7 +102,7 @@ mod tests {
                 assert!((found[k] - pixel[k]).abs() < 1e-12 * 100.0, "{found:?} for {pixel:?}");
             }
         }
-        assert!(camera.project(camera.position + camera.axes.z_axis).is_none());
+        assert!(pinhole.project(pinhole.position + pinhole.axes.z_axis).is_none());
     }
 
     #[test]

@@ -5,10 +5,12 @@
 
 mod aabb;
 mod camera;
+mod distortion;
 mod lattice;
 mod ray;
 
 pub use aabb::Aabb;
 pub use camera::Camera;
+pub use distortion::Distortion;
 pub use lattice::{Lattice, MAX_LEVEL};
 pub use ray::Ray;

@@ -1,0 +1,71 @@
+//! OpenCV's lens distortion, as COLMAP, nerfstudio and instant-ngp write it.
+//!
+//! Letters: (x, y) ideal image coordinates on the plane at depth 1, y downwards; r² = x² + y²; the lens moves them by
+//! dx = x (k1 r² + k2 r⁴) + 2 p1 xy + p2 (r² + 2x²), dy = y (k1 r² + k2 r⁴) + 2 p2 xy + p1 (r² + 2y²).
+
+/// Radial (k) and tangential (p) coefficients; all zero is a perfect pinhole.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Distortion {
+    /// Radial coefficients of r² and r⁴.
+    pub k: [f64; 2],
+    /// Tangential coefficients.
+    pub p: [f64; 2],
+}
+
+impl Distortion {
+    /// Where the lens puts an ideal point.
+    #[must_use]
+    pub fn distort(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+        let r2 = x * x + y * y;
+        let radial = r2 * (self.k[0] + self.k[1] * r2);
+        let [p1, p2] = self.p;
+        let dx = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x);
+        let dy = y * radial + 2.0 * p2 * x * y + p1 * (r2 + 2.0 * y * y);
+        [x + dx, y + dy]
+    }
+
+    /// The ideal point that the lens puts at `seen`, by Newton's method; the nearest one found if the coefficients fold the
+    /// image over there.
+    #[must_use]
+    pub fn undistort(&self, seen: [f64; 2]) -> [f64; 2] {
+        if *self == Self::default() {
+            return seen;
+        }
+        let [mut x, mut y] = seen;
+        for _ in 0..20 {
+            let at = self.distort([x, y]);
+            let (ex, ey) = (at[0] - seen[0], at[1] - seen[1]);
+            let r2 = x * x + y * y;
+            let [k1, k2] = self.k;
+            let [p1, p2] = self.p;
+            let radial = r2 * (k1 + k2 * r2);
+            // d(radial)/dx = 2x · slope.
+            let slope = k1 + 2.0 * k2 * r2;
+            let xx = 1.0 + radial + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x;
+            let yy = 1.0 + radial + 2.0 * y * y * slope + 2.0 * p2 * x + 6.0 * p1 * y;
+            let xy = 2.0 * x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y;
+            let determinant = xx * yy - xy * xy;
+            if ex.abs().max(ey.abs()) < 1e-15 || determinant <= 0.0 {
+                break;
+            }
+            x -= (yy * ex - xy * ey) / determinant;
+            y -= (xx * ey - xy * ex) / determinant;
+        }
+        [x, y]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn undistort_is_the_inverse(x in -0.8..0.8_f64, y in -0.8..0.8_f64, k in [-0.1..0.1_f64, -0.1..0.1], p in [-1e-2..1e-2_f64, -1e-2..1e-2]) {
+            let lens = Distortion { k, p };
+            let found = lens.undistort(lens.distort([x, y]));
+            prop_assert!((found[0] - x).abs().max((found[1] - y).abs()) < 1e-12, "{:?} for {:?}", found, [x, y]);
+        }
+    }
+}
