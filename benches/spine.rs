@@ -8,6 +8,7 @@ use glam::Vec3;
 use octobayes::estimate::{FieldBuilder, GridKind, GridSettings, RaySettings, estimate};
 use octobayes::field::{ClosedForm, Radiance, RadianceField};
 use octobayes::monitor::Silent;
+use octobayes::posterior::{Share, Tally};
 use octobayes::render::RaySamples;
 use octobayes::uncertainty::UncertaintyField;
 
@@ -44,7 +45,7 @@ fn accumulate(c: &mut Criterion) {
     let stream = rays().stream(&scene, &cameras, empty.lattice(), &Silent).unwrap();
     let mut batches: Vec<RaySamples> = Vec::new();
     stream
-        .run(RAYS, &Silent, |samples| {
+        .run(Share::whole(RAYS), Tally::default(), &Silent, |samples, _| {
             batches.extend_from_slice(samples);
             Ok(())
         })
@@ -63,7 +64,7 @@ fn accumulate(c: &mut Criterion) {
     group.bench_function("rays, samples and Jacobians alone", |b| {
         b.iter(|| {
             stream
-                .run(RAYS, &Silent, |samples| {
+                .run(Share::whole(RAYS), Tally::default(), &Silent, |samples, _| {
                     black_box(samples);
                     Ok(())
                 })

@@ -13,7 +13,7 @@ use octobayes::dataset::Views;
 use octobayes::estimate::{FieldBuilder, GridKind, GridSettings, Provenance, RaySettings};
 use octobayes::field::{NerfMlp, RadianceField};
 use octobayes::monitor::Silent;
-use octobayes::posterior::trace;
+use octobayes::posterior::{Share, Tally, trace};
 use octobayes::uncertainty::{Difference, Support, UncertaintyField, compare};
 
 const LEVEL: u8 = 8;
@@ -39,7 +39,7 @@ fn main() -> Result<()> {
     let occupancy = start.elapsed();
     let mut spent = [Duration::ZERO; 3];
     let start = Instant::now();
-    let tally = stream.run(RAYS, &Silent, |batches| {
+    let tally = stream.run(Share::whole(RAYS), Tally::default(), &Silent, |batches, _| {
         for (builder, spent) in builders.iter_mut().zip(&mut spent) {
             let start = Instant::now();
             builder.add(batches);
@@ -49,7 +49,12 @@ fn main() -> Result<()> {
     })?;
     let evaluating = start.elapsed() - spent.iter().sum::<Duration>();
     let sums: Vec<usize> = builders.iter().map(FieldBuilder::memory).collect();
-    let provenance = Provenance { source: "lego.safetensors, lego_train.json".into(), tally, stream: Some(&stream) };
+    let provenance = Provenance {
+        source: "lego.safetensors, lego_train.json".into(),
+        tally,
+        share: Some(Share::whole(RAYS)),
+        stream: Some(&stream),
+    };
     let fields: Vec<UncertaintyField> = builders.into_iter().map(|b| b.finish(&provenance)).collect();
 
     // As many surface points as box points; the run's own rays do not give a million.

@@ -3,12 +3,17 @@
 //! [`RaySettings`] say which rays are drawn and how they are differentiated, [`GridSettings`] what their information is gathered
 //! on. [`estimate`] joins the two; [`FieldBuilder`] is the second half alone, for samples that come from elsewhere.
 
+use std::path::Path;
+
 use glam::Vec3;
 
 use crate::field::RadianceField;
 use crate::geometry::{Aabb, Camera, Lattice};
 use crate::monitor::Monitor;
-use crate::posterior::{Covariance, DensePosterior, OctreePosterior, Posterior, RayStream, SURFACE_WEIGHT, Tally};
+use crate::posterior::checkpoint::{self, AnyPosterior, RunKey};
+use crate::posterior::{
+    Covariance, DensePosterior, OctreePosterior, Posterior, RayStream, SURFACE_WEIGHT, Share, Tally,
+};
 use crate::render::{Differences, Marcher, Occupancy, RaySamples, Tracer};
 use crate::uncertainty::{Protocol, Support, UncertaintyField};
 use crate::{Error, Result};
@@ -127,6 +132,31 @@ impl RaySettings {
         Ok(Tracer { field, marcher, background: self.background })
     }
 
+    /// The description under which a run of `share` of these rays can be taken up again; `source` names model and cameras.
+    #[must_use]
+    pub fn run_key(
+        &self,
+        source: String,
+        share: Share,
+        stream: &RayStream,
+        grid: &GridSettings,
+        lattice: &Lattice,
+    ) -> RunKey {
+        RunKey {
+            source,
+            lattice: *lattice,
+            share,
+            seed: stream.seed,
+            march_step: stream.tracer.marcher.step,
+            difference_step: stream.differences.step.to_array(),
+            cutoff: stream.tracer.marcher.cutoff,
+            occupancy: self.occupancy as u64,
+            background: stream.tracer.background.to_array(),
+            pixel_offset: stream.pixel_offset,
+            surface_points: grid.surface_points as u64,
+        }
+    }
+
     /// The stream of rays from `cameras` through `field`, differentiated for `lattice`.
     ///
     /// # Errors
@@ -156,14 +186,10 @@ pub struct Provenance<'a> {
     pub source: String,
     /// Rays drawn and dropped.
     pub tally: Tally,
+    /// Which part of a run they are.
+    pub share: Option<Share>,
     /// The stream that drew them, if it was this crate's.
     pub stream: Option<&'a RayStream<'a>>,
-}
-
-/// A posterior of either kind.
-enum AnyPosterior {
-    Dense(DensePosterior),
-    Octree(OctreePosterior),
 }
 
 /// A field in the making.
@@ -203,6 +229,25 @@ impl FieldBuilder {
         self.surface.extend(visible.take(self.settings.surface_points - self.surface.len()));
     }
 
+    /// Writes the state of the run `key` after the rays of `tally`.
+    ///
+    /// # Errors
+    /// If the file cannot be written.
+    pub fn save(&self, path: &Path, key: &RunKey, tally: Tally) -> Result<()> {
+        checkpoint::save(path, key, tally, &self.posterior, &self.surface)
+    }
+
+    /// Takes up the state of the run `key`; returns the tally to go on from.
+    ///
+    /// # Errors
+    /// If the file is not the complete state of a run with the same description.
+    pub fn restore(&mut self, path: &Path, key: &RunKey) -> Result<Tally> {
+        let state = checkpoint::load(path, key, self.settings.grid == GridKind::Dense)?;
+        self.posterior = state.posterior;
+        self.surface = state.surface;
+        Ok(state.tally)
+    }
+
     /// Bytes that the sums take now.
     #[must_use]
     pub fn memory(&self) -> usize {
@@ -230,6 +275,7 @@ impl FieldBuilder {
             rays: provenance.tally.rays,
             dropped: provenance.tally.dropped,
             seed: stream.map(|s| s.seed),
+            share: provenance.share,
             lambda: settings.lambda.unwrap_or_else(|| lattice.default_lambda()),
             covariance: settings.covariance,
             tolerance: if settings.grid == GridKind::Dense { 0.0 } else { settings.tolerance },
@@ -266,11 +312,12 @@ pub fn estimate(
     }
     let mut builder = FieldBuilder::new(*grid, field.bounds())?;
     let stream = rays.stream(field, cameras, builder.lattice(), monitor)?;
-    let tally = stream.run(rays.rays, monitor, |batches| {
+    let tally = stream.run(Share::whole(rays.rays), Tally::default(), monitor, |batches, _| {
         builder.add(batches);
         Ok(())
     })?;
-    let provenance = Provenance { source: field.describe(), tally, stream: Some(&stream) };
+    let provenance =
+        Provenance { source: field.describe(), tally, share: Some(Share::whole(rays.rays)), stream: Some(&stream) };
     Ok((builder.finish(&provenance), tally))
 }
 

@@ -47,7 +47,7 @@ impl Args {
         let posterior_bytes = builder.memory();
         let tally = Tally { rays: reader.rays_total(), samples: reader.samples(), ..Tally::default() };
         let source = format!("samples {}", self.samples.display());
-        let field = builder.finish(&Provenance { source, tally, stream: None });
+        let field = builder.finish(&Provenance { source, tally, ..Provenance::default() });
         self.grid.write(field, &Cost { elapsed: start.elapsed(), posterior_bytes })
     }
 }

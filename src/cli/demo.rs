@@ -14,6 +14,7 @@ use crate::field::{ClosedForm, RadianceField, VoxelGrid};
 use crate::geometry::Camera;
 use crate::monitor::Monitor;
 use crate::picture::{Panel, write_sheet};
+use crate::posterior::{Share, Tally};
 use crate::render::{Blend, Probe, RenderedView, render_view};
 use crate::uncertainty::{ThresholdedField, UncertaintyField, compare};
 use crate::{Error, Result};
@@ -91,7 +92,7 @@ impl Args {
         let stream = rays.stream(scene, cameras, octree.lattice(), bars)?;
         let mut spent = [Duration::ZERO; 2];
         let start = Instant::now();
-        let tally = stream.run(self.rays, bars, |batches| {
+        let tally = stream.run(Share::whole(self.rays), Tally::default(), bars, |batches, _| {
             for (spent, builder) in spent.iter_mut().zip([&mut octree, &mut dense]) {
                 let start = Instant::now();
                 builder.add(batches);
@@ -101,7 +102,12 @@ impl Args {
         })?;
         let rays_alone = start.elapsed() - spent[0] - spent[1];
         let sums_bytes = [octree.memory(), dense.memory()];
-        let provenance = Provenance { source: "scene:courtyard".into(), tally, stream: Some(&stream) };
+        let provenance = Provenance {
+            source: "scene:courtyard".into(),
+            tally,
+            share: Some(Share::whole(self.rays)),
+            stream: Some(&stream),
+        };
         let mut fields = Vec::new();
         for (spent, builder) in spent.iter_mut().zip([octree, dense]) {
             let start = Instant::now();

@@ -12,6 +12,7 @@ mod convert;
 mod demo;
 mod evaluate;
 mod info;
+mod merge;
 mod options;
 mod panels;
 mod progress;
@@ -53,6 +54,7 @@ enum Verb {
     Render(render::Args),
     Evaluate(evaluate::Args),
     Convert(convert::Args),
+    Merge(merge::Args),
     Info(info::Args),
 }
 
@@ -83,6 +85,7 @@ fn run(verb: Verb, bars: &Bars) -> Result<()> {
         Verb::Render(args) => args.run(bars),
         Verb::Evaluate(args) => args.run(bars),
         Verb::Convert(args) => args.run(),
+        Verb::Merge(args) => args.run(),
         Verb::Info(args) => args.run(),
     }
 }

@@ -1,15 +1,15 @@
 //! `uncertainty`: from a model and its cameras to a field.
 
-use std::path::PathBuf;
-use std::time::Instant;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
 use super::options::{CameraOptions, GridOptions, ModelOptions, parse_box, parse_non_negative, parse_positive};
 use super::progress::Bars;
 use super::report::Cost;
-use crate::Result;
 use crate::estimate::{FieldBuilder, Provenance, RaySettings};
 use crate::geometry::Aabb;
-use crate::posterior::SamplesWriter;
+use crate::posterior::{SamplesWriter, Share, Tally};
+use crate::{Error, Result};
 
 /// Compute the uncertainty of a trained field from its training cameras
 ///
@@ -52,6 +52,40 @@ pub struct Args {
     /// Also write the ray samples with their Jacobians, as `accumulate` reads them
     #[arg(long, value_name = "SAMPLES.npz")]
     dump_samples: Option<PathBuf>,
+
+    /// Compute only part I of N of the rays (I from 0); `merge` joins the parts
+    #[arg(long, value_name = "I/N", value_parser = parse_shard)]
+    shard: Option<[u64; 2]>,
+
+    /// Keep the state of the run in this file, so that it survives Ctrl-C, kill -9 and power cuts
+    #[arg(long, value_name = "FILE", conflicts_with = "dump_samples")]
+    checkpoint: Option<PathBuf>,
+
+    /// Seconds between two checkpoints
+    #[arg(long, value_name = "SECONDS", default_value_t = 60.0, value_parser = parse_non_negative)]
+    checkpoint_every: f64,
+
+    /// Go on from the checkpoint, if there is one
+    #[arg(long, requires = "checkpoint")]
+    resume: bool,
+}
+
+/// `I/N` with I < N.
+fn parse_shard(text: &str) -> std::result::Result<[u64; 2], String> {
+    let parts = text.split_once('/').and_then(|(i, n)| Some([i.parse().ok()?, n.parse().ok()?]));
+    match parts {
+        Some([i, n]) if i < n => Ok([i, n]),
+        _ => Err("expected I/N with 0 <= I < N, as 0/4".into()),
+    }
+}
+
+/// A file's name and checksum; a built-in scene has its name alone.
+fn identity(file: &str) -> Result<String> {
+    if file.starts_with("scene:") {
+        return Ok(file.into());
+    }
+    let bytes = std::fs::read(file).map_err(Error::io(Path::new(file), "cannot read"))?;
+    Ok(format!("{file} ({:08x})", crc32fast::hash(&bytes)))
 }
 
 impl Args {
@@ -59,24 +93,50 @@ impl Args {
     pub fn run(self, bars: &Bars) -> Result<()> {
         let field = self.model.open()?;
         let views = self.cameras.read()?;
-        let mut builder = FieldBuilder::new(self.grid.settings(), self.bounds.unwrap_or_else(|| field.bounds()))?;
+        let grid = self.grid.settings();
+        let mut builder = FieldBuilder::new(grid, self.bounds.unwrap_or_else(|| field.bounds()))?;
         self.grid.check_output()?;
         let mut dump = self.dump_samples.as_deref().map(SamplesWriter::create).transpose()?;
 
         let start = Instant::now();
-        let settings = RaySettings {
+        let settings = self.model.ray_settings(RaySettings {
             rays: self.rays,
             seed: self.seed,
             step: self.step,
             cutoff: self.cutoff,
             ..RaySettings::default()
-        };
+        });
         let cameras = views.cameras();
-        let stream = self.model.ray_settings(settings).stream(&*field, &cameras, builder.lattice(), bars)?;
-        let tally = stream.run(self.rays, bars, |batches| {
+        let lattice = *builder.lattice();
+        let share = self.share()?;
+        let mut checkpoint = self.checkpoint()?;
+        let stream = settings.stream(&*field, &cameras, &lattice, bars)?;
+        let source = [&self.model.model, &*self.cameras.cameras.to_string_lossy()].map(identity);
+        let [model, camera_file] = source;
+        let key = settings.run_key(format!("{} seen by {}", model?, camera_file?), share, &stream, &grid, &lattice);
+        let mut so_far = match &checkpoint {
+            Some(checkpoint) if checkpoint.path.exists() => builder.restore(&checkpoint.path, &key)?,
+            _ => Tally::default(),
+        };
+        let result = stream.run(share, so_far, bars, |batches, tally| {
             builder.add(batches);
+            so_far = *tally;
+            if let Some(checkpoint) = checkpoint.as_mut().filter(|c| c.is_due()) {
+                builder.save(&checkpoint.path, &key, so_far)?;
+                checkpoint.saved = Instant::now();
+            }
             dump.as_mut().map_or(Ok(()), |dump| dump.add(batches))
-        })?;
+        });
+        if let (Err(Error::Interrupted), Some(checkpoint)) = (&result, &checkpoint) {
+            builder.save(&checkpoint.path, &key, so_far)?;
+            eprintln!(
+                "note: {} holds {} of {} rays; --resume goes on",
+                checkpoint.path.display(),
+                so_far.rays,
+                share.own_rays()
+            );
+        }
+        let tally = result?;
         if let Some(first) = tally.first_invalid {
             eprintln!("warning: {} rays dropped, the field is not finite; first at {first:?}", tally.dropped);
         }
@@ -85,7 +145,44 @@ impl Args {
         }
         let posterior_bytes = builder.memory();
         let source = format!("{} seen by {}", self.model.model, self.cameras.cameras.display());
-        let field = builder.finish(&Provenance { source, tally, stream: Some(&stream) });
-        self.grid.write(field, &Cost { elapsed: start.elapsed(), posterior_bytes })
+        let field = builder.finish(&Provenance { source, tally, share: Some(share), stream: Some(&stream) });
+        self.grid.write(field, &Cost { elapsed: start.elapsed(), posterior_bytes })?;
+        if let Some(checkpoint) = checkpoint.filter(|c| c.path.exists()) {
+            std::fs::remove_file(&checkpoint.path).map_err(Error::io(&checkpoint.path, "cannot remove"))?;
+        }
+        Ok(())
+    }
+
+    fn share(&self) -> Result<Share> {
+        let [index, of] = self.shard.unwrap_or([0, 1]);
+        let share = Share { rays: self.rays, index, of };
+        if share.own_rays() == 0 {
+            let found = format!("part {index} of {of} of {} rays, which is empty", self.rays);
+            return Err(Error::setting("--shard", "fewer parts than batches of 512 rays", found));
+        }
+        Ok(share)
+    }
+
+    /// Where and how often to save; an unfinished run is not overwritten by accident.
+    fn checkpoint(&self) -> Result<Option<Checkpoint>> {
+        let Some(path) = &self.checkpoint else { return Ok(None) };
+        if path.exists() && !self.resume {
+            return Err(Error::malformed(path, "checkpoint", "no file, or --resume", "the state of an unfinished run"));
+        }
+        let every = Duration::try_from_secs_f64(self.checkpoint_every).unwrap_or(Duration::MAX);
+        Ok(Some(Checkpoint { path: path.clone(), every, saved: Instant::now() }))
+    }
+}
+
+/// A checkpoint file and when it was last written.
+struct Checkpoint {
+    path: PathBuf,
+    every: Duration,
+    saved: Instant,
+}
+
+impl Checkpoint {
+    fn is_due(&self) -> bool {
+        self.saved.elapsed() >= self.every
     }
 }

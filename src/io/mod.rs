@@ -1,8 +1,9 @@
-//! Files of general formats: NumPy arrays and archives, CSV points, and writing without half-written results.
+//! Files: NumPy arrays and archives, this crate's own container, and writing without half-written results.
 //!
 //! Readers treat every file as untrusted: sizes are checked against the bytes that are there before anything is allocated.
 
 mod atomic;
+pub mod container;
 pub mod npy;
 pub mod npz;
 

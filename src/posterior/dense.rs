@@ -22,6 +22,12 @@ impl DensePosterior {
         Self { lattice, sums: vec![[0.0; 6]; lattice.dense_vertices() as usize] }
     }
 
+    /// A posterior that goes on from `sums`, `[(M + 1)³]`, x slowest; `None` if there are more or fewer.
+    #[must_use]
+    pub fn from_sums(lattice: Lattice, sums: Vec<Information>) -> Option<Self> {
+        (sums.len() as u64 == lattice.dense_vertices()).then_some(Self { lattice, sums })
+    }
+
     /// Bytes that a dense posterior of this lattice needs.
     #[must_use]
     pub fn required_memory(lattice: &Lattice) -> u64 {

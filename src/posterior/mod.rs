@@ -8,6 +8,7 @@
 //! points, and [`OctreePosterior`], which keeps only what rays touched and ends as an octree. They share no accumulation code:
 //! each is the check of the other.
 
+pub mod checkpoint;
 mod covariance;
 mod dense;
 mod octree;
@@ -17,7 +18,7 @@ mod samples_file;
 pub use covariance::{Covariance, Information, trace};
 pub use dense::DensePosterior;
 pub use octree::OctreePosterior;
-pub use rays::{MAX_DROPPED_SHARE, RayStream, SURFACE_WEIGHT, Tally};
+pub use rays::{MAX_DROPPED_SHARE, RayStream, SURFACE_WEIGHT, Share, Tally};
 pub use samples_file::{SamplesReader, SamplesWriter};
 
 use crate::render::RaySamples;

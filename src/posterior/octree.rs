@@ -36,19 +36,29 @@ struct Contribution {
 struct Shard {
     /// Brick code (vertex code without its low 6 bits) to position in `bricks`.
     index: FxHashMap<u64, u32>,
+    /// Brick codes, in the order in which rays first touched them.
+    codes: Vec<u64>,
     /// Information of the 64 lattice points of each brick, in Morton order.
-    bricks: Vec<[Information; 64]>,
+    bricks: Vec<Brick>,
 }
 
+/// Information of the lattice points of an aligned 4³ brick.
+pub type Brick = [Information; 64];
+
 impl Shard {
-    fn add(&mut self, contribution: &Contribution) {
+    /// The sum of a lattice point, zero if it is new.
+    fn sum_mut(&mut self, vertex: u64) -> &mut Information {
         let next = self.bricks.len() as u32;
-        let slot = *self.index.entry(contribution.vertex >> 6).or_insert(next);
+        let slot = *self.index.entry(vertex >> 6).or_insert(next);
         if slot == next {
+            self.codes.push(vertex >> 6);
             self.bricks.push([[0.0; 6]; 64]);
         }
-        let sum = &mut self.bricks[slot as usize][(contribution.vertex & 63) as usize];
-        for (sum, square) in sum.iter_mut().zip(contribution.squares) {
+        &mut self.bricks[slot as usize][(vertex & 63) as usize]
+    }
+
+    fn add(&mut self, contribution: &Contribution) {
+        for (sum, square) in self.sum_mut(contribution.vertex).iter_mut().zip(contribution.squares) {
             *sum += square;
         }
     }
@@ -60,7 +70,7 @@ impl Shard {
 
     fn memory(&self) -> usize {
         // hashbrown: one control byte and one (u64, u32) pair, padded to 16, per bucket.
-        self.bricks.capacity() * size_of::<[Information; 64]>() + self.index.capacity() * 8 / 7 * 17
+        self.bricks.capacity() * size_of::<Brick>() + self.codes.capacity() * 8 + self.index.capacity() * 8 / 7 * 17
     }
 }
 
@@ -81,6 +91,43 @@ impl OctreePosterior {
     #[must_use]
     pub fn new(lattice: Lattice) -> Self {
         Self { lattice, shards: vec![Shard::default(); SHARDS] }
+    }
+
+    /// The codes of all bricks, in the order in which [`OctreePosterior::bricks`] returns their sums.
+    pub(super) fn brick_codes(&self) -> impl Iterator<Item = u64> + '_ {
+        self.shards.iter().flat_map(|shard| shard.codes.iter().copied())
+    }
+
+    /// The sums, one slice per shard.
+    pub(super) fn bricks(&self) -> impl Iterator<Item = &[Brick]> {
+        self.shards.iter().map(|shard| shard.bricks.as_slice())
+    }
+
+    /// Puts back what [`OctreePosterior::brick_codes`] and [`OctreePosterior::bricks`] gave, in the same order.
+    ///
+    /// `None` if a code lies outside the lattice or comes twice.
+    pub(super) fn restore(lattice: Lattice, codes: &[u64], bricks: Vec<Brick>) -> Option<Self> {
+        let mut posterior = Self::new(lattice);
+        let last = lattice.cells_per_axis() / 4;
+        for (&code, brick) in codes.iter().zip(bricks) {
+            let shard = &mut posterior.shards[shard_of(code << 6)];
+            let inside = code >> 57 == 0 && morton::decode(code).iter().all(|&i| i <= last);
+            if !inside || shard.index.insert(code, shard.bricks.len() as u32).is_some() {
+                return None;
+            }
+            shard.codes.push(code);
+            shard.bricks.push(brick);
+        }
+        Some(posterior)
+    }
+
+    /// Adds information at a lattice point: a part of another run.
+    pub fn add_information(&mut self, point: [u32; 3], information: &Information) {
+        let vertex = morton::encode(point);
+        let sum = self.shards[shard_of(vertex)].sum_mut(vertex);
+        for (sum, more) in sum.iter_mut().zip(information) {
+            *sum += more;
+        }
     }
 
     /// The information summed so far at a lattice point.

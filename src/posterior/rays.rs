@@ -34,9 +34,52 @@ pub struct RayStream<'a> {
     pub seed: u64,
 }
 
-/// What came out of a run, apart from the samples themselves.
-#[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize)]
+/// Which rays of a run are drawn: batches `index`, `index + of`, `index + 2 · of`, … of a run of `rays` rays.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct Share {
+    /// Rays of the whole run.
+    pub rays: u64,
+    /// Which part this is, from 0.
+    pub index: u64,
+    /// Parts that the run is split into.
+    pub of: u64,
+}
+
+impl Share {
+    /// All rays of a run.
+    #[must_use]
+    pub fn whole(rays: u64) -> Self {
+        Self { rays, index: 0, of: 1 }
+    }
+
+    /// Batches of this part.
+    fn batches(&self) -> u64 {
+        self.rays.div_ceil(BATCH).saturating_sub(self.index).div_ceil(self.of)
+    }
+
+    /// Index in the whole run of this part's n-th batch.
+    fn batch(&self, n: u64) -> u64 {
+        self.index + n * self.of
+    }
+
+    /// Rays of a batch of the whole run.
+    fn rays_of(&self, batch: u64) -> u64 {
+        BATCH.min(self.rays - batch * BATCH)
+    }
+
+    /// Rays of this part.
+    #[must_use]
+    pub fn own_rays(&self) -> u64 {
+        // Only the run's last batch can be short.
+        self.batches().checked_sub(1).map_or(0, |last| last * BATCH + self.rays_of(self.batch(last)))
+    }
+}
+
+/// What came out of a run so far, apart from the samples themselves: also the place where it can be taken up again.
+#[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 pub struct Tally {
+    /// Batches of the share that are done.
+    pub batches: u64,
     /// Rays drawn: R.
     pub rays: u64,
     /// Samples with a Jacobian.
@@ -69,44 +112,53 @@ impl RayStream<'_> {
         (0..count).map(|_| draw(&mut rng)).unzip()
     }
 
-    /// Draws `rays` rays and hands their samples to `sink`, in ray order.
+    /// Draws the rays of `share` and hands their samples to `sink`, in ray order, with the tally that includes them. A run that
+    /// stopped goes on behind the tally `from`.
     ///
     /// # Errors
     /// What `sink` returns, [`Error::Interrupted`], or [`Error::NonFinite`] if more than [`MAX_DROPPED_SHARE`] of the rays
     /// were dropped.
     pub fn run(
         &self,
-        rays: u64,
+        share: Share,
+        from: Tally,
         monitor: &dyn Monitor,
-        mut sink: impl FnMut(&[RaySamples]) -> Result<()>,
+        mut sink: impl FnMut(&[RaySamples], &Tally) -> Result<()>,
     ) -> Result<Tally> {
-        monitor.begin("rays", rays);
-        let mut tally = Tally { rays, ..Tally::default() };
-        let batches = rays.div_ceil(BATCH);
-        for group in (0..batches).step_by(GROUP as usize) {
+        monitor.begin("rays", share.own_rays());
+        monitor.advance(from.rays);
+        let mut tally = from;
+        while tally.batches < share.batches() {
             check(monitor)?;
-            let samples: Vec<RaySamples> = (group..(group + GROUP).min(batches))
+            let group = tally.batches..(tally.batches + GROUP).min(share.batches());
+            let samples: Vec<RaySamples> = group
+                .clone()
                 .into_par_iter()
-                .map(|batch| {
-                    let first = batch * BATCH;
-                    let (rays, jitter) = self.draw(batch, BATCH.min(rays - first));
-                    let samples = self.tracer.jacobians(&rays, &jitter, first, self.differences);
+                .map(|n| {
+                    let batch = share.batch(n);
+                    let (rays, jitter) = self.draw(batch, share.rays_of(batch));
+                    let samples = self.tracer.jacobians(&rays, &jitter, batch * BATCH, self.differences);
                     monitor.advance(rays.len() as u64);
                     samples
                 })
                 .collect();
+            tally.batches = group.end;
+            tally.rays += group.map(|n| share.rays_of(share.batch(n))).sum::<u64>();
             for batch in &samples {
                 tally.samples += batch.positions.len() as u64;
                 tally.dropped += batch.dropped;
                 tally.first_invalid = tally.first_invalid.or(batch.first_invalid.map(|x| x.to_array()));
             }
-            sink(&samples)?;
+            sink(&samples, &tally)?;
         }
         monitor.end();
         match tally.first_invalid {
-            Some(first) if tally.dropped as f64 > MAX_DROPPED_SHARE * rays as f64 => {
-                Err(Error::NonFinite { dropped: tally.dropped, rays, limit_percent: 100.0 * MAX_DROPPED_SHARE, first })
-            }
+            Some(first) if tally.dropped as f64 > MAX_DROPPED_SHARE * tally.rays as f64 => Err(Error::NonFinite {
+                dropped: tally.dropped,
+                rays: tally.rays,
+                limit_percent: 100.0 * MAX_DROPPED_SHARE,
+                first,
+            }),
             _ => Ok(tally),
         }
     }
@@ -156,4 +208,27 @@ fn visible(traced: &TracedRays, step: f64) -> Vec<[f32; 3]> {
 fn unit_interval(rng: &mut impl Rng) -> f64 {
     // The upper 53 bits as a binary fraction.
     (rng.next_u64() >> 11) as f64 * 2.0_f64.powi(-53)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn shares_split_a_run_without_overlap(rays in 1_u64..20_000, of in 1_u64..7) {
+            let mut batches: Vec<u64> = Vec::new();
+            let mut drawn = 0;
+            for index in 0..of {
+                let share = Share { rays, index, of };
+                batches.extend((0..share.batches()).map(|n| share.batch(n)));
+                drawn += share.own_rays();
+                prop_assert_eq!(share.own_rays(), (0..share.batches()).map(|n| share.rays_of(share.batch(n))).sum::<u64>());
+            }
+            batches.sort_unstable();
+            prop_assert_eq!(drawn, rays);
+            prop_assert_eq!(batches, (0..rays.div_ceil(BATCH)).collect::<Vec<_>>());
+        }
+    }
 }

@@ -5,11 +5,13 @@
 
 mod compare;
 mod file;
+mod merge;
 mod official;
 mod threshold;
 
 pub use compare::{Comparison, Difference, Summary, compare};
 pub use file::FORMAT_VERSION;
+pub use merge::merge;
 pub use official::OfficialGrid;
 pub use threshold::ThresholdedField;
 
@@ -18,7 +20,7 @@ use rayon::prelude::*;
 
 use crate::geometry::Lattice;
 use crate::octree::{Octree, VertexId, trilinear};
-use crate::posterior::{Covariance, Information};
+use crate::posterior::{Covariance, Information, Share};
 use crate::{Error, Result};
 
 /// Everything that the numbers in a field depend on. `None` where the field came from elsewhere and does not say.
@@ -34,6 +36,8 @@ pub struct Protocol {
     pub dropped: u64,
     /// Seed of pixels and jitter.
     pub seed: Option<u64>,
+    /// Which part of a run these rays are.
+    pub share: Option<Share>,
     /// λ, 1 / scene unit².
     pub lambda: f64,
     /// Scalar read off H.

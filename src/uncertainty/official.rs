@@ -55,6 +55,7 @@ impl OfficialGrid {
             rays: self.rays,
             dropped: 0,
             seed: None,
+            share: None,
             lambda: self.lambda.unwrap_or_else(|| lattice.default_lambda()),
             covariance: Covariance::Trace,
             tolerance: 0.0,

@@ -13,6 +13,7 @@ fn protocol(lattice: &Lattice, covariance: Covariance, rays: u64) -> Protocol {
         rays,
         dropped: 0,
         seed: Some(1),
+        share: None,
         lambda: lattice.default_lambda(),
         covariance,
         tolerance: 0.01,

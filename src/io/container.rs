@@ -1,0 +1,214 @@
+//! The container of this crate's own files: a described header and raw sections, all checksummed.
+//!
+//! ```text
+//! 8 bytes   magic
+//! 3 × u32   format version, header length, CRC-32 of the header
+//! header    bincode: the content's own header, and for each section its length in bytes and CRC-32
+//! sections  raw little-endian, one after the other, nothing behind the last
+//! ```
+//!
+//! A reader refuses what is truncated, altered, longer than it says, or newer, and allocates no more than the file holds.
+
+use std::fs::File;
+use std::io::{BufReader, Read, Write};
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
+use super::AtomicFile;
+use crate::{Error, Result};
+
+/// Headers are a few hundred bytes; the only variable part is the name of a source.
+const MAX_HEADER: usize = 1 << 16;
+/// Items read or written at a time: between 16 KiB and 768 KiB.
+const CHUNK: usize = 1 << 14;
+
+/// Which file it is: `(magic, newest version known)`.
+pub type Format = (&'static [u8; 8], u32);
+
+/// What a section consists of.
+pub trait Item: Copy {
+    /// Bytes of one item.
+    const SIZE: usize;
+    /// Appends the little-endian bytes.
+    fn put(self, out: &mut Vec<u8>);
+    /// Reads the first [`Item::SIZE`] bytes.
+    fn take(bytes: &[u8]) -> Self;
+}
+
+macro_rules! number {
+    ($($type:ty),*) => { $(
+        impl Item for $type {
+            const SIZE: usize = size_of::<Self>();
+            fn put(self, out: &mut Vec<u8>) {
+                out.extend(self.to_le_bytes());
+            }
+            fn take(bytes: &[u8]) -> Self {
+                Self::from_le_bytes(std::array::from_fn(|i| bytes[i]))
+            }
+        }
+    )* };
+}
+
+number!(u8, u32, u64, f32, f64);
+
+impl<T: Item, const N: usize> Item for [T; N] {
+    const SIZE: usize = N * T::SIZE;
+    fn put(self, out: &mut Vec<u8>) {
+        self.into_iter().for_each(|v| v.put(out));
+    }
+    fn take(bytes: &[u8]) -> Self {
+        std::array::from_fn(|k| T::take(&bytes[T::SIZE * k..]))
+    }
+}
+
+/// Calls `visit` with the bytes of `items`, piece by piece.
+fn pieces<T: Item>(items: &[T], mut visit: impl FnMut(&[u8]) -> std::io::Result<()>) -> std::io::Result<()> {
+    let mut bytes = Vec::with_capacity(CHUNK.min(items.len()) * T::SIZE);
+    for chunk in items.chunks(CHUNK) {
+        bytes.clear();
+        chunk.iter().for_each(|item| item.put(&mut bytes));
+        visit(&bytes)?;
+    }
+    Ok(())
+}
+
+/// A section to be written.
+pub trait Section {
+    /// Calls `visit` with the section's bytes, piece by piece.
+    ///
+    /// # Errors
+    /// What `visit` returns.
+    fn visit(&self, visit: &mut dyn FnMut(&[u8]) -> std::io::Result<()>) -> std::io::Result<()>;
+}
+
+impl<T: Item> Section for &[T] {
+    fn visit(&self, visit: &mut dyn FnMut(&[u8]) -> std::io::Result<()>) -> std::io::Result<()> {
+        pieces(self, visit)
+    }
+}
+
+/// Writes a file; it appears complete or not at all.
+///
+/// # Errors
+/// If the folder cannot be written or the disk is full.
+pub fn write(path: &Path, format: Format, header: &impl Serialize, sections: &[&dyn Section]) -> Result<()> {
+    let mut described = Vec::new();
+    for section in sections {
+        let (mut length, mut crc) = (0_u64, crc32fast::Hasher::new());
+        let described_all = section.visit(&mut |bytes| {
+            length += bytes.len() as u64;
+            crc.update(bytes);
+            Ok(())
+        });
+        described_all.map_err(Error::io(path, "cannot describe"))?;
+        described.push((length, crc.finalize()));
+    }
+    let header = bincode::serde::encode_to_vec((header, described), bincode::config::standard())
+        .map_err(|e| Error::malformed(path, "header", "an encodable header", e.to_string()))?;
+    if header.len() > MAX_HEADER {
+        return Err(Error::malformed(path, "header", format!("at most {MAX_HEADER} bytes"), header.len().to_string()));
+    }
+    let mut file = AtomicFile::create(path)?;
+    let mut write = || {
+        file.write_all(format.0)?;
+        for word in [format.1, header.len() as u32, crc32fast::hash(&header)] {
+            file.write_all(&word.to_le_bytes())?;
+        }
+        file.write_all(&header)?;
+        sections.iter().try_for_each(|section| section.visit(&mut |bytes| file.write_all(bytes)))
+    };
+    write().map_err(Error::io(path, "cannot write"))?;
+    file.commit()
+}
+
+/// A file being read: its sections must be taken in order.
+pub struct Reader {
+    file: BufReader<File>,
+    path: PathBuf,
+    sections: std::vec::IntoIter<(u64, u32)>,
+}
+
+impl Reader {
+    /// Opens a file of `format` with `sections` sections, and reads its header.
+    ///
+    /// # Errors
+    /// If the file is missing, of another format or newer, or its header or length is not as written.
+    pub fn open<H: DeserializeOwned>(path: &Path, format: Format, sections: usize) -> Result<(H, Self)> {
+        let file = File::open(path).map_err(Error::io(path, "cannot open"))?;
+        let length = file.metadata().map_err(Error::io(path, "cannot read"))?.len();
+        let mut file = BufReader::with_capacity(1 << 16, file);
+        let magic = String::from_utf8_lossy(format.0).trim().to_string();
+
+        let mut start = [0; 20];
+        let truncated =
+            |_| Error::malformed(path, "start", format!("a file of format `{magic}`"), "a file that ends early");
+        file.read_exact(&mut start).map_err(truncated)?;
+        if &start[..8] != format.0 {
+            return Err(Error::malformed(path, "start", format!("a file of format `{magic}`"), "other bytes"));
+        }
+        let word = |at: usize| u32::take(&start[at..]);
+        let (version, header_length, crc) = (word(8), word(12) as usize, word(16));
+        if version == 0 || version > format.1 {
+            let found = format!("version {version}; a newer octobayes may read it");
+            return Err(Error::malformed(path, "format", format!("version 1 to {}", format.1), found));
+        }
+        if header_length > MAX_HEADER {
+            let expected = format!("at most {MAX_HEADER} bytes");
+            return Err(Error::malformed(path, "header", expected, header_length.to_string()));
+        }
+        let mut header = vec![0; header_length];
+        file.read_exact(&mut header).map_err(truncated)?;
+        if crc32fast::hash(&header) != crc {
+            return Err(Error::malformed(path, "header", "its stored checksum", "altered data"));
+        }
+        let config = bincode::config::standard().with_limit::<MAX_HEADER>();
+        let ((header, described), read) = bincode::serde::decode_from_slice::<(H, Vec<(u64, u32)>), _>(&header, config)
+            .map_err(|e| Error::malformed(path, "header", "a description of the file", e.to_string()))?;
+        if read != header_length || described.len() != sections {
+            let expected = format!("{header_length} bytes and {sections} sections");
+            return Err(Error::malformed(path, "header", expected, format!("{read} and {}", described.len())));
+        }
+        let expected = described.iter().try_fold(20 + header_length as u64, |sum, s| sum.checked_add(s.0));
+        if expected != Some(length) {
+            let expected = expected.map_or("a possible length".into(), |n| format!("{n} bytes"));
+            return Err(Error::malformed(path, "length", expected, format!("{length} bytes (truncated or altered)")));
+        }
+        Ok((header, Self { file, path: path.to_path_buf(), sections: described.into_iter() }))
+    }
+
+    /// Reads the next section and checks it.
+    ///
+    /// # Errors
+    /// If its length is no multiple of the item's, its checksum differs, or reading fails.
+    ///
+    /// # Panics
+    /// If all sections were taken.
+    pub fn section<T: Item>(&mut self, name: &str) -> Result<Vec<T>> {
+        let (length, crc) = self.sections.next().expect("one call per section");
+        let path = &self.path;
+        if !length.is_multiple_of(T::SIZE as u64) {
+            let expected = format!("a multiple of {} bytes", T::SIZE);
+            return Err(Error::malformed(path, format!("section `{name}`"), expected, format!("{length} bytes")));
+        }
+        // The lengths were compared with the file's, so this allocates no more than is there.
+        let mut left = (length / T::SIZE as u64) as usize;
+        let mut items = Vec::with_capacity(left);
+        let mut hasher = crc32fast::Hasher::new();
+        let mut bytes = vec![0; CHUNK.min(left) * T::SIZE];
+        while left > 0 {
+            let n = left.min(CHUNK);
+            let bytes = &mut bytes[..n * T::SIZE];
+            self.file.read_exact(bytes).map_err(Error::io(path, "cannot read"))?;
+            hasher.update(bytes);
+            items.extend(bytes.chunks_exact(T::SIZE).map(T::take));
+            left -= n;
+        }
+        if hasher.finalize() == crc {
+            Ok(items)
+        } else {
+            Err(Error::malformed(path, format!("section `{name}`"), "its stored checksum", "altered data"))
+        }
+    }
+}

@@ -1,0 +1,137 @@
+//! The state of a posterior in a file, so that a run survives Ctrl-C, `kill -9` and power cuts.
+//!
+//! A [container](crate::io::container) with the sections `codes` (u64, of bricks; empty for a dense grid), `sums` (64 or 1
+//! information matrices each) and `surface`. Sums are kept bit for bit and rays go on behind the last one counted, so a
+//! resumed run ends with the bits of an uninterrupted one. A run only takes up a state whose description equals its own.
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use super::octree::Brick;
+use super::{DensePosterior, Information, OctreePosterior, Share, Tally};
+use crate::geometry::Lattice;
+use crate::io::container::{self, Format, Reader, Section};
+use crate::{Error, Result};
+
+const FORMAT: Format = (b"OCTOCHK\n", 1);
+
+/// A posterior of either kind.
+pub enum AnyPosterior {
+    /// The paper's grid.
+    Dense(DensePosterior),
+    /// The octree's bricks.
+    Octree(OctreePosterior),
+}
+
+/// What a run must have in common with the one that it goes on from: every setting that a sum depends on.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RunKey {
+    /// Model and cameras, with their checksums.
+    pub source: String,
+    /// Box and finest level.
+    pub lattice: Lattice,
+    /// The rays.
+    pub share: Share,
+    /// Seed of pixels and jitter.
+    pub seed: u64,
+    /// Distance between samples, scene units.
+    pub march_step: f64,
+    /// Finite-difference step, scene units.
+    pub difference_step: [f64; 3],
+    /// Samples below this are left out.
+    pub cutoff: f64,
+    /// Cells per axis of the occupancy grid.
+    pub occupancy: u64,
+    /// Colour behind the scene.
+    pub background: [f32; 3],
+    /// Where in a pixel rays go through.
+    pub pixel_offset: f64,
+    /// Points on visible surfaces to keep.
+    pub surface_points: u64,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Header {
+    key: RunKey,
+    tally: Tally,
+    dense: bool,
+}
+
+/// A run that can be taken up again.
+pub struct State {
+    /// The sums so far.
+    pub posterior: AnyPosterior,
+    /// Rays so far.
+    pub tally: Tally,
+    /// Points on visible surfaces so far, scene units.
+    pub surface: Vec<[f32; 3]>,
+}
+
+/// The bricks of all shards as one section.
+struct Bricks<'a>(&'a OctreePosterior);
+
+impl Section for Bricks<'_> {
+    fn visit(&self, visit: &mut dyn FnMut(&[u8]) -> std::io::Result<()>) -> std::io::Result<()> {
+        self.0.bricks().try_for_each(|bricks| bricks.visit(visit))
+    }
+}
+
+/// Writes a state; an older one under the same name is replaced only when the new one is complete.
+///
+/// # Errors
+/// If the folder cannot be written or the disk is full.
+pub fn save(path: &Path, key: &RunKey, tally: Tally, posterior: &AnyPosterior, surface: &[[f32; 3]]) -> Result<()> {
+    let header = |dense| Header { key: key.clone(), tally, dense };
+    match posterior {
+        AnyPosterior::Dense(posterior) => {
+            let none: &[u64] = &[];
+            container::write(path, FORMAT, &header(true), &[&none, &posterior.sums(), &surface])
+        }
+        AnyPosterior::Octree(posterior) => {
+            let codes: Vec<u64> = posterior.brick_codes().collect();
+            container::write(path, FORMAT, &header(false), &[&codes.as_slice(), &Bricks(posterior), &surface])
+        }
+    }
+}
+
+/// Reads the state of a run with the description `key`.
+///
+/// # Errors
+/// If the file is missing, truncated, altered, or belongs to a run with another description.
+pub fn load(path: &Path, key: &RunKey, dense: bool) -> Result<State> {
+    let (header, mut file) = Reader::open::<Header>(path, FORMAT, 3)?;
+    if let Some((what, expected, found)) = first_difference(key, &header.key) {
+        return Err(Error::malformed(path, format!("run, {what}"), expected, found));
+    }
+    if header.dense != dense {
+        let name = |dense| if dense { "dense" } else { "octree" };
+        return Err(Error::malformed(path, "run, grid", name(dense), name(header.dense)));
+    }
+    let codes = file.section::<u64>("codes")?;
+    let posterior = if dense {
+        DensePosterior::from_sums(key.lattice, file.section::<Information>("sums")?).map(AnyPosterior::Dense)
+    } else {
+        let bricks = file.section::<Brick>("sums")?;
+        let same = codes.len() == bricks.len();
+        same.then(|| OctreePosterior::restore(key.lattice, &codes, bricks)).flatten().map(AnyPosterior::Octree)
+    };
+    let posterior = posterior.ok_or_else(|| {
+        Error::malformed(path, "section `sums`", "the sums of this lattice", "codes or counts of another")
+    })?;
+    Ok(State { posterior, tally: header.tally, surface: file.section("surface")? })
+}
+
+/// Name and values of the first setting that differs.
+fn first_difference(expected: &RunKey, found: &RunKey) -> Option<(String, String, String)> {
+    let fields = |key: &RunKey| match serde_json::to_value(key) {
+        Ok(serde_json::Value::Object(map)) => map,
+        _ => serde_json::Map::new(),
+    };
+    let (expected_fields, found_fields) = (fields(expected), fields(found));
+    let differing = expected_fields.iter().find(|(name, value)| found_fields.get(*name) != Some(value));
+    differing.map(|(name, value)| {
+        let other = found_fields.get(name).map_or("nothing".into(), ToString::to_string);
+        (name.clone(), value.to_string(), other)
+    })
+}

@@ -1,0 +1,129 @@
+//! Fields of the same box, level and protocol from different rays, joined as if one run had drawn them all.
+
+use super::{Protocol, Support, UncertaintyField};
+use crate::posterior::{DensePosterior, Information, OctreePosterior, Share};
+use crate::{Error, Result};
+
+/// The field of all rays of `parts` together.
+///
+/// Information adds up. It differs from that of one run over all rays by the order of f64 sums, a relative n ε for n rays at a
+/// vertex, and where a part's octree left information out as negligible for its R rays: those shares together stay negligible
+/// for the sum of the R, so log10 U moves by no more than the tolerance. With tolerance 0 only the rounding is left.
+///
+/// # Errors
+/// If there are less than two parts, one keeps no information, they differ in a setting that a sum depends on, or two of
+/// them drew the same rays.
+pub fn merge(parts: &[UncertaintyField]) -> Result<UncertaintyField> {
+    let [first, rest @ ..] = parts else {
+        return Err(Error::setting("fields to merge", "two or more", "none"));
+    };
+    if rest.is_empty() {
+        return Err(Error::setting("fields to merge", "two or more", "one"));
+    }
+    for (i, part) in rest.iter().enumerate() {
+        check_alike(first, part, i + 2)?;
+        for (j, other) in parts[..=i].iter().enumerate() {
+            if part.protocol.seed.is_some() && drew_the_same(&part.protocol, &other.protocol) {
+                let found = format!("fields {} and {} of the same seed and share", j + 1, i + 2);
+                return Err(Error::setting("rays of the fields to merge", "different ones", found));
+            }
+        }
+    }
+    let information: Vec<&[Information]> = parts
+        .iter()
+        .map(|part| {
+            part.information().ok_or_else(|| {
+                Error::setting("fields to merge", "fields that keep their Hessian", "one that holds deviations only")
+            })
+        })
+        .collect::<Result<_>>()?;
+
+    let protocol = joined_protocol(parts);
+    let (support, sums) = match &first.support {
+        Support::Dense => {
+            let mut sums = DensePosterior::new(first.lattice).into_sums();
+            for part in information {
+                for (sum, more) in sums.iter_mut().zip(part) {
+                    for k in 0..6 {
+                        sum[k] += more[k];
+                    }
+                }
+            }
+            (Support::Dense, sums)
+        }
+        Support::Octree(_) => {
+            let mut posterior = OctreePosterior::new(first.lattice);
+            for (part, information) in parts.iter().zip(information) {
+                let Support::Octree(octree) = &part.support else { continue };
+                for (point, s) in octree.vertex_positions().zip(information) {
+                    posterior.add_information(point, s);
+                }
+            }
+            let (octree, sums) = posterior.into_octree(protocol.rays, protocol.lambda, protocol.tolerance);
+            (Support::Octree(octree), sums)
+        }
+    };
+    let most = parts.iter().map(|part| part.surface.len()).max().unwrap_or(0);
+    let surface = parts.iter().flat_map(|part| &part.surface).copied().take(most).collect();
+    Ok(UncertaintyField::new(protocol, first.lattice, support, sums).with_surface(surface))
+}
+
+fn drew_the_same(a: &Protocol, b: &Protocol) -> bool {
+    a.seed == b.seed && a.share == b.share
+}
+
+/// Compares everything but rays, seed, share and source.
+fn check_alike(first: &UncertaintyField, part: &UncertaintyField, number: usize) -> Result<()> {
+    let settings = |field: &UncertaintyField| {
+        let p = &field.protocol;
+        let kind = if matches!(field.support, Support::Dense) { "dense" } else { "octree" };
+        [
+            ("box and level", format!("{:?}", field.lattice)),
+            ("grid", kind.to_string()),
+            ("lambda", p.lambda.to_string()),
+            ("covariance", p.covariance.name().to_string()),
+            ("tolerance", p.tolerance.to_string()),
+            ("march step", format!("{:?}", p.march_step)),
+            ("difference step", format!("{:?}", p.difference_step)),
+            ("cutoff", format!("{:?}", p.cutoff)),
+            ("background", format!("{:?}", p.background)),
+            ("pixel offset", format!("{:?}", p.pixel_offset)),
+        ]
+    };
+    for ((name, expected), (_, found)) in settings(first).into_iter().zip(settings(part)) {
+        if expected != found {
+            return Err(Error::setting(
+                format!("{name} of field {number}"),
+                format!("{expected}, as in field 1"),
+                found,
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// The protocol of the joined run; it is a whole run again if all its shares are there.
+fn joined_protocol(parts: &[UncertaintyField]) -> Protocol {
+    let protocols = || parts.iter().map(|part| &part.protocol);
+    let first = &parts[0].protocol;
+    let one_seed = first.seed.filter(|_| protocols().all(|p| p.seed == first.seed));
+    let whole = first.share.filter(|share| {
+        let mut indices: Vec<u64> = protocols()
+            .filter_map(|p| p.share)
+            .filter(|s| s.rays == share.rays && s.of == share.of)
+            .map(|s| s.index)
+            .collect();
+        indices.sort_unstable();
+        one_seed.is_some() && indices == (0..share.of).collect::<Vec<_>>()
+    });
+    let mut sources: Vec<&str> = protocols().map(|p| p.source.as_str()).collect();
+    sources.dedup();
+    Protocol {
+        source: sources.join(" + "),
+        rays: protocols().map(|p| p.rays).sum(),
+        dropped: protocols().map(|p| p.dropped).sum(),
+        seed: one_seed,
+        share: whole.map(|share| Share::whole(share.rays)),
+        ..first.clone()
+    }
+}

@@ -1,0 +1,133 @@
+//! Long runs survive: killed at random moments and resumed, split into shards and merged.
+
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+use std::time::Duration;
+
+use octobayes::field::ClosedForm;
+use octobayes::posterior::trace;
+use octobayes::uncertainty::{Support, UncertaintyField, compare};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+fn command(folder: &Path, args: &str) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_octobayes"));
+    command.args(args.split_whitespace()).current_dir(folder).stdout(Stdio::null()).stderr(Stdio::piped());
+    command
+}
+
+fn run(folder: &Path, args: &str) -> Output {
+    command(folder, args).output().unwrap()
+}
+
+fn good(folder: &Path, args: &str) {
+    let output = run(folder, args);
+    assert!(output.status.success(), "{args}: {}", String::from_utf8_lossy(&output.stderr));
+}
+
+fn folder_with_cameras() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let cameras = ClosedForm::half_circle(6, [64, 64]);
+    let named: Vec<_> = cameras.into_iter().enumerate().map(|(i, camera)| (format!("r_{i}"), camera)).collect();
+    octobayes::dataset::write_transforms(&folder.path().join("transforms.json"), &named).unwrap();
+    folder
+}
+
+const RUN: &str = "uncertainty scene:courtyard --cameras transforms.json --level 6 --rays 60000 --occupancy 40";
+
+/// `kill -9` gives a process no chance to do anything; whatever moment it hits, the run goes on and ends with the same bytes.
+#[test]
+fn twenty_kills_at_random_moments_change_no_bit() {
+    let folder = folder_with_cameras();
+    let folder = folder.path();
+    for grid in ["octree", "dense"] {
+        good(folder, &format!("{RUN} --grid {grid} -o whole_{grid}.oct"));
+    }
+    let mut rng = ChaCha8Rng::seed_from_u64(3);
+    let (mut kills, mut runs, mut resumed) = (0, 0, 0);
+    while kills < 20 || runs < 2 {
+        let grid = ["octree", "dense"][runs % 2];
+        let args = format!("{RUN} --grid {grid} -o parts.oct --checkpoint run.chk --checkpoint-every 0.02 --resume");
+        resumed += usize::from(folder.join("run.chk").exists());
+        let mut child = command(folder, &args).spawn().unwrap();
+        // One run takes about a second: most attempts are killed, and most of those after some progress.
+        std::thread::sleep(Duration::from_millis(rng.random_range(50..900)));
+        if let Some(status) = child.try_wait().unwrap() {
+            assert!(status.success(), "{}", String::from_utf8_lossy(&child.wait_with_output().unwrap().stderr));
+            let [whole, parts] =
+                [format!("whole_{grid}.oct"), "parts.oct".into()].map(|f| std::fs::read(folder.join(f)).unwrap());
+            assert!(whole == parts, "{grid}: the resumed field has other bytes");
+            assert!(!folder.join("run.chk").exists(), "a finished run removes its checkpoint");
+            std::fs::remove_file(folder.join("parts.oct")).unwrap();
+            runs += 1;
+        } else {
+            child.kill().unwrap();
+            child.wait().unwrap();
+            kills += 1;
+            assert!(!folder.join("parts.oct").exists(), "an unfinished run has no field");
+        }
+    }
+    assert!(resumed >= 10, "{resumed} of {kills} attempts found a checkpoint: the test must interrupt real progress");
+}
+
+#[test]
+#[cfg(unix)]
+fn ctrl_c_saves_the_state_and_resume_goes_on() {
+    let folder = folder_with_cameras();
+    let folder = folder.path();
+    good(folder, &format!("{RUN} -o whole.oct"));
+    let child =
+        command(folder, &format!("{RUN} -o parts.oct --checkpoint run.chk --checkpoint-every 1000")).spawn().unwrap();
+    std::thread::sleep(Duration::from_millis(400));
+    Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    let output = child.wait_with_output().unwrap();
+    let stderr = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(130), "{stderr}");
+    assert!(stderr.contains("--resume goes on"), "{stderr}");
+    // Without --resume the unfinished run is not overwritten; with other settings it is not continued.
+    let again = run(folder, &format!("{RUN} -o parts.oct --checkpoint run.chk"));
+    assert_eq!(again.status.code(), Some(2));
+    let other = run(folder, &format!("{RUN} --seed 5 -o parts.oct --checkpoint run.chk --resume"));
+    let stderr = String::from_utf8(other.stderr).unwrap();
+    assert!(other.status.code() == Some(2) && stderr.contains("seed: expected 5, found 0"), "{stderr}");
+
+    good(folder, &format!("{RUN} -o parts.oct --checkpoint run.chk --resume"));
+    let [whole, parts] = ["whole.oct", "parts.oct"].map(|f| std::fs::read(folder.join(f)).unwrap());
+    assert!(whole == parts, "the resumed field has other bytes");
+}
+
+#[test]
+fn merged_shards_are_the_whole_run() {
+    let folder = folder_with_cameras();
+    let folder = folder.path();
+    for (grid, tolerance) in [("octree", "0"), ("octree", "0.01"), ("dense", "0")] {
+        let settings = format!("{RUN} --keep hessian --grid {grid} --tolerance {tolerance}");
+        good(folder, &format!("{settings} -o whole.oct"));
+        for shard in 0..3 {
+            good(folder, &format!("{settings} --shard {shard}/3 -o part{shard}.oct"));
+        }
+        good(folder, "merge part0.oct part1.oct part2.oct -o merged.oct");
+        let [whole, merged] = ["whole.oct", "merged.oct"].map(|f| UncertaintyField::read(&folder.join(f)).unwrap());
+        assert_eq!((whole.protocol().rays, whole.protocol().share), (merged.protocol().rays, merged.protocol().share));
+        if tolerance == "0" {
+            assert_eq!(whole.support(), merged.support());
+            for (a, b) in whole.information().unwrap().iter().zip(merged.information().unwrap()) {
+                // At most 60,000 positive terms in another order: n ε relative, and far less in practice.
+                assert!((trace(a) - trace(b)).abs() <= 6e4 * f64::EPSILON * trace(a), "{a:?} and {b:?}");
+            }
+        } else {
+            assert!(matches!(merged.support(), Support::Octree(_)));
+        }
+        let difference = compare(&whole, &merged, 50_000, 0).unwrap();
+        // Each field is within the tolerance of the dense one.
+        let limit = if tolerance == "0" { 1e-6 } else { 0.02 };
+        assert!(difference.in_box.unwrap().max <= limit && difference.on_surfaces.unwrap().max <= limit);
+    }
+    let twice = run(folder, "merge part0.oct part0.oct -o x.oct");
+    let stderr = String::from_utf8(twice.stderr).unwrap();
+    assert!(twice.status.code() == Some(2) && stderr.contains("same seed and share"), "{stderr}");
+    good(folder, &format!("{RUN} --keep hessian --grid dense --tolerance 0 --seed 9 --lambda 1e-3 -o other.oct"));
+    let unlike = run(folder, "merge part0.oct other.oct -o x.oct");
+    let stderr = String::from_utf8(unlike.stderr).unwrap();
+    assert!(unlike.status.code() == Some(2) && stderr.contains("lambda of field 2"), "{stderr}");
+}
