@@ -1,12 +1,12 @@
-//! `convert`: to and from the official code's grid.
+//! `convert`: to and from the official code's grid; and to a coarser octree.
 
 use std::path::PathBuf;
 
-use super::options::OfficialOptions;
-use crate::posterior::Covariance;
+use super::options::{OfficialOptions, parse_positive};
+use super::report;
 use crate::{Error, Result};
 
-/// Convert between `.oct` and the official code's `.npy`
+/// Convert between `.oct` and the official code's `.npy`, or make an octree coarser
 ///
 /// The official file is a flat f32 array of (2^lod + 1)^3 sums of squared derivatives in its own index order (stride M, so
 /// vertices on upper faces share entries); its viewer and evaluation read what this writes.
@@ -19,6 +19,10 @@ pub struct Args {
     /// `.npy` or `.oct`
     output: PathBuf,
 
+    /// Merge leaves of an octree as long as log10 U changes by at most this, everywhere; keeps deviations only
+    #[arg(long, value_name = "DECADES", value_parser = parse_positive)]
+    coarsen: Option<f64>,
+
     #[command(flatten)]
     official: OfficialOptions,
 }
@@ -26,7 +30,10 @@ pub struct Args {
 impl Args {
     /// Runs the verb.
     pub fn run(self) -> Result<()> {
-        let field = self.official.read(&self.input)?;
+        let mut field = self.official.read(&self.input)?;
+        if let Some(epsilon) = self.coarsen {
+            field = field.coarsened(epsilon)?;
+        }
         match self.output.extension().and_then(|e| e.to_str()) {
             Some("npy") => {
                 field.write_official(&self.output)?;
@@ -39,8 +46,7 @@ impl Args {
             }
             Some("oct") => {
                 field.write(&self.output)?;
-                say!("{}: covariance `{}`", self.output.display(), Covariance::Trace.name())?;
-                Ok(())
+                say!("{}: {}", self.output.display(), report::summary(&field.summary()))
             }
             _ => Err(Error::malformed(&self.output, "file name", "`.npy` or `.oct`", "another extension")),
         }

@@ -225,6 +225,10 @@ pub struct GridOptions {
     #[arg(long, value_enum)]
     pub keep: Option<Keep>,
 
+    /// Merge leaves of the finished octree as long as log10 U changes by at most this, everywhere; keeps deviations only
+    #[arg(long, value_name = "DECADES", value_parser = parse_positive)]
+    pub coarsen: Option<f64>,
+
     /// Points on visible surfaces to keep in the file, for `compare`
     #[arg(long, value_name = "N", default_value_t = 16_384)]
     pub surface_points: usize,
@@ -247,8 +251,16 @@ impl GridOptions {
         }
     }
 
-    /// Makes sure, before any work, that the output can be written.
+    /// Makes sure, before any work, that the output can be made and written.
     pub fn check_output(&self) -> Result<()> {
+        if self.coarsen.is_some() && (self.grid == GridKind::Dense || self.covariance == Covariance::Trace) {
+            let found = format!(
+                "{} and `{}`",
+                if self.grid == GridKind::Dense { "dense" } else { "octree" },
+                self.covariance.name()
+            );
+            return Err(Error::setting("--coarsen", "an octree with covariance `diagonal` or `block`", found));
+        }
         AtomicFile::create(&self.output).map(drop)
     }
 
@@ -258,7 +270,11 @@ impl GridOptions {
             GridKind::Dense => Keep::Deviation,
             GridKind::Octree => Keep::Hessian,
         });
-        let field = if keep == Keep::Deviation { field.without_information() } else { field };
+        let field = match (self.coarsen, keep) {
+            (Some(epsilon), _) => field.coarsened(epsilon)?,
+            (None, Keep::Deviation) => field.without_information(),
+            (None, Keep::Hessian) => field,
+        };
         field.write(&self.output)?;
         report::finished(&field, cost, self.json)
     }

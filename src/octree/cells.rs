@@ -122,6 +122,12 @@ impl CellTree {
         if unread.is_empty() { Ok(split) } else { Err(format!("{} child masks are left over", unread.len())) }
     }
 
+    /// The split cells of each level above the finest, as sorted Morton codes.
+    #[must_use]
+    pub fn split(&self) -> Vec<Vec<u64>> {
+        Self::split_from_raw(self.finest, self.root_split, &self.masks).expect("a tree's own masks are consistent")
+    }
+
     /// The finest level.
     #[must_use]
     pub fn finest(&self) -> u8 {

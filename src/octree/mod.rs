@@ -149,8 +149,12 @@ impl Octree {
         Located { leaf, corners, weights: trilinear(offset) }
     }
 
-    /// Resolves a corner of some leaf.
-    fn corner(&self, point: [u32; 3]) -> Corner {
+    /// Where the value at a lattice point comes from that is a corner of some leaf.
+    ///
+    /// # Panics
+    /// If it is a corner of no leaf.
+    #[must_use]
+    pub fn corner(&self, point: [u32; 3]) -> Corner {
         if let Some(vertex) = self.vertex(point) {
             return Corner::Free(vertex);
         }
@@ -231,5 +235,7 @@ fn free_vertices(cells: &CellTree) -> MortonSet {
     MortonSet::from_sorted(3 * (u32::from(finest) + 1), &codes)
 }
 
+#[cfg(test)]
+pub(crate) mod arbitrary;
 #[cfg(test)]
 mod tests;

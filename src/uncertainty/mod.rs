@@ -3,6 +3,7 @@
 //! U(x) = Σ_v φ_v(x) σ_v: how far the field could be moved at x without the training images noticing, one standard
 //! deviation. The field lives on a dense grid or on an octree; both are queried, stored and compared in the same way.
 
+mod coarsen;
 mod compare;
 mod file;
 mod merge;

@@ -1,0 +1,196 @@
+//! Coarsening a finished octree field with a guarantee: |Δ log10 U| ≤ ε everywhere.
+//!
+//! Eight sibling leaves merge while interpolating their parent's corners stays within ε/2 of the original field at every corner of
+//! every original leaf inside the parent (its boundary included). Why that is enough: on each original leaf both fields are
+//! trilinear, so their ratio at a point is a weighted mean of the ratios at the leaf's corners, and a bound there holds
+//! between them. A corner of the parent may itself come to hang on a merged leaf of twice the size; its ends are free and
+//! unchanged, so it moves by at most ε/2, and what the parent interpolates from it by at most ε/2 + ε/2.
+
+use rayon::prelude::*;
+
+use super::{Support, UncertaintyField};
+use crate::octree::{Cell, Octree, VertexId, morton, trilinear};
+use crate::posterior::Covariance;
+use crate::{Error, Result};
+
+/// Room for the rounding of deviations to f32, in log10.
+const ROUNDING: f64 = 1e-7;
+
+impl UncertaintyField {
+    /// The field with leaves merged as long as log10 U changes by at most `epsilon` anywhere. It keeps deviations only, and its
+    /// tolerance grows by `epsilon`.
+    ///
+    /// # Errors
+    /// If the field is a dense grid, or of `trace`, whose interpolation is not trilinear: no bound at vertices would hold between
+    /// them.
+    pub fn coarsened(&self, epsilon: f64) -> Result<Self> {
+        let Support::Octree(octree) = &self.support else {
+            return Err(Error::setting("field to coarsen", "an octree", "a dense grid"));
+        };
+        if self.protocol.covariance == Covariance::Trace {
+            let expected = "`diagonal` or `block`, which are trilinear between vertices";
+            return Err(Error::setting("covariance of the field to coarsen", expected, "trace"));
+        }
+        let bound = 0.5 * epsilon - ROUNDING;
+        let finest = octree.finest();
+        let split = octree.cells().split();
+        let mut kept = vec![Vec::new(); split.len()];
+        for level in (0..split.len()).rev() {
+            let finer = kept.get(level + 1).map_or(&[][..], Vec::as_slice);
+            let stays = |code: u64| {
+                let has_split_child = (0..8).any(|c| finer.binary_search(&(code << 3 | c)).is_ok());
+                let cell = Cell { level: level as u8, index: morton::decode(code) };
+                has_split_child || self.merge_error(octree, &split, cell) > bound
+            };
+            let remaining: Vec<u64> = split[level].par_iter().copied().filter(|&code| stays(code)).collect();
+            kept[level] = remaining;
+        }
+        let wanted = kept.iter().enumerate().flat_map(|(level, codes)| {
+            codes.iter().map(move |&code| Cell { level: level as u8, index: morton::decode(code) }.child(0))
+        });
+        let coarse = Octree::refined(finest, wanted);
+        // A free vertex of the coarser octree was free before: whatever it hung on has only grown.
+        let mut deviations = Vec::with_capacity(coarse.vertex_count());
+        deviations.extend(coarse.vertex_positions().map(|point| {
+            let VertexId(v) = octree.vertex(point).expect("vertices of a coarser octree are a subset");
+            self.deviations[v as usize]
+        }));
+        let mut protocol = self.protocol.clone();
+        protocol.tolerance += epsilon;
+        Ok(Self {
+            protocol,
+            lattice: self.lattice,
+            support: Support::Octree(coarse),
+            deviations,
+            information: None,
+            surface: self.surface.clone(),
+        })
+    }
+
+    /// Largest |Δ log10 U| over the corners of the original leaves inside `cell` if it became one leaf.
+    fn merge_error(&self, octree: &Octree, split: &[Vec<u64>], cell: Cell) -> f64 {
+        let finest = octree.finest();
+        let (origin, edge) = cell.extent(finest);
+        let corner = |origin: [u32; 3], edge: u32, c: u32| {
+            std::array::from_fn::<u32, 3, _>(|axis| origin[axis] + edge * (c >> axis & 1))
+        };
+        let ends: [f64; 8] = std::array::from_fn(|c| self.at_corner(octree, corner(origin, edge, c as u32)));
+        let mut largest = 0.0_f64;
+        for_each_leaf_within(split, finest, cell, &mut |leaf| {
+            let (leaf_origin, leaf_edge) = leaf.extent(finest);
+            for c in 0..8 {
+                let point = corner(leaf_origin, leaf_edge, c);
+                let offset = glam::DVec3::from(std::array::from_fn(|axis| {
+                    f64::from(point[axis] - origin[axis]) / f64::from(edge)
+                }));
+                let merged: f64 = ends.iter().zip(trilinear(offset)).map(|(e, w)| e * w).sum();
+                largest = largest.max((merged / self.at_corner(octree, point)).log10().abs());
+            }
+        });
+        largest
+    }
+
+    /// U at a corner of a leaf.
+    fn at_corner(&self, octree: &Octree, point: [u32; 3]) -> f64 {
+        let corner = octree.corner(point);
+        let values = corner.masters().iter().map(|&VertexId(v)| f64::from(self.deviations[v as usize]));
+        self.protocol.covariance.mean(values)
+    }
+}
+
+/// The leaves inside a cell, given the split cells of each level in Morton order.
+fn for_each_leaf_within(split: &[Vec<u64>], finest: u8, cell: Cell, visit: &mut impl FnMut(Cell)) {
+    let is_split =
+        cell.level < finest && split[usize::from(cell.level)].binary_search(&morton::encode(cell.index)).is_ok();
+    if is_split {
+        (0..8).for_each(|c| for_each_leaf_within(split, finest, cell.child(c), visit));
+    } else {
+        visit(cell);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::{Aabb, Lattice};
+    use crate::octree::arbitrary::octrees;
+    use crate::uncertainty::Protocol;
+    use glam::Vec3;
+    use proptest::prelude::*;
+
+    /// A field on an octree whose deviations are smooth in places and jump in others.
+    fn field(octree: Octree, roughness: f64) -> UncertaintyField {
+        let lattice = Lattice::new(Aabb::centered_cube(1.0), octree.finest()).unwrap();
+        let m = f64::from(lattice.cells_per_axis());
+        let deviations = octree
+            .vertex_positions()
+            .map(|p| {
+                let [x, y, z] = p.map(|i| f64::from(i) / m);
+                let noise = (f64::from(p[0] * 7919 + p[1] * 104_729 + p[2] * 1_299_709) * 0.618_034).fract();
+                let rough = if x > 0.5 { roughness } else { 0.01 * roughness };
+                10_f64.powf((3.0 * x + y).sin() + z + rough * noise) as f32
+            })
+            .collect();
+        let protocol = Protocol {
+            version: "test".into(),
+            source: "test".into(),
+            rays: 1,
+            dropped: 0,
+            seed: None,
+            share: None,
+            lambda: 1.0,
+            covariance: Covariance::Diagonal,
+            tolerance: 0.0,
+            march_step: None,
+            difference_step: None,
+            cutoff: None,
+            background: None,
+            pixel_offset: None,
+        };
+        UncertaintyField {
+            protocol,
+            lattice,
+            support: Support::Octree(octree),
+            deviations,
+            information: None,
+            surface: vec![],
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn the_bound_holds_everywhere(octree in octrees(), roughness in 0.0..0.5_f64, epsilon in 1e-3..0.5_f64,
+                                      points in proptest::collection::vec(proptest::array::uniform3(-1.0..=1.0_f32), 100)) {
+            let original = field(octree, roughness);
+            let coarse = original.coarsened(epsilon).unwrap();
+            prop_assert!(coarse.validate().is_ok());
+            prop_assert!(coarse.deviations.len() <= original.deviations.len());
+            for x in points {
+                let x = Vec3::from_array(x);
+                let change = (coarse.log10(x) - original.log10(x)).abs();
+                prop_assert!(change <= epsilon, "{} at {}", change, x);
+            }
+        }
+    }
+
+    #[test]
+    fn smooth_fields_shrink_and_rough_ones_do_not() {
+        let all = |level: u8| (0..1_u64 << (3 * level)).map(move |code| Cell { level, index: morton::decode(code) });
+        let vertices = |roughness, epsilon| {
+            let original = field(Octree::refined(4, all(4)), roughness);
+            original.coarsened(epsilon).unwrap().deviations.len()
+        };
+        assert_eq!(vertices(3.0, 1e-3), 4913, "nothing can merge where neighbours differ by decades");
+        assert!(vertices(0.0, 0.05) < 4913 / 2, "{}", vertices(0.0, 0.05));
+        assert!(vertices(0.0, 10.0) == 8, "everything merges into one cell");
+    }
+
+    #[test]
+    fn dense_grids_and_trace_are_refused() {
+        let mut trace = field(Octree::refined(2, []), 0.0);
+        trace.protocol.covariance = Covariance::Trace;
+        assert!(trace.coarsened(0.1).unwrap_err().to_string().contains("trilinear"));
+        let dense = UncertaintyField { support: Support::Dense, ..field(Octree::refined(2, []), 0.0) };
+        assert!(dense.coarsened(0.1).unwrap_err().to_string().contains("dense"));
+    }
+}
