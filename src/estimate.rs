@@ -58,6 +58,8 @@ impl Default for GridSettings {
     }
 }
 
+/// Most samples along a ray: hundreds of rays are under way at once.
+const MAX_STEPS: f64 = 65_536.0;
 /// Highest level of a dense grid: 6.5 GB; the next needs 52 GB.
 const MAX_DENSE_LEVEL: u8 = 9;
 
@@ -123,11 +125,16 @@ impl RaySettings {
     /// A tracer through `field` whose occupancy holds within a distance `reach`, scene units.
     ///
     /// # Errors
-    /// [`Error::Interrupted`] only.
+    /// If the step is too small for the field's box, or [`Error::Interrupted`].
     pub fn tracer<'a>(&self, field: &'a dyn RadianceField, reach: f64, monitor: &dyn Monitor) -> Result<Tracer<'a>> {
         let occupancy =
             if self.cutoff > 0.0 { Some(Occupancy::build(field, self.occupancy, reach, monitor)?) } else { None };
         let step = self.march_step.unwrap_or_else(|| field.suggested_step());
+        let steps = field.bounds().size().length() / step;
+        if steps.is_nan() || steps > MAX_STEPS {
+            let expected = format!("at most {MAX_STEPS} steps across the field's box (--march-step)");
+            return Err(Error::setting("march step", expected, format!("{step:e} scene units, {steps:.0} steps")));
+        }
         let marcher = Marcher { step, bounds: field.bounds(), occupancy, cutoff: self.cutoff };
         Ok(Tracer { field, marcher, background: self.background })
     }
@@ -143,7 +150,9 @@ impl RaySettings {
         lattice: &Lattice,
     ) -> RunKey {
         RunKey {
+            version: env!("CARGO_PKG_VERSION").into(),
             source,
+            cameras: crc32fast::hash(format!("{:?}", stream.cameras).as_bytes()),
             lattice: *lattice,
             share,
             seed: stream.seed,
@@ -207,6 +216,12 @@ impl FieldBuilder {
     /// As [`GridSettings::lattice`].
     pub fn new(settings: GridSettings, bounds: Aabb) -> Result<Self> {
         let lattice = settings.lattice(bounds)?;
+        let lambda = settings.lambda.unwrap_or_else(|| lattice.default_lambda());
+        let prior = settings.covariance.prior(lambda);
+        if !(prior as f32).is_normal() {
+            let found = format!("{lambda:e}, whose prior deviation is {prior:e}");
+            return Err(Error::setting("lambda", "a prior deviation that f32 can hold", found));
+        }
         let posterior = match settings.grid {
             GridKind::Dense => AnyPosterior::Dense(DensePosterior::new(lattice)),
             GridKind::Octree => AnyPosterior::Octree(OctreePosterior::new(lattice)),

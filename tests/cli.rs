@@ -108,6 +108,18 @@ fn bad_input_gets_one_line_exit_code_2_and_no_output() {
         npz.array("rays_total", &[], [total]).unwrap();
         npz.finish().unwrap();
     };
+    let mut npz = NpzWriter::create(&desk.path("square.npz")).unwrap();
+    npz.array("positions", &[2, 3], [0.1_f32; 6]).unwrap();
+    npz.array("jacobian", &[2, 3, 3], [1.0_f32; 18]).unwrap();
+    npz.array("ray", &[2, 2], [0_u32, 1, 2, 3]).unwrap();
+    npz.array("rays_total", &[], [4_i64]).unwrap();
+    npz.finish().unwrap();
+    let pose = "\"transform_matrix\": [[1,0,0,0],[0,1,0,0],[0,0,1,3]]";
+    desk.write("wide.json", format!("{{\"fl_x\": 1e-300, \"frames\": [{{{pose}}}]}}").as_bytes());
+    desk.write(
+        "huge.json",
+        format!("{{\"fl_x\": 9e4, \"w\": 65536, \"h\": 65536, \"frames\": [{{{pose}}}]}}").as_bytes(),
+    );
     samples("decreasing.npz", [5, 4], 1.0, 10);
     samples("nan_samples.npz", [4, 5], f32::NAN, 10);
     samples("beyond.npz", [4, 50], 1.0, 10);
@@ -146,6 +158,11 @@ fn bad_input_gets_one_line_exit_code_2_and_no_output() {
         (format!("accumulate none.npz {sum}"), vec!["none.npz"]),
         (format!("accumulate decreasing.npz {sum}"), vec!["decreasing.npz", "element 1", "non-decreasing", "4"]),
         (format!("accumulate nan_samples.npz {sum}"), vec!["nan_samples.npz", "jacobian", "sample 0", "NaN"]),
+        (format!("accumulate square.npz {sum}"), vec!["square.npz", "ray", "[2, 2]"]),
+        ("uncertainty scene:ball --cameras wide.json -o x.oct".into(), vec!["wide.json", "frame 0", "focal"]),
+        ("render scene:courtyard field.oct --cameras huge.json -o x.png".into(), vec!["huge.json", "1e8 pixels"]),
+        (format!("{run} --march-step 1e-6"), vec!["march step", "65536"]),
+        (format!("{run} --lambda 1e-90"), vec!["lambda", "f32"]),
         (format!("accumulate beyond.npz {sum}"), vec!["beyond.npz", "rays_total", "50"]),
         (format!("accumulate none_drawn.npz {sum}"), vec!["none_drawn.npz", "rays_total"]),
         (format!("accumulate nan.npz {sum}"), vec!["nan.npz", "positions"]),
@@ -188,6 +205,16 @@ fn bad_input_gets_one_line_exit_code_2_and_no_output() {
         assert!(lines == 1 || stderr.contains("For more information, try '--help'"), "{args}: {stderr}");
         assert_eq!(desk.files(), before, "{args} left something behind");
     }
+}
+
+/// Finite but absurd lens coefficients are legal input: rays stay finite.
+#[test]
+fn an_absurd_lens_does_not_panic() {
+    let desk = Desk::new();
+    let pose = "\"transform_matrix\": [[1,0,0,0],[0,1,0,0],[0,0,1,3]]";
+    let lens = format!("{{\"fl_x\": 30, \"k1\": 1e308, \"k2\": -1e308, \"frames\": [{{{pose}}}]}}");
+    desk.write("lens.json", lens.as_bytes());
+    desk.good("uncertainty scene:ball --cameras lens.json --level 4 --rays 1000 --occupancy 16 -o x.oct");
 }
 
 #[test]

@@ -100,6 +100,9 @@ fn ctrl_c_saves_the_state_and_resume_goes_on() {
     let other = run(folder, &format!("{RUN} --seed 5 -o parts.oct --checkpoint run.chk --resume"));
     let stderr = String::from_utf8(other.stderr).unwrap();
     assert!(other.status.code() == Some(2) && stderr.contains("seed: expected 5, found 0"), "{stderr}");
+    let other = run(folder, &format!("{RUN} --resolution 20 -o parts.oct --checkpoint run.chk --resume"));
+    let stderr = String::from_utf8(other.stderr).unwrap();
+    assert!(other.status.code() == Some(2) && stderr.contains("run, cameras"), "{stderr}");
 
     good(folder, &format!("{RUN} -o parts.oct --checkpoint run.chk --resume"));
     let [whole, parts] = ["whole.oct", "parts.oct"].map(|f| std::fs::read(folder.join(f)).unwrap());
@@ -135,7 +138,16 @@ fn merged_shards_are_the_whole_run() {
     }
     let twice = run(folder, "merge part0.oct part0.oct -o x.oct");
     let stderr = String::from_utf8(twice.stderr).unwrap();
-    assert!(twice.status.code() == Some(2) && stderr.contains("same seed and share"), "{stderr}");
+    assert!(twice.status.code() == Some(2) && stderr.contains("rays in common"), "{stderr}");
+    // Part 1 of 3 and part 1 of 2 of the same seed have batches in common.
+    good(folder, &format!("{RUN} --keep hessian --grid dense --tolerance 0 --shard 1/2 -o half.oct"));
+    let overlapping = run(folder, "merge part1.oct half.oct -o x.oct");
+    let stderr = String::from_utf8(overlapping.stderr).unwrap();
+    assert!(overlapping.status.code() == Some(2) && stderr.contains("rays in common"), "{stderr}");
+    let ball = RUN.replace("courtyard", "ball");
+    good(folder, &format!("{ball} --keep hessian --grid dense --tolerance 0 --seed 8 -o ball.oct"));
+    let stderr = String::from_utf8(run(folder, "merge part0.oct ball.oct -o x.oct").stderr).unwrap();
+    assert!(stderr.contains("model and cameras of field 2"), "{stderr}");
     good(folder, &format!("{RUN} --keep hessian --grid dense --tolerance 0 --seed 9 --lambda 1e-3 -o other.oct"));
     let unlike = run(folder, "merge part0.oct other.oct -o x.oct");
     let stderr = String::from_utf8(unlike.stderr).unwrap();

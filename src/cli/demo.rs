@@ -59,7 +59,7 @@ impl Args {
         let [octree, dense] = &fields;
 
         let comparison = compare(octree, dense, 200_000, 0)?;
-        say!("protocol\n{}", report::protocol(octree))?;
+        say!("protocol\n{}\n  threads      {}", report::protocol(octree), rayon::current_num_threads())?;
         say!("{}", report::comparison(&comparison))?;
 
         self.pictures(&scene, octree, &cameras, bars)?;

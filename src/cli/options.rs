@@ -17,7 +17,7 @@ use crate::{Error, Result};
 
 use super::report::{self, Cost};
 
-/// Samples of less weight than this are left out of images: no 8-bit pixel shows them.
+/// What images leave out changes a pixel by no more than this in front and behind: less than half a step of 8 bits.
 const IMAGE_CUTOFF: f64 = 1e-4;
 
 /// Numbers separated by commas.

@@ -73,7 +73,6 @@ pub fn protocol(field: &UncertaintyField) -> String {
     line("cutoff", known(p.cutoff.map(|c| format!("{c:e}"))));
     line("background", known(p.background.map(|b| format!("{b:?}"))));
     line("pixel offset", known(p.pixel_offset.map(|o| o.to_string())));
-    line("threads", rayon::current_num_threads().to_string());
     out.trim_end().to_string()
 }
 
@@ -84,7 +83,6 @@ pub fn protocol_json(field: &UncertaintyField) -> Value {
         "box": { "min": field.lattice().bounds().min().to_array(), "max": field.lattice().bounds().max().to_array() },
         "level": field.lattice().level(),
         "refinement": "sensitivity",
-        "threads": rayon::current_num_threads(),
     })
 }
 
@@ -137,11 +135,12 @@ pub fn finished(field: &UncertaintyField, cost: &Cost, as_json: bool) -> Result<
     if as_json {
         let mut value = protocol_json(field);
         value["summary"] = json!(s);
+        value["threads"] = json!(rayon::current_num_threads());
         value["seconds"] = json!(cost.elapsed.as_secs_f64());
         value["posterior_bytes"] = json!(cost.posterior_bytes);
         say!("{value}")?;
     } else {
-        say!("protocol\n{}", protocol(field))?;
+        say!("protocol\n{}\n  threads      {}", protocol(field), rayon::current_num_threads())?;
         say!("field\n  {}", summary(&s))?;
         say!("  {} while summing, {:.1} s", bytes(cost.posterior_bytes), cost.elapsed.as_secs_f64())?;
     }

@@ -111,9 +111,9 @@ impl Args {
         let share = self.share()?;
         let mut checkpoint = self.checkpoint()?;
         let stream = settings.stream(&*field, &cameras, &lattice, bars)?;
-        let source = [&self.model.model, &*self.cameras.cameras.to_string_lossy()].map(identity);
-        let [model, camera_file] = source;
-        let key = settings.run_key(format!("{} seen by {}", model?, camera_file?), share, &stream, &grid, &lattice);
+        let [model, camera_file] = [&self.model.model, &*self.cameras.cameras.to_string_lossy()].map(identity);
+        let source = format!("{} seen by {}", model?, camera_file?);
+        let key = settings.run_key(source.clone(), share, &stream, &grid, &lattice);
         let mut so_far = match &checkpoint {
             Some(checkpoint) if checkpoint.path.exists() => builder.restore(&checkpoint.path, &key)?,
             _ => Tally::default(),
@@ -144,7 +144,6 @@ impl Args {
             dump.finish(tally.rays)?;
         }
         let posterior_bytes = builder.memory();
-        let source = format!("{} seen by {}", self.model.model, self.cameras.cameras.display());
         let field = builder.finish(&Provenance { source, tally, share: Some(share), stream: Some(&stream) });
         self.grid.write(field, &Cost { elapsed: start.elapsed(), posterior_bytes })?;
         if let Some(checkpoint) = checkpoint.filter(|c| c.path.exists()) {

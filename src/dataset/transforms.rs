@@ -83,6 +83,8 @@ struct RawFile {
 
 /// Assumed image size where nothing tells.
 const ASSUMED: [u32; 2] = [400, 400];
+/// Largest accepted image: 100 megapixels.
+const MAX_PIXELS: f64 = 1e8;
 /// Largest accepted image side; a larger one is a damaged file.
 const MAX_SIDE: f64 = 65_536.0;
 
@@ -112,7 +114,11 @@ impl Intrinsics {
     fn resolution(&self) -> Option<std::result::Result<[u32; 2], String>> {
         let (w, h) = (self.w?, self.h?);
         let side = |v: f64| (1.0..=MAX_SIDE).contains(&v) && v.fract() == 0.0;
-        Some(if side(w) && side(h) { Ok([w as u32, h as u32]) } else { Err(format!("{w} x {h}")) })
+        Some(if side(w) && side(h) && w * h <= MAX_PIXELS {
+            Ok([w as u32, h as u32])
+        } else {
+            Err(format!("{w} x {h}"))
+        })
     }
 
     /// The lens; what is wrong with it otherwise.
@@ -149,7 +155,9 @@ impl Intrinsics {
             _ => fx * scale[1] / scale[0],
         };
         let center = [self.cx.map_or(0.5 * w, |c| c * scale[0]), self.cy.map_or(0.5 * h, |c| c * scale[1])];
-        if [fx, fy].iter().all(|f| *f > 0.0 && f.is_finite()) && center.iter().all(|c| c.is_finite()) {
+        // Corners of the image on the plane at depth 1: beyond 10⁶ it is no picture, and a ray's length overflows.
+        let reach = [0, 1].map(|k| center[k].abs().max((f64::from(resolution[k]) - center[k]).abs()) / [fx, fy][k]);
+        if [fx, fy].iter().all(|f| *f > 0.0 && f.is_finite()) && reach.iter().all(|r| *r < 1e6) {
             Ok(([fx, fy], center))
         } else {
             Err(format!("focal lengths {fx}, {fy}, principal point {center:?}"))
@@ -194,7 +202,12 @@ impl Views {
                     resolution
                 }
                 (None, Some(resolution)) => resolution.map_err(|found| {
-                    Error::malformed(path, place("`w`, `h`"), "whole numbers from 1 to 65536", found)
+                    Error::malformed(
+                        path,
+                        place("`w`, `h`"),
+                        "whole numbers from 1 to 65536, at most 1e8 pixels",
+                        found,
+                    )
                 })?,
                 (None, None) => {
                     let (resolution, from) = *fallback.get_or_insert_with(|| match from_image() {

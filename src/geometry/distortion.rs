@@ -45,11 +45,12 @@ impl Distortion {
             let yy = 1.0 + radial + 2.0 * y * y * slope + 2.0 * p2 * x + 6.0 * p1 * y;
             let xy = 2.0 * x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y;
             let determinant = xx * yy - xy * xy;
-            if ex.abs().max(ey.abs()) < 1e-15 || determinant <= 0.0 {
+            let (nx, ny) = (x - (yy * ex - xy * ey) / determinant, y - (xx * ey - xy * ex) / determinant);
+            // Absurd coefficients must not turn a ray into NaN: keep the last finite point.
+            if ex.abs().max(ey.abs()) < 1e-15 || determinant <= 0.0 || !(nx.is_finite() && ny.is_finite()) {
                 break;
             }
-            x -= (yy * ex - xy * ey) / determinant;
-            y -= (xx * ey - xy * ex) / determinant;
+            (x, y) = (nx, ny);
         }
         [x, y]
     }

@@ -27,8 +27,12 @@ pub enum AnyPosterior {
 /// What a run must have in common with the one that it goes on from: every setting that a sum depends on.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RunKey {
-    /// Model and cameras, with their checksums.
+    /// Version of this crate: another one may round or draw otherwise.
+    pub version: String,
+    /// Model and camera file, with their checksums.
     pub source: String,
+    /// Checksum of the cameras in use: an image size can come from elsewhere than the file.
+    pub cameras: u32,
     /// Box and finest level.
     pub lattice: Lattice,
     /// The rays.
@@ -116,8 +120,21 @@ pub fn load(path: &Path, key: &RunKey, dense: bool) -> Result<State> {
         let same = codes.len() == bricks.len();
         same.then(|| OctreePosterior::restore(key.lattice, &codes, bricks)).flatten().map(AnyPosterior::Octree)
     };
+    let sums_are_finite = match &posterior {
+        Some(AnyPosterior::Dense(posterior)) => posterior.sums().iter().flatten().all(|v| v.is_finite()),
+        Some(AnyPosterior::Octree(posterior)) => {
+            posterior.bricks().flatten().flatten().flatten().all(|v| v.is_finite())
+        }
+        None => false,
+    };
+    let posterior = posterior.filter(|_| sums_are_finite && key.share.admits(&header.tally));
     let posterior = posterior.ok_or_else(|| {
-        Error::malformed(path, "section `sums`", "the sums of this lattice", "codes or counts of another")
+        Error::malformed(
+            path,
+            "section `sums`",
+            "the sums of an unfinished run",
+            "codes, counts or sums that no such run gives",
+        )
     })?;
     Ok(State { posterior, tally: header.tally, surface: file.section("surface")? })
 }

@@ -67,6 +67,18 @@ impl Share {
         BATCH.min(self.rays - batch * BATCH)
     }
 
+    /// Whether a run of this part can have come as far as `tally` says.
+    #[must_use]
+    pub fn admits(&self, tally: &Tally) -> bool {
+        tally.batches <= self.batches() && tally.rays <= self.own_rays() && tally.dropped <= tally.rays
+    }
+
+    /// Whether this is a part of something: at least one ray and part, and an index below their number.
+    #[must_use]
+    pub fn is_valid(&self) -> bool {
+        self.rays > 0 && self.of > 0 && self.index < self.of
+    }
+
     /// Rays of this part.
     #[must_use]
     pub fn own_rays(&self) -> u64 {

@@ -138,11 +138,11 @@ impl SamplesReader {
         let samples = positions.shape()[0];
         drop(positions);
         npz.stream::<f32>("jacobian")?.expect_shape(&[Some(samples), Some(3), Some(3)])?;
-        let ray_type = if npz.stream::<u32>("ray").is_ok() {
+        let ray_type = if let Ok(ray) = npz.stream::<u32>("ray") {
+            ray.expect_shape(&[Some(samples)])?;
             "u32"
         } else {
-            // The more general type last: its message names what was found.
-            npz.stream::<u64>("ray")?;
+            npz.stream::<u64>("ray").map_err(name_both_types)?.expect_shape(&[Some(samples)])?;
             "u64"
         };
         let has_weights = npz.has("weight");
@@ -244,6 +244,16 @@ impl SamplesReader {
             let expected = format!("{} samples", self.samples);
             Error::malformed(&self.path, format!("array `{name}`"), expected, format!("{sample}"))
         })
+    }
+}
+
+/// Says that `ray` may be of either type.
+fn name_both_types(error: Error) -> Error {
+    match error {
+        Error::Malformed { path, place, expected, found } if expected.starts_with("dtype") => {
+            Error::Malformed { path, place, expected: "dtype u32 or u64 (`.astype(\"u4\")`)".into(), found }
+        }
+        other => other,
     }
 }
 

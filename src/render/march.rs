@@ -16,7 +16,8 @@ pub struct Marcher {
     pub bounds: Aabb,
     /// Density bound; `None` samples everything.
     pub occupancy: Option<Occupancy>,
-    /// Samples whose opacity is certain to stay below this are passed over, and a ray ends when its transmittance does.
+    /// Cells are passed over if all of them along a ray together are certain to stay below this optical depth, and a ray
+    /// ends when its transmittance is below it.
     pub cutoff: f64,
 }
 
@@ -29,7 +30,8 @@ impl Marcher {
         match &self.occupancy {
             None => t.extend(candidates),
             Some(occupancy) => {
-                let least = (self.cutoff / self.step) as f32;
+                // Thin fog adds up: no ray through the box is longer than its diagonal.
+                let least = (self.cutoff / self.bounds.size().length()) as f32;
                 t.extend(candidates.filter(|&t| occupancy.majorant(ray.at(t)) > least));
             }
         }

@@ -67,9 +67,11 @@ impl UncertaintyField {
             .and_then(|bounds| Lattice::new(bounds, header.lattice.level()))
             .map_err(|e| Error::malformed(path, "header", "a valid box and level", e.to_string()))?;
         let protocol = header.protocol;
-        if !(protocol.lambda > 0.0 && protocol.lambda.is_finite() && protocol.rays > 0) {
-            let found = format!("lambda {}, rays {}", protocol.lambda, protocol.rays);
-            return Err(Error::malformed(path, "header", "positive lambda and rays", found));
+        let counts =
+            protocol.rays > 0 && protocol.dropped <= protocol.rays && protocol.share.is_none_or(|s| s.is_valid());
+        if !(protocol.lambda > 0.0 && protocol.lambda.is_finite() && protocol.tolerance >= 0.0 && counts) {
+            let found = format!("lambda {}, rays {}, {:?}", protocol.lambda, protocol.rays, protocol.share);
+            return Err(Error::malformed(path, "header", "a positive lambda and a possible number of rays", found));
         }
         let masks = file.section::<u8>("masks")?;
         let deviations = file.section::<f32>("deviations")?;

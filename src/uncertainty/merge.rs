@@ -11,8 +11,8 @@ use crate::{Error, Result};
 /// for the sum of the R, so log10 U moves by no more than the tolerance. With tolerance 0 only the rounding is left.
 ///
 /// # Errors
-/// If there are less than two parts, one keeps no information, they differ in a setting that a sum depends on, or two of
-/// them drew the same rays.
+/// If there are less than two parts, one keeps no information, they differ in model, cameras or a setting that a sum depends on, or two of
+/// them may count the same rays.
 pub fn merge(parts: &[UncertaintyField]) -> Result<UncertaintyField> {
     let [first, rest @ ..] = parts else {
         return Err(Error::setting("fields to merge", "two or more", "none"));
@@ -23,9 +23,10 @@ pub fn merge(parts: &[UncertaintyField]) -> Result<UncertaintyField> {
     for (i, part) in rest.iter().enumerate() {
         check_alike(first, part, i + 2)?;
         for (j, other) in parts[..=i].iter().enumerate() {
-            if part.protocol.seed.is_some() && drew_the_same(&part.protocol, &other.protocol) {
-                let found = format!("fields {} and {} of the same seed and share", j + 1, i + 2);
-                return Err(Error::setting("rays of the fields to merge", "different ones", found));
+            if may_share_rays(&part.protocol, &other.protocol) {
+                let found = format!("fields {} and {}, which may have rays in common", j + 1, i + 2);
+                let expected = "different seeds, different shards of one run, or different sample files";
+                return Err(Error::setting("fields to merge", expected, found));
             }
         }
     }
@@ -68,11 +69,20 @@ pub fn merge(parts: &[UncertaintyField]) -> Result<UncertaintyField> {
     Ok(UncertaintyField::new(protocol, first.lattice, support, sums).with_surface(surface))
 }
 
-fn drew_the_same(a: &Protocol, b: &Protocol) -> bool {
-    a.seed == b.seed && a.share == b.share
+/// Whether two fields may count the same rays: batch b of a seed is the same in every run, whatever the run's length.
+fn may_share_rays(a: &Protocol, b: &Protocol) -> bool {
+    match (a.seed, b.seed) {
+        (Some(x), Some(y)) if x != y => false,
+        (Some(_), Some(_)) => match (a.share, b.share) {
+            (Some(x), Some(y)) => x.rays != y.rays || x.of != y.of || x.index == y.index,
+            _ => true,
+        },
+        // Sample files and merged fields: all that is known is where they came from.
+        _ => a.source == b.source,
+    }
 }
 
-/// Compares everything but rays, seed, share and source.
+/// Compares everything but rays, seed and share; the source too, if this crate drew the rays.
 fn check_alike(first: &UncertaintyField, part: &UncertaintyField, number: usize) -> Result<()> {
     let settings = |field: &UncertaintyField| {
         let p = &field.protocol;
@@ -90,6 +100,11 @@ fn check_alike(first: &UncertaintyField, part: &UncertaintyField, number: usize)
             ("pixel offset", format!("{:?}", p.pixel_offset)),
         ]
     };
+    if first.protocol.march_step.is_some() && first.protocol.source != part.protocol.source {
+        let (expected, found) = (&first.protocol.source, &part.protocol.source);
+        let what = format!("model and cameras of field {number}");
+        return Err(Error::setting(what, format!("{expected}, as in field 1"), found));
+    }
     for ((name, expected), (_, found)) in settings(first).into_iter().zip(settings(part)) {
         if expected != found {
             return Err(Error::setting(
@@ -114,14 +129,14 @@ fn joined_protocol(parts: &[UncertaintyField]) -> Protocol {
             .map(|s| s.index)
             .collect();
         indices.sort_unstable();
-        one_seed.is_some() && indices == (0..share.of).collect::<Vec<_>>()
+        one_seed.is_some() && indices.len() as u64 == share.of && indices.iter().copied().eq(0..share.of)
     });
     let mut sources: Vec<&str> = protocols().map(|p| p.source.as_str()).collect();
     sources.dedup();
     Protocol {
         source: sources.join(" + "),
-        rays: protocols().map(|p| p.rays).sum(),
-        dropped: protocols().map(|p| p.dropped).sum(),
+        rays: protocols().fold(0, |sum, p| sum.saturating_add(p.rays)),
+        dropped: protocols().fold(0, |sum, p| sum.saturating_add(p.dropped)),
         seed: one_seed,
         share: whole.map(|share| Share::whole(share.rays)),
         ..first.clone()

@@ -270,7 +270,7 @@ fn vertex_count(lattice: &Lattice, support: &Support) -> u64 {
 
 fn deviations(information: &[Information], protocol: &Protocol) -> Vec<f32> {
     let Protocol { covariance, rays, lambda, .. } = *protocol;
-    information.par_iter().map(|s| covariance.deviation(s, rays, lambda) as f32).collect()
+    information.par_iter().map(|s| (covariance.deviation(s, rays, lambda) as f32).max(f32::MIN_POSITIVE)).collect()
 }
 
 #[cfg(test)]

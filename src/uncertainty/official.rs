@@ -1,8 +1,9 @@
 //! The official code's file: a flat f32 `.npy` of Σ_r tr(JᵀJ) on (M + 1)³ vertices.
 //!
 //! Its index is x·M² + y·M + z: the stride is M although there are M + 1 vertices per axis, so vertices on the upper faces share
-//! entries with vertices elsewhere. It is read and written that way (and nowhere else): vertices below M along y and z are
-//! exact; on the upper faces y = M and z = M an entry is the sum over all vertices that share it.
+//! entries with vertices on lower ones: (x, y, M) with (x, y + 1, 0), and (x, M, z) with (x + 1, 0, z). It is read and
+//! written that way (and nowhere else). Vertices inside the box are exact; on its faces an entry is the sum over all vertices
+//! that share it, as in the official code itself.
 
 use std::path::Path;
 
