@@ -1,6 +1,6 @@
 //! The state of a posterior in a file, so that a run survives Ctrl-C, `kill -9` and power cuts.
 //!
-//! A [container](crate::io::container) with the sections `codes` (u64, of bricks; empty for a dense grid), `sums` (64 or 1
+//! A [container] with the sections `codes` (u64, of bricks; empty for a dense grid), `sums` (64 or 1
 //! information matrices each) and `surface`. Sums are kept bit for bit and rays go on behind the last one counted, so a
 //! resumed run ends with the bits of an uninterrupted one. A run only takes up a state whose description equals its own.
 

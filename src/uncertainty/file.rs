@@ -1,4 +1,4 @@
-//! The field file, `.oct`: a [container](crate::io::container) with the sections
+//! The field file, `.oct`: a [container] with the sections
 //!
 //! ```text
 //! masks        u8         child masks of the octree, breadth first (empty for a dense grid)
