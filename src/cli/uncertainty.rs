@@ -54,7 +54,8 @@ pub struct Args {
     dump_samples: Option<PathBuf>,
 
     /// Compute only part I of N of the rays (I from 0); `merge` joins the parts
-    #[arg(long, value_name = "I/N", value_parser = parse_shard)]
+    // Ray indices of a part are those of the whole run, beyond the `rays_total` of its own dump.
+    #[arg(long, value_name = "I/N", value_parser = parse_shard, conflicts_with = "dump_samples")]
     shard: Option<[u64; 2]>,
 
     /// Keep the state of the run in this file, so that it survives Ctrl-C, kill -9 and power cuts

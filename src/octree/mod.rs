@@ -189,8 +189,8 @@ impl Octree {
     }
 }
 
-/// The finest cells around a lattice point, clipped to the box.
-fn cells_around(point: [u32; 3], finest: u8) -> impl Iterator<Item = [u32; 3]> {
+/// The up to eight finest cells around a lattice point, clipped to the box.
+pub fn cells_around(point: [u32; 3], finest: u8) -> impl Iterator<Item = [u32; 3]> {
     let m = 1_u32 << finest;
     (0..8_u32).filter_map(move |c| {
         let mut cell = point;

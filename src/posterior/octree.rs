@@ -16,7 +16,7 @@ use rustc_hash::FxHashMap;
 use super::covariance::negligible_information;
 use super::{Information, Posterior, trace};
 use crate::geometry::Lattice;
-use crate::octree::{Cell, Octree, morton, trilinear};
+use crate::octree::{Cell, Octree, cells_around, morton, trilinear};
 use crate::render::RaySamples;
 
 /// Shards: enough to keep many cores busy, few enough that their lists stay long.
@@ -175,14 +175,15 @@ impl OctreePosterior {
     #[must_use]
     pub fn into_octree(self, rays: u64, lambda: f64, tolerance: f64) -> (Octree, Vec<Information>) {
         let negligible = negligible_information(tolerance, rays, lambda);
-        let last = self.lattice.cells_per_axis() - 1;
+        let level = self.lattice.level();
         let mut finest: Vec<u64> = self
             .shards
             .par_iter()
             .flat_map_iter(|shard| shard.index.iter().map(move |(&brick, &slot)| (brick, &shard.bricks[slot as usize])))
             .flat_map_iter(|(brick, sums)| {
                 let moved = (0..64_u64).filter(|&i| trace(&sums[i as usize]) > negligible).map(move |i| brick << 6 | i);
-                let mut cells: Vec<u64> = moved.flat_map(|vertex| cells_around(morton::decode(vertex), last)).collect();
+                let around = moved.flat_map(|vertex| cells_around(morton::decode(vertex), level));
+                let mut cells: Vec<u64> = around.map(morton::encode).collect();
                 cells.sort_unstable();
                 cells.dedup();
                 cells
@@ -190,24 +191,12 @@ impl OctreePosterior {
             .collect();
         finest.par_sort_unstable();
         finest.dedup();
-        let level = self.lattice.level();
         let wanted = finest.iter().map(|&code| Cell { level, index: morton::decode(code) });
         let octree = Octree::refined(level, wanted);
         let positions: Vec<[u32; 3]> = octree.vertex_positions().collect();
         let sums = positions.par_iter().map(|&point| self.information(point)).collect();
         (octree, sums)
     }
-}
-
-/// Codes of the up to eight finest cells around a lattice point.
-fn cells_around(point: [u32; 3], last: u32) -> impl Iterator<Item = u64> {
-    (0..8_u32).filter_map(move |c| {
-        let mut cell = [0; 3];
-        for axis in 0..3 {
-            cell[axis] = point[axis].checked_sub(c >> axis & 1).filter(|&i| i <= last)?;
-        }
-        Some(morton::encode(cell))
-    })
 }
 
 /// JᵀJ of a 3×3 Jacobian given row by row: xx, xy, xz, yy, yz, zz.

@@ -131,22 +131,7 @@ mod tests {
                 10_f64.powf((3.0 * x + y).sin() + z + rough * noise) as f32
             })
             .collect();
-        let protocol = Protocol {
-            version: "test".into(),
-            source: "test".into(),
-            rays: 1,
-            dropped: 0,
-            seed: None,
-            share: None,
-            lambda: 1.0,
-            covariance: Covariance::Diagonal,
-            tolerance: 0.0,
-            march_step: None,
-            difference_step: None,
-            cutoff: None,
-            background: None,
-            pixel_offset: None,
-        };
+        let protocol = Protocol::unstated("test".into(), 1, 1.0, Covariance::Diagonal);
         UncertaintyField {
             protocol,
             lattice,

@@ -57,6 +57,29 @@ pub struct Protocol {
     pub pixel_offset: Option<f64>,
 }
 
+impl Protocol {
+    /// The protocol of a field from elsewhere, of which no more is known than this.
+    #[must_use]
+    pub fn unstated(source: String, rays: u64, lambda: f64, covariance: Covariance) -> Self {
+        Self {
+            version: env!("CARGO_PKG_VERSION").into(),
+            source,
+            rays,
+            dropped: 0,
+            seed: None,
+            share: None,
+            lambda,
+            covariance,
+            tolerance: 0.0,
+            march_step: None,
+            difference_step: None,
+            cutoff: None,
+            background: None,
+            pixel_offset: None,
+        }
+    }
+}
+
 /// The vertices that carry values.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Support {

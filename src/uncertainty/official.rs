@@ -50,22 +50,9 @@ impl OfficialGrid {
             let third = f64::from(array.data[index]) / 3.0;
             information.push([third, 0.0, 0.0, third, 0.0, third] as Information);
         });
-        let protocol = Protocol {
-            version: env!("CARGO_PKG_VERSION").into(),
-            source: format!("official grid {}", path.display()),
-            rays: self.rays,
-            dropped: 0,
-            seed: None,
-            share: None,
-            lambda: self.lambda.unwrap_or_else(|| lattice.default_lambda()),
-            covariance: Covariance::Trace,
-            tolerance: 0.0,
-            march_step: None,
-            difference_step: None,
-            cutoff: None,
-            background: None,
-            pixel_offset: None,
-        };
+        let source = format!("official grid {}", path.display());
+        let lambda = self.lambda.unwrap_or_else(|| lattice.default_lambda());
+        let protocol = Protocol::unstated(source, self.rays, lambda, Covariance::Trace);
         // An isotropic stand-in supports no other covariance honestly, so the matrices are not kept.
         Ok(UncertaintyField::new(protocol, lattice, Support::Dense, information).without_information())
     }
