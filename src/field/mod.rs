@@ -15,7 +15,8 @@ pub use voxel::VoxelGrid;
 
 use glam::Vec3;
 
-use crate::geometry::Aabb;
+use crate::Result;
+use crate::geometry::{Aabb, Camera};
 
 /// What a field returns for one position and direction.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -32,6 +33,15 @@ impl Radiance {
     pub fn is_valid(&self) -> bool {
         self.density >= 0.0 && self.density.is_finite() && self.color.is_finite()
     }
+}
+
+/// What a field that knows its training poses, but not the lens, has to be told.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Intrinsics {
+    /// Horizontal angle of view, radians.
+    pub fov_x: Option<f64>,
+    /// Width and height, pixels.
+    pub resolution: Option<[u32; 2]>,
 }
 
 /// A trained (or closed-form) radiance field, evaluated in batches from many threads.
@@ -51,6 +61,22 @@ pub trait RadianceField: Send + Sync {
         for (out, r) in out.iter_mut().zip(radiance) {
             *out = r.density;
         }
+    }
+
+    /// An upper bound of the density in the box from `min` to `max`, if the field knows one that is cheap to find.
+    ///
+    /// Empty space is then skipped with certainty; without it, bounds are estimated from samples.
+    fn density_bound(&self, _min: Vec3, _max: Vec3) -> Option<f32> {
+        None
+    }
+
+    /// The cameras that the field brings along: those it was trained on, or those a built-in scene is meant to be seen by.
+    /// `None` if it has none.
+    ///
+    /// # Errors
+    /// If it knows their poses but not all intrinsics, and `intrinsics` does not say either.
+    fn cameras(&self, _intrinsics: &Intrinsics) -> Result<Option<Vec<Camera>>> {
+        Ok(None)
     }
 
     /// Distance between samples along a ray that resolves this field, scene units.
