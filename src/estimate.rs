@@ -12,7 +12,8 @@ use crate::geometry::{Aabb, Camera, Lattice};
 use crate::monitor::Monitor;
 use crate::posterior::checkpoint::{self, AnyPosterior, RunKey};
 use crate::posterior::{
-    Covariance, DensePosterior, OctreePosterior, Posterior, RayStream, SURFACE_WEIGHT, Share, Tally,
+    Covariance, DensePosterior, OctreePosterior, PixelSequence, Pixels, Posterior, RayStream, SURFACE_WEIGHT, Share,
+    Tally,
 };
 use crate::render::{Differences, Marcher, Occupancy, RaySamples, Tracer};
 use crate::uncertainty::{Protocol, Support, UncertaintyField};
@@ -84,6 +85,8 @@ impl GridSettings {
 pub struct RaySettings {
     /// R.
     pub rays: u64,
+    /// How pixels are chosen.
+    pub pixels: Pixels,
     /// Seed of pixels and jitter.
     pub seed: u64,
     /// Finite-difference step in edges of the finest lattice.
@@ -110,6 +113,7 @@ impl Default for RaySettings {
     fn default() -> Self {
         Self {
             rays: 4_096_000,
+            pixels: Pixels::default(),
             seed: 0,
             step: 1.0 / 128.0,
             cutoff: 1e-6,
@@ -155,7 +159,8 @@ impl RaySettings {
             cameras: crc32fast::hash(format!("{:?}", stream.cameras).as_bytes()),
             lattice: *lattice,
             share,
-            seed: stream.seed,
+            pixels: self.pixels,
+            seed: self.seed,
             march_step: stream.tracer.marcher.step,
             difference_step: stream.differences.step.to_array(),
             cutoff: stream.tracer.marcher.cutoff,
@@ -183,7 +188,7 @@ impl RaySettings {
             differences,
             cameras,
             pixel_offset: self.pixel_offset.unwrap_or_else(|| field.pixel_offset()),
-            seed: self.seed,
+            pixels: PixelSequence::new(self.pixels, self.seed, cameras.iter().map(|c| c.resolution).collect()),
         })
     }
 }
@@ -289,7 +294,8 @@ impl FieldBuilder {
             source: provenance.source.clone(),
             rays: provenance.tally.rays,
             dropped: provenance.tally.dropped,
-            seed: stream.map(|s| s.seed),
+            pixels: stream.map(|s| s.pixels.kind()),
+            seed: stream.map(|s| s.pixels.seed()),
             share: provenance.share,
             lambda: settings.lambda.unwrap_or_else(|| lattice.default_lambda()),
             covariance: settings.covariance,
@@ -300,14 +306,14 @@ impl FieldBuilder {
             background: stream.map(|s| s.tracer.background.to_array()),
             pixel_offset: stream.map(|s| s.pixel_offset),
         };
-        let (support, information) = match posterior {
+        let (support, evidence) = match posterior {
             AnyPosterior::Dense(posterior) => (Support::Dense, posterior.into_sums()),
             AnyPosterior::Octree(posterior) => {
                 let (octree, sums) = posterior.into_octree(protocol.rays, protocol.lambda, protocol.tolerance);
                 (Support::Octree(octree), sums)
             }
         };
-        UncertaintyField::new(protocol, lattice, support, information).with_surface(surface)
+        UncertaintyField::new(protocol, lattice, support, evidence).with_surface(surface)
     }
 }
 

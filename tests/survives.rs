@@ -124,9 +124,11 @@ fn merged_shards_are_the_whole_run() {
         assert_eq!((whole.protocol().rays, whole.protocol().share), (merged.protocol().rays, merged.protocol().share));
         if tolerance == "0" {
             assert_eq!(whole.support(), merged.support());
-            for (a, b) in whole.information().unwrap().iter().zip(merged.information().unwrap()) {
+            for (a, b) in whole.evidence().unwrap().iter().zip(merged.evidence().unwrap()) {
                 // At most 40,000 positive terms in another order: n ε relative, and far less in practice.
-                assert!((trace(a) - trace(b)).abs() <= 4e4 * f64::EPSILON * trace(a), "{a:?} and {b:?}");
+                let [s, t] = [a, b].map(|e| trace(&e.information));
+                assert!((s - t).abs() <= 4e4 * f64::EPSILON * s, "{a:?} and {b:?}");
+                assert_eq!(a.rays, b.rays);
             }
         } else {
             assert!(matches!(merged.support(), Support::Octree(_)));

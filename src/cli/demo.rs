@@ -65,7 +65,7 @@ impl Args {
         self.pictures(&scene, octree, &cameras, bars)?;
         self.inputs(&scene, &cameras)?;
         octree.write(&self.out.join("field.oct"))?;
-        dense.clone().without_information().write(&self.out.join("dense.oct"))?;
+        dense.clone().without_evidence().write(&self.out.join("dense.oct"))?;
         let out = self.out.display();
         say!("written to {out}: demo.png (look at it first), field.oct, dense.oct, courtyard.npz, transforms.json")?;
         say!("now try, for example")?;

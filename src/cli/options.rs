@@ -104,6 +104,7 @@ impl ValueEnum for Covariance {
             Self::Diagonal => "sum of 1/H_kk: the paper's; depends on how the axes are turned",
             Self::Trace => "1/(tr S/R + lambda): the official code's",
             Self::Block => "trace of the inverse 3x3 block: does not depend on the axes",
+            Self::Normal => "inverse 3x3 block across the surface only: the part that can move depth",
         };
         Some(clap::builder::PossibleValue::new(self.name()).help(help))
     }
@@ -272,7 +273,7 @@ impl GridOptions {
         });
         let field = match (self.coarsen, keep) {
             (Some(epsilon), _) => field.coarsened(epsilon)?,
-            (None, Keep::Deviation) => field.without_information(),
+            (None, Keep::Deviation) => field.without_evidence(),
             (None, Keep::Hessian) => field,
         };
         field.write(&self.output)?;

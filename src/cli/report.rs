@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use serde_json::{Value, json};
 
+use crate::posterior::Pixels;
 use crate::uncertainty::{Comparison, Difference, Summary, UncertaintyField};
 use crate::{Error, Result};
 
@@ -61,6 +62,7 @@ pub fn protocol(field: &UncertaintyField) -> String {
     line("rays", format!("{} ({} dropped as not finite)", p.rays, p.dropped));
     let part = p.share.filter(|s| s.of > 1).map(|s| format!("{} of {} of {} rays", s.index, s.of, s.rays));
     part.into_iter().for_each(|part| line("shard", part));
+    line("pixels", known(p.pixels.map(|p| if p == Pixels::Sobol { "Owen-scrambled Sobol" } else { "random" }.into())));
     line("seed", known(p.seed.map(|s| s.to_string())));
     line("lambda", format!("{:.6e} per scene unit²", p.lambda));
     line("covariance", p.covariance.name().into());

@@ -8,7 +8,7 @@ use super::progress::Bars;
 use super::report::Cost;
 use crate::estimate::{FieldBuilder, Provenance, RaySettings};
 use crate::geometry::Aabb;
-use crate::posterior::{SamplesWriter, Share, Tally};
+use crate::posterior::{Pixels, SamplesWriter, Share, Tally};
 use crate::{Error, Result};
 
 /// Compute the uncertainty of a trained field from its training cameras
@@ -32,6 +32,10 @@ pub struct Args {
     /// Rays drawn; the paper uses 4096000
     #[arg(long, default_value_t = 4_096_000, value_parser = clap::value_parser!(u64).range(1..))]
     rays: u64,
+
+    /// How pixels are chosen
+    #[arg(long, value_enum, default_value = "sobol")]
+    pixels: Pixels,
 
     /// Seed of pixels and sample positions
     #[arg(long, default_value_t = 0)]
@@ -102,6 +106,7 @@ impl Args {
         let start = Instant::now();
         let settings = self.model.ray_settings(RaySettings {
             rays: self.rays,
+            pixels: self.pixels,
             seed: self.seed,
             step: self.step,
             cutoff: self.cutoff,

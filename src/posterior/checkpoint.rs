@@ -1,7 +1,7 @@
 //! The state of a posterior in a file, so that a run survives Ctrl-C, `kill -9` and power cuts.
 //!
 //! A [container] with the sections `codes` (u64, of bricks; empty for a dense grid), `sums` (64 or 1
-//! information matrices each) and `surface`. Sums are kept bit for bit and rays go on behind the last one counted, so a
+//! [`Evidence`] each) and `surface`. Sums are kept bit for bit and rays go on behind the last one counted, so a
 //! resumed run ends with the bits of an uninterrupted one. A run only takes up a state whose description equals its own.
 
 use std::path::Path;
@@ -9,7 +9,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::octree::Brick;
-use super::{DensePosterior, Information, OctreePosterior, Share, Tally};
+use super::{DensePosterior, Evidence, OctreePosterior, Pixels, Share, Tally};
 use crate::geometry::Lattice;
 use crate::io::container::{self, Format, Reader, Section};
 use crate::{Error, Result};
@@ -37,6 +37,8 @@ pub struct RunKey {
     pub lattice: Lattice,
     /// The rays.
     pub share: Share,
+    /// How pixels are chosen.
+    pub pixels: Pixels,
     /// Seed of pixels and jitter.
     pub seed: u64,
     /// Distance between samples, scene units.
@@ -114,17 +116,15 @@ pub fn load(path: &Path, key: &RunKey, dense: bool) -> Result<State> {
     }
     let codes = file.section::<u64>("codes")?;
     let posterior = if dense {
-        DensePosterior::from_sums(key.lattice, file.section::<Information>("sums")?).map(AnyPosterior::Dense)
+        DensePosterior::from_sums(key.lattice, file.section::<Evidence>("sums")?).map(AnyPosterior::Dense)
     } else {
         let bricks = file.section::<Brick>("sums")?;
         let same = codes.len() == bricks.len();
         same.then(|| OctreePosterior::restore(key.lattice, &codes, bricks)).flatten().map(AnyPosterior::Octree)
     };
     let sums_are_finite = match &posterior {
-        Some(AnyPosterior::Dense(posterior)) => posterior.sums().iter().flatten().all(|v| v.is_finite()),
-        Some(AnyPosterior::Octree(posterior)) => {
-            posterior.bricks().flatten().flatten().flatten().all(|v| v.is_finite())
-        }
+        Some(AnyPosterior::Dense(posterior)) => posterior.sums().iter().all(Evidence::is_valid),
+        Some(AnyPosterior::Octree(posterior)) => posterior.bricks().flatten().flatten().all(Evidence::is_valid),
         None => false,
     };
     let posterior = posterior.filter(|_| sums_are_finite && key.share.admits(&header.tally));

@@ -1,13 +1,8 @@
 //! Scalars read off a vertex's information.
 
-/// S = Σ_r JᵀJ of one vertex, summed over rays and colour channels: xx, xy, xz, yy, yz, zz, in 1 / scene unit².
-pub type Information = [f64; 6];
+use glam::{DVec3, Vec3};
 
-/// tr S.
-#[must_use]
-pub fn trace(s: &Information) -> f64 {
-    s[0] + s[3] + s[5]
-}
+use super::{Evidence, trace};
 
 /// Which standard deviation is read off H_v = (2/R) S_v + 2λ I.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, serde::Serialize, serde::Deserialize)]
@@ -20,11 +15,14 @@ pub enum Covariance {
     Trace,
     /// σ² = tr(H⁻¹) of the full 3×3 block. Does not depend on the axes; counts sliding along a surface as uncertainty.
     Block,
+    /// σ² = nᵀ H⁻¹ n, n = direction of the mean density gradient: across the surface only, the part that can move depth. Where
+    /// no gradient is known, the mean over all directions, tr(H⁻¹) / 3.
+    Normal,
 }
 
 impl Covariance {
     /// All of them.
-    pub const ALL: [Self; 3] = [Self::Diagonal, Self::Trace, Self::Block];
+    pub const ALL: [Self; 4] = [Self::Diagonal, Self::Trace, Self::Block, Self::Normal];
 
     /// The name used on the command line and in files.
     #[must_use]
@@ -33,17 +31,27 @@ impl Covariance {
             Self::Diagonal => "diagonal",
             Self::Trace => "trace",
             Self::Block => "block",
+            Self::Normal => "normal",
         }
     }
 
-    /// σ_v in scene units, for information `s` from `rays` rays and the prior λ (1 / scene unit²).
+    /// σ_v in scene units, for `evidence` from `rays` rays and the prior λ (1 / scene unit²).
     #[must_use]
-    pub fn deviation(self, s: &Information, rays: u64, lambda: f64) -> f64 {
+    pub fn deviation(self, evidence: &Evidence, rays: u64, lambda: f64) -> f64 {
+        let s = &evidence.information;
+        let hessian = |per_ray: f64| s.map(|s| 2.0 * per_ray * s);
         let per_ray = 1.0 / (rays.max(1) as f64);
         let variance = match self {
             Self::Diagonal => [s[0], s[3], s[5]].iter().map(|s| 1.0 / (2.0 * per_ray * s + 2.0 * lambda)).sum(),
             Self::Trace => 1.0 / (per_ray * trace(s) + lambda),
-            Self::Block => trace_of_inverse(s.map(|s| 2.0 * per_ray * s), 2.0 * lambda),
+            Self::Block => InverseFactor::new(hessian(per_ray), 2.0 * lambda).trace(),
+            Self::Normal => {
+                let inverse = InverseFactor::new(hessian(per_ray), 2.0 * lambda);
+                match Vec3::from_array(evidence.gradient).as_dvec3().try_normalize() {
+                    Some(normal) => inverse.along(normal),
+                    None => inverse.trace() / 3.0,
+                }
+            }
         };
         f64::sqrt(variance)
     }
@@ -51,7 +59,7 @@ impl Covariance {
     /// σ_v where no ray said anything.
     #[must_use]
     pub fn prior(self, lambda: f64) -> f64 {
-        self.deviation(&[0.0; 6], 1, lambda)
+        self.deviation(&Evidence::default(), 1, lambda)
     }
 
     /// U from the deviations of the eight corners of a cell, with their trilinear weights.
@@ -61,7 +69,7 @@ impl Covariance {
     pub fn interpolate(self, deviations: &[f64; 8], weights: &[f64; 8]) -> f64 {
         let pairs = || deviations.iter().zip(weights);
         match self {
-            Self::Diagonal | Self::Block => pairs().map(|(s, w)| s * w).sum(),
+            Self::Diagonal | Self::Block | Self::Normal => pairs().map(|(s, w)| s * w).sum(),
             Self::Trace => {
                 let squares: f64 = weights.iter().map(|w| w * w).sum();
                 (pairs().map(|(s, w)| w * w * s * s).sum::<f64>() / squares).sqrt()
@@ -74,7 +82,7 @@ impl Covariance {
     pub fn mean(self, deviations: impl ExactSizeIterator<Item = f64>) -> f64 {
         let n = deviations.len() as f64;
         match self {
-            Self::Diagonal | Self::Block => deviations.sum::<f64>() / n,
+            Self::Diagonal | Self::Block | Self::Normal => deviations.sum::<f64>() / n,
             Self::Trace => (deviations.map(|s| s * s).sum::<f64>() / n).sqrt(),
         }
     }
@@ -89,30 +97,54 @@ pub fn negligible_information(tolerance: f64, rays: u64, lambda: f64) -> f64 {
     (2.0 * tolerance * std::f64::consts::LN_10).exp_m1() * lambda * rays as f64
 }
 
-/// tr((A + floor · I)⁻¹) for a positive semidefinite A (xx, xy, xz, yy, yz, zz), by Cholesky: tr(H⁻¹) = ‖L⁻¹‖².
+/// L⁻¹ for the Cholesky factor L of H = A + floor · I, so that H⁻¹ = L⁻ᵀ L⁻¹.
 ///
-/// A may be of rank 1 and 10¹⁵ times larger than `floor`; each pivot is a Schur complement of A + floor · I and therefore at
-/// least `floor`, which is enforced against rounding. So the result is finite, positive, and at most 3 / floor.
-fn trace_of_inverse(a: [f64; 6], floor: f64) -> f64 {
-    let [xx, xy, xz, yy, yz, zz] = a;
-    let l00 = (xx + floor).sqrt();
-    let (l10, l20) = (xy / l00, xz / l00);
-    let l11 = (yy + floor - l10 * l10).max(floor).sqrt();
-    let l21 = (yz - l20 * l10) / l11;
-    let l22 = (zz + floor - l20 * l20 - l21 * l21).max(floor).sqrt();
-    // Rows of L⁻¹.
-    let (m00, m11, m22) = (1.0 / l00, 1.0 / l11, 1.0 / l22);
-    let m10 = -l10 * m00 * m11;
-    let m21 = -l21 * m11 * m22;
-    let m20 = -(l20 * m00 + l21 * m10) * m22;
-    let squares = [m00, m10, m11, m20, m21, m22].map(|m| m * m);
-    squares.iter().sum::<f64>().min(3.0 / floor)
+/// A is positive semidefinite (xx, xy, xz, yy, yz, zz); it may be of rank 1 and 10¹⁵ times larger than `floor`. Each pivot is a
+/// Schur complement of H and therefore at least `floor`, which is enforced against rounding: what is read off is finite, positive
+/// and at most what `floor` alone gives.
+struct InverseFactor {
+    /// Lower triangle: 00, 10, 11, 20, 21, 22.
+    rows: [f64; 6],
+    floor: f64,
+}
+
+impl InverseFactor {
+    fn new(a: [f64; 6], floor: f64) -> Self {
+        let [xx, xy, xz, yy, yz, zz] = a;
+        let l00 = (xx + floor).sqrt();
+        let (l10, l20) = (xy / l00, xz / l00);
+        let l11 = (yy + floor - l10 * l10).max(floor).sqrt();
+        let l21 = (yz - l20 * l10) / l11;
+        let l22 = (zz + floor - l20 * l20 - l21 * l21).max(floor).sqrt();
+        let (m00, m11, m22) = (1.0 / l00, 1.0 / l11, 1.0 / l22);
+        let m10 = -l10 * m00 * m11;
+        let m21 = -l21 * m11 * m22;
+        let m20 = -(l20 * m00 + l21 * m10) * m22;
+        Self { rows: [m00, m10, m11, m20, m21, m22], floor }
+    }
+
+    /// tr(H⁻¹) = ‖L⁻¹‖².
+    fn trace(&self) -> f64 {
+        self.rows.iter().map(|m| m * m).sum::<f64>().min(3.0 / self.floor)
+    }
+
+    /// nᵀ H⁻¹ n = ‖L⁻¹ n‖² for a unit vector n.
+    fn along(&self, n: DVec3) -> f64 {
+        let [m00, m10, m11, m20, m21, m22] = self.rows;
+        let y = DVec3::new(m00 * n.x, m10 * n.x + m11 * n.y, m20 * n.x + m21 * n.y + m22 * n.z);
+        y.length_squared().min(1.0 / self.floor)
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::posterior::Information;
     use proptest::prelude::*;
+
+    fn seen(information: Information, gradient: [f32; 3]) -> Evidence {
+        Evidence { information, gradient, rays: 1 }
+    }
 
     fn information() -> impl Strategy<Value = Information> {
         // Sums of a few outer products over many decades; one product alone is rank 1.
@@ -146,7 +178,7 @@ mod tests {
         let (lambda, rays, strength) = (1e-10, 1000, 1e3);
         let axis = [strength, 0.0, 0.0, 0.0, 0.0, 0.0];
         let turned = [strength / 3.0; 6];
-        let log10 = |c: Covariance, s| c.deviation(s, rays, lambda).log10();
+        let log10 = |c: Covariance, s: &Information| c.deviation(&seen(*s, [0.0; 3]), rays, lambda).log10();
         assert!(log10(Covariance::Diagonal, &axis) - log10(Covariance::Diagonal, &turned) > 4.0);
         // Rounding 1/3 leaves a second eigenvalue of 1e-16 · strength = 1e-13, 1e-16 per ray, against λ = 1e-10.
         assert!((log10(Covariance::Block, &axis) - log10(Covariance::Block, &turned)).abs() < 1e-5);
@@ -154,28 +186,29 @@ mod tests {
 
     proptest! {
         #[test]
-        fn negligible_information_bounds_every_scalar(s in information(), tolerance in 1e-4..0.1_f64) {
+        fn negligible_information_bounds_every_scalar(s in information(), tolerance in 1e-4..0.1_f64,
+                                                      gradient in [-1.0..1.0_f32, -1.0..1.0, -1.0..1.0]) {
             let (lambda, rays) = (1e-6, 100);
             let limit = negligible_information(tolerance, rays, lambda);
             let t = trace(&s);
             if t > 0.0 {
                 let scaled = s.map(|v| v * limit / t);
                 for covariance in Covariance::ALL {
-                    let change = (covariance.prior(lambda) / covariance.deviation(&scaled, rays, lambda)).log10();
+                    let change = (covariance.prior(lambda) / covariance.deviation(&seen(scaled, gradient), rays, lambda)).log10();
                     prop_assert!((-1e-12..=tolerance * (1.0 + 1e-9)).contains(&change), "{:?} moves by {}", covariance, change);
                 }
                 // Two-sided: the bound is reached by `trace`.
-                let change = (Covariance::Trace.prior(lambda) / Covariance::Trace.deviation(&scaled, rays, lambda)).log10();
+                let change = (Covariance::Trace.prior(lambda) / Covariance::Trace.deviation(&seen(scaled, gradient), rays, lambda)).log10();
                 prop_assert!((change - tolerance).abs() < 1e-9);
             }
         }
 
         #[test]
-        fn trace_of_inverse_is_the_sum_over_eigenvalues(s in information(), decade in -9.0..0.0_f64) {
+        fn trace_of_the_inverse_is_the_sum_over_eigenvalues(s in information(), decade in -9.0..0.0_f64) {
             // tr(H⁻¹) = (sum of principal 2×2 minors) / det, evaluated in integers would be exact; in f64 it is good to
             // 1e-16 · (largest / floor)², so it is compared only where that is small.
             let floor = 10_f64.powf(decade);
-            let found = trace_of_inverse(s, floor);
+            let found = InverseFactor::new(s, floor).trace();
             let [xx, xy, xz, yy, yz, zz] = [s[0] + floor, s[1], s[2], s[3] + floor, s[4], s[5] + floor];
             let minors = (yy * zz - yz * yz) + (xx * zz - xz * xz) + (xx * yy - xy * xy);
             let det = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz);
@@ -188,10 +221,19 @@ mod tests {
         }
 
         #[test]
+        fn the_mean_over_three_axes_of_the_normal_reading_is_a_third_of_the_trace(s in information(), turn in 0.0..6.3_f64, tilt in 0.0..3.1_f64) {
+            // For any orthonormal triple; one of its directions at a time stands in for the normal.
+            let inverse = InverseFactor::new(s, 1e-3);
+            let triple = glam::DMat3::from_rotation_z(turn) * glam::DMat3::from_rotation_x(tilt);
+            let sum: f64 = [triple.x_axis, triple.y_axis, triple.z_axis].map(|n| inverse.along(n)).iter().sum();
+            prop_assert!((sum / inverse.trace() - 1.0).abs() < 1e-12);
+        }
+
+        #[test]
         fn more_information_never_raises_the_deviation(s in information(), more in information()) {
             let sum: Information = std::array::from_fn(|k| s[k] + more[k]);
             for covariance in Covariance::ALL {
-                let (before, after) = (covariance.deviation(&s, 10, 1e-6), covariance.deviation(&sum, 10, 1e-6));
+                let [before, after] = [s, sum].map(|s| covariance.deviation(&seen(s, [0.3, -0.5, 0.8]), 10, 1e-6));
                 // Block goes through a Cholesky factor: relative rounding of 1e-16 · 1e2 / 2e-6.
                 prop_assert!(after <= before * (1.0 + 1e-7), "{:?}: {} after {}", covariance, after, before);
             }

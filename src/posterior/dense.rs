@@ -2,61 +2,64 @@
 
 use std::collections::BTreeMap;
 
-use super::{Information, Posterior};
+use super::{Evidence, Posterior};
 use crate::geometry::Lattice;
 use crate::octree::trilinear;
 use crate::render::RaySamples;
 
-/// Information of all (M + 1)³ lattice points, one after the other in ray order, in f64.
+/// Evidence of all (M + 1)³ lattice points, one after the other in ray order, in f64.
 #[derive(Debug, Clone)]
 pub struct DensePosterior {
     lattice: Lattice,
     /// `[(M + 1)³]`, x slowest, z fastest.
-    sums: Vec<Information>,
+    sums: Vec<Evidence>,
 }
 
 impl DensePosterior {
     /// No information yet.
     #[must_use]
     pub fn new(lattice: Lattice) -> Self {
-        Self { lattice, sums: vec![[0.0; 6]; lattice.dense_vertices() as usize] }
+        Self { lattice, sums: vec![Evidence::default(); lattice.dense_vertices() as usize] }
     }
 
     /// A posterior that goes on from `sums`, `[(M + 1)³]`, x slowest; `None` if there are more or fewer.
     #[must_use]
-    pub fn from_sums(lattice: Lattice, sums: Vec<Information>) -> Option<Self> {
+    pub fn from_sums(lattice: Lattice, sums: Vec<Evidence>) -> Option<Self> {
         (sums.len() as u64 == lattice.dense_vertices()).then_some(Self { lattice, sums })
     }
 
     /// Bytes that a dense posterior of this lattice needs.
     #[must_use]
     pub fn required_memory(lattice: &Lattice) -> u64 {
-        lattice.dense_vertices().saturating_mul(size_of::<Information>() as u64)
+        lattice.dense_vertices().saturating_mul(size_of::<Evidence>() as u64)
     }
 
-    /// The information, `[(M + 1)³]`, x slowest.
+    /// The sums, `[(M + 1)³]`, x slowest.
     #[must_use]
-    pub fn into_sums(self) -> Vec<Information> {
+    pub fn into_sums(self) -> Vec<Evidence> {
         self.sums
     }
 
-    /// The information, `[(M + 1)³]`, x slowest.
+    /// The sums, `[(M + 1)³]`, x slowest.
     #[must_use]
-    pub fn sums(&self) -> &[Information] {
+    pub fn sums(&self) -> &[Evidence] {
         &self.sums
     }
 
-    /// J_v(r) of every vertex v that one ray touches.
-    fn ray_jacobian(&self, samples: &RaySamples, ray: std::ops::Range<usize>) -> BTreeMap<usize, [f64; 9]> {
+    /// J_v(r), and the weighted sum of density gradients, of every vertex v that one ray touches.
+    fn ray_jacobian(&self, samples: &RaySamples, ray: std::ops::Range<usize>) -> BTreeMap<usize, ([f64; 9], [f64; 3])> {
         let n = self.lattice.cells_per_axis() as usize + 1;
-        let mut jacobian: BTreeMap<usize, [f64; 9]> = BTreeMap::new();
+        let mut jacobian: BTreeMap<usize, ([f64; 9], [f64; 3])> = BTreeMap::new();
         for i in ray {
             let Some(u) = self.lattice.coordinates(samples.positions[i]) else { continue };
             let (cell, offset) = self.lattice.cell(u);
             for (corner, weight) in trilinear(offset).into_iter().enumerate() {
                 let [x, y, z]: [usize; 3] = std::array::from_fn(|axis| cell[axis] as usize + (corner >> axis & 1));
-                let sum = jacobian.entry((x * n + y) * n + z).or_default();
-                for (sum, &g) in sum.iter_mut().zip(&samples.jacobians[i]) {
+                let (j, gradient) = jacobian.entry((x * n + y) * n + z).or_default();
+                for (sum, &g) in j.iter_mut().zip(&samples.jacobians[i]) {
+                    *sum += weight * f64::from(g);
+                }
+                for (sum, &g) in gradient.iter_mut().zip(&samples.gradients[i]) {
                     *sum += weight * f64::from(g);
                 }
             }
@@ -69,8 +72,13 @@ impl Posterior for DensePosterior {
     fn add(&mut self, batches: &[RaySamples]) {
         for batch in batches {
             for (_, samples) in batch.iter() {
-                for (vertex, j) in self.ray_jacobian(batch, samples) {
-                    let s = &mut self.sums[vertex];
+                for (vertex, (j, gradient)) in self.ray_jacobian(batch, samples) {
+                    let sum = &mut self.sums[vertex];
+                    sum.rays += 1;
+                    for axis in 0..3 {
+                        sum.gradient[axis] += gradient[axis] as f32;
+                    }
+                    let s = &mut sum.information;
                     for channel in 0..3 {
                         let [x, y, z] = [j[3 * channel], j[3 * channel + 1], j[3 * channel + 2]];
                         s[0] += x * x;
@@ -86,6 +94,6 @@ impl Posterior for DensePosterior {
     }
 
     fn memory(&self) -> usize {
-        self.sums.capacity() * size_of::<Information>()
+        self.sums.capacity() * size_of::<Evidence>()
     }
 }

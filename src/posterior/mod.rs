@@ -11,13 +11,17 @@
 pub mod checkpoint;
 mod covariance;
 mod dense;
+mod evidence;
 mod octree;
+mod pixels;
 mod rays;
 mod samples_file;
 
-pub use covariance::{Covariance, Information, trace};
+pub use covariance::Covariance;
 pub use dense::DensePosterior;
+pub use evidence::{Evidence, Information, trace};
 pub use octree::OctreePosterior;
+pub use pixels::{Pick, PixelSequence, Pixels};
 pub use rays::{MAX_DROPPED_SHARE, RayStream, SURFACE_WEIGHT, Share, Tally};
 pub use samples_file::{SamplesReader, SamplesWriter};
 

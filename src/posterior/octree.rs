@@ -10,11 +10,12 @@
 //! hash to it); then shards add their lists in parallel, each in ray order. Every sum therefore sees its contributions in
 //! ray order, whatever the number of threads.
 
+use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
 use super::covariance::negligible_information;
-use super::{Information, Posterior, trace};
+use super::{Evidence, Posterior, trace};
 use crate::geometry::Lattice;
 use crate::octree::{Cell, Octree, cells_around, morton, trilinear};
 use crate::render::RaySamples;
@@ -28,7 +29,7 @@ const SHARDS: usize = 1 << SHARD_BITS;
 struct Contribution {
     /// Morton code of the lattice point.
     vertex: u64,
-    squares: Information,
+    sums: Evidence,
 }
 
 /// The bricks that hash to one shard.
@@ -38,32 +39,30 @@ struct Shard {
     index: FxHashMap<u64, u32>,
     /// Brick codes, in the order in which rays first touched them.
     codes: Vec<u64>,
-    /// Information of the 64 lattice points of each brick, in Morton order.
+    /// Sums of the 64 lattice points of each brick, in Morton order.
     bricks: Vec<Brick>,
 }
 
-/// Information of the lattice points of an aligned 4³ brick.
-pub type Brick = [Information; 64];
+/// Sums of the lattice points of an aligned 4³ brick.
+pub type Brick = [Evidence; 64];
 
 impl Shard {
     /// The sum of a lattice point, zero if it is new.
-    fn sum_mut(&mut self, vertex: u64) -> &mut Information {
+    fn sum_mut(&mut self, vertex: u64) -> &mut Evidence {
         let next = self.bricks.len() as u32;
         let slot = *self.index.entry(vertex >> 6).or_insert(next);
         if slot == next {
             self.codes.push(vertex >> 6);
-            self.bricks.push([[0.0; 6]; 64]);
+            self.bricks.push([Evidence::default(); 64]);
         }
         &mut self.bricks[slot as usize][(vertex & 63) as usize]
     }
 
     fn add(&mut self, contribution: &Contribution) {
-        for (sum, square) in self.sum_mut(contribution.vertex).iter_mut().zip(contribution.squares) {
-            *sum += square;
-        }
+        self.sum_mut(contribution.vertex).add(&contribution.sums);
     }
 
-    fn get(&self, vertex: u64) -> Option<&Information> {
+    fn get(&self, vertex: u64) -> Option<&Evidence> {
         let slot = *self.index.get(&(vertex >> 6))?;
         Some(&self.bricks[slot as usize][(vertex & 63) as usize])
     }
@@ -121,18 +120,15 @@ impl OctreePosterior {
         Some(posterior)
     }
 
-    /// Adds information at a lattice point: a part of another run.
-    pub fn add_information(&mut self, point: [u32; 3], information: &Information) {
+    /// Adds evidence at a lattice point: a part of another run.
+    pub fn add_evidence(&mut self, point: [u32; 3], evidence: &Evidence) {
         let vertex = morton::encode(point);
-        let sum = self.shards[shard_of(vertex)].sum_mut(vertex);
-        for (sum, more) in sum.iter_mut().zip(information) {
-            *sum += more;
-        }
+        self.shards[shard_of(vertex)].sum_mut(vertex).add(evidence);
     }
 
-    /// The information summed so far at a lattice point.
+    /// The evidence summed so far at a lattice point.
     #[must_use]
-    pub fn information(&self, point: [u32; 3]) -> Information {
+    pub fn evidence(&self, point: [u32; 3]) -> Evidence {
         let code = morton::encode(point);
         self.shards[shard_of(code)].get(code).copied().unwrap_or_default()
     }
@@ -154,26 +150,28 @@ impl OctreePosterior {
             }
             touched.sort_unstable_by_key(|&(vertex, sample, _)| (vertex, sample));
             for group in touched.chunk_by(|a, b| a.0 == b.0) {
-                let mut j = [0.0; 9];
+                let (mut j, mut gradient) = ([0.0; 9], DVec3::ZERO);
                 for &(_, sample, weight) in group {
                     for (j, &g) in j.iter_mut().zip(&batch.jacobians[sample as usize]) {
                         *j += weight * f64::from(g);
                     }
+                    gradient += weight * Vec3::from_array(batch.gradients[sample as usize]).as_dvec3();
                 }
                 let vertex = group[0].0;
-                lists[shard_of(vertex)].push(Contribution { vertex, squares: gram(&j) });
+                let sums = Evidence { information: gram(&j), gradient: gradient.as_vec3().to_array(), rays: 1 };
+                lists[shard_of(vertex)].push(Contribution { vertex, sums });
             }
         }
         lists
     }
 
     /// The octree that is finest around every vertex whose information exceeds what `tolerance` (in log10 U) allows to
-    /// neglect, with the information of its vertices in the order of their ids.
+    /// neglect, with the evidence of its vertices in the order of their ids.
     ///
     /// `tolerance` 0 keeps every vertex that any ray moved. At vertices surrounded by finest leaves the information is that of
     /// the dense grid; at all others it is negligible in the same sense.
     #[must_use]
-    pub fn into_octree(self, rays: u64, lambda: f64, tolerance: f64) -> (Octree, Vec<Information>) {
+    pub fn into_octree(self, rays: u64, lambda: f64, tolerance: f64) -> (Octree, Vec<Evidence>) {
         let negligible = negligible_information(tolerance, rays, lambda);
         let level = self.lattice.level();
         let mut finest: Vec<u64> = self
@@ -181,7 +179,9 @@ impl OctreePosterior {
             .par_iter()
             .flat_map_iter(|shard| shard.index.iter().map(move |(&brick, &slot)| (brick, &shard.bricks[slot as usize])))
             .flat_map_iter(|(brick, sums)| {
-                let moved = (0..64_u64).filter(|&i| trace(&sums[i as usize]) > negligible).map(move |i| brick << 6 | i);
+                let moved = (0..64_u64)
+                    .filter(|&i| trace(&sums[i as usize].information) > negligible)
+                    .map(move |i| brick << 6 | i);
                 let around = moved.flat_map(|vertex| cells_around(morton::decode(vertex), level));
                 let mut cells: Vec<u64> = around.map(morton::encode).collect();
                 cells.sort_unstable();
@@ -194,13 +194,13 @@ impl OctreePosterior {
         let wanted = finest.iter().map(|&code| Cell { level, index: morton::decode(code) });
         let octree = Octree::refined(level, wanted);
         let positions: Vec<[u32; 3]> = octree.vertex_positions().collect();
-        let sums = positions.par_iter().map(|&point| self.information(point)).collect();
+        let sums = positions.par_iter().map(|&point| self.evidence(point)).collect();
         (octree, sums)
     }
 }
 
 /// JᵀJ of a 3×3 Jacobian given row by row: xx, xy, xz, yy, yz, zz.
-fn gram(j: &[f64; 9]) -> Information {
+fn gram(j: &[f64; 9]) -> super::Information {
     let dot = |a: usize, b: usize| j[a] * j[b] + j[3 + a] * j[3 + b] + j[6 + a] * j[6 + b];
     [dot(0, 0), dot(0, 1), dot(0, 2), dot(1, 1), dot(1, 2), dot(2, 2)]
 }

@@ -1,16 +1,14 @@
-//! Random training rays, as a stream of samples with Jacobians.
+//! Training rays, as a stream of samples with Jacobians.
 
-use rand::{Rng, RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
+use super::pixels::{Pick, PixelSequence};
 use crate::geometry::{Camera, Ray};
 use crate::monitor::{Monitor, check};
 use crate::render::{Differences, Quadrature, RaySamples, TracedRays, Tracer};
 use crate::{Error, Result};
 
-/// Rays per batch: batch b holds rays b · 512 …, drawn from stream b of the generator, so any part of a run can be drawn
-/// alone.
+/// Rays per batch: batch b holds rays b · 512 …; any batch can be drawn alone.
 const BATCH: u64 = 512;
 /// Batches between two visits to the posterior.
 const GROUP: u64 = 16;
@@ -20,7 +18,7 @@ pub const MAX_DROPPED_SHARE: f64 = 0.01;
 /// A sample with at least this share of its pixel lies on a visible surface.
 pub const SURFACE_WEIGHT: f32 = 0.05;
 
-/// Draws pixels uniformly from all training images and differentiates them.
+/// Draws pixels from all training images and differentiates them.
 pub struct RayStream<'a> {
     /// Field, sampling and background.
     pub tracer: Tracer<'a>,
@@ -30,8 +28,8 @@ pub struct RayStream<'a> {
     pub cameras: &'a [Camera],
     /// Where in a pixel the ray goes through: ½ is its centre.
     pub pixel_offset: f64,
-    /// Seed of the pixel and jitter sequence.
-    pub seed: u64,
+    /// Which pixels, in which order.
+    pub pixels: PixelSequence,
 }
 
 /// Which rays of a run are drawn: batches `index`, `index + of`, `index + 2 · of`, … of a run of `rays` rays.
@@ -105,23 +103,12 @@ pub struct Tally {
 impl RayStream<'_> {
     /// Rays and jitters of one batch.
     fn draw(&self, batch: u64, count: u64) -> (Vec<Ray>, Vec<f64>) {
-        let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
-        rng.set_stream(batch);
-        let pixels: Vec<u64> = self.cameras.iter().map(Camera::pixels).collect();
-        let total: u64 = pixels.iter().sum();
-        let draw = |rng: &mut ChaCha8Rng| {
-            let mut pixel = rng.random_range(0..total);
-            let mut camera = 0;
-            while pixel >= pixels[camera] {
-                pixel -= pixels[camera];
-                camera += 1;
-            }
-            let camera = &self.cameras[camera];
-            let width = u64::from(camera.resolution[0]);
-            let (x, y) = ((pixel % width) as f64, (pixel / width) as f64);
-            (camera.ray(x + self.pixel_offset, y + self.pixel_offset), unit_interval(rng))
+        let picks = self.pixels.picks(batch * BATCH, count);
+        let ray = |pick: &Pick| {
+            let [x, y] = pick.pixel.map(|i| f64::from(i) + self.pixel_offset);
+            (self.cameras[pick.camera].ray(x, y), pick.jitter)
         };
-        (0..count).map(|_| draw(&mut rng)).unzip()
+        picks.iter().map(ray).unzip()
     }
 
     /// Draws the rays of `share` and hands their samples to `sink`, in ray order, with the tally that includes them. A run that
@@ -214,12 +201,6 @@ fn visible(traced: &TracedRays, step: f64) -> Vec<[f32; 3]> {
         points.extend(weighted.filter(|(w, _)| **w >= f64::from(SURFACE_WEIGHT)).map(|(_, x)| x.to_array()));
     }
     points
-}
-
-/// A uniform number in [0, 1).
-fn unit_interval(rng: &mut impl Rng) -> f64 {
-    // The upper 53 bits as a binary fraction.
-    (rng.next_u64() >> 11) as f64 * 2.0_f64.powi(-53)
 }
 
 #[cfg(test)]

@@ -2,7 +2,8 @@
 //!
 //! `positions` f32 `[N, 3]` scene units; `jacobian` f32 `[N, 3, 3]` = ∂C_c/∂x_k, rows colour, columns axis; `ray` u32 or u64
 //! `[N]`, non-decreasing ray index; `rays_total` integer scalar, rays drawn, with those that hit nothing; optionally `weight`
-//! f32 `[N]`, the sample's share of the pixel's colour, from which visible surfaces are known.
+//! f32 `[N]`, the sample's share of the pixel's colour, from which visible surfaces are known, and `gradient` f32 `[N, 3]` =
+//! ‖∂C/∂σ‖ ∇σ, from which covariance `normal` knows the direction across surfaces.
 //!
 //! Both directions stream: neither holds more than a few batches in memory.
 
@@ -18,7 +19,7 @@ use crate::io::AtomicFile;
 use crate::io::npy::ArrayStream;
 use crate::io::npz::{NpzReader, NpzWriter};
 use crate::monitor::{Monitor, check};
-use crate::render::RaySamples;
+use crate::render::{RaySample, RaySamples};
 use crate::{Error, Result};
 
 /// Rays per batch when reading.
@@ -29,8 +30,8 @@ const GROUP: usize = 16;
 /// Writes samples as they come; the archive is put together at the end, because a zip holds one member after the other.
 pub struct SamplesWriter {
     target: PathBuf,
-    /// Raw little-endian data of `positions`, `jacobian`, `ray`, `weight`.
-    parts: [AtomicFile; 4],
+    /// Raw little-endian data of `positions`, `jacobian`, `ray`, `weight`, `gradient`.
+    parts: [AtomicFile; 5],
     samples: u64,
 }
 
@@ -41,7 +42,7 @@ impl SamplesWriter {
     /// If the folder cannot be written.
     pub fn create(target: &Path) -> Result<Self> {
         let part = || AtomicFile::create(target);
-        Ok(Self { target: target.to_path_buf(), parts: [part()?, part()?, part()?, part()?], samples: 0 })
+        Ok(Self { target: target.to_path_buf(), parts: [part()?, part()?, part()?, part()?, part()?], samples: 0 })
     }
 
     /// Appends samples.
@@ -49,7 +50,7 @@ impl SamplesWriter {
     /// # Errors
     /// If the disk is full.
     pub fn add(&mut self, batches: &[RaySamples]) -> Result<()> {
-        let [positions, jacobian, ray, weight] = &mut self.parts;
+        let [positions, jacobian, ray, weight, gradient] = &mut self.parts;
         let mut write = || {
             for batch in batches {
                 for x in &batch.positions {
@@ -60,6 +61,9 @@ impl SamplesWriter {
                 }
                 for w in &batch.weights {
                     weight.write_all(&w.to_le_bytes())?;
+                }
+                for g in &batch.gradients {
+                    g.iter().try_for_each(|v| gradient.write_all(&v.to_le_bytes()))?;
                 }
                 for (index, samples) in batch.iter() {
                     samples.into_iter().try_for_each(|_| ray.write_all(&index.to_le_bytes()))?;
@@ -79,11 +83,12 @@ impl SamplesWriter {
         let Self { target, parts, samples: n } = self;
         let mut npz = NpzWriter::create(&target)?;
         let float = f32::default_dtype();
-        let members: [(&str, &[u64], DType); 4] = [
+        let members: [(&str, &[u64], DType); 5] = [
             ("positions", &[n, 3], float.clone()),
             ("jacobian", &[n, 3, 3], float.clone()),
             ("ray", &[n], u64::default_dtype()),
-            ("weight", &[n], float),
+            ("weight", &[n], float.clone()),
+            ("gradient", &[n, 3], float),
         ];
         for (part, (name, shape, dtype)) in parts.into_iter().zip(members) {
             let failed = || Error::io(&target, "cannot write");
@@ -108,6 +113,7 @@ pub struct SamplesReader {
     rays_total: u64,
     samples: u64,
     has_weights: bool,
+    has_gradients: bool,
     ray_type: &'static str,
 }
 
@@ -149,8 +155,12 @@ impl SamplesReader {
         if has_weights {
             npz.stream::<f32>("weight")?.expect_shape(&[Some(samples)])?;
         }
+        let has_gradients = npz.has("gradient");
+        if has_gradients {
+            npz.stream::<f32>("gradient")?.expect_shape(&[Some(samples), Some(3)])?;
+        }
         let rays_total = read_rays_total(&mut npz, path)?;
-        Ok(Self { path: path.to_path_buf(), rays_total, samples, has_weights, ray_type })
+        Ok(Self { path: path.to_path_buf(), rays_total, samples, has_weights, has_gradients, ray_type })
     }
 
     /// Rays drawn, with those that hit nothing.
@@ -171,7 +181,7 @@ impl SamplesReader {
     /// What `sink` returns; if a value is not finite, ray indices decrease or reach `rays_total`, or the file ends early.
     pub fn run(&self, monitor: &dyn Monitor, mut sink: impl FnMut(&[RaySamples]) -> Result<()>) -> Result<()> {
         let open = || NpzReader::open(&self.path);
-        let (mut a, mut b, mut c, mut d) = (open()?, open()?, open()?, open()?);
+        let (mut a, mut b, mut c, mut d, mut e) = (open()?, open()?, open()?, open()?, open()?);
         let mut positions = a.stream::<f32>("positions")?;
         let mut jacobians = b.stream::<f32>("jacobian")?;
         let mut rays = match self.ray_type {
@@ -179,6 +189,7 @@ impl SamplesReader {
             _ => RayIndices::U64(c.stream::<u64>("ray")?),
         };
         let mut weights = if self.has_weights { Some(d.stream::<f32>("weight")?) } else { None };
+        let mut gradients = if self.has_gradients { Some(e.stream::<f32>("gradient")?) } else { None };
 
         monitor.begin("samples", self.samples);
         let mut batches = vec![RaySamples::default()];
@@ -212,8 +223,12 @@ impl SamplesReader {
                 Some(weights) => self.floats::<1>(weights, sample)?[0],
                 None => 0.0,
             };
+            let gradient = match &mut gradients {
+                Some(gradients) => self.floats(gradients, sample)?,
+                None => [0.0; 3],
+            };
             if let Some(batch) = batches.last_mut() {
-                batch.push(ray, Vec3::from_array(position), jacobian, weight);
+                batch.push(ray, RaySample { position: Vec3::from_array(position), jacobian, weight, gradient });
             }
         }
         sink(&batches)?;

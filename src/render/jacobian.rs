@@ -30,6 +30,8 @@ pub struct RaySamples {
     pub jacobians: Vec<[f32; 9]>,
     /// `[n]`: w, share of the pixel's colour; 0 where unknown.
     pub weights: Vec<f32>,
+    /// `[n]`: ‖∂C/∂σ‖ ∇σ, the density's part of the Jacobian by size and direction; 0 where unknown.
+    pub gradients: Vec<[f32; 3]>,
     /// Rays dropped because the field was not finite.
     pub dropped: u64,
     /// Position of the first sample that was not.
@@ -44,24 +46,50 @@ impl Default for RaySamples {
             positions: Vec::new(),
             jacobians: Vec::new(),
             weights: Vec::new(),
+            gradients: Vec::new(),
             dropped: 0,
             first_invalid: None,
         }
     }
 }
 
+/// One sample of a ray; see [`RaySamples`] for units.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct RaySample {
+    /// Position.
+    pub position: Vec3,
+    /// ∂C_c/∂x_k at 3·c + k.
+    pub jacobian: [f32; 9],
+    /// w.
+    pub weight: f32,
+    /// ‖∂C/∂σ‖ ∇σ.
+    pub gradient: [f32; 3],
+}
+
 impl RaySamples {
     /// Appends one sample to the ray with index `ray`, which must not be below the last one.
-    pub fn push(&mut self, ray: u64, position: Vec3, jacobian: [f32; 9], weight: f32) {
+    pub fn push(&mut self, ray: u64, sample: RaySample) {
         if self.rays.last() != Some(&ray) {
             self.rays.push(ray);
             self.offsets.push(self.positions.len());
         }
-        self.positions.push(position);
-        self.jacobians.push(jacobian);
-        self.weights.push(weight);
+        self.positions.push(sample.position);
+        self.jacobians.push(sample.jacobian);
+        self.weights.push(sample.weight);
+        self.gradients.push(sample.gradient);
         if let Some(end) = self.offsets.last_mut() {
             *end = self.positions.len();
+        }
+    }
+
+    /// Sample `i` of the list.
+    #[must_use]
+    pub fn sample(&self, i: usize) -> RaySample {
+        RaySample {
+            position: self.positions[i],
+            jacobian: self.jacobians[i],
+            weight: self.weights[i],
+            gradient: self.gradients[i],
         }
     }
 
@@ -112,7 +140,10 @@ impl Tracer<'_> {
                 }
             }
             if jacobian.iter().any(|&g| g != 0.0) {
-                out.push(first_ray + w.ray as u64, traced.positions[w.sample], jacobian, w.weight as f32);
+                let gradient = (w.density_derivative.length() * density_gradient).as_vec3().to_array();
+                let sample =
+                    RaySample { position: traced.positions[w.sample], jacobian, weight: w.weight as f32, gradient };
+                out.push(first_ray + w.ray as u64, sample);
             }
         }
         out

@@ -8,7 +8,7 @@ mod trace;
 mod view;
 
 pub use composite::{Pixel, Quadrature};
-pub use jacobian::{Differences, RaySamples};
+pub use jacobian::{Differences, RaySample, RaySamples};
 pub use march::Marcher;
 pub use occupancy::Occupancy;
 pub use trace::{TracedRays, Tracer};

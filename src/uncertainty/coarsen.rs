@@ -62,7 +62,7 @@ impl UncertaintyField {
             lattice: self.lattice,
             support: Support::Octree(coarse),
             deviations,
-            information: None,
+            evidence: None,
             surface: self.surface.clone(),
         })
     }
@@ -137,7 +137,7 @@ mod tests {
             lattice,
             support: Support::Octree(octree),
             deviations,
-            information: None,
+            evidence: None,
             surface: vec![],
         }
     }

@@ -3,7 +3,7 @@
 //! ```text
 //! masks        u8         child masks of the octree, breadth first (empty for a dense grid)
 //! deviations   f32        σ_v, vertices in Morton order (octree) or x slowest (dense)
-//! information  f64 × 6    S_v, or empty
+//! evidence     64 bytes   f64 × 6 information, f32 × 3 gradient, u32 rays; or empty
 //! surface      f32 × 3    points on visible surfaces
 //! ```
 //!
@@ -15,7 +15,7 @@ use super::{Protocol, Support, UncertaintyField, vertex_count};
 use crate::geometry::{Aabb, Lattice};
 use crate::io::container::{self, Format, Reader};
 use crate::octree::Octree;
-use crate::posterior::Information;
+use crate::posterior::Evidence;
 use crate::{Error, Result};
 
 /// Version that this crate writes, and the newest that it reads.
@@ -49,9 +49,9 @@ impl UncertaintyField {
             }
         };
         let header = Header { protocol: self.protocol.clone(), lattice: self.lattice, kind };
-        let information = self.information.as_deref().unwrap_or_default();
+        let evidence = self.evidence.as_deref().unwrap_or_default();
         let sections: [&dyn container::Section; 4] =
-            [&masks, &self.deviations.as_slice(), &information, &self.surface.as_slice()];
+            [&masks, &self.deviations.as_slice(), &evidence, &self.surface.as_slice()];
         container::write(path, FORMAT, &header, &sections)
     }
 
@@ -75,7 +75,7 @@ impl UncertaintyField {
         }
         let masks = file.section::<u8>("masks")?;
         let deviations = file.section::<f32>("deviations")?;
-        let information = file.section::<Information>("information")?;
+        let evidence = file.section::<Evidence>("evidence")?;
         let surface = file.section("surface")?;
 
         let support =
@@ -86,9 +86,9 @@ impl UncertaintyField {
                     .map_err(|problem| Error::malformed(path, "section `masks`", "a balanced octree", problem))?,
             };
         let vertices = vertex_count(&lattice, &support);
-        let counts = [("deviations", deviations.len()), ("information", information.len())];
+        let counts = [("deviations", deviations.len()), ("evidence", evidence.len())];
         for (name, count) in counts {
-            if count as u64 != vertices && !(name == "information" && count == 0) {
+            if count as u64 != vertices && !(name == "evidence" && count == 0) {
                 let expected = format!("{vertices} entries, one per vertex");
                 return Err(Error::malformed(path, format!("section `{name}`"), expected, count.to_string()));
             }
@@ -97,7 +97,11 @@ impl UncertaintyField {
             let found = deviations[i].to_string();
             return Err(Error::malformed(path, format!("section `deviations`, entry {i}"), "a positive number", found));
         }
-        let information = (!information.is_empty()).then_some(information);
-        Ok(Self { protocol, lattice, support, deviations, information, surface })
+        if let Some(i) = evidence.iter().position(|e| !e.is_valid()) {
+            let found = format!("{:?}", evidence[i]);
+            return Err(Error::malformed(path, format!("section `evidence`, entry {i}"), "finite sums", found));
+        }
+        let evidence = (!evidence.is_empty()).then_some(evidence);
+        Ok(Self { protocol, lattice, support, deviations, evidence, surface })
     }
 }

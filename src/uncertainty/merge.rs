@@ -1,7 +1,7 @@
 //! Fields of the same box, level and protocol from different rays, joined as if one run had drawn them all.
 
 use super::{Protocol, Support, UncertaintyField};
-use crate::posterior::{DensePosterior, Information, OctreePosterior, Share};
+use crate::posterior::{DensePosterior, Evidence, OctreePosterior, Share};
 use crate::{Error, Result};
 
 /// The field of all rays of `parts` together.
@@ -30,10 +30,10 @@ pub fn merge(parts: &[UncertaintyField]) -> Result<UncertaintyField> {
             }
         }
     }
-    let information: Vec<&[Information]> = parts
+    let evidence: Vec<&[Evidence]> = parts
         .iter()
         .map(|part| {
-            part.information().ok_or_else(|| {
+            part.evidence().ok_or_else(|| {
                 Error::setting("fields to merge", "fields that keep their Hessian", "one that holds deviations only")
             })
         })
@@ -43,21 +43,17 @@ pub fn merge(parts: &[UncertaintyField]) -> Result<UncertaintyField> {
     let (support, sums) = match &first.support {
         Support::Dense => {
             let mut sums = DensePosterior::new(first.lattice).into_sums();
-            for part in information {
-                for (sum, more) in sums.iter_mut().zip(part) {
-                    for k in 0..6 {
-                        sum[k] += more[k];
-                    }
-                }
+            for part in evidence {
+                sums.iter_mut().zip(part).for_each(|(sum, more)| sum.add(more));
             }
             (Support::Dense, sums)
         }
         Support::Octree(_) => {
             let mut posterior = OctreePosterior::new(first.lattice);
-            for (part, information) in parts.iter().zip(information) {
+            for (part, evidence) in parts.iter().zip(evidence) {
                 let Support::Octree(octree) = &part.support else { continue };
-                for (point, s) in octree.vertex_positions().zip(information) {
-                    posterior.add_information(point, s);
+                for (point, e) in octree.vertex_positions().zip(evidence) {
+                    posterior.add_evidence(point, e);
                 }
             }
             let (octree, sums) = posterior.into_octree(protocol.rays, protocol.lambda, protocol.tolerance);
@@ -98,6 +94,7 @@ fn check_alike(first: &UncertaintyField, part: &UncertaintyField, number: usize)
             ("cutoff", format!("{:?}", p.cutoff)),
             ("background", format!("{:?}", p.background)),
             ("pixel offset", format!("{:?}", p.pixel_offset)),
+            ("pixels", format!("{:?}", p.pixels)),
         ]
     };
     if first.protocol.march_step.is_some() && first.protocol.source != part.protocol.source {

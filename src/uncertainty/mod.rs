@@ -21,7 +21,7 @@ use rayon::prelude::*;
 
 use crate::geometry::Lattice;
 use crate::octree::{Octree, VertexId, trilinear};
-use crate::posterior::{Covariance, Information, Share};
+use crate::posterior::{Covariance, Evidence, Pixels, Share};
 use crate::{Error, Result};
 
 /// Everything that the numbers in a field depend on. `None` where the field came from elsewhere and does not say.
@@ -35,6 +35,8 @@ pub struct Protocol {
     pub rays: u64,
     /// Rays dropped because the field was not finite.
     pub dropped: u64,
+    /// How pixels were chosen.
+    pub pixels: Option<Pixels>,
     /// Seed of pixels and jitter.
     pub seed: Option<u64>,
     /// Which part of a run these rays are.
@@ -66,6 +68,7 @@ impl Protocol {
             source,
             rays,
             dropped: 0,
+            pixels: None,
             seed: None,
             share: None,
             lambda,
@@ -108,29 +111,29 @@ pub struct UncertaintyField {
     support: Support,
     /// `[vertices]`: σ_v, scene units.
     deviations: Vec<f32>,
-    /// `[vertices]`: S_v, if kept, so that another covariance can be read off later.
-    information: Option<Vec<Information>>,
+    /// `[vertices]`: what rays said, if kept, so that another covariance can be read off later.
+    evidence: Option<Vec<Evidence>>,
     /// `[n]`: some points on visible surfaces, scene units; for comparisons.
     surface: Vec<[f32; 3]>,
 }
 
 impl UncertaintyField {
-    /// The field that `information` gives under `protocol`, one entry per vertex of `support`.
+    /// The field that `evidence` gives under `protocol`, one entry per vertex of `support`.
     ///
     /// # Panics
     /// If the number of entries is not the number of vertices.
     #[must_use]
-    pub fn new(protocol: Protocol, lattice: Lattice, support: Support, information: Vec<Information>) -> Self {
+    pub fn new(protocol: Protocol, lattice: Lattice, support: Support, evidence: Vec<Evidence>) -> Self {
         let vertices = vertex_count(&lattice, &support);
-        assert_eq!(information.len() as u64, vertices, "one information matrix per vertex");
-        let deviations = deviations(&information, &protocol);
-        Self { protocol, lattice, support, deviations, information: Some(information), surface: Vec::new() }
+        assert_eq!(evidence.len() as u64, vertices, "one entry per vertex");
+        let deviations = deviations(&evidence, &protocol);
+        Self { protocol, lattice, support, deviations, evidence: Some(evidence), surface: Vec::new() }
     }
 
-    /// The same field without the information matrices: a sixth of the memory or less, but the covariance is fixed.
+    /// The same field without the evidence: a fifteenth of the memory, but the covariance is fixed.
     #[must_use]
-    pub fn without_information(self) -> Self {
-        Self { information: None, ..self }
+    pub fn without_evidence(self) -> Self {
+        Self { evidence: None, ..self }
     }
 
     /// The same field with some points on visible surfaces.
@@ -139,19 +142,19 @@ impl UncertaintyField {
         Self { surface, ..self }
     }
 
-    /// The same field with another scalar read off the information.
+    /// The same field with another scalar read off the evidence.
     ///
     /// # Errors
-    /// If the information was not kept.
+    /// If the evidence was not kept.
     pub fn with_covariance(mut self, covariance: Covariance) -> Result<Self> {
         if covariance != self.protocol.covariance {
-            let Some(information) = &self.information else {
+            let Some(evidence) = &self.evidence else {
                 let found =
                     format!("a field that holds `{}` only, without the Hessian", self.protocol.covariance.name());
                 return Err(Error::setting("covariance", covariance.name(), found));
             };
             self.protocol.covariance = covariance;
-            self.deviations = deviations(information, &self.protocol);
+            self.deviations = deviations(evidence, &self.protocol);
         }
         Ok(self)
     }
@@ -174,10 +177,10 @@ impl UncertaintyField {
         &self.support
     }
 
-    /// `[vertices]`: S_v, if kept.
+    /// `[vertices]`: what rays said, if kept.
     #[must_use]
-    pub fn information(&self) -> Option<&[Information]> {
-        self.information.as_deref()
+    pub fn evidence(&self) -> Option<&[Evidence]> {
+        self.evidence.as_deref()
     }
 
     /// `[vertices]`: σ_v, scene units.
@@ -227,20 +230,20 @@ impl UncertaintyField {
     /// tr S at a lattice point: exact where a vertex is, 0 elsewhere (there it is negligible); `None` if not kept.
     #[must_use]
     pub fn trace_at(&self, point: [u32; 3]) -> Option<f64> {
-        let information = self.information.as_ref()?;
+        let evidence = self.evidence.as_ref()?;
         let vertex = match &self.support {
             Support::Dense => Some(self.dense_index(point)),
             Support::Octree(octree) => octree.vertex(point).map(|VertexId(v)| v as usize),
         };
-        Some(vertex.map_or(0.0, |v| crate::posterior::trace(&information[v])))
+        Some(vertex.map_or(0.0, |v| crate::posterior::trace(&evidence[v].information)))
     }
 
     /// Bytes on the heap by part, spare capacity included.
     #[must_use]
     pub fn memory(&self) -> Vec<(&'static str, usize)> {
         let mut parts = vec![("deviations", self.deviations.capacity() * size_of::<f32>())];
-        if let Some(information) = &self.information {
-            parts.push(("information", information.capacity() * size_of::<Information>()));
+        if let Some(evidence) = &self.evidence {
+            parts.push(("evidence", evidence.capacity() * size_of::<Evidence>()));
         }
         if let Support::Octree(octree) = &self.support {
             parts.extend(octree.memory());
@@ -291,9 +294,9 @@ fn vertex_count(lattice: &Lattice, support: &Support) -> u64 {
     }
 }
 
-fn deviations(information: &[Information], protocol: &Protocol) -> Vec<f32> {
+fn deviations(evidence: &[Evidence], protocol: &Protocol) -> Vec<f32> {
     let Protocol { covariance, rays, lambda, .. } = *protocol;
-    information.par_iter().map(|s| (covariance.deviation(s, rays, lambda) as f32).max(f32::MIN_POSITIVE)).collect()
+    evidence.par_iter().map(|e| (covariance.deviation(e, rays, lambda) as f32).max(f32::MIN_POSITIVE)).collect()
 }
 
 #[cfg(test)]

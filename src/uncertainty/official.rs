@@ -10,7 +10,7 @@ use std::path::Path;
 use super::{Protocol, Support, UncertaintyField};
 use crate::geometry::{Aabb, Lattice};
 use crate::io::npy;
-use crate::posterior::{Covariance, Information};
+use crate::posterior::{Covariance, Evidence};
 use crate::{Error, Result};
 
 /// What the official file does not say.
@@ -44,17 +44,17 @@ impl OfficialGrid {
             return Err(Error::malformed(path, format!("data, element {i}"), "a finite sum of squares", found));
         }
         let lattice = Lattice::new(self.bounds, level)?;
-        let mut information = Vec::with_capacity(array.data.len());
+        let mut evidence = Vec::with_capacity(array.data.len());
         for_each_vertex(lattice.cells_per_axis(), |_, index| {
             // Only the trace is known: an isotropic matrix has it.
             let third = f64::from(array.data[index]) / 3.0;
-            information.push([third, 0.0, 0.0, third, 0.0, third] as Information);
+            evidence.push(Evidence { information: [third, 0.0, 0.0, third, 0.0, third], ..Evidence::default() });
         });
         let source = format!("official grid {}", path.display());
         let lambda = self.lambda.unwrap_or_else(|| lattice.default_lambda());
         let protocol = Protocol::unstated(source, self.rays, lambda, Covariance::Trace);
         // An isotropic stand-in supports no other covariance honestly, so the matrices are not kept.
-        Ok(UncertaintyField::new(protocol, lattice, Support::Dense, information).without_information())
+        Ok(UncertaintyField::new(protocol, lattice, Support::Dense, evidence).without_evidence())
     }
 }
 
@@ -62,7 +62,7 @@ impl UncertaintyField {
     /// Writes Σ_r tr(JᵀJ) as the official code's `.npy`.
     ///
     /// # Errors
-    /// If the field keeps no information and is not of `trace`, its level is above 9 (1 GB), or the file cannot be written.
+    /// If the field keeps no evidence and is not of `trace`, its level is above 9 (1 GB), or the file cannot be written.
     pub fn write_official(&self, path: &Path) -> Result<()> {
         if self.lattice.level() > 9 {
             let found = format!("level {}", self.lattice.level());

@@ -1,9 +1,9 @@
-//! Queries, files, and the official format, on small fields with arbitrary information.
+//! Queries, files, and the official format, on small fields with arbitrary evidence.
 
 use super::*;
 use crate::geometry::Aabb;
 use crate::posterior::{DensePosterior, OctreePosterior, Posterior};
-use crate::render::RaySamples;
+use crate::render::{RaySample, RaySamples};
 use proptest::prelude::*;
 
 fn protocol(lattice: &Lattice, covariance: Covariance, rays: u64) -> Protocol {
@@ -12,6 +12,7 @@ fn protocol(lattice: &Lattice, covariance: Covariance, rays: u64) -> Protocol {
         source: "test".into(),
         rays,
         dropped: 0,
+        pixels: Some(Pixels::Sobol),
         seed: Some(1),
         share: None,
         lambda: lattice.default_lambda(),
@@ -32,7 +33,8 @@ fn samples(scale: f32) -> RaySamples {
         let t = i as f32 / 40.0;
         let x = Vec3::new(0.9 * (7.0 * t).sin(), 0.5 * (11.0 * t).cos(), 0.3 - 0.2 * t);
         let jacobian = std::array::from_fn(|k| ((k as f32 + 1.0) * (3.0 * t + 1.0)).sin() / scale);
-        out.push(i / 3, x * scale, jacobian, 0.3);
+        let sample = RaySample { position: x * scale, jacobian, weight: 0.3, gradient: [0.1, 0.2, -0.3] };
+        out.push(i / 3, sample);
     }
     out
 }
@@ -97,7 +99,7 @@ fn outside_the_box_is_the_prior() {
 fn files_survive_bit_by_bit() {
     let folder = tempfile::tempdir().unwrap();
     for (i, field) in fields(Covariance::Block, 1.0).into_iter().enumerate() {
-        for (j, field) in [field.clone(), field.without_information()].into_iter().enumerate() {
+        for (j, field) in [field.clone(), field.without_evidence()].into_iter().enumerate() {
             let [first, second] = ["a", "b"].map(|name| folder.path().join(format!("{name}{i}{j}.oct")));
             field.write(&first).unwrap();
             let read = UncertaintyField::read(&first).unwrap();
@@ -118,7 +120,7 @@ fn every_truncation_and_every_altered_byte_is_refused() {
         protocol(&lattice, Covariance::Trace, 5),
         lattice,
         Support::Octree(octree),
-        vec![[0.0; 6]; 8],
+        vec![Evidence::default(); 8],
     )
     .write(&good)
     .unwrap();
@@ -140,11 +142,11 @@ fn every_truncation_and_every_altered_byte_is_refused() {
 }
 
 #[test]
-fn information_allows_another_covariance_later() {
+fn evidence_allows_another_covariance_later() {
     let [_, diagonal] = fields(Covariance::Diagonal, 1.0);
     let [_, block] = fields(Covariance::Block, 1.0);
     assert_eq!(diagonal.clone().with_covariance(Covariance::Block).unwrap().deviations(), block.deviations());
-    let error = diagonal.without_information().with_covariance(Covariance::Block).unwrap_err();
+    let error = diagonal.without_evidence().with_covariance(Covariance::Block).unwrap_err();
     assert!(error.to_string().contains("without the Hessian"), "{error}");
 }
 

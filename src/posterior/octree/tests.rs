@@ -3,6 +3,7 @@
 use super::*;
 use crate::geometry::Aabb;
 use crate::posterior::{Covariance, DensePosterior};
+use crate::render::RaySample;
 use glam::Vec3;
 use proptest::prelude::*;
 
@@ -14,16 +15,18 @@ fn ray_samples() -> impl Strategy<Value = RaySamples> {
     let sample = (
         [coordinate.clone(), coordinate.clone(), coordinate],
         proptest::array::uniform9(-1.0..1.0_f32),
+        [-1.0..1.0_f32, -1.0..1.0, -1.0..1.0],
         -9..1_i32,
         0..3_u64,
     );
     proptest::collection::vec(sample, 0..60).prop_map(|samples| {
         let mut out = RaySamples::default();
         let mut ray = 0;
-        for (position, jacobian, decade, skip) in samples {
+        for (position, jacobian, gradient, decade, skip) in samples {
             ray += skip;
             let scale = 10_f32.powi(decade);
-            out.push(ray, Vec3::from_array(position), jacobian.map(|g| g * scale), 0.5);
+            let jacobian = jacobian.map(|g| g * scale);
+            out.push(ray, RaySample { position: Vec3::from_array(position), jacobian, weight: 0.5, gradient });
         }
         out
     })
@@ -39,11 +42,14 @@ fn dense_index(point: [u32; 3], level: u8) -> usize {
 }
 
 /// Largest difference relative to the larger trace: sums of at most 60 rays, each with a handful of roundings.
-fn assert_same(a: &Information, b: &Information, what: &str) {
-    let scale = trace(a).max(trace(b));
+fn assert_same(a: &Evidence, b: &Evidence, what: &str) {
+    let scale = trace(&a.information).max(trace(&b.information));
     for k in 0..6 {
-        assert!((a[k] - b[k]).abs() <= 100.0 * f64::EPSILON * scale, "{what}: {a:?} against {b:?}");
+        let difference = (a.information[k] - b.information[k]).abs();
+        assert!(difference <= 100.0 * f64::EPSILON * scale, "{what}: {a:?} against {b:?}");
     }
+    // Both add the same rays in the same order.
+    assert_eq!((a.rays, a.gradient), (b.rays, b.gradient), "{what}");
 }
 
 proptest! {
@@ -57,7 +63,7 @@ proptest! {
             for y in 0..=m {
                 for z in 0..=m {
                     let point = [x, y, z];
-                    assert_same(&octree.information(point), &dense.sums()[dense_index(point, level)], "vertex");
+                    assert_same(&octree.evidence(point), &dense.sums()[dense_index(point, level)], "vertex");
                 }
             }
         }
@@ -75,7 +81,7 @@ proptest! {
         prop_assert_eq!(sums.len(), octree.vertex_count());
 
         for covariance in Covariance::ALL {
-            let log10 = |s: &Information| covariance.deviation(s, rays, lambda).log10();
+            let log10 = |s: &Evidence| covariance.deviation(s, rays, lambda).log10();
             let prior = covariance.prior(lambda).log10();
             let mut stored = std::collections::HashSet::new();
             for (point, s) in octree.vertex_positions().zip(&sums) {
@@ -100,7 +106,7 @@ proptest! {
         let mut parts = [RaySamples::default(), RaySamples::default()];
         for (n, (ray, range)) in samples.iter().enumerate() {
             for i in range {
-                parts[usize::from(n >= cut)].push(ray, samples.positions[i], samples.jacobians[i], samples.weights[i]);
+                parts[usize::from(n >= cut)].push(ray, samples.sample(i));
             }
         }
         let run = |batches: &[RaySamples], threads| {
@@ -108,7 +114,7 @@ proptest! {
             let mut posterior = OctreePosterior::new(lattice(4));
             pool.install(|| posterior.add(batches));
             let (octree, sums) = pool.install(|| posterior.into_octree(500, 1e-6, 0.01));
-            (octree, sums.into_iter().flatten().map(f64::to_bits).collect::<Vec<_>>())
+            (octree, sums)
         };
         prop_assert_eq!(run(&[samples], 1), run(&parts, 2));
     }

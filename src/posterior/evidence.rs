@@ -1,0 +1,58 @@
+//! What rays said about one vertex.
+
+use crate::io::container::Item;
+
+/// S = Σ_r JᵀJ of one vertex, summed over rays and colour channels: xx, xy, xz, yy, yz, zz, in 1 / scene unit².
+pub type Information = [f64; 6];
+
+/// tr S.
+#[must_use]
+pub fn trace(s: &Information) -> f64 {
+    s[0] + s[3] + s[5]
+}
+
+/// Sums over the rays that touched a vertex: 64 bytes.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Evidence {
+    /// S.
+    pub information: Information,
+    /// Σ_r Σ_i φ_v(x_i) ‖∂C/∂σ_i‖ ∇σ(x_i), 1 / scene unit: points across the surface, into it. f32, because only its direction
+    /// is read.
+    pub gradient: [f32; 3],
+    /// Rays with a sample in one of the vertex's cells.
+    pub rays: u32,
+}
+
+impl Evidence {
+    /// Adds what other rays said.
+    pub fn add(&mut self, other: &Self) {
+        self.information.iter_mut().zip(other.information).for_each(|(s, o)| *s += o);
+        self.gradient.iter_mut().zip(other.gradient).for_each(|(s, o)| *s += o);
+        self.rays = self.rays.saturating_add(other.rays);
+    }
+
+    /// Whether all sums are finite, and the information's diagonal is not negative.
+    #[must_use]
+    pub fn is_valid(&self) -> bool {
+        let [xx, .., zz] = self.information;
+        self.information.iter().all(|v| v.is_finite())
+            && self.gradient.iter().all(|v| v.is_finite())
+            && xx.min(self.information[3]).min(zz) >= 0.0
+    }
+}
+
+impl Item for Evidence {
+    const SIZE: usize = Information::SIZE + <[f32; 3]>::SIZE + u32::SIZE;
+
+    fn put(self, out: &mut Vec<u8>) {
+        self.information.put(out);
+        self.gradient.put(out);
+        self.rays.put(out);
+    }
+
+    fn take(bytes: &[u8]) -> Self {
+        let (information, rest) = bytes.split_at(Information::SIZE);
+        let (gradient, rays) = rest.split_at(<[f32; 3]>::SIZE);
+        Self { information: Item::take(information), gradient: Item::take(gradient), rays: Item::take(rays) }
+    }
+}

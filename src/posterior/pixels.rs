@@ -1,0 +1,200 @@
+//! Which pixel the k-th training ray goes through.
+//!
+//! Letters: `k` index of a ray in the whole run; `n` its index among the rays of its camera. A ray is a function of k and the
+//! seed alone, so shards, checkpoints and threads see the same rays.
+
+use rand::{Rng, RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// How pixels are chosen.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum Pixels {
+    /// Uniformly at random from all images, as in the paper
+    Random,
+    /// Cameras in turn, each with its own low-discrepancy sequence: less noise from the same rays
+    #[default]
+    Sobol,
+}
+
+/// Rays of a camera before its sequence starts again with another scramble: all that the generator offers.
+const SEQUENCE: u64 = 1 << 16;
+/// Longest round in which cameras of unequal size take turns: their shares of rays are right to one part in this.
+const LONGEST_ROUND: u64 = 1 << 14;
+
+/// One ray's place: camera, column and row, and the shift of its samples in `[0, 1)` steps.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pick {
+    /// Index of the camera.
+    pub camera: usize,
+    /// Column and row.
+    pub pixel: [u32; 2],
+    /// Shift of the ray's samples.
+    pub jitter: f64,
+}
+
+/// Picks pixels of cameras of given resolutions, each pixel equally often.
+#[derive(Debug, Clone)]
+pub struct PixelSequence {
+    kind: Pixels,
+    seed: u64,
+    /// Width and height of every camera.
+    resolutions: Vec<[u32; 2]>,
+    /// One round of turns: each entry a camera and how many of its turns came before in the round.
+    round: Vec<(u32, u32)>,
+    /// Turns of each camera in a round.
+    turns: Vec<u64>,
+}
+
+impl PixelSequence {
+    /// A sequence over images of the given resolutions.
+    #[must_use]
+    pub fn new(kind: Pixels, seed: u64, resolutions: Vec<[u32; 2]>) -> Self {
+        let sizes: Vec<u64> = resolutions.iter().map(|[w, h]| u64::from(*w) * u64::from(*h)).collect();
+        let turns = turns(&sizes);
+        // Turn t of a camera with m turns is due at (t + ½) / m of the round: turns are spread evenly.
+        let mut due: Vec<(f64, u32, u32)> = turns
+            .iter()
+            .enumerate()
+            .flat_map(|(c, &m)| (0..m).map(move |t| ((t as f64 + 0.5) / m as f64, c as u32, t as u32)))
+            .collect();
+        due.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let round = due.into_iter().map(|(_, camera, turn)| (camera, turn)).collect();
+        Self { kind, seed, resolutions, round, turns }
+    }
+
+    /// How pixels are chosen.
+    #[must_use]
+    pub fn kind(&self) -> Pixels {
+        self.kind
+    }
+
+    /// The seed.
+    #[must_use]
+    pub fn seed(&self) -> u64 {
+        self.seed
+    }
+
+    /// The rays `first..first + count`. Random rays are drawn batch by batch: ask for whole batches.
+    #[must_use]
+    pub fn picks(&self, first: u64, count: u64) -> Vec<Pick> {
+        match self.kind {
+            Pixels::Random => {
+                let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
+                rng.set_stream(first);
+                (0..count).map(|_| self.random(&mut rng)).collect()
+            }
+            Pixels::Sobol => (first..first + count).map(|k| self.sobol(k)).collect(),
+        }
+    }
+
+    fn random(&self, rng: &mut ChaCha8Rng) -> Pick {
+        let size = |camera: usize| u64::from(self.resolutions[camera][0]) * u64::from(self.resolutions[camera][1]);
+        let total: u64 = (0..self.resolutions.len()).map(size).sum();
+        let mut pixel = rng.random_range(0..total);
+        let mut camera = 0;
+        while pixel >= size(camera) {
+            pixel -= size(camera);
+            camera += 1;
+        }
+        let width = u64::from(self.resolutions[camera][0]);
+        // The upper 53 bits as a binary fraction.
+        let jitter = (rng.next_u64() >> 11) as f64 * 2.0_f64.powi(-53);
+        Pick { camera, pixel: [(pixel % width) as u32, (pixel / width) as u32], jitter }
+    }
+
+    /// An Owen-scrambled Sobol point in (column, row, jitter), scrambled anew for every camera (Burley 2020).
+    fn sobol(&self, k: u64) -> Pick {
+        let length = self.round.len() as u64;
+        let (camera, turn) = self.round[(k % length) as usize];
+        let n = k / length * self.turns[camera as usize] + u64::from(turn);
+        let scramble = mix(mix(mix(self.seed) ^ u64::from(camera)) ^ (n / SEQUENCE)) as u32;
+        let [x, y, jitter, _] = sobol_burley::sample_4d((n % SEQUENCE) as u32, 0, scramble);
+        let [w, h] = self.resolutions[camera as usize];
+        let pixel = [(x, w), (y, h)].map(|(x, w)| ((f64::from(x) * f64::from(w)) as u32).min(w - 1));
+        Pick { camera: camera as usize, pixel, jitter: f64::from(jitter) }
+    }
+}
+
+/// Turns of each camera in a round, in proportion to its pixels: exactly if a short enough round can, else rounded.
+fn turns(sizes: &[u64]) -> Vec<u64> {
+    let divisor = sizes.iter().fold(0, |a, &b| gcd(a, b)).max(1);
+    let exact: u64 = sizes.iter().map(|s| s / divisor).sum();
+    if exact <= LONGEST_ROUND {
+        return sizes.iter().map(|s| s / divisor).collect();
+    }
+    let total: f64 = sizes.iter().map(|&s| s as f64).sum();
+    let length = LONGEST_ROUND.max(4 * sizes.len() as u64) as f64;
+    sizes.iter().map(|&s| ((s as f64 / total * length).round() as u64).max(1)).collect()
+}
+
+fn gcd(a: u64, b: u64) -> u64 {
+    if b == 0 { a } else { gcd(b, a % b) }
+}
+
+/// SplitMix64's finaliser (Steele et al. 2014).
+fn mix(x: u64) -> u64 {
+    let x = x.wrapping_add(0x9e37_79b9_7f4a_7c15);
+    let x = (x ^ x >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let x = (x ^ x >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
+    x ^ x >> 31
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn sequence(kind: Pixels, resolutions: &[[u32; 2]]) -> PixelSequence {
+        PixelSequence::new(kind, 3, resolutions.to_vec())
+    }
+
+    proptest! {
+        #[test]
+        fn every_camera_has_its_share_of_rays(sides in proptest::collection::vec(1_u32..40, 1..6), rays in 1_u64..5000) {
+            let resolutions: Vec<[u32; 2]> = sides.iter().map(|&s| [s, 7]).collect();
+            let picks = sequence(Pixels::Sobol, &resolutions).picks(0, rays);
+            let total: f64 = sides.iter().map(|&s| f64::from(s)).sum();
+            for (camera, &side) in sides.iter().enumerate() {
+                let found = picks.iter().filter(|p| p.camera == camera).count() as f64;
+                let fair = f64::from(side) / total * rays as f64;
+                // Evenly spread turns are never more than a turn of every camera away from their share.
+                prop_assert!((found - fair).abs() <= 1.0 + sides.len() as f64 / 2.0, "{} of {}", found, fair);
+            }
+            for p in &picks {
+                let [w, h] = resolutions[p.camera];
+                prop_assert!(p.pixel[0] < w && p.pixel[1] < h && (0.0..1.0).contains(&p.jitter));
+            }
+        }
+
+        #[test]
+        fn rays_do_not_depend_on_how_they_are_asked_for(first in 0_u64..200_000, cut in 1_u64..50) {
+            let sequence = sequence(Pixels::Sobol, &[[40, 30], [20, 20]]);
+            let mut parts = sequence.picks(first, cut);
+            parts.extend(sequence.picks(first + cut, 64 - cut));
+            prop_assert_eq!(parts, sequence.picks(first, 64));
+        }
+    }
+
+    #[test]
+    fn sobol_pixels_fill_an_image_evenly_and_random_ones_do_not() {
+        // 4 rays for each of 16 × 16 tiles of one image. An Owen-scrambled (0, 2)-sequence puts exactly 4 into each; random
+        // counts have a variance of 4.
+        let spread = |kind| {
+            let mut counts = [0.0_f64; 256];
+            for p in sequence(kind, &[[64, 64]]).picks(0, 1024) {
+                counts[(p.pixel[0] / 4 * 16 + p.pixel[1] / 4) as usize] += 1.0;
+            }
+            counts.iter().map(|c| (c - 4.0).powi(2)).sum::<f64>() / 256.0
+        };
+        assert_eq!(spread(Pixels::Sobol), 0.0);
+        // The mean of 256 squares of variance 2 · 4² each: 4 ± 3 · 5.7 / 16.
+        assert!((2.9..5.1).contains(&spread(Pixels::Random)), "{}", spread(Pixels::Random));
+    }
+
+    #[test]
+    fn a_sequence_goes_on_with_another_scramble_when_it_is_used_up() {
+        let sequence = sequence(Pixels::Sobol, &[[4096, 4096]]);
+        assert_ne!(sequence.picks(0, 32), sequence.picks(SEQUENCE, 32));
+    }
+}
