@@ -7,6 +7,7 @@ use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use glam::Vec3;
 use octobayes::estimate::{FieldBuilder, GridKind, GridSettings, RaySettings, estimate};
 use octobayes::field::{ClosedForm, Radiance, RadianceField};
+use octobayes::geometry::Domain;
 use octobayes::monitor::Silent;
 use octobayes::posterior::{Share, Tally};
 use octobayes::render::RaySamples;
@@ -41,7 +42,7 @@ fn field_evaluation(c: &mut Criterion) {
 fn accumulate(c: &mut Criterion) {
     let scene = ClosedForm::courtyard();
     let cameras = ClosedForm::half_circle(40, [200, 200]);
-    let empty = FieldBuilder::new(grid(GridKind::Octree), scene.bounds()).unwrap();
+    let empty = FieldBuilder::new(grid(GridKind::Octree), Domain::Box(scene.bounds())).unwrap();
     let stream = rays().stream(&scene, &cameras, empty.lattice(), &Silent).unwrap();
     let mut batches: Vec<RaySamples> = Vec::new();
     stream
@@ -55,7 +56,7 @@ fn accumulate(c: &mut Criterion) {
     for kind in [GridKind::Octree, GridKind::Dense] {
         group.bench_function(format!("{kind:?}"), |b| {
             b.iter_batched_ref(
-                || FieldBuilder::new(grid(kind), scene.bounds()).unwrap(),
+                || FieldBuilder::new(grid(kind), Domain::Box(scene.bounds())).unwrap(),
                 |builder| builder.add(black_box(&batches)),
                 criterion::BatchSize::PerIteration,
             );

@@ -12,6 +12,7 @@ use octobayes::Result;
 use octobayes::dataset::Views;
 use octobayes::estimate::{FieldBuilder, GridKind, GridSettings, Provenance, RaySettings};
 use octobayes::field::{NerfMlp, RadianceField};
+use octobayes::geometry::Domain;
 use octobayes::monitor::Silent;
 use octobayes::posterior::{Share, Tally, trace};
 use octobayes::uncertainty::{Difference, Support, UncertaintyField, compare};
@@ -31,7 +32,7 @@ fn main() -> Result<()> {
     let mut builders = Vec::new();
     for settings in [settings(GridKind::Octree, 0.01), settings(GridKind::Octree, 0.0), settings(GridKind::Dense, 0.0)]
     {
-        builders.push(FieldBuilder::new(settings, model.bounds())?);
+        builders.push(FieldBuilder::new(settings, Domain::Box(model.bounds()))?);
     }
     let rays = RaySettings { rays: RAYS, ..RaySettings::default() };
     let start = Instant::now();

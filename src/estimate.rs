@@ -5,10 +5,10 @@
 
 use std::path::Path;
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 
 use crate::field::RadianceField;
-use crate::geometry::{Aabb, Camera, Lattice};
+use crate::geometry::{Camera, Domain, Lattice};
 use crate::monitor::Monitor;
 use crate::posterior::checkpoint::{self, AnyPosterior, RunKey};
 use crate::posterior::{
@@ -65,12 +65,12 @@ const MAX_STEPS: f64 = 65_536.0;
 const MAX_DENSE_LEVEL: u8 = 9;
 
 impl GridSettings {
-    /// The lattice over `bounds`.
+    /// The lattice over `domain`.
     ///
     /// # Errors
     /// If the level is out of range, or above 9 for a dense grid.
-    pub fn lattice(&self, bounds: Aabb) -> Result<Lattice> {
-        let lattice = Lattice::new(bounds, self.level)?;
+    pub fn lattice(&self, domain: Domain) -> Result<Lattice> {
+        let lattice = Lattice::of_domain(domain, self.level)?;
         if self.grid == GridKind::Dense && self.level > MAX_DENSE_LEVEL {
             let gigabytes = DensePosterior::required_memory(&lattice) as f64 / 1e9;
             let found = format!("level {}, which needs {gigabytes:.0} GB (an octree does not)", self.level);
@@ -182,9 +182,15 @@ impl RaySettings {
         lattice: &Lattice,
         monitor: &dyn Monitor,
     ) -> Result<RayStream<'a>> {
-        let differences = Differences { step: self.step * lattice.edge() };
+        let differences = Differences { step: self.step * lattice.edge(), domain: *lattice.domain() };
+        // h is largest in the corner of the field's box that is farthest from a contraction's centre.
+        let bounds = field.bounds();
+        let corner = |c: u8| {
+            DVec3::from(std::array::from_fn(|axis| [bounds.min(), bounds.max()][usize::from(c >> axis & 1)][axis]))
+        };
+        let farthest = (0..8).map(|c| differences.at(corner(c).as_vec3())).fold(DVec3::ZERO, DVec3::max);
         Ok(RayStream {
-            tracer: self.tracer(field, differences.step.max_element(), monitor)?,
+            tracer: self.tracer(field, farthest.max_element(), monitor)?,
             differences,
             cameras,
             pixel_offset: self.pixel_offset.unwrap_or_else(|| field.pixel_offset()),
@@ -219,8 +225,8 @@ impl FieldBuilder {
     ///
     /// # Errors
     /// As [`GridSettings::lattice`].
-    pub fn new(settings: GridSettings, bounds: Aabb) -> Result<Self> {
-        let lattice = settings.lattice(bounds)?;
+    pub fn new(settings: GridSettings, domain: Domain) -> Result<Self> {
+        let lattice = settings.lattice(domain)?;
         let lambda = settings.lambda.unwrap_or_else(|| lattice.default_lambda());
         let prior = settings.covariance.prior(lambda);
         if !(prior as f32).is_normal() {
@@ -331,7 +337,7 @@ pub fn estimate(
     if cameras.is_empty() {
         return Err(Error::setting("cameras", "at least one", "none"));
     }
-    let mut builder = FieldBuilder::new(*grid, field.bounds())?;
+    let mut builder = FieldBuilder::new(*grid, Domain::Box(field.bounds()))?;
     let stream = rays.stream(field, cameras, builder.lattice(), monitor)?;
     let tally = stream.run(Share::whole(rays.rays), Tally::default(), monitor, |batches, _| {
         builder.add(batches);

@@ -3,19 +3,19 @@
 use std::path::PathBuf;
 use std::time::Instant;
 
-use super::options::{GridOptions, parse_box};
+use super::options::{DomainOptions, GridOptions};
 use super::progress::Bars;
 use super::report::Cost;
 use crate::Result;
 use crate::estimate::{FieldBuilder, Provenance};
-use crate::geometry::Aabb;
 use crate::posterior::{SamplesReader, Tally};
 
 /// Sum up ray samples whose Jacobians were computed elsewhere
 ///
 /// SAMPLES.npz holds `positions` f32 N x 3 in scene units, `jacobian` f32 N x 3 x 3 = dC_c/dx_k (rows colour, columns axis), `ray`
 /// u32 or u64 N, the non-decreasing index of the ray a sample belongs to, and `rays_total`, the number of rays drawn, with
-/// those that hit nothing; optionally `weight` f32 N, the sample's share of the pixel. The file may be larger than memory.
+/// those that hit nothing; optionally `weight` f32 N, the sample's share of the pixel, and `gradient` f32 N x 3 =
+/// ||dC/dsigma|| times the density's gradient, which covariance `normal` needs. The file may be larger than memory.
 #[derive(clap::Args)]
 #[command(
     after_help = "Example: octobayes accumulate samples.npz --box=-1.5,-1.5,-1.5,1.5,1.5,1.5 --level 8 -o field.oct"
@@ -25,9 +25,8 @@ pub struct Args {
     #[arg(value_name = "SAMPLES.npz")]
     samples: PathBuf,
 
-    /// Box of the field: x0,y0,z0,x1,y1,z1 in scene units
-    #[arg(long = "box", value_name = "BOX", value_parser = parse_box, allow_hyphen_values = true)]
-    bounds: Aabb,
+    #[command(flatten)]
+    domain: DomainOptions,
 
     #[command(flatten)]
     grid: GridOptions,
@@ -37,7 +36,7 @@ impl Args {
     /// Runs the verb.
     pub fn run(self, bars: &Bars) -> Result<()> {
         let reader = SamplesReader::open(&self.samples)?;
-        let mut builder = FieldBuilder::new(self.grid.settings(), self.bounds)?;
+        let mut builder = FieldBuilder::new(self.grid.settings(), self.domain.domain(None)?)?;
         self.grid.check_output()?;
         let start = Instant::now();
         reader.run(bars, |batches| {

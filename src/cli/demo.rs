@@ -11,7 +11,7 @@ use super::report;
 use crate::dataset::write_transforms;
 use crate::estimate::{FieldBuilder, GridKind, GridSettings, Provenance, RaySettings};
 use crate::field::{ClosedForm, RadianceField, VoxelGrid};
-use crate::geometry::Camera;
+use crate::geometry::{Camera, Domain};
 use crate::monitor::Monitor;
 use crate::picture::{Panel, write_sheet};
 use crate::posterior::{Share, Tally};
@@ -85,8 +85,8 @@ impl Args {
         let settings =
             |grid| GridSettings { grid, level: self.level, surface_points: 200_000, ..GridSettings::default() };
         let [mut octree, mut dense] = [
-            FieldBuilder::new(settings(kinds[0]), scene.bounds())?,
-            FieldBuilder::new(settings(kinds[1]), scene.bounds())?,
+            FieldBuilder::new(settings(kinds[0]), Domain::Box(scene.bounds()))?,
+            FieldBuilder::new(settings(kinds[1]), Domain::Box(scene.bounds()))?,
         ];
         let rays = RaySettings { rays: self.rays, ..RaySettings::default() };
         let stream = rays.stream(scene, cameras, octree.lattice(), bars)?;

@@ -8,7 +8,7 @@ use glam::{DVec3, Vec3};
 use crate::dataset::{ResolutionSource, Views};
 use crate::estimate::{GridKind, GridSettings, RaySettings};
 use crate::field::RadianceField;
-use crate::geometry::Aabb;
+use crate::geometry::{Aabb, Domain, Norm};
 use crate::io::AtomicFile;
 use crate::posterior::Covariance;
 use crate::render::Occupancy;
@@ -183,6 +183,34 @@ impl CameraOptions {
             );
         }
         Ok(views)
+    }
+}
+
+/// The part of space that a field covers.
+#[derive(Args)]
+pub struct DomainOptions {
+    /// Box of the field: x0,y0,z0,x1,y1,z1 in scene units [default: the model's, if there
+    /// is one]
+    #[arg(long = "box", value_name = "BOX", value_parser = parse_box, allow_hyphen_values = true, conflicts_with = "contract")]
+    pub bounds: Option<Aabb>,
+
+    /// Cover all of space, contracted outside --inner as in mip-NeRF 360: for unbounded scenes
+    #[arg(long, value_enum, value_name = "NORM", requires = "inner")]
+    pub contract: Option<Norm>,
+
+    /// Centre and radius of the part that is not contracted: x,y,z,r in scene units
+    #[arg(long, value_name = "BALL", value_parser = numbers::<4>, allow_hyphen_values = true, requires = "contract")]
+    pub inner: Option<[f64; 4]>,
+}
+
+impl DomainOptions {
+    /// What the options say, or the box of the model, if there is one.
+    pub fn domain(&self, model: Option<Aabb>) -> Result<Domain> {
+        match (self.contract, self.inner, self.bounds.or(model)) {
+            (Some(norm), Some([x, y, z, radius]), _) => Domain::contracted(DVec3::new(x, y, z), radius, norm),
+            (.., Some(bounds)) => Ok(Domain::Box(bounds)),
+            _ => Err(Error::setting("--box", "the box of the field, or --contract and --inner", "neither")),
+        }
     }
 }
 

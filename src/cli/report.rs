@@ -45,11 +45,10 @@ pub fn protocol(field: &UncertaintyField) -> String {
     let p = field.protocol();
     let lattice = field.lattice();
     let known = |v: Option<String>| v.unwrap_or_else(|| "not stated".into());
-    let bounds = lattice.bounds();
     let mut out = String::new();
     let mut line = |name: &str, value: String| out.push_str(&format!("  {name:<12} {value}\n"));
     line("source", p.source.clone());
-    line("box", format!("{} to {}", bounds.min(), bounds.max()));
+    line("domain", lattice.domain().to_string());
     line(
         "level",
         format!(
@@ -82,7 +81,8 @@ pub fn protocol(field: &UncertaintyField) -> String {
 pub fn protocol_json(field: &UncertaintyField) -> Value {
     json!({
         "protocol": field.protocol(),
-        "box": { "min": field.lattice().bounds().min().to_array(), "max": field.lattice().bounds().max().to_array() },
+        "box": field.lattice().domain().bounds().map(|b| json!({ "min": b.min().to_array(), "max": b.max().to_array() })),
+        "domain": field.lattice().domain(),
         "level": field.lattice().level(),
         "refinement": "sensitivity",
     })

@@ -3,11 +3,10 @@
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use super::options::{CameraOptions, GridOptions, ModelOptions, parse_box, parse_non_negative, parse_positive};
+use super::options::{CameraOptions, DomainOptions, GridOptions, ModelOptions, parse_non_negative, parse_positive};
 use super::progress::Bars;
 use super::report::Cost;
 use crate::estimate::{FieldBuilder, Provenance, RaySettings};
-use crate::geometry::Aabb;
 use crate::posterior::{Pixels, SamplesWriter, Share, Tally};
 use crate::{Error, Result};
 
@@ -41,9 +40,8 @@ pub struct Args {
     #[arg(long, default_value_t = 0)]
     seed: u64,
 
-    /// Box of the field: x0,y0,z0,x1,y1,z1 in scene units [default: the model's]
-    #[arg(long = "box", value_name = "BOX", value_parser = parse_box, allow_hyphen_values = true)]
-    bounds: Option<Aabb>,
+    #[command(flatten)]
+    domain: DomainOptions,
 
     /// Finite-difference step to both sides, in edges of the finest lattice
     #[arg(long, value_name = "EDGES", default_value_t = RaySettings::default().step, value_parser = parse_positive)]
@@ -99,7 +97,7 @@ impl Args {
         let field = self.model.open()?;
         let views = self.cameras.read()?;
         let grid = self.grid.settings();
-        let mut builder = FieldBuilder::new(grid, self.bounds.unwrap_or_else(|| field.bounds()))?;
+        let mut builder = FieldBuilder::new(grid, self.domain.domain(Some(field.bounds()))?)?;
         self.grid.check_output()?;
         let mut dump = self.dump_samples.as_deref().map(SamplesWriter::create).transpose()?;
 

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::field::{ClosedForm, VoxelGrid};
+use crate::geometry::Aabb;
 use crate::monitor::Silent;
 use glam::DVec3;
 

@@ -1,20 +1,20 @@
-//! The map Φ from scene coordinates to the unit cube, and the finest lattice in it.
+//! The finest lattice in the unit cube that Φ maps scene coordinates to.
 //!
-//! `M` = 2^level cells per axis, M + 1 lattice points per axis: point (i, j, k) sits at `min + (i, j, k) · edge`. Cells are
-//! half-open, `[lo, hi)`; the upper face of the box belongs to the last cell.
+//! `M` = 2^level cells per axis, M + 1 lattice points per axis: point (i, j, k) sits at Φ⁻¹((i, j, k) / M). Cells are
+//! half-open, `[lo, hi)`; the upper face of the cube belongs to the last cell.
 
 use glam::{DVec3, Vec3};
 
-use super::Aabb;
+use super::{Aabb, Domain};
 use crate::{Error, Result};
 
 /// Largest supported level: lattice coordinates need 17 bits per axis, 51 in a Morton code.
 pub const MAX_LEVEL: u8 = 16;
 
-/// The finest lattice {0..M}³ of a box.
+/// The finest lattice {0..M}³ of a domain.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Lattice {
-    bounds: Aabb,
+    domain: Domain,
     level: u8,
 }
 
@@ -24,17 +24,25 @@ impl Lattice {
     /// # Errors
     /// If `level` is 0 or above [`MAX_LEVEL`].
     pub fn new(bounds: Aabb, level: u8) -> Result<Self> {
+        Self::of_domain(Domain::Box(bounds), level)
+    }
+
+    /// The lattice with 2^`level` cells along every axis of the cube that `domain` is mapped to.
+    ///
+    /// # Errors
+    /// If `level` is 0 or above [`MAX_LEVEL`].
+    pub fn of_domain(domain: Domain, level: u8) -> Result<Self> {
         if (1..=MAX_LEVEL).contains(&level) {
-            Ok(Self { bounds, level })
+            Ok(Self { domain, level })
         } else {
             Err(Error::setting("level", format!("1 to {MAX_LEVEL}"), level.to_string()))
         }
     }
 
-    /// The box that the lattice spans.
+    /// The part of space that the lattice spans.
     #[must_use]
-    pub fn bounds(&self) -> &Aabb {
-        &self.bounds
+    pub fn domain(&self) -> &Domain {
+        &self.domain
     }
 
     /// log2 of the number of cells per axis.
@@ -56,24 +64,22 @@ impl Lattice {
         n * n * n
     }
 
-    /// Edge lengths of a finest cell, scene units.
+    /// Edge lengths of a finest cell, scene units, where space is not contracted.
     #[must_use]
     pub fn edge(&self) -> DVec3 {
-        self.bounds.size() / f64::from(self.cells_per_axis())
+        self.domain.size() / f64::from(self.cells_per_axis())
     }
 
-    /// Lattice coordinates of a scene point, in `[0, M]` per axis; `None` outside the closed box or for NaN.
+    /// Lattice coordinates of a scene point, in `[0, M]` per axis; `None` outside the domain or for NaN.
     #[must_use]
     pub fn coordinates(&self, x: Vec3) -> Option<DVec3> {
-        let m = f64::from(self.cells_per_axis());
-        let u = (x.as_dvec3() - self.bounds.min()) / self.bounds.size() * m;
-        (u.cmpge(DVec3::ZERO).all() && u.cmple(DVec3::splat(m)).all()).then_some(u)
+        self.domain.to_unit(x).map(|u| u * f64::from(self.cells_per_axis()))
     }
 
     /// Scene position of lattice coordinates.
     #[must_use]
     pub fn position(&self, u: DVec3) -> DVec3 {
-        self.bounds.min() + u / f64::from(self.cells_per_axis()) * self.bounds.size()
+        self.domain.to_scene(u / f64::from(self.cells_per_axis()))
     }
 
     /// The finest cell that contains lattice coordinates `u` in `[0, M]`³, and the offset inside it in `[0, 1]`³
@@ -91,13 +97,13 @@ impl Lattice {
         (cell, offset)
     }
 
-    /// λ of the paper, 1e-4 / M³ per squared longest edge, converted to 1 / scene unit².
+    /// λ of the paper, 1e-4 / M³ per squared longest edge of the domain ([`Domain::size`]), converted to 1 / scene unit².
     ///
     /// The official code uses 1e-4 / M³ in its own world units; tying the unit to the box makes U scale with the scene.
     #[must_use]
     pub fn default_lambda(&self) -> f64 {
         let m = f64::from(self.cells_per_axis());
-        1e-4 / (m * m * m) / self.bounds.longest_edge().powi(2)
+        1e-4 / (m * m * m) / self.domain.size().max_element().powi(2)
     }
 }
 

@@ -6,11 +6,13 @@
 mod aabb;
 mod camera;
 mod distortion;
+mod domain;
 mod lattice;
 mod ray;
 
 pub use aabb::Aabb;
 pub use camera::Camera;
 pub use distortion::Distortion;
+pub use domain::{Domain, Norm};
 pub use lattice::{Lattice, MAX_LEVEL};
 pub use ray::Ray;

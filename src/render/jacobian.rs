@@ -7,13 +7,23 @@ use glam::{DVec3, Vec3};
 
 use super::{Quadrature, TracedRays, Tracer};
 use crate::field::Radiance;
-use crate::geometry::Ray;
+use crate::geometry::{Domain, Ray};
 
 /// How the field is differentiated.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Differences {
-    /// Distance h to both sides along each axis, scene units.
+    /// Distance h to both sides along each axis where space is not contracted, scene units.
     pub step: DVec3,
+    /// Where it is, h grows with the lattice's cells.
+    pub domain: Domain,
+}
+
+impl Differences {
+    /// h along each axis at x.
+    #[must_use]
+    pub fn at(&self, x: Vec3) -> DVec3 {
+        self.step * self.domain.stretch(x)
+    }
 }
 
 /// Ray samples with their Jacobians: what a posterior is made of, wherever it came from. Rays in increasing order; rays
@@ -117,7 +127,7 @@ impl Tracer<'_> {
     pub fn jacobians(&self, rays: &[Ray], jitter: &[f64], first_ray: u64, differences: Differences) -> RaySamples {
         let traced = self.trace(rays, jitter);
         let wanted = self.wanted(&traced);
-        let gradients = self.gradients(&traced, rays, &wanted, differences.step);
+        let gradients = self.gradients(&traced, rays, &wanted, differences);
         let mut out =
             RaySamples { dropped: traced.dropped, first_invalid: traced.first_invalid, ..RaySamples::default() };
         // A ray with an invalid neighbour evaluation is dropped as a whole, like one with an invalid sample.
@@ -185,12 +195,13 @@ impl Tracer<'_> {
         traced: &TracedRays,
         rays: &[Ray],
         wanted: &[Wanted],
-        step: DVec3,
+        differences: Differences,
     ) -> Vec<Option<(DVec3, [DVec3; 3])>> {
         let mut positions = Vec::with_capacity(6 * wanted.len());
         let mut directions = Vec::with_capacity(6 * wanted.len());
         for w in wanted {
             let x = traced.positions[w.sample];
+            let step = differences.at(x);
             for axis in 0..3 {
                 for side in [1.0, -1.0] {
                     let mut y = x.as_dvec3();
@@ -259,7 +270,7 @@ mod tests {
             let ray = Ray::new(DVec3::new(-3.0, y, z), DVec3::new(1.0, -0.1 * z, 0.1 * y));
             let h = 2.5e-4;
             let traced = tracer.trace(&[ray], &[jitter]);
-            let samples = tracer.jacobians(&[ray], &[jitter], 7, Differences { step: DVec3::splat(h) });
+            let samples = tracer.jacobians(&[ray], &[jitter], 7, Differences { step: DVec3::splat(h), domain: Domain::Box(field.bounds()) });
             prop_assert!(samples.rays == [7] && samples.offsets == [0, samples.positions.len()]);
             let scale = samples.jacobians.iter().flatten().fold(0.0_f32, |m, g| m.max(g.abs()));
             for (x, jacobian) in samples.positions.iter().zip(&samples.jacobians).step_by(7) {
@@ -291,7 +302,12 @@ mod tests {
         let tracer = Tracer { field: &field, marcher, background: Vec3::ONE };
         // Down through the floor a hair inside the face.
         let ray = Ray::new(DVec3::new(0.999_999, 0.1, 1.0), -DVec3::Z);
-        let samples = tracer.jacobians(&[ray], &[0.5], 0, Differences { step: DVec3::splat(0.01) });
+        let samples = tracer.jacobians(
+            &[ray],
+            &[0.5],
+            0,
+            Differences { step: DVec3::splat(0.01), domain: Domain::Box(field.bounds()) },
+        );
         // The floor does not change along x there except in texture; a two-sided difference across the face would see the
         // density fall from 120 to 0 and give entries of several hundred.
         let along_x = samples.jacobians.iter().map(|j| j[0].abs()).fold(0.0, f32::max);
@@ -325,7 +341,12 @@ mod tests {
         let ray = |y| Ray::new(DVec3::new(-2.0, y, 0.2), DVec3::X);
         // The second ray runs through the hole, the third is finite itself but its differences are not.
         let rays = [ray(0.0), ray(0.7), ray(0.499)];
-        let samples = tracer.jacobians(&rays, &[0.5; 3], 10, Differences { step: DVec3::splat(0.01) });
+        let samples = tracer.jacobians(
+            &rays,
+            &[0.5; 3],
+            10,
+            Differences { step: DVec3::splat(0.01), domain: Domain::Box(Holed.bounds()) },
+        );
         assert_eq!((samples.rays, samples.dropped), (vec![10], 2));
         assert!(samples.first_invalid.unwrap().y > 0.49);
     }

@@ -1,6 +1,6 @@
 //! How far two fields are apart.
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -50,7 +50,7 @@ pub struct Difference {
 pub struct Comparison {
     /// The fields.
     pub fields: [Summary; 2],
-    /// Over points drawn uniformly from the box; `None` if no points were asked for.
+    /// Over points drawn uniformly from the cube that the domain is mapped to; `None` if no points were asked for.
     pub in_box: Option<Difference>,
     /// Over points on visible surfaces (ray samples of weight ≥ 0.05), if one of the fields holds some.
     pub on_surfaces: Option<Difference>,
@@ -91,20 +91,19 @@ impl UncertaintyField {
     }
 }
 
-/// Compares log10 U at `points` random points of the box (drawn with `seed`), and at up to as many surface points.
+/// Compares log10 U at `points` random points, uniform in the lattice's cube (drawn with `seed`), and at up to as many surface points.
 ///
 /// # Errors
-/// If the fields are of different boxes.
+/// If the fields are of different domains.
 pub fn compare(a: &UncertaintyField, b: &UncertaintyField, points: usize, seed: u64) -> Result<Comparison> {
-    let bounds = a.lattice().bounds();
-    if bounds != b.lattice().bounds() {
-        let text = |f: &UncertaintyField| format!("{} to {}", f.lattice().bounds().min(), f.lattice().bounds().max());
-        return Err(Error::setting("the fields' boxes", format!("the same box, {}", text(a)), text(b)));
+    let domain = a.lattice().domain();
+    if domain != b.lattice().domain() {
+        let text = |f: &UncertaintyField| f.lattice().domain().to_string();
+        return Err(Error::setting("the fields' domains", format!("the same, {}", text(a)), text(b)));
     }
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut draw = |axis: usize| bounds.min()[axis] + bounds.size()[axis] * rng.random_range(0.0..1.0_f64);
-    let in_box: Vec<Vec3> =
-        (0..points).map(|_| bounds.clamp(glam::DVec3::new(draw(0), draw(1), draw(2)).as_vec3())).collect();
+    let mut draw = || domain.clamp(domain.to_scene(DVec3::from(rng.random::<[f64; 3]>())).as_vec3());
+    let in_box: Vec<Vec3> = (0..points).map(|_| draw()).collect();
     let surface = if a.surface().len() >= b.surface().len() { a.surface() } else { b.surface() };
     let surface: Vec<Vec3> = surface.iter().take(points).map(|&x| Vec3::from_array(x)).collect();
     Ok(Comparison {

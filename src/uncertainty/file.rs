@@ -12,7 +12,7 @@
 use std::path::Path;
 
 use super::{Protocol, Support, UncertaintyField, vertex_count};
-use crate::geometry::{Aabb, Lattice};
+use crate::geometry::Lattice;
 use crate::io::container::{self, Format, Reader};
 use crate::octree::Octree;
 use crate::posterior::Evidence;
@@ -62,10 +62,10 @@ impl UncertaintyField {
     pub fn read(path: &Path) -> Result<Self> {
         let (header, mut file) = Reader::open::<Header>(path, FORMAT, 4)?;
         // Deserialising bypasses the constructors' checks.
-        let bounds = Aabb::new(header.lattice.bounds().min(), header.lattice.bounds().max());
-        let lattice = bounds
-            .and_then(|bounds| Lattice::new(bounds, header.lattice.level()))
-            .map_err(|e| Error::malformed(path, "header", "a valid box and level", e.to_string()))?;
+        let lattice = header.lattice.domain().checked();
+        let lattice = lattice
+            .and_then(|domain| Lattice::of_domain(domain, header.lattice.level()))
+            .map_err(|e| Error::malformed(path, "header", "a valid domain and level", e.to_string()))?;
         let protocol = header.protocol;
         let counts =
             protocol.rays > 0 && protocol.dropped <= protocol.rays && protocol.share.is_none_or(|s| s.is_valid());

@@ -62,11 +62,14 @@ impl UncertaintyField {
     /// Writes Σ_r tr(JᵀJ) as the official code's `.npy`.
     ///
     /// # Errors
-    /// If the field keeps no evidence and is not of `trace`, its level is above 9 (1 GB), or the file cannot be written.
+    /// If the field keeps no evidence and is not of `trace`, its level is above 9 (1 GB), space is contracted, or the file cannot be written.
     pub fn write_official(&self, path: &Path) -> Result<()> {
         if self.lattice.level() > 9 {
             let found = format!("level {}", self.lattice.level());
             return Err(Error::setting("export", "a level up to 9: the official grid is dense", found));
+        }
+        if self.lattice.domain().bounds().is_none() {
+            return Err(Error::setting("export", "a field of a box", "a contracted domain"));
         }
         let m = self.lattice.cells_per_axis();
         let mut sums = vec![0.0_f64; self.lattice.dense_vertices() as usize];
@@ -88,7 +91,7 @@ impl UncertaintyField {
             return None;
         }
         let x = self.lattice.position(glam::DVec3::from(point.map(f64::from))).as_vec3();
-        let deviation = self.query(self.lattice.bounds().clamp(x)).uncertainty;
+        let deviation = self.query(self.lattice.domain().clamp(x)).uncertainty;
         Some((self.protocol.rays as f64 * (deviation.powi(-2) - self.protocol.lambda)).max(0.0))
     }
 }
