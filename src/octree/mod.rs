@@ -9,15 +9,20 @@
 //! This module knows nothing of rays, colour or uncertainty.
 
 mod cells;
+mod leaves;
+mod limits;
 pub mod morton;
 mod set;
 mod validate;
 
 pub use cells::{Cell, CellTree, balanced_split};
+pub use leaves::{Leaves, Masters, masters};
+pub use limits::LevelLimits;
 pub use set::MortonSet;
 pub use validate::{Defect, OctreeStats};
 
 use glam::DVec3;
+use leaves::hanging_on;
 
 /// Index of a free vertex, in Morton order of its lattice position.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -159,25 +164,12 @@ impl Octree {
             return Corner::Free(vertex);
         }
         let larger = hanging_on(&self.cells, point).expect("a leaf corner is free or hangs on a larger leaf");
-        let (origin, edge) = larger.extent(self.finest());
-        let master = |ends: [u32; 3]| {
-            let vertex = self.vertex(ends).expect("2:1 balance makes the ends of a hanging corner free");
-            debug_assert!((0..3).all(|a| ends[a] == origin[a] || ends[a] == origin[a] + edge), "ends are corners");
-            vertex
-        };
-        // An axis along which the point is half-way between the larger leaf's corners contributes both of them.
-        let halfway: Vec<usize> = (0..3).filter(|&axis| !(point[axis] - origin[axis]).is_multiple_of(edge)).collect();
-        let end = |choice: u32| {
-            let mut ends = point;
-            for (bit, &axis) in halfway.iter().enumerate() {
-                ends[axis] = origin[axis] + edge * (choice >> bit & 1);
-            }
-            master(ends)
-        };
-        match halfway.len() {
-            1 => Corner::OnEdge([0, 1].map(end)),
-            2 => Corner::OnFace([0, 1, 2, 3].map(end)),
-            n => unreachable!("point {point:?} is half-way along {n} axes of leaf {larger:?}"),
+        let masters = leaves::ends(self.finest(), point, larger);
+        let vertex = |point: [u32; 3]| self.vertex(point).expect("2:1 balance makes the ends of a hanging corner free");
+        match *masters.points() {
+            [a, b] => Corner::OnEdge([a, b].map(vertex)),
+            [a, b, c, d] => Corner::OnFace([a, b, c, d].map(vertex)),
+            _ => unreachable!("a hanging corner has two or four masters"),
         }
     }
 
@@ -204,11 +196,17 @@ pub fn cells_around(point: [u32; 3], finest: u8) -> impl Iterator<Item = [u32; 3
     })
 }
 
-/// The leaf touching `point` that does not have it as a corner, if there is one.
-fn hanging_on(cells: &CellTree, point: [u32; 3]) -> Option<Cell> {
-    cells_around(point, cells.finest()).map(|cell| cells.leaf(cell)).find(|leaf| {
-        let (_, edge) = leaf.extent(cells.finest());
-        point.iter().any(|i| !i.is_multiple_of(edge))
+/// The points of {0..`last`}³ within one of `center` along every axis, itself included, with their tent weights 1, ½, ¼ or ⅛.
+pub fn around(center: [u32; 3], last: u32) -> impl Iterator<Item = ([u32; 3], f64)> {
+    (0..27_u32).filter_map(move |k| {
+        let off = [k % 3, k / 3 % 3, k / 9];
+        let mut tent = 1.0;
+        let mut point = [0; 3];
+        for axis in 0..3 {
+            point[axis] = (center[axis] + off[axis]).checked_sub(1).filter(|&i| i <= last)?;
+            tent *= if off[axis] == 1 { 1.0 } else { 0.5 };
+        }
+        Some((point, tent))
     })
 }
 

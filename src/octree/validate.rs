@@ -2,7 +2,8 @@
 
 use std::collections::BTreeSet;
 
-use super::{Cell, Corner, Octree, hanging_on, morton};
+use super::leaves::hanging_on;
+use super::{Cell, Corner, Octree, morton};
 
 /// What a sound octree consists of.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]

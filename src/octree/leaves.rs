@@ -1,0 +1,76 @@
+//! The leaves of an octree as a function of position, and the constraint that makes its functions continuous.
+
+use super::{Cell, CellTree, cells_around};
+
+/// A complete, 2:1 balanced set of leaves, stored or not.
+pub trait Leaves {
+    /// The finest level.
+    fn finest(&self) -> u8;
+
+    /// The leaf that contains a finest cell.
+    fn leaf(&self, cell: [u32; 3]) -> Cell;
+}
+
+impl Leaves for CellTree {
+    fn finest(&self) -> u8 {
+        Self::finest(self)
+    }
+
+    fn leaf(&self, cell: [u32; 3]) -> Cell {
+        Self::leaf(self, cell)
+    }
+}
+
+/// The free vertices that determine the value at a leaf's corner, as lattice points with equal weights: the corner itself, the two
+/// ends of the edge, or the four corners of the face of a larger leaf that it hangs on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Masters {
+    points: [[u32; 3]; 4],
+    count: u8,
+}
+
+impl Masters {
+    /// The points.
+    #[must_use]
+    pub fn points(&self) -> &[[u32; 3]] {
+        &self.points[..usize::from(self.count)]
+    }
+}
+
+/// The leaf touching `point` that does not have it as a corner, if there is one.
+pub fn hanging_on(leaves: &impl Leaves, point: [u32; 3]) -> Option<Cell> {
+    cells_around(point, leaves.finest()).map(|cell| leaves.leaf(cell)).find(|leaf| {
+        let (_, edge) = leaf.extent(leaves.finest());
+        point.iter().any(|i| !i.is_multiple_of(edge))
+    })
+}
+
+/// Where the value at a lattice point comes from that is a corner of some leaf.
+///
+/// # Panics
+/// If it is a corner of no leaf.
+#[must_use]
+pub fn masters(leaves: &impl Leaves, point: [u32; 3]) -> Masters {
+    match hanging_on(leaves, point) {
+        None => Masters { points: [point; 4], count: 1 },
+        Some(larger) => ends(leaves.finest(), point, larger),
+    }
+}
+
+/// The corners of `larger` that `point` lies half-way between.
+pub fn ends(finest: u8, point: [u32; 3], larger: Cell) -> Masters {
+    let (origin, edge) = larger.extent(finest);
+    // An axis along which the point is half-way between the larger leaf's corners contributes both of them.
+    let halfway = |axis: usize| !(point[axis] - origin[axis]).is_multiple_of(edge);
+    let axes = (0..3).filter(|&axis| halfway(axis)).count();
+    assert!(axes == 1 || axes == 2, "point {point:?} is half-way along {axes} axes of leaf {larger:?}");
+    let mut points = [point; 4];
+    for (choice, end) in points.iter_mut().enumerate().take(1 << axes) {
+        let mut bit = 0;
+        for axis in (0..3).filter(|&axis| halfway(axis)) {
+            end[axis] = origin[axis] + edge * (choice as u32 >> bit & 1);
+            bit += 1;
+        }
+    }
+    Masters { points, count: 1 << axes }
+}

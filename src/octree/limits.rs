@@ -1,0 +1,177 @@
+//! How fine each part of space may become: a complete, 2:1 balanced set of leaves that is never stored.
+//!
+//! The cube is cut into *regions*, the cells of one coarse level. Inside a region all leaves have the same level, its limit; limits of
+//! touching regions differ by at most one, so the leaves are balanced. Where rays are too few, or memory too small, to support the
+//! finest level, information is gathered on these leaves.
+
+use rustc_hash::FxHashMap;
+
+use super::{Cell, Leaves, morton};
+
+/// Levels between a region and the finest cells in it.
+const DEPTH: u8 = 5;
+
+/// The level of leaves in every region.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct LevelLimits {
+    finest: u8,
+    /// Level of the regions.
+    region: u8,
+    /// Limits by region; the regions' own level where there is none. `None`: the finest level everywhere.
+    levels: Option<FxHashMap<u64, u8>>,
+}
+
+impl LevelLimits {
+    /// The finest level everywhere: the lattice itself.
+    #[must_use]
+    pub fn none(finest: u8) -> Self {
+        Self { finest, region: finest.saturating_sub(DEPTH), levels: None }
+    }
+
+    /// The least limits that admit `wanted` (region, level) and are balanced.
+    #[must_use]
+    pub fn balanced(finest: u8, wanted: impl IntoIterator<Item = (u64, u8)>) -> Self {
+        let region = finest.saturating_sub(DEPTH);
+        let mut levels: FxHashMap<u64, u8> = FxHashMap::default();
+        let mut of_level: Vec<Vec<u64>> = vec![Vec::new(); usize::from(finest) + 1];
+        for (code, level) in wanted {
+            let level = level.clamp(region, finest);
+            let entry = levels.entry(code).or_insert(region);
+            *entry = (*entry).max(level);
+        }
+        for (&code, &level) in &levels {
+            of_level[usize::from(level)].push(code);
+        }
+        // From the finest down: a neighbour may be one level coarser, not more.
+        for level in (usize::from(region) + 1..of_level.len()).rev() {
+            for at in 0..of_level[level].len() {
+                let code = of_level[level][at];
+                if usize::from(levels[&code]) != level {
+                    continue;
+                }
+                for neighbor in neighbors(code, region) {
+                    let limit = levels.entry(neighbor).or_insert(region);
+                    if usize::from(*limit) + 1 < level {
+                        *limit = level as u8 - 1;
+                        of_level[level - 1].push(neighbor);
+                    }
+                }
+            }
+        }
+        levels.retain(|_, level| *level > region);
+        Self { finest, region, levels: Some(levels) }
+    }
+
+    /// Level of the regions.
+    #[must_use]
+    pub fn region_level(&self) -> u8 {
+        self.region
+    }
+
+    /// Whether every leaf is of the finest level.
+    #[must_use]
+    pub fn is_unlimited(&self) -> bool {
+        self.levels.is_none()
+    }
+
+    /// The limit of a region.
+    #[must_use]
+    pub fn level(&self, region: u64) -> u8 {
+        self.levels.as_ref().map_or(self.finest, |levels| levels.get(&region).copied().unwrap_or(self.region))
+    }
+
+    /// Sorted (region, limit) pairs packed as region · 256 + limit; `None` if unlimited.
+    #[must_use]
+    pub fn packed(&self) -> Option<Vec<u64>> {
+        let levels = self.levels.as_ref()?;
+        let mut packed: Vec<u64> = levels.iter().map(|(&code, &level)| code << 8 | u64::from(level)).collect();
+        packed.sort_unstable();
+        Some(packed)
+    }
+
+    /// The limits that [`LevelLimits::packed`] wrote, which may come from an untrusted file; `None` if they are not balanced limits.
+    #[must_use]
+    pub fn from_packed(finest: u8, packed: &[u64]) -> Option<Self> {
+        let region = finest.saturating_sub(DEPTH);
+        let pairs = || packed.iter().map(|&p| (p >> 8, (p & 255) as u8));
+        let possible = pairs().all(|(code, level)| code >> (3 * region) == 0 && level <= finest);
+        let limits = possible.then(|| Self::balanced(finest, pairs()))?;
+        (limits.packed().as_deref() == Some(packed)).then_some(limits)
+    }
+
+    /// The region that contains a finest cell.
+    #[must_use]
+    pub fn region_of(&self, cell: [u32; 3]) -> u64 {
+        morton::encode(cell.map(|i| i >> (self.finest - self.region)))
+    }
+}
+
+impl Leaves for LevelLimits {
+    fn finest(&self) -> u8 {
+        self.finest
+    }
+
+    fn leaf(&self, cell: [u32; 3]) -> Cell {
+        let level = if self.is_unlimited() { self.finest } else { self.level(self.region_of(cell)) };
+        Cell { level, index: cell.map(|i| i >> (self.finest - level)) }
+    }
+}
+
+/// The up to 26 regions that touch one.
+fn neighbors(code: u64, level: u8) -> impl Iterator<Item = u64> {
+    let last = (1_u32 << level) - 1;
+    crate::octree::around(morton::decode(code), last).map(|(region, _)| morton::encode(region)).filter(move |&c| c != code)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::octree::cells_around;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn limits_are_balanced_admit_what_is_wanted_and_survive_packing(
+            finest in 6_u8..=8, wanted in proptest::collection::vec((0_u64..64, 0_u8..=8), 0..12),
+        ) {
+            let regions = 1_u64 << (3 * (finest - DEPTH));
+            let wanted: Vec<(u64, u8)> = wanted.into_iter().map(|(c, l)| (c % regions, l)).collect();
+            let limits = LevelLimits::balanced(finest, wanted.iter().copied());
+            for &(code, level) in &wanted {
+                prop_assert!(limits.level(code) >= level.min(finest));
+            }
+            for code in 0..regions {
+                for neighbor in neighbors(code, limits.region_level()) {
+                    prop_assert!(limits.level(code).abs_diff(limits.level(neighbor)) <= 1);
+                }
+                // Least: a limit is wanted here, or forced by a neighbour that is one finer.
+                let level = limits.level(code);
+                let forced = neighbors(code, limits.region_level()).any(|n| limits.level(n) > level);
+                prop_assert!(level == limits.region_level() || forced || wanted.iter().any(|&(c, l)| c == code && l.min(finest) == level));
+            }
+            prop_assert_eq!(LevelLimits::from_packed(finest, &limits.packed().unwrap()), Some(limits));
+        }
+
+        #[test]
+        fn leaves_tile_the_cube(wanted in proptest::collection::vec((0_u64..8, 1_u8..=6), 0..6), cell in proptest::array::uniform3(0_u32..64)) {
+            let limits = LevelLimits::balanced(6, wanted);
+            let leaf = limits.leaf(cell);
+            let (origin, edge) = leaf.extent(6);
+            prop_assert!((0..3).all(|a| (origin[a]..origin[a] + edge).contains(&cell[a])));
+            // Every cell of the leaf finds the same leaf.
+            for corner in cells_around(origin.map(|i| i + 1), 6).filter(|c| (0..3).all(|a| (origin[a]..origin[a] + edge).contains(&c[a]))) {
+                prop_assert_eq!(limits.leaf(corner), leaf);
+            }
+        }
+    }
+
+    #[test]
+    fn altered_packings_are_refused() {
+        let limits = LevelLimits::balanced(8, [(5, 8)]);
+        let packed = limits.packed().unwrap();
+        assert!(packed.len() > 20);
+        assert_eq!(LevelLimits::from_packed(8, &packed[1..]), None, "unbalanced");
+        assert_eq!(LevelLimits::from_packed(8, &[1 << 60]), None, "outside");
+        assert_eq!(LevelLimits::from_packed(8, &[5 << 8 | 200]), None, "too fine");
+    }
+}

@@ -1,0 +1,121 @@
+//! Pooling by evidence: a vertex that few rays reached borrows from its neighbours.
+//!
+//! Letters, at vertex v: `N` the lattice points within one lattice edge of v along every axis (27, fewer at the cube's faces);
+//! `t_u` tent weights 1, ½, ¼, ⅛ for points off by 0, 1, 2, 3 axes, normalised over N; `n` the most rays that any moved vertex of N
+//! has; `m` the rays asked for. The pooled sums are
+//!
+//! ```text
+//! w Σ_v + (1 − w) Σ_{u ∈ N} t_u Σ_u        w = n³ / (n³ + (m/2)³)
+//! ```
+//!
+//! The share w of the vertex's own sums rises from 0 to 1 around n = m/2. Rays pass a neighbourhood as one: where the neighbours of
+//! v have many rays, v's own sums say what is so, be they small, and are left alone; where none has many, v's sums are chance.
+//! Counting v's own rays instead, or block means until there are enough, smears surfaces into the empty space beside them:
+//! `experiments/pooling.md` has the comparison.
+
+use super::{Evidence, trace};
+use crate::octree::around;
+
+/// How evidence is pooled.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pooling {
+    /// m; 0 leaves every vertex by itself.
+    pub min_rays: f64,
+    /// Vertices with no more information (tr S) than this have not moved: their rays do not count.
+    pub floor: f64,
+}
+
+impl Pooling {
+    /// Whether anything is pooled.
+    #[must_use]
+    pub fn is_on(&self) -> bool {
+        self.min_rays > 0.0
+    }
+
+    /// The pooled sums of the lattice point `center` on a lattice {0..`last`}³ whose sums are `at`; rays stay the point's own.
+    #[must_use]
+    pub fn pooled(&self, center: [u32; 3], last: u32, at: impl Fn([u32; 3]) -> Option<Evidence>) -> Evidence {
+        let own = at(center).unwrap_or_default();
+        if !self.is_on() {
+            return own;
+        }
+        let (mut information, mut gradient) = ([0.0; 6], [0.0_f64; 3]);
+        let (mut total, mut most) = (0.0, 0_u32);
+        for (point, tent) in around(center, last) {
+            total += tent;
+            let Some(e) = at(point) else { continue };
+            information.iter_mut().zip(e.information).for_each(|(s, v)| *s += tent * v);
+            gradient.iter_mut().zip(e.gradient).for_each(|(s, v)| *s += tent * f64::from(v));
+            if trace(&e.information) > self.floor {
+                most = most.max(e.rays);
+            }
+        }
+        let cubes = [f64::from(most), 0.5 * self.min_rays].map(|n| n * n * n);
+        let share = cubes[0] / (cubes[0] + cubes[1]);
+        let mix = |own: f64, sum: f64| share * own + (1.0 - share) * sum / total;
+        Evidence {
+            information: std::array::from_fn(|k| mix(own.information[k], information[k])),
+            gradient: std::array::from_fn(|k| mix(f64::from(own.gradient[k]), gradient[k]) as f32),
+            rays: own.rays,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const POOLING: Pooling = Pooling { min_rays: 4.0, floor: 0.5 };
+
+    fn seen(xx: f64, rays: u32) -> Evidence {
+        Evidence { information: [xx, 0.0, 0.0, 0.0, 0.0, 0.0], gradient: [xx as f32, 0.0, 0.0], rays }
+    }
+
+    /// Pools at `center` of a lattice on which only `points` were seen.
+    fn pool(center: [u32; 3], points: &[([u32; 3], Evidence)]) -> Evidence {
+        POOLING.pooled(center, 8, |p| points.iter().find(|(q, _)| *q == p).map(|(_, e)| *e))
+    }
+
+    #[test]
+    fn many_rays_speak_for_themselves() {
+        // n = 200: w = 1 − 1e-6.
+        let points = [([4, 4, 4], seen(3.0, 200)), ([5, 4, 4], seen(900.0, 7))];
+        let found = pool([4, 4, 4], &points);
+        assert!((found.information[0] - 3.0).abs() < 1e-6 * 900.0 && found.rays == 200, "{found:?}");
+        // An empty vertex beside them is known to be empty: it has been passed as often.
+        assert!(pool([4, 4, 3], &points).information[0] < 1e-6 * 900.0);
+    }
+
+    #[test]
+    fn few_rays_are_shared_among_neighbours() {
+        // Two rays at one of 27 points: w = ½. The tent weights sum to 2³ = 8, and the centre has 1 of them.
+        let points = [([4, 4, 4], seen(8.0, 2))];
+        assert!((pool([4, 4, 4], &points).information[0] - (0.5 * 8.0 + 0.5 * 1.0)).abs() < 1e-12);
+        assert!((pool([5, 4, 4], &points).information[0] - 0.5 * 0.5).abs() < 1e-12);
+        assert!((pool([5, 3, 5], &points).information[0] - 0.5 * 0.125).abs() < 1e-12);
+        assert_eq!(pool([6, 4, 4], &points), Evidence::default());
+        // Without weights of their own, pooled sums add up to what was there: nothing is invented.
+        let sum: f64 = around([4, 4, 4], 8).map(|(p, _)| pool(p, &points).information[0]).sum();
+        assert!((sum - 8.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn negligible_vertices_do_not_count_as_seen() {
+        let points = [([4, 4, 4], seen(0.4, 1000)), ([5, 4, 4], seen(8.0, 2))];
+        assert!((pool([4, 4, 4], &points).information[0] - (0.5 * 0.4 + 0.5 * (0.4 / 8.0 + 0.5))).abs() < 1e-12);
+    }
+
+    #[test]
+    fn at_a_corner_of_the_cube_weights_still_sum_to_one() {
+        // Points within the cube: 8, with weights (1 + ½)³ = 3.375.
+        let points = [([8, 8, 8], seen(3.375, 1))];
+        let share = 1.0 / 9.0;
+        assert!((pool([8, 8, 8], &points).information[0] - (share * 3.375 + (1.0 - share))).abs() < 1e-12);
+    }
+
+    #[test]
+    fn zero_switches_it_off() {
+        let off = Pooling { min_rays: 0.0, floor: 0.0 };
+        assert_eq!(off.pooled([1, 1, 1], 8, |p| (p == [1, 1, 1]).then(|| seen(5.0, 1))), seen(5.0, 1));
+    }
+}
