@@ -10,7 +10,7 @@ use crate::estimate::{GridKind, GridSettings, RaySettings};
 use crate::field::RadianceField;
 use crate::geometry::{Aabb, Domain, Norm};
 use crate::io::AtomicFile;
-use crate::posterior::Covariance;
+use crate::posterior::{Covariance, Prior};
 use crate::render::Occupancy;
 use crate::uncertainty::{OfficialGrid, UncertaintyField};
 use crate::{Error, Result};
@@ -250,6 +250,15 @@ pub struct GridOptions {
     #[arg(long, value_name = "DECADES", default_value_t = 0.01, value_parser = parse_non_negative)]
     pub tolerance: f64,
 
+    /// How the prior's precision depends on the size of cells
+    #[arg(long, value_enum, default_value = "uniform")]
+    pub prior: Prior,
+
+    /// Pooling by evidence: where neighbourhoods have fewer rays than about this, vertices share what their neighbours saw; 0
+    /// leaves every vertex by itself, as in the paper
+    #[arg(long, value_name = "RAYS", default_value_t = 0.0, value_parser = parse_non_negative)]
+    pub min_rays: f64,
+
     /// What to keep in the file [default: hessian for an octree, deviation for a dense grid]
     #[arg(long, value_enum)]
     pub keep: Option<Keep>,
@@ -276,6 +285,8 @@ impl GridOptions {
             covariance: self.covariance,
             lambda: self.lambda,
             tolerance: self.tolerance,
+            prior: self.prior,
+            min_rays: self.min_rays,
             surface_points: self.surface_points,
         }
     }

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use serde_json::{Value, json};
 
-use crate::posterior::Pixels;
+use crate::posterior::{Pixels, Prior};
 use crate::uncertainty::{Comparison, Difference, Summary, UncertaintyField};
 use crate::{Error, Result};
 
@@ -63,8 +63,10 @@ pub fn protocol(field: &UncertaintyField) -> String {
     part.into_iter().for_each(|part| line("shard", part));
     line("pixels", known(p.pixels.map(|p| if p == Pixels::Sobol { "Owen-scrambled Sobol" } else { "random" }.into())));
     line("seed", known(p.seed.map(|s| s.to_string())));
-    line("lambda", format!("{:.6e} per scene unit²", p.lambda));
+    let prior = if p.prior == Prior::Volume { ", times the volume of cells" } else { "" };
+    line("lambda", format!("{:.6e} per scene unit²{prior}", p.lambda));
     line("covariance", p.covariance.name().into());
+    line("pooling", if p.min_rays > 0.0 { format!("below about {} rays", p.min_rays) } else { "none".into() });
     line("refinement", format!("sensitivity, tolerance {} in log10 U", p.tolerance));
     line("march step", known(p.march_step.map(|s| format!("{s:.6} scene units"))));
     line(

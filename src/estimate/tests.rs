@@ -4,7 +4,8 @@ use super::*;
 use crate::field::{ClosedForm, VoxelGrid};
 use crate::geometry::Aabb;
 use crate::monitor::Silent;
-use glam::DVec3;
+use crate::uncertainty::Support;
+use glam::{DVec3, Vec3};
 
 fn settings(rays: u64) -> RaySettings {
     RaySettings { rays, occupancy: 48, ..RaySettings::default() }

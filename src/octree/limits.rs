@@ -80,12 +80,13 @@ impl LevelLimits {
         self.levels.as_ref().map_or(self.finest, |levels| levels.get(&region).copied().unwrap_or(self.region))
     }
 
-    /// Sorted (region, limit) pairs packed as region · 256 + limit; `None` if unlimited.
+    /// The regions' level, then sorted (region, limit) pairs as region · 256 + limit; `None` if unlimited.
     #[must_use]
     pub fn packed(&self) -> Option<Vec<u64>> {
         let levels = self.levels.as_ref()?;
         let mut packed: Vec<u64> = levels.iter().map(|(&code, &level)| code << 8 | u64::from(level)).collect();
         packed.sort_unstable();
+        packed.insert(0, u64::from(self.region));
         Some(packed)
     }
 
@@ -93,8 +94,10 @@ impl LevelLimits {
     #[must_use]
     pub fn from_packed(finest: u8, packed: &[u64]) -> Option<Self> {
         let region = finest.saturating_sub(DEPTH);
-        let pairs = || packed.iter().map(|&p| (p >> 8, (p & 255) as u8));
-        let possible = pairs().all(|(code, level)| code >> (3 * region) == 0 && level <= finest);
+        let (&first, packed_pairs) = packed.split_first()?;
+        let pairs = || packed_pairs.iter().map(|&p| (p >> 8, (p & 255) as u8));
+        let possible =
+            first == u64::from(region) && pairs().all(|(code, level)| code >> (3 * region) == 0 && level <= finest);
         let limits = possible.then(|| Self::balanced(finest, pairs()))?;
         (limits.packed().as_deref() == Some(packed)).then_some(limits)
     }
@@ -120,7 +123,9 @@ impl Leaves for LevelLimits {
 /// The up to 26 regions that touch one.
 fn neighbors(code: u64, level: u8) -> impl Iterator<Item = u64> {
     let last = (1_u32 << level) - 1;
-    crate::octree::around(morton::decode(code), last).map(|(region, _)| morton::encode(region)).filter(move |&c| c != code)
+    crate::octree::around(morton::decode(code), last)
+        .map(|(region, _)| morton::encode(region))
+        .filter(move |&c| c != code)
 }
 
 #[cfg(test)]
@@ -170,8 +175,8 @@ mod tests {
         let limits = LevelLimits::balanced(8, [(5, 8)]);
         let packed = limits.packed().unwrap();
         assert!(packed.len() > 20);
-        assert_eq!(LevelLimits::from_packed(8, &packed[1..]), None, "unbalanced");
-        assert_eq!(LevelLimits::from_packed(8, &[1 << 60]), None, "outside");
-        assert_eq!(LevelLimits::from_packed(8, &[5 << 8 | 200]), None, "too fine");
+        assert_eq!(LevelLimits::from_packed(8, &[&packed[..1], &packed[2..]].concat()), None, "unbalanced");
+        assert_eq!(LevelLimits::from_packed(8, &[3, 1 << 60]), None, "outside");
+        assert_eq!(LevelLimits::from_packed(8, &[3, 5 << 8 | 200]), None, "too fine");
     }
 }

@@ -12,6 +12,7 @@ use super::octree::Brick;
 use super::{DensePosterior, Evidence, OctreePosterior, Pixels, Share, Tally};
 use crate::geometry::Lattice;
 use crate::io::container::{self, Format, Reader, Section};
+use crate::octree::LevelLimits;
 use crate::{Error, Result};
 
 const FORMAT: Format = (b"OCTOCHK\n", 1);
@@ -79,7 +80,7 @@ struct Bricks<'a>(&'a OctreePosterior);
 
 impl Section for Bricks<'_> {
     fn visit(&self, visit: &mut dyn FnMut(&[u8]) -> std::io::Result<()>) -> std::io::Result<()> {
-        self.0.bricks().try_for_each(|bricks| bricks.visit(visit))
+        self.0.slices().try_for_each(|bricks| bricks.visit(visit))
     }
 }
 
@@ -101,11 +102,11 @@ pub fn save(path: &Path, key: &RunKey, tally: Tally, posterior: &AnyPosterior, s
     }
 }
 
-/// Reads the state of a run with the description `key`.
+/// Reads the state of a run with the description `key`, gathered on the leaves of `limits`.
 ///
 /// # Errors
 /// If the file is missing, truncated, altered, or belongs to a run with another description.
-pub fn load(path: &Path, key: &RunKey, dense: bool) -> Result<State> {
+pub fn load(path: &Path, key: &RunKey, limits: &LevelLimits, dense: bool) -> Result<State> {
     let (header, mut file) = Reader::open::<Header>(path, FORMAT, 3)?;
     if let Some((what, expected, found)) = first_difference(key, &header.key) {
         return Err(Error::malformed(path, format!("run, {what}"), expected, found));
@@ -120,11 +121,13 @@ pub fn load(path: &Path, key: &RunKey, dense: bool) -> Result<State> {
     } else {
         let bricks = file.section::<Brick>("sums")?;
         let same = codes.len() == bricks.len();
-        same.then(|| OctreePosterior::restore(key.lattice, &codes, bricks)).flatten().map(AnyPosterior::Octree)
+        same.then(|| OctreePosterior::restore(key.lattice, limits.clone(), &codes, bricks))
+            .flatten()
+            .map(AnyPosterior::Octree)
     };
     let sums_are_finite = match &posterior {
         Some(AnyPosterior::Dense(posterior)) => posterior.sums().iter().all(Evidence::is_valid),
-        Some(AnyPosterior::Octree(posterior)) => posterior.bricks().flatten().flatten().all(Evidence::is_valid),
+        Some(AnyPosterior::Octree(posterior)) => posterior.slices().flatten().flatten().all(Evidence::is_valid),
         None => false,
     };
     let posterior = posterior.filter(|_| sums_are_finite && key.share.admits(&header.tally));

@@ -15,15 +15,17 @@ mod evidence;
 mod octree;
 mod pixels;
 mod pooling;
+mod prior;
 mod rays;
 mod samples_file;
 
 pub use covariance::{Covariance, negligible_information};
 pub use dense::DensePosterior;
 pub use evidence::{Evidence, Information, trace};
-pub use octree::OctreePosterior;
+pub use octree::{OctreePosterior, Refinement};
 pub use pixels::{Pick, PixelSequence, Pixels};
 pub use pooling::Pooling;
+pub use prior::Prior;
 pub use rays::{MAX_DROPPED_SHARE, RayStream, SURFACE_WEIGHT, Share, Tally};
 pub use samples_file::{SamplesReader, SamplesWriter};
 

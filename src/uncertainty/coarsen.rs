@@ -61,6 +61,7 @@ impl UncertaintyField {
             protocol,
             lattice: self.lattice,
             support: Support::Octree(coarse),
+            limits: self.limits.clone(),
             deviations,
             evidence: None,
             surface: self.surface.clone(),
@@ -113,6 +114,7 @@ fn for_each_leaf_within(split: &[Vec<u64>], finest: u8, cell: Cell, visit: &mut 
 mod tests {
     use super::*;
     use crate::geometry::{Aabb, Lattice};
+    use crate::octree::LevelLimits;
     use crate::octree::arbitrary::octrees;
     use crate::uncertainty::Protocol;
     use glam::Vec3;
@@ -135,6 +137,7 @@ mod tests {
         UncertaintyField {
             protocol,
             lattice,
+            limits: LevelLimits::none(octree.finest()),
             support: Support::Octree(octree),
             deviations,
             evidence: None,

@@ -5,6 +5,7 @@
 //! deviations   f32        σ_v, vertices in Morton order (octree) or x slowest (dense)
 //! evidence     64 bytes   f64 × 6 information, f32 × 3 gradient, u32 rays; or empty
 //! surface      f32 × 3    points on visible surfaces
+//! limits       u64        the regions' level, then region · 256 + limit; empty if nothing is limited
 //! ```
 //!
 //! The octree is rebuilt from its masks, so a file cannot hold an inconsistent one.
@@ -14,7 +15,7 @@ use std::path::Path;
 use super::{Protocol, Support, UncertaintyField, vertex_count};
 use crate::geometry::Lattice;
 use crate::io::container::{self, Format, Reader};
-use crate::octree::Octree;
+use crate::octree::{LevelLimits, Octree};
 use crate::posterior::Evidence;
 use crate::{Error, Result};
 
@@ -50,8 +51,9 @@ impl UncertaintyField {
         };
         let header = Header { protocol: self.protocol.clone(), lattice: self.lattice, kind };
         let evidence = self.evidence.as_deref().unwrap_or_default();
-        let sections: [&dyn container::Section; 4] =
-            [&masks, &self.deviations.as_slice(), &evidence, &self.surface.as_slice()];
+        let limits = self.limits.packed().unwrap_or_default();
+        let sections: [&dyn container::Section; 5] =
+            [&masks, &self.deviations.as_slice(), &evidence, &self.surface.as_slice(), &limits.as_slice()];
         container::write(path, FORMAT, &header, &sections)
     }
 
@@ -60,7 +62,7 @@ impl UncertaintyField {
     /// # Errors
     /// If the file is missing, or is not a complete, unaltered field of a version that is known.
     pub fn read(path: &Path) -> Result<Self> {
-        let (header, mut file) = Reader::open::<Header>(path, FORMAT, 4)?;
+        let (header, mut file) = Reader::open::<Header>(path, FORMAT, 5)?;
         // Deserialising bypasses the constructors' checks.
         let lattice = header.lattice.domain().checked();
         let lattice = lattice
@@ -69,7 +71,12 @@ impl UncertaintyField {
         let protocol = header.protocol;
         let counts =
             protocol.rays > 0 && protocol.dropped <= protocol.rays && protocol.share.is_none_or(|s| s.is_valid());
-        if !(protocol.lambda > 0.0 && protocol.lambda.is_finite() && protocol.tolerance >= 0.0 && counts) {
+        if !(protocol.lambda > 0.0
+            && protocol.lambda.is_finite()
+            && protocol.tolerance >= 0.0
+            && protocol.min_rays >= 0.0
+            && counts)
+        {
             let found = format!("lambda {}, rays {}, {:?}", protocol.lambda, protocol.rays, protocol.share);
             return Err(Error::malformed(path, "header", "a positive lambda and a possible number of rays", found));
         }
@@ -77,6 +84,11 @@ impl UncertaintyField {
         let deviations = file.section::<f32>("deviations")?;
         let evidence = file.section::<Evidence>("evidence")?;
         let surface = file.section("surface")?;
+        let limits = match file.section::<u64>("limits")?.as_slice() {
+            [] => LevelLimits::none(lattice.level()),
+            packed => LevelLimits::from_packed(lattice.level(), packed)
+                .ok_or_else(|| Error::malformed(path, "section `limits`", "balanced limits to refinement", "others"))?,
+        };
 
         let support =
             match header.kind {
@@ -102,6 +114,6 @@ impl UncertaintyField {
             return Err(Error::malformed(path, format!("section `evidence`, entry {i}"), "finite sums", found));
         }
         let evidence = (!evidence.is_empty()).then_some(evidence);
-        Ok(Self { protocol, lattice, support, deviations, evidence, surface })
+        Ok(Self { protocol, lattice, support, limits, deviations, evidence, surface })
     }
 }

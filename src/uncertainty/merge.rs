@@ -40,29 +40,27 @@ pub fn merge(parts: &[UncertaintyField]) -> Result<UncertaintyField> {
         .collect::<Result<_>>()?;
 
     let protocol = joined_protocol(parts);
-    let (support, sums) = match &first.support {
+    let most = parts.iter().map(|part| part.surface.len()).max().unwrap_or(0);
+    let surface = parts.iter().flat_map(|part| &part.surface).copied().take(most).collect();
+    match &first.support {
         Support::Dense => {
             let mut sums = DensePosterior::new(first.lattice).into_sums();
             for part in evidence {
                 sums.iter_mut().zip(part).for_each(|(sum, more)| sum.add(more));
             }
-            (Support::Dense, sums)
+            Ok(UncertaintyField::new(protocol, first.lattice, Support::Dense, sums).with_surface(surface))
         }
         Support::Octree(_) => {
-            let mut posterior = OctreePosterior::new(first.lattice);
+            let mut posterior = OctreePosterior::limited(first.lattice, first.limits.clone());
             for (part, evidence) in parts.iter().zip(evidence) {
                 let Support::Octree(octree) = &part.support else { continue };
                 for (point, e) in octree.vertex_positions().zip(evidence) {
                     posterior.add_evidence(point, e);
                 }
             }
-            let (octree, sums) = posterior.into_octree(protocol.rays, protocol.lambda, protocol.tolerance);
-            (Support::Octree(octree), sums)
+            Ok(UncertaintyField::from_octree(protocol, first.lattice, posterior, Vec::new()).with_surface(surface))
         }
-    };
-    let most = parts.iter().map(|part| part.surface.len()).max().unwrap_or(0);
-    let surface = parts.iter().flat_map(|part| &part.surface).copied().take(most).collect();
-    Ok(UncertaintyField::new(protocol, first.lattice, support, sums).with_surface(surface))
+    }
 }
 
 /// Whether two fields may count the same rays: batch b of a seed is the same in every run, whatever the run's length.
@@ -95,6 +93,12 @@ fn check_alike(first: &UncertaintyField, part: &UncertaintyField, number: usize)
             ("background", format!("{:?}", p.background)),
             ("pixel offset", format!("{:?}", p.pixel_offset)),
             ("pixels", format!("{:?}", p.pixels)),
+            ("prior", format!("{:?}", p.prior)),
+            ("min rays", p.min_rays.to_string()),
+            (
+                "limits to refinement",
+                format!("{:08x}", crc32fast::hash(format!("{:?}", field.limits.packed()).as_bytes())),
+            ),
         ]
     };
     if first.protocol.march_step.is_some() && first.protocol.source != part.protocol.source {

@@ -20,8 +20,10 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use crate::geometry::Lattice;
-use crate::octree::{Octree, VertexId, trilinear};
-use crate::posterior::{Covariance, Evidence, Pixels, Share};
+use crate::octree::{Cell, Corner, LevelLimits, Octree, VertexId, trilinear};
+use crate::posterior::{
+    Covariance, Evidence, OctreePosterior, Pixels, Pooling, Prior, Refinement, Share, negligible_information,
+};
 use crate::{Error, Result};
 
 /// Everything that the numbers in a field depend on. `None` where the field came from elsewhere and does not say.
@@ -45,7 +47,12 @@ pub struct Protocol {
     pub lambda: f64,
     /// Scalar read off H.
     pub covariance: Covariance,
-    /// Largest change of log10 U by leaves that are coarser than the finest level; 0 for a dense grid.
+    /// How λ depends on the size of cells.
+    pub prior: Prior,
+    /// Pooling by evidence; 0 is none.
+    pub min_rays: f64,
+    /// Largest change of log10 U by leaves that are coarser than the finest level. On a dense grid it only says which vertices
+    /// count for pooling.
     pub tolerance: f64,
     /// Distance between samples along rays, scene units.
     pub march_step: Option<f64>,
@@ -60,6 +67,12 @@ pub struct Protocol {
 }
 
 impl Protocol {
+    /// How evidence is pooled.
+    #[must_use]
+    pub fn pooling(&self) -> Pooling {
+        Pooling { min_rays: self.min_rays, floor: negligible_information(self.tolerance, self.rays, self.lambda) }
+    }
+
     /// The protocol of a field from elsewhere, of which no more is known than this.
     #[must_use]
     pub fn unstated(source: String, rays: u64, lambda: f64, covariance: Covariance) -> Self {
@@ -73,6 +86,8 @@ impl Protocol {
             share: None,
             lambda,
             covariance,
+            prior: Prior::Uniform,
+            min_rays: 0.0,
             tolerance: 0.0,
             march_step: None,
             difference_step: None,
@@ -97,6 +112,8 @@ pub enum Support {
 pub struct Estimate {
     /// U, scene units.
     pub uncertainty: f64,
+    /// How many rays support this number: interpolated from the vertices. `None` if the evidence was not kept.
+    pub rays: Option<f64>,
     /// Level of the leaf around the point (the finest level on a dense grid), 0 outside the box.
     pub level: u8,
     /// Whether the point is inside the box; outside, `uncertainty` is the prior's.
@@ -109,6 +126,8 @@ pub struct UncertaintyField {
     protocol: Protocol,
     lattice: Lattice,
     support: Support,
+    /// The leaves that rays were summed on.
+    limits: LevelLimits,
     /// `[vertices]`: σ_v, scene units.
     deviations: Vec<f32>,
     /// `[vertices]`: what rays said, if kept, so that another covariance can be read off later.
@@ -126,8 +145,20 @@ impl UncertaintyField {
     pub fn new(protocol: Protocol, lattice: Lattice, support: Support, evidence: Vec<Evidence>) -> Self {
         let vertices = vertex_count(&lattice, &support);
         assert_eq!(evidence.len() as u64, vertices, "one entry per vertex");
-        let deviations = deviations(&evidence, &protocol);
-        Self { protocol, lattice, support, deviations, evidence: Some(evidence), surface: Vec::new() }
+        let deviations = deviations(&protocol, &lattice, &support, &evidence);
+        let limits = LevelLimits::none(lattice.level());
+        Self { protocol, lattice, support, limits, deviations, evidence: Some(evidence), surface: Vec::new() }
+    }
+
+    /// The field of an octree posterior, refined where information moved a vertex by more than the protocol's tolerance, and so that
+    /// the cells `wanted` exist.
+    #[must_use]
+    pub fn from_octree(protocol: Protocol, lattice: Lattice, posterior: OctreePosterior, wanted: Vec<Cell>) -> Self {
+        let limits = posterior.limits().clone();
+        let pooling = protocol.pooling();
+        let refinement = Refinement { floor: Some(pooling.floor), pooling, wanted };
+        let (octree, evidence) = posterior.into_octree(&refinement);
+        Self { limits, ..Self::new(protocol, lattice, Support::Octree(octree), evidence) }
     }
 
     /// The same field without the evidence: a fifteenth of the memory, but the covariance is fixed.
@@ -154,7 +185,7 @@ impl UncertaintyField {
                 return Err(Error::setting("covariance", covariance.name(), found));
             };
             self.protocol.covariance = covariance;
-            self.deviations = deviations(evidence, &self.protocol);
+            self.deviations = deviations(&self.protocol, &self.lattice, &self.support, evidence);
         }
         Ok(self)
     }
@@ -175,6 +206,12 @@ impl UncertaintyField {
     #[must_use]
     pub fn support(&self) -> &Support {
         &self.support
+    }
+
+    /// The leaves that rays were summed on.
+    #[must_use]
+    pub fn limits(&self) -> &LevelLimits {
+        &self.limits
     }
 
     /// `[vertices]`: what rays said, if kept.
@@ -205,14 +242,12 @@ impl UncertaintyField {
     #[must_use]
     pub fn query(&self, x: Vec3) -> Estimate {
         let Some(u) = self.lattice.coordinates(x) else {
-            return Estimate { uncertainty: self.prior(), level: 0, inside: false };
+            return Estimate { uncertainty: self.prior(), rays: None, level: 0, inside: false };
         };
-        let (corners, weights, level) = match &self.support {
-            Support::Dense => self.dense_corners(u),
-            Support::Octree(octree) => self.octree_corners(octree, u),
-        };
-        let uncertainty = self.protocol.covariance.interpolate(&corners, &weights);
-        Estimate { uncertainty, level, inside: true }
+        match &self.support {
+            Support::Dense => self.query_dense(u),
+            Support::Octree(octree) => self.query_octree(octree, u),
+        }
     }
 
     /// log10 U at a scene point.
@@ -267,23 +302,35 @@ impl UncertaintyField {
         (x as usize * n + y as usize) * n + z as usize
     }
 
-    fn dense_corners(&self, u: DVec3) -> ([f64; 8], [f64; 8], u8) {
+    fn query_dense(&self, u: DVec3) -> Estimate {
         let (cell, offset) = self.lattice.cell(u);
-        let corners = std::array::from_fn(|c| {
-            let point = std::array::from_fn(|axis| cell[axis] + (c as u32 >> axis & 1));
-            f64::from(self.deviations[self.dense_index(point)])
-        });
-        (corners, trilinear(offset), self.lattice.level())
+        let vertices: [usize; 8] =
+            std::array::from_fn(|c| self.dense_index(std::array::from_fn(|axis| cell[axis] + (c as u32 >> axis & 1))));
+        let weights = trilinear(offset);
+        let corners = vertices.map(|v| f64::from(self.deviations[v]));
+        let rays =
+            self.evidence.as_ref().map(|e| vertices.iter().zip(weights).map(|(&v, w)| w * f64::from(e[v].rays)).sum());
+        let uncertainty = self.protocol.covariance.interpolate(&corners, &weights);
+        Estimate { uncertainty, rays, level: self.lattice.level(), inside: true }
     }
 
-    fn octree_corners(&self, octree: &Octree, u: DVec3) -> ([f64; 8], [f64; 8], u8) {
+    fn query_octree(&self, octree: &Octree, u: DVec3) -> Estimate {
         let at = octree.locate(u);
         let value = |&VertexId(v): &VertexId| f64::from(self.deviations[v as usize]);
         let corners = at.corners.each_ref().map(|corner| match corner.masters() {
             [vertex] => value(vertex),
             masters => self.protocol.covariance.mean(masters.iter().map(value)),
         });
-        (corners, at.weights, at.leaf.level)
+        let rays = self.evidence.as_ref().map(|evidence| {
+            let of_corner = |corner: &Corner| {
+                let masters = corner.masters();
+                masters.iter().map(|&VertexId(v)| f64::from(evidence[v as usize].rays)).sum::<f64>()
+                    / masters.len() as f64
+            };
+            at.corners.iter().zip(at.weights).map(|(corner, w)| w * of_corner(corner)).sum()
+        });
+        let uncertainty = self.protocol.covariance.interpolate(&corners, &at.weights);
+        Estimate { uncertainty, rays, level: at.leaf.level, inside: true }
     }
 }
 
@@ -294,9 +341,33 @@ fn vertex_count(lattice: &Lattice, support: &Support) -> u64 {
     }
 }
 
-fn deviations(evidence: &[Evidence], protocol: &Protocol) -> Vec<f32> {
-    let Protocol { covariance, rays, lambda, .. } = *protocol;
-    evidence.par_iter().map(|e| (covariance.deviation(e, rays, lambda) as f32).max(f32::MIN_POSITIVE)).collect()
+/// σ_v of every vertex: evidence pooled, then read with the prior of its place.
+fn deviations(protocol: &Protocol, lattice: &Lattice, support: &Support, evidence: &[Evidence]) -> Vec<f32> {
+    let Protocol { covariance, rays, lambda, prior, .. } = *protocol;
+    let pooling = protocol.pooling();
+    let last = lattice.cells_per_axis();
+    let read = |e: &Evidence, lambda: f64| (covariance.deviation(e, rays, lambda) as f32).max(f32::MIN_POSITIVE);
+    match support {
+        _ if !pooling.is_on() && prior == Prior::Uniform => evidence.par_iter().map(|e| read(e, lambda)).collect(),
+        Support::Dense => {
+            let n = last as usize + 1;
+            let index = |[x, y, z]: [u32; 3]| (x as usize * n + y as usize) * n + z as usize;
+            let point = |i: usize| [i / (n * n), i / n % n, i % n].map(|i| i as u32);
+            let pooled = |i: usize| pooling.pooled(point(i), last, |p| Some(evidence[index(p)]));
+            (0..evidence.len()).into_par_iter().map(|i| read(&pooled(i), lambda)).collect()
+        }
+        Support::Octree(octree) => {
+            let points: Vec<[u32; 3]> = octree.vertex_positions().collect();
+            let at = |p| octree.vertex(p).map(|VertexId(v)| evidence[v as usize]);
+            // Vertices of coarser leaves have no neighbours on the finest lattice, and larger hats: they stay by themselves.
+            let pooled = |v: usize| match pooling.is_on() && octree.is_surrounded_by_finest(points[v]) {
+                true => pooling.pooled(points[v], last, at),
+                false => evidence[v],
+            };
+            let deviation = |v: usize| read(&pooled(v), prior.at(lambda, octree, points[v]));
+            (0..points.len()).into_par_iter().map(deviation).collect()
+        }
+    }
 }
 
 #[cfg(test)]

@@ -17,6 +17,8 @@ fn protocol(lattice: &Lattice, covariance: Covariance, rays: u64) -> Protocol {
         share: None,
         lambda: lattice.default_lambda(),
         covariance,
+        prior: Prior::Uniform,
+        min_rays: 0.0,
         tolerance: 0.01,
         march_step: Some(0.1),
         difference_step: None,
@@ -40,22 +42,39 @@ fn samples(scale: f32) -> RaySamples {
 }
 
 fn fields(covariance: Covariance, scale: f64) -> [UncertaintyField; 2] {
+    pooled_fields(covariance, scale, 0.0)
+}
+
+fn pooled_fields(covariance: Covariance, scale: f64, min_rays: f64) -> [UncertaintyField; 2] {
     let lattice = Lattice::new(Aabb::centered_cube(scale), 5).unwrap();
     let samples = [samples(scale as f32)];
-    let protocol = protocol(&lattice, covariance, 20);
+    let protocol = Protocol { min_rays, ..protocol(&lattice, covariance, 20) };
     let mut dense = DensePosterior::new(lattice);
     dense.add(&samples);
     let mut sparse = OctreePosterior::new(lattice);
     sparse.add(&samples);
-    let (octree, sums) = sparse.into_octree(protocol.rays, protocol.lambda, protocol.tolerance);
     let surface = vec![[0.25, -0.5, 0.125]];
     [
         UncertaintyField::new(protocol.clone(), lattice, Support::Dense, dense.into_sums()),
-        UncertaintyField::new(protocol, lattice, Support::Octree(octree), sums).with_surface(surface),
+        UncertaintyField::from_octree(protocol, lattice, sparse, Vec::new()).with_surface(surface),
     ]
 }
 
 proptest! {
+    #[test]
+    fn pooled_fields_agree_too_and_are_pooled(x in -1.0..=1.0_f32, y in -1.0..=1.0_f32, z in -1.0..=1.0_f32, min_rays in 0.5..16.0_f64) {
+        static PLAIN: std::sync::LazyLock<[UncertaintyField; 2]> = std::sync::LazyLock::new(|| fields(Covariance::Block, 1.0));
+        let x = Vec3::new(x, y, z);
+        // Octrees of a few thousand vertices: one of three, by the number asked for.
+        let index = (min_rays / 16.0 * 3.0) as usize;
+        static POOLED: std::sync::LazyLock<[[UncertaintyField; 2]; 3]> =
+            std::sync::LazyLock::new(|| [2.0, 4.0, 12.0].map(|m| pooled_fields(Covariance::Block, 1.0, m)));
+        let [dense, octree] = &POOLED[index];
+        prop_assert!((dense.log10(x) - octree.log10(x)).abs() <= 0.01 + 1e-6, "{} and {}", dense.log10(x), octree.log10(x));
+        prop_assert!(octree.validate().is_ok());
+        prop_assert_ne!(PLAIN[0].deviations(), dense.deviations());
+    }
+
     #[test]
     fn octree_and_dense_agree_within_the_tolerance_everywhere(x in -1.0..=1.0_f32, y in -1.0..=1.0_f32, z in -1.0..=1.0_f32) {
         thread_local!(static FIELDS: [[UncertaintyField; 2]; 2] =

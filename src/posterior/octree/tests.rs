@@ -2,7 +2,8 @@
 
 use super::*;
 use crate::geometry::Aabb;
-use crate::posterior::{Covariance, DensePosterior};
+use crate::octree::{Cell, Corner, Octree, VertexId, morton};
+use crate::posterior::{Covariance, DensePosterior, Pooling, negligible_information, trace};
 use crate::render::RaySample;
 use glam::Vec3;
 use proptest::prelude::*;
@@ -34,6 +35,21 @@ fn ray_samples() -> impl Strategy<Value = RaySamples> {
 
 fn lattice(level: u8) -> Lattice {
     Lattice::new(Aabb::centered_cube(1.0), level).unwrap()
+}
+
+fn refinement(floor: f64) -> Refinement {
+    Refinement { floor: Some(floor), pooling: Pooling { min_rays: 0.0, floor }, wanted: Vec::new() }
+}
+
+/// The basis function of vertex `id` at lattice coordinates `u`: what the octree interpolates there from 1 at the vertex and 0 at all
+/// others.
+fn hat(octree: &Octree, id: VertexId, u: DVec3) -> f64 {
+    let at = octree.locate(u);
+    let value = |corner: &Corner| {
+        let masters = corner.masters();
+        masters.iter().filter(|&&v| v == id).count() as f64 / masters.len() as f64
+    };
+    at.corners.iter().zip(at.weights).map(|(corner, weight)| weight * value(corner)).sum()
 }
 
 fn dense_index(point: [u32; 3], level: u8) -> usize {
@@ -76,7 +92,7 @@ proptest! {
         let mut octree = OctreePosterior::new(lattice(level));
         dense.add(std::slice::from_ref(&samples));
         octree.add(&[samples]);
-        let (octree, sums) = octree.into_octree(rays, lambda, tolerance);
+        let (octree, sums) = octree.into_octree(&refinement(negligible_information(tolerance, rays, lambda)));
         prop_assert!(octree.validate().is_ok());
         prop_assert_eq!(sums.len(), octree.vertex_count());
 
@@ -100,6 +116,66 @@ proptest! {
         }
     }
 
+}
+
+proptest! {
+    // Each case walks all 262,144 finest cells.
+    #![proptest_config(ProptestConfig::with_cases(12))]
+    #[test]
+    fn on_limited_leaves_sums_are_those_of_the_conforming_basis(
+        samples in ray_samples(), wanted in proptest::collection::vec((0_u64..8, 1_u8..=6), 1..5),
+    ) {
+        // Regions of level 1 in a lattice of level 6: touching regions have leaves of different size, with hanging corners.
+        let lattice = lattice(6);
+        let limits = LevelLimits::balanced(6, wanted);
+        let mut posterior = OctreePosterior::limited(lattice, limits.clone());
+        posterior.add(std::slice::from_ref(&samples));
+        // The same leaves as an explicit octree.
+        let leaves = (0..1_u64 << 18).map(|code| limits.leaf(morton::decode(code)));
+        let mut leaves: Vec<Cell> = leaves.collect();
+        leaves.dedup();
+        let octree = Octree::refined(6, leaves.iter().copied());
+        let stats = octree.validate().unwrap();
+        let mut unique = leaves;
+        unique.sort_unstable();
+        unique.dedup();
+        prop_assert_eq!(stats.leaves(), unique.len() as u64);
+
+        let mut seen = 0;
+        for (id, point) in (0..).map(VertexId).zip(octree.vertex_positions()) {
+            let found = posterior.evidence(point);
+            seen += u64::from(found.rays);
+            if found.rays == 0 && id.0 % 97 > 0 {
+                continue;
+            }
+            let mut expected = [0.0; 6];
+            for (_, range) in samples.iter() {
+                let mut j = [0.0; 9];
+                for i in range {
+                    let Some(u) = lattice.coordinates(samples.positions[i]) else { continue };
+                    let weight = hat(&octree, id, u);
+                    j.iter_mut().zip(samples.jacobians[i]).for_each(|(j, g)| *j += weight * f64::from(g));
+                }
+                expected.iter_mut().zip(gram(&j)).for_each(|(s, v)| *s += v);
+            }
+            let scale = trace(&found.information).max(trace(&expected));
+            for k in 0..6 {
+                prop_assert!((found.information[k] - expected[k]).abs() <= 1e-13 * scale, "{:?}: {:?} against {:?}", point, found, expected);
+            }
+        }
+        // Nothing was put where no vertex is.
+        let total: u64 = posterior.touched().map(|(_, e)| u64::from(e.rays)).sum();
+        prop_assert_eq!(seen, total);
+        // Beside leaves that stayed coarser than the limits there is nothing to lose.
+        let (coarse, sums) = posterior.into_octree(&refinement(0.0));
+        for (point, sum) in coarse.vertex_positions().zip(&sums) {
+            let as_limited = |cell| coarse.cells().leaf(cell) == limits.leaf(cell);
+            prop_assert!(cells_around(point, 6).all(as_limited) || trace(&sum.information) == 0.0, "{:?}", point);
+        }
+    }
+}
+
+proptest! {
     #[test]
     fn batches_and_threads_do_not_change_a_bit(samples in ray_samples(), cut in 0_usize..20) {
         // The same rays in one batch and one thread, and in two batches and two threads.
@@ -113,7 +189,7 @@ proptest! {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             let mut posterior = OctreePosterior::new(lattice(4));
             pool.install(|| posterior.add(batches));
-            let (octree, sums) = pool.install(|| posterior.into_octree(500, 1e-6, 0.01));
+            let (octree, sums) = pool.install(|| posterior.into_octree(&refinement(negligible_information(0.01, 500, 1e-6))));
             (octree, sums)
         };
         prop_assert_eq!(run(&[samples], 1), run(&parts, 2));

@@ -1,0 +1,77 @@
+//! What information is gathered on, and how it becomes a field.
+
+use crate::geometry::{Domain, Lattice};
+use crate::posterior::{Covariance, DensePosterior, Prior};
+use crate::{Error, Result};
+
+/// What carries the field.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum)]
+pub enum GridKind {
+    /// Adaptive octree, finest where rays are sensitive
+    #[default]
+    Octree,
+    /// The paper's uniform grid of (2^level + 1)^3 vertices: the reference
+    Dense,
+}
+
+/// What information is gathered on, and how it becomes a field.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct GridSettings {
+    /// Dense grid or octree.
+    pub grid: GridKind,
+    /// Finest level: 2^level cells per axis of the box.
+    pub level: u8,
+    /// Scalar read off the 3×3 matrices.
+    pub covariance: Covariance,
+    /// λ, 1 / scene unit²; `None` for 1e-4 / M³ per squared longest edge of the box.
+    pub lambda: Option<f64>,
+    /// Largest change of log10 U by coarse leaves. Smaller keeps more vertices; 0 keeps all that any ray moved.
+    pub tolerance: f64,
+    /// How λ depends on the size of cells.
+    pub prior: Prior,
+    /// Vertices with fewer rays around them than about this borrow from their neighbours ([`crate::posterior::Pooling`]); 0 leaves each by itself, as
+    /// the dense grid of the paper.
+    pub min_rays: f64,
+    /// Points on visible surfaces to keep, for comparisons.
+    pub surface_points: usize,
+}
+
+impl Default for GridSettings {
+    fn default() -> Self {
+        Self {
+            grid: GridKind::Octree,
+            level: 8,
+            covariance: Covariance::Diagonal,
+            lambda: None,
+            tolerance: 0.01,
+            prior: Prior::Uniform,
+            min_rays: 0.0,
+            surface_points: 16_384,
+        }
+    }
+}
+
+/// Highest level of a dense grid: 6.5 GB; the next needs 52 GB.
+const MAX_DENSE_LEVEL: u8 = 9;
+
+impl GridSettings {
+    /// λ over `lattice`, 1 / scene unit².
+    #[must_use]
+    pub fn lambda(&self, lattice: &Lattice) -> f64 {
+        self.lambda.unwrap_or_else(|| lattice.default_lambda())
+    }
+
+    /// The lattice over `domain`.
+    ///
+    /// # Errors
+    /// If the level is out of range, or above 9 for a dense grid.
+    pub fn lattice(&self, domain: Domain) -> Result<Lattice> {
+        let lattice = Lattice::of_domain(domain, self.level)?;
+        if self.grid == GridKind::Dense && self.level > MAX_DENSE_LEVEL {
+            let gigabytes = DensePosterior::required_memory(&lattice) as f64 / 1e9;
+            let found = format!("level {}, which needs {gigabytes:.0} GB (an octree does not)", self.level);
+            return Err(Error::setting("dense grid", format!("a level up to {MAX_DENSE_LEVEL}"), found));
+        }
+        Ok(lattice)
+    }
+}

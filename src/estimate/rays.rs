@@ -1,0 +1,134 @@
+//! Which rays are drawn, and how they are sampled and differentiated.
+
+use glam::{DVec3, Vec3};
+
+use super::GridSettings;
+use crate::field::RadianceField;
+use crate::geometry::{Camera, Lattice};
+use crate::monitor::Monitor;
+use crate::posterior::checkpoint::RunKey;
+use crate::posterior::{PixelSequence, Pixels, RayStream, Share};
+use crate::render::{Differences, Marcher, Occupancy, Tracer};
+use crate::{Error, Result};
+
+/// Most samples along a ray: hundreds of rays are under way at once.
+const MAX_STEPS: f64 = 65_536.0;
+
+/// Which rays are drawn, and how they are sampled and differentiated.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RaySettings {
+    /// R.
+    pub rays: u64,
+    /// How pixels are chosen.
+    pub pixels: Pixels,
+    /// Seed of pixels and jitter.
+    pub seed: u64,
+    /// Finite-difference step in edges of the finest lattice.
+    ///
+    /// Larger steps smooth the field's derivative and move log10 U, smaller ones drown in the rounding of f32. The curves of
+    /// `experiments/approximations.md`: on a smooth scene mean |Δ log10 U| is lowest (2e-5) from 1/128 to 1/32 and grows to
+    /// 4e-4 at 1/512 by rounding; a NeRF MLP, whose encoding oscillates once per lattice edge at level 8, still gains from
+    /// 1/32 (0.04) to 1/128 (0.015) to 1/512 (0.005). 1/128 is safe for the first and good for the second.
+    pub step: f64,
+    /// Samples whose weight and sensitivity are certain to stay below this are left out; 0 leaves out nothing and takes a
+    /// hundred times longer. `experiments/approximations.md` has what it costs.
+    pub cutoff: f64,
+    /// Distance between samples, scene units; `None` for the field's suggestion.
+    pub march_step: Option<f64>,
+    /// Colour behind the scene.
+    pub background: Vec3,
+    /// Where in a pixel rays go through; `None` for the field's own.
+    pub pixel_offset: Option<f64>,
+    /// Cells per axis of the occupancy grid.
+    pub occupancy: usize,
+}
+
+impl Default for RaySettings {
+    fn default() -> Self {
+        Self {
+            rays: 4_096_000,
+            pixels: Pixels::default(),
+            seed: 0,
+            step: 1.0 / 128.0,
+            cutoff: 1e-6,
+            march_step: None,
+            background: Vec3::ONE,
+            pixel_offset: None,
+            occupancy: Occupancy::DEFAULT_RESOLUTION,
+        }
+    }
+}
+
+impl RaySettings {
+    /// A tracer through `field` whose occupancy holds within a distance `reach`, scene units.
+    ///
+    /// # Errors
+    /// If the step is too small for the field's box, or [`Error::Interrupted`].
+    pub fn tracer<'a>(&self, field: &'a dyn RadianceField, reach: f64, monitor: &dyn Monitor) -> Result<Tracer<'a>> {
+        let occupancy =
+            if self.cutoff > 0.0 { Some(Occupancy::build(field, self.occupancy, reach, monitor)?) } else { None };
+        let step = self.march_step.unwrap_or_else(|| field.suggested_step());
+        let steps = field.bounds().size().length() / step;
+        if steps.is_nan() || steps > MAX_STEPS {
+            let expected = format!("at most {MAX_STEPS} steps across the field's box (--march-step)");
+            return Err(Error::setting("march step", expected, format!("{step:e} scene units, {steps:.0} steps")));
+        }
+        let marcher = Marcher { step, bounds: field.bounds(), occupancy, cutoff: self.cutoff };
+        Ok(Tracer { field, marcher, background: self.background })
+    }
+
+    /// The description under which a run of `share` of these rays can be taken up again; `source` names model and cameras.
+    #[must_use]
+    pub fn run_key(
+        &self,
+        source: String,
+        share: Share,
+        stream: &RayStream,
+        grid: &GridSettings,
+        lattice: &Lattice,
+    ) -> RunKey {
+        RunKey {
+            version: env!("CARGO_PKG_VERSION").into(),
+            source,
+            cameras: crc32fast::hash(format!("{:?}", stream.cameras).as_bytes()),
+            lattice: *lattice,
+            share,
+            pixels: self.pixels,
+            seed: self.seed,
+            march_step: stream.tracer.marcher.step,
+            difference_step: stream.differences.step.to_array(),
+            cutoff: stream.tracer.marcher.cutoff,
+            occupancy: self.occupancy as u64,
+            background: stream.tracer.background.to_array(),
+            pixel_offset: stream.pixel_offset,
+            surface_points: grid.surface_points as u64,
+        }
+    }
+
+    /// The stream of rays from `cameras` through `field`, differentiated for `lattice`.
+    ///
+    /// # Errors
+    /// [`Error::Interrupted`] only.
+    pub fn stream<'a>(
+        &self,
+        field: &'a dyn RadianceField,
+        cameras: &'a [Camera],
+        lattice: &Lattice,
+        monitor: &dyn Monitor,
+    ) -> Result<RayStream<'a>> {
+        let differences = Differences { step: self.step * lattice.edge(), domain: *lattice.domain() };
+        // h is largest in the corner of the field's box that is farthest from a contraction's centre.
+        let bounds = field.bounds();
+        let corner = |c: u8| {
+            DVec3::from(std::array::from_fn(|axis| [bounds.min(), bounds.max()][usize::from(c >> axis & 1)][axis]))
+        };
+        let farthest = (0..8).map(|c| differences.at(corner(c).as_vec3())).fold(DVec3::ZERO, DVec3::max);
+        Ok(RayStream {
+            tracer: self.tracer(field, farthest.max_element(), monitor)?,
+            differences,
+            cameras,
+            pixel_offset: self.pixel_offset.unwrap_or_else(|| field.pixel_offset()),
+            pixels: PixelSequence::new(self.pixels, self.seed, cameras.iter().map(|c| c.resolution).collect()),
+        })
+    }
+}

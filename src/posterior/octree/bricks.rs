@@ -1,0 +1,157 @@
+//! Sums of sparse lattice points, in bricks.
+//!
+//! A vertex is keyed by its point on the lattice of its own level: `key` = coarseness · 2⁵⁷ + Morton code of (point / 2^coarseness),
+//! coarseness 0 being the finest lattice. The 64 keys that differ in their low six bits make an aligned 4³ brick; a brick exists as
+//! soon as one of its vertices was touched. Bricks are spread over shards by hash, so that threads own them.
+
+use rayon::prelude::*;
+use rustc_hash::FxHashMap;
+
+use crate::octree::morton;
+use crate::posterior::Evidence;
+
+/// Shards: enough to keep many cores busy, few enough that their lists stay long.
+const SHARD_BITS: u32 = 6;
+pub const SHARDS: usize = 1 << SHARD_BITS;
+const COARSENESS_SHIFT: u32 = 57;
+
+/// Sums of the 64 vertices of a brick.
+pub type Brick = [Evidence; 64];
+
+/// The key of the vertex at `point`, which must be a multiple of 2^`coarseness` along every axis.
+pub fn key(point: [u32; 3], coarseness: u8) -> u64 {
+    u64::from(coarseness) << COARSENESS_SHIFT | morton::encode(point.map(|i| i >> coarseness))
+}
+
+/// The point of a key.
+pub fn point(key: u64) -> [u32; 3] {
+    let coarseness = key >> COARSENESS_SHIFT;
+    morton::decode(key & ((1 << COARSENESS_SHIFT) - 1)).map(|i| i << coarseness)
+}
+
+/// The shard that owns a vertex.
+pub fn shard_of(key: u64) -> usize {
+    // Fibonacci hashing of the brick's code (Knuth, TAOCP 3, 6.4).
+    ((key >> 6).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> (64 - SHARD_BITS)) as usize
+}
+
+/// What one ray adds to one vertex.
+#[derive(Clone, Copy)]
+pub struct Contribution {
+    pub key: u64,
+    pub sums: Evidence,
+}
+
+/// The bricks that hash to one shard.
+#[derive(Debug, Clone, Default)]
+struct Shard {
+    /// Brick code (key without its low 6 bits) to position in `bricks`.
+    index: FxHashMap<u64, u32>,
+    /// Brick codes, in the order in which rays first touched them.
+    codes: Vec<u64>,
+    bricks: Vec<Brick>,
+}
+
+impl Shard {
+    /// The sums of a vertex, zero if it is new.
+    fn sum_mut(&mut self, key: u64) -> &mut Evidence {
+        let next = self.bricks.len() as u32;
+        let slot = *self.index.entry(key >> 6).or_insert(next);
+        if slot == next {
+            self.codes.push(key >> 6);
+            self.bricks.push([Evidence::default(); 64]);
+        }
+        &mut self.bricks[slot as usize][(key & 63) as usize]
+    }
+
+    fn memory(&self) -> usize {
+        // hashbrown: one control byte and one (u64, u32) pair, padded to 16, per bucket.
+        self.bricks.capacity() * size_of::<Brick>() + self.codes.capacity() * 8 + self.index.capacity() * 8 / 7 * 17
+    }
+}
+
+/// All sums.
+#[derive(Debug, Clone)]
+pub struct Bricks {
+    shards: Vec<Shard>,
+}
+
+impl Bricks {
+    pub fn new() -> Self {
+        Self { shards: vec![Shard::default(); SHARDS] }
+    }
+
+    /// Adds lists of contributions, each split by shard, in order.
+    pub fn add(&mut self, lists: &[Vec<Vec<Contribution>>]) {
+        self.shards.par_iter_mut().enumerate().for_each(|(s, shard)| {
+            lists.iter().flat_map(|list| &list[s]).for_each(|c| shard.sum_mut(c.key).add(&c.sums));
+        });
+    }
+
+    /// Adds to one vertex.
+    pub fn add_one(&mut self, key: u64, sums: &Evidence) {
+        self.shards[shard_of(key)].sum_mut(key).add(sums);
+    }
+
+    /// The sums of a vertex, if its brick exists.
+    pub fn get(&self, key: u64) -> Option<&Evidence> {
+        let shard = &self.shards[shard_of(key)];
+        let slot = *shard.index.get(&(key >> 6))?;
+        Some(&shard.bricks[slot as usize][(key & 63) as usize])
+    }
+
+    /// All vertices of all bricks, in parallel, with their keys.
+    pub fn par_iter(&self) -> impl ParallelIterator<Item = (u64, &Evidence)> {
+        let bricks = self.shards.par_iter().flat_map_iter(|shard| shard.codes.iter().zip(&shard.bricks));
+        bricks.flat_map_iter(|(&code, brick)| (0_u64..).zip(brick).map(move |(i, sums)| (code << 6 | i, sums)))
+    }
+
+    /// Brick codes, in the order in which [`Bricks::slices`] returns their sums.
+    pub fn codes(&self) -> impl Iterator<Item = u64> + '_ {
+        self.shards.iter().flat_map(|shard| shard.codes.iter().copied())
+    }
+
+    /// The sums, one slice per shard.
+    pub fn slices(&self) -> impl Iterator<Item = &[Brick]> {
+        self.shards.iter().map(|shard| shard.bricks.as_slice())
+    }
+
+    /// Puts back what [`Bricks::codes`] and [`Bricks::slices`] gave, in the same order.
+    ///
+    /// `None` if a code comes twice, or lies outside the lattice with `cells` per axis.
+    pub fn restore(cells: u32, codes: &[u64], bricks: Vec<Brick>) -> Option<Self> {
+        let mut restored = Self::new();
+        for (&code, brick) in codes.iter().zip(bricks) {
+            if code >> 58 != 0 || point(code << 6).iter().any(|&i| i > cells) {
+                return None;
+            }
+            let shard = &mut restored.shards[shard_of(code << 6)];
+            if shard.index.insert(code, shard.bricks.len() as u32).is_some() {
+                return None;
+            }
+            shard.codes.push(code);
+            shard.bricks.push(brick);
+        }
+        Some(restored)
+    }
+
+    /// Bytes on the heap.
+    pub fn memory(&self) -> usize {
+        self.shards.iter().map(Shard::memory).sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn a_key_holds_its_point(index in proptest::array::uniform3(0_u32..=1 << 11), coarseness in 0_u8..=5) {
+            let at = index.map(|i| i << coarseness);
+            prop_assert_eq!(point(key(at, coarseness)), at);
+            prop_assert_eq!(key(at, coarseness) >> COARSENESS_SHIFT, u64::from(coarseness));
+        }
+    }
+}
