@@ -5,10 +5,11 @@
 //! the box [−1, 1]³ with z up; front is −y, right is +x.
 //!
 //! In the order in which data flows: [`Mesh`] is read and placed, [`Scene`] answers rays, [`LitScene`] gives hits a colour,
-//! [`viewpoints`] places cameras, [`trace_view`] makes a picture, [`write_dataset`] does all of it into a folder.
+//! [`viewpoints()`] places cameras, [`trace_view`] makes a picture, [`write_dataset`] does all of it into a folder.
 
 mod mesh;
 mod shade;
+mod staged;
 #[cfg(test)]
 mod testing;
 mod texture;

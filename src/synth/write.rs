@@ -1,13 +1,14 @@
 //! The dataset on disk: pictures, depth maps, camera files, and what made them.
 
 use std::io::{Cursor, Write};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use image::{DynamicImage, ImageBuffer, ImageFormat, Luma, Rgba};
 use serde::Serialize;
 
 use super::mesh::{Mesh, Placement, Up};
 use super::shade::{BOUNCE, LitScene, SKY_COLOR, SKY_RAYS, SUN, SUN_COLOR};
+use super::staged::StagedFolder;
 use super::texture::{COARSEST, FINEST};
 use super::trace::{GROUND_RADIUS, Scene};
 use super::view::{PixelSampling, TracedView, trace_view};
@@ -309,50 +310,4 @@ fn readme(mesh: &str, settings: &DatasetSettings) -> String {
         Radiance depends on position alone: Lambertian surfaces, a sun with traced shadows, sky light with occlusion traced at\n\
         vertices and interpolated. Smooth normals and texture change colour only; depth is that of the flat triangles.\n"
     )
-}
-
-/// A folder under a temporary name beside its target, renamed when complete, removed with its content if dropped before.
-struct StagedFolder {
-    staged: tempfile::TempDir,
-    target: PathBuf,
-}
-
-impl StagedFolder {
-    fn create(target: &Path) -> Result<Self> {
-        if target.exists() {
-            let mut entries = std::fs::read_dir(target).map_err(Error::io(target, "cannot read the folder"))?;
-            if entries.next().is_some() {
-                return Err(Error::malformed(target, "output folder", "a new or empty folder", "files in it"));
-            }
-        }
-        let parent = match target.parent() {
-            Some(parent) if !parent.as_os_str().is_empty() => parent,
-            _ => Path::new("."),
-        };
-        let mut builder = tempfile::Builder::new();
-        builder.prefix(".octobayes-").suffix(".part");
-        #[cfg(unix)]
-        {
-            // As for files: the usual permissions, the umask applies.
-            use std::os::unix::fs::PermissionsExt;
-            builder.permissions(std::fs::Permissions::from_mode(0o777));
-        }
-        let staged = builder.tempdir_in(parent).map_err(Error::io(target, "cannot create the folder"))?;
-        Ok(Self { staged, target: target.to_path_buf() })
-    }
-
-    fn path(&self) -> &Path {
-        self.staged.path()
-    }
-
-    fn commit(mut self) -> Result<()> {
-        if self.target.exists() {
-            // Removes an empty folder only.
-            std::fs::remove_dir(&self.target).map_err(Error::io(&self.target, "cannot replace the folder"))?;
-        }
-        std::fs::rename(self.staged.path(), &self.target)
-            .map_err(Error::io(&self.target, "cannot rename the finished folder"))?;
-        self.staged.disable_cleanup(true);
-        Ok(())
-    }
 }
