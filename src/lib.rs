@@ -64,6 +64,7 @@ pub mod octree;
 pub mod picture;
 pub mod posterior;
 pub mod render;
+pub mod synth;
 pub mod uncertainty;
 
 pub use error::{Error, Result};

@@ -19,6 +19,7 @@ mod progress;
 mod query;
 mod render;
 mod report;
+mod synth;
 mod uncertainty;
 
 use std::process::ExitCode;
@@ -56,6 +57,7 @@ enum Verb {
     Convert(convert::Args),
     Merge(merge::Args),
     Info(info::Args),
+    Synth(synth::Args),
 }
 
 /// Runs the command line of this process.
@@ -87,5 +89,6 @@ fn run(verb: Verb, bars: &Bars) -> Result<()> {
         Verb::Convert(args) => args.run(),
         Verb::Merge(args) => args.run(),
         Verb::Info(args) => args.run(),
+        Verb::Synth(args) => args.run(bars),
     }
 }

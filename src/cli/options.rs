@@ -67,7 +67,7 @@ fn parse_background(text: &str) -> std::result::Result<Vec3, String> {
 }
 
 /// `W` or `WxH`.
-fn parse_resolution(text: &str) -> std::result::Result<[u32; 2], String> {
+pub fn parse_resolution(text: &str) -> std::result::Result<[u32; 2], String> {
     let side = |text: &str| match text.parse::<u32>() {
         Ok(side) if (1..=65_536).contains(&side) => Ok(side),
         _ => Err(format!("`{text}` is not a whole number of pixels from 1 to 65536")),
