@@ -9,7 +9,7 @@ mod view;
 
 pub use composite::{Pixel, Quadrature};
 pub use jacobian::{Differences, RaySample, RaySamples};
-pub use march::Marcher;
+pub use march::{Marcher, Walk};
 pub use occupancy::Occupancy;
 pub use trace::{TracedRays, Tracer};
 pub use view::{Blend, Probe, RenderedView, render_view};

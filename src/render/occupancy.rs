@@ -1,140 +1,188 @@
 //! Where density can be: an upper bound of it on a coarse grid, built from the field itself.
 
-use glam::{DVec3, Vec3};
-use rayon::prelude::*;
+mod bounded;
+mod pyramid;
+mod sampled;
 
+use glam::DVec3;
+
+use self::bounded::Bounder;
+use self::pyramid::{BRICK, Pyramid, blocks};
 use crate::Result;
 use crate::field::RadianceField;
-use crate::geometry::Aabb;
+use crate::geometry::{Aabb, Ray};
 use crate::monitor::{Monitor, check};
 
-/// A bound σ̂ of the density in each cell of a regular grid and in the cells around it.
+/// A bound σ̂ of the density in each cell of a regular grid and in the space around it.
 ///
-/// The field is a black box, so the bound is an estimate: the largest of the densities at a cell's corners and centre and at
-/// those of its neighbours. Structures much thinner than a cell can be missed; what that changes is measured against runs
-/// without occupancy. A NaN counts as infinite density, so that it is met and reported, not skipped.
+/// Of a field that bounds its density ([`RadianceField::density_bound`]) it is certain. Of any other it is an estimate: the
+/// largest of the densities at a cell's corners and centre and at those of its neighbours. Structures much thinner than a cell
+/// can be missed; what that changes is measured against runs without occupancy. A NaN counts as infinite density, so that it
+/// is met and reported, not skipped.
 #[derive(Debug, Clone)]
 pub struct Occupancy {
     bounds: Aabb,
     /// Cells per axis.
     resolution: usize,
-    /// `[resolution³]`, x slowest, 1 / scene unit.
-    majorant: Vec<f32>,
+    /// σ̂, 1 / scene unit.
+    majorant: Pyramid,
+}
+
+/// 2^level cells along each axis, `cell` one of them.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Block {
+    cell: [usize; 3],
+    level: usize,
+}
+
+/// What is at a point, compared with a density.
+pub(super) enum Space {
+    /// Not in the box.
+    Outside,
+    /// σ̂ does not exceed the density in this block, the largest such block around the point.
+    Low(Block),
+    /// σ̂ exceeds the density in this block, which need not be the largest.
+    Matter(Block),
 }
 
 impl Occupancy {
-    /// Cells per axis unless told otherwise: 9.4 cm³ of a 3 m box; 4.3 million field evaluations.
+    /// Cells per axis unless told otherwise: 9.4 cm³ of a 3 m box; 4.3 million field evaluations of a field that must be sampled.
     pub const DEFAULT_RESOLUTION: usize = 128;
 
-    /// Samples `field` with `resolution` cells per axis of its box. The bound holds up to a distance `reach` (scene units) from
-    /// a cell, at least one cell: finite differences look that far.
+    /// Bounds or samples `field` with `resolution` cells per axis of its box. The bound holds up to a distance `reach` (scene
+    /// units) from a cell, if it is sampled at least one cell: finite differences look that far.
     ///
     /// # Errors
     /// [`crate::Error::Interrupted`] only.
     pub fn build(field: &dyn RadianceField, resolution: usize, reach: f64, monitor: &dyn Monitor) -> Result<Self> {
         let bounds = field.bounds();
-        let n = resolution;
-        monitor.begin("occupancy", 2 * n as u64 + 1);
-        let corners = sample_lattice(field, n + 1, 0.0, n, monitor);
-        let centers = sample_lattice(field, n, 0.5, n, monitor);
-        monitor.end();
-        check(monitor)?;
-
-        let mut own = vec![0.0_f32; n * n * n];
-        own.par_chunks_mut(n * n).enumerate().for_each(|(x, slab)| {
-            for (i, cell) in slab.iter_mut().enumerate() {
-                let (y, z) = (i / n, i % n);
-                *cell = (0..8)
-                    .map(|c| corners[((x + (c & 1)) * (n + 1) + y + (c >> 1 & 1)) * (n + 1) + z + (c >> 2)])
-                    .fold(centers[(x * n + y) * n + z], f32::max);
-            }
-        });
-        let rings = DVec3::splat(reach) / (bounds.size() / n as f64);
-        let majorant = (0..3).fold(own, |grid, axis| dilate(&grid, n, axis, (rings[axis].ceil() as usize).max(1)));
+        let majorant = if field.density_bound(bounds.min().as_vec3(), bounds.max().as_vec3()).is_some() {
+            // Positions are rounded to f32, and once more around them for differences; the box that is asked for, too.
+            let rounding = 2.0 * f64::from(f32::EPSILON) * bounds.min().abs().max(bounds.max().abs()).max_element();
+            let bounder = Bounder { field, bounds, cells: resolution, pad: reach + rounding, monitor };
+            monitor.begin("occupancy", (blocks(resolution, BRICK) as u64).pow(3));
+            let bricks = bounder.bricks();
+            monitor.end();
+            check(monitor)?;
+            Pyramid::new(resolution, bricks)
+        } else {
+            let rings = DVec3::splat(reach) / (bounds.size() / resolution as f64);
+            let rings = rings.to_array().map(|rings| (rings.ceil() as usize).max(1));
+            let grid = sampled::sample(field, resolution, rings, monitor)?;
+            Pyramid::new(resolution, sampled::bricks(&grid, resolution))
+        };
         Ok(Self { bounds, resolution, majorant })
+    }
+
+    /// The cell of a scene point, `None` outside the box. Its indices do not fall with the point's coordinates, rounding
+    /// included.
+    fn cell(&self, x: DVec3) -> Option<[usize; 3]> {
+        let u = (x - self.bounds.min()) / self.bounds.size() * self.resolution as f64;
+        if !u.cmpge(DVec3::ZERO).all() {
+            return None;
+        }
+        let n = self.resolution;
+        // The upper faces belong to the last cell; rounding may put a point of the box there.
+        let cell = u.to_array().map(|u| u as usize).map(|i| if i == n { n - 1 } else { i });
+        cell.iter().all(|&i| i < n).then_some(cell)
     }
 
     /// σ̂ at a scene point; 0 outside the box.
     #[must_use]
     pub fn majorant(&self, x: DVec3) -> f32 {
-        let u = (x - self.bounds.min()) / self.bounds.size() * self.resolution as f64;
-        if !u.cmpge(DVec3::ZERO).all() {
-            return 0.0;
+        self.cell(x).map_or(0.0, |cell| self.majorant.value(0, cell))
+    }
+
+    /// Whether σ̂ exceeds `density` at a point; if not, how far around it.
+    pub(super) fn space(&self, x: DVec3, density: f32) -> Space {
+        let Some(cell) = self.cell(x) else { return Space::Outside };
+        let low = |level: usize| level < self.majorant.levels() && self.majorant.value(level, cell) <= density;
+        // Most of space is far from everything: its bricks are low.
+        match [BRICK, 0].into_iter().find(|&level| low(level)) {
+            Some(mut level) => {
+                while low(level + 1) {
+                    level += 1;
+                }
+                Space::Low(Block { cell, level })
+            }
+            None => Space::Matter(Block { cell, level: if self.majorant.is_uniform(cell) { BRICK } else { 0 } }),
         }
-        let [i, j, k] = u.to_array().map(|u| u as usize);
-        let n = self.resolution;
-        // The upper faces belong to the last cell; rounding may put a point of the box there.
-        let last = |i: usize| if i == n { n - 1 } else { i };
-        let (i, j, k) = (last(i), last(j), last(k));
-        if i < n && j < n && k < n { self.majorant[(i * n + j) * n + k] } else { 0.0 }
+    }
+
+    /// Whether a point is in the block.
+    pub(super) fn is_in(&self, x: DVec3, block: Block) -> bool {
+        let same = |cell: [usize; 3]| (0..3).all(|axis| cell[axis] >> block.level == block.cell[axis] >> block.level);
+        self.cell(x).is_some_and(same)
+    }
+
+    /// Where a ray that is in the block leaves it, up to rounding.
+    pub(super) fn exit(&self, ray: &Ray, block: Block) -> f64 {
+        let edge = self.bounds.size() / self.resolution as f64;
+        let mut exit = f64::INFINITY;
+        for axis in 0..3 {
+            let direction = ray.direction[axis];
+            if direction != 0.0 {
+                let face = ((block.cell[axis] >> block.level) + usize::from(direction > 0.0)) << block.level;
+                let at = self.bounds.min()[axis] + face as f64 * edge[axis];
+                exit = exit.min((at - ray.origin[axis]) / direction);
+            }
+        }
+        exit
     }
 
     /// Share of cells whose bound exceeds `density`.
     #[must_use]
     pub fn share_above(&self, density: f32) -> f64 {
-        self.majorant.iter().filter(|&&m| m > density).count() as f64 / self.majorant.len() as f64
+        let n = self.resolution;
+        let cells = (0..n * n * n).map(|i| [i / (n * n), i / n % n, i % n]);
+        cells.filter(|&cell| self.majorant.value(0, cell) > density).count() as f64 / (n * n * n) as f64
     }
 
     /// Bytes on the heap.
     #[must_use]
     pub fn memory(&self) -> usize {
-        size_of_val(self.majorant.as_slice())
+        self.majorant.memory()
     }
-}
-
-/// Densities at the points `min + (index + shift) / cells · size`, `[count³]`, x slowest; NaN becomes ∞.
-fn sample_lattice(
-    field: &dyn RadianceField,
-    count: usize,
-    shift: f64,
-    cells: usize,
-    monitor: &dyn Monitor,
-) -> Vec<f32> {
-    let bounds = field.bounds();
-    let mut densities = vec![0.0_f32; count * count * count];
-    densities.par_chunks_mut(count * count).enumerate().for_each(|(x, slab)| {
-        if monitor.interrupted() {
-            return;
-        }
-        let positions: Vec<Vec3> = (0..count * count)
-            .map(|i| {
-                let index = DVec3::new(x as f64, (i / count) as f64, (i % count) as f64) + shift;
-                bounds.clamp((bounds.min() + index / cells as f64 * bounds.size()).as_vec3())
-            })
-            .collect();
-        field.densities(&positions, slab);
-        for density in slab.iter_mut().filter(|d| d.is_nan()) {
-            *density = f32::INFINITY;
-        }
-        monitor.advance(1);
-    });
-    densities
-}
-
-/// Maximum over `rings` cells to both sides along one axis of an `[n³]` grid.
-fn dilate(grid: &[f32], n: usize, axis: usize, rings: usize) -> Vec<f32> {
-    let stride = [n * n, n, 1][axis];
-    (0..grid.len())
-        .into_par_iter()
-        .map(|i| {
-            let at = i / stride % n;
-            let (low, high) = (at.saturating_sub(rings), (at + rings).min(n - 1));
-            (low..=high).map(|j| grid[i + j * stride - at * stride]).fold(0.0, f32::max)
-        })
-        .collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::field::ClosedForm;
+    use crate::field::closed_form::{Primitive, Shape, Texture};
+    use crate::field::{ClosedForm, Radiance};
     use crate::monitor::Silent;
+    use glam::Vec3;
+
+    /// A field that keeps its bound to itself.
+    struct BlackBox(ClosedForm);
+
+    impl RadianceField for BlackBox {
+        fn bounds(&self) -> Aabb {
+            self.0.bounds()
+        }
+
+        fn evaluate(&self, positions: &[Vec3], directions: &[Vec3], out: &mut [Radiance]) {
+            self.0.evaluate(positions, directions, out);
+        }
+
+        fn suggested_step(&self) -> f64 {
+            self.0.suggested_step()
+        }
+
+        fn memory(&self) -> usize {
+            self.0.memory()
+        }
+
+        fn describe(&self) -> String {
+            self.0.describe()
+        }
+    }
 
     #[test]
-    fn bounds_the_density_of_smooth_scenes_everywhere_within_reach() {
+    fn estimates_the_density_of_smooth_scenes_everywhere_within_reach() {
         let field = ClosedForm::courtyard();
         let reach = 0.05;
-        let occupancy = Occupancy::build(&field, 32, reach, &Silent).unwrap();
+        let occupancy = Occupancy::build(&BlackBox(field.clone()), 32, reach, &Silent).unwrap();
         let mut densities = vec![0.0; 4096];
         let positions: Vec<Vec3> = (0..4096)
             .map(|i| Vec3::new((i % 16) as f32, (i / 16 % 16) as f32, (i / 256) as f32) / 7.501 - 1.0)
@@ -155,5 +203,44 @@ mod tests {
         assert!(occupancy.share_above(1.0) < 0.5);
         assert_eq!(occupancy.majorant(DVec3::new(-1.001, 0.0, 0.0)), 0.0);
         assert!(occupancy.majorant(DVec3::new(1.0, 0.0, -0.7)) > 100.0, "the upper face belongs to the last cell");
+    }
+
+    /// A post that is 100 times thinner than a cell of 32 per axis and stands between the points that are sampled.
+    fn post() -> ClosedForm {
+        let shape = Shape::Box { center: Vec3::new(0.02, 0.04, 0.0), half: Vec3::new(3e-4, 3e-4, 0.5) };
+        let post = Primitive { shape, peak: 9e3, softness: 1e-4, texture: Texture::Plain(Vec3::ONE) };
+        ClosedForm::new("post", vec![post], Aabb::centered_cube(1.0), 1e-4)
+    }
+
+    #[test]
+    fn a_field_that_knows_its_bound_is_bounded_with_certainty() {
+        let (n, reach) = (19, 0.013);
+        for field in [post(), ClosedForm::courtyard(), ClosedForm::floater()] {
+            let occupancy = Occupancy::build(&field, n, reach, &Silent).unwrap();
+            let edge = 2.0 / n as f64;
+            for i in 0..n * n * n {
+                // The counterpart: every cell by itself, straight from the definition.
+                let low = DVec3::new((i / (n * n)) as f64, (i / n % n) as f64, (i % n) as f64) * edge - 1.0;
+                let ask =
+                    |grown: f64| field.density_bound((low - grown).as_vec3(), (low + edge + grown).as_vec3()).unwrap();
+                let found = occupancy.majorant(low + 0.5 * edge);
+                // The rounding pad is 2 · 2^-23, f32 moves the box that is asked for by 2^-25; a larger box has a larger bound
+                // up to the rounding of the ramp, 1e-5.
+                let (least, most) = (ask(reach) * (1.0 - 1e-5), ask(reach + 4e-7) * (1.0 + 1e-5));
+                assert!((least..=most).contains(&found), "{found} in cell {i}, not from {least} to {most}");
+            }
+        }
+        let center = DVec3::new(0.02, 0.04, 0.1);
+        assert!(Occupancy::build(&post(), 32, 0.0, &Silent).unwrap().majorant(center) > 8e3);
+        let estimate = Occupancy::build(&BlackBox(post()), 32, 0.0, &Silent).unwrap();
+        assert_eq!(estimate.majorant(center), 0.0, "the test's premise: samples miss the post");
+    }
+
+    #[test]
+    fn share_counts_cells() {
+        // The slab |x| < ½ cuts 12 cells across [-1, 1] into 3, 6, 3; its neighbours touch it within the rounding pad.
+        let occupancy = Occupancy::build(&ClosedForm::slab(4.0), 12, 0.0, &Silent).unwrap();
+        assert_eq!(occupancy.share_above(0.0), 8.0 / 12.0);
+        assert_eq!(occupancy.share_above(5.0), 0.0);
     }
 }

@@ -1,0 +1,155 @@
+//! A sparse grid of values with the maxima of its blocks.
+//!
+//! A block of level l is 2^l cells wide, its position a multiple of that; level 0 is the cells. Blocks of level 3 are bricks:
+//! a brick of one value stores it once, another stores its cells and the maxima of its blocks of levels 1 and 2.
+
+/// Level of bricks.
+pub const BRICK: usize = 3;
+/// Cells along the edge of a brick.
+pub const EDGE: usize = 1 << BRICK;
+/// Cells of a brick.
+pub const CELLS: usize = EDGE * EDGE * EDGE;
+/// Where the blocks of levels 0, 1 and 2 begin among the values of a brick, and where they end.
+const OFFSETS: [usize; BRICK + 1] = [0, CELLS, CELLS + CELLS / 8, CELLS + CELLS / 8 + CELLS / 64];
+
+/// Values ≥ 0 of `[cells³]` cells.
+#[derive(Debug, Clone)]
+pub struct Pyramid {
+    cells: usize,
+    /// `[bricks³]`, x slowest: where the values of a brick that has several begin in `detail`.
+    detail_of: Vec<Option<u32>>,
+    /// Values of levels 0, 1 and 2, brick by brick; x slowest in each level.
+    detail: Vec<f32>,
+    /// Maxima of levels 3, 4, … up to the level of a single block, x slowest.
+    tops: Vec<Vec<f32>>,
+}
+
+/// Blocks of `level` along an axis of `cells` cells.
+pub fn blocks(cells: usize, level: usize) -> usize {
+    cells.div_ceil(1 << level)
+}
+
+impl Pyramid {
+    /// A pyramid over `cells`³ zeros with `bricks` put in: the index of each (x slowest) and its cells, x slowest. Bricks stick
+    /// out of the grid if `cells` is not a multiple of 8; what is outside is never read as a cell, but must not exceed the
+    /// cells inside.
+    pub fn new(cells: usize, bricks: impl IntoIterator<Item = (usize, [f32; CELLS])>) -> Self {
+        let n = blocks(cells, BRICK);
+        let mut pyramid =
+            Self { cells, detail_of: vec![None; n * n * n], detail: Vec::new(), tops: vec![vec![0.0; n * n * n]] };
+        for (index, values) in bricks {
+            pyramid.tops[0][index] = values.into_iter().fold(0.0, f32::max);
+            if values.iter().any(|&v| v != values[0]) {
+                pyramid.detail_of[index] = Some((pyramid.detail.len() / OFFSETS[BRICK]) as u32);
+                let halves = halve(&values, EDGE);
+                let quarters = halve(&halves, EDGE / 2);
+                for level in [values.as_slice(), &halves, &quarters] {
+                    pyramid.detail.extend(level);
+                }
+            }
+        }
+        while let Some(top) = pyramid.tops.last().filter(|top| top.len() > 1) {
+            let above = halve(top, blocks(cells, BRICK + pyramid.tops.len() - 1));
+            pyramid.tops.push(above);
+        }
+        pyramid
+    }
+
+    /// Number of levels; the last one is a single block.
+    pub fn levels(&self) -> usize {
+        BRICK + self.tops.len()
+    }
+
+    /// The largest value in the block of `level` around a cell of the grid.
+    pub fn value(&self, level: usize, cell: [usize; 3]) -> f32 {
+        let brick_level = level.max(BRICK);
+        let [x, y, z] = cell.map(|i| i >> brick_level);
+        let n = blocks(self.cells, brick_level);
+        let block = (x * n + y) * n + z;
+        let detail = if level < BRICK { self.detail_of[block] } else { None };
+        match detail {
+            None => self.tops[brick_level - BRICK][block],
+            Some(brick) => {
+                let [x, y, z] = cell.map(|i| (i & (EDGE - 1)) >> level);
+                let shift = BRICK - level;
+                self.detail[brick as usize * OFFSETS[BRICK] + OFFSETS[level] + (((x << shift) + y) << shift) + z]
+            }
+        }
+    }
+
+    /// Whether all cells of the brick around a cell have one value.
+    pub fn is_uniform(&self, cell: [usize; 3]) -> bool {
+        let [x, y, z] = cell.map(|i| i >> BRICK);
+        let n = blocks(self.cells, BRICK);
+        self.detail_of[(x * n + y) * n + z].is_none()
+    }
+
+    /// Bytes on the heap.
+    pub fn memory(&self) -> usize {
+        size_of_val(self.detail_of.as_slice())
+            + size_of_val(self.detail.as_slice())
+            + self.tops.iter().map(|top| size_of_val(top.as_slice())).sum::<usize>()
+    }
+}
+
+/// Maxima of aligned blocks of 2³ of an `[n³]` grid.
+fn halve(values: &[f32], n: usize) -> Vec<f32> {
+    let half = n.div_ceil(2);
+    let mut maxima = vec![0.0_f32; half * half * half];
+    for (i, &value) in values.iter().enumerate() {
+        let (x, y, z) = (i / (n * n), i / n % n, i % n);
+        let maximum = &mut maxima[(x / 2 * half + y / 2) * half + z / 2];
+        *maximum = maximum.max(value);
+    }
+    maxima
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::sampled::bricks;
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(32))]
+
+        #[test]
+        fn every_level_is_the_maximum_of_its_cells(n in 1usize..21, seed in 0usize..1000, solid in 0usize..3) {
+            // Values in clusters: some bricks are empty, some full, some mixed.
+            let of = |x: usize, y: usize, z: usize| {
+                if (x / 8 + y / 8 + z / 8 + seed) % 3 <= solid { 5.0 } else { ((x * 7 + y * 3 + z + seed) % 11) as f32 }
+            };
+            let values: Vec<f32> = (0..n * n * n).map(|i| of(i / (n * n), i / n % n, i % n)).collect();
+            let pyramid = Pyramid::new(n, bricks(&values, n));
+            for level in 0..pyramid.levels() {
+                for i in 0..n * n * n {
+                    let cell = [i / (n * n), i / n % n, i % n];
+                    let range = cell.map(|at| ((at >> level) << level)..(((at >> level) + 1) << level).min(n));
+                    let [xs, ys, zs] = range;
+                    let mut maximum = 0.0_f32;
+                    for x in xs {
+                        for y in ys.clone() {
+                            for z in zs.clone() {
+                                maximum = maximum.max(values[(x * n + y) * n + z]);
+                            }
+                        }
+                    }
+                    prop_assert_eq!(pyramid.value(level, cell), maximum, "level {} at {:?}", level, cell);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn empty_and_uniform_bricks_take_no_room() {
+        let empty = Pyramid::new(64, []).memory();
+        let uniform = Pyramid::new(64, [(77, [3.0; CELLS])]);
+        assert_eq!(uniform.memory(), empty);
+        let mut values = [3.0; CELLS];
+        values[5] = 4.0;
+        let mixed = Pyramid::new(64, [(77, values)]);
+        // 8³ + 4³ + 2³ numbers of four bytes.
+        assert_eq!(mixed.memory(), empty + 4 * 584);
+        assert_eq!((mixed.value(0, [8, 8, 45]), mixed.value(0, [8, 8, 46])), (4.0, 3.0));
+    }
+}
