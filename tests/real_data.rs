@@ -17,8 +17,9 @@ fn vectors(rows: &serde_json::Value) -> Vec<Vec3> {
     rows.iter().map(|v| Vec3::from_array(std::array::from_fn(|k| v[k].as_f64().unwrap() as f32))).collect()
 }
 
-/// Renders test views of lego and compares their PSNR with what was measured, to within 0.3 dB.
-fn check_lego_renders(model: &dyn RadianceField, measured: [f64; 3]) {
+/// Renders test views of lego and compares their PSNR over every `stride`th pixel along x and y with what was measured, to within
+/// 0.3 dB.
+fn check_lego_renders(model: &dyn RadianceField, stride: usize, measured: [f64; 3]) {
     let views = Views::read(&data("nerf-lego-400/transforms_test.json"), None).unwrap();
     let settings = RaySettings { cutoff: 1e-4, ..RaySettings::default() };
     let tracer = settings.tracer(model, 0.0, &Silent).unwrap();
@@ -26,10 +27,11 @@ fn check_lego_renders(model: &dyn RadianceField, measured: [f64; 3]) {
         let frame = views.frames.iter().find(|f| f.name == name).unwrap();
         let view = render_view(&tracer, &frame.camera, model.pixel_offset(), &[], &Silent).unwrap();
         let truth = PosedImage::read(&frame.image).unwrap();
-        let colors: Vec<_> = view.pixels.iter().map(|p| p.color).collect();
-        let true_colors: Vec<_> = (0..truth.len()).map(|i| truth.over(i, tracer.background())).collect();
+        let width = view.resolution[0] as usize;
+        let compared = || (0..truth.len()).filter(|i| i % width % stride == 0 && i / width % stride == 0);
+        let colors: Vec<_> = compared().map(|i| view.pixels[i].color).collect();
+        let true_colors: Vec<_> = compared().map(|i| truth.over(i, tracer.background())).collect();
         let found = psnr(&colors, &true_colors);
-        println!("{name}: {found:.2} dB");
         assert!((found - expected).abs() <= 0.3, "{name}: {found:.2} dB, {expected} measured");
     }
 }
@@ -81,7 +83,7 @@ fn the_forward_facing_model_is_refused_with_a_reason() {
 fn lego_renders_reach_the_measured_quality() {
     let model = NerfMlp::read(&data("nerf-mlp-pretrained/lego.safetensors")).unwrap();
     // Measured with the original sampling (64 coarse + 64 fine) in NumPy, on every fifth pixel.
-    check_lego_renders(&model, [27.5, 27.8, 27.3]);
+    check_lego_renders(&model, 1, [27.5, 27.8, 27.3]);
 }
 
 #[test]
@@ -104,9 +106,9 @@ fn ppng_models_return_the_check_values() {
         for (i, found) in out.iter().enumerate() {
             let expected = check["sigma"][i].as_f64().unwrap();
             let error = f64::from(found.density).ln() - expected.ln();
-            println!("{name} {i}: sigma {} ({expected}), log off by {error:.1e}", found.density);
-            assert!(error.abs() < 2e-3, "{name} {i}: {found:?}, {expected}");
-            assert!((found.color - rgb[i]).abs().max_element() < 2e-3, "{name} {i}: {found:?}, {}", rgb[i]);
+            // The printed positions have 6 digits: 5e-7 of the box times slopes of log σ of the order of 1e3. Largest seen: 2.5e-4.
+            assert!(error.abs() < 1e-3, "{name} {i}: {found:?}, {expected}");
+            assert!((found.color - rgb[i]).abs().max_element() < 1e-3, "{name} {i}: {found:?}, {}", rgb[i]);
         }
     }
 }
@@ -114,10 +116,11 @@ fn ppng_models_return_the_check_values() {
 #[test]
 #[ignore = "needs OCTOBAYES_DATA/ppng-pretrained and nerf-lego-400"]
 fn ppng_lego_renders_reach_the_measured_quality() {
-    // Measured in NumPy with the model's own sampling of occupied cells, on every fifth pixel.
+    // Measured in NumPy with the model's own sampling of occupied cells, on the same pixels. Over all pixels r_60 is 0.35 dB lower.
+    // A model whose occupancy is ignored loses 0.5 to 1.2 dB at type 2.
     for (kind, measured) in [(1, [29.8, 32.4, 30.4]), (2, [31.7, 35.1, 32.5])] {
         let file = data(&format!("ppng-pretrained/NeRFSynthetic/ppng_{kind}/lego.ppng"));
-        check_lego_renders(&Ppng::read(&file, Coordinates::Blender).unwrap(), measured);
+        check_lego_renders(&Ppng::read(&file, Coordinates::Blender).unwrap(), 5, measured);
     }
 }
 

@@ -379,6 +379,16 @@ mod tests {
     use super::*;
 
     #[test]
+    fn a_model_without_cameras_needs_a_camera_file() {
+        let options = CameraOptions { cameras: None, fov: None, resolution: None };
+        let scene = crate::field::VoxelGrid::bake(&crate::field::ClosedForm::ball(), [2; 3], Vec3::Z);
+        let error = options.read(&scene, "ball.npz").unwrap_err().to_string();
+        assert!(error.contains("--cameras") && error.contains("ball.npz"), "{error}");
+        let error = crate::field::open_in("scene:ball", Some(Coordinates::Blender)).err().unwrap().to_string();
+        assert!(error.contains("--coordinates") && error.contains("scene:ball"), "{error}");
+    }
+
+    #[test]
     fn texts_become_settings_or_reasons() {
         assert!(parse_box("-1,-1,-1,1,1,1").is_ok());
         assert!(parse_box("1,1,1,-1,-1,-1").unwrap_err().contains("min < max"));

@@ -8,7 +8,8 @@
 //!      c -> window of the occupancy grid ------------------------------------^
 //! ```
 //! Positions go through in blocks of points, in code that the compiler turns into vector instructions; where the processor has
-//! AVX2 and FMA they are used. Results do not depend on that: every operation is rounded as IEEE says.
+//! AVX2 and FMA they are used. Results do not depend on that: every operation is rounded as IEEE says. (An x86 processor without FMA, older
+//! than 2013, emulates it and is slow.)
 
 mod coordinates;
 mod elementary;
