@@ -28,7 +28,7 @@ fn check_lego_renders(model: &dyn RadianceField, stride: usize, measured: [f64; 
         let view = render_view(&tracer, &frame.camera, model.pixel_offset(), &[], &Silent).unwrap();
         let truth = PosedImage::read(&frame.image).unwrap();
         let width = view.resolution[0] as usize;
-        let compared = || (0..truth.len()).filter(|i| i % width % stride == 0 && i / width % stride == 0);
+        let compared = || (0..truth.len()).filter(|i| [i % width, i / width].iter().all(|k| k.is_multiple_of(stride)));
         let colors: Vec<_> = compared().map(|i| view.pixels[i].color).collect();
         let true_colors: Vec<_> = compared().map(|i| truth.over(i, tracer.background())).collect();
         let found = psnr(&colors, &true_colors);

@@ -3,12 +3,14 @@
 //! Coefficients are Chebyshev interpolants. All operations are IEEE (`mul_add` is one rounding on every machine), hence results
 //! are the same whatever instructions the compiler chooses.
 
+use std::f32::consts::{LOG2_E, PI};
+
 /// Coefficients of P in sin πf = f P(f²), |f| ≤ ½, lowest power first.
-const SIN: [f32; 6] = [3.141_592_6, -5.167_712_8, 2.550_163_3, -0.599_252_2, 0.082_050_35, -0.007_028_304];
+const SIN: [f32; 6] = [PI, -5.167_712_8, 2.550_163_3, -0.599_252_2, 0.082_050_35, -0.007_028_304];
 /// Coefficients of P in cos πf = P(f²), |f| ≤ ½.
 const COS: [f32; 6] = [1.0, -4.934_802, 4.058_709, -1.335_212, 0.234_937_07, -0.024_395_932];
 /// Coefficients of exp r, |r| ≤ ½ ln 2.
-const EXP: [f32; 7] = [1.0, 1.0, 0.5, 0.166_664_15, 0.041_666_353, 0.008_375_133, 0.001_394_111_6];
+const EXP: [f32; 7] = [1.0, 1.0, 0.5, 0.166_664_15, 0.041_666_35, 0.008_375_133, 0.001_394_111_6];
 /// ln 2 in two parts; the first has so few bits that n · `LN_2[0]` is exact.
 const LN_2: [f32; 2] = [0.693_359_4, -2.121_944_4e-4];
 
@@ -37,7 +39,7 @@ pub fn sin_cos_pi(y: f32) -> (f32, f32) {
 #[inline(always)]
 pub fn exp(x: f32) -> f32 {
     let x = x.clamp(-87.0, 88.0);
-    let n = (x * std::f32::consts::LOG2_E).round_ties_even();
+    let n = (x * LOG2_E).round_ties_even();
     let r = n.mul_add(-LN_2[1], n.mul_add(-LN_2[0], x));
     f32::from_bits(((n as i32 + 127) as u32) << 23) * horner(&EXP, r)
 }

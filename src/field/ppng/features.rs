@@ -7,6 +7,11 @@
 //! - `Planes` (type 2): V[z, y, x] = Σ_r YZ[z, y, r] XZ[z, x, r] XY[y, x, r] at grid points, V trilinear between them. Interpolating
 //!   the planes before multiplying is another function, 16 dB worse on a trained file.
 
+#![allow(
+    clippy::needless_range_loop,
+    reason = "lanes of several fixed arrays go together; plain loops over them become vector code"
+)]
+
 use super::elementary::sin_cos_pi;
 
 /// Points evaluated together: buffers of a block are 15 KB, and a slot's tables (type 1: 30 KB) are read from near memory for all of them.

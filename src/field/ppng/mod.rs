@@ -83,8 +83,8 @@ impl Block {
 fn density_block(encoding: &Encoding, network: &Network, block: &mut Block, count: usize) {
     encoding.encode(&block.centered, count, &mut block.features);
     network.hidden(&block.features, count, &mut block.hidden);
-    for p in 0..BLOCK {
-        block.densities[p] = network::density(block.hidden[p][0]);
+    for (density, hidden) in block.densities.iter_mut().zip(&block.hidden) {
+        *density = network::density(hidden[0]);
     }
 }
 

@@ -8,6 +8,11 @@
 //! ```
 //! No layer has a bias. Weights are stored `[in, out]`: a point's outputs are lanes of one sum over its inputs.
 
+#![allow(
+    clippy::needless_range_loop,
+    reason = "lanes of several fixed arrays go together; plain loops over them become vector code"
+)]
+
 use super::elementary::exp;
 use super::features::{BLOCK, WIDTH};
 

@@ -28,7 +28,11 @@ struct Model {
     poses: Vec<[[f64; 4]; 3]>,
 }
 
+/// Entries of the map.
 const KEYS: u64 = 16;
+
+/// Makes a model wrong.
+type Change<'a> = &'a dyn Fn(&mut Model);
 
 impl Model {
     /// Random numbers everywhere, every cell occupied.
@@ -112,7 +116,7 @@ impl Model {
     /// The published definition: σ per file unit and colour at file position `p`, all in f64, numbers taken from where the file has them.
     fn reference(&self, p: DVec3, v: DVec3) -> (f64, [f64; 3]) {
         let (quants, rank) = (self.quants, self.rank);
-        let q = (p - 0.5) / (1_u32 << (self.runs.len() - 1)) as f64 + 0.5;
+        let q = (p - 0.5) / f64::from(1_u32 << (self.runs.len() - 1)) + 0.5;
         let mut features = Vec::new();
         for slot in 0..8 {
             let place = |axis: usize| {
@@ -318,12 +322,12 @@ fn cameras_need_an_angle_and_are_right_side_up() {
 
 #[test]
 fn what_is_wrong_with_a_file_is_said() {
-    let message = |change: &dyn Fn(&mut Model)| {
+    let message = |change: Change| {
         let mut model = Model::random(1, 5, 2, 1);
         change(&mut model);
         model.parse(Coordinates::Ngp).unwrap_err().to_string()
     };
-    let cases: [(&dyn Fn(&mut Model), [&str; 3]); 10] = [
+    let cases: [(Change, [&str; 3]); 10] = [
         (&|m| m.kind = 3, ["qff_type", "1 to 2", "3"]),
         (&|m| m.quants = 6, ["qff_buffer", "2304 bytes", "1920 bytes"]),
         (&|m| m.quants = 1 << 40, ["n_quants", "2 to 1024", "1099511627776"]),
