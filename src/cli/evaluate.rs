@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
-use super::options::{CameraOptions, ModelOptions, parse_pair};
+use super::options::{CameraFile, ModelOptions, parse_pair};
 use super::progress::Bars;
 use super::render::{BlendName, check_box};
 use super::report;
@@ -39,7 +39,7 @@ pub struct Args {
     fields: Vec<PathBuf>,
 
     #[command(flatten)]
-    cameras: CameraOptions,
+    cameras: CameraFile,
 
     /// Folder of true depth maps
     #[arg(long, value_name = "DIR")]

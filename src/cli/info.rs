@@ -11,7 +11,7 @@ use crate::{Error, Result};
 /// Say what a field or model file holds, and its memory by part
 #[derive(clap::Args)]
 pub struct Args {
-    /// `.oct` field, or a model (`.safetensors`, `.npz`, `scene:NAME`)
+    /// `.oct` field, or a model (`.safetensors`, `.ppng`, `.npz`, `scene:NAME`)
     file: PathBuf,
 
     /// Print one JSON object

@@ -5,9 +5,9 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 use glam::{DVec3, Vec3};
 
-use crate::dataset::{ResolutionSource, Views};
+use crate::dataset::{Frame, ResolutionSource, Views};
 use crate::estimate::{GridKind, GridSettings, RaySettings};
-use crate::field::RadianceField;
+use crate::field::{Coordinates, Intrinsics, RadianceField};
 use crate::geometry::{Aabb, Domain, Norm};
 use crate::io::AtomicFile;
 use crate::posterior::{Covariance, Prior};
@@ -94,6 +94,14 @@ pub fn parse_non_negative(text: &str) -> std::result::Result<f64, String> {
     }
 }
 
+/// An angle of view in degrees.
+fn parse_fov(text: &str) -> std::result::Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(v) if v > 0.0 && v < 180.0 => Ok(v),
+        _ => Err("expected an angle above 0 and below 180 degrees".into()),
+    }
+}
+
 impl ValueEnum for Covariance {
     fn value_variants<'a>() -> &'a [Self] {
         &Self::ALL
@@ -110,13 +118,31 @@ impl ValueEnum for Covariance {
     }
 }
 
+impl ValueEnum for Coordinates {
+    fn value_variants<'a>() -> &'a [Self] {
+        &Self::ALL
+    }
+
+    fn to_possible_value(&self) -> Option<clap::builder::PossibleValue> {
+        let help = match self {
+            Self::Ngp => "the file's own: the object in [0, 1]^3",
+            Self::Blender => "those of the NeRF-synthetic transforms.json files: 0.33 x + 0.5 with cycled axes",
+        };
+        Some(clap::builder::PossibleValue::new(self.name()).help(help))
+    }
+}
+
 /// A radiance field and how rays go through it.
 #[derive(Args)]
 pub struct ModelOptions {
-    /// The trained field: a `.safetensors` MLP NeRF, an `.npz` voxel grid (density, color, box), or `scene:NAME` for a
-    /// built-in scene
+    /// The trained field: a `.safetensors` MLP NeRF, a `.ppng` Plenoptic PNG, an `.npz` voxel grid (density, color, box), or
+    /// `scene:NAME` for a built-in scene
     #[arg(value_name = "MODEL")]
     pub model: String,
+
+    /// Scene units and axes to use a `.ppng` model in; fields, cameras and depth must all have the same [default: ngp]
+    #[arg(long, value_enum)]
+    pub coordinates: Option<Coordinates>,
 
     /// What is behind the scene: white, black or r,g,b in [0, 1]. It enters the derivatives through the rays' final
     /// transmittance: use what the field was trained with
@@ -139,7 +165,7 @@ pub struct ModelOptions {
 impl ModelOptions {
     /// Opens the model.
     pub fn open(&self) -> Result<Box<dyn RadianceField>> {
-        crate::field::open(&self.model)
+        crate::field::open_in(&self.model, self.coordinates)
     }
 
     /// How images are rendered.
@@ -161,7 +187,7 @@ impl ModelOptions {
 
 /// A camera file.
 #[derive(Args)]
-pub struct CameraOptions {
+pub struct CameraFile {
     /// transforms.json with intrinsics and camera-to-world poses (OpenGL axes)
     #[arg(long, value_name = "JSON")]
     pub cameras: PathBuf,
@@ -171,7 +197,7 @@ pub struct CameraOptions {
     pub resolution: Option<[u32; 2]>,
 }
 
-impl CameraOptions {
+impl CameraFile {
     /// Reads the file; says so if the image size had to be assumed.
     pub fn read(&self) -> Result<Views> {
         let views = Views::read(&self.cameras, self.resolution)?;
@@ -211,6 +237,46 @@ impl DomainOptions {
             (.., Some(bounds)) => Ok(Domain::Box(bounds)),
             _ => Err(Error::setting("--box", "the box of the field, or --contract and --inner", "neither")),
         }
+    }
+}
+
+/// A camera file, or the cameras that the model brings along.
+#[derive(Args)]
+pub struct CameraOptions {
+    /// transforms.json with intrinsics and camera-to-world poses (OpenGL axes) [default: the cameras of the model, if it has
+    /// some]
+    #[arg(long, value_name = "JSON")]
+    pub cameras: Option<PathBuf>,
+
+    /// Horizontal angle of view of the model's own cameras, degrees
+    #[arg(long, value_name = "DEGREES", value_parser = parse_fov, conflicts_with = "cameras")]
+    pub fov: Option<f64>,
+
+    /// Image size, W or WxH [default: from the camera file, else from its first image, else 400x400]
+    #[arg(long, value_name = "SIZE", value_parser = parse_resolution)]
+    pub resolution: Option<[u32; 2]>,
+}
+
+impl CameraOptions {
+    /// Reads the camera file, or asks the model `name`.
+    pub fn read(&self, model: &dyn RadianceField, name: &str) -> Result<Views> {
+        if let Some(cameras) = &self.cameras {
+            return CameraFile { cameras: cameras.clone(), resolution: self.resolution }.read();
+        }
+        let intrinsics = Intrinsics { fov_x: self.fov.map(f64::to_radians), resolution: self.resolution };
+        let cameras = model.cameras(&intrinsics)?.ok_or_else(|| {
+            Error::setting(
+                "--cameras",
+                "a transforms.json, as this model brings no cameras",
+                format!("none for `{name}`"),
+            )
+        })?;
+        let frame = |(i, camera)| Frame { camera, name: format!("pose {i}"), image: PathBuf::new() };
+        Ok(Views {
+            path: PathBuf::from(name),
+            frames: cameras.into_iter().enumerate().map(frame).collect(),
+            resolution_source: self.resolution.map_or(ResolutionSource::Assumed, |_| ResolutionSource::Requested),
+        })
     }
 }
 
@@ -353,6 +419,16 @@ mod tests {
     use super::*;
 
     #[test]
+    fn a_model_without_cameras_needs_a_camera_file() {
+        let options = CameraOptions { cameras: None, fov: None, resolution: None };
+        let scene = crate::field::VoxelGrid::bake(&crate::field::ClosedForm::ball(), [2; 3], Vec3::Z);
+        let error = options.read(&scene, "ball.npz").unwrap_err().to_string();
+        assert!(error.contains("--cameras") && error.contains("ball.npz"), "{error}");
+        let error = crate::field::open_in("scene:ball", Some(Coordinates::Blender)).err().unwrap().to_string();
+        assert!(error.contains("--coordinates") && error.contains("scene:ball"), "{error}");
+    }
+
+    #[test]
     fn texts_become_settings_or_reasons() {
         assert!(parse_box("-1,-1,-1,1,1,1").is_ok());
         assert!(parse_box("1,1,1,-1,-1,-1").unwrap_err().contains("min < max"));
@@ -361,6 +437,7 @@ mod tests {
         assert!(parse_background("0,0.5,2").is_err() && parse_background("red").is_err());
         assert_eq!(parse_resolution("80x60"), Ok([80, 60]));
         assert!(parse_resolution("0").is_err() && parse_resolution("8x").is_err());
+        assert!(parse_fov("60").is_ok() && parse_fov("180").is_err() && parse_fov("nan").is_err());
         assert!(parse_positive("-1").is_err() && parse_positive("nan").is_err() && parse_non_negative("0").is_ok());
     }
 }

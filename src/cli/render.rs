@@ -34,7 +34,7 @@ pub struct Args {
     #[command(flatten)]
     cameras: CameraOptions,
 
-    /// Which frame of the camera file, from 0
+    /// Which camera, from 0
     #[arg(long, value_name = "K", default_value_t = 0)]
     frame: usize,
 
@@ -91,7 +91,7 @@ impl Args {
             field = field.with_covariance(covariance)?;
         }
         check_box(&self.model.model, &model.bounds(), &field)?;
-        let views = self.cameras.read()?;
+        let views = self.cameras.read(&*model, &self.model.model)?;
         let camera = views.frame(self.frame)?.camera;
         drop(crate::io::AtomicFile::create(&self.output)?);
 

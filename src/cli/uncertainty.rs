@@ -7,6 +7,7 @@ use super::options::{CameraOptions, DomainOptions, GridOptions, ModelOptions, pa
 use super::progress::Bars;
 use super::report::Cost;
 use crate::estimate::{FieldBuilder, Provenance, RaySettings};
+use crate::geometry::Camera;
 use crate::posterior::{Pixels, SamplesWriter, Share, Tally};
 use crate::{Error, Result};
 
@@ -95,7 +96,7 @@ impl Args {
     /// Runs the verb.
     pub fn run(self, bars: &Bars) -> Result<()> {
         let field = self.model.open()?;
-        let views = self.cameras.read()?;
+        let views = self.cameras.read(&*field, &self.model.model)?;
         let grid = self.grid.settings();
         let mut builder = FieldBuilder::new(grid, self.domain.domain(Some(field.bounds()))?)?;
         self.grid.check_output()?;
@@ -115,8 +116,7 @@ impl Args {
         let share = self.share()?;
         let mut checkpoint = self.checkpoint()?;
         let stream = settings.stream(&*field, &cameras, &lattice, bars)?;
-        let [model, camera_file] = [&self.model.model, &*self.cameras.cameras.to_string_lossy()].map(identity);
-        let source = format!("{} seen by {}", model?, camera_file?);
+        let source = self.source(&cameras)?;
         let key = settings.run_key(source.clone(), share, &stream, &grid, &lattice);
         let mut so_far = match &checkpoint {
             Some(checkpoint) if checkpoint.path.exists() => builder.restore(&checkpoint.path, &key)?,
@@ -154,6 +154,23 @@ impl Args {
             std::fs::remove_file(&checkpoint.path).map_err(Error::io(&checkpoint.path, "cannot remove"))?;
         }
         Ok(())
+    }
+
+    /// What was computed from what: the run's identity.
+    fn source(&self, cameras: &[Camera]) -> Result<String> {
+        let mut model = identity(&self.model.model)?;
+        if let Some(coordinates) = self.model.coordinates {
+            model = format!("{model} in {} coordinates", coordinates.name());
+        }
+        let seen_by = match &self.cameras.cameras {
+            Some(file) => identity(&file.to_string_lossy())?,
+            None => {
+                let [w, h] = cameras[0].resolution;
+                let fov = self.cameras.fov.map_or(String::new(), |fov| format!(", {fov} degrees"));
+                format!("its own {} cameras of {w} x {h}{fov}", cameras.len())
+            }
+        };
+        Ok(format!("{model} seen by {seen_by}"))
     }
 
     fn share(&self) -> Result<Share> {

@@ -6,11 +6,13 @@
 pub mod closed_form;
 mod mlp;
 mod open;
+mod ppng;
 mod voxel;
 
 pub use closed_form::ClosedForm;
 pub use mlp::NerfMlp;
-pub use open::open;
+pub use open::{open, open_in};
+pub use ppng::{Coordinates, Ppng};
 pub use voxel::VoxelGrid;
 
 use glam::Vec3;

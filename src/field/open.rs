@@ -2,25 +2,41 @@
 
 use std::path::Path;
 
-use super::{ClosedForm, NerfMlp, RadianceField, VoxelGrid};
+use super::{ClosedForm, Coordinates, NerfMlp, Ppng, RadianceField, VoxelGrid};
 use crate::{Error, Result};
 
 /// The field that `model` names: `scene:NAME` for a built-in scene, else a file by its extension: `.safetensors` for an MLP
-/// NeRF, `.npz` for a voxel grid.
+/// NeRF, `.npz` for a voxel grid, `.ppng` for a Plenoptic PNG in the coordinates of its file.
 ///
 /// # Errors
 /// If the extension is unknown or the file cannot be read as what its extension says.
 pub fn open(model: &str) -> Result<Box<dyn RadianceField>> {
+    open_in(model, None)
+}
+
+/// [`open`], with the scene coordinates to use a Plenoptic PNG in.
+///
+/// # Errors
+/// As [`open`]; if coordinates are given for a model that has only one choice.
+pub fn open_in(model: &str, coordinates: Option<Coordinates>) -> Result<Box<dyn RadianceField>> {
+    let path = Path::new(model);
+    let extension = if model.starts_with("scene:") { None } else { path.extension().and_then(|e| e.to_str()) };
+    if extension == Some("ppng") {
+        return Ok(Box::new(Ppng::read(path, coordinates.unwrap_or_default())?));
+    }
+    if let Some(coordinates) = coordinates {
+        let found = format!("`{}` for `{model}`", coordinates.name());
+        return Err(Error::setting("--coordinates", "a `.ppng` model: others have one kind only", found));
+    }
     if let Some(scene) = model.strip_prefix("scene:") {
         return Ok(Box::new(ClosedForm::named(scene)?));
     }
-    let path = Path::new(model);
-    match path.extension().and_then(|e| e.to_str()) {
+    match extension {
         Some("safetensors") => Ok(Box::new(NerfMlp::read(path)?)),
         Some("npz") => Ok(Box::new(VoxelGrid::read(path)?)),
         _ => Err(Error::setting(
             format!("model `{model}`"),
-            "`scene:NAME`, a `.safetensors` MLP NeRF or an `.npz` voxel grid",
+            "`scene:NAME`, a `.safetensors` MLP NeRF, a `.ppng` Plenoptic PNG or an `.npz` voxel grid",
             "another extension",
         )),
     }

@@ -1,0 +1,150 @@
+//! The two tiny networks behind the features.
+//!
+//! Letters: `h` the density network's 16 outputs (h₀ is log σ), `sh` 16 real spherical harmonics of the viewing direction.
+//!
+//! ```text
+//! features (32) -> density -> h -> σ = exp(min(h₀, 11))
+//!                             h ++ sh -> color0 -> relu -> color1 -> sigmoid
+//! ```
+//! No layer has a bias. Weights are stored `[in, out]`: a point's outputs are lanes of one sum over its inputs.
+
+#![allow(
+    clippy::needless_range_loop,
+    reason = "lanes of several fixed arrays go together; plain loops over them become vector code"
+)]
+
+use super::elementary::exp;
+use super::features::{BLOCK, WIDTH};
+
+/// Outputs of both hidden layers, and the number of spherical harmonics.
+pub const HIDDEN: usize = 16;
+/// Outputs of the last layer; the fourth is padding.
+pub const OUTPUTS: usize = 4;
+/// log σ is limited to this, as in training.
+pub const LOG_DENSITY_LIMIT: f32 = 11.0;
+/// Points whose sums are kept in registers together, so that each weight is loaded once for all of them.
+const TILE: usize = 4;
+
+/// Weights of the two networks.
+#[derive(Debug, Clone)]
+pub struct Network {
+    density: [[f32; HIDDEN]; WIDTH],
+    color0: [[f32; HIDDEN]; 2 * HIDDEN],
+    color1: [[f32; OUTPUTS]; HIDDEN],
+}
+
+/// A layer `[IN][OUT]` from the file's 4 × 4 blocks: W[4 ob + r][4 ib + c] = a[(ib · OUT/4 + ob) · 16 + 4 r + c].
+fn unblock<const IN: usize, const OUT: usize>(blocks: &[f32]) -> [[f32; OUT]; IN] {
+    std::array::from_fn(|i| std::array::from_fn(|o| blocks[(i / 4 * (OUT / 4) + o / 4) * 16 + 4 * (o % 4) + i % 4]))
+}
+
+impl Network {
+    /// Numbers in the file of the three layers.
+    pub const SIZES: [usize; 3] = [WIDTH * HIDDEN, 2 * HIDDEN * HIDDEN, HIDDEN * OUTPUTS];
+
+    /// From the three layers as stored in the file, of [`Self::SIZES`] numbers.
+    pub fn new([density, color0, color1]: [&[f32]; 3]) -> Self {
+        Self { density: unblock(density), color0: unblock(color0), color1: unblock(color1) }
+    }
+
+    /// h of every point, `[point][16]`.
+    #[inline(always)]
+    pub fn hidden(&self, features: &[[f32; WIDTH]; BLOCK], count: usize, hidden: &mut [[f32; HIDDEN]; BLOCK]) {
+        for first in (0..count).step_by(TILE) {
+            let mut sums = [[0.0; HIDDEN]; TILE];
+            for i in 0..WIDTH {
+                add_input(&mut sums, &self.density[i], |p| features[first + p][i]);
+            }
+            hidden[first..first + TILE].copy_from_slice(&sums);
+        }
+    }
+
+    /// Colours, `[point][red, green, blue, padding]`, of points with outputs `hidden` seen along `directions` (`[axis][point]`).
+    #[inline(always)]
+    pub fn color(
+        &self,
+        hidden: &[[f32; HIDDEN]; BLOCK],
+        directions: &[[f32; BLOCK]; 3],
+        count: usize,
+        colors: &mut [[f32; OUTPUTS]; BLOCK],
+    ) {
+        let mut harmonics = [[0.0; BLOCK]; HIDDEN];
+        for p in 0..BLOCK {
+            let values = spherical_harmonics(directions[0][p], directions[1][p], directions[2][p]);
+            for k in 0..HIDDEN {
+                harmonics[k][p] = values[k];
+            }
+        }
+        for first in (0..count).step_by(TILE) {
+            let mut sums = [[0.0; HIDDEN]; TILE];
+            for i in 0..HIDDEN {
+                add_input(&mut sums, &self.color0[i], |p| hidden[first + p][i]);
+            }
+            for i in 0..HIDDEN {
+                add_input(&mut sums, &self.color0[HIDDEN + i], |p| harmonics[i][first + p]);
+            }
+            let mut outputs = [[0.0; OUTPUTS]; TILE];
+            for i in 0..HIDDEN {
+                // f32::max would turn a NaN into 0.
+                add_input(&mut outputs, &self.color1[i], |p| if sums[p][i] < 0.0 { 0.0 } else { sums[p][i] });
+            }
+            for p in 0..TILE {
+                for k in 0..OUTPUTS {
+                    colors[first + p][k] = 1.0 / (1.0 + exp(-outputs[p][k]));
+                }
+            }
+        }
+    }
+}
+
+/// Adds one input of [`TILE`] points to their outputs.
+#[inline(always)]
+fn add_input<const OUT: usize>(sums: &mut [[f32; OUT]; TILE], weights: &[f32; OUT], input: impl Fn(usize) -> f32) {
+    for p in 0..TILE {
+        let x = input(p);
+        for o in 0..OUT {
+            sums[p][o] = weights[o].mul_add(x, sums[p][o]);
+        }
+    }
+}
+
+/// σ from h₀. A NaN stays one.
+#[inline(always)]
+pub fn density(h0: f32) -> f32 {
+    exp(if h0 > LOG_DENSITY_LIMIT { LOG_DENSITY_LIMIT } else { h0 })
+}
+
+/// Real spherical harmonics up to degree 3 in instant-ngp's order and signs.
+#[inline(always)]
+fn spherical_harmonics(x: f32, y: f32, z: f32) -> [f32; 16] {
+    // 1 / (2 √π) times √3, √15, √5/2, √15/2, √70/4, √105, √42/4, √7/2 and √105/2.
+    const C0: f32 = 0.282_094_8;
+    const C1: f32 = 0.488_602_5;
+    const C2: f32 = 1.092_548_4;
+    const C2Z: f32 = 0.315_391_57;
+    const C2X: f32 = 0.546_274_2;
+    const C3Y: f32 = 0.590_043_6;
+    const C3: f32 = 2.890_611_4;
+    const C3M: f32 = 0.457_045_8;
+    const C3Z: f32 = 0.373_176_33;
+    const C3X: f32 = 1.445_305_7;
+    let (xx, yy, zz) = (x * x, y * y, z * z);
+    [
+        C0,
+        -C1 * y,
+        C1 * z,
+        -C1 * x,
+        C2 * x * y,
+        -C2 * y * z,
+        C2Z * (3.0 * zz - 1.0),
+        -C2 * x * z,
+        C2X * (xx - yy),
+        C3Y * y * (yy - 3.0 * xx),
+        C3 * x * y * z,
+        C3M * y * (1.0 - 5.0 * zz),
+        C3Z * z * (5.0 * zz - 3.0),
+        C3M * x * (1.0 - 5.0 * zz),
+        C3X * z * (xx - yy),
+        C3Y * x * (3.0 * yy - xx),
+    ]
+}

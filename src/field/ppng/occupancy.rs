@@ -1,0 +1,277 @@
+//! Where the model is: its cascaded occupancy grid, as a continuous window that multiplies the density.
+//!
+//! Letters: `p` file position, `n` cells per axis (a multiple of 4), `k` cascade: the cube of side 2ᵏ around p = ½, in n³ cells. A
+//! point belongs to the finest cascade that contains it.
+//!
+//! The trainer samples occupied cells only; what the network says elsewhere was never seen by a loss, and is fog and floaters.
+//! Cutting it off at the cells' faces would give the density jumps that no image asked for, and finite differences across a
+//! face would see them. So the window w is 1 in all occupied cells, falls linearly to 0 over the cell next to them, and is
+//! continuous everywhere inside the box: trilinear between cell corners, a corner being 1 if one of its cells is occupied. Where cascades meet,
+//! the fine corners that hang on a coarse face take that face's interpolated value (as hanging vertices of an octree do), and a
+//! coarse cell that fine ones replace counts as occupied if one of them is.
+
+use glam::{DVec3, Vec3};
+
+/// Corner values are quarters: a hanging corner in the middle of a face is the mean of four.
+const ONE: u8 = 4;
+
+/// One cascade.
+#[derive(Debug, Clone)]
+struct Cascade {
+    /// `[n + 1]³`, x fastest: 4 w at the cells' corners.
+    corners: Vec<u8>,
+    /// `[n, n]`, y fastest: bit x is set if w > 0 somewhere in the cell; cells that a finer cascade replaces are clear.
+    rows: Vec<u128>,
+}
+
+/// The window w(p).
+#[derive(Debug, Clone)]
+pub struct Window {
+    n: usize,
+    cascades: Vec<Cascade>,
+}
+
+impl Window {
+    /// From `[cascades][n³]` occupied cells, x fastest.
+    pub fn new(n: usize, mut occupied: Vec<Vec<bool>>) -> Self {
+        debug_assert!(n.is_multiple_of(4) && (4..=128).contains(&n), "{n} cells per axis");
+        for k in 1..occupied.len() {
+            let (fine, coarse) = occupied.split_at_mut(k);
+            pool(n, &fine[k - 1], &mut coarse[0]);
+        }
+        let mut cascades: Vec<Cascade> = Vec::new();
+        for (k, cells) in occupied.iter().enumerate().rev() {
+            let mut corners = corners(n, cells);
+            if let Some(coarse) = cascades.last() {
+                hang(n, &coarse.corners, &mut corners);
+            }
+            let rows = rows(n, &corners, k > 0);
+            cascades.push(Cascade { corners, rows });
+        }
+        cascades.reverse();
+        Self { n, cascades }
+    }
+
+    /// Side of the outermost cube, file units.
+    pub fn side(&self) -> f64 {
+        (1_u64 << (self.cascades.len() - 1)) as f64
+    }
+
+    /// w at p = ½ + `c`; 0 outside the box.
+    #[inline]
+    pub fn at(&self, c: Vec3) -> f32 {
+        let reach = 2.0 * c.abs().max_element();
+        let (mut k, mut side) = (0, 1.0_f32);
+        while reach > side {
+            k += 1;
+            side *= 2.0;
+            if k == self.cascades.len() {
+                return 0.0;
+            }
+        }
+        let u = (c / side + 0.5) * self.n as f32;
+        let low = u.to_array().map(|u| (u as usize).min(self.n - 1));
+        let t = u - Vec3::from_array(low.map(|i| i as f32));
+        let m = self.n + 1;
+        let corners = &self.cascades[k].corners[(low[2] * m + low[1]) * m + low[0]..][..(m + 1) * m + 2];
+        let along_x = |i: usize| {
+            let [a, b] = [corners[i], corners[i + 1]].map(f32::from);
+            t.x.mul_add(b - a, a)
+        };
+        let along_xy = |i: usize| {
+            let [a, b] = [along_x(i), along_x(i + m)];
+            t.y.mul_add(b - a, a)
+        };
+        let [a, b] = [along_xy(0), along_xy(m * m)];
+        t.z.mul_add(b - a, a) / f32::from(ONE)
+    }
+
+    /// Whether w is 0 everywhere in the box from ½ + `min` to ½ + `max`, and for all positions that f32 rounds into it.
+    pub fn is_empty(&self, min: DVec3, max: DVec3) -> bool {
+        // A position is rounded a few times on its way to a cell; w starts from 0, so that what is missed is of this order too.
+        let slack = 4.0 * f64::from(f32::EPSILON) * self.side();
+        let n = self.n as f64;
+        self.cascades.iter().enumerate().all(|(k, cascade)| {
+            let side = (1_u64 << k) as f64;
+            let [low, high] = [min - slack, max + slack].map(|c| ((c / side + 0.5) * n).floor());
+            if low.max_element() >= n || high.min_element() < 0.0 {
+                return true;
+            }
+            let [low, high] = [low, high].map(|g| g.to_array().map(|g| (g.max(0.0) as usize).min(self.n - 1)));
+            let bits = (u128::MAX << low[0]) & (u128::MAX >> (127 - high[0]));
+            (low[2]..=high[2]).all(|z| {
+                let row = z * self.n;
+                cascade.rows[row + low[1]..=row + high[1]].iter().all(|row| row & bits == 0)
+            })
+        })
+    }
+
+    /// Bytes on the heap.
+    pub fn memory(&self) -> usize {
+        self.cascades.iter().map(|c| size_of_val(c.corners.as_slice()) + size_of_val(c.rows.as_slice())).sum()
+    }
+}
+
+/// Coarse cells of the central half become what the fine cells say.
+fn pool(n: usize, fine: &[bool], coarse: &mut [bool]) {
+    let half = n / 2;
+    for (i, j, k) in triples(half) {
+        let any = (0..8).any(|c| {
+            let [x, y, z] = [2 * i + (c & 1), 2 * j + (c >> 1 & 1), 2 * k + (c >> 2)];
+            fine[(z * n + y) * n + x]
+        });
+        let [x, y, z] = [i, j, k].map(|i| i + n / 4);
+        coarse[(z * n + y) * n + x] = any;
+    }
+}
+
+/// Corner values of one cascade by itself.
+fn corners(n: usize, occupied: &[bool]) -> Vec<u8> {
+    let m = n + 1;
+    let mut corners = vec![0; m * m * m];
+    for (x, y, z) in triples(n) {
+        if occupied[(z * n + y) * n + x] {
+            for c in 0..8 {
+                corners[((z + (c >> 2)) * m + y + (c >> 1 & 1)) * m + x + (c & 1)] = ONE;
+            }
+        }
+    }
+    corners
+}
+
+/// Corners on the outside of a fine cascade take the coarse interpolant.
+fn hang(n: usize, coarse: &[u8], fine: &mut [u8]) {
+    let m = n + 1;
+    for (x, y, z) in triples(m) {
+        if [x, y, z].iter().any(|&i| i == 0 || i == n) {
+            // Along an odd index the corner is halfway between two coarse ones; the index across the face is even.
+            let sum: usize = (0..8)
+                .map(|c| {
+                    let [x, y, z] = [(x, c & 1), (y, c >> 1 & 1), (z, c >> 2)].map(|(i, up)| n / 4 + (i + up) / 2);
+                    usize::from(coarse[(z * m + y) * m + x])
+                })
+                .sum();
+            fine[(z * m + y) * m + x] = (sum / 8) as u8;
+        }
+    }
+}
+
+/// Rows of cells in which w is not 0, without the central half if a finer cascade replaces it.
+fn rows(n: usize, corners: &[u8], replaced: bool) -> Vec<u128> {
+    let m = n + 1;
+    let mut rows = vec![0; n * n];
+    let central = n / 4..3 * n / 4;
+    for (x, y, z) in triples(n) {
+        let any = (0..8).any(|c| corners[((z + (c >> 2)) * m + y + (c >> 1 & 1)) * m + x + (c & 1)] > 0);
+        if any && !(replaced && [x, y, z].iter().all(|i| central.contains(i))) {
+            rows[z * n + y] |= 1 << x;
+        }
+    }
+    rows
+}
+
+/// All (x, y, z) below `n`.
+fn triples(n: usize) -> impl Iterator<Item = (usize, usize, usize)> {
+    (0..n * n * n).map(move |i| (i % n, i / n % n, i / (n * n)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    const N: usize = 8;
+
+    /// Three cascades with a few occupied cells each.
+    fn random(rng: &mut ChaCha8Rng, share: f64) -> Vec<Vec<bool>> {
+        (0..3).map(|_| (0..N * N * N).map(|_| rng.random_bool(share)).collect()).collect()
+    }
+
+    fn draw(rng: &mut ChaCha8Rng, half: f32) -> Vec3 {
+        Vec3::from_array(std::array::from_fn(|_| rng.random_range(-half..half)))
+    }
+
+    /// Whether the cell of p = ½ + c in its finest cascade is occupied, as the trainer looks it up.
+    fn occupied_at(cells: &[Vec<bool>], c: Vec3) -> bool {
+        let k = (0..3).find(|&k| c.abs().max_element() <= 0.5 * (1 << k) as f32).unwrap();
+        let [x, y, z] = ((c / (1 << k) as f32 + 0.5) * N as f32).to_array().map(|g| (g as usize).min(N - 1));
+        cells[k][(z * N + y) * N + x]
+    }
+
+    #[test]
+    fn one_in_occupied_cells_and_continuous() {
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        let (mut inside, mut ramp) = (0, 0);
+        for _ in 0..20 {
+            let cells = random(&mut rng, 0.02);
+            let window = Window::new(N, cells.clone());
+            assert_eq!(window.side(), 4.0);
+            for _ in 0..3000 {
+                let c = draw(&mut rng, 2.0) * if rng.random_bool(0.5) { 0.5 } else { 1.0 };
+                let w = window.at(c);
+                assert!((0.0..=1.0).contains(&w));
+                if occupied_at(&cells, c) {
+                    assert_eq!(w, 1.0, "{c}");
+                    inside += 1;
+                }
+                ramp += usize::from(w > 0.0 && w < 1.0);
+                // Along each axis w changes by at most 1 per cell, here at most by N per file unit; f32 adds a few ulps.
+                let step = draw(&mut rng, 1e-3);
+                let limit = N as f32 * (step.x.abs() + step.y.abs() + step.z.abs()) + 1e-5;
+                let jump = (window.at((c + step).clamp(Vec3::splat(-2.0), Vec3::splat(2.0))) - w).abs();
+                assert!(jump <= limit, "{jump} > {limit} from {c} by {step}");
+            }
+        }
+        assert!(inside > 500 && ramp > 1000, "{inside} {ramp}");
+    }
+
+    #[test]
+    fn continuous_across_the_faces_between_cascades() {
+        let mut rng = ChaCha8Rng::seed_from_u64(4);
+        let mut partial = 0;
+        for _ in 0..50 {
+            let window = Window::new(N, random(&mut rng, 0.02));
+            for _ in 0..500 {
+                let half = if rng.random_bool(0.5) { 0.5 } else { 1.0 };
+                let mut c = draw(&mut rng, half);
+                let axis = rng.random_range(0..3);
+                c[axis] = half;
+                let inside = window.at(c);
+                c[axis] = half.next_up();
+                // The next f32 is at most 1.2e-7 away, and w changes by at most 8 per unit.
+                assert!((window.at(c) - inside).abs() <= 1e-5, "{c}: {inside}, {}", window.at(c));
+                partial += usize::from(inside > 0.0 && inside < 1.0);
+            }
+        }
+        assert!(partial > 1000, "{partial}");
+        assert_eq!(Window::new(N, vec![vec![true; N * N * N]]).at(Vec3::splat(0.5001)), 0.0);
+    }
+
+    #[test]
+    fn empty_boxes_are_empty_and_found() {
+        let mut rng = ChaCha8Rng::seed_from_u64(5);
+        let [mut empty, mut full] = [0, 0];
+        for _ in 0..200 {
+            let window = Window::new(N, random(&mut rng, 0.002));
+            for _ in 0..50 {
+                let (a, size) = (draw(&mut rng, 2.2), draw(&mut rng, 0.4).abs());
+                let inner: Vec<Vec3> = (0..100).map(|_| a + size * (draw(&mut rng, 0.5) + 0.5)).collect();
+                let found = window.is_empty(a.as_dvec3(), (a + size).as_dvec3());
+                let truth = inner.iter().all(|&c| window.at(c) == 0.0);
+                assert!(truth || !found, "{a} {size}");
+                empty += usize::from(found);
+                full += usize::from(!found);
+            }
+        }
+        assert!(empty > 500 && full > 500, "{empty} {full}");
+        // One cell, one bit: the window reaches one cell further, and not beyond.
+        let mut cells = vec![vec![false; N * N * N]];
+        cells[0][(4 * N + 2) * N + 3] = true;
+        let window = Window::new(N, cells);
+        let point = |x: f64, y: f64, z: f64| (DVec3::new(x, y, z) / N as f64) - 0.5;
+        let is_empty = |p: DVec3| window.is_empty(p, p);
+        assert!(!is_empty(point(2.1, 1.1, 3.1)) && is_empty(point(1.9, 2.5, 4.5)) && is_empty(point(3.5, 4.1, 4.5)));
+        assert!(!window.is_empty(point(-9.0, -9.0, -9.0), point(90.0, 90.0, 90.0)));
+    }
+}
