@@ -6,9 +6,9 @@ use std::time::Instant;
 use super::options::{DomainOptions, GridOptions};
 use super::progress::Bars;
 use super::report::Cost;
-use crate::Result;
 use crate::estimate::{FieldBuilder, Provenance};
 use crate::posterior::{SamplesReader, Tally};
+use crate::{Error, Result};
 
 /// Sum up ray samples whose Jacobians were computed elsewhere
 ///
@@ -36,7 +36,13 @@ impl Args {
     /// Runs the verb.
     pub fn run(self, bars: &Bars) -> Result<()> {
         let reader = SamplesReader::open(&self.samples)?;
-        let mut builder = FieldBuilder::new(self.grid.settings(), self.domain.domain(None)?)?;
+        let domain = self.domain.domain(None)?;
+        let settings = self.grid.settings(&domain)?;
+        if settings.needs_plan() || settings.criteria.density {
+            let expected = "`sensitivity` or `uniform`, and no --memory: the rest needs the model and its rays";
+            return Err(Error::setting("--refine", expected, format!("{}", settings.criteria)));
+        }
+        let mut builder = FieldBuilder::new(settings, domain)?;
         self.grid.check_output()?;
         let start = Instant::now();
         reader.run(bars, |batches| {

@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use serde_json::{Value, json};
 
+use crate::estimate::{GridSettings, Plan};
 use crate::posterior::{Pixels, Prior};
 use crate::uncertainty::{Comparison, Difference, Summary, UncertaintyField};
 use crate::{Error, Result};
@@ -67,7 +68,8 @@ pub fn protocol(field: &UncertaintyField) -> String {
     line("lambda", format!("{:.6e} per scene unit²{prior}", p.lambda));
     line("covariance", p.covariance.name().into());
     line("pooling", if p.min_rays > 0.0 { format!("below about {} rays", p.min_rays) } else { "none".into() });
-    line("refinement", format!("sensitivity, tolerance {} in log10 U", p.tolerance));
+    let limits = if field.limits().is_unlimited() { "" } else { ", limited" };
+    line("refinement", format!("{}, tolerance {} in log10 U{limits}", p.criteria, p.tolerance));
     line("march step", known(p.march_step.map(|s| format!("{s:.6} scene units"))));
     line(
         "difference",
@@ -86,7 +88,7 @@ pub fn protocol_json(field: &UncertaintyField) -> Value {
         "box": field.lattice().domain().bounds().map(|b| json!({ "min": b.min().to_array(), "max": b.max().to_array() })),
         "domain": field.lattice().domain(),
         "level": field.lattice().level(),
-        "refinement": "sensitivity",
+        "limited": !field.limits().is_unlimited(),
     })
 }
 
@@ -128,6 +130,37 @@ pub fn comparison(c: &Comparison) -> String {
         row("in box", &c.in_box),
         row("surfaces", &c.on_surfaces)
     )
+}
+
+/// Says on stderr how a run will go.
+pub fn plan(plan: &Plan, grid: &GridSettings) {
+    let memory = |b: f64| bytes(b as usize);
+    let time = plan.time.as_secs_f64();
+    eprintln!(
+        "plan: level {}, about {:.2e} vertices, {} at the peak, {time:.0} s",
+        grid.level,
+        plan.vertices,
+        memory(plan.bytes)
+    );
+    if plan.evidence > 0.0 {
+        let shares: Vec<String> = plan
+            .given_up
+            .iter()
+            .enumerate()
+            .filter(|(_, share)| **share > 0.0)
+            .map(|(levels, share)| format!("{levels}: {:.1} %", 100.0 * share))
+            .collect();
+        // The mean over a hat of twice the edge instead of the finest one's value: surfaces' H grows fourfold, which is divided
+        // out; what is left is what U varies by within the larger hat.
+        eprintln!(
+            "      leaves that have {} rays a vertex or are {} levels coarser: {:.1} % of vertices given up;\n      levels given up by share of what \
+             rays touch: {}; log10 U is the larger leaf's there",
+            plan.evidence,
+            plan.given_up.len() - 1,
+            100.0 * (1.0 - plan.vertices / plan.vertices_unlimited.max(1.0)),
+            shares.join(", ")
+        );
+    }
 }
 
 /// What a finished run says about its field.

@@ -5,10 +5,10 @@ use std::time::{Duration, Instant};
 
 use super::options::{CameraOptions, DomainOptions, GridOptions, ModelOptions, parse_non_negative, parse_positive};
 use super::progress::Bars;
-use super::report::Cost;
-use crate::estimate::{FieldBuilder, Provenance, RaySettings};
-use crate::geometry::Camera;
-use crate::posterior::{Pixels, SamplesWriter, Share, Tally};
+use super::report::{self, Cost};
+use crate::estimate::{FieldBuilder, GridSettings, PlannedRun, Planner, Provenance, RaySettings};
+use crate::geometry::{Camera, Lattice};
+use crate::posterior::{Pixels, RayStream, SamplesWriter, Share, Tally, checkpoint};
 use crate::{Error, Result};
 
 /// Compute the uncertainty of a trained field from its training cameras
@@ -53,7 +53,8 @@ pub struct Args {
     cutoff: f64,
 
     /// Also write the ray samples with their Jacobians, as `accumulate` reads them
-    #[arg(long, value_name = "SAMPLES.npz")]
+    // A run that starts again would dump its first rays twice.
+    #[arg(long, value_name = "SAMPLES.npz", conflicts_with = "memory")]
     dump_samples: Option<PathBuf>,
 
     /// Compute only part I of N of the rays (I from 0); `merge` joins the parts
@@ -97,8 +98,9 @@ impl Args {
     pub fn run(self, bars: &Bars) -> Result<()> {
         let field = self.model.open()?;
         let views = self.cameras.read(&*field, &self.model.model)?;
-        let grid = self.grid.settings();
-        let mut builder = FieldBuilder::new(grid, self.domain.domain(Some(field.bounds()))?)?;
+        let domain = self.domain.domain(Some(field.bounds()))?;
+        let grid = self.grid.settings(&domain)?;
+        let mut builder = FieldBuilder::new(grid, domain)?;
         self.grid.check_output()?;
         let mut dump = self.dump_samples.as_deref().map(SamplesWriter::create).transpose()?;
 
@@ -117,22 +119,42 @@ impl Args {
         let mut checkpoint = self.checkpoint()?;
         let stream = settings.stream(&*field, &cameras, &lattice, bars)?;
         let source = self.source(&cameras)?;
-        let key = settings.run_key(source.clone(), share, &stream, &grid, &lattice);
+        let planner = self.planner(grid, &settings, &stream, share, lattice, bars)?;
+        let mut plan = planner.as_ref().map(|planner| planner.plan(&lattice)).transpose()?;
+        if let (Some(planner), Some(checkpoint)) = (&planner, checkpoint.as_ref().filter(|c| c.path.exists())) {
+            // The budget may have made the interrupted run give up more than was planned.
+            let evidence = checkpoint::evidence(&checkpoint.path)?;
+            while let Some(tighter) = plan.as_ref().filter(|p| p.evidence < evidence) {
+                plan = planner.tighter(&lattice, tighter);
+            }
+        }
+        if let Some(plan) = &plan {
+            report::plan(plan, &grid);
+            if grid.needs_plan() {
+                builder.limit(plan);
+            }
+        }
+        builder.want_density(&stream)?;
+        let key = |builder: &FieldBuilder| settings.run_key(source.clone(), share, &stream, &grid, builder);
         let mut so_far = match &checkpoint {
-            Some(checkpoint) if checkpoint.path.exists() => builder.restore(&checkpoint.path, &key)?,
+            Some(checkpoint) if checkpoint.path.exists() => {
+                let key = key(&builder);
+                builder.restore(&checkpoint.path, &key)?
+            }
             _ => Tally::default(),
         };
-        let result = stream.run(share, so_far, bars, |batches, tally| {
-            builder.add(batches);
+        let planned = plan.as_ref().map(|plan| plan.evidence);
+        let run = PlannedRun { stream: &stream, share, planner: planner.as_ref(), memory: grid.memory };
+        let result = run.run(&mut builder, so_far, plan, bars, |builder, batches, tally| {
             so_far = *tally;
             if let Some(checkpoint) = checkpoint.as_mut().filter(|c| c.is_due()) {
-                builder.save(&checkpoint.path, &key, so_far)?;
+                builder.save(&checkpoint.path, &key(builder), so_far)?;
                 checkpoint.saved = Instant::now();
             }
             dump.as_mut().map_or(Ok(()), |dump| dump.add(batches))
         });
         if let (Err(Error::Interrupted), Some(checkpoint)) = (&result, &checkpoint) {
-            builder.save(&checkpoint.path, &key, so_far)?;
+            builder.save(&checkpoint.path, &key(&builder), so_far)?;
             eprintln!(
                 "note: {} holds {} of {} rays; --resume goes on",
                 checkpoint.path.display(),
@@ -140,7 +162,11 @@ impl Args {
                 share.own_rays()
             );
         }
-        let tally = result?;
+        let (tally, plan) = result?;
+        if let Some(plan) = plan.filter(|plan| Some(plan.evidence) != planned) {
+            eprintln!("note: memory ran out under way; the run started again with less:");
+            report::plan(&plan, &grid);
+        }
         if let Some(first) = tally.first_invalid {
             eprintln!("warning: {} rays dropped, the field is not finite; first at {first:?}", tally.dropped);
         }
@@ -171,6 +197,21 @@ impl Args {
             }
         };
         Ok(format!("{model} seen by {seen_by}"))
+    }
+
+    /// Runs a pilot, if it costs little beside the run or something has to be planned.
+    fn planner(
+        &self,
+        grid: GridSettings,
+        settings: &RaySettings,
+        stream: &RayStream,
+        share: Share,
+        lattice: Lattice,
+        bars: &Bars,
+    ) -> Result<Option<Planner>> {
+        let is_cheap = share.own_rays() >= 32 * Planner::PILOT;
+        let wanted = grid.needs_plan() || is_cheap;
+        if wanted { Planner::new(grid, settings, stream, share, lattice, bars).map(Some) } else { Ok(None) }
     }
 
     fn share(&self) -> Result<Share> {

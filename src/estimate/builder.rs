@@ -1,10 +1,11 @@
 //! A field in the making.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
-use super::{GridKind, GridSettings};
+use super::{GridKind, GridSettings, Plan, plan};
 use crate::geometry::{Domain, Lattice};
-use crate::octree::LevelLimits;
+use crate::octree::{Cell, LevelLimits, morton};
 use crate::posterior::checkpoint::{self, AnyPosterior, RunKey};
 use crate::posterior::{DensePosterior, OctreePosterior, Posterior, RayStream, SURFACE_WEIGHT, Share, Tally};
 use crate::render::RaySamples;
@@ -24,11 +25,28 @@ pub struct Provenance<'a> {
     pub stream: Option<&'a RayStream<'a>>,
 }
 
+/// Most cells that criteria other than sensitivity may ask for: 3 GB of their keys.
+const MOST_WANTED: u64 = 1 << 27;
+
+/// All finest cells.
+fn every_cell(lattice: &Lattice) -> Result<Vec<Cell>> {
+    let level = lattice.level();
+    if 1_u64 << (3 * u32::from(level)) > MOST_WANTED {
+        return Err(Error::setting("criterion `uniform`", "a level up to 9", level.to_string()));
+    }
+    let cell = |code| Cell { level, index: morton::decode(code) };
+    Ok((0..1_u64 << (3 * u32::from(level))).map(cell).collect())
+}
+
 /// A field in the making.
 pub struct FieldBuilder {
     settings: GridSettings,
     lattice: Lattice,
     limits: LevelLimits,
+    /// Rays per vertex that the limits were made for.
+    evidence: f64,
+    /// Cells that must exist whatever rays say.
+    wanted: Vec<Cell>,
     posterior: AnyPosterior,
     surface: Vec<[f32; 3]>,
 }
@@ -50,7 +68,52 @@ impl FieldBuilder {
             GridKind::Dense => AnyPosterior::Dense(DensePosterior::new(lattice)),
             GridKind::Octree => AnyPosterior::Octree(OctreePosterior::new(lattice)),
         };
-        Ok(Self { settings, lattice, limits: LevelLimits::none(lattice.level()), posterior, surface: Vec::new() })
+        let limits = LevelLimits::none(lattice.level());
+        let wanted = if settings.criteria.uniform { every_cell(&lattice)? } else { Vec::new() };
+        Ok(Self { settings, lattice, limits, evidence: 0.0, wanted, posterior, surface: Vec::new() })
+    }
+
+    /// Starts anew on the leaves of `plan`. A dense grid has only one kind of leaves.
+    pub fn limit(&mut self, plan: &Plan) {
+        if self.settings.grid == GridKind::Octree {
+            self.limits = plan.limits.clone();
+            self.evidence = plan.evidence;
+            self.posterior = AnyPosterior::Octree(OctreePosterior::limited(self.lattice, plan.limits.clone()));
+            self.surface.clear();
+        }
+    }
+
+    /// Refines where there is density, if the settings ask for it: cells of the stream's occupancy grid in which a finest cell may have
+    /// an optical depth above a hundredth.
+    ///
+    /// # Errors
+    /// If there is no occupancy grid, or these are more cells than memory can hold.
+    pub fn want_density(&mut self, stream: &RayStream) -> Result<()> {
+        if !self.settings.criteria.density || self.settings.grid == GridKind::Dense {
+            return Ok(());
+        }
+        let Some(occupancy) = &stream.tracer.marcher.occupancy else {
+            return Err(Error::setting(
+                "criterion `density`",
+                "a --cutoff above 0, which makes an occupancy grid",
+                "0",
+            ));
+        };
+        let edge = self.lattice.edge().max_element();
+        let level = self.lattice.level().min(occupancy.resolution().ilog2() as u8);
+        let cells = occupancy.cells_above((0.01 / edge) as f32);
+        let coarse: BTreeSet<u64> = cells
+            .flat_map(|x| self.lattice.coordinates(x.as_vec3()))
+            .map(|u| morton::encode(self.lattice.cell(u).0.map(|i| i >> (self.lattice.level() - level))))
+            .collect();
+        let depth = 3 * u32::from(self.lattice.level() - level);
+        if coarse.len() as u64 >= MOST_WANTED >> depth {
+            let found = format!("{:.1e} finest cells", coarse.len() as f64 * f64::from(depth).exp2());
+            return Err(Error::setting("criterion `density`", format!("at most {MOST_WANTED} finest cells"), found));
+        }
+        let finest = coarse.iter().flat_map(|&code| (code << depth)..((code + 1) << depth));
+        self.wanted.extend(finest.map(|code| Cell { level: self.lattice.level(), index: morton::decode(code) }));
+        Ok(())
     }
 
     /// Box and finest level.
@@ -96,6 +159,25 @@ impl FieldBuilder {
         }
     }
 
+    /// Bytes that finishing now would need at its peak, about.
+    #[must_use]
+    pub fn expected_peak(&self) -> u64 {
+        let finishing = if self.settings.grid == GridKind::Dense { 0.07 } else { plan::FINISHED / plan::SUMMING };
+        (self.memory() as f64 * (1.0 + finishing)) as u64
+    }
+
+    /// The leaves that rays are summed on.
+    #[must_use]
+    pub fn limits(&self) -> &LevelLimits {
+        &self.limits
+    }
+
+    /// Rays per vertex that the limits were made for; 0 if there are none.
+    #[must_use]
+    pub fn evidence(&self) -> f64 {
+        self.evidence
+    }
+
     fn posterior_mut(&mut self) -> &mut dyn Posterior {
         match &mut self.posterior {
             AnyPosterior::Dense(posterior) => posterior,
@@ -106,7 +188,7 @@ impl FieldBuilder {
     /// The field that the rays so far give.
     #[must_use]
     pub fn finish(self, provenance: &Provenance) -> UncertaintyField {
-        let Self { settings, lattice, posterior, surface, .. } = self;
+        let Self { settings, lattice, posterior, surface, wanted, .. } = self;
         let stream = provenance.stream;
         let protocol = Protocol {
             version: env!("CARGO_PKG_VERSION").into(),
@@ -119,6 +201,7 @@ impl FieldBuilder {
             lambda: settings.lambda(&lattice),
             prior: settings.prior,
             min_rays: settings.min_rays,
+            criteria: settings.criteria,
             covariance: settings.covariance,
             // A dense grid leaves nothing out; but pooling asks which vertices moved.
             tolerance: if settings.grid == GridKind::Dense && settings.min_rays == 0.0 {
@@ -136,7 +219,7 @@ impl FieldBuilder {
             AnyPosterior::Dense(posterior) => {
                 UncertaintyField::new(protocol, lattice, Support::Dense, posterior.into_sums())
             }
-            AnyPosterior::Octree(posterior) => UncertaintyField::from_octree(protocol, lattice, posterior, Vec::new()),
+            AnyPosterior::Octree(posterior) => UncertaintyField::from_octree(protocol, lattice, posterior, wanted),
         };
         field.with_surface(surface)
     }

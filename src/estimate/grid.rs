@@ -1,5 +1,6 @@
 //! What information is gathered on, and how it becomes a field.
 
+use super::Criteria;
 use crate::geometry::{Domain, Lattice};
 use crate::posterior::{Covariance, DensePosterior, Prior};
 use crate::{Error, Result};
@@ -32,6 +33,10 @@ pub struct GridSettings {
     /// Vertices with fewer rays around them than about this borrow from their neighbours ([`crate::posterior::Pooling`]); 0 leaves each by itself, as
     /// the dense grid of the paper.
     pub min_rays: f64,
+    /// Where the octree is refined.
+    pub criteria: Criteria,
+    /// Most bytes for sums and field; `None` for as many as it takes.
+    pub memory: Option<u64>,
     /// Points on visible surfaces to keep, for comparisons.
     pub surface_points: usize,
 }
@@ -46,6 +51,8 @@ impl Default for GridSettings {
             tolerance: 0.01,
             prior: Prior::Uniform,
             min_rays: 0.0,
+            criteria: Criteria::default(),
+            memory: None,
             surface_points: 16_384,
         }
     }
@@ -55,6 +62,22 @@ impl Default for GridSettings {
 const MAX_DENSE_LEVEL: u8 = 9;
 
 impl GridSettings {
+    /// Rays per vertex below which leaves stay coarser; 0 for no such limit.
+    #[must_use]
+    pub fn evidence(&self) -> f64 {
+        match (self.criteria.evidence, self.min_rays) {
+            (false, _) => 0.0,
+            (true, 0.0) => 4.0,
+            (true, min_rays) => min_rays,
+        }
+    }
+
+    /// Whether a run has to be planned before it can be run.
+    #[must_use]
+    pub fn needs_plan(&self) -> bool {
+        self.memory.is_some() || self.criteria.evidence
+    }
+
     /// λ over `lattice`, 1 / scene unit².
     #[must_use]
     pub fn lambda(&self, lattice: &Lattice) -> f64 {

@@ -4,12 +4,18 @@
 //! on. [`estimate`] joins the two; [`FieldBuilder`] is the second half alone, for samples that come from elsewhere.
 
 mod builder;
+mod criteria;
 mod grid;
+mod plan;
 mod rays;
+mod run;
 
 pub use builder::{FieldBuilder, Provenance};
+pub use criteria::{Criteria, Criterion};
 pub use grid::{GridKind, GridSettings};
+pub use plan::{Plan, Planner};
 pub use rays::RaySettings;
+pub use run::PlannedRun;
 
 use crate::field::RadianceField;
 use crate::geometry::{Camera, Domain};
@@ -33,13 +39,19 @@ pub fn estimate(
         return Err(Error::setting("cameras", "at least one", "none"));
     }
     let mut builder = FieldBuilder::new(*grid, Domain::Box(field.bounds()))?;
-    let stream = rays.stream(field, cameras, builder.lattice(), monitor)?;
-    let tally = stream.run(Share::whole(rays.rays), Tally::default(), monitor, |batches, _| {
-        builder.add(batches);
-        Ok(())
-    })?;
-    let provenance =
-        Provenance { source: field.describe(), tally, share: Some(Share::whole(rays.rays)), stream: Some(&stream) };
+    let lattice = *builder.lattice();
+    let stream = rays.stream(field, cameras, &lattice, monitor)?;
+    let share = Share::whole(rays.rays);
+    let planner =
+        if grid.needs_plan() { Some(Planner::new(*grid, rays, &stream, share, lattice, monitor)?) } else { None };
+    let plan = planner.as_ref().map(|planner| planner.plan(&lattice)).transpose()?;
+    if let Some(plan) = &plan {
+        builder.limit(plan);
+    }
+    builder.want_density(&stream)?;
+    let run = PlannedRun { stream: &stream, share, planner: planner.as_ref(), memory: grid.memory };
+    let (tally, _) = run.run(&mut builder, Tally::default(), plan, monitor, |_, _, _| Ok(()))?;
+    let provenance = Provenance { source: field.describe(), tally, share: Some(share), stream: Some(&stream) };
     Ok((builder.finish(&provenance), tally))
 }
 

@@ -2,7 +2,7 @@
 
 use glam::{DVec3, Vec3};
 
-use super::GridSettings;
+use super::{FieldBuilder, GridSettings};
 use crate::field::RadianceField;
 use crate::geometry::{Camera, Lattice};
 use crate::monitor::Monitor;
@@ -77,7 +77,7 @@ impl RaySettings {
         Ok(Tracer { field, marcher, background: self.background })
     }
 
-    /// The description under which a run of `share` of these rays can be taken up again; `source` names model and cameras.
+    /// The description under which a run of `share` of these rays into `builder` can be taken up again; `source` names model and cameras.
     #[must_use]
     pub fn run_key(
         &self,
@@ -85,13 +85,13 @@ impl RaySettings {
         share: Share,
         stream: &RayStream,
         grid: &GridSettings,
-        lattice: &Lattice,
+        builder: &FieldBuilder,
     ) -> RunKey {
         RunKey {
             version: env!("CARGO_PKG_VERSION").into(),
             source,
             cameras: crc32fast::hash(format!("{:?}", stream.cameras).as_bytes()),
-            lattice: *lattice,
+            lattice: *builder.lattice(),
             share,
             pixels: self.pixels,
             seed: self.seed,
@@ -102,6 +102,8 @@ impl RaySettings {
             background: stream.tracer.background.to_array(),
             pixel_offset: stream.pixel_offset,
             surface_points: grid.surface_points as u64,
+            evidence: builder.evidence(),
+            limits: crc32fast::hash(format!("{:?}", builder.limits().packed()).as_bytes()),
         }
     }
 

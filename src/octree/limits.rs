@@ -6,7 +6,7 @@
 
 use rustc_hash::FxHashMap;
 
-use super::{Cell, Leaves, morton};
+use super::{Cell, Leaves, cells_around, morton};
 
 /// Levels between a region and the finest cells in it.
 const DEPTH: u8 = 5;
@@ -102,6 +102,20 @@ impl LevelLimits {
         (limits.packed().as_deref() == Some(packed)).then_some(limits)
     }
 
+    /// Area of a leaf's face in faces of finest cells, meaned over the up to eight octants around a lattice point.
+    #[must_use]
+    pub fn footprint(&self, point: [u32; 3]) -> f64 {
+        if self.is_unlimited() {
+            return 1.0;
+        }
+        let (mut area, mut octants) = (0.0, 0.0);
+        for cell in cells_around(point, self.finest) {
+            area += f64::from(1_u32 << (self.finest - self.leaf(cell).level)).powi(2);
+            octants += 1.0;
+        }
+        area / octants
+    }
+
     /// The region that contains a finest cell.
     #[must_use]
     pub fn region_of(&self, cell: [u32; 3]) -> u64 {
@@ -131,7 +145,6 @@ fn neighbors(code: u64, level: u8) -> impl Iterator<Item = u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::octree::cells_around;
     use proptest::prelude::*;
 
     proptest! {

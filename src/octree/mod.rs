@@ -14,6 +14,7 @@ mod limits;
 pub mod morton;
 mod set;
 mod validate;
+mod vertices;
 
 pub use cells::{Cell, CellTree, balanced_split};
 pub use leaves::{Leaves, Masters, masters};
@@ -23,8 +24,9 @@ pub use validate::{Defect, OctreeStats};
 
 use glam::DVec3;
 use leaves::hanging_on;
+use vertices::VertexTable;
 
-/// Index of a free vertex, in Morton order of its lattice position.
+/// Index of a free vertex: the finest first, in Morton order among vertices of one size.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct VertexId(pub u32);
 
@@ -74,7 +76,7 @@ pub fn trilinear(offset: DVec3) -> [f64; 8] {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Octree {
     cells: CellTree,
-    vertices: MortonSet,
+    vertices: VertexTable,
 }
 
 impl Octree {
@@ -126,12 +128,12 @@ impl Octree {
     /// The free vertex at a lattice point, if there is one.
     #[must_use]
     pub fn vertex(&self, point: [u32; 3]) -> Option<VertexId> {
-        self.vertices.rank(morton::encode(point)).map(VertexId)
+        self.vertices.find(point).map(VertexId)
     }
 
     /// Lattice positions of all free vertices, in the order of their ids.
     pub fn vertex_positions(&self) -> impl Iterator<Item = [u32; 3]> + '_ {
-        self.vertices.iter().map(morton::decode)
+        self.vertices.points()
     }
 
     /// Whether all (up to eight) finest cells around a lattice point are leaves.
@@ -148,7 +150,7 @@ impl Octree {
         let (origin, edge) = leaf.extent(self.finest());
         let corners = std::array::from_fn(|c| {
             let point = std::array::from_fn(|axis| origin[axis] + edge * (c as u32 >> axis & 1));
-            self.corner(point)
+            self.corner_of(leaf, point)
         });
         let offset = (u - DVec3::from(origin.map(f64::from))) / f64::from(edge);
         Located { leaf, corners, weights: trilinear(offset) }
@@ -160,12 +162,32 @@ impl Octree {
     /// If it is a corner of no leaf.
     #[must_use]
     pub fn corner(&self, point: [u32; 3]) -> Corner {
-        if let Some(vertex) = self.vertex(point) {
-            return Corner::Free(vertex);
+        match self.vertex(point) {
+            Some(vertex) => Corner::Free(vertex),
+            None => self.hanging(point, |end| self.vertex(end)),
         }
+    }
+
+    /// The same for a corner of `leaf`. Leaves that touch it are at most one level finer, so that its vertices can be looked up
+    /// among few.
+    fn corner_of(&self, leaf: Cell, point: [u32; 3]) -> Corner {
+        let coarseness = self.finest() - leaf.level;
+        let find = |point, coarseness: u8| {
+            let finer = |c: u8| self.vertices.find_at(point, c.checked_sub(1)?);
+            self.vertices.find_at(point, coarseness).or_else(|| finer(coarseness)).map(VertexId)
+        };
+        match find(point, coarseness) {
+            Some(vertex) => Corner::Free(vertex),
+            // The ends are corners of a leaf one level coarser.
+            None => self.hanging(point, |end| find(end, coarseness + 1)),
+        }
+    }
+
+    /// A corner that hangs on a larger leaf, whose corners `vertex` finds.
+    fn hanging(&self, point: [u32; 3], vertex: impl Fn([u32; 3]) -> Option<VertexId>) -> Corner {
         let larger = hanging_on(&self.cells, point).expect("a leaf corner is free or hangs on a larger leaf");
         let masters = leaves::ends(self.finest(), point, larger);
-        let vertex = |point: [u32; 3]| self.vertex(point).expect("2:1 balance makes the ends of a hanging corner free");
+        let vertex = |point| vertex(point).expect("2:1 balance makes the ends of a hanging corner free");
         match *masters.points() {
             [a, b] => Corner::OnEdge([a, b].map(vertex)),
             [a, b, c, d] => Corner::OnFace([a, b, c, d].map(vertex)),
@@ -214,23 +236,23 @@ pub fn around(center: [u32; 3], last: u32) -> impl Iterator<Item = ([u32; 3], f6
 ///
 /// A free vertex inside the box is the lower corner of the leaf above it, so it is enough to test every leaf's lower corner,
 /// and all corners of the leaves at the box's upper faces.
-fn free_vertices(cells: &CellTree) -> MortonSet {
+fn free_vertices(cells: &CellTree) -> VertexTable {
     let finest = cells.finest();
     let m = 1_u32 << finest;
-    let mut codes = Vec::new();
+    let mut codes = vec![Vec::new(); usize::from(finest) + 1];
     cells.for_each_leaf(|leaf| {
         let (origin, edge) = leaf.extent(finest);
         for c in 0..8_u32 {
             let point: [u32; 3] = std::array::from_fn(|axis| origin[axis] + edge * (c >> axis & 1));
             let on_upper_faces_only = (0..3).all(|axis| c >> axis & 1 == 0 || point[axis] == m);
             if on_upper_faces_only && hanging_on(cells, point).is_none() {
-                codes.push(morton::encode(point));
+                let levels = cells_around(point, finest).map(|cell| cells.leaf(cell).level);
+                let coarseness = finest - levels.max().unwrap_or(leaf.level);
+                codes[usize::from(coarseness)].push(morton::encode(point.map(|i| i >> coarseness)));
             }
         }
     });
-    codes.sort_unstable();
-    codes.dedup();
-    MortonSet::from_sorted(3 * (u32::from(finest) + 1), &codes)
+    VertexTable::new(finest, codes)
 }
 
 #[cfg(test)]

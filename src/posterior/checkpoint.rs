@@ -56,6 +56,10 @@ pub struct RunKey {
     pub pixel_offset: f64,
     /// Points on visible surfaces to keep.
     pub surface_points: u64,
+    /// Rays per vertex that limits to refinement were made for; 0 for no limits.
+    pub evidence: f64,
+    /// Checksum of these limits.
+    pub limits: u32,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -100,6 +104,15 @@ pub fn save(path: &Path, key: &RunKey, tally: Tally, posterior: &AnyPosterior, s
             container::write(path, FORMAT, &header(false), &[&codes.as_slice(), &Bricks(posterior), &surface])
         }
     }
+}
+
+/// The evidence that the run of a state was limited to: a budget of memory may have tightened it under way.
+///
+/// # Errors
+/// If the file is missing, or its header is not as written.
+pub fn evidence(path: &Path) -> Result<f64> {
+    let (header, _) = Reader::open::<Header>(path, FORMAT, 3)?;
+    Ok(header.key.evidence)
 }
 
 /// Reads the state of a run with the description `key`, gathered on the leaves of `limits`.

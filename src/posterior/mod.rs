@@ -22,7 +22,7 @@ mod samples_file;
 pub use covariance::{Covariance, negligible_information};
 pub use dense::DensePosterior;
 pub use evidence::{Evidence, Information, trace};
-pub use octree::{OctreePosterior, Refinement};
+pub use octree::{OctreePosterior, Refinement, Survey};
 pub use pixels::{Pick, PixelSequence, Pixels};
 pub use pooling::Pooling;
 pub use prior::Prior;

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::pixels::{Pick, PixelSequence};
+use super::pixels::{Pick, PixelSequence, Pixels};
 use crate::geometry::{Camera, Ray};
 use crate::monitor::{Monitor, check};
 use crate::render::{Differences, Quadrature, RaySamples, TracedRays, Tracer};
@@ -100,7 +100,14 @@ pub struct Tally {
     pub first_invalid: Option<[f32; 3]>,
 }
 
-impl RayStream<'_> {
+impl<'a> RayStream<'a> {
+    /// The same stream with other pixels.
+    #[must_use]
+    pub fn with_pixels(&self, kind: Pixels, seed: u64) -> RayStream<'a> {
+        let resolutions = self.cameras.iter().map(|c| c.resolution).collect();
+        RayStream { tracer: self.tracer.clone(), pixels: PixelSequence::new(kind, seed, resolutions), ..*self }
+    }
+
     /// Rays and jitters of one batch.
     fn draw(&self, batch: u64, count: u64) -> (Vec<Ray>, Vec<f64>) {
         let picks = self.pixels.picks(batch * BATCH, count);

@@ -130,6 +130,23 @@ impl Occupancy {
         exit
     }
 
+    /// Cells per axis.
+    #[must_use]
+    pub fn resolution(&self) -> usize {
+        self.resolution
+    }
+
+    /// Centres of the cells whose bound exceeds `density`, scene units.
+    pub fn cells_above(&self, density: f32) -> impl Iterator<Item = DVec3> + '_ {
+        let n = self.resolution;
+        let cells = (0..n * n * n).map(move |i| [i / (n * n), i / n % n, i % n]);
+        let above = cells.filter(move |&cell| self.majorant.value(0, cell) > density);
+        above.map(move |cell| {
+            let u = (DVec3::from(cell.map(|i| i as f64)) + 0.5) / n as f64;
+            self.bounds.min() + u * self.bounds.size()
+        })
+    }
+
     /// Share of cells whose bound exceeds `density`.
     #[must_use]
     pub fn share_above(&self, density: f32) -> f64 {

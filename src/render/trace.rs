@@ -2,7 +2,7 @@
 
 use glam::{DVec3, Vec3};
 
-use super::Marcher;
+use super::{Marcher, Walk};
 use crate::field::{Radiance, RadianceField};
 use crate::geometry::Ray;
 
@@ -11,6 +11,7 @@ use crate::geometry::Ray;
 const ROUND: usize = 8;
 
 /// A field, where to sample it, and what lies behind it.
+#[derive(Clone)]
 pub struct Tracer<'a> {
     /// The field.
     pub field: &'a dyn RadianceField,
@@ -67,9 +68,9 @@ impl TracedRays {
 }
 
 /// One ray under way.
-struct Path {
+struct Path<'a> {
     /// Distances still to sample.
-    pending: std::vec::IntoIter<f64>,
+    pending: Walk<'a>,
     samples: Vec<(f64, Vec3, Radiance)>,
     optical_depth: f64,
 }
@@ -88,10 +89,10 @@ impl Tracer<'_> {
         let mut paths: Vec<Path> = rays
             .iter()
             .zip(jitter)
-            .map(|(ray, &jitter)| {
-                let mut t = Vec::new();
-                self.marcher.distances(ray, jitter, &mut t);
-                Path { pending: t.into_iter(), samples: Vec::new(), optical_depth: 0.0 }
+            .map(|(ray, &jitter)| Path {
+                pending: self.marcher.walk(ray, jitter),
+                samples: Vec::new(),
+                optical_depth: 0.0,
             })
             .collect();
         let longest = if self.marcher.cutoff > 0.0 { -self.marcher.cutoff.ln() } else { f64::INFINITY };

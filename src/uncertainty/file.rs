@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! masks        u8         child masks of the octree, breadth first (empty for a dense grid)
-//! deviations   f32        σ_v, vertices in Morton order (octree) or x slowest (dense)
+//! deviations   f32        σ_v, by vertex id (octree: the finest first, in Morton order) or x slowest (dense)
 //! evidence     64 bytes   f64 × 6 information, f32 × 3 gradient, u32 rays; or empty
 //! surface      f32 × 3    points on visible surfaces
 //! limits       u64        the regions' level, then region · 256 + limit; empty if nothing is limited

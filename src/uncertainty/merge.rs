@@ -95,6 +95,7 @@ fn check_alike(first: &UncertaintyField, part: &UncertaintyField, number: usize)
             ("pixels", format!("{:?}", p.pixels)),
             ("prior", format!("{:?}", p.prior)),
             ("min rays", p.min_rays.to_string()),
+            ("criteria", p.criteria.to_string()),
             (
                 "limits to refinement",
                 format!("{:08x}", crc32fast::hash(format!("{:?}", field.limits.packed()).as_bytes())),

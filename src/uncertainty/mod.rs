@@ -19,6 +19,7 @@ pub use threshold::ThresholdedField;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
+use crate::estimate::Criteria;
 use crate::geometry::Lattice;
 use crate::octree::{Cell, Corner, LevelLimits, Octree, VertexId, trilinear};
 use crate::posterior::{
@@ -51,6 +52,8 @@ pub struct Protocol {
     pub prior: Prior,
     /// Pooling by evidence; 0 is none.
     pub min_rays: f64,
+    /// Where the octree is refined.
+    pub criteria: Criteria,
     /// Largest change of log10 U by leaves that are coarser than the finest level. On a dense grid it only says which vertices
     /// count for pooling.
     pub tolerance: f64,
@@ -88,6 +91,7 @@ impl Protocol {
             covariance,
             prior: Prior::Uniform,
             min_rays: 0.0,
+            criteria: Criteria::default(),
             tolerance: 0.0,
             march_step: None,
             difference_step: None,
@@ -145,20 +149,31 @@ impl UncertaintyField {
     pub fn new(protocol: Protocol, lattice: Lattice, support: Support, evidence: Vec<Evidence>) -> Self {
         let vertices = vertex_count(&lattice, &support);
         assert_eq!(evidence.len() as u64, vertices, "one entry per vertex");
-        let deviations = deviations(&protocol, &lattice, &support, &evidence);
         let limits = LevelLimits::none(lattice.level());
+        Self::of_limits(protocol, lattice, support, limits, evidence)
+    }
+
+    fn of_limits(
+        protocol: Protocol,
+        lattice: Lattice,
+        support: Support,
+        limits: LevelLimits,
+        evidence: Vec<Evidence>,
+    ) -> Self {
+        let deviations = deviations(&protocol, &lattice, &support, &limits, &evidence);
         Self { protocol, lattice, support, limits, deviations, evidence: Some(evidence), surface: Vec::new() }
     }
 
-    /// The field of an octree posterior, refined where information moved a vertex by more than the protocol's tolerance, and so that
-    /// the cells `wanted` exist.
+    /// The field of an octree posterior, refined where the protocol's criteria and tolerance say so, and so that the cells `wanted`
+    /// exist.
     #[must_use]
     pub fn from_octree(protocol: Protocol, lattice: Lattice, posterior: OctreePosterior, wanted: Vec<Cell>) -> Self {
         let limits = posterior.limits().clone();
         let pooling = protocol.pooling();
-        let refinement = Refinement { floor: Some(pooling.floor), pooling, wanted };
+        let floor = protocol.criteria.sensitivity.then_some(pooling.floor);
+        let refinement = Refinement { floor, pooling, wanted };
         let (octree, evidence) = posterior.into_octree(&refinement);
-        Self { limits, ..Self::new(protocol, lattice, Support::Octree(octree), evidence) }
+        Self::of_limits(protocol, lattice, Support::Octree(octree), limits, evidence)
     }
 
     /// The same field without the evidence: a fifteenth of the memory, but the covariance is fixed.
@@ -185,7 +200,7 @@ impl UncertaintyField {
                 return Err(Error::setting("covariance", covariance.name(), found));
             };
             self.protocol.covariance = covariance;
-            self.deviations = deviations(&self.protocol, &self.lattice, &self.support, evidence);
+            self.deviations = deviations(&self.protocol, &self.lattice, &self.support, &self.limits, evidence);
         }
         Ok(self)
     }
@@ -342,13 +357,24 @@ fn vertex_count(lattice: &Lattice, support: &Support) -> u64 {
 }
 
 /// σ_v of every vertex: evidence pooled, then read with the prior of its place.
-fn deviations(protocol: &Protocol, lattice: &Lattice, support: &Support, evidence: &[Evidence]) -> Vec<f32> {
+///
+/// The hat of a leaf k levels coarser than the lattice has 4ᵏ times the footprint on a surface, so that as many times the rays
+/// move its vertex: its information is divided by that, to mean what it means on the finest lattice.
+fn deviations(
+    protocol: &Protocol,
+    lattice: &Lattice,
+    support: &Support,
+    limits: &LevelLimits,
+    evidence: &[Evidence],
+) -> Vec<f32> {
     let Protocol { covariance, rays, lambda, prior, .. } = *protocol;
     let pooling = protocol.pooling();
     let last = lattice.cells_per_axis();
     let read = |e: &Evidence, lambda: f64| (covariance.deviation(e, rays, lambda) as f32).max(f32::MIN_POSITIVE);
     match support {
-        _ if !pooling.is_on() && prior == Prior::Uniform => evidence.par_iter().map(|e| read(e, lambda)).collect(),
+        _ if !pooling.is_on() && prior == Prior::Uniform && limits.is_unlimited() => {
+            evidence.par_iter().map(|e| read(e, lambda)).collect()
+        }
         Support::Dense => {
             let n = last as usize + 1;
             let index = |[x, y, z]: [u32; 3]| (x as usize * n + y as usize) * n + z as usize;
@@ -364,7 +390,13 @@ fn deviations(protocol: &Protocol, lattice: &Lattice, support: &Support, evidenc
                 true => pooling.pooled(points[v], last, at),
                 false => evidence[v],
             };
-            let deviation = |v: usize| read(&pooled(v), prior.at(lambda, octree, points[v]));
+            let comparable = |v: usize| {
+                let mut evidence = pooled(v);
+                let footprint = limits.footprint(points[v]);
+                evidence.information.iter_mut().for_each(|s| *s /= footprint);
+                evidence
+            };
+            let deviation = |v: usize| read(&comparable(v), prior.at(lambda, octree, points[v]));
             (0..points.len()).into_par_iter().map(deviation).collect()
         }
     }

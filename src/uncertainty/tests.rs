@@ -19,6 +19,7 @@ fn protocol(lattice: &Lattice, covariance: Covariance, rays: u64) -> Protocol {
         covariance,
         prior: Prior::Uniform,
         min_rays: 0.0,
+        criteria: Criteria::default(),
         tolerance: 0.01,
         march_step: Some(0.1),
         difference_step: None,

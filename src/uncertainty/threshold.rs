@@ -45,6 +45,10 @@ impl RadianceField for ThresholdedField<'_> {
         }
     }
 
+    fn density_bound(&self, min: Vec3, max: Vec3) -> Option<f32> {
+        self.field.density_bound(min, max)
+    }
+
     fn suggested_step(&self) -> f64 {
         self.field.suggested_step()
     }

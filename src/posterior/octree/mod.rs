@@ -14,9 +14,11 @@
 
 mod bricks;
 mod refine;
+mod survey;
 
 pub use bricks::Brick;
 pub use refine::Refinement;
+pub use survey::Survey;
 
 use bricks::{Bricks, Contribution, SHARDS, key, shard_of};
 use glam::{DVec3, Vec3};

@@ -1,0 +1,223 @@
+//! What a field covers and how fine it is, how information becomes one, and what is kept of it.
+
+use std::path::{Path, PathBuf};
+
+use clap::{Args, ValueEnum};
+use glam::DVec3;
+
+use super::parse::{numbers, parse_box, parse_bytes, parse_non_negative, parse_positive};
+use crate::cli::report::{self, Cost};
+use crate::estimate::{Criterion, GridKind, GridSettings};
+use crate::geometry::{Aabb, Domain, MAX_LEVEL, Norm};
+use crate::io::AtomicFile;
+use crate::posterior::{Covariance, Prior};
+use crate::uncertainty::{OfficialGrid, UncertaintyField};
+use crate::{Error, Result};
+
+impl ValueEnum for Covariance {
+    fn value_variants<'a>() -> &'a [Self] {
+        &Self::ALL
+    }
+
+    fn to_possible_value(&self) -> Option<clap::builder::PossibleValue> {
+        let help = match self {
+            Self::Diagonal => "sum of 1/H_kk: the paper's; depends on how the axes are turned",
+            Self::Trace => "1/(tr S/R + lambda): the official code's",
+            Self::Block => "trace of the inverse 3x3 block: does not depend on the axes",
+            Self::Normal => "inverse 3x3 block across the surface only: the part that can move depth",
+        };
+        Some(clap::builder::PossibleValue::new(self.name()).help(help))
+    }
+}
+
+/// The part of space that a field covers.
+#[derive(Args)]
+pub struct DomainOptions {
+    /// Box of the field: x0,y0,z0,x1,y1,z1 in scene units [default: the model's, if there
+    /// is one]
+    #[arg(long = "box", value_name = "BOX", value_parser = parse_box, allow_hyphen_values = true, conflicts_with = "contract")]
+    pub bounds: Option<Aabb>,
+
+    /// Cover all of space, contracted outside --inner as in mip-NeRF 360: for unbounded scenes
+    #[arg(long, value_enum, value_name = "NORM", requires = "inner")]
+    pub contract: Option<Norm>,
+
+    /// Centre and radius of the part that is not contracted: x,y,z,r in scene units
+    #[arg(long, value_name = "BALL", value_parser = numbers::<4>, allow_hyphen_values = true, requires = "contract")]
+    pub inner: Option<[f64; 4]>,
+}
+
+impl DomainOptions {
+    /// What the options say, or the box of the model, if there is one.
+    pub fn domain(&self, model: Option<Aabb>) -> Result<Domain> {
+        match (self.contract, self.inner, self.bounds.or(model)) {
+            (Some(norm), Some([x, y, z, radius]), _) => Domain::contracted(DVec3::new(x, y, z), radius, norm),
+            (.., Some(bounds)) => Ok(Domain::Box(bounds)),
+            _ => Err(Error::setting("--box", "the box of the field, or --contract and --inner", "neither")),
+        }
+    }
+}
+
+/// Which information to keep in the file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Keep {
+    /// The 3x3 matrices too: another covariance can be chosen later
+    Hessian,
+    /// The deviations only
+    Deviation,
+}
+
+/// How information becomes a field.
+#[derive(Args)]
+pub struct GridOptions {
+    /// Where the field is written
+    #[arg(short, long, value_name = "FIELD.oct")]
+    pub output: PathBuf,
+
+    /// Finest level: 2^level cells per axis, 1 to 16
+    #[arg(long, default_value_t = 8, value_parser = clap::value_parser!(u8).range(1..=16))]
+    pub level: u8,
+
+    /// Instead of --level: edge of the finest cells, scene units; the next finer level
+    #[arg(long, value_name = "LENGTH", value_parser = parse_positive, conflicts_with = "level")]
+    pub cell_size: Option<f64>,
+
+    /// Most memory for sums and field, e.g. 2GiB: refinement that fewest rays support is given up first
+    #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
+    pub memory: Option<u64>,
+
+    /// Where the octree is refined: one or several, separated by commas
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "sensitivity")]
+    pub refine: Vec<Criterion>,
+
+    /// What carries the field
+    #[arg(long, value_enum, default_value = "octree")]
+    pub grid: GridKind,
+
+    /// Scalar read off the 3x3 matrices
+    #[arg(long, value_enum, default_value = "diagonal")]
+    pub covariance: Covariance,
+
+    /// Prior precision, 1 / scene unit^2 [default: 1e-4 / 2^(3 level) per squared longest edge of the box]
+    #[arg(long, value_name = "LAMBDA", value_parser = parse_positive)]
+    pub lambda: Option<f64>,
+
+    /// Largest change of log10 U that coarse leaves of the octree may cause; 0 keeps every vertex that any ray touched
+    #[arg(long, value_name = "DECADES", default_value_t = 0.01, value_parser = parse_non_negative)]
+    pub tolerance: f64,
+
+    /// How the prior's precision depends on the size of cells
+    #[arg(long, value_enum, default_value = "uniform")]
+    pub prior: Prior,
+
+    /// Pooling by evidence: where neighbourhoods have fewer rays than about this, vertices share what their neighbours saw; 0
+    /// leaves every vertex by itself, as in the paper
+    #[arg(long, value_name = "RAYS", default_value_t = 0.0, value_parser = parse_non_negative)]
+    pub min_rays: f64,
+
+    /// What to keep in the file [default: hessian for an octree, deviation for a dense grid]
+    #[arg(long, value_enum)]
+    pub keep: Option<Keep>,
+
+    /// Merge leaves of the finished octree as long as log10 U changes by at most this, everywhere; keeps deviations only
+    #[arg(long, value_name = "DECADES", value_parser = parse_positive)]
+    pub coarsen: Option<f64>,
+
+    /// Points on visible surfaces to keep in the file, for `compare`
+    #[arg(long, value_name = "N", default_value_t = 16_384)]
+    pub surface_points: usize,
+
+    /// Print one JSON object
+    #[arg(long)]
+    pub json: bool,
+}
+
+impl GridOptions {
+    /// The library's settings for a field over `domain`.
+    pub fn settings(&self, domain: &Domain) -> Result<GridSettings> {
+        Ok(GridSettings {
+            grid: self.grid,
+            level: self.level_over(domain)?,
+            criteria: self.refine.iter().copied().collect(),
+            memory: self.memory,
+            covariance: self.covariance,
+            lambda: self.lambda,
+            tolerance: self.tolerance,
+            prior: self.prior,
+            min_rays: self.min_rays,
+            surface_points: self.surface_points,
+        })
+    }
+
+    fn level_over(&self, domain: &Domain) -> Result<u8> {
+        let Some(size) = self.cell_size else { return Ok(self.level) };
+        let longest = domain.size().max_element();
+        let level = (longest / size).log2().ceil().max(1.0);
+        if level <= f64::from(MAX_LEVEL) {
+            Ok(level as u8)
+        } else {
+            let least = longest / f64::from(1_u32 << MAX_LEVEL);
+            Err(Error::setting(
+                "--cell-size",
+                format!("{least:e} or more, level {MAX_LEVEL} of this domain"),
+                format!("{size:e}"),
+            ))
+        }
+    }
+
+    /// Makes sure, before any work, that the output can be made and written.
+    pub fn check_output(&self) -> Result<()> {
+        if self.coarsen.is_some() && (self.grid == GridKind::Dense || self.covariance == Covariance::Trace) {
+            let found = format!(
+                "{} and `{}`",
+                if self.grid == GridKind::Dense { "dense" } else { "octree" },
+                self.covariance.name()
+            );
+            return Err(Error::setting("--coarsen", "an octree with covariance `diagonal` or `block`", found));
+        }
+        AtomicFile::create(&self.output).map(drop)
+    }
+
+    /// Writes a finished field, with or without its information, and reports it.
+    pub fn write(&self, field: UncertaintyField, cost: &Cost) -> Result<()> {
+        let keep = self.keep.unwrap_or(match self.grid {
+            GridKind::Dense => Keep::Deviation,
+            GridKind::Octree => Keep::Hessian,
+        });
+        let field = match (self.coarsen, keep) {
+            (Some(epsilon), _) => field.coarsened(epsilon)?,
+            (None, Keep::Deviation) => field.without_evidence(),
+            (None, Keep::Hessian) => field,
+        };
+        field.write(&self.output)?;
+        report::finished(&field, cost, self.json)
+    }
+}
+
+/// The box of an official `.npy`, which does not say.
+#[derive(Args)]
+pub struct OfficialOptions {
+    /// Box of the official code's `.npy` grids: x0,y0,z0,x1,y1,z1 in scene units
+    #[arg(long = "box", value_name = "BOX", value_parser = parse_box, allow_hyphen_values = true)]
+    pub bounds: Option<Aabb>,
+
+    /// Rays summed in the official code's `.npy` grids
+    #[arg(long, default_value_t = OfficialGrid::DEFAULT_RAYS, value_parser = clap::value_parser!(u64).range(1..))]
+    pub rays: u64,
+}
+
+impl OfficialOptions {
+    /// Reads a field: `.oct`, or the official code's `.npy`.
+    pub fn read(&self, path: &Path) -> Result<UncertaintyField> {
+        match path.extension().and_then(|e| e.to_str()) {
+            Some("npy") => {
+                let bounds = self.bounds.ok_or_else(|| {
+                    let found = format!("{} without one", path.display());
+                    Error::setting("--box", "the box of the official grid, which its file does not name", found)
+                })?;
+                OfficialGrid { bounds, rays: self.rays, lambda: None }.read(path)
+            }
+            _ => UncertaintyField::read(path),
+        }
+    }
+}

@@ -1,0 +1,127 @@
+//! Texts that options are given as.
+
+use glam::{DVec3, Vec3};
+
+use crate::geometry::Aabb;
+
+/// Numbers separated by commas.
+pub fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
+    let parts: Vec<f64> = text
+        .split(',')
+        .map(|part| part.trim().parse::<f64>().map_err(|_| format!("`{part}` is not a number")))
+        .collect::<Result<_, _>>()?;
+    if parts.iter().any(|v| !v.is_finite()) {
+        return Err("numbers must be finite".into());
+    }
+    <[f64; N]>::try_from(parts)
+        .map_err(|parts| format!("expected {N} numbers separated by commas, found {}", parts.len()))
+}
+
+/// `x0,y0,z0,x1,y1,z1`.
+pub fn parse_box(text: &str) -> Result<Aabb, String> {
+    let [x0, y0, z0, x1, y1, z1] = numbers::<6>(text)?;
+    Aabb::new(DVec3::new(x0, y0, z0), DVec3::new(x1, y1, z1)).map_err(|e| e.to_string())
+}
+
+/// `offset,scale`.
+pub fn parse_pair(text: &str) -> Result<[f64; 2], String> {
+    numbers(text)
+}
+
+/// `low,high`.
+pub fn parse_range(text: &str) -> Result<[f64; 2], String> {
+    let [low, high] = numbers(text)?;
+    if low < high { Ok([low, high]) } else { Err("the first number must be below the second".into()) }
+}
+
+/// `white`, `black` or `r,g,b`.
+pub fn parse_background(text: &str) -> Result<Vec3, String> {
+    match text {
+        "white" => Ok(Vec3::ONE),
+        "black" => Ok(Vec3::ZERO),
+        _ => {
+            let color = DVec3::from(numbers::<3>(text)?).as_vec3();
+            if color.min_element() >= 0.0 && color.max_element() <= 1.0 {
+                Ok(color)
+            } else {
+                Err("red, green and blue must be from 0 to 1".into())
+            }
+        }
+    }
+}
+
+/// `W` or `WxH`.
+pub fn parse_resolution(text: &str) -> Result<[u32; 2], String> {
+    let side = |text: &str| match text.parse::<u32>() {
+        Ok(side) if (1..=65_536).contains(&side) => Ok(side),
+        _ => Err(format!("`{text}` is not a whole number of pixels from 1 to 65536")),
+    };
+    match text.split_once('x') {
+        Some((w, h)) => Ok([side(w)?, side(h)?]),
+        None => Ok([side(text)?; 2]),
+    }
+}
+
+/// A finite number above 0.
+pub fn parse_positive(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(v) if v > 0.0 && v.is_finite() => Ok(v),
+        _ => Err("expected a finite number above 0".into()),
+    }
+}
+
+/// A finite number from 0.
+pub fn parse_non_negative(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(v) if v >= 0.0 && v.is_finite() => Ok(v),
+        _ => Err("expected a finite number, 0 or more".into()),
+    }
+}
+
+/// An angle of view in degrees.
+pub fn parse_fov(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(v) if v > 0.0 && v < 180.0 => Ok(v),
+        _ => Err("expected an angle above 0 and below 180 degrees".into()),
+    }
+}
+
+/// A number of bytes: `2GiB`, `500MB`, `1000000`.
+pub fn parse_bytes(text: &str) -> Result<u64, String> {
+    let split = text.find(|c: char| c.is_ascii_alphabetic()).unwrap_or(text.len());
+    let (number, unit) = text.split_at(split);
+    let factor = match unit.to_ascii_lowercase().as_str() {
+        "" | "b" => 1.0,
+        "kb" => 1e3,
+        "mb" => 1e6,
+        "gb" => 1e9,
+        "tb" => 1e12,
+        "kib" => 1024.0,
+        "mib" => 1024.0 * 1024.0,
+        "gib" => 1024.0 * 1024.0 * 1024.0,
+        "tib" => 1024.0 * 1024.0 * 1024.0 * 1024.0,
+        _ => return Err(format!("`{unit}` is not a unit of memory such as MB, GB, MiB or GiB")),
+    };
+    let bytes = parse_positive(number.trim())? * factor;
+    if (1.0..1e18).contains(&bytes) { Ok(bytes as u64) } else { Err("expected from 1 byte to 10^18".into()) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn texts_become_settings_or_reasons() {
+        assert!(parse_box("-1,-1,-1,1,1,1").is_ok());
+        assert!(parse_box("1,1,1,-1,-1,-1").unwrap_err().contains("min < max"));
+        assert!(parse_box("1,2,3").unwrap_err().contains("6 numbers"));
+        assert_eq!(parse_background("0,0.5,1"), Ok(Vec3::new(0.0, 0.5, 1.0)));
+        assert!(parse_background("0,0.5,2").is_err() && parse_background("red").is_err());
+        assert_eq!(parse_resolution("80x60"), Ok([80, 60]));
+        assert!(parse_resolution("0").is_err() && parse_resolution("8x").is_err());
+        assert!(parse_fov("60").is_ok() && parse_fov("180").is_err() && parse_fov("nan").is_err());
+        assert_eq!((parse_bytes("2GiB"), parse_bytes("1.5 kB"), parse_bytes("7")), (Ok(2 << 30), Ok(1500), Ok(7)));
+        assert!(parse_bytes("2 lines").is_err() && parse_bytes("0").is_err() && parse_bytes("1e30").is_err());
+        assert!(parse_positive("-1").is_err() && parse_positive("nan").is_err() && parse_non_negative("0").is_ok());
+    }
+}

@@ -1,0 +1,124 @@
+//! What a run will need, before it is run, and how it is made to fit.
+
+use std::time::{Duration, Instant};
+
+use super::{GridKind, GridSettings, RaySettings};
+use crate::geometry::Lattice;
+use crate::monitor::Monitor;
+use crate::octree::LevelLimits;
+use crate::posterior::{DensePosterior, Evidence, OctreePosterior, Posterior, RayStream, Share, Survey, Tally};
+use crate::{Error, Result};
+
+/// Bytes per touched vertex while summing: 64 of evidence, in bricks that surfaces fill to a third.
+pub const SUMMING: f64 = 3.0 * size_of::<Evidence>() as f64;
+/// Bytes per touched vertex of the finished field: evidence, deviation, position and structure (64 + 4 + 12 + 1), of one and a half
+/// vertices: cells around a touched vertex have others.
+pub const FINISHED: f64 = 1.5 * 81.0;
+
+/// How a run will go.
+#[derive(Debug, Clone)]
+pub struct Plan {
+    /// How fine leaves may be.
+    pub limits: LevelLimits,
+    /// Rays per vertex asked for by these limits; 0 if there are none.
+    pub evidence: f64,
+    /// Vertices that rays are expected to touch.
+    pub vertices: f64,
+    /// Vertices that they would touch without limits.
+    pub vertices_unlimited: f64,
+    /// Expected peak of the sums and the field, bytes; the model comes on top.
+    pub bytes: f64,
+    /// Expected time.
+    pub time: Duration,
+    /// Share of what rays touch by levels given up: 0, 1, 2, …
+    pub given_up: Vec<f64>,
+}
+
+/// A pilot run, from which plans are made.
+pub struct Planner {
+    settings: GridSettings,
+    survey: Survey,
+    /// Rays of the run per ray of the pilot.
+    scale: f64,
+    time: Duration,
+}
+
+impl Planner {
+    /// Rays of the pilot run, at most.
+    pub const PILOT: u64 = 16_384;
+
+    /// Runs a pilot: the first rays of the run with another seed, the same for every share of it.
+    ///
+    /// # Errors
+    /// As [`RayStream::run`].
+    pub fn new(
+        settings: GridSettings,
+        rays: &RaySettings,
+        stream: &RayStream,
+        share: Share,
+        lattice: Lattice,
+        monitor: &dyn Monitor,
+    ) -> Result<Self> {
+        let pilot = Share::whole(Self::PILOT.min(rays.rays));
+        let start = Instant::now();
+        let mut posterior = OctreePosterior::new(lattice);
+        let stream = stream.with_pixels(rays.pixels, rays.seed ^ 0x5e_ed0f_9110);
+        stream.run(pilot, Tally::default(), monitor, |batches, _| {
+            posterior.add(batches);
+            Ok(())
+        })?;
+        let scale = rays.rays as f64 / pilot.rays as f64;
+        let time = start.elapsed().mul_f64(share.own_rays() as f64 / pilot.rays as f64);
+        Ok(Self { settings, survey: Survey::of(&posterior), scale, time })
+    }
+
+    /// The plan for limits with at least `evidence` rays per vertex; 0 for none.
+    #[must_use]
+    pub fn with_evidence(&self, lattice: &Lattice, evidence: f64) -> Plan {
+        let unlimited = LevelLimits::none(lattice.level());
+        let vertices_unlimited = self.survey.vertices(self.scale, &unlimited);
+        let limits = if evidence > 0.0 { self.survey.limits(self.scale, evidence) } else { unlimited };
+        let vertices = self.survey.vertices(self.scale, &limits);
+        let given_up = self.survey.shares(&limits);
+        let bytes = match self.settings.grid {
+            GridKind::Dense => DensePosterior::required_memory(lattice) as f64 * (1.0 + 4.0 / 64.0),
+            GridKind::Octree => vertices * (SUMMING + FINISHED),
+        };
+        Plan { limits, evidence, vertices, vertices_unlimited, bytes, time: self.time, given_up }
+    }
+
+    /// The finest plan that the settings' criteria ask for and that fits their memory: where memory is short, the refinement that
+    /// fewest rays support is given up first.
+    ///
+    /// # Errors
+    /// If not even the coarsest limits fit; the message says what would.
+    pub fn plan(&self, lattice: &Lattice) -> Result<Plan> {
+        let wanted = self.settings.evidence();
+        let mut plan = self.with_evidence(lattice, wanted);
+        let Some(budget) = self.settings.memory else { return Ok(plan) };
+        while plan.bytes > budget as f64 {
+            let tighter = self.tighter(lattice, &plan).ok_or_else(|| {
+                let expected = format!("at least {:.0} MB, or a lower --level, or fewer --rays", plan.bytes / 1e6);
+                Error::setting("--memory", expected, format!("{:.0} MB", budget as f64 / 1e6))
+            })?;
+            plan = tighter;
+        }
+        Ok(plan)
+    }
+
+    /// The next coarser plan, if there is one.
+    #[must_use]
+    pub fn tighter(&self, lattice: &Lattice, plan: &Plan) -> Option<Plan> {
+        // Beyond this every region has had all its levels given up.
+        const MOST: f64 = 1e12;
+        let mut evidence = plan.evidence;
+        while self.settings.grid == GridKind::Octree && evidence < MOST {
+            evidence = (2.0 * evidence).max(1.0 / 64.0);
+            let tighter = self.with_evidence(lattice, evidence);
+            if tighter.vertices < plan.vertices {
+                return Some(tighter);
+            }
+        }
+        None
+    }
+}
