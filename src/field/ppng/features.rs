@@ -1,4 +1,4 @@
-//! From positions to features: tables over sines and cosines (Lee et al., "Plenoptic PNG", arXiv 2409.15689, Sec. 3).
+//! From positions to features: tables over sines and cosines (Lee et al., "Plenoptic PNG", arXiv 2409.15689).
 //!
 //! Letters: `F` = 4 frequencies, `C` = 4 features, `Q` grid points of a table axis, `R` rank; `slot` = 2f for sin and 2f + 1 for
 //! cos of frequency f. y = freq · (q − ½) along an axis, s = sin πy or cos πy, u = (s + 1)/2 · (Q − 1) the table coordinate.
