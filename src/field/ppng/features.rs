@@ -1,4 +1,4 @@
-//! From positions to features: tables over sines and cosines (Lee et al., "Plenoptic PNG", arXiv 2409.15689, Sec. 3).
+//! From positions to features: tables over sines and cosines (Lee et al., "Plenoptic PNG", arXiv 2409.15689).
 //!
 //! Letters: `F` = 4 frequencies, `C` = 4 features, `Q` grid points of a table axis, `R` rank; `slot` = 2f for sin and 2f + 1 for
 //! cos of frequency f. y = freq · (q − ½) along an axis, s = sin πy or cos πy, u = (s + 1)/2 · (Q − 1) the table coordinate.
@@ -130,12 +130,10 @@ impl Encoding {
     /// Sums over every second rank, type 1.
     #[inline(always)]
     fn vectors(&self, tables: &[f32], index: [usize; 3], t: [f32; 3]) -> [f32; GROUP] {
-        let row = self.row;
-        let pairs = [0, 1, 2].map(|axis| {
-            let (low, high) = tables[(axis * self.quants + index[axis]) * row..][..2 * row].split_at(row);
-            (low.as_chunks::<GROUP>().0, high.as_chunks::<GROUP>().0)
-        });
-        let [(x0, x1), (y0, y1), (z0, z1)] = pairs;
+        let (q, row) = (self.quants, self.row);
+        let (x0, x1) = neighbours(tables, row, index[0]);
+        let (y0, y1) = neighbours(tables, row, q + index[1]);
+        let (z0, z1) = neighbours(tables, row, 2 * q + index[2]);
         let mut sum = [0.0; GROUP];
         for (((((x0, x1), y0), y1), z0), z1) in x0.iter().zip(x1).zip(y0).zip(y1).zip(z0).zip(z1) {
             for i in 0..GROUP {
@@ -150,14 +148,12 @@ impl Encoding {
     #[inline(always)]
     fn planes(&self, tables: &[f32], [x, y, z]: [usize; 3], t: [f32; 3]) -> [f32; GROUP] {
         let (row, q) = (self.row, self.quants);
-        // Two neighbours along the fast axis of a plane.
-        let pair = |plane: usize, slow: usize, fast: usize| {
-            let (low, high) = tables[((plane * q + slow) * q + fast) * row..][..2 * row].split_at(row);
-            (low.as_chunks::<GROUP>().0, high.as_chunks::<GROUP>().0)
-        };
-        let (yz0, yz1) = (pair(0, z, y), pair(0, z + 1, y));
-        let (xz0, xz1) = (pair(1, z, x), pair(1, z + 1, x));
-        let (xy0, xy1) = (pair(2, y, x), pair(2, y + 1, x));
+        let plane = q * q;
+        let (yz0, yz1) = (neighbours(tables, row, z * q + y), neighbours(tables, row, (z + 1) * q + y));
+        let [xz0, xz1] = [plane + z * q + x, plane + (z + 1) * q + x];
+        let (xz0, xz1) = (neighbours(tables, row, xz0), neighbours(tables, row, xz1));
+        let [xy0, xy1] = [2 * plane + y * q + x, 2 * plane + (y + 1) * q + x];
+        let (xy0, xy1) = (neighbours(tables, row, xy0), neighbours(tables, row, xy1));
         let mut sum = [0.0; GROUP];
         // Loops, not closures: a closure would be compiled once, without the instructions of its caller.
         for g in 0..row / GROUP {
@@ -176,6 +172,13 @@ impl Encoding {
     pub fn memory(&self) -> usize {
         size_of_val(self.tables.as_slice())
     }
+}
+
+/// The numbers at a grid point and at the next one along the fast axis, in groups.
+#[inline(always)]
+fn neighbours(tables: &[f32], row: usize, point: usize) -> (&[[f32; GROUP]], &[[f32; GROUP]]) {
+    let (low, high) = tables[point * row..(point + 2) * row].split_at(row);
+    (low.as_chunks::<GROUP>().0, high.as_chunks::<GROUP>().0)
 }
 
 /// a + t (b − a).

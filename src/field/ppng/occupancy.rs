@@ -76,14 +76,14 @@ impl Window {
         let corners = &self.cascades[k].corners[(low[2] * m + low[1]) * m + low[0]..][..(m + 1) * m + 2];
         let along_x = |i: usize| {
             let [a, b] = [corners[i], corners[i + 1]].map(f32::from);
-            t.x.mul_add(b - a, a)
+            a + t.x * (b - a)
         };
         let along_xy = |i: usize| {
             let [a, b] = [along_x(i), along_x(i + m)];
-            t.y.mul_add(b - a, a)
+            a + t.y * (b - a)
         };
         let [a, b] = [along_xy(0), along_xy(m * m)];
-        t.z.mul_add(b - a, a) / f32::from(ONE)
+        (a + t.z * (b - a)) / f32::from(ONE)
     }
 
     /// Whether w is 0 everywhere in the box from ½ + `min` to ½ + `max`, and for all positions that f32 rounds into it.

@@ -40,7 +40,7 @@ impl Model {
         let mut rng = ChaCha8Rng::seed_from_u64(kind);
         let points = if kind == 1 { quants } else { quants * quants };
         let tables =
-            (0..3 * 8 * points * rank * 4).map(|_| f16::from_f32(rng.random_range(-1.0..1.0)).to_f32()).collect();
+            (0..3 * 8 * points * rank * 4).map(|_| f16::from_f32(rng.random_range(-2.0..2.0)).to_f32()).collect();
         let layers = [512, 512, 64].map(|n| (0..n).map(|_| rng.random_range(-0.5..0.5_f32)).collect());
         Self {
             kind,
@@ -222,17 +222,17 @@ fn batches_agree_with_the_definition() {
         let mut spread = [f64::INFINITY, f64::NEG_INFINITY];
         for (i, found) in out.iter().enumerate() {
             let (sigma, color) = model.reference(positions[i].as_dvec3(), directions[i].as_dvec3());
-            // Table coordinates are off by 3 half·(π·4·2⁻²⁴ + 2e-7) < 1e-5 and change a feature by up to 6 R per unit, that is
-            // 5e-4 if all signs conspire, which the 32 features' random ones do not: 2e-4 on log σ = Σ w feature, |w| < ½.
+            // Table coordinates, 3 (1 + sin), are off by 3 (π·4·2⁻²⁴ + 2e-7) = 3e-6; a feature of numbers up to 2 changes by up to 48 R
+            // per unit, and 32 of them enter log σ with weights below ½. Random signs leave 1e-5 (the largest seen) of it.
             let error = f64::from(found.density).ln() - sigma.ln();
-            assert!(error.abs() < 2e-4, "type {kind}, rank {rank}: {found:?}, expected {sigma}");
+            assert!(error.abs() < 5e-5, "type {kind}, rank {rank}: {found:?}, expected {sigma}");
             for c in 0..3 {
-                assert!((f64::from(found.color[c]) - color[c]).abs() < 2e-4, "{found:?}, expected {color:?}");
+                assert!((f64::from(found.color[c]) - color[c]).abs() < 5e-5, "{found:?}, expected {color:?}");
             }
             assert_eq!(found.density, densities[i]);
             spread = [spread[0].min(sigma), spread[1].max(sigma)];
         }
-        assert!(spread[1] > 3.0 * spread[0], "the test looks at different densities: {spread:?}");
+        assert!(spread[1] > 100.0 * spread[0], "the test looks at different densities: {spread:?}");
     }
 }
 
