@@ -58,6 +58,7 @@ pub mod estimate;
 pub mod field;
 pub mod geometry;
 pub mod io;
+pub mod memory;
 pub mod metrics;
 pub mod monitor;
 pub mod octree;

@@ -7,6 +7,7 @@ use std::time::Duration;
 use serde_json::{Value, json};
 
 use crate::estimate::{GridSettings, Plan};
+use crate::memory::peak;
 use crate::posterior::{Pixels, Prior};
 use crate::uncertainty::{Comparison, Difference, Summary, UncertaintyField};
 use crate::{Error, Result};
@@ -174,12 +175,14 @@ pub fn finished(field: &UncertaintyField, cost: &Cost, as_json: bool) -> Result<
         value["summary"] = json!(s);
         value["threads"] = json!(rayon::current_num_threads());
         value["seconds"] = json!(cost.elapsed.as_secs_f64());
+        value["peak_bytes"] = json!(peak());
         value["posterior_bytes"] = json!(cost.posterior_bytes);
         say!("{value}")?;
     } else {
         say!("protocol\n{}\n  threads      {}", protocol(field), rayon::current_num_threads())?;
         say!("field\n  {}", summary(&s))?;
-        say!("  {} while summing, {:.1} s", bytes(cost.posterior_bytes), cost.elapsed.as_secs_f64())?;
+        let peak = peak().map_or(String::new(), |peak| format!(", {} the peak of the process", bytes(peak as usize)));
+        say!("  {} while summing{peak}, {:.1} s", bytes(cost.posterior_bytes), cost.elapsed.as_secs_f64())?;
     }
     Ok(())
 }

@@ -113,7 +113,7 @@ impl Planner {
         const MOST: f64 = 1e12;
         let mut evidence = plan.evidence;
         while self.settings.grid == GridKind::Octree && evidence < MOST {
-            evidence = (2.0 * evidence).max(1.0 / 64.0);
+            evidence = (1.25 * evidence).max(1.0 / 64.0);
             let tighter = self.with_evidence(lattice, evidence);
             if tighter.vertices < plan.vertices {
                 return Some(tighter);

@@ -205,6 +205,22 @@ impl UncertaintyField {
         Ok(self)
     }
 
+    /// The same dense field with its evidence pooled otherwise; vertices count as moved by the given tolerance.
+    ///
+    /// # Errors
+    /// If it is an octree, which holds only what its own pooling needs, or the evidence was not kept.
+    pub fn with_pooling(mut self, min_rays: f64, tolerance: f64) -> Result<Self> {
+        match (&self.support, &self.evidence) {
+            (Support::Dense, Some(evidence)) => {
+                self.protocol.min_rays = min_rays;
+                self.protocol.tolerance = tolerance;
+                self.deviations = deviations(&self.protocol, &self.lattice, &self.support, &self.limits, evidence);
+                Ok(self)
+            }
+            _ => Err(Error::setting("field to pool anew", "a dense grid with its evidence", "an octree, or none")),
+        }
+    }
+
     /// What the numbers depend on.
     #[must_use]
     pub fn protocol(&self) -> &Protocol {
