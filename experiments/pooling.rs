@@ -44,7 +44,7 @@ fn study(name: &str, field: &dyn RadianceField, cameras: &[Camera]) -> Result<()
     };
     let truth = run(TRUTH, 99, Pixels::Random)?.without_evidence();
     let prior = truth.prior().log10();
-    let truth: Vec<f64> = truth.deviations().iter().map(|&d| f64::from(d).log10()).collect();
+    let truth: Vec<f64> = truth.deviations().iter().map(f64::log10).collect();
     let moved = truth.iter().filter(|&&t| prior - t > 0.5).count();
     println!("\n### {name}: {moved} of {} vertices moved by more than 0.5\n", truth.len());
     println!(
@@ -55,9 +55,7 @@ fn study(name: &str, field: &dyn RadianceField, cameras: &[Camera]) -> Result<()
         let random = run(rays, 1, Pixels::Random)?;
         let sobol = run(rays, 1, Pixels::Sobol)?;
         let blocks = by_blocks(&sobol);
-        let read = |field: &UncertaintyField| -> Vec<f64> {
-            field.deviations().iter().map(|&d| f64::from(d).log10()).collect()
-        };
+        let read = |field: &UncertaintyField| -> Vec<f64> { field.deviations().iter().map(f64::log10).collect() };
         let plain = [read(&random.without_evidence()), read(&sobol)];
         let four = sobol.with_pooling(4.0, TOLERANCE)?;
         let pooled = [read(&four), read(&four.with_pooling(8.0, TOLERANCE)?)];

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use super::options::{OfficialOptions, parse_positive};
 use super::report;
+use crate::uncertainty::Store;
 use crate::{Error, Result};
 
 /// Convert between `.oct` and the official code's `.npy`, or make an octree coarser
@@ -23,6 +24,10 @@ pub struct Args {
     #[arg(long, value_name = "DECADES", value_parser = parse_positive)]
     coarsen: Option<f64>,
 
+    /// How deviations are stored; f16 keeps deviations only
+    #[arg(long, value_enum, default_value = "f32")]
+    store: Store,
+
     #[command(flatten)]
     official: OfficialOptions,
 }
@@ -30,10 +35,12 @@ pub struct Args {
 impl Args {
     /// Runs the verb.
     pub fn run(self) -> Result<()> {
-        let mut field = self.official.read(&self.input)?;
-        if let Some(epsilon) = self.coarsen {
-            field = field.coarsened(epsilon)?;
-        }
+        let field = self.official.read(&self.input)?;
+        let field = match (self.coarsen, self.store) {
+            (Some(epsilon), store) => field.coarsened_in(store, epsilon)?,
+            (None, Store::F16) => field.in_f16(),
+            (None, Store::F32) => field,
+        };
         match self.output.extension().and_then(|e| e.to_str()) {
             Some("npy") => {
                 field.write_official(&self.output)?;

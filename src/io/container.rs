@@ -51,7 +51,7 @@ macro_rules! number {
     )* };
 }
 
-number!(u8, u32, u64, f32, f64);
+number!(u8, u16, u32, u64, f32, f64);
 
 impl<T: Item, const N: usize> Item for [T; N] {
     const SIZE: usize = N * T::SIZE;

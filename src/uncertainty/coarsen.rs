@@ -8,7 +8,7 @@
 
 use rayon::prelude::*;
 
-use super::{Support, UncertaintyField};
+use super::{Deviations, Store, Support, UncertaintyField};
 use crate::octree::{Cell, Octree, VertexId, morton, trilinear};
 use crate::posterior::Covariance;
 use crate::{Error, Result};
@@ -53,7 +53,7 @@ impl UncertaintyField {
         let mut deviations = Vec::with_capacity(coarse.vertex_count());
         deviations.extend(coarse.vertex_positions().map(|point| {
             let VertexId(v) = octree.vertex(point).expect("vertices of a coarser octree are a subset");
-            self.deviations[v as usize]
+            self.deviations.get(v as usize) as f32
         }));
         let mut protocol = self.protocol.clone();
         protocol.tolerance += epsilon;
@@ -62,10 +62,27 @@ impl UncertaintyField {
             lattice: self.lattice,
             support: Support::Octree(coarse),
             limits: self.limits.clone(),
-            deviations,
+            deviations: Deviations::F32(deviations),
             evidence: None,
             surface: self.surface.clone(),
         })
+    }
+
+    /// The field coarsened and stored in `store`, the rounding within `epsilon`.
+    ///
+    /// # Errors
+    /// As [`UncertaintyField::coarsened`], or if the rounding alone exceeds `epsilon`.
+    pub fn coarsened_in(&self, store: Store, epsilon: f64) -> Result<Self> {
+        if store == Store::F32 {
+            return self.coarsened(epsilon);
+        }
+        let rounding = self.deviations.f16_rounding(self.prior());
+        if epsilon <= rounding {
+            let expected = format!("more than {rounding:.1e}, the rounding of f16 here");
+            return Err(Error::setting("--coarsen", expected, epsilon.to_string()));
+        }
+        // The tolerances add up to epsilon.
+        self.coarsened(epsilon - rounding).map(Self::in_f16)
     }
 
     /// Largest |Δ log10 U| over the corners of the original leaves inside `cell` if it became one leaf.
@@ -94,7 +111,7 @@ impl UncertaintyField {
     /// U at a corner of a leaf.
     fn at_corner(&self, octree: &Octree, point: [u32; 3]) -> f64 {
         let corner = octree.corner(point);
-        let values = corner.masters().iter().map(|&VertexId(v)| f64::from(self.deviations[v as usize]));
+        let values = corner.masters().iter().map(|&VertexId(v)| self.deviations.get(v as usize));
         self.protocol.covariance.mean(values)
     }
 }
@@ -139,7 +156,7 @@ mod tests {
             lattice,
             limits: LevelLimits::none(octree.finest()),
             support: Support::Octree(octree),
-            deviations,
+            deviations: Deviations::F32(deviations),
             evidence: None,
             surface: vec![],
         }
@@ -153,8 +170,12 @@ mod tests {
             let coarse = original.coarsened(epsilon).unwrap();
             prop_assert!(coarse.validate().is_ok());
             prop_assert!(coarse.deviations.len() <= original.deviations.len());
+            let half = original.coarsened_in(Store::F16, epsilon + 0.01).unwrap();
+            prop_assert_eq!(half.deviations.store(), Store::F16);
             for x in points {
                 let x = Vec3::from_array(x);
+                let change = (half.log10(x) - original.log10(x)).abs();
+                prop_assert!(change <= epsilon + 0.01, "{} at {} in f16", change, x);
                 let change = (coarse.log10(x) - original.log10(x)).abs();
                 prop_assert!(change <= epsilon, "{} at {}", change, x);
             }

@@ -18,7 +18,7 @@ pub struct Summary {
     pub level: u8,
     /// Vertices that carry values.
     pub vertices: u64,
-    /// Bytes for queries: structure and one f32 per vertex.
+    /// Bytes for queries: structure and one value per vertex.
     pub query_bytes: usize,
     /// Of these, structure.
     pub structure_bytes: usize,
@@ -60,7 +60,7 @@ impl UncertaintyField {
     /// What the field consists of.
     #[must_use]
     pub fn summary(&self) -> Summary {
-        let values = self.deviations.capacity() * size_of::<f32>();
+        let values = self.deviations.memory();
         let (grid, leaves_per_level) = match &self.support {
             Support::Dense => ("dense", Vec::new()),
             Support::Octree(octree) => {

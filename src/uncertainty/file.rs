@@ -2,9 +2,10 @@
 //!
 //! ```text
 //! masks        u8         child masks of the octree, breadth first (empty for a dense grid)
-//! deviations   f32        σ_v, by vertex id (octree: the finest first, in Morton order) or x slowest (dense)
+//! deviations   f32        σ_v (none if `logs` holds them), by vertex id (octree: the finest first, in Morton order) or x slowest (dense)
 //! evidence     64 bytes   f64 × 6 information, f32 × 3 gradient, u32 rays; or empty
 //! surface      f32 × 3    points on visible surfaces
+//! logs         u16        bits of f16: log10(σ_v / unit), in the same order; the header has the unit
 //! limits       u64        the regions' level, then region · 256 + limit; empty if nothing is limited
 //! ```
 //!
@@ -12,7 +13,9 @@
 
 use std::path::Path;
 
-use super::{Protocol, Support, UncertaintyField, vertex_count};
+use half::f16;
+
+use super::{Deviations, Protocol, Support, UncertaintyField, vertex_count};
 use crate::geometry::Lattice;
 use crate::io::container::{self, Format, Reader};
 use crate::octree::{LevelLimits, Octree};
@@ -28,6 +31,8 @@ struct Header {
     protocol: Protocol,
     lattice: Lattice,
     kind: Kind,
+    /// Unit of the logarithms, scene units; `None` if deviations are f32.
+    unit: Option<f32>,
 }
 
 #[derive(serde::Serialize, serde::Deserialize)]
@@ -49,11 +54,15 @@ impl UncertaintyField {
                 (Kind::Octree { root_split }, masks)
             }
         };
-        let header = Header { protocol: self.protocol.clone(), lattice: self.lattice, kind };
+        let (unit, values, logs) = match &self.deviations {
+            Deviations::F32(values) => (None, values.as_slice(), Vec::new()),
+            Deviations::F16 { unit, logs } => (Some(*unit), &[][..], logs.iter().map(|v| v.to_bits()).collect()),
+        };
+        let header = Header { protocol: self.protocol.clone(), lattice: self.lattice, kind, unit };
         let evidence = self.evidence.as_deref().unwrap_or_default();
         let limits = self.limits.packed().unwrap_or_default();
-        let sections: [&dyn container::Section; 5] =
-            [&masks, &self.deviations.as_slice(), &evidence, &self.surface.as_slice(), &limits.as_slice()];
+        let sections: [&dyn container::Section; 6] =
+            [&masks, &values, &evidence, &self.surface.as_slice(), &logs.as_slice(), &limits.as_slice()];
         container::write(path, FORMAT, &header, &sections)
     }
 
@@ -62,7 +71,7 @@ impl UncertaintyField {
     /// # Errors
     /// If the file is missing, or is not a complete, unaltered field of a version that is known.
     pub fn read(path: &Path) -> Result<Self> {
-        let (header, mut file) = Reader::open::<Header>(path, FORMAT, 5)?;
+        let (header, mut file) = Reader::open::<Header>(path, FORMAT, 6)?;
         // Deserialising bypasses the constructors' checks.
         let lattice = header.lattice.domain().checked();
         let lattice = lattice
@@ -81,9 +90,20 @@ impl UncertaintyField {
             return Err(Error::malformed(path, "header", "a positive lambda and a possible number of rays", found));
         }
         let masks = file.section::<u8>("masks")?;
-        let deviations = file.section::<f32>("deviations")?;
+        let values = file.section::<f32>("deviations")?;
         let evidence = file.section::<Evidence>("evidence")?;
         let surface = file.section("surface")?;
+        let logs = file.section::<u16>("logs")?;
+        let deviations = match header.unit {
+            None if logs.is_empty() => Deviations::F32(values),
+            Some(unit) if values.is_empty() => {
+                Deviations::F16 { unit, logs: logs.into_iter().map(f16::from_bits).collect() }
+            }
+            _ => {
+                let found = format!("{} and {}", values.len(), logs.len());
+                return Err(Error::malformed(path, "sections `deviations` and `logs`", "one of them empty", found));
+            }
+        };
         let limits = match file.section::<u64>("limits")?.as_slice() {
             [] => LevelLimits::none(lattice.level()),
             packed => LevelLimits::from_packed(lattice.level(), packed)
@@ -105,8 +125,8 @@ impl UncertaintyField {
                 return Err(Error::malformed(path, format!("section `{name}`"), expected, count.to_string()));
             }
         }
-        if let Some(i) = deviations.iter().position(|&d| !(d > 0.0 && d.is_finite())) {
-            let found = deviations[i].to_string();
+        if let Some(i) = deviations.iter().position(|d| !(d > 0.0 && d.is_finite())) {
+            let found = deviations.get(i).to_string();
             return Err(Error::malformed(path, format!("section `deviations`, entry {i}"), "a positive number", found));
         }
         if let Some(i) = evidence.iter().position(|e| !e.is_valid()) {

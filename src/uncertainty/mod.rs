@@ -5,12 +5,14 @@
 
 mod coarsen;
 mod compare;
+mod deviations;
 mod file;
 mod merge;
 mod official;
 mod threshold;
 
 pub use compare::{Comparison, Difference, Summary, compare};
+pub use deviations::{Deviations, Store};
 pub use file::FORMAT_VERSION;
 pub use merge::merge;
 pub use official::OfficialGrid;
@@ -133,7 +135,7 @@ pub struct UncertaintyField {
     /// The leaves that rays were summed on.
     limits: LevelLimits,
     /// `[vertices]`: σ_v, scene units.
-    deviations: Vec<f32>,
+    deviations: Deviations,
     /// `[vertices]`: what rays said, if kept, so that another covariance can be read off later.
     evidence: Option<Vec<Evidence>>,
     /// `[n]`: some points on visible surfaces, scene units; for comparisons.
@@ -160,7 +162,7 @@ impl UncertaintyField {
         limits: LevelLimits,
         evidence: Vec<Evidence>,
     ) -> Self {
-        let deviations = deviations(&protocol, &lattice, &support, &limits, &evidence);
+        let deviations = read(&protocol, &lattice, &support, &limits, &evidence);
         Self { protocol, lattice, support, limits, deviations, evidence: Some(evidence), surface: Vec::new() }
     }
 
@@ -182,6 +184,17 @@ impl UncertaintyField {
         Self { evidence: None, ..self }
     }
 
+    /// The same field with its deviations in two bytes each and without evidence. Its tolerance grows by the rounding.
+    #[must_use]
+    pub fn in_f16(mut self) -> Self {
+        if self.deviations.store() == Store::F32 {
+            let prior = self.prior();
+            self.protocol.tolerance += self.deviations.f16_rounding(prior);
+            self.deviations = self.deviations.to_f16(prior);
+        }
+        self.without_evidence()
+    }
+
     /// The same field with some points on visible surfaces.
     #[must_use]
     pub fn with_surface(self, surface: Vec<[f32; 3]>) -> Self {
@@ -200,7 +213,7 @@ impl UncertaintyField {
                 return Err(Error::setting("covariance", covariance.name(), found));
             };
             self.protocol.covariance = covariance;
-            self.deviations = deviations(&self.protocol, &self.lattice, &self.support, &self.limits, evidence);
+            self.deviations = read(&self.protocol, &self.lattice, &self.support, &self.limits, evidence);
         }
         Ok(self)
     }
@@ -214,7 +227,7 @@ impl UncertaintyField {
             (Support::Dense, Some(evidence)) => {
                 self.protocol.min_rays = min_rays;
                 self.protocol.tolerance = tolerance;
-                self.deviations = deviations(&self.protocol, &self.lattice, &self.support, &self.limits, evidence);
+                self.deviations = read(&self.protocol, &self.lattice, &self.support, &self.limits, evidence);
                 Ok(self)
             }
             _ => Err(Error::setting("field to pool anew", "a dense grid with its evidence", "an octree, or none")),
@@ -253,7 +266,7 @@ impl UncertaintyField {
 
     /// `[vertices]`: σ_v, scene units.
     #[must_use]
-    pub fn deviations(&self) -> &[f32] {
+    pub fn deviations(&self) -> &Deviations {
         &self.deviations
     }
 
@@ -307,7 +320,7 @@ impl UncertaintyField {
     /// Bytes on the heap by part, spare capacity included.
     #[must_use]
     pub fn memory(&self) -> Vec<(&'static str, usize)> {
-        let mut parts = vec![("deviations", self.deviations.capacity() * size_of::<f32>())];
+        let mut parts = vec![("deviations", self.deviations.memory())];
         if let Some(evidence) = &self.evidence {
             parts.push(("evidence", evidence.capacity() * size_of::<Evidence>()));
         }
@@ -325,7 +338,7 @@ impl UncertaintyField {
             Support::Dense => 0,
             Support::Octree(octree) => octree.memory().iter().map(|part| part.1).sum(),
         };
-        self.deviations.capacity() * size_of::<f32>() + structure
+        self.deviations.memory() + structure
     }
 
     fn dense_index(&self, [x, y, z]: [u32; 3]) -> usize {
@@ -338,7 +351,7 @@ impl UncertaintyField {
         let vertices: [usize; 8] =
             std::array::from_fn(|c| self.dense_index(std::array::from_fn(|axis| cell[axis] + (c as u32 >> axis & 1))));
         let weights = trilinear(offset);
-        let corners = vertices.map(|v| f64::from(self.deviations[v]));
+        let corners = vertices.map(|v| self.deviations.get(v));
         let rays =
             self.evidence.as_ref().map(|e| vertices.iter().zip(weights).map(|(&v, w)| w * f64::from(e[v].rays)).sum());
         let uncertainty = self.protocol.covariance.interpolate(&corners, &weights);
@@ -347,7 +360,7 @@ impl UncertaintyField {
 
     fn query_octree(&self, octree: &Octree, u: DVec3) -> Estimate {
         let at = octree.locate(u);
-        let value = |&VertexId(v): &VertexId| f64::from(self.deviations[v as usize]);
+        let value = |&VertexId(v): &VertexId| self.deviations.get(v as usize);
         let corners = at.corners.each_ref().map(|corner| match corner.masters() {
             [vertex] => value(vertex),
             masters => self.protocol.covariance.mean(masters.iter().map(value)),
@@ -376,27 +389,27 @@ fn vertex_count(lattice: &Lattice, support: &Support) -> u64 {
 ///
 /// The hat of a leaf k levels coarser than the lattice has 4ᵏ times the footprint on a surface, so that as many times the rays
 /// move its vertex: its information is divided by that, to mean what it means on the finest lattice.
-fn deviations(
+fn read(
     protocol: &Protocol,
     lattice: &Lattice,
     support: &Support,
     limits: &LevelLimits,
     evidence: &[Evidence],
-) -> Vec<f32> {
+) -> Deviations {
     let Protocol { covariance, rays, lambda, prior, .. } = *protocol;
     let pooling = protocol.pooling();
     let last = lattice.cells_per_axis();
-    let read = |e: &Evidence, lambda: f64| (covariance.deviation(e, rays, lambda) as f32).max(f32::MIN_POSITIVE);
-    match support {
+    let one = |e: &Evidence, lambda: f64| (covariance.deviation(e, rays, lambda) as f32).max(f32::MIN_POSITIVE);
+    Deviations::F32(match support {
         _ if !pooling.is_on() && prior == Prior::Uniform && limits.is_unlimited() => {
-            evidence.par_iter().map(|e| read(e, lambda)).collect()
+            evidence.par_iter().map(|e| one(e, lambda)).collect()
         }
         Support::Dense => {
             let n = last as usize + 1;
             let index = |[x, y, z]: [u32; 3]| (x as usize * n + y as usize) * n + z as usize;
             let point = |i: usize| [i / (n * n), i / n % n, i % n].map(|i| i as u32);
             let pooled = |i: usize| pooling.pooled(point(i), last, |p| Some(evidence[index(p)]));
-            (0..evidence.len()).into_par_iter().map(|i| read(&pooled(i), lambda)).collect()
+            (0..evidence.len()).into_par_iter().map(|i| one(&pooled(i), lambda)).collect()
         }
         Support::Octree(octree) => {
             let points: Vec<[u32; 3]> = octree.vertex_positions().collect();
@@ -412,10 +425,10 @@ fn deviations(
                 evidence.information.iter_mut().for_each(|s| *s /= footprint);
                 evidence
             };
-            let deviation = |v: usize| read(&comparable(v), prior.at(lambda, octree, points[v]));
+            let deviation = |v: usize| one(&comparable(v), prior.at(lambda, octree, points[v]));
             (0..points.len()).into_par_iter().map(deviation).collect()
         }
-    }
+    })
 }
 
 #[cfg(test)]

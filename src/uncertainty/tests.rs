@@ -97,7 +97,7 @@ fn scaling_the_scene_scales_the_uncertainty() {
         // Powers of two scale floats exactly, so the only differences are roundings in σ: a few ulps of f32.
         let [[_, small], [_, large]] = [1.0, 1024.0].map(|scale| fields(covariance, scale));
         assert_eq!(small.support(), large.support());
-        for (s, l) in small.deviations().iter().zip(large.deviations()) {
+        for (s, l) in small.deviations().iter().zip(large.deviations().iter()) {
             assert!((l / s / 1024.0 - 1.0).abs() < 1e-6, "{covariance:?}: {s} and {l}");
         }
     }

@@ -11,7 +11,7 @@ use crate::estimate::{Criterion, GridKind, GridSettings};
 use crate::geometry::{Aabb, Domain, MAX_LEVEL, Norm};
 use crate::io::AtomicFile;
 use crate::posterior::{Covariance, Prior};
-use crate::uncertainty::{OfficialGrid, UncertaintyField};
+use crate::uncertainty::{OfficialGrid, Store, UncertaintyField};
 use crate::{Error, Result};
 
 impl ValueEnum for Covariance {
@@ -123,6 +123,10 @@ pub struct GridOptions {
     #[arg(long, value_name = "DECADES", value_parser = parse_positive)]
     pub coarsen: Option<f64>,
 
+    /// How deviations are stored; f16 keeps deviations only
+    #[arg(long, value_enum, default_value = "f32")]
+    pub store: Store,
+
     /// Points on visible surfaces to keep in the file, for `compare`
     #[arg(long, value_name = "N", default_value_t = 16_384)]
     pub surface_points: usize,
@@ -184,10 +188,11 @@ impl GridOptions {
             GridKind::Dense => Keep::Deviation,
             GridKind::Octree => Keep::Hessian,
         });
-        let field = match (self.coarsen, keep) {
-            (Some(epsilon), _) => field.coarsened(epsilon)?,
-            (None, Keep::Deviation) => field.without_evidence(),
-            (None, Keep::Hessian) => field,
+        let field = match (self.coarsen, keep, self.store) {
+            (Some(epsilon), ..) => field.coarsened_in(self.store, epsilon)?,
+            (None, _, Store::F16) => field.in_f16(),
+            (None, Keep::Deviation, _) => field.without_evidence(),
+            (None, Keep::Hessian, _) => field,
         };
         field.write(&self.output)?;
         report::finished(&field, cost, self.json)

@@ -1,0 +1,71 @@
+//! The bytes that fields say they hold are those that the allocator gave; in a process of its own, because it counts.
+
+use octobayes::estimate::{GridKind, GridSettings, RaySettings, estimate};
+use octobayes::field::{ClosedForm, Intrinsics, RadianceField};
+use octobayes::monitor::Silent;
+use octobayes::uncertainty::{Support, UncertaintyField};
+use stats_alloc::{INSTRUMENTED_SYSTEM, Region, StatsAlloc};
+use std::alloc::System;
+
+#[global_allocator]
+static ALLOCATOR: &StatsAlloc<System> = &INSTRUMENTED_SYSTEM;
+
+/// Bytes that are held at the end of `make` and were not at its start, and what holds them.
+fn held<T>(make: impl FnOnce() -> T) -> (usize, T) {
+    let region = Region::new(ALLOCATOR);
+    let made = make();
+    let change = region.change();
+    (change.bytes_allocated - change.bytes_deallocated, made)
+}
+
+fn city(level: u8, rays: u64) -> UncertaintyField {
+    let city = ClosedForm::named("city").unwrap();
+    let cameras = city.cameras(&Intrinsics::default()).unwrap().unwrap();
+    let grid = GridSettings { level, surface_points: 100, ..GridSettings::default() };
+    estimate(&city, &cameras, &RaySettings { rays, ..RaySettings::default() }, &grid, &Silent).unwrap().0
+}
+
+// One test: the allocator counts for the whole process.
+#[test]
+fn parts_add_up_to_what_was_allocated_and_structure_is_small() {
+    let courtyard = ClosedForm::courtyard();
+    let cameras = ClosedForm::half_circle(8, [64, 64]);
+    let rays = RaySettings { rays: 10_000, ..RaySettings::default() };
+    let of = |grid, level| {
+        let settings = GridSettings { grid, level, ..GridSettings::default() };
+        estimate(&courtyard, &cameras, &rays, &settings, &Silent).unwrap().0
+    };
+    let fields = [of(GridKind::Octree, 7), of(GridKind::Dense, 5), city(10, 10_000), city(12, 10_000)];
+    for field in fields {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        field.write(file.path()).unwrap();
+        let makes: [fn(&UncertaintyField) -> UncertaintyField; 3] =
+            [Clone::clone, |f| f.clone().without_evidence(), |f| f.clone().in_f16()];
+        for make in makes {
+            let (bytes, copy) = held(|| make(&field));
+            check(bytes, &copy);
+        }
+        // What comes from a file is not kept with more than it needs either.
+        let (bytes, read) = held(|| UncertaintyField::read(file.path()).unwrap());
+        check(bytes, &read);
+        if let Support::Octree(octree) = field.support() {
+            let structure: usize = octree.memory().iter().map(|part| part.1).sum();
+            let per_vertex = structure as f64 / octree.vertex_count() as f64;
+            assert!((0.1..=1.5).contains(&per_vertex), "{per_vertex} bytes of structure per vertex");
+            let dense = 4.0 * field.lattice().dense_vertices() as f64;
+            let least = match field.lattice().level() {
+                10 => 40.0,
+                12 => 150.0,
+                _ => 2.0,
+            };
+            let ratio = dense / field.query_memory() as f64;
+            assert!(ratio >= least, "1/{ratio} of the dense grid at level {}", field.lattice().level());
+        }
+    }
+}
+
+/// Strings of the protocol, and the vectors' own headers inside vectors, come on top of what `memory` lists.
+fn check(allocated: usize, field: &UncertaintyField) {
+    let listed: usize = field.memory().iter().map(|part| part.1).sum();
+    assert!(listed <= allocated && allocated <= listed + 4096, "{listed} bytes listed, {allocated} allocated");
+}

@@ -1,0 +1,133 @@
+//! What turning a scene by 45° does to each scalar that is read off the Hessian.
+
+use glam::{DMat3, DVec3, Mat3, Vec3};
+use octobayes::estimate::{GridSettings, RaySettings, estimate};
+use octobayes::field::closed_form::{Primitive, Shape, Texture};
+use octobayes::field::{ClosedForm, Radiance, RadianceField};
+use octobayes::geometry::{Aabb, Camera};
+use octobayes::monitor::Silent;
+use octobayes::posterior::Covariance;
+use octobayes::uncertainty::UncertaintyField;
+
+/// A scene within the unit ball, turned about z by `angle` and then shifted, in a larger box.
+struct Moved {
+    scene: ClosedForm,
+    angle: f64,
+    shift: DVec3,
+}
+
+impl Moved {
+    fn forth(&self, x: DVec3) -> DVec3 {
+        DMat3::from_rotation_z(self.angle) * x + self.shift
+    }
+}
+
+impl RadianceField for Moved {
+    fn bounds(&self) -> Aabb {
+        Aabb::centered_cube(1.25)
+    }
+
+    fn evaluate(&self, positions: &[Vec3], directions: &[Vec3], out: &mut [Radiance]) {
+        let back = Mat3::from_rotation_z(-self.angle as f32);
+        let there: Vec<Vec3> = positions.iter().map(|x| back * (*x - self.shift.as_vec3())).collect();
+        self.scene.evaluate(&there, directions, out);
+    }
+
+    fn suggested_step(&self) -> f64 {
+        self.scene.suggested_step()
+    }
+
+    fn memory(&self) -> usize {
+        self.scene.memory()
+    }
+
+    fn describe(&self) -> String {
+        "moved".into()
+    }
+}
+
+/// The field of a moved scene whose cameras moved with it: the same rays hit the same places.
+fn field(scene: &ClosedForm, angle: f64, shift: DVec3) -> (UncertaintyField, Moved) {
+    let moved = Moved { scene: scene.clone(), angle, shift };
+    let cameras: Vec<Camera> = (0..12)
+        .map(|i| {
+            let azimuth = 0.52 * f64::from(i);
+            let eye = DVec3::new(2.6 * azimuth.cos(), 2.6 * azimuth.sin(), [0.6, -0.5, 1.6][i as usize % 3]);
+            let up = DMat3::from_rotation_z(angle) * DVec3::Z;
+            Camera::look_at(moved.forth(eye), moved.forth(DVec3::ZERO), up, 0.6, [64, 64])
+        })
+        .collect();
+    let grid = GridSettings { level: 5, tolerance: 0.0, ..GridSettings::default() };
+    let rays = RaySettings { rays: 60_000, occupancy: 32, ..RaySettings::default() };
+    (estimate(&moved, &cameras, &rays, &grid, &Silent).unwrap().0, moved)
+}
+
+/// Mean |Δ log10 U| between a scene as it is and moved, over points on the ball's surface, each at its own place.
+fn change(a: &(UncertaintyField, Moved), b: &(UncertaintyField, Moved), points: &[DVec3]) -> f64 {
+    let log10 = |(field, moved): &(UncertaintyField, Moved), x: DVec3| field.log10(moved.forth(x).as_vec3());
+    points.iter().map(|&x| (log10(a, x) - log10(b, x)).abs()).sum::<f64>() / points.len() as f64
+}
+
+/// Points spread over a sphere of the given radius: a spiral.
+fn sphere(radius: f64) -> Vec<DVec3> {
+    (0..2000)
+        .map(|i| {
+            let z = 1.0 - (f64::from(i) + 0.5) / 1000.0;
+            let (s, c) = (2.399_963 * f64::from(i)).sin_cos();
+            radius * DVec3::new((1.0 - z * z).sqrt() * c, (1.0 - z * z).sqrt() * s, z)
+        })
+        .collect()
+}
+
+#[test]
+fn trace_block_and_normal_change_no_more_than_discretisation_does() {
+    let scene = ClosedForm::ball();
+    let turned = 45_f64.to_radians();
+    // Shifts by fractions of the lattice edge, 2.5 / 32, are what discretisation alone does.
+    let edge = 2.5 / 32.0;
+    let still = field(&scene, 0.0, DVec3::ZERO);
+    let shifted = field(&scene, 0.0, edge * DVec3::new(0.5, 0.31, 0.43));
+    let rotated = field(&scene, turned, edge * DVec3::new(0.5, 0.31, 0.43));
+    let points = sphere(0.5);
+    for covariance in [Covariance::Trace, Covariance::Block, Covariance::Normal] {
+        let read = |f: &(UncertaintyField, Moved)| {
+            (f.0.clone().with_covariance(covariance).unwrap(), Moved { scene: f.1.scene.clone(), ..f.1 })
+        };
+        let [still, shifted, rotated] = [&still, &shifted, &rotated].map(read);
+        let discretisation = change(&still, &shifted, &points);
+        let rotation = change(&still, &rotated, &points);
+        // The lattice turns against the scene as well as shifting: half as much again is allowed, and a change there must be.
+        assert!(
+            rotation <= 1.5 * discretisation && rotation >= 0.2 * discretisation,
+            "{covariance:?}: turning changes {rotation}, shifting {discretisation}"
+        );
+    }
+}
+
+/// A known fact of the paper's formula, not of its implementation: a textureless wall that faces an axis leaves two of the three
+/// diagonal entries of H at the prior, one turned by 45° only one; so σ² = Σ 1/H_kk falls from two priors to one.
+#[test]
+fn diagonal_depends_on_the_axes_and_block_does_not() {
+    let shape = Shape::Slab { center: Vec3::ZERO, normal: Vec3::X, half: 0.2 };
+    let texture = Texture::Plain(Vec3::new(0.8, 0.3, 0.2));
+    let wall = Primitive { shape, peak: 40.0, softness: 0.2, texture };
+    let scene = ClosedForm::new("plain wall", vec![wall], Aabb::centered_cube(0.75), 1.0 / 256.0);
+    let [still, turned] = [0.0, 45_f64.to_radians()].map(|angle| field(&scene, angle, DVec3::ZERO));
+    // Lines along the normal through the middle of the front face, far from the wall's rims: the least U on each lies where all
+    // vertices around were seen.
+    let ratio = |covariance| {
+        let of = |f: &(UncertaintyField, Moved)| {
+            let read = f.0.clone().with_covariance(covariance).unwrap();
+            let log10 = |x, y, z| read.log10(f.1.forth(DVec3::new(x, y, z)).as_vec3());
+            let least =
+                |y: f64, z: f64| (0..100).map(|i| log10(0.005 * f64::from(i), y, z)).fold(f64::INFINITY, f64::min);
+            (0..100).map(|i| least(-0.2 + 0.04 * f64::from(i % 10), -0.2 + 0.04 * f64::from(i / 10))).sum::<f64>()
+                / 100.0
+        };
+        of(&still) - of(&turned)
+    };
+    // √2 in σ, 0.15 in log10; block keeps two priors' worth however it is turned.
+    let diagonal = ratio(Covariance::Diagonal);
+    assert!((0.14..0.17).contains(&diagonal), "{diagonal}");
+    assert!(ratio(Covariance::Block).abs() < 0.005, "{}", ratio(Covariance::Block));
+}
