@@ -296,9 +296,10 @@ fn queries_answer_in_all_formats() {
     desk.good("query field.oct points.csv -o out.csv");
     let text = std::fs::read_to_string(desk.path("out.csv")).unwrap();
     let lines: Vec<&str> = text.lines().collect();
-    assert_eq!(lines[0], "x,y,z,uncertainty,log10_uncertainty,level,inside");
+    assert_eq!(lines[0], "x,y,z,uncertainty,log10_uncertainty,level,inside,rays");
     assert_eq!(lines.len(), 4);
-    assert!(lines[1].ends_with(",5,1") && lines[3].ends_with(",0,0"), "{text}");
+    // Level, whether inside, and how many rays support the number; outside, none can.
+    assert!(lines[1].contains(",5,1,") && !lines[1].ends_with(',') && lines[3].ends_with(",0,0,"), "{text}");
     assert!(lines[3].contains(&field.prior().to_string()));
 
     let mut child =

@@ -14,7 +14,7 @@ use crate::{Error, Result};
 /// Ask for the uncertainty at points
 ///
 /// POINTS is `.npy` (f32 or f64 N x 3) or `.csv` (columns x,y,z; a header is recognised), in scene units. OUT is `.npy` (f64 N x 2:
-/// uncertainty, log10 uncertainty) or `.csv` (x,y,z,uncertainty,log10_uncertainty,level,inside). `-` is CSV on stdin or
+/// uncertainty, log10 uncertainty) or `.csv` (x,y,z,uncertainty,log10_uncertainty,level,inside,rays). `-` is CSV on stdin or
 /// stdout. Points outside the box get the prior and inside = 0.
 #[derive(clap::Args)]
 #[command(after_help = "Example: echo 0,0,0.5 | octobayes query lego.oct - -o -")]
@@ -134,10 +134,11 @@ fn read_csv(input: impl Read, path: &Path) -> Result<Vec<Vec3>> {
 
 fn write_csv(out: impl Write, points: &[Vec3], answers: &[Estimate]) -> std::io::Result<()> {
     let mut writer = csv::Writer::from_writer(out);
-    writer.write_record(["x", "y", "z", "uncertainty", "log10_uncertainty", "level", "inside"])?;
+    writer.write_record(["x", "y", "z", "uncertainty", "log10_uncertainty", "level", "inside", "rays"])?;
     for (x, a) in points.iter().zip(answers) {
         let numbers = [x.x.to_string(), x.y.to_string(), x.z.to_string(), a.uncertainty.to_string()];
-        let rest = [a.uncertainty.log10().to_string(), a.level.to_string(), u8::from(a.inside).to_string()];
+        let rays = a.rays.map_or(String::new(), |rays| rays.to_string());
+        let rest = [a.uncertainty.log10().to_string(), a.level.to_string(), u8::from(a.inside).to_string(), rays];
         writer.write_record(numbers.iter().chain(&rest))?;
     }
     writer.flush()

@@ -24,7 +24,7 @@ pub use validate::{Defect, OctreeStats};
 
 use glam::DVec3;
 use leaves::hanging_on;
-use vertices::VertexTable;
+use vertices::{Finder, VertexTable};
 
 /// Index of a free vertex: the finest first, in Morton order among vertices of one size.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -148,9 +148,10 @@ impl Octree {
         let last = (1_u32 << self.finest()) - 1;
         let leaf = self.cells.leaf([0, 1, 2].map(|axis| (u[axis] as u32).min(last)));
         let (origin, edge) = leaf.extent(self.finest());
+        let mut finder = self.vertices.finder();
         let corners = std::array::from_fn(|c| {
             let point = std::array::from_fn(|axis| origin[axis] + edge * (c as u32 >> axis & 1));
-            self.corner_of(leaf, point)
+            self.corner_of(leaf, point, &mut finder)
         });
         let offset = (u - DVec3::from(origin.map(f64::from))) / f64::from(edge);
         Located { leaf, corners, weights: trilinear(offset) }
@@ -170,11 +171,11 @@ impl Octree {
 
     /// The same for a corner of `leaf`. Leaves that touch it are at most one level finer, so that its vertices can be looked up
     /// among few.
-    fn corner_of(&self, leaf: Cell, point: [u32; 3]) -> Corner {
+    fn corner_of(&self, leaf: Cell, point: [u32; 3], finder: &mut Finder) -> Corner {
         let coarseness = self.finest() - leaf.level;
-        let find = |point, coarseness: u8| {
-            let finer = |c: u8| self.vertices.find_at(point, c.checked_sub(1)?);
-            self.vertices.find_at(point, coarseness).or_else(|| finer(coarseness)).map(VertexId)
+        let mut find = |point, coarseness: u8| {
+            let vertex = finder.find_at(point, coarseness);
+            vertex.or_else(|| finder.find_at(point, coarseness.checked_sub(1)?)).map(VertexId)
         };
         match find(point, coarseness) {
             Some(vertex) => Corner::Free(vertex),
@@ -184,13 +185,13 @@ impl Octree {
     }
 
     /// A corner that hangs on a larger leaf, whose corners `vertex` finds.
-    fn hanging(&self, point: [u32; 3], vertex: impl Fn([u32; 3]) -> Option<VertexId>) -> Corner {
+    fn hanging(&self, point: [u32; 3], mut vertex: impl FnMut([u32; 3]) -> Option<VertexId>) -> Corner {
         let larger = hanging_on(&self.cells, point).expect("a leaf corner is free or hangs on a larger leaf");
         let masters = leaves::ends(self.finest(), point, larger);
-        let vertex = |point| vertex(point).expect("2:1 balance makes the ends of a hanging corner free");
+        let mut vertex = |point| vertex(point).expect("2:1 balance makes the ends of a hanging corner free");
         match *masters.points() {
-            [a, b] => Corner::OnEdge([a, b].map(vertex)),
-            [a, b, c, d] => Corner::OnFace([a, b, c, d].map(vertex)),
+            [a, b] => Corner::OnEdge([a, b].map(&mut vertex)),
+            [a, b, c, d] => Corner::OnFace([a, b, c, d].map(&mut vertex)),
             _ => unreachable!("a hanging corner has two or four masters"),
         }
     }

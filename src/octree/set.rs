@@ -13,6 +13,22 @@ struct Row {
     base: Vec<u32>,
 }
 
+/// The members of one brick of a [`MortonSet`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct BrickRank {
+    mask: u64,
+    base: u32,
+}
+
+impl BrickRank {
+    /// The rank of `code`, a code of this brick, if it is a member.
+    #[must_use]
+    pub fn rank(&self, code: u64) -> Option<u32> {
+        let slot = 1_u64 << (code & 63);
+        (self.mask & slot != 0).then(|| self.base + (self.mask & (slot - 1)).count_ones())
+    }
+}
+
 /// A sorted set of Morton codes below 2^(6·rows) with O(rows) rank look-up.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct MortonSet {
@@ -70,21 +86,25 @@ impl MortonSet {
     /// How many members are smaller than `code`, if `code` is a member.
     #[must_use]
     pub fn rank(&self, code: u64) -> Option<u32> {
-        if self.len == 0 {
-            return None;
-        }
-        let mut shift = 6 * self.rows.len();
+        self.brick(code >> 6)?.rank(code)
+    }
+
+    /// The members whose codes are 64 · `brick` to 64 · `brick` + 63, if there are any: neighbours are often of one brick.
+    #[must_use]
+    pub fn brick(&self, brick: u64) -> Option<BrickRank> {
+        let (last, above) = self.rows.split_last().filter(|_| self.len > 0)?;
+        let mut shift = 6 * above.len();
         let mut node = 0_u32;
-        for row in &self.rows {
+        for row in above {
             shift -= 6;
             let mask = row.masks[node as usize];
-            let slot = 1_u64 << (code >> shift & 63);
+            let slot = 1_u64 << (brick >> shift & 63);
             if mask & slot == 0 {
                 return None;
             }
             node = row.base[node as usize] + (mask & (slot - 1)).count_ones();
         }
-        Some(node)
+        Some(BrickRank { mask: last.masks[node as usize], base: last.base[node as usize] })
     }
 
     /// All members in increasing order.

@@ -59,6 +59,16 @@ proptest! {
     }
 
     #[test]
+    fn corners_found_together_are_those_found_one_by_one(octree in octrees(), u in proptest::array::uniform3(0.0..=1.0_f64)) {
+        let located = octree.locate(DVec3::from(u) * f64::from(1_u32 << octree.finest()));
+        let (origin, edge) = located.leaf.extent(octree.finest());
+        for (c, corner) in (0_u32..).zip(located.corners) {
+            let point = std::array::from_fn(|axis| origin[axis] + edge * (c >> axis & 1));
+            prop_assert_eq!(corner, octree.corner(point));
+        }
+    }
+
+    #[test]
     fn locate_agrees_with_a_scan_over_leaves((octree, u) in octrees().prop_flat_map(|o| { let f = o.finest(); (Just(o), points(f)) })) {
         let m = f64::from(1_u32 << octree.finest());
         let inside = |leaf: &Cell| {

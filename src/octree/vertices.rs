@@ -4,7 +4,40 @@
 //! leaf's. Vertices of one coarseness lie on one lattice, side by side along surfaces, and make one [`MortonSet`] of points of that
 //! lattice. Ids run through the sets, the finest first, in Morton order within each.
 
+use super::set::BrickRank;
 use super::{MortonSet, morton};
+
+/// Bricks that a search remembers: as many as the corners of a cell can lie in.
+const RECENT: usize = 8;
+
+/// A search that looks every brick up once; the plain way is [`VertexTable::find_at`].
+pub struct Finder<'a> {
+    table: &'a VertexTable,
+    /// Coarseness, code and content of bricks looked up lately.
+    recent: [Option<(u8, u64, Option<BrickRank>)>; RECENT],
+    next: usize,
+}
+
+impl Finder<'_> {
+    /// As [`VertexTable::find_at`].
+    pub fn find_at(&mut self, point: [u32; 3], coarseness: u8) -> Option<u32> {
+        if point.iter().any(|i| i.trailing_zeros() < u32::from(coarseness)) {
+            return None;
+        }
+        let code = morton::encode(point.map(|i| i >> coarseness));
+        let known = self.recent.iter().flatten().find(|(c, brick, _)| (*c, *brick) == (coarseness, code >> 6));
+        let brick = match known {
+            Some((.., brick)) => *brick,
+            None => {
+                let brick = self.table.sets.get(usize::from(coarseness))?.brick(code >> 6);
+                self.recent[self.next % RECENT] = Some((coarseness, code >> 6, brick));
+                self.next += 1;
+                brick
+            }
+        };
+        Some(self.table.offsets[usize::from(coarseness)] + brick?.rank(code)?)
+    }
+}
 
 /// All free vertices.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -51,6 +84,12 @@ impl VertexTable {
         }
         let rank = self.sets.get(usize::from(coarseness))?.rank(morton::encode(point.map(|i| i >> coarseness)))?;
         Some(self.offsets[usize::from(coarseness)] + rank)
+    }
+
+    /// A search for neighbouring vertices.
+    #[must_use]
+    pub fn finder(&self) -> Finder<'_> {
+        Finder { table: self, recent: [None; RECENT], next: 0 }
     }
 
     /// The number of the vertex at a lattice point, if there is one.

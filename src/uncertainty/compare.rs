@@ -99,7 +99,7 @@ pub fn compare(a: &UncertaintyField, b: &UncertaintyField, points: usize, seed: 
     let domain = a.lattice().domain();
     if domain != b.lattice().domain() {
         let text = |f: &UncertaintyField| f.lattice().domain().to_string();
-        return Err(Error::setting("the fields' domains", format!("the same, {}", text(a)), text(b)));
+        return Err(Error::setting("the fields' boxes", format!("the same box or contraction, {}", text(a)), text(b)));
     }
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut draw = || domain.clamp(domain.to_scene(DVec3::from(rng.random::<[f64; 3]>())).as_vec3());
