@@ -71,7 +71,7 @@ fn row(level: u8, rays: u64, memory: Option<u64>) -> Result<()> {
     let start = Instant::now();
     let sum: f64 = (0..n).map(|i| field.query(points[i * 7_368_787 % n]).uncertainty).sum();
     let query = start.elapsed().as_secs_f64() * 1e9 / n as f64;
-    assert!(sum.is_finite() && field.validate().is_ok());
+    assert!(sum.is_finite(), "queries have answers");
     let s = field.summary();
     let dense = 4 * Lattice::of_domain(Domain::Box(city.bounds()), level)?.dense_vertices();
     println!(
