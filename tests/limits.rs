@@ -104,6 +104,12 @@ fn criteria_refine_where_they_say() {
     good(folder, &format!("{RUN} --level 6 --grid dense -o dense.oct"));
     assert_eq!(compare(&uniform, &read(folder, "dense.oct"), 20_000, 1).unwrap().in_box.unwrap().max, 0.0);
     assert!(refused(folder, &format!("{RUN} --level 10 --refine uniform -o x.oct")).contains("level up to 9"));
+    // Parts of such a run join to one.
+    for shard in 0..2 {
+        good(folder, &format!("{RUN} --level 6 --refine uniform --shard {shard}/2 -o part{shard}.oct"));
+    }
+    good(folder, "merge part0.oct part1.oct -o merged.oct");
+    assert_eq!(read(folder, "merged.oct").support(), uniform.support());
 }
 
 #[test]

@@ -51,6 +51,14 @@ pub fn merge(parts: &[UncertaintyField]) -> Result<UncertaintyField> {
             Ok(UncertaintyField::new(protocol, first.lattice, Support::Dense, sums).with_surface(surface))
         }
         Support::Octree(_) => {
+            // What was refined for other reasons than information stays refined.
+            let mut wanted = Vec::new();
+            if protocol.criteria.density || protocol.criteria.uniform {
+                for part in parts {
+                    let Support::Octree(octree) = &part.support else { continue };
+                    octree.cells().for_each_leaf(|leaf| wanted.push(leaf));
+                }
+            }
             let mut posterior = OctreePosterior::limited(first.lattice, first.limits.clone());
             for (part, evidence) in parts.iter().zip(evidence) {
                 let Support::Octree(octree) = &part.support else { continue };
@@ -58,7 +66,7 @@ pub fn merge(parts: &[UncertaintyField]) -> Result<UncertaintyField> {
                     posterior.add_evidence(point, e);
                 }
             }
-            Ok(UncertaintyField::from_octree(protocol, first.lattice, posterior, Vec::new()).with_surface(surface))
+            Ok(UncertaintyField::from_octree(protocol, first.lattice, posterior, wanted).with_surface(surface))
         }
     }
 }

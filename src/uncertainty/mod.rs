@@ -264,6 +264,18 @@ impl UncertaintyField {
         self.evidence.as_deref()
     }
 
+    /// Median number of rays over the vertices that moved by more than half a decade from the prior; `None` if there are none, or the
+    /// evidence was not kept.
+    #[must_use]
+    pub fn median_rays(&self) -> Option<u32> {
+        let moved = self.prior() * 10_f64.powf(-0.5);
+        let evidence = self.evidence.as_ref()?;
+        let seen = self.deviations.iter().zip(evidence).filter(|(sigma, _)| *sigma < moved);
+        let mut rays: Vec<u32> = seen.map(|(_, e)| e.rays).collect();
+        let middle = rays.len() / 2;
+        (!rays.is_empty()).then(|| *rays.select_nth_unstable(middle).1)
+    }
+
     /// `[vertices]`: σ_v, scene units.
     #[must_use]
     pub fn deviations(&self) -> &Deviations {

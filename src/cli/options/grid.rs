@@ -30,6 +30,9 @@ impl ValueEnum for Covariance {
     }
 }
 
+/// Fewer rays per vertex than this gain from pooling: `experiments/pooling.md`.
+const FEW_RAYS: u32 = 6;
+
 /// The part of space that a field covers.
 #[derive(Args)]
 pub struct DomainOptions {
@@ -188,6 +191,12 @@ impl GridOptions {
             GridKind::Dense => Keep::Deviation,
             GridKind::Octree => Keep::Hessian,
         });
+        if let Some(median) = field.median_rays().filter(|&median| median < FEW_RAYS && self.min_rays == 0.0) {
+            eprintln!(
+                "note: half of the vertices that moved are supported by {median} rays or fewer; --min-rays 4 shares what their \
+                 neighbours saw, more --rays is better"
+            );
+        }
         let field = match (self.coarsen, keep, self.store) {
             (Some(epsilon), ..) => field.coarsened_in(self.store, epsilon)?,
             (None, _, Store::F16) => field.in_f16(),
