@@ -48,7 +48,8 @@ struct Cli {
 #[derive(Subcommand)]
 enum Verb {
     Demo(demo::Args),
-    Uncertainty(uncertainty::Args),
+    // Boxed: it has more options than any other.
+    Uncertainty(Box<uncertainty::Args>),
     Accumulate(accumulate::Args),
     Query(query::Args),
     Compare(compare::Args),

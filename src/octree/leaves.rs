@@ -66,10 +66,8 @@ pub fn ends(finest: u8, point: [u32; 3], larger: Cell) -> Masters {
     assert!(axes == 1 || axes == 2, "point {point:?} is half-way along {axes} axes of leaf {larger:?}");
     let mut points = [point; 4];
     for (choice, end) in points.iter_mut().enumerate().take(1 << axes) {
-        let mut bit = 0;
-        for axis in (0..3).filter(|&axis| halfway(axis)) {
+        for (bit, axis) in (0..3).filter(|&axis| halfway(axis)).enumerate() {
             end[axis] = origin[axis] + edge * (choice as u32 >> bit & 1);
-            bit += 1;
         }
     }
     Masters { points, count: 1 << axes }

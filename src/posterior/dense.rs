@@ -75,8 +75,8 @@ impl Posterior for DensePosterior {
                 for (vertex, (j, gradient)) in self.ray_jacobian(batch, samples) {
                     let sum = &mut self.sums[vertex];
                     sum.rays += 1;
-                    for axis in 0..3 {
-                        sum.gradient[axis] += gradient[axis] as f32;
+                    for (sum, g) in sum.gradient.iter_mut().zip(gradient) {
+                        *sum += g as f32;
                     }
                     let s = &mut sum.information;
                     for channel in 0..3 {

@@ -193,6 +193,19 @@ mod tests {
     }
 
     #[test]
+    fn every_one_of_several_cameras_is_filled_evenly() {
+        // Equal cameras take turns, and each sees its own sequence without gaps: 4 rays for each of its 16 × 16 tiles.
+        let picks = sequence(Pixels::Sobol, &[[64, 64]; 3]).picks(0, 3 * 1024);
+        for camera in 0..3 {
+            let mut counts = [0; 256];
+            for p in picks.iter().filter(|p| p.camera == camera) {
+                counts[(p.pixel[0] / 4 * 16 + p.pixel[1] / 4) as usize] += 1;
+            }
+            assert_eq!(counts, [4; 256], "camera {camera}");
+        }
+    }
+
+    #[test]
     fn a_sequence_goes_on_with_another_scramble_when_it_is_used_up() {
         let sequence = sequence(Pixels::Sobol, &[[4096, 4096]]);
         assert_ne!(sequence.picks(0, 32), sequence.picks(SEQUENCE, 32));

@@ -31,7 +31,7 @@ impl ValueEnum for Covariance {
 }
 
 /// Fewer rays per vertex than this gain from pooling: `experiments/pooling.md`.
-const FEW_RAYS: u32 = 6;
+const FEW_RAYS: u32 = 4;
 
 /// The part of space that a field covers.
 #[derive(Args)]

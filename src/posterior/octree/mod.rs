@@ -90,6 +90,7 @@ impl OctreePosterior {
     }
 
     /// Every vertex that a ray touched, with its lattice point.
+    #[must_use = "iterators are lazy"]
     pub fn touched(&self) -> impl ParallelIterator<Item = ([u32; 3], &Evidence)> {
         self.bricks.par_iter().filter(|(_, e)| e.rays > 0).map(|(key, e)| (bricks::point(key), e))
     }
