@@ -64,7 +64,7 @@ fn row(level: u8, rays: u64, memory: Option<u64>) -> Result<()> {
     let (field, _) = estimate(&city, &cameras, &settings, &grid, &Silent)?;
     let time = start.elapsed().as_secs_f64();
     let peak = memory::peak().unwrap_or(0) as f64 / 1e6;
-    let kept = field.evidence().map_or(0, |e| size_of_val(e));
+    let kept = field.evidence().map_or(0, size_of_val);
     let points: Vec<Vec3> = field.surface().iter().map(|&x| Vec3::from_array(x)).collect();
     // In an order that no cache likes.
     let n = points.len();

@@ -16,8 +16,18 @@
 
 use super::morton;
 
-/// Masks between two entries of the rank directory.
-const BLOCK: usize = 64;
+/// Masks that share an entry of the rank directory: with it they fill a cache line.
+const BLOCK: usize = 60;
+
+/// Consecutive child masks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(align(64))]
+struct Block {
+    /// Set bits in all blocks before.
+    rank: u32,
+    /// Masks, zeros behind the last.
+    masks: [u8; BLOCK],
+}
 
 /// A cell of the octree.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -51,9 +61,9 @@ pub struct CellTree {
     finest: u8,
     /// Whether the root is split; an octree of one cell has no masks.
     root_split: bool,
-    masks: Vec<u8>,
-    /// Set bits before every [`BLOCK`]th mask.
-    ranks: Vec<u32>,
+    /// Number of masks.
+    count: usize,
+    blocks: Vec<Block>,
 }
 
 impl CellTree {
@@ -76,23 +86,30 @@ impl CellTree {
             }
             assert!(children.next().is_none(), "a split cell has a parent that is not split");
         }
-        Self::from_masks(finest, !split[0].is_empty(), masks)
+        Self::from_masks(finest, !split[0].is_empty(), &masks)
     }
 
-    fn from_masks(finest: u8, root_split: bool, masks: Vec<u8>) -> Self {
-        let mut ranks = Vec::with_capacity(masks.len().div_ceil(BLOCK));
-        let mut total = 0;
-        for block in masks.chunks(BLOCK) {
-            ranks.push(total);
-            total += block.iter().map(|m| m.count_ones()).sum::<u32>();
-        }
-        Self { finest, root_split, masks, ranks }
+    fn from_masks(finest: u8, root_split: bool, masks: &[u8]) -> Self {
+        let mut rank = 0;
+        let mut blocks = Vec::with_capacity(masks.len().div_ceil(BLOCK));
+        blocks.extend(masks.chunks(BLOCK).map(|chunk| {
+            let mut block = Block { rank, masks: [0; BLOCK] };
+            block.masks[..chunk.len()].copy_from_slice(chunk);
+            rank += chunk.iter().map(|m| m.count_ones()).sum::<u32>();
+            block
+        }));
+        Self { finest, root_split, count: masks.len(), blocks }
     }
 
     /// The stored form: whether the root is split, and the masks.
     #[must_use]
-    pub fn raw(&self) -> (bool, &[u8]) {
-        (self.root_split, &self.masks)
+    pub fn raw(&self) -> (bool, Vec<u8>) {
+        let masks = self.blocks.iter().flat_map(|block| block.masks).take(self.count);
+        (self.root_split, masks.collect())
+    }
+
+    fn mask(&self, node: usize) -> u8 {
+        self.blocks[node / BLOCK].masks[node % BLOCK]
     }
 
     /// Rebuilds the split cells per level from the stored form, which may come from an untrusted file.
@@ -125,7 +142,7 @@ impl CellTree {
     /// The split cells of each level above the finest, as sorted Morton codes.
     #[must_use]
     pub fn split(&self) -> Vec<Vec<u64>> {
-        Self::split_from_raw(self.finest, self.root_split, &self.masks).expect("a tree's own masks are consistent")
+        Self::split_from_raw(self.finest, self.root_split, &self.raw().1).expect("a tree's own masks are consistent")
     }
 
     /// The finest level.
@@ -136,9 +153,9 @@ impl CellTree {
 
     /// Set bits in all masks before mask `node`.
     fn rank(&self, node: usize) -> usize {
-        let block = node / BLOCK;
-        let within: u32 = self.masks[block * BLOCK..node].iter().map(|m| m.count_ones()).sum();
-        self.ranks[block] as usize + within as usize
+        let block = &self.blocks[node / BLOCK];
+        let within: u32 = block.masks[..node % BLOCK].iter().map(|m| m.count_ones()).sum();
+        block.rank as usize + within as usize
     }
 
     /// The leaf that contains finest cell `cell`.
@@ -154,7 +171,7 @@ impl CellTree {
             }
             let shift = self.finest - level;
             let c = cell[0] >> shift & 1 | (cell[1] >> shift & 1) << 1 | (cell[2] >> shift & 1) << 2;
-            let mask = self.masks[node];
+            let mask = self.mask(node);
             split = mask >> c & 1 == 1;
             if split && level + 1 < self.finest {
                 node = 1 + self.rank(node) + (mask & ((1 << c) - 1)).count_ones() as usize;
@@ -178,7 +195,7 @@ impl CellTree {
             (0..8).for_each(|c| visit(cell.child(c)));
             return;
         }
-        let mask = self.masks[node];
+        let mask = self.mask(node);
         let deeper = cell.level + 2 < self.finest;
         let mut next = if deeper { 1 + self.rank(node) } else { 0 };
         for c in 0..8 {
@@ -188,10 +205,10 @@ impl CellTree {
         }
     }
 
-    /// Bytes on the heap: child masks, and their rank directory; spare capacity included.
+    /// Bytes on the heap, spare capacity included: child masks, and their rank directory with what fills the last line.
     #[must_use]
     pub fn heap_bytes(&self) -> [usize; 2] {
-        [self.masks.capacity(), self.ranks.capacity() * 4]
+        [self.count, self.blocks.capacity() * size_of::<Block>() - self.count]
     }
 }
 

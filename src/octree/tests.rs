@@ -109,7 +109,7 @@ proptest! {
     #[test]
     fn stored_masks_give_the_same_octree(octree in octrees()) {
         let (root_split, masks) = octree.cells().raw();
-        prop_assert_eq!(Octree::from_raw(octree.finest(), root_split, masks), Ok(octree.clone()));
+        prop_assert_eq!(Octree::from_raw(octree.finest(), root_split, &masks), Ok(octree.clone()));
     }
 
     #[test]
@@ -143,6 +143,6 @@ fn unbalanced_masks_are_refused() {
     let split = vec![vec![0], vec![7], vec![7 << 3], vec![7 << 6]];
     let tree = CellTree::from_split(4, &split);
     let (root_split, masks) = tree.raw();
-    let refusal = Octree::from_raw(4, root_split, masks).unwrap_err();
+    let refusal = Octree::from_raw(4, root_split, &masks).unwrap_err();
     assert!(refusal.contains("2:1"), "{refusal}");
 }

@@ -48,7 +48,7 @@ impl UncertaintyField {
     /// If the folder cannot be written or the disk is full.
     pub fn write(&self, path: &Path) -> Result<()> {
         let (kind, masks) = match &self.support {
-            Support::Dense => (Kind::Dense, &[][..]),
+            Support::Dense => (Kind::Dense, Vec::new()),
             Support::Octree(octree) => {
                 let (root_split, masks) = octree.cells().raw();
                 (Kind::Octree { root_split }, masks)
@@ -62,7 +62,7 @@ impl UncertaintyField {
         let evidence = self.evidence.as_deref().unwrap_or_default();
         let limits = self.limits.packed().unwrap_or_default();
         let sections: [&dyn container::Section; 6] =
-            [&masks, &values, &evidence, &self.surface.as_slice(), &logs.as_slice(), &limits.as_slice()];
+            [&masks.as_slice(), &values, &evidence, &self.surface.as_slice(), &logs.as_slice(), &limits.as_slice()];
         container::write(path, FORMAT, &header, &sections)
     }
 
