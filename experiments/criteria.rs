@@ -9,10 +9,11 @@ use std::time::Instant;
 
 use octobayes::Result;
 use octobayes::dataset::Views;
-use octobayes::estimate::{Criterion, GridKind, GridSettings, RaySettings, estimate};
+use octobayes::estimate::{GridKind, GridSettings, RaySettings, estimate};
 use octobayes::field::{ClosedForm, Coordinates, RadianceField, open_in};
 use octobayes::geometry::Camera;
 use octobayes::monitor::Silent;
+use octobayes::posterior::Criterion;
 use octobayes::uncertainty::{Difference, compare};
 
 const POINTS: usize = 500_000;

@@ -13,7 +13,11 @@
 //! training ray, composites it, and differentiates its pixel with respect to the positions of its samples, with central
 //! differences of the field. [`posterior`] spreads these Jacobians onto the vertices around each sample, sums them over the
 //! ray, squares, and sums over rays. [`octree`] is refined where that left a trace. [`uncertainty`] reads one number per vertex off the
-//! sums and interpolates it; fields are stored, queried, compared. [`metrics`] ask whether it ranks the depth error.
+//! sums and interpolates it; fields are stored, queried, compared. [`metrics`] ask whether it ranks the depth error; [`synth`]
+//! makes data whose depth is known exactly.
+//!
+//! Where rays or memory cannot support the finest lattice, [`octree::LevelLimits`] keep leaves coarser, and [`estimate::Planner`] says
+//! beforehand what that gives up. [`geometry::Domain`] is the space that a field covers: a box, or all of space, contracted.
 //!
 //! ```
 //! use glam::Vec3;
@@ -48,7 +52,8 @@
 //! - Results do not depend on the number of threads, bit for bit: rays are drawn by index and summed in ray order.
 //! - A file read is untrusted: nothing is allocated by a length that has not been compared with the bytes that are there.
 //! - No generic scalar: fields speak f32, because they are trained in it; geometry and sums are f64, because squares between
-//!   1e-12 and 1e6 are added millions of times; deviations are stored as f32, which moves log10 U by 3e-8.
+//!   1e-12 and 1e6 are added millions of times; deviations are stored as f32, which moves log10 U by 3e-8
+//!   (or as 16-bit logarithms, by a stated amount).
 //! - No unsafe code.
 
 pub mod cli;

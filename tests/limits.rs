@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::process::{Command, Output};
 
-use octobayes::estimate::Criteria;
+use octobayes::posterior::Criteria;
 use octobayes::uncertainty::{Store, Support, UncertaintyField, compare};
 
 const RUN: &str = "uncertainty scene:courtyard --resolution 64 --rays 40000 --occupancy 40";

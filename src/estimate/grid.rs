@@ -1,8 +1,7 @@
 //! What information is gathered on, and how it becomes a field.
 
-use super::Criteria;
 use crate::geometry::{Domain, Lattice};
-use crate::posterior::{Covariance, DensePosterior, Prior};
+use crate::posterior::{Covariance, Criteria, DensePosterior, Prior};
 use crate::{Error, Result};
 
 /// What carries the field.

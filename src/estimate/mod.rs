@@ -4,14 +4,12 @@
 //! on. [`estimate`] joins the two; [`FieldBuilder`] is the second half alone, for samples that come from elsewhere.
 
 mod builder;
-mod criteria;
 mod grid;
 mod plan;
 mod rays;
 mod run;
 
 pub use builder::{FieldBuilder, Provenance};
-pub use criteria::{Criteria, Criterion};
 pub use grid::{GridKind, GridSettings};
 pub use plan::{Plan, Planner};
 pub use rays::RaySettings;

@@ -10,6 +10,7 @@
 
 pub mod checkpoint;
 mod covariance;
+mod criteria;
 mod dense;
 mod evidence;
 mod octree;
@@ -20,6 +21,7 @@ mod rays;
 mod samples_file;
 
 pub use covariance::{Covariance, negligible_information};
+pub use criteria::{Criteria, Criterion};
 pub use dense::DensePosterior;
 pub use evidence::{Evidence, Information, trace};
 pub use octree::{OctreePosterior, Refinement, Survey};

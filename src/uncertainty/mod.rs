@@ -9,6 +9,8 @@ mod deviations;
 mod file;
 mod merge;
 mod official;
+mod protocol;
+mod reading;
 mod threshold;
 
 pub use compare::{Comparison, Difference, Summary, compare};
@@ -16,93 +18,17 @@ pub use deviations::{Deviations, Store};
 pub use file::FORMAT_VERSION;
 pub use merge::merge;
 pub use official::OfficialGrid;
+pub use protocol::Protocol;
 pub use threshold::ThresholdedField;
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-use crate::estimate::Criteria;
+use self::reading::read;
 use crate::geometry::Lattice;
 use crate::octree::{Cell, Corner, LevelLimits, Octree, VertexId, trilinear};
-use crate::posterior::{
-    Covariance, Evidence, OctreePosterior, Pixels, Pooling, Prior, Refinement, Share, negligible_information,
-};
+use crate::posterior::{Covariance, Evidence, OctreePosterior, Refinement};
 use crate::{Error, Result};
-
-/// Everything that the numbers in a field depend on. `None` where the field came from elsewhere and does not say.
-#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct Protocol {
-    /// Version of this crate.
-    pub version: String,
-    /// Model and cameras, or samples file.
-    pub source: String,
-    /// R: rays drawn, those that hit nothing included.
-    pub rays: u64,
-    /// Rays dropped because the field was not finite.
-    pub dropped: u64,
-    /// How pixels were chosen.
-    pub pixels: Option<Pixels>,
-    /// Seed of pixels and jitter.
-    pub seed: Option<u64>,
-    /// Which part of a run these rays are.
-    pub share: Option<Share>,
-    /// λ, 1 / scene unit².
-    pub lambda: f64,
-    /// Scalar read off H.
-    pub covariance: Covariance,
-    /// How λ depends on the size of cells.
-    pub prior: Prior,
-    /// Pooling by evidence; 0 is none.
-    pub min_rays: f64,
-    /// Where the octree is refined.
-    pub criteria: Criteria,
-    /// Largest change of log10 U by leaves that are coarser than the finest level. On a dense grid it only says which vertices
-    /// count for pooling.
-    pub tolerance: f64,
-    /// Distance between samples along rays, scene units.
-    pub march_step: Option<f64>,
-    /// Finite-difference step along x, y and z, scene units.
-    pub difference_step: Option<[f64; 3]>,
-    /// Samples below this weight and sensitivity were left out.
-    pub cutoff: Option<f64>,
-    /// Colour behind the scene.
-    pub background: Option<[f32; 3]>,
-    /// Where in a pixel rays went through; ½ is the centre.
-    pub pixel_offset: Option<f64>,
-}
-
-impl Protocol {
-    /// How evidence is pooled.
-    #[must_use]
-    pub fn pooling(&self) -> Pooling {
-        Pooling { min_rays: self.min_rays, floor: negligible_information(self.tolerance, self.rays, self.lambda) }
-    }
-
-    /// The protocol of a field from elsewhere, of which no more is known than this.
-    #[must_use]
-    pub fn unstated(source: String, rays: u64, lambda: f64, covariance: Covariance) -> Self {
-        Self {
-            version: env!("CARGO_PKG_VERSION").into(),
-            source,
-            rays,
-            dropped: 0,
-            pixels: None,
-            seed: None,
-            share: None,
-            lambda,
-            covariance,
-            prior: Prior::Uniform,
-            min_rays: 0.0,
-            criteria: Criteria::default(),
-            tolerance: 0.0,
-            march_step: None,
-            difference_step: None,
-            cutoff: None,
-            background: None,
-            pixel_offset: None,
-        }
-    }
-}
 
 /// The vertices that carry values.
 #[derive(Debug, Clone, PartialEq)]
@@ -395,52 +321,6 @@ fn vertex_count(lattice: &Lattice, support: &Support) -> u64 {
         Support::Dense => lattice.dense_vertices(),
         Support::Octree(octree) => octree.vertex_count() as u64,
     }
-}
-
-/// σ_v of every vertex: evidence pooled, then read with the prior of its place.
-///
-/// The hat of a leaf k levels coarser than the lattice has 4ᵏ times the footprint on a surface, so that as many times the rays
-/// move its vertex: its information is divided by that, to mean what it means on the finest lattice.
-fn read(
-    protocol: &Protocol,
-    lattice: &Lattice,
-    support: &Support,
-    limits: &LevelLimits,
-    evidence: &[Evidence],
-) -> Deviations {
-    let Protocol { covariance, rays, lambda, prior, .. } = *protocol;
-    let pooling = protocol.pooling();
-    let last = lattice.cells_per_axis();
-    let one = |e: &Evidence, lambda: f64| (covariance.deviation(e, rays, lambda) as f32).max(f32::MIN_POSITIVE);
-    Deviations::F32(match support {
-        _ if !pooling.is_on() && prior == Prior::Uniform && limits.is_unlimited() => {
-            evidence.par_iter().map(|e| one(e, lambda)).collect()
-        }
-        Support::Dense => {
-            let n = last as usize + 1;
-            let index = |[x, y, z]: [u32; 3]| (x as usize * n + y as usize) * n + z as usize;
-            let point = |i: usize| [i / (n * n), i / n % n, i % n].map(|i| i as u32);
-            let pooled = |i: usize| pooling.pooled(point(i), last, |p| Some(evidence[index(p)]));
-            (0..evidence.len()).into_par_iter().map(|i| one(&pooled(i), lambda)).collect()
-        }
-        Support::Octree(octree) => {
-            let points: Vec<[u32; 3]> = octree.vertex_positions().collect();
-            let at = |p| octree.vertex(p).map(|VertexId(v)| evidence[v as usize]);
-            // Vertices of coarser leaves have no neighbours on the finest lattice, and larger hats: they stay by themselves.
-            let pooled = |v: usize| match pooling.is_on() && octree.is_surrounded_by_finest(points[v]) {
-                true => pooling.pooled(points[v], last, at),
-                false => evidence[v],
-            };
-            let comparable = |v: usize| {
-                let mut evidence = pooled(v);
-                let footprint = limits.footprint(points[v]);
-                evidence.information.iter_mut().for_each(|s| *s /= footprint);
-                evidence
-            };
-            let deviation = |v: usize| one(&comparable(v), prior.at(lambda, octree, points[v]));
-            (0..points.len()).into_par_iter().map(deviation).collect()
-        }
-    })
 }
 
 #[cfg(test)]

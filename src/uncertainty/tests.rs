@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::geometry::Aabb;
-use crate::posterior::{DensePosterior, OctreePosterior, Posterior};
+use crate::posterior::{Criteria, DensePosterior, OctreePosterior, Pixels, Posterior, Prior};
 use crate::render::{RaySample, RaySamples};
 use proptest::prelude::*;
 

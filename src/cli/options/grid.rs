@@ -7,10 +7,10 @@ use glam::DVec3;
 
 use super::parse::{numbers, parse_box, parse_bytes, parse_non_negative, parse_positive};
 use crate::cli::report::{self, Cost};
-use crate::estimate::{Criterion, GridKind, GridSettings};
+use crate::estimate::{GridKind, GridSettings};
 use crate::geometry::{Aabb, Domain, MAX_LEVEL, Norm};
 use crate::io::AtomicFile;
-use crate::posterior::{Covariance, Prior};
+use crate::posterior::{Covariance, Criterion, Prior};
 use crate::uncertainty::{OfficialGrid, Store, UncertaintyField};
 use crate::{Error, Result};
 

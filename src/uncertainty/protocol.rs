@@ -1,0 +1,78 @@
+//! What the numbers in a field depend on.
+
+use crate::posterior::{Covariance, Criteria, Pixels, Pooling, Prior, Share, negligible_information};
+
+/// Everything that the numbers in a field depend on. `None` where the field came from elsewhere and does not say.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Protocol {
+    /// Version of this crate.
+    pub version: String,
+    /// Model and cameras, or samples file.
+    pub source: String,
+    /// R: rays drawn, those that hit nothing included.
+    pub rays: u64,
+    /// Rays dropped because the field was not finite.
+    pub dropped: u64,
+    /// How pixels were chosen.
+    pub pixels: Option<Pixels>,
+    /// Seed of pixels and jitter.
+    pub seed: Option<u64>,
+    /// Which part of a run these rays are.
+    pub share: Option<Share>,
+    /// λ, 1 / scene unit².
+    pub lambda: f64,
+    /// Scalar read off H.
+    pub covariance: Covariance,
+    /// How λ depends on the size of cells.
+    pub prior: Prior,
+    /// Pooling by evidence; 0 is none.
+    pub min_rays: f64,
+    /// Where the octree is refined.
+    pub criteria: Criteria,
+    /// Largest change of log10 U by leaves that are coarser than the finest level. On a dense grid it only says which vertices
+    /// count for pooling.
+    pub tolerance: f64,
+    /// Distance between samples along rays, scene units.
+    pub march_step: Option<f64>,
+    /// Finite-difference step along x, y and z, scene units.
+    pub difference_step: Option<[f64; 3]>,
+    /// Samples below this weight and sensitivity were left out.
+    pub cutoff: Option<f64>,
+    /// Colour behind the scene.
+    pub background: Option<[f32; 3]>,
+    /// Where in a pixel rays went through; ½ is the centre.
+    pub pixel_offset: Option<f64>,
+}
+
+impl Protocol {
+    /// How evidence is pooled.
+    #[must_use]
+    pub fn pooling(&self) -> Pooling {
+        Pooling { min_rays: self.min_rays, floor: negligible_information(self.tolerance, self.rays, self.lambda) }
+    }
+
+    /// The protocol of a field from elsewhere, of which no more is known than this.
+    #[must_use]
+    pub fn unstated(source: String, rays: u64, lambda: f64, covariance: Covariance) -> Self {
+        Self {
+            version: env!("CARGO_PKG_VERSION").into(),
+            source,
+            rays,
+            dropped: 0,
+            pixels: None,
+            seed: None,
+            share: None,
+            lambda,
+            covariance,
+            prior: Prior::Uniform,
+            min_rays: 0.0,
+            criteria: Criteria::default(),
+            tolerance: 0.0,
+            march_step: None,
+            difference_step: None,
+            cutoff: None,
+            background: None,
+            pixel_offset: None,
+        }
+    }
+}
