@@ -28,10 +28,10 @@
 //! // A courtyard that four cameras look at from one side.
 //! let scene = ClosedForm::courtyard();
 //! let cameras = ClosedForm::half_circle(4, [48, 48]);
-//! let rays = RaySettings { rays: 4_000, occupancy: 48, ..RaySettings::default() };
+//! let rays = RaySettings { rays: 16_000, occupancy: 48, ..RaySettings::default() };
 //! let grid = GridSettings { level: 6, ..GridSettings::default() };
 //! let (uncertainty, tally) = estimate(&scene, &cameras, &rays, &grid, &Silent)?;
-//! assert_eq!(tally.rays, 4_000);
+//! assert_eq!(tally.rays, 16_000);
 //!
 //! // The blue ball's front was seen; its back was not, and keeps the prior: "never seen".
 //! let front = uncertainty.query(Vec3::new(0.75, -0.5, -0.35)).uncertainty;

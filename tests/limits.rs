@@ -79,6 +79,7 @@ fn a_limited_run_survives_and_merges() {
     // Sums in another order, rounded to f32.
     assert!(compare(&whole, &merged, 20_000, 1).unwrap().in_box.unwrap().max < 1e-6);
     good(folder, &format!("{RUN} --level 8 --tolerance 0 --seed 1 -o other.oct"));
+    assert!(refused(folder, "convert whole.oct x.npy").contains("coarser leaves"));
     let stderr = refused(folder, "merge whole.oct other.oct -o x.oct");
     assert!(stderr.contains("criteria") || stderr.contains("limits"), "{stderr}");
 }

@@ -154,7 +154,7 @@ pub fn plan(plan: &Plan, grid: &GridSettings) {
         // The mean over a hat of twice the edge instead of the finest one's value: surfaces' H grows fourfold, which is divided
         // out; what is left is what U varies by within the larger hat.
         eprintln!(
-            "      leaves that have {} rays a vertex or are {} levels coarser: {:.1} % of vertices given up;\n      levels given up by share of what \
+            "      leaves that have {:.1} rays a vertex or are {} levels coarser: {:.1} % of vertices given up;\n      levels given up by share of what \
              rays touch: {}; log10 U is the larger leaf's there",
             plan.evidence,
             plan.given_up.len() - 1,

@@ -62,7 +62,7 @@ impl UncertaintyField {
     /// Writes Σ_r tr(JᵀJ) as the official code's `.npy`.
     ///
     /// # Errors
-    /// If the field keeps no evidence and is not of `trace`, its level is above 9 (1 GB), space is contracted, or the file cannot be written.
+    /// If the field keeps no evidence and is not of `trace`, its level is above 9 (1 GB), space is contracted, leaves were limited, or the file cannot be written.
     pub fn write_official(&self, path: &Path) -> Result<()> {
         if self.lattice.level() > 9 {
             let found = format!("level {}", self.lattice.level());
@@ -70,6 +70,10 @@ impl UncertaintyField {
         }
         if self.lattice.domain().bounds().is_none() {
             return Err(Error::setting("export", "a field of a box", "a contracted domain"));
+        }
+        if !self.limits.is_unlimited() {
+            let found = "one whose sums lie on coarser leaves (--memory or --refine evidence)";
+            return Err(Error::setting("export", "a field on the finest lattice", found));
         }
         let m = self.lattice.cells_per_axis();
         let mut sums = vec![0.0_f64; self.lattice.dense_vertices() as usize];
