@@ -136,7 +136,7 @@ mod tests {
 
     #[test]
     fn the_paper_prior_shows_as_5_70() {
-        // DESIGN: M = 256 gives log10 U = ½ log10(3 / 2λ) ≈ 5.70 where nothing was seen, for a box of edge 1.
+        // The paper's M = 256 gives log10 U = ½ log10(3 / 2λ) ≈ 5.70 where nothing was seen, for a box of edge 1.
         let lattice = Lattice::new(Aabb::centered_cube(0.5), 8).unwrap();
         let log10_u = 0.5 * (3.0 / (2.0 * lattice.default_lambda())).log10();
         assert!((log10_u - 5.70).abs() < 0.005, "{log10_u}");
