@@ -19,9 +19,10 @@ pub struct PlannedRun<'a> {
 }
 
 impl PlannedRun<'_> {
-    /// Draws the rays behind `from` into `builder`; `sink` sees every group of batches after the builder has. If the budget is used up in
-    /// spite of the plan, the next tighter plan is made and the run starts again from its first ray, so that the outcome is
-    /// that of a run which had been planned so. Returns the last plan too.
+    /// Draws the rays behind `from` into `builder`; `sink` sees every group of batches after the builder has,
+    /// with the tally that includes it. If the budget is used up in
+    /// spite of the plan, the next tighter plan is made and the run starts again from its first ray (`sink`
+    /// is told by an empty group and tally), so that the outcome is that of a run which had been planned so. Returns the last plan too.
     ///
     /// # Errors
     /// As [`RayStream::run`], what `sink` returns, or if no tighter plan is left.
@@ -58,6 +59,8 @@ impl PlannedRun<'_> {
             builder.limit(&tighter);
             plan = Some(tighter);
             from = Tally::default();
+            // What the sink remembers of the rays so far is void: an interrupt may come before the next batch.
+            sink(builder, &[], &from)?;
         }
     }
 }

@@ -181,3 +181,34 @@ fn the_finest_level_of_all_works_and_says_the_same_as_a_scan_of_its_samples() {
     });
     assert!(seen.count() > 40, "of {}", found.surface().len());
 }
+
+/// A budget that the plan meets and the run does not: whoever keeps the tally must hear of the new start before any ray of it.
+#[test]
+fn a_run_that_starts_again_says_so_before_its_first_ray() {
+    let field = ClosedForm::courtyard();
+    let cameras = ClosedForm::half_circle(6, [64, 64]);
+    let grid = GridSettings { level: 8, surface_points: 0, ..GridSettings::default() };
+    let rays = settings(20_000);
+    let mut builder = FieldBuilder::new(grid, Domain::Box(field.bounds())).unwrap();
+    let lattice = *builder.lattice();
+    let stream = rays.stream(&field, &cameras, &lattice, &Silent).unwrap();
+    let share = Share::whole(20_000);
+    let planner = Planner::new(grid, &rays, &stream, share, lattice, &Silent).unwrap();
+    // Planned without a budget, run within one that the sums outgrow.
+    let plan = planner.plan(&lattice).unwrap();
+    let run = PlannedRun { stream: &stream, share, planner: Some(&planner), memory: Some(40_000_000) };
+    let mut tallies = Vec::new();
+    let (tally, plan) = run
+        .run(&mut builder, Tally::default(), Some(plan), &Silent, |builder, batches, tally| {
+            assert_eq!(batches.is_empty(), tally.rays == 0);
+            assert!(tally.rays > 0 || builder.memory() == 0);
+            tallies.push(tally.rays);
+            Ok(())
+        })
+        .unwrap();
+    let starts = tallies.iter().filter(|&&rays| rays == 0).count();
+    assert!(starts > 0 && plan.unwrap().evidence > 0.0, "{tallies:?}");
+    assert!(tally.rays == 20_000 && builder.expected_peak() <= 40_000_000);
+    // Between two starts rays only grow: nothing of an earlier attempt is counted in a later one.
+    assert!(tallies.windows(2).all(|pair| pair[1] == 0 || pair[1] > pair[0]), "{tallies:?}");
+}

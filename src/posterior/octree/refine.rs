@@ -50,11 +50,11 @@ impl OctreePosterior {
             })
             .collect();
         drop(moved);
-        leaves.extend(refinement.wanted.iter().flat_map(|&cell| {
+        leaves.extend(refinement.wanted.iter().map(|&cell| {
             let (origin, _) = cell.extent(finest);
             let limit = self.limits.leaf(origin);
             let wanted = if limit.level < cell.level { limit } else { cell };
-            [(wanted.level, morton::encode(wanted.index))]
+            (wanted.level, morton::encode(wanted.index))
         }));
         leaves.par_sort_unstable();
         leaves.dedup();
