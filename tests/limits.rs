@@ -1,15 +1,22 @@
 //! Limits that a user thinks in, as the binary takes them: cell size, memory, refinement criteria, bytes per value.
 
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::{Command, Output, Stdio};
+use std::time::Duration;
 
 use octobayes::posterior::Criteria;
 use octobayes::uncertainty::{Store, Support, UncertaintyField, compare};
 
 const RUN: &str = "uncertainty scene:courtyard --resolution 64 --rays 40000 --occupancy 40";
 
+fn command(folder: &Path, args: &str) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_octobayes"));
+    command.args(args.split_whitespace()).current_dir(folder);
+    command
+}
+
 fn run(folder: &Path, args: &str) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_octobayes")).args(args.split_whitespace()).current_dir(folder).output().unwrap()
+    command(folder, args).output().unwrap()
 }
 
 fn good(folder: &Path, args: &str) -> String {
@@ -66,8 +73,19 @@ fn a_limited_run_survives_and_merges() {
     let folder = folder.path();
     let limited = format!("{RUN} --level 8 --refine evidence --tolerance 0");
     good(folder, &format!("{limited} -o whole.oct"));
-    // A run that was stopped after every tenth of a second takes up its own limits again.
-    good(folder, &format!("{limited} -o again.oct --checkpoint run.chk --checkpoint-every 0"));
+    // Killed as soon as it has saved something, a run takes up its own limits again.
+    let resumable = format!("{limited} -o again.oct --checkpoint run.chk --checkpoint-every 0 --resume");
+    let mut child = command(folder, &resumable).stderr(Stdio::null()).stdout(Stdio::null()).spawn().unwrap();
+    while !folder.join("run.chk").exists() && child.try_wait().unwrap().is_none() {
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    assert!(folder.join("run.chk").exists() && !folder.join("again.oct").exists(), "it was killed under way");
+    // Only a run of the same limits may go on from it.
+    let other = resumable.replace("--refine evidence", "--refine sensitivity");
+    assert!(refused(folder, &other).contains("evidence"));
+    good(folder, &resumable);
     assert_eq!(std::fs::read(folder.join("whole.oct")).unwrap(), std::fs::read(folder.join("again.oct")).unwrap());
     for shard in 0..2 {
         good(folder, &format!("{limited} --shard {shard}/2 -o part{shard}.oct"));

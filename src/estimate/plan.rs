@@ -38,6 +38,8 @@ pub struct Plan {
 pub struct Planner {
     settings: GridSettings,
     survey: Survey,
+    /// Vertices that the run would touch without limits.
+    vertices_unlimited: f64,
     /// Rays of the run per ray of the pilot.
     scale: f64,
     time: Duration,
@@ -69,21 +71,23 @@ impl Planner {
         })?;
         let scale = rays.rays as f64 / pilot.rays as f64;
         let time = start.elapsed().mul_f64(share.own_rays() as f64 / pilot.rays as f64);
-        Ok(Self { settings, survey: Survey::of(&posterior), scale, time })
+        let survey = Survey::of(&posterior);
+        let vertices_unlimited = survey.vertices(scale, &LevelLimits::none(lattice.level()));
+        Ok(Self { settings, survey, vertices_unlimited, scale, time })
     }
 
     /// The plan for limits with at least `evidence` rays per vertex; 0 for none.
     #[must_use]
     pub fn with_evidence(&self, lattice: &Lattice, evidence: f64) -> Plan {
-        let unlimited = LevelLimits::none(lattice.level());
-        let vertices_unlimited = self.survey.vertices(self.scale, &unlimited);
-        let limits = if evidence > 0.0 { self.survey.limits(self.scale, evidence) } else { unlimited };
+        let limits =
+            if evidence > 0.0 { self.survey.limits(self.scale, evidence) } else { LevelLimits::none(lattice.level()) };
         let vertices = self.survey.vertices(self.scale, &limits);
         let given_up = self.survey.shares(&limits);
         let bytes = match self.settings.grid {
             GridKind::Dense => DensePosterior::required_memory(lattice) as f64 * (1.0 + 4.0 / 64.0),
             GridKind::Octree => vertices * (SUMMING + FINISHED),
         };
+        let vertices_unlimited = self.vertices_unlimited;
         Plan { limits, evidence, vertices, vertices_unlimited, bytes, time: self.time, given_up }
     }
 
