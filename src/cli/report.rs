@@ -9,6 +9,7 @@ use serde_json::{Value, json};
 use crate::estimate::{GridSettings, Plan};
 use crate::memory::peak;
 use crate::posterior::{Pixels, Prior};
+use crate::render::GradientMethod;
 use crate::uncertainty::{Comparison, Difference, Summary, UncertaintyField};
 use crate::{Error, Result};
 
@@ -72,10 +73,10 @@ pub fn protocol(field: &UncertaintyField) -> String {
     let limits = if field.limits().is_unlimited() { "" } else { ", limited" };
     line("refinement", format!("{}, tolerance {} in log10 U{limits}", p.criteria, p.tolerance));
     line("march step", known(p.march_step.map(|s| format!("{s:.6} scene units"))));
-    line(
-        "difference",
-        known(p.difference_step.map(|h| format!("central, h = [{:.6}, {:.6}, {:.6}] scene units", h[0], h[1], h[2]))),
-    );
+    let differences =
+        p.difference_step.map(|h| format!("central, h = [{:.6}, {:.6}, {:.6}] scene units", h[0], h[1], h[2]));
+    let own = p.gradient.filter(|&g| g == GradientMethod::Analytic).map(|_| "none: the field's own derivatives".into());
+    line("difference", known(differences.or(own)));
     line("cutoff", known(p.cutoff.map(|c| format!("{c:e}"))));
     line("background", known(p.background.map(|b| format!("{b:?}"))));
     line("pixel offset", known(p.pixel_offset.map(|o| o.to_string())));

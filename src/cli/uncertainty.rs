@@ -9,6 +9,7 @@ use super::report::{self, Cost};
 use crate::estimate::{FieldBuilder, GridSettings, PlannedRun, Planner, Provenance, RaySettings};
 use crate::geometry::{Camera, Lattice};
 use crate::posterior::{Pixels, RayStream, SamplesWriter, Share, Tally, checkpoint};
+use crate::render::GradientMethod;
 use crate::{Error, Result};
 
 /// Compute the uncertainty of a trained field from its training cameras
@@ -43,6 +44,10 @@ pub struct Args {
 
     #[command(flatten)]
     domain: DomainOptions,
+
+    /// Where the field's derivatives come from
+    #[arg(long, value_enum, default_value_t)]
+    gradient: GradientMethod,
 
     /// Finite-difference step to both sides, in edges of the finest lattice
     #[arg(long, value_name = "EDGES", default_value_t = RaySettings::default().step, value_parser = parse_positive)]
@@ -109,6 +114,7 @@ impl Args {
             rays: self.rays,
             pixels: self.pixels,
             seed: self.seed,
+            gradient: self.gradient,
             step: self.step,
             cutoff: self.cutoff,
             ..RaySettings::default()

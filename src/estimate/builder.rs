@@ -210,7 +210,8 @@ impl FieldBuilder {
                 settings.tolerance
             },
             march_step: stream.map(|s| s.tracer.marcher.step),
-            difference_step: stream.map(|s| s.differences.step.to_array()),
+            gradient: stream.map(|s| s.differentiation.method()),
+            difference_step: stream.and_then(|s| s.differentiation.difference_step()),
             cutoff: stream.map(|s| s.tracer.marcher.cutoff),
             background: stream.map(|s| s.tracer.background.to_array()),
             pixel_offset: stream.map(|s| s.pixel_offset),

@@ -8,7 +8,7 @@ use crate::geometry::{Camera, Lattice};
 use crate::monitor::Monitor;
 use crate::posterior::checkpoint::RunKey;
 use crate::posterior::{PixelSequence, Pixels, RayStream, Share};
-use crate::render::{Differences, Marcher, Occupancy, Tracer};
+use crate::render::{Differences, Differentiation, GradientMethod, Marcher, Occupancy, Tracer};
 use crate::{Error, Result};
 
 /// Most samples along a ray: hundreds of rays are under way at once.
@@ -23,6 +23,8 @@ pub struct RaySettings {
     pub pixels: Pixels,
     /// Seed of pixels and jitter.
     pub seed: u64,
+    /// Where the field's derivatives come from.
+    pub gradient: GradientMethod,
     /// Finite-difference step in edges of the finest lattice.
     ///
     /// Larger steps smooth the field's derivative and move log10 U, smaller ones drown in the rounding of f32. The curves of
@@ -49,6 +51,7 @@ impl Default for RaySettings {
             rays: 4_096_000,
             pixels: Pixels::default(),
             seed: 0,
+            gradient: GradientMethod::default(),
             step: 1.0 / 128.0,
             cutoff: 1e-6,
             march_step: None,
@@ -96,7 +99,8 @@ impl RaySettings {
             pixels: self.pixels,
             seed: self.seed,
             march_step: stream.tracer.marcher.step,
-            difference_step: stream.differences.step.to_array(),
+            gradient: stream.differentiation.method(),
+            difference_step: stream.differentiation.differences.step.to_array(),
             cutoff: stream.tracer.marcher.cutoff,
             occupancy: self.occupancy as u64,
             background: stream.tracer.background.to_array(),
@@ -110,7 +114,7 @@ impl RaySettings {
     /// The stream of rays from `cameras` through `field`, differentiated for `lattice`.
     ///
     /// # Errors
-    /// [`Error::Interrupted`] only.
+    /// If the field cannot differentiate itself as it is asked to, or [`Error::Interrupted`].
     pub fn stream<'a>(
         &self,
         field: &'a dyn RadianceField,
@@ -127,7 +131,8 @@ impl RaySettings {
         let farthest = (0..8).map(|c| differences.at(corner(c).as_vec3())).fold(DVec3::ZERO, DVec3::max);
         Ok(RayStream {
             tracer: self.tracer(field, farthest.max_element(), monitor)?,
-            differences,
+            differentiation: Differentiation { differences, analytic: self.gradient.of(field)? },
+            negligible: 0.0,
             cameras,
             pixel_offset: self.pixel_offset.unwrap_or_else(|| field.pixel_offset()),
             pixels: PixelSequence::new(self.pixels, self.seed, cameras.iter().map(|c| c.resolution).collect()),

@@ -37,6 +37,34 @@ impl Radiance {
     }
 }
 
+/// Density and colour with their derivatives by position: first-order jets.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct RadianceJet {
+    /// Density and colour.
+    pub value: Radiance,
+    /// ∇σ, 1 / scene unit².
+    pub density_gradient: Vec3,
+    /// ∂c/∂x, ∂c/∂y, ∂c/∂z, each red, green, blue; 1 / scene unit.
+    pub color_gradients: [Vec3; 3],
+}
+
+/// A field that differentiates itself, exactly but for rounding.
+///
+/// Where the field has a kink (a ReLU, a cell's face) any one-sided derivative will do.
+pub trait Differentiable: Send + Sync {
+    /// Density, colour and their derivatives by position at `positions` (`[n]`) seen along fixed `directions` (`[n]`), into `out` (`[n]`).
+    fn jets(&self, positions: &[Vec3], directions: &[Vec3], out: &mut [RadianceJet]);
+
+    /// ∇σ alone at `positions` (`[n]`), into `out` (`[n]`).
+    fn density_gradients(&self, positions: &[Vec3], out: &mut [Vec3]) {
+        let mut jets = vec![RadianceJet::default(); positions.len()];
+        self.jets(positions, &vec![Vec3::Z; positions.len()], &mut jets);
+        for (out, jet) in out.iter_mut().zip(jets) {
+            *out = jet.density_gradient;
+        }
+    }
+}
+
 /// What a field that knows its training poses, but not the lens, has to be told.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Intrinsics {
@@ -65,9 +93,14 @@ pub trait RadianceField: Send + Sync {
         }
     }
 
+    /// The field's own derivatives, if it knows them; any other is differentiated by finite differences.
+    fn differentiable(&self) -> Option<&dyn Differentiable> {
+        None
+    }
+
     /// An upper bound of the density in the box from `min` to `max`, if the field knows one that is cheap to find.
     ///
-    /// Empty space is then skipped with certainty; without it, bounds are estimated from samples.
+    /// Empty space is then skipped with certainty; where there is none, it is estimated from samples. A field may know some boxes only.
     fn density_bound(&self, _min: Vec3, _max: Vec3) -> Option<f32> {
         None
     }

@@ -13,6 +13,7 @@ use super::{DensePosterior, Evidence, OctreePosterior, Pixels, Share, Tally};
 use crate::geometry::Lattice;
 use crate::io::container::{self, Format, Reader, Section};
 use crate::octree::LevelLimits;
+use crate::render::GradientMethod;
 use crate::{Error, Result};
 
 const FORMAT: Format = (b"OCTOCHK\n", 1);
@@ -44,7 +45,9 @@ pub struct RunKey {
     pub seed: u64,
     /// Distance between samples, scene units.
     pub march_step: f64,
-    /// Finite-difference step, scene units.
+    /// Where the field's derivatives come from.
+    pub gradient: GradientMethod,
+    /// Finite-difference step, scene units: samples within it of matter are differentiated.
     pub difference_step: [f64; 3],
     /// Samples below this are left out.
     pub cutoff: f64,

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use super::pixels::{Pick, PixelSequence, Pixels};
 use crate::geometry::{Camera, Ray};
 use crate::monitor::{Monitor, check};
-use crate::render::{Differences, Quadrature, RaySamples, TracedRays, Tracer};
+use crate::render::{Differentiation, JacobianBuffers, Quadrature, RaySamples, TraceBuffers, TracedRays, Tracer};
 use crate::{Error, Result};
 
 /// Rays per batch: batch b holds rays b · 512 …; any batch can be drawn alone.
@@ -22,8 +22,10 @@ pub const SURFACE_WEIGHT: f32 = 0.05;
 pub struct RayStream<'a> {
     /// Field, sampling and background.
     pub tracer: Tracer<'a>,
-    /// Finite differences.
-    pub differences: Differences,
+    /// How the field is differentiated.
+    pub differentiation: Differentiation<'a>,
+    /// ‖∂C/∂x‖ of a sample that is left out, 1 / scene unit.
+    pub negligible: f64,
     /// Training cameras, at least one.
     pub cameras: &'a [Camera],
     /// Where in a pixel the ray goes through: ½ is its centre.
@@ -140,10 +142,11 @@ impl<'a> RayStream<'a> {
             let samples: Vec<RaySamples> = group
                 .clone()
                 .into_par_iter()
-                .map(|n| {
+                .map_init(JacobianBuffers::default, |buffers, n| {
                     let batch = share.batch(n);
                     let (rays, jitter) = self.draw(batch, share.rays_of(batch));
-                    let samples = self.tracer.jacobians(&rays, &jitter, batch * BATCH, self.differences);
+                    let (first, how) = (batch * BATCH, &self.differentiation);
+                    let samples = self.tracer.jacobians(&rays, &jitter, first, how, self.negligible, buffers);
                     monitor.advance(rays.len() as u64);
                     samples
                 })
@@ -183,9 +186,10 @@ impl RayStream<'_> {
             check(monitor)?;
             let found: Vec<Vec<[f32; 3]>> = (group..(group + GROUP).min(batches))
                 .into_par_iter()
-                .map(|batch| {
+                .map_init(TraceBuffers::default, |buffers, batch| {
                     let (rays, jitter) = self.draw(batch, BATCH);
-                    visible(&self.tracer.trace(&rays, &jitter), self.tracer.marcher.step)
+                    self.tracer.trace(&rays, &jitter, buffers);
+                    visible(&buffers.traced, self.tracer.marcher.step)
                 })
                 .collect();
             points.extend(found.into_iter().flatten().take(count - points.len()));
@@ -200,14 +204,9 @@ impl RayStream<'_> {
 /// Samples of weight ≥ [`SURFACE_WEIGHT`].
 fn visible(traced: &TracedRays, step: f64) -> Vec<[f32; 3]> {
     let mut quadrature = Quadrature::default();
-    let mut points = Vec::new();
-    for ray in 0..traced.rays() {
-        let samples = traced.samples(ray);
-        quadrature.set(&traced.radiance[samples.clone()], step);
-        let weighted = quadrature.weights.iter().zip(&traced.positions[samples]);
-        points.extend(weighted.filter(|(w, _)| **w >= f64::from(SURFACE_WEIGHT)).map(|(_, x)| x.to_array()));
-    }
-    points
+    quadrature.set(traced, step);
+    let weighted = quadrature.weights.iter().zip(&traced.positions);
+    weighted.filter(|(w, _)| **w >= f64::from(SURFACE_WEIGHT)).map(|(_, x)| x.to_array()).collect()
 }
 
 #[cfg(test)]

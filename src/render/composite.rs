@@ -6,9 +6,11 @@
 //!
 //! All in f64: a ray has at most a few hundred samples, the field behind each costs a thousand times more.
 
-use glam::DVec3;
+use std::ops::Range;
 
-use crate::field::Radiance;
+use glam::{DVec3, Vec3};
+
+use super::TracedRays;
 
 /// What a ray shows.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -23,45 +25,54 @@ pub struct Pixel {
     pub median_depth: f64,
 }
 
-/// Weights of a ray's samples, with buffers that are used again from ray to ray.
+/// Weights of the samples of a group of rays, in their order; buffers are used again from group to group.
 #[derive(Debug, Clone, Default)]
 pub struct Quadrature {
     /// w_i.
     pub weights: Vec<f64>,
-    /// T_i before each sample, and T_end as last entry: one more than there are samples.
-    pub transmittance: Vec<f64>,
+    /// T_{i+1}, behind each sample.
+    pub behind: Vec<f64>,
 }
 
 impl Quadrature {
-    /// Computes the weights for `samples` at intervals `delta`; any number of samples, none included.
-    pub fn set(&mut self, samples: &[Radiance], delta: f64) {
+    /// Computes the weights for all samples of `traced` at intervals `delta`.
+    pub fn set(&mut self, traced: &TracedRays, delta: f64) {
         self.weights.clear();
-        self.transmittance.clear();
-        self.transmittance.push(1.0);
-        let mut transmittance = 1.0;
-        for sample in samples {
-            // exp_m1 keeps α exact where σδ is tiny; w from it and T from exp agree to an ulp, so Σ w + T_end = 1.
-            let optical_depth = f64::from(sample.density) * delta;
-            self.weights.push(transmittance * -(-optical_depth).exp_m1());
-            transmittance *= (-optical_depth).exp();
-            self.transmittance.push(transmittance);
+        self.behind.clear();
+        for ray in 0..traced.rays() {
+            self.push_ray(&traced.densities[traced.samples(ray)], delta);
         }
     }
 
-    /// T_end.
-    #[must_use]
-    pub fn end_transmittance(&self) -> f64 {
-        self.transmittance.last().copied().unwrap_or(1.0)
+    /// Appends a ray with any number of samples, none included.
+    fn push_ray(&mut self, densities: &[f32], delta: f64) {
+        let mut transmittance = 1.0;
+        for &density in densities {
+            // exp_m1 keeps α exact where σδ is tiny. T is what w leaves over, so Σ w + T_end = 1; where α rounds to 1 that is
+            // an error of an ulp of 1, of something that nothing can be seen through.
+            let alpha = -(f64::from(density) * -delta).exp_m1();
+            let weight = transmittance * alpha;
+            transmittance -= weight;
+            self.weights.push(weight);
+            self.behind.push(transmittance);
+        }
     }
 
-    /// Colour, opacity and depths; `t` are the samples' distances.
+    /// T_end of the ray that owns `samples`.
     #[must_use]
-    pub fn pixel(&self, samples: &[Radiance], t: &[f64], background: DVec3) -> Pixel {
-        let opacity: f64 = self.weights.iter().sum();
-        let mut pixel = Pixel { color: self.end_transmittance() * background, opacity, ..Pixel::default() };
+    pub fn end_transmittance(&self, samples: &Range<usize>) -> f64 {
+        self.behind[samples.clone()].last().copied().unwrap_or(1.0)
+    }
+
+    /// Colour, opacity and depths of the ray that owns `samples`; `colors` (linear RGB in `[0, 1]`) and `t` (distances) are those of all samples.
+    #[must_use]
+    pub fn pixel(&self, samples: &Range<usize>, colors: &[Vec3], t: &[f64], background: DVec3) -> Pixel {
+        let weights = &self.weights[samples.clone()];
+        let opacity: f64 = weights.iter().sum();
+        let mut pixel = Pixel { color: self.end_transmittance(samples) * background, opacity, ..Pixel::default() };
         let mut so_far = 0.0;
-        for ((&w, sample), &t) in self.weights.iter().zip(samples).zip(t) {
-            pixel.color += w * sample.color.as_dvec3();
+        for ((&w, color), &t) in weights.iter().zip(&colors[samples.clone()]).zip(&t[samples.clone()]) {
+            pixel.color += w * color.as_dvec3();
             if opacity > 0.0 {
                 pixel.expected_depth += w * t / opacity;
                 if so_far < 0.5 * opacity && so_far + w >= 0.5 * opacity {
@@ -73,14 +84,19 @@ impl Quadrature {
         pixel
     }
 
-    /// ∂C/∂σ_i = δ (T_{i+1} c_i − S_i) for every sample, `[n]`, into `out`; one backward sweep.
-    pub fn density_derivative(&self, samples: &[Radiance], delta: f64, background: DVec3, out: &mut Vec<DVec3>) {
-        out.clear();
-        out.resize(samples.len(), DVec3::ZERO);
-        let mut behind = self.end_transmittance() * background;
-        for i in (0..samples.len()).rev() {
-            let color = samples[i].color.as_dvec3();
-            out[i] = delta * (self.transmittance[i + 1] * color - behind);
+    /// ∂C/∂σ_i = δ (T_{i+1} c_i − S_i) for the samples of a ray, into `out` (of all samples); one backward sweep.
+    pub fn density_derivative(
+        &self,
+        samples: &Range<usize>,
+        colors: &[Vec3],
+        delta: f64,
+        background: DVec3,
+        out: &mut [DVec3],
+    ) {
+        let mut behind = self.end_transmittance(samples) * background;
+        for i in samples.clone().rev() {
+            let color = colors[i].as_dvec3();
+            out[i] = delta * (self.behind[i] * color - behind);
             behind += self.weights[i] * color;
         }
     }
@@ -89,51 +105,66 @@ impl Quadrature {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glam::Vec3;
     use proptest::prelude::*;
 
-    fn samples() -> impl Strategy<Value = Vec<Radiance>> {
+    /// Densities and colours along a ray.
+    fn samples() -> impl Strategy<Value = (Vec<f32>, Vec<Vec3>)> {
         let density = prop_oneof![Just(0.0_f32), 0.0..10.0_f32, 1e-6..1e-3_f32, 1e3..1e4_f32];
-        let radiance = (density, [0.0..1.0_f32, 0.0..1.0, 0.0..1.0])
-            .prop_map(|(density, color)| Radiance { density, color: Vec3::from_array(color) });
-        proptest::collection::vec(radiance, 0..40)
+        let color = [0.0..1.0_f32, 0.0..1.0, 0.0..1.0].prop_map(Vec3::from_array);
+        proptest::collection::vec((density, color), 0..40).prop_map(|samples| samples.into_iter().unzip())
+    }
+
+    fn one_ray(densities: &[f32], delta: f64) -> (Quadrature, Range<usize>) {
+        let mut quadrature = Quadrature::default();
+        quadrature.push_ray(densities, delta);
+        (quadrature, 0..densities.len())
     }
 
     proptest! {
         #[test]
-        fn weights_and_final_transmittance_sum_to_one(samples in samples(), delta in 1e-4..0.1_f64) {
-            let mut quadrature = Quadrature::default();
-            quadrature.set(&samples, delta);
-            let sum = quadrature.weights.iter().sum::<f64>() + quadrature.end_transmittance();
-            // Two roundings per sample in T and two in w, at most 40 samples.
-            prop_assert!((sum - 1.0).abs() <= 200.0 * f64::EPSILON, "{}", sum);
-            prop_assert!(quadrature.weights.iter().all(|&w| w >= 0.0));
+        fn weights_and_final_transmittance_sum_to_one((densities, _) in samples(), delta in 1e-4..0.1_f64) {
+            let (quadrature, ray) = one_ray(&densities, delta);
+            let sum = quadrature.weights.iter().sum::<f64>() + quadrature.end_transmittance(&ray);
+            // A rounding per sample in T and one in the sum, at most 40 samples.
+            prop_assert!((sum - 1.0).abs() <= 80.0 * f64::EPSILON, "{}", sum);
+            prop_assert!(quadrature.weights.iter().chain(&quadrature.behind).all(|&w| w >= 0.0));
         }
 
         #[test]
-        fn density_derivative_is_the_derivative(samples in samples(), delta in 1e-4..0.1_f64) {
+        fn transmittance_is_the_exponential_of_the_optical_depth((densities, _) in samples(), delta in 1e-4..0.1_f64) {
+            let (quadrature, _) = one_ray(&densities, delta);
+            let mut depth = 0.0;
+            for (i, &density) in densities.iter().enumerate() {
+                let before = f64::exp(-depth);
+                depth += f64::from(density) * delta;
+                // One rounding of T and α per sample; 40 samples.
+                prop_assert!((quadrature.behind[i] - f64::exp(-depth)).abs() <= 80.0 * f64::EPSILON);
+                let alpha = -(-f64::from(density) * delta).exp_m1();
+                prop_assert!((quadrature.weights[i] - before * alpha).abs() <= 80.0 * f64::EPSILON * alpha);
+            }
+        }
+
+        #[test]
+        fn density_derivative_is_the_derivative((densities, colors) in samples(), delta in 1e-4..0.1_f64) {
             let background = DVec3::new(1.0, 0.5, 0.0);
-            let t = vec![0.0; samples.len()];
-            let mut quadrature = Quadrature::default();
-            let mut color_at = |samples: &[Radiance]| {
-                quadrature.set(samples, delta);
-                quadrature.pixel(samples, &t, background).color
+            let t = vec![0.0; densities.len()];
+            let color_at = |densities: &[f32]| {
+                let (quadrature, ray) = one_ray(densities, delta);
+                quadrature.pixel(&ray, &colors, &t, background).color
             };
-            let mut analytic = Vec::new();
-            for i in 0..samples.len() {
+            let (quadrature, ray) = one_ray(&densities, delta);
+            let mut analytic = vec![DVec3::ZERO; densities.len()];
+            quadrature.density_derivative(&ray, &colors, delta, background, &mut analytic);
+            for i in ray {
                 // σ is f32, so the perturbation is what f32 made of it. C is a sum of exponentials of −δσ_i: the
                 // second-order error is below (hδ)² relative, the rounding below 1e-15 / h.
-                let h = 1e-3 * (1.0 + samples[i].density);
-                let (mut up, mut down) = (samples.clone(), samples.clone());
-                up[i].density += h;
-                down[i].density = (down[i].density - h).max(0.0);
-                let width = f64::from(up[i].density) - f64::from(down[i].density);
+                let h = 1e-3 * (1.0 + densities[i]);
+                let (mut up, mut down) = (densities.clone(), densities.clone());
+                up[i] += h;
+                down[i] = (down[i] - h).max(0.0);
+                let width = f64::from(up[i]) - f64::from(down[i]);
                 let numeric = (color_at(&up) - color_at(&down)) / width;
-                let one_sided = f64::from(down[i].density == 0.0);
-                color_at(&samples);
-                let mut q = Quadrature::default();
-                q.set(&samples, delta);
-                q.density_derivative(&samples, delta, background, &mut analytic);
+                let one_sided = f64::from(down[i] == 0.0);
                 let limit = 2.0 * delta * (width * delta).powi(2) + one_sided * width * delta * delta + 1e-13 / width + 1e-15;
                 prop_assert!((numeric - analytic[i]).abs().max_element() <= limit,
                     "sample {}: {} against {}, limit {}", i, numeric, analytic[i], limit);
@@ -144,11 +175,10 @@ mod tests {
     #[test]
     fn homogeneous_slab_has_the_textbook_answer() {
         // 100 intervals of 0.01 at σ = 4: T = exp(−4), median where 1 − exp(−4t) = (1 − exp(−4)) / 2.
-        let samples = vec![Radiance { density: 4.0, color: Vec3::splat(0.5) }; 100];
+        let colors = vec![Vec3::splat(0.5); 100];
         let t: Vec<f64> = (0..100).map(|i| 0.01 * (f64::from(i) + 0.5)).collect();
-        let mut quadrature = Quadrature::default();
-        quadrature.set(&samples, 0.01);
-        let pixel = quadrature.pixel(&samples, &t, DVec3::ONE);
+        let (quadrature, ray) = one_ray(&[4.0; 100], 0.01);
+        let pixel = quadrature.pixel(&ray, &colors, &t, DVec3::ONE);
         let end = (-4.0_f64).exp();
         assert!((pixel.opacity - (1.0 - end)).abs() < 1e-14);
         assert!((pixel.color.x - (0.5 * (1.0 - end) + end)).abs() < 1e-14);

@@ -1,240 +1,228 @@
 //! The Jacobian of a pixel's colour with respect to the positions of its samples.
 //!
 //! G_i = dC/dx_i = (∂C/∂σ_i) ∇σ(x_i)ᵀ + w_i ∇c(x_i), 3×3, row = colour channel, column = axis (Bayes' Rays, Sec. 4.3, by the
-//! chain rule through compositing). ∂C/∂σ_i and ∂C/∂c_i = w_i are analytic; ∇σ and ∇c are central differences of the field.
+//! chain rule through compositing). ∂C/∂σ_i and ∂C/∂c_i = w_i are analytic; ∇σ and ∇c are a [`Differentiation`]'s.
+//!
+//! What is evaluated, by what a sample can do to its pixel:
+//!
+//! | | density | ∇σ | colour | ∇c |
+//! |---|---|---|---|---|
+//! | *visible*: w > cutoff | x | x | x | x |
+//! | *lurking*: w ≤ cutoff, but matter that would be seen may be within h: δ T σ̂ > cutoff | x | x | if ∇σ matters | |
+//! | all others, behind surfaces or far from them | x | | | |
+//!
+//! |∂C/∂σ| ≤ √3 δ T, because colours lie in [0, 1]; σ̂ is the occupancy's density bound. The first bounds the share of ∇c (|∇c| ≤ 1/2h), the second
+//! that of ∇σ (|∇σ| ≤ σ̂/2h). A sample in the empty space before a surface has w = 0 but may see the surface within h: it is
+//! lurking. Cutoff 0 leaves out only exact zeros.
 
 use glam::{DVec3, Vec3};
 
-use super::{Quadrature, TracedRays, Tracer};
+use super::gradient::{GradientBuffers, Jet};
+use super::{Differentiation, Quadrature, RaySample, RaySamples, TraceBuffers, TracedRays, Tracer};
 use crate::field::Radiance;
-use crate::geometry::{Domain, Ray};
+use crate::geometry::Ray;
 
-/// How the field is differentiated.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Differences {
-    /// Distance h to both sides along each axis where space is not contracted, scene units.
-    pub step: DVec3,
-    /// Where it is, h grows with the lattice's cells.
-    pub domain: Domain,
+/// Samples whose derivatives are asked for together.
+#[derive(Default)]
+struct Chosen {
+    /// `[n]`, increasing: index of the sample.
+    samples: Vec<u32>,
+    /// `[n]`: index of its ray.
+    rays: Vec<u32>,
+    positions: Vec<Vec3>,
+    directions: Vec<Vec3>,
 }
 
-impl Differences {
-    /// h along each axis at x.
-    #[must_use]
-    pub fn at(&self, x: Vec3) -> DVec3 {
-        self.step * self.domain.stretch(x)
+impl Chosen {
+    fn clear(&mut self) {
+        self.samples.clear();
+        self.rays.clear();
+        self.positions.clear();
+        self.directions.clear();
+    }
+
+    fn push(&mut self, sample: usize, ray: usize, position: Vec3, direction: Vec3) {
+        self.samples.push(sample as u32);
+        self.rays.push(ray as u32);
+        self.positions.push(position);
+        self.directions.push(direction);
     }
 }
 
-/// Ray samples with their Jacobians: what a posterior is made of, wherever it came from. Rays in increasing order; rays
-/// without samples are absent. Ray r of the list owns `offsets[r]..offsets[r + 1]`.
-#[derive(Debug, Clone, PartialEq)]
-pub struct RaySamples {
-    /// `[rays]`, increasing: index of each ray in the whole run.
-    pub rays: Vec<u64>,
-    /// `[rays + 1]`.
-    pub offsets: Vec<usize>,
-    /// `[n]`, scene units.
-    pub positions: Vec<Vec3>,
-    /// `[n]`: ∂C_c/∂x_k at 3·c + k.
-    pub jacobians: Vec<[f32; 9]>,
-    /// `[n]`: w, share of the pixel's colour; 0 where unknown.
-    pub weights: Vec<f32>,
-    /// `[n]`: ‖∂C/∂σ‖ ∇σ, the density's part of the Jacobian by size and direction; 0 where unknown.
-    pub gradients: Vec<[f32; 3]>,
-    /// Rays dropped because the field was not finite.
-    pub dropped: u64,
-    /// Position of the first sample that was not.
-    pub first_invalid: Option<Vec3>,
-}
-
-impl Default for RaySamples {
-    fn default() -> Self {
-        Self {
-            rays: Vec::new(),
-            offsets: vec![0],
-            positions: Vec::new(),
-            jacobians: Vec::new(),
-            weights: Vec::new(),
-            gradients: Vec::new(),
-            dropped: 0,
-            first_invalid: None,
-        }
-    }
-}
-
-/// One sample of a ray; see [`RaySamples`] for units.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct RaySample {
-    /// Position.
-    pub position: Vec3,
-    /// ∂C_c/∂x_k at 3·c + k.
-    pub jacobian: [f32; 9],
-    /// w.
-    pub weight: f32,
-    /// ‖∂C/∂σ‖ ∇σ.
-    pub gradient: [f32; 3],
-}
-
-impl RaySamples {
-    /// Appends one sample to the ray with index `ray`, which must not be below the last one.
-    pub fn push(&mut self, ray: u64, sample: RaySample) {
-        if self.rays.last() != Some(&ray) {
-            self.rays.push(ray);
-            self.offsets.push(self.positions.len());
-        }
-        self.positions.push(sample.position);
-        self.jacobians.push(sample.jacobian);
-        self.weights.push(sample.weight);
-        self.gradients.push(sample.gradient);
-        if let Some(end) = self.offsets.last_mut() {
-            *end = self.positions.len();
-        }
-    }
-
-    /// Sample `i` of the list.
-    #[must_use]
-    pub fn sample(&self, i: usize) -> RaySample {
-        RaySample {
-            position: self.positions[i],
-            jacobian: self.jacobians[i],
-            weight: self.weights[i],
-            gradient: self.gradients[i],
-        }
-    }
-
-    /// Each ray's index and its samples' range.
-    pub fn iter(&self) -> impl Iterator<Item = (u64, std::ops::Range<usize>)> + '_ {
-        self.rays.iter().zip(self.offsets.windows(2)).map(|(&ray, pair)| (ray, pair[0]..pair[1]))
-    }
-}
-
-/// A sample whose gradient is wanted.
-struct Wanted {
-    ray: usize,
-    sample: usize,
-    weight: f64,
-    density_derivative: DVec3,
+/// Buffers that a thread uses again from batch to batch.
+#[derive(Default)]
+pub struct JacobianBuffers<'a> {
+    trace: TraceBuffers<'a>,
+    quadrature: Quadrature,
+    visible: Chosen,
+    lurking: Chosen,
+    gradient: GradientBuffers,
+    jets: Vec<Option<Jet>>,
+    density_gradients: Vec<Option<DVec3>>,
+    /// Colours of those that lurk.
+    radiance: Vec<Radiance>,
+    /// `[samples]`.
+    colors: Vec<Vec3>,
+    /// `[samples]`: ∂C/∂σ.
+    density_derivatives: Vec<DVec3>,
+    /// `[rays]`: a sample where the field is not finite.
+    invalid: Vec<Option<u32>>,
 }
 
 impl Tracer<'_> {
-    /// Traces `rays` and differentiates their pixels; the rays are numbered from `first_ray`.
-    ///
-    /// Left out are samples that are certain to matter little, max(w, σ̂ ‖∂C/∂σ‖) ≤ cutoff with σ̂ the density bound around the
-    /// sample: the first bounds the share of ∇c (|∇c| ≤ 1/2h), the second that of ∇σ (|∇σ| ≤ σ̂/2h). A sample in the empty
-    /// space before a surface has w = 0 but may see the surface within h: it is kept. Cutoff 0 leaves out only exact zeros.
+    /// Traces `rays` and differentiates their pixels; the rays are numbered from `first_ray`. Samples that change no pixel by more than
+    /// `negligible` (‖G‖, 1 / scene unit) are left out.
     #[must_use]
-    pub fn jacobians(&self, rays: &[Ray], jitter: &[f64], first_ray: u64, differences: Differences) -> RaySamples {
-        let traced = self.trace(rays, jitter);
-        let wanted = self.wanted(&traced);
-        let gradients = self.gradients(&traced, rays, &wanted, differences);
-        let mut out =
-            RaySamples { dropped: traced.dropped, first_invalid: traced.first_invalid, ..RaySamples::default() };
-        // A ray with an invalid neighbour evaluation is dropped as a whole, like one with an invalid sample.
-        let mut invalid = vec![false; rays.len()];
-        for (w, gradient) in wanted.iter().zip(&gradients) {
-            if gradient.is_none() && !invalid[w.ray] {
-                invalid[w.ray] = true;
-                out.dropped += 1;
-                out.first_invalid.get_or_insert(traced.positions[w.sample]);
-            }
-        }
-        for (w, gradient) in wanted.iter().zip(gradients) {
-            let Some((density_gradient, color_gradient)) = gradient.filter(|_| !invalid[w.ray]) else { continue };
-            let mut jacobian = [0.0; 9];
-            for channel in 0..3 {
-                for axis in 0..3 {
-                    let g = w.density_derivative[channel] * density_gradient[axis]
-                        + w.weight * color_gradient[axis][channel];
-                    jacobian[3 * channel + axis] = g as f32;
+    pub fn jacobians<'b>(
+        &'b self,
+        rays: &[Ray],
+        jitter: &[f64],
+        first_ray: u64,
+        differentiation: &Differentiation,
+        negligible: f64,
+        buffers: &mut JacobianBuffers<'b>,
+    ) -> RaySamples {
+        self.trace(rays, jitter, &mut buffers.trace);
+        buffers.quadrature.set(&buffers.trace.traced, self.marcher.step);
+        self.differentiate(rays, differentiation, negligible, buffers);
+        self.assemble(first_ray, negligible, buffers)
+    }
+
+    /// Fills everything behind `quadrature`.
+    fn differentiate(
+        &self,
+        rays: &[Ray],
+        differentiation: &Differentiation,
+        negligible: f64,
+        buffers: &mut JacobianBuffers,
+    ) {
+        let JacobianBuffers { visible, lurking, gradient, jets, density_gradients, radiance, colors, invalid, .. } =
+            buffers;
+        let (traced, quadrature) = (&buffers.trace.traced, &buffers.quadrature);
+        self.choose(rays, traced, quadrature, visible, lurking);
+        invalid.clear();
+        invalid.resize(rays.len(), None);
+        colors.clear();
+        colors.resize(traced.positions.len(), Vec3::ZERO);
+
+        differentiation.jets(self.field, &visible.positions, &visible.directions, gradient, jets);
+        for (i, jet) in jets.iter().enumerate() {
+            match jet {
+                Some(jet) => colors[visible.samples[i] as usize] = jet.color,
+                None => {
+                    invalid[visible.rays[i] as usize].get_or_insert(visible.samples[i]);
                 }
             }
-            if jacobian.iter().any(|&g| g != 0.0) {
-                let gradient = (w.density_derivative.length() * density_gradient).as_vec3().to_array();
-                let sample =
-                    RaySample { position: traced.positions[w.sample], jacobian, weight: w.weight as f32, gradient };
-                out.push(first_ray + w.ray as u64, sample);
+        }
+
+        differentiation.density_gradients(self.field, &lurking.positions, gradient, density_gradients);
+        // The few that matter move to the front.
+        let mut kept = 0;
+        for i in 0..lurking.samples.len() {
+            let (sample, ray) = (lurking.samples[i], lurking.rays[i]);
+            let Some(gradient) = density_gradients[i] else {
+                invalid[ray as usize].get_or_insert(sample);
+                continue;
+            };
+            if self.influence(quadrature.behind[sample as usize]) * gradient.length() > negligible {
+                (lurking.samples[kept], lurking.rays[kept]) = (sample, ray);
+                (lurking.positions[kept], lurking.directions[kept]) = (lurking.positions[i], lurking.directions[i]);
+                density_gradients[kept] = Some(gradient);
+                kept += 1;
+            }
+        }
+        lurking.samples.truncate(kept);
+        radiance.clear();
+        radiance.resize(kept, Radiance::default());
+        self.field.evaluate(&lurking.positions[..kept], &lurking.directions[..kept], radiance);
+        for (i, radiance) in radiance.iter().enumerate() {
+            colors[lurking.samples[i] as usize] = radiance.color;
+            if !radiance.is_valid() {
+                invalid[lurking.rays[i] as usize].get_or_insert(lurking.samples[i]);
+            }
+        }
+    }
+
+    /// Upper bound of |∂C/∂σ| where the transmittance is T.
+    fn influence(&self, transmittance: f64) -> f64 {
+        3_f64.sqrt() * self.marcher.step * transmittance
+    }
+
+    /// Sorts samples into visible and lurking ones.
+    fn choose(
+        &self,
+        rays: &[Ray],
+        traced: &TracedRays,
+        quadrature: &Quadrature,
+        visible: &mut Chosen,
+        lurking: &mut Chosen,
+    ) {
+        visible.clear();
+        lurking.clear();
+        for (r, ray) in rays.iter().enumerate() {
+            let direction = ray.direction.as_vec3();
+            for i in traced.samples(r) {
+                let x = traced.positions[i];
+                if quadrature.weights[i] > self.marcher.cutoff {
+                    visible.push(i, r, x, direction);
+                    continue;
+                }
+                let influence = self.influence(quadrature.behind[i]);
+                // ∞ · 0 would be NaN: without occupancy the bound is infinite, and behind opaque matter the influence is 0.
+                if influence > 0.0 && influence * self.marcher.majorant(x.as_dvec3()) > self.marcher.cutoff {
+                    lurking.push(i, r, x, direction);
+                }
+            }
+        }
+    }
+
+    /// Jacobians of the chosen samples. A ray with an invalid evaluation is dropped as a whole, like one with an invalid density.
+    fn assemble(&self, first_ray: u64, negligible: f64, buffers: &mut JacobianBuffers) -> RaySamples {
+        let JacobianBuffers { trace, quadrature, visible, lurking, jets, density_gradients, colors, invalid, .. } =
+            buffers;
+        let traced = &trace.traced;
+        let derivatives = &mut buffers.density_derivatives;
+        derivatives.clear();
+        derivatives.resize(traced.positions.len(), DVec3::ZERO);
+        let mut out =
+            RaySamples { dropped: traced.dropped, first_invalid: traced.first_invalid, ..RaySamples::default() };
+        for (r, &invalid) in invalid.iter().enumerate() {
+            let samples = traced.samples(r);
+            if let Some(sample) = invalid {
+                out.dropped += 1;
+                out.first_invalid.get_or_insert(traced.positions[sample as usize]);
+            } else {
+                quadrature.density_derivative(&samples, colors, self.marcher.step, self.background(), derivatives);
+            }
+        }
+        let (mut v, mut l) = (0, 0);
+        loop {
+            let next = |chosen: &Chosen, i: usize| chosen.samples.get(i).copied().unwrap_or(u32::MAX);
+            let (from_visible, from_lurking) = (next(visible, v), next(lurking, l));
+            let sample = from_visible.min(from_lurking) as usize;
+            let (ray, jet) = if from_visible < from_lurking {
+                v += 1;
+                (visible.rays[v - 1] as usize, jets[v - 1])
+            } else if from_lurking < u32::MAX {
+                l += 1;
+                let gradient = density_gradients[l - 1];
+                (lurking.rays[l - 1] as usize, gradient.map(|g| Jet { density_gradient: g, ..Jet::default() }))
+            } else {
+                break;
+            };
+            let Some(jet) = jet.filter(|_| invalid[ray].is_none()) else { continue };
+            let (weight, derivative) = (quadrature.weights[sample], derivatives[sample]);
+            // [∂C/∂x, ∂C/∂y, ∂C/∂z], each red, green, blue.
+            let columns =
+                [0, 1, 2].map(|axis| derivative * jet.density_gradient[axis] + weight * jet.color_gradients[axis]);
+            if columns.iter().map(|column| column.length_squared()).sum::<f64>() > negligible * negligible {
+                let jacobian = std::array::from_fn(|i| columns[i % 3][i / 3] as f32);
+                let gradient = (derivative.length() * jet.density_gradient).as_vec3().to_array();
+                let position = traced.positions[sample];
+                out.push(first_ray + ray as u64, RaySample { position, jacobian, weight: weight as f32, gradient });
             }
         }
         out
-    }
-
-    /// The samples whose Jacobian may matter.
-    fn wanted(&self, traced: &TracedRays) -> Vec<Wanted> {
-        let mut quadrature = Quadrature::default();
-        let mut derivative = Vec::new();
-        let mut wanted = Vec::new();
-        for ray in 0..traced.rays() {
-            let samples = traced.samples(ray);
-            let radiance = &traced.radiance[samples.clone()];
-            quadrature.set(radiance, self.marcher.step);
-            quadrature.density_derivative(radiance, self.marcher.step, self.background(), &mut derivative);
-            for (i, sample) in samples.enumerate() {
-                let weight = quadrature.weights[i];
-                let length = derivative[i].length();
-                // ∞ · 0 would be NaN: without occupancy the bound is infinite, and behind opaque matter the length is 0.
-                let reach = if length > 0.0 {
-                    length * self.marcher.majorant(traced.positions[sample].as_dvec3())
-                } else {
-                    0.0
-                };
-                if weight.max(reach) > self.marcher.cutoff {
-                    wanted.push(Wanted { ray, sample, weight, density_derivative: derivative[i] });
-                }
-            }
-        }
-        wanted
-    }
-
-    /// (∇σ, [∂c/∂x, ∂c/∂y, ∂c/∂z]) of every wanted sample; `None` where the field is not finite nearby.
-    ///
-    /// Points are clipped to the box, so that the difference is one-sided at its border, and divided by the distance that
-    /// f32 positions really have.
-    fn gradients(
-        &self,
-        traced: &TracedRays,
-        rays: &[Ray],
-        wanted: &[Wanted],
-        differences: Differences,
-    ) -> Vec<Option<(DVec3, [DVec3; 3])>> {
-        let mut positions = Vec::with_capacity(6 * wanted.len());
-        let mut directions = Vec::with_capacity(6 * wanted.len());
-        for w in wanted {
-            let x = traced.positions[w.sample];
-            let step = differences.at(x);
-            for axis in 0..3 {
-                for side in [1.0, -1.0] {
-                    let mut y = x.as_dvec3();
-                    y[axis] += side * step[axis];
-                    let mut y = y.as_vec3();
-                    y[axis] = self.marcher.bounds.clamp(y)[axis];
-                    positions.push(y);
-                    directions.push(rays[w.ray].direction.as_vec3());
-                }
-            }
-        }
-        let mut radiance = vec![Radiance::default(); positions.len()];
-        self.field.evaluate(&positions, &directions, &mut radiance);
-
-        let around = positions.as_chunks::<6>().0.iter().zip(radiance.as_chunks::<6>().0);
-        around
-            .map(|(x, r)| {
-                if r.iter().any(|r| !r.is_valid()) {
-                    return None;
-                }
-                let mut density = DVec3::ZERO;
-                let mut color = [DVec3::ZERO; 3];
-                for axis in 0..3 {
-                    let (up, down) = (2 * axis, 2 * axis + 1);
-                    let width = f64::from(x[up][axis]) - f64::from(x[down][axis]);
-                    if width > 0.0 {
-                        density[axis] = (f64::from(r[up].density) - f64::from(r[down].density)) / width;
-                        color[axis] = (r[up].color.as_dvec3() - r[down].color.as_dvec3()) / width;
-                    }
-                }
-                Some((density, color))
-            })
-            .collect()
     }
 }
 
@@ -242,8 +230,16 @@ impl Tracer<'_> {
 mod tests {
     use super::*;
     use crate::field::{ClosedForm, RadianceField};
-    use crate::render::Marcher;
+    use crate::geometry::Domain;
+    use crate::render::{Differences, Marcher};
     use proptest::prelude::*;
+
+    /// Jacobians by central differences over ±h.
+    fn by_differences(tracer: &Tracer, rays: &[Ray], jitter: &[f64], first: u64, h: f64) -> RaySamples {
+        let differences = Differences { step: DVec3::splat(h), domain: Domain::Box(tracer.field.bounds()) };
+        let differentiation = Differentiation { differences, analytic: None };
+        tracer.jacobians(rays, jitter, first, &differentiation, 0.0, &mut JacobianBuffers::default())
+    }
 
     /// A scene whose sample `moved` sits elsewhere: renders the ray's pixel with that one position displaced.
     fn pixel_with_moved_sample(tracer: &Tracer, ray: &Ray, traced: &TracedRays, moved: usize, by: DVec3) -> DVec3 {
@@ -255,9 +251,10 @@ mod tests {
             .collect();
         let mut radiance = vec![Radiance::default(); positions.len()];
         tracer.field.evaluate(&positions, &vec![ray.direction.as_vec3(); positions.len()], &mut radiance);
+        let (densities, colors): (Vec<f32>, Vec<Vec3>) = radiance.iter().map(|r| (r.density, r.color)).unzip();
         let mut quadrature = Quadrature::default();
-        quadrature.set(&radiance, tracer.marcher.step);
-        quadrature.pixel(&radiance, &traced.t, tracer.background()).color
+        quadrature.set(&TracedRays { densities, ..traced.clone() }, tracer.marcher.step);
+        quadrature.pixel(&traced.samples(0), &colors, &traced.t, tracer.background()).color
     }
 
     proptest! {
@@ -269,8 +266,10 @@ mod tests {
             let tracer = Tracer { field: &field, marcher, background: Vec3::ONE };
             let ray = Ray::new(DVec3::new(-3.0, y, z), DVec3::new(1.0, -0.1 * z, 0.1 * y));
             let h = 2.5e-4;
-            let traced = tracer.trace(&[ray], &[jitter]);
-            let samples = tracer.jacobians(&[ray], &[jitter], 7, Differences { step: DVec3::splat(h), domain: Domain::Box(field.bounds()) });
+            let mut traced = TraceBuffers::default();
+            tracer.trace(&[ray], &[jitter], &mut traced);
+            let traced = traced.traced;
+            let samples = by_differences(&tracer, &[ray], &[jitter], 7, h);
             prop_assert!(samples.rays == [7] && samples.offsets == [0, samples.positions.len()]);
             let scale = samples.jacobians.iter().flatten().fold(0.0_f32, |m, g| m.max(g.abs()));
             for (x, jacobian) in samples.positions.iter().zip(&samples.jacobians).step_by(7) {
@@ -302,12 +301,7 @@ mod tests {
         let tracer = Tracer { field: &field, marcher, background: Vec3::ONE };
         // Down through the floor a hair inside the face.
         let ray = Ray::new(DVec3::new(0.999_999, 0.1, 1.0), -DVec3::Z);
-        let samples = tracer.jacobians(
-            &[ray],
-            &[0.5],
-            0,
-            Differences { step: DVec3::splat(0.01), domain: Domain::Box(field.bounds()) },
-        );
+        let samples = by_differences(&tracer, &[ray], &[0.5], 0, 0.01);
         // The floor does not change along x there except in texture; a two-sided difference across the face would see the
         // density fall from 120 to 0 and give entries of several hundred.
         let along_x = samples.jacobians.iter().map(|j| j[0].abs()).fold(0.0, f32::max);
@@ -341,12 +335,7 @@ mod tests {
         let ray = |y| Ray::new(DVec3::new(-2.0, y, 0.2), DVec3::X);
         // The second ray runs through the hole, the third is finite itself but its differences are not.
         let rays = [ray(0.0), ray(0.7), ray(0.499)];
-        let samples = tracer.jacobians(
-            &rays,
-            &[0.5; 3],
-            10,
-            Differences { step: DVec3::splat(0.01), domain: Domain::Box(Holed.bounds()) },
-        );
+        let samples = by_differences(&tracer, &rays, &[0.5; 3], 10, 0.01);
         assert_eq!((samples.rays, samples.dropped), (vec![10], 2));
         assert!(samples.first_invalid.unwrap().y > 0.49);
     }

@@ -1,15 +1,20 @@
 //! Rays through a field: samples, compositing, and the Jacobian of a pixel with respect to its samples.
 
 mod composite;
+mod gradient;
 mod jacobian;
 mod march;
 mod occupancy;
+mod samples;
+mod shade;
 mod trace;
 mod view;
 
 pub use composite::{Pixel, Quadrature};
-pub use jacobian::{Differences, RaySample, RaySamples};
+pub use gradient::{Differences, Differentiation, GradientMethod};
+pub use jacobian::JacobianBuffers;
 pub use march::{Marcher, Walk};
 pub use occupancy::Occupancy;
-pub use trace::{TracedRays, Tracer};
+pub use samples::{RaySample, RaySamples};
+pub use trace::{TraceBuffers, TracedRays, Tracer};
 pub use view::{Blend, Probe, RenderedView, render_view};

@@ -15,7 +15,7 @@ use crate::monitor::{Monitor, check};
 
 /// A bound σ̂ of the density in each cell of a regular grid and in the space around it.
 ///
-/// Of a field that bounds its density ([`RadianceField::density_bound`]) it is certain. Of any other it is an estimate: the
+/// Where a field bounds its density ([`RadianceField::density_bound`]) it is certain. Elsewhere it is an estimate: the
 /// largest of the densities at a cell's corners and centre and at those of its neighbours. Structures much thinner than a cell
 /// can be missed; what that changes is measured against runs without occupancy. A NaN counts as infinite density, so that it
 /// is met and reported, not skipped.
@@ -56,22 +56,23 @@ impl Occupancy {
     /// [`crate::Error::Interrupted`] only.
     pub fn build(field: &dyn RadianceField, resolution: usize, reach: f64, monitor: &dyn Monitor) -> Result<Self> {
         let bounds = field.bounds();
-        let majorant = if field.density_bound(bounds.min().as_vec3(), bounds.max().as_vec3()).is_some() {
-            // Positions are rounded to f32, and once more around them for differences; the box that is asked for, too.
-            let rounding = 2.0 * f64::from(f32::EPSILON) * bounds.min().abs().max(bounds.max().abs()).max_element();
-            let bounder = Bounder { field, bounds, cells: resolution, pad: reach + rounding, monitor };
-            monitor.begin("occupancy", (blocks(resolution, BRICK) as u64).pow(3));
-            let bricks = bounder.bricks();
-            monitor.end();
-            check(monitor)?;
-            Pyramid::new(resolution, bricks)
-        } else {
+        // Positions are rounded to f32, and once more around them for differences; the box that is asked for, too.
+        let rounding = 2.0 * f64::from(f32::EPSILON) * bounds.min().abs().max(bounds.max().abs()).max_element();
+        let bounder = Bounder { field, bounds, cells: resolution, pad: reach + rounding, monitor };
+        monitor.begin("occupancy", (blocks(resolution, BRICK) as u64).pow(3));
+        let mut bricks = bounder.bricks();
+        monitor.end();
+        check(monitor)?;
+        if bricks.iter().any(|(_, cells)| cells.contains(&f32::INFINITY)) {
             let rings = DVec3::splat(reach) / (bounds.size() / resolution as f64);
             let rings = rings.to_array().map(|rings| (rings.ceil() as usize).max(1));
             let grid = sampled::sample(field, resolution, rings, monitor)?;
-            Pyramid::new(resolution, sampled::bricks(&grid, resolution))
-        };
-        Ok(Self { bounds, resolution, majorant })
+            for (index, cells) in &mut bricks {
+                let sampled = sampled::brick(&grid, resolution, *index);
+                cells.iter_mut().zip(sampled).filter(|(cell, _)| cell.is_infinite()).for_each(|(cell, s)| *cell = s);
+            }
+        }
+        Ok(Self { bounds, resolution, majorant: Pyramid::new(resolution, bricks) })
     }
 
     /// The cell of a scene point, `None` outside the box. Its indices do not fall with the point's coordinates, rounding

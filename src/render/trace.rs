@@ -1,9 +1,11 @@
-//! Evaluates the field along groups of rays.
+//! The density along groups of rays.
+//!
+//! Colour is not asked for here: most samples lie in front of a surface or just behind it, and weigh nothing.
 
 use glam::{DVec3, Vec3};
 
 use super::{Marcher, Walk};
-use crate::field::{Radiance, RadianceField};
+use crate::field::RadianceField;
 use crate::geometry::Ray;
 
 /// Samples taken per ray before its transmittance is looked at again: small enough that little is evaluated behind opaque
@@ -30,8 +32,8 @@ pub struct TracedRays {
     pub t: Vec<f64>,
     /// Positions, scene units.
     pub positions: Vec<Vec3>,
-    /// Density and colour.
-    pub radiance: Vec<Radiance>,
+    /// σ, 1 / scene unit.
+    pub densities: Vec<f32>,
     /// Rays dropped because the field returned something not finite or a negative density: they own no samples.
     pub dropped: u64,
     /// Position of the first such sample.
@@ -50,88 +52,135 @@ impl TracedRays {
     pub fn samples(&self, r: usize) -> std::ops::Range<usize> {
         self.offsets[r]..self.offsets[r + 1]
     }
-
-    /// Appends a ray; an invalid sample drops the whole ray.
-    fn push(&mut self, samples: &[(f64, Vec3, Radiance)]) {
-        if let Some((_, position, _)) = samples.iter().find(|(_, _, radiance)| !radiance.is_valid()) {
-            self.dropped += 1;
-            self.first_invalid.get_or_insert(*position);
-        } else {
-            for &(t, position, radiance) in samples {
-                self.t.push(t);
-                self.positions.push(position);
-                self.radiance.push(radiance);
-            }
-        }
-        self.offsets.push(self.t.len());
-    }
 }
 
 /// One ray under way.
 struct Path<'a> {
     /// Distances still to sample.
     pending: Walk<'a>,
-    samples: Vec<(f64, Vec3, Radiance)>,
     optical_depth: f64,
+    samples: usize,
+    /// Whether a sample was not a density.
+    invalid: bool,
 }
 
-impl Tracer<'_> {
+/// One round's samples, or all of them in the order in which they were taken.
+#[derive(Default)]
+struct Samples {
+    /// Index of the ray.
+    owners: Vec<u32>,
+    t: Vec<f64>,
+    positions: Vec<Vec3>,
+    densities: Vec<f32>,
+}
+
+impl Samples {
+    fn clear(&mut self) {
+        self.owners.clear();
+        self.t.clear();
+        self.positions.clear();
+        self.densities.clear();
+    }
+}
+
+/// Buffers that a thread uses again from batch to batch.
+#[derive(Default)]
+pub struct TraceBuffers<'a> {
+    paths: Vec<Path<'a>>,
+    samples: Samples,
+    /// What the rays met.
+    pub traced: TracedRays,
+}
+
+impl<'a> Tracer<'a> {
     /// The background as f64.
     #[must_use]
     pub fn background(&self) -> DVec3 {
         self.background.as_dvec3()
     }
 
-    /// Samples `rays`, each shifted by its `jitter` in `[0, 1)` steps. A ray ends when its transmittance falls below the
-    /// marcher's cutoff.
-    #[must_use]
-    pub fn trace(&self, rays: &[Ray], jitter: &[f64]) -> TracedRays {
-        let mut paths: Vec<Path> = rays
-            .iter()
-            .zip(jitter)
-            .map(|(ray, &jitter)| Path {
-                pending: self.marcher.walk(ray, jitter),
-                samples: Vec::new(),
-                optical_depth: 0.0,
-            })
-            .collect();
+    /// Samples `rays`, each shifted by its `jitter` in `[0, 1)` steps, into `buffers.traced`. A ray ends when its transmittance falls
+    /// below the marcher's cutoff.
+    pub fn trace<'b>(&'b self, rays: &[Ray], jitter: &[f64], buffers: &mut TraceBuffers<'b>) {
+        let TraceBuffers { paths, samples, traced } = buffers;
+        paths.clear();
+        paths.extend(rays.iter().zip(jitter).map(|(ray, &jitter)| Path {
+            pending: self.marcher.walk(ray, jitter),
+            optical_depth: 0.0,
+            samples: 0,
+            invalid: false,
+        }));
         let longest = if self.marcher.cutoff > 0.0 { -self.marcher.cutoff.ln() } else { f64::INFINITY };
 
-        // One entry per sample of a round: whose it is, and where.
-        let (mut owners, mut distances) = (Vec::new(), Vec::new());
-        let (mut positions, mut directions, mut radiance) = (Vec::new(), Vec::new(), Vec::new());
+        // Samples of round k lie behind those of round k - 1.
+        samples.clear();
         loop {
-            owners.clear();
-            distances.clear();
-            positions.clear();
-            directions.clear();
+            let first = samples.owners.len();
             for (owner, (path, ray)) in paths.iter_mut().zip(rays).enumerate() {
                 if path.optical_depth >= longest {
                     continue;
                 }
                 for t in path.pending.by_ref().take(ROUND) {
-                    owners.push(owner);
-                    distances.push(t);
-                    positions.push(self.marcher.bounds.clamp(ray.at(t).as_vec3()));
-                    directions.push(ray.direction.as_vec3());
+                    samples.owners.push(owner as u32);
+                    samples.t.push(t);
+                    samples.positions.push(self.marcher.bounds.clamp(ray.at(t).as_vec3()));
                 }
             }
-            if owners.is_empty() {
+            if samples.owners.len() == first {
                 break;
             }
-            radiance.clear();
-            radiance.resize(owners.len(), Radiance::default());
-            self.field.evaluate(&positions, &directions, &mut radiance);
-            for (i, &owner) in owners.iter().enumerate() {
-                let path = &mut paths[owner];
-                path.samples.push((distances[i], positions[i], radiance[i]));
-                path.optical_depth += f64::from(radiance[i].density) * self.marcher.step;
+            samples.densities.resize(samples.owners.len(), 0.0);
+            self.field.densities(&samples.positions[first..], &mut samples.densities[first..]);
+            for (&owner, &density) in samples.owners[first..].iter().zip(&samples.densities[first..]) {
+                let path = &mut paths[owner as usize];
+                path.optical_depth += f64::from(density) * self.marcher.step;
+                path.samples += 1;
+                path.invalid |= !(density >= 0.0 && density.is_finite());
             }
         }
-        let mut traced = TracedRays { offsets: vec![0], ..TracedRays::default() };
-        for path in paths {
-            traced.push(&path.samples);
+        gather(paths, samples, traced);
+    }
+}
+
+/// Sorts samples by ray; a ray with an invalid sample owns none.
+fn gather(paths: &[Path], samples: &Samples, traced: &mut TracedRays) {
+    traced.offsets.clear();
+    traced.offsets.push(0);
+    traced.dropped = 0;
+    traced.first_invalid = None;
+    let mut total = 0;
+    for path in paths {
+        total += if path.invalid { 0 } else { path.samples };
+        traced.offsets.push(total);
+        traced.dropped += u64::from(path.invalid);
+    }
+    traced.t.clear();
+    traced.t.resize(total, 0.0);
+    traced.positions.clear();
+    traced.positions.resize(total, Vec3::ZERO);
+    traced.densities.clear();
+    traced.densities.resize(total, 0.0);
+    // offsets[r] moves to the end of ray r while its samples come in; then the list is shifted back by one.
+    for (i, &owner) in samples.owners.iter().enumerate() {
+        let owner = owner as usize;
+        if paths[owner].invalid {
+            continue;
         }
-        traced
+        let at = traced.offsets[owner];
+        traced.offsets[owner] += 1;
+        traced.t[at] = samples.t[i];
+        traced.positions[at] = samples.positions[i];
+        traced.densities[at] = samples.densities[i];
+    }
+    traced.offsets.rotate_right(1);
+    traced.offsets[0] = 0;
+    if traced.dropped > 0 {
+        let invalid = |i: &usize| {
+            let density = samples.densities[*i];
+            !(density >= 0.0 && density.is_finite())
+        };
+        // The first ray's first one, whatever the rounds.
+        let first = (0..samples.owners.len()).filter(invalid).min_by_key(|&i| samples.owners[i]);
+        traced.first_invalid = first.map(|i| samples.positions[i]);
     }
 }

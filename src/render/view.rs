@@ -3,6 +3,7 @@
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
+use super::trace::TraceBuffers;
 use super::{Pixel, Quadrature, Tracer};
 use crate::Result;
 use crate::geometry::{Camera, Ray};
@@ -87,9 +88,13 @@ pub fn render_view(
 /// Renders any group of rays as one row.
 fn render_rays(tracer: &Tracer, rays: &[Ray], probes: &[Probe]) -> RenderedView {
     let background: DVec3 = tracer.background();
+    let mut buffers = TraceBuffers::default();
     // The middle of every interval: an image is deterministic.
-    let traced = tracer.trace(rays, &vec![0.5; rays.len()]);
+    tracer.trace(rays, &vec![0.5; rays.len()], &mut buffers);
+    let traced = &buffers.traced;
     let mut quadrature = Quadrature::default();
+    quadrature.set(traced, tracer.marcher.step);
+    let colors = tracer.visible_colors(rays, traced, &quadrature);
     let mut row = RenderedView {
         resolution: [rays.len() as u32, 1],
         pixels: Vec::with_capacity(rays.len()),
@@ -97,16 +102,19 @@ fn render_rays(tracer: &Tracer, rays: &[Ray], probes: &[Probe]) -> RenderedView 
         dropped: traced.dropped,
     };
     for ray in 0..rays.len() {
-        let samples = traced.samples(ray);
-        let radiance = &traced.radiance[samples.clone()];
-        quadrature.set(radiance, tracer.marcher.step);
-        row.pixels.push(quadrature.pixel(radiance, &traced.t[samples.clone()], background));
+        let mut samples = traced.samples(ray);
+        if colors[samples.clone()].iter().any(|color| !color.is_finite()) {
+            row.dropped += 1;
+            samples = 0..0;
+        }
+        row.pixels.push(quadrature.pixel(&samples, &colors, &traced.t, background));
         for (probe, blended) in probes.iter().zip(&mut row.log10_uncertainty) {
-            let hit = quadrature.weights.iter().zip(&traced.positions[samples.clone()]).filter(|(w, _)| **w > 0.0);
+            let weighted = quadrature.weights[samples.clone()].iter().zip(&traced.positions[samples.clone()]);
+            let hit = weighted.filter(|(w, _)| **w > 0.0);
             let (sum, weight) = hit.fold((0.0, 0.0), |(sum, total), (w, &x)| (sum + w * (probe.log10)(x), total + w));
             blended.push(match probe.blend {
                 Blend::Hit => sum / weight,
-                Blend::Official => sum + OFFICIAL_EMPTY * quadrature.end_transmittance(),
+                Blend::Official => sum + OFFICIAL_EMPTY * quadrature.end_transmittance(&samples),
             });
         }
     }

@@ -96,6 +96,7 @@ fn check_alike(first: &UncertaintyField, part: &UncertaintyField, number: usize)
             ("covariance", p.covariance.name().to_string()),
             ("tolerance", p.tolerance.to_string()),
             ("march step", format!("{:?}", p.march_step)),
+            ("gradient", format!("{:?}", p.gradient)),
             ("difference step", format!("{:?}", p.difference_step)),
             ("cutoff", format!("{:?}", p.cutoff)),
             ("background", format!("{:?}", p.background)),

@@ -1,6 +1,7 @@
 //! What the numbers in a field depend on.
 
 use crate::posterior::{Covariance, Criteria, Pixels, Pooling, Prior, Share, negligible_information};
+use crate::render::GradientMethod;
 
 /// Everything that the numbers in a field depend on. `None` where the field came from elsewhere and does not say.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -34,7 +35,9 @@ pub struct Protocol {
     pub tolerance: f64,
     /// Distance between samples along rays, scene units.
     pub march_step: Option<f64>,
-    /// Finite-difference step along x, y and z, scene units.
+    /// Where the field's derivatives came from; never [`GradientMethod::Auto`].
+    pub gradient: Option<GradientMethod>,
+    /// Finite-difference step along x, y and z, scene units; `None` with derivatives of the field's own.
     pub difference_step: Option<[f64; 3]>,
     /// Samples below this weight and sensitivity were left out.
     pub cutoff: Option<f64>,
@@ -69,6 +72,7 @@ impl Protocol {
             criteria: Criteria::default(),
             tolerance: 0.0,
             march_step: None,
+            gradient: None,
             difference_step: None,
             cutoff: None,
             background: None,

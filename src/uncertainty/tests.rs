@@ -22,6 +22,7 @@ fn protocol(lattice: &Lattice, covariance: Covariance, rays: u64) -> Protocol {
         criteria: Criteria::default(),
         tolerance: 0.01,
         march_step: Some(0.1),
+        gradient: None,
         difference_step: None,
         cutoff: Some(1e-4),
         background: Some([1.0; 3]),

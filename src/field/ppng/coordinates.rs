@@ -3,6 +3,8 @@
 //! Letters: `x` scene position in the coordinates chosen, `p` position in the file's: instant-ngp's, in which the object lies
 //! in [0, 1]³. p = R (s x) + t, with s = 0.33 and R cycling the axes for Blender coordinates.
 
+use std::ops::Mul;
+
 use glam::{DMat3, DVec3, Vec3};
 
 use crate::geometry::{Aabb, Camera};
@@ -66,6 +68,15 @@ impl Coordinates {
         match self {
             Self::Ngp => d,
             Self::Blender => DVec3::new(d.z, d.x, d.y),
+        }
+    }
+
+    /// Derivatives by scene position from those by c = p − ½ along its three axes.
+    #[inline]
+    pub(super) fn gradient<T: Mul<f32, Output = T> + Copy>(self, [x, y, z]: [T; 3]) -> [T; 3] {
+        match self {
+            Self::Ngp => [x, y, z],
+            Self::Blender => [z, x, y].map(|d| d * NERF_SCALE as f32),
         }
     }
 

@@ -12,10 +12,15 @@
     reason = "lanes of several fixed arrays go together; plain loops over them become vector code"
 )]
 
+use std::f32::consts::PI;
+
 use super::elementary::sin_cos_pi;
 
-/// Points evaluated together: buffers of a block are 15 KB, and a slot's tables (type 1: 30 KB) are read from near memory for all of them.
+/// Rows evaluated together: buffers of a block are 15 KB, and a slot's tables (type 1: 30 KB) are read from near memory for all of them.
+/// A row is a point, or one of the [`JET`] of a point that is differentiated.
 pub const BLOCK: usize = 64;
+/// Rows of a point with its derivatives: value, ∂x, ∂y, ∂z.
+pub const JET: usize = 4;
 /// F.
 pub const FREQUENCIES: usize = 4;
 /// C.
@@ -26,6 +31,9 @@ pub const SLOTS: usize = 2 * FREQUENCIES;
 pub const WIDTH: usize = SLOTS * FEATURES;
 /// Two ranks times C: what is multiplied at once. An odd rank is padded with zeros.
 const GROUP: usize = 8;
+
+/// One group.
+type Lanes = [f32; GROUP];
 
 /// What a table holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -59,11 +67,13 @@ pub struct Encoding {
     tables: Vec<f32>,
 }
 
-/// Table coordinates of one slot's points along one axis.
+/// Table coordinates u of one slot's points along one axis.
 #[derive(Clone, Copy)]
-struct Place {
-    index: [u32; BLOCK],
-    fraction: [f32; BLOCK],
+struct Place<const N: usize> {
+    index: [u32; N],
+    fraction: [f32; N],
+    /// du/dc.
+    slope: [f32; N],
 }
 
 impl Encoding {
@@ -80,73 +90,100 @@ impl Encoding {
         Self { kind, frequencies, quants, row, tables }
     }
 
-    /// The features of the first `count` positions `c` (= p − ½, `[axis][point]`), `[point][slot · C + feature]`.
+    /// The features of the first `count` of N positions `c` (= p − ½, `[axis][point]`), `[point · ROWS + row][slot · C + feature]`; row 0 is
+    /// the value, and with [`JET`] rows the others its derivatives by c.
     #[inline(always)]
-    pub fn encode(&self, c: &[[f32; BLOCK]; 3], count: usize, features: &mut [[f32; WIDTH]; BLOCK]) {
+    pub fn encode<const N: usize, const ROWS: usize>(
+        &self,
+        c: &[[f32; N]; 3],
+        count: usize,
+        features: &mut [[f32; WIDTH]; BLOCK],
+    ) {
+        const { assert!(N * ROWS == BLOCK && (ROWS == 1 || ROWS == JET)) };
         let slot_size = 3 * self.kind.points(self.quants) * self.row;
         for (f, tables) in self.tables.chunks_exact(2 * slot_size).enumerate() {
-            let places = self.places(c, self.frequencies[f]);
+            let places = self.places::<N, ROWS>(c, self.frequencies[f]);
             for (half, (tables, place)) in tables.chunks_exact(slot_size).zip(&places).enumerate() {
                 let first = (2 * f + half) * FEATURES;
                 for p in 0..count {
                     let index = [0, 1, 2].map(|axis| place[axis].index[p] as usize);
                     let t = [0, 1, 2].map(|axis| place[axis].fraction[p]);
-                    let sum = match self.kind {
-                        Kind::Vectors => self.vectors(tables, index, t),
-                        Kind::Planes => self.planes(tables, index, t),
+                    let sums = match self.kind {
+                        Kind::Vectors => self.vectors::<ROWS>(tables, index, t),
+                        Kind::Planes => self.planes::<ROWS>(tables, index, t),
                     };
-                    for k in 0..FEATURES {
-                        features[p][first + k] = sum[k] + sum[FEATURES + k];
+                    for row in 0..ROWS {
+                        let slope = if row == 0 { 1.0 } else { place[row - 1].slope[p] };
+                        for k in 0..FEATURES {
+                            features[ROWS * p + row][first + k] = (sums[row][k] + sums[row][FEATURES + k]) * slope;
+                        }
                     }
                 }
             }
         }
     }
 
-    /// Where the points fall in the tables of sin and of cos, along each axis.
+    /// Where the points fall in the tables of sin and of cos, along each axis; slopes only if there are rows for them.
     #[inline(always)]
-    fn places(&self, c: &[[f32; BLOCK]; 3], frequency: f32) -> [[Place; 3]; 2] {
-        let mut places = [[Place { index: [0; BLOCK], fraction: [0.0; BLOCK] }; 3]; 2];
+    fn places<const N: usize, const ROWS: usize>(&self, c: &[[f32; N]; 3], frequency: f32) -> [[Place<N>; 3]; 2] {
+        let mut places = [[Place { index: [0; N], fraction: [0.0; N], slope: [0.0; N] }; 3]; 2];
         let half = 0.5 * (self.quants - 1) as f32;
         let last = (self.quants - 2) as i32;
+        let speed = half * PI * frequency;
         for axis in 0..3 {
-            let (mut sin, mut cos) = ([0.0; BLOCK], [0.0; BLOCK]);
-            for p in 0..BLOCK {
+            let (mut sin, mut cos) = ([0.0; N], [0.0; N]);
+            for p in 0..N {
                 (sin[p], cos[p]) = sin_cos_pi(frequency * c[axis][p]);
             }
             for (s, places) in [sin, cos].iter().zip(&mut places) {
                 let place = &mut places[axis];
-                for p in 0..BLOCK {
+                for p in 0..N {
                     let u = s[p].mul_add(half, half);
                     let index = (u as i32).clamp(0, last);
                     place.index[p] = index as u32;
                     place.fraction[p] = u - index as f32;
                 }
             }
+            if ROWS == JET {
+                for p in 0..N {
+                    places[0][axis].slope[p] = speed * cos[p];
+                    places[1][axis].slope[p] = -speed * sin[p];
+                }
+            }
         }
         places
     }
 
-    /// Sums over every second rank, type 1.
+    /// Sums over every second rank, type 1, and their derivatives by u.
     #[inline(always)]
-    fn vectors(&self, tables: &[f32], index: [usize; 3], t: [f32; 3]) -> [f32; GROUP] {
+    fn vectors<const ROWS: usize>(&self, tables: &[f32], index: [usize; 3], t: [f32; 3]) -> [Lanes; ROWS] {
         let (q, row) = (self.quants, self.row);
-        let (x0, x1) = neighbours(tables, row, index[0]);
-        let (y0, y1) = neighbours(tables, row, q + index[1]);
-        let (z0, z1) = neighbours(tables, row, 2 * q + index[2]);
-        let mut sum = [0.0; GROUP];
-        for (((((x0, x1), y0), y1), z0), z1) in x0.iter().zip(x1).zip(y0).zip(y1).zip(z0).zip(z1) {
+        let x = neighbours(tables, row, index[0]);
+        let y = neighbours(tables, row, q + index[1]);
+        let z = neighbours(tables, row, 2 * q + index[2]);
+        let mut sums = [[0.0; GROUP]; ROWS];
+        // Loops, not closures: a closure would be compiled once, without the instructions of its caller. Whole groups are copied out of
+        // the tables first: then they become registers.
+        for g in 0..row / GROUP {
+            let (x0, x1, y0, y1, z0, z1) = (x.0[g], x.1[g], y.0[g], y.1[g], z.0[g], z.1[g]);
             for i in 0..GROUP {
-                let [x, y, z] = [lerp(x0[i], x1[i], t[0]), lerp(y0[i], y1[i], t[1]), lerp(z0[i], z1[i], t[2])];
-                sum[i] = (x * y).mul_add(z, sum[i]);
+                let [dx, dy, dz] = [x1[i] - x0[i], y1[i] - y0[i], z1[i] - z0[i]];
+                let [x, y, z] = [t[0].mul_add(dx, x0[i]), t[1].mul_add(dy, y0[i]), t[2].mul_add(dz, z0[i])];
+                let xy = x * y;
+                sums[0][i] = xy.mul_add(z, sums[0][i]);
+                if ROWS == JET {
+                    sums[1][i] = (y * z).mul_add(dx, sums[1][i]);
+                    sums[2][i] = (x * z).mul_add(dy, sums[2][i]);
+                    sums[3][i] = xy.mul_add(dz, sums[3][i]);
+                }
             }
         }
-        sum
+        sums
     }
 
-    /// Sums over every second rank, type 2.
+    /// Sums over every second rank, type 2, and their derivatives by u.
     #[inline(always)]
-    fn planes(&self, tables: &[f32], [x, y, z]: [usize; 3], t: [f32; 3]) -> [f32; GROUP] {
+    fn planes<const ROWS: usize>(&self, tables: &[f32], [x, y, z]: [usize; 3], t: [f32; 3]) -> [Lanes; ROWS] {
         let (row, q) = (self.row, self.quants);
         let plane = q * q;
         let (yz0, yz1) = (neighbours(tables, row, z * q + y), neighbours(tables, row, (z + 1) * q + y));
@@ -154,18 +191,30 @@ impl Encoding {
         let (xz0, xz1) = (neighbours(tables, row, xz0), neighbours(tables, row, xz1));
         let [xy0, xy1] = [2 * plane + y * q + x, 2 * plane + (y + 1) * q + x];
         let (xy0, xy1) = (neighbours(tables, row, xy0), neighbours(tables, row, xy1));
-        let mut sum = [0.0; GROUP];
-        // Loops, not closures: a closure would be compiled once, without the instructions of its caller.
+        let mut sums = [[0.0; GROUP]; ROWS];
         for g in 0..row / GROUP {
             for i in 0..GROUP {
-                let v00 = yz0.0[g][i] * lerp(xz0.0[g][i] * xy0.0[g][i], xz0.1[g][i] * xy0.1[g][i], t[0]);
-                let v01 = yz0.1[g][i] * lerp(xz0.0[g][i] * xy1.0[g][i], xz0.1[g][i] * xy1.1[g][i], t[0]);
-                let v10 = yz1.0[g][i] * lerp(xz1.0[g][i] * xy0.0[g][i], xz1.1[g][i] * xy0.1[g][i], t[0]);
-                let v11 = yz1.1[g][i] * lerp(xz1.0[g][i] * xy1.0[g][i], xz1.1[g][i] * xy1.1[g][i], t[0]);
-                sum[i] += lerp(lerp(v00, v01, t[1]), lerp(v10, v11, t[1]), t[2]);
+                // V at the corners of the cell, first along x.
+                let along_x = |yz: f32, xz: [f32; 2], xy: [f32; 2]| {
+                    let [a, b] = [xz[0] * xy[0], xz[1] * xy[1]];
+                    (yz * lerp(a, b, t[0]), yz * (b - a))
+                };
+                let (below, above) = ([xz0.0[g][i], xz0.1[g][i]], [xz1.0[g][i], xz1.1[g][i]]);
+                let (near, far) = ([xy0.0[g][i], xy0.1[g][i]], [xy1.0[g][i], xy1.1[g][i]]);
+                let (v00, d00) = along_x(yz0.0[g][i], below, near);
+                let (v01, d01) = along_x(yz0.1[g][i], below, far);
+                let (v10, d10) = along_x(yz1.0[g][i], above, near);
+                let (v11, d11) = along_x(yz1.1[g][i], above, far);
+                let (v0, v1) = (lerp(v00, v01, t[1]), lerp(v10, v11, t[1]));
+                sums[0][i] += lerp(v0, v1, t[2]);
+                if ROWS == JET {
+                    sums[1][i] += lerp(lerp(d00, d01, t[1]), lerp(d10, d11, t[1]), t[2]);
+                    sums[2][i] += lerp(v01 - v00, v11 - v10, t[2]);
+                    sums[3][i] += v1 - v0;
+                }
             }
         }
-        sum
+        sums
     }
 
     /// Bytes on the heap.
@@ -176,7 +225,7 @@ impl Encoding {
 
 /// The numbers at a grid point and at the next one along the fast axis, in groups.
 #[inline(always)]
-fn neighbours(tables: &[f32], row: usize, point: usize) -> (&[[f32; GROUP]], &[[f32; GROUP]]) {
+fn neighbours(tables: &[f32], row: usize, point: usize) -> (&[Lanes], &[Lanes]) {
     let (low, high) = tables[point * row..(point + 2) * row].split_at(row);
     (low.as_chunks::<GROUP>().0, high.as_chunks::<GROUP>().0)
 }

@@ -25,11 +25,11 @@ use std::path::Path;
 use glam::{DMat3, DVec3, Vec3};
 use multiversion::multiversion;
 
-use self::features::{BLOCK, Encoding, Kind, WIDTH};
+use self::features::{BLOCK, Encoding, JET, Kind, WIDTH};
 use self::file::File;
-use self::network::{HIDDEN, LOG_DENSITY_LIMIT, Network, OUTPUTS};
+use self::network::{HIDDEN, Network, OUTPUTS};
 use self::occupancy::Window;
-use super::{Intrinsics, Radiance, RadianceField};
+use super::{Differentiable, Intrinsics, Radiance, RadianceField, RadianceJet};
 use crate::geometry::{Aabb, Camera};
 use crate::{Error, Result};
 
@@ -55,43 +55,63 @@ pub struct Ppng {
     step: f64,
 }
 
-/// Buffers of one block: structure of arrays, `[axis][point]`, where points are lanes.
-struct Block {
-    centered: [[f32; BLOCK]; 3],
-    directions: [[f32; BLOCK]; 3],
+/// Buffers of one block of N points: structure of arrays, `[axis][point]`, where points are lanes.
+struct Block<const N: usize> {
+    centered: [[f32; N]; 3],
+    directions: [[f32; N]; 3],
     features: [[f32; WIDTH]; BLOCK],
     hidden: [[f32; HIDDEN]; BLOCK],
-    densities: [f32; BLOCK],
     colors: [[f32; OUTPUTS]; BLOCK],
 }
 
-impl Block {
+/// Points of a block whose derivatives are wanted too.
+const JETS: usize = BLOCK / JET;
+
+impl<const N: usize> Block<N> {
     fn new() -> Self {
         Self {
-            centered: [[0.0; BLOCK]; 3],
-            directions: [[0.0; BLOCK]; 3],
+            centered: [[0.0; N]; 3],
+            directions: [[0.0; N]; 3],
             features: [[0.0; WIDTH]; BLOCK],
             hidden: [[0.0; HIDDEN]; BLOCK],
-            densities: [0.0; BLOCK],
             colors: [[0.0; OUTPUTS]; BLOCK],
         }
     }
 }
 
-/// Fills `hidden` and `densities` (1 / file unit, without the window) of the block's first `count` points.
+/// Fills `hidden` of the block's first `count` points; with [`JET`] rows a point, their derivatives too.
 #[multiversion(targets("x86_64+avx2+fma"))]
-fn density_block(encoding: &Encoding, network: &Network, block: &mut Block, count: usize) {
-    encoding.encode(&block.centered, count, &mut block.features);
-    network.hidden(&block.features, count, &mut block.hidden);
-    for (density, hidden) in block.densities.iter_mut().zip(&block.hidden) {
-        *density = network::density(hidden[0]);
-    }
+fn hidden_block<const N: usize, const ROWS: usize>(
+    encoding: &Encoding,
+    network: &Network,
+    block: &mut Block<N>,
+    count: usize,
+) {
+    encoding.encode::<N, ROWS>(&block.centered, count, &mut block.features);
+    network.hidden(&block.features, ROWS * count, &mut block.hidden);
 }
 
-/// Fills `colors`, behind [`density_block`].
+/// σ (1 / file unit, without the window) of the block's points, behind [`hidden_block`].
 #[multiversion(targets("x86_64+avx2+fma"))]
-fn color_block(network: &Network, block: &mut Block, count: usize) {
+fn density_block<const N: usize>(block: &Block<N>) -> [f32; N] {
+    let rows = BLOCK / N;
+    let mut densities = [0.0; N];
+    for (p, density) in densities.iter_mut().enumerate() {
+        *density = network::density(block.hidden[rows * p][0]);
+    }
+    densities
+}
+
+/// Fills `colors`, behind [`hidden_block`].
+#[multiversion(targets("x86_64+avx2+fma"))]
+fn color_block(network: &Network, block: &mut Block<BLOCK>, count: usize) {
     network.color(&block.hidden, &block.directions, count, &mut block.colors);
+}
+
+/// Fills `colors` and their derivatives, behind [`hidden_block`].
+#[multiversion(targets("x86_64+avx2+fma"))]
+fn color_jet_block(network: &Network, block: &mut Block<JETS>, count: usize) {
+    network.color_jets(&block.hidden, &block.directions, count, &mut block.colors);
 }
 
 impl Ppng {
@@ -132,7 +152,7 @@ impl RadianceField for Ppng {
 
     fn evaluate(&self, positions: &[Vec3], directions: &[Vec3], out: &mut [Radiance]) {
         let scale = self.coordinates.scale() as f32;
-        let mut block = Block::new();
+        let mut block = Block::<BLOCK>::new();
         for ((positions, directions), out) in
             positions.chunks(BLOCK).zip(directions.chunks(BLOCK)).zip(out.chunks_mut(BLOCK))
         {
@@ -145,10 +165,11 @@ impl RadianceField for Ppng {
                     block.directions[axis][p] = d[axis];
                 }
             }
-            density_block(&self.encoding, &self.network, &mut block, positions.len());
+            hidden_block::<BLOCK, 1>(&self.encoding, &self.network, &mut block, positions.len());
+            let densities = density_block(&block);
             color_block(&self.network, &mut block, positions.len());
             for (p, out) in out.iter_mut().enumerate() {
-                out.density = scale * windows[p] * block.densities[p];
+                out.density = scale * windows[p] * densities[p];
                 let [r, g, b, _] = block.colors[p];
                 out.color = Vec3::new(r, g, b);
             }
@@ -160,9 +181,9 @@ impl RadianceField for Ppng {
         let mut block = Block::new();
         // Points in empty space need no network: the others are gathered into full blocks.
         let (mut owners, mut windows, mut count) = ([0; BLOCK], [0.0; BLOCK], 0);
-        let flush = |block: &mut Block, owners: &[usize], windows: &[f32], out: &mut [f32]| {
-            density_block(&self.encoding, &self.network, block, owners.len());
-            for ((&owner, &window), &density) in owners.iter().zip(windows).zip(&block.densities) {
+        let flush = |block: &mut Block<BLOCK>, owners: &[usize], windows: &[f32], out: &mut [f32]| {
+            hidden_block::<BLOCK, 1>(&self.encoding, &self.network, block, owners.len());
+            for ((&owner, &window), density) in owners.iter().zip(windows).zip(density_block(block)) {
                 out[owner] = scale * window * density;
             }
         };
@@ -186,13 +207,13 @@ impl RadianceField for Ppng {
         flush(&mut block, &owners[..count], &windows[..count], out);
     }
 
+    fn differentiable(&self) -> Option<&dyn Differentiable> {
+        Some(self)
+    }
+
     fn density_bound(&self, min: Vec3, max: Vec3) -> Option<f32> {
         let [a, b] = [min, max].map(|x| self.coordinates.centered(x).as_dvec3());
-        if !(a.is_finite() && b.is_finite()) {
-            return None;
-        }
-        let bound = self.coordinates.scale() as f32 * network::density(LOG_DENSITY_LIMIT);
-        Some(if self.window.is_empty(a, b) { 0.0 } else { bound })
+        (a.is_finite() && b.is_finite() && self.window.is_empty(a, b)).then_some(0.0)
     }
 
     fn cameras(&self, intrinsics: &Intrinsics) -> Result<Option<Vec<Camera>>> {
@@ -223,6 +244,65 @@ impl RadianceField for Ppng {
             self.poses.len(),
             self.coordinates.name()
         )
+    }
+}
+
+impl Differentiable for Ppng {
+    fn jets(&self, positions: &[Vec3], directions: &[Vec3], out: &mut [RadianceJet]) {
+        let scale = self.coordinates.scale() as f32;
+        let mut block = Block::<JETS>::new();
+        for ((positions, directions), out) in
+            positions.chunks(JETS).zip(directions.chunks(JETS)).zip(out.chunks_mut(JETS))
+        {
+            self.place(positions, &mut block);
+            for (p, &d) in directions.iter().enumerate() {
+                let d = self.coordinates.direction(d).to_array();
+                d.iter().zip(&mut block.directions).for_each(|(d, to)| to[p] = *d);
+            }
+            hidden_block::<JETS, JET>(&self.encoding, &self.network, &mut block, positions.len());
+            let densities = density_block(&block);
+            color_jet_block(&self.network, &mut block, positions.len());
+            for (p, out) in out.iter_mut().enumerate() {
+                let (window, density_gradient) = self.density_gradient(&block, densities[p], p);
+                let rows = &block.colors[JET * p..JET * (p + 1)];
+                let [value, x, y, z] = [0, 1, 2, 3].map(|row| Vec3::new(rows[row][0], rows[row][1], rows[row][2]));
+                out.value = Radiance { density: scale * window * densities[p], color: value };
+                out.density_gradient = density_gradient;
+                out.color_gradients = self.coordinates.gradient([x, y, z]);
+            }
+        }
+    }
+
+    fn density_gradients(&self, positions: &[Vec3], out: &mut [Vec3]) {
+        let mut block = Block::<JETS>::new();
+        for (positions, out) in positions.chunks(JETS).zip(out.chunks_mut(JETS)) {
+            self.place(positions, &mut block);
+            hidden_block::<JETS, JET>(&self.encoding, &self.network, &mut block, positions.len());
+            let densities = density_block(&block);
+            for (p, out) in out.iter_mut().enumerate() {
+                *out = self.density_gradient(&block, densities[p], p).1;
+            }
+        }
+    }
+}
+
+impl Ppng {
+    /// Puts up to N positions into the block.
+    fn place<const N: usize>(&self, positions: &[Vec3], block: &mut Block<N>) {
+        for (p, &x) in positions.iter().enumerate() {
+            let c = self.coordinates.centered(x).to_array();
+            c.iter().zip(&mut block.centered).for_each(|(c, to)| to[p] = *c);
+        }
+    }
+
+    /// w, and ∇σ in scene units, of point `p` of the block, whose density without the window is given.
+    fn density_gradient(&self, block: &Block<JETS>, density: f32, p: usize) -> (f32, Vec3) {
+        let (window, ramp) = self.window.with_gradient(Vec3::from_array([0, 1, 2].map(|axis| block.centered[axis][p])));
+        let rows = &block.hidden[JET * p..JET * (p + 1)];
+        let slope = window * network::density_slope(density, rows[0][0]);
+        let along = ramp * density + slope * Vec3::new(rows[1][0], rows[2][0], rows[3][0]);
+        let [x, y, z] = self.coordinates.gradient(along.to_array());
+        (window, self.coordinates.scale() as f32 * Vec3::new(x, y, z))
     }
 }
 

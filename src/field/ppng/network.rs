@@ -14,7 +14,7 @@
 )]
 
 use super::elementary::exp;
-use super::features::{BLOCK, WIDTH};
+use super::features::{BLOCK, JET, WIDTH};
 
 /// Outputs of both hidden layers, and the number of spherical harmonics.
 pub const HIDDEN: usize = 16;
@@ -47,7 +47,7 @@ impl Network {
         Self { density: unblock(density), color0: unblock(color0), color1: unblock(color1) }
     }
 
-    /// h of every point, `[point][16]`.
+    /// h of the first `count` rows, `[row][16]`. It is linear: rows may be derivatives.
     #[inline(always)]
     pub fn hidden(&self, features: &[[f32; WIDTH]; BLOCK], count: usize, hidden: &mut [[f32; HIDDEN]; BLOCK]) {
         for first in (0..count).step_by(TILE) {
@@ -68,13 +68,7 @@ impl Network {
         count: usize,
         colors: &mut [[f32; OUTPUTS]; BLOCK],
     ) {
-        let mut harmonics = [[0.0; BLOCK]; HIDDEN];
-        for p in 0..BLOCK {
-            let values = spherical_harmonics(directions[0][p], directions[1][p], directions[2][p]);
-            for k in 0..HIDDEN {
-                harmonics[k][p] = values[k];
-            }
-        }
+        let harmonics = harmonics(directions);
         for first in (0..count).step_by(TILE) {
             let mut sums = [[0.0; HIDDEN]; TILE];
             for i in 0..HIDDEN {
@@ -90,11 +84,73 @@ impl Network {
             }
             for p in 0..TILE {
                 for k in 0..OUTPUTS {
-                    colors[first + p][k] = 1.0 / (1.0 + exp(-outputs[p][k]));
+                    colors[first + p][k] = sigmoid(outputs[p][k]);
                 }
             }
         }
     }
+
+    /// Colours and their derivatives, `[point · JET + row][red, green, blue, padding]`, from `hidden` with the same rows.
+    #[inline(always)]
+    pub fn color_jets<const N: usize>(
+        &self,
+        hidden: &[[f32; HIDDEN]; BLOCK],
+        directions: &[[f32; N]; 3],
+        count: usize,
+        colors: &mut [[f32; OUTPUTS]; BLOCK],
+    ) {
+        const { assert!(TILE == JET && N * JET == BLOCK) };
+        let harmonics = harmonics(directions);
+        for p in 0..count {
+            let first = JET * p;
+            let mut sums = [[0.0; HIDDEN]; JET];
+            for i in 0..HIDDEN {
+                add_input(&mut sums, &self.color0[i], |row| hidden[first + row][i]);
+            }
+            // The direction is fixed: it has no derivatives.
+            for i in 0..HIDDEN {
+                for o in 0..HIDDEN {
+                    sums[0][o] = self.color0[HIDDEN + i][o].mul_add(harmonics[i][p], sums[0][o]);
+                }
+            }
+            for i in 0..HIDDEN {
+                if sums[0][i] < 0.0 {
+                    for row in &mut sums {
+                        row[i] = 0.0;
+                    }
+                }
+            }
+            let mut outputs = [[0.0; OUTPUTS]; JET];
+            for i in 0..HIDDEN {
+                add_input(&mut outputs, &self.color1[i], |row| sums[row][i]);
+            }
+            for k in 0..OUTPUTS {
+                let color = sigmoid(outputs[0][k]);
+                colors[first][k] = color;
+                for row in 1..JET {
+                    colors[first + row][k] = color * (1.0 - color) * outputs[row][k];
+                }
+            }
+        }
+    }
+}
+
+/// Spherical harmonics of N directions, `[harmonic][point]`.
+#[inline(always)]
+fn harmonics<const N: usize>(directions: &[[f32; N]; 3]) -> [[f32; N]; HIDDEN] {
+    let mut harmonics = [[0.0; N]; HIDDEN];
+    for p in 0..N {
+        let values = spherical_harmonics(directions[0][p], directions[1][p], directions[2][p]);
+        for k in 0..HIDDEN {
+            harmonics[k][p] = values[k];
+        }
+    }
+    harmonics
+}
+
+#[inline(always)]
+fn sigmoid(x: f32) -> f32 {
+    1.0 / (1.0 + exp(-x))
 }
 
 /// Adds one input of [`TILE`] points to their outputs.
@@ -112,6 +168,12 @@ fn add_input<const OUT: usize>(sums: &mut [[f32; OUT]; TILE], weights: &[f32; OU
 #[inline(always)]
 pub fn density(h0: f32) -> f32 {
     exp(if h0 > LOG_DENSITY_LIMIT { LOG_DENSITY_LIMIT } else { h0 })
+}
+
+/// dσ/dh₀ from σ and h₀.
+#[inline(always)]
+pub fn density_slope(density: f32, h0: f32) -> f32 {
+    if h0 > LOG_DENSITY_LIMIT { 0.0 } else { density }
 }
 
 /// Real spherical harmonics up to degree 3 in instant-ngp's order and signs.

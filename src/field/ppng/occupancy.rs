@@ -60,13 +60,40 @@ impl Window {
     /// w at p = ½ + `c`; 0 outside the box.
     #[inline]
     pub fn at(&self, c: Vec3) -> f32 {
+        let Some((corners, m, t, _)) = self.cell(c) else { return 0.0 };
+        let along_x = |i: usize| lerp(f32::from(corners[i]), f32::from(corners[i + 1]), t.x);
+        let along_xy = |i: usize| lerp(along_x(i), along_x(i + m), t.y);
+        lerp(along_xy(0), along_xy(m * m), t.z) / f32::from(ONE)
+    }
+
+    /// w and ∇w at p = ½ + `c`, per file unit.
+    pub fn with_gradient(&self, c: Vec3) -> (f32, Vec3) {
+        let Some((corners, m, t, per_unit)) = self.cell(c) else { return (0.0, Vec3::ZERO) };
+        // (value, ∂x) along x, then with ∂y, then with ∂z.
+        let along_x = |i: usize| {
+            let [a, b] = [corners[i], corners[i + 1]].map(f32::from);
+            (lerp(a, b, t.x), b - a)
+        };
+        let along_xy = |i: usize| {
+            let [(a, da), (b, db)] = [along_x(i), along_x(i + m)];
+            (lerp(a, b, t.y), lerp(da, db, t.y), b - a)
+        };
+        let [(a, ax, ay), (b, bx, by)] = [along_xy(0), along_xy(m * m)];
+        let gradient = Vec3::new(lerp(ax, bx, t.z), lerp(ay, by, t.z), b - a) * per_unit;
+        (lerp(a, b, t.z) / f32::from(ONE), gradient / f32::from(ONE))
+    }
+
+    /// The corners of the cell around p = ½ + `c`, from the lowest, the stride between rows of them, the offset in the cell, and cells
+    /// per file unit.
+    #[inline]
+    fn cell(&self, c: Vec3) -> Option<(&[u8], usize, Vec3, f32)> {
         let reach = 2.0 * c.abs().max_element();
         let (mut k, mut side) = (0, 1.0_f32);
         while reach > side {
             k += 1;
             side *= 2.0;
             if k == self.cascades.len() {
-                return 0.0;
+                return None;
             }
         }
         let u = (c / side + 0.5) * self.n as f32;
@@ -74,16 +101,7 @@ impl Window {
         let t = u - Vec3::from_array(low.map(|i| i as f32));
         let m = self.n + 1;
         let corners = &self.cascades[k].corners[(low[2] * m + low[1]) * m + low[0]..][..(m + 1) * m + 2];
-        let along_x = |i: usize| {
-            let [a, b] = [corners[i], corners[i + 1]].map(f32::from);
-            a + t.x * (b - a)
-        };
-        let along_xy = |i: usize| {
-            let [a, b] = [along_x(i), along_x(i + m)];
-            a + t.y * (b - a)
-        };
-        let [a, b] = [along_xy(0), along_xy(m * m)];
-        (a + t.z * (b - a)) / f32::from(ONE)
+        Some((corners, m, t, self.n as f32 / side))
     }
 
     /// Whether w is 0 everywhere in the box from ½ + `min` to ½ + `max`, and for all positions that f32 rounds into it.
@@ -110,6 +128,12 @@ impl Window {
     pub fn memory(&self) -> usize {
         self.cascades.iter().map(|c| size_of_val(c.corners.as_slice()) + size_of_val(c.rows.as_slice())).sum()
     }
+}
+
+/// a + t (b − a).
+#[inline]
+fn lerp(a: f32, b: f32, t: f32) -> f32 {
+    a + t * (b - a)
 }
 
 /// Coarse cells of the central half become what the fine cells say.
@@ -224,6 +248,32 @@ mod tests {
             }
         }
         assert!(inside > 500 && ramp > 1000, "{inside} {ramp}");
+    }
+
+    #[test]
+    fn gradients_are_those_of_the_trilinear_window() {
+        let mut rng = ChaCha8Rng::seed_from_u64(6);
+        let mut ramps = 0;
+        for _ in 0..20 {
+            let window = Window::new(N, random(&mut rng, 0.02));
+            for _ in 0..500 {
+                let c = draw(&mut rng, 2.0);
+                let (w, gradient) = window.with_gradient(c);
+                assert_eq!(w, window.at(c));
+                for axis in 0..3 {
+                    // Linear along an axis within a cell; across a face the two sides differ, and the gradient is one of them.
+                    let h = 1e-3;
+                    let side = |h: f32| (window.at(c + h * Vec3::AXES[axis]) - w) / h;
+                    let (up, down) = (side(h), side(-h));
+                    let off = (gradient[axis] - 0.5 * (up + down)).abs();
+                    // w is known to an ulp of 1: 1e-4 over h.
+                    assert!(off <= 0.5 * (up - down).abs() + 4e-4, "{} not between {down} and {up}", gradient[axis]);
+                    ramps += usize::from(up.abs() > 0.1 && (up - down).abs() < 0.01);
+                }
+            }
+        }
+        assert!(ramps > 1000, "{ramps}");
+        assert_eq!(Window::new(N, vec![vec![true; N * N * N]]).with_gradient(Vec3::splat(0.6)), (0.0, Vec3::ZERO));
     }
 
     #[test]

@@ -53,15 +53,27 @@ struct Shard {
 }
 
 impl Shard {
-    /// The sums of a vertex, zero if it is new.
-    fn sum_mut(&mut self, key: u64) -> &mut Evidence {
+    /// Position of the brick with the given code, which is made if it is new.
+    fn slot(&mut self, code: u64) -> usize {
         let next = self.bricks.len() as u32;
-        let slot = *self.index.entry(key >> 6).or_insert(next);
+        let slot = *self.index.entry(code).or_insert(next);
         if slot == next {
-            self.codes.push(key >> 6);
+            self.codes.push(code);
             self.bricks.push([Evidence::default(); 64]);
         }
-        &mut self.bricks[slot as usize][(key & 63) as usize]
+        slot as usize
+    }
+
+    /// Adds contributions in order. Neighbours in the list are most often neighbours in space.
+    fn add<'a>(&mut self, contributions: impl Iterator<Item = (u64, &'a Evidence)>) {
+        let (mut code, mut slot) = (u64::MAX, 0);
+        for (key, sums) in contributions {
+            if key >> 6 != code {
+                code = key >> 6;
+                slot = self.slot(code);
+            }
+            self.bricks[slot][(key & 63) as usize].add(sums);
+        }
     }
 
     fn memory(&self) -> usize {
@@ -84,13 +96,13 @@ impl Bricks {
     /// Adds lists of contributions, each split by shard, in order.
     pub fn add(&mut self, lists: &[Vec<Vec<Contribution>>]) {
         self.shards.par_iter_mut().enumerate().for_each(|(s, shard)| {
-            lists.iter().flat_map(|list| &list[s]).for_each(|c| shard.sum_mut(c.key).add(&c.sums));
+            shard.add(lists.iter().flat_map(|list| &list[s]).map(|c| (c.key, &c.sums)));
         });
     }
 
     /// Adds to one vertex.
     pub fn add_one(&mut self, key: u64, sums: &Evidence) {
-        self.shards[shard_of(key)].sum_mut(key).add(sums);
+        self.shards[shard_of(key)].add(std::iter::once((key, sums)));
     }
 
     /// The sums of a vertex, if its brick exists.

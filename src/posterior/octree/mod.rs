@@ -9,11 +9,12 @@
 //! On limited leaves a corner may hang on a larger leaf. Its share of J goes to the ends that it is interpolated from, before
 //! squaring: J of a free vertex gathers what its hanging dependants would have received.
 //!
-//! Threads: rays of a batch are squared in parallel into one list of contributions per shard; then shards add their lists in
+//! Threads: rays of a batch are [squared](squares) in parallel into one list of contributions per shard; then shards add their lists in
 //! parallel, each in ray order. Every sum therefore sees its contributions in ray order, whatever the number of threads.
 
 mod bricks;
 mod refine;
+mod squares;
 mod survey;
 
 pub use bricks::Brick;
@@ -21,8 +22,11 @@ pub use refine::Refinement;
 pub use survey::Survey;
 
 use bricks::{Bricks, Contribution, SHARDS, key, shard_of};
+use std::ops::Range;
+
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
+use squares::{Partial, Row};
 
 use super::{Evidence, Posterior};
 use crate::geometry::Lattice;
@@ -132,37 +136,47 @@ impl OctreePosterior {
 
     /// Squares every ray of a batch: one list per shard, in ray order.
     fn contributions(&self, batch: &RaySamples) -> Vec<Vec<Contribution>> {
-        let mut lists = vec![Vec::new(); SHARDS];
-        // (vertex, sample's place in the ray, weight): sorting brings a vertex's samples together in ray order.
-        let mut touched: Vec<(u64, u32, f64)> = Vec::new();
+        // About as many vertices as samples go to a shard of a batch that fills its space evenly.
+        let expected = 4 * batch.positions.len() / SHARDS;
+        let mut lists: Vec<_> = (0..SHARDS).map(|_| Vec::with_capacity(expected)).collect();
+        let mut emit = |key: u64, sums: Evidence| lists[shard_of(key)].push(Contribution { key, sums });
+        let finest = self.limits.is_unlimited();
+        let (mut places, mut touched) = (Vec::new(), Vec::new());
         for (_, samples) in batch.iter() {
-            touched.clear();
-            for i in samples {
-                self.for_each_vertex(batch.positions[i], |key, weight| touched.push((key, i as u32, weight)));
-            }
-            touched.sort_unstable_by(|a, b| (a.0, a.1).cmp(&(b.0, b.1)).then(a.2.total_cmp(&b.2)));
-            for group in touched.chunk_by(|a, b| a.0 == b.0) {
-                let (mut j, mut gradient) = ([0.0; 9], DVec3::ZERO);
-                for &(_, sample, weight) in group {
-                    for (j, &g) in j.iter_mut().zip(&batch.jacobians[sample as usize]) {
-                        *j += weight * f64::from(g);
-                    }
-                    gradient += weight * Vec3::from_array(batch.gradients[sample as usize]).as_dvec3();
-                }
-                let key = group[0].0;
-                let sums = Evidence { information: gram(&j), gradient: gradient.as_vec3().to_array(), rays: 1 };
-                lists[shard_of(key)].push(Contribution { key, sums });
+            if finest && squares::places(&self.lattice, batch, samples.clone(), &mut places) {
+                squares::along(&places, batch, &mut emit);
+            } else {
+                self.gather(batch, samples, &mut touched, &mut emit);
             }
         }
         lists
     }
+
+    /// Squares one ray on any leaves: what its samples touch is sorted by vertex.
+    fn gather(
+        &self,
+        batch: &RaySamples,
+        samples: Range<usize>,
+        touched: &mut Vec<Touch>,
+        emit: &mut impl FnMut(u64, Evidence),
+    ) {
+        touched.clear();
+        for i in samples {
+            self.for_each_vertex(batch.positions[i], |key, weight| touched.push((key, i as u32, weight)));
+        }
+        touched.sort_unstable_by(|a, b| (a.0, a.1).cmp(&(b.0, b.1)).then(a.2.total_cmp(&b.2)));
+        for group in touched.chunk_by(|a, b| a.0 == b.0) {
+            let mut partial = Partial::default();
+            for &(_, sample, weight) in group {
+                partial.add(weight, &Row::of(batch, sample as usize));
+            }
+            emit(group[0].0, partial.squared());
+        }
+    }
 }
 
-/// JᵀJ of a 3×3 Jacobian given row by row: xx, xy, xz, yy, yz, zz.
-fn gram(j: &[f64; 9]) -> super::Information {
-    let dot = |a: usize, b: usize| j[a] * j[b] + j[3 + a] * j[3 + b] + j[6 + a] * j[6 + b];
-    [dot(0, 0), dot(0, 1), dot(0, 2), dot(1, 1), dot(1, 2), dot(2, 2)]
-}
+/// (vertex, sample's index, weight): sorting brings a vertex's samples together in ray order.
+type Touch = (u64, u32, f64);
 
 impl Posterior for OctreePosterior {
     fn add(&mut self, batches: &[RaySamples]) {

@@ -1,5 +1,7 @@
 //! The octree against the dense grid.
 
+use std::collections::BTreeMap;
+
 use super::*;
 use crate::geometry::Aabb;
 use crate::octree::{Cell, Corner, Octree, VertexId, morton};
@@ -156,7 +158,7 @@ proptest! {
                     let weight = hat(&octree, id, u);
                     j.iter_mut().zip(samples.jacobians[i]).for_each(|(j, g)| *j += weight * f64::from(g));
                 }
-                expected.iter_mut().zip(gram(&j)).for_each(|(s, v)| *s += v);
+                expected.iter_mut().zip(squares::gram(&j)).for_each(|(s, v)| *s += v);
             }
             let scale = trace(&found.information).max(trace(&expected));
             for k in 0..6 {
@@ -194,4 +196,60 @@ proptest! {
         };
         prop_assert_eq!(run(&[samples], 1), run(&parts, 2));
     }
+}
+
+/// What one ray adds, vertex by vertex.
+fn squares_of(emit_all: impl FnOnce(&mut dyn FnMut(u64, Evidence))) -> BTreeMap<u64, Vec<Evidence>> {
+    let mut found: BTreeMap<u64, Vec<Evidence>> = BTreeMap::new();
+    emit_all(&mut |key, sums| found.entry(key).or_default().push(sums));
+    found
+}
+
+proptest! {
+    #[test]
+    fn walking_from_cell_to_cell_gives_the_squares_of_sorting(
+        from in (-1.0..1.0_f32, Just(0.25_f32), -1.0..1.0_f32),
+        to in (-1.0..1.0_f32, prop_oneof![Just(0.25_f32), -1.0..1.0_f32], -1.0..1.0_f32),
+        steps in proptest::collection::vec(0.0..0.2_f32, 1..40),
+        rows in proptest::collection::vec(proptest::array::uniform12(-1.0..1.0_f32), 40),
+    ) {
+        let mut batch = RaySamples::default();
+        let (from, to) = (Vec3::from(from), Vec3::from(to));
+        let mut t = 0.0;
+        for (step, row) in steps.iter().zip(&rows) {
+            t += step;
+            let position = from + t * (to - from);
+            let (jacobian, gradient) = (row[..9].try_into().unwrap(), row[9..].try_into().unwrap());
+            batch.push(0, RaySample { position, jacobian, weight: 0.5, gradient });
+        }
+        let posterior = OctreePosterior::new(lattice(4));
+        let range = 0..batch.positions.len();
+        let sorted = squares_of(|mut emit| posterior.gather(&batch, range.clone(), &mut Vec::new(), &mut emit));
+        let mut places = Vec::new();
+        // Rounded positions of a straight line do not fall back: products and sums of f32 are monotone.
+        prop_assert!(squares::places(&posterior.lattice, &batch, range, &mut places));
+        let walked = squares_of(|mut emit| squares::along(&places, &batch, &mut emit));
+        prop_assert!(sorted.values().all(|once| once.len() == 1));
+        prop_assert_eq!(walked, sorted);
+    }
+}
+
+#[test]
+fn a_ray_that_turns_back_is_sorted() {
+    let mut batch = RaySamples::default();
+    for x in [0.1, 0.3, 0.6, 0.3] {
+        let position = Vec3::new(x, 0.1, 0.1);
+        batch.push(0, RaySample { position, jacobian: [1.0; 9], weight: 0.5, gradient: [0.0; 3] });
+    }
+    let posterior = OctreePosterior::new(lattice(3));
+    assert!(!squares::places(&posterior.lattice, &batch, 0..4, &mut Vec::new()));
+    // Two samples in the cell from ¼ to ½ in one square: (Σ φ)², not the sum of two squares.
+    let mut whole = posterior.clone();
+    whole.add(&[batch.clone()]);
+    let weight: f64 =
+        [0.1, 0.3, 0.6, 0.3].iter().map(|&x| (1.0 - 4.0 * (f64::from(x as f32) - 0.25).abs()).max(0.0)).sum();
+    let across = (1.0 - 4.0 * f64::from(0.1_f32)).powi(2);
+    let found = whole.evidence([5, 4, 4]).information[0];
+    // Three channels of 1; f64.
+    assert!((found / (3.0 * (weight * across).powi(2)) - 1.0).abs() < 1e-12, "{found}");
 }

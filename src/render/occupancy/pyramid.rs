@@ -106,7 +106,7 @@ fn halve(values: &[f32], n: usize) -> Vec<f32> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::sampled::bricks;
+    use super::super::sampled::brick;
     use super::*;
     use proptest::prelude::*;
 
@@ -120,7 +120,8 @@ mod tests {
                 if (x / 8 + y / 8 + z / 8 + seed) % 3 <= solid { 5.0 } else { ((x * 7 + y * 3 + z + seed) % 11) as f32 }
             };
             let values: Vec<f32> = (0..n * n * n).map(|i| of(i / (n * n), i / n % n, i % n)).collect();
-            let pyramid = Pyramid::new(n, bricks(&values, n));
+            let bricks = (0..blocks(n, BRICK).pow(3)).map(|i| (i, brick(&values, n, i)));
+            let pyramid = Pyramid::new(n, bricks);
             for level in 0..pyramid.levels() {
                 for i in 0..n * n * n {
                     let cell = [i / (n * n), i / n % n, i % n];

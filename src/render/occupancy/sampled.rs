@@ -33,21 +33,19 @@ pub fn sample(field: &dyn RadianceField, n: usize, rings: [usize; 3], monitor: &
     Ok((0..3).fold(own, |grid, axis| dilate(&grid, n, axis, rings[axis])))
 }
 
-/// The bricks of an `[n³]` grid, zero where they stick out of it.
-pub fn bricks(grid: &[f32], n: usize) -> impl Iterator<Item = (usize, [f32; CELLS])> {
+/// One brick of an `[n³]` grid, zero where it sticks out.
+pub fn brick(grid: &[f32], n: usize, index: usize) -> [f32; CELLS] {
     let b = blocks(n, BRICK);
-    (0..b * b * b).map(move |index| {
-        let [x0, y0, z0] = [index / (b * b), index / b % b, index % b].map(|i| EDGE * i);
-        let mut brick = [0.0; CELLS];
-        for x in x0..(x0 + EDGE).min(n) {
-            for y in y0..(y0 + EDGE).min(n) {
-                for z in z0..(z0 + EDGE).min(n) {
-                    brick[((x - x0) * EDGE + y - y0) * EDGE + z - z0] = grid[(x * n + y) * n + z];
-                }
+    let [x0, y0, z0] = [index / (b * b), index / b % b, index % b].map(|i| EDGE * i);
+    let mut brick = [0.0; CELLS];
+    for x in x0..(x0 + EDGE).min(n) {
+        for y in y0..(y0 + EDGE).min(n) {
+            for z in z0..(z0 + EDGE).min(n) {
+                brick[((x - x0) * EDGE + y - y0) * EDGE + z - z0] = grid[(x * n + y) * n + z];
             }
         }
-        (index, brick)
-    })
+    }
+    brick
 }
 
 /// Densities at the points `min + (index + shift) / cells · size`, `[count³]`, x slowest; NaN becomes ∞.

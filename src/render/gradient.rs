@@ -1,0 +1,207 @@
+//! Derivatives of a field by position: central differences of any, or a field's own.
+
+use glam::{DVec3, Vec3};
+
+use crate::field::{Differentiable, Radiance, RadianceField, RadianceJet};
+use crate::geometry::{Aabb, Domain};
+use crate::{Error, Result};
+
+/// Where derivatives come from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum GradientMethod {
+    /// Central differences: any field is a black box
+    #[default]
+    FiniteDifference,
+    /// The field's own, exact but for rounding; refused for a field that has none
+    Analytic,
+    /// The field's own where it has them, else differences
+    Auto,
+}
+
+impl GradientMethod {
+    /// The derivatives of `field` that this method uses; `None` for finite differences.
+    ///
+    /// # Errors
+    /// If the field's own are asked for and it has none.
+    pub fn of(self, field: &dyn RadianceField) -> Result<Option<&dyn Differentiable>> {
+        match (self, field.differentiable()) {
+            (Self::FiniteDifference, _) | (Self::Auto, None) => Ok(None),
+            (Self::Analytic, None) => {
+                let expected = "finite-difference, or a field that differentiates itself";
+                Err(Error::setting(
+                    "gradient",
+                    expected,
+                    format!("analytic, of a field that does not: {}", field.describe()),
+                ))
+            }
+            (_, own) => Ok(own),
+        }
+    }
+}
+
+/// How far apart central differences look.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Differences {
+    /// Distance h to both sides along each axis where space is not contracted, scene units.
+    pub step: DVec3,
+    /// Where it is, h grows with the lattice's cells.
+    pub domain: Domain,
+}
+
+impl Differences {
+    /// h along each axis at x.
+    #[must_use]
+    pub fn at(&self, x: Vec3) -> DVec3 {
+        self.step * self.domain.stretch(x)
+    }
+
+    /// x ± h along each axis, clipped to `bounds`, so that the difference is one-sided at its border: +x, −x, +y, −y, +z, −z.
+    fn around(&self, x: Vec3, bounds: &Aabb) -> [Vec3; 6] {
+        let step = self.at(x);
+        std::array::from_fn(|i| {
+            let (axis, sign) = (i / 2, if i % 2 == 0 { 1.0 } else { -1.0 });
+            let mut y = x.as_dvec3();
+            y[axis] += sign * step[axis];
+            let mut y = y.as_vec3();
+            y[axis] = bounds.clamp(y)[axis];
+            y
+        })
+    }
+}
+
+/// Derivatives along x, y, z from values `f` at the points of [`Differences::around`], by the distance that f32 positions really have.
+fn differences<T>(x: &[Vec3], f: impl Fn(usize) -> T) -> [T; 3]
+where
+    T: std::ops::Sub<Output = T> + std::ops::Div<f64, Output = T> + Default,
+{
+    std::array::from_fn(|axis| {
+        let (up, down) = (2 * axis, 2 * axis + 1);
+        let width = f64::from(x[up][axis]) - f64::from(x[down][axis]);
+        if width > 0.0 { (f(up) - f(down)) / width } else { T::default() }
+    })
+}
+
+/// A method with what it needs.
+#[derive(Clone, Copy)]
+pub struct Differentiation<'a> {
+    /// Finite differences, and how far they look even where the field's own derivatives are used: matter within this distance of a sample
+    /// counts as being there.
+    pub differences: Differences,
+    /// The field's own derivatives, if they are to be used.
+    pub analytic: Option<&'a dyn Differentiable>,
+}
+
+/// Value and derivatives of a field at a sample.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Jet {
+    /// c.
+    pub color: Vec3,
+    /// ∇σ.
+    pub density_gradient: DVec3,
+    /// ∂c/∂x, ∂c/∂y, ∂c/∂z.
+    pub color_gradients: [DVec3; 3],
+}
+
+/// Buffers that are used again.
+#[derive(Default)]
+pub(super) struct GradientBuffers {
+    positions: Vec<Vec3>,
+    directions: Vec<Vec3>,
+    radiance: Vec<Radiance>,
+    densities: Vec<f32>,
+    jets: Vec<RadianceJet>,
+    gradients: Vec<Vec3>,
+}
+
+impl Differentiation<'_> {
+    /// Finite differences or the field's own.
+    #[must_use]
+    pub fn method(&self) -> GradientMethod {
+        if self.analytic.is_some() { GradientMethod::Analytic } else { GradientMethod::FiniteDifference }
+    }
+
+    /// h along x, y and z, scene units, if it enters the result.
+    #[must_use]
+    pub fn difference_step(&self) -> Option<[f64; 3]> {
+        self.analytic.is_none().then(|| self.differences.step.to_array())
+    }
+
+    /// Jets of `field` at `positions` seen along `directions`, into `out`; `None` where the field is not finite there or nearby.
+    pub(super) fn jets(
+        &self,
+        field: &dyn RadianceField,
+        positions: &[Vec3],
+        directions: &[Vec3],
+        buffers: &mut GradientBuffers,
+        out: &mut Vec<Option<Jet>>,
+    ) {
+        out.clear();
+        if let Some(analytic) = self.analytic {
+            let jets = &mut buffers.jets;
+            jets.resize(positions.len(), RadianceJet::default());
+            analytic.jets(positions, directions, jets);
+            out.extend(jets.iter().map(|jet| {
+                let finite = jet.value.is_valid()
+                    && jet.density_gradient.is_finite()
+                    && jet.color_gradients.iter().all(|g| g.is_finite());
+                finite.then(|| Jet {
+                    color: jet.value.color,
+                    density_gradient: jet.density_gradient.as_dvec3(),
+                    color_gradients: jet.color_gradients.map(Vec3::as_dvec3),
+                })
+            }));
+            return;
+        }
+        let bounds = field.bounds();
+        let GradientBuffers { positions: around, directions: along, radiance, .. } = buffers;
+        around.clear();
+        along.clear();
+        for (&x, &direction) in positions.iter().zip(directions) {
+            around.push(x);
+            around.extend(self.differences.around(x, &bounds));
+            along.extend([direction; 7]);
+        }
+        radiance.clear();
+        radiance.resize(around.len(), Radiance::default());
+        field.evaluate(around, along, radiance);
+        out.extend(around.as_chunks::<7>().0.iter().zip(radiance.as_chunks::<7>().0).map(|(x, r)| {
+            let (x, [center, r @ ..]) = (&x[1..], r);
+            let finite = center.is_valid() && r.iter().all(Radiance::is_valid);
+            finite.then(|| Jet {
+                color: center.color,
+                density_gradient: differences(x, |i| f64::from(r[i].density)).into(),
+                color_gradients: differences(x, |i| r[i].color.as_dvec3()),
+            })
+        }));
+    }
+
+    /// ∇σ of `field` at `positions`, into `out`; `None` where it is not finite.
+    pub(super) fn density_gradients(
+        &self,
+        field: &dyn RadianceField,
+        positions: &[Vec3],
+        buffers: &mut GradientBuffers,
+        out: &mut Vec<Option<DVec3>>,
+    ) {
+        out.clear();
+        if let Some(analytic) = self.analytic {
+            let gradients = &mut buffers.gradients;
+            gradients.resize(positions.len(), Vec3::ZERO);
+            analytic.density_gradients(positions, gradients);
+            out.extend(gradients.iter().map(|gradient| gradient.is_finite().then(|| gradient.as_dvec3())));
+            return;
+        }
+        let bounds = field.bounds();
+        let GradientBuffers { positions: around, densities, .. } = buffers;
+        around.clear();
+        around.extend(positions.iter().flat_map(|&x| self.differences.around(x, &bounds)));
+        densities.clear();
+        densities.resize(around.len(), 0.0);
+        field.densities(around, densities);
+        out.extend(around.as_chunks::<6>().0.iter().zip(densities.as_chunks::<6>().0).map(|(x, densities)| {
+            let finite = densities.iter().all(|&density| density >= 0.0 && density.is_finite());
+            finite.then(|| differences(x, |i| f64::from(densities[i])).into())
+        }));
+    }
+}

@@ -1,0 +1,86 @@
+//! What a posterior is made of: ray samples with their Jacobians, wherever they came from.
+
+use glam::Vec3;
+
+/// Ray samples with their Jacobians. Rays in increasing order; rays
+/// without samples are absent. Ray r of the list owns `offsets[r]..offsets[r + 1]`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RaySamples {
+    /// `[rays]`, increasing: index of each ray in the whole run.
+    pub rays: Vec<u64>,
+    /// `[rays + 1]`.
+    pub offsets: Vec<usize>,
+    /// `[n]`, scene units.
+    pub positions: Vec<Vec3>,
+    /// `[n]`: ∂C_c/∂x_k at 3·c + k.
+    pub jacobians: Vec<[f32; 9]>,
+    /// `[n]`: w, share of the pixel's colour; 0 where unknown.
+    pub weights: Vec<f32>,
+    /// `[n]`: ‖∂C/∂σ‖ ∇σ, the density's part of the Jacobian by size and direction; 0 where unknown.
+    pub gradients: Vec<[f32; 3]>,
+    /// Rays dropped because the field was not finite.
+    pub dropped: u64,
+    /// Position of the first sample that was not.
+    pub first_invalid: Option<Vec3>,
+}
+
+impl Default for RaySamples {
+    fn default() -> Self {
+        Self {
+            rays: Vec::new(),
+            offsets: vec![0],
+            positions: Vec::new(),
+            jacobians: Vec::new(),
+            weights: Vec::new(),
+            gradients: Vec::new(),
+            dropped: 0,
+            first_invalid: None,
+        }
+    }
+}
+
+/// One sample of a ray; see [`RaySamples`] for units.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct RaySample {
+    /// Position.
+    pub position: Vec3,
+    /// ∂C_c/∂x_k at 3·c + k.
+    pub jacobian: [f32; 9],
+    /// w.
+    pub weight: f32,
+    /// ‖∂C/∂σ‖ ∇σ.
+    pub gradient: [f32; 3],
+}
+
+impl RaySamples {
+    /// Appends one sample to the ray with index `ray`, which must not be below the last one.
+    pub fn push(&mut self, ray: u64, sample: RaySample) {
+        if self.rays.last() != Some(&ray) {
+            self.rays.push(ray);
+            self.offsets.push(self.positions.len());
+        }
+        self.positions.push(sample.position);
+        self.jacobians.push(sample.jacobian);
+        self.weights.push(sample.weight);
+        self.gradients.push(sample.gradient);
+        if let Some(end) = self.offsets.last_mut() {
+            *end = self.positions.len();
+        }
+    }
+
+    /// Sample `i` of the list.
+    #[must_use]
+    pub fn sample(&self, i: usize) -> RaySample {
+        RaySample {
+            position: self.positions[i],
+            jacobian: self.jacobians[i],
+            weight: self.weights[i],
+            gradient: self.gradients[i],
+        }
+    }
+
+    /// Each ray's index and its samples' range.
+    pub fn iter(&self) -> impl Iterator<Item = (u64, std::ops::Range<usize>)> + '_ {
+        self.rays.iter().zip(self.offsets.windows(2)).map(|(&ray, pair)| (ray, pair[0]..pair[1]))
+    }
+}

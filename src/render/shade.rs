@@ -1,0 +1,30 @@
+//! Colours of the samples that a pixel is made of.
+
+use glam::Vec3;
+
+use super::{Quadrature, TracedRays, Tracer};
+use crate::field::Radiance;
+use crate::geometry::Ray;
+
+impl Tracer<'_> {
+    /// Colours of all samples of `traced`, `[n]`: the field's where a sample's share of its pixel is above the marcher's cutoff, black elsewhere.
+    /// NaN where the field's is not finite.
+    #[must_use]
+    pub fn visible_colors(&self, rays: &[Ray], traced: &TracedRays, quadrature: &Quadrature) -> Vec<Vec3> {
+        let (mut which, mut positions, mut directions) = (Vec::new(), Vec::new(), Vec::new());
+        for (r, ray) in rays.iter().enumerate() {
+            for i in traced.samples(r).filter(|&i| quadrature.weights[i] > self.marcher.cutoff) {
+                which.push(i);
+                positions.push(traced.positions[i]);
+                directions.push(ray.direction.as_vec3());
+            }
+        }
+        let mut radiance = vec![Radiance::default(); which.len()];
+        self.field.evaluate(&positions, &directions, &mut radiance);
+        let mut colors = vec![Vec3::ZERO; traced.positions.len()];
+        for (i, radiance) in which.into_iter().zip(radiance) {
+            colors[i] = if radiance.color.is_finite() { radiance.color } else { Vec3::NAN };
+        }
+        colors
+    }
+}
