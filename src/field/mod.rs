@@ -55,13 +55,18 @@ pub trait Differentiable: Send + Sync {
     /// Density, colour and their derivatives by position at `positions` (`[n]`) seen along fixed `directions` (`[n]`), into `out` (`[n]`).
     fn jets(&self, positions: &[Vec3], directions: &[Vec3], out: &mut [RadianceJet]);
 
-    /// ∇σ alone at `positions` (`[n]`), into `out` (`[n]`).
-    fn density_gradients(&self, positions: &[Vec3], out: &mut [Vec3]) {
+    /// σ and ∇σ alone at `positions` (`[n]`), into `densities` and `gradients` (`[n]`).
+    fn density_jets(&self, positions: &[Vec3], densities: &mut [f32], gradients: &mut [Vec3]) {
         let mut jets = vec![RadianceJet::default(); positions.len()];
         self.jets(positions, &vec![Vec3::Z; positions.len()], &mut jets);
-        for (out, jet) in out.iter_mut().zip(jets) {
-            *out = jet.density_gradient;
+        for ((density, gradient), jet) in densities.iter_mut().zip(gradients).zip(jets) {
+            (*density, *gradient) = (jet.value.density, jet.density_gradient);
         }
+    }
+
+    /// Whether ∇σ costs so little beside σ that it is best asked for at every sample of a ray.
+    fn is_cheap(&self) -> bool {
+        false
     }
 }
 

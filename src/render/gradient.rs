@@ -112,6 +112,7 @@ pub(super) struct GradientBuffers {
     densities: Vec<f32>,
     jets: Vec<RadianceJet>,
     gradients: Vec<Vec3>,
+    ignored: Vec<f32>,
 }
 
 impl Differentiation<'_> {
@@ -176,6 +177,11 @@ impl Differentiation<'_> {
         }));
     }
 
+    /// The field's own derivatives, if ∇σ is best asked for along with σ.
+    pub(super) fn along_rays(&self) -> Option<&dyn Differentiable> {
+        self.analytic.filter(|field| field.is_cheap())
+    }
+
     /// ∇σ of `field` at `positions`, into `out`; `None` where it is not finite.
     pub(super) fn density_gradients(
         &self,
@@ -186,9 +192,10 @@ impl Differentiation<'_> {
     ) {
         out.clear();
         if let Some(analytic) = self.analytic {
-            let gradients = &mut buffers.gradients;
+            let GradientBuffers { gradients, ignored, .. } = buffers;
             gradients.resize(positions.len(), Vec3::ZERO);
-            analytic.density_gradients(positions, gradients);
+            ignored.resize(positions.len(), 0.0);
+            analytic.density_jets(positions, ignored, gradients);
             out.extend(gradients.iter().map(|gradient| gradient.is_finite().then(|| gradient.as_dvec3())));
             return;
         }

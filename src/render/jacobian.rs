@@ -82,7 +82,7 @@ impl Tracer<'_> {
         negligible: f64,
         buffers: &mut JacobianBuffers<'b>,
     ) -> RaySamples {
-        self.trace(rays, jitter, &mut buffers.trace);
+        self.trace_with(rays, jitter, differentiation.along_rays(), &mut buffers.trace);
         buffers.quadrature.set(&buffers.trace.traced, self.marcher.step);
         self.differentiate(rays, differentiation, negligible, buffers);
         self.assemble(first_ray, negligible, buffers)
@@ -115,7 +115,13 @@ impl Tracer<'_> {
             }
         }
 
-        differentiation.density_gradients(self.field, &lurking.positions, gradient, density_gradients);
+        if traced.density_gradients.is_empty() {
+            differentiation.density_gradients(self.field, &lurking.positions, gradient, density_gradients);
+        } else {
+            let known = lurking.samples.iter().map(|&i| traced.density_gradients[i as usize]);
+            density_gradients.clear();
+            density_gradients.extend(known.map(|g| g.is_finite().then(|| g.as_dvec3())));
+        }
         // The few that matter move to the front.
         let mut kept = 0;
         for i in 0..lurking.samples.len() {

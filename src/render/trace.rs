@@ -5,7 +5,7 @@
 use glam::{DVec3, Vec3};
 
 use super::{Marcher, Walk};
-use crate::field::RadianceField;
+use crate::field::{Differentiable, RadianceField};
 use crate::geometry::Ray;
 
 /// Samples taken per ray before its transmittance is looked at again: small enough that little is evaluated behind opaque
@@ -34,6 +34,8 @@ pub struct TracedRays {
     pub positions: Vec<Vec3>,
     /// σ, 1 / scene unit.
     pub densities: Vec<f32>,
+    /// ∇σ, 1 / scene unit²; empty if it was not asked for.
+    pub density_gradients: Vec<Vec3>,
     /// Rays dropped because the field returned something not finite or a negative density: they own no samples.
     pub dropped: u64,
     /// Position of the first such sample.
@@ -72,6 +74,8 @@ struct Samples {
     t: Vec<f64>,
     positions: Vec<Vec3>,
     densities: Vec<f32>,
+    /// Empty if not asked for.
+    density_gradients: Vec<Vec3>,
 }
 
 impl Samples {
@@ -80,6 +84,7 @@ impl Samples {
         self.t.clear();
         self.positions.clear();
         self.densities.clear();
+        self.density_gradients.clear();
     }
 }
 
@@ -102,6 +107,17 @@ impl<'a> Tracer<'a> {
     /// Samples `rays`, each shifted by its `jitter` in `[0, 1)` steps, into `buffers.traced`. A ray ends when its transmittance falls
     /// below the marcher's cutoff.
     pub fn trace<'b>(&'b self, rays: &[Ray], jitter: &[f64], buffers: &mut TraceBuffers<'b>) {
+        self.trace_with(rays, jitter, None, buffers);
+    }
+
+    /// As [`Tracer::trace`], with ∇σ of every sample if `gradients` is there to know it.
+    pub(super) fn trace_with<'b>(
+        &'b self,
+        rays: &[Ray],
+        jitter: &[f64],
+        gradients: Option<&dyn Differentiable>,
+        buffers: &mut TraceBuffers<'b>,
+    ) {
         let TraceBuffers { paths, samples, traced } = buffers;
         paths.clear();
         paths.extend(rays.iter().zip(jitter).map(|(ray, &jitter)| Path {
@@ -130,7 +146,13 @@ impl<'a> Tracer<'a> {
                 break;
             }
             samples.densities.resize(samples.owners.len(), 0.0);
-            self.field.densities(&samples.positions[first..], &mut samples.densities[first..]);
+            let (positions, densities) = (&samples.positions[first..], &mut samples.densities[first..]);
+            if let Some(field) = gradients {
+                samples.density_gradients.resize(samples.owners.len(), Vec3::ZERO);
+                field.density_jets(positions, densities, &mut samples.density_gradients[first..]);
+            } else {
+                self.field.densities(positions, densities);
+            }
             for (&owner, &density) in samples.owners[first..].iter().zip(&samples.densities[first..]) {
                 let path = &mut paths[owner as usize];
                 path.optical_depth += f64::from(density) * self.marcher.step;
@@ -160,6 +182,10 @@ fn gather(paths: &[Path], samples: &Samples, traced: &mut TracedRays) {
     traced.positions.resize(total, Vec3::ZERO);
     traced.densities.clear();
     traced.densities.resize(total, 0.0);
+    traced.density_gradients.clear();
+    if !samples.density_gradients.is_empty() {
+        traced.density_gradients.resize(total, Vec3::ZERO);
+    }
     // offsets[r] moves to the end of ray r while its samples come in; then the list is shifted back by one.
     for (i, &owner) in samples.owners.iter().enumerate() {
         let owner = owner as usize;
@@ -171,6 +197,9 @@ fn gather(paths: &[Path], samples: &Samples, traced: &mut TracedRays) {
         traced.t[at] = samples.t[i];
         traced.positions[at] = samples.positions[i];
         traced.densities[at] = samples.densities[i];
+        if let Some(gradient) = samples.density_gradients.get(i) {
+            traced.density_gradients[at] = *gradient;
+        }
     }
     traced.offsets.rotate_right(1);
     traced.offsets[0] = 0;

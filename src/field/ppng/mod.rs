@@ -58,6 +58,8 @@ pub struct Ppng {
 /// Buffers of one block of N points: structure of arrays, `[axis][point]`, where points are lanes.
 struct Block<const N: usize> {
     centered: [[f32; N]; 3],
+    /// w.
+    windows: [f32; N],
     directions: [[f32; N]; 3],
     features: [[f32; WIDTH]; BLOCK],
     hidden: [[f32; HIDDEN]; BLOCK],
@@ -71,11 +73,22 @@ impl<const N: usize> Block<N> {
     fn new() -> Self {
         Self {
             centered: [[0.0; N]; 3],
+            windows: [0.0; N],
             directions: [[0.0; N]; 3],
             features: [[0.0; WIDTH]; BLOCK],
             hidden: [[0.0; HIDDEN]; BLOCK],
             colors: [[0.0; OUTPUTS]; BLOCK],
         }
+    }
+}
+
+impl<const N: usize> Block<N> {
+    /// Point `p` at ½ + `c`.
+    fn put(&mut self, p: usize, c: Vec3, window: f32) {
+        for axis in 0..3 {
+            self.centered[axis][p] = c[axis];
+        }
+        self.windows[p] = window;
     }
 }
 
@@ -156,20 +169,13 @@ impl RadianceField for Ppng {
         for ((positions, directions), out) in
             positions.chunks(BLOCK).zip(directions.chunks(BLOCK)).zip(out.chunks_mut(BLOCK))
         {
-            let mut windows = [0.0; BLOCK];
-            for (p, (&x, &d)) in positions.iter().zip(directions).enumerate() {
-                let (c, d) = (self.coordinates.centered(x), self.coordinates.direction(d));
-                windows[p] = self.window.at(c);
-                for axis in 0..3 {
-                    block.centered[axis][p] = c[axis];
-                    block.directions[axis][p] = d[axis];
-                }
-            }
+            self.place(positions, &mut block);
+            self.look(directions, &mut block);
             hidden_block::<BLOCK, 1>(&self.encoding, &self.network, &mut block, positions.len());
             let densities = density_block(&block);
             color_block(&self.network, &mut block, positions.len());
             for (p, out) in out.iter_mut().enumerate() {
-                out.density = scale * windows[p] * densities[p];
+                out.density = scale * block.windows[p] * densities[p];
                 let [r, g, b, _] = block.colors[p];
                 out.color = Vec3::new(r, g, b);
             }
@@ -178,33 +184,13 @@ impl RadianceField for Ppng {
 
     fn densities(&self, positions: &[Vec3], out: &mut [f32]) {
         let scale = self.coordinates.scale() as f32;
-        let mut block = Block::new();
-        // Points in empty space need no network: the others are gathered into full blocks.
-        let (mut owners, mut windows, mut count) = ([0; BLOCK], [0.0; BLOCK], 0);
-        let flush = |block: &mut Block<BLOCK>, owners: &[usize], windows: &[f32], out: &mut [f32]| {
+        out.fill(0.0);
+        self.gather::<BLOCK>(positions, |block, owners| {
             hidden_block::<BLOCK, 1>(&self.encoding, &self.network, block, owners.len());
-            for ((&owner, &window), density) in owners.iter().zip(windows).zip(density_block(block)) {
-                out[owner] = scale * window * density;
+            for (p, (&owner, density)) in owners.iter().zip(density_block(block)).enumerate() {
+                out[owner] = scale * block.windows[p] * density;
             }
-        };
-        for (i, &x) in positions.iter().enumerate() {
-            let c = self.coordinates.centered(x);
-            let window = self.window.at(c);
-            if window == 0.0 {
-                out[i] = 0.0;
-                continue;
-            }
-            for axis in 0..3 {
-                block.centered[axis][count] = c[axis];
-            }
-            (owners[count], windows[count]) = (i, window);
-            count += 1;
-            if count == BLOCK {
-                flush(&mut block, &owners, &windows, out);
-                count = 0;
-            }
-        }
-        flush(&mut block, &owners[..count], &windows[..count], out);
+        });
     }
 
     fn differentiable(&self) -> Option<&dyn Differentiable> {
@@ -255,34 +241,35 @@ impl Differentiable for Ppng {
             positions.chunks(JETS).zip(directions.chunks(JETS)).zip(out.chunks_mut(JETS))
         {
             self.place(positions, &mut block);
-            for (p, &d) in directions.iter().enumerate() {
-                let d = self.coordinates.direction(d).to_array();
-                d.iter().zip(&mut block.directions).for_each(|(d, to)| to[p] = *d);
-            }
+            self.look(directions, &mut block);
             hidden_block::<JETS, JET>(&self.encoding, &self.network, &mut block, positions.len());
             let densities = density_block(&block);
             color_jet_block(&self.network, &mut block, positions.len());
             for (p, out) in out.iter_mut().enumerate() {
-                let (window, density_gradient) = self.density_gradient(&block, densities[p], p);
                 let rows = &block.colors[JET * p..JET * (p + 1)];
                 let [value, x, y, z] = [0, 1, 2, 3].map(|row| Vec3::new(rows[row][0], rows[row][1], rows[row][2]));
-                out.value = Radiance { density: scale * window * densities[p], color: value };
-                out.density_gradient = density_gradient;
+                out.value = Radiance { density: scale * block.windows[p] * densities[p], color: value };
+                out.density_gradient = self.density_gradient(&block, densities[p], p);
                 out.color_gradients = self.coordinates.gradient([x, y, z]);
             }
         }
     }
 
-    fn density_gradients(&self, positions: &[Vec3], out: &mut [Vec3]) {
-        let mut block = Block::<JETS>::new();
-        for (positions, out) in positions.chunks(JETS).zip(out.chunks_mut(JETS)) {
-            self.place(positions, &mut block);
-            hidden_block::<JETS, JET>(&self.encoding, &self.network, &mut block, positions.len());
-            let densities = density_block(&block);
-            for (p, out) in out.iter_mut().enumerate() {
-                *out = self.density_gradient(&block, densities[p], p).1;
+    fn density_jets(&self, positions: &[Vec3], densities: &mut [f32], gradients: &mut [Vec3]) {
+        let scale = self.coordinates.scale() as f32;
+        densities.fill(0.0);
+        gradients.fill(Vec3::ZERO);
+        self.gather::<JETS>(positions, |block, owners| {
+            hidden_block::<JETS, JET>(&self.encoding, &self.network, block, owners.len());
+            for (p, (&owner, density)) in owners.iter().zip(density_block(block)).enumerate() {
+                densities[owner] = scale * block.windows[p] * density;
+                gradients[owner] = self.density_gradient(block, density, p);
             }
-        }
+        });
+    }
+
+    fn is_cheap(&self) -> bool {
+        true
     }
 }
 
@@ -290,19 +277,49 @@ impl Ppng {
     /// Puts up to N positions into the block.
     fn place<const N: usize>(&self, positions: &[Vec3], block: &mut Block<N>) {
         for (p, &x) in positions.iter().enumerate() {
-            let c = self.coordinates.centered(x).to_array();
-            c.iter().zip(&mut block.centered).for_each(|(c, to)| to[p] = *c);
+            let c = self.coordinates.centered(x);
+            block.put(p, c, self.window.at(c));
         }
     }
 
-    /// w, and ∇σ in scene units, of point `p` of the block, whose density without the window is given.
-    fn density_gradient(&self, block: &Block<JETS>, density: f32, p: usize) -> (f32, Vec3) {
+    /// Puts the points' directions into the block.
+    fn look<const N: usize>(&self, directions: &[Vec3], block: &mut Block<N>) {
+        for (p, &d) in directions.iter().enumerate() {
+            let d = self.coordinates.direction(d).to_array();
+            d.iter().zip(&mut block.directions).for_each(|(d, to)| to[p] = *d);
+        }
+    }
+
+    /// Calls `visit` with blocks of those positions that are not in empty space, where no network is needed, and their indices.
+    fn gather<const N: usize>(&self, positions: &[Vec3], mut visit: impl FnMut(&mut Block<N>, &[usize])) {
+        let mut block = Block::<N>::new();
+        let (mut owners, mut count) = ([0; N], 0);
+        for (i, &x) in positions.iter().enumerate() {
+            let c = self.coordinates.centered(x);
+            let window = self.window.at(c);
+            if window > 0.0 {
+                block.put(count, c, window);
+                owners[count] = i;
+                count += 1;
+                if count == N {
+                    visit(&mut block, &owners);
+                    count = 0;
+                }
+            }
+        }
+        if count > 0 {
+            visit(&mut block, &owners[..count]);
+        }
+    }
+
+    /// ∇σ in scene units, of point `p` of the block, whose density without the window is given.
+    fn density_gradient(&self, block: &Block<JETS>, density: f32, p: usize) -> Vec3 {
         let (window, ramp) = self.window.with_gradient(Vec3::from_array([0, 1, 2].map(|axis| block.centered[axis][p])));
         let rows = &block.hidden[JET * p..JET * (p + 1)];
         let slope = window * network::density_slope(density, rows[0][0]);
         let along = ramp * density + slope * Vec3::new(rows[1][0], rows[2][0], rows[3][0]);
         let [x, y, z] = self.coordinates.gradient(along.to_array());
-        (window, self.coordinates.scale() as f32 * Vec3::new(x, y, z))
+        self.coordinates.scale() as f32 * Vec3::new(x, y, z)
     }
 }
 

@@ -250,12 +250,13 @@ fn jets_are_the_derivatives_of_the_definition() {
         let positions: Vec<Vec3> = positions.iter().map(|x| ((x - center).as_dvec3() / scale).as_vec3()).collect();
         let mut jets = vec![RadianceJet::default(); 2000];
         field.jets(&positions, &directions, &mut jets);
-        let mut gradients = vec![Vec3::ZERO; 2000];
-        field.density_gradients(&positions, &mut gradients);
+        let (mut densities, mut gradients) = (vec![0.0; 2000], vec![Vec3::ZERO; 2000]);
+        field.density_jets(&positions, &mut densities, &mut gradients);
         let values = evaluate(&field, &positions, &directions);
         let (mut compared, mut ramps) = (0, 0);
         for (i, jet) in jets.iter().enumerate() {
-            assert_eq!((jet.value, jet.density_gradient), (values[i], gradients[i]), "one arithmetic for all");
+            assert_eq!((jet.value, jet.value.density), (values[i], densities[i]), "one arithmetic for all");
+            assert_eq!(jet.density_gradient, gradients[i]);
             // The definition in f64, times the field's own window, by the product rule.
             let (w, ramp) = field.window.with_gradient(coordinates.centered(positions[i]));
             let ramp = coordinates.gradient(ramp.to_array()).map(f64::from);
