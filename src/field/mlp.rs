@@ -11,10 +11,12 @@
 use std::path::Path;
 
 use glam::Vec3;
-use ndarray::{Array1, Array2, ArrayViewMut2, Axis, linalg::general_mat_mul, s};
+use multiversion::multiversion;
+use ndarray::{Array1, Array2, Axis, linalg::general_mat_mul, s};
 use safetensors::{Dtype, SafeTensors};
 
-use super::{Radiance, RadianceField};
+use super::elementary::sin_cos;
+use super::{Differentiable, Radiance, RadianceField, RadianceJet};
 use crate::geometry::Aabb;
 use crate::{Error, Result};
 
@@ -23,31 +25,57 @@ const OCTAVES: [usize; 2] = [10, 4];
 /// Encoded widths: 3 + 6 per octave.
 const ENCODED: [usize; 2] = [3 + 6 * OCTAVES[0], 3 + 6 * OCTAVES[1]];
 const HIDDEN: usize = 128;
-/// Rows evaluated together: three buffers of 256 × 128 f32 stay in a core's second-level cache.
-const BLOCK: usize = 256;
+/// Rows evaluated together: enough that the weights are packed seldom; three buffers of 512 × 128 f32 stay in a core's second-level cache.
+/// A row is a point, or one of the [`JET`] of a point that is differentiated.
+const BLOCK: usize = 512;
+/// Rows of a point with its derivatives: value, ∂x, ∂y, ∂z.
+const JET: usize = 4;
 /// NeRF-synthetic scenes fit in this cube (half edge 0.5 / 0.33, the unit cube of instant-ngp); the file names no box.
 const HALF_EDGE: f64 = 0.5 / 0.33;
 
 /// One linear layer.
 #[derive(Debug, Clone)]
 struct Linear {
-    /// `[out, in]`.
+    /// `[in, out]`: transposed, as products need it.
     weight: Array2<f32>,
     /// `[out]`.
     bias: Array1<f32>,
 }
 
 impl Linear {
-    /// out = x Wᵀ + b for every row of `x`.
-    fn apply(&self, x: &Array2<f32>, rows: usize, out: &mut Array2<f32>) {
+    /// out = x Wᵀ + b for the first `rows` rows of `x`; of [`JET`] rows only the first has the bias, the others are derivatives.
+    fn apply<const ROWS: usize>(&self, x: &Array2<f32>, rows: usize, out: &mut Array2<f32>) {
         let mut out = out.slice_mut(s![..rows, ..]);
-        general_mat_mul(1.0, &x.slice(s![..rows, ..]), &self.weight.t(), 0.0, &mut out);
-        out += &self.bias;
+        for (i, mut row) in out.axis_iter_mut(Axis(0)).enumerate() {
+            if i % ROWS == 0 {
+                row.assign(&self.bias);
+            } else {
+                row.fill(0.0);
+            }
+        }
+        general_mat_mul(1.0, &x.slice(s![..rows, ..]), &self.weight, 1.0, &mut out);
     }
 
-    fn apply_relu(&self, x: &Array2<f32>, rows: usize, out: &mut Array2<f32>) {
-        self.apply(x, rows, out);
-        out.slice_mut(s![..rows, ..]).mapv_inplace(|v| v.max(0.0));
+    fn apply_relu<const ROWS: usize>(&self, x: &Array2<f32>, rows: usize, out: &mut Array2<f32>) {
+        self.apply::<ROWS>(x, rows, out);
+        let width = out.ncols();
+        let values = out.as_slice_mut().expect("buffers are contiguous");
+        for point in values[..rows * width].chunks_exact_mut(ROWS * width) {
+            relu::<ROWS>(point, width);
+        }
+    }
+}
+
+/// Negative values become 0, and their derivatives with them. NaN stays.
+fn relu<const ROWS: usize>(point: &mut [f32], width: usize) {
+    let (values, derivatives) = point.split_at_mut(width);
+    for row in derivatives.chunks_exact_mut(width) {
+        for (derivative, value) in row.iter_mut().zip(&*values) {
+            *derivative = if *value < 0.0 { 0.0 } else { *derivative };
+        }
+    }
+    for value in values {
+        *value = if *value < 0.0 { 0.0 } else { *value };
     }
 }
 
@@ -98,12 +126,10 @@ impl NerfMlp {
         let tensors = SafeTensors::deserialize(&bytes)
             .map_err(|e| Error::malformed(path, "header", "a safetensors file", e.to_string()))?;
         let linear = |name: &str, outputs, inputs| {
+            let weight = tensor(path, &tensors, name, "weight", &[outputs, inputs])?;
+            let weight = Array2::from_shape_vec((outputs, inputs), weight).expect("the shape was checked");
             Ok(Linear {
-                weight: Array2::from_shape_vec(
-                    (outputs, inputs),
-                    tensor(path, &tensors, name, "weight", &[outputs, inputs])?,
-                )
-                .expect("the shape was checked"),
+                weight: weight.t().as_standard_layout().into_owned(),
                 bias: Array1::from_vec(tensor(path, &tensors, name, "bias", &[outputs])?),
             })
         };
@@ -118,29 +144,41 @@ impl NerfMlp {
         })
     }
 
-    /// Runs the density branch for up to [`BLOCK`] positions; leaves h in `hidden[1]` and σ before its relu in `alpha`.
-    fn density_block(&self, positions: &[Vec3], scratch: &mut Scratch) {
-        let rows = positions.len();
-        encode(positions, OCTAVES[0], scratch.x.view_mut());
+    /// Runs the density branch for up to [`BLOCK`] / ROWS positions; leaves h in `hidden[1]` and σ before its relu in `alpha`.
+    fn density_block<const ROWS: usize>(&self, positions: &[Vec3], scratch: &mut Scratch) {
+        let rows = ROWS * positions.len();
+        encode_block::<ROWS>(positions, OCTAVES[0], scratch.x.as_slice_mut().expect("buffers are contiguous"));
         let [a, b] = &mut scratch.hidden;
-        self.layer1.apply(&scratch.x, rows, a);
-        self.layers_xyz[0].apply_relu(a, rows, b);
-        self.layers_xyz[1].apply_relu(b, rows, a);
-        self.layers_xyz[2].apply_relu(a, rows, b);
-        self.fc_alpha.apply(b, rows, &mut scratch.alpha);
+        self.layer1.apply::<ROWS>(&scratch.x, rows, a);
+        self.layers_xyz[0].apply_relu::<ROWS>(a, rows, b);
+        self.layers_xyz[1].apply_relu::<ROWS>(b, rows, a);
+        self.layers_xyz[2].apply_relu::<ROWS>(a, rows, b);
+        self.fc_alpha.apply::<ROWS>(b, rows, &mut scratch.alpha);
     }
 
     /// Runs the colour branch behind [`Self::density_block`]; leaves colour before its sigmoid in `rgb`.
-    fn color_block(&self, directions: &[Vec3], scratch: &mut Scratch) {
-        let rows = directions.len();
-        encode(directions, OCTAVES[1], scratch.d.view_mut());
+    fn color_block<const ROWS: usize>(&self, directions: &[Vec3], scratch: &mut Scratch) {
+        let rows = ROWS * directions.len();
+        encode_block::<1>(directions, OCTAVES[1], scratch.d.as_slice_mut().expect("buffers are contiguous"));
         let [a, b] = &mut scratch.hidden;
-        self.fc_feat.apply_relu(b, rows, a);
-        scratch.joined.slice_mut(s![..rows, ..HIDDEN]).assign(&a.slice(s![..rows, ..]));
-        scratch.joined.slice_mut(s![..rows, HIDDEN..]).assign(&scratch.d.slice(s![..rows, ..]));
-        self.layers_dir.apply_relu(&scratch.joined, rows, &mut scratch.dir);
-        self.fc_rgb.apply(&scratch.dir, rows, &mut scratch.rgb);
+        self.fc_feat.apply_relu::<ROWS>(b, rows, a);
+        let mut joined = scratch.joined.slice_mut(s![..rows, ..]);
+        joined.slice_mut(s![.., ..HIDDEN]).assign(&a.slice(s![..rows, ..]));
+        joined.slice_mut(s![.., HIDDEN..]).fill(0.0);
+        // The direction is fixed: it has no derivatives.
+        joined.slice_mut(s![..;ROWS, HIDDEN..]).assign(&scratch.d.slice(s![..directions.len(), ..]));
+        self.layers_dir.apply_relu::<ROWS>(&scratch.joined, rows, &mut scratch.dir);
+        self.fc_rgb.apply::<ROWS>(&scratch.dir, rows, &mut scratch.rgb);
     }
+}
+
+/// σ from the network's output. f32::max would turn a NaN into 0 and hide it from the count of non-finite samples.
+fn density(raw: f32) -> f32 {
+    if raw < 0.0 { 0.0 } else { raw }
+}
+
+fn sigmoid(x: f32) -> f32 {
+    1.0 / (1.0 + (-x).exp())
 }
 
 /// One tensor of the expected shape, f32, finite.
@@ -170,17 +208,38 @@ fn tensor(path: &Path, tensors: &SafeTensors, layer: &str, part: &str, shape: &[
     }
 }
 
-/// enc(v) = [v, sin v, cos v, sin 2v, cos 2v, …], each a 3-vector, no factor π.
-fn encode(vectors: &[Vec3], octaves: usize, mut out: ArrayViewMut2<f32>) {
-    for (v, mut row) in vectors.iter().zip(out.axis_iter_mut(Axis(0))) {
-        let row = row.as_slice_mut().expect("rows are contiguous");
-        row[..3].copy_from_slice(&v.to_array());
+/// enc(v) = [v, sin v, cos v, sin 2v, cos 2v, …], each a 3-vector, no factor π: `[vector · ROWS + row][3 + 6 octaves]`, with
+/// [`JET`] rows its derivatives too.
+#[multiversion(targets("x86_64+avx2+fma"))]
+fn encode_block<const ROWS: usize>(vectors: &[Vec3], octaves: usize, out: &mut [f32]) {
+    let width = 3 + 6 * octaves;
+    for (v, rows) in vectors.iter().zip(out.chunks_exact_mut(ROWS * width)) {
+        // All angles first: then their sines are vector code.
+        let (mut angle, mut sin, mut cos) = ([0.0; 3 * OCTAVES[0]], [0.0; 3 * OCTAVES[0]], [0.0; 3 * OCTAVES[0]]);
         let mut frequency = 1.0;
-        for octave in row[3..].chunks_exact_mut(6).take(octaves) {
+        for octave in angle.chunks_exact_mut(3) {
             for axis in 0..3 {
-                (octave[axis], octave[3 + axis]) = (frequency * v[axis]).sin_cos();
+                octave[axis] = frequency * v[axis];
             }
             frequency *= 2.0;
+        }
+        for i in 0..angle.len() {
+            (sin[i], cos[i]) = sin_cos(angle[i]);
+        }
+        rows[..3].copy_from_slice(&v.to_array());
+        for (k, octave) in rows[3..width].chunks_exact_mut(6).enumerate() {
+            octave[..3].copy_from_slice(&sin[3 * k..3 * k + 3]);
+            octave[3..].copy_from_slice(&cos[3 * k..3 * k + 3]);
+        }
+        for (axis, row) in rows[width..].chunks_exact_mut(width).enumerate() {
+            row.fill(0.0);
+            row[axis] = 1.0;
+            let mut frequency = 1.0;
+            for (k, octave) in row[3..].chunks_exact_mut(6).enumerate() {
+                octave[axis] = frequency * cos[3 * k + axis];
+                octave[3 + axis] = -frequency * sin[3 * k + axis];
+                frequency *= 2.0;
+            }
         }
     }
 }
@@ -195,13 +254,11 @@ impl RadianceField for NerfMlp {
         for ((positions, directions), out) in
             positions.chunks(BLOCK).zip(directions.chunks(BLOCK)).zip(out.chunks_mut(BLOCK))
         {
-            self.density_block(positions, &mut scratch);
-            self.color_block(directions, &mut scratch);
+            self.density_block::<1>(positions, &mut scratch);
+            self.color_block::<1>(directions, &mut scratch);
             for (row, out) in out.iter_mut().enumerate() {
-                // f32::max would turn a NaN into 0 and hide it from the count of non-finite samples.
-                let raw = scratch.alpha[[row, 0]];
-                out.density = if raw < 0.0 { 0.0 } else { raw };
-                out.color = Vec3::from_array([0, 1, 2].map(|c| 1.0 / (1.0 + (-scratch.rgb[[row, c]]).exp())));
+                out.density = density(scratch.alpha[[row, 0]]);
+                out.color = Vec3::from_array([0, 1, 2].map(|c| sigmoid(scratch.rgb[[row, c]])));
             }
         }
     }
@@ -209,12 +266,15 @@ impl RadianceField for NerfMlp {
     fn densities(&self, positions: &[Vec3], out: &mut [f32]) {
         let mut scratch = Scratch::new();
         for (positions, out) in positions.chunks(BLOCK).zip(out.chunks_mut(BLOCK)) {
-            self.density_block(positions, &mut scratch);
+            self.density_block::<1>(positions, &mut scratch);
             for (row, out) in out.iter_mut().enumerate() {
-                let raw = scratch.alpha[[row, 0]];
-                *out = if raw < 0.0 { 0.0 } else { raw };
+                *out = density(scratch.alpha[[row, 0]]);
             }
         }
+    }
+
+    fn differentiable(&self) -> Option<&dyn Differentiable> {
+        Some(self)
     }
 
     fn suggested_step(&self) -> f64 {
@@ -234,6 +294,46 @@ impl RadianceField for NerfMlp {
     fn describe(&self) -> String {
         format!("NeRF MLP, 5 layers of {HIDDEN}, {} f32 parameters", self.memory() / 4)
     }
+}
+
+impl Differentiable for NerfMlp {
+    fn jets(&self, positions: &[Vec3], directions: &[Vec3], out: &mut [RadianceJet]) {
+        const POINTS: usize = BLOCK / JET;
+        let mut scratch = Scratch::new();
+        for ((positions, directions), out) in
+            positions.chunks(POINTS).zip(directions.chunks(POINTS)).zip(out.chunks_mut(POINTS))
+        {
+            self.density_block::<JET>(positions, &mut scratch);
+            self.color_block::<JET>(directions, &mut scratch);
+            for (p, out) in out.iter_mut().enumerate() {
+                (out.value.density, out.density_gradient) = density_jet(&scratch.alpha, p);
+                let rgb = |row: usize| Vec3::from_array([0, 1, 2].map(|c| scratch.rgb[[JET * p + row, c]]));
+                let color = Vec3::from_array(rgb(0).to_array().map(sigmoid));
+                out.value.color = color;
+                out.color_gradients = [1, 2, 3].map(|row| color * (1.0 - color) * rgb(row));
+            }
+        }
+    }
+
+    fn density_jets(&self, positions: &[Vec3], densities: &mut [f32], gradients: &mut [Vec3]) {
+        const POINTS: usize = BLOCK / JET;
+        let mut scratch = Scratch::new();
+        for ((positions, densities), gradients) in
+            positions.chunks(POINTS).zip(densities.chunks_mut(POINTS)).zip(gradients.chunks_mut(POINTS))
+        {
+            self.density_block::<JET>(positions, &mut scratch);
+            for (p, (density, gradient)) in densities.iter_mut().zip(gradients).enumerate() {
+                (*density, *gradient) = density_jet(&scratch.alpha, p);
+            }
+        }
+    }
+}
+
+/// σ and ∇σ of point `p` of a block.
+fn density_jet(alpha: &Array2<f32>, p: usize) -> (f32, Vec3) {
+    let raw = alpha[[JET * p, 0]];
+    let gradient = Vec3::from_array([1, 2, 3].map(|row| alpha[[JET * p + row, 0]]));
+    (density(raw), if raw < 0.0 { Vec3::ZERO } else { gradient })
 }
 
 #[cfg(test)]

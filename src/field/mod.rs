@@ -4,6 +4,7 @@
 //! knows how models are stored.
 
 pub mod closed_form;
+mod elementary;
 mod mlp;
 mod open;
 mod ppng;

@@ -1,6 +1,7 @@
 //! A small random network against the layer-by-layer definition in f64, and damaged files.
 
 use super::*;
+use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use safetensors::tensor::TensorView;
@@ -64,8 +65,7 @@ fn layer(tensors: &Tensors, name: &str, x: &[f64]) -> Vec<f64> {
         .collect()
 }
 
-fn encode_slowly(v: Vec3, octaves: i32) -> Vec<f64> {
-    let v = v.as_dvec3();
+fn encode_slowly(v: DVec3, octaves: i32) -> Vec<f64> {
     let mut out = v.to_array().to_vec();
     for octave in 0..octaves {
         let angles = v * 2_f64.powi(octave);
@@ -76,7 +76,7 @@ fn encode_slowly(v: Vec3, octaves: i32) -> Vec<f64> {
 }
 
 /// The network's definition, one sample at a time, in f64: density before its relu, and colour.
-fn evaluate_slowly(tensors: &Tensors, position: Vec3, direction: Vec3) -> (f64, [f64; 3]) {
+fn evaluate_slowly(tensors: &Tensors, position: DVec3, direction: Vec3) -> (f64, [f64; 3]) {
     let relu = |x: Vec<f64>| x.into_iter().map(|v| v.max(0.0)).collect::<Vec<_>>();
     let mut h = layer(tensors, "layer1", &encode_slowly(position, 10));
     for i in 0..3 {
@@ -84,7 +84,7 @@ fn evaluate_slowly(tensors: &Tensors, position: Vec3, direction: Vec3) -> (f64, 
     }
     let density = layer(tensors, "fc_alpha", &h)[0];
     let mut joined = relu(layer(tensors, "fc_feat", &h));
-    joined.extend(encode_slowly(direction, 4));
+    joined.extend(encode_slowly(direction.as_dvec3(), 4));
     let rgb = layer(tensors, "fc_rgb", &relu(layer(tensors, "layers_dir.0", &joined)));
     (density, [0, 1, 2].map(|c| 1.0 / (1.0 + (-rgb[c]).exp())))
 }
@@ -105,7 +105,7 @@ fn batches_agree_with_the_definition() {
     model.evaluate(&positions, &directions, &mut out);
     model.densities(&positions, &mut densities);
     for (i, found) in out.iter().enumerate() {
-        let (density, color) = evaluate_slowly(&tensors, positions[i], directions[i]);
+        let (density, color) = evaluate_slowly(&tensors, positions[i].as_dvec3(), directions[i]);
         // Five layers of at most 155 f32 products on activations of the order of 1 to 10.
         assert!((f64::from(found.density) - density.max(0.0)).abs() < 2e-4, "{found:?} against {density}");
         assert_eq!(found.density, densities[i]);
@@ -135,12 +135,58 @@ fn a_value_does_not_depend_on_its_batch() {
 #[test]
 fn encoding_is_the_definition() {
     let v = Vec3::new(0.3, -1.2, 0.05);
-    let mut out = Array2::zeros((1, ENCODED[0]));
-    encode(&[v], OCTAVES[0], out.view_mut());
-    for (found, expected) in out.iter().zip(encode_slowly(v, 10)) {
-        // Doubling is exact in f32; sine and cosine are good to an ulp of 1.
-        assert!((f64::from(*found) - expected).abs() < 1.2e-7);
+    let mut out = vec![0.0; ENCODED[0]];
+    encode_block::<1>(&[v], OCTAVES[0], &mut out);
+    let mut jets = vec![0.0; JET * ENCODED[0]];
+    encode_block::<JET>(&[v], OCTAVES[0], &mut jets);
+    assert_eq!(jets[..ENCODED[0]], out);
+    for (i, expected) in encode_slowly(v.as_dvec3(), 10).into_iter().enumerate() {
+        // Doubling is exact in f32; sine and cosine keep 3e-7.
+        assert!((f64::from(out[i]) - expected).abs() < 3e-7);
+        for axis in 0..3 {
+            let up = encode_slowly(v.as_dvec3() + 1e-3 * DVec3::AXES[axis], 10)[i];
+            let down = encode_slowly(v.as_dvec3() - 1e-3 * DVec3::AXES[axis], 10)[i];
+            let found = f64::from(jets[(axis + 1) * ENCODED[0] + i]);
+            // Central differences of a sine of frequency f are sin(fh) / fh too small: up to 4 % at f = 512.
+            assert!((found - (up - down) / 2e-3).abs() <= 0.05 * found.abs() + 1e-3, "{i}, axis {axis}");
+        }
     }
+}
+
+#[test]
+fn jets_are_the_derivatives_of_the_definition() {
+    let tensors = random_network();
+    let model = read(&tensors).unwrap();
+    let (positions, directions) = samples(150);
+    let mut values = vec![Radiance::default(); 150];
+    model.evaluate(&positions, &directions, &mut values);
+    let mut jets = vec![RadianceJet::default(); 150];
+    model.jets(&positions, &directions, &mut jets);
+    let (mut densities, mut gradients) = (vec![0.0; 150], vec![Vec3::ZERO; 150]);
+    model.density_jets(&positions, &mut densities, &mut gradients);
+    let mut sharp = 0;
+    for (i, jet) in jets.iter().enumerate() {
+        assert_eq!((jet.value, jet.value.density), (values[i], densities[i]), "one arithmetic for all");
+        assert_eq!(jet.density_gradient, gradients[i]);
+        let (raw, _) = evaluate_slowly(&tensors, positions[i].as_dvec3(), directions[i]);
+        for axis in 0..3 {
+            let step = |side: f64| positions[i].as_dvec3() + side * 1e-7 * DVec3::AXES[axis];
+            let slope = |up: f64, down: f64| {
+                let [a, b] = [up, down].map(|side| evaluate_slowly(&tensors, step(side), directions[i]));
+                ((a.0.max(0.0) - b.0.max(0.0)) / 1e-7, [0, 1, 2].map(|c| (a.1[c] - b.1[c]) / 1e-7))
+            };
+            let (up, down) = (slope(1.0, 0.0), slope(0.0, -1.0));
+            // A ReLU between the two sides bends the line. f32 has slopes, sums of terms up to 512 times the values', to 2e-4 of that.
+            let check = |found: f32, up: f64, down: f64, scale: f64| {
+                let off = (f64::from(found) - 0.5 * (up + down)).abs();
+                assert!(off <= 0.6 * (up - down).abs() + 0.1 * scale, "{found}, not from {down} to {up}, axis {axis}");
+            };
+            check(jet.density_gradient[axis], up.0, down.0, 1.0);
+            (0..3).for_each(|c| check(jet.color_gradients[axis][c], up.1[c], down.1[c], 0.25));
+            sharp += usize::from(raw > 0.0 && (up.0 - down.0).abs() < 0.02 * up.0.abs() && up.0.abs() > 10.0);
+        }
+    }
+    assert!(sharp > 30, "{sharp} slopes were looked at closely");
 }
 
 #[test]

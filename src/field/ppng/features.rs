@@ -14,7 +14,7 @@
 
 use std::f32::consts::PI;
 
-use super::elementary::sin_cos_pi;
+use crate::field::elementary::sin_cos_pi;
 
 /// Rows evaluated together: buffers of a block are 15 KB, and a slot's tables (type 1: 30 KB) are read from near memory for all of them.
 /// A row is a point, or one of the [`JET`] of a point that is differentiated.

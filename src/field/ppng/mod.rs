@@ -12,7 +12,6 @@
 //! than 2013, emulates it and is slow.)
 
 mod coordinates;
-mod elementary;
 mod features;
 mod file;
 mod network;

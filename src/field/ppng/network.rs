@@ -13,8 +13,8 @@
     reason = "lanes of several fixed arrays go together; plain loops over them become vector code"
 )]
 
-use super::elementary::exp;
 use super::features::{BLOCK, JET, WIDTH};
+use crate::field::elementary::exp;
 
 /// Outputs of both hidden layers, and the number of spherical harmonics.
 pub const HIDDEN: usize = 16;
