@@ -9,6 +9,7 @@
 //! This module knows nothing of rays, colour or uncertainty.
 
 mod cells;
+mod cursor;
 mod leaves;
 mod limits;
 pub mod morton;
@@ -17,6 +18,7 @@ mod validate;
 mod vertices;
 
 pub use cells::{Cell, CellTree, balanced_split};
+pub use cursor::Cursor;
 pub use leaves::{Leaves, Masters, masters};
 pub use limits::LevelLimits;
 pub use set::MortonSet;
@@ -145,16 +147,15 @@ impl Octree {
     /// The leaf, corners and weights at lattice coordinates `u` in `[0, M]`³.
     #[must_use]
     pub fn locate(&self, u: DVec3) -> Located {
-        let last = (1_u32 << self.finest()) - 1;
-        let leaf = self.cells.leaf([0, 1, 2].map(|axis| (u[axis] as u32).min(last)));
-        let (origin, edge) = leaf.extent(self.finest());
-        let mut finder = self.vertices.finder();
-        let corners = std::array::from_fn(|c| {
-            let point = std::array::from_fn(|axis| origin[axis] + edge * (c as u32 >> axis & 1));
-            self.corner_of(leaf, point, &mut finder)
-        });
-        let offset = (u - DVec3::from(origin.map(f64::from))) / f64::from(edge);
-        Located { leaf, corners, weights: trilinear(offset) }
+        let mut cursor = self.cursor();
+        cursor.seek(u);
+        Located { leaf: cursor.leaf(), corners: *cursor.corners(), weights: cursor.weights(u) }
+    }
+
+    /// A place in the octree that moves from point to point.
+    #[must_use]
+    pub fn cursor(&self) -> Cursor<'_> {
+        Cursor::new(self)
     }
 
     /// Where the value at a lattice point comes from that is a corner of some leaf.

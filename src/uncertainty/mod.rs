@@ -3,6 +3,7 @@
 //! U(x) = Σ_v φ_v(x) σ_v: how far the field could be moved at x without the training images noticing, one standard
 //! deviation. The field lives on a dense grid or on an octree; both are queried, stored and compared in the same way.
 
+mod batch;
 mod coarsen;
 mod compare;
 mod deviations;
@@ -22,11 +23,10 @@ pub use protocol::Protocol;
 pub use threshold::ThresholdedField;
 
 use glam::{DVec3, Vec3};
-use rayon::prelude::*;
 
 use self::reading::read;
 use crate::geometry::Lattice;
-use crate::octree::{Cell, Corner, LevelLimits, Octree, VertexId, trilinear};
+use crate::octree::{Cell, LevelLimits, Octree, VertexId, trilinear};
 use crate::posterior::{Covariance, Evidence, OctreePosterior, Refinement};
 use crate::{Error, Result};
 
@@ -223,12 +223,14 @@ impl UncertaintyField {
     /// U at a scene point. Outside the box (or for NaN) the prior, marked as outside.
     #[must_use]
     pub fn query(&self, x: Vec3) -> Estimate {
-        let Some(u) = self.lattice.coordinates(x) else {
-            return Estimate { uncertainty: self.prior(), rays: None, level: 0, inside: false };
-        };
+        let Some(u) = self.lattice.coordinates(x) else { return self.outside() };
         match &self.support {
             Support::Dense => self.query_dense(u),
-            Support::Octree(octree) => self.query_octree(octree, u),
+            Support::Octree(octree) => {
+                let mut cursor = octree.cursor();
+                cursor.seek(u);
+                self.interpolate(&self.leaf_values(&cursor), &cursor, u)
+            }
         }
     }
 
@@ -236,12 +238,6 @@ impl UncertaintyField {
     #[must_use]
     pub fn log10(&self, x: Vec3) -> f64 {
         self.query(x).uncertainty.log10()
-    }
-
-    /// Estimates at many points, in parallel.
-    #[must_use]
-    pub fn query_all(&self, points: &[Vec3]) -> Vec<Estimate> {
-        points.par_iter().with_min_len(1024).map(|&x| self.query(x)).collect()
     }
 
     /// tr S at a lattice point: exact where a vertex is, 0 elsewhere (there it is negligible); `None` if not kept.
@@ -294,25 +290,6 @@ impl UncertaintyField {
             self.evidence.as_ref().map(|e| vertices.iter().zip(weights).map(|(&v, w)| w * f64::from(e[v].rays)).sum());
         let uncertainty = self.protocol.covariance.interpolate(&corners, &weights);
         Estimate { uncertainty, rays, level: self.lattice.level(), inside: true }
-    }
-
-    fn query_octree(&self, octree: &Octree, u: DVec3) -> Estimate {
-        let at = octree.locate(u);
-        let value = |&VertexId(v): &VertexId| self.deviations.get(v as usize);
-        let corners = at.corners.each_ref().map(|corner| match corner.masters() {
-            [vertex] => value(vertex),
-            masters => self.protocol.covariance.mean(masters.iter().map(value)),
-        });
-        let rays = self.evidence.as_ref().map(|evidence| {
-            let of_corner = |corner: &Corner| {
-                let masters = corner.masters();
-                masters.iter().map(|&VertexId(v)| f64::from(evidence[v as usize].rays)).sum::<f64>()
-                    / masters.len() as f64
-            };
-            at.corners.iter().zip(at.weights).map(|(corner, w)| w * of_corner(corner)).sum()
-        });
-        let uncertainty = self.protocol.covariance.interpolate(&corners, &at.weights);
-        Estimate { uncertainty, rays, level: at.leaf.level, inside: true }
     }
 }
 

@@ -1,0 +1,59 @@
+//! A place in an octree that moves from point to point: what neighbours have in common is looked up once.
+
+use glam::DVec3;
+
+use super::vertices::Finder;
+use super::{Cell, Corner, Octree, VertexId, trilinear};
+
+/// A place in an octree.
+pub struct Cursor<'a> {
+    octree: &'a Octree,
+    finder: Finder<'a>,
+    leaf: Cell,
+    /// Of the leaf, in lattice units.
+    origin: [u32; 3],
+    edge: u32,
+    corners: [Corner; 8],
+}
+
+impl<'a> Cursor<'a> {
+    pub(super) fn new(octree: &'a Octree) -> Self {
+        // Nowhere: no finest cell lies in a leaf of no size.
+        let (leaf, corners) = (Cell { level: 0, index: [0; 3] }, [Corner::Free(VertexId(0)); 8]);
+        Self { octree, finder: octree.vertices.finder(), leaf, origin: [0; 3], edge: 0, corners }
+    }
+
+    /// Moves to the leaf around lattice coordinates `u` in `[0, M]`³; whether that is another one than before.
+    pub fn seek(&mut self, u: DVec3) -> bool {
+        let last = (1_u32 << self.octree.finest()) - 1;
+        let cell = [0, 1, 2].map(|axis| (u[axis] as u32).min(last));
+        if (0..3).all(|axis| cell[axis].wrapping_sub(self.origin[axis]) < self.edge) {
+            return false;
+        }
+        self.leaf = self.octree.cells.leaf(cell);
+        (self.origin, self.edge) = self.leaf.extent(self.octree.finest());
+        self.corners = std::array::from_fn(|c| {
+            let point = std::array::from_fn(|axis| self.origin[axis] + self.edge * (c as u32 >> axis & 1));
+            self.octree.corner_of(self.leaf, point, &mut self.finder)
+        });
+        true
+    }
+
+    /// The leaf.
+    #[must_use]
+    pub fn leaf(&self) -> Cell {
+        self.leaf
+    }
+
+    /// Its corners, in the order of children.
+    #[must_use]
+    pub fn corners(&self) -> &[Corner; 8] {
+        &self.corners
+    }
+
+    /// The corners' weights at lattice coordinates `u` in the leaf.
+    #[must_use]
+    pub fn weights(&self, u: DVec3) -> [f64; 8] {
+        trilinear((u - DVec3::from(self.origin.map(f64::from))) / f64::from(self.edge))
+    }
+}

@@ -1,0 +1,87 @@
+//! Queries, many at a time.
+//!
+//! In an octree the way to a point is long, but neighbours share most of it. So points are looked up along the Z-curve, tile by tile: points in
+//! one leaf share its corners, and those in neighbouring leaves what the caches hold.
+
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
+
+use super::{Estimate, Support, UncertaintyField};
+use crate::octree::{Corner, Cursor, Octree, VertexId, morton};
+
+/// Points sorted together: with what is kept of them they fill a second-level cache.
+const TILE: usize = 1 << 14;
+
+/// Values at the corners of a leaf.
+pub(super) struct LeafValues {
+    deviations: [f64; 8],
+    rays: Option<[f64; 8]>,
+}
+
+impl UncertaintyField {
+    /// Estimates at many points, in parallel: exactly those of [`UncertaintyField::query`], several times faster.
+    #[must_use]
+    pub fn query_all(&self, points: &[Vec3]) -> Vec<Estimate> {
+        let mut estimates = vec![self.outside(); points.len()];
+        match &self.support {
+            Support::Dense => {
+                let pairs = points.par_iter().zip(&mut estimates).with_min_len(1024);
+                pairs.for_each(|(&x, estimate)| *estimate = self.query(x));
+            }
+            Support::Octree(octree) => {
+                let tiles = points.par_chunks(TILE).zip(estimates.par_chunks_mut(TILE));
+                tiles.for_each(|(points, estimates)| self.query_tile(octree, points, estimates));
+            }
+        }
+        estimates
+    }
+
+    /// Overwrites the estimates of those points that are inside.
+    fn query_tile(&self, octree: &Octree, points: &[Vec3], estimates: &mut [Estimate]) {
+        let inside = points.iter().enumerate().filter_map(|(i, &x)| {
+            let u = self.lattice.coordinates(x)?;
+            Some((morton::encode(self.lattice.cell(u).0), i as u32, u))
+        });
+        let mut order: Vec<(u64, u32, DVec3)> = inside.collect();
+        order.sort_unstable_by_key(|&(code, i, _)| (code, i));
+        let mut cursor = octree.cursor();
+        let mut values = LeafValues { deviations: [0.0; 8], rays: None };
+        for (_, i, u) in order {
+            if cursor.seek(u) {
+                values = self.leaf_values(&cursor);
+            }
+            estimates[i as usize] = self.interpolate(&values, &cursor, u);
+        }
+    }
+
+    /// The values at the corners of the cursor's leaf.
+    pub(super) fn leaf_values(&self, cursor: &Cursor) -> LeafValues {
+        let deviation = |&VertexId(v): &VertexId| self.deviations.get(v as usize);
+        let deviations = cursor.corners().each_ref().map(|corner| match corner.masters() {
+            [vertex] => deviation(vertex),
+            masters => self.protocol.covariance.mean(masters.iter().map(deviation)),
+        });
+        let rays = self.evidence.as_ref().map(|evidence| {
+            let of_corner = |corner: &Corner| {
+                let masters = corner.masters();
+                masters.iter().map(|&VertexId(v)| f64::from(evidence[v as usize].rays)).sum::<f64>()
+                    / masters.len() as f64
+            };
+            cursor.corners().each_ref().map(of_corner)
+        });
+        LeafValues { deviations, rays }
+    }
+
+    /// The estimate at lattice coordinates `u` in the cursor's leaf, which has the given values.
+    pub(super) fn interpolate(&self, values: &LeafValues, cursor: &Cursor, u: DVec3) -> Estimate {
+        let weights = cursor.weights(u);
+        let rays = values.rays.map(|rays| rays.iter().zip(weights).map(|(rays, w)| w * rays).sum());
+        let uncertainty = self.protocol.covariance.interpolate(&values.deviations, &weights);
+        Estimate { uncertainty, rays, level: cursor.leaf().level, inside: true }
+    }
+
+    /// What is known outside the box: nothing.
+    pub(super) fn outside(&self) -> Estimate {
+        Estimate { uncertainty: self.prior(), rays: None, level: 0, inside: false }
+    }
+}
