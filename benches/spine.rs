@@ -43,7 +43,7 @@ fn accumulate(c: &mut Criterion) {
     let scene = ClosedForm::courtyard();
     let cameras = ClosedForm::half_circle(40, [200, 200]);
     let empty = FieldBuilder::new(grid(GridKind::Octree), Domain::Box(scene.bounds())).unwrap();
-    let stream = rays().stream(&scene, &cameras, empty.lattice(), &Silent).unwrap();
+    let stream = rays().stream(&scene, &cameras, &grid(GridKind::Octree), empty.lattice(), &Silent).unwrap();
     let mut batches: Vec<RaySamples> = Vec::new();
     stream
         .run(Share::whole(RAYS), Tally::default(), &Silent, |samples, _| {

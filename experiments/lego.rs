@@ -36,7 +36,7 @@ fn main() -> Result<()> {
     }
     let rays = RaySettings { rays: RAYS, ..RaySettings::default() };
     let start = Instant::now();
-    let stream = rays.stream(&model, &cameras, builders[0].lattice(), &Silent)?;
+    let stream = rays.stream(&model, &cameras, &settings(GridKind::Dense, 0.0), builders[0].lattice(), &Silent)?;
     let occupancy = start.elapsed();
     let mut spent = [Duration::ZERO; 3];
     let start = Instant::now();
@@ -59,7 +59,8 @@ fn main() -> Result<()> {
     let fields: Vec<UncertaintyField> = builders.into_iter().map(|b| b.finish(&provenance)).collect();
 
     // As many surface points as box points; the run's own rays do not give a million.
-    let other = RaySettings { seed: rays.seed + 1, ..rays }.stream(&model, &cameras, fields[0].lattice(), &Silent)?;
+    let other = RaySettings { seed: rays.seed + 1, ..rays };
+    let other = other.stream(&model, &cameras, &GridSettings::default(), fields[0].lattice(), &Silent)?;
     let surface = other.surface_points(POINTS, 10 * RAYS, &Silent)?;
     let fields: Vec<_> = fields.into_iter().map(|f| f.with_surface(surface.clone())).collect();
 

@@ -89,7 +89,7 @@ impl Args {
             FieldBuilder::new(settings(kinds[1]), Domain::Box(scene.bounds()))?,
         ];
         let rays = RaySettings { rays: self.rays, ..RaySettings::default() };
-        let stream = rays.stream(scene, cameras, octree.lattice(), bars)?;
+        let stream = rays.stream(scene, cameras, &settings(kinds[0]), octree.lattice(), bars)?;
         let mut spent = [Duration::ZERO; 2];
         let start = Instant::now();
         let tally = stream.run(Share::whole(self.rays), Tally::default(), bars, |batches, _| {

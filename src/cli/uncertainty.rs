@@ -123,7 +123,7 @@ impl Args {
         let lattice = *builder.lattice();
         let share = self.share()?;
         let mut checkpoint = self.checkpoint()?;
-        let stream = settings.stream(&*field, &cameras, &lattice, bars)?;
+        let stream = settings.stream(&*field, &cameras, &grid, &lattice, bars)?;
         let source = self.source(&cameras)?;
         let planner = self.planner(grid, &settings, &stream, share, lattice, bars)?;
         let mut plan = planner.as_ref().map(|planner| planner.plan(&lattice)).transpose()?;

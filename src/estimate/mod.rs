@@ -38,7 +38,7 @@ pub fn estimate(
     }
     let mut builder = FieldBuilder::new(*grid, Domain::Box(field.bounds()))?;
     let lattice = *builder.lattice();
-    let stream = rays.stream(field, cameras, &lattice, monitor)?;
+    let stream = rays.stream(field, cameras, grid, &lattice, monitor)?;
     let share = Share::whole(rays.rays);
     let planner =
         if grid.needs_plan() { Some(Planner::new(*grid, rays, &stream, share, lattice, monitor)?) } else { None };

@@ -4,11 +4,12 @@ use glam::{DVec3, Vec3};
 
 use super::{FieldBuilder, GridSettings};
 use crate::field::RadianceField;
-use crate::geometry::{Camera, Lattice};
+use crate::geometry::{Camera, Domain, Lattice};
 use crate::monitor::Monitor;
 use crate::posterior::checkpoint::RunKey;
-use crate::posterior::{PixelSequence, Pixels, RayStream, Share};
+use crate::posterior::{PixelSequence, Pixels, RayStream, Share, negligible_jacobian};
 use crate::render::{Differences, Differentiation, GradientMethod, Marcher, Occupancy, Tracer};
+use crate::uncertainty::SAMPLES_SHARE;
 use crate::{Error, Result};
 
 /// Most samples along a ray: hundreds of rays are under way at once.
@@ -100,6 +101,7 @@ impl RaySettings {
             seed: self.seed,
             march_step: stream.tracer.marcher.step,
             gradient: stream.differentiation.method(),
+            negligible: stream.negligible,
             difference_step: stream.differentiation.differences.step.to_array(),
             cutoff: stream.tracer.marcher.cutoff,
             occupancy: self.occupancy as u64,
@@ -119,6 +121,7 @@ impl RaySettings {
         &self,
         field: &'a dyn RadianceField,
         cameras: &'a [Camera],
+        grid: &GridSettings,
         lattice: &Lattice,
         monitor: &dyn Monitor,
     ) -> Result<RayStream<'a>> {
@@ -129,10 +132,16 @@ impl RaySettings {
             DVec3::from(std::array::from_fn(|axis| [bounds.min(), bounds.max()][usize::from(c >> axis & 1)][axis]))
         };
         let farthest = (0..8).map(|c| differences.at(corner(c).as_vec3())).fold(DVec3::ZERO, DVec3::max);
+        let tracer = self.tracer(field, farthest.max_element(), monitor)?;
+        // A ray crosses the cells around a vertex along two of their diagonals at most. (k levels coarser that is 2ᵏ times as long, and J
+        // counts 2⁻ᵏ.) Contracted cells have no longest diagonal.
+        let per_vertex = (2.0 * lattice.edge().length() / tracer.marcher.step).ceil() + 1.0;
+        let negligible = negligible_jacobian(SAMPLES_SHARE * grid.tolerance, grid.lambda(lattice), per_vertex);
+        let bounded = matches!(lattice.domain(), Domain::Box(_)) && self.cutoff > 0.0;
         Ok(RayStream {
-            tracer: self.tracer(field, farthest.max_element(), monitor)?,
+            tracer,
             differentiation: Differentiation { differences, analytic: self.gradient.of(field)? },
-            negligible: 0.0,
+            negligible: if bounded { negligible } else { 0.0 },
             cameras,
             pixel_offset: self.pixel_offset.unwrap_or_else(|| field.pixel_offset()),
             pixels: PixelSequence::new(self.pixels, self.seed, cameras.iter().map(|c| c.resolution).collect()),

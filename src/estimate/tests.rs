@@ -116,7 +116,7 @@ fn a_budget_of_memory_is_kept_by_giving_up_levels() {
     assert!(peak(&limited) <= budget && limited.validate().is_ok() && !limited.limits().is_unlimited());
     // What was given up was refinement, not places: both say of the same points that they were seen.
     let seen = |field: &UncertaintyField, x| field.log10(x) < field.prior().log10() - 1.0;
-    let stream = settings(20_000).stream(&field, &cameras, unlimited.lattice(), &Silent).unwrap();
+    let stream = settings(20_000).stream(&field, &cameras, &free, unlimited.lattice(), &Silent).unwrap();
     let points = stream.surface_points(2000, 20_000, &Silent).unwrap();
     let points: Vec<Vec3> = points.into_iter().map(Vec3::from_array).filter(|&x| seen(&unlimited, x)).collect();
     let kept = points.iter().filter(|&&x| seen(&limited, x)).count() as f64;
@@ -141,7 +141,7 @@ fn contracted_space_has_an_answer_everywhere_and_the_dense_one() {
             let settings_of_grid = GridSettings { grid, level: 6, ..GridSettings::default() };
             let mut builder = FieldBuilder::new(settings_of_grid, domain).unwrap();
             let lattice = *builder.lattice();
-            let stream = settings(3000).stream(&field, &cameras, &lattice, &Silent).unwrap();
+            let stream = settings(3000).stream(&field, &cameras, &settings_of_grid, &lattice, &Silent).unwrap();
             let share = Share::whole(3000);
             let tally = stream.run(share, Tally::default(), &Silent, |batches, _| {
                 builder.add(batches);
@@ -191,7 +191,7 @@ fn a_run_that_starts_again_says_so_before_its_first_ray() {
     let rays = settings(20_000);
     let mut builder = FieldBuilder::new(grid, Domain::Box(field.bounds())).unwrap();
     let lattice = *builder.lattice();
-    let stream = rays.stream(&field, &cameras, &lattice, &Silent).unwrap();
+    let stream = rays.stream(&field, &cameras, &grid, &lattice, &Silent).unwrap();
     let share = Share::whole(20_000);
     let planner = Planner::new(grid, &rays, &stream, share, lattice, &Silent).unwrap();
     // Planned without a budget, run within one that the sums outgrow.

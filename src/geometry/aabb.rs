@@ -68,7 +68,12 @@ impl Aabb {
 
     /// The nearest point of the box, rounded to `f32` in such a way that it is still inside.
     #[must_use]
+    #[inline]
     pub fn clamp(&self, x: Vec3) -> Vec3 {
+        // Most points are inside; f64 has every f32.
+        if self.contains(x) {
+            return x;
+        }
         let mut nearest = x.as_dvec3().clamp(self.min(), self.max()).as_vec3();
         for axis in 0..3 {
             if f64::from(nearest[axis]) < self.min[axis] {

@@ -97,6 +97,17 @@ pub fn negligible_information(tolerance: f64, rays: u64, lambda: f64) -> f64 {
     (2.0 * tolerance * std::f64::consts::LN_10).exp_m1() * lambda * rays as f64
 }
 
+/// ‖G‖, 1 / scene unit, of samples that may be left out, if no ray has more than `per_vertex` of them at one vertex: no
+/// scalar's log10 changes by more than `tolerance` (at most 0.1), whatever else the rays say.
+///
+/// Along any direction, with S what stays (the paper's H is (2/R)(S + λR)): n rays, each with a J that is off by at most a √λ,
+/// a = per_vertex ‖G‖ / √λ, change S + λR by at most 2 √(S n) a √λ + n a² λ (Cauchy–Schwarz). With n ≤ R that is at most a + a² of it, because 2√s ≤ 1 + s, and log10 U
+/// moves by half of its log10.
+#[must_use]
+pub fn negligible_jacobian(tolerance: f64, lambda: f64, per_vertex: f64) -> f64 {
+    tolerance * std::f64::consts::LN_10 * lambda.sqrt() / per_vertex
+}
+
 /// L⁻¹ for the Cholesky factor L of H = A + floor · I, so that H⁻¹ = L⁻ᵀ L⁻¹.
 ///
 /// A is positive semidefinite (xx, xy, xz, yy, yz, zz); it may be of rank 1 and 10¹⁵ times larger than `floor`. Each pivot is a
@@ -185,6 +196,36 @@ mod tests {
     }
 
     proptest! {
+        #[test]
+        fn negligible_samples_change_no_scalar_by_more(
+            kept in proptest::collection::vec((-6..2_i32, proptest::array::uniform9(-1.0..1.0_f64)), 1..20),
+            lost in proptest::collection::vec(proptest::array::uniform9(-1.0..1.0_f64), 20),
+            aligned in proptest::bool::ANY, tolerance in 1e-4..0.1_f64,
+            gradient in [-1.0..1.0_f32, -1.0..1.0, -1.0..1.0],
+        ) {
+            let (lambda, per_vertex): (f64, f64) = (1e-6, 4.0);
+            let most = per_vertex * negligible_jacobian(tolerance, lambda, per_vertex);
+            let rays = kept.len() as u64;
+            let square = |j: &[f64; 9]| {
+                let dot = |a: usize, b: usize| j[a] * j[b] + j[3 + a] * j[3 + b] + j[6 + a] * j[6 + b];
+                [dot(0, 0), dot(0, 1), dot(0, 2), dot(1, 1), dot(1, 2), dot(2, 2)]
+            };
+            let (mut without, mut with) = ([0.0; 6], [0.0; 6]);
+            for ((decade, j), lost) in kept.iter().zip(&lost) {
+                let j = j.map(|v| v * 10_f64.powi(*decade));
+                let lost = if aligned { &j } else { lost };
+                let length = lost.iter().map(|v| v * v).sum::<f64>().sqrt();
+                let whole = std::array::from_fn(|i| j[i] + lost[i] * most / length);
+                without.iter_mut().zip(square(&j)).for_each(|(s, v)| *s += v);
+                with.iter_mut().zip(square(&whole)).for_each(|(s, v)| *s += v);
+            }
+            for covariance in Covariance::ALL {
+                let [a, b] = [without, with].map(|s| covariance.deviation(&seen(s, gradient), rays, lambda));
+                // Two decades of f64's precision are left in the smallest block.
+                prop_assert!((a / b).log10().abs() <= tolerance + 1e-9, "{:?}: {} and {}", covariance, a, b);
+            }
+        }
+
         #[test]
         fn negligible_information_bounds_every_scalar(s in information(), tolerance in 1e-4..0.1_f64,
                                                       gradient in [-1.0..1.0_f32, -1.0..1.0, -1.0..1.0]) {

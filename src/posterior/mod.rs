@@ -20,7 +20,7 @@ mod prior;
 mod rays;
 mod samples_file;
 
-pub use covariance::{Covariance, negligible_information};
+pub use covariance::{Covariance, negligible_information, negligible_jacobian};
 pub use criteria::{Criteria, Criterion};
 pub use dense::DensePosterior;
 pub use evidence::{Evidence, Information, trace};

@@ -11,6 +11,7 @@
 //! | *lurking*: w ≤ cutoff, but matter that would be seen may be within h: δ T σ̂ > cutoff | x | x | if ∇σ matters | |
 //! | all others, behind surfaces or far from them | x | | | |
 //!
+//! Where ∇σ is known along the rays ([`Differentiable::is_cheap`](crate::field::Differentiable::is_cheap)), lurking is what it shows: δ T ‖∇σ‖ matters.
 //! |∂C/∂σ| ≤ √3 δ T, because colours lie in [0, 1]; σ̂ is the occupancy's density bound. The first bounds the share of ∇c (|∇c| ≤ 1/2h), the second
 //! that of ∇σ (|∇σ| ≤ σ̂/2h). A sample in the empty space before a surface has w = 0 but may see the surface within h: it is
 //! lurking. Cutoff 0 leaves out only exact zeros.
@@ -99,7 +100,7 @@ impl Tracer<'_> {
         let JacobianBuffers { visible, lurking, gradient, jets, density_gradients, radiance, colors, invalid, .. } =
             buffers;
         let (traced, quadrature) = (&buffers.trace.traced, &buffers.quadrature);
-        self.choose(rays, traced, quadrature, visible, lurking);
+        self.choose(rays, traced, quadrature, negligible, visible, lurking);
         invalid.clear();
         invalid.resize(rays.len(), None);
         colors.clear();
@@ -160,6 +161,7 @@ impl Tracer<'_> {
         rays: &[Ray],
         traced: &TracedRays,
         quadrature: &Quadrature,
+        negligible: f64,
         visible: &mut Chosen,
         lurking: &mut Chosen,
     ) {
@@ -174,8 +176,12 @@ impl Tracer<'_> {
                     continue;
                 }
                 let influence = self.influence(quadrature.behind[i]);
-                // ∞ · 0 would be NaN: without occupancy the bound is infinite, and behind opaque matter the influence is 0.
-                if influence > 0.0 && influence * self.marcher.majorant(x.as_dvec3()) > self.marcher.cutoff {
+                let lurks = match traced.density_gradients.get(i) {
+                    Some(gradient) => influence * f64::from(gradient.length()) > negligible || !gradient.is_finite(),
+                    // ∞ · 0 would be NaN: without occupancy the bound is infinite, and behind opaque matter the influence is 0.
+                    None => influence > 0.0 && influence * self.marcher.majorant(x.as_dvec3()) > self.marcher.cutoff,
+                };
+                if lurks {
                     lurking.push(i, r, x, direction);
                 }
             }

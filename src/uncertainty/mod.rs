@@ -6,6 +6,7 @@
 mod batch;
 mod coarsen;
 mod compare;
+mod densify;
 mod deviations;
 mod file;
 mod merge;
@@ -19,7 +20,7 @@ pub use deviations::{Deviations, Store};
 pub use file::FORMAT_VERSION;
 pub use merge::merge;
 pub use official::OfficialGrid;
-pub use protocol::Protocol;
+pub use protocol::{Protocol, SAMPLES_SHARE};
 pub use threshold::ThresholdedField;
 
 use glam::{DVec3, Vec3};

@@ -3,6 +3,9 @@
 use crate::posterior::{Covariance, Criteria, Pixels, Pooling, Prior, Share, negligible_information};
 use crate::render::GradientMethod;
 
+/// The share of the tolerance that is for samples whose Jacobian is negligible; the others are for refinement.
+pub const SAMPLES_SHARE: f64 = 0.1;
+
 /// Everything that the numbers in a field depend on. `None` where the field came from elsewhere and does not say.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Protocol {
@@ -30,8 +33,8 @@ pub struct Protocol {
     pub min_rays: f64,
     /// Where the octree is refined.
     pub criteria: Criteria,
-    /// Largest change of log10 U by leaves that are coarser than the finest level. On a dense grid it only says which vertices
-    /// count for pooling.
+    /// Largest change of log10 U by leaves that are coarser than the finest level and, for [`SAMPLES_SHARE`] of it, by samples that are left out
+    /// as negligible. On a dense grid it only says which vertices count for pooling.
     pub tolerance: f64,
     /// Distance between samples along rays, scene units.
     pub march_step: Option<f64>,
@@ -51,7 +54,8 @@ impl Protocol {
     /// How evidence is pooled.
     #[must_use]
     pub fn pooling(&self) -> Pooling {
-        Pooling { min_rays: self.min_rays, floor: negligible_information(self.tolerance, self.rays, self.lambda) }
+        let tolerance = (1.0 - SAMPLES_SHARE) * self.tolerance;
+        Pooling { min_rays: self.min_rays, floor: negligible_information(tolerance, self.rays, self.lambda) }
     }
 
     /// The protocol of a field from elsewhere, of which no more is known than this.

@@ -219,3 +219,17 @@ fn batches_answer_as_single_queries_do() {
         }
     }
 }
+
+#[test]
+fn a_dense_copy_has_the_values_of_every_vertex() {
+    let [dense, octree] = fields(Covariance::Block, 1.0);
+    let copy = octree.on_dense_grid();
+    assert_eq!((copy.support(), copy.deviations().len() as u64), (&Support::Dense, octree.lattice().dense_vertices()));
+    for i in 0..33_u32.pow(3) {
+        let u = DVec3::new(f64::from(i / 1089), f64::from(i / 33 % 33), f64::from(i % 33));
+        let x = octree.lattice().position(u).as_vec3();
+        // Binary fractions of the box: f32 holds every vertex.
+        assert_eq!(copy.query(x).uncertainty, octree.query(x).uncertainty as f32 as f64, "{x}");
+    }
+    assert_eq!(dense.on_dense_grid().deviations(), dense.deviations());
+}

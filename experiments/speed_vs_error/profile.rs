@@ -1,0 +1,232 @@
+//! Where the time of a run goes, against what it could be at least.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Instant;
+
+use glam::Vec3;
+use ndarray::Array2;
+use octobayes::Result;
+use octobayes::estimate::{FieldBuilder, GridKind, RaySettings};
+use octobayes::field::{Differentiable, Radiance, RadianceField, RadianceJet};
+use octobayes::geometry::{Aabb, Domain, Ray};
+use octobayes::monitor::Silent;
+use octobayes::posterior::{Share, Tally};
+use octobayes::render::{GradientMethod, Quadrature, TraceBuffers};
+use rayon::prelude::*;
+
+use super::measure::grid;
+use super::scenes::Scene;
+
+/// Kinds of evaluation.
+const KINDS: [&str; 4] = ["σ", "σ, c", "σ, ∇σ", "σ, c, ∇σ, ∇c"];
+
+/// A field that counts its evaluations and the time that all threads spend in them.
+struct Counted<'a> {
+    field: &'a dyn RadianceField,
+    points: [AtomicU64; 4],
+    nanoseconds: AtomicU64,
+}
+
+impl Counted<'_> {
+    fn count(&self, kind: usize, points: usize, work: impl FnOnce()) {
+        let start = Instant::now();
+        work();
+        self.nanoseconds.fetch_add(start.elapsed().as_nanos() as u64, Ordering::Relaxed);
+        self.points[kind].fetch_add(points as u64, Ordering::Relaxed);
+    }
+
+    fn own(&self) -> &dyn Differentiable {
+        self.field.differentiable().expect("the field differentiates itself")
+    }
+}
+
+impl RadianceField for Counted<'_> {
+    fn bounds(&self) -> Aabb {
+        self.field.bounds()
+    }
+
+    fn evaluate(&self, positions: &[Vec3], directions: &[Vec3], out: &mut [Radiance]) {
+        self.count(1, positions.len(), || self.field.evaluate(positions, directions, out));
+    }
+
+    fn densities(&self, positions: &[Vec3], out: &mut [f32]) {
+        self.count(0, positions.len(), || self.field.densities(positions, out));
+    }
+
+    fn differentiable(&self) -> Option<&dyn Differentiable> {
+        Some(self)
+    }
+
+    fn density_bound(&self, min: Vec3, max: Vec3) -> Option<f32> {
+        self.field.density_bound(min, max)
+    }
+
+    fn suggested_step(&self) -> f64 {
+        self.field.suggested_step()
+    }
+
+    fn memory(&self) -> usize {
+        self.field.memory()
+    }
+
+    fn describe(&self) -> String {
+        self.field.describe()
+    }
+}
+
+impl Differentiable for Counted<'_> {
+    fn jets(&self, positions: &[Vec3], directions: &[Vec3], out: &mut [RadianceJet]) {
+        self.count(3, positions.len(), || self.own().jets(positions, directions, out));
+    }
+
+    fn density_jets(&self, positions: &[Vec3], densities: &mut [f32], gradients: &mut [Vec3]) {
+        self.count(2, positions.len(), || self.own().density_jets(positions, densities, gradients));
+    }
+
+    fn is_cheap(&self) -> bool {
+        self.own().is_cheap()
+    }
+}
+
+/// Evaluations per ray, and shares of the time; beside them a plain colour rendering of the same rays.
+pub fn profile(lego: &Scene) -> Result<()> {
+    const RAYS: u64 = 409_600;
+    let threads = rayon::current_num_threads() as f64;
+    println!("\n## Profile: lego, level 8, {RAYS} rays; µs of one core per ray\n");
+    println!(
+        "| | {} | in the field | accumulation | all | share of accumulation | times plain rendering |",
+        KINDS.join(" | ")
+    );
+    println!("|---|---|---|---|---|---|---|---|---|---|");
+    let counted = Counted { field: &*lego.field, points: Default::default(), nanoseconds: AtomicU64::new(0) };
+    let mut plain = f64::NAN;
+    for (name, gradient) in [
+        ("plain colour rendering", None),
+        ("differences", Some(GradientMethod::FiniteDifference)),
+        ("own derivatives", Some(GradientMethod::Analytic)),
+    ] {
+        let mut rows = Vec::new();
+        for _ in 0..5 {
+            let settings = RaySettings { rays: RAYS, gradient: gradient.unwrap_or_default(), ..lego.settings };
+            let octree = grid(GridKind::Octree, 8);
+            let mut builder = FieldBuilder::new(octree, Domain::Box(counted.bounds()))?;
+            let lattice = *builder.lattice();
+            let stream = settings.stream(&counted, &lego.cameras, &octree, &lattice, &Silent)?;
+            counted.nanoseconds.store(0, Ordering::Relaxed);
+            counted.points.iter().for_each(|n| n.store(0, Ordering::Relaxed));
+            let (start, mut adding) = (Instant::now(), 0.0);
+            if gradient.is_some() {
+                stream.run(Share::whole(RAYS), Tally::default(), &Silent, |batches, _| {
+                    let start = Instant::now();
+                    builder.add(batches);
+                    adding += start.elapsed().as_secs_f64();
+                    Ok(())
+                })?;
+            } else {
+                (0..RAYS / 512).into_par_iter().for_each(|batch| {
+                    let picks = stream.pixels.picks(batch * 512, 512);
+                    let offset = stream.pixel_offset;
+                    let rays: Vec<Ray> = picks
+                        .iter()
+                        .map(|p| {
+                            lego.cameras[p.camera].ray(f64::from(p.pixel[0]) + offset, f64::from(p.pixel[1]) + offset)
+                        })
+                        .collect();
+                    let jitter: Vec<f64> = picks.iter().map(|p| p.jitter).collect();
+                    let (mut buffers, mut quadrature) = (TraceBuffers::default(), Quadrature::default());
+                    stream.tracer.trace(&rays, &jitter, &mut buffers);
+                    let traced = &buffers.traced;
+                    quadrature.set(traced, stream.tracer.marcher.step);
+                    let colors = stream.tracer.visible_colors(&rays, traced, &quadrature);
+                    let background = stream.tracer.background();
+                    let pixel = |r| quadrature.pixel(&traced.samples(r), &colors, &traced.t, background).color;
+                    std::hint::black_box((0..rays.len()).map(pixel).collect::<Vec<_>>());
+                });
+            }
+            let per_ray = 1e6 * threads / RAYS as f64;
+            let all = start.elapsed().as_secs_f64() * per_ray;
+            let field = counted.nanoseconds.load(Ordering::Relaxed) as f64 * 1e-9 * 1e6 / RAYS as f64;
+            rows.push((all, field, adding * per_ray));
+        }
+        rows.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let (all, field, adding) = rows[2];
+        plain = if gradient.is_none() { all } else { plain };
+        let points =
+            counted.points.each_ref().map(|n| format!("{:.2}", n.load(Ordering::Relaxed) as f64 / RAYS as f64));
+        println!(
+            "| {name} | {} | {field:.2} | {adding:.2} | {all:.2} | {:.0} % | {:.2} |",
+            points.join(" | "),
+            100.0 * adding / all,
+            all / plain
+        );
+    }
+    costs(lego);
+    Ok(())
+}
+
+/// What one evaluation of each kind costs on one core, at points along rays that the field is not empty at.
+fn costs(lego: &Scene) {
+    let bounds = lego.field.bounds();
+    let golden = [0.819_172_5_f64, 0.671_043_6, 0.549_700_5];
+    let positions: Vec<Vec3> = (0..)
+        .map(|i| {
+            let u = glam::DVec3::from(golden.map(|g| (f64::from(i / 16) * g).fract()));
+            (bounds.min() + u * bounds.size()).as_vec3() + 0.005 * Vec3::X * (i % 16) as f32
+        })
+        .filter(|&x| bounds.contains(x) && lego.field.density_bound(x, x) != Some(0.0))
+        .take(65_536)
+        .collect();
+    let directions = vec![Vec3::Z; positions.len()];
+    let own = lego.field.differentiable().expect("the field differentiates itself");
+    let n = positions.len();
+    let (mut radiance, mut densities) = (vec![Radiance::default(); n], vec![0.0; n]);
+    let (mut gradients, mut jets) = (vec![Vec3::ZERO; n], vec![RadianceJet::default(); n]);
+    let mut time = |kind: usize| {
+        let start = Instant::now();
+        match kind {
+            0 => lego.field.densities(&positions, &mut densities),
+            1 => lego.field.evaluate(&positions, &directions, &mut radiance),
+            2 => own.density_jets(&positions, &mut densities, &mut gradients),
+            _ => own.jets(&positions, &directions, &mut jets),
+        }
+        start.elapsed().as_secs_f64() * 1e9 / n as f64
+    };
+    let medians: Vec<String> = (0..4)
+        .map(|kind| {
+            let mut times: Vec<f64> = (0..9).map(|_| time(kind)).collect();
+            times.sort_by(f64::total_cmp);
+            format!("{}: {:.0} ns", KINDS[kind], times[4])
+        })
+        .collect();
+    println!("\nOne evaluation on one core, median of 9, where the field is not empty: {}", medians.join("; "));
+}
+
+/// The MLP's rate inside the network beside that of a product of matrices alone.
+pub fn network(mlp: &Scene) {
+    // Multiplications and additions of one point: layers of 63, 4 × 128 and 155 inputs, two heads.
+    const FLOP: f64 = 2.0 * (63.0 * 128.0 + 4.0 * 128.0 * 128.0 + 155.0 * 64.0 + 128.0 + 3.0 * 64.0);
+    let positions: Vec<Vec3> = (0..16_384).map(|i| Vec3::splat(0.5) * (i as f32 * 0.37).sin()).collect();
+    let directions = vec![Vec3::Z; positions.len()];
+    let mut out = vec![Radiance::default(); positions.len()];
+    let (a, b) = (Array2::<f32>::from_elem((512, 512), 0.5), Array2::<f32>::from_elem((512, 512), 0.25));
+    let mut c = Array2::<f32>::zeros((512, 512));
+    let (mut network, mut product) = (Vec::new(), Vec::new());
+    for _ in 0..9 {
+        let start = Instant::now();
+        mlp.field.evaluate(&positions, &directions, &mut out);
+        network.push(FLOP * positions.len() as f64 / start.elapsed().as_secs_f64());
+        let start = Instant::now();
+        for _ in 0..20 {
+            ndarray::linalg::general_mat_mul(1.0, &a, &b, 0.0, &mut c);
+        }
+        product.push(20.0 * 2.0 * 512_f64.powi(3) / start.elapsed().as_secs_f64());
+    }
+    network.sort_by(f64::total_cmp);
+    product.sort_by(f64::total_cmp);
+    println!(
+        "\nMLP on one core: {:.1} Gflop/s with encoding and activations, a 512³ product alone {:.1}: {:.0} %",
+        network[4] * 1e-9,
+        product[4] * 1e-9,
+        100.0 * network[4] / product[4]
+    );
+}
