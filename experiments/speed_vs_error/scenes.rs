@@ -15,7 +15,7 @@ pub struct Scene {
     pub field: Box<dyn RadianceField>,
     pub cameras: Vec<Camera>,
     pub settings: RaySettings,
-    /// Rays that this scene is studied with at most; its reference has twenty times as many.
+    /// Rays that this scene is studied with at most.
     pub rays: u64,
 }
 

@@ -6,8 +6,8 @@ use std::time::{Duration, Instant};
 use super::options::{CameraOptions, DomainOptions, GridOptions, ModelOptions, parse_non_negative, parse_positive};
 use super::progress::Bars;
 use super::report::{self, Cost};
-use crate::estimate::{FieldBuilder, GridSettings, PlannedRun, Planner, Provenance, RaySettings};
-use crate::geometry::{Camera, Lattice};
+use crate::estimate::{AutoRun, FieldBuilder, GridSettings, PlannedRun, Planner, Provenance, RaySettings};
+use crate::geometry::{Camera, Domain, Lattice};
 use crate::posterior::{Pixels, RayStream, SamplesWriter, Share, Tally, checkpoint};
 use crate::render::GradientMethod;
 use crate::{Error, Result};
@@ -30,9 +30,15 @@ pub struct Args {
     #[command(flatten)]
     grid: GridOptions,
 
-    /// Rays drawn; the paper uses 4096000
-    #[arg(long, default_value_t = 4_096_000, value_parser = clap::value_parser!(u64).range(1..))]
-    rays: u64,
+    /// Rays drawn (the paper uses 4096000), or `auto`: as many as bring the estimated mean error of log10 U within --tolerance
+    ///
+    /// `auto` doubles the rays, from 65536, until two halves of them agree. Most scenes take tens of millions for 0.05.
+    #[arg(long, value_name = "N|auto", default_value = "4096000", value_parser = parse_rays)]
+    rays: Rays,
+
+    /// Most rays that `--rays auto` draws
+    #[arg(long, value_name = "N", default_value_t = 32_768_000, value_parser = clap::value_parser!(u64).range(1..))]
+    max_rays: u64,
 
     /// How pixels are chosen
     #[arg(long, value_enum, default_value = "sobol")]
@@ -80,6 +86,22 @@ pub struct Args {
     resume: bool,
 }
 
+/// How many rays.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Rays {
+    Count(u64),
+    Auto,
+}
+
+/// A number of rays, or `auto`.
+fn parse_rays(text: &str) -> std::result::Result<Rays, String> {
+    match text.parse() {
+        _ if text == "auto" => Ok(Rays::Auto),
+        Ok(rays) if rays > 0 => Ok(Rays::Count(rays)),
+        _ => Err("expected a whole number above 0, or `auto`".into()),
+    }
+}
+
 /// `I/N` with I < N.
 fn parse_shard(text: &str) -> std::result::Result<[u64; 2], String> {
     let parts = text.split_once('/').and_then(|(i, n)| Some([i.parse().ok()?, n.parse().ok()?]));
@@ -111,7 +133,7 @@ impl Args {
 
         let start = Instant::now();
         let settings = self.model.ray_settings(RaySettings {
-            rays: self.rays,
+            rays: self.most_rays(),
             pixels: self.pixels,
             seed: self.seed,
             gradient: self.gradient,
@@ -125,6 +147,13 @@ impl Args {
         let mut checkpoint = self.checkpoint()?;
         let stream = settings.stream(&*field, &cameras, &grid, &lattice, bars)?;
         let source = self.source(&cameras)?;
+        if self.rays == Rays::Auto {
+            let (builder, tally) = self.run_auto(&stream, grid, domain, bars)?;
+            let posterior_bytes = builder.memory();
+            // Two sequences of pixels: no part of a run that others could be added to.
+            let field = builder.finish(&Provenance { source, tally, share: None, stream: Some(&stream) });
+            return self.grid.write(field, &Cost { elapsed: start.elapsed(), posterior_bytes });
+        }
         let planner = self.planner(grid, &settings, &stream, share, lattice, bars)?;
         let mut plan = planner.as_ref().map(|planner| planner.plan(&lattice)).transpose()?;
         if let (Some(planner), Some(checkpoint)) = (&planner, checkpoint.as_ref().filter(|c| c.path.exists())) {
@@ -188,6 +217,45 @@ impl Args {
         Ok(())
     }
 
+    /// Rays of the run, or the most that it may take.
+    fn most_rays(&self) -> u64 {
+        match self.rays {
+            Rays::Count(rays) => rays,
+            Rays::Auto => self.max_rays,
+        }
+    }
+
+    /// Draws rays until the error is within the tolerance, and says what was reached.
+    fn run_auto(
+        &self,
+        stream: &RayStream,
+        grid: GridSettings,
+        domain: Domain,
+        bars: &Bars,
+    ) -> Result<(FieldBuilder, Tally)> {
+        let others = [
+            ("--shard", self.shard.is_some()),
+            ("--checkpoint", self.checkpoint.is_some()),
+            ("--dump-samples", self.dump_samples.is_some()),
+        ];
+        if let Some((name, _)) = others.into_iter().find(|(_, given)| *given) {
+            return Err(Error::setting("--rays auto", "a run by itself, to its end", name));
+        }
+        let (builder, tally, error) =
+            AutoRun { tolerance: grid.tolerance, most: self.max_rays }.run(stream, grid, domain, bars)?;
+        let verdict = if error.vertices == 0 {
+            "no ray constrains anything".into()
+        } else {
+            let within = if error.mean <= grid.tolerance { "within" } else { "not within" };
+            format!(
+                "log10 U is off by {:.3} in the mean, 95 % by at most {:.3} (two halves, {} vertices that rays moved): {within} {}",
+                error.mean, error.percentile_95, error.vertices, grid.tolerance
+            )
+        };
+        eprintln!("note: {} rays; {verdict}", tally.rays);
+        Ok((builder, tally))
+    }
+
     /// What was computed from what: the run's identity.
     fn source(&self, cameras: &[Camera]) -> Result<String> {
         let mut model = identity(&self.model.model)?;
@@ -222,9 +290,9 @@ impl Args {
 
     fn share(&self) -> Result<Share> {
         let [index, of] = self.shard.unwrap_or([0, 1]);
-        let share = Share { rays: self.rays, index, of };
+        let share = Share { rays: self.most_rays(), index, of };
         if share.own_rays() == 0 {
-            let found = format!("part {index} of {of} of {} rays, which is empty", self.rays);
+            let found = format!("part {index} of {of} of {} rays, which is empty", self.most_rays());
             return Err(Error::setting("--shard", "fewer parts than batches of 512 rays", found));
         }
         Ok(share)

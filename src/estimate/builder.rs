@@ -3,11 +3,13 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 
+use rayon::prelude::*;
+
 use super::{GridKind, GridSettings, Plan, plan};
 use crate::geometry::{Domain, Lattice};
 use crate::octree::{Cell, LevelLimits, morton};
 use crate::posterior::checkpoint::{self, AnyPosterior, RunKey};
-use crate::posterior::{DensePosterior, OctreePosterior, Posterior, RayStream, SURFACE_WEIGHT, Share, Tally};
+use crate::posterior::{DensePosterior, Evidence, OctreePosterior, Posterior, RayStream, SURFACE_WEIGHT, Share, Tally};
 use crate::render::RaySamples;
 use crate::uncertainty::{Protocol, Support, UncertaintyField};
 use crate::{Error, Result};
@@ -170,6 +172,38 @@ impl FieldBuilder {
     #[must_use]
     pub fn limits(&self) -> &LevelLimits {
         &self.limits
+    }
+
+    /// The settings.
+    pub(super) fn settings(&self) -> &GridSettings {
+        &self.settings
+    }
+
+    /// What this builder and another of the same lattice, both without limits, know of every vertex that one of them knows.
+    pub(super) fn paired(&self, other: &Self) -> Vec<(Evidence, Evidence)> {
+        match (&self.posterior, &other.posterior) {
+            (AnyPosterior::Dense(mine), AnyPosterior::Dense(theirs)) => {
+                let pairs = mine.sums().iter().zip(theirs.sums());
+                pairs.filter(|(a, b)| a.rays > 0 || b.rays > 0).map(|(a, b)| (*a, *b)).collect()
+            }
+            (AnyPosterior::Octree(mine), AnyPosterior::Octree(theirs)) => {
+                let both = mine.touched().map(|(point, evidence)| (*evidence, theirs.evidence(point)));
+                let new = theirs.touched().filter(|(point, _)| mine.evidence(*point).rays == 0);
+                both.chain(new.map(|(_, evidence)| (Evidence::default(), *evidence))).collect()
+            }
+            _ => unreachable!("both have the same settings"),
+        }
+    }
+
+    /// Adds the sums of another builder of the same settings, without limits, vertex by vertex.
+    pub(super) fn absorb(&mut self, other: &Self) {
+        match (&mut self.posterior, &other.posterior) {
+            (AnyPosterior::Dense(mine), AnyPosterior::Dense(theirs)) => mine.add_sums(theirs.sums()),
+            (AnyPosterior::Octree(mine), AnyPosterior::Octree(theirs)) => mine.add_bricks(theirs),
+            _ => unreachable!("both have the same settings"),
+        }
+        let room = self.settings.surface_points - self.surface.len();
+        self.surface.extend(other.surface.iter().take(room));
     }
 
     /// Rays per vertex that the limits were made for; 0 if there are none.

@@ -3,12 +3,14 @@
 //! [`RaySettings`] say which rays are drawn and how they are differentiated, [`GridSettings`] what their information is gathered
 //! on. [`estimate`] joins the two; [`FieldBuilder`] is the second half alone, for samples that come from elsewhere.
 
+mod auto;
 mod builder;
 mod grid;
 mod plan;
 mod rays;
 mod run;
 
+pub use auto::{AutoRun, SamplingError};
 pub use builder::{FieldBuilder, Provenance};
 pub use grid::{GridKind, GridSettings};
 pub use plan::{Plan, Planner};

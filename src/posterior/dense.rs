@@ -46,6 +46,11 @@ impl DensePosterior {
         &self.sums
     }
 
+    /// Adds sums over other rays, `[(M + 1)³]`, x slowest.
+    pub fn add_sums(&mut self, sums: &[Evidence]) {
+        self.sums.iter_mut().zip(sums).for_each(|(sum, other)| sum.add(other));
+    }
+
     /// J_v(r), and the weighted sum of density gradients, of every vertex v that one ray touches.
     fn ray_jacobian(&self, samples: &RaySamples, ray: std::ops::Range<usize>) -> BTreeMap<usize, ([f64; 9], [f64; 3])> {
         let n = self.lattice.cells_per_axis() as usize + 1;

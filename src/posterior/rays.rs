@@ -102,6 +102,20 @@ pub struct Tally {
     pub first_invalid: Option<[f32; 3]>,
 }
 
+impl Tally {
+    /// Both runs together.
+    #[must_use]
+    pub fn with(&self, other: &Self) -> Self {
+        Self {
+            batches: self.batches + other.batches,
+            rays: self.rays + other.rays,
+            samples: self.samples + other.samples,
+            dropped: self.dropped + other.dropped,
+            first_invalid: self.first_invalid.or(other.first_invalid),
+        }
+    }
+}
+
 impl<'a> RayStream<'a> {
     /// The same stream with other pixels.
     #[must_use]

@@ -100,6 +100,16 @@ impl Bricks {
         });
     }
 
+    /// Adds all sums of `other`.
+    pub fn absorb(&mut self, other: &Self) {
+        self.shards.par_iter_mut().zip(&other.shards).for_each(|(shard, other)| {
+            for (&code, brick) in other.codes.iter().zip(&other.bricks) {
+                let slot = shard.slot(code);
+                shard.bricks[slot].iter_mut().zip(brick).for_each(|(sum, sums)| sum.add(sums));
+            }
+        });
+    }
+
     /// Adds to one vertex.
     pub fn add_one(&mut self, key: u64, sums: &Evidence) {
         self.shards[shard_of(key)].add(std::iter::once((key, sums)));

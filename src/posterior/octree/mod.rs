@@ -87,6 +87,11 @@ impl OctreePosterior {
         self.bricks.add_one(key(point, self.coarseness(point)), evidence);
     }
 
+    /// Adds the sums over other rays on the same leaves, vertex by vertex.
+    pub fn add_bricks(&mut self, other: &Self) {
+        self.bricks.absorb(&other.bricks);
+    }
+
     /// The evidence summed so far at a lattice point.
     #[must_use]
     pub fn evidence(&self, point: [u32; 3]) -> Evidence {
