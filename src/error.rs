@@ -86,14 +86,48 @@ impl Error {
     ) -> Self {
         Self::Malformed {
             path: path.to_path_buf(),
-            place: place.into(),
-            expected: expected.into(),
-            found: found.into(),
+            place: printable(&place.into()),
+            expected: printable(&expected.into()),
+            found: printable(&found.into()),
         }
     }
 
     /// A setting outside its range.
     pub fn setting(what: impl Into<String>, expected: impl Into<String>, found: impl Into<String>) -> Self {
-        Self::Setting { what: what.into(), expected: expected.into(), found: found.into() }
+        let [what, expected, found] = [what.into(), expected.into(), found.into()].map(|text: String| printable(&text));
+        Self::Setting { what, expected, found }
+    }
+}
+
+/// Longest quotation from a file, characters.
+const LONGEST: usize = 300;
+
+/// A text that may quote an untrusted file, fit for one line on a terminal: without control characters, which could clear the screen,
+/// and not longer than can be read.
+pub(crate) fn printable(text: &str) -> String {
+    let mut out = String::with_capacity(text.len().min(4 * LONGEST));
+    for (n, c) in text.chars().enumerate() {
+        match c {
+            _ if n == LONGEST => {
+                out.push('…');
+                break;
+            }
+            c if c.is_control() => out.extend(c.escape_default()),
+            c => out.push(c),
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quotations_are_one_short_line() {
+        let text = format!("a\n\u{1b}[2Jé{}", "x".repeat(10_000));
+        let error = Error::malformed(Path::new("f"), text.as_str(), "b", text.as_str()).to_string();
+        assert!(error.starts_with("f: a\\n\\u{1b}[2Jéxxx") && error.ends_with("x…"), "{error}");
+        assert!(error.chars().count() < 2 * LONGEST + 50 && !error.contains('\n'), "{error}");
     }
 }

@@ -26,7 +26,7 @@ fn check_lego_renders(model: &dyn RadianceField, stride: usize, measured: [f64; 
     for (name, expected) in ["./test/r_0", "./test/r_60", "./test/r_120"].into_iter().zip(measured) {
         let frame = views.frames.iter().find(|f| f.name == name).unwrap();
         let view = render_view(&tracer, &frame.camera, model.pixel_offset(), &[], &Silent).unwrap();
-        let truth = PosedImage::read(&frame.image).unwrap();
+        let truth = PosedImage::read(&frame.image, frame.camera.resolution).unwrap();
         let width = view.resolution[0] as usize;
         let compared = || (0..truth.len()).filter(|i| [i % width, i / width].iter().all(|k| k.is_multiple_of(stride)));
         let colors: Vec<_> = compared().map(|i| view.pixels[i].color).collect();

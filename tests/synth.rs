@@ -94,7 +94,7 @@ fn depth_is_that_of_the_sphere_and_the_ground() {
             let camera = &frame.camera;
             assert_eq!(camera.resolution, [72, 60]);
             assert!(split == "test" || camera.position.x < 0.0, "training cameras stand on the left");
-            let image = PosedImage::read(&frame.image).unwrap();
+            let image = PosedImage::read(&frame.image, frame.camera.resolution).unwrap();
             let depth = exact_depth(&out.join(format!("depth/{split}_{i:04}.exr")));
             let encoding = DepthEncoding { offset: 0.0, scale: DEPTH_PNG_SCALE, kind: DepthKind::Euclidean };
             let png = out.join(format!("depth/{split}_{i:04}.png"));

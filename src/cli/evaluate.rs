@@ -168,12 +168,7 @@ impl Args {
 
     /// Compares a rendered view with its image and depth map.
     fn judge(&self, frame: &Frame, rendered: &RenderedView, offset: f64) -> Result<View> {
-        let image = PosedImage::read(&frame.image)?;
-        if image.resolution != frame.camera.resolution {
-            let [expected, found] =
-                [frame.camera.resolution, image.resolution].map(|[w, h]| format!("{w} x {h} pixels"));
-            return Err(Error::malformed(&frame.image, "image", expected, found));
-        }
+        let image = PosedImage::read(&frame.image, frame.camera.resolution)?;
         let stem = Path::new(&frame.name).file_name().unwrap_or_default().to_string_lossy();
         let stem = [".png", ".jpg", ".jpeg"].iter().fold(&*stem, |s, e| s.trim_end_matches(e));
         let path = self.depth.join(self.depth_pattern.replace("{}", stem));

@@ -1,11 +1,12 @@
 //! `query`: U at points.
 
-use std::io::{Read, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use glam::Vec3;
 
 use super::options::OfficialOptions;
+use crate::dataset::points;
 use crate::io::{AtomicFile, npy};
 use crate::posterior::Covariance;
 use crate::uncertainty::Estimate;
@@ -63,12 +64,12 @@ impl Args {
             field = field.with_covariance(covariance)?;
         }
         let points = match input {
-            Format::Npy => read_npy(&self.points)?,
+            Format::Npy => points::read_npy(&self.points)?,
             Format::Csv => {
                 let file = std::fs::File::open(&self.points).map_err(Error::io(&self.points, "cannot open"))?;
-                read_csv(file, &self.points)?
+                points::read_csv(file, &self.points)?
             }
-            Format::Stream => read_csv(std::io::stdin().lock(), Path::new("stdin"))?,
+            Format::Stream => points::read_csv(std::io::stdin().lock(), Path::new("stdin"))?,
         };
         let answers = field.query_all(&points);
         match output {
@@ -93,43 +94,6 @@ impl Args {
             }
         }
     }
-}
-
-fn read_npy(path: &Path) -> Result<Vec<Vec3>> {
-    let flat: Vec<f32> = match npy::read::<f32>(path) {
-        Ok(array) => {
-            array.expect_shape(path, "data", &[None, Some(3)])?;
-            array.data
-        }
-        Err(as_f32) => match npy::read::<f64>(path) {
-            Ok(array) => {
-                array.expect_shape(path, "data", &[None, Some(3)])?;
-                array.data.iter().map(|&v| v as f32).collect()
-            }
-            Err(_) => return Err(as_f32),
-        },
-    };
-    Ok(flat.as_chunks::<3>().0.iter().map(|&x| Vec3::from_array(x)).collect())
-}
-
-/// Reads x,y,z from the first three columns; a first line that is no numbers is a header.
-fn read_csv(input: impl Read, path: &Path) -> Result<Vec<Vec3>> {
-    let mut reader =
-        csv::ReaderBuilder::new().has_headers(false).flexible(true).trim(csv::Trim::All).from_reader(input);
-    let mut points = Vec::new();
-    for (row, record) in reader.records().enumerate() {
-        let record = record.map_err(|e| Error::malformed(path, format!("row {}", row + 1), "x,y,z", e.to_string()))?;
-        let numbers: Vec<f32> = record.iter().take(3).map_while(|text| text.parse().ok()).collect();
-        match numbers.as_slice() {
-            &[x, y, z] => points.push(Vec3::new(x, y, z)),
-            _ if row == 0 && record.iter().take(3).all(|text| text.parse::<f32>().is_err()) => {}
-            _ => {
-                let found = record.iter().collect::<Vec<_>>().join(",");
-                return Err(Error::malformed(path, format!("row {}", row + 1), "three numbers x,y,z", found));
-            }
-        }
-    }
-    Ok(points)
 }
 
 fn write_csv(out: impl Write, points: &[Vec3], answers: &[Estimate]) -> std::io::Result<()> {

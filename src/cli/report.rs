@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use serde_json::{Value, json};
 
+use crate::error::printable;
 use crate::estimate::{GridSettings, Plan};
 use crate::memory::peak;
 use crate::posterior::{Pixels, Prior};
@@ -50,7 +51,7 @@ pub fn protocol(field: &UncertaintyField) -> String {
     let known = |v: Option<String>| v.unwrap_or_else(|| "not stated".into());
     let mut out = String::new();
     let mut line = |name: &str, value: String| out.push_str(&format!("  {name:<12} {value}\n"));
-    line("source", p.source.clone());
+    line("source", printable(&p.source));
     line("domain", lattice.domain().to_string());
     line(
         "level",

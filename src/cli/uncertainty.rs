@@ -123,8 +123,16 @@ fn identity(file: &str) -> Result<String> {
 impl Args {
     /// Runs the verb.
     pub fn run(self, bars: &Bars) -> Result<()> {
+        let files = self.files();
         let field = self.model.open()?;
         let views = self.cameras.read(&*field, &self.model.model)?;
+        // The readers know better what is wrong with a file than that it has no checksum.
+        let files = files?;
+        // The result names these files by their checksums: it must be true.
+        let now = self.files()?;
+        if let Some((before, now)) = files.iter().zip(&now).find(|(before, now)| before != now) {
+            return Err(Error::setting("an input file", format!("{before}, as before it was read"), now));
+        }
         let domain = self.domain.domain(Some(field.bounds()))?;
         let grid = self.grid.settings(&domain)?;
         let mut builder = FieldBuilder::new(grid, domain)?;
@@ -146,7 +154,7 @@ impl Args {
         let share = self.share()?;
         let mut checkpoint = self.checkpoint()?;
         let stream = settings.stream(&*field, &cameras, &grid, &lattice, bars)?;
-        let source = self.source(&cameras)?;
+        let source = self.source(&files, &cameras);
         if self.rays == Rays::Auto {
             let (builder, tally) = self.run_auto(&stream, grid, domain, bars)?;
             let posterior_bytes = builder.memory();
@@ -256,21 +264,24 @@ impl Args {
         Ok((builder, tally))
     }
 
+    /// Model and camera file, if there is one, with their checksums.
+    fn files(&self) -> Result<Vec<String>> {
+        let cameras = self.cameras.cameras.as_ref().map(|file| file.to_string_lossy());
+        [Some(self.model.model.as_str()), cameras.as_deref()].into_iter().flatten().map(identity).collect()
+    }
+
     /// What was computed from what: the run's identity.
-    fn source(&self, cameras: &[Camera]) -> Result<String> {
-        let mut model = identity(&self.model.model)?;
+    fn source(&self, files: &[String], cameras: &[Camera]) -> String {
+        let mut model = files[0].clone();
         if let Some(coordinates) = self.model.coordinates {
             model = format!("{model} in {} coordinates", coordinates.name());
         }
-        let seen_by = match &self.cameras.cameras {
-            Some(file) => identity(&file.to_string_lossy())?,
-            None => {
-                let [w, h] = cameras[0].resolution;
-                let fov = self.cameras.fov.map_or(String::new(), |fov| format!(", {fov} degrees"));
-                format!("its own {} cameras of {w} x {h}{fov}", cameras.len())
-            }
-        };
-        Ok(format!("{model} seen by {seen_by}"))
+        let seen_by = files.get(1).cloned().unwrap_or_else(|| {
+            let [w, h] = cameras[0].resolution;
+            let fov = self.cameras.fov.map_or(String::new(), |fov| format!(", {fov} degrees"));
+            format!("its own {} cameras of {w} x {h}{fov}", cameras.len())
+        });
+        format!("{model} seen by {seen_by}")
     }
 
     /// Runs a pilot, if it costs little beside the run or something has to be planned.

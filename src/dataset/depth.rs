@@ -2,8 +2,9 @@
 
 use std::path::Path;
 
+use super::image::decode;
+use crate::Result;
 use crate::geometry::Camera;
-use crate::{Error, Result};
 
 /// What a depth map measures.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
@@ -42,15 +43,8 @@ impl DepthMap {
     /// # Errors
     /// If the file is missing or damaged, or its size is not the camera's.
     pub fn read(path: &Path, encoding: DepthEncoding, camera: &Camera, pixel_offset: f64) -> Result<Self> {
-        let image = image::open(path).map_err(|e| match e {
-            image::ImageError::IoError(e) => Error::io(path, "cannot read the depth map")(e),
-            e => Error::malformed(path, "depth map", "a PNG", e.to_string()),
-        })?;
-        let resolution = [image.width(), image.height()];
-        if resolution != camera.resolution {
-            let [expected, found] = [camera.resolution, resolution].map(|[w, h]| format!("{w} x {h} pixels"));
-            return Err(Error::malformed(path, "depth map", expected, found));
-        }
+        let resolution = camera.resolution;
+        let image = decode(path, "depth map", resolution)?;
         let raw: Vec<f64> = match &image {
             image::DynamicImage::ImageLuma16(i) => i.pixels().map(|p| f64::from(p.0[0]) / 65535.0).collect(),
             image::DynamicImage::ImageLumaA16(i) => i.pixels().map(|p| f64::from(p.0[0]) / 65535.0).collect(),

@@ -3,8 +3,31 @@
 use std::path::Path;
 
 use glam::DVec3;
+use image::{DynamicImage, ImageDecoder, ImageError, ImageReader};
 
 use crate::{Error, Result};
+
+/// Decodes a PNG or JPEG of a size that is known beforehand: what the file claims is compared with it before memory is taken.
+///
+/// # Errors
+/// If the file is missing or damaged, or its size is another.
+pub(super) fn decode(path: &Path, what: &str, resolution: [u32; 2]) -> Result<DynamicImage> {
+    let wrong = |e| match e {
+        // The system's own reasons have a number; the decoder's are about the content.
+        ImageError::IoError(e) if e.raw_os_error().is_some() => Error::io(path, "cannot read")(e),
+        e => Error::malformed(path, what, "a PNG or JPEG", e.to_string()),
+    };
+    let file = ImageReader::open(path).map_err(Error::io(path, "cannot open"))?;
+    // By content: a JPEG under the name of a PNG is one all the same.
+    let file = file.with_guessed_format().map_err(Error::io(path, "cannot read"))?;
+    let decoder = file.into_decoder().map_err(wrong)?;
+    let (w, h) = decoder.dimensions();
+    if [w, h] != resolution {
+        let [expected, found] = [resolution, [w, h]].map(|[w, h]| format!("{w} x {h} pixels"));
+        return Err(Error::malformed(path, what, expected, found));
+    }
+    DynamicImage::from_decoder(decoder).map_err(wrong)
+}
 
 /// An 8-bit image with alpha, as linear fractions in [0, 1] of its own (sRGB-like) colour space.
 #[derive(Debug, Clone)]
@@ -16,18 +39,13 @@ pub struct PosedImage {
 }
 
 impl PosedImage {
-    /// Reads a PNG or JPEG.
+    /// Reads a PNG or JPEG of a camera with `resolution`.
     ///
     /// # Errors
-    /// If the file is missing or damaged.
-    pub fn read(path: &Path) -> Result<Self> {
-        let image = image::open(path)
-            .map_err(|e| match e {
-                image::ImageError::IoError(e) => Error::io(path, "cannot read the image")(e),
-                e => Error::malformed(path, "image", "a PNG or JPEG", e.to_string()),
-            })?
-            .into_rgba8();
-        Ok(Self { resolution: [image.width(), image.height()], pixels: image.pixels().map(|p| p.0).collect() })
+    /// If the file is missing or damaged, or its size is another.
+    pub fn read(path: &Path, resolution: [u32; 2]) -> Result<Self> {
+        let image = decode(path, "image", resolution)?.into_rgba8();
+        Ok(Self { resolution, pixels: image.pixels().map(|p| p.0).collect() })
     }
 
     /// Colour of pixel `i` over a background.

@@ -1,7 +1,8 @@
-//! Posed images and depth maps.
+//! Posed images, depth maps, and lists of points.
 
 mod depth;
 mod image;
+pub mod points;
 mod transforms;
 
 pub use depth::{DepthEncoding, DepthKind, DepthMap};

@@ -87,6 +87,14 @@ const ASSUMED: [u32; 2] = [400, 400];
 const MAX_PIXELS: f64 = 1e8;
 /// Largest accepted image side; a larger one is a damaged file.
 const MAX_SIDE: f64 = 65_536.0;
+/// Both in words.
+const SIZES: &str = "whole numbers from 1 to 65536, at most 1e8 pixels";
+
+/// An image size that a camera can have; the size in words otherwise.
+fn size(w: f64, h: f64) -> std::result::Result<[u32; 2], String> {
+    let side = |v: f64| (1.0..=MAX_SIDE).contains(&v) && v.fract() == 0.0;
+    if side(w) && side(h) && w * h <= MAX_PIXELS { Ok([w as u32, h as u32]) } else { Err(format!("{w} x {h}")) }
+}
 
 impl Intrinsics {
     /// The frame's own values, where it has some, over the file's.
@@ -113,12 +121,7 @@ impl Intrinsics {
     /// w and h as an image size, `None` if absent.
     fn resolution(&self) -> Option<std::result::Result<[u32; 2], String>> {
         let (w, h) = (self.w?, self.h?);
-        let side = |v: f64| (1.0..=MAX_SIDE).contains(&v) && v.fract() == 0.0;
-        Some(if side(w) && side(h) && w * h <= MAX_PIXELS {
-            Ok([w as u32, h as u32])
-        } else {
-            Err(format!("{w} x {h}"))
-        })
+        Some(size(w, h))
     }
 
     /// The lens; what is wrong with it otherwise.
@@ -142,6 +145,12 @@ impl Intrinsics {
     fn project(&self, resolution: [u32; 2]) -> std::result::Result<([f64; 2], [f64; 2]), String> {
         let [w, h] = resolution.map(f64::from);
         let scale = [self.w.map_or(1.0, |stated| w / stated), self.h.map_or(1.0, |stated| h / stated)];
+        // The tangent of half of 40 (degrees, say) is positive too.
+        for (name, angle) in [("camera_angle_x", self.camera_angle_x), ("camera_angle_y", self.camera_angle_y)] {
+            if let Some(angle) = angle.filter(|angle| !(*angle > 0.0 && *angle < std::f64::consts::PI)) {
+                return Err(format!("`{name}` {angle}"));
+            }
+        }
         let from_angle = |angle: f64, side: f64| 0.5 * side / (0.5 * angle).tan();
         let fx = match (self.fl_x, self.camera_angle_x) {
             (Some(f), _) => f * scale[0],
@@ -188,7 +197,7 @@ impl Views {
         }
         let folder = path.parent().unwrap_or(Path::new(""));
         let images: Vec<PathBuf> = raw.iter().map(|frame| image_path(folder, &frame.file_path)).collect();
-        let from_image = || images.iter().find_map(|image| image::image_dimensions(image).ok());
+        let from_image = || images.iter().find_map(|image| Some((image, image::image_dimensions(image).ok()?)));
         let mut fallback = None;
 
         let mut frames = Vec::with_capacity(raw.len());
@@ -201,19 +210,22 @@ impl Views {
                     source = ResolutionSource::Requested;
                     resolution
                 }
-                (None, Some(resolution)) => resolution.map_err(|found| {
-                    Error::malformed(
-                        path,
-                        place("`w`, `h`"),
-                        "whole numbers from 1 to 65536, at most 1e8 pixels",
-                        found,
-                    )
-                })?,
+                (None, Some(resolution)) => {
+                    resolution.map_err(|found| Error::malformed(path, place("`w`, `h`"), SIZES, found))?
+                }
                 (None, None) => {
-                    let (resolution, from) = *fallback.get_or_insert_with(|| match from_image() {
-                        Some((w, h)) => ([w, h], ResolutionSource::Image),
-                        None => (ASSUMED, ResolutionSource::Assumed),
-                    });
+                    let (resolution, from) = match fallback {
+                        Some(known) => known,
+                        None => match from_image() {
+                            Some((image, (w, h))) => {
+                                let resolution = size(w.into(), h.into())
+                                    .map_err(|found| Error::malformed(image, "image size", SIZES, found))?;
+                                (resolution, ResolutionSource::Image)
+                            }
+                            None => (ASSUMED, ResolutionSource::Assumed),
+                        },
+                    };
+                    fallback = Some((resolution, from));
                     source = from;
                     resolution
                 }
@@ -222,7 +234,7 @@ impl Views {
                 Error::malformed(
                     path,
                     place("intrinsics"),
-                    "positive `fl_x` (pixels) or `camera_angle_x` (radians)",
+                    "positive `fl_x` (pixels) or `camera_angle_x` (radians, below pi)",
                     found,
                 )
             })?;
@@ -275,6 +287,11 @@ fn pose(matrix: Option<&[Vec<f64>]>) -> std::result::Result<(DVec3, DMat3), Stri
     let (linear, position) = (DMat3::from_cols(column(0), column(1), column(2)), column(3));
     if !linear.is_finite() || !position.is_finite() {
         return Err("numbers that are not finite".into());
+    }
+    // A transposed matrix has a rotation too: its position stands here.
+    let homogeneous = |row: &[f64]| row.iter().zip([0.0, 0.0, 0.0, 1.0]).all(|(a, b)| (a - b).abs() < 1e-6);
+    if let Some(last) = matrix.get(3).filter(|row| !homogeneous(row)) {
+        return Err(format!("a last row of {last:?} instead of [0, 0, 0, 1]"));
     }
     let determinant = linear.determinant();
     let scale = determinant.cbrt();
@@ -373,6 +390,12 @@ mod tests {
             ),
             (r#"{"camera_angle_x": 1, "frames": [{"transform_matrix": [[1,0,0],[0,1,0],[0,0,1]]}]}"#, "rows of"),
             (&format!("{{\"fl_x\": -5, \"frames\": [{{{POSE}}}]}}"), "positive"),
+            (
+                r#"{"camera_angle_x": 1, "frames": [{"transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[1,2,3,1]]}]}"#,
+                "[1.0, 2.0, 3.0, 1.0]",
+            ),
+            (&format!("{{\"camera_angle_x\": 40, \"frames\": [{{{POSE}}}]}}"), "radians"),
+            (&format!("{{\"fl_x\": 9, \"camera_angle_y\": -0.5, \"frames\": [{{{POSE}}}]}}"), "radians"),
             (&format!("{{\"fl_x\": 5, \"is_fisheye\": true, \"frames\": [{{{POSE}}}]}}"), "fisheye"),
             (&format!("{{\"fl_x\": 5, \"w\": 0, \"h\": 3, \"frames\": [{{{POSE}}}]}}"), "whole numbers"),
         ];

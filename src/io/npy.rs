@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::{BufReader, BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 
-use npyz::{AutoSerialize, Deserialize, NpyFile, NpyHeader, NpyReader, Order, Serialize, WriteOptions, WriterBuilder};
+use npyz::{AutoSerialize, Deserialize, NpyHeader, Order, Serialize, TypeRead, WriteOptions, WriterBuilder};
 
 use super::AtomicFile;
 use crate::{Error, Result};
@@ -34,7 +34,10 @@ impl<T> Array<T> {
 
 /// An array that is read element by element.
 pub struct ArrayStream<T: Deserialize, R: Read> {
-    reader: NpyReader<T, R>,
+    reader: R,
+    element: T::TypeReader,
+    /// Elements not read yet.
+    left: u64,
     shape: Vec<u64>,
     path: PathBuf,
     name: String,
@@ -50,22 +53,21 @@ impl<T: Deserialize, R: Read> ArrayStream<T, R> {
         let header = read_header(&mut reader, path, name)?;
         let header = NpyHeader::from_reader(header.as_slice())
             .map_err(|e| Error::malformed(path, place(), "a NumPy array", e.to_string()))?;
-        let file = NpyFile::with_header(header, reader);
-        if file.order() != Order::C && file.shape().len() > 1 {
+        if header.order() != Order::C && header.shape().len() > 1 {
             return Err(Error::malformed(path, place(), "C order (numpy.ascontiguousarray)", "Fortran order"));
         }
-        let shape = file.shape().to_vec();
-        let found = file.dtype().descr();
-        let bytes = file.dtype().num_bytes().unwrap_or(0) as u64;
-        let claimed = file.len().checked_mul(bytes);
+        let shape = header.shape().to_vec();
+        let found = header.dtype().descr();
+        let bytes = header.dtype().num_bytes().unwrap_or(0) as u64;
+        let claimed = header.len().checked_mul(bytes);
         if claimed.is_none_or(|c| c > available) {
             let expected = format!("at most the {available} bytes that are stored");
             return Err(Error::malformed(path, place(), expected, format!("shape {shape:?} of {found}")));
         }
-        let reader = file.data::<T>().map_err(|_| {
+        let element = T::reader(&header.dtype()).map_err(|_| {
             Error::malformed(path, place(), format!("dtype {}", std::any::type_name::<T>()), format!("dtype {found}"))
         })?;
-        Ok(Self { reader, shape, path: path.to_path_buf(), name: name.to_string() })
+        Ok(Self { reader, element, left: header.len(), shape, path: path.to_path_buf(), name: name.to_string() })
     }
 
     /// Extent along each axis.
@@ -88,19 +90,29 @@ impl<T: Deserialize, R: Read> ArrayStream<T, R> {
         check_shape(&self.path, &self.name, &self.shape, expected)
     }
 
-    /// The next element, `None` behind the last.
+    /// The next element, `None` behind the last: there, that nothing follows, and an archive's checksum.
     ///
     /// # Errors
-    /// If the file ends early.
+    /// If the file ends early or goes on behind the last element, or an archive's checksum is not that of its content.
     pub fn next_element(&mut self) -> Result<Option<T>> {
-        self.reader.next().transpose().map_err(|e| {
-            Error::malformed(
-                &self.path,
-                format!("array `{}`", self.name),
-                format!("shape {:?}", self.shape),
-                e.to_string(),
-            )
-        })
+        let wrong = |found: String| {
+            let expected = format!("data of shape {:?}", self.shape);
+            Error::malformed(&self.path, format!("array `{}`", self.name), expected, found)
+        };
+        let reason = |e: std::io::Error| match e.kind() {
+            std::io::ErrorKind::UnexpectedEof => "the end of the file".into(),
+            _ => e.to_string(),
+        };
+        if self.left > 0 {
+            self.left -= 1;
+            return self.element.read_one(&mut self.reader).map(Some).map_err(|e| wrong(reason(e)));
+        }
+        // An archive's reader looks at the checksum when it comes to the end.
+        match self.reader.read(&mut [0]) {
+            Ok(0) => Ok(None),
+            Ok(_) => Err(wrong("more data behind it".into())),
+            Err(e) => Err(wrong(reason(e))),
+        }
     }
 
     /// The remaining elements.
@@ -230,6 +242,14 @@ mod tests {
         bytes.extend(data);
         let error = parse(&bytes).unwrap_err().to_string();
         assert!(error.contains("[1000000, 1000000]"), "{error}");
+    }
+
+    #[test]
+    fn data_behind_the_last_element_is_refused() {
+        let mut bytes = sample();
+        bytes.push(0);
+        let error = parse(&bytes).unwrap_err().to_string();
+        assert!(error.contains("[2, 3]") && error.contains("more data"), "{error}");
     }
 
     #[test]

@@ -157,7 +157,13 @@ pub fn load(path: &Path, key: &RunKey, limits: &LevelLimits, dense: bool) -> Res
             "codes, counts or sums that no such run gives",
         )
     })?;
-    Ok(State { posterior, tally: header.tally, surface: file.section("surface")? })
+    let surface = file.section::<[f32; 3]>("surface")?;
+    if surface.len() as u64 > key.surface_points || !surface.iter().flatten().all(|v| v.is_finite()) {
+        let found = format!("{} points", surface.len());
+        let expected = format!("at most {} points with finite coordinates", key.surface_points);
+        return Err(Error::malformed(path, "section `surface`", expected, found));
+    }
+    Ok(State { posterior, tally: header.tally, surface })
 }
 
 /// Name and values of the first setting that differs.

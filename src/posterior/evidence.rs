@@ -31,13 +31,21 @@ impl Evidence {
         self.rays = self.rays.saturating_add(other.rays);
     }
 
-    /// Whether all sums are finite, and the information's diagonal is not negative.
+    /// Whether rays can have given these sums: all are finite, the information's diagonal is not negative, and its other entries are not
+    /// larger than a sum of squares allows (Cauchy-Schwarz).
     #[must_use]
     pub fn is_valid(&self) -> bool {
-        let [xx, .., zz] = self.information;
-        self.information.iter().all(|v| v.is_finite())
+        let [xx, xy, xz, yy, yz, zz] = self.information;
+        // Each of at most 2³² terms is rounded by 2⁻⁵³ of its bound; numbers below the smallest normal one are not rounded relatively.
+        let bounded = |product: f64, a: f64, b: f64| {
+            product.abs() <= a.sqrt() * b.sqrt() * (1.0 + 1e-6) + f64::MIN_POSITIVE.sqrt()
+        };
+        trace(&self.information).is_finite()
             && self.gradient.iter().all(|v| v.is_finite())
-            && xx.min(self.information[3]).min(zz) >= 0.0
+            && xx.min(yy).min(zz) >= 0.0
+            && bounded(xy, xx, yy)
+            && bounded(xz, xx, zz)
+            && bounded(yz, yy, zz)
     }
 }
 

@@ -178,7 +178,8 @@ impl SamplesReader {
     /// Hands all samples to `sink`, in order, a few thousand rays at a time.
     ///
     /// # Errors
-    /// What `sink` returns; if a value is not finite, ray indices decrease or reach `rays_total`, or the file ends early.
+    /// What `sink` returns; if a value is not finite, ray indices decrease or reach `rays_total`, the file ends early, or a checksum
+    /// of the archive is not that of its content.
     pub fn run(&self, monitor: &dyn Monitor, mut sink: impl FnMut(&[RaySamples]) -> Result<()>) -> Result<()> {
         let open = || NpzReader::open(&self.path);
         let (mut a, mut b, mut c, mut d, mut e) = (open()?, open()?, open()?, open()?, open()?);
@@ -231,6 +232,11 @@ impl SamplesReader {
                 batch.push(ray, RaySample { position: Vec3::from_array(position), jacobian, weight, gradient });
             }
         }
+        // Behind the last element the archive's checksums are looked at.
+        rays.next()?;
+        positions.next_element()?;
+        jacobians.next_element()?;
+        weights.iter_mut().chain(&mut gradients).try_for_each(|stream| stream.next_element().map(drop))?;
         sink(&batches)?;
         monitor.end();
         Ok(())

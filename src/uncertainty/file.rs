@@ -78,21 +78,18 @@ impl UncertaintyField {
             .and_then(|domain| Lattice::of_domain(domain, header.lattice.level()))
             .map_err(|e| Error::malformed(path, "header", "a valid domain and level", e.to_string()))?;
         let protocol = header.protocol;
-        let counts =
-            protocol.rays > 0 && protocol.dropped <= protocol.rays && protocol.share.is_none_or(|s| s.is_valid());
-        if !(protocol.lambda > 0.0
-            && protocol.lambda.is_finite()
-            && protocol.tolerance >= 0.0
-            && protocol.min_rays >= 0.0
-            && counts)
-        {
-            let found = format!("lambda {}, rays {}, {:?}", protocol.lambda, protocol.rays, protocol.share);
-            return Err(Error::malformed(path, "header", "a positive lambda and a possible number of rays", found));
+        if !protocol.is_possible() {
+            let expected = "a protocol that a run can have";
+            return Err(Error::malformed(path, "header", expected, format!("{protocol:?}")));
         }
         let masks = file.section::<u8>("masks")?;
         let values = file.section::<f32>("deviations")?;
         let evidence = file.section::<Evidence>("evidence")?;
-        let surface = file.section("surface")?;
+        let surface = file.section::<[f32; 3]>("surface")?;
+        if let Some(i) = surface.iter().position(|x| !x.iter().all(|v| v.is_finite())) {
+            let found = format!("{:?}", surface[i]);
+            return Err(Error::malformed(path, format!("section `surface`, point {i}"), "finite coordinates", found));
+        }
         let logs = file.section::<u16>("logs")?;
         let deviations = match header.unit {
             None if logs.is_empty() => Deviations::F32(values),
@@ -131,7 +128,12 @@ impl UncertaintyField {
         }
         if let Some(i) = evidence.iter().position(|e| !e.is_valid()) {
             let found = format!("{:?}", evidence[i]);
-            return Err(Error::malformed(path, format!("section `evidence`, entry {i}"), "finite sums", found));
+            return Err(Error::malformed(
+                path,
+                format!("section `evidence`, entry {i}"),
+                "sums that rays can give",
+                found,
+            ));
         }
         let evidence = (!evidence.is_empty()).then_some(evidence);
         Ok(Self { protocol, lattice, support, limits, deviations, evidence, surface })

@@ -58,6 +58,25 @@ impl Protocol {
         Pooling { min_rays: self.min_rays, floor: negligible_information(tolerance, self.rays, self.lambda) }
     }
 
+    /// Whether a run can have had this protocol: for protocols read from files.
+    #[must_use]
+    pub fn is_possible(&self) -> bool {
+        let counts = self.rays > 0 && self.dropped <= self.rays && self.share.is_none_or(|s| s.is_valid());
+        // λ is accepted if f32 holds the prior's deviation, which queries far from all rays return.
+        let lambda = self.lambda > 0.0
+            && self.lambda.is_finite()
+            && Covariance::ALL.iter().all(|c| (c.prior(self.lambda) as f32).is_normal());
+        let limits = [self.tolerance, self.min_rays].iter().all(|v| *v >= 0.0 && v.is_finite());
+        let lengths = self.march_step.iter().chain(self.difference_step.iter().flatten());
+        let others = self.cutoff.iter().chain(&self.pixel_offset);
+        counts
+            && lambda
+            && limits
+            && lengths.into_iter().all(|v| *v > 0.0 && v.is_finite())
+            && others.into_iter().all(|v| *v >= 0.0 && v.is_finite())
+            && self.background.iter().flatten().all(|v| (0.0..=1.0).contains(v))
+    }
+
     /// The protocol of a field from elsewhere, of which no more is known than this.
     #[must_use]
     pub fn unstated(source: String, rays: u64, lambda: f64, covariance: Covariance) -> Self {

@@ -144,7 +144,13 @@ impl Bricks {
     pub fn restore(cells: u32, codes: &[u64], bricks: Vec<Brick>) -> Option<Self> {
         let mut restored = Self::new();
         for (&code, brick) in codes.iter().zip(bricks) {
-            if code >> 58 != 0 || point(code << 6).iter().any(|&i| i > cells) {
+            // Every level of coarseness halves the lattice, until one cell is left.
+            let coarseness = code >> (COARSENESS_SHIFT - 6);
+            if coarseness > u64::from(cells.ilog2()) {
+                return None;
+            }
+            let first = morton::decode(code << 6 & ((1 << COARSENESS_SHIFT) - 1));
+            if first.iter().any(|&i| i > cells >> coarseness) {
                 return None;
             }
             let shard = &mut restored.shards[shard_of(code << 6)];

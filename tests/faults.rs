@@ -1,0 +1,325 @@
+//! Every row of `docs/errors.md`, run: a fault in the input, the message, the exit code. The table is read by this test, so that what
+//! is promised and what happens cannot part.
+
+// The tests of damaged files use all of it.
+#[allow(dead_code)]
+mod untrusted;
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use octobayes::dataset::write_transforms;
+use octobayes::field::ClosedForm;
+use octobayes::io::{npy, npz::NpzWriter};
+use untrusted::{Kind, forge, samples};
+
+/// A row of the table.
+struct Row {
+    fault: String,
+    command: String,
+    /// `…` stands for any text: what the operating system or a decoder says in its own words.
+    message: String,
+    code: i32,
+}
+
+/// The rows of all tables with a column "exit code".
+fn rows() -> Vec<Row> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/errors.md");
+    let text = std::fs::read_to_string(path).unwrap();
+    // Code with backticks in it stands between two of them.
+    let code = |cell: &str| {
+        let between = |mark| cell.strip_prefix(mark).and_then(|c| c.strip_suffix(mark));
+        between("``").map(str::trim).or_else(|| between("`")).map(str::to_string)
+    };
+    let row = |line: &str| {
+        // A vertical line inside a cell is written `\|`.
+        let line = line.replace("\\|", "\u{1}");
+        let cells: Vec<String> = line.split('|').map(|cell| cell.trim().replace('\u{1}', "|")).collect();
+        let [_, fault, command, message, exit, _] = cells.as_slice() else { return None };
+        Some(Row { fault: fault.clone(), command: code(command)?, message: code(message)?, code: exit.parse().ok()? })
+    };
+    text.lines().filter(|line| line.starts_with('|')).filter_map(row).collect()
+}
+
+/// Whether `text` is `pattern`, in which `…` stands for anything but nothing.
+fn fits(pattern: &str, text: &str) -> bool {
+    match pattern.split_once('…') {
+        None => pattern == text,
+        Some((start, rest)) => text
+            .strip_prefix(start)
+            .is_some_and(|tail| tail.char_indices().map(|(i, c)| i + c.len_utf8()).any(|i| fits(rest, &tail[i..]))),
+    }
+}
+
+/// All input files of the table.
+struct Desk(tempfile::TempDir);
+
+impl Desk {
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    fn write(&self, name: &str, content: impl AsRef<[u8]>) {
+        std::fs::write(self.path(name), content).unwrap();
+    }
+
+    fn run(&self, args: &str) -> (Option<i32>, String, String) {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_octobayes"));
+        let output = command.args(args.split_whitespace()).current_dir(self.0.path()).output().unwrap();
+        let [out, err] = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap());
+        (output.status.code(), out, err)
+    }
+
+    fn good(&self, args: &str) {
+        let (code, _, err) = self.run(args);
+        assert_eq!(code, Some(0), "{args}: {err}");
+    }
+
+    fn files(&self) -> BTreeSet<PathBuf> {
+        std::fs::read_dir(self.0.path()).unwrap().map(|entry| entry.unwrap().path()).collect()
+    }
+
+    /// An archive of f32 arrays.
+    fn archive(&self, name: &str, arrays: &[(&str, &[u64], f32)]) {
+        let mut npz = NpzWriter::create(&self.path(name)).unwrap();
+        for (array, shape, value) in arrays {
+            npz.array(array, shape, (0..shape.iter().product::<u64>()).map(|_| *value)).unwrap();
+        }
+        npz.finish().unwrap();
+    }
+
+    fn new() -> Self {
+        let desk = Self(tempfile::tempdir().unwrap());
+        let cameras = ClosedForm::half_circle(2, [16, 16]).into_iter().enumerate();
+        let named: Vec<_> = cameras.map(|(i, camera)| (format!("r_{i}"), camera)).collect();
+        write_transforms(&desk.path("cameras.json"), &named).unwrap();
+        desk.write("points.csv", "x,y,z\n0,0,0\n");
+        desk.good("uncertainty scene:ball --cameras cameras.json --level 4 --rays 600 --occupancy 16 -o field.oct");
+        desk.good("convert field.oct bare.oct --store f16");
+        desk.fields();
+        desk.points();
+        desk.models();
+        desk.cameras();
+        desk.samples();
+        desk.meshes();
+        desk.images();
+        desk.checkpoints();
+        desk
+    }
+
+    fn fields(&self) {
+        let bytes = std::fs::read(self.path("field.oct")).unwrap();
+        let end = bytes.len();
+        let altered = |at: usize| {
+            let mut bytes = bytes.clone();
+            bytes[at] ^= 1;
+            bytes
+        };
+        self.write("empty.oct", b"");
+        self.write("short.oct", &bytes[..end - 1]);
+        self.write("long.oct", [&bytes[..], b"x"].concat());
+        self.write("altered.oct", altered(end - 9));
+        self.write("header.oct", altered(30));
+        self.write("newer.oct", [&bytes[..8], &99_u32.to_le_bytes(), &bytes[12..]].concat());
+        let recipe = forge::recipe(Kind::Field, &bytes);
+        let forged = |name: &str, change: &dyn Fn(&mut Vec<Vec<u8>>)| {
+            let mut parts: Vec<Vec<u8>> = forge::split(&recipe[1..]).into_iter().map(<[u8]>::to_vec).collect();
+            change(&mut parts);
+            self.write(name, forge::file(Kind::Field, &forge::join(&parts)));
+        };
+        // Checksums that are right, around nonsense: header, masks, deviations, ….
+        forged("nan.oct", &|parts| parts[2][..4].copy_from_slice(&f32::NAN.to_le_bytes()));
+        forged("masks.oct", &|parts| parts[1].push(0));
+        forged("fewer.oct", &|parts| parts[2].truncate(40));
+    }
+
+    fn points(&self) {
+        self.write("words.csv", "x,y,z\n0,0,0\n1,two,3\n");
+        self.write("semicolons.csv", "0.1;0.2;0.3\n");
+        self.write("infinite.csv", "0,0,1e39\n");
+        self.write("points.txt", "0,0,0\n");
+        self.write("control.csv", "0,\u{1b}[2J,0\n");
+        npy::write(&self.path("pairs.npy"), &[2, 2], [0.0_f32; 4]).unwrap();
+        npy::write(&self.path("whole.npy"), &[1, 3], [0_i64; 3]).unwrap();
+        npy::write(&self.path("nan.npy"), &[1, 3], [0.0, f32::NAN, 0.0]).unwrap();
+        npy::write(&self.path("good.npy"), &[1, 3], [0.0_f32; 3]).unwrap();
+        npy::write(&self.path("official.npy"), &[27], [-1.0_f32; 27]).unwrap();
+        npy::write(&self.path("count.npy"), &[28], [1.0_f32; 28]).unwrap();
+        let bytes = std::fs::read(self.path("good.npy")).unwrap();
+        self.write("short.npy", &bytes[..bytes.len() - 1]);
+        let text = String::from_utf8_lossy(&bytes[10..bytes.len() - 12]).into_owned();
+        let header = |name: &str, from: &str, to: &str| {
+            let text = text.replacen(from, to, 1);
+            assert!(text.contains(to));
+            let length = (text.len() as u16).to_le_bytes();
+            self.write(name, [&bytes[..8], &length, text.as_bytes(), &bytes[bytes.len() - 12..]].concat());
+        };
+        header("trillion.npy", "1, 3", "1000000000000, 3");
+        header("fortran.npy", "False", "True");
+    }
+
+    fn models(&self) {
+        let grid = [2, 2, 2];
+        let voxels = |name: &str, density: (&[u64], f32), color: f32, corners: [f32; 6]| {
+            let mut npz = NpzWriter::create(&self.path(name)).unwrap();
+            npz.array("box", &[2, 3], corners).unwrap();
+            npz.array("density", density.0, (0..density.0.iter().product::<u64>()).map(|_| density.1)).unwrap();
+            npz.array("color", &[2, 2, 2, 3], [color; 24]).unwrap();
+            npz.finish().unwrap();
+        };
+        let corners = [-1.0, -1.0, -1.0, 1.0, 1.0, 1.0];
+        voxels("good.npz", (&grid, 1.0), 0.5, corners);
+        voxels("nan.npz", (&grid, f32::NAN), 0.5, corners);
+        voxels("negative.npz", (&grid, -1.0), 0.5, corners);
+        voxels("bright.npz", (&grid, 1.0), 255.0, corners);
+        voxels("other.npz", (&[2, 2, 3], 1.0), 0.5, corners);
+        voxels("inside_out.npz", (&grid, 1.0), 0.5, corners.map(|v| -v));
+        self.write("text.npz", "this is no archive");
+        self.archive("no_color.npz", &[("box", &[2, 3], 0.0), ("density", &grid, 1.0)]);
+        let mut bytes = std::fs::read(self.path("good.npz")).unwrap();
+        // The value 0.5 of a colour, inside the archive's last member.
+        let at = bytes.windows(4).rposition(|b| b == 0.5_f32.to_le_bytes()).unwrap();
+        bytes[at] ^= 1;
+        self.write("altered.npz", bytes);
+
+        let mlp = samples::of(Kind::Safetensors).remove(0);
+        self.write("text.safetensors", "this is no model");
+        self.write("short.safetensors", &mlp[..mlp.len() - 1]);
+        let mut nan = mlp.clone();
+        let end = nan.len();
+        nan[end - 4..].copy_from_slice(&f32::NAN.to_le_bytes());
+        self.write("nan.safetensors", nan);
+        let renamed = String::from_utf8_lossy(&mlp[8..]).replacen("fine.fc_rgb.bias", "fine.fc_rgb.blas", 1);
+        self.write("renamed.safetensors", [&mlp[..8], renamed.as_bytes()].concat());
+
+        let ppng = samples::of(Kind::Ppng).remove(0);
+        self.write("good.ppng", &ppng);
+        self.write("short.ppng", &ppng[..ppng.len() - 1]);
+        let changed = |name: &str, key: &str, value: &[u8]| {
+            let mut bytes = ppng.clone();
+            let at = bytes.windows(key.len()).position(|b| b == key.as_bytes()).unwrap() + key.len();
+            bytes[at..at + value.len()].copy_from_slice(value);
+            self.write(name, bytes);
+        };
+        changed("type.ppng", "qff_type", &[9]);
+        changed("runs.ppng", "grid_rles", &[0x9f, 0x83, 4]);
+        changed("missing.ppng", "ren", b"t");
+    }
+
+    fn cameras(&self) {
+        let frame = |intrinsics: &str, matrix: &str| {
+            format!("{{{intrinsics}, \"frames\": [{{\"file_path\": \"a\", \"transform_matrix\": {matrix}}}]}}")
+        };
+        let pose = "[[1,0,0,0],[0,1,0,0],[0,0,1,3],[0,0,0,1]]";
+        let angle = "\"camera_angle_x\": 0.7";
+        self.write("broken.json", "{\"frames\": [\n");
+        self.write("no_frames.json", "{\"camera_angle_x\": 0.7, \"frames\": []}");
+        self.write("no_focal.json", frame("\"w\": 16", pose));
+        self.write("degrees.json", frame("\"camera_angle_x\": 40", pose));
+        self.write("singular.json", frame(angle, "[[0,0,0,1],[0,0,0,2],[0,0,0,3],[0,0,0,1]]"));
+        self.write("sheared.json", frame(angle, "[[1,0,0,0],[0.5,1,0,0],[0,0,1,3],[0,0,0,1]]"));
+        self.write("transposed.json", frame(angle, "[[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,3,1]]"));
+        self.write("fisheye.json", frame("\"fl_x\": 20, \"is_fisheye\": true", pose));
+        self.write("huge.json", frame("\"fl_x\": 9e4, \"w\": 65536, \"h\": 65536", pose));
+    }
+
+    fn samples(&self) {
+        let write = |name: &str, ray: [u64; 2], jacobian: f32, total: i64| {
+            let mut npz = NpzWriter::create(&self.path(name)).unwrap();
+            npz.array("positions", &[2, 3], [0.1_f32; 6]).unwrap();
+            npz.array("jacobian", &[2, 3, 3], [jacobian; 18]).unwrap();
+            npz.array("ray", &[2], ray).unwrap();
+            npz.array("rays_total", &[], [total]).unwrap();
+            npz.finish().unwrap();
+        };
+        write("decreasing.npz", [5, 4], 1.0, 10);
+        write("beyond.npz", [4, 50], 1.0, 10);
+        write("nan_samples.npz", [4, 5], f32::NAN, 10);
+        write("none_drawn.npz", [0, 0], 1.0, 0);
+        write("altered_samples.npz", [0, 1], 1.0, 10);
+        let mut bytes = std::fs::read(self.path("altered_samples.npz")).unwrap();
+        let at = bytes.windows(4).position(|b| b == 0.1_f32.to_le_bytes()).unwrap();
+        bytes[at] ^= 1;
+        self.write("altered_samples.npz", bytes);
+        self.archive("flat_samples.npz", &[("positions", &[2, 3], 0.1), ("jacobian", &[2, 9], 1.0)]);
+    }
+
+    fn meshes(&self) {
+        let corners = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n";
+        self.write("quads.obj", format!("{corners}f 1 2 3 4\n"));
+        self.write("beyond.obj", format!("{corners}f 1 2 9\n"));
+        self.write("words.obj", format!("{corners}f 1 2 three\n"));
+        self.write("points.obj", corners);
+        self.write("line.obj", "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n");
+        self.write("nan.obj", "v 0 0 nan\nv 1 0 0\nv 1 1 0\nf 1 2 3\n");
+    }
+
+    fn images(&self) {
+        let save = |name: &str, side: u32| image::RgbaImage::new(side, side).save(self.path(name)).unwrap();
+        save("r_0.png", 16);
+        save("r_1.png", 16);
+        save("r_0_small.png", 8);
+        save("r_0_short.png", 16);
+        let bytes = std::fs::read(self.path("r_0_short.png")).unwrap();
+        self.write("r_0_short.png", &bytes[..bytes.len() / 2]);
+        self.write("r_0_text.png", "this is no image");
+    }
+
+    fn checkpoints(&self) {
+        self.write("text.chk", "this is no checkpoint of a run, but more than twenty bytes");
+        let [octree, _] = <[Vec<u8>; 2]>::try_from(samples::of(Kind::Checkpoint)).unwrap();
+        self.write("other.chk", &octree);
+        self.write("short.chk", &octree[..octree.len() - 1]);
+    }
+}
+
+#[test]
+fn the_table_of_errors_is_true() {
+    let rows = rows();
+    assert!(rows.len() >= 60, "{} rows", rows.len());
+    let desk = Desk::new();
+    let before = desk.files();
+    let mut wrong = Vec::new();
+    for Row { fault, command, message, code } in &rows {
+        let args = command.strip_prefix("octobayes ").unwrap_or_else(|| panic!("`{command}` runs octobayes"));
+        let (exit, out, err) = desk.run(args);
+        // Notes may come before; the command line's own parser adds how to get help.
+        let found = err.lines().find_map(|line| line.strip_prefix("error: ")).unwrap_or_default();
+        let errors = err.lines().filter(|line| !line.starts_with("note: ")).count();
+        let is_one_line = errors == 1 || err.contains("For more information, try '--help'");
+        let left: Vec<PathBuf> = desk.files().difference(&before).cloned().collect();
+        if !fits(message, found) || exit != Some(*code) || !is_one_line || !out.is_empty() || !left.is_empty() {
+            let row = format!("| {fault} | `{command}` | `{}` | {} |", found.replace('|', "\\|"), exit.unwrap_or(-1));
+            wrong.push(format!("{row}\n  stderr: {err:?}\n  stdout: {out:?}\n  left behind: {left:?}"));
+        }
+        left.iter().for_each(|path| drop(std::fs::remove_file(path)));
+    }
+    assert!(
+        wrong.is_empty(),
+        "{} rows of docs/errors.md are not what happens, which is:\n{}",
+        wrong.len(),
+        wrong.join("\n")
+    );
+}
+
+/// A fault that no row shows would be one that nobody is told of.
+#[test]
+fn every_faulty_file_has_its_row() {
+    let desk = Desk::new();
+    let rows = rows();
+    let text: String = rows.iter().map(|row| row.command.as_str()).collect::<Vec<_>>().join(" ");
+    // What commands need beside the fault.
+    let good = ["bare.oct", "good.npy", "good.npz", "r_0.png", "r_1.png"];
+    for path in desk.files() {
+        let name = path.file_name().unwrap().to_str().unwrap();
+        let pictured = name.strip_prefix("r_0").is_some_and(|rest| text.contains(rest));
+        assert!(text.contains(name) || pictured || good.contains(&name), "{name} is in no row");
+    }
+}
+
+#[test]
+fn patterns_leave_out_only_what_they_say() {
+    assert!(fits("a…c", "abc") && fits("a…", "ab") && fits("abc", "abc") && fits("…b…", "abc"));
+    assert!(!fits("a…c", "ac") && !fits("abc", "abcd") && !fits("a…c", "abd") && !fits("a…", "a"));
+}

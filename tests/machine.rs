@@ -1,0 +1,302 @@
+//! When the machine fails: a full disk, a folder that cannot be written, files that change while they are read, processes killed while
+//! they write. Whatever happens, no field can be read that was not written.
+#![cfg(unix)]
+
+use std::collections::BTreeSet;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use octobayes::dataset::write_transforms;
+use octobayes::field::ClosedForm;
+use octobayes::uncertainty::UncertaintyField;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+const PROGRAM: &str = env!("CARGO_BIN_EXE_octobayes");
+const RUN: &str = "uncertainty scene:ball --cameras cameras.json --rays 2000 --occupancy 16 --keep hessian";
+
+fn run(folder: &Path, args: &str) -> Output {
+    Command::new(PROGRAM).args(args.split_whitespace()).current_dir(folder).output().unwrap()
+}
+
+fn good(folder: &Path, args: &str) {
+    let output = run(folder, args);
+    assert!(output.status.success(), "{args}: {}", text(&output.stderr));
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+/// A folder with cameras, two fields that differ, samples, a mesh and points.
+fn desk() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let cameras = ClosedForm::half_circle(3, [24, 24]).into_iter().enumerate();
+    let named: Vec<_> = cameras.map(|(i, camera)| (format!("r_{i}"), camera)).collect();
+    write_transforms(&folder.path().join("cameras.json"), &named).unwrap();
+    good(folder.path(), &format!("{RUN} --grid dense --level 4 -o old.oct"));
+    good(folder.path(), &format!("{RUN} --grid dense --level 4 --seed 1 -o new.oct"));
+    folder
+}
+
+fn files(folder: &Path) -> BTreeSet<PathBuf> {
+    std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect()
+}
+
+/// A disk that is full after a kilobyte: `ulimit -f` makes longer writes fail with EFBIG, if the signal that would come first is ignored.
+#[test]
+fn a_full_disk_leaves_what_was_there_and_nothing_else() {
+    let folder = desk();
+    let folder = folder.path();
+    std::fs::write(folder.join("mesh.obj"), "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n")
+        .unwrap();
+    std::fs::write(folder.join("points.csv"), "0.1,0.2,0.3\n".repeat(300)).unwrap();
+    good(folder, &format!("{RUN} --level 4 -o sampled.oct --dump-samples samples.npz"));
+    let targets = ["x.oct", "x.npy", "x.csv", "x.png", "x.exr", "x.npz", "x.chk"];
+    let view = "render scene:ball old.oct --cameras cameras.json --frame 0 --occupancy 16";
+    let commands = [
+        format!("{RUN} --level 4 -o x.oct"),
+        format!("{RUN} --level 4 -o y.oct --dump-samples x.npz"),
+        "accumulate samples.npz --box=-1,-1,-1,1,1,1 --level 4 --keep hessian -o x.oct".into(),
+        "convert old.oct x.oct".into(),
+        "convert old.oct x.npy".into(),
+        "merge old.oct new.oct -o x.oct".into(),
+        "query old.oct points.csv -o x.csv".into(),
+        "query old.oct points.csv -o x.npy".into(),
+        format!("{view} -o x.png"),
+        format!("{view} -o x.exr"),
+        "synth mesh.obj -o dataset --views 1 --test-views 1 --resolution 64".into(),
+    ];
+    for target in targets {
+        std::fs::write(folder.join(target), "precious").unwrap();
+    }
+    // Not there: a state would be taken for an unfinished run's.
+    std::fs::remove_file(folder.join("x.chk")).unwrap();
+    let before = files(folder);
+    let checkpoint = format!("{RUN} --level 4 -o y.oct --checkpoint x.chk --checkpoint-every 0");
+    for args in commands.into_iter().chain([checkpoint]) {
+        let script = format!("trap '' XFSZ; ulimit -f 1; exec {PROGRAM} {args}");
+        let output = Command::new("sh").args(["-c", &script]).current_dir(folder).output().unwrap();
+        let stderr = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{args}: {stderr}");
+        assert!(stderr.contains("cannot write") && stderr.contains("os error 27"), "{args}: {stderr}");
+        assert!(!stderr.contains("panicked"), "{args}: {stderr}");
+        assert_eq!(files(folder), before, "{args} left something behind");
+        for target in targets.iter().map(|target| folder.join(target)).filter(|path| path.exists()) {
+            assert_eq!(std::fs::read(&target).unwrap(), b"precious", "{args}: {} was touched", target.display());
+        }
+    }
+}
+
+/// `/dev/full` takes nothing.
+#[test]
+#[cfg(target_os = "linux")]
+fn output_that_nobody_can_take_is_a_failure() {
+    let folder = desk();
+    for args in ["info old.oct", "info old.oct --json", "compare old.oct new.oct --points 100"] {
+        let full = std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+        let mut command = Command::new(PROGRAM);
+        let output =
+            command.args(args.split(' ')).current_dir(&folder).stdout(full).stderr(Stdio::piped()).output().unwrap();
+        let stderr = text(&output.stderr);
+        assert!(output.status.code() == Some(2) && stderr.contains("stdout: cannot write"), "{args}: {stderr}");
+    }
+}
+
+/// Permissions do not bind the superuser, who runs tests in many containers: so folders that nobody can write are taken too, and a
+/// folder without permission only where it binds.
+#[test]
+fn a_folder_that_cannot_be_written_is_named() {
+    use std::os::unix::fs::PermissionsExt;
+    let folder = desk();
+    let folder = folder.path();
+    let closed = folder.join("closed");
+    std::fs::create_dir(&closed).unwrap();
+    std::fs::copy(folder.join("old.oct"), closed.join("x.oct")).unwrap();
+    std::fs::set_permissions(&closed, std::fs::Permissions::from_mode(0o555)).unwrap();
+    let binds = std::fs::write(closed.join("probe"), "x").is_err();
+    let mut outputs = vec!["old.oct/x.oct"];
+    outputs.extend(cfg!(target_os = "linux").then_some("/proc/x.oct"));
+    outputs.extend(binds.then_some("closed/x.oct"));
+    let before = files(folder);
+    for output in outputs {
+        for args in [format!("convert new.oct {output}"), format!("{RUN} --level 4 -o {output}")] {
+            let found = run(folder, &args);
+            let stderr = text(&found.stderr);
+            assert_eq!(found.status.code(), Some(2), "{args}: {stderr}");
+            assert!(stderr.starts_with(&format!("error: {output}: cannot create")), "{args}: {stderr}");
+        }
+    }
+    assert_eq!(files(folder), before);
+    assert_eq!(std::fs::read(closed.join("x.oct")).unwrap(), std::fs::read(folder.join("old.oct")).unwrap());
+}
+
+/// One thread reads a field again and again while `replace` writes the one and the other in turn, until errors (if there can be any)
+/// and both fields were met.
+fn read_while(replace: impl Fn(&Path, &[u8]) + Sync, can_fail: bool) {
+    let folder = desk();
+    let [old, new] = ["old.oct", "new.oct"].map(|name| folder.path().join(name));
+    let fields = [&old, &new].map(|path| UncertaintyField::read(path).unwrap());
+    let bytes = [&old, &new].map(|path| std::fs::read(path).unwrap());
+    assert_ne!(fields[0], fields[1]);
+    let path = folder.path().join("field.oct");
+    std::fs::write(&path, &bytes[0]).unwrap();
+    let done = AtomicBool::new(false);
+    let met = std::thread::scope(|scope| {
+        scope.spawn(|| {
+            for content in bytes.iter().cycle() {
+                if done.load(Ordering::Relaxed) {
+                    break;
+                }
+                replace(&path, content);
+            }
+        });
+        let mut met = [0; 3];
+        // So often that an outcome which never comes would have come.
+        for _ in 0..200_000 {
+            let outcome = match UncertaintyField::read(&path) {
+                Ok(field) => fields.iter().position(|known| *known == field),
+                Err(error) => {
+                    if !can_fail {
+                        done.store(true, Ordering::Relaxed);
+                        panic!("{error}");
+                    }
+                    Some(2)
+                }
+            };
+            match outcome {
+                Some(outcome) => met[outcome] += 1,
+                None => {
+                    done.store(true, Ordering::Relaxed);
+                    panic!("a field was read that nobody wrote");
+                }
+            }
+            if met[0] >= 20 && met[1] >= 20 && (!can_fail || met[2] >= 20) {
+                break;
+            }
+        }
+        done.store(true, Ordering::Relaxed);
+        met
+    });
+    assert!(met[0] >= 20 && met[1] >= 20 && (!can_fail || met[2] >= 20), "old, new, refused: {met:?}");
+}
+
+#[test]
+fn a_field_that_is_replaced_as_this_program_does_is_always_whole() {
+    let replace = |path: &Path, content: &[u8]| {
+        let part = path.with_extension("part");
+        std::fs::write(&part, content).unwrap();
+        std::fs::rename(&part, path).unwrap();
+    };
+    read_while(replace, false);
+}
+
+/// As `cp` does: the file is cut to nothing and grows again, or parts of it change while it keeps its length.
+#[test]
+fn a_field_that_is_overwritten_while_it_is_read_is_whole_or_refused() {
+    let replace = |path: &Path, content: &[u8]| {
+        let mut file = std::fs::File::create(path).unwrap();
+        for part in content.chunks(content.len() / 7) {
+            file.write_all(part).unwrap();
+            std::thread::yield_now();
+        }
+        // Long enough for a reader to come by.
+        for _ in 0..20 {
+            std::thread::yield_now();
+        }
+    };
+    read_while(replace, true);
+    let in_place = |path: &Path, content: &[u8]| {
+        let mut file = std::fs::OpenOptions::new().write(true).open(path).unwrap();
+        for part in content.chunks(content.len() / 7) {
+            file.write_all(part).unwrap();
+            std::thread::yield_now();
+        }
+        file.set_len(content.len() as u64).unwrap();
+        for _ in 0..20 {
+            std::thread::yield_now();
+        }
+    };
+    read_while(in_place, true);
+}
+
+/// A run names its input by checksums: what it read must be what it names. A pipe gives other bytes at every reading.
+#[test]
+fn cameras_that_change_while_they_are_read_are_refused() {
+    let folder = desk();
+    let folder = folder.path();
+    let pipe = folder.join("pipe.json");
+    assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    let cameras = std::fs::read_to_string(folder.join("cameras.json")).unwrap();
+    let changed = format!("{cameras}\n");
+    let child = Command::new(PROGRAM)
+        .args("uncertainty scene:ball --cameras pipe.json --level 4 --rays 600 -o x.oct".split(' '))
+        .current_dir(folder)
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    // Checksum, content, checksum: opening a pipe waits for its reader, who is done when the next opening can be told from this one.
+    for content in [&cameras, &cameras, &changed] {
+        std::fs::write(&pipe, content).unwrap();
+        std::thread::sleep(Duration::from_millis(200));
+    }
+    let output = child.wait_with_output().unwrap();
+    let stderr = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{stderr}");
+    assert!(stderr.contains("pipe.json (") && stderr.contains("as before it was read"), "{stderr}");
+    assert!(!folder.join("x.oct").exists());
+}
+
+/// `kill -9` while a field is being written, at random moments: the target is what it was, or the whole new field; what is left
+/// beside it has a name that says so, and is no field unless it is a whole one.
+#[test]
+fn kills_while_writing_leave_no_half_field() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    std::fs::copy(desk().path().join("cameras.json"), folder.join("cameras.json")).unwrap();
+    // 18 MB each.
+    good(folder, &format!("{RUN} --grid dense --level 6 -o old.oct"));
+    good(folder, &format!("{RUN} --grid dense --level 6 --seed 1 -o new.oct"));
+    let bytes = ["old.oct", "new.oct"].map(|name| std::fs::read(folder.join(name)).unwrap());
+    assert_ne!(bytes[0], bytes[1]);
+    let target = folder.join("x.oct");
+    let parts =
+        || files(folder).into_iter().filter(|path| path.extension().is_some_and(|e| e == "part")).collect::<Vec<_>>();
+    let mut rng = ChaCha8Rng::seed_from_u64(9);
+    let (mut kills, mut left, mut attempts) = (0, 0, 0);
+    while kills < 24 || left < 12 {
+        attempts += 1;
+        assert!(attempts <= 1000, "{kills} kills, {left} of them while writing, in 1000 attempts");
+        // Sometimes there is nothing yet, sometimes the old field.
+        match attempts % 2 {
+            0 => std::fs::copy(folder.join("old.oct"), &target).map(drop).unwrap(),
+            _ => drop(std::fs::remove_file(&target)),
+        }
+        let was = std::fs::read(&target).ok();
+        let mut command = Command::new(PROGRAM);
+        command.args(["convert", "new.oct", "x.oct"]).current_dir(folder).stdout(Stdio::null()).stderr(Stdio::null());
+        let mut child = command.spawn().unwrap();
+        // From the moment at which it begins to write.
+        while parts().is_empty() && child.try_wait().unwrap().is_none() {
+            std::thread::yield_now();
+        }
+        std::thread::sleep(Duration::from_micros(rng.random_range(0..30_000)));
+        child.kill().unwrap();
+        let was_killed = child.wait().unwrap().code().is_none();
+        kills += usize::from(was_killed);
+        let is = std::fs::read(&target).ok();
+        assert!(is == was || is.as_ref() == Some(&bytes[1]), "the target is neither what it was nor the new field");
+        for part in parts() {
+            left += 1;
+            let name = part.file_name().unwrap().to_str().unwrap();
+            assert!(was_killed && name.starts_with(".octobayes-") && name.ends_with(".part"), "{name}");
+            let whole = std::fs::read(&part).unwrap() == bytes[1];
+            assert_eq!(UncertaintyField::read(&part).is_ok(), whole, "half a field can be read");
+            std::fs::remove_file(part).unwrap();
+        }
+    }
+}

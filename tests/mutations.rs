@@ -1,0 +1,348 @@
+//! Valid files of every kind, damaged in many ways: readers refuse or accept, what they accept can be used, nothing panics, and memory
+//! is bounded by what a file holds, not by what it claims.
+//!
+//! The fuzz targets in `fuzz/` look at the same readers for longer.
+
+mod untrusted;
+
+use std::alloc::System;
+use std::cell::Cell;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use proptest::prelude::*;
+use proptest::test_runner::{Config, TestRunner};
+use stats_alloc::{INSTRUMENTED_SYSTEM, Region, StatsAlloc};
+use untrusted::{Kind, forge, probe, samples};
+
+#[global_allocator]
+static ALLOCATOR: &StatsAlloc<System> = &INSTRUMENTED_SYSTEM;
+
+/// The allocator counts for the whole process: one test at a time.
+static ONE: Mutex<()> = Mutex::new(());
+
+fn alone() -> MutexGuard<'static, ()> {
+    ONE.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Bytes that a reader may take in all, freed ones counted too, for a file of `length` bytes.
+///
+/// The factor covers vectors that grow by doubling (3), numbers that are shorter in the file than in memory (a list of CBOR or JSON
+/// numbers takes 2 bytes an entry there and up to 24 here), and octrees: a mask of one byte stands for eight cells, whose vertices are
+/// found by sorting. Deflated archives unfold to at most 1032 times their size.
+fn allowance(kind: Kind, length: usize) -> usize {
+    let (fixed, factor) = match kind {
+        // 8 cascades of 128³ cells, one byte each, and a window around them: what the format allows at most.
+        Kind::Ppng => (120_000_000, 300),
+        Kind::Field | Kind::Checkpoint => (2_000_000, 2000),
+        Kind::Samples | Kind::Voxels => (2_000_000, 1100),
+        _ => (2_000_000, 300),
+    };
+    fixed + factor * length
+}
+
+/// Reads a file, first counting memory, then using what came of it.
+fn read(kind: Kind, folder: &Path, bytes: &[u8]) -> octobayes::Result<()> {
+    let path = folder.join(kind.file_name());
+    std::fs::write(&path, bytes).unwrap();
+    let region = Region::new(ALLOCATOR);
+    probe::open(kind, &path);
+    let change = region.change();
+    let taken = change.bytes_allocated;
+    let limit = allowance(kind, bytes.len());
+    assert!(taken <= limit, "{kind:?}: {taken} bytes taken for a file of {}, at most {limit} allowed", bytes.len());
+    probe::read(kind, &path)
+}
+
+/// One thing that happens to a file; places are shares of its length.
+#[derive(Debug, Clone)]
+enum Damage {
+    Set(f64, u8),
+    Flip(f64, u8),
+    Cut(f64),
+    /// A run of digits, or of bytes, becomes a large number.
+    Grow(f64, usize),
+    Remove(f64, usize),
+    /// Some bytes come once more, elsewhere.
+    Copy(f64, f64, usize),
+    Insert(f64, Vec<u8>),
+}
+
+fn damage() -> impl Strategy<Value = Damage> {
+    let place = || 0.0..1.0_f64;
+    prop_oneof![
+        (place(), any::<u8>()).prop_map(|(at, byte)| Damage::Set(at, byte)),
+        (place(), 0..8_u8).prop_map(|(at, bit)| Damage::Flip(at, bit)),
+        place().prop_map(Damage::Cut),
+        (place(), 1..9_usize).prop_map(|(at, n)| Damage::Grow(at, n)),
+        (place(), 1..40_usize).prop_map(|(at, n)| Damage::Remove(at, n)),
+        (place(), place(), 1..200_usize).prop_map(|(from, to, n)| Damage::Copy(from, to, n)),
+        (place(), prop::collection::vec(any::<u8>(), 1..9)).prop_map(|(at, bytes)| Damage::Insert(at, bytes)),
+    ]
+}
+
+impl Damage {
+    fn apply(&self, bytes: &mut Vec<u8>) {
+        let n = bytes.len();
+        let place = |share: f64| (share * n as f64) as usize;
+        if n == 0 {
+            return;
+        }
+        match self {
+            Self::Set(at, byte) => bytes[place(*at)] = *byte,
+            Self::Flip(at, bit) => bytes[place(*at)] ^= 1 << bit,
+            Self::Cut(at) => bytes.truncate(place(*at)),
+            Self::Grow(at, width) => {
+                let at = place(*at);
+                match bytes[at..].iter().position(u8::is_ascii_digit).filter(|_| width % 2 == 0) {
+                    Some(digit) => drop(bytes.splice(at + digit..=at + digit, *b"1000000000000")),
+                    None => bytes[at..(at + width).min(n)].fill(0xff),
+                }
+            }
+            Self::Remove(at, count) => {
+                let at = place(*at);
+                bytes.drain(at..(at + count).min(n));
+            }
+            Self::Copy(from, to, count) => {
+                let from = place(*from);
+                let copy = bytes[from..(from + count).min(n)].to_vec();
+                let to = place(*to);
+                bytes.splice(to..to, copy);
+            }
+            Self::Insert(at, new) => {
+                let at = place(*at);
+                bytes.splice(at..at, new.iter().copied());
+            }
+        }
+    }
+}
+
+/// A kind's valid files, as they are or by their parts, and what happens to which part.
+fn damaged(kind: Kind) -> impl Strategy<Value = (usize, bool, Vec<(f64, Damage)>)> {
+    let files = samples::of(kind).len();
+    (0..files, any::<bool>(), prop::collection::vec((0.0..1.0_f64, damage()), 1..5))
+}
+
+#[test]
+fn valid_files_are_read() {
+    let _alone = alone();
+    let folder = tempfile::tempdir().unwrap();
+    for kind in Kind::ALL {
+        for (i, file) in samples::of(kind).iter().enumerate() {
+            read(kind, folder.path(), file).unwrap_or_else(|e| panic!("{kind:?} {i}: {e}"));
+            let forged = forge::file(kind, &forge::recipe(kind, file));
+            read(kind, folder.path(), &forged).unwrap_or_else(|e| panic!("{kind:?} {i}, put together anew: {e}"));
+        }
+    }
+}
+
+#[test]
+fn damaged_files_are_refused_or_harmless() {
+    let _alone = alone();
+    let folder = tempfile::tempdir().unwrap();
+    let refused = Cell::new(0);
+    for kind in Kind::ALL {
+        let files = samples::of(kind);
+        let cases = if kind == Kind::Safetensors { 200 } else { 600 };
+        let mut runner = TestRunner::new(Config { cases, failure_persistence: None, ..Config::default() });
+        let outcome = runner.run(&damaged(kind), |(file, by_parts, damages)| {
+            let whole = &files[file];
+            let mut bytes = whole.clone();
+            if by_parts {
+                let recipe = forge::recipe(kind, whole);
+                // Kinds without parts are one part.
+                let mut parts: Vec<Vec<u8>> = match recipe[0] % 2 {
+                    1 => forge::split(&recipe[1..]).into_iter().map(<[u8]>::to_vec).collect(),
+                    _ => vec![recipe[1..].to_vec()],
+                };
+                let count = parts.len() as f64;
+                damages.iter().for_each(|(part, damage)| damage.apply(&mut parts[(part * count) as usize]));
+                bytes = if recipe[0] % 2 == 1 { forge::file(kind, &forge::join(&parts)) } else { parts.remove(0) };
+            } else {
+                damages.iter().for_each(|(_, damage)| damage.apply(&mut bytes));
+            }
+            let outcome = read(kind, folder.path(), &bytes);
+            refused.set(refused.get() + u32::from(outcome.is_err()));
+            // Checksums cover every byte of these.
+            if matches!(kind, Kind::Field | Kind::Checkpoint) && !by_parts && bytes != *whole {
+                prop_assert!(outcome.is_err(), "an altered file was accepted");
+            }
+            Ok(())
+        });
+        outcome.unwrap_or_else(|e| panic!("{kind:?}: {e}"));
+    }
+    let refused = refused.get();
+    assert!(refused > 2000, "only {refused} files were damaged enough to be refused: the test damages too little");
+}
+
+/// A checksum by itself is no proof: a wrong one must be noticed in every part.
+#[test]
+fn every_byte_of_the_container_is_covered() {
+    let _alone = alone();
+    let folder = tempfile::tempdir().unwrap();
+    for kind in [Kind::Field, Kind::Checkpoint] {
+        for file in samples::of(kind) {
+            let stride = (file.len() / 400).max(1);
+            for at in (0..file.len()).step_by(stride) {
+                for bit in [1, 128] {
+                    let mut bytes = file.clone();
+                    bytes[at] ^= bit;
+                    assert!(read(kind, folder.path(), &bytes).is_err(), "{kind:?}: byte {at} is not covered");
+                }
+            }
+        }
+    }
+}
+
+/// Archives have a checksum for every array; a reader that stops behind the last element would not look at it.
+#[test]
+fn every_array_of_an_archive_is_covered() {
+    let _alone = alone();
+    let folder = tempfile::tempdir().unwrap();
+    for kind in [Kind::Voxels, Kind::Samples] {
+        for file in samples::of(kind) {
+            let recipe = forge::recipe(kind, &file);
+            for part in forge::split(&recipe[1..]) {
+                let at =
+                    file.windows(part.len()).position(|bytes| bytes == part).expect("arrays are stored as they are");
+                // The lowest bit of the last number: no other check can notice.
+                let low = at + part.len() - if part.len() % 8 == 0 { 8 } else { 4 };
+                let mut bytes = file.clone();
+                bytes[low] ^= 1;
+                assert!(read(kind, folder.path(), &bytes).is_err(), "{kind:?}: byte {low} is not covered");
+            }
+        }
+    }
+}
+
+/// Few bytes that claim much.
+#[test]
+fn small_files_that_claim_much_are_refused_without_the_memory() {
+    let _alone = alone();
+    let folder = tempfile::tempdir().unwrap();
+    let trillion = 1_000_000_000_000_u64;
+    let array = |shape: &str, dtype: &str| {
+        let header = format!("{{'descr': '{dtype}', 'fortran_order': False, 'shape': ({shape}), }}\n");
+        [b"\x93NUMPY\x01\x00", &(header.len() as u16).to_le_bytes()[..], header.as_bytes(), &[0; 12]].concat()
+    };
+    let cbor = |write: &dyn Fn(&mut minicbor::Encoder<&mut Vec<u8>>)| {
+        let mut bytes = Vec::new();
+        write(&mut minicbor::Encoder::new(&mut bytes));
+        bytes
+    };
+    let png = |side: u32| {
+        let mut header = b"IHDR".to_vec();
+        header.extend([side, side].iter().flat_map(|v| v.to_be_bytes()));
+        header.extend([8, 6, 0, 0, 0]);
+        let crc = crc32fast::hash(&header).to_be_bytes();
+        let chunks = [&13_u32.to_be_bytes()[..], &header, &crc, &[0, 0, 0, 0], b"IEND", &[0xae, 0x42, 0x60, 0x82]];
+        [b"\x89PNG\r\n\x1a\n".to_vec(), chunks.concat()].concat()
+    };
+    let container = |magic: &[u8], length: u64| {
+        let header = bincode::serde::encode_to_vec(vec![(length, 0_u32); 6], bincode::config::standard()).unwrap();
+        let words = [1, header.len() as u32, crc32fast::hash(&header)].map(u32::to_le_bytes).concat();
+        [magic, &words, &header].concat()
+    };
+    let huge_header = [b"OCTOBAY\n".to_vec(), [1, u32::MAX, 0].map(u32::to_le_bytes).concat()].concat();
+    let members = |parts: &[Vec<u8>]| forge::join(parts);
+    let cases: Vec<(Kind, Vec<u8>)> = vec![
+        (Kind::Points, array("1000000000000, 3", "<f4")),
+        (Kind::Points, array("333333333333, 3", "<f8")),
+        (Kind::Points, array("4611686018427387904, 4", "<f4")),
+        (Kind::Official, array("1000000000000,", "<f4")),
+        (
+            Kind::Voxels,
+            forge::file(Kind::Voxels, &members(&[array("2, 3", "<f4"), array("10000, 10000, 10000", "<f4")])),
+        ),
+        (
+            Kind::Samples,
+            forge::file(Kind::Samples, &members(&[array("1000000000000, 3", "<f4"), array("1000000000000, 3, 3", "<f4")])),
+        ),
+        (Kind::Field, container(b"OCTOBAY\n", trillion)),
+        (Kind::Field, container(b"OCTOBAY\n", u64::MAX)),
+        (Kind::Field, huge_header),
+        (Kind::Checkpoint, container(b"OCTOCHK\n", trillion)),
+        (Kind::Ppng, cbor(&|e| assert!(e.map(1).unwrap().str("poses").unwrap().array(trillion).is_ok()))),
+        (Kind::Ppng, cbor(&|e| assert!(e.map(u64::MAX).unwrap().str("freqs").unwrap().array(u64::MAX).is_ok()))),
+        (Kind::Ppng, [&[0xa1, 0x6a][..], b"qff_buffer", &[0x5b], &trillion.to_be_bytes()].concat()),
+        (Kind::Safetensors, [&trillion.to_le_bytes()[..], b"{}"].concat()),
+        (
+            Kind::Safetensors,
+            {
+                let text = br#"{"fine.layer1.weight":{"dtype":"F32","shape":[1000000,1000000],"data_offsets":[0,4000000000000]}}"#;
+                [&(text.len() as u64).to_le_bytes()[..], text].concat()
+            },
+        ),
+        (Kind::Image, png(1_000_000)),
+        (Kind::Image, png(16_384)),
+        (
+            Kind::Transforms,
+            br#"{"fl_x": 1e6, "w": 1000000, "h": 1000000, "frames": [{"transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,0]]}]}"#
+                .to_vec(),
+        ),
+    ];
+    for (i, (kind, bytes)) in cases.into_iter().enumerate() {
+        assert!(bytes.len() < 700, "{} bytes are not few", bytes.len());
+        let path = folder.path().join(kind.file_name());
+        std::fs::write(&path, &bytes).unwrap();
+        let region = Region::new(ALLOCATOR);
+        let outcome = probe::open(kind, &path);
+        let taken = region.change().bytes_allocated;
+        assert!(!outcome, "case {i}, {kind:?}, was accepted");
+        // A buffer for reading (64 KiB), decoders' own.
+        assert!(taken < 1_000_000, "case {i}, {kind:?}: {taken} bytes taken");
+        // As damaged files are: with the message looked at.
+        assert!(read(kind, folder.path(), &bytes).is_err());
+    }
+}
+
+/// Contents that no run writes, under checksums that are right: each was once accepted, or was a panic later.
+#[test]
+fn contents_that_no_run_writes_are_refused() {
+    let _alone = alone();
+    let folder = tempfile::tempdir().unwrap();
+    let lambda = samples::fields()[0].protocol().lambda.to_le_bytes();
+    let find = |part: &[u8], bytes: &[u8]| part.windows(bytes.len()).position(|b| b == bytes).unwrap();
+    // Kind, sample, part, change, what the message names.
+    type Change<'a> = &'a dyn Fn(&mut Vec<u8>);
+    let cases: [(Kind, usize, usize, Change, &str); 9] = [
+        // A prior that is infinite.
+        (
+            Kind::Field,
+            0,
+            0,
+            &|header| {
+                let at = find(header, &lambda);
+                header[at..at + 8].copy_from_slice(&1e-320_f64.to_le_bytes());
+            },
+            "header",
+        ),
+        (Kind::Field, 0, 2, &|deviations| deviations[..4].fill(0xff), "deviations"),
+        // Off the diagonal more than squares allow; on it, infinite together only.
+        (Kind::Field, 0, 3, &|evidence| evidence[8..16].copy_from_slice(&1e30_f64.to_le_bytes()), "evidence"),
+        (
+            Kind::Field,
+            0,
+            3,
+            &|evidence| {
+                [0, 24, 40].into_iter().for_each(|at| evidence[at..at + 8].copy_from_slice(&1e308_f64.to_le_bytes()));
+            },
+            "evidence",
+        ),
+        (Kind::Field, 0, 4, &|surface| surface[..4].fill(0xff), "surface"),
+        // Codes of bricks: so coarse that a shift by their levels overflows; coarse and outside; twice the same.
+        (Kind::Checkpoint, 0, 1, &|codes| codes[..8].copy_from_slice(&(40_u64 << 51).to_le_bytes()), "sums"),
+        (Kind::Checkpoint, 0, 1, &|codes| codes[..8].copy_from_slice(&(3_u64 << 51 | 1).to_le_bytes()), "sums"),
+        // More points than the run keeps, and one that is none.
+        (Kind::Checkpoint, 0, 3, &|surface| surface.resize(12 * 101, 0), "surface"),
+        (Kind::Checkpoint, 0, 3, &|surface| surface[..4].fill(0xff), "surface"),
+    ];
+    for (i, (kind, file, part, change, named)) in cases.into_iter().enumerate() {
+        let recipe = forge::recipe(kind, &samples::of(kind)[file]);
+        let mut parts: Vec<Vec<u8>> = forge::split(&recipe[1..]).into_iter().map(<[u8]>::to_vec).collect();
+        change(&mut parts[part]);
+        let outcome = read(kind, folder.path(), &forge::file(kind, &forge::join(&parts)));
+        let error = outcome.expect_err(&format!("case {i} is accepted")).to_string();
+        assert!(error.contains(named), "case {i}: {error}");
+    }
+}

@@ -1,0 +1,149 @@
+//! Files whose checksums and lengths are right, whatever they hold.
+//!
+//! A byte changed at random in a file with checksums only ever tests the checksum. So a file of such a kind is taken apart into its
+//! contents, these are changed, and a file around them is made anew: what a person can do who wants to harm, or another program that
+//! writes the format and errs.
+//!
+//! A *recipe* is such contents in one row of bytes: its first byte is even if a whole file follows; if it is odd, parts follow, each
+//! with its length (u32, little-endian) before it.
+
+use std::io::{Cursor, Read, Write};
+
+use super::Kind;
+
+/// Arrays that archives may have, in the order of their parts.
+const SAMPLES: [&str; 6] = ["positions", "jacobian", "ray", "rays_total", "weight", "gradient"];
+const VOXELS: [&str; 3] = ["box", "density", "color"];
+
+/// Most zeros that a forged `.safetensors` file ends with: more than an MLP NeRF needs.
+const MOST_WEIGHTS: usize = 1 << 20;
+
+/// The file that a recipe describes.
+pub fn file(kind: Kind, recipe: &[u8]) -> Vec<u8> {
+    let Some((&first, rest)) = recipe.split_first() else { return Vec::new() };
+    if first % 2 == 0 {
+        return rest.to_vec();
+    }
+    let parts = split(rest);
+    let part = |i: usize| parts.get(i).copied().unwrap_or_default();
+    match kind {
+        Kind::Field => container(b"OCTOBAY\n", part(0), &std::array::from_fn::<_, 6, _>(|i| part(i + 1))),
+        Kind::Checkpoint => container(b"OCTOCHK\n", part(0), &std::array::from_fn::<_, 3, _>(|i| part(i + 1))),
+        Kind::Samples => archive(&SAMPLES, &parts),
+        Kind::Voxels => archive(&VOXELS, &parts),
+        Kind::Safetensors => {
+            let zeros = part(1).iter().fold(0_usize, |n, &b| n << 8 | usize::from(b)) % MOST_WEIGHTS;
+            let length = (part(0).len() as u64).to_le_bytes();
+            [&length[..], part(0), &vec![0; zeros]].concat()
+        }
+        _ => rest.to_vec(),
+    }
+}
+
+/// A recipe that says every content of a valid file apart, if the kind has parts; otherwise the file as it is.
+pub fn recipe(kind: Kind, file: &[u8]) -> Vec<u8> {
+    let parts = match kind {
+        Kind::Field => container_parts(file, 6),
+        Kind::Checkpoint => container_parts(file, 3),
+        Kind::Samples => archive_parts(&SAMPLES, file),
+        Kind::Voxels => archive_parts(&VOXELS, file),
+        Kind::Safetensors => {
+            let header = u64::from_le_bytes(file[..8].try_into().unwrap()) as usize;
+            let data = (file.len() - 8 - header) as u32;
+            vec![file[8..8 + header].to_vec(), data.to_be_bytes().to_vec()]
+        }
+        _ => return raw(file),
+    };
+    join(&parts)
+}
+
+/// A recipe for exactly this file.
+pub fn raw(file: &[u8]) -> Vec<u8> {
+    [&[0], file].concat()
+}
+
+/// The parts of a recipe behind its first byte; a length beyond the end means all that is left.
+pub fn split(mut bytes: &[u8]) -> Vec<&[u8]> {
+    let mut parts = Vec::new();
+    while let Some((length, rest)) = bytes.split_first_chunk::<4>() {
+        let (part, rest) = rest.split_at((u32::from_le_bytes(*length) as usize).min(rest.len()));
+        parts.push(part);
+        bytes = rest;
+    }
+    parts
+}
+
+/// The recipe of these parts.
+pub fn join(parts: &[Vec<u8>]) -> Vec<u8> {
+    let mut recipe = vec![1];
+    for part in parts {
+        recipe.extend((part.len() as u32).to_le_bytes());
+        recipe.extend(part);
+    }
+    recipe
+}
+
+/// Lengths and checksums of sections, as a container's header ends with them.
+fn described(sections: &[&[u8]]) -> Vec<u8> {
+    let described: Vec<(u64, u32)> = sections.iter().map(|s| (s.len() as u64, crc32fast::hash(s))).collect();
+    bincode::serde::encode_to_vec(described, bincode::config::standard()).unwrap()
+}
+
+/// A container of version 1.
+fn container(magic: &[u8; 8], header: &[u8], sections: &[&[u8]]) -> Vec<u8> {
+    let header = [header, &described(sections)].concat();
+    let mut file = magic.to_vec();
+    for word in [1, header.len() as u32, crc32fast::hash(&header)] {
+        file.extend(word.to_le_bytes());
+    }
+    file.extend(header);
+    sections.iter().for_each(|s| file.extend(*s));
+    file
+}
+
+/// Content of the header, and the sections, of a valid container with `count` sections.
+fn container_parts(file: &[u8], count: usize) -> Vec<Vec<u8>> {
+    let length = u32::from_le_bytes(file[12..16].try_into().unwrap()) as usize;
+    let (header, data) = file[20..].split_at(length);
+    // The sections' description ends the header: the only end of it that describes the data.
+    for start in 0..header.len() {
+        let read =
+            bincode::serde::decode_from_slice::<Vec<(u64, u32)>, _>(&header[start..], bincode::config::standard());
+        let Ok((described, read)) = read else { continue };
+        let whole = described.iter().try_fold(0_u64, |n, s| n.checked_add(s.0)) == Some(data.len() as u64);
+        if read == header.len() - start && described.len() == count && whole {
+            let mut parts = vec![header[..start].to_vec()];
+            let mut rest = data;
+            for (length, _) in described {
+                let (section, behind) = rest.split_at(length as usize);
+                parts.push(section.to_vec());
+                rest = behind;
+            }
+            return parts;
+        }
+    }
+    panic!("no description of {count} sections in the header")
+}
+
+/// A zip archive with the first few of these arrays, stored.
+fn archive(names: &[&str], parts: &[&[u8]]) -> Vec<u8> {
+    let mut zip = zip::ZipWriter::new(Cursor::new(Vec::new()));
+    let options = zip::write::SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored);
+    for (name, part) in names.iter().zip(parts) {
+        zip.start_file(format!("{name}.npy"), options).unwrap();
+        zip.write_all(part).unwrap();
+    }
+    zip.finish().unwrap().into_inner()
+}
+
+fn archive_parts(names: &[&str], file: &[u8]) -> Vec<Vec<u8>> {
+    let mut zip = zip::ZipArchive::new(Cursor::new(file)).unwrap();
+    let mut parts = Vec::new();
+    for name in names {
+        let Ok(mut member) = zip.by_name(&format!("{name}.npy")) else { break };
+        let mut part = Vec::new();
+        member.read_to_end(&mut part).unwrap();
+        parts.push(part);
+    }
+    parts
+}

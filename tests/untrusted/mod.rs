@@ -1,0 +1,70 @@
+//! Files from strangers: small valid ones of every kind that the program reads, ways to put wrong ones together, and readers that
+//! also use what they were given. Shared by the tests of damaged files and the fuzz targets in `fuzz/`.
+
+pub mod forge;
+pub mod probe;
+pub mod samples;
+
+/// What the program reads.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// `.oct`
+    Field,
+    /// State of an unfinished run.
+    Checkpoint,
+    /// `.ppng` model.
+    Ppng,
+    /// Camera file.
+    Transforms,
+    /// `.npz` ray samples.
+    Samples,
+    /// `.npz` voxel grid.
+    Voxels,
+    /// `.npy` points.
+    Points,
+    /// `.npy` grid of the official code.
+    Official,
+    /// `.safetensors` model.
+    Safetensors,
+    /// `.obj` mesh.
+    Mesh,
+    /// `.csv` points.
+    Csv,
+    /// Image or depth map.
+    Image,
+}
+
+impl Kind {
+    pub const ALL: [Self; 12] = [
+        Self::Field,
+        Self::Checkpoint,
+        Self::Ppng,
+        Self::Transforms,
+        Self::Samples,
+        Self::Voxels,
+        Self::Points,
+        Self::Official,
+        Self::Safetensors,
+        Self::Mesh,
+        Self::Csv,
+        Self::Image,
+    ];
+
+    /// Name of a file of this kind; it has the extension that the program goes by.
+    pub fn file_name(self) -> &'static str {
+        match self {
+            Self::Field => "field.oct",
+            Self::Checkpoint => "run.chk",
+            Self::Ppng => "model.ppng",
+            Self::Transforms => "transforms.json",
+            Self::Samples => "samples.npz",
+            Self::Voxels => "voxels.npz",
+            Self::Points => "points.npy",
+            Self::Official => "official.npy",
+            Self::Safetensors => "model.safetensors",
+            Self::Mesh => "mesh.obj",
+            Self::Csv => "points.csv",
+            Self::Image => "image.png",
+        }
+    }
+}

@@ -1,0 +1,217 @@
+//! Reads a file and uses what came of it: what a reader lets through must not harm later.
+
+use std::path::Path;
+
+use glam::{DVec3, Vec3};
+use octobayes::dataset::{DepthEncoding, DepthKind, DepthMap, PosedImage, Views, points};
+use octobayes::estimate::{FieldBuilder, GridKind, GridSettings, Provenance};
+use octobayes::field::{Coordinates, Intrinsics, NerfMlp, Ppng, Radiance, RadianceField, VoxelGrid};
+use octobayes::geometry::{Aabb, Camera, Domain};
+use octobayes::monitor::Silent;
+use octobayes::octree::LevelLimits;
+use octobayes::posterior::{Covariance, SamplesReader, Tally, checkpoint};
+use octobayes::synth::{Mesh, Scene, Up};
+use octobayes::uncertainty::{OfficialGrid, UncertaintyField, merge};
+use octobayes::{Error, Result};
+
+use super::{Kind, samples};
+
+/// Points in and around the boxes of the samples, and what is no point.
+fn points_around(bounds: Aabb) -> Vec<Vec3> {
+    let (min, max) = (bounds.min(), bounds.max());
+    let at = |u: [f64; 3]| (min + DVec3::from(u) * (max - min)).as_vec3();
+    let inside = [[0.5; 3], [0.0; 3], [1.0; 3], [0.49, 0.51, 0.3], [0.1, 0.9, 0.7], [0.999, 0.001, 0.25]].map(at);
+    let others = [Vec3::splat(f32::NAN), Vec3::splat(f32::INFINITY), Vec3::splat(-1e30), Vec3::ZERO];
+    inside.into_iter().chain(others).collect()
+}
+
+/// Reads `path` as `kind` and does no more; whether it was accepted.
+pub fn open(kind: Kind, path: &Path) -> bool {
+    match kind {
+        Kind::Field => UncertaintyField::read(path).is_ok(),
+        Kind::Checkpoint => [GridKind::Octree, GridKind::Dense].into_iter().any(|grid| {
+            let key = samples::run_key(grid);
+            let limits = LevelLimits::none(key.lattice.level());
+            checkpoint::load(path, &key, &limits, grid == GridKind::Dense).is_ok()
+        }),
+        Kind::Ppng => Ppng::read(path, Coordinates::Ngp).is_ok(),
+        Kind::Transforms => Views::read(path, None).is_ok(),
+        Kind::Samples => SamplesReader::open(path).is_ok(),
+        Kind::Voxels => VoxelGrid::read(path).is_ok(),
+        Kind::Points => points::read_npy(path).is_ok(),
+        Kind::Official => official(path).is_ok(),
+        Kind::Safetensors => NerfMlp::read(path).is_ok(),
+        Kind::Mesh => Mesh::read(path).is_ok(),
+        Kind::Csv => csv(path).is_ok(),
+        Kind::Image => PosedImage::read(path, [4, 3]).is_ok(),
+    }
+}
+
+fn official(path: &Path) -> Result<UncertaintyField> {
+    OfficialGrid { bounds: Aabb::centered_cube(1.0), rays: 10, lambda: None }.read(path)
+}
+
+fn csv(path: &Path) -> Result<Vec<Vec3>> {
+    std::fs::File::open(path).map_err(Error::io(path, "cannot open")).and_then(|file| points::read_csv(file, path))
+}
+
+/// Reads `path` as `kind` and uses it.
+///
+/// # Errors
+/// If the reader refuses the file.
+///
+/// # Panics
+/// If what it accepted is nonsense.
+pub fn read(kind: Kind, path: &Path) -> Result<()> {
+    let outcome = match kind {
+        Kind::Field => UncertaintyField::read(path).map(|field| field_is_sound(&field, path)),
+        Kind::Checkpoint => state(path),
+        Kind::Ppng => Coordinates::ALL.iter().try_for_each(|&c| Ppng::read(path, c).map(|m| model_is_sound(&m))),
+        Kind::Transforms => Views::read(path, None).map(|views| cameras_are_sound(&views.cameras())),
+        Kind::Samples => samples_are_sound(path),
+        Kind::Voxels => VoxelGrid::read(path).map(|grid| model_is_sound(&grid)),
+        Kind::Points => points::read_npy(path).map(|points| assert!(points.iter().all(|x| x.is_finite()))),
+        Kind::Official => official(path).map(|field| field_is_sound(&field, path)),
+        Kind::Safetensors => NerfMlp::read(path).map(|mlp| model_is_sound(&mlp)),
+        Kind::Mesh => Mesh::read(path).map(|mesh| mesh_is_sound(&mesh)),
+        Kind::Csv => csv(path).map(|points| assert!(points.iter().all(|x| x.is_finite()))),
+        Kind::Image => picture(path),
+    };
+    if let Err(error) = &outcome {
+        let text = error.to_string();
+        assert!(!text.chars().any(char::is_control), "one line, without control characters: {text:?}");
+        assert!(text.len() < 4096, "{} bytes of message: {text}", text.len());
+    }
+    outcome
+}
+
+fn field_is_sound(field: &UncertaintyField, path: &Path) {
+    field.validate().expect("a field that was read is sound");
+    assert!(field.prior() > 0.0 && field.prior().is_finite(), "prior {}", field.prior());
+    let cube = field.lattice().domain().bounds().copied().unwrap_or(Aabb::centered_cube(3.0));
+    for covariance in Covariance::ALL {
+        let Ok(field) = field.clone().with_covariance(covariance) else { continue };
+        for (x, estimate) in points_around(cube).into_iter().map(|x| (x, field.query(x))) {
+            assert!(
+                estimate.uncertainty > 0.0 && estimate.uncertainty.is_finite(),
+                "{covariance:?} at {x}: {estimate:?}"
+            );
+        }
+    }
+    assert!(field.surface().iter().flatten().all(|v| v.is_finite()), "surface points are finite");
+    let _ = (field.summary(), field.median_rays(), serde_json::to_string(field.protocol()).unwrap());
+    if field.deviations().len() < 10_000 {
+        let _ = field.coarsened(0.1);
+        let _ = merge(&[field.clone(), field.clone()]);
+        // Level 5 of the official grid is 36,000 entries, level 9 a gigabyte.
+        if field.lattice().level() <= 5 {
+            let _ = field.write_official(&path.with_extension("again.npy"));
+        }
+        let again = path.with_extension("again.oct");
+        field.write(&again).unwrap();
+        assert_eq!(UncertaintyField::read(&again).as_ref().ok(), Some(field), "what is read can be written and read");
+    }
+}
+
+fn state(path: &Path) -> Result<()> {
+    let mut outcome = Ok(());
+    for grid in [GridKind::Octree, GridKind::Dense] {
+        let key = samples::run_key(grid);
+        let level = key.lattice.level();
+        let limits = LevelLimits::none(level);
+        let _ = checkpoint::evidence(path);
+        outcome = checkpoint::load(path, &key, &limits, grid == GridKind::Dense).map(|state| {
+            assert!(key.share.admits(&state.tally));
+            assert!(state.surface.len() as u64 <= key.surface_points, "no more points than the run keeps");
+            assert!(state.surface.iter().flatten().all(|v| v.is_finite()), "surface points are finite");
+            let settings = GridSettings { grid, level, surface_points: 100, ..GridSettings::default() };
+            let mut builder = FieldBuilder::new(settings, *key.lattice.domain()).unwrap();
+            builder.restore(path, &key).unwrap();
+            builder.add(&[samples::ray_samples()]);
+            if state.tally.rays > 0 {
+                let tally = Tally { rays: state.tally.rays, ..Tally::default() };
+                field_is_sound(&builder.finish(&Provenance { tally, ..Provenance::default() }), path);
+            }
+        });
+        // The other grid's is of another lattice: that says nothing of what is wrong.
+        if !outcome.as_ref().is_err_and(|e| e.to_string().contains("run, lattice")) {
+            break;
+        }
+    }
+    outcome
+}
+
+fn model_is_sound(model: &dyn RadianceField) {
+    let bounds = model.bounds();
+    assert!(Aabb::new(bounds.min(), bounds.max()).is_ok(), "{bounds:?}");
+    assert!(model.suggested_step() > 0.0 && model.suggested_step().is_finite(), "{}", model.suggested_step());
+    let positions = points_around(bounds);
+    let mut out = vec![Radiance::default(); positions.len()];
+    model.evaluate(&positions, &vec![Vec3::Z; positions.len()], &mut out);
+    let mut densities = vec![0.0; positions.len()];
+    model.densities(&positions, &mut densities);
+    let _ = model.density_bound(positions[1], positions[2]);
+    if let Some(cameras) = model.cameras(&Intrinsics { fov_x: Some(1.0), resolution: None }).unwrap() {
+        cameras_are_sound(&cameras);
+    }
+    assert!(!model.describe().contains('\n'));
+    let _ = model.memory();
+}
+
+fn cameras_are_sound(cameras: &[Camera]) {
+    assert!(!cameras.is_empty());
+    for camera in cameras {
+        let [w, h] = camera.resolution;
+        assert!(w > 0 && h > 0 && camera.pixels() <= 100_000_000, "{w} x {h} pixels");
+        for (x, y) in [(0.5, 0.5), (f64::from(w) - 0.5, f64::from(h) - 0.5), (0.5 * f64::from(w), 0.5 * f64::from(h))] {
+            let ray = camera.ray(x, y);
+            assert!(ray.origin.is_finite() && (ray.direction.length() - 1.0).abs() < 1e-9, "{ray:?} of {camera:?}");
+        }
+    }
+}
+
+fn samples_are_sound(path: &Path) -> Result<()> {
+    let reader = SamplesReader::open(path)?;
+    let settings = GridSettings { level: 4, ..GridSettings::default() };
+    let mut builder = FieldBuilder::new(settings, Domain::Box(Aabb::centered_cube(1.0)))?;
+    reader.run(&Silent, |batches| {
+        builder.add(batches);
+        Ok(())
+    })?;
+    let tally = Tally { rays: reader.rays_total(), samples: reader.samples(), ..Tally::default() };
+    let field = builder.finish(&Provenance { source: "samples".into(), tally, ..Provenance::default() });
+    let x = Vec3::new(0.1, 0.2, 0.3);
+    assert!(field.query(x).uncertainty > 0.0, "{:?}", field.query(x));
+    Ok(())
+}
+
+fn mesh_is_sound(mesh: &Mesh) {
+    let up = Up::Y;
+    let (placed, _) = mesh.placed(up);
+    assert!(placed.vertices().iter().zip(mesh.vertices()).all(|(v, _)| v.is_finite()), "placed vertices are finite");
+    if placed.faces().len() < 1000 {
+        let scene = Scene::new(placed);
+        let camera = Camera::look_at(DVec3::new(2.0, -2.0, 1.0), DVec3::ZERO, DVec3::Z, 0.7, [2, 2]);
+        for (x, y) in [(0.5, 0.5), (1.0, 1.0), (1.2, 0.8)] {
+            let hit = scene.nearest(&camera.ray(x, y));
+            assert!(hit.is_none_or(|hit| hit.t.is_finite()));
+        }
+    }
+}
+
+fn picture(path: &Path) -> Result<()> {
+    let image = PosedImage::read(path, [4, 3]);
+    let camera = Camera::look_at(DVec3::new(2.0, -2.0, 1.0), DVec3::ZERO, DVec3::Z, 0.7, [4, 3]);
+    let encoding = DepthEncoding { offset: 0.0, scale: 10.0, kind: DepthKind::Z };
+    let depth = DepthMap::read(path, encoding, &camera, 0.5);
+    if let Ok(depth) = &depth {
+        assert_eq!(depth.distance.len(), 12);
+        assert!(depth.distance.iter().flatten().all(|d| d.is_finite()));
+    }
+    let image = image?;
+    assert_eq!(image.len(), 12);
+    for i in 0..image.len() {
+        assert!(image.over(i, DVec3::ONE).is_finite());
+    }
+    depth.map(|_| ())
+}

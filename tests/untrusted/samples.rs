@@ -1,0 +1,263 @@
+//! Small valid files of every kind, written by the program's own writers where it has one; nothing here is anybody's data.
+
+use std::path::Path;
+
+use glam::{DVec3, Vec3};
+use half::f16;
+use minicbor::Encoder;
+use octobayes::dataset::write_transforms;
+use octobayes::estimate::{FieldBuilder, GridKind, GridSettings, Provenance, RaySettings, estimate};
+use octobayes::field::{ClosedForm, VoxelGrid};
+use octobayes::geometry::{Aabb, Camera, Domain, Norm};
+use octobayes::io::npy;
+use octobayes::monitor::Silent;
+use octobayes::posterior::checkpoint::RunKey;
+use octobayes::posterior::{Covariance, Criteria, Pixels, Prior, SamplesWriter, Share, Tally};
+use octobayes::render::{GradientMethod, RaySample, RaySamples};
+use octobayes::uncertainty::UncertaintyField;
+use safetensors::tensor::{Dtype, TensorView};
+
+use super::Kind;
+
+/// Valid files of a kind, each with something that the others do not have.
+pub fn of(kind: Kind) -> Vec<Vec<u8>> {
+    match kind {
+        Kind::Field => fields().iter().map(|field| written("field.oct", |path| field.write(path).unwrap())).collect(),
+        Kind::Checkpoint => [GridKind::Octree, GridKind::Dense].map(checkpoint).to_vec(),
+        Kind::Ppng => vec![ppng(1, 1), ppng(2, 2)],
+        Kind::Transforms => transforms(),
+        Kind::Samples => vec![samples(), few_samples()],
+        Kind::Voxels => vec![written("v.npz", |path| {
+            VoxelGrid::bake(&ClosedForm::ball(), [2, 3, 2], Vec3::Z).write(path).unwrap();
+        })],
+        Kind::Points => vec![
+            written("p.npy", |path| npy::write(path, &[3, 3], (0..9).map(|i| i as f32 / 9.0)).unwrap()),
+            written("p.npy", |path| npy::write(path, &[1, 3], [0.5, 0.25, -3.0_f64]).unwrap()),
+            written("p.npy", |path| npy::write(path, &[0, 3], [0.0_f32; 0]).unwrap()),
+        ],
+        Kind::Official => vec![written("o.npy", |path| npy::write(path, &[27], (0..27).map(|i| i as f32)).unwrap())],
+        Kind::Safetensors => vec![safetensors()],
+        Kind::Mesh => vec![
+            b"# a tetrahedron\no t\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1/1 2/1 4/1\nf -4//1 -2//1 -1//1\nf 2 3 4\n".to_vec(),
+            b"v 0 0 0 1 0 0\nv 1e3 0 0\nv 0 2.5 -1\ng a b\nf 1/1/1 2/2/2 3/3/3\n".to_vec(),
+        ],
+        Kind::Csv => vec![
+            b"x,y,z\n0.5,0.25,-1\n1e-3, 2 ,3,more\n".to_vec(),
+            b"1,2,3\r\n\"4\",5,6\r\n".to_vec(),
+        ],
+        Kind::Image => images(),
+    }
+}
+
+/// What `write` writes.
+fn written(name: &str, write: impl FnOnce(&Path)) -> Vec<u8> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join(name);
+    write(&path);
+    std::fs::read(path).unwrap()
+}
+
+/// A few rays that cross the cube [−1, 1]³.
+pub fn ray_samples() -> RaySamples {
+    let mut out = RaySamples::default();
+    for i in 0..12_u64 {
+        let t = i as f32 / 12.0;
+        let position = Vec3::new(0.9 * (7.0 * t).sin(), 0.5 * (11.0 * t).cos(), 0.3 - 0.2 * t);
+        let jacobian = std::array::from_fn(|k| ((k as f32 + 1.0) * (3.0 * t + 1.0)).sin());
+        out.push(i / 3, RaySample { position, jacobian, weight: 0.6, gradient: [0.1, 0.2, -0.3] });
+    }
+    out
+}
+
+fn builder(settings: GridSettings, domain: Domain) -> FieldBuilder {
+    let mut builder = FieldBuilder::new(settings, domain).unwrap();
+    builder.add(&[ray_samples()]);
+    builder
+}
+
+fn tally() -> Tally {
+    Tally { batches: 1, rays: 5, samples: 12, ..Tally::default() }
+}
+
+/// Octree and dense grid, with and without evidence, in two bytes, of contracted space, with limited leaves.
+pub fn fields() -> Vec<UncertaintyField> {
+    let cube = Domain::Box(Aabb::centered_cube(1.0));
+    let space = Domain::contracted(DVec3::new(0.1, 0.2, 0.3), 0.5, Norm::L2).unwrap();
+    let small = GridSettings { level: 2, ..GridSettings::default() };
+    let field = |settings, domain| {
+        let share = Some(Share { rays: 5, index: 0, of: 1 });
+        builder(settings, domain).finish(&Provenance { source: "tests".into(), tally: tally(), share, stream: None })
+    };
+    let block = GridSettings { covariance: Covariance::Block, level: 3, min_rays: 2.0, ..small };
+    let normal = GridSettings { covariance: Covariance::Normal, prior: Prior::Volume, ..small };
+    let limited = GridSettings {
+        level: 6,
+        criteria: Criteria { evidence: true, ..Criteria::default() },
+        surface_points: 5,
+        ..small
+    };
+    let rays = RaySettings { rays: 100, occupancy: 8, ..RaySettings::default() };
+    let cameras = ClosedForm::half_circle(2, [8, 8]);
+    let limited = estimate(&ClosedForm::ball(), &cameras, &rays, &limited, &Silent).unwrap().0;
+    vec![
+        field(small, cube),
+        field(GridSettings { level: 1, ..small }, cube).without_evidence(),
+        field(block, cube).in_f16(),
+        field(normal, space),
+        field(GridSettings { grid: GridKind::Dense, level: 1, ..small }, cube),
+        limited.without_evidence(),
+    ]
+}
+
+/// The run that the sample checkpoints belong to.
+pub fn run_key(grid: GridKind) -> RunKey {
+    let settings = GridSettings { grid, level: if grid == GridKind::Dense { 1 } else { 3 }, ..GridSettings::default() };
+    RunKey {
+        version: "1".into(),
+        source: "tests".into(),
+        cameras: 7,
+        lattice: settings.lattice(Domain::Box(Aabb::centered_cube(1.0))).unwrap(),
+        share: Share::whole(100_000),
+        pixels: Pixels::Sobol,
+        seed: 3,
+        march_step: 0.1,
+        gradient: GradientMethod::FiniteDifference,
+        difference_step: [0.01; 3],
+        negligible: 0.0,
+        cutoff: 1e-4,
+        occupancy: 8,
+        background: [1.0; 3],
+        pixel_offset: 0.5,
+        surface_points: 100,
+        evidence: 0.0,
+        limits: 0,
+    }
+}
+
+fn checkpoint(grid: GridKind) -> Vec<u8> {
+    let key = run_key(grid);
+    let settings = GridSettings { grid, level: key.lattice.level(), ..GridSettings::default() };
+    let mut one = FieldBuilder::new(settings, *key.lattice.domain()).unwrap();
+    let mut ray = RaySamples::default();
+    let sample = RaySample { position: Vec3::splat(0.1), jacobian: [0.5; 9], weight: 0.9, gradient: [0.1; 3] };
+    ray.push(0, sample);
+    one.add(&[ray]);
+    written("run.chk", |path| one.save(path, &key, tally()).unwrap())
+}
+
+/// A Plenoptic PNG of type `kind` with as few numbers as there can be.
+fn ppng(kind: u64, cascades: u64) -> Vec<u8> {
+    let (quants, rank, cells) = (2_u64, 1, 4_u32);
+    let mut out = Vec::new();
+    let mut e = Encoder::new(&mut out);
+    e.map(15).unwrap();
+    let integers = [
+        ("qff_type", kind),
+        ("n_freqs", 4),
+        ("n_feats", 4),
+        ("n_quants", quants),
+        ("rank", rank),
+        ("grid_res", u64::from(cells)),
+        ("grid_mip", cascades),
+    ];
+    for (key, value) in integers {
+        e.str(key).unwrap().u64(value).unwrap();
+    }
+    e.str("freqs").unwrap().array(4).unwrap();
+    for f in [1.0, 2.0, 4.0, 8.0] {
+        e.f64(f).unwrap();
+    }
+    e.str("grid_rles").unwrap().begin_array().unwrap();
+    for _ in 0..cascades {
+        e.array(3).unwrap().u32(3).unwrap().u32(40).unwrap().u32(21).unwrap();
+    }
+    e.end().unwrap();
+    e.str("poses").unwrap().array(1).unwrap().array(3).unwrap();
+    for row in [[1.0_f32, 0.0, 0.0, 0.4], [0.0, -1.0, 0.0, 0.6], [0.0, 0.0, -1.0, 2.5]] {
+        e.array(4).unwrap();
+        for v in row {
+            e.f32(v).unwrap();
+        }
+    }
+    e.str("render_step").unwrap().f64(0.01).unwrap();
+    let points = if kind == 1 { quants } else { quants * quants };
+    let values = |n: u64| (0..n).map(|i| (i as f32 * 0.7).sin());
+    let tables: Vec<u8> = values(3 * 8 * points * rank * 4).flat_map(|v| f16::from_f32(v).to_le_bytes()).collect();
+    e.str("qff_buffer").unwrap().bytes(&tables).unwrap();
+    for (key, n) in [("qff_density_layer_0", 512), ("qff_color_layer_0", 512), ("qff_color_layer_1", 64)] {
+        let bytes: Vec<u8> = values(n).flat_map(f32::to_le_bytes).collect();
+        e.str(key).unwrap().bytes(&bytes).unwrap();
+    }
+    out
+}
+
+fn transforms() -> Vec<Vec<u8>> {
+    let cameras: Vec<(String, Camera)> =
+        ClosedForm::half_circle(2, [8, 6]).into_iter().enumerate().map(|(i, c)| (format!("r_{i}"), c)).collect();
+    let pose = "[[0.5,0,0,1],[0,0.5,0,2],[0,0,0.5,3],[0,0,0,1]]";
+    let blender = format!(
+        r#"{{"camera_angle_x": 0.7, "k1": 0.01, "aabb_scale": 4, "frames": [{{"file_path": "./train/r_0",
+        "rotation": 0.01, "transform_matrix": {pose}}}, {{"file_path": "b.jpg", "fl_x": 80, "cx": 4, "w": 8, "h": 8,
+        "transform_matrix": {pose}}}]}}"#
+    );
+    vec![written("t.json", |path| write_transforms(path, &cameras).unwrap()), blender.into_bytes()]
+}
+
+fn samples() -> Vec<u8> {
+    written("samples.npz", |path| {
+        let mut writer = SamplesWriter::create(path).unwrap();
+        writer.add(&[ray_samples()]).unwrap();
+        writer.finish(10).unwrap();
+    })
+}
+
+/// Without what is optional, in NumPy's other integers.
+fn few_samples() -> Vec<u8> {
+    written("samples.npz", |path| {
+        let mut npz = octobayes::io::npz::NpzWriter::create(path).unwrap();
+        npz.array("positions", &[2, 3], [0.1_f32; 6]).unwrap();
+        npz.array("jacobian", &[2, 3, 3], [1.0_f32; 18]).unwrap();
+        npz.array("ray", &[2], [0_u32, 7]).unwrap();
+        npz.array("rays_total", &[1], [10_u32]).unwrap();
+        npz.finish().unwrap();
+    })
+}
+
+fn safetensors() -> Vec<u8> {
+    let layers = [
+        ("layer1", 128, 63),
+        ("layers_xyz.0", 128, 128),
+        ("layers_xyz.1", 128, 128),
+        ("layers_xyz.2", 128, 128),
+        ("fc_alpha", 1, 128),
+        ("fc_feat", 128, 128),
+        ("layers_dir.0", 64, 155),
+        ("fc_rgb", 3, 64),
+    ];
+    let shapes = layers.iter().flat_map(|&(name, outputs, inputs)| {
+        [(format!("fine.{name}.weight"), vec![outputs, inputs]), (format!("fine.{name}.bias"), vec![outputs])]
+    });
+    let data = vec![0; 4 * 128 * 128];
+    let views = shapes.map(|(name, shape)| {
+        let bytes = 4 * shape.iter().product::<usize>();
+        (name, TensorView::new(Dtype::F32, shape, &data[..bytes]).unwrap())
+    });
+    safetensors::serialize(views, None).unwrap()
+}
+
+fn images() -> Vec<Vec<u8>> {
+    let save = |image: image::DynamicImage, format| {
+        let mut bytes = std::io::Cursor::new(Vec::new());
+        image.write_to(&mut bytes, format).unwrap();
+        bytes.into_inner()
+    };
+    let value = |x: u32, y: u32| (40 * x + 9 * y) as u8;
+    let color = image::RgbaImage::from_fn(4, 3, |x, y| image::Rgba([value(x, y), 1, 2, 255]));
+    let gray = image::ImageBuffer::from_fn(4, 3, |x, y| image::Luma([u16::from(value(x, y)) * 257]));
+    let photo = image::RgbImage::from_fn(4, 3, |x, y| image::Rgb([value(x, y), 100, 2]));
+    vec![
+        save(color.into(), image::ImageFormat::Png),
+        save(gray.into(), image::ImageFormat::Png),
+        save(photo.into(), image::ImageFormat::Jpeg),
+    ]
+}
