@@ -7,7 +7,7 @@ mod untrusted;
 
 use std::alloc::System;
 use std::cell::Cell;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use proptest::prelude::*;
