@@ -13,8 +13,11 @@
 //!
 //! Where ∇σ is known along the rays ([`Differentiable::is_cheap`](crate::field::Differentiable::is_cheap)), lurking is what it shows: δ T ‖∇σ‖ matters.
 //! |∂C/∂σ| ≤ √3 δ T, because colours lie in [0, 1]; σ̂ is the occupancy's density bound. The first bounds the share of ∇c (|∇c| ≤ 1/2h), the second
-//! that of ∇σ (|∇σ| ≤ σ̂/2h). A sample in the empty space before a surface has w = 0 but may see the surface within h: it is
+//! that of ∇σ (|∇σ| ≤ σ̂/2h). σ̂ is also taken to be at most a hundred times what the ray meets at the sample and at its neighbours, which are dozens of
+//! h away: whoever samples a field at that distance believes that it is resolved. A sample in the empty space before a surface has w = 0 but may see the surface within h: it is
 //! lurking. Cutoff 0 leaves out only exact zeros.
+
+use std::ops::Range;
 
 use glam::{DVec3, Vec3};
 
@@ -22,6 +25,15 @@ use super::gradient::{GradientBuffers, Jet};
 use super::{Differentiation, Quadrature, RaySample, RaySamples, TraceBuffers, TracedRays, Tracer};
 use crate::field::Radiance;
 use crate::geometry::Ray;
+
+/// How many times denser a field is taken to become within h, a small share of the distance between samples, than at one sample and its two neighbours.
+const STEEPEST: f64 = 100.0;
+
+/// The largest density at sample `i` of a ray and at its neighbours.
+fn around(densities: &[f32], ray: &Range<usize>, i: usize) -> f32 {
+    let near = i.saturating_sub(1).max(ray.start)..(i + 2).min(ray.end);
+    densities[near].iter().copied().fold(0.0, f32::max)
+}
 
 /// Samples whose derivatives are asked for together.
 #[derive(Default)]
@@ -169,7 +181,8 @@ impl Tracer<'_> {
         lurking.clear();
         for (r, ray) in rays.iter().enumerate() {
             let direction = ray.direction.as_vec3();
-            for i in traced.samples(r) {
+            let samples = traced.samples(r);
+            for i in samples.clone() {
                 let x = traced.positions[i];
                 if quadrature.weights[i] > self.marcher.cutoff {
                     visible.push(i, r, x, direction);
@@ -178,14 +191,24 @@ impl Tracer<'_> {
                 let influence = self.influence(quadrature.behind[i]);
                 let lurks = match traced.density_gradients.get(i) {
                     Some(gradient) => influence * f64::from(gradient.length()) > negligible || !gradient.is_finite(),
-                    // ∞ · 0 would be NaN: without occupancy the bound is infinite, and behind opaque matter the influence is 0.
-                    None => influence > 0.0 && influence * self.marcher.majorant(x.as_dvec3()) > self.marcher.cutoff,
+                    None => self.may_matter(influence, x, around(&traced.densities, &samples, i)),
                 };
                 if lurks {
                     lurking.push(i, r, x, direction);
                 }
             }
         }
+    }
+
+    /// Whether matter within h of a sample at `x` could change its pixel, if the ray has a density of at most `near` there, one sample before and one
+    /// behind.
+    fn may_matter(&self, influence: f64, x: Vec3, near: f32) -> bool {
+        let cutoff = self.marcher.cutoff;
+        // ∞ · 0 would be NaN: without occupancy the bound is infinite, and behind opaque matter the influence is 0.
+        if influence == 0.0 || cutoff == 0.0 {
+            return influence > 0.0;
+        }
+        influence * STEEPEST * f64::from(near) > cutoff && influence * self.marcher.majorant(x.as_dvec3()) > cutoff
     }
 
     /// Jacobians of the chosen samples. A ray with an invalid evaluation is dropped as a whole, like one with an invalid density.

@@ -24,6 +24,8 @@ pub struct Occupancy {
     bounds: Aabb,
     /// Cells per axis.
     resolution: usize,
+    /// Cells per scene unit.
+    per_unit: DVec3,
     /// σ̂, 1 / scene unit.
     majorant: Pyramid,
 }
@@ -72,13 +74,18 @@ impl Occupancy {
                 cells.iter_mut().zip(sampled).filter(|(cell, _)| cell.is_infinite()).for_each(|(cell, s)| *cell = s);
             }
         }
-        Ok(Self { bounds, resolution, majorant: Pyramid::new(resolution, bricks) })
+        Ok(Self {
+            bounds,
+            resolution,
+            per_unit: resolution as f64 / bounds.size(),
+            majorant: Pyramid::new(resolution, bricks),
+        })
     }
 
     /// The cell of a scene point, `None` outside the box. Its indices do not fall with the point's coordinates, rounding
     /// included.
     fn cell(&self, x: DVec3) -> Option<[usize; 3]> {
-        let u = (x - self.bounds.min()) / self.bounds.size() * self.resolution as f64;
+        let u = (x - self.bounds.min()) * self.per_unit;
         if !u.cmpge(DVec3::ZERO).all() {
             return None;
         }
@@ -118,7 +125,7 @@ impl Occupancy {
 
     /// Where a ray that is in the block leaves it, up to rounding.
     pub(super) fn exit(&self, ray: &Ray, block: Block) -> f64 {
-        let edge = self.bounds.size() / self.resolution as f64;
+        let edge = 1.0 / self.per_unit;
         let mut exit = f64::INFINITY;
         for axis in 0..3 {
             let direction = ray.direction[axis];
