@@ -12,7 +12,7 @@
     reason = "lanes of several fixed arrays go together; plain loops over them become vector code"
 )]
 
-use super::elementary::sin_cos_pi;
+use crate::field::elementary::sin_cos_pi;
 
 /// Points evaluated together: buffers of a block are 15 KB, and a slot's tables (type 1: 30 KB) are read from near memory for all of them.
 pub const BLOCK: usize = 64;

@@ -12,11 +12,9 @@
 //! than 2013, emulates it and is slow.)
 
 mod coordinates;
-mod elementary;
 mod features;
 mod file;
 mod network;
-mod occupancy;
 
 pub use coordinates::Coordinates;
 
@@ -28,7 +26,7 @@ use multiversion::multiversion;
 use self::features::{BLOCK, Encoding, Kind, WIDTH};
 use self::file::File;
 use self::network::{HIDDEN, LOG_DENSITY_LIMIT, Network, OUTPUTS};
-use self::occupancy::Window;
+use super::window::Window;
 use super::{Intrinsics, Radiance, RadianceField};
 use crate::geometry::{Aabb, Camera};
 use crate::{Error, Result};

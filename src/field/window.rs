@@ -1,4 +1,4 @@
-//! Where the model is: its cascaded occupancy grid, as a continuous window that multiplies the density.
+//! Where a model is: its (cascaded) occupancy grid, as a continuous window that multiplies the density.
 //!
 //! Letters: `p` file position, `n` cells per axis (a multiple of 4), `k` cascade: the cube of side 2ᵏ around p = ½, in n³ cells. A
 //! point belongs to the finest cascade that contains it.
@@ -60,13 +60,34 @@ impl Window {
     /// w at p = ½ + `c`; 0 outside the box.
     #[inline]
     pub fn at(&self, c: Vec3) -> f32 {
+        self.corners(c).map_or(0.0, |(w, t, _)| trilinear(&w, t))
+    }
+
+    /// w at p = ½ + `c` and its gradient, 1 / file unit, on one side of the faces between cells.
+    pub fn at_with_gradient(&self, c: Vec3) -> (f32, Vec3) {
+        let Some((w, t, edge)) = self.corners(c) else { return (0.0, Vec3::ZERO) };
+        // Linear along each axis: the difference between the two ends.
+        let along = |axis: usize| {
+            let end = |at: f32| {
+                let mut t = t;
+                t[axis] = at;
+                trilinear(&w, t)
+            };
+            (end(1.0) - end(0.0)) / edge
+        };
+        (trilinear(&w, t), Vec3::new(along(0), along(1), along(2)))
+    }
+
+    /// The corner values of the cell of p = ½ + `c` (x fastest), the place in it and its edge; `None` outside the box.
+    #[inline]
+    fn corners(&self, c: Vec3) -> Option<([f32; 8], Vec3, f32)> {
         let reach = 2.0 * c.abs().max_element();
         let (mut k, mut side) = (0, 1.0_f32);
         while reach > side {
             k += 1;
             side *= 2.0;
             if k == self.cascades.len() {
-                return 0.0;
+                return None;
             }
         }
         let u = (c / side + 0.5) * self.n as f32;
@@ -74,16 +95,8 @@ impl Window {
         let t = u - Vec3::from_array(low.map(|i| i as f32));
         let m = self.n + 1;
         let corners = &self.cascades[k].corners[(low[2] * m + low[1]) * m + low[0]..][..(m + 1) * m + 2];
-        let along_x = |i: usize| {
-            let [a, b] = [corners[i], corners[i + 1]].map(f32::from);
-            a + t.x * (b - a)
-        };
-        let along_xy = |i: usize| {
-            let [a, b] = [along_x(i), along_x(i + m)];
-            a + t.y * (b - a)
-        };
-        let [a, b] = [along_xy(0), along_xy(m * m)];
-        (a + t.z * (b - a)) / f32::from(ONE)
+        let w = [0, 1, m, m + 1, m * m, m * m + 1, m * m + m, m * m + m + 1].map(|i| f32::from(corners[i]));
+        Some((w, t, side / self.n as f32))
     }
 
     /// Whether w is 0 everywhere in the box from ½ + `min` to ½ + `max`, and for all positions that f32 rounds into it.
@@ -110,6 +123,18 @@ impl Window {
     pub fn memory(&self) -> usize {
         self.cascades.iter().map(|c| size_of_val(c.corners.as_slice()) + size_of_val(c.rows.as_slice())).sum()
     }
+}
+
+/// Trilinear interpolation of quarters, x fastest.
+#[inline]
+fn trilinear(w: &[f32; 8], t: Vec3) -> f32 {
+    let along_x = |i: usize| w[i] + t.x * (w[i + 1] - w[i]);
+    let along_xy = |i: usize| {
+        let [a, b] = [along_x(i), along_x(i + 2)];
+        a + t.y * (b - a)
+    };
+    let [a, b] = [along_xy(0), along_xy(4)];
+    (a + t.z * (b - a)) / f32::from(ONE)
 }
 
 /// Coarse cells of the central half become what the fine cells say.
@@ -224,6 +249,39 @@ mod tests {
             }
         }
         assert!(inside > 500 && ramp > 1000, "{inside} {ramp}");
+    }
+
+    #[test]
+    fn gradients_are_differences_within_a_cell() {
+        let mut rng = ChaCha8Rng::seed_from_u64(6);
+        let mut steep = 0;
+        for _ in 0..20 {
+            let window = Window::new(N, random(&mut rng, 0.05));
+            for _ in 0..200 {
+                // Well inside a cell of the finest cascade at that place.
+                let (side, half) = if rng.random_bool(0.5) { (1.0, 0.5) } else { (4.0, 2.0) };
+                let edge = side / N as f32;
+                let cell = ((draw(&mut rng, half) / edge).floor() + 0.5) * edge;
+                if side == 4.0 && cell.abs().max_element() < 1.0 {
+                    continue;
+                }
+                let c = cell + draw(&mut rng, 0.3) * edge;
+                let (w, gradient) = window.at_with_gradient(c);
+                assert_eq!(w, window.at(c));
+                for axis in 0..3 {
+                    let mut ends = [c; 2];
+                    ends[0][axis] += 0.15 * edge;
+                    ends[1][axis] -= 0.15 * edge;
+                    // Linear along each axis: no error but rounding, 1e-7 over steps of 0.04 and more.
+                    let expected = (window.at(ends[0]) - window.at(ends[1])) / (0.3 * edge);
+                    assert!((expected - gradient[axis]).abs() < 1e-4, "{c}: {expected} {gradient}");
+                    steep += usize::from(expected.abs() > 0.1);
+                }
+            }
+        }
+        assert!(steep > 500, "{steep}");
+        let window = Window::new(N, random(&mut rng, 0.05));
+        assert_eq!(window.at_with_gradient(Vec3::splat(2.1)), (0.0, Vec3::ZERO));
     }
 
     #[test]
