@@ -104,8 +104,8 @@ pub struct Args {
     samples_per_step: u64,
 
     /// Adam's first learning rate; it decays over the run
-    #[arg(long, value_name = "RATE", default_value_t = f64::from(TrainSettings::default().learning_rate), value_parser = parse_positive)]
-    learning_rate: f64,
+    #[arg(long, value_name = "RATE", default_value_t = TrainSettings::default().learning_rate, value_parser = parse_rate)]
+    learning_rate: f32,
 
     /// Factor of the distortion loss (mip-NeRF 360), which removes fog and floaters; 0 for none
     #[arg(long, value_name = "FACTOR", default_value_t = f64::from(TrainSettings::default().distortion), value_parser = parse_non_negative)]
@@ -147,6 +147,11 @@ fn parse_time(text: &str) -> std::result::Result<Duration, String> {
     };
     let seconds = parse_positive(number)? * factor;
     Duration::try_from_secs_f64(seconds).map_err(|e| e.to_string())
+}
+
+/// A finite number above 0, as f32.
+fn parse_rate(text: &str) -> std::result::Result<f32, String> {
+    parse_positive(text).map(|rate| rate as f32)
 }
 
 /// `random` or a colour.
@@ -214,7 +219,7 @@ impl Args {
             seed: self.seed.wrapping_add(k),
             background: self.background,
             samples_per_step: self.samples_per_step,
-            learning_rate: self.learning_rate as f32,
+            learning_rate: self.learning_rate,
             distortion: self.distortion as f32,
             ..TrainSettings::default()
         };
