@@ -53,6 +53,14 @@ pub enum Error {
         /// Scene position of the first offending sample.
         first: [f32; 3],
     },
+    /// Ctrl-C during training: the model so far was written.
+    #[error("interrupted; {path} holds the model after {steps} steps, --resume goes on", path = path.display())]
+    Stopped {
+        /// The model's file.
+        path: PathBuf,
+        /// Steps so far.
+        steps: u64,
+    },
     /// Ctrl-C: the work stopped between two batches and removed its temporary files.
     #[error("interrupted; no output was written")]
     Interrupted,
@@ -66,7 +74,7 @@ impl Error {
     #[must_use]
     pub const fn exit_code(&self) -> u8 {
         match self {
-            Self::Interrupted => 130,
+            Self::Interrupted | Self::Stopped { .. } => 130,
             _ => 2,
         }
     }

@@ -14,7 +14,7 @@
 //! differences of the field. [`posterior`] spreads these Jacobians onto the vertices around each sample, sums them over the
 //! ray, squares, and sums over rays. [`octree`] is refined where that left a trace. [`uncertainty`] reads one number per vertex off the
 //! sums and interpolates it; fields are stored, queried, compared. [`metrics`] ask whether it ranks the depth error; [`synth`]
-//! makes data whose depth is known exactly.
+//! makes data whose depth is known exactly, and [`train`] a field of such data or any other posed images.
 //!
 //! Where rays or memory cannot support the finest lattice, [`octree::LevelLimits`] keep leaves coarser, and [`estimate::Planner`] says
 //! beforehand what that gives up. [`geometry::Domain`] is the space that a field covers: a box, or all of space, contracted.
@@ -71,6 +71,7 @@ pub mod picture;
 pub mod posterior;
 pub mod render;
 pub mod synth;
+pub mod train;
 pub mod uncertainty;
 
 pub use error::{Error, Result};

@@ -20,6 +20,7 @@ mod query;
 mod render;
 mod report;
 mod synth;
+mod train;
 mod uncertainty;
 
 use std::process::ExitCode;
@@ -59,6 +60,8 @@ enum Verb {
     Merge(merge::Args),
     Info(info::Args),
     Synth(synth::Args),
+    // Boxed for its many options.
+    Train(Box<train::Args>),
 }
 
 /// Runs the command line of this process.
@@ -91,5 +94,6 @@ fn run(verb: Verb, bars: &Bars) -> Result<()> {
         Verb::Merge(args) => args.run(),
         Verb::Info(args) => args.run(),
         Verb::Synth(args) => args.run(bars),
+        Verb::Train(args) => args.run(bars),
     }
 }

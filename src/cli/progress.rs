@@ -27,6 +27,16 @@ impl Bars {
         Self { current: Mutex::new(ProgressBar::hidden()) }
     }
 
+    /// Says more about the stage under way, behind the bar.
+    pub fn message(&self, text: String) {
+        self.bar().set_message(text);
+    }
+
+    /// Prints a line to stderr, above the bar if there is one.
+    pub fn line(&self, text: &str) {
+        self.bar().suspend(|| eprintln!("{text}"));
+    }
+
     fn bar(&self) -> ProgressBar {
         self.current.lock().map_or_else(|poisoned| poisoned.into_inner().clone(), |bar| bar.clone())
     }
@@ -34,10 +44,11 @@ impl Bars {
 
 impl Monitor for Bars {
     fn begin(&self, stage: &str, total: u64) {
-        let style =
-            ProgressStyle::with_template("{prefix:>12} [{bar:36}] {human_pos}/{human_len}  {per_sec}  {eta} left")
-                .unwrap_or_else(|_| ProgressStyle::default_bar())
-                .progress_chars("=> ");
+        let style = ProgressStyle::with_template(
+            "{prefix:>12} [{bar:36}] {human_pos}/{human_len}  {per_sec}  {eta} left  {msg}",
+        )
+        .unwrap_or_else(|_| ProgressStyle::default_bar())
+        .progress_chars("=> ");
         // `ProgressBar::new` draws to stderr, and only if that is a terminal.
         let bar = ProgressBar::new(total).with_style(style).with_prefix(stage.to_string());
         bar.enable_steady_tick(Duration::from_millis(200));

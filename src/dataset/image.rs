@@ -39,6 +39,17 @@ pub struct PosedImage {
 }
 
 impl PosedImage {
+    /// From `[height · width]` pixels: red, green, blue and straight alpha.
+    ///
+    /// # Panics
+    /// If that is not their number.
+    #[must_use]
+    pub fn new(resolution: [u32; 2], pixels: Vec<[u8; 4]>) -> Self {
+        let expected = u64::from(resolution[0]) * u64::from(resolution[1]);
+        assert_eq!(pixels.len() as u64, expected, "pixels of an image of {resolution:?}");
+        Self { resolution, pixels }
+    }
+
     /// Reads a PNG or JPEG of a camera with `resolution`.
     ///
     /// # Errors

@@ -5,12 +5,16 @@
 
 pub mod closed_form;
 mod elementary;
+mod harmonics;
+pub mod hash_grid;
 mod mlp;
 mod open;
 mod ppng;
 mod voxel;
+mod window;
 
 pub use closed_form::ClosedForm;
+pub use hash_grid::{HashGrid, HashGridConfig};
 pub use mlp::NerfMlp;
 pub use open::{open, open_in};
 pub use ppng::{Coordinates, Ppng};

@@ -2,11 +2,11 @@
 
 use std::path::Path;
 
-use super::{ClosedForm, Coordinates, NerfMlp, Ppng, RadianceField, VoxelGrid};
+use super::{ClosedForm, Coordinates, HashGrid, NerfMlp, Ppng, RadianceField, VoxelGrid};
 use crate::{Error, Result};
 
-/// The field that `model` names: `scene:NAME` for a built-in scene, else a file by its extension: `.safetensors` for an MLP
-/// NeRF, `.npz` for a voxel grid, `.ppng` for a Plenoptic PNG in the coordinates of its file.
+/// The field that `model` names: `scene:NAME` for a built-in scene, else a file by its extension: `.safetensors` for a
+/// hash grid of `octobayes train` (its metadata says so) or an MLP NeRF, `.npz` for a voxel grid, `.ppng` for a Plenoptic PNG in the coordinates of its file.
 ///
 /// # Errors
 /// If the extension is unknown or the file cannot be read as what its extension says.
@@ -32,6 +32,7 @@ pub fn open_in(model: &str, coordinates: Option<Coordinates>) -> Result<Box<dyn 
         return Ok(Box::new(ClosedForm::named(scene)?));
     }
     match extension {
+        Some("safetensors") if HashGrid::is_in(path)? => Ok(Box::new(HashGrid::read(path)?)),
         Some("safetensors") => Ok(Box::new(NerfMlp::read(path)?)),
         Some("npz") => Ok(Box::new(VoxelGrid::read(path)?)),
         _ => Err(Error::setting(

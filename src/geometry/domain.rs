@@ -132,6 +132,34 @@ impl Domain {
         }
     }
 
+    /// Φ'(x)ᵀ g: the gradient with respect to scene positions of a function whose gradient in the unit cube is `g`.
+    #[must_use]
+    pub fn pull_back(&self, x: Vec3, g: DVec3) -> DVec3 {
+        match self {
+            Self::Box(bounds) => g / bounds.size(),
+            Self::Contracted { center, radius, norm } => {
+                let y = (x.as_dvec3() - DVec3::from(*center)) / *radius;
+                let r = norm.of(y);
+                let scale = 0.25 / *radius;
+                if r <= 1.0 {
+                    return scale * g;
+                }
+                // contract(y) = k(r) y with k = (2 − 1/r)/r; its Jacobian is k I + k' y ∇rᵀ.
+                let (k, slope) = ((2.0 - 1.0 / r) / r, (2.0 / r - 2.0) / (r * r));
+                let r_gradient = match norm {
+                    Norm::L2 => y / r,
+                    Norm::Linf => {
+                        let axis = y.abs().max_position();
+                        let mut unit = DVec3::ZERO;
+                        unit[axis] = y[axis].signum();
+                        unit
+                    }
+                };
+                scale * (k * g + slope * y.dot(g) * r_gradient)
+            }
+        }
+    }
+
     /// The nearest point of the domain that f32 holds.
     #[must_use]
     pub fn clamp(&self, x: Vec3) -> Vec3 {
@@ -198,6 +226,30 @@ mod tests {
             // change of the largest coordinate rescales the others by at most as much again), over 4 radii.
             let moved = ((x + step) - x).as_dvec3().length();
             prop_assert!((a - b).length() <= 2.0 * moved / 12.0 + 1e-9, "{}", (a - b).length());
+        }
+
+        #[test]
+        fn gradients_are_pulled_back_as_differences_say(norm in norm(), direction in proptest::array::uniform3(-1.0..1.0_f32), decade in -1.0..1.5_f32, g in proptest::array::uniform3(-1.0..1.0_f64)) {
+            let direction = Vec3::from_array(direction);
+            prop_assume!(direction.length() > 0.1);
+            let x = Vec3::new(0.5, -1.0, 2.0) + direction.normalize() * 3.0 * 10_f32.powf(decade);
+            // Away from the kinks: the ball's face, and equal largest coordinates.
+            let y = (x - Vec3::new(0.5, -1.0, 2.0)).abs() / 3.0;
+            let mut sorted = y.to_array();
+            sorted.sort_by(f32::total_cmp);
+            prop_assume!((f64::from(y.length()) - 1.0).abs() > 0.02 && (sorted[2] - 1.0).abs() > 0.02 && sorted[2] - sorted[1] > 0.02);
+            let g = DVec3::from(g);
+            let found = domain(norm).pull_back(x, g);
+            for axis in 0..3 {
+                // Steps that f32 holds exactly enough: the true distance is used.
+                let mut ends = [x, x];
+                ends[0][axis] += 1e-3 * x.length();
+                ends[1][axis] -= 1e-3 * x.length();
+                let [a, b] = ends.map(|x| domain(norm).to_unit(x).unwrap().dot(g));
+                let expected = (a - b) / f64::from(ends[0][axis] - ends[1][axis]);
+                // Relative error h²/r² times a few; r is at least a fifth of |x − centre| here.
+                prop_assert!((expected - found[axis]).abs() <= 2e-4 / 12.0, "{} against {}", expected, found[axis]);
+            }
         }
 
         #[test]

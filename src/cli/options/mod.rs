@@ -4,14 +4,16 @@ mod grid;
 mod parse;
 
 pub use grid::{DomainOptions, GridOptions, OfficialOptions};
-pub use parse::{parse_non_negative, parse_pair, parse_positive, parse_range, parse_resolution};
+pub use parse::{
+    numbers, parse_background, parse_box, parse_non_negative, parse_pair, parse_positive, parse_range, parse_resolution,
+};
 
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use glam::Vec3;
 
-use self::parse::{parse_background, parse_fov};
+use self::parse::parse_fov;
 use crate::dataset::{Frame, ResolutionSource, Views};
 use crate::estimate::RaySettings;
 use crate::field::{Coordinates, Intrinsics, RadianceField};
@@ -38,7 +40,7 @@ impl ValueEnum for Coordinates {
 /// A radiance field and how rays go through it.
 #[derive(Args)]
 pub struct ModelOptions {
-    /// The trained field: a `.safetensors` MLP NeRF, a `.ppng` Plenoptic PNG, an `.npz` voxel grid (density, color, box), or
+    /// The trained field: a `.safetensors` hash grid (of `octobayes train`) or MLP NeRF, a `.ppng` Plenoptic PNG, an `.npz` voxel grid (density, color, box), or
     /// `scene:NAME` for a built-in scene
     #[arg(value_name = "MODEL")]
     pub model: String,

@@ -15,7 +15,6 @@ mod coordinates;
 mod features;
 mod file;
 mod network;
-mod occupancy;
 
 pub use coordinates::Coordinates;
 
@@ -27,7 +26,7 @@ use multiversion::multiversion;
 use self::features::{BLOCK, Encoding, JET, Kind, WIDTH};
 use self::file::File;
 use self::network::{HIDDEN, Network, OUTPUTS};
-use self::occupancy::Window;
+use super::window::Window;
 use super::{Differentiable, Intrinsics, Radiance, RadianceField, RadianceJet};
 use crate::geometry::{Aabb, Camera};
 use crate::{Error, Result};
@@ -313,7 +312,8 @@ impl Ppng {
 
     /// ∇σ in scene units, of point `p` of the block, whose density without the window is given.
     fn density_gradient(&self, block: &Block<JETS>, density: f32, p: usize) -> Vec3 {
-        let (window, ramp) = self.window.with_gradient(Vec3::from_array([0, 1, 2].map(|axis| block.centered[axis][p])));
+        let (window, ramp) =
+            self.window.at_with_gradient(Vec3::from_array([0, 1, 2].map(|axis| block.centered[axis][p])));
         let rows = &block.hidden[JET * p..JET * (p + 1)];
         let slope = window * network::density_slope(density, rows[0][0]);
         let along = ramp * density + slope * Vec3::new(rows[1][0], rows[2][0], rows[3][0]);

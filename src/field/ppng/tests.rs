@@ -258,7 +258,7 @@ fn jets_are_the_derivatives_of_the_definition() {
             assert_eq!((jet.value, jet.value.density), (values[i], densities[i]), "one arithmetic for all");
             assert_eq!(jet.density_gradient, gradients[i]);
             // The definition in f64, times the field's own window, by the product rule.
-            let (w, ramp) = field.window.with_gradient(coordinates.centered(positions[i]));
+            let (w, ramp) = field.window.at_with_gradient(coordinates.centered(positions[i]));
             let ramp = coordinates.gradient(ramp.to_array()).map(f64::from);
             let at = |x: DVec3| {
                 let (c, d) = if coordinates == Coordinates::Ngp {

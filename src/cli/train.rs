@@ -1,0 +1,371 @@
+//! `train`: from images to a model, or to an ensemble of models.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use glam::{DVec3, Vec3};
+use serde_json::json;
+
+use super::options::{numbers, parse_background, parse_box, parse_non_negative, parse_positive};
+use super::progress::Bars;
+use crate::field::{HashGrid, HashGridConfig, RadianceField};
+use crate::geometry::{Aabb, Domain, Norm};
+use crate::io::AtomicFile;
+use crate::monitor::Monitor;
+use crate::synth::Hemisphere;
+use crate::train::{
+    Background, Budget, DatasetFiles, Description, Finished, Quality, Run, Selection, Shot, StateFile, TrainSettings,
+    Trainer, quality,
+};
+use crate::{Error, Result};
+
+/// Parts of a run that the progress bar tells apart.
+const PARTS: u64 = 1000;
+/// Pixels of held-out images that are compared while training goes on.
+const LOOK_PIXELS: usize = 20_000;
+
+/// Train a field of our own on posed images: a multiresolution hash grid (instant-ngp's design) on the CPU
+///
+/// DATASET is a folder with transforms_train.json (and transforms_test.json, which is held out for measuring) or transforms.json
+/// (every eighth image is held out), or such a file: as `octobayes synth`, NeRF-synthetic, instant-ngp and nerfstudio write them. The model is
+/// input for all other verbs. With --steps the result is the same bit for bit on any number of threads; with --time it depends on how
+/// many steps fit, hence on the machine.
+#[derive(clap::Args)]
+#[command(after_help = "Examples:\n  octobayes train nerf_synthetic/lego -o lego.safetensors --time 10m\n  \
+    octobayes train lego -o few.safetensors --views 10 --steps 3000 --seed 1\n  \
+    octobayes train fox -o fox.safetensors --contract linf --time 5m\n  \
+    octobayes train lego -o member.safetensors --views 10 --steps 3000 --members 10      # member-0 ... member-9\n\
+    then: octobayes uncertainty lego.safetensors --cameras nerf_synthetic/lego/transforms_train.json -o lego.oct")]
+pub struct Args {
+    /// Folder or camera file with images (PNG or JPEG)
+    #[arg(value_name = "DATASET")]
+    dataset: PathBuf,
+
+    /// Model to write
+    #[arg(short, long, value_name = "MODEL.safetensors")]
+    output: PathBuf,
+
+    /// Training images: a number of them, spread over the file's order, or their indices from 0 as 0,7,31 (`7,` for one) [default: all]
+    #[arg(long, value_name = "N|I,J,...", value_parser = parse_views)]
+    views: Option<Selection>,
+
+    /// Only images taken from this half of the scene, seen from the front (y < 0; right is x > 0), around the middle of its box
+    #[arg(long, value_enum, value_name = "HALF")]
+    hemisphere: Option<Hemisphere>,
+
+    /// Steps of training: reproducible
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..), conflicts_with = "time")]
+    steps: Option<u64>,
+
+    /// Time of training, as 90s, 3m or 1h; how many steps fit depends on the machine [default: 3m]
+    #[arg(long, value_name = "TIME", value_parser = parse_time)]
+    time: Option<Duration>,
+
+    /// Seed of first weights, rays and backgrounds
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+
+    /// Train this many models with seeds SEED, SEED + 1, ...: MODEL-0.safetensors, MODEL-1.safetensors, ...
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=1000))]
+    members: u64,
+
+    /// Go on where an interrupted run of the same command stopped; members that are finished are kept
+    #[arg(long)]
+    resume: bool,
+
+    /// Seconds between two saves of the run's state (MODEL.state, removed at the end)
+    #[arg(long, value_name = "SECONDS", default_value_t = 60.0, value_parser = parse_non_negative)]
+    save_every: f64,
+
+    /// What is behind transparent pixels: another colour for every ray (the model learns to be transparent there), or the colour that
+    /// images without alpha show: white, black or r,g,b in [0, 1]
+    #[arg(long, value_name = "COLOR", default_value = "random", value_parser = parse_training_background)]
+    background: Background,
+
+    /// Box of the scene: x0,y0,z0,x1,y1,z1 in scene units; nothing is modelled outside [default: `aabb` of the camera file, else
+    /// instant-ngp's cube of edge 3.03 around the origin times `aabb_scale`]
+    #[arg(long = "box", value_name = "BOX", value_parser = parse_box, allow_hyphen_values = true, conflicts_with = "contract")]
+    bounds: Option<Aabb>,
+
+    /// For unbounded scenes: contract space outside --inner as in mip-NeRF 360; modelled up to 8 radii away
+    #[arg(long, value_enum, value_name = "NORM")]
+    contract: Option<Norm>,
+
+    /// Centre and radius of the part that is not contracted: x,y,z,r in scene units [default: 0,0,0,1.515, instant-ngp's cube]
+    #[arg(long, value_name = "BALL", value_parser = numbers::<4>, allow_hyphen_values = true, requires = "contract")]
+    inner: Option<[f64; 4]>,
+
+    /// Table entries per level, as power of two; larger tables hold more detail and are slower
+    #[arg(long, value_name = "LOG2", default_value_t = HashGridConfig::default().log2_hashmap_size, value_parser = clap::value_parser!(u32).range(8..=22))]
+    log2_hashmap_size: u32,
+
+    /// Samples per step, about
+    #[arg(long, value_name = "N", default_value_t = TrainSettings::default().samples_per_step, value_parser = clap::value_parser!(u64).range(1024..=16_777_216))]
+    samples_per_step: u64,
+
+    /// Adam's first learning rate; it decays over the run
+    #[arg(long, value_name = "RATE", default_value_t = TrainSettings::default().learning_rate, value_parser = parse_rate)]
+    learning_rate: f32,
+
+    /// Factor of the distortion loss (mip-NeRF 360), which removes fog and floaters; 0 for none
+    #[arg(long, value_name = "FACTOR", default_value_t = f64::from(TrainSettings::default().distortion), value_parser = parse_non_negative)]
+    distortion: f64,
+
+    /// Pixels of held-out images compared at the end, of all images together
+    #[arg(long, value_name = "N", default_value_t = 200_000)]
+    test_pixels: usize,
+
+    /// Print one JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+/// A count, or indices.
+fn parse_views(text: &str) -> std::result::Result<Selection, String> {
+    let number = |part: &str| part.trim().parse::<usize>().map_err(|_| format!("`{part}` is not a whole number"));
+    if !text.contains(',') {
+        return match number(text)? {
+            0 => Err("at least 1 image".into()),
+            count => Ok(Selection::Count(count)),
+        };
+    }
+    let mut indices = text.trim_end_matches(',').split(',').map(number).collect::<std::result::Result<Vec<_>, _>>()?;
+    indices.sort_unstable();
+    indices.dedup();
+    Ok(Selection::Indices(indices))
+}
+
+/// Seconds, or a number with unit.
+fn parse_time(text: &str) -> std::result::Result<Duration, String> {
+    let split = text.find(|c: char| c.is_ascii_alphabetic()).unwrap_or(text.len());
+    let (number, unit) = text.split_at(split);
+    let factor = match unit {
+        "" | "s" => 1.0,
+        "m" => 60.0,
+        "h" => 3600.0,
+        _ => return Err(format!("`{unit}` is not a unit of time: s, m or h")),
+    };
+    let seconds = parse_positive(number)? * factor;
+    Duration::try_from_secs_f64(seconds).map_err(|e| e.to_string())
+}
+
+/// A finite number above 0, as f32.
+fn parse_rate(text: &str) -> std::result::Result<f32, String> {
+    parse_positive(text).map(|rate| rate as f32)
+}
+
+/// `random` or a colour.
+fn parse_training_background(text: &str) -> std::result::Result<Background, String> {
+    if text == "random" {
+        return Ok(Background::Random);
+    }
+    parse_background(text).map(|color| Background::Fixed(color.to_array()))
+}
+
+/// One model to be trained.
+struct Member {
+    settings: TrainSettings,
+    path: PathBuf,
+    state: StateFile,
+    description: serde_json::Value,
+}
+
+impl Args {
+    /// Runs the verb.
+    pub fn run(self, bars: &Bars) -> Result<()> {
+        if self.output.extension().is_none_or(|extension| extension != "safetensors") {
+            let found = self.output.display().to_string();
+            return Err(Error::setting("--output", "a name that ends in .safetensors", found));
+        }
+        let mut files = DatasetFiles::read(&self.dataset)?;
+        if files.missing > 0 {
+            eprintln!("note: {} frames of {} have no image and are left out", files.missing, files.path.display());
+        }
+        files.select(&self.views.clone().unwrap_or_default(), self.hemisphere)?;
+        let domain = self.domain(&files)?;
+        let members = (0..self.members).map(|k| self.member(k, &files)).collect::<Result<Vec<_>>>()?;
+        let [train, held_out] = files.load(bars)?;
+        let mut models = Vec::new();
+        for member in &members {
+            if self.resume && member.path.exists() && !member.state.path.exists() {
+                check_finished(member)?;
+                eprintln!("note: {} is finished", member.path.display());
+                continue;
+            }
+            models.push(self.train(member, domain, &train, &held_out, bars)?);
+        }
+        if self.json { say!("{}", json!({ "models": models })) } else { Ok(()) }
+    }
+
+    fn domain(&self, files: &DatasetFiles) -> Result<Domain> {
+        let Some(norm) = self.contract else { return Ok(Domain::Box(self.bounds.unwrap_or(files.bounds))) };
+        let cube = DatasetFiles::unit_cube();
+        let [x, y, z, radius] = self.inner.unwrap_or([0.0, 0.0, 0.0, 0.5 * cube.longest_edge()]);
+        Domain::contracted(DVec3::new(x, y, z), radius, norm)
+    }
+
+    fn budget(&self) -> Budget {
+        match (self.steps, self.time) {
+            (Some(steps), _) => Budget::Steps(steps),
+            (None, Some(time)) => Budget::Time(time),
+            (None, None) => Budget::Time(Duration::from_secs(180)),
+        }
+    }
+
+    /// The k-th model; makes sure that it can be written and that no unfinished run is lost.
+    fn member(&self, k: u64, files: &DatasetFiles) -> Result<Member> {
+        let settings = TrainSettings {
+            config: HashGridConfig { log2_hashmap_size: self.log2_hashmap_size, ..HashGridConfig::default() },
+            seed: self.seed.wrapping_add(k),
+            background: self.background,
+            samples_per_step: self.samples_per_step,
+            learning_rate: self.learning_rate,
+            distortion: self.distortion as f32,
+            ..TrainSettings::default()
+        };
+        let path = if self.members == 1 {
+            self.output.clone()
+        } else {
+            let stem = self.output.file_stem().unwrap_or_default().to_string_lossy();
+            self.output.with_file_name(format!("{stem}-{k}.safetensors"))
+        };
+        AtomicFile::create(&path)?;
+        let state = path.with_extension("state");
+        if state.exists() && !self.resume {
+            let found = "the state of an unfinished run";
+            return Err(Error::malformed(&state, "state", "no file, or --resume", found));
+        }
+        let budget = match self.budget() {
+            Budget::Steps(steps) => format!("{steps} steps"),
+            Budget::Time(time) => format!("{} s", time.as_secs_f64()),
+        };
+        let description = Description {
+            version: env!("CARGO_PKG_VERSION"),
+            dataset: files.path.display().to_string(),
+            cameras: Description::checksum(&files.path)?,
+            views: self.views.clone().unwrap_or_default(),
+            hemisphere: self.hemisphere,
+            images: files.names().len(),
+            settings,
+            domain: self.domain(files)?,
+            budget,
+        };
+        let description =
+            serde_json::to_value(description).map_err(|e| Error::setting("run", "a description", e.to_string()))?;
+        let key = description.to_string();
+        let every = Duration::try_from_secs_f64(self.save_every).unwrap_or(Duration::MAX);
+        Ok(Member { settings, path, state: StateFile { path: state, key, every }, description })
+    }
+
+    /// Trains one model and writes it, finished or not.
+    fn train(
+        &self,
+        member: &Member,
+        domain: Domain,
+        train: &[Shot],
+        held_out: &[Shot],
+        bars: &Bars,
+    ) -> Result<serde_json::Value> {
+        let mut trainer = Trainer::new(member.settings, domain, train)?;
+        let mut before = 0.0;
+        if member.state.path.exists() {
+            before = trainer.restore(&member.state.path, &member.state.key)?;
+            eprintln!("note: going on after {} steps", trainer.steps());
+        }
+        let run =
+            Run { budget: self.budget(), held_out, pixels: LOOK_PIXELS, looks: 10, state: Some(member.state.clone()) };
+        bars.begin("training", PARTS);
+        let mut done = 0;
+        let finished = run.train(&mut trainer, before, bars, |progress| {
+            let now = (progress.share * PARTS as f64) as u64;
+            bars.advance(now.saturating_sub(done));
+            done = done.max(now);
+            let (loss, psnr, left) = (progress.loss, progress.train_psnr, progress.left.max(0.0));
+            bars.message(format!("step {}, loss {loss:.5}, {psnr:.1} dB, {left:.0} s", progress.steps));
+            if let Some(Quality { psnr, views, .. }) = progress.held_out {
+                let steps = progress.steps;
+                bars.line(&format!(
+                    "step {steps}: loss {loss:.5}, PSNR {psnr:.2} dB on {views} held-out images, {left:.0} s left"
+                ));
+            }
+        })?;
+        bars.end();
+        let mut training = member.description.clone();
+        training["steps"] = trainer.steps().into();
+        training["rays"] = trainer.rays().into();
+        let field = trainer.field(training);
+        field.write(&member.path)?;
+        if finished.interrupted {
+            return Err(Error::Stopped { path: member.path.clone(), steps: trainer.steps() });
+        }
+        if member.state.path.exists() {
+            std::fs::remove_file(&member.state.path).map_err(Error::io(&member.state.path, "cannot remove"))?;
+        }
+        let background = member.settings.background.for_images();
+        let quality = quality(&field, held_out, background, self.test_pixels);
+        self.report(member, &trainer, &field, finished, train.len(), quality.as_ref(), background)
+    }
+
+    #[allow(clippy::too_many_arguments, reason = "the lines of a report")]
+    fn report(
+        &self,
+        member: &Member,
+        trainer: &Trainer,
+        field: &HashGrid,
+        finished: Finished,
+        images: usize,
+        quality: Option<&Quality>,
+        background: Vec3,
+    ) -> Result<serde_json::Value> {
+        let (steps, rays, elapsed) = (trainer.steps(), trainer.rays(), finished.elapsed);
+        if !self.json {
+            say!("{}: {}", member.path.display(), field.describe())?;
+            say!(
+                "  {images} images, {steps} steps, {rays} rays, {elapsed:.1} s, {:.1} steps/s, seed {}",
+                steps as f64 / elapsed.max(1e-9),
+                member.settings.seed
+            )?;
+            if let Some(Quality { psnr, views, pixels }) = quality {
+                say!(
+                    "  PSNR {psnr:.2} dB, mean over {views} held-out images, {pixels} pixels, background {background}"
+                )?;
+            }
+        }
+        Ok(json!({
+            "model": member.path, "images": images, "steps": steps, "rays": rays, "seconds": elapsed,
+            "seed": member.settings.seed, "held_out": quality, "background": background.to_array(),
+        }))
+    }
+}
+
+/// A model that is there must be of the same run.
+fn check_finished(member: &Member) -> Result<()> {
+    let field = HashGrid::read(&member.path)?;
+    let other = member.description.as_object().into_iter().flatten().find(|(k, v)| field.training().get(k) != Some(v));
+    match other {
+        None => Ok(()),
+        Some((what, expected)) => {
+            let found = field.training().get(what).map_or("nothing".into(), ToString::to_string);
+            Err(Error::malformed(&member.path, format!("training, {what}"), expected.to_string(), found))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn texts_become_views_and_times() {
+        assert_eq!(parse_views("10"), Ok(Selection::Count(10)));
+        assert_eq!(parse_views("7,0,31,7"), Ok(Selection::Indices(vec![0, 7, 31])));
+        assert_eq!(parse_views("7,"), Ok(Selection::Indices(vec![7])));
+        assert!(["0", "", "-1", "1,x", ","].iter().all(|text| parse_views(text).is_err()));
+        assert_eq!(parse_time("3m"), Ok(Duration::from_secs(180)));
+        assert_eq!(parse_time("1.5h"), Ok(Duration::from_secs(5400)));
+        assert_eq!(parse_time("20"), Ok(Duration::from_secs(20)));
+        assert!(["0", "-1s", "3d", "1e30h", "m"].iter().all(|text| parse_time(text).is_err()));
+        assert_eq!(parse_training_background("random"), Ok(Background::Random));
+        assert!(parse_training_background("red").is_err());
+    }
+}

@@ -1,0 +1,373 @@
+//! A trainable field: multiresolution hash grid, two tiny networks, spherical harmonics of the direction (the design of
+//! instant-ngp: Müller et al., SIGGRAPH 2022), f32. [`crate::train`] fits it to images.
+//!
+//! Letters: `x` scene position, `u` = Φ(x) in the unit cube of the [`Domain`], w window of the occupancy grid.
+//!
+//! ```text
+//! x -> u -> hash grid -> 32 features -> density network -> σ = w exp(g₀) / longest edge, color network -> colour
+//! ```
+//! Positions go through in blocks, in code that the compiler turns into vector instructions (AVX2 and FMA where the processor
+//! has them; results do not depend on that).
+
+mod config;
+mod encoding;
+mod file;
+mod network;
+mod space;
+
+pub use config::{HashGridConfig, MAX_OCCUPANCY, N_FEATURES_PER_LEVEL, N_GEOMETRY, N_LEVELS, N_NEURONS};
+pub(crate) use encoding::{Encoding, Entry, WIDTH};
+pub(crate) use network::{Backward, Forward, LAYERS, N_COLOR, N_VIEW, Network, Transposed, density_derivative};
+pub(crate) use space::Space;
+
+use glam::{Mat3, Vec3};
+use multiversion::multiversion;
+
+use super::harmonics::spherical_harmonics;
+use super::window::Window;
+use super::{Differentiable, Radiance, RadianceField, RadianceJet};
+use crate::geometry::{Aabb, Domain, Norm};
+
+/// Points that go through all layers together: buffers of a block are 40 KB.
+pub(crate) const BLOCK: usize = 64;
+
+/// What training changes.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Parameters {
+    pub encoding: Encoding,
+    pub network: Network,
+}
+
+/// Fills features, activations of the density network and densities at unit positions `u`, all `[n]`.
+#[multiversion(targets("x86_64+avx2+fma"))]
+pub(crate) fn density_pass(
+    parameters: &Parameters,
+    u: &[[f32; 3]],
+    f: &mut [[f32; WIDTH]],
+    a: &mut [[f32; N_NEURONS]],
+    g: &mut [[f32; N_GEOMETRY]],
+    sigma: &mut [f32],
+) {
+    // Block by block, so that activations are still near when the next layer wants them.
+    for start in (0..u.len()).step_by(BLOCK) {
+        let block = start..(start + BLOCK).min(u.len());
+        parameters.encoding.encode(&u[block.clone()], &mut f[block.clone()]);
+        let g = &mut g[block.clone()];
+        parameters.network.density(&f[block.clone()], &mut a[block.clone()], g);
+        for (sigma, g) in sigma[block].iter_mut().zip(g) {
+            *sigma = network::density(g[0]);
+        }
+    }
+}
+
+/// Fills what directions with harmonics `sh` add to the colour network's hidden layer.
+#[multiversion(targets("x86_64+avx2+fma"))]
+pub(crate) fn view_pass(network: &Network, sh: &[[f32; N_VIEW]], v: &mut [[f32; N_NEURONS]]) {
+    network.view(sh, v);
+}
+
+/// Fills colours; `b` holds the result of [`view_pass`] before and the hidden layer after.
+#[multiversion(targets("x86_64+avx2+fma"))]
+pub(crate) fn color_pass(
+    network: &Network,
+    g: &[[f32; N_GEOMETRY]],
+    b: &mut [[f32; N_NEURONS]],
+    color: &mut [[f32; N_COLOR]],
+) {
+    network.color(g, b, color);
+}
+
+/// Derivatives through both networks, and what they say about the weights, if anybody wants to know.
+#[multiversion(targets("x86_64+avx2+fma"))]
+pub(crate) fn backward_pass(
+    transposed: &Transposed,
+    forward: Forward,
+    back: &mut Backward,
+    weights: Option<&mut Network>,
+) {
+    transposed.backpropagate(forward, back);
+    if let Some(weights) = weights {
+        weights.add_gradient(forward, back);
+    }
+}
+
+/// Adds to `weights` what rays with harmonics `sh` say about the directions' layer.
+#[multiversion(targets("x86_64+avx2+fma"))]
+pub(crate) fn view_gradient_pass(weights: &mut Network, sh: &[[f32; N_VIEW]], d_v: &[[f32; N_NEURONS]]) {
+    weights.add_view_gradient(sh, d_v);
+}
+
+/// Harmonics of a unit direction.
+pub(crate) fn harmonics(direction: Vec3) -> [f32; N_VIEW] {
+    spherical_harmonics(direction.x, direction.y, direction.z)
+}
+
+/// Buffers of one block of points.
+struct Buffers {
+    u: [[f32; 3]; BLOCK],
+    f: [[f32; WIDTH]; BLOCK],
+    a: [[f32; N_NEURONS]; BLOCK],
+    g: [[f32; N_GEOMETRY]; BLOCK],
+    sigma: [f32; BLOCK],
+    sh: [[f32; N_VIEW]; BLOCK],
+    b: [[f32; N_NEURONS]; BLOCK],
+    color: [[f32; N_COLOR]; BLOCK],
+}
+
+impl Buffers {
+    fn new() -> Box<Self> {
+        Box::new(Self {
+            u: [[0.0; 3]; BLOCK],
+            f: [[0.0; WIDTH]; BLOCK],
+            a: [[0.0; N_NEURONS]; BLOCK],
+            g: [[0.0; N_GEOMETRY]; BLOCK],
+            sigma: [0.0; BLOCK],
+            sh: [[0.0; N_VIEW]; BLOCK],
+            b: [[0.0; N_NEURONS]; BLOCK],
+            color: [[0.0; N_COLOR]; BLOCK],
+        })
+    }
+
+    fn density(&mut self, parameters: &Parameters, n: usize) {
+        let (f, a) = (&mut self.f[..n], &mut self.a[..n]);
+        density_pass(parameters, &self.u[..n], f, a, &mut self.g[..n], &mut self.sigma[..n]);
+    }
+
+    fn color(&mut self, network: &Network, directions: &[Vec3]) {
+        let n = directions.len();
+        for (sh, &d) in self.sh.iter_mut().zip(directions) {
+            *sh = harmonics(d);
+        }
+        view_pass(network, &self.sh[..n], &mut self.b[..n]);
+        color_pass(network, &self.g[..n], &mut self.b[..n], &mut self.color[..n]);
+    }
+}
+
+/// A trained hash grid.
+///
+/// The density is the network's times a continuous window: 1 in the occupied cells, 0 from one cell beyond them (in the unit
+/// cube). Training sampled occupied cells only. Colour has no window.
+#[derive(Debug, Clone)]
+pub struct HashGrid {
+    config: HashGridConfig,
+    space: Space,
+    parameters: Parameters,
+    /// `[n³]`, x fastest.
+    occupied: Vec<bool>,
+    window: Window,
+    /// What it was trained on and how, JSON.
+    training: serde_json::Value,
+}
+
+impl HashGrid {
+    pub(crate) fn new(
+        config: HashGridConfig,
+        space: Space,
+        parameters: Parameters,
+        occupied: Vec<bool>,
+        training: serde_json::Value,
+    ) -> Self {
+        let window = Window::new(config.occupancy, vec![occupied.clone()]);
+        Self { config, space, parameters, occupied, window, training }
+    }
+
+    /// Hyper-parameters.
+    #[must_use]
+    pub fn config(&self) -> &HashGridConfig {
+        &self.config
+    }
+
+    /// The space it covers.
+    #[must_use]
+    pub fn domain(&self) -> &Domain {
+        &self.space.domain
+    }
+
+    /// The space with its bounds.
+    pub(crate) fn space(&self) -> &Space {
+        &self.space
+    }
+
+    /// Cells of the occupancy grid, `[n³]`, x fastest.
+    pub(crate) fn occupied(&self) -> &[bool] {
+        &self.occupied
+    }
+
+    /// What it was trained on and how, as `octobayes train` wrote it.
+    #[must_use]
+    pub fn training(&self) -> &serde_json::Value {
+        &self.training
+    }
+
+    /// The window at u, 0 outside the bounds, and u.
+    fn place(&self, x: Vec3) -> (f32, [f32; 3]) {
+        // Outside, where the density is zero, the colour is that of the nearest corner of the unit cube or so: any will do.
+        self.space.unit(x).map_or((0.0, [0.5; 3]), |u| (self.window.at(Vec3::from_array(u) - 0.5), u))
+    }
+
+    /// What point `p` of a block came to.
+    fn radiance(&self, buffers: &Buffers, window: f32, p: usize) -> Radiance {
+        let [r, g, b, _] = buffers.color[p];
+        Radiance { density: self.density_scale() * window * buffers.sigma[p], color: Vec3::new(r, g, b) }
+    }
+
+    fn density_scale(&self) -> f32 {
+        (1.0 / self.space.unit_length()) as f32
+    }
+}
+
+impl RadianceField for HashGrid {
+    fn bounds(&self) -> Aabb {
+        self.space.bounds
+    }
+
+    fn evaluate(&self, positions: &[Vec3], directions: &[Vec3], out: &mut [Radiance]) {
+        let mut buffers = Buffers::new();
+        let mut windows = [0.0; BLOCK];
+        for ((positions, directions), out) in
+            positions.chunks(BLOCK).zip(directions.chunks(BLOCK)).zip(out.chunks_mut(BLOCK))
+        {
+            let n = positions.len();
+            for (p, &x) in positions.iter().enumerate() {
+                (windows[p], buffers.u[p]) = self.place(x);
+            }
+            buffers.density(&self.parameters, n);
+            buffers.color(&self.parameters.network, directions);
+            for (p, out) in out.iter_mut().enumerate() {
+                *out = self.radiance(&buffers, windows[p], p);
+            }
+        }
+    }
+
+    fn densities(&self, positions: &[Vec3], out: &mut [f32]) {
+        let mut buffers = Buffers::new();
+        // Points in empty space need no network: the others are gathered into full blocks.
+        let (mut owners, mut windows, mut count) = ([0; BLOCK], [0.0; BLOCK], 0);
+        let flush = |buffers: &mut Buffers, owners: &[usize], windows: &[f32], out: &mut [f32]| {
+            buffers.density(&self.parameters, owners.len());
+            for ((&owner, &window), &sigma) in owners.iter().zip(windows).zip(&buffers.sigma) {
+                out[owner] = self.density_scale() * window * sigma;
+            }
+        };
+        for (i, &x) in positions.iter().enumerate() {
+            let (window, u) = self.place(x);
+            if window == 0.0 {
+                out[i] = 0.0;
+                continue;
+            }
+            (owners[count], windows[count], buffers.u[count]) = (i, window, u);
+            count += 1;
+            if count == BLOCK {
+                flush(&mut buffers, &owners, &windows, out);
+                count = 0;
+            }
+        }
+        flush(&mut buffers, &owners[..count], &windows[..count], out);
+    }
+
+    fn differentiable(&self) -> Option<&dyn Differentiable> {
+        Some(self)
+    }
+
+    fn density_bound(&self, min: Vec3, max: Vec3) -> Option<f32> {
+        let [min, max] = [min, max].map(Vec3::as_dvec3);
+        if !(min.is_finite() && max.is_finite()) {
+            return None;
+        }
+        let [low, high] = match self.space.domain {
+            Domain::Box(bounds) => [min, max].map(|x| (x - bounds.min()) / bounds.size() - 0.5),
+            Domain::Contracted { radius, norm, .. } => {
+                // Contraction does not stretch, by more than 2 in the L∞ case: a ball around the box stays in a ball.
+                let lipschitz = if norm == Norm::L2 { 1.0 } else { 2.0 } / (4.0 * radius);
+                let center = self.space.domain.to_unit((0.5 * (min + max)).as_vec3())? - 0.5;
+                let reach = lipschitz * 0.5 * (max - min).length() * (1.0 + 1e-6) + 1e-6;
+                [center - reach, center + reach]
+            }
+        };
+        self.window.is_empty(low, high).then_some(0.0)
+    }
+
+    fn suggested_step(&self) -> f64 {
+        self.space.step()
+    }
+
+    fn memory(&self) -> usize {
+        size_of_val(self.parameters.encoding.table.as_slice())
+            + self.window.memory()
+            + self.occupied.len()
+            + size_of::<Self>()
+    }
+
+    fn describe(&self) -> String {
+        let resolutions = self.config.resolutions();
+        format!(
+            "hash grid, {N_LEVELS} levels of {N_FEATURES_PER_LEVEL} features from {} to {} cells, 2^{} entries, {} f32 parameters",
+            resolutions[0],
+            resolutions[N_LEVELS - 1],
+            self.config.log2_hashmap_size,
+            self.parameters.encoding.table.as_flattened().len()
+                + self.parameters.network.layers().iter().map(|layer| layer.len()).sum::<usize>(),
+        )
+    }
+}
+
+impl Differentiable for HashGrid {
+    /// Backwards through the networks, once for density and once for each colour.
+    fn jets(&self, positions: &[Vec3], directions: &[Vec3], out: &mut [RadianceJet]) {
+        let transposed = Transposed::new(&self.parameters.network);
+        let mut buffers = Buffers::new();
+        let mut windows = [0.0; BLOCK];
+        // The four functions: g₀, and each colour.
+        let mut slopes = vec![[[0.0; WIDTH]; BLOCK]; 4];
+        let (mut d_a, mut d_b) = ([[0.0; N_NEURONS]; BLOCK], [[0.0; N_NEURONS]; BLOCK]);
+        let mut d_g = [[0.0; N_GEOMETRY]; BLOCK];
+        let parts = positions.chunks(BLOCK).zip(directions.chunks(BLOCK)).zip(out.chunks_mut(BLOCK));
+        for ((positions, directions), out) in parts {
+            let n = positions.len();
+            for (p, &x) in positions.iter().enumerate() {
+                (windows[p], buffers.u[p]) = self.place(x);
+            }
+            buffers.density(&self.parameters, n);
+            buffers.color(&self.parameters.network, directions);
+            for (function, slopes) in slopes.iter_mut().enumerate() {
+                let mut d_c = [[0.0; N_COLOR]; BLOCK];
+                for p in 0..n {
+                    d_g[p] = [0.0; N_GEOMETRY];
+                    match function.checked_sub(1) {
+                        None => d_g[p][0] = density_derivative(buffers.g[p][0], buffers.sigma[p]),
+                        // The sigmoid's derivative.
+                        Some(k) => d_c[p][k] = buffers.color[p][k] * (1.0 - buffers.color[p][k]),
+                    }
+                }
+                let forward =
+                    Forward { f: &buffers.f[..n], a: &buffers.a[..n], g: &buffers.g[..n], b: &buffers.b[..n] };
+                let mut back = Backward {
+                    f: &mut slopes[..n],
+                    a: &mut d_a[..n],
+                    g: &mut d_g[..n],
+                    b: &mut d_b[..n],
+                    c: &d_c[..n],
+                };
+                backward_pass(&transposed, forward, &mut back, None);
+            }
+            for (p, (out, &x)) in out.iter_mut().zip(positions).enumerate() {
+                *out = RadianceJet { value: self.radiance(&buffers, windows[p], p), ..RadianceJet::default() };
+                let Some(u) = self.space.unit(x) else { continue };
+                let of = |function: usize| self.parameters.encoding.position_gradient(u, &slopes[function][p]);
+                let scene = |g: Vec3| self.space.domain.pull_back(x, g.as_dvec3()).as_vec3();
+                let (w, w_gradient) = self.window.at_with_gradient(Vec3::from_array(u) - 0.5);
+                let density = buffers.sigma[p] * w_gradient + w * of(0);
+                out.density_gradient = scene(self.density_scale() * density);
+                let colors = Mat3::from_cols(scene(of(1)), scene(of(2)), scene(of(3))).transpose();
+                out.color_gradients = [colors.x_axis, colors.y_axis, colors.z_axis];
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod slow;
+#[cfg(test)]
+mod tests;
+#[cfg(test)]
+pub(crate) use tests::random_parameters;

@@ -1,0 +1,67 @@
+//! Sample positions along a training ray: in occupied cells only, at constant steps, longer where space is contracted.
+
+use super::occupancy::OccupancyGrid;
+use crate::field::hash_grid::Space;
+use crate::geometry::{Domain, Ray};
+
+/// One sample: distance along the ray and length of its interval, scene units, and position in the unit cube.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sample {
+    pub t: f64,
+    pub delta: f64,
+    pub u: [f32; 3],
+}
+
+/// A ray under way.
+#[derive(Debug, Clone)]
+pub struct Walk {
+    ray: Ray,
+    t: f64,
+    exit: f64,
+}
+
+impl Walk {
+    /// From where the ray enters the space; `jitter` in `[0, 1)` shifts samples by that share of a step.
+    pub fn new(space: &Space, ray: Ray, jitter: f64) -> Self {
+        let (entry, exit) = space.bounds.clip(&ray).unwrap_or_default();
+        Self { ray, t: entry + jitter * space.step(), exit }
+    }
+
+    /// The next sample in an occupied cell.
+    pub fn next(&mut self, space: &Space, grid: &OccupancyGrid) -> Option<Sample> {
+        while self.t < self.exit {
+            let t = self.t;
+            let x = self.ray.at(t).as_vec3();
+            let delta = space.step() * space.domain.stretch(x);
+            // Rounding may put a point just outside.
+            let x = space.bounds.clamp(x);
+            match space.unit(x).map(|u| (u, grid.at(u))) {
+                Some((u, Ok(()))) => {
+                    self.t += delta;
+                    return Some(Sample { t, delta, u });
+                }
+                Some((u, Err(cells))) => self.t += self.leap(space, grid, u, cells, delta),
+                None => self.t += delta,
+            }
+        }
+        None
+    }
+
+    /// Distance to the first candidate behind an empty block of `cells` cells around `u`: a whole number of steps, so that samples keep
+    /// their places.
+    fn leap(&self, space: &Space, grid: &OccupancyGrid, u: [f32; 3], cells: usize, delta: f64) -> f64 {
+        let Domain::Box(bounds) = space.domain else { return delta };
+        let size = bounds.size();
+        let block = cells as f64 / grid.resolution() as f64;
+        let mut exit = f64::INFINITY;
+        for axis in 0..3 {
+            let speed = self.ray.direction[axis] / size[axis];
+            let index = (f64::from(u[axis]) / block).floor();
+            let face = if speed > 0.0 { (index + 1.0) * block } else { index * block };
+            if speed != 0.0 {
+                exit = exit.min((face - f64::from(u[axis])) / speed);
+            }
+        }
+        (exit / delta).ceil().clamp(1.0, 1e6) * delta
+    }
+}

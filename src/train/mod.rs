@@ -1,0 +1,71 @@
+//! Fits a [`HashGrid`](crate::field::HashGrid) to posed images.
+//!
+//! One step draws rays from all training images, samples them where the occupancy grid says that something is, composites,
+//! and moves the parameters against the gradient of the loss (Adam). The backward pass is derived by hand. Rays per step adapt
+//! so that the number of samples stays near a budget, as in instant-ngp. Nothing depends on the number of threads.
+
+mod adam;
+mod batch;
+mod loss;
+mod march;
+mod occupancy;
+mod quality;
+mod run;
+mod state;
+mod trainer;
+mod views;
+
+pub use quality::{Quality, quality};
+pub use run::{Budget, Description, Finished, Progress, Run, StateFile};
+pub use trainer::{StepReport, Trainer};
+pub use views::{DatasetFiles, Selection, Shot};
+
+use serde::{Deserialize, Serialize};
+
+use crate::field::HashGridConfig;
+
+/// What is behind the scene while it is trained.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Background {
+    /// Another colour for every ray, where images are transparent: what is empty must be transparent to match.
+    Random,
+    /// A colour that opaque images show too.
+    Fixed([f32; 3]),
+}
+
+/// How to train.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct TrainSettings {
+    /// The field's size.
+    pub config: HashGridConfig,
+    /// Seed of weights, rays and backgrounds.
+    pub seed: u64,
+    /// What is behind the scene.
+    pub background: Background,
+    /// Samples per step, about: rays are chosen accordingly.
+    pub samples_per_step: u64,
+    /// Adam's first learning rate.
+    pub learning_rate: f32,
+    /// Share of it that is left at the end; it decays exponentially.
+    pub final_rate: f32,
+    /// Factor of the distortion loss; 0 for none.
+    pub distortion: f32,
+}
+
+impl Default for TrainSettings {
+    fn default() -> Self {
+        Self {
+            config: HashGridConfig::default(),
+            seed: 0,
+            background: Background::Random,
+            samples_per_step: 1 << 14,
+            learning_rate: 2e-2,
+            final_rate: 0.03,
+            distortion: 0.0,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

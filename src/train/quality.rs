@@ -1,0 +1,99 @@
+//! How well a field shows images that it was not trained on.
+
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::Shot;
+use super::march::Walk;
+use super::occupancy::OccupancyGrid;
+use crate::field::{HashGrid, Radiance, RadianceField};
+use crate::metrics::psnr;
+
+/// Samples taken per ray before its transmittance is looked at again.
+const ROUND: usize = 8;
+/// Rays end when what is behind could change a pixel by less than half of this: half a step of 8 bits is 2e-3.
+const OPAQUE: f64 = 1e-4;
+
+/// How well a field shows held-out images.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Quality {
+    /// Mean over images of their PSNR, dB.
+    pub psnr: f64,
+    /// Images.
+    pub views: usize,
+    /// Pixels compared, of all images together.
+    pub pixels: usize,
+}
+
+/// PSNR on images before `background`, on about `pixels` pixels: every k-th along x and y of each image. `None` without images.
+///
+/// Samples sit where training puts them, with longer steps where space is contracted; the renderer of all fields shows the same, more slowly.
+#[must_use]
+pub fn quality(field: &HashGrid, shots: &[Shot], background: Vec3, pixels: usize) -> Option<Quality> {
+    let all: u64 = shots.iter().map(|shot| shot.camera.pixels()).sum();
+    if all == 0 {
+        return None;
+    }
+    let stride = (all as f64 / pixels.max(1) as f64).sqrt().ceil().max(1.0) as u32;
+    let grid = OccupancyGrid::reached(field.config().occupancy, field.space(), field.occupied());
+    let views: Vec<(f64, usize)> = shots
+        .iter()
+        .map(|shot| {
+            let [width, height] = shot.camera.resolution;
+            let rows: Vec<u32> = (0..height).step_by(stride as usize).collect();
+            let columns: Vec<u32> = (0..width).step_by(stride as usize).collect();
+            let truth = rows.iter().flat_map(|y| columns.iter().map(move |x| (y * width + x) as usize));
+            let truth: Vec<DVec3> = truth.map(|i| shot.image.over(i, background.as_dvec3())).collect();
+            let found: Vec<DVec3> =
+                rows.par_iter().flat_map_iter(|&y| row(field, &grid, shot, y, &columns, background)).collect();
+            (psnr(&found, &truth), found.len())
+        })
+        .collect();
+    Some(Quality {
+        psnr: views.iter().map(|view| view.0).sum::<f64>() / views.len() as f64,
+        views: views.len(),
+        pixels: views.iter().map(|view| view.1).sum(),
+    })
+}
+
+/// Colours of some pixels of a row.
+fn row(field: &HashGrid, grid: &OccupancyGrid, shot: &Shot, y: u32, columns: &[u32], background: Vec3) -> Vec<DVec3> {
+    let space = field.space();
+    let rays = columns.iter().map(|x| shot.camera.ray(f64::from(*x) + 0.5, f64::from(y) + 0.5));
+    let rays: Vec<_> = rays.collect();
+    // The middle of every interval: an image is deterministic.
+    let mut walks: Vec<Walk> = rays.iter().map(|ray| Walk::new(space, *ray, 0.5)).collect();
+    let mut pixels = vec![(DVec3::ZERO, 1.0_f64); rays.len()];
+    let (mut owners, mut deltas, mut positions, mut directions) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    let mut radiance = Vec::new();
+    loop {
+        owners.clear();
+        deltas.clear();
+        positions.clear();
+        directions.clear();
+        for (owner, (walk, ray)) in walks.iter_mut().zip(&rays).enumerate() {
+            if pixels[owner].1 < OPAQUE {
+                continue;
+            }
+            for sample in std::iter::from_fn(|| walk.next(space, grid)).take(ROUND) {
+                owners.push(owner);
+                deltas.push(sample.delta);
+                positions.push(space.bounds.clamp(ray.at(sample.t).as_vec3()));
+                directions.push(ray.direction.as_vec3());
+            }
+        }
+        if owners.is_empty() {
+            break;
+        }
+        radiance.resize(owners.len(), Radiance::default());
+        field.evaluate(&positions, &directions, &mut radiance);
+        for ((&owner, delta), radiance) in owners.iter().zip(&deltas).zip(&radiance) {
+            let (color, transmittance) = &mut pixels[owner];
+            let optical_depth = f64::from(radiance.density) * delta;
+            *color += *transmittance * -(-optical_depth).exp_m1() * radiance.color.as_dvec3();
+            *transmittance *= (-optical_depth).exp();
+        }
+    }
+    pixels.into_iter().map(|(color, transmittance)| color + transmittance * background.as_dvec3()).collect()
+}

@@ -1,0 +1,216 @@
+//! A whole run: until its steps are done or its time is up, with the quality on held-out images now and then.
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use glam::Vec3;
+use serde::Serialize;
+
+use super::{Background, Quality, Selection, Shot, Trainer, quality};
+use crate::Result;
+use crate::geometry::Domain;
+use crate::monitor::Monitor;
+use crate::synth::Hemisphere;
+
+/// When a run ends.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Budget {
+    /// After this many steps: the same result every time.
+    Steps(u64),
+    /// After this time: how many steps fit, and with them the result, depends on the machine.
+    Time(Duration),
+}
+
+/// Steps between two looks at the clock and at Ctrl-C are one; between two reports of the loss this many.
+const REPORT: u64 = 16;
+
+/// What a run is told while it goes on.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Progress {
+    /// Steps so far.
+    pub steps: u64,
+    /// Share of the run that is done, in `[0, 1]`.
+    pub share: f64,
+    /// Mean loss of a ray since the last report.
+    pub loss: f64,
+    /// PSNR on training rays since the last report, dB.
+    pub train_psnr: f64,
+    /// PSNR on held-out images, dB, if it was just measured.
+    pub held_out: Option<Quality>,
+    /// Seconds left.
+    pub left: f64,
+}
+
+/// Where a run keeps its state, and how often.
+#[derive(Debug, Clone)]
+pub struct StateFile {
+    /// The file.
+    pub path: PathBuf,
+    /// What the run must have in common with one that goes on from it.
+    pub key: String,
+    /// Time between two saves.
+    pub every: Duration,
+}
+
+/// A run to be made.
+pub struct Run<'a> {
+    /// When it ends.
+    pub budget: Budget,
+    /// Images to measure its quality on.
+    pub held_out: &'a [Shot],
+    /// Pixels of these that are compared while it runs.
+    pub pixels: usize,
+    /// Times that this is done.
+    pub looks: u32,
+    /// Where its state is kept.
+    pub state: Option<StateFile>,
+}
+
+/// What became of a run.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Finished {
+    /// Seconds of training, those before an interruption included, those of measuring quality not.
+    pub elapsed: f64,
+    /// Whether the user stopped it.
+    pub interrupted: bool,
+}
+
+impl Run<'_> {
+    /// Trains until the budget is spent or the user interrupts; `elapsed` seconds of it are spent already.
+    ///
+    /// # Errors
+    /// If the state cannot be saved.
+    pub fn train(
+        &self,
+        trainer: &mut Trainer,
+        elapsed: f64,
+        monitor: &dyn Monitor,
+        mut report: impl FnMut(&Progress),
+    ) -> Result<Finished> {
+        let background = self.background(trainer);
+        let mut clock = Clock { before: elapsed, start: Instant::now(), paused: 0.0 };
+        let mut saved = Instant::now();
+        let (mut loss, mut error, mut count) = (0.0, 0.0, 0_u64);
+        let first_share = self.share(trainer, elapsed);
+        let mut next_look = (first_share * f64::from(self.looks)).floor() + 1.0;
+        let interrupted = loop {
+            let share = self.share(trainer, clock.elapsed());
+            if share >= 1.0 || monitor.interrupted() {
+                break share < 1.0;
+            }
+            let step = trainer.step(share);
+            loss += step.loss;
+            error += step.squared_error;
+            count += 1;
+            let share = self.share(trainer, clock.elapsed());
+            let due = share * f64::from(self.looks) >= next_look && share < 1.0;
+            if due || trainer.steps().is_multiple_of(REPORT) {
+                let pause = Instant::now();
+                let mut held_out = None;
+                if due {
+                    next_look = (share * f64::from(self.looks)).floor() + 1.0;
+                    let field = trainer.field(serde_json::Value::Null);
+                    held_out = quality(&field, self.held_out, background, self.pixels);
+                }
+                let left = clock.elapsed_until(pause) - elapsed;
+                let left = match self.budget {
+                    Budget::Time(time) => time.as_secs_f64() - clock.elapsed_until(pause),
+                    Budget::Steps(_) => left * (1.0 - share) / (share - first_share).max(1e-9),
+                };
+                let mean = |sum: f64| sum / count.max(1) as f64;
+                report(&Progress {
+                    steps: trainer.steps(),
+                    share,
+                    loss: mean(loss),
+                    train_psnr: -10.0 * mean(error).log10(),
+                    held_out,
+                    left,
+                });
+                (loss, error, count) = (0.0, 0.0, 0);
+                clock.paused += pause.elapsed().as_secs_f64();
+            }
+            if let Some(state) = self.state.as_ref().filter(|state| saved.elapsed() >= state.every) {
+                trainer.save(&state.path, &state.key, clock.elapsed())?;
+                saved = Instant::now();
+            }
+        };
+        let elapsed = clock.elapsed();
+        if let Some(state) = self.state.as_ref().filter(|_| interrupted) {
+            trainer.save(&state.path, &state.key, elapsed)?;
+        }
+        Ok(Finished { elapsed, interrupted })
+    }
+
+    fn share(&self, trainer: &Trainer, elapsed: f64) -> f64 {
+        match self.budget {
+            Budget::Steps(steps) => (trainer.steps() as f64 / steps.max(1) as f64).min(1.0),
+            Budget::Time(time) => (elapsed / time.as_secs_f64().max(1e-9)).min(1.0),
+        }
+    }
+
+    fn background(&self, trainer: &Trainer) -> Vec3 {
+        trainer.settings.background.for_images()
+    }
+}
+
+/// Time spent on training alone.
+struct Clock {
+    before: f64,
+    start: Instant,
+    paused: f64,
+}
+
+impl Clock {
+    fn elapsed(&self) -> f64 {
+        self.elapsed_until(Instant::now())
+    }
+
+    fn elapsed_until(&self, now: Instant) -> f64 {
+        self.before + now.duration_since(self.start).as_secs_f64() - self.paused
+    }
+}
+
+impl Background {
+    /// The background of images: white where training saw any.
+    #[must_use]
+    pub fn for_images(self) -> Vec3 {
+        match self {
+            Self::Random => Vec3::ONE,
+            Self::Fixed(color) => Vec3::from_array(color),
+        }
+    }
+}
+
+/// What a run was made from, as the model's file remembers it and as a run that goes on must have it.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Description {
+    /// Version of this crate: another one may round or draw otherwise.
+    pub version: &'static str,
+    /// The camera file.
+    pub dataset: String,
+    /// Checksum of the camera file.
+    pub cameras: u32,
+    /// Which training images.
+    pub views: Selection,
+    /// Half in which their cameras stand.
+    pub hemisphere: Option<Hemisphere>,
+    /// How many these are.
+    pub images: usize,
+    /// Everything else.
+    pub settings: super::TrainSettings,
+    /// The space that the model covers.
+    pub domain: Domain,
+    /// Steps or seconds.
+    pub budget: String,
+}
+
+impl Description {
+    /// Checksum of a camera file.
+    ///
+    /// # Errors
+    /// If it cannot be read.
+    pub fn checksum(path: &Path) -> Result<u32> {
+        let bytes = std::fs::read(path).map_err(crate::Error::io(path, "cannot read"))?;
+        Ok(crc32fast::hash(&bytes))
+    }
+}

@@ -1,0 +1,202 @@
+//! The state of a training run and one step of it.
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+
+use super::adam::Adam;
+use super::batch::{GROUP, GroupGradient, Scene, group};
+use super::occupancy::{INTERVAL, OccupancyGrid};
+use super::{Shot, TrainSettings};
+use crate::Result;
+use crate::field::HashGrid;
+use crate::field::hash_grid::{
+    Encoding, Entry, N_FEATURES_PER_LEVEL, N_LEVELS, Network, Parameters, Space, Transposed,
+};
+use crate::geometry::{Camera, Domain};
+use crate::posterior::{PixelSequence, Pixels};
+
+/// Range of first features.
+const FEATURE_RANGE: f32 = 1e-4;
+/// Most rays of a step: more would go through the same few samples.
+pub(super) const MAX_RAYS: u64 = 1 << 14;
+
+/// How often an entry was moved, and where to: Adam's memory of the table.
+pub(super) struct Moments<T> {
+    pub mean: T,
+    pub square: T,
+}
+
+/// What a step found, before it changed anything.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StepReport {
+    /// Mean loss of a ray.
+    pub loss: f64,
+    /// Mean squared error of colour over channels.
+    pub squared_error: f64,
+    /// Rays of the step.
+    pub rays: u64,
+    /// Samples of these rays.
+    pub samples: u64,
+}
+
+/// A run under way.
+pub struct Trainer<'a> {
+    pub(super) settings: TrainSettings,
+    pub(super) space: Space,
+    shots: &'a [Shot],
+    pixels: PixelSequence,
+    pub(super) parameters: Parameters,
+    pub(super) table_moments: Moments<Vec<Entry>>,
+    pub(super) network_moments: Moments<Box<Network>>,
+    /// Zero between steps.
+    gradient: Vec<Entry>,
+    pub(super) occupancy: OccupancyGrid,
+    /// Steps so far.
+    pub(super) steps: u64,
+    /// Rays so far.
+    pub(super) rays: u64,
+    /// Rays of the next step.
+    pub(super) rays_per_step: u64,
+}
+
+impl<'a> Trainer<'a> {
+    /// A run that begins: random weights, everything that a camera sees occupied.
+    ///
+    /// # Errors
+    /// If the settings make no sense.
+    ///
+    /// # Panics
+    /// If there are no shots.
+    pub fn new(settings: TrainSettings, domain: Domain, shots: &'a [Shot]) -> Result<Self> {
+        assert!(!shots.is_empty(), "no images to train on");
+        let config = settings.config.checked()?;
+        let space = Space::new(domain)?;
+        let cameras: Vec<Camera> = shots.iter().map(|shot| shot.camera).collect();
+        let mut rng = ChaCha8Rng::seed_from_u64(settings.seed);
+        let levels = Encoding::levels_of(&config);
+        let entries = Encoding::entries(&levels);
+        let mut random = |range: f32| rng.random_range(-range..range);
+        let table = (0..entries).map(|_| std::array::from_fn(|_| random(FEATURE_RANGE))).collect();
+        let mut network = Network::zero();
+        // Xavier's uniform initialisation (Glorot, Bengio, 2010).
+        for ((_, [inputs, outputs]), layer) in crate::field::hash_grid::LAYERS.iter().zip(network.layers_mut()) {
+            let range = (6.0 / (inputs + outputs) as f32).sqrt();
+            layer.fill_with(|| random(range));
+        }
+        network.clear_padding();
+        let zero = || vec![[0.0; N_FEATURES_PER_LEVEL]; entries];
+        Ok(Self {
+            settings,
+            space,
+            shots,
+            pixels: PixelSequence::new(
+                Pixels::Sobol,
+                settings.seed,
+                cameras.iter().map(|camera| camera.resolution).collect(),
+            ),
+            parameters: Parameters { encoding: Encoding::new(&config, table), network },
+            table_moments: Moments { mean: zero(), square: zero() },
+            network_moments: Moments { mean: Box::new(Network::zero()), square: Box::new(Network::zero()) },
+            gradient: zero(),
+            occupancy: OccupancyGrid::new(config.occupancy, &space, &cameras),
+            steps: 0,
+            rays: 0,
+            rays_per_step: 2 * GROUP,
+        })
+    }
+
+    /// Steps so far.
+    #[must_use]
+    pub fn steps(&self) -> u64 {
+        self.steps
+    }
+
+    /// Rays so far.
+    #[must_use]
+    pub fn rays(&self) -> u64 {
+        self.rays
+    }
+
+    /// The field as it is now.
+    #[must_use]
+    pub fn field(&self, training: serde_json::Value) -> HashGrid {
+        HashGrid::new(
+            self.settings.config,
+            self.space,
+            self.parameters.clone(),
+            self.occupancy.occupied().to_vec(),
+            training,
+        )
+    }
+
+    /// One step; `progress` in `[0, 1]` is the share of the run that is done, for the learning rate. The same on any number of threads: groups of rays
+    /// are summed in their order, and every level of the grid is summed by one thread.
+    pub fn step(&mut self, progress: f64) -> StepReport {
+        if self.steps > 0 && self.steps.is_multiple_of(INTERVAL) {
+            self.occupancy.update(&self.parameters, self.settings.seed, self.steps / INTERVAL - 1);
+        }
+        let groups = self.gradients();
+        let samples: u64 = groups.iter().map(|group| group.u.len() as u64).sum();
+        let rays = self.rays_per_step;
+        let mean = |sum: f64| sum / rays as f64;
+        let report = StepReport {
+            loss: mean(groups.iter().map(|group| group.loss).sum()),
+            squared_error: mean(groups.iter().map(|group| group.squared_error).sum::<f64>() / 3.0),
+            rays,
+            samples,
+        };
+        self.steps += 1;
+        self.rays += rays;
+        self.descend(&groups, progress);
+        // As many rays as fill the budget, were they like these; no faster than twofold.
+        let fitting = u128::from(rays) * u128::from(self.settings.samples_per_step) / u128::from(samples.max(1));
+        let fitting = (fitting as u64).clamp(rays / 2, 2 * rays).clamp(GROUP, MAX_RAYS);
+        self.rays_per_step = fitting.next_multiple_of(GROUP);
+        report
+    }
+
+    /// Forward and backward for the rays of this step.
+    fn gradients(&self) -> Vec<GroupGradient> {
+        let transposed = Transposed::new(&self.parameters.network);
+        let scene = Scene {
+            shots: self.shots,
+            pixels: &self.pixels,
+            space: &self.space,
+            occupancy: &self.occupancy,
+            parameters: &self.parameters,
+            transposed: &transposed,
+            background: self.settings.background,
+            distortion: self.settings.distortion,
+            seed: self.settings.seed,
+        };
+        (0..self.rays_per_step / GROUP).into_par_iter().map(|g| group(&scene, self.rays + g * GROUP, GROUP)).collect()
+    }
+
+    fn descend(&mut self, groups: &[GroupGradient], progress: f64) {
+        let rate = self.settings.learning_rate * self.settings.final_rate.powf(progress.clamp(0.0, 1.0) as f32);
+        let adam = Adam::new(rate, self.steps);
+        let mut sum = Network::zero();
+        groups.iter().for_each(|group| sum.add(&group.weights));
+        let network = self.parameters.network.layers_mut().into_iter().zip(sum.layers());
+        let moments = self.network_moments.mean.layers_mut().into_iter().zip(self.network_moments.square.layers_mut());
+        for ((weights, gradients), (mean, square)) in network.zip(moments) {
+            adam.update(weights, gradients, mean, square);
+        }
+
+        let levels = *self.parameters.encoding.levels();
+        let parts = Encoding::split(&levels, &mut self.parameters.encoding.table)
+            .into_par_iter()
+            .zip(Encoding::split(&levels, &mut self.gradient))
+            .zip(Encoding::split(&levels, &mut self.table_moments.mean))
+            .zip(Encoding::split(&levels, &mut self.table_moments.square));
+        // One level at a time to whoever is free: fine ones take longer.
+        parts.enumerate().with_max_len(1).for_each(|(l, (((entries, gradient), mean), square))| {
+            debug_assert!(l < N_LEVELS);
+            for group in groups {
+                Encoding::add_gradient(l, &levels[l], &group.u, &group.features, gradient);
+            }
+            adam.update_visited(entries, gradient, mean, square);
+        });
+    }
+}

@@ -1,0 +1,173 @@
+//! `train` as scripts see it: a data set in, a model out that the other verbs read; interrupted runs go on.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+
+use glam::{DVec3, Vec3};
+use octobayes::dataset::write_transforms;
+use octobayes::estimate::RaySettings;
+use octobayes::field::{ClosedForm, HashGrid, RadianceField};
+use octobayes::geometry::Camera;
+use octobayes::monitor::Silent;
+use octobayes::render::render_view;
+use serde_json::Value;
+
+/// A folder with images of the courtyard: 12 to train on and 3 held out, on a black background.
+struct Desk {
+    folder: tempfile::TempDir,
+}
+
+const SMALL: &str = "--background black --box=-1,-1,-1,1,1,1 --log2-hashmap-size 12 --samples-per-step 4096";
+
+impl Desk {
+    fn new() -> Self {
+        let desk = Self { folder: tempfile::tempdir().unwrap() };
+        let scene = ClosedForm::courtyard();
+        let settings = RaySettings { occupancy: 32, cutoff: 1e-4, background: Vec3::ZERO, ..RaySettings::default() };
+        let tracer = settings.tracer(&scene, 0.0, &Silent).unwrap();
+        let (mut train, mut test) = (Vec::new(), Vec::new());
+        for (i, camera) in ClosedForm::half_circle(15, [40; 2]).into_iter().enumerate() {
+            let view = render_view(&tracer, &camera, 0.5, &[], &Silent).unwrap();
+            let byte = |v: f64| (255.0 * v).round() as u8;
+            let pixel = |x: u32, y: u32| -> DVec3 { view.pixels[(y * 40 + x) as usize].color };
+            let image = image::RgbImage::from_fn(40, 40, |x, y| image::Rgb(pixel(x, y).to_array().map(byte)));
+            let name = format!("r_{i}");
+            image.save(desk.path(&format!("{name}.png"))).unwrap();
+            if i % 5 == 2 { test.push((name, camera)) } else { train.push((name, camera)) }
+        }
+        // A frame whose image is not there, as in instant-ngp's fox.
+        let missing: (String, Camera) = ("gone".into(), train[0].1);
+        train.push(missing);
+        write_transforms(&desk.path("transforms_train.json"), &train).unwrap();
+        write_transforms(&desk.path("transforms_test.json"), &test).unwrap();
+        desk
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    fn command(&self, args: &str) -> Command {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_octobayes"));
+        command.args(args.split_whitespace()).current_dir(self.folder.path());
+        command.stdout(Stdio::piped()).stderr(Stdio::piped());
+        command
+    }
+
+    fn run(&self, args: &str) -> Output {
+        self.command(args).output().unwrap()
+    }
+
+    /// Runs and returns stdout and stderr; panics on failure.
+    fn good(&self, args: &str) -> [String; 2] {
+        let output = self.run(args);
+        let [stdout, stderr] = [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).unwrap());
+        assert!(output.status.success(), "{args}: {stderr}");
+        [stdout, stderr]
+    }
+
+    fn bytes(&self, name: &str) -> Vec<u8> {
+        std::fs::read(self.path(name)).unwrap()
+    }
+}
+
+#[test]
+fn a_model_is_trained_and_the_other_verbs_read_it() {
+    let desk = Desk::new();
+    let train = |out: &str, more: &str| desk.good(&format!("train . -o {out} --steps 150 {SMALL} --json {more}"));
+    let [stdout, stderr] = train("a.safetensors", "--threads 1");
+    assert!(stderr.contains("1 frames") && stderr.contains("no image"), "{stderr}");
+    let report: Value = serde_json::from_str(&stdout).unwrap();
+    let model = &report["models"][0];
+    assert_eq!((&model["images"], &model["steps"], &model["seed"]), (&12.into(), &150.into(), &0.into()));
+    assert_eq!((&model["held_out"]["views"], &model["held_out"]["pixels"]), (&3.into(), &4800.into()));
+    // Black images have about 11 dB here; 19.1 measured.
+    let psnr = model["held_out"]["psnr"].as_f64().unwrap();
+    assert!(psnr > 17.0, "{psnr}");
+
+    // Again, with other threads: the same bytes.
+    train("b.safetensors", "--threads 3");
+    assert!(desk.bytes("a.safetensors") == desk.bytes("b.safetensors"));
+    let field = HashGrid::read(&desk.path("a.safetensors")).unwrap();
+    assert_eq!(field.training()["images"], 12);
+    assert_eq!(field.bounds().size(), DVec3::splat(2.0));
+
+    let [info, _] = desk.good("info a.safetensors");
+    assert!(info.contains("hash grid"), "{info}");
+    desk.good("uncertainty a.safetensors --cameras transforms_train.json --rays 3000 --level 5 --background black --occupancy 32 -o a.oct");
+    desk.good("render a.safetensors a.oct --cameras transforms_test.json --background black --occupancy 32 -o a.png");
+}
+
+#[test]
+fn views_members_and_what_is_wrong_with_them() {
+    let desk = Desk::new();
+    let two = format!("train transforms_train.json -o m.safetensors --steps 5 --views 3 --members 2 --seed 7 {SMALL}");
+    let [stdout, _] = desk.good(&two);
+    assert!(stdout.contains("m-0.safetensors") && stdout.contains("3 images") && stdout.contains("seed 8"), "{stdout}");
+    let [first, second] = ["m-0.safetensors", "m-1.safetensors"].map(|name| desk.bytes(name));
+    assert!(first != second && !desk.path("m.safetensors").exists());
+    // Finished members are kept, and must be of the same run.
+    std::fs::remove_file(desk.path("m-1.safetensors")).unwrap();
+    let [_, stderr] = desk.good(&format!("{two} --resume"));
+    assert!(stderr.contains("m-0.safetensors is finished"), "{stderr}");
+    assert!(desk.bytes("m-0.safetensors") == first && desk.bytes("m-1.safetensors") == second);
+
+    // The half circle is on the side x > 0.
+    let [stdout, _] = desk.good(&format!("train . -o half.safetensors --steps 2 --hemisphere right {SMALL}"));
+    assert!(stdout.contains("12 images"), "{stdout}");
+    let [stdout, _] = desk.good(&format!("train . -o list.safetensors --steps 2 --views 0,2,11 {SMALL}"));
+    assert!(stdout.contains("3 images"), "{stdout}");
+
+    std::fs::write(
+        desk.path("no_images.json"),
+        std::fs::read_to_string(desk.path("transforms_test.json")).unwrap().replace("r_", "q_"),
+    )
+    .unwrap();
+    std::fs::write(desk.path("r_1.png"), b"no picture").unwrap();
+    for (args, expected) in [
+        ("train . -o m.npz --steps 1", "--output"),
+        ("train . -o x.safetensors --steps 1 --views 13", "at most 12"),
+        ("train . -o x.safetensors --steps 1 --views 0,12", "from 0 to 11"),
+        ("train . -o x.safetensors --steps 1 --hemisphere left", "some training images"),
+        ("train . -o x.safetensors --steps 1 --inner 0,0,0,1", "--contract"),
+        ("train . -o x.safetensors --steps 1 --time 1s", "--time"),
+        ("train no_images.json -o x.safetensors --steps 1", "images that exist"),
+        ("train nowhere -o x.safetensors --steps 1", "nowhere"),
+        ("train . -o missing/x.safetensors --steps 1", "missing/x.safetensors"),
+        ("train . -o x.safetensors --steps 1", "r_1.png"),
+        (&*format!("{two} --resume --learning-rate 0.5"), "training, settings"),
+    ] {
+        let output = desk.run(args);
+        let stderr = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.code() == Some(2) && stderr.contains(expected), "{args}: {stderr}");
+        assert!(!desk.path("x.safetensors").exists(), "{args}");
+    }
+}
+
+#[test]
+#[cfg(unix)]
+fn ctrl_c_saves_a_usable_model_and_resume_ends_with_the_same_bytes() {
+    let desk = Desk::new();
+    let args = |out: &str| format!("train . -o {out} --steps 250 {SMALL} --save-every 0.05");
+    desk.good(&args("whole.safetensors"));
+    let mut child = desk.command(&args("parts.safetensors")).spawn().unwrap();
+    // The state appears after the first steps: the run takes seconds.
+    while !desk.path("parts.state").exists() {
+        assert!(child.try_wait().unwrap().is_none(), "the run ended before it saved its state");
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    let output = child.wait_with_output().unwrap();
+    let stderr = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.code() == Some(130) && stderr.contains("--resume goes on"), "{stderr}");
+    let steps = |path: &Path| HashGrid::read(path).unwrap().training()["steps"].as_u64().unwrap();
+    let so_far = steps(&desk.path("parts.safetensors"));
+    assert!((1..250).contains(&so_far), "{so_far}");
+
+    let refused = desk.run(&args("parts.safetensors"));
+    assert!(refused.status.code() == Some(2), "an unfinished run is not overwritten by accident");
+    let [_, stderr] = desk.good(&format!("{} --resume", args("parts.safetensors")));
+    assert!(stderr.contains(&format!("going on after {so_far} steps")), "{stderr}");
+    assert!(desk.bytes("whole.safetensors") == desk.bytes("parts.safetensors"));
+    assert!(!desk.path("parts.state").exists());
+}
