@@ -22,6 +22,19 @@ struct Cascade {
     corners: Vec<u8>,
     /// `[n, n]`, y fastest: bit x is set if w > 0 somewhere in the cell; cells that a finer cascade replaces are clear.
     rows: Vec<u128>,
+    /// `[n, n]`, y fastest: bit x of the first is set if w > 0 somewhere in the cell, of the second if w = 1 everywhere. Most cells are
+    /// one or the other, and their corners, 2 MB, need not be looked at.
+    constant: Vec<[u128; 2]>,
+}
+
+/// What the window is around a point.
+enum Around<'a> {
+    /// 0, also outside the box.
+    Zero,
+    /// 1.
+    One,
+    /// The corners of the cell from the lowest, the stride between rows of them, the offset in the cell, and cells per file unit.
+    Ramp(&'a [u8], usize, Vec3, f32),
 }
 
 /// The window w(p).
@@ -45,8 +58,8 @@ impl Window {
             if let Some(coarse) = cascades.last() {
                 hang(n, &coarse.corners, &mut corners);
             }
-            let rows = rows(n, &corners, k > 0);
-            cascades.push(Cascade { corners, rows });
+            let (rows, constant) = (rows(n, &corners, k > 0), constant(n, &corners));
+            cascades.push(Cascade { corners, rows, constant });
         }
         cascades.reverse();
         Self { n, cascades }
@@ -60,7 +73,11 @@ impl Window {
     /// w at p = ½ + `c`; 0 outside the box.
     #[inline]
     pub fn at(&self, c: Vec3) -> f32 {
-        let Some((corners, m, t, _)) = self.cell(c) else { return 0.0 };
+        let (corners, m, t) = match self.around(c) {
+            Around::Zero => return 0.0,
+            Around::One => return 1.0,
+            Around::Ramp(corners, m, t, _) => (corners, m, t),
+        };
         let along_x = |i: usize| lerp(f32::from(corners[i]), f32::from(corners[i + 1]), t.x);
         let along_xy = |i: usize| lerp(along_x(i), along_x(i + m), t.y);
         lerp(along_xy(0), along_xy(m * m), t.z) / f32::from(ONE)
@@ -68,7 +85,11 @@ impl Window {
 
     /// w and ∇w at p = ½ + `c`, per file unit.
     pub fn at_with_gradient(&self, c: Vec3) -> (f32, Vec3) {
-        let Some((corners, m, t, per_unit)) = self.cell(c) else { return (0.0, Vec3::ZERO) };
+        let (corners, m, t, per_unit) = match self.around(c) {
+            Around::Zero => return (0.0, Vec3::ZERO),
+            Around::One => return (1.0, Vec3::ZERO),
+            Around::Ramp(corners, m, t, per_unit) => (corners, m, t, per_unit),
+        };
         // (value, ∂x) along x, then with ∂y, then with ∂z.
         let along_x = |i: usize| {
             let [a, b] = [corners[i], corners[i + 1]].map(f32::from);
@@ -83,25 +104,31 @@ impl Window {
         (lerp(a, b, t.z) / f32::from(ONE), gradient / f32::from(ONE))
     }
 
-    /// The corners of the cell around p = ½ + `c`, from the lowest, the stride between rows of them, the offset in the cell, and cells
-    /// per file unit.
+    /// The window around p = ½ + `c`.
     #[inline]
-    fn cell(&self, c: Vec3) -> Option<(&[u8], usize, Vec3, f32)> {
+    fn around(&self, c: Vec3) -> Around<'_> {
         let reach = 2.0 * c.abs().max_element();
         let (mut k, mut side) = (0, 1.0_f32);
         while reach > side {
             k += 1;
             side *= 2.0;
             if k == self.cascades.len() {
-                return None;
+                return Around::Zero;
             }
         }
         let u = (c / side + 0.5) * self.n as f32;
         let low = u.to_array().map(|u| (u as usize).min(self.n - 1));
-        let t = u - Vec3::from_array(low.map(|i| i as f32));
-        let m = self.n + 1;
-        let corners = &self.cascades[k].corners[(low[2] * m + low[1]) * m + low[0]..][..(m + 1) * m + 2];
-        Some((corners, m, t, self.n as f32 / side))
+        let cascade = &self.cascades[k];
+        match cascade.constant[low[2] * self.n + low[1]].map(|row| row >> low[0] & 1) {
+            [0, _] => Around::Zero,
+            [_, 1] => Around::One,
+            _ => {
+                let t = u - Vec3::from_array(low.map(|i| i as f32));
+                let m = self.n + 1;
+                let corners = &cascade.corners[(low[2] * m + low[1]) * m + low[0]..][..(m + 1) * m + 2];
+                Around::Ramp(corners, m, t, self.n as f32 / side)
+            }
+        }
     }
 
     /// Whether w is 0 everywhere in the box from ½ + `min` to ½ + `max`, and for all positions that f32 rounds into it.
@@ -126,7 +153,10 @@ impl Window {
 
     /// Bytes on the heap.
     pub fn memory(&self) -> usize {
-        self.cascades.iter().map(|c| size_of_val(c.corners.as_slice()) + size_of_val(c.rows.as_slice())).sum()
+        let of = |c: &Cascade| {
+            size_of_val(c.corners.as_slice()) + size_of_val(c.rows.as_slice()) + size_of_val(c.constant.as_slice())
+        };
+        self.cascades.iter().map(of).sum()
     }
 }
 
@@ -190,6 +220,20 @@ fn rows(n: usize, corners: &[u8], replaced: bool) -> Vec<u128> {
         if any && !(replaced && [x, y, z].iter().all(|i| central.contains(i))) {
             rows[z * n + y] |= 1 << x;
         }
+    }
+    rows
+}
+
+/// Rows of cells in which w is not 0, and in which it is 1.
+fn constant(n: usize, corners: &[u8]) -> Vec<[u128; 2]> {
+    let m = n + 1;
+    let mut rows = vec![[0; 2]; n * n];
+    for (x, y, z) in triples(n) {
+        let around = [0, 1, 2, 3, 4, 5, 6, 7_usize];
+        let values = around.map(|c| corners[((z + (c >> 2)) * m + y + (c >> 1 & 1)) * m + x + (c & 1)]);
+        let [some, all] = &mut rows[z * n + y];
+        *some |= u128::from(values.iter().any(|&v| v > 0)) << x;
+        *all |= u128::from(values.iter().all(|&v| v == ONE)) << x;
     }
     rows
 }

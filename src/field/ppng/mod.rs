@@ -58,6 +58,8 @@ struct Block<const N: usize> {
     centered: [[f32; N]; 3],
     /// w.
     windows: [f32; N],
+    /// ∇w by c; zero in blocks without derivatives.
+    ramps: [Vec3; N],
     directions: [[f32; N]; 3],
     features: [[f32; WIDTH]; BLOCK],
     hidden: [[f32; HIDDEN]; BLOCK],
@@ -72,6 +74,7 @@ impl<const N: usize> Block<N> {
         Self {
             centered: [[0.0; N]; 3],
             windows: [0.0; N],
+            ramps: [Vec3::ZERO; N],
             directions: [[0.0; N]; 3],
             features: [[0.0; WIDTH]; BLOCK],
             hidden: [[0.0; HIDDEN]; BLOCK],
@@ -82,11 +85,12 @@ impl<const N: usize> Block<N> {
 
 impl<const N: usize> Block<N> {
     /// Point `p` at ½ + `c`.
-    fn put(&mut self, p: usize, c: Vec3, window: f32) {
+    fn put(&mut self, p: usize, c: Vec3, (window, ramp): (f32, Vec3)) {
         for axis in 0..3 {
             self.centered[axis][p] = c[axis];
         }
         self.windows[p] = window;
+        self.ramps[p] = ramp;
     }
 }
 
@@ -276,8 +280,14 @@ impl Ppng {
     fn place<const N: usize>(&self, positions: &[Vec3], block: &mut Block<N>) {
         for (p, &x) in positions.iter().enumerate() {
             let c = self.coordinates.centered(x);
-            block.put(p, c, self.window.at(c));
+            block.put(p, c, self.window_at::<N>(c));
         }
+    }
+
+    /// w at ½ + `c`, and ∇w for blocks with derivatives.
+    #[inline]
+    fn window_at<const N: usize>(&self, c: Vec3) -> (f32, Vec3) {
+        if N == JETS { self.window.at_with_gradient(c) } else { (self.window.at(c), Vec3::ZERO) }
     }
 
     /// Puts the points' directions into the block.
@@ -294,8 +304,8 @@ impl Ppng {
         let (mut owners, mut count) = ([0; N], 0);
         for (i, &x) in positions.iter().enumerate() {
             let c = self.coordinates.centered(x);
-            let window = self.window.at(c);
-            if window > 0.0 {
+            let window = self.window_at::<N>(c);
+            if window.0 > 0.0 {
                 block.put(count, c, window);
                 owners[count] = i;
                 count += 1;
@@ -312,8 +322,7 @@ impl Ppng {
 
     /// ∇σ in scene units, of point `p` of the block, whose density without the window is given.
     fn density_gradient(&self, block: &Block<JETS>, density: f32, p: usize) -> Vec3 {
-        let (window, ramp) =
-            self.window.at_with_gradient(Vec3::from_array([0, 1, 2].map(|axis| block.centered[axis][p])));
+        let (window, ramp) = (block.windows[p], block.ramps[p]);
         let rows = &block.hidden[JET * p..JET * (p + 1)];
         let slope = window * network::density_slope(density, rows[0][0]);
         let along = ramp * density + slope * Vec3::new(rows[1][0], rows[2][0], rows[3][0]);

@@ -42,6 +42,39 @@ pub struct Contribution {
     pub sums: Evidence,
 }
 
+/// What the rays of a batch add, in ray order, and which shard takes what.
+pub struct Contributions {
+    all: Vec<Contribution>,
+    /// Indices into `all` by shard, in ray order in each.
+    order: Vec<u32>,
+    /// Where each shard begins in `order`, and its end.
+    starts: [u32; SHARDS + 1],
+}
+
+impl Contributions {
+    pub fn new(all: Vec<Contribution>) -> Self {
+        // A counting sort of indices: the contributions themselves are large.
+        let shards: Vec<u8> = all.iter().map(|c| shard_of(c.key) as u8).collect();
+        let mut starts = [0; SHARDS + 1];
+        shards.iter().for_each(|&s| starts[usize::from(s) + 1] += 1);
+        for s in 0..SHARDS {
+            starts[s + 1] += starts[s];
+        }
+        let mut next = starts;
+        let mut order = vec![0; all.len()];
+        for (i, &s) in shards.iter().enumerate() {
+            let at = &mut next[usize::from(s)];
+            order[*at as usize] = i as u32;
+            *at += 1;
+        }
+        Self { all, order, starts }
+    }
+
+    fn of_shard(&self, s: usize) -> impl Iterator<Item = &Contribution> {
+        self.order[self.starts[s] as usize..self.starts[s + 1] as usize].iter().map(|&i| &self.all[i as usize])
+    }
+}
+
 /// The bricks that hash to one shard.
 #[derive(Debug, Clone, Default)]
 struct Shard {
@@ -93,10 +126,10 @@ impl Bricks {
         Self { shards: vec![Shard::default(); SHARDS] }
     }
 
-    /// Adds lists of contributions, each split by shard, in order.
-    pub fn add(&mut self, lists: &[Vec<Vec<Contribution>>]) {
+    /// Adds lists of contributions, in order.
+    pub fn add(&mut self, lists: &[Contributions]) {
         self.shards.par_iter_mut().enumerate().for_each(|(s, shard)| {
-            shard.add(lists.iter().flat_map(|list| &list[s]).map(|c| (c.key, &c.sums)));
+            shard.add(lists.iter().flat_map(|list| list.of_shard(s)).map(|c| (c.key, &c.sums)));
         });
     }
 

@@ -9,7 +9,7 @@
 //! On limited leaves a corner may hang on a larger leaf. Its share of J goes to the ends that it is interpolated from, before
 //! squaring: J of a free vertex gathers what its hanging dependants would have received.
 //!
-//! Threads: rays of a batch are [squared](squares) in parallel into one list of contributions per shard; then shards add their lists in
+//! Threads: rays of a batch are [squared](squares) in parallel into one list of contributions; then shards add their lists in
 //! parallel, each in ray order. Every sum therefore sees its contributions in ray order, whatever the number of threads.
 
 mod bricks;
@@ -21,7 +21,7 @@ pub use bricks::Brick;
 pub use refine::Refinement;
 pub use survey::Survey;
 
-use bricks::{Bricks, Contribution, SHARDS, key, shard_of};
+use bricks::{Bricks, Contribution, Contributions, key};
 use std::ops::Range;
 
 use glam::{DVec3, Vec3};
@@ -139,32 +139,23 @@ impl OctreePosterior {
         }
     }
 
-    /// Squares every ray of a batch: one list per shard, in ray order.
-    fn contributions(&self, batch: &RaySamples) -> Vec<Vec<Contribution>> {
-        // About as many vertices as samples go to a shard of a batch that fills its space evenly.
-        let expected = 4 * batch.positions.len() / SHARDS;
-        let mut lists: Vec<_> = (0..SHARDS).map(|_| Vec::with_capacity(expected)).collect();
-        let mut emit = |key: u64, sums: Evidence| lists[shard_of(key)].push(Contribution { key, sums });
+    /// Squares every ray of a batch.
+    fn contributions(&self, batch: &RaySamples) -> Contributions {
         let finest = self.limits.is_unlimited();
         let (mut places, mut touched) = (Vec::new(), Vec::new());
+        let mut all: Vec<Contribution> = Vec::with_capacity(4 * batch.positions.len());
         for (_, samples) in batch.iter() {
             if finest && squares::places(&self.lattice, batch, samples.clone(), &mut places) {
-                squares::along(&places, batch, &mut emit);
+                squares::along(&places, batch, &mut all);
             } else {
-                self.gather(batch, samples, &mut touched, &mut emit);
+                self.gather(batch, samples, &mut touched, &mut all);
             }
         }
-        lists
+        Contributions::new(all)
     }
 
     /// Squares one ray on any leaves: what its samples touch is sorted by vertex.
-    fn gather(
-        &self,
-        batch: &RaySamples,
-        samples: Range<usize>,
-        touched: &mut Vec<Touch>,
-        emit: &mut impl FnMut(u64, Evidence),
-    ) {
+    fn gather(&self, batch: &RaySamples, samples: Range<usize>, touched: &mut Vec<Touch>, out: &mut Vec<Contribution>) {
         touched.clear();
         for i in samples {
             self.for_each_vertex(batch.positions[i], |key, weight| touched.push((key, i as u32, weight)));
@@ -175,7 +166,7 @@ impl OctreePosterior {
             for &(_, sample, weight) in group {
                 partial.add(weight, &Row::of(batch, sample as usize));
             }
-            emit(group[0].0, partial.squared());
+            out.push(Contribution { key: group[0].0, sums: partial.squared() });
         }
     }
 }

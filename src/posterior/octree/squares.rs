@@ -8,8 +8,9 @@
 use std::ops::Range;
 
 use glam::DVec3;
+use multiversion::multiversion;
 
-use super::bricks::key;
+use super::bricks::{Contribution, key};
 use crate::geometry::Lattice;
 use crate::octree::trilinear;
 use crate::posterior::{Evidence, Information};
@@ -19,6 +20,7 @@ use crate::render::RaySamples;
 pub struct Row([f64; 12]);
 
 impl Row {
+    #[inline(always)]
     pub fn of(batch: &RaySamples, sample: usize) -> Self {
         let (jacobian, gradient) = (&batch.jacobians[sample], &batch.gradients[sample]);
         Self(std::array::from_fn(|i| f64::from(if i < 9 { jacobian[i] } else { gradient[i - 9] })))
@@ -30,7 +32,7 @@ impl Row {
 pub struct Partial([f64; 12]);
 
 impl Partial {
-    #[inline]
+    #[inline(always)]
     pub fn add(&mut self, weight: f64, row: &Row) {
         for (sum, value) in self.0.iter_mut().zip(&row.0) {
             *sum += weight * value;
@@ -38,7 +40,7 @@ impl Partial {
     }
 
     /// JᵀJ and what else is known of the vertex from this ray.
-    #[inline]
+    #[inline(always)]
     pub fn squared(&self) -> Evidence {
         let gradient = [self.0[9] as f32, self.0[10] as f32, self.0[11] as f32];
         Evidence { information: gram(&self.0), gradient, rays: 1 }
@@ -46,7 +48,7 @@ impl Partial {
 }
 
 /// JᵀJ of a 3×3 Jacobian given row by row: xx, xy, xz, yy, yz, zz.
-#[inline]
+#[inline(always)]
 pub fn gram(j: &[f64]) -> Information {
     let dot = |a: usize, b: usize| j[a] * j[b] + j[3 + a] * j[3 + b] + j[6 + a] * j[6 + b];
     [dot(0, 0), dot(0, 1), dot(0, 2), dot(1, 1), dot(1, 2), dot(2, 2)]
@@ -84,14 +86,15 @@ pub fn places(lattice: &Lattice, batch: &RaySamples, samples: Range<usize>, plac
     true
 }
 
-/// Calls `emit` for every vertex that a ray which never turns back touches.
-pub fn along(places: &[Place], batch: &RaySamples, emit: &mut impl FnMut(u64, Evidence)) {
+/// Appends what a ray that never turns back adds to every vertex that it touches, in the order in which they are done.
+#[multiversion(targets("x86_64+avx2+fma"))]
+pub fn along(places: &[Place], batch: &RaySamples, out: &mut Vec<Contribution>) {
     let Some(first) = places.first() else { return };
     let mut cell = first.cell;
     let mut corners = [Partial::default(); 8];
     for place in places {
         if place.cell != cell {
-            corners = moved(&corners, cell, place.cell, emit);
+            corners = moved(&corners, cell, place.cell, out);
             cell = place.cell;
         }
         let row = Row::of(batch, place.sample as usize);
@@ -100,18 +103,19 @@ pub fn along(places: &[Place], batch: &RaySamples, emit: &mut impl FnMut(u64, Ev
         }
     }
     for (c, corner) in corners.iter().enumerate() {
-        emit(vertex(cell, c), corner.squared());
+        out.push(Contribution { key: vertex(cell, c), sums: corner.squared() });
     }
 }
 
 /// Corner `c` of a cell.
-#[inline]
+#[inline(always)]
 fn vertex(cell: [u32; 3], c: usize) -> u64 {
     key(std::array::from_fn(|axis| cell[axis] + (c as u32 >> axis & 1)), 0)
 }
 
 /// The corners of cell `to`: those that cell `from` shares keep their sums, the others of `from` are done.
-fn moved(corners: &[Partial; 8], from: [u32; 3], to: [u32; 3], emit: &mut impl FnMut(u64, Evidence)) -> [Partial; 8] {
+#[inline(always)]
+fn moved(corners: &[Partial; 8], from: [u32; 3], to: [u32; 3], out: &mut Vec<Contribution>) -> [Partial; 8] {
     let mut next = [Partial::default(); 8];
     for (c, corner) in corners.iter().enumerate() {
         let bit = |axis: usize| i64::from(from[axis]) + (c as i64 >> axis & 1) - i64::from(to[axis]);
@@ -119,7 +123,7 @@ fn moved(corners: &[Partial; 8], from: [u32; 3], to: [u32; 3], emit: &mut impl F
         if bits.iter().all(|b| (0..=1).contains(b)) {
             next[(bits[0] | bits[1] << 1 | bits[2] << 2) as usize] = *corner;
         } else {
-            emit(vertex(from, c), corner.squared());
+            out.push(Contribution { key: vertex(from, c), sums: corner.squared() });
         }
     }
     next

@@ -199,9 +199,9 @@ proptest! {
 }
 
 /// What one ray adds, vertex by vertex.
-fn squares_of(emit_all: impl FnOnce(&mut dyn FnMut(u64, Evidence))) -> BTreeMap<u64, Vec<Evidence>> {
+fn by_vertex(contributions: Vec<Contribution>) -> BTreeMap<u64, Vec<Evidence>> {
     let mut found: BTreeMap<u64, Vec<Evidence>> = BTreeMap::new();
-    emit_all(&mut |key, sums| found.entry(key).or_default().push(sums));
+    contributions.into_iter().for_each(|c| found.entry(c.key).or_default().push(c.sums));
     found
 }
 
@@ -224,13 +224,15 @@ proptest! {
         }
         let posterior = OctreePosterior::new(lattice(4));
         let range = 0..batch.positions.len();
-        let sorted = squares_of(|mut emit| posterior.gather(&batch, range.clone(), &mut Vec::new(), &mut emit));
+        let (mut sorted, mut walked) = (Vec::new(), Vec::new());
+        posterior.gather(&batch, range.clone(), &mut Vec::new(), &mut sorted);
+        let sorted = by_vertex(sorted);
         let mut places = Vec::new();
         // Rounded positions of a straight line do not fall back: products and sums of f32 are monotone.
         prop_assert!(squares::places(&posterior.lattice, &batch, range, &mut places));
-        let walked = squares_of(|mut emit| squares::along(&places, &batch, &mut emit));
+        squares::along(&places, &batch, &mut walked);
         prop_assert!(sorted.values().all(|once| once.len() == 1));
-        prop_assert_eq!(walked, sorted);
+        prop_assert_eq!(by_vertex(walked), sorted);
     }
 }
 
