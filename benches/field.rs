@@ -7,7 +7,7 @@ use std::path::PathBuf;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use glam::Vec3;
-use octobayes::field::{Coordinates, Ppng, Radiance, RadianceField};
+use octobayes::field::{Coordinates, Differentiable, Ppng, Radiance, RadianceField, RadianceJet};
 use rayon::prelude::*;
 
 /// Points of a batch, as the tracer's groups of rays make them.
@@ -49,7 +49,13 @@ fn field(c: &mut Criterion) {
         group.throughput(Throughput::Elements(POINTS as u64));
         let mut out = vec![Radiance::default(); POINTS];
         group.bench_function("evaluate", |b| b.iter(|| model.evaluate(black_box(&positions), &directions, &mut out)));
+        let mut jets = vec![RadianceJet::default(); POINTS];
+        group.bench_function("jets", |b| b.iter(|| model.jets(black_box(&positions), &directions, &mut jets)));
         let mut densities = vec![0.0; POINTS];
+        let mut gradients = vec![Vec3::ZERO; POINTS];
+        group.bench_function("density jets", |b| {
+            b.iter(|| model.density_jets(black_box(&positions), &mut densities, &mut gradients));
+        });
         group.bench_function("densities", |b| b.iter(|| model.densities(black_box(&positions), &mut densities)));
         group.throughput(Throughput::Elements((BATCHES * POINTS) as u64));
         let mut outs = vec![vec![Radiance::default(); POINTS]; BATCHES];

@@ -4,13 +4,13 @@
 use std::hint::black_box;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use glam::Vec3;
-use octobayes::estimate::{FieldBuilder, GridKind, GridSettings, RaySettings, estimate};
+use glam::{DMat3, Vec3};
+use octobayes::estimate::{FieldBuilder, GridKind, GridSettings, Provenance, RaySettings, estimate};
 use octobayes::field::{ClosedForm, Radiance, RadianceField};
-use octobayes::geometry::Domain;
+use octobayes::geometry::{Camera, Domain};
 use octobayes::monitor::Silent;
 use octobayes::posterior::{Share, Tally};
-use octobayes::render::RaySamples;
+use octobayes::render::{RaySamples, render_view};
 use octobayes::uncertainty::UncertaintyField;
 
 const RAYS: u64 = 8_192;
@@ -36,6 +36,11 @@ fn field_evaluation(c: &mut Criterion) {
     let mut group = c.benchmark_group("evaluate");
     group.throughput(Throughput::Elements(positions.len() as u64));
     group.bench_function("courtyard", |b| b.iter(|| scene.evaluate(black_box(&positions), &positions, &mut out)));
+    // The degenerate case: one point at a time.
+    group.throughput(Throughput::Elements(1));
+    group.bench_function("courtyard, one point", |b| {
+        b.iter(|| scene.evaluate(black_box(&positions[..1]), &positions[..1], &mut out[..1]));
+    });
     group.finish();
 }
 
@@ -75,6 +80,58 @@ fn accumulate(c: &mut Criterion) {
     group.finish();
 }
 
+fn render(c: &mut Criterion) {
+    let scene = ClosedForm::courtyard();
+    let tracer = rays().tracer(&scene, 0.0, &Silent).unwrap();
+    let camera = ClosedForm::half_circle(40, [100, 75])[20];
+    // The degenerate case: looking away from the scene.
+    let away = Camera { axes: camera.axes * DMat3::from_rotation_y(std::f64::consts::PI), ..camera };
+    let mut group = c.benchmark_group("render");
+    group.sample_size(20).throughput(Throughput::Elements(7_500));
+    for (name, camera) in [("courtyard", &camera), ("nothing", &away)] {
+        group.bench_function(name, |b| {
+            b.iter(|| render_view(&tracer, black_box(camera), 0.5, &[], &Silent).unwrap());
+        });
+    }
+    group.finish();
+}
+
+fn build_and_coarsen(c: &mut Criterion) {
+    let scene = ClosedForm::courtyard();
+    let cameras = ClosedForm::half_circle(40, [200, 200]);
+    let mut group = c.benchmark_group("build");
+    group.sample_size(10);
+    // The degenerate case: no ray at all.
+    for (name, share) in [("an octree of 8,192 rays", Share::whole(RAYS)), ("an octree of no ray", Share::whole(0))] {
+        let octree = grid(GridKind::Octree);
+        let make = || {
+            let mut builder = FieldBuilder::new(octree, Domain::Box(scene.bounds())).unwrap();
+            let stream = rays().stream(&scene, &cameras, &octree, builder.lattice(), &Silent).unwrap();
+            stream
+                .run(share, Tally::default(), &Silent, |samples, _| {
+                    builder.add(samples);
+                    Ok(())
+                })
+                .unwrap();
+            builder
+        };
+        let finish = |builder: FieldBuilder| {
+            let tally = Tally { rays: RAYS, ..Tally::default() };
+            builder.finish(&Provenance { source: name.into(), tally, share: None, stream: None })
+        };
+        group.bench_function(name, |b| b.iter_batched(make, finish, criterion::BatchSize::PerIteration));
+    }
+    group.finish();
+    let settings = RaySettings { rays: 100_000, ..rays() };
+    let field = estimate(&scene, &cameras, &settings, &grid(GridKind::Octree), &Silent).unwrap().0;
+    let mut group = c.benchmark_group("coarsen");
+    group.sample_size(10);
+    for epsilon in [0.0, 0.2] {
+        group.bench_function(format!("by {epsilon}"), |b| b.iter(|| black_box(&field).coarsened(epsilon).unwrap()));
+    }
+    group.finish();
+}
+
 fn query_and_file(c: &mut Criterion) {
     let scene = ClosedForm::courtyard();
     let cameras = ClosedForm::half_circle(40, [200, 200]);
@@ -87,6 +144,11 @@ fn query_and_file(c: &mut Criterion) {
         group.throughput(Throughput::Elements(positions.len() as u64));
         group
             .bench_function(format!("{kind:?}, 200,000 points"), |b| b.iter(|| field.query_all(black_box(&positions))));
+        // The degenerate case: all in one cell.
+        let near: Vec<Vec3> = positions.iter().map(|x| Vec3::splat(0.501) + 1e-3 * *x).collect();
+        group.bench_function(format!("{kind:?}, 200,000 points of one cell"), |b| {
+            b.iter(|| field.query_all(black_box(&near)));
+        });
         group.throughput(Throughput::Elements(1));
         group.bench_function(format!("{kind:?}, one point"), |b| b.iter(|| field.query(black_box(positions[77]))));
         group.finish();
@@ -99,5 +161,5 @@ fn query_and_file(c: &mut Criterion) {
     }
 }
 
-criterion_group!(benches, field_evaluation, accumulate, query_and_file);
+criterion_group!(benches, field_evaluation, render, accumulate, build_and_coarsen, query_and_file);
 criterion_main!(benches);

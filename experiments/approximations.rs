@@ -2,8 +2,8 @@
 //!
 //! Cutoff: fields with samples left out at several cutoffs against one with nothing left out (no occupancy grid, no early end
 //! of rays, every sample differentiated), same rays. Step: fields at several steps against the best reference there is: on
-//! the closed-form courtyard a step of 1/64 edge, where central differences have converged; on the MLP each step against its
-//! half, because no exact gradient is at hand. Every row is |Δ log10 U| over 200,000 surface points.
+//! the closed-form courtyard a step of 1/64 edge, where central differences have converged; on trained models their own exact derivatives, with the
+//! time that both take; and each step against its half, which needs no reference. Every row is |Δ log10 U| over 200,000 surface points.
 //!
 //! Without `OCTOBAYES_DATA` only the courtyard is measured. Prints the tables of `experiments/approximations.md`.
 
@@ -13,9 +13,10 @@ use std::time::Instant;
 use octobayes::Result;
 use octobayes::dataset::Views;
 use octobayes::estimate::{GridSettings, RaySettings, estimate};
-use octobayes::field::{ClosedForm, NerfMlp, RadianceField};
+use octobayes::field::{ClosedForm, Coordinates, NerfMlp, RadianceField, open_in};
 use octobayes::geometry::Camera;
 use octobayes::monitor::Silent;
+use octobayes::render::GradientMethod;
 use octobayes::uncertainty::{Difference, UncertaintyField, compare};
 
 struct Case {
@@ -42,6 +43,14 @@ fn main() -> Result<()> {
             cameras: Views::read(&folder.join("cameras/lego_train.json"), Some([400, 400]))?.cameras(),
             level: 8,
             rays: 20_480,
+        });
+        let model = folder.with_file_name("ppng-pretrained").join("NeRFSynthetic/ppng_1/lego.ppng");
+        cases.push(Case {
+            name: "lego Plenoptic PNG, type 1",
+            field: open_in(&model.to_string_lossy(), Some(Coordinates::Blender))?,
+            cameras: Views::read(&folder.join("cameras/lego_train.json"), Some([400, 400]))?.cameras(),
+            level: 8,
+            rays: 102_400,
         });
     }
     for case in &cases {
@@ -83,14 +92,23 @@ fn steps(case: &Case) -> Result<()> {
     println!("\n## Finite-difference step: {}, level {}, {} rays\n", case.name, case.level, case.rays);
     println!("| step h, lattice edges | against | mean | 95 % | 99 % | max |");
     println!("|---|---|---|---|---|---|");
-    let field = |step| run(case, RaySettings { step, cutoff: 1e-5, ..RaySettings::default() }).map(|r| r.0);
-    let steps: Vec<f64> = (-9..=1).map(|k| 2_f64.powi(k)).collect();
-    let reference = field(1.0 / 64.0)?;
-    let mut half = field(2_f64.powi(-10))?;
+    let settings = |step| RaySettings { step, cutoff: 1e-6, ..RaySettings::default() };
+    let field = |step| run(case, settings(step)).map(|r| r.0);
+    let steps: Vec<f64> = (-12..=1).map(|k| 2_f64.powi(k)).collect();
+    let (name, reference) = if case.field.differentiable().is_some() {
+        let exact = RaySettings { gradient: GradientMethod::Analytic, ..settings(1.0 / 128.0) };
+        let (field, _, seconds) = run(case, exact)?;
+        let differences = run(case, settings(1.0 / 128.0))?.2;
+        println!("| | exact: {seconds:.2} s, differences: {differences:.2} s | | | | |");
+        ("exact", field)
+    } else {
+        ("1/64", field(1.0 / 64.0)?)
+    };
+    let mut half = field(2_f64.powi(-13))?;
     for &step in &steps {
         let this = field(step)?;
         let [fixed, halved] = [&reference, &half].map(|other| compare(&this, other, 200_000, 0).map(|d| d.on_surfaces));
-        println!("| {step} | 1/64 | {} |", columns(&fixed?));
+        println!("| {step} | {name} | {} |", columns(&fixed?));
         println!("| {step} | h/2 | {} |", columns(&halved?));
         half = this;
     }

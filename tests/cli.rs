@@ -4,7 +4,8 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 
-use octobayes::field::ClosedForm;
+use glam::Vec3;
+use octobayes::field::{ClosedForm, VoxelGrid};
 use octobayes::geometry::Camera;
 use octobayes::io::{npy, npz::NpzWriter};
 use octobayes::uncertainty::UncertaintyField;
@@ -350,5 +351,38 @@ fn pictures_and_official_grids_are_written() {
         let max = value[place]["max"].as_f64().unwrap();
         // Sums go through f32; hanging corners of coarse leaves stay within the tolerance.
         assert!(max <= 0.01, "{place}: {out}");
+    }
+}
+
+#[test]
+fn derivatives_and_the_number_of_rays_can_be_chosen() {
+    let desk = Desk::new();
+    VoxelGrid::bake(&ClosedForm::ball(), [25; 3], Vec3::Z).write(&desk.path("ball.npz")).unwrap();
+    let base = "uncertainty ball.npz --cameras transforms.json --level 4 --cutoff 1e-6 -o a.oct";
+    // Differences over a step that a voxel's slope does not notice are the slope: both fields agree, and say what they are.
+    let exact = desk.good(&format!("{base} --rays 4000 --gradient auto"));
+    assert!(exact.contains("the field's own derivatives"), "{exact}");
+    std::fs::rename(desk.path("a.oct"), desk.path("exact.oct")).unwrap();
+    let differences = desk.good(&format!("{base} --rays 4000"));
+    assert!(differences.contains("difference   central"), "{differences}");
+    let [a, b] = ["a.oct", "exact.oct"].map(|name| UncertaintyField::read(&desk.path(name)).unwrap());
+    let found = octobayes::uncertainty::compare(&a, &b, 20_000, 0).unwrap().in_box.unwrap();
+    // Not the same bits; kinks of the voxels between the two sides of a difference are rare.
+    assert!(found.max > 0.0 && found.mean < 0.01, "{found:?}");
+
+    let output = desk.run("uncertainty scene:ball --gradient analytic --rays 10 -o x.oct");
+    let message = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.code() == Some(2) && message.contains("differentiates itself"), "{message}");
+
+    let output = desk.run(&format!("{base} --rays auto --tolerance 0.3 --max-rays 200000 --audit"));
+    let message = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.success() && message.contains("within 0.3") && !message.contains("not within"), "{message}");
+    assert!(message.contains("error budget") && message.contains("finite differences"), "{message}");
+    let rays = UncertaintyField::read(&desk.path("a.oct")).unwrap().protocol().rays;
+    assert!(rays < 200_000 && rays.is_power_of_two(), "{rays}");
+    let output = desk.run(&format!("{base} --rays auto --tolerance 1e-9 --max-rays 2000"));
+    assert!(String::from_utf8(output.stderr).unwrap().contains("not within"));
+    for args in ["--rays 0", "--rays some", "--rays auto --shard 0/2", "--rays auto --memory 1GiB"] {
+        assert_eq!(desk.run(&format!("{base} {args}")).status.code(), Some(2), "{args}");
     }
 }

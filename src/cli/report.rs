@@ -7,11 +7,11 @@ use std::time::Duration;
 use serde_json::{Value, json};
 
 use crate::error::printable;
-use crate::estimate::{GridSettings, Plan};
+use crate::estimate::{Audit, GridSettings, Plan, SamplingError};
 use crate::memory::peak;
 use crate::posterior::{Pixels, Prior};
 use crate::render::GradientMethod;
-use crate::uncertainty::{Comparison, Difference, Summary, UncertaintyField};
+use crate::uncertainty::{Comparison, Difference, SAMPLES_SHARE, Summary, UncertaintyField};
 use crate::{Error, Result};
 
 /// Prints a line to stdout. A reader that has seen enough (`| head`) is no failure.
@@ -164,6 +164,27 @@ pub fn plan(plan: &Plan, grid: &GridSettings) {
             shares.join(", ")
         );
     }
+}
+
+/// Says on stderr what a run's approximations cost.
+pub fn audit(audit: &Audit, grid: &GridSettings) {
+    let row = |name: &str, e: &SamplingError| {
+        eprintln!("  {name:<44} {:.1e} in the mean, 95 % within {:.1e}", e.mean, e.percentile_95);
+    };
+    eprintln!("error budget in log10 U:");
+    let (leaves, samples) = ((1.0 - SAMPLES_SHARE) * grid.tolerance, SAMPLES_SHARE * grid.tolerance);
+    eprintln!("  {:<44} at most {leaves:.1e}, certain", "coarser leaves");
+    eprintln!("  {:<44} at most {samples:.1e}, certain", "negligible samples");
+    row("samples left out, these included", &audit.cutoff);
+    match &audit.derivatives {
+        Some(error) => row("finite differences", error),
+        None => eprintln!("  {:<44} the field's own, exact", "derivatives"),
+    }
+    let n = audit.cutoff.vertices;
+    eprintln!(
+        "  (measured on {} rays, {n} vertices that they moved; for the rays' own error: --rays auto)",
+        audit.rays
+    );
 }
 
 /// What a finished run says about its field.

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use super::options::{CameraOptions, DomainOptions, GridOptions, ModelOptions, parse_non_negative, parse_positive};
 use super::progress::Bars;
 use super::report::{self, Cost};
-use crate::estimate::{AutoRun, FieldBuilder, GridSettings, PlannedRun, Planner, Provenance, RaySettings};
+use crate::estimate::{Audit, AutoRun, FieldBuilder, GridSettings, PlannedRun, Planner, Provenance, RaySettings};
 use crate::geometry::{Camera, Domain, Lattice};
 use crate::posterior::{Pixels, RayStream, SamplesWriter, Share, Tally, checkpoint};
 use crate::render::GradientMethod;
@@ -62,6 +62,10 @@ pub struct Args {
     /// Leave out samples whose weight, and whose density bound times |dC/dsigma|, are both below this; 0 leaves out nothing
     #[arg(long, value_name = "WEIGHT", default_value_t = RaySettings::default().cutoff, value_parser = parse_non_negative)]
     cutoff: f64,
+
+    /// Measure on a few rays what leaving samples out and the derivatives cost, and print the error budget
+    #[arg(long)]
+    audit: bool,
 
     /// Also write the ray samples with their Jacobians, as `accumulate` reads them
     // A run that starts again would dump its first rays twice.
@@ -155,6 +159,9 @@ impl Args {
         let mut checkpoint = self.checkpoint()?;
         let stream = settings.stream(&*field, &cameras, &grid, &lattice, bars)?;
         let source = self.source(&files, &cameras);
+        if self.audit {
+            report::audit(&Audit::of(&*field, &cameras, &settings, &grid, domain, bars)?, &grid);
+        }
         if self.rays == Rays::Auto {
             let (builder, tally) = self.run_auto(&stream, grid, domain, bars)?;
             let posterior_bytes = builder.memory();

@@ -17,7 +17,7 @@ const FIRST: u64 = 65_536;
 /// What tells the second half's seed from the first one's.
 const SECOND_HALF: u64 = 0x5eed_0000_0000_0000;
 
-/// How far log10 U is from what many more rays would give, estimated at the vertices that moved by more than half a decade from the prior.
+/// How far log10 U is off, estimated at the vertices that moved by more than half a decade from the prior.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct SamplingError {
     /// Vertices looked at.
@@ -31,7 +31,11 @@ pub struct SamplingError {
 impl SamplingError {
     /// From log10 U of two halves at the vertices looked at.
     fn of_halves(halves: &[(f64, f64)]) -> Self {
-        let mut errors: Vec<f64> = halves.iter().map(|(a, b)| 0.5 * (a - b).abs()).collect();
+        Self::of(halves.iter().map(|(a, b)| 0.5 * (a - b).abs()).collect())
+    }
+
+    /// From |Δ log10 U| at the vertices looked at.
+    pub(super) fn of(mut errors: Vec<f64>) -> Self {
         if errors.is_empty() {
             return Self { vertices: 0, mean: 0.0, percentile_95: 0.0 };
         }

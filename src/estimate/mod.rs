@@ -3,6 +3,7 @@
 //! [`RaySettings`] say which rays are drawn and how they are differentiated, [`GridSettings`] what their information is gathered
 //! on. [`estimate`] joins the two; [`FieldBuilder`] is the second half alone, for samples that come from elsewhere.
 
+mod audit;
 mod auto;
 mod builder;
 mod grid;
@@ -10,6 +11,7 @@ mod plan;
 mod rays;
 mod run;
 
+pub use audit::Audit;
 pub use auto::{AutoRun, SamplingError};
 pub use builder::{FieldBuilder, Provenance};
 pub use grid::{GridKind, GridSettings};

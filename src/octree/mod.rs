@@ -244,17 +244,51 @@ fn free_vertices(cells: &CellTree) -> VertexTable {
     let mut codes = vec![Vec::new(); usize::from(finest) + 1];
     cells.for_each_leaf(|leaf| {
         let (origin, edge) = leaf.extent(finest);
-        for c in 0..8_u32 {
+        // Most leaves are among the finest, and their lower corners are told by a look-up or two.
+        if leaf.level == finest && !hangs(cells, leaf.index) {
+            codes[0].push(morton::encode(leaf.index));
+        }
+        for c in u32::from(leaf.level == finest)..8 {
             let point: [u32; 3] = std::array::from_fn(|axis| origin[axis] + edge * (c >> axis & 1));
             let on_upper_faces_only = (0..3).all(|axis| c >> axis & 1 == 0 || point[axis] == m);
-            if on_upper_faces_only && hanging_on(cells, point).is_none() {
-                let levels = cells_around(point, finest).map(|cell| cells.leaf(cell).level);
-                let coarseness = finest - levels.max().unwrap_or(leaf.level);
+            if on_upper_faces_only && let Some(coarseness) = coarseness_of_free(cells, point) {
                 codes[usize::from(coarseness)].push(morton::encode(point.map(|i| i >> coarseness)));
             }
         }
     });
     VertexTable::new(finest, codes)
+}
+
+/// Levels between the finest and that of the finest leaf touching `point`; `None` if it hangs.
+fn coarseness_of_free(cells: &CellTree, point: [u32; 3]) -> Option<u8> {
+    let finest = cells.finest();
+    let mut level = 0;
+    for leaf in cells_around(point, finest).map(|cell| cells.leaf(cell)) {
+        let (_, edge) = leaf.extent(finest);
+        if point.iter().any(|i| !i.is_multiple_of(edge)) {
+            return None;
+        }
+        level = level.max(leaf.level);
+    }
+    Some(finest - level)
+}
+
+/// Whether the lower corner `point` of a leaf of the finest level hangs.
+///
+/// Leaves that touch it are of that level or the next coarser one. Along axes where the point is odd, the cells on both sides have the same parent; the leaf's own parent
+/// is split. So only parents across even axes can be leaves on which an odd point hangs: none if no coordinate is odd, or all are.
+fn hangs(cells: &CellTree, point: [u32; 3]) -> bool {
+    let odd = point.map(|i| i & 1);
+    if odd == [0; 3] {
+        return false;
+    }
+    (1..8_u32).any(|c| {
+        let across: [u32; 3] = std::array::from_fn(|axis| c >> axis & 1);
+        if (0..3).any(|axis| across[axis] == 1 && (odd[axis] == 1 || point[axis] == 0)) {
+            return false;
+        }
+        cells.leaf(std::array::from_fn(|axis| point[axis] - across[axis])).level < cells.finest()
+    })
 }
 
 #[cfg(test)]

@@ -1,5 +1,7 @@
 //! Properties of the octree, against scans over all leaves.
 
+use std::collections::BTreeSet;
+
 use super::arbitrary::octrees;
 use super::*;
 use proptest::prelude::*;
@@ -56,6 +58,23 @@ proptest! {
         let stats = octree.validate();
         prop_assert!(stats.is_ok(), "{:?}", stats);
         prop_assert_eq!(stats.unwrap().leaves(), leaves(&octree).len() as u64);
+    }
+
+    #[test]
+    fn vertices_are_the_corners_that_do_not_hang(octree in octrees()) {
+        let finest = octree.finest();
+        let corners = leaves(&octree).into_iter().flat_map(|leaf| {
+            let (origin, edge) = leaf.extent(finest);
+            (0..8_u32).map(move |c| std::array::from_fn(|axis| origin[axis] + edge * (c >> axis & 1)))
+        });
+        let free: BTreeSet<[u32; 3]> = corners.filter(|&point| hanging_on(octree.cells(), point).is_none()).collect();
+        prop_assert_eq!(octree.vertex_count(), free.len());
+        prop_assert_eq!(octree.vertex_positions().collect::<BTreeSet<_>>(), free);
+        for point in octree.vertex_positions() {
+            let levels = cells_around(point, finest).map(|cell| octree.cells().leaf(cell).level);
+            let coarseness = finest - levels.max().unwrap();
+            prop_assert_eq!(octree.vertices.find_at(point, coarseness).map(VertexId), octree.vertex(point));
+        }
     }
 
     #[test]

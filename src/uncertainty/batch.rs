@@ -9,8 +9,8 @@ use rayon::prelude::*;
 use super::{Estimate, Support, UncertaintyField};
 use crate::octree::{Corner, Cursor, Octree, VertexId, morton};
 
-/// Points sorted together: with what is kept of them they fill a second-level cache.
-const TILE: usize = 1 << 14;
+/// Points sorted together: enough that even leaves of surfaces have several of them, and few enough that their order stays in a cache.
+const TILE: usize = 1 << 18;
 
 /// Values at the corners of a leaf.
 pub(super) struct LeafValues {
@@ -38,19 +38,23 @@ impl UncertaintyField {
 
     /// Overwrites the estimates of those points that are inside.
     fn query_tile(&self, octree: &Octree, points: &[Vec3], estimates: &mut [Estimate]) {
-        let inside = points.iter().enumerate().filter_map(|(i, &x)| {
+        // The first 32 bits of the way to the finest cell, then the point's index: numbers are sorted faster than what they stand for.
+        let level = u32::from(self.lattice.level());
+        let place = |code: u64| (code << (63 - 3 * level)) >> 31 << 32;
+        let inside = (0_u64..).zip(points).filter_map(|(i, &x)| {
             let u = self.lattice.coordinates(x)?;
-            Some((morton::encode(self.lattice.cell(u).0), i as u32, u))
+            Some(place(morton::encode(self.lattice.cell(u).0)) | i)
         });
-        let mut order: Vec<(u64, u32, DVec3)> = inside.collect();
-        order.sort_unstable_by_key(|&(code, i, _)| (code, i));
+        let mut order: Vec<u64> = inside.collect();
+        order.sort_unstable();
         let mut cursor = octree.cursor();
         let mut values = LeafValues { deviations: [0.0; 8], rays: None };
-        for (_, i, u) in order {
+        for i in order.into_iter().map(|key| key as u32 as usize) {
+            let Some(u) = self.lattice.coordinates(points[i]) else { continue };
             if cursor.seek(u) {
                 values = self.leaf_values(&cursor);
             }
-            estimates[i as usize] = self.interpolate(&values, &cursor, u);
+            estimates[i] = self.interpolate(&values, &cursor, u);
         }
     }
 

@@ -1,0 +1,110 @@
+//! What a run's approximations cost, measured on a few of its own rays.
+//!
+//! The first rays of the run are summed three times on the same lattice: as the run does it; with nothing left out (every sample of every ray, as
+//! `--cutoff 0`); and with better derivatives, the field's own if it has them, else differences over half the step. Together with what
+//! is certain (the tolerance) and what the number of rays leaves open ([`super::AutoRun`]), that is the error of a field.
+
+use rayon::prelude::*;
+
+use super::auto::SamplingError;
+use super::{FieldBuilder, GridSettings, RaySettings};
+use crate::Result;
+use crate::field::RadianceField;
+use crate::geometry::{Camera, Domain};
+use crate::monitor::Monitor;
+use crate::posterior::{Share, Tally};
+use crate::render::GradientMethod;
+
+/// What approximations do to log10 U at the vertices that the rays looked at moved by more than half a decade.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+pub struct Audit {
+    /// Rays looked at.
+    pub rays: u64,
+    /// Samples that were left out.
+    pub cutoff: SamplingError,
+    /// Derivatives, against better ones; `None` if the run's are exact.
+    pub derivatives: Option<SamplingError>,
+}
+
+impl Audit {
+    /// Rays that are looked at, unless the run has fewer.
+    pub const RAYS: u64 = 8_192;
+
+    /// Audits a run of `rays` through `field`.
+    ///
+    /// # Errors
+    /// As [`crate::posterior::RayStream::run`].
+    pub fn of(
+        field: &dyn RadianceField,
+        cameras: &[Camera],
+        rays: &RaySettings,
+        grid: &GridSettings,
+        domain: Domain,
+        monitor: &dyn Monitor,
+    ) -> Result<Self> {
+        let count = rays.rays.min(Self::RAYS);
+        let grid = GridSettings { surface_points: 0, memory: None, ..*grid };
+        let sums = |rays: RaySettings| {
+            let mut builder = FieldBuilder::new(grid, domain)?;
+            let lattice = *builder.lattice();
+            let stream = rays.stream(field, cameras, &grid, &lattice, monitor)?;
+            let share = Share::whole(count);
+            stream.run(share, Tally::default(), monitor, |batches, _| {
+                builder.add(batches);
+                Ok(())
+            })?;
+            Ok(builder)
+        };
+        let run = sums(*rays)?;
+        let cutoff = run.differs(&sums(RaySettings { cutoff: 0.0, ..*rays })?, count);
+        let better = match (rays.gradient.of(field)?, field.differentiable()) {
+            (Some(_), _) => None,
+            (None, Some(_)) => Some(RaySettings { gradient: GradientMethod::Analytic, ..*rays }),
+            (None, None) => Some(RaySettings { step: 0.5 * rays.step, ..*rays }),
+        };
+        let derivatives = better.map(|better| sums(better).map(|better| run.differs(&better, count))).transpose()?;
+        Ok(Self { rays: count, cutoff, derivatives })
+    }
+}
+
+impl FieldBuilder {
+    /// By how much log10 U differs between two treatments of the same `rays`, where either moves it by more than half a decade.
+    fn differs(&self, other: &Self, rays: u64) -> SamplingError {
+        let lambda = self.settings().lambda(self.lattice());
+        let covariance = self.settings().covariance;
+        let moved = (covariance.prior(lambda) / 10_f64.sqrt()).log10();
+        let log10 = |evidence| covariance.deviation(&evidence, rays, lambda).log10();
+        let pairs = self.paired(other).into_par_iter().map(|(mine, theirs)| (log10(mine), log10(theirs)));
+        let errors = pairs.filter(|(a, b)| a.min(*b) < moved).map(|(a, b)| (a - b).abs());
+        SamplingError::of(errors.collect())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::field::ClosedForm;
+    use crate::monitor::Silent;
+
+    fn audit(rays: RaySettings) -> Audit {
+        let field = ClosedForm::courtyard();
+        let cameras = ClosedForm::half_circle(10, [100, 100]);
+        let grid = GridSettings { level: 6, ..GridSettings::default() };
+        let rays = RaySettings { rays: 2_000, ..rays };
+        Audit::of(&field, &cameras, &rays, &grid, Domain::Box(field.bounds()), &Silent).unwrap()
+    }
+
+    #[test]
+    fn coarser_approximations_are_found_out() {
+        let good = audit(RaySettings::default());
+        assert!(good.rays == 2_000 && good.cutoff.vertices > 1_000);
+        // The defaults were chosen to cost less than the tolerance; the courtyard has no derivatives of its own.
+        assert!(good.cutoff.mean < 1e-3 && good.derivatives.unwrap().mean < 1e-3, "{good:?}");
+        let careless = audit(RaySettings { cutoff: 1e-2, ..RaySettings::default() });
+        assert!(careless.cutoff.mean > 20.0 * good.cutoff.mean + 1e-3, "{careless:?}");
+        let coarse = audit(RaySettings { step: 1.0, ..RaySettings::default() });
+        assert!(coarse.derivatives.unwrap().mean > 1e-2, "{coarse:?}");
+        let exact = audit(RaySettings { cutoff: 0.0, ..RaySettings::default() });
+        assert_eq!((exact.cutoff.mean, exact.cutoff.percentile_95), (0.0, 0.0));
+    }
+}
