@@ -49,12 +49,12 @@ pub fn ablation(lego: &Scene, reference: &UncertaintyField) -> Result<()> {
     );
     for (name, rays, grid) in rows {
         let run = median(lego, &rays, &grid, 3)?;
-        let [surface, space] = error(&run.field, reference)?;
+        let bytes = run.field.query_memory();
+        let [surface, space] = error(run.field, reference)?;
         println!(
-            "| {name} | {:.2} | {:.1} | {} | {} | {} |",
+            "| {name} | {:.2} | {:.1} | {bytes} | {} | {} |",
             run.seconds,
             run.samples as f64 / rays.rays as f64,
-            run.field.query_memory(),
             cells(&surface),
             cells(&space)
         );
@@ -80,9 +80,9 @@ pub fn rays(scene: &Scene, reference: &UncertaintyField) -> Result<()> {
         for ((name, kind, pixels, gradient), curve) in methods.into_iter().zip(&mut curves) {
             let settings = RaySettings { rays, pixels, gradient, ..scene.settings };
             let run = run(scene, &settings, &grid(kind, 8))?;
-            let [surface, space] = error(&run.field, reference)?;
-            curve.points.push((run.seconds.log10(), surface.mean.log10()));
             let bytes = run.field.query_memory();
+            let [surface, space] = error(run.field, reference)?;
+            curve.points.push((run.seconds.log10(), surface.mean.log10()));
             println!("| {rays} | {name} | {:.2} | {bytes} | {} | {} |", run.seconds, cells(&surface), cells(&space));
         }
     }

@@ -229,7 +229,7 @@ fn a_dense_copy_has_the_values_of_every_vertex() {
         let u = DVec3::new(f64::from(i / 1089), f64::from(i / 33 % 33), f64::from(i % 33));
         let x = octree.lattice().position(u).as_vec3();
         // Binary fractions of the box: f32 holds every vertex.
-        assert_eq!(copy.query(x).uncertainty, octree.query(x).uncertainty as f32 as f64, "{x}");
+        assert_eq!(copy.query(x).uncertainty as f32, octree.query(x).uncertainty as f32, "{x}");
     }
     assert_eq!(dense.on_dense_grid().deviations(), dense.deviations());
 }

@@ -271,10 +271,10 @@ fn jets_are_the_derivatives_of_the_definition() {
             };
             let x = positions[i].as_dvec3();
             let (sigma, color) = at(x);
-            for axis in 0..3 {
+            for (axis, along) in ramp.into_iter().enumerate() {
                 let slope = |side: f64| {
                     let (density, c) = at(x + side * 1e-6 * DVec3::AXES[axis]);
-                    (f64::from(w) * (density - sigma) / (side * 1e-6) + ramp[axis] * sigma, (c - color) / (side * 1e-6))
+                    (f64::from(w) * (density - sigma) / (side * 1e-6) + along * sigma, (c - color) / (side * 1e-6))
                 };
                 // Where the tables or a ReLU have a kink any slope between the two sides will do. f32 has the value to 5e-5, as above,
                 // and the slope, a sum of a hundred times larger terms, to a hundred times that.
