@@ -124,6 +124,12 @@ fn identity(file: &str) -> Result<String> {
     Ok(format!("{file} ({:08x})", crc32fast::hash(&bytes)))
 }
 
+fn warn_of_dropped(tally: &Tally) {
+    if let Some(first) = tally.first_invalid {
+        eprintln!("warning: {} rays dropped, the field is not finite; first at {first:?}", tally.dropped);
+    }
+}
+
 impl Args {
     /// Runs the verb.
     pub fn run(self, bars: &Bars) -> Result<()> {
@@ -164,6 +170,7 @@ impl Args {
         }
         if self.rays == Rays::Auto {
             let (builder, tally) = self.run_auto(&stream, grid, domain, bars)?;
+            warn_of_dropped(&tally);
             let posterior_bytes = builder.memory();
             // Two sequences of pixels: no part of a run that others could be added to.
             let field = builder.finish(&Provenance { source, tally, share: None, stream: Some(&stream) });
@@ -217,9 +224,7 @@ impl Args {
             eprintln!("note: memory ran out under way; the run started again with less:");
             report::plan(&plan, &grid);
         }
-        if let Some(first) = tally.first_invalid {
-            eprintln!("warning: {} rays dropped, the field is not finite; first at {first:?}", tally.dropped);
-        }
+        warn_of_dropped(&tally);
         if let Some(dump) = dump {
             dump.finish(tally.rays)?;
         }

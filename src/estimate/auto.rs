@@ -88,6 +88,7 @@ impl AutoRun {
             if error.vertices > 0 && error.mean <= self.tolerance || rays == self.most {
                 let [mut whole, other] = halves;
                 whole.absorb(&other);
+                whole.want_density(stream)?;
                 return Ok((whole, tally, error));
             }
             rays = (2 * rays).min(self.most);
@@ -119,6 +120,7 @@ mod tests {
     use crate::estimate::{GridKind, RaySettings};
     use crate::field::{ClosedForm, RadianceField};
     use crate::monitor::Silent;
+    use crate::posterior::Criterion;
     use crate::uncertainty::UncertaintyField;
 
     fn run(grid: GridKind, tolerance: f64, most: u64) -> (UncertaintyField, Tally, SamplingError) {
@@ -143,6 +145,26 @@ mod tests {
         assert!((a.mean - b.mean).abs() < 1e-9 && (a.percentile_95 - b.percentile_95).abs() < 1e-9);
         let difference = crate::uncertainty::compare(&octree, &dense, 20_000, 0).unwrap();
         assert!(difference.in_box.unwrap().max <= 0.01, "the tolerance");
+    }
+
+    #[test]
+    fn other_criteria_hold_too() {
+        let field = ClosedForm::courtyard();
+        let cameras = ClosedForm::half_circle(4, [32, 32]);
+        let refined = |criteria: Vec<Criterion>| {
+            let criteria = criteria.into_iter().collect();
+            let settings = GridSettings { criteria, level: 5, ..GridSettings::default() };
+            let domain = Domain::Box(field.bounds());
+            let lattice = settings.lattice(domain).unwrap();
+            let stream = RaySettings::default().stream(&field, &cameras, &settings, &lattice, &Silent).unwrap();
+            let run = AutoRun { tolerance: 1e-9, most: 1_000 };
+            let (builder, tally, _) = run.run(&stream, settings, domain, &Silent).unwrap();
+            let provenance = Provenance { source: "test".into(), tally, share: None, stream: Some(&stream) };
+            builder.finish(&provenance).summary().vertices
+        };
+        // What no ray of a few reached is refined where there is density.
+        let sensitive = refined(vec![Criterion::Sensitivity]);
+        assert!(refined(vec![Criterion::Sensitivity, Criterion::Density]) > sensitive + 1_000);
     }
 
     #[test]

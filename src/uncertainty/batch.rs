@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use super::{Estimate, Support, UncertaintyField};
 use crate::octree::{Corner, Cursor, Octree, VertexId, morton};
 
-/// Points sorted together: enough that even leaves of surfaces have several of them, and few enough that their order stays in a cache.
+/// Most points sorted together: enough that even leaves of surfaces have several of them, and few enough that their order stays in a cache.
 const TILE: usize = 1 << 18;
 
 /// Values at the corners of a leaf.
@@ -29,7 +29,9 @@ impl UncertaintyField {
                 pairs.for_each(|(&x, estimate)| *estimate = self.query(x));
             }
             Support::Octree(octree) => {
-                let tiles = points.par_chunks(TILE).zip(estimates.par_chunks_mut(TILE));
+                // Few points are shared out among the threads all the same.
+                let tile = points.len().div_ceil(rayon::current_num_threads()).clamp(1, TILE);
+                let tiles = points.par_chunks(tile).zip(estimates.par_chunks_mut(tile));
                 tiles.for_each(|(points, estimates)| self.query_tile(octree, points, estimates));
             }
         }

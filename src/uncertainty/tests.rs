@@ -204,10 +204,10 @@ fn comparing_fields_of_different_boxes_is_refused() {
 
 #[test]
 fn batches_answer_as_single_queries_do() {
-    // More than a tile, in no order, some on faces of cells and of the box, some outside, some not numbers.
+    // More than the tiles of two threads hold, in no order, some on faces of cells and of the box, some outside, some not numbers.
     let golden = [0.819_172_5_f32, 0.671_043_6, 0.549_700_5];
     let mut points: Vec<Vec3> =
-        (0..40_000).map(|i| Vec3::from_array(golden.map(|g| 2.2 * (i as f32 * g).fract() - 1.1))).collect();
+        (0..600_000).map(|i| Vec3::from_array(golden.map(|g| 2.2 * (i as f32 * g).fract() - 1.1))).collect();
     points.iter_mut().step_by(5).for_each(|x| *x = (*x * 16.0).round() / 16.0);
     points[77] = Vec3::new(f32::NAN, 0.0, 0.0);
     points[78] = Vec3::ONE;
