@@ -13,8 +13,8 @@
 //!
 //! Where ∇σ is known along the rays ([`Differentiable::is_cheap`](crate::field::Differentiable::is_cheap)), lurking is what it shows: δ T ‖∇σ‖ matters.
 //! |∂C/∂σ| ≤ √3 δ T, because colours lie in [0, 1]; σ̂ is the occupancy's density bound. The first bounds the share of ∇c (|∇c| ≤ 1/2h), the second
-//! that of ∇σ (|∇σ| ≤ σ̂/2h). σ̂ is also taken to be at most a hundred times what the ray meets at the sample and at its neighbours, which are dozens of
-//! h away: whoever samples a field at that distance believes that it is resolved. A sample in the empty space before a surface has w = 0 but may see the surface within h: it is
+//! that of ∇σ (|∇σ| ≤ σ̂/2h). σ̂ is also taken to be at most a hundred times what the ray meets at the sample and at its neighbours, if these are at least
+//! eight h away: whoever samples a field at that distance believes that it is resolved. A sample in the empty space before a surface has w = 0 but may see the surface within h: it is
 //! lurking. Cutoff 0 leaves out only exact zeros.
 
 use std::ops::Range;
@@ -22,12 +22,14 @@ use std::ops::Range;
 use glam::{DVec3, Vec3};
 
 use super::gradient::{GradientBuffers, Jet};
-use super::{Differentiation, Quadrature, RaySample, RaySamples, TraceBuffers, TracedRays, Tracer};
+use super::{Differentiation, Quadrature, RaySample, RaySamples, TraceBuffers, Tracer};
 use crate::field::Radiance;
 use crate::geometry::Ray;
 
 /// How many times denser a field is taken to become within h, a small share of the distance between samples, than at one sample and its two neighbours.
 const STEEPEST: f64 = 100.0;
+/// How many h samples must be apart for that.
+const FAR_APART: f64 = 8.0;
 
 /// The largest density at sample `i` of a ray and at its neighbours.
 fn around(densities: &[f32], ray: &Range<usize>, i: usize) -> f32 {
@@ -109,10 +111,10 @@ impl Tracer<'_> {
         negligible: f64,
         buffers: &mut JacobianBuffers,
     ) {
+        self.choose(rays, differentiation, negligible, buffers);
         let JacobianBuffers { visible, lurking, gradient, jets, density_gradients, radiance, colors, invalid, .. } =
             buffers;
         let (traced, quadrature) = (&buffers.trace.traced, &buffers.quadrature);
-        self.choose(rays, traced, quadrature, negligible, visible, lurking);
         invalid.clear();
         invalid.resize(rays.len(), None);
         colors.clear();
@@ -168,15 +170,9 @@ impl Tracer<'_> {
     }
 
     /// Sorts samples into visible and lurking ones.
-    fn choose(
-        &self,
-        rays: &[Ray],
-        traced: &TracedRays,
-        quadrature: &Quadrature,
-        negligible: f64,
-        visible: &mut Chosen,
-        lurking: &mut Chosen,
-    ) {
+    fn choose(&self, rays: &[Ray], differentiation: &Differentiation, negligible: f64, buffers: &mut JacobianBuffers) {
+        let JacobianBuffers { trace, quadrature, visible, lurking, .. } = buffers;
+        let traced = &trace.traced;
         visible.clear();
         lurking.clear();
         for (r, ray) in rays.iter().enumerate() {
@@ -191,7 +187,12 @@ impl Tracer<'_> {
                 let influence = self.influence(quadrature.behind[i]);
                 let lurks = match traced.density_gradients.get(i) {
                     Some(gradient) => influence * f64::from(gradient.length()) > negligible || !gradient.is_finite(),
-                    None => self.may_matter(influence, x, around(&traced.densities, &samples, i)),
+                    None => {
+                        let h = differentiation.differences.at(x).max_element();
+                        let is_resolved = FAR_APART * h <= self.marcher.step;
+                        let near = if is_resolved { around(&traced.densities, &samples, i) } else { f32::INFINITY };
+                        self.may_matter(influence, x, near)
+                    }
                 };
                 if lurks {
                     lurking.push(i, r, x, direction);
@@ -200,8 +201,8 @@ impl Tracer<'_> {
         }
     }
 
-    /// Whether matter within h of a sample at `x` could change its pixel, if the ray has a density of at most `near` there, one sample before and one
-    /// behind.
+    /// Whether matter within h of a sample at `x` could change its pixel, if the density that the ray meets at the sample, one before and one behind is at
+    /// most `near`.
     fn may_matter(&self, influence: f64, x: Vec3, near: f32) -> bool {
         let cutoff = self.marcher.cutoff;
         // ∞ · 0 would be NaN: without occupancy the bound is infinite, and behind opaque matter the influence is 0.
@@ -266,7 +267,7 @@ mod tests {
     use super::*;
     use crate::field::{ClosedForm, RadianceField};
     use crate::geometry::Domain;
-    use crate::render::{Differences, Marcher};
+    use crate::render::{Differences, Marcher, TracedRays};
     use proptest::prelude::*;
 
     /// Jacobians by central differences over ±h.
