@@ -14,8 +14,6 @@
 //!                       o--x
 //! ```
 
-use super::morton;
-
 /// Masks that share an entry of the rank directory: with it they fill a cache line.
 const BLOCK: usize = 60;
 
@@ -210,50 +208,4 @@ impl CellTree {
     pub fn heap_bytes(&self) -> [usize; 2] {
         [self.count, self.blocks.capacity() * size_of::<Block>() - self.count]
     }
-}
-
-/// Split cells per level such that every cell of `wanted` exists (as a leaf or split) and the tree is 2:1 balanced over
-/// faces, edges and corners, with nothing more split than that needs.
-///
-/// A split cell of level ℓ has children of level ℓ + 1, which may touch leaves of level ℓ or finer: so the 26 neighbours of
-/// a split cell must exist, that is, the neighbours' parents must be split. Eight parents cover all 26 neighbours. One
-/// sweep from the finest level up is enough, because it only adds cells to coarser levels.
-#[must_use]
-pub fn balanced_split(finest: u8, wanted: impl IntoIterator<Item = Cell>) -> Vec<Vec<u64>> {
-    let mut split = vec![Vec::new(); usize::from(finest)];
-    for cell in wanted {
-        if cell.level > 0 {
-            split[usize::from(cell.level) - 1].push(morton::encode(cell.index.map(|i| i / 2)));
-        }
-    }
-    for level in (0..usize::from(finest)).rev() {
-        split[level].sort_unstable();
-        split[level].dedup();
-        if level == 0 {
-            continue;
-        }
-        let (above, here) = split.split_at_mut(level);
-        let parents = &mut above[level - 1];
-        let last = (1_i64 << (level - 1)) - 1;
-        for &code in &here[0] {
-            let cell = morton::decode(code);
-            // An even cell touches the parent below it, an odd one the parent above.
-            let choices = cell.map(|i| {
-                let parent = i64::from(i / 2);
-                [parent, if i % 2 == 0 { parent - 1 } else { parent + 1 }]
-            });
-            for c in 0..8_usize {
-                let p = [choices[0][c & 1], choices[1][c >> 1 & 1], choices[2][c >> 2 & 1]];
-                if p.iter().all(|&i| (0..=last).contains(&i)) {
-                    parents.push(morton::encode(p.map(|i| i as u32)));
-                }
-            }
-            // Neighbouring codes push mostly the same parents; this keeps the list from growing eightfold.
-            if parents.len() > 1 << 20 && parents.len() == parents.capacity() {
-                parents.sort_unstable();
-                parents.dedup();
-            }
-        }
-    }
-    split
 }

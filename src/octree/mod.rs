@@ -8,24 +8,30 @@
 //!
 //! This module knows nothing of rays, colour or uncertainty.
 
+mod balance;
 mod cells;
 mod cursor;
+mod free;
 mod leaves;
 mod limits;
+mod masks;
 pub mod morton;
 mod set;
 mod validate;
 mod vertices;
 
-pub use cells::{Cell, CellTree, balanced_split};
+pub use balance::{Split, Wanted};
+pub use cells::{Cell, CellTree};
 pub use cursor::Cursor;
 pub use leaves::{Leaves, Masters, masters};
 pub use limits::LevelLimits;
 pub use set::MortonSet;
 pub use validate::{Defect, OctreeStats};
 
+use free::free_vertices;
 use glam::DVec3;
 use leaves::hanging_on;
+use rayon::iter::IndexedParallelIterator;
 use vertices::{Finder, VertexTable};
 
 /// Index of a free vertex: the finest first, in Morton order among vertices of one size.
@@ -85,7 +91,16 @@ impl Octree {
     /// The coarsest balanced octree in which every cell of `wanted` exists, as a leaf or split further.
     #[must_use]
     pub fn refined(finest: u8, wanted: impl IntoIterator<Item = Cell>) -> Self {
-        Self::from_balanced(finest, &balanced_split(finest, wanted))
+        let mut all = Wanted::new(finest);
+        wanted.into_iter().for_each(|cell| all.cell(cell));
+        Self::of(all)
+    }
+
+    /// The coarsest balanced octree in which every wanted cell exists, as a leaf or split further.
+    #[must_use]
+    pub fn of(wanted: Wanted) -> Self {
+        let split = wanted.balanced();
+        Self::from_balanced(&split, &split.codes())
     }
 
     /// The octree of a stored child-mask sequence, which may come from an untrusted file.
@@ -93,20 +108,21 @@ impl Octree {
     /// # Errors
     /// A sentence about what is wrong if the masks are inconsistent or the tree is not 2:1 balanced.
     pub fn from_raw(finest: u8, root_split: bool, masks: &[u8]) -> Result<Self, String> {
-        let split = CellTree::split_from_raw(finest, root_split, masks)?;
-        let wanted = split.iter().enumerate().flat_map(|(level, codes)| {
-            codes.iter().map(move |&code| Cell { level: level as u8, index: morton::decode(code) }.child(0))
-        });
-        if balanced_split(finest, wanted) != split {
+        let codes = CellTree::split_from_raw(finest, root_split, masks)?;
+        let mut wanted = Wanted::new(finest);
+        for (level, codes) in (0..finest).zip(&codes) {
+            codes.iter().for_each(|&code| wanted.cell(Cell { level, index: morton::decode(code) }.child(0)));
+        }
+        let split = wanted.balanced();
+        if split.codes() != codes {
             return Err("the child masks describe an octree that is not 2:1 balanced".into());
         }
-        Ok(Self::from_balanced(finest, &split))
+        Ok(Self::from_balanced(&split, &codes))
     }
 
-    fn from_balanced(finest: u8, split: &[Vec<u64>]) -> Self {
-        let cells = CellTree::from_split(finest, split);
-        let vertices = free_vertices(&cells);
-        Self { cells, vertices }
+    fn from_balanced(split: &Split, codes: &[Vec<u64>]) -> Self {
+        let cells = CellTree::from_split(split.finest(), codes);
+        Self { cells, vertices: VertexTable::new(free_vertices(split)) }
     }
 
     /// The cells.
@@ -136,6 +152,12 @@ impl Octree {
     /// Lattice positions of all free vertices, in the order of their ids.
     pub fn vertex_positions(&self) -> impl Iterator<Item = [u32; 3]> + '_ {
         self.vertices.points()
+    }
+
+    /// The same, in parallel.
+    #[must_use]
+    pub fn par_vertex_positions(&self) -> impl IndexedParallelIterator<Item = [u32; 3]> + '_ {
+        self.vertices.par_points()
     }
 
     /// Whether all (up to eight) finest cells around a lattice point are leaves.
@@ -231,63 +253,6 @@ pub fn around(center: [u32; 3], last: u32) -> impl Iterator<Item = ([u32; 3], f6
             tent *= if off[axis] == 1 { 1.0 } else { 0.5 };
         }
         Some((point, tent))
-    })
-}
-
-/// All lattice points that are corners of every leaf touching them.
-///
-/// A free vertex inside the box is the lower corner of the leaf above it, so it is enough to test every leaf's lower corner,
-/// and all corners of the leaves at the box's upper faces.
-fn free_vertices(cells: &CellTree) -> VertexTable {
-    let finest = cells.finest();
-    let m = 1_u32 << finest;
-    let mut codes = vec![Vec::new(); usize::from(finest) + 1];
-    cells.for_each_leaf(|leaf| {
-        let (origin, edge) = leaf.extent(finest);
-        // Most leaves are among the finest, and their lower corners are told by a look-up or two.
-        if leaf.level == finest && !hangs(cells, leaf.index) {
-            codes[0].push(morton::encode(leaf.index));
-        }
-        for c in u32::from(leaf.level == finest)..8 {
-            let point: [u32; 3] = std::array::from_fn(|axis| origin[axis] + edge * (c >> axis & 1));
-            let on_upper_faces_only = (0..3).all(|axis| c >> axis & 1 == 0 || point[axis] == m);
-            if on_upper_faces_only && let Some(coarseness) = coarseness_of_free(cells, point) {
-                codes[usize::from(coarseness)].push(morton::encode(point.map(|i| i >> coarseness)));
-            }
-        }
-    });
-    VertexTable::new(finest, codes)
-}
-
-/// Levels between the finest and that of the finest leaf touching `point`; `None` if it hangs.
-fn coarseness_of_free(cells: &CellTree, point: [u32; 3]) -> Option<u8> {
-    let finest = cells.finest();
-    let mut level = 0;
-    for leaf in cells_around(point, finest).map(|cell| cells.leaf(cell)) {
-        let (_, edge) = leaf.extent(finest);
-        if point.iter().any(|i| !i.is_multiple_of(edge)) {
-            return None;
-        }
-        level = level.max(leaf.level);
-    }
-    Some(finest - level)
-}
-
-/// Whether the lower corner `point` of a leaf of the finest level hangs.
-///
-/// Leaves that touch it are of that level or the next coarser one. Along axes where the point is odd, the cells on both sides have the same parent; the leaf's own parent
-/// is split. So only parents across even axes can be leaves on which an odd point hangs: none if no coordinate is odd, or all are.
-fn hangs(cells: &CellTree, point: [u32; 3]) -> bool {
-    let odd = point.map(|i| i & 1);
-    if odd == [0; 3] {
-        return false;
-    }
-    (1..8_u32).any(|c| {
-        let across: [u32; 3] = std::array::from_fn(|axis| c >> axis & 1);
-        if (0..3).any(|axis| across[axis] == 1 && (odd[axis] == 1 || point[axis] == 0)) {
-            return false;
-        }
-        cells.leaf(std::array::from_fn(|axis| point[axis] - across[axis])).level < cells.finest()
     })
 }
 

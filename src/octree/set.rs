@@ -49,14 +49,37 @@ impl MortonSet {
     #[must_use]
     pub fn from_sorted(bits: u32, codes: &[u64]) -> Self {
         assert!(codes.is_sorted_by(|a, b| a < b), "codes must be strictly increasing");
-        assert!(codes.last().is_none_or(|&c| bits >= 64 || c >> bits == 0), "a code exceeds {bits} bits");
-        let len = u32::try_from(codes.len()).expect("a set holds at most 2^32 - 1 codes");
-        let mut rows = Vec::new();
-        let mut members = codes.to_vec();
-        for _ in 0..bits.div_ceil(6) {
+        let bricks = codes.chunk_by(|a, b| a >> 6 == b >> 6);
+        Self::from_bricks(
+            bits,
+            bricks.map(|codes| (codes[0] >> 6, codes.iter().fold(0, |mask, code| mask | 1 << (code & 63)))),
+        )
+    }
+
+    /// The set of the members of `bricks`: strictly increasing codes without their low six bits, with masks that are not empty; all codes below 2^`bits`.
+    ///
+    /// # Panics
+    /// If the bricks are not strictly increasing or too large, or there are more than 2³² − 1 members.
+    #[must_use]
+    pub fn from_bricks(bits: u32, bricks: impl IntoIterator<Item = (u64, u64)>) -> Self {
+        let (mut codes, mut row, mut len) = (Vec::new(), Vec::new(), 0_u32);
+        for (brick, mask) in bricks {
+            assert!(codes.last().is_none_or(|&last| last < brick), "bricks must be strictly increasing");
+            assert!(mask != 0, "a brick without members");
+            codes.push(brick);
+            row.push([mask as u32, (mask >> 32) as u32, len]);
+            len = len.checked_add(mask.count_ones()).expect("a set holds at most 2^32 - 1 codes");
+        }
+        if let (Some(&brick), Some(&node)) = (codes.last(), row.last()) {
+            let last = brick << 6 | u64::from(mask(node).ilog2());
+            assert!(bits >= 64 || last >> bits == 0, "a code exceeds {bits} bits");
+        }
+        row.shrink_to_fit();
+        let mut rows = vec![row];
+        for _ in 1..bits.div_ceil(6) {
             let mut row: Vec<Node> = Vec::new();
             let mut parents = Vec::new();
-            for (rank, &code) in (0_u32..).zip(&members) {
+            for (rank, &code) in (0_u32..).zip(&codes) {
                 if parents.last() != Some(&(code >> 6)) {
                     parents.push(code >> 6);
                     row.push([0, 0, rank]);
@@ -67,7 +90,7 @@ impl MortonSet {
             }
             row.shrink_to_fit();
             rows.push(row);
-            members = parents;
+            codes = parents;
         }
         rows.reverse();
         Self { rows, len }
@@ -110,8 +133,8 @@ impl MortonSet {
         Some(BrickRank { mask: mask(here), base: base(here) })
     }
 
-    /// All members in increasing order.
-    pub fn iter(&self) -> impl Iterator<Item = u64> + '_ {
+    /// All bricks in increasing order: codes without their low six bits, masks, and ranks of the lowest members.
+    pub fn bricks(&self) -> impl Iterator<Item = (u64, u64, u32)> + '_ {
         // A depth-first walk; the stack holds (row, node, prefix, slots still to visit).
         let mut stack = Vec::new();
         if self.len > 0 {
@@ -119,22 +142,36 @@ impl MortonSet {
         }
         std::iter::from_fn(move || {
             loop {
-                let (row, node, prefix, pending) = stack.last_mut()?;
-                if *pending == 0 {
+                let &(row, node, prefix, pending) = stack.last()?;
+                let here = self.rows[row][node as usize];
+                if row + 1 == self.rows.len() {
+                    stack.pop();
+                    return Some((prefix, mask(here), base(here)));
+                }
+                if pending == 0 {
                     stack.pop();
                     continue;
                 }
-                let slot = pending.trailing_zeros();
-                *pending &= *pending - 1;
-                let code = *prefix << 6 | u64::from(slot);
-                let (row, node) = (*row, *node);
-                if row + 1 == self.rows.len() {
-                    return Some(code);
+                if let Some(top) = stack.last_mut() {
+                    top.3 &= pending - 1;
                 }
-                let here = self.rows[row][node as usize];
+                let slot = pending.trailing_zeros();
                 let child = base(here) + (mask(here) & ((1_u64 << slot) - 1)).count_ones();
-                stack.push((row + 1, child, code, mask(self.rows[row + 1][child as usize])));
+                let below = mask(self.rows[row + 1][child as usize]);
+                stack.push((row + 1, child, prefix << 6 | u64::from(slot), below));
             }
+        })
+    }
+
+    /// All members in increasing order.
+    pub fn iter(&self) -> impl Iterator<Item = u64> + '_ {
+        self.bricks().flat_map(|(brick, mask, _)| {
+            let mut rest = mask;
+            std::iter::from_fn(move || {
+                let slot = (rest != 0).then(|| rest.trailing_zeros())?;
+                rest &= rest - 1;
+                Some(brick << 6 | u64::from(slot))
+            })
         })
     }
 

@@ -5,6 +5,7 @@ use std::collections::BTreeSet;
 use super::arbitrary::octrees;
 use super::*;
 use proptest::prelude::*;
+use rayon::iter::ParallelIterator as _;
 
 /// Lattice coordinates that are often on faces, edges and corners of cells.
 fn points(finest: u8) -> impl Strategy<Value = DVec3> {
@@ -70,6 +71,8 @@ proptest! {
         let free: BTreeSet<[u32; 3]> = corners.filter(|&point| hanging_on(octree.cells(), point).is_none()).collect();
         prop_assert_eq!(octree.vertex_count(), free.len());
         prop_assert_eq!(octree.vertex_positions().collect::<BTreeSet<_>>(), free);
+        let (serial, parallel): (Vec<_>, Vec<_>) = (octree.vertex_positions().collect(), octree.par_vertex_positions().collect());
+        prop_assert_eq!(serial, parallel);
         for point in octree.vertex_positions() {
             let levels = cells_around(point, finest).map(|cell| octree.cells().leaf(cell).level);
             let coarseness = finest - levels.max().unwrap();

@@ -4,6 +4,8 @@
 //! leaf's. Vertices of one coarseness lie on one lattice, side by side along surfaces, and make one [`MortonSet`] of points of that
 //! lattice. Ids run through the sets, the finest first, in Morton order within each.
 
+use rayon::prelude::*;
+
 use super::set::BrickRank;
 use super::{MortonSet, morton};
 
@@ -39,6 +41,16 @@ impl Finder<'_> {
     }
 }
 
+/// The vertices of one brick, or the rest of them.
+#[derive(Clone, Copy, Default)]
+struct Members {
+    /// Number of the lowest one.
+    first: u32,
+    mask: u64,
+    brick: u64,
+    coarseness: u8,
+}
+
 /// All free vertices.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct VertexTable {
@@ -49,24 +61,20 @@ pub struct VertexTable {
 }
 
 impl VertexTable {
-    /// The table of an octree with levels 0 to `finest`, from the vertices of each coarseness as Morton codes of their points on their
-    /// own lattice, in any order and repeated or not.
+    /// The table of the vertices of each coarseness, 0 first, as points of their own lattice.
     ///
     /// # Panics
     /// If there are more than 2³² − 1 vertices.
     #[must_use]
-    pub fn new(finest: u8, codes: Vec<Vec<u64>>) -> Self {
-        let mut offsets = Vec::with_capacity(codes.len());
+    pub fn new(sets: Vec<MortonSet>) -> Self {
         let mut before = 0_u32;
-        let numbered = (0_u32..).zip(codes).map(|(coarseness, mut codes)| {
-            codes.sort_unstable();
-            codes.dedup();
-            offsets.push(before);
+        let mut offset = |set: &MortonSet| {
+            let offset = before;
             before =
-                u32::try_from(codes.len()).ok().and_then(|n| before.checked_add(n)).expect("at most 2^32 - 1 vertices");
-            MortonSet::from_sorted(3 * (u32::from(finest) - coarseness + 1), &codes)
-        });
-        let sets = numbered.collect();
+                u32::try_from(set.len()).ok().and_then(|n| before.checked_add(n)).expect("at most 2^32 - 1 vertices");
+            offset
+        };
+        let offsets = sets.iter().map(&mut offset).collect();
         Self { sets, offsets }
     }
 
@@ -102,6 +110,30 @@ impl VertexTable {
     pub fn points(&self) -> impl Iterator<Item = [u32; 3]> + '_ {
         let sets = (0_u32..).zip(&self.sets);
         sets.flat_map(|(coarseness, set)| set.iter().map(move |code| morton::decode(code).map(|i| i << coarseness)))
+    }
+
+    /// The same, in parallel.
+    pub fn par_points(&self) -> impl IndexedParallelIterator<Item = [u32; 3]> + '_ {
+        let sets = (0_u8..).zip(&self.sets).zip(&self.offsets);
+        let bricks: Vec<Members> = sets
+            .flat_map(|((coarseness, set), &offset)| {
+                set.bricks().map(move |(brick, mask, rank)| Members { first: offset + rank, mask, brick, coarseness })
+            })
+            .collect();
+        // Numbers mostly come one after the other.
+        let nowhere = || (0, Members::default());
+        (0..self.len() as u32).into_par_iter().map_init(nowhere, move |(at, rest), number| {
+            if rest.mask == 0 || rest.first != number {
+                let is_next = bricks.get(*at + 1).is_some_and(|brick| brick.first == number);
+                *at = if is_next { *at + 1 } else { bricks.partition_point(|brick| brick.first <= number) - 1 };
+                *rest = bricks[*at];
+                (rest.first..number).for_each(|_| rest.mask &= rest.mask - 1);
+            }
+            let code = rest.brick << 6 | u64::from(rest.mask.trailing_zeros());
+            rest.mask &= rest.mask - 1;
+            rest.first = number + 1;
+            morton::decode(code).map(|i| i << rest.coarseness)
+        })
     }
 
     /// Bytes on the heap, spare capacity included.

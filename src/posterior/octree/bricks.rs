@@ -1,8 +1,9 @@
 //! Sums of sparse lattice points, in bricks.
 //!
 //! A vertex is keyed by its point on the lattice of its own level: `key` = coarseness · 2⁵⁷ + Morton code of (point / 2^coarseness),
-//! coarseness 0 being the finest lattice. The 64 keys that differ in their low six bits make an aligned 4³ brick; a brick exists as
-//! soon as one of its vertices was touched. Bricks are spread over shards by hash, so that threads own them.
+//! coarseness 0 being the finest lattice. The eight keys that differ in their low three bits make an aligned 2³ *brick*, which exists as
+//! soon as one of its vertices was touched; eight bricks make a *block*, which is looked up by hash. (Bricks of 4³ took three times the memory
+//! where rays are few for the lattice.) Blocks are spread over shards by hash, so that threads own them.
 
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
@@ -15,8 +16,28 @@ const SHARD_BITS: u32 = 6;
 pub const SHARDS: usize = 1 << SHARD_BITS;
 const COARSENESS_SHIFT: u32 = 57;
 
-/// Sums of the 64 vertices of a brick.
-pub type Brick = [Evidence; 64];
+/// Sums of the eight vertices of a brick.
+pub type Brick = [Evidence; 8];
+
+/// Where the bricks of a block are among those of its shard.
+#[derive(Debug, Clone, Copy)]
+struct Block([u32; 8]);
+
+impl Block {
+    /// No brick yet.
+    const NONE: u32 = u32::MAX;
+
+    /// Place of the brick that has the given key.
+    fn slot(&mut self, key: u64) -> &mut u32 {
+        &mut self.0[(key >> 3 & 7) as usize]
+    }
+
+    /// Bricks that exist, by their number in the block.
+    fn bricks(&self) -> impl Iterator<Item = (u64, usize)> {
+        let slots = (0..8).zip(self.0).filter(|(_, slot)| *slot != Self::NONE);
+        slots.map(|(i, slot)| (i, slot as usize))
+    }
+}
 
 /// The key of the vertex at `point`, which must be a multiple of 2^`coarseness` along every axis.
 pub fn key(point: [u32; 3], coarseness: u8) -> u64 {
@@ -31,7 +52,7 @@ pub fn point(key: u64) -> [u32; 3] {
 
 /// The shard that owns a vertex.
 pub fn shard_of(key: u64) -> usize {
-    // Fibonacci hashing of the brick's code (Knuth, TAOCP 3, 6.4).
+    // Fibonacci hashing of the block's code (Knuth, TAOCP 3, 6.4).
     ((key >> 6).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> (64 - SHARD_BITS)) as usize
 }
 
@@ -75,43 +96,57 @@ impl Contributions {
     }
 }
 
-/// The bricks that hash to one shard.
+/// The blocks that hash to one shard.
 #[derive(Debug, Clone, Default)]
 struct Shard {
-    /// Brick code (key without its low 6 bits) to position in `bricks`.
+    /// Block code (key without its low 6 bits) to position in `blocks`.
     index: FxHashMap<u64, u32>,
-    /// Brick codes, in the order in which rays first touched them.
+    blocks: Vec<Block>,
+    /// Codes of bricks (keys without their low 3 bits), in the order in which rays first touched them.
     codes: Vec<u64>,
     bricks: Vec<Brick>,
 }
 
 impl Shard {
-    /// Position of the brick with the given code, which is made if it is new.
-    fn slot(&mut self, code: u64) -> usize {
-        let next = self.bricks.len() as u32;
-        let slot = *self.index.entry(code).or_insert(next);
-        if slot == next {
-            self.codes.push(code);
-            self.bricks.push([Evidence::default(); 64]);
+    /// Position of the block with the given code, which is made if it is new.
+    fn block(&mut self, code: u64) -> usize {
+        let next = self.blocks.len() as u32;
+        let block = *self.index.entry(code).or_insert(next);
+        if block == next {
+            self.blocks.push(Block([Block::NONE; 8]));
         }
-        slot as usize
+        block as usize
+    }
+
+    /// The brick of a key in its block, which is made if it is new.
+    fn brick(&mut self, block: usize, key: u64) -> &mut Brick {
+        let slot = self.blocks[block].slot(key);
+        if *slot == Block::NONE {
+            *slot = self.bricks.len() as u32;
+            self.codes.push(key >> 3);
+            self.bricks.push(Brick::default());
+        }
+        &mut self.bricks[*slot as usize]
     }
 
     /// Adds contributions in order. Neighbours in the list are most often neighbours in space.
     fn add<'a>(&mut self, contributions: impl Iterator<Item = (u64, &'a Evidence)>) {
-        let (mut code, mut slot) = (u64::MAX, 0);
+        let (mut code, mut block) = (u64::MAX, 0);
         for (key, sums) in contributions {
             if key >> 6 != code {
                 code = key >> 6;
-                slot = self.slot(code);
+                block = self.block(code);
             }
-            self.bricks[slot][(key & 63) as usize].add(sums);
+            self.brick(block, key)[(key & 7) as usize].add(sums);
         }
     }
 
     fn memory(&self) -> usize {
         // hashbrown: one control byte and one (u64, u32) pair, padded to 16, per bucket.
-        self.bricks.capacity() * size_of::<Brick>() + self.codes.capacity() * 8 + self.index.capacity() * 8 / 7 * 17
+        self.bricks.capacity() * size_of::<Brick>()
+            + self.codes.capacity() * 8
+            + self.blocks.capacity() * size_of::<Block>()
+            + self.index.capacity() * 8 / 7 * 17
     }
 }
 
@@ -137,8 +172,9 @@ impl Bricks {
     pub fn absorb(&mut self, other: &Self) {
         self.shards.par_iter_mut().zip(&other.shards).for_each(|(shard, other)| {
             for (&code, brick) in other.codes.iter().zip(&other.bricks) {
-                let slot = shard.slot(code);
-                shard.bricks[slot].iter_mut().zip(brick).for_each(|(sum, sums)| sum.add(sums));
+                let block = shard.block(code >> 3);
+                let mine = shard.brick(block, code << 3);
+                mine.iter_mut().zip(brick).for_each(|(sum, sums)| sum.add(sums));
             }
         });
     }
@@ -150,15 +186,41 @@ impl Bricks {
 
     /// The sums of a vertex, if its brick exists.
     pub fn get(&self, key: u64) -> Option<&Evidence> {
+        let (mut block, bricks) = self.block(key)?;
+        Some(&bricks.get(*block.slot(key) as usize)?[(key & 7) as usize])
+    }
+
+    /// The block of a key, if it exists, and its shard's bricks.
+    fn block(&self, key: u64) -> Option<(Block, &[Brick])> {
         let shard = &self.shards[shard_of(key)];
-        let slot = *shard.index.get(&(key >> 6))?;
-        Some(&shard.bricks[slot as usize][(key & 63) as usize])
+        let block = *shard.index.get(&(key >> 6))?;
+        Some((shard.blocks[block as usize], &shard.bricks))
+    }
+
+    /// A search for neighbouring vertices.
+    pub fn reader(&self) -> Reader<'_> {
+        Reader { bricks: self, code: u64::MAX, block: None }
+    }
+
+    /// For every block its code and the members whose sums fulfil `condition`, as a mask; in parallel.
+    pub fn par_masks(
+        &self,
+        condition: impl Fn(&Evidence) -> bool + Send + Sync,
+    ) -> impl ParallelIterator<Item = (u64, u64)> {
+        let blocks = self.shards.par_iter().flat_map_iter(|shard| {
+            shard.index.iter().map(move |(&code, &block)| (code, shard, &shard.blocks[block as usize]))
+        });
+        blocks.map(move |(code, shard, block)| {
+            let members = block.bricks().flat_map(|(i, slot)| (8 * i..).zip(&shard.bricks[slot]));
+            let fulfilling = members.filter(|(_, sums)| condition(sums));
+            (code, fulfilling.fold(0, |mask, (member, _)| mask | 1 << member))
+        })
     }
 
     /// All vertices of all bricks, in parallel, with their keys.
     pub fn par_iter(&self) -> impl ParallelIterator<Item = (u64, &Evidence)> {
         let bricks = self.shards.par_iter().flat_map_iter(|shard| shard.codes.iter().zip(&shard.bricks));
-        bricks.flat_map_iter(|(&code, brick)| (0_u64..).zip(brick).map(move |(i, sums)| (code << 6 | i, sums)))
+        bricks.flat_map_iter(|(&code, brick)| (0_u64..).zip(brick).map(move |(i, sums)| (code << 3 | i, sums)))
     }
 
     /// Brick codes, in the order in which [`Bricks::slices`] returns their sums.
@@ -178,20 +240,20 @@ impl Bricks {
         let mut restored = Self::new();
         for (&code, brick) in codes.iter().zip(bricks) {
             // Every level of coarseness halves the lattice, until one cell is left.
-            let coarseness = code >> (COARSENESS_SHIFT - 6);
+            let coarseness = code >> (COARSENESS_SHIFT - 3);
             if coarseness > u64::from(cells.ilog2()) {
                 return None;
             }
-            let first = morton::decode(code << 6 & ((1 << COARSENESS_SHIFT) - 1));
+            let first = morton::decode(code << 3 & ((1 << COARSENESS_SHIFT) - 1));
             if first.iter().any(|&i| i > cells >> coarseness) {
                 return None;
             }
-            let shard = &mut restored.shards[shard_of(code << 6)];
-            if shard.index.insert(code, shard.bricks.len() as u32).is_some() {
+            let shard = &mut restored.shards[shard_of(code << 3)];
+            let (before, block) = (shard.bricks.len(), shard.block(code >> 3));
+            *shard.brick(block, code << 3) = brick;
+            if shard.bricks.len() == before {
                 return None;
             }
-            shard.codes.push(code);
-            shard.bricks.push(brick);
         }
         Some(restored)
     }
@@ -199,6 +261,26 @@ impl Bricks {
     /// Bytes on the heap.
     pub fn memory(&self) -> usize {
         self.shards.iter().map(Shard::memory).sum()
+    }
+}
+
+/// A search that looks a block up once for all its vertices in a row.
+pub struct Reader<'a> {
+    bricks: &'a Bricks,
+    /// Of the block looked up last.
+    code: u64,
+    block: Option<(Block, &'a [Brick])>,
+}
+
+impl Reader<'_> {
+    /// The sums of a vertex; none if its brick does not exist.
+    pub fn get(&mut self, key: u64) -> Evidence {
+        if key >> 6 != self.code {
+            self.code = key >> 6;
+            self.block = self.bricks.block(key);
+        }
+        let brick = self.block.as_mut().and_then(|(block, bricks)| bricks.get(*block.slot(key) as usize));
+        brick.map_or_else(Evidence::default, |brick| brick[(key & 7) as usize])
     }
 }
 

@@ -3,8 +3,13 @@
 use rayon::prelude::*;
 
 use super::{OctreePosterior, bricks};
-use crate::octree::{Cell, Leaves, Octree, around, cells_around, morton};
+use crate::octree::{Cell, Leaves, Octree, Wanted, around, cells_around};
 use crate::posterior::{Evidence, Pooling, trace};
+
+/// Whether a vertex moved by more than `floor` allows.
+fn moves(evidence: &Evidence, floor: f64) -> bool {
+    trace(&evidence.information) > floor
+}
 
 /// Where an octree is refined.
 #[derive(Debug, Clone, PartialEq)]
@@ -27,48 +32,53 @@ impl OctreePosterior {
     #[must_use]
     pub fn into_octree(self, refinement: &Refinement) -> (Octree, Vec<Evidence>) {
         let finest = self.lattice.level();
-        // Keys are points of their own level's lattice: sorted and unique they are points in any order.
-        let mut moved: Vec<u64> = match refinement.floor {
-            Some(floor) => {
-                self.bricks.par_iter().filter(|(_, e)| trace(&e.information) > floor).map(|(key, _)| key).collect()
-            }
-            None => Vec::new(),
-        };
-        moved.par_sort_unstable();
+        let mut wanted = self.wanted_around_moved(refinement.floor);
         if refinement.pooling.is_on() {
-            let more = self.moved_by_pooling(&moved, refinement);
-            moved.extend(more);
+            // Keys are points of their own level's lattice: sorted and unique they are points in any order.
+            let mut moved: Vec<u64> = match refinement.floor {
+                Some(floor) => self.bricks.par_iter().filter(|(_, e)| moves(e, floor)).map(|(key, _)| key).collect(),
+                None => Vec::new(),
+            };
+            moved.par_sort_unstable();
+            for key in self.moved_by_pooling(&moved, refinement) {
+                self.want_around(&mut wanted, key);
+            }
         }
-        let mut leaves: Vec<(u8, u64)> = moved
-            .par_chunks(64)
-            .flat_map_iter(|keys| {
-                let around = keys.iter().flat_map(|&key| cells_around(bricks::point(key), finest));
-                let mut leaves: Vec<(u8, u64)> = around.map(|cell| self.leaf_code(cell)).collect();
-                leaves.sort_unstable();
-                leaves.dedup();
-                leaves
-            })
-            .collect();
-        drop(moved);
-        leaves.extend(refinement.wanted.iter().map(|&cell| {
+        for &cell in &refinement.wanted {
             let (origin, _) = cell.extent(finest);
             let limit = self.limits.leaf(origin);
-            let wanted = if limit.level < cell.level { limit } else { cell };
-            (wanted.level, morton::encode(wanted.index))
-        }));
-        leaves.par_sort_unstable();
-        leaves.dedup();
-        let wanted = leaves.iter().map(|&(level, code)| Cell { level, index: morton::decode(code) });
-        let octree = Octree::refined(finest, wanted);
-        drop(leaves);
-        let positions: Vec<[u32; 3]> = octree.vertex_positions().collect();
-        let sums = positions.par_iter().map(|&point| self.evidence(point)).collect();
+            wanted.cell(if limit.level < cell.level { limit } else { cell });
+        }
+        let octree = Octree::of(wanted);
+        let sums = octree
+            .par_vertex_positions()
+            .map_init(|| self.bricks.reader(), |reader, point| reader.get(bricks::key(point, self.coarseness(point))))
+            .collect();
         (octree, sums)
     }
 
-    fn leaf_code(&self, cell: [u32; 3]) -> (u8, u64) {
-        let leaf = self.limits.leaf(cell);
-        (leaf.level, morton::encode(leaf.index))
+    /// The leaves around every vertex with more information than `floor`.
+    fn wanted_around_moved(&self, floor: Option<f64>) -> Wanted {
+        let finest = self.lattice.level();
+        let none = || Wanted::new(finest);
+        let Some(floor) = floor else { return none() };
+        let masks = self.bricks.par_masks(|evidence| moves(evidence, floor));
+        let each = masks.fold(none, |mut wanted, (code, moved)| {
+            if self.limits.is_unlimited() {
+                wanted.around_points(code, moved);
+            } else {
+                let members = (0..64_u64).filter(|i| moved >> i & 1 == 1);
+                members.for_each(|i| self.want_around(&mut wanted, code << 6 | i));
+            }
+            wanted
+        });
+        each.reduce(none, Wanted::and)
+    }
+
+    /// The leaves around one vertex.
+    fn want_around(&self, wanted: &mut Wanted, key: u64) {
+        let around = cells_around(bricks::point(key), self.lattice.level());
+        around.for_each(|cell| wanted.cell(self.limits.leaf(cell)));
     }
 
     /// Vertices of the finest lattice beside `moved` (sorted keys) that pooling moves.

@@ -1,0 +1,224 @@
+//! The free vertices of a balanced octree, 64 at once.
+//!
+//! On the lattice of level ℓ the leaves are children of the split cells of level ℓ − 1, here called parents. By balance, leaves that
+//! touch one of them are at least as large as a parent. A point of that lattice is therefore a corner of all leaves that touch it, and one of
+//! them has level ℓ, if
+//! - all its coordinates are even (it is a corner of parents), and one of the parents around it is split; or
+//! - it lies inside a parent, or inside a face or an edge of parents, and all parents around it (one, two, four) are split;
+//!
+//! unless a leaf of level ℓ that touches it is split in turn: then it belongs to a finer level.
+
+use rayon::prelude::*;
+
+use super::balance::Split;
+use super::masks::MaskSet;
+use super::morton;
+use super::set::MortonSet;
+
+/// What a brick of 4³ parents owns: each parent the points at its lower corner and inside its half-open cube.
+struct Owned {
+    /// 4³ corners of parents that touch a split one.
+    touched: u64,
+    /// 8³ points of the finer lattice in Morton order.
+    points: [u64; 8],
+}
+
+impl Owned {
+    fn of(split: &MaskSet, brick: u64, per_axis: u32) -> Self {
+        let first = morton::decode(brick).map(|i| 4 * i);
+        // For parents P of the brick and all eight P − side: whether they are split, and whether they are split or outside the box.
+        let near: [u64; 8] = std::array::from_fn(|side| {
+            rows(below(first.map(|i| i / 4), side).map_or(0, |at| split.mask(morton::encode(at))))
+        });
+        let is_split: [u64; 8] = std::array::from_fn(|side| shifted(&near, side));
+        let allowed: [u64; 8] = std::array::from_fn(|side| is_split[side] | outside(first, side, per_axis));
+        // A parent just beyond the upper faces owns points in these faces only; one further off none.
+        let inside: [u64; 3] = std::array::from_fn(|axis| along(axis, |i| first[axis] + i < per_axis));
+        let there = (0..3).fold(!0, |mask, axis| mask & along(axis, |i| first[axis] + i <= per_axis));
+        let mut owned = Self { touched: 0, points: [0; 8] };
+        for c in 0..8_usize {
+            let free = if c == 0 {
+                is_split.iter().fold(0, |any, mask| any | mask)
+            } else {
+                // Along odd axes the point lies inside its own parent.
+                let around = (0..8_usize).filter(|side| side & c == 0);
+                let odd = (0..3).filter(|axis| c >> axis & 1 == 1);
+                odd.fold(around.fold(!0, |all, side| all & allowed[side]), |free, axis| free & inside[axis])
+            };
+            let free = codes(free & there);
+            if c == 0 {
+                owned.touched = free;
+            }
+            for (part, points) in owned.points.iter_mut().enumerate() {
+                *points |= apart(free >> (8 * part) & 0xff) << c;
+            }
+        }
+        owned
+    }
+}
+
+/// A mask in Morton order put into rows: bit x + 4 y + 16 z.
+fn rows(mask: u64) -> u64 {
+    // Bits of an index in Morton order are (z1 y1 x1 z0 y0 x0), in rows (z1 z0 y1 y0 x1 x0): three exchanges of bits of the index.
+    swapped::<3, 4>(swapped::<2, 3>(swapped::<1, 3>(mask)))
+}
+
+/// The inverse of [`rows`].
+fn codes(mask: u64) -> u64 {
+    swapped::<1, 3>(swapped::<2, 3>(swapped::<3, 4>(mask)))
+}
+
+/// Moves every bit of a mask to the index with bits A < B exchanged (a delta swap).
+fn swapped<const A: u32, const B: u32>(mask: u64) -> u64 {
+    let only_a = const { indices_with(1 << A, 1 << B) };
+    let shift = (1 << B) - (1 << A);
+    let t = (mask >> shift ^ mask) & only_a;
+    mask ^ t ^ t << shift
+}
+
+/// Indices with all bits of `ones` and none of `zeros`.
+const fn indices_with(ones: u64, zeros: u64) -> u64 {
+    let (mut mask, mut index) = (0, 0);
+    while index < 64 {
+        if index & ones == ones && index & zeros == 0 {
+            mask |= 1 << index;
+        }
+        index += 1;
+    }
+    mask
+}
+
+/// The eight low bits, eight places apart.
+fn apart(bits: u64) -> u64 {
+    let bits = (bits | bits << 28) & 0x0000_000f_0000_000f;
+    let bits = (bits | bits << 14) & 0x0003_0003_0003_0003;
+    (bits | bits << 7) & 0x0101_0101_0101_0101
+}
+
+/// Indices in rows whose coordinate along an axis fulfils `condition`.
+fn along(axis: usize, condition: impl Fn(u32) -> bool) -> u64 {
+    let coordinate = [0x1111_1111_1111_1111, 0x000f_000f_000f_000f, 0xffff][axis];
+    (0..4).filter(|&i| condition(i)).fold(0, |mask, i| mask | coordinate << (i << (2 * axis)))
+}
+
+/// For every place P in a brick whether P − side has its bit set, from the masks in rows of the brick (0) and of those below it.
+fn shifted(near: &[u64; 8], side: usize) -> u64 {
+    // Along each axis of `side`, places 1 to 3 look into the brick that has 0 there, place 0 into the one below.
+    let mut masks = *near;
+    for axis in (0..3).filter(|axis| side >> axis & 1 == 1) {
+        let step = 1_u32 << (2 * axis);
+        let first = along(axis, |i| i == 0);
+        for brick in (0..8).filter(|brick| brick >> axis & 1 == 0) {
+            masks[brick] = masks[brick] << step & !first | masks[brick | 1 << axis] >> (3 * step) & first;
+        }
+    }
+    masks[0]
+}
+
+/// Places P in a brick with P − side outside the box.
+fn outside(first: [u32; 3], side: usize, per_axis: u32) -> u64 {
+    let beyond = |axis: usize| {
+        along(axis, |i| (first[axis] + i).checked_sub((side >> axis & 1) as u32).is_none_or(|i| i >= per_axis))
+    };
+    beyond(0) | beyond(1) | beyond(2)
+}
+
+/// The brick one below along the axes whose bits are set in `side`.
+fn below(brick: [u32; 3], side: usize) -> Option<[u32; 3]> {
+    let mut near = brick;
+    for (axis, i) in near.iter_mut().enumerate() {
+        *i = i.checked_sub((side >> axis & 1) as u32)?;
+    }
+    Some(near)
+}
+
+/// Bricks in which a split cell, or a neighbour above one, may lie: they own all points that touch a split cell.
+fn owners(split: &MaskSet) -> Vec<u64> {
+    let mut owners = Vec::new();
+    for (brick, mask) in split.bricks() {
+        let at = morton::decode(brick);
+        // Which upper faces of the brick have a member: their neighbours own points of it.
+        let upper = [UPPER_X, UPPER_Y, UPPER_Z];
+        for side in 0..8_usize {
+            let reached = (0..3).fold(mask, |mask, axis| if side >> axis & 1 == 1 { mask & upper[axis] } else { mask });
+            if reached != 0 {
+                let above = std::array::from_fn(|axis| at[axis] + (side >> axis & 1) as u32);
+                owners.push(morton::encode(above));
+            }
+        }
+    }
+    owners.par_sort_unstable();
+    owners.dedup();
+    owners
+}
+
+/// Members of a brick with coordinate 3 along one axis: both bits of that axis set.
+const UPPER_X: u64 = indices_with(0b001_001, 0);
+const UPPER_Y: u64 = indices_with(0b010_010, 0);
+const UPPER_Z: u64 = indices_with(0b100_100, 0);
+
+/// The free vertices by coarseness, the finest first, each a set of points of its own level's lattice.
+pub fn free_vertices(split: &Split) -> Vec<MortonSet> {
+    let finest = split.finest();
+    let bits = |level: u8| 3 * (u32::from(level) + 1);
+    let mut sets = Vec::with_capacity(usize::from(finest) + 1);
+    // Points of the level at hand that touch a finer leaf.
+    let mut taken = MaskSet::default();
+    for level in (1..=finest).rev() {
+        let parents = split.level(level - 1);
+        let per_axis = 1 << (level - 1);
+        let owned: Vec<(u64, Owned)> =
+            owners(parents).into_par_iter().map(|brick| (brick, Owned::of(parents, brick, per_axis))).collect();
+        let bricks = owned.iter().flat_map(|(brick, owned)| {
+            let parts = (0_u64..).zip(owned.points);
+            parts.map(move |(part, points)| (brick << 3 | part, points))
+        });
+        let free =
+            bricks.map(|(brick, points)| (brick, points & !taken.mask(brick))).filter(|(_, points)| *points != 0);
+        sets.push(MortonSet::from_bricks(bits(level), free));
+        let mut touched = MaskSet::default();
+        owned.iter().for_each(|(brick, owned)| touched.insert_mask(*brick, owned.touched));
+        taken = touched;
+    }
+    // The box itself, if it is a leaf.
+    let corners = if taken.mask(0) == 0 { 0xff } else { 0 };
+    sets.push(MortonSet::from_bricks(bits(0), std::iter::once((0, corners)).filter(|(_, corners)| *corners != 0)));
+    sets
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn rows_and_codes_are_the_same_places(mask: u64) {
+            let slowly = (0..64).filter(|code| mask >> code & 1 == 1).fold(0, |all, code| {
+                let [x, y, z] = morton::decode(code);
+                all | 1_u64 << (x + 4 * y + 16 * z)
+            });
+            prop_assert_eq!(rows(mask), slowly);
+            prop_assert_eq!(codes(slowly), mask);
+        }
+
+        #[test]
+        fn looking_one_below_crosses_into_the_bricks_below(near: [u64; 8], side in 0_usize..8) {
+            let slowly = (0..64_u32).filter(|i| {
+                let (mut brick, mut index) = (0_usize, 0);
+                for axis in 0..3 {
+                    let at = (i >> (2 * axis) & 3) as i64 - (side >> axis & 1) as i64;
+                    brick |= usize::from(at < 0) << axis;
+                    index |= (at & 3) << (2 * axis);
+                }
+                near[brick] >> index & 1 == 1
+            });
+            prop_assert_eq!(shifted(&near, side), slowly.fold(0, |all, i| all | 1_u64 << i));
+        }
+
+        #[test]
+        fn bits_go_eight_places_apart(bits in 0_u64..256) {
+            prop_assert_eq!(apart(bits), (0..8).fold(0, |all, i| all | (bits >> i & 1) << (8 * i)));
+        }
+    }
+}

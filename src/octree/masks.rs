@@ -1,0 +1,167 @@
+//! Sets of cells or points of one lattice, kept as 64-bit masks of aligned 4³ bricks.
+//!
+//! What has to be done to the neighbourhood of every member is done to 64 members at once. A brick's code is its members' Morton codes
+//! without their low six bits, which say where in the mask a member is.
+
+use rustc_hash::FxHashMap;
+
+use super::morton;
+
+/// Places along an axis around a brick: the brick itself has four, or two after halving, the rest are its surroundings.
+const AROUND: usize = 4;
+
+/// Which places around a brick, halved, its members reach: bit x + 4 y + 16 z for the place 2 b − 1 + (x, y, z), b the brick's own coordinates.
+pub type Reach = [u64; 64];
+
+/// The reach of a member at (i, j, k) in its brick is the product of three sets of places along the axes.
+const fn reach(along: [u64; 4]) -> Reach {
+    let mut all = [0; 64];
+    let mut member = 0;
+    while member < 64 {
+        let (mut at, mut bit) = ([0; 3], 0);
+        while bit < 6 {
+            at[bit % 3] |= (member >> bit & 1) << (bit / 3);
+            bit += 1;
+        }
+        let mut place = 0;
+        while place < 64 {
+            let reached = along[at[0]] >> (place & 3) & along[at[1]] >> (place >> 2 & 3) & along[at[2]] >> (place >> 4);
+            all[member] |= (reached & 1) << place;
+            place += 1;
+        }
+        member += 1;
+    }
+    all
+}
+
+/// Parents of a cell and of its 26 neighbours.
+pub const PARENTS_OF_NEIGHBORS: Reach = reach([0b0011, 0b0110, 0b0110, 0b1100]);
+/// Parents of the eight cells around a point.
+pub const PARENTS_AROUND_POINT: Reach = reach([0b0011, 0b0010, 0b0110, 0b0100]);
+
+/// A set of cells or points of one lattice.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct MaskSet {
+    /// No mask is empty.
+    bricks: FxHashMap<u64, u64>,
+}
+
+impl MaskSet {
+    /// Adds one member.
+    pub fn insert(&mut self, code: u64) {
+        self.insert_mask(code >> 6, 1 << (code & 63));
+    }
+
+    /// Adds members of one brick.
+    pub fn insert_mask(&mut self, brick: u64, mask: u64) {
+        if mask != 0 {
+            *self.bricks.entry(brick).or_default() |= mask;
+        }
+    }
+
+    /// Adds all members of another set.
+    pub fn absorb(&mut self, other: Self) {
+        for (brick, mask) in other.bricks {
+            self.insert_mask(brick, mask);
+        }
+    }
+
+    /// Adds the cells, of a lattice with `cells` per axis, that members of a brick of the lattice twice as fine reach.
+    pub fn insert_reached(&mut self, brick: u64, mask: u64, reach: &Reach, cells: u32) {
+        let mut places = 0;
+        let mut members = mask;
+        while members != 0 {
+            places |= reach[members.trailing_zeros() as usize];
+            members &= members - 1;
+        }
+        // Four places along an axis lie in at most two bricks.
+        let first = morton::decode(brick).map(|b| 2 * i64::from(b) - 1);
+        let mut masks = [0_u64; 8];
+        while places != 0 {
+            let place = places.trailing_zeros() as usize;
+            places &= places - 1;
+            let cell: [i64; 3] = std::array::from_fn(|axis| first[axis] + (place >> (2 * axis) & (AROUND - 1)) as i64);
+            if cell.iter().any(|i| !(0..i64::from(cells)).contains(i)) {
+                continue;
+            }
+            let which = (0..3).fold(0, |which, axis| which | ((cell[axis] >> 2) - (first[axis] >> 2)) << axis);
+            masks[which as usize] |= 1 << morton::encode(cell.map(|i| i as u32 & 3));
+        }
+        for (which, mask) in masks.into_iter().enumerate().filter(|(_, mask)| *mask != 0) {
+            let at = std::array::from_fn(|axis| ((first[axis] >> 2) + (which as i64 >> axis & 1)) as u32);
+            self.insert_mask(morton::encode(at), mask);
+        }
+    }
+
+    /// The members of a brick.
+    #[must_use]
+    pub fn mask(&self, brick: u64) -> u64 {
+        self.bricks.get(&brick).copied().unwrap_or(0)
+    }
+
+    /// Codes of bricks with members, in no order, with their masks.
+    pub fn bricks(&self) -> impl Iterator<Item = (u64, u64)> + '_ {
+        self.bricks.iter().map(|(&brick, &mask)| (brick, mask))
+    }
+
+    /// The same, sorted.
+    #[must_use]
+    pub fn sorted(&self) -> Vec<(u64, u64)> {
+        let mut bricks: Vec<(u64, u64)> = self.bricks().collect();
+        bricks.sort_unstable();
+        bricks
+    }
+
+    /// All members, sorted.
+    #[must_use]
+    pub fn codes(&self) -> Vec<u64> {
+        let bricks = self.sorted();
+        let mut codes = Vec::with_capacity(bricks.iter().map(|(_, mask)| mask.count_ones() as usize).sum());
+        for (brick, mut mask) in bricks {
+            while mask != 0 {
+                codes.push(brick << 6 | u64::from(mask.trailing_zeros()));
+                mask &= mask - 1;
+            }
+        }
+        codes
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use std::collections::BTreeSet;
+
+    proptest! {
+        #[test]
+        fn what_members_reach_is_what_each_of_them_reaches(mask: u64, brick in proptest::array::uniform3(0_u32..4)) {
+            // 16 cells or points per axis, halved: 8; some bricks lie at the faces.
+            let members = || (0..64_u64).filter(|m| mask >> m & 1 == 1).map(|m| morton::decode(morton::encode(brick) << 6 | m));
+            for (reach, from, to) in [(&PARENTS_OF_NEIGHBORS, -1..=1_i64, 16), (&PARENTS_AROUND_POINT, -1..=0, 16)] {
+                let mut expected = BTreeSet::new();
+                for member in members() {
+                    for step in 0..27_i64 {
+                        let steps = [step % 3 - 1, step / 3 % 3 - 1, step / 9 - 1];
+                        let near: [i64; 3] = std::array::from_fn(|axis| i64::from(member[axis]) + steps[axis]);
+                        if steps.iter().all(|s| from.contains(s)) && near.iter().all(|i| (0..to).contains(i)) {
+                            expected.insert(morton::encode(near.map(|i| i as u32 / 2)));
+                        }
+                    }
+                }
+                let mut set = MaskSet::default();
+                set.insert_reached(morton::encode(brick), mask, reach, 8);
+                prop_assert_eq!(set.codes(), expected.into_iter().collect::<Vec<_>>());
+            }
+        }
+
+        #[test]
+        fn members_come_back_sorted_and_once(codes in proptest::collection::vec(0_u64..1 << 12, 0..200)) {
+            let (mut a, mut b) = (MaskSet::default(), MaskSet::default());
+            codes.iter().enumerate().for_each(|(i, &code)| if i % 3 == 0 { a.insert(code) } else { b.insert(code) });
+            a.absorb(b);
+            let sorted: BTreeSet<u64> = codes.into_iter().collect();
+            prop_assert_eq!(a.codes(), sorted.into_iter().collect::<Vec<_>>());
+        }
+    }
+}
