@@ -55,9 +55,7 @@ pub fn reference(scene: &Scene, level: u8, rays: u64) -> Result<UncertaintyField
 }
 
 /// |Δ log10 U| on visible surfaces and in the box.
-pub fn error(field: UncertaintyField, reference: &UncertaintyField) -> Result<[Difference; 2]> {
-    // At the reference's points: a field's own lie where its rays went, and it would look better there.
-    let field = &field.with_surface(Vec::new());
+pub fn error(field: &UncertaintyField, reference: &UncertaintyField) -> Result<[Difference; 2]> {
     let compared = compare(field, reference, POINTS, 1)?;
     Ok([compared.on_surfaces, compared.in_box].map(|d| d.expect("both fields have points to compare at")))
 }

@@ -50,7 +50,7 @@ pub fn ablation(lego: &Scene, reference: &UncertaintyField) -> Result<()> {
     for (name, rays, grid) in rows {
         let run = median(lego, &rays, &grid, 3)?;
         let bytes = run.field.query_memory();
-        let [surface, space] = error(run.field, reference)?;
+        let [surface, space] = error(&run.field, reference)?;
         println!(
             "| {name} | {:.2} | {:.1} | {bytes} | {} | {} |",
             run.seconds,
@@ -81,7 +81,7 @@ pub fn rays(scene: &Scene, reference: &UncertaintyField) -> Result<()> {
             let settings = RaySettings { rays, pixels, gradient, ..scene.settings };
             let run = run(scene, &settings, &grid(kind, 8))?;
             let bytes = run.field.query_memory();
-            let [surface, space] = error(run.field, reference)?;
+            let [surface, space] = error(&run.field, reference)?;
             curve.points.push((run.seconds.log10(), surface.mean.log10()));
             println!("| {rays} | {name} | {:.2} | {bytes} | {} | {} |", run.seconds, cells(&surface), cells(&space));
         }

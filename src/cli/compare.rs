@@ -16,7 +16,7 @@ pub struct Args {
     /// One field: `.oct`, or the official code's `.npy` with --box
     a: PathBuf,
 
-    /// The other
+    /// The reference: surfaces are compared at its surface points, if it has any
     b: PathBuf,
 
     /// Random points in the box, and most points on surfaces

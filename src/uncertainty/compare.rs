@@ -91,7 +91,9 @@ impl UncertaintyField {
     }
 }
 
-/// Compares log10 U at `points` random points, uniform in the lattice's cube (drawn with `seed`), and at up to as many surface points.
+/// Compares `a` with the reference `b`: log10 U at `points` random points, uniform in the lattice's cube (drawn with `seed`), and at up to
+/// as many surface points. These are the reference's, if it has any: a field's own lie where its rays went, and it would look
+/// better there than it is.
 ///
 /// # Errors
 /// If the fields are of different domains.
@@ -104,7 +106,7 @@ pub fn compare(a: &UncertaintyField, b: &UncertaintyField, points: usize, seed: 
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut draw = || domain.clamp(domain.to_scene(DVec3::from(rng.random::<[f64; 3]>())).as_vec3());
     let in_box: Vec<Vec3> = (0..points).map(|_| draw()).collect();
-    let surface = if a.surface().len() >= b.surface().len() { a.surface() } else { b.surface() };
+    let surface = if b.surface().is_empty() { a.surface() } else { b.surface() };
     let surface: Vec<Vec3> = surface.iter().take(points).map(|&x| Vec3::from_array(x)).collect();
     Ok(Comparison {
         fields: [a.summary(), b.summary()],
