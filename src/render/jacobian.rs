@@ -17,7 +17,7 @@
 //! lurking. Cutoff 0 leaves out only exact zeros.
 //!
 //! σ̂ is also taken to be at most a hundred times what the ray meets at the sample and at its neighbours, if these are at least eight h away: whoever
-//! samples a field at that distance believes that it is resolved. A step is not; the rays that pass it by within h are found if the field bounds its density
+//! samples a field at that distance believes that it is resolved. A step is not; the rays that pass it by within h are found if the field bounds its density everywhere
 //! ([`RadianceField::density_bound`](crate::field::RadianceField::density_bound)), and lost if it does not (`experiments/hard_cases.md`).
 
 use std::ops::Range;
@@ -25,7 +25,7 @@ use std::ops::Range;
 use glam::{DVec3, Vec3};
 
 use super::gradient::{GradientBuffers, Jet};
-use super::{Differentiation, Quadrature, RaySample, RaySamples, TraceBuffers, Tracer};
+use super::{Differentiation, Occupancy, Quadrature, RaySample, RaySamples, TraceBuffers, Tracer};
 use crate::field::Radiance;
 use crate::geometry::Ray;
 
@@ -215,10 +215,14 @@ impl Tracer<'_> {
         if influence * self.marcher.majorant(x.as_dvec3()) <= cutoff {
             return false;
         }
+        if influence * STEEPEST * f64::from(near) > cutoff {
+            return true;
+        }
         // The corners are rounded as the points that differences look at are.
         let within = |x: DVec3| self.field.density_bound((x - h).as_vec3(), (x + h).as_vec3());
-        influence * STEEPEST * f64::from(near) > cutoff
-            || within(x.as_dvec3()).is_some_and(|bound| influence * f64::from(bound) > cutoff)
+        // A field that knows some bounds only is not asked at every sample, most often in vain.
+        self.marcher.occupancy.as_ref().is_some_and(Occupancy::is_certain)
+            && within(x.as_dvec3()).is_some_and(|bound| influence * f64::from(bound) > cutoff)
     }
 
     /// Jacobians of the chosen samples. A ray with an invalid evaluation is dropped as a whole, like one with an invalid density.

@@ -71,6 +71,19 @@ pub enum Quantity {
     Dropped,
 }
 
+impl Quantity {
+    /// For people.
+    #[must_use]
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::Diagonal => "decades from the prior down to the least U, `diagonal`",
+            Self::Block => "decades from the prior down to the least U, `block`",
+            Self::Moved => "share of the lattice's vertices that moved",
+            Self::Dropped => "share of the rays that were dropped",
+        }
+    }
+}
+
 /// What is to be expected, in words and as a bound.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Claim {

@@ -106,12 +106,12 @@ fn opaque_step() -> Scene {
     let square = Shape::Box { center: Vec3::new(0.1, -0.45, -0.1), half: Vec3::new(0.3, 0.25, 0.4) };
     Scene {
         name: "opaque-step",
-        about: "Density from 0 to 10,000 within a five hundredth of a cell: the derivative of a step is a spike that few samples meet. U is far too \
-                small, and depends on the step of the finite differences, which is what blurs the spike.",
+        about: "Density from 0 to 10,000 within a five hundredth of a cell: its derivative is a spike that few samples meet. Where one does, U is far too small, \
+                elsewhere it is the prior; how many do depends on the step of the finite differences, which blurs the spike. It is chance.",
         field: Specimen::new(several("opaque-step", vec![solid(round), solid(square)]), Treatment::Exact, ring()),
         level: 5,
         verdict: Verdict::Limit,
-        claims: vec![claim("surfaces look pinned by many decades", Quantity::Block, 3.0..=8.0)],
+        claims: vec![claim("where it is met, a surface looks pinned to nothing", Quantity::Block, 3.0..=8.0)],
     }
 }
 
