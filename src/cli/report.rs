@@ -36,6 +36,15 @@ pub fn bytes(n: usize) -> String {
     }
 }
 
+/// A number for people: four digits, without an exponent where it can be read without one.
+pub fn short(x: f64) -> String {
+    match x.abs() {
+        0.0 => "0".into(),
+        a if (1e-3..1e4).contains(&a) => format!("{x:.4}").trim_end_matches('0').trim_end_matches('.').into(),
+        _ => format!("{x:.3e}"),
+    }
+}
+
 /// Seconds, times and memory of a run.
 pub struct Cost {
     /// From the first ray to the finished field.

@@ -7,6 +7,7 @@ mod audit;
 mod auto;
 mod builder;
 mod grid;
+mod measure;
 mod plan;
 mod rays;
 mod run;

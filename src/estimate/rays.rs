@@ -4,7 +4,7 @@ use glam::{DVec3, Vec3};
 
 use super::{FieldBuilder, GridSettings};
 use crate::field::RadianceField;
-use crate::geometry::{Camera, Domain, Lattice};
+use crate::geometry::{Aabb, Camera, Domain, Lattice};
 use crate::monitor::Monitor;
 use crate::posterior::checkpoint::RunKey;
 use crate::posterior::{PixelSequence, Pixels, RayStream, Share, negligible_jacobian};
@@ -116,7 +116,8 @@ impl RaySettings {
     /// The stream of rays from `cameras` through `field`, differentiated for `lattice`.
     ///
     /// # Errors
-    /// If the field cannot differentiate itself as it is asked to, or [`Error::Interrupted`].
+    /// If the field cannot differentiate itself as it is asked to, if f32 positions are farther apart than differences look, or
+    /// [`Error::Interrupted`].
     pub fn stream<'a>(
         &self,
         field: &'a dyn RadianceField,
@@ -132,6 +133,10 @@ impl RaySettings {
             DVec3::from(std::array::from_fn(|axis| [bounds.min(), bounds.max()][usize::from(c >> axis & 1)][axis]))
         };
         let farthest = (0..8).map(|c| differences.at(corner(c).as_vec3())).fold(DVec3::ZERO, DVec3::max);
+        let analytic = self.gradient.of(field)?;
+        if analytic.is_none() {
+            check_resolution(&differences, &bounds)?;
+        }
         let tracer = self.tracer(field, farthest.max_element(), monitor)?;
         // A ray crosses the cells around a vertex along two of their diagonals at most. (k levels coarser that is 2ᵏ times as long, and J
         // counts 2⁻ᵏ.) Contracted cells have no longest diagonal.
@@ -140,11 +145,34 @@ impl RaySettings {
         let bounded = matches!(lattice.domain(), Domain::Box(_)) && self.cutoff > 0.0;
         Ok(RayStream {
             tracer,
-            differentiation: Differentiation { differences, analytic: self.gradient.of(field)? },
+            differentiation: Differentiation { differences, analytic },
             negligible: if bounded { negligible } else { 0.0 },
             cameras,
             pixel_offset: self.pixel_offset.unwrap_or_else(|| field.pixel_offset()),
             pixels: PixelSequence::new(self.pixels, self.seed, cameras.iter().map(|c| c.resolution).collect()),
         })
     }
+}
+
+/// Refuses differences over less than f32 positions are apart: x ± h would be x, every derivative 0, and U the prior.
+fn check_resolution(differences: &Differences, bounds: &Aabb) -> Result<()> {
+    for axis in 0..3 {
+        // A contraction stretches h faster than positions grow, so that its own ball is where h is hardest to tell.
+        let (low, high) = match differences.domain {
+            Domain::Box(_) => (bounds.min()[axis], bounds.max()[axis]),
+            Domain::Contracted { center, radius, .. } => {
+                let within = |x: f64| x.clamp(bounds.min()[axis], bounds.max()[axis]);
+                (within(center[axis] - radius), within(center[axis] + radius))
+            }
+        };
+        let (farthest, h) = (low.abs().max(high.abs()) as f32, differences.step[axis]);
+        let apart = f64::from(farthest.next_up()) - f64::from(farthest);
+        if h < apart {
+            let expected = format!(
+                "at least {apart:e} scene units, what f32 positions are apart at {farthest:e} (--step, or a scene nearer to the origin)"
+            );
+            return Err(Error::setting("finite-difference step", expected, format!("{h:e}")));
+        }
+    }
+    Ok(())
 }

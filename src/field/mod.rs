@@ -12,6 +12,7 @@ mod open;
 mod ppng;
 mod voxel;
 mod window;
+pub mod zoo;
 
 pub use closed_form::ClosedForm;
 pub use hash_grid::{HashGrid, HashGridConfig};

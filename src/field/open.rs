@@ -2,10 +2,10 @@
 
 use std::path::Path;
 
-use super::{ClosedForm, Coordinates, HashGrid, NerfMlp, Ppng, RadianceField, VoxelGrid};
+use super::{ClosedForm, Coordinates, HashGrid, NerfMlp, Ppng, RadianceField, VoxelGrid, zoo};
 use crate::{Error, Result};
 
-/// The field that `model` names: `scene:NAME` for a built-in scene, else a file by its extension: `.safetensors` for a
+/// The field that `model` names: `scene:NAME` for a built-in scene or one of the [zoo], else a file by its extension: `.safetensors` for a
 /// hash grid of `octobayes train` (its metadata says so) or an MLP NeRF, `.npz` for a voxel grid, `.ppng` for a Plenoptic PNG in the coordinates of its file.
 ///
 /// # Errors
@@ -29,7 +29,7 @@ pub fn open_in(model: &str, coordinates: Option<Coordinates>) -> Result<Box<dyn 
         return Err(Error::setting("--coordinates", "a `.ppng` model: others have one kind only", found));
     }
     if let Some(scene) = model.strip_prefix("scene:") {
-        return Ok(Box::new(ClosedForm::named(scene)?));
+        return scene_named(scene);
     }
     match extension {
         Some("safetensors") if HashGrid::is_in(path)? => Ok(Box::new(HashGrid::read(path)?)),
@@ -41,4 +41,12 @@ pub fn open_in(model: &str, coordinates: Option<Coordinates>) -> Result<Box<dyn 
             "another extension",
         )),
     }
+}
+
+/// The built-in scene of that name, else that of the zoo.
+fn scene_named(name: &str) -> Result<Box<dyn RadianceField>> {
+    if let Ok(scene) = zoo::by_name(name) {
+        return Ok(Box::new(scene.field));
+    }
+    Ok(Box::new(ClosedForm::named(name)?))
 }

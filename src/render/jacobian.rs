@@ -13,16 +13,19 @@
 //!
 //! Where ∇σ is known along the rays ([`Differentiable::is_cheap`](crate::field::Differentiable::is_cheap)), lurking is what it shows: δ T ‖∇σ‖ matters.
 //! |∂C/∂σ| ≤ √3 δ T, because colours lie in [0, 1]; σ̂ is the occupancy's density bound. The first bounds the share of ∇c (|∇c| ≤ 1/2h), the second
-//! that of ∇σ (|∇σ| ≤ σ̂/2h). σ̂ is also taken to be at most a hundred times what the ray meets at the sample and at its neighbours, if these are at least
-//! eight h away: whoever samples a field at that distance believes that it is resolved. A sample in the empty space before a surface has w = 0 but may see the surface within h: it is
+//! that of ∇σ (|∇σ| ≤ σ̂/2h). A sample in the empty space before a surface has w = 0 but may see the surface within h: it is
 //! lurking. Cutoff 0 leaves out only exact zeros.
+//!
+//! σ̂ is also taken to be at most a hundred times what the ray meets at the sample and at its neighbours, if these are at least eight h away: whoever
+//! samples a field at that distance believes that it is resolved. A step is not; the rays that pass it by within h are found if the field bounds its density everywhere
+//! ([`RadianceField::density_bound`](crate::field::RadianceField::density_bound)), and lost if it does not (`experiments/hard_cases.md`).
 
 use std::ops::Range;
 
 use glam::{DVec3, Vec3};
 
 use super::gradient::{GradientBuffers, Jet};
-use super::{Differentiation, Quadrature, RaySample, RaySamples, TraceBuffers, Tracer};
+use super::{Differentiation, Occupancy, Quadrature, RaySample, RaySamples, TraceBuffers, Tracer};
 use crate::field::Radiance;
 use crate::geometry::Ray;
 
@@ -188,10 +191,10 @@ impl Tracer<'_> {
                 let lurks = match traced.density_gradients.get(i) {
                     Some(gradient) => influence * f64::from(gradient.length()) > negligible || !gradient.is_finite(),
                     None => {
-                        let h = differentiation.differences.at(x).max_element();
-                        let is_resolved = FAR_APART * h <= self.marcher.step;
+                        let h = differentiation.differences.at(x);
+                        let is_resolved = FAR_APART * h.max_element() <= self.marcher.step;
                         let near = if is_resolved { around(&traced.densities, &samples, i) } else { f32::INFINITY };
-                        self.may_matter(influence, x, near)
+                        self.may_matter(influence, x, h, near)
                     }
                 };
                 if lurks {
@@ -201,15 +204,25 @@ impl Tracer<'_> {
         }
     }
 
-    /// Whether matter within h of a sample at `x` could change its pixel, if the density that the ray meets at the sample, one before and one behind is at
+    /// Whether matter within `h` of a sample at `x` could change its pixel, if the density that the ray meets at the sample, one before and one behind is at
     /// most `near`.
-    fn may_matter(&self, influence: f64, x: Vec3, near: f32) -> bool {
+    fn may_matter(&self, influence: f64, x: Vec3, h: DVec3, near: f32) -> bool {
         let cutoff = self.marcher.cutoff;
         // ∞ · 0 would be NaN: without occupancy the bound is infinite, and behind opaque matter the influence is 0.
         if influence == 0.0 || cutoff == 0.0 {
             return influence > 0.0;
         }
-        influence * STEEPEST * f64::from(near) > cutoff && influence * self.marcher.majorant(x.as_dvec3()) > cutoff
+        if influence * self.marcher.majorant(x.as_dvec3()) <= cutoff {
+            return false;
+        }
+        if influence * STEEPEST * f64::from(near) > cutoff {
+            return true;
+        }
+        // The corners are rounded as the points that differences look at are.
+        let within = |x: DVec3| self.field.density_bound((x - h).as_vec3(), (x + h).as_vec3());
+        // A field that knows some bounds only is not asked at every sample, most often in vain.
+        self.marcher.occupancy.as_ref().is_some_and(Occupancy::is_certain)
+            && within(x.as_dvec3()).is_some_and(|bound| influence * f64::from(bound) > cutoff)
     }
 
     /// Jacobians of the chosen samples. A ray with an invalid evaluation is dropped as a whole, like one with an invalid density.

@@ -28,6 +28,8 @@ pub struct Occupancy {
     per_unit: DVec3,
     /// σ̂, 1 / scene unit.
     majorant: Pyramid,
+    /// Whether all of it was bounded by the field, none of it sampled.
+    is_certain: bool,
 }
 
 /// 2^level cells along each axis, `cell` one of them.
@@ -65,7 +67,8 @@ impl Occupancy {
         let mut bricks = bounder.bricks();
         monitor.end();
         check(monitor)?;
-        if bricks.iter().any(|(_, cells)| cells.contains(&f32::INFINITY)) {
+        let is_certain = !bricks.iter().any(|(_, cells)| cells.contains(&f32::INFINITY));
+        if !is_certain {
             let rings = DVec3::splat(reach) / (bounds.size() / resolution as f64);
             let rings = rings.to_array().map(|rings| (rings.ceil() as usize).max(1));
             let grid = sampled::sample(field, resolution, rings, monitor)?;
@@ -79,6 +82,7 @@ impl Occupancy {
             resolution,
             per_unit: resolution as f64 / bounds.size(),
             majorant: Pyramid::new(resolution, bricks),
+            is_certain,
         })
     }
 
@@ -136,6 +140,12 @@ impl Occupancy {
             }
         }
         exit
+    }
+
+    /// Whether the field bounds its density everywhere, so that nothing had to be estimated.
+    #[must_use]
+    pub fn is_certain(&self) -> bool {
+        self.is_certain
     }
 
     /// Cells per axis.
@@ -256,8 +266,10 @@ mod tests {
             }
         }
         let center = DVec3::new(0.02, 0.04, 0.1);
-        assert!(Occupancy::build(&post(), 32, 0.0, &Silent).unwrap().majorant(center) > 8e3);
+        let certain = Occupancy::build(&post(), 32, 0.0, &Silent).unwrap();
+        assert!(certain.is_certain() && certain.majorant(center) > 8e3);
         let estimate = Occupancy::build(&BlackBox(post()), 32, 0.0, &Silent).unwrap();
+        assert!(!estimate.is_certain());
         assert_eq!(estimate.majorant(center), 0.0, "the test's premise: samples miss the post");
     }
 

@@ -6,7 +6,7 @@
 
 mod city;
 mod columns;
-mod rig;
+pub(super) mod rig;
 mod scenes;
 mod shapes;
 
@@ -56,9 +56,25 @@ impl ClosedForm {
             "city" => Self::city(0),
             other => match other.strip_prefix("city-").and_then(|seed| seed.parse().ok()) {
                 Some(seed) => Self::city(seed),
-                None => Err(Error::setting("scene", format!("{} or city-SEED", Self::NAMES.join(", ")), other)),
+                None => {
+                    let names = Self::NAMES.join(", ");
+                    let expected = format!("{names}, city-SEED, or one that `octobayes demo --scene list` lists");
+                    Err(Error::setting("scene", expected, other))
+                }
             },
         }
+    }
+
+    /// The same scene with samples `step` apart.
+    #[must_use]
+    pub fn with_step(self, step: f64) -> Self {
+        Self { step, ..self }
+    }
+
+    /// The primitives that are added up.
+    #[must_use]
+    pub fn primitives(&self) -> &[Primitive] {
+        &self.primitives
     }
 
     /// Density and colour at a point of the box: the sum over some of the primitives.

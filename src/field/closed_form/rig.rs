@@ -1,4 +1,4 @@
-//! The cameras that a built-in scene is meant to be seen by.
+//! The cameras that a scene is meant to be seen by.
 
 use std::f64::consts::PI;
 
@@ -10,7 +10,7 @@ use crate::{Error, Result};
 
 /// Viewpoints, and the lens that all of them have unless told otherwise.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Rig {
+pub(in crate::field) struct Rig {
     /// Eye and the point it looks at, scene units; z is up.
     pub viewpoints: Vec<(DVec3, DVec3)>,
     /// Horizontal angle of view, radians.

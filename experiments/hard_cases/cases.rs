@@ -1,0 +1,49 @@
+//! Every scene of the zoo against the oracle in f64.
+
+use octobayes::Result;
+use octobayes::field::zoo::{self, Verdict};
+
+use crate::compare::{Case, Error, error, nothing_left_out};
+use crate::oracle::Derivatives;
+
+/// Rays per scene: errors of single vertices do not depend on it much, the oracle's time does.
+const RAYS: u64 = 2048;
+
+/// Prints case × error × verdict.
+pub fn cases() -> Result<()> {
+    println!("{RAYS} rays, seed 0, the scene's own level, dense grid; all vertices of the lattice\n");
+    println!(
+        "| scene | ‖ΔH‖/‖H‖, nothing left out: max | \\|Δ log10 U\\| by default: mean, max | against exact derivatives: mean, max | moved | dropped | verdict |"
+    );
+    println!("|---|---|---|---|---|---|---|");
+    for scene in zoo::all() {
+        let cameras = scene.cameras();
+        let case = Case { field: &scene.field, cameras: &cameras, level: scene.level, rays: RAYS };
+        let (name, verdict) = (scene.name, scene.verdict.words());
+        let run = match case.run(case.defaults()) {
+            Err(refusal) if scene.verdict == Verdict::Refused => {
+                println!("| {name} | | | | | | {verdict}: `{refusal}` |");
+                continue;
+            }
+            run => run?,
+        };
+        let (rays, grid) = case.defaults();
+        let whole = case.run(nothing_left_out(rays, grid))?;
+        let same = case.oracle(&run, Derivatives::Differences(run.h));
+        let exact = case.oracle(&run, Derivatives::Exact);
+        let [rounding, default, derivatives] =
+            [error(&case, &whole, &same), error(&case, &run, &same), error(&case, &run, &exact)];
+        let largest = |e: &Error| e.largest.into_iter().fold(0.0, f64::max);
+        println!(
+            "| {name} | {:.0e} | {:.0e}, {:.0e} | {:.0e}, {:.0e} | {} | {} | {verdict} |",
+            rounding.hessian,
+            default.mean,
+            largest(&default),
+            derivatives.mean,
+            largest(&derivatives),
+            default.moved,
+            run.tally.dropped
+        );
+    }
+    Ok(())
+}

@@ -1,0 +1,139 @@
+//! The pipeline against the oracle, on the same rays.
+
+use glam::{DMat3, DVec3};
+use octobayes::Result;
+use octobayes::estimate::{FieldBuilder, GridKind, GridSettings, Provenance, RaySettings};
+use octobayes::field::zoo::Specimen;
+use octobayes::field::{Intrinsics, RadianceField};
+use octobayes::geometry::{Camera, Domain};
+use octobayes::monitor::Silent;
+use octobayes::posterior::{Covariance, Evidence, Pick, Share, Tally};
+use octobayes::uncertainty::UncertaintyField;
+
+use crate::oracle::ground::Ground;
+use crate::oracle::{Derivatives, Oracle, Sums, hessian, readings};
+
+/// A specimen, its cameras, and how it is looked at.
+pub struct Case<'a> {
+    pub field: &'a Specimen,
+    pub cameras: &'a [Camera],
+    pub level: u8,
+    pub rays: u64,
+}
+
+/// What came out of the pipeline, with what the oracle needs to follow its rays.
+pub struct Run {
+    pub field: UncertaintyField,
+    pub tally: Tally,
+    pub picks: Vec<Pick>,
+    /// h of the differences.
+    pub h: DVec3,
+}
+
+/// The settings that leave nothing out: every sample of every ray is differentiated.
+pub fn nothing_left_out(rays: RaySettings, grid: GridSettings) -> (RaySettings, GridSettings) {
+    (RaySettings { cutoff: 0.0, ..rays }, GridSettings { tolerance: 0.0, ..grid })
+}
+
+impl Case<'_> {
+    /// The program's defaults, on a dense grid.
+    pub fn defaults(&self) -> (RaySettings, GridSettings) {
+        let rays = RaySettings { rays: self.rays, occupancy: 48, ..RaySettings::default() };
+        (rays, GridSettings { grid: GridKind::Dense, level: self.level, ..GridSettings::default() })
+    }
+
+    /// Runs the pipeline.
+    pub fn run(&self, settings: (RaySettings, GridSettings)) -> Result<Run> {
+        self.run_through(self.field, settings)
+    }
+
+    /// Runs the pipeline on another field that is the same.
+    pub fn run_through(&self, field: &dyn RadianceField, (rays, grid): (RaySettings, GridSettings)) -> Result<Run> {
+        let mut builder = FieldBuilder::new(grid, Domain::Box(field.bounds()))?;
+        let lattice = *builder.lattice();
+        let stream = rays.stream(field, self.cameras, &grid, &lattice, &Silent)?;
+        let share = Share::whole(rays.rays);
+        let tally = stream.run(share, Tally::default(), &Silent, |batches, _| {
+            builder.add(batches);
+            Ok(())
+        })?;
+        let picks = stream.pixels.picks(0, rays.rays);
+        let h = stream.differentiation.differences.step;
+        let provenance = Provenance { source: field.describe(), tally, share: None, stream: Some(&stream) };
+        Ok(Run { field: builder.finish(&provenance), tally, picks, h })
+    }
+
+    /// The oracle on the rays of a run.
+    pub fn oracle(&self, run: &Run, derivatives: Derivatives) -> Sums {
+        let ground = Ground::of(self.field);
+        let oracle = Oracle {
+            ground: &ground,
+            cameras: self.cameras,
+            interval: self.field.suggested_step(),
+            background: DVec3::ONE,
+            derivatives,
+            cells: 1 << self.level,
+        };
+        oracle.sums(&run.picks)
+    }
+}
+
+/// The cameras that a specimen brings.
+pub fn cameras(field: &Specimen) -> Vec<Camera> {
+    field.cameras(&Intrinsics::default()).unwrap().unwrap()
+}
+
+/// The paper's 1e-4 / M³ per squared longest edge.
+pub fn lambda(field: &Specimen, level: u8) -> f64 {
+    let edge = (field.bounds().max() - field.bounds().min()).max_element();
+    1e-4 / f64::from(1_u32 << level).powi(3) / (edge * edge)
+}
+
+fn matrix(evidence: &Evidence) -> DMat3 {
+    let [xx, xy, xz, yy, yz, zz] = evidence.information;
+    DMat3::from_cols_array(&[xx, xy, xz, xy, yy, yz, xz, yz, zz])
+}
+
+/// How far apart two fields are, over all (M + 1)³ vertices, none left out.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Error {
+    /// max ‖ΔH‖ / ‖H‖, Frobenius.
+    pub hessian: f64,
+    /// max |Δ log10 U| of `diagonal`, `trace`, `block`.
+    pub largest: [f64; 3],
+    /// Mean |Δ log10 U| (`block`) over the vertices whose `trace` the oracle moved by more than a tenth of a decade.
+    pub mean: f64,
+    /// Mean of Δ log10 U (`block`, pipeline − oracle) over them.
+    pub bias: f64,
+    /// How many these are.
+    pub moved: usize,
+}
+
+/// A run against the oracle's sums over its rays.
+pub fn error(case: &Case, run: &Run, truth: &Sums) -> Error {
+    let (rays, lambda) = (run.picks.len() as u64, lambda(case.field, case.level));
+    let evidence = run.field.evidence().expect("it was kept");
+    assert_eq!(evidence.len(), truth.information.len());
+    let mut error = Error::default();
+    let prior = readings(&DMat3::ZERO, rays, lambda)[1].log10();
+    for (found, truth) in evidence.iter().zip(&truth.information) {
+        let (a, b) = (hessian(&matrix(found), rays, lambda), hessian(truth, rays, lambda));
+        let norm = |m: DMat3| m.to_cols_array().iter().map(|v| v * v).sum::<f64>().sqrt();
+        // A maximum passes over NaN.
+        assert!(norm(a).is_finite() && norm(b).is_finite(), "{a} against {b}");
+        error.hessian = error.hessian.max(norm(a - b) / norm(b));
+        let exact = readings(truth, rays, lambda);
+        for (k, covariance) in [Covariance::Diagonal, Covariance::Trace, Covariance::Block].into_iter().enumerate() {
+            let deviation = covariance.deviation(found, rays, run.field.protocol().lambda);
+            let change = deviation.log10() - exact[k].log10();
+            error.largest[k] = error.largest[k].max(change.abs());
+            if k == 2 && exact[1].log10() < prior - 0.1 {
+                error.mean += change.abs();
+                error.bias += change;
+                error.moved += 1;
+            }
+        }
+    }
+    let n = error.moved.max(1) as f64;
+    Error { mean: error.mean / n, bias: error.bias / n, ..error }
+}
