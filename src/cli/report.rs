@@ -11,7 +11,7 @@ use crate::estimate::{Audit, GridSettings, Plan, SamplingError};
 use crate::memory::peak;
 use crate::posterior::{Pixels, Prior};
 use crate::render::GradientMethod;
-use crate::uncertainty::{Comparison, Difference, SAMPLES_SHARE, Summary, UncertaintyField};
+use crate::uncertainty::{Comparison, Difference, ErrorSummary, SAMPLES_SHARE, Summary, UncertaintyField};
 use crate::{Error, Result};
 
 /// Prints a line to stdout. A reader that has seen enough (`| head`) is no failure.
@@ -81,7 +81,18 @@ pub fn protocol(field: &UncertaintyField) -> String {
     line("cutoff", known(p.cutoff.map(|c| format!("{c:e}"))));
     line("background", known(p.background.map(|b| format!("{b:?}"))));
     line("pixel offset", known(p.pixel_offset.map(|o| o.to_string())));
+    line("error bars", field.error_summary().map_or("none".into(), |e| error_bars(&e)));
     out.trim_end().to_string()
+}
+
+/// Error bars in a line.
+fn error_bars(e: &ErrorSummary) -> String {
+    let share = 100.0 * e.known as f64 / e.moved.max(1) as f64;
+    format!(
+        "{} groups of rays: log10 U of moved vertices is off by {:.3} (root mean square), half of them by less than {:.3}; \
+         known at {share:.0} %",
+        e.groups, e.root_mean_square, e.median
+    )
 }
 
 /// The protocol as JSON.
@@ -92,6 +103,7 @@ pub fn protocol_json(field: &UncertaintyField) -> Value {
         "domain": field.lattice().domain(),
         "level": field.lattice().level(),
         "limited": !field.limits().is_unlimited(),
+        "error_bars": field.error_summary(),
     })
 }
 

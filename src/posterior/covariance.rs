@@ -77,6 +77,35 @@ impl Covariance {
         }
     }
 
+    /// The error of log10 U that the corners' errors of log10 σ_v make, of the first order and at most: as if all were off to the same
+    /// side, which corners that the same rays pass nearly are. `None` if a corner's is not known.
+    #[must_use]
+    pub fn interpolate_errors(
+        self,
+        errors: &[Option<f64>; 8],
+        deviations: &[f64; 8],
+        weights: &[f64; 8],
+    ) -> Option<f64> {
+        self.joined_error((0..8).map(|c| (errors[c], deviations[c], weights[c])))
+    }
+
+    /// As [`Covariance::interpolate_errors`], from (error, deviation, weight).
+    ///
+    /// d log U = Σ p d log σ_v with shares p = w σ_v / Σ w σ_v; for `trace` w² σ² / Σ w² σ².
+    #[must_use]
+    pub fn joined_error(self, corners: impl Iterator<Item = (Option<f64>, f64, f64)>) -> Option<f64> {
+        let (mut sum, mut total) = (0.0, 0.0);
+        for (error, deviation, weight) in corners.filter(|corner| corner.2 > 0.0) {
+            let share = match self {
+                Self::Diagonal | Self::Block | Self::Normal => weight * deviation,
+                Self::Trace => (weight * deviation).powi(2),
+            };
+            sum += share * error?;
+            total += share;
+        }
+        Some(sum / total)
+    }
+
     /// The mean of the deviations at the ends of a hanging corner's edge or face, in the quantity that is interpolated.
     #[must_use]
     pub fn mean(self, deviations: impl ExactSizeIterator<Item = f64>) -> f64 {
