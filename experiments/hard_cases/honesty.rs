@@ -119,6 +119,9 @@ fn on_surfaces(field: &UncertaintyField, limit: &UncertaintyField, groups: u16) 
         (answer.uncertainty.log10() - limit.log10(x.into()), answer.log10_error)
     });
     let answers: Vec<(f64, Option<f64>)> = answers.collect();
+    if answers.is_empty() {
+        return;
+    }
     let known: Vec<(f64, f64)> = answers.iter().filter_map(|a| a.1.map(|bar| (a.0, bar))).collect();
     let rms = |f: fn(&(f64, f64)) -> f64| (known.iter().map(|p| f(p).powi(2)).sum::<f64>() / known.len() as f64).sqrt();
     let (found, estimated) = (rms(|p| p.0), rms(|p| p.1));

@@ -5,6 +5,9 @@
 
 mod honesty;
 mod scenes;
+mod steps;
+mod sums;
+mod waves;
 
 use octobayes::Result;
 
@@ -12,6 +15,12 @@ fn main() -> Result<()> {
     let chosen: Vec<String> = std::env::args().skip(1).collect();
     let wants = |part: &str| chosen.is_empty() || chosen.iter().any(|c| c == part);
     println!("{} threads, seed 0", rayon::current_num_threads());
+    if wants("steps") {
+        steps::steps()?;
+    }
+    if wants("sums") {
+        sums::sums()?;
+    }
     if wants("honesty") {
         honesty::honesty()?;
     }

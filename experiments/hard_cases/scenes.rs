@@ -34,9 +34,7 @@ pub fn scenes() -> Result<Vec<Scene>> {
         scenes.push(Scene { name, field: Box::new(field), cameras, level, rays });
     }
     if let Some(data) = data() {
-        for (level, rays) in [(7, 204_800), (7, 819_200)] {
-            scenes.push(Scene { level, rays, ..lego(&data)? });
-        }
+        scenes.push(Scene { level: 7, ..lego(&data)? });
     }
     Ok(scenes)
 }
@@ -47,4 +45,11 @@ pub fn lego(data: &std::path::Path) -> Result<Scene> {
     let field = open_in(&model.to_string_lossy(), Some(Coordinates::Blender))?;
     let cameras = Views::read(&data.join("nerf-mlp-pretrained/cameras/lego_train.json"), Some([400, 400]))?.cameras();
     Ok(Scene { name: "lego", field, cameras, level: 8, rays: 204_800 })
+}
+
+/// The MLP lego with the same cameras.
+pub fn lego_mlp(data: &std::path::Path) -> Result<Scene> {
+    let model = data.join("nerf-mlp-pretrained/lego.safetensors");
+    let field = open_in(&model.to_string_lossy(), None)?;
+    Ok(Scene { name: "lego, MLP", field, ..lego(data)? })
 }

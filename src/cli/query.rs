@@ -16,7 +16,7 @@ use crate::{Error, Result};
 ///
 /// POINTS is `.npy` (f32 or f64 N x 3) or `.csv` (columns x,y,z; a header is recognised), in scene units. OUT is `.npy` (f64 N x 2:
 /// uncertainty, log10 uncertainty) or `.csv` (x,y,z,uncertainty,log10_uncertainty,level,inside,rays). `-` is CSV on stdin or
-/// stdout. Points outside the box get the prior and inside = 0. A field with error bars adds a column, `log10_error`: the standard error of
+/// stdout. Points outside the box get the prior and inside = 0. A field with error bars adds a column, `log10_error`: the root mean square error of
 /// log10 U, decades; where too few rays passed to know it is left empty in `.csv` and NaN in `.npy`.
 #[derive(clap::Args)]
 #[command(after_help = "Example: echo 0,0,0.5 | octobayes query lego.oct - -o -")]

@@ -8,7 +8,8 @@ use super::options::{CameraOptions, DomainOptions, GridOptions, ModelOptions, pa
 use super::progress::Bars;
 use super::report::{self, Cost};
 use crate::estimate::{
-    Audit, AutoRun, FieldBuilder, GridSettings, Plan, PlannedRun, Planner, Provenance, RaySettings, ray_groups,
+    Audit, AutoRun, FieldBuilder, GridSettings, Plan, PlannedRun, Planner, Provenance, RaySettings, StepCheck,
+    ray_groups,
 };
 use crate::geometry::{Camera, Domain, Lattice};
 use crate::posterior::{Pixels, RayStream, SamplesWriter, Share, Tally, checkpoint};
@@ -60,6 +61,9 @@ pub struct Args {
     gradient: GradientMethod,
 
     /// Finite-difference step to both sides, in edges of the finest lattice
+    ///
+    /// A few hundred points tell how noisy the field is; a step at which noise or truncation moves log10 U by more than --tolerance, and more than
+    /// three times as much as at another step, is warned of.
     #[arg(long, value_name = "EDGES", default_value_t = RaySettings::default().step, value_parser = parse_positive)]
     step: f64,
 
@@ -73,7 +77,7 @@ pub struct Args {
 
     /// Also store how far log10 U is from its limit of ever more rays: compares this many independent groups of rays [without a number: 8]
     ///
-    /// The rays are drawn in groups with pixels of their own; the standard error of log10 U (decades, by the delete-one-group
+    /// The rays are drawn in groups with pixels of their own; the root mean square error of log10 U (decades, by the delete-one-group
     /// jackknife; 2 is split half) goes into the field, and `query` answers with it. Where fewer than two groups saw anything it is not known,
     /// and left empty. While summing this takes GROUPS + 1 times the memory. With --checkpoint every group has its own file, FILE.0, FILE.1, …
     /// On several machines: other --seed for each, then `merge --error-bars`.
@@ -181,12 +185,14 @@ impl Args {
             .try_for_each(|g| self.checkpoint(self.error_bars.map(|_| g), self.resume).map(drop))?;
         let stream = settings.stream(&*field, &cameras, &grid, &lattice, bars)?;
         let source = self.source(&files, &cameras);
+        let step = StepCheck::of(&stream, &settings, &lattice, grid.tolerance, bars)?;
+        step.iter().for_each(report::step);
         if self.audit {
             report::audit(&Audit::of(&*field, &cameras, &settings, &grid, domain, bars)?, &grid);
         }
         if self.rays == Rays::Auto {
             let (field, posterior_bytes) = self.run_auto(&stream, grid, domain, source, bars)?;
-            return self.grid.write(field, &Cost { elapsed: start.elapsed(), posterior_bytes });
+            return self.grid.write(field, &Cost { elapsed: start.elapsed(), posterior_bytes, step });
         }
         let planner = self.planner(grid, &settings, &stream, share, lattice, bars)?;
         let mut plan = planner.as_ref().map(|planner| planner.plan(&lattice)).transpose()?;
@@ -197,7 +203,7 @@ impl Args {
             }
             let run = Groups { count: groups, settings, stream: &stream, grid, domain, plan: plan.as_ref() };
             let (field, posterior_bytes) = self.run_groups(&run, &source, bars)?;
-            self.grid.write(field, &Cost { elapsed: start.elapsed(), posterior_bytes })?;
+            self.grid.write(field, &Cost { elapsed: start.elapsed(), posterior_bytes, step })?;
             return (0..groups).try_for_each(|g| self.checkpoint(Some(g), true)?.map_or(Ok(()), |file| file.remove()));
         }
         let mut checkpoint = self.checkpoint(None, self.resume)?;
@@ -246,7 +252,7 @@ impl Args {
         }
         let posterior_bytes = builder.memory();
         let field = builder.finish(&Provenance { source, tally, share: Some(share), stream: Some(&stream) });
-        self.grid.write(field, &Cost { elapsed: start.elapsed(), posterior_bytes })?;
+        self.grid.write(field, &Cost { elapsed: start.elapsed(), posterior_bytes, step })?;
         checkpoint.map_or(Ok(()), |checkpoint| checkpoint.remove())
     }
 

@@ -11,6 +11,7 @@ mod groups;
 mod plan;
 mod rays;
 mod run;
+mod step;
 
 pub use audit::Audit;
 pub use auto::{AutoRun, SamplingError};
@@ -20,6 +21,7 @@ pub use groups::{RayGroup, ray_groups};
 pub use plan::{Plan, Planner};
 pub use rays::RaySettings;
 pub use run::PlannedRun;
+pub use step::StepCheck;
 
 use crate::field::RadianceField;
 use crate::geometry::{Camera, Domain};

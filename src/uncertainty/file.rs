@@ -7,7 +7,7 @@
 //! surface      f32 × 3    points on visible surfaces
 //! logs         u16        bits of f16: log10(σ_v / unit), in the same order; the header has the unit
 //! limits       u64        the regions' level, then region · 256 + limit; empty if nothing is limited
-//! errors       u16        number of groups, then bits of f16: standard errors of log10 σ_v, NaN where not known; version 2 only
+//! errors       u16        number of groups, then bits of f16: errors of log10 σ_v, NaN where not known; version 2 only
 //! ```
 //!
 //! A field without error bars is a file of version 1, which has no section for them.

@@ -18,7 +18,7 @@ mod threshold;
 
 pub use compare::{Comparison, Difference, Summary, compare};
 pub use deviations::{Deviations, Store};
-pub use error_bars::{ErrorBars, ErrorSummary, standard_error};
+pub use error_bars::{ErrorBars, ErrorSummary, Jackknife};
 pub use file::FORMAT_VERSION;
 pub use merge::{merge, merge_with_error_bars};
 pub use official::OfficialGrid;
@@ -47,8 +47,8 @@ pub enum Support {
 pub struct Estimate {
     /// U, scene units.
     pub uncertainty: f64,
-    /// Standard error of log10 U by the number of rays, decades; `None` if the field has no error bars, or too few rays
-    /// passed here to know ([`ErrorBars`]). Between vertices, whose errors are those of the same rays, the standard errors of their σ are
+    /// Root mean square error of log10 U by the number of rays, decades; `None` if the field has no error bars, or too few rays
+    /// passed here to know ([`ErrorBars`]). Between vertices, whose errors are those of the same rays, the errors of their σ are
     /// added as they stand: an upper bound (first order).
     pub log10_error: Option<f64>,
     /// How many rays support this number: interpolated from the vertices. `None` if the evidence was not kept.

@@ -108,7 +108,7 @@ fn error_bars_are_those_of_fields_without_each_group() {
             let mut known = 0;
             for (v, e) in evidence.iter().enumerate() {
                 let deleted = others.each_ref().map(|other| other.deviations().get(v).log10());
-                let expected = standard_error(field.deviations().get(v).log10(), &deleted, &[8, 7, 5]);
+                let expected = Jackknife::of(field.deviations().get(v).log10(), &deleted, &[8, 7, 5]).error();
                 if e.rays == 0 || v.is_multiple_of(5) {
                     assert_eq!(bars.get(v), None, "one group or none saw vertex {v}");
                 } else {
