@@ -310,6 +310,74 @@ fn queries_answer_in_all_formats() {
 }
 
 #[test]
+fn error_bars_are_told_wherever_a_field_is() {
+    let desk = Desk::new();
+    let run = "uncertainty scene:courtyard --cameras transforms.json --level 5 --occupancy 32";
+    let out = desk.good(&format!("{run} --rays 6000 --error-bars -o bars.oct"));
+    assert!(out.contains("error bars   8 groups"), "{out}");
+    assert!(desk.good("info bars.oct").contains("error bars   8 groups"));
+    let value: serde_json::Value = serde_json::from_str(&desk.good("info bars.oct --json")).unwrap();
+    let bars = &value["error_bars"];
+    assert!(
+        bars["groups"] == 8 && bars["known"].as_u64() > Some(1000) && bars["moved"].as_u64() >= bars["known"].as_u64()
+    );
+    assert!(
+        bars["root_mean_square"].as_f64() > bars["median"].as_f64() && value["memory"]["error bars"].as_u64() > Some(0)
+    );
+
+    // Where rays are plenty, where no ray came, outside.
+    let points = [[0.5_f32, 0.5, -0.1], [0.0, 0.0, 0.9], [3.0, 0.0, 0.0]];
+    npy::write(&desk.path("points.npy"), &[3, 3], points.into_iter().flatten()).unwrap();
+    desk.good("query bars.oct points.npy -o out.npy");
+    let answers = npy::read::<f64>(&desk.path("out.npy")).unwrap();
+    assert_eq!(answers.shape, [3, 3]);
+    assert!(answers.data[2] > 0.0 && answers.data[2] < 1.0 && answers.data[5].is_nan() && answers.data[8].is_nan());
+    desk.good("query bars.oct points.npy -o out.csv");
+    let text = std::fs::read_to_string(desk.path("out.csv")).unwrap();
+    let lines: Vec<&str> = text.lines().collect();
+    assert_eq!(lines[0], "x,y,z,uncertainty,log10_uncertainty,level,inside,rays,log10_error");
+    assert!(lines[1].ends_with(&format!(",{}", answers.data[2])) && lines[2].ends_with(','), "{text}");
+    // Two bytes a deviation do not touch the errors; another scalar has none.
+    desk.good("convert bars.oct half.oct --store f16");
+    desk.good("query half.oct points.npy -o half.npy");
+    let half = npy::read::<f64>(&desk.path("half.npy")).unwrap();
+    assert!((half.data[2] / answers.data[2] - 1.0).abs() < 0.01, "shares of rounded deviations");
+    let output = desk.run("query bars.oct points.npy -o block.npy --covariance block");
+    assert!(String::from_utf8(output.stderr).unwrap().contains("error bars are not those of `block`"));
+    assert_eq!(npy::read::<f64>(&desk.path("block.npy")).unwrap().shape, [3, 2]);
+
+    // Fields of several seeds are groups too.
+    for seed in 1..=4 {
+        desk.good(&format!("{run} --rays 1500 --seed {seed} --error-bars 2 -o part{seed}.oct"));
+    }
+    let parts = "part1.oct part2.oct part3.oct part4.oct";
+    let output = desk.run(&format!("merge {parts} -o plain.oct"));
+    assert!(output.status.success() && String::from_utf8(output.stderr).unwrap().contains("--error-bars compares"));
+    assert_eq!(UncertaintyField::read(&desk.path("plain.oct")).unwrap().error_bars(), None);
+    desk.good(&format!("merge {parts} -o merged.oct --error-bars"));
+    let [one, merged] =
+        ["bars.oct", "merged.oct"].map(|f| UncertaintyField::read(&desk.path(f)).unwrap().error_summary().unwrap());
+    // As many rays: the same errors but for chance, and for the fewer groups.
+    let ratio = merged.root_mean_square / one.root_mean_square;
+    assert!(merged.groups == 4 && (0.75..1.33).contains(&ratio), "{merged:?} {one:?}");
+
+    let out = desk.good(&format!("{run} --rays auto --max-rays 70000 --tolerance 1e-9 --error-bars 2 -o auto.oct"));
+    assert!(out.contains("error bars   2 groups"), "{out}");
+    for (args, named) in [
+        ("--rays auto --error-bars", "--error-bars 2 with --rays auto"),
+        ("--error-bars --shard 0/2", "cannot be used with"),
+        ("--error-bars --memory 1GiB", "cannot be used with"),
+        ("--error-bars --coarsen 0.1", "cannot be used with"),
+        ("--error-bars --dump-samples x.npz", "cannot be used with"),
+        ("--error-bars 1", "2..=64"),
+    ] {
+        let output = desk.run(&format!("{run} -o x.oct {args}"));
+        let message = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.code() == Some(2) && message.contains(named), "{args}: {message}");
+    }
+}
+
+#[test]
 fn json_is_one_object_and_states_the_protocol() {
     let desk = Desk::new();
     let out = desk.good(&format!("{FIELD} --json --seed 3"));

@@ -121,6 +121,14 @@ impl Desk {
         self.write("long.oct", [&bytes[..], b"x"].concat());
         self.write("altered.oct", altered(end - 9));
         self.write("header.oct", altered(30));
+        self.good("uncertainty scene:ball --cameras cameras.json --level 4 --rays 600 --occupancy 16 --error-bars 4 -o bars.oct");
+        let bars = forge::recipe(Kind::Field, &std::fs::read(self.path("bars.oct")).unwrap());
+        let mut parts: Vec<Vec<u8>> = forge::split(&bars[1..]).into_iter().map(<[u8]>::to_vec).collect();
+        // The sign of the last error.
+        parts[7].last_mut().into_iter().for_each(|byte| *byte |= 0x80);
+        self.write("minus.oct", forge::file(Kind::Field, &forge::join(&parts)));
+        self.good("uncertainty scene:ball --cameras cameras.json --level 4 --rays 1200 --occupancy 16 --shard 0/2 -o part0.oct");
+        self.good("uncertainty scene:ball --cameras cameras.json --level 4 --rays 1200 --occupancy 16 --shard 1/2 -o part1.oct");
         self.write("newer.oct", [&bytes[..8], &99_u32.to_le_bytes(), &bytes[12..]].concat());
         let recipe = forge::recipe(Kind::Field, &bytes);
         let forged = |name: &str, change: &dyn Fn(&mut Vec<Vec<u8>>)| {

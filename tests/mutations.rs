@@ -305,7 +305,7 @@ fn contents_that_no_run_writes_are_refused() {
     let find = |part: &[u8], bytes: &[u8]| part.windows(bytes.len()).position(|b| b == bytes).unwrap();
     // Kind, sample, part, change, what the message names.
     type Change<'a> = &'a dyn Fn(&mut Vec<u8>);
-    let cases: [(Kind, usize, usize, Change, &str); 9] = [
+    let cases: [(Kind, usize, usize, Change, &str); 11] = [
         // A prior that is infinite.
         (
             Kind::Field,
@@ -330,6 +330,9 @@ fn contents_that_no_run_writes_are_refused() {
             "evidence",
         ),
         (Kind::Field, 0, 4, &|surface| surface[..4].fill(0xff), "surface"),
+        // Error bars that are negative, and of one group.
+        (Kind::Field, 6, 7, &|errors| errors[3] = 0x80, "errors"),
+        (Kind::Field, 6, 7, &|errors| errors[..2].copy_from_slice(&[1, 0]), "errors"),
         // Codes of bricks: so coarse that a shift by their levels overflows; coarse and outside; twice the same.
         (Kind::Checkpoint, 0, 1, &|codes| codes[..8].copy_from_slice(&(40_u64 << 51).to_le_bytes()), "sums"),
         (Kind::Checkpoint, 0, 1, &|codes| codes[..8].copy_from_slice(&(3_u64 << 51 | 1).to_le_bytes()), "sums"),

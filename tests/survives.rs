@@ -76,6 +76,38 @@ fn twenty_kills_at_random_moments_change_no_bit() {
     assert!(resumed >= 10, "{resumed} of {kills} attempts found a checkpoint: the test must interrupt real progress");
 }
 
+/// Each group of a run with error bars has its own state; stopped in any of them, it ends with the same bytes.
+#[test]
+fn groups_of_rays_are_taken_up_where_they_stopped() {
+    let folder = folder_with_cameras();
+    let folder = folder.path();
+    good(folder, &format!("{RUN} --error-bars 3 -o whole.oct"));
+    let args = format!("{RUN} --error-bars 3 -o parts.oct --checkpoint run.chk --checkpoint-every 0 --resume");
+    let state = |g: usize| folder.join(format!("run.chk.{g}"));
+    // Killed as soon as the group under way has a state: in the first, the second and the third.
+    for g in 0..3 {
+        let mut child = command(folder, &args).spawn().unwrap();
+        while !state(g).exists() {
+            assert!(child.try_wait().unwrap().is_none(), "the run ended before group {g} began");
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        child.kill().unwrap();
+        child.wait().unwrap();
+        let refused = run(folder, &args.replace("--resume", ""));
+        assert!(
+            String::from_utf8_lossy(&refused.stderr).contains("run.chk.0: checkpoint"),
+            "not overwritten by accident"
+        );
+    }
+    // A group's state is that of its own rays.
+    let other = run(folder, &args.replace("--error-bars 3", "--error-bars 4"));
+    assert!(other.status.code() == Some(2) && String::from_utf8_lossy(&other.stderr).contains("run.chk.0: run, "));
+    good(folder, &args);
+    let [whole, parts] = ["whole.oct", "parts.oct"].map(|f| std::fs::read(folder.join(f)).unwrap());
+    assert!(whole == parts, "the resumed field has other bytes");
+    assert!((0..3).all(|g| !state(g).exists()), "a finished run removes its checkpoints");
+}
+
 #[test]
 #[cfg(unix)]
 fn ctrl_c_saves_the_state_and_resume_goes_on() {

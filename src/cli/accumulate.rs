@@ -53,6 +53,6 @@ impl Args {
         let tally = Tally { rays: reader.rays_total(), samples: reader.samples(), ..Tally::default() };
         let source = format!("samples {}", self.samples.display());
         let field = builder.finish(&Provenance { source, tally, ..Provenance::default() });
-        self.grid.write(field, &Cost { elapsed: start.elapsed(), posterior_bytes })
+        self.grid.write(field, &Cost { elapsed: start.elapsed(), posterior_bytes, step: None })
     }
 }

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use super::report;
 use crate::Result;
 use crate::io::AtomicFile;
-use crate::uncertainty::{UncertaintyField, merge};
+use crate::uncertainty::{UncertaintyField, merge, merge_with_error_bars};
 
 /// Join fields of the same box, level and protocol that were computed from different rays
 ///
@@ -24,6 +24,13 @@ pub struct Args {
     /// Where the joined field is written
     #[arg(short, long, value_name = "FIELD.oct")]
     output: PathBuf,
+
+    /// Also store how far log10 U is from its limit of ever more rays, from how the fields differ (delete-one jackknife)
+    ///
+    /// The fields must come from different seeds, or independent rays from elsewhere. The more fields, the better is the error known: ten are
+    /// many, two say half their difference.
+    #[arg(long)]
+    error_bars: bool,
 }
 
 impl Args {
@@ -31,7 +38,12 @@ impl Args {
     pub fn run(self) -> Result<()> {
         drop(AtomicFile::create(&self.output)?);
         let parts = self.fields.iter().map(|path| UncertaintyField::read(path)).collect::<Result<Vec<_>>>()?;
-        let field = merge(&parts)?;
+        let field = if self.error_bars { merge_with_error_bars(&parts)? } else { merge(&parts)? };
+        if !self.error_bars && parts.iter().any(|part| part.error_bars().is_some()) {
+            eprintln!(
+                "note: the fields' own error bars are not those of the whole, which has none; --error-bars compares the fields"
+            );
+        }
         field.write(&self.output)?;
         say!("protocol\n{}\nfield\n  {}", report::protocol(&field), report::summary(&field.summary()))
     }

@@ -16,7 +16,8 @@ use crate::{Error, Result};
 ///
 /// POINTS is `.npy` (f32 or f64 N x 3) or `.csv` (columns x,y,z; a header is recognised), in scene units. OUT is `.npy` (f64 N x 2:
 /// uncertainty, log10 uncertainty) or `.csv` (x,y,z,uncertainty,log10_uncertainty,level,inside,rays). `-` is CSV on stdin or
-/// stdout. Points outside the box get the prior and inside = 0.
+/// stdout. Points outside the box get the prior and inside = 0. A field with error bars adds a column, `log10_error`: the root mean square error of
+/// log10 U, decades; where too few rays passed to know it is left empty in `.csv` and NaN in `.npy`.
 #[derive(clap::Args)]
 #[command(after_help = "Example: echo 0,0,0.5 | octobayes query lego.oct - -o -")]
 pub struct Args {
@@ -61,8 +62,13 @@ impl Args {
         let (input, output) = (format(&self.points)?, format(&self.output)?);
         let mut field = self.official.read(&self.field)?;
         if let Some(covariance) = self.covariance {
+            let had_error_bars = field.error_bars().is_some();
             field = field.with_covariance(covariance)?;
+            if had_error_bars && field.error_bars().is_none() {
+                eprintln!("note: the field's error bars are not those of `{}`: no log10_error", covariance.name());
+            }
         }
+        let with_errors = field.error_bars().is_some();
         let points = match input {
             Format::Npy => points::read_npy(&self.points)?,
             Format::Csv => {
@@ -74,17 +80,20 @@ impl Args {
         let answers = field.query_all(&points);
         match output {
             Format::Npy => {
-                let values = answers.iter().flat_map(|a| [a.uncertainty, a.uncertainty.log10()]);
-                npy::write(&self.output, &[answers.len() as u64, 2], values)
+                let columns = if with_errors { 3 } else { 2 };
+                let row = |a: &Estimate| [a.uncertainty, a.uncertainty.log10(), a.log10_error.unwrap_or(f64::NAN)];
+                let values = answers.iter().flat_map(|a| row(a).into_iter().take(columns));
+                npy::write(&self.output, &[answers.len() as u64, columns as u64], values)
             }
             Format::Csv => {
                 let mut file = AtomicFile::create(&self.output)?;
-                write_csv(&mut file, &points, &answers).map_err(Error::io(&self.output, "cannot write"))?;
+                write_csv(&mut file, &points, &answers, with_errors)
+                    .map_err(Error::io(&self.output, "cannot write"))?;
                 file.commit()
             }
             Format::Stream => {
                 let out = std::io::stdout().lock();
-                match write_csv(out, &points, &answers) {
+                match write_csv(out, &points, &answers, with_errors) {
                     // A reader that has seen enough (`| head`) is no failure.
                     Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => {
                         Err(Error::io(Path::new("stdout"), "cannot write")(e))
@@ -96,14 +105,16 @@ impl Args {
     }
 }
 
-fn write_csv(out: impl Write, points: &[Vec3], answers: &[Estimate]) -> std::io::Result<()> {
+fn write_csv(out: impl Write, points: &[Vec3], answers: &[Estimate], with_errors: bool) -> std::io::Result<()> {
     let mut writer = csv::Writer::from_writer(out);
-    writer.write_record(["x", "y", "z", "uncertainty", "log10_uncertainty", "level", "inside", "rays"])?;
+    let header = ["x", "y", "z", "uncertainty", "log10_uncertainty", "level", "inside", "rays"];
+    writer.write_record(header.iter().chain(with_errors.then_some(&"log10_error")))?;
     for (x, a) in points.iter().zip(answers) {
         let numbers = [x.x.to_string(), x.y.to_string(), x.z.to_string(), a.uncertainty.to_string()];
         let rays = a.rays.map_or(String::new(), |rays| rays.to_string());
         let rest = [a.uncertainty.log10().to_string(), a.level.to_string(), u8::from(a.inside).to_string(), rays];
-        writer.write_record(numbers.iter().chain(&rest))?;
+        let error = with_errors.then(|| a.log10_error.map_or(String::new(), |error| error.to_string()));
+        writer.write_record(numbers.iter().chain(&rest).chain(&error))?;
     }
     writer.flush()
 }

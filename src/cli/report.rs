@@ -7,11 +7,11 @@ use std::time::Duration;
 use serde_json::{Value, json};
 
 use crate::error::printable;
-use crate::estimate::{Audit, GridSettings, Plan, SamplingError};
+use crate::estimate::{Audit, GridSettings, Plan, SamplingError, StepCheck};
 use crate::memory::peak;
 use crate::posterior::{Pixels, Prior};
 use crate::render::GradientMethod;
-use crate::uncertainty::{Comparison, Difference, SAMPLES_SHARE, Summary, UncertaintyField};
+use crate::uncertainty::{Comparison, Difference, ErrorSummary, SAMPLES_SHARE, Summary, UncertaintyField};
 use crate::{Error, Result};
 
 /// Prints a line to stdout. A reader that has seen enough (`| head`) is no failure.
@@ -51,6 +51,8 @@ pub struct Cost {
     pub elapsed: Duration,
     /// Most that the posterior held.
     pub posterior_bytes: usize,
+    /// Whether the finite-difference step suits the field, if there is one.
+    pub step: Option<StepCheck>,
 }
 
 /// The protocol of a field as text, one setting a line.
@@ -90,7 +92,18 @@ pub fn protocol(field: &UncertaintyField) -> String {
     line("cutoff", known(p.cutoff.map(|c| format!("{c:e}"))));
     line("background", known(p.background.map(|b| format!("{b:?}"))));
     line("pixel offset", known(p.pixel_offset.map(|o| o.to_string())));
+    line("error bars", field.error_summary().map_or("none".into(), |e| error_bars(&e)));
     out.trim_end().to_string()
+}
+
+/// Error bars in a line.
+fn error_bars(e: &ErrorSummary) -> String {
+    let share = 100.0 * e.known as f64 / e.moved.max(1) as f64;
+    format!(
+        "{} groups of rays: log10 U of moved vertices is off by {:.3} (root mean square), half of them by less than {:.3}; \
+         known at {share:.0} %",
+        e.groups, e.root_mean_square, e.median
+    )
 }
 
 /// The protocol as JSON.
@@ -101,6 +114,7 @@ pub fn protocol_json(field: &UncertaintyField) -> Value {
         "domain": field.lattice().domain(),
         "level": field.lattice().level(),
         "limited": !field.limits().is_unlimited(),
+        "error_bars": field.error_summary(),
     })
 }
 
@@ -175,6 +189,40 @@ pub fn plan(plan: &Plan, grid: &GridSettings) {
     }
 }
 
+/// Says on stderr that a finite-difference step is badly placed, if it is.
+pub fn step(check: &StepCheck) {
+    if check.is_bad {
+        let (here, best) = (check.errors.at(check.step), check.errors.best());
+        let percent = |v: f64| format!("{:.2} %", 100.0 * v);
+        eprintln!(
+            "warning: with --step {} differences of the density are off by about {} (rounding and noise {}, truncation {}); with --step {:.2e} by {}",
+            check.step,
+            percent(here.total()),
+            percent(here.noise),
+            percent(here.truncation),
+            best.step,
+            percent(best.total())
+        );
+    }
+}
+
+/// A check of the step as JSON.
+fn step_json(check: &StepCheck) -> Value {
+    let (here, best) = (check.errors.at(check.step), check.errors.best());
+    json!({
+        "step": check.step,
+        "points": check.errors.points,
+        "noise_level": check.errors.noise,
+        "curvature": check.errors.curvature,
+        "error": here.total(),
+        "error_by_noise": here.noise,
+        "error_by_truncation": here.truncation,
+        "best_step": best.step,
+        "best_error": best.total(),
+        "badly_placed": check.is_bad,
+    })
+}
+
 /// Says on stderr what a run's approximations cost.
 pub fn audit(audit: &Audit, grid: &GridSettings) {
     let row = |name: &str, e: &SamplingError| {
@@ -209,6 +257,7 @@ pub fn finished(field: &UncertaintyField, cost: &Cost, as_json: bool) -> Result<
         value["seconds"] = json!(cost.elapsed.as_secs_f64());
         value["peak_bytes"] = json!(peak());
         value["posterior_bytes"] = json!(cost.posterior_bytes);
+        value["differences"] = json!(cost.step.as_ref().map(step_json));
         say!("{value}")?;
     } else {
         say!("protocol\n{}\n  threads      {}", protocol(field), rayon::current_num_threads())?;

@@ -1,15 +1,20 @@
 //! `uncertainty`: from a model and its cameras to a field.
 
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
+use super::checkpoint::Checkpoint;
 use super::options::{CameraOptions, DomainOptions, GridOptions, ModelOptions, parse_non_negative, parse_positive};
 use super::progress::Bars;
 use super::report::{self, Cost};
-use crate::estimate::{Audit, AutoRun, FieldBuilder, GridSettings, PlannedRun, Planner, Provenance, RaySettings};
+use crate::estimate::{
+    Audit, AutoRun, FieldBuilder, GridSettings, Plan, PlannedRun, Planner, Provenance, RaySettings, StepCheck,
+    ray_groups,
+};
 use crate::geometry::{Camera, Domain, Lattice};
 use crate::posterior::{Pixels, RayStream, SamplesWriter, Share, Tally, checkpoint};
 use crate::render::GradientMethod;
+use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
 
 /// Compute the uncertainty of a trained field from its training cameras
@@ -56,6 +61,9 @@ pub struct Args {
     gradient: GradientMethod,
 
     /// Finite-difference step to both sides, in edges of the finest lattice
+    ///
+    /// A few hundred points tell how noisy the field is; a step at which noise or truncation moves log10 U by more than --tolerance, and more than
+    /// three times as much as at another step, is warned of.
     #[arg(long, value_name = "EDGES", default_value_t = RaySettings::default().step, value_parser = parse_positive)]
     step: f64,
 
@@ -66,6 +74,16 @@ pub struct Args {
     /// Measure on a few rays what leaving samples out and the derivatives cost, and print the error budget
     #[arg(long)]
     audit: bool,
+
+    /// Also store how far log10 U is from its limit of ever more rays: compares this many independent groups of rays [without a number: 8]
+    ///
+    /// The rays are drawn in groups with pixels of their own; the root mean square error of log10 U (decades, by the delete-one-group
+    /// jackknife; 2 is split half) goes into the field, and `query` answers with it. Where fewer than two groups saw anything it is not known,
+    /// and left empty. While summing this takes GROUPS + 1 times the memory. With --checkpoint every group has its own file, FILE.0, FILE.1, …
+    /// On several machines: other --seed for each, then `merge --error-bars`.
+    #[arg(long, value_name = "GROUPS", num_args = 0..=1, default_missing_value = "8", value_parser = clap::value_parser!(u16).range(2..=64),
+          conflicts_with_all = ["dump_samples", "shard", "memory", "coarsen"])]
+    error_bars: Option<u16>,
 
     /// Also write the ray samples with their Jacobians, as `accumulate` reads them
     // A run that starts again would dump its first rays twice.
@@ -162,22 +180,33 @@ impl Args {
         let cameras = views.cameras();
         let lattice = *builder.lattice();
         let share = self.share()?;
-        let mut checkpoint = self.checkpoint()?;
+        // A state that must not be overwritten is found before any work.
+        (0..self.error_bars.unwrap_or(1))
+            .try_for_each(|g| self.checkpoint(self.error_bars.map(|_| g), self.resume).map(drop))?;
         let stream = settings.stream(&*field, &cameras, &grid, &lattice, bars)?;
         let source = self.source(&files, &cameras);
+        let step = StepCheck::of(&stream, &settings, &lattice, grid.tolerance, bars)?;
+        step.iter().for_each(report::step);
         if self.audit {
             report::audit(&Audit::of(&*field, &cameras, &settings, &grid, domain, bars)?, &grid);
         }
         if self.rays == Rays::Auto {
-            let (builder, tally) = self.run_auto(&stream, grid, domain, bars)?;
-            warn_of_dropped(&tally);
-            let posterior_bytes = builder.memory();
-            // Two sequences of pixels: no part of a run that others could be added to.
-            let field = builder.finish(&Provenance { source, tally, share: None, stream: Some(&stream) });
-            return self.grid.write(field, &Cost { elapsed: start.elapsed(), posterior_bytes });
+            let (field, posterior_bytes) = self.run_auto(&stream, grid, domain, source, bars)?;
+            return self.grid.write(field, &Cost { elapsed: start.elapsed(), posterior_bytes, step });
         }
         let planner = self.planner(grid, &settings, &stream, share, lattice, bars)?;
         let mut plan = planner.as_ref().map(|planner| planner.plan(&lattice)).transpose()?;
+        if let Some(groups) = self.error_bars {
+            if let Some(plan) = &mut plan {
+                plan.bytes *= f64::from(groups) + 1.0;
+                report::plan(plan, &grid);
+            }
+            let run = Groups { count: groups, settings, stream: &stream, grid, domain, plan: plan.as_ref() };
+            let (field, posterior_bytes) = self.run_groups(&run, &source, bars)?;
+            self.grid.write(field, &Cost { elapsed: start.elapsed(), posterior_bytes, step })?;
+            return (0..groups).try_for_each(|g| self.checkpoint(Some(g), true)?.map_or(Ok(()), |file| file.remove()));
+        }
+        let mut checkpoint = self.checkpoint(None, self.resume)?;
         if let (Some(planner), Some(checkpoint)) = (&planner, checkpoint.as_ref().filter(|c| c.path.exists())) {
             // The budget may have made the interrupted run give up more than was planned.
             let evidence = checkpoint::evidence(&checkpoint.path)?;
@@ -194,30 +223,23 @@ impl Args {
         builder.want_density(&stream)?;
         let key = |builder: &FieldBuilder| settings.run_key(source.clone(), share, &stream, &grid, builder);
         let mut so_far = match &checkpoint {
-            Some(checkpoint) if checkpoint.path.exists() => {
+            Some(checkpoint) => {
                 let key = key(&builder);
-                builder.restore(&checkpoint.path, &key)?
+                checkpoint.restore(&mut builder, &key)?
             }
-            _ => Tally::default(),
+            None => Tally::default(),
         };
         let planned = plan.as_ref().map(|plan| plan.evidence);
         let run = PlannedRun { stream: &stream, share, planner: planner.as_ref(), memory: grid.memory };
         let result = run.run(&mut builder, so_far, plan, bars, |builder, batches, tally| {
             so_far = *tally;
             if let Some(checkpoint) = checkpoint.as_mut().filter(|c| c.is_due()) {
-                builder.save(&checkpoint.path, &key(builder), so_far)?;
-                checkpoint.saved = Instant::now();
+                checkpoint.save(builder, &key(builder), so_far)?;
             }
             dump.as_mut().map_or(Ok(()), |dump| dump.add(batches))
         });
-        if let (Err(Error::Interrupted), Some(checkpoint)) = (&result, &checkpoint) {
-            builder.save(&checkpoint.path, &key(&builder), so_far)?;
-            eprintln!(
-                "note: {} holds {} of {} rays; --resume goes on",
-                checkpoint.path.display(),
-                so_far.rays,
-                share.own_rays()
-            );
+        if let (Err(Error::Interrupted), Some(checkpoint)) = (&result, &mut checkpoint) {
+            checkpoint.save_interrupted(&builder, &key(&builder), so_far, share)?;
         }
         let (tally, plan) = result?;
         if let Some(plan) = plan.filter(|plan| Some(plan.evidence) != planned) {
@@ -230,11 +252,8 @@ impl Args {
         }
         let posterior_bytes = builder.memory();
         let field = builder.finish(&Provenance { source, tally, share: Some(share), stream: Some(&stream) });
-        self.grid.write(field, &Cost { elapsed: start.elapsed(), posterior_bytes })?;
-        if let Some(checkpoint) = checkpoint.filter(|c| c.path.exists()) {
-            std::fs::remove_file(&checkpoint.path).map_err(Error::io(&checkpoint.path, "cannot remove"))?;
-        }
-        Ok(())
+        self.grid.write(field, &Cost { elapsed: start.elapsed(), posterior_bytes, step })?;
+        checkpoint.map_or(Ok(()), |checkpoint| checkpoint.remove())
     }
 
     /// Rays of the run, or the most that it may take.
@@ -245,14 +264,15 @@ impl Args {
         }
     }
 
-    /// Draws rays until the error is within the tolerance, and says what was reached.
+    /// Draws rays until the error is within the tolerance, and says what was reached; returns the field and the bytes of its sums.
     fn run_auto(
         &self,
         stream: &RayStream,
         grid: GridSettings,
         domain: Domain,
+        source: String,
         bars: &Bars,
-    ) -> Result<(FieldBuilder, Tally)> {
+    ) -> Result<(UncertaintyField, usize)> {
         let others = [
             ("--shard", self.shard.is_some()),
             ("--checkpoint", self.checkpoint.is_some()),
@@ -261,8 +281,13 @@ impl Args {
         if let Some((name, _)) = others.into_iter().find(|(_, given)| *given) {
             return Err(Error::setting("--rays auto", "a run by itself, to its end", name));
         }
-        let (builder, tally, error) =
-            AutoRun { tolerance: grid.tolerance, most: self.max_rays }.run(stream, grid, domain, bars)?;
+        if let Some(groups) = self.error_bars.filter(|&groups| groups != 2) {
+            let expected = "--error-bars 2 with --rays auto, which compares two halves of the rays";
+            return Err(Error::setting("--error-bars", expected, groups.to_string()));
+        }
+        let (halves, tallies, error) =
+            AutoRun { tolerance: grid.tolerance, most: self.max_rays }.halves(stream, grid, domain, bars)?;
+        let tally = tallies[0].with(&tallies[1]);
         let verdict = if error.vertices == 0 {
             "no ray constrains anything".into()
         } else {
@@ -273,7 +298,56 @@ impl Args {
             )
         };
         eprintln!("note: {} rays; {verdict}", tally.rays);
-        Ok((builder, tally))
+        warn_of_dropped(&tally);
+        let posterior_bytes = halves.iter().map(FieldBuilder::memory).sum();
+        // Two sequences of pixels: no part of a run that others could be added to.
+        let provenance = Provenance { source, tally, share: None, stream: Some(stream) };
+        let field = match self.error_bars {
+            Some(_) => FieldBuilder::finish_groups(halves.into(), &tallies, &provenance)?,
+            None => FieldBuilder::joined(halves, stream)?.finish(&provenance),
+        };
+        Ok((field, posterior_bytes))
+    }
+
+    /// Draws rays in groups; returns the field with error bars and the bytes of the groups' sums.
+    fn run_groups(&self, run: &Groups, source: &str, bars: &Bars) -> Result<(UncertaintyField, usize)> {
+        let (mut builders, mut tallies) = (Vec::new(), Vec::new());
+        for (g, group) in (0..).zip(ray_groups(run.stream, run.count, run.settings.rays)?) {
+            let mut builder = FieldBuilder::new(run.grid, run.domain)?;
+            if let Some(plan) = run.plan.filter(|_| run.grid.needs_plan()) {
+                builder.limit(plan);
+            }
+            let settings = RaySettings { seed: group.seed, ..run.settings };
+            let key = settings.run_key(source.into(), group.share, &group.stream, &run.grid, &builder);
+            let mut checkpoint = self.checkpoint(Some(g), self.resume)?;
+            let mut so_far = match &checkpoint {
+                Some(checkpoint) => checkpoint.restore(&mut builder, &key)?,
+                None => Tally::default(),
+            };
+            let result = group.stream.run(group.share, so_far, bars, |batches, tally| {
+                builder.add(batches);
+                so_far = *tally;
+                match checkpoint.as_mut().filter(|c| c.is_due()) {
+                    Some(checkpoint) => checkpoint.save(&builder, &key, so_far),
+                    None => Ok(()),
+                }
+            });
+            if let Some(checkpoint) = &mut checkpoint {
+                match &result {
+                    Err(Error::Interrupted) => checkpoint.save_interrupted(&builder, &key, so_far, group.share)?,
+                    // Not drawn again if a later group is interrupted.
+                    Ok(tally) => checkpoint.save(&builder, &key, *tally)?,
+                    Err(_) => {}
+                }
+            }
+            tallies.push(result?);
+            builders.push(builder);
+        }
+        let tally = tallies.iter().fold(Tally::default(), |sum, tally| sum.with(tally));
+        warn_of_dropped(&tally);
+        let bytes = builders.iter().map(FieldBuilder::memory).sum();
+        let provenance = Provenance { source: source.into(), tally, share: None, stream: Some(run.stream) };
+        Ok((FieldBuilder::finish_groups(builders, &tallies, &provenance)?, bytes))
     }
 
     /// Model and camera file, if there is one, with their checksums.
@@ -321,26 +395,23 @@ impl Args {
         Ok(share)
     }
 
-    /// Where and how often to save; an unfinished run is not overwritten by accident.
-    fn checkpoint(&self) -> Result<Option<Checkpoint>> {
+    /// Where and how often to save, if anywhere: each of several groups in a file of its own.
+    fn checkpoint(&self, group: Option<u16>, resume: bool) -> Result<Option<Checkpoint>> {
         let Some(path) = &self.checkpoint else { return Ok(None) };
-        if path.exists() && !self.resume {
-            return Err(Error::malformed(path, "checkpoint", "no file, or --resume", "the state of an unfinished run"));
+        let mut path = path.clone();
+        if let Some(group) = group {
+            path.as_mut_os_string().push(format!(".{group}"));
         }
-        let every = Duration::try_from_secs_f64(self.checkpoint_every).unwrap_or(Duration::MAX);
-        Ok(Some(Checkpoint { path: path.clone(), every, saved: Instant::now() }))
+        Checkpoint::new(&path, self.checkpoint_every, resume).map(Some)
     }
 }
 
-/// A checkpoint file and when it was last written.
-struct Checkpoint {
-    path: PathBuf,
-    every: Duration,
-    saved: Instant,
-}
-
-impl Checkpoint {
-    fn is_due(&self) -> bool {
-        self.saved.elapsed() >= self.every
-    }
+/// A run in groups.
+struct Groups<'a> {
+    count: u16,
+    settings: RaySettings,
+    stream: &'a RayStream<'a>,
+    grid: GridSettings,
+    domain: Domain,
+    plan: Option<&'a Plan>,
 }

@@ -59,7 +59,7 @@ impl AutoRun {
     /// Draws rays until the estimated mean error is within the tolerance; returns their sums, and what was reached.
     ///
     /// # Errors
-    /// As [`RayStream::run`], or if the grid has a budget, whose limits would differ between the halves.
+    /// As [`AutoRun::halves`].
     pub fn run(
         &self,
         stream: &RayStream,
@@ -67,6 +67,21 @@ impl AutoRun {
         domain: Domain,
         monitor: &dyn Monitor,
     ) -> Result<(FieldBuilder, Tally, SamplingError)> {
+        let (halves, tallies, error) = self.halves(stream, settings, domain, monitor)?;
+        Ok((FieldBuilder::joined(halves, stream)?, tallies[0].with(&tallies[1]), error))
+    }
+
+    /// As [`AutoRun::run`], but returns each half's sums by themselves.
+    ///
+    /// # Errors
+    /// As [`RayStream::run`], or if the grid has a budget, whose limits would differ between the halves.
+    pub fn halves(
+        &self,
+        stream: &RayStream,
+        settings: GridSettings,
+        domain: Domain,
+        monitor: &dyn Monitor,
+    ) -> Result<([FieldBuilder; 2], [Tally; 2], SamplingError)> {
         if settings.needs_plan() {
             let found = "--memory or --refine evidence";
             return Err(Error::setting("--rays auto", "a grid without limits to its refinement", found));
@@ -83,13 +98,10 @@ impl AutoRun {
                     Ok(())
                 })?;
             }
-            let tally = tallies[0].with(&tallies[1]);
-            let error = SamplingError::of_halves(&halves[0].both(&halves[1], tally.rays));
+            let drawn = tallies[0].rays + tallies[1].rays;
+            let error = SamplingError::of_halves(&halves[0].both(&halves[1], drawn));
             if error.vertices > 0 && error.mean <= self.tolerance || rays == self.most {
-                let [mut whole, other] = halves;
-                whole.absorb(&other);
-                whole.want_density(stream)?;
-                return Ok((whole, tally, error));
+                return Ok((halves, tallies, error));
             }
             rays = (2 * rays).min(self.most);
         }
@@ -97,6 +109,17 @@ impl AutoRun {
 }
 
 impl FieldBuilder {
+    /// The sums of both halves of `stream`'s rays together, refined where there is density if the settings say so.
+    ///
+    /// # Errors
+    /// As [`FieldBuilder::want_density`].
+    pub fn joined(halves: [Self; 2], stream: &RayStream) -> Result<Self> {
+        let [mut whole, other] = halves;
+        whole.absorb(&other);
+        whole.want_density(stream)?;
+        Ok(whole)
+    }
+
     /// log10 U by the rays of this builder and by those of another, half of `rays` each, at the vertices that both together move by more than half a decade.
     fn both(&self, other: &Self, rays: u64) -> Vec<(f64, f64)> {
         let lambda = self.settings().lambda(self.lattice());

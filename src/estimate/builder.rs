@@ -195,7 +195,29 @@ impl FieldBuilder {
         }
     }
 
-    /// Adds the sums of another builder of the same settings, without limits, vertex by vertex.
+    /// A builder of the same settings and limits that holds nothing yet.
+    pub(super) fn emptied(&self) -> Self {
+        let posterior = match self.settings.grid {
+            GridKind::Dense => AnyPosterior::Dense(DensePosterior::new(self.lattice)),
+            GridKind::Octree => AnyPosterior::Octree(OctreePosterior::limited(self.lattice, self.limits.clone())),
+        };
+        let (limits, wanted) = (self.limits.clone(), self.wanted.clone());
+        Self { limits, wanted, posterior, surface: Vec::new(), ..*self }
+    }
+
+    /// What the sums say at the vertices of `support`, in their order.
+    pub(super) fn evidence_at(self, support: &Support) -> Vec<Evidence> {
+        match (self.posterior, support) {
+            (AnyPosterior::Dense(posterior), _) => posterior.into_sums(),
+            (AnyPosterior::Octree(posterior), Support::Octree(octree)) => {
+                let points: Vec<[u32; 3]> = octree.vertex_positions().collect();
+                points.par_iter().map(|&point| posterior.evidence(point)).collect()
+            }
+            (AnyPosterior::Octree(_), Support::Dense) => unreachable!("an octree's sums become an octree"),
+        }
+    }
+
+    /// Adds the sums of another builder of the same settings and limits, vertex by vertex.
     pub(super) fn absorb(&mut self, other: &Self) {
         match (&mut self.posterior, &other.posterior) {
             (AnyPosterior::Dense(mine), AnyPosterior::Dense(theirs)) => mine.add_sums(theirs.sums()),

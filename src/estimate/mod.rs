@@ -7,18 +7,22 @@ mod audit;
 mod auto;
 mod builder;
 mod grid;
+mod groups;
 mod measure;
 mod plan;
 mod rays;
 mod run;
+mod step;
 
 pub use audit::Audit;
 pub use auto::{AutoRun, SamplingError};
 pub use builder::{FieldBuilder, Provenance};
 pub use grid::{GridKind, GridSettings};
+pub use groups::{RayGroup, ray_groups};
 pub use plan::{Plan, Planner};
 pub use rays::RaySettings;
 pub use run::PlannedRun;
+pub use step::StepCheck;
 
 use crate::field::RadianceField;
 use crate::geometry::{Camera, Domain};
@@ -56,6 +60,45 @@ pub fn estimate(
     let (tally, _) = run.run(&mut builder, Tally::default(), plan, monitor, |_, _, _| Ok(()))?;
     let provenance = Provenance { source: field.describe(), tally, share: Some(share), stream: Some(&stream) };
     Ok((builder.finish(&provenance), tally))
+}
+
+/// As [`estimate`], from rays in `groups` independent groups, with error bars: how far log10 U is from its limit.
+///
+/// # Errors
+/// As [`estimate`], or if there are fewer than two groups or fewer rays than groups, or a budget of memory, which is for one set of sums.
+pub fn estimate_with_error_bars(
+    field: &dyn RadianceField,
+    cameras: &[Camera],
+    rays: &RaySettings,
+    grid: &GridSettings,
+    groups: u16,
+    monitor: &dyn Monitor,
+) -> Result<(UncertaintyField, Tally)> {
+    if cameras.is_empty() {
+        return Err(Error::setting("cameras", "at least one", "none"));
+    }
+    if grid.needs_plan() {
+        return Err(Error::setting(
+            "error bars",
+            "a grid without limits to its refinement",
+            "--memory or --refine evidence",
+        ));
+    }
+    let domain = Domain::Box(field.bounds());
+    let lattice = grid.lattice(domain)?;
+    let stream = rays.stream(field, cameras, grid, &lattice, monitor)?;
+    let (mut builders, mut tallies) = (Vec::new(), Vec::new());
+    for group in ray_groups(&stream, groups, rays.rays)? {
+        let mut builder = FieldBuilder::new(*grid, domain)?;
+        tallies.push(group.stream.run(group.share, Tally::default(), monitor, |batches, _| {
+            builder.add(batches);
+            Ok(())
+        })?);
+        builders.push(builder);
+    }
+    let tally = tallies.iter().fold(Tally::default(), |sum, tally| sum.with(tally));
+    let provenance = Provenance { source: field.describe(), tally, share: None, stream: Some(&stream) };
+    Ok((FieldBuilder::finish_groups(builders, &tallies, &provenance)?, tally))
 }
 
 #[cfg(test)]

@@ -29,9 +29,9 @@ pub struct RaySettings {
     /// Finite-difference step in edges of the finest lattice.
     ///
     /// Larger steps smooth the field's derivative and move log10 U, smaller ones drown in the rounding of f32. The curves of
-    /// `experiments/approximations.md`: on a smooth scene mean |Δ log10 U| is lowest (2e-5) from 1/128 to 1/32 and grows to
-    /// 4e-4 at 1/512 by rounding; a NeRF MLP, whose encoding oscillates once per lattice edge at level 8, still gains from
-    /// 1/32 (0.04) to 1/128 (0.015) to 1/512 (0.005). 1/128 is safe for the first and good for the second.
+    /// `experiments/hard_cases.md`, against exact derivatives at level 8: mean |Δ log10 U| of the two trained models is lowest (0.006, 0.004)
+    /// around 1/1024 and grows to 0.03 at 1/128, where kinks and high frequencies are; smooth fields, which would like 1/16, pay 6e-5 at 1/512.
+    /// On much finer lattices rounding gains: [`super::StepCheck`] tells.
     pub step: f64,
     /// Samples whose weight and sensitivity are certain to stay below this are left out; 0 leaves out nothing and takes a
     /// hundred times longer. `experiments/approximations.md` has what it costs.
@@ -53,7 +53,7 @@ impl Default for RaySettings {
             pixels: Pixels::default(),
             seed: 0,
             gradient: GradientMethod::default(),
-            step: 1.0 / 128.0,
+            step: 1.0 / 512.0,
             cutoff: 1e-6,
             march_step: None,
             background: Vec3::ONE,

@@ -212,3 +212,72 @@ fn a_run_that_starts_again_says_so_before_its_first_ray() {
     // Between two starts rays only grow: nothing of an earlier attempt is counted in a later one.
     assert!(tallies.windows(2).all(|pair| pair[1] == 0 || pair[1] > pair[0]), "{tallies:?}");
 }
+
+/// The error that error bars promise, against the one found with twenty times the rays.
+#[test]
+fn error_bars_are_as_large_as_the_errors() {
+    let field = ClosedForm::courtyard();
+    let cameras = ClosedForm::half_circle(10, [100, 100]);
+    let grid = GridSettings { level: 5, tolerance: 0.0, surface_points: 0, ..GridSettings::default() };
+    let many = RaySettings { seed: 99, ..settings(400_000) };
+    let truth = estimate(&field, &cameras, &many, &grid, &Silent).unwrap().0.on_dense_grid();
+    let moved = truth.prior() / 10_f64.sqrt();
+    for groups in [2, 8] {
+        let (few, tally) =
+            estimate_with_error_bars(&field, &cameras, &settings(20_000), &grid, groups, &Silent).unwrap();
+        assert_eq!((tally.rays, few.protocol().rays, few.protocol().share), (20_000, 20_000, None));
+        let bars = few.error_bars().unwrap();
+        assert_eq!(bars.groups(), groups);
+        let Support::Octree(tree) = few.support() else { panic!("an octree was asked for") };
+        let evidence = few.evidence().unwrap();
+        for (least, most, slack) in [(0, u32::MAX, 1.2), (8, 32, 1.4), (32, u32::MAX, 1.4)] {
+            let (mut squares, mut n) = ([0.0, 0.0], 0);
+            for (v, [x, y, z]) in tree.vertex_positions().enumerate() {
+                let limit = truth.deviations().get((x as usize * 33 + y as usize) * 33 + z as usize);
+                let found = few.deviations().get(v);
+                let counts = found.min(limit) < moved && (least..most).contains(&evidence[v].rays);
+                if let Some(error) = bars.get(v).filter(|_| counts) {
+                    squares[0] += error * error;
+                    squares[1] += (found / limit).log10().powi(2);
+                    n += 1;
+                }
+            }
+            let ratio = (squares[0] / squares[1]).sqrt();
+            // Root mean square, 20 % to both sides over all vertices whose error is known, 40 % by number of rays. The limit is itself off by 1/√20
+            // of the error, 2 % of the ratio.
+            let is_right = ratio < slack && ratio > 1.0 / slack;
+            assert!(n > 300 && is_right, "{groups} groups, {least} rays: {ratio}, {n} vertices");
+        }
+    }
+}
+
+#[test]
+fn groups_add_up_and_differ_on_any_grid_with_any_threads() {
+    let field = ClosedForm::courtyard();
+    let cameras = ClosedForm::half_circle(5, [32, 32]);
+    let run = |kind, threads| {
+        let grid = GridSettings { grid: kind, level: 5, tolerance: 0.0, ..GridSettings::default() };
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        // Not a multiple of the groups.
+        pool.install(|| estimate_with_error_bars(&field, &cameras, &settings(5003), &grid, 3, &Silent).unwrap().0)
+    };
+    let octree = run(GridKind::Octree, 1);
+    assert_eq!(octree, run(GridKind::Octree, 2));
+    assert_eq!(octree.protocol().rays, 5003);
+    let dense = run(GridKind::Dense, 2);
+    let Support::Octree(tree) = octree.support() else { panic!("an octree was asked for") };
+    let (mut known, mut unknown) = (0, 0);
+    for (vertex, [x, y, z]) in tree.vertex_positions().enumerate() {
+        let v = (x as usize * 33 + y as usize) * 33 + z as usize;
+        let [a, b] = [octree.error_bars().unwrap().get(vertex), dense.error_bars().unwrap().get(v)];
+        match (a, b) {
+            // Sums in another order, one unit in the last place of f16.
+            (Some(a), Some(b)) if (a - b).abs() <= 1e-3 * a + 1e-6 => known += 1,
+            (None, None) => unknown += 1,
+            _ => panic!("{a:?} on the octree, {b:?} on the dense grid"),
+        }
+    }
+    assert!(known > 3000 && unknown > 30, "{known} known, {unknown} not");
+    assert!(estimate_with_error_bars(&field, &cameras, &settings(10), &GridSettings::default(), 1, &Silent).is_err());
+    assert!(estimate_with_error_bars(&field, &cameras, &settings(3), &GridSettings::default(), 4, &Silent).is_err());
+}

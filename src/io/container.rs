@@ -11,6 +11,7 @@
 
 use std::fs::File;
 use std::io::{BufReader, Read, Write};
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
@@ -131,11 +132,15 @@ pub struct Reader {
 }
 
 impl Reader {
-    /// Opens a file of `format` with `sections` sections, and reads its header.
+    /// Opens a file of `format` with one of so many sections, and reads its header.
     ///
     /// # Errors
     /// If the file is missing, of another format or newer, or its header or length is not as written.
-    pub fn open<H: DeserializeOwned>(path: &Path, format: Format, sections: usize) -> Result<(H, Self)> {
+    pub fn open<H: DeserializeOwned>(
+        path: &Path,
+        format: Format,
+        sections: RangeInclusive<usize>,
+    ) -> Result<(H, Self)> {
         let file = File::open(path).map_err(Error::io(path, "cannot open"))?;
         let length = file.metadata().map_err(Error::io(path, "cannot read"))?.len();
         let mut file = BufReader::with_capacity(1 << 16, file);
@@ -166,8 +171,8 @@ impl Reader {
         let config = bincode::config::standard().with_limit::<MAX_HEADER>();
         let ((header, described), read) = bincode::serde::decode_from_slice::<(H, Vec<(u64, u32)>), _>(&header, config)
             .map_err(|e| Error::malformed(path, "header", "a description of the file", e.to_string()))?;
-        if read != header_length || described.len() != sections {
-            let expected = format!("{header_length} bytes and {sections} sections");
+        if read != header_length || !sections.contains(&described.len()) {
+            let expected = format!("{header_length} bytes and {sections:?} sections");
             return Err(Error::malformed(path, "header", expected, format!("{read} and {}", described.len())));
         }
         let expected = described.iter().try_fold(20 + header_length as u64, |sum, s| sum.checked_add(s.0));
@@ -176,6 +181,12 @@ impl Reader {
             return Err(Error::malformed(path, "length", expected, format!("{length} bytes (truncated or altered)")));
         }
         Ok((header, Self { file, path: path.to_path_buf(), sections: described.into_iter() }))
+    }
+
+    /// Sections that are left.
+    #[must_use]
+    pub fn left(&self) -> usize {
+        self.sections.len()
     }
 
     /// Reads the next section and checks it.

@@ -116,7 +116,7 @@ pub fn save(path: &Path, key: &RunKey, tally: Tally, posterior: &AnyPosterior, s
 /// # Errors
 /// If the file is missing, or its header is not as written.
 pub fn evidence(path: &Path) -> Result<f64> {
-    let (header, _) = Reader::open::<Header>(path, FORMAT, 3)?;
+    let (header, _) = Reader::open::<Header>(path, FORMAT, 3..=3)?;
     Ok(header.key.evidence)
 }
 
@@ -125,7 +125,7 @@ pub fn evidence(path: &Path) -> Result<f64> {
 /// # Errors
 /// If the file is missing, truncated, altered, or belongs to a run with another description.
 pub fn load(path: &Path, key: &RunKey, limits: &LevelLimits, dense: bool) -> Result<State> {
-    let (header, mut file) = Reader::open::<Header>(path, FORMAT, 3)?;
+    let (header, mut file) = Reader::open::<Header>(path, FORMAT, 3..=3)?;
     if let Some((what, expected, found)) = first_difference(key, &header.key) {
         return Err(Error::malformed(path, format!("run, {what}"), expected, found));
     }

@@ -2,6 +2,7 @@
 
 use glam::{DVec3, Vec3};
 
+use super::double::Double;
 use super::{Evidence, trace};
 
 /// Which standard deviation is read off H_v = (2/R) S_v + 2λ I.
@@ -77,6 +78,35 @@ impl Covariance {
         }
     }
 
+    /// The error of log10 U that the corners' errors of log10 σ_v make, of the first order and at most: as if all were off to the same
+    /// side, which corners that the same rays pass nearly are. `None` if a corner's is not known.
+    #[must_use]
+    pub fn interpolate_errors(
+        self,
+        errors: &[Option<f64>; 8],
+        deviations: &[f64; 8],
+        weights: &[f64; 8],
+    ) -> Option<f64> {
+        self.joined_error((0..8).map(|c| (errors[c], deviations[c], weights[c])))
+    }
+
+    /// As [`Covariance::interpolate_errors`], from (error, deviation, weight).
+    ///
+    /// d log U = Σ p d log σ_v with shares p = w σ_v / Σ w σ_v; for `trace` w² σ² / Σ w² σ².
+    #[must_use]
+    pub fn joined_error(self, corners: impl Iterator<Item = (Option<f64>, f64, f64)>) -> Option<f64> {
+        let (mut sum, mut total) = (0.0, 0.0);
+        for (error, deviation, weight) in corners.filter(|corner| corner.2 > 0.0) {
+            let share = match self {
+                Self::Diagonal | Self::Block | Self::Normal => weight * deviation,
+                Self::Trace => (weight * deviation).powi(2),
+            };
+            sum += share * error?;
+            total += share;
+        }
+        Some(sum / total)
+    }
+
     /// The mean of the deviations at the ends of a hanging corner's edge or face, in the quantity that is interpolated.
     #[must_use]
     pub fn mean(self, deviations: impl ExactSizeIterator<Item = f64>) -> f64 {
@@ -108,42 +138,50 @@ pub fn negligible_jacobian(tolerance: f64, lambda: f64, per_vertex: f64) -> f64 
     tolerance * std::f64::consts::LN_10 * lambda.sqrt() / per_vertex
 }
 
-/// L⁻¹ for the Cholesky factor L of H = A + floor · I, so that H⁻¹ = L⁻ᵀ L⁻¹.
+/// M = L⁻¹ and D⁻¹ of H = A + floor · I = L D Lᵀ (L unit lower triangular), so that H⁻¹ = Mᵀ D⁻¹ M.
 ///
-/// A is positive semidefinite (xx, xy, xz, yy, yz, zz); it may be of rank 1 and 10¹⁵ times larger than `floor`. Each pivot is a
-/// Schur complement of H and therefore at least `floor`, which is enforced against rounding: what is read off is finite, positive
-/// and at most what `floor` alone gives.
+/// A is positive semidefinite (xx, xy, xz, yy, yz, zz); it may be of rank 1 and 10¹⁸ times larger than `floor`. f64 would lose the floor beside it,
+/// and with it all that is known of the other directions; pivots are therefore found in double-double arithmetic, of 104 bits. Each
+/// pivot is a Schur complement of H and therefore at least `floor`; sums that were rounded before they came here can put it below, and
+/// `floor` is enforced: what is read off is finite, positive and at most what `floor` alone gives.
 struct InverseFactor {
-    /// Lower triangle: 00, 10, 11, 20, 21, 22.
-    rows: [f64; 6],
+    /// M below its diagonal of ones: 10, 20, 21.
+    rows: [f64; 3],
+    /// D⁻¹.
+    inverse_pivots: [f64; 3],
     floor: f64,
 }
 
 impl InverseFactor {
     fn new(a: [f64; 6], floor: f64) -> Self {
+        if trace(&a) == 0.0 {
+            return Self { rows: [0.0; 3], inverse_pivots: [1.0 / floor; 3], floor };
+        }
         let [xx, xy, xz, yy, yz, zz] = a;
-        let l00 = (xx + floor).sqrt();
-        let (l10, l20) = (xy / l00, xz / l00);
-        let l11 = (yy + floor - l10 * l10).max(floor).sqrt();
-        let l21 = (yz - l20 * l10) / l11;
-        let l22 = (zz + floor - l20 * l20 - l21 * l21).max(floor).sqrt();
-        let (m00, m11, m22) = (1.0 / l00, 1.0 / l11, 1.0 / l22);
-        let m10 = -l10 * m00 * m11;
-        let m21 = -l21 * m11 * m22;
-        let m20 = -(l20 * m00 + l21 * m10) * m22;
-        Self { rows: [m00, m10, m11, m20, m21, m22], floor }
+        let least = Double::from(floor);
+        let [off_xy, off_xz, off_yz] = [xy, xz, yz].map(Double::from);
+        let d0 = Double::sum(xx, floor).max(least);
+        let (l10, l20) = (off_xy / d0, off_xz / d0);
+        let d1 = (Double::sum(yy, floor) - l10 * off_xy).max(least);
+        let t = off_yz - l20 * off_xy;
+        let l21 = t / d1;
+        let d2 = (Double::sum(zz, floor) - l20 * off_xz - l21 * t).max(least);
+        let rows = [-l10, l10 * l21 - l20, -l21].map(f64::from);
+        Self { rows, inverse_pivots: [d0, d1, d2].map(|d| 1.0 / f64::from(d)), floor }
     }
 
-    /// tr(H⁻¹) = ‖L⁻¹‖².
+    /// tr(H⁻¹) = Σ_i ‖M_i‖² / d_i.
     fn trace(&self) -> f64 {
-        self.rows.iter().map(|m| m * m).sum::<f64>().min(3.0 / self.floor)
+        let ([m10, m20, m21], [p0, p1, p2]) = (self.rows, self.inverse_pivots);
+        let sum = p0 + (1.0 + m10 * m10) * p1 + (1.0 + m20 * m20 + m21 * m21) * p2;
+        sum.min(3.0 / self.floor)
     }
 
-    /// nᵀ H⁻¹ n = ‖L⁻¹ n‖² for a unit vector n.
+    /// nᵀ H⁻¹ n = Σ_i (M n)_i² / d_i for a unit vector n.
     fn along(&self, n: DVec3) -> f64 {
-        let [m00, m10, m11, m20, m21, m22] = self.rows;
-        let y = DVec3::new(m00 * n.x, m10 * n.x + m11 * n.y, m20 * n.x + m21 * n.y + m22 * n.z);
-        y.length_squared().min(1.0 / self.floor)
+        let ([m10, m20, m21], [p0, p1, p2]) = (self.rows, self.inverse_pivots);
+        let y = [n.x, m10 * n.x + n.y, m20 * n.x + m21 * n.y + n.z];
+        (y[0] * y[0] * p0 + y[1] * y[1] * p1 + y[2] * y[2] * p2).min(1.0 / self.floor)
     }
 }
 
@@ -151,6 +189,8 @@ impl InverseFactor {
 mod tests {
     use super::*;
     use crate::posterior::Information;
+    use num_rational::BigRational;
+    use num_traits::ToPrimitive;
     use proptest::prelude::*;
 
     fn seen(information: Information, gradient: [f32; 3]) -> Evidence {
@@ -259,6 +299,56 @@ mod tests {
                 prop_assert!((found * det / minors - 1.0).abs() < limit.max(1e-12), "{} against {}", found, minors / det);
             }
             prop_assert!(found > 0.0 && found <= 3.0 / floor * (1.0 + 1e-12));
+        }
+
+        /// Against exact arithmetic with whole numbers of any length, down to a floor 10¹⁸ times below the largest eigenvalue.
+        #[test]
+        fn inverses_are_exact_down_to_the_floor(
+            vectors in proptest::collection::vec((proptest::array::uniform3(-40..=40_i32), 0..=30_i32), 0..4),
+            exponent in -60..=60_i32, direction in proptest::array::uniform3(-1.0..1.0_f64),
+        ) {
+            // Sums of outer products of small whole vectors times powers of four: eigenvalues from 1 to 4³⁰ · 4800 floors, in any directions.
+            let floor = f64::from(exponent).exp2();
+            let mut a = [0.0; 6];
+            for (v, k) in &vectors {
+                let [x, y, z] = v.map(f64::from);
+                let scale = 4.0_f64.powi(*k) * floor;
+                for (a, product) in a.iter_mut().zip([x * x, x * y, x * z, y * y, y * z, z * z]) {
+                    *a += product * scale;
+                }
+            }
+            let exact = |v: f64| BigRational::from_float(v).unwrap();
+            // Principal minors and determinant of A + shift · I.
+            let minors_of = |shift: f64| {
+                let [xx, yy, zz] = [0, 3, 5].map(|i| exact(a[i]) + exact(shift));
+                let [xy, xz, yz] = [1, 2, 4].map(|i| exact(a[i]));
+                let minors = [&yy * &zz - &yz * &yz, &xx * &zz - &xz * &xz, &xx * &yy - &xy * &xy];
+                let cofactors = [&xz * &yz - &xy * &zz, &xy * &yz - &xz * &yy, &xy * &xz - &xx * &yz];
+                let det = &xx * &minors[0] + &xy * &cofactors[0] + &xz * &cofactors[1];
+                (minors, cofactors, det)
+            };
+            let inverse = InverseFactor::new(a, floor);
+            let found = inverse.trace();
+            prop_assert!(found > 0.0 && found <= 3.0 / floor, "{}", found);
+            // Sums of f64 that were rounded may not be positive semidefinite any more: then no answer is right, and bounds are all there is.
+            let (minors, _, det) = minors_of(0.0);
+            let zero = exact(0.0);
+            if minors.iter().all(|m| *m >= zero) && det >= zero {
+                let (minors, cofactors, det) = minors_of(floor);
+                let expected = ((&minors[0] + &minors[1] + &minors[2]) / &det).to_f64().unwrap();
+                // Rounding 2⁻¹⁰⁰ of the largest entry, which is 10²² floors at most.
+                prop_assert!((found / expected - 1.0).abs() < 1e-8, "{} instead of {}", found, expected);
+                if let Some(n) = DVec3::from(direction).try_normalize() {
+                    // nᵀ H⁻¹ n by Cramer's rule.
+                    let [nx, ny, nz] = n.to_array().map(exact);
+                    let form = &minors[0] * &nx * &nx + &minors[1] * &ny * &ny + &minors[2] * &nz * &nz
+                        + exact(2.0) * (&cofactors[0] * &nx * &ny + &cofactors[1] * &nx * &nz + &cofactors[2] * &ny * &nz);
+                    let (found, expected) = (inverse.along(n), (form / &det).to_f64().unwrap());
+                    // Where M n cancels, its rounding in f64 is left.
+                    let limit = 1e-8 * expected.max(1e-7 / floor);
+                    prop_assert!((found - expected).abs() <= limit, "{} instead of {}", found, expected);
+                }
+            }
         }
 
         #[test]

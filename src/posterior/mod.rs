@@ -12,6 +12,7 @@ pub mod checkpoint;
 mod covariance;
 mod criteria;
 mod dense;
+mod double;
 mod evidence;
 mod octree;
 mod pixels;

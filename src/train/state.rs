@@ -57,7 +57,7 @@ impl Trainer<'_> {
     /// # Errors
     /// If the file is missing, damaged, or of a run with another description.
     pub fn restore(&mut self, path: &Path, key: &str) -> Result<f64> {
-        let (header, mut file) = Reader::open::<Header>(path, FORMAT, 5)?;
+        let (header, mut file) = Reader::open::<Header>(path, FORMAT, 5..=5)?;
         if header.key != key {
             let expected = format!("a run with the same settings and data, {key}");
             return Err(Error::malformed(path, "run", expected, header.key));

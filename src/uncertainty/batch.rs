@@ -15,6 +15,8 @@ const TILE: usize = 1 << 18;
 /// Values at the corners of a leaf.
 pub(super) struct LeafValues {
     deviations: [f64; 8],
+    /// Of log10 σ; `None` inside where not known.
+    errors: Option<[Option<f64>; 8]>,
     rays: Option<[f64; 8]>,
 }
 
@@ -50,7 +52,7 @@ impl UncertaintyField {
         let mut order: Vec<u64> = inside.collect();
         order.sort_unstable();
         let mut cursor = octree.cursor();
-        let mut values = LeafValues { deviations: [0.0; 8], rays: None };
+        let mut values = LeafValues { deviations: [0.0; 8], errors: None, rays: None };
         for i in order.into_iter().map(|key| key as u32 as usize) {
             let Some(u) = self.lattice.coordinates(points[i]) else { continue };
             if cursor.seek(u) {
@@ -67,6 +69,15 @@ impl UncertaintyField {
             [vertex] => deviation(vertex),
             masters => self.protocol.covariance.mean(masters.iter().map(deviation)),
         });
+        let errors = self.error_bars.as_ref().map(|errors| {
+            cursor.corners().each_ref().map(|corner| match corner.masters() {
+                [VertexId(v)] => errors.get(*v as usize),
+                masters => {
+                    let each = |&VertexId(v): &VertexId| (errors.get(v as usize), self.deviations.get(v as usize), 1.0);
+                    self.protocol.covariance.joined_error(masters.iter().map(each))
+                }
+            })
+        });
         let rays = self.evidence.as_ref().map(|evidence| {
             let of_corner = |corner: &Corner| {
                 let masters = corner.masters();
@@ -75,19 +86,22 @@ impl UncertaintyField {
             };
             cursor.corners().each_ref().map(of_corner)
         });
-        LeafValues { deviations, rays }
+        LeafValues { deviations, errors, rays }
     }
 
     /// The estimate at lattice coordinates `u` in the cursor's leaf, which has the given values.
     pub(super) fn interpolate(&self, values: &LeafValues, cursor: &Cursor, u: DVec3) -> Estimate {
         let weights = cursor.weights(u);
         let rays = values.rays.map(|rays| rays.iter().zip(weights).map(|(rays, w)| w * rays).sum());
-        let uncertainty = self.protocol.covariance.interpolate(&values.deviations, &weights);
-        Estimate { uncertainty, rays, level: cursor.leaf().level, inside: true }
+        let covariance = self.protocol.covariance;
+        let uncertainty = covariance.interpolate(&values.deviations, &weights);
+        let errors = values.errors.as_ref();
+        let log10_error = errors.and_then(|errors| covariance.interpolate_errors(errors, &values.deviations, &weights));
+        Estimate { uncertainty, log10_error, rays, level: cursor.leaf().level, inside: true }
     }
 
     /// What is known outside the box: nothing.
     pub(super) fn outside(&self) -> Estimate {
-        Estimate { uncertainty: self.prior(), rays: None, level: 0, inside: false }
+        Estimate { uncertainty: self.prior(), log10_error: None, rays: None, level: 0, inside: false }
     }
 }

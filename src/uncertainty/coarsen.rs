@@ -27,6 +27,10 @@ impl UncertaintyField {
         let Support::Octree(octree) = &self.support else {
             return Err(Error::setting("field to coarsen", "an octree", "a dense grid"));
         };
+        if self.error_bars.is_some() {
+            let expected = "one without error bars: those of the vertices that go would be lost";
+            return Err(Error::setting("field to coarsen", expected, "one with error bars (--error-bars)"));
+        }
         if self.protocol.covariance == Covariance::Trace {
             let expected = "`diagonal` or `block`, which are trilinear between vertices";
             return Err(Error::setting("covariance of the field to coarsen", expected, "trace"));
@@ -64,6 +68,7 @@ impl UncertaintyField {
             limits: self.limits.clone(),
             deviations: Deviations::F32(deviations),
             evidence: None,
+            error_bars: None,
             surface: self.surface.clone(),
         })
     }
@@ -158,6 +163,7 @@ mod tests {
             support: Support::Octree(octree),
             deviations: Deviations::F32(deviations),
             evidence: None,
+            error_bars: None,
             surface: vec![],
         }
     }

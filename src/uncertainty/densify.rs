@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use super::{Deviations, Support, UncertaintyField};
 
 impl UncertaintyField {
-    /// The same U at every vertex of the finest lattice, without evidence: 4 (M + 1)³ bytes.
+    /// The same U at every vertex of the finest lattice, without evidence or error bars: 4 (M + 1)³ bytes.
     #[must_use]
     pub fn on_dense_grid(&self) -> Self {
         let n = self.lattice.cells_per_axis() as usize + 1;
@@ -39,6 +39,7 @@ impl UncertaintyField {
             limits: self.limits.clone(),
             deviations: Deviations::F32(values),
             evidence: None,
+            error_bars: None,
             surface: self.surface.clone(),
         }
     }

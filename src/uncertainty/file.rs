@@ -7,7 +7,10 @@
 //! surface      f32 × 3    points on visible surfaces
 //! logs         u16        bits of f16: log10(σ_v / unit), in the same order; the header has the unit
 //! limits       u64        the regions' level, then region · 256 + limit; empty if nothing is limited
+//! errors       u16        number of groups, then bits of f16: errors of log10 σ_v, NaN where not known; version 2 only
 //! ```
+//!
+//! A field without error bars is a file of version 1, which has no section for them.
 //!
 //! The octree is rebuilt from its masks, so a file cannot hold an inconsistent one.
 
@@ -15,16 +18,18 @@ use std::path::Path;
 
 use half::f16;
 
-use super::{Deviations, Protocol, Support, UncertaintyField, vertex_count};
+use super::{Deviations, ErrorBars, Protocol, Support, UncertaintyField, vertex_count};
 use crate::geometry::Lattice;
 use crate::io::container::{self, Format, Reader};
 use crate::octree::{LevelLimits, Octree};
 use crate::posterior::Evidence;
 use crate::{Error, Result};
 
-/// Version that this crate writes, and the newest that it reads.
-pub const FORMAT_VERSION: u32 = 1;
+/// The newest version that this crate reads and writes.
+pub const FORMAT_VERSION: u32 = 2;
 const FORMAT: Format = (b"OCTOBAY\n", FORMAT_VERSION);
+/// Fields without error bars.
+const PLAIN: Format = (FORMAT.0, 1);
 
 #[derive(serde::Serialize, serde::Deserialize)]
 struct Header {
@@ -61,9 +66,12 @@ impl UncertaintyField {
         let header = Header { protocol: self.protocol.clone(), lattice: self.lattice, kind, unit };
         let evidence = self.evidence.as_deref().unwrap_or_default();
         let limits = self.limits.packed().unwrap_or_default();
-        let sections: [&dyn container::Section; 6] =
-            [&masks.as_slice(), &values, &evidence, &self.surface.as_slice(), &logs.as_slice(), &limits.as_slice()];
-        container::write(path, FORMAT, &header, &sections)
+        let errors = self.error_bars.as_ref().map(ErrorBars::words);
+        let (masks, surface, logs) = (masks.as_slice(), self.surface.as_slice(), logs.as_slice());
+        let (limits, errors) = (limits.as_slice(), errors.as_deref());
+        let mut sections: Vec<&dyn container::Section> = vec![&masks, &values, &evidence, &surface, &logs, &limits];
+        sections.extend(errors.as_ref().map(|errors| errors as &dyn container::Section));
+        container::write(path, if errors.is_some() { FORMAT } else { PLAIN }, &header, &sections)
     }
 
     /// Reads a field.
@@ -71,7 +79,7 @@ impl UncertaintyField {
     /// # Errors
     /// If the file is missing, or is not a complete, unaltered field of a version that is known.
     pub fn read(path: &Path) -> Result<Self> {
-        let (header, mut file) = Reader::open::<Header>(path, FORMAT, 6)?;
+        let (header, mut file) = Reader::open::<Header>(path, FORMAT, 6..=7)?;
         // Deserialising bypasses the constructors' checks.
         let lattice = header.lattice.domain().checked();
         let lattice = lattice
@@ -136,6 +144,10 @@ impl UncertaintyField {
             ));
         }
         let evidence = (!evidence.is_empty()).then_some(evidence);
-        Ok(Self { protocol, lattice, support, limits, deviations, evidence, surface })
+        let words = if file.left() > 0 { Some(file.section::<u16>("errors")?) } else { None };
+        let error_bars = words.map(|words| ErrorBars::from_words(&words, vertices)).transpose();
+        let error_bars =
+            error_bars.map_err(|(expected, found)| Error::malformed(path, "section `errors`", expected, found))?;
+        Ok(Self { protocol, lattice, support, limits, deviations, evidence, error_bars, surface })
     }
 }

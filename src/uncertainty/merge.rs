@@ -1,6 +1,7 @@
 //! Fields of the same box, level and protocol from different rays, joined as if one run had drawn them all.
 
 use super::{Protocol, Support, UncertaintyField};
+use crate::octree::VertexId;
 use crate::posterior::{DensePosterior, Evidence, OctreePosterior, Share};
 use crate::{Error, Result};
 
@@ -8,7 +9,8 @@ use crate::{Error, Result};
 ///
 /// Information adds up. It differs from that of one run over all rays by the order of f64 sums, a relative n ε for n rays at a
 /// vertex, and where a part's octree left information out as negligible for its R rays: those shares together stay negligible
-/// for the sum of the R, so log10 U moves by no more than the tolerance. With tolerance 0 only the rounding is left.
+/// for the sum of the R, so log10 U moves by no more than the tolerance. With tolerance 0 only the rounding is left. Error bars of the parts are left
+/// behind: their groups' sums are not there any more ([`merge_with_error_bars`]).
 ///
 /// # Errors
 /// If there are less than two parts, one keeps no information, they differ in model, cameras or a setting that a sum depends on, or two of
@@ -69,6 +71,39 @@ pub fn merge(parts: &[UncertaintyField]) -> Result<UncertaintyField> {
             Ok(UncertaintyField::from_octree(protocol, first.lattice, posterior, wanted).with_surface(surface))
         }
     }
+}
+
+/// As [`merge`], with error bars: the parts are the groups of rays that the jackknife compares, whether or not they have error bars themselves.
+///
+/// # Errors
+/// As [`merge`], or if two parts are shards of one low-discrepancy sequence: they complement each other, and their differences would say
+/// too much.
+pub fn merge_with_error_bars(parts: &[UncertaintyField]) -> Result<UncertaintyField> {
+    let merged = merge(parts)?;
+    for (i, part) in parts.iter().enumerate() {
+        let same = |other: &UncertaintyField| part.protocol.seed.is_some() && part.protocol.seed == other.protocol.seed;
+        if let Some(j) = parts[..i].iter().position(same) {
+            let found = format!("fields {} and {} of one seed", j + 1, i + 1);
+            return Err(Error::setting(
+                "fields to compare",
+                "different seeds: shards of one seed are not independent",
+                found,
+            ));
+        }
+    }
+    let at = |part: &UncertaintyField| -> Vec<Evidence> {
+        let own = part.evidence().unwrap_or_default();
+        match (&merged.support, &part.support) {
+            (Support::Octree(whole), Support::Octree(octree)) => {
+                let vertex = |point| octree.vertex(point).map_or(Evidence::default(), |VertexId(v)| own[v as usize]);
+                whole.vertex_positions().map(vertex).collect()
+            }
+            _ => own.to_vec(),
+        }
+    };
+    let groups: Vec<Vec<Evidence>> = parts.iter().map(at).collect();
+    let rays: Vec<u64> = parts.iter().map(|part| part.protocol.rays).collect();
+    Ok(merged.with_error_bars(&groups, &rays))
 }
 
 /// Whether two fields may count the same rays: batch b of a seed is the same in every run, whatever the run's length.

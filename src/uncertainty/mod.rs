@@ -8,6 +8,7 @@ mod coarsen;
 mod compare;
 mod densify;
 mod deviations;
+mod error_bars;
 mod file;
 mod merge;
 mod official;
@@ -17,8 +18,9 @@ mod threshold;
 
 pub use compare::{Comparison, Difference, Summary, compare};
 pub use deviations::{Deviations, Store};
+pub use error_bars::{ErrorBars, ErrorSummary, Jackknife};
 pub use file::FORMAT_VERSION;
-pub use merge::merge;
+pub use merge::{merge, merge_with_error_bars};
 pub use official::OfficialGrid;
 pub use protocol::{Protocol, SAMPLES_SHARE};
 pub use threshold::ThresholdedField;
@@ -45,6 +47,10 @@ pub enum Support {
 pub struct Estimate {
     /// U, scene units.
     pub uncertainty: f64,
+    /// Root mean square error of log10 U by the number of rays, decades; `None` if the field has no error bars, or too few rays
+    /// passed here to know ([`ErrorBars`]). Between vertices, whose errors are those of the same rays, the errors of their σ are
+    /// added as they stand: an upper bound (first order).
+    pub log10_error: Option<f64>,
     /// How many rays support this number: interpolated from the vertices. `None` if the evidence was not kept.
     pub rays: Option<f64>,
     /// Level of the leaf around the point (the finest level on a dense grid), 0 outside the box.
@@ -65,6 +71,8 @@ pub struct UncertaintyField {
     deviations: Deviations,
     /// `[vertices]`: what rays said, if kept, so that another covariance can be read off later.
     evidence: Option<Vec<Evidence>>,
+    /// `[vertices]`: how far log10 σ_v is from its limit, if independent groups of rays were compared.
+    error_bars: Option<ErrorBars>,
     /// `[n]`: some points on visible surfaces, scene units; for comparisons.
     surface: Vec<[f32; 3]>,
 }
@@ -90,7 +98,16 @@ impl UncertaintyField {
         evidence: Vec<Evidence>,
     ) -> Self {
         let deviations = read(&protocol, &lattice, &support, &limits, &evidence);
-        Self { protocol, lattice, support, limits, deviations, evidence: Some(evidence), surface: Vec::new() }
+        Self {
+            protocol,
+            lattice,
+            support,
+            limits,
+            deviations,
+            evidence: Some(evidence),
+            error_bars: None,
+            surface: Vec::new(),
+        }
     }
 
     /// The field of an octree posterior, refined where the protocol's criteria and tolerance say so, and so that the cells `wanted`
@@ -128,7 +145,7 @@ impl UncertaintyField {
         Self { surface, ..self }
     }
 
-    /// The same field with another scalar read off the evidence.
+    /// The same field with another scalar read off the evidence. Error bars are those of one scalar: they are left behind.
     ///
     /// # Errors
     /// If the evidence was not kept.
@@ -140,12 +157,13 @@ impl UncertaintyField {
                 return Err(Error::setting("covariance", covariance.name(), found));
             };
             self.protocol.covariance = covariance;
+            self.error_bars = None;
             self.deviations = read(&self.protocol, &self.lattice, &self.support, &self.limits, evidence);
         }
         Ok(self)
     }
 
-    /// The same dense field with its evidence pooled otherwise; vertices count as moved by the given tolerance.
+    /// The same dense field with its evidence pooled otherwise, without error bars; vertices count as moved by the given tolerance.
     ///
     /// # Errors
     /// If it is an octree, which holds only what its own pooling needs, or the evidence was not kept.
@@ -154,6 +172,7 @@ impl UncertaintyField {
             (Support::Dense, Some(evidence)) => {
                 self.protocol.min_rays = min_rays;
                 self.protocol.tolerance = tolerance;
+                self.error_bars = None;
                 self.deviations = read(&self.protocol, &self.lattice, &self.support, &self.limits, evidence);
                 Ok(self)
             }
@@ -259,6 +278,9 @@ impl UncertaintyField {
         if let Some(evidence) = &self.evidence {
             parts.push(("evidence", evidence.capacity() * size_of::<Evidence>()));
         }
+        if let Some(error_bars) = &self.error_bars {
+            parts.push(("error bars", error_bars.memory()));
+        }
         if let Support::Octree(octree) = &self.support {
             parts.extend(octree.memory());
         }
@@ -289,8 +311,11 @@ impl UncertaintyField {
         let corners = vertices.map(|v| self.deviations.get(v));
         let rays =
             self.evidence.as_ref().map(|e| vertices.iter().zip(weights).map(|(&v, w)| w * f64::from(e[v].rays)).sum());
-        let uncertainty = self.protocol.covariance.interpolate(&corners, &weights);
-        Estimate { uncertainty, rays, level: self.lattice.level(), inside: true }
+        let covariance = self.protocol.covariance;
+        let uncertainty = covariance.interpolate(&corners, &weights);
+        let errors = self.error_bars.as_ref().map(|errors| vertices.map(|v| errors.get(v)));
+        let log10_error = errors.and_then(|errors| covariance.interpolate_errors(&errors, &corners, &weights));
+        Estimate { uncertainty, log10_error, rays, level: self.lattice.level(), inside: true }
     }
 }
 

@@ -62,6 +62,123 @@ fn pooled_fields(covariance: Covariance, scale: f64, min_rays: f64) -> [Uncertai
     ]
 }
 
+/// The field with error bars from three groups, which saw each vertex unequally; every fifth vertex by one group only.
+fn with_bars(field: UncertaintyField) -> UncertaintyField {
+    let share = |v: usize, g: usize| match v % 5 {
+        0 => [1.0, 0.0, 0.0][g],
+        n => [0.5, 0.3 - 0.05 * n as f64, 0.2 + 0.05 * n as f64][g],
+    };
+    let evidence = field.evidence().unwrap().to_vec();
+    let group = |g: usize| {
+        let part = |(v, e): (usize, &Evidence)| {
+            let share = share(v, g);
+            Evidence { information: e.information.map(|s| share * s), rays: u32::from(share > 0.0) * e.rays, ..*e }
+        };
+        evidence.iter().enumerate().map(part).collect()
+    };
+    field.with_error_bars(&[group(0), group(1), group(2)], &[8, 7, 5])
+}
+
+#[test]
+fn error_bars_are_those_of_fields_without_each_group() {
+    for covariance in Covariance::ALL {
+        for field in pooled_fields(covariance, 1.0, 2.0).into_iter().chain(fields(covariance, 1.0)) {
+            let field = with_bars(field);
+            let evidence = field.evidence().unwrap();
+            let bars = field.error_bars().unwrap();
+            assert_eq!((bars.groups(), bars.len()), (3, evidence.len()));
+            // By hand: the fields of the other groups' rays, made as fields are.
+            let without = |g: usize| {
+                let kept = |v: usize| match v % 5 {
+                    0 => [0.0, 1.0, 1.0][g],
+                    n => 1.0 - [0.5, 0.3 - 0.05 * n as f64, 0.2 + 0.05 * n as f64][g],
+                };
+                // Each of the other groups that saw a vertex counts its rays.
+                let rays = |v: usize| if v.is_multiple_of(5) { u32::from(g != 0) } else { 2 };
+                let part = |(v, e): (usize, &Evidence)| Evidence {
+                    information: e.information.map(|s| kept(v) * s),
+                    rays: rays(v) * e.rays,
+                    ..*e
+                };
+                let protocol = Protocol { rays: [12, 13, 15][g], ..field.protocol.clone() };
+                let evidence = evidence.iter().enumerate().map(part).collect();
+                UncertaintyField::new(protocol, field.lattice, field.support.clone(), evidence)
+            };
+            let others = [0, 1, 2].map(without);
+            let mut known = 0;
+            for (v, e) in evidence.iter().enumerate() {
+                let deleted = others.each_ref().map(|other| other.deviations().get(v).log10());
+                let expected = Jackknife::of(field.deviations().get(v).log10(), &deleted, &[8, 7, 5]).error();
+                if e.rays == 0 || v.is_multiple_of(5) {
+                    assert_eq!(bars.get(v), None, "one group or none saw vertex {v}");
+                } else {
+                    // Bits of f16; sums of rounded shares, and σ in f32.
+                    let found = bars.get(v).unwrap();
+                    assert!(
+                        (found - expected).abs() <= 1e-3 * expected + 1e-6,
+                        "{covariance:?} {v}: {found}, {expected}"
+                    );
+                    known += 1;
+                }
+            }
+            assert!(known > 50, "{known}");
+        }
+    }
+}
+
+#[test]
+fn errors_between_vertices_are_means_by_shares_of_u() {
+    for covariance in [Covariance::Diagonal, Covariance::Trace] {
+        let [dense, octree] = fields(covariance, 1.0).map(with_bars);
+        let n = 33_usize;
+        let mut known = 0;
+        for (i, x) in samples(1.0).positions.into_iter().enumerate() {
+            let (cell, offset) = dense.lattice().cell(dense.lattice().coordinates(x).unwrap());
+            let (mut sum, mut total) = (Some(0.0), 0.0);
+            for (c, weight) in trilinear(offset).into_iter().enumerate().filter(|(_, weight)| *weight > 0.0) {
+                let [x, y, z] = [0, 1, 2].map(|axis| cell[axis] as usize + (c >> axis & 1));
+                let v = (x * n + y) * n + z;
+                let share = weight * dense.deviations().get(v);
+                let share = if covariance == Covariance::Trace { share * share } else { share };
+                sum = sum.zip(dense.error_bars().unwrap().get(v)).map(|(sum, e)| sum + share * e);
+                total += share;
+            }
+            let found = dense.query(x).log10_error;
+            assert_eq!(found.is_some(), sum.is_some(), "one corner that is not known makes the point unknown, {i}");
+            if let (Some(found), Some(sum)) = (found, sum) {
+                assert!((found - sum / total).abs() < 1e-12, "{found}");
+                known += 1;
+            }
+            assert_eq!(octree.query(x).log10_error, octree.query_all(&[x])[0].log10_error);
+        }
+        assert!(known > 0 && known < 40, "{known}");
+        // A vertex by itself answers with its own error; nothing is known outside, or without error bars.
+        let v = (0..n * n * n).find(|&v| dense.error_bars().unwrap().get(v).is_some_and(|e| e > 0.0)).unwrap();
+        let at = DVec3::from([v / (n * n), v / n % n, v % n].map(|i| i as f64));
+        let found = dense.query(dense.lattice().position(at).as_vec3()).log10_error.unwrap();
+        assert!((found - dense.error_bars().unwrap().get(v).unwrap()).abs() < 1e-12);
+        assert_eq!(dense.query(Vec3::splat(2.0)).log10_error, None);
+        assert_eq!(fields(covariance, 1.0)[0].query(Vec3::ZERO).log10_error, None);
+    }
+}
+
+#[test]
+fn error_bars_stay_where_they_are_true() {
+    let [dense, octree] = fields(Covariance::Block, 1.0).map(with_bars);
+    for field in [dense.clone(), octree.clone()] {
+        let bars = field.error_bars().cloned();
+        assert_eq!(field.clone().in_f16().error_bars().cloned(), bars);
+        assert_eq!(field.clone().without_evidence().error_bars().cloned(), bars);
+        assert_eq!(field.clone().with_covariance(Covariance::Block).unwrap().error_bars().cloned(), bars);
+        assert_eq!(field.clone().with_covariance(Covariance::Trace).unwrap().error_bars(), None);
+        assert_eq!(field.on_dense_grid().error_bars(), None);
+        let summary = field.error_summary().unwrap();
+        assert!(summary.known > 0 && summary.known < summary.moved && summary.median <= summary.root_mean_square * 2.0);
+    }
+    assert_eq!(dense.with_pooling(4.0, 0.01).unwrap().error_bars(), None);
+    assert!(octree.coarsened(0.1).unwrap_err().to_string().contains("error bars"));
+}
+
 proptest! {
     #[test]
     fn pooled_fields_agree_too_and_are_pooled(x in -1.0..=1.0_f32, y in -1.0..=1.0_f32, z in -1.0..=1.0_f32, min_rays in 0.5..16.0_f64) {
@@ -120,13 +237,18 @@ fn outside_the_box_is_the_prior() {
 fn files_survive_bit_by_bit() {
     let folder = tempfile::tempdir().unwrap();
     for (i, field) in fields(Covariance::Block, 1.0).into_iter().enumerate() {
-        for (j, field) in [field.clone(), field.without_evidence()].into_iter().enumerate() {
+        let bars = with_bars(field.clone());
+        for (j, field) in [field.clone(), field.without_evidence(), bars.clone(), bars.in_f16()].into_iter().enumerate()
+        {
             let [first, second] = ["a", "b"].map(|name| folder.path().join(format!("{name}{i}{j}.oct")));
             field.write(&first).unwrap();
             let read = UncertaintyField::read(&first).unwrap();
             assert_eq!(read, field);
             read.write(&second).unwrap();
-            assert_eq!(std::fs::read(first).unwrap(), std::fs::read(second).unwrap());
+            let bytes = std::fs::read(first).unwrap();
+            assert_eq!(bytes, std::fs::read(second).unwrap());
+            // Without error bars a field is what older versions read.
+            assert_eq!(u32::from(bytes[8]), if field.error_bars().is_some() { FORMAT_VERSION } else { 1 });
         }
     }
 }
@@ -212,7 +334,7 @@ fn batches_answer_as_single_queries_do() {
     points[77] = Vec3::new(f32::NAN, 0.0, 0.0);
     points[78] = Vec3::ONE;
     for field in fields(Covariance::Block, 1.0) {
-        for field in [field.clone(), field.without_evidence()] {
+        for field in [field.clone(), field.clone().without_evidence(), with_bars(field)] {
             let together = field.query_all(&points);
             assert!(points.iter().zip(&together).all(|(&x, found)| *found == field.query(x)));
             assert!(together.iter().filter(|e| !e.inside).count() > 1000);

@@ -8,6 +8,7 @@
 //! with its length (u32, little-endian) before it.
 
 use std::io::{Cursor, Read, Write};
+use std::ops::RangeInclusive;
 
 use super::Kind;
 
@@ -27,7 +28,11 @@ pub fn file(kind: Kind, recipe: &[u8]) -> Vec<u8> {
     let parts = split(rest);
     let part = |i: usize| parts.get(i).copied().unwrap_or_default();
     match kind {
-        Kind::Field => container(b"OCTOBAY\n", part(0), &std::array::from_fn::<_, 6, _>(|i| part(i + 1))),
+        // The seventh section is there or not.
+        Kind::Field => {
+            let sections: Vec<&[u8]> = (1..parts.len().clamp(7, 8)).map(part).collect();
+            container(b"OCTOBAY\n", part(0), &sections)
+        }
         Kind::Checkpoint => container(b"OCTOCHK\n", part(0), &std::array::from_fn::<_, 3, _>(|i| part(i + 1))),
         Kind::Samples => archive(&SAMPLES, &parts),
         Kind::Voxels => archive(&VOXELS, &parts),
@@ -43,8 +48,8 @@ pub fn file(kind: Kind, recipe: &[u8]) -> Vec<u8> {
 /// A recipe that says every content of a valid file apart, if the kind has parts; otherwise the file as it is.
 pub fn recipe(kind: Kind, file: &[u8]) -> Vec<u8> {
     let parts = match kind {
-        Kind::Field => container_parts(file, 6),
-        Kind::Checkpoint => container_parts(file, 3),
+        Kind::Field => container_parts(file, 6..=7),
+        Kind::Checkpoint => container_parts(file, 3..=3),
         Kind::Samples => archive_parts(&SAMPLES, file),
         Kind::Voxels => archive_parts(&VOXELS, file),
         Kind::Safetensors => {
@@ -101,8 +106,8 @@ fn container(magic: &[u8; 8], header: &[u8], sections: &[&[u8]]) -> Vec<u8> {
     file
 }
 
-/// Content of the header, and the sections, of a valid container with `count` sections.
-fn container_parts(file: &[u8], count: usize) -> Vec<Vec<u8>> {
+/// Content of the header, and the sections, of a valid container with one of these numbers of sections.
+fn container_parts(file: &[u8], count: RangeInclusive<usize>) -> Vec<Vec<u8>> {
     let length = u32::from_le_bytes(file[12..16].try_into().unwrap()) as usize;
     let (header, data) = file[20..].split_at(length);
     // The sections' description ends the header: the only end of it that describes the data.
@@ -111,7 +116,7 @@ fn container_parts(file: &[u8], count: usize) -> Vec<Vec<u8>> {
             bincode::serde::decode_from_slice::<Vec<(u64, u32)>, _>(&header[start..], bincode::config::standard());
         let Ok((described, read)) = read else { continue };
         let whole = described.iter().try_fold(0_u64, |n, s| n.checked_add(s.0)) == Some(data.len() as u64);
-        if read == header.len() - start && described.len() == count && whole {
+        if read == header.len() - start && count.contains(&described.len()) && whole {
             let mut parts = vec![header[..start].to_vec()];
             let mut rest = data;
             for (length, _) in described {
@@ -122,7 +127,7 @@ fn container_parts(file: &[u8], count: usize) -> Vec<Vec<u8>> {
             return parts;
         }
     }
-    panic!("no description of {count} sections in the header")
+    panic!("no description of {count:?} sections in the header")
 }
 
 /// A zip archive with the first few of these arrays, stored.

@@ -11,7 +11,7 @@ use octobayes::monitor::Silent;
 use octobayes::octree::LevelLimits;
 use octobayes::posterior::{Covariance, SamplesReader, Tally, checkpoint};
 use octobayes::synth::{Mesh, Scene, Up};
-use octobayes::uncertainty::{OfficialGrid, UncertaintyField, merge};
+use octobayes::uncertainty::{OfficialGrid, UncertaintyField, merge, merge_with_error_bars};
 use octobayes::{Error, Result};
 
 use super::{Kind, samples};
@@ -96,13 +96,19 @@ fn field_is_sound(field: &UncertaintyField, path: &Path) {
                 estimate.uncertainty > 0.0 && estimate.uncertainty.is_finite(),
                 "{covariance:?} at {x}: {estimate:?}"
             );
+            assert!(
+                estimate.log10_error.is_none_or(|e| e >= 0.0 && e.is_finite()),
+                "{covariance:?} at {x}: {estimate:?}"
+            );
         }
     }
     assert!(field.surface().iter().flatten().all(|v| v.is_finite()), "surface points are finite");
-    let _ = (field.summary(), field.median_rays(), serde_json::to_string(field.protocol()).unwrap());
+    let _ =
+        (field.summary(), field.median_rays(), field.error_summary(), serde_json::to_string(field.protocol()).unwrap());
     if field.deviations().len() < 10_000 {
         let _ = field.coarsened(0.1);
         let _ = merge(&[field.clone(), field.clone()]);
+        let _ = merge_with_error_bars(&[field.clone(), field.clone()]);
         // Level 5 of the official grid is 36,000 entries, level 9 a gigabyte.
         if field.lattice().level() <= 5 {
             let _ = field.write_official(&path.with_extension("again.npy"));

@@ -12,7 +12,7 @@ use octobayes::geometry::{Aabb, Camera, Domain, Norm};
 use octobayes::io::npy;
 use octobayes::monitor::Silent;
 use octobayes::posterior::checkpoint::RunKey;
-use octobayes::posterior::{Covariance, Criteria, Pixels, Prior, SamplesWriter, Share, Tally};
+use octobayes::posterior::{Covariance, Criteria, Evidence, Pixels, Prior, SamplesWriter, Share, Tally};
 use octobayes::render::{GradientMethod, RaySample, RaySamples};
 use octobayes::uncertainty::UncertaintyField;
 use safetensors::tensor::{Dtype, TensorView};
@@ -99,6 +99,12 @@ pub fn fields() -> Vec<UncertaintyField> {
     let rays = RaySettings { rays: 100, occupancy: 8, ..RaySettings::default() };
     let cameras = ClosedForm::half_circle(2, [8, 8]);
     let limited = estimate(&ClosedForm::ball(), &cameras, &rays, &limited, &Silent).unwrap().0;
+    // Error bars, known and not.
+    let bars = |field: UncertaintyField| {
+        let half = field.evidence().unwrap().to_vec();
+        let other = half.iter().enumerate().map(|(v, e)| if v % 3 == 0 { *e } else { Evidence::default() }).collect();
+        field.with_error_bars(&[half, other], &[3, 2])
+    };
     vec![
         field(small, cube),
         field(GridSettings { level: 1, ..small }, cube).without_evidence(),
@@ -106,6 +112,8 @@ pub fn fields() -> Vec<UncertaintyField> {
         field(normal, space),
         field(GridSettings { grid: GridKind::Dense, level: 1, ..small }, cube),
         limited.without_evidence(),
+        bars(field(small, cube)),
+        bars(field(GridSettings { grid: GridKind::Dense, level: 1, ..small }, cube)).in_f16(),
     ]
 }
 

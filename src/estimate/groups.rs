@@ -1,0 +1,63 @@
+//! Groups of rays with sums of their own, so that it can be told how far they agree.
+//!
+//! Every group has as many rays and its own, independent pixels. (Parts of one low-discrepancy sequence would complement each other: their
+//! differences say too much.) The groups' rays together are a little worse than as many of one sequence; that is the price.
+
+use super::{FieldBuilder, Provenance};
+use crate::posterior::{RayStream, Share, Tally};
+use crate::uncertainty::UncertaintyField;
+use crate::{Error, Result};
+
+/// What tells the groups' seeds from the run's own and from those of its pilot.
+const GROUP: u64 = 0x6e0_u64 << 48;
+
+/// One group of a run: which rays, through which pixels.
+pub struct RayGroup<'a> {
+    /// Seed of its pixels and jitter.
+    pub seed: u64,
+    /// Its rays.
+    pub stream: RayStream<'a>,
+    /// All of them.
+    pub share: Share,
+}
+
+/// `rays` rays of `stream`'s settings in `count` independent groups, whose numbers of rays differ by one at most.
+///
+/// # Errors
+/// If there are fewer than two groups, or fewer rays than groups.
+pub fn ray_groups<'a>(stream: &RayStream<'a>, count: u16, rays: u64) -> Result<Vec<RayGroup<'a>>> {
+    let groups = u64::from(count);
+    if groups < 2 || rays < groups {
+        return Err(Error::setting("groups of rays", format!("2 to {rays}, the number of rays"), groups.to_string()));
+    }
+    let group = |g: u64| {
+        let seed = stream.pixels.seed() ^ (GROUP + g);
+        let own = rays / groups + u64::from(g < rays % groups);
+        RayGroup { seed, stream: stream.with_pixels(stream.pixels.kind(), seed), share: Share::whole(own) }
+    };
+    Ok((0..groups).map(group).collect())
+}
+
+impl FieldBuilder {
+    /// The field of all groups' rays together, with error bars. Each builder holds the sums of one group; all have the same settings and
+    /// limits, and `tallies` says what each was made of. The whole needs as much memory as one more group.
+    ///
+    /// # Errors
+    /// As [`FieldBuilder::want_density`].
+    ///
+    /// # Panics
+    /// If there are fewer than two groups, or not as many tallies.
+    pub fn finish_groups(groups: Vec<Self>, tallies: &[Tally], provenance: &Provenance) -> Result<UncertaintyField> {
+        assert!(groups.len() == tallies.len() && groups.len() >= 2, "one tally for each of two groups or more");
+        let mut whole = groups[0].emptied();
+        groups.iter().for_each(|group| whole.absorb(group));
+        if let Some(stream) = provenance.stream {
+            whole.want_density(stream)?;
+        }
+        let tally = tallies.iter().fold(Tally::default(), |sum, tally| sum.with(tally));
+        let field = whole.finish(&Provenance { tally, ..provenance.clone() });
+        let rays: Vec<u64> = tallies.iter().map(|tally| tally.rays).collect();
+        let sums: Vec<_> = groups.into_iter().map(|group| group.evidence_at(field.support())).collect();
+        Ok(field.with_error_bars(&sums, &rays))
+    }
+}

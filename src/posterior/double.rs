@@ -1,0 +1,91 @@
+//! Double-double arithmetic: numbers of 106 bits as the sum of two f64 (Dekker 1971; the algorithms as in Joldes, Muller, Popescu 2017).
+
+use std::ops::{Add, Div, Mul, Neg, Sub};
+
+/// high + low, |low| ≤ ½ ulp(high).
+#[derive(Debug, Clone, Copy)]
+pub struct Double {
+    high: f64,
+    low: f64,
+}
+
+impl Double {
+    /// a + b, exactly.
+    pub fn sum(a: f64, b: f64) -> Self {
+        let high = a + b;
+        let of_b = high - a;
+        Self { high, low: (a - (high - of_b)) + (b - of_b) }
+    }
+
+    /// a · b, exactly, unless it underflows.
+    fn product(a: f64, b: f64) -> Self {
+        let high = a * b;
+        Self { high, low: a.mul_add(b, -high) }
+    }
+
+    /// a + b, exactly, for |a| ≥ |b|.
+    fn ordered_sum(a: f64, b: f64) -> Self {
+        let high = a + b;
+        Self { high, low: b - (high - a) }
+    }
+
+    /// The larger of both.
+    pub fn max(self, other: Self) -> Self {
+        if (self - other).high >= 0.0 { self } else { other }
+    }
+}
+
+impl From<f64> for Double {
+    fn from(high: f64) -> Self {
+        Self { high, low: 0.0 }
+    }
+}
+
+impl From<Double> for f64 {
+    fn from(v: Double) -> Self {
+        v.high
+    }
+}
+
+impl Neg for Double {
+    type Output = Self;
+    fn neg(self) -> Self {
+        Self { high: -self.high, low: -self.low }
+    }
+}
+
+impl Add for Double {
+    type Output = Self;
+    fn add(self, other: Self) -> Self {
+        let (high, low) = (Self::sum(self.high, other.high), Self::sum(self.low, other.low));
+        let sum = Self::ordered_sum(high.high, high.low + low.high);
+        Self::ordered_sum(sum.high, sum.low + low.low)
+    }
+}
+
+impl Sub for Double {
+    type Output = Self;
+    fn sub(self, other: Self) -> Self {
+        self + -other
+    }
+}
+
+impl Mul for Double {
+    type Output = Self;
+    fn mul(self, other: Self) -> Self {
+        let product = Self::product(self.high, other.high);
+        Self::ordered_sum(product.high, product.low + (self.high * other.low + self.low * other.high))
+    }
+}
+
+impl Div for Double {
+    type Output = Self;
+    /// Long division: each digit has 53 bits.
+    fn div(self, other: Self) -> Self {
+        let first = self.high / other.high;
+        let rest = self - other * first.into();
+        let second = rest.high / other.high;
+        let rest = rest - other * second.into();
+        Self::ordered_sum(first, second) + (rest.high / other.high).into()
+    }
+}

@@ -1,0 +1,440 @@
+//! How noisy a field is, and what that makes of its finite differences.
+//!
+//! A field in f32, or one that rounds its weights or its output, is a smooth function plus noise of standard deviation ε. A central difference over
+//! ±h divides that noise by h, and truncates the function: per derivative
+//!
+//! ```text
+//! E(h)² = ε² / 2h² + (μ h² / 6)²        smallest at h* = (3 ε / μ)^⅓
+//! ```
+//!
+//! with the third derivative μ. ε comes from difference tables ([`noise_level`]: Moré, Wild, *Estimating Computational Noise*, 2011; the
+//! optimum as in their *Estimating Derivatives of Noisy Simulations*, 2012). μ is measured for each h as the third difference over
+//! [−h, h]: at a kink, where there is no third derivative, that is about what a difference across it is off by. E is then
+//! known for every step ([`DifferenceErrors`]), and the best step is where it is smallest.
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::Differences;
+use crate::field::RadianceField;
+use crate::geometry::Aabb;
+
+/// Values of one difference table.
+pub const TABLE: usize = 9;
+/// Steps at which errors are measured, per decade; and their range, lattice edges.
+const PER_DECADE: i32 = 2;
+const RANGE: std::ops::RangeInclusive<i32> = -4 * PER_DECADE..=PER_DECADE;
+/// Spacings of tables, powers of two of units in the last place of positions: the narrowest that does not show plateaus.
+const SPACINGS: [i32; 6] = [2, 4, 6, 8, 10, 12];
+/// Lines whose values are asked for together.
+const BATCH: usize = 32;
+
+/// Standard deviation of the noise in values at equal, small distances, by the ECnoise algorithm; `None` if the values do not look like
+/// noise on a smooth function: too smooth, or on plateaus because the distance is too small.
+///
+/// The k-th differences of a smooth function fall quickly with k, those of noise grow as √(2k choose k): σ_k = rms(Δᵏ) / √(2k choose k) settles
+/// where only noise is left. It has where three of them in a row agree within a factor of 4 and Δᵏ changes sign.
+#[must_use]
+pub fn noise_level(values: &[f64; TABLE]) -> Option<f64> {
+    let (low, high) = values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), &v| (l.min(v), h.max(v)));
+    // The function itself must not change much (Moré and Wild ask for a tenth).
+    if high - low > 0.1 * high.abs().max(low.abs()) {
+        return None;
+    }
+    let plateaus = values.windows(2).filter(|pair| pair[0] == pair[1]).count();
+    if plateaus >= TABLE / 2 {
+        return None;
+    }
+    let mut differences = values.to_vec();
+    let mut gamma = 1.0;
+    let (mut levels, mut turns) = (Vec::new(), Vec::new());
+    for k in 1..TABLE - 1 {
+        differences = differences.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        // γ_k = (k!)² / (2k)!
+        gamma *= 0.5 * k as f64 / (2 * k - 1) as f64;
+        let mean_square = differences.iter().map(|d| d * d).sum::<f64>() / differences.len() as f64;
+        levels.push((gamma * mean_square).sqrt());
+        turns.push(differences.iter().any(|d| *d > 0.0) && differences.iter().any(|d| *d < 0.0));
+    }
+    (0..levels.len() - 2).find_map(|k| {
+        let (low, high) = levels[k..k + 3].iter().fold((f64::INFINITY, 0.0_f64), |(l, h), &v| (l.min(v), h.max(v)));
+        (turns[k] && low > 0.0 && high <= 4.0 * low).then_some(levels[k])
+    })
+}
+
+/// What central differences of a field's density are off by at one step.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+pub struct DifferenceError {
+    /// Distance to both sides, lattice edges.
+    pub step: f64,
+    /// By noise, relative to ∇σ (root mean square over the points).
+    pub noise: f64,
+    /// By truncation, likewise.
+    pub truncation: f64,
+}
+
+impl DifferenceError {
+    /// Both together.
+    #[must_use]
+    pub fn total(&self) -> f64 {
+        self.noise.hypot(self.truncation)
+    }
+
+    /// About how much that moves log10 U: information is quadratic in derivatives, U its inverse root.
+    #[must_use]
+    pub fn in_log10(&self) -> f64 {
+        self.total() * std::f64::consts::LOG10_E
+    }
+}
+
+/// Errors of central differences over all steps.
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+pub struct DifferenceErrors {
+    /// Points at which the density changes.
+    pub points: usize,
+    /// ε / σ, root mean square over the points.
+    pub noise: f64,
+    /// Third derivative relative to the first, 1 / lattice edge², at the smallest step at which it stands out from the noise; 0 if at none.
+    pub curvature: f64,
+    /// Errors by increasing step.
+    pub steps: Vec<DifferenceError>,
+}
+
+/// A misplaced step costs at least this factor over the best one.
+const FACTOR: f64 = 3.0;
+
+impl DifferenceErrors {
+    /// Measures the density of `field` near `points`, along one axis at each in turn. `lattice` has a step of one lattice edge. `None` if the density
+    /// changes nowhere near them.
+    #[must_use]
+    pub fn measure(field: &dyn RadianceField, points: &[Vec3], lattice: &Differences) -> Option<Self> {
+        let bounds = field.bounds();
+        let mut lines: Vec<Line> =
+            points.iter().enumerate().filter_map(|(i, &x)| Line::through(x, i % 3, lattice, &bounds)).collect();
+        let noises = noises(field, &mut lines);
+        let steps: Vec<f64> = RANGE.map(|k| 10_f64.powf(f64::from(k) / f64::from(PER_DECADE))).collect();
+        let stencils: Vec<Vec<Option<Stencil>>> = steps.iter().map(|&step| stencils(field, &lines, step)).collect();
+        let slopes: Vec<f64> = (0..lines.len())
+            .map(|p| {
+                let candidates = stencils.iter().filter_map(|stencils| stencils[p]);
+                let known_best = candidates.min_by(|a, b| a.doubt(noises[p]).total_cmp(&b.doubt(noises[p])));
+                known_best.map_or(0.0, |stencil| stencil.slope())
+            })
+            .collect();
+        let used: Vec<usize> = (0..lines.len()).filter(|&p| slopes[p] != 0.0 && lines[p].density > 0.0).collect();
+        let scale = used.iter().map(|&p| slopes[p].powi(2)).sum::<f64>();
+        if scale.is_nan() || scale <= 0.0 {
+            return None;
+        }
+        // Noise, third differences as truncation errors, and the noise in these: squares.
+        let sums = |stencils: &Vec<Option<Stencil>>| {
+            let mut sums = [0.0; 3];
+            for (&p, stencil) in used.iter().filter_map(|p| stencils[*p].as_ref().map(|stencil| (p, stencil))) {
+                sums[0] += 0.5 * (noises[p] / stencil.h).powi(2);
+                sums[1] += (stencil.third() * stencil.truncation()).powi(2);
+                // 1 + 9 + 9 + 1 times the noise's variance.
+                sums[2] += 20.0 * (noises[p] * stencil.truncation()).powi(2);
+            }
+            sums.map(|sum| sum / scale)
+        };
+        let sums: Vec<[f64; 3]> = stencils.iter().map(sums).collect();
+        let noise: Vec<f64> = sums.iter().map(|sums| sums[0].sqrt()).collect();
+        let truncation = truncations(&steps, &sums);
+        let relative = used.iter().map(|&p| (noises[p] / lines[p].density).powi(2)).sum::<f64>() / used.len() as f64;
+        let outstanding = sums.iter().position(stands_out);
+        let curvature = outstanding.map_or(0.0, |s| 6.0 * truncation[s] / steps[s].powi(2));
+        let each = |i: usize| DifferenceError { step: steps[i], noise: noise[i], truncation: truncation[i] };
+        let steps = (0..steps.len()).map(each).collect();
+        let errors = Self { points: used.len(), noise: relative.sqrt(), curvature, steps };
+        Some(errors)
+    }
+
+    /// The step with the smallest error.
+    #[must_use]
+    pub fn best(&self) -> DifferenceError {
+        let least = |a: &&DifferenceError, b: &&DifferenceError| a.total().total_cmp(&b.total());
+        *self.steps.iter().min_by(least).expect("steps are never empty")
+    }
+
+    /// The error at any step: truncation of the nearest one that was measured, noise in proportion.
+    #[must_use]
+    pub fn at(&self, step: f64) -> DifferenceError {
+        let distance = |e: &DifferenceError| (e.step / step).ln().abs();
+        let nearest = |a: &&DifferenceError, b: &&DifferenceError| distance(a).total_cmp(&distance(b));
+        let near = *self.steps.iter().min_by(nearest).expect("steps are never empty");
+        DifferenceError { step, noise: near.noise * near.step / step, truncation: near.truncation }
+    }
+
+    /// Whether `step` is badly placed: it moves log10 U by more than `tolerance`, and the best step by less than a third of that.
+    #[must_use]
+    pub fn is_bad(&self, step: f64, tolerance: f64) -> bool {
+        let (here, best) = (self.at(step), self.best());
+        here.in_log10() > tolerance && here.total() > FACTOR * best.total()
+    }
+}
+
+/// Whether third differences are clearly more than noise: by twice its variance, which is known to about that.
+fn stands_out(sums: &[f64; 3]) -> bool {
+    sums[1] > 2.0 * sums[2]
+}
+
+/// Truncation errors by increasing step: what stands out from the noise, and below that its continuation, by a power of h between that of kinks,
+/// ½ (they are met as often as h is long, squared), and that of smooth functions, 2.
+fn truncations(steps: &[f64], sums: &[[f64; 3]]) -> Vec<f64> {
+    let measured = |s: usize| (sums[s][1] - sums[s][2]).max(0.0).sqrt();
+    let Some(first) = sums.iter().position(stands_out) else { return vec![0.0; steps.len()] };
+    let next = (first + 1).min(steps.len() - 1);
+    let power = (measured(next) / measured(first)).ln() / (steps[next] / steps[first]).ln();
+    let power = if power.is_nan() { 2.0 } else { power.clamp(0.5, 2.0) };
+    let below = |s: usize| measured(first) * (steps[s] / steps[first]).powf(power);
+    (0..steps.len()).map(|s| if s < first { below(s) } else { measured(s) }).collect()
+}
+
+/// A line along an axis through a point.
+struct Line {
+    x: Vec3,
+    axis: usize,
+    /// Lattice edge along it here, scene units.
+    edge: f64,
+    /// Smallest distance between positions that f32 holds exactly here, scene units.
+    unit: f64,
+    /// σ at the point.
+    density: f64,
+}
+
+impl Line {
+    /// `None` if the box leaves no room for the longest stencil's smallest part.
+    fn through(x: Vec3, axis: usize, lattice: &Differences, bounds: &Aabb) -> Option<Self> {
+        let edge = lattice.at(x)[axis];
+        let largest = f64::from(x[axis].abs()).max(edge);
+        // The spacing of f32 numbers below the next power of two.
+        let unit = 2.0_f64.powi(largest.log2().ceil() as i32 - 23);
+        // Tables and stencils start on a multiple of a coarse unit, so that all their positions are exact.
+        let mut x = x;
+        x[axis] = ((f64::from(x[axis]) / unit).round() * unit) as f32;
+        (bounds.contains(x) && edge > 0.0).then_some(Self { x, axis, edge, unit, density: 0.0 })
+    }
+
+    fn at(&self, distance: f64) -> Vec3 {
+        let mut y = self.x;
+        y[self.axis] = (f64::from(y[self.axis]) + distance) as f32;
+        y
+    }
+}
+
+/// Values at −h, −h/3, h/3 and h.
+#[derive(Clone, Copy)]
+struct Stencil {
+    values: [f64; 4],
+    h: f64,
+}
+
+impl Stencil {
+    /// f(h) − 3 f(h/3) + 3 f(−h/3) − f(−h) = (2h/3)³ f‴.
+    fn third(&self) -> f64 {
+        let [a, b, c, d] = self.values;
+        d - 3.0 * c + 3.0 * b - a
+    }
+
+    /// What the third difference is multiplied with to give the truncation error f‴ h² / 6 of a central difference over ±h.
+    fn truncation(&self) -> f64 {
+        27.0 / (8.0 * 6.0 * self.h)
+    }
+
+    /// f′ to the fourth order: 9/8 of the narrow difference less 1/8 of the wide one.
+    fn slope(&self) -> f64 {
+        let [a, b, c, d] = self.values;
+        (27.0 * (c - b) - (d - a)) / (16.0 * self.h)
+    }
+
+    /// How far off that may be.
+    fn doubt(&self, noise: f64) -> f64 {
+        (self.third() * self.truncation()).abs() + 2.0 * noise / self.h
+    }
+}
+
+/// Densities at `places` of every line.
+fn densities<const N: usize>(
+    field: &dyn RadianceField,
+    lines: &[Line],
+    places: impl Fn(&Line) -> [Vec3; N] + Sync,
+) -> Vec<[f64; N]> {
+    let batches = lines.par_chunks(BATCH).flat_map_iter(|lines| {
+        let positions: Vec<Vec3> = lines.iter().flat_map(&places).collect();
+        let mut densities = vec![0.0; positions.len()];
+        field.densities(&positions, &mut densities);
+        densities.as_chunks::<N>().0.iter().map(|values| values.map(f64::from)).collect::<Vec<_>>()
+    });
+    batches.collect()
+}
+
+/// ε of every line: by the narrowest table that shows it, at least the rounding of f32.
+fn noises(field: &dyn RadianceField, lines: &mut [Line]) -> Vec<f64> {
+    let bounds = field.bounds();
+    let mut found: Vec<Option<f64>> = vec![None; lines.len()];
+    for spacing in SPACINGS {
+        let places = |line: &Line| {
+            let apart = f64::from(spacing).exp2() * line.unit;
+            std::array::from_fn::<_, TABLE, _>(|i| line.at((i as f64 - (TABLE / 2) as f64) * apart))
+        };
+        let tables = densities(field, lines, places);
+        for ((line, values), found) in lines.iter_mut().zip(&tables).zip(&mut found) {
+            line.density = values[TABLE / 2];
+            // A box's face would pass for noise.
+            let inside = places(line).into_iter().all(|x| bounds.contains(x));
+            let usable = inside && found.is_none() && values.iter().all(|v| v.is_finite());
+            *found = found.or_else(|| usable.then(|| noise_level(values)).flatten());
+        }
+    }
+    // Half a unit in the last place, uniformly: 2⁻²⁴ / √12 of a value just below a power of two.
+    let rounding = 2.0_f64.powi(-24) / 12.0_f64.sqrt();
+    found.iter().zip(&*lines).map(|(noise, line)| noise.unwrap_or(0.0).max(rounding * line.density)).collect()
+}
+
+/// Values around every line's point, at distances that f32 positions hold; `None` where they leave the box or are not finite.
+fn stencils(field: &dyn RadianceField, lines: &[Line], step: f64) -> Vec<Option<Stencil>> {
+    let bounds = field.bounds();
+    let h = |line: &Line| ((step * line.edge / (3.0 * line.unit)).round().max(1.0)) * 3.0 * line.unit;
+    let places = |line: &Line| [-1.0, -1.0 / 3.0, 1.0 / 3.0, 1.0].map(|k| line.at(k * h(line)));
+    let values = densities(field, lines, places);
+    let stencil = |(line, values): (&Line, &[f64; 4])| {
+        let sound = values.iter().all(|v| v.is_finite()) && places(line).into_iter().all(|x| bounds.contains(x));
+        sound.then_some(Stencil { values: *values, h: h(line) })
+    };
+    lines.iter().zip(&values).map(stencil).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::field::{ClosedForm, Radiance};
+    use crate::geometry::Domain;
+    use glam::DVec3;
+    use proptest::prelude::*;
+    use std::sync::atomic::{AtomicU64, Ordering};
+
+    /// Waves of density with relative noise that depends on the position's bits alone, as rounding does.
+    struct Noisy {
+        /// Standard deviation over σ.
+        noise: f64,
+        /// Radians per scene unit.
+        frequency: f64,
+        evaluations: AtomicU64,
+    }
+
+    fn hash(x: Vec3) -> f64 {
+        let mut h =
+            x.to_array().iter().fold(7_u64, |h, v| (h ^ u64::from(v.to_bits())).wrapping_mul(0x9e37_79b9_7f4a_7c15));
+        h ^= h >> 29;
+        h = h.wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        (h >> 11) as f64 * 2.0_f64.powi(-53)
+    }
+
+    impl RadianceField for Noisy {
+        fn bounds(&self) -> Aabb {
+            Aabb::centered_cube(1.0)
+        }
+        fn evaluate(&self, positions: &[Vec3], _: &[Vec3], out: &mut [Radiance]) {
+            self.evaluations.fetch_add(positions.len() as u64, Ordering::Relaxed);
+            for (x, out) in positions.iter().zip(out) {
+                let y = x.as_dvec3() * self.frequency;
+                let smooth = 50.0 * (2.0 + y.x.sin() + (1.3 * y.y).cos() + (0.7 * y.z).sin() * 0.5);
+                // Uniform on ±√3 has variance 1.
+                let noise = 12.0_f64.sqrt() * (hash(*x) - 0.5);
+                *out = Radiance { density: (smooth * (1.0 + self.noise * noise)) as f32, color: Vec3::splat(0.5) };
+            }
+        }
+        fn suggested_step(&self) -> f64 {
+            0.01
+        }
+        fn memory(&self) -> usize {
+            0
+        }
+        fn describe(&self) -> String {
+            "noisy waves".into()
+        }
+    }
+
+    fn points(n: usize) -> Vec<Vec3> {
+        (0..n)
+            .map(|i| Vec3::from_array([0.8192, 0.6710, 0.5497].map(|g: f32| 1.8 * (i as f32 * g).fract() - 0.9)))
+            .collect()
+    }
+
+    fn lattice() -> Differences {
+        Differences { step: DVec3::splat(2.0 / 256.0), domain: Domain::Box(Aabb::centered_cube(1.0)) }
+    }
+
+    fn errors_of(noise: f64, frequency: f64) -> DifferenceErrors {
+        let field = Noisy { noise, frequency, evaluations: AtomicU64::new(0) };
+        let errors = DifferenceErrors::measure(&field, &points(256), &lattice()).unwrap();
+        // Cheap: as many as a few hundred rays take.
+        assert!(field.evaluations.into_inner() < 30_000);
+        errors
+    }
+
+    #[test]
+    fn planted_noise_is_found() {
+        for noise in [1e-6, 1e-5, 1e-4, 1e-3, 1e-2] {
+            for frequency in [3.0, 10.0, 30.0] {
+                let errors = errors_of(noise, frequency);
+                let ratio = errors.noise / noise;
+                assert!(ratio > 0.5 && ratio < 2.0, "{noise} at {frequency}: {ratio}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_best_step_is_where_theory_has_it() {
+        // f = sin: f‴ = −ω² f′, so μ / f′ = ω² and h* = (3 ε / μ)^⅓.
+        for noise in [1e-5, 1e-4, 1e-3] {
+            let frequency = 10.0;
+            let errors = errors_of(noise, frequency);
+            // Relative noise of σ ≈ 100 against slopes of about 50 ω · 0.7 · (1, 1.3, 0.35) along the three axes.
+            let slope = 50.0 * frequency * (0.5_f64 * (1.0 + 1.69 + 0.1225) / 3.0).sqrt();
+            let third =
+                50.0 * frequency.powi(3) * (0.5_f64 * (1.0 + 1.3_f64.powi(6) + 0.25 * 0.7_f64.powi(6)) / 3.0).sqrt();
+            let edge = 2.0 / 256.0;
+            let expected = (3.0 * noise * 107.0 / third).cbrt() / edge;
+            let best = errors.best();
+            // The grid of steps is half a decade wide, and ε is good to a factor of two.
+            assert!((0.4..2.5).contains(&(best.step / expected)), "{noise}: {} instead of {expected}", best.step);
+            // A third of it is the spread of the densities.
+            let curvature = third / slope * edge * edge;
+            assert!(
+                (0.6..1.6).contains(&(errors.curvature / curvature)),
+                "{} instead of {curvature}",
+                errors.curvature
+            );
+            // A hundredth of the best step drowns in noise, fifty times it loses the waves.
+            assert!(errors.is_bad(best.step / 100.0, 0.01) && errors.is_bad(best.step * 50.0, 0.01));
+            assert!(!errors.is_bad(best.step, 0.0));
+        }
+    }
+
+    #[test]
+    fn smooth_fields_are_left_in_peace_and_bad_steps_are_not() {
+        let field = ClosedForm::courtyard();
+        let points = points(2000);
+        let errors = DifferenceErrors::measure(&field, &points, &lattice()).unwrap();
+        assert!(errors.points > 50 && errors.noise < 1e-5, "{errors:?}");
+        assert!(!errors.is_bad(1.0 / 512.0, 0.01), "the default: {errors:?}");
+        assert!(errors.is_bad(10.0, 0.01), "ten lattice edges: {errors:?}");
+        // Nothing to differentiate.
+        assert_eq!(DifferenceErrors::measure(&field, &[Vec3::new(0.0, 0.0, 0.9)], &lattice()), None);
+        assert_eq!(DifferenceErrors::measure(&field, &[], &lattice()), None);
+    }
+
+    proptest! {
+        #[test]
+        fn tables_of_noise_on_a_line_say_how_much(offset in 1.0..10.0_f64, slope in -1e-3..1e-3_f64, seed in 0..1_000_000_u32) {
+            let value = |i: usize, n: f64| offset + slope * i as f64 * 0.1 + n * 12.0_f64.sqrt() * (hash(Vec3::new(seed as f32, i as f32, 3.0)) - 0.5);
+            let found = noise_level(&std::array::from_fn(|i| value(i, 1e-3)));
+            // Nine values: single tables are off by a factor; the median of many is not (`planted_noise_is_found`).
+            prop_assert!(found.is_none_or(|found| found > 1e-4 && found < 5e-3), "{:?}", found);
+            // A line without noise is not noise, but for its rounding.
+            prop_assert!(noise_level(&std::array::from_fn(|i| value(i, 0.0))).is_none_or(|found| found < 1e-14));
+            prop_assert_eq!(noise_level(&[offset; TABLE]), None);
+        }
+    }
+}
