@@ -141,7 +141,7 @@ impl Args {
         let unseen = Camera { ..Camera::look_at(mirrored, target, DVec3::Z, 0.8, [220, 220]) };
         let cleaned = ThresholdedField { field: scene, uncertainty: field, threshold: THRESHOLD };
         let log10 = |x| field.log10(x);
-        let probes = [Probe { log10: &log10, blend: Blend::Hit }];
+        let probes = [Probe { value: &log10, blends: &[Blend::Hit] }];
         let sides = [("seen side", &seen), ("unseen side", &unseen)];
         let versions: [(&dyn RadianceField, String); 2] =
             [(scene, String::new()), (&cleaned, format!(", U <= 10^{THRESHOLD}"))];
