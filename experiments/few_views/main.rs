@@ -22,7 +22,8 @@ use std::time::{Duration, Instant};
 
 use octobayes::Result;
 
-use plan::Plan;
+use plan::{Plan, Scene};
+use scene::SceneResult;
 
 /// What the command line asks for.
 struct Arguments {
@@ -65,17 +66,25 @@ fn main() -> Result<()> {
     let Arguments { plan, work, report, budget, scenes } = arguments();
     std::fs::create_dir_all(&work).map_err(octobayes::Error::io(&work, "cannot create the folder"))?;
     let start = Instant::now();
+    let wanted = |scene: &Scene| scenes.is_empty() || scenes.iter().any(|name| name == scene.name);
+    let all: Vec<Scene> = plan.scenes().into_iter().filter(wanted).collect();
+    // One model of every scene first: ten cost ten times as much, and a study that is stopped should know every scene a little.
+    let single = all.iter().map(|scene| Scene { ensemble: scene.ensemble && plan.quick, ..scene.clone() });
+    let mut results: Vec<Option<SceneResult>> = vec![None; all.len()];
+    let rounds: Vec<(usize, Scene)> = single.enumerate().chain(all.iter().cloned().enumerate()).collect();
     let (mut done, mut left) = (Vec::new(), Vec::new());
-    for scene in plan.scenes() {
-        if !scenes.is_empty() && !scenes.iter().any(|name| name == scene.name) {
-            continue;
-        }
+    for (i, scene) in rounds {
         // A scene that is done takes no time; one that is not is not begun when time is up.
         let is_late = budget.is_some_and(|budget| start.elapsed() > budget);
-        match scene::result(&scene, &plan, &work, is_late)? {
-            Some(result) => done.push(result),
-            None => left.push(scene.name),
-        }
+        results[i] = scene::result(&scene, &plan, &work, is_late)?.or(results[i].take());
+        done = results.iter().flatten().cloned().collect();
+        let is_left = |(scene, result): &(&Scene, &Option<SceneResult>)| {
+            result.as_ref().is_none_or(|r| scene.ensemble && r.costs.ensemble.is_none())
+        };
+        let name = |(scene, result): (&Scene, &Option<SceneResult>)| {
+            if result.is_some() { format!("the ensemble of {}", scene.name) } else { scene.name.to_string() }
+        };
+        left = all.iter().zip(&results).filter(is_left).map(name).collect();
         report::write(&plan, &done, &left, &work, report.as_deref())?;
     }
     if report.is_none() {

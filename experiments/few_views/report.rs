@@ -55,7 +55,7 @@ fn ratio(result: &SceneResult, entry: &Entry) -> f64 {
 }
 
 /// All tables of the scenes done; says which were not.
-pub fn tables(plan: &Plan, done: &[SceneResult], left: &[&str]) -> String {
+pub fn tables(plan: &Plan, done: &[SceneResult], left: &[String]) -> String {
     let mut out = String::new();
     if done.is_empty() {
         return "\nNo scene is done.\n".into();
@@ -361,7 +361,7 @@ fn pictures(folder: &str, done: &[SceneResult]) -> String {
 }
 
 /// Replaces the tables between the report's markers and copies the pictures beside it.
-pub fn write(plan: &Plan, done: &[SceneResult], left: &[&str], work: &Path, report: Option<&Path>) -> Result<()> {
+pub fn write(plan: &Plan, done: &[SceneResult], left: &[String], work: &Path, report: Option<&Path>) -> Result<()> {
     let Some(report) = report else { return Ok(()) };
     let text = std::fs::read_to_string(report).map_err(Error::io(report, "cannot read"))?;
     let parts = text.split_once(BEGIN).and_then(|(head, rest)| Some((head, rest.split_once(END)?.1)));

@@ -113,7 +113,7 @@ impl SceneResult {
 /// The scene's result: the kept one, or a new one unless it `is_late`.
 pub fn result(scene: &Scene, plan: &Plan, work: &Path, is_late: bool) -> Result<Option<SceneResult>> {
     let folder = model::folder(work, &scene.slug())?;
-    let file = folder.join("result.json");
+    let file = folder.join(if scene.ensemble { "result-ensemble.json" } else { "result.json" });
     let key = serde_json::json!([env!("CARGO_PKG_VERSION"), scene, plan]);
     if let Some(result) = model::kept(&file, &key) {
         return Ok(Some(result));
@@ -222,7 +222,13 @@ fn compute(scene: &Scene, plan: &Plan, work: &Path, folder: &Path) -> Result<Sce
         }
         ensemble = Some(time);
     }
-    let about = serde_json::json!([scene, plan.steps, plan.log2_hashmap_size, plan.resolution, plan.baked]);
+    let about = serde_json::json!([
+        Scene { ensemble: false, ..scene.clone() },
+        plan.steps,
+        plan.log2_hashmap_size,
+        plan.resolution,
+        plan.baked
+    ]);
     let cameras = data.cameras();
     let smallest = plan.lambdas.iter().copied().fold(1.0, f64::min);
     let mut wanted = vec![(plan.level, smallest)];
