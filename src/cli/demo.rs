@@ -3,35 +3,35 @@
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 
+use super::demo_model::{self, DemoModel};
 use super::panels::{Ranges, depth_range, view_panels};
 use super::progress::Bars;
 use super::report;
 use crate::dataset::write_transforms;
 use crate::estimate::{FieldBuilder, GridKind, GridSettings, Provenance, RaySettings};
-use crate::field::{ClosedForm, RadianceField, VoxelGrid};
+use crate::field::{ClosedForm, HashGrid, RadianceField};
 use crate::geometry::{Camera, Domain};
 use crate::monitor::Monitor;
 use crate::picture::{Panel, write_sheet};
 use crate::posterior::{Share, Tally};
-use crate::render::{Blend, Probe, RenderedView, render_view};
+use crate::render::{Blend, GradientMethod, Probe, RenderedView, render_view};
+use crate::train::Quality;
 use crate::uncertainty::{ThresholdedField, UncertaintyField, compare};
 use crate::{Error, Result};
 
-/// log10 U above which the demo's clean-up removes density: between the courtyard's surfaces and the floater.
-const THRESHOLD: f64 = 3.9;
+/// log10 U above which the demo's clean-up removes density: most of what cameras saw lies below, most of what the model made up above.
+const THRESHOLD: f64 = 4.4;
 /// log10 U on the demo's colour bars: from the best seen surface to the prior of level 7, rounded.
 const SHOWN: [f64; 2] = [2.0, 6.0];
-/// Grid points per axis of the baked scene.
-const BAKED: usize = 97;
 /// Cameras of the demo, all on one side.
 const CAMERAS: u32 = 40;
 
-/// Try everything on a built-in scene: a courtyard that no camera saw from behind, with a fuzzy floater
+/// Try everything: a NeRF trained on the spot on pictures of a courtyard that no camera saw from behind
 ///
-/// Computes the uncertainty on an octree and on the dense grid from the same ray samples, compares memory, time and values, and
-/// writes pictures, the fields, the cameras and the scene baked into a voxel grid: input for every other verb.
+/// Trains a small hash grid (always the same steps), computes its uncertainty on an octree and on the dense grid from the same ray samples, compares
+/// memory, time and values, and writes pictures, the fields, the cameras and the model: input for every other verb.
 #[derive(clap::Args)]
 pub struct Args {
     /// Folder for the results
@@ -43,7 +43,7 @@ pub struct Args {
     level: u8,
 
     /// Rays
-    #[arg(long, default_value_t = 200_000, value_parser = clap::value_parser!(u64).range(1000..))]
+    #[arg(long, default_value_t = 50_000, value_parser = clap::value_parser!(u64).range(1000..))]
     rays: u64,
 }
 
@@ -55,32 +55,41 @@ impl Args {
         let cameras = ClosedForm::half_circle(CAMERAS, [200, 200]);
         say!("scene: {}, seen by {CAMERAS} cameras from one side only", scene.describe())?;
 
-        let fields = self.both_fields(&scene, &cameras, bars)?;
+        let start = Instant::now();
+        let DemoModel { field: model, held_out } = demo_model::train(&scene, &cameras, bars)?;
+        say!("model: {}, trained on the spot in {:.1} s", model.describe(), start.elapsed().as_secs_f64())?;
+        if let Some(Quality { psnr, views, .. }) = held_out {
+            say!("  {psnr:.1} dB on {views} held-out pictures of the seen side")?;
+        }
+
+        let fields = self.both_fields(&model, &cameras, bars)?;
         let [octree, dense] = &fields;
 
         let comparison = compare(octree, dense, 200_000, 0)?;
         say!("protocol\n{}\n  threads      {}", report::protocol(octree), rayon::current_num_threads())?;
         say!("{}", report::comparison(&comparison))?;
 
-        self.pictures(&scene, octree, &cameras, bars)?;
-        self.inputs(&scene, &cameras)?;
+        self.pictures(&model, octree, &cameras, bars)?;
+        self.inputs(&model, &cameras)?;
         octree.write(&self.out.join("field.oct"))?;
         dense.clone().without_evidence().write(&self.out.join("dense.oct"))?;
         let out = self.out.display();
-        say!("written to {out}: demo.png (look at it first), field.oct, dense.oct, courtyard.npz, transforms.json")?;
+        say!(
+            "written to {out}: demo.png (look at it first), field.oct, dense.oct, courtyard.safetensors, transforms.json"
+        )?;
         say!("now try, for example")?;
         say!("  octobayes info {out}/field.oct")?;
         say!(
-            "  octobayes uncertainty {out}/courtyard.npz --cameras {out}/transforms.json --level 6 --rays 50000 -o {out}/baked.oct"
+            "  octobayes uncertainty {out}/courtyard.safetensors --cameras {out}/transforms.json --level 6 --rays 50000 -o {out}/baked.oct"
         )?;
         say!(
-            "  octobayes render {out}/courtyard.npz {out}/baked.oct --cameras {out}/transforms.json --frame 3 -o {out}/view.png"
+            "  octobayes render {out}/courtyard.safetensors {out}/baked.oct --cameras {out}/transforms.json --frame 3 -o {out}/view.png"
         )?;
         Ok(())
     }
 
     /// Octree and dense field from the same samples, and a table of what they cost.
-    fn both_fields(&self, scene: &ClosedForm, cameras: &[Camera], bars: &Bars) -> Result<[UncertaintyField; 2]> {
+    fn both_fields(&self, scene: &dyn RadianceField, cameras: &[Camera], bars: &Bars) -> Result<[UncertaintyField; 2]> {
         let kinds = [GridKind::Octree, GridKind::Dense];
         let settings =
             |grid| GridSettings { grid, level: self.level, surface_points: 200_000, ..GridSettings::default() };
@@ -88,7 +97,7 @@ impl Args {
             FieldBuilder::new(settings(kinds[0]), Domain::Box(scene.bounds()))?,
             FieldBuilder::new(settings(kinds[1]), Domain::Box(scene.bounds()))?,
         ];
-        let rays = RaySettings { rays: self.rays, ..RaySettings::default() };
+        let rays = RaySettings { rays: self.rays, gradient: GradientMethod::Auto, ..RaySettings::default() };
         let stream = rays.stream(scene, cameras, &settings(kinds[0]), octree.lattice(), bars)?;
         let mut spent = [Duration::ZERO; 2];
         let start = Instant::now();
@@ -102,12 +111,8 @@ impl Args {
         })?;
         let rays_alone = start.elapsed() - spent[0] - spent[1];
         let sums_bytes = [octree.memory(), dense.memory()];
-        let provenance = Provenance {
-            source: "scene:courtyard".into(),
-            tally,
-            share: Some(Share::whole(self.rays)),
-            stream: Some(&stream),
-        };
+        let provenance =
+            Provenance { source: scene.describe(), tally, share: Some(Share::whole(self.rays)), stream: Some(&stream) };
         let mut fields = Vec::new();
         for (spent, builder) in spent.iter_mut().zip([octree, dense]) {
             let start = Instant::now();
@@ -133,12 +138,18 @@ impl Args {
         Ok([octree, dense])
     }
 
-    /// The scene from the side that was seen and from the side that was not, whole and cleaned.
-    fn pictures(&self, scene: &ClosedForm, field: &UncertaintyField, cameras: &[Camera], bars: &Bars) -> Result<()> {
-        let seen = cameras[cameras.len() / 2].resized([220, 220]);
+    /// The model from the side that was seen and from the side that was not, whole and cleaned.
+    fn pictures(
+        &self,
+        scene: &dyn RadianceField,
+        field: &UncertaintyField,
+        cameras: &[Camera],
+        bars: &Bars,
+    ) -> Result<()> {
+        let seen = cameras[cameras.len() / 2].resized([180, 180]);
         let target = DVec3::new(0.0, 0.0, -0.25);
         let mirrored = DVec3::new(-seen.position.x, seen.position.y, seen.position.z);
-        let unseen = Camera { ..Camera::look_at(mirrored, target, DVec3::Z, 0.8, [220, 220]) };
+        let unseen = Camera { ..Camera::look_at(mirrored, target, DVec3::Z, 0.8, [180, 180]) };
         let cleaned = ThresholdedField { field: scene, uncertainty: field, threshold: THRESHOLD };
         let log10 = |x| field.log10(x);
         let probes = [Probe { value: &log10, blends: &[Blend::Hit] }];
@@ -160,9 +171,9 @@ impl Args {
         write_sheet(&self.out.join("demo.png"), &rows)
     }
 
-    /// The scene and its cameras as files.
-    fn inputs(&self, scene: &ClosedForm, cameras: &[Camera]) -> Result<()> {
-        VoxelGrid::bake(scene, [BAKED; 3], Vec3::Z).write(&self.out.join("courtyard.npz"))?;
+    /// The model and its cameras as files.
+    fn inputs(&self, model: &HashGrid, cameras: &[Camera]) -> Result<()> {
+        model.write(&self.out.join("courtyard.safetensors"))?;
         let named: Vec<(String, Camera)> =
             cameras.iter().enumerate().map(|(i, camera)| (format!("train/r_{i}"), *camera)).collect();
         write_transforms(Path::new(&self.out.join("transforms.json")), &named)

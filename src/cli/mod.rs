@@ -10,6 +10,7 @@ mod accumulate;
 mod compare;
 mod convert;
 mod demo;
+mod demo_model;
 mod evaluate;
 mod info;
 mod merge;
