@@ -42,6 +42,7 @@ pub fn best_reading(entries: &[Entry]) -> Option<&Entry> {
 pub fn title(entry: &Entry) -> String {
     match entry.kind {
         Kind::Baseline | Kind::Ensemble => entry.name.clone(),
+        Kind::Combined => format!("{}, {}, times weights' deviation", entry.name, entry.variant),
         _ => format!("{}, {}", entry.name, entry.variant),
     }
 }
@@ -51,7 +52,7 @@ fn shown(entries: &[Entry]) -> Vec<usize> {
     let best = best_reading(entries);
     let wanted = |e: &Entry| match e.kind {
         Kind::Blend => is(e, DEFAULT) || best.is_some_and(|b| b == e),
-        Kind::Combined => e.name == "block",
+        Kind::Combined => e.name == "diagonal" && e.variant == "at-expected",
         Kind::Baseline | Kind::Ensemble => true,
         Kind::Level | Kind::Lambda => false,
     };

@@ -58,7 +58,7 @@ pub struct Plan {
     /// Of the default reading.
     pub level: u8,
     pub other_levels: Vec<u8>,
-    /// Factors of the default λ, beside 1; the smallest is what the octree is made for.
+    /// Factors of the default λ, beside 1; the smallest, or 1, is what the octree is made for.
     pub lambdas: Vec<f64>,
     /// Models of an ensemble, the judged one among them.
     pub members: u64,
@@ -72,8 +72,10 @@ pub struct Plan {
     pub baked: usize,
 }
 
-/// How log10 U becomes a pixel's.
+/// How log10 U becomes a pixel's at the default level.
 pub const BLENDS: [Blend; 6] = Blend::ALL;
+/// The same at other levels.
+pub const LEVEL_BLENDS: [Blend; 2] = [Blend::Hit, Blend::AtExpected];
 
 impl Plan {
     pub fn full() -> Self {
@@ -85,14 +87,14 @@ impl Plan {
             test_views: 16,
             steps: 1200,
             log2_hashmap_size: 15,
-            rays: 200_000,
+            rays: 120_000,
             level: 8,
-            other_levels: vec![6, 7, 9],
-            lambdas: vec![1e-2, 1e2, 1e4, 1e6],
+            other_levels: vec![4, 5, 6, 7],
+            lambdas: vec![1e3, 1e6],
             members: 10,
             judged: 66,
-            judged_views: 16,
-            cleaned_views: 4,
+            judged_views: 12,
+            cleaned_views: 3,
             baked: 192,
         }
     }
@@ -107,8 +109,8 @@ impl Plan {
             log2_hashmap_size: 13,
             rays: 20_000,
             level: 6,
-            other_levels: vec![5],
-            lambdas: vec![1e-2, 1e4],
+            other_levels: vec![4, 5],
+            lambdas: vec![1e4],
             members: 3,
             judged: 32,
             judged_views: 5,

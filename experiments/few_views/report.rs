@@ -10,8 +10,8 @@ use octobayes::posterior::Covariance;
 use octobayes::{Error, Result};
 
 use crate::picture::{DEFAULT, best_baseline, best_reading, title};
-use crate::plan::{BLENDS, Plan};
-use crate::scene::{CleanUpRow, Entry, Kind, SceneResult};
+use crate::plan::{BLENDS, LEVEL_BLENDS, Plan};
+use crate::scene::{CleanUpRow, Entry, Kind, SceneResult, variant};
 
 const BEGIN: &str = "<!-- tables: written by the program -->";
 const END: &str = "<!-- end of tables -->";
@@ -110,8 +110,9 @@ fn scenes(done: &[SceneResult]) -> Table {
 
 /// The columns of the area tables: kind, name, variant.
 fn columns() -> Vec<(Kind, &'static str, &'static str)> {
-    let readings = Covariance::ALL.iter().map(|c| (Kind::Blend, c.name(), "hit"));
-    let combined = ["product", "total variance"].map(|v| (Kind::Combined, "block", v));
+    let hit = Covariance::ALL.iter().map(|c| (Kind::Blend, c.name(), "hit"));
+    let readings = hit.chain([(Kind::Blend, "diagonal", "at-expected")]);
+    let combined = ["hit", "at-expected"].map(|v| (Kind::Combined, "diagonal", v));
     let baselines =
         [Baseline::RayVariance, Baseline::RayEntropy, Baseline::Transparency, Baseline::RayCount, Baseline::Random];
     let ensembles = [Baseline::EnsembleVariance, Baseline::DensityAware];
@@ -127,7 +128,8 @@ fn areas(name: &str, done: &[SceneResult], pick: Pick) -> Table {
     let columns = columns();
     let mut head = heads(&["scene"]);
     head.extend(columns.iter().map(|(kind, name, variant)| match kind {
-        Kind::Combined => format!("{name} and weights: {variant}"),
+        Kind::Combined => format!("{name}, {variant}, times weights' deviation"),
+        Kind::Blend if *variant != "hit" => format!("{name}, {variant}"),
         _ => (*name).to_string(),
     }));
     let mut table = Table::new(name, &head);
@@ -185,18 +187,20 @@ fn choices(plan: &Plan, done: &[SceneResult]) -> String {
     let what = "mean AUSE (MAE) over scenes (scenes in which it beats the best measure without a Hessian, worst ratio to that)";
     let blends = BLENDS.iter().map(|b| b.name().to_string()).collect();
     add(&format!("Blending, level {}: {what}", plan.level), "blending", Kind::Blend, blends);
-    let mut levels: Vec<(u8, String)> = plan.other_levels.iter().map(|l| (*l, l.to_string())).collect();
-    levels.push((plan.level, format!("{} *", plan.level)));
-    levels.sort();
-    let levels = levels.into_iter().map(|l| l.1).collect();
-    add("Level, blended `hit` (* the default)", "level", Kind::Level, levels);
+    let mut levels = plan.other_levels.clone();
+    levels.sort_unstable();
+    let levels: Vec<String> =
+        LEVEL_BLENDS.iter().flat_map(|&b| levels.iter().map(move |&level| variant(level, b))).collect();
+    add("Other levels and their blending", "level", Kind::Level, levels.clone());
     let mut lambdas: Vec<(f64, String)> = plan.lambdas.iter().map(|f| (*f, format!("{f:e}"))).collect();
     lambdas.push((1.0, "1 *".into()));
     lambdas.sort_by(|a, b| a.0.total_cmp(&b.0));
     let lambdas = lambdas.into_iter().map(|l| l.1).collect();
     add("λ, as a factor of the default, blended `hit`", "factor", Kind::Lambda, lambdas);
-    let combined = ["product", "total variance"].map(String::from).to_vec();
-    add("Together with the spread of the ray's weights", "combination", Kind::Combined, combined);
+    let mut combined = LEVEL_BLENDS.map(|b| b.name().to_string()).to_vec();
+    combined.extend(levels);
+    combined.push("total variance".into());
+    add("Times the deviation of the ray's weights (and their total variance)", "reading", Kind::Combined, combined);
 
     let head = heads(&["scene", "best reading of H", "AUSE", "best without a Hessian", "AUSE", "default", "ratio"]);
     let mut table = Table::new("Best of each scene (MAE)", &head);

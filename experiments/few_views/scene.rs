@@ -19,18 +19,18 @@ use serde::{Deserialize, Serialize};
 use crate::data::Dataset;
 use crate::model::{self, Clock, Estimation, Time, Training};
 use crate::picture;
-use crate::plan::{BLENDS, Plan, Scene};
+use crate::plan::{BLENDS, LEVEL_BLENDS, Plan, Scene};
 
 /// Which question a measure belongs to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Kind {
     /// A reading at the default level and λ; the variant is the blending.
     Blend,
-    /// The variant is the level; blended `hit`.
+    /// The variant is level and blending.
     Level,
     /// The variant is the factor of λ; blended `hit`.
     Lambda,
-    /// A reading together with the spread of the ray's weights; the variant says how.
+    /// A reading times the deviation of the ray's weights, the variant being the reading's; or `total variance`.
     Combined,
     /// Without a Hessian, one model.
     Baseline,
@@ -141,6 +141,11 @@ fn label(kind: Kind, name: &str, variant: impl Into<String>) -> Label {
     Label { kind, name: name.into(), variant: variant.into() }
 }
 
+/// A level and a blending, as a variant.
+pub fn variant(level: u8, blend: Blend) -> String {
+    format!("{level}, {}", blend.name())
+}
+
 /// All readings, with the labels of their blends.
 fn readings(base: &UncertaintyField, plan: &Plan, others: &[UncertaintyField]) -> Result<(Vec<Reading>, Vec<Label>)> {
     let (mut readings, mut labels) = (Vec::new(), Vec::new());
@@ -157,8 +162,9 @@ fn readings(base: &UncertaintyField, plan: &Plan, others: &[UncertaintyField]) -
     }
     for other in others {
         for covariance in Covariance::ALL {
-            add(other.clone().with_covariance(covariance)?.without_evidence(), &[Blend::Hit]);
-            labels.push(label(Kind::Level, covariance.name(), other.lattice().level().to_string()));
+            add(other.clone().with_covariance(covariance)?.without_evidence(), &LEVEL_BLENDS);
+            let level = other.lattice().level();
+            labels.extend(LEVEL_BLENDS.iter().map(|b| label(Kind::Level, covariance.name(), variant(level, *b))));
         }
     }
     for factor in &plan.lambdas {
@@ -177,7 +183,7 @@ fn readings(base: &UncertaintyField, plan: &Plan, others: &[UncertaintyField]) -
 /// `total variance`: by the law of total variance, the depth's is that of the ray's weights plus the expected square of the displacement. U comes from
 /// H = (2/R) S + 2λ, the mean over rays; the posterior of N training pixels with noise variance s² has the precision (N / 2 s²) H, so its
 /// displacement has the deviation √(2/N) s U. s² is the mean squared error of training pixels.
-/// `product`: log U plus the log of the weights' deviation. No scale matters.
+/// Others: log U plus the log of the weights' deviation. No scale matters.
 fn combine(views: &mut [JudgedView], labels: &mut Vec<Label>, training: Option<Training>, pixels: u64) {
     let find = |kind, name: &str, variant: &str| {
         let is = |l: &Label| l.kind == kind && l.name == name && l.variant == variant;
@@ -185,13 +191,20 @@ fn combine(views: &mut [JudgedView], labels: &mut Vec<Label>, training: Option<T
     };
     let variance = find(Kind::Baseline, Baseline::RayVariance.name(), "");
     let mut added = Vec::new();
-    for covariance in Covariance::ALL {
-        let [hit, rms] = [Blend::Hit, Blend::RootMeanSquare].map(|b| find(Kind::Blend, covariance.name(), b.name()));
+    let is_factor = |l: &Label| match l.kind {
+        Kind::Blend => LEVEL_BLENDS.iter().any(|b| b.name() == l.variant),
+        kind => kind == Kind::Level,
+    };
+    for (m, reading) in labels.iter().enumerate().filter(|(_, l)| is_factor(l)) {
         for view in views.iter_mut() {
-            let combined = view.measures[variance].iter().zip(&view.measures[hit]);
-            view.measures.push(combined.map(|(v, u)| u + 0.5 * v.max(f64::MIN_POSITIVE).log10()).collect());
+            let combined = view.measures[variance].iter().zip(&view.measures[m]);
+            let product = combined.map(|(v, u)| u + 0.5 * v.max(f64::MIN_POSITIVE).log10()).collect();
+            view.measures.push(product);
         }
-        added.push(label(Kind::Combined, covariance.name(), "product"));
+        added.push(label(Kind::Combined, &reading.name, reading.variant.clone()));
+    }
+    for covariance in Covariance::ALL {
+        let rms = find(Kind::Blend, covariance.name(), Blend::RootMeanSquare.name());
         let Some(training) = training else { continue };
         let scale = 2.0 * 10_f64.powf(-0.1 * training.psnr) / pixels as f64;
         for view in views.iter_mut() {
