@@ -13,11 +13,13 @@ use crate::dataset::{DepthEncoding, DepthKind, Frame};
 use crate::field::RadianceField;
 use crate::geometry::Aabb;
 use crate::io::AtomicFile;
-use crate::judge::{CleanUp, DepthError, DepthFiles, Judge, Reading, Score, THRESHOLDS, TrueView, clean_up};
+use crate::judge::{
+    CleanUp, DepthError, DepthFiles, Judge, JudgedView, Reading, Score, THRESHOLDS, TrueView, clean_up,
+};
 use crate::metrics::STEPS;
 use crate::monitor::Monitor;
 use crate::posterior::Covariance;
-use crate::render::Blend;
+use crate::render::{Blend, RenderedView};
 use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
 
@@ -126,8 +128,9 @@ impl Args {
         for (seed, frame) in (0..).zip(frames) {
             let background = self.model.background.as_dvec3();
             let truth = TrueView::read(frame, &self.depth_files(), background, offset, self.stride)?;
-            judged.push(judge.judge(&truth, seed, bars)?);
-            truths.push(truth);
+            // Whole images are large, and only the clean-up looks at them again.
+            judged.push(JudgedView { rendered: RenderedView::default(), ..judge.judge(&truth, seed, bars)? });
+            truths.extend(self.clean_up.is_some().then_some(truth));
         }
         bars.end();
         let measures = judge.measures();
