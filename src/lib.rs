@@ -13,7 +13,7 @@
 //! training ray, composites it, and differentiates its pixel with respect to the positions of its samples, with central
 //! differences of the field. [`posterior`] spreads these Jacobians onto the vertices around each sample, sums them over the
 //! ray, squares, and sums over rays. [`octree`] is refined where that left a trace. [`uncertainty`] reads one number per vertex off the
-//! sums and interpolates it; fields are stored, queried, compared. [`metrics`] ask whether it ranks the depth error; [`synth`]
+//! sums and interpolates it; fields are stored, queried, compared. [`judge`] asks whether it ranks the depth error, by [`metrics`], beside measures that need no Hessian; [`synth`]
 //! makes data whose depth is known exactly, and [`train`] a field of such data or any other posed images.
 //!
 //! Where rays or memory cannot support the finest lattice, [`octree::LevelLimits`] keep leaves coarser, and [`estimate::Planner`] says
@@ -63,6 +63,7 @@ pub mod estimate;
 pub mod field;
 pub mod geometry;
 pub mod io;
+pub mod judge;
 pub mod memory;
 pub mod metrics;
 pub mod monitor;

@@ -191,6 +191,11 @@ fn bad_input_gets_one_line_exit_code_2_and_no_output() {
             "evaluate scene:courtyard field.oct --cameras transforms.json --depth . --depth-encoding=0,1".into(),
             vec!["r_0.png"],
         ),
+        (
+            "evaluate scene:courtyard field.oct --cameras transforms.json --depth . --depth-encoding=0,1 --ensemble scene:courtyard scene:city"
+                .into(),
+            vec!["scene:city", "box"],
+        ),
         ("convert field.oct x.txt".into(), vec!["x.txt"]),
     ];
     for (args, expected) in table {

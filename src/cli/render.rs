@@ -50,31 +50,13 @@ pub struct Args {
     #[arg(long, value_name = "LOW,HIGH", value_parser = parse_range, default_value = "-3,6", hide_default_value = true, allow_hyphen_values = true)]
     range: [f64; 2],
 
-    /// Blend log10 U over what the ray hits, or as the official code does (-3 for the part that hits nothing)
+    /// How log10 U is blended along a ray
     #[arg(long, value_enum, default_value = "hit")]
-    blend: BlendName,
+    blend: Blend,
 
     /// Another covariance than the field's own, if it keeps its Hessian
     #[arg(long, value_enum)]
     covariance: Option<Covariance>,
-}
-
-/// [`Blend`] as an option.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-pub enum BlendName {
-    /// Sum of w log10 U over sum of w
-    Hit,
-    /// Sum of w log10 U, -3 for the rest
-    Official,
-}
-
-impl From<BlendName> for Blend {
-    fn from(name: BlendName) -> Self {
-        match name {
-            BlendName::Hit => Self::Hit,
-            BlendName::Official => Self::Official,
-        }
-    }
 }
 
 impl Args {
@@ -96,7 +78,7 @@ impl Args {
         drop(crate::io::AtomicFile::create(&self.output)?);
 
         let log10 = |x| field.log10(x);
-        let probes = [Probe { log10: &log10, blend: self.blend.into() }];
+        let probes = [Probe { value: &log10, blends: &[self.blend] }];
         let settings = self.model.image_settings();
         let offset = settings.pixel_offset.unwrap_or_else(|| model.pixel_offset());
         let picture = |field: &dyn RadianceField| -> Result<RenderedView> {

@@ -66,6 +66,12 @@ impl PosedImage {
         a * DVec3::new(r, g, b) + (1.0 - a) * background
     }
 
+    /// Share of pixel `i` that shows the object.
+    #[must_use]
+    pub fn alpha(&self, i: usize) -> f64 {
+        f64::from(self.pixels[i][3]) / 255.0
+    }
+
     /// Whether pixel `i` is fully opaque: it shows the object alone.
     #[must_use]
     pub fn is_opaque(&self, i: usize) -> bool {

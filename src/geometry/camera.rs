@@ -68,6 +68,18 @@ impl Camera {
         })
     }
 
+    /// The camera whose pixel (i, j) has the ray of this one's pixel (i · stride, j · stride), both at `offset`.
+    #[must_use]
+    pub fn strided(&self, stride: u32, offset: f64) -> Self {
+        let s = f64::from(stride);
+        Self {
+            focal: self.focal.map(|f| f / s),
+            center: self.center.map(|c| offset + (c - offset) / s),
+            resolution: self.resolution.map(|n| n.div_ceil(stride)),
+            ..*self
+        }
+    }
+
     /// The same camera with an image of another size that shows the same scene.
     #[must_use]
     pub fn resized(&self, resolution: [u32; 2]) -> Self {

@@ -1,7 +1,15 @@
 //! How good an image is, and how well an uncertainty ranks an error.
 
+mod ensemble;
 mod image;
+mod perceptual;
+mod rank;
 mod sparsification;
+mod ssim;
 
+pub use ensemble::{density_aware, ensemble_variance};
 pub use image::psnr;
+pub use perceptual::ssimulacra2;
+pub use rank::percentiles;
 pub use sparsification::{ErrorKind, STEPS, Sparsification, sparsification};
+pub use ssim::ssim;

@@ -207,7 +207,7 @@ mod tests {
             let slowly = (0..64_u32).filter(|i| {
                 let (mut brick, mut index) = (0_usize, 0);
                 for axis in 0..3 {
-                    let at = (i >> (2 * axis) & 3) as i64 - (side >> axis & 1) as i64;
+                    let at = i64::from(i >> (2 * axis) & 3) - (side >> axis & 1) as i64;
                     brick |= usize::from(at < 0) << axis;
                     index |= (at & 3) << (2 * axis);
                 }

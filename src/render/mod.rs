@@ -11,7 +11,7 @@ mod shade;
 mod trace;
 mod view;
 
-pub use composite::{Pixel, Quadrature};
+pub use composite::{Pixel, Quadrature, depth_variance, termination_entropy};
 pub use gradient::{Differences, Differentiation, GradientMethod};
 pub use jacobian::JacobianBuffers;
 pub use march::{Marcher, Walk};

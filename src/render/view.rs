@@ -9,27 +9,56 @@ use crate::Result;
 use crate::geometry::{Camera, Ray};
 use crate::monitor::{Monitor, check};
 
-/// How log10 U is blended along a ray.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+/// How log10 U of a ray's samples becomes one number of its pixel.
+///
+/// Letters: w weights of the samples, u = log10 U at them, t their distances.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Blend {
-    /// Σ w log10 U / Σ w: what the ray meets.
+    /// Σ w u / Σ w: what the ray meets.
     #[default]
     Hit,
-    /// Σ w log10 U − 3 T_end: the official code's, for which empty space is certain.
+    /// Σ w u − 3 T_end: the official code's, for which empty space is certain.
     Official,
+    /// log10 (Σ w U / Σ w): the expected U, to which the largest contribute most.
+    Mean,
+    /// ½ log10 (Σ w U² / Σ w): the expected variance.
+    RootMeanSquare,
+    /// u at the expected depth Σ w t / Σ w, which may lie between two surfaces.
+    AtExpected,
+    /// u at the median depth.
+    AtMedian,
+}
+
+impl Blend {
+    /// All of them.
+    pub const ALL: [Self; 6] =
+        [Self::Hit, Self::Official, Self::Mean, Self::RootMeanSquare, Self::AtExpected, Self::AtMedian];
+
+    /// The name used on the command line and in reports.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Hit => "hit",
+            Self::Official => "official",
+            Self::Mean => "mean",
+            Self::RootMeanSquare => "root-mean-square",
+            Self::AtExpected => "at-expected",
+            Self::AtMedian => "at-median",
+        }
+    }
 }
 
 /// The official code's log10 U of the part of a ray that hits nothing.
 const OFFICIAL_EMPTY: f64 = -3.0;
 
-/// A scalar of space to blend along rays beside colour: log10 U at a scene point.
+/// A scalar of space to blend along rays beside colour: log10 U at a scene point, most often.
 #[derive(Clone, Copy)]
 pub struct Probe<'a> {
-    /// log10 U at a point.
-    pub log10: &'a (dyn Fn(Vec3) -> f64 + Sync),
-    /// How it is blended.
-    pub blend: Blend,
+    /// The scalar at a point.
+    pub value: &'a (dyn Fn(Vec3) -> f64 + Sync),
+    /// How it is blended, one number a pixel for each.
+    pub blends: &'a [Blend],
 }
 
 /// An image of a field, row by row from the top left pixel.
@@ -39,10 +68,15 @@ pub struct RenderedView {
     pub resolution: [u32; 2],
     /// `[height · width]`.
     pub pixels: Vec<Pixel>,
-    /// `[probes][height · width]`: blended log10 U; NaN where nothing was hit (with [`Blend::Hit`]).
+    /// `[probes' blends, one probe after the other][height · width]`: blended log10 U; NaN where nothing was hit (but for [`Blend::Official`]).
     pub log10_uncertainty: Vec<Vec<f64>>,
     /// Rays dropped because the field was not finite; they show the background.
     pub dropped: u64,
+}
+
+/// How many numbers probes give per pixel.
+fn channels(probes: &[Probe]) -> usize {
+    probes.iter().map(|probe| probe.blends.len()).sum()
 }
 
 /// Renders a camera's image; `pixel_offset` is where in a pixel the ray goes through (½ for the centre).
@@ -72,7 +106,7 @@ pub fn render_view(
         .collect::<Result<_>>()?;
     let mut view = RenderedView {
         resolution: camera.resolution,
-        log10_uncertainty: vec![Vec::new(); probes.len()],
+        log10_uncertainty: vec![Vec::new(); channels(probes)],
         ..RenderedView::default()
     };
     for row in rows {
@@ -98,25 +132,100 @@ fn render_rays(tracer: &Tracer, rays: &[Ray], probes: &[Probe]) -> RenderedView 
     let mut row = RenderedView {
         resolution: [rays.len() as u32, 1],
         pixels: Vec::with_capacity(rays.len()),
-        log10_uncertainty: vec![Vec::with_capacity(rays.len()); probes.len()],
+        log10_uncertainty: vec![Vec::with_capacity(rays.len()); channels(probes)],
         dropped: traced.dropped,
     };
-    for ray in 0..rays.len() {
-        let mut samples = traced.samples(ray);
+    let mut values = Vec::new();
+    for (r, ray) in rays.iter().enumerate() {
+        let mut samples = traced.samples(r);
         if colors[samples.clone()].iter().any(|color| !color.is_finite()) {
             row.dropped += 1;
             samples = 0..0;
         }
-        row.pixels.push(quadrature.pixel(&samples, &colors, &traced.t, background));
-        for (probe, blended) in probes.iter().zip(&mut row.log10_uncertainty) {
-            let weighted = quadrature.weights[samples.clone()].iter().zip(&traced.positions[samples.clone()]);
-            let hit = weighted.filter(|(w, _)| **w > 0.0);
-            let (sum, weight) = hit.fold((0.0, 0.0), |(sum, total), (w, &x)| (sum + w * (probe.log10)(x), total + w));
-            blended.push(match probe.blend {
-                Blend::Hit => sum / weight,
-                Blend::Official => sum + OFFICIAL_EMPTY * quadrature.end_transmittance(&samples),
-            });
+        let pixel = quadrature.pixel(&samples, &colors, &traced.t, background);
+        row.pixels.push(pixel);
+        let weights = &quadrature.weights[samples.clone()];
+        let blended = BlendedRay {
+            weights,
+            end_transmittance: quadrature.end_transmittance(&samples),
+            at_expected: tracer.marcher.bounds.clamp(ray.at(pixel.expected_depth).as_vec3()),
+            at_median: tracer.marcher.bounds.clamp(ray.at(pixel.median_depth).as_vec3()),
+        };
+        let mut channel = 0;
+        for probe in probes {
+            let hit = weights.iter().zip(&traced.positions[samples.clone()]);
+            let value = |(w, x): (&f64, &Vec3)| if *w > 0.0 { (probe.value)(*x) } else { 0.0 };
+            values.clear();
+            values.extend(hit.map(value));
+            for &blend in probe.blends {
+                row.log10_uncertainty[channel].push(blended.blend(blend, &values, probe.value));
+                channel += 1;
+            }
         }
     }
     row
+}
+
+/// A ray of which scalars are blended.
+struct BlendedRay<'a> {
+    weights: &'a [f64],
+    end_transmittance: f64,
+    at_expected: Vec3,
+    at_median: Vec3,
+}
+
+impl BlendedRay<'_> {
+    /// `values` of the samples, any where the weight is zero; `value` elsewhere.
+    fn blend(&self, blend: Blend, values: &[f64], value: &dyn Fn(Vec3) -> f64) -> f64 {
+        let total: f64 = self.weights.iter().sum();
+        let sum = |of: &dyn Fn(f64) -> f64| -> f64 {
+            let hit = self.weights.iter().zip(values).filter(|(w, _)| **w > 0.0);
+            hit.map(|(w, &u)| w * of(u)).sum()
+        };
+        match blend {
+            Blend::Official => sum(&|u| u) + OFFICIAL_EMPTY * self.end_transmittance,
+            _ if total <= 0.0 => f64::NAN,
+            Blend::Hit => sum(&|u| u) / total,
+            Blend::Mean => (sum(&|u| 10_f64.powf(u)) / total).log10(),
+            Blend::RootMeanSquare => 0.5 * (sum(&|u| 10_f64.powf(2.0 * u)) / total).log10(),
+            Blend::AtExpected => value(self.at_expected),
+            Blend::AtMedian => value(self.at_median),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn blends_of_two_samples() {
+        // U = 1 with weight 0.3, U = 100 with weight 0.1; a sample without weight; 0.6 hits nothing.
+        let ray =
+            BlendedRay { weights: &[0.3, 0.0, 0.1], end_transmittance: 0.6, at_expected: Vec3::X, at_median: Vec3::Y };
+        let values = [0.0, 77.0, 2.0];
+        let blend = |blend| ray.blend(blend, &values, &|x| if x == Vec3::X { 1.5 } else { 0.25 });
+        let expected = [
+            (Blend::Hit, 0.2 / 0.4),
+            (Blend::Official, 0.2 - 3.0 * 0.6),
+            (Blend::Mean, (10.3_f64 / 0.4).log10()),
+            (Blend::RootMeanSquare, 0.5 * (1000.3_f64 / 0.4).log10()),
+            (Blend::AtExpected, 1.5),
+            (Blend::AtMedian, 0.25),
+        ];
+        for (name, expected) in expected {
+            assert!((blend(name) - expected).abs() < 1e-12, "{name:?}: {} instead of {expected}", blend(name));
+        }
+        assert_eq!(expected.map(|(name, _)| name), Blend::ALL);
+    }
+
+    #[test]
+    fn a_ray_that_meets_nothing_has_no_value_but_the_official_one() {
+        let ray =
+            BlendedRay { weights: &[0.0], end_transmittance: 1.0, at_expected: Vec3::ZERO, at_median: Vec3::ZERO };
+        for blend in Blend::ALL {
+            let found = ray.blend(blend, &[5.0], &|_| 5.0);
+            assert!(if blend == Blend::Official { found == -3.0 } else { found.is_nan() }, "{blend:?}: {found}");
+        }
+    }
 }

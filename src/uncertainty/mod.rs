@@ -163,6 +163,23 @@ impl UncertaintyField {
         Ok(self)
     }
 
+    /// The same field with another prior precision λ, 1 / scene unit², without error bars.
+    ///
+    /// # Errors
+    /// If the evidence was not kept, or λ is no number above 0; on an octree also if it is below the present one: what was
+    /// negligible beside that was not kept.
+    pub fn with_lambda(mut self, lambda: f64) -> Result<Self> {
+        let least = if self.support == Support::Dense { f64::MIN_POSITIVE } else { self.protocol.lambda };
+        let (Some(evidence), true) = (&self.evidence, lambda >= least && lambda.is_finite()) else {
+            let expected = format!("a field with its evidence, and at least {least:e}");
+            return Err(Error::setting("lambda", expected, format!("{lambda:e}")));
+        };
+        self.protocol.lambda = lambda;
+        self.error_bars = None;
+        self.deviations = read(&self.protocol, &self.lattice, &self.support, &self.limits, evidence);
+        Ok(self)
+    }
+
     /// The same dense field with its evidence pooled otherwise, without error bars; vertices count as moved by the given tolerance.
     ///
     /// # Errors

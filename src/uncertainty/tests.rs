@@ -355,3 +355,25 @@ fn a_dense_copy_has_the_values_of_every_vertex() {
     }
     assert_eq!(dense.on_dense_grid().deviations(), dense.deviations());
 }
+
+#[test]
+fn another_lambda_is_read_off_the_same_evidence() {
+    for covariance in Covariance::ALL {
+        for field in fields(covariance, 1.0) {
+            let lambda = field.protocol().lambda;
+            let larger = field.clone().with_lambda(100.0 * lambda).unwrap();
+            // Where nothing was seen, σ falls with √λ; nowhere does it grow.
+            assert!((larger.prior() * 10.0 / field.prior() - 1.0).abs() < 1e-9);
+            let ratios: Vec<f64> =
+                larger.deviations().iter().zip(field.deviations().iter()).map(|(l, f)| l / f).collect();
+            assert!(ratios.iter().all(|r| *r <= 1.0 + 1e-6) && ratios.iter().any(|r| *r < 0.5));
+            // The way back: exact on a grid, refused on an octree, which did not keep what was negligible.
+            match larger.support() {
+                Support::Dense => assert_eq!(larger.with_lambda(lambda).unwrap().deviations(), field.deviations()),
+                Support::Octree(_) => assert!(larger.with_lambda(lambda).is_err()),
+            }
+            assert!(field.clone().with_lambda(f64::NAN).is_err());
+            assert!(field.without_evidence().with_lambda(lambda).is_err());
+        }
+    }
+}

@@ -1,71 +1,69 @@
-//! `demo`: the whole line on a built-in scene, for people who have nothing yet.
+//! `demo`: the whole line, for people who have nothing yet.
 
+mod model;
 mod subject;
 
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use glam::Vec3;
-
-use self::subject::{COURTYARD, Subject};
+use self::model::DemoModel;
+use self::subject::{Shown, Subject};
 use super::panels::{Ranges, depth_range, view_panels};
 use super::progress::Bars;
 use super::report;
 use crate::dataset::write_transforms;
 use crate::estimate::{FieldBuilder, GridKind, GridSettings, Provenance, RaySettings};
-use crate::field::{RadianceField, VoxelGrid};
+use crate::field::RadianceField;
 use crate::geometry::{Camera, Domain};
 use crate::monitor::Monitor;
 use crate::picture::{Panel, write_sheet};
 use crate::posterior::{Share, Tally};
-use crate::render::{Blend, Probe, RenderedView, render_view};
+use crate::render::{Blend, GradientMethod, Probe, RenderedView, render_view};
+use crate::train::Quality;
 use crate::uncertainty::{ThresholdedField, UncertaintyField, compare};
 use crate::{Error, Result};
 
-/// log10 U above which the demo's clean-up removes density: between the courtyard's surfaces and the floater.
-const THRESHOLD: f64 = 3.9;
-/// log10 U on the demo's colour bars: from the best seen surface to the prior of level 7, rounded.
-const SHOWN: [f64; 2] = [2.0, 6.0];
-/// Decades below the prior where the colour bars of other scenes begin, and where their clean-up ends.
-const OTHERS: [f64; 2] = [4.0, 1.0];
-/// Grid points per axis of the baked scene.
-const BAKED: usize = 97;
+/// The trained model, in the folder of results.
+const MODEL: &str = "courtyard.safetensors";
 
-/// Try everything on a built-in scene: a courtyard that no camera saw from behind, with a fuzzy floater
+/// Try everything: a NeRF trained on the spot on pictures of a courtyard that no camera saw from behind
 ///
-/// Computes the uncertainty on an octree and on the dense grid from the same ray samples, compares memory, time and values, and
-/// writes pictures, the fields, the cameras and the scene baked into a voxel grid: input for every other verb.
+/// Trains a small hash grid (always the same steps), computes its uncertainty on an octree and on the dense grid from the same ray samples, compares
+/// memory, time and values, and writes pictures, the fields, the cameras and the model: input for every other verb.
 ///
-/// With --scene, does so on another scene. Some are hard, each in one way: for these it prints what is to be expected beside what was measured.
+/// With --scene, does so on a built-in scene itself. Some are hard, each in one way: for these it prints what is to be expected beside what was measured.
 #[derive(clap::Args)]
 pub struct Args {
     /// Folder for the results
     #[arg(long, value_name = "DIR", default_value = "octobayes-demo")]
     out: PathBuf,
 
-    /// Scene, `list` for all names. `scene:NAME` is a model for the other verbs too
-    #[arg(long, value_name = "NAME", default_value = COURTYARD)]
-    scene: String,
+    /// Built-in scene instead of the trained model, `list` for all names. `scene:NAME` is a model for the other verbs too
+    #[arg(long, value_name = "NAME")]
+    scene: Option<String>,
 
     /// Finest level, 4 to 9 [default: 7; that of a hard scene is its own]
     #[arg(long, value_parser = clap::value_parser!(u8).range(4..=9))]
     level: Option<u8>,
 
-    /// Rays
-    #[arg(long, default_value_t = 200_000, value_parser = clap::value_parser!(u64).range(1000..))]
-    rays: u64,
+    /// Rays [default: 40000; 200000 of a built-in scene]
+    #[arg(long, value_parser = clap::value_parser!(u64).range(1000..))]
+    rays: Option<u64>,
 }
 
 impl Args {
     /// Runs the verb.
     pub fn run(self, bars: &Bars) -> Result<()> {
-        if self.scene == "list" {
+        if self.scene.as_deref() == Some("list") {
             return say!("{}", subject::list());
         }
-        let subject = subject::subject(&self.scene)?;
+        let named = self.scene.as_deref().map(subject::subject).transpose()?;
         std::fs::create_dir_all(&self.out).map_err(Error::io(&self.out, "cannot create the folder"))?;
-        let side = if subject.hard.is_none() && !self.scene.starts_with("city") { " from one side only" } else { "" };
-        say!("scene: {}, seen by {} cameras{side}", subject.field.describe(), subject.cameras.len())?;
+        let subject = match named {
+            Some(subject) => subject,
+            None => self.trained(bars)?,
+        };
+        say!("scene: {}, seen by {} cameras{}", subject.field.describe(), subject.cameras.len(), subject.side)?;
         if let Some(about) = subject.about() {
             say!("{about}")?;
         }
@@ -86,26 +84,35 @@ impl Args {
         let named: Vec<(String, Camera)> =
             subject.cameras.iter().enumerate().map(|(i, camera)| (format!("train/r_{i}"), *camera)).collect();
         write_transforms(&self.out.join("transforms.json"), &named)?;
-        if self.scene == COURTYARD {
-            VoxelGrid::bake(subject.field.as_ref(), [BAKED; 3], Vec3::Z).write(&self.out.join("courtyard.npz"))?;
-        }
         self.suggest()
+    }
+
+    /// The model trained on the spot, and its file.
+    fn trained(&self, bars: &Bars) -> Result<Subject> {
+        let start = Instant::now();
+        let (scene, cameras) = subject::courtyard();
+        let DemoModel { field, held_out } = model::train(&scene, &cameras, bars)?;
+        say!("model: {}, trained on the spot in {:.1} s", field.describe(), start.elapsed().as_secs_f64())?;
+        if let Some(Quality { psnr, views, .. }) = held_out {
+            say!("  {psnr:.1} dB on {views} held-out pictures of the seen side")?;
+        }
+        field.write(&self.out.join(MODEL))?;
+        Ok(Subject::trained(field, cameras))
     }
 
     /// What was written, and what to try with it.
     fn suggest(&self) -> Result<()> {
-        let (out, scene) = (self.out.display(), &self.scene);
-        // The courtyard shows that any NeRF can be baked; a broken field cannot.
-        let (model, baked) = match self.scene == COURTYARD {
-            true => (format!("{out}/courtyard.npz"), ", courtyard.npz"),
-            false => (format!("scene:{scene}"), ""),
+        let out = self.out.display();
+        let (model, file) = match &self.scene {
+            None => (format!("{out}/{MODEL}"), format!(", {MODEL}")),
+            Some(scene) => (format!("scene:{scene}"), String::new()),
         };
-        say!("written to {out}: demo.png (look at it first), field.oct, dense.oct{baked}, transforms.json")?;
+        say!("written to {out}: demo.png (look at it first), field.oct, dense.oct{file}, transforms.json")?;
         say!("now try, for example")?;
         say!("  octobayes info {out}/field.oct")?;
         let cameras = format!("--cameras {out}/transforms.json");
-        say!("  octobayes uncertainty {model} {cameras} --level 6 --rays 50000 -o {out}/baked.oct")?;
-        say!("  octobayes render {model} {out}/baked.oct {cameras} --frame 0 -o {out}/view.png")
+        say!("  octobayes uncertainty {model} {cameras} --level 6 --rays 50000 -o {out}/again.oct")?;
+        say!("  octobayes render {model} {out}/again.oct {cameras} --frame 0 -o {out}/view.png")
     }
 
     /// Octree and dense field from the same samples, and a table of what they cost.
@@ -117,11 +124,16 @@ impl Args {
             FieldBuilder::new(settings(kinds[0]), Domain::Box(scene.bounds()))?,
             FieldBuilder::new(settings(kinds[1]), Domain::Box(scene.bounds()))?,
         ];
-        let rays = RaySettings { rays: self.rays, ..RaySettings::default() };
+        let rays = RaySettings {
+            rays: self.rays.unwrap_or(subject.rays),
+            gradient: GradientMethod::Auto,
+            march_step: Some(subject.coarser * scene.suggested_step()),
+            ..RaySettings::default()
+        };
         let stream = rays.stream(scene, &subject.cameras, &settings(kinds[0]), octree.lattice(), bars)?;
         let mut spent = [Duration::ZERO; 2];
         let start = Instant::now();
-        let tally = stream.run(Share::whole(self.rays), Tally::default(), bars, |batches, _| {
+        let tally = stream.run(Share::whole(rays.rays), Tally::default(), bars, |batches, _| {
             for (spent, builder) in spent.iter_mut().zip([&mut octree, &mut dense]) {
                 let start = Instant::now();
                 builder.add(batches);
@@ -132,9 +144,9 @@ impl Args {
         let rays_alone = start.elapsed() - spent[0] - spent[1];
         let sums_bytes = [octree.memory(), dense.memory()];
         let provenance = Provenance {
-            source: format!("scene:{}", subject.name),
+            source: subject.source.clone(),
             tally,
-            share: Some(Share::whole(self.rays)),
+            share: Some(Share::whole(rays.rays)),
             stream: Some(&stream),
         };
         let mut fields = Vec::new();
@@ -165,20 +177,17 @@ impl Args {
     /// The scene from two sides, whole and cleaned.
     fn pictures(&self, subject: &Subject, field: &UncertaintyField, bars: &Bars) -> Result<()> {
         let scene = subject.field.as_ref();
-        let prior = field.prior().log10();
-        let (shown, threshold) = match self.scene == COURTYARD {
-            true => (SHOWN, THRESHOLD),
-            false => ([prior - OTHERS[0], prior], prior - OTHERS[1]),
-        };
+        let Shown { log10: shown, threshold } = subject.shown.unwrap_or_else(|| Shown::below(field.prior().log10()));
         let cleaned = ThresholdedField { field: scene, uncertainty: field, threshold };
         let log10 = |x| field.log10(x);
-        let probes = [Probe { log10: &log10, blend: Blend::Hit }];
+        let probes = [Probe { value: &log10, blends: &[Blend::Hit] }];
         let sides = subject.views();
         let versions: [(&dyn RadianceField, String); 2] =
             [(scene, String::new()), (&cleaned, format!(", U <= 10^{threshold:.1}"))];
         let mut views: Vec<(String, RenderedView)> = Vec::new();
         for (field, suffix) in &versions {
-            let settings = RaySettings { cutoff: 1e-4, ..RaySettings::default() };
+            let march_step = Some(subject.coarser * field.suggested_step());
+            let settings = RaySettings { cutoff: 1e-4, march_step, ..RaySettings::default() };
             let tracer = settings.tracer(*field, 0.0, bars)?;
             bars.begin("rows", sides.iter().map(|(_, camera)| u64::from(camera.resolution[1])).sum());
             for (side, camera) in &sides {

@@ -1,18 +1,25 @@
-//! What the demo runs on: the courtyard, another built-in scene, or one of the zoo.
+//! What the demo runs on: a model trained on the courtyard, a built-in scene itself, or one of the zoo.
 
 use glam::DVec3;
 
 use crate::cli::report;
 use crate::field::zoo::{self, Scene};
-use crate::field::{ClosedForm, Intrinsics, RadianceField};
+use crate::field::{ClosedForm, HashGrid, Intrinsics, RadianceField};
 use crate::geometry::{Aabb, Camera};
 use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
 
-/// The name of the scene that the demo shows unless told otherwise.
-pub const COURTYARD: &str = "courtyard";
-/// The courtyard's level.
+/// Cameras of the courtyard, all on one side.
+const CAMERAS: u32 = 40;
+/// Finest level unless a hard scene has its own.
 const LEVEL: u8 = 7;
+/// Rays for the trained model, and for scenes in closed form, which are faster.
+const RAYS: [u64; 2] = [40_000, 200_000];
+/// Samples along the trained model's rays are this many times farther apart than it suggests: a model that was trained for seconds is foggy,
+/// and its pictures are small.
+const COARSER: f64 = 2.0;
+/// Decades below the prior where colour bars begin, and where clean-up ends.
+const BELOW_PRIOR: [f64; 2] = [4.0, 1.0];
 /// Cameras that see less than this, radians, are close-ups: pictures from anywhere else would show nothing.
 const CLOSE_UP: f64 = 0.2;
 /// Pixels of a picture.
@@ -20,14 +27,47 @@ const PICTURE: [u32; 2] = [220, 220];
 
 /// A scene with its cameras, and how to show it.
 pub struct Subject {
-    /// As `--scene` names it.
-    pub name: String,
     pub field: Box<dyn RadianceField>,
     pub cameras: Vec<Camera>,
     /// Finest level unless told otherwise.
     pub level: u8,
+    /// Rays unless told otherwise.
+    pub rays: u64,
+    /// Distance between samples over the suggested one.
+    pub coarser: f64,
+    /// From where it was seen, if that is to be told.
+    pub side: &'static str,
+    /// Model, for the protocol.
+    pub source: String,
+    /// How U is shown, if not [`Shown::below`] its prior.
+    pub shown: Option<Shown>,
     /// What is to be expected, if it is one of the zoo.
     pub hard: Option<Scene>,
+}
+
+/// How U is shown.
+#[derive(Clone, Copy)]
+pub struct Shown {
+    /// log10 U on colour bars.
+    pub log10: [f64; 2],
+    /// log10 U above which clean-up removes density.
+    pub threshold: f64,
+}
+
+impl Shown {
+    /// The trained model's: from the best seen surface to the prior of level 7, rounded; most of what cameras saw lies below the threshold,
+    /// most of what the model made up above.
+    const TRAINED: Self = Self { log10: [2.0, 6.0], threshold: 4.4 };
+
+    /// Decades below log10 U of the prior.
+    pub fn below(prior: f64) -> Self {
+        Self { log10: [prior - BELOW_PRIOR[0], prior], threshold: prior - BELOW_PRIOR[1] }
+    }
+}
+
+/// The courtyard with cameras on one side.
+pub fn courtyard() -> (ClosedForm, Vec<Camera>) {
+    (ClosedForm::courtyard(), ClosedForm::half_circle(CAMERAS, [200, 200]))
 }
 
 impl Subject {
@@ -36,20 +76,32 @@ impl Subject {
     /// # Errors
     /// If there is none.
     pub fn named(name: &str) -> Result<Self> {
-        if let Ok(scene) = zoo::by_name(name) {
-            let (field, cameras) = (Box::new(scene.field.clone()), scene.cameras());
-            return Ok(Self { name: name.into(), field, cameras, level: scene.level, hard: Some(scene) });
-        }
-        let field = ClosedForm::named(name)?;
-        let cameras = field.cameras(&Intrinsics::default())?.unwrap_or_default();
-        Ok(Self { name: name.into(), field: Box::new(field), cameras, level: LEVEL, hard: None })
+        let hard = zoo::by_name(name).ok();
+        let (field, cameras): (Box<dyn RadianceField>, _) = match &hard {
+            Some(scene) => (Box::new(scene.field.clone()), scene.cameras()),
+            None => {
+                let field = ClosedForm::named(name)?;
+                let cameras = field.cameras(&Intrinsics::default())?.unwrap_or_default();
+                (Box::new(field), cameras)
+            }
+        };
+        let level = hard.as_ref().map_or(LEVEL, |scene| scene.level);
+        let (rays, source) = (RAYS[1], format!("scene:{name}"));
+        Ok(Self { field, cameras, level, rays, coarser: 1.0, side: "", source, shown: None, hard })
+    }
+
+    /// The model trained on pictures of the courtyard.
+    pub fn trained(model: HashGrid, cameras: Vec<Camera>) -> Self {
+        let (source, shown) = (model.describe(), Some(Shown::TRAINED));
+        let (rays, side, field) = (RAYS[0], " from one side only", Box::new(model));
+        Self { field, cameras, level: LEVEL, rays, coarser: COARSER, side, source, shown, hard: None }
     }
 
     /// Two views: from the side x > 0, where the built-in scenes' cameras are, and from the other.
     pub fn views(&self) -> [(&'static str, Camera); 2] {
         let first = &self.cameras[0];
         let angle = 2.0 * (0.5 * f64::from(first.resolution[0]) / first.focal[0]).atan();
-        if self.name == COURTYARD {
+        if !self.side.is_empty() {
             let seen = self.cameras[self.cameras.len() / 2].resized(PICTURE);
             let target = DVec3::new(0.0, 0.0, -0.25);
             let mirrored = DVec3::new(-seen.position.x, seen.position.y, seen.position.z);

@@ -17,7 +17,7 @@ use self::parse::parse_fov;
 use crate::dataset::{Frame, ResolutionSource, Views};
 use crate::estimate::RaySettings;
 use crate::field::{Coordinates, Intrinsics, RadianceField};
-use crate::render::Occupancy;
+use crate::render::{Blend, Occupancy};
 use crate::{Error, Result};
 
 /// What images leave out changes a pixel by no more than this in front and behind: less than half a step of 8 bits.
@@ -32,6 +32,24 @@ impl ValueEnum for Coordinates {
         let help = match self {
             Self::Ngp => "the file's own: the object in [0, 1]^3",
             Self::Blender => "those of the NeRF-synthetic transforms.json files: 0.33 x + 0.5 with cycled axes",
+        };
+        Some(clap::builder::PossibleValue::new(self.name()).help(help))
+    }
+}
+
+impl ValueEnum for Blend {
+    fn value_variants<'a>() -> &'a [Self] {
+        &Self::ALL
+    }
+
+    fn to_possible_value(&self) -> Option<clap::builder::PossibleValue> {
+        let help = match self {
+            Self::Hit => "mean of log10 U over what the ray hits",
+            Self::Official => "the official code's: -3 for the part that hits nothing",
+            Self::Mean => "log10 of the mean U over what the ray hits",
+            Self::RootMeanSquare => "log10 of the root of the mean U squared",
+            Self::AtExpected => "log10 U at the expected depth",
+            Self::AtMedian => "log10 U at the median depth",
         };
         Some(clap::builder::PossibleValue::new(self.name()).help(help))
     }

@@ -1,0 +1,212 @@
+//! The scenes' images and depth maps, made or converted once.
+
+use std::f64::consts::TAU;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+use glam::{DMat3, DVec3};
+use image::imageops::FilterType;
+use image::{ImageBuffer, ImageReader, Luma};
+use octobayes::dataset::{DepthEncoding, DepthKind, Frame, Views};
+use octobayes::geometry::{Camera, Distortion};
+use octobayes::judge::DepthFiles;
+use octobayes::monitor::Silent;
+use octobayes::synth::{DEPTH_PNG_SCALE, DatasetSettings, Up, write_dataset};
+use octobayes::train::{DatasetFiles, Shot};
+use octobayes::{Error, Result};
+
+use crate::plan::{Data, Plan, Scene};
+
+/// What a scene's model is trained on and judged by.
+pub struct Dataset {
+    /// Training images.
+    pub train: Vec<Shot>,
+    /// Frames with true depth.
+    pub test: Vec<Frame>,
+    pub depth: DepthFiles,
+    /// The box.
+    pub files: DatasetFiles,
+}
+
+/// The shared data folder.
+pub fn shared() -> PathBuf {
+    PathBuf::from(std::env::var_os("OCTOBAYES_DATA").expect("OCTOBAYES_DATA names the data folder"))
+}
+
+impl Dataset {
+    /// Opens the scene's data, making it first if it is not there.
+    pub fn open(scene: &Scene, plan: &Plan, work: &Path) -> Result<Self> {
+        let synthetic = |mesh: &Path, name: &str, up| -> Result<(PathBuf, DepthFiles)> {
+            let folder = work.join(format!("data-{name}"));
+            if !folder.exists() {
+                let settings = DatasetSettings {
+                    up,
+                    views: plan.train_views,
+                    test_views: plan.test_views,
+                    resolution: [plan.resolution; 2],
+                    samples_per_side: plan.samples_per_side,
+                    ..DatasetSettings::default()
+                };
+                write_dataset(mesh, &folder, &settings, &Silent)?;
+            }
+            Ok((folder.clone(), depth_of(folder.join("depth"), "{}.png", [0.0, DEPTH_PNG_SCALE], DepthKind::Euclidean)))
+        };
+        let (folder, depth) = match scene.data {
+            Data::Lego => {
+                let folder = shared().join("nerf-lego-400");
+                let depth = depth_of(folder.join("test"), "{}_depth_0001.png", [8.0, -8.0], DepthKind::Euclidean);
+                (folder, depth)
+            }
+            Data::Mesh(name, up) => synthetic(&shared().join(format!("meshes/{name}.obj")), name, up)?,
+            Data::Knot => {
+                let mesh = work.join("knot.obj");
+                std::fs::write(&mesh, knot()).map_err(Error::io(&mesh, "cannot write"))?;
+                synthetic(&mesh, "knot", Up::Z)?
+            }
+            Data::Kitchen => {
+                let folder = work.join("data-kitchen");
+                if !folder.exists() {
+                    kitchen(&shared().join("rgbd-7scenes-kitchen"), &folder)?;
+                }
+                (folder.clone(), depth_of(folder.join("depth"), "{}.png", [0.0, MILLIMETRES], DepthKind::Z))
+            }
+        };
+        let mut files = DatasetFiles::read(&folder)?;
+        files.select(&scene.views, scene.half)?;
+        let [train, _] = files.load(&Silent)?;
+        let test = Views::read(&folder.join("transforms_test.json"), None)?.frames;
+        Ok(Self { train, test, depth, files })
+    }
+
+    /// Training cameras.
+    pub fn cameras(&self) -> Vec<Camera> {
+        self.train.iter().map(|shot| shot.camera).collect()
+    }
+
+    /// Training pixels.
+    pub fn pixels(&self) -> u64 {
+        self.train.iter().map(|shot| shot.camera.pixels()).sum()
+    }
+}
+
+fn depth_of(folder: PathBuf, pattern: &str, [offset, scale]: [f64; 2], kind: DepthKind) -> DepthFiles {
+    DepthFiles { folder, pattern: pattern.into(), encoding: DepthEncoding { offset, scale, kind } }
+}
+
+/// A trefoil's tube as OBJ text.
+fn knot() -> String {
+    const ALONG: usize = 160;
+    const AROUND: usize = 20;
+    let center =
+        |t: f64| DVec3::new(t.sin() + 2.0 * (2.0 * t).sin(), t.cos() - 2.0 * (2.0 * t).cos(), -(3.0 * t).sin());
+    let mut obj = String::new();
+    for i in 0..ALONG {
+        let t = TAU * i as f64 / ALONG as f64;
+        let tangent = (center(t + 1e-4) - center(t - 1e-4)).normalize();
+        let side = tangent.cross(DVec3::Z).normalize();
+        let up = side.cross(tangent);
+        for k in 0..AROUND {
+            let angle = TAU * k as f64 / AROUND as f64;
+            let v = center(t) + 0.55 * (angle.cos() * side + angle.sin() * up);
+            writeln!(obj, "v {} {} {}", v.x, v.y, v.z).expect("writing to a string");
+        }
+    }
+    let vertex = |i: usize, k: usize| 1 + i % ALONG * AROUND + k % AROUND;
+    for i in 0..ALONG {
+        for k in 0..AROUND {
+            let [a, b, c, d] = [vertex(i, k), vertex(i + 1, k), vertex(i + 1, k + 1), vertex(i, k + 1)];
+            writeln!(obj, "f {a} {b} {c}\nf {a} {c} {d}").expect("writing to a string");
+        }
+    }
+    obj
+}
+
+/// Depth of white, metres: the sensor's unit is a millimetre.
+const MILLIMETRES: f64 = 65.535;
+/// One frame in this many is held out.
+const HELD_OUT: usize = 4;
+/// Four neighbouring readings that differ by more than this, millimetres, straddle an edge.
+const EDGE: u16 = 50;
+
+/// Converts the RGB-D frames: half the size, OpenGL axes, depth only where four neighbouring readings agree; a box around everything that was seen and the
+/// cameras.
+fn kitchen(source: &Path, folder: &Path) -> Result<()> {
+    let staged = folder.with_extension("part");
+    for part in ["images", "depth"] {
+        let path = staged.join(part);
+        std::fs::create_dir_all(&path).map_err(Error::io(&path, "cannot create the folder"))?;
+    }
+    let picture = |path: &Path| -> Result<image::DynamicImage> {
+        let reader = ImageReader::open(path).map_err(Error::io(path, "cannot open"))?;
+        let image = reader.decode().map_err(|e| Error::malformed(path, "image", "a picture", e.to_string()))?;
+        Ok(image)
+    };
+    let unwritable = |path: &Path| {
+        let path = path.to_path_buf();
+        move |e: image::ImageError| Error::malformed(&path, "image", "a picture that can be written", e.to_string())
+    };
+    let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+    let mut frames = Vec::new();
+    for i in 0..40 {
+        let name = format!("frame-{:06}", 25 * i);
+        let pose_file = source.join(format!("{name}.pose.txt"));
+        let pose = std::fs::read_to_string(&pose_file).map_err(Error::io(&pose_file, "cannot read"))?;
+        let m: Vec<f64> = pose.split_whitespace().filter_map(|v| v.parse().ok()).collect();
+        assert_eq!(m.len(), 16, "{} holds a 4 x 4 matrix", pose_file.display());
+        let column = |k: usize| DVec3::new(m[k], m[4 + k], m[8 + k]);
+        // OpenCV looks along +z with y down.
+        let camera = Camera {
+            position: column(3),
+            axes: DMat3::from_cols(column(0), -column(1), -column(2)),
+            focal: [292.5; 2],
+            center: [160.0, 120.0],
+            resolution: [320, 240],
+            distortion: Distortion::default(),
+        };
+        let color = picture(&source.join(format!("{name}.color.jpg")))?;
+        let path = staged.join(format!("images/{name}.png"));
+        color.resize_exact(320, 240, FilterType::Triangle).to_rgb8().save(&path).map_err(unwritable(&path))?;
+
+        let depth = picture(&source.join(format!("{name}.depth.png")))?.to_luma16();
+        let half = ImageBuffer::from_fn(320, 240, |x, y| {
+            let around = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(u, v)| depth.get_pixel(2 * x + u, 2 * y + v).0[0]);
+            let (least, most) = (around.into_iter().min().unwrap_or(0), around.into_iter().max().unwrap_or(0));
+            let known = least > 0 && most < u16::MAX && most - least <= EDGE;
+            let mean = around.map(u32::from).iter().sum::<u32>() / 4;
+            Luma([if known { mean as u16 } else { 0 }])
+        });
+        for (x, y, pixel) in half.enumerate_pixels().filter(|(_, _, p)| p.0[0] > 0) {
+            let ray = camera.ray(f64::from(x) + 0.5, f64::from(y) + 0.5);
+            let z = f64::from(pixel.0[0]) / 1000.0;
+            let point = ray.at(z / ray.direction.dot(-camera.axes.z_axis));
+            (low, high) = (low.min(point), high.max(point));
+        }
+        (low, high) = (low.min(camera.position), high.max(camera.position));
+        let path = staged.join(format!("depth/{name}.png"));
+        half.save(&path).map_err(unwritable(&path))?;
+        frames.push((format!("images/{name}.png"), camera));
+    }
+    let (low, high) = (low - 0.1, high + 0.1);
+    let is_test = |i: &usize| i % HELD_OUT == HELD_OUT / 2;
+    for (split, tests) in [("train", false), ("test", true)] {
+        let frames: Vec<serde_json::Value> = (0..frames.len())
+            .filter(|i| is_test(i) == tests)
+            .map(|i| {
+                let (name, camera) = &frames[i];
+                let row = |k: usize| {
+                    let [x, y, z] = [camera.axes.x_axis, camera.axes.y_axis, camera.axes.z_axis];
+                    [x[k], y[k], z[k], camera.position[k]]
+                };
+                serde_json::json!({ "file_path": name, "transform_matrix": [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]] })
+            })
+            .collect();
+        let file = serde_json::json!({
+            "fl_x": 292.5, "fl_y": 292.5, "cx": 160.0, "cy": 120.0, "w": 320, "h": 240,
+            "aabb": [low.to_array(), high.to_array()], "frames": frames,
+        });
+        let path = staged.join(format!("transforms_{split}.json"));
+        std::fs::write(&path, file.to_string()).map_err(Error::io(&path, "cannot write"))?;
+    }
+    // Complete or not there.
+    std::fs::rename(&staged, folder).map_err(Error::io(folder, "cannot rename the finished folder"))
+}

@@ -1,0 +1,229 @@
+//! Models and their uncertainties, made once and kept.
+
+use std::io::Write as _;
+use std::path::Path;
+use std::time::Instant;
+
+use glam::Vec3;
+use octobayes::estimate::{FieldBuilder, GridSettings, Provenance, RaySettings};
+use octobayes::field::{HashGrid, HashGridConfig, NerfMlp, RadianceField, VoxelGrid};
+use octobayes::geometry::{Camera, Domain};
+use octobayes::io::AtomicFile;
+use octobayes::monitor::Silent;
+use octobayes::posterior::{Share, Tally};
+use octobayes::render::GradientMethod;
+use octobayes::train::{Budget, Run, TrainSettings, Trainer, quality};
+use octobayes::uncertainty::UncertaintyField;
+use octobayes::{Error, Result};
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+
+use crate::data::{Dataset, shared};
+use crate::plan::{Architecture, Plan, Scene};
+
+/// Time that something took.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct Time {
+    /// Of all threads of this process, seconds: what counts where others use the machine too. 0 where the system does not say.
+    pub cpu: f64,
+    /// Seconds.
+    pub wall: f64,
+}
+
+impl Time {
+    pub fn plus(self, other: Self) -> Self {
+        Self { cpu: self.cpu + other.cpu, wall: self.wall + other.wall }
+    }
+}
+
+/// Time since a moment.
+pub struct Clock {
+    start: Instant,
+    cpu: f64,
+}
+
+impl Clock {
+    pub fn start() -> Self {
+        Self { start: Instant::now(), cpu: cpu() }
+    }
+
+    pub fn elapsed(&self) -> Time {
+        Time { cpu: cpu() - self.cpu, wall: self.start.elapsed().as_secs_f64() }
+    }
+}
+
+/// Processor time of this process so far, seconds (Linux: hundredths).
+fn cpu() -> f64 {
+    let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
+    // Behind the name, which may hold spaces: state is field 3, user and system time are fields 14 and 15.
+    let fields: Vec<&str> = stat.rsplit(')').next().unwrap_or_default().split_whitespace().collect();
+    let ticks = |i: usize| fields.get(i - 3).and_then(|f| f.parse::<f64>().ok()).unwrap_or(0.0);
+    (ticks(14) + ticks(15)) / 100.0
+}
+
+/// Something kept in a file beside what it was made for.
+#[derive(Serialize, Deserialize)]
+struct Kept<T> {
+    key: serde_json::Value,
+    value: T,
+}
+
+/// The value kept in `path`, if it was made for `key`.
+pub fn kept<T: DeserializeOwned>(path: &Path, key: &serde_json::Value) -> Option<T> {
+    let kept: Kept<T> = serde_json::from_slice(&std::fs::read(path).ok()?).ok()?;
+    (kept.key == *key).then_some(kept.value)
+}
+
+/// Keeps a value, atomically.
+pub fn keep<T: Serialize>(path: &Path, key: &serde_json::Value, value: T) -> Result<()> {
+    let text = serde_json::to_vec_pretty(&Kept { key: key.clone(), value })
+        .map_err(|e| Error::malformed(path, "value", "one that JSON can hold", e.to_string()))?;
+    let mut file = AtomicFile::create(path)?;
+    file.write_all(&text).map_err(Error::io(path, "cannot write"))?;
+    file.commit()
+}
+
+/// What a training took and reached.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Training {
+    pub time: Time,
+    /// On training images, dB.
+    pub psnr: f64,
+}
+
+fn settings(plan: &Plan, seed: u64) -> TrainSettings {
+    let config = HashGridConfig { log2_hashmap_size: plan.log2_hashmap_size, ..HashGridConfig::default() };
+    TrainSettings { config, seed, ..TrainSettings::default() }
+}
+
+/// The hash grid of a scene's views with this seed.
+pub fn hash_grid(scene: &Scene, plan: &Plan, data: &Dataset, folder: &Path, seed: u64) -> Result<(HashGrid, Training)> {
+    let (model, about) =
+        (folder.join(format!("member-{seed}.safetensors")), folder.join(format!("member-{seed}.json")));
+    let settings = settings(plan, seed);
+    let views = serde_json::json!([scene.data, scene.views, scene.half, plan.resolution, plan.train_views]);
+    let key = serde_json::json!([env!("CARGO_PKG_VERSION"), views, settings, plan.steps]);
+    if let Some(training) = kept(&about, &key) {
+        return Ok((HashGrid::read(&model)?, training));
+    }
+    eprintln!("  training member {seed} on {} views", data.train.len());
+    let clock = Clock::start();
+    let mut trainer = Trainer::new(settings, Domain::Box(data.files.bounds), &data.train)?;
+    let run = Run { budget: Budget::Steps(plan.steps), held_out: &[], pixels: 0, looks: 0, state: None };
+    run.train(&mut trainer, 0.0, &Silent, |_| {})?;
+    let field = trainer.field(key.clone());
+    let time = clock.elapsed();
+    let psnr = quality(&field, &data.train, Vec3::ONE, 20_000).map_or(f64::NAN, |q| q.psnr);
+    field.write(&model)?;
+    let training = Training { time, psnr };
+    keep(&about, &key, training)?;
+    Ok((field, training))
+}
+
+/// The model that a scene judges, with what its training took, if it was trained here.
+pub fn judged(
+    scene: &Scene,
+    plan: &Plan,
+    data: &Dataset,
+    work: &Path,
+) -> Result<(Box<dyn RadianceField>, Option<Training>)> {
+    let folder = folder(work, &scene.slug())?;
+    match scene.architecture {
+        Architecture::HashGrid => {
+            let (field, training) = hash_grid(scene, plan, data, &folder, 0)?;
+            Ok((Box::new(field), Some(training)))
+        }
+        Architecture::BakedFrom(name) => {
+            let source = plan.scenes().into_iter().find(|s| s.name == name).expect("a scene of the plan");
+            let (field, _) = hash_grid(&source, plan, data, &self::folder(work, &source.slug())?, 0)?;
+            // From above: what a voxel shows does not depend on the direction.
+            Ok((Box::new(VoxelGrid::bake(&field, [plan.baked; 3], Vec3::NEG_Z)), None))
+        }
+        Architecture::Mlp => {
+            Ok((Box::new(NerfMlp::read(&shared().join("nerf-mlp-pretrained/lego.safetensors"))?), None))
+        }
+    }
+}
+
+/// A folder of the work folder.
+pub fn folder(work: &Path, name: &str) -> Result<std::path::PathBuf> {
+    let folder = work.join(name);
+    std::fs::create_dir_all(&folder).map_err(Error::io(&folder, "cannot create the folder"))?;
+    Ok(folder)
+}
+
+/// What an uncertainty took.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Estimation {
+    pub time: Time,
+    /// Most that the sums held.
+    pub summing_bytes: usize,
+    /// For queries.
+    pub query_bytes: usize,
+    pub vertices: usize,
+}
+
+/// The uncertainties at some levels, each with λ = its factor times the default. All are gathered from the same ray samples, which do not depend on the
+/// level as long as the field differentiates itself and no level leaves out what another needs.
+pub fn uncertainties(
+    plan: &Plan,
+    wanted: &[(u8, f64)],
+    field: &dyn RadianceField,
+    cameras: &[Camera],
+    folder: &Path,
+    model: &serde_json::Value,
+) -> Result<Vec<(UncertaintyField, Estimation)>> {
+    let about = folder.join("uncertainties.json");
+    let oct = |level: u8| folder.join(format!("level-{level}.oct"));
+    let key = serde_json::json!([model, wanted, plan.rays]);
+    if let Some(estimations) = kept::<Vec<Estimation>>(&about, &key) {
+        let read = |(&(level, _), estimation)| Ok((UncertaintyField::read(&oct(level))?, estimation));
+        return wanted.iter().zip(estimations).map(read).collect();
+    }
+    eprintln!("  uncertainty");
+    let clock = Clock::start();
+    let domain = Domain::Box(field.bounds());
+    let settings = RaySettings { rays: plan.rays, gradient: GradientMethod::Auto, ..RaySettings::default() };
+    let (mut builders, mut least) = (Vec::new(), f64::INFINITY);
+    for &(level, factor) in wanted {
+        let grid = GridSettings { level, ..GridSettings::default() };
+        let lambda = factor * grid.lambda(&grid.lattice(domain)?);
+        let grid = GridSettings { lambda: Some(lambda), ..grid };
+        let builder = FieldBuilder::new(grid, domain)?;
+        least = least.min(settings.stream(field, cameras, &grid, builder.lattice(), &Silent)?.negligible);
+        builders.push((grid, builder, Time::default()));
+    }
+    let (grid, first, _) = &builders[0];
+    let mut stream = settings.stream(field, cameras, grid, first.lattice(), &Silent)?;
+    stream.negligible = least;
+    let share = Share::whole(plan.rays);
+    let tally = stream.run(share, Tally::default(), &Silent, |batches, _| {
+        for (_, builder, time) in &mut builders {
+            let clock = Clock::start();
+            builder.add(batches);
+            *time = time.plus(clock.elapsed());
+        }
+        Ok(())
+    })?;
+    let sums = builders.iter().fold(Time::default(), |sum, (.., time)| sum.plus(*time));
+    let whole = clock.elapsed();
+    let rays = Time { cpu: whole.cpu - sums.cpu, wall: whole.wall - sums.wall };
+    let provenance = Provenance { source: field.describe(), tally, share: Some(share), stream: Some(&stream) };
+    let mut out = Vec::new();
+    for ((_, builder, time), &(level, _)) in builders.into_iter().zip(wanted) {
+        let clock = Clock::start();
+        let summing_bytes = builder.memory();
+        let uncertainty = builder.finish(&provenance);
+        let estimation = Estimation {
+            // As if it had been made alone.
+            time: rays.plus(time).plus(clock.elapsed()),
+            summing_bytes,
+            query_bytes: uncertainty.query_memory(),
+            vertices: uncertainty.deviations().len(),
+        };
+        uncertainty.write(&oct(level))?;
+        out.push((uncertainty, estimation));
+    }
+    keep(&about, &key, out.iter().map(|(_, estimation)| *estimation).collect::<Vec<_>>())?;
+    Ok(out)
+}

@@ -1,0 +1,132 @@
+//! Pictures and plots of a scene.
+
+use std::path::Path;
+
+use octobayes::Result;
+use octobayes::judge::{CleanUp, JudgedView, Score, TrueView};
+use octobayes::picture::{Bar, Curve, Panel, color_panel, scalar_panel, write_plot, write_sheet};
+use octobayes::render::RenderedView;
+
+use crate::scene::{Entry, Kind, ranks};
+
+/// Width that small pictures are enlarged to, about.
+const WIDTH: u32 = 140;
+
+/// A panel as large as can be looked at.
+fn enlarged(panel: Panel) -> Panel {
+    let factor = (WIDTH / panel.image.width()).max(1);
+    let [w, h] = [panel.image.width(), panel.image.height()].map(|n| factor * n);
+    Panel { image: image::imageops::resize(&panel.image, w, h, image::imageops::FilterType::Nearest), ..panel }
+}
+
+/// The default reading.
+pub const DEFAULT: (Kind, &str, &str) = (Kind::Blend, "diagonal", "hit");
+
+fn is(entry: &Entry, (kind, name, variant): (Kind, &str, &str)) -> bool {
+    entry.kind == kind && entry.name == name && entry.variant == variant
+}
+
+/// The Hessian-free measure of one model that ranks best.
+pub fn best_baseline(entries: &[Entry]) -> Option<&Entry> {
+    let baselines = entries.iter().filter(|e| e.kind == Kind::Baseline);
+    baselines.min_by(|a, b| a.mae.total_cmp(&b.mae))
+}
+
+/// The reading and blending at the default level and λ that ranks best.
+pub fn best_reading(entries: &[Entry]) -> Option<&Entry> {
+    let readings = entries.iter().filter(|e| e.kind == Kind::Blend);
+    readings.min_by(|a, b| a.mae.total_cmp(&b.mae))
+}
+
+/// A measure's name for people.
+pub fn title(entry: &Entry) -> String {
+    match entry.kind {
+        Kind::Baseline | Kind::Ensemble => entry.name.clone(),
+        Kind::Combined => format!("{}, {}, times weights' deviation", entry.name, entry.variant),
+        _ => format!("{}, {}", entry.name, entry.variant),
+    }
+}
+
+/// The measures that are shown: default, best reading, combined, all without a Hessian, ensembles.
+fn shown(entries: &[Entry]) -> Vec<usize> {
+    let best = best_reading(entries);
+    let wanted = |e: &Entry| match e.kind {
+        Kind::Blend => is(e, DEFAULT) || best.is_some_and(|b| b == e),
+        Kind::Combined => e.name == "diagonal" && e.variant == "at-expected",
+        Kind::Baseline | Kind::Ensemble => true,
+        Kind::Level | Kind::Lambda => false,
+    };
+    (0..entries.len()).filter(|&i| wanted(&entries[i])).collect()
+}
+
+/// Sparsification curves of mean absolute error, scene units.
+pub fn curves(path: &Path, scene: &str, entries: &[Entry], scores: &[Score]) -> Result<()> {
+    let curve = |values: &[f64], m: usize| -> Vec<(f64, f64)> {
+        let s = &scores[m].pooled[0];
+        s.removed.iter().zip(values).map(|(&r, &v)| (r, v * s.largest)).collect()
+    };
+    let mut all: Vec<Curve> = shown(entries)
+        .into_iter()
+        .map(|m| Curve {
+            name: format!("{} ({:.3})", title(&entries[m]), entries[m].mae),
+            points: curve(&scores[m].pooled[0].by_uncertainty, m),
+            reference: false,
+        })
+        .collect();
+    let oracle = curve(&scores[0].pooled[0].by_error, 0);
+    all.push(Curve { name: "oracle".into(), points: oracle, reference: true });
+    let axes = ["removed share of pixels", "mean absolute depth error, scene units"];
+    write_plot(path, &format!("{scene} (AUSE)"), axes, &all)
+}
+
+/// One view as in the paper's Figure 5: that of median mean error. Ranks are percentiles among the judged pixels of the view.
+pub fn row(path: &Path, truths: &[TrueView], views: &[JudgedView], entries: &[Entry]) -> Result<()> {
+    let mean = |v: &JudgedView| v.absolute_error.iter().sum::<f64>() / v.absolute_error.len().max(1) as f64;
+    let mut order: Vec<usize> = (0..views.len()).filter(|&v| !views[v].pixels.is_empty()).collect();
+    order.sort_by(|&a, &b| mean(&views[a]).total_cmp(&mean(&views[b])));
+    let v = order[order.len() / 2];
+    let (truth, view) = (&truths[v], &views[v]);
+    let size = view.rendered.resolution;
+    let depth: Vec<f64> =
+        view.rendered.pixels.iter().map(|p| if p.opacity > 0.5 { p.median_depth } else { f64::NAN }).collect();
+    let known = depth.iter().copied().filter(|d| !d.is_nan());
+    let (low, high) = known.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), d| (l.min(d), h.max(d)));
+    let bar = |range, gradient| Bar { range, gradient };
+    let rank = |title: &str, values: &[f64]| {
+        scalar_panel(title, size, ranks(view, values), bar([0.0, 1.0], colorous::INFERNO))
+    };
+    let mut row: Vec<Panel> = vec![
+        color_panel("true image", size, truth.colors.iter().copied()),
+        color_panel("model", size, view.rendered.pixels.iter().map(|p| p.color)),
+        scalar_panel("median depth", size, depth, bar([low, high], colorous::VIRIDIS)),
+        rank("error, rank", &view.absolute_error),
+    ];
+    let measure =
+        |entry: &Entry| entries.iter().position(|e| e == entry).map(|m| rank(&title(entry), &view.measures[m]));
+    let default = entries.iter().find(|e| is(e, DEFAULT));
+    let best = best_reading(entries).filter(|b| !is(b, DEFAULT));
+    let ensemble = entries.iter().find(|e| e.kind == Kind::Ensemble);
+    row.extend([default, best, best_baseline(entries), ensemble].into_iter().flatten().filter_map(measure));
+    write_sheet(path, &[row.into_iter().map(enlarged).collect()])
+}
+
+/// Before and after the clean-up, one row a view.
+pub fn cleaned(path: &Path, truths: &[TrueView], cleaned: &[(CleanUp, Vec<RenderedView>)]) -> Result<()> {
+    let all: Vec<CleanUp> = cleaned.iter().map(|(c, _)| *c).collect();
+    let best = CleanUp::best(&all).and_then(|best| best.threshold);
+    let is_shown = |c: &CleanUp| c.threshold.is_none() || [Some(0.9), Some(0.4), best].contains(&c.threshold);
+    let rows: Vec<Vec<Panel>> = truths
+        .iter()
+        .enumerate()
+        .take(3)
+        .map(|(v, truth)| {
+            let mut row = vec![color_panel("true image", truth.camera.resolution, truth.colors.iter().copied())];
+            row.extend(cleaned.iter().filter(|(c, _)| is_shown(c)).map(|(c, views)| {
+                let name = c.threshold.map_or("as it is".into(), |t| format!("threshold {t}"));
+                color_panel(&name, views[v].resolution, views[v].pixels.iter().map(|p| p.color))
+            }));
+            row.into_iter().map(enlarged).collect()
+        })
+        .collect();
+    write_sheet(path, &rows)
+}

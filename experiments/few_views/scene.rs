@@ -1,0 +1,340 @@
+//! One scene: trained, judged by everything, cleaned up.
+
+use std::path::Path;
+
+use glam::DVec3;
+use octobayes::Result;
+use octobayes::estimate::RaySettings;
+use octobayes::field::RadianceField;
+use octobayes::judge::{
+    Baseline, CleanUp, DepthError, Judge, JudgedView, Measure, Reading, Score, THRESHOLDS, TrueView, clean_up,
+};
+use octobayes::metrics::{ErrorKind, percentiles};
+use octobayes::monitor::Silent;
+use octobayes::posterior::Covariance;
+use octobayes::render::{Blend, Tracer};
+use octobayes::uncertainty::UncertaintyField;
+use serde::{Deserialize, Serialize};
+
+use crate::data::Dataset;
+use crate::model::{self, Clock, Estimation, Time, Training};
+use crate::picture;
+use crate::plan::{BLENDS, LEVEL_BLENDS, Plan, Scene};
+
+/// Which question a measure belongs to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Kind {
+    /// A reading at the default level and λ; the variant is the blending.
+    Blend,
+    /// The variant is level and blending.
+    Level,
+    /// The variant is the factor of λ; blended `hit`.
+    Lambda,
+    /// A reading times the deviation of the ray's weights, the variant being the reading's; or `total variance`.
+    Combined,
+    /// Without a Hessian, one model.
+    Baseline,
+    /// Several models.
+    Ensemble,
+}
+
+/// How well one measure ranks the error.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Entry {
+    pub kind: Kind,
+    /// Covariance, or the baseline's name.
+    pub name: String,
+    pub variant: String,
+    /// AUSE over all pixels together.
+    pub mae: f64,
+    pub rmse: f64,
+    /// Mean over views of their AUSE (MAE).
+    pub per_view: f64,
+}
+
+/// What the parts took.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Costs {
+    pub training: Option<Training>,
+    pub estimation: Estimation,
+    /// Bytes of the model.
+    pub model_bytes: usize,
+    /// Of rendering the judged views once, without any uncertainty.
+    pub rendering: Time,
+    /// More than that, with one reading of U.
+    pub reading: Time,
+    /// Of training all members of the ensemble, the judged one included.
+    pub ensemble: Option<Time>,
+}
+
+/// Everything that is known about a scene.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SceneResult {
+    pub name: String,
+    pub slug: String,
+    pub model: String,
+    pub views: usize,
+    pub test_views: usize,
+    pub psnr_test: f64,
+    pub depth: DepthError,
+    /// Pixels left out, as the model shows nothing there.
+    pub empty: usize,
+    pub entries: Vec<Entry>,
+    pub clean_up: Vec<CleanUpRow>,
+    pub costs: Costs,
+}
+
+/// A [`CleanUp`] as JSON can hold it: NaN is none.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CleanUpRow {
+    pub threshold: Option<f64>,
+    pub psnr: f64,
+    pub psnr_shown: Option<f64>,
+    pub ssim: f64,
+    pub ssimulacra2: f64,
+    pub coverage: f64,
+}
+
+impl From<CleanUp> for CleanUpRow {
+    fn from(c: CleanUp) -> Self {
+        let psnr_shown = c.psnr_shown.is_finite().then_some(c.psnr_shown);
+        let CleanUp { threshold, psnr, ssim, ssimulacra2, coverage, .. } = c;
+        Self { threshold, psnr, psnr_shown, ssim, ssimulacra2, coverage }
+    }
+}
+
+impl SceneResult {
+    /// The entry of a measure, if it was judged.
+    pub fn entry(&self, kind: Kind, name: &str, variant: &str) -> Option<&Entry> {
+        self.entries.iter().find(|e| e.kind == kind && e.name == name && e.variant == variant)
+    }
+}
+
+/// The scene's result: the kept one, or a new one unless it `is_late`.
+pub fn result(scene: &Scene, plan: &Plan, work: &Path, is_late: bool) -> Result<Option<SceneResult>> {
+    let folder = model::folder(work, &scene.slug())?;
+    let file = folder.join(if scene.ensemble { "result-ensemble.json" } else { "result.json" });
+    let key = serde_json::json!([env!("CARGO_PKG_VERSION"), scene, plan]);
+    if let Some(result) = model::kept(&file, &key) {
+        return Ok(Some(result));
+    }
+    if is_late {
+        return Ok(None);
+    }
+    eprintln!("{}", scene.name);
+    let clock = Clock::start();
+    let result = compute(scene, plan, work, &folder)?;
+    let time = clock.elapsed();
+    eprintln!("  done in {:.0} s, {:.0} s of processors", time.wall, time.cpu);
+    model::keep(&file, &key, &result)?;
+    Ok(Some(result))
+}
+
+/// What judged measures are, in order.
+struct Label {
+    kind: Kind,
+    name: String,
+    variant: String,
+}
+
+fn label(kind: Kind, name: &str, variant: impl Into<String>) -> Label {
+    Label { kind, name: name.into(), variant: variant.into() }
+}
+
+/// A level and a blending, as a variant.
+pub fn variant(level: u8, blend: Blend) -> String {
+    format!("{level}, {}", blend.name())
+}
+
+/// All readings, with the labels of their blends.
+fn readings(base: &UncertaintyField, plan: &Plan, others: &[UncertaintyField]) -> Result<(Vec<Reading>, Vec<Label>)> {
+    let (mut readings, mut labels) = (Vec::new(), Vec::new());
+    let lambda = base.protocol().lambda / plan.lambdas.iter().copied().fold(1.0, f64::min);
+    let mut add = |field: UncertaintyField, blends: &[Blend]| {
+        let name = field.protocol().covariance.name().into();
+        readings.push(Reading { name, field, blends: blends.to_vec() });
+    };
+    for covariance in Covariance::ALL {
+        // The first keeps its evidence, for the number of rays.
+        let field = base.clone().with_lambda(lambda)?.with_covariance(covariance)?;
+        add(if covariance == Covariance::ALL[0] { field } else { field.without_evidence() }, &BLENDS);
+        labels.extend(BLENDS.iter().map(|b| label(Kind::Blend, covariance.name(), b.name())));
+    }
+    for other in others {
+        for covariance in Covariance::ALL {
+            add(other.clone().with_covariance(covariance)?.without_evidence(), &LEVEL_BLENDS);
+            let level = other.lattice().level();
+            labels.extend(LEVEL_BLENDS.iter().map(|b| label(Kind::Level, covariance.name(), variant(level, *b))));
+        }
+    }
+    for factor in &plan.lambdas {
+        for covariance in Covariance::ALL {
+            let field =
+                base.clone().with_lambda((factor * lambda).max(base.protocol().lambda))?.with_covariance(covariance)?;
+            add(field.without_evidence(), &[Blend::Hit]);
+            labels.push(label(Kind::Lambda, covariance.name(), format!("{factor:e}")));
+        }
+    }
+    Ok((readings, labels))
+}
+
+/// Appends to every view what combines a reading with the spread of the ray's own weights.
+///
+/// `total variance`: by the law of total variance, the depth's is that of the ray's weights plus the expected square of the displacement. U comes from
+/// H = (2/R) S + 2λ, the mean over rays; the posterior of N training pixels with noise variance s² has the precision (N / 2 s²) H, so its
+/// displacement has the deviation √(2/N) s U. s² is the mean squared error of training pixels.
+/// Others: log U plus the log of the weights' deviation. No scale matters.
+fn combine(views: &mut [JudgedView], labels: &mut Vec<Label>, training: Option<Training>, pixels: u64) {
+    let find = |kind, name: &str, variant: &str| {
+        let is = |l: &Label| l.kind == kind && l.name == name && l.variant == variant;
+        labels.iter().position(is).expect("a measure of the study")
+    };
+    let variance = find(Kind::Baseline, Baseline::RayVariance.name(), "");
+    let mut added = Vec::new();
+    let is_factor = |l: &Label| match l.kind {
+        Kind::Blend => LEVEL_BLENDS.iter().any(|b| b.name() == l.variant),
+        kind => kind == Kind::Level,
+    };
+    for (m, reading) in labels.iter().enumerate().filter(|(_, l)| is_factor(l)) {
+        for view in views.iter_mut() {
+            let combined = view.measures[variance].iter().zip(&view.measures[m]);
+            let product = combined.map(|(v, u)| u + 0.5 * v.max(f64::MIN_POSITIVE).log10()).collect();
+            view.measures.push(product);
+        }
+        added.push(label(Kind::Combined, &reading.name, reading.variant.clone()));
+    }
+    for covariance in Covariance::ALL {
+        let rms = find(Kind::Blend, covariance.name(), Blend::RootMeanSquare.name());
+        let Some(training) = training else { continue };
+        let scale = 2.0 * 10_f64.powf(-0.1 * training.psnr) / pixels as f64;
+        for view in views.iter_mut() {
+            let combined = view.measures[variance].iter().zip(&view.measures[rms]);
+            view.measures.push(combined.map(|(v, u)| v + scale * 10_f64.powf(2.0 * u)).collect());
+        }
+        added.push(label(Kind::Combined, covariance.name(), "total variance"));
+    }
+    labels.extend(added);
+}
+
+/// Every k-th of some things, at most `most` of them, spread evenly.
+fn spread<T>(all: &[T], most: usize) -> Vec<&T> {
+    let n = all.len().min(most).max(1);
+    (0..n).filter_map(|i| all.get((2 * i + 1) * all.len() / (2 * n))).collect()
+}
+
+fn compute(scene: &Scene, plan: &Plan, work: &Path, folder: &Path) -> Result<SceneResult> {
+    let data = Dataset::open(scene, plan, work)?;
+    let (field, training) = model::judged(scene, plan, &data, work)?;
+    let (mut members, mut ensemble) = (Vec::new(), None);
+    if scene.ensemble {
+        let mut time = Time::default();
+        for seed in 0..plan.members {
+            let (member, training) = model::hash_grid(scene, plan, &data, folder, seed)?;
+            time = time.plus(training.time);
+            members.push(member);
+        }
+        ensemble = Some(time);
+    }
+    let about = serde_json::json!([
+        Scene { ensemble: false, ..scene.clone() },
+        plan.steps,
+        plan.log2_hashmap_size,
+        plan.resolution,
+        plan.baked
+    ]);
+    let cameras = data.cameras();
+    let smallest = plan.lambdas.iter().copied().fold(1.0, f64::min);
+    let mut wanted = vec![(plan.level, smallest)];
+    wanted.extend(plan.other_levels.iter().map(|&level| (level, 1.0)));
+    let mut fields = model::uncertainties(plan, &wanted, &*field, &cameras, folder, &about)?;
+    let (base, estimation) = fields.remove(0);
+    let others: Vec<UncertaintyField> = fields.into_iter().map(|(field, _)| field).collect();
+    let (readings, mut labels) = readings(&base, plan, &others)?;
+    drop((base, others));
+
+    let settings = RaySettings { cutoff: 1e-4, ..RaySettings::default() };
+    let tracer = |field| settings.tracer(field, 0.0, &Silent);
+    let judge = Judge {
+        tracer: tracer(&*field)?,
+        readings: &readings,
+        members: members.iter().map(|m| tracer(m as &dyn RadianceField)).collect::<Result<_>>()?,
+    };
+    let frames = spread(&data.test, plan.judged_views);
+    let stride = (frames[0].camera.resolution[0] / plan.judged).max(1);
+    let truths = frames
+        .iter()
+        .map(|frame| TrueView::read(frame, &data.depth, DVec3::ONE, field.pixel_offset(), stride))
+        .collect::<Result<Vec<_>>>()?;
+    eprintln!("  judging {} views of {:?} pixels", truths.len(), truths[0].camera.resolution);
+    let [rendering, reading] = costs(&judge.tracer, &readings[0], &truths)?;
+    let mut views =
+        (0..).zip(&truths).map(|(seed, truth)| judge.judge(truth, seed, &Silent)).collect::<Result<Vec<_>>>()?;
+
+    labels.extend(judge.measures().into_iter().filter_map(|measure| match measure {
+        Measure::Reading(..) => None,
+        Measure::Baseline(b) if b.is_single_model() => Some(label(Kind::Baseline, b.name(), "")),
+        Measure::Baseline(b) => Some(label(Kind::Ensemble, b.name(), "")),
+    }));
+    combine(&mut views, &mut labels, training, data.pixels());
+    let scores: Vec<Score> =
+        (0..labels.len()).map(|m| Score::of(&views, m).expect("pixels with depth and some error")).collect();
+    let entries: Vec<Entry> = labels
+        .into_iter()
+        .zip(&scores)
+        .map(|(label, score)| Entry {
+            kind: label.kind,
+            name: label.name,
+            variant: label.variant,
+            mae: score.area(ErrorKind::Mae),
+            rmse: score.area(ErrorKind::Rmse),
+            per_view: score.per_view_mean[0],
+        })
+        .collect();
+    picture::curves(&folder.join("sparsification.svg"), scene.name, &entries, &scores)?;
+    picture::row(&folder.join("row.png"), &truths, &views, &entries)?;
+
+    eprintln!("  clean-up");
+    let some: Vec<TrueView> = spread(&truths, plan.cleaned_views).into_iter().cloned().collect();
+    let cleaned = clean_up(&judge.tracer, &readings[0].field, &some, &THRESHOLDS, &Silent)?;
+    picture::cleaned(&folder.join("clean-up.png"), &some, &cleaned)?;
+    Ok(SceneResult {
+        name: scene.name.into(),
+        slug: scene.slug(),
+        model: field.describe(),
+        views: data.train.len(),
+        test_views: views.len(),
+        psnr_test: views.iter().map(|v| v.psnr).sum::<f64>() / views.len() as f64,
+        depth: DepthError::of(&views).expect("pixels with depth"),
+        empty: views.iter().map(|v| v.empty).sum(),
+        entries,
+        clean_up: cleaned.into_iter().map(|(c, _)| c.into()).collect(),
+        costs: Costs { training, estimation, model_bytes: field.memory(), rendering, reading, ensemble },
+    })
+}
+
+/// Time to render all views alone, and what one reading adds, from the first two views.
+fn costs(tracer: &Tracer, reading: &Reading, truths: &[TrueView]) -> Result<[Time; 2]> {
+    let few = &truths[..truths.len().min(2)];
+    let one = [Reading { blends: vec![Blend::Hit], ..reading.clone() }];
+    let time = |readings: &[Reading]| -> Result<Time> {
+        let judge = Judge { tracer: tracer.clone(), readings, members: Vec::new() };
+        let clock = Clock::start();
+        for truth in few {
+            judge.judge(truth, 0, &Silent)?;
+        }
+        let share = truths.len() as f64 / few.len() as f64;
+        let Time { cpu, wall } = clock.elapsed();
+        Ok(Time { cpu: share * cpu, wall: share * wall })
+    };
+    let (plain, with) = (time(&[])?, time(&one)?);
+    Ok([plain, Time { cpu: (with.cpu - plain.cpu).max(0.0), wall: (with.wall - plain.wall).max(0.0) }])
+}
+
+/// Percentiles over the judged pixels of a view, as an image; NaN elsewhere.
+pub fn ranks(view: &JudgedView, values: &[f64]) -> Vec<f64> {
+    let mut image = vec![f64::NAN; view.rendered.pixels.len()];
+    for (&i, p) in view.pixels.iter().zip(percentiles(values)) {
+        image[i] = p;
+    }
+    image
+}

@@ -1,0 +1,210 @@
+//! `evaluate`: does the uncertainty tell where the model is wrong?
+
+mod sheet;
+mod table;
+
+use std::path::PathBuf;
+
+use self::table::Evaluation;
+use super::options::{CameraFile, ModelOptions, parse_pair};
+use super::progress::Bars;
+use super::render::check_box;
+use crate::dataset::{DepthEncoding, DepthKind, Frame};
+use crate::field::RadianceField;
+use crate::geometry::Aabb;
+use crate::io::AtomicFile;
+use crate::judge::{
+    CleanUp, DepthError, DepthFiles, Judge, JudgedView, Reading, Score, THRESHOLDS, TrueView, clean_up,
+};
+use crate::metrics::STEPS;
+use crate::monitor::Monitor;
+use crate::posterior::Covariance;
+use crate::render::{Blend, RenderedView};
+use crate::uncertainty::UncertaintyField;
+use crate::{Error, Result};
+
+/// Judge fields against true depth: AUSE beside measures that need no Hessian, depth error, PSNR, clean-up
+///
+/// Renders the test views and asks whether pixels of large uncertainty are pixels of large depth error (area under the
+/// sparsification error, by the official code's procedure: 100 steps, both curves over their common maximum, trapezoid; only the order of pixels
+/// counts, so nothing is normalised per image). Several fields, covariances and blendings share the rendering, and the same pixels are ranked by
+/// what any field gives for nothing: the variance and the entropy of the ray's weights, 1 - opacity, the number of training rays, and chance; with --ensemble, by what
+/// several models disagree about. Depth is compared where the image is fully opaque (alpha 255; images
+/// without alpha are opaque everywhere) and the true depth is known.
+#[derive(clap::Args)]
+#[command(
+    after_help = "Examples:\n  octobayes evaluate lego.safetensors lego.oct --cameras transforms_test.json --depth test \
+    --depth-encoding 8,-8 --plot ause.svg --csv ause.csv\n  octobayes evaluate m-0.safetensors m.oct --ensemble m-0.safetensors m-1.safetensors m-2.safetensors \
+    --cameras bunny/transforms_test.json --depth bunny/depth --depth-pattern {}.png --depth-encoding 0,6.5535 --clean-up sheet.png"
+)]
+pub struct Args {
+    #[command(flatten)]
+    model: ModelOptions,
+
+    /// Fields to judge
+    #[arg(value_name = "FIELD.oct", required = true)]
+    fields: Vec<PathBuf>,
+
+    #[command(flatten)]
+    cameras: CameraFile,
+
+    /// Folder of true depth maps
+    #[arg(long, value_name = "DIR")]
+    depth: PathBuf,
+
+    /// Name of a frame's depth map; {} is the frame's file name without extension
+    #[arg(long, value_name = "PATTERN", default_value = "{}_depth_0001.png")]
+    depth_pattern: String,
+
+    /// Depth in scene units = OFFSET + SCALE * p, p in [0, 1] from black to white; p = 0 is unknown
+    #[arg(long, value_name = "OFFSET,SCALE", value_parser = parse_pair, allow_hyphen_values = true)]
+    depth_encoding: [f64; 2],
+
+    /// Depth maps hold depth along the viewing axis, not distance from the camera
+    #[arg(long)]
+    z_depth: bool,
+
+    /// Covariances to judge, separated by commas [default: all, if a field keeps its Hessian, else its own]
+    #[arg(long, value_enum, value_delimiter = ',')]
+    covariance: Vec<Covariance>,
+
+    /// How log10 U is blended along a ray; several, separated by commas, are judged side by side
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "hit")]
+    blend: Vec<Blend>,
+
+    /// Two or more models trained like MODEL with other seeds, MODEL among them or not: judges the variance of their depth, and the
+    /// density-aware ensemble (Sünderhauf et al. 2023)
+    #[arg(long, value_name = "MODEL", num_args = 2..)]
+    ensemble: Vec<String>,
+
+    /// Remove density above ten thresholds of log10 U (the first field's first covariance), tell how images change, and write this
+    /// sheet of pictures before and after
+    #[arg(long, value_name = "SHEET.png")]
+    clean_up: Option<PathBuf>,
+
+    /// Use every Nth pixel along x and y
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
+    stride: u32,
+
+    /// Use every Nth frame
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
+    every: u32,
+
+    /// Write the sparsification curves (mean absolute error) as an SVG plot
+    #[arg(long, value_name = "PLOT.svg")]
+    plot: Option<PathBuf>,
+
+    /// Write all sparsification curves as CSV
+    #[arg(long, value_name = "CURVES.csv")]
+    csv: Option<PathBuf>,
+
+    /// Print one JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+impl Args {
+    /// Runs the verb.
+    pub fn run(self, bars: &Bars) -> Result<()> {
+        let model = self.model.open()?;
+        let readings = self.readings(&model.bounds())?;
+        let members = self.ensemble.iter().map(|name| self.member(name, &*model)).collect::<Result<Vec<_>>>()?;
+        let views = self.cameras.read()?;
+        for path in self.plot.iter().chain(&self.csv).chain(&self.clean_up) {
+            drop(AtomicFile::create(path)?);
+        }
+        let frames: Vec<&Frame> = views.frames.iter().step_by(self.every as usize).collect();
+        let settings = self.model.image_settings();
+        let judge = Judge {
+            tracer: settings.tracer(&*model, 0.0, bars)?,
+            readings: &readings,
+            members: members.iter().map(|member| settings.tracer(&**member, 0.0, bars)).collect::<Result<_>>()?,
+        };
+        let offset = settings.pixel_offset.unwrap_or_else(|| model.pixel_offset());
+
+        let rows = frames.iter().map(|f| u64::from(f.camera.resolution[1].div_ceil(self.stride))).sum::<u64>();
+        bars.begin("rows", rows * (1 + members.len() as u64));
+        let (mut truths, mut judged) = (Vec::new(), Vec::new());
+        for (seed, frame) in (0..).zip(frames) {
+            let background = self.model.background.as_dvec3();
+            let truth = TrueView::read(frame, &self.depth_files(), background, offset, self.stride)?;
+            // Whole images are large, and only the clean-up looks at them again.
+            judged.push(JudgedView { rendered: RenderedView::default(), ..judge.judge(&truth, seed, bars)? });
+            truths.extend(self.clean_up.is_some().then_some(truth));
+        }
+        bars.end();
+        let measures = judge.measures();
+        let scores: Option<Vec<Score>> = (0..measures.len()).map(|m| Score::of(&judged, m)).collect();
+        let depth = DepthError::of(&judged);
+        let (scores, depth) = scores.zip(depth).ok_or_else(|| {
+            let found = judged.iter().map(|view| view.pixels.len()).sum::<usize>().to_string();
+            let expected = format!("at least {STEPS} pixels with depth and some error");
+            Error::malformed(&self.depth, "depth maps", expected, found)
+        })?;
+        let cleaned = self.clean_up(&judge, &truths, bars)?;
+        let evaluation = Evaluation { args: &self, judge: &judge, measures, views: &judged, scores, depth, cleaned };
+        if let Some(path) = &self.plot {
+            evaluation.write_plot(path)?;
+        }
+        if let Some(path) = &self.csv {
+            evaluation.write_csv(path)?;
+        }
+        evaluation.print()
+    }
+
+    fn readings(&self, bounds: &Aabb) -> Result<Vec<Reading>> {
+        let mut readings = Vec::new();
+        for path in &self.fields {
+            let field = UncertaintyField::read(path)?;
+            check_box(&self.model.model, bounds, &field)?;
+            let own = field.protocol().covariance;
+            let mut wanted = if self.covariance.is_empty() { vec![own] } else { self.covariance.clone() };
+            if self.covariance.is_empty() && field.evidence().is_some() {
+                wanted.extend(Covariance::ALL.into_iter().filter(|c| *c != own));
+            }
+            for covariance in wanted {
+                let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+                let name = format!("{stem} {}", covariance.name());
+                let field = field.clone().with_covariance(covariance)?;
+                readings.push(Reading { name, field, blends: self.blend.clone() });
+            }
+        }
+        Ok(readings)
+    }
+
+    /// A member of the ensemble: it must cover what the model covers.
+    fn member(&self, name: &str, model: &dyn RadianceField) -> Result<Box<dyn RadianceField>> {
+        let member = crate::field::open_in(name, self.model.coordinates)?;
+        let text = |b: Aabb| format!("{} to {}", b.min(), b.max());
+        let [expected, found] = [model.bounds(), member.bounds()];
+        let same = [expected.min() - found.min(), expected.max() - found.max()];
+        if same.iter().any(|d| d.abs().max_element() > 1e-5 * expected.longest_edge()) {
+            return Err(Error::setting(
+                format!("box of the member `{name}`"),
+                format!("the model's, {}", text(expected)),
+                text(found),
+            ));
+        }
+        Ok(member)
+    }
+
+    fn depth_files(&self) -> DepthFiles {
+        let kind = if self.z_depth { DepthKind::Z } else { DepthKind::Euclidean };
+        DepthFiles {
+            folder: self.depth.clone(),
+            pattern: self.depth_pattern.clone(),
+            encoding: DepthEncoding { offset: self.depth_encoding[0], scale: self.depth_encoding[1], kind },
+        }
+    }
+
+    /// Sweeps the thresholds, if asked to, and writes the sheet.
+    fn clean_up(&self, judge: &Judge, truths: &[TrueView], bars: &Bars) -> Result<Vec<CleanUp>> {
+        let Some(path) = &self.clean_up else { return Ok(Vec::new()) };
+        let rows: u64 = truths.iter().map(|truth| u64::from(truth.camera.resolution[1])).sum();
+        bars.begin("rows, cleaned", rows * (1 + THRESHOLDS.len() as u64));
+        let cleaned = clean_up(&judge.tracer, &judge.readings[0].field, truths, &THRESHOLDS, bars)?;
+        bars.end();
+        sheet::write(path, truths, &cleaned)?;
+        Ok(cleaned.into_iter().map(|(cleaned, _)| cleaned).collect())
+    }
+}

@@ -1,0 +1,41 @@
+//! Pictures before and after clean-ups.
+
+use std::path::Path;
+
+use crate::Result;
+use crate::judge::{CleanUp, TrueView};
+use crate::picture::{Panel, color_panel, write_sheet};
+use crate::render::RenderedView;
+
+/// Most views on a sheet.
+const VIEWS: usize = 4;
+
+/// The paper's fixed thresholds and that of the best PSNR, after the field as it is; indices, no two the same.
+#[must_use]
+pub fn shown(cleaned: &[(CleanUp, Vec<RenderedView>)]) -> Vec<usize> {
+    let of_threshold = |t: f64| cleaned.iter().position(|(c, _)| c.threshold == Some(t));
+    let mut shown: Vec<usize> = [Some(0), of_threshold(0.9), of_threshold(0.4)].into_iter().flatten().collect();
+    let all: Vec<CleanUp> = cleaned.iter().map(|(c, _)| *c).collect();
+    let best = CleanUp::best(&all).and_then(|best| best.threshold).and_then(of_threshold);
+    shown.extend(best.filter(|best| !shown.contains(best)));
+    shown
+}
+
+/// One row a view, evenly spread over all: the truth, the field as it is, and after clean-ups.
+pub fn write(path: &Path, truths: &[TrueView], cleaned: &[(CleanUp, Vec<RenderedView>)]) -> Result<()> {
+    let step = truths.len().div_ceil(VIEWS).max(1);
+    let rows: Vec<Vec<Panel>> = (step / 2..truths.len())
+        .step_by(step)
+        .map(|v| {
+            let truth = &truths[v];
+            let mut row = vec![color_panel(&truth.name, truth.camera.resolution, truth.colors.iter().copied())];
+            row.extend(shown(cleaned).into_iter().map(|k| {
+                let (cleaned, views) = &cleaned[k];
+                let name = cleaned.threshold.map_or("as it is".into(), |t| format!("threshold {t}"));
+                color_panel(&name, views[v].resolution, views[v].pixels.iter().map(|p| p.color))
+            }));
+            row
+        })
+        .collect();
+    write_sheet(path, &rows)
+}

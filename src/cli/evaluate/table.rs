@@ -1,0 +1,195 @@
+//! What an evaluation found, for people and for programs.
+
+use std::path::Path;
+
+use serde_json::json;
+
+use super::Args;
+use crate::cli::report;
+use crate::io::AtomicFile;
+use crate::judge::{CleanUp, DepthError, Judge, JudgedView, Measure, Score};
+use crate::metrics::{ErrorKind, STEPS, Sparsification};
+use crate::picture::{Curve, write_plot};
+use crate::{Error, Result};
+
+/// What an evaluation found.
+pub struct Evaluation<'a> {
+    pub args: &'a Args,
+    pub judge: &'a Judge<'a>,
+    pub measures: Vec<Measure>,
+    pub views: &'a [JudgedView],
+    /// Of each measure.
+    pub scores: Vec<Score>,
+    pub depth: DepthError,
+    /// Empty if not asked for.
+    pub cleaned: Vec<CleanUp>,
+}
+
+/// The name of an error kind in files.
+fn kind_name(kind: ErrorKind) -> String {
+    format!("{kind:?}").to_lowercase()
+}
+
+impl Evaluation<'_> {
+    fn named(&self) -> impl Iterator<Item = (Measure, String, &Score)> {
+        self.measures.iter().zip(&self.scores).map(|(&measure, score)| (measure, self.judge.name(measure), score))
+    }
+
+    fn psnr(&self) -> f64 {
+        self.views.iter().map(|v| v.psnr).sum::<f64>() / self.views.len() as f64
+    }
+
+    fn empty(&self) -> usize {
+        self.views.iter().map(|v| v.empty).sum()
+    }
+
+    /// The curves of mean absolute error, in scene units.
+    pub fn write_plot(&self, path: &Path) -> Result<()> {
+        let points = |s: &Sparsification, values: &[f64]| {
+            s.removed.iter().zip(values).map(|(&r, &v)| (r, v * s.largest)).collect()
+        };
+        let mut curves: Vec<Curve> = self
+            .named()
+            .map(|(_, name, score)| Curve {
+                name: format!("{name} (AUSE {:.3})", score.pooled[0].area),
+                points: points(&score.pooled[0], &score.pooled[0].by_uncertainty),
+                reference: false,
+            })
+            .collect();
+        if let Some(score) = self.scores.first() {
+            let oracle = points(&score.pooled[0], &score.pooled[0].by_error);
+            curves.push(Curve { name: "oracle: largest errors removed first".into(), points: oracle, reference: true });
+        }
+        let axes = ["removed share of pixels", "mean absolute depth error"];
+        write_plot(path, "Mean depth error left, scene units", axes, &curves)
+    }
+
+    /// One row per error kind and removed share; values in scene units.
+    pub fn write_csv(&self, path: &Path) -> Result<()> {
+        let mut file = AtomicFile::create(path)?;
+        let mut write = || -> csv::Result<()> {
+            let mut csv = csv::Writer::from_writer(&mut file);
+            let names: Vec<String> = self.named().map(|(_, name, _)| name).collect();
+            csv.write_record(["error", "removed", "oracle"].into_iter().chain(names.iter().map(|n| &**n)))?;
+            for (e, &kind) in ErrorKind::ALL.iter().enumerate() {
+                for k in 0..STEPS {
+                    let value = |s: &Sparsification, values: &[f64]| (values[k] * s.largest).to_string();
+                    let first = &self.scores[0].pooled[e];
+                    let head = [kind_name(kind), first.removed[k].to_string(), value(first, &first.by_error)];
+                    let of = |s: &Score| value(&s.pooled[e], &s.pooled[e].by_uncertainty);
+                    csv.write_record(head.into_iter().chain(self.scores.iter().map(of)))?;
+                }
+            }
+            csv.flush()?;
+            Ok(())
+        };
+        write().map_err(|e| Error::io(path, "cannot write")(e.into()))?;
+        file.commit()
+    }
+
+    fn json(&self) -> serde_json::Value {
+        let by_kind = |values: &dyn Fn(usize) -> f64| -> serde_json::Value {
+            ErrorKind::ALL.iter().enumerate().map(|(e, &kind)| (kind_name(kind), json!(values(e)))).collect()
+        };
+        let (mut readings, mut baselines) = (Vec::new(), Vec::new());
+        for (measure, name, score) in self.named() {
+            let mut entry = json!({
+                "name": name,
+                "ause_pooled": by_kind(&|e| score.pooled[e].area),
+                "ause_mean_over_views": by_kind(&|e| score.per_view_mean[e]),
+            });
+            match measure {
+                Measure::Reading(r, blend) => {
+                    entry["blend"] = json!(blend);
+                    entry["field"] = report::protocol_json(&self.judge.readings[r].field);
+                    readings.push(entry);
+                }
+                Measure::Baseline(_) => baselines.push(entry),
+            }
+        }
+        let args = self.args;
+        json!({
+            "model": args.model.model, "cameras": args.cameras.cameras, "depth": args.depth, "ensemble": args.ensemble,
+            "depth_kind": if args.z_depth { "z" } else { "euclidean" }, "stride": args.stride,
+            "mask": "alpha 255 and known depth", "alignment": "none",
+            "background": args.model.background.to_array(),
+            "views": self.views.iter().map(|v| json!({ "name": v.name, "psnr": v.psnr, "pixels": v.pixels.len() })).collect::<Vec<_>>(),
+            "pixels": self.depth.pixels, "pixels_without_depth": self.empty(), "psnr": self.psnr(),
+            "depth_error": {
+                "median": self.depth.median, "mean": self.depth.mean, "percentile_95": self.depth.percentile_95,
+            },
+            "readings": readings,
+            "baselines": baselines,
+            "clean_up": self.cleaned,
+        })
+    }
+
+    pub fn print(&self) -> Result<()> {
+        let args = self.args;
+        if args.json {
+            return say!("{}", self.json());
+        }
+        for reading in self.judge.readings {
+            say!("{}\n{}", reading.name, report::protocol(&reading.field))?;
+        }
+        say!("protocol of the evaluation")?;
+        let (n, cameras) = (self.views.len(), args.cameras.cameras.display());
+        say!("  views        {n} of {cameras}, every {}. pixel along x and y", args.stride)?;
+        let kind = if args.z_depth { "along the viewing axis" } else { "Euclidean" };
+        say!("  depth        median of the ray's weights, against {kind} depth of {}", args.depth.display())?;
+        let empty = self.empty();
+        say!("  mask         alpha 255 and known depth; {empty} pixels left out where the field shows nothing")?;
+        say!("  alignment    none")?;
+        let blends: Vec<_> = args.blend.iter().map(|b| b.name()).collect();
+        say!("  U per pixel  log10 U blended `{}`", blends.join("`, `"))?;
+        say!("  AUSE         100 steps, both curves over their common maximum, trapezoid; 0 is a perfect order")?;
+        say!("PSNR {:.2} dB (mean over views)", self.psnr())?;
+        let DepthError { pixels, median, mean, percentile_95 } = self.depth;
+        say!(
+            "depth error over {pixels} pixels: median {median:.4}, mean {mean:.4}, 95 % {percentile_95:.4} scene units"
+        )?;
+        let width = self.named().map(|(_, name, _)| name.chars().count()).max().unwrap_or(0).max(32);
+        say!(
+            "{:<width$}     mae     mse    rmse   | mean over views   mae     mse    rmse",
+            "AUSE, all pixels together",
+            width = width + 2
+        )?;
+        let mut before = None;
+        for (measure, name, score) in self.named() {
+            let is_reading = matches!(measure, Measure::Reading(..));
+            if before == Some(true) && !is_reading {
+                say!("  without a Hessian:")?;
+            }
+            before = Some(is_reading);
+            let [a, b, c] = [0, 1, 2].map(|k| score.pooled[k].area);
+            let [d, e, f] = [0, 1, 2].map(|k| score.per_view_mean[k]);
+            say!("  {name:<width$} {a:>7.4} {b:>7.4} {c:>7.4}   |              {d:>7.4} {e:>7.4} {f:>7.4}")?;
+        }
+        self.print_clean_up()
+    }
+
+    fn print_clean_up(&self) -> Result<()> {
+        let (Some(path), Some(reading)) = (&self.args.clean_up, self.judge.readings.first()) else { return Ok(()) };
+        say!("clean-up by {}, pictures in {}", reading.name, path.display())?;
+        say!("  threshold   log10 U    PSNR, dB   where shown      SSIM   SSIMULACRA 2   coverage")?;
+        let best = CleanUp::best(&self.cleaned);
+        for c in &self.cleaned {
+            let threshold = c.threshold.map_or("as it is".into(), |t| format!("{t:.1}"));
+            let log10 = c.log10.map_or(String::new(), |u| format!("{u:.2}"));
+            let mark = if c.threshold.is_some() && best.is_some_and(|best| best.threshold == c.threshold) {
+                "   best PSNR"
+            } else {
+                ""
+            };
+            say!(
+                "  {threshold:>9} {log10:>9} {:>11.2} {:>13.2} {:>9.4} {:>14.1} {:>10.3}{mark}",
+                c.psnr,
+                c.psnr_shown,
+                c.ssim,
+                c.ssimulacra2,
+                c.coverage
+            )?;
+        }
+        Ok(())
+    }
+}

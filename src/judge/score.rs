@@ -1,0 +1,71 @@
+//! How well a measure ranks the error, and how large the error is.
+
+use serde::{Deserialize, Serialize};
+
+use super::JudgedView;
+use crate::metrics::{ErrorKind, Sparsification, sparsification};
+
+/// Area under the sparsification error of one measure.
+#[derive(Debug, Clone)]
+pub struct Score {
+    /// `[error kinds]`: curves and area over the pixels of all views together.
+    pub pooled: Vec<Sparsification>,
+    /// `[error kinds]`: mean of the views' own areas.
+    pub per_view_mean: Vec<f64>,
+}
+
+impl Score {
+    /// The score of measure `m` for every [`ErrorKind`]; `None` if there is nothing to rank (see [`sparsification`]).
+    #[must_use]
+    pub fn of(views: &[JudgedView], m: usize) -> Option<Self> {
+        let errors: Vec<f64> = views.iter().flat_map(|v| &v.absolute_error).copied().collect();
+        let measure: Vec<f64> = views.iter().flat_map(|v| &v.measures[m]).copied().collect();
+        let pooled = ErrorKind::ALL.iter().map(|&kind| sparsification(&measure, &errors, kind));
+        let mean = |kind| {
+            let areas = views.iter().filter_map(|v| sparsification(&v.measures[m], &v.absolute_error, kind));
+            let areas: Vec<f64> = areas.map(|s| s.area).collect();
+            areas.iter().sum::<f64>() / areas.len() as f64
+        };
+        Some(Self {
+            pooled: pooled.collect::<Option<_>>()?,
+            per_view_mean: ErrorKind::ALL.iter().map(|&kind| mean(kind)).collect(),
+        })
+    }
+
+    /// Pooled area for one kind of error.
+    #[must_use]
+    pub fn area(&self, kind: ErrorKind) -> f64 {
+        let index = ErrorKind::ALL.iter().position(|k| *k == kind).unwrap_or(0);
+        self.pooled[index].area
+    }
+}
+
+/// Absolute error of the median depth over the pixels of all views, scene units.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct DepthError {
+    /// Pixels.
+    pub pixels: usize,
+    /// Half of the pixels are within.
+    pub median: f64,
+    /// Mean.
+    pub mean: f64,
+    /// 95 % of the pixels are within.
+    pub percentile_95: f64,
+}
+
+impl DepthError {
+    /// Over all views; `None` without pixels.
+    #[must_use]
+    pub fn of(views: &[JudgedView]) -> Option<Self> {
+        let mut errors: Vec<f64> = views.iter().flat_map(|v| &v.absolute_error).copied().collect();
+        let n = errors.len();
+        errors.sort_unstable_by(f64::total_cmp);
+        let percentile = |share: f64| errors[((share * n as f64) as usize).min(n - 1)];
+        (n > 0).then(|| Self {
+            pixels: n,
+            median: percentile(0.5),
+            mean: errors.iter().sum::<f64>() / n as f64,
+            percentile_95: percentile(0.95),
+        })
+    }
+}

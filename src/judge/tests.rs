@@ -1,0 +1,171 @@
+//! On a ball of which everything is known.
+
+use glam::{DVec3, Vec3};
+
+use super::*;
+use crate::estimate::{GridSettings, RaySettings, estimate};
+use crate::field::{ClosedForm, Radiance, RadianceField};
+use crate::geometry::{Aabb, Camera};
+use crate::metrics::{ErrorKind, density_aware, ensemble_variance};
+use crate::monitor::Silent;
+use crate::posterior::Covariance;
+use crate::render::{Blend, Tracer, render_view};
+use crate::uncertainty::UncertaintyField;
+
+/// A field without matter in the ball's box.
+struct Nothing(Aabb);
+
+impl RadianceField for Nothing {
+    fn bounds(&self) -> Aabb {
+        self.0
+    }
+
+    fn evaluate(&self, _: &[Vec3], _: &[Vec3], out: &mut [Radiance]) {
+        out.fill(Radiance::default());
+    }
+
+    fn suggested_step(&self) -> f64 {
+        0.01
+    }
+
+    fn memory(&self) -> usize {
+        0
+    }
+
+    fn describe(&self) -> String {
+        "nothing".into()
+    }
+}
+
+fn cameras() -> Vec<Camera> {
+    ClosedForm::half_circle(3, [24, 24])
+}
+
+fn settings() -> RaySettings {
+    RaySettings { rays: 4000, occupancy: 24, cutoff: 1e-4, ..RaySettings::default() }
+}
+
+fn uncertainty(ball: &ClosedForm) -> UncertaintyField {
+    estimate(ball, &cameras(), &settings(), &GridSettings { level: 5, ..GridSettings::default() }, &Silent).unwrap().0
+}
+
+fn tracer(field: &dyn RadianceField) -> Tracer<'_> {
+    settings().tracer(field, 0.0, &Silent).unwrap()
+}
+
+/// What the ball shows; its true distance is the median depth less 0.01 for every pixel further to the right.
+fn truth(ball: &ClosedForm, camera: &Camera) -> TrueView {
+    let view = render_view(&tracer(ball), camera, 0.5, &[], &Silent).unwrap();
+    let width = camera.resolution[0] as usize;
+    let seen = |i: usize| view.pixels[i].opacity > 0.5;
+    let n = view.pixels.len();
+    TrueView {
+        name: "view".into(),
+        camera: *camera,
+        pixel_offset: 0.5,
+        colors: view.pixels.iter().map(|p| p.color).collect(),
+        covered: (0..n).map(seen).collect(),
+        distance: (0..n).map(|i| seen(i).then(|| view.pixels[i].median_depth - 0.01 * (i % width) as f64)).collect(),
+    }
+}
+
+#[test]
+fn every_measure_is_of_the_same_pixels() {
+    let ball = ClosedForm::ball();
+    let field = uncertainty(&ball);
+    let readings: Vec<Reading> = Covariance::ALL
+        .iter()
+        .map(|&c| Reading {
+            name: c.name().into(),
+            field: field.clone().with_covariance(c).unwrap(),
+            blends: vec![Blend::Hit, Blend::AtMedian],
+        })
+        .collect();
+    let nothing = Nothing(ball.bounds());
+    let judge = Judge { tracer: tracer(&ball), readings: &readings, members: vec![tracer(&ball), tracer(&nothing)] };
+    let camera = cameras()[1];
+    let truth = truth(&ball, &camera);
+    let view = judge.judge(&truth, 7, &Silent).unwrap();
+    let n = view.pixels.len();
+    assert!(n > 50 && view.empty == 0 && view.psnr == f64::INFINITY, "{n} pixels");
+    let measures = judge.measures();
+    assert_eq!(measures.len(), 8 + 7);
+    assert!(view.measures.len() == measures.len() && view.measures.iter().all(|m| m.len() == n));
+
+    let of = |measure| &view.measures[measures.iter().position(|m| *m == measure).unwrap()];
+    let baseline = |b| of(Measure::Baseline(b));
+    for (k, &i) in view.pixels.iter().enumerate() {
+        assert!((view.absolute_error[k] - 0.01 * (i % 24) as f64).abs() < 1e-12);
+        let pixel = view.rendered.pixels[i];
+        assert_eq!(baseline(Baseline::RayVariance)[k], pixel.depth_variance);
+        assert_eq!(baseline(Baseline::RayEntropy)[k], pixel.termination_entropy);
+        assert_eq!(baseline(Baseline::Transparency)[k], 1.0 - pixel.opacity);
+        // The ball itself and nothing: its depth, and where the ray leaves the box.
+        let ray = camera.ray((i % 24) as f64 + 0.5, (i / 24) as f64 + 0.5);
+        let exit = ball.bounds().clip(&ray).unwrap().1;
+        assert_eq!(baseline(Baseline::EnsembleVariance)[k], ensemble_variance(&[pixel.median_depth, exit]));
+        let expected = density_aware(&[pixel.color, DVec3::ONE], &[pixel.opacity, 0.0]);
+        assert_eq!(baseline(Baseline::DensityAware)[k], expected);
+        let x = ray.at(pixel.median_depth).as_vec3();
+        for (r, reading) in readings.iter().enumerate() {
+            assert_eq!(of(Measure::Reading(r, Blend::AtMedian))[k], reading.field.log10(x), "{}", reading.name);
+        }
+    }
+    // Fewer rays are more uncertain: counts are those of the field, somewhere between none and all.
+    let counts = baseline(Baseline::RayCount);
+    assert!(counts.iter().all(|c| (-4000.0..=0.0).contains(c)) && counts.iter().any(|c| *c < -1.0));
+    // Chance differs from view to view and is the same every time.
+    assert_eq!(baseline(Baseline::Random), &judge.judge(&truth, 7, &Silent).unwrap().measures[12]);
+    assert_ne!(baseline(Baseline::Random), &judge.judge(&truth, 8, &Silent).unwrap().measures[12]);
+}
+
+#[test]
+fn a_measure_that_is_the_error_has_no_area() {
+    let ball = ClosedForm::ball();
+    let judge = Judge { tracer: tracer(&ball), readings: &[], members: Vec::new() };
+    let truth = truth(&ball, &cameras()[0]);
+    let mut view = judge.judge(&truth, 0, &Silent).unwrap();
+    view.measures = vec![view.absolute_error.clone(), view.absolute_error.iter().map(|e| -e).collect()];
+    let views = [view.clone(), view];
+    let [best, worst] = [0, 1].map(|m| Score::of(&views, m).unwrap());
+    for kind in ErrorKind::ALL {
+        assert!(best.area(kind) == 0.0 && worst.area(kind) > 0.2, "{kind:?}");
+        let all = |values: &dyn Fn(&JudgedView) -> Vec<f64>| views.iter().flat_map(values).collect::<Vec<_>>();
+        let [measure, error] = [all(&|v| v.measures[1].clone()), all(&|v| v.absolute_error.clone())];
+        let expected = crate::metrics::sparsification(&measure, &error, kind).unwrap().area;
+        assert_eq!(worst.area(kind), expected);
+    }
+    assert!(worst.area(ErrorKind::Mae) != worst.area(ErrorKind::Rmse));
+    let depth = DepthError::of(&views).unwrap();
+    let errors = &views[0].absolute_error;
+    let mean = errors.iter().sum::<f64>() / errors.len() as f64;
+    assert!((depth.mean - mean).abs() < 1e-12 && depth.median < depth.percentile_95);
+}
+
+#[test]
+fn clean_up_removes_nothing_above_the_prior_and_everything_below_the_least() {
+    let ball = ClosedForm::ball();
+    let field = uncertainty(&ball);
+    let mut truths: Vec<TrueView> = cameras().iter().map(|camera| truth(&ball, camera)).collect();
+    // What is shown where nothing should be does not count as covered.
+    for truth in &mut truths {
+        let covered = truth.covered.iter_mut().filter(|c| **c);
+        covered.take(20).for_each(|c| *c = false);
+    }
+    let edge = ball.bounds().longest_edge();
+    let share = |u: f64| (u / edge).log10() / SCALE;
+    let lowest = field.deviations().iter().fold(f64::INFINITY, f64::min);
+    let [all, none] = [share(field.prior()) + 1e-9, share(lowest) - 1e-9];
+    let middle = 0.5 * (all + none);
+    let cleaned = clean_up(&tracer(&ball), &field, &truths, &[none, middle, all], &Silent).unwrap();
+    let [before, gone, some, kept] = [0, 1, 2, 3].map(|k| &cleaned[k]);
+    assert!(before.0.psnr == f64::INFINITY && before.0.ssim > 1.0 - 1e-9 && before.0.coverage == 1.0);
+    for (a, b) in before.1.iter().zip(&kept.1) {
+        assert_eq!(a.pixels, b.pixels);
+    }
+    assert!(gone.1.iter().flat_map(|view| &view.pixels).all(|p| p.opacity == 0.0 && p.color == DVec3::ONE));
+    assert!(gone.0.coverage == 0.0 && gone.0.psnr_shown.is_nan() && gone.0.psnr < 20.0);
+    assert!(some.0.coverage < 1.0 && some.0.psnr > gone.0.psnr, "{some:?}");
+    // The threshold in scene units, from its share of the scale.
+    assert!((10_f64.powf(kept.0.log10.unwrap()) / field.prior() - 1.0).abs() < 1e-7);
+}

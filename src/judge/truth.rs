@@ -1,0 +1,70 @@
+//! What a held-out camera should see.
+
+use std::path::{Path, PathBuf};
+
+use glam::DVec3;
+
+use crate::Result;
+use crate::dataset::{DepthEncoding, DepthMap, Frame, PosedImage};
+use crate::geometry::Camera;
+
+/// Where true depth maps are.
+#[derive(Debug, Clone)]
+pub struct DepthFiles {
+    /// Their folder.
+    pub folder: PathBuf,
+    /// File name; `{}` is the frame's file name without extension.
+    pub pattern: String,
+    /// What their values mean.
+    pub encoding: DepthEncoding,
+}
+
+impl DepthFiles {
+    /// The depth map of a frame.
+    #[must_use]
+    pub fn path(&self, frame: &Frame) -> PathBuf {
+        let stem = Path::new(&frame.name).file_name().unwrap_or_default().to_string_lossy();
+        let stem = [".png", ".jpg", ".jpeg"].iter().fold(&*stem, |s, e| s.trim_end_matches(e));
+        self.folder.join(self.pattern.replace("{}", stem))
+    }
+}
+
+/// What a held-out camera should see, at some of its pixels.
+#[derive(Debug, Clone)]
+pub struct TrueView {
+    /// The frame's `file_path`.
+    pub name: String,
+    /// A camera with just these pixels.
+    pub camera: Camera,
+    /// Where in a pixel rays go through.
+    pub pixel_offset: f64,
+    /// `[height · width]`: over the background, in [0, 1].
+    pub colors: Vec<DVec3>,
+    /// `[height · width]`: whether more than half of the pixel shows matter (alpha above ½).
+    pub covered: Vec<bool>,
+    /// `[height · width]`: distance from the camera, scene units, where it is known and the pixel shows matter alone (alpha 255).
+    pub distance: Vec<Option<f64>>,
+}
+
+impl TrueView {
+    /// Reads every `stride`-th pixel along x and y of a frame's image and depth map.
+    ///
+    /// # Errors
+    /// If a file is missing or damaged, or its size is not the camera's.
+    pub fn read(frame: &Frame, depth: &DepthFiles, background: DVec3, pixel_offset: f64, stride: u32) -> Result<Self> {
+        let image = PosedImage::read(&frame.image, frame.camera.resolution)?;
+        let truth = DepthMap::read(&depth.path(frame), depth.encoding, &frame.camera, pixel_offset)?;
+        let camera = frame.camera.strided(stride, pixel_offset);
+        let [width, height] = camera.resolution;
+        let full = |row: u32, column: u32| (row * stride * frame.camera.resolution[0] + column * stride) as usize;
+        let pixels: Vec<usize> = (0..height).flat_map(|row| (0..width).map(move |c| full(row, c))).collect();
+        Ok(Self {
+            name: frame.name.clone(),
+            camera,
+            pixel_offset,
+            colors: pixels.iter().map(|&i| image.over(i, background)).collect(),
+            covered: pixels.iter().map(|&i| image.alpha(i) > 0.5).collect(),
+            distance: pixels.iter().map(|&i| truth.distance[i].filter(|_| image.is_opaque(i))).collect(),
+        })
+    }
+}

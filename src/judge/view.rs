@@ -1,0 +1,157 @@
+//! A rendered view beside the truth: depth errors and measures of the same pixels.
+
+use glam::DVec3;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::{Baseline, Measure, Reading, TrueView};
+use crate::Result;
+use crate::metrics::{density_aware, ensemble_variance, psnr};
+use crate::monitor::{Monitor, check};
+use crate::render::{Blend, Probe, RenderedView, Tracer, render_view};
+
+/// A field to be judged, and all that claims to know where it is wrong.
+pub struct Judge<'a> {
+    /// The field.
+    pub tracer: Tracer<'a>,
+    /// Its uncertainty.
+    pub readings: &'a [Reading],
+    /// Other fields trained like it, or none.
+    pub members: Vec<Tracer<'a>>,
+}
+
+/// The pixels of one view that have a true depth.
+#[derive(Debug, Clone)]
+pub struct JudgedView {
+    /// The frame's `file_path`.
+    pub name: String,
+    /// PSNR of the whole image, dB.
+    pub psnr: f64,
+    /// `[n]`: indices in the image.
+    pub pixels: Vec<usize>,
+    /// `[n]`: |median depth − true distance|, scene units.
+    pub absolute_error: Vec<f64>,
+    /// `[measures][n]`, larger is more uncertain.
+    pub measures: Vec<Vec<f64>>,
+    /// Pixels with true depth where the field shows nothing: left out, as no depth can be compared.
+    pub empty: usize,
+    /// The whole image.
+    pub rendered: RenderedView,
+}
+
+impl Judge<'_> {
+    /// All measures, in the order of [`JudgedView::measures`].
+    #[must_use]
+    pub fn measures(&self) -> Vec<Measure> {
+        let readings = self.readings.iter().enumerate();
+        let readings = readings.flat_map(|(i, r)| r.blends.iter().map(move |&blend| Measure::Reading(i, blend)));
+        let mut baselines = vec![Baseline::RayVariance, Baseline::RayEntropy, Baseline::Transparency];
+        baselines.extend(self.counted().map(|_| Baseline::RayCount));
+        baselines.push(Baseline::Random);
+        if !self.members.is_empty() {
+            baselines.extend([Baseline::EnsembleVariance, Baseline::DensityAware]);
+        }
+        readings.chain(baselines.into_iter().map(Measure::Baseline)).collect()
+    }
+
+    /// A measure's name in tables.
+    #[must_use]
+    pub fn name(&self, measure: Measure) -> String {
+        match measure {
+            Measure::Reading(i, blend) if self.readings[i].blends.len() > 1 => {
+                format!("{}, {}", self.readings[i].name, blend.name())
+            }
+            Measure::Reading(i, _) => self.readings[i].name.clone(),
+            Measure::Baseline(baseline) => baseline.name().into(),
+        }
+    }
+
+    /// The first field that remembers how many rays it has from where.
+    fn counted(&self) -> Option<&Reading> {
+        self.readings.iter().find(|reading| reading.field.evidence().is_some())
+    }
+
+    /// Renders a view with the field and all members, and compares. Advances the monitor by [`Judge::rows`].
+    ///
+    /// # Errors
+    /// [`crate::Error::Interrupted`] only.
+    pub fn judge(&self, truth: &TrueView, seed: u64, monitor: &dyn Monitor) -> Result<JudgedView> {
+        let values: Vec<_> = self.readings.iter().map(|reading| |x| reading.field.log10(x)).collect();
+        let mut probes: Vec<Probe> = Vec::new();
+        for (value, reading) in values.iter().zip(self.readings) {
+            probes.push(Probe { value, blends: &reading.blends });
+        }
+        let counted = self.counted();
+        let unsupported = |x| -counted.and_then(|reading| reading.field.query(x).rays).unwrap_or(0.0);
+        if counted.is_some() {
+            probes.push(Probe { value: &unsupported, blends: &[Blend::Hit] });
+        }
+        check(monitor)?;
+        let mut rendered = render_view(&self.tracer, &truth.camera, truth.pixel_offset, &probes, monitor)?;
+        let counts = counted.and_then(|_| rendered.log10_uncertainty.pop());
+        let mut members = Vec::new();
+        for member in &self.members {
+            check(monitor)?;
+            members.push(render_view(member, &truth.camera, truth.pixel_offset, &[], monitor)?);
+        }
+
+        let with_truth = truth.distance.iter().enumerate().filter_map(|(i, d)| Some((i, (*d)?)));
+        let shown = |i: usize| rendered.pixels[i].opacity > 0.0;
+        let (seen, empty): (Vec<_>, Vec<_>) = with_truth.partition(|(i, _)| shown(*i));
+        let pixels: Vec<usize> = seen.iter().map(|(i, _)| *i).collect();
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        let mut readings = rendered.log10_uncertainty.iter();
+        let mut measure = |measure| -> Vec<f64> {
+            let each = |value: &dyn Fn(usize) -> f64| pixels.iter().map(|&i| value(i)).collect();
+            match measure {
+                Measure::Reading(..) => {
+                    let blended = readings.next().expect("one image per reading and blend");
+                    each(&|i| blended[i])
+                }
+                Measure::Baseline(baseline) => match baseline {
+                    Baseline::RayVariance => each(&|i| rendered.pixels[i].depth_variance),
+                    Baseline::RayEntropy => each(&|i| rendered.pixels[i].termination_entropy),
+                    Baseline::Transparency => each(&|i| 1.0 - rendered.pixels[i].opacity),
+                    Baseline::RayCount => counts.as_ref().map_or_else(Vec::new, |counts| each(&|i| counts[i])),
+                    Baseline::Random => pixels.iter().map(|_| random.random()).collect(),
+                    Baseline::EnsembleVariance => each(&|i| {
+                        let depth = |m: &RenderedView| self.depth(truth, m, i);
+                        ensemble_variance(&members.iter().map(depth).collect::<Vec<_>>())
+                    }),
+                    Baseline::DensityAware => each(&|i| {
+                        let colors: Vec<DVec3> = members.iter().map(|m| m.pixels[i].color).collect();
+                        let opacities: Vec<f64> = members.iter().map(|m| m.pixels[i].opacity).collect();
+                        density_aware(&colors, &opacities)
+                    }),
+                },
+            }
+        };
+        let measures = self.measures().into_iter().map(&mut measure).collect();
+        let colors: Vec<DVec3> = rendered.pixels.iter().map(|p| p.color).collect();
+        Ok(JudgedView {
+            name: truth.name.clone(),
+            psnr: psnr(&colors, &truth.colors),
+            absolute_error: seen.iter().map(|(i, d)| (rendered.pixels[*i].median_depth - d).abs()).collect(),
+            pixels,
+            measures,
+            empty: empty.len(),
+            rendered,
+        })
+    }
+
+    /// Rows that [`Judge::judge`] renders for a view.
+    #[must_use]
+    pub fn rows(&self, truth: &TrueView) -> u64 {
+        u64::from(truth.camera.resolution[1]) * (1 + self.members.len() as u64)
+    }
+
+    /// The median depth of a member's pixel; where it shows nothing, that at which the ray leaves the box.
+    fn depth(&self, truth: &TrueView, member: &RenderedView, i: usize) -> f64 {
+        if member.pixels[i].opacity > 0.0 {
+            return member.pixels[i].median_depth;
+        }
+        let width = member.resolution[0] as usize;
+        let [x, y] = [i % width, i / width].map(|n| n as f64 + truth.pixel_offset);
+        self.tracer.marcher.bounds.clip(&truth.camera.ray(x, y)).map_or(0.0, |(_, exit)| exit)
+    }
+}

@@ -1,0 +1,50 @@
+//! Ranks: what measures of different scales have in common.
+
+/// The share of the other values that each value exceeds, ties counting half: 0 for the smallest, 1 for the largest, ½ if all are
+/// equal. Any increasing function of the values has the same percentiles. NaN stays NaN and counts for no one.
+#[must_use]
+pub fn percentiles(values: &[f64]) -> Vec<f64> {
+    let mut order: Vec<usize> = (0..values.len()).filter(|&i| !values[i].is_nan()).collect();
+    order.sort_by(|&a, &b| values[a].total_cmp(&values[b]));
+    let mut out = vec![f64::NAN; values.len()];
+    let others = order.len().saturating_sub(1);
+    let mut first = 0;
+    while first < order.len() {
+        let tied = order[first..].iter().take_while(|&&i| values[i] == values[order[first]]).count();
+        let rank = first as f64 + 0.5 * (tied - 1) as f64;
+        for &i in &order[first..first + tied] {
+            out[i] = if others == 0 { 0.5 } else { rank / others as f64 };
+        }
+        first += tied;
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn ties_share_their_place() {
+        assert_eq!(percentiles(&[5.0, -1.0, 7.0]), [0.5, 0.0, 1.0]);
+        assert_eq!(percentiles(&[2.0, 1.0, 2.0, 9.0, 2.0]), [0.5, 0.0, 0.5, 1.0, 0.5]);
+        assert_eq!(percentiles(&[4.0; 3]), [0.5; 3]);
+        let found = percentiles(&[f64::NAN, 3.0, f64::NEG_INFINITY]);
+        assert!(found[0].is_nan() && found[1..] == [1.0, 0.0]);
+        assert!(percentiles(&[]).is_empty());
+    }
+
+    proptest! {
+        #[test]
+        fn as_counted_one_by_one(values in proptest::collection::vec(0..6_i32, 2..60)) {
+            let values: Vec<f64> = values.into_iter().map(f64::from).collect();
+            let found = percentiles(&values);
+            for (&v, &p) in values.iter().zip(&found) {
+                let below = values.iter().filter(|o| **o < v).count() as f64;
+                let equal = values.iter().filter(|o| **o == v).count() as f64 - 1.0;
+                prop_assert!((p - (below + 0.5 * equal) / (values.len() - 1) as f64).abs() < 1e-12);
+            }
+        }
+    }
+}

@@ -1,0 +1,90 @@
+//! The whole line on a small mesh: exact data, an ensemble, its uncertainty, its judgement.
+
+use std::path::Path;
+use std::process::Command;
+
+use serde_json::Value;
+
+/// Runs the binary in `folder`; stdout.
+fn octobayes(folder: &Path, args: &str) -> String {
+    let output = Command::new(env!("CARGO_BIN_EXE_octobayes"))
+        .args(args.split_whitespace())
+        .current_dir(folder)
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{args}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+/// An octahedron and what a few hundred steps of training make of it, twice.
+fn desk() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let mut mesh = String::new();
+    for v in ["1 0 0", "-1 0 0", "0 1 0", "0 -1 0", "0 0 1", "0 0 -1"] {
+        mesh += &format!("v {v}\n");
+    }
+    for [a, b, c] in [[1, 3, 5], [3, 2, 5], [2, 4, 5], [4, 1, 5], [3, 1, 6], [2, 3, 6], [4, 2, 6], [1, 4, 6]] {
+        mesh += &format!("f {a} {b} {c}\n");
+    }
+    std::fs::write(folder.path().join("mesh.obj"), mesh).unwrap();
+    octobayes(folder.path(), "synth mesh.obj -o set --views 6 --test-views 2 --resolution 24 --samples-per-pixel 4");
+    octobayes(
+        folder.path(),
+        "train set -o m.safetensors --steps 120 --members 2 --samples-per-step 4096 --log2-hashmap-size 12 --test-pixels 1",
+    );
+    octobayes(
+        folder.path(),
+        "uncertainty m-0.safetensors --cameras set/transforms_train.json --level 5 --rays 3000 --gradient auto -o m.oct",
+    );
+    folder
+}
+
+const EVALUATE: &str = "evaluate m-0.safetensors m.oct --cameras set/transforms_test.json --depth set/depth --depth-pattern {}.png \
+    --depth-encoding 0,6.5535 --ensemble m-0.safetensors m-1.safetensors";
+
+#[test]
+fn all_measures_and_the_clean_up_are_in_the_tables() {
+    let desk = desk();
+    let run = |more: &str| octobayes(desk.path(), &format!("{EVALUATE} {more}"));
+    let text = run("--clean-up sheet.png --json --plot plot.svg --csv curves.csv --blend hit,mean");
+    let json: Value = serde_json::from_str(&text).unwrap();
+    let names = |key: &str| -> Vec<String> {
+        json[key].as_array().unwrap().iter().map(|e| e["name"].as_str().unwrap().to_string()).collect()
+    };
+    let readings = ["diagonal", "trace", "block", "normal"];
+    let expected: Vec<String> = readings.iter().flat_map(|r| [format!("m {r}, hit"), format!("m {r}, mean")]).collect();
+    assert_eq!(names("readings"), expected);
+    let baselines = [
+        "ray-weight variance",
+        "ray entropy",
+        "1 - opacity",
+        "ray count",
+        "random",
+        "ensemble depth variance",
+        "density-aware ensemble",
+    ];
+    assert_eq!(names("baselines"), baselines);
+    for entry in json["readings"].as_array().unwrap().iter().chain(json["baselines"].as_array().unwrap()) {
+        for kind in ["mae", "mse", "rmse"] {
+            let area = entry["ause_pooled"][kind].as_f64().unwrap();
+            assert!((0.0..1.0).contains(&area), "{entry}");
+        }
+    }
+    let cleaned = json["clean_up"].as_array().unwrap();
+    assert_eq!(cleaned.len(), 11);
+    assert!(cleaned[0]["threshold"].is_null() && cleaned[0]["coverage"].as_f64().unwrap() > 0.5, "{}", cleaned[0]);
+    // Higher thresholds keep more.
+    let coverage: Vec<f64> = cleaned[1..].iter().map(|c| c["coverage"].as_f64().unwrap()).collect();
+    assert!(coverage.windows(2).all(|w| w[0] <= w[1] + 0.02) && coverage[0] < coverage[9], "{coverage:?}");
+    for file in ["sheet.png", "plot.svg", "curves.csv"] {
+        assert!(std::fs::metadata(desk.path().join(file)).unwrap().len() > 1000, "{file}");
+    }
+    // Results do not depend on the number of threads.
+    let one = octobayes(desk.path(), &format!("--threads 1 {EVALUATE} --blend hit,mean --clean-up sheet.png --json"));
+    assert_eq!(text, one);
+    // The same for people.
+    let table = run("");
+    for name in baselines.iter().chain(&["m diagonal", "m normal", "without a Hessian"]) {
+        assert!(table.contains(name), "{name} is not in\n{table}");
+    }
+}
