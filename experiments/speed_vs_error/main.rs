@@ -5,6 +5,7 @@
 //! derivatives ([`measure::reference`]). Needs `OCTOBAYES_DATA`. Prints the tables of `experiments/speed_vs_error.md` and writes its plots;
 //! arguments choose parts: `ablation rays scenes levels targets profile queries`, by default all.
 
+mod ause;
 mod measure;
 mod parts;
 mod profile;
@@ -41,13 +42,13 @@ fn main() -> Result<()> {
             parts::ablation(&lego, &reference)?;
         }
         if wants("rays") {
-            parts::rays(&lego, &reference)?;
+            parts::rays(&lego, &reference, Some(&ause::Truth::lego(&data)?))?;
         }
     }
     if wants("scenes") {
         for scene in [scenes::ignatius(&data)?, scenes::garden(&data)?, scenes::city()?] {
             let reference = measure::reference(&scene, 8, 20 * scene.rays)?;
-            parts::rays(&scene, &reference)?;
+            parts::rays(&scene, &reference, None)?;
         }
     }
     Ok(())

@@ -5,10 +5,11 @@ use std::path::Path;
 use octobayes::Result;
 use octobayes::estimate::{GridKind, GridSettings, RaySettings};
 use octobayes::picture::{Curve, write_plot};
-use octobayes::posterior::Pixels;
+use octobayes::posterior::{Criterion, Pixels};
 use octobayes::render::GradientMethod;
 use octobayes::uncertainty::UncertaintyField;
 
+use super::ause::Truth;
 use super::measure::{cells, error, grid, median, run};
 use super::scenes::Scene;
 
@@ -62,8 +63,8 @@ pub fn ablation(lego: &Scene, reference: &UncertaintyField) -> Result<()> {
     Ok(())
 }
 
-/// Error over rays, time and memory, with a plot.
-pub fn rays(scene: &Scene, reference: &UncertaintyField) -> Result<()> {
+/// Error over rays, time and memory, with a plot; AUSE where the truth is known.
+pub fn rays(scene: &Scene, reference: &UncertaintyField, truth: Option<&Truth>) -> Result<()> {
     let methods = [
         ("dense, random", GridKind::Dense, Pixels::Random, GradientMethod::FiniteDifference),
         ("octree, differences", GridKind::Octree, Pixels::Sobol, GradientMethod::FiniteDifference),
@@ -71,7 +72,7 @@ pub fn rays(scene: &Scene, reference: &UncertaintyField) -> Result<()> {
     ];
     println!("\n## Rays: {}, level 8\n", scene.name);
     println!(
-        "| rays | method | s | bytes for queries | surfaces: mean | 95 % | max | box: mean | 95 % | max |\n|---|---|---|---|---|---|---|---|---|---|"
+        "| rays | method | s | bytes for queries | surfaces: mean | 95 % | max | box: mean | 95 % | max | AUSE (MAE) |\n|---|---|---|---|---|---|---|---|---|---|---|"
     );
     let mut curves: Vec<Curve> =
         methods.iter().map(|m| Curve { name: m.0.into(), points: Vec::new(), reference: false }).collect();
@@ -83,7 +84,14 @@ pub fn rays(scene: &Scene, reference: &UncertaintyField) -> Result<()> {
             let bytes = run.field.query_memory();
             let [surface, space] = error(&run.field, reference)?;
             curve.points.push((run.seconds.log10(), surface.mean.log10()));
-            println!("| {rays} | {name} | {:.2} | {bytes} | {} | {} |", run.seconds, cells(&surface), cells(&space));
+            let ause = truth.map(|truth| truth.ause(scene, &run.field)).transpose()?;
+            let ause = ause.map_or("-".into(), |ause| format!("{ause:.4}"));
+            println!(
+                "| {rays} | {name} | {:.2} | {bytes} | {} | {} | {ause} |",
+                run.seconds,
+                cells(&surface),
+                cells(&space)
+            );
         }
     }
     let file = format!("experiments/speed_vs_error_{}.svg", scene.name.split(' ').next().unwrap_or(scene.name));
@@ -91,22 +99,33 @@ pub fn rays(scene: &Scene, reference: &UncertaintyField) -> Result<()> {
     write_plot(Path::new(&file), &title, ["log10 seconds", "log10 mean |Δ log10 U|"], &curves)
 }
 
-/// Time per ray over levels.
+/// Time per ray over levels, on leaves as fine as the lattice, and no finer than four rays a vertex support.
 pub fn levels(lego: &Scene) -> Result<()> {
     println!(
-        "\n## Levels: lego, 409,600 rays, own derivatives\n\n| level | s, median of 3 | µs / ray | vertices | bytes for queries | dense f32 grid |\n|---|---|---|---|---|---|"
+        "\n## Levels: lego, 409,600 rays, own derivatives\n\n| level | leaves | s, median of 3 | µs / ray | vertices | bytes for queries | dense f32 grid |\n|---|---|---|---|---|---|---|"
     );
-    for level in 7..=12 {
-        let rays = RaySettings { rays: 409_600, gradient: GradientMethod::Analytic, ..lego.settings };
-        let run = median(lego, &rays, &grid(GridKind::Octree, level), 3)?;
-        let dense = 4 * run.field.lattice().dense_vertices();
-        println!(
-            "| {level} | {:.2} | {:.1} | {} | {} | {dense} |",
-            run.seconds,
-            run.seconds * 1e6 / rays.rays as f64,
-            run.field.summary().vertices,
-            run.field.query_memory()
-        );
+    for level in 7..=11 {
+        of_level(lego, &grid(GridKind::Octree, level), "as fine as the level")?;
     }
+    for level in 8..=12 {
+        let criteria = [Criterion::Sensitivity, Criterion::Evidence].into_iter().collect();
+        let limited = GridSettings { criteria, ..grid(GridKind::Octree, level) };
+        of_level(lego, &limited, "`--refine sensitivity,evidence`")?;
+    }
+    Ok(())
+}
+
+fn of_level(lego: &Scene, grid: &GridSettings, leaves: &str) -> Result<()> {
+    let rays = RaySettings { rays: 409_600, gradient: GradientMethod::Analytic, ..lego.settings };
+    let run = median(lego, &rays, grid, 3)?;
+    let dense = 4 * run.field.lattice().dense_vertices();
+    println!(
+        "| {} | {leaves} | {:.2} | {:.1} | {} | {} | {dense} |",
+        grid.level,
+        run.seconds,
+        run.seconds * 1e6 / rays.rays as f64,
+        run.field.summary().vertices,
+        run.field.query_memory()
+    );
     Ok(())
 }
