@@ -37,7 +37,7 @@ fn limits(scene: &Scene) -> Limits {
         ("opaque-step", _) => Limits { hessian: 0.5, default: [2e-3, 0.05] },
         // f32 and f64 fall on different sides of an f16 step in one of 5,000 cases, and then differ by all of it; what a wall says along itself is such
         // noise alone.
-        (_, Treatment::Half) => Limits { hessian: 0.2, default: [1e-3, 0.5] },
+        (_, Treatment::Half) => Limits { hessian: 0.2, default: [5e-3, 0.5] },
         // A black box with kinks or steps: rays that pass it by within h are lost, which some vertices at the rim live on.
         (_, Treatment::Grid { .. } | Treatment::Fault { .. }) => Limits { default: [1e-3, 0.5], ..USUAL },
         _ => USUAL,
@@ -59,8 +59,8 @@ fn agrees_with_the_oracle(scene: &Scene) {
         // With cutoff 0 rays go on behind opaque matter and may be dropped for what nobody sees.
         assert!(rounding.hessian <= limits.hessian, "{}, nothing left out: {rounding:?}", scene.name);
     }
-    let largest = default.largest.into_iter().fold(0.0, f64::max);
-    assert!(default.mean <= limits.default[0] && largest <= limits.default[1], "{}: {default:?}", scene.name);
+    let [mean, largest] = default.worst();
+    assert!(mean <= limits.default[0] && largest <= limits.default[1], "{}: {default:?}", scene.name);
     // Two-sided: the oracle is no copy. Where no ray meets anything, nothing is rounded.
     let blind = ["no-camera", "empty"].contains(&scene.name);
     assert_eq!(default.moved == 0, blind, "{}: {default:?}", scene.name);
