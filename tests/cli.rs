@@ -459,3 +459,28 @@ fn derivatives_and_the_number_of_rays_can_be_chosen() {
         assert_eq!(desk.run(&format!("{base} {args}")).status.code(), Some(2), "{args}");
     }
 }
+
+#[test]
+fn demos_of_hard_scenes_say_what_to_expect_beside_what_was_measured() {
+    let desk = Desk::new();
+    let list = desk.good("demo --scene list");
+    for name in octobayes::field::zoo::names() {
+        assert!(list.lines().any(|line| line.starts_with(&format!("  {name} "))), "{name}: {list}");
+    }
+    for (name, claims) in [("empty", 2), ("one-cell", 2), ("fault-nan", 2)] {
+        let out = desk.good(&format!("demo --scene {name} --rays 2000 --out {name}"));
+        let said: Vec<&str> = out.lines().filter(|line| line.contains("measured: ")).collect();
+        assert!(said.len() == claims && said.iter().all(|line| line.ends_with("measured: as expected")), "{out}");
+        assert!(out.contains("expected: ") && out.contains("verdict:  handled"), "{out}");
+        for file in ["demo.png", "field.oct", "dense.oct", "transforms.json"] {
+            assert!(desk.path(name).join(file).exists(), "{name}/{file}");
+        }
+    }
+    // What is expected is said before the error that was expected.
+    let refused = desk.run("demo --scene shifted --rays 2000 --out shifted");
+    assert_eq!(refused.status.code(), Some(2));
+    let out = String::from_utf8_lossy(&refused.stdout);
+    assert!(out.contains("verdict:  refused with an error"), "{out}");
+    // A hard scene is a model too, and brings its cameras.
+    desk.good("uncertainty scene:wall-diagonal --level 4 --rays 2000 --occupancy 16 -o diagonal.oct");
+}

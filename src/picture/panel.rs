@@ -130,7 +130,10 @@ impl Sheet {
             let share = f64::from(tick) / 4.0;
             let y = top + (share * f64::from(height - 1)) as u32;
             (left + BAR..left + BAR + 4).for_each(|x| self.0.put_pixel(x, y, FOREGROUND));
-            let text = format!("{:.2}", high + (low - high) * share);
+            let value = high + (low - high) * share;
+            // Five ticks of such a scale differ in the digits that this shows.
+            let is_plain = (0.1..1e4).contains(&low.abs().max(high.abs()));
+            let text = if is_plain { format!("{value:.2}") } else { format!("{value:.2e}") };
             self.text(&text, left + BAR + 7, y.saturating_sub(6).clamp(top.saturating_sub(3), top + height - 10));
         }
     }

@@ -101,12 +101,19 @@ pub struct Error {
     pub hessian: f64,
     /// max |Δ log10 U| of `diagonal`, `trace`, `block`.
     pub largest: [f64; 3],
-    /// Mean |Δ log10 U| (`block`) over the vertices whose `trace` the oracle moved by more than a tenth of a decade.
-    pub mean: f64,
-    /// Mean of Δ log10 U (`block`, pipeline − oracle) over them.
-    pub bias: f64,
+    /// Mean |Δ log10 U| of the same over the vertices whose `trace` either moved by more than a tenth of a decade.
+    pub mean: [f64; 3],
+    /// Mean of Δ log10 U (pipeline − oracle) over them.
+    pub bias: [f64; 3],
     /// How many these are.
     pub moved: usize,
+}
+
+impl Error {
+    /// Mean and maximum of |Δ log10 U| of whichever reading is worst.
+    pub fn worst(&self) -> [f64; 2] {
+        [self.mean, self.largest].map(|readings| readings.into_iter().fold(0.0, f64::max))
+    }
 }
 
 /// A run against the oracle's sums over its rays.
@@ -123,17 +130,17 @@ pub fn error(case: &Case, run: &Run, truth: &Sums) -> Error {
         assert!(norm(a).is_finite() && norm(b).is_finite(), "{a} against {b}");
         error.hessian = error.hessian.max(norm(a - b) / norm(b));
         let exact = readings(truth, rays, lambda);
-        for (k, covariance) in [Covariance::Diagonal, Covariance::Trace, Covariance::Block].into_iter().enumerate() {
-            let deviation = covariance.deviation(found, rays, run.field.protocol().lambda);
-            let change = deviation.log10() - exact[k].log10();
+        let deviations = [Covariance::Diagonal, Covariance::Trace, Covariance::Block]
+            .map(|covariance| covariance.deviation(found, rays, run.field.protocol().lambda));
+        let moved = exact[1].min(deviations[1]).log10() < prior - 0.1;
+        error.moved += usize::from(moved);
+        for k in 0..3 {
+            let change = deviations[k].log10() - exact[k].log10();
             error.largest[k] = error.largest[k].max(change.abs());
-            if k == 2 && exact[1].log10() < prior - 0.1 {
-                error.mean += change.abs();
-                error.bias += change;
-                error.moved += 1;
-            }
+            error.mean[k] += if moved { change.abs() } else { 0.0 };
+            error.bias[k] += if moved { change } else { 0.0 };
         }
     }
     let n = error.moved.max(1) as f64;
-    Error { mean: error.mean / n, bias: error.bias / n, ..error }
+    Error { mean: error.mean.map(|sum| sum / n), bias: error.bias.map(|sum| sum / n), ..error }
 }

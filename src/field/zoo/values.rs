@@ -64,7 +64,7 @@ const FAULTS: [(&str, &str, f32); 3] = [
 
 /// A spot on the ball's surface that is so small that less than a hundredth of the rays meet it.
 fn fault(name: &'static str, about: &'static str, density: f32) -> Scene {
-    let treatment = Treatment::Fault { density, center: Vec3::new(0.3, 0.3, 0.26), radius: 0.07 };
+    let treatment = Treatment::Fault { density, center: Vec3::new(0.3, 0.3, 0.26), radius: 0.13 };
     Scene {
         name,
         about,
