@@ -23,7 +23,7 @@ fn face_density() -> Scene {
         field: Specimen::new(one("face-density", block), Treatment::Exact, ring()),
         level: 5,
         verdict: Verdict::Handled,
-        claims: vec![claim("texture is pinned", Quantity::Block, 1.0..=3.5)],
+        claims: vec![claim("texture is pinned", Quantity::Block, 1.7..=2.8)],
     }
 }
 
@@ -57,7 +57,7 @@ fn one_cell() -> Scene {
         level: 5,
         verdict: Verdict::Handled,
         claims: vec![
-            claim("they are pinned", Quantity::Block, 2.0..=6.0),
+            claim("they are pinned", Quantity::Block, 4.8..=5.9),
             claim("eight vertices move", Quantity::Moved, 8.0 / 35_937.0..=8.0 / 35_937.0),
         ],
     }
@@ -79,7 +79,7 @@ fn moved(
 ) -> crate::Result<Scene> {
     let claims = match verdict {
         Verdict::Refused => Vec::new(),
-        _ => vec![claim("as much is pinned as at the usual size", Quantity::Block, 1.5..=5.0)],
+        _ => vec![claim("as much is pinned as at the usual size", Quantity::Block, 2.2..=3.5)],
     };
     Ok(Scene { name, about, field: moved_ball(scale, shift)?, level: 5, verdict, claims })
 }

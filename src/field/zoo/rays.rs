@@ -32,7 +32,7 @@ fn lattice_line() -> Scene {
         level: 5,
         verdict: Verdict::Handled,
         claims: vec![
-            claim("the wall is pinned on the lines", Quantity::Block, 1.0..=5.0),
+            claim("the wall is pinned on the lines", Quantity::Block, 3.1..=4.3),
             // 16 of the 33² lines, five vertices deep at most: the wall's front is 0.12 deep, but vertices beside it count.
             claim("only vertices on the lines move", Quantity::Moved, 16.0 / 35_937.0..=80.0 / 35_937.0),
         ],
@@ -53,7 +53,7 @@ fn lattice_vertex() -> Scene {
         field: specimen("ray-lattice-vertex", rays.collect()),
         level: 5,
         verdict: Verdict::Handled,
-        claims: vec![claim("the wall is pinned along the rays", Quantity::Block, 0.5..=5.0)],
+        claims: vec![claim("the wall is pinned along the rays", Quantity::Block, 3.1..=4.3)],
     }
 }
 
@@ -71,7 +71,7 @@ fn in_face() -> Scene {
         field: specimen("ray-in-face", rays.collect()),
         level: 5,
         verdict: Verdict::Handled,
-        claims: vec![claim("the wall is pinned where rays pass", Quantity::Block, 1.0..=5.0)],
+        claims: vec![claim("the wall is pinned where rays pass", Quantity::Block, 3.1..=4.3)],
     }
 }
 
@@ -101,7 +101,7 @@ fn grazing() -> Scene {
         level: 5,
         verdict: Verdict::Handled,
         claims: vec![
-            claim("the wall is pinned on two edges of the box", Quantity::Block, 1.0..=5.0),
+            claim("the wall is pinned on two edges of the box", Quantity::Block, 3.1..=4.3),
             claim("only vertices on these edges move", Quantity::Moved, 2.0 / 35_937.0..=10.0 / 35_937.0),
         ],
     }

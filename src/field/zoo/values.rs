@@ -21,7 +21,7 @@ fn aligned() -> Scene {
         field: Specimen::new(one("lattice-aligned", ball()), Treatment::Grid { points: 33 }, ring()),
         level: 5,
         verdict: Verdict::Handled,
-        claims: vec![claim("the ball is pinned", Quantity::Block, 1.5..=5.0)],
+        claims: vec![claim("the ball is pinned", Quantity::Block, 2.2..=3.5)],
     }
 }
 
@@ -32,7 +32,7 @@ fn misaligned() -> Scene {
         field: Specimen::new(one("lattice-misaligned", ball()), Treatment::Grid { points: 24 }, ring()),
         level: 5,
         verdict: Verdict::Handled,
-        claims: vec![claim("the ball is pinned", Quantity::Block, 1.5..=5.0)],
+        claims: vec![claim("the ball is pinned", Quantity::Block, 2.2..=3.5)],
     }
 }
 
@@ -44,7 +44,7 @@ fn half_precision() -> Scene {
         field: Specimen::new(one("half-precision", ball()), Treatment::Half, ring()),
         level: 5,
         verdict: Verdict::Limit,
-        claims: vec![claim("the ball is pinned", Quantity::Block, 1.5..=5.0)],
+        claims: vec![claim("the ball is pinned", Quantity::Block, 2.2..=3.5)],
     }
 }
 
@@ -72,7 +72,7 @@ fn fault(name: &'static str, about: &'static str, density: f32) -> Scene {
         level: 5,
         verdict: Verdict::Handled,
         claims: vec![
-            claim("the ball is pinned elsewhere", Quantity::Block, 1.5..=5.0),
+            claim("the ball is pinned elsewhere", Quantity::Block, 2.2..=3.5),
             claim("some rays are dropped, less than a hundredth", Quantity::Dropped, 1e-3..=1e-2),
         ],
     }
@@ -88,7 +88,7 @@ fn denormal() -> Scene {
         level: 5,
         verdict: Verdict::Handled,
         claims: vec![
-            claim("what is left of the ball is pinned", Quantity::Block, 1.5..=5.0),
+            claim("what is left of the ball is pinned", Quantity::Block, 2.2..=3.5),
             claim("no ray is dropped", Quantity::Dropped, 0.0..=0.0),
         ],
     }

@@ -25,7 +25,7 @@ fn one_camera() -> Scene {
         field: Specimen::new(one("one-camera", ball()), Treatment::Exact, rig),
         level: 5,
         verdict: Verdict::Limit,
-        claims: vec![claim("the front is pinned", Quantity::Block, 1.5..=5.0)],
+        claims: vec![claim("the front is pinned", Quantity::Block, 2.4..=3.5)],
     }
 }
 
@@ -40,7 +40,7 @@ fn two_cameras() -> Scene {
         field: Specimen::new(one("two-cameras", ball()), Treatment::Exact, rig),
         level: 5,
         verdict: Verdict::Limit,
-        claims: vec![claim("the front is pinned", Quantity::Block, 1.5..=5.0)],
+        claims: vec![claim("the front is pinned", Quantity::Block, 2.4..=3.5)],
     }
 }
 
@@ -78,6 +78,6 @@ fn camera_inside() -> Scene {
         field: Specimen::new(one("camera-inside", cloud), Treatment::Exact, rig),
         level: 5,
         verdict: Verdict::Handled,
-        claims: vec![claim("what is near is pinned", Quantity::Block, 0.5..=4.0)],
+        claims: vec![claim("what is near is pinned", Quantity::Block, 2.5..=3.8)],
     }
 }
