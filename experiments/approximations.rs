@@ -92,7 +92,7 @@ fn steps(case: &Case) -> Result<()> {
     println!("\n## Finite-difference step: {}, level {}, {} rays\n", case.name, case.level, case.rays);
     println!("| step h, lattice edges | against | mean | 95 % | 99 % | max |");
     println!("|---|---|---|---|---|---|");
-    let settings = |step| RaySettings { step, cutoff: 1e-6, ..RaySettings::default() };
+    let settings = |step| RaySettings { step: Some(step), cutoff: 1e-6, ..RaySettings::default() };
     let field = |step| run(case, settings(step)).map(|r| r.0);
     let steps: Vec<f64> = (-12..=1).map(|k| 2_f64.powi(k)).collect();
     let (name, reference) = if case.field.differentiable().is_some() {

@@ -235,9 +235,8 @@ fn study(scene: &Scene) -> Result<Vec<(f64, [Errors; 3])>> {
     }
     report(scene, samples.len(), &out);
     let stream = RaySettings { gradient: GradientMethod::FiniteDifference, ..settings(scene) };
-    let rays = stream;
     let stream = stream.stream(&*scene.field, &scene.cameras, &grid, &lattice, &Silent)?;
-    if let Some(check) = StepCheck::of(&stream, &rays, &lattice, 0.01, &Silent)? {
+    if let Some(check) = StepCheck::of(&stream, &lattice, 0.01, &Silent)? {
         let best = check.errors.best();
         println!(
             "\nThe tool's own estimate: noise {:.1e} of σ, best step {:.1e} with error {:.1e}; at the default {:.1e}{}",

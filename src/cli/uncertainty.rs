@@ -60,12 +60,12 @@ pub struct Args {
     #[arg(long, value_enum, default_value_t)]
     gradient: GradientMethod,
 
-    /// Finite-difference step to both sides, in edges of the finest lattice
+    /// Finite-difference step to both sides, in edges of the finest lattice [default: 1/512, more where f32 positions need it]
     ///
     /// A few hundred points tell how noisy the field is; a step at which noise or truncation moves log10 U by more than --tolerance, and more than
     /// three times as much as at another step, is warned of.
-    #[arg(long, value_name = "EDGES", default_value_t = RaySettings::default().step, value_parser = parse_positive)]
-    step: f64,
+    #[arg(long, value_name = "EDGES", value_parser = parse_positive)]
+    step: Option<f64>,
 
     /// Leave out samples whose weight, and whose density bound times |dC/dsigma|, are both below this; 0 leaves out nothing
     #[arg(long, value_name = "WEIGHT", default_value_t = RaySettings::default().cutoff, value_parser = parse_non_negative)]
@@ -185,7 +185,7 @@ impl Args {
             .try_for_each(|g| self.checkpoint(self.error_bars.map(|_| g), self.resume).map(drop))?;
         let stream = settings.stream(&*field, &cameras, &grid, &lattice, bars)?;
         let source = self.source(&files, &cameras);
-        let step = StepCheck::of(&stream, &settings, &lattice, grid.tolerance, bars)?;
+        let step = StepCheck::of(&stream, &lattice, grid.tolerance, bars)?;
         step.iter().for_each(report::step);
         if self.audit {
             report::audit(&Audit::of(&*field, &cameras, &settings, &grid, domain, bars)?, &grid);

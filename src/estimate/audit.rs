@@ -60,7 +60,11 @@ impl Audit {
         let better = match (rays.gradient.of(field)?, field.differentiable()) {
             (Some(_), _) => None,
             (None, Some(_)) => Some(RaySettings { gradient: GradientMethod::Analytic, ..*rays }),
-            (None, None) => Some(RaySettings { step: 0.5 * rays.step, ..*rays }),
+            (None, None) => {
+                let lattice = *run.lattice();
+                let edges = rays.differences(&lattice, &field.bounds()).step / lattice.edge();
+                Some(RaySettings { step: Some(0.5 * edges.max_element()), ..*rays })
+            }
         };
         let derivatives = better.map(|better| sums(better).map(|better| run.differs(&better, count))).transpose()?;
         Ok(Self { rays: count, cutoff, derivatives })
@@ -102,7 +106,7 @@ mod tests {
         assert!(good.cutoff.mean < 1e-3 && good.derivatives.unwrap().mean < 1e-3, "{good:?}");
         let careless = audit(RaySettings { cutoff: 1e-2, ..RaySettings::default() });
         assert!(careless.cutoff.mean > 20.0 * good.cutoff.mean + 1e-3, "{careless:?}");
-        let coarse = audit(RaySettings { step: 1.0, ..RaySettings::default() });
+        let coarse = audit(RaySettings { step: Some(1.0), ..RaySettings::default() });
         assert!(coarse.derivatives.unwrap().mean > 1e-2, "{coarse:?}");
         let exact = audit(RaySettings { cutoff: 0.0, ..RaySettings::default() });
         assert_eq!((exact.cutoff.mean, exact.cutoff.percentile_95), (0.0, 0.0));

@@ -12,6 +12,13 @@ use crate::render::{Differences, Differentiation, GradientMethod, Marcher, Occup
 use crate::uncertainty::SAMPLES_SHARE;
 use crate::{Error, Result};
 
+/// Finite-difference step in lattice edges, unless f32 positions need more.
+const DEFAULT_STEP: f64 = 1.0 / 512.0;
+/// What they need, in their own distances: x ± h is then rounded by less than an eighth of h, and differences are divided by what is left.
+const LEAST_STEP: f64 = 4.0;
+/// Lattice edges beyond which that would no longer be a derivative at a point.
+const MOST_STEP: f64 = 0.125;
+
 /// Most samples along a ray: hundreds of rays are under way at once.
 const MAX_STEPS: f64 = 65_536.0;
 
@@ -26,13 +33,13 @@ pub struct RaySettings {
     pub seed: u64,
     /// Where the field's derivatives come from.
     pub gradient: GradientMethod,
-    /// Finite-difference step in edges of the finest lattice.
+    /// Finite-difference step in edges of the finest lattice; `None` for 1/512, or as far as f32 positions need on very fine lattices.
     ///
     /// Larger steps smooth the field's derivative and move log10 U, smaller ones drown in the rounding of f32. The curves of
     /// `experiments/hard_cases.md`, against exact derivatives at level 8: mean |Δ log10 U| of the two trained models is lowest (0.006, 0.004)
     /// around 1/1024 and grows to 0.03 at 1/128, where kinks and high frequencies are; smooth fields, which would like 1/16, pay 6e-5 at 1/512.
     /// On much finer lattices rounding gains: [`super::StepCheck`] tells.
-    pub step: f64,
+    pub step: Option<f64>,
     /// Samples whose weight and sensitivity are certain to stay below this are left out; 0 leaves out nothing and takes a
     /// hundred times longer. `experiments/approximations.md` has what it costs.
     pub cutoff: f64,
@@ -53,7 +60,7 @@ impl Default for RaySettings {
             pixels: Pixels::default(),
             seed: 0,
             gradient: GradientMethod::default(),
-            step: 1.0 / 512.0,
+            step: None,
             cutoff: 1e-6,
             march_step: None,
             background: Vec3::ONE,
@@ -126,7 +133,7 @@ impl RaySettings {
         lattice: &Lattice,
         monitor: &dyn Monitor,
     ) -> Result<RayStream<'a>> {
-        let differences = Differences { step: self.step * lattice.edge(), domain: *lattice.domain() };
+        let differences = self.differences(lattice, &field.bounds());
         // h is largest in the corner of the field's box that is farthest from a contraction's centre.
         let bounds = field.bounds();
         let corner = |c: u8| {
@@ -154,19 +161,40 @@ impl RaySettings {
     }
 }
 
+impl RaySettings {
+    /// How far apart differences look on a lattice, over the box of a field.
+    pub(super) fn differences(&self, lattice: &Lattice, bounds: &Aabb) -> Differences {
+        let (edge, domain) = (lattice.edge(), *lattice.domain());
+        let step = match self.step {
+            Some(step) => step * edge,
+            None => DVec3::from(std::array::from_fn(|axis| {
+                let (_, apart) = resolution(&domain, bounds, axis);
+                let (step, least) = (DEFAULT_STEP * edge[axis], LEAST_STEP * apart);
+                if least <= MOST_STEP * edge[axis] { step.max(least) } else { step }
+            })),
+        };
+        Differences { step, domain }
+    }
+}
+
+/// The coordinate of a box that is farthest from the origin, and how far f32 numbers are apart there.
+fn resolution(domain: &Domain, bounds: &Aabb, axis: usize) -> (f32, f64) {
+    // A contraction stretches h faster than positions grow, so that its own ball is where h is hardest to tell.
+    let (low, high) = match domain {
+        Domain::Box(_) => (bounds.min()[axis], bounds.max()[axis]),
+        Domain::Contracted { center, radius, .. } => {
+            let within = |x: f64| x.clamp(bounds.min()[axis], bounds.max()[axis]);
+            (within(center[axis] - radius), within(center[axis] + radius))
+        }
+    };
+    let farthest = low.abs().max(high.abs()) as f32;
+    (farthest, f64::from(farthest.next_up()) - f64::from(farthest))
+}
+
 /// Refuses differences over less than f32 positions are apart: x ± h would be x, every derivative 0, and U the prior.
 fn check_resolution(differences: &Differences, bounds: &Aabb) -> Result<()> {
     for axis in 0..3 {
-        // A contraction stretches h faster than positions grow, so that its own ball is where h is hardest to tell.
-        let (low, high) = match differences.domain {
-            Domain::Box(_) => (bounds.min()[axis], bounds.max()[axis]),
-            Domain::Contracted { center, radius, .. } => {
-                let within = |x: f64| x.clamp(bounds.min()[axis], bounds.max()[axis]);
-                (within(center[axis] - radius), within(center[axis] + radius))
-            }
-        };
-        let (farthest, h) = (low.abs().max(high.abs()) as f32, differences.step[axis]);
-        let apart = f64::from(farthest.next_up()) - f64::from(farthest);
+        let ((farthest, apart), h) = (resolution(&differences.domain, bounds, axis), differences.step[axis]);
         if h < apart {
             let expected = format!(
                 "at least {apart:e} scene units, what f32 positions are apart at {farthest:e} (--step, or a scene nearer to the origin)"

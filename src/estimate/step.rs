@@ -2,7 +2,6 @@
 
 use glam::Vec3;
 
-use super::RaySettings;
 use crate::Result;
 use crate::geometry::Lattice;
 use crate::monitor::Monitor;
@@ -30,13 +29,7 @@ impl StepCheck {
     ///
     /// # Errors
     /// [`crate::Error::Interrupted`] only.
-    pub fn of(
-        stream: &RayStream,
-        rays: &RaySettings,
-        lattice: &Lattice,
-        tolerance: f64,
-        monitor: &dyn Monitor,
-    ) -> Result<Option<Self>> {
+    pub fn of(stream: &RayStream, lattice: &Lattice, tolerance: f64, monitor: &dyn Monitor) -> Result<Option<Self>> {
         if stream.differentiation.analytic.is_some() {
             return Ok(None);
         }
@@ -45,7 +38,7 @@ impl StepCheck {
         let points: Vec<Vec3> = seen.into_iter().step_by(every).map(Vec3::from_array).collect();
         let edges = Differences { step: lattice.edge(), domain: *lattice.domain() };
         let errors = DifferenceErrors::measure(stream.tracer.field, &points, &edges);
-        let step = rays.step;
+        let step = (stream.differentiation.differences.step / lattice.edge()).max_element();
         Ok(errors.map(|errors| Self { step, is_bad: errors.is_bad(step, tolerance), errors }))
     }
 }

@@ -281,3 +281,22 @@ fn groups_add_up_and_differ_on_any_grid_with_any_threads() {
     assert!(estimate_with_error_bars(&field, &cameras, &settings(10), &GridSettings::default(), 1, &Silent).is_err());
     assert!(estimate_with_error_bars(&field, &cameras, &settings(3), &GridSettings::default(), 4, &Silent).is_err());
 }
+
+#[test]
+fn the_default_step_is_as_far_as_positions_need() {
+    let field = ClosedForm::ball();
+    let step = |level, shift: f64| {
+        let bounds = field.bounds();
+        let moved = Aabb::new(bounds.min() + shift, bounds.max() + shift).unwrap();
+        let grid = GridSettings { level, ..GridSettings::default() };
+        let lattice = grid.lattice(Domain::Box(moved)).unwrap();
+        RaySettings::default().differences(&lattice, &moved).step.x / lattice.edge().x
+    };
+    assert_eq!(step(8, 0.0), 1.0 / 512.0);
+    // Beyond 1 numbers are 2⁻²³ apart: four of these are more than 1/512 of an edge of the finest level; 4000 times farther from the origin of level 8, too.
+    let (fine, far) = (step(16, 0.0), step(8, 4000.0));
+    assert!((1.0 / 512.0..0.125).contains(&fine) && fine > 1.0 / 500.0, "{fine}");
+    assert!(far > 1.0 / 500.0 && far <= 0.125, "{far}");
+    // Too far for any: left as it is, to be refused.
+    assert_eq!(step(8, 1e5), 1.0 / 512.0);
+}

@@ -30,13 +30,25 @@ impl<'a> Cursor<'a> {
         if (0..3).all(|axis| cell[axis].wrapping_sub(self.origin[axis]) < self.edge) {
             return false;
         }
-        self.leaf = self.octree.cells.leaf(cell);
+        self.leaf = self.leaf_at(cell);
         (self.origin, self.edge) = self.leaf.extent(self.octree.finest());
         self.corners = std::array::from_fn(|c| {
             let point = std::array::from_fn(|axis| self.origin[axis] + self.edge * (c as u32 >> axis & 1));
             self.octree.corner_of(self.leaf, point, &mut self.finder)
         });
         true
+    }
+
+    /// The leaf that contains a finest cell.
+    fn leaf_at(&mut self, cell: [u32; 3]) -> Cell {
+        // The middle of a split cell of the last level but one is a corner of its eight children and of nothing else: found among the finest vertices, where the
+        // corners will be looked for next, it saves the way down from the root.
+        let level = self.octree.finest();
+        let middle = cell.map(|i| i | 1);
+        match level > 0 && self.finder.find_at(middle, 0).is_some() {
+            true => Cell { level, index: cell },
+            false => self.octree.cells.leaf(cell),
+        }
     }
 
     /// The leaf.

@@ -9,35 +9,32 @@ use rayon::prelude::*;
 use super::set::BrickRank;
 use super::{MortonSet, morton};
 
-/// Bricks that a search remembers: as many as the corners of a cell can lie in.
-const RECENT: usize = 8;
+/// Coarsenesses whose bricks a search keeps apart.
+const KEPT: usize = 4;
 
-/// A search that looks every brick up once; the plain way is [`VertexTable::find_at`].
+/// A search that looks a brick up once for all its vertices in a row; the plain way is [`VertexTable::find_at`].
 pub struct Finder<'a> {
     table: &'a VertexTable,
-    /// Coarseness, code and content of bricks looked up lately.
-    recent: [Option<(u8, u64, Option<BrickRank>)>; RECENT],
-    next: usize,
+    /// Bricks looked up lately, by coarseness and the low bits of their code, which tell the eight bricks around a point apart: key and content.
+    recent: [(u64, Option<BrickRank>); 8 * KEPT],
 }
 
 impl Finder<'_> {
+    /// No brick has this key.
+    const NONE: u64 = u64::MAX;
+
     /// As [`VertexTable::find_at`].
     pub fn find_at(&mut self, point: [u32; 3], coarseness: u8) -> Option<u32> {
-        if point.iter().any(|i| i.trailing_zeros() < u32::from(coarseness)) {
+        if (point[0] | point[1] | point[2]).trailing_zeros() < u32::from(coarseness) {
             return None;
         }
         let code = morton::encode(point.map(|i| i >> coarseness));
-        let known = self.recent.iter().flatten().find(|(c, brick, _)| (*c, *brick) == (coarseness, code >> 6));
-        let brick = match known {
-            Some((.., brick)) => *brick,
-            None => {
-                let brick = self.table.sets.get(usize::from(coarseness))?.brick(code >> 6);
-                self.recent[self.next % RECENT] = Some((coarseness, code >> 6, brick));
-                self.next += 1;
-                brick
-            }
-        };
-        Some(self.table.offsets[usize::from(coarseness)] + brick?.rank(code)?)
+        let key = u64::from(coarseness) << 58 | code >> 6;
+        let recent = &mut self.recent[usize::from(coarseness) % KEPT * 8 + (code >> 6 & 7) as usize];
+        if recent.0 != key {
+            *recent = (key, self.table.sets.get(usize::from(coarseness))?.brick(code >> 6));
+        }
+        Some(self.table.offsets[usize::from(coarseness)] + recent.1?.rank(code)?)
     }
 }
 
@@ -97,7 +94,7 @@ impl VertexTable {
     /// A search for neighbouring vertices.
     #[must_use]
     pub fn finder(&self) -> Finder<'_> {
-        Finder { table: self, recent: [None; RECENT], next: 0 }
+        Finder { table: self, recent: [(Finder::NONE, None); 8 * KEPT] }
     }
 
     /// The number of the vertex at a lattice point, if there is one.

@@ -65,7 +65,7 @@ fn an_opaque_step_depends_on_the_step_of_differences() {
     let case = Case { field: &scene.field, cameras: &cameras, level: scene.level, rays: 40_000 };
     let (rays, grid) = case.defaults();
     let at = |step: f64| {
-        let run = case.run((RaySettings { step, ..rays }, grid)).unwrap();
+        let run = case.run((RaySettings { step: Some(step), ..rays }, grid)).unwrap();
         information(&run)
     };
     // Head on, a share of 2h / δ of the rays meets the blurred spike, with (1 / 2h)² each: 1 / h. Grazing a ball, √h samples in a row meet it on a share h
@@ -81,7 +81,7 @@ fn noise_of_half_precision_fades_with_a_larger_step() {
     let case = Case { field: &scene.field, cameras: &cameras, level: scene.level, rays: 512 };
     let (rays, grid) = case.defaults();
     let off = |step: f64| {
-        let run = case.run((RaySettings { step, ..rays }, grid)).unwrap();
+        let run = case.run((RaySettings { step: Some(step), ..rays }, grid)).unwrap();
         error(&case, &run, &case.oracle(&run, Derivatives::Exact))
     };
     let (fine, coarse) = (off(1.0 / 128.0), off(1.0 / 16.0));

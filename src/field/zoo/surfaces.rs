@@ -111,7 +111,11 @@ fn opaque_step() -> Scene {
         field: Specimen::new(several("opaque-step", vec![solid(round), solid(square)]), Treatment::Exact, ring()),
         level: 5,
         verdict: Verdict::Limit,
-        claims: vec![claim("where it is met, a surface looks pinned to nothing", Quantity::Block, 3.0..=8.0)],
+        claims: vec![claim(
+            "where the spike is met, which is chance, a surface looks pinned",
+            Quantity::Block,
+            0.05..=8.0,
+        )],
     }
 }
 
