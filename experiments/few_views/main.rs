@@ -3,7 +3,7 @@
 //! Trains hash grids on few views or on one half of scenes whose depth is known, computes their uncertainty, and ranks the depth error of held-out
 //! views by every reading of H, every blending along rays, several levels and λ, beside measures without a Hessian and ensembles of ten.
 //!
-//!     cargo run --release --example few_views -- [--quick] [--work DIR] [--report FILE.md] [--budget MINUTES] [SCENE ...]
+//!     cargo run --release --example few_views -- [--quick] [--rays N] [--work DIR] [--report FILE.md] [--budget MINUTES] [SCENE ...]
 //!
 //! Scenes come in order of importance. Everything that was computed is kept in the work folder (target/few_views): a run that was stopped goes on
 //! where it was, and scenes that are done are not done again. At the end the tables between the markers of the report are replaced by those of all scenes done
@@ -50,6 +50,7 @@ fn arguments() -> Arguments {
                 out.plan = Plan::quick();
                 out.work = out.work.with_file_name("few_views_quick");
             }
+            "--rays" => out.plan.rays = value("--rays").parse().expect("--rays, a number"),
             "--work" => out.work = value("--work").into(),
             "--report" => out.report = Some(value("--report").into()),
             "--budget" => {

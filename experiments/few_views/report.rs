@@ -9,7 +9,7 @@ use octobayes::judge::Baseline;
 use octobayes::posterior::Covariance;
 use octobayes::{Error, Result};
 
-use crate::picture::{DEFAULT, best_baseline, best_reading, title};
+use crate::picture::{DEFAULT, FOUND, best_baseline, best_reading, title};
 use crate::plan::{BLENDS, LEVEL_BLENDS, Plan};
 use crate::scene::{CleanUpRow, Entry, Kind, SceneResult, variant};
 
@@ -117,6 +117,7 @@ fn columns() -> Vec<(Kind, &'static str, &'static str)> {
         [Baseline::RayVariance, Baseline::RayEntropy, Baseline::Transparency, Baseline::RayCount, Baseline::Random];
     let ensembles = [Baseline::EnsembleVariance, Baseline::DensityAware];
     readings
+        .chain(FOUND)
         .chain(combined)
         .chain(baselines.map(|b| (Kind::Baseline, b.name(), "")))
         .chain(ensembles.map(|b| (Kind::Ensemble, b.name(), "")))
@@ -128,7 +129,11 @@ fn areas(name: &str, done: &[SceneResult], pick: Pick) -> Table {
     let columns = columns();
     let mut head = heads(&["scene"]);
     head.extend(columns.iter().map(|(kind, name, variant)| match kind {
-        Kind::Combined => format!("{name}, {variant}, times weights' deviation"),
+        Kind::Combined => {
+            let level = if variant.starts_with(|c: char| c.is_ascii_digit()) { "level " } else { "" };
+            format!("{name}, {level}{variant}, times weights' deviation")
+        }
+        Kind::Level => format!("{name}, level {variant}"),
         Kind::Blend if *variant != "hit" => format!("{name}, {variant}"),
         _ => (*name).to_string(),
     }));
@@ -241,6 +246,18 @@ fn targets(done: &[SceneResult]) -> String {
         default / best.1,
         verdict(default <= 0.9 * best.1)
     ));
+    for (kind, name, variant) in FOUND {
+        let found = mean(few.iter().map(|r| of(r, kind, name, variant)));
+        let wins = few.iter().filter(|r| r.entry(kind, name, variant).is_some_and(|e| ratio(r, e) < 1.0)).count();
+        let what = if kind == Kind::Combined { ", times the deviation of the ray's weights" } else { "" };
+        if found.is_finite() {
+            line(format!(
+                "The same for `{name}` at level {variant}{what}, chosen on the first two scenes: {found:.3}, ratio {:.2}; it beats the best such measure of the scene itself in {wins} of {}.",
+                found / best.1,
+                few.len()
+            ));
+        }
+    }
     let with: Vec<&&SceneResult> = few.iter().filter(|r| r.costs.ensemble.is_some()).collect();
     if !with.is_empty() {
         let default = mean(with.iter().map(|r| of(r, DEFAULT.0, DEFAULT.1, DEFAULT.2)));
