@@ -182,8 +182,8 @@ impl Args {
         let log10 = |x| field.log10(x);
         let probes = [Probe { value: &log10, blends: &[Blend::Hit] }];
         let sides = subject.views();
-        let versions: [(&dyn RadianceField, String); 2] =
-            [(scene, String::new()), (&cleaned, format!(", U <= 10^{threshold:.1}"))];
+        let versions: [(&dyn RadianceField, String); 2] = [(scene, String::new()), (&cleaned, ", cleaned".into())];
+        say!("rows of demo.png that say \"cleaned\" are without density where log10 U is above {threshold:.1}")?;
         let mut views: Vec<(String, RenderedView)> = Vec::new();
         for (field, suffix) in &versions {
             let march_step = Some(subject.coarser * field.suggested_step());

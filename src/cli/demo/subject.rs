@@ -105,7 +105,7 @@ impl Subject {
             let seen = self.cameras[self.cameras.len() / 2].resized(PICTURE);
             let target = DVec3::new(0.0, 0.0, -0.25);
             let mirrored = DVec3::new(-seen.position.x, seen.position.y, seen.position.z);
-            [("seen side", seen), ("unseen side", Camera::look_at(mirrored, target, DVec3::Z, 0.8, PICTURE))]
+            [("seen", seen), ("unseen", Camera::look_at(mirrored, target, DVec3::Z, 0.8, PICTURE))]
         } else if angle < CLOSE_UP {
             let [one, other] = [0, self.cameras.len() / 2].map(|i| self.cameras[i].resized(PICTURE));
             [("one side", one), ("other side", other)]
