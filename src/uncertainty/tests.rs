@@ -377,3 +377,16 @@ fn another_lambda_is_read_off_the_same_evidence() {
         }
     }
 }
+
+#[test]
+fn surfaces_are_compared_at_the_reference_s_points() {
+    let [dense, octree] = fields(Covariance::Diagonal, 1.0);
+    let many = octree.clone().with_surface(vec![[0.1; 3]; 5]);
+    let few = dense.with_surface(vec![[0.2; 3]; 2]);
+    let points =
+        |a: &UncertaintyField, b: &UncertaintyField| compare(a, b, 10, 0).unwrap().on_surfaces.map(|d| d.points);
+    assert_eq!(points(&many, &few), Some(2));
+    assert_eq!(points(&few, &many), Some(5));
+    // A reference without any is looked at where the field has some.
+    assert_eq!(points(&few, &octree.with_surface(Vec::new())), Some(2));
+}
