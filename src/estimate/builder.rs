@@ -209,10 +209,7 @@ impl FieldBuilder {
     pub(super) fn evidence_at(self, support: &Support) -> Vec<Evidence> {
         match (self.posterior, support) {
             (AnyPosterior::Dense(posterior), _) => posterior.into_sums(),
-            (AnyPosterior::Octree(posterior), Support::Octree(octree)) => {
-                let points: Vec<[u32; 3]> = octree.vertex_positions().collect();
-                points.par_iter().map(|&point| posterior.evidence(point)).collect()
-            }
+            (AnyPosterior::Octree(posterior), Support::Octree(octree)) => posterior.evidence_at(octree),
             (AnyPosterior::Octree(_), Support::Dense) => unreachable!("an octree's sums become an octree"),
         }
     }

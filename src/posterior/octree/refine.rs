@@ -50,11 +50,17 @@ impl OctreePosterior {
             wanted.cell(if limit.level < cell.level { limit } else { cell });
         }
         let octree = Octree::of(wanted);
-        let sums = octree
-            .par_vertex_positions()
-            .map_init(|| self.bricks.reader(), |reader, point| reader.get(bricks::key(point, self.coarseness(point))))
-            .collect();
+        let sums = self.evidence_at(&octree);
         (octree, sums)
+    }
+
+    /// The evidence at the vertices of an octree, in the order of their ids.
+    #[must_use]
+    pub fn evidence_at(&self, octree: &Octree) -> Vec<Evidence> {
+        let points = octree.par_vertex_positions();
+        points
+            .map_init(|| self.bricks.reader(), |reader, point| reader.get(bricks::key(point, self.coarseness(point))))
+            .collect()
     }
 
     /// The leaves around every vertex with more information than `floor`.
