@@ -4,8 +4,6 @@
 //! `t` place within a cell in [0, 1]³. Corner c of a cell is at (c & 1, c >> 1 & 1, c >> 2) along x, y, z. A level whose corners fit into the table has
 //! one entry for each; of a finer one the entries are shared by spatial hashing (Eq. 4), and training sorts out the collisions.
 
-use glam::Vec3;
-
 use super::config::{HashGridConfig, N_FEATURES_PER_LEVEL, N_LEVELS};
 
 /// One entry of a table.
@@ -160,32 +158,32 @@ impl Encoding {
         }
     }
 
-    /// d/du of a function of the features with derivatives `features` at `u`, at fixed cell: trilinear features have kinks at faces.
-    pub fn position_gradient(&self, u: [f32; 3], features: &[f32; WIDTH]) -> Vec3 {
-        let mut sum = Vec3::ZERO;
+    /// ∂features/∂u at positions `u`, `[n][axis]`, into `slopes`, at fixed cells: trilinear features have kinks at faces.
+    #[inline(always)]
+    pub fn slopes(&self, u: &[[f32; 3]], slopes: &mut [[[f32; WIDTH]; 3]]) {
         let mut first = 0;
-        for (level, d) in self.levels.iter().zip(features.as_chunks::<N_FEATURES_PER_LEVEL>().0) {
-            let place = level.place(u);
-            let value = place.index.map(|i| {
-                let entry = self.table[first + i as usize];
-                entry.iter().zip(d).map(|(a, b)| a * b).sum::<f32>()
-            });
-            let t = place.t;
-            // Along each axis: differences between opposite corners, bilinear over the other two axes.
-            let along = |axis: usize| {
-                let (b, c) = ((axis + 1) % 3, (axis + 2) % 3);
-                (0..4)
-                    .map(|k| {
-                        let (kb, kc) = (k & 1, k >> 1);
-                        let low = kb << b | kc << c;
-                        let weight = [1.0 - t[b], t[b]][kb] * [1.0 - t[c], t[c]][kc];
-                        weight * (value[low | 1 << axis] - value[low])
-                    })
-                    .sum::<f32>()
-            };
-            sum += level.resolution as f32 * Vec3::new(along(0), along(1), along(2));
+        for (l, level) in self.levels.iter().enumerate() {
+            let table = &self.table[first..first + level.size];
+            let resolution = level.resolution as f32;
+            for (u, slopes) in u.iter().zip(slopes.iter_mut()) {
+                let Place { index, t } = level.place(*u);
+                let corners = index.map(|i| table[i as usize]);
+                for axis in 0..3 {
+                    // Differences between opposite corners, bilinear over the other two axes.
+                    let (b, c) = ((axis + 1) % 3, (axis + 2) % 3);
+                    let mut sum = [0.0; N_FEATURES_PER_LEVEL];
+                    for side in 0..4 {
+                        let (on_b, on_c) = (side & 1, side >> 1);
+                        let low = on_b << b | on_c << c;
+                        let weight = [1.0 - t[b], t[b]][on_b] * [1.0 - t[c], t[c]][on_c] * resolution;
+                        for k in 0..N_FEATURES_PER_LEVEL {
+                            sum[k] = weight.mul_add(corners[low | 1 << axis][k] - corners[low][k], sum[k]);
+                        }
+                    }
+                    slopes[axis][l * N_FEATURES_PER_LEVEL..][..N_FEATURES_PER_LEVEL].copy_from_slice(&sum);
+                }
+            }
             first += level.size;
         }
-        sum
     }
 }

@@ -10,6 +10,7 @@
 //! has them; results do not depend on that).
 
 mod config;
+mod derivative;
 mod encoding;
 mod file;
 mod network;
@@ -20,12 +21,12 @@ pub(crate) use encoding::{Encoding, Entry, WIDTH};
 pub(crate) use network::{Backward, Forward, LAYERS, N_COLOR, N_VIEW, Network, Transposed, density_derivative};
 pub(crate) use space::Space;
 
-use glam::{Mat3, Vec3};
+use glam::Vec3;
 use multiversion::multiversion;
 
 use super::harmonics::spherical_harmonics;
 use super::window::Window;
-use super::{Differentiable, Radiance, RadianceField, RadianceJet};
+use super::{Differentiable, Radiance, RadianceField};
 use crate::geometry::{Aabb, Domain, Norm};
 
 /// Points that go through all layers together: buffers of a block are 40 KB.
@@ -308,60 +309,6 @@ impl RadianceField for HashGrid {
             self.parameters.encoding.table.as_flattened().len()
                 + self.parameters.network.layers().iter().map(|layer| layer.len()).sum::<usize>(),
         )
-    }
-}
-
-impl Differentiable for HashGrid {
-    /// Backwards through the networks, once for density and once for each colour.
-    fn jets(&self, positions: &[Vec3], directions: &[Vec3], out: &mut [RadianceJet]) {
-        let transposed = Transposed::new(&self.parameters.network);
-        let mut buffers = Buffers::new();
-        let mut windows = [0.0; BLOCK];
-        // The four functions: g₀, and each colour.
-        let mut slopes = vec![[[0.0; WIDTH]; BLOCK]; 4];
-        let (mut d_a, mut d_b) = ([[0.0; N_NEURONS]; BLOCK], [[0.0; N_NEURONS]; BLOCK]);
-        let mut d_g = [[0.0; N_GEOMETRY]; BLOCK];
-        let parts = positions.chunks(BLOCK).zip(directions.chunks(BLOCK)).zip(out.chunks_mut(BLOCK));
-        for ((positions, directions), out) in parts {
-            let n = positions.len();
-            for (p, &x) in positions.iter().enumerate() {
-                (windows[p], buffers.u[p]) = self.place(x);
-            }
-            buffers.density(&self.parameters, n);
-            buffers.color(&self.parameters.network, directions);
-            for (function, slopes) in slopes.iter_mut().enumerate() {
-                let mut d_c = [[0.0; N_COLOR]; BLOCK];
-                for p in 0..n {
-                    d_g[p] = [0.0; N_GEOMETRY];
-                    match function.checked_sub(1) {
-                        None => d_g[p][0] = density_derivative(buffers.g[p][0], buffers.sigma[p]),
-                        // The sigmoid's derivative.
-                        Some(k) => d_c[p][k] = buffers.color[p][k] * (1.0 - buffers.color[p][k]),
-                    }
-                }
-                let forward =
-                    Forward { f: &buffers.f[..n], a: &buffers.a[..n], g: &buffers.g[..n], b: &buffers.b[..n] };
-                let mut back = Backward {
-                    f: &mut slopes[..n],
-                    a: &mut d_a[..n],
-                    g: &mut d_g[..n],
-                    b: &mut d_b[..n],
-                    c: &d_c[..n],
-                };
-                backward_pass(&transposed, forward, &mut back, None);
-            }
-            for (p, (out, &x)) in out.iter_mut().zip(positions).enumerate() {
-                *out = RadianceJet { value: self.radiance(&buffers, windows[p], p), ..RadianceJet::default() };
-                let Some(u) = self.space.unit(x) else { continue };
-                let of = |function: usize| self.parameters.encoding.position_gradient(u, &slopes[function][p]);
-                let scene = |g: Vec3| self.space.domain.pull_back(x, g.as_dvec3()).as_vec3();
-                let (w, w_gradient) = self.window.at_with_gradient(Vec3::from_array(u) - 0.5);
-                let density = buffers.sigma[p] * w_gradient + w * of(0);
-                out.density_gradient = scene(self.density_scale() * density);
-                let colors = Mat3::from_cols(scene(of(1)), scene(of(2)), scene(of(3))).transpose();
-                out.color_gradients = [colors.x_axis, colors.y_axis, colors.z_axis];
-            }
-        }
     }
 }
 

@@ -187,11 +187,23 @@ impl Transposed {
         add_product(&self.color1, back.c, back.b);
         relu_derivative(forward.b, back.b);
         add_product(&self.color_geometry, back.b, back.g);
-        back.a.fill([0.0; N_NEURONS]);
-        add_product(&self.density1, back.g, back.a);
-        relu_derivative(forward.a, back.a);
-        back.f.fill([0.0; WIDTH]);
-        add_product(&self.density0, back.a, back.f);
+        self.backpropagate_density(forward.a, back.g, back.a, back.f);
+    }
+
+    /// The density network's part: fills d_a and d_f.
+    #[inline(always)]
+    pub fn backpropagate_density(
+        &self,
+        a: &[[f32; N_NEURONS]],
+        d_g: &[[f32; N_GEOMETRY]],
+        d_a: &mut [[f32; N_NEURONS]],
+        d_f: &mut [[f32; WIDTH]],
+    ) {
+        d_a.fill([0.0; N_NEURONS]);
+        add_product(&self.density1, d_g, d_a);
+        relu_derivative(a, d_a);
+        d_f.fill([0.0; WIDTH]);
+        add_product(&self.density0, d_a, d_f);
     }
 }
 

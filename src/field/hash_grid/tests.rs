@@ -4,6 +4,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::slow::SlowField;
 use super::*;
+use crate::field::RadianceJet;
 use crate::geometry::Norm;
 
 const CONFIG: HashGridConfig =
@@ -136,6 +137,9 @@ fn outside_the_bounds_there_is_nothing() {
         let one = Radiance { density: 1.0, color: Vec3::ONE };
         let mut jets = [RadianceJet { value: one, density_gradient: Vec3::ONE, color_gradients: [Vec3::ONE; 3] }; 3];
         field.jets(&outside, &[Vec3::X; 3], &mut jets);
+        let (mut densities, mut gradients) = ([1.0; 3], [Vec3::ONE; 3]);
+        field.density_jets(&outside, &mut densities, &mut gradients);
+        assert_eq!((densities, gradients), ([0.0; 3], [Vec3::ZERO; 3]));
         for jet in jets {
             assert!(jet.value.density == 0.0 && jet.value.is_valid(), "{jet:?}");
             assert_eq!(jet, RadianceJet { value: jet.value, ..RadianceJet::default() });
@@ -155,6 +159,10 @@ fn position_gradients_are_those_of_the_definition() {
         let mut plain = vec![Radiance::default(); n];
         field.evaluate(&positions, &directions, &mut plain);
         assert!(jets.iter().zip(&plain).all(|(jet, value)| jet.value == *value));
+        let (mut densities, mut gradients) = (vec![-1.0; n], vec![Vec3::ONE; n]);
+        field.density_jets(&positions, &mut densities, &mut gradients);
+        assert!(jets.iter().zip(&densities).all(|(jet, density)| jet.value.density == *density));
+        assert!(jets.iter().zip(&gradients).all(|(jet, gradient)| jet.density_gradient == *gradient));
         let (mut compared, mut kinks) = (0, 0);
         for ((&x, &d), found) in positions.iter().zip(&directions).zip(&jets) {
             // ∇ of density, red, green and blue.
