@@ -20,11 +20,11 @@ fn enlarged(panel: Panel) -> Panel {
 }
 
 /// The default reading.
-pub const DEFAULT: (Kind, &str, &str) = (Kind::Blend, "diagonal", "hit");
+pub const DEFAULT: (Kind, &str, &str) = (Kind::Blend, "diagonal", "spread");
 
-/// What this study found to rank best over scenes: chosen with the first two of them, so that their figures flatter it.
+/// What this study found to rank best over scenes: chosen with the first two of them, so that their figures flatter it. The second asks the Hessian alone.
 pub const FOUND: [(Kind, &str, &str); 2] =
-    [(Kind::Level, "block", "6, at-expected"), (Kind::Combined, "block", "6, at-expected")];
+    [(Kind::Level, "block", "6, spread"), (Kind::Level, "block", "6, at-expected")];
 
 fn is(entry: &Entry, (kind, name, variant): (Kind, &str, &str)) -> bool {
     entry.kind == kind && entry.name == name && entry.variant == variant
@@ -46,20 +46,20 @@ pub fn best_reading(entries: &[Entry]) -> Option<&Entry> {
 pub fn title(entry: &Entry) -> String {
     match entry.kind {
         Kind::Baseline | Kind::Ensemble => entry.name.clone(),
-        Kind::Combined => format!("{}, {}, times weights' deviation", entry.name, entry.variant),
+        Kind::TotalVariance => format!("{}, total variance", entry.name),
         Kind::Level => format!("{}, level {}", entry.name, entry.variant),
         _ => format!("{}, {}", entry.name, entry.variant),
     }
 }
 
-/// The measures that are shown: default, best reading, combined, all without a Hessian, ensembles.
+/// The measures that are shown: default, best reading, those found best, all without a Hessian, ensembles.
 fn shown(entries: &[Entry]) -> Vec<usize> {
     let best = best_reading(entries);
     let wanted = |e: &Entry| match e.kind {
         Kind::Blend => is(e, DEFAULT) || best.is_some_and(|b| b == e),
         Kind::Baseline | Kind::Ensemble => true,
-        Kind::Level | Kind::Combined => FOUND.iter().any(|f| is(e, *f)),
-        Kind::Lambda => false,
+        Kind::Level => FOUND.iter().any(|f| is(e, *f)),
+        Kind::Lambda | Kind::TotalVariance => false,
     };
     (0..entries.len()).filter(|&i| wanted(&entries[i])).collect()
 }

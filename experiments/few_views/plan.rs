@@ -73,9 +73,9 @@ pub struct Plan {
 }
 
 /// How log10 U becomes a pixel's at the default level.
-pub const BLENDS: [Blend; 6] = Blend::ALL;
+pub const BLENDS: [Blend; 7] = Blend::ALL;
 /// The same at other levels.
-pub const LEVEL_BLENDS: [Blend; 2] = [Blend::Hit, Blend::AtExpected];
+pub const LEVEL_BLENDS: [Blend; 2] = [Blend::AtExpected, Blend::Spread];
 
 impl Plan {
     pub fn full() -> Self {
@@ -87,7 +87,7 @@ impl Plan {
             test_views: 16,
             steps: 1200,
             log2_hashmap_size: 15,
-            rays: 120_000,
+            rays: 480_000,
             level: 8,
             other_levels: vec![4, 5, 6, 7],
             lambdas: vec![1e3, 1e6],
@@ -150,7 +150,6 @@ impl Plan {
             hash("bunny, left half", bunny, Selection::All, left, true),
             hash("lego, left half", Data::Lego, Selection::All, left, false),
             hash("spot, 8 views", spot, few(8), None, true),
-            hash("kitchen, 15 views", Data::Kitchen, few(15), None, false),
             hash("armadillo, left half", armadillo, Selection::All, left, false),
             hash("bunny, 8 views", bunny, few(8), None, false),
             hash("lego, 5 views", Data::Lego, few(5), None, false),
@@ -160,6 +159,7 @@ impl Plan {
             hash("nefertiti, left half", nefertiti, Selection::All, left, false),
             hash("nefertiti, 8 views", nefertiti, few(8), None, false),
             hash("lego, 20 views", Data::Lego, few(20), None, false),
+            hash("kitchen, 15 views", Data::Kitchen, few(15), None, false),
             other("lego, left half, baked", Selection::All, left, Architecture::BakedFrom("lego, left half")),
             other("lego, 100 views, baked", Selection::All, None, Architecture::BakedFrom("lego, 100 views")),
             other("lego, 100 views, pretrained MLP", Selection::All, None, Architecture::Mlp),

@@ -110,15 +110,14 @@ fn scenes(done: &[SceneResult]) -> Table {
 
 /// The columns of the area tables: kind, name, variant.
 fn columns() -> Vec<(Kind, &'static str, &'static str)> {
-    let hit = Covariance::ALL.iter().map(|c| (Kind::Blend, c.name(), "hit"));
-    let readings = hit.chain([(Kind::Blend, "diagonal", "at-expected")]);
-    let combined = ["hit", "at-expected"].map(|v| (Kind::Combined, "diagonal", v));
+    let spread = Covariance::ALL.iter().map(|c| (Kind::Blend, c.name(), "spread"));
+    let alone = ["hit", "at-expected"].map(|v| (Kind::Blend, "diagonal", v));
     let baselines =
         [Baseline::RayVariance, Baseline::RayEntropy, Baseline::Transparency, Baseline::RayCount, Baseline::Random];
     let ensembles = [Baseline::EnsembleVariance, Baseline::DensityAware];
-    readings
+    spread
+        .chain(alone)
         .chain(FOUND)
-        .chain(combined)
         .chain(baselines.map(|b| (Kind::Baseline, b.name(), "")))
         .chain(ensembles.map(|b| (Kind::Ensemble, b.name(), "")))
         .collect()
@@ -129,12 +128,8 @@ fn areas(name: &str, done: &[SceneResult], pick: Pick) -> Table {
     let columns = columns();
     let mut head = heads(&["scene"]);
     head.extend(columns.iter().map(|(kind, name, variant)| match kind {
-        Kind::Combined => {
-            let level = if variant.starts_with(|c: char| c.is_ascii_digit()) { "level " } else { "" };
-            format!("{name}, {level}{variant}, times weights' deviation")
-        }
         Kind::Level => format!("{name}, level {variant}"),
-        Kind::Blend if *variant != "hit" => format!("{name}, {variant}"),
+        Kind::Blend => format!("{name}, {variant}"),
         _ => (*name).to_string(),
     }));
     let mut table = Table::new(name, &head);
@@ -158,7 +153,7 @@ fn areas(name: &str, done: &[SceneResult], pick: Pick) -> Table {
     table
 }
 
-/// Means over scenes of every choice of a reading: blending, level, λ, combination.
+/// Means over scenes of every choice of a reading: blending, level, λ, total variance.
 fn choices(plan: &Plan, done: &[SceneResult]) -> String {
     let mut out = String::new();
     let mut add = |title: &str, what: &str, kind: Kind, variants: Vec<String>| {
@@ -173,7 +168,9 @@ fn choices(plan: &Plan, done: &[SceneResult]) -> String {
                         let own = r.entry(kind, c.name(), &variant);
                         Some((
                             r,
-                            own.or_else(|| r.entry(Kind::Blend, c.name(), "hit").filter(|_| variant.ends_with('*')))?,
+                            own.or_else(|| {
+                                r.entry(Kind::Blend, c.name(), "spread").filter(|_| variant.ends_with('*'))
+                            })?,
                         ))
                     })
                     .collect();
@@ -196,16 +193,14 @@ fn choices(plan: &Plan, done: &[SceneResult]) -> String {
     levels.sort_unstable();
     let levels: Vec<String> =
         LEVEL_BLENDS.iter().flat_map(|&b| levels.iter().map(move |&level| variant(level, b))).collect();
-    add("Other levels and their blending", "level", Kind::Level, levels.clone());
+    add("Other levels and their blending", "level", Kind::Level, levels);
     let mut lambdas: Vec<(f64, String)> = plan.lambdas.iter().map(|f| (*f, format!("{f:e}"))).collect();
     lambdas.push((1.0, "1 *".into()));
     lambdas.sort_by(|a, b| a.0.total_cmp(&b.0));
     let lambdas = lambdas.into_iter().map(|l| l.1).collect();
-    add("λ, as a factor of the default, blended `hit`", "factor", Kind::Lambda, lambdas);
-    let mut combined = LEVEL_BLENDS.map(|b| b.name().to_string()).to_vec();
-    combined.extend(levels);
-    combined.push("total variance".into());
-    add("Times the deviation of the ray's weights (and their total variance)", "reading", Kind::Combined, combined);
+    add("λ, as a factor of the default, blended `spread`", "factor", Kind::Lambda, lambdas);
+    let variant = vec![String::new()];
+    add("Total variance: that of the ray's weights and U's, on one scale", "", Kind::TotalVariance, variant);
 
     let head = heads(&["scene", "best reading of H", "AUSE", "best without a Hessian", "AUSE", "default", "ratio"]);
     let mut table = Table::new("Best of each scene (MAE)", &head);
@@ -249,10 +244,9 @@ fn targets(done: &[SceneResult]) -> String {
     for (kind, name, variant) in FOUND {
         let found = mean(few.iter().map(|r| of(r, kind, name, variant)));
         let wins = few.iter().filter(|r| r.entry(kind, name, variant).is_some_and(|e| ratio(r, e) < 1.0)).count();
-        let what = if kind == Kind::Combined { ", times the deviation of the ray's weights" } else { "" };
         if found.is_finite() {
             line(format!(
-                "The same for `{name}` at level {variant}{what}, chosen on the first two scenes: {found:.3}, ratio {:.2}; it beats the best such measure of the scene itself in {wins} of {}.",
+                "The same for `{name}` at level {variant}, chosen on the first two scenes: {found:.3}, ratio {:.2}; it beats the best such measure of the scene itself in {wins} of {}.",
                 found / best.1,
                 few.len()
             ));

@@ -28,10 +28,10 @@ pub enum Kind {
     Blend,
     /// The variant is level and blending.
     Level,
-    /// The variant is the factor of λ; blended `hit`.
+    /// The variant is the factor of λ; blended `spread`.
     Lambda,
-    /// A reading times the deviation of the ray's weights, the variant being the reading's; or `total variance`.
-    Combined,
+    /// The ray's weights and U as variances of one depth.
+    TotalVariance,
     /// Without a Hessian, one model.
     Baseline,
     /// Several models.
@@ -171,47 +171,33 @@ fn readings(base: &UncertaintyField, plan: &Plan, others: &[UncertaintyField]) -
         for covariance in Covariance::ALL {
             let field =
                 base.clone().with_lambda((factor * lambda).max(base.protocol().lambda))?.with_covariance(covariance)?;
-            add(field.without_evidence(), &[Blend::Hit]);
+            add(field.without_evidence(), &[Blend::Spread]);
             labels.push(label(Kind::Lambda, covariance.name(), format!("{factor:e}")));
         }
     }
     Ok((readings, labels))
 }
 
-/// Appends to every view what combines a reading with the spread of the ray's own weights.
+/// Appends to every view the total variance of depth: by its law, that of the ray's weights plus the expected square of the displacement.
 ///
-/// `total variance`: by the law of total variance, the depth's is that of the ray's weights plus the expected square of the displacement. U comes from
-/// H = (2/R) S + 2λ, the mean over rays; the posterior of N training pixels with noise variance s² has the precision (N / 2 s²) H, so its
+/// U comes from H = (2/R) S + 2λ, the mean over rays; the posterior of N training pixels with noise variance s² has the precision (N / 2 s²) H, so its
 /// displacement has the deviation √(2/N) s U. s² is the mean squared error of training pixels.
-/// Others: log U plus the log of the weights' deviation. No scale matters.
-fn combine(views: &mut [JudgedView], labels: &mut Vec<Label>, training: Option<Training>, pixels: u64) {
+fn add_total_variance(views: &mut [JudgedView], labels: &mut Vec<Label>, training: Training, pixels: u64) {
     let find = |kind, name: &str, variant: &str| {
         let is = |l: &Label| l.kind == kind && l.name == name && l.variant == variant;
         labels.iter().position(is).expect("a measure of the study")
     };
     let variance = find(Kind::Baseline, Baseline::RayVariance.name(), "");
+    let scale = 2.0 * 10_f64.powf(-0.1 * training.psnr) / pixels as f64;
     let mut added = Vec::new();
-    let is_factor = |l: &Label| match l.kind {
-        Kind::Blend => LEVEL_BLENDS.iter().any(|b| b.name() == l.variant),
-        kind => kind == Kind::Level,
-    };
-    for (m, reading) in labels.iter().enumerate().filter(|(_, l)| is_factor(l)) {
-        for view in views.iter_mut() {
-            let combined = view.measures[variance].iter().zip(&view.measures[m]);
-            let product = combined.map(|(v, u)| u + 0.5 * v.max(f64::MIN_POSITIVE).log10()).collect();
-            view.measures.push(product);
-        }
-        added.push(label(Kind::Combined, &reading.name, reading.variant.clone()));
-    }
     for covariance in Covariance::ALL {
         let rms = find(Kind::Blend, covariance.name(), Blend::RootMeanSquare.name());
-        let Some(training) = training else { continue };
-        let scale = 2.0 * 10_f64.powf(-0.1 * training.psnr) / pixels as f64;
         for view in views.iter_mut() {
-            let combined = view.measures[variance].iter().zip(&view.measures[rms]);
-            view.measures.push(combined.map(|(v, u)| v + scale * 10_f64.powf(2.0 * u)).collect());
+            let both = view.measures[variance].iter().zip(&view.measures[rms]);
+            let total = both.map(|(v, u)| v + scale * 10_f64.powf(2.0 * u)).collect();
+            view.measures.push(total);
         }
-        added.push(label(Kind::Combined, covariance.name(), "total variance"));
+        added.push(label(Kind::TotalVariance, covariance.name(), ""));
     }
     labels.extend(added);
 }
@@ -275,7 +261,9 @@ fn compute(scene: &Scene, plan: &Plan, work: &Path, folder: &Path) -> Result<Sce
         Measure::Baseline(b) if b.is_single_model() => Some(label(Kind::Baseline, b.name(), "")),
         Measure::Baseline(b) => Some(label(Kind::Ensemble, b.name(), "")),
     }));
-    combine(&mut views, &mut labels, training, data.pixels());
+    if let Some(training) = training {
+        add_total_variance(&mut views, &mut labels, training, data.pixels());
+    }
     let scores: Vec<Score> =
         (0..labels.len()).map(|m| Score::of(&views, m).expect("pixels with depth and some error")).collect();
     let entries: Vec<Entry> = labels
@@ -315,7 +303,7 @@ fn compute(scene: &Scene, plan: &Plan, work: &Path, folder: &Path) -> Result<Sce
 /// Time to render all views alone, and what one reading adds, from the first two views.
 fn costs(tracer: &Tracer, reading: &Reading, truths: &[TrueView]) -> Result<[Time; 2]> {
     let few = &truths[..truths.len().min(2)];
-    let one = [Reading { blends: vec![Blend::Hit], ..reading.clone() }];
+    let one = [Reading { blends: vec![Blend::Spread], ..reading.clone() }];
     let time = |readings: &[Reading]| -> Result<Time> {
         let judge = Judge { tracer: tracer.clone(), readings, members: Vec::new() };
         let clock = Clock::start();

@@ -2,6 +2,7 @@
 
 use octobayes::Result;
 use octobayes::estimate::{GridSettings, RaySettings, estimate, estimate_with_error_bars};
+use octobayes::field::zoo;
 use octobayes::monitor::Silent;
 use octobayes::octree::VertexId;
 use octobayes::render::GradientMethod;
@@ -19,25 +20,45 @@ struct Judged {
     bar: Option<f64>,
 }
 
-/// Tables of every scene and number of groups.
+/// Rays of a scene of the zoo, and groups of its error bars.
+const ZOO_RAYS: u64 = 16_384;
+const ZOO_GROUPS: u16 = 8;
+
+/// Tables of every scene and number of groups, and of the zoo.
 pub fn honesty() -> Result<()> {
     println!(
         "\n# How far from the limit\n\nVertices that the run or the one of {MORE} times the rays moved by more than half a decade."
     );
     for scene in scenes()? {
-        let grid =
-            GridSettings { level: scene.level, tolerance: 0.0, surface_points: 20_000, ..GridSettings::default() };
-        let settings = RaySettings { rays: scene.rays, gradient: GradientMethod::Auto, ..RaySettings::default() };
-        let many = RaySettings { rays: MORE * scene.rays, seed: 77, ..settings };
-        let (limit, _) = estimate(&*scene.field, &scene.cameras, &many, &grid, &Silent)?;
+        let limit = scene.limit()?;
         for groups in [2, 8, 16] {
-            let (field, _) =
-                estimate_with_error_bars(&*scene.field, &scene.cameras, &settings, &grid, groups, &Silent)?;
+            let field = scene.with_error_bars(groups)?;
             table(&scene, groups, &judged(&field, &limit));
             on_surfaces(&field, &limit, groups);
         }
     }
-    Ok(())
+    zoo_table()
+}
+
+impl Scene {
+    fn grid(&self) -> GridSettings {
+        GridSettings { level: self.level, tolerance: 0.0, surface_points: 20_000, ..GridSettings::default() }
+    }
+
+    fn settings(&self) -> RaySettings {
+        RaySettings { rays: self.rays, gradient: GradientMethod::Auto, ..RaySettings::default() }
+    }
+
+    /// What stands for the limit.
+    fn limit(&self) -> Result<UncertaintyField> {
+        let many = RaySettings { rays: MORE * self.rays, seed: 77, ..self.settings() };
+        Ok(estimate(&*self.field, &self.cameras, &many, &self.grid(), &Silent)?.0)
+    }
+
+    fn with_error_bars(&self, groups: u16) -> Result<UncertaintyField> {
+        let (field, cameras) = (&*self.field, &self.cameras);
+        Ok(estimate_with_error_bars(field, cameras, &self.settings(), &self.grid(), groups, &Silent)?.0)
+    }
 }
 
 /// Vertices of both fields' octrees; where one has none, it says the prior.
@@ -73,43 +94,90 @@ fn mean_of_absolute(groups: u16) -> f64 {
     (2.0 / std::f64::consts::PI).sqrt() / c4
 }
 
+/// What error bars say of vertices whose error they know, and what is true.
+struct Calibration {
+    known: usize,
+    bias: f64,
+    true_rms: f64,
+    rms: f64,
+    true_mean: f64,
+    mean: f64,
+}
+
+impl Calibration {
+    fn of(judged: &[&Judged], groups: u16) -> Self {
+        let known: Vec<(f64, f64)> = judged.iter().filter_map(|j| j.bar.map(|bar| (j.error, bar))).collect();
+        let n = known.len() as f64;
+        let rms = |f: fn(&(f64, f64)) -> f64| (known.iter().map(|p| f(p).powi(2)).sum::<f64>() / n).sqrt();
+        let mean = |f: fn(&(f64, f64)) -> f64| known.iter().map(f).sum::<f64>() / n;
+        Self {
+            known: known.len(),
+            bias: mean(|p| p.0),
+            true_rms: rms(|p| p.0),
+            rms: rms(|p| p.1),
+            true_mean: mean(|p| p.0.abs()),
+            mean: mean_of_absolute(groups) * mean(|p| p.1),
+        }
+    }
+
+    /// The row of a table: what it is of, how many vertices, share of known errors, and the rest unless too few are known.
+    fn row(&self, name: &str, vertices: usize) -> String {
+        let share = self.known as f64 / vertices as f64;
+        if self.known < FEWEST {
+            return format!("| {name} | {vertices} | {share:.2} | | | | | | | |");
+        }
+        let Self { bias, true_rms, rms, true_mean, mean, .. } = self;
+        format!(
+            "| {name} | {vertices} | {share:.2} | {bias:+.3} | {true_rms:.3} | {rms:.3} | {:.2} | {true_mean:.3} | {mean:.3} | {:.2} |",
+            rms / true_rms,
+            mean / true_mean
+        )
+    }
+}
+
+/// Fewer vertices say nothing of a calibration.
+const FEWEST: usize = 30;
+
+/// Prints the head of a table of [`Calibration::row`]s.
+fn head(of: &str) {
+    println!("| {of} | vertices | error known | bias | true rms | estimated | ratio | true mean | estimated | ratio |");
+    println!("|---|---|---|---|---|---|---|---|---|---|");
+}
+
 fn table(scene: &Scene, groups: u16, all: &[Judged]) {
     println!("\n## {}, level {}, {} rays, {groups} groups\n", scene.name, scene.level, scene.rays);
-    println!(
-        "| rays of a vertex | vertices | error known | bias | true rms | estimated | ratio | true mean | estimated | ratio |"
-    );
-    println!("|---|---|---|---|---|---|---|---|---|---|");
+    head("rays of a vertex");
     let bins = [(0, 1), (1, 2), (2, 4), (4, 8), (8, 16), (16, 32), (32, 64), (64, 128), (128, u32::MAX), (0, u32::MAX)];
     for (least, below) in bins {
         let bin: Vec<&Judged> = all.iter().filter(|j| (least..below).contains(&j.rays)).collect();
-        if bin.len() < 30 {
+        if bin.len() < FEWEST {
             continue;
         }
-        let known: Vec<(f64, f64)> = bin.iter().filter_map(|j| j.bar.map(|bar| (j.error, bar))).collect();
-        let n = known.len() as f64;
         let name = match (least, below) {
             (0, u32::MAX) => "all".into(),
             (least, u32::MAX) => format!("{least} and more"),
             (least, below) if below == least + 1 => format!("{least}"),
             (least, below) => format!("{least} to {}", below - 1),
         };
-        let share = n / bin.len() as f64;
-        if known.len() < 30 {
-            println!("| {name} | {} | {share:.2} | | | | | | | |", bin.len());
-            continue;
-        }
-        let rms = |f: fn(&(f64, f64)) -> f64| (known.iter().map(|p| f(p).powi(2)).sum::<f64>() / n).sqrt();
-        let mean = |f: fn(&(f64, f64)) -> f64| known.iter().map(f).sum::<f64>() / n;
-        let (true_rms, rms) = (rms(|p| p.0), rms(|p| p.1));
-        let (true_mean, estimated) = (mean(|p| p.0.abs()), mean_of_absolute(groups) * mean(|p| p.1));
-        println!(
-            "| {name} | {} | {share:.2} | {:+.3} | {true_rms:.3} | {rms:.3} | {:.2} | {true_mean:.3} | {estimated:.3} | {:.2} |",
-            bin.len(),
-            mean(|p| p.0),
-            rms / true_rms,
-            estimated / true_mean
-        );
+        println!("{}", Calibration::of(&bin, groups).row(&name, bin.len()));
     }
+}
+
+/// All scenes of the zoo that are not refused and move enough vertices, one row each.
+fn zoo_table() -> Result<()> {
+    println!("\n## The zoo, {ZOO_RAYS} rays, {ZOO_GROUPS} groups, every scene at its own level\n");
+    head("scene");
+    for hard in zoo::all().into_iter().filter(|scene| scene.verdict != zoo::Verdict::Refused) {
+        let (name, level, cameras) = (hard.name, hard.level, hard.cameras());
+        let scene = Scene { name, field: Box::new(hard.field), cameras, level, rays: ZOO_RAYS };
+        let limit = scene.limit()?;
+        let judged = judged(&scene.with_error_bars(ZOO_GROUPS)?, &limit);
+        if judged.len() >= FEWEST {
+            let all: Vec<&Judged> = judged.iter().collect();
+            println!("{}", Calibration::of(&all, ZOO_GROUPS).row(name, all.len()));
+        }
+    }
+    Ok(())
 }
 
 /// The same at points between vertices, where errors are added as if all were off to the same side.

@@ -78,7 +78,7 @@ fn every_measure_is_of_the_same_pixels() {
         .map(|&c| Reading {
             name: c.name().into(),
             field: field.clone().with_covariance(c).unwrap(),
-            blends: vec![Blend::Hit, Blend::AtMedian],
+            blends: vec![Blend::Hit, Blend::AtMedian, Blend::Spread],
         })
         .collect();
     let nothing = Nothing(ball.bounds());
@@ -89,7 +89,7 @@ fn every_measure_is_of_the_same_pixels() {
     let n = view.pixels.len();
     assert!(n > 50 && view.empty == 0 && view.psnr == f64::INFINITY, "{n} pixels");
     let measures = judge.measures();
-    assert_eq!(measures.len(), 8 + 7);
+    assert_eq!(measures.len(), 12 + 7);
     assert!(view.measures.len() == measures.len() && view.measures.iter().all(|m| m.len() == n));
 
     let of = |measure| &view.measures[measures.iter().position(|m| *m == measure).unwrap()];
@@ -106,17 +106,20 @@ fn every_measure_is_of_the_same_pixels() {
         assert_eq!(baseline(Baseline::EnsembleVariance)[k], ensemble_variance(&[pixel.median_depth, exit]));
         let expected = density_aware(&[pixel.color, DVec3::ONE], &[pixel.opacity, 0.0]);
         assert_eq!(baseline(Baseline::DensityAware)[k], expected);
-        let x = ray.at(pixel.median_depth).as_vec3();
+        let [median, expected] = [pixel.median_depth, pixel.expected_depth].map(|t| ray.at(t).as_vec3());
+        let deviation = (pixel.depth_variance + judge.tracer.marcher.step.powi(2) / 12.0).sqrt();
         for (r, reading) in readings.iter().enumerate() {
-            assert_eq!(of(Measure::Reading(r, Blend::AtMedian))[k], reading.field.log10(x), "{}", reading.name);
+            let (name, log10) = (&reading.name, |x| reading.field.log10(x));
+            assert_eq!(of(Measure::Reading(r, Blend::AtMedian))[k], log10(median), "{name}");
+            assert_eq!(of(Measure::Reading(r, Blend::Spread))[k], log10(expected) + deviation.log10(), "{name}");
         }
     }
     // Fewer rays are more uncertain: counts are those of the field, somewhere between none and all.
     let counts = baseline(Baseline::RayCount);
     assert!(counts.iter().all(|c| (-4000.0..=0.0).contains(c)) && counts.iter().any(|c| *c < -1.0));
     // Chance differs from view to view and is the same every time.
-    assert_eq!(baseline(Baseline::Random), &judge.judge(&truth, 7, &Silent).unwrap().measures[12]);
-    assert_ne!(baseline(Baseline::Random), &judge.judge(&truth, 8, &Silent).unwrap().measures[12]);
+    assert_eq!(baseline(Baseline::Random), &judge.judge(&truth, 7, &Silent).unwrap().measures[16]);
+    assert_ne!(baseline(Baseline::Random), &judge.judge(&truth, 8, &Silent).unwrap().measures[16]);
 }
 
 #[test]

@@ -11,7 +11,7 @@ use crate::monitor::{Monitor, check};
 
 /// How log10 U of a ray's samples becomes one number of its pixel.
 ///
-/// Letters: w weights of the samples, u = log10 U at them, t their distances.
+/// Letters: w weights of the samples, u = log10 U at them, t their distances, δ the distance between samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Blend {
@@ -28,12 +28,15 @@ pub enum Blend {
     AtExpected,
     /// u at the median depth.
     AtMedian,
+    /// u at the expected depth + log10 s, s² = Var t + δ²/12 the variance of the ray's weights: how loosely matter is held there, times how widely it is spread along the ray.
+    /// Scene units squared; made for ranking pixels by their depth error, which it does best (`experiments/few_views.md`).
+    Spread,
 }
 
 impl Blend {
     /// All of them.
-    pub const ALL: [Self; 6] =
-        [Self::Hit, Self::Official, Self::Mean, Self::RootMeanSquare, Self::AtExpected, Self::AtMedian];
+    pub const ALL: [Self; 7] =
+        [Self::Hit, Self::Official, Self::Mean, Self::RootMeanSquare, Self::AtExpected, Self::AtMedian, Self::Spread];
 
     /// The name used on the command line and in reports.
     #[must_use]
@@ -45,7 +48,13 @@ impl Blend {
             Self::RootMeanSquare => "root-mean-square",
             Self::AtExpected => "at-expected",
             Self::AtMedian => "at-median",
+            Self::Spread => "spread",
         }
+    }
+
+    /// Whether it asks for u at every sample.
+    fn is_of_samples(self) -> bool {
+        !matches!(self, Self::AtExpected | Self::AtMedian | Self::Spread)
     }
 }
 
@@ -150,13 +159,15 @@ fn render_rays(tracer: &Tracer, rays: &[Ray], probes: &[Probe]) -> RenderedView 
             end_transmittance: quadrature.end_transmittance(&samples),
             at_expected: tracer.marcher.bounds.clamp(ray.at(pixel.expected_depth).as_vec3()),
             at_median: tracer.marcher.bounds.clamp(ray.at(pixel.median_depth).as_vec3()),
+            spread: (pixel.depth_variance + tracer.marcher.step.powi(2) / 12.0).sqrt(),
         };
         let mut channel = 0;
         for probe in probes {
-            let hit = weights.iter().zip(&traced.positions[samples.clone()]);
-            let value = |(w, x): (&f64, &Vec3)| if *w > 0.0 { (probe.value)(*x) } else { 0.0 };
             values.clear();
-            values.extend(hit.map(value));
+            if probe.blends.iter().any(|blend| blend.is_of_samples()) {
+                let hit = weights.iter().zip(&traced.positions[samples.clone()]);
+                values.extend(hit.map(|(w, x)| if *w > 0.0 { (probe.value)(*x) } else { 0.0 }));
+            }
             for &blend in probe.blends {
                 row.log10_uncertainty[channel].push(blended.blend(blend, &values, probe.value));
                 channel += 1;
@@ -172,10 +183,11 @@ struct BlendedRay<'a> {
     end_transmittance: f64,
     at_expected: Vec3,
     at_median: Vec3,
+    spread: f64,
 }
 
 impl BlendedRay<'_> {
-    /// `values` of the samples, any where the weight is zero; `value` elsewhere.
+    /// `values` of the samples, any where the weight is zero, none if the blend asks for none; `value` elsewhere.
     fn blend(&self, blend: Blend, values: &[f64], value: &dyn Fn(Vec3) -> f64) -> f64 {
         let total: f64 = self.weights.iter().sum();
         let sum = |of: &dyn Fn(f64) -> f64| -> f64 {
@@ -190,6 +202,7 @@ impl BlendedRay<'_> {
             Blend::RootMeanSquare => 0.5 * (sum(&|u| 10_f64.powf(2.0 * u)) / total).log10(),
             Blend::AtExpected => value(self.at_expected),
             Blend::AtMedian => value(self.at_median),
+            Blend::Spread => value(self.at_expected) + self.spread.log10(),
         }
     }
 }
@@ -201,8 +214,8 @@ mod tests {
     #[test]
     fn blends_of_two_samples() {
         // U = 1 with weight 0.3, U = 100 with weight 0.1; a sample without weight; 0.6 hits nothing.
-        let ray =
-            BlendedRay { weights: &[0.3, 0.0, 0.1], end_transmittance: 0.6, at_expected: Vec3::X, at_median: Vec3::Y };
+        let weights = &[0.3, 0.0, 0.1];
+        let ray = BlendedRay { weights, end_transmittance: 0.6, at_expected: Vec3::X, at_median: Vec3::Y, spread: 0.1 };
         let values = [0.0, 77.0, 2.0];
         let blend = |blend| ray.blend(blend, &values, &|x| if x == Vec3::X { 1.5 } else { 0.25 });
         let expected = [
@@ -212,6 +225,7 @@ mod tests {
             (Blend::RootMeanSquare, 0.5 * (1000.3_f64 / 0.4).log10()),
             (Blend::AtExpected, 1.5),
             (Blend::AtMedian, 0.25),
+            (Blend::Spread, 1.5 - 1.0),
         ];
         for (name, expected) in expected {
             assert!((blend(name) - expected).abs() < 1e-12, "{name:?}: {} instead of {expected}", blend(name));
@@ -221,8 +235,8 @@ mod tests {
 
     #[test]
     fn a_ray_that_meets_nothing_has_no_value_but_the_official_one() {
-        let ray =
-            BlendedRay { weights: &[0.0], end_transmittance: 1.0, at_expected: Vec3::ZERO, at_median: Vec3::ZERO };
+        let (at_expected, at_median) = (Vec3::ZERO, Vec3::ZERO);
+        let ray = BlendedRay { weights: &[0.0], end_transmittance: 1.0, at_expected, at_median, spread: 0.1 };
         for blend in Blend::ALL {
             let found = ray.blend(blend, &[5.0], &|_| 5.0);
             assert!(if blend == Blend::Official { found == -3.0 } else { found.is_nan() }, "{blend:?}: {found}");

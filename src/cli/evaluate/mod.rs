@@ -68,8 +68,9 @@ pub struct Args {
     #[arg(long, value_enum, value_delimiter = ',')]
     covariance: Vec<Covariance>,
 
-    /// How log10 U is blended along a ray; several, separated by commas, are judged side by side
-    #[arg(long, value_enum, value_delimiter = ',', default_value = "hit")]
+    /// How log10 U is blended along a ray; several, separated by commas, are judged side by side. `spread` ranked depth errors best in the study of few
+    /// views (experiments/few_views.md); `hit` is what `render` shows
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "spread")]
     blend: Vec<Blend>,
 
     /// Two or more models trained like MODEL with other seeds, MODEL among them or not: judges the variance of their depth, and the

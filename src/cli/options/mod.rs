@@ -50,6 +50,9 @@ impl ValueEnum for Blend {
             Self::RootMeanSquare => "log10 of the root of the mean U squared",
             Self::AtExpected => "log10 U at the expected depth",
             Self::AtMedian => "log10 U at the median depth",
+            Self::Spread => {
+                "log10 (U at the expected depth times the deviation of the ray's weights): for ranking pixels"
+            }
         };
         Some(clap::builder::PossibleValue::new(self.name()).help(help))
     }
