@@ -11,6 +11,7 @@ use std::time::Duration;
 
 use octobayes::dataset::write_transforms;
 use octobayes::field::ClosedForm;
+use octobayes::io::AtomicFile;
 use octobayes::uncertainty::UncertaintyField;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -187,9 +188,9 @@ fn read_while(replace: impl Fn(&Path, &[u8]) + Sync, can_fail: bool) {
 #[test]
 fn a_field_that_is_replaced_as_this_program_does_is_always_whole() {
     let replace = |path: &Path, content: &[u8]| {
-        let part = path.with_extension("part");
-        std::fs::write(&part, content).unwrap();
-        std::fs::rename(&part, path).unwrap();
+        let mut file = AtomicFile::create(path).unwrap();
+        file.write_all(content).unwrap();
+        file.commit().unwrap();
     };
     read_while(replace, false);
 }

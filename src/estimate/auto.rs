@@ -8,6 +8,7 @@ use rayon::prelude::*;
 
 use super::{FieldBuilder, GridSettings};
 use crate::geometry::Domain;
+use crate::metrics::quantile;
 use crate::monitor::Monitor;
 use crate::posterior::{RayStream, Share, Tally};
 use crate::{Error, Result};
@@ -40,9 +41,8 @@ impl SamplingError {
             return Self { vertices: 0, mean: 0.0, percentile_95: 0.0 };
         }
         let mean = errors.iter().sum::<f64>() / errors.len() as f64;
-        let at = (errors.len() * 19 / 20).min(errors.len() - 1);
-        let percentile_95 = *errors.select_nth_unstable_by(at, f64::total_cmp).1;
-        Self { vertices: errors.len(), mean, percentile_95 }
+        errors.sort_unstable_by(f64::total_cmp);
+        Self { vertices: errors.len(), mean, percentile_95: quantile(&errors, 0.95) }
     }
 }
 

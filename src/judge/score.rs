@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::JudgedView;
-use crate::metrics::{ErrorKind, Sparsification, sparsification};
+use crate::metrics::{ErrorKind, Sparsification, quantile, sparsification};
 
 /// Area under the sparsification error of one measure.
 #[derive(Debug, Clone)]
@@ -60,12 +60,11 @@ impl DepthError {
         let mut errors: Vec<f64> = views.iter().flat_map(|v| &v.absolute_error).copied().collect();
         let n = errors.len();
         errors.sort_unstable_by(f64::total_cmp);
-        let percentile = |share: f64| errors[((share * n as f64) as usize).min(n - 1)];
         (n > 0).then(|| Self {
             pixels: n,
-            median: percentile(0.5),
+            median: quantile(&errors, 0.5),
             mean: errors.iter().sum::<f64>() / n as f64,
-            percentile_95: percentile(0.95),
+            percentile_95: quantile(&errors, 0.95),
         })
     }
 }

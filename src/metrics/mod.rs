@@ -10,6 +10,6 @@ mod ssim;
 pub use ensemble::{density_aware, ensemble_variance};
 pub use image::psnr;
 pub use perceptual::ssimulacra2;
-pub use rank::percentiles;
+pub use rank::{percentiles, quantile};
 pub use sparsification::{ErrorKind, STEPS, Sparsification, sparsification};
 pub use ssim::ssim;

@@ -20,9 +20,25 @@ pub fn percentiles(values: &[f64]) -> Vec<f64> {
     out
 }
 
+/// The smallest of increasing values that at least this share of them does not exceed (nearest rank); NaN of no values.
+#[must_use]
+pub fn quantile(sorted: &[f64], share: f64) -> f64 {
+    let rank = (share * sorted.len() as f64).ceil() as usize;
+    sorted.get(rank.clamp(1, sorted.len().max(1)) - 1).copied().unwrap_or(f64::NAN)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn quantiles_are_values_of_nearest_rank() {
+        let values = [1.0, 2.0, 3.0, 4.0];
+        let shares = [0.0, 0.25, 0.26, 0.5, 0.75, 0.76, 1.0];
+        assert_eq!(shares.map(|share| quantile(&values, share)), [1.0, 1.0, 2.0, 2.0, 3.0, 4.0, 4.0]);
+        assert_eq!(quantile(&[7.0], 0.95), 7.0);
+        assert!(quantile(&[], 0.5).is_nan());
+    }
     use proptest::prelude::*;
 
     #[test]

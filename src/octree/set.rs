@@ -42,20 +42,6 @@ pub struct MortonSet {
 }
 
 impl MortonSet {
-    /// The set of `codes`, which must be strictly increasing and below 2^`bits`.
-    ///
-    /// # Panics
-    /// If the codes are not strictly increasing, too large, or more than 2³² − 1.
-    #[must_use]
-    pub fn from_sorted(bits: u32, codes: &[u64]) -> Self {
-        assert!(codes.is_sorted_by(|a, b| a < b), "codes must be strictly increasing");
-        let bricks = codes.chunk_by(|a, b| a >> 6 == b >> 6);
-        Self::from_bricks(
-            bits,
-            bricks.map(|codes| (codes[0] >> 6, codes.iter().fold(0, |mask, code| mask | 1 << (code & 63)))),
-        )
-    }
-
     /// The set of the members of `bricks`: strictly increasing codes without their low six bits, with masks that are not empty; all codes below 2^`bits`.
     ///
     /// # Panics
@@ -189,9 +175,16 @@ mod tests {
     use proptest::prelude::*;
     use std::collections::BTreeSet;
 
+    /// The set of increasing codes.
+    fn set_of(bits: u32, codes: &[u64]) -> MortonSet {
+        let bricks = codes.chunk_by(|a, b| a >> 6 == b >> 6);
+        let mask = |codes: &[u64]| codes.iter().fold(0, |mask, code| mask | 1 << (code & 63));
+        MortonSet::from_bricks(bits, bricks.map(|codes| (codes[0] >> 6, mask(codes))))
+    }
+
     #[test]
     fn the_empty_set_has_no_members() {
-        let set = MortonSet::from_sorted(27, &[]);
+        let set = set_of(27, &[]);
         assert!(set.is_empty() && set.rank(0).is_none() && set.iter().next().is_none());
     }
 
@@ -201,7 +194,7 @@ mod tests {
                                                    probes in proptest::collection::vec(0u64..1 << 20, 50)) {
             // Neighbours of members are the probes that an off-by-one would get wrong.
             let sorted: Vec<u64> = codes.iter().copied().collect();
-            let set = MortonSet::from_sorted(20, &sorted);
+            let set = set_of(20, &sorted);
             let near: BTreeSet<u64> = sorted.iter().flat_map(|&c| [c.saturating_sub(1), c, c + 1]).collect();
             for code in probes.into_iter().chain(near) {
                 prop_assert_eq!(set.rank(code), sorted.binary_search(&code).ok().map(|r| r as u32));

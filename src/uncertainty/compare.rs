@@ -6,6 +6,7 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 use super::{Support, UncertaintyField};
+use crate::metrics::quantile;
 use crate::octree::OctreeStats;
 use crate::{Error, Result};
 
@@ -122,13 +123,11 @@ fn difference(a: &UncertaintyField, b: &UncertaintyField, points: &[Vec3]) -> Op
     let (max, max_at) = (differences[at], points[at]);
     let mean = differences.iter().sum::<f64>() / points.len() as f64;
     differences.par_sort_unstable_by(f64::total_cmp);
-    let percentile =
-        |share: f64| differences[((share * points.len() as f64).ceil() as usize).clamp(1, points.len()) - 1];
     Some(Difference {
         points: points.len(),
         mean,
-        percentile_95: percentile(0.95),
-        percentile_99: percentile(0.99),
+        percentile_95: quantile(&differences, 0.95),
+        percentile_99: quantile(&differences, 0.99),
         max,
         max_at: max_at.to_array(),
         log10_at_max: [a.log10(max_at), b.log10(max_at)],
