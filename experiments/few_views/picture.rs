@@ -7,6 +7,7 @@ use octobayes::judge::{CleanUp, JudgedView, Score, TrueView};
 use octobayes::picture::{Bar, Curve, Panel, color_panel, scalar_panel, write_plot, write_sheet};
 use octobayes::render::RenderedView;
 
+use crate::plan::Data;
 use crate::scene::{Entry, Kind, ranks};
 
 /// Width that small pictures are enlarged to, about.
@@ -84,8 +85,14 @@ pub fn curves(path: &Path, scene: &str, entries: &[Entry], scores: &[Score]) -> 
     write_plot(path, &format!("{scene} (AUSE)"), axes, &all)
 }
 
+/// The true image, if it may be shown.
+fn true_image(data: Data, truth: &TrueView) -> Vec<Panel> {
+    let panel = || color_panel("true image", truth.camera.resolution, truth.colors.iter().copied());
+    data.has_own_images().then(panel).into_iter().collect()
+}
+
 /// One view as in the paper's Figure 5: that of median mean error. Ranks are percentiles among the judged pixels of the view.
-pub fn row(path: &Path, truths: &[TrueView], views: &[JudgedView], entries: &[Entry]) -> Result<()> {
+pub fn row(path: &Path, data: Data, truths: &[TrueView], views: &[JudgedView], entries: &[Entry]) -> Result<()> {
     let mean = |v: &JudgedView| v.absolute_error.iter().sum::<f64>() / v.absolute_error.len().max(1) as f64;
     let mut order: Vec<usize> = (0..views.len()).filter(|&v| !views[v].pixels.is_empty()).collect();
     order.sort_by(|&a, &b| mean(&views[a]).total_cmp(&mean(&views[b])));
@@ -100,12 +107,12 @@ pub fn row(path: &Path, truths: &[TrueView], views: &[JudgedView], entries: &[En
     let rank = |title: &str, values: &[f64]| {
         scalar_panel(title, size, ranks(view, values), bar([0.0, 1.0], colorous::INFERNO))
     };
-    let mut row: Vec<Panel> = vec![
-        color_panel("true image", size, truth.colors.iter().copied()),
+    let mut row = true_image(data, truth);
+    row.extend([
         color_panel("model", size, view.rendered.pixels.iter().map(|p| p.color)),
         scalar_panel("median depth", size, depth, bar([low, high], colorous::VIRIDIS)),
         rank("error, rank", &view.absolute_error),
-    ];
+    ]);
     let measure =
         |entry: &Entry| entries.iter().position(|e| e == entry).map(|m| rank(&title(entry), &view.measures[m]));
     let default = entries.iter().find(|e| is(e, DEFAULT));
@@ -116,7 +123,7 @@ pub fn row(path: &Path, truths: &[TrueView], views: &[JudgedView], entries: &[En
 }
 
 /// Before and after the clean-up, one row a view.
-pub fn cleaned(path: &Path, truths: &[TrueView], cleaned: &[(CleanUp, Vec<RenderedView>)]) -> Result<()> {
+pub fn cleaned(path: &Path, data: Data, truths: &[TrueView], cleaned: &[(CleanUp, Vec<RenderedView>)]) -> Result<()> {
     let all: Vec<CleanUp> = cleaned.iter().map(|(c, _)| *c).collect();
     let best = CleanUp::best(&all).and_then(|best| best.threshold);
     let is_shown = |c: &CleanUp| c.threshold.is_none() || [Some(0.9), Some(0.4), best].contains(&c.threshold);
@@ -125,7 +132,7 @@ pub fn cleaned(path: &Path, truths: &[TrueView], cleaned: &[(CleanUp, Vec<Render
         .enumerate()
         .take(3)
         .map(|(v, truth)| {
-            let mut row = vec![color_panel("true image", truth.camera.resolution, truth.colors.iter().copied())];
+            let mut row = true_image(data, truth);
             row.extend(cleaned.iter().filter(|(c, _)| is_shown(c)).map(|(c, views)| {
                 let name = c.threshold.map_or("as it is".into(), |t| format!("threshold {t}"));
                 color_panel(&name, views[v].resolution, views[v].pixels.iter().map(|p| p.color))

@@ -18,6 +18,18 @@ pub enum Data {
     Kitchen,
 }
 
+impl Data {
+    /// Whether pictures may show the data set's own images: those of others are not this project's to give away.
+    pub fn has_own_images(self) -> bool {
+        matches!(self, Self::Mesh(..) | Self::Knot)
+    }
+
+    /// Whether pictures may show it at all: the terms of the scan of nefertiti (CC-BY-NC-SA) would hold for them.
+    pub fn may_be_pictured(self) -> bool {
+        !matches!(self, Self::Mesh("nefertiti", _))
+    }
+}
+
 /// What is judged.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub enum Architecture {

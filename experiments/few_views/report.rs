@@ -360,17 +360,18 @@ fn costs(plan: &Plan, done: &[SceneResult]) -> Table {
 }
 
 /// Rows of pictures and plots, as links.
-fn pictures(folder: &str, done: &[SceneResult]) -> String {
+fn pictures(plan: &Plan, folder: &str, done: &[SceneResult]) -> String {
     let mut out = String::from("\n### Pictures\n");
     for r in done {
-        write!(
-            out,
-            "\n**{}** ([sparsification]({folder}/{slug}.svg), [clean-up]({folder}/{slug}-clean-up.png))\n\n![{}]({folder}/{slug}.png)\n",
-            r.name,
-            r.name,
-            slug = r.slug
-        )
-        .expect("writing to a string");
+        let Some(scene) = plan.scenes().into_iter().find(|scene| scene.name == r.name) else { continue };
+        let (name, slug) = (&r.name, &r.slug);
+        let mut line = format!("\n**{name}** ([sparsification]({folder}/{slug}.svg)");
+        line += &if scene.data.may_be_pictured() {
+            format!(", [clean-up]({folder}/{slug}-clean-up.png))\n\n![{name}]({folder}/{slug}.png)\n")
+        } else {
+            ")\n".into()
+        };
+        out += &line;
     }
     out
 }
@@ -387,11 +388,13 @@ pub fn write(plan: &Plan, done: &[SceneResult], left: &[String], work: &Path, re
     for r in done {
         for (from, to) in [("row.png", ".png"), ("sparsification.svg", ".svg"), ("clean-up.png", "-clean-up.png")] {
             let (from, to) = (work.join(&r.slug).join(from), folder.join(format!("{}{to}", r.slug)));
-            std::fs::copy(&from, &to).map_err(Error::io(&from, "cannot copy"))?;
+            if from.exists() {
+                std::fs::copy(&from, &to).map_err(Error::io(&from, "cannot copy"))?;
+            }
         }
     }
     let name = folder.file_name().unwrap_or_default().to_string_lossy();
-    let new = format!("{head}{BEGIN}\n{}{}\n{END}{tail}", tables(plan, done, left), pictures(&name, done));
+    let new = format!("{head}{BEGIN}\n{}{}\n{END}{tail}", tables(plan, done, left), pictures(plan, &name, done));
     let mut file = AtomicFile::create(report)?;
     file.write_all(new.as_bytes()).map_err(Error::io(report, "cannot write"))?;
     file.commit()

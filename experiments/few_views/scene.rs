@@ -279,12 +279,16 @@ fn compute(scene: &Scene, plan: &Plan, work: &Path, folder: &Path) -> Result<Sce
         })
         .collect();
     picture::curves(&folder.join("sparsification.svg"), scene.name, &entries, &scores)?;
-    picture::row(&folder.join("row.png"), &truths, &views, &entries)?;
+    if scene.data.may_be_pictured() {
+        picture::row(&folder.join("row.png"), scene.data, &truths, &views, &entries)?;
+    }
 
     eprintln!("  clean-up");
     let some: Vec<TrueView> = spread(&truths, plan.cleaned_views).into_iter().cloned().collect();
     let cleaned = clean_up(&judge.tracer, &readings[0].field, &some, &THRESHOLDS, &Silent)?;
-    picture::cleaned(&folder.join("clean-up.png"), &some, &cleaned)?;
+    if scene.data.may_be_pictured() {
+        picture::cleaned(&folder.join("clean-up.png"), scene.data, &some, &cleaned)?;
+    }
     Ok(SceneResult {
         name: scene.name.into(),
         slug: scene.slug(),
