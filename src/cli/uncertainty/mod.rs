@@ -1,20 +1,20 @@
 //! `uncertainty`: from a model and its cameras to a field.
 
+mod auto;
+mod groups;
+
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+use self::groups::Groups;
 use super::checkpoint::Checkpoint;
 use super::options::{CameraOptions, DomainOptions, GridOptions, ModelOptions, parse_non_negative, parse_positive};
 use super::progress::Bars;
 use super::report::{self, Cost};
-use crate::estimate::{
-    Audit, AutoRun, FieldBuilder, GridSettings, Plan, PlannedRun, Planner, Provenance, RaySettings, StepCheck,
-    ray_groups,
-};
-use crate::geometry::{Camera, Domain, Lattice};
+use crate::estimate::{Audit, FieldBuilder, GridSettings, PlannedRun, Planner, Provenance, RaySettings, StepCheck};
+use crate::geometry::{Camera, Lattice};
 use crate::posterior::{Pixels, RayStream, SamplesWriter, Share, Tally, checkpoint};
 use crate::render::GradientMethod;
-use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
 
 /// Compute the uncertainty of a trained field from its training cameras
@@ -264,92 +264,6 @@ impl Args {
         }
     }
 
-    /// Draws rays until the error is within the tolerance, and says what was reached; returns the field and the bytes of its sums.
-    fn run_auto(
-        &self,
-        stream: &RayStream,
-        grid: GridSettings,
-        domain: Domain,
-        source: String,
-        bars: &Bars,
-    ) -> Result<(UncertaintyField, usize)> {
-        let others = [
-            ("--shard", self.shard.is_some()),
-            ("--checkpoint", self.checkpoint.is_some()),
-            ("--dump-samples", self.dump_samples.is_some()),
-        ];
-        if let Some((name, _)) = others.into_iter().find(|(_, given)| *given) {
-            return Err(Error::setting("--rays auto", "a run by itself, to its end", name));
-        }
-        if let Some(groups) = self.error_bars.filter(|&groups| groups != 2) {
-            let expected = "--error-bars 2 with --rays auto, which compares two halves of the rays";
-            return Err(Error::setting("--error-bars", expected, groups.to_string()));
-        }
-        let (halves, tallies, error) =
-            AutoRun { tolerance: grid.tolerance, most: self.max_rays }.halves(stream, grid, domain, bars)?;
-        let tally = tallies[0].with(&tallies[1]);
-        let verdict = if error.vertices == 0 {
-            "no ray constrains anything".into()
-        } else {
-            let within = if error.mean <= grid.tolerance { "within" } else { "not within" };
-            format!(
-                "log10 U is off by {:.3} in the mean, 95 % by at most {:.3} (two halves, {} vertices that rays moved): {within} {}",
-                error.mean, error.percentile_95, error.vertices, grid.tolerance
-            )
-        };
-        eprintln!("note: {} rays; {verdict}", tally.rays);
-        warn_of_dropped(&tally);
-        let posterior_bytes = halves.iter().map(FieldBuilder::memory).sum();
-        // Two sequences of pixels: no part of a run that others could be added to.
-        let provenance = Provenance { source, tally, share: None, stream: Some(stream) };
-        let field = match self.error_bars {
-            Some(_) => FieldBuilder::finish_groups(halves.into(), &tallies, &provenance)?,
-            None => FieldBuilder::joined(halves, stream)?.finish(&provenance),
-        };
-        Ok((field, posterior_bytes))
-    }
-
-    /// Draws rays in groups; returns the field with error bars and the bytes of the groups' sums.
-    fn run_groups(&self, run: &Groups, source: &str, bars: &Bars) -> Result<(UncertaintyField, usize)> {
-        let (mut builders, mut tallies) = (Vec::new(), Vec::new());
-        for (g, group) in (0..).zip(ray_groups(run.stream, run.count, run.settings.rays)?) {
-            let mut builder = FieldBuilder::new(run.grid, run.domain)?;
-            if let Some(plan) = run.plan.filter(|_| run.grid.needs_plan()) {
-                builder.limit(plan);
-            }
-            let settings = RaySettings { seed: group.seed, ..run.settings };
-            let key = settings.run_key(source.into(), group.share, &group.stream, &run.grid, &builder);
-            let mut checkpoint = self.checkpoint(Some(g), self.resume)?;
-            let mut so_far = match &checkpoint {
-                Some(checkpoint) => checkpoint.restore(&mut builder, &key)?,
-                None => Tally::default(),
-            };
-            let result = group.stream.run(group.share, so_far, bars, |batches, tally| {
-                builder.add(batches);
-                so_far = *tally;
-                match checkpoint.as_mut().filter(|c| c.is_due()) {
-                    Some(checkpoint) => checkpoint.save(&builder, &key, so_far),
-                    None => Ok(()),
-                }
-            });
-            if let Some(checkpoint) = &mut checkpoint {
-                match &result {
-                    Err(Error::Interrupted) => checkpoint.save_interrupted(&builder, &key, so_far, group.share)?,
-                    // Not drawn again if a later group is interrupted.
-                    Ok(tally) => checkpoint.save(&builder, &key, *tally)?,
-                    Err(_) => {}
-                }
-            }
-            tallies.push(result?);
-            builders.push(builder);
-        }
-        let tally = tallies.iter().fold(Tally::default(), |sum, tally| sum.with(tally));
-        warn_of_dropped(&tally);
-        let bytes = builders.iter().map(FieldBuilder::memory).sum();
-        let provenance = Provenance { source: source.into(), tally, share: None, stream: Some(run.stream) };
-        Ok((FieldBuilder::finish_groups(builders, &tallies, &provenance)?, bytes))
-    }
-
     /// Model and camera file, if there is one, with their checksums.
     fn files(&self) -> Result<Vec<String>> {
         let cameras = self.cameras.cameras.as_ref().map(|file| file.to_string_lossy());
@@ -404,14 +318,4 @@ impl Args {
         }
         Checkpoint::new(&path, self.checkpoint_every, resume).map(Some)
     }
-}
-
-/// A run in groups.
-struct Groups<'a> {
-    count: u16,
-    settings: RaySettings,
-    stream: &'a RayStream<'a>,
-    grid: GridSettings,
-    domain: Domain,
-    plan: Option<&'a Plan>,
 }

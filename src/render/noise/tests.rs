@@ -1,0 +1,127 @@
+use super::*;
+use crate::field::{ClosedForm, Radiance};
+use crate::geometry::Domain;
+use glam::DVec3;
+use proptest::prelude::*;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// Waves of density with relative noise that depends on the position's bits alone, as rounding does.
+struct Noisy {
+    /// Standard deviation over σ.
+    noise: f64,
+    /// Radians per scene unit.
+    frequency: f64,
+    evaluations: AtomicU64,
+}
+
+fn hash(x: Vec3) -> f64 {
+    let mut h =
+        x.to_array().iter().fold(7_u64, |h, v| (h ^ u64::from(v.to_bits())).wrapping_mul(0x9e37_79b9_7f4a_7c15));
+    h ^= h >> 29;
+    h = h.wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    (h >> 11) as f64 * 2.0_f64.powi(-53)
+}
+
+impl RadianceField for Noisy {
+    fn bounds(&self) -> Aabb {
+        Aabb::centered_cube(1.0)
+    }
+    fn evaluate(&self, positions: &[Vec3], _: &[Vec3], out: &mut [Radiance]) {
+        self.evaluations.fetch_add(positions.len() as u64, Ordering::Relaxed);
+        for (x, out) in positions.iter().zip(out) {
+            let y = x.as_dvec3() * self.frequency;
+            let smooth = 50.0 * (2.0 + y.x.sin() + (1.3 * y.y).cos() + (0.7 * y.z).sin() * 0.5);
+            // Uniform on ±√3 has variance 1.
+            let noise = 12.0_f64.sqrt() * (hash(*x) - 0.5);
+            *out = Radiance { density: (smooth * (1.0 + self.noise * noise)) as f32, color: Vec3::splat(0.5) };
+        }
+    }
+    fn suggested_step(&self) -> f64 {
+        0.01
+    }
+    fn memory(&self) -> usize {
+        0
+    }
+    fn describe(&self) -> String {
+        "noisy waves".into()
+    }
+}
+
+fn points(n: usize) -> Vec<Vec3> {
+    (0..n)
+        .map(|i| Vec3::from_array([0.8192, 0.6710, 0.5497].map(|g: f32| 1.8 * (i as f32 * g).fract() - 0.9)))
+        .collect()
+}
+
+fn lattice() -> Differences {
+    Differences { step: DVec3::splat(2.0 / 256.0), domain: Domain::Box(Aabb::centered_cube(1.0)) }
+}
+
+fn errors_of(noise: f64, frequency: f64) -> DifferenceErrors {
+    let field = Noisy { noise, frequency, evaluations: AtomicU64::new(0) };
+    let errors = DifferenceErrors::measure(&field, &points(256), &lattice()).unwrap();
+    // Cheap: as many as a few hundred rays take.
+    assert!(field.evaluations.into_inner() < 30_000);
+    errors
+}
+
+#[test]
+fn planted_noise_is_found() {
+    for noise in [1e-6, 1e-5, 1e-4, 1e-3, 1e-2] {
+        for frequency in [3.0, 10.0, 30.0] {
+            let errors = errors_of(noise, frequency);
+            let ratio = errors.noise / noise;
+            assert!(ratio > 0.5 && ratio < 2.0, "{noise} at {frequency}: {ratio}");
+        }
+    }
+}
+
+#[test]
+fn the_best_step_is_where_theory_has_it() {
+    // f = sin: f‴ = −ω² f′, so μ / f′ = ω² and h* = (3 ε / μ)^⅓.
+    for noise in [1e-5, 1e-4, 1e-3] {
+        let frequency = 10.0;
+        let errors = errors_of(noise, frequency);
+        // Relative noise of σ ≈ 100 against slopes of about 50 ω · 0.7 · (1, 1.3, 0.35) along the three axes.
+        let slope = 50.0 * frequency * (0.5_f64 * (1.0 + 1.69 + 0.1225) / 3.0).sqrt();
+        let third =
+            50.0 * frequency.powi(3) * (0.5_f64 * (1.0 + 1.3_f64.powi(6) + 0.25 * 0.7_f64.powi(6)) / 3.0).sqrt();
+        let edge = 2.0 / 256.0;
+        let expected = (3.0 * noise * 107.0 / third).cbrt() / edge;
+        let best = errors.best();
+        // The grid of steps is half a decade wide, and ε is good to a factor of two.
+        assert!((0.4..2.5).contains(&(best.step / expected)), "{noise}: {} instead of {expected}", best.step);
+        // A third of it is the spread of the densities.
+        let curvature = third / slope * edge * edge;
+        assert!((0.6..1.6).contains(&(errors.curvature / curvature)), "{} instead of {curvature}", errors.curvature);
+        // A hundredth of the best step drowns in noise, fifty times it loses the waves.
+        assert!(errors.is_bad(best.step / 100.0, 0.01) && errors.is_bad(best.step * 50.0, 0.01));
+        assert!(!errors.is_bad(best.step, 0.0));
+    }
+}
+
+#[test]
+fn smooth_fields_are_left_in_peace_and_bad_steps_are_not() {
+    let field = ClosedForm::courtyard();
+    let points = points(2000);
+    let errors = DifferenceErrors::measure(&field, &points, &lattice()).unwrap();
+    assert!(errors.points > 50 && errors.noise < 1e-5, "{errors:?}");
+    assert!(!errors.is_bad(1.0 / 512.0, 0.01), "the default: {errors:?}");
+    assert!(errors.is_bad(10.0, 0.01), "ten lattice edges: {errors:?}");
+    // Nothing to differentiate.
+    assert_eq!(DifferenceErrors::measure(&field, &[Vec3::new(0.0, 0.0, 0.9)], &lattice()), None);
+    assert_eq!(DifferenceErrors::measure(&field, &[], &lattice()), None);
+}
+
+proptest! {
+    #[test]
+    fn tables_of_noise_on_a_line_say_how_much(offset in 1.0..10.0_f64, slope in -1e-3..1e-3_f64, seed in 0..1_000_000_u32) {
+        let value = |i: usize, n: f64| offset + slope * i as f64 * 0.1 + n * 12.0_f64.sqrt() * (hash(Vec3::new(seed as f32, i as f32, 3.0)) - 0.5);
+        let found = noise_level(&std::array::from_fn(|i| value(i, 1e-3)));
+        // Nine values: single tables are off by a factor; the median of many is not (`planted_noise_is_found`).
+        prop_assert!(found.is_none_or(|found| found > 1e-4 && found < 5e-3), "{:?}", found);
+        // A line without noise is not noise, but for its rounding.
+        prop_assert!(noise_level(&std::array::from_fn(|i| value(i, 0.0))).is_none_or(|found| found < 1e-14));
+        prop_assert_eq!(noise_level(&[offset; TABLE]), None);
+    }
+}
