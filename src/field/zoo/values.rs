@@ -39,7 +39,7 @@ fn misaligned() -> Scene {
 fn half_precision() -> Scene {
     Scene {
         name: "half-precision",
-        about: "A field that returns f16: a staircase, whose differences over a 64th of a cell are 0 on a tread and far too large at a riser. U \
+        about: "A field that returns f16: a staircase, whose differences over a 256th of a cell are 0 on a tread and far too large at a riser. U \
                 is too small where the field is flatter than its noise; a larger --step helps.",
         field: Specimen::new(one("half-precision", ball()), Treatment::Half, ring()),
         level: 5,
