@@ -179,7 +179,8 @@ fn stands_out(sums: &[f64; 3]) -> bool {
 }
 
 /// Truncation errors by increasing step: what stands out from the noise, and below that its continuation, by a power of h between that of kinks,
-/// ½ (they are met as often as h is long, squared), and that of smooth functions, 2.
+/// ½ (they are met as often as h is long, squared), and that of smooth functions, 2. Either way it grows with h: what the next longer step does not confirm was one point that
+/// happened to have a kink beside it, and counts for no more than there.
 fn truncations(steps: &[f64], sums: &[[f64; 3]]) -> Vec<f64> {
     let measured = |s: usize| (sums[s][1] - sums[s][2]).max(0.0).sqrt();
     let Some(first) = sums.iter().position(stands_out) else { return vec![0.0; steps.len()] };
@@ -187,7 +188,8 @@ fn truncations(steps: &[f64], sums: &[[f64; 3]]) -> Vec<f64> {
     let power = (measured(next) / measured(first)).ln() / (steps[next] / steps[first]).ln();
     let power = if power.is_nan() { 2.0 } else { power.clamp(0.5, 2.0) };
     let below = |s: usize| measured(first) * (steps[s] / steps[first]).powf(power);
-    (0..steps.len()).map(|s| if s < first { below(s) } else { measured(s) }).collect()
+    let confirmed = |s: usize| measured(s).min(measured((s + 1).min(steps.len() - 1)));
+    (0..steps.len()).map(|s| if s < first { below(s) } else { confirmed(s) }).collect()
 }
 
 /// A line along an axis through a point.

@@ -125,3 +125,11 @@ proptest! {
         prop_assert_eq!(noise_level(&[offset; TABLE]), None);
     }
 }
+
+#[test]
+fn a_kink_beside_one_point_is_not_the_error_of_a_step() {
+    let steps = [1e-3, 3e-3, 1e-2, 3e-2];
+    let squares = |truncation: f64| [0.0, truncation * truncation, 0.0];
+    assert_eq!(truncations(&steps, &[0.01, 0.02, 0.03, 0.05].map(squares)), [0.01, 0.02, 0.03, 0.05]);
+    assert_eq!(truncations(&steps, &[0.01, 0.1, 0.03, 0.05].map(squares)), [0.01, 0.03, 0.03, 0.05]);
+}
