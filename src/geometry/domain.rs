@@ -96,6 +96,7 @@ impl Domain {
 
     /// Φ(x) in `[0, 1]`³; `None` outside a box, or where x is not finite.
     #[must_use]
+    #[inline]
     pub fn to_unit(&self, x: Vec3) -> Option<DVec3> {
         let x = x.as_dvec3();
         match self {

@@ -72,6 +72,7 @@ impl Lattice {
 
     /// Lattice coordinates of a scene point, in `[0, M]` per axis; `None` outside the domain or for NaN.
     #[must_use]
+    #[inline]
     pub fn coordinates(&self, x: Vec3) -> Option<DVec3> {
         self.domain.to_unit(x).map(|u| u * f64::from(self.cells_per_axis()))
     }
@@ -85,13 +86,14 @@ impl Lattice {
     /// The finest cell that contains lattice coordinates `u` in `[0, M]`³, and the offset inside it in `[0, 1]`³
     /// (1 only on the box's upper faces).
     #[must_use]
+    #[inline]
     pub fn cell(&self, u: DVec3) -> ([u32; 3], DVec3) {
         let last = self.cells_per_axis() - 1;
         let mut cell = [0; 3];
         let mut offset = DVec3::ZERO;
         for axis in 0..3 {
-            // A float-to-integer cast saturates, so rounding can never leave the lattice.
-            cell[axis] = (u[axis].floor() as u32).min(last);
+            // A float-to-integer cast truncates and saturates, so rounding can never leave the lattice.
+            cell[axis] = (u[axis] as u32).min(last);
             offset[axis] = u[axis] - f64::from(cell[axis]);
         }
         (cell, offset)

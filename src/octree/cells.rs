@@ -39,6 +39,7 @@ pub struct Cell {
 impl Cell {
     /// Lower corner and edge in units of the finest lattice.
     #[must_use]
+    #[inline]
     pub fn extent(self, finest: u8) -> ([u32; 3], u32) {
         let shift = finest - self.level;
         (self.index.map(|i| i << shift), 1 << shift)

@@ -37,6 +37,18 @@ impl Masters {
     }
 }
 
+/// Levels between the finest and that of the finest leaf which has `point` as a corner.
+///
+/// For a point that is a corner of no leaf of that level this is as coarse as a vertex at the point could be.
+#[must_use]
+#[inline]
+pub fn coarseness(leaves: &impl Leaves, point: [u32; 3]) -> u8 {
+    let finest = leaves.finest();
+    let levels = cells_around(point, finest).map(|cell| finest - leaves.leaf(cell).level);
+    let coarseness = levels.min().unwrap_or(0);
+    point.iter().fold(coarseness, |c, i| c.min(i.trailing_zeros().min(32) as u8))
+}
+
 /// The leaf touching `point` that does not have it as a corner, if there is one.
 pub fn hanging_on(leaves: &impl Leaves, point: [u32; 3]) -> Option<Cell> {
     cells_around(point, leaves.finest()).map(|cell| leaves.leaf(cell)).find(|leaf| {

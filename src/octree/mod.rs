@@ -16,6 +16,7 @@ mod leaves;
 mod limits;
 mod masks;
 pub mod morton;
+mod nearby;
 mod set;
 mod validate;
 mod vertices;
@@ -23,8 +24,9 @@ mod vertices;
 pub use balance::{Split, Wanted};
 pub use cells::{Cell, CellTree};
 pub use cursor::Cursor;
-pub use leaves::{Leaves, Masters, masters};
+pub use leaves::{Leaves, Masters, coarseness, masters};
 pub use limits::LevelLimits;
+pub use nearby::Nearby;
 pub use set::MortonSet;
 pub use validate::{Defect, OctreeStats};
 
@@ -74,6 +76,7 @@ pub struct Located {
 
 /// Trilinear weights of the eight corners for an offset in `[0, 1]`³; bit 0 of the position is x.
 #[must_use]
+#[inline]
 pub fn trilinear(offset: DVec3) -> [f64; 8] {
     std::array::from_fn(|c| {
         (0..3).map(|axis| if c >> axis & 1 == 1 { offset[axis] } else { 1.0 - offset[axis] }).product()

@@ -25,6 +25,7 @@ pub struct Evidence {
 
 impl Evidence {
     /// Adds what other rays said.
+    #[inline]
     pub fn add(&mut self, other: &Self) {
         self.information.iter_mut().zip(other.information).for_each(|(s, o)| *s += o);
         self.gradient.iter_mut().zip(other.gradient).for_each(|(s, o)| *s += o);

@@ -8,6 +8,7 @@
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
+use super::lists::{Contribution, Contributions};
 use crate::octree::morton;
 use crate::posterior::Evidence;
 
@@ -26,16 +27,21 @@ struct Block([u32; 8]);
 impl Block {
     /// No brick yet.
     const NONE: u32 = u32::MAX;
+    const EMPTY: Self = Self([Self::NONE; 8]);
 
     /// Place of the brick that has the given key.
     fn slot(&mut self, key: u64) -> &mut u32 {
         &mut self.0[(key >> 3 & 7) as usize]
     }
 
+    /// The same, if there is one.
+    fn find(&self, key: u64) -> Option<u32> {
+        Some(self.0[(key >> 3 & 7) as usize]).filter(|slot| *slot != Self::NONE)
+    }
+
     /// Bricks that exist, by their number in the block.
-    fn bricks(&self) -> impl Iterator<Item = (u64, usize)> {
-        let slots = (0..8).zip(self.0).filter(|(_, slot)| *slot != Self::NONE);
-        slots.map(|(i, slot)| (i, slot as usize))
+    fn bricks(&self) -> impl Iterator<Item = (u64, u32)> {
+        (0..8).zip(self.0).filter(|(_, slot)| *slot != Self::NONE)
     }
 }
 
@@ -56,97 +62,106 @@ pub fn shard_of(key: u64) -> usize {
     ((key >> 6).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> (64 - SHARD_BITS)) as usize
 }
 
-/// What one ray adds to one vertex.
-#[derive(Clone, Copy)]
-pub struct Contribution {
-    pub key: u64,
-    pub sums: Evidence,
+/// Bricks of a chunk: 64 KiB.
+const CHUNK: usize = 128;
+
+/// Bricks side by side, each vertex in a cache line of its own.
+#[derive(Debug, Clone)]
+#[repr(align(64))]
+struct Chunk([Brick; CHUNK]);
+
+/// A list of bricks that grows without moving or keeping room for more than a chunk.
+#[derive(Debug, Clone, Default)]
+struct BrickList {
+    chunks: Vec<Box<Chunk>>,
+    len: usize,
 }
 
-/// What the rays of a batch add, in ray order, and which shard takes what.
-pub struct Contributions {
-    all: Vec<Contribution>,
-    /// Indices into `all` by shard, in ray order in each.
-    order: Vec<u32>,
-    /// Where each shard begins in `order`, and its end.
-    starts: [u32; SHARDS + 1],
-}
-
-impl Contributions {
-    pub fn new(all: Vec<Contribution>) -> Self {
-        // A counting sort of indices: the contributions themselves are large.
-        let shards: Vec<u8> = all.iter().map(|c| shard_of(c.key) as u8).collect();
-        let mut starts = [0; SHARDS + 1];
-        shards.iter().for_each(|&s| starts[usize::from(s) + 1] += 1);
-        for s in 0..SHARDS {
-            starts[s + 1] += starts[s];
+impl BrickList {
+    /// Appends a brick without evidence; where it is.
+    fn push(&mut self) -> u32 {
+        if self.len == self.chunks.len() * CHUNK {
+            self.chunks.push(Box::new(Chunk([Brick::default(); CHUNK])));
         }
-        let mut next = starts;
-        let mut order = vec![0; all.len()];
-        for (i, &s) in shards.iter().enumerate() {
-            let at = &mut next[usize::from(s)];
-            order[*at as usize] = i as u32;
-            *at += 1;
-        }
-        Self { all, order, starts }
+        self.len += 1;
+        (self.len - 1) as u32
     }
 
-    fn of_shard(&self, s: usize) -> impl Iterator<Item = &Contribution> {
-        self.order[self.starts[s] as usize..self.starts[s + 1] as usize].iter().map(|&i| &self.all[i as usize])
+    fn get(&self, slot: u32) -> &Brick {
+        &self.chunks[slot as usize / CHUNK].0[slot as usize % CHUNK]
+    }
+
+    fn get_mut(&mut self, slot: u32) -> &mut Brick {
+        &mut self.chunks[slot as usize / CHUNK].0[slot as usize % CHUNK]
+    }
+
+    /// All bricks in order, by chunk.
+    fn slices(&self) -> impl Iterator<Item = &[Brick]> {
+        let len = |chunk: usize| CHUNK.min(self.len - chunk * CHUNK);
+        self.chunks.iter().enumerate().map(move |(i, chunk)| &chunk.0[..len(i)])
     }
 }
+
+/// Contributions whose places are looked up before the first of them is added.
+const AHEAD: usize = 32;
 
 /// The blocks that hash to one shard.
 #[derive(Debug, Clone, Default)]
 struct Shard {
-    /// Block code (key without its low 6 bits) to position in `blocks`.
-    index: FxHashMap<u64, u32>,
-    blocks: Vec<Block>,
+    /// By block code (key without its low 6 bits).
+    blocks: FxHashMap<u64, Block>,
     /// Codes of bricks (keys without their low 3 bits), in the order in which rays first touched them.
     codes: Vec<u64>,
-    bricks: Vec<Brick>,
+    bricks: BrickList,
 }
 
 impl Shard {
-    /// Position of the block with the given code, which is made if it is new.
-    fn block(&mut self, code: u64) -> usize {
-        let next = self.blocks.len() as u32;
-        let block = *self.index.entry(code).or_insert(next);
-        if block == next {
-            self.blocks.push(Block([Block::NONE; 8]));
-        }
-        block as usize
-    }
-
-    /// The brick of a key in its block, which is made if it is new.
-    fn brick(&mut self, block: usize, key: u64) -> &mut Brick {
-        let slot = self.blocks[block].slot(key);
-        if *slot == Block::NONE {
-            *slot = self.bricks.len() as u32;
-            self.codes.push(key >> 3);
-            self.bricks.push(Brick::default());
-        }
-        &mut self.bricks[*slot as usize]
-    }
-
     /// Adds contributions in order. Neighbours in the list are most often neighbours in space.
-    fn add<'a>(&mut self, contributions: impl Iterator<Item = (u64, &'a Evidence)>) {
-        let (mut code, mut block) = (u64::MAX, 0);
-        for (key, sums) in contributions {
-            if key >> 6 != code {
-                code = key >> 6;
-                block = self.block(code);
+    fn add(&mut self, contributions: &[Contribution]) {
+        let mut slots = [0; AHEAD];
+        for some in contributions.chunks(AHEAD) {
+            let mut next = slots.iter_mut();
+            for run in some.chunk_by(|a, b| a.key >> 6 == b.key >> 6) {
+                let block = self.blocks.entry(run[0].key >> 6).or_insert(Block::EMPTY);
+                for (Contribution { key, .. }, found) in run.iter().zip(&mut next) {
+                    let slot = block.slot(*key);
+                    if *slot == Block::NONE {
+                        *slot = self.bricks.push();
+                        self.codes.push(key >> 3);
+                    }
+                    *found = *slot;
+                }
             }
-            self.brick(block, key)[(key & 7) as usize].add(sums);
+            let places = || some.iter().zip(&slots).map(|(c, &slot)| (slot, (c.key & 7) as usize));
+            // Waits for all of them at once.
+            std::hint::black_box(places().fold(0, |any, (slot, i)| any | self.bricks.get(slot)[i].rays));
+            for (c, (slot, i)) in some.iter().zip(places()) {
+                self.bricks.get_mut(slot)[i].add(&c.sums);
+            }
         }
+    }
+
+    /// The brick with the given code, which is made if it is new.
+    fn brick(&mut self, code: u64) -> &mut Brick {
+        let slot = self.blocks.entry(code >> 3).or_insert(Block::EMPTY).slot(code << 3);
+        if *slot == Block::NONE {
+            *slot = self.bricks.push();
+            self.codes.push(code);
+        }
+        self.bricks.get_mut(*slot)
+    }
+
+    /// All bricks with their codes.
+    fn iter(&self) -> impl Iterator<Item = (u64, &Brick)> {
+        self.codes.iter().copied().zip(self.bricks.slices().flatten())
     }
 
     fn memory(&self) -> usize {
-        // hashbrown: one control byte and one (u64, u32) pair, padded to 16, per bucket.
-        self.bricks.capacity() * size_of::<Brick>()
+        // hashbrown: one control byte and one (u64, Block) pair per bucket, of which one in eight stays empty.
+        self.bricks.chunks.len() * size_of::<Chunk>()
+            + self.bricks.chunks.capacity() * 8
             + self.codes.capacity() * 8
-            + self.blocks.capacity() * size_of::<Block>()
-            + self.index.capacity() * 8 / 7 * 17
+            + self.blocks.capacity() * 8 / 7 * (1 + size_of::<(u64, Block)>())
     }
 }
 
@@ -164,16 +179,15 @@ impl Bricks {
     /// Adds lists of contributions, in order.
     pub fn add(&mut self, lists: &[Contributions]) {
         self.shards.par_iter_mut().enumerate().for_each(|(s, shard)| {
-            shard.add(lists.iter().flat_map(|list| list.of_shard(s)).map(|c| (c.key, &c.sums)));
+            lists.iter().for_each(|list| shard.add(list.of_shard(s)));
         });
     }
 
     /// Adds all sums of `other`.
     pub fn absorb(&mut self, other: &Self) {
         self.shards.par_iter_mut().zip(&other.shards).for_each(|(shard, other)| {
-            for (&code, brick) in other.codes.iter().zip(&other.bricks) {
-                let block = shard.block(code >> 3);
-                let mine = shard.brick(block, code << 3);
+            for (code, brick) in other.iter() {
+                let mine = shard.brick(code);
                 mine.iter_mut().zip(brick).for_each(|(sum, sums)| sum.add(sums));
             }
         });
@@ -181,20 +195,19 @@ impl Bricks {
 
     /// Adds to one vertex.
     pub fn add_one(&mut self, key: u64, sums: &Evidence) {
-        self.shards[shard_of(key)].add(std::iter::once((key, sums)));
+        self.shards[shard_of(key)].brick(key >> 3)[(key & 7) as usize].add(sums);
     }
 
     /// The sums of a vertex, if its brick exists.
     pub fn get(&self, key: u64) -> Option<&Evidence> {
-        let (mut block, bricks) = self.block(key)?;
-        Some(&bricks.get(*block.slot(key) as usize)?[(key & 7) as usize])
+        let (block, bricks) = self.block(key)?;
+        block.find(key).map(|slot| &bricks.get(slot)[(key & 7) as usize])
     }
 
     /// The block of a key, if it exists, and its shard's bricks.
-    fn block(&self, key: u64) -> Option<(Block, &[Brick])> {
+    fn block(&self, key: u64) -> Option<(&Block, &BrickList)> {
         let shard = &self.shards[shard_of(key)];
-        let block = *shard.index.get(&(key >> 6))?;
-        Some((shard.blocks[block as usize], &shard.bricks))
+        Some((shard.blocks.get(&(key >> 6))?, &shard.bricks))
     }
 
     /// A search for neighbouring vertices.
@@ -207,11 +220,12 @@ impl Bricks {
         &self,
         condition: impl Fn(&Evidence) -> bool + Send + Sync,
     ) -> impl ParallelIterator<Item = (u64, u64)> {
-        let blocks = self.shards.par_iter().flat_map_iter(|shard| {
-            shard.index.iter().map(move |(&code, &block)| (code, shard, &shard.blocks[block as usize]))
-        });
+        let blocks = self
+            .shards
+            .par_iter()
+            .flat_map_iter(|shard| shard.blocks.iter().map(move |(&code, block)| (code, shard, block)));
         blocks.map(move |(code, shard, block)| {
-            let members = block.bricks().flat_map(|(i, slot)| (8 * i..).zip(&shard.bricks[slot]));
+            let members = block.bricks().flat_map(|(i, slot)| (8 * i..).zip(shard.bricks.get(slot)));
             let fulfilling = members.filter(|(_, sums)| condition(sums));
             (code, fulfilling.fold(0, |mask, (member, _)| mask | 1 << member))
         })
@@ -219,8 +233,8 @@ impl Bricks {
 
     /// All vertices of all bricks, in parallel, with their keys.
     pub fn par_iter(&self) -> impl ParallelIterator<Item = (u64, &Evidence)> {
-        let bricks = self.shards.par_iter().flat_map_iter(|shard| shard.codes.iter().zip(&shard.bricks));
-        bricks.flat_map_iter(|(&code, brick)| (0_u64..).zip(brick).map(move |(i, sums)| (code << 3 | i, sums)))
+        let bricks = self.shards.par_iter().flat_map_iter(Shard::iter);
+        bricks.flat_map_iter(|(code, brick)| (0_u64..).zip(brick).map(move |(i, sums)| (code << 3 | i, sums)))
     }
 
     /// Brick codes, in the order in which [`Bricks::slices`] returns their sums.
@@ -228,9 +242,9 @@ impl Bricks {
         self.shards.iter().flat_map(|shard| shard.codes.iter().copied())
     }
 
-    /// The sums, one slice per shard.
+    /// The sums, slice by slice.
     pub fn slices(&self) -> impl Iterator<Item = &[Brick]> {
-        self.shards.iter().map(|shard| shard.bricks.as_slice())
+        self.shards.iter().flat_map(|shard| shard.bricks.slices())
     }
 
     /// Puts back what [`Bricks::codes`] and [`Bricks::slices`] gave, in the same order.
@@ -249,9 +263,9 @@ impl Bricks {
                 return None;
             }
             let shard = &mut restored.shards[shard_of(code << 3)];
-            let (before, block) = (shard.bricks.len(), shard.block(code >> 3));
-            *shard.brick(block, code << 3) = brick;
-            if shard.bricks.len() == before {
+            let before = shard.codes.len();
+            *shard.brick(code) = brick;
+            if shard.codes.len() == before {
                 return None;
             }
         }
@@ -269,7 +283,7 @@ pub struct Reader<'a> {
     bricks: &'a Bricks,
     /// Of the block looked up last.
     code: u64,
-    block: Option<(Block, &'a [Brick])>,
+    block: Option<(&'a Block, &'a BrickList)>,
 }
 
 impl Reader<'_> {
@@ -279,15 +293,60 @@ impl Reader<'_> {
             self.code = key >> 6;
             self.block = self.bricks.block(key);
         }
-        let brick = self.block.as_mut().and_then(|(block, bricks)| bricks.get(*block.slot(key) as usize));
+        let brick = self.block.and_then(|(block, bricks)| Some(bricks.get(block.find(key)?)));
         brick.map_or_else(Evidence::default, |brick| brick[(key & 7) as usize])
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeMap;
+
     use super::*;
     use proptest::prelude::*;
+
+    #[test]
+    fn sums_of_many_chunks_are_those_of_a_map() {
+        // Half a million additions in runs of neighbours to some 30,000 bricks: several chunks a shard, all of them opened under way.
+        let (mut bricks, mut map) = (Bricks::new(), BTreeMap::<u64, Evidence>::new());
+        let mut state = 1_u64;
+        for _ in 0..5 {
+            let lists: Vec<Contributions> = (0..4)
+                .map(|_| {
+                    let mut list = Contributions::new(0);
+                    for _ in 0..2500 {
+                        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                        for i in 0..10 {
+                            let key = (state >> 40) % (1 << 18) + 3 * i;
+                            let value = (state >> 11) as f64 / (1_u64 << 53) as f64 + i as f64;
+                            let sums = Evidence { information: [value; 6], gradient: [1.0; 3], rays: 1 };
+                            map.entry(key).or_default().add(&sums);
+                            list.push(key, sums);
+                        }
+                    }
+                    list
+                })
+                .collect();
+            bricks.add(&lists);
+        }
+        assert!(bricks.slices().filter(|slice| slice.len() == CHUNK).count() > 2 * SHARDS);
+        let found: BTreeMap<u64, Evidence> =
+            bricks.par_iter().filter(|(_, e)| e.rays > 0).map(|(key, e)| (key, *e)).collect();
+        assert_eq!(found, map);
+        assert!(
+            (0..1 << 18)
+                .all(|key| bricks.get(key).copied().unwrap_or_default() == map.get(&key).copied().unwrap_or_default())
+        );
+        // Written and read back.
+        let codes: Vec<u64> = bricks.codes().collect();
+        let restored = Bricks::restore(1 << 7, &codes, bricks.slices().flatten().copied().collect()).unwrap();
+        assert!(restored.codes().eq(codes) && restored.slices().flatten().eq(bricks.slices().flatten()));
+    }
+
+    #[test]
+    fn every_vertex_has_a_cache_line_of_its_own() {
+        assert_eq!((size_of::<Chunk>(), align_of::<Chunk>()), (CHUNK * 512, 64));
+    }
 
     proptest! {
         #[test]

@@ -7,30 +7,30 @@
 //! splitting, so the outcome does not depend on the order in which space is discovered.
 //!
 //! On limited leaves a corner may hang on a larger leaf. Its share of J goes to the ends that it is interpolated from, before
-//! squaring: J of a free vertex gathers what its hanging dependants would have received.
+//! squaring: J of a free vertex gathers what its hanging dependants would have received ([walk]).
 //!
-//! Threads: rays of a batch are [squared](squares) in parallel into one list of contributions; then shards add their lists in
+//! Threads: rays of a batch are squared ([squares], [walk]) in parallel into [lists] of contributions, one for each shard; then shards add theirs in
 //! parallel, each in ray order. Every sum therefore sees its contributions in ray order, whatever the number of threads.
 
 mod bricks;
+mod lists;
 mod refine;
 mod squares;
 mod survey;
+mod walk;
 
 pub use bricks::Brick;
 pub use refine::Refinement;
 pub use survey::Survey;
 
-use bricks::{Bricks, Contribution, Contributions, key};
-use std::ops::Range;
-
-use glam::{DVec3, Vec3};
+use bricks::{Bricks, key};
+use lists::Contributions;
 use rayon::prelude::*;
-use squares::{Partial, Row};
+use walk::Walk;
 
 use super::{Evidence, Posterior};
 use crate::geometry::Lattice;
-use crate::octree::{Leaves, LevelLimits, cells_around, masters, trilinear};
+use crate::octree::{Leaves, LevelLimits, coarseness};
 use crate::render::RaySamples;
 
 /// Information summed in sparse bricks.
@@ -69,7 +69,7 @@ impl OctreePosterior {
         self.bricks.codes()
     }
 
-    /// The sums, one slice per shard.
+    /// The sums, slice by slice.
     pub(super) fn slices(&self) -> impl Iterator<Item = &[Brick]> {
         self.bricks.slices()
     }
@@ -111,68 +111,24 @@ impl OctreePosterior {
         if self.limits.is_unlimited() {
             return 0;
         }
-        let finest = self.limits.finest();
-        let levels = cells_around(point, finest).map(|cell| finest - self.limits.leaf(cell).level);
-        let coarseness = levels.min().unwrap_or(0);
-        // A finer key than the point's leaves have would collide with none, a coarser one with another point.
-        point.iter().fold(coarseness, |c, i| c.min(i.trailing_zeros().min(32) as u8))
-    }
-
-    /// The vertices that a sample touches with their weights: the corners of the leaf around it, hanging ones resolved.
-    fn for_each_vertex(&self, x: Vec3, mut visit: impl FnMut(u64, f64)) {
-        let Some(u) = self.lattice.coordinates(x) else { return };
-        let (cell, offset) = self.lattice.cell(u);
-        if self.limits.is_unlimited() {
-            for (c, weight) in trilinear(offset).into_iter().enumerate() {
-                visit(key(std::array::from_fn(|axis| cell[axis] + (c as u32 >> axis & 1)), 0), weight);
-            }
-            return;
-        }
-        let leaf = self.limits.leaf(cell);
-        let (origin, edge) = leaf.extent(self.limits.finest());
-        let offset = (u - DVec3::from(origin.map(f64::from))) / f64::from(edge);
-        for (c, weight) in trilinear(offset).into_iter().enumerate() {
-            let corner = std::array::from_fn(|axis| origin[axis] + edge * (c as u32 >> axis & 1));
-            let masters = masters(&self.limits, corner);
-            let weight = weight / masters.points().len() as f64;
-            masters.points().iter().for_each(|&point| visit(key(point, self.coarseness(point)), weight));
-        }
+        coarseness(&self.limits, point)
     }
 
     /// Squares every ray of a batch.
     fn contributions(&self, batch: &RaySamples) -> Contributions {
         let finest = self.limits.is_unlimited();
-        let (mut places, mut touched) = (Vec::new(), Vec::new());
-        let mut all: Vec<Contribution> = Vec::with_capacity(4 * batch.positions.len());
+        let (mut places, mut walk) = (Vec::new(), Walk::new(&self.lattice, &self.limits));
+        let mut all = Contributions::new(8 * batch.positions.len());
         for (_, samples) in batch.iter() {
             if finest && squares::places(&self.lattice, batch, samples.clone(), &mut places) {
                 squares::along(&places, batch, &mut all);
             } else {
-                self.gather(batch, samples, &mut touched, &mut all);
+                walk.ray(batch, samples, &mut all);
             }
         }
-        Contributions::new(all)
-    }
-
-    /// Squares one ray on any leaves: what its samples touch is sorted by vertex.
-    fn gather(&self, batch: &RaySamples, samples: Range<usize>, touched: &mut Vec<Touch>, out: &mut Vec<Contribution>) {
-        touched.clear();
-        for i in samples {
-            self.for_each_vertex(batch.positions[i], |key, weight| touched.push((key, i as u32, weight)));
-        }
-        touched.sort_unstable_by(|a, b| (a.0, a.1).cmp(&(b.0, b.1)).then(a.2.total_cmp(&b.2)));
-        for group in touched.chunk_by(|a, b| a.0 == b.0) {
-            let mut partial = Partial::default();
-            for &(_, sample, weight) in group {
-                partial.add(weight, &Row::of(batch, sample as usize));
-            }
-            out.push(Contribution { key: group[0].0, sums: partial.squared() });
-        }
+        all
     }
 }
-
-/// (vertex, sample's index, weight): sorting brings a vertex's samples together in ray order.
-type Touch = (u64, u32, f64);
 
 impl Posterior for OctreePosterior {
     fn add(&mut self, batches: &[RaySamples]) {

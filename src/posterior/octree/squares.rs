@@ -10,9 +10,9 @@ use std::ops::Range;
 use glam::DVec3;
 use multiversion::multiversion;
 
-use super::bricks::{Contribution, key};
+use super::bricks::key;
+use super::lists::Contributions;
 use crate::geometry::Lattice;
-use crate::octree::trilinear;
 use crate::posterior::{Evidence, Information};
 use crate::render::RaySamples;
 
@@ -22,8 +22,10 @@ pub struct Row([f64; 12]);
 impl Row {
     #[inline(always)]
     pub fn of(batch: &RaySamples, sample: usize) -> Self {
-        let (jacobian, gradient) = (&batch.jacobians[sample], &batch.gradients[sample]);
-        Self(std::array::from_fn(|i| f64::from(if i < 9 { jacobian[i] } else { gradient[i - 9] })))
+        let mut row = [0.0; 12];
+        let values = batch.jacobians[sample].iter().chain(&batch.gradients[sample]);
+        row.iter_mut().zip(values).for_each(|(row, &value)| *row = f64::from(value));
+        Self(row)
     }
 }
 
@@ -50,8 +52,13 @@ impl Partial {
 /// JᵀJ of a 3×3 Jacobian given row by row: xx, xy, xz, yy, yz, zz.
 #[inline(always)]
 pub fn gram(j: &[f64]) -> Information {
-    let dot = |a: usize, b: usize| j[a] * j[b] + j[3 + a] * j[3 + b] + j[6 + a] * j[6 + b];
-    [dot(0, 0), dot(0, 1), dot(0, 2), dot(1, 1), dot(1, 2), dot(2, 2)]
+    [dot(j, 0, 0), dot(j, 0, 1), dot(j, 0, 2), dot(j, 1, 1), dot(j, 1, 2), dot(j, 2, 2)]
+}
+
+/// Of two columns. A function, not a closure: only a function can be told to be inlined, and thereby compiled for AVX.
+#[inline(always)]
+fn dot(j: &[f64], a: usize, b: usize) -> f64 {
+    j[a] * j[b] + j[3 + a] * j[3 + b] + j[6 + a] * j[6 + b]
 }
 
 /// Where a sample is.
@@ -86,45 +93,77 @@ pub fn places(lattice: &Lattice, batch: &RaySamples, samples: Range<usize>, plac
     true
 }
 
+/// J of the eight corners of a cell. A corner is kept at the parities of its coordinates (bit 0 x, bit 1 y, bit 2 z): it stays there
+/// while the ray goes on to another cell that has it.
+struct Corners {
+    cell: [u32; 3],
+    sums: [Partial; 8],
+}
+
+impl Corners {
+    /// The coordinates of the even and the odd corners of a cell along an axis.
+    #[inline(always)]
+    fn coordinates(cell: u32) -> [u32; 2] {
+        [cell + (cell & 1), cell | 1]
+    }
+
+    /// Adds a sample at an offset in the cell.
+    #[inline(always)]
+    fn add(&mut self, offset: DVec3, row: &Row) {
+        let mut along = [[0.0; 2]; 3];
+        for axis in 0..3 {
+            let lower = (self.cell[axis] & 1) as usize;
+            along[axis][lower] = 1.0 - offset[axis];
+            along[axis][lower ^ 1] = offset[axis];
+        }
+        for (s, sum) in self.sums.iter_mut().enumerate() {
+            sum.add(along[0][s & 1] * along[1][s >> 1 & 1] * along[2][s >> 2], row);
+        }
+    }
+
+    /// Goes on to another cell: corners that it does not have are done.
+    #[inline(always)]
+    fn move_to(&mut self, cell: [u32; 3], out: &mut Contributions) {
+        let mut stays = [[true; 2]; 3];
+        for axis in 0..3 {
+            let (from, to) = (Self::coordinates(self.cell[axis]), Self::coordinates(cell[axis]));
+            stays[axis] = [from[0] == to[0], from[1] == to[1]];
+        }
+        self.finish(out, |s| !(stays[0][s & 1] && stays[1][s >> 1 & 1] && stays[2][s >> 2]));
+        self.cell = cell;
+    }
+
+    /// Squares the corners that are done.
+    #[inline(always)]
+    fn finish(&mut self, out: &mut Contributions, done: impl Fn(usize) -> bool) {
+        // Morton codes of points are those of their coordinates side by side.
+        let mut codes = [[0; 2]; 3];
+        for axis in 0..3 {
+            for (code, coordinate) in codes[axis].iter_mut().zip(Self::coordinates(self.cell[axis])) {
+                let mut point = [0; 3];
+                point[axis] = coordinate;
+                *code = key(point, 0);
+            }
+        }
+        for (s, sum) in self.sums.iter_mut().enumerate() {
+            if done(s) {
+                out.push(codes[0][s & 1] | codes[1][s >> 1 & 1] | codes[2][s >> 2], sum.squared());
+                *sum = Partial::default();
+            }
+        }
+    }
+}
+
 /// Appends what a ray that never turns back adds to every vertex that it touches, in the order in which they are done.
 #[multiversion(targets("x86_64+avx2+fma"))]
-pub fn along(places: &[Place], batch: &RaySamples, out: &mut Vec<Contribution>) {
+pub fn along(places: &[Place], batch: &RaySamples, out: &mut Contributions) {
     let Some(first) = places.first() else { return };
-    let mut cell = first.cell;
-    let mut corners = [Partial::default(); 8];
+    let mut corners = Corners { cell: first.cell, sums: [Partial::default(); 8] };
     for place in places {
-        if place.cell != cell {
-            corners = moved(&corners, cell, place.cell, out);
-            cell = place.cell;
+        if place.cell != corners.cell {
+            corners.move_to(place.cell, out);
         }
-        let row = Row::of(batch, place.sample as usize);
-        for (corner, weight) in corners.iter_mut().zip(trilinear(place.offset)) {
-            corner.add(weight, &row);
-        }
+        corners.add(place.offset, &Row::of(batch, place.sample as usize));
     }
-    for (c, corner) in corners.iter().enumerate() {
-        out.push(Contribution { key: vertex(cell, c), sums: corner.squared() });
-    }
-}
-
-/// Corner `c` of a cell.
-#[inline(always)]
-fn vertex(cell: [u32; 3], c: usize) -> u64 {
-    key(std::array::from_fn(|axis| cell[axis] + (c as u32 >> axis & 1)), 0)
-}
-
-/// The corners of cell `to`: those that cell `from` shares keep their sums, the others of `from` are done.
-#[inline(always)]
-fn moved(corners: &[Partial; 8], from: [u32; 3], to: [u32; 3], out: &mut Vec<Contribution>) -> [Partial; 8] {
-    let mut next = [Partial::default(); 8];
-    for (c, corner) in corners.iter().enumerate() {
-        let bit = |axis: usize| i64::from(from[axis]) + (c as i64 >> axis & 1) - i64::from(to[axis]);
-        let bits = [bit(0), bit(1), bit(2)];
-        if bits.iter().all(|b| (0..=1).contains(b)) {
-            next[(bits[0] | bits[1] << 1 | bits[2] << 2) as usize] = *corner;
-        } else {
-            out.push(Contribution { key: vertex(from, c), sums: corner.squared() });
-        }
-    }
-    next
+    corners.finish(out, |_| true);
 }

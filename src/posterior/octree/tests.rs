@@ -1,13 +1,15 @@
 //! The octree against the dense grid.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 
+use super::squares::{Partial, Row};
 use super::*;
 use crate::geometry::Aabb;
-use crate::octree::{Cell, Corner, Octree, VertexId, morton};
+use crate::octree::{Cell, Corner, Octree, VertexId, cells_around, masters, morton, trilinear};
 use crate::posterior::{Covariance, DensePosterior, Pooling, negligible_information, trace};
 use crate::render::RaySample;
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use proptest::prelude::*;
 
 /// Rays of samples with arbitrary Jacobians over many decades; positions are often on lattice planes, on the box's faces, or
@@ -198,10 +200,45 @@ proptest! {
     }
 }
 
+/// (vertex, sample's index, weight): sorting brings a vertex's samples together in ray order.
+type Touch = (u64, usize, f64);
+
+impl OctreePosterior {
+    /// The vertices that a sample touches with their weights: the corners of the leaf around it, hanging ones resolved.
+    fn for_each_vertex(&self, x: Vec3, mut visit: impl FnMut(u64, f64)) {
+        let Some(u) = self.lattice.coordinates(x) else { return };
+        let leaf = self.limits.leaf(self.lattice.cell(u).0);
+        let (origin, edge) = leaf.extent(self.limits.finest());
+        let offset = (u - DVec3::from(origin.map(f64::from))) / f64::from(edge);
+        for (c, weight) in trilinear(offset).into_iter().enumerate() {
+            let corner = std::array::from_fn(|axis| origin[axis] + edge * (c as u32 >> axis & 1));
+            let masters = masters(&self.limits, corner);
+            let weight = weight / masters.points().len() as f64;
+            masters.points().iter().for_each(|&point| visit(key(point, self.coarseness(point)), weight));
+        }
+    }
+
+    /// Squares one ray on any leaves, slowly: what its samples touch is sorted by vertex.
+    fn gather(&self, batch: &RaySamples, samples: Range<usize>) -> BTreeMap<u64, Vec<Evidence>> {
+        let mut touched: Vec<Touch> = Vec::new();
+        for i in samples {
+            self.for_each_vertex(batch.positions[i], |key, weight| touched.push((key, i, weight)));
+        }
+        touched.sort_by_key(|touch| touch.0);
+        let square = |group: &[Touch]| {
+            let mut partial = Partial::default();
+            group.iter().for_each(|&(_, sample, weight)| partial.add(weight, &Row::of(batch, sample)));
+            (group[0].0, vec![partial.squared()])
+        };
+        touched.chunk_by(|a, b| a.0 == b.0).map(square).collect()
+    }
+}
+
 /// What one ray adds, vertex by vertex.
-fn by_vertex(contributions: Vec<Contribution>) -> BTreeMap<u64, Vec<Evidence>> {
+fn by_vertex(contributions: &Contributions) -> BTreeMap<u64, Vec<Evidence>> {
     let mut found: BTreeMap<u64, Vec<Evidence>> = BTreeMap::new();
-    contributions.into_iter().for_each(|c| found.entry(c.key).or_default().push(c.sums));
+    let all = (0..bricks::SHARDS).flat_map(|s| contributions.of_shard(s));
+    all.for_each(|c| found.entry(c.key).or_default().push(c.sums));
     found
 }
 
@@ -224,20 +261,41 @@ proptest! {
         }
         let posterior = OctreePosterior::new(lattice(4));
         let range = 0..batch.positions.len();
-        let (mut sorted, mut walked) = (Vec::new(), Vec::new());
-        posterior.gather(&batch, range.clone(), &mut Vec::new(), &mut sorted);
-        let sorted = by_vertex(sorted);
-        let mut places = Vec::new();
+        let sorted = posterior.gather(&batch, range.clone());
+        let (mut places, mut walked) = (Vec::new(), Contributions::new(0));
         // Rounded positions of a straight line do not fall back: products and sums of f32 are monotone.
         prop_assert!(squares::places(&posterior.lattice, &batch, range, &mut places));
         squares::along(&places, &batch, &mut walked);
-        prop_assert!(sorted.values().all(|once| once.len() == 1));
-        prop_assert_eq!(by_vertex(walked), sorted);
+        prop_assert_eq!(by_vertex(&walked), sorted);
+    }
+
+    #[test]
+    fn walking_from_leaf_to_leaf_gives_the_squares_of_sorting(
+        samples in ray_samples(), straight in proptest::array::uniform2(proptest::array::uniform3(-1.0..1.0_f32)),
+        wanted in proptest::collection::vec((0_u64..64, 2_u8..=7), 0..9), unlimited in proptest::bool::weighted(0.2),
+    ) {
+        // 4³ regions with leaves of up to six sizes; rays that jump to and fro, and one that is straight, with many samples a leaf.
+        let limits = if unlimited { LevelLimits::none(7) } else { LevelLimits::balanced(7, wanted) };
+        let posterior = OctreePosterior::limited(lattice(7), limits);
+        let mut samples = samples;
+        let [from, to] = straight.map(Vec3::from);
+        for i in 0..200_u8 {
+            let position = from + f32::from(i) / 199.0 * (to - from);
+            let row = std::array::from_fn(|k| (f32::from(i) * 0.1 + k as f32).sin());
+            samples.push(1000, RaySample { position, jacobian: row, weight: 0.5, gradient: [1.0, -0.5, f32::from(i)] });
+        }
+        // One walk for all rays: nothing may be left of the ray before.
+        let mut walk = Walk::new(&posterior.lattice, &posterior.limits);
+        for (_, range) in samples.iter() {
+            let mut walked = Contributions::new(0);
+            walk.ray(&samples, range.clone(), &mut walked);
+            prop_assert_eq!(by_vertex(&walked), posterior.gather(&samples, range));
+        }
     }
 }
 
 #[test]
-fn a_ray_that_turns_back_is_sorted() {
+fn a_ray_that_turns_back_is_squared_once() {
     let mut batch = RaySamples::default();
     for x in [0.1, 0.3, 0.6, 0.3] {
         let position = Vec3::new(x, 0.1, 0.1);

@@ -1,0 +1,157 @@
+//! One ray's squares on leaves of any size, along any path.
+//!
+//! J of every vertex that the ray touched is kept until its end: a vertex can come back, because a corner that hangs on a larger leaf
+//! gives its share to that leaf's corners. What does not depend on a sample's place in its leaf is found out once a leaf, limits
+//! are looked up once a region.
+
+use std::ops::Range;
+
+use glam::DVec3;
+use multiversion::multiversion;
+use rustc_hash::FxHashMap;
+
+use super::bricks::key;
+use super::lists::Contributions;
+use super::squares::{Partial, Row};
+use crate::geometry::Lattice;
+use crate::octree::{Leaves, LevelLimits, Nearby, coarseness, masters, trilinear};
+use crate::render::RaySamples;
+
+/// What a corner of a leaf gives to a vertex.
+struct Term {
+    corner: u8,
+    /// Of the corner's weight: 1, ½ or ¼.
+    share: f64,
+    /// Index of the vertex among those of the ray.
+    vertex: u32,
+}
+
+/// The vertices that one ray touched.
+struct Touched {
+    /// Index in the lists below.
+    index: FxHashMap<u64, u32>,
+    keys: Vec<u64>,
+    sums: Vec<Partial>,
+    /// Looked up last, by the low bits of the key, which tell the corners of a leaf apart: the next leaf has half of them.
+    recent: [(u64, u32); 8],
+}
+
+impl Touched {
+    /// No vertex has this key.
+    const NONE: u64 = u64::MAX;
+
+    fn none() -> Self {
+        Self { index: FxHashMap::default(), keys: Vec::new(), sums: Vec::new(), recent: [(Self::NONE, 0); 8] }
+    }
+
+    /// Index of the vertex with a key, which is new to the ray or not.
+    fn index(&mut self, key: u64) -> u32 {
+        let recent = &mut self.recent[(key & 7) as usize];
+        if recent.0 != key {
+            let index = *self.index.entry(key).or_insert_with(|| {
+                self.keys.push(key);
+                self.sums.push(Partial::default());
+                (self.keys.len() - 1) as u32
+            });
+            *recent = (key, index);
+        }
+        recent.1
+    }
+
+    fn clear(&mut self) {
+        self.index.clear();
+        self.keys.clear();
+        self.sums.clear();
+        self.recent = [(Self::NONE, 0); 8];
+    }
+}
+
+/// The leaf that the ray is in.
+#[derive(Default)]
+struct Leaf {
+    origin: [u32; 3],
+    /// 0 before the ray is in any.
+    edge: u32,
+    terms: Vec<Term>,
+}
+
+impl Leaf {
+    fn contains(&self, cell: [u32; 3]) -> bool {
+        (0..3).all(|axis| cell[axis].wrapping_sub(self.origin[axis]) < self.edge)
+    }
+
+    /// Goes on to the leaf around a finest cell.
+    fn move_to(&mut self, cell: [u32; 3], near: &Nearby, touched: &mut Touched) {
+        let leaf = near.leaf(cell);
+        (self.origin, self.edge) = leaf.extent(near.finest());
+        self.terms.clear();
+        for corner in 0..8_u8 {
+            let point = std::array::from_fn(|axis| self.origin[axis] + self.edge * u32::from(corner >> axis & 1));
+            if near.is_inside(point) {
+                let vertex = touched.index(key(point, near.finest() - leaf.level));
+                self.terms.push(Term { corner, share: 1.0, vertex });
+                continue;
+            }
+            let masters = masters(near, point);
+            let share = 1.0 / masters.points().len() as f64;
+            for &point in masters.points() {
+                let vertex = touched.index(key(point, coarseness(near, point)));
+                self.terms.push(Term { corner, share, vertex });
+            }
+        }
+    }
+}
+
+/// Squares ray after ray.
+pub struct Walk<'a> {
+    lattice: &'a Lattice,
+    limits: &'a LevelLimits,
+    near: Option<Nearby>,
+    leaf: Leaf,
+    touched: Touched,
+}
+
+impl<'a> Walk<'a> {
+    /// On the leaves of `limits`.
+    pub fn new(lattice: &'a Lattice, limits: &'a LevelLimits) -> Self {
+        Self { lattice, limits, near: None, leaf: Leaf::default(), touched: Touched::none() }
+    }
+
+    /// Appends what a ray adds to every vertex that it touches, in the order in which it meets them.
+    pub fn ray(&mut self, batch: &RaySamples, samples: Range<usize>, out: &mut Contributions) {
+        walk(self, batch, samples, out);
+    }
+
+    /// Goes on to the leaf around a finest cell.
+    fn move_to(&mut self, cell: [u32; 3]) {
+        let near = match self.near.take() {
+            Some(near) if near.is_around(cell) => near,
+            _ => Nearby::new(self.limits, cell),
+        };
+        self.leaf.move_to(cell, &near, &mut self.touched);
+        self.near = Some(near);
+    }
+}
+
+#[multiversion(targets("x86_64+avx2+fma"))]
+fn walk(walk: &mut Walk, batch: &RaySamples, samples: Range<usize>, out: &mut Contributions) {
+    for i in samples {
+        let Some(u) = walk.lattice.coordinates(batch.positions[i]) else { continue };
+        let (cell, _) = walk.lattice.cell(u);
+        if !walk.leaf.contains(cell) {
+            walk.move_to(cell);
+        }
+        let leaf = &walk.leaf;
+        let weights = trilinear((u - DVec3::from(leaf.origin.map(f64::from))) / f64::from(leaf.edge));
+        let row = Row::of(batch, i);
+        for term in &leaf.terms {
+            // Halves and quarters are exact.
+            walk.touched.sums[term.vertex as usize].add(weights[usize::from(term.corner)] * term.share, &row);
+        }
+    }
+    for (&key, sum) in walk.touched.keys.iter().zip(&walk.touched.sums) {
+        out.push(key, sum.squared());
+    }
+    walk.leaf.edge = 0;
+    walk.touched.clear();
+}
