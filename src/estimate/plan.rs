@@ -9,7 +9,8 @@ use crate::octree::LevelLimits;
 use crate::posterior::{DensePosterior, Evidence, OctreePosterior, Posterior, RayStream, Share, Survey, Tally};
 use crate::{Error, Result};
 
-/// Bytes per touched vertex while summing: 64 of evidence, in bricks that surfaces fill to a third.
+/// Bytes per touched vertex while summing: 64 of evidence, in bricks that rays fill to a half (the city at level 11: 129 bytes a vertex), and a third more for
+/// what comes on top: lists of rays under way, and what the allocator keeps.
 pub const SUMMING: f64 = 3.0 * size_of::<Evidence>() as f64;
 /// Bytes per touched vertex of the finished field: evidence, deviation, position and structure (64 + 4 + 12 + 1), of one and a half
 /// vertices: cells around a touched vertex have others.
