@@ -382,6 +382,44 @@ fn error_bars_are_told_wherever_a_field_is() {
     }
 }
 
+/// An early version gave seeds 0 to 7 the same eight groups: two such runs merged into twice the rays, without a word.
+#[test]
+fn error_bars_of_different_seeds_are_of_different_rays() {
+    let desk = Desk::new();
+    let run = "uncertainty scene:courtyard --cameras transforms.json --level 4 --occupancy 32 --rays 3000";
+    let read = |name: &str| UncertaintyField::read(&desk.path(name)).unwrap();
+    for seed in [0, 3] {
+        desk.good(&format!("{run} --error-bars --seed {seed} -o bars{seed}.oct"));
+        desk.good(&format!("{run} --seed {seed} -o plain{seed}.oct"));
+    }
+    let [zero, three] = ["bars0.oct", "bars3.oct"].map(read);
+    assert_eq!((zero.draws().len(), three.draws().len()), (8, 8));
+    assert!(zero.deviations() != three.deviations(), "the same rays");
+
+    desk.good("merge bars0.oct bars3.oct -o both.oct --error-bars");
+    let both = read("both.oct");
+    assert_eq!((both.protocol().rays, both.draws().len()), (6000, 16));
+    // Twice the rays: 1/√2 of the error, within a factor of 3, as two groups are few. Of the same rays it would be 0.
+    let [one, two] = [&zero, &both].map(|field| field.error_summary().unwrap().root_mean_square);
+    assert!((0.3 / 2_f64.sqrt()..3.0 / 2_f64.sqrt()).contains(&(two / one)), "{one} of one, {two} of both");
+
+    // What holds rays of another is told from what does not, whatever the base seeds are.
+    let refused = |parts: &str| {
+        let output = desk.run(&format!("merge {parts} -o x.oct"));
+        let message = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.code() == Some(2) && message.contains("rays in common"), "{parts}: {message}");
+        assert!(!desk.path("x.oct").exists());
+    };
+    refused("both.oct bars3.oct");
+    refused("bars0.oct plain3.oct both.oct");
+    let group = zero.draws()[5].seed;
+    desk.good(&format!("{run} --seed {group} -o group.oct"));
+    refused("bars0.oct group.oct");
+    desk.good("merge bars3.oct group.oct -o x.oct");
+    desk.good("merge bars0.oct plain0.oct plain3.oct -o x.oct");
+    assert_eq!(read("x.oct").draws().len(), 10);
+}
+
 #[test]
 fn json_is_one_object_and_states_the_protocol() {
     let desk = Desk::new();

@@ -139,6 +139,11 @@ impl Desk {
         // Checksums that are right, around nonsense: header, masks, deviations, ….
         forged("nan.oct", &|parts| parts[2][..4].copy_from_slice(&f32::NAN.to_le_bytes()));
         forged("masks.oct", &|parts| parts[1].push(0));
+        forged("twice.oct", &|parts| {
+            // No error bars; the same rays of one seed two times.
+            let draw: Vec<u8> = [0_u64, 600, 0, 1].into_iter().flat_map(u64::to_le_bytes).collect();
+            parts.extend([Vec::new(), [draw.clone(), draw].concat()]);
+        });
         forged("fewer.oct", &|parts| parts[2].truncate(40));
     }
 

@@ -151,9 +151,12 @@ fn merged_shards_are_the_whole_run() {
         for shard in 0..3 {
             good(folder, &format!("{settings} --shard {shard}/3 -o part{shard}.oct"));
         }
-        good(folder, "merge part0.oct part1.oct part2.oct -o merged.oct");
+        // In any order, and step by step.
+        good(folder, "merge part2.oct part0.oct -o two.oct");
+        good(folder, "merge two.oct part1.oct -o merged.oct");
         let [whole, merged] = ["whole.oct", "merged.oct"].map(|f| UncertaintyField::read(&folder.join(f)).unwrap());
         assert_eq!((whole.protocol().rays, whole.protocol().share), (merged.protocol().rays, merged.protocol().share));
+        assert_eq!(whole.draws(), merged.draws());
         if tolerance == "0" {
             assert_eq!(whole.support(), merged.support());
             for (a, b) in whole.evidence().unwrap().iter().zip(merged.evidence().unwrap()) {
@@ -173,6 +176,9 @@ fn merged_shards_are_the_whole_run() {
     let twice = run(folder, "merge part0.oct part0.oct -o x.oct");
     let stderr = String::from_utf8(twice.stderr).unwrap();
     assert!(twice.status.code() == Some(2) && stderr.contains("rays in common"), "{stderr}");
+    let inside = run(folder, "merge two.oct part2.oct -o x.oct");
+    let stderr = String::from_utf8(inside.stderr).unwrap();
+    assert!(inside.status.code() == Some(2) && stderr.contains("rays in common"), "{stderr}");
     // Part 1 of 3 and part 1 of 2 of the same seed have batches in common.
     good(folder, &format!("{RUN} --keep hessian --grid dense --tolerance 0 --shard 1/2 -o half.oct"));
     let overlapping = run(folder, "merge part1.oct half.oct -o x.oct");

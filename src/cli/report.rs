@@ -77,7 +77,11 @@ pub fn protocol(field: &UncertaintyField) -> String {
     let part = p.share.filter(|s| s.of > 1).map(|s| format!("{} of {} of {} rays", s.index, s.of, s.rays));
     part.into_iter().for_each(|part| line("shard", part));
     line("pixels", known(p.pixels.map(|p| if p == Pixels::Sobol { "Owen-scrambled Sobol" } else { "random" }.into())));
-    line("seed", known(p.seed.map(|s| s.to_string())));
+    let sequences = match field.draws().len() {
+        0 | 1 => String::new(),
+        several => format!(", {several} sequences of pixels"),
+    };
+    line("seed", known(p.seed.map(|s| format!("{s}{sequences}"))));
     let prior = if p.prior == Prior::Volume { ", times the volume of cells" } else { "" };
     line("lambda", format!("{:.6e} per scene unit²{prior}", p.lambda));
     line("covariance", p.covariance.name().into());
@@ -113,6 +117,7 @@ pub fn protocol_json(field: &UncertaintyField) -> Value {
         "box": field.lattice().domain().bounds().map(|b| json!({ "min": b.min().to_array(), "max": b.max().to_array() })),
         "domain": field.lattice().domain(),
         "level": field.lattice().level(),
+        "draws": field.draws(),
         "limited": !field.limits().is_unlimited(),
         "error_bars": field.error_summary(),
     })

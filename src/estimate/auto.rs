@@ -10,13 +10,11 @@ use super::{FieldBuilder, GridSettings};
 use crate::geometry::Domain;
 use crate::metrics::quantile;
 use crate::monitor::Monitor;
-use crate::posterior::{RayStream, Share, Tally};
+use crate::posterior::{Draw, Purpose, RayStream, Share, Tally};
 use crate::{Error, Result};
 
 /// Rays before the first look.
 const FIRST: u64 = 65_536;
-/// What tells the second half's seed from the first one's.
-const SECOND_HALF: u64 = 0x5eed_0000_0000_0000;
 
 /// How far log10 U is off, estimated at the vertices that moved by more than half a decade from the prior.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
@@ -71,6 +69,13 @@ impl AutoRun {
         Ok((FieldBuilder::joined(halves, stream)?, tallies[0].with(&tallies[1]), error))
     }
 
+    /// What the halves of a finished run of `stream` were made of.
+    #[must_use]
+    pub fn draws(stream: &RayStream, tallies: &[Tally; 2]) -> Vec<Draw> {
+        let [first, second] = tallies.map(|tally| Share::whole(tally.rays));
+        vec![stream.draw(first), stream.for_purpose(Purpose::SecondHalf).draw(second)]
+    }
+
     /// As [`AutoRun::run`], but returns each half's sums by themselves.
     ///
     /// # Errors
@@ -86,7 +91,7 @@ impl AutoRun {
             let found = "--memory or --refine evidence";
             return Err(Error::setting("--rays auto", "a grid without limits to its refinement", found));
         }
-        let other_pixels = stream.with_pixels(stream.pixels.kind(), stream.pixels.seed() ^ SECOND_HALF);
+        let other_pixels = stream.for_purpose(Purpose::SecondHalf);
         let streams = [stream, &other_pixels];
         let mut halves = [FieldBuilder::new(settings, domain)?, FieldBuilder::new(settings, domain)?];
         let mut tallies = [Tally::default(); 2];

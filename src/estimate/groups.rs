@@ -4,12 +4,9 @@
 //! differences say too much.) The groups' rays together are a little worse than as many of one sequence; that is the price.
 
 use super::{FieldBuilder, Provenance};
-use crate::posterior::{RayStream, Share, Tally};
+use crate::posterior::{Draw, Purpose, RayStream, Share, Tally};
 use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
-
-/// What tells the groups' seeds from the run's own and from those of its pilot.
-const GROUP: u64 = 0x6e0_u64 << 48;
 
 /// One group of a run: which rays, through which pixels.
 pub struct RayGroup<'a> {
@@ -21,6 +18,14 @@ pub struct RayGroup<'a> {
     pub share: Share,
 }
 
+impl RayGroup<'_> {
+    /// What it draws.
+    #[must_use]
+    pub fn draw(&self) -> Draw {
+        self.stream.draw(self.share)
+    }
+}
+
 /// `rays` rays of `stream`'s settings in `count` independent groups, whose numbers of rays differ by one at most.
 ///
 /// # Errors
@@ -30,12 +35,12 @@ pub fn ray_groups<'a>(stream: &RayStream<'a>, count: u16, rays: u64) -> Result<V
     if groups < 2 || rays < groups {
         return Err(Error::setting("groups of rays", format!("2 to {rays}, the number of rays"), groups.to_string()));
     }
-    let group = |g: u64| {
-        let seed = stream.pixels.seed() ^ (GROUP + g);
-        let own = rays / groups + u64::from(g < rays % groups);
-        RayGroup { seed, stream: stream.with_pixels(stream.pixels.kind(), seed), share: Share::whole(own) }
+    let group = |g: u16| {
+        let own = rays / groups + u64::from(u64::from(g) < rays % groups);
+        let stream = stream.for_purpose(Purpose::Group(g));
+        RayGroup { seed: stream.pixels.seed(), stream, share: Share::whole(own) }
     };
-    Ok((0..groups).map(group).collect())
+    Ok((0..count).map(group).collect())
 }
 
 impl FieldBuilder {

@@ -88,7 +88,8 @@ pub fn estimate_with_error_bars(
     let lattice = grid.lattice(domain)?;
     let stream = rays.stream(field, cameras, grid, &lattice, monitor)?;
     let (mut builders, mut tallies) = (Vec::new(), Vec::new());
-    for group in ray_groups(&stream, groups, rays.rays)? {
+    let groups = ray_groups(&stream, groups, rays.rays)?;
+    for group in &groups {
         let mut builder = FieldBuilder::new(*grid, domain)?;
         tallies.push(group.stream.run(group.share, Tally::default(), monitor, |batches, _| {
             builder.add(batches);
@@ -98,7 +99,8 @@ pub fn estimate_with_error_bars(
     }
     let tally = tallies.iter().fold(Tally::default(), |sum, tally| sum.with(tally));
     let provenance = Provenance { source: field.describe(), tally, share: None, stream: Some(&stream) };
-    Ok((FieldBuilder::finish_groups(builders, &tallies, &provenance)?, tally))
+    let field = FieldBuilder::finish_groups(builders, &tallies, &provenance)?;
+    Ok((field.with_draws(groups.iter().map(RayGroup::draw).collect()), tally))
 }
 
 #[cfg(test)]

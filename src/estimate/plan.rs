@@ -6,7 +6,9 @@ use super::{GridKind, GridSettings, RaySettings};
 use crate::geometry::Lattice;
 use crate::monitor::Monitor;
 use crate::octree::LevelLimits;
-use crate::posterior::{DensePosterior, Evidence, OctreePosterior, Posterior, RayStream, Share, Survey, Tally};
+use crate::posterior::{
+    DensePosterior, Evidence, OctreePosterior, Posterior, Purpose, RayStream, Share, Survey, Tally,
+};
 use crate::{Error, Result};
 
 /// Bytes per touched vertex while summing: 64 of evidence, in bricks that rays fill to a half (the city at level 11: 129 bytes a vertex), and a third more for
@@ -65,7 +67,7 @@ impl Planner {
         let pilot = Share::whole(Self::PILOT.min(rays.rays));
         let start = Instant::now();
         let mut posterior = OctreePosterior::new(lattice);
-        let stream = stream.with_pixels(rays.pixels, rays.seed ^ 0x5e_ed0f_9110);
+        let stream = stream.for_purpose(Purpose::Pilot);
         stream.run(pilot, Tally::default(), monitor, |batches, _| {
             posterior.add(batches);
             Ok(())

@@ -1,8 +1,11 @@
 //! Training rays, as a stream of samples with Jacobians.
 
+use std::collections::{HashMap, HashSet};
+
 use rayon::prelude::*;
 
-use super::pixels::{Pick, PixelSequence, Pixels};
+use super::pixels::{Pick, PixelSequence};
+use super::seeds::Purpose;
 use crate::geometry::{Camera, Ray};
 use crate::monitor::{Monitor, check};
 use crate::render::{Differentiation, JacobianBuffers, Quadrature, RaySamples, TraceBuffers, TracedRays, Tracer};
@@ -35,7 +38,7 @@ pub struct RayStream<'a> {
 }
 
 /// Which rays of a run are drawn: batches `index`, `index + of`, `index + 2 · of`, … of a run of `rays` rays.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
 pub struct Share {
     /// Rays of the whole run.
     pub rays: u64,
@@ -87,6 +90,45 @@ impl Share {
     }
 }
 
+/// The rays of one sequence of pixels that sums are made of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize)]
+pub struct Draw {
+    /// Seed of the sequence's pixels and jitter.
+    pub seed: u64,
+    /// Which of its rays.
+    pub share: Share,
+}
+
+impl Draw {
+    /// Whether no two of these can have a ray in common.
+    ///
+    /// Batch b of a seed is the same in every run, whatever the run's length. Of one seed, therefore, only different
+    /// parts of the same run are disjoint.
+    #[must_use]
+    pub fn are_disjoint(draws: impl IntoIterator<Item = Self>) -> bool {
+        let mut split = HashMap::new();
+        let mut parts = HashSet::new();
+        draws.into_iter().all(|draw| {
+            let Share { rays, of, .. } = draw.share;
+            *split.entry(draw.seed).or_insert((rays, of)) == (rays, of) && parts.insert(draw)
+        })
+    }
+
+    /// The same rays in as few draws as possible, sorted: parts that make up a run become the run.
+    #[must_use]
+    pub fn joined(draws: impl IntoIterator<Item = Self>) -> Vec<Self> {
+        let mut draws: Vec<Self> = draws.into_iter().collect();
+        draws.sort_unstable_by_key(|draw| (draw.seed, draw.share.rays, draw.share.of, draw.share.index));
+        let of_one_run = |a: &Self, b: &Self| (a.seed, a.share.rays, a.share.of) == (b.seed, b.share.rays, b.share.of);
+        let join = |parts: &[Self]| {
+            let Self { seed, share } = parts[0];
+            let are_all = parts.iter().map(|part| part.share.index).eq(0..share.of);
+            if are_all { vec![Self { seed, share: Share::whole(share.rays) }] } else { parts.to_vec() }
+        };
+        draws.chunk_by(of_one_run).flat_map(join).collect()
+    }
+}
+
 /// What came out of a run so far, apart from the samples themselves: also the place where it can be taken up again.
 #[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 pub struct Tally {
@@ -117,15 +159,22 @@ impl Tally {
 }
 
 impl<'a> RayStream<'a> {
-    /// The same stream with other pixels.
+    /// The same stream with the pixels that its run draws for another purpose.
     #[must_use]
-    pub fn with_pixels(&self, kind: Pixels, seed: u64) -> RayStream<'a> {
+    pub fn for_purpose(&self, purpose: Purpose) -> RayStream<'a> {
         let resolutions = self.cameras.iter().map(|c| c.resolution).collect();
-        RayStream { tracer: self.tracer.clone(), pixels: PixelSequence::new(kind, seed, resolutions), ..*self }
+        let pixels = PixelSequence::new(self.pixels.kind(), purpose.seed(self.pixels.seed()), resolutions);
+        RayStream { tracer: self.tracer.clone(), pixels, ..*self }
+    }
+
+    /// What is drawn by a run of this part of the stream, to its end.
+    #[must_use]
+    pub fn draw(&self, share: Share) -> Draw {
+        Draw { seed: self.pixels.seed(), share }
     }
 
     /// Rays and jitters of one batch.
-    fn draw(&self, batch: u64, count: u64) -> (Vec<Ray>, Vec<f64>) {
+    fn batch(&self, batch: u64, count: u64) -> (Vec<Ray>, Vec<f64>) {
         let picks = self.pixels.picks(batch * BATCH, count);
         let ray = |pick: &Pick| {
             let [x, y] = pick.pixel.map(|i| f64::from(i) + self.pixel_offset);
@@ -158,7 +207,7 @@ impl<'a> RayStream<'a> {
                 .into_par_iter()
                 .map_init(JacobianBuffers::default, |buffers, n| {
                     let batch = share.batch(n);
-                    let (rays, jitter) = self.draw(batch, share.rays_of(batch));
+                    let (rays, jitter) = self.batch(batch, share.rays_of(batch));
                     let (first, how) = (batch * BATCH, &self.differentiation);
                     let samples = self.tracer.jacobians(&rays, &jitter, first, how, self.negligible, buffers);
                     monitor.advance(rays.len() as u64);
@@ -201,7 +250,7 @@ impl RayStream<'_> {
             let found: Vec<Vec<[f32; 3]>> = (group..(group + GROUP).min(batches))
                 .into_par_iter()
                 .map_init(TraceBuffers::default, |buffers, batch| {
-                    let (rays, jitter) = self.draw(batch, BATCH);
+                    let (rays, jitter) = self.batch(batch, BATCH);
                     self.tracer.trace(&rays, &jitter, buffers);
                     visible(&buffers.traced, self.tracer.marcher.step)
                 })
@@ -243,5 +292,48 @@ mod tests {
             prop_assert_eq!(drawn, rays);
             prop_assert_eq!(batches, (0..rays.div_ceil(BATCH)).collect::<Vec<_>>());
         }
+
+        /// Never called disjoint when two draws have a batch of one seed in common; parts of one run always are.
+        #[test]
+        fn disjoint_draws_have_no_batch_in_common(
+            draws in proptest::collection::vec((0_u64..2, 1_u64..3, 1_u64..4, 0_u64..3), 0..5)
+        ) {
+            let draws: Vec<Draw> = draws
+                .into_iter()
+                .map(|(seed, rays, of, index)| Draw { seed, share: Share { rays: 4000 * rays, index: index % of, of } })
+                .collect();
+            let batches = |draw: &Draw| -> Vec<(u64, u64)> {
+                let Draw { seed, share } = *draw;
+                (0..share.batches()).map(|n| (seed, share.batch(n))).collect()
+            };
+            let mut all: Vec<(u64, u64)> = draws.iter().flat_map(batches).collect();
+            let drawn = all.len();
+            all.sort_unstable();
+            if Draw::are_disjoint(draws.iter().copied()) {
+                let joined = Draw::joined(draws.iter().copied());
+                let mut again: Vec<(u64, u64)> = joined.iter().flat_map(batches).collect();
+                again.sort_unstable();
+                prop_assert_eq!(&again, &all);
+                prop_assert!(joined.len() <= draws.len());
+                all.dedup();
+                prop_assert_eq!(all.len(), drawn);
+            } else {
+                let same_run = |a: &Draw, b: &Draw| (a.share.rays, a.share.of) == (b.share.rays, b.share.of);
+                let doubtful = |i: usize| draws[..i].iter().any(|a| {
+                    let b = &draws[i];
+                    a.seed == b.seed && (a == b || !same_run(a, b))
+                });
+                prop_assert!((0..draws.len()).any(doubtful));
+            }
+        }
+    }
+
+    #[test]
+    fn the_parts_of_a_run_are_the_run() {
+        let part = |index| Draw { seed: 7, share: Share { rays: 5000, index, of: 3 } };
+        let other = Draw { seed: 1, share: Share::whole(10) };
+        let whole = Draw { seed: 7, share: Share::whole(5000) };
+        assert_eq!(Draw::joined([part(2), other, part(0), part(1)]), [other, whole]);
+        assert_eq!(Draw::joined([part(2), part(0)]), [part(0), part(2)]);
     }
 }

@@ -70,6 +70,7 @@ impl UncertaintyField {
             evidence: None,
             error_bars: None,
             surface: self.surface.clone(),
+            draws: self.draws.clone(),
         })
     }
 
@@ -165,6 +166,7 @@ mod tests {
             evidence: None,
             error_bars: None,
             surface: vec![],
+            draws: vec![],
         }
     }
 

@@ -41,6 +41,7 @@ impl UncertaintyField {
             evidence: None,
             error_bars: None,
             surface: self.surface.clone(),
+            draws: self.draws.clone(),
         }
     }
 }

@@ -7,10 +7,12 @@
 //! surface      f32 × 3    points on visible surfaces
 //! logs         u16        bits of f16: log10(σ_v / unit), in the same order; the header has the unit
 //! limits       u64        the regions' level, then region · 256 + limit; empty if nothing is limited
-//! errors       u16        number of groups, then bits of f16: errors of log10 σ_v, NaN where not known; version 2 only
+//! errors       u16        number of groups, then bits of f16: errors of log10 σ_v, NaN where not known; or empty
+//! draws        u64 × 4    the rays that were summed: seed, rays of the run, index and number of its parts
 //! ```
 //!
-//! A field without error bars is a file of version 1, which has no section for them.
+//! A file has the lowest version that holds the field. Version 1 ends before `errors`, and version 2 before `draws`:
+//! then the rays are of the one sequence of pixels that the header names, or not known.
 //!
 //! The octree is rebuilt from its masks, so a file cannot hold an inconsistent one.
 
@@ -22,14 +24,14 @@ use super::{Deviations, ErrorBars, Protocol, Support, UncertaintyField, vertex_c
 use crate::geometry::Lattice;
 use crate::io::container::{self, Format, Reader};
 use crate::octree::{LevelLimits, Octree};
-use crate::posterior::Evidence;
+use crate::posterior::{Draw, Evidence, Share};
 use crate::{Error, Result};
 
 /// The newest version that this crate reads and writes.
-pub const FORMAT_VERSION: u32 = 2;
+pub const FORMAT_VERSION: u32 = 3;
 const FORMAT: Format = (b"OCTOBAY\n", FORMAT_VERSION);
-/// Fields without error bars.
-const PLAIN: Format = (FORMAT.0, 1);
+/// Sections of version 1; each later version has one more.
+const PLAIN: usize = 6;
 
 #[derive(serde::Serialize, serde::Deserialize)]
 struct Header {
@@ -66,12 +68,27 @@ impl UncertaintyField {
         let header = Header { protocol: self.protocol.clone(), lattice: self.lattice, kind, unit };
         let evidence = self.evidence.as_deref().unwrap_or_default();
         let limits = self.limits.packed().unwrap_or_default();
-        let errors = self.error_bars.as_ref().map(ErrorBars::words);
+        let errors = self.error_bars.as_ref().map(ErrorBars::words).unwrap_or_default();
+        let is_implied = self.draws.iter().copied().eq(self.protocol.draw());
+        let draws: Vec<[u64; 4]> = self
+            .draws
+            .iter()
+            .filter(|_| !is_implied)
+            .map(|Draw { seed, share }| [*seed, share.rays, share.index, share.of])
+            .collect();
         let (masks, surface, logs) = (masks.as_slice(), self.surface.as_slice(), logs.as_slice());
-        let (limits, errors) = (limits.as_slice(), errors.as_deref());
-        let mut sections: Vec<&dyn container::Section> = vec![&masks, &values, &evidence, &surface, &logs, &limits];
-        sections.extend(errors.as_ref().map(|errors| errors as &dyn container::Section));
-        container::write(path, if errors.is_some() { FORMAT } else { PLAIN }, &header, &sections)
+        let (limits, errors, draws) = (limits.as_slice(), errors.as_slice(), draws.as_slice());
+        let mut sections: Vec<&dyn container::Section> =
+            vec![&masks, &values, &evidence, &surface, &logs, &limits, &errors, &draws];
+        let needed = if !draws.is_empty() {
+            8
+        } else if !errors.is_empty() {
+            7
+        } else {
+            PLAIN
+        };
+        sections.truncate(needed);
+        container::write(path, (FORMAT.0, (needed - PLAIN) as u32 + 1), &header, &sections)
     }
 
     /// Reads a field.
@@ -79,7 +96,7 @@ impl UncertaintyField {
     /// # Errors
     /// If the file is missing, or is not a complete, unaltered field of a version that is known.
     pub fn read(path: &Path) -> Result<Self> {
-        let (header, mut file) = Reader::open::<Header>(path, FORMAT, 6..=7)?;
+        let (header, mut file) = Reader::open::<Header>(path, FORMAT, PLAIN..=PLAIN + 2)?;
         // Deserialising bypasses the constructors' checks.
         let lattice = header.lattice.domain().checked();
         let lattice = lattice
@@ -145,9 +162,23 @@ impl UncertaintyField {
         }
         let evidence = (!evidence.is_empty()).then_some(evidence);
         let words = if file.left() > 0 { Some(file.section::<u16>("errors")?) } else { None };
+        let draws = if file.left() > 0 { Some(file.section::<[u64; 4]>("draws")?) } else { None };
+        // Only where another section follows may it be empty.
+        let words = words.filter(|words| draws.is_none() || !words.is_empty());
         let error_bars = words.map(|words| ErrorBars::from_words(&words, vertices)).transpose();
         let error_bars =
             error_bars.map_err(|(expected, found)| Error::malformed(path, "section `errors`", expected, found))?;
-        Ok(Self { protocol, lattice, support, limits, deviations, evidence, error_bars, surface })
+        let draws: Vec<Draw> = match draws {
+            Some(draws) => draws
+                .into_iter()
+                .map(|[seed, rays, index, of]| Draw { seed, share: Share { rays, index, of } })
+                .collect(),
+            None => protocol.draw().into_iter().collect(),
+        };
+        if !draws.iter().all(|draw| draw.share.is_valid()) || !Draw::are_disjoint(draws.iter().copied()) {
+            let found = "an empty part, or two that may have rays in common";
+            return Err(Error::malformed(path, "section `draws`", "parts of runs, each ray in one of them", found));
+        }
+        Ok(Self { protocol, lattice, support, limits, deviations, evidence, error_bars, surface, draws })
     }
 }

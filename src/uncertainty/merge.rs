@@ -2,7 +2,7 @@
 
 use super::{Protocol, Support, UncertaintyField};
 use crate::octree::VertexId;
-use crate::posterior::{DensePosterior, Evidence, OctreePosterior, Share};
+use crate::posterior::{DensePosterior, Draw, Evidence, OctreePosterior};
 use crate::{Error, Result};
 
 /// The field of all rays of `parts` together.
@@ -25,7 +25,7 @@ pub fn merge(parts: &[UncertaintyField]) -> Result<UncertaintyField> {
     for (i, part) in rest.iter().enumerate() {
         check_alike(first, part, i + 2)?;
         for (j, other) in parts[..=i].iter().enumerate() {
-            if may_share_rays(&part.protocol, &other.protocol) {
+            if may_share_rays(part, other) {
                 let found = format!("fields {} and {}, which may have rays in common", j + 1, i + 2);
                 let expected = "different seeds, different shards of one run, or different sample files";
                 return Err(Error::setting("fields to merge", expected, found));
@@ -41,7 +41,13 @@ pub fn merge(parts: &[UncertaintyField]) -> Result<UncertaintyField> {
         })
         .collect::<Result<_>>()?;
 
-    let protocol = joined_protocol(parts);
+    // Of one field whose rays are not known, those of the whole are not known.
+    let draws = if parts.iter().any(|part| part.draws.is_empty()) {
+        Vec::new()
+    } else {
+        Draw::joined(parts.iter().flat_map(|part| &part.draws).copied())
+    };
+    let protocol = joined_protocol(parts, &draws);
     let most = parts.iter().map(|part| part.surface.len()).max().unwrap_or(0);
     let surface = parts.iter().flat_map(|part| &part.surface).copied().take(most).collect();
     match &first.support {
@@ -50,7 +56,9 @@ pub fn merge(parts: &[UncertaintyField]) -> Result<UncertaintyField> {
             for part in evidence {
                 sums.iter_mut().zip(part).for_each(|(sum, more)| sum.add(more));
             }
-            Ok(UncertaintyField::new(protocol, first.lattice, Support::Dense, sums).with_surface(surface))
+            Ok(UncertaintyField::new(protocol, first.lattice, Support::Dense, sums)
+                .with_surface(surface)
+                .with_draws(draws))
         }
         Support::Octree(_) => {
             // What was refined for other reasons than information stays refined.
@@ -68,7 +76,9 @@ pub fn merge(parts: &[UncertaintyField]) -> Result<UncertaintyField> {
                     posterior.add_evidence(point, e);
                 }
             }
-            Ok(UncertaintyField::from_octree(protocol, first.lattice, posterior, wanted).with_surface(surface))
+            Ok(UncertaintyField::from_octree(protocol, first.lattice, posterior, wanted)
+                .with_surface(surface)
+                .with_draws(draws))
         }
     }
 }
@@ -81,7 +91,7 @@ pub fn merge(parts: &[UncertaintyField]) -> Result<UncertaintyField> {
 pub fn merge_with_error_bars(parts: &[UncertaintyField]) -> Result<UncertaintyField> {
     let merged = merge(parts)?;
     for (i, part) in parts.iter().enumerate() {
-        let same = |other: &UncertaintyField| part.protocol.seed.is_some() && part.protocol.seed == other.protocol.seed;
+        let same = |other: &UncertaintyField| part.draws.iter().any(|a| other.draws.iter().any(|b| a.seed == b.seed));
         if let Some(j) = parts[..i].iter().position(same) {
             let found = format!("fields {} and {} of one seed", j + 1, i + 1);
             return Err(Error::setting(
@@ -106,17 +116,13 @@ pub fn merge_with_error_bars(parts: &[UncertaintyField]) -> Result<UncertaintyFi
     Ok(merged.with_error_bars(&groups, &rays))
 }
 
-/// Whether two fields may count the same rays: batch b of a seed is the same in every run, whatever the run's length.
-fn may_share_rays(a: &Protocol, b: &Protocol) -> bool {
-    match (a.seed, b.seed) {
-        (Some(x), Some(y)) if x != y => false,
-        (Some(_), Some(_)) => match (a.share, b.share) {
-            (Some(x), Some(y)) => x.rays != y.rays || x.of != y.of || x.index == y.index,
-            _ => true,
-        },
-        // Sample files and merged fields: all that is known is where they came from.
-        _ => a.source == b.source,
+/// Whether two fields may count the same rays.
+fn may_share_rays(a: &UncertaintyField, b: &UncertaintyField) -> bool {
+    if a.draws.is_empty() || b.draws.is_empty() {
+        // Sample files: all that is known is where they came from.
+        return a.protocol.source == b.protocol.source;
     }
+    !Draw::are_disjoint(a.draws.iter().chain(&b.draws).copied())
 }
 
 /// Compares everything but rays, seed and share; the source too, if this crate drew the rays.
@@ -163,20 +169,15 @@ fn check_alike(first: &UncertaintyField, part: &UncertaintyField, number: usize)
     Ok(())
 }
 
-/// The protocol of the joined run; it is a whole run again if all its shares are there.
-fn joined_protocol(parts: &[UncertaintyField]) -> Protocol {
+/// The protocol of the joined run of these draws; it is a whole run again if all its shares are there.
+fn joined_protocol(parts: &[UncertaintyField], draws: &[Draw]) -> Protocol {
     let protocols = || parts.iter().map(|part| &part.protocol);
     let first = &parts[0].protocol;
     let one_seed = first.seed.filter(|_| protocols().all(|p| p.seed == first.seed));
-    let whole = first.share.filter(|share| {
-        let mut indices: Vec<u64> = protocols()
-            .filter_map(|p| p.share)
-            .filter(|s| s.rays == share.rays && s.of == share.of)
-            .map(|s| s.index)
-            .collect();
-        indices.sort_unstable();
-        one_seed.is_some() && indices.len() as u64 == share.of && indices.iter().copied().eq(0..share.of)
-    });
+    let whole = match draws {
+        [draw] if one_seed == Some(draw.seed) => Some(draw.share),
+        _ => None,
+    };
     let mut sources: Vec<&str> = protocols().map(|p| p.source.as_str()).collect();
     sources.dedup();
     Protocol {
@@ -184,7 +185,7 @@ fn joined_protocol(parts: &[UncertaintyField]) -> Protocol {
         rays: protocols().fold(0, |sum, p| sum.saturating_add(p.rays)),
         dropped: protocols().fold(0, |sum, p| sum.saturating_add(p.dropped)),
         seed: one_seed,
-        share: whole.map(|share| Share::whole(share.rays)),
+        share: whole,
         ..first.clone()
     }
 }

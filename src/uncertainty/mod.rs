@@ -30,7 +30,7 @@ use glam::{DVec3, Vec3};
 use self::reading::read;
 use crate::geometry::Lattice;
 use crate::octree::{Cell, LevelLimits, Octree, VertexId, trilinear};
-use crate::posterior::{Covariance, Evidence, OctreePosterior, Refinement};
+use crate::posterior::{Covariance, Draw, Evidence, OctreePosterior, Refinement};
 use crate::{Error, Result};
 
 /// The vertices that carry values.
@@ -75,6 +75,8 @@ pub struct UncertaintyField {
     error_bars: Option<ErrorBars>,
     /// `[n]`: some points on visible surfaces, scene units; for comparisons.
     surface: Vec<[f32; 3]>,
+    /// The rays that were summed; none if they are not known.
+    draws: Vec<Draw>,
 }
 
 impl UncertaintyField {
@@ -98,6 +100,7 @@ impl UncertaintyField {
         evidence: Vec<Evidence>,
     ) -> Self {
         let deviations = read(&protocol, &lattice, &support, &limits, &evidence);
+        let draws = protocol.draw().into_iter().collect();
         Self {
             protocol,
             lattice,
@@ -107,6 +110,7 @@ impl UncertaintyField {
             evidence: Some(evidence),
             error_bars: None,
             surface: Vec::new(),
+            draws,
         }
     }
 
@@ -143,6 +147,23 @@ impl UncertaintyField {
     #[must_use]
     pub fn with_surface(self, surface: Vec<[f32; 3]>) -> Self {
         Self { surface, ..self }
+    }
+
+    /// The same field, made of the rays of several draws: a protocol alone names one.
+    ///
+    /// # Panics
+    /// If two of them may have rays in common.
+    #[must_use]
+    pub fn with_draws(self, draws: Vec<Draw>) -> Self {
+        assert!(Draw::are_disjoint(draws.iter().copied()), "a ray is counted once");
+        Self { draws, ..self }
+    }
+
+    /// The rays that were summed, by sequence of pixels. Empty if they are not known: if they come from a samples file
+    /// or another program, or from several sequences by a version of this crate that did not write them down.
+    #[must_use]
+    pub fn draws(&self) -> &[Draw] {
+        &self.draws
     }
 
     /// The same field with another scalar read off the evidence. Error bars are those of one scalar: they are left behind.

@@ -1,6 +1,6 @@
 //! What the numbers in a field depend on.
 
-use crate::posterior::{Covariance, Criteria, Pixels, Pooling, Prior, Share, negligible_information};
+use crate::posterior::{Covariance, Criteria, Draw, Pixels, Pooling, Prior, Share, negligible_information};
 use crate::render::GradientMethod;
 
 /// The share of the tolerance that is for samples whose Jacobian is negligible; the others are for refinement.
@@ -19,7 +19,7 @@ pub struct Protocol {
     pub dropped: u64,
     /// How pixels were chosen.
     pub pixels: Option<Pixels>,
-    /// Seed of pixels and jitter.
+    /// Seed of the run's pixels and jitter; [`super::UncertaintyField::draws`] has those of all its sequences.
     pub seed: Option<u64>,
     /// Which part of a run these rays are.
     pub share: Option<Share>,
@@ -51,6 +51,12 @@ pub struct Protocol {
 }
 
 impl Protocol {
+    /// The one draw that its seed and share name, if they do.
+    #[must_use]
+    pub fn draw(&self) -> Option<Draw> {
+        self.seed.zip(self.share).map(|(seed, share)| Draw { seed, share })
+    }
+
     /// How evidence is pooled.
     #[must_use]
     pub fn pooling(&self) -> Pooling {

@@ -28,9 +28,9 @@ pub fn file(kind: Kind, recipe: &[u8]) -> Vec<u8> {
     let parts = split(rest);
     let part = |i: usize| parts.get(i).copied().unwrap_or_default();
     match kind {
-        // The seventh section is there or not.
+        // The last two sections are there or not.
         Kind::Field => {
-            let sections: Vec<&[u8]> = (1..parts.len().clamp(7, 8)).map(part).collect();
+            let sections: Vec<&[u8]> = (1..parts.len().clamp(7, 9)).map(part).collect();
             container(b"OCTOBAY\n", part(0), &sections)
         }
         Kind::Checkpoint => container(b"OCTOCHK\n", part(0), &std::array::from_fn::<_, 3, _>(|i| part(i + 1))),
@@ -48,7 +48,7 @@ pub fn file(kind: Kind, recipe: &[u8]) -> Vec<u8> {
 /// A recipe that says every content of a valid file apart, if the kind has parts; otherwise the file as it is.
 pub fn recipe(kind: Kind, file: &[u8]) -> Vec<u8> {
     let parts = match kind {
-        Kind::Field => container_parts(file, 6..=7),
+        Kind::Field => container_parts(file, 6..=8),
         Kind::Checkpoint => container_parts(file, 3..=3),
         Kind::Samples => archive_parts(&SAMPLES, file),
         Kind::Voxels => archive_parts(&VOXELS, file),

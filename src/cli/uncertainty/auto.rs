@@ -51,6 +51,6 @@ impl Args {
             Some(_) => FieldBuilder::finish_groups(halves.into(), &tallies, &provenance)?,
             None => FieldBuilder::joined(halves, stream)?.finish(&provenance),
         };
-        Ok((field, posterior_bytes))
+        Ok((field.with_draws(AutoRun::draws(stream, &tallies)), posterior_bytes))
     }
 }

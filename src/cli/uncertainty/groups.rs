@@ -2,7 +2,7 @@
 
 use super::{Args, warn_of_dropped};
 use crate::cli::progress::Bars;
-use crate::estimate::{FieldBuilder, GridSettings, Plan, Provenance, RaySettings, ray_groups};
+use crate::estimate::{FieldBuilder, GridSettings, Plan, Provenance, RayGroup, RaySettings, ray_groups};
 use crate::geometry::Domain;
 use crate::posterior::{RayStream, Tally};
 use crate::uncertainty::UncertaintyField;
@@ -22,7 +22,8 @@ impl Args {
     /// Draws rays in groups; returns the field with error bars and the bytes of the groups' sums.
     pub(super) fn run_groups(&self, run: &Groups, source: &str, bars: &Bars) -> Result<(UncertaintyField, usize)> {
         let (mut builders, mut tallies) = (Vec::new(), Vec::new());
-        for (g, group) in (0..).zip(ray_groups(run.stream, run.count, run.settings.rays)?) {
+        let groups = ray_groups(run.stream, run.count, run.settings.rays)?;
+        for (g, group) in (0..).zip(&groups) {
             let mut builder = FieldBuilder::new(run.grid, run.domain)?;
             if let Some(plan) = run.plan.filter(|_| run.grid.needs_plan()) {
                 builder.limit(plan);
@@ -57,6 +58,7 @@ impl Args {
         warn_of_dropped(&tally);
         let bytes = builders.iter().map(FieldBuilder::memory).sum();
         let provenance = Provenance { source: source.into(), tally, share: None, stream: Some(run.stream) };
-        Ok((FieldBuilder::finish_groups(builders, &tallies, &provenance)?, bytes))
+        let field = FieldBuilder::finish_groups(builders, &tallies, &provenance)?;
+        Ok((field.with_draws(groups.iter().map(RayGroup::draw).collect()), bytes))
     }
 }
