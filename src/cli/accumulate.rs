@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 use std::time::Instant;
 
+use super::files::CommandFiles;
 use super::options::{DomainOptions, GridOptions};
 use super::progress::Bars;
 use super::report::Cost;
@@ -35,6 +36,7 @@ pub struct Args {
 impl Args {
     /// Runs the verb.
     pub fn run(self, bars: &Bars) -> Result<()> {
+        CommandFiles::default().input("SAMPLES", &self.samples).output("--output", &self.grid.output).check()?;
         let reader = SamplesReader::open(&self.samples)?;
         let domain = self.domain.domain(None)?;
         let settings = self.grid.settings(&domain)?;
@@ -43,7 +45,7 @@ impl Args {
             return Err(Error::setting("--refine", expected, format!("{}", settings.criteria)));
         }
         let mut builder = FieldBuilder::new(settings, domain)?;
-        self.grid.check_output()?;
+        self.grid.check_coarsening()?;
         let start = Instant::now();
         reader.run(bars, |batches| {
             builder.add(batches);

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use super::files::CommandFiles;
 use super::options::{OfficialOptions, parse_positive};
 use super::report;
 use crate::uncertainty::Store;
@@ -35,6 +36,7 @@ pub struct Args {
 impl Args {
     /// Runs the verb.
     pub fn run(self) -> Result<()> {
+        CommandFiles::default().input("INPUT", &self.input).output("OUTPUT", &self.output).check()?;
         let field = self.official.read(&self.input)?;
         let field = match (self.coarsen, self.store) {
             (Some(epsilon), store) => field.coarsened_in(store, epsilon)?,

@@ -2,9 +2,9 @@
 
 use std::path::PathBuf;
 
+use super::files::CommandFiles;
 use super::report;
 use crate::Result;
-use crate::io::AtomicFile;
 use crate::uncertainty::{UncertaintyField, merge, merge_with_error_bars};
 
 /// Join fields of the same box, level and protocol that were computed from different rays
@@ -36,7 +36,7 @@ pub struct Args {
 impl Args {
     /// Runs the verb.
     pub fn run(self) -> Result<()> {
-        drop(AtomicFile::create(&self.output)?);
+        CommandFiles::default().inputs("FIELD", &self.fields).output("--output", &self.output).check()?;
         let parts = self.fields.iter().map(|path| UncertaintyField::read(path)).collect::<Result<Vec<_>>>()?;
         let field = if self.error_bars { merge_with_error_bars(&parts)? } else { merge(&parts)? };
         if !self.error_bars && parts.iter().any(|part| part.error_bars().is_some()) {

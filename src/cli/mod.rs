@@ -12,6 +12,7 @@ mod compare;
 mod convert;
 mod demo;
 mod evaluate;
+mod files;
 mod info;
 mod merge;
 mod options;

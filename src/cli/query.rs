@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use glam::Vec3;
 
+use super::files::CommandFiles;
 use super::options::OfficialOptions;
 use crate::dataset::points;
 use crate::io::{AtomicFile, npy};
@@ -60,6 +61,12 @@ impl Args {
     /// Runs the verb.
     pub fn run(self) -> Result<()> {
         let (input, output) = (format(&self.points)?, format(&self.output)?);
+        let named = |path: &Path| (path != Path::new("-")).then(|| path.to_path_buf());
+        CommandFiles::default()
+            .input("FIELD", &self.field)
+            .inputs("POINTS", named(&self.points))
+            .outputs("--output", named(&self.output))
+            .check()?;
         let mut field = self.official.read(&self.field)?;
         if let Some(covariance) = self.covariance {
             let had_error_bars = field.error_bars().is_some();

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use super::files::CommandFiles;
 use super::options::{CameraOptions, ModelOptions, parse_range};
 use super::panels::{Ranges, depth_range, view_panels};
 use super::progress::Bars;
@@ -67,6 +68,12 @@ impl Args {
             Some("exr") => true,
             _ => return Err(Error::malformed(&self.output, "file name", "`.png` or `.exr`", "another extension")),
         };
+        let files = CommandFiles::default()
+            .input("MODEL", &self.model.model)
+            .input("FIELD", &self.field)
+            .inputs("--cameras", &self.cameras.cameras)
+            .output("--output", &self.output);
+        files.check()?;
         let model = self.model.open()?;
         let mut field = UncertaintyField::read(&self.field)?;
         if let Some(covariance) = self.covariance {
@@ -74,8 +81,8 @@ impl Args {
         }
         check_box(&self.model.model, &model.bounds(), &field)?;
         let views = self.cameras.read(&*model, &self.model.model)?;
+        files.images(&views).check()?;
         let camera = views.frame(self.frame)?.camera;
-        drop(crate::io::AtomicFile::create(&self.output)?);
 
         let log10 = |x| field.log10(x);
         let probes = [Probe { value: &log10, blends: &[self.blend] }];

@@ -1,16 +1,16 @@
 //! `train`: from images to a model, or to an ensemble of models.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use glam::{DVec3, Vec3};
 use serde_json::json;
 
+use super::files::CommandFiles;
 use super::options::{numbers, parse_background, parse_box, parse_non_negative, parse_positive};
 use super::progress::Bars;
 use crate::field::{HashGrid, HashGridConfig, RadianceField};
 use crate::geometry::{Aabb, Domain, Norm};
-use crate::io::AtomicFile;
 use crate::monitor::Monitor;
 use crate::synth::Hemisphere;
 use crate::train::{
@@ -162,6 +162,11 @@ fn parse_training_background(text: &str) -> std::result::Result<Background, Stri
     parse_background(text).map(|color| Background::Fixed(color.to_array()))
 }
 
+/// Where the state of a model's run is kept.
+fn state_file(model: &Path) -> PathBuf {
+    model.with_extension("state")
+}
+
 /// One model to be trained.
 struct Member {
     settings: TrainSettings,
@@ -177,7 +182,9 @@ impl Args {
             let found = self.output.display().to_string();
             return Err(Error::setting("--output", "a name that ends in .safetensors", found));
         }
+        self.command_files(&self.dataset).check()?;
         let mut files = DatasetFiles::read(&self.dataset)?;
+        self.command_files(&files.path).input("DATASET", files.path.with_file_name("transforms_test.json")).check()?;
         if files.missing > 0 {
             eprintln!("note: {} frames of {} have no image and are left out", files.missing, files.path.display());
         }
@@ -212,7 +219,26 @@ impl Args {
         }
     }
 
-    /// The k-th model; makes sure that it can be written and that no unfinished run is lost.
+    /// What is read and written; a state is both, that is its point.
+    fn command_files(&self, dataset: &Path) -> CommandFiles {
+        (0..self.members)
+            .map(|k| self.member_file(k))
+            .fold(CommandFiles::default(), |files, model| {
+                files.output("--output", &model).output("the state of --output", state_file(&model))
+            })
+            .input("DATASET", dataset)
+    }
+
+    /// The file of the k-th model.
+    fn member_file(&self, k: u64) -> PathBuf {
+        if self.members == 1 {
+            return self.output.clone();
+        }
+        let stem = self.output.file_stem().unwrap_or_default().to_string_lossy();
+        self.output.with_file_name(format!("{stem}-{k}.safetensors"))
+    }
+
+    /// The k-th model; makes sure that no unfinished run is lost.
     fn member(&self, k: u64, files: &DatasetFiles) -> Result<Member> {
         let settings = TrainSettings {
             config: HashGridConfig { log2_hashmap_size: self.log2_hashmap_size, ..HashGridConfig::default() },
@@ -223,14 +249,8 @@ impl Args {
             distortion: self.distortion as f32,
             ..TrainSettings::default()
         };
-        let path = if self.members == 1 {
-            self.output.clone()
-        } else {
-            let stem = self.output.file_stem().unwrap_or_default().to_string_lossy();
-            self.output.with_file_name(format!("{stem}-{k}.safetensors"))
-        };
-        AtomicFile::create(&path)?;
-        let state = path.with_extension("state");
+        let path = self.member_file(k);
+        let state = state_file(&path);
         if state.exists() && !self.resume {
             let found = "the state of an unfinished run";
             return Err(Error::malformed(&state, "state", "no file, or --resume", found));

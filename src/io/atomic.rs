@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use tempfile::NamedTempFile;
 
+use super::place::{check_replaceable, destination, folder_of};
 use crate::{Error, Result};
 
 /// A buffered file under a temporary name beside its target, renamed over the target by [`AtomicFile::commit`] after its
@@ -17,18 +18,14 @@ pub struct AtomicFile {
 }
 
 impl AtomicFile {
-    /// Starts a file that will replace `target`.
+    /// Starts a file that will replace `target`, or what it links to: the link stays.
     ///
     /// # Errors
-    /// If the folder does not exist or cannot be written, or `target` is a folder.
+    /// If the folder does not exist or cannot be written, or `target` is a folder, a device or a pipe.
     pub fn create(target: &Path) -> Result<Self> {
-        if target.is_dir() {
-            return Err(Error::malformed(target, "output path", "a file", "a folder"));
-        }
-        let folder = match target.parent() {
-            Some(parent) if !parent.as_os_str().is_empty() => parent,
-            _ => Path::new("."),
-        };
+        check_replaceable(target)?;
+        let destination = destination(target)?;
+        let folder = folder_of(&destination);
         let mut builder = tempfile::Builder::new();
         builder.prefix(".octobayes-").suffix(".part");
         #[cfg(unix)]
@@ -38,10 +35,10 @@ impl AtomicFile {
             builder.permissions(std::fs::Permissions::from_mode(0o666));
         }
         let file = builder.tempfile_in(folder).map_err(Error::io(target, "cannot create a file in this folder"))?;
-        Ok(Self { writer: BufWriter::with_capacity(1 << 16, file), target: target.to_path_buf() })
+        Ok(Self { writer: BufWriter::with_capacity(1 << 16, file), target: destination })
     }
 
-    /// The path that the file will have.
+    /// The path that the file will have, behind symbolic links.
     #[must_use]
     pub fn target(&self) -> &Path {
         &self.target
@@ -104,6 +101,22 @@ mod tests {
         file.commit().unwrap();
         assert_eq!(std::fs::read(&target).unwrap(), b"new");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "no temporary file is left");
+    }
+
+    #[test]
+    #[cfg(unix)]
+    fn links_stay_and_what_they_lead_to_is_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        let [target, link] = ["elsewhere/x.bin", "link.bin"].map(|name| folder.path().join(name));
+        std::fs::create_dir(folder.path().join("elsewhere")).unwrap();
+        std::os::unix::fs::symlink("elsewhere/x.bin", &link).unwrap();
+        for content in ["first", "second"] {
+            let mut file = AtomicFile::create(&link).unwrap();
+            file.write_all(content.as_bytes()).unwrap();
+            file.commit().unwrap();
+            assert!(link.is_symlink() && !target.is_symlink());
+            assert_eq!(std::fs::read_to_string(&target).unwrap(), content);
+        }
     }
 
     #[test]

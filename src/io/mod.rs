@@ -6,5 +6,7 @@ mod atomic;
 pub mod container;
 pub mod npy;
 pub mod npz;
+mod place;
 
 pub use atomic::AtomicFile;
+pub use place::{Identity, destination, folder_of};

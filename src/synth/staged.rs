@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::io::{destination, folder_of};
 use crate::{Error, Result};
 
 /// A folder under a temporary name beside its target, renamed when complete, removed with its content if dropped before.
@@ -22,10 +23,9 @@ impl StagedFolder {
                 return Err(Error::malformed(target, "output folder", "a new or empty folder", "files in it"));
             }
         }
-        let parent = match target.parent() {
-            Some(parent) if !parent.as_os_str().is_empty() => parent,
-            _ => Path::new("."),
-        };
+        // As for files: a link stays, and what it leads to is replaced.
+        let destination = destination(target)?;
+        let parent = folder_of(&destination);
         let mut builder = tempfile::Builder::new();
         builder.prefix(".octobayes-").suffix(".part");
         #[cfg(unix)]
@@ -35,7 +35,7 @@ impl StagedFolder {
             builder.permissions(std::fs::Permissions::from_mode(0o777));
         }
         let staged = builder.tempdir_in(parent).map_err(Error::io(target, "cannot create the folder"))?;
-        Ok(Self { staged, target: target.to_path_buf() })
+        Ok(Self { staged, target: destination })
     }
 
     /// Where the content goes for now.

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 
 use self::model::DemoModel;
 use self::subject::{Shown, Subject};
+use super::files::CommandFiles;
 use super::panels::{Ranges, depth_range, view_panels};
 use super::progress::Bars;
 use super::report;
@@ -59,6 +60,9 @@ impl Args {
         }
         let named = self.scene.as_deref().map(subject::subject).transpose()?;
         std::fs::create_dir_all(&self.out).map_err(Error::io(&self.out, "cannot create the folder"))?;
+        let model = self.scene.is_none().then_some(MODEL);
+        let results = ["demo.png", "field.oct", "dense.oct", "transforms.json"].into_iter().chain(model);
+        CommandFiles::default().outputs("a file in --out", results.map(|name| self.out.join(name))).check()?;
         let subject = match named {
             Some(subject) => subject,
             None => self.trained(bars)?,

@@ -6,13 +6,13 @@ mod table;
 use std::path::PathBuf;
 
 use self::table::Evaluation;
+use super::files::CommandFiles;
 use super::options::{CameraFile, ModelOptions, parse_pair};
 use super::progress::Bars;
 use super::render::check_box;
 use crate::dataset::{DepthEncoding, DepthKind, Frame};
 use crate::field::RadianceField;
 use crate::geometry::Aabb;
-use crate::io::AtomicFile;
 use crate::judge::{
     CleanUp, DepthError, DepthFiles, Judge, JudgedView, Reading, Score, THRESHOLDS, TrueView, clean_up,
 };
@@ -107,13 +107,22 @@ pub struct Args {
 impl Args {
     /// Runs the verb.
     pub fn run(self, bars: &Bars) -> Result<()> {
+        let files = CommandFiles::default()
+            .input("MODEL", &self.model.model)
+            .inputs("FIELD", &self.fields)
+            .inputs("--ensemble", &self.ensemble)
+            .input("--cameras", &self.cameras.cameras)
+            .outputs("--plot", &self.plot)
+            .outputs("--csv", &self.csv)
+            .outputs("--clean-up", &self.clean_up);
+        files.check()?;
         let model = self.model.open()?;
         let readings = self.readings(&model.bounds())?;
         let members = self.ensemble.iter().map(|name| self.member(name, &*model)).collect::<Result<Vec<_>>>()?;
         let views = self.cameras.read()?;
-        for path in self.plot.iter().chain(&self.csv).chain(&self.clean_up) {
-            drop(AtomicFile::create(path)?);
-        }
+        let depth_files = self.depth_files();
+        let maps = views.frames.iter().map(|frame| depth_files.path(frame));
+        files.images(&views).inputs("--depth", maps).check()?;
         let frames: Vec<&Frame> = views.frames.iter().step_by(self.every as usize).collect();
         let settings = self.model.image_settings();
         let judge = Judge {
@@ -128,7 +137,7 @@ impl Args {
         let (mut truths, mut judged) = (Vec::new(), Vec::new());
         for (seed, frame) in (0..).zip(frames) {
             let background = self.model.background.as_dvec3();
-            let truth = TrueView::read(frame, &self.depth_files(), background, offset, self.stride)?;
+            let truth = TrueView::read(frame, &depth_files, background, offset, self.stride)?;
             // Whole images are large, and only the clean-up looks at them again.
             judged.push(JudgedView { rendered: RenderedView::default(), ..judge.judge(&truth, seed, bars)? });
             truths.extend(self.clean_up.is_some().then_some(truth));

@@ -9,7 +9,6 @@ use super::parse::{numbers, parse_box, parse_bytes, parse_non_negative, parse_po
 use crate::cli::report::{self, Cost};
 use crate::estimate::{GridKind, GridSettings};
 use crate::geometry::{Aabb, Domain, MAX_LEVEL, Norm};
-use crate::io::AtomicFile;
 use crate::posterior::{Covariance, Criterion, Prior};
 use crate::uncertainty::{OfficialGrid, Store, UncertaintyField};
 use crate::{Error, Result};
@@ -172,8 +171,8 @@ impl GridOptions {
         }
     }
 
-    /// Makes sure, before any work, that the output can be made and written.
-    pub fn check_output(&self) -> Result<()> {
+    /// Makes sure, before any work, that the field can be coarsened if that is wanted.
+    pub fn check_coarsening(&self) -> Result<()> {
         if self.coarsen.is_some() && (self.grid == GridKind::Dense || self.covariance == Covariance::Trace) {
             let found = format!(
                 "{} and `{}`",
@@ -182,7 +181,7 @@ impl GridOptions {
             );
             return Err(Error::setting("--coarsen", "an octree with covariance `diagonal` or `block`", found));
         }
-        AtomicFile::create(&self.output).map(drop)
+        Ok(())
     }
 
     /// Writes a finished field, with or without its information, and reports it.

@@ -8,6 +8,7 @@ use std::time::Instant;
 
 use self::groups::Groups;
 use super::checkpoint::Checkpoint;
+use super::files::CommandFiles;
 use super::options::{CameraOptions, DomainOptions, GridOptions, ModelOptions, parse_non_negative, parse_positive};
 use super::progress::Bars;
 use super::report::{self, Cost};
@@ -151,9 +152,11 @@ fn warn_of_dropped(tally: &Tally) {
 impl Args {
     /// Runs the verb.
     pub fn run(self, bars: &Bars) -> Result<()> {
+        self.command_files().check()?;
         let files = self.files();
         let field = self.model.open()?;
         let views = self.cameras.read(&*field, &self.model.model)?;
+        self.command_files().images(&views).check()?;
         // The readers know better what is wrong with a file than that it has no checksum.
         let files = files?;
         // The result names these files by their checksums: it must be true.
@@ -164,7 +167,7 @@ impl Args {
         let domain = self.domain.domain(Some(field.bounds()))?;
         let grid = self.grid.settings(&domain)?;
         let mut builder = FieldBuilder::new(grid, domain)?;
-        self.grid.check_output()?;
+        self.grid.check_coarsening()?;
         let mut dump = self.dump_samples.as_deref().map(SamplesWriter::create).transpose()?;
 
         let start = Instant::now();
@@ -264,6 +267,21 @@ impl Args {
         }
     }
 
+    /// What is read and written. A checkpoint is both, that is its point.
+    fn command_files(&self) -> CommandFiles {
+        let files = CommandFiles::default()
+            .input("MODEL", &self.model.model)
+            .inputs("--cameras", &self.cameras.cameras)
+            .output("--output", &self.grid.output)
+            .outputs("--dump-samples", &self.dump_samples);
+        match self.error_bars {
+            None => files.outputs("--checkpoint", self.checkpoint_file(None)),
+            Some(groups) => (0..groups).fold(files, |files, g| {
+                files.outputs(&format!("--checkpoint, group {g}"), self.checkpoint_file(Some(g)))
+            }),
+        }
+    }
+
     /// Model and camera file, if there is one, with their checksums.
     fn files(&self) -> Result<Vec<String>> {
         let cameras = self.cameras.cameras.as_ref().map(|file| file.to_string_lossy());
@@ -311,11 +329,16 @@ impl Args {
 
     /// Where and how often to save, if anywhere: each of several groups in a file of its own.
     fn checkpoint(&self, group: Option<u16>, resume: bool) -> Result<Option<Checkpoint>> {
-        let Some(path) = &self.checkpoint else { return Ok(None) };
-        let mut path = path.clone();
+        let file = self.checkpoint_file(group);
+        file.map(|path| Checkpoint::new(&path, self.checkpoint_every, resume)).transpose()
+    }
+
+    /// The file of a checkpoint, if there is to be one: each of several groups has its own.
+    fn checkpoint_file(&self, group: Option<u16>) -> Option<PathBuf> {
+        let mut path = self.checkpoint.clone()?;
         if let Some(group) = group {
             path.as_mut_os_string().push(format!(".{group}"));
         }
-        Checkpoint::new(&path, self.checkpoint_every, resume).map(Some)
+        Some(path)
     }
 }
