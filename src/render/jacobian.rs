@@ -9,7 +9,11 @@
 //! |---|---|---|---|---|
 //! | *visible*: w > cutoff | x | x | x | x |
 //! | *lurking*: w ≤ cutoff, but matter that would be seen may be within h: δ T σ̂ > cutoff | x | x | if ∇σ matters | |
-//! | all others, behind surfaces or far from them | x | | | |
+//! | all others, behind surfaces or far from them | x | | if it can be seen | |
+//!
+//! What is not differentiated is composited all the same: it is part of the colour behind others, of which ∂C/∂σ is made. Colours lie in [0, 1], so
+//! that leaving some out behind sample i moves G_i by at most √3 δ ‖∇σ_i‖ Σ w of those. Samples are left black, from the ray's end on, as long as
+//! that stays below half of what is negligible for every i before them; G itself is left out below the other half.
 //!
 //! Where ∇σ is known along the rays ([`Differentiable::is_cheap`](crate::field::Differentiable::is_cheap)), lurking is what it shows: δ T ‖∇σ‖ matters.
 //! |∂C/∂σ| ≤ √3 δ T, because colours lie in [0, 1]; σ̂ is the occupancy's density bound. The first bounds the share of ∇c (|∇c| ≤ 1/2h), the second
@@ -40,10 +44,10 @@ fn around(densities: &[f32], ray: &Range<usize>, i: usize) -> f32 {
     densities[near].iter().copied().fold(0.0, f32::max)
 }
 
-/// Samples whose derivatives are asked for together.
-#[derive(Default)]
+/// Samples of which the same is asked.
+#[derive(Default, Clone)]
 struct Chosen {
-    /// `[n]`, increasing: index of the sample.
+    /// `[n]`: index of the sample; increasing, if derivatives are asked for.
     samples: Vec<u32>,
     /// `[n]`: index of its ray.
     rays: Vec<u32>,
@@ -57,6 +61,13 @@ impl Chosen {
         self.rays.clear();
         self.positions.clear();
         self.directions.clear();
+    }
+
+    fn truncate(&mut self, length: usize) {
+        self.samples.truncate(length);
+        self.rays.truncate(length);
+        self.positions.truncate(length);
+        self.directions.truncate(length);
     }
 
     fn push(&mut self, sample: usize, ray: usize, position: Vec3, direction: Vec3) {
@@ -77,8 +88,11 @@ pub struct JacobianBuffers<'a> {
     gradient: GradientBuffers,
     jets: Vec<Option<Jet>>,
     density_gradients: Vec<Option<DVec3>>,
-    /// Colours of those that lurk.
+    /// Samples whose colour alone is asked for.
+    shown: Chosen,
     radiance: Vec<Radiance>,
+    /// `[samples]`: ‖∇σ‖ of those that are differentiated; then, of all others, the largest such ‖∇σ‖ before them on their ray.
+    steepness: Vec<Option<f64>>,
     /// `[samples]`.
     colors: Vec<Vec3>,
     /// `[samples]`: ∂C/∂σ.
@@ -88,8 +102,8 @@ pub struct JacobianBuffers<'a> {
 }
 
 impl Tracer<'_> {
-    /// Traces `rays` and differentiates their pixels; the rays are numbered from `first_ray`. Samples that change no pixel by more than
-    /// `negligible` (‖G‖, 1 / scene unit) are left out.
+    /// Traces `rays` and differentiates their pixels; the rays are numbered from `first_ray`. No sample's G, left out or not, is off by more than
+    /// `negligible` (‖G‖, 1 / scene unit) for having left something out, beside what the marcher's cutoff leaves out.
     #[must_use]
     pub fn jacobians<'b>(
         &'b self,
@@ -115,8 +129,7 @@ impl Tracer<'_> {
         buffers: &mut JacobianBuffers,
     ) {
         self.choose(rays, differentiation, negligible, buffers);
-        let JacobianBuffers { visible, lurking, gradient, jets, density_gradients, radiance, colors, invalid, .. } =
-            buffers;
+        let JacobianBuffers { visible, lurking, gradient, jets, density_gradients, colors, invalid, .. } = buffers;
         let (traced, quadrature) = (&buffers.trace.traced, &buffers.quadrature);
         invalid.clear();
         invalid.resize(rays.len(), None);
@@ -155,19 +168,69 @@ impl Tracer<'_> {
                 kept += 1;
             }
         }
-        lurking.samples.truncate(kept);
+        lurking.truncate(kept);
+        density_gradients.truncate(kept);
+        self.show(rays, negligible, buffers);
+    }
+
+    /// Evaluates the colours of those that lurk, and of all others that may be seen behind a sample that is differentiated.
+    fn show(&self, rays: &[Ray], negligible: f64, buffers: &mut JacobianBuffers) {
+        let JacobianBuffers {
+            visible,
+            lurking,
+            jets,
+            density_gradients,
+            shown,
+            radiance,
+            steepness,
+            colors,
+            invalid,
+            ..
+        } = buffers;
+        let (traced, quadrature) = (&buffers.trace.traced, &buffers.quadrature);
+        steepness.clear();
+        steepness.resize(traced.positions.len(), None);
+        let of_visible = jets.iter().map(|jet| jet.map(|jet| jet.density_gradient));
+        let gradients = of_visible.chain(density_gradients.iter().copied());
+        for (&sample, gradient) in visible.samples.iter().chain(&lurking.samples).zip(gradients) {
+            steepness[sample as usize] = Some(gradient.map_or(0.0, DVec3::length));
+        }
+        shown.clone_from(lurking);
+        for (r, ray) in rays.iter().enumerate() {
+            let samples = traced.samples(r);
+            let mut steepest = 0.0_f64;
+            for entry in &mut steepness[samples.clone()] {
+                *entry = match *entry {
+                    Some(own) => {
+                        steepest = steepest.max(own);
+                        None
+                    }
+                    None => Some(steepest),
+                };
+            }
+            let mut black = 0.0;
+            for i in samples.rev() {
+                let Some(steepest) = steepness[i] else { continue };
+                let with_this = black + quadrature.weights[i];
+                if self.influence(with_this) * steepest <= 0.5 * negligible {
+                    black = with_this;
+                } else {
+                    shown.push(i, r, traced.positions[i], ray.direction.as_vec3());
+                }
+            }
+        }
         radiance.clear();
-        radiance.resize(kept, Radiance::default());
-        self.field.evaluate(&lurking.positions[..kept], &lurking.directions[..kept], radiance);
+        radiance.resize(shown.samples.len(), Radiance::default());
+        self.field.evaluate(&shown.positions, &shown.directions, radiance);
         for (i, radiance) in radiance.iter().enumerate() {
-            colors[lurking.samples[i] as usize] = radiance.color;
+            colors[shown.samples[i] as usize] = radiance.color;
             if !radiance.is_valid() {
-                invalid[lurking.rays[i] as usize].get_or_insert(lurking.samples[i]);
+                invalid[shown.rays[i] as usize].get_or_insert(shown.samples[i]);
             }
         }
     }
 
-    /// Upper bound of |∂C/∂σ| where the transmittance is T.
+    /// Upper bound of |∂C/∂σ| where the transmittance is T, or of its change where colours of weight T behind change.
     fn influence(&self, transmittance: f64) -> f64 {
         3_f64.sqrt() * self.marcher.step * transmittance
     }
@@ -264,7 +327,7 @@ impl Tracer<'_> {
             // [∂C/∂x, ∂C/∂y, ∂C/∂z], each red, green, blue.
             let columns =
                 [0, 1, 2].map(|axis| derivative * jet.density_gradient[axis] + weight * jet.color_gradients[axis]);
-            if columns.iter().map(|column| column.length_squared()).sum::<f64>() > negligible * negligible {
+            if columns.iter().map(|column| column.length_squared()).sum::<f64>() > 0.25 * negligible * negligible {
                 let jacobian = std::array::from_fn(|i| columns[i % 3][i / 3] as f32);
                 let gradient = (derivative.length() * jet.density_gradient).as_vec3().to_array();
                 let position = traced.positions[sample];
@@ -387,5 +450,76 @@ mod tests {
         let samples = by_differences(&tracer, &rays, &[0.5; 3], 10, 0.01);
         assert_eq!((samples.rays, samples.dropped), (vec![10], 2));
         assert!(samples.first_invalid.unwrap().y > 0.49);
+    }
+
+    /// A black bump in front of white fog against black: each sample of the fog weighs 1e-7, all of them 1e-5.
+    struct BumpBeforeFog;
+
+    impl RadianceField for BumpBeforeFog {
+        fn bounds(&self) -> crate::geometry::Aabb {
+            crate::geometry::Aabb::centered_cube(1.0)
+        }
+        fn evaluate(&self, positions: &[Vec3], _: &[Vec3], out: &mut [Radiance]) {
+            for (x, out) in positions.iter().zip(out) {
+                let bump = f32::max(0.0, 1.0 - ((x.x + 0.5) / 0.05).powi(2)).powi(2);
+                let fog = if x.x > 0.0 { 1e-5 * (1.0 + 0.1 * x.x) } else { 0.0 };
+                *out = Radiance { density: 20.0 * bump + fog, color: if x.x > 0.0 { Vec3::ONE } else { Vec3::ZERO } };
+            }
+        }
+        fn suggested_step(&self) -> f64 {
+            0.01
+        }
+        fn memory(&self) -> usize {
+            0
+        }
+        fn describe(&self) -> String {
+            "a bump before fog".into()
+        }
+    }
+
+    /// The largest |G| of `all` that `some` left out, and by how much G of any other differs at most; `some` must have no others.
+    fn left_out_and_changed(all: &RaySamples, some: &RaySamples) -> (f64, f64) {
+        let (mut left_out, mut changed) = (0.0_f64, 0.0_f64);
+        let length = |g: [f32; 9]| g.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>().sqrt();
+        let of_ray = |ray: u64| some.iter().find(|(r, _)| *r == ray).map_or(0..0, |(_, samples)| samples);
+        let mut found = 0;
+        for (ray, samples) in all.iter() {
+            let mut rest = of_ray(ray).peekable();
+            for i in samples {
+                let of_all = all.sample(i);
+                if let Some(j) = rest.next_if(|&j| some.positions[j] == of_all.position) {
+                    let of_some = some.sample(j);
+                    found += 1;
+                    changed = changed.max(length(std::array::from_fn(|k| of_all.jacobian[k] - of_some.jacobian[k])));
+                } else {
+                    left_out = left_out.max(length(of_all.jacobian));
+                }
+            }
+        }
+        assert_eq!(found, some.positions.len());
+        (left_out, changed)
+    }
+
+    #[test]
+    fn what_is_not_differentiated_is_composited() {
+        let marcher = Marcher { step: 0.01, bounds: BumpBeforeFog.bounds(), occupancy: None, cutoff: 1e-6 };
+        let tracer = Tracer { field: &BumpBeforeFog, marcher, background: Vec3::ZERO };
+        let ray = Ray::new(DVec3::new(-2.0, 0.1, 0.2), DVec3::X);
+        let differences = Differences { step: DVec3::splat(1e-3), domain: Domain::Box(BumpBeforeFog.bounds()) };
+        let differentiation = Differentiation { differences, analytic: None };
+        let jacobians = |negligible| {
+            tracer.jacobians(&[ray], &[0.5], 0, &differentiation, negligible, &mut JacobianBuffers::default())
+        };
+        let exact = Tracer { marcher: Marcher { cutoff: 0.0, ..tracer.marcher.clone() }, ..tracer.clone() };
+        let exact = exact.jacobians(&[ray], &[0.5], 0, &differentiation, 0.0, &mut JacobianBuffers::default());
+        // Behind the bump, T S = exp(-20 · 0.05 · 16/15) · 1.05e-5 = 3.6e-6; times δ |∇σ| of some 600 that is 2e-5.
+        let steepest = exact.jacobians.iter().map(|j| j[0].abs()).fold(0.0, f32::max);
+        assert!((1e-5..4e-5).contains(&steepest), "{steepest}");
+        for negligible in [0.0, 1e-9, 1e-7, 1e-6] {
+            let (left_out, changed) = left_out_and_changed(&exact, &jacobians(negligible));
+            // The fog's own Jacobians are δ² · 1e-6 · ...: 1e-12. Jacobians are rounded to f32.
+            assert!(left_out <= negligible + 1e-11, "{negligible}: {left_out} left out");
+            assert!(changed <= 0.5 * negligible + 1e-6 * f64::from(steepest), "{negligible}: {changed} changed");
+        }
     }
 }
