@@ -7,7 +7,7 @@ use std::time::Duration;
 use serde_json::{Value, json};
 
 use crate::error::printable;
-use crate::estimate::{Audit, GridSettings, Plan, SamplingError, StepCheck};
+use crate::estimate::{Audit, GridKind, GridSettings, Plan, SamplingError, StepCheck};
 use crate::memory::peak;
 use crate::posterior::{Pixels, Prior};
 use crate::render::GradientMethod;
@@ -228,16 +228,20 @@ fn step_json(check: &StepCheck) -> Value {
     })
 }
 
-/// Says on stderr what a run's approximations cost.
-pub fn audit(audit: &Audit, grid: &GridSettings) {
+/// Says on stderr what a run's approximations cost; `samples` is what negligible ones may.
+pub fn audit(audit: &Audit, grid: &GridSettings, samples: f64) {
     let row = |name: &str, e: &SamplingError| {
         eprintln!("  {name:<44} {:.1e} in the mean, 95 % within {:.1e}", e.mean, e.percentile_95);
     };
     eprintln!("error budget in log10 U:");
-    let (leaves, samples) = ((1.0 - SAMPLES_SHARE) * grid.tolerance, SAMPLES_SHARE * grid.tolerance);
-    eprintln!("  {:<44} at most {leaves:.1e}, certain", "coarser leaves");
-    eprintln!("  {:<44} at most {samples:.1e}, certain", "negligible samples");
-    row("samples left out, these included", &audit.cutoff);
+    let leaves = if grid.grid == GridKind::Dense { 0.0 } else { (1.0 - SAMPLES_SHARE) * grid.tolerance };
+    let certain = |name: &str, most: f64| match most {
+        0.0 => eprintln!("  {name:<44} none"),
+        most => eprintln!("  {name:<44} at most {most:.1e}, certain"),
+    };
+    certain("coarser leaves", leaves);
+    certain("negligible samples", samples);
+    row("cutoff and negligible samples, measured", &audit.cutoff);
     match &audit.derivatives {
         Some(error) => row("finite differences", error),
         None => eprintln!("  {:<44} the field's own, exact", "derivatives"),

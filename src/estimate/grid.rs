@@ -2,6 +2,7 @@
 
 use crate::geometry::{Domain, Lattice};
 use crate::posterior::{Covariance, Criteria, DensePosterior, Prior};
+use crate::uncertainty::SAMPLES_SHARE;
 use crate::{Error, Result};
 
 /// What carries the field.
@@ -75,6 +76,18 @@ impl GridSettings {
     #[must_use]
     pub fn needs_plan(&self) -> bool {
         self.memory.is_some() || self.criteria.evidence
+    }
+
+    /// Largest change of log10 U by samples that are left out as negligible.
+    ///
+    /// A dense grid, which is the reference, leaves none out. `normal` neither: H and with it U along any fixed direction would change by no more than
+    /// this, but the mean gradient that is its direction may be that of small samples alone.
+    #[must_use]
+    pub fn samples_tolerance(&self) -> f64 {
+        match (self.grid, self.covariance) {
+            (GridKind::Dense, _) | (_, Covariance::Normal) => 0.0,
+            _ => SAMPLES_SHARE * self.tolerance,
+        }
     }
 
     /// λ over `lattice`, 1 / scene unit².

@@ -9,7 +9,6 @@ use crate::monitor::Monitor;
 use crate::posterior::checkpoint::RunKey;
 use crate::posterior::{PixelSequence, Pixels, RayStream, Share, negligible_jacobian};
 use crate::render::{Differences, Differentiation, GradientMethod, Marcher, Occupancy, Tracer};
-use crate::uncertainty::SAMPLES_SHARE;
 use crate::{Error, Result};
 
 /// Finite-difference step in lattice edges, unless f32 positions need more.
@@ -40,8 +39,9 @@ pub struct RaySettings {
     /// around 1/1024 and grows to 0.03 at 1/128, where kinks and high frequencies are; smooth fields, which would like 1/16, pay 6e-5 at 1/512.
     /// On much finer lattices rounding gains: [`super::StepCheck`] tells.
     pub step: Option<f64>,
-    /// Samples whose weight and sensitivity are certain to stay below this are left out; 0 leaves out nothing and takes a
-    /// hundred times longer. `experiments/approximations.md` has what it costs.
+    /// Samples are not differentiated if their weight, and their sensitivity as far as density bounds and neighbours tell, stay below this; rays end at
+    /// this transmittance. It bounds what a pixel loses, not what log10 U does, and is no part of the tolerance: `experiments/approximations.md` has what
+    /// it costs, [`super::Audit`] measures it. 0 leaves out nothing and takes a hundred times longer.
     pub cutoff: f64,
     /// Distance between samples, scene units; `None` for the field's suggestion.
     pub march_step: Option<f64>,
@@ -148,12 +148,12 @@ impl RaySettings {
         // A ray crosses the cells around a vertex along two of their diagonals at most. (k levels coarser that is 2ᵏ times as long, and J
         // counts 2⁻ᵏ.) Contracted cells have no longest diagonal.
         let per_vertex = (2.0 * lattice.edge().length() / tracer.marcher.step).ceil() + 1.0;
-        let negligible = negligible_jacobian(SAMPLES_SHARE * grid.tolerance, grid.lambda(lattice), per_vertex);
         let bounded = matches!(lattice.domain(), Domain::Box(_)) && self.cutoff > 0.0;
+        let tolerance = if bounded { grid.samples_tolerance() } else { 0.0 };
         Ok(RayStream {
             tracer,
             differentiation: Differentiation { differences, analytic },
-            negligible: if bounded { negligible } else { 0.0 },
+            negligible: negligible_jacobian(tolerance, grid.lambda(lattice), per_vertex),
             cameras,
             pixel_offset: self.pixel_offset.unwrap_or_else(|| field.pixel_offset()),
             pixels: PixelSequence::new(self.pixels, self.seed, cameras.iter().map(|c| c.resolution).collect()),

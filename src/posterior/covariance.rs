@@ -127,8 +127,8 @@ pub fn negligible_information(tolerance: f64, rays: u64, lambda: f64) -> f64 {
     (2.0 * tolerance * std::f64::consts::LN_10).exp_m1() * lambda * rays as f64
 }
 
-/// ‖G‖, 1 / scene unit, of samples that may be left out, if no ray has more than `per_vertex` of them at one vertex: no
-/// scalar's log10 changes by more than `tolerance` (at most 0.1), whatever else the rays say.
+/// By how much G of each sample may be off (‖ΔG‖, 1 / scene unit), left out or not, if no ray has more than `per_vertex` samples at one vertex: no
+/// scalar's log10 changes by more than `tolerance` (at most 0.1), whatever else the rays say; `normal`'s as long as its direction stays.
 ///
 /// Along any direction, with S what stays (the paper's H is (2/R)(S + λR)): n rays, each with a J that is off by at most a √λ,
 /// a = per_vertex ‖G‖ / √λ, change S + λR by at most 2 √(S n) a √λ + n a² λ (Cauchy–Schwarz). With n ≤ R that is at most a + a² of it, because 2√s ≤ 1 + s, and log10 U

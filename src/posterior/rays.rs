@@ -27,7 +27,7 @@ pub struct RayStream<'a> {
     pub tracer: Tracer<'a>,
     /// How the field is differentiated.
     pub differentiation: Differentiation<'a>,
-    /// ‖∂C/∂x‖ of a sample that is left out, 1 / scene unit.
+    /// By how much ‖∂C/∂x‖ of any sample may be off for what is left out beside the cutoff, 1 / scene unit; 0 leaves out nothing.
     pub negligible: f64,
     /// Training cameras, at least one.
     pub cameras: &'a [Camera],

@@ -134,7 +134,8 @@ impl Args {
             march_step: Some(subject.coarser * scene.suggested_step()),
             ..RaySettings::default()
         };
-        let stream = rays.stream(scene, &subject.cameras, &settings(kinds[0]), octree.lattice(), bars)?;
+        // The reference's samples, of which none is left out, for both.
+        let stream = rays.stream(scene, &subject.cameras, &settings(kinds[1]), dense.lattice(), bars)?;
         let mut spent = [Duration::ZERO; 2];
         let start = Instant::now();
         let tally = stream.run(Share::whole(rays.rays), Tally::default(), bars, |batches, _| {

@@ -68,7 +68,9 @@ pub struct Args {
     #[arg(long, value_name = "EDGES", value_parser = parse_positive)]
     step: Option<f64>,
 
-    /// Leave out samples whose weight, and whose density bound times |dC/dsigma|, are both below this; 0 leaves out nothing
+    /// Do not differentiate samples whose weight, and whose density bound times |dC/dsigma|, are both below this; 0 leaves out nothing
+    ///
+    /// Rays end at this transmittance. What it does to log10 U is not part of --tolerance; --audit measures it.
     #[arg(long, value_name = "WEIGHT", default_value_t = RaySettings::default().cutoff, value_parser = parse_non_negative)]
     cutoff: f64,
 
@@ -191,7 +193,8 @@ impl Args {
         let step = StepCheck::of(&stream, &lattice, grid.tolerance, bars)?;
         step.iter().for_each(report::step);
         if self.audit {
-            report::audit(&Audit::of(&*field, &cameras, &settings, &grid, domain, bars)?, &grid);
+            let samples = if stream.negligible > 0.0 { grid.samples_tolerance() } else { 0.0 };
+            report::audit(&Audit::of(&*field, &cameras, &settings, &grid, domain, bars)?, &grid, samples);
         }
         if self.rays == Rays::Auto {
             let (field, posterior_bytes) = self.run_auto(&stream, grid, domain, source, bars)?;
