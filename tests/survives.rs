@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use octobayes::field::ClosedForm;
 use octobayes::posterior::trace;
-use octobayes::uncertainty::{Support, UncertaintyField, compare};
+use octobayes::uncertainty::{UncertaintyField, compare};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -157,21 +157,15 @@ fn merged_shards_are_the_whole_run() {
         let [whole, merged] = ["whole.oct", "merged.oct"].map(|f| UncertaintyField::read(&folder.join(f)).unwrap());
         assert_eq!((whole.protocol().rays, whole.protocol().share), (merged.protocol().rays, merged.protocol().share));
         assert_eq!(whole.draws(), merged.draws());
-        if tolerance == "0" {
-            assert_eq!(whole.support(), merged.support());
-            for (a, b) in whole.evidence().unwrap().iter().zip(merged.evidence().unwrap()) {
-                // At most 40,000 positive terms in another order: n ε relative, and far less in practice.
-                let [s, t] = [a, b].map(|e| trace(&e.information));
-                assert!((s - t).abs() <= 4e4 * f64::EPSILON * s, "{a:?} and {b:?}");
-                assert_eq!(a.rays, b.rays);
-            }
-        } else {
-            assert!(matches!(merged.support(), Support::Octree(_)));
+        assert_eq!(whole.support(), merged.support());
+        for (a, b) in whole.evidence().unwrap().iter().zip(merged.evidence().unwrap()) {
+            // At most 40,000 positive terms in another order: n ε relative, and far less in practice.
+            let [s, t] = [a, b].map(|e| trace(&e.information));
+            assert!((s - t).abs() <= 4e4 * f64::EPSILON * s, "{a:?} and {b:?}");
+            assert_eq!(a.rays, b.rays);
         }
         let difference = compare(&whole, &merged, 50_000, 0).unwrap();
-        // Each field is within the tolerance of the dense one.
-        let limit = if tolerance == "0" { 1e-6 } else { 0.02 };
-        assert!(difference.in_box.unwrap().max <= limit && difference.on_surfaces.unwrap().max <= limit);
+        assert!(difference.in_box.unwrap().max <= 1e-6 && difference.on_surfaces.unwrap().max <= 1e-6);
     }
     let twice = run(folder, "merge part0.oct part0.oct -o x.oct");
     let stderr = String::from_utf8(twice.stderr).unwrap();

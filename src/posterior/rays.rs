@@ -100,6 +100,12 @@ pub struct Draw {
 }
 
 impl Draw {
+    /// Whether these rays are but a part of a run.
+    #[must_use]
+    pub fn is_part(&self) -> bool {
+        self.share.of > 1
+    }
+
     /// Whether no two of these can have a ray in common.
     ///
     /// Batch b of a seed is the same in every run, whatever the run's length. Of one seed, therefore, only different

@@ -2,15 +2,18 @@
 
 use super::{Protocol, Support, UncertaintyField};
 use crate::octree::VertexId;
-use crate::posterior::{DensePosterior, Draw, Evidence, OctreePosterior};
+use crate::posterior::{DensePosterior, Draw, Evidence, OctreePosterior, Refinement};
 use crate::{Error, Result};
 
 /// The field of all rays of `parts` together.
 ///
-/// Information adds up. It differs from that of one run over all rays by the order of f64 sums, a relative n ε for n rays at a
-/// vertex, and where a part's octree left information out as negligible for its R rays: those shares together stay negligible
-/// for the sum of the R, so log10 U moves by no more than the tolerance. With tolerance 0 only the rounding is left. Error bars of the parts are left
-/// behind: their groups' sums are not there any more ([`merge_with_error_bars`]).
+/// Information adds up. Shards of one run keep all of theirs: joined, they have the vertices of the run over all rays, and its sums but for the
+/// order of f64 additions, a relative n ε for n rays at a vertex, at any tolerance. (Sums within n ε of what is negligible may fall to either side. With
+/// criterion `density`, the shards' leaves stay: there may be more vertices.)
+///
+/// Runs with other seeds left out, where their octrees are coarse, what was negligible for their own R rays. Together that stays negligible for the sum
+/// of the R, and no more is left out here: log10 U is within the tolerance of the dense grid of all rays, `normal`'s along its direction.
+/// Error bars of the parts are left behind: their groups' sums are not there any more ([`merge_with_error_bars`]).
 ///
 /// # Errors
 /// If there are less than two parts, one keeps no information, they differ in model, cameras or a setting that a sum depends on, or two of
@@ -76,9 +79,9 @@ pub fn merge(parts: &[UncertaintyField]) -> Result<UncertaintyField> {
                     posterior.add_evidence(point, e);
                 }
             }
-            Ok(UncertaintyField::from_octree(protocol, first.lattice, posterior, wanted)
-                .with_surface(surface)
-                .with_draws(draws))
+            let floor = joined_floor(parts, &draws);
+            let field = UncertaintyField::from_octree_above(floor, protocol, first.lattice, posterior, wanted);
+            Ok(field.with_surface(surface).with_draws(draws))
         }
     }
 }
@@ -167,6 +170,22 @@ fn check_alike(first: &UncertaintyField, part: &UncertaintyField, number: usize)
         }
     }
     Ok(())
+}
+
+/// Information that may still be left out where octrees are joined, so that it is negligible for all rays with what
+/// their makers left out.
+///
+/// Shards lack nothing; as long as some of theirs are missing, nothing is left out. A vertex that a whole run's octree
+/// lacks may have lost what was negligible for the rays of that run. Any vertex at hand is one of some part's, whose
+/// sums there are complete.
+fn joined_floor(parts: &[UncertaintyField], draws: &[Draw]) -> f64 {
+    if draws.iter().any(Draw::is_part) {
+        return Refinement::EVERYTHING;
+    }
+    let of_shards = parts.iter().flat_map(|part| &part.draws).filter(|draw| draw.is_part());
+    let complete = of_shards.fold(0_u64, |sum, draw| sum.saturating_add(draw.share.own_rays()));
+    let runs = parts.iter().map(|part| part.protocol.rays);
+    parts[0].protocol.floor(if complete > 0 { complete } else { runs.min().unwrap_or(0) })
 }
 
 /// The protocol of the joined run of these draws; it is a whole run again if all its shares are there.

@@ -115,12 +115,24 @@ impl UncertaintyField {
     }
 
     /// The field of an octree posterior, refined where the protocol's criteria and tolerance say so, and so that the cells `wanted`
-    /// exist.
+    /// exist. A part of a run ([`Protocol::is_part`]) is refined wherever a ray passed: what is negligible for the run is known when all parts are there.
     #[must_use]
     pub fn from_octree(protocol: Protocol, lattice: Lattice, posterior: OctreePosterior, wanted: Vec<Cell>) -> Self {
+        let floor = if protocol.is_part() { Refinement::EVERYTHING } else { protocol.pooling().floor };
+        Self::from_octree_above(floor, protocol, lattice, posterior, wanted)
+    }
+
+    /// As [`UncertaintyField::from_octree`], with the vertices of more information than `floor`.
+    fn from_octree_above(
+        floor: f64,
+        protocol: Protocol,
+        lattice: Lattice,
+        posterior: OctreePosterior,
+        wanted: Vec<Cell>,
+    ) -> Self {
         let limits = posterior.limits().clone();
         let pooling = protocol.pooling();
-        let floor = protocol.criteria.sensitivity.then_some(pooling.floor);
+        let floor = protocol.criteria.sensitivity.then_some(floor);
         let refinement = Refinement { floor, pooling, wanted };
         let (octree, evidence) = posterior.into_octree(&refinement);
         Self::of_limits(protocol, lattice, Support::Octree(octree), limits, evidence)
@@ -166,7 +178,8 @@ impl UncertaintyField {
         &self.draws
     }
 
-    /// The same field with another scalar read off the evidence. Error bars are those of one scalar: they are left behind.
+    /// The same field with another scalar read off the evidence. Error bars are those of one scalar: they are left behind. `normal` of a field that was
+    /// not made with it lacks the gradients of samples that were left out as negligible: where there are no others its direction is not certain.
     ///
     /// # Errors
     /// If the evidence was not kept.

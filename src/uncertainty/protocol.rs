@@ -34,7 +34,7 @@ pub struct Protocol {
     /// Where the octree is refined.
     pub criteria: Criteria,
     /// Largest change of log10 U by leaves that are coarser than the finest level and, for [`SAMPLES_SHARE`] of it, by samples that are left out
-    /// as negligible. On a dense grid it only says which vertices count for pooling.
+    /// as negligible; what [`Protocol::cutoff`] leaves out is not part of it. On a dense grid it only says which vertices count for pooling.
     pub tolerance: f64,
     /// Distance between samples along rays, scene units.
     pub march_step: Option<f64>,
@@ -42,7 +42,7 @@ pub struct Protocol {
     pub gradient: Option<GradientMethod>,
     /// Finite-difference step along x, y and z, scene units; `None` with derivatives of the field's own.
     pub difference_step: Option<[f64; 3]>,
-    /// Samples below this weight and sensitivity were left out.
+    /// Samples below this weight and expected sensitivity were not differentiated, and rays ended at this transmittance. It is not a bound on log10 U.
     pub cutoff: Option<f64>,
     /// Colour behind the scene.
     pub background: Option<[f32; 3]>,
@@ -57,11 +57,21 @@ impl Protocol {
         self.seed.zip(self.share).map(|(seed, share)| Draw { seed, share })
     }
 
+    /// Whether these rays are but a part of a run.
+    #[must_use]
+    pub fn is_part(&self) -> bool {
+        self.share.is_some_and(|share| share.of > 1)
+    }
+
     /// How evidence is pooled.
     #[must_use]
     pub fn pooling(&self) -> Pooling {
-        let tolerance = (1.0 - SAMPLES_SHARE) * self.tolerance;
-        Pooling { min_rays: self.min_rays, floor: negligible_information(tolerance, self.rays, self.lambda) }
+        Pooling { min_rays: self.min_rays, floor: self.floor(self.rays) }
+    }
+
+    /// Information (tr S) that is negligible beside the prior, if it is that of `rays` rays.
+    pub(super) fn floor(&self, rays: u64) -> f64 {
+        negligible_information((1.0 - SAMPLES_SHARE) * self.tolerance, rays, self.lambda)
     }
 
     /// Whether a run can have had this protocol: for protocols read from files.

@@ -6,20 +6,25 @@ use super::{OctreePosterior, bricks};
 use crate::octree::{Cell, Leaves, Octree, Wanted, around, cells_around};
 use crate::posterior::{Evidence, Pooling, trace};
 
-/// Whether a vertex moved by more than `floor` allows.
+/// Whether a ray passed a vertex and moved it by more than `floor` allows.
 fn moves(evidence: &Evidence, floor: f64) -> bool {
-    trace(&evidence.information) > floor
+    evidence.rays > 0 && trace(&evidence.information) > floor
 }
 
 /// Where an octree is refined.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Refinement {
-    /// Refine around vertices with more information (tr S) than this; `None` does not refine by sensitivity.
+    /// Refine around vertices that rays passed with more information (tr S) than this; `None` does not refine by sensitivity.
     pub floor: Option<f64>,
     /// Also around vertices that have it after pooling.
     pub pooling: Pooling,
     /// Cells that must exist for other reasons; limits hold for them too.
     pub wanted: Vec<Cell>,
+}
+
+impl Refinement {
+    /// A floor below all information: refines around every vertex that a ray passed.
+    pub const EVERYTHING: f64 = f64::NEG_INFINITY;
 }
 
 impl OctreePosterior {

@@ -1,0 +1,213 @@
+//! What is left out as negligible changes log10 U by no more than is said, at every vertex; and parts of a run leave nothing out that the run does not.
+
+use std::path::{Path, PathBuf};
+
+use octobayes::dataset::Views;
+use octobayes::estimate::{FieldBuilder, GridKind, GridSettings, Provenance, RaySettings};
+use octobayes::field::{ClosedForm, Coordinates, Intrinsics, NerfMlp, Ppng, RadianceField};
+use octobayes::geometry::{Camera, Domain};
+use octobayes::monitor::Silent;
+use octobayes::posterior::{Covariance, Evidence, OctreePosterior, Posterior, RayStream, Share, Tally, trace};
+use octobayes::render::GradientMethod;
+use octobayes::uncertainty::{SAMPLES_SHARE, UncertaintyField, merge};
+use rayon::prelude::*;
+
+/// The field of a part of `stream`'s rays.
+fn part(stream: &RayStream, grid: GridSettings, domain: Domain, share: Share) -> UncertaintyField {
+    let mut builder = FieldBuilder::new(grid, domain).unwrap();
+    let tally = stream.run(share, Tally::default(), &Silent, |batches, _| {
+        builder.add(batches);
+        Ok(())
+    });
+    let provenance =
+        Provenance { source: "test".into(), tally: tally.unwrap(), share: Some(share), stream: Some(stream) };
+    builder.finish(&provenance)
+}
+
+/// Largest |Δ log10 U| over all lattice points, of which `dense` has one value each.
+fn largest_difference(field: &UncertaintyField, dense: &UncertaintyField) -> f64 {
+    let field = field.on_dense_grid();
+    let pairs = field.deviations().iter().zip(dense.deviations().iter());
+    pairs.map(|(a, b)| (a / b).log10().abs()).fold(0.0, f64::max)
+}
+
+/// The same vertices with the same sums, but for the order in which at most `n` f64 were added; largest |Δ log10 U| that is left.
+fn check_equal(merged: &UncertaintyField, whole: &UncertaintyField, n: f64, what: &str) {
+    assert!(merged.support() == whole.support(), "{what}: other vertices");
+    let pairs = || merged.evidence().unwrap().iter().zip(whole.evidence().unwrap());
+    for (a, b) in pairs() {
+        // Each term's entries are at most its trace, and the traces are not negative.
+        let limit = n * f64::EPSILON * trace(&b.information);
+        let off = |k: usize| (a.information[k] - b.information[k]).abs();
+        assert!(a.rays == b.rays && (0..6).all(|k| off(k) <= limit), "{what}: {a:?} and {b:?}");
+    }
+    // H is off by less than `off` I, hence every eigenvalue and every σ² by less than off / 2λ of itself; U is stored as f32.
+    let (covariance, lambda) = (whole.protocol().covariance, whole.protocol().lambda);
+    let sigmas = merged.deviations().iter().zip(whole.deviations().iter());
+    for ((a, b), (_, evidence)) in sigmas.zip(pairs()) {
+        let off = 2.0 / whole.protocol().rays as f64 * n * f64::EPSILON * trace(&evidence.information) / (2.0 * lambda);
+        let limit = match covariance {
+            Covariance::Diagonal | Covariance::Trace => n * f64::EPSILON,
+            Covariance::Block => off / (1.0 - f64::min(off, 0.5)),
+            // Its direction is a sum of f32 in another order, which may cancel: only that it is not another one.
+            Covariance::Normal => 1e-3,
+        };
+        assert!((a / b).ln().abs() <= limit + f64::from(f32::EPSILON), "{what}: {a:e} and {b:e}");
+    }
+}
+
+/// Parts, joined, are the run over all rays; and that is within the tolerance of the dense grid of the same rays.
+#[test]
+fn parts_joined_are_the_whole_run_at_any_tolerance() {
+    let field = ClosedForm::courtyard();
+    let cameras = ClosedForm::half_circle(6, [64, 64]);
+    let domain = Domain::Box(field.bounds());
+    let rays = 20_000;
+    for covariance in Covariance::ALL {
+        let dense = GridSettings { grid: GridKind::Dense, level: 5, covariance, ..GridSettings::default() };
+        let lattice = dense.lattice(domain).unwrap();
+        let settings = RaySettings { rays, occupancy: 40, ..RaySettings::default() };
+        let stream = |grid: &GridSettings| settings.stream(&field, &cameras, grid, &lattice, &Silent).unwrap();
+        let of_all = part(&stream(&dense), dense, domain, Share::whole(rays));
+        for tolerance in [0.01, 0.1] {
+            let octree = GridSettings { grid: GridKind::Octree, tolerance, ..dense };
+            let stream = stream(&octree);
+            let whole = part(&stream, octree, domain, Share::whole(rays));
+            let off = largest_difference(&whole, &of_all);
+            assert!(off <= tolerance, "{} whole, tolerance {tolerance}: {off}", covariance.name());
+            for of in [2, 4, 8] {
+                let what = format!("{} in {of} parts, tolerance {tolerance}", covariance.name());
+                let parts: Vec<_> =
+                    (0..of).map(|index| part(&stream, octree, domain, Share { rays, index, of })).collect();
+                let merged = merge(&parts).unwrap();
+                let off = largest_difference(&merged, &of_all);
+                eprintln!("{what}: {off:.5} off the dense grid");
+                assert!(off <= tolerance, "{what}: {off}");
+                check_equal(&merged, &whole, rays as f64, &what);
+            }
+        }
+    }
+}
+
+/// Runs with seeds of their own prune their octrees for themselves; joined, they are within the tolerance still.
+#[test]
+fn whole_runs_joined_stay_within_the_tolerance() {
+    let field = ClosedForm::courtyard();
+    let cameras = ClosedForm::half_circle(6, [64, 64]);
+    let domain = Domain::Box(field.bounds());
+    for (covariance, of) in [Covariance::Diagonal, Covariance::Trace, Covariance::Block].map(|c| (c, 6)) {
+        let dense = GridSettings { grid: GridKind::Dense, level: 5, covariance, ..GridSettings::default() };
+        let fields = |grid: GridSettings| {
+            let fields = (0..of).map(|seed| {
+                let rays = RaySettings { rays: 3_000, seed, occupancy: 40, ..RaySettings::default() };
+                let lattice = grid.lattice(domain).unwrap();
+                let stream = rays.stream(&field, &cameras, &grid, &lattice, &Silent).unwrap();
+                part(&stream, grid, domain, Share::whole(rays.rays))
+            });
+            merge(&fields.collect::<Vec<_>>()).unwrap()
+        };
+        let of_all = fields(dense);
+        for tolerance in [0.01, 0.1] {
+            let merged = fields(GridSettings { grid: GridKind::Octree, tolerance, ..dense });
+            let off = largest_difference(&merged, &of_all);
+            eprintln!("{} of {of} seeds, tolerance {tolerance}: {off:.5} off the dense grid", covariance.name());
+            assert!(off <= tolerance, "{} of {of} seeds, tolerance {tolerance}: {off}", covariance.name());
+        }
+    }
+}
+
+#[test]
+fn the_dense_reference_and_normals_leave_no_sample_out() {
+    let field = ClosedForm::ball();
+    let cameras = ClosedForm::half_circle(2, [8, 8]);
+    for grid in [GridKind::Octree, GridKind::Dense] {
+        for covariance in Covariance::ALL {
+            let grid = GridSettings { grid, covariance, level: 4, tolerance: 0.1, ..GridSettings::default() };
+            let lattice = grid.lattice(Domain::Box(field.bounds())).unwrap();
+            let settings = RaySettings { occupancy: 16, ..RaySettings::default() };
+            let stream = settings.stream(&field, &cameras, &grid, &lattice, &Silent).unwrap();
+            let leaves_out = grid.grid == GridKind::Octree && covariance != Covariance::Normal;
+            assert_eq!(stream.negligible > 0.0, leaves_out, "{grid:?}");
+        }
+    }
+}
+
+/// A model with cameras that see it.
+type Model = (String, Box<dyn RadianceField>, Vec<Camera>);
+
+/// Every trained model that there is data of, one after the other.
+fn models() -> impl Iterator<Item = Model> {
+    let root =
+        PathBuf::from(std::env::var_os("OCTOBAYES_DATA").expect("OCTOBAYES_DATA must name the folder of the data"));
+    let names = |folder: PathBuf| {
+        let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
+        let mut paths: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
+        paths.sort();
+        paths
+    };
+    let stem = |path: &Path| path.file_stem().unwrap().to_str().unwrap().to_string();
+    let mlp = root.join("nerf-mlp-pretrained");
+    let mlps = ["lego", "chair", "drums", "materials", "ship"].into_iter().map(move |name| {
+        let views = Views::read(&mlp.join(format!("cameras/{name}_train.json")), Some([400, 400])).unwrap();
+        let model = NerfMlp::read(&mlp.join(format!("{name}.safetensors"))).unwrap();
+        (format!("MLP {name}"), Box::new(model) as Box<dyn RadianceField>, views.cameras())
+    });
+    let sets = names(root.join("ppng-pretrained")).into_iter().flat_map(names);
+    let files = sets.flat_map(names).filter(|path| path.extension().is_some_and(|e| e == "ppng"));
+    let ppngs = files.map(move |path| {
+        let model = Ppng::read(&path, Coordinates::Ngp).unwrap();
+        let intrinsics = Intrinsics { fov_x: Some(1.0), resolution: Some([300, 200]) };
+        let cameras = model.cameras(&intrinsics).unwrap().unwrap();
+        let name = format!("{} {}", stem(path.parent().unwrap()), stem(&path));
+        (name, Box::new(model) as Box<dyn RadianceField>, cameras)
+    });
+    mlps.chain(ppngs)
+}
+
+#[test]
+#[ignore = "needs OCTOBAYES_DATA/nerf-mlp-pretrained and ppng-pretrained"]
+fn negligible_samples_of_trained_models_are_within_their_share_of_the_tolerance() {
+    let (tolerance, mut seen) = (0.01, 0);
+    for (name, model, cameras) in models() {
+        let domain = Domain::Box(model.bounds());
+        let is_cheap = model.differentiable().is_some_and(|own| own.is_cheap());
+        let methods = [GradientMethod::FiniteDifference, GradientMethod::Auto];
+        for gradient in methods.into_iter().take(if is_cheap { 2 } else { 1 }) {
+            let rays = RaySettings { rays: 4_096, gradient, ..RaySettings::default() };
+            let grid = GridSettings { tolerance, ..GridSettings::default() };
+            let lattice = grid.lattice(domain).unwrap();
+            let sums = |grid: GridSettings| {
+                let stream = rays.stream(&*model, &cameras, &grid, &lattice, &Silent).unwrap();
+                let mut posterior = OctreePosterior::new(lattice);
+                let run = stream.run(Share::whole(rays.rays), Tally::default(), &Silent, |batches, _| {
+                    posterior.add(batches);
+                    Ok(())
+                });
+                (posterior, run.unwrap())
+            };
+            let (some, some_tally) = sums(grid);
+            let (all, all_tally) = sums(GridSettings { grid: GridKind::Dense, ..grid });
+            assert_eq!(some_tally.dropped, all_tally.dropped, "{name}");
+            let lambda = grid.lambda(&lattice);
+            let off = |covariance: Covariance| {
+                let read = |evidence: &Evidence| covariance.deviation(evidence, rays.rays, lambda).log10();
+                let of_vertex = |(x, evidence): ([u32; 3], &Evidence)| (read(evidence) - read(&some.evidence(x))).abs();
+                all.touched().map(of_vertex).reduce(|| 0.0, f64::max)
+            };
+            let [diagonal, trace, block, normal] = Covariance::ALL.map(off);
+            eprintln!(
+                "{name}, {gradient:?}: {:.2} of {:.2} samples a ray; diagonal {diagonal:.1e}, trace {trace:.1e}, block {block:.1e}, \
+                 normal read off without being asked for {normal:.1e}",
+                some_tally.samples as f64 / rays.rays as f64,
+                all_tally.samples as f64 / rays.rays as f64
+            );
+            // Jacobians are f32: the rounding of J moves σ of the well-seen by 1e-7, and `block`, which hangs on differences of 1e-7 between
+            // large entries, by no more as long as what is differentiated is the same.
+            for (covariance, off) in [("diagonal", diagonal), ("trace", trace), ("block", block)] {
+                assert!(off <= SAMPLES_SHARE * tolerance + 1e-6, "{name}, {gradient:?}, {covariance}: {off}");
+            }
+            seen += 1;
+        }
+    }
+    assert!(seen > 10, "{seen} models");
+}
