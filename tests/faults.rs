@@ -234,6 +234,9 @@ impl Desk {
         self.write("sheared.json", frame(angle, "[[1,0,0,0],[0.5,1,0,0],[0,0,1,3],[0,0,0,1]]"));
         self.write("transposed.json", frame(angle, "[[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,3,1]]"));
         self.write("fisheye.json", frame("\"fl_x\": 20, \"is_fisheye\": true", pose));
+        self.write("panorama.json", frame("\"fl_x\": 20, \"camera_model\": \"EQUIRECTANGULAR\"", pose));
+        let own = format!("{pose}, \"camera_model\": \"OPENCV_FISHEYE\"");
+        self.write("one_fisheye.json", frame("\"fl_x\": 20, \"camera_model\": \"OPENCV\"", &own));
         self.write("huge.json", frame("\"fl_x\": 9e4, \"w\": 65536, \"h\": 65536", pose));
     }
 

@@ -1,12 +1,14 @@
 //! Camera files: transforms.json of the original NeRF, instant-ngp and nerfstudio.
 //!
 //! Intrinsics at top level or per frame: `fl_x fl_y cx cy w h` in pixels, or `camera_angle_x` (`camera_angle_y`) in radians.
-//! `k1 k2 p1 p2` are OpenCV's lens distortion; fisheye lenses are refused. `transform_matrix` is camera-to-world, OpenGL axes (x right, y up, looking along −z).
+//! `k1 k2 p1 p2` are OpenCV's lens distortion, which is applied whatever perspective `camera_model` is named; fisheye lenses
+//! and panoramas are refused. `transform_matrix` is camera-to-world, OpenGL axes (x right, y up, looking along −z).
 
 use std::path::{Path, PathBuf};
 
 use glam::{DMat3, DVec3};
 use serde::Deserialize;
+use serde::de::IgnoredAny;
 
 use crate::geometry::{Camera, Distortion};
 use crate::{Error, Result};
@@ -65,6 +67,30 @@ struct Intrinsics {
     is_fisheye: Option<bool>,
 }
 
+/// What a file says about the kind of its lenses.
+#[derive(Debug, Default, Deserialize)]
+struct LensKind {
+    camera_model: Option<String>,
+    /// instant-ngp's f-theta lens: the key alone says so.
+    ftheta_p0: Option<IgnoredAny>,
+    /// instant-ngp's panorama, likewise.
+    latlong: Option<IgnoredAny>,
+}
+
+/// COLMAP's and nerfstudio's names of perspective cameras: all of them are [`Distortion`] with some coefficients zero.
+const PERSPECTIVE: [&str; 5] = ["PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "RADIAL", "SIMPLE_RADIAL"];
+
+impl LensKind {
+    /// What is there instead of a perspective lens, if that is so; the frame's own word counts before the file's.
+    fn other_than_perspective(&self, file: &Self) -> Option<String> {
+        let model = self.camera_model.as_ref().or(file.camera_model.as_ref());
+        let other = model.filter(|name| !PERSPECTIVE.iter().any(|known| known.eq_ignore_ascii_case(name)));
+        let keys = [("ftheta_p0", self.ftheta_p0.or(file.ftheta_p0)), ("latlong", self.latlong.or(file.latlong))];
+        let key = keys.into_iter().find_map(|(key, there)| there.map(|_| format!("`{key}`")));
+        other.map(|name| format!("`{name}`")).or(key)
+    }
+}
+
 #[derive(Debug, Deserialize)]
 struct RawFrame {
     #[serde(default)]
@@ -72,6 +98,8 @@ struct RawFrame {
     transform_matrix: Option<Vec<Vec<f64>>>,
     #[serde(flatten)]
     intrinsics: Intrinsics,
+    #[serde(flatten)]
+    lens: LensKind,
 }
 
 #[derive(Debug, Deserialize)]
@@ -79,6 +107,8 @@ struct RawFile {
     frames: Option<Vec<RawFrame>>,
     #[serde(flatten)]
     intrinsics: Intrinsics,
+    #[serde(flatten)]
+    lens: LensKind,
 }
 
 /// Assumed image size where nothing tells.
@@ -204,6 +234,10 @@ impl Views {
         let mut source = ResolutionSource::File;
         for (i, (raw, image)) in raw.into_iter().zip(images.iter()).enumerate() {
             let place = |what: &str| format!("frame {i} (`{}`), {what}", raw.file_path);
+            if let Some(found) = raw.lens.other_than_perspective(&file.lens) {
+                let expected = format!("a perspective camera ({})", PERSPECTIVE.join(", "));
+                return Err(Error::malformed(path, place("`camera_model`"), expected, found));
+            }
             let intrinsics = raw.intrinsics.over(file.intrinsics);
             let resolution = match (requested, intrinsics.resolution()) {
                 (Some(resolution), _) => {
@@ -378,6 +412,21 @@ mod tests {
     }
 
     #[test]
+    fn perspective_cameras_of_any_name_are_read_with_their_distortion() {
+        for name in PERSPECTIVE.into_iter().chain(["opencv"]) {
+            let json = format!(
+                r#"{{"fl_x": 50, "k1": 0.1, "camera_model": "{name}", "frames": [{{"camera_model": "{name}", {POSE}}}]}}"#
+            );
+            assert_eq!(read(&json).expect(name).frames[0].camera.distortion.k, [0.1, 0.0]);
+        }
+        // A frame's own lens counts before the file's.
+        let json = format!(
+            r#"{{"fl_x": 50, "camera_model": "FISHEYE624", "frames": [{{"camera_model": "PINHOLE", {POSE}}}]}}"#
+        );
+        assert!(read(&json).is_ok());
+    }
+
+    #[test]
     fn what_is_wrong_is_said() {
         let cases = [
             ("{\"frames\": []}", "at least one frame"),
@@ -397,6 +446,17 @@ mod tests {
             (&format!("{{\"camera_angle_x\": 40, \"frames\": [{{{POSE}}}]}}"), "radians"),
             (&format!("{{\"fl_x\": 9, \"camera_angle_y\": -0.5, \"frames\": [{{{POSE}}}]}}"), "radians"),
             (&format!("{{\"fl_x\": 5, \"is_fisheye\": true, \"frames\": [{{{POSE}}}]}}"), "fisheye"),
+            (
+                &format!("{{\"fl_x\": 5, \"camera_model\": \"EQUIRECTANGULAR\", \"frames\": [{{{POSE}}}]}}"),
+                "frame 0 (``), `camera_model`: expected a perspective camera",
+            ),
+            (
+                &format!("{{\"fl_x\": 5, \"frames\": [{{{POSE}}}, {{\"camera_model\": \"OPENCV_FISHEYE\", {POSE}}}]}}"),
+                "frame 1 (``), `camera_model`: expected a perspective camera (PINHOLE, SIMPLE_PINHOLE, OPENCV, RADIAL, \
+                 SIMPLE_RADIAL), found `OPENCV_FISHEYE`",
+            ),
+            (&format!("{{\"fl_x\": 5, \"ftheta_p0\": 0.1, \"frames\": [{{{POSE}}}]}}"), "found `ftheta_p0`"),
+            (&format!("{{\"fl_x\": 5, \"frames\": [{{\"latlong\": true, {POSE}}}]}}"), "found `latlong`"),
             (&format!("{{\"fl_x\": 5, \"w\": 0, \"h\": 3, \"frames\": [{{{POSE}}}]}}"), "whole numbers"),
         ];
         for (json, expected) in cases {
