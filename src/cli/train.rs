@@ -7,7 +7,7 @@ use glam::{DVec3, Vec3};
 use serde_json::json;
 
 use super::files::CommandFiles;
-use super::options::{numbers, parse_background, parse_box, parse_non_negative, parse_positive};
+use super::options::{numbers, parse_background, parse_box, parse_non_negative, parse_positive, parse_views};
 use super::progress::Bars;
 use crate::field::{HashGrid, HashGridConfig, RadianceField};
 use crate::geometry::{Aabb, Domain, Norm};
@@ -27,7 +27,7 @@ const LOOK_PIXELS: usize = 20_000;
 /// Train a field of our own on posed images: a multiresolution hash grid (instant-ngp's design) on the CPU
 ///
 /// DATASET is a folder with transforms_train.json (and transforms_test.json, which is held out for measuring) or transforms.json
-/// (every eighth image is held out), or such a file: as `octobayes synth`, NeRF-synthetic, instant-ngp and nerfstudio write them. The model is
+/// (every eighth image is held out), or such a file, as `octobayes synth`, NeRF-synthetic, instant-ngp and nerfstudio write them. The model is
 /// input for all other verbs. With --steps the result is the same bit for bit on any number of threads; with --time it depends on how
 /// many steps fit, hence on the machine.
 #[derive(clap::Args)]
@@ -35,7 +35,7 @@ const LOOK_PIXELS: usize = 20_000;
     octobayes train lego -o few.safetensors --views 10 --steps 3000 --seed 1\n  \
     octobayes train fox -o fox.safetensors --contract linf --time 5m\n  \
     octobayes train lego -o member.safetensors --views 10 --steps 3000 --members 10      # member-0 ... member-9\n\
-    then: octobayes uncertainty lego.safetensors --cameras nerf_synthetic/lego/transforms_train.json -o lego.oct")]
+    then: octobayes uncertainty lego.safetensors -o lego.oct      # the model knows its cameras")]
 pub struct Args {
     /// Folder or camera file with images (PNG or JPEG)
     #[arg(value_name = "DATASET")]
@@ -45,8 +45,9 @@ pub struct Args {
     #[arg(short, long, value_name = "MODEL.safetensors")]
     output: PathBuf,
 
-    /// Training images: a number of them, spread over the file's order, or their indices from 0 as 0,7,31 (`7,` for one) [default: all]
-    #[arg(long, value_name = "N|I,J,...", value_parser = parse_views)]
+    /// Training images: a number of them, spread over the file's order, or their indices from 0 as 0,7,31 (`7,` for
+    /// one), or `all`: those held out, too. Frames without an image are left out [default: all that are not held out]
+    #[arg(long, value_name = "N|I,J,...|all", value_parser = parse_views)]
     views: Option<Selection>,
 
     /// Only images taken from this half of the scene, seen from the front (y < 0; right is x > 0), around the middle of its box
@@ -120,21 +121,6 @@ pub struct Args {
     json: bool,
 }
 
-/// A count, or indices.
-fn parse_views(text: &str) -> std::result::Result<Selection, String> {
-    let number = |part: &str| part.trim().parse::<usize>().map_err(|_| format!("`{part}` is not a whole number"));
-    if !text.contains(',') {
-        return match number(text)? {
-            0 => Err("at least 1 image".into()),
-            count => Ok(Selection::Count(count)),
-        };
-    }
-    let mut indices = text.trim_end_matches(',').split(',').map(number).collect::<std::result::Result<Vec<_>, _>>()?;
-    indices.sort_unstable();
-    indices.dedup();
-    Ok(Selection::Indices(indices))
-}
-
 /// Seconds, or a number with unit.
 fn parse_time(text: &str) -> std::result::Result<Duration, String> {
     let split = text.find(|c: char| c.is_ascii_alphabetic()).unwrap_or(text.len());
@@ -185,10 +171,8 @@ impl Args {
         self.command_files(&self.dataset).check()?;
         let mut files = DatasetFiles::read(&self.dataset)?;
         self.command_files(&files.path).input("DATASET", files.path.with_file_name("transforms_test.json")).check()?;
-        if files.missing > 0 {
-            eprintln!("note: {} frames of {} have no image and are left out", files.missing, files.path.display());
-        }
         files.select(&self.views.clone().unwrap_or_default(), self.hemisphere)?;
+        eprintln!("note: {}", files.describe());
         let domain = self.domain(&files)?;
         let members = (0..self.members).map(|k| self.member(k, &files)).collect::<Result<Vec<_>>>()?;
         let [train, held_out] = files.load(bars)?;
@@ -376,11 +360,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn texts_become_views_and_times() {
-        assert_eq!(parse_views("10"), Ok(Selection::Count(10)));
-        assert_eq!(parse_views("7,0,31,7"), Ok(Selection::Indices(vec![0, 7, 31])));
-        assert_eq!(parse_views("7,"), Ok(Selection::Indices(vec![7])));
-        assert!(["0", "", "-1", "1,x", ","].iter().all(|text| parse_views(text).is_err()));
+    fn texts_become_times_and_backgrounds() {
         assert_eq!(parse_time("3m"), Ok(Duration::from_secs(180)));
         assert_eq!(parse_time("1.5h"), Ok(Duration::from_secs(5400)));
         assert_eq!(parse_time("20"), Ok(Duration::from_secs(20)));

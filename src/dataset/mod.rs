@@ -1,10 +1,12 @@
-//! Posed images, depth maps, and lists of points.
+//! Posed images, which of them to use for what, depth maps, and lists of points.
 
 mod depth;
+mod frames;
 mod image;
 pub mod points;
 mod transforms;
 
 pub use depth::{DepthEncoding, DepthKind, DepthMap};
+pub use frames::{FrameSplit, Part, Selection, test_partner};
 pub use image::PosedImage;
 pub use transforms::{Frame, ResolutionSource, Views, write_transforms};

@@ -10,7 +10,7 @@ use glam::{DMat3, DVec3};
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 
-use crate::geometry::{Camera, Distortion};
+use crate::geometry::{Camera, Distortion, MAX_PIXELS, MAX_REACH, MAX_SIDE, MAX_SKEW, skew};
 use crate::{Error, Result};
 
 /// A camera with the image that belongs to it.
@@ -113,11 +113,7 @@ struct RawFile {
 
 /// Assumed image size where nothing tells.
 const ASSUMED: [u32; 2] = [400, 400];
-/// Largest accepted image: 100 megapixels.
-const MAX_PIXELS: f64 = 1e8;
-/// Largest accepted image side; a larger one is a damaged file.
-const MAX_SIDE: f64 = 65_536.0;
-/// Both in words.
+/// [`MAX_SIDE`] and [`MAX_PIXELS`] in words.
 const SIZES: &str = "whole numbers from 1 to 65536, at most 1e8 pixels";
 
 /// An image size that a camera can have; the size in words otherwise.
@@ -194,9 +190,9 @@ impl Intrinsics {
             _ => fx * scale[1] / scale[0],
         };
         let center = [self.cx.map_or(0.5 * w, |c| c * scale[0]), self.cy.map_or(0.5 * h, |c| c * scale[1])];
-        // Corners of the image on the plane at depth 1: beyond 10⁶ it is no picture, and a ray's length overflows.
+        // Corners of the image on the plane at depth 1.
         let reach = [0, 1].map(|k| center[k].abs().max((f64::from(resolution[k]) - center[k]).abs()) / [fx, fy][k]);
-        if [fx, fy].iter().all(|f| *f > 0.0 && f.is_finite()) && reach.iter().all(|r| *r < 1e6) {
+        if [fx, fy].iter().all(|f| *f > 0.0 && f.is_finite()) && reach.iter().all(|r| *r < MAX_REACH) {
             Ok(([fx, fy], center))
         } else {
             Err(format!("focal lengths {fx}, {fy}, principal point {center:?}"))
@@ -333,10 +329,8 @@ fn pose(matrix: Option<&[Vec<f64>]>) -> std::result::Result<(DVec3, DMat3), Stri
         return Err(format!("a singular or mirrored matrix (determinant {determinant:e})"));
     }
     let axes = DMat3::from_cols(linear.x_axis / scale, linear.y_axis / scale, linear.z_axis / scale);
-    let skew = axes.transpose() * axes - DMat3::IDENTITY;
-    let largest = skew.to_cols_array().iter().fold(0.0_f64, |m, v| m.max(v.abs()));
-    // Poses are written with 6 to 8 digits; optimised ones drift by a little more.
-    if largest > 1e-2 {
+    let largest = skew(axes);
+    if largest > MAX_SKEW {
         return Err(format!("a matrix that is no rotation (off by {largest:.3})"));
     }
     Ok((position, axes))

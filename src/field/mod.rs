@@ -17,14 +17,14 @@ pub mod zoo;
 pub use closed_form::ClosedForm;
 pub use hash_grid::{HashGrid, HashGridConfig};
 pub use mlp::NerfMlp;
-pub use open::{open, open_in};
+pub use open::{checksum, open, open_in};
 pub use ppng::{Coordinates, Ppng};
 pub use voxel::VoxelGrid;
 
 use glam::Vec3;
 
 use crate::Result;
-use crate::geometry::{Aabb, Camera};
+use crate::geometry::{Aabb, Camera, Domain, NamedCamera};
 
 /// What a field returns for one position and direction.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -123,6 +123,16 @@ pub trait RadianceField: Send + Sync {
     /// If it knows their poses but not all intrinsics, and `intrinsics` does not say either.
     fn cameras(&self, _intrinsics: &Intrinsics) -> Result<Option<Vec<Camera>>> {
         Ok(None)
+    }
+
+    /// The cameras that the field is known to have been trained on, with all intrinsics; empty if that is not known.
+    fn training_cameras(&self) -> &[NamedCamera] {
+        &[]
+    }
+
+    /// The space that the field covers, as its parameters divide it: its box, unless it contracts space.
+    fn natural_domain(&self) -> Domain {
+        Domain::Box(self.bounds())
     }
 
     /// Distance between samples along a ray that resolves this field, scene units.

@@ -5,8 +5,9 @@ use std::path::Path;
 use super::{ClosedForm, Coordinates, HashGrid, NerfMlp, Ppng, RadianceField, VoxelGrid, zoo};
 use crate::{Error, Result};
 
-/// The field that `model` names: `scene:NAME` for a built-in scene or one of the [zoo], else a file by its extension: `.safetensors` for a
-/// hash grid of `octobayes train` (its metadata says so) or an MLP NeRF, `.npz` for a voxel grid, `.ppng` for a Plenoptic PNG in the coordinates of its file.
+/// The field that `model` names: `scene:NAME` for a built-in scene or one of the [zoo], else a file by its extension:
+/// `.safetensors` for a hash grid of `octobayes train` (its metadata says so) or an MLP NeRF, `.npz` for a voxel grid,
+/// `.ppng` for a Plenoptic PNG in the coordinates of its file.
 ///
 /// # Errors
 /// If the extension is unknown or the file cannot be read as what its extension says.
@@ -43,10 +44,49 @@ pub fn open_in(model: &str, coordinates: Option<Coordinates>) -> Result<Box<dyn 
     }
 }
 
+/// The checksum of what [`open_in`] opens with these arguments: of the file's content and the coordinates, not of its
+/// path; of a built-in scene that of its name.
+///
+/// # Errors
+/// If the file cannot be read.
+pub fn checksum(model: &str, coordinates: Option<Coordinates>) -> Result<u32> {
+    if model.starts_with("scene:") {
+        return Ok(crc32fast::hash(model.as_bytes()));
+    }
+    let path = Path::new(model);
+    let mut hasher = crc32fast::Hasher::new();
+    hasher.update(&std::fs::read(path).map_err(Error::io(path, "cannot read"))?);
+    if path.extension().is_some_and(|extension| extension == "ppng") {
+        hasher.update(coordinates.unwrap_or_default().name().as_bytes());
+    }
+    Ok(hasher.finalize())
+}
+
 /// The built-in scene of that name, else that of the zoo.
 fn scene_named(name: &str) -> Result<Box<dyn RadianceField>> {
     if let Ok(scene) = zoo::by_name(name) {
         return Ok(Box::new(scene.field));
     }
     Ok(Box::new(ClosedForm::named(name)?))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_model_is_its_content_and_coordinates_not_its_path() {
+        let folder = tempfile::tempdir().unwrap();
+        let write = |name: &str, content: &[u8]| {
+            let path = folder.path().join(name);
+            std::fs::write(&path, content).unwrap();
+            path.to_str().unwrap().to_string()
+        };
+        let (a, b, c) = (write("a.ppng", b"one"), write("b.ppng", b"one"), write("c.ppng", b"two"));
+        let sum = |model: &str, coordinates| checksum(model, coordinates).unwrap();
+        assert_eq!(sum(&a, None), sum(&b, Some(Coordinates::Ngp)));
+        assert!(sum(&a, None) != sum(&c, None) && sum(&a, None) != sum(&a, Some(Coordinates::Blender)));
+        assert!(sum("scene:ball", None) != sum("scene:city", None));
+        assert!(checksum("none.npz", None).is_err());
+    }
 }

@@ -6,6 +6,22 @@ use glam::{DMat3, DVec3};
 
 use super::{Distortion, Ray};
 
+/// Largest accepted image: 100 megapixels.
+pub(crate) const MAX_PIXELS: f64 = 1e8;
+/// Largest accepted image side; a larger one is a damaged file.
+pub(crate) const MAX_SIDE: f64 = 65_536.0;
+/// Largest distance of an image's corner from the axis, on the plane at depth 1: beyond it is no picture, and a ray's
+/// length overflows.
+pub(crate) const MAX_REACH: f64 = 1e6;
+/// Largest entry of AᵀA − 1 for axes A. Poses are written with 6 to 8 digits; optimised ones drift by a little more.
+pub(crate) const MAX_SKEW: f64 = 1e-2;
+
+/// How far axes are from a rotation: the largest entry of AᵀA − 1.
+pub(crate) fn skew(axes: DMat3) -> f64 {
+    let rest = axes.transpose() * axes - DMat3::IDENTITY;
+    rest.to_cols_array().iter().fold(0.0, |m, v| m.max(v.abs()))
+}
+
 /// A pinhole camera: pose and intrinsics in pixels.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Camera {
@@ -68,6 +84,59 @@ impl Camera {
         })
     }
 
+    /// What makes it impossible, if anything does: for cameras read from files.
+    #[must_use]
+    pub fn defect(&self) -> Option<String> {
+        let lens = self.distortion.k.iter().chain(&self.distortion.p);
+        let finite = self.position.is_finite()
+            && self.axes.is_finite()
+            && self.focal.iter().chain(&self.center).chain(lens).all(|v| v.is_finite());
+        let size = self.resolution.map(f64::from);
+        let reach = |k: usize| self.center[k].abs().max((size[k] - self.center[k]).abs()) / self.focal[k];
+        if !finite {
+            Some("a number that is not finite".into())
+        } else if size.iter().any(|side| !(1.0..=MAX_SIDE).contains(side)) || size[0] * size[1] > MAX_PIXELS {
+            Some(format!("an image of {} x {} pixels", size[0], size[1]))
+        } else if self.focal.iter().any(|f| *f <= 0.0) || [0, 1].iter().any(|&k| reach(k) >= MAX_REACH) {
+            Some(format!("focal lengths {:?}, principal point {:?}", self.focal, self.center))
+        } else if skew(self.axes) > MAX_SKEW || self.axes.determinant() <= 0.0 {
+            Some(format!("axes that are no rotation, {:?}", self.axes.to_cols_array()))
+        } else {
+            None
+        }
+    }
+
+    /// Checksum of cameras: of every number that their rays depend on, in their order.
+    #[must_use]
+    pub fn checksum(cameras: &[Self]) -> u32 {
+        let mut hasher = crc32fast::Hasher::new();
+        for camera in cameras {
+            let Distortion { k, p } = camera.distortion;
+            let numbers =
+                [&camera.position.to_array()[..], &camera.axes.to_cols_array(), &camera.focal, &camera.center];
+            for number in numbers.into_iter().flatten().chain(&k).chain(&p) {
+                hasher.update(&number.to_le_bytes());
+            }
+            camera.resolution.iter().for_each(|side| hasher.update(&side.to_le_bytes()));
+        }
+        hasher.finalize()
+    }
+
+    /// Whether images could not tell the other camera from this one: rays through corners and middle of both images
+    /// differ by at most a quarter of this one's pixels, and so do their origins, seen from a distance of `length`
+    /// (scene units). The number of pixels does not count.
+    #[must_use]
+    pub fn is_like(&self, other: &Self, length: f64) -> bool {
+        const PLACES: [[f64; 2]; 5] = [[0.5, 0.5], [0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]];
+        let tolerance = 0.25 / self.focal[0].max(self.focal[1]);
+        let direction = |camera: &Self, [x, y]: [f64; 2]| {
+            let [w, h] = camera.resolution.map(f64::from);
+            camera.ray(x * w, y * h).direction
+        };
+        (self.position - other.position).length() <= tolerance * length
+            && PLACES.iter().all(|&at| (direction(self, at) - direction(other, at)).length() <= tolerance)
+    }
+
     /// The camera whose pixel (i, j) has the ray of this one's pixel (i · stride, j · stride), both at `offset`.
     #[must_use]
     pub fn strided(&self, stride: u32, offset: f64) -> Self {
@@ -115,6 +184,49 @@ mod tests {
             }
         }
         assert!(pinhole.project(pinhole.position + pinhole.axes.z_axis).is_none());
+    }
+
+    #[test]
+    fn cameras_are_alike_if_images_are() {
+        let camera = Camera::look_at(DVec3::new(3.0, -2.0, 1.5), DVec3::ZERO, DVec3::Z, 0.7, [40, 30]);
+        let pixel = 1.0 / camera.focal[0];
+        let moved = |by: f64| Camera { position: camera.position + by * DVec3::X, ..camera };
+        let turned = |by: f64| Camera { axes: camera.axes * DMat3::from_rotation_y(by), ..camera };
+        // Four digits, as files have them; another number of pixels.
+        assert!(camera.is_like(&moved(1e-4), 2.0) && camera.is_like(&camera.resized([400, 300]), 2.0));
+        assert!(camera.is_like(&moved(0.49 * pixel), 2.0) && !camera.is_like(&moved(0.51 * pixel), 2.0));
+        assert!(camera.is_like(&turned(0.24 * pixel), 2.0) && !camera.is_like(&turned(0.26 * pixel), 2.0));
+        let other = Distortion { k: [0.2, 0.0], p: [0.0; 2] };
+        assert!(!camera.is_like(&Camera { distortion: other, ..camera }, 2.0));
+        assert!(!camera.is_like(&Camera { focal: [1.05 * camera.focal[0]; 2], ..camera }, 2.0));
+    }
+
+    #[test]
+    fn every_number_is_in_the_checksum() {
+        let camera = Camera::look_at(DVec3::new(3.0, -2.0, 1.5), DVec3::ZERO, DVec3::Z, 0.7, [40, 30]);
+        let next = |v: &mut f64| *v = v.next_up();
+        let changes: [&dyn Fn(&mut Camera); 8] = [
+            &|c| next(&mut c.position.y),
+            &|c| next(&mut c.axes.z_axis.x),
+            &|c| next(&mut c.focal[1]),
+            &|c| next(&mut c.center[0]),
+            &|c| next(&mut c.distortion.k[1]),
+            &|c| next(&mut c.distortion.p[0]),
+            &|c| c.resolution[0] += 1,
+            &|c| c.resolution[1] += 1,
+        ];
+        let mut sums: Vec<u32> = changes
+            .iter()
+            .map(|change| {
+                let mut other = camera;
+                change(&mut other);
+                Camera::checksum(&[other])
+            })
+            .chain([Camera::checksum(&[camera]), Camera::checksum(&[camera; 2]), Camera::checksum(&[])])
+            .collect();
+        sums.sort_unstable();
+        sums.dedup();
+        assert_eq!(sums.len(), changes.len() + 3);
     }
 
     #[test]

@@ -8,11 +8,14 @@ mod camera;
 mod distortion;
 mod domain;
 mod lattice;
+mod named;
 mod ray;
 
 pub use aabb::Aabb;
 pub use camera::Camera;
+pub(crate) use camera::{MAX_PIXELS, MAX_REACH, MAX_SIDE, MAX_SKEW, skew};
 pub use distortion::Distortion;
 pub use domain::{Domain, Norm};
 pub use lattice::{Lattice, MAX_LEVEL};
+pub use named::NamedCamera;
 pub use ray::Ray;

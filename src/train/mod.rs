@@ -15,10 +15,11 @@ mod state;
 mod trainer;
 mod views;
 
+pub use crate::dataset::Selection;
 pub use quality::{Quality, quality};
 pub use run::{Budget, Description, Finished, Progress, Run, StateFile};
 pub use trainer::{StepReport, Trainer};
-pub use views::{DatasetFiles, Selection, Shot};
+pub use views::{DatasetFiles, Shot};
 
 use serde::{Deserialize, Serialize};
 

@@ -128,6 +128,7 @@ impl<'a> Trainer<'a> {
             self.occupancy.occupied().to_vec(),
             training,
         )
+        .with_training_cameras(self.shots.iter().map(Shot::named_camera).collect())
     }
 
     /// One step; `progress` in `[0, 1]` is the share of the run that is done, for the learning rate. The same on any number of threads: groups of rays

@@ -5,16 +5,14 @@ use std::path::{Path, PathBuf};
 use glam::DVec3;
 use serde::Deserialize;
 
-use crate::dataset::{Frame, PosedImage, Views};
-use crate::geometry::{Aabb, Camera};
+use crate::dataset::{Frame, FrameSplit, Part, PosedImage, Selection, Views, test_partner};
+use crate::geometry::{Aabb, Camera, NamedCamera};
 use crate::monitor::{Monitor, check};
 use crate::synth::Hemisphere;
 use crate::{Error, Result};
 
 /// Half edge of the cube that NeRF-synthetic scenes fit into, and of instant-ngp's unit cube: 0.5 / 0.33.
 const HALF_EDGE: f64 = 0.5 / 0.33;
-/// Of a camera file without a partner for tests, one image in this many is held out.
-const HOLD_OUT: usize = 8;
 
 /// A picture and the camera that took it.
 #[derive(Debug, Clone)]
@@ -27,17 +25,12 @@ pub struct Shot {
     pub image: PosedImage,
 }
 
-/// Which of the training images to use.
-#[derive(Debug, Clone, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Selection {
-    /// All.
-    #[default]
-    All,
-    /// This many, spread evenly over the camera file's order.
-    Count(usize),
-    /// Those of these indices, from 0, in the camera file's order.
-    Indices(Vec<usize>),
+impl Shot {
+    /// The camera alone.
+    #[must_use]
+    pub fn named_camera(&self) -> NamedCamera {
+        NamedCamera { name: self.name.clone(), camera: self.camera }
+    }
 }
 
 /// What a data set says about itself: camera files, which frames are for training, and where the scene is.
@@ -45,6 +38,7 @@ pub enum Selection {
 pub struct DatasetFiles {
     /// The camera file for training.
     pub path: PathBuf,
+    split: FrameSplit,
     train: Vec<Frame>,
     held_out: Vec<Frame>,
     /// Frames whose image does not exist.
@@ -74,61 +68,42 @@ impl DatasetFiles {
         } else {
             dataset.to_path_buf()
         };
-        let views = Views::read(&path, None)?;
-        let all = views.frames.len();
-        let mut train: Vec<Frame> = views.frames.into_iter().filter(|frame| frame.image.exists()).collect();
-        let missing = all - train.len();
-        if train.is_empty() {
+        let split = FrameSplit::of(Views::read(&path, None)?);
+        if !split.has_images() {
             return Err(Error::malformed(&path, "`frames`", "images that exist", "none"));
         }
-        let is_train = path.file_name().is_some_and(|name| name == "transforms_train.json");
-        let partner = path.with_file_name("transforms_test.json");
-        let held_out = if is_train && partner.exists() {
-            Views::read(&partner, None)?.frames.into_iter().filter(|frame| frame.image.exists()).collect()
-        } else {
-            let mut index = 0;
-            let mut is_held_out = |_: &mut Frame| {
-                index += 1;
-                // From the middle of the first eight: a single image is for training.
-                index % HOLD_OUT == HOLD_OUT / 2
-            };
-            train.extract_if(.., &mut is_held_out).collect()
+        let all = &Selection::All;
+        let train = split.select(Part::Training, all, |_| true)?;
+        let held_out = match test_partner(&path) {
+            Some(partner) => FrameSplit::of(Views::read(&partner, None)?).select(Part::HeldOut, all, has_image)?,
+            // A file of one part has nothing to spare.
+            None => split.select(Part::HeldOut, all, |frame| !train.contains(frame))?,
         };
-        let bounds = scene_box(&path)?;
-        Ok(Self { path, train, held_out, missing, bounds })
+        let (bounds, missing) = (scene_box(&path)?, split.missing().len());
+        Ok(Self { path, split, train, held_out, missing, bounds })
     }
 
     /// Keeps the training images of a selection, after those taken from one half of the scene (seen from the middle of the box).
+    /// What is trained on is not held out.
     ///
     /// # Errors
     /// If there are no such images.
     pub fn select(&mut self, selection: &Selection, half: Option<Hemisphere>) -> Result<()> {
-        let n = self.train.len();
-        if let Selection::Indices(indices) = selection {
-            if let Some(i) = indices.iter().find(|i| **i >= n) {
-                let expected = format!("indices of training images from 0 to {}", n - 1);
-                return Err(Error::setting("--views", expected, i.to_string()));
-            }
-            let mut index = 0..n;
-            self.train.retain(|_| index.next().is_some_and(|i| indices.contains(&i)));
-        }
-        if let Some(half) = half {
-            let middle = 0.5 * (self.bounds.min() + self.bounds.max());
-            self.train.retain(|frame| is_in(half, frame.camera.position - middle));
-        }
-        let n = self.train.len();
-        if let Selection::Count(count) = selection {
-            if *count > n {
-                return Err(Error::setting("--views", format!("at most {n} training images"), count.to_string()));
-            }
-            let kept: Vec<usize> = (0..*count).map(|i| (2 * i + 1) * n / (2 * count)).collect();
-            let mut index = 0..n;
-            self.train.retain(|_| index.next().is_some_and(|i| kept.contains(&i)));
-        }
+        let middle = 0.5 * (self.bounds.min() + self.bounds.max());
+        let keep = |frame: &Frame| half.is_none_or(|half| is_in(half, frame.camera.position - middle));
+        self.train = self.split.select(Part::Training, selection, keep)?;
         if self.train.is_empty() {
             return Err(Error::setting("--hemisphere, --views", "some training images", "none"));
         }
+        let train = &self.train;
+        self.held_out.retain(|frame| !train.contains(frame));
         Ok(())
+    }
+
+    /// A sentence on how many frames are trained on, and why the others of the file are not.
+    #[must_use]
+    pub fn describe(&self) -> String {
+        self.split.describe(Part::Training, &self.train)
     }
 
     /// The cube that NeRF-synthetic scenes fit into, scene units.
@@ -164,6 +139,10 @@ impl DatasetFiles {
         monitor.end();
         Ok(shots)
     }
+}
+
+fn has_image(frame: &Frame) -> bool {
+    frame.image.exists()
 }
 
 fn is_in(half: Hemisphere, x: DVec3) -> bool {

@@ -1,24 +1,23 @@
 //! Options that several verbs share.
 
+mod cameras;
 mod grid;
 mod parse;
 
+pub use cameras::{CameraFile, CameraOptions, FrameOptions};
 pub use grid::{DomainOptions, GridOptions, OfficialOptions};
 pub use parse::{
-    numbers, parse_background, parse_box, parse_non_negative, parse_pair, parse_positive, parse_range, parse_resolution,
+    numbers, parse_background, parse_box, parse_non_negative, parse_pair, parse_positive, parse_range,
+    parse_resolution, parse_views,
 };
-
-use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use glam::Vec3;
 
-use self::parse::parse_fov;
-use crate::dataset::{Frame, ResolutionSource, Views};
+use crate::Result;
 use crate::estimate::RaySettings;
-use crate::field::{Coordinates, Intrinsics, RadianceField};
+use crate::field::{Coordinates, RadianceField};
 use crate::render::{Blend, Occupancy};
-use crate::{Error, Result};
 
 /// What images leave out changes a pixel by no more than this in front and behind: less than half a step of 8 bits.
 const IMAGE_CUTOFF: f64 = 1e-4;
@@ -108,87 +107,5 @@ impl ModelOptions {
             occupancy: usize::from(self.occupancy),
             ..others
         }
-    }
-}
-
-/// A camera file.
-#[derive(Args)]
-pub struct CameraFile {
-    /// transforms.json with intrinsics and camera-to-world poses (OpenGL axes)
-    #[arg(long, value_name = "JSON")]
-    pub cameras: PathBuf,
-
-    /// Image size, W or WxH [default: from the camera file, else from its first image, else 400x400]
-    #[arg(long, value_name = "SIZE", value_parser = parse_resolution)]
-    pub resolution: Option<[u32; 2]>,
-}
-
-impl CameraFile {
-    /// Reads the file; says so if the image size had to be assumed.
-    pub fn read(&self) -> Result<Views> {
-        let views = Views::read(&self.cameras, self.resolution)?;
-        if views.resolution_source == ResolutionSource::Assumed {
-            let [w, h] = views.frames[0].camera.resolution;
-            let path = self.cameras.display();
-            eprintln!(
-                "note: {path} states no image size and its images are not there: assuming {w} x {h} (--resolution)"
-            );
-        }
-        Ok(views)
-    }
-}
-
-/// A camera file, or the cameras that the model brings along.
-#[derive(Args)]
-pub struct CameraOptions {
-    /// transforms.json with intrinsics and camera-to-world poses (OpenGL axes) [default: the cameras of the model, if it has
-    /// some]
-    #[arg(long, value_name = "JSON")]
-    pub cameras: Option<PathBuf>,
-
-    /// Horizontal angle of view of the model's own cameras, degrees
-    #[arg(long, value_name = "DEGREES", value_parser = parse_fov, conflicts_with = "cameras")]
-    pub fov: Option<f64>,
-
-    /// Image size, W or WxH [default: from the camera file, else from its first image, else 400x400]
-    #[arg(long, value_name = "SIZE", value_parser = parse_resolution)]
-    pub resolution: Option<[u32; 2]>,
-}
-
-impl CameraOptions {
-    /// Reads the camera file, or asks the model `name`.
-    pub fn read(&self, model: &dyn RadianceField, name: &str) -> Result<Views> {
-        if let Some(cameras) = &self.cameras {
-            return CameraFile { cameras: cameras.clone(), resolution: self.resolution }.read();
-        }
-        let intrinsics = Intrinsics { fov_x: self.fov.map(f64::to_radians), resolution: self.resolution };
-        let cameras = model.cameras(&intrinsics)?.ok_or_else(|| {
-            Error::setting(
-                "--cameras",
-                "a transforms.json, as this model brings no cameras",
-                format!("none for `{name}`"),
-            )
-        })?;
-        let frame = |(i, camera)| Frame { camera, name: format!("pose {i}"), image: PathBuf::new() };
-        Ok(Views {
-            path: PathBuf::from(name),
-            frames: cameras.into_iter().enumerate().map(frame).collect(),
-            resolution_source: self.resolution.map_or(ResolutionSource::Assumed, |_| ResolutionSource::Requested),
-        })
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_model_without_cameras_needs_a_camera_file() {
-        let options = CameraOptions { cameras: None, fov: None, resolution: None };
-        let scene = crate::field::VoxelGrid::bake(&crate::field::ClosedForm::ball(), [2; 3], Vec3::Z);
-        let error = options.read(&scene, "ball.npz").unwrap_err().to_string();
-        assert!(error.contains("--cameras") && error.contains("ball.npz"), "{error}");
-        let error = crate::field::open_in("scene:ball", Some(Coordinates::Blender)).err().unwrap().to_string();
-        assert!(error.contains("--coordinates") && error.contains("scene:ball"), "{error}");
     }
 }

@@ -2,6 +2,7 @@
 
 use glam::{DVec3, Vec3};
 
+use crate::dataset::Selection;
 use crate::geometry::Aabb;
 
 /// Numbers separated by commas.
@@ -48,6 +49,24 @@ pub fn parse_background(text: &str) -> Result<Vec3, String> {
             }
         }
     }
+}
+
+/// A count, indices, or `all`.
+pub fn parse_views(text: &str) -> Result<Selection, String> {
+    let number = |part: &str| part.trim().parse::<usize>().map_err(|_| format!("`{part}` is not a whole number"));
+    if text == "all" {
+        return Ok(Selection::BothParts);
+    }
+    if !text.contains(',') {
+        return match number(text)? {
+            0 => Err("at least 1 image".into()),
+            count => Ok(Selection::Count(count)),
+        };
+    }
+    let mut indices = text.trim_end_matches(',').split(',').map(number).collect::<Result<Vec<_>, _>>()?;
+    indices.sort_unstable();
+    indices.dedup();
+    Ok(Selection::Indices(indices))
 }
 
 /// `W` or `WxH`.
@@ -119,6 +138,11 @@ mod tests {
         assert!(parse_background("0,0.5,2").is_err() && parse_background("red").is_err());
         assert_eq!(parse_resolution("80x60"), Ok([80, 60]));
         assert!(parse_resolution("0").is_err() && parse_resolution("8x").is_err());
+        assert_eq!(parse_views("10"), Ok(Selection::Count(10)));
+        assert_eq!(parse_views("7,0,31,7"), Ok(Selection::Indices(vec![0, 7, 31])));
+        assert_eq!(parse_views("7,"), Ok(Selection::Indices(vec![7])));
+        assert_eq!(parse_views("all"), Ok(Selection::BothParts));
+        assert!(["0", "", "-1", "1,x", ","].iter().all(|text| parse_views(text).is_err()));
         assert!(parse_fov("60").is_ok() && parse_fov("180").is_err() && parse_fov("nan").is_err());
         assert_eq!((parse_bytes("2GiB"), parse_bytes("1.5 kB"), parse_bytes("7")), (Ok(2 << 30), Ok(1500), Ok(7)));
         assert!(parse_bytes("2 lines").is_err() && parse_bytes("0").is_err() && parse_bytes("1e30").is_err());

@@ -1,7 +1,8 @@
 //! The file of a trained hash grid: safetensors, with one metadata entry that describes it.
 //!
 //! ```text
-//! metadata octobayes_hash_grid: {"version", "config", "domain", "training"}, JSON
+//! metadata octobayes_hash_grid: {"version", "config", "domain", "training", "cameras"}, JSON;
+//!          older files have no cameras
 //! encoding.0 … encoding.7       f32 [entries, 4]
 //! network.density0 …            f32 [in, out]
 //! occupancy                     u8 [n³ / 8], bit i & 7 of byte i >> 3 for cell i, x fastest
@@ -19,7 +20,7 @@ use super::config::{HashGridConfig, N_FEATURES_PER_LEVEL, N_GEOMETRY, N_LEVELS, 
 use super::encoding::Encoding;
 use super::network::{LAYERS, Network};
 use super::{HashGrid, Parameters, Space};
-use crate::geometry::Domain;
+use crate::geometry::{Domain, NamedCamera};
 use crate::io::AtomicFile;
 use crate::{Error, Result};
 
@@ -33,6 +34,8 @@ struct Header {
     config: Config,
     domain: Domain,
     training: serde_json::Value,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    cameras: Vec<NamedCamera>,
 }
 
 /// What can be chosen and what is compiled in.
@@ -78,6 +81,7 @@ impl HashGrid {
             },
             domain: self.space.domain,
             training: self.training.clone(),
+            cameras: self.cameras.clone(),
         };
         let failed = |e: &dyn std::fmt::Display| Error::malformed(path, "header", "an encodable model", e.to_string());
         let text = serde_json::to_string(&header).map_err(|e| failed(&e))?;
@@ -153,7 +157,7 @@ impl HashGrid {
         let packed = data(path, &tensors, "occupancy", Dtype::U8, &[config.occupancy.pow(3) / 8])?;
         let occupied = packed.iter().flat_map(|byte| (0..8).map(move |bit| byte >> bit & 1 == 1)).collect();
         let parameters = Parameters { encoding: Encoding::new(&config, table), network };
-        Ok(Self::new(config, space, parameters, occupied, header.training))
+        Ok(Self::new(config, space, parameters, occupied, header.training).with_training_cameras(header.cameras))
     }
 }
 

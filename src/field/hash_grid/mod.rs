@@ -26,8 +26,9 @@ use multiversion::multiversion;
 
 use super::harmonics::spherical_harmonics;
 use super::window::Window;
-use super::{Differentiable, Radiance, RadianceField};
-use crate::geometry::{Aabb, Domain, Norm};
+use super::{Differentiable, Intrinsics, Radiance, RadianceField};
+use crate::geometry::{Aabb, Camera, Domain, NamedCamera, Norm};
+use crate::{Error, Result};
 
 /// Points that go through all layers together: buffers of a block are 40 KB.
 pub(crate) const BLOCK: usize = 64;
@@ -158,6 +159,8 @@ pub struct HashGrid {
     window: Window,
     /// What it was trained on and how, JSON.
     training: serde_json::Value,
+    /// The cameras that it was trained on; empty if that is not known.
+    cameras: Vec<NamedCamera>,
 }
 
 impl HashGrid {
@@ -169,7 +172,13 @@ impl HashGrid {
         training: serde_json::Value,
     ) -> Self {
         let window = Window::new(config.occupancy, vec![occupied.clone()]);
-        Self { config, space, parameters, occupied, window, training }
+        Self { config, space, parameters, occupied, window, training, cameras: Vec::new() }
+    }
+
+    /// The same field, which knows the cameras that it was trained on.
+    #[must_use]
+    pub fn with_training_cameras(self, cameras: Vec<NamedCamera>) -> Self {
+        Self { cameras, ..self }
     }
 
     /// Hyper-parameters.
@@ -286,6 +295,23 @@ impl RadianceField for HashGrid {
             }
         };
         self.window.is_empty(low, high).then_some(0.0)
+    }
+
+    fn cameras(&self, intrinsics: &Intrinsics) -> Result<Option<Vec<Camera>>> {
+        if let Some(fov) = intrinsics.fov_x.filter(|_| !self.cameras.is_empty()) {
+            let found = format!("{} degrees", fov.to_degrees());
+            return Err(Error::setting("--fov", "none: the model knows the lenses of its cameras", found));
+        }
+        let sized = |named: &NamedCamera| intrinsics.resolution.map_or(named.camera, |size| named.camera.resized(size));
+        Ok((!self.cameras.is_empty()).then(|| self.cameras.iter().map(sized).collect()))
+    }
+
+    fn training_cameras(&self) -> &[NamedCamera] {
+        &self.cameras
+    }
+
+    fn natural_domain(&self) -> Domain {
+        self.space.domain
     }
 
     fn suggested_step(&self) -> f64 {

@@ -1,0 +1,165 @@
+//! Where cameras come from: a file, or the model.
+
+use std::collections::BTreeSet;
+use std::path::PathBuf;
+
+use clap::Args;
+
+use super::parse::{parse_fov, parse_resolution, parse_views};
+use crate::dataset::{Frame, FrameSplit, Part, ResolutionSource, Selection, Views};
+use crate::field::{Intrinsics, RadianceField};
+use crate::{Error, Result};
+
+/// A camera file.
+#[derive(Args)]
+pub struct CameraFile {
+    /// transforms.json with intrinsics and camera-to-world poses (OpenGL axes)
+    #[arg(long, value_name = "JSON")]
+    pub cameras: PathBuf,
+
+    /// Image size, W or WxH [default: from the camera file, else from its first image, else 400x400]
+    #[arg(long, value_name = "SIZE", value_parser = parse_resolution)]
+    pub resolution: Option<[u32; 2]>,
+}
+
+/// Which frames of a camera file.
+#[derive(Args)]
+pub struct FrameOptions {
+    /// Frames of the camera file: a number of them, spread over its order, or their indices from 0 as 0,7,31 (`7,` for
+    /// one), or `all`. Frames without an image are left out, unless there are no images at all; of a transforms.json
+    /// with images every eighth frame is held out, as in `train` [default: all that are for this purpose]
+    #[arg(long, value_name = "N|I,J,...|all", value_parser = parse_views, requires = "cameras")]
+    pub views: Option<Selection>,
+}
+
+impl FrameOptions {
+    /// The selected frames of a part; says on stderr how many, and why the others are left out.
+    fn select(&self, part: Part, views: Views) -> Result<Vec<Frame>> {
+        let split = FrameSplit::of(views);
+        let frames = split.select(part, &self.views.clone().unwrap_or_default(), |_| true)?;
+        eprintln!("note: {}", split.describe(part, &frames));
+        Ok(frames)
+    }
+}
+
+impl CameraFile {
+    /// Frames to judge `model` by; warns if it was trained on some of them.
+    pub fn held_out(&self, options: &FrameOptions, model: &dyn RadianceField) -> Result<Vec<Frame>> {
+        let frames = options.select(Part::HeldOut, self.read()?)?;
+        let known = matched(&frames, model).iter().flatten().count();
+        if known > 0 {
+            let n = frames.len();
+            eprintln!(
+                "warning: the model was trained on {known} of these {n} frames: it knows them better than others"
+            );
+        }
+        Ok(frames)
+    }
+
+    /// Reads the file; says so if the image size had to be assumed.
+    pub fn read(&self) -> Result<Views> {
+        let views = Views::read(&self.cameras, self.resolution)?;
+        if views.resolution_source == ResolutionSource::Assumed {
+            let [w, h] = views.frames[0].camera.resolution;
+            let path = self.cameras.display();
+            eprintln!(
+                "note: {path} states no image size and its images are not there: assuming {w} x {h} (--resolution)"
+            );
+        }
+        Ok(views)
+    }
+}
+
+/// A camera file, or the cameras that the model brings along.
+#[derive(Args)]
+pub struct CameraOptions {
+    /// transforms.json with intrinsics and camera-to-world poses (OpenGL axes) [default: the cameras that the model
+    /// was trained on or brings along, if it knows them]
+    #[arg(long, value_name = "JSON")]
+    pub cameras: Option<PathBuf>,
+
+    /// Horizontal angle of view of the model's own cameras, degrees
+    #[arg(long, value_name = "DEGREES", value_parser = parse_fov, conflicts_with = "cameras")]
+    pub fov: Option<f64>,
+
+    /// Image size, W or WxH [default: from the camera file, else from its first image, else 400x400]
+    #[arg(long, value_name = "SIZE", value_parser = parse_resolution)]
+    pub resolution: Option<[u32; 2]>,
+}
+
+impl CameraOptions {
+    /// Reads the camera file, or asks the model `name`.
+    pub fn read(&self, model: &dyn RadianceField, name: &str) -> Result<Views> {
+        if let Some(cameras) = &self.cameras {
+            return CameraFile { cameras: cameras.clone(), resolution: self.resolution }.read();
+        }
+        let intrinsics = Intrinsics { fov_x: self.fov.map(f64::to_radians), resolution: self.resolution };
+        let cameras = model.cameras(&intrinsics)?.ok_or_else(|| {
+            Error::setting(
+                "--cameras",
+                "a transforms.json, as this model brings no cameras",
+                format!("none for `{name}`"),
+            )
+        })?;
+        let names = model.training_cameras();
+        let name_of = |i: usize| names.get(i).map_or_else(|| format!("pose {i}"), |named| named.name.clone());
+        let frame = |(i, camera)| Frame { camera, name: name_of(i), image: PathBuf::new() };
+        Ok(Views {
+            path: PathBuf::from(name),
+            frames: cameras.into_iter().enumerate().map(frame).collect(),
+            resolution_source: self.resolution.map_or(ResolutionSource::Assumed, |_| ResolutionSource::Requested),
+        })
+    }
+
+    /// The cameras that the model was trained on: those that it brings along, or those of the camera file that are for
+    /// training. Says on stderr which, and warns if they are not those that the model knows.
+    pub fn training(&self, options: &FrameOptions, model: &dyn RadianceField, name: &str) -> Result<Views> {
+        let views = self.read(model, name)?;
+        if self.cameras.is_none() {
+            let whose = if model.training_cameras().is_empty() { "the model's own" } else { "stored in the model" };
+            eprintln!("note: {} cameras ({whose})", views.frames.len());
+            return Ok(views);
+        }
+        let (path, resolution_source) = (views.path.clone(), views.resolution_source);
+        let frames = options.select(Part::Training, views)?;
+        let stored = model.training_cameras().len();
+        let matches = matched(&frames, model);
+        let known: BTreeSet<usize> = matches.iter().flatten().copied().collect();
+        let (others, absent) = (matches.iter().filter(|m| m.is_none()).count(), stored - known.len());
+        if stored > 0 && others + absent > 0 {
+            eprintln!(
+                "warning: these are not the cameras that the model was trained on: {others} of these {} are others, \
+                 {absent} of its {stored} are not among these; without --cameras those stored in the model are used",
+                frames.len()
+            );
+        }
+        Ok(Views { path, frames, resolution_source })
+    }
+}
+
+/// For each frame, which of the cameras that the model was trained on it is ([`Camera::is_like`], seen from the far
+/// side of the model's box).
+///
+/// [`Camera::is_like`]: crate::geometry::Camera::is_like
+fn matched(frames: &[Frame], model: &dyn RadianceField) -> Vec<Option<usize>> {
+    let (stored, length) = (model.training_cameras(), model.bounds().longest_edge());
+    frames.iter().map(|frame| stored.iter().position(|known| known.camera.is_like(&frame.camera, length))).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec3;
+
+    use super::*;
+    use crate::field::Coordinates;
+
+    #[test]
+    fn a_model_without_cameras_needs_a_camera_file() {
+        let options = CameraOptions { cameras: None, fov: None, resolution: None };
+        let scene = crate::field::VoxelGrid::bake(&crate::field::ClosedForm::ball(), [2; 3], Vec3::Z);
+        let error = options.read(&scene, "ball.npz").unwrap_err().to_string();
+        assert!(error.contains("--cameras") && error.contains("ball.npz"), "{error}");
+        let error = crate::field::open_in("scene:ball", Some(Coordinates::Blender)).err().unwrap().to_string();
+        assert!(error.contains("--coordinates") && error.contains("scene:ball"), "{error}");
+    }
+}

@@ -1,0 +1,234 @@
+//! Which frames of a camera file are for training, which are held out, and which are left out: one rule for all verbs.
+//!
+//! Frames whose image is not there are left out; if no frame has an image, the file is one of cameras alone, and all
+//! count. Of the others every eighth is held out, unless file names say what is what: `transforms_train.json` beside a
+//! `transforms_test.json` is for training, `transforms_test.json` and `transforms_val.json` are held out as they are.
+
+use std::path::{Path, PathBuf};
+
+use super::{Frame, Views};
+use crate::{Error, Result};
+
+/// Of a file that is not split by its name, one image in this many is held out.
+const HOLD_OUT: usize = 8;
+
+/// What frames are for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Part {
+    /// To train on, and to compute the uncertainty from.
+    Training,
+    /// To judge by; of a file in which none is held out, all.
+    HeldOut,
+}
+
+/// Which frames of a part to use.
+#[derive(Debug, Clone, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Selection {
+    /// All of them.
+    #[default]
+    All,
+    /// All of both parts.
+    BothParts,
+    /// This many, spread evenly over the camera file's order.
+    Count(usize),
+    /// Those of these indices, from 0, in the camera file's order.
+    Indices(Vec<usize>),
+}
+
+/// The frames of a camera file, told apart.
+#[derive(Debug, Clone)]
+pub struct FrameSplit {
+    path: PathBuf,
+    /// Frames of the file.
+    total: usize,
+    /// Those that can be used, and whether they are held out; in the file's order.
+    frames: Vec<(Frame, bool)>,
+    /// Images that are not there, though others are.
+    missing: Vec<PathBuf>,
+    has_images: bool,
+}
+
+impl FrameSplit {
+    /// Splits a file's frames; looks which images exist.
+    #[must_use]
+    pub fn of(views: Views) -> Self {
+        let Views { path, frames, .. } = views;
+        let total = frames.len();
+        let (mut usable, others): (Vec<Frame>, Vec<Frame>) = frames.into_iter().partition(|frame| frame.image.exists());
+        let (has_images, mut missing) = (!usable.is_empty(), Vec::new());
+        if has_images {
+            missing = others.into_iter().map(|frame| frame.image).collect();
+        } else {
+            usable = others;
+        }
+        let all_held_out = is_held_out_by_name(&path);
+        let is_split = has_images && test_partner(&path).is_none() && !all_held_out;
+        // From the middle of the first eight: a single image is for training.
+        let is_held_out = |i: usize| all_held_out || is_split && i % HOLD_OUT == HOLD_OUT / 2 - 1;
+        let frames = usable.into_iter().enumerate().map(|(i, frame)| (frame, is_held_out(i))).collect();
+        Self { path, total, frames, missing, has_images }
+    }
+
+    /// Whether any frame has an image.
+    #[must_use]
+    pub fn has_images(&self) -> bool {
+        self.has_images
+    }
+
+    /// Images that are not there, though others are.
+    #[must_use]
+    pub fn missing(&self) -> &[PathBuf] {
+        &self.missing
+    }
+
+    /// Selected frames of a part for which `keep` holds, in the file's order. Indices count before `keep`, a count
+    /// after it.
+    ///
+    /// # Errors
+    /// If there are no such frames.
+    pub fn select(&self, part: Part, selection: &Selection, keep: impl Fn(&Frame) -> bool) -> Result<Vec<Frame>> {
+        let mut frames = self.part(part, *selection == Selection::BothParts);
+        let n = frames.len();
+        if let Selection::Indices(indices) = selection {
+            if let Some(i) = indices.iter().find(|i| **i >= n) {
+                let expected = format!("indices of images from 0 to {}", n.saturating_sub(1));
+                return Err(Error::setting("--views", expected, i.to_string()));
+            }
+            let mut index = 0..n;
+            frames.retain(|_| index.next().is_some_and(|i| indices.contains(&i)));
+        }
+        frames.retain(|frame| keep(frame));
+        let n = frames.len();
+        if let Selection::Count(count) = selection {
+            if *count > n {
+                return Err(Error::setting("--views", format!("at most {n} images"), count.to_string()));
+            }
+            let kept: Vec<usize> = (0..*count).map(|i| (2 * i + 1) * n / (2 * count)).collect();
+            let mut index = 0..n;
+            frames.retain(|_| index.next().is_some_and(|i| kept.contains(&i)));
+        }
+        Ok(frames.into_iter().cloned().collect())
+    }
+
+    fn part(&self, part: Part, both: bool) -> Vec<&Frame> {
+        let of = |held_out: bool| -> Vec<&Frame> {
+            self.frames.iter().filter(|(_, is)| both || *is == held_out).map(|(frame, _)| frame).collect()
+        };
+        let frames = of(part == Part::HeldOut);
+        // A file of one part serves for either.
+        if frames.is_empty() { of(part != Part::HeldOut) } else { frames }
+    }
+
+    /// A sentence on how many frames are `used` as this part, and why the others are not.
+    #[must_use]
+    pub fn describe(&self, part: Part, used: &[Frame]) -> String {
+        let mut others = Vec::new();
+        if let Some(first) = self.missing.first() {
+            let has = if self.missing.len() == 1 { "has" } else { "have" };
+            others.push(format!("{} {has} no image (first: {})", self.missing.len(), first.display()));
+        }
+        let is_other = |is_held_out: bool| is_held_out != (part == Part::HeldOut);
+        // A file of one part serves for either.
+        let has_both = self.frames.iter().any(|(_, is)| !is_other(*is));
+        let is_left = |(frame, is): &&(Frame, bool)| has_both && is_other(*is) && !used.contains(frame);
+        let other_part = self.frames.iter().filter(is_left).count();
+        if other_part > 0 {
+            let (is, for_what) = match part {
+                Part::Training => (if other_part == 1 { "is" } else { "are" }, "held out, every eighth"),
+                Part::HeldOut => (if other_part == 1 { "is" } else { "are" }, "for training"),
+            };
+            others.push(format!("{other_part} {is} {for_what} (--views all takes both)"));
+        }
+        let rest = self.frames.len().saturating_sub(other_part + used.len());
+        if rest > 0 {
+            others.push(format!("{rest} not chosen"));
+        }
+        let others = if others.is_empty() { String::new() } else { format!(": {}", others.join(", ")) };
+        let cameras = if used.len() == 1 { "camera" } else { "cameras" };
+        format!("{} {cameras} of {} frames of {}{others}", used.len(), self.total, self.path.display())
+    }
+}
+
+fn has_name(path: &Path, names: &[&str]) -> bool {
+    path.file_name().is_some_and(|name| names.iter().any(|known| name == *known))
+}
+
+fn is_held_out_by_name(path: &Path) -> bool {
+    has_name(path, &["transforms_test.json", "transforms_val.json"])
+}
+
+/// The file of held-out frames that belongs to a file of training frames, if there is one.
+#[must_use]
+pub fn test_partner(path: &Path) -> Option<PathBuf> {
+    let partner = path.with_file_name("transforms_test.json");
+    (has_name(path, &["transforms_train.json"]) && partner.exists()).then_some(partner)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dataset::write_transforms;
+    use crate::field::ClosedForm;
+
+    /// A folder with camera files of 20 frames, of which those of `images` are there.
+    fn split(name: &str, images: &[usize]) -> (tempfile::TempDir, FrameSplit) {
+        let folder = tempfile::tempdir().unwrap();
+        let cameras = ClosedForm::half_circle(20, [8, 8]).into_iter().enumerate();
+        let named: Vec<_> = cameras.map(|(i, camera)| (format!("r_{i}"), camera)).collect();
+        for file in ["transforms_test.json", name] {
+            write_transforms(&folder.path().join(file), &named).unwrap();
+        }
+        for i in images {
+            std::fs::write(folder.path().join(format!("r_{i}.png")), b"").unwrap();
+        }
+        let split = FrameSplit::of(Views::read(&folder.path().join(name), Some([8, 8])).unwrap());
+        (folder, split)
+    }
+
+    fn names(frames: &[Frame]) -> Vec<&str> {
+        frames.iter().map(|frame| frame.name.as_str()).collect()
+    }
+
+    #[test]
+    fn missing_images_are_left_out_before_every_eighth_is_held_out() {
+        let images: Vec<usize> = (0..20).filter(|i| ![1, 5].contains(i)).collect();
+        let (folder, split) = split("transforms.json", &images);
+        let select = |part, selection: &Selection| split.select(part, selection, |_| true).unwrap();
+        let [training, held_out] = [Part::Training, Part::HeldOut].map(|part| select(part, &Selection::All));
+        // The fourth and the twelfth of 0 2 3 4 6 7 8 9 10 11 12 13 ….
+        assert_eq!(names(&held_out), ["r_4", "r_13"]);
+        assert_eq!((training.len(), names(&training)[3]), (16, "r_6"));
+        assert_eq!(select(Part::Training, &Selection::BothParts).len(), 18);
+        let three = select(Part::Training, &Selection::Count(3));
+        assert_eq!(names(&three), [2, 8, 13].map(|i| names(&training)[i]));
+        assert_eq!(names(&select(Part::Training, &Selection::Indices(vec![0, 3]))), ["r_0", "r_6"]);
+        assert!(split.select(Part::Training, &Selection::Count(17), |_| true).is_err());
+        assert!(split.select(Part::Training, &Selection::Indices(vec![16]), |_| true).is_err());
+
+        let path = folder.path().display();
+        let start = format!("of 20 frames of {path}/transforms.json: 2 have no image (first: {path}/r_1.png)");
+        let held = "2 are held out, every eighth (--views all takes both)";
+        assert_eq!(split.describe(Part::Training, &training), format!("16 cameras {start}, {held}"));
+        assert_eq!(split.describe(Part::Training, &three), format!("3 cameras {start}, {held}, 13 not chosen"));
+        let both = select(Part::Training, &Selection::BothParts);
+        assert_eq!(split.describe(Part::Training, &both), format!("18 cameras {start}"));
+        let judged = split.describe(Part::HeldOut, &held_out);
+        assert_eq!(judged, format!("2 cameras {start}, 16 are for training (--views all takes both)"));
+    }
+
+    #[test]
+    fn files_that_say_what_they_are_for_are_not_split() {
+        let all: Vec<usize> = (0..20).collect();
+        for name in ["transforms_train.json", "transforms_test.json", "transforms_val.json"] {
+            let (_folder, split) = split(name, &all);
+            for part in [Part::Training, Part::HeldOut] {
+                assert_eq!(split.select(part, &Selection::All, |_| true).unwrap().len(), 20, "{name}");
+            }
+        }
+        // Without any image it is a file of cameras.
+        let (_folder, split) = split("transforms.json", &[]);
+        assert!(!split.has_images() && split.missing().is_empty());
+        assert_eq!(split.select(Part::Training, &Selection::All, |_| true).unwrap().len(), 20);
+    }
+}
