@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use serde_json::json;
 
 use super::report;
+use crate::error::printable;
 use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
 
@@ -60,6 +61,7 @@ impl Args {
         let name = self.file.to_string_lossy();
         let field = crate::field::open(&name)?;
         let bounds = field.bounds();
+        let cameras = field.training_cameras();
         if self.json {
             let value = json!({
                 "model": field.describe(),
@@ -67,11 +69,17 @@ impl Args {
                 "suggested_march_step": field.suggested_step(),
                 "pixel_offset": field.pixel_offset(),
                 "memory": field.memory(),
+                "domain": field.natural_domain(),
+                "training_cameras": cameras,
             });
             say!("{value}")?;
         } else {
             say!("{name}\n  {}", field.describe())?;
             say!("  box          {} to {}", bounds.min(), bounds.max())?;
+            if let Some((first, last)) = cameras.first().zip(cameras.last()) {
+                let [first, last] = [first, last].map(|camera| printable(&camera.name));
+                say!("  cameras      {} that it was trained on, {first} to {last}", cameras.len())?;
+            }
             say!("  march step   {:.6} scene units", field.suggested_step())?;
             say!("  pixel offset {}", field.pixel_offset())?;
             say!("  memory       {}", report::bytes(field.memory()))?;

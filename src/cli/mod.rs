@@ -7,6 +7,7 @@ macro_rules! say {
 }
 
 mod accumulate;
+mod belongs;
 mod checkpoint;
 mod compare;
 mod convert;

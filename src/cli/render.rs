@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use super::belongs::check_model;
 use super::files::CommandFiles;
 use super::options::{CameraOptions, ModelOptions, parse_range};
 use super::panels::{Ranges, depth_range, view_panels};
@@ -35,7 +36,7 @@ pub struct Args {
     #[command(flatten)]
     cameras: CameraOptions,
 
-    /// Which camera, from 0
+    /// Which frame of the camera file, or which camera of the model, from 0
     #[arg(long, value_name = "K", default_value_t = 0)]
     frame: usize,
 
@@ -58,6 +59,10 @@ pub struct Args {
     /// Another covariance than the field's own, if it keeps its Hessian
     #[arg(long, value_enum)]
     covariance: Option<Covariance>,
+
+    /// Use the field though it was computed for another model
+    #[arg(long)]
+    force: bool,
 }
 
 impl Args {
@@ -80,6 +85,7 @@ impl Args {
             field = field.with_covariance(covariance)?;
         }
         check_box(&self.model.model, &model.bounds(), &field)?;
+        check_model(&self.model, &self.field, &field, self.force)?;
         let views = self.cameras.read(&*model, &self.model.model)?;
         files.images(&views).check()?;
         let camera = views.frame(self.frame)?.camera;

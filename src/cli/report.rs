@@ -114,6 +114,7 @@ fn error_bars(e: &ErrorSummary) -> String {
 pub fn protocol_json(field: &UncertaintyField) -> Value {
     json!({
         "protocol": field.protocol(),
+        "origin": field.protocol().origin,
         "box": field.lattice().domain().bounds().map(|b| json!({ "min": b.min().to_array(), "max": b.max().to_array() })),
         "domain": field.lattice().domain(),
         "level": field.lattice().level(),

@@ -6,12 +6,12 @@ use std::path::Path;
 use rayon::prelude::*;
 
 use super::{GridKind, GridSettings, Plan, plan};
-use crate::geometry::{Domain, Lattice};
+use crate::geometry::{Camera, Domain, Lattice};
 use crate::octree::{Cell, LevelLimits, morton};
 use crate::posterior::checkpoint::{self, AnyPosterior, RunKey};
 use crate::posterior::{DensePosterior, Evidence, OctreePosterior, Posterior, RayStream, SURFACE_WEIGHT, Share, Tally};
 use crate::render::RaySamples;
-use crate::uncertainty::{Protocol, Support, UncertaintyField};
+use crate::uncertainty::{Origin, Protocol, Support, UncertaintyField};
 use crate::{Error, Result};
 
 /// What a field's numbers come from: the part of its protocol that the grid does not know.
@@ -246,6 +246,7 @@ impl FieldBuilder {
         let protocol = Protocol {
             version: env!("CARGO_PKG_VERSION").into(),
             source: provenance.source.clone(),
+            origin: Origin { model: None, cameras: stream.map(|s| Camera::checksum(s.cameras)) },
             rays: provenance.tally.rays,
             dropped: provenance.tally.dropped,
             pixels: stream.map(|s| s.pixels.kind()),

@@ -88,7 +88,8 @@ impl RaySettings {
         Ok(Tracer { field, marcher, background: self.background })
     }
 
-    /// The description under which a run of `share` of these rays into `builder` can be taken up again; `source` names model and cameras.
+    /// The description under which a run of `share` of these rays into `builder` can be taken up again; `source`
+    /// names the model, whatever its path.
     #[must_use]
     pub fn run_key(
         &self,
@@ -101,7 +102,7 @@ impl RaySettings {
         RunKey {
             version: env!("CARGO_PKG_VERSION").into(),
             source,
-            cameras: crc32fast::hash(format!("{:?}", stream.cameras).as_bytes()),
+            cameras: Camera::checksum(stream.cameras),
             lattice: *builder.lattice(),
             share,
             pixels: self.pixels,

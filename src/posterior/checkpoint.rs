@@ -31,7 +31,7 @@ pub enum AnyPosterior {
 pub struct RunKey {
     /// Version of this crate: another one may round or draw otherwise.
     pub version: String,
-    /// Model and camera file, with their checksums.
+    /// The model, by its checksum.
     pub source: String,
     /// Checksum of the cameras in use: an image size can come from elsewhere than the file.
     pub cameras: u32,

@@ -8,11 +8,12 @@
 //! logs         u16        bits of f16: log10(σ_v / unit), in the same order; the header has the unit
 //! limits       u64        the regions' level, then region · 256 + limit; empty if nothing is limited
 //! errors       u16        number of groups, then bits of f16: errors of log10 σ_v, NaN where not known; or empty
-//! draws        u64 × 4    the rays that were summed: seed, rays of the run, index and number of its parts
+//! draws        u64 × 4    the rays that were summed: seed, rays of the run, index and number of its parts; or empty
+//! origin       u8         checksums of model and cameras, JSON
 //! ```
 //!
-//! A file has the lowest version that holds the field. Version 1 ends before `errors`, and version 2 before `draws`:
-//! then the rays are of the one sequence of pixels that the header names, or not known.
+//! A file has the lowest version that holds the field: version 1 ends before `errors`, version 2 before `draws`, and
+//! version 3 before `origin`. Without draws the rays are of the one sequence of pixels that the header names, or not known.
 //!
 //! The octree is rebuilt from its masks, so a file cannot hold an inconsistent one.
 
@@ -20,7 +21,7 @@ use std::path::Path;
 
 use half::f16;
 
-use super::{Deviations, ErrorBars, Protocol, Support, UncertaintyField, vertex_count};
+use super::{Deviations, ErrorBars, Origin, Protocol, Support, UncertaintyField, vertex_count};
 use crate::geometry::Lattice;
 use crate::io::container::{self, Format, Reader};
 use crate::octree::{LevelLimits, Octree};
@@ -28,7 +29,7 @@ use crate::posterior::{Draw, Evidence, Share};
 use crate::{Error, Result};
 
 /// The newest version that this crate reads and writes.
-pub const FORMAT_VERSION: u32 = 3;
+pub const FORMAT_VERSION: u32 = 4;
 const FORMAT: Format = (b"OCTOBAY\n", FORMAT_VERSION);
 /// Sections of version 1; each later version has one more.
 const PLAIN: usize = 6;
@@ -78,14 +79,17 @@ impl UncertaintyField {
             .collect();
         let (masks, surface, logs) = (masks.as_slice(), self.surface.as_slice(), logs.as_slice());
         let (limits, errors, draws) = (limits.as_slice(), errors.as_slice(), draws.as_slice());
+        let has_origin = self.protocol.origin != Origin::default();
+        let failed = |e: serde_json::Error| Error::malformed(path, "origin", "checksums", e.to_string());
+        let origin = serde_json::to_vec(&self.protocol.origin).map_err(failed)?;
+        let origin = origin.as_slice();
         let mut sections: Vec<&dyn container::Section> =
-            vec![&masks, &values, &evidence, &surface, &logs, &limits, &errors, &draws];
-        let needed = if !draws.is_empty() {
-            8
-        } else if !errors.is_empty() {
-            7
-        } else {
-            PLAIN
+            vec![&masks, &values, &evidence, &surface, &logs, &limits, &errors, &draws, &origin];
+        let needed = match (has_origin, draws.is_empty(), errors.is_empty()) {
+            (true, ..) => PLAIN + 3,
+            (_, false, _) => PLAIN + 2,
+            (.., false) => PLAIN + 1,
+            _ => PLAIN,
         };
         sections.truncate(needed);
         container::write(path, (FORMAT.0, (needed - PLAIN) as u32 + 1), &header, &sections)
@@ -96,13 +100,13 @@ impl UncertaintyField {
     /// # Errors
     /// If the file is missing, or is not a complete, unaltered field of a version that is known.
     pub fn read(path: &Path) -> Result<Self> {
-        let (header, mut file) = Reader::open::<Header>(path, FORMAT, PLAIN..=PLAIN + 2)?;
+        let (header, mut file) = Reader::open::<Header>(path, FORMAT, PLAIN..=PLAIN + 3)?;
         // Deserialising bypasses the constructors' checks.
         let lattice = header.lattice.domain().checked();
         let lattice = lattice
             .and_then(|domain| Lattice::of_domain(domain, header.lattice.level()))
             .map_err(|e| Error::malformed(path, "header", "a valid domain and level", e.to_string()))?;
-        let protocol = header.protocol;
+        let mut protocol = header.protocol;
         if !protocol.is_possible() {
             let expected = "a protocol that a run can have";
             return Err(Error::malformed(path, "header", expected, format!("{protocol:?}")));
@@ -161,10 +165,17 @@ impl UncertaintyField {
             ));
         }
         let evidence = (!evidence.is_empty()).then_some(evidence);
+        let has_origin = file.left() > 2;
         let words = if file.left() > 0 { Some(file.section::<u16>("errors")?) } else { None };
         let draws = if file.left() > 0 { Some(file.section::<[u64; 4]>("draws")?) } else { None };
-        // Only where another section follows may it be empty.
+        if file.left() > 0 {
+            protocol.origin = serde_json::from_slice(&file.section::<u8>("origin")?).map_err(|e| {
+                Error::malformed(path, "section `origin`", "checksums of model and cameras", e.to_string())
+            })?;
+        }
+        // Only where another section follows may they be empty.
         let words = words.filter(|words| draws.is_none() || !words.is_empty());
+        let draws = draws.filter(|draws| !has_origin || !draws.is_empty());
         let error_bars = words.map(|words| ErrorBars::from_words(&words, vertices)).transpose();
         let error_bars =
             error_bars.map_err(|(expected, found)| Error::malformed(path, "section `errors`", expected, found))?;

@@ -123,9 +123,21 @@ pub fn merge_with_error_bars(parts: &[UncertaintyField]) -> Result<UncertaintyFi
 fn may_share_rays(a: &UncertaintyField, b: &UncertaintyField) -> bool {
     if a.draws.is_empty() || b.draws.is_empty() {
         // Sample files: all that is known is where they came from.
-        return a.protocol.source == b.protocol.source;
+        let [a, b] = [&a.protocol, &b.protocol];
+        return a.source == b.source || a.origin.model.is_some() && a.origin == b.origin;
     }
     !Draw::are_disjoint(a.draws.iter().chain(&b.draws).copied())
+}
+
+/// Whether model and cameras are the same: by their checksums, whatever their paths; where one is not known, by name,
+/// if this crate drew the rays.
+fn have_one_origin(a: &Protocol, b: &Protocol) -> bool {
+    let same = |a: Option<u32>, b: Option<u32>| a.zip(b).map(|(a, b)| a == b);
+    let same = [same(a.origin.model, b.origin.model), same(a.origin.cameras, b.origin.cameras)];
+    match same {
+        [Some(model), Some(cameras)] => model && cameras,
+        _ => !same.contains(&Some(false)) && (a.march_step.is_none() || a.source == b.source),
+    }
 }
 
 /// Compares everything but rays, seed and share; the source too, if this crate drew the rays.
@@ -155,10 +167,13 @@ fn check_alike(first: &UncertaintyField, part: &UncertaintyField, number: usize)
             ),
         ]
     };
-    if first.protocol.march_step.is_some() && first.protocol.source != part.protocol.source {
-        let (expected, found) = (&first.protocol.source, &part.protocol.source);
+    if !have_one_origin(&first.protocol, &part.protocol) {
+        let name = |p: &Protocol| {
+            let sum = |sum: Option<u32>| sum.map_or("unknown".into(), |sum| format!("{sum:08x}"));
+            format!("{} (model {}, cameras {})", p.source, sum(p.origin.model), sum(p.origin.cameras))
+        };
         let what = format!("model and cameras of field {number}");
-        return Err(Error::setting(what, format!("{expected}, as in field 1"), found));
+        return Err(Error::setting(what, format!("{}, as in field 1", name(&first.protocol)), name(&part.protocol)));
     }
     for ((name, expected), (_, found)) in settings(first).into_iter().zip(settings(part)) {
         if expected != found {

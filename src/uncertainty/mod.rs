@@ -22,7 +22,7 @@ pub use error_bars::{ErrorBars, ErrorSummary, Jackknife};
 pub use file::FORMAT_VERSION;
 pub use merge::{merge, merge_with_error_bars};
 pub use official::OfficialGrid;
-pub use protocol::{Protocol, SAMPLES_SHARE};
+pub use protocol::{Origin, Protocol, SAMPLES_SHARE};
 pub use threshold::ThresholdedField;
 
 use glam::{DVec3, Vec3};
@@ -153,6 +153,13 @@ impl UncertaintyField {
             self.deviations = self.deviations.to_f16(prior);
         }
         self.without_evidence()
+    }
+
+    /// The same field, which names the model that it was computed for by its [checksum](crate::field::checksum).
+    #[must_use]
+    pub fn of_model(mut self, checksum: u32) -> Self {
+        self.protocol.origin.model = Some(checksum);
+        self
     }
 
     /// The same field with some points on visible surfaces.

@@ -6,6 +6,16 @@ use crate::render::GradientMethod;
 /// The share of the tolerance that is for samples whose Jacobian is negligible; the others are for refinement.
 pub const SAMPLES_SHARE: f64 = 0.1;
 
+/// Checksums of what a field was computed from, `None` where not known: contents, not paths.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+#[serde(default)]
+pub struct Origin {
+    /// Of the model ([`crate::field::checksum`]).
+    pub model: Option<u32>,
+    /// Of its cameras ([`crate::geometry::Camera::checksum`]).
+    pub cameras: Option<u32>,
+}
+
 /// Everything that the numbers in a field depend on. `None` where the field came from elsewhere and does not say.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Protocol {
@@ -13,6 +23,9 @@ pub struct Protocol {
     pub version: String,
     /// Model and cameras, or samples file.
     pub source: String,
+    /// Which model and cameras these are; in files it has a section of its own.
+    #[serde(skip)]
+    pub origin: Origin,
     /// R: rays drawn, those that hit nothing included.
     pub rays: u64,
     /// Rays dropped because the field was not finite.
@@ -99,6 +112,7 @@ impl Protocol {
         Self {
             version: env!("CARGO_PKG_VERSION").into(),
             source,
+            origin: Origin::default(),
             rays,
             dropped: 0,
             pixels: None,

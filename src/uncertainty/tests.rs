@@ -10,6 +10,7 @@ fn protocol(lattice: &Lattice, covariance: Covariance, rays: u64) -> Protocol {
     Protocol {
         version: "test".into(),
         source: "test".into(),
+        origin: Origin::default(),
         rays,
         dropped: 0,
         pixels: Some(Pixels::Sobol),

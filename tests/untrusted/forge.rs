@@ -28,9 +28,9 @@ pub fn file(kind: Kind, recipe: &[u8]) -> Vec<u8> {
     let parts = split(rest);
     let part = |i: usize| parts.get(i).copied().unwrap_or_default();
     match kind {
-        // The last two sections are there or not.
+        // The last three sections are there or not.
         Kind::Field => {
-            let sections: Vec<&[u8]> = (1..parts.len().clamp(7, 9)).map(part).collect();
+            let sections: Vec<&[u8]> = (1..parts.len().clamp(7, 10)).map(part).collect();
             container(b"OCTOBAY\n", part(0), &sections)
         }
         Kind::Checkpoint => container(b"OCTOCHK\n", part(0), &std::array::from_fn::<_, 3, _>(|i| part(i + 1))),

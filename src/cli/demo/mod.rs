@@ -114,9 +114,10 @@ impl Args {
         say!("written to {out}: demo.png (look at it first), field.oct, dense.oct{file}, transforms.json")?;
         say!("now try, for example")?;
         say!("  octobayes info {out}/field.oct")?;
-        let cameras = format!("--cameras {out}/transforms.json");
-        say!("  octobayes uncertainty {model} {cameras} --level 6 --rays 50000 -o {out}/again.oct")?;
-        say!("  octobayes render {model} {out}/again.oct {cameras} --frame 0 -o {out}/view.png")
+        // The trained model knows its cameras.
+        let cameras = self.scene.as_ref().map_or(String::new(), |_| format!(" --cameras {out}/transforms.json"));
+        say!("  octobayes uncertainty {model}{cameras} --level 6 --rays 50000 -o {out}/again.oct")?;
+        say!("  octobayes render {model} {out}/again.oct{cameras} --frame 0 -o {out}/view.png")
     }
 
     /// Octree and dense field from the same samples, and a table of what they cost.

@@ -6,8 +6,9 @@ mod table;
 use std::path::PathBuf;
 
 use self::table::Evaluation;
+use super::belongs::check_model;
 use super::files::CommandFiles;
-use super::options::{CameraFile, ModelOptions, parse_pair};
+use super::options::{CameraFile, FrameOptions, ModelOptions, parse_pair};
 use super::progress::Bars;
 use super::render::check_box;
 use crate::dataset::{DepthEncoding, DepthKind, Frame};
@@ -47,6 +48,9 @@ pub struct Args {
 
     #[command(flatten)]
     cameras: CameraFile,
+
+    #[command(flatten)]
+    frames: FrameOptions,
 
     /// Folder of true depth maps
     #[arg(long, value_name = "DIR")]
@@ -99,6 +103,10 @@ pub struct Args {
     #[arg(long, value_name = "CURVES.csv")]
     csv: Option<PathBuf>,
 
+    /// Use the field though it was computed for another model
+    #[arg(long)]
+    force: bool,
+
     /// Print one JSON object
     #[arg(long)]
     json: bool,
@@ -119,11 +127,12 @@ impl Args {
         let model = self.model.open()?;
         let readings = self.readings(&model.bounds())?;
         let members = self.ensemble.iter().map(|name| self.member(name, &*model)).collect::<Result<Vec<_>>>()?;
-        let views = self.cameras.read()?;
+        let judged = self.cameras.held_out(&self.frames, &*model)?;
         let depth_files = self.depth_files();
-        let maps = views.frames.iter().map(|frame| depth_files.path(frame));
-        files.images(&views).inputs("--depth", maps).check()?;
-        let frames: Vec<&Frame> = views.frames.iter().step_by(self.every as usize).collect();
+        let images = judged.iter().map(|frame| &frame.image);
+        let maps = judged.iter().map(|frame| depth_files.path(frame));
+        files.inputs("an image of --cameras", images).inputs("--depth", maps).check()?;
+        let frames: Vec<&Frame> = judged.iter().step_by(self.every as usize).collect();
         let settings = self.model.image_settings();
         let judge = Judge {
             tracer: settings.tracer(&*model, 0.0, bars)?,
@@ -167,6 +176,7 @@ impl Args {
         for path in &self.fields {
             let field = UncertaintyField::read(path)?;
             check_box(&self.model.model, bounds, &field)?;
+            check_model(&self.model, path, &field, self.force)?;
             let own = field.protocol().covariance;
             let mut wanted = if self.covariance.is_empty() { vec![own] } else { self.covariance.clone() };
             if self.covariance.is_empty() && field.evidence().is_some() {

@@ -35,8 +35,8 @@ const FEW_RAYS: u32 = 4;
 /// The part of space that a field covers.
 #[derive(Args)]
 pub struct DomainOptions {
-    /// Box of the field: x0,y0,z0,x1,y1,z1 in scene units [default: the model's, if there
-    /// is one]
+    /// Box of the field: x0,y0,z0,x1,y1,z1 in scene units [default: the space that the model
+    /// covers, contracted if it is]
     #[arg(long = "box", value_name = "BOX", value_parser = parse_box, allow_hyphen_values = true, conflicts_with = "contract")]
     pub bounds: Option<Aabb>,
 
@@ -50,11 +50,16 @@ pub struct DomainOptions {
 }
 
 impl DomainOptions {
-    /// What the options say, or the box of the model, if there is one.
-    pub fn domain(&self, model: Option<Aabb>) -> Result<Domain> {
-        match (self.contract, self.inner, self.bounds.or(model)) {
+    /// What the options say, or the space that the model covers, if there is one; if that is contracted, says so.
+    pub fn domain(&self, model: Option<Domain>) -> Result<Domain> {
+        match (self.contract, self.inner, self.bounds.map(Domain::Box).or(model)) {
             (Some(norm), Some([x, y, z, radius]), _) => Domain::contracted(DVec3::new(x, y, z), radius, norm),
-            (.., Some(bounds)) => Ok(Domain::Box(bounds)),
+            (.., Some(domain)) => {
+                if matches!(domain, Domain::Contracted { .. }) {
+                    eprintln!("note: the field covers what the model does, {domain} (--box for a box)");
+                }
+                Ok(domain)
+            }
             _ => Err(Error::setting("--box", "the box of the field, or --contract and --inner", "neither")),
         }
     }

@@ -16,6 +16,8 @@ pub(super) struct Groups<'a> {
     pub grid: GridSettings,
     pub domain: Domain,
     pub plan: Option<&'a Plan>,
+    /// What a state to go on from must be of.
+    pub identity: &'a str,
 }
 
 impl Args {
@@ -29,7 +31,7 @@ impl Args {
                 builder.limit(plan);
             }
             let settings = RaySettings { seed: group.seed, ..run.settings };
-            let key = settings.run_key(source.into(), group.share, &group.stream, &run.grid, &builder);
+            let key = settings.run_key(run.identity.into(), group.share, &group.stream, &run.grid, &builder);
             let mut checkpoint = self.checkpoint(Some(g), self.resume)?;
             let mut so_far = match &checkpoint {
                 Some(checkpoint) => checkpoint.restore(&mut builder, &key)?,

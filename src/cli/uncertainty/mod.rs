@@ -9,7 +9,9 @@ use std::time::Instant;
 use self::groups::Groups;
 use super::checkpoint::Checkpoint;
 use super::files::CommandFiles;
-use super::options::{CameraOptions, DomainOptions, GridOptions, ModelOptions, parse_non_negative, parse_positive};
+use super::options::{
+    CameraOptions, DomainOptions, FrameOptions, GridOptions, ModelOptions, parse_non_negative, parse_positive,
+};
 use super::progress::Bars;
 use super::report::{self, Cost};
 use crate::estimate::{Audit, FieldBuilder, GridSettings, PlannedRun, Planner, Provenance, RaySettings, StepCheck};
@@ -21,17 +23,21 @@ use crate::{Error, Result};
 /// Compute the uncertainty of a trained field from its training cameras
 ///
 /// Draws random training rays, differentiates their pixels with respect to displacements of space, and sums what they say about
-/// each deformation vertex. The result is a field that `query`, `render`, `compare` and `evaluate` read.
+/// each deformation vertex. The cameras must be those that the model was trained on: a model of `train` has stored
+/// them, others need --cameras. The result is a field that `query`, `render`, `compare` and `evaluate` read.
 #[derive(clap::Args)]
-#[command(
-    after_help = "Example: octobayes uncertainty lego.safetensors --cameras lego_train.json -o lego.oct --rays 409600"
-)]
+#[command(after_help = "Examples (a model of `train` knows its cameras):\n  \
+    octobayes uncertainty lego.safetensors -o lego.oct --rays 409600\n  \
+    octobayes uncertainty lego.npz --cameras lego_train.json -o lego.oct --rays 409600")]
 pub struct Args {
     #[command(flatten)]
     model: ModelOptions,
 
     #[command(flatten)]
     cameras: CameraOptions,
+
+    #[command(flatten)]
+    frames: FrameOptions,
 
     #[command(flatten)]
     grid: GridOptions,
@@ -157,7 +163,7 @@ impl Args {
         self.command_files().check()?;
         let files = self.files();
         let field = self.model.open()?;
-        let views = self.cameras.read(&*field, &self.model.model)?;
+        let views = self.cameras.training(&self.frames, &*field, &self.model.model)?;
         self.command_files().images(&views).check()?;
         // The readers know better what is wrong with a file than that it has no checksum.
         let files = files?;
@@ -166,7 +172,10 @@ impl Args {
         if let Some((before, now)) = files.iter().zip(&now).find(|(before, now)| before != now) {
             return Err(Error::setting("an input file", format!("{before}, as before it was read"), now));
         }
-        let domain = self.domain.domain(Some(field.bounds()))?;
+        let domain = self.domain.domain(Some(field.natural_domain()))?;
+        let checksum = crate::field::checksum(&self.model.model, self.model.coordinates)?;
+        // Of contents, not of paths: the run is the same if files have moved.
+        let identity = format!("model {checksum:08x}");
         let grid = self.grid.settings(&domain)?;
         let mut builder = FieldBuilder::new(grid, domain)?;
         self.grid.check_coarsening()?;
@@ -198,7 +207,9 @@ impl Args {
         }
         if self.rays == Rays::Auto {
             let (field, posterior_bytes) = self.run_auto(&stream, grid, domain, source, bars)?;
-            return self.grid.write(field, &Cost { elapsed: start.elapsed(), posterior_bytes, step });
+            return self
+                .grid
+                .write(field.of_model(checksum), &Cost { elapsed: start.elapsed(), posterior_bytes, step });
         }
         let planner = self.planner(grid, &settings, &stream, share, lattice, bars)?;
         let mut plan = planner.as_ref().map(|planner| planner.plan(&lattice)).transpose()?;
@@ -207,9 +218,10 @@ impl Args {
                 plan.bytes *= f64::from(groups) + 1.0;
                 report::plan(plan, &grid);
             }
-            let run = Groups { count: groups, settings, stream: &stream, grid, domain, plan: plan.as_ref() };
+            let (plan, identity) = (plan.as_ref(), identity.as_str());
+            let run = Groups { count: groups, settings, stream: &stream, grid, domain, plan, identity };
             let (field, posterior_bytes) = self.run_groups(&run, &source, bars)?;
-            self.grid.write(field, &Cost { elapsed: start.elapsed(), posterior_bytes, step })?;
+            self.grid.write(field.of_model(checksum), &Cost { elapsed: start.elapsed(), posterior_bytes, step })?;
             return (0..groups).try_for_each(|g| self.checkpoint(Some(g), true)?.map_or(Ok(()), |file| file.remove()));
         }
         let mut checkpoint = self.checkpoint(None, self.resume)?;
@@ -227,7 +239,7 @@ impl Args {
             }
         }
         builder.want_density(&stream)?;
-        let key = |builder: &FieldBuilder| settings.run_key(source.clone(), share, &stream, &grid, builder);
+        let key = |builder: &FieldBuilder| settings.run_key(identity.clone(), share, &stream, &grid, builder);
         let mut so_far = match &checkpoint {
             Some(checkpoint) => {
                 let key = key(&builder);
@@ -258,7 +270,7 @@ impl Args {
         }
         let posterior_bytes = builder.memory();
         let field = builder.finish(&Provenance { source, tally, share: Some(share), stream: Some(&stream) });
-        self.grid.write(field, &Cost { elapsed: start.elapsed(), posterior_bytes, step })?;
+        self.grid.write(field.of_model(checksum), &Cost { elapsed: start.elapsed(), posterior_bytes, step })?;
         checkpoint.map_or(Ok(()), |checkpoint| checkpoint.remove())
     }
 
