@@ -244,10 +244,12 @@ fn files_survive_bit_by_bit() {
         let all = [
             (1, field.clone()),
             (3, drawn(&field)),
-            (1, field.without_evidence()),
+            (1, field.clone().without_evidence()),
             (2, bars.clone()),
             (3, drawn(&bars)),
-            (2, bars.in_f16()),
+            (2, bars.clone().in_f16()),
+            (4, field.of_model(0xfedc_ba98)),
+            (4, drawn(&bars).of_model(0xfedc_ba98)),
         ];
         for (j, (version, field)) in all.into_iter().enumerate() {
             let [first, second] = ["a", "b"].map(|name| folder.path().join(format!("{name}{i}{j}.oct")));
