@@ -214,7 +214,7 @@ fn a_run_goes_on_with_a_model_that_has_moved() {
     std::fs::create_dir(desk.path("moved")).unwrap();
     std::fs::copy(desk.path("m.safetensors"), desk.path("moved/n.safetensors")).unwrap();
     let run = |model: &str, out: &str| {
-        format!("uncertainty {model} --level 4 --rays 200000 --gradient auto --occupancy 16 -o {out}")
+        format!("uncertainty {model} --level 4 --rays 30000 --gradient auto --occupancy 16 -o {out}")
     };
     desk.good(&run("m.safetensors", "whole.oct"));
     let begun = format!("{} --checkpoint run.chk --checkpoint-every 0", run("m.safetensors", "parts.oct"));
