@@ -5,12 +5,12 @@ use std::path::PathBuf;
 
 use glam::Vec3;
 use octobayes::dataset::{PosedImage, Views};
-use octobayes::estimate::RaySettings;
+use octobayes::estimate::{GridSettings, RaySettings, StepCheck, estimate};
 use octobayes::field::{Coordinates, Intrinsics, NerfMlp, Ppng, Radiance, RadianceField};
 use octobayes::geometry::Domain;
 use octobayes::metrics::psnr;
 use octobayes::monitor::Silent;
-use octobayes::render::render_view;
+use octobayes::render::{GradientMethod, render_view};
 use octobayes::train::{DatasetFiles, TrainSettings, Trainer, quality};
 
 /// Rows of three numbers.
@@ -178,4 +178,34 @@ fn a_short_training_on_lego_reaches_the_measured_quality() {
     let quality = quality(&trainer.field(serde_json::Value::Null), &held_out, Vec3::ONE, 50_000).unwrap();
     // 20.07 dB measured after these 300 steps; half a decibel for processors that round expm1 otherwise.
     assert!((quality.psnr - 20.07).abs() < 0.5, "{quality:?}");
+}
+
+#[test]
+#[ignore = "needs OCTOBAYES_DATA/nerf-mlp-pretrained"]
+fn advice_on_the_step_of_an_mlp_can_be_obeyed() {
+    let field = NerfMlp::read(&data("nerf-mlp-pretrained/lego.safetensors")).unwrap();
+    let cameras = data("nerf-mlp-pretrained/cameras/lego_train.json");
+    let cameras = Views::read(&cameras, Some([400, 400])).unwrap().cameras();
+    let grid = GridSettings { level: 4, surface_points: 0, ..GridSettings::default() };
+    let domain = Domain::Box(field.bounds());
+    let lattice = grid.lattice(domain).unwrap();
+    let base = RaySettings { rays: 4_000, ..RaySettings::default() };
+    let stream = base.stream(&field, &cameras, &grid, &lattice, &Silent).unwrap();
+    let check = StepCheck::of(&stream, &lattice, grid.tolerance, &Silent).unwrap().unwrap();
+    assert!(check.is_bad && check.knows_derivatives);
+    let log10 = |rays: RaySettings| {
+        let (field, _) = estimate(&field, &cameras, &rays, &grid, &Silent).unwrap();
+        let points = (0..17 * 17 * 17).map(|i| [i / 289, i / 17 % 17, i % 17].map(f64::from));
+        let at = |u: [f64; 3]| field.query(domain.to_scene(glam::DVec3::from(u) / 16.0).as_vec3()).uncertainty.log10();
+        points.map(at).collect::<Vec<f64>>()
+    };
+    let exact = log10(RaySettings { gradient: GradientMethod::Analytic, ..base });
+    let error = |step: f64| {
+        let found = log10(RaySettings { step: Some(step), ..base });
+        found.iter().zip(&exact).map(|(a, b)| (a - b).abs()).sum::<f64>() / exact.len() as f64
+    };
+    let best = check.errors.best().step;
+    let [before, after] = [check.step, best].map(error);
+    println!("{before:.4} with {}, {after:.4} with {best}", check.step);
+    assert!(after < before, "{before}, {after} with {best}");
 }

@@ -200,8 +200,14 @@ pub fn step(check: &StepCheck) {
     if check.is_bad {
         let (here, best) = (check.errors.at(check.step), check.errors.best());
         let percent = |v: f64| format!("{:.2} %", 100.0 * v);
+        let exact = if check.knows_derivatives {
+            "; --gradient auto uses the field's own derivatives, which are exact"
+        } else {
+            ""
+        };
         eprintln!(
-            "warning: with --step {} differences of the density are off by about {} (rounding and noise {}, truncation {}); with --step {:.2e} by {}",
+            "warning: with --step {} differences of the density are off by about {} (rounding and noise {}, \
+             truncation {}); with --step {:.2e} by {}{exact}",
             check.step,
             percent(here.total()),
             percent(here.noise),
@@ -226,6 +232,7 @@ fn step_json(check: &StepCheck) -> Value {
         "best_step": best.step,
         "best_error": best.total(),
         "badly_placed": check.is_bad,
+        "field_knows_derivatives": check.knows_derivatives,
     })
 }
 

@@ -8,15 +8,13 @@ use crate::geometry::{Aabb, Camera, Domain, Lattice};
 use crate::monitor::Monitor;
 use crate::posterior::checkpoint::RunKey;
 use crate::posterior::{PixelSequence, Pixels, RayStream, Share, negligible_jacobian};
-use crate::render::{Differences, Differentiation, GradientMethod, Marcher, Occupancy, Tracer};
+use crate::render::{Differences, Differentiation, GradientMethod, LONGEST_STEP, Marcher, Occupancy, Tracer};
 use crate::{Error, Result};
 
 /// Finite-difference step in lattice edges, unless f32 positions need more.
 const DEFAULT_STEP: f64 = 1.0 / 512.0;
 /// What they need, in their own distances: x ± h is then rounded by less than an eighth of h, and differences are divided by what is left.
 const LEAST_STEP: f64 = 4.0;
-/// Lattice edges beyond which that would no longer be a derivative at a point.
-const MOST_STEP: f64 = 0.125;
 
 /// Most samples along a ray: hundreds of rays are under way at once.
 const MAX_STEPS: f64 = 65_536.0;
@@ -171,11 +169,17 @@ impl RaySettings {
             None => DVec3::from(std::array::from_fn(|axis| {
                 let (_, apart) = resolution(&domain, bounds, axis);
                 let (step, least) = (DEFAULT_STEP * edge[axis], LEAST_STEP * apart);
-                if least <= MOST_STEP * edge[axis] { step.max(least) } else { step }
+                if least <= LONGEST_STEP * edge[axis] { step.max(least) } else { step }
             })),
         };
         Differences { step, domain }
     }
+}
+
+/// The shortest step that f32 positions hold everywhere in a box, lattice edges.
+pub(super) fn shortest_step(lattice: &Lattice, bounds: &Aabb) -> f64 {
+    let edges = (0..3).map(|axis| LEAST_STEP * resolution(lattice.domain(), bounds, axis).1 / lattice.edge()[axis]);
+    edges.fold(0.0, f64::max)
 }
 
 /// The coordinate of a box that is farthest from the origin, and how far f32 numbers are apart there.

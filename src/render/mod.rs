@@ -15,7 +15,7 @@ pub use composite::{Pixel, Quadrature, depth_variance, termination_entropy};
 pub use gradient::{Differences, Differentiation, GradientMethod};
 pub use jacobian::JacobianBuffers;
 pub use march::{Marcher, Walk};
-pub use noise::{DifferenceError, DifferenceErrors, TABLE, noise_level};
+pub use noise::{DifferenceError, DifferenceErrors, LONGEST_STEP, TABLE, noise_level};
 pub use occupancy::Occupancy;
 pub use samples::{RaySample, RaySamples};
 pub use trace::{TraceBuffers, TracedRays, Tracer};

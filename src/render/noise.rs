@@ -9,8 +9,12 @@
 //!
 //! with the third derivative μ. ε comes from difference tables ([`noise_level`]: Moré, Wild, *Estimating Computational Noise*, 2011; the
 //! optimum as in their *Estimating Derivatives of Noisy Simulations*, 2012). μ is measured for each h as the third difference over
-//! [−h, h]: at a kink, where there is no third derivative, that is about what a difference across it is off by. E is then
-//! known for every step ([`DifferenceErrors`]), and the best step is where it is smallest.
+//! [−h, h]: at a kink, where there is no third derivative, that is about what a difference across it is off by. A field
+//! that differentiates itself is compared with its own ∇σ instead. E is then known for every step
+//! ([`DifferenceErrors`]), and the best step is where it is smallest, up to [`LONGEST_STEP`].
+//!
+//! All errors are means of absolute values over points, relative to the mean of |∂σ|: a single kink beside one of them
+//! would decide a mean of squares.
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -23,7 +27,13 @@ use crate::geometry::Aabb;
 pub const TABLE: usize = 9;
 /// Steps at which errors are measured, per decade; and their range, lattice edges.
 const PER_DECADE: i32 = 2;
-const RANGE: std::ops::RangeInclusive<i32> = -4 * PER_DECADE..=PER_DECADE;
+const RANGE: std::ops::RangeInclusive<i32> = -5 * PER_DECADE..=PER_DECADE;
+/// Longest step that is still a derivative at a point, edges of the finest lattice.
+///
+/// A central difference is the mean of the derivative over [x − h, x + h]. The vertices around x share it by weights
+/// that change by 1 / edge, so that a share of up to h / 2 edges goes to the wrong one: at 1/8, 6 % of it or 0.03 in
+/// log10 U, however smooth the field is. Longer steps are never proposed.
+pub const LONGEST_STEP: f64 = 0.125;
 /// Spacings of tables, powers of two of units in the last place of positions: the narrowest that does not show plateaus.
 const SPACINGS: [i32; 6] = [2, 4, 6, 8, 10, 12];
 /// Lines whose values are asked for together.
@@ -62,15 +72,17 @@ pub fn noise_level(values: &[f64; TABLE]) -> Option<f64> {
     })
 }
 
-/// What central differences of a field's density are off by at one step.
+/// What central differences of a field's density are off by at one step, relative to ∂σ.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct DifferenceError {
     /// Distance to both sides, lattice edges.
     pub step: f64,
-    /// By noise, relative to ∇σ (root mean square over the points).
+    /// By noise.
     pub noise: f64,
-    /// By truncation, likewise.
+    /// By truncation.
     pub truncation: f64,
+    /// Standard error of the truncation by the choice of points.
+    pub doubt: f64,
 }
 
 impl DifferenceError {
@@ -85,6 +97,11 @@ impl DifferenceError {
     pub fn in_log10(&self) -> f64 {
         self.total() * std::f64::consts::LOG10_E
     }
+
+    /// The error that it has at least, by two standard errors.
+    fn at_least(&self) -> f64 {
+        self.noise.hypot((self.truncation - 2.0 * self.doubt).max(0.0))
+    }
 }
 
 /// Errors of central differences over all steps.
@@ -96,7 +113,7 @@ pub struct DifferenceErrors {
     pub noise: f64,
     /// Third derivative relative to the first, 1 / lattice edge², at the smallest step at which it stands out from the noise; 0 if at none.
     pub curvature: f64,
-    /// Errors by increasing step.
+    /// Errors by increasing step, of those that fit into the box around most points; at least one.
     pub steps: Vec<DifferenceError>,
 }
 
@@ -104,56 +121,81 @@ pub struct DifferenceErrors {
 const FACTOR: f64 = 3.0;
 
 impl DifferenceErrors {
-    /// Measures the density of `field` near `points`, along one axis at each in turn. `lattice` has a step of one lattice edge. `None` if the density
-    /// changes nowhere near them.
+    /// The steps that are looked at, lattice edges, increasing: two a decade from `shortest` to ten edges, and `own`.
     #[must_use]
-    pub fn measure(field: &dyn RadianceField, points: &[Vec3], lattice: &Differences) -> Option<Self> {
+    pub fn steps(shortest: f64, own: f64) -> Vec<f64> {
+        let regular = RANGE.map(|k| 10_f64.powf(f64::from(k) / f64::from(PER_DECADE)));
+        let mut steps: Vec<f64> = regular.filter(|step| *step >= shortest).chain([own]).collect();
+        steps.sort_by(f64::total_cmp);
+        steps.dedup();
+        steps
+    }
+
+    /// Measures the density of `field` near `points`, along one axis at each in turn, at increasing `steps`. `lattice`
+    /// has a step of one lattice edge. `None` if the density changes nowhere near them.
+    #[must_use]
+    pub fn measure(field: &dyn RadianceField, points: &[Vec3], lattice: &Differences, steps: &[f64]) -> Option<Self> {
         let bounds = field.bounds();
         let mut lines: Vec<Line> =
             points.iter().enumerate().filter_map(|(i, &x)| Line::through(x, i % 3, lattice, &bounds)).collect();
         let noises = noises(field, &mut lines);
-        let steps: Vec<f64> = RANGE.map(|k| 10_f64.powf(f64::from(k) / f64::from(PER_DECADE))).collect();
-        let stencils: Vec<Vec<Option<Stencil>>> = steps.iter().map(|&step| stencils(field, &lines, step)).collect();
-        let slopes: Vec<f64> = (0..lines.len())
-            .map(|p| {
-                let candidates = stencils.iter().filter_map(|stencils| stencils[p]);
-                let known_best = candidates.min_by(|a, b| a.doubt(noises[p]).total_cmp(&b.doubt(noises[p])));
-                known_best.map_or(0.0, |stencil| stencil.slope())
-            })
-            .collect();
-        let used: Vec<usize> = (0..lines.len()).filter(|&p| slopes[p] != 0.0 && lines[p].density > 0.0).collect();
-        let scale = used.iter().map(|&p| slopes[p].powi(2)).sum::<f64>();
-        if scale.is_nan() || scale <= 0.0 {
+        let own = own_slopes(field, &lines);
+        let mut stencils: Vec<Vec<Option<Stencil>>> = steps.iter().map(|&step| stencils(field, &lines, step)).collect();
+        let slopes: Vec<f64> = match &own {
+            Some(own) => own.clone(),
+            None => (0..lines.len())
+                .map(|p| {
+                    let candidates = stencils.iter().filter_map(|stencils| stencils[p]);
+                    let known_best = candidates.min_by(|a, b| a.doubt(noises[p]).total_cmp(&b.doubt(noises[p])));
+                    known_best.map_or(0.0, |stencil| stencil.slope())
+                })
+                .collect(),
+        };
+        let used: Vec<usize> =
+            (0..lines.len()).filter(|&p| slopes[p].is_finite() && slopes[p] != 0.0 && lines[p].density > 0.0).collect();
+        // A step that leaves the box almost everywhere would pass for one without errors.
+        let mut steps = steps.to_vec();
+        let fits =
+            |stencils: &Vec<Option<Stencil>>| 2 * used.iter().filter(|p| stencils[**p].is_some()).count() >= used.len();
+        let keep: Vec<bool> = stencils.iter().map(fits).collect();
+        let mut kept = keep.iter();
+        steps.retain(|_| *kept.next().unwrap_or(&false));
+        let mut kept = keep.iter();
+        stencils.retain(|_| *kept.next().unwrap_or(&false));
+        if used.is_empty() || steps.is_empty() {
             return None;
         }
-        // Noise, third differences as truncation errors, and the noise in these: squares.
-        let sums = |stencils: &Vec<Option<Stencil>>| {
-            let mut sums = [0.0; 3];
-            for (&p, stencil) in used.iter().filter_map(|p| stencils[*p].as_ref().map(|stencil| (p, stencil))) {
-                sums[0] += 0.5 * (noises[p] / stencil.h).powi(2);
-                sums[1] += (stencil.third() * stencil.truncation()).powi(2);
-                // 1 + 9 + 9 + 1 times the noise's variance.
-                sums[2] += 20.0 * (noises[p] * stencil.truncation()).powi(2);
-            }
-            sums.map(|sum| sum / scale)
+        let sums: Vec<Sums> = stencils
+            .iter()
+            .map(|stencils| {
+                let at = |p: usize| stencils[p].map(|stencil| (stencil, noises[p], slopes[p]));
+                Sums::of(&used.iter().filter_map(|&p| at(p)).collect::<Vec<_>>(), own.is_some())
+            })
+            .collect();
+        let truncation = if own.is_some() {
+            sums.iter().map(|sums| (sums.truncation.powi(2) - sums.of_noise.powi(2)).max(0.0).sqrt()).collect()
+        } else {
+            truncations(&steps, &sums)
         };
-        let sums: Vec<[f64; 3]> = stencils.iter().map(sums).collect();
-        let noise: Vec<f64> = sums.iter().map(|sums| sums[0].sqrt()).collect();
-        let truncation = truncations(&steps, &sums);
         let relative = used.iter().map(|&p| (noises[p] / lines[p].density).powi(2)).sum::<f64>() / used.len() as f64;
-        let outstanding = sums.iter().position(stands_out);
+        let outstanding = sums.iter().position(Sums::stands_out);
         let curvature = outstanding.map_or(0.0, |s| 6.0 * truncation[s] / steps[s].powi(2));
-        let each = |i: usize| DifferenceError { step: steps[i], noise: noise[i], truncation: truncation[i] };
+        let each = |i: usize| DifferenceError {
+            step: steps[i],
+            noise: sums[i].noise,
+            truncation: truncation[i],
+            doubt: sums[i].doubt,
+        };
         let steps = (0..steps.len()).map(each).collect();
-        let errors = Self { points: used.len(), noise: relative.sqrt(), curvature, steps };
-        Some(errors)
+        Some(Self { points: used.len(), noise: relative.sqrt(), curvature, steps })
     }
 
-    /// The step with the smallest error.
+    /// The step with the smallest error, of those up to [`LONGEST_STEP`] (the shortest, if all are longer).
     #[must_use]
     pub fn best(&self) -> DifferenceError {
         let least = |a: &&DifferenceError, b: &&DifferenceError| a.total().total_cmp(&b.total());
-        *self.steps.iter().min_by(least).expect("steps are never empty")
+        let short = self.steps.iter().filter(|error| error.step <= LONGEST_STEP);
+        *short.min_by(least).unwrap_or(&self.steps[0])
     }
 
     /// The error at any step: truncation of the nearest one that was measured, noise in proportion.
@@ -162,28 +204,61 @@ impl DifferenceErrors {
         let distance = |e: &DifferenceError| (e.step / step).ln().abs();
         let nearest = |a: &&DifferenceError, b: &&DifferenceError| distance(a).total_cmp(&distance(b));
         let near = *self.steps.iter().min_by(nearest).expect("steps are never empty");
-        DifferenceError { step, noise: near.noise * near.step / step, truncation: near.truncation }
+        DifferenceError { step, noise: near.noise * near.step / step, ..near }
     }
 
-    /// Whether `step` is badly placed: it moves log10 U by more than `tolerance`, and the best step by less than a third of that.
+    /// Whether `step` is badly placed: it moves log10 U by more than `tolerance`, and the best step by less than a
+    /// third of that; both with a margin of two standard errors, so that it does not depend on which points were looked
+    /// at.
     #[must_use]
     pub fn is_bad(&self, step: f64, tolerance: f64) -> bool {
-        let (here, best) = (self.at(step), self.best());
-        here.in_log10() > tolerance && here.total() > FACTOR * best.total()
+        let (least, best) = (self.at(step).at_least(), self.best());
+        least * std::f64::consts::LOG10_E > tolerance && least > FACTOR * best.total()
     }
 }
 
-/// Whether third differences are clearly more than noise: by twice its variance, which is known to about that.
-fn stands_out(sums: &[f64; 3]) -> bool {
-    sums[1] > 2.0 * sums[2]
+/// Means of absolute errors over the points at which a step fits into the box, relative to the mean of |∂σ| there.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+struct Sums {
+    /// By noise.
+    noise: f64,
+    /// By truncation, with the noise that is in it.
+    truncation: f64,
+    /// What the truncation would be if it were noise alone.
+    of_noise: f64,
+    /// Standard error of the truncation.
+    doubt: f64,
+}
+
+impl Sums {
+    /// Of stencils with ε and ∂σ; `exact` if ∂σ is the field's own.
+    fn of(points: &[(Stencil, f64, f64)], exact: bool) -> Self {
+        let scale: f64 = points.iter().map(|(_, _, slope)| slope.abs()).sum();
+        let error = |(stencil, _, slope): &(Stencil, f64, f64)| {
+            if exact { (stencil.central() - slope).abs() } else { (stencil.third() * stencil.truncation()).abs() }
+        };
+        let sum = |of: &dyn Fn(&(Stencil, f64, f64)) -> f64| points.iter().map(of).sum::<f64>() / scale;
+        let truncation = sum(&error);
+        // The variance of a ratio of means, to first order.
+        let residuals = sum(&|point| (error(point) - truncation * point.2.abs()).powi(2)) / scale;
+        let noise = sum(&|(stencil, noise, _)| 0.5_f64.sqrt() * noise / stencil.h);
+        // A third difference has 1 + 9 + 9 + 1 times the noise's variance.
+        let in_third = sum(&|(stencil, noise, _)| 20_f64.sqrt() * noise * stencil.truncation());
+        Self { noise, truncation, of_noise: if exact { noise } else { in_third }, doubt: residuals.sqrt() }
+    }
+
+    /// Whether truncation is clearly more than noise: by twice its variance, which is known to about that.
+    fn stands_out(&self) -> bool {
+        self.truncation.powi(2) > 2.0 * self.of_noise.powi(2)
+    }
 }
 
 /// Truncation errors by increasing step: what stands out from the noise, and below that its continuation, by a power of h between that of kinks,
 /// ½ (they are met as often as h is long, squared), and that of smooth functions, 2. Either way it grows with h: what the next longer step does not confirm was one point that
 /// happened to have a kink beside it, and counts for no more than there.
-fn truncations(steps: &[f64], sums: &[[f64; 3]]) -> Vec<f64> {
-    let measured = |s: usize| (sums[s][1] - sums[s][2]).max(0.0).sqrt();
-    let Some(first) = sums.iter().position(stands_out) else { return vec![0.0; steps.len()] };
+fn truncations(steps: &[f64], sums: &[Sums]) -> Vec<f64> {
+    let measured = |s: usize| (sums[s].truncation.powi(2) - sums[s].of_noise.powi(2)).max(0.0).sqrt();
+    let Some(first) = sums.iter().position(Sums::stands_out) else { return vec![0.0; steps.len()] };
     let next = (first + 1).min(steps.len() - 1);
     let power = (measured(next) / measured(first)).ln() / (steps[next] / steps[first]).ln();
     let power = if power.is_nan() { 2.0 } else { power.clamp(0.5, 2.0) };
@@ -232,6 +307,11 @@ struct Stencil {
 }
 
 impl Stencil {
+    /// f′ as a central difference over ±h.
+    fn central(&self) -> f64 {
+        (self.values[3] - self.values[0]) / (2.0 * self.h)
+    }
+
     /// f(h) − 3 f(h/3) + 3 f(−h/3) − f(−h) = (2h/3)³ f‴.
     fn third(&self) -> f64 {
         let [a, b, c, d] = self.values;
@@ -268,6 +348,18 @@ fn densities<const N: usize>(
         densities.as_chunks::<N>().0.iter().map(|values| values.map(f64::from)).collect::<Vec<_>>()
     });
     batches.collect()
+}
+
+/// ∂σ of every line along its axis, if the field knows it.
+fn own_slopes(field: &dyn RadianceField, lines: &[Line]) -> Option<Vec<f64>> {
+    let own = field.differentiable()?;
+    let batches = lines.par_chunks(BATCH).flat_map_iter(|lines| {
+        let positions: Vec<Vec3> = lines.iter().map(|line| line.x).collect();
+        let (mut densities, mut gradients) = (vec![0.0; positions.len()], vec![Vec3::ZERO; positions.len()]);
+        own.density_jets(&positions, &mut densities, &mut gradients);
+        lines.iter().zip(gradients).map(|(line, gradient)| f64::from(gradient[line.axis])).collect::<Vec<_>>()
+    });
+    Some(batches.collect())
 }
 
 /// ε of every line: by the narrowest table that shows it, at least the rounding of f32.
