@@ -223,6 +223,13 @@ impl Desk {
     }
 
     fn cameras(&self) {
+        let opencv = |mut camera: octobayes::geometry::Camera| {
+            camera.axes = glam::DMat3::from_cols(camera.axes.x_axis, -camera.axes.y_axis, -camera.axes.z_axis);
+            camera
+        };
+        let turned = ClosedForm::half_circle(2, [16, 16]).into_iter().enumerate();
+        let turned: Vec<_> = turned.map(|(i, camera)| (format!("r_{i}"), opencv(camera))).collect();
+        write_transforms(&self.path("opencv.json"), &turned).unwrap();
         let frame = |intrinsics: &str, matrix: &str| {
             format!("{{{intrinsics}, \"frames\": [{{\"file_path\": \"a\", \"transform_matrix\": {matrix}}}]}}")
         };

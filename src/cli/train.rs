@@ -9,13 +9,14 @@ use serde_json::json;
 use super::files::CommandFiles;
 use super::options::{numbers, parse_background, parse_box, parse_non_negative, parse_positive, parse_views};
 use super::progress::Bars;
+use crate::estimate::Framing;
 use crate::field::{HashGrid, HashGridConfig, RadianceField};
-use crate::geometry::{Aabb, Domain, Norm};
+use crate::geometry::{Aabb, Camera, Domain, Norm};
 use crate::monitor::Monitor;
 use crate::synth::Hemisphere;
 use crate::train::{
     Background, Budget, DatasetFiles, Description, Finished, Quality, Run, Selection, Shot, StateFile, TrainSettings,
-    Trainer, quality,
+    Trainer, one_color, quality,
 };
 use crate::{Error, Result};
 
@@ -23,6 +24,8 @@ use crate::{Error, Result};
 const PARTS: u64 = 1000;
 /// Pixels of held-out images that are compared while training goes on.
 const LOOK_PIXELS: usize = 20_000;
+/// A model within this many dB of one colour for all images has learnt nothing: a fifth of the squared error is gone.
+const ONE_COLOR_MARGIN: f64 = 1.0;
 
 /// Train a field of our own on posed images: a multiresolution hash grid (instant-ngp's design) on the CPU
 ///
@@ -176,6 +179,7 @@ impl Args {
         let domain = self.domain(&files)?;
         let members = (0..self.members).map(|k| self.member(k, &files)).collect::<Result<Vec<_>>>()?;
         let [train, held_out] = files.load(bars)?;
+        check_framing(&train, &domain)?;
         let mut models = Vec::new();
         for member in &members {
             if self.resume && member.path.exists() && !member.state.path.exists() {
@@ -307,6 +311,7 @@ impl Args {
         }
         let background = member.settings.background.for_images();
         let quality = quality(&field, held_out, background, self.test_pixels);
+        warn_of_one_color(&field, [train, held_out], background);
         self.report(member, &trainer, &field, finished, train.len(), quality.as_ref(), background)
     }
 
@@ -339,6 +344,45 @@ impl Args {
             "model": member.path, "images": images, "steps": steps, "rays": rays, "seconds": elapsed,
             "seed": member.settings.seed, "held_out": quality, "background": background.to_array(),
         }))
+    }
+}
+
+/// Refuses cameras none of whose rays meets the space to be trained, and warns if few do.
+fn check_framing(train: &[Shot], domain: &Domain) -> Result<()> {
+    let cameras: Vec<Camera> = train.iter().map(|shot| shot.camera).collect();
+    let (bounds, is_all) = match domain {
+        Domain::Box(bounds) => (*bounds, true),
+        // What is not contracted is what the pictures should be of; there is something to see outside of it, too.
+        Domain::Contracted { center, radius, .. } => {
+            let (center, half) = (DVec3::from(*center), DVec3::splat(*radius));
+            (Aabb::new(center - half, center + half)?, false)
+        }
+    };
+    let framing = Framing::of(&cameras, &bounds);
+    let Some(causes) = framing.causes() else { return Ok(()) };
+    let measured = framing.measured();
+    if is_all && framing.is_nothing() {
+        let expected = format!("rays that meet the box (--box); likely causes: {causes}");
+        return Err(Error::setting("cameras", expected, format!("none: {measured}")));
+    }
+    eprintln!("warning: the cameras see little of the space to be trained: {measured}; likely causes: {causes}");
+    Ok(())
+}
+
+/// Warns of a model that shows images hardly better than one colour does.
+fn warn_of_one_color(field: &HashGrid, shots: [&[Shot]; 2], background: Vec3) {
+    for (what, shots) in ["training", "held-out"].into_iter().zip(shots) {
+        let Some(shown) = quality(field, shots, background, LOOK_PIXELS) else { continue };
+        let Some(constant) = one_color(shots, background, LOOK_PIXELS) else { continue };
+        // Images of one colour are shown by one colour exactly.
+        if constant.psnr.is_finite() && shown.psnr < constant.psnr + ONE_COLOR_MARGIN {
+            let (shown, constant) = (shown.psnr, constant.psnr);
+            eprintln!(
+                "warning: {what} images are shown with {shown:.1} dB, one colour for all gives {constant:.1} dB; \
+                 likely causes: camera axes, units or --box, or too few steps or views"
+            );
+            return;
+        }
     }
 }
 

@@ -12,6 +12,7 @@ mod measure;
 mod plan;
 mod rays;
 mod run;
+mod sight;
 mod step;
 
 pub use audit::Audit;
@@ -22,6 +23,7 @@ pub use groups::{RayGroup, ray_groups};
 pub use plan::{Plan, Planner};
 pub use rays::RaySettings;
 pub use run::PlannedRun;
+pub use sight::{Framing, Sight};
 pub use step::StepCheck;
 
 use crate::field::RadianceField;

@@ -16,7 +16,7 @@ mod trainer;
 mod views;
 
 pub use crate::dataset::Selection;
-pub use quality::{Quality, quality};
+pub use quality::{Quality, one_color, quality};
 pub use run::{Budget, Description, Finished, Progress, Run, StateFile};
 pub use trainer::{StepReport, Trainer};
 pub use views::{DatasetFiles, Shot};

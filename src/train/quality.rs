@@ -57,6 +57,25 @@ pub fn quality(field: &HashGrid, shots: &[Shot], background: Vec3, pixels: usize
     })
 }
 
+/// As [`quality`], of the best image of one colour for all `shots`: what a model that has learnt nothing reaches.
+#[must_use]
+pub fn one_color(shots: &[Shot], background: Vec3, pixels: usize) -> Option<Quality> {
+    let all: u64 = shots.iter().map(|shot| shot.camera.pixels()).sum();
+    let every = (all as usize / pixels.max(1)).max(1);
+    let background = background.as_dvec3();
+    let truths: Vec<Vec<DVec3>> = shots
+        .iter()
+        .map(|shot| (0..shot.image.len()).step_by(every).map(|i| shot.image.over(i, background)).collect())
+        .collect();
+    let compared: usize = truths.iter().map(Vec::len).sum();
+    if compared == 0 {
+        return None;
+    }
+    let mean = truths.iter().flatten().sum::<DVec3>() / compared as f64;
+    let psnrs = truths.iter().map(|truth| psnr(&vec![mean; truth.len()], truth));
+    Some(Quality { psnr: psnrs.sum::<f64>() / shots.len() as f64, views: shots.len(), pixels: compared })
+}
+
 /// Colours of some pixels of a row.
 fn row(field: &HashGrid, grid: &OccupancyGrid, shot: &Shot, y: u32, columns: &[u32], background: Vec3) -> Vec<DVec3> {
     let space = field.space();

@@ -2,6 +2,7 @@
 
 mod auto;
 mod groups;
+mod sight;
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -198,6 +199,7 @@ impl Args {
         (0..self.error_bars.unwrap_or(1))
             .try_for_each(|g| self.checkpoint(self.error_bars.map(|_| g), self.resume).map(drop))?;
         let stream = settings.stream(&*field, &cameras, &grid, &lattice, bars)?;
+        self.check_sight(&stream, &domain, bars)?;
         let source = self.source(&files, &cameras);
         let step = StepCheck::of(&stream, &lattice, grid.tolerance, bars)?;
         step.iter().for_each(report::step);
