@@ -4,7 +4,7 @@ use std::collections::{HashMap, HashSet};
 
 use rayon::prelude::*;
 
-use super::pixels::{Pick, PixelSequence};
+use super::pixels::{Pick, PixelSequence, Pixels};
 use super::seeds::Purpose;
 use crate::geometry::{Camera, Ray};
 use crate::monitor::{Monitor, check};
@@ -165,12 +165,17 @@ impl Tally {
 }
 
 impl<'a> RayStream<'a> {
+    /// The same stream with other pixels.
+    #[must_use]
+    pub fn with_pixels(&self, kind: Pixels, seed: u64) -> RayStream<'a> {
+        let resolutions = self.cameras.iter().map(|c| c.resolution).collect();
+        RayStream { tracer: self.tracer.clone(), pixels: PixelSequence::new(kind, seed, resolutions), ..*self }
+    }
+
     /// The same stream with the pixels that its run draws for another purpose.
     #[must_use]
     pub fn for_purpose(&self, purpose: Purpose) -> RayStream<'a> {
-        let resolutions = self.cameras.iter().map(|c| c.resolution).collect();
-        let pixels = PixelSequence::new(self.pixels.kind(), purpose.seed(self.pixels.seed()), resolutions);
-        RayStream { tracer: self.tracer.clone(), pixels, ..*self }
+        self.with_pixels(self.pixels.kind(), purpose.seed(self.pixels.seed()))
     }
 
     /// What is drawn by a run of this part of the stream, to its end.
