@@ -9,7 +9,7 @@ use octobayes::estimate::{FieldBuilder, GridKind, GridSettings, Provenance, RayS
 use octobayes::field::{ClosedForm, Radiance, RadianceField};
 use octobayes::geometry::{Camera, Domain};
 use octobayes::monitor::Silent;
-use octobayes::posterior::{Share, Tally};
+use octobayes::rays::{RunProgress, Shard};
 use octobayes::render::{RaySamples, render_view};
 use octobayes::uncertainty::UncertaintyField;
 
@@ -51,7 +51,7 @@ fn accumulate(c: &mut Criterion) {
     let stream = rays().stream(&scene, &cameras, &grid(GridKind::Octree), empty.lattice(), &Silent).unwrap();
     let mut batches: Vec<RaySamples> = Vec::new();
     stream
-        .run(Share::whole(RAYS), Tally::default(), &Silent, |samples, _| {
+        .run(Shard::whole(RAYS), RunProgress::default(), &Silent, |samples, _| {
             batches.extend_from_slice(samples);
             Ok(())
         })
@@ -70,7 +70,7 @@ fn accumulate(c: &mut Criterion) {
     group.bench_function("rays, samples and Jacobians alone", |b| {
         b.iter(|| {
             stream
-                .run(Share::whole(RAYS), Tally::default(), &Silent, |samples, _| {
+                .run(Shard::whole(RAYS), RunProgress::default(), &Silent, |samples, _| {
                     black_box(samples);
                     Ok(())
                 })
@@ -102,13 +102,13 @@ fn build_and_coarsen(c: &mut Criterion) {
     let mut group = c.benchmark_group("build");
     group.sample_size(10);
     // The degenerate case: no ray at all.
-    for (name, share) in [("an octree of 8,192 rays", Share::whole(RAYS)), ("an octree of no ray", Share::whole(0))] {
+    for (name, share) in [("an octree of 8,192 rays", Shard::whole(RAYS)), ("an octree of no ray", Shard::whole(0))] {
         let octree = grid(GridKind::Octree);
         let make = || {
             let mut builder = FieldBuilder::new(octree, Domain::Box(scene.bounds())).unwrap();
             let stream = rays().stream(&scene, &cameras, &octree, builder.lattice(), &Silent).unwrap();
             stream
-                .run(share, Tally::default(), &Silent, |samples, _| {
+                .run(share, RunProgress::default(), &Silent, |samples, _| {
                     builder.add(samples);
                     Ok(())
                 })
@@ -116,7 +116,7 @@ fn build_and_coarsen(c: &mut Criterion) {
             builder
         };
         let finish = |builder: FieldBuilder| {
-            let tally = Tally { rays: RAYS, ..Tally::default() };
+            let tally = RunProgress { rays: RAYS, ..RunProgress::default() };
             builder.finish(&Provenance { source: name.into(), tally, share: None, stream: None })
         };
         group.bench_function(name, |b| b.iter_batched(make, finish, criterion::BatchSize::PerIteration));

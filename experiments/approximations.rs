@@ -13,9 +13,10 @@ use std::time::Instant;
 use octobayes::Result;
 use octobayes::dataset::Views;
 use octobayes::estimate::{GridSettings, RaySettings, estimate};
-use octobayes::field::{ClosedForm, Coordinates, NerfMlp, RadianceField, open_in};
+use octobayes::field::{ClosedForm, Coordinates, NerfMlp, RadianceField};
 use octobayes::geometry::Camera;
 use octobayes::monitor::Silent;
+use octobayes::open::open_in;
 use octobayes::render::GradientMethod;
 use octobayes::uncertainty::{Difference, UncertaintyField, compare};
 

@@ -10,9 +10,10 @@ use std::time::Instant;
 use octobayes::Result;
 use octobayes::dataset::Views;
 use octobayes::estimate::{GridKind, GridSettings, RaySettings, estimate};
-use octobayes::field::{ClosedForm, Coordinates, RadianceField, open_in};
+use octobayes::field::{ClosedForm, Coordinates, RadianceField};
 use octobayes::geometry::Camera;
 use octobayes::monitor::Silent;
+use octobayes::open::open_in;
 use octobayes::posterior::Criterion;
 use octobayes::uncertainty::{Difference, compare};
 

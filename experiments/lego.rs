@@ -14,7 +14,8 @@ use octobayes::estimate::{FieldBuilder, GridKind, GridSettings, Provenance, RayS
 use octobayes::field::{NerfMlp, RadianceField};
 use octobayes::geometry::Domain;
 use octobayes::monitor::Silent;
-use octobayes::posterior::{Share, Tally, trace};
+use octobayes::posterior::trace;
+use octobayes::rays::{RunProgress, Shard};
 use octobayes::uncertainty::{Difference, Support, UncertaintyField, compare};
 
 const LEVEL: u8 = 8;
@@ -40,7 +41,7 @@ fn main() -> Result<()> {
     let occupancy = start.elapsed();
     let mut spent = [Duration::ZERO; 3];
     let start = Instant::now();
-    let tally = stream.run(Share::whole(RAYS), Tally::default(), &Silent, |batches, _| {
+    let tally = stream.run(Shard::whole(RAYS), RunProgress::default(), &Silent, |batches, _| {
         for (builder, spent) in builders.iter_mut().zip(&mut spent) {
             let start = Instant::now();
             builder.add(batches);
@@ -53,7 +54,7 @@ fn main() -> Result<()> {
     let provenance = Provenance {
         source: "lego.safetensors, lego_train.json".into(),
         tally,
-        share: Some(Share::whole(RAYS)),
+        share: Some(Shard::whole(RAYS)),
         stream: Some(&stream),
     };
     let fields: Vec<UncertaintyField> = builders.into_iter().map(|b| b.finish(&provenance)).collect();

@@ -14,10 +14,12 @@ use std::path::PathBuf;
 use octobayes::Result;
 use octobayes::dataset::Views;
 use octobayes::estimate::{GridKind, GridSettings, RaySettings, estimate};
-use octobayes::field::{ClosedForm, Coordinates, RadianceField, open_in};
+use octobayes::field::{ClosedForm, Coordinates, RadianceField};
 use octobayes::geometry::Camera;
 use octobayes::monitor::Silent;
-use octobayes::posterior::{Covariance, Evidence, Pixels};
+use octobayes::open::open_in;
+use octobayes::posterior::{Covariance, Evidence};
+use octobayes::rays::Pixels;
 use octobayes::uncertainty::UncertaintyField;
 
 const LEVEL: u8 = 7;

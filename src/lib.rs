@@ -13,7 +13,7 @@
 //! training ray, composites it, and differentiates its pixel with respect to the positions of its samples, with central
 //! differences of the field. [`posterior`] spreads these Jacobians onto the vertices around each sample, sums them over the
 //! ray, squares, and sums over rays. [`octree`] is refined where that left a trace. [`uncertainty`] reads one number per vertex off the
-//! sums and interpolates it; fields are stored, queried, compared. [`judge`] asks whether it ranks the depth error, by [`metrics`], beside measures that need no Hessian; [`synth`]
+//! sums and interpolates it; fields are stored, queried, compared. [`evaluate`] asks whether it ranks the depth error, by [`metrics`], beside measures that need no Hessian; [`synth`]
 //! makes data whose depth is known exactly, and [`train`] a field of such data or any other posed images.
 //!
 //! Where rays or memory cannot support the finest lattice, [`octree::LevelLimits`] keep leaves coarser, and [`estimate::Planner`] says
@@ -60,19 +60,22 @@ pub mod cli;
 pub mod dataset;
 pub mod error;
 pub mod estimate;
+pub mod evaluate;
 pub mod field;
 pub mod geometry;
 pub mod io;
-pub mod judge;
 pub mod memory;
 pub mod metrics;
 pub mod monitor;
 pub mod octree;
+pub mod open;
 pub mod picture;
 pub mod posterior;
+pub mod rays;
 pub mod render;
 pub mod synth;
 pub mod train;
 pub mod uncertainty;
+pub mod zoo;
 
 pub use error::{Error, Result};

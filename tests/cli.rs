@@ -502,7 +502,7 @@ fn derivatives_and_the_number_of_rays_can_be_chosen() {
 fn demos_of_hard_scenes_say_what_to_expect_beside_what_was_measured() {
     let desk = Desk::new();
     let list = desk.good("demo --scene list");
-    for name in octobayes::field::zoo::names() {
+    for name in octobayes::zoo::names() {
         assert!(list.lines().any(|line| line.starts_with(&format!("  {name} "))), "{name}: {list}");
     }
     for (name, claims) in [("empty", 2), ("one-cell", 2), ("fault-nan", 2)] {

@@ -7,15 +7,16 @@ use octobayes::estimate::{FieldBuilder, GridKind, GridSettings, Provenance, RayS
 use octobayes::field::{ClosedForm, Coordinates, Intrinsics, NerfMlp, Ppng, RadianceField};
 use octobayes::geometry::{Camera, Domain};
 use octobayes::monitor::Silent;
-use octobayes::posterior::{Covariance, Evidence, OctreePosterior, Posterior, RayStream, Share, Tally, trace};
+use octobayes::posterior::{Covariance, Evidence, OctreePosterior, Posterior, trace};
+use octobayes::rays::{RayStream, RunProgress, Shard};
 use octobayes::render::GradientMethod;
 use octobayes::uncertainty::{SAMPLES_SHARE, UncertaintyField, merge};
 use rayon::prelude::*;
 
 /// The field of a part of `stream`'s rays.
-fn part(stream: &RayStream, grid: GridSettings, domain: Domain, share: Share) -> UncertaintyField {
+fn part(stream: &RayStream, grid: GridSettings, domain: Domain, share: Shard) -> UncertaintyField {
     let mut builder = FieldBuilder::new(grid, domain).unwrap();
-    let tally = stream.run(share, Tally::default(), &Silent, |batches, _| {
+    let tally = stream.run(share, RunProgress::default(), &Silent, |batches, _| {
         builder.add(batches);
         Ok(())
     });
@@ -68,17 +69,17 @@ fn parts_joined_are_the_whole_run_at_any_tolerance() {
         let lattice = dense.lattice(domain).unwrap();
         let settings = RaySettings { rays, occupancy: 40, ..RaySettings::default() };
         let stream = |grid: &GridSettings| settings.stream(&field, &cameras, grid, &lattice, &Silent).unwrap();
-        let of_all = part(&stream(&dense), dense, domain, Share::whole(rays));
+        let of_all = part(&stream(&dense), dense, domain, Shard::whole(rays));
         for tolerance in [0.01, 0.1] {
             let octree = GridSettings { grid: GridKind::Octree, tolerance, ..dense };
             let stream = stream(&octree);
-            let whole = part(&stream, octree, domain, Share::whole(rays));
+            let whole = part(&stream, octree, domain, Shard::whole(rays));
             let off = largest_difference(&whole, &of_all);
             assert!(off <= tolerance, "{} whole, tolerance {tolerance}: {off}", covariance.name());
             for of in [2, 4, 8] {
                 let what = format!("{} in {of} parts, tolerance {tolerance}", covariance.name());
                 let parts: Vec<_> =
-                    (0..of).map(|index| part(&stream, octree, domain, Share { rays, index, of })).collect();
+                    (0..of).map(|index| part(&stream, octree, domain, Shard { rays, index, of })).collect();
                 let merged = merge(&parts).unwrap();
                 let off = largest_difference(&merged, &of_all);
                 eprintln!("{what}: {off:.5} off the dense grid");
@@ -102,7 +103,7 @@ fn whole_runs_joined_stay_within_the_tolerance() {
                 let rays = RaySettings { rays: 3_000, seed, occupancy: 40, ..RaySettings::default() };
                 let lattice = grid.lattice(domain).unwrap();
                 let stream = rays.stream(&field, &cameras, &grid, &lattice, &Silent).unwrap();
-                part(&stream, grid, domain, Share::whole(rays.rays))
+                part(&stream, grid, domain, Shard::whole(rays.rays))
             });
             merge(&fields.collect::<Vec<_>>()).unwrap()
         };
@@ -179,7 +180,7 @@ fn negligible_samples_of_trained_models_are_within_their_share_of_the_tolerance(
             let sums = |grid: GridSettings| {
                 let stream = rays.stream(&*model, &cameras, &grid, &lattice, &Silent).unwrap();
                 let mut posterior = OctreePosterior::new(lattice);
-                let run = stream.run(Share::whole(rays.rays), Tally::default(), &Silent, |batches, _| {
+                let run = stream.run(Shard::whole(rays.rays), RunProgress::default(), &Silent, |batches, _| {
                     posterior.add(batches);
                     Ok(())
                 });

@@ -5,9 +5,10 @@ use std::path::PathBuf;
 use glam::DMat3;
 use octobayes::dataset::Views;
 use octobayes::estimate::{Framing, GridSettings, RaySettings, Sight};
-use octobayes::field::{Coordinates, Intrinsics, open_in};
+use octobayes::field::{Coordinates, Intrinsics};
 use octobayes::geometry::{Camera, Domain};
 use octobayes::monitor::Silent;
+use octobayes::open::open_in;
 use octobayes::render::GradientMethod;
 
 fn data(path: &str) -> PathBuf {

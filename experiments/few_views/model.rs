@@ -10,7 +10,7 @@ use octobayes::field::{HashGrid, HashGridConfig, NerfMlp, RadianceField, VoxelGr
 use octobayes::geometry::{Camera, Domain};
 use octobayes::io::AtomicFile;
 use octobayes::monitor::Silent;
-use octobayes::posterior::{Share, Tally};
+use octobayes::rays::{RunProgress, Shard};
 use octobayes::render::GradientMethod;
 use octobayes::train::{Budget, Run, TrainSettings, Trainer, quality};
 use octobayes::uncertainty::UncertaintyField;
@@ -196,8 +196,8 @@ pub fn uncertainties(
     let (grid, first, _) = &builders[0];
     let mut stream = settings.stream(field, cameras, grid, first.lattice(), &Silent)?;
     stream.negligible = least;
-    let share = Share::whole(plan.rays);
-    let tally = stream.run(share, Tally::default(), &Silent, |batches, _| {
+    let share = Shard::whole(plan.rays);
+    let tally = stream.run(share, RunProgress::default(), &Silent, |batches, _| {
         for (_, builder, time) in &mut builders {
             let clock = Clock::start();
             builder.add(batches);

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use octobayes::Result;
-use octobayes::judge::{CleanUp, JudgedView, Score, TrueView};
+use octobayes::evaluate::{CleanUp, EvaluatedView, Score, TrueView};
 use octobayes::picture::{Bar, Curve, Panel, color_panel, scalar_panel, write_plot, write_sheet};
 use octobayes::render::RenderedView;
 
@@ -92,8 +92,8 @@ fn true_image(data: Data, truth: &TrueView) -> Vec<Panel> {
 }
 
 /// One view as in the paper's Figure 5: that of median mean error. Ranks are percentiles among the judged pixels of the view.
-pub fn row(path: &Path, data: Data, truths: &[TrueView], views: &[JudgedView], entries: &[Entry]) -> Result<()> {
-    let mean = |v: &JudgedView| v.absolute_error.iter().sum::<f64>() / v.absolute_error.len().max(1) as f64;
+pub fn row(path: &Path, data: Data, truths: &[TrueView], views: &[EvaluatedView], entries: &[Entry]) -> Result<()> {
+    let mean = |v: &EvaluatedView| v.absolute_error.iter().sum::<f64>() / v.absolute_error.len().max(1) as f64;
     let mut order: Vec<usize> = (0..views.len()).filter(|&v| !views[v].pixels.is_empty()).collect();
     order.sort_by(|&a, &b| mean(&views[a]).total_cmp(&mean(&views[b])));
     let v = order[order.len() / 2];

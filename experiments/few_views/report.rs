@@ -4,8 +4,8 @@ use std::fmt::Write as _;
 use std::io::Write as _;
 use std::path::Path;
 
+use octobayes::evaluate::Baseline;
 use octobayes::io::AtomicFile;
-use octobayes::judge::Baseline;
 use octobayes::posterior::Covariance;
 use octobayes::{Error, Result};
 

@@ -5,10 +5,10 @@ use std::path::Path;
 use glam::DVec3;
 use octobayes::Result;
 use octobayes::estimate::RaySettings;
-use octobayes::field::RadianceField;
-use octobayes::judge::{
-    Baseline, CleanUp, DepthError, Judge, JudgedView, Measure, Reading, Score, THRESHOLDS, TrueView, clean_up,
+use octobayes::evaluate::{
+    Baseline, CleanUp, DepthError, EvaluatedView, Evaluator, Measure, Reading, Score, THRESHOLDS, TrueView, clean_up,
 };
+use octobayes::field::RadianceField;
 use octobayes::metrics::{ErrorKind, percentiles};
 use octobayes::monitor::Silent;
 use octobayes::posterior::Covariance;
@@ -182,7 +182,7 @@ fn readings(base: &UncertaintyField, plan: &Plan, others: &[UncertaintyField]) -
 ///
 /// U comes from H = (2/R) S + 2λ, the mean over rays; the posterior of N training pixels with noise variance s² has the precision (N / 2 s²) H, so its
 /// displacement has the deviation √(2/N) s U. s² is the mean squared error of training pixels.
-fn add_total_variance(views: &mut [JudgedView], labels: &mut Vec<Label>, training: Training, pixels: u64) {
+fn add_total_variance(views: &mut [EvaluatedView], labels: &mut Vec<Label>, training: Training, pixels: u64) {
     let find = |kind, name: &str, variant: &str| {
         let is = |l: &Label| l.kind == kind && l.name == name && l.variant == variant;
         labels.iter().position(is).expect("a measure of the study")
@@ -240,7 +240,7 @@ fn compute(scene: &Scene, plan: &Plan, work: &Path, folder: &Path) -> Result<Sce
 
     let settings = RaySettings { cutoff: 1e-4, ..RaySettings::default() };
     let tracer = |field| settings.tracer(field, 0.0, &Silent);
-    let judge = Judge {
+    let evaluator = Evaluator {
         tracer: tracer(&*field)?,
         readings: &readings,
         members: members.iter().map(|m| tracer(m as &dyn RadianceField)).collect::<Result<_>>()?,
@@ -252,11 +252,11 @@ fn compute(scene: &Scene, plan: &Plan, work: &Path, folder: &Path) -> Result<Sce
         .map(|frame| TrueView::read(frame, &data.depth, DVec3::ONE, field.pixel_offset(), stride))
         .collect::<Result<Vec<_>>>()?;
     eprintln!("  judging {} views of {:?} pixels", truths.len(), truths[0].camera.resolution);
-    let [rendering, reading] = costs(&judge.tracer, &readings[0], &truths)?;
+    let [rendering, reading] = costs(&evaluator.tracer, &readings[0], &truths)?;
     let mut views =
-        (0..).zip(&truths).map(|(seed, truth)| judge.judge(truth, seed, &Silent)).collect::<Result<Vec<_>>>()?;
+        (0..).zip(&truths).map(|(seed, truth)| evaluator.evaluate(truth, seed, &Silent)).collect::<Result<Vec<_>>>()?;
 
-    labels.extend(judge.measures().into_iter().filter_map(|measure| match measure {
+    labels.extend(evaluator.measures().into_iter().filter_map(|measure| match measure {
         Measure::Reading(..) => None,
         Measure::Baseline(b) if b.is_single_model() => Some(label(Kind::Baseline, b.name(), "")),
         Measure::Baseline(b) => Some(label(Kind::Ensemble, b.name(), "")),
@@ -285,7 +285,7 @@ fn compute(scene: &Scene, plan: &Plan, work: &Path, folder: &Path) -> Result<Sce
 
     eprintln!("  clean-up");
     let some: Vec<TrueView> = spread(&truths, plan.cleaned_views).into_iter().cloned().collect();
-    let cleaned = clean_up(&judge.tracer, &readings[0].field, &some, &THRESHOLDS, &Silent)?;
+    let cleaned = clean_up(&evaluator.tracer, &readings[0].field, &some, &THRESHOLDS, &Silent)?;
     if scene.data.may_be_pictured() {
         picture::cleaned(&folder.join("clean-up.png"), scene.data, &some, &cleaned)?;
     }
@@ -309,10 +309,10 @@ fn costs(tracer: &Tracer, reading: &Reading, truths: &[TrueView]) -> Result<[Tim
     let few = &truths[..truths.len().min(2)];
     let one = [Reading { blends: vec![Blend::Spread], ..reading.clone() }];
     let time = |readings: &[Reading]| -> Result<Time> {
-        let judge = Judge { tracer: tracer.clone(), readings, members: Vec::new() };
+        let evaluator = Evaluator { tracer: tracer.clone(), readings, members: Vec::new() };
         let clock = Clock::start();
         for truth in few {
-            judge.judge(truth, 0, &Silent)?;
+            evaluator.evaluate(truth, 0, &Silent)?;
         }
         let share = truths.len() as f64 / few.len() as f64;
         let Time { cpu, wall } = clock.elapsed();
@@ -323,7 +323,7 @@ fn costs(tracer: &Tracer, reading: &Reading, truths: &[TrueView]) -> Result<[Tim
 }
 
 /// Percentiles over the judged pixels of a view, as an image; NaN elsewhere.
-pub fn ranks(view: &JudgedView, values: &[f64]) -> Vec<f64> {
+pub fn ranks(view: &EvaluatedView, values: &[f64]) -> Vec<f64> {
     let mut image = vec![f64::NAN; view.rendered.pixels.len()];
     for (&i, p) in view.pixels.iter().zip(percentiles(values)) {
         image[i] = p;

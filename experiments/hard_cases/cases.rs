@@ -1,7 +1,7 @@
 //! Every scene of the zoo against the oracle in f64.
 
 use octobayes::Result;
-use octobayes::field::zoo::{self, Verdict};
+use octobayes::zoo::{self, Verdict};
 
 use crate::compare::{Case, error, nothing_left_out};
 use crate::oracle::Derivatives;

@@ -2,11 +2,11 @@
 
 use octobayes::Result;
 use octobayes::estimate::{GridSettings, RaySettings, estimate, estimate_with_error_bars};
-use octobayes::field::zoo;
 use octobayes::monitor::Silent;
 use octobayes::octree::VertexId;
 use octobayes::render::GradientMethod;
 use octobayes::uncertainty::{Support, UncertaintyField};
+use octobayes::zoo;
 
 use super::scenes::{Scene, scenes};
 

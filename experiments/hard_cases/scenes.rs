@@ -4,8 +4,9 @@ use std::path::PathBuf;
 
 use octobayes::Result;
 use octobayes::dataset::Views;
-use octobayes::field::{ClosedForm, Coordinates, Intrinsics, RadianceField, open_in};
+use octobayes::field::{ClosedForm, Coordinates, Intrinsics, RadianceField};
 use octobayes::geometry::Camera;
+use octobayes::open::open_in;
 
 /// A field with its training cameras, and how it is studied.
 pub struct Scene {

@@ -10,7 +10,7 @@ use octobayes::geometry::{Camera, Domain};
 use octobayes::monitor::Silent;
 use octobayes::octree::VertexId;
 use octobayes::picture::{Curve, write_plot};
-use octobayes::posterior::{Share, Tally};
+use octobayes::rays::{RunProgress, Shard};
 use octobayes::render::{GradientMethod, RaySample, RaySamples};
 use octobayes::uncertainty::{Support, UncertaintyField};
 use rayon::prelude::*;
@@ -100,7 +100,7 @@ fn samples(scene: &Scene, grid: &GridSettings, domain: Domain) -> Result<Vec<Sam
         camera.ray(x, y).direction.as_vec3()
     };
     let mut out = Vec::new();
-    stream.run(Share::whole(scene.rays), Tally::default(), &Silent, |batches, _| {
+    stream.run(Shard::whole(scene.rays), RunProgress::default(), &Silent, |batches, _| {
         for batch in batches {
             for (ray, range) in batch.iter() {
                 let positions = &batch.positions[range.clone()];
@@ -188,7 +188,7 @@ fn field_of(
     }
     let mut builder = FieldBuilder::new(grid, domain)?;
     builder.add(&[batch]);
-    let tally = Tally { rays, ..Tally::default() };
+    let tally = RunProgress { rays, ..RunProgress::default() };
     Ok(builder.finish(&Provenance { source: "steps".into(), tally, ..Provenance::default() }))
 }
 

@@ -6,7 +6,7 @@ use glam::DVec3;
 use octobayes::Result;
 use octobayes::dataset::{DepthEncoding, DepthKind, Views};
 use octobayes::estimate::RaySettings;
-use octobayes::judge::{DepthFiles, Judge, Reading, Score, TrueView};
+use octobayes::evaluate::{DepthFiles, Evaluator, Reading, Score, TrueView};
 use octobayes::metrics::ErrorKind;
 use octobayes::monitor::Silent;
 use octobayes::render::Blend;
@@ -40,9 +40,11 @@ impl Truth {
     pub fn ause(&self, scene: &Scene, field: &UncertaintyField) -> Result<f64> {
         let tracer = RaySettings { cutoff: 1e-4, ..scene.settings }.tracer(&*scene.field, 0.0, &Silent)?;
         let readings = [Reading { name: "U".into(), field: field.clone(), blends: vec![Blend::Hit] }];
-        let judge = Judge { tracer, readings: &readings, members: Vec::new() };
-        let judged: Vec<_> =
-            (0..).zip(&self.views).map(|(seed, truth)| judge.judge(truth, seed, &Silent)).collect::<Result<_>>()?;
+        let evaluator = Evaluator { tracer, readings: &readings, members: Vec::new() };
+        let judged: Vec<_> = (0..)
+            .zip(&self.views)
+            .map(|(seed, truth)| evaluator.evaluate(truth, seed, &Silent))
+            .collect::<Result<_>>()?;
         Ok(Score::of(&judged, 0).map_or(f64::NAN, |score| score.area(ErrorKind::Mae)))
     }
 }

@@ -5,7 +5,7 @@ use std::time::Instant;
 use octobayes::Result;
 use octobayes::estimate::{GridKind, GridSettings, RaySettings, estimate};
 use octobayes::monitor::Silent;
-use octobayes::posterior::Pixels;
+use octobayes::rays::Pixels;
 use octobayes::render::GradientMethod;
 use octobayes::uncertainty::{Difference, UncertaintyField, compare};
 

@@ -10,7 +10,7 @@ use octobayes::estimate::{FieldBuilder, GridKind, RaySettings};
 use octobayes::field::{Differentiable, Radiance, RadianceField, RadianceJet};
 use octobayes::geometry::{Aabb, Domain, Ray};
 use octobayes::monitor::Silent;
-use octobayes::posterior::{Share, Tally};
+use octobayes::rays::{RunProgress, Shard};
 use octobayes::render::{GradientMethod, Quadrature, TraceBuffers};
 use rayon::prelude::*;
 
@@ -116,7 +116,7 @@ pub fn profile(lego: &Scene) -> Result<()> {
             counted.points.iter().for_each(|n| n.store(0, Ordering::Relaxed));
             let (start, mut adding) = (Instant::now(), 0.0);
             if gradient.is_some() {
-                stream.run(Share::whole(RAYS), Tally::default(), &Silent, |batches, _| {
+                stream.run(Shard::whole(RAYS), RunProgress::default(), &Silent, |batches, _| {
                     let start = Instant::now();
                     builder.add(batches);
                     adding += start.elapsed().as_secs_f64();

@@ -6,8 +6,9 @@ use glam::Vec3;
 use octobayes::Result;
 use octobayes::dataset::Views;
 use octobayes::estimate::RaySettings;
-use octobayes::field::{ClosedForm, Coordinates, Intrinsics, RadianceField, open_in};
+use octobayes::field::{ClosedForm, Coordinates, Intrinsics, RadianceField};
 use octobayes::geometry::Camera;
+use octobayes::open::open_in;
 
 /// A field with its training cameras.
 pub struct Scene {

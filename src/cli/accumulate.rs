@@ -8,7 +8,7 @@ use super::options::{DomainOptions, GridOptions};
 use super::progress::Bars;
 use super::report::Cost;
 use crate::estimate::{FieldBuilder, Provenance};
-use crate::posterior::{SamplesReader, Tally};
+use crate::rays::{RunProgress, SamplesReader};
 use crate::{Error, Result};
 
 /// Sum up ray samples whose Jacobians were computed elsewhere
@@ -52,7 +52,7 @@ impl Args {
             Ok(())
         })?;
         let posterior_bytes = builder.memory();
-        let tally = Tally { rays: reader.rays_total(), samples: reader.samples(), ..Tally::default() };
+        let tally = RunProgress { rays: reader.rays_total(), samples: reader.samples(), ..RunProgress::default() };
         let source = format!("samples {}", self.samples.display());
         let field = builder.finish(&Provenance { source, tally, ..Provenance::default() });
         self.grid.write(field, &Cost { elapsed: start.elapsed(), posterior_bytes, step: None })

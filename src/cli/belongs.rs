@@ -9,7 +9,7 @@ use crate::{Error, Result};
 /// Refuses a field that was computed for another model; with `force` warns of it. Fields that do not say pass.
 pub fn check_model(model: &ModelOptions, path: &Path, field: &UncertaintyField, force: bool) -> Result<()> {
     let Some(expected) = field.protocol().origin.model else { return Ok(()) };
-    let found = crate::field::checksum(&model.model, model.coordinates)?;
+    let found = crate::open::checksum(&model.model, model.coordinates)?;
     if expected == found {
         return Ok(());
     }

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use crate::estimate::FieldBuilder;
 use crate::posterior::checkpoint::RunKey;
-use crate::posterior::{Share, Tally};
+use crate::rays::{RunProgress, Shard};
 use crate::{Error, Result};
 
 /// A checkpoint file and when it was last written.
@@ -27,8 +27,8 @@ impl Checkpoint {
     }
 
     /// Takes up the state of the run `key`, if there is one.
-    pub fn restore(&self, builder: &mut FieldBuilder, key: &RunKey) -> Result<Tally> {
-        if self.path.exists() { builder.restore(&self.path, key) } else { Ok(Tally::default()) }
+    pub fn restore(&self, builder: &mut FieldBuilder, key: &RunKey) -> Result<RunProgress> {
+        if self.path.exists() { builder.restore(&self.path, key) } else { Ok(RunProgress::default()) }
     }
 
     /// Whether it is time to save.
@@ -37,14 +37,20 @@ impl Checkpoint {
     }
 
     /// Saves.
-    pub fn save(&mut self, builder: &FieldBuilder, key: &RunKey, tally: Tally) -> Result<()> {
+    pub fn save(&mut self, builder: &FieldBuilder, key: &RunKey, tally: RunProgress) -> Result<()> {
         builder.save(&self.path, key, tally)?;
         self.saved = Instant::now();
         Ok(())
     }
 
     /// Saves a run that was interrupted, and says how it goes on.
-    pub fn save_interrupted(&mut self, builder: &FieldBuilder, key: &RunKey, tally: Tally, share: Share) -> Result<()> {
+    pub fn save_interrupted(
+        &mut self,
+        builder: &FieldBuilder,
+        key: &RunKey,
+        tally: RunProgress,
+        share: Shard,
+    ) -> Result<()> {
         self.save(builder, key, tally)?;
         let path = self.path.display();
         eprintln!("note: {path} holds {} of {} rays; --resume goes on", tally.rays, share.own_rays());

@@ -59,7 +59,7 @@ impl Args {
 
     fn model(&self) -> Result<()> {
         let name = self.file.to_string_lossy();
-        let field = crate::field::open(&name)?;
+        let field = crate::open::open(&name)?;
         let bounds = field.bounds();
         let cameras = field.training_cameras();
         if self.json {

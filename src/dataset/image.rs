@@ -66,7 +66,7 @@ impl PosedImage {
         a * DVec3::new(r, g, b) + (1.0 - a) * background
     }
 
-    /// Share of pixel `i` that shows the object.
+    /// Shard of pixel `i` that shows the object.
     #[must_use]
     pub fn alpha(&self, i: usize) -> f64 {
         f64::from(self.pixels[i][3]) / 255.0

@@ -12,7 +12,7 @@ use crate::Result;
 use crate::field::RadianceField;
 use crate::geometry::{Camera, Domain};
 use crate::monitor::Monitor;
-use crate::posterior::{Share, Tally};
+use crate::rays::{RunProgress, Shard};
 use crate::render::GradientMethod;
 
 /// What approximations do to log10 U at the vertices that the rays looked at moved by more than half a decade.
@@ -33,7 +33,7 @@ impl Audit {
     /// Audits a run of `rays` through `field`.
     ///
     /// # Errors
-    /// As [`crate::posterior::RayStream::run`].
+    /// As [`crate::rays::RayStream::run`].
     pub fn of(
         field: &dyn RadianceField,
         cameras: &[Camera],
@@ -48,8 +48,8 @@ impl Audit {
             let mut builder = FieldBuilder::new(grid, domain)?;
             let lattice = *builder.lattice();
             let stream = rays.stream(field, cameras, &grid, &lattice, monitor)?;
-            let share = Share::whole(count);
-            stream.run(share, Tally::default(), monitor, |batches, _| {
+            let share = Shard::whole(count);
+            stream.run(share, RunProgress::default(), monitor, |batches, _| {
                 builder.add(batches);
                 Ok(())
             })?;

@@ -10,7 +10,7 @@ use super::{FieldBuilder, GridSettings};
 use crate::geometry::Domain;
 use crate::metrics::quantile;
 use crate::monitor::Monitor;
-use crate::posterior::{Draw, Purpose, RayStream, Share, Tally};
+use crate::rays::{Draw, Purpose, RayStream, RunProgress, Shard};
 use crate::{Error, Result};
 
 /// Rays before the first look.
@@ -64,15 +64,15 @@ impl AutoRun {
         settings: GridSettings,
         domain: Domain,
         monitor: &dyn Monitor,
-    ) -> Result<(FieldBuilder, Tally, SamplingError)> {
+    ) -> Result<(FieldBuilder, RunProgress, SamplingError)> {
         let (halves, tallies, error) = self.halves(stream, settings, domain, monitor)?;
         Ok((FieldBuilder::joined(halves, stream)?, tallies[0].with(&tallies[1]), error))
     }
 
     /// What the halves of a finished run of `stream` were made of.
     #[must_use]
-    pub fn draws(stream: &RayStream, tallies: &[Tally; 2]) -> Vec<Draw> {
-        let [first, second] = tallies.map(|tally| Share::whole(tally.rays));
+    pub fn draws(stream: &RayStream, tallies: &[RunProgress; 2]) -> Vec<Draw> {
+        let [first, second] = tallies.map(|tally| Shard::whole(tally.rays));
         vec![stream.draw(first), stream.for_purpose(Purpose::SecondHalf).draw(second)]
     }
 
@@ -86,7 +86,7 @@ impl AutoRun {
         settings: GridSettings,
         domain: Domain,
         monitor: &dyn Monitor,
-    ) -> Result<([FieldBuilder; 2], [Tally; 2], SamplingError)> {
+    ) -> Result<([FieldBuilder; 2], [RunProgress; 2], SamplingError)> {
         if settings.needs_plan() {
             let found = "--memory or --refine evidence";
             return Err(Error::setting("--rays auto", "a grid without limits to its refinement", found));
@@ -94,11 +94,11 @@ impl AutoRun {
         let other_pixels = stream.for_purpose(Purpose::SecondHalf);
         let streams = [stream, &other_pixels];
         let mut halves = [FieldBuilder::new(settings, domain)?, FieldBuilder::new(settings, domain)?];
-        let mut tallies = [Tally::default(); 2];
+        let mut tallies = [RunProgress::default(); 2];
         let mut rays = FIRST.min(self.most);
         loop {
             for ((half, stream), tally) in halves.iter_mut().zip(streams).zip(&mut tallies) {
-                *tally = stream.run(Share::whole((rays / 2).max(1)), *tally, monitor, |batches, _| {
+                *tally = stream.run(Shard::whole((rays / 2).max(1)), *tally, monitor, |batches, _| {
                     half.add(batches);
                     Ok(())
                 })?;
@@ -151,7 +151,7 @@ mod tests {
     use crate::posterior::Criterion;
     use crate::uncertainty::UncertaintyField;
 
-    fn run(grid: GridKind, tolerance: f64, most: u64) -> (UncertaintyField, Tally, SamplingError) {
+    fn run(grid: GridKind, tolerance: f64, most: u64) -> (UncertaintyField, RunProgress, SamplingError) {
         let field = ClosedForm::courtyard();
         let cameras = ClosedForm::half_circle(10, [100, 100]);
         let settings = GridSettings { grid, level: 5, ..GridSettings::default() };
@@ -159,7 +159,7 @@ mod tests {
         let lattice = settings.lattice(domain).unwrap();
         let stream = RaySettings::default().stream(&field, &cameras, &settings, &lattice, &Silent).unwrap();
         let (builder, tally, error) = AutoRun { tolerance, most }.run(&stream, settings, domain, &Silent).unwrap();
-        let share = Some(Share::whole(tally.rays));
+        let share = Some(Shard::whole(tally.rays));
         let field = builder.finish(&Provenance { source: "test".into(), tally, share, stream: Some(&stream) });
         (field, tally, error)
     }

@@ -9,7 +9,8 @@ use super::{GridKind, GridSettings, Plan, plan};
 use crate::geometry::{Camera, Domain, Lattice};
 use crate::octree::{Cell, LevelLimits, morton};
 use crate::posterior::checkpoint::{self, AnyPosterior, RunKey};
-use crate::posterior::{DensePosterior, Evidence, OctreePosterior, Posterior, RayStream, SURFACE_WEIGHT, Share, Tally};
+use crate::posterior::{DensePosterior, Evidence, OctreePosterior, Posterior};
+use crate::rays::{RayStream, RunProgress, SURFACE_WEIGHT, Shard};
 use crate::render::RaySamples;
 use crate::uncertainty::{Origin, Protocol, Support, UncertaintyField};
 use crate::{Error, Result};
@@ -20,9 +21,9 @@ pub struct Provenance<'a> {
     /// Model and cameras, or samples file.
     pub source: String,
     /// Rays drawn and dropped.
-    pub tally: Tally,
+    pub tally: RunProgress,
     /// Which part of a run they are.
-    pub share: Option<Share>,
+    pub share: Option<Shard>,
     /// The stream that drew them, if it was this crate's.
     pub stream: Option<&'a RayStream<'a>>,
 }
@@ -137,7 +138,7 @@ impl FieldBuilder {
     ///
     /// # Errors
     /// If the file cannot be written.
-    pub fn save(&self, path: &Path, key: &RunKey, tally: Tally) -> Result<()> {
+    pub fn save(&self, path: &Path, key: &RunKey, tally: RunProgress) -> Result<()> {
         checkpoint::save(path, key, tally, &self.posterior, &self.surface)
     }
 
@@ -145,7 +146,7 @@ impl FieldBuilder {
     ///
     /// # Errors
     /// If the file is not the complete state of a run with the same description.
-    pub fn restore(&mut self, path: &Path, key: &RunKey) -> Result<Tally> {
+    pub fn restore(&mut self, path: &Path, key: &RunKey) -> Result<RunProgress> {
         let state = checkpoint::load(path, key, &self.limits, self.settings.grid == GridKind::Dense)?;
         self.posterior = state.posterior;
         self.surface = state.surface;

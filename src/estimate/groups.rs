@@ -4,7 +4,7 @@
 //! differences say too much.) The groups' rays together are a little worse than as many of one sequence; that is the price.
 
 use super::{FieldBuilder, Provenance};
-use crate::posterior::{Draw, Purpose, RayStream, Share, Tally};
+use crate::rays::{Draw, Purpose, RayStream, RunProgress, Shard};
 use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
 
@@ -15,7 +15,7 @@ pub struct RayGroup<'a> {
     /// Its rays.
     pub stream: RayStream<'a>,
     /// All of them.
-    pub share: Share,
+    pub share: Shard,
 }
 
 impl RayGroup<'_> {
@@ -38,7 +38,7 @@ pub fn ray_groups<'a>(stream: &RayStream<'a>, count: u16, rays: u64) -> Result<V
     let group = |g: u16| {
         let own = rays / groups + u64::from(u64::from(g) < rays % groups);
         let stream = stream.for_purpose(Purpose::Group(g));
-        RayGroup { seed: stream.pixels.seed(), stream, share: Share::whole(own) }
+        RayGroup { seed: stream.pixels.seed(), stream, share: Shard::whole(own) }
     };
     Ok((0..count).map(group).collect())
 }
@@ -52,14 +52,18 @@ impl FieldBuilder {
     ///
     /// # Panics
     /// If there are fewer than two groups, or not as many tallies.
-    pub fn finish_groups(groups: Vec<Self>, tallies: &[Tally], provenance: &Provenance) -> Result<UncertaintyField> {
+    pub fn finish_groups(
+        groups: Vec<Self>,
+        tallies: &[RunProgress],
+        provenance: &Provenance,
+    ) -> Result<UncertaintyField> {
         assert!(groups.len() == tallies.len() && groups.len() >= 2, "one tally for each of two groups or more");
         let mut whole = groups[0].emptied();
         groups.iter().for_each(|group| whole.absorb(group));
         if let Some(stream) = provenance.stream {
             whole.want_density(stream)?;
         }
-        let tally = tallies.iter().fold(Tally::default(), |sum, tally| sum.with(tally));
+        let tally = tallies.iter().fold(RunProgress::default(), |sum, tally| sum.with(tally));
         let field = whole.finish(&Provenance { tally, ..provenance.clone() });
         let rays: Vec<u64> = tallies.iter().map(|tally| tally.rays).collect();
         let sums: Vec<_> = groups.into_iter().map(|group| group.evidence_at(field.support())).collect();

@@ -8,7 +8,6 @@ mod auto;
 mod builder;
 mod grid;
 mod groups;
-mod measure;
 mod plan;
 mod rays;
 mod run;
@@ -29,7 +28,7 @@ pub use step::StepCheck;
 use crate::field::RadianceField;
 use crate::geometry::{Camera, Domain};
 use crate::monitor::Monitor;
-use crate::posterior::{Share, Tally};
+use crate::rays::{RunProgress, Shard};
 use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
 
@@ -43,14 +42,14 @@ pub fn estimate(
     rays: &RaySettings,
     grid: &GridSettings,
     monitor: &dyn Monitor,
-) -> Result<(UncertaintyField, Tally)> {
+) -> Result<(UncertaintyField, RunProgress)> {
     if cameras.is_empty() {
         return Err(Error::setting("cameras", "at least one", "none"));
     }
     let mut builder = FieldBuilder::new(*grid, Domain::Box(field.bounds()))?;
     let lattice = *builder.lattice();
     let stream = rays.stream(field, cameras, grid, &lattice, monitor)?;
-    let share = Share::whole(rays.rays);
+    let share = Shard::whole(rays.rays);
     let planner =
         if grid.needs_plan() { Some(Planner::new(*grid, rays, &stream, share, lattice, monitor)?) } else { None };
     let plan = planner.as_ref().map(|planner| planner.plan(&lattice)).transpose()?;
@@ -59,7 +58,7 @@ pub fn estimate(
     }
     builder.want_density(&stream)?;
     let run = PlannedRun { stream: &stream, share, planner: planner.as_ref(), memory: grid.memory };
-    let (tally, _) = run.run(&mut builder, Tally::default(), plan, monitor, |_, _, _| Ok(()))?;
+    let (tally, _) = run.run(&mut builder, RunProgress::default(), plan, monitor, |_, _, _| Ok(()))?;
     let provenance = Provenance { source: field.describe(), tally, share: Some(share), stream: Some(&stream) };
     Ok((builder.finish(&provenance), tally))
 }
@@ -75,7 +74,7 @@ pub fn estimate_with_error_bars(
     grid: &GridSettings,
     groups: u16,
     monitor: &dyn Monitor,
-) -> Result<(UncertaintyField, Tally)> {
+) -> Result<(UncertaintyField, RunProgress)> {
     if cameras.is_empty() {
         return Err(Error::setting("cameras", "at least one", "none"));
     }
@@ -93,13 +92,13 @@ pub fn estimate_with_error_bars(
     let groups = ray_groups(&stream, groups, rays.rays)?;
     for group in &groups {
         let mut builder = FieldBuilder::new(*grid, domain)?;
-        tallies.push(group.stream.run(group.share, Tally::default(), monitor, |batches, _| {
+        tallies.push(group.stream.run(group.share, RunProgress::default(), monitor, |batches, _| {
             builder.add(batches);
             Ok(())
         })?);
         builders.push(builder);
     }
-    let tally = tallies.iter().fold(Tally::default(), |sum, tally| sum.with(tally));
+    let tally = tallies.iter().fold(RunProgress::default(), |sum, tally| sum.with(tally));
     let provenance = Provenance { source: field.describe(), tally, share: None, stream: Some(&stream) };
     let field = FieldBuilder::finish_groups(builders, &tallies, &provenance)?;
     Ok((field.with_draws(groups.iter().map(RayGroup::draw).collect()), tally))

@@ -6,9 +6,8 @@ use super::{GridKind, GridSettings, RaySettings};
 use crate::geometry::Lattice;
 use crate::monitor::Monitor;
 use crate::octree::LevelLimits;
-use crate::posterior::{
-    DensePosterior, Evidence, OctreePosterior, Posterior, Purpose, RayStream, Share, Survey, Tally,
-};
+use crate::posterior::{DensePosterior, Evidence, OctreePosterior, Posterior, Survey};
+use crate::rays::{Purpose, RayStream, RunProgress, Shard};
 use crate::{Error, Result};
 
 /// Bytes per touched vertex while summing: 64 of evidence, in bricks that rays fill to a half (the city at level 11: 129 bytes a vertex), and a third more for
@@ -33,7 +32,7 @@ pub struct Plan {
     pub bytes: f64,
     /// Expected time.
     pub time: Duration,
-    /// Share of what rays touch by levels given up: 0, 1, 2, …
+    /// Shard of what rays touch by levels given up: 0, 1, 2, …
     pub given_up: Vec<f64>,
 }
 
@@ -60,15 +59,15 @@ impl Planner {
         settings: GridSettings,
         rays: &RaySettings,
         stream: &RayStream,
-        share: Share,
+        share: Shard,
         lattice: Lattice,
         monitor: &dyn Monitor,
     ) -> Result<Self> {
-        let pilot = Share::whole(Self::PILOT.min(rays.rays));
+        let pilot = Shard::whole(Self::PILOT.min(rays.rays));
         let start = Instant::now();
         let mut posterior = OctreePosterior::new(lattice);
         let stream = stream.for_purpose(Purpose::Pilot);
-        stream.run(pilot, Tally::default(), monitor, |batches, _| {
+        stream.run(pilot, RunProgress::default(), monitor, |batches, _| {
             posterior.add(batches);
             Ok(())
         })?;

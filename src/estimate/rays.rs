@@ -7,7 +7,8 @@ use crate::field::RadianceField;
 use crate::geometry::{Aabb, Camera, Domain, Lattice};
 use crate::monitor::Monitor;
 use crate::posterior::checkpoint::RunKey;
-use crate::posterior::{PixelSequence, Pixels, RayStream, Share, negligible_jacobian};
+use crate::posterior::negligible_jacobian;
+use crate::rays::{PixelSequence, Pixels, RayStream, Shard};
 use crate::render::{Differences, Differentiation, GradientMethod, LONGEST_STEP, Marcher, Occupancy, Tracer};
 use crate::{Error, Result};
 
@@ -92,7 +93,7 @@ impl RaySettings {
     pub fn run_key(
         &self,
         source: String,
-        share: Share,
+        share: Shard,
         stream: &RayStream,
         grid: &GridSettings,
         builder: &FieldBuilder,

@@ -2,7 +2,7 @@
 
 use super::{FieldBuilder, Plan, Planner};
 use crate::monitor::Monitor;
-use crate::posterior::{RayStream, Share, Tally};
+use crate::rays::{RayStream, RunProgress, Shard};
 use crate::render::RaySamples;
 use crate::{Error, Result};
 
@@ -11,7 +11,7 @@ pub struct PlannedRun<'a> {
     /// The rays.
     pub stream: &'a RayStream<'a>,
     /// Which of them.
-    pub share: Share,
+    pub share: Shard,
     /// Where plans come from; `None` if nothing limits the run.
     pub planner: Option<&'a Planner>,
     /// Most bytes for sums and field.
@@ -29,11 +29,11 @@ impl PlannedRun<'_> {
     pub fn run(
         &self,
         builder: &mut FieldBuilder,
-        from: Tally,
+        from: RunProgress,
         mut plan: Option<Plan>,
         monitor: &dyn Monitor,
-        mut sink: impl FnMut(&FieldBuilder, &[RaySamples], &Tally) -> Result<()>,
-    ) -> Result<(Tally, Option<Plan>)> {
+        mut sink: impl FnMut(&FieldBuilder, &[RaySamples], &RunProgress) -> Result<()>,
+    ) -> Result<(RunProgress, Option<Plan>)> {
         let mut from = from;
         loop {
             let mut over = false;
@@ -58,7 +58,7 @@ impl PlannedRun<'_> {
             };
             builder.limit(&tighter);
             plan = Some(tighter);
-            from = Tally::default();
+            from = RunProgress::default();
             // What the sink remembers of the rays so far is void: an interrupt may come before the next batch.
             sink(builder, &[], &from)?;
         }

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use crate::Result;
 use crate::geometry::{Aabb, Camera, Domain, Ray};
 use crate::monitor::{Monitor, check};
-use crate::posterior::{RayStream, SURFACE_WEIGHT};
+use crate::rays::{RayStream, SURFACE_WEIGHT};
 use crate::render::{Quadrature, TraceBuffers};
 
 /// Rays that are looked at, about: a thousandth of a default run's. A share is known to within 0.016 then (two standard
@@ -32,11 +32,11 @@ const MANY: f64 = 0.25;
 pub struct Framing {
     /// Rays looked at.
     pub rays: u64,
-    /// Share of them that pass through the box.
+    /// Shard of them that pass through the box.
     pub meet_box: f64,
-    /// Share of the cameras that look away from it: they stand outside, and none of their rays meets it.
+    /// Shard of the cameras that look away from it: they stand outside, and none of their rays meets it.
     pub looking_away: f64,
-    /// Share of the rays that would meet the box if the cameras' axes were OpenCV's (y down, looking along +z).
+    /// Shard of the rays that would meet the box if the cameras' axes were OpenCV's (y down, looking along +z).
     pub turned: f64,
     /// Mean distance of the cameras from the box's middle, half diagonals of the box.
     pub distance: f64,
@@ -131,11 +131,11 @@ impl Framing {
 pub struct Sight {
     /// How they stand to the field's box.
     pub framing: Framing,
-    /// Share of the rays that meet matter: opacity at least [`SURFACE_WEIGHT`].
+    /// Shard of the rays that meet matter: opacity at least [`SURFACE_WEIGHT`].
     pub meet_matter: f64,
-    /// Share of the rays that meet as much of it inside the domain in which uncertainty is computed.
+    /// Shard of the rays that meet as much of it inside the domain in which uncertainty is computed.
     pub meet_domain: f64,
-    /// Share of the cameras that stand in matter.
+    /// Shard of the cameras that stand in matter.
     pub inside_matter: f64,
     /// Rays dropped because the field was not finite.
     pub dropped: u64,

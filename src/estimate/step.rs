@@ -6,7 +6,7 @@ use super::rays::shortest_step;
 use crate::Result;
 use crate::geometry::Lattice;
 use crate::monitor::Monitor;
-use crate::posterior::{Pixels, RayStream};
+use crate::rays::{Pixels, RayStream};
 use crate::render::{DifferenceErrors, Differences};
 
 /// Points on visible surfaces that are looked at: a mean over them is known to about 1 / √1024 of its spread.
@@ -71,7 +71,7 @@ mod tests {
     use crate::field::{ClosedForm, Differentiable, Radiance, RadianceField, RadianceJet};
     use crate::geometry::{Aabb, Domain};
     use crate::monitor::Silent;
-    use crate::posterior::{Share, Tally};
+    use crate::rays::{RunProgress, Shard};
     use crate::render::{GradientMethod, LONGEST_STEP};
     use glam::DVec3;
 
@@ -165,8 +165,8 @@ mod tests {
             let mut builder = FieldBuilder::new(grid(), domain).unwrap();
             let lattice = *builder.lattice();
             let stream = rays.stream(&Waves, &cameras, &grid(), &lattice, &Silent).unwrap();
-            let share = Share::whole(rays.rays);
-            let tally = stream.run(share, Tally::default(), &Silent, |batches, _| {
+            let share = Shard::whole(rays.rays);
+            let tally = stream.run(share, RunProgress::default(), &Silent, |batches, _| {
                 builder.add(batches);
                 Ok(())
             });

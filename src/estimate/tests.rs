@@ -142,8 +142,8 @@ fn contracted_space_has_an_answer_everywhere_and_the_dense_one() {
             let mut builder = FieldBuilder::new(settings_of_grid, domain).unwrap();
             let lattice = *builder.lattice();
             let stream = settings(3000).stream(&field, &cameras, &settings_of_grid, &lattice, &Silent).unwrap();
-            let share = Share::whole(3000);
-            let tally = stream.run(share, Tally::default(), &Silent, |batches, _| {
+            let share = Shard::whole(3000);
+            let tally = stream.run(share, RunProgress::default(), &Silent, |batches, _| {
                 builder.add(batches);
                 Ok(())
             });
@@ -192,14 +192,14 @@ fn a_run_that_starts_again_says_so_before_its_first_ray() {
     let mut builder = FieldBuilder::new(grid, Domain::Box(field.bounds())).unwrap();
     let lattice = *builder.lattice();
     let stream = rays.stream(&field, &cameras, &grid, &lattice, &Silent).unwrap();
-    let share = Share::whole(20_000);
+    let share = Shard::whole(20_000);
     let planner = Planner::new(grid, &rays, &stream, share, lattice, &Silent).unwrap();
     // Planned without a budget, run within one that the sums outgrow.
     let plan = planner.plan(&lattice).unwrap();
     let run = PlannedRun { stream: &stream, share, planner: Some(&planner), memory: Some(40_000_000) };
     let mut tallies = Vec::new();
     let (tally, plan) = run
-        .run(&mut builder, Tally::default(), Some(plan), &Silent, |builder, batches, tally| {
+        .run(&mut builder, RunProgress::default(), Some(plan), &Silent, |builder, batches, tally| {
             assert_eq!(batches.is_empty(), tally.rays == 0);
             assert!(tally.rays > 0 || builder.memory() == 0);
             tallies.push(tally.rays);

@@ -8,16 +8,13 @@ mod elementary;
 mod harmonics;
 pub mod hash_grid;
 mod mlp;
-mod open;
 mod ppng;
 mod voxel;
 mod window;
-pub mod zoo;
 
 pub use closed_form::ClosedForm;
 pub use hash_grid::{HashGrid, HashGridConfig};
 pub use mlp::NerfMlp;
-pub use open::{checksum, open, open_in};
 pub use ppng::{Coordinates, Ppng};
 pub use voxel::VoxelGrid;
 

@@ -9,10 +9,11 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::octree::Brick;
-use super::{DensePosterior, Evidence, OctreePosterior, Pixels, Share, Tally};
+use super::{DensePosterior, Evidence, OctreePosterior};
 use crate::geometry::Lattice;
 use crate::io::container::{self, Format, Reader, Section};
 use crate::octree::LevelLimits;
+use crate::rays::{Pixels, RunProgress, Shard};
 use crate::render::GradientMethod;
 use crate::{Error, Result};
 
@@ -38,7 +39,7 @@ pub struct RunKey {
     /// Box and finest level.
     pub lattice: Lattice,
     /// The rays.
-    pub share: Share,
+    pub share: Shard,
     /// How pixels are chosen.
     pub pixels: Pixels,
     /// Seed of pixels and jitter.
@@ -70,7 +71,7 @@ pub struct RunKey {
 #[derive(Serialize, Deserialize)]
 struct Header {
     key: RunKey,
-    tally: Tally,
+    tally: RunProgress,
     dense: bool,
 }
 
@@ -79,7 +80,7 @@ pub struct State {
     /// The sums so far.
     pub posterior: AnyPosterior,
     /// Rays so far.
-    pub tally: Tally,
+    pub tally: RunProgress,
     /// Points on visible surfaces so far, scene units.
     pub surface: Vec<[f32; 3]>,
 }
@@ -97,7 +98,13 @@ impl Section for Bricks<'_> {
 ///
 /// # Errors
 /// If the folder cannot be written or the disk is full.
-pub fn save(path: &Path, key: &RunKey, tally: Tally, posterior: &AnyPosterior, surface: &[[f32; 3]]) -> Result<()> {
+pub fn save(
+    path: &Path,
+    key: &RunKey,
+    tally: RunProgress,
+    posterior: &AnyPosterior,
+    surface: &[[f32; 3]],
+) -> Result<()> {
     let header = |dense| Header { key: key.clone(), tally, dense };
     match posterior {
         AnyPosterior::Dense(posterior) => {

@@ -15,24 +15,16 @@ mod dense;
 mod double;
 mod evidence;
 mod octree;
-mod pixels;
 mod pooling;
 mod prior;
-mod rays;
-mod samples_file;
-mod seeds;
 
 pub use covariance::{Covariance, negligible_information, negligible_jacobian};
 pub use criteria::{Criteria, Criterion};
 pub use dense::DensePosterior;
 pub use evidence::{Evidence, Information, trace};
 pub use octree::{OctreePosterior, Refinement, Survey};
-pub use pixels::{Pick, PixelSequence, Pixels};
 pub use pooling::Pooling;
 pub use prior::Prior;
-pub use rays::{Draw, MAX_DROPPED_SHARE, RayStream, SURFACE_WEIGHT, Share, Tally};
-pub use samples_file::{SamplesReader, SamplesWriter};
-pub use seeds::Purpose;
 
 use crate::render::RaySamples;
 

@@ -165,7 +165,7 @@ impl Occupancy {
         })
     }
 
-    /// Share of cells whose bound exceeds `density`.
+    /// Shard of cells whose bound exceeds `density`.
     #[must_use]
     pub fn share_above(&self, density: f32) -> f64 {
         let n = self.resolution;

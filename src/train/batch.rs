@@ -13,7 +13,7 @@ use crate::field::hash_grid::{
     backward_pass, color_pass, density_derivative, density_pass, harmonics, view_gradient_pass, view_pass,
 };
 use crate::geometry::Ray;
-use crate::posterior::PixelSequence;
+use crate::rays::PixelSequence;
 
 /// Rays that go through the networks together; sums over a group are one summand of the step.
 pub const GROUP: u64 = 32;

@@ -48,7 +48,7 @@ pub struct TrainSettings {
     pub samples_per_step: u64,
     /// Adam's first learning rate.
     pub learning_rate: f32,
-    /// Share of it that is left at the end; it decays exponentially.
+    /// Shard of it that is left at the end; it decays exponentially.
     pub final_rate: f32,
     /// Factor of the distortion loss; 0 for none.
     pub distortion: f32,

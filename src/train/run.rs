@@ -29,7 +29,7 @@ const REPORT: u64 = 16;
 pub struct Progress {
     /// Steps so far.
     pub steps: u64,
-    /// Share of the run that is done, in `[0, 1]`.
+    /// Shard of the run that is done, in `[0, 1]`.
     pub share: f64,
     /// Mean loss of a ray since the last report.
     pub loss: f64,

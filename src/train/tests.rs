@@ -11,7 +11,7 @@ use crate::field::hash_grid::{LAYERS, N_FEATURES_PER_LEVEL, Space, Transposed, r
 use crate::field::{ClosedForm, RadianceField};
 use crate::geometry::{Camera, Domain, Norm, Ray};
 use crate::monitor::{Monitor, Silent};
-use crate::posterior::{PixelSequence, Pixels};
+use crate::rays::{PixelSequence, Pixels};
 use crate::render::render_view;
 
 /// A closed-form scene's true images: colour over black, and opacity, as 8-bit straight alpha.

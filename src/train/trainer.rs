@@ -14,7 +14,7 @@ use crate::field::hash_grid::{
     Encoding, Entry, N_FEATURES_PER_LEVEL, N_LEVELS, Network, Parameters, Space, Transposed,
 };
 use crate::geometry::{Camera, Domain};
-use crate::posterior::{PixelSequence, Pixels};
+use crate::rays::{PixelSequence, Pixels};
 
 /// Range of first features.
 const FEATURE_RANGE: f32 = 1e-4;

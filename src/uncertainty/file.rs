@@ -25,7 +25,8 @@ use super::{Deviations, ErrorBars, Origin, Protocol, Support, UncertaintyField, 
 use crate::geometry::Lattice;
 use crate::io::container::{self, Format, Reader};
 use crate::octree::{LevelLimits, Octree};
-use crate::posterior::{Draw, Evidence, Share};
+use crate::posterior::Evidence;
+use crate::rays::{Draw, Shard};
 use crate::{Error, Result};
 
 /// The newest version that this crate reads and writes.
@@ -182,7 +183,7 @@ impl UncertaintyField {
         let draws: Vec<Draw> = match draws {
             Some(draws) => draws
                 .into_iter()
-                .map(|[seed, rays, index, of]| Draw { seed, share: Share { rays, index, of } })
+                .map(|[seed, rays, index, of]| Draw { seed, share: Shard { rays, index, of } })
                 .collect(),
             None => protocol.draw().into_iter().collect(),
         };

@@ -2,7 +2,8 @@
 
 use super::{Protocol, Support, UncertaintyField};
 use crate::octree::VertexId;
-use crate::posterior::{DensePosterior, Draw, Evidence, OctreePosterior, Refinement};
+use crate::posterior::{DensePosterior, Evidence, OctreePosterior, Refinement};
+use crate::rays::Draw;
 use crate::{Error, Result};
 
 /// The field of all rays of `parts` together.

@@ -30,7 +30,8 @@ use glam::{DVec3, Vec3};
 use self::reading::read;
 use crate::geometry::Lattice;
 use crate::octree::{Cell, LevelLimits, Octree, VertexId, trilinear};
-use crate::posterior::{Covariance, Draw, Evidence, OctreePosterior, Refinement};
+use crate::posterior::{Covariance, Evidence, OctreePosterior, Refinement};
+use crate::rays::Draw;
 use crate::{Error, Result};
 
 /// The vertices that carry values.
@@ -155,7 +156,7 @@ impl UncertaintyField {
         self.without_evidence()
     }
 
-    /// The same field, which names the model that it was computed for by its [checksum](crate::field::checksum).
+    /// The same field, which names the model that it was computed for by its [checksum](crate::open::checksum).
     #[must_use]
     pub fn of_model(mut self, checksum: u32) -> Self {
         self.protocol.origin.model = Some(checksum);

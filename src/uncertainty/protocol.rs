@@ -1,6 +1,7 @@
 //! What the numbers in a field depend on.
 
-use crate::posterior::{Covariance, Criteria, Draw, Pixels, Pooling, Prior, Share, negligible_information};
+use crate::posterior::{Covariance, Criteria, Pooling, Prior, negligible_information};
+use crate::rays::{Draw, Pixels, Shard};
 use crate::render::GradientMethod;
 
 /// The share of the tolerance that is for samples whose Jacobian is negligible; the others are for refinement.
@@ -10,7 +11,7 @@ pub const SAMPLES_SHARE: f64 = 0.1;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 #[serde(default)]
 pub struct Origin {
-    /// Of the model ([`crate::field::checksum`]).
+    /// Of the model ([`crate::open::checksum`]).
     pub model: Option<u32>,
     /// Of its cameras ([`crate::geometry::Camera::checksum`]).
     pub cameras: Option<u32>,
@@ -35,7 +36,7 @@ pub struct Protocol {
     /// Seed of the run's pixels and jitter; [`super::UncertaintyField::draws`] has those of all its sequences.
     pub seed: Option<u64>,
     /// Which part of a run these rays are.
-    pub share: Option<Share>,
+    pub share: Option<Shard>,
     /// λ, 1 / scene unit².
     pub lambda: f64,
     /// Scalar read off H.

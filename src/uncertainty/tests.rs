@@ -2,7 +2,8 @@
 
 use super::*;
 use crate::geometry::Aabb;
-use crate::posterior::{Criteria, DensePosterior, Draw, OctreePosterior, Pixels, Posterior, Prior, Share};
+use crate::posterior::{Criteria, DensePosterior, OctreePosterior, Posterior, Prior};
+use crate::rays::{Draw, Pixels, Shard};
 use crate::render::{RaySample, RaySamples};
 use proptest::prelude::*;
 
@@ -239,7 +240,7 @@ fn files_survive_bit_by_bit() {
     let folder = tempfile::tempdir().unwrap();
     for (i, field) in fields(Covariance::Block, 1.0).into_iter().enumerate() {
         let bars = with_bars(field.clone());
-        let draw = |seed| Draw { seed, share: Share { rays: 10, index: seed, of: 3 } };
+        let draw = |seed| Draw { seed, share: Shard { rays: 10, index: seed, of: 3 } };
         let drawn = |field: &UncertaintyField| field.clone().with_draws(vec![draw(0), draw(1)]);
         let all = [
             (1, field.clone()),

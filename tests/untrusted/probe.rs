@@ -9,7 +9,8 @@ use octobayes::field::{Coordinates, Intrinsics, NerfMlp, Ppng, Radiance, Radianc
 use octobayes::geometry::{Aabb, Camera, Domain};
 use octobayes::monitor::Silent;
 use octobayes::octree::LevelLimits;
-use octobayes::posterior::{Covariance, SamplesReader, Tally, checkpoint};
+use octobayes::posterior::{Covariance, checkpoint};
+use octobayes::rays::{RunProgress, SamplesReader};
 use octobayes::synth::{Mesh, Scene, Up};
 use octobayes::uncertainty::{OfficialGrid, UncertaintyField, merge, merge_with_error_bars};
 use octobayes::{Error, Result};
@@ -135,7 +136,7 @@ fn state(path: &Path) -> Result<()> {
             builder.restore(path, &key).unwrap();
             builder.add(&[samples::ray_samples()]);
             if state.tally.rays > 0 {
-                let tally = Tally { rays: state.tally.rays, ..Tally::default() };
+                let tally = RunProgress { rays: state.tally.rays, ..RunProgress::default() };
                 field_is_sound(&builder.finish(&Provenance { tally, ..Provenance::default() }), path);
             }
         });
@@ -184,7 +185,7 @@ fn samples_are_sound(path: &Path) -> Result<()> {
         builder.add(batches);
         Ok(())
     })?;
-    let tally = Tally { rays: reader.rays_total(), samples: reader.samples(), ..Tally::default() };
+    let tally = RunProgress { rays: reader.rays_total(), samples: reader.samples(), ..RunProgress::default() };
     let field = builder.finish(&Provenance { source: "samples".into(), tally, ..Provenance::default() });
     let x = Vec3::new(0.1, 0.2, 0.3);
     assert!(field.query(x).uncertainty > 0.0, "{:?}", field.query(x));

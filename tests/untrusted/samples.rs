@@ -12,7 +12,8 @@ use octobayes::geometry::{Aabb, Camera, Domain, Norm};
 use octobayes::io::npy;
 use octobayes::monitor::Silent;
 use octobayes::posterior::checkpoint::RunKey;
-use octobayes::posterior::{Covariance, Criteria, Evidence, Pixels, Prior, SamplesWriter, Share, Tally};
+use octobayes::posterior::{Covariance, Criteria, Evidence, Prior};
+use octobayes::rays::{Pixels, RunProgress, SamplesWriter, Shard};
 use octobayes::render::{GradientMethod, RaySample, RaySamples};
 use octobayes::uncertainty::UncertaintyField;
 use safetensors::tensor::{Dtype, TensorView};
@@ -75,8 +76,8 @@ fn builder(settings: GridSettings, domain: Domain) -> FieldBuilder {
     builder
 }
 
-fn tally() -> Tally {
-    Tally { batches: 1, rays: 5, samples: 12, ..Tally::default() }
+fn tally() -> RunProgress {
+    RunProgress { batches: 1, rays: 5, samples: 12, ..RunProgress::default() }
 }
 
 /// Octree and dense grid, with and without evidence, in two bytes, of contracted space, with limited leaves.
@@ -85,7 +86,7 @@ pub fn fields() -> Vec<UncertaintyField> {
     let space = Domain::contracted(DVec3::new(0.1, 0.2, 0.3), 0.5, Norm::L2).unwrap();
     let small = GridSettings { level: 2, ..GridSettings::default() };
     let field = |settings, domain| {
-        let share = Some(Share { rays: 5, index: 0, of: 1 });
+        let share = Some(Shard { rays: 5, index: 0, of: 1 });
         builder(settings, domain).finish(&Provenance { source: "tests".into(), tally: tally(), share, stream: None })
     };
     let block = GridSettings { covariance: Covariance::Block, level: 3, min_rays: 2.0, ..small };
@@ -125,7 +126,7 @@ pub fn run_key(grid: GridKind) -> RunKey {
         source: "tests".into(),
         cameras: 7,
         lattice: settings.lattice(Domain::Box(Aabb::centered_cube(1.0))).unwrap(),
-        share: Share::whole(100_000),
+        share: Shard::whole(100_000),
         pixels: Pixels::Sobol,
         seed: 3,
         march_step: 0.1,

@@ -3,12 +3,13 @@
 use glam::{DMat3, DVec3};
 use octobayes::Result;
 use octobayes::estimate::{FieldBuilder, GridKind, GridSettings, Provenance, RaySettings};
-use octobayes::field::zoo::Specimen;
 use octobayes::field::{Intrinsics, RadianceField};
 use octobayes::geometry::{Camera, Domain};
 use octobayes::monitor::Silent;
-use octobayes::posterior::{Covariance, Evidence, Pick, Share, Tally};
+use octobayes::posterior::{Covariance, Evidence};
+use octobayes::rays::{Pick, RunProgress, Shard};
 use octobayes::uncertainty::UncertaintyField;
+use octobayes::zoo::Specimen;
 
 use crate::oracle::ground::Ground;
 use crate::oracle::{Derivatives, Oracle, Sums, hessian, readings};
@@ -24,7 +25,7 @@ pub struct Case<'a> {
 /// What came out of the pipeline, with what the oracle needs to follow its rays.
 pub struct Run {
     pub field: UncertaintyField,
-    pub tally: Tally,
+    pub tally: RunProgress,
     pub picks: Vec<Pick>,
     /// h of the differences.
     pub h: DVec3,
@@ -52,8 +53,8 @@ impl Case<'_> {
         let mut builder = FieldBuilder::new(grid, Domain::Box(field.bounds()))?;
         let lattice = *builder.lattice();
         let stream = rays.stream(field, self.cameras, &grid, &lattice, &Silent)?;
-        let share = Share::whole(rays.rays);
-        let tally = stream.run(share, Tally::default(), &Silent, |batches, _| {
+        let share = Shard::whole(rays.rays);
+        let tally = stream.run(share, RunProgress::default(), &Silent, |batches, _| {
             builder.add(batches);
             Ok(())
         })?;

@@ -7,11 +7,11 @@ use octobayes::Error;
 use octobayes::estimate::{GridKind, GridSettings, RaySettings, estimate};
 use octobayes::field::RadianceField;
 use octobayes::field::closed_form::Texture;
-use octobayes::field::zoo::{CELL, Specimen, boxes, surfaces};
 use octobayes::geometry::Camera;
 use octobayes::monitor::Silent;
 use octobayes::posterior::{Covariance, trace};
 use octobayes::uncertainty::UncertaintyField;
+use octobayes::zoo::{CELL, Specimen, boxes, surfaces};
 use proptest::prelude::*;
 
 use crate::compare::{Case, cameras, error, nothing_left_out};

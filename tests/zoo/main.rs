@@ -11,9 +11,9 @@ mod single;
 use octobayes::Error;
 use octobayes::estimate::{GridSettings, RaySettings, estimate};
 use octobayes::field::RadianceField;
-use octobayes::field::zoo::{self, Quantity, Scene, Treatment, Verdict};
 use octobayes::monitor::Silent;
 use octobayes::uncertainty::compare as compare_fields;
+use octobayes::zoo::{self, Quantity, Scene, Treatment, Verdict};
 
 use compare::{Case, error, nothing_left_out};
 use oracle::Derivatives;

@@ -1,8 +1,8 @@
 //! The oracle against definitions: it must not be wrong in the same way as what it judges.
 
 use glam::{DMat3, DVec3};
-use octobayes::field::zoo;
-use octobayes::posterior::Pick;
+use octobayes::rays::Pick;
+use octobayes::zoo;
 
 use crate::oracle::ground::Ground;
 use crate::oracle::{Derivatives, Oracle, eigenvalues};

@@ -3,11 +3,11 @@
 use glam::{DMat3, DVec3, Vec3};
 use octobayes::estimate::RaySettings;
 use octobayes::field::closed_form::{Primitive, Shape, Texture};
-use octobayes::field::zoo::{self, CELL, Scene, surfaces};
 use octobayes::field::{Radiance, RadianceField};
 use octobayes::geometry::{Aabb, Camera, Domain, Ray};
 use octobayes::posterior::{Covariance, DensePosterior, Evidence, Posterior, trace};
 use octobayes::render::{Differences, Differentiation, JacobianBuffers, Marcher, Tracer};
+use octobayes::zoo::{self, CELL, Scene, surfaces};
 
 use crate::compare::{Case, Run, cameras, error, lambda, nothing_left_out};
 use crate::oracle::Derivatives;

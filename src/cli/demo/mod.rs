@@ -18,7 +18,7 @@ use crate::field::RadianceField;
 use crate::geometry::{Camera, Domain};
 use crate::monitor::Monitor;
 use crate::picture::{Panel, write_sheet};
-use crate::posterior::{Share, Tally};
+use crate::rays::{RunProgress, Shard};
 use crate::render::{Blend, GradientMethod, Probe, RenderedView, render_view};
 use crate::train::Quality;
 use crate::uncertainty::{ThresholdedField, UncertaintyField, compare};
@@ -139,7 +139,7 @@ impl Args {
         let stream = rays.stream(scene, &subject.cameras, &settings(kinds[1]), dense.lattice(), bars)?;
         let mut spent = [Duration::ZERO; 2];
         let start = Instant::now();
-        let tally = stream.run(Share::whole(rays.rays), Tally::default(), bars, |batches, _| {
+        let tally = stream.run(Shard::whole(rays.rays), RunProgress::default(), bars, |batches, _| {
             for (spent, builder) in spent.iter_mut().zip([&mut octree, &mut dense]) {
                 let start = Instant::now();
                 builder.add(batches);
@@ -152,7 +152,7 @@ impl Args {
         let provenance = Provenance {
             source: subject.source.clone(),
             tally,
-            share: Some(Share::whole(rays.rays)),
+            share: Some(Shard::whole(rays.rays)),
             stream: Some(&stream),
         };
         let mut fields = Vec::new();

@@ -3,10 +3,10 @@
 use glam::DVec3;
 
 use crate::cli::report;
-use crate::field::zoo::{self, Scene};
 use crate::field::{ClosedForm, HashGrid, Intrinsics, RadianceField};
 use crate::geometry::{Aabb, Camera};
 use crate::uncertainty::UncertaintyField;
+use crate::zoo::{self, Scene};
 use crate::{Error, Result};
 
 /// Cameras of the courtyard, all on one side.

@@ -12,11 +12,11 @@ use super::options::{CameraFile, FrameOptions, ModelOptions, parse_pair};
 use super::progress::Bars;
 use super::render::check_box;
 use crate::dataset::{DepthEncoding, DepthKind, Frame};
+use crate::evaluate::{
+    CleanUp, DepthError, DepthFiles, EvaluatedView, Evaluator, Reading, Score, THRESHOLDS, TrueView, clean_up,
+};
 use crate::field::RadianceField;
 use crate::geometry::Aabb;
-use crate::judge::{
-    CleanUp, DepthError, DepthFiles, Judge, JudgedView, Reading, Score, THRESHOLDS, TrueView, clean_up,
-};
 use crate::metrics::STEPS;
 use crate::monitor::Monitor;
 use crate::posterior::Covariance;
@@ -24,7 +24,7 @@ use crate::render::{Blend, RenderedView};
 use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
 
-/// Judge fields against true depth: AUSE beside measures that need no Hessian, depth error, PSNR, clean-up
+/// Evaluator fields against true depth: AUSE beside measures that need no Hessian, depth error, PSNR, clean-up
 ///
 /// Renders the test views and asks whether pixels of large uncertainty are pixels of large depth error (area under the
 /// sparsification error, by the official code's procedure: 100 steps, both curves over their common maximum, trapezoid; only the order of pixels
@@ -134,7 +134,7 @@ impl Args {
         files.inputs("an image of --cameras", images).inputs("--depth", maps).check()?;
         let frames: Vec<&Frame> = judged.iter().step_by(self.every as usize).collect();
         let settings = self.model.image_settings();
-        let judge = Judge {
+        let evaluator = Evaluator {
             tracer: settings.tracer(&*model, 0.0, bars)?,
             readings: &readings,
             members: members.iter().map(|member| settings.tracer(&**member, 0.0, bars)).collect::<Result<_>>()?,
@@ -148,11 +148,11 @@ impl Args {
             let background = self.model.background.as_dvec3();
             let truth = TrueView::read(frame, &depth_files, background, offset, self.stride)?;
             // Whole images are large, and only the clean-up looks at them again.
-            judged.push(JudgedView { rendered: RenderedView::default(), ..judge.judge(&truth, seed, bars)? });
+            judged.push(EvaluatedView { rendered: RenderedView::default(), ..evaluator.evaluate(&truth, seed, bars)? });
             truths.extend(self.clean_up.is_some().then_some(truth));
         }
         bars.end();
-        let measures = judge.measures();
+        let measures = evaluator.measures();
         let scores: Option<Vec<Score>> = (0..measures.len()).map(|m| Score::of(&judged, m)).collect();
         let depth = DepthError::of(&judged);
         let (scores, depth) = scores.zip(depth).ok_or_else(|| {
@@ -160,8 +160,9 @@ impl Args {
             let expected = format!("at least {STEPS} pixels with depth and some error");
             Error::malformed(&self.depth, "depth maps", expected, found)
         })?;
-        let cleaned = self.clean_up(&judge, &truths, bars)?;
-        let evaluation = Evaluation { args: &self, judge: &judge, measures, views: &judged, scores, depth, cleaned };
+        let cleaned = self.clean_up(&evaluator, &truths, bars)?;
+        let evaluation =
+            Evaluation { args: &self, evaluator: &evaluator, measures, views: &judged, scores, depth, cleaned };
         if let Some(path) = &self.plot {
             evaluation.write_plot(path)?;
         }
@@ -194,7 +195,7 @@ impl Args {
 
     /// A member of the ensemble: it must cover what the model covers.
     fn member(&self, name: &str, model: &dyn RadianceField) -> Result<Box<dyn RadianceField>> {
-        let member = crate::field::open_in(name, self.model.coordinates)?;
+        let member = crate::open::open_in(name, self.model.coordinates)?;
         let text = |b: Aabb| format!("{} to {}", b.min(), b.max());
         let [expected, found] = [model.bounds(), member.bounds()];
         let same = [expected.min() - found.min(), expected.max() - found.max()];
@@ -218,11 +219,11 @@ impl Args {
     }
 
     /// Sweeps the thresholds, if asked to, and writes the sheet.
-    fn clean_up(&self, judge: &Judge, truths: &[TrueView], bars: &Bars) -> Result<Vec<CleanUp>> {
+    fn clean_up(&self, evaluator: &Evaluator, truths: &[TrueView], bars: &Bars) -> Result<Vec<CleanUp>> {
         let Some(path) = &self.clean_up else { return Ok(Vec::new()) };
         let rows: u64 = truths.iter().map(|truth| u64::from(truth.camera.resolution[1])).sum();
         bars.begin("rows, cleaned", rows * (1 + THRESHOLDS.len() as u64));
-        let cleaned = clean_up(&judge.tracer, &judge.readings[0].field, truths, &THRESHOLDS, bars)?;
+        let cleaned = clean_up(&evaluator.tracer, &evaluator.readings[0].field, truths, &THRESHOLDS, bars)?;
         bars.end();
         sheet::write(path, truths, &cleaned)?;
         Ok(cleaned.into_iter().map(|(cleaned, _)| cleaned).collect())

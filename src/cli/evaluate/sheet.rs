@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crate::Result;
-use crate::judge::{CleanUp, TrueView};
+use crate::evaluate::{CleanUp, TrueView};
 use crate::picture::{Panel, color_panel, write_sheet};
 use crate::render::RenderedView;
 

@@ -6,8 +6,8 @@ use serde_json::json;
 
 use super::Args;
 use crate::cli::report;
+use crate::evaluate::{CleanUp, DepthError, EvaluatedView, Evaluator, Measure, Score};
 use crate::io::AtomicFile;
-use crate::judge::{CleanUp, DepthError, Judge, JudgedView, Measure, Score};
 use crate::metrics::{ErrorKind, STEPS, Sparsification};
 use crate::picture::{Curve, write_plot};
 use crate::{Error, Result};
@@ -15,9 +15,9 @@ use crate::{Error, Result};
 /// What an evaluation found.
 pub struct Evaluation<'a> {
     pub args: &'a Args,
-    pub judge: &'a Judge<'a>,
+    pub evaluator: &'a Evaluator<'a>,
     pub measures: Vec<Measure>,
-    pub views: &'a [JudgedView],
+    pub views: &'a [EvaluatedView],
     /// Of each measure.
     pub scores: Vec<Score>,
     pub depth: DepthError,
@@ -32,7 +32,7 @@ fn kind_name(kind: ErrorKind) -> String {
 
 impl Evaluation<'_> {
     fn named(&self) -> impl Iterator<Item = (Measure, String, &Score)> {
-        self.measures.iter().zip(&self.scores).map(|(&measure, score)| (measure, self.judge.name(measure), score))
+        self.measures.iter().zip(&self.scores).map(|(&measure, score)| (measure, self.evaluator.name(measure), score))
     }
 
     fn psnr(&self) -> f64 {
@@ -101,7 +101,7 @@ impl Evaluation<'_> {
             match measure {
                 Measure::Reading(r, blend) => {
                     entry["blend"] = json!(blend);
-                    entry["field"] = report::protocol_json(&self.judge.readings[r].field);
+                    entry["field"] = report::protocol_json(&self.evaluator.readings[r].field);
                     readings.push(entry);
                 }
                 Measure::Baseline(_) => baselines.push(entry),
@@ -129,7 +129,7 @@ impl Evaluation<'_> {
         if args.json {
             return say!("{}", self.json());
         }
-        for reading in self.judge.readings {
+        for reading in self.evaluator.readings {
             say!("{}\n{}", reading.name, report::protocol(&reading.field))?;
         }
         say!("protocol of the evaluation")?;
@@ -169,7 +169,7 @@ impl Evaluation<'_> {
     }
 
     fn print_clean_up(&self) -> Result<()> {
-        let (Some(path), Some(reading)) = (&self.args.clean_up, self.judge.readings.first()) else { return Ok(()) };
+        let (Some(path), Some(reading)) = (&self.args.clean_up, self.evaluator.readings.first()) else { return Ok(()) };
         say!("clean-up by {}, pictures in {}", reading.name, path.display())?;
         say!("  threshold   log10 U    PSNR, dB   where shown      SSIM   SSIMULACRA 2   coverage")?;
         let best = CleanUp::best(&self.cleaned);

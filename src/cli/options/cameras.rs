@@ -159,7 +159,7 @@ mod tests {
         let scene = crate::field::VoxelGrid::bake(&crate::field::ClosedForm::ball(), [2; 3], Vec3::Z);
         let error = options.read(&scene, "ball.npz").unwrap_err().to_string();
         assert!(error.contains("--cameras") && error.contains("ball.npz"), "{error}");
-        let error = crate::field::open_in("scene:ball", Some(Coordinates::Blender)).err().unwrap().to_string();
+        let error = crate::open::open_in("scene:ball", Some(Coordinates::Blender)).err().unwrap().to_string();
         assert!(error.contains("--coordinates") && error.contains("scene:ball"), "{error}");
     }
 }

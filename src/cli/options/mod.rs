@@ -90,7 +90,7 @@ pub struct ModelOptions {
 impl ModelOptions {
     /// Opens the model.
     pub fn open(&self) -> Result<Box<dyn RadianceField>> {
-        crate::field::open_in(&self.model, self.coordinates)
+        crate::open::open_in(&self.model, self.coordinates)
     }
 
     /// How images are rendered.

@@ -4,7 +4,7 @@ use super::{Args, warn_of_dropped};
 use crate::cli::progress::Bars;
 use crate::estimate::{AutoRun, FieldBuilder, GridSettings, Provenance};
 use crate::geometry::Domain;
-use crate::posterior::RayStream;
+use crate::rays::RayStream;
 use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
 

@@ -4,7 +4,7 @@ use super::{Args, warn_of_dropped};
 use crate::cli::progress::Bars;
 use crate::estimate::{FieldBuilder, GridSettings, Plan, Provenance, RayGroup, RaySettings, ray_groups};
 use crate::geometry::Domain;
-use crate::posterior::{RayStream, Tally};
+use crate::rays::{RayStream, RunProgress};
 use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
 
@@ -35,7 +35,7 @@ impl Args {
             let mut checkpoint = self.checkpoint(Some(g), self.resume)?;
             let mut so_far = match &checkpoint {
                 Some(checkpoint) => checkpoint.restore(&mut builder, &key)?,
-                None => Tally::default(),
+                None => RunProgress::default(),
             };
             let result = group.stream.run(group.share, so_far, bars, |batches, tally| {
                 builder.add(batches);
@@ -56,7 +56,7 @@ impl Args {
             tallies.push(result?);
             builders.push(builder);
         }
-        let tally = tallies.iter().fold(Tally::default(), |sum, tally| sum.with(tally));
+        let tally = tallies.iter().fold(RunProgress::default(), |sum, tally| sum.with(tally));
         warn_of_dropped(&tally);
         let bytes = builders.iter().map(FieldBuilder::memory).sum();
         let provenance = Provenance { source: source.into(), tally, share: None, stream: Some(run.stream) };

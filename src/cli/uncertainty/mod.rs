@@ -17,7 +17,8 @@ use super::progress::Bars;
 use super::report::{self, Cost};
 use crate::estimate::{Audit, FieldBuilder, GridSettings, PlannedRun, Planner, Provenance, RaySettings, StepCheck};
 use crate::geometry::{Camera, Lattice};
-use crate::posterior::{Pixels, RayStream, SamplesWriter, Share, Tally, checkpoint};
+use crate::posterior::checkpoint;
+use crate::rays::{Pixels, RayStream, RunProgress, SamplesWriter, Shard};
 use crate::render::GradientMethod;
 use crate::{Error, Result};
 
@@ -152,7 +153,7 @@ fn identity(file: &str) -> Result<String> {
     Ok(format!("{file} ({:08x})", crc32fast::hash(&bytes)))
 }
 
-fn warn_of_dropped(tally: &Tally) {
+fn warn_of_dropped(tally: &RunProgress) {
     if let Some(first) = tally.first_invalid {
         eprintln!("warning: {} rays dropped, the field is not finite; first at {first:?}", tally.dropped);
     }
@@ -174,7 +175,7 @@ impl Args {
             return Err(Error::setting("an input file", format!("{before}, as before it was read"), now));
         }
         let domain = self.domain.domain(Some(field.natural_domain()))?;
-        let checksum = crate::field::checksum(&self.model.model, self.model.coordinates)?;
+        let checksum = crate::open::checksum(&self.model.model, self.model.coordinates)?;
         // Of contents, not of paths: the run is the same if files have moved.
         let identity = format!("model {checksum:08x}");
         let grid = self.grid.settings(&domain)?;
@@ -247,7 +248,7 @@ impl Args {
                 let key = key(&builder);
                 checkpoint.restore(&mut builder, &key)?
             }
-            None => Tally::default(),
+            None => RunProgress::default(),
         };
         let planned = plan.as_ref().map(|plan| plan.evidence);
         let run = PlannedRun { stream: &stream, share, planner: planner.as_ref(), memory: grid.memory };
@@ -325,7 +326,7 @@ impl Args {
         grid: GridSettings,
         settings: &RaySettings,
         stream: &RayStream,
-        share: Share,
+        share: Shard,
         lattice: Lattice,
         bars: &Bars,
     ) -> Result<Option<Planner>> {
@@ -334,9 +335,9 @@ impl Args {
         if wanted { Planner::new(grid, settings, stream, share, lattice, bars).map(Some) } else { Ok(None) }
     }
 
-    fn share(&self) -> Result<Share> {
+    fn share(&self) -> Result<Shard> {
         let [index, of] = self.shard.unwrap_or([0, 1]);
-        let share = Share { rays: self.most_rays(), index, of };
+        let share = Shard { rays: self.most_rays(), index, of };
         if share.own_rays() == 0 {
             let found = format!("part {index} of {of} of {} rays, which is empty", self.most_rays());
             return Err(Error::setting("--shard", "fewer parts than batches of 512 rays", found));

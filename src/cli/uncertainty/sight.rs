@@ -4,7 +4,7 @@ use super::Args;
 use crate::cli::progress::Bars;
 use crate::estimate::Sight;
 use crate::geometry::Domain;
-use crate::posterior::RayStream;
+use crate::rays::RayStream;
 use crate::{Error, Result};
 
 impl Args {

@@ -6,7 +6,7 @@
 
 mod city;
 mod columns;
-pub(super) mod rig;
+pub(crate) mod rig;
 mod scenes;
 mod shapes;
 

@@ -10,7 +10,7 @@ use crate::{Error, Result};
 
 /// Viewpoints, and the lens that all of them have unless told otherwise.
 #[derive(Debug, Clone, PartialEq)]
-pub(in crate::field) struct Rig {
+pub(crate) struct Rig {
     /// Eye and the point it looks at, scene units; z is up.
     pub viewpoints: Vec<(DVec3, DVec3)>,
     /// Horizontal angle of view, radians.

@@ -104,7 +104,7 @@ impl Survey {
         each.iter().sum()
     }
 
-    /// Share of all touches at leaves k = 0, 1, … levels coarser than the finest.
+    /// Shard of all touches at leaves k = 0, 1, … levels coarser than the finest.
     #[must_use]
     pub fn shares(&self, limits: &LevelLimits) -> Vec<f64> {
         let mut shares = vec![0.0; usize::from(self.finest - limits.region_level()) + 1];

@@ -5,7 +5,7 @@
 use glam::{DMat3, DVec3};
 use octobayes::field::RadianceField;
 use octobayes::field::closed_form::{Primitive, Shape, Texture};
-use octobayes::field::zoo::{Specimen, Treatment};
+use octobayes::zoo::{Specimen, Treatment};
 
 use super::dual::Dual;
 

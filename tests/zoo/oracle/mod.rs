@@ -14,7 +14,7 @@ pub mod ground;
 
 use glam::{DMat3, DVec3};
 use octobayes::geometry::Camera;
-use octobayes::posterior::Pick;
+use octobayes::rays::Pick;
 use rayon::prelude::*;
 
 use ground::{Ground, Jet};

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::JudgedView;
+use super::EvaluatedView;
 use crate::metrics::{ErrorKind, Sparsification, quantile, sparsification};
 
 /// Area under the sparsification error of one measure.
@@ -17,7 +17,7 @@ pub struct Score {
 impl Score {
     /// The score of measure `m` for every [`ErrorKind`]; `None` if there is nothing to rank (see [`sparsification`]).
     #[must_use]
-    pub fn of(views: &[JudgedView], m: usize) -> Option<Self> {
+    pub fn of(views: &[EvaluatedView], m: usize) -> Option<Self> {
         let errors: Vec<f64> = views.iter().flat_map(|v| &v.absolute_error).copied().collect();
         let measure: Vec<f64> = views.iter().flat_map(|v| &v.measures[m]).copied().collect();
         let pooled = ErrorKind::ALL.iter().map(|&kind| sparsification(&measure, &errors, kind));
@@ -56,7 +56,7 @@ pub struct DepthError {
 impl DepthError {
     /// Over all views; `None` without pixels.
     #[must_use]
-    pub fn of(views: &[JudgedView]) -> Option<Self> {
+    pub fn of(views: &[EvaluatedView]) -> Option<Self> {
         let mut errors: Vec<f64> = views.iter().flat_map(|v| &v.absolute_error).copied().collect();
         let n = errors.len();
         errors.sort_unstable_by(f64::total_cmp);

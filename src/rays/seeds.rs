@@ -40,7 +40,7 @@ mod tests {
     use std::collections::{HashMap, HashSet};
 
     use super::*;
-    use crate::posterior::{PixelSequence, Pixels};
+    use crate::rays::{PixelSequence, Pixels};
 
     /// Base seeds that people use, with everything that a run of each draws.
     fn seeds() -> Vec<(String, u64)> {

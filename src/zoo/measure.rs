@@ -1,6 +1,6 @@
 //! What a claim of the zoo is compared with.
 
-use crate::field::zoo::Quantity;
+use super::Quantity;
 use crate::posterior::Covariance;
 use crate::uncertainty::UncertaintyField;
 

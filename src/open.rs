@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use super::{ClosedForm, Coordinates, HashGrid, NerfMlp, Ppng, RadianceField, VoxelGrid, zoo};
-use crate::{Error, Result};
+use crate::field::{ClosedForm, Coordinates, HashGrid, NerfMlp, Ppng, RadianceField, VoxelGrid};
+use crate::{Error, Result, zoo};
 
 /// The field that `model` names: `scene:NAME` for a built-in scene or one of the [zoo], else a file by its extension:
 /// `.safetensors` for a hash grid of `octobayes train` (its metadata says so) or an MLP NeRF, `.npz` for a voxel grid,

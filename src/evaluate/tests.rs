@@ -82,13 +82,14 @@ fn every_measure_is_of_the_same_pixels() {
         })
         .collect();
     let nothing = Nothing(ball.bounds());
-    let judge = Judge { tracer: tracer(&ball), readings: &readings, members: vec![tracer(&ball), tracer(&nothing)] };
+    let evaluator =
+        Evaluator { tracer: tracer(&ball), readings: &readings, members: vec![tracer(&ball), tracer(&nothing)] };
     let camera = cameras()[1];
     let truth = truth(&ball, &camera);
-    let view = judge.judge(&truth, 7, &Silent).unwrap();
+    let view = evaluator.evaluate(&truth, 7, &Silent).unwrap();
     let n = view.pixels.len();
     assert!(n > 50 && view.empty == 0 && view.psnr == f64::INFINITY, "{n} pixels");
-    let measures = judge.measures();
+    let measures = evaluator.measures();
     assert_eq!(measures.len(), 12 + 7);
     assert!(view.measures.len() == measures.len() && view.measures.iter().all(|m| m.len() == n));
 
@@ -107,7 +108,7 @@ fn every_measure_is_of_the_same_pixels() {
         let expected = density_aware(&[pixel.color, DVec3::ONE], &[pixel.opacity, 0.0]);
         assert_eq!(baseline(Baseline::DensityAware)[k], expected);
         let [median, expected] = [pixel.median_depth, pixel.expected_depth].map(|t| ray.at(t).as_vec3());
-        let deviation = (pixel.depth_variance + judge.tracer.marcher.step.powi(2) / 12.0).sqrt();
+        let deviation = (pixel.depth_variance + evaluator.tracer.marcher.step.powi(2) / 12.0).sqrt();
         for (r, reading) in readings.iter().enumerate() {
             let (name, log10) = (&reading.name, |x| reading.field.log10(x));
             assert_eq!(of(Measure::Reading(r, Blend::AtMedian))[k], log10(median), "{name}");
@@ -118,22 +119,22 @@ fn every_measure_is_of_the_same_pixels() {
     let counts = baseline(Baseline::RayCount);
     assert!(counts.iter().all(|c| (-4000.0..=0.0).contains(c)) && counts.iter().any(|c| *c < -1.0));
     // Chance differs from view to view and is the same every time.
-    assert_eq!(baseline(Baseline::Random), &judge.judge(&truth, 7, &Silent).unwrap().measures[16]);
-    assert_ne!(baseline(Baseline::Random), &judge.judge(&truth, 8, &Silent).unwrap().measures[16]);
+    assert_eq!(baseline(Baseline::Random), &evaluator.evaluate(&truth, 7, &Silent).unwrap().measures[16]);
+    assert_ne!(baseline(Baseline::Random), &evaluator.evaluate(&truth, 8, &Silent).unwrap().measures[16]);
 }
 
 #[test]
 fn a_measure_that_is_the_error_has_no_area() {
     let ball = ClosedForm::ball();
-    let judge = Judge { tracer: tracer(&ball), readings: &[], members: Vec::new() };
+    let evaluator = Evaluator { tracer: tracer(&ball), readings: &[], members: Vec::new() };
     let truth = truth(&ball, &cameras()[0]);
-    let mut view = judge.judge(&truth, 0, &Silent).unwrap();
+    let mut view = evaluator.evaluate(&truth, 0, &Silent).unwrap();
     view.measures = vec![view.absolute_error.clone(), view.absolute_error.iter().map(|e| -e).collect()];
     let views = [view.clone(), view];
     let [best, worst] = [0, 1].map(|m| Score::of(&views, m).unwrap());
     for kind in ErrorKind::ALL {
         assert!(best.area(kind) == 0.0 && worst.area(kind) > 0.2, "{kind:?}");
-        let all = |values: &dyn Fn(&JudgedView) -> Vec<f64>| views.iter().flat_map(values).collect::<Vec<_>>();
+        let all = |values: &dyn Fn(&EvaluatedView) -> Vec<f64>| views.iter().flat_map(values).collect::<Vec<_>>();
         let [measure, error] = [all(&|v| v.measures[1].clone()), all(&|v| v.absolute_error.clone())];
         let expected = crate::metrics::sparsification(&measure, &error, kind).unwrap().area;
         assert_eq!(worst.area(kind), expected);

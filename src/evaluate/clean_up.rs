@@ -22,7 +22,7 @@ pub const THRESHOLDS: [f64; 10] = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 
 /// Held-out images after a clean-up: means over views.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct CleanUp {
-    /// Share of the scale; `None` for the field as it is.
+    /// Shard of the scale; `None` for the field as it is.
     pub threshold: Option<f64>,
     /// Largest log10 U that is kept, scene units.
     pub log10: Option<f64>,

@@ -13,6 +13,7 @@
 //! | [`mod@values`] | what the field returns: kinks, f16, NaN, ∞, negative and denormal numbers |
 
 pub mod boxes;
+mod measure;
 pub mod rays;
 mod specimen;
 pub mod surfaces;
@@ -26,9 +27,9 @@ use glam::{DVec3, Vec3};
 
 pub use specimen::{Specimen, Treatment};
 
-use super::closed_form::rig::Rig;
-use super::closed_form::{Primitive, Shape, Texture};
-use super::{ClosedForm, Intrinsics, RadianceField};
+use crate::field::closed_form::rig::Rig;
+use crate::field::closed_form::{Primitive, Shape, Texture};
+use crate::field::{ClosedForm, Intrinsics, RadianceField};
 use crate::geometry::{Aabb, Camera};
 use crate::{Error, Result};
 
@@ -65,9 +66,9 @@ pub enum Quantity {
     Diagonal,
     /// The same, covariance `block`.
     Block,
-    /// Share of the lattice's vertices whose U (`trace`) is more than a tenth of a decade below the prior.
+    /// Shard of the lattice's vertices whose U (`trace`) is more than a tenth of a decade below the prior.
     Moved,
-    /// Share of the rays that were dropped.
+    /// Shard of the rays that were dropped.
     Dropped,
 }
 

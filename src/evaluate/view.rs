@@ -11,7 +11,7 @@ use crate::monitor::{Monitor, check};
 use crate::render::{Blend, Probe, RenderedView, Tracer, render_view};
 
 /// A field to be judged, and all that claims to know where it is wrong.
-pub struct Judge<'a> {
+pub struct Evaluator<'a> {
     /// The field.
     pub tracer: Tracer<'a>,
     /// Its uncertainty.
@@ -22,7 +22,7 @@ pub struct Judge<'a> {
 
 /// The pixels of one view that have a true depth.
 #[derive(Debug, Clone)]
-pub struct JudgedView {
+pub struct EvaluatedView {
     /// The frame's `file_path`.
     pub name: String,
     /// PSNR of the whole image, dB.
@@ -39,8 +39,8 @@ pub struct JudgedView {
     pub rendered: RenderedView,
 }
 
-impl Judge<'_> {
-    /// All measures, in the order of [`JudgedView::measures`].
+impl Evaluator<'_> {
+    /// All measures, in the order of [`EvaluatedView::measures`].
     #[must_use]
     pub fn measures(&self) -> Vec<Measure> {
         let readings = self.readings.iter().enumerate();
@@ -71,11 +71,11 @@ impl Judge<'_> {
         self.readings.iter().find(|reading| reading.field.evidence().is_some())
     }
 
-    /// Renders a view with the field and all members, and compares. Advances the monitor by [`Judge::rows`].
+    /// Renders a view with the field and all members, and compares. Advances the monitor by [`Evaluator::rows`].
     ///
     /// # Errors
     /// [`crate::Error::Interrupted`] only.
-    pub fn judge(&self, truth: &TrueView, seed: u64, monitor: &dyn Monitor) -> Result<JudgedView> {
+    pub fn evaluate(&self, truth: &TrueView, seed: u64, monitor: &dyn Monitor) -> Result<EvaluatedView> {
         let values: Vec<_> = self.readings.iter().map(|reading| |x| reading.field.log10(x)).collect();
         let mut probes: Vec<Probe> = Vec::new();
         for (value, reading) in values.iter().zip(self.readings) {
@@ -128,7 +128,7 @@ impl Judge<'_> {
         };
         let measures = self.measures().into_iter().map(&mut measure).collect();
         let colors: Vec<DVec3> = rendered.pixels.iter().map(|p| p.color).collect();
-        Ok(JudgedView {
+        Ok(EvaluatedView {
             name: truth.name.clone(),
             psnr: psnr(&colors, &truth.colors),
             absolute_error: seen.iter().map(|(i, d)| (rendered.pixels[*i].median_depth - d).abs()).collect(),
@@ -139,7 +139,7 @@ impl Judge<'_> {
         })
     }
 
-    /// Rows that [`Judge::judge`] renders for a view.
+    /// Rows that [`Evaluator::judge`] renders for a view.
     #[must_use]
     pub fn rows(&self, truth: &TrueView) -> u64 {
         u64::from(truth.camera.resolution[1]) * (1 + self.members.len() as u64)

@@ -1,0 +1,172 @@
+//! The part of a run that one process draws.
+
+use std::collections::{HashMap, HashSet};
+
+use super::progress::RunProgress;
+
+/// Rays per batch: batch b holds rays b · 512 …; any batch can be drawn alone.
+pub(super) const BATCH: u64 = 512;
+
+/// Which rays of a run are drawn: batches `index`, `index + of`, `index + 2 · of`, … of a run of `rays` rays.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
+pub struct Shard {
+    /// Rays of the whole run.
+    pub rays: u64,
+    /// Which part this is, from 0.
+    pub index: u64,
+    /// Parts that the run is split into.
+    pub of: u64,
+}
+
+impl Shard {
+    /// All rays of a run.
+    #[must_use]
+    pub fn whole(rays: u64) -> Self {
+        Self { rays, index: 0, of: 1 }
+    }
+
+    /// Batches of this part.
+    pub(super) fn batches(&self) -> u64 {
+        self.rays.div_ceil(BATCH).saturating_sub(self.index).div_ceil(self.of)
+    }
+
+    /// Index in the whole run of this part's n-th batch.
+    pub(super) fn batch(&self, n: u64) -> u64 {
+        self.index + n * self.of
+    }
+
+    /// Rays of a batch of the whole run.
+    pub(super) fn rays_of(&self, batch: u64) -> u64 {
+        BATCH.min(self.rays - batch * BATCH)
+    }
+
+    /// Whether a run of this part can have come as far as `tally` says.
+    #[must_use]
+    pub fn admits(&self, tally: &RunProgress) -> bool {
+        tally.batches <= self.batches() && tally.rays <= self.own_rays() && tally.dropped <= tally.rays
+    }
+
+    /// Whether this is a part of something: at least one ray and part, and an index below their number.
+    #[must_use]
+    pub fn is_valid(&self) -> bool {
+        self.rays > 0 && self.of > 0 && self.index < self.of
+    }
+
+    /// Rays of this part.
+    #[must_use]
+    pub fn own_rays(&self) -> u64 {
+        // Only the run's last batch can be short.
+        self.batches().checked_sub(1).map_or(0, |last| last * BATCH + self.rays_of(self.batch(last)))
+    }
+}
+
+/// The rays of one sequence of pixels that sums are made of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize)]
+pub struct Draw {
+    /// Seed of the sequence's pixels and jitter.
+    pub seed: u64,
+    /// Which of its rays.
+    pub share: Shard,
+}
+
+impl Draw {
+    /// Whether these rays are but a part of a run.
+    #[must_use]
+    pub fn is_part(&self) -> bool {
+        self.share.of > 1
+    }
+
+    /// Whether no two of these can have a ray in common.
+    ///
+    /// Batch b of a seed is the same in every run, whatever the run's length. Of one seed, therefore, only different
+    /// parts of the same run are disjoint.
+    #[must_use]
+    pub fn are_disjoint(draws: impl IntoIterator<Item = Self>) -> bool {
+        let mut split = HashMap::new();
+        let mut parts = HashSet::new();
+        draws.into_iter().all(|draw| {
+            let Shard { rays, of, .. } = draw.share;
+            *split.entry(draw.seed).or_insert((rays, of)) == (rays, of) && parts.insert(draw)
+        })
+    }
+
+    /// The same rays in as few draws as possible, sorted: parts that make up a run become the run.
+    #[must_use]
+    pub fn joined(draws: impl IntoIterator<Item = Self>) -> Vec<Self> {
+        let mut draws: Vec<Self> = draws.into_iter().collect();
+        draws.sort_unstable_by_key(|draw| (draw.seed, draw.share.rays, draw.share.of, draw.share.index));
+        let of_one_run = |a: &Self, b: &Self| (a.seed, a.share.rays, a.share.of) == (b.seed, b.share.rays, b.share.of);
+        let join = |parts: &[Self]| {
+            let Self { seed, share } = parts[0];
+            let are_all = parts.iter().map(|part| part.share.index).eq(0..share.of);
+            if are_all { vec![Self { seed, share: Shard::whole(share.rays) }] } else { parts.to_vec() }
+        };
+        draws.chunk_by(of_one_run).flat_map(join).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn shares_split_a_run_without_overlap(rays in 1_u64..20_000, of in 1_u64..7) {
+            let mut batches: Vec<u64> = Vec::new();
+            let mut drawn = 0;
+            for index in 0..of {
+                let share = Shard { rays, index, of };
+                batches.extend((0..share.batches()).map(|n| share.batch(n)));
+                drawn += share.own_rays();
+                prop_assert_eq!(share.own_rays(), (0..share.batches()).map(|n| share.rays_of(share.batch(n))).sum::<u64>());
+            }
+            batches.sort_unstable();
+            prop_assert_eq!(drawn, rays);
+            prop_assert_eq!(batches, (0..rays.div_ceil(BATCH)).collect::<Vec<_>>());
+        }
+
+        /// Never called disjoint when two draws have a batch of one seed in common; parts of one run always are.
+        #[test]
+        fn disjoint_draws_have_no_batch_in_common(
+            draws in proptest::collection::vec((0_u64..2, 1_u64..3, 1_u64..4, 0_u64..3), 0..5)
+        ) {
+            let draws: Vec<Draw> = draws
+                .into_iter()
+                .map(|(seed, rays, of, index)| Draw { seed, share: Shard { rays: 4000 * rays, index: index % of, of } })
+                .collect();
+            let batches = |draw: &Draw| -> Vec<(u64, u64)> {
+                let Draw { seed, share } = *draw;
+                (0..share.batches()).map(|n| (seed, share.batch(n))).collect()
+            };
+            let mut all: Vec<(u64, u64)> = draws.iter().flat_map(batches).collect();
+            let drawn = all.len();
+            all.sort_unstable();
+            if Draw::are_disjoint(draws.iter().copied()) {
+                let joined = Draw::joined(draws.iter().copied());
+                let mut again: Vec<(u64, u64)> = joined.iter().flat_map(batches).collect();
+                again.sort_unstable();
+                prop_assert_eq!(&again, &all);
+                prop_assert!(joined.len() <= draws.len());
+                all.dedup();
+                prop_assert_eq!(all.len(), drawn);
+            } else {
+                let same_run = |a: &Draw, b: &Draw| (a.share.rays, a.share.of) == (b.share.rays, b.share.of);
+                let doubtful = |i: usize| draws[..i].iter().any(|a| {
+                    let b = &draws[i];
+                    a.seed == b.seed && (a == b || !same_run(a, b))
+                });
+                prop_assert!((0..draws.len()).any(doubtful));
+            }
+        }
+    }
+
+    #[test]
+    fn the_parts_of_a_run_are_the_run() {
+        let part = |index| Draw { seed: 7, share: Shard { rays: 5000, index, of: 3 } };
+        let other = Draw { seed: 1, share: Shard::whole(10) };
+        let whole = Draw { seed: 7, share: Shard::whole(5000) };
+        assert_eq!(Draw::joined([part(2), other, part(0), part(1)]), [other, whole]);
+        assert_eq!(Draw::joined([part(2), part(0)]), [part(0), part(2)]);
+    }
+}
