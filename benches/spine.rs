@@ -139,7 +139,7 @@ fn query_and_file(c: &mut Criterion) {
     let positions = points(200_000);
     for kind in [GridKind::Octree, GridKind::Dense] {
         let settings = RaySettings { rays: 100_000, ..rays() };
-        let field = estimate(&scene, &cameras, &settings, &grid(kind), &Silent).unwrap().0.without_evidence();
+        let field = estimate(&scene, &cameras, &settings, &grid(kind), &Silent).unwrap().0.without_sums();
         let mut group = c.benchmark_group("query");
         group.throughput(Throughput::Elements(positions.len() as u64));
         group

@@ -35,7 +35,7 @@ fn study(name: &str, field: &dyn RadianceField, cameras: &[Camera], level: u8, r
     let rays = RaySettings { rays, ..RaySettings::default() };
     let settings = GridSettings { level, surface_points: POINTS, ..GridSettings::default() };
     let (dense, _) = estimate(field, cameras, &rays, &GridSettings { grid: GridKind::Dense, ..settings }, &Silent)?;
-    let dense = dense.without_evidence();
+    let dense = dense.without_sums();
     println!("\n### {name}, level {level}, {} rays; dense: {} bytes\n", rays.rays, dense.query_memory());
     println!(
         "| refine | tolerance | min rays | vertices | bytes | dense : this | s | box: mean | max | surfaces: mean | 95 % | max |"
@@ -50,9 +50,9 @@ fn study(name: &str, field: &dyn RadianceField, cameras: &[Camera], level: u8, r
         (only(Criterion::Density), 0.01, 0.0),
         (vec![Criterion::Sensitivity, Criterion::Density], 0.01, 0.0),
         (only(Criterion::Uniform), 0.01, 0.0),
-        (only(Criterion::Evidence), 0.01, 2.0),
-        (only(Criterion::Evidence), 0.01, 4.0),
-        (only(Criterion::Evidence), 0.01, 16.0),
+        (only(Criterion::RayCount), 0.01, 2.0),
+        (only(Criterion::RayCount), 0.01, 4.0),
+        (only(Criterion::RayCount), 0.01, 16.0),
     ];
     for (criteria, tolerance, min_rays) in cases {
         let grid = GridSettings { criteria: criteria.into_iter().collect(), tolerance, min_rays, ..settings };

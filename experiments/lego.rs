@@ -121,7 +121,7 @@ fn main() -> Result<()> {
 /// trace norm.
 fn information_difference(octree: &UncertaintyField, dense: &UncertaintyField) -> (usize, f64) {
     let Support::Octree(tree) = octree.support() else { return (0, f64::NAN) };
-    let (a, b) = (octree.evidence().expect("kept"), dense.evidence().expect("kept"));
+    let (a, b) = (octree.sums().expect("kept"), dense.sums().expect("kept"));
     let n = octree.lattice().cells_per_axis() as usize + 1;
     let protocol = octree.protocol();
     let prior = 3.0 * protocol.lambda * protocol.rays as f64;

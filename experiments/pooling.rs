@@ -18,7 +18,7 @@ use octobayes::field::{ClosedForm, Coordinates, RadianceField};
 use octobayes::geometry::Camera;
 use octobayes::monitor::Silent;
 use octobayes::open::open_in;
-use octobayes::posterior::{Covariance, Evidence};
+use octobayes::posterior::{Covariance, VertexSums};
 use octobayes::rays::Pixels;
 use octobayes::uncertainty::UncertaintyField;
 
@@ -44,7 +44,7 @@ fn study(name: &str, field: &dyn RadianceField, cameras: &[Camera]) -> Result<()
         let rays = RaySettings { rays, seed, pixels, ..RaySettings::default() };
         estimate(field, cameras, &rays, &grid, &Silent).map(|(field, _)| field)
     };
-    let truth = run(TRUTH, 99, Pixels::Random)?.without_evidence();
+    let truth = run(TRUTH, 99, Pixels::Random)?.without_sums();
     let prior = truth.prior().log10();
     let truth: Vec<f64> = truth.deviations().iter().map(f64::log10).collect();
     let moved = truth.iter().filter(|&&t| prior - t > 0.5).count();
@@ -58,7 +58,7 @@ fn study(name: &str, field: &dyn RadianceField, cameras: &[Camera]) -> Result<()
         let sobol = run(rays, 1, Pixels::Sobol)?;
         let blocks = by_blocks(&sobol);
         let read = |field: &UncertaintyField| -> Vec<f64> { field.deviations().iter().map(f64::log10).collect() };
-        let plain = [read(&random.without_evidence()), read(&sobol)];
+        let plain = [read(&random.without_sums()), read(&sobol)];
         let four = sobol.with_pooling(4.0, TOLERANCE)?;
         let pooled = [read(&four), read(&four.with_pooling(8.0, TOLERANCE)?)];
         for (set, either) in [("moved in truth", false), ("moved in either", true)] {
@@ -84,21 +84,21 @@ fn study(name: &str, field: &dyn RadianceField, cameras: &[Camera]) -> Result<()
 
 /// log10 σ_v from the mean evidence of the smallest aligned block around v with at least 4 rays.
 fn by_blocks(field: &UncertaintyField) -> Vec<f64> {
-    let evidence = field.evidence().expect("kept");
+    let kept = field.sums().expect("kept");
     let n = (1_usize << LEVEL) + 1;
     let protocol = field.protocol();
-    let mut settled: Vec<Option<Evidence>> = evidence.iter().map(|e| (e.rays >= 4).then_some(*e)).collect();
+    let mut settled: Vec<Option<VertexSums>> = kept.iter().map(|e| (e.rays >= 4).then_some(*e)).collect();
     for edge in [2, 4, 8] {
         let blocks = n.div_ceil(edge);
-        let mut sums = vec![Evidence::default(); blocks.pow(3)];
+        let mut sums = vec![VertexSums::default(); blocks.pow(3)];
         let block = |i: usize| ((i / (n * n) / edge) * blocks + i / n % n / edge) * blocks + i % n / edge;
-        evidence.iter().enumerate().for_each(|(i, e)| sums[block(i)].add(e));
+        kept.iter().enumerate().for_each(|(i, e)| sums[block(i)].add(e));
         let volume = (edge * edge * edge) as f64;
         for (i, settled) in settled.iter_mut().enumerate().filter(|(_, settled)| settled.is_none()) {
             let sum = sums[block(i)];
-            *settled = (sum.rays >= 4).then(|| Evidence { information: sum.information.map(|s| s / volume), ..sum });
+            *settled = (sum.rays >= 4).then(|| VertexSums { information: sum.information.map(|s| s / volume), ..sum });
         }
     }
-    let read = |e: Evidence| Covariance::Diagonal.deviation(&e, protocol.rays, protocol.lambda).log10();
-    settled.into_iter().zip(evidence).map(|(pooled, own)| read(pooled.unwrap_or(*own))).collect()
+    let read = |e: VertexSums| Covariance::Diagonal.deviation(&e, protocol.rays, protocol.lambda).log10();
+    settled.into_iter().zip(kept).map(|(pooled, own)| read(pooled.unwrap_or(*own))).collect()
 }

@@ -27,7 +27,7 @@ fn main() -> Result<()> {
     let rows = (8..=12).map(|level| (level, 1_024_000, 0));
     let rows = rows.chain([12, 13].map(|level| (level, 4_096_000, 4 << 30)));
     println!(
-        "| level | rays | budget | vertices | bytes of field for queries | structure, B / vertex | dense f32 grid, bytes | dense : field | evidence kept, bytes | peak of the process, MB | time, s | query, ns |"
+        "| level | rays | budget | vertices | bytes of field for queries | structure, B / vertex | dense f32 grid, bytes | dense : field | sums kept, bytes | peak of the process, MB | time, s | query, ns |"
     );
     println!("|---|---|---|---|---|---|---|---|---|---|---|---|");
     let mut curves: [Vec<(f64, f64)>; 4] = Default::default();
@@ -64,7 +64,7 @@ fn row(level: u8, rays: u64, memory: Option<u64>) -> Result<()> {
     let (field, _) = estimate(&city, &cameras, &settings, &grid, &Silent)?;
     let time = start.elapsed().as_secs_f64();
     let peak = memory::peak().unwrap_or(0) as f64 / 1e6;
-    let kept = field.evidence().map_or(0, size_of_val);
+    let kept = field.sums().map_or(0, size_of_val);
     let points: Vec<Vec3> = field.surface().iter().map(|&x| Vec3::from_array(x)).collect();
     // In an order that no cache likes.
     let n = points.len();

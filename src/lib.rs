@@ -16,7 +16,7 @@
 //! sums and interpolates it; fields are stored, queried, compared. [`evaluate`] asks whether it ranks the depth error, by [`metrics`], beside measures that need no Hessian; [`synth`]
 //! makes data whose depth is known exactly, and [`train`] a field of such data or any other posed images.
 //!
-//! Where rays or memory cannot support the finest lattice, [`octree::LevelLimits`] keep leaves coarser, and [`estimate::Planner`] says
+//! Where rays or memory cannot support the finest lattice, [`octree::MaxLevels`] keep leaves coarser, and [`estimate::Planner`] says
 //! beforehand what that gives up. [`geometry::Domain`] is the space that a field covers: a box, or all of space, contracted.
 //!
 //! ```

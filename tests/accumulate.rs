@@ -43,7 +43,7 @@ fn samples_written_by_numpy_give_numpys_sums() {
                 Support::Dense => ((x * 9 + y) * 9 + z) as usize,
                 Support::Octree(octree) => octree.vertex([x, y, z])?.0 as usize,
             };
-            Some(field.evidence().unwrap()[vertex].information)
+            Some(field.sums().unwrap()[vertex].information)
         };
         let mut compared = 0;
         let mut total = 0.0;
@@ -60,7 +60,7 @@ fn samples_written_by_numpy_give_numpys_sums() {
         }
         assert_eq!(compared, expected.shape[0]);
         // Nothing beside what NumPy lists.
-        let all: f64 = field.evidence().unwrap().iter().map(|e| trace(&e.information)).sum();
+        let all: f64 = field.sums().unwrap().iter().map(|e| trace(&e.information)).sum();
         assert!((all / total - 1.0).abs() < 1e-12, "{grid}: {all} against {total}");
     }
 }
@@ -112,7 +112,7 @@ fn dumped_samples_give_the_same_field_bit_for_bit() {
         let [a, b] = [first, second].map(|p| UncertaintyField::read(Path::new(&p)).unwrap());
         assert_eq!(a.support(), b.support());
         // No NaN and no -0 can be in a field: equal values have equal bits.
-        assert_eq!((a.deviations(), a.evidence()), (b.deviations(), b.evidence()));
+        assert_eq!((a.deviations(), a.sums()), (b.deviations(), b.sums()));
         assert_eq!(a.surface(), b.surface());
         assert_eq!((a.protocol().rays, a.protocol().lambda), (b.protocol().rays, b.protocol().lambda));
     }

@@ -7,7 +7,7 @@ use octobayes::estimate::{FieldBuilder, GridKind, GridSettings, Provenance, RayS
 use octobayes::field::{ClosedForm, Coordinates, Intrinsics, NerfMlp, Ppng, RadianceField};
 use octobayes::geometry::{Camera, Domain};
 use octobayes::monitor::Silent;
-use octobayes::posterior::{Covariance, Evidence, OctreePosterior, Posterior, trace};
+use octobayes::posterior::{Covariance, OctreePosterior, Posterior, VertexSums, trace};
 use octobayes::rays::{RayStream, RunProgress, Shard};
 use octobayes::render::GradientMethod;
 use octobayes::uncertainty::{SAMPLES_SHARE, UncertaintyField, merge};
@@ -35,7 +35,7 @@ fn largest_difference(field: &UncertaintyField, dense: &UncertaintyField) -> f64
 /// The same vertices with the same sums, but for the order in which at most `n` f64 were added; largest |Δ log10 U| that is left.
 fn check_equal(merged: &UncertaintyField, whole: &UncertaintyField, n: f64, what: &str) {
     assert!(merged.support() == whole.support(), "{what}: other vertices");
-    let pairs = || merged.evidence().unwrap().iter().zip(whole.evidence().unwrap());
+    let pairs = || merged.sums().unwrap().iter().zip(whole.sums().unwrap());
     for (a, b) in pairs() {
         // Each term's entries are at most its trace, and the traces are not negative.
         let limit = n * f64::EPSILON * trace(&b.information);
@@ -45,8 +45,8 @@ fn check_equal(merged: &UncertaintyField, whole: &UncertaintyField, n: f64, what
     // H is off by less than `off` I, hence every eigenvalue and every σ² by less than off / 2λ of itself; U is stored as f32.
     let (covariance, lambda) = (whole.protocol().covariance, whole.protocol().lambda);
     let sigmas = merged.deviations().iter().zip(whole.deviations().iter());
-    for ((a, b), (_, evidence)) in sigmas.zip(pairs()) {
-        let off = 2.0 / whole.protocol().rays as f64 * n * f64::EPSILON * trace(&evidence.information) / (2.0 * lambda);
+    for ((a, b), (_, sums)) in sigmas.zip(pairs()) {
+        let off = 2.0 / whole.protocol().rays as f64 * n * f64::EPSILON * trace(&sums.information) / (2.0 * lambda);
         let limit = match covariance {
             Covariance::Diagonal | Covariance::Trace => n * f64::EPSILON,
             Covariance::Block => off / (1.0 - f64::min(off, 0.5)),
@@ -191,8 +191,8 @@ fn negligible_samples_of_trained_models_are_within_their_share_of_the_tolerance(
             assert_eq!(some_tally.dropped, all_tally.dropped, "{name}");
             let lambda = grid.lambda(&lattice);
             let off = |covariance: Covariance| {
-                let read = |evidence: &Evidence| covariance.deviation(evidence, rays.rays, lambda).log10();
-                let of_vertex = |(x, evidence): ([u32; 3], &Evidence)| (read(evidence) - read(&some.evidence(x))).abs();
+                let read = |sums: &VertexSums| covariance.deviation(sums, rays.rays, lambda).log10();
+                let of_vertex = |(x, sums): ([u32; 3], &VertexSums)| (read(sums) - read(&some.sums(x))).abs();
                 all.touched().map(of_vertex).reduce(|| 0.0, f64::max)
             };
             let [diagonal, trace, block, normal] = Covariance::ALL.map(off);

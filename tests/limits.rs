@@ -71,7 +71,7 @@ fn a_budget_is_planned_kept_and_reported() {
 fn a_limited_run_survives_and_merges() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
-    let limited = format!("{RUN} --level 8 --refine evidence --tolerance 0");
+    let limited = format!("{RUN} --level 8 --refine ray-count --tolerance 0");
     good(folder, &format!("{limited} -o whole.oct"));
     // Killed as soon as it has saved something, a run takes up its own limits again.
     let resumable = format!("{limited} -o again.oct --checkpoint run.chk --checkpoint-every 0 --resume");
@@ -83,8 +83,8 @@ fn a_limited_run_survives_and_merges() {
     child.wait().unwrap();
     assert!(folder.join("run.chk").exists() && !folder.join("again.oct").exists(), "it was killed under way");
     // Only a run of the same limits may go on from it.
-    let other = resumable.replace("--refine evidence", "--refine sensitivity");
-    assert!(refused(folder, &other).contains("evidence"));
+    let other = resumable.replace("--refine ray-count", "--refine sensitivity");
+    assert!(refused(folder, &other).contains("rays_per_vertex"));
     good(folder, &resumable);
     assert_eq!(std::fs::read(folder.join("whole.oct")).unwrap(), std::fs::read(folder.join("again.oct")).unwrap());
     for shard in 0..2 {

@@ -319,7 +319,7 @@ fn contents_that_no_run_writes_are_refused() {
         ),
         (Kind::Field, 0, 2, &|deviations| deviations[..4].fill(0xff), "deviations"),
         // Off the diagonal more than squares allow; on it, infinite together only.
-        (Kind::Field, 0, 3, &|evidence| evidence[8..16].copy_from_slice(&1e30_f64.to_le_bytes()), "evidence"),
+        (Kind::Field, 0, 3, &|evidence| evidence[8..16].copy_from_slice(&1e30_f64.to_le_bytes()), "sums"),
         (
             Kind::Field,
             0,
@@ -327,7 +327,7 @@ fn contents_that_no_run_writes_are_refused() {
             &|evidence| {
                 [0, 24, 40].into_iter().for_each(|at| evidence[at..at + 8].copy_from_slice(&1e308_f64.to_le_bytes()));
             },
-            "evidence",
+            "sums",
         ),
         (Kind::Field, 0, 4, &|surface| surface[..4].fill(0xff), "surface"),
         // Error bars that are negative, and of one group.

@@ -158,7 +158,7 @@ fn merged_shards_are_the_whole_run() {
         assert_eq!((whole.protocol().rays, whole.protocol().share), (merged.protocol().rays, merged.protocol().share));
         assert_eq!(whole.draws(), merged.draws());
         assert_eq!(whole.support(), merged.support());
-        for (a, b) in whole.evidence().unwrap().iter().zip(merged.evidence().unwrap()) {
+        for (a, b) in whole.sums().unwrap().iter().zip(merged.sums().unwrap()) {
             // At most 40,000 positive terms in another order: n ε relative, and far less in practice.
             let [s, t] = [a, b].map(|e| trace(&e.information));
             assert!((s - t).abs() <= 4e4 * f64::EPSILON * s, "{a:?} and {b:?}");

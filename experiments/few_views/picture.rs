@@ -21,7 +21,7 @@ fn enlarged(panel: Panel) -> Panel {
 }
 
 /// The default reading.
-pub const DEFAULT: (Kind, &str, &str) = (Kind::Blend, "diagonal", "spread");
+pub const DEFAULT: (Kind, &str, &str) = (Kind::RayAverage, "diagonal", "spread");
 
 /// What this study found to rank best over scenes: chosen with the first two of them, so that their figures flatter it. The second asks the Hessian alone.
 pub const FOUND: [(Kind, &str, &str); 2] =
@@ -39,7 +39,7 @@ pub fn best_baseline(entries: &[Entry]) -> Option<&Entry> {
 
 /// The reading and blending at the default level and λ that ranks best.
 pub fn best_reading(entries: &[Entry]) -> Option<&Entry> {
-    let readings = entries.iter().filter(|e| e.kind == Kind::Blend);
+    let readings = entries.iter().filter(|e| e.kind == Kind::RayAverage);
     readings.min_by(|a, b| a.mae.total_cmp(&b.mae))
 }
 
@@ -57,7 +57,7 @@ pub fn title(entry: &Entry) -> String {
 fn shown(entries: &[Entry]) -> Vec<usize> {
     let best = best_reading(entries);
     let wanted = |e: &Entry| match e.kind {
-        Kind::Blend => is(e, DEFAULT) || best.is_some_and(|b| b == e),
+        Kind::RayAverage => is(e, DEFAULT) || best.is_some_and(|b| b == e),
         Kind::Baseline | Kind::Ensemble => true,
         Kind::Level => FOUND.iter().any(|f| is(e, *f)),
         Kind::Lambda | Kind::TotalVariance => false,

@@ -1,6 +1,6 @@
 //! Which scenes, which sizes.
 
-use octobayes::render::Blend;
+use octobayes::render::RayAverage;
 use octobayes::synth::{Hemisphere, Up};
 use octobayes::train::Selection;
 use serde::Serialize;
@@ -85,9 +85,9 @@ pub struct Plan {
 }
 
 /// How log10 U becomes a pixel's at the default level.
-pub const BLENDS: [Blend; 7] = Blend::ALL;
+pub const BLENDS: [RayAverage; 7] = RayAverage::ALL;
 /// The same at other levels.
-pub const LEVEL_BLENDS: [Blend; 2] = [Blend::AtExpected, Blend::Spread];
+pub const LEVEL_BLENDS: [RayAverage; 2] = [RayAverage::AtExpected, RayAverage::Spread];
 
 impl Plan {
     pub fn full() -> Self {

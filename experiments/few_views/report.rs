@@ -110,8 +110,8 @@ fn scenes(done: &[SceneResult]) -> Table {
 
 /// The columns of the area tables: kind, name, variant.
 fn columns() -> Vec<(Kind, &'static str, &'static str)> {
-    let spread = Covariance::ALL.iter().map(|c| (Kind::Blend, c.name(), "spread"));
-    let alone = ["hit", "at-expected"].map(|v| (Kind::Blend, "diagonal", v));
+    let spread = Covariance::ALL.iter().map(|c| (Kind::RayAverage, c.name(), "spread"));
+    let alone = ["hit", "at-expected"].map(|v| (Kind::RayAverage, "diagonal", v));
     let baselines =
         [Baseline::RayVariance, Baseline::RayEntropy, Baseline::Transparency, Baseline::RayCount, Baseline::Random];
     let ensembles = [Baseline::EnsembleVariance, Baseline::DensityAware];
@@ -129,7 +129,7 @@ fn areas(name: &str, done: &[SceneResult], pick: Pick) -> Table {
     let mut head = heads(&["scene"]);
     head.extend(columns.iter().map(|(kind, name, variant)| match kind {
         Kind::Level => format!("{name}, level {variant}"),
-        Kind::Blend => format!("{name}, {variant}"),
+        Kind::RayAverage => format!("{name}, {variant}"),
         _ => (*name).to_string(),
     }));
     let mut table = Table::new(name, &head);
@@ -169,7 +169,7 @@ fn choices(plan: &Plan, done: &[SceneResult]) -> String {
                         Some((
                             r,
                             own.or_else(|| {
-                                r.entry(Kind::Blend, c.name(), "spread").filter(|_| variant.ends_with('*'))
+                                r.entry(Kind::RayAverage, c.name(), "spread").filter(|_| variant.ends_with('*'))
                             })?,
                         ))
                     })
@@ -188,7 +188,7 @@ fn choices(plan: &Plan, done: &[SceneResult]) -> String {
     };
     let what = "mean AUSE (MAE) over scenes (scenes in which it beats the best measure without a Hessian, worst ratio to that)";
     let blends = BLENDS.iter().map(|b| b.name().to_string()).collect();
-    add(&format!("Blending, level {}: {what}", plan.level), "blending", Kind::Blend, blends);
+    add(&format!("Blending, level {}: {what}", plan.level), "blending", Kind::RayAverage, blends);
     let mut levels = plan.other_levels.clone();
     levels.sort_unstable();
     let levels: Vec<String> =

@@ -12,7 +12,7 @@ use octobayes::field::RadianceField;
 use octobayes::metrics::{ErrorKind, percentiles};
 use octobayes::monitor::Silent;
 use octobayes::posterior::Covariance;
-use octobayes::render::{Blend, Tracer};
+use octobayes::render::{RayAverage, Tracer};
 use octobayes::uncertainty::UncertaintyField;
 use serde::{Deserialize, Serialize};
 
@@ -25,7 +25,7 @@ use crate::plan::{BLENDS, LEVEL_BLENDS, Plan, Scene};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Kind {
     /// A reading at the default level and λ; the variant is the blending.
-    Blend,
+    RayAverage,
     /// The variant is level and blending.
     Level,
     /// The variant is the factor of λ; blended `spread`.
@@ -142,7 +142,7 @@ fn label(kind: Kind, name: &str, variant: impl Into<String>) -> Label {
 }
 
 /// A level and a blending, as a variant.
-pub fn variant(level: u8, blend: Blend) -> String {
+pub fn variant(level: u8, blend: RayAverage) -> String {
     format!("{level}, {}", blend.name())
 }
 
@@ -150,19 +150,19 @@ pub fn variant(level: u8, blend: Blend) -> String {
 fn readings(base: &UncertaintyField, plan: &Plan, others: &[UncertaintyField]) -> Result<(Vec<Reading>, Vec<Label>)> {
     let (mut readings, mut labels) = (Vec::new(), Vec::new());
     let lambda = base.protocol().lambda / plan.lambdas.iter().copied().fold(1.0, f64::min);
-    let mut add = |field: UncertaintyField, blends: &[Blend]| {
+    let mut add = |field: UncertaintyField, blends: &[RayAverage]| {
         let name = field.protocol().covariance.name().into();
         readings.push(Reading { name, field, blends: blends.to_vec() });
     };
     for covariance in Covariance::ALL {
         // The first keeps its evidence, for the number of rays.
         let field = base.clone().with_lambda(lambda)?.with_covariance(covariance)?;
-        add(if covariance == Covariance::ALL[0] { field } else { field.without_evidence() }, &BLENDS);
-        labels.extend(BLENDS.iter().map(|b| label(Kind::Blend, covariance.name(), b.name())));
+        add(if covariance == Covariance::ALL[0] { field } else { field.without_sums() }, &BLENDS);
+        labels.extend(BLENDS.iter().map(|b| label(Kind::RayAverage, covariance.name(), b.name())));
     }
     for other in others {
         for covariance in Covariance::ALL {
-            add(other.clone().with_covariance(covariance)?.without_evidence(), &LEVEL_BLENDS);
+            add(other.clone().with_covariance(covariance)?.without_sums(), &LEVEL_BLENDS);
             let level = other.lattice().level();
             labels.extend(LEVEL_BLENDS.iter().map(|b| label(Kind::Level, covariance.name(), variant(level, *b))));
         }
@@ -171,7 +171,7 @@ fn readings(base: &UncertaintyField, plan: &Plan, others: &[UncertaintyField]) -
         for covariance in Covariance::ALL {
             let field =
                 base.clone().with_lambda((factor * lambda).max(base.protocol().lambda))?.with_covariance(covariance)?;
-            add(field.without_evidence(), &[Blend::Spread]);
+            add(field.without_sums(), &[RayAverage::Spread]);
             labels.push(label(Kind::Lambda, covariance.name(), format!("{factor:e}")));
         }
     }
@@ -191,7 +191,7 @@ fn add_total_variance(views: &mut [EvaluatedView], labels: &mut Vec<Label>, trai
     let scale = 2.0 * 10_f64.powf(-0.1 * training.psnr) / pixels as f64;
     let mut added = Vec::new();
     for covariance in Covariance::ALL {
-        let rms = find(Kind::Blend, covariance.name(), Blend::RootMeanSquare.name());
+        let rms = find(Kind::RayAverage, covariance.name(), RayAverage::RootMeanSquare.name());
         for view in views.iter_mut() {
             let both = view.measures[variance].iter().zip(&view.measures[rms]);
             let total = both.map(|(v, u)| v + scale * 10_f64.powf(2.0 * u)).collect();
@@ -307,7 +307,7 @@ fn compute(scene: &Scene, plan: &Plan, work: &Path, folder: &Path) -> Result<Sce
 /// Time to render all views alone, and what one reading adds, from the first two views.
 fn costs(tracer: &Tracer, reading: &Reading, truths: &[TrueView]) -> Result<[Time; 2]> {
     let few = &truths[..truths.len().min(2)];
-    let one = [Reading { blends: vec![Blend::Spread], ..reading.clone() }];
+    let one = [Reading { blends: vec![RayAverage::Spread], ..reading.clone() }];
     let time = |readings: &[Reading]| -> Result<Time> {
         let evaluator = Evaluator { tracer: tracer.clone(), readings, members: Vec::new() };
         let clock = Clock::start();

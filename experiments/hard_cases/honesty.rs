@@ -64,7 +64,7 @@ impl Scene {
 /// Vertices of both fields' octrees; where one has none, it says the prior.
 fn judged(field: &UncertaintyField, limit: &UncertaintyField) -> Vec<Judged> {
     let (Support::Octree(a), Support::Octree(b)) = (field.support(), limit.support()) else { return Vec::new() };
-    let (bars, evidence) = (field.error_bars(), field.evidence().unwrap_or_default());
+    let (bars, sums) = (field.error_bars(), field.sums().unwrap_or_default());
     let moved = field.prior() / 10_f64.sqrt();
     let mut out = Vec::new();
     let mut judge = |mine: Option<usize>, theirs: Option<usize>| {
@@ -72,7 +72,7 @@ fn judged(field: &UncertaintyField, limit: &UncertaintyField) -> Vec<Judged> {
         let at_limit = theirs.map_or(limit.prior(), |v| limit.deviations().get(v));
         if u.min(at_limit) < moved {
             let bar = mine.zip(bars).and_then(|(v, bars)| bars.get(v));
-            out.push(Judged { rays: mine.map_or(0, |v| evidence[v].rays), error: (u / at_limit).log10(), bar });
+            out.push(Judged { rays: mine.map_or(0, |v| sums[v].rays), error: (u / at_limit).log10(), bar });
         }
     };
     for (v, point) in a.vertex_positions().enumerate() {

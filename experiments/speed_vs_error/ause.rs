@@ -9,7 +9,7 @@ use octobayes::estimate::RaySettings;
 use octobayes::evaluate::{DepthFiles, Evaluator, Reading, Score, TrueView};
 use octobayes::metrics::ErrorKind;
 use octobayes::monitor::Silent;
-use octobayes::render::Blend;
+use octobayes::render::RayAverage;
 use octobayes::uncertainty::UncertaintyField;
 
 use super::scenes::Scene;
@@ -39,7 +39,7 @@ impl Truth {
     /// AUSE (MAE) of a field; the scene's colours do not depend on it.
     pub fn ause(&self, scene: &Scene, field: &UncertaintyField) -> Result<f64> {
         let tracer = RaySettings { cutoff: 1e-4, ..scene.settings }.tracer(&*scene.field, 0.0, &Silent)?;
-        let readings = [Reading { name: "U".into(), field: field.clone(), blends: vec![Blend::Hit] }];
+        let readings = [Reading { name: "U".into(), field: field.clone(), blends: vec![RayAverage::WeightedMean] }];
         let evaluator = Evaluator { tracer, readings: &readings, members: Vec::new() };
         let judged: Vec<_> = (0..)
             .zip(&self.views)

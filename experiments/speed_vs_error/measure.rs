@@ -32,7 +32,7 @@ pub fn run(scene: &Scene, rays: &RaySettings, grid: &GridSettings) -> Result<Run
     let start = Instant::now();
     let (field, tally) = estimate(&*scene.field, &scene.cameras, rays, grid, &Silent)?;
     let seconds = start.elapsed().as_secs_f64();
-    Ok(Run { field: field.without_evidence(), seconds, samples: tally.samples })
+    Ok(Run { field: field.without_sums(), seconds, samples: tally.samples })
 }
 
 /// Runs `times` times; the last one with the median of the times.

@@ -109,9 +109,9 @@ pub fn levels(lego: &Scene) -> Result<()> {
         of_level(lego, &grid(GridKind::Octree, level), "as fine as the level")?;
     }
     for level in 8..=12 {
-        let criteria = [Criterion::Sensitivity, Criterion::Evidence].into_iter().collect();
+        let criteria = [Criterion::Sensitivity, Criterion::RayCount].into_iter().collect();
         let limited = GridSettings { criteria, ..grid(GridKind::Octree, level) };
-        of_level(lego, &limited, "`--refine sensitivity,evidence`")?;
+        of_level(lego, &limited, "`--refine sensitivity,ray-count`")?;
     }
     Ok(())
 }

@@ -13,7 +13,7 @@ use crate::geometry::Aabb;
 use crate::monitor::Monitor;
 use crate::picture::{write_exr, write_sheet};
 use crate::posterior::Covariance;
-use crate::render::{Blend, Probe, RenderedView, render_view};
+use crate::render::{Probe, RayAverage, RenderedView, render_view};
 use crate::uncertainty::{ThresholdedField, UncertaintyField};
 use crate::{Error, Result};
 
@@ -54,7 +54,7 @@ pub struct Args {
 
     /// How log10 U is blended along a ray
     #[arg(long, value_enum, default_value = "hit")]
-    blend: Blend,
+    blend: RayAverage,
 
     /// Another covariance than the field's own, if it keeps its Hessian
     #[arg(long, value_enum)]

@@ -175,7 +175,7 @@ pub fn plan(plan: &Plan, grid: &GridSettings) {
         plan.vertices,
         memory(plan.bytes)
     );
-    if plan.evidence > 0.0 {
+    if plan.rays_per_vertex > 0.0 {
         let shares: Vec<String> = plan
             .given_up
             .iter()
@@ -188,7 +188,7 @@ pub fn plan(plan: &Plan, grid: &GridSettings) {
         eprintln!(
             "      leaves that have {:.1} rays a vertex or are {} levels coarser: {:.1} % of vertices given up;\n      levels given up by share of what \
              rays touch: {}; log10 U is the larger leaf's there",
-            plan.evidence,
+            plan.rays_per_vertex,
             plan.given_up.len() - 1,
             100.0 * (1.0 - plan.vertices / plan.vertices_unlimited.max(1.0)),
             shares.join(", ")

@@ -77,7 +77,7 @@ impl FieldBuilder {
         let lambda = self.settings().lambda(self.lattice());
         let covariance = self.settings().covariance;
         let moved = (covariance.prior(lambda) / 10_f64.sqrt()).log10();
-        let log10 = |evidence| covariance.deviation(&evidence, rays, lambda).log10();
+        let log10 = |sums| covariance.deviation(&sums, rays, lambda).log10();
         let pairs = self.paired(other).into_par_iter().map(|(mine, theirs)| (log10(mine), log10(theirs)));
         let errors = pairs.filter(|(a, b)| a.min(*b) < moved).map(|(a, b)| (a - b).abs());
         SamplingError::of(errors.collect())

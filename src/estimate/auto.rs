@@ -88,7 +88,7 @@ impl AutoRun {
         monitor: &dyn Monitor,
     ) -> Result<([FieldBuilder; 2], [RunProgress; 2], SamplingError)> {
         if settings.needs_plan() {
-            let found = "--memory or --refine evidence";
+            let found = "--memory or --refine ray-count";
             return Err(Error::setting("--rays auto", "a grid without limits to its refinement", found));
         }
         let other_pixels = stream.for_purpose(Purpose::SecondHalf);
@@ -134,7 +134,7 @@ impl FieldBuilder {
         let looked_at = pairs.into_par_iter().filter_map(|(mine, theirs)| {
             let mut sum = mine;
             sum.add(&theirs);
-            let half = |evidence| covariance.deviation(&evidence, rays / 2, lambda).log10();
+            let half = |sums| covariance.deviation(&sums, rays / 2, lambda).log10();
             (covariance.deviation(&sum, rays, lambda) < moved).then(|| (half(mine), half(theirs)))
         });
         looked_at.collect()

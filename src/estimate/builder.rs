@@ -7,9 +7,9 @@ use rayon::prelude::*;
 
 use super::{GridKind, GridSettings, Plan, plan};
 use crate::geometry::{Camera, Domain, Lattice};
-use crate::octree::{Cell, LevelLimits, morton};
+use crate::octree::{Cell, MaxLevels, morton};
 use crate::posterior::checkpoint::{self, AnyPosterior, RunKey};
-use crate::posterior::{DensePosterior, Evidence, OctreePosterior, Posterior};
+use crate::posterior::{DensePosterior, OctreePosterior, Posterior, VertexSums};
 use crate::rays::{RayStream, RunProgress, SURFACE_WEIGHT, Shard};
 use crate::render::RaySamples;
 use crate::uncertainty::{Origin, Protocol, Support, UncertaintyField};
@@ -45,9 +45,9 @@ fn every_cell(lattice: &Lattice) -> Result<Vec<Cell>> {
 pub struct FieldBuilder {
     settings: GridSettings,
     lattice: Lattice,
-    limits: LevelLimits,
+    limits: MaxLevels,
     /// Rays per vertex that the limits were made for.
-    evidence: f64,
+    rays_per_vertex: f64,
     /// Cells that must exist whatever rays say.
     wanted: Vec<Cell>,
     posterior: AnyPosterior,
@@ -71,16 +71,16 @@ impl FieldBuilder {
             GridKind::Dense => AnyPosterior::Dense(DensePosterior::new(lattice)),
             GridKind::Octree => AnyPosterior::Octree(OctreePosterior::new(lattice)),
         };
-        let limits = LevelLimits::none(lattice.level());
+        let limits = MaxLevels::none(lattice.level());
         let wanted = if settings.criteria.uniform { every_cell(&lattice)? } else { Vec::new() };
-        Ok(Self { settings, lattice, limits, evidence: 0.0, wanted, posterior, surface: Vec::new() })
+        Ok(Self { settings, lattice, limits, rays_per_vertex: 0.0, wanted, posterior, surface: Vec::new() })
     }
 
     /// Starts anew on the leaves of `plan`. A dense grid has only one kind of leaves.
     pub fn limit(&mut self, plan: &Plan) {
         if self.settings.grid == GridKind::Octree {
             self.limits = plan.limits.clone();
-            self.evidence = plan.evidence;
+            self.rays_per_vertex = plan.rays_per_vertex;
             self.posterior = AnyPosterior::Octree(OctreePosterior::limited(self.lattice, plan.limits.clone()));
             self.surface.clear();
         }
@@ -171,7 +171,7 @@ impl FieldBuilder {
 
     /// The leaves that rays are summed on.
     #[must_use]
-    pub fn limits(&self) -> &LevelLimits {
+    pub fn limits(&self) -> &MaxLevels {
         &self.limits
     }
 
@@ -181,16 +181,16 @@ impl FieldBuilder {
     }
 
     /// What this builder and another of the same lattice, both without limits, know of every vertex that one of them knows.
-    pub(super) fn paired(&self, other: &Self) -> Vec<(Evidence, Evidence)> {
+    pub(super) fn paired(&self, other: &Self) -> Vec<(VertexSums, VertexSums)> {
         match (&self.posterior, &other.posterior) {
             (AnyPosterior::Dense(mine), AnyPosterior::Dense(theirs)) => {
                 let pairs = mine.sums().iter().zip(theirs.sums());
                 pairs.filter(|(a, b)| a.rays > 0 || b.rays > 0).map(|(a, b)| (*a, *b)).collect()
             }
             (AnyPosterior::Octree(mine), AnyPosterior::Octree(theirs)) => {
-                let both = mine.touched().map(|(point, evidence)| (*evidence, theirs.evidence(point)));
-                let new = theirs.touched().filter(|(point, _)| mine.evidence(*point).rays == 0);
-                both.chain(new.map(|(_, evidence)| (Evidence::default(), *evidence))).collect()
+                let both = mine.touched().map(|(point, sums)| (*sums, theirs.sums(point)));
+                let new = theirs.touched().filter(|(point, _)| mine.sums(*point).rays == 0);
+                both.chain(new.map(|(_, sums)| (VertexSums::default(), *sums))).collect()
             }
             _ => unreachable!("both have the same settings"),
         }
@@ -207,10 +207,10 @@ impl FieldBuilder {
     }
 
     /// What the sums say at the vertices of `support`, in their order.
-    pub(super) fn evidence_at(self, support: &Support) -> Vec<Evidence> {
+    pub(super) fn sums_at(self, support: &Support) -> Vec<VertexSums> {
         match (self.posterior, support) {
             (AnyPosterior::Dense(posterior), _) => posterior.into_sums(),
-            (AnyPosterior::Octree(posterior), Support::Octree(octree)) => posterior.evidence_at(octree),
+            (AnyPosterior::Octree(posterior), Support::Octree(octree)) => posterior.sums_at(octree),
             (AnyPosterior::Octree(_), Support::Dense) => unreachable!("an octree's sums become an octree"),
         }
     }
@@ -228,8 +228,8 @@ impl FieldBuilder {
 
     /// Rays per vertex that the limits were made for; 0 if there are none.
     #[must_use]
-    pub fn evidence(&self) -> f64 {
-        self.evidence
+    pub fn rays_per_vertex(&self) -> f64 {
+        self.rays_per_vertex
     }
 
     fn posterior_mut(&mut self) -> &mut dyn Posterior {

@@ -64,8 +64,8 @@ const MAX_DENSE_LEVEL: u8 = 9;
 impl GridSettings {
     /// Rays per vertex below which leaves stay coarser; 0 for no such limit.
     #[must_use]
-    pub fn evidence(&self) -> f64 {
-        match (self.criteria.evidence, self.min_rays) {
+    pub fn rays_per_vertex(&self) -> f64 {
+        match (self.criteria.ray_count, self.min_rays) {
             (false, _) => 0.0,
             (true, 0.0) => 4.0,
             (true, min_rays) => min_rays,
@@ -75,7 +75,7 @@ impl GridSettings {
     /// Whether a run has to be planned before it can be run.
     #[must_use]
     pub fn needs_plan(&self) -> bool {
-        self.memory.is_some() || self.criteria.evidence
+        self.memory.is_some() || self.criteria.ray_count
     }
 
     /// Largest change of log10 U by samples that are left out as negligible.

@@ -66,7 +66,7 @@ impl FieldBuilder {
         let tally = tallies.iter().fold(RunProgress::default(), |sum, tally| sum.with(tally));
         let field = whole.finish(&Provenance { tally, ..provenance.clone() });
         let rays: Vec<u64> = tallies.iter().map(|tally| tally.rays).collect();
-        let sums: Vec<_> = groups.into_iter().map(|group| group.evidence_at(field.support())).collect();
+        let sums: Vec<_> = groups.into_iter().map(|group| group.sums_at(field.support())).collect();
         Ok(field.with_error_bars(&sums, &rays))
     }
 }

@@ -82,7 +82,7 @@ pub fn estimate_with_error_bars(
         return Err(Error::setting(
             "error bars",
             "a grid without limits to its refinement",
-            "--memory or --refine evidence",
+            "--memory or --refine ray-count",
         ));
     }
     let domain = Domain::Box(field.bounds());

@@ -5,14 +5,14 @@ use std::time::{Duration, Instant};
 use super::{GridKind, GridSettings, RaySettings};
 use crate::geometry::Lattice;
 use crate::monitor::Monitor;
-use crate::octree::LevelLimits;
-use crate::posterior::{DensePosterior, Evidence, OctreePosterior, Posterior, Survey};
+use crate::octree::MaxLevels;
+use crate::posterior::{DensePosterior, OctreePosterior, PilotCounts, Posterior, VertexSums};
 use crate::rays::{Purpose, RayStream, RunProgress, Shard};
 use crate::{Error, Result};
 
 /// Bytes per touched vertex while summing: 64 of evidence, in bricks that rays fill to a half (the city at level 11: 129 bytes a vertex), and a third more for
 /// what comes on top: lists of rays under way, and what the allocator keeps.
-pub const SUMMING: f64 = 3.0 * size_of::<Evidence>() as f64;
+pub const SUMMING: f64 = 3.0 * size_of::<VertexSums>() as f64;
 /// Bytes per touched vertex of the finished field: evidence, deviation, position and structure (64 + 4 + 12 + 1), of one and a half
 /// vertices: cells around a touched vertex have others.
 pub const FINISHED: f64 = 1.5 * 81.0;
@@ -21,9 +21,9 @@ pub const FINISHED: f64 = 1.5 * 81.0;
 #[derive(Debug, Clone)]
 pub struct Plan {
     /// How fine leaves may be.
-    pub limits: LevelLimits,
+    pub limits: MaxLevels,
     /// Rays per vertex asked for by these limits; 0 if there are none.
-    pub evidence: f64,
+    pub rays_per_vertex: f64,
     /// Vertices that rays are expected to touch.
     pub vertices: f64,
     /// Vertices that they would touch without limits.
@@ -39,7 +39,7 @@ pub struct Plan {
 /// A pilot run, from which plans are made.
 pub struct Planner {
     settings: GridSettings,
-    survey: Survey,
+    survey: PilotCounts,
     /// Vertices that the run would touch without limits.
     vertices_unlimited: f64,
     /// Rays of the run per ray of the pilot.
@@ -73,16 +73,19 @@ impl Planner {
         })?;
         let scale = rays.rays as f64 / pilot.rays as f64;
         let time = start.elapsed().mul_f64(share.own_rays() as f64 / pilot.rays as f64);
-        let survey = Survey::of(&posterior);
-        let vertices_unlimited = survey.vertices(scale, &LevelLimits::none(lattice.level()));
+        let survey = PilotCounts::of(&posterior);
+        let vertices_unlimited = survey.vertices(scale, &MaxLevels::none(lattice.level()));
         Ok(Self { settings, survey, vertices_unlimited, scale, time })
     }
 
     /// The plan for limits with at least `evidence` rays per vertex; 0 for none.
     #[must_use]
-    pub fn with_evidence(&self, lattice: &Lattice, evidence: f64) -> Plan {
-        let limits =
-            if evidence > 0.0 { self.survey.limits(self.scale, evidence) } else { LevelLimits::none(lattice.level()) };
+    pub fn with_rays_per_vertex(&self, lattice: &Lattice, rays_per_vertex: f64) -> Plan {
+        let limits = if rays_per_vertex > 0.0 {
+            self.survey.limits(self.scale, rays_per_vertex)
+        } else {
+            MaxLevels::none(lattice.level())
+        };
         let vertices = self.survey.vertices(self.scale, &limits);
         let given_up = self.survey.shares(&limits);
         let bytes = match self.settings.grid {
@@ -90,7 +93,7 @@ impl Planner {
             GridKind::Octree => vertices * (SUMMING + FINISHED),
         };
         let vertices_unlimited = self.vertices_unlimited;
-        Plan { limits, evidence, vertices, vertices_unlimited, bytes, time: self.time, given_up }
+        Plan { limits, rays_per_vertex, vertices, vertices_unlimited, bytes, time: self.time, given_up }
     }
 
     /// The finest plan that the settings' criteria ask for and that fits their memory: where memory is short, the refinement that
@@ -99,8 +102,8 @@ impl Planner {
     /// # Errors
     /// If not even the coarsest limits fit; the message says what would.
     pub fn plan(&self, lattice: &Lattice) -> Result<Plan> {
-        let wanted = self.settings.evidence();
-        let mut plan = self.with_evidence(lattice, wanted);
+        let wanted = self.settings.rays_per_vertex();
+        let mut plan = self.with_rays_per_vertex(lattice, wanted);
         let Some(budget) = self.settings.memory else { return Ok(plan) };
         while plan.bytes > budget as f64 {
             let tighter = self.tighter(lattice, &plan).ok_or_else(|| {
@@ -117,10 +120,10 @@ impl Planner {
     pub fn tighter(&self, lattice: &Lattice, plan: &Plan) -> Option<Plan> {
         // Beyond this every region has had all its levels given up.
         const MOST: f64 = 1e12;
-        let mut evidence = plan.evidence;
-        while self.settings.grid == GridKind::Octree && evidence < MOST {
-            evidence = (1.25 * evidence).max(1.0 / 64.0);
-            let tighter = self.with_evidence(lattice, evidence);
+        let mut rays_per_vertex = plan.rays_per_vertex;
+        while self.settings.grid == GridKind::Octree && rays_per_vertex < MOST {
+            rays_per_vertex = (1.25 * rays_per_vertex).max(1.0 / 64.0);
+            let tighter = self.with_rays_per_vertex(lattice, rays_per_vertex);
             if tighter.vertices < plan.vertices {
                 return Some(tighter);
             }

@@ -115,7 +115,7 @@ impl RaySettings {
             background: stream.tracer.background.to_array(),
             pixel_offset: stream.pixel_offset,
             surface_points: grid.surface_points as u64,
-            evidence: builder.evidence(),
+            rays_per_vertex: builder.rays_per_vertex(),
             limits: crc32fast::hash(format!("{:?}", builder.limits().packed()).as_bytes()),
         }
     }

@@ -22,7 +22,7 @@ fn octree_and_dense_agree_on_the_same_rays() {
     let [octree, dense] = &both;
     // H agrees to rounding at every vertex whose eight cells are finest leaves: sums of at most 3000 positive terms.
     let Support::Octree(tree) = octree.support() else { panic!("an octree was asked for") };
-    let (a, b) = (octree.evidence().unwrap(), dense.evidence().unwrap());
+    let (a, b) = (octree.sums().unwrap(), dense.sums().unwrap());
     let mut surrounded = 0;
     for (vertex, [x, y, z]) in tree.vertex_positions().enumerate() {
         if tree.is_surrounded_by_finest([x, y, z]) {
@@ -207,7 +207,7 @@ fn a_run_that_starts_again_says_so_before_its_first_ray() {
         })
         .unwrap();
     let starts = tallies.iter().filter(|&&rays| rays == 0).count();
-    assert!(starts > 0 && plan.unwrap().evidence > 0.0, "{tallies:?}");
+    assert!(starts > 0 && plan.unwrap().rays_per_vertex > 0.0, "{tallies:?}");
     assert!(tally.rays == 20_000 && builder.expected_peak() <= 40_000_000);
     // Between two starts rays only grow: nothing of an earlier attempt is counted in a later one.
     assert!(tallies.windows(2).all(|pair| pair[1] == 0 || pair[1] > pair[0]), "{tallies:?}");
@@ -229,13 +229,13 @@ fn error_bars_are_as_large_as_the_errors() {
         let bars = few.error_bars().unwrap();
         assert_eq!(bars.groups(), groups);
         let Support::Octree(tree) = few.support() else { panic!("an octree was asked for") };
-        let evidence = few.evidence().unwrap();
+        let sums = few.sums().unwrap();
         for (least, most, slack) in [(0, u32::MAX, 1.2), (8, 32, 1.4), (32, u32::MAX, 1.4)] {
             let (mut squares, mut n) = ([0.0, 0.0], 0);
             for (v, [x, y, z]) in tree.vertex_positions().enumerate() {
                 let limit = truth.deviations().get((x as usize * 33 + y as usize) * 33 + z as usize);
                 let found = few.deviations().get(v);
-                let counts = found.min(limit) < moved && (least..most).contains(&evidence[v].rays);
+                let counts = found.min(limit) < moved && (least..most).contains(&sums[v].rays);
                 if let Some(error) = bars.get(v).filter(|_| counts) {
                     squares[0] += error * error;
                     squares[1] += (found / limit).log10().powi(2);

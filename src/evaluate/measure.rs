@@ -1,6 +1,6 @@
 //! What is asked whether it ranks the error. Larger is more uncertain, always.
 
-use crate::render::Blend;
+use crate::render::RayAverage;
 use crate::uncertainty::UncertaintyField;
 
 /// A field read through one covariance, blended along rays in some ways.
@@ -11,7 +11,7 @@ pub struct Reading {
     /// U.
     pub field: UncertaintyField,
     /// How log10 U becomes a pixel's, at least one.
-    pub blends: Vec<Blend>,
+    pub blends: Vec<RayAverage>,
 }
 
 /// What an uncertainty field has to beat: measures without a Hessian.
@@ -24,7 +24,7 @@ pub enum Baseline {
     RayEntropy,
     /// 1 − opacity.
     Transparency,
-    /// Minus the number of training rays that support what the pixel shows: that of the field's vertices, blended like [`Blend::Hit`].
+    /// Minus the number of training rays that support what the pixel shows: that of the field's vertices, blended like [`RayAverage::WeightedMean`].
     RayCount,
     /// A random number per pixel.
     Random,
@@ -60,7 +60,7 @@ impl Baseline {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Measure {
     /// Blended log10 U of the reading of this index.
-    Reading(usize, Blend),
+    Reading(usize, RayAverage),
     /// One of the others.
     Baseline(Baseline),
 }

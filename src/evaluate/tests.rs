@@ -9,7 +9,7 @@ use crate::geometry::{Aabb, Camera};
 use crate::metrics::{ErrorKind, density_aware, ensemble_variance};
 use crate::monitor::Silent;
 use crate::posterior::Covariance;
-use crate::render::{Blend, Tracer, render_view};
+use crate::render::{RayAverage, Tracer, render_view};
 use crate::uncertainty::UncertaintyField;
 
 /// A field without matter in the ball's box.
@@ -78,7 +78,7 @@ fn every_measure_is_of_the_same_pixels() {
         .map(|&c| Reading {
             name: c.name().into(),
             field: field.clone().with_covariance(c).unwrap(),
-            blends: vec![Blend::Hit, Blend::AtMedian, Blend::Spread],
+            blends: vec![RayAverage::WeightedMean, RayAverage::AtMedian, RayAverage::Spread],
         })
         .collect();
     let nothing = Nothing(ball.bounds());
@@ -111,8 +111,8 @@ fn every_measure_is_of_the_same_pixels() {
         let deviation = (pixel.depth_variance + evaluator.tracer.marcher.step.powi(2) / 12.0).sqrt();
         for (r, reading) in readings.iter().enumerate() {
             let (name, log10) = (&reading.name, |x| reading.field.log10(x));
-            assert_eq!(of(Measure::Reading(r, Blend::AtMedian))[k], log10(median), "{name}");
-            assert_eq!(of(Measure::Reading(r, Blend::Spread))[k], log10(expected) + deviation.log10(), "{name}");
+            assert_eq!(of(Measure::Reading(r, RayAverage::AtMedian))[k], log10(median), "{name}");
+            assert_eq!(of(Measure::Reading(r, RayAverage::Spread))[k], log10(expected) + deviation.log10(), "{name}");
         }
     }
     // Fewer rays are more uncertain: counts are those of the field, somewhere between none and all.

@@ -8,7 +8,7 @@ use super::{Baseline, Measure, Reading, TrueView};
 use crate::Result;
 use crate::metrics::{density_aware, ensemble_variance, psnr};
 use crate::monitor::{Monitor, check};
-use crate::render::{Blend, Probe, RenderedView, Tracer, render_view};
+use crate::render::{Probe, RayAverage, RenderedView, Tracer, render_view};
 
 /// A field to be judged, and all that claims to know where it is wrong.
 pub struct Evaluator<'a> {
@@ -68,7 +68,7 @@ impl Evaluator<'_> {
 
     /// The first field that remembers how many rays it has from where.
     fn counted(&self) -> Option<&Reading> {
-        self.readings.iter().find(|reading| reading.field.evidence().is_some())
+        self.readings.iter().find(|reading| reading.field.sums().is_some())
     }
 
     /// Renders a view with the field and all members, and compares. Advances the monitor by [`Evaluator::rows`].
@@ -84,7 +84,7 @@ impl Evaluator<'_> {
         let counted = self.counted();
         let unsupported = |x| -counted.and_then(|reading| reading.field.query(x).rays).unwrap_or(0.0);
         if counted.is_some() {
-            probes.push(Probe { value: &unsupported, blends: &[Blend::Hit] });
+            probes.push(Probe { value: &unsupported, blends: &[RayAverage::WeightedMean] });
         }
         check(monitor)?;
         let mut rendered = render_view(&self.tracer, &truth.camera, truth.pixel_offset, &probes, monitor)?;

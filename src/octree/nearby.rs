@@ -1,6 +1,6 @@
 //! The limits around one region, looked up once for all the leaves in it.
 
-use super::limits::LevelLimits;
+use super::max_levels::MaxLevels;
 use super::{Cell, Leaves, morton};
 
 /// The leaves of a region and of those that touch it.
@@ -19,7 +19,7 @@ pub struct Nearby {
 impl Nearby {
     /// Around the region of a finest cell.
     #[must_use]
-    pub fn new(limits: &LevelLimits, cell: [u32; 3]) -> Self {
+    pub fn new(limits: &MaxLevels, cell: [u32; 3]) -> Self {
         let finest = limits.finest();
         let depth = finest - limits.region_level();
         let before = cell.map(|i| (i >> depth).wrapping_sub(1));
@@ -78,7 +78,7 @@ mod tests {
             wanted in proptest::collection::vec((0_u64..64, 2_u8..=7), 0..8), cells in proptest::collection::vec(proptest::array::uniform3(0_u32..128), 20),
         ) {
             // 4³ regions of 32³ finest cells.
-            let limits = LevelLimits::balanced(7, wanted);
+            let limits = MaxLevels::balanced(7, wanted);
             for cell in cells {
                 let near = Nearby::new(&limits, cell);
                 prop_assert!(near.is_around(cell));

@@ -1,7 +1,7 @@
 //! The state of a posterior in a file, so that a run survives Ctrl-C, `kill -9` and power cuts.
 //!
 //! A [container] with the sections `codes` (u64, of bricks; empty for a dense grid), `sums` (64 or 1
-//! [`Evidence`] each) and `surface`. Sums are kept bit for bit and rays go on behind the last one counted, so a
+//! [`VertexSums`] each) and `surface`. Sums are kept bit for bit and rays go on behind the last one counted, so a
 //! resumed run ends with the bits of an uninterrupted one. A run only takes up a state whose description equals its own.
 
 use std::path::Path;
@@ -9,10 +9,10 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::octree::Brick;
-use super::{DensePosterior, Evidence, OctreePosterior};
+use super::{DensePosterior, OctreePosterior, VertexSums};
 use crate::geometry::Lattice;
 use crate::io::container::{self, Format, Reader, Section};
-use crate::octree::LevelLimits;
+use crate::octree::MaxLevels;
 use crate::rays::{Pixels, RunProgress, Shard};
 use crate::render::GradientMethod;
 use crate::{Error, Result};
@@ -63,7 +63,7 @@ pub struct RunKey {
     /// Points on visible surfaces to keep.
     pub surface_points: u64,
     /// Rays per vertex that limits to refinement were made for; 0 for no limits.
-    pub evidence: f64,
+    pub rays_per_vertex: f64,
     /// Checksum of these limits.
     pub limits: u32,
 }
@@ -122,16 +122,16 @@ pub fn save(
 ///
 /// # Errors
 /// If the file is missing, or its header is not as written.
-pub fn evidence(path: &Path) -> Result<f64> {
+pub fn rays_per_vertex(path: &Path) -> Result<f64> {
     let (header, _) = Reader::open::<Header>(path, FORMAT, 3..=3)?;
-    Ok(header.key.evidence)
+    Ok(header.key.rays_per_vertex)
 }
 
 /// Reads the state of a run with the description `key`, gathered on the leaves of `limits`.
 ///
 /// # Errors
 /// If the file is missing, truncated, altered, or belongs to a run with another description.
-pub fn load(path: &Path, key: &RunKey, limits: &LevelLimits, dense: bool) -> Result<State> {
+pub fn load(path: &Path, key: &RunKey, limits: &MaxLevels, dense: bool) -> Result<State> {
     let (header, mut file) = Reader::open::<Header>(path, FORMAT, 3..=3)?;
     if let Some((what, expected, found)) = first_difference(key, &header.key) {
         return Err(Error::malformed(path, format!("run, {what}"), expected, found));
@@ -142,7 +142,7 @@ pub fn load(path: &Path, key: &RunKey, limits: &LevelLimits, dense: bool) -> Res
     }
     let codes = file.section::<u64>("codes")?;
     let posterior = if dense {
-        DensePosterior::from_sums(key.lattice, file.section::<Evidence>("sums")?).map(AnyPosterior::Dense)
+        DensePosterior::from_sums(key.lattice, file.section::<VertexSums>("sums")?).map(AnyPosterior::Dense)
     } else {
         let bricks = file.section::<Brick>("sums")?;
         let same = codes.len() == bricks.len();
@@ -151,8 +151,8 @@ pub fn load(path: &Path, key: &RunKey, limits: &LevelLimits, dense: bool) -> Res
             .map(AnyPosterior::Octree)
     };
     let sums_are_finite = match &posterior {
-        Some(AnyPosterior::Dense(posterior)) => posterior.sums().iter().all(Evidence::is_valid),
-        Some(AnyPosterior::Octree(posterior)) => posterior.slices().flatten().flatten().all(Evidence::is_valid),
+        Some(AnyPosterior::Dense(posterior)) => posterior.sums().iter().all(VertexSums::is_valid),
+        Some(AnyPosterior::Octree(posterior)) => posterior.slices().flatten().flatten().all(VertexSums::is_valid),
         None => false,
     };
     let posterior = posterior.filter(|_| sums_are_finite && key.share.admits(&header.tally));

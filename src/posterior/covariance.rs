@@ -2,8 +2,8 @@
 
 use glam::{DVec3, Vec3};
 
-use super::double::Double;
-use super::{Evidence, trace};
+use super::double_double::DoubleDouble;
+use super::{VertexSums, trace};
 
 /// Which standard deviation is read off H_v = (2/R) S_v + 2λ I.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, serde::Serialize, serde::Deserialize)]
@@ -38,8 +38,8 @@ impl Covariance {
 
     /// σ_v in scene units, for `evidence` from `rays` rays and the prior λ (1 / scene unit²).
     #[must_use]
-    pub fn deviation(self, evidence: &Evidence, rays: u64, lambda: f64) -> f64 {
-        let s = &evidence.information;
+    pub fn deviation(self, sums: &VertexSums, rays: u64, lambda: f64) -> f64 {
+        let s = &sums.information;
         let hessian = |per_ray: f64| s.map(|s| 2.0 * per_ray * s);
         let per_ray = 1.0 / (rays.max(1) as f64);
         let variance = match self {
@@ -48,7 +48,7 @@ impl Covariance {
             Self::Block => InverseFactor::new(hessian(per_ray), 2.0 * lambda).trace(),
             Self::Normal => {
                 let inverse = InverseFactor::new(hessian(per_ray), 2.0 * lambda);
-                match Vec3::from_array(evidence.gradient).as_dvec3().try_normalize() {
+                match Vec3::from_array(sums.gradient).as_dvec3().try_normalize() {
                     Some(normal) => inverse.along(normal),
                     None => inverse.trace() / 3.0,
                 }
@@ -60,7 +60,7 @@ impl Covariance {
     /// σ_v where no ray said anything.
     #[must_use]
     pub fn prior(self, lambda: f64) -> f64 {
-        self.deviation(&Evidence::default(), 1, lambda)
+        self.deviation(&VertexSums::default(), 1, lambda)
     }
 
     /// U from the deviations of the eight corners of a cell, with their trilinear weights.
@@ -158,14 +158,14 @@ impl InverseFactor {
             return Self { rows: [0.0; 3], inverse_pivots: [1.0 / floor; 3], floor };
         }
         let [xx, xy, xz, yy, yz, zz] = a;
-        let least = Double::from(floor);
-        let [off_xy, off_xz, off_yz] = [xy, xz, yz].map(Double::from);
-        let d0 = Double::sum(xx, floor).max(least);
+        let least = DoubleDouble::from(floor);
+        let [off_xy, off_xz, off_yz] = [xy, xz, yz].map(DoubleDouble::from);
+        let d0 = DoubleDouble::sum(xx, floor).max(least);
         let (l10, l20) = (off_xy / d0, off_xz / d0);
-        let d1 = (Double::sum(yy, floor) - l10 * off_xy).max(least);
+        let d1 = (DoubleDouble::sum(yy, floor) - l10 * off_xy).max(least);
         let t = off_yz - l20 * off_xy;
         let l21 = t / d1;
-        let d2 = (Double::sum(zz, floor) - l20 * off_xz - l21 * t).max(least);
+        let d2 = (DoubleDouble::sum(zz, floor) - l20 * off_xz - l21 * t).max(least);
         let rows = [-l10, l10 * l21 - l20, -l21].map(f64::from);
         Self { rows, inverse_pivots: [d0, d1, d2].map(|d| 1.0 / f64::from(d)), floor }
     }
@@ -193,8 +193,8 @@ mod tests {
     use num_traits::ToPrimitive;
     use proptest::prelude::*;
 
-    fn seen(information: Information, gradient: [f32; 3]) -> Evidence {
-        Evidence { information, gradient, rays: 1 }
+    fn seen(information: Information, gradient: [f32; 3]) -> VertexSums {
+        VertexSums { information, gradient, rays: 1 }
     }
 
     fn information() -> impl Strategy<Value = Information> {

@@ -10,7 +10,7 @@ pub enum Criterion {
     /// Where there is density, seen or not
     Density,
     /// No finer than the rays can support: about --min-rays rays a vertex (4, if that is 0)
-    Evidence,
+    RayCount,
     /// Everywhere: the dense grid's vertices
     Uniform,
 }
@@ -25,7 +25,7 @@ pub struct Criteria {
     /// [`Criterion::Uniform`].
     pub uniform: bool,
     /// [`Criterion::Evidence`].
-    pub evidence: bool,
+    pub ray_count: bool,
 }
 
 impl Default for Criteria {
@@ -36,12 +36,12 @@ impl Default for Criteria {
 
 impl FromIterator<Criterion> for Criteria {
     fn from_iter<T: IntoIterator<Item = Criterion>>(criteria: T) -> Self {
-        let mut all = Self { sensitivity: false, density: false, uniform: false, evidence: false };
+        let mut all = Self { sensitivity: false, density: false, uniform: false, ray_count: false };
         for criterion in criteria {
             match criterion {
                 Criterion::Sensitivity => all.sensitivity = true,
                 Criterion::Density => all.density = true,
-                Criterion::Evidence => all.evidence = true,
+                Criterion::RayCount => all.ray_count = true,
                 Criterion::Uniform => all.uniform = true,
             }
         }
@@ -57,7 +57,7 @@ impl fmt::Display for Criteria {
             (self.sensitivity, "sensitivity"),
             (self.density, "density"),
             (self.uniform, "uniform"),
-            (self.evidence, "evidence"),
+            (self.ray_count, "ray-count"),
         ];
         let names: Vec<&str> = all.iter().filter(|(on, _)| *on).map(|(_, name)| *name).collect();
         write!(f, "{}", names.join(", "))

@@ -2,52 +2,52 @@
 
 use std::collections::BTreeMap;
 
-use super::{Evidence, Posterior};
+use super::{Posterior, VertexSums};
 use crate::geometry::Lattice;
 use crate::octree::trilinear;
 use crate::render::RaySamples;
 
-/// Evidence of all (M + 1)³ lattice points, one after the other in ray order, in f64.
+/// VertexSums of all (M + 1)³ lattice points, one after the other in ray order, in f64.
 #[derive(Debug, Clone)]
 pub struct DensePosterior {
     lattice: Lattice,
     /// `[(M + 1)³]`, x slowest, z fastest.
-    sums: Vec<Evidence>,
+    sums: Vec<VertexSums>,
 }
 
 impl DensePosterior {
     /// No information yet.
     #[must_use]
     pub fn new(lattice: Lattice) -> Self {
-        Self { lattice, sums: vec![Evidence::default(); lattice.dense_vertices() as usize] }
+        Self { lattice, sums: vec![VertexSums::default(); lattice.dense_vertices() as usize] }
     }
 
     /// A posterior that goes on from `sums`, `[(M + 1)³]`, x slowest; `None` if there are more or fewer.
     #[must_use]
-    pub fn from_sums(lattice: Lattice, sums: Vec<Evidence>) -> Option<Self> {
+    pub fn from_sums(lattice: Lattice, sums: Vec<VertexSums>) -> Option<Self> {
         (sums.len() as u64 == lattice.dense_vertices()).then_some(Self { lattice, sums })
     }
 
     /// Bytes that a dense posterior of this lattice needs.
     #[must_use]
     pub fn required_memory(lattice: &Lattice) -> u64 {
-        lattice.dense_vertices().saturating_mul(size_of::<Evidence>() as u64)
+        lattice.dense_vertices().saturating_mul(size_of::<VertexSums>() as u64)
     }
 
     /// The sums, `[(M + 1)³]`, x slowest.
     #[must_use]
-    pub fn into_sums(self) -> Vec<Evidence> {
+    pub fn into_sums(self) -> Vec<VertexSums> {
         self.sums
     }
 
     /// The sums, `[(M + 1)³]`, x slowest.
     #[must_use]
-    pub fn sums(&self) -> &[Evidence] {
+    pub fn sums(&self) -> &[VertexSums] {
         &self.sums
     }
 
     /// Adds sums over other rays, `[(M + 1)³]`, x slowest.
-    pub fn add_sums(&mut self, sums: &[Evidence]) {
+    pub fn add_sums(&mut self, sums: &[VertexSums]) {
         self.sums.iter_mut().zip(sums).for_each(|(sum, other)| sum.add(other));
     }
 
@@ -99,6 +99,6 @@ impl Posterior for DensePosterior {
     }
 
     fn memory(&self) -> usize {
-        self.sums.capacity() * size_of::<Evidence>()
+        self.sums.capacity() * size_of::<VertexSums>()
     }
 }

@@ -12,19 +12,19 @@ pub mod checkpoint;
 mod covariance;
 mod criteria;
 mod dense;
-mod double;
-mod evidence;
+mod double_double;
 mod octree;
 mod pooling;
 mod prior;
+mod sums;
 
 pub use covariance::{Covariance, negligible_information, negligible_jacobian};
 pub use criteria::{Criteria, Criterion};
 pub use dense::DensePosterior;
-pub use evidence::{Evidence, Information, trace};
-pub use octree::{OctreePosterior, Refinement, Survey};
+pub use octree::{OctreePosterior, PilotCounts, Refinement};
 pub use pooling::Pooling;
 pub use prior::Prior;
+pub use sums::{Information, VertexSums, trace};
 
 use crate::render::RaySamples;
 

@@ -13,7 +13,7 @@
 //! Counting v's own rays instead, or block means until there are enough, smears surfaces into the empty space beside them:
 //! `experiments/pooling.md` has the comparison.
 
-use super::{Evidence, trace};
+use super::{VertexSums, trace};
 use crate::octree::around;
 
 /// How evidence is pooled.
@@ -34,7 +34,7 @@ impl Pooling {
 
     /// The pooled sums of the lattice point `center` on a lattice {0..`last`}³ whose sums are `at`; rays stay the point's own.
     #[must_use]
-    pub fn pooled(&self, center: [u32; 3], last: u32, at: impl Fn([u32; 3]) -> Option<Evidence>) -> Evidence {
+    pub fn pooled(&self, center: [u32; 3], last: u32, at: impl Fn([u32; 3]) -> Option<VertexSums>) -> VertexSums {
         let own = at(center).unwrap_or_default();
         if !self.is_on() {
             return own;
@@ -53,7 +53,7 @@ impl Pooling {
         let cubes = [f64::from(most), 0.5 * self.min_rays].map(|n| n * n * n);
         let share = cubes[0] / (cubes[0] + cubes[1]);
         let mix = |own: f64, sum: f64| share * own + (1.0 - share) * sum / total;
-        Evidence {
+        VertexSums {
             information: std::array::from_fn(|k| mix(own.information[k], information[k])),
             gradient: std::array::from_fn(|k| mix(f64::from(own.gradient[k]), gradient[k]) as f32),
             rays: own.rays,
@@ -67,12 +67,12 @@ mod tests {
 
     const POOLING: Pooling = Pooling { min_rays: 4.0, floor: 0.5 };
 
-    fn seen(xx: f64, rays: u32) -> Evidence {
-        Evidence { information: [xx, 0.0, 0.0, 0.0, 0.0, 0.0], gradient: [xx as f32, 0.0, 0.0], rays }
+    fn seen(xx: f64, rays: u32) -> VertexSums {
+        VertexSums { information: [xx, 0.0, 0.0, 0.0, 0.0, 0.0], gradient: [xx as f32, 0.0, 0.0], rays }
     }
 
     /// Pools at `center` of a lattice on which only `points` were seen.
-    fn pool(center: [u32; 3], points: &[([u32; 3], Evidence)]) -> Evidence {
+    fn pool(center: [u32; 3], points: &[([u32; 3], VertexSums)]) -> VertexSums {
         POOLING.pooled(center, 8, |p| points.iter().find(|(q, _)| *q == p).map(|(_, e)| *e))
     }
 
@@ -93,7 +93,7 @@ mod tests {
         assert!((pool([4, 4, 4], &points).information[0] - (0.5 * 8.0 + 0.5 * 1.0)).abs() < 1e-12);
         assert!((pool([5, 4, 4], &points).information[0] - 0.5 * 0.5).abs() < 1e-12);
         assert!((pool([5, 3, 5], &points).information[0] - 0.5 * 0.125).abs() < 1e-12);
-        assert_eq!(pool([6, 4, 4], &points), Evidence::default());
+        assert_eq!(pool([6, 4, 4], &points), VertexSums::default());
         // Without weights of their own, pooled sums add up to what was there: nothing is invented.
         let sum: f64 = around([4, 4, 4], 8).map(|(p, _)| pool(p, &points).information[0]).sum();
         assert!((sum - 8.0).abs() < 1e-12);

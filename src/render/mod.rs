@@ -19,4 +19,4 @@ pub use noise::{DifferenceError, DifferenceErrors, LONGEST_STEP, TABLE, noise_le
 pub use occupancy::Occupancy;
 pub use samples::{RaySample, RaySamples};
 pub use trace::{TraceBuffers, TracedRays, Tracer};
-pub use view::{Blend, Probe, RenderedView, render_view};
+pub use view::{Probe, RayAverage, RenderedView, render_view};

@@ -14,10 +14,10 @@ use crate::monitor::{Monitor, check};
 /// Letters: w weights of the samples, u = log10 U at them, t their distances, δ the distance between samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Blend {
+pub enum RayAverage {
     /// Σ w u / Σ w: what the ray meets.
     #[default]
-    Hit,
+    WeightedMean,
     /// Σ w u − 3 T_end: the official code's, for which empty space is certain.
     Official,
     /// log10 (Σ w U / Σ w): the expected U, to which the largest contribute most.
@@ -33,16 +33,23 @@ pub enum Blend {
     Spread,
 }
 
-impl Blend {
+impl RayAverage {
     /// All of them.
-    pub const ALL: [Self; 7] =
-        [Self::Hit, Self::Official, Self::Mean, Self::RootMeanSquare, Self::AtExpected, Self::AtMedian, Self::Spread];
+    pub const ALL: [Self; 7] = [
+        Self::WeightedMean,
+        Self::Official,
+        Self::Mean,
+        Self::RootMeanSquare,
+        Self::AtExpected,
+        Self::AtMedian,
+        Self::Spread,
+    ];
 
     /// The name used on the command line and in reports.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
-            Self::Hit => "hit",
+            Self::WeightedMean => "weighted-mean",
             Self::Official => "official",
             Self::Mean => "mean",
             Self::RootMeanSquare => "root-mean-square",
@@ -67,7 +74,7 @@ pub struct Probe<'a> {
     /// The scalar at a point.
     pub value: &'a (dyn Fn(Vec3) -> f64 + Sync),
     /// How it is blended, one number a pixel for each.
-    pub blends: &'a [Blend],
+    pub blends: &'a [RayAverage],
 }
 
 /// An image of a field, row by row from the top left pixel.
@@ -77,7 +84,7 @@ pub struct RenderedView {
     pub resolution: [u32; 2],
     /// `[height · width]`.
     pub pixels: Vec<Pixel>,
-    /// `[probes' blends, one probe after the other][height · width]`: blended log10 U; NaN where nothing was hit (but for [`Blend::Official`]).
+    /// `[probes' blends, one probe after the other][height · width]`: blended log10 U; NaN where nothing was hit (but for [`RayAverage::Official`]).
     pub log10_uncertainty: Vec<Vec<f64>>,
     /// Rays dropped because the field was not finite; they show the background.
     pub dropped: u64,
@@ -188,21 +195,21 @@ struct BlendedRay<'a> {
 
 impl BlendedRay<'_> {
     /// `values` of the samples, any where the weight is zero, none if the blend asks for none; `value` elsewhere.
-    fn blend(&self, blend: Blend, values: &[f64], value: &dyn Fn(Vec3) -> f64) -> f64 {
+    fn blend(&self, blend: RayAverage, values: &[f64], value: &dyn Fn(Vec3) -> f64) -> f64 {
         let total: f64 = self.weights.iter().sum();
         let sum = |of: &dyn Fn(f64) -> f64| -> f64 {
             let hit = self.weights.iter().zip(values).filter(|(w, _)| **w > 0.0);
             hit.map(|(w, &u)| w * of(u)).sum()
         };
         match blend {
-            Blend::Official => sum(&|u| u) + OFFICIAL_EMPTY * self.end_transmittance,
+            RayAverage::Official => sum(&|u| u) + OFFICIAL_EMPTY * self.end_transmittance,
             _ if total <= 0.0 => f64::NAN,
-            Blend::Hit => sum(&|u| u) / total,
-            Blend::Mean => (sum(&|u| 10_f64.powf(u)) / total).log10(),
-            Blend::RootMeanSquare => 0.5 * (sum(&|u| 10_f64.powf(2.0 * u)) / total).log10(),
-            Blend::AtExpected => value(self.at_expected),
-            Blend::AtMedian => value(self.at_median),
-            Blend::Spread => value(self.at_expected) + self.spread.log10(),
+            RayAverage::WeightedMean => sum(&|u| u) / total,
+            RayAverage::Mean => (sum(&|u| 10_f64.powf(u)) / total).log10(),
+            RayAverage::RootMeanSquare => 0.5 * (sum(&|u| 10_f64.powf(2.0 * u)) / total).log10(),
+            RayAverage::AtExpected => value(self.at_expected),
+            RayAverage::AtMedian => value(self.at_median),
+            RayAverage::Spread => value(self.at_expected) + self.spread.log10(),
         }
     }
 }
@@ -219,27 +226,27 @@ mod tests {
         let values = [0.0, 77.0, 2.0];
         let blend = |blend| ray.blend(blend, &values, &|x| if x == Vec3::X { 1.5 } else { 0.25 });
         let expected = [
-            (Blend::Hit, 0.2 / 0.4),
-            (Blend::Official, 0.2 - 3.0 * 0.6),
-            (Blend::Mean, (10.3_f64 / 0.4).log10()),
-            (Blend::RootMeanSquare, 0.5 * (1000.3_f64 / 0.4).log10()),
-            (Blend::AtExpected, 1.5),
-            (Blend::AtMedian, 0.25),
-            (Blend::Spread, 1.5 - 1.0),
+            (RayAverage::WeightedMean, 0.2 / 0.4),
+            (RayAverage::Official, 0.2 - 3.0 * 0.6),
+            (RayAverage::Mean, (10.3_f64 / 0.4).log10()),
+            (RayAverage::RootMeanSquare, 0.5 * (1000.3_f64 / 0.4).log10()),
+            (RayAverage::AtExpected, 1.5),
+            (RayAverage::AtMedian, 0.25),
+            (RayAverage::Spread, 1.5 - 1.0),
         ];
         for (name, expected) in expected {
             assert!((blend(name) - expected).abs() < 1e-12, "{name:?}: {} instead of {expected}", blend(name));
         }
-        assert_eq!(expected.map(|(name, _)| name), Blend::ALL);
+        assert_eq!(expected.map(|(name, _)| name), RayAverage::ALL);
     }
 
     #[test]
     fn a_ray_that_meets_nothing_has_no_value_but_the_official_one() {
         let (at_expected, at_median) = (Vec3::ZERO, Vec3::ZERO);
         let ray = BlendedRay { weights: &[0.0], end_transmittance: 1.0, at_expected, at_median, spread: 0.1 };
-        for blend in Blend::ALL {
+        for blend in RayAverage::ALL {
             let found = ray.blend(blend, &[5.0], &|_| 5.0);
-            assert!(if blend == Blend::Official { found == -3.0 } else { found.is_nan() }, "{blend:?}: {found}");
+            assert!(if blend == RayAverage::Official { found == -3.0 } else { found.is_nan() }, "{blend:?}: {found}");
         }
     }
 }

@@ -78,11 +78,10 @@ impl UncertaintyField {
                 }
             })
         });
-        let rays = self.evidence.as_ref().map(|evidence| {
+        let rays = self.sums.as_ref().map(|sums| {
             let of_corner = |corner: &Corner| {
                 let masters = corner.masters();
-                masters.iter().map(|&VertexId(v)| f64::from(evidence[v as usize].rays)).sum::<f64>()
-                    / masters.len() as f64
+                masters.iter().map(|&VertexId(v)| f64::from(sums[v as usize].rays)).sum::<f64>() / masters.len() as f64
             };
             cursor.corners().each_ref().map(of_corner)
         });

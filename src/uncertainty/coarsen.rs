@@ -8,7 +8,7 @@
 
 use rayon::prelude::*;
 
-use super::{Deviations, Store, Support, UncertaintyField};
+use super::{StandardDeviations, Store, Support, UncertaintyField};
 use crate::octree::{Cell, Octree, VertexId, morton, trilinear};
 use crate::posterior::Covariance;
 use crate::{Error, Result};
@@ -66,8 +66,8 @@ impl UncertaintyField {
             lattice: self.lattice,
             support: Support::Octree(coarse),
             limits: self.limits.clone(),
-            deviations: Deviations::F32(deviations),
-            evidence: None,
+            deviations: StandardDeviations::F32(deviations),
+            sums: None,
             error_bars: None,
             surface: self.surface.clone(),
             draws: self.draws.clone(),
@@ -137,7 +137,7 @@ fn for_each_leaf_within(split: &[Vec<u64>], finest: u8, cell: Cell, visit: &mut 
 mod tests {
     use super::*;
     use crate::geometry::{Aabb, Lattice};
-    use crate::octree::LevelLimits;
+    use crate::octree::MaxLevels;
     use crate::octree::arbitrary::octrees;
     use crate::uncertainty::Protocol;
     use glam::Vec3;
@@ -160,10 +160,10 @@ mod tests {
         UncertaintyField {
             protocol,
             lattice,
-            limits: LevelLimits::none(octree.finest()),
+            limits: MaxLevels::none(octree.finest()),
             support: Support::Octree(octree),
-            deviations: Deviations::F32(deviations),
-            evidence: None,
+            deviations: StandardDeviations::F32(deviations),
+            sums: None,
             error_bars: None,
             surface: vec![],
             draws: vec![],

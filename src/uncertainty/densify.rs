@@ -3,7 +3,7 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::{Deviations, Support, UncertaintyField};
+use super::{StandardDeviations, Support, UncertaintyField};
 
 impl UncertaintyField {
     /// The same U at every vertex of the finest lattice, without evidence or error bars: 4 (M + 1)³ bytes.
@@ -37,8 +37,8 @@ impl UncertaintyField {
             lattice: self.lattice,
             support: Support::Dense,
             limits: self.limits.clone(),
-            deviations: Deviations::F32(values),
-            evidence: None,
+            deviations: StandardDeviations::F32(values),
+            sums: None,
             error_bars: None,
             surface: self.surface.clone(),
             draws: self.draws.clone(),

@@ -21,7 +21,7 @@ use rayon::prelude::*;
 
 use super::reading::read;
 use super::{Protocol, UncertaintyField};
-use crate::posterior::Evidence;
+use crate::posterior::VertexSums;
 
 /// Root mean square errors of log10 σ_v, decades.
 #[derive(Debug, Clone, PartialEq)]
@@ -157,7 +157,7 @@ impl UncertaintyField {
     /// # Panics
     /// If there are fewer than two groups, one has no rays, or the lengths do not match.
     #[must_use]
-    pub fn with_error_bars(mut self, groups: &[Vec<Evidence>], rays: &[u64]) -> Self {
+    pub fn with_error_bars(mut self, groups: &[Vec<VertexSums>], rays: &[u64]) -> Self {
         let vertices = self.deviations.len();
         assert!(groups.iter().all(|group| group.len() == vertices), "one entry per vertex");
         assert!(groups.len() == rays.len() && rays.len() >= 2 && rays.iter().all(|&m| m > 0), "groups with rays");
@@ -166,14 +166,14 @@ impl UncertaintyField {
             // Added up anew: a difference of sums would leave rounding where nothing is left.
             let others = || groups.iter().enumerate().filter(move |(g, _)| *g != deleted).map(|(_, group)| group);
             let sum = |v: usize| {
-                others().fold(Evidence::default(), |mut sum, group| {
+                others().fold(VertexSums::default(), |mut sum, group| {
                     sum.add(&group[v]);
                     sum
                 })
             };
-            let evidence: Vec<Evidence> = (0..vertices).into_par_iter().map(sum).collect();
+            let sums: Vec<VertexSums> = (0..vertices).into_par_iter().map(sum).collect();
             let protocol = Protocol { rays: all - rays[deleted], ..self.protocol.clone() };
-            read(&protocol, &self.lattice, &self.support, &self.limits, &evidence)
+            read(&protocol, &self.lattice, &self.support, &self.limits, &sums)
         };
         let deleted: Vec<_> = (0..groups.len()).map(without).collect();
         let error = |v: usize| {

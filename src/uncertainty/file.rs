@@ -21,11 +21,11 @@ use std::path::Path;
 
 use half::f16;
 
-use super::{Deviations, ErrorBars, Origin, Protocol, Support, UncertaintyField, vertex_count};
+use super::{ErrorBars, Origin, Protocol, StandardDeviations, Support, UncertaintyField, vertex_count};
 use crate::geometry::Lattice;
 use crate::io::container::{self, Format, Reader};
-use crate::octree::{LevelLimits, Octree};
-use crate::posterior::Evidence;
+use crate::octree::{MaxLevels, Octree};
+use crate::posterior::VertexSums;
 use crate::rays::{Draw, Shard};
 use crate::{Error, Result};
 
@@ -64,11 +64,13 @@ impl UncertaintyField {
             }
         };
         let (unit, values, logs) = match &self.deviations {
-            Deviations::F32(values) => (None, values.as_slice(), Vec::new()),
-            Deviations::F16 { unit, logs } => (Some(*unit), &[][..], logs.iter().map(|v| v.to_bits()).collect()),
+            StandardDeviations::F32(values) => (None, values.as_slice(), Vec::new()),
+            StandardDeviations::F16 { unit, logs } => {
+                (Some(*unit), &[][..], logs.iter().map(|v| v.to_bits()).collect())
+            }
         };
         let header = Header { protocol: self.protocol.clone(), lattice: self.lattice, kind, unit };
-        let evidence = self.evidence.as_deref().unwrap_or_default();
+        let sums = self.sums.as_deref().unwrap_or_default();
         let limits = self.limits.packed().unwrap_or_default();
         let errors = self.error_bars.as_ref().map(ErrorBars::words).unwrap_or_default();
         let is_implied = self.draws.iter().copied().eq(self.protocol.draw());
@@ -85,7 +87,7 @@ impl UncertaintyField {
         let origin = serde_json::to_vec(&self.protocol.origin).map_err(failed)?;
         let origin = origin.as_slice();
         let mut sections: Vec<&dyn container::Section> =
-            vec![&masks, &values, &evidence, &surface, &logs, &limits, &errors, &draws, &origin];
+            vec![&masks, &values, &sums, &surface, &logs, &limits, &errors, &draws, &origin];
         let needed = match (has_origin, draws.is_empty(), errors.is_empty()) {
             (true, ..) => PLAIN + 3,
             (_, false, _) => PLAIN + 2,
@@ -114,7 +116,7 @@ impl UncertaintyField {
         }
         let masks = file.section::<u8>("masks")?;
         let values = file.section::<f32>("deviations")?;
-        let evidence = file.section::<Evidence>("evidence")?;
+        let sums = file.section::<VertexSums>("sums")?;
         let surface = file.section::<[f32; 3]>("surface")?;
         if let Some(i) = surface.iter().position(|x| !x.iter().all(|v| v.is_finite())) {
             let found = format!("{:?}", surface[i]);
@@ -122,9 +124,9 @@ impl UncertaintyField {
         }
         let logs = file.section::<u16>("logs")?;
         let deviations = match header.unit {
-            None if logs.is_empty() => Deviations::F32(values),
+            None if logs.is_empty() => StandardDeviations::F32(values),
             Some(unit) if values.is_empty() => {
-                Deviations::F16 { unit, logs: logs.into_iter().map(f16::from_bits).collect() }
+                StandardDeviations::F16 { unit, logs: logs.into_iter().map(f16::from_bits).collect() }
             }
             _ => {
                 let found = format!("{} and {}", values.len(), logs.len());
@@ -132,8 +134,8 @@ impl UncertaintyField {
             }
         };
         let limits = match file.section::<u64>("limits")?.as_slice() {
-            [] => LevelLimits::none(lattice.level()),
-            packed => LevelLimits::from_packed(lattice.level(), packed)
+            [] => MaxLevels::none(lattice.level()),
+            packed => MaxLevels::from_packed(lattice.level(), packed)
                 .ok_or_else(|| Error::malformed(path, "section `limits`", "balanced limits to refinement", "others"))?,
         };
 
@@ -145,9 +147,9 @@ impl UncertaintyField {
                     .map_err(|problem| Error::malformed(path, "section `masks`", "a balanced octree", problem))?,
             };
         let vertices = vertex_count(&lattice, &support);
-        let counts = [("deviations", deviations.len()), ("evidence", evidence.len())];
+        let counts = [("deviations", deviations.len()), ("sums", sums.len())];
         for (name, count) in counts {
-            if count as u64 != vertices && !(name == "evidence" && count == 0) {
+            if count as u64 != vertices && !(name == "sums" && count == 0) {
                 let expected = format!("{vertices} entries, one per vertex");
                 return Err(Error::malformed(path, format!("section `{name}`"), expected, count.to_string()));
             }
@@ -156,16 +158,11 @@ impl UncertaintyField {
             let found = deviations.get(i).to_string();
             return Err(Error::malformed(path, format!("section `deviations`, entry {i}"), "a positive number", found));
         }
-        if let Some(i) = evidence.iter().position(|e| !e.is_valid()) {
-            let found = format!("{:?}", evidence[i]);
-            return Err(Error::malformed(
-                path,
-                format!("section `evidence`, entry {i}"),
-                "sums that rays can give",
-                found,
-            ));
+        if let Some(i) = sums.iter().position(|e| !e.is_valid()) {
+            let found = format!("{:?}", sums[i]);
+            return Err(Error::malformed(path, format!("section `sums`, entry {i}"), "sums that rays can give", found));
         }
-        let evidence = (!evidence.is_empty()).then_some(evidence);
+        let sums = (!sums.is_empty()).then_some(sums);
         let has_origin = file.left() > 2;
         let words = if file.left() > 0 { Some(file.section::<u16>("errors")?) } else { None };
         let draws = if file.left() > 0 { Some(file.section::<[u64; 4]>("draws")?) } else { None };
@@ -191,6 +188,6 @@ impl UncertaintyField {
             let found = "an empty part, or two that may have rays in common";
             return Err(Error::malformed(path, "section `draws`", "parts of runs, each ray in one of them", found));
         }
-        Ok(Self { protocol, lattice, support, limits, deviations, evidence, error_bars, surface, draws })
+        Ok(Self { protocol, lattice, support, limits, deviations, sums, error_bars, surface, draws })
     }
 }

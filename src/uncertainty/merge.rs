@@ -2,7 +2,7 @@
 
 use super::{Protocol, Support, UncertaintyField};
 use crate::octree::VertexId;
-use crate::posterior::{DensePosterior, Evidence, OctreePosterior, Refinement};
+use crate::posterior::{DensePosterior, OctreePosterior, Refinement, VertexSums};
 use crate::rays::Draw;
 use crate::{Error, Result};
 
@@ -36,10 +36,10 @@ pub fn merge(parts: &[UncertaintyField]) -> Result<UncertaintyField> {
             }
         }
     }
-    let evidence: Vec<&[Evidence]> = parts
+    let kept: Vec<&[VertexSums]> = parts
         .iter()
         .map(|part| {
-            part.evidence().ok_or_else(|| {
+            part.sums().ok_or_else(|| {
                 Error::setting("fields to merge", "fields that keep their Hessian", "one that holds deviations only")
             })
         })
@@ -57,7 +57,7 @@ pub fn merge(parts: &[UncertaintyField]) -> Result<UncertaintyField> {
     match &first.support {
         Support::Dense => {
             let mut sums = DensePosterior::new(first.lattice).into_sums();
-            for part in evidence {
+            for part in kept {
                 sums.iter_mut().zip(part).for_each(|(sum, more)| sum.add(more));
             }
             Ok(UncertaintyField::new(protocol, first.lattice, Support::Dense, sums)
@@ -74,10 +74,10 @@ pub fn merge(parts: &[UncertaintyField]) -> Result<UncertaintyField> {
                 }
             }
             let mut posterior = OctreePosterior::limited(first.lattice, first.limits.clone());
-            for (part, evidence) in parts.iter().zip(evidence) {
+            for (part, kept) in parts.iter().zip(kept) {
                 let Support::Octree(octree) = &part.support else { continue };
-                for (point, e) in octree.vertex_positions().zip(evidence) {
-                    posterior.add_evidence(point, e);
+                for (point, e) in octree.vertex_positions().zip(kept) {
+                    posterior.add_sums_at(point, e);
                 }
             }
             let floor = joined_floor(parts, &draws);
@@ -105,17 +105,17 @@ pub fn merge_with_error_bars(parts: &[UncertaintyField]) -> Result<UncertaintyFi
             ));
         }
     }
-    let at = |part: &UncertaintyField| -> Vec<Evidence> {
-        let own = part.evidence().unwrap_or_default();
+    let at = |part: &UncertaintyField| -> Vec<VertexSums> {
+        let own = part.sums().unwrap_or_default();
         match (&merged.support, &part.support) {
             (Support::Octree(whole), Support::Octree(octree)) => {
-                let vertex = |point| octree.vertex(point).map_or(Evidence::default(), |VertexId(v)| own[v as usize]);
+                let vertex = |point| octree.vertex(point).map_or(VertexSums::default(), |VertexId(v)| own[v as usize]);
                 whole.vertex_positions().map(vertex).collect()
             }
             _ => own.to_vec(),
         }
     };
-    let groups: Vec<Vec<Evidence>> = parts.iter().map(at).collect();
+    let groups: Vec<Vec<VertexSums>> = parts.iter().map(at).collect();
     let rays: Vec<u64> = parts.iter().map(|part| part.protocol.rays).collect();
     Ok(merged.with_error_bars(&groups, &rays))
 }

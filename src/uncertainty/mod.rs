@@ -7,30 +7,30 @@ mod batch;
 mod coarsen;
 mod compare;
 mod densify;
-mod deviations;
 mod error_bars;
 mod file;
 mod merge;
 mod official;
 mod protocol;
 mod reading;
+mod standard_deviations;
 mod threshold;
 
 pub use compare::{Comparison, Difference, Summary, compare};
-pub use deviations::{Deviations, Store};
 pub use error_bars::{ErrorBars, ErrorSummary, Jackknife};
 pub use file::FORMAT_VERSION;
 pub use merge::{merge, merge_with_error_bars};
 pub use official::OfficialGrid;
 pub use protocol::{Origin, Protocol, SAMPLES_SHARE};
+pub use standard_deviations::{StandardDeviations, Store};
 pub use threshold::ThresholdedField;
 
 use glam::{DVec3, Vec3};
 
 use self::reading::read;
 use crate::geometry::Lattice;
-use crate::octree::{Cell, LevelLimits, Octree, VertexId, trilinear};
-use crate::posterior::{Covariance, Evidence, OctreePosterior, Refinement};
+use crate::octree::{Cell, MaxLevels, Octree, VertexId, trilinear};
+use crate::posterior::{Covariance, OctreePosterior, Refinement, VertexSums};
 use crate::rays::Draw;
 use crate::{Error, Result};
 
@@ -67,11 +67,11 @@ pub struct UncertaintyField {
     lattice: Lattice,
     support: Support,
     /// The leaves that rays were summed on.
-    limits: LevelLimits,
+    limits: MaxLevels,
     /// `[vertices]`: σ_v, scene units.
-    deviations: Deviations,
+    deviations: StandardDeviations,
     /// `[vertices]`: what rays said, if kept, so that another covariance can be read off later.
-    evidence: Option<Vec<Evidence>>,
+    sums: Option<Vec<VertexSums>>,
     /// `[vertices]`: how far log10 σ_v is from its limit, if independent groups of rays were compared.
     error_bars: Option<ErrorBars>,
     /// `[n]`: some points on visible surfaces, scene units; for comparisons.
@@ -86,21 +86,21 @@ impl UncertaintyField {
     /// # Panics
     /// If the number of entries is not the number of vertices.
     #[must_use]
-    pub fn new(protocol: Protocol, lattice: Lattice, support: Support, evidence: Vec<Evidence>) -> Self {
+    pub fn new(protocol: Protocol, lattice: Lattice, support: Support, sums: Vec<VertexSums>) -> Self {
         let vertices = vertex_count(&lattice, &support);
-        assert_eq!(evidence.len() as u64, vertices, "one entry per vertex");
-        let limits = LevelLimits::none(lattice.level());
-        Self::of_limits(protocol, lattice, support, limits, evidence)
+        assert_eq!(sums.len() as u64, vertices, "one entry per vertex");
+        let limits = MaxLevels::none(lattice.level());
+        Self::of_limits(protocol, lattice, support, limits, sums)
     }
 
     fn of_limits(
         protocol: Protocol,
         lattice: Lattice,
         support: Support,
-        limits: LevelLimits,
-        evidence: Vec<Evidence>,
+        limits: MaxLevels,
+        sums: Vec<VertexSums>,
     ) -> Self {
-        let deviations = read(&protocol, &lattice, &support, &limits, &evidence);
+        let deviations = read(&protocol, &lattice, &support, &limits, &sums);
         let draws = protocol.draw().into_iter().collect();
         Self {
             protocol,
@@ -108,7 +108,7 @@ impl UncertaintyField {
             support,
             limits,
             deviations,
-            evidence: Some(evidence),
+            sums: Some(sums),
             error_bars: None,
             surface: Vec::new(),
             draws,
@@ -135,14 +135,14 @@ impl UncertaintyField {
         let pooling = protocol.pooling();
         let floor = protocol.criteria.sensitivity.then_some(floor);
         let refinement = Refinement { floor, pooling, wanted };
-        let (octree, evidence) = posterior.into_octree(&refinement);
-        Self::of_limits(protocol, lattice, Support::Octree(octree), limits, evidence)
+        let (octree, sums) = posterior.into_octree(&refinement);
+        Self::of_limits(protocol, lattice, Support::Octree(octree), limits, sums)
     }
 
     /// The same field without the evidence: a fifteenth of the memory, but the covariance is fixed.
     #[must_use]
-    pub fn without_evidence(self) -> Self {
-        Self { evidence: None, ..self }
+    pub fn without_sums(self) -> Self {
+        Self { sums: None, ..self }
     }
 
     /// The same field with its deviations in two bytes each and without evidence. Its tolerance grows by the rounding.
@@ -153,7 +153,7 @@ impl UncertaintyField {
             self.protocol.tolerance += self.deviations.f16_rounding(prior);
             self.deviations = self.deviations.to_f16(prior);
         }
-        self.without_evidence()
+        self.without_sums()
     }
 
     /// The same field, which names the model that it was computed for by its [checksum](crate::open::checksum).
@@ -193,14 +193,14 @@ impl UncertaintyField {
     /// If the evidence was not kept.
     pub fn with_covariance(mut self, covariance: Covariance) -> Result<Self> {
         if covariance != self.protocol.covariance {
-            let Some(evidence) = &self.evidence else {
+            let Some(sums) = &self.sums else {
                 let found =
                     format!("a field that holds `{}` only, without the Hessian", self.protocol.covariance.name());
                 return Err(Error::setting("covariance", covariance.name(), found));
             };
             self.protocol.covariance = covariance;
             self.error_bars = None;
-            self.deviations = read(&self.protocol, &self.lattice, &self.support, &self.limits, evidence);
+            self.deviations = read(&self.protocol, &self.lattice, &self.support, &self.limits, sums);
         }
         Ok(self)
     }
@@ -212,13 +212,13 @@ impl UncertaintyField {
     /// negligible beside that was not kept.
     pub fn with_lambda(mut self, lambda: f64) -> Result<Self> {
         let least = if self.support == Support::Dense { f64::MIN_POSITIVE } else { self.protocol.lambda };
-        let (Some(evidence), true) = (&self.evidence, lambda >= least && lambda.is_finite()) else {
-            let expected = format!("a field with its evidence, and at least {least:e}");
+        let (Some(sums), true) = (&self.sums, lambda >= least && lambda.is_finite()) else {
+            let expected = format!("a field with its sums, and at least {least:e}");
             return Err(Error::setting("lambda", expected, format!("{lambda:e}")));
         };
         self.protocol.lambda = lambda;
         self.error_bars = None;
-        self.deviations = read(&self.protocol, &self.lattice, &self.support, &self.limits, evidence);
+        self.deviations = read(&self.protocol, &self.lattice, &self.support, &self.limits, sums);
         Ok(self)
     }
 
@@ -227,15 +227,15 @@ impl UncertaintyField {
     /// # Errors
     /// If it is an octree, which holds only what its own pooling needs, or the evidence was not kept.
     pub fn with_pooling(mut self, min_rays: f64, tolerance: f64) -> Result<Self> {
-        match (&self.support, &self.evidence) {
-            (Support::Dense, Some(evidence)) => {
+        match (&self.support, &self.sums) {
+            (Support::Dense, Some(sums)) => {
                 self.protocol.min_rays = min_rays;
                 self.protocol.tolerance = tolerance;
                 self.error_bars = None;
-                self.deviations = read(&self.protocol, &self.lattice, &self.support, &self.limits, evidence);
+                self.deviations = read(&self.protocol, &self.lattice, &self.support, &self.limits, sums);
                 Ok(self)
             }
-            _ => Err(Error::setting("field to pool anew", "a dense grid with its evidence", "an octree, or none")),
+            _ => Err(Error::setting("field to pool anew", "a dense grid with its sums", "an octree, or none")),
         }
     }
 
@@ -259,14 +259,14 @@ impl UncertaintyField {
 
     /// The leaves that rays were summed on.
     #[must_use]
-    pub fn limits(&self) -> &LevelLimits {
+    pub fn limits(&self) -> &MaxLevels {
         &self.limits
     }
 
     /// `[vertices]`: what rays said, if kept.
     #[must_use]
-    pub fn evidence(&self) -> Option<&[Evidence]> {
-        self.evidence.as_deref()
+    pub fn sums(&self) -> Option<&[VertexSums]> {
+        self.sums.as_deref()
     }
 
     /// Median number of rays over the vertices that moved by more than half a decade from the prior; `None` if there are none, or the
@@ -274,8 +274,8 @@ impl UncertaintyField {
     #[must_use]
     pub fn median_rays(&self) -> Option<u32> {
         let moved = self.prior() * 10_f64.powf(-0.5);
-        let evidence = self.evidence.as_ref()?;
-        let seen = self.deviations.iter().zip(evidence).filter(|(sigma, _)| *sigma < moved);
+        let sums = self.sums.as_ref()?;
+        let seen = self.deviations.iter().zip(sums).filter(|(sigma, _)| *sigma < moved);
         let mut rays: Vec<u32> = seen.map(|(_, e)| e.rays).collect();
         let middle = rays.len() / 2;
         (!rays.is_empty()).then(|| *rays.select_nth_unstable(middle).1)
@@ -283,7 +283,7 @@ impl UncertaintyField {
 
     /// `[vertices]`: σ_v, scene units.
     #[must_use]
-    pub fn deviations(&self) -> &Deviations {
+    pub fn deviations(&self) -> &StandardDeviations {
         &self.deviations
     }
 
@@ -322,20 +322,20 @@ impl UncertaintyField {
     /// tr S at a lattice point: exact where a vertex is, 0 elsewhere (there it is negligible); `None` if not kept.
     #[must_use]
     pub fn trace_at(&self, point: [u32; 3]) -> Option<f64> {
-        let evidence = self.evidence.as_ref()?;
+        let sums = self.sums.as_ref()?;
         let vertex = match &self.support {
             Support::Dense => Some(self.dense_index(point)),
             Support::Octree(octree) => octree.vertex(point).map(|VertexId(v)| v as usize),
         };
-        Some(vertex.map_or(0.0, |v| crate::posterior::trace(&evidence[v].information)))
+        Some(vertex.map_or(0.0, |v| crate::posterior::trace(&sums[v].information)))
     }
 
     /// Bytes on the heap by part, spare capacity included.
     #[must_use]
     pub fn memory(&self) -> Vec<(&'static str, usize)> {
         let mut parts = vec![("deviations", self.deviations.memory())];
-        if let Some(evidence) = &self.evidence {
-            parts.push(("evidence", evidence.capacity() * size_of::<Evidence>()));
+        if let Some(sums) = &self.sums {
+            parts.push(("sums", sums.capacity() * size_of::<VertexSums>()));
         }
         if let Some(error_bars) = &self.error_bars {
             parts.push(("error bars", error_bars.memory()));
@@ -369,7 +369,7 @@ impl UncertaintyField {
         let weights = trilinear(offset);
         let corners = vertices.map(|v| self.deviations.get(v));
         let rays =
-            self.evidence.as_ref().map(|e| vertices.iter().zip(weights).map(|(&v, w)| w * f64::from(e[v].rays)).sum());
+            self.sums.as_ref().map(|e| vertices.iter().zip(weights).map(|(&v, w)| w * f64::from(e[v].rays)).sum());
         let covariance = self.protocol.covariance;
         let uncertainty = covariance.interpolate(&corners, &weights);
         let errors = self.error_bars.as_ref().map(|errors| vertices.map(|v| errors.get(v)));

@@ -10,7 +10,7 @@ use std::path::Path;
 use super::{Protocol, Support, UncertaintyField};
 use crate::geometry::{Aabb, Lattice};
 use crate::io::npy;
-use crate::posterior::{Covariance, Evidence};
+use crate::posterior::{Covariance, VertexSums};
 use crate::{Error, Result};
 
 /// What the official file does not say.
@@ -44,17 +44,17 @@ impl OfficialGrid {
             return Err(Error::malformed(path, format!("data, element {i}"), "a finite sum of squares", found));
         }
         let lattice = Lattice::new(self.bounds, level)?;
-        let mut evidence = Vec::with_capacity(array.data.len());
+        let mut sums = Vec::with_capacity(array.data.len());
         for_each_vertex(lattice.cells_per_axis(), |_, index| {
             // Only the trace is known: an isotropic matrix has it.
             let third = f64::from(array.data[index]) / 3.0;
-            evidence.push(Evidence { information: [third, 0.0, 0.0, third, 0.0, third], ..Evidence::default() });
+            sums.push(VertexSums { information: [third, 0.0, 0.0, third, 0.0, third], ..VertexSums::default() });
         });
         let source = format!("official grid {}", path.display());
         let lambda = self.lambda.unwrap_or_else(|| lattice.default_lambda());
         let protocol = Protocol::unstated(source, self.rays, lambda, Covariance::Trace);
         // An isotropic stand-in supports no other covariance honestly, so the matrices are not kept.
-        Ok(UncertaintyField::new(protocol, lattice, Support::Dense, evidence).without_evidence())
+        Ok(UncertaintyField::new(protocol, lattice, Support::Dense, sums).without_sums())
     }
 }
 
@@ -72,7 +72,7 @@ impl UncertaintyField {
             return Err(Error::setting("export", "a field of a box", "a contracted domain"));
         }
         if !self.limits.is_unlimited() {
-            let found = "one whose sums lie on coarser leaves (--memory or --refine evidence)";
+            let found = "one whose sums lie on coarser leaves (--memory or --refine ray-count)";
             return Err(Error::setting("export", "a field on the finest lattice", found));
         }
         let m = self.lattice.cells_per_axis();

@@ -2,10 +2,10 @@
 
 use rayon::prelude::*;
 
-use super::{Deviations, Protocol, Support};
+use super::{Protocol, StandardDeviations, Support};
 use crate::geometry::Lattice;
-use crate::octree::{LevelLimits, VertexId};
-use crate::posterior::{Evidence, Prior};
+use crate::octree::{MaxLevels, VertexId};
+use crate::posterior::{Prior, VertexSums};
 
 /// σ_v of every vertex: evidence pooled, then read with the prior of its place.
 ///
@@ -15,37 +15,37 @@ pub fn read(
     protocol: &Protocol,
     lattice: &Lattice,
     support: &Support,
-    limits: &LevelLimits,
-    evidence: &[Evidence],
-) -> Deviations {
+    limits: &MaxLevels,
+    sums: &[VertexSums],
+) -> StandardDeviations {
     let Protocol { covariance, rays, lambda, prior, .. } = *protocol;
     let pooling = protocol.pooling();
     let last = lattice.cells_per_axis();
-    let one = |e: &Evidence, lambda: f64| (covariance.deviation(e, rays, lambda) as f32).max(f32::MIN_POSITIVE);
-    Deviations::F32(match support {
+    let one = |e: &VertexSums, lambda: f64| (covariance.deviation(e, rays, lambda) as f32).max(f32::MIN_POSITIVE);
+    StandardDeviations::F32(match support {
         _ if !pooling.is_on() && prior == Prior::Uniform && limits.is_unlimited() => {
-            evidence.par_iter().map(|e| one(e, lambda)).collect()
+            sums.par_iter().map(|e| one(e, lambda)).collect()
         }
         Support::Dense => {
             let n = last as usize + 1;
             let index = |[x, y, z]: [u32; 3]| (x as usize * n + y as usize) * n + z as usize;
             let point = |i: usize| [i / (n * n), i / n % n, i % n].map(|i| i as u32);
-            let pooled = |i: usize| pooling.pooled(point(i), last, |p| Some(evidence[index(p)]));
-            (0..evidence.len()).into_par_iter().map(|i| one(&pooled(i), lambda)).collect()
+            let pooled = |i: usize| pooling.pooled(point(i), last, |p| Some(sums[index(p)]));
+            (0..sums.len()).into_par_iter().map(|i| one(&pooled(i), lambda)).collect()
         }
         Support::Octree(octree) => {
             let points: Vec<[u32; 3]> = octree.vertex_positions().collect();
-            let at = |p| octree.vertex(p).map(|VertexId(v)| evidence[v as usize]);
+            let at = |p| octree.vertex(p).map(|VertexId(v)| sums[v as usize]);
             // Vertices of coarser leaves have no neighbours on the finest lattice, and larger hats: they stay by themselves.
             let pooled = |v: usize| match pooling.is_on() && octree.is_surrounded_by_finest(points[v]) {
                 true => pooling.pooled(points[v], last, at),
-                false => evidence[v],
+                false => sums[v],
             };
             let comparable = |v: usize| {
-                let mut evidence = pooled(v);
+                let mut sums = pooled(v);
                 let footprint = limits.footprint(points[v]);
-                evidence.information.iter_mut().for_each(|s| *s /= footprint);
-                evidence
+                sums.information.iter_mut().for_each(|s| *s /= footprint);
+                sums
             };
             let deviation = |v: usize| one(&comparable(v), prior.at(lambda, octree, points[v]));
             (0..points.len()).into_par_iter().map(deviation).collect()

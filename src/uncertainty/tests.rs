@@ -70,13 +70,13 @@ fn with_bars(field: UncertaintyField) -> UncertaintyField {
         0 => [1.0, 0.0, 0.0][g],
         n => [0.5, 0.3 - 0.05 * n as f64, 0.2 + 0.05 * n as f64][g],
     };
-    let evidence = field.evidence().unwrap().to_vec();
+    let sums = field.sums().unwrap().to_vec();
     let group = |g: usize| {
-        let part = |(v, e): (usize, &Evidence)| {
+        let part = |(v, e): (usize, &VertexSums)| {
             let share = share(v, g);
-            Evidence { information: e.information.map(|s| share * s), rays: u32::from(share > 0.0) * e.rays, ..*e }
+            VertexSums { information: e.information.map(|s| share * s), rays: u32::from(share > 0.0) * e.rays, ..*e }
         };
-        evidence.iter().enumerate().map(part).collect()
+        sums.iter().enumerate().map(part).collect()
     };
     field.with_error_bars(&[group(0), group(1), group(2)], &[8, 7, 5])
 }
@@ -86,9 +86,9 @@ fn error_bars_are_those_of_fields_without_each_group() {
     for covariance in Covariance::ALL {
         for field in pooled_fields(covariance, 1.0, 2.0).into_iter().chain(fields(covariance, 1.0)) {
             let field = with_bars(field);
-            let evidence = field.evidence().unwrap();
+            let sums = field.sums().unwrap();
             let bars = field.error_bars().unwrap();
-            assert_eq!((bars.groups(), bars.len()), (3, evidence.len()));
+            assert_eq!((bars.groups(), bars.len()), (3, sums.len()));
             // By hand: the fields of the other groups' rays, made as fields are.
             let without = |g: usize| {
                 let kept = |v: usize| match v % 5 {
@@ -97,18 +97,18 @@ fn error_bars_are_those_of_fields_without_each_group() {
                 };
                 // Each of the other groups that saw a vertex counts its rays.
                 let rays = |v: usize| if v.is_multiple_of(5) { u32::from(g != 0) } else { 2 };
-                let part = |(v, e): (usize, &Evidence)| Evidence {
+                let part = |(v, e): (usize, &VertexSums)| VertexSums {
                     information: e.information.map(|s| kept(v) * s),
                     rays: rays(v) * e.rays,
                     ..*e
                 };
                 let protocol = Protocol { rays: [12, 13, 15][g], ..field.protocol.clone() };
-                let evidence = evidence.iter().enumerate().map(part).collect();
-                UncertaintyField::new(protocol, field.lattice, field.support.clone(), evidence)
+                let sums = sums.iter().enumerate().map(part).collect();
+                UncertaintyField::new(protocol, field.lattice, field.support.clone(), sums)
             };
             let others = [0, 1, 2].map(without);
             let mut known = 0;
-            for (v, e) in evidence.iter().enumerate() {
+            for (v, e) in sums.iter().enumerate() {
                 let deleted = others.each_ref().map(|other| other.deviations().get(v).log10());
                 let expected = Jackknife::of(field.deviations().get(v).log10(), &deleted, &[8, 7, 5]).error();
                 if e.rays == 0 || v.is_multiple_of(5) {
@@ -170,7 +170,7 @@ fn error_bars_stay_where_they_are_true() {
     for field in [dense.clone(), octree.clone()] {
         let bars = field.error_bars().cloned();
         assert_eq!(field.clone().in_f16().error_bars().cloned(), bars);
-        assert_eq!(field.clone().without_evidence().error_bars().cloned(), bars);
+        assert_eq!(field.clone().without_sums().error_bars().cloned(), bars);
         assert_eq!(field.clone().with_covariance(Covariance::Block).unwrap().error_bars().cloned(), bars);
         assert_eq!(field.clone().with_covariance(Covariance::Trace).unwrap().error_bars(), None);
         assert_eq!(field.on_dense_grid().error_bars(), None);
@@ -245,7 +245,7 @@ fn files_survive_bit_by_bit() {
         let all = [
             (1, field.clone()),
             (3, drawn(&field)),
-            (1, field.clone().without_evidence()),
+            (1, field.clone().without_sums()),
             (2, bars.clone()),
             (3, drawn(&bars)),
             (2, bars.clone().in_f16()),
@@ -277,7 +277,7 @@ fn every_truncation_and_every_altered_byte_is_refused() {
         protocol(&lattice, Covariance::Trace, 5),
         lattice,
         Support::Octree(octree),
-        vec![Evidence::default(); 8],
+        vec![VertexSums::default(); 8],
     )
     .write(&good)
     .unwrap();
@@ -299,11 +299,11 @@ fn every_truncation_and_every_altered_byte_is_refused() {
 }
 
 #[test]
-fn evidence_allows_another_covariance_later() {
+fn sums_allow_another_covariance_later() {
     let [_, diagonal] = fields(Covariance::Diagonal, 1.0);
     let [_, block] = fields(Covariance::Block, 1.0);
     assert_eq!(diagonal.clone().with_covariance(Covariance::Block).unwrap().deviations(), block.deviations());
-    let error = diagonal.without_evidence().with_covariance(Covariance::Block).unwrap_err();
+    let error = diagonal.without_sums().with_covariance(Covariance::Block).unwrap_err();
     assert!(error.to_string().contains("without the Hessian"), "{error}");
 }
 
@@ -348,7 +348,7 @@ fn batches_answer_as_single_queries_do() {
     points[77] = Vec3::new(f32::NAN, 0.0, 0.0);
     points[78] = Vec3::ONE;
     for field in fields(Covariance::Block, 1.0) {
-        for field in [field.clone(), field.clone().without_evidence(), with_bars(field)] {
+        for field in [field.clone(), field.clone().without_sums(), with_bars(field)] {
             let together = field.query_all(&points);
             assert!(points.iter().zip(&together).all(|(&x, found)| *found == field.query(x)));
             assert!(together.iter().filter(|e| !e.inside).count() > 1000);
@@ -371,7 +371,7 @@ fn a_dense_copy_has_the_values_of_every_vertex() {
 }
 
 #[test]
-fn another_lambda_is_read_off_the_same_evidence() {
+fn another_lambda_is_read_off_the_same_sums() {
     for covariance in Covariance::ALL {
         for field in fields(covariance, 1.0) {
             let lambda = field.protocol().lambda;
@@ -387,7 +387,7 @@ fn another_lambda_is_read_off_the_same_evidence() {
                 Support::Octree(_) => assert!(larger.with_lambda(lambda).is_err()),
             }
             assert!(field.clone().with_lambda(f64::NAN).is_err());
-            assert!(field.without_evidence().with_lambda(lambda).is_err());
+            assert!(field.without_sums().with_lambda(lambda).is_err());
         }
     }
 }

@@ -15,8 +15,8 @@ impl Quantity {
         // Decades below the prior, of every vertex.
         let gains = |covariance: Covariance| {
             let prior = covariance.prior(protocol.lambda);
-            let evidence = field.evidence().unwrap_or_default().iter();
-            evidence.map(move |e| (prior / covariance.deviation(e, protocol.rays, protocol.lambda)).log10())
+            let sums = field.sums().unwrap_or_default().iter();
+            sums.map(move |e| (prior / covariance.deviation(e, protocol.rays, protocol.lambda)).log10())
         };
         match self {
             Self::Diagonal => gains(Covariance::Diagonal).fold(0.0, f64::max),

@@ -8,7 +8,7 @@ use octobayes::estimate::{FieldBuilder, GridKind, GridSettings, Provenance};
 use octobayes::field::{Coordinates, Intrinsics, NerfMlp, Ppng, Radiance, RadianceField, VoxelGrid};
 use octobayes::geometry::{Aabb, Camera, Domain};
 use octobayes::monitor::Silent;
-use octobayes::octree::LevelLimits;
+use octobayes::octree::MaxLevels;
 use octobayes::posterior::{Covariance, checkpoint};
 use octobayes::rays::{RunProgress, SamplesReader};
 use octobayes::synth::{Mesh, Scene, Up};
@@ -32,7 +32,7 @@ pub fn open(kind: Kind, path: &Path) -> bool {
         Kind::Field => UncertaintyField::read(path).is_ok(),
         Kind::Checkpoint => [GridKind::Octree, GridKind::Dense].into_iter().any(|grid| {
             let key = samples::run_key(grid);
-            let limits = LevelLimits::none(key.lattice.level());
+            let limits = MaxLevels::none(key.lattice.level());
             checkpoint::load(path, &key, &limits, grid == GridKind::Dense).is_ok()
         }),
         Kind::Ppng => Ppng::read(path, Coordinates::Ngp).is_ok(),
@@ -125,8 +125,8 @@ fn state(path: &Path) -> Result<()> {
     for grid in [GridKind::Octree, GridKind::Dense] {
         let key = samples::run_key(grid);
         let level = key.lattice.level();
-        let limits = LevelLimits::none(level);
-        let _ = checkpoint::evidence(path);
+        let limits = MaxLevels::none(level);
+        let _ = checkpoint::rays_per_vertex(path);
         outcome = checkpoint::load(path, &key, &limits, grid == GridKind::Dense).map(|state| {
             assert!(key.share.admits(&state.tally));
             assert!(state.surface.len() as u64 <= key.surface_points, "no more points than the run keeps");

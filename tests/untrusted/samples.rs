@@ -12,7 +12,7 @@ use octobayes::geometry::{Aabb, Camera, Domain, Norm};
 use octobayes::io::npy;
 use octobayes::monitor::Silent;
 use octobayes::posterior::checkpoint::RunKey;
-use octobayes::posterior::{Covariance, Criteria, Evidence, Prior};
+use octobayes::posterior::{Covariance, Criteria, Prior, VertexSums};
 use octobayes::rays::{Pixels, RunProgress, SamplesWriter, Shard};
 use octobayes::render::{GradientMethod, RaySample, RaySamples};
 use octobayes::uncertainty::UncertaintyField;
@@ -93,7 +93,7 @@ pub fn fields() -> Vec<UncertaintyField> {
     let normal = GridSettings { covariance: Covariance::Normal, prior: Prior::Volume, ..small };
     let limited = GridSettings {
         level: 6,
-        criteria: Criteria { evidence: true, ..Criteria::default() },
+        criteria: Criteria { ray_count: true, ..Criteria::default() },
         surface_points: 5,
         ..small
     };
@@ -102,17 +102,17 @@ pub fn fields() -> Vec<UncertaintyField> {
     let limited = estimate(&ClosedForm::ball(), &cameras, &rays, &limited, &Silent).unwrap().0;
     // Error bars, known and not.
     let bars = |field: UncertaintyField| {
-        let half = field.evidence().unwrap().to_vec();
-        let other = half.iter().enumerate().map(|(v, e)| if v % 3 == 0 { *e } else { Evidence::default() }).collect();
+        let half = field.sums().unwrap().to_vec();
+        let other = half.iter().enumerate().map(|(v, e)| if v % 3 == 0 { *e } else { VertexSums::default() }).collect();
         field.with_error_bars(&[half, other], &[3, 2])
     };
     vec![
         field(small, cube),
-        field(GridSettings { level: 1, ..small }, cube).without_evidence(),
+        field(GridSettings { level: 1, ..small }, cube).without_sums(),
         field(block, cube).in_f16(),
         field(normal, space),
         field(GridSettings { grid: GridKind::Dense, level: 1, ..small }, cube),
-        limited.without_evidence(),
+        limited.without_sums(),
         bars(field(small, cube)),
         bars(field(GridSettings { grid: GridKind::Dense, level: 1, ..small }, cube)).in_f16(),
     ]
@@ -138,7 +138,7 @@ pub fn run_key(grid: GridKind) -> RunKey {
         background: [1.0; 3],
         pixel_offset: 0.5,
         surface_points: 100,
-        evidence: 0.0,
+        rays_per_vertex: 0.0,
         limits: 0,
     }
 }

@@ -6,7 +6,7 @@ use octobayes::estimate::{FieldBuilder, GridKind, GridSettings, Provenance, RayS
 use octobayes::field::{Intrinsics, RadianceField};
 use octobayes::geometry::{Camera, Domain};
 use octobayes::monitor::Silent;
-use octobayes::posterior::{Covariance, Evidence};
+use octobayes::posterior::{Covariance, VertexSums};
 use octobayes::rays::{Pick, RunProgress, Shard};
 use octobayes::uncertainty::UncertaintyField;
 use octobayes::zoo::Specimen;
@@ -90,8 +90,8 @@ pub fn lambda(field: &Specimen, level: u8) -> f64 {
     1e-4 / f64::from(1_u32 << level).powi(3) / (edge * edge)
 }
 
-fn matrix(evidence: &Evidence) -> DMat3 {
-    let [xx, xy, xz, yy, yz, zz] = evidence.information;
+fn matrix(sums: &VertexSums) -> DMat3 {
+    let [xx, xy, xz, yy, yz, zz] = sums.information;
     DMat3::from_cols_array(&[xx, xy, xz, xy, yy, yz, xz, yz, zz])
 }
 
@@ -120,11 +120,11 @@ impl Error {
 /// A run against the oracle's sums over its rays.
 pub fn error(case: &Case, run: &Run, truth: &Sums) -> Error {
     let (rays, lambda) = (run.picks.len() as u64, lambda(case.field, case.level));
-    let evidence = run.field.evidence().expect("it was kept");
-    assert_eq!(evidence.len(), truth.information.len());
+    let sums = run.field.sums().expect("it was kept");
+    assert_eq!(sums.len(), truth.information.len());
     let mut error = Error::default();
     let prior = readings(&DMat3::ZERO, rays, lambda)[1].log10();
-    for (found, truth) in evidence.iter().zip(&truth.information) {
+    for (found, truth) in sums.iter().zip(&truth.information) {
         let (a, b) = (hessian(&matrix(found), rays, lambda), hessian(truth, rays, lambda));
         let norm = |m: DMat3| m.to_cols_array().iter().map(|v| v * v).sum::<f64>().sqrt();
         // A maximum passes over NaN.

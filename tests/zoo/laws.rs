@@ -65,7 +65,7 @@ proptest! {
         let prior = field.prior() / USUAL.prior() / scale;
         prop_assert!((prior - 1.0).abs() < 1e-15);
         // What rays say, 1 / scene unit², scales without rounding.
-        for (a, b) in field.evidence().unwrap().iter().zip(USUAL.evidence().unwrap()) {
+        for (a, b) in field.sums().unwrap().iter().zip(USUAL.sums().unwrap()) {
             prop_assert_eq!(a.rays, b.rays);
             prop_assert_eq!(a.information.map(|s| s * scale * scale), b.information);
         }
@@ -100,7 +100,7 @@ proptest! {
         let wall = surfaces::specimen(surfaces::wall(normal, Texture::Plain(Vec3::new(0.8, 0.3, 0.2))));
         let field = dense(&wall, &cameras(&wall)).unwrap();
         let (lambda, prior) = (field.protocol().lambda, field.prior());
-        let best = field.evidence().unwrap().iter().max_by(|a, b| trace(&a.information).total_cmp(&trace(&b.information)));
+        let best = field.sums().unwrap().iter().max_by(|a, b| trace(&a.information).total_cmp(&trace(&b.information)));
         let best = best.unwrap();
         let s = trace(&best.information);
         prop_assert!(s > 1e3 * lambda * RAYS as f64);

@@ -5,7 +5,7 @@ use octobayes::estimate::RaySettings;
 use octobayes::field::closed_form::{Primitive, Shape, Texture};
 use octobayes::field::{Radiance, RadianceField};
 use octobayes::geometry::{Aabb, Camera, Domain, Ray};
-use octobayes::posterior::{Covariance, DensePosterior, Evidence, Posterior, trace};
+use octobayes::posterior::{Covariance, DensePosterior, Posterior, VertexSums, trace};
 use octobayes::render::{Differences, Differentiation, JacobianBuffers, Marcher, Tracer};
 use octobayes::zoo::{self, CELL, Scene, surfaces};
 
@@ -17,7 +17,7 @@ fn scene(name: &str) -> Scene {
 }
 
 fn information(run: &Run) -> f64 {
-    run.field.evidence().unwrap().iter().map(|e| trace(&e.information)).sum()
+    run.field.sums().unwrap().iter().map(|e| trace(&e.information)).sum()
 }
 
 /// A field that keeps its bounds to itself, as most models do.
@@ -97,7 +97,7 @@ fn matter_in_one_cell_moves_the_cells_eight_corners() {
     let case = Case { field: &scene.field, cameras: &cameras, level: scene.level, rays: 512 };
     let run = case.run(case.defaults()).unwrap();
     let n = 33;
-    let moved: Vec<usize> = (0..n * n * n).filter(|&i| run.field.evidence().unwrap()[i].rays > 0).collect();
+    let moved: Vec<usize> = (0..n * n * n).filter(|&i| run.field.sums().unwrap()[i].rays > 0).collect();
     let corners = (0..8).map(|c| ((16 + (c >> 2)) * n + 16 + (c >> 1 & 1)) * n + 16 + (c & 1));
     assert_eq!(moved, corners.collect::<Vec<usize>>());
 }
@@ -110,7 +110,7 @@ fn a_lattice_of_eight_cells_agrees_with_the_oracle_and_one_of_one_is_refused() {
     let case = Case { field: &scene.field, cameras: &cameras, level: 1, rays: 256 };
     let (rays, grid) = case.defaults();
     let run = case.run(nothing_left_out(rays, grid)).unwrap();
-    assert_eq!(run.field.evidence().unwrap().len(), 27);
+    assert_eq!(run.field.sums().unwrap().len(), 27);
     let e = error(&case, &run, &case.oracle(&run, Derivatives::Differences(run.h)));
     assert!(e.hessian < 2e-3 && e.moved == 27, "{e:?}");
     let none = Case { level: 0, ..case };
@@ -118,9 +118,9 @@ fn a_lattice_of_eight_cells_agrees_with_the_oracle_and_one_of_one_is_refused() {
 }
 
 /// Median over well-seen vertices of one deviation over another.
-fn median(run: &Run, floor: f64, of: impl Fn(&Evidence) -> f64) -> f64 {
+fn median(run: &Run, floor: f64, of: impl Fn(&VertexSums) -> f64) -> f64 {
     let mut values: Vec<f64> =
-        run.field.evidence().unwrap().iter().filter(|e| trace(&e.information) > floor).map(of).collect();
+        run.field.sums().unwrap().iter().filter(|e| trace(&e.information) > floor).map(of).collect();
     assert!(values.len() > 100);
     values.sort_by(f64::total_cmp);
     values[values.len() / 2]

@@ -1,13 +1,13 @@
 //! `demo`: the whole line, for people who have nothing yet.
 
 mod model;
-mod subject;
+mod scene;
 
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use self::model::DemoModel;
-use self::subject::{Shown, Subject};
+use self::scene::{DemoScene, Shown};
 use super::files::CommandFiles;
 use super::panels::{Ranges, depth_range, view_panels};
 use super::progress::Bars;
@@ -19,7 +19,7 @@ use crate::geometry::{Camera, Domain};
 use crate::monitor::Monitor;
 use crate::picture::{Panel, write_sheet};
 use crate::rays::{RunProgress, Shard};
-use crate::render::{Blend, GradientMethod, Probe, RenderedView, render_view};
+use crate::render::{GradientMethod, Probe, RayAverage, RenderedView, render_view};
 use crate::train::Quality;
 use crate::uncertainty::{ThresholdedField, UncertaintyField, compare};
 use crate::{Error, Result};
@@ -56,9 +56,9 @@ impl Args {
     /// Runs the verb.
     pub fn run(self, bars: &Bars) -> Result<()> {
         if self.scene.as_deref() == Some("list") {
-            return say!("{}", subject::list());
+            return say!("{}", scene::list());
         }
-        let named = self.scene.as_deref().map(subject::subject).transpose()?;
+        let named = self.scene.as_deref().map(scene::subject).transpose()?;
         std::fs::create_dir_all(&self.out).map_err(Error::io(&self.out, "cannot create the folder"))?;
         let model = self.scene.is_none().then_some(MODEL);
         let results = ["demo.png", "field.oct", "dense.oct", "transforms.json"].into_iter().chain(model);
@@ -84,7 +84,7 @@ impl Args {
 
         self.pictures(&subject, octree, bars)?;
         octree.write(&self.out.join("field.oct"))?;
-        dense.clone().without_evidence().write(&self.out.join("dense.oct"))?;
+        dense.clone().without_sums().write(&self.out.join("dense.oct"))?;
         let named: Vec<(String, Camera)> =
             subject.cameras.iter().enumerate().map(|(i, camera)| (format!("train/r_{i}"), *camera)).collect();
         write_transforms(&self.out.join("transforms.json"), &named)?;
@@ -92,16 +92,16 @@ impl Args {
     }
 
     /// The model trained on the spot, and its file.
-    fn trained(&self, bars: &Bars) -> Result<Subject> {
+    fn trained(&self, bars: &Bars) -> Result<DemoScene> {
         let start = Instant::now();
-        let (scene, cameras) = subject::courtyard();
+        let (scene, cameras) = scene::courtyard();
         let DemoModel { field, held_out } = model::train(&scene, &cameras, bars)?;
         say!("model: {}, trained on the spot in {:.1} s", field.describe(), start.elapsed().as_secs_f64())?;
         if let Some(Quality { psnr, views, .. }) = held_out {
             say!("  {psnr:.1} dB on {views} held-out pictures of the seen side")?;
         }
         field.write(&self.out.join(MODEL))?;
-        Ok(Subject::trained(field, cameras))
+        Ok(DemoScene::trained(field, cameras))
     }
 
     /// What was written, and what to try with it.
@@ -121,7 +121,7 @@ impl Args {
     }
 
     /// Octree and dense field from the same samples, and a table of what they cost.
-    fn both_fields(&self, subject: &Subject, bars: &Bars) -> Result<[UncertaintyField; 2]> {
+    fn both_fields(&self, subject: &DemoScene, bars: &Bars) -> Result<[UncertaintyField; 2]> {
         let (scene, level) = (subject.field.as_ref(), self.level.unwrap_or(subject.level));
         let kinds = [GridKind::Octree, GridKind::Dense];
         let settings = |grid| GridSettings { grid, level, surface_points: 200_000, ..GridSettings::default() };
@@ -181,12 +181,12 @@ impl Args {
     }
 
     /// The scene from two sides, whole and cleaned.
-    fn pictures(&self, subject: &Subject, field: &UncertaintyField, bars: &Bars) -> Result<()> {
+    fn pictures(&self, subject: &DemoScene, field: &UncertaintyField, bars: &Bars) -> Result<()> {
         let scene = subject.field.as_ref();
         let Shown { log10: shown, threshold } = subject.shown.unwrap_or_else(|| Shown::below(field.prior().log10()));
         let cleaned = ThresholdedField { field: scene, uncertainty: field, threshold };
         let log10 = |x| field.log10(x);
-        let probes = [Probe { value: &log10, blends: &[Blend::Hit] }];
+        let probes = [Probe { value: &log10, blends: &[RayAverage::WeightedMean] }];
         let sides = subject.views();
         let versions: [(&dyn RadianceField, String); 2] = [(scene, String::new()), (&cleaned, ", cleaned".into())];
         say!("rows of demo.png that say \"cleaned\" are without density where log10 U is above {threshold:.1}")?;

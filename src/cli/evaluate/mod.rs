@@ -20,7 +20,7 @@ use crate::geometry::Aabb;
 use crate::metrics::STEPS;
 use crate::monitor::Monitor;
 use crate::posterior::Covariance;
-use crate::render::{Blend, RenderedView};
+use crate::render::{RayAverage, RenderedView};
 use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
 
@@ -75,7 +75,7 @@ pub struct Args {
     /// How log10 U is blended along a ray; several, separated by commas, are judged side by side. `spread` ranked depth errors best in the study of few
     /// views (experiments/few_views.md); `hit` is what `render` shows
     #[arg(long, value_enum, value_delimiter = ',', default_value = "spread")]
-    blend: Vec<Blend>,
+    blend: Vec<RayAverage>,
 
     /// Two or more models trained like MODEL with other seeds, MODEL among them or not: judges the variance of their depth, and the
     /// density-aware ensemble (Sünderhauf et al. 2023)
@@ -180,7 +180,7 @@ impl Args {
             check_model(&self.model, path, &field, self.force)?;
             let own = field.protocol().covariance;
             let mut wanted = if self.covariance.is_empty() { vec![own] } else { self.covariance.clone() };
-            if self.covariance.is_empty() && field.evidence().is_some() {
+            if self.covariance.is_empty() && field.sums().is_some() {
                 wanted.extend(Covariance::ALL.into_iter().filter(|c| *c != own));
             }
             for covariance in wanted {

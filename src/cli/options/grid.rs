@@ -204,7 +204,7 @@ impl GridOptions {
         let field = match (self.coarsen, keep, self.store) {
             (Some(epsilon), ..) => field.coarsened_in(self.store, epsilon)?,
             (None, _, Store::F16) => field.in_f16(),
-            (None, Keep::Deviation, _) => field.without_evidence(),
+            (None, Keep::Deviation, _) => field.without_sums(),
             (None, Keep::Hessian, _) => field,
         };
         field.write(&self.output)?;

@@ -17,7 +17,7 @@ use glam::Vec3;
 use crate::Result;
 use crate::estimate::RaySettings;
 use crate::field::{Coordinates, RadianceField};
-use crate::render::{Blend, Occupancy};
+use crate::render::{Occupancy, RayAverage};
 
 /// What images leave out changes a pixel by no more than this in front and behind: less than half a step of 8 bits.
 const IMAGE_CUTOFF: f64 = 1e-4;
@@ -36,14 +36,14 @@ impl ValueEnum for Coordinates {
     }
 }
 
-impl ValueEnum for Blend {
+impl ValueEnum for RayAverage {
     fn value_variants<'a>() -> &'a [Self] {
         &Self::ALL
     }
 
     fn to_possible_value(&self) -> Option<clap::builder::PossibleValue> {
         let help = match self {
-            Self::Hit => "mean of log10 U over what the ray hits",
+            Self::WeightedMean => "mean of log10 U over what the ray hits",
             Self::Official => "the official code's: -3 for the part that hits nothing",
             Self::Mean => "log10 of the mean U over what the ray hits",
             Self::RootMeanSquare => "log10 of the root of the mean U squared",

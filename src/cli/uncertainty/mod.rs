@@ -230,8 +230,8 @@ impl Args {
         let mut checkpoint = self.checkpoint(None, self.resume)?;
         if let (Some(planner), Some(checkpoint)) = (&planner, checkpoint.as_ref().filter(|c| c.path.exists())) {
             // The budget may have made the interrupted run give up more than was planned.
-            let evidence = checkpoint::evidence(&checkpoint.path)?;
-            while let Some(tighter) = plan.as_ref().filter(|p| p.evidence < evidence) {
+            let rays_per_vertex = checkpoint::rays_per_vertex(&checkpoint.path)?;
+            while let Some(tighter) = plan.as_ref().filter(|p| p.rays_per_vertex < rays_per_vertex) {
                 plan = planner.tighter(&lattice, tighter);
             }
         }
@@ -250,7 +250,7 @@ impl Args {
             }
             None => RunProgress::default(),
         };
-        let planned = plan.as_ref().map(|plan| plan.evidence);
+        let planned = plan.as_ref().map(|plan| plan.rays_per_vertex);
         let run = PlannedRun { stream: &stream, share, planner: planner.as_ref(), memory: grid.memory };
         let result = run.run(&mut builder, so_far, plan, bars, |builder, batches, tally| {
             so_far = *tally;
@@ -263,7 +263,7 @@ impl Args {
             checkpoint.save_interrupted(&builder, &key(&builder), so_far, share)?;
         }
         let (tally, plan) = result?;
-        if let Some(plan) = plan.filter(|plan| Some(plan.evidence) != planned) {
+        if let Some(plan) = plan.filter(|plan| Some(plan.rays_per_vertex) != planned) {
             eprintln!("note: memory ran out under way; the run started again with less:");
             report::plan(&plan, &grid);
         }

@@ -10,7 +10,7 @@ use rustc_hash::FxHashMap;
 
 use super::lists::{Contribution, Contributions};
 use crate::octree::morton;
-use crate::posterior::Evidence;
+use crate::posterior::VertexSums;
 
 /// Shards: enough to keep many cores busy, few enough that their lists stay long.
 const SHARD_BITS: u32 = 6;
@@ -18,7 +18,7 @@ pub const SHARDS: usize = 1 << SHARD_BITS;
 const COARSENESS_SHIFT: u32 = 57;
 
 /// Sums of the eight vertices of a brick.
-pub type Brick = [Evidence; 8];
+pub type Brick = [VertexSums; 8];
 
 /// Where the bricks of a block are among those of its shard.
 #[derive(Debug, Clone, Copy)]
@@ -194,12 +194,12 @@ impl Bricks {
     }
 
     /// Adds to one vertex.
-    pub fn add_one(&mut self, key: u64, sums: &Evidence) {
+    pub fn add_one(&mut self, key: u64, sums: &VertexSums) {
         self.shards[shard_of(key)].brick(key >> 3)[(key & 7) as usize].add(sums);
     }
 
     /// The sums of a vertex, if its brick exists.
-    pub fn get(&self, key: u64) -> Option<&Evidence> {
+    pub fn get(&self, key: u64) -> Option<&VertexSums> {
         let (block, bricks) = self.block(key)?;
         block.find(key).map(|slot| &bricks.get(slot)[(key & 7) as usize])
     }
@@ -218,7 +218,7 @@ impl Bricks {
     /// For every block its code and the members whose sums fulfil `condition`, as a mask; in parallel.
     pub fn par_masks(
         &self,
-        condition: impl Fn(&Evidence) -> bool + Send + Sync,
+        condition: impl Fn(&VertexSums) -> bool + Send + Sync,
     ) -> impl ParallelIterator<Item = (u64, u64)> {
         let blocks = self
             .shards
@@ -232,7 +232,7 @@ impl Bricks {
     }
 
     /// All vertices of all bricks, in parallel, with their keys.
-    pub fn par_iter(&self) -> impl ParallelIterator<Item = (u64, &Evidence)> {
+    pub fn par_iter(&self) -> impl ParallelIterator<Item = (u64, &VertexSums)> {
         let bricks = self.shards.par_iter().flat_map_iter(Shard::iter);
         bricks.flat_map_iter(|(code, brick)| (0_u64..).zip(brick).map(move |(i, sums)| (code << 3 | i, sums)))
     }
@@ -288,13 +288,13 @@ pub struct Reader<'a> {
 
 impl Reader<'_> {
     /// The sums of a vertex; none if its brick does not exist.
-    pub fn get(&mut self, key: u64) -> Evidence {
+    pub fn get(&mut self, key: u64) -> VertexSums {
         if key >> 6 != self.code {
             self.code = key >> 6;
             self.block = self.bricks.block(key);
         }
         let brick = self.block.and_then(|(block, bricks)| Some(bricks.get(block.find(key)?)));
-        brick.map_or_else(Evidence::default, |brick| brick[(key & 7) as usize])
+        brick.map_or_else(VertexSums::default, |brick| brick[(key & 7) as usize])
     }
 }
 
@@ -308,7 +308,7 @@ mod tests {
     #[test]
     fn sums_of_many_chunks_are_those_of_a_map() {
         // Half a million additions in runs of neighbours to some 30,000 bricks: several chunks a shard, all of them opened under way.
-        let (mut bricks, mut map) = (Bricks::new(), BTreeMap::<u64, Evidence>::new());
+        let (mut bricks, mut map) = (Bricks::new(), BTreeMap::<u64, VertexSums>::new());
         let mut state = 1_u64;
         for _ in 0..5 {
             let lists: Vec<Contributions> = (0..4)
@@ -319,7 +319,7 @@ mod tests {
                         for i in 0..10 {
                             let key = (state >> 40) % (1 << 18) + 3 * i;
                             let value = (state >> 11) as f64 / (1_u64 << 53) as f64 + i as f64;
-                            let sums = Evidence { information: [value; 6], gradient: [1.0; 3], rays: 1 };
+                            let sums = VertexSums { information: [value; 6], gradient: [1.0; 3], rays: 1 };
                             map.entry(key).or_default().add(&sums);
                             list.push(key, sums);
                         }
@@ -330,7 +330,7 @@ mod tests {
             bricks.add(&lists);
         }
         assert!(bricks.slices().filter(|slice| slice.len() == CHUNK).count() > 2 * SHARDS);
-        let found: BTreeMap<u64, Evidence> =
+        let found: BTreeMap<u64, VertexSums> =
             bricks.par_iter().filter(|(_, e)| e.rays > 0).map(|(key, e)| (key, *e)).collect();
         assert_eq!(found, map);
         assert!(

@@ -1,13 +1,13 @@
 //! What rays add, in lists by shard: each shard reads its own from beginning to end.
 
 use super::bricks::{SHARDS, shard_of};
-use crate::posterior::Evidence;
+use crate::posterior::VertexSums;
 
 /// What one ray adds to one vertex.
 #[derive(Clone, Copy)]
 pub struct Contribution {
     pub key: u64,
-    pub sums: Evidence,
+    pub sums: VertexSums,
 }
 
 /// What the rays of a batch add, by shard, in ray order in each.
@@ -21,7 +21,7 @@ impl Contributions {
 
     /// Appends what the next ray adds to a vertex, or the same ray to another one.
     #[inline(always)]
-    pub fn push(&mut self, key: u64, sums: Evidence) {
+    pub fn push(&mut self, key: u64, sums: VertexSums) {
         self.0[shard_of(key)].push(Contribution { key, sums });
     }
 

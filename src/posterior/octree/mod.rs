@@ -1,6 +1,6 @@
 //! The octree posterior: information only where rays were sensitive, in one pass, without a guess beforehand.
 //!
-//! Rays are summed on leaves that are as fine as [`LevelLimits`] allow: on the finest lattice, unless rays or memory cannot support it
+//! Rays are summed on leaves that are as fine as [`MaxLevels`] allow: on the finest lattice, unless rays or memory cannot support it
 //! somewhere. Only [bricks] of vertices that some sensitive sample touched exist. At the end the octree is refined around every
 //! vertex that moved from the prior by more than the tolerance; everywhere else the field is the prior to within the tolerance,
 //! and leaves stay as coarse as 2:1 balance lets them. Nothing is ever accumulated at a vertex that later turns out to need
@@ -14,30 +14,30 @@
 
 mod bricks;
 mod lists;
+mod pilot_counts;
 mod refine;
 mod squares;
-mod survey;
 mod walk;
 
 pub use bricks::Brick;
+pub use pilot_counts::PilotCounts;
 pub use refine::Refinement;
-pub use survey::Survey;
 
 use bricks::{Bricks, key};
 use lists::Contributions;
 use rayon::prelude::*;
 use walk::Walk;
 
-use super::{Evidence, Posterior};
+use super::{Posterior, VertexSums};
 use crate::geometry::Lattice;
-use crate::octree::{Leaves, LevelLimits, coarseness};
+use crate::octree::{Leaves, MaxLevels, coarseness};
 use crate::render::RaySamples;
 
 /// Information summed in sparse bricks.
 #[derive(Debug, Clone)]
 pub struct OctreePosterior {
     lattice: Lattice,
-    limits: LevelLimits,
+    limits: MaxLevels,
     bricks: Bricks,
 }
 
@@ -45,7 +45,7 @@ impl OctreePosterior {
     /// No information yet, and no limit but the lattice.
     #[must_use]
     pub fn new(lattice: Lattice) -> Self {
-        Self::limited(lattice, LevelLimits::none(lattice.level()))
+        Self::limited(lattice, MaxLevels::none(lattice.level()))
     }
 
     /// No information yet, to be gathered on the leaves of `limits`.
@@ -53,14 +53,14 @@ impl OctreePosterior {
     /// # Panics
     /// If the limits are those of another level.
     #[must_use]
-    pub fn limited(lattice: Lattice, limits: LevelLimits) -> Self {
+    pub fn limited(lattice: Lattice, limits: MaxLevels) -> Self {
         assert_eq!(limits.finest(), lattice.level(), "limits belong to the lattice's level");
         Self { lattice, limits, bricks: Bricks::new() }
     }
 
     /// How fine leaves may be.
     #[must_use]
-    pub fn limits(&self) -> &LevelLimits {
+    pub fn limits(&self) -> &MaxLevels {
         &self.limits
     }
 
@@ -77,14 +77,14 @@ impl OctreePosterior {
     /// Puts back what [`OctreePosterior::brick_codes`] and [`OctreePosterior::slices`] gave, in the same order.
     ///
     /// `None` if a code lies outside the lattice or comes twice.
-    pub(super) fn restore(lattice: Lattice, limits: LevelLimits, codes: &[u64], bricks: Vec<Brick>) -> Option<Self> {
+    pub(super) fn restore(lattice: Lattice, limits: MaxLevels, codes: &[u64], bricks: Vec<Brick>) -> Option<Self> {
         let bricks = Bricks::restore(lattice.cells_per_axis(), codes, bricks)?;
         Some(Self { lattice, limits, bricks })
     }
 
     /// Adds evidence at a lattice point: a part of another run.
-    pub fn add_evidence(&mut self, point: [u32; 3], evidence: &Evidence) {
-        self.bricks.add_one(key(point, self.coarseness(point)), evidence);
+    pub fn add_sums_at(&mut self, point: [u32; 3], sums: &VertexSums) {
+        self.bricks.add_one(key(point, self.coarseness(point)), sums);
     }
 
     /// Adds the sums over other rays on the same leaves, vertex by vertex.
@@ -94,13 +94,13 @@ impl OctreePosterior {
 
     /// The evidence summed so far at a lattice point.
     #[must_use]
-    pub fn evidence(&self, point: [u32; 3]) -> Evidence {
+    pub fn sums(&self, point: [u32; 3]) -> VertexSums {
         self.bricks.get(key(point, self.coarseness(point))).copied().unwrap_or_default()
     }
 
     /// Every vertex that a ray touched, with its lattice point.
     #[must_use = "iterators are lazy"]
-    pub fn touched(&self) -> impl ParallelIterator<Item = ([u32; 3], &Evidence)> {
+    pub fn touched(&self) -> impl ParallelIterator<Item = ([u32; 3], &VertexSums)> {
         self.bricks.par_iter().filter(|(_, e)| e.rays > 0).map(|(key, e)| (bricks::point(key), e))
     }
 

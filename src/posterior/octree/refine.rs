@@ -4,11 +4,11 @@ use rayon::prelude::*;
 
 use super::{OctreePosterior, bricks};
 use crate::octree::{Cell, Leaves, Octree, Wanted, around, cells_around};
-use crate::posterior::{Evidence, Pooling, trace};
+use crate::posterior::{Pooling, VertexSums, trace};
 
 /// Whether a ray passed a vertex and moved it by more than `floor` allows.
-fn moves(evidence: &Evidence, floor: f64) -> bool {
-    evidence.rays > 0 && trace(&evidence.information) > floor
+fn moves(sums: &VertexSums, floor: f64) -> bool {
+    sums.rays > 0 && trace(&sums.information) > floor
 }
 
 /// Where an octree is refined.
@@ -35,7 +35,7 @@ impl OctreePosterior {
     /// exact (that of the dense grid, on the finest lattice); at all others the information is negligible in the sense of the
     /// floor.
     #[must_use]
-    pub fn into_octree(self, refinement: &Refinement) -> (Octree, Vec<Evidence>) {
+    pub fn into_octree(self, refinement: &Refinement) -> (Octree, Vec<VertexSums>) {
         let finest = self.lattice.level();
         let mut wanted = self.wanted_around_moved(refinement.floor);
         if refinement.pooling.is_on() {
@@ -55,13 +55,13 @@ impl OctreePosterior {
             wanted.cell(if limit.level < cell.level { limit } else { cell });
         }
         let octree = Octree::of(wanted);
-        let sums = self.evidence_at(&octree);
+        let sums = self.sums_at(&octree);
         (octree, sums)
     }
 
     /// The evidence at the vertices of an octree, in the order of their ids.
     #[must_use]
-    pub fn evidence_at(&self, octree: &Octree) -> Vec<Evidence> {
+    pub fn sums_at(&self, octree: &Octree) -> Vec<VertexSums> {
         let points = octree.par_vertex_positions();
         points
             .map_init(|| self.bricks.reader(), |reader, point| reader.get(bricks::key(point, self.coarseness(point))))
@@ -73,7 +73,7 @@ impl OctreePosterior {
         let finest = self.lattice.level();
         let none = || Wanted::new(finest);
         let Some(floor) = floor else { return none() };
-        let masks = self.bricks.par_masks(|evidence| moves(evidence, floor));
+        let masks = self.bricks.par_masks(|sums| moves(sums, floor));
         let each = masks.fold(none, |mut wanted, (code, moved)| {
             if self.limits.is_unlimited() {
                 wanted.around_points(code, moved);

@@ -13,7 +13,7 @@ use multiversion::multiversion;
 use super::bricks::key;
 use super::lists::Contributions;
 use crate::geometry::Lattice;
-use crate::posterior::{Evidence, Information};
+use crate::posterior::{Information, VertexSums};
 use crate::render::RaySamples;
 
 /// What a sample brings: ∂C_c/∂x_k at 3·c + k, then ‖∂C/∂σ‖ ∇σ.
@@ -43,9 +43,9 @@ impl Partial {
 
     /// JᵀJ and what else is known of the vertex from this ray.
     #[inline(always)]
-    pub fn squared(&self) -> Evidence {
+    pub fn squared(&self) -> VertexSums {
         let gradient = [self.0[9] as f32, self.0[10] as f32, self.0[11] as f32];
-        Evidence { information: gram(&self.0), gradient, rays: 1 }
+        VertexSums { information: gram(&self.0), gradient, rays: 1 }
     }
 }
 

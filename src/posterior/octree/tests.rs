@@ -62,7 +62,7 @@ fn dense_index(point: [u32; 3], level: u8) -> usize {
 }
 
 /// Largest difference relative to the larger trace: sums of at most 60 rays, each with a handful of roundings.
-fn assert_same(a: &Evidence, b: &Evidence, what: &str) {
+fn assert_same(a: &VertexSums, b: &VertexSums, what: &str) {
     let scale = trace(&a.information).max(trace(&b.information));
     for k in 0..6 {
         let difference = (a.information[k] - b.information[k]).abs();
@@ -83,7 +83,7 @@ proptest! {
             for y in 0..=m {
                 for z in 0..=m {
                     let point = [x, y, z];
-                    assert_same(&octree.evidence(point), &dense.sums()[dense_index(point, level)], "vertex");
+                    assert_same(&octree.sums(point), &dense.sums()[dense_index(point, level)], "vertex");
                 }
             }
         }
@@ -101,7 +101,7 @@ proptest! {
         prop_assert_eq!(sums.len(), octree.vertex_count());
 
         for covariance in Covariance::ALL {
-            let log10 = |s: &Evidence| covariance.deviation(s, rays, lambda).log10();
+            let log10 = |s: &VertexSums| covariance.deviation(s, rays, lambda).log10();
             let prior = covariance.prior(lambda).log10();
             let mut stored = std::collections::HashSet::new();
             for (point, s) in octree.vertex_positions().zip(&sums) {
@@ -131,7 +131,7 @@ proptest! {
     ) {
         // Regions of level 1 in a lattice of level 6: touching regions have leaves of different size, with hanging corners.
         let lattice = lattice(6);
-        let limits = LevelLimits::balanced(6, wanted);
+        let limits = MaxLevels::balanced(6, wanted);
         let mut posterior = OctreePosterior::limited(lattice, limits.clone());
         posterior.add(std::slice::from_ref(&samples));
         // The same leaves as an explicit octree.
@@ -147,7 +147,7 @@ proptest! {
 
         let mut seen = 0;
         for (id, point) in (0..).map(VertexId).zip(octree.vertex_positions()) {
-            let found = posterior.evidence(point);
+            let found = posterior.sums(point);
             seen += u64::from(found.rays);
             if found.rays == 0 && id.0 % 97 > 0 {
                 continue;
@@ -219,7 +219,7 @@ impl OctreePosterior {
     }
 
     /// Squares one ray on any leaves, slowly: what its samples touch is sorted by vertex.
-    fn gather(&self, batch: &RaySamples, samples: Range<usize>) -> BTreeMap<u64, Vec<Evidence>> {
+    fn gather(&self, batch: &RaySamples, samples: Range<usize>) -> BTreeMap<u64, Vec<VertexSums>> {
         let mut touched: Vec<Touch> = Vec::new();
         for i in samples {
             self.for_each_vertex(batch.positions[i], |key, weight| touched.push((key, i, weight)));
@@ -235,8 +235,8 @@ impl OctreePosterior {
 }
 
 /// What one ray adds, vertex by vertex.
-fn by_vertex(contributions: &Contributions) -> BTreeMap<u64, Vec<Evidence>> {
-    let mut found: BTreeMap<u64, Vec<Evidence>> = BTreeMap::new();
+fn by_vertex(contributions: &Contributions) -> BTreeMap<u64, Vec<VertexSums>> {
+    let mut found: BTreeMap<u64, Vec<VertexSums>> = BTreeMap::new();
     let all = (0..bricks::SHARDS).flat_map(|s| contributions.of_shard(s));
     all.for_each(|c| found.entry(c.key).or_default().push(c.sums));
     found
@@ -275,7 +275,7 @@ proptest! {
         wanted in proptest::collection::vec((0_u64..64, 2_u8..=7), 0..9), unlimited in proptest::bool::weighted(0.2),
     ) {
         // 4³ regions with leaves of up to six sizes; rays that jump to and fro, and one that is straight, with many samples a leaf.
-        let limits = if unlimited { LevelLimits::none(7) } else { LevelLimits::balanced(7, wanted) };
+        let limits = if unlimited { MaxLevels::none(7) } else { MaxLevels::balanced(7, wanted) };
         let posterior = OctreePosterior::limited(lattice(7), limits);
         let mut samples = samples;
         let [from, to] = straight.map(Vec3::from);
@@ -309,7 +309,7 @@ fn a_ray_that_turns_back_is_squared_once() {
     let weight: f64 =
         [0.1, 0.3, 0.6, 0.3].iter().map(|&x| (1.0 - 4.0 * (f64::from(x as f32) - 0.25).abs()).max(0.0)).sum();
     let across = (1.0 - 4.0 * f64::from(0.1_f32)).powi(2);
-    let found = whole.evidence([5, 4, 4]).information[0];
+    let found = whole.sums([5, 4, 4]).information[0];
     // Three channels of 1; f64.
     assert!((found / (3.0 * (weight * across).powi(2)) - 1.0).abs() < 1e-12, "{found}");
 }

@@ -14,7 +14,7 @@ use super::bricks::key;
 use super::lists::Contributions;
 use super::squares::{Partial, Row};
 use crate::geometry::Lattice;
-use crate::octree::{Leaves, LevelLimits, Nearby, coarseness, masters, trilinear};
+use crate::octree::{Leaves, MaxLevels, Nearby, coarseness, masters, trilinear};
 use crate::render::RaySamples;
 
 /// What a corner of a leaf gives to a vertex.
@@ -105,7 +105,7 @@ impl Leaf {
 /// Squares ray after ray.
 pub struct Walk<'a> {
     lattice: &'a Lattice,
-    limits: &'a LevelLimits,
+    limits: &'a MaxLevels,
     near: Option<Nearby>,
     leaf: Leaf,
     touched: Touched,
@@ -113,7 +113,7 @@ pub struct Walk<'a> {
 
 impl<'a> Walk<'a> {
     /// On the leaves of `limits`.
-    pub fn new(lattice: &'a Lattice, limits: &'a LevelLimits) -> Self {
+    pub fn new(lattice: &'a Lattice, limits: &'a MaxLevels) -> Self {
         Self { lattice, limits, near: None, leaf: Leaf::default(), touched: Touched::none() }
     }
 

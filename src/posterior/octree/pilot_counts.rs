@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
 use super::OctreePosterior;
-use crate::octree::{LevelLimits, cells_around};
+use crate::octree::{MaxLevels, cells_around};
 
 /// Counts of one region.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -44,21 +44,21 @@ impl Counts {
 
 /// Counts by region.
 #[derive(Debug, Clone)]
-pub struct Survey {
+pub struct PilotCounts {
     finest: u8,
     counts: FxHashMap<u64, Counts>,
 }
 
-impl Survey {
+impl PilotCounts {
     /// Counts what the rays of `pilot` touched; its leaves are not limited.
     #[must_use]
     pub fn of(pilot: &OctreePosterior) -> Self {
         let finest = pilot.lattice.level();
-        let limits = LevelLimits::none(finest);
-        let each = pilot.touched().map(|(point, evidence)| {
+        let limits = MaxLevels::none(finest);
+        let each = pilot.touched().map(|(point, sums)| {
             let cell = cells_around(point, finest).next().unwrap_or_default();
-            let is = |n: u32| f64::from(u8::from(evidence.rays == n));
-            let counts = Counts { touches: f64::from(evidence.rays), distinct: 1.0, once: is(1), twice: is(2) };
+            let is = |n: u32| f64::from(u8::from(sums.rays == n));
+            let counts = Counts { touches: f64::from(sums.rays), distinct: 1.0, once: is(1), twice: is(2) };
             (limits.region_of(cell), counts)
         });
         // Sums of whole numbers: the order does not matter.
@@ -79,8 +79,8 @@ impl Survey {
 
     /// The finest limits at which `scale` times the pilot's rays give vertices at least `min_rays` rays each, region by region.
     #[must_use]
-    pub fn limits(&self, scale: f64, min_rays: f64) -> LevelLimits {
-        let least = LevelLimits::none(self.finest).region_level();
+    pub fn limits(&self, scale: f64, min_rays: f64) -> MaxLevels {
+        let least = MaxLevels::none(self.finest).region_level();
         let wanted = self.counts.iter().map(|(&region, counts)| {
             let coarser = (0..=self.finest - least).find(|&coarser| {
                 let (all, touches) = counts.expected(scale, coarser);
@@ -88,12 +88,12 @@ impl Survey {
             });
             (region, coarser.map_or(least, |coarser| self.finest - coarser))
         });
-        LevelLimits::balanced(self.finest, wanted)
+        MaxLevels::balanced(self.finest, wanted)
     }
 
     /// Vertices that `scale` times the pilot's rays will touch on leaves of `limits`.
     #[must_use]
-    pub fn vertices(&self, scale: f64, limits: &LevelLimits) -> f64 {
+    pub fn vertices(&self, scale: f64, limits: &MaxLevels) -> f64 {
         let mut each: Vec<f64> = self
             .counts
             .iter()
@@ -106,7 +106,7 @@ impl Survey {
 
     /// Shard of all touches at leaves k = 0, 1, … levels coarser than the finest.
     #[must_use]
-    pub fn shares(&self, limits: &LevelLimits) -> Vec<f64> {
+    pub fn shares(&self, limits: &MaxLevels) -> Vec<f64> {
         let mut shares = vec![0.0; usize::from(self.finest - limits.region_level()) + 1];
         let mut total = 0.0;
         for (&region, counts) in &self.counts {
@@ -149,7 +149,7 @@ mod tests {
 
     #[test]
     fn limits_are_as_fine_as_rays_support() {
-        let survey = Survey { finest: 8, counts: [(0, counts(4000, 1000))].into_iter().collect() };
+        let survey = PilotCounts { finest: 8, counts: [(0, counts(4000, 1000))].into_iter().collect() };
         let level = |scale, min_rays| survey.limits(scale, min_rays).level(0);
         // About four rays a vertex; each coarser level doubles them.
         assert_eq!((level(1.0, 3.0), level(1.0, 6.0), level(1.0, 12.0), level(1.0, 1e9)), (8, 7, 6, 3));

@@ -19,7 +19,7 @@ pub enum Store {
 /// Sixteen bits cannot hold σ itself, which spans ten decades and more; they hold v = log10(σ / unit), and σ is looked up in a table
 /// of all 65,536 powers.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Deviations {
+pub enum StandardDeviations {
     /// σ.
     F32(Vec<f32>),
     /// σ = unit · 10^v.
@@ -35,7 +35,7 @@ pub enum Deviations {
 static POWERS: LazyLock<Vec<f32>> =
     LazyLock::new(|| (0..=u16::MAX).map(|bits| 10_f64.powf(f16::from_bits(bits).to_f64()) as f32).collect());
 
-impl Deviations {
+impl StandardDeviations {
     /// Number of vertices.
     #[must_use]
     pub fn len(&self) -> usize {
@@ -82,7 +82,7 @@ impl Deviations {
         Self::F16 { unit, logs }
     }
 
-    /// Most that [`Deviations::to_f16`] changes log10 σ of any of them: f16 has 11 significant bits, and no exponent below −14; the
+    /// Most that [`StandardDeviations::to_f16`] changes log10 σ of any of them: f16 has 11 significant bits, and no exponent below −14; the
     /// table's powers are f32.
     #[must_use]
     pub fn f16_rounding(&self, unit: f64) -> f64 {
@@ -109,7 +109,7 @@ mod tests {
         #[test]
         fn sixteen_bits_keep_the_promised_digits(logs in proptest::collection::vec(-12.0..0.5_f64, 1..50), unit in -6..6_i32) {
             let unit = 10_f64.powi(unit);
-            let full = Deviations::F32(logs.iter().map(|v| (unit * 10_f64.powf(*v)) as f32).collect());
+            let full = StandardDeviations::F32(logs.iter().map(|v| (unit * 10_f64.powf(*v)) as f32).collect());
             let half = full.to_f16(unit);
             let bound = full.f16_rounding(unit);
             prop_assert!(bound <= 0.006);
@@ -121,11 +121,11 @@ mod tests {
 
     #[test]
     fn the_prior_is_exact_and_the_bound_is_not_idle() {
-        let full = Deviations::F32((0..1000).map(|i| 10_f32.powf(-7.0 - 0.001 * i as f32)).collect());
+        let full = StandardDeviations::F32((0..1000).map(|i| 10_f32.powf(-7.0 - 0.001 * i as f32)).collect());
         let half = full.to_f16(1.0);
         let worst = full.iter().zip(half.iter()).map(|(a, b)| (a / b).log10().abs()).fold(0.0, f64::max);
         assert!(worst > 0.4 * full.f16_rounding(1.0), "{worst}");
-        assert_eq!(Deviations::F32(vec![0.1]).to_f16(f64::from(0.1_f32)).get(0), f64::from(0.1_f32));
+        assert_eq!(StandardDeviations::F32(vec![0.1]).to_f16(f64::from(0.1_f32)).get(0), f64::from(0.1_f32));
         assert_eq!((half.memory(), half.len(), half.store()), (2000, 1000, Store::F16));
     }
 }

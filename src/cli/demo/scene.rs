@@ -26,7 +26,7 @@ const CLOSE_UP: f64 = 0.2;
 const PICTURE: [u32; 2] = [220, 220];
 
 /// A scene with its cameras, and how to show it.
-pub struct Subject {
+pub struct DemoScene {
     pub field: Box<dyn RadianceField>,
     pub cameras: Vec<Camera>,
     /// Finest level unless told otherwise.
@@ -70,7 +70,7 @@ pub fn courtyard() -> (ClosedForm, Vec<Camera>) {
     (ClosedForm::courtyard(), ClosedForm::half_circle(CAMERAS, [200, 200]))
 }
 
-impl Subject {
+impl DemoScene {
     /// The scene of that name.
     ///
     /// # Errors
@@ -153,9 +153,9 @@ pub fn list() -> String {
     format!("built-in: {built_in}, city-SEED\nhard, each in one way:\n{}", hard.join("\n"))
 }
 
-/// As `Subject::named`, with an error that names `--scene`.
-pub fn subject(name: &str) -> Result<Subject> {
-    Subject::named(name).map_err(|_| {
+/// As `DemoScene::named`, with an error that names `--scene`.
+pub fn subject(name: &str) -> Result<DemoScene> {
+    DemoScene::named(name).map_err(|_| {
         let expected = format!("{}, city-SEED, or one that `--scene list` lists", ClosedForm::NAMES.join(", "));
         Error::setting("--scene", expected, name)
     })

@@ -1,15 +1,15 @@
-//! Double-double arithmetic: numbers of 106 bits as the sum of two f64 (Dekker 1971; the algorithms as in Joldes, Muller, Popescu 2017).
+//! DoubleDouble-double arithmetic: numbers of 106 bits as the sum of two f64 (Dekker 1971; the algorithms as in Joldes, Muller, Popescu 2017).
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
 /// high + low, |low| ≤ ½ ulp(high).
 #[derive(Debug, Clone, Copy)]
-pub struct Double {
+pub struct DoubleDouble {
     high: f64,
     low: f64,
 }
 
-impl Double {
+impl DoubleDouble {
     /// a + b, exactly.
     pub fn sum(a: f64, b: f64) -> Self {
         let high = a + b;
@@ -35,26 +35,26 @@ impl Double {
     }
 }
 
-impl From<f64> for Double {
+impl From<f64> for DoubleDouble {
     fn from(high: f64) -> Self {
         Self { high, low: 0.0 }
     }
 }
 
-impl From<Double> for f64 {
-    fn from(v: Double) -> Self {
+impl From<DoubleDouble> for f64 {
+    fn from(v: DoubleDouble) -> Self {
         v.high
     }
 }
 
-impl Neg for Double {
+impl Neg for DoubleDouble {
     type Output = Self;
     fn neg(self) -> Self {
         Self { high: -self.high, low: -self.low }
     }
 }
 
-impl Add for Double {
+impl Add for DoubleDouble {
     type Output = Self;
     fn add(self, other: Self) -> Self {
         let (high, low) = (Self::sum(self.high, other.high), Self::sum(self.low, other.low));
@@ -63,14 +63,14 @@ impl Add for Double {
     }
 }
 
-impl Sub for Double {
+impl Sub for DoubleDouble {
     type Output = Self;
     fn sub(self, other: Self) -> Self {
         self + -other
     }
 }
 
-impl Mul for Double {
+impl Mul for DoubleDouble {
     type Output = Self;
     fn mul(self, other: Self) -> Self {
         let product = Self::product(self.high, other.high);
@@ -78,7 +78,7 @@ impl Mul for Double {
     }
 }
 
-impl Div for Double {
+impl Div for DoubleDouble {
     type Output = Self;
     /// Long division: each digit has 53 bits.
     fn div(self, other: Self) -> Self {

@@ -13,7 +13,7 @@ pub fn trace(s: &Information) -> f64 {
 
 /// Sums over the rays that touched a vertex: 64 bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Evidence {
+pub struct VertexSums {
     /// S.
     pub information: Information,
     /// Σ_r Σ_i φ_v(x_i) ‖∂C/∂σ_i‖ ∇σ(x_i), 1 / scene unit: points across the surface, into it. f32, because only its direction
@@ -23,7 +23,7 @@ pub struct Evidence {
     pub rays: u32,
 }
 
-impl Evidence {
+impl VertexSums {
     /// Adds what other rays said.
     #[inline]
     pub fn add(&mut self, other: &Self) {
@@ -50,7 +50,7 @@ impl Evidence {
     }
 }
 
-impl Item for Evidence {
+impl Item for VertexSums {
     const SIZE: usize = Information::SIZE + <[f32; 3]>::SIZE + u32::SIZE;
 
     fn put(self, out: &mut Vec<u8>) {

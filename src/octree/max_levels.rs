@@ -13,7 +13,7 @@ const DEPTH: u8 = 5;
 
 /// The level of leaves in every region.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct LevelLimits {
+pub struct MaxLevels {
     finest: u8,
     /// Level of the regions.
     region: u8,
@@ -21,7 +21,7 @@ pub struct LevelLimits {
     levels: Option<FxHashMap<u64, u8>>,
 }
 
-impl LevelLimits {
+impl MaxLevels {
     /// The finest level everywhere: the lattice itself.
     #[must_use]
     pub fn none(finest: u8) -> Self {
@@ -90,7 +90,7 @@ impl LevelLimits {
         Some(packed)
     }
 
-    /// The limits that [`LevelLimits::packed`] wrote, which may come from an untrusted file; `None` if they are not balanced limits.
+    /// The limits that [`MaxLevels::packed`] wrote, which may come from an untrusted file; `None` if they are not balanced limits.
     #[must_use]
     pub fn from_packed(finest: u8, packed: &[u64]) -> Option<Self> {
         let region = finest.saturating_sub(DEPTH);
@@ -123,7 +123,7 @@ impl LevelLimits {
     }
 }
 
-impl Leaves for LevelLimits {
+impl Leaves for MaxLevels {
     fn finest(&self) -> u8 {
         self.finest
     }
@@ -154,7 +154,7 @@ mod tests {
         ) {
             let regions = 1_u64 << (3 * (finest - DEPTH));
             let wanted: Vec<(u64, u8)> = wanted.into_iter().map(|(c, l)| (c % regions, l)).collect();
-            let limits = LevelLimits::balanced(finest, wanted.iter().copied());
+            let limits = MaxLevels::balanced(finest, wanted.iter().copied());
             for &(code, level) in &wanted {
                 prop_assert!(limits.level(code) >= level.min(finest));
             }
@@ -167,12 +167,12 @@ mod tests {
                 let forced = neighbors(code, limits.region_level()).any(|n| limits.level(n) > level);
                 prop_assert!(level == limits.region_level() || forced || wanted.iter().any(|&(c, l)| c == code && l.min(finest) == level));
             }
-            prop_assert_eq!(LevelLimits::from_packed(finest, &limits.packed().unwrap()), Some(limits));
+            prop_assert_eq!(MaxLevels::from_packed(finest, &limits.packed().unwrap()), Some(limits));
         }
 
         #[test]
         fn leaves_tile_the_cube(wanted in proptest::collection::vec((0_u64..8, 1_u8..=6), 0..6), cell in proptest::array::uniform3(0_u32..64)) {
-            let limits = LevelLimits::balanced(6, wanted);
+            let limits = MaxLevels::balanced(6, wanted);
             let leaf = limits.leaf(cell);
             let (origin, edge) = leaf.extent(6);
             prop_assert!((0..3).all(|a| (origin[a]..origin[a] + edge).contains(&cell[a])));
@@ -185,11 +185,11 @@ mod tests {
 
     #[test]
     fn altered_packings_are_refused() {
-        let limits = LevelLimits::balanced(8, [(5, 8)]);
+        let limits = MaxLevels::balanced(8, [(5, 8)]);
         let packed = limits.packed().unwrap();
         assert!(packed.len() > 20);
-        assert_eq!(LevelLimits::from_packed(8, &[&packed[..1], &packed[2..]].concat()), None, "unbalanced");
-        assert_eq!(LevelLimits::from_packed(8, &[3, 1 << 60]), None, "outside");
-        assert_eq!(LevelLimits::from_packed(8, &[3, 5 << 8 | 200]), None, "too fine");
+        assert_eq!(MaxLevels::from_packed(8, &[&packed[..1], &packed[2..]].concat()), None, "unbalanced");
+        assert_eq!(MaxLevels::from_packed(8, &[3, 1 << 60]), None, "outside");
+        assert_eq!(MaxLevels::from_packed(8, &[3, 5 << 8 | 200]), None, "too fine");
     }
 }
