@@ -5,7 +5,7 @@ use std::hint::black_box;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use glam::{DMat3, Vec3};
-use octobayes::estimate::{FieldBuilder, GridKind, GridSettings, Provenance, RaySettings, estimate};
+use octobayes::estimate::{Estimation, FieldBuilder, GridKind, GridSettings, Provenance, RaySettings};
 use octobayes::field::{ClosedForm, Radiance, RadianceField};
 use octobayes::geometry::{Camera, Domain};
 use octobayes::monitor::Silent;
@@ -47,10 +47,9 @@ fn field_evaluation(c: &mut Criterion) {
 fn accumulate(c: &mut Criterion) {
     let scene = ClosedForm::courtyard();
     let cameras = ClosedForm::half_circle(40, [200, 200]);
-    let empty = FieldBuilder::new(grid(GridKind::Octree), Domain::Box(scene.bounds())).unwrap();
-    let stream = rays().stream(&scene, &cameras, &grid(GridKind::Octree), empty.lattice(), &Silent).unwrap();
+    let run = Estimation::new(&scene, &cameras).rays(rays()).grid(grid(GridKind::Octree)).prepare().unwrap();
     let mut batches: Vec<RaySamples> = Vec::new();
-    stream
+    run.stream()
         .run(Shard::whole(RAYS), RunProgress::default(), &Silent, |samples, _| {
             batches.extend_from_slice(samples);
             Ok(())
@@ -69,7 +68,7 @@ fn accumulate(c: &mut Criterion) {
     }
     group.bench_function("rays, samples and Jacobians alone", |b| {
         b.iter(|| {
-            stream
+            run.stream()
                 .run(Shard::whole(RAYS), RunProgress::default(), &Silent, |samples, _| {
                     black_box(samples);
                     Ok(())
@@ -106,8 +105,8 @@ fn build_and_coarsen(c: &mut Criterion) {
         let octree = grid(GridKind::Octree);
         let make = || {
             let mut builder = FieldBuilder::new(octree, Domain::Box(scene.bounds())).unwrap();
-            let stream = rays().stream(&scene, &cameras, &octree, builder.lattice(), &Silent).unwrap();
-            stream
+            let run = Estimation::new(&scene, &cameras).rays(rays()).grid(octree).prepare().unwrap();
+            run.stream()
                 .run(share, RunProgress::default(), &Silent, |samples, _| {
                     builder.add(samples);
                     Ok(())
@@ -116,14 +115,14 @@ fn build_and_coarsen(c: &mut Criterion) {
             builder
         };
         let finish = |builder: FieldBuilder| {
-            let tally = RunProgress { rays: RAYS, ..RunProgress::default() };
-            builder.finish(&Provenance { source: name.into(), tally, share: None, stream: None })
+            let progress = RunProgress { rays: RAYS, ..RunProgress::default() };
+            builder.finish(&Provenance { source: name.into(), progress, ..Provenance::default() })
         };
         group.bench_function(name, |b| b.iter_batched(make, finish, criterion::BatchSize::PerIteration));
     }
     group.finish();
     let settings = RaySettings { rays: 100_000, ..rays() };
-    let field = estimate(&scene, &cameras, &settings, &grid(GridKind::Octree), &Silent).unwrap().0;
+    let field = Estimation::new(&scene, &cameras).rays(settings).grid(grid(GridKind::Octree)).run().unwrap().field;
     let mut group = c.benchmark_group("coarsen");
     group.sample_size(10);
     for epsilon in [0.0, 0.2] {
@@ -139,7 +138,8 @@ fn query_and_file(c: &mut Criterion) {
     let positions = points(200_000);
     for kind in [GridKind::Octree, GridKind::Dense] {
         let settings = RaySettings { rays: 100_000, ..rays() };
-        let field = estimate(&scene, &cameras, &settings, &grid(kind), &Silent).unwrap().0.without_sums();
+        let field =
+            Estimation::new(&scene, &cameras).rays(settings).grid(grid(kind)).run().unwrap().field.without_sums();
         let mut group = c.benchmark_group("query");
         group.throughput(Throughput::Elements(positions.len() as u64));
         group

@@ -12,10 +12,9 @@ use std::time::Instant;
 
 use octobayes::Result;
 use octobayes::dataset::Views;
-use octobayes::estimate::{GridSettings, RaySettings, estimate};
+use octobayes::estimate::{Estimation, GridSettings, Outcome, RaySettings};
 use octobayes::field::{ClosedForm, Coordinates, NerfMlp, RadianceField};
 use octobayes::geometry::Camera;
-use octobayes::monitor::Silent;
 use octobayes::open::open_in;
 use octobayes::render::GradientMethod;
 use octobayes::uncertainty::{Difference, UncertaintyField, compare};
@@ -65,8 +64,8 @@ fn run(case: &Case, settings: RaySettings) -> Result<(UncertaintyField, u64, f64
     let grid = GridSettings { level: case.level, tolerance: 0.0, surface_points: 200_000, ..GridSettings::default() };
     let start = Instant::now();
     let rays = RaySettings { rays: case.rays, ..settings };
-    let (field, tally) = estimate(&*case.field, &case.cameras, &rays, &grid, &Silent)?;
-    Ok((field, tally.samples, start.elapsed().as_secs_f64()))
+    let Outcome { field, progress, .. } = Estimation::new(&*case.field, &case.cameras).rays(rays).grid(grid).run()?;
+    Ok((field, progress.samples, start.elapsed().as_secs_f64()))
 }
 
 fn columns(difference: &Option<Difference>) -> String {

@@ -9,10 +9,9 @@ use std::time::Instant;
 
 use octobayes::Result;
 use octobayes::dataset::Views;
-use octobayes::estimate::{GridKind, GridSettings, RaySettings, estimate};
+use octobayes::estimate::{Estimation, GridKind, GridSettings, Outcome, RaySettings};
 use octobayes::field::{ClosedForm, Coordinates, RadianceField};
 use octobayes::geometry::Camera;
-use octobayes::monitor::Silent;
 use octobayes::open::open_in;
 use octobayes::posterior::Criterion;
 use octobayes::uncertainty::{Difference, compare};
@@ -34,7 +33,8 @@ fn main() -> Result<()> {
 fn study(name: &str, field: &dyn RadianceField, cameras: &[Camera], level: u8, rays: u64) -> Result<()> {
     let rays = RaySettings { rays, ..RaySettings::default() };
     let settings = GridSettings { level, surface_points: POINTS, ..GridSettings::default() };
-    let (dense, _) = estimate(field, cameras, &rays, &GridSettings { grid: GridKind::Dense, ..settings }, &Silent)?;
+    let Outcome { field: dense, .. } =
+        Estimation::new(field, cameras).rays(rays).grid(GridSettings { grid: GridKind::Dense, ..settings }).run()?;
     let dense = dense.without_sums();
     println!("\n### {name}, level {level}, {} rays; dense: {} bytes\n", rays.rays, dense.query_memory());
     println!(
@@ -57,7 +57,7 @@ fn study(name: &str, field: &dyn RadianceField, cameras: &[Camera], level: u8, r
     for (criteria, tolerance, min_rays) in cases {
         let grid = GridSettings { criteria: criteria.into_iter().collect(), tolerance, min_rays, ..settings };
         let start = Instant::now();
-        let (octree, _) = estimate(field, cameras, &rays, &grid, &Silent)?;
+        let Outcome { field: octree, .. } = Estimation::new(field, cameras).rays(rays).grid(grid).run()?;
         let time = start.elapsed().as_secs_f64();
         let s = octree.summary();
         let compared = compare(&octree, &dense, POINTS, 1)?;

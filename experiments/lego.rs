@@ -10,12 +10,10 @@ use std::time::{Duration, Instant};
 
 use octobayes::Result;
 use octobayes::dataset::Views;
-use octobayes::estimate::{FieldBuilder, GridKind, GridSettings, Provenance, RaySettings};
-use octobayes::field::{NerfMlp, RadianceField};
-use octobayes::geometry::Domain;
+use octobayes::estimate::{Estimation, GridKind, GridSettings, RaySettings};
+use octobayes::field::NerfMlp;
 use octobayes::monitor::Silent;
 use octobayes::posterior::trace;
-use octobayes::rays::{RunProgress, Shard};
 use octobayes::uncertainty::{Difference, Support, UncertaintyField, compare};
 
 const LEVEL: u8 = 8;
@@ -30,42 +28,29 @@ fn main() -> Result<()> {
 
     let settings = |grid, tolerance| GridSettings { grid, tolerance, level: LEVEL, ..GridSettings::default() };
     let names = ["octree, tolerance 0.01", "octree, nothing left out", "dense"];
-    let mut builders = Vec::new();
-    for settings in [settings(GridKind::Octree, 0.01), settings(GridKind::Octree, 0.0), settings(GridKind::Dense, 0.0)]
-    {
-        builders.push(FieldBuilder::new(settings, Domain::Box(model.bounds()))?);
-    }
+    let grids = [settings(GridKind::Octree, 0.01), settings(GridKind::Octree, 0.0), settings(GridKind::Dense, 0.0)];
     let rays = RaySettings { rays: RAYS, ..RaySettings::default() };
     let start = Instant::now();
-    let stream = rays.stream(&model, &cameras, &settings(GridKind::Dense, 0.0), builders[0].lattice(), &Silent)?;
+    let run = Estimation::new(&model, &cameras)
+        .rays(rays)
+        .grid(grids[2])
+        .source("lego.safetensors, lego_train.json")
+        .prepare()?;
     let occupancy = start.elapsed();
-    let mut spent = [Duration::ZERO; 3];
     let start = Instant::now();
-    let tally = stream.run(Shard::whole(RAYS), RunProgress::default(), &Silent, |batches, _| {
-        for (builder, spent) in builders.iter_mut().zip(&mut spent) {
-            let start = Instant::now();
-            builder.add(batches);
-            *spent += start.elapsed();
-        }
-        Ok(())
-    })?;
-    let evaluating = start.elapsed() - spent.iter().sum::<Duration>();
-    let sums: Vec<usize> = builders.iter().map(FieldBuilder::memory).collect();
-    let provenance = Provenance {
-        source: "lego.safetensors, lego_train.json".into(),
-        tally,
-        share: Some(Shard::whole(RAYS)),
-        stream: Some(&stream),
-    };
-    let fields: Vec<UncertaintyField> = builders.into_iter().map(|b| b.finish(&provenance)).collect();
+    let outcomes = run.finish_on(&grids)?;
+    let evaluating = start.elapsed() - outcomes.iter().map(|outcome| outcome.summing).sum::<Duration>();
+    let progress = outcomes[0].progress;
+    let (sums, spent): (Vec<usize>, Vec<Duration>) = outcomes.iter().map(|o| (o.sums_bytes, o.summing)).unzip();
+    let fields: Vec<UncertaintyField> = outcomes.into_iter().map(|outcome| outcome.field).collect();
 
     // As many surface points as box points; the run's own rays do not give a million.
     let other = RaySettings { seed: rays.seed + 1, ..rays };
-    let other = other.stream(&model, &cameras, &GridSettings::default(), fields[0].lattice(), &Silent)?;
-    let surface = other.surface_points(POINTS, 10 * RAYS, &Silent)?;
+    let other = Estimation::new(&model, &cameras).rays(other).prepare()?;
+    let surface = other.stream().surface_points(POINTS, 10 * RAYS, &Silent)?;
     let fields: Vec<_> = fields.into_iter().map(|f| f.with_surface(surface.clone())).collect();
 
-    println!("{RAYS} rays, level {LEVEL}, seed {}, {} samples with a Jacobian", rays.seed, tally.samples);
+    println!("{RAYS} rays, level {LEVEL}, seed {}, {} samples with a Jacobian", rays.seed, progress.samples);
     println!(
         "occupancy {:.1} s, field and Jacobians {:.1} s, {} threads\n",
         occupancy.as_secs_f64(),

@@ -13,10 +13,9 @@ use std::path::PathBuf;
 
 use octobayes::Result;
 use octobayes::dataset::Views;
-use octobayes::estimate::{GridKind, GridSettings, RaySettings, estimate};
+use octobayes::estimate::{Estimation, GridKind, GridSettings, RaySettings};
 use octobayes::field::{ClosedForm, Coordinates, RadianceField};
 use octobayes::geometry::Camera;
-use octobayes::monitor::Silent;
 use octobayes::open::open_in;
 use octobayes::posterior::{Covariance, VertexSums};
 use octobayes::rays::Pixels;
@@ -42,7 +41,7 @@ fn study(name: &str, field: &dyn RadianceField, cameras: &[Camera]) -> Result<()
     let run = |rays, seed, pixels| {
         let grid = GridSettings { grid: GridKind::Dense, level: LEVEL, surface_points: 0, ..GridSettings::default() };
         let rays = RaySettings { rays, seed, pixels, ..RaySettings::default() };
-        estimate(field, cameras, &rays, &grid, &Silent).map(|(field, _)| field)
+        Estimation::new(field, cameras).rays(rays).grid(grid).run().map(|outcome| outcome.field)
     };
     let truth = run(TRUTH, 99, Pixels::Random)?.without_sums();
     let prior = truth.prior().log10();

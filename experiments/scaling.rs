@@ -10,11 +10,10 @@ use std::time::Instant;
 
 use glam::Vec3;
 use octobayes::Result;
-use octobayes::estimate::{GridSettings, RaySettings, estimate};
+use octobayes::estimate::{Estimation, GridSettings, Outcome, RaySettings};
 use octobayes::field::{ClosedForm, Intrinsics, RadianceField};
 use octobayes::geometry::{Domain, Lattice};
 use octobayes::memory;
-use octobayes::monitor::Silent;
 use octobayes::picture::{Curve, write_plot};
 
 const QUERIES: usize = 1_000_000;
@@ -61,7 +60,7 @@ fn row(level: u8, rays: u64, memory: Option<u64>) -> Result<()> {
     let grid = GridSettings { level, memory, surface_points: QUERIES, ..GridSettings::default() };
     let settings = RaySettings { rays, occupancy: 512, ..RaySettings::default() };
     let start = Instant::now();
-    let (field, _) = estimate(&city, &cameras, &settings, &grid, &Silent)?;
+    let Outcome { field, .. } = Estimation::new(&city, &cameras).rays(settings).grid(grid).run()?;
     let time = start.elapsed().as_secs_f64();
     let peak = memory::peak().unwrap_or(0) as f64 / 1e6;
     let kept = field.sums().map_or(0, size_of_val);

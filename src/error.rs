@@ -54,7 +54,7 @@ pub enum Error {
         first: [f32; 3],
     },
     /// Ctrl-C during training: the model so far was written.
-    #[error("interrupted; {path} holds the model after {steps} steps, --resume goes on", path = path.display())]
+    #[error("interrupted; {path} holds the model after {steps} steps", path = path.display())]
     Stopped {
         /// The model's file.
         path: PathBuf,

@@ -21,17 +21,17 @@
 //!
 //! ```
 //! use glam::Vec3;
-//! use octobayes::estimate::{GridSettings, RaySettings, estimate};
+//! use octobayes::estimate::{Estimation, GridSettings, RaySettings};
 //! use octobayes::field::ClosedForm;
-//! use octobayes::monitor::Silent;
 //!
 //! // A courtyard that four cameras look at from one side.
 //! let scene = ClosedForm::courtyard();
 //! let cameras = ClosedForm::half_circle(4, [48, 48]);
 //! let rays = RaySettings { rays: 16_000, occupancy: 48, ..RaySettings::default() };
 //! let grid = GridSettings { level: 6, ..GridSettings::default() };
-//! let (uncertainty, tally) = estimate(&scene, &cameras, &rays, &grid, &Silent)?;
-//! assert_eq!(tally.rays, 16_000);
+//! let outcome = Estimation::new(&scene, &cameras).rays(rays).grid(grid).run()?;
+//! let uncertainty = outcome.field;
+//! assert_eq!(outcome.progress.rays, 16_000);
 //!
 //! // The blue ball's front was seen; its back was not, and keeps the prior: "never seen".
 //! let front = uncertainty.query(Vec3::new(0.75, -0.5, -0.35)).uncertainty;
@@ -41,8 +41,7 @@
 //! # Ok::<(), octobayes::Error>(())
 //! ```
 //!
-//! The primary types are [`field::RadianceField`] (implement it for your own model), [`estimate::RaySettings`] and
-//! [`estimate::GridSettings`] (what to compute), and [`uncertainty::UncertaintyField`] (the result). Jacobians from elsewhere,
+//! The primary types are [`field::RadianceField`] (implement it for your own model), [`estimate::Estimation`] (what to compute), and [`uncertainty::UncertaintyField`] (the result). Jacobians from elsewhere,
 //! autograd on a GPU say, go through [`estimate::FieldBuilder`] as [`render::RaySamples`].
 //!
 //! # What holds

@@ -27,7 +27,7 @@ pub fn open_in(model: &str, coordinates: Option<Coordinates>) -> Result<Box<dyn 
     }
     if let Some(coordinates) = coordinates {
         let found = format!("`{}` for `{model}`", coordinates.name());
-        return Err(Error::setting("--coordinates", "a `.ppng` model: others have one kind only", found));
+        return Err(Error::setting("coordinates", "a `.ppng` model: others have one kind only", found));
     }
     if let Some(scene) = model.strip_prefix("scene:") {
         return scene_named(scene);

@@ -14,14 +14,14 @@ use octobayes::uncertainty::{SAMPLES_SHARE, UncertaintyField, merge};
 use rayon::prelude::*;
 
 /// The field of a part of `stream`'s rays.
-fn part(stream: &RayStream, grid: GridSettings, domain: Domain, share: Shard) -> UncertaintyField {
+fn part(stream: &RayStream, grid: GridSettings, domain: Domain, shard: Shard) -> UncertaintyField {
     let mut builder = FieldBuilder::new(grid, domain).unwrap();
-    let tally = stream.run(share, RunProgress::default(), &Silent, |batches, _| {
+    let progress = stream.run(shard, RunProgress::default(), &Silent, |batches, _| {
         builder.add(batches);
         Ok(())
     });
     let provenance =
-        Provenance { source: "test".into(), tally: tally.unwrap(), share: Some(share), stream: Some(stream) };
+        Provenance { source: "test".into(), progress: progress.unwrap(), shard: Some(shard), stream: Some(stream) };
     builder.finish(&provenance)
 }
 

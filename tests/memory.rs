@@ -1,8 +1,7 @@
 //! The bytes that fields say they hold are those that the allocator gave; in a process of its own, because it counts.
 
-use octobayes::estimate::{GridKind, GridSettings, RaySettings, estimate};
+use octobayes::estimate::{Estimation, GridKind, GridSettings, RaySettings};
 use octobayes::field::{ClosedForm, Intrinsics, RadianceField};
-use octobayes::monitor::Silent;
 use octobayes::uncertainty::{Support, UncertaintyField};
 use stats_alloc::{INSTRUMENTED_SYSTEM, Region, StatsAlloc};
 use std::alloc::System;
@@ -22,7 +21,12 @@ fn city(level: u8, rays: u64) -> UncertaintyField {
     let city = ClosedForm::named("city").unwrap();
     let cameras = city.cameras(&Intrinsics::default()).unwrap().unwrap();
     let grid = GridSettings { level, surface_points: 100, ..GridSettings::default() };
-    estimate(&city, &cameras, &RaySettings { rays, ..RaySettings::default() }, &grid, &Silent).unwrap().0
+    Estimation::new(&city, &cameras)
+        .rays(RaySettings { rays, ..RaySettings::default() })
+        .grid(grid)
+        .run()
+        .unwrap()
+        .field
 }
 
 // One test: the allocator counts for the whole process.
@@ -33,7 +37,7 @@ fn parts_add_up_to_what_was_allocated_and_structure_is_small() {
     let rays = RaySettings { rays: 10_000, ..RaySettings::default() };
     let of = |grid, level| {
         let settings = GridSettings { grid, level, ..GridSettings::default() };
-        estimate(&courtyard, &cameras, &rays, &settings, &Silent).unwrap().0
+        Estimation::new(&courtyard, &cameras).rays(rays).grid(settings).run().unwrap().field
     };
     let fields = [of(GridKind::Octree, 7), of(GridKind::Dense, 5), city(10, 10_000), city(12, 10_000)];
     for field in fields {

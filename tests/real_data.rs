@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use glam::Vec3;
 use octobayes::dataset::{PosedImage, Views};
-use octobayes::estimate::{GridSettings, RaySettings, StepCheck, estimate};
+use octobayes::estimate::{Estimation, GridSettings, Outcome, RaySettings, StepCheck};
 use octobayes::field::{Coordinates, Intrinsics, NerfMlp, Ppng, Radiance, RadianceField};
 use octobayes::geometry::Domain;
 use octobayes::metrics::psnr;
@@ -194,7 +194,7 @@ fn advice_on_the_step_of_an_mlp_can_be_obeyed() {
     let check = StepCheck::of(&stream, &lattice, grid.tolerance, &Silent).unwrap().unwrap();
     assert!(check.is_bad && check.knows_derivatives);
     let log10 = |rays: RaySettings| {
-        let (field, _) = estimate(&field, &cameras, &rays, &grid, &Silent).unwrap();
+        let Outcome { field, .. } = Estimation::new(&field, &cameras).rays(rays).grid(grid).run().unwrap();
         let points = (0..17 * 17 * 17).map(|i| [i / 289, i / 17 % 17, i % 17].map(f64::from));
         let at = |u: [f64; 3]| field.query(domain.to_scene(glam::DVec3::from(u) / 16.0).as_vec3()).uncertainty.log10();
         points.map(at).collect::<Vec<f64>>()

@@ -1,11 +1,10 @@
 //! What turning a scene by 45° does to each scalar that is read off the Hessian.
 
 use glam::{DMat3, DVec3, Mat3, Vec3};
-use octobayes::estimate::{GridSettings, RaySettings, estimate};
+use octobayes::estimate::{Estimation, GridSettings, RaySettings};
 use octobayes::field::closed_form::{Primitive, Shape, Texture};
 use octobayes::field::{ClosedForm, Radiance, RadianceField};
 use octobayes::geometry::{Aabb, Camera};
-use octobayes::monitor::Silent;
 use octobayes::posterior::Covariance;
 use octobayes::uncertainty::UncertaintyField;
 
@@ -59,7 +58,7 @@ fn field(scene: &ClosedForm, angle: f64, shift: DVec3) -> (UncertaintyField, Mov
         .collect();
     let grid = GridSettings { level: 5, tolerance: 0.0, ..GridSettings::default() };
     let rays = RaySettings { rays: 60_000, occupancy: 32, ..RaySettings::default() };
-    (estimate(&moved, &cameras, &rays, &grid, &Silent).unwrap().0, moved)
+    (Estimation::new(&moved, &cameras).rays(rays).grid(grid).run().unwrap().field, moved)
 }
 
 /// Mean |Δ log10 U| between a scene as it is and moved, over points on the ball's surface, each at its own place.

@@ -5,12 +5,11 @@ use std::path::Path;
 use std::time::Instant;
 
 use glam::Vec3;
-use octobayes::estimate::{FieldBuilder, GridSettings, Provenance, RaySettings};
+use octobayes::estimate::{Estimation, GridSettings, Outcome, RaySettings};
 use octobayes::field::{HashGrid, HashGridConfig, NerfMlp, RadianceField, VoxelGrid};
 use octobayes::geometry::{Camera, Domain};
 use octobayes::io::AtomicFile;
 use octobayes::monitor::Silent;
-use octobayes::rays::{RunProgress, Shard};
 use octobayes::render::GradientMethod;
 use octobayes::train::{Budget, Run, TrainSettings, Trainer, quality};
 use octobayes::uncertainty::UncertaintyField;
@@ -154,7 +153,7 @@ pub fn folder(work: &Path, name: &str) -> Result<std::path::PathBuf> {
 
 /// What an uncertainty took.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Estimation {
+pub struct Spent {
     pub time: Time,
     /// Most that the sums held.
     pub summing_bytes: usize,
@@ -172,57 +171,41 @@ pub fn uncertainties(
     cameras: &[Camera],
     folder: &Path,
     model: &serde_json::Value,
-) -> Result<Vec<(UncertaintyField, Estimation)>> {
+) -> Result<Vec<(UncertaintyField, Spent)>> {
     let about = folder.join("uncertainties.json");
     let oct = |level: u8| folder.join(format!("level-{level}.oct"));
     let key = serde_json::json!([model, wanted, plan.rays]);
-    if let Some(estimations) = kept::<Vec<Estimation>>(&about, &key) {
+    if let Some(estimations) = kept::<Vec<Spent>>(&about, &key) {
         let read = |(&(level, _), estimation)| Ok((UncertaintyField::read(&oct(level))?, estimation));
         return wanted.iter().zip(estimations).map(read).collect();
     }
     eprintln!("  uncertainty");
     let clock = Clock::start();
     let domain = Domain::Box(field.bounds());
-    let settings = RaySettings { rays: plan.rays, gradient: GradientMethod::Auto, ..RaySettings::default() };
-    let (mut builders, mut least) = (Vec::new(), f64::INFINITY);
-    for &(level, factor) in wanted {
-        let grid = GridSettings { level, ..GridSettings::default() };
-        let lambda = factor * grid.lambda(&grid.lattice(domain)?);
-        let grid = GridSettings { lambda: Some(lambda), ..grid };
-        let builder = FieldBuilder::new(grid, domain)?;
-        least = least.min(settings.stream(field, cameras, &grid, builder.lattice(), &Silent)?.negligible);
-        builders.push((grid, builder, Time::default()));
-    }
-    let (grid, first, _) = &builders[0];
-    let mut stream = settings.stream(field, cameras, grid, first.lattice(), &Silent)?;
-    stream.negligible = least;
-    let share = Shard::whole(plan.rays);
-    let tally = stream.run(share, RunProgress::default(), &Silent, |batches, _| {
-        for (_, builder, time) in &mut builders {
-            let clock = Clock::start();
-            builder.add(batches);
-            *time = time.plus(clock.elapsed());
-        }
-        Ok(())
-    })?;
-    let sums = builders.iter().fold(Time::default(), |sum, (.., time)| sum.plus(*time));
+    let rays = RaySettings { rays: plan.rays, gradient: GradientMethod::Auto, ..RaySettings::default() };
+    let grids: Vec<GridSettings> = wanted
+        .iter()
+        .map(|&(level, factor)| {
+            let grid = GridSettings { level, ..GridSettings::default() };
+            Ok(GridSettings { lambda: Some(factor * grid.lambda(&grid.lattice(domain)?)), ..grid })
+        })
+        .collect::<Result<_>>()?;
+    let outcomes = Estimation::new(field, cameras).rays(rays).grid(grids[0]).prepare()?.finish_on(&grids)?;
     let whole = clock.elapsed();
-    let rays = Time { cpu: whole.cpu - sums.cpu, wall: whole.wall - sums.wall };
-    let provenance = Provenance { source: field.describe(), tally, share: Some(share), stream: Some(&stream) };
+    // Sums of a grid take as many cores as the rays do: processor time is divided as time is.
+    let share = |part: f64| Time { cpu: whole.cpu * part / whole.wall, wall: part };
+    let summing: f64 = outcomes.iter().map(|outcome| outcome.summing.as_secs_f64()).sum();
     let mut out = Vec::new();
-    for ((_, builder, time), &(level, _)) in builders.into_iter().zip(wanted) {
-        let clock = Clock::start();
-        let summing_bytes = builder.memory();
-        let uncertainty = builder.finish(&provenance);
-        let estimation = Estimation {
+    for (Outcome { field, sums_bytes, summing: own, .. }, &(level, _)) in outcomes.into_iter().zip(wanted) {
+        let estimation = Spent {
             // As if it had been made alone.
-            time: rays.plus(time).plus(clock.elapsed()),
-            summing_bytes,
-            query_bytes: uncertainty.query_memory(),
-            vertices: uncertainty.deviations().len(),
+            time: share(whole.wall - summing + own.as_secs_f64()),
+            summing_bytes: sums_bytes,
+            query_bytes: field.query_memory(),
+            vertices: field.deviations().len(),
         };
-        uncertainty.write(&oct(level))?;
-        out.push((uncertainty, estimation));
+        field.write(&oct(level))?;
+        out.push((field, estimation));
     }
     keep(&about, &key, out.iter().map(|(_, estimation)| *estimation).collect::<Vec<_>>())?;
     Ok(out)

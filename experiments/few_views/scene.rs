@@ -17,7 +17,7 @@ use octobayes::uncertainty::UncertaintyField;
 use serde::{Deserialize, Serialize};
 
 use crate::data::Dataset;
-use crate::model::{self, Clock, Estimation, Time, Training};
+use crate::model::{self, Clock, Spent, Time, Training};
 use crate::picture;
 use crate::plan::{BLENDS, LEVEL_BLENDS, Plan, Scene};
 
@@ -56,7 +56,7 @@ pub struct Entry {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Costs {
     pub training: Option<Training>,
-    pub estimation: Estimation,
+    pub estimation: Spent,
     /// Bytes of the model.
     pub model_bytes: usize,
     /// Of rendering the judged views once, without any uncertainty.

@@ -33,9 +33,9 @@ pub fn cases() -> Result<()> {
             [error(&case, &whole, &same), error(&case, &run, &same), error(&case, &run, &exact)];
         let ([mean, largest], [exact_mean, exact_largest]) = (default.worst(), derivatives.worst());
         let dropped =
-            if run.tally.dropped > 0 { format!(", {} rays dropped", run.tally.dropped) } else { String::new() };
+            if run.progress.dropped > 0 { format!(", {} rays dropped", run.progress.dropped) } else { String::new() };
         // Where rays are dropped, leaving nothing out drops more: of those that meet the fault behind opaque matter.
-        let rounding = match whole.tally.dropped == run.tally.dropped {
+        let rounding = match whole.progress.dropped == run.progress.dropped {
             true => format!("{:.0e}", rounding.hessian),
             false => String::new(),
         };

@@ -1,8 +1,7 @@
 //! How far from the limit: error bars against the errors found with twenty times the rays.
 
 use octobayes::Result;
-use octobayes::estimate::{GridSettings, RaySettings, estimate, estimate_with_error_bars};
-use octobayes::monitor::Silent;
+use octobayes::estimate::{Estimation, GridSettings, RaySettings};
 use octobayes::octree::VertexId;
 use octobayes::render::GradientMethod;
 use octobayes::uncertainty::{Support, UncertaintyField};
@@ -52,12 +51,12 @@ impl Scene {
     /// What stands for the limit.
     fn limit(&self) -> Result<UncertaintyField> {
         let many = RaySettings { rays: MORE * self.rays, seed: 77, ..self.settings() };
-        Ok(estimate(&*self.field, &self.cameras, &many, &self.grid(), &Silent)?.0)
+        Ok(Estimation::new(&*self.field, &self.cameras).rays(many).grid(self.grid()).run()?.field)
     }
 
     fn with_error_bars(&self, groups: u16) -> Result<UncertaintyField> {
         let (field, cameras) = (&*self.field, &self.cameras);
-        Ok(estimate_with_error_bars(field, cameras, &self.settings(), &self.grid(), groups, &Silent)?.0)
+        Ok(Estimation::new(field, cameras).rays(self.settings()).grid(self.grid()).error_bars(groups).run()?.field)
     }
 }
 

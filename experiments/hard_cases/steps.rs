@@ -4,7 +4,7 @@ use std::path::Path;
 
 use glam::{DVec3, Vec3};
 use octobayes::Result;
-use octobayes::estimate::{FieldBuilder, GridSettings, Provenance, RaySettings, StepCheck};
+use octobayes::estimate::{Estimation, FieldBuilder, GridSettings, Provenance, RaySettings};
 use octobayes::field::{ClosedForm, Radiance, RadianceField, RadianceJet, VoxelGrid};
 use octobayes::geometry::{Camera, Domain};
 use octobayes::monitor::Silent;
@@ -12,7 +12,7 @@ use octobayes::octree::VertexId;
 use octobayes::picture::{Curve, write_plot};
 use octobayes::rays::{RunProgress, Shard};
 use octobayes::render::{GradientMethod, RaySample, RaySamples};
-use octobayes::uncertainty::{Support, UncertaintyField};
+use octobayes::uncertainty::{MOVED, Support, UncertaintyField};
 use rayon::prelude::*;
 
 use super::scenes::{Scene, data, lego, lego_mlp};
@@ -90,8 +90,9 @@ fn settings(scene: &Scene) -> RaySettings {
 
 /// The samples of a scene's rays with exact derivatives.
 fn samples(scene: &Scene, grid: &GridSettings, domain: Domain) -> Result<Vec<Sample>> {
-    let lattice = grid.lattice(domain)?;
-    let stream = settings(scene).stream(&*scene.field, &scene.cameras, grid, &lattice, &Silent)?;
+    let run =
+        Estimation::new(&*scene.field, &scene.cameras).domain(domain).rays(settings(scene)).grid(*grid).prepare()?;
+    let stream = run.stream();
     let field = scene.field.differentiable().expect("scenes of this study know their derivatives");
     let direction = |ray: u64| {
         let pick = stream.pixels.picks(ray, 1)[0];
@@ -188,14 +189,14 @@ fn field_of(
     }
     let mut builder = FieldBuilder::new(grid, domain)?;
     builder.add(&[batch]);
-    let tally = RunProgress { rays, ..RunProgress::default() };
-    Ok(builder.finish(&Provenance { source: "steps".into(), tally, ..Provenance::default() }))
+    let progress = RunProgress { rays, ..RunProgress::default() };
+    Ok(builder.finish(&Provenance { source: "steps".into(), progress, ..Provenance::default() }))
 }
 
 /// Mean |Δ log10 U| over the vertices that moved by more than half a decade.
 fn changes(truth: &UncertaintyField, field: &UncertaintyField) -> f64 {
     let (Support::Octree(a), Support::Octree(b)) = (truth.support(), field.support()) else { return f64::NAN };
-    let moved = truth.prior() / 10_f64.sqrt();
+    let moved = truth.prior() * 10_f64.powf(-MOVED);
     let pairs = a.vertex_positions().zip(truth.deviations().iter()).filter(|(_, sigma)| *sigma < moved);
     let there = |point| b.vertex(point).map_or(field.prior(), |VertexId(v)| field.deviations().get(v as usize));
     let changes: Vec<f64> = pairs.map(|(point, sigma)| (sigma / there(point)).log10().abs()).collect();
@@ -234,9 +235,12 @@ fn study(scene: &Scene) -> Result<Vec<(f64, [Errors; 3])>> {
         out.push((step, errors));
     }
     report(scene, samples.len(), &out);
-    let stream = RaySettings { gradient: GradientMethod::FiniteDifference, ..settings(scene) };
-    let stream = stream.stream(&*scene.field, &scene.cameras, &grid, &lattice, &Silent)?;
-    if let Some(check) = StepCheck::of(&stream, &lattice, 0.01, &Silent)? {
+    let rays = RaySettings { gradient: GradientMethod::FiniteDifference, ..settings(scene) };
+    let run = Estimation::new(&*scene.field, &scene.cameras)
+        .rays(rays)
+        .grid(GridSettings { tolerance: 0.01, ..grid })
+        .prepare()?;
+    if let Some(check) = run.check_step()? {
         let best = check.errors.best();
         println!(
             "\nThe tool's own estimate: noise {:.1e} of σ, best step {:.1e} with error {:.1e}; at the default {:.1e}{}",

@@ -3,8 +3,7 @@
 use std::time::Instant;
 
 use octobayes::Result;
-use octobayes::estimate::{GridKind, GridSettings, RaySettings, estimate};
-use octobayes::monitor::Silent;
+use octobayes::estimate::{Estimation, GridKind, GridSettings, Outcome, RaySettings};
 use octobayes::rays::Pixels;
 use octobayes::render::GradientMethod;
 use octobayes::uncertainty::{Difference, UncertaintyField, compare};
@@ -30,9 +29,10 @@ pub struct Run {
 /// Runs once.
 pub fn run(scene: &Scene, rays: &RaySettings, grid: &GridSettings) -> Result<Run> {
     let start = Instant::now();
-    let (field, tally) = estimate(&*scene.field, &scene.cameras, rays, grid, &Silent)?;
+    let Outcome { field, progress, .. } =
+        Estimation::new(&*scene.field, &scene.cameras).rays(*rays).grid(*grid).run()?;
     let seconds = start.elapsed().as_secs_f64();
-    Ok(Run { field: field.without_sums(), seconds, samples: tally.samples })
+    Ok(Run { field: field.without_sums(), seconds, samples: progress.samples })
 }
 
 /// Runs `times` times; the last one with the median of the times.

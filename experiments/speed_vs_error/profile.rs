@@ -6,7 +6,7 @@ use std::time::Instant;
 use glam::Vec3;
 use ndarray::Array2;
 use octobayes::Result;
-use octobayes::estimate::{FieldBuilder, GridKind, RaySettings};
+use octobayes::estimate::{Estimation, FieldBuilder, GridKind, RaySettings};
 use octobayes::field::{Differentiable, Radiance, RadianceField, RadianceJet};
 use octobayes::geometry::{Aabb, Domain, Ray};
 use octobayes::monitor::Silent;
@@ -109,13 +109,14 @@ pub fn profile(lego: &Scene) -> Result<()> {
         for _ in 0..5 {
             let settings = RaySettings { rays: RAYS, gradient: gradient.unwrap_or_default(), ..lego.settings };
             let octree = grid(GridKind::Octree, 8);
-            let mut builder = FieldBuilder::new(octree, Domain::Box(counted.bounds()))?;
-            let lattice = *builder.lattice();
-            let stream = settings.stream(&counted, &lego.cameras, &octree, &lattice, &Silent)?;
+            let run = Estimation::new(&counted, &lego.cameras).rays(settings).grid(octree).prepare()?;
             counted.nanoseconds.store(0, Ordering::Relaxed);
             counted.points.iter().for_each(|n| n.store(0, Ordering::Relaxed));
+            let mut builder = FieldBuilder::new(octree, Domain::Box(counted.bounds()))?;
+            let stream = run.stream();
             let (start, mut adding) = (Instant::now(), 0.0);
             if gradient.is_some() {
+                // Without what comes after the last ray: reading the field off the sums.
                 stream.run(Shard::whole(RAYS), RunProgress::default(), &Silent, |batches, _| {
                     let start = Instant::now();
                     builder.add(batches);

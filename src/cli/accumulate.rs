@@ -51,10 +51,10 @@ impl Args {
             builder.add(batches);
             Ok(())
         })?;
-        let posterior_bytes = builder.memory();
-        let tally = RunProgress { rays: reader.rays_total(), samples: reader.samples(), ..RunProgress::default() };
+        let sums_bytes = builder.memory();
+        let progress = RunProgress { rays: reader.rays_total(), samples: reader.samples(), ..RunProgress::default() };
         let source = format!("samples {}", self.samples.display());
-        let field = builder.finish(&Provenance { source, tally, ..Provenance::default() });
-        self.grid.write(field, &Cost { elapsed: start.elapsed(), posterior_bytes, step: None })
+        let field = builder.finish(&Provenance { source, progress, ..Provenance::default() });
+        self.grid.write(field, &Cost { elapsed: start.elapsed(), sums_bytes, step: None })
     }
 }

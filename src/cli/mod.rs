@@ -8,12 +8,12 @@ macro_rules! say {
 
 mod accumulate;
 mod belongs;
-mod checkpoint;
 mod compare;
 mod convert;
 mod demo;
 mod evaluate;
 mod files;
+mod flags;
 mod info;
 mod merge;
 mod options;
@@ -30,7 +30,7 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
-use crate::Result;
+use crate::{Error, Result};
 use progress::Bars;
 
 /// Where can a trained radiance field (NeRF) be trusted?
@@ -78,8 +78,10 @@ pub fn main() -> ExitCode {
     match run(cli.verb, &Bars::new()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {error}");
-            ExitCode::from(error.exit_code())
+            let goes_on = if matches!(error, Error::Stopped { .. }) { "; --resume goes on" } else { "" };
+            let code = error.exit_code();
+            eprintln!("error: {}{goes_on}", flags::in_flags(error));
+            ExitCode::from(code)
         }
     }
 }

@@ -50,8 +50,8 @@ pub fn short(x: f64) -> String {
 pub struct Cost {
     /// From the first ray to the finished field.
     pub elapsed: Duration,
-    /// Most that the posterior held.
-    pub posterior_bytes: usize,
+    /// Most that the sums held.
+    pub sums_bytes: usize,
     /// Whether the finite-difference step suits the field, if there is one.
     pub step: Option<StepCheck>,
 }
@@ -262,6 +262,20 @@ pub fn audit(audit: &Audit, grid: &GridSettings, samples: f64) {
     );
 }
 
+/// Says on stderr how far a run to a mean error came.
+pub fn sampling_error(error: &SamplingError, rays: u64, wanted: f64) {
+    let SamplingError { vertices, mean, percentile_95 } = error;
+    if *vertices == 0 {
+        eprintln!("note: {rays} rays; no ray constrains anything");
+        return;
+    }
+    let within = if *mean <= wanted { "within" } else { "not within" };
+    eprintln!(
+        "note: {rays} rays; log10 U is off by {mean:.3} in the mean, 95 % by at most {percentile_95:.3} (two halves, {vertices} vertices that rays \
+         moved): {within} {wanted}"
+    );
+}
+
 /// What a finished run says about its field.
 ///
 /// # Errors
@@ -274,14 +288,14 @@ pub fn finished(field: &UncertaintyField, cost: &Cost, as_json: bool) -> Result<
         value["threads"] = json!(rayon::current_num_threads());
         value["seconds"] = json!(cost.elapsed.as_secs_f64());
         value["peak_bytes"] = json!(peak());
-        value["posterior_bytes"] = json!(cost.posterior_bytes);
+        value["posterior_bytes"] = json!(cost.sums_bytes);
         value["differences"] = json!(cost.step.as_ref().map(step_json));
         say!("{value}")?;
     } else {
         say!("protocol\n{}\n  threads      {}", protocol(field), rayon::current_num_threads())?;
         say!("field\n  {}", summary(&s))?;
         let peak = peak().map_or(String::new(), |peak| format!(", {} the peak of the process", bytes(peak as usize)));
-        say!("  {} while summing{peak}, {:.1} s", bytes(cost.posterior_bytes), cost.elapsed.as_secs_f64())?;
+        say!("  {} while summing{peak}, {:.1} s", bytes(cost.sums_bytes), cost.elapsed.as_secs_f64())?;
     }
     Ok(())
 }

@@ -2,18 +2,16 @@
 //!
 //! The first rays of the run are summed three times on the same lattice: as the run does it; with nothing left out (every sample of every ray, as
 //! `--cutoff 0`); and with better derivatives, the field's own if it has them, else differences over half the step. Together with what
-//! is certain (the tolerance) and what the number of rays leaves open ([`super::AutoRun`]), that is the error of a field.
+//! is certain (the tolerance) and what the number of rays leaves open ([`SamplingError`]), that is the error of a field.
 
 use rayon::prelude::*;
 
-use super::auto::SamplingError;
-use super::{FieldBuilder, GridSettings, RaySettings};
+use super::{Estimation, FieldBuilder, GridSettings, RaySettings, SamplingError};
 use crate::Result;
-use crate::field::RadianceField;
-use crate::geometry::{Camera, Domain};
-use crate::monitor::Monitor;
-use crate::rays::{RunProgress, Shard};
+use crate::geometry::Lattice;
+use crate::rays::{RayStream, RunProgress, Shard};
 use crate::render::GradientMethod;
+use crate::uncertainty::MOVED;
 
 /// What approximations do to log10 U at the vertices that the rays looked at moved by more than half a decade.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
@@ -30,43 +28,31 @@ impl Audit {
     /// Rays that are looked at, unless the run has fewer.
     pub const RAYS: u64 = 8_192;
 
-    /// Audits a run of `rays` through `field`.
-    ///
-    /// # Errors
-    /// As [`crate::rays::RayStream::run`].
-    pub fn of(
-        field: &dyn RadianceField,
-        cameras: &[Camera],
-        rays: &RaySettings,
-        grid: &GridSettings,
-        domain: Domain,
-        monitor: &dyn Monitor,
-    ) -> Result<Self> {
+    /// Audits a run whose rays are those of `stream`, on `lattice`.
+    pub(super) fn of(run: &Estimation, stream: &RayStream, lattice: &Lattice) -> Result<Self> {
+        let Estimation { field, cameras, domain, rays, monitor, .. } = run;
         let count = rays.rays.min(Self::RAYS);
-        let grid = GridSettings { surface_points: 0, memory: None, ..*grid };
-        let sums = |rays: RaySettings| {
-            let mut builder = FieldBuilder::new(grid, domain)?;
-            let lattice = *builder.lattice();
-            let stream = rays.stream(field, cameras, &grid, &lattice, monitor)?;
-            let share = Shard::whole(count);
-            stream.run(share, RunProgress::default(), monitor, |batches, _| {
+        let grid = GridSettings { surface_points: 0, memory: None, ..run.grid };
+        let sums_of = |stream: &RayStream| {
+            let mut builder = FieldBuilder::new(grid, *domain)?;
+            stream.run(Shard::whole(count), RunProgress::default(), *monitor, |batches, _| {
                 builder.add(batches);
                 Ok(())
             })?;
             Ok(builder)
         };
-        let run = sums(*rays)?;
-        let cutoff = run.differs(&sums(RaySettings { cutoff: 0.0, ..*rays })?, count);
-        let better = match (rays.gradient.of(field)?, field.differentiable()) {
+        let sums = |rays: RaySettings| sums_of(&rays.stream(*field, cameras, &grid, lattice, *monitor)?);
+        let own = sums_of(stream)?;
+        let cutoff = own.differs(&sums(RaySettings { cutoff: 0.0, ..*rays })?, count);
+        let better = match (rays.gradient.of(*field)?, field.differentiable()) {
             (Some(_), _) => None,
             (None, Some(_)) => Some(RaySettings { gradient: GradientMethod::Analytic, ..*rays }),
             (None, None) => {
-                let lattice = *run.lattice();
-                let edges = rays.differences(&lattice, &field.bounds()).step / lattice.edge();
+                let edges = rays.differences(lattice, &field.bounds()).step / lattice.edge();
                 Some(RaySettings { step: Some(0.5 * edges.max_element()), ..*rays })
             }
         };
-        let derivatives = better.map(|better| sums(better).map(|better| run.differs(&better, count))).transpose()?;
+        let derivatives = better.map(|better| sums(better).map(|better| own.differs(&better, count))).transpose()?;
         Ok(Self { rays: count, cutoff, derivatives })
     }
 }
@@ -76,7 +62,7 @@ impl FieldBuilder {
     fn differs(&self, other: &Self, rays: u64) -> SamplingError {
         let lambda = self.settings().lambda(self.lattice());
         let covariance = self.settings().covariance;
-        let moved = (covariance.prior(lambda) / 10_f64.sqrt()).log10();
+        let moved = covariance.prior(lambda).log10() - MOVED;
         let log10 = |sums| covariance.deviation(&sums, rays, lambda).log10();
         let pairs = self.paired(other).into_par_iter().map(|(mine, theirs)| (log10(mine), log10(theirs)));
         let errors = pairs.filter(|(a, b)| a.min(*b) < moved).map(|(a, b)| (a - b).abs());
@@ -88,14 +74,13 @@ impl FieldBuilder {
 mod tests {
     use super::*;
     use crate::field::ClosedForm;
-    use crate::monitor::Silent;
 
     fn audit(rays: RaySettings) -> Audit {
         let field = ClosedForm::courtyard();
         let cameras = ClosedForm::half_circle(10, [100, 100]);
         let grid = GridSettings { level: 6, ..GridSettings::default() };
         let rays = RaySettings { rays: 2_000, ..rays };
-        Audit::of(&field, &cameras, &rays, &grid, Domain::Box(field.bounds()), &Silent).unwrap()
+        Estimation::new(&field, &cameras).rays(rays).grid(grid).prepare().unwrap().audit().unwrap()
     }
 
     #[test]

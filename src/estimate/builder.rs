@@ -1,14 +1,15 @@
 //! A field in the making.
 
 use std::collections::BTreeSet;
+use std::ops::AddAssign;
 use std::path::Path;
 
 use rayon::prelude::*;
 
+use super::state::{self, AnyPosterior, RunKey};
 use super::{GridKind, GridSettings, Plan, plan};
 use crate::geometry::{Camera, Domain, Lattice};
 use crate::octree::{Cell, MaxLevels, morton};
-use crate::posterior::checkpoint::{self, AnyPosterior, RunKey};
 use crate::posterior::{DensePosterior, OctreePosterior, Posterior, VertexSums};
 use crate::rays::{RayStream, RunProgress, SURFACE_WEIGHT, Shard};
 use crate::render::RaySamples;
@@ -21,9 +22,9 @@ pub struct Provenance<'a> {
     /// Model and cameras, or samples file.
     pub source: String,
     /// Rays drawn and dropped.
-    pub tally: RunProgress,
+    pub progress: RunProgress,
     /// Which part of a run they are.
-    pub share: Option<Shard>,
+    pub shard: Option<Shard>,
     /// The stream that drew them, if it was this crate's.
     pub stream: Option<&'a RayStream<'a>>,
 }
@@ -96,11 +97,7 @@ impl FieldBuilder {
             return Ok(());
         }
         let Some(occupancy) = &stream.tracer.marcher.occupancy else {
-            return Err(Error::setting(
-                "criterion `density`",
-                "a --cutoff above 0, which makes an occupancy grid",
-                "0",
-            ));
+            return Err(Error::setting("criterion `density`", "a cutoff above 0, which makes an occupancy grid", "0"));
         };
         let edge = self.lattice.edge().max_element();
         let level = self.lattice.level().min(occupancy.resolution().ilog2() as u8);
@@ -134,23 +131,23 @@ impl FieldBuilder {
         self.surface.extend(visible.take(self.settings.surface_points - self.surface.len()));
     }
 
-    /// Writes the state of the run `key` after the rays of `tally`.
+    /// Writes the state of the run `key` after the rays of `progress`.
     ///
     /// # Errors
     /// If the file cannot be written.
-    pub fn save(&self, path: &Path, key: &RunKey, tally: RunProgress) -> Result<()> {
-        checkpoint::save(path, key, tally, &self.posterior, &self.surface)
+    pub fn save(&self, path: &Path, key: &RunKey, progress: RunProgress) -> Result<()> {
+        state::save(path, key, progress, &self.posterior, &self.surface)
     }
 
-    /// Takes up the state of the run `key`; returns the tally to go on from.
+    /// Takes up the state of the run `key`; returns where to go on.
     ///
     /// # Errors
     /// If the file is not the complete state of a run with the same description.
     pub fn restore(&mut self, path: &Path, key: &RunKey) -> Result<RunProgress> {
-        let state = checkpoint::load(path, key, &self.limits, self.settings.grid == GridKind::Dense)?;
+        let state = state::load(path, key, &self.limits, self.settings.grid == GridKind::Dense)?;
         self.posterior = state.posterior;
         self.surface = state.surface;
-        Ok(state.tally)
+        Ok(state.progress)
     }
 
     /// Bytes that the sums take now.
@@ -215,17 +212,6 @@ impl FieldBuilder {
         }
     }
 
-    /// Adds the sums of another builder of the same settings and limits, vertex by vertex.
-    pub(super) fn absorb(&mut self, other: &Self) {
-        match (&mut self.posterior, &other.posterior) {
-            (AnyPosterior::Dense(mine), AnyPosterior::Dense(theirs)) => mine.add_sums(theirs.sums()),
-            (AnyPosterior::Octree(mine), AnyPosterior::Octree(theirs)) => mine.add_bricks(theirs),
-            _ => unreachable!("both have the same settings"),
-        }
-        let room = self.settings.surface_points - self.surface.len();
-        self.surface.extend(other.surface.iter().take(room));
-    }
-
     /// Rays per vertex that the limits were made for; 0 if there are none.
     #[must_use]
     pub fn rays_per_vertex(&self) -> f64 {
@@ -248,11 +234,11 @@ impl FieldBuilder {
             version: env!("CARGO_PKG_VERSION").into(),
             source: provenance.source.clone(),
             origin: Origin { model: None, cameras: stream.map(|s| Camera::checksum(s.cameras)) },
-            rays: provenance.tally.rays,
-            dropped: provenance.tally.dropped,
+            rays: provenance.progress.rays,
+            dropped: provenance.progress.dropped,
             pixels: stream.map(|s| s.pixels.kind()),
             seed: stream.map(|s| s.pixels.seed()),
-            share: provenance.share,
+            share: provenance.shard,
             lambda: settings.lambda(&lattice),
             prior: settings.prior,
             min_rays: settings.min_rays,
@@ -278,5 +264,18 @@ impl FieldBuilder {
             AnyPosterior::Octree(posterior) => UncertaintyField::from_octree(protocol, lattice, posterior, wanted),
         };
         field.with_surface(surface)
+    }
+}
+
+impl AddAssign<&Self> for FieldBuilder {
+    /// Adds the sums of another builder of the same settings and limits, vertex by vertex.
+    fn add_assign(&mut self, other: &Self) {
+        match (&mut self.posterior, &other.posterior) {
+            (AnyPosterior::Dense(mine), AnyPosterior::Dense(theirs)) => mine.add_sums(theirs.sums()),
+            (AnyPosterior::Octree(mine), AnyPosterior::Octree(theirs)) => mine.add_bricks(theirs),
+            _ => unreachable!("both have the same settings"),
+        }
+        let room = self.settings.surface_points - self.surface.len();
+        self.surface.extend(other.surface.iter().take(room));
     }
 }

@@ -15,14 +15,14 @@ pub struct RayGroup<'a> {
     /// Its rays.
     pub stream: RayStream<'a>,
     /// All of them.
-    pub share: Shard,
+    pub shard: Shard,
 }
 
 impl RayGroup<'_> {
     /// What it draws.
     #[must_use]
     pub fn draw(&self) -> Draw {
-        self.stream.draw(self.share)
+        self.stream.draw(self.shard)
     }
 }
 
@@ -38,34 +38,33 @@ pub fn ray_groups<'a>(stream: &RayStream<'a>, count: u16, rays: u64) -> Result<V
     let group = |g: u16| {
         let own = rays / groups + u64::from(u64::from(g) < rays % groups);
         let stream = stream.for_purpose(Purpose::Group(g));
-        RayGroup { seed: stream.pixels.seed(), stream, share: Shard::whole(own) }
+        RayGroup { seed: stream.pixels.seed(), stream, shard: Shard::whole(own) }
     };
     Ok((0..count).map(group).collect())
 }
 
 impl FieldBuilder {
     /// The field of all groups' rays together, with error bars. Each builder holds the sums of one group; all have the same settings and
-    /// limits, and `tallies` says what each was made of. The whole needs as much memory as one more group.
+    /// limits, and `progress` says what each was made of. The whole needs as much memory as one more group.
     ///
     /// # Errors
     /// As [`FieldBuilder::want_density`].
     ///
     /// # Panics
-    /// If there are fewer than two groups, or not as many tallies.
+    /// If there are fewer than two groups, or not as many entries of progress.
     pub fn finish_groups(
         groups: Vec<Self>,
-        tallies: &[RunProgress],
+        progress: &[RunProgress],
         provenance: &Provenance,
     ) -> Result<UncertaintyField> {
-        assert!(groups.len() == tallies.len() && groups.len() >= 2, "one tally for each of two groups or more");
+        assert!(groups.len() == progress.len() && groups.len() >= 2, "one progress for each of two groups or more");
         let mut whole = groups[0].emptied();
-        groups.iter().for_each(|group| whole.absorb(group));
+        groups.iter().for_each(|group| whole += group);
         if let Some(stream) = provenance.stream {
             whole.want_density(stream)?;
         }
-        let tally = tallies.iter().fold(RunProgress::default(), |sum, tally| sum.with(tally));
-        let field = whole.finish(&Provenance { tally, ..provenance.clone() });
-        let rays: Vec<u64> = tallies.iter().map(|tally| tally.rays).collect();
+        let field = whole.finish(&Provenance { progress: progress.iter().copied().sum(), ..provenance.clone() });
+        let rays: Vec<u64> = progress.iter().map(|p| p.rays).collect();
         let sums: Vec<_> = groups.into_iter().map(|group| group.sums_at(field.support())).collect();
         Ok(field.with_error_bars(&sums, &rays))
     }

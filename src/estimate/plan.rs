@@ -107,8 +107,8 @@ impl Planner {
         let Some(budget) = self.settings.memory else { return Ok(plan) };
         while plan.bytes > budget as f64 {
             let tighter = self.tighter(lattice, &plan).ok_or_else(|| {
-                let expected = format!("at least {:.0} MB, or a lower --level, or fewer --rays", plan.bytes / 1e6);
-                Error::setting("--memory", expected, format!("{:.0} MB", budget as f64 / 1e6))
+                let expected = format!("at least {:.0} MB, or a lower level, or fewer rays", plan.bytes / 1e6);
+                Error::setting("memory budget", expected, format!("{:.0} MB", budget as f64 / 1e6))
             })?;
             plan = tighter;
         }

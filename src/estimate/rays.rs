@@ -3,10 +3,10 @@
 use glam::{DVec3, Vec3};
 
 use super::{FieldBuilder, GridSettings};
+use crate::estimate::state::RunKey;
 use crate::field::RadianceField;
 use crate::geometry::{Aabb, Camera, Domain, Lattice};
 use crate::monitor::Monitor;
-use crate::posterior::checkpoint::RunKey;
 use crate::posterior::negligible_jacobian;
 use crate::rays::{PixelSequence, Pixels, RayStream, Shard};
 use crate::render::{Differences, Differentiation, GradientMethod, LONGEST_STEP, Marcher, Occupancy, Tracer};
@@ -80,20 +80,20 @@ impl RaySettings {
         let step = self.march_step.unwrap_or_else(|| field.suggested_step());
         let steps = field.bounds().size().length() / step;
         if steps.is_nan() || steps > MAX_STEPS {
-            let expected = format!("at most {MAX_STEPS} steps across the field's box (--march-step)");
+            let expected = format!("at most {MAX_STEPS} steps across the field's box");
             return Err(Error::setting("march step", expected, format!("{step:e} scene units, {steps:.0} steps")));
         }
         let marcher = Marcher { step, bounds: field.bounds(), occupancy, cutoff: self.cutoff };
         Ok(Tracer { field, marcher, background: self.background })
     }
 
-    /// The description under which a run of `share` of these rays into `builder` can be taken up again; `source`
+    /// The description under which a run of `shard` of these rays into `builder` can be taken up again; `source`
     /// names the model, whatever its path.
     #[must_use]
     pub fn run_key(
         &self,
         source: String,
-        share: Shard,
+        shard: Shard,
         stream: &RayStream,
         grid: &GridSettings,
         builder: &FieldBuilder,
@@ -103,7 +103,7 @@ impl RaySettings {
             source,
             cameras: Camera::checksum(stream.cameras),
             lattice: *builder.lattice(),
-            share,
+            shard,
             pixels: self.pixels,
             seed: self.seed,
             march_step: stream.tracer.marcher.step,
@@ -203,7 +203,7 @@ fn check_resolution(differences: &Differences, bounds: &Aabb) -> Result<()> {
         let ((farthest, apart), h) = (resolution(&differences.domain, bounds, axis), differences.step[axis]);
         if h < apart {
             let expected = format!(
-                "at least {apart:e} scene units, what f32 positions are apart at {farthest:e} (--step, or a scene nearer to the origin)"
+                "at least {apart:e} scene units, what f32 positions are apart at {farthest:e}, or a scene nearer to the origin"
             );
             return Err(Error::setting("finite-difference step", expected, format!("{h:e}")));
         }

@@ -1,66 +1,363 @@
-//! Drawing the rays of a run into a builder, within a budget of memory.
+//! A run that is ready to draw rays, and how it draws them.
 
-use super::{FieldBuilder, Plan, Planner};
-use crate::monitor::Monitor;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use super::checkpoint::Saver;
+use super::estimation::{Estimation, Goal, Tap};
+use super::groups::{self, RayGroup};
+use super::mean_error;
+use super::state;
+use super::{
+    Audit, FieldBuilder, GridKind, GridSettings, Plan, Planner, Provenance, RaySettings, SamplingError, Sight,
+    StepCheck,
+};
+use crate::geometry::Lattice;
 use crate::rays::{RayStream, RunProgress, Shard};
-use crate::render::RaySamples;
+use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
 
-/// A planned run.
-pub struct PlannedRun<'a> {
-    /// The rays.
-    pub stream: &'a RayStream<'a>,
-    /// Which of them.
-    pub share: Shard,
-    /// Where plans come from; `None` if nothing limits the run.
-    pub planner: Option<&'a Planner>,
-    /// Most bytes for sums and field.
-    pub memory: Option<u64>,
+/// A finished run.
+#[derive(Debug, Clone)]
+pub struct Outcome {
+    /// The result.
+    pub field: UncertaintyField,
+    /// What it was made of.
+    pub progress: RunProgress,
+    /// Bytes that the sums took at the end.
+    pub sums_bytes: usize,
+    /// Time in which rays were summed and the field was read off the sums: what is left of the run's time is the field's own.
+    pub summing: Duration,
+    /// The plan that the run ended with, if something limited it.
+    pub plan: Option<Plan>,
+    /// Whether memory ran out in spite of the plan, so that the run started again with a tighter one.
+    pub is_replanned: bool,
+    /// How far log10 U is off, if the run went on until a mean error was reached.
+    pub sampling_error: Option<SamplingError>,
 }
 
-impl PlannedRun<'_> {
-    /// Draws the rays behind `from` into `builder`; `sink` sees every group of batches after the builder has,
-    /// with the tally that includes it. If the budget is used up in
-    /// spite of the plan, the next tighter plan is made and the run starts again from its first ray (`sink`
-    /// is told by an empty group and tally), so that the outcome is that of a run which had been planned so. Returns the last plan too.
+/// A run before its first ray: see [`Estimation::prepare`].
+pub struct Run<'a> {
+    estimation: Estimation<'a>,
+    lattice: Lattice,
+    stream: RayStream<'a>,
+    pub(super) limits: Limits,
+}
+
+/// What keeps a run small.
+#[derive(Default)]
+pub(super) struct Limits {
+    planner: Option<Planner>,
+    plan: Option<Plan>,
+    /// Most bytes that the run may take; the grid's, unless a test says otherwise.
+    pub budget: Option<u64>,
+    is_replanned: bool,
+}
+
+/// Rays with sums of their own: all of a run, or one group.
+struct Part<'r> {
+    stream: &'r RayStream<'r>,
+    shard: Shard,
+    seed: u64,
+    file: Option<&'r Path>,
+}
+
+impl<'a> Run<'a> {
+    pub(super) fn new(estimation: Estimation<'a>) -> Result<Self> {
+        let Estimation { field, cameras, domain, rays, grid, monitor, .. } = &estimation;
+        // Refuses a prior that f32 cannot hold, too.
+        let lattice = *FieldBuilder::new(*grid, *domain)?.lattice();
+        let stream = rays.stream(*field, cameras, grid, &lattice, *monitor)?;
+        let limits = Limits { budget: grid.memory, ..Limits::default() };
+        let mut run = Self { estimation, lattice, stream, limits };
+        if run.estimation.grid.needs_plan() {
+            let planner = run.pilot()?;
+            let mut plan = planner.plan(&run.lattice)?;
+            // The budget may have made the interrupted run give up more than was planned.
+            let files = run.files();
+            if let [Some(file)] = files.as_slice()
+                && file.exists()
+            {
+                let rays_per_vertex = state::rays_per_vertex(file)?;
+                while plan.rays_per_vertex < rays_per_vertex
+                    && let Some(tighter) = planner.tighter(&run.lattice, &plan)
+                {
+                    plan = tighter;
+                }
+            }
+            (run.limits.planner, run.limits.plan) = (Some(planner), Some(plan));
+        }
+        Ok(run)
+    }
+
+    /// Box and finest level.
+    #[must_use]
+    pub fn lattice(&self) -> &Lattice {
+        &self.lattice
+    }
+
+    /// The rays.
+    #[must_use]
+    pub fn stream(&self) -> &RayStream<'a> {
+        &self.stream
+    }
+
+    /// Rays that the run will draw, at most.
+    #[must_use]
+    pub fn rays(&self) -> u64 {
+        self.estimation.own_shard().own_rays()
+    }
+
+    /// What the run will need: the plan that limits it or, if nothing does, what a pilot of 16,384 rays foretells.
     ///
     /// # Errors
-    /// As [`RayStream::run`], what `sink` returns, or if no tighter plan is left.
-    pub fn run(
-        &self,
-        builder: &mut FieldBuilder,
-        from: RunProgress,
-        mut plan: Option<Plan>,
-        monitor: &dyn Monitor,
-        mut sink: impl FnMut(&FieldBuilder, &[RaySamples], &RunProgress) -> Result<()>,
-    ) -> Result<(RunProgress, Option<Plan>)> {
-        let mut from = from;
-        loop {
-            let mut over = false;
-            let result = self.stream.run(self.share, from, monitor, |batches, tally| {
-                builder.add(batches);
-                over = self.memory.is_some_and(|budget| builder.expected_peak() > budget);
-                // Ends the stream; told from Ctrl-C by `over`.
-                if over { Err(Error::Interrupted) } else { sink(builder, batches, tally) }
-            });
-            if !over {
-                return Ok((result?, plan));
-            }
-            let lattice = *builder.lattice();
-            let tighter = plan.as_ref().zip(self.planner).and_then(|(plan, planner)| planner.tighter(&lattice, plan));
-            let Some(tighter) = tighter else {
-                let found = format!("{} MB, used up on the coarsest leaves", self.memory.unwrap_or(0) / 1_000_000);
-                return Err(Error::setting(
-                    "--memory",
-                    "room for the field, or a lower --level or fewer --rays",
-                    found,
-                ));
-            };
-            builder.limit(&tighter);
-            plan = Some(tighter);
-            from = RunProgress::default();
-            // What the sink remembers of the rays so far is void: an interrupt may come before the next batch.
-            sink(builder, &[], &from)?;
+    /// As [`RayStream::run`].
+    pub fn forecast(&self) -> Result<Plan> {
+        let mut plan = match &self.limits.plan {
+            Some(plan) => plan.clone(),
+            None => self.pilot()?.plan(&self.lattice)?,
+        };
+        // Every group has its own sums, and they meet in one more.
+        plan.bytes *= self.estimation.groups().map_or(1.0, |groups| f64::from(groups) + 1.0);
+        Ok(plan)
+    }
+
+    fn pilot(&self) -> Result<Planner> {
+        let Estimation { rays, grid, monitor, .. } = &self.estimation;
+        Planner::new(*grid, rays, &self.stream, self.estimation.own_shard(), self.lattice, *monitor)
+    }
+
+    /// Whether the cameras see anything of the field within its domain, measured on a few thousand rays.
+    ///
+    /// # Errors
+    /// [`Error::Interrupted`] only.
+    pub fn sight(&self) -> Result<Sight> {
+        Sight::of(&self.stream, &self.estimation.domain, self.estimation.monitor)
+    }
+
+    /// Whether the finite-difference step suits the field; `None` with derivatives of the field's own, or if there is nothing to see.
+    ///
+    /// # Errors
+    /// [`Error::Interrupted`] only.
+    pub fn check_step(&self) -> Result<Option<StepCheck>> {
+        StepCheck::of(&self.stream, &self.lattice, self.estimation.grid.tolerance, self.estimation.monitor)
+    }
+
+    /// What the run's approximations cost, measured on a few of its own rays.
+    ///
+    /// # Errors
+    /// As [`RayStream::run`].
+    pub fn audit(&self) -> Result<Audit> {
+        Audit::of(&self.estimation, &self.stream, &self.lattice)
+    }
+
+    /// Draws the rays, and makes the field.
+    ///
+    /// Ctrl-C (the monitor's) leaves a checkpoint behind, if the run has one; a finished run leaves its checkpoint too, until the result is safe and
+    /// [`Checkpoint::remove`](super::Checkpoint::remove) is called.
+    ///
+    /// # Errors
+    /// If the field is not finite on too many rays, the memory budget does not hold the coarsest leaves, a checkpoint cannot be read or written, a
+    /// [tap](Estimation::tap) fails, or the work was interrupted.
+    pub fn finish(self) -> Result<Outcome> {
+        match self.estimation.goal {
+            Goal::Shard { .. } => self.finish_shard(),
+            Goal::Groups(groups) => self.finish_groups(groups),
+            Goal::MeanError(decades) => self.finish_mean_error(decades),
         }
+    }
+
+    /// Draws the rays once, and makes one field on each of `grids` of them: exact comparisons between grids, levels and readings. All
+    /// cover the run's domain; the run's own grid says how rays are differentiated, and none of the fields lacks samples that it would not have left out alone.
+    ///
+    /// # Errors
+    /// As [`Run::finish`], or if the run has another goal than all rays in one group, or a grid needs a plan.
+    pub fn finish_on(mut self, grids: &[GridSettings]) -> Result<Vec<Outcome>> {
+        let Estimation { field, cameras, domain, rays, goal, monitor, checkpoint, .. } = &self.estimation;
+        if !matches!(goal, Goal::Shard { .. }) || checkpoint.is_some() || grids.iter().any(GridSettings::needs_plan) {
+            return Err(Error::setting(
+                "several grids",
+                "all rays, on grids without limits, without a checkpoint",
+                "others",
+            ));
+        }
+        let mut builders = Vec::new();
+        for grid in grids {
+            let mut builder = FieldBuilder::new(*grid, *domain)?;
+            let alone = rays.stream(*field, cameras, grid, builder.lattice(), *monitor)?;
+            self.stream.negligible = self.stream.negligible.min(alone.negligible);
+            builder.want_density(&self.stream)?;
+            builders.push((builder, Duration::ZERO));
+        }
+        let shard = self.estimation.own_shard();
+        let progress = self.stream.run(shard, RunProgress::default(), self.estimation.monitor, |batches, _| {
+            for (builder, summing) in &mut builders {
+                let start = Instant::now();
+                builder.add(batches);
+                *summing += start.elapsed();
+            }
+            self.estimation.tap.as_mut().map_or(Ok(()), |tap| tap(batches))
+        })?;
+        let outcome =
+            |(builder, summing): (FieldBuilder, Duration)| self.outcome(builder, progress, summing, Some(shard));
+        Ok(builders.into_iter().map(outcome).collect())
+    }
+
+    fn finish_shard(mut self) -> Result<Outcome> {
+        let (shard, seed) = (self.estimation.own_shard(), self.estimation.rays.seed);
+        let mut builder = self.builder()?;
+        builder.want_density(&self.stream)?;
+        let files = self.files();
+        let part = Part { stream: &self.stream, shard, seed, file: files[0].as_deref() };
+        let (progress, summing) = draw(&mut self.estimation, &mut self.limits, &part, &mut builder)?;
+        Ok(self.outcome(builder, progress, summing, Some(shard)))
+    }
+
+    fn finish_groups(mut self, count: u16) -> Result<Outcome> {
+        let files = self.files();
+        let (mut builders, mut progress, mut summing) = (Vec::new(), Vec::new(), Duration::ZERO);
+        let groups = groups::ray_groups(&self.stream, count, self.estimation.rays.rays)?;
+        for (group, file) in groups.iter().zip(&files) {
+            let mut builder = self.builder()?;
+            let part = Part { stream: &group.stream, shard: group.shard, seed: group.seed, file: file.as_deref() };
+            let (drawn, time) = draw(&mut self.estimation, &mut self.limits, &part, &mut builder)?;
+            progress.push(drawn);
+            summing += time;
+            builders.push(builder);
+        }
+        let sums_bytes = builders.iter().map(FieldBuilder::memory).sum();
+        let whole = progress.iter().copied().sum();
+        let start = Instant::now();
+        let field = FieldBuilder::finish_groups(builders, &progress, &self.provenance(whole, None))?;
+        let field = field.with_draws(groups.iter().map(RayGroup::draw).collect());
+        let summing = summing + start.elapsed();
+        Ok(Outcome { sums_bytes, ..self.outcome_of(field, whole, summing) })
+    }
+
+    fn finish_mean_error(self, decades: f64) -> Result<Outcome> {
+        let Estimation { grid, domain, rays, monitor, .. } = &self.estimation;
+        let start = Instant::now();
+        let (halves, error) = mean_error::draw(&self.stream, *grid, *domain, decades, rays.rays, *monitor)?;
+        let progress = halves.iter().map(|half| half.1).sum();
+        let sums_bytes = halves.iter().map(|half| half.0.memory()).sum();
+        let draws = mean_error::draws(&self.stream, &halves);
+        let [(mut whole, _), (other, _)] = halves;
+        whole += &other;
+        whole.want_density(&self.stream)?;
+        // Two sequences of pixels: no part of a run that others could be added to.
+        let outcome = self.outcome(whole, progress, start.elapsed(), None);
+        let field = outcome.field.with_draws(draws);
+        Ok(Outcome { field, sums_bytes, sampling_error: Some(error), ..outcome })
+    }
+
+    /// A builder on the plan's leaves.
+    fn builder(&self) -> Result<FieldBuilder> {
+        let mut builder = FieldBuilder::new(self.estimation.grid, self.estimation.domain)?;
+        if let Some(plan) = &self.limits.plan {
+            builder.limit(plan);
+        }
+        Ok(builder)
+    }
+
+    /// The checkpoint's files, one for each group; `[None]` if there is none.
+    fn files(&self) -> Vec<Option<PathBuf>> {
+        let groups = self.estimation.groups();
+        match &self.estimation.checkpoint {
+            Some(checkpoint) => checkpoint.files(groups).into_iter().map(Some).collect(),
+            None => vec![None; usize::from(groups.unwrap_or(1))],
+        }
+    }
+
+    fn provenance(&self, progress: RunProgress, shard: Option<Shard>) -> Provenance<'_> {
+        Provenance { source: self.estimation.source.clone(), progress, shard, stream: Some(&self.stream) }
+    }
+
+    fn outcome(
+        &self,
+        builder: FieldBuilder,
+        progress: RunProgress,
+        summing: Duration,
+        shard: Option<Shard>,
+    ) -> Outcome {
+        let sums_bytes = builder.memory();
+        let start = Instant::now();
+        let field = builder.finish(&self.provenance(progress, shard));
+        Outcome { sums_bytes, ..self.outcome_of(field, progress, summing + start.elapsed()) }
+    }
+
+    fn outcome_of(&self, field: UncertaintyField, progress: RunProgress, summing: Duration) -> Outcome {
+        let field = self.estimation.model.iter().fold(field, |field, &checksum| field.of_model(checksum));
+        let plan = self.limits.plan.clone().filter(|_| self.estimation.grid.grid == GridKind::Octree);
+        Outcome {
+            field,
+            progress,
+            sums_bytes: 0,
+            summing,
+            plan,
+            is_replanned: self.limits.is_replanned,
+            sampling_error: None,
+        }
+    }
+}
+
+impl Limits {
+    /// Replaces the plan.
+    #[cfg(test)]
+    pub fn set_plan(&mut self, plan: Plan) {
+        self.plan = Some(plan);
+    }
+
+    /// The next coarser plan, if there is one.
+    fn tighter(&self, lattice: &Lattice) -> Option<Plan> {
+        self.planner.as_ref()?.tighter(lattice, self.plan.as_ref()?)
+    }
+}
+
+/// Draws the rays of `part` into `builder`, from where its checkpoint ends. If the budget is used up in spite of the plan, the next
+/// tighter plan is made and the part starts again from its first ray, so that the outcome is that of a run which had been planned so.
+///
+/// Returns how far it came, and the time spent on summing.
+fn draw(
+    estimation: &mut Estimation,
+    limits: &mut Limits,
+    part: &Part,
+    builder: &mut FieldBuilder,
+) -> Result<(RunProgress, Duration)> {
+    let is_group = estimation.groups().is_some();
+    let key_source = estimation.key_source();
+    let Estimation { rays, grid, monitor, checkpoint, tap, .. } = estimation;
+    let rays = RaySettings { seed: part.seed, ..*rays };
+    let key = |builder: &FieldBuilder| rays.run_key(key_source.clone(), part.shard, part.stream, grid, builder);
+    let mut saver = Saver::new(checkpoint.as_ref(), part.file);
+    let mut progress = saver.restore(builder, &key(builder))?;
+    let mut summing = Duration::ZERO;
+    loop {
+        let mut is_over = false;
+        let result = part.stream.run(part.shard, progress, *monitor, |batches, so_far| {
+            let start = Instant::now();
+            builder.add(batches);
+            summing += start.elapsed();
+            is_over = limits.budget.is_some_and(|budget| builder.expected_peak() > budget);
+            if is_over {
+                // Ends the stream; `is_over` tells it from Ctrl-C.
+                return Err(Error::Interrupted);
+            }
+            progress = *so_far;
+            saver.save_if_due(builder, || key(builder), progress)?;
+            tap.as_mut().map_or(Ok(()), |tap: &mut Tap| tap(batches))
+        });
+        if !is_over {
+            // A group that is done is not drawn again if a later one is interrupted.
+            if matches!(result, Err(Error::Interrupted)) || is_group && result.is_ok() {
+                saver.save(builder, || key(builder), progress)?;
+            }
+            return result.map(|progress| (progress, summing));
+        }
+        let Some(tighter) = limits.tighter(builder.lattice()) else {
+            let found = format!("{} MB, used up on the coarsest leaves", limits.budget.unwrap_or(0) / 1_000_000);
+            return Err(Error::setting("memory budget", "room for the field, or a lower level or fewer rays", found));
+        };
+        builder.limit(&tighter);
+        (limits.plan, limits.is_replanned, progress) = (Some(tighter), true, RunProgress::default());
     }
 }

@@ -67,11 +67,10 @@ impl StepCheck {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::estimate::{FieldBuilder, GridSettings, Provenance, RaySettings};
+    use crate::estimate::{Estimation, GridSettings, RaySettings};
     use crate::field::{ClosedForm, Differentiable, Radiance, RadianceField, RadianceJet};
     use crate::geometry::{Aabb, Domain};
     use crate::monitor::Silent;
-    use crate::rays::{RunProgress, Shard};
     use crate::render::{GradientMethod, LONGEST_STEP};
     use glam::DVec3;
 
@@ -162,16 +161,7 @@ mod tests {
         let cameras = ClosedForm::half_circle(6, [64, 64]);
         let domain = Domain::Box(Waves.bounds());
         let run = |rays: RaySettings| {
-            let mut builder = FieldBuilder::new(grid(), domain).unwrap();
-            let lattice = *builder.lattice();
-            let stream = rays.stream(&Waves, &cameras, &grid(), &lattice, &Silent).unwrap();
-            let share = Shard::whole(rays.rays);
-            let tally = stream.run(share, RunProgress::default(), &Silent, |batches, _| {
-                builder.add(batches);
-                Ok(())
-            });
-            let tally = tally.unwrap();
-            builder.finish(&Provenance { source: String::new(), tally, share: None, stream: Some(&stream) })
+            Estimation::new(&Waves, &cameras).domain(domain).rays(rays).grid(grid()).run().unwrap().field
         };
         let rays = RaySettings { rays: 2_000, occupancy: 32, ..RaySettings::default() };
         let exact = run(RaySettings { gradient: GradientMethod::Analytic, ..rays });

@@ -1,10 +1,10 @@
 //! The whole line on small scenes.
 
 use super::*;
-use crate::field::{ClosedForm, VoxelGrid};
-use crate::geometry::Aabb;
+use crate::field::{ClosedForm, RadianceField, VoxelGrid};
+use crate::geometry::{Aabb, Camera, Domain};
 use crate::monitor::Silent;
-use crate::uncertainty::Support;
+use crate::uncertainty::{Support, UncertaintyField};
 use glam::{DVec3, Vec3};
 
 fn settings(rays: u64) -> RaySettings {
@@ -17,7 +17,7 @@ fn octree_and_dense_agree_on_the_same_rays() {
     let cameras = ClosedForm::half_circle(6, [40, 40]);
     let both = [GridKind::Octree, GridKind::Dense].map(|grid| {
         let grid = GridSettings { grid, level: 6, ..GridSettings::default() };
-        estimate(&field, &cameras, &settings(3000), &grid, &Silent).unwrap().0
+        Estimation::new(&field, &cameras).rays(settings(3000)).grid(grid).run().unwrap().field
     });
     let [octree, dense] = &both;
     // H agrees to rounding at every vertex whose eight cells are finest leaves: sums of at most 3000 positive terms.
@@ -49,7 +49,7 @@ fn one_and_two_threads_give_the_same_bits() {
     let grid = GridSettings { level: 6, ..GridSettings::default() };
     let run = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| estimate(&field, &cameras, &settings(5000), &grid, &Silent).unwrap().0)
+        pool.install(|| Estimation::new(&field, &cameras).rays(settings(5000)).grid(grid).run().unwrap().field)
     };
     let [one, two] = [1, 2].map(run);
     assert_eq!(one, two);
@@ -84,7 +84,7 @@ fn a_scene_scaled_by_s_has_its_uncertainty_scaled_by_s() {
         let scene = Scaled(VoxelGrid::bake(&ClosedForm::ball(), [24; 3], Vec3::Z), scale as f32);
         let camera = |eye: DVec3| Camera::look_at(eye * scale, DVec3::ZERO, DVec3::Z, 0.7, [32, 32]);
         let cameras = [camera(DVec3::new(3.0, 0.5, 0.25)), camera(DVec3::new(-1.0, 2.5, 1.0))];
-        estimate(&scene, &cameras, &settings(2000), &grid, &Silent).unwrap().0
+        Estimation::new(&scene, &cameras).rays(settings(2000)).grid(grid).run().unwrap().field
     };
     let [small, large] = [field(1.0), field(8.0)];
     for i in 0..1000 {
@@ -99,7 +99,7 @@ fn a_scene_scaled_by_s_has_its_uncertainty_scaled_by_s() {
 #[test]
 fn no_camera_is_an_error() {
     let field = ClosedForm::ball();
-    assert!(estimate(&field, &[], &settings(100), &GridSettings::default(), &Silent).is_err());
+    assert!(Estimation::new(&field, &[]).rays(settings(100)).grid(GridSettings::default()).run().is_err());
 }
 
 #[test]
@@ -108,11 +108,13 @@ fn a_budget_of_memory_is_kept_by_giving_up_levels() {
     let cameras = ClosedForm::half_circle(6, [64, 64]);
     let free = GridSettings { level: 9, surface_points: 0, ..GridSettings::default() };
     let peak = |field: &UncertaintyField| field.memory().iter().map(|part| part.1).sum::<usize>();
-    let (unlimited, _) = estimate(&field, &cameras, &settings(20_000), &free, &Silent).unwrap();
+    let Outcome { field: unlimited, .. } =
+        Estimation::new(&field, &cameras).rays(settings(20_000)).grid(free).run().unwrap();
     let budget = 40_000_000;
     assert!(peak(&unlimited) > budget && unlimited.limits().is_unlimited());
     let tight = GridSettings { memory: Some(budget as u64), ..free };
-    let (limited, _) = estimate(&field, &cameras, &settings(20_000), &tight, &Silent).unwrap();
+    let Outcome { field: limited, .. } =
+        Estimation::new(&field, &cameras).rays(settings(20_000)).grid(tight).run().unwrap();
     assert!(peak(&limited) <= budget && limited.validate().is_ok() && !limited.limits().is_unlimited());
     // What was given up was refinement, not places: both say of the same points that they were seen.
     let seen = |field: &UncertaintyField, x| field.log10(x) < field.prior().log10() - 1.0;
@@ -127,8 +129,8 @@ fn a_budget_of_memory_is_kept_by_giving_up_levels() {
     let lower = points.iter().map(|&x| unlimited.log10(x) - limited.log10(x)).sum::<f64>() / points.len() as f64;
     assert!(given_up > 3.0 && (0.0..0.9).contains(&lower), "{given_up} levels given up, log10 U lower by {lower}");
     let hopeless = GridSettings { memory: Some(10_000), ..free };
-    let error = estimate(&field, &cameras, &settings(20_000), &hopeless, &Silent).unwrap_err().to_string();
-    assert!(error.contains("--memory") && error.contains("at least"), "{error}");
+    let error = Estimation::new(&field, &cameras).rays(settings(20_000)).grid(hopeless).run().unwrap_err().to_string();
+    assert!(error.contains("memory budget") && error.contains("at least"), "{error}");
 }
 
 #[test]
@@ -138,17 +140,8 @@ fn contracted_space_has_an_answer_everywhere_and_the_dense_one() {
     for norm in [crate::geometry::Norm::L2, crate::geometry::Norm::Linf] {
         let domain = Domain::contracted(DVec3::new(0.0, 0.0, -0.3), 0.5, norm).unwrap();
         let both = [GridKind::Octree, GridKind::Dense].map(|grid| {
-            let settings_of_grid = GridSettings { grid, level: 6, ..GridSettings::default() };
-            let mut builder = FieldBuilder::new(settings_of_grid, domain).unwrap();
-            let lattice = *builder.lattice();
-            let stream = settings(3000).stream(&field, &cameras, &settings_of_grid, &lattice, &Silent).unwrap();
-            let share = Shard::whole(3000);
-            let tally = stream.run(share, RunProgress::default(), &Silent, |batches, _| {
-                builder.add(batches);
-                Ok(())
-            });
-            let tally = tally.unwrap();
-            builder.finish(&Provenance { tally, share: Some(share), stream: Some(&stream), ..Provenance::default() })
+            let grid = GridSettings { grid, level: 6, ..GridSettings::default() };
+            Estimation::new(&field, &cameras).domain(domain).rays(settings(3000)).grid(grid).run().unwrap().field
         });
         let [octree, dense] = &both;
         assert!(octree.validate().is_ok());
@@ -172,8 +165,9 @@ fn the_finest_level_of_all_works_and_says_the_same_as_a_scan_of_its_samples() {
     let field = ClosedForm::courtyard();
     let cameras = ClosedForm::half_circle(3, [40, 40]);
     let grid = GridSettings { level: 16, tolerance: 0.0, surface_points: 50, ..GridSettings::default() };
-    let (found, tally) = estimate(&field, &cameras, &settings(24), &grid, &Silent).unwrap();
-    assert!(tally.samples > 50 && found.validate().is_ok());
+    let Outcome { field: found, progress, .. } =
+        Estimation::new(&field, &cameras).rays(settings(24)).grid(grid).run().unwrap();
+    assert!(progress.samples > 50 && found.validate().is_ok());
     // Every ray meets vertices of its own here: where a sample was sensitive, one ray supports the number.
     let seen = found.surface().iter().filter(|x| {
         let estimate = found.query(Vec3::from_array(**x));
@@ -182,35 +176,25 @@ fn the_finest_level_of_all_works_and_says_the_same_as_a_scan_of_its_samples() {
     assert!(seen.count() > 40, "of {}", found.surface().len());
 }
 
-/// A budget that the plan meets and the run does not: whoever keeps the tally must hear of the new start before any ray of it.
+/// A budget that the plan meets and the run does not: the outcome is that of a run which had been planned tighter from its first ray.
 #[test]
-fn a_run_that_starts_again_says_so_before_its_first_ray() {
+fn a_run_that_starts_again_ends_as_if_it_had_been_planned_so() {
     let field = ClosedForm::courtyard();
     let cameras = ClosedForm::half_circle(6, [64, 64]);
-    let grid = GridSettings { level: 8, surface_points: 0, ..GridSettings::default() };
-    let rays = settings(20_000);
-    let mut builder = FieldBuilder::new(grid, Domain::Box(field.bounds())).unwrap();
-    let lattice = *builder.lattice();
-    let stream = rays.stream(&field, &cameras, &grid, &lattice, &Silent).unwrap();
-    let share = Shard::whole(20_000);
-    let planner = Planner::new(grid, &rays, &stream, share, lattice, &Silent).unwrap();
+    let criteria = [crate::posterior::Criterion::RayCount].into_iter().collect();
+    let grid = GridSettings { level: 8, criteria, min_rays: 0.25, surface_points: 0, ..GridSettings::default() };
+    let estimation = |grid| Estimation::new(&field, &cameras).rays(settings(20_000)).grid(grid);
     // Planned without a budget, run within one that the sums outgrow.
-    let plan = planner.plan(&lattice).unwrap();
-    let run = PlannedRun { stream: &stream, share, planner: Some(&planner), memory: Some(40_000_000) };
-    let mut tallies = Vec::new();
-    let (tally, plan) = run
-        .run(&mut builder, RunProgress::default(), Some(plan), &Silent, |builder, batches, tally| {
-            assert_eq!(batches.is_empty(), tally.rays == 0);
-            assert!(tally.rays > 0 || builder.memory() == 0);
-            tallies.push(tally.rays);
-            Ok(())
-        })
-        .unwrap();
-    let starts = tallies.iter().filter(|&&rays| rays == 0).count();
-    assert!(starts > 0 && plan.unwrap().rays_per_vertex > 0.0, "{tallies:?}");
-    assert!(tally.rays == 20_000 && builder.expected_peak() <= 40_000_000);
-    // Between two starts rays only grow: nothing of an earlier attempt is counted in a later one.
-    assert!(tallies.windows(2).all(|pair| pair[1] == 0 || pair[1] > pair[0]), "{tallies:?}");
+    let mut run = estimation(grid).prepare().unwrap();
+    run.limits.budget = Some(40_000_000);
+    let again = run.finish().unwrap();
+    assert!(again.is_replanned && again.progress.rays == 20_000);
+    let plan = again.plan.unwrap();
+    assert!(plan.rays_per_vertex > 0.25 && again.sums_bytes <= 40_000_000);
+    let mut planned = estimation(grid).prepare().unwrap();
+    planned.limits.set_plan(plan);
+    let planned = planned.finish().unwrap();
+    assert!(!planned.is_replanned && planned.field == again.field);
 }
 
 /// The error that error bars promise, against the one found with twenty times the rays.
@@ -220,12 +204,12 @@ fn error_bars_are_as_large_as_the_errors() {
     let cameras = ClosedForm::half_circle(10, [100, 100]);
     let grid = GridSettings { level: 5, tolerance: 0.0, surface_points: 0, ..GridSettings::default() };
     let many = RaySettings { seed: 99, ..settings(400_000) };
-    let truth = estimate(&field, &cameras, &many, &grid, &Silent).unwrap().0.on_dense_grid();
-    let moved = truth.prior() / 10_f64.sqrt();
+    let truth = Estimation::new(&field, &cameras).rays(many).grid(grid).run().unwrap().field.on_dense_grid();
+    let moved = truth.prior() / 10_f64.powf(crate::uncertainty::MOVED);
     for groups in [2, 8] {
-        let (few, tally) =
-            estimate_with_error_bars(&field, &cameras, &settings(20_000), &grid, groups, &Silent).unwrap();
-        assert_eq!((tally.rays, few.protocol().rays, few.protocol().share), (20_000, 20_000, None));
+        let Outcome { field: few, progress, .. } =
+            Estimation::new(&field, &cameras).rays(settings(20_000)).grid(grid).error_bars(groups).run().unwrap();
+        assert_eq!((progress.rays, few.protocol().rays, few.protocol().share), (20_000, 20_000, None));
         let bars = few.error_bars().unwrap();
         assert_eq!(bars.groups(), groups);
         let Support::Octree(tree) = few.support() else { panic!("an octree was asked for") };
@@ -259,7 +243,9 @@ fn groups_add_up_and_differ_on_any_grid_with_any_threads() {
         let grid = GridSettings { grid: kind, level: 5, tolerance: 0.0, ..GridSettings::default() };
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         // Not a multiple of the groups.
-        pool.install(|| estimate_with_error_bars(&field, &cameras, &settings(5003), &grid, 3, &Silent).unwrap().0)
+        pool.install(|| {
+            Estimation::new(&field, &cameras).rays(settings(5003)).grid(grid).error_bars(3).run().unwrap().field
+        })
     };
     let octree = run(GridKind::Octree, 1);
     assert_eq!(octree, run(GridKind::Octree, 2));
@@ -278,8 +264,12 @@ fn groups_add_up_and_differ_on_any_grid_with_any_threads() {
         }
     }
     assert!(known > 3000 && unknown > 30, "{known} known, {unknown} not");
-    assert!(estimate_with_error_bars(&field, &cameras, &settings(10), &GridSettings::default(), 1, &Silent).is_err());
-    assert!(estimate_with_error_bars(&field, &cameras, &settings(3), &GridSettings::default(), 4, &Silent).is_err());
+    assert!(
+        Estimation::new(&field, &cameras).rays(settings(10)).grid(GridSettings::default()).error_bars(1).run().is_err()
+    );
+    assert!(
+        Estimation::new(&field, &cameras).rays(settings(3)).grid(GridSettings::default()).error_bars(4).run().is_err()
+    );
 }
 
 #[test]

@@ -3,7 +3,7 @@
 use glam::{DVec3, Vec3};
 
 use super::*;
-use crate::estimate::{GridSettings, RaySettings, estimate};
+use crate::estimate::{Estimation, GridSettings, RaySettings};
 use crate::field::{ClosedForm, Radiance, RadianceField};
 use crate::geometry::{Aabb, Camera};
 use crate::metrics::{ErrorKind, density_aware, ensemble_variance};
@@ -46,7 +46,12 @@ fn settings() -> RaySettings {
 }
 
 fn uncertainty(ball: &ClosedForm) -> UncertaintyField {
-    estimate(ball, &cameras(), &settings(), &GridSettings { level: 5, ..GridSettings::default() }, &Silent).unwrap().0
+    Estimation::new(ball, &cameras())
+        .rays(settings())
+        .grid(GridSettings { level: 5, ..GridSettings::default() })
+        .run()
+        .unwrap()
+        .field
 }
 
 fn tracer(field: &dyn RadianceField) -> Tracer<'_> {

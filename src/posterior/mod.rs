@@ -8,7 +8,6 @@
 //! points, and [`OctreePosterior`], which keeps only what rays touched and ends as an octree. They share no accumulation code:
 //! each is the check of the other.
 
-pub mod checkpoint;
 mod covariance;
 mod criteria;
 mod dense;
@@ -21,7 +20,7 @@ mod sums;
 pub use covariance::{Covariance, negligible_information, negligible_jacobian};
 pub use criteria::{Criteria, Criterion};
 pub use dense::DensePosterior;
-pub use octree::{OctreePosterior, PilotCounts, Refinement};
+pub use octree::{Brick, OctreePosterior, PilotCounts, Refinement};
 pub use pooling::Pooling;
 pub use prior::Prior;
 pub use sums::{Information, VertexSums, trace};

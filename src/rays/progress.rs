@@ -1,5 +1,8 @@
 //! How far a run has come.
 
+use std::iter::Sum;
+use std::ops::Add;
+
 /// What came out of a run so far, apart from the samples themselves: also the place where it can be taken up again.
 #[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 pub struct RunProgress {
@@ -15,10 +18,11 @@ pub struct RunProgress {
     pub first_invalid: Option<[f32; 3]>,
 }
 
-impl RunProgress {
+impl Add for RunProgress {
+    type Output = Self;
+
     /// Both runs together.
-    #[must_use]
-    pub fn with(&self, other: &Self) -> Self {
+    fn add(self, other: Self) -> Self {
         Self {
             batches: self.batches + other.batches,
             rays: self.rays + other.rays,
@@ -26,5 +30,11 @@ impl RunProgress {
             dropped: self.dropped + other.dropped,
             first_invalid: self.first_invalid.or(other.first_invalid),
         }
+    }
+}
+
+impl Sum for RunProgress {
+    fn sum<I: Iterator<Item = Self>>(runs: I) -> Self {
+        runs.fold(Self::default(), Self::add)
     }
 }

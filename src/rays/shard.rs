@@ -40,10 +40,10 @@ impl Shard {
         BATCH.min(self.rays - batch * BATCH)
     }
 
-    /// Whether a run of this part can have come as far as `tally` says.
+    /// Whether a run of this part can have come as far as `progress` says.
     #[must_use]
-    pub fn admits(&self, tally: &RunProgress) -> bool {
-        tally.batches <= self.batches() && tally.rays <= self.own_rays() && tally.dropped <= tally.rays
+    pub fn admits(&self, progress: &RunProgress) -> bool {
+        progress.batches <= self.batches() && progress.rays <= self.own_rays() && progress.dropped <= progress.rays
     }
 
     /// Whether this is a part of something: at least one ray and part, and an index below their number.

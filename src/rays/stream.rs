@@ -65,8 +65,8 @@ impl<'a> RayStream<'a> {
         picks.iter().map(ray).unzip()
     }
 
-    /// Draws the rays of `share` and hands their samples to `sink`, in ray order, with the tally that includes them. A run that
-    /// stopped goes on behind the tally `from`.
+    /// Draws the rays of `share` and hands their samples to `sink`, in ray order, with the progress that includes them. A run that
+    /// stopped goes on behind the progress `from`.
     ///
     /// # Errors
     /// What `sink` returns, [`Error::Interrupted`], or [`Error::NonFinite`] if more than [`MAX_DROPPED_SHARE`] of the rays
@@ -80,10 +80,10 @@ impl<'a> RayStream<'a> {
     ) -> Result<RunProgress> {
         monitor.begin("rays", share.own_rays());
         monitor.advance(from.rays);
-        let mut tally = from;
-        while tally.batches < share.batches() {
+        let mut progress = from;
+        while progress.batches < share.batches() {
             check(monitor)?;
-            let group = tally.batches..(tally.batches + GROUP).min(share.batches());
+            let group = progress.batches..(progress.batches + GROUP).min(share.batches());
             let samples: Vec<RaySamples> = group
                 .clone()
                 .into_par_iter()
@@ -96,24 +96,26 @@ impl<'a> RayStream<'a> {
                     samples
                 })
                 .collect();
-            tally.batches = group.end;
-            tally.rays += group.map(|n| share.rays_of(share.batch(n))).sum::<u64>();
+            progress.batches = group.end;
+            progress.rays += group.map(|n| share.rays_of(share.batch(n))).sum::<u64>();
             for batch in &samples {
-                tally.samples += batch.positions.len() as u64;
-                tally.dropped += batch.dropped;
-                tally.first_invalid = tally.first_invalid.or(batch.first_invalid.map(|x| x.to_array()));
+                progress.samples += batch.positions.len() as u64;
+                progress.dropped += batch.dropped;
+                progress.first_invalid = progress.first_invalid.or(batch.first_invalid.map(|x| x.to_array()));
             }
-            sink(&samples, &tally)?;
+            sink(&samples, &progress)?;
         }
         monitor.end();
-        match tally.first_invalid {
-            Some(first) if tally.dropped as f64 > MAX_DROPPED_SHARE * tally.rays as f64 => Err(Error::NonFinite {
-                dropped: tally.dropped,
-                rays: tally.rays,
-                limit_percent: 100.0 * MAX_DROPPED_SHARE,
-                first,
-            }),
-            _ => Ok(tally),
+        match progress.first_invalid {
+            Some(first) if progress.dropped as f64 > MAX_DROPPED_SHARE * progress.rays as f64 => {
+                Err(Error::NonFinite {
+                    dropped: progress.dropped,
+                    rays: progress.rays,
+                    limit_percent: 100.0 * MAX_DROPPED_SHARE,
+                    first,
+                })
+            }
+            _ => Ok(progress),
         }
     }
 }

@@ -93,7 +93,7 @@ impl DatasetFiles {
         let keep = |frame: &Frame| half.is_none_or(|half| is_in(half, frame.camera.position - middle));
         self.train = self.split.select(Part::Training, selection, keep)?;
         if self.train.is_empty() {
-            return Err(Error::setting("--hemisphere, --views", "some training images", "none"));
+            return Err(Error::setting("training views", "some training images", "none"));
         }
         let train = &self.train;
         self.held_out.retain(|frame| !train.contains(frame));

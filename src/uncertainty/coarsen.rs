@@ -29,7 +29,7 @@ impl UncertaintyField {
         };
         if self.error_bars.is_some() {
             let expected = "one without error bars: those of the vertices that go would be lost";
-            return Err(Error::setting("field to coarsen", expected, "one with error bars (--error-bars)"));
+            return Err(Error::setting("field to coarsen", expected, "one with error bars"));
         }
         if self.protocol.covariance == Covariance::Trace {
             let expected = "`diagonal` or `block`, which are trilinear between vertices";
@@ -85,7 +85,7 @@ impl UncertaintyField {
         let rounding = self.deviations.f16_rounding(self.prior());
         if epsilon <= rounding {
             let expected = format!("more than {rounding:.1e}, the rounding of f16 here");
-            return Err(Error::setting("--coarsen", expected, epsilon.to_string()));
+            return Err(Error::setting("coarsening bound", expected, epsilon.to_string()));
         }
         // The tolerances add up to epsilon.
         self.coarsened(epsilon - rounding).map(Self::in_f16)

@@ -20,7 +20,7 @@ use half::f16;
 use rayon::prelude::*;
 
 use super::reading::read;
-use super::{Protocol, UncertaintyField};
+use super::{MOVED, Protocol, UncertaintyField};
 use crate::posterior::VertexSums;
 
 /// Root mean square errors of log10 σ_v, decades.
@@ -193,7 +193,7 @@ impl UncertaintyField {
     #[must_use]
     pub fn error_summary(&self) -> Option<ErrorSummary> {
         let bars = self.error_bars.as_ref()?;
-        let limit = self.prior() * 10_f64.powf(-0.5);
+        let limit = self.prior() * 10_f64.powf(-MOVED);
         let moved: Vec<usize> = (0..bars.len()).filter(|&v| self.deviations.get(v) < limit).collect();
         let mut errors: Vec<f64> = moved.iter().filter_map(|&v| bars.get(v)).collect();
         let known = errors.len();

@@ -34,6 +34,11 @@ use crate::posterior::{Covariance, OctreePosterior, Refinement, VertexSums};
 use crate::rays::Draw;
 use crate::{Error, Result};
 
+/// A vertex counts as moved if log10 U lies more than this many decades below the prior's.
+///
+/// Half a decade: where errors and rays are counted, vertices that hardly anything is known about should not outnumber the rest.
+pub const MOVED: f64 = 0.5;
+
 /// The vertices that carry values.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Support {
@@ -273,7 +278,7 @@ impl UncertaintyField {
     /// evidence was not kept.
     #[must_use]
     pub fn median_rays(&self) -> Option<u32> {
-        let moved = self.prior() * 10_f64.powf(-0.5);
+        let moved = self.prior() * 10_f64.powf(-MOVED);
         let sums = self.sums.as_ref()?;
         let seen = self.deviations.iter().zip(sums).filter(|(sigma, _)| *sigma < moved);
         let mut rays: Vec<u32> = seen.map(|(_, e)| e.rays).collect();

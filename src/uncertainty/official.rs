@@ -72,7 +72,7 @@ impl UncertaintyField {
             return Err(Error::setting("export", "a field of a box", "a contracted domain"));
         }
         if !self.limits.is_unlimited() {
-            let found = "one whose sums lie on coarser leaves (--memory or --refine ray-count)";
+            let found = "one whose sums lie on coarser leaves";
             return Err(Error::setting("export", "a field on the finest lattice", found));
         }
         let m = self.lattice.cells_per_axis();

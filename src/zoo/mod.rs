@@ -142,7 +142,7 @@ pub fn by_name(name: &str) -> Result<Scene> {
     let mut scenes = all();
     match scenes.iter().position(|scene| scene.name == name) {
         Some(i) => Ok(scenes.swap_remove(i)),
-        None => Err(Error::setting("scene", "a name that `octobayes demo --scene list` lists", name)),
+        None => Err(Error::setting("scene", "the name of a scene of the zoo", name)),
     }
 }
 

@@ -4,12 +4,13 @@ use std::path::Path;
 
 use glam::{DVec3, Vec3};
 use octobayes::dataset::{DepthEncoding, DepthKind, DepthMap, PosedImage, Views, points};
+use octobayes::estimate::state;
 use octobayes::estimate::{FieldBuilder, GridKind, GridSettings, Provenance};
 use octobayes::field::{Coordinates, Intrinsics, NerfMlp, Ppng, Radiance, RadianceField, VoxelGrid};
 use octobayes::geometry::{Aabb, Camera, Domain};
 use octobayes::monitor::Silent;
 use octobayes::octree::MaxLevels;
-use octobayes::posterior::{Covariance, checkpoint};
+use octobayes::posterior::Covariance;
 use octobayes::rays::{RunProgress, SamplesReader};
 use octobayes::synth::{Mesh, Scene, Up};
 use octobayes::uncertainty::{OfficialGrid, UncertaintyField, merge, merge_with_error_bars};
@@ -33,7 +34,7 @@ pub fn open(kind: Kind, path: &Path) -> bool {
         Kind::Checkpoint => [GridKind::Octree, GridKind::Dense].into_iter().any(|grid| {
             let key = samples::run_key(grid);
             let limits = MaxLevels::none(key.lattice.level());
-            checkpoint::load(path, &key, &limits, grid == GridKind::Dense).is_ok()
+            state::load(path, &key, &limits, grid == GridKind::Dense).is_ok()
         }),
         Kind::Ppng => Ppng::read(path, Coordinates::Ngp).is_ok(),
         Kind::Transforms => Views::read(path, None).is_ok(),
@@ -66,7 +67,7 @@ fn csv(path: &Path) -> Result<Vec<Vec3>> {
 pub fn read(kind: Kind, path: &Path) -> Result<()> {
     let outcome = match kind {
         Kind::Field => UncertaintyField::read(path).map(|field| field_is_sound(&field, path)),
-        Kind::Checkpoint => state(path),
+        Kind::Checkpoint => checkpoint(path),
         Kind::Ppng => Coordinates::ALL.iter().try_for_each(|&c| Ppng::read(path, c).map(|m| model_is_sound(&m))),
         Kind::Transforms => Views::read(path, None).map(|views| cameras_are_sound(&views.cameras())),
         Kind::Samples => samples_are_sound(path),
@@ -120,24 +121,24 @@ fn field_is_sound(field: &UncertaintyField, path: &Path) {
     }
 }
 
-fn state(path: &Path) -> Result<()> {
+fn checkpoint(path: &Path) -> Result<()> {
     let mut outcome = Ok(());
     for grid in [GridKind::Octree, GridKind::Dense] {
         let key = samples::run_key(grid);
         let level = key.lattice.level();
         let limits = MaxLevels::none(level);
-        let _ = checkpoint::rays_per_vertex(path);
-        outcome = checkpoint::load(path, &key, &limits, grid == GridKind::Dense).map(|state| {
-            assert!(key.share.admits(&state.tally));
+        let _ = state::rays_per_vertex(path);
+        outcome = state::load(path, &key, &limits, grid == GridKind::Dense).map(|state| {
+            assert!(key.shard.admits(&state.progress));
             assert!(state.surface.len() as u64 <= key.surface_points, "no more points than the run keeps");
             assert!(state.surface.iter().flatten().all(|v| v.is_finite()), "surface points are finite");
             let settings = GridSettings { grid, level, surface_points: 100, ..GridSettings::default() };
             let mut builder = FieldBuilder::new(settings, *key.lattice.domain()).unwrap();
             builder.restore(path, &key).unwrap();
             builder.add(&[samples::ray_samples()]);
-            if state.tally.rays > 0 {
-                let tally = RunProgress { rays: state.tally.rays, ..RunProgress::default() };
-                field_is_sound(&builder.finish(&Provenance { tally, ..Provenance::default() }), path);
+            if state.progress.rays > 0 {
+                let progress = RunProgress { rays: state.progress.rays, ..RunProgress::default() };
+                field_is_sound(&builder.finish(&Provenance { progress, ..Provenance::default() }), path);
             }
         });
         // The other grid's is of another lattice: that says nothing of what is wrong.
@@ -185,8 +186,8 @@ fn samples_are_sound(path: &Path) -> Result<()> {
         builder.add(batches);
         Ok(())
     })?;
-    let tally = RunProgress { rays: reader.rays_total(), samples: reader.samples(), ..RunProgress::default() };
-    let field = builder.finish(&Provenance { source: "samples".into(), tally, ..Provenance::default() });
+    let progress = RunProgress { rays: reader.rays_total(), samples: reader.samples(), ..RunProgress::default() };
+    let field = builder.finish(&Provenance { source: "samples".into(), progress, ..Provenance::default() });
     let x = Vec3::new(0.1, 0.2, 0.3);
     assert!(field.query(x).uncertainty > 0.0, "{:?}", field.query(x));
     Ok(())

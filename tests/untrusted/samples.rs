@@ -6,12 +6,11 @@ use glam::{DVec3, Vec3};
 use half::f16;
 use minicbor::Encoder;
 use octobayes::dataset::write_transforms;
-use octobayes::estimate::{FieldBuilder, GridKind, GridSettings, Provenance, RaySettings, estimate};
+use octobayes::estimate::state::RunKey;
+use octobayes::estimate::{Estimation, FieldBuilder, GridKind, GridSettings, Provenance, RaySettings};
 use octobayes::field::{ClosedForm, VoxelGrid};
 use octobayes::geometry::{Aabb, Camera, Domain, Norm};
 use octobayes::io::npy;
-use octobayes::monitor::Silent;
-use octobayes::posterior::checkpoint::RunKey;
 use octobayes::posterior::{Covariance, Criteria, Prior, VertexSums};
 use octobayes::rays::{Pixels, RunProgress, SamplesWriter, Shard};
 use octobayes::render::{GradientMethod, RaySample, RaySamples};
@@ -76,7 +75,7 @@ fn builder(settings: GridSettings, domain: Domain) -> FieldBuilder {
     builder
 }
 
-fn tally() -> RunProgress {
+fn progress() -> RunProgress {
     RunProgress { batches: 1, rays: 5, samples: 12, ..RunProgress::default() }
 }
 
@@ -86,8 +85,13 @@ pub fn fields() -> Vec<UncertaintyField> {
     let space = Domain::contracted(DVec3::new(0.1, 0.2, 0.3), 0.5, Norm::L2).unwrap();
     let small = GridSettings { level: 2, ..GridSettings::default() };
     let field = |settings, domain| {
-        let share = Some(Shard { rays: 5, index: 0, of: 1 });
-        builder(settings, domain).finish(&Provenance { source: "tests".into(), tally: tally(), share, stream: None })
+        let shard = Some(Shard { rays: 5, index: 0, of: 1 });
+        builder(settings, domain).finish(&Provenance {
+            source: "tests".into(),
+            progress: progress(),
+            shard,
+            stream: None,
+        })
     };
     let block = GridSettings { covariance: Covariance::Block, level: 3, min_rays: 2.0, ..small };
     let normal = GridSettings { covariance: Covariance::Normal, prior: Prior::Volume, ..small };
@@ -99,7 +103,7 @@ pub fn fields() -> Vec<UncertaintyField> {
     };
     let rays = RaySettings { rays: 100, occupancy: 8, ..RaySettings::default() };
     let cameras = ClosedForm::half_circle(2, [8, 8]);
-    let limited = estimate(&ClosedForm::ball(), &cameras, &rays, &limited, &Silent).unwrap().0;
+    let limited = Estimation::new(&ClosedForm::ball(), &cameras).rays(rays).grid(limited).run().unwrap().field;
     // Error bars, known and not.
     let bars = |field: UncertaintyField| {
         let half = field.sums().unwrap().to_vec();
@@ -126,7 +130,7 @@ pub fn run_key(grid: GridKind) -> RunKey {
         source: "tests".into(),
         cameras: 7,
         lattice: settings.lattice(Domain::Box(Aabb::centered_cube(1.0))).unwrap(),
-        share: Shard::whole(100_000),
+        shard: Shard::whole(100_000),
         pixels: Pixels::Sobol,
         seed: 3,
         march_step: 0.1,
@@ -151,7 +155,7 @@ fn checkpoint(grid: GridKind) -> Vec<u8> {
     let sample = RaySample { position: Vec3::splat(0.1), jacobian: [0.5; 9], weight: 0.9, gradient: [0.1; 3] };
     ray.push(0, sample);
     one.add(&[ray]);
-    written("run.chk", |path| one.save(path, &key, tally()).unwrap())
+    written("run.chk", |path| one.save(path, &key, progress()).unwrap())
 }
 
 /// A Plenoptic PNG of type `kind` with as few numbers as there can be.

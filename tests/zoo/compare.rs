@@ -2,12 +2,11 @@
 
 use glam::{DMat3, DVec3};
 use octobayes::Result;
-use octobayes::estimate::{FieldBuilder, GridKind, GridSettings, Provenance, RaySettings};
+use octobayes::estimate::{Estimation, GridKind, GridSettings, Outcome, RaySettings};
 use octobayes::field::{Intrinsics, RadianceField};
-use octobayes::geometry::{Camera, Domain};
-use octobayes::monitor::Silent;
+use octobayes::geometry::Camera;
 use octobayes::posterior::{Covariance, VertexSums};
-use octobayes::rays::{Pick, RunProgress, Shard};
+use octobayes::rays::{Pick, RunProgress};
 use octobayes::uncertainty::UncertaintyField;
 use octobayes::zoo::Specimen;
 
@@ -25,7 +24,7 @@ pub struct Case<'a> {
 /// What came out of the pipeline, with what the oracle needs to follow its rays.
 pub struct Run {
     pub field: UncertaintyField,
-    pub tally: RunProgress,
+    pub progress: RunProgress,
     pub picks: Vec<Pick>,
     /// h of the differences.
     pub h: DVec3,
@@ -50,18 +49,11 @@ impl Case<'_> {
 
     /// Runs the pipeline on another field that is the same.
     pub fn run_through(&self, field: &dyn RadianceField, (rays, grid): (RaySettings, GridSettings)) -> Result<Run> {
-        let mut builder = FieldBuilder::new(grid, Domain::Box(field.bounds()))?;
-        let lattice = *builder.lattice();
-        let stream = rays.stream(field, self.cameras, &grid, &lattice, &Silent)?;
-        let share = Shard::whole(rays.rays);
-        let tally = stream.run(share, RunProgress::default(), &Silent, |batches, _| {
-            builder.add(batches);
-            Ok(())
-        })?;
-        let picks = stream.pixels.picks(0, rays.rays);
-        let h = stream.differentiation.differences.step;
-        let provenance = Provenance { source: field.describe(), tally, share: None, stream: Some(&stream) };
-        Ok(Run { field: builder.finish(&provenance), tally, picks, h })
+        let run = Estimation::new(field, self.cameras).rays(rays).grid(grid).prepare()?;
+        let picks = run.stream().pixels.picks(0, rays.rays);
+        let h = run.stream().differentiation.differences.step;
+        let Outcome { field, progress, .. } = run.finish()?;
+        Ok(Run { field, progress, picks, h })
     }
 
     /// The oracle on the rays of a run.

@@ -4,11 +4,10 @@ use std::sync::LazyLock;
 
 use glam::{DVec3, Vec3};
 use octobayes::Error;
-use octobayes::estimate::{GridKind, GridSettings, RaySettings, estimate};
+use octobayes::estimate::{Estimation, GridKind, GridSettings, RaySettings};
 use octobayes::field::RadianceField;
 use octobayes::field::closed_form::Texture;
 use octobayes::geometry::Camera;
-use octobayes::monitor::Silent;
 use octobayes::posterior::{Covariance, trace};
 use octobayes::uncertainty::UncertaintyField;
 use octobayes::zoo::{CELL, Specimen, boxes, surfaces};
@@ -23,7 +22,7 @@ const RAYS: u64 = 400;
 fn dense(field: &Specimen, cameras: &[Camera]) -> octobayes::Result<UncertaintyField> {
     let grid = GridSettings { grid: GridKind::Dense, level: 4, ..GridSettings::default() };
     let rays = RaySettings { rays: RAYS, occupancy: 32, ..RaySettings::default() };
-    Ok(estimate(field, cameras, &rays, &grid, &Silent)?.0)
+    Ok(Estimation::new(field, cameras).rays(rays).grid(grid).run()?.field)
 }
 
 /// U of the ball where it usually is.

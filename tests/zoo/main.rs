@@ -9,9 +9,8 @@ mod self_check;
 mod single;
 
 use octobayes::Error;
-use octobayes::estimate::{GridSettings, RaySettings, estimate};
+use octobayes::estimate::{Estimation, GridSettings, Outcome, RaySettings};
 use octobayes::field::RadianceField;
-use octobayes::monitor::Silent;
 use octobayes::uncertainty::compare as compare_fields;
 use octobayes::zoo::{self, Quantity, Scene, Treatment, Verdict};
 
@@ -52,7 +51,7 @@ fn agrees_with_the_oracle(scene: &Scene) {
     let run = case.run((rays, grid)).unwrap();
     let whole = case.run(nothing_left_out(rays, grid)).unwrap();
     let truth = case.oracle(&run, Derivatives::Differences(run.h));
-    assert_eq!(run.tally.dropped, truth.dropped, "{}: rays dropped", scene.name);
+    assert_eq!(run.progress.dropped, truth.dropped, "{}: rays dropped", scene.name);
     let loses_rays = scene.claims.iter().any(|c| c.quantity == Quantity::Dropped && *c.range.start() > 0.0);
     assert_eq!(truth.dropped > 0, loses_rays, "{}: {} dropped", scene.name, truth.dropped);
     let (rounding, default) = (error(&case, &whole, &truth), error(&case, &run, &truth));
@@ -94,7 +93,8 @@ fn every_claim_holds() {
     for scene in zoo::all() {
         let (rays, grid) = settings(&scene, 4096);
         for claim in &scene.claims {
-            let (field, _) = estimate(&scene.field, &scene.cameras(), &rays, &grid, &Silent).unwrap();
+            let Outcome { field, .. } =
+                Estimation::new(&scene.field, &scene.cameras()).rays(rays).grid(grid).run().unwrap();
             let found = claim.quantity.of(&field);
             assert!(claim.range.contains(&found), "{}: {:?} {found}, {claim:?}", scene.name, claim.quantity);
         }
@@ -108,7 +108,8 @@ fn the_octree_says_what_the_dense_grid_says() {
         let case = Case { field: &scene.field, cameras: &cameras, level: scene.level, rays: 1024 };
         let dense = case.run(case.defaults()).unwrap().field;
         let (rays, grid) = settings(scene, 1024);
-        let (octree, _) = estimate(&scene.field, &cameras, &rays, &grid, &Silent).unwrap();
+        let Outcome { field: octree, .. } =
+            Estimation::new(&scene.field, &cameras).rays(rays).grid(grid).run().unwrap();
         let largest = compare_fields(&octree, &dense, 20_000, 0).unwrap().in_box.unwrap().max;
         // The tolerance, and deviations stored as f32.
         assert!(largest <= grid.tolerance + 1e-7, "{}: {largest}", scene.name);
@@ -119,11 +120,11 @@ fn the_octree_says_what_the_dense_grid_says() {
 fn a_scene_too_far_from_the_origin_is_refused_before_any_work_is_done() {
     let scene = zoo::by_name("shifted").unwrap();
     let (rays, grid) = settings(&scene, 4096);
-    let refusal = estimate(&scene.field, &scene.cameras(), &rays, &grid, &Silent).unwrap_err();
+    let refusal = Estimation::new(&scene.field, &scene.cameras()).rays(rays).grid(grid).run().unwrap_err();
     assert!(matches!(refusal, Error::Setting { .. }) && refusal.to_string().contains("--step"), "{refusal}");
     // A step of a quarter of a cell is two f32 positions wide there.
     let wider = RaySettings { step: Some(0.25), ..rays };
-    let (field, _) = estimate(&scene.field, &scene.cameras(), &wider, &grid, &Silent).unwrap();
+    let Outcome { field, .. } = Estimation::new(&scene.field, &scene.cameras()).rays(wider).grid(grid).run().unwrap();
     assert!(Quantity::Block.of(&field) > 1.0);
 }
 
@@ -131,7 +132,7 @@ fn a_scene_too_far_from_the_origin_is_refused_before_any_work_is_done() {
 fn a_field_that_is_mostly_broken_is_refused_with_a_position() {
     let scene = zoo::by_name("fault-everywhere").unwrap();
     let (rays, grid) = settings(&scene, 4096);
-    let refusal = estimate(&scene.field, &scene.cameras(), &rays, &grid, &Silent).unwrap_err();
+    let refusal = Estimation::new(&scene.field, &scene.cameras()).rays(rays).grid(grid).run().unwrap_err();
     let Error::NonFinite { dropped, rays, first, .. } = refusal else { panic!("{refusal}") };
     assert!(dropped > rays / 100);
     let Treatment::Fault { center, radius, .. } = scene.field.treatment() else { unreachable!() };
@@ -143,9 +144,10 @@ fn the_first_invalid_position_lies_in_the_spot() {
     for name in ["fault-nan", "fault-infinite", "fault-negative"] {
         let scene = zoo::by_name(name).unwrap();
         let (rays, grid) = settings(&scene, 4096);
-        let (_, tally) = estimate(&scene.field, &scene.cameras(), &rays, &grid, &Silent).unwrap();
+        let Outcome { progress, .. } =
+            Estimation::new(&scene.field, &scene.cameras()).rays(rays).grid(grid).run().unwrap();
         let Treatment::Fault { center, radius, .. } = scene.field.treatment() else { unreachable!() };
-        let first = glam::Vec3::from(tally.first_invalid.unwrap());
+        let first = glam::Vec3::from(progress.first_invalid.unwrap());
         // Or within h of it.
         assert!(first.distance(center) < radius + 0.001, "{name}: {first}");
     }
@@ -156,8 +158,9 @@ fn where_nothing_is_seen_u_is_the_prior_to_the_last_bit() {
     for name in ["empty", "no-camera"] {
         let scene = zoo::by_name(name).unwrap();
         let (rays, grid) = settings(&scene, 2048);
-        let (field, tally) = estimate(&scene.field, &scene.cameras(), &rays, &grid, &Silent).unwrap();
-        assert_eq!(tally.samples, 0);
+        let Outcome { field, progress, .. } =
+            Estimation::new(&scene.field, &scene.cameras()).rays(rays).grid(grid).run().unwrap();
+        assert_eq!(progress.samples, 0);
         assert!(field.deviations().iter().all(|sigma| sigma == f64::from(field.prior() as f32)));
     }
 }

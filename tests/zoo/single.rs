@@ -200,7 +200,7 @@ fn grazing_rays_count_if_they_touch_the_box_along_a_line() {
     let seen = |camera: &Camera| {
         let one = [*camera];
         let case = Case { field: &scene.field, cameras: &one, level: scene.level, rays: 16 };
-        case.run(case.defaults()).unwrap().tally.samples > 0
+        case.run(case.defaults()).unwrap().progress.samples > 0
     };
     let found: Vec<bool> = all.iter().map(seen).collect();
     // Two edges; a hair outside, an edge and a corner in one point; an edge cut by a thousandth of a cell, in empty space; past everything.

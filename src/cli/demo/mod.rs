@@ -13,12 +13,12 @@ use super::panels::{Ranges, depth_range, view_panels};
 use super::progress::Bars;
 use super::report;
 use crate::dataset::write_transforms;
-use crate::estimate::{FieldBuilder, GridKind, GridSettings, Provenance, RaySettings};
+use crate::estimate::{Estimation, GridKind, GridSettings, Outcome, RaySettings};
 use crate::field::RadianceField;
-use crate::geometry::{Camera, Domain};
+use crate::geometry::Camera;
 use crate::monitor::Monitor;
 use crate::picture::{Panel, write_sheet};
-use crate::rays::{RunProgress, Shard};
+use crate::rays::RunProgress;
 use crate::render::{GradientMethod, Probe, RayAverage, RenderedView, render_view};
 use crate::train::Quality;
 use crate::uncertainty::{ThresholdedField, UncertaintyField, compare};
@@ -124,57 +124,30 @@ impl Args {
     fn both_fields(&self, subject: &DemoScene, bars: &Bars) -> Result<[UncertaintyField; 2]> {
         let (scene, level) = (subject.field.as_ref(), self.level.unwrap_or(subject.level));
         let kinds = [GridKind::Octree, GridKind::Dense];
-        let settings = |grid| GridSettings { grid, level, surface_points: 200_000, ..GridSettings::default() };
-        let [mut octree, mut dense] = [
-            FieldBuilder::new(settings(kinds[0]), Domain::Box(scene.bounds()))?,
-            FieldBuilder::new(settings(kinds[1]), Domain::Box(scene.bounds()))?,
-        ];
+        let grids = kinds.map(|grid| GridSettings { grid, level, surface_points: 200_000, ..GridSettings::default() });
         let rays = RaySettings {
             rays: self.rays.unwrap_or(subject.rays),
             gradient: GradientMethod::Auto,
             march_step: Some(subject.coarser * scene.suggested_step()),
             ..RaySettings::default()
         };
-        // The reference's samples, of which none is left out, for both.
-        let stream = rays.stream(scene, &subject.cameras, &settings(kinds[1]), dense.lattice(), bars)?;
-        let mut spent = [Duration::ZERO; 2];
         let start = Instant::now();
-        let tally = stream.run(Shard::whole(rays.rays), RunProgress::default(), bars, |batches, _| {
-            for (spent, builder) in spent.iter_mut().zip([&mut octree, &mut dense]) {
-                let start = Instant::now();
-                builder.add(batches);
-                *spent += start.elapsed();
-            }
-            Ok(())
-        })?;
-        let rays_alone = start.elapsed() - spent[0] - spent[1];
-        let sums_bytes = [octree.memory(), dense.memory()];
-        let provenance = Provenance {
-            source: subject.source.clone(),
-            tally,
-            share: Some(Shard::whole(rays.rays)),
-            stream: Some(&stream),
-        };
-        let mut fields = Vec::new();
-        for (spent, builder) in spent.iter_mut().zip([octree, dense]) {
-            let start = Instant::now();
-            fields.push(builder.finish(&provenance));
-            *spent += start.elapsed();
-        }
-
-        say!(
-            "{} samples of {} rays in {:.1} s, shared by both grids",
-            tally.samples,
-            tally.rays,
-            rays_alone.as_secs_f64()
-        )?;
+        let estimation =
+            Estimation::new(scene, &subject.cameras).rays(rays).grid(grids[0]).source(&subject.source).monitor(bars);
+        let outcomes = estimation.prepare()?.finish_on(&grids)?;
+        let rays_alone = start.elapsed() - outcomes.iter().map(|outcome| outcome.summing).sum::<Duration>();
+        let RunProgress { rays, samples, .. } = outcomes[0].progress;
+        say!("{samples} samples of {rays} rays in {:.1} s, shared by both grids", rays_alone.as_secs_f64())?;
         say!("grid        vertices   field for queries     sums while running   time to sum")?;
-        for (((kind, field), bytes), spent) in kinds.iter().zip(&fields).zip(sums_bytes).zip(spent) {
-            let [field_bytes, sums] = [field.query_memory(), bytes].map(report::bytes);
+        for (kind, Outcome { field, sums_bytes, summing, .. }) in kinds.iter().zip(&outcomes) {
+            let [field_bytes, sums] = [field.query_memory(), *sums_bytes].map(report::bytes);
             let (name, vertices) = (format!("{kind:?}").to_lowercase(), field.deviations().len());
-            say!("{name:<8} {vertices:>11}   {field_bytes:>17}   {sums:>20}   {:>9.2} s", spent.as_secs_f64())?;
+            say!("{name:<8} {vertices:>11}   {field_bytes:>17}   {sums:>20}   {:>9.2} s", summing.as_secs_f64())?;
         }
-        let [octree, dense] = [fields.swap_remove(0), fields.swap_remove(0)];
+        let mut fields = outcomes.into_iter().map(|outcome| outcome.field);
+        let [Some(octree), Some(dense)] = [fields.next(), fields.next()] else {
+            unreachable!("one outcome for each grid")
+        };
         let share = octree.deviations().len() as f64 / dense.deviations().len() as f64;
         say!("{:.1} % of the dense grid's vertices; {}", 100.0 * share, report::summary(&octree.summary()))?;
         Ok([octree, dense])

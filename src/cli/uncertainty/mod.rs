@@ -1,24 +1,19 @@
 //! `uncertainty`: from a model and its cameras to a field.
 
-mod auto;
-mod groups;
 mod sight;
 
 use std::path::{Path, PathBuf};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
-use self::groups::Groups;
-use super::checkpoint::Checkpoint;
 use super::files::CommandFiles;
 use super::options::{
     CameraOptions, DomainOptions, FrameOptions, GridOptions, ModelOptions, parse_non_negative, parse_positive,
 };
 use super::progress::Bars;
 use super::report::{self, Cost};
-use crate::estimate::{Audit, FieldBuilder, GridSettings, PlannedRun, Planner, Provenance, RaySettings, StepCheck};
-use crate::geometry::{Camera, Lattice};
-use crate::posterior::checkpoint;
-use crate::rays::{Pixels, RayStream, RunProgress, SamplesWriter, Shard};
+use crate::estimate::{Checkpoint, Estimation, GridSettings, Outcome, Planner, RaySettings, Run};
+use crate::geometry::Camera;
+use crate::rays::{Pixels, RunProgress, SamplesWriter};
 use crate::render::GradientMethod;
 use crate::{Error, Result};
 
@@ -153,9 +148,9 @@ fn identity(file: &str) -> Result<String> {
     Ok(format!("{file} ({:08x})", crc32fast::hash(&bytes)))
 }
 
-fn warn_of_dropped(tally: &RunProgress) {
-    if let Some(first) = tally.first_invalid {
-        eprintln!("warning: {} rays dropped, the field is not finite; first at {first:?}", tally.dropped);
+fn warn_of_dropped(progress: &RunProgress) {
+    if let Some(first) = progress.first_invalid {
+        eprintln!("warning: {} rays dropped, the field is not finite; first at {first:?}", progress.dropped);
     }
 }
 
@@ -176,15 +171,12 @@ impl Args {
         }
         let domain = self.domain.domain(Some(field.natural_domain()))?;
         let checksum = crate::open::checksum(&self.model.model, self.model.coordinates)?;
-        // Of contents, not of paths: the run is the same if files have moved.
-        let identity = format!("model {checksum:08x}");
         let grid = self.grid.settings(&domain)?;
-        let mut builder = FieldBuilder::new(grid, domain)?;
         self.grid.check_coarsening()?;
         let mut dump = self.dump_samples.as_deref().map(SamplesWriter::create).transpose()?;
 
         let start = Instant::now();
-        let settings = self.model.ray_settings(RaySettings {
+        let rays = self.model.ray_settings(RaySettings {
             rays: self.most_rays(),
             pixels: self.pixels,
             seed: self.seed,
@@ -194,87 +186,79 @@ impl Args {
             ..RaySettings::default()
         });
         let cameras = views.cameras();
-        let lattice = *builder.lattice();
-        let share = self.share()?;
-        // A state that must not be overwritten is found before any work.
-        (0..self.error_bars.unwrap_or(1))
-            .try_for_each(|g| self.checkpoint(self.error_bars.map(|_| g), self.resume).map(drop))?;
-        let stream = settings.stream(&*field, &cameras, &grid, &lattice, bars)?;
-        self.check_sight(&stream, &domain, bars)?;
         let source = self.source(&files, &cameras);
-        let step = StepCheck::of(&stream, &lattice, grid.tolerance, bars)?;
+        let estimation =
+            Estimation::new(&*field, &cameras).domain(domain).rays(rays).grid(grid).source(source).model(checksum);
+        let estimation = self.goal(estimation.monitor(bars), grid.tolerance)?;
+        let checkpoint = self.checkpoint();
+        let estimation = checkpoint.iter().cloned().fold(estimation, Estimation::checkpoint);
+        let estimation = match &mut dump {
+            Some(dump) => estimation.tap(|batches| dump.add(batches)),
+            None => estimation,
+        };
+
+        let run = estimation.prepare()?;
+        self.check_sight(&run.sight()?)?;
+        let step = run.check_step()?;
         step.iter().for_each(report::step);
         if self.audit {
-            let samples = if stream.negligible > 0.0 { grid.samples_tolerance() } else { 0.0 };
-            report::audit(&Audit::of(&*field, &cameras, &settings, &grid, domain, bars)?, &grid, samples);
+            let samples = if run.stream().negligible > 0.0 { grid.samples_tolerance() } else { 0.0 };
+            report::audit(&run.audit()?, &grid, samples);
         }
-        if self.rays == Rays::Auto {
-            let (field, posterior_bytes) = self.run_auto(&stream, grid, domain, source, bars)?;
-            return self
-                .grid
-                .write(field.of_model(checksum), &Cost { elapsed: start.elapsed(), posterior_bytes, step });
+        self.forecast(&run, &grid)?;
+        let rays = run.rays();
+        let Outcome { field, progress, sums_bytes, plan, is_replanned, sampling_error, .. } =
+            run.finish().inspect_err(|error| {
+                if let (Error::Interrupted, Some(checkpoint)) = (error, &checkpoint) {
+                    let (path, drawn) = (
+                        self.checkpoint.iter().next().map_or("".into(), |p| p.display().to_string()),
+                        checkpoint.rays(self.error_bars),
+                    );
+                    eprintln!("note: {path} holds {drawn} of {rays} rays; --resume goes on");
+                }
+            })?;
+        if let Some(error) = &sampling_error {
+            report::sampling_error(error, progress.rays, grid.tolerance);
         }
-        let planner = self.planner(grid, &settings, &stream, share, lattice, bars)?;
-        let mut plan = planner.as_ref().map(|planner| planner.plan(&lattice)).transpose()?;
-        if let Some(groups) = self.error_bars {
-            if let Some(plan) = &mut plan {
-                plan.bytes *= f64::from(groups) + 1.0;
-                report::plan(plan, &grid);
-            }
-            let (plan, identity) = (plan.as_ref(), identity.as_str());
-            let run = Groups { count: groups, settings, stream: &stream, grid, domain, plan, identity };
-            let (field, posterior_bytes) = self.run_groups(&run, &source, bars)?;
-            self.grid.write(field.of_model(checksum), &Cost { elapsed: start.elapsed(), posterior_bytes, step })?;
-            return (0..groups).try_for_each(|g| self.checkpoint(Some(g), true)?.map_or(Ok(()), |file| file.remove()));
-        }
-        let mut checkpoint = self.checkpoint(None, self.resume)?;
-        if let (Some(planner), Some(checkpoint)) = (&planner, checkpoint.as_ref().filter(|c| c.path.exists())) {
-            // The budget may have made the interrupted run give up more than was planned.
-            let rays_per_vertex = checkpoint::rays_per_vertex(&checkpoint.path)?;
-            while let Some(tighter) = plan.as_ref().filter(|p| p.rays_per_vertex < rays_per_vertex) {
-                plan = planner.tighter(&lattice, tighter);
-            }
-        }
-        if let Some(plan) = &plan {
-            report::plan(plan, &grid);
-            if grid.needs_plan() {
-                builder.limit(plan);
-            }
-        }
-        builder.want_density(&stream)?;
-        let key = |builder: &FieldBuilder| settings.run_key(identity.clone(), share, &stream, &grid, builder);
-        let mut so_far = match &checkpoint {
-            Some(checkpoint) => {
-                let key = key(&builder);
-                checkpoint.restore(&mut builder, &key)?
-            }
-            None => RunProgress::default(),
-        };
-        let planned = plan.as_ref().map(|plan| plan.rays_per_vertex);
-        let run = PlannedRun { stream: &stream, share, planner: planner.as_ref(), memory: grid.memory };
-        let result = run.run(&mut builder, so_far, plan, bars, |builder, batches, tally| {
-            so_far = *tally;
-            if let Some(checkpoint) = checkpoint.as_mut().filter(|c| c.is_due()) {
-                checkpoint.save(builder, &key(builder), so_far)?;
-            }
-            dump.as_mut().map_or(Ok(()), |dump| dump.add(batches))
-        });
-        if let (Err(Error::Interrupted), Some(checkpoint)) = (&result, &mut checkpoint) {
-            checkpoint.save_interrupted(&builder, &key(&builder), so_far, share)?;
-        }
-        let (tally, plan) = result?;
-        if let Some(plan) = plan.filter(|plan| Some(plan.rays_per_vertex) != planned) {
+        if let Some(plan) = plan.filter(|_| is_replanned) {
             eprintln!("note: memory ran out under way; the run started again with less:");
             report::plan(&plan, &grid);
         }
-        warn_of_dropped(&tally);
+        warn_of_dropped(&progress);
         if let Some(dump) = dump {
-            dump.finish(tally.rays)?;
+            dump.finish(progress.rays)?;
         }
-        let posterior_bytes = builder.memory();
-        let field = builder.finish(&Provenance { source, tally, share: Some(share), stream: Some(&stream) });
-        self.grid.write(field.of_model(checksum), &Cost { elapsed: start.elapsed(), posterior_bytes, step })?;
-        checkpoint.map_or(Ok(()), |checkpoint| checkpoint.remove())
+        self.grid.write(field, &Cost { elapsed: start.elapsed(), sums_bytes, step })?;
+        checkpoint.map_or(Ok(()), |checkpoint| checkpoint.remove(self.error_bars))
+    }
+
+    /// Which rays are drawn, and when the run ends.
+    fn goal<'a>(&self, estimation: Estimation<'a>, tolerance: f64) -> Result<Estimation<'a>> {
+        let others = [
+            ("--shard", self.shard.is_some()),
+            ("--error-bars", self.error_bars.is_some()),
+            ("--dump-samples", self.dump_samples.is_some()),
+        ];
+        Ok(match (self.rays, self.shard, self.error_bars) {
+            (Rays::Auto, ..) => {
+                if let Some((name, _)) = others.into_iter().find(|(_, given)| *given) {
+                    return Err(Error::setting("--rays auto", "a run by itself, to its end", name));
+                }
+                estimation.until_mean_error(tolerance)
+            }
+            (_, Some([index, of]), _) => estimation.shard(index, of),
+            (.., Some(groups)) => estimation.error_bars(groups),
+            _ => estimation,
+        })
+    }
+
+    /// Says on stderr what the run will need, if something limits it or a pilot costs little beside it.
+    fn forecast(&self, run: &Run, grid: &GridSettings) -> Result<()> {
+        let is_cheap = self.rays != Rays::Auto && run.rays() >= 32 * Planner::PILOT;
+        if grid.needs_plan() || is_cheap {
+            report::plan(&run.forecast()?, grid);
+        }
+        Ok(())
     }
 
     /// Rays of the run, or the most that it may take.
@@ -292,11 +276,12 @@ impl Args {
             .inputs("--cameras", &self.cameras.cameras)
             .output("--output", &self.grid.output)
             .outputs("--dump-samples", &self.dump_samples);
+        let states = self.checkpoint().map_or(Vec::new(), |checkpoint| checkpoint.files(self.error_bars));
         match self.error_bars {
-            None => files.outputs("--checkpoint", self.checkpoint_file(None)),
-            Some(groups) => (0..groups).fold(files, |files, g| {
-                files.outputs(&format!("--checkpoint, group {g}"), self.checkpoint_file(Some(g)))
-            }),
+            None => files.outputs("--checkpoint", states),
+            Some(_) => (0..)
+                .zip(states)
+                .fold(files, |files, (g, state)| files.output(format!("--checkpoint, group {g}"), state)),
         }
     }
 
@@ -320,43 +305,9 @@ impl Args {
         format!("{model} seen by {seen_by}")
     }
 
-    /// Runs a pilot, if it costs little beside the run or something has to be planned.
-    fn planner(
-        &self,
-        grid: GridSettings,
-        settings: &RaySettings,
-        stream: &RayStream,
-        share: Shard,
-        lattice: Lattice,
-        bars: &Bars,
-    ) -> Result<Option<Planner>> {
-        let is_cheap = share.own_rays() >= 32 * Planner::PILOT;
-        let wanted = grid.needs_plan() || is_cheap;
-        if wanted { Planner::new(grid, settings, stream, share, lattice, bars).map(Some) } else { Ok(None) }
-    }
-
-    fn share(&self) -> Result<Shard> {
-        let [index, of] = self.shard.unwrap_or([0, 1]);
-        let share = Shard { rays: self.most_rays(), index, of };
-        if share.own_rays() == 0 {
-            let found = format!("part {index} of {of} of {} rays, which is empty", self.most_rays());
-            return Err(Error::setting("--shard", "fewer parts than batches of 512 rays", found));
-        }
-        Ok(share)
-    }
-
-    /// Where and how often to save, if anywhere: each of several groups in a file of its own.
-    fn checkpoint(&self, group: Option<u16>, resume: bool) -> Result<Option<Checkpoint>> {
-        let file = self.checkpoint_file(group);
-        file.map(|path| Checkpoint::new(&path, self.checkpoint_every, resume)).transpose()
-    }
-
-    /// The file of a checkpoint, if there is to be one: each of several groups has its own.
-    fn checkpoint_file(&self, group: Option<u16>) -> Option<PathBuf> {
-        let mut path = self.checkpoint.clone()?;
-        if let Some(group) = group {
-            path.as_mut_os_string().push(format!(".{group}"));
-        }
-        Some(path)
+    /// Where and how often to save, if anywhere.
+    fn checkpoint(&self) -> Option<Checkpoint> {
+        let every = Duration::try_from_secs_f64(self.checkpoint_every).unwrap_or(Duration::MAX);
+        self.checkpoint.as_ref().map(|path| Checkpoint::new(path).every(every).resume(self.resume))
     }
 }

@@ -1,16 +1,12 @@
 //! Whether the cameras see anything of the model.
 
 use super::Args;
-use crate::cli::progress::Bars;
 use crate::estimate::Sight;
-use crate::geometry::Domain;
-use crate::rays::RayStream;
 use crate::{Error, Result};
 
 impl Args {
     /// Refuses a run in which nothing is seen, and warns of one in which little is.
-    pub(super) fn check_sight(&self, stream: &RayStream, domain: &Domain, bars: &Bars) -> Result<()> {
-        let sight = Sight::of(stream, domain, bars)?;
+    pub(super) fn check_sight(&self, sight: &Sight) -> Result<()> {
         let Some(mut causes) = sight.causes() else { return Ok(()) };
         // These models have two kinds of coordinates. If matter is met and lies elsewhere, they are right.
         if self.model.model.ends_with(".ppng") && sight.meet_matter <= 2.0 * sight.meet_domain {

@@ -206,7 +206,7 @@ impl RadianceField for Ppng {
 
     fn cameras(&self, intrinsics: &Intrinsics) -> Result<Option<Vec<Camera>>> {
         let fov_x = intrinsics.fov_x.ok_or_else(|| {
-            Error::setting("--fov", "the horizontal angle of view, which a .ppng file does not tell", "none")
+            Error::setting("angle of view", "the horizontal angle of view, which a .ppng file does not tell", "none")
         })?;
         let resolution = intrinsics.resolution.unwrap_or(RESOLUTION);
         let cameras = self.poses.iter().map(|&pose| self.coordinates.camera(pose, fov_x, resolution));

@@ -378,7 +378,7 @@ fn blender_coordinates_show_the_same_scene() {
 fn cameras_need_an_angle_and_are_right_side_up() {
     let field = Model::random(1, 5, 2, 1).field(Coordinates::Ngp);
     let error = field.cameras(&Intrinsics::default()).unwrap_err().to_string();
-    assert!(error.contains("--fov"), "{error}");
+    assert!(error.contains("angle of view"), "{error}");
     let cameras = field.cameras(&Intrinsics { fov_x: Some(0.8), resolution: None }).unwrap().unwrap();
     assert_eq!((cameras.len(), cameras[0].resolution), (1, RESOLUTION));
     let ray = cameras[0].ray(200.0, 0.0);

@@ -65,19 +65,19 @@ impl OctreePosterior {
     }
 
     /// Brick codes, in the order in which [`OctreePosterior::slices`] returns their sums.
-    pub(super) fn brick_codes(&self) -> impl Iterator<Item = u64> + '_ {
+    pub(crate) fn brick_codes(&self) -> impl Iterator<Item = u64> + '_ {
         self.bricks.codes()
     }
 
     /// The sums, slice by slice.
-    pub(super) fn slices(&self) -> impl Iterator<Item = &[Brick]> {
+    pub(crate) fn slices(&self) -> impl Iterator<Item = &[Brick]> {
         self.bricks.slices()
     }
 
     /// Puts back what [`OctreePosterior::brick_codes`] and [`OctreePosterior::slices`] gave, in the same order.
     ///
     /// `None` if a code lies outside the lattice or comes twice.
-    pub(super) fn restore(lattice: Lattice, limits: MaxLevels, codes: &[u64], bricks: Vec<Brick>) -> Option<Self> {
+    pub(crate) fn restore(lattice: Lattice, limits: MaxLevels, codes: &[u64], bricks: Vec<Brick>) -> Option<Self> {
         let bricks = Bricks::restore(lattice.cells_per_axis(), codes, bricks)?;
         Some(Self { lattice, limits, bricks })
     }

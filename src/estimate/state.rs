@@ -8,11 +8,10 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::octree::Brick;
-use super::{DensePosterior, OctreePosterior, VertexSums};
 use crate::geometry::Lattice;
 use crate::io::container::{self, Format, Reader, Section};
 use crate::octree::MaxLevels;
+use crate::posterior::{Brick, DensePosterior, OctreePosterior, VertexSums};
 use crate::rays::{Pixels, RunProgress, Shard};
 use crate::render::GradientMethod;
 use crate::{Error, Result};
@@ -39,7 +38,7 @@ pub struct RunKey {
     /// Box and finest level.
     pub lattice: Lattice,
     /// The rays.
-    pub share: Shard,
+    pub shard: Shard,
     /// How pixels are chosen.
     pub pixels: Pixels,
     /// Seed of pixels and jitter.
@@ -71,7 +70,7 @@ pub struct RunKey {
 #[derive(Serialize, Deserialize)]
 struct Header {
     key: RunKey,
-    tally: RunProgress,
+    progress: RunProgress,
     dense: bool,
 }
 
@@ -80,7 +79,7 @@ pub struct State {
     /// The sums so far.
     pub posterior: AnyPosterior,
     /// Rays so far.
-    pub tally: RunProgress,
+    pub progress: RunProgress,
     /// Points on visible surfaces so far, scene units.
     pub surface: Vec<[f32; 3]>,
 }
@@ -101,11 +100,11 @@ impl Section for Bricks<'_> {
 pub fn save(
     path: &Path,
     key: &RunKey,
-    tally: RunProgress,
+    progress: RunProgress,
     posterior: &AnyPosterior,
     surface: &[[f32; 3]],
 ) -> Result<()> {
-    let header = |dense| Header { key: key.clone(), tally, dense };
+    let header = |dense| Header { key: key.clone(), progress, dense };
     match posterior {
         AnyPosterior::Dense(posterior) => {
             let none: &[u64] = &[];
@@ -125,6 +124,15 @@ pub fn save(
 pub fn rays_per_vertex(path: &Path) -> Result<f64> {
     let (header, _) = Reader::open::<Header>(path, FORMAT, 3..=3)?;
     Ok(header.key.rays_per_vertex)
+}
+
+/// How far the run of a state had come.
+///
+/// # Errors
+/// If the file is missing, or its header is not as written.
+pub fn progress(path: &Path) -> Result<RunProgress> {
+    let (header, _) = Reader::open::<Header>(path, FORMAT, 3..=3)?;
+    Ok(header.progress)
 }
 
 /// Reads the state of a run with the description `key`, gathered on the leaves of `limits`.
@@ -155,7 +163,7 @@ pub fn load(path: &Path, key: &RunKey, limits: &MaxLevels, dense: bool) -> Resul
         Some(AnyPosterior::Octree(posterior)) => posterior.slices().flatten().flatten().all(VertexSums::is_valid),
         None => false,
     };
-    let posterior = posterior.filter(|_| sums_are_finite && key.share.admits(&header.tally));
+    let posterior = posterior.filter(|_| sums_are_finite && key.shard.admits(&header.progress));
     let posterior = posterior.ok_or_else(|| {
         Error::malformed(
             path,
@@ -170,7 +178,7 @@ pub fn load(path: &Path, key: &RunKey, limits: &MaxLevels, dense: bool) -> Resul
         let expected = format!("at most {} points with finite coordinates", key.surface_points);
         return Err(Error::malformed(path, "section `surface`", expected, found));
     }
-    Ok(State { posterior, tally: header.tally, surface })
+    Ok(State { posterior, progress: header.progress, surface })
 }
 
 /// Name and values of the first setting that differs.

@@ -1,0 +1,47 @@
+//! The library names settings; people type flags.
+
+use crate::Error;
+
+/// What the library calls a setting, and the flag that sets it.
+const FLAGS: [(&str, &str); 16] = [
+    ("angle of view", "--fov"),
+    ("checkpoint", "--checkpoint, --resume"),
+    ("coarsening bound", "--coarsen"),
+    ("coordinates", "--coordinates"),
+    ("criterion `density`", "--refine density"),
+    ("criterion `uniform`", "--refine uniform"),
+    ("dense grid", "--grid dense"),
+    ("error bars", "--error-bars"),
+    ("finite-difference step", "--step"),
+    ("groups of rays", "--error-bars"),
+    ("lambda", "--lambda"),
+    ("march step", "--march-step"),
+    ("memory budget", "--memory"),
+    ("run to a mean error", "--rays auto"),
+    ("shard", "--shard"),
+    ("training views", "--views"),
+];
+
+/// The error as the command line says it: with the flag instead of the setting's name.
+pub fn in_flags(error: Error) -> Error {
+    match error {
+        Error::Setting { what, expected, found } => {
+            let flag = FLAGS.iter().find(|(setting, _)| *setting == what).map(|(_, flag)| (*flag).to_string());
+            Error::Setting { what: flag.unwrap_or(what), expected, found }
+        }
+        other => other,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn settings_are_named_by_their_flags_and_others_stay() {
+        let said = |what: &str| in_flags(Error::setting(what, "a", "b")).to_string();
+        assert_eq!(said("memory budget"), "--memory: expected a, found b");
+        assert_eq!(said("fields to merge"), "fields to merge: expected a, found b");
+        assert!(FLAGS.windows(2).all(|pair| pair[0].0 < pair[1].0), "sorted, so that none stands twice");
+    }
+}

@@ -1,0 +1,217 @@
+//! What to compute: the settings of one run, put together.
+
+use super::run::Run;
+use super::{Checkpoint, GridSettings, Outcome, RaySettings};
+use crate::field::RadianceField;
+use crate::geometry::{Camera, Domain};
+use crate::monitor::{Monitor, Silent};
+use crate::rays::Shard;
+use crate::render::RaySamples;
+use crate::{Error, Result};
+
+/// Which rays a run draws, and when it ends.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Goal {
+    /// Part `index` of `of` of the rays; the whole is part 0 of 1.
+    Shard { index: u64, of: u64 },
+    /// All rays, in so many independent groups whose disagreement gives error bars.
+    Groups(u16),
+    /// Rays until the mean error of log10 U is within this, decades.
+    MeanError(f64),
+}
+
+/// Receives a run's samples as they are drawn.
+pub(super) type Tap<'a> = Box<dyn FnMut(&[RaySamples]) -> Result<()> + 'a>;
+
+/// A run from a trained field and its training cameras to an uncertainty field.
+///
+/// Only field and cameras must be given; everything else has the command line's defaults. Whatever is left out, the result does not
+/// depend on the number of threads.
+///
+/// ```
+/// use octobayes::estimate::{Checkpoint, Estimation, GridSettings, RaySettings};
+/// use octobayes::field::ClosedForm;
+/// use octobayes::geometry::{Domain, Norm};
+///
+/// # let folder = tempfile::tempdir()?;
+/// let scene = ClosedForm::courtyard();
+/// let cameras = ClosedForm::half_circle(4, [48, 48]);
+/// // All of space, contracted outside a ball; the first of two shards; resumable.
+/// let outcome = Estimation::new(&scene, &cameras)
+///     .domain(Domain::contracted([0.0, 0.0, 0.0].into(), 1.0, Norm::L2)?)
+///     .rays(RaySettings { rays: 20_000, occupancy: 48, ..RaySettings::default() })
+///     .grid(GridSettings { level: 6, ..GridSettings::default() })
+///     .shard(0, 2)
+///     .checkpoint(Checkpoint::new(folder.path().join("run.chk")).resume(true))
+///     .run()?;
+/// outcome.field.write(&folder.path().join("part-0.oct"))?;
+/// # assert_eq!(outcome.progress.rays, 10_240);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[must_use]
+pub struct Estimation<'a> {
+    pub(super) field: &'a dyn RadianceField,
+    pub(super) cameras: &'a [Camera],
+    pub(super) domain: Domain,
+    pub(super) rays: RaySettings,
+    pub(super) grid: GridSettings,
+    pub(super) goal: Goal,
+    pub(super) checkpoint: Option<Checkpoint>,
+    pub(super) source: String,
+    /// Checksum of the model's content, if it is known.
+    pub(super) model: Option<u32>,
+    pub(super) monitor: &'a dyn Monitor,
+    pub(super) tap: Option<Tap<'a>>,
+}
+
+impl<'a> Estimation<'a> {
+    /// The uncertainty of `field` as its training `cameras` leave it, over the field's own box.
+    pub fn new(field: &'a dyn RadianceField, cameras: &'a [Camera]) -> Self {
+        Self {
+            field,
+            cameras,
+            domain: Domain::Box(field.bounds()),
+            rays: RaySettings::default(),
+            grid: GridSettings::default(),
+            goal: Goal::Shard { index: 0, of: 1 },
+            checkpoint: None,
+            source: field.describe(),
+            model: None,
+            monitor: &Silent,
+            tap: None,
+        }
+    }
+
+    /// The part of space that is covered: another box, or all of space, contracted.
+    pub fn domain(self, domain: Domain) -> Self {
+        Self { domain, ..self }
+    }
+
+    /// Which rays are drawn, and how they are differentiated.
+    pub fn rays(self, rays: RaySettings) -> Self {
+        Self { rays, ..self }
+    }
+
+    /// What their information is gathered on. Its memory budget, if there is one, holds for the run.
+    pub fn grid(self, grid: GridSettings) -> Self {
+        Self { grid, ..self }
+    }
+
+    /// Draws part `index` of `of` of the rays only; [`merge`](crate::uncertainty::merge) joins the parts.
+    pub fn shard(self, index: u64, of: u64) -> Self {
+        Self { goal: Goal::Shard { index, of }, ..self }
+    }
+
+    /// Draws the rays in `groups` independent groups, and stores with every log10 U how far it is from the limit of ever more rays.
+    ///
+    /// While rays are summed this takes `groups` + 1 times the memory.
+    pub fn error_bars(self, groups: u16) -> Self {
+        Self { goal: Goal::Groups(groups), ..self }
+    }
+
+    /// Draws rays until the estimated mean error of log10 U is at most `decades`, or the settings' number of rays is reached.
+    pub fn until_mean_error(self, decades: f64) -> Self {
+        Self { goal: Goal::MeanError(decades), ..self }
+    }
+
+    /// Keeps the run's state in a file, so that it can be taken up again.
+    pub fn checkpoint(self, checkpoint: Checkpoint) -> Self {
+        Self { checkpoint: Some(checkpoint), ..self }
+    }
+
+    /// Names model and cameras in the result, for people. The default is the field's description.
+    pub fn source(self, source: impl Into<String>) -> Self {
+        Self { source: source.into(), ..self }
+    }
+
+    /// A checksum of the model's content ([`open::checksum`](crate::open::checksum)): by it, and not by a name, results are known to belong together.
+    pub fn model(self, checksum: u32) -> Self {
+        Self { model: Some(checksum), ..self }
+    }
+
+    /// Receives progress, and can stop the run.
+    pub fn monitor(self, monitor: &'a dyn Monitor) -> Self {
+        Self { monitor, ..self }
+    }
+
+    /// Hands every group of samples to `tap` after it was summed, in ray order.
+    pub fn tap(self, tap: impl FnMut(&[RaySamples]) -> Result<()> + 'a) -> Self {
+        Self { tap: Some(Box::new(tap)), ..self }
+    }
+
+    /// Makes everything ready that comes before the first ray: lattice, occupancy grid, and a plan if memory or rays limit the octree.
+    ///
+    /// # Errors
+    /// If a setting is out of range, settings do not go together, there is no camera, a checkpoint would be overwritten or belongs to another run,
+    /// the plan does not fit its budget, or the work was interrupted.
+    pub fn prepare(self) -> Result<Run<'a>> {
+        self.check()?;
+        Run::new(self)
+    }
+
+    /// Runs to the end.
+    ///
+    /// # Errors
+    /// As [`Estimation::prepare`] and [`Run::finish`].
+    pub fn run(self) -> Result<Outcome> {
+        self.prepare()?.finish()
+    }
+
+    /// The rays of the goal, if it draws one fixed set of them.
+    pub(super) fn own_shard(&self) -> Shard {
+        match self.goal {
+            Goal::Shard { index, of } => Shard { rays: self.rays.rays, index, of },
+            _ => Shard::whole(self.rays.rays),
+        }
+    }
+
+    /// What a checkpoint knows the model by: its content, not its path, if that is known.
+    pub(super) fn key_source(&self) -> String {
+        self.model.map_or_else(|| self.source.clone(), |checksum| format!("model {checksum:08x}"))
+    }
+
+    /// Groups of the goal, if it has some.
+    pub(super) fn groups(&self) -> Option<u16> {
+        match self.goal {
+            Goal::Groups(groups) => Some(groups),
+            _ => None,
+        }
+    }
+
+    /// Refuses what makes no sense before any work is done.
+    fn check(&self) -> Result<()> {
+        if self.cameras.is_empty() {
+            return Err(Error::setting("cameras", "at least one", "none"));
+        }
+        let shard = self.own_shard();
+        if !shard.is_valid() || shard.own_rays() == 0 {
+            let found = format!("part {} of {} of {} rays, which is empty", shard.index, shard.of, shard.rays);
+            return Err(Error::setting("shard", "fewer parts than batches of 512 rays", found));
+        }
+        if self.goal != (Goal::Shard { index: 0, of: 1 }) && self.tap.is_some() {
+            return Err(Error::setting("samples as they are drawn", "a run of all rays in one group", "another"));
+        }
+        if self.tap.is_some() && (self.grid.memory.is_some() || self.checkpoint.is_some()) {
+            // A run that starts again, or goes on, would hand out rays twice, or not at all.
+            return Err(Error::setting(
+                "samples as they are drawn",
+                "no memory budget and no checkpoint",
+                "one of them",
+            ));
+        }
+        match self.goal {
+            Goal::Groups(_) if self.grid.memory.is_some() => {
+                Err(Error::setting("error bars", "no memory budget, which is for one set of sums", "a budget"))
+            }
+            Goal::MeanError(_) if self.grid.needs_plan() => {
+                let expected = "a grid without limits to its refinement";
+                Err(Error::setting("run to a mean error", expected, "a memory budget or criterion `ray-count`"))
+            }
+            Goal::MeanError(_) if self.checkpoint.is_some() => {
+                Err(Error::setting("run to a mean error", "a run by itself, to its end", "a checkpoint"))
+            }
+            _ => Ok(()),
+        }?;
+        self.checkpoint.as_ref().map_or(Ok(()), |checkpoint| checkpoint.check(&checkpoint.files(self.groups())))
+    }
+}

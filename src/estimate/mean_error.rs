@@ -1,0 +1,168 @@
+//! Runs that end when a mean error is reached.
+//!
+//! Two halves of equally many rays, each with its own sums and its own, independent pixels. Where log10 U of the halves differs by Δ, the whole, whose
+//! variance is half of theirs, is off by about Δ/2. That is measured at every vertex that moved from the prior, each time that the
+//! number of rays has doubled. (Halves of one low-discrepancy sequence would complement each other: their difference says twice too much.)
+
+use rayon::prelude::*;
+
+use super::{FieldBuilder, GridSettings};
+use crate::Result;
+use crate::geometry::Domain;
+use crate::metrics::quantile;
+use crate::monitor::Monitor;
+use crate::rays::{Draw, Purpose, RayStream, RunProgress, Shard};
+use crate::uncertainty::MOVED;
+
+/// Rays before the first look.
+const FIRST: u64 = 65_536;
+
+/// How far log10 U is off, estimated at the vertices that moved by more than half a decade from the prior.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+pub struct SamplingError {
+    /// Vertices looked at.
+    pub vertices: usize,
+    /// Mean of |Δ log10 U|.
+    pub mean: f64,
+    /// 95th percentile of |Δ log10 U|.
+    pub percentile_95: f64,
+}
+
+impl SamplingError {
+    /// From log10 U of two halves at the vertices looked at.
+    fn of_halves(halves: &[(f64, f64)]) -> Self {
+        Self::of(halves.iter().map(|(a, b)| 0.5 * (a - b).abs()).collect())
+    }
+
+    /// From |Δ log10 U| at the vertices looked at.
+    pub(super) fn of(mut errors: Vec<f64>) -> Self {
+        if errors.is_empty() {
+            return Self { vertices: 0, mean: 0.0, percentile_95: 0.0 };
+        }
+        let mean = errors.iter().sum::<f64>() / errors.len() as f64;
+        errors.sort_unstable_by(f64::total_cmp);
+        Self { vertices: errors.len(), mean, percentile_95: quantile(&errors, 0.95) }
+    }
+}
+
+/// One half of the rays: its sums, and what they were made of.
+type Half = (FieldBuilder, RunProgress);
+
+/// Draws two halves of rays until the estimated mean error of log10 U is within `decades`, or there are `most` rays. Pixels of the first half are those of
+/// `stream`, and the second half has its own.
+///
+/// # Errors
+/// As [`RayStream::run`].
+pub(super) fn draw(
+    stream: &RayStream,
+    settings: GridSettings,
+    domain: Domain,
+    decades: f64,
+    most: u64,
+    monitor: &dyn Monitor,
+) -> Result<([Half; 2], SamplingError)> {
+    let other_pixels = stream.for_purpose(Purpose::SecondHalf);
+    let streams = [stream, &other_pixels];
+    let half = || Ok((FieldBuilder::new(settings, domain)?, RunProgress::default()));
+    let mut halves: [Half; 2] = [half()?, half()?];
+    let mut rays = FIRST.min(most);
+    loop {
+        for ((builder, progress), stream) in halves.iter_mut().zip(streams) {
+            *progress = stream.run(Shard::whole((rays / 2).max(1)), *progress, monitor, |batches, _| {
+                builder.add(batches);
+                Ok(())
+            })?;
+        }
+        let drawn = halves.iter().map(|half| half.1.rays).sum();
+        let error = SamplingError::of_halves(&halves[0].0.both(&halves[1].0, drawn));
+        if error.vertices > 0 && error.mean <= decades || rays == most {
+            return Ok((halves, error));
+        }
+        rays = (2 * rays).min(most);
+    }
+}
+
+/// What the halves of `stream`'s rays were made of.
+pub(super) fn draws(stream: &RayStream, halves: &[Half; 2]) -> Vec<Draw> {
+    let [first, second] = halves.each_ref().map(|half| Shard::whole(half.1.rays));
+    vec![stream.draw(first), stream.for_purpose(Purpose::SecondHalf).draw(second)]
+}
+
+impl FieldBuilder {
+    /// log10 U by the rays of this builder and by those of another, half of `rays` each, at the vertices that both together move by more than half a decade.
+    fn both(&self, other: &Self, rays: u64) -> Vec<(f64, f64)> {
+        let lambda = self.settings().lambda(self.lattice());
+        let covariance = self.settings().covariance;
+        let moved = covariance.prior(lambda) * 10_f64.powf(-MOVED);
+        let pairs = self.paired(other);
+        let looked_at = pairs.into_par_iter().filter_map(|(mine, theirs)| {
+            let mut sum = mine;
+            sum.add(&theirs);
+            let half = |sums| covariance.deviation(&sums, rays / 2, lambda).log10();
+            (covariance.deviation(&sum, rays, lambda) < moved).then(|| (half(mine), half(theirs)))
+        });
+        looked_at.collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimate::{Estimation, GridKind, Outcome, RaySettings};
+    use crate::field::ClosedForm;
+    use crate::posterior::Criterion;
+    use crate::uncertainty::MOVED;
+
+    fn run(grid: GridKind, decades: f64, most: u64) -> (Outcome, SamplingError) {
+        let field = ClosedForm::courtyard();
+        let cameras = ClosedForm::half_circle(10, [100, 100]);
+        let rays = RaySettings { rays: most, ..RaySettings::default() };
+        let grid = GridSettings { grid, level: 5, ..GridSettings::default() };
+        let outcome = Estimation::new(&field, &cameras).rays(rays).grid(grid).until_mean_error(decades).run().unwrap();
+        let error = outcome.sampling_error.unwrap();
+        (outcome, error)
+    }
+
+    #[test]
+    fn the_halves_add_up_on_either_grid() {
+        let (octree, a) = run(GridKind::Octree, 1e-9, 20_000);
+        let (dense, b) = run(GridKind::Dense, 1e-9, 20_000);
+        assert_eq!(octree.progress.rays, 20_000, "the error cannot be reached");
+        assert_eq!(a.vertices, b.vertices);
+        assert!((a.mean - b.mean).abs() < 1e-9 && (a.percentile_95 - b.percentile_95).abs() < 1e-9);
+        let difference = crate::uncertainty::compare(&octree.field, &dense.field, 20_000, 0).unwrap();
+        assert!(difference.in_box.unwrap().max <= 0.01, "the tolerance");
+    }
+
+    #[test]
+    fn other_criteria_hold_too() {
+        let field = ClosedForm::courtyard();
+        let cameras = ClosedForm::half_circle(4, [32, 32]);
+        let refined = |criteria: Vec<Criterion>| {
+            let criteria = criteria.into_iter().collect();
+            let grid = GridSettings { criteria, level: 5, ..GridSettings::default() };
+            let rays = RaySettings { rays: 1_000, ..RaySettings::default() };
+            let run = Estimation::new(&field, &cameras).rays(rays).grid(grid).until_mean_error(1e-9);
+            run.run().unwrap().field.summary().vertices
+        };
+        // What no ray of a few reached is refined where there is density.
+        let sensitive = refined(vec![Criterion::Sensitivity]);
+        assert!(refined(vec![Criterion::Sensitivity, Criterion::Density]) > sensitive + 1_000);
+    }
+
+    #[test]
+    fn the_estimate_is_about_the_true_error_and_ends_the_run() {
+        let truth = run(GridKind::Octree, 1e-9, 500_000).0.field.on_dense_grid();
+        let moved = truth.prior() * 10_f64.powf(-MOVED);
+        for decades in [0.2, 0.1] {
+            let (Outcome { field, progress, .. }, error) = run(GridKind::Octree, decades, 250_000);
+            let field = field.on_dense_grid();
+            assert!(error.mean <= decades && progress.rays < 250_000, "{progress:?} {error:?}");
+            let pairs = field.deviations().iter().zip(truth.deviations().iter());
+            let errors: Vec<f64> = pairs.filter(|(a, _)| *a < moved).map(|(a, b)| (a / b).log10().abs()).collect();
+            let mean = errors.iter().sum::<f64>() / errors.len() as f64;
+            // Two-sided: a quarter more or less, for what the truth is off by itself and for vertices on either side of half a decade.
+            assert!((0.75..1.33).contains(&(error.mean / mean)), "estimated {}, found {mean}", error.mean);
+        }
+    }
+}
