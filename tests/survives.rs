@@ -155,7 +155,7 @@ fn merged_shards_are_the_whole_run() {
         good(folder, "merge part2.oct part0.oct -o two.oct");
         good(folder, "merge two.oct part1.oct -o merged.oct");
         let [whole, merged] = ["whole.oct", "merged.oct"].map(|f| UncertaintyField::read(&folder.join(f)).unwrap());
-        assert_eq!((whole.protocol().rays, whole.protocol().share), (merged.protocol().rays, merged.protocol().share));
+        assert_eq!((whole.protocol().rays, whole.protocol().shard), (merged.protocol().rays, merged.protocol().shard));
         assert_eq!(whole.draws(), merged.draws());
         assert_eq!(whole.support(), merged.support());
         for (a, b) in whole.sums().unwrap().iter().zip(merged.sums().unwrap()) {

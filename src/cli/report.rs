@@ -75,7 +75,7 @@ pub fn protocol(field: &UncertaintyField) -> String {
         ),
     );
     line("rays", format!("{} ({} dropped as not finite)", p.rays, p.dropped));
-    let part = p.share.filter(|s| s.of > 1).map(|s| format!("{} of {} of {} rays", s.index, s.of, s.rays));
+    let part = p.shard.filter(|s| s.of > 1).map(|s| format!("{} of {} of {} rays", s.index, s.of, s.rays));
     part.into_iter().for_each(|part| line("shard", part));
     line("pixels", known(p.pixels.map(|p| if p == Pixels::Sobol { "Owen-scrambled Sobol" } else { "random" }.into())));
     let sequences = match field.draws().len() {

@@ -238,7 +238,7 @@ impl FieldBuilder {
             dropped: provenance.progress.dropped,
             pixels: stream.map(|s| s.pixels.kind()),
             seed: stream.map(|s| s.pixels.seed()),
-            share: provenance.shard,
+            shard: provenance.shard,
             lambda: settings.lambda(&lattice),
             prior: settings.prior,
             min_rays: settings.min_rays,

@@ -59,7 +59,7 @@ impl Planner {
         settings: GridSettings,
         rays: &RaySettings,
         stream: &RayStream,
-        share: Shard,
+        shard: Shard,
         lattice: Lattice,
         monitor: &dyn Monitor,
     ) -> Result<Self> {
@@ -72,7 +72,7 @@ impl Planner {
             Ok(())
         })?;
         let scale = rays.rays as f64 / pilot.rays as f64;
-        let time = start.elapsed().mul_f64(share.own_rays() as f64 / pilot.rays as f64);
+        let time = start.elapsed().mul_f64(shard.own_rays() as f64 / pilot.rays as f64);
         let survey = PilotCounts::of(&posterior);
         let vertices_unlimited = survey.vertices(scale, &MaxLevels::none(lattice.level()));
         Ok(Self { settings, survey, vertices_unlimited, scale, time })

@@ -16,7 +16,7 @@ use crate::rays::{Pixels, RunProgress, Shard};
 use crate::render::GradientMethod;
 use crate::{Error, Result};
 
-const FORMAT: Format = (b"OCTOCHK\n", 1);
+const FORMAT: Format = (b"OCTOCHK\n", 2);
 
 /// A posterior of either kind.
 pub enum AnyPosterior {
@@ -108,11 +108,13 @@ pub fn save(
     match posterior {
         AnyPosterior::Dense(posterior) => {
             let none: &[u64] = &[];
-            container::write(path, FORMAT, &header(true), &[&none, &posterior.sums(), &surface])
+            let sums = posterior.sums();
+            container::write(path, FORMAT, &header(true), &[("codes", &none), ("sums", &sums), ("surface", &surface)])
         }
         AnyPosterior::Octree(posterior) => {
             let codes: Vec<u64> = posterior.brick_codes().collect();
-            container::write(path, FORMAT, &header(false), &[&codes.as_slice(), &Bricks(posterior), &surface])
+            let (codes, sums) = (codes.as_slice(), Bricks(posterior));
+            container::write(path, FORMAT, &header(false), &[("codes", &codes), ("sums", &sums), ("surface", &surface)])
         }
     }
 }
@@ -122,7 +124,7 @@ pub fn save(
 /// # Errors
 /// If the file is missing, or its header is not as written.
 pub fn rays_per_vertex(path: &Path) -> Result<f64> {
-    let (header, _) = Reader::open::<Header>(path, FORMAT, 3..=3)?;
+    let (header, _) = Reader::open::<Header>(path, FORMAT)?;
     Ok(header.key.rays_per_vertex)
 }
 
@@ -131,7 +133,7 @@ pub fn rays_per_vertex(path: &Path) -> Result<f64> {
 /// # Errors
 /// If the file is missing, or its header is not as written.
 pub fn progress(path: &Path) -> Result<RunProgress> {
-    let (header, _) = Reader::open::<Header>(path, FORMAT, 3..=3)?;
+    let (header, _) = Reader::open::<Header>(path, FORMAT)?;
     Ok(header.progress)
 }
 
@@ -140,7 +142,7 @@ pub fn progress(path: &Path) -> Result<RunProgress> {
 /// # Errors
 /// If the file is missing, truncated, altered, or belongs to a run with another description.
 pub fn load(path: &Path, key: &RunKey, limits: &MaxLevels, dense: bool) -> Result<State> {
-    let (header, mut file) = Reader::open::<Header>(path, FORMAT, 3..=3)?;
+    let (header, mut file) = Reader::open::<Header>(path, FORMAT)?;
     if let Some((what, expected, found)) = first_difference(key, &header.key) {
         return Err(Error::malformed(path, format!("run, {what}"), expected, found));
     }

@@ -1,31 +1,34 @@
-//! The container of this crate's own files: a described header and raw sections, all checksummed.
+//! The container of this crate's own files: a described header and named sections, all checksummed.
 //!
 //! ```text
 //! 8 bytes   magic
 //! 3 × u32   format version, header length, CRC-32 of the header
-//! header    bincode: the content's own header, and for each section its length in bytes and CRC-32
+//! header    JSON: { "content": the content's own header, "sections": [{ "name", "bytes", "crc32" }, …] }
 //! sections  raw little-endian, one after the other, nothing behind the last
 //! ```
 //!
+//! The header names what it holds, so that a new setting breaks no old file: unknown fields and sections are passed over,
+//! and what is missing has its default. The version is raised only when an older program would misread the file.
+//!
 //! A reader refuses what is truncated, altered, longer than it says, or newer, and allocates no more than the file holds.
 
+use std::collections::VecDeque;
 use std::fs::File;
 use std::io::{BufReader, Read, Write};
-use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
-use serde::Serialize;
 use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
 
 use super::AtomicFile;
 use crate::{Error, Result};
 
-/// Headers are a few hundred bytes; the only variable part is the name of a source.
-const MAX_HEADER: usize = 1 << 16;
+/// Headers are a few kilobytes; only the name of a source and the number of draws vary.
+pub(super) const MAX_HEADER: usize = 1 << 20;
 /// Items read or written at a time: between 16 KiB and 768 KiB.
 const CHUNK: usize = 1 << 14;
 
-/// Which file it is: `(magic, newest version known)`.
+/// Which file it is: `(magic, version)`.
 pub type Format = (&'static [u8; 8], u32);
 
 /// What a section consists of.
@@ -90,23 +93,38 @@ impl<T: Item> Section for &[T] {
     }
 }
 
+/// How a file begins: what it is about, and what follows.
+#[derive(Serialize, Deserialize)]
+struct Header<H> {
+    content: H,
+    sections: VecDeque<Described>,
+}
+
+/// A section in a file.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(super) struct Described {
+    pub name: String,
+    pub bytes: u64,
+    pub crc32: u32,
+}
+
 /// Writes a file; it appears complete or not at all.
 ///
 /// # Errors
 /// If the folder cannot be written or the disk is full.
-pub fn write(path: &Path, format: Format, header: &impl Serialize, sections: &[&dyn Section]) -> Result<()> {
-    let mut described = Vec::new();
-    for section in sections {
-        let (mut length, mut crc) = (0_u64, crc32fast::Hasher::new());
-        let described_all = section.visit(&mut |bytes| {
-            length += bytes.len() as u64;
-            crc.update(bytes);
+pub fn write(path: &Path, format: Format, content: &impl Serialize, sections: &[(&str, &dyn Section)]) -> Result<()> {
+    let mut described = VecDeque::new();
+    for (name, section) in sections {
+        let (mut bytes, mut crc) = (0_u64, crc32fast::Hasher::new());
+        let described_all = section.visit(&mut |piece| {
+            bytes += piece.len() as u64;
+            crc.update(piece);
             Ok(())
         });
         described_all.map_err(Error::io(path, "cannot describe"))?;
-        described.push((length, crc.finalize()));
+        described.push_back(Described { name: (*name).into(), bytes, crc32: crc.finalize() });
     }
-    let header = bincode::serde::encode_to_vec((header, described), bincode::config::standard())
+    let header = serde_json::to_vec(&Header { content, sections: described })
         .map_err(|e| Error::malformed(path, "header", "an encodable header", e.to_string()))?;
     if header.len() > MAX_HEADER {
         return Err(Error::malformed(path, "header", format!("at most {MAX_HEADER} bytes"), header.len().to_string()));
@@ -118,29 +136,24 @@ pub fn write(path: &Path, format: Format, header: &impl Serialize, sections: &[&
             file.write_all(&word.to_le_bytes())?;
         }
         file.write_all(&header)?;
-        sections.iter().try_for_each(|section| section.visit(&mut |bytes| file.write_all(bytes)))
+        sections.iter().try_for_each(|(_, section)| section.visit(&mut |bytes| file.write_all(bytes)))
     };
     write().map_err(Error::io(path, "cannot write"))?;
     file.commit()
 }
 
-/// A file being read: its sections must be taken in order.
-pub struct Reader {
+/// The start of a file: its version, the bytes of its header, and where it goes on.
+pub(super) struct Start {
+    pub version: u32,
+    pub header: Vec<u8>,
     file: BufReader<File>,
+    length: u64,
     path: PathBuf,
-    sections: std::vec::IntoIter<(u64, u32)>,
 }
 
-impl Reader {
-    /// Opens a file of `format` with one of so many sections, and reads its header.
-    ///
-    /// # Errors
-    /// If the file is missing, of another format or newer, or its header or length is not as written.
-    pub fn open<H: DeserializeOwned>(
-        path: &Path,
-        format: Format,
-        sections: RangeInclusive<usize>,
-    ) -> Result<(H, Self)> {
+impl Start {
+    /// Opens a file of `format` or of an older version, and reads its header's bytes.
+    pub fn open(path: &Path, format: Format) -> Result<Self> {
         let file = File::open(path).map_err(Error::io(path, "cannot open"))?;
         let length = file.metadata().map_err(Error::io(path, "cannot read"))?.len();
         let mut file = BufReader::with_capacity(1 << 16, file);
@@ -168,37 +181,65 @@ impl Reader {
         if crc32fast::hash(&header) != crc {
             return Err(Error::malformed(path, "header", "its stored checksum", "altered data"));
         }
-        let config = bincode::config::standard().with_limit::<MAX_HEADER>();
-        let ((header, described), read) = bincode::serde::decode_from_slice::<(H, Vec<(u64, u32)>), _>(&header, config)
-            .map_err(|e| Error::malformed(path, "header", "a description of the file", e.to_string()))?;
-        if read != header_length || !sections.contains(&described.len()) {
-            let expected = format!("{header_length} bytes and {sections:?} sections");
-            return Err(Error::malformed(path, "header", expected, format!("{read} and {}", described.len())));
-        }
-        let expected = described.iter().try_fold(20 + header_length as u64, |sum, s| sum.checked_add(s.0));
+        Ok(Self { version, header, file, length, path: path.to_path_buf() })
+    }
+
+    /// The sections behind the header, whose lengths are compared with the file's.
+    pub fn sections(self, sections: VecDeque<Described>) -> Result<Reader> {
+        let Self { header, file, length, path, .. } = self;
+        let expected = sections.iter().try_fold(20 + header.len() as u64, |sum, s| sum.checked_add(s.bytes));
         if expected != Some(length) {
             let expected = expected.map_or("a possible length".into(), |n| format!("{n} bytes"));
-            return Err(Error::malformed(path, "length", expected, format!("{length} bytes (truncated or altered)")));
+            let found = format!("{length} bytes (truncated or altered)");
+            return Err(Error::malformed(&path, "length", expected, found));
         }
-        Ok((header, Self { file, path: path.to_path_buf(), sections: described.into_iter() }))
+        Ok(Reader { file, path, sections })
     }
+}
 
-    /// Sections that are left.
-    #[must_use]
-    pub fn left(&self) -> usize {
-        self.sections.len()
-    }
+/// A file being read: its sections are taken in order.
+pub struct Reader {
+    file: BufReader<File>,
+    path: PathBuf,
+    sections: VecDeque<Described>,
+}
 
-    /// Reads the next section and checks it.
+/// The version of a file, which is of `format` or older.
+///
+/// # Errors
+/// If the file is missing, of another format or newer, or its header is not as written.
+pub fn version(path: &Path, format: Format) -> Result<u32> {
+    Start::open(path, format).map(|start| start.version)
+}
+
+impl Reader {
+    /// Opens a file of exactly this `format`, and reads its header.
     ///
     /// # Errors
-    /// If its length is no multiple of the item's, its checksum differs, or reading fails.
+    /// If the file is missing, of another format or version, or its header or length is not as written.
+    pub fn open<H: DeserializeOwned>(path: &Path, format: Format) -> Result<(H, Self)> {
+        let start = Start::open(path, format)?;
+        if start.version != format.1 {
+            let found = format!("version {}", start.version);
+            return Err(Error::malformed(path, "format", format!("version {}", format.1), found));
+        }
+        let Header { content, sections } = serde_json::from_slice(&start.header)
+            .map_err(|e| Error::malformed(path, "header", "a description of the file", e.to_string()))?;
+        Ok((content, start.sections(sections)?))
+    }
+
+    /// Reads the next section of this name and checks it. Sections of other names before it are passed over.
     ///
-    /// # Panics
-    /// If all sections were taken.
+    /// # Errors
+    /// If there is none, its length is no multiple of the item's, its checksum differs, or reading fails.
     pub fn section<T: Item>(&mut self, name: &str) -> Result<Vec<T>> {
-        let (length, crc) = self.sections.next().expect("one call per section");
         let path = &self.path;
+        let missing = || Error::malformed(path, "header", format!("a section `{name}`"), "none");
+        let at = self.sections.iter().position(|section| section.name == name).ok_or_else(missing)?;
+        let unknown = self.sections.drain(..at).map(|section| section.bytes).sum::<u64>();
+        // Their lengths together are less than the file's.
+        self.file.seek_relative(unknown as i64).map_err(Error::io(path, "cannot read"))?;
+        let Described { bytes: length, crc32, .. } = self.sections.pop_front().ok_or_else(missing)?;
         if !length.is_multiple_of(T::SIZE as u64) {
             let expected = format!("a multiple of {} bytes", T::SIZE);
             return Err(Error::malformed(path, format!("section `{name}`"), expected, format!("{length} bytes")));
@@ -216,7 +257,7 @@ impl Reader {
             items.extend(bytes.chunks_exact(T::SIZE).map(T::take));
             left -= n;
         }
-        if hasher.finalize() == crc {
+        if hasher.finalize() == crc32 {
             Ok(items)
         } else {
             Err(Error::malformed(path, format!("section `{name}`"), "its stored checksum", "altered data"))

@@ -4,6 +4,7 @@
 
 mod atomic;
 pub mod container;
+pub mod legacy;
 pub mod npy;
 pub mod npz;
 mod place;

@@ -61,19 +61,19 @@ impl Shard {
 }
 
 /// The rays of one sequence of pixels that sums are made of.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
 pub struct Draw {
     /// Seed of the sequence's pixels and jitter.
     pub seed: u64,
     /// Which of its rays.
-    pub share: Shard,
+    pub shard: Shard,
 }
 
 impl Draw {
     /// Whether these rays are but a part of a run.
     #[must_use]
     pub fn is_part(&self) -> bool {
-        self.share.of > 1
+        self.shard.of > 1
     }
 
     /// Whether no two of these can have a ray in common.
@@ -85,7 +85,7 @@ impl Draw {
         let mut split = HashMap::new();
         let mut parts = HashSet::new();
         draws.into_iter().all(|draw| {
-            let Shard { rays, of, .. } = draw.share;
+            let Shard { rays, of, .. } = draw.shard;
             *split.entry(draw.seed).or_insert((rays, of)) == (rays, of) && parts.insert(draw)
         })
     }
@@ -94,12 +94,12 @@ impl Draw {
     #[must_use]
     pub fn joined(draws: impl IntoIterator<Item = Self>) -> Vec<Self> {
         let mut draws: Vec<Self> = draws.into_iter().collect();
-        draws.sort_unstable_by_key(|draw| (draw.seed, draw.share.rays, draw.share.of, draw.share.index));
-        let of_one_run = |a: &Self, b: &Self| (a.seed, a.share.rays, a.share.of) == (b.seed, b.share.rays, b.share.of);
+        draws.sort_unstable_by_key(|draw| (draw.seed, draw.shard.rays, draw.shard.of, draw.shard.index));
+        let of_one_run = |a: &Self, b: &Self| (a.seed, a.shard.rays, a.shard.of) == (b.seed, b.shard.rays, b.shard.of);
         let join = |parts: &[Self]| {
-            let Self { seed, share } = parts[0];
-            let are_all = parts.iter().map(|part| part.share.index).eq(0..share.of);
-            if are_all { vec![Self { seed, share: Shard::whole(share.rays) }] } else { parts.to_vec() }
+            let Self { seed, shard } = parts[0];
+            let are_all = parts.iter().map(|part| part.shard.index).eq(0..shard.of);
+            if are_all { vec![Self { seed, shard: Shard::whole(shard.rays) }] } else { parts.to_vec() }
         };
         draws.chunk_by(of_one_run).flat_map(join).collect()
     }
@@ -116,10 +116,10 @@ mod tests {
             let mut batches: Vec<u64> = Vec::new();
             let mut drawn = 0;
             for index in 0..of {
-                let share = Shard { rays, index, of };
-                batches.extend((0..share.batches()).map(|n| share.batch(n)));
-                drawn += share.own_rays();
-                prop_assert_eq!(share.own_rays(), (0..share.batches()).map(|n| share.rays_of(share.batch(n))).sum::<u64>());
+                let shard = Shard { rays, index, of };
+                batches.extend((0..shard.batches()).map(|n| shard.batch(n)));
+                drawn += shard.own_rays();
+                prop_assert_eq!(shard.own_rays(), (0..shard.batches()).map(|n| shard.rays_of(shard.batch(n))).sum::<u64>());
             }
             batches.sort_unstable();
             prop_assert_eq!(drawn, rays);
@@ -133,11 +133,11 @@ mod tests {
         ) {
             let draws: Vec<Draw> = draws
                 .into_iter()
-                .map(|(seed, rays, of, index)| Draw { seed, share: Shard { rays: 4000 * rays, index: index % of, of } })
+                .map(|(seed, rays, of, index)| Draw { seed, shard: Shard { rays: 4000 * rays, index: index % of, of } })
                 .collect();
             let batches = |draw: &Draw| -> Vec<(u64, u64)> {
-                let Draw { seed, share } = *draw;
-                (0..share.batches()).map(|n| (seed, share.batch(n))).collect()
+                let Draw { seed, shard } = *draw;
+                (0..shard.batches()).map(|n| (seed, shard.batch(n))).collect()
             };
             let mut all: Vec<(u64, u64)> = draws.iter().flat_map(batches).collect();
             let drawn = all.len();
@@ -151,7 +151,7 @@ mod tests {
                 all.dedup();
                 prop_assert_eq!(all.len(), drawn);
             } else {
-                let same_run = |a: &Draw, b: &Draw| (a.share.rays, a.share.of) == (b.share.rays, b.share.of);
+                let same_run = |a: &Draw, b: &Draw| (a.shard.rays, a.shard.of) == (b.shard.rays, b.shard.of);
                 let doubtful = |i: usize| draws[..i].iter().any(|a| {
                     let b = &draws[i];
                     a.seed == b.seed && (a == b || !same_run(a, b))
@@ -163,9 +163,9 @@ mod tests {
 
     #[test]
     fn the_parts_of_a_run_are_the_run() {
-        let part = |index| Draw { seed: 7, share: Shard { rays: 5000, index, of: 3 } };
-        let other = Draw { seed: 1, share: Shard::whole(10) };
-        let whole = Draw { seed: 7, share: Shard::whole(5000) };
+        let part = |index| Draw { seed: 7, shard: Shard { rays: 5000, index, of: 3 } };
+        let other = Draw { seed: 1, shard: Shard::whole(10) };
+        let whole = Draw { seed: 7, shard: Shard::whole(5000) };
         assert_eq!(Draw::joined([part(2), other, part(0), part(1)]), [other, whole]);
         assert_eq!(Draw::joined([part(2), part(0)]), [part(0), part(2)]);
     }

@@ -51,8 +51,8 @@ impl<'a> RayStream<'a> {
 
     /// What is drawn by a run of this part of the stream, to its end.
     #[must_use]
-    pub fn draw(&self, share: Shard) -> Draw {
-        Draw { seed: self.pixels.seed(), share }
+    pub fn draw(&self, shard: Shard) -> Draw {
+        Draw { seed: self.pixels.seed(), shard }
     }
 
     /// Rays and jitters of one batch.
@@ -65,7 +65,7 @@ impl<'a> RayStream<'a> {
         picks.iter().map(ray).unzip()
     }
 
-    /// Draws the rays of `share` and hands their samples to `sink`, in ray order, with the progress that includes them. A run that
+    /// Draws the rays of `shard` and hands their samples to `sink`, in ray order, with the progress that includes them. A run that
     /// stopped goes on behind the progress `from`.
     ///
     /// # Errors
@@ -73,23 +73,23 @@ impl<'a> RayStream<'a> {
     /// were dropped.
     pub fn run(
         &self,
-        share: Shard,
+        shard: Shard,
         from: RunProgress,
         monitor: &dyn Monitor,
         mut sink: impl FnMut(&[RaySamples], &RunProgress) -> Result<()>,
     ) -> Result<RunProgress> {
-        monitor.begin("rays", share.own_rays());
+        monitor.begin("rays", shard.own_rays());
         monitor.advance(from.rays);
         let mut progress = from;
-        while progress.batches < share.batches() {
+        while progress.batches < shard.batches() {
             check(monitor)?;
-            let group = progress.batches..(progress.batches + GROUP).min(share.batches());
+            let group = progress.batches..(progress.batches + GROUP).min(shard.batches());
             let samples: Vec<RaySamples> = group
                 .clone()
                 .into_par_iter()
                 .map_init(JacobianBuffers::default, |buffers, n| {
-                    let batch = share.batch(n);
-                    let (rays, jitter) = self.batch(batch, share.rays_of(batch));
+                    let batch = shard.batch(n);
+                    let (rays, jitter) = self.batch(batch, shard.rays_of(batch));
                     let (first, how) = (batch * BATCH, &self.differentiation);
                     let samples = self.tracer.jacobians(&rays, &jitter, first, how, self.negligible, buffers);
                     monitor.advance(rays.len() as u64);
@@ -97,7 +97,7 @@ impl<'a> RayStream<'a> {
                 })
                 .collect();
             progress.batches = group.end;
-            progress.rays += group.map(|n| share.rays_of(share.batch(n))).sum::<u64>();
+            progress.rays += group.map(|n| shard.rays_of(shard.batch(n))).sum::<u64>();
             for batch in &samples {
                 progress.samples += batch.positions.len() as u64;
                 progress.dropped += batch.dropped;

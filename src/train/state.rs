@@ -15,7 +15,7 @@ use crate::field::hash_grid::{Entry, Network};
 use crate::io::container::{self, Format, Reader};
 use crate::{Error, Result};
 
-const FORMAT: Format = (b"OCTOTRN\n", 1);
+const FORMAT: Format = (b"OCTOTRN\n", 2);
 
 #[derive(Serialize, Deserialize)]
 struct Header {
@@ -43,11 +43,11 @@ impl Trainer<'_> {
             FORMAT,
             &header,
             &[
-                &self.parameters.encoding.table.as_slice(),
-                &self.table_moments.mean.as_slice(),
-                &self.table_moments.square.as_slice(),
-                &network.as_slice(),
-                &self.occupancy.densities.as_slice(),
+                ("table", &self.parameters.encoding.table.as_slice()),
+                ("means", &self.table_moments.mean.as_slice()),
+                ("squares", &self.table_moments.square.as_slice()),
+                ("network", &network.as_slice()),
+                ("occupancy", &self.occupancy.densities.as_slice()),
             ],
         )
     }
@@ -57,7 +57,7 @@ impl Trainer<'_> {
     /// # Errors
     /// If the file is missing, damaged, or of a run with another description.
     pub fn restore(&mut self, path: &Path, key: &str) -> Result<f64> {
-        let (header, mut file) = Reader::open::<Header>(path, FORMAT, 5..=5)?;
+        let (header, mut file) = Reader::open::<Header>(path, FORMAT)?;
         if header.key != key {
             let expected = format!("a run with the same settings and data, {key}");
             return Err(Error::malformed(path, "run", expected, header.key));

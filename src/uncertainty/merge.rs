@@ -199,7 +199,7 @@ fn joined_floor(parts: &[UncertaintyField], draws: &[Draw]) -> f64 {
         return Refinement::EVERYTHING;
     }
     let of_shards = parts.iter().flat_map(|part| &part.draws).filter(|draw| draw.is_part());
-    let complete = of_shards.fold(0_u64, |sum, draw| sum.saturating_add(draw.share.own_rays()));
+    let complete = of_shards.fold(0_u64, |sum, draw| sum.saturating_add(draw.shard.own_rays()));
     let runs = parts.iter().map(|part| part.protocol.rays);
     parts[0].protocol.floor(if complete > 0 { complete } else { runs.min().unwrap_or(0) })
 }
@@ -210,7 +210,7 @@ fn joined_protocol(parts: &[UncertaintyField], draws: &[Draw]) -> Protocol {
     let first = &parts[0].protocol;
     let one_seed = first.seed.filter(|_| protocols().all(|p| p.seed == first.seed));
     let whole = match draws {
-        [draw] if one_seed == Some(draw.seed) => Some(draw.share),
+        [draw] if one_seed == Some(draw.seed) => Some(draw.shard),
         _ => None,
     };
     let mut sources: Vec<&str> = protocols().map(|p| p.source.as_str()).collect();
@@ -220,7 +220,7 @@ fn joined_protocol(parts: &[UncertaintyField], draws: &[Draw]) -> Protocol {
         rays: protocols().fold(0, |sum, p| sum.saturating_add(p.rays)),
         dropped: protocols().fold(0, |sum, p| sum.saturating_add(p.dropped)),
         seed: one_seed,
-        share: whole,
+        shard: whole,
         ..first.clone()
     }
 }

@@ -24,8 +24,8 @@ pub struct Protocol {
     pub version: String,
     /// Model and cameras, or samples file.
     pub source: String,
-    /// Which model and cameras these are; in files it has a section of its own.
-    #[serde(skip)]
+    /// Which model and cameras these are.
+    #[serde(default)]
     pub origin: Origin,
     /// R: rays drawn, those that hit nothing included.
     pub rays: u64,
@@ -36,7 +36,7 @@ pub struct Protocol {
     /// Seed of the run's pixels and jitter; [`super::UncertaintyField::draws`] has those of all its sequences.
     pub seed: Option<u64>,
     /// Which part of a run these rays are.
-    pub share: Option<Shard>,
+    pub shard: Option<Shard>,
     /// λ, 1 / scene unit².
     pub lambda: f64,
     /// Scalar read off H.
@@ -68,13 +68,13 @@ impl Protocol {
     /// The one draw that its seed and share name, if they do.
     #[must_use]
     pub fn draw(&self) -> Option<Draw> {
-        self.seed.zip(self.share).map(|(seed, share)| Draw { seed, share })
+        self.seed.zip(self.shard).map(|(seed, shard)| Draw { seed, shard })
     }
 
     /// Whether these rays are but a part of a run.
     #[must_use]
     pub fn is_part(&self) -> bool {
-        self.share.is_some_and(|share| share.of > 1)
+        self.shard.is_some_and(|share| share.of > 1)
     }
 
     /// How evidence is pooled.
@@ -91,7 +91,7 @@ impl Protocol {
     /// Whether a run can have had this protocol: for protocols read from files.
     #[must_use]
     pub fn is_possible(&self) -> bool {
-        let counts = self.rays > 0 && self.dropped <= self.rays && self.share.is_none_or(|s| s.is_valid());
+        let counts = self.rays > 0 && self.dropped <= self.rays && self.shard.is_none_or(|s| s.is_valid());
         // λ is accepted if f32 holds the prior's deviation, which queries far from all rays return.
         let lambda = self.lambda > 0.0
             && self.lambda.is_finite()
@@ -118,7 +118,7 @@ impl Protocol {
             dropped: 0,
             pixels: None,
             seed: None,
-            share: None,
+            shard: None,
             lambda,
             covariance,
             prior: Prior::Uniform,

@@ -8,9 +8,12 @@
 //! with its length (u32, little-endian) before it.
 
 use std::io::{Cursor, Read, Write};
-use std::ops::RangeInclusive;
 
 use super::Kind;
+
+/// Sections of containers, in the order of their parts.
+const FIELD: [&str; 7] = ["masks", "deviations", "sums", "surface", "logs", "limits", "errors"];
+const CHECKPOINT: [&str; 3] = ["codes", "sums", "surface"];
 
 /// Arrays that archives may have, in the order of their parts.
 const SAMPLES: [&str; 6] = ["positions", "jacobian", "ray", "rays_total", "weight", "gradient"];
@@ -28,12 +31,8 @@ pub fn file(kind: Kind, recipe: &[u8]) -> Vec<u8> {
     let parts = split(rest);
     let part = |i: usize| parts.get(i).copied().unwrap_or_default();
     match kind {
-        // The last three sections are there or not.
-        Kind::Field => {
-            let sections: Vec<&[u8]> = (1..parts.len().clamp(7, 10)).map(part).collect();
-            container(b"OCTOBAY\n", part(0), &sections)
-        }
-        Kind::Checkpoint => container(b"OCTOCHK\n", part(0), &std::array::from_fn::<_, 3, _>(|i| part(i + 1))),
+        Kind::Field => container(b"OCTOBAY\n", 3, &FIELD, &parts),
+        Kind::Checkpoint => container(b"OCTOCHK\n", 2, &CHECKPOINT, &parts),
         Kind::Samples => archive(&SAMPLES, &parts),
         Kind::Voxels => archive(&VOXELS, &parts),
         Kind::Safetensors => {
@@ -48,8 +47,7 @@ pub fn file(kind: Kind, recipe: &[u8]) -> Vec<u8> {
 /// A recipe that says every content of a valid file apart, if the kind has parts; otherwise the file as it is.
 pub fn recipe(kind: Kind, file: &[u8]) -> Vec<u8> {
     let parts = match kind {
-        Kind::Field => container_parts(file, 6..=8),
-        Kind::Checkpoint => container_parts(file, 3..=3),
+        Kind::Field | Kind::Checkpoint => container_parts(file),
         Kind::Samples => archive_parts(&SAMPLES, file),
         Kind::Voxels => archive_parts(&VOXELS, file),
         Kind::Safetensors => {
@@ -88,17 +86,19 @@ pub fn join(parts: &[Vec<u8>]) -> Vec<u8> {
     recipe
 }
 
-/// Lengths and checksums of sections, as a container's header ends with them.
-fn described(sections: &[&[u8]]) -> Vec<u8> {
-    let described: Vec<(u64, u32)> = sections.iter().map(|s| (s.len() as u64, crc32fast::hash(s))).collect();
-    bincode::serde::encode_to_vec(described, bincode::config::standard()).unwrap()
-}
-
-/// A container of version 1.
-fn container(magic: &[u8; 8], header: &[u8], sections: &[&[u8]]) -> Vec<u8> {
-    let header = [header, &described(sections)].concat();
+/// A container: the content of its header as JSON, then the sections of these names.
+fn container(magic: &[u8; 8], version: u32, names: &[&str], parts: &[&[u8]]) -> Vec<u8> {
+    let part = |i: usize| parts.get(i).copied().unwrap_or_default();
+    let sections: Vec<&[u8]> = (1..=names.len()).map(part).collect();
+    let described = names.iter().zip(&sections).map(|(name, bytes)| {
+        format!(r#"{{"name":"{name}","bytes":{},"crc32":{}}}"#, bytes.len(), crc32fast::hash(bytes))
+    });
+    let described: Vec<String> = described.collect();
+    // The content may be anything, JSON or not.
+    let header =
+        [br#"{"content":"#, part(0), format!(r#","sections":[{}]}}"#, described.join(",")).as_bytes()].concat();
     let mut file = magic.to_vec();
-    for word in [1, header.len() as u32, crc32fast::hash(&header)] {
+    for word in [version, header.len() as u32, crc32fast::hash(&header)] {
         file.extend(word.to_le_bytes());
     }
     file.extend(header);
@@ -106,28 +106,18 @@ fn container(magic: &[u8; 8], header: &[u8], sections: &[&[u8]]) -> Vec<u8> {
     file
 }
 
-/// Content of the header, and the sections, of a valid container with one of these numbers of sections.
-fn container_parts(file: &[u8], count: RangeInclusive<usize>) -> Vec<Vec<u8>> {
+/// Content of the header, and the sections, of a valid container.
+fn container_parts(file: &[u8]) -> Vec<Vec<u8>> {
     let length = u32::from_le_bytes(file[12..16].try_into().unwrap()) as usize;
-    let (header, data) = file[20..].split_at(length);
-    // The sections' description ends the header: the only end of it that describes the data.
-    for start in 0..header.len() {
-        let read =
-            bincode::serde::decode_from_slice::<Vec<(u64, u32)>, _>(&header[start..], bincode::config::standard());
-        let Ok((described, read)) = read else { continue };
-        let whole = described.iter().try_fold(0_u64, |n, s| n.checked_add(s.0)) == Some(data.len() as u64);
-        if read == header.len() - start && count.contains(&described.len()) && whole {
-            let mut parts = vec![header[..start].to_vec()];
-            let mut rest = data;
-            for (length, _) in described {
-                let (section, behind) = rest.split_at(length as usize);
-                parts.push(section.to_vec());
-                rest = behind;
-            }
-            return parts;
-        }
+    let (header, mut rest) = file[20..].split_at(length);
+    let header: serde_json::Value = serde_json::from_slice(header).unwrap();
+    let mut parts = vec![header["content"].to_string().into_bytes()];
+    for section in header["sections"].as_array().unwrap() {
+        let (own, behind) = rest.split_at(section["bytes"].as_u64().unwrap() as usize);
+        parts.push(own.to_vec());
+        rest = behind;
     }
-    panic!("no description of {count:?} sections in the header")
+    parts
 }
 
 /// A zip archive with the first few of these arrays, stored.
