@@ -13,8 +13,8 @@ use octobayes::Result;
 use octobayes::estimate::{Estimation, GridSettings, Outcome, RaySettings};
 use octobayes::field::{ClosedForm, Intrinsics, RadianceField};
 use octobayes::geometry::{Domain, Lattice};
-use octobayes::memory;
-use octobayes::picture::{Curve, write_plot};
+use octobayes::internal::memory;
+use octobayes::internal::{Curve, write_plot};
 
 const QUERIES: usize = 1_000_000;
 

@@ -55,26 +55,43 @@
 //!   (or as 16-bit logarithms, by a stated amount).
 //! - No unsafe code.
 
-pub mod cli;
+// Some of what the command line and the trainer alone use is compiled without them: better than a feature gate at every function.
+#![cfg_attr(not(feature = "cli"), allow(dead_code, unused_imports))]
+
+#[cfg(feature = "cli")]
+mod cli;
 pub mod dataset;
 pub mod error;
 pub mod estimate;
 pub mod evaluate;
 pub mod field;
 pub mod geometry;
-pub mod io;
-pub mod memory;
+mod io;
 pub mod metrics;
 pub mod monitor;
 pub mod octree;
 pub mod open;
-pub mod picture;
+#[cfg(feature = "cli")]
+mod picture;
 pub mod posterior;
 pub mod rays;
 pub mod render;
+#[cfg(feature = "synth")]
 pub mod synth;
+#[cfg(feature = "train")]
 pub mod train;
 pub mod uncertainty;
 pub mod zoo;
 
 pub use error::{Error, Result};
+pub use glam;
+
+/// Not part of the library: what its own command line, tests, benches and experiments need of it.
+#[doc(hidden)]
+pub mod internal {
+    #[cfg(feature = "cli")]
+    pub use crate::cli::main;
+    pub use crate::io::{AtomicFile, memory, npy, npz};
+    #[cfg(feature = "cli")]
+    pub use crate::picture::*;
+}

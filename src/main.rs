@@ -3,5 +3,5 @@
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    octobayes::cli::main()
+    octobayes::internal::main()
 }

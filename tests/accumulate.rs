@@ -15,7 +15,7 @@ fn octobayes(args: &[&str]) {
 #[test]
 fn samples_written_by_numpy_give_numpys_sums() {
     let numpy = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/numpy");
-    let expected = octobayes::io::npy::read::<f64>(&numpy.join("expected.npy")).unwrap();
+    let expected = octobayes::internal::npy::read::<f64>(&numpy.join("expected.npy")).unwrap();
     let folder = tempfile::tempdir().unwrap();
     for grid in ["dense", "octree"] {
         let out = folder.path().join(format!("{grid}.oct"));

@@ -7,7 +7,7 @@ use std::process::{Command, Output, Stdio};
 use glam::Vec3;
 use octobayes::field::{ClosedForm, VoxelGrid};
 use octobayes::geometry::Camera;
-use octobayes::io::{npy, npz::NpzWriter};
+use octobayes::internal::{npy, npz::NpzWriter};
 use octobayes::uncertainty::UncertaintyField;
 
 /// A folder with cameras, a small field and its samples.

@@ -46,7 +46,7 @@ const EVALUATE: &str = "evaluate m-0.safetensors m.oct --cameras set/transforms_
 fn all_measures_and_the_clean_up_are_in_the_tables() {
     let desk = desk();
     let run = |more: &str| octobayes(desk.path(), &format!("{EVALUATE} {more}"));
-    let text = run("--clean-up sheet.png --json --plot plot.svg --csv curves.csv --blend hit,mean");
+    let text = run("--clean-up sheet.png --json --plot plot.svg --csv curves.csv --blend weighted-mean,mean");
     let json: Value = serde_json::from_str(&text).unwrap();
     let names = |key: &str| -> Vec<String> {
         json[key].as_array().unwrap().iter().map(|e| e["name"].as_str().unwrap().to_string()).collect()
@@ -80,7 +80,10 @@ fn all_measures_and_the_clean_up_are_in_the_tables() {
         assert!(std::fs::metadata(desk.path().join(file)).unwrap().len() > 1000, "{file}");
     }
     // Results do not depend on the number of threads.
-    let one = octobayes(desk.path(), &format!("--threads 1 {EVALUATE} --blend hit,mean --clean-up sheet.png --json"));
+    let one = octobayes(
+        desk.path(),
+        &format!("--threads 1 {EVALUATE} --blend weighted-mean,mean --clean-up sheet.png --json"),
+    );
     assert_eq!(text, one);
     // The same for people.
     let table = run("");

@@ -11,7 +11,7 @@ use std::process::Command;
 
 use octobayes::dataset::write_transforms;
 use octobayes::field::ClosedForm;
-use octobayes::io::{npy, npz::NpzWriter};
+use octobayes::internal::{npy, npz::NpzWriter};
 use untrusted::{Kind, forge, samples};
 
 /// A row of the table.

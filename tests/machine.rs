@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use octobayes::dataset::write_transforms;
 use octobayes::field::ClosedForm;
-use octobayes::io::AtomicFile;
+use octobayes::internal::AtomicFile;
 use octobayes::uncertainty::UncertaintyField;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;

@@ -7,11 +7,12 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::DVec3;
 use octobayes::Error;
+use octobayes::dataset::Hemisphere;
 use octobayes::dataset::{DepthEncoding, DepthKind, DepthMap, PosedImage, Views};
 use octobayes::geometry::Ray;
 use octobayes::monitor::{Monitor, Silent};
 use octobayes::synth::{
-    DEPTH_PNG_SCALE, DatasetSettings, GROUND_RADIUS, HALF_HEIGHT, Hemisphere, Mesh, RADIUS, Scene, Up, write_dataset,
+    DEPTH_PNG_SCALE, DatasetSettings, GROUND_RADIUS, HALF_HEIGHT, Mesh, RADIUS, Scene, Up, write_dataset,
 };
 
 /// A sphere with 2·`rings` meridians; poles and equator are vertices, so that it is placed with exactly radius 0.75 around 0.

@@ -8,7 +8,7 @@ use glam::Vec3;
 use octobayes::estimate::{Estimation, GridSettings, Outcome, RaySettings};
 use octobayes::field::{HashGrid, HashGridConfig, NerfMlp, RadianceField, VoxelGrid};
 use octobayes::geometry::{Camera, Domain};
-use octobayes::io::AtomicFile;
+use octobayes::internal::AtomicFile;
 use octobayes::monitor::Silent;
 use octobayes::render::GradientMethod;
 use octobayes::train::{Budget, Run, TrainSettings, Trainer, quality};

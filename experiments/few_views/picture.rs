@@ -4,7 +4,7 @@ use std::path::Path;
 
 use octobayes::Result;
 use octobayes::evaluate::{CleanUp, EvaluatedView, Score, TrueView};
-use octobayes::picture::{Bar, Curve, Panel, color_panel, scalar_panel, write_plot, write_sheet};
+use octobayes::internal::{Bar, Curve, Panel, color_panel, scalar_panel, write_plot, write_sheet};
 use octobayes::render::RenderedView;
 
 use crate::plan::Data;

@@ -1,7 +1,8 @@
 //! Which scenes, which sizes.
 
+use octobayes::dataset::Hemisphere;
 use octobayes::render::RayAverage;
-use octobayes::synth::{Hemisphere, Up};
+use octobayes::synth::Up;
 use octobayes::train::Selection;
 use serde::Serialize;
 

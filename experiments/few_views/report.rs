@@ -5,7 +5,7 @@ use std::io::Write as _;
 use std::path::Path;
 
 use octobayes::evaluate::Baseline;
-use octobayes::io::AtomicFile;
+use octobayes::internal::AtomicFile;
 use octobayes::posterior::Covariance;
 use octobayes::{Error, Result};
 
@@ -111,7 +111,7 @@ fn scenes(done: &[SceneResult]) -> Table {
 /// The columns of the area tables: kind, name, variant.
 fn columns() -> Vec<(Kind, &'static str, &'static str)> {
     let spread = Covariance::ALL.iter().map(|c| (Kind::RayAverage, c.name(), "spread"));
-    let alone = ["hit", "at-expected"].map(|v| (Kind::RayAverage, "diagonal", v));
+    let alone = ["weighted-mean", "at-expected"].map(|v| (Kind::RayAverage, "diagonal", v));
     let baselines =
         [Baseline::RayVariance, Baseline::RayEntropy, Baseline::Transparency, Baseline::RayCount, Baseline::Random];
     let ensembles = [Baseline::EnsembleVariance, Baseline::DensityAware];

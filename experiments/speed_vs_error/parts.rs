@@ -4,7 +4,7 @@ use std::path::Path;
 
 use octobayes::Result;
 use octobayes::estimate::{GridKind, GridSettings, RaySettings};
-use octobayes::picture::{Curve, write_plot};
+use octobayes::internal::{Curve, write_plot};
 use octobayes::posterior::Criterion;
 use octobayes::rays::Pixels;
 use octobayes::render::GradientMethod;

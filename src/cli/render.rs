@@ -10,8 +10,9 @@ use super::progress::Bars;
 use super::report;
 use crate::field::RadianceField;
 use crate::geometry::Aabb;
+use crate::io::write_exr;
 use crate::monitor::Monitor;
-use crate::picture::{write_exr, write_sheet};
+use crate::picture::write_sheet;
 use crate::posterior::Covariance;
 use crate::render::{Probe, RayAverage, RenderedView, render_view};
 use crate::uncertainty::{ThresholdedField, UncertaintyField};
@@ -53,7 +54,7 @@ pub struct Args {
     range: [f64; 2],
 
     /// How log10 U is blended along a ray
-    #[arg(long, value_enum, default_value = "hit")]
+    #[arg(long, value_enum, default_value = "weighted-mean")]
     blend: RayAverage,
 
     /// Another covariance than the field's own, if it keeps its Hessian

@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 use crate::error::printable;
 use crate::estimate::{Audit, GridKind, GridSettings, Plan, SamplingError, StepCheck};
-use crate::memory::peak;
+use crate::io::memory::peak;
 use crate::posterior::Prior;
 use crate::rays::Pixels;
 use crate::render::GradientMethod;

@@ -6,7 +6,8 @@ use std::time::Instant;
 use super::options::parse_resolution;
 use super::progress::Bars;
 use crate::Result;
-use crate::synth::{DEPTH_PNG_SCALE, DatasetSettings, Hemisphere, Up, write_dataset};
+use crate::dataset::Hemisphere;
+use crate::synth::{DEPTH_PNG_SCALE, DatasetSettings, Up, write_dataset};
 
 /// Ray-trace a triangle mesh into a dataset: posed images and exact depth
 ///

@@ -9,11 +9,11 @@ use serde_json::json;
 use super::files::CommandFiles;
 use super::options::{numbers, parse_background, parse_box, parse_non_negative, parse_positive, parse_views};
 use super::progress::Bars;
+use crate::dataset::Hemisphere;
 use crate::estimate::Framing;
 use crate::field::{HashGrid, HashGridConfig, RadianceField};
 use crate::geometry::{Aabb, Camera, Domain, Norm};
 use crate::monitor::Monitor;
-use crate::synth::Hemisphere;
 use crate::train::{
     Background, Budget, DatasetFiles, Description, Finished, Quality, Run, Selection, Shot, StateFile, TrainSettings,
     Trainer, one_color, quality,

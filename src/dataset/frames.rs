@@ -93,7 +93,7 @@ impl FrameSplit {
         if let Selection::Indices(indices) = selection {
             if let Some(i) = indices.iter().find(|i| **i >= n) {
                 let expected = format!("indices of images from 0 to {}", n.saturating_sub(1));
-                return Err(Error::setting("--views", expected, i.to_string()));
+                return Err(Error::setting("training views", expected, i.to_string()));
             }
             let mut index = 0..n;
             frames.retain(|_| index.next().is_some_and(|i| indices.contains(&i)));
@@ -102,7 +102,7 @@ impl FrameSplit {
         let n = frames.len();
         if let Selection::Count(count) = selection {
             if *count > n {
-                return Err(Error::setting("--views", format!("at most {n} images"), count.to_string()));
+                return Err(Error::setting("training views", format!("at most {n} images"), count.to_string()));
             }
             let kept: Vec<usize> = (0..*count).map(|i| (2 * i + 1) * n / (2 * count)).collect();
             let mut index = 0..n;
@@ -138,7 +138,7 @@ impl FrameSplit {
                 Part::Training => (if other_part == 1 { "is" } else { "are" }, "held out, every eighth"),
                 Part::HeldOut => (if other_part == 1 { "is" } else { "are" }, "for training"),
             };
-            others.push(format!("{other_part} {is} {for_what} (--views all takes both)"));
+            others.push(format!("{other_part} {is} {for_what} (views `all` takes both)"));
         }
         let rest = self.frames.len().saturating_sub(other_part + used.len());
         if rest > 0 {
@@ -208,13 +208,13 @@ mod tests {
 
         let path = folder.path().display();
         let start = format!("of 20 frames of {path}/transforms.json: 2 have no image (first: {path}/r_1.png)");
-        let held = "2 are held out, every eighth (--views all takes both)";
+        let held = "2 are held out, every eighth (views `all` takes both)";
         assert_eq!(split.describe(Part::Training, &training), format!("16 cameras {start}, {held}"));
         assert_eq!(split.describe(Part::Training, &three), format!("3 cameras {start}, {held}, 13 not chosen"));
         let both = select(Part::Training, &Selection::BothParts);
         assert_eq!(split.describe(Part::Training, &both), format!("18 cameras {start}"));
         let judged = split.describe(Part::HeldOut, &held_out);
-        assert_eq!(judged, format!("2 cameras {start}, 16 are for training (--views all takes both)"));
+        assert_eq!(judged, format!("2 cameras {start}, 16 are for training (views `all` takes both)"));
     }
 
     #[test]

@@ -2,11 +2,13 @@
 
 mod depth;
 mod frames;
+mod hemisphere;
 mod image;
 pub mod points;
 mod transforms;
 
 pub use depth::{DepthEncoding, DepthKind, DepthMap};
 pub use frames::{FrameSplit, Part, Selection, test_partner};
+pub use hemisphere::Hemisphere;
 pub use image::PosedImage;
 pub use transforms::{Frame, ResolutionSource, Views, write_transforms};

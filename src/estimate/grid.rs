@@ -6,7 +6,8 @@ use crate::uncertainty::SAMPLES_SHARE;
 use crate::{Error, Result};
 
 /// What carries the field.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 pub enum GridKind {
     /// Adaptive octree, finest where rays are sensitive
     #[default]

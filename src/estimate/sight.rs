@@ -210,7 +210,7 @@ impl Sight {
         } else if self.meet_matter < LITTLE {
             Some("cameras of another scene, or in other units or axes than the model".into())
         } else if self.meet_domain < LITTLE {
-            Some("a domain (--box) that is not where the cameras see matter".into())
+            Some("a domain that is not where the cameras see matter".into())
         } else {
             Some("units that put the cameras into the scene's matter, or other axes".into())
         }
@@ -291,7 +291,7 @@ mod tests {
         let elsewhere = Aabb::new(DVec3::splat(5.0), DVec3::splat(6.0)).unwrap();
         let boxed = sight(&changed(|_| {}), Some(Domain::Box(elsewhere)));
         assert!(boxed.is_nothing() && boxed.meet_matter > 0.3, "{boxed:?}");
-        assert!(boxed.causes().unwrap().contains("--box"), "{boxed:?}");
+        assert!(boxed.causes().unwrap().contains("a domain"), "{boxed:?}");
 
         // Into the ground, which is where z is about -0.75.
         let buried = sight(&changed(|camera| camera.position = DVec3::new(0.2, 0.2, -0.77)), None);

@@ -17,7 +17,8 @@ use super::Aabb;
 use crate::{Error, Result};
 
 /// What the distance from a contraction's centre means.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "lowercase")]
 pub enum Norm {
     /// Euclidean (mip-NeRF 360): the cube's corners stay empty

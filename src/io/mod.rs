@@ -4,10 +4,15 @@
 
 mod atomic;
 pub mod container;
+#[cfg(feature = "synth")]
+mod exr;
 pub mod legacy;
+pub mod memory;
 pub mod npy;
 pub mod npz;
 mod place;
 
 pub use atomic::AtomicFile;
+#[cfg(feature = "synth")]
+pub use exr::write_exr;
 pub use place::{Identity, destination, folder_of};

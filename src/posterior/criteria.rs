@@ -3,7 +3,8 @@
 use std::fmt;
 
 /// One reason to refine, or not to.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 pub enum Criterion {
     /// Around vertices whose displacement some pixel would notice
     Sensitivity,

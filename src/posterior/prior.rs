@@ -3,7 +3,8 @@
 use crate::octree::{Octree, cells_around};
 
 /// How λ depends on the size of cells.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "lowercase")]
 pub enum Prior {
     /// The same λ at every vertex: agrees with the dense grid where nothing was seen

@@ -9,7 +9,8 @@ use rand_chacha::ChaCha8Rng;
 use super::seeds::mix;
 
 /// How pixels are chosen.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
 pub enum Pixels {
     /// Uniformly at random from all images, as in the paper

@@ -7,7 +7,8 @@ use crate::geometry::{Aabb, Domain};
 use crate::{Error, Result};
 
 /// Where derivatives come from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
 pub enum GradientMethod {
     /// Central differences: any field is a black box

@@ -18,7 +18,8 @@ pub const RADIUS: f64 = 0.75;
 const MAX_FACES: usize = 100_000_000;
 
 /// Which axis of the file points up. The other two follow by rotation, so that no mesh is mirrored.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum, serde::Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
 pub enum Up {
     /// x up, y to the right: (x, y, z) becomes (y, z, x)

@@ -25,5 +25,5 @@ pub use texture::Texture;
 pub use trace::{GROUND_RADIUS, Hit, Scene, Surface};
 pub use triangle::{Crossing, ShearedRay};
 pub use view::{PixelSampling, TracedView, trace_view};
-pub use viewpoints::{ANGLE, DISTANCE, Hemisphere, TARGET, viewpoints};
+pub use viewpoints::{ANGLE, DISTANCE, TARGET, viewpoints};
 pub use write::{DEPTH_PNG_SCALE, DatasetSettings, write_dataset};

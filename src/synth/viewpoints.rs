@@ -11,6 +11,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::mesh::{HALF_HEIGHT, RADIUS};
 use super::trace::GROUND_RADIUS;
+use crate::dataset::Hemisphere;
 use crate::geometry::Camera;
 
 /// Where the cameras look: the centre of the smallest ball around the ground's rim and the top of what a mesh may fill; its
@@ -23,36 +24,20 @@ pub const ANGLE: f64 = 0.691_111_2;
 /// Lowest and highest sine of the elevation: the ground does not become a line, and up stays defined.
 const SINE: [f64; 2] = [0.06, 0.97];
 
-/// Where training cameras may stand.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum, serde::Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Hemisphere {
-    /// x < 0
-    Left,
-    /// x > 0
-    Right,
-    /// y < 0
-    Front,
-    /// y > 0
-    Back,
-}
-
-impl Hemisphere {
-    /// Azimuths from +x towards +y, start and width, radians.
-    fn azimuths(self) -> [f64; 2] {
-        match self {
-            Self::Right => [-FRAC_PI_2, PI],
-            Self::Back => [0.0, PI],
-            Self::Left => [FRAC_PI_2, PI],
-            Self::Front => [PI, PI],
-        }
+/// Azimuths of a half from +x towards +y, start and width, radians.
+fn azimuths(half: Hemisphere) -> [f64; 2] {
+    match half {
+        Hemisphere::Right => [-FRAC_PI_2, PI],
+        Hemisphere::Back => [0.0, PI],
+        Hemisphere::Left => [FRAC_PI_2, PI],
+        Hemisphere::Front => [PI, PI],
     }
 }
 
 /// `count` cameras that look at [`TARGET`], above the ground, all around or in one half. `seed` turns the spiral.
 #[must_use]
 pub fn viewpoints(count: u32, half: Option<Hemisphere>, resolution: [u32; 2], seed: u64) -> Vec<Camera> {
-    let [start, width] = half.map_or([0.0, TAU], Hemisphere::azimuths);
+    let [start, width] = half.map_or([0.0, TAU], azimuths);
     let turn: f64 = ChaCha8Rng::seed_from_u64(seed).random();
     let golden = 0.5 * (5.0_f64.sqrt() - 1.0);
     // `look_at` takes the horizontal angle.

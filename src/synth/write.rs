@@ -12,11 +12,12 @@ use super::staged::StagedFolder;
 use super::texture::{COARSEST, FINEST};
 use super::trace::{GROUND_RADIUS, Scene};
 use super::view::{PixelSampling, TracedView, trace_view};
-use super::viewpoints::{ANGLE, DISTANCE, Hemisphere, TARGET, viewpoints};
+use super::viewpoints::{ANGLE, DISTANCE, TARGET, viewpoints};
+use crate::dataset::Hemisphere;
 use crate::geometry::{Aabb, Camera};
 use crate::io::AtomicFile;
+use crate::io::write_exr;
 use crate::monitor::Monitor;
-use crate::picture::write_exr;
 use crate::{Error, Result};
 
 /// Depth in scene units of a depth PNG's white, 65535: one step is 1e-4. The farthest surface is below 4.6 units away.

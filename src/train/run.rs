@@ -8,9 +8,9 @@ use serde::Serialize;
 
 use super::{Background, Quality, Selection, Shot, Trainer, quality};
 use crate::Result;
+use crate::dataset::Hemisphere;
 use crate::geometry::Domain;
 use crate::monitor::Monitor;
-use crate::synth::Hemisphere;
 
 /// When a run ends.
 #[derive(Debug, Clone, Copy, PartialEq)]

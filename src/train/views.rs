@@ -2,13 +2,12 @@
 
 use std::path::{Path, PathBuf};
 
-use glam::DVec3;
 use serde::Deserialize;
 
+use crate::dataset::Hemisphere;
 use crate::dataset::{Frame, FrameSplit, Part, PosedImage, Selection, Views, test_partner};
 use crate::geometry::{Aabb, Camera, NamedCamera};
 use crate::monitor::{Monitor, check};
-use crate::synth::Hemisphere;
 use crate::{Error, Result};
 
 /// Half edge of the cube that NeRF-synthetic scenes fit into, and of instant-ngp's unit cube: 0.5 / 0.33.
@@ -90,7 +89,7 @@ impl DatasetFiles {
     /// If there are no such images.
     pub fn select(&mut self, selection: &Selection, half: Option<Hemisphere>) -> Result<()> {
         let middle = 0.5 * (self.bounds.min() + self.bounds.max());
-        let keep = |frame: &Frame| half.is_none_or(|half| is_in(half, frame.camera.position - middle));
+        let keep = |frame: &Frame| half.is_none_or(|half| half.contains(frame.camera.position - middle));
         self.train = self.split.select(Part::Training, selection, keep)?;
         if self.train.is_empty() {
             return Err(Error::setting("training views", "some training images", "none"));
@@ -143,15 +142,6 @@ impl DatasetFiles {
 
 fn has_image(frame: &Frame) -> bool {
     frame.image.exists()
-}
-
-fn is_in(half: Hemisphere, x: DVec3) -> bool {
-    match half {
-        Hemisphere::Left => x.x < 0.0,
-        Hemisphere::Right => x.x > 0.0,
-        Hemisphere::Front => x.y < 0.0,
-        Hemisphere::Back => x.y > 0.0,
-    }
 }
 
 /// `aabb` of the camera file, else instant-ngp's unit cube around the origin times `aabb_scale`.

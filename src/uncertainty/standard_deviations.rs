@@ -5,7 +5,8 @@ use std::sync::LazyLock;
 use half::f16;
 
 /// How deviations are stored.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 pub enum Store {
     /// σ in four bytes: rounding moves log10 U by 3e-8
     #[default]

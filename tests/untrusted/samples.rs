@@ -10,7 +10,7 @@ use octobayes::estimate::state::RunKey;
 use octobayes::estimate::{Estimation, FieldBuilder, GridKind, GridSettings, Provenance, RaySettings};
 use octobayes::field::{ClosedForm, VoxelGrid};
 use octobayes::geometry::{Aabb, Camera, Domain, Norm};
-use octobayes::io::npy;
+use octobayes::internal::npy;
 use octobayes::posterior::{Covariance, Criteria, Prior, VertexSums};
 use octobayes::rays::{Pixels, RunProgress, SamplesWriter, Shard};
 use octobayes::render::{GradientMethod, RaySample, RaySamples};
@@ -227,7 +227,7 @@ fn samples() -> Vec<u8> {
 /// Without what is optional, in NumPy's other integers.
 fn few_samples() -> Vec<u8> {
     written("samples.npz", |path| {
-        let mut npz = octobayes::io::npz::NpzWriter::create(path).unwrap();
+        let mut npz = octobayes::internal::npz::NpzWriter::create(path).unwrap();
         npz.array("positions", &[2, 3], [0.1_f32; 6]).unwrap();
         npz.array("jacobian", &[2, 3, 3], [1.0_f32; 18]).unwrap();
         npz.array("ray", &[2], [0_u32, 7]).unwrap();

@@ -160,6 +160,6 @@ mod tests {
         let error = options.read(&scene, "ball.npz").unwrap_err().to_string();
         assert!(error.contains("--cameras") && error.contains("ball.npz"), "{error}");
         let error = crate::open::open_in("scene:ball", Some(Coordinates::Blender)).err().unwrap().to_string();
-        assert!(error.contains("--coordinates") && error.contains("scene:ball"), "{error}");
+        assert!(error.contains("coordinates") && error.contains("scene:ball"), "{error}");
     }
 }
