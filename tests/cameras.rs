@@ -150,7 +150,7 @@ fn all_verbs_select_frames_by_one_rule() {
     let desk = Desk::new();
     let first = desk.one_file()[0].display().to_string();
     let why = format!("of 20 frames of set/transforms.json: 2 have no image (first: {first})");
-    let held = "2 are held out, every eighth (--views all takes both)";
+    let held = "2 are held out, every eighth (views `all` takes both)";
     let stderr = desk.good(&format!("train set/transforms.json -o m.safetensors --steps 60 {SMALL}"));
     assert!(stderr.contains(&format!("16 cameras {why}, {held}")), "{stderr}");
     let file = "--cameras set/transforms.json";

@@ -52,7 +52,8 @@ fn all_measures_and_the_clean_up_are_in_the_tables() {
         json[key].as_array().unwrap().iter().map(|e| e["name"].as_str().unwrap().to_string()).collect()
     };
     let readings = ["diagonal", "trace", "block", "normal"];
-    let expected: Vec<String> = readings.iter().flat_map(|r| [format!("m {r}, hit"), format!("m {r}, mean")]).collect();
+    let expected: Vec<String> =
+        readings.iter().flat_map(|r| [format!("m {r}, weighted-mean"), format!("m {r}, mean")]).collect();
     assert_eq!(names("readings"), expected);
     let baselines = [
         "ray-weight variance",
