@@ -1,8 +1,8 @@
 //! A field on a regular grid, from a plain `.npz`. Any NeRF can be baked into it.
 //!
-//! `density` f32 `[X, Y, Z]` (1 / scene unit, ≥ 0), `color` f32 `[X, Y, Z, 3]` in `[0, 1]`, `box` f32 `[2,
-//! 3]` (min, max in scene units). Values sit on grid points, which include all faces of the box. They are
-//! trilinear in between; outside the box the density is zero.
+//! `density` f32 `[X, Y, Z]` (1 / scene unit, ≥ 0), `color` f32 `[X, Y, Z, 3]` in `[0, 1]`,
+//! `box` f32 `[2, 3]` (min, max in scene units). Values sit on grid points, which include all faces of the box.
+//! They are trilinear in between; outside the box the density is zero.
 
 use std::path::Path;
 

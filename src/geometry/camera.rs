@@ -183,7 +183,8 @@ mod tests {
             let (found, depth) = camera.project(ray.at(2.0)).unwrap();
             assert!(depth > 0.0 && depth <= 2.0);
             for k in 0..2 {
-                // Two rotations and a division in f64 on numbers below 100, whose ulp is 1.4e-14: the bound is 7000 ulps.
+                // Two rotations and a division in f64 on numbers below 100, whose ulp is 1.4e-14: the bound
+                // is 7000 ulps.
                 assert!((found[k] - pixel[k]).abs() < 1e-12 * 100.0, "{found:?} for {pixel:?}");
             }
         }

@@ -143,7 +143,7 @@ fn owners(split: &MaskSet) -> Vec<u64> {
     let mut owners = Vec::new();
     for (brick, mask) in split.bricks() {
         let at = morton::decode(brick);
-        // Upper neighbours own points of a member only if it lies in an upper face of the brick.
+        // The bricks above own points of a member only if it lies in an upper face of this brick.
         let upper = [UPPER_X, UPPER_Y, UPPER_Z];
         for side in 0..8_usize {
             let reached = (0..3).fold(mask, |mask, axis| if side >> axis & 1 == 1 { mask & upper[axis] } else { mask });

@@ -1,11 +1,11 @@
 //! A succinct sorted set of Morton codes that maps each member to its rank.
 //!
 //! It is a 64-ary tree. Every node holds a 64-bit mask of its occupied children, and as its base the number
-//! of children of all earlier nodes in its row. The child in slot s of node n is therefore node `base[n] +
-//! popcount(mask[n] below s)` of the next row; in the last row this number is the member's rank. A node takes
-//! 12 bytes. A node of the last row is an aligned 4³ brick of lattice points, of which surfaces fill a third
-//! to a half. Compare the leaf nodes of OpenVDB (Museth 2013) and the rank/select structures of succinct
-//! trees (Jacobson 1989).
+//! of children of all earlier nodes in its row. The child in slot s of node n is therefore node
+//! `base[n] + popcount(mask[n] below s)` of the next row; in the last row this number is the member's rank.
+//! A node takes 12 bytes. A node of the last row is an aligned 4³ brick of lattice points, of which surfaces
+//! fill a third to a half. Compare the leaf nodes of OpenVDB (Museth 2013) and the rank/select structures of
+//! succinct trees (Jacobson 1989).
 
 /// A node: the two halves of its mask, and its base.
 ///

@@ -101,7 +101,7 @@ impl ClosedForm {
 }
 
 /// Sum of the primitives' bounds, in the order in which densities are added, so that rounding cannot put it
-/// below their sum.
+/// below the density.
 fn sum_of_bounds<'a>(min: Vec3, max: Vec3, primitives: impl Iterator<Item = &'a Primitive>) -> f32 {
     primitives.fold(0.0, |sum, primitive| sum + primitive.density_bound(min, max))
 }

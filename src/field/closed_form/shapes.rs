@@ -49,8 +49,8 @@ pub enum Shape {
 pub enum Texture {
     /// One colour. Sliding along the surface changes nothing.
     Plain(Vec3),
-    /// base + amplitude · sin(ωx) sin(ωy) sin(ωz), with a phase shift per channel. Smooth; ω in radians /
-    /// scene unit.
+    /// base + amplitude · sin(ωx) sin(ωy) sin(ωz), smooth, with a phase shift per channel;
+    /// ω in radians / scene unit.
     Waves {
         /// Mean colour.
         base: Vec3,

@@ -288,7 +288,8 @@ impl RadianceField for HashGrid {
         let [low, high] = match self.space.domain {
             Domain::Box(bounds) => [min, max].map(|x| (x - bounds.min()) / bounds.size() - 0.5),
             Domain::Contracted { radius, norm, .. } => {
-                // Contraction stretches at most by a factor of 1 (L2) or 2 (L∞), so a ball around the box stays inside a ball.
+                // Contraction stretches at most by a factor of 1 (L2) or 2 (L∞), so a ball around the box
+                // stays inside a ball.
                 let lipschitz = if norm == Norm::L2 { 1.0 } else { 2.0 } / (4.0 * radius);
                 let center = self.space.domain.to_unit((0.5 * (min + max)).as_vec3())? - 0.5;
                 let reach = lipschitz * 0.5 * (max - min).length() * (1.0 + 1e-6) + 1e-6;

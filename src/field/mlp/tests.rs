@@ -147,7 +147,8 @@ fn encoding_is_the_definition() {
             let up = encode_slowly(v.as_dvec3() + 1e-3 * DVec3::AXES[axis], 10)[i];
             let down = encode_slowly(v.as_dvec3() - 1e-3 * DVec3::AXES[axis], 10)[i];
             let found = f64::from(jets[(axis + 1) * ENCODED[0] + i]);
-            // Central differences of a sine of frequency f are sin(fh) / fh of its slope: up to 4 % too small at f = 512.
+            // Central differences of a sine of frequency f give sin(fh) / fh of its slope: up to 4 % too
+            // little at f = 512.
             assert!((found - (up - down) / 2e-3).abs() <= 0.05 * found.abs() + 1e-3, "{i}, axis {axis}");
         }
     }

@@ -1,8 +1,8 @@
 //! From positions to features: tables over sines and cosines (Lee et al., "Plenoptic PNG", arXiv 2409.15689).
 //!
-//! Letters: `F` = 4 frequencies, `C` = 4 features, `Q` grid points of a table axis, `R` rank; `slot` = 2f for
-//! sin and 2f + 1 for cos of frequency f. y = freq · (q − ½) along an axis, s = sin πy or cos πy, u = (s +
-//! 1)/2 · (Q − 1) the table coordinate.
+//! Letters: `F` = 4 frequencies, `C` = 4 features, `Q` grid points of a table axis, `R` rank; `slot` = 2f for sin
+//! and 2f + 1 for cos of frequency f. y = freq · (q − ½) along an axis, s = sin πy or cos πy, and
+//! u = (s + 1)/2 · (Q − 1) the table coordinate.
 //!
 //! - `Vectors` (type 1): Σ_r X[ux, r] Y[uy, r] Z[uz, r], each factor linear between grid points.
 //! - `Planes` (type 2): V[z, y, x] = Σ_r YZ[z, y, r] XZ[z, x, r] XY[y, x, r] at grid points, V trilinear
@@ -95,10 +95,10 @@ impl Encoding {
         Self { kind, frequencies, quants, row, tables }
     }
 
-    /// Fills the features of the first `count` of N positions `c` (= p − ½, `[axis][point]`), as `[point ·
-    /// ROWS + row][slot · C + feature]`.
+    /// Fills the features of the first `count` of N positions `c` (= p − ½, `[axis][point]`).
     ///
-    /// Row 0 is the value. With [`JET`] rows, the others are its derivatives by c.
+    /// The shape is `[point · ROWS + row][slot · C + feature]`. Row 0 is the value. With [`JET`] rows, the
+    /// others are its derivatives by c.
     #[inline(always)]
     pub fn encode<const N: usize, const ROWS: usize>(
         &self,
