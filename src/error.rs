@@ -3,23 +3,23 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// What can go wrong; printed as one line. The command line exits with [`Error::exit_code`].
+/// Everything that can go wrong, printed as one line. The command line exits with [`Error::exit_code`].
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
     /// The operating system refused: missing file, full disk, read-only folder.
     #[error("{path}: {action}: {source}", path = path.display())]
     Io {
-        /// The file or folder concerned.
+        /// The file or folder.
         path: PathBuf,
-        /// What was being done, e.g. "cannot open".
+        /// What was attempted, e.g. "cannot open".
         action: &'static str,
         /// The system's own reason.
         source: io::Error,
     },
-    /// A file's content is not what its format says.
+    /// A file's content does not follow its format.
     #[error("{path}: {place}: expected {expected}, found {found}", path = path.display())]
     Malformed {
-        /// The file concerned.
+        /// The file.
         path: PathBuf,
         /// Where in the file: a key, an array, a byte offset, a line.
         place: String,
@@ -28,7 +28,7 @@ pub enum Error {
         /// What is there.
         found: String,
     },
-    /// A setting that makes no sense, or settings that do not go together.
+    /// A setting makes no sense, or settings do not go together.
     #[error("{what}: expected {expected}, found {found}")]
     Setting {
         /// The setting's name as the user knows it.
@@ -38,7 +38,7 @@ pub enum Error {
         /// The value given.
         found: String,
     },
-    /// The field returned NaN, ∞ or a negative density for too large a share of the rays.
+    /// The field returned NaN, ∞ or a negative density on too large a share of the rays.
     #[error(
         "the field is not finite: {dropped} of {rays} rays dropped (limit {limit_percent} %), first at position \
          [{}, {}, {}]", first[0], first[1], first[2]
@@ -53,15 +53,15 @@ pub enum Error {
         /// Scene position of the first offending sample.
         first: [f32; 3],
     },
-    /// Ctrl-C during training: the model so far was written.
+    /// Ctrl-C during training; the model so far was written.
     #[error("interrupted; {path} holds the model after {steps} steps", path = path.display())]
     Stopped {
         /// The model's file.
         path: PathBuf,
-        /// Steps so far.
+        /// Training steps so far.
         steps: u64,
     },
-    /// Ctrl-C: the work stopped between two batches and removed its temporary files.
+    /// Ctrl-C; the work stopped between two batches and removed its temporary files.
     #[error("interrupted; no output was written")]
     Interrupted,
 }
@@ -85,7 +85,7 @@ impl Error {
         move |source| Self::Io { path, action, source }
     }
 
-    /// Content that does not follow its format.
+    /// [`Error::Malformed`] from its parts, each made fit for one line on a terminal.
     pub fn malformed(
         path: &Path,
         place: impl Into<String>,
@@ -100,18 +100,19 @@ impl Error {
         }
     }
 
-    /// A setting outside its range.
+    /// [`Error::Setting`] from its parts, each made fit for one line on a terminal.
     pub fn setting(what: impl Into<String>, expected: impl Into<String>, found: impl Into<String>) -> Self {
         let [what, expected, found] = [what.into(), expected.into(), found.into()].map(|text: String| printable(&text));
         Self::Setting { what, expected, found }
     }
 }
 
-/// Longest quotation from a file, characters.
+/// Longest text quoted in a message, characters.
 const LONGEST: usize = 300;
 
-/// A text that may quote an untrusted file, fit for one line on a terminal: without control characters, which could clear the screen,
-/// and not longer than can be read.
+/// Makes a text that may quote an untrusted file fit for one line on a terminal.
+///
+/// Control characters, which could clear the screen, are escaped. Texts longer than [`LONGEST`] are cut.
 pub(crate) fn printable(text: &str) -> String {
     let mut out = String::with_capacity(text.len().min(4 * LONGEST));
     for (n, c) in text.chars().enumerate() {

@@ -1,14 +1,14 @@
-//! How long work reports its progress and learns that it should stop. The library never prints.
+//! How long work reports progress and learns that it should stop. The library itself never prints.
 
-/// Receives progress and is asked whether to stop; implemented by the command line with progress bars.
+/// Receives progress and is asked whether to stop. The command line implements it with progress bars.
 pub trait Monitor: Sync {
-    /// A new stage begins that consists of `total` units.
+    /// A new stage of `total` units begins.
     fn begin(&self, stage: &str, total: u64);
     /// `units` more units of the current stage are done.
     fn advance(&self, units: u64);
     /// The current stage is done.
     fn end(&self);
-    /// True once the user asked to stop; work then returns [`crate::Error::Interrupted`] at the next safe point.
+    /// True once the user has asked to stop. Work then returns [`crate::Error::Interrupted`] at the next safe point.
     fn interrupted(&self) -> bool;
 }
 
@@ -25,7 +25,7 @@ impl Monitor for Silent {
     }
 }
 
-/// Returns [`crate::Error::Interrupted`] if the user asked to stop.
+/// Returns [`crate::Error::Interrupted`] if the user has asked to stop.
 ///
 /// # Errors
 /// [`crate::Error::Interrupted`] only.

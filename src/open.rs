@@ -1,24 +1,26 @@
-//! Opens whatever the user calls a model.
+//! Opens a model by the name the user gave.
 
 use std::path::Path;
 
 use crate::field::{ClosedForm, Coordinates, HashGrid, NerfMlp, Ppng, RadianceField, VoxelGrid};
 use crate::{Error, Result, zoo};
 
-/// The field that `model` names: `scene:NAME` for a built-in scene or one of the [zoo], else a file by its extension:
-/// `.safetensors` for a hash grid of `octobayes train` (its metadata says so) or an MLP NeRF, `.npz` for a voxel grid,
-/// `.ppng` for a Plenoptic PNG in the coordinates of its file.
+/// Opens the field that `model` names.
+///
+/// `scene:NAME` is a built-in scene or one of the [zoo]. Anything else is a file, read by its extension:
+/// `.safetensors` for a hash grid of `octobayes train` (its metadata says so) or an MLP NeRF, `.npz` for a
+/// voxel grid, `.ppng` for a Plenoptic PNG in the coordinates of its file.
 ///
 /// # Errors
-/// If the extension is unknown or the file cannot be read as what its extension says.
+/// If the scene or extension is unknown, or the file cannot be read as what its extension says.
 pub fn open(model: &str) -> Result<Box<dyn RadianceField>> {
     open_in(model, None)
 }
 
-/// [`open`], with the scene coordinates to use a Plenoptic PNG in.
+/// [`open`], with a choice of scene coordinates for a Plenoptic PNG.
 ///
 /// # Errors
-/// As [`open`]; if coordinates are given for a model that has only one choice.
+/// As [`open`]; if coordinates are given for any other kind of model.
 pub fn open_in(model: &str, coordinates: Option<Coordinates>) -> Result<Box<dyn RadianceField>> {
     let path = Path::new(model);
     let extension = if model.starts_with("scene:") { None } else { path.extension().and_then(|e| e.to_str()) };
@@ -44,8 +46,9 @@ pub fn open_in(model: &str, coordinates: Option<Coordinates>) -> Result<Box<dyn 
     }
 }
 
-/// The checksum of what [`open_in`] opens with these arguments: of the file's content and the coordinates, not of its
-/// path; of a built-in scene that of its name.
+/// Checksum of what [`open_in`] opens with these arguments.
+///
+/// It covers a file's content and coordinates, not its path. For a built-in scene it covers the name.
 ///
 /// # Errors
 /// If the file cannot be read.
@@ -62,7 +65,7 @@ pub fn checksum(model: &str, coordinates: Option<Coordinates>) -> Result<u32> {
     Ok(hasher.finalize())
 }
 
-/// The built-in scene of that name, else that of the zoo.
+/// The zoo scene of that name, or else the built-in one.
 fn scene_named(name: &str) -> Result<Box<dyn RadianceField>> {
     if let Ok(scene) = zoo::by_name(name) {
         return Ok(Box::new(scene.field));

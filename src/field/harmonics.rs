@@ -1,4 +1,4 @@
-//! How radiance fields encode the viewing direction.
+//! Encoding of the viewing direction in radiance fields.
 
 /// Real spherical harmonics up to degree 3 of the unit vector (x, y, z), in instant-ngp's order and signs.
 #[inline(always)]

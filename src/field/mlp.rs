@@ -1,4 +1,4 @@
-//! The plain MLP NeRF of Mildenhall et al. 2020 in the variant that nerf-pytorch (Krishna Murthy) trained.
+//! The plain MLP NeRF of Mildenhall et al. 2020, in the variant trained by nerf-pytorch (Krishna Murthy).
 //!
 //! Letters: `x` encoded position (63 values), `d` encoded direction (27), `h` hidden layer (128 wide).
 //!
@@ -6,7 +6,7 @@
 //! x -> layer1 -> relu(layers_xyz.0..2) -> h -> fc_alpha -> σ = relu
 //!                                         h -> relu(fc_feat) ++ d -> relu(layers_dir.0) -> fc_rgb -> sigmoid
 //! ```
-//! There is no activation behind `layer1` and no skip connection. Weights are `[out, in]`, y = W x + b.
+//! `layer1` has no activation and there is no skip connection. Weights are `[out, in]`, y = W x + b.
 
 use std::path::Path;
 
@@ -22,28 +22,32 @@ use crate::{Error, Result};
 
 /// Octaves of the positional encoding for positions and directions.
 const OCTAVES: [usize; 2] = [10, 4];
-/// Encoded widths: 3 + 6 per octave.
+/// Encoded widths: 3 values, plus 6 per octave.
 const ENCODED: [usize; 2] = [3 + 6 * OCTAVES[0], 3 + 6 * OCTAVES[1]];
 const HIDDEN: usize = 128;
-/// Rows evaluated together: enough that the weights are packed seldom; three buffers of 512 × 128 f32 stay in a core's second-level cache.
-/// A row is a point, or one of the [`JET`] of a point that is differentiated.
+/// Number of rows evaluated together. Weights are packed seldom, and three buffers of 512 × 128 f32 stay in a
+/// core's second-level cache.
+///
+/// A row is a point, or one of the [`JET`] rows of a point that is differentiated.
 const BLOCK: usize = 512;
 /// Rows of a point with its derivatives: value, ∂x, ∂y, ∂z.
 const JET: usize = 4;
-/// NeRF-synthetic scenes fit in this cube (half edge 0.5 / 0.33, the unit cube of instant-ngp); the file names no box.
+/// Half edge of a cube in which NeRF-synthetic scenes fit, the unit cube of instant-ngp (0.5 / 0.33). The
+/// file names no box.
 const HALF_EDGE: f64 = 0.5 / 0.33;
 
 /// One linear layer.
 #[derive(Debug, Clone)]
 struct Linear {
-    /// `[in, out]`: transposed, as products need it.
+    /// `[in, out]`: transposed for matrix products.
     weight: Array2<f32>,
     /// `[out]`.
     bias: Array1<f32>,
 }
 
 impl Linear {
-    /// out = x Wᵀ + b for the first `rows` rows of `x`; of [`JET`] rows only the first has the bias, the others are derivatives.
+    /// out = x Wᵀ + b for the first `rows` rows of `x`. Of [`JET`] rows only the first has the bias; the
+    /// others are derivatives.
     fn apply<const ROWS: usize>(&self, x: &Array2<f32>, rows: usize, out: &mut Array2<f32>) {
         let mut out = out.slice_mut(s![..rows, ..]);
         for (i, mut row) in out.axis_iter_mut(Axis(0)).enumerate() {
@@ -66,7 +70,7 @@ impl Linear {
     }
 }
 
-/// Negative values become 0, and their derivatives with them. NaN stays.
+/// Sets negative values and their derivatives to 0. NaN stays NaN.
 fn relu<const ROWS: usize>(point: &mut [f32], width: usize) {
     let (values, derivatives) = point.split_at_mut(width);
     for row in derivatives.chunks_exact_mut(width) {
@@ -79,7 +83,7 @@ fn relu<const ROWS: usize>(point: &mut [f32], width: usize) {
     }
 }
 
-/// A trained coarse + fine MLP NeRF; the fine network is the field, the coarse one only served sampling in training.
+/// A trained coarse and fine MLP NeRF. The fine network is the field; the coarse one only served sampling in training.
 #[derive(Debug, Clone)]
 pub struct NerfMlp {
     layer1: Linear,
@@ -144,7 +148,8 @@ impl NerfMlp {
         })
     }
 
-    /// Runs the density branch for up to [`BLOCK`] / ROWS positions; leaves h in `hidden[1]` and σ before its relu in `alpha`.
+    /// Runs the density branch for up to [`BLOCK`] / ROWS positions. Leaves h in `hidden[1]` and σ before its
+    /// relu in `alpha`.
     fn density_block<const ROWS: usize>(&self, positions: &[Vec3], scratch: &mut Scratch) {
         let rows = ROWS * positions.len();
         encode_block::<ROWS>(positions, OCTAVES[0], scratch.x.as_slice_mut().expect("buffers are contiguous"));
@@ -156,7 +161,7 @@ impl NerfMlp {
         self.fc_alpha.apply::<ROWS>(b, rows, &mut scratch.alpha);
     }
 
-    /// Runs the colour branch behind [`Self::density_block`]; leaves colour before its sigmoid in `rgb`.
+    /// Runs the colour branch after [`Self::density_block`]. Leaves colour before its sigmoid in `rgb`.
     fn color_block<const ROWS: usize>(&self, directions: &[Vec3], scratch: &mut Scratch) {
         let rows = ROWS * directions.len();
         encode_block::<1>(directions, OCTAVES[1], scratch.d.as_slice_mut().expect("buffers are contiguous"));
@@ -165,14 +170,14 @@ impl NerfMlp {
         let mut joined = scratch.joined.slice_mut(s![..rows, ..]);
         joined.slice_mut(s![.., ..HIDDEN]).assign(&a.slice(s![..rows, ..]));
         joined.slice_mut(s![.., HIDDEN..]).fill(0.0);
-        // The direction is fixed: it has no derivatives.
+        // The direction is fixed, so it has no derivatives.
         joined.slice_mut(s![..;ROWS, HIDDEN..]).assign(&scratch.d.slice(s![..directions.len(), ..]));
         self.layers_dir.apply_relu::<ROWS>(&scratch.joined, rows, &mut scratch.dir);
         self.fc_rgb.apply::<ROWS>(&scratch.dir, rows, &mut scratch.rgb);
     }
 }
 
-/// σ from the network's output. f32::max would turn a NaN into 0 and hide it from the count of non-finite samples.
+/// σ from the network's output. f32::max would turn NaN into 0 and hide it from the count of non-finite samples.
 fn density(raw: f32) -> f32 {
     if raw < 0.0 { 0.0 } else { raw }
 }
@@ -181,7 +186,7 @@ fn sigmoid(x: f32) -> f32 {
     1.0 / (1.0 + (-x).exp())
 }
 
-/// One tensor of the expected shape, f32, finite.
+/// Reads one tensor: f32, finite, of the expected shape.
 fn tensor(path: &Path, tensors: &SafeTensors, layer: &str, part: &str, shape: &[usize]) -> Result<Vec<f32>> {
     let name = format!("{layer}.{part}");
     let expected =
@@ -208,13 +213,14 @@ fn tensor(path: &Path, tensors: &SafeTensors, layer: &str, part: &str, shape: &[
     }
 }
 
-/// enc(v) = [v, sin v, cos v, sin 2v, cos 2v, …], each a 3-vector, no factor π: `[vector · ROWS + row][3 + 6 octaves]`, with
-/// [`JET`] rows its derivatives too.
+/// Fills enc(v) = [v, sin v, cos v, sin 2v, cos 2v, …], each a 3-vector, without a factor π.
+///
+/// The shape is `[vector · ROWS + row][3 + 6 octaves]`. With [`JET`] rows the derivatives follow the value.
 #[multiversion(targets("x86_64+avx2+fma"))]
 fn encode_block<const ROWS: usize>(vectors: &[Vec3], octaves: usize, out: &mut [f32]) {
     let width = 3 + 6 * octaves;
     for (v, rows) in vectors.iter().zip(out.chunks_exact_mut(ROWS * width)) {
-        // All angles first: then their sines are vector code.
+        // All angles come first, so that their sines become vector code.
         let (mut angle, mut sin, mut cos) = ([0.0; 3 * OCTAVES[0]], [0.0; 3 * OCTAVES[0]], [0.0; 3 * OCTAVES[0]]);
         let mut frequency = 1.0;
         for octave in angle.chunks_exact_mut(3) {

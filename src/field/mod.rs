@@ -1,7 +1,7 @@
 //! Radiance fields: density and colour at a point, seen from a direction.
 //!
-//! Everything downstream sees a field through [`RadianceField`] only, so any architecture is a black box. Only this module
-//! knows how models are stored.
+//! Everything downstream sees a field only through [`RadianceField`], so any architecture can be a black box.
+//! Only this module knows how models are stored.
 
 pub mod closed_form;
 mod elementary;
@@ -33,7 +33,7 @@ pub struct Radiance {
 }
 
 impl Radiance {
-    /// Finite, with a density that is not negative: what compositing can use.
+    /// Checks that density and colour are finite and the density is not negative, as compositing requires.
     #[must_use]
     pub fn is_valid(&self) -> bool {
         self.density >= 0.0 && self.density.is_finite() && self.color.is_finite()
@@ -51,14 +51,15 @@ pub struct RadianceJet {
     pub color_gradients: [Vec3; 3],
 }
 
-/// A field that differentiates itself, exactly but for rounding.
+/// A field that computes its own derivatives, exact up to rounding.
 ///
-/// Where the field has a kink (a ReLU, a cell's face) any one-sided derivative will do.
+/// Where the field has a kink (a ReLU, a cell's face), any one-sided derivative will do.
 pub trait Differentiable: Send + Sync {
-    /// Density, colour and their derivatives by position at `positions` (`[n]`) seen along fixed `directions` (`[n]`), into `out` (`[n]`).
+    /// Fills `out` (`[n]`) with density, colour and their derivatives by position, at `positions` (`[n]`)
+    /// seen along fixed unit `directions` (`[n]`).
     fn jets(&self, positions: &[Vec3], directions: &[Vec3], out: &mut [RadianceJet]);
 
-    /// σ and ∇σ alone at `positions` (`[n]`), into `densities` and `gradients` (`[n]`).
+    /// Fills `densities` and `gradients` (`[n]`) with σ and ∇σ alone, at `positions` (`[n]`).
     fn density_jets(&self, positions: &[Vec3], densities: &mut [f32], gradients: &mut [Vec3]) {
         let mut jets = vec![RadianceJet::default(); positions.len()];
         self.jets(positions, &vec![Vec3::Z; positions.len()], &mut jets);
@@ -67,13 +68,13 @@ pub trait Differentiable: Send + Sync {
         }
     }
 
-    /// Whether ∇σ costs so little beside σ that it is best asked for at every sample of a ray.
+    /// True if ∇σ costs so little more than σ that it should be computed at every sample of a ray.
     fn is_cheap(&self) -> bool {
         false
     }
 }
 
-/// What a field that knows its training poses, but not the lens, has to be told.
+/// What the user must add to a field that knows its training poses but not the lens.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Intrinsics {
     /// Horizontal angle of view, radians.
@@ -84,15 +85,16 @@ pub struct Intrinsics {
 
 /// A trained (or closed-form) radiance field, evaluated in batches from many threads.
 ///
-/// The value for a position and direction must not depend on the other members of the batch.
+/// The value at a position and direction must not depend on the rest of the batch.
 pub trait RadianceField: Send + Sync {
     /// The box outside which the density is zero.
     fn bounds(&self) -> Aabb;
 
-    /// Density and colour at `positions` (`[n]`, scene units) seen along unit `directions` (`[n]`), into `out` (`[n]`).
+    /// Fills `out` (`[n]`) with density and colour at `positions` (`[n]`, scene units) seen along unit
+    /// `directions` (`[n]`).
     fn evaluate(&self, positions: &[Vec3], directions: &[Vec3], out: &mut [Radiance]);
 
-    /// Density alone at `positions` (`[n]`), into `out` (`[n]`).
+    /// Fills `out` (`[n]`) with the density alone at `positions` (`[n]`, scene units).
     fn densities(&self, positions: &[Vec3], out: &mut [f32]) {
         let mut radiance = vec![Radiance::default(); positions.len()];
         self.evaluate(positions, &vec![Vec3::Z; positions.len()], &mut radiance);
@@ -101,28 +103,30 @@ pub trait RadianceField: Send + Sync {
         }
     }
 
-    /// The field's own derivatives, if it knows them; any other is differentiated by finite differences.
+    /// The field's own derivatives, if it has them. Other fields are differentiated by finite differences.
     fn differentiable(&self) -> Option<&dyn Differentiable> {
         None
     }
 
-    /// An upper bound of the density in the box from `min` to `max`, if the field knows one that is cheap to find.
+    /// An upper bound of the density in the box from `min` to `max`, if the field has one that is cheap to find.
     ///
-    /// Empty space is then skipped with certainty; where there is none, it is estimated from samples. A field may know some boxes only.
+    /// Empty space is then skipped with certainty; without a bound, emptiness is estimated from samples. A
+    /// field may know bounds for some boxes only.
     fn density_bound(&self, _min: Vec3, _max: Vec3) -> Option<f32> {
         None
     }
 
-    /// The cameras that the field brings along: those it was trained on, or those a built-in scene is meant to be seen by.
+    /// The cameras that come with the field: those it was trained on, or those meant for a built-in scene.
     /// `None` if it has none.
     ///
     /// # Errors
-    /// If it knows their poses but not all intrinsics, and `intrinsics` does not say either.
+    /// If neither the field nor `intrinsics` gives all intrinsics, or if the field cannot use those of
+    /// `intrinsics`.
     fn cameras(&self, _intrinsics: &Intrinsics) -> Result<Option<Vec<Camera>>> {
         Ok(None)
     }
 
-    /// The cameras that the field is known to have been trained on, with all intrinsics; empty if that is not known.
+    /// The cameras that the field was trained on, with all intrinsics; empty if they are not known.
     fn training_cameras(&self) -> &[NamedCamera] {
         &[]
     }
@@ -140,9 +144,9 @@ pub trait RadianceField: Send + Sync {
         0.5
     }
 
-    /// Parameters and tables, bytes.
+    /// Size of parameters and tables, bytes.
     fn memory(&self) -> usize;
 
-    /// One line for people: architecture and size.
+    /// One human-readable line: architecture and size.
     fn describe(&self) -> String;
 }

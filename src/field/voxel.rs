@@ -1,8 +1,8 @@
-//! A field on a regular grid, from a plain `.npz`: any NeRF can be baked into it.
+//! A field on a regular grid, from a plain `.npz`. Any NeRF can be baked into it.
 //!
-//! `density` f32 `[X, Y, Z]` (1 / scene unit, ≥ 0), `color` f32 `[X, Y, Z, 3]` in `[0, 1]`, `box` f32 `[2, 3]` (min, max in
-//! scene units). Values sit on grid points including both faces of the box; between them they are trilinear, outside the
-//! box the density is zero.
+//! `density` f32 `[X, Y, Z]` (1 / scene unit, ≥ 0), `color` f32 `[X, Y, Z, 3]` in `[0, 1]`,
+//! `box` f32 `[2, 3]` (min, max in scene units). Values sit on grid points, which include all faces of the box.
+//! They are trilinear in between; outside the box the density is zero.
 
 use std::path::Path;
 
@@ -14,7 +14,7 @@ use crate::io::npz::{NpzReader, NpzWriter};
 use crate::octree::trilinear;
 use crate::{Error, Result};
 
-/// Density and colour on grid points of a box.
+/// Density and colour at the grid points of a box.
 #[derive(Debug, Clone, PartialEq)]
 pub struct VoxelGrid {
     bounds: Aabb,
@@ -55,10 +55,11 @@ impl VoxelGrid {
         Ok(Self { bounds, shape: [nx, ny, nz], values })
     }
 
-    /// Samples another field at the grid points, along direction `view` (a grid has no view dependence).
+    /// Samples another field at the grid points along direction `view`, because a grid has no view
+    /// dependence.
     ///
     /// # Panics
-    /// If `shape` has less than 2 points along an axis.
+    /// If `shape` has fewer than 2 points along an axis.
     #[must_use]
     pub fn bake(field: &dyn RadianceField, shape: [usize; 3], view: Vec3) -> Self {
         assert!(shape.iter().all(|&n| n >= 2), "a grid needs at least 2 points per axis, got {shape:?}");
@@ -96,7 +97,8 @@ impl VoxelGrid {
         npz.finish()
     }
 
-    /// The eight values around a point, C order, and the offset between them; `None` outside the box.
+    /// The eight values around a point in the order of cell corners (bit 0 is x), and the offset between
+    /// them; `None` outside the box.
     fn around(&self, x: Vec3) -> Option<([[f32; 4]; 8], DVec3)> {
         if !self.bounds.contains(x) {
             return None;
@@ -125,7 +127,7 @@ impl VoxelGrid {
         let Some((values, offset)) = self.around(x) else { return RadianceJet::default() };
         let cells = DVec3::from(self.shape.map(|n| (n - 1) as f64)) / self.bounds.size();
         let slopes = [0, 1, 2].map(|axis| {
-            // The weights' derivatives: one side minus the other.
+            // The derivative of a weight is the difference between the two sides.
             let [mut up, mut down] = [offset; 2];
             (up[axis], down[axis]) = (1.0, 0.0);
             let (up, down) = (trilinear(up), trilinear(down));
@@ -186,7 +188,7 @@ impl RadianceField for VoxelGrid {
     }
 
     fn suggested_step(&self) -> f64 {
-        // Half the shortest edge of a voxel: two samples in every cell that a ray crosses along an axis.
+        // Half the shortest edge of a voxel gives two samples in every cell that a ray crosses along an axis.
         let cells = DVec3::from(self.shape.map(|n| (n - 1) as f64));
         0.5 * (self.bounds.size() / cells).min_element()
     }
@@ -221,7 +223,7 @@ mod tests {
         ball.evaluate(&points, &[Vec3::Z; 3], &mut expected);
         read.evaluate(&points, &[Vec3::Z; 3], &mut found);
         for (e, f) in expected.iter().zip(&found) {
-            // Positions are grid points up to f32 rounding; the density slope is below 1000 per unit.
+            // Positions are grid points up to f32 rounding, and the density slope is below 1000 per unit.
             assert!((e.density - f.density).abs() < 1e-3 && (e.color - f.color).abs().max_element() < 1e-3);
         }
         assert_eq!(read.at(Vec3::new(0.0, 0.0, 1.001)).density, 0.0);
@@ -241,7 +243,8 @@ mod tests {
                 let [up, down] = [h, -h].map(|h| grid.at(x + h * Vec3::AXES[axis]));
                 let slope = |side: Radiance, h: f32| (side.density - jet.value.density) / h;
                 let (right, left) = (slope(up, h), slope(down, -h));
-                // Linear along an axis, but for a grid plane between. f32 densities up to 120: 1e-5 over h.
+                // Linear along an axis, except for a grid plane in between. f32 densities up to 120 leave
+                // 1e-5 over h.
                 let off = (jet.density_gradient[axis] - 0.5 * (right + left)).abs();
                 assert!(
                     off <= 0.5 * (right - left).abs() + 0.05,
@@ -265,7 +268,7 @@ mod tests {
         let grid = VoxelGrid { bounds, shape: [2; 3], values };
         let middle = grid.at(Vec3::ZERO);
         assert!((middle.density - 3.5).abs() < 1e-6 && (middle.color.x - 0.35).abs() < 1e-6);
-        // z is the fastest index: density there goes from 0 to 1 at x = y = -1.
+        // z is the fastest index: at x = y = -1 the density goes from 0 to 1 along z.
         assert!((grid.at(Vec3::new(-1.0, -1.0, 0.5)).density - 0.75).abs() < 1e-6);
     }
 }

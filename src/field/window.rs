@@ -1,39 +1,43 @@
-//! Where a model is: its (cascaded) occupancy grid, as a continuous window that multiplies the density.
+//! Where a model is: its (cascaded) occupancy grid as a continuous window that multiplies the density.
 //!
-//! Letters: `p` file position, `n` cells per axis (a multiple of 4), `k` cascade: the cube of side 2ᵏ around p = ½, in n³ cells. A
-//! point belongs to the finest cascade that contains it.
+//! Letters: `p` file position; `n` cells per axis (a multiple of 4); `k` cascade, the cube of side 2ᵏ around
+//! p = ½ in n³ cells. A point belongs to the finest cascade that contains it.
 //!
-//! The trainer samples occupied cells only; what the network says elsewhere was never seen by a loss, and is fog and floaters.
-//! Cutting it off at the cells' faces would give the density jumps that no image asked for, and finite differences across a
-//! face would see them. So the window w is 1 in all occupied cells, falls linearly to 0 over the cell next to them, and is
-//! continuous everywhere inside the box: trilinear between cell corners, a corner being 1 if one of its cells is occupied. Where cascades meet,
-//! the fine corners that hang on a coarse face take that face's interpolated value (as hanging vertices of an octree do), and a
-//! coarse cell that fine ones replace counts as occupied if one of them is.
+//! The trainer samples occupied cells only. Elsewhere no loss ever saw the network, and it holds fog and
+//! floaters. A cut at the cells' faces would give the density jumps that no image asked for, and finite
+//! differences across a face would see them. So the window w is 1 in all occupied cells, falls linearly to 0
+//! over the next cell, and is continuous everywhere inside the box. It is trilinear between cell corners, and
+//! a corner is 1 if one of its cells is occupied. Where cascades meet, fine corners that hang on a coarse
+//! face take the interpolated value of that face (as hanging vertices of an octree do). A coarse cell that
+//! fine ones replace counts as occupied if one of them is.
 
 use glam::{DVec3, Vec3};
 
-/// Corner values are quarters: a hanging corner in the middle of a face is the mean of four.
+/// The value 1 in quarters: a hanging corner in the middle of a face is the mean of four.
 const ONE: u8 = 4;
 
 /// One cascade.
 #[derive(Debug, Clone)]
 struct Cascade {
-    /// `[n + 1]³`, x fastest: 4 w at the cells' corners.
+    /// 4 w at the cells' corners: `[n + 1]³`, x fastest.
     corners: Vec<u8>,
-    /// `[n, n]`, y fastest: bit x is set if w > 0 somewhere in the cell; cells that a finer cascade replaces are clear.
+    /// Bit x is set if w > 0 somewhere in the cell: `[n, n]`, y fastest. Cells that a finer cascade replaces are clear.
     rows: Vec<u128>,
-    /// `[n, n]`, y fastest: bit x of the first is set if w > 0 somewhere in the cell, of the second if w = 1 everywhere. Most cells are
-    /// one or the other, and their corners, 2 MB, need not be looked at.
+    /// Two rows of bits: bit x of the first is set if w > 0 somewhere in the cell, of the second if w = 1
+    /// everywhere. `[n, n]`, y fastest.
+    ///
+    /// Most cells are 0 or 1 throughout, so their corners, 2 MB, need not be read.
     constant: Vec<[u128; 2]>,
 }
 
-/// What the window is around a point.
+/// The window around a point.
 enum Around<'a> {
-    /// 0, also outside the box.
+    /// w = 0, also outside the box.
     Zero,
-    /// 1.
+    /// w = 1.
     One,
-    /// The corners of the cell from the lowest, the stride between rows of them, the offset in the cell, and cells per file unit.
+    /// The cell's corners from the lowest, the stride between their rows, the offset in the cell, and cells
+    /// per file unit.
     Ramp(&'a [u8], usize, Vec3, f32),
 }
 
@@ -45,7 +49,7 @@ pub struct Window {
 }
 
 impl Window {
-    /// From `[cascades][n³]` occupied cells, x fastest.
+    /// Builds the window from occupied cells, `[cascades][n³]`, x fastest.
     pub fn new(n: usize, mut occupied: Vec<Vec<bool>>) -> Self {
         debug_assert!(n.is_multiple_of(4) && (4..=128).contains(&n), "{n} cells per axis");
         for k in 1..occupied.len() {
@@ -90,7 +94,7 @@ impl Window {
             Around::One => return (1.0, Vec3::ZERO),
             Around::Ramp(corners, m, t, per_unit) => (corners, m, t, per_unit),
         };
-        // (value, ∂x) along x, then with ∂y, then with ∂z.
+        // (value, ∂x) along x; then ∂y is added, then ∂z.
         let along_x = |i: usize| {
             let [a, b] = [corners[i], corners[i + 1]].map(f32::from);
             (lerp(a, b, t.x), b - a)
@@ -131,9 +135,11 @@ impl Window {
         }
     }
 
-    /// Whether w is 0 everywhere in the box from ½ + `min` to ½ + `max`, and for all positions that f32 rounds into it.
+    /// Checks whether w is 0 everywhere in the box from ½ + `min` to ½ + `max`, and at all positions that f32
+    /// rounds into it.
     pub fn is_empty(&self, min: DVec3, max: DVec3) -> bool {
-        // A position is rounded a few times on its way to a cell; w starts from 0, so that what is missed is of this order too.
+        // A position is rounded a few times on its way to a cell. Since w rises from 0, what is missed is of
+        // the same order.
         let slack = 4.0 * f64::from(f32::EPSILON) * self.side();
         let n = self.n as f64;
         self.cascades.iter().enumerate().all(|(k, cascade)| {
@@ -166,7 +172,7 @@ fn lerp(a: f32, b: f32, t: f32) -> f32 {
     a + t * (b - a)
 }
 
-/// Coarse cells of the central half become what the fine cells say.
+/// Sets the coarse cells of the central half from the fine cells.
 fn pool(n: usize, fine: &[bool], coarse: &mut [bool]) {
     let half = n / 2;
     for (i, j, k) in triples(half) {
@@ -179,7 +185,7 @@ fn pool(n: usize, fine: &[bool], coarse: &mut [bool]) {
     }
 }
 
-/// Corner values of one cascade by itself.
+/// Corner values of a single cascade.
 fn corners(n: usize, occupied: &[bool]) -> Vec<u8> {
     let m = n + 1;
     let mut corners = vec![0; m * m * m];
@@ -193,12 +199,12 @@ fn corners(n: usize, occupied: &[bool]) -> Vec<u8> {
     corners
 }
 
-/// Corners on the outside of a fine cascade take the coarse interpolant.
+/// Gives corners on the outside of a fine cascade the coarse interpolant.
 fn hang(n: usize, coarse: &[u8], fine: &mut [u8]) {
     let m = n + 1;
     for (x, y, z) in triples(m) {
         if [x, y, z].iter().any(|&i| i == 0 || i == n) {
-            // Along an odd index the corner is halfway between two coarse ones; the index across the face is even.
+            // Along an odd index the corner is half-way between two coarse ones. The index across the face is even.
             let sum: usize = (0..8)
                 .map(|c| {
                     let [x, y, z] = [(x, c & 1), (y, c >> 1 & 1), (z, c >> 2)].map(|(i, up)| n / 4 + (i + up) / 2);
@@ -210,7 +216,7 @@ fn hang(n: usize, coarse: &[u8], fine: &mut [u8]) {
     }
 }
 
-/// Rows of cells in which w is not 0, without the central half if a finer cascade replaces it.
+/// Rows of the cells in which w is not 0, without the central half if a finer cascade replaces it.
 fn rows(n: usize, corners: &[u8], replaced: bool) -> Vec<u128> {
     let m = n + 1;
     let mut rows = vec![0; n * n];
@@ -224,7 +230,7 @@ fn rows(n: usize, corners: &[u8], replaced: bool) -> Vec<u128> {
     rows
 }
 
-/// Rows of cells in which w is not 0, and in which it is 1.
+/// Rows of the cells in which w is not 0, and of those in which it is 1.
 fn constant(n: usize, corners: &[u8]) -> Vec<[u128; 2]> {
     let m = n + 1;
     let mut rows = vec![[0; 2]; n * n];
@@ -260,7 +266,7 @@ mod tests {
         Vec3::from_array(std::array::from_fn(|_| rng.random_range(-half..half)))
     }
 
-    /// Whether the cell of p = ½ + c in its finest cascade is occupied, as the trainer looks it up.
+    /// Checks whether the cell of p = ½ + c in its finest cascade is occupied, as the trainer looks it up.
     fn occupied_at(cells: &[Vec<bool>], c: Vec3) -> bool {
         let k = (0..3).find(|&k| c.abs().max_element() <= 0.5 * (1 << k) as f32).unwrap();
         let [x, y, z] = ((c / (1 << k) as f32 + 0.5) * N as f32).to_array().map(|g| (g as usize).min(N - 1));
@@ -284,7 +290,8 @@ mod tests {
                     inside += 1;
                 }
                 ramp += usize::from(w > 0.0 && w < 1.0);
-                // Along each axis w changes by at most 1 per cell, here at most by N per file unit; f32 adds a few ulps.
+                // Along each axis w changes by at most 1 per cell, here by at most N per file unit. f32 adds
+                // a few ulps.
                 let step = draw(&mut rng, 1e-3);
                 let limit = N as f32 * (step.x.abs() + step.y.abs() + step.z.abs()) + 1e-5;
                 let jump = (window.at((c + step).clamp(Vec3::splat(-2.0), Vec3::splat(2.0))) - w).abs();
@@ -301,7 +308,7 @@ mod tests {
         for _ in 0..20 {
             let window = Window::new(N, random(&mut rng, 0.05));
             for _ in 0..200 {
-                // Well inside a cell of the finest cascade at that place.
+                // Stays well inside a cell of the finest cascade at that place.
                 let (side, half) = if rng.random_bool(0.5) { (1.0, 0.5) } else { (4.0, 2.0) };
                 let edge = side / N as f32;
                 let cell = ((draw(&mut rng, half) / edge).floor() + 0.5) * edge;
@@ -315,7 +322,7 @@ mod tests {
                     let mut ends = [c; 2];
                     ends[0][axis] += 0.15 * edge;
                     ends[1][axis] -= 0.15 * edge;
-                    // Linear along each axis: no error but rounding, 1e-7 over steps of 0.04 and more.
+                    // Linear along each axis, so the only error is rounding: 1e-7 over steps of 0.04 and more.
                     let expected = (window.at(ends[0]) - window.at(ends[1])) / (0.3 * edge);
                     assert!((expected - gradient[axis]).abs() < 1e-4, "{c}: {expected} {gradient}");
                     steep += usize::from(expected.abs() > 0.1);
@@ -366,7 +373,7 @@ mod tests {
             }
         }
         assert!(empty > 500 && full > 500, "{empty} {full}");
-        // One cell, one bit: the window reaches one cell further, and not beyond.
+        // One cell is one bit. The window reaches one cell further and no more.
         let mut cells = vec![vec![false; N * N * N]];
         cells[0][(4 * N + 2) * N + 3] = true;
         let window = Window::new(N, cells);

@@ -25,7 +25,7 @@ impl Aabb {
         }
     }
 
-    /// The cube `[-half, half]³`.
+    /// The cube `[-half, half]³`, half edge in scene units.
     ///
     /// # Panics
     /// If `half` is not positive and finite.
@@ -53,24 +53,24 @@ impl Aabb {
         self.max() - self.min()
     }
 
-    /// The longest of the three edges: the unit of length that the prior is stated in.
+    /// The longest of the three edges: the unit of length in which the prior is stated.
     #[must_use]
     pub fn longest_edge(&self) -> f64 {
         self.size().max_element()
     }
 
-    /// Whether `x` lies in the closed box.
+    /// Checks whether `x` lies in the closed box.
     #[must_use]
     pub fn contains(&self, x: Vec3) -> bool {
         let x = x.as_dvec3();
         x.cmpge(self.min()).all() && x.cmple(self.max()).all()
     }
 
-    /// The nearest point of the box, rounded to `f32` in such a way that it is still inside.
+    /// The point of the box nearest to `x`, rounded to `f32` so that it stays inside.
     #[must_use]
     #[inline]
     pub fn clamp(&self, x: Vec3) -> Vec3 {
-        // Most points are inside; f64 has every f32.
+        // Most points are inside already, and f64 holds every f32 exactly.
         if self.contains(x) {
             return x;
         }
@@ -85,9 +85,10 @@ impl Aabb {
         nearest
     }
 
-    /// Ray parameters `(entry, exit)` of the part of the ray with t ≥ 0 inside the box, `None` if there is none.
+    /// Ray parameters `(entry, exit)` of the part of the ray inside the box, with t ≥ 0; `None` if there is none.
     ///
-    /// A ray that runs inside a face counts as inside: slabs are closed, and 0 · ∞ is resolved by comparing the origin.
+    /// A ray inside a face counts as inside: slabs are closed. A ray parallel to a slab would give 0 · ∞; its
+    /// origin decides instead.
     #[must_use]
     pub fn clip(&self, ray: &Ray) -> Option<(f64, f64)> {
         let (mut entry, mut exit) = (0.0_f64, f64::INFINITY);

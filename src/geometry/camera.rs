@@ -1,6 +1,6 @@
 //! Pinhole cameras in the OpenGL convention.
 //!
-//! Camera axes: x right, y up, looking along −z. Pixel (column i, row j) with row 0 at the top.
+//! Camera axes: x right, y up, view along −z. Pixel (column i, row j) has row 0 at the top.
 
 use glam::{DMat3, DVec3};
 
@@ -8,15 +8,16 @@ use super::{Distortion, Ray};
 
 /// Largest accepted image: 100 megapixels.
 pub(crate) const MAX_PIXELS: f64 = 1e8;
-/// Largest accepted image side; a larger one is a damaged file.
+/// Largest accepted image side; a larger one means a damaged file.
 pub(crate) const MAX_SIDE: f64 = 65_536.0;
-/// Largest distance of an image's corner from the axis, on the plane at depth 1: beyond it is no picture, and a ray's
-/// length overflows.
+/// Largest distance of an image corner from the optical axis, on the plane at depth 1. Beyond it there is no
+/// picture, and the length of a ray overflows.
 pub(crate) const MAX_REACH: f64 = 1e6;
-/// Largest entry of AᵀA − 1 for axes A. Poses are written with 6 to 8 digits; optimised ones drift by a little more.
+/// Largest accepted [`skew`] of camera axes. Poses are written with 6 to 8 digits; optimised ones drift a
+/// little more.
 pub(crate) const MAX_SKEW: f64 = 1e-2;
 
-/// How far axes are from a rotation: the largest entry of AᵀA − 1.
+/// How far axes A are from a rotation: the largest entry of AᵀA − 1.
 pub(crate) fn skew(axes: DMat3) -> f64 {
     let rest = axes.transpose() * axes - DMat3::IDENTITY;
     rest.to_cols_array().iter().fold(0.0, |m, v| m.max(v.abs()))
@@ -35,14 +36,14 @@ pub struct Camera {
     pub center: [f64; 2],
     /// Width and height, pixels.
     pub resolution: [u32; 2],
-    /// What the lens does to ideal image coordinates.
+    /// How the lens distorts ideal image coordinates.
     pub distortion: Distortion,
 }
 
 impl Camera {
-    /// A camera at `eye` that looks at `target`, with the principal point in the middle.
+    /// A camera at `eye` that looks at `target`, with the principal point at the image centre.
     ///
-    /// `fov_x` is the horizontal angle of view in radians; `up` must not be parallel to the view direction.
+    /// `fov_x` is the horizontal angle of view in radians. `up` must not be parallel to the view direction.
     #[must_use]
     pub fn look_at(eye: DVec3, target: DVec3, up: DVec3, fov_x: f64, resolution: [u32; 2]) -> Self {
         let back = (eye - target).normalize();
@@ -58,7 +59,7 @@ impl Camera {
         }
     }
 
-    /// The ray through image coordinates `(x, y)` in pixels; the centre of pixel (i, j) is `(i + ½, j + ½)`.
+    /// The ray through image coordinates `(x, y)` in pixels. The centre of pixel (i, j) is `(i + ½, j + ½)`.
     #[must_use]
     pub fn ray(&self, x: f64, y: f64) -> Ray {
         let seen = [(x - self.center[0]) / self.focal[0], (y - self.center[1]) / self.focal[1]];
@@ -73,7 +74,7 @@ impl Camera {
         u64::from(self.resolution[0]) * u64::from(self.resolution[1])
     }
 
-    /// Image coordinates and depth along the view axis of a scene point; `None` behind the camera.
+    /// Image coordinates of a scene point and its depth along the view axis; `None` behind the camera.
     #[must_use]
     pub fn project(&self, x: DVec3) -> Option<([f64; 2], f64)> {
         let p = self.axes.transpose() * (x - self.position);
@@ -84,7 +85,7 @@ impl Camera {
         })
     }
 
-    /// What makes it impossible, if anything does: for cameras read from files.
+    /// What makes the camera impossible, or `None`. Meant for cameras read from files.
     #[must_use]
     pub fn defect(&self) -> Option<String> {
         let lens = self.distortion.k.iter().chain(&self.distortion.p);
@@ -106,7 +107,7 @@ impl Camera {
         }
     }
 
-    /// Checksum of cameras: of every number that their rays depend on, in their order.
+    /// Checksum of every number that the rays depend on; the order of the cameras counts.
     #[must_use]
     pub fn checksum(cameras: &[Self]) -> u32 {
         let mut hasher = crc32fast::Hasher::new();
@@ -122,9 +123,11 @@ impl Camera {
         hasher.finalize()
     }
 
-    /// Whether images could not tell the other camera from this one: rays through corners and middle of both images
-    /// differ by at most a quarter of this one's pixels, and so do their origins, seen from a distance of `length`
-    /// (scene units). The number of pixels does not count.
+    /// Checks whether images could not distinguish the two cameras.
+    ///
+    /// Rays through the corners and the centre of both images may differ by at most a quarter of a pixel of
+    /// `self`. So may their origins, seen from a distance of `length` (scene units). The number of pixels
+    /// does not count.
     #[must_use]
     pub fn is_like(&self, other: &Self, length: f64) -> bool {
         const PLACES: [[f64; 2]; 5] = [[0.5, 0.5], [0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]];
@@ -137,7 +140,8 @@ impl Camera {
             && PLACES.iter().all(|&at| (direction(self, at) - direction(other, at)).length() <= tolerance)
     }
 
-    /// The camera whose pixel (i, j) has the ray of this one's pixel (i · stride, j · stride), both at `offset`.
+    /// The camera whose pixel (i, j) has the ray of this one's pixel (i · stride, j · stride), both taken at
+    /// `offset` within the pixel.
     #[must_use]
     pub fn strided(&self, stride: u32, offset: f64) -> Self {
         let s = f64::from(stride);
@@ -149,7 +153,7 @@ impl Camera {
         }
     }
 
-    /// The same camera with an image of another size that shows the same scene.
+    /// The same view with another image size.
     #[must_use]
     pub fn resized(&self, resolution: [u32; 2]) -> Self {
         let scale = [0, 1].map(|k| f64::from(resolution[k]) / f64::from(self.resolution[k]));
@@ -179,7 +183,8 @@ mod tests {
             let (found, depth) = camera.project(ray.at(2.0)).unwrap();
             assert!(depth > 0.0 && depth <= 2.0);
             for k in 0..2 {
-                // Two rotations and a division in f64 on numbers below 100: 1e-12 is 70 ulps.
+                // Two rotations and a division in f64 on numbers below 100, whose ulp is 1.4e-14: the bound
+                // is 7000 ulps.
                 assert!((found[k] - pixel[k]).abs() < 1e-12 * 100.0, "{found:?} for {pixel:?}");
             }
         }
@@ -192,7 +197,7 @@ mod tests {
         let pixel = 1.0 / camera.focal[0];
         let moved = |by: f64| Camera { position: camera.position + by * DVec3::X, ..camera };
         let turned = |by: f64| Camera { axes: camera.axes * DMat3::from_rotation_y(by), ..camera };
-        // Four digits, as files have them; another number of pixels.
+        // Poses with four digits, as in files, and another number of pixels are still alike.
         assert!(camera.is_like(&moved(1e-4), 2.0) && camera.is_like(&camera.resized([400, 300]), 2.0));
         assert!(camera.is_like(&moved(0.49 * pixel), 2.0) && !camera.is_like(&moved(0.51 * pixel), 2.0));
         assert!(camera.is_like(&turned(0.24 * pixel), 2.0) && !camera.is_like(&turned(0.26 * pixel), 2.0));

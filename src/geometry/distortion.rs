@@ -1,7 +1,7 @@
 //! OpenCV's lens distortion, as COLMAP, nerfstudio and instant-ngp write it.
 //!
-//! Letters: (x, y) ideal image coordinates on the plane at depth 1, y downwards; r² = x² + y²; the lens moves them by
-//! dx = x (k1 r² + k2 r⁴) + 2 p1 xy + p2 (r² + 2x²), dy = y (k1 r² + k2 r⁴) + 2 p2 xy + p1 (r² + 2y²).
+//! Letters: (x, y) ideal image coordinates on the plane at depth 1, y downwards; r² = x² + y². The lens moves
+//! them by dx = x (k1 r² + k2 r⁴) + 2 p1 xy + p2 (r² + 2x²) and dy = y (k1 r² + k2 r⁴) + 2 p2 xy + p1 (r² + 2y²).
 
 /// Radial (k) and tangential (p) coefficients; all zero is a perfect pinhole.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -13,7 +13,7 @@ pub struct Distortion {
 }
 
 impl Distortion {
-    /// Where the lens puts an ideal point.
+    /// Maps an ideal point to where the lens puts it.
     #[must_use]
     pub fn distort(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let r2 = x * x + y * y;
@@ -24,8 +24,9 @@ impl Distortion {
         [x + dx, y + dy]
     }
 
-    /// The ideal point that the lens puts at `seen`, by Newton's method; the nearest one found if the coefficients fold the
-    /// image over there.
+    /// The ideal point that the lens puts at `seen`, by Newton's method.
+    ///
+    /// If the coefficients fold the image over there, this is the nearest point found.
     #[must_use]
     pub fn undistort(&self, seen: [f64; 2]) -> [f64; 2] {
         if *self == Self::default() {

@@ -1,22 +1,22 @@
-//! Φ: the part of space that a lattice covers, mapped to the unit cube.
+//! Φ: the map from the part of space that a lattice covers to the unit cube.
 //!
-//! Letters: y = (x − centre) / radius; r its norm. A box is mapped affinely. The contraction of mip-NeRF 360 (Barron et al. 2022,
-//! Eq. 10) keeps the ball r ≤ 1 and folds the rest of space into the shell 1 < r < 2,
+//! Letters: y = (x − centre) / radius, r its norm. A box is mapped affinely. The contraction of mip-NeRF 360
+//! (Barron et al. 2022, Eq. 10) keeps the ball r ≤ 1 and folds the rest of space into the shell 1 < r < 2:
 //!
 //! ```text
 //! contract(y) = y                  r ≤ 1
 //!               (2 − 1/r) y/r      r > 1          Φ(x) = (contract(y) + 2) / 4
 //! ```
 //!
-//! with the Euclidean norm, or the largest coordinate (nerfacto's variant, whose shell fills the cube). Deformations stay in scene
-//! units: Φ only says which vertices are near.
+//! The norm is Euclidean, or the largest coordinate (nerfacto's variant, whose shell fills the cube).
+//! Deformations stay in scene units: Φ only decides which vertices are near.
 
 use glam::{DVec3, Vec3};
 
 use super::Aabb;
 use crate::{Error, Result};
 
-/// What the distance from a contraction's centre means.
+/// The norm that measures distance from the centre of a contraction.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "lowercase")]
@@ -41,11 +41,11 @@ impl Norm {
 pub enum Domain {
     /// A box, mapped affinely.
     Box(Aabb),
-    /// All of space: the ball (or cube) around `center` unchanged, the rest contracted.
+    /// All of space: the ball (or cube) around `center` is unchanged, the rest is contracted.
     Contracted {
         /// Centre, scene units.
         center: [f64; 3],
-        /// Radius of the part that is not contracted, scene units.
+        /// Radius of the uncontracted part, scene units.
         radius: f64,
         /// Shape of that part.
         norm: Norm,
@@ -66,7 +66,7 @@ impl Domain {
         }
     }
 
-    /// The same domain if it is one that a constructor could have made: for domains read from files.
+    /// Applies the checks of the constructors to a domain read from a file.
     ///
     /// # Errors
     /// As the constructors.
@@ -77,7 +77,7 @@ impl Domain {
         }
     }
 
-    /// The box, if it is one.
+    /// The box; `None` for a contracted domain.
     #[must_use]
     pub fn bounds(&self) -> Option<&Aabb> {
         match self {
@@ -86,7 +86,7 @@ impl Domain {
         }
     }
 
-    /// Scene lengths of the unit cube's edges where the map does not contract: along x, y and z.
+    /// Scene lengths of the unit cube's edges along x, y and z, where the map does not contract.
     #[must_use]
     pub fn size(&self) -> DVec3 {
         match self {
@@ -95,7 +95,7 @@ impl Domain {
         }
     }
 
-    /// Φ(x) in `[0, 1]`³; `None` outside a box, or where x is not finite.
+    /// Φ(x) in `[0, 1]`³; `None` outside a box, or if x is not finite.
     #[must_use]
     #[inline]
     pub fn to_unit(&self, x: Vec3) -> Option<DVec3> {
@@ -108,7 +108,7 @@ impl Domain {
             Self::Contracted { center, radius, norm } => {
                 let y = (x - DVec3::from(*center)) / *radius;
                 let r = norm.of(y);
-                // A maximum passes over NaN.
+                // The largest coordinate ignores NaN, so y is checked too.
                 if !(y.is_finite() && r.is_finite()) {
                     return None;
                 }
@@ -118,8 +118,10 @@ impl Domain {
         }
     }
 
-    /// Φ⁻¹(u). Points of the cube that no finite x is mapped to (norm 2 or more, the far corners of the L2 cube) go to the farthest
-    /// point along their direction that f32 holds well, 10⁶ radii.
+    /// Φ⁻¹(u), a scene position.
+    ///
+    /// No finite x maps to points of norm 2 or more, such as the far corners of the L2 cube. They go 10⁶
+    /// radii out along their direction, as far as f32 still holds well.
     #[must_use]
     pub fn to_scene(&self, u: DVec3) -> DVec3 {
         const FARTHEST: f64 = 1e6;
@@ -134,7 +136,7 @@ impl Domain {
         }
     }
 
-    /// Φ'(x)ᵀ g: the gradient with respect to scene positions of a function whose gradient in the unit cube is `g`.
+    /// Φ'(x)ᵀ g: pulls the gradient `g` of a function on the unit cube back to scene coordinates.
     #[must_use]
     pub fn pull_back(&self, x: Vec3, g: DVec3) -> DVec3 {
         match self {
@@ -162,14 +164,16 @@ impl Domain {
         }
     }
 
-    /// The nearest point of the domain that f32 holds.
+    /// The point of the domain nearest to `x`, as f32.
     #[must_use]
     pub fn clamp(&self, x: Vec3) -> Vec3 {
         self.bounds().map_or(x, |bounds| bounds.clamp(x))
     }
 
-    /// By how much lengths grow from the cube to the scene at x, across the direction to the centre, relative to the part that is not
-    /// contracted: 1 in a box. The inverse of Φ's Jacobian stretches more (r²) along that direction.
+    /// Factor by which lengths across the direction to the centre grow from the cube to the scene at x,
+    /// relative to the uncontracted part; 1 in a box.
+    ///
+    /// Along the direction to the centre, the inverse of Φ's Jacobian stretches more: by r².
     #[must_use]
     pub fn stretch(&self, x: Vec3) -> f64 {
         match self {
@@ -214,7 +218,8 @@ mod tests {
             prop_assume!(direction.length() > 0.01);
             let x = Vec3::new(0.5, -1.0, 2.0) + direction.normalize() * 3.0 * 10_f32.powf(decade);
             let back = domain(norm).to_scene(domain(norm).to_unit(x).unwrap());
-            // 2 − 1/r loses the digits that 1/r has behind 2: r ε relative, in lengths of 3 r, a few dozen roundings at most.
+            // 2 − 1/r loses the digits of 1/r below those of 2: a relative error of r ε, in lengths of 3 r,
+            // over a few dozen roundings.
             let r = 10_f64.powf(f64::from(decade)).max(1.0);
             prop_assert!((back - x.as_dvec3()).length() <= 3.0 * 50.0 * f64::EPSILON * r * r, "{} became {}", x, back);
         }
@@ -224,8 +229,8 @@ mod tests {
             let (x, step) = (Vec3::from_array(x), Vec3::from_array(step));
             let [a, b] = [x, x + step].map(|x| domain(norm).to_unit(x).unwrap());
             prop_assert!(a.cmpge(DVec3::ZERO).all() && a.cmple(DVec3::ONE).all());
-            // Φ never stretches: both norms' contractions are at most 2-Lipschitz in the Euclidean norm (1 for L2; for L∞ the
-            // change of the largest coordinate rescales the others by at most as much again), over 4 radii.
+            // Both contractions are at most 2-Lipschitz in the Euclidean norm: L2 has constant 1, and in L∞ a
+            // change of the largest coordinate rescales the others by at most as much again. The cube spans 4 radii.
             let moved = ((x + step) - x).as_dvec3().length();
             prop_assert!((a - b).length() <= 2.0 * moved / 12.0 + 1e-9, "{}", (a - b).length());
         }
@@ -235,7 +240,7 @@ mod tests {
             let direction = Vec3::from_array(direction);
             prop_assume!(direction.length() > 0.1);
             let x = Vec3::new(0.5, -1.0, 2.0) + direction.normalize() * 3.0 * 10_f32.powf(decade);
-            // Away from the kinks: the ball's face, and equal largest coordinates.
+            // Away from the kinks: the surface r = 1, and ties between the largest coordinates.
             let y = (x - Vec3::new(0.5, -1.0, 2.0)).abs() / 3.0;
             let mut sorted = y.to_array();
             sorted.sort_by(f32::total_cmp);
@@ -243,34 +248,34 @@ mod tests {
             let g = DVec3::from(g);
             let found = domain(norm).pull_back(x, g);
             for axis in 0..3 {
-                // Steps that f32 holds exactly enough: the true distance is used.
+                // The step is rounded to f32, so the difference is divided by the true distance.
                 let mut ends = [x, x];
                 ends[0][axis] += 1e-3 * x.length();
                 ends[1][axis] -= 1e-3 * x.length();
                 let [a, b] = ends.map(|x| domain(norm).to_unit(x).unwrap().dot(g));
                 let expected = (a - b) / f64::from(ends[0][axis] - ends[1][axis]);
-                // Relative error h²/r² times a few; r is at least a fifth of |x − centre| here.
+                // The relative error is a few times h²/r²; r is at least a fifth of |x − centre| here.
                 prop_assert!((expected - found[axis]).abs() <= 2e-4 / 12.0, "{} against {}", expected, found[axis]);
             }
         }
 
         #[test]
         fn stretch_is_the_inverse_jacobian_across(norm in norm(), direction in proptest::array::uniform2(-0.9..0.9_f64), decade in 0.01..2.0_f64) {
-            // Along +x (where the largest coordinate is x for both norms), moved along y and z.
+            // Points along +x, where x is the largest coordinate in both norms, are moved along y and z.
             let r = 10_f64.powf(decade);
             let x = DVec3::new(0.5 + 3.0 * r, -1.0, 2.0);
             let h = 1e-3 * r * DVec3::new(0.0, direction[0], direction[1]);
             let [a, b] = [x + h, x - h].map(|x| domain(norm).to_unit(x.as_vec3()).unwrap());
             let found = (a - b).length() * 12.0;
             let expected = 2.0 * h.length() / domain(norm).stretch(x.as_vec3());
-            // Second order in 1e-3 for L2, and the rounding of x to f32, 6e-8 · 3r over 2e-3 r.
+            // The L2 difference is second order in 1e-3. Rounding x to f32 adds 6e-8 · 3r over 2e-3 r.
             prop_assert!((found - expected).abs() <= 2e-4 * expected + 4e-7 / expected.max(1e-3) * 1e-3, "{} against {}", found, expected);
         }
     }
 
     #[test]
     fn known_points() {
-        // Two radii out: (2 − 1/2) = 1.5, so u = (1.5 + 2) / 4.
+        // Two radii out: 2 − 1/2 = 1.5, so u = (1.5 + 2) / 4.
         let x = Vec3::new(0.5 + 6.0, -1.0, 2.0);
         for norm in [Norm::L2, Norm::Linf] {
             let u = domain(norm).to_unit(x).unwrap();

@@ -1,14 +1,14 @@
-//! The finest lattice in the unit cube that Φ maps scene coordinates to.
+//! The finest lattice, in the unit cube to which Φ maps scene coordinates.
 //!
-//! `M` = 2^level cells per axis, M + 1 lattice points per axis: point (i, j, k) sits at Φ⁻¹((i, j, k) / M). Cells are
-//! half-open, `[lo, hi)`; the upper face of the cube belongs to the last cell.
+//! It has `M` = 2^level cells and M + 1 points per axis. Point (i, j, k) sits at Φ⁻¹((i, j, k) / M). Cells
+//! are half-open, `[lo, hi)`; the upper faces of the cube belong to the last cells.
 
 use glam::{DVec3, Vec3};
 
 use super::{Aabb, Domain};
 use crate::{Error, Result};
 
-/// Largest supported level: lattice coordinates need 17 bits per axis, 51 in a Morton code.
+/// Largest supported level: lattice coordinates then need 17 bits per axis, 51 in a Morton code.
 pub const MAX_LEVEL: u8 = 16;
 
 /// The finest lattice {0..M}³ of a domain.
@@ -27,7 +27,7 @@ impl Lattice {
         Self::of_domain(Domain::Box(bounds), level)
     }
 
-    /// The lattice with 2^`level` cells along every axis of the cube that `domain` is mapped to.
+    /// The lattice with 2^`level` cells along every axis of the unit cube to which `domain` is mapped.
     ///
     /// # Errors
     /// If `level` is 0 or above [`MAX_LEVEL`].
@@ -45,7 +45,7 @@ impl Lattice {
         &self.domain
     }
 
-    /// log2 of the number of cells per axis.
+    /// log2 of [`Lattice::cells_per_axis`].
     #[must_use]
     pub fn level(&self) -> u8 {
         self.level
@@ -57,20 +57,20 @@ impl Lattice {
         1 << self.level
     }
 
-    /// Lattice points of the dense grid, (M + 1)³.
+    /// Number of points of the dense grid, (M + 1)³.
     #[must_use]
     pub fn dense_vertices(&self) -> u64 {
         let n = u64::from(self.cells_per_axis()) + 1;
         n * n * n
     }
 
-    /// Edge lengths of a finest cell, scene units, where space is not contracted.
+    /// Edge lengths of a finest cell in scene units, where space is not contracted.
     #[must_use]
     pub fn edge(&self) -> DVec3 {
         self.domain.size() / f64::from(self.cells_per_axis())
     }
 
-    /// Lattice coordinates of a scene point, in `[0, M]` per axis; `None` outside the domain or for NaN.
+    /// Lattice coordinates of a scene point, in `[0, M]` per axis; `None` outside the domain or if x is not finite.
     #[must_use]
     #[inline]
     pub fn coordinates(&self, x: Vec3) -> Option<DVec3> {
@@ -83,8 +83,9 @@ impl Lattice {
         self.domain.to_scene(u / f64::from(self.cells_per_axis()))
     }
 
-    /// The finest cell that contains lattice coordinates `u` in `[0, M]`³, and the offset inside it in `[0, 1]`³
-    /// (1 only on the box's upper faces).
+    /// The finest cell that contains lattice coordinates `u` in `[0, M]`³, and the offset inside it in `[0, 1]`³.
+    ///
+    /// An offset reaches 1 only on the upper faces of the cube.
     #[must_use]
     #[inline]
     pub fn cell(&self, u: DVec3) -> ([u32; 3], DVec3) {
@@ -92,16 +93,18 @@ impl Lattice {
         let mut cell = [0; 3];
         let mut offset = DVec3::ZERO;
         for axis in 0..3 {
-            // A float-to-integer cast truncates and saturates, so rounding can never leave the lattice.
+            // A float-to-integer cast truncates and saturates, so rounding never leaves the lattice.
             cell[axis] = (u[axis] as u32).min(last);
             offset[axis] = u[axis] - f64::from(cell[axis]);
         }
         (cell, offset)
     }
 
-    /// λ of the paper, 1e-4 / M³ per squared longest edge of the domain ([`Domain::size`]), converted to 1 / scene unit².
+    /// The paper's prior precision λ, 1e-4 / M³ per squared longest edge of the domain ([`Domain::size`]), in
+    /// 1 / scene unit².
     ///
-    /// The official code uses 1e-4 / M³ in its own world units; tying the unit to the box makes U scale with the scene.
+    /// The official code uses 1e-4 / M³ in its own world units. Tying the unit to the domain makes U scale
+    /// with the scene.
     #[must_use]
     pub fn default_lambda(&self) -> f64 {
         let m = f64::from(self.cells_per_axis());
@@ -138,7 +141,7 @@ mod tests {
 
     #[test]
     fn the_paper_prior_shows_as_5_70() {
-        // The paper's M = 256 gives log10 U = ½ log10(3 / 2λ) ≈ 5.70 where nothing was seen, for a box of edge 1.
+        // M = 256, as in the paper: log10 U = ½ log10(3 / 2λ) ≈ 5.70 where nothing was seen, for a box of edge 1.
         let lattice = Lattice::new(Aabb::centered_cube(0.5), 8).unwrap();
         let log10_u = 0.5 * (3.0 / (2.0 * lattice.default_lambda())).log10();
         assert!((log10_u - 5.70).abs() < 0.005, "{log10_u}");

@@ -1,7 +1,7 @@
-//! Boxes, rays, pinhole cameras, and the lattice that maps scene coordinates to the unit cube.
+//! Boxes, contracted domains, rays, pinhole cameras, and the lattice over the unit cube.
 //!
-//! Positions handed to fields are `f32` in scene units (that is what fields are trained in); rays, cameras and the map to
-//! the lattice are computed in `f64`, because a lattice coordinate at level 16 needs more than 24 bits.
+//! Positions handed to fields are `f32` in scene units, because fields are trained in it. Rays, cameras and
+//! the map to the lattice are `f64`: a lattice coordinate at level 16 needs more than 24 bits.
 
 mod aabb;
 mod camera;

@@ -1,11 +1,11 @@
-//! A camera under a name, as files of this crate keep it: its numbers as they are, so that every bit comes back.
+//! A named camera as this crate stores it in files: numbers as they are, so that every bit comes back.
 
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
 use super::{Camera, Distortion};
 
-/// A camera and the name of the picture that it took.
+/// A camera and the name of its picture.
 ///
 /// Deserialising refuses cameras that no picture can have ([`Camera::defect`]).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -5,14 +5,14 @@ use glam::DVec3;
 /// A half line `origin + t · direction`, t ≥ 0 in scene units.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ray {
-    /// Start, scene units.
+    /// Start of the ray, scene units.
     pub origin: DVec3,
     /// Unit direction.
     pub direction: DVec3,
 }
 
 impl Ray {
-    /// The ray from `origin` towards `direction`, which is normalised here.
+    /// The ray from `origin` along `direction`, which is normalised here.
     ///
     /// # Panics
     /// If `direction` is zero or not finite.

@@ -3,7 +3,7 @@
 use super::{Cell, Octree};
 use proptest::prelude::*;
 
-/// Octrees of level 1 to 5 with a few wanted cells of any level: lone deep cells make the balance work hardest.
+/// Octrees of level 1 to 5 with a few wanted cells of any level. Lone deep cells make the balance work hardest.
 pub(crate) fn octrees() -> impl Strategy<Value = Octree> {
     (1_u8..=5).prop_flat_map(|finest| {
         let cell = (0..=finest).prop_flat_map(|level| {

@@ -1,4 +1,4 @@
-//! Which cells are split so that all wanted ones exist and no leaf touches one more than twice as large.
+//! Finds the cells to split so that all wanted cells exist and the octree is 2:1 balanced.
 
 use super::masks::{MaskSet, PARENTS_AROUND_POINT, PARENTS_OF_NEIGHBORS};
 use super::{Cell, morton};
@@ -6,25 +6,25 @@ use super::{Cell, morton};
 /// Cells that must exist in an octree.
 #[derive(Debug, Clone)]
 pub struct Wanted {
-    /// By level, cells that must be split.
+    /// Cells that must be split, by level.
     split: Vec<MaskSet>,
 }
 
 impl Wanted {
-    /// None but the box, in an octree of levels 0 to `finest`.
+    /// Wants nothing but the box, in an octree of levels 0 to `finest`.
     #[must_use]
     pub fn new(finest: u8) -> Self {
         Self { split: vec![MaskSet::default(); usize::from(finest)] }
     }
 
-    /// `cell` must exist, as a leaf or split further.
+    /// Asks for `cell`, as a leaf or split further.
     pub fn cell(&mut self, cell: Cell) {
         if let Some(above) = cell.level.checked_sub(1) {
             self.split[usize::from(above)].insert(morton::encode(cell.index.map(|i| i / 2)));
         }
     }
 
-    /// The up to eight finest cells around each point of a brick of the finest lattice must exist.
+    /// Asks for the up to eight finest cells around each point of a brick of the finest lattice.
     pub fn around_points(&mut self, brick: u64, mask: u64) {
         let cells = 1 << (self.split.len().saturating_sub(1));
         if let Some(parents) = self.split.last_mut() {
@@ -32,18 +32,19 @@ impl Wanted {
         }
     }
 
-    /// What either wants.
+    /// The union of both.
     #[must_use]
     pub fn and(mut self, other: Self) -> Self {
         self.split.iter_mut().zip(other.split).for_each(|(mine, theirs)| mine.absorb(theirs));
         self
     }
 
-    /// Split cells per level such that every wanted cell exists and the octree is 2:1 balanced over faces, edges and corners, with nothing more split than that needs.
+    /// Splits as few cells as possible such that every wanted cell exists and the octree is 2:1 balanced over
+    /// faces, edges and corners.
     ///
-    /// A split cell of level ℓ has children of level ℓ + 1, which may touch leaves of level ℓ or finer: so the 26 neighbours of
-    /// a split cell must exist, that is, the neighbours' parents must be split. One sweep from the finest level up is enough, because it
-    /// only adds cells to coarser levels.
+    /// The children of a split cell of level ℓ have level ℓ + 1 and may touch leaves of level ℓ or finer. So
+    /// the 26 neighbours of the split cell must exist, which means that their parents are split. One sweep
+    /// from the finest level up is enough, because it only adds cells to coarser levels.
     #[must_use]
     pub fn balanced(mut self) -> Split {
         for level in (1..self.split.len()).rev() {
@@ -75,7 +76,7 @@ impl Split {
         &self.levels[usize::from(level)]
     }
 
-    /// Sorted Morton codes of the split cells of each level above the finest.
+    /// The split cells of each level above the finest, as sorted Morton codes.
     #[must_use]
     pub fn codes(&self) -> Vec<Vec<u64>> {
         self.levels.iter().map(MaskSet::codes).collect()
@@ -89,7 +90,7 @@ mod tests {
     use proptest::prelude::*;
     use std::collections::BTreeSet;
 
-    /// The rule, cell by cell.
+    /// The balance rule, cell by cell.
     fn balanced_slowly(finest: u8, wanted: &[Cell]) -> Vec<Vec<u64>> {
         let mut split = vec![BTreeSet::new(); usize::from(finest)];
         for cell in wanted.iter().filter(|cell| cell.level > 0) {

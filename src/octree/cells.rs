@@ -1,8 +1,9 @@
 //! The cells of the octree: child masks in breadth-first order.
 //!
-//! A cell is *split* (it has eight children) or a leaf. For every split cell above the last level but one a byte says which
-//! of its children are split too; the j-th set bit of the whole sequence belongs to the (j + 1)-th split cell, so a rank
-//! over the bytes replaces all pointers. Split cells of the last level but one need no byte: their children are finest leaves.
+//! A cell is *split* (it has eight children) or a leaf. Every split cell above the second-finest level has a
+//! byte that says which of its children are split too. The j-th set bit of the whole sequence belongs to the
+//! (j + 1)-th split cell, so a rank over the bytes replaces all pointers. Split cells of the second-finest
+//! level need no byte: their children are finest leaves.
 //!
 //! ```text
 //!        6-------7      corner and child c: bit 0 of c is x, bit 1 is y, bit 2 is z
@@ -14,30 +15,30 @@
 //!                       o--x
 //! ```
 
-/// Masks that share an entry of the rank directory: with it they fill a cache line.
+/// Number of masks that share a rank directory entry; together they fill a cache line.
 const BLOCK: usize = 60;
 
-/// Consecutive child masks.
+/// Consecutive child masks with their rank.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(align(64))]
 struct Block {
-    /// Set bits in all blocks before.
+    /// Set bits in all earlier blocks.
     rank: u32,
-    /// Masks, zeros behind the last.
+    /// Masks, padded with zeros.
     masks: [u8; BLOCK],
 }
 
 /// A cell of the octree.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct Cell {
-    /// 0 is the whole box; a cell of level ℓ spans 2^(finest − ℓ) finest cells per axis.
+    /// 0 is the whole box. A cell of level ℓ spans 2^(finest − ℓ) finest cells per axis.
     pub level: u8,
-    /// Position among the 2^level cells per axis of its own level.
+    /// Position among the 2^level cells per axis of this level.
     pub index: [u32; 3],
 }
 
 impl Cell {
-    /// Lower corner and edge in units of the finest lattice.
+    /// Lower corner and edge length, in units of the finest lattice.
     #[must_use]
     #[inline]
     pub fn extent(self, finest: u8) -> ([u32; 3], u32) {
@@ -54,7 +55,7 @@ impl Cell {
     }
 }
 
-/// The complete set of cells, as child masks with ranks.
+/// All cells of an octree, as child masks with ranks.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct CellTree {
     finest: u8,
@@ -66,7 +67,7 @@ pub struct CellTree {
 }
 
 impl CellTree {
-    /// The tree whose split cells of each level are given as sorted Morton codes (`split[ℓ]`, ℓ = 0 … finest − 1).
+    /// Builds the tree from sorted Morton codes of the split cells of each level (`split[ℓ]`, ℓ = 0 … finest − 1).
     ///
     /// # Panics
     /// If a split cell's parent is not split.
@@ -111,10 +112,10 @@ impl CellTree {
         self.blocks[node / BLOCK].masks[node % BLOCK]
     }
 
-    /// Rebuilds the split cells per level from the stored form, which may come from an untrusted file.
+    /// Rebuilds the split cells of each level from the stored form, which may come from an untrusted file.
     ///
     /// # Errors
-    /// A sentence about what is wrong if the number of masks does not follow from the masks themselves.
+    /// If the number of masks does not follow from the masks themselves: a sentence that says what is wrong.
     pub fn split_from_raw(finest: u8, root_split: bool, masks: &[u8]) -> Result<Vec<Vec<u64>>, String> {
         let mut split = vec![Vec::new(); usize::from(finest)];
         if root_split {
@@ -150,14 +151,14 @@ impl CellTree {
         self.finest
     }
 
-    /// Set bits in all masks before mask `node`.
+    /// Number of set bits before mask `node`.
     fn rank(&self, node: usize) -> usize {
         let block = &self.blocks[node / BLOCK];
         let within: u32 = block.masks[..node % BLOCK].iter().map(|m| m.count_ones()).sum();
         block.rank as usize + within as usize
     }
 
-    /// The leaf that contains finest cell `cell`.
+    /// The leaf that contains the finest cell `cell`.
     #[must_use]
     pub fn leaf(&self, cell: [u32; 3]) -> Cell {
         let mut level = 0;
@@ -204,7 +205,7 @@ impl CellTree {
         }
     }
 
-    /// Bytes on the heap, spare capacity included: child masks, and their rank directory with what fills the last line.
+    /// Bytes on the heap, spare capacity included: the child masks, then their rank directory with padding.
     #[must_use]
     pub fn heap_bytes(&self) -> [usize; 2] {
         [self.count, self.blocks.capacity() * size_of::<Block>() - self.count]

@@ -1,12 +1,14 @@
 //! The free vertices of a balanced octree, 64 at once.
 //!
-//! On the lattice of level ℓ the leaves are children of the split cells of level ℓ − 1, here called parents. By balance, leaves that
-//! touch one of them are at least as large as a parent. A point of that lattice is therefore a corner of all leaves that touch it, and one of
-//! them has level ℓ, if
-//! - all its coordinates are even (it is a corner of parents), and one of the parents around it is split; or
-//! - it lies inside a parent, or inside a face or an edge of parents, and all parents around it (one, two, four) are split;
+//! The cells of level ℓ − 1 are called parents here; leaves of level ℓ are children of split parents. By 2:1
+//! balance, no leaf that touches such a child is larger than a parent. A point of the lattice of level ℓ is
+//! therefore a corner of all leaves that touch it, one of them of level ℓ, if
 //!
-//! unless a leaf of level ℓ that touches it is split in turn: then it belongs to a finer level.
+//! - all its coordinates are even (it is a corner of parents), and one of the parents around it is split; or
+//! - it lies inside a parent, or inside a face or an edge of parents, and all parents around it (one, two,
+//!   four) are split;
+//!
+//! unless a child of level ℓ that touches it is split in turn: then it belongs to a finer level.
 
 use rayon::prelude::*;
 
@@ -15,9 +17,10 @@ use super::masks::MaskSet;
 use super::morton;
 use super::set::MortonSet;
 
-/// What a brick of 4³ parents owns: each parent the points at its lower corner and inside its half-open cube.
+/// Points owned by a brick of 4³ parents. Each parent owns its lower corner and the points inside its
+/// half-open cube.
 struct Owned {
-    /// 4³ corners of parents that touch a split one.
+    /// Lower corners of the 4³ parents that touch a split parent.
     touched: u64,
     /// 8³ points of the finer lattice in Morton order.
     points: [u64; 8],
@@ -26,13 +29,14 @@ struct Owned {
 impl Owned {
     fn of(split: &MaskSet, brick: u64, per_axis: u32) -> Self {
         let first = morton::decode(brick).map(|i| 4 * i);
-        // For parents P of the brick and all eight P − side: whether they are split, and whether they are split or outside the box.
+        // For every parent P of the brick and every side: whether P − side is split, and whether it is split
+        // or outside the box.
         let near: [u64; 8] = std::array::from_fn(|side| {
             rows(below(first.map(|i| i / 4), side).map_or(0, |at| split.mask(morton::encode(at))))
         });
         let is_split: [u64; 8] = std::array::from_fn(|side| shifted(&near, side));
         let allowed: [u64; 8] = std::array::from_fn(|side| is_split[side] | outside(first, side, per_axis));
-        // A parent just beyond the upper faces owns points in these faces only; one further off none.
+        // A parent just beyond the upper faces owns points in these faces only. Parents further out own none.
         let inside: [u64; 3] = std::array::from_fn(|axis| along(axis, |i| first[axis] + i < per_axis));
         let there = (0..3).fold(!0, |mask, axis| mask & along(axis, |i| first[axis] + i <= per_axis));
         let mut owned = Self { touched: 0, points: [0; 8] };
@@ -57,9 +61,10 @@ impl Owned {
     }
 }
 
-/// A mask in Morton order put into rows: bit x + 4 y + 16 z.
+/// Rearranges a mask from Morton order into rows: bit x + 4 y + 16 z.
 fn rows(mask: u64) -> u64 {
-    // Bits of an index in Morton order are (z1 y1 x1 z0 y0 x0), in rows (z1 z0 y1 y0 x1 x0): three exchanges of bits of the index.
+    // The bits of an index are (z1 y1 x1 z0 y0 x0) in Morton order and (z1 z0 y1 y0 x1 x0) in rows, three bit
+    // exchanges apart.
     swapped::<3, 4>(swapped::<2, 3>(swapped::<1, 3>(mask)))
 }
 
@@ -76,7 +81,7 @@ fn swapped<const A: u32, const B: u32>(mask: u64) -> u64 {
     mask ^ t ^ t << shift
 }
 
-/// Indices with all bits of `ones` and none of `zeros`.
+/// Mask of the indices that have all bits of `ones` and none of `zeros`.
 const fn indices_with(ones: u64, zeros: u64) -> u64 {
     let (mut mask, mut index) = (0, 0);
     while index < 64 {
@@ -88,22 +93,23 @@ const fn indices_with(ones: u64, zeros: u64) -> u64 {
     mask
 }
 
-/// The eight low bits, eight places apart.
+/// Spreads the eight low bits eight places apart.
 fn apart(bits: u64) -> u64 {
     let bits = (bits | bits << 28) & 0x0000_000f_0000_000f;
     let bits = (bits | bits << 14) & 0x0003_0003_0003_0003;
     (bits | bits << 7) & 0x0101_0101_0101_0101
 }
 
-/// Indices in rows whose coordinate along an axis fulfils `condition`.
+/// Mask, in rows, of the places whose coordinate along an axis fulfils `condition`.
 fn along(axis: usize, condition: impl Fn(u32) -> bool) -> u64 {
     let coordinate = [0x1111_1111_1111_1111, 0x000f_000f_000f_000f, 0xffff][axis];
     (0..4).filter(|&i| condition(i)).fold(0, |mask, i| mask | coordinate << (i << (2 * axis)))
 }
 
-/// For every place P in a brick whether P − side has its bit set, from the masks in rows of the brick (0) and of those below it.
+/// For every place P of a brick, whether P − side has its bit set. The masks, in rows, are those of the brick
+/// (0) and of the bricks below it.
 fn shifted(near: &[u64; 8], side: usize) -> u64 {
-    // Along each axis of `side`, places 1 to 3 look into the brick that has 0 there, place 0 into the one below.
+    // Along each axis of `side`, places 1 to 3 look into the brick that has 0 there, place 0 into the brick below.
     let mut masks = *near;
     for axis in (0..3).filter(|axis| side >> axis & 1 == 1) {
         let step = 1_u32 << (2 * axis);
@@ -115,7 +121,7 @@ fn shifted(near: &[u64; 8], side: usize) -> u64 {
     masks[0]
 }
 
-/// Places P in a brick with P − side outside the box.
+/// Places P of a brick for which P − side is outside the box.
 fn outside(first: [u32; 3], side: usize, per_axis: u32) -> u64 {
     let beyond = |axis: usize| {
         along(axis, |i| (first[axis] + i).checked_sub((side >> axis & 1) as u32).is_none_or(|i| i >= per_axis))
@@ -123,7 +129,7 @@ fn outside(first: [u32; 3], side: usize, per_axis: u32) -> u64 {
     beyond(0) | beyond(1) | beyond(2)
 }
 
-/// The brick one below along the axes whose bits are set in `side`.
+/// The brick one step down along the axes whose bits are set in `side`.
 fn below(brick: [u32; 3], side: usize) -> Option<[u32; 3]> {
     let mut near = brick;
     for (axis, i) in near.iter_mut().enumerate() {
@@ -132,12 +138,12 @@ fn below(brick: [u32; 3], side: usize) -> Option<[u32; 3]> {
     Some(near)
 }
 
-/// Bricks in which a split cell, or a neighbour above one, may lie: they own all points that touch a split cell.
+/// Bricks that may hold a split cell or an upper neighbour of one. They own all points that touch a split cell.
 fn owners(split: &MaskSet) -> Vec<u64> {
     let mut owners = Vec::new();
     for (brick, mask) in split.bricks() {
         let at = morton::decode(brick);
-        // Which upper faces of the brick have a member: their neighbours own points of it.
+        // The bricks above own points of a member only if it lies in an upper face of this brick.
         let upper = [UPPER_X, UPPER_Y, UPPER_Z];
         for side in 0..8_usize {
             let reached = (0..3).fold(mask, |mask, axis| if side >> axis & 1 == 1 { mask & upper[axis] } else { mask });
@@ -152,17 +158,17 @@ fn owners(split: &MaskSet) -> Vec<u64> {
     owners
 }
 
-/// Members of a brick with coordinate 3 along one axis: both bits of that axis set.
+/// Members of a brick with coordinate 3 along one axis: both bits of that axis are set.
 const UPPER_X: u64 = indices_with(0b001_001, 0);
 const UPPER_Y: u64 = indices_with(0b010_010, 0);
 const UPPER_Z: u64 = indices_with(0b100_100, 0);
 
-/// The free vertices by coarseness, the finest first, each a set of points of its own level's lattice.
+/// The free vertices by coarseness, finest first. Each set holds points of its own level's lattice.
 pub fn free_vertices(split: &Split) -> Vec<MortonSet> {
     let finest = split.finest();
     let bits = |level: u8| 3 * (u32::from(level) + 1);
     let mut sets = Vec::with_capacity(usize::from(finest) + 1);
-    // Points of the level at hand that touch a finer leaf.
+    // Points of the current level that touch a finer leaf.
     let mut taken = MaskSet::default();
     for level in (1..=finest).rev() {
         let parents = split.level(level - 1);
@@ -180,7 +186,7 @@ pub fn free_vertices(split: &Split) -> Vec<MortonSet> {
         owned.iter().for_each(|(brick, owned)| touched.insert_mask(*brick, owned.touched));
         taken = touched;
     }
-    // The box itself, if it is a leaf.
+    // Corners of the box itself, if it is a leaf.
     let corners = if taken.mask(0) == 0 { 0xff } else { 0 };
     sets.push(MortonSet::from_bricks(bits(0), std::iter::once((0, corners)).filter(|(_, corners)| *corners != 0)));
     sets

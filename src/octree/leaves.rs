@@ -1,4 +1,5 @@
-//! The leaves of an octree as a function of position, and the constraint that makes its functions continuous.
+//! The leaves of an octree as a function of position, and the constraint that makes interpolated functions
+//! continuous.
 
 use super::{Cell, CellTree, cells_around};
 
@@ -21,8 +22,10 @@ impl Leaves for CellTree {
     }
 }
 
-/// The free vertices that determine the value at a leaf's corner, as lattice points with equal weights: the corner itself, the two
-/// ends of the edge, or the four corners of the face of a larger leaf that it hangs on.
+/// The free vertices that determine the value at a leaf's corner: lattice points with equal weights.
+///
+/// These are the corner itself, the two ends of the edge, or the four corners of the face of a larger leaf on
+/// which it hangs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Masters {
     points: [[u32; 3]; 4],
@@ -37,9 +40,9 @@ impl Masters {
     }
 }
 
-/// Levels between the finest and that of the finest leaf which has `point` as a corner.
+/// Coarseness of a vertex at `point`: levels from the finest one to that of the finest leaf that touches it.
 ///
-/// For a point that is a corner of no leaf of that level this is as coarse as a vertex at the point could be.
+/// If that leaf does not have the point as a corner, this is the coarsest lattice that contains the point.
 #[must_use]
 #[inline]
 pub fn coarseness(leaves: &impl Leaves, point: [u32; 3]) -> u8 {
@@ -49,7 +52,7 @@ pub fn coarseness(leaves: &impl Leaves, point: [u32; 3]) -> u8 {
     point.iter().fold(coarseness, |c, i| c.min(i.trailing_zeros().min(32) as u8))
 }
 
-/// The leaf touching `point` that does not have it as a corner, if there is one.
+/// The leaf that touches `point` without having it as a corner, if there is one.
 pub fn hanging_on(leaves: &impl Leaves, point: [u32; 3]) -> Option<Cell> {
     cells_around(point, leaves.finest()).map(|cell| leaves.leaf(cell)).find(|leaf| {
         let (_, edge) = leaf.extent(leaves.finest());
@@ -57,7 +60,7 @@ pub fn hanging_on(leaves: &impl Leaves, point: [u32; 3]) -> Option<Cell> {
     })
 }
 
-/// Where the value at a lattice point comes from that is a corner of some leaf.
+/// Masters of a lattice point that is a corner of some leaf.
 ///
 /// # Panics
 /// If it is a corner of no leaf.
@@ -69,10 +72,10 @@ pub fn masters(leaves: &impl Leaves, point: [u32; 3]) -> Masters {
     }
 }
 
-/// The corners of `larger` that `point` lies half-way between.
+/// The corners of `larger` half-way between which `point` lies.
 pub fn ends(finest: u8, point: [u32; 3], larger: Cell) -> Masters {
     let (origin, edge) = larger.extent(finest);
-    // An axis along which the point is half-way between the larger leaf's corners contributes both of them.
+    // Along an axis where the point is half-way between two corners of the larger leaf, both contribute.
     let halfway = |axis: usize| !(point[axis] - origin[axis]).is_multiple_of(edge);
     let axes = (0..3).filter(|&axis| halfway(axis)).count();
     assert!(axes == 1 || axes == 2, "point {point:?} is half-way along {axes} axes of leaf {larger:?}");

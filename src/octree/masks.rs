@@ -1,19 +1,21 @@
-//! Sets of cells or points of one lattice, kept as 64-bit masks of aligned 4³ bricks.
+//! Sets of cells or points of one lattice, as 64-bit masks of aligned 4³ bricks.
 //!
-//! What has to be done to the neighbourhood of every member is done to 64 members at once. A brick's code is its members' Morton codes
-//! without their low six bits, which say where in the mask a member is.
+//! Masks let the neighbourhoods of 64 members be processed at once. A brick's code is the Morton code of its
+//! members without the low six bits, which give a member's place in the mask.
 
 use rustc_hash::FxHashMap;
 
 use super::morton;
 
-/// Places along an axis around a brick: the brick itself has four, or two after halving, the rest are its surroundings.
+/// Places along an axis around a halved brick: two in the brick, one on either side.
 const AROUND: usize = 4;
 
-/// Which places around a brick, halved, its members reach: bit x + 4 y + 16 z for the place 2 b − 1 + (x, y, z), b the brick's own coordinates.
+/// For each member of a brick, the places around the halved brick that it reaches.
+///
+/// Bit x + 4 y + 16 z stands for the place 2 b − 1 + (x, y, z), where b are the coordinates of the brick.
 pub type Reach = [u64; 64];
 
-/// The reach of a member at (i, j, k) in its brick is the product of three sets of places along the axes.
+/// The reach of a member at (i, j, k) in its brick: the product of three sets of places along the axes.
 const fn reach(along: [u64; 4]) -> Reach {
     let mut all = [0; 64];
     let mut member = 0;
@@ -34,15 +36,15 @@ const fn reach(along: [u64; 4]) -> Reach {
     all
 }
 
-/// Parents of a cell and of its 26 neighbours.
+/// Reaches the parents of a cell and of its 26 neighbours.
 pub const PARENTS_OF_NEIGHBORS: Reach = reach([0b0011, 0b0110, 0b0110, 0b1100]);
-/// Parents of the eight cells around a point.
+/// Reaches the parents of the eight cells around a point.
 pub const PARENTS_AROUND_POINT: Reach = reach([0b0011, 0b0010, 0b0110, 0b0100]);
 
 /// A set of cells or points of one lattice.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct MaskSet {
-    /// No mask is empty.
+    /// Masks by brick; none is empty.
     bricks: FxHashMap<u64, u64>,
 }
 
@@ -52,7 +54,7 @@ impl MaskSet {
         self.insert_mask(code >> 6, 1 << (code & 63));
     }
 
-    /// Adds members of one brick.
+    /// Adds the members of `mask` to one brick.
     pub fn insert_mask(&mut self, brick: u64, mask: u64) {
         if mask != 0 {
             *self.bricks.entry(brick).or_default() |= mask;
@@ -66,7 +68,7 @@ impl MaskSet {
         }
     }
 
-    /// Adds the cells, of a lattice with `cells` per axis, that members of a brick of the lattice twice as fine reach.
+    /// Adds the cells reached by members of a brick of the lattice twice as fine. This lattice has `cells` per axis.
     pub fn insert_reached(&mut self, brick: u64, mask: u64, reach: &Reach, cells: u32) {
         let mut places = 0;
         let mut members = mask;
@@ -93,18 +95,18 @@ impl MaskSet {
         }
     }
 
-    /// The members of a brick.
+    /// The members of a brick, as a mask.
     #[must_use]
     pub fn mask(&self, brick: u64) -> u64 {
         self.bricks.get(&brick).copied().unwrap_or(0)
     }
 
-    /// Codes of bricks with members, in no order, with their masks.
+    /// Codes and masks of all bricks with members, in no particular order.
     pub fn bricks(&self) -> impl Iterator<Item = (u64, u64)> + '_ {
         self.bricks.iter().map(|(&brick, &mask)| (brick, mask))
     }
 
-    /// The same, sorted.
+    /// Codes and masks of all bricks with members, sorted by code.
     #[must_use]
     pub fn sorted(&self) -> Vec<(u64, u64)> {
         let mut bricks: Vec<(u64, u64)> = self.bricks().collect();
@@ -136,7 +138,7 @@ mod tests {
     proptest! {
         #[test]
         fn what_members_reach_is_what_each_of_them_reaches(mask: u64, brick in proptest::array::uniform3(0_u32..4)) {
-            // 16 cells or points per axis, halved: 8; some bricks lie at the faces.
+            // 16 cells or points per axis become 8 when halved. Some bricks lie at the faces.
             let members = || (0..64_u64).filter(|m| mask >> m & 1 == 1).map(|m| morton::decode(morton::encode(brick) << 6 | m));
             for (reach, from, to) in [(&PARENTS_OF_NEIGHBORS, -1..=1_i64, 16), (&PARENTS_AROUND_POINT, -1..=0, 16)] {
                 let mut expected = BTreeSet::new();

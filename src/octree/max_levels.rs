@@ -1,8 +1,8 @@
 //! How fine each part of space may become: a complete, 2:1 balanced set of leaves that is never stored.
 //!
-//! The cube is cut into *regions*, the cells of one coarse level. Inside a region all leaves have the same level, its limit; limits of
-//! touching regions differ by at most one, so the leaves are balanced. Where rays are too few, or memory too small, to support the
-//! finest level, information is gathered on these leaves.
+//! The cube is cut into *regions*, the cells of one coarse level. All leaves inside a region have the same
+//! level, its limit. Limits of touching regions differ by at most one, so the leaves are balanced. Where rays
+//! are too few, or memory too small, to support the finest level, vertex sums are gathered on these leaves.
 
 use rustc_hash::FxHashMap;
 
@@ -17,7 +17,7 @@ pub struct MaxLevels {
     finest: u8,
     /// Level of the regions.
     region: u8,
-    /// Limits by region; the regions' own level where there is none. `None`: the finest level everywhere.
+    /// Limits by region; a region without an entry keeps its own level. `None`: the finest level everywhere.
     levels: Option<FxHashMap<u64, u8>>,
 }
 
@@ -28,7 +28,7 @@ impl MaxLevels {
         Self { finest, region: finest.saturating_sub(DEPTH), levels: None }
     }
 
-    /// The least limits that admit `wanted` (region, level) and are balanced.
+    /// The coarsest balanced limits that admit `wanted`, pairs of region and level.
     #[must_use]
     pub fn balanced(finest: u8, wanted: impl IntoIterator<Item = (u64, u8)>) -> Self {
         let region = finest.saturating_sub(DEPTH);
@@ -42,7 +42,7 @@ impl MaxLevels {
         for (&code, &level) in &levels {
             of_level[usize::from(level)].push(code);
         }
-        // From the finest down: a neighbour may be one level coarser, not more.
+        // From the finest level down: a neighbour may be at most one level coarser.
         for level in (usize::from(region) + 1..of_level.len()).rev() {
             for at in 0..of_level[level].len() {
                 let code = of_level[level][at];
@@ -80,7 +80,7 @@ impl MaxLevels {
         self.levels.as_ref().map_or(self.finest, |levels| levels.get(&region).copied().unwrap_or(self.region))
     }
 
-    /// The regions' level, then sorted (region, limit) pairs as region · 256 + limit; `None` if unlimited.
+    /// The level of the regions, then sorted pairs as region · 256 + limit; `None` if unlimited.
     #[must_use]
     pub fn packed(&self) -> Option<Vec<u64>> {
         let levels = self.levels.as_ref()?;
@@ -90,7 +90,8 @@ impl MaxLevels {
         Some(packed)
     }
 
-    /// The limits that [`MaxLevels::packed`] wrote, which may come from an untrusted file; `None` if they are not balanced limits.
+    /// Restores the limits that [`MaxLevels::packed`] wrote, which may come from an untrusted file; `None` if
+    /// they are not balanced limits.
     #[must_use]
     pub fn from_packed(finest: u8, packed: &[u64]) -> Option<Self> {
         let region = finest.saturating_sub(DEPTH);
@@ -102,7 +103,8 @@ impl MaxLevels {
         (limits.packed().as_deref() == Some(packed)).then_some(limits)
     }
 
-    /// Area of a leaf's face in faces of finest cells, meaned over the up to eight octants around a lattice point.
+    /// Face area of the leaves around a lattice point, in faces of finest cells, averaged over its up to
+    /// eight octants.
     #[must_use]
     pub fn footprint(&self, point: [u32; 3]) -> f64 {
         if self.is_unlimited() {
@@ -134,7 +136,7 @@ impl Leaves for MaxLevels {
     }
 }
 
-/// The up to 26 regions that touch one.
+/// The up to 26 regions that touch a region.
 fn neighbors(code: u64, level: u8) -> impl Iterator<Item = u64> {
     let last = (1_u32 << level) - 1;
     crate::octree::around(morton::decode(code), last)
@@ -162,7 +164,7 @@ mod tests {
                 for neighbor in neighbors(code, limits.region_level()) {
                     prop_assert!(limits.level(code).abs_diff(limits.level(neighbor)) <= 1);
                 }
-                // Least: a limit is wanted here, or forced by a neighbour that is one finer.
+                // Least: a limit is either wanted here or forced by a finer neighbour.
                 let level = limits.level(code);
                 let forced = neighbors(code, limits.region_level()).any(|n| limits.level(n) > level);
                 prop_assert!(level == limits.region_level() || forced || wanted.iter().any(|&(c, l)| c == code && l.min(finest) == level));

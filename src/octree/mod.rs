@@ -1,10 +1,11 @@
 //! An adaptive octree of deformation vertices.
 //!
-//! Words. The *lattice* is {0..M}³, M = 2^finest. A *leaf* of level ℓ has edge 2^(finest − ℓ) lattice units. A lattice point
-//! that is a corner of every leaf touching it is a *free vertex* and carries a value. A corner of a leaf that lies inside a
-//! face or an edge of a larger leaf is *hanging*: it carries none, its value is the mean of the two or four corners of that
-//! face's or edge's ends, so that interpolated functions are continuous. Leaves that touch, be it in a corner only, differ by
-//! at most one level (2:1 balance); hence the ends are themselves free.
+//! The *lattice* is {0..M}³, M = 2^finest. A *leaf* of level ℓ has edge 2^(finest − ℓ) lattice units. A
+//! lattice point that is a corner of every leaf touching it is a *free vertex* and carries a value. A corner
+//! that lies inside a face or an edge of a larger leaf is *hanging* and carries none. Its value is the mean
+//! of the four corners of that face or the two ends of that edge, which makes interpolated functions
+//! continuous. Leaves that touch, even only at a corner, differ by at most one level (2:1 balance). Hence
+//! these corners and ends are themselves free.
 //!
 //! This module knows nothing of rays, colour or uncertainty.
 
@@ -36,7 +37,7 @@ use leaves::hanging_on;
 use rayon::iter::IndexedParallelIterator;
 use vertices::{Finder, VertexTable};
 
-/// Index of a free vertex: the finest first, in Morton order among vertices of one size.
+/// Index of a free vertex. Ids run from the finest coarseness up, in Morton order within each.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct VertexId(pub u32);
 
@@ -45,14 +46,14 @@ pub struct VertexId(pub u32);
 pub enum Corner {
     /// The corner is a free vertex.
     Free(VertexId),
-    /// The corner is the middle of an edge of a larger leaf: mean of two.
+    /// The corner is the middle of an edge of a larger leaf: the mean of two vertices.
     OnEdge([VertexId; 2]),
-    /// The corner is the middle of a face of a larger leaf: mean of four.
+    /// The corner is the middle of a face of a larger leaf: the mean of four vertices.
     OnFace([VertexId; 4]),
 }
 
 impl Corner {
-    /// The free vertices that determine the value here; their weights are equal.
+    /// The free vertices that determine the value here, with equal weights.
     #[must_use]
     pub fn masters(&self) -> &[VertexId] {
         match self {
@@ -63,18 +64,19 @@ impl Corner {
     }
 }
 
-/// The leaf around a point, with what is needed to interpolate there.
+/// The leaf around a point, with everything needed to interpolate there.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Located {
     /// The leaf that contains the point.
     pub leaf: Cell,
-    /// Its eight corners: bit 0 of the position is x, bit 1 y, bit 2 z.
+    /// Its eight corners. In the index of a corner, bit 0 is x, bit 1 y, bit 2 z.
     pub corners: [Corner; 8],
     /// Trilinear weights of the corners, ≥ 0, summing to 1.
     pub weights: [f64; 8],
 }
 
-/// Trilinear weights of the eight corners for an offset in `[0, 1]`³; bit 0 of the position is x.
+/// Trilinear weights of the eight corners for an offset in `[0, 1]`³. In the index of a corner, bit 0 is x,
+/// bit 1 y, bit 2 z.
 #[must_use]
 #[inline]
 pub fn trilinear(offset: DVec3) -> [f64; 8] {
@@ -106,10 +108,10 @@ impl Octree {
         Self::from_balanced(&split, &split.codes())
     }
 
-    /// The octree of a stored child-mask sequence, which may come from an untrusted file.
+    /// The octree of a stored sequence of child masks, which may come from an untrusted file.
     ///
     /// # Errors
-    /// A sentence about what is wrong if the masks are inconsistent or the tree is not 2:1 balanced.
+    /// If the masks are inconsistent or the tree is not 2:1 balanced: a sentence that says what is wrong.
     pub fn from_raw(finest: u8, root_split: bool, masks: &[u8]) -> Result<Self, String> {
         let codes = CellTree::split_from_raw(finest, root_split, masks)?;
         let mut wanted = Wanted::new(finest);
@@ -128,7 +130,7 @@ impl Octree {
         Self { cells, vertices: VertexTable::new(free_vertices(split)) }
     }
 
-    /// The cells.
+    /// The tree of cells.
     #[must_use]
     pub fn cells(&self) -> &CellTree {
         &self.cells
@@ -157,13 +159,13 @@ impl Octree {
         self.vertices.points()
     }
 
-    /// The same, in parallel.
+    /// [`Octree::vertex_positions`] in parallel.
     #[must_use]
     pub fn par_vertex_positions(&self) -> impl IndexedParallelIterator<Item = [u32; 3]> + '_ {
         self.vertices.par_points()
     }
 
-    /// Whether all (up to eight) finest cells around a lattice point are leaves.
+    /// Checks whether all (up to eight) finest cells around a lattice point are leaves.
     #[must_use]
     pub fn is_surrounded_by_finest(&self, point: [u32; 3]) -> bool {
         cells_around(point, self.finest()).all(|cell| self.cells.leaf(cell).level == self.finest())
@@ -177,13 +179,13 @@ impl Octree {
         Located { leaf: cursor.leaf(), corners: *cursor.corners(), weights: cursor.weights(u) }
     }
 
-    /// A place in the octree that moves from point to point.
+    /// A cursor for interpolation from point to point.
     #[must_use]
     pub fn cursor(&self) -> Cursor<'_> {
         Cursor::new(self)
     }
 
-    /// Where the value at a lattice point comes from that is a corner of some leaf.
+    /// Where the value at a lattice point comes from. The point must be a corner of some leaf.
     ///
     /// # Panics
     /// If it is a corner of no leaf.
@@ -195,8 +197,9 @@ impl Octree {
         }
     }
 
-    /// The same for a corner of `leaf`. Leaves that touch it are at most one level finer, so that its vertices can be looked up
-    /// among few.
+    /// As [`Octree::corner`], for a corner of `leaf`.
+    ///
+    /// Leaves that touch it are at most one level finer, so its vertices are searched among two coarsenesses.
     fn corner_of(&self, leaf: Cell, point: [u32; 3], finder: &mut Finder) -> Corner {
         let coarseness = self.finest() - leaf.level;
         let mut find = |point, coarseness: u8| {
@@ -205,12 +208,12 @@ impl Octree {
         };
         match find(point, coarseness) {
             Some(vertex) => Corner::Free(vertex),
-            // The ends are corners of a leaf one level coarser.
+            // The masters are corners of a leaf one level coarser.
             None => self.hanging(point, |end| find(end, coarseness + 1)),
         }
     }
 
-    /// A corner that hangs on a larger leaf, whose corners `vertex` finds.
+    /// A corner that hangs on a larger leaf. `vertex` finds that leaf's corners.
     fn hanging(&self, point: [u32; 3], mut vertex: impl FnMut([u32; 3]) -> Option<VertexId>) -> Corner {
         let larger = hanging_on(&self.cells, point).expect("a leaf corner is free or hangs on a larger leaf");
         let masters = leaves::ends(self.finest(), point, larger);
@@ -245,7 +248,8 @@ pub fn cells_around(point: [u32; 3], finest: u8) -> impl Iterator<Item = [u32; 3
     })
 }
 
-/// The points of {0..`last`}³ within one of `center` along every axis, itself included, with their tent weights 1, ½, ¼ or ⅛.
+/// The points of {0..`last`}³ at most 1 away from `center` along every axis, itself included, with tent
+/// weights 1, ½, ¼ or ⅛.
 pub fn around(center: [u32; 3], last: u32) -> impl Iterator<Item = ([u32; 3], f64)> {
     (0..27_u32).filter_map(move |k| {
         let off = [k % 3, k / 3 % 3, k / 9];

@@ -1,15 +1,15 @@
 //! Morton codes: the bits of three lattice coordinates interleaved, x in bit 0 of each triple, then y, then z.
 //!
-//! Sorting by code visits space along a Z-curve; dropping the low 3 bits gives the parent cell, the low 6 bits number the
-//! points of an aligned 4³ brick.
+//! Sorting by code visits space along a Z-curve. Dropping the low 3 bits gives the parent cell. The low 6
+//! bits number the points of an aligned 4³ brick.
 
-/// Code of lattice coordinates below 2^21.
+/// Morton code of lattice coordinates below 2^21.
 #[must_use]
 pub fn encode(p: [u32; 3]) -> u64 {
     spread(p[0]) | spread(p[1]) << 1 | spread(p[2]) << 2
 }
 
-/// Lattice coordinates of a code.
+/// Lattice coordinates of a Morton code.
 #[must_use]
 pub fn decode(code: u64) -> [u32; 3] {
     [gather(code), gather(code >> 1), gather(code >> 2)]
@@ -25,7 +25,7 @@ fn spread(v: u32) -> u64 {
     (v | v << 2) & 0x1249_2492_4924_9249
 }
 
-/// Inverse of [`spread`]; ignores the other bits.
+/// Inverse of [`spread`]; ignores all other bits.
 fn gather(v: u64) -> u32 {
     let mut v = v & 0x1249_2492_4924_9249;
     v = (v | v >> 2) & 0x10c3_0c30_c30c_30c3;

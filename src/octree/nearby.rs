@@ -1,23 +1,23 @@
-//! The limits around one region, looked up once for all the leaves in it.
+//! The level limits around one region, looked up once for all its leaves.
 
 use super::max_levels::MaxLevels;
 use super::{Cell, Leaves, morton};
 
-/// The leaves of a region and of those that touch it.
+/// The leaves of a region and of the regions that touch it.
 #[derive(Debug, Clone)]
 pub struct Nearby {
     finest: u8,
     /// Levels between a region and the finest cells in it.
     depth: u8,
-    /// The region below the first of `levels` along every axis; wraps at the box's lower faces.
+    /// The lowest of the 3³ regions along every axis; wraps at the lower faces of the box.
     before: [u32; 3],
-    /// Limits of 3³ regions, x first; that of a region outside the box is never asked for.
+    /// Limits of the 3³ regions, x first. Regions outside the box are never asked for.
     levels: [u8; 27],
     is_uniform: bool,
 }
 
 impl Nearby {
-    /// Around the region of a finest cell.
+    /// Looks up the limits around the region of a finest cell.
     #[must_use]
     pub fn new(limits: &MaxLevels, cell: [u32; 3]) -> Self {
         let finest = limits.finest();
@@ -39,13 +39,15 @@ impl Nearby {
         near
     }
 
-    /// Whether a finest cell lies in the region in the middle.
+    /// Checks whether a finest cell lies in the central region.
     #[must_use]
     pub fn is_around(&self, cell: [u32; 3]) -> bool {
         (0..3).all(|axis| (cell[axis] >> self.depth).wrapping_sub(self.before[axis]) == 1)
     }
 
-    /// Whether all leaves that touch `point`, of the region in the middle or its boundary, are of one size: then it is a free vertex of that size.
+    /// Checks whether all leaves that touch `point` have one size, which makes it a free vertex of that size.
+    ///
+    /// The point must lie in the central region or on its boundary.
     #[must_use]
     #[inline]
     pub fn is_inside(&self, point: [u32; 3]) -> bool {
@@ -93,7 +95,7 @@ mod tests {
                     }
                     let masters = masters(&limits, corner);
                     prop_assert_eq!(masters, crate::octree::masters(&near, corner));
-                    // The masters, too, touch no region farther off.
+                    // The masters touch no region farther away either.
                     for &point in masters.points() {
                         prop_assert_eq!(coarseness(&near, point), coarseness(&limits, point));
                     }

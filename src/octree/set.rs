@@ -1,12 +1,15 @@
 //! A succinct sorted set of Morton codes that maps each member to its rank.
 //!
-//! A 64-ary tree: every node holds a 64-bit mask of its occupied children and the number of children of all nodes before it
-//! in its row, so that the child in slot s of node n is node `base[n] + popcount(mask[n] below s)` of the next row, and in
-//! the last row that number is the member's rank. 12 bytes a node; a node of the last row is an aligned 4³ brick of lattice
-//! points, of which surfaces fill a third to a half. Compare the leaf nodes of OpenVDB (Museth 2013) and the rank/select
-//! structures of succinct trees (Jacobson 1989).
+//! It is a 64-ary tree. Every node holds a 64-bit mask of its occupied children, and as its base the number
+//! of children of all earlier nodes in its row. The child in slot s of node n is therefore node
+//! `base[n] + popcount(mask[n] below s)` of the next row; in the last row this number is the member's rank.
+//! A node takes 12 bytes. A node of the last row is an aligned 4³ brick of lattice points, of which surfaces
+//! fill a third to a half. Compare the leaf nodes of OpenVDB (Museth 2013) and the rank/select structures of
+//! succinct trees (Jacobson 1989).
 
-/// A node: its mask in two halves, and its base. Twelve bytes in one place: a look-up that leaves the cache waits once.
+/// A node: the two halves of its mask, and its base.
+///
+/// Its twelve bytes lie together, so that a look-up outside the cache waits only once.
 type Node = [u32; 3];
 
 fn mask([low, high, _]: Node) -> u64 {
@@ -25,7 +28,7 @@ pub struct BrickRank {
 }
 
 impl BrickRank {
-    /// The rank of `code`, a code of this brick, if it is a member.
+    /// The rank of `code`, which must belong to this brick; `None` if it is not a member.
     #[must_use]
     pub fn rank(&self, code: u64) -> Option<u32> {
         let slot = 1_u64 << (code & 63);
@@ -33,19 +36,20 @@ impl BrickRank {
     }
 }
 
-/// A sorted set of Morton codes below 2^(6·rows) with O(rows) rank look-up.
+/// A sorted set of Morton codes below 2^(6·rows), with rank look-up in O(rows).
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct MortonSet {
-    /// From the root (one node) to the bricks.
+    /// Rows of nodes, from the root (one node) to the bricks.
     rows: Vec<Vec<Node>>,
     len: u32,
 }
 
 impl MortonSet {
-    /// The set of the members of `bricks`: strictly increasing codes without their low six bits, with masks that are not empty; all codes below 2^`bits`.
+    /// Builds the set from `bricks`: strictly increasing codes without their low six bits, each with a mask
+    /// that is not empty. All codes are below 2^`bits`.
     ///
     /// # Panics
-    /// If the bricks are not strictly increasing or too large, or there are more than 2³² − 1 members.
+    /// If bricks are empty, not strictly increasing or too large, or if there are more than 2³² − 1 members.
     #[must_use]
     pub fn from_bricks(bits: u32, bricks: impl IntoIterator<Item = (u64, u64)>) -> Self {
         let (mut codes, mut row, mut len) = (Vec::new(), Vec::new(), 0_u32);
@@ -88,19 +92,19 @@ impl MortonSet {
         self.len as usize
     }
 
-    /// Whether the set has no member.
+    /// Checks whether the set has no members.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len == 0
     }
 
-    /// How many members are smaller than `code`, if `code` is a member.
+    /// Number of members smaller than `code`, if `code` is a member.
     #[must_use]
     pub fn rank(&self, code: u64) -> Option<u32> {
         self.brick(code >> 6)?.rank(code)
     }
 
-    /// The members whose codes are 64 · `brick` to 64 · `brick` + 63, if there are any: neighbours are often of one brick.
+    /// The members with codes 64 · `brick` to 64 · `brick` + 63, if there are any. Neighbours often share a brick.
     #[must_use]
     pub fn brick(&self, brick: u64) -> Option<BrickRank> {
         let (last, above) = self.rows.split_last().filter(|_| self.len > 0)?;
@@ -119,9 +123,9 @@ impl MortonSet {
         Some(BrickRank { mask: mask(here), base: base(here) })
     }
 
-    /// All bricks in increasing order: codes without their low six bits, masks, and ranks of the lowest members.
+    /// All bricks in increasing order: code without the low six bits, mask, and rank of the lowest member.
     pub fn bricks(&self) -> impl Iterator<Item = (u64, u64, u32)> + '_ {
-        // A depth-first walk; the stack holds (row, node, prefix, slots still to visit).
+        // Depth-first walk; the stack holds (row, node, prefix, slots still to visit).
         let mut stack = Vec::new();
         if self.len > 0 {
             stack.push((0_usize, 0_u32, 0_u64, mask(self.rows[0][0])));
@@ -175,7 +179,7 @@ mod tests {
     use proptest::prelude::*;
     use std::collections::BTreeSet;
 
-    /// The set of increasing codes.
+    /// The set of the given codes, which increase.
     fn set_of(bits: u32, codes: &[u64]) -> MortonSet {
         let bricks = codes.chunk_by(|a, b| a >> 6 == b >> 6);
         let mask = |codes: &[u64]| codes.iter().fold(0, |mask, code| mask | 1 << (code & 63));
@@ -192,7 +196,7 @@ mod tests {
         #[test]
         fn rank_is_the_position_in_the_sorted_list(codes in proptest::collection::btree_set(0u64..1 << 20, 0..300),
                                                    probes in proptest::collection::vec(0u64..1 << 20, 50)) {
-            // Neighbours of members are the probes that an off-by-one would get wrong.
+            // An off-by-one error would show at neighbours of members.
             let sorted: Vec<u64> = codes.iter().copied().collect();
             let set = set_of(20, &sorted);
             let near: BTreeSet<u64> = sorted.iter().flat_map(|&c| [c.saturating_sub(1), c, c + 1]).collect();

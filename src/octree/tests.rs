@@ -1,4 +1,4 @@
-//! Properties of the octree, against scans over all leaves.
+//! Properties of the octree, compared with scans over all leaves.
 
 use std::collections::BTreeSet;
 
@@ -50,7 +50,7 @@ proptest! {
     fn trilinear_weights_are_a_partition_of_unity(x in 0.0..=1.0, y in 0.0..=1.0, z in 0.0..=1.0) {
         let weights = trilinear(DVec3::new(x, y, z));
         prop_assert!(weights.iter().all(|&w| w >= 0.0));
-        // Seven additions and eight triple products, each rounded once: below 16 ulps of 1.
+        // Seven additions and eight triple products, each rounded once, stay below 16 ulps of 1.
         prop_assert!((weights.iter().sum::<f64>() - 1.0).abs() <= 16.0 * f64::EPSILON);
     }
 
@@ -106,10 +106,10 @@ proptest! {
 
     #[test]
     fn interpolation_reproduces_linear_functions((octree, u) in octrees().prop_flat_map(|o| { let f = o.finest(); (Just(o), points(f)) })) {
-        // Hanging corners are means of their edge's or face's ends, so linear functions pass through unharmed.
+        // Hanging corners are means of the ends of their edge or face, so linear functions pass through unharmed.
         let linear = |p: DVec3| 1.0 + 2.0 * p.x - 3.0 * p.y + 0.5 * p.z;
         let values: Vec<f64> = octree.vertex_positions().map(|p| linear(DVec3::from(p.map(f64::from)))).collect();
-        // Values reach 100; a few dozen rounded operations.
+        // Values reach 100 and pass through a few dozen rounded operations.
         prop_assert!((interpolate(&octree, &values, u) - linear(u)).abs() < 1e-11);
     }
 
@@ -122,7 +122,7 @@ proptest! {
         for side in 0..27 {
             let steps = DVec3::new(f64::from(side % 3 - 1), f64::from(side / 3 % 3 - 1), f64::from(side / 9 - 1));
             let near = (u + step * steps).clamp(DVec3::ZERO, DVec3::splat(m));
-            // Values lie in [0, 1), cells have edge >= 1: the slope is below 1 per axis, 3 in all.
+            // Values lie in [0, 1) and cells have edge >= 1, so the slope is below 1 per axis, 3 in all.
             let jump = (interpolate(&octree, &values, near) - here).abs();
             prop_assert!(jump <= 3.0 * step + 1e-13, "jump {} at {} towards {}", jump, u, steps);
         }
@@ -144,11 +144,11 @@ proptest! {
 
 #[test]
 fn balance_adds_nothing_that_is_not_needed() {
-    // One finest cell in a corner: the classic graded chain, one split cell per level.
+    // One finest cell in a corner gives the classic graded chain: one split cell per level.
     let octree = Octree::refined(5, [Cell { level: 5, index: [0; 3] }]);
     let stats = octree.validate().unwrap();
     assert_eq!(stats.leaves_per_level, [0, 7, 7, 7, 7, 8]);
-    // Without wanted cells the octree is the box itself.
+    // Without wanted cells, the octree is the box itself.
     assert_eq!(Octree::refined(5, []).validate().unwrap().leaves_per_level, [1, 0, 0, 0, 0, 0]);
 }
 
@@ -161,7 +161,7 @@ fn fully_refined_has_all_lattice_points() {
 
 #[test]
 fn unbalanced_masks_are_refused() {
-    // Root split, child 7 split, its child 0 split: at level 4 that child's children touch leaf 0 of level 1.
+    // Child 7 of the root is split, then twice its child 0: leaves of level 4 touch leaf 0 of level 1.
     let split = vec![vec![0], vec![7], vec![7 << 3], vec![7 << 6]];
     let tree = CellTree::from_split(4, &split);
     let (root_split, masks) = tree.raw();

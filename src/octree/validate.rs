@@ -1,4 +1,4 @@
-//! The octree describes and checks itself.
+//! Lets the octree describe and check itself.
 
 use std::collections::BTreeSet;
 
@@ -17,17 +17,17 @@ pub struct OctreeStats {
 }
 
 impl OctreeStats {
-    /// All leaves.
+    /// Number of leaves of all levels.
     #[must_use]
     pub fn leaves(&self) -> u64 {
         self.leaves_per_level.iter().sum()
     }
 }
 
-/// The first property that an octree was found to lack.
+/// The first property that an octree lacks.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum Defect {
-    /// The leaves' volumes do not add up to the box: not complete, or overlapping.
+    /// The leaves' volumes do not add up to the box: leaves are missing or overlap.
     #[error("leaves cover {found} finest cells of {expected}")]
     NotComplete {
         /// Finest cells of the box.
@@ -35,12 +35,12 @@ pub enum Defect {
         /// Finest cells of all leaves together.
         found: u128,
     },
-    /// Looking a leaf up by its own position finds another one.
+    /// Looking up a leaf by its own position finds another one.
     #[error("leaf {leaf:?} is found as {found:?}")]
     NotFound {
         /// The leaf visited.
         leaf: Cell,
-        /// The leaf that the look-up gives.
+        /// The leaf found instead.
         found: Cell,
     },
     /// Two touching leaves differ by more than one level.
@@ -51,7 +51,7 @@ pub enum Defect {
         /// The larger leaf.
         neighbor: Cell,
     },
-    /// A corner's status does not follow from the leaves around it.
+    /// A corner's status contradicts the leaves around it.
     #[error("corner {point:?} of leaf {leaf:?}: {problem}")]
     WrongCorner {
         /// The leaf visited.
@@ -61,7 +61,7 @@ pub enum Defect {
         /// What is wrong.
         problem: &'static str,
     },
-    /// The vertex table has members that are corners of no leaf, or lacks some.
+    /// The vertex table holds vertices that are corners of no leaf, or lacks some.
     #[error("{found} vertices stored, {expected} free corners counted")]
     WrongVertexCount {
         /// Free corners found by walking the leaves.
@@ -72,11 +72,14 @@ pub enum Defect {
 }
 
 impl Octree {
-    /// Checks that the octree is complete, without overlap, 2:1 balanced over faces, edges and corners, that every leaf corner
-    /// is free or hangs on a leaf of the next coarser level with free ends, and that vertex ids are the ranks of positions.
+    /// Checks that the octree is sound and counts what it consists of.
+    ///
+    /// Sound means: complete, without overlap, and 2:1 balanced over faces, edges and corners. Every leaf
+    /// corner is either free or hangs on a leaf of the next coarser level with free ends. There are as many
+    /// vertices as free corners.
     ///
     /// # Errors
-    /// The first defect met.
+    /// The first defect found.
     pub fn validate(&self) -> Result<OctreeStats, Defect> {
         let finest = self.finest();
         let mut leaves = Vec::new();
@@ -113,7 +116,9 @@ impl Octree {
         Ok(OctreeStats { leaves_per_level, free_vertices: free.len() as u64, hanging_corners: hanging.len() as u64 })
     }
 
-    /// A larger leaf that touches `leaf` contains the whole cell of `leaf`'s size on that side: 26 look-ups find them all.
+    /// Checks that no leaf touching `leaf` is more than one level coarser.
+    ///
+    /// A larger leaf contains the whole neighbouring cell of `leaf`'s size, so 26 look-ups find them all.
     fn check_balance(&self, leaf: Cell) -> Result<(), Defect> {
         let per_axis = 1_i64 << leaf.level;
         let shift = self.finest() - leaf.level;
@@ -131,7 +136,7 @@ impl Octree {
         Ok(())
     }
 
-    /// Whether a corner is free; an error if the stored status disagrees with the leaves around it.
+    /// Returns whether a corner is free; an error if its stored status contradicts the leaves around it.
     fn check_corner(&self, leaf: Cell, point: [u32; 3]) -> Result<bool, Defect> {
         let wrong = |problem| Defect::WrongCorner { leaf, point, problem };
         match (self.vertex(point), hanging_on(self.cells(), point)) {

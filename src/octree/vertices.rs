@@ -1,26 +1,28 @@
-//! The free vertices of an octree, numbered.
+//! The numbered free vertices of an octree.
 //!
-//! A vertex is as coarse as the finest leaf that touches it: its *coarseness* is the number of levels from the finest one to that
-//! leaf's. Vertices of one coarseness lie on one lattice, side by side along surfaces, and make one [`MortonSet`] of points of that
-//! lattice. Ids run through the sets, the finest first, in Morton order within each.
+//! A vertex is as coarse as the finest leaf that touches it: its *coarseness* is the number of levels from
+//! the finest one to that of this leaf. Vertices of one coarseness lie on one lattice, side by side along
+//! surfaces, and form one [`MortonSet`] of points of that lattice. Ids run through the sets from the finest,
+//! in Morton order within each.
 
 use rayon::prelude::*;
 
 use super::set::BrickRank;
 use super::{MortonSet, morton};
 
-/// Coarsenesses whose bricks a search keeps apart.
+/// Number of coarsenesses whose bricks a search caches separately.
 const KEPT: usize = 4;
 
-/// A search that looks a brick up once for all its vertices in a row; the plain way is [`VertexTable::find_at`].
+/// A search that looks up a brick once for all its vertices in a row. [`VertexTable::find_at`] is the plain way.
 pub struct Finder<'a> {
     table: &'a VertexTable,
-    /// Bricks looked up lately, by coarseness and the low bits of their code, which tell the eight bricks around a point apart: key and content.
+    /// Bricks looked up recently: key and content, by coarseness and the low bits of the code. These bits
+    /// distinguish the eight bricks around a point.
     recent: [(u64, Option<BrickRank>); 8 * KEPT],
 }
 
 impl Finder<'_> {
-    /// No brick has this key.
+    /// A key that no brick has.
     const NONE: u64 = u64::MAX;
 
     /// As [`VertexTable::find_at`].
@@ -38,10 +40,10 @@ impl Finder<'_> {
     }
 }
 
-/// The vertices of one brick, or the rest of them.
+/// The vertices of one brick that are still to come.
 #[derive(Clone, Copy, Default)]
 struct Members {
-    /// Number of the lowest one.
+    /// Number of the lowest vertex.
     first: u32,
     mask: u64,
     brick: u64,
@@ -53,12 +55,12 @@ struct Members {
 pub struct VertexTable {
     /// One set per coarseness, 0 first.
     sets: Vec<MortonSet>,
-    /// Vertices of all sets before each.
+    /// Number of vertices before each set.
     offsets: Vec<u32>,
 }
 
 impl VertexTable {
-    /// The table of the vertices of each coarseness, 0 first, as points of their own lattice.
+    /// Builds the table from the vertices of each coarseness, 0 first, as points of their own lattice.
     ///
     /// # Panics
     /// If there are more than 2³² − 1 vertices.
@@ -81,7 +83,7 @@ impl VertexTable {
         self.sets.iter().map(MortonSet::len).sum()
     }
 
-    /// The number of the vertex at a lattice point that has the given coarseness, if there is one.
+    /// The number of the vertex of the given coarseness at a lattice point, if there is one.
     #[must_use]
     pub fn find_at(&self, point: [u32; 3], coarseness: u8) -> Option<u32> {
         if point.iter().any(|i| i.trailing_zeros() < u32::from(coarseness)) {
@@ -91,7 +93,7 @@ impl VertexTable {
         Some(self.offsets[usize::from(coarseness)] + rank)
     }
 
-    /// A search for neighbouring vertices.
+    /// A search for vertices that are near each other.
     #[must_use]
     pub fn finder(&self) -> Finder<'_> {
         Finder { table: self, recent: [(Finder::NONE, None); 8 * KEPT] }
@@ -109,7 +111,7 @@ impl VertexTable {
         sets.flat_map(|(coarseness, set)| set.iter().map(move |code| morton::decode(code).map(|i| i << coarseness)))
     }
 
-    /// The same, in parallel.
+    /// [`VertexTable::points`] in parallel.
     pub fn par_points(&self) -> impl IndexedParallelIterator<Item = [u32; 3]> + '_ {
         let sets = (0_u8..).zip(&self.sets).zip(&self.offsets);
         let bricks: Vec<Members> = sets
@@ -117,7 +119,7 @@ impl VertexTable {
                 set.bricks().map(move |(brick, mask, rank)| Members { first: offset + rank, mask, brick, coarseness })
             })
             .collect();
-        // Numbers mostly come one after the other.
+        // Consecutive numbers mostly follow each other on the same thread.
         let nowhere = || (0, Members::default());
         (0..self.len() as u32).into_par_iter().map_init(nowhere, move |(at, rest), number| {
             if rest.mask == 0 || rest.first != number {

@@ -1,7 +1,7 @@
-//! A city: streets, buildings, trees and lamps in a cube of 512 m, drawn from a seed.
+//! A city drawn from a seed: streets, buildings, trees and lamps in a cube of 512 m.
 //!
-//! Metres; z is up and the streets lie at z = 0. A scene too large for a dense grid that resolves its surfaces: their ramps are
-//! four cells wide at 4096 cells per axis.
+//! Lengths are metres; z is up and the streets lie at z = 0. The scene is too large for a dense grid that
+//! resolves its surfaces: at 4096 cells per axis their ramps are four cells wide.
 
 use std::f32::consts::TAU;
 
@@ -15,32 +15,32 @@ use super::{ClosedForm, Primitive, Shape, Texture};
 use crate::Result;
 use crate::geometry::Aabb;
 
-/// Edge of the cube.
+/// Edge of the cube, m.
 const EDGE: f32 = 512.0;
-/// Height of the cube's lower face.
+/// Height of the cube's lower face, m.
 const FLOOR: f32 = -16.0;
-/// Blocks along each axis.
+/// Number of blocks along each axis.
 const BLOCKS: usize = 6;
-/// Edge of a block, on average.
+/// Average edge of a block, m.
 const BLOCK: f32 = 64.0;
-/// From block to block.
+/// Distance from block to block, m.
 const STREET: f32 = 16.0;
-/// From a block's edge to its buildings.
+/// Distance from a block's edge to its buildings, m.
 const SIDEWALK: f32 = 4.5;
-/// Surfaces are opaque within their ramp: optical depth 10 over 2 · softness.
+/// Peak density, 1/m. It makes surfaces opaque within their ramp: optical depth 10 over 2 · softness.
 const PEAK: f32 = 40.0;
-/// Half the width of a surface's ramp.
+/// Half the width of a surface's ramp, m.
 const SOFTNESS: f32 = 0.25;
-/// Edge of the columns that sort the primitives: a few of them in each.
+/// Edge of the columns that sort the primitives, m. Each column holds a few of them.
 const COLUMN: f32 = 8.0;
 
-/// Positions along the drive; four views from each.
+/// Positions along the drive, with four views from each.
 const STOPS: u32 = 200;
-/// Crossings at which the drive turns: numbers of the streets along y and x.
+/// Crossings at which the drive turns, as indices of the streets along y and x.
 const ROUTE: [[usize; 2]; 7] = [[1, 0], [1, 3], [3, 3], [3, 1], [5, 1], [5, 5], [2, 5]];
 
 impl ClosedForm {
-    /// The city of a seed, some 2,500 shapes, seen by a drive through its streets.
+    /// The city of a seed: some 2,500 shapes, seen on a drive through its streets.
     pub(super) fn city(seed: u64) -> Result<Self> {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let plan = Plan::draw(&mut rng);
@@ -59,12 +59,12 @@ impl ClosedForm {
     }
 }
 
-/// A number between two others.
+/// Draws a number between two others.
 fn between(rng: &mut impl Rng, low: f32, high: f32) -> f32 {
     rng.random_range(low..high)
 }
 
-/// Happens with this probability.
+/// Draws true with the given probability.
 fn chance(rng: &mut impl Rng, probability: f32) -> bool {
     between(rng, 0.0, 1.0) < probability
 }
@@ -75,26 +75,26 @@ fn solid(min: Vec3, max: Vec3, texture: Texture) -> Primitive {
     Primitive { shape, peak: PEAK, softness: SOFTNESS, texture }
 }
 
-/// A texture of waves that repeats after `wavelength`.
+/// A texture of waves with period `wavelength`.
 fn waves(base: Vec3, amplitude: f32, wavelength: f32) -> Texture {
     Texture::Waves { base, amplitude, frequency: TAU / wavelength }
 }
 
-/// Asphalt everywhere, down to below the cube.
+/// Asphalt everywhere, reaching below the cube.
 fn ground() -> Primitive {
     let shape = Shape::Slab { center: Vec3::new(0.0, 0.0, FLOOR), normal: Vec3::Z, half: -FLOOR };
     let texture = waves(Vec3::new(0.36, 0.36, 0.38), 0.09, 5.0);
     Primitive { shape, peak: PEAK, softness: SOFTNESS, texture }
 }
 
-/// Where blocks begin and end, and the middles of the streets between them, along x and along y.
+/// Where blocks begin and end along x and y, and the centre lines of the streets between them.
 struct Plan {
     blocks: [Vec<[f32; 2]>; 2],
     streets: [Vec<f32>; 2],
 }
 
 impl Plan {
-    /// Blocks of different widths, as many as fit between two outer streets.
+    /// Draws blocks of different widths that fit between two outer streets.
     fn draw(rng: &mut impl Rng) -> Self {
         let mut plan = Self { blocks: [Vec::new(), Vec::new()], streets: [Vec::new(), Vec::new()] };
         let margin = 0.5 * (EDGE - BLOCKS as f32 * BLOCK - (BLOCKS - 1) as f32 * STREET);
@@ -112,7 +112,8 @@ impl Plan {
         plan
     }
 
-    /// Dashes along the middle of every street, between crossings: colour in the surface, not a step.
+    /// Adds dashes along the centre line of every street between crossings. They are colour in the surface,
+    /// not a step.
     fn markings(&self, primitives: &mut Vec<Primitive>) {
         let white = Texture::Plain(Vec3::splat(0.92));
         for axis in 0..2 {
@@ -123,15 +124,16 @@ impl Plan {
                     let center =
                         if axis == 0 { Vec3::new(along, across, -0.2) } else { Vec3::new(across, along, -0.2) };
                     let half = if axis == 0 { Vec3::new(1.6, 0.2, 0.2) } else { Vec3::new(0.2, 1.6, 0.2) };
-                    // Twice the ground's density: two thirds of the colour.
+                    // With twice the ground's density, a dash has two thirds of the colour.
                     primitives.push(Primitive { peak: 2.0 * PEAK, ..solid(center - half, center + half, white) });
                 }
             }
         }
     }
 
-    /// A drive along [`ROUTE`] in the middle of the streets, at the height of a car's roof rack; at every stop a view ahead,
-    /// to the left, to the right and back.
+    /// A drive along [`ROUTE`] in the middle of the streets, at the height of a roof rack.
+    ///
+    /// Every stop has a view ahead, to the left, to the right and back.
     fn drive(&self) -> Rig {
         let crossings = ROUTE.map(|[i, j]| DVec3::new(self.streets[0][i].into(), self.streets[1][j].into(), 1.8));
         let length: f64 = crossings.windows(2).map(|leg| leg[0].distance(leg[1])).sum();
@@ -165,7 +167,7 @@ impl Plot {
         Self { min: self.min + by, max: self.max - by }
     }
 
-    /// Two plots on both sides of a cut across the longer edge.
+    /// The two plots on either side of a cut across the longer edge.
     fn split(self, rng: &mut impl Rng) -> [Self; 2] {
         let axis = usize::from(self.max.y - self.min.y > self.max.x - self.min.x);
         let cut = self.min[axis] + between(rng, 0.4, 0.6) * (self.max[axis] - self.min[axis]);
@@ -175,13 +177,13 @@ impl Plot {
         [low, high]
     }
 
-    /// A block: pavement, one to four buildings, trees and lamps along the kerb.
+    /// Adds a block: pavement, one to four buildings, trees and lamps along the kerb.
     fn furnish(self, rng: &mut impl Rng, primitives: &mut Vec<Primitive>) {
         let pavement = waves(Vec3::new(0.66, 0.62, 0.56), 0.12, 2.5);
         primitives.push(solid(self.min.extend(-1.0), self.max.extend(0.2), pavement));
         let mut lots = vec![self.inset(SIDEWALK)];
         for _ in 0..rng.random_range(0_u32..4) {
-            // From the front: the whole is split before its halves are.
+            // Taking the first lot splits the whole block before its halves.
             let halves = lots.remove(0).split(rng);
             lots.extend(halves);
         }
@@ -205,7 +207,7 @@ impl Plot {
         }
     }
 
-    /// A building, with a set-back if it is high.
+    /// Adds a building; a high one may have a set-back.
     fn build(self, rng: &mut impl Rng, primitives: &mut Vec<Primitive>) {
         let wall = WALLS[rng.random_range(0..WALLS.len() as u32) as usize] * between(rng, 0.85, 1.1);
         let glass = if chance(rng, 0.7) { Vec3::new(0.13, 0.18, 0.27) } else { Vec3::new(0.85, 0.88, 0.8) };
@@ -230,7 +232,7 @@ impl Plot {
     }
 }
 
-/// Colours of facades.
+/// Facade colours.
 const WALLS: [Vec3; 7] = [
     Vec3::new(0.72, 0.42, 0.33),
     Vec3::new(0.82, 0.74, 0.58),
@@ -241,7 +243,7 @@ const WALLS: [Vec3; 7] = [
     Vec3::new(0.52, 0.60, 0.52),
 ];
 
-/// A trunk, and a crown of fog: fuzzy density that no surface bounds.
+/// Adds a trunk and a crown of fog: fuzzy density without a surface.
 fn tree(at: Vec2, rng: &mut impl Rng, primitives: &mut Vec<Primitive>) {
     let trunk = between(rng, 3.5, 5.0);
     let bark = Texture::Plain(Vec3::new(0.35, 0.25, 0.17));
@@ -255,7 +257,7 @@ fn tree(at: Vec2, rng: &mut impl Rng, primitives: &mut Vec<Primitive>) {
     }
 }
 
-/// A post of 10 cm radius with a globe.
+/// Adds a square post, 20 cm wide, with a globe.
 fn lamp(at: Vec2, primitives: &mut Vec<Primitive>) {
     let steel = Texture::Plain(Vec3::new(0.2, 0.2, 0.22));
     let post = solid((at - 0.1).extend(0.0), (at + 0.1).extend(5.0), steel);

@@ -1,4 +1,4 @@
-//! Which of many primitives can be felt at a point: lists on a horizontal grid of columns.
+//! Finds the few of many primitives that have density at a point: lists on a horizontal grid of columns.
 
 use std::ops::Range;
 
@@ -7,28 +7,29 @@ use glam::{Vec2, Vec3};
 use super::Primitive;
 use crate::geometry::Aabb;
 
-/// A grid of square columns over the whole height of a box, each with the primitives that have density in it.
+/// A grid of square columns over the whole height of a box. Each lists the primitives with density in it.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Columns {
     min: Vec2,
     edge: f32,
-    /// Columns along x and y.
+    /// Number of columns along x and y.
     count: [usize; 2],
-    /// Where each column's list begins in `members`, `[x · y + 1]`, y fastest.
+    /// Where each column's list begins in `members`: `[x · y + 1]`, y fastest.
     offsets: Vec<u32>,
-    /// Indices of primitives, increasing within a column: densities are added in the same order everywhere.
+    /// Indices of primitives, increasing within a column, so that densities are added in the same order
+    /// everywhere.
     members: Vec<u32>,
 }
 
 impl Columns {
-    /// Sorts `primitives` into columns about `edge` wide (scene units).
+    /// Sorts `primitives` into columns of width `edge` (scene units).
     pub fn new(primitives: &[Primitive], bounds: &Aabb, edge: f32) -> Self {
         let (low, high) = (bounds.min().as_vec3(), bounds.max().as_vec3());
         let count = [0, 1].map(|axis| ((high[axis] - low[axis]) / edge).ceil().max(1.0) as usize);
         let mut columns = Self { min: low.truncate(), edge, count, offsets: vec![0], members: Vec::new() };
         for column in 0..count[0] * count[1] {
             let corner = columns.corner(column);
-            // A point may be rounded into a column that it is outside of by as much as an ulp.
+            // Rounding may put a point into a column that it misses by an ulp.
             let slack = 1e-3 * edge;
             let (min, max) = ((corner - slack).extend(low.z), (corner + edge + slack).extend(high.z));
             let felt = primitives.iter().enumerate().filter(|(_, p)| p.density_bound(min, max) > 0.0);
@@ -44,7 +45,7 @@ impl Columns {
         self.min + index * self.edge
     }
 
-    /// Indices of the column of a coordinate along `axis`; the outermost columns take what is outside.
+    /// Index of the column of a coordinate along `axis`. The outermost columns take what is outside.
     fn index(&self, x: f32, axis: usize) -> usize {
         (((x - self.min[axis]) / self.edge) as usize).min(self.count[axis] - 1)
     }
@@ -54,7 +55,7 @@ impl Columns {
         self.members(self.index(x.x, 0) * self.count[1] + self.index(x.y, 1))
     }
 
-    /// The lists of all columns that points from `min` to `max` are in.
+    /// The lists of all columns that contain points from `min` to `max`.
     pub fn between(&self, min: Vec3, max: Vec3) -> impl Iterator<Item = &[u32]> {
         let range = |axis: usize| -> Range<usize> { self.index(min[axis], axis)..self.index(max[axis], axis) + 1 };
         let ys = range(1);

@@ -1,8 +1,8 @@
 //! Scenes with known answers: sums of simple shapes with closed-form density and colour.
 //!
-//! A shape's density rises from 0 at signed distance d = s (softness) to its peak at d = −s along a smooth ramp (quintic, twice
-//! differentiable), for s = 0 as a step. Like in a trained field, empty space is exactly empty. Densities of shapes add;
-//! colours mix in proportion to them.
+//! A shape's density rises from 0 at signed distance d = s (softness) to its peak at d = −s along a smooth
+//! ramp (a quintic, twice differentiable); for s = 0 it is a step. As in a trained field, empty space is
+//! exactly empty. Densities of shapes add, and colours mix in proportion to them.
 
 mod city;
 mod columns;
@@ -25,7 +25,7 @@ use crate::{Error, Result};
 pub struct ClosedForm {
     name: String,
     primitives: Vec<Primitive>,
-    /// Which of many primitives to add up where; without it, all of them.
+    /// Lists of the primitives to add up by position; without it, all are added up.
     columns: Option<Columns>,
     bounds: Aabb,
     step: f64,
@@ -33,13 +33,14 @@ pub struct ClosedForm {
 }
 
 impl ClosedForm {
-    /// A scene of `primitives`; density outside `bounds` counts as zero, `step` is the sample distance that resolves it.
+    /// A scene of `primitives`. The density outside `bounds` counts as zero; `step` is the sample distance
+    /// that resolves it, scene units.
     #[must_use]
     pub fn new(name: &str, primitives: Vec<Primitive>, bounds: Aabb, step: f64) -> Self {
         Self { name: name.to_owned(), primitives, columns: None, bounds, step, rig: None }
     }
 
-    /// Names accepted by [`ClosedForm::named`], beside `city-SEED`.
+    /// Names accepted by [`ClosedForm::named`], besides `city-SEED`.
     pub const NAMES: [&'static str; 6] = ["courtyard", "ball", "slab", "wall", "floater", "city"];
 
     /// The built-in scene of that name; `city` is `city-0`.
@@ -65,41 +66,42 @@ impl ClosedForm {
         }
     }
 
-    /// The same scene with samples `step` apart.
+    /// The same scene with samples `step` apart, scene units.
     #[must_use]
     pub fn with_step(self, step: f64) -> Self {
         Self { step, ..self }
     }
 
-    /// The primitives that are added up.
+    /// The primitives of the scene.
     #[must_use]
     pub fn primitives(&self) -> &[Primitive] {
         &self.primitives
     }
 
-    /// Density and colour at a point of the box: the sum over some of the primitives.
+    /// Density and colour at a point of the box, summed over `primitives`.
     fn sum<'a>(x: Vec3, primitives: impl IntoIterator<Item = &'a Primitive>) -> Radiance {
         let (mut density, mut weighted) = (0.0, Vec3::ZERO);
         for primitive in primitives {
             let share = primitive.density(x);
-            // Most shapes are elsewhere: their colour would be multiplied by zero.
+            // Most shapes are elsewhere, and their colour would be multiplied by zero.
             if share != 0.0 {
                 density += share;
                 weighted += share * primitive.color(x);
             }
         }
-        // Where there is no density the colour has no weight either; a denormal divisor would make it noise.
+        // Where there is no density, colour has no weight. A denormal divisor would turn it into noise.
         let color = if density > f32::MIN_POSITIVE { weighted / density } else { Vec3::splat(0.5) };
         Radiance { density, color }
     }
 
-    /// Those of the primitives that a list names.
+    /// The primitives whose indices are in a list.
     fn listed<'a>(&'a self, list: &'a [u32]) -> impl Iterator<Item = &'a Primitive> {
         list.iter().map(|&i| &self.primitives[i as usize])
     }
 }
 
-/// Sum of the primitives' bounds, in the order in which densities are added: rounding cannot put it below them.
+/// Sum of the primitives' bounds, in the order in which densities are added, so that rounding cannot put it
+/// below the density.
 fn sum_of_bounds<'a>(min: Vec3, max: Vec3, primitives: impl Iterator<Item = &'a Primitive>) -> f32 {
     primitives.fold(0.0, |sum, primitive| sum + primitive.density_bound(min, max))
 }

@@ -1,4 +1,4 @@
-//! The cameras that a scene is meant to be seen by.
+//! The cameras meant for a scene.
 
 use std::f64::consts::PI;
 
@@ -8,10 +8,10 @@ use crate::field::Intrinsics;
 use crate::geometry::Camera;
 use crate::{Error, Result};
 
-/// Viewpoints, and the lens that all of them have unless told otherwise.
+/// Viewpoints, and the lens that all of them share unless told otherwise.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Rig {
-    /// Eye and the point it looks at, scene units; z is up.
+    /// Eye and look-at point, scene units; z is up.
     pub viewpoints: Vec<(DVec3, DVec3)>,
     /// Horizontal angle of view, radians.
     pub fov_x: f64,
@@ -20,7 +20,7 @@ pub(crate) struct Rig {
 }
 
 impl Rig {
-    /// `count` viewpoints on a half circle at two heights on the side x > 0.
+    /// `count` viewpoints at two heights on a half circle on the side x > 0.
     pub fn half_circle(count: u32, resolution: [u32; 2]) -> Self {
         let viewpoints = (0..count)
             .map(|i| {
@@ -32,7 +32,7 @@ impl Rig {
         Self { viewpoints, fov_x: 0.8, resolution }
     }
 
-    /// One camera per viewpoint; `intrinsics` go before the rig's own lens.
+    /// One camera per viewpoint; `intrinsics` override the rig's own lens.
     ///
     /// # Errors
     /// If the angle of view is not between 0 and π.
@@ -45,7 +45,7 @@ impl Rig {
         Ok(self.with_lens(fov_x, intrinsics.resolution.unwrap_or(self.resolution)))
     }
 
-    /// One camera per viewpoint, all with this lens.
+    /// One camera per viewpoint, all with the given lens.
     pub fn with_lens(&self, fov_x: f64, resolution: [u32; 2]) -> Vec<Camera> {
         let camera = |&(eye, target): &(DVec3, DVec3)| Camera::look_at(eye, target, DVec3::Z, fov_x, resolution);
         self.viewpoints.iter().map(camera).collect()
@@ -63,7 +63,7 @@ mod tests {
         assert_eq!((own.len(), own[0].resolution), (3, [200, 100]));
         let right_angle = Intrinsics { fov_x: Some(0.5 * PI), resolution: Some([80, 60]) };
         let told = rig.cameras(&right_angle).unwrap();
-        // tan 45° = 1: half the width is the focal length.
+        // tan 45° = 1, so the focal length is half the width.
         assert!((told[0].focal[0] - 40.0).abs() < 1e-12 && told[0].resolution == [80, 60]);
         assert_eq!(told[2].position, own[2].position);
         for fov_x in [0.0, PI, f64::NAN] {

@@ -1,4 +1,4 @@
-//! Small scenes about the origin.
+//! Small scenes around the origin.
 
 use glam::Vec3;
 
@@ -6,13 +6,14 @@ use super::rig::Rig;
 use super::{ClosedForm, Primitive, Shape, Texture};
 use crate::geometry::{Aabb, Camera};
 
-/// Cameras of a small scene.
+/// Number of cameras of a small scene.
 const CAMERAS: u32 = 40;
-/// Their pixels.
+/// Width and height of their images, pixels.
 const RESOLUTION: [u32; 2] = [200, 200];
 
 impl ClosedForm {
-    /// A homogeneous grey slab |x| < ½ of the given density: transmittance through it is exp(−density).
+    /// A homogeneous grey slab |x| < ½ of the given density (1 / scene unit). Its transmittance along x is
+    /// exp(−density).
     #[must_use]
     pub fn slab(density: f32) -> Self {
         let shape = Shape::Slab { center: Vec3::ZERO, normal: Vec3::X, half: 0.5 };
@@ -29,7 +30,7 @@ impl ClosedForm {
         Self::seen_from_one_side("ball", vec![ball], Aabb::centered_cube(1.0), 1.0 / 256.0)
     }
 
-    /// A textured wall through the origin with unit normal along `normal`.
+    /// A textured wall through the origin with its normal along `normal`.
     #[must_use]
     pub fn wall(normal: Vec3) -> Self {
         let shape = Shape::Slab { center: Vec3::ZERO, normal: normal.normalize(), half: 0.1 };
@@ -38,7 +39,7 @@ impl ClosedForm {
         Self::seen_from_one_side("wall", vec![wall], Aabb::centered_cube(1.0), 1.0 / 256.0)
     }
 
-    /// A faint fuzzy cloud, nothing else.
+    /// A faint fuzzy cloud and nothing else.
     #[must_use]
     pub fn floater() -> Self {
         let shape = Shape::Fog { center: Vec3::new(0.1, 0.0, 0.0), radius: 0.5 };
@@ -46,7 +47,8 @@ impl ClosedForm {
         Self::seen_from_one_side("floater", vec![fog], Aabb::centered_cube(1.0), 1.0 / 128.0)
     }
 
-    /// Floor, four balls, a box and a fuzzy floater in `[-1, 1]`³; surfaces are about four cells of a 128³ grid thick.
+    /// A floor, four balls, a box and a fuzzy floater in `[-1, 1]`³. Surfaces are about four cells of a 128³
+    /// grid thick.
     #[must_use]
     pub fn courtyard() -> Self {
         let solid = |shape, texture| Primitive { shape, peak: 120.0, softness: 0.031, texture };
@@ -67,8 +69,9 @@ impl ClosedForm {
         Self::seen_from_one_side("courtyard", primitives, Aabb::centered_cube(1.0), 1.0 / 256.0)
     }
 
-    /// Cameras for a built-in scene: `count` on a half circle at two heights on the side x > 0, so that the other side of
-    /// every object stays unseen.
+    /// `count` cameras for a built-in scene, at two heights on a half circle on the side x > 0.
+    ///
+    /// The other side of every object stays unseen.
     #[must_use]
     pub fn half_circle(count: u32, resolution: [u32; 2]) -> Vec<Camera> {
         let rig = Rig::half_circle(count, resolution);

@@ -1,9 +1,9 @@
 //! Shapes with closed-form density and colour.
 //!
-//! Letters: `d` signed distance to a shape's surface (negative inside), `s` softness (scene units), `peak` the density deep
-//! inside (1 / scene unit), `a` the offset of a point from a shape's centre, folded into the first octant: |normal · (x −
-//! center)| along x for a slab, |x − center| along each axis for the others. Density does not rise with any component of a:
-//! that is what makes bounds over boxes exact.
+//! Letters: `d` signed distance to a shape's surface (negative inside), `s` softness (scene units), `peak`
+//! the density deep inside (1 / scene unit), `a` the offset of a point from a shape's centre, folded into the
+//! first octant. For a slab, a is |normal · (x − center)| along x; for the others it is |x − center| along
+//! each axis. Density does not rise with any component of a, which makes bounds over boxes exact.
 
 use std::f32::consts::TAU;
 
@@ -35,11 +35,11 @@ pub enum Shape {
         /// Half edges.
         half: Vec3,
     },
-    /// A cloud: density peak · (1 − |x − center|² / radius²)³ inside the radius; softness is not used.
+    /// A cloud of density peak · (1 − |x − center|² / radius²)³ inside the radius; softness is not used.
     Fog {
         /// Centre.
         center: Vec3,
-        /// Where the cloud ends.
+        /// Radius at which the cloud ends.
         radius: f32,
     },
 }
@@ -47,25 +47,26 @@ pub enum Shape {
 /// Colour of a shape as a function of position.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Texture {
-    /// One colour: sliding along the surface changes nothing.
+    /// One colour. Sliding along the surface changes nothing.
     Plain(Vec3),
-    /// base + amplitude · sin(ωx) sin(ωy) sin(ωz), phase-shifted per channel; smooth, ω in radians / scene unit.
+    /// base + amplitude · sin(ωx) sin(ωy) sin(ωz), smooth, with a phase shift per channel;
+    /// ω in radians / scene unit.
     Waves {
         /// Mean colour.
         base: Vec3,
-        /// Largest deviation, per channel; base ± amplitude must stay in `[0, 1]`.
+        /// Largest deviation per channel. base ± amplitude must stay in `[0, 1]`.
         amplitude: f32,
         /// Angular frequency, radians / scene unit.
         frequency: f32,
     },
-    /// Rows of windows on upright walls along x or y; they run along x + y, so that both kinds of wall show them. Twice
-    /// differentiable.
+    /// Rows of windows on upright walls along x or y, twice differentiable. The rows run along x + y, so that
+    /// both kinds of wall show them.
     Windows {
         /// Colour between the windows.
         wall: Vec3,
         /// Colour of a window.
         glass: Vec3,
-        /// From one window to the next along the wall and upwards, scene units.
+        /// Distance from window to window along the wall and upwards, scene units.
         pitch: [f32; 2],
     },
 }
@@ -73,11 +74,11 @@ pub enum Texture {
 /// One shape of a closed-form scene.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Primitive {
-    /// Where density is.
+    /// Where the density is.
     pub shape: Shape,
     /// Density deep inside, 1 / scene unit.
     pub peak: f32,
-    /// Half the width of the transition from inside to outside, scene units; 0 is a step.
+    /// Half the width of the transition from inside to outside, scene units. 0 is a step.
     pub softness: f32,
     /// Colour.
     pub texture: Texture,
@@ -97,12 +98,13 @@ impl Primitive {
         })
     }
 
-    /// Least upper bound of [`Primitive::density`] in the box from `min` to `max`, up to rounding: never below it, and 0
-    /// where no point of the box has density.
+    /// Least upper bound of [`Primitive::density`] in the box from `min` to `max`, up to rounding.
+    ///
+    /// It is never below the density, and 0 where no point of the box has density.
     pub(super) fn density_bound(&self, min: Vec3, max: Vec3) -> f32 {
         let nearest = match self.shape {
             Shape::Slab { center, normal, .. } => {
-                // Interval arithmetic in the order in which `dot` adds up.
+                // Interval arithmetic adds in the order of `dot`.
                 let (a, b) = (normal * (min - center), normal * (max - center));
                 let sum = |v: Vec3| v.x + v.y + v.z;
                 Vec3::X * sum(a.min(b)).max(-sum(a.max(b))).max(0.0)
@@ -111,8 +113,9 @@ impl Primitive {
                 (min - center).max(center - max).max(Vec3::ZERO)
             }
         };
-        // Rounding is monotone, so the density's own operations on the nearest offset give a bound without a margin; all but
-        // the quintic, whose terms 6t, 15 and 10 cancel down to 1: less than 50 roundings of 2^-24 relative, twice.
+        // Rounding is monotone, so evaluating the density at the nearest offset needs no margin. The
+        // exception is the quintic, whose terms 6t, 15 and 10 cancel down to 1: fewer than 50 roundings of
+        // 2^-24 relative, in both density and bound.
         self.density_at_offset(nearest) * (1.0 + 1e-5)
     }
 
@@ -150,7 +153,7 @@ impl Primitive {
                 base + amplitude * Vec3::new(wave(0.4), wave(1.1), wave(1.9))
             }
             Texture::Windows { wall, glass, pitch: [along, up] } => {
-                // Half of each pitch is window; an eighth of a period on either side is frame.
+                // Half of each pitch is window. Its edges blend over an eighth of a period to either side.
                 let pane = |x: f32| quintic(1.0, (0.5 + 0.7 * (TAU * x).sin()).clamp(0.0, 1.0));
                 wall.lerp(glass, pane((x.x + x.y) / along) * pane(x.z / up))
             }
@@ -187,7 +190,7 @@ mod tests {
         })
     }
 
-    /// A point in the transition of the shape's surface, where the density varies.
+    /// A point in the transition of the shape's surface, where density varies.
     fn near_surface(p: &Primitive, toward: Vec3, depth: f32) -> Vec3 {
         let toward = toward.try_normalize().unwrap_or(Vec3::X);
         match p.shape {
@@ -206,7 +209,7 @@ mod tests {
             p in primitive(), toward in vector(-1.0, 1.0), depth in -1.0..1.0_f32,
             low in vector(0.0, 1.0), size in prop_oneof![Just(0.0_f32), 1e-3..0.1_f32, 0.1..100.0_f32], inside in vector(0.0, 1.0),
         ) {
-            // A box around a point of the transition, and another point of the box.
+            // A box around a point of the transition, and a second point of that box.
             let x = near_surface(&p, toward, depth);
             let (min, max) = (x - low * size, x + (Vec3::ONE - low) * size);
             for y in [x, (min + inside * (max - min)).clamp(min, max)] {
@@ -217,7 +220,7 @@ mod tests {
 
         #[test]
         fn bound_is_reached(p in primitive(), toward in vector(-1.0, 1.0), depth in -1.0..1.0_f32) {
-            // Over a box of no size the bound is the density, but for its own margin.
+            // Over a box of no size, the bound is the density up to its own margin.
             let x = near_surface(&p, toward, depth);
             let (density, bound) = (p.density(x), p.density_bound(x, x));
             prop_assert!(bound <= density * (1.0 + 2e-5), "{} for {}", bound, density);
@@ -225,7 +228,8 @@ mod tests {
 
         #[test]
         fn bound_is_zero_farther_than_softness(p in primitive(), toward in vector(-1.0, 1.0), size in 0.0..10.0_f32) {
-            // Signed distances are 1-Lipschitz: half a diagonal plus the softness away, plus rounding at coordinates below 1000.
+            // Signed distances are 1-Lipschitz. The box is half a diagonal plus the softness away, plus
+            // rounding of coordinates below 1000.
             let toward = toward.try_normalize().unwrap_or(Vec3::X);
             let away = 3.0_f32.sqrt() * size + p.softness + 1e-3;
             let x = match p.shape {
@@ -242,7 +246,7 @@ mod tests {
         let texture = Texture::Windows { wall: Vec3::ONE, glass: Vec3::ZERO, pitch: [4.0, 3.0] };
         let shape = Shape::Box { center: Vec3::ZERO, half: Vec3::ONE };
         let tower = Primitive { shape, peak: 1.0, softness: 0.1, texture };
-        // A quarter of a pitch is the middle of a window, three quarters the middle of a pillar.
+        // The middle of a window is at a quarter of a pitch, the middle of a pillar at three quarters.
         for along in [Vec3::X, Vec3::Y] {
             assert_eq!(tower.color(along + 0.75 * Vec3::Z), Vec3::ZERO);
             assert_eq!(tower.color(3.0 * along + 0.75 * Vec3::Z), Vec3::ONE);

@@ -1,4 +1,4 @@
-//! All scenes, and the city against its definition.
+//! Tests of all scenes, and of the city against its definition.
 
 use std::sync::LazyLock;
 
@@ -17,7 +17,7 @@ fn at(field: &ClosedForm, x: Vec3) -> Radiance {
     out[0]
 }
 
-/// The point of a scene's box at `unit` in `[0, 1]`³.
+/// The point at `unit` in `[0, 1]`³ of a scene's box.
 fn within(bounds: &Aabb, unit: Vec3) -> Vec3 {
     bounds.clamp((bounds.min() + unit.as_dvec3() * bounds.size()).as_vec3())
 }
@@ -53,7 +53,7 @@ fn a_city_is_its_seed() {
     let city = |name| ClosedForm::named(name).unwrap();
     assert_eq!(city("city"), city("city-0"));
     assert_ne!(city("city").primitives, city("city-1").primitives);
-    // Figures are reported on it: this changes only on purpose, and on no platform.
+    // Figures are reported for this city. It may change only on purpose, and must not depend on the platform.
     assert_eq!(crc32fast::hash(format!("{:?}", city("city").primitives).as_bytes()), 3_027_789_705);
 }
 
@@ -64,7 +64,7 @@ fn cameras_see_the_scene_from_outside_of_its_matter() {
         let cameras = field.cameras(&Intrinsics::default()).unwrap().unwrap();
         assert_eq!(cameras.len(), if name == "city" { 800 } else { 40 });
         for camera in &cameras {
-            // Not even within a metre, in the city.
+            // In the city, there is no matter even within a metre.
             let near = field.bounds.size() / 512.0;
             let bound = field.density_bound((camera.position - near).as_vec3(), (camera.position + near).as_vec3());
             assert_eq!(bound, Some(0.0), "{name} at {}", camera.position);
@@ -77,7 +77,8 @@ fn cameras_see_the_scene_from_outside_of_its_matter() {
 #[test]
 fn most_of_the_citys_air_is_known_to_be_empty() {
     let city = ClosedForm::named("city").unwrap();
-    // Above the roofs; and boxes of 4 m all over, of which buildings and ground fill less than a sixth of the cube.
+    // The air above the roofs is known to be empty, and so are boxes of 4 m in streets and yards. Buildings
+    // and ground fill less than a sixth of the cube.
     assert_eq!(city.density_bound(Vec3::new(0.0, 0.0, 62.0), Vec3::new(512.0, 512.0, 496.0)), Some(0.0));
     let boxes = |z: f32| {
         (0..128 * 128).filter(move |i| {
@@ -93,7 +94,7 @@ proptest! {
     #[test]
     fn columns_give_the_sum_over_all_primitives(unit in [0.0..1.0_f32, 0.0..1.0, 0.0..0.2], edge in 0u32..65) {
         let mut x = within(&CITY.bounds, Vec3::from_array(unit));
-        // Half of the points on the border of a column.
+        // Half of the points lie on the border of a column.
         if edge % 2 == 0 {
             x.x = 8.0 * edge as f32;
         }

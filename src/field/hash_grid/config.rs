@@ -7,29 +7,30 @@ use crate::{Error, Result};
 
 /// Levels of the hash grid.
 pub const N_LEVELS: usize = 8;
-/// Features per entry: four fill a vector register and come with one memory access, so that 8 × 4 features cost half the
-/// accesses of the paper's 16 × 2.
+/// Features per entry. Four fill a vector register and come with one memory access, so that 8 × 4 features
+/// cost half the accesses of the paper's 16 × 2.
 pub const N_FEATURES_PER_LEVEL: usize = 4;
 /// Width of hidden layers.
 pub const N_NEURONS: usize = 32;
 /// Outputs of the density network; the first is log σ.
 pub const N_GEOMETRY: usize = 16;
-/// Most cells per axis of the occupancy grid.
+/// Largest number of cells per axis of the occupancy grid.
 pub const MAX_OCCUPANCY: usize = 128;
 
-/// Largest resolution of a level: positions are f32.
+/// Largest resolution of a level; positions are only f32.
 const MAX_RESOLUTION: f64 = 65_536.0;
 
-/// What can be chosen about a hash grid.
+/// The configurable part of a hash grid.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct HashGridConfig {
-    /// T = 2^this entries per level at most, 8 to 22. Smaller tables collide more, larger ones leave the caches.
+    /// log2 of T, the largest number of entries per level; 8 to 22. Smaller tables collide more, larger ones
+    /// leave the caches.
     pub log2_hashmap_size: u32,
     /// Cells per axis of the coarsest level.
     pub base_resolution: u32,
     /// Ratio of the resolutions of neighbouring levels, 1 to 4.
     pub per_level_scale: f64,
-    /// Cells per axis of the occupancy grid: a multiple of 4 up to 128.
+    /// Cells per axis of the occupancy grid, a multiple of 4 up to 128.
     pub occupancy: usize,
 }
 
@@ -51,10 +52,10 @@ impl HashGridConfig {
         })
     }
 
-    /// The configuration, if its numbers make sense.
+    /// Returns the configuration if its numbers make sense.
     ///
     /// # Errors
-    /// Names the first that does not.
+    /// Names the first number that does not.
     pub fn checked(self) -> Result<Self> {
         let finest = f64::from(self.base_resolution) * self.per_level_scale.powi(N_LEVELS as i32 - 1);
         let wrong = |what: &str, expected: String, found: String| Err(Error::setting(what, expected, found));

@@ -1,7 +1,7 @@
-//! Derivatives by position: backwards through the networks to the features, then through the features' own slopes.
+//! Derivatives by position: back through the networks to the features, then through the slopes of the features.
 //!
-//! Letters: `f` features, `slopes` ∂f/∂u, `d_f` derivatives of a function by f, w window, s its density scale. ∇σ = s (σ ∇w + w ∇σ̂), by the
-//! chain rule through Φ.
+//! Letters: `f` features, `slopes` ∂f/∂u, `d_f` derivatives of a function by f, w window, σ̂ density of the
+//! network, s density scale. ∇σ = s (σ̂ ∇w + w ∇σ̂), with the chain rule through Φ.
 
 use glam::{Mat3, Vec3};
 use multiversion::multiversion;
@@ -13,7 +13,7 @@ use super::{
 };
 use crate::field::{Differentiable, RadianceJet};
 
-/// Terms of a sum of products that are added in turn.
+/// Number of partial sums of a scalar product.
 const LANES: usize = 16;
 
 /// Fills ∂f/∂u, `[n][axis]`.
@@ -22,7 +22,7 @@ fn slope_pass(encoding: &Encoding, u: &[[f32; 3]], slopes: &mut [[[f32; WIDTH]; 
     encoding.slopes(u, slopes);
 }
 
-/// Fills derivatives by u of the function with derivatives `d_f` by the features.
+/// Fills the derivatives by u of the function that has derivatives `d_f` by the features.
 #[multiversion(targets("x86_64+avx2+fma"))]
 fn chain_pass(slopes: &[[[f32; WIDTH]; 3]], d_f: &[[f32; WIDTH]], out: &mut [Vec3]) {
     for ((slopes, d_f), out) in slopes.iter().zip(d_f).zip(out) {
@@ -38,7 +38,7 @@ fn chain_pass(slopes: &[[[f32; WIDTH]; 3]], d_f: &[[f32; WIDTH]], out: &mut [Vec
     }
 }
 
-/// From dσ̂/dg₀ to d_f.
+/// Backpropagates dσ̂/dg₀ to d_f.
 #[multiversion(targets("x86_64+avx2+fma"))]
 fn density_backward_pass(
     transposed: &Transposed,
@@ -50,7 +50,7 @@ fn density_backward_pass(
     transposed.backpropagate_density(a, d_g, d_a, d_f);
 }
 
-/// Buffers of the way back of one block of points.
+/// Buffers for the derivatives of one block of points.
 struct BackBuffers {
     transposed: Transposed,
     slopes: [[[f32; WIDTH]; 3]; BLOCK],
@@ -59,7 +59,7 @@ struct BackBuffers {
     d_g: [[f32; N_GEOMETRY]; BLOCK],
     d_b: [[f32; N_NEURONS]; BLOCK],
     d_c: [[f32; N_COLOR]; BLOCK],
-    /// By u: of σ̂ and of each colour.
+    /// Gradients by u: of σ̂, then of each colour channel.
     gradients: [[Vec3; BLOCK]; 4],
 }
 
@@ -77,7 +77,7 @@ impl BackBuffers {
         })
     }
 
-    /// Slopes of the features and the density's gradient, behind [`Buffers::density`].
+    /// Fills the slopes of the features and the gradient of the density, after [`Buffers::density`].
     fn density(&mut self, encoding: &Encoding, forward: &Buffers, n: usize) {
         slope_pass(encoding, &forward.u[..n], &mut self.slopes[..n]);
         for p in 0..n {
@@ -89,7 +89,7 @@ impl BackBuffers {
         chain_pass(&self.slopes[..n], &self.d_f[..n], &mut self.gradients[0][..n]);
     }
 
-    /// The colours' gradients, behind [`Buffers::color`] and [`BackBuffers::density`].
+    /// Fills the gradients of the colours, after [`Buffers::color`] and [`BackBuffers::density`].
     fn color(&mut self, forward: &Buffers, n: usize) {
         for channel in 0..3 {
             for p in 0..n {
@@ -114,20 +114,20 @@ impl BackBuffers {
 }
 
 impl HashGrid {
-    /// ∇σ at `x` = Φ⁻¹(`u`), where the network says σ̂ and its gradient by u.
+    /// ∇σ at `x` = Φ⁻¹(`u`), where the network gives σ̂ (`sigma`) and its gradient by u.
     fn density_gradient(&self, x: Vec3, u: [f32; 3], sigma: f32, gradient: Vec3) -> Vec3 {
         let (w, w_gradient) = self.window.at_with_gradient(Vec3::from_array(u) - 0.5);
         self.pulled_back(x, self.density_scale() * (sigma * w_gradient + w * gradient))
     }
 
-    /// A gradient by u as one by x.
+    /// Pulls a gradient by u back to one by x.
     fn pulled_back(&self, x: Vec3, gradient: Vec3) -> Vec3 {
         self.space.domain.pull_back(x, gradient.as_dvec3()).as_vec3()
     }
 }
 
 impl Differentiable for HashGrid {
-    /// Backwards through the networks, once for density and once for each colour.
+    /// Runs backwards through the networks once for density and once for each colour channel.
     fn jets(&self, positions: &[Vec3], directions: &[Vec3], out: &mut [RadianceJet]) {
         let (mut buffers, mut back) = (Buffers::new(), BackBuffers::new(self));
         let mut windows = [0.0; BLOCK];

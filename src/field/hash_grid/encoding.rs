@@ -1,8 +1,10 @@
-//! The multiresolution hash encoding (Müller et al. 2022, Sec. 3): trilinear interpolation of trained features on nested grids.
+//! The multiresolution hash encoding (Müller et al. 2022, Sec. 3): trilinear interpolation of trained
+//! features on nested grids.
 //!
-//! Letters: `u` position in the unit cube, `N` a level's cells per axis, `F` features per level, `T` entries of the table,
-//! `t` place within a cell in [0, 1]³. Corner c of a cell is at (c & 1, c >> 1 & 1, c >> 2) along x, y, z. A level whose corners fit into the table has
-//! one entry for each; of a finer one the entries are shared by spatial hashing (Eq. 4), and training sorts out the collisions.
+//! Letters: `u` position in the unit cube, `N` a level's cells per axis, `F` features per level, `T` entries
+//! of the table, `t` place within a cell in [0, 1]³. Corner c of a cell is at (c & 1, c >> 1 & 1, c >> 2)
+//! along x, y, z. A level whose corners fit into the table has one entry per corner. The corners of a finer
+//! level share entries by spatial hashing (Eq. 4), and training sorts out the collisions.
 
 use super::config::{HashGridConfig, N_FEATURES_PER_LEVEL, N_LEVELS};
 
@@ -11,7 +13,7 @@ pub type Entry = [f32; N_FEATURES_PER_LEVEL];
 /// Features of a point, level by level.
 pub const WIDTH: usize = N_LEVELS * N_FEATURES_PER_LEVEL;
 
-/// Eq. 4; along x the hash is the index itself, so that neighbours share cache lines.
+/// Primes of Eq. 4. Along x the hash is the index itself, so that neighbours share cache lines.
 const PRIMES: [u32; 2] = [2_654_435_761, 805_459_861];
 
 /// The grid of one level.
@@ -19,12 +21,12 @@ const PRIMES: [u32; 2] = [2_654_435_761, 805_459_861];
 pub struct Level {
     /// N.
     pub resolution: u32,
-    /// Entries.
+    /// Number of entries.
     pub size: usize,
     hashed: bool,
 }
 
-/// The cell of a point.
+/// The cell of a point: its corners' entries, and the place within it.
 #[derive(Clone, Copy)]
 struct Place {
     index: [u32; 8],
@@ -75,11 +77,11 @@ fn weights(t: [f32; 3]) -> [f32; 8] {
     [(1.0 - x) * a, x * a, (1.0 - x) * b, x * b, (1.0 - x) * c, x * c, (1.0 - x) * d, x * d]
 }
 
-/// The grids and their features.
+/// The grids of all levels and their features.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Encoding {
     levels: [Level; N_LEVELS],
-    /// One level's entries after the other's.
+    /// Entries of all levels, one level after the other.
     pub table: Vec<Entry>,
 }
 
@@ -89,14 +91,14 @@ impl Encoding {
         config.resolutions().map(|n| Level::new(n, config.log2_hashmap_size))
     }
 
-    /// From the entries of all levels.
+    /// Builds the encoding from the entries of all levels.
     pub fn new(config: &HashGridConfig, table: Vec<Entry>) -> Self {
         let levels = Self::levels_of(config);
         assert_eq!(table.len(), Self::entries(&levels), "entries of the grids");
         Self { levels, table }
     }
 
-    /// Entries of all levels together.
+    /// Number of entries of all levels together.
     pub fn entries(levels: &[Level; N_LEVELS]) -> usize {
         levels.iter().map(|level| level.size).sum()
     }
@@ -106,7 +108,7 @@ impl Encoding {
         &self.levels
     }
 
-    /// A slice per level of something that there is one of per entry.
+    /// Splits an array with one element per entry into one slice per level.
     pub fn split<'a, T>(levels: &[Level; N_LEVELS], mut entries: &'a mut [T]) -> Vec<&'a mut [T]> {
         let mut parts = Vec::with_capacity(N_LEVELS);
         for level in levels {
@@ -117,7 +119,7 @@ impl Encoding {
         parts
     }
 
-    /// The features of positions `u` in the unit cube, `[n]`, into `features` (`[n]`).
+    /// Fills `features` (`[n]`) with the features of positions `u` in the unit cube (`[n]`).
     #[inline(always)]
     pub fn encode(&self, u: &[[f32; 3]], features: &mut [[f32; WIDTH]]) {
         let mut first = 0;
@@ -139,11 +141,12 @@ impl Encoding {
         }
     }
 
-    /// Adds to `gradient` (one level's entries) what derivatives with respect to the features of points `u` say about them.
+    /// Adds to `gradient` (the entries of one level) the derivatives by these entries, given those by the
+    /// features of points `u`.
     pub fn add_gradient(level: usize, grid: &Level, u: &[[f32; 3]], features: &[[f32; WIDTH]], gradient: &mut [Entry]) {
         for (u, features) in u.iter().zip(features) {
             let own = &features.as_chunks::<N_FEATURES_PER_LEVEL>().0[level];
-            // Samples behind a surface have none.
+            // Samples behind a surface have no derivatives.
             if own.iter().all(|d| *d == 0.0) {
                 continue;
             }
@@ -158,7 +161,8 @@ impl Encoding {
         }
     }
 
-    /// ∂features/∂u at positions `u`, `[n][axis]`, into `slopes`, at fixed cells: trilinear features have kinks at faces.
+    /// Fills `slopes` with ∂f/∂u at positions `u`, `[n][axis]`. Cells are held fixed, because trilinear
+    /// features have kinks at faces.
     #[inline(always)]
     pub fn slopes(&self, u: &[[f32; 3]], slopes: &mut [[[f32; WIDTH]; 3]]) {
         let mut first = 0;

@@ -1,4 +1,4 @@
-//! The file of a trained hash grid: safetensors, with one metadata entry that describes it.
+//! The file of a trained hash grid: safetensors with one metadata entry that describes it.
 //!
 //! ```text
 //! metadata octobayes_hash_grid: {"version", "config", "domain", "training", "cameras"}, JSON;
@@ -24,7 +24,7 @@ use crate::geometry::{Domain, NamedCamera};
 use crate::io::AtomicFile;
 use crate::{Error, Result};
 
-/// The metadata entry; a single one, because the format does not order them and the same model should give the same bytes.
+/// The only metadata entry. The format does not order entries, and the same model should give the same bytes.
 const KEY: &str = "octobayes_hash_grid";
 const VERSION: u32 = 1;
 
@@ -38,7 +38,7 @@ struct Header {
     cameras: Vec<NamedCamera>,
 }
 
-/// What can be chosen and what is compiled in.
+/// The configurable part, and what is compiled in.
 #[derive(Serialize, Deserialize)]
 struct Config {
     n_levels: usize,
@@ -49,13 +49,13 @@ struct Config {
     chosen: HashGridConfig,
 }
 
-/// f32 numbers as bytes.
+/// Little-endian bytes of f32 numbers.
 fn bytes(values: &[f32]) -> Vec<u8> {
     values.iter().flat_map(|v| v.to_le_bytes()).collect()
 }
 
 impl HashGrid {
-    /// Whether a safetensors file holds a hash grid; `false` for damaged files, too.
+    /// Checks whether a safetensors file holds a hash grid. Damaged files give `false` too.
     ///
     /// # Errors
     /// If the file cannot be read.
@@ -65,7 +65,7 @@ impl HashGrid {
         Ok(metadata.is_some_and(|entries| entries.contains_key(KEY)))
     }
 
-    /// Writes the field; the file appears complete or not at all, and the same field gives the same bytes.
+    /// Writes the field. The file appears complete or not at all, and the same field gives the same bytes.
     ///
     /// # Errors
     /// If the file cannot be written.
@@ -115,7 +115,7 @@ impl HashGrid {
     /// Reads a field that [`HashGrid::write`] wrote.
     ///
     /// # Errors
-    /// If the file cannot be read, is damaged, from a newer version or of another architecture, or a weight is not finite.
+    /// If the file cannot be read, is damaged, has another version or architecture, or a weight is not finite.
     pub fn read(path: &Path) -> Result<Self> {
         let content = std::fs::read(path).map_err(Error::io(path, "cannot read"))?;
         let damaged =
@@ -144,7 +144,7 @@ impl HashGrid {
         let config = config.chosen.checked().map_err(wrong)?;
         let space = Space::new(header.domain).map_err(wrong)?;
 
-        // Every allocation is of the size of a tensor that is there.
+        // Every allocation has the size of a tensor that is really there.
         let mut table = Vec::new();
         for (l, level) in Encoding::levels_of(&config).iter().enumerate() {
             let values = floats(path, &tensors, &format!("encoding.{l}"), &[level.size, N_FEATURES_PER_LEVEL])?;

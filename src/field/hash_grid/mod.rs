@@ -1,13 +1,14 @@
-//! A trainable field: multiresolution hash grid, two tiny networks, spherical harmonics of the direction (the design of
-//! instant-ngp: Müller et al., SIGGRAPH 2022), f32. [`crate::train`] fits it to images.
+//! A trainable field in f32: a multiresolution hash grid, two tiny networks, and spherical harmonics of the direction.
+//!
+//! The design is that of instant-ngp (Müller et al., SIGGRAPH 2022). [`crate::train`] fits it to images.
 //!
 //! Letters: `x` scene position, `u` = Φ(x) in the unit cube of the [`Domain`], w window of the occupancy grid.
 //!
 //! ```text
 //! x -> u -> hash grid -> 32 features -> density network -> σ = w exp(g₀) / longest edge, color network -> colour
 //! ```
-//! Positions go through in blocks, in code that the compiler turns into vector instructions (AVX2 and FMA where the processor
-//! has them; results do not depend on that).
+//! Positions go through in blocks, in code that the compiler turns into vector instructions. AVX2 and FMA are
+//! used where the processor has them; results do not depend on that.
 
 mod config;
 mod derivative;
@@ -30,10 +31,10 @@ use super::{Differentiable, Intrinsics, Radiance, RadianceField};
 use crate::geometry::{Aabb, Camera, Domain, NamedCamera, Norm};
 use crate::{Error, Result};
 
-/// Points that go through all layers together: buffers of a block are 40 KB.
+/// Number of points that go through all layers together. The buffers of a block take 35 KB.
 pub(crate) const BLOCK: usize = 64;
 
-/// What training changes.
+/// The parameters that training changes.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Parameters {
     pub encoding: Encoding,
@@ -50,7 +51,7 @@ pub(crate) fn density_pass(
     g: &mut [[f32; N_GEOMETRY]],
     sigma: &mut [f32],
 ) {
-    // Block by block, so that activations are still near when the next layer wants them.
+    // Block by block, so that activations are still in near caches when the next layer needs them.
     for start in (0..u.len()).step_by(BLOCK) {
         let block = start..(start + BLOCK).min(u.len());
         parameters.encoding.encode(&u[block.clone()], &mut f[block.clone()]);
@@ -62,13 +63,13 @@ pub(crate) fn density_pass(
     }
 }
 
-/// Fills what directions with harmonics `sh` add to the colour network's hidden layer.
+/// Fills the contribution of directions with harmonics `sh` to the colour network's hidden layer.
 #[multiversion(targets("x86_64+avx2+fma"))]
 pub(crate) fn view_pass(network: &Network, sh: &[[f32; N_VIEW]], v: &mut [[f32; N_NEURONS]]) {
     network.view(sh, v);
 }
 
-/// Fills colours; `b` holds the result of [`view_pass`] before and the hidden layer after.
+/// Fills colours. `b` holds the result of [`view_pass`] before and the hidden layer after.
 #[multiversion(targets("x86_64+avx2+fma"))]
 pub(crate) fn color_pass(
     network: &Network,
@@ -79,7 +80,7 @@ pub(crate) fn color_pass(
     network.color(g, b, color);
 }
 
-/// Derivatives through both networks, and what they say about the weights, if anybody wants to know.
+/// Backpropagates through both networks, and adds the derivatives by the weights to `weights` if given.
 #[multiversion(targets("x86_64+avx2+fma"))]
 pub(crate) fn backward_pass(
     transposed: &Transposed,
@@ -93,13 +94,13 @@ pub(crate) fn backward_pass(
     }
 }
 
-/// Adds to `weights` what rays with harmonics `sh` say about the directions' layer.
+/// Adds to `weights` the derivatives by the directions' layer, for rays with harmonics `sh`.
 #[multiversion(targets("x86_64+avx2+fma"))]
 pub(crate) fn view_gradient_pass(weights: &mut Network, sh: &[[f32; N_VIEW]], d_v: &[[f32; N_NEURONS]]) {
     weights.add_view_gradient(sh, d_v);
 }
 
-/// Harmonics of a unit direction.
+/// Spherical harmonics of a unit direction.
 pub(crate) fn harmonics(direction: Vec3) -> [f32; N_VIEW] {
     spherical_harmonics(direction.x, direction.y, direction.z)
 }
@@ -147,19 +148,19 @@ impl Buffers {
 
 /// A trained hash grid.
 ///
-/// The density is the network's times a continuous window: 1 in the occupied cells, 0 from one cell beyond them (in the unit
-/// cube). Training sampled occupied cells only. Colour has no window.
+/// The density is the network's times a continuous window: 1 in occupied cells, 0 from one cell beyond them
+/// (in the unit cube). Training sampled occupied cells only. Colour has no window.
 #[derive(Debug, Clone)]
 pub struct HashGrid {
     config: HashGridConfig,
     space: Space,
     parameters: Parameters,
-    /// `[n³]`, x fastest.
+    /// Occupied cells, `[n³]`, x fastest.
     occupied: Vec<bool>,
     window: Window,
-    /// What it was trained on and how, JSON.
+    /// What the field was trained on and how, as JSON.
     training: serde_json::Value,
-    /// The cameras that it was trained on; empty if that is not known.
+    /// The training cameras; empty if they are not known.
     cameras: Vec<NamedCamera>,
 }
 
@@ -175,7 +176,7 @@ impl HashGrid {
         Self { config, space, parameters, occupied, window, training, cameras: Vec::new() }
     }
 
-    /// The same field, which knows the cameras that it was trained on.
+    /// The same field with known training cameras.
     #[must_use]
     pub fn with_training_cameras(self, cameras: Vec<NamedCamera>) -> Self {
         Self { cameras, ..self }
@@ -187,7 +188,7 @@ impl HashGrid {
         &self.config
     }
 
-    /// The space it covers.
+    /// The space that the field covers.
     #[must_use]
     pub fn domain(&self) -> &Domain {
         &self.space.domain
@@ -198,24 +199,24 @@ impl HashGrid {
         &self.space
     }
 
-    /// Cells of the occupancy grid, `[n³]`, x fastest.
+    /// Occupied cells of the occupancy grid, `[n³]`, x fastest.
     pub(crate) fn occupied(&self) -> &[bool] {
         &self.occupied
     }
 
-    /// What it was trained on and how, as `octobayes train` wrote it.
+    /// What the field was trained on and how, as `octobayes train` wrote it.
     #[must_use]
     pub fn training(&self) -> &serde_json::Value {
         &self.training
     }
 
-    /// The window at u, 0 outside the bounds, and u.
+    /// The window at u (0 outside the bounds) and u.
     fn place(&self, x: Vec3) -> (f32, [f32; 3]) {
-        // Outside, where the density is zero, the colour is that of the nearest corner of the unit cube or so: any will do.
+        // Outside, the density is zero and the colour does not matter: that of the centre will do.
         self.space.unit(x).map_or((0.0, [0.5; 3]), |u| (self.window.at(Vec3::from_array(u) - 0.5), u))
     }
 
-    /// What point `p` of a block came to.
+    /// Radiance of point `p` of a block, after its passes.
     fn radiance(&self, buffers: &Buffers, window: f32, p: usize) -> Radiance {
         let [r, g, b, _] = buffers.color[p];
         Radiance { density: self.density_scale() * window * buffers.sigma[p], color: Vec3::new(r, g, b) }
@@ -251,7 +252,7 @@ impl RadianceField for HashGrid {
 
     fn densities(&self, positions: &[Vec3], out: &mut [f32]) {
         let mut buffers = Buffers::new();
-        // Points in empty space need no network: the others are gathered into full blocks.
+        // Points in empty space need no network. The others are gathered into full blocks.
         let (mut owners, mut windows, mut count) = ([0; BLOCK], [0.0; BLOCK], 0);
         let flush = |buffers: &mut Buffers, owners: &[usize], windows: &[f32], out: &mut [f32]| {
             buffers.density(&self.parameters, owners.len());
@@ -287,7 +288,8 @@ impl RadianceField for HashGrid {
         let [low, high] = match self.space.domain {
             Domain::Box(bounds) => [min, max].map(|x| (x - bounds.min()) / bounds.size() - 0.5),
             Domain::Contracted { radius, norm, .. } => {
-                // Contraction does not stretch, by more than 2 in the L∞ case: a ball around the box stays in a ball.
+                // Contraction stretches at most by a factor of 1 (L2) or 2 (L∞), so a ball around the box
+                // stays inside a ball.
                 let lipschitz = if norm == Norm::L2 { 1.0 } else { 2.0 } / (4.0 * radius);
                 let center = self.space.domain.to_unit((0.5 * (min + max)).as_vec3())? - 0.5;
                 let reach = lipschitz * 0.5 * (max - min).length() * (1.0 + 1e-6) + 1e-6;

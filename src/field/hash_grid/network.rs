@@ -1,14 +1,15 @@
-//! The two tiny networks behind the features, and their derivatives.
+//! The two tiny networks that follow the features, and their derivatives.
 //!
-//! Letters: `f` features (32), `a` and `b` hidden layers, `g` outputs of the density network (g₀ = log σ), `v` what the viewing direction
-//! adds to b, `c` colour before the sigmoid; `d_x` the derivative of a scalar with respect to x. Layers have no bias.
+//! Letters: `f` features (32), `a` and `b` hidden layers, `g` outputs of the density network (g₀ = log σ),
+//! `v` the viewing direction's contribution to b, `c` colour before the sigmoid; `d_x` the derivative of a
+//! scalar with respect to x. Layers have no bias.
 //!
 //! ```text
 //! f -> density0 -> a = relu -> density1 -> g -> σ = exp(min(g₀, 15))
 //!                                          g -> color_geometry -> + v -> b = relu -> color1 -> c -> sigmoid
 //!                      spherical harmonics -> color_view ----------^
 //! ```
-//! Weights are `[in, out]`. v depends on the ray alone, hence it is an input here, computed once per ray.
+//! Weights are `[in, out]`. v depends on the ray alone, so it is an input here, computed once per ray.
 
 #![allow(
     clippy::needless_range_loop,
@@ -19,18 +20,18 @@ use super::config::{N_GEOMETRY, N_NEURONS};
 use super::encoding::WIDTH;
 use crate::field::elementary::exp;
 
-/// Spherical harmonics.
+/// Number of spherical harmonics.
 pub const N_VIEW: usize = 16;
 /// Outputs of the last layer; the fourth is padding.
 pub const N_COLOR: usize = 4;
-/// log σ is limited to this, as in instant-ngp.
+/// Upper limit of log σ, as in instant-ngp.
 const LOG_DENSITY_LIMIT: f32 = 15.0;
-/// Points whose sums are kept in registers together.
+/// Number of points whose sums are kept in registers together.
 const TILE: usize = 4;
-/// Outputs whose sums are kept in registers together.
+/// Number of outputs whose sums are kept in registers together.
 const LANES: usize = 16;
 
-/// Weights, or their derivatives, or anything else there is one of per weight.
+/// Weights, their derivatives, or anything else with one number per weight.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Network {
     pub density0: [[f32; N_NEURONS]; WIDTH],
@@ -40,7 +41,7 @@ pub struct Network {
     pub color1: [[f32; N_COLOR]; N_NEURONS],
 }
 
-/// What a layer is called in files, and its inputs and outputs.
+/// Name of each layer in files, with its inputs and outputs.
 pub const LAYERS: [(&str, [usize; 2]); 5] = [
     ("density0", [WIDTH, N_NEURONS]),
     ("density1", [N_NEURONS, N_GEOMETRY]),
@@ -72,7 +73,7 @@ impl Network {
         ]
     }
 
-    /// The layers in the order of [`LAYERS`].
+    /// [`Network::layers`], mutable.
     pub fn layers_mut(&mut self) -> [&mut [f32]; 5] {
         [
             self.density0.as_flattened_mut(),
@@ -83,14 +84,14 @@ impl Network {
         ]
     }
 
-    /// Sets what nothing reads to zero.
+    /// Zeroes the padding, which nothing reads.
     pub fn clear_padding(&mut self) {
         for row in &mut self.color1 {
             row[N_COLOR - 1] = 0.0;
         }
     }
 
-    /// Adds another's numbers to this one's.
+    /// Adds the numbers of `other` to those of `self`.
     pub fn add(&mut self, other: &Self) {
         for (sum, other) in self.layers_mut().into_iter().zip(other.layers()) {
             for (sum, other) in sum.iter_mut().zip(other) {
@@ -109,14 +110,14 @@ impl Network {
         add_product(&self.density1, a, g);
     }
 
-    /// What directions with harmonics `sh` add to b.
+    /// v of directions with harmonics `sh`.
     #[inline(always)]
     pub fn view(&self, sh: &[[f32; N_VIEW]], v: &mut [[f32; N_NEURONS]]) {
         v.fill([0.0; N_NEURONS]);
         add_product(&self.color_view, sh, v);
     }
 
-    /// Colours; `b` holds v before and b after.
+    /// Colours. `b` holds v before and b after.
     #[inline(always)]
     pub fn color(&self, g: &[[f32; N_GEOMETRY]], b: &mut [[f32; N_NEURONS]], color: &mut [[f32; N_COLOR]]) {
         add_product(&self.color_geometry, g, b);
@@ -131,18 +132,18 @@ impl Network {
     }
 }
 
-/// σ from g₀. A NaN stays one.
+/// σ from g₀; NaN stays NaN.
 #[inline(always)]
 pub fn density(g0: f32) -> f32 {
     exp(if g0 > LOG_DENSITY_LIMIT { LOG_DENSITY_LIMIT } else { g0 })
 }
 
-/// dσ/dg₀ where the density is σ; beyond the limit, where it is constant, 0.
+/// dσ/dg₀ where the density is σ; 0 beyond the limit, where the density is constant.
 pub fn density_derivative(g0: f32, sigma: f32) -> f32 {
     if g0 > LOG_DENSITY_LIMIT { 0.0 } else { sigma }
 }
 
-/// The transposed weights: derivatives go through the layers backwards.
+/// The transposed weights, which take derivatives backwards through the layers.
 #[derive(Debug, Clone)]
 pub struct Transposed {
     density0: [[f32; WIDTH]; N_NEURONS],
@@ -151,7 +152,7 @@ pub struct Transposed {
     color1: [[f32; N_NEURONS]; N_COLOR],
 }
 
-/// What backpropagation knows of a block of points: activations on the way forward.
+/// Activations of a block of points from the forward pass, as backpropagation needs them.
 #[derive(Clone, Copy)]
 pub struct Forward<'a> {
     pub f: &'a [[f32; WIDTH]],
@@ -160,12 +161,13 @@ pub struct Forward<'a> {
     pub b: &'a [[f32; N_NEURONS]],
 }
 
-/// Derivatives with respect to activations; `g` and `c` come in with what the loss says about g₀ and colour, the rest is found.
+/// Derivatives with respect to activations. `g` and `c` come in with the derivatives of the loss by g₀ and c;
+/// the rest is filled.
 pub struct Backward<'a> {
     pub f: &'a mut [[f32; WIDTH]],
     pub a: &'a mut [[f32; N_NEURONS]],
     pub g: &'a mut [[f32; N_GEOMETRY]],
-    /// Also the derivative with respect to v.
+    /// This is also the derivative with respect to v.
     pub b: &'a mut [[f32; N_NEURONS]],
     pub c: &'a [[f32; N_COLOR]],
 }
@@ -180,7 +182,7 @@ impl Transposed {
         }
     }
 
-    /// Fills d_b, d_g (added to what is there), d_a and d_f.
+    /// Fills d_b, d_a and d_f, and adds to the d_g that is there.
     #[inline(always)]
     pub fn backpropagate(&self, forward: Forward, back: &mut Backward) {
         back.b.fill([0.0; N_NEURONS]);
@@ -208,7 +210,8 @@ impl Transposed {
 }
 
 impl Network {
-    /// Adds the weights' derivatives, without those of `color_view`, behind [`Transposed::backpropagate`].
+    /// Adds the derivatives by the weights, except those of `color_view`, after
+    /// [`Transposed::backpropagate`].
     #[inline(always)]
     pub fn add_gradient(&mut self, forward: Forward, back: &Backward) {
         add_outer(forward.f, back.a, &mut self.density0);
@@ -217,7 +220,7 @@ impl Network {
         add_narrow_outer(forward.b, back.c, &mut self.color1);
     }
 
-    /// Adds the derivatives of `color_view`: harmonics of rays, and d_v summed over each ray's samples.
+    /// Adds the derivatives by `color_view`, from the harmonics of rays and d_v summed over each ray's samples.
     #[inline(always)]
     pub fn add_view_gradient(&mut self, sh: &[[f32; N_VIEW]], d_v: &[[f32; N_NEURONS]]) {
         add_outer(sh, d_v, &mut self.color_view);
@@ -231,7 +234,7 @@ fn transpose<const IN: usize, const OUT: usize>(weights: &[[f32; OUT]; IN]) -> [
 #[inline(always)]
 fn relu<const N: usize>(x: &mut [[f32; N]]) {
     for x in x.as_flattened_mut() {
-        // f32::max would turn a NaN into 0.
+        // f32::max would turn NaN into 0.
         *x = if *x < 0.0 { 0.0 } else { *x };
     }
 }
@@ -243,7 +246,7 @@ fn relu_derivative<const N: usize>(y: &[[f32; N]], d: &mut [[f32; N]]) {
     }
 }
 
-/// outputs += inputs · weights for every point, 16 outputs at a time.
+/// outputs += inputs · weights for every point, [`LANES`] outputs at a time.
 #[inline(always)]
 fn add_product<const IN: usize, const OUT: usize>(
     weights: &[[f32; OUT]; IN],
@@ -293,7 +296,7 @@ fn add_narrow_product<const IN: usize>(
     outputs: &mut [[f32; N_COLOR]],
 ) {
     for (input, output) in inputs.iter().zip(outputs) {
-        // Two sums in turn: one would wait for itself.
+        // Two alternating sums: a single one would wait for itself.
         let mut sums = [[0.0; N_COLOR]; 2];
         for i in 0..IN / 2 {
             for half in 0..2 {

@@ -1,4 +1,4 @@
-//! The field as the paper writes it down, in f64, one point at a time: what the fast code is compared with.
+//! The field as the paper defines it, in f64 and one point at a time: the reference for the fast code.
 
 use glam::DVec3;
 
@@ -15,7 +15,7 @@ pub struct SlowField {
     pub layers: Vec<Vec<Vec<f64>>>,
 }
 
-/// What it finds.
+/// Density and colour.
 pub struct SlowValue {
     /// σ per unit length, without the window.
     pub sigma: f64,
@@ -41,7 +41,7 @@ impl SlowField {
         }
     }
 
-    /// Entry of corner `i` of a level: row by row if all corners fit, else hashed (Müller et al. 2022, Eq. 4).
+    /// Entry of a level's corner: row by row if all corners fit, otherwise hashed (Müller et al. 2022, Eq. 4).
     pub fn entry(&self, level: usize, [x, y, z]: [u64; 3]) -> usize {
         let (n, size) = (u64::from(self.resolutions[level]), self.tables[level].len() as u64);
         let index = if (n + 1).pow(3) == size {

@@ -5,25 +5,25 @@ use glam::{DVec3, Vec3};
 use crate::Result;
 use crate::geometry::{Aabb, Domain};
 
-/// Samples across the longest edge of the domain: about one per cell of the finest level.
+/// Samples across the longest edge of the domain: about two per cell of the finest level by default.
 const STEPS: f64 = 512.0;
-/// Half edge of the box of a contracted field, in radii of the part that is not contracted: contraction puts 94 % of the way to
-/// infinity inside.
+/// Half edge of the box of a contracted field, in radii of the uncontracted part. Contraction maps it to 94 %
+/// of the way to infinity.
 const REACH: f64 = 8.0;
 
 /// The part of space that a trained field covers.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Space {
     pub domain: Domain,
-    /// Outside of it the density is zero.
+    /// The density is zero outside of it.
     pub bounds: Aabb,
 }
 
 impl Space {
-    /// All of a box; of all of space what [`REACH`] covers.
+    /// All of a box, or the part of a contracted domain that [`REACH`] covers.
     ///
     /// # Errors
-    /// If the domain is none that its constructors make, or its bounds are not finite.
+    /// If the domain fails the checks of its constructors, or its bounds are not finite.
     pub fn new(domain: Domain) -> Result<Self> {
         let domain = domain.checked()?;
         let bounds = match domain {
@@ -36,7 +36,7 @@ impl Space {
         Ok(Self { domain, bounds })
     }
 
-    /// u, `None` outside the bounds.
+    /// Position u in the unit cube; `None` outside the bounds.
     pub fn unit(&self, x: Vec3) -> Option<[f32; 3]> {
         let inside = match self.domain {
             Domain::Box(_) => true,
@@ -50,7 +50,7 @@ impl Space {
         self.domain.size().max_element() / STEPS
     }
 
-    /// Densities are trained per this length, so that scenes may have any scale: scene units.
+    /// Length per which densities are trained, scene units. It lets scenes have any scale.
     pub fn unit_length(&self) -> f64 {
         self.domain.size().max_element()
     }

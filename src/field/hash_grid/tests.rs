@@ -25,7 +25,7 @@ fn field(domain: Domain, rng: &mut ChaCha8Rng) -> HashGrid {
     field_with(0.2, domain, rng)
 }
 
-/// A random field that is occupied in a share of its cells.
+/// A random field of which the given share of cells is occupied.
 fn field_with(share: f64, domain: Domain, rng: &mut ChaCha8Rng) -> HashGrid {
     let occupied = (0..512).map(|_| rng.random_bool(share)).collect();
     let training = serde_json::json!({ "seed": 7, "rate": 0.03_f32 });
@@ -41,7 +41,7 @@ fn domains() -> [Domain; 3] {
     ]
 }
 
-/// Positions all over the bounds, most of them near the middle; none on a face of a cell.
+/// Positions all over the bounds, in contracted domains more of them near the middle.
 fn positions(field: &HashGrid, rng: &mut ChaCha8Rng, count: usize) -> Vec<Vec3> {
     let (middle, half) = (0.5 * (field.bounds().min() + field.bounds().max()), 0.5 * field.bounds().size());
     let shrink = if field.domain().bounds().is_some() { [1.0, 1.0] } else { [0.05, 1.0] };
@@ -57,7 +57,7 @@ fn directions(rng: &mut ChaCha8Rng, count: usize) -> Vec<Vec3> {
     (0..count).map(|_| Vec3::from_array(std::array::from_fn(|_| rng.random_range(-1.0..1.0_f32))).normalize()).collect()
 }
 
-/// The window from its definition, f64: trilinear between cell corners, 1 where one of the corner's cells is occupied.
+/// The window from its definition, in f64: trilinear between cell corners, 1 at corners of occupied cells.
 fn window_slowly(occupied: &[bool], u: DVec3) -> f64 {
     let n = CONFIG.occupancy as i64;
     let scaled = u * n as f64;
@@ -82,9 +82,9 @@ fn window_slowly(occupied: &[bool], u: DVec3) -> f64 {
         .sum()
 }
 
-/// σ in scene units and colour, f64.
+/// σ in scene units and colour, in f64.
 fn value_slowly(field: &HashGrid, x: DVec3, direction: Vec3) -> [f64; 4] {
-    // Φ of an f64 position: the contraction written down once more, as `to_unit` takes f32.
+    // Φ in f64, written out because `to_unit` takes f32.
     let u = match field.space.domain {
         Domain::Box(bounds) => (x - bounds.min()) / bounds.size(),
         Domain::Contracted { center, radius, norm } => {
@@ -103,7 +103,7 @@ fn values_are_those_of_the_definition() {
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     for domain in domains() {
         let field = field(domain, &mut rng);
-        // Not a multiple of the block: tails count.
+        // Not a multiple of the block, so that a tail remains.
         let n = 3 * BLOCK + 7;
         let (positions, directions) = (positions(&field, &mut rng, n), directions(&mut rng, n));
         let (mut values, mut densities) = (vec![Radiance::default(); n], vec![-1.0; n]);
@@ -112,8 +112,9 @@ fn values_are_those_of_the_definition() {
         let mut dense = 0;
         for (((&x, &d), value), &density) in positions.iter().zip(&directions).zip(&values).zip(&densities) {
             let [sigma, r, g, b] = value_slowly(&field, x.as_dvec3(), d);
-            // u is rounded to f32 (6e-8) in grids of up to 51 cells whose features are of order 1; three layers of 32 products, an
-            // exponential: 1e-4 relative to densities up to a few hundred is ten times what is seen.
+            // u is rounded to f32 (6e-8) in grids of up to 51 cells whose features are of order 1. Three
+            // layers of 32 products and an exponential follow. 1e-4 relative to densities up to a few hundred
+            // is ten times what is seen.
             assert!((f64::from(value.density) - sigma).abs() <= 1e-4 * sigma.max(0.1), "{x}: {value:?}, {sigma}");
             let color = DVec3::new(r, g, b);
             assert!((value.color.as_dvec3() - color).abs().max_element() < 1e-4, "{x}: {value:?}, {color}");
@@ -121,7 +122,7 @@ fn values_are_those_of_the_definition() {
             dense += usize::from(sigma > 0.1);
         }
         assert!(dense > n / 10, "{dense}");
-        // The same alone as in company.
+        // A point gives the same value alone as in a batch.
         let mut alone = [Radiance::default()];
         field.evaluate(&positions[n - 1..], &directions[n - 1..], &mut alone);
         assert_eq!(alone[0], values[n - 1]);
@@ -165,7 +166,7 @@ fn position_gradients_are_those_of_the_definition() {
         assert!(jets.iter().zip(&gradients).all(|(jet, gradient)| jet.density_gradient == *gradient));
         let (mut compared, mut kinks) = (0, 0);
         for ((&x, &d), found) in positions.iter().zip(&directions).zip(&jets) {
-            // ∇ of density, red, green and blue.
+            // Gradients of density, red, green and blue.
             let of_channel = |c: usize| Vec3::from_array(found.color_gradients.map(|g| g[c]));
             let found = [found.density_gradient, of_channel(0), of_channel(1), of_channel(2)].map(Vec3::as_dvec3);
             for axis in 0..3 {
@@ -175,7 +176,8 @@ fn position_gradients_are_those_of_the_definition() {
                     let [high, low] = [x.as_dvec3() + step, x.as_dvec3() - step].map(|x| value_slowly(&field, x, d));
                     std::array::from_fn::<f64, 4, _>(|k| (high[k] - low[k]) / (2.0 * h))
                 };
-                // Where the two steps disagree there is a kink in between: a face of a cell, or a hidden unit that switches.
+                // Where the two steps disagree, there is a kink in between: a face of a cell, or a hidden
+                // unit that switches.
                 let (expected, coarse) = (difference(1e-6), difference(2e-6));
                 for k in 0..4 {
                     let scale = expected[k].abs().max(1.0);
@@ -218,7 +220,7 @@ fn bounds_hold_and_empty_boxes_are_found() {
 fn files_keep_every_bit() {
     let mut rng = ChaCha8Rng::seed_from_u64(5);
     let folder = tempfile::tempdir().unwrap();
-    // Corners whose decimals some readers of JSON round otherwise, too.
+    // Some JSON readers round the decimals of these corners differently.
     let awkward = Domain::Box(Aabb::centered_cube(0.5 / 0.33));
     for domain in domains().into_iter().chain([awkward]) {
         let field = field(domain, &mut rng);
@@ -260,7 +262,7 @@ fn damaged_files_are_refused() {
     for length in [0, 7, 9, 100, good.len() / 2, good.len() - 1] {
         refused(&good[..length], "safetensors");
     }
-    // The same length of header, other words in it.
+    // Replaces words of the header by others of the same length.
     let altered_in = |good: &[u8], from: &str, to: &str| {
         assert_eq!(from.len(), to.len());
         let at = good.windows(from.len()).position(|w| w == from.as_bytes()).unwrap_or_else(|| panic!("{from}"));
@@ -275,7 +277,7 @@ fn damaged_files_are_refused() {
     refused(&altered(r#"\"log2_hashmap_size\":9"#, r#"\"log2_hashmap_size\":8"#), "encoding.");
     refused(&altered(r#"\"base_resolution\":3"#, r#"\"base_resolution\":0"#), "base_resolution");
     refused(&altered(r#"\"min\":[-1.0"#, r#"\"min\":[99.0"#), "min < max");
-    // A finite radius, but bounds that are not.
+    // The radius is finite, but the bounds are not.
     refused(&altered_in(&contracted, r#"\"radius\":0.123"#, r#"\"radius\":1e308"#), "a possible model");
     refused(&altered("network.density0", "network.density7"), "no such tensor");
     field.parameters.network.color1[3][1] = f32::NAN;

@@ -1,4 +1,4 @@
-//! A small random network against the layer-by-layer definition in f64, and damaged files.
+//! A small random network compared with its layer-by-layer definition in f64, and damaged files.
 
 use super::*;
 use glam::DVec3;
@@ -33,7 +33,7 @@ fn random_network() -> Tensors {
     let mut rng = ChaCha8Rng::seed_from_u64(11);
     let draw = |(name, shape): (String, Vec<usize>)| {
         let n: usize = shape.iter().product();
-        // Activations keep their size through a layer.
+        // This scale keeps the size of activations through a layer.
         let scale = 3.0 / (*shape.last().unwrap() as f32).sqrt();
         (name, (shape, (0..n).map(|_| scale * rng.random_range(-1.0..1.0_f32)).collect()))
     };
@@ -56,7 +56,7 @@ fn read(tensors: &Tensors) -> Result<NerfMlp> {
     NerfMlp::read(&path)
 }
 
-/// y = W x + b, as written.
+/// y = W x + b, written out.
 fn layer(tensors: &Tensors, name: &str, x: &[f64]) -> Vec<f64> {
     let (shape, weight) = &tensors[&format!("fine.{name}.weight")];
     let bias = &tensors[&format!("fine.{name}.bias")].1;
@@ -75,7 +75,7 @@ fn encode_slowly(v: DVec3, octaves: i32) -> Vec<f64> {
     out
 }
 
-/// The network's definition, one sample at a time, in f64: density before its relu, and colour.
+/// The network's definition in f64, one sample at a time: density before its relu, and colour.
 fn evaluate_slowly(tensors: &Tensors, position: DVec3, direction: Vec3) -> (f64, [f64; 3]) {
     let relu = |x: Vec<f64>| x.into_iter().map(|v| v.max(0.0)).collect::<Vec<_>>();
     let mut h = layer(tensors, "layer1", &encode_slowly(position, 10));
@@ -106,7 +106,7 @@ fn batches_agree_with_the_definition() {
     model.densities(&positions, &mut densities);
     for (i, found) in out.iter().enumerate() {
         let (density, color) = evaluate_slowly(&tensors, positions[i].as_dvec3(), directions[i]);
-        // Five layers of at most 155 f32 products on activations of the order of 1 to 10.
+        // Five layers of at most 155 f32 products, on activations of the order of 1 to 10.
         assert!((f64::from(found.density) - density.max(0.0)).abs() < 2e-4, "{found:?} against {density}");
         assert_eq!(found.density, densities[i]);
         for c in 0..3 {
@@ -141,13 +141,14 @@ fn encoding_is_the_definition() {
     encode_block::<JET>(&[v], OCTAVES[0], &mut jets);
     assert_eq!(jets[..ENCODED[0]], out);
     for (i, expected) in encode_slowly(v.as_dvec3(), 10).into_iter().enumerate() {
-        // Doubling is exact in f32; sine and cosine keep 3e-7.
+        // Doubling is exact in f32; sine and cosine are good to 3e-7.
         assert!((f64::from(out[i]) - expected).abs() < 3e-7);
         for axis in 0..3 {
             let up = encode_slowly(v.as_dvec3() + 1e-3 * DVec3::AXES[axis], 10)[i];
             let down = encode_slowly(v.as_dvec3() - 1e-3 * DVec3::AXES[axis], 10)[i];
             let found = f64::from(jets[(axis + 1) * ENCODED[0] + i]);
-            // Central differences of a sine of frequency f are sin(fh) / fh too small: up to 4 % at f = 512.
+            // Central differences of a sine of frequency f give sin(fh) / fh of its slope: up to 4 % too
+            // little at f = 512.
             assert!((found - (up - down) / 2e-3).abs() <= 0.05 * found.abs() + 1e-3, "{i}, axis {axis}");
         }
     }
@@ -176,7 +177,8 @@ fn jets_are_the_derivatives_of_the_definition() {
                 ((a.0.max(0.0) - b.0.max(0.0)) / 1e-7, [0, 1, 2].map(|c| (a.1[c] - b.1[c]) / 1e-7))
             };
             let (up, down) = (slope(1.0, 0.0), slope(0.0, -1.0));
-            // A ReLU between the two sides bends the line. f32 has slopes, sums of terms up to 512 times the values', to 2e-4 of that.
+            // A ReLU between the two sides bends the line. Slopes sum terms up to 512 times those of values,
+            // and f32 has them to 2e-4 of that.
             let check = |found: f32, up: f64, down: f64, scale: f64| {
                 let off = (f64::from(found) - 0.5 * (up + down)).abs();
                 assert!(off <= 0.6 * (up - down).abs() + 0.1 * scale, "{found}, not from {down} to {up}, axis {axis}");

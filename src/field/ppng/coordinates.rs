@@ -1,7 +1,8 @@
-//! Scene coordinates of a model whose file has its own.
+//! Scene coordinates for a model whose file has its own.
 //!
-//! Letters: `x` scene position in the coordinates chosen, `p` position in the file's: instant-ngp's, in which the object lies
-//! in [0, 1]³. p = R (s x) + t, with s = 0.33 and R cycling the axes for Blender coordinates.
+//! Letters: `x` scene position in the chosen coordinates, `p` position in those of the file. The latter are
+//! instant-ngp's, in which the object lies in [0, 1]³. For Blender coordinates p = R (s x) + ½, with s = 0.33
+//! and R cycling the axes.
 
 use std::ops::Mul;
 
@@ -9,13 +10,13 @@ use glam::{DMat3, DVec3, Vec3};
 
 use crate::geometry::{Aabb, Camera};
 
-/// Scene units and axes that a model is used in.
+/// Scene units and axes in which a model is used.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Coordinates {
     /// The file's own: the object region is [0, 1]³.
     #[default]
     Ngp,
-    /// Those of the NeRF-synthetic transforms.json files: p = cycle(0.33 x) + 0.5.
+    /// Coordinates of the NeRF-synthetic transforms.json files: p = cycle(0.33 x) + 0.5.
     Blender,
 }
 
@@ -35,8 +36,9 @@ impl Coordinates {
         }
     }
 
-    /// Length of a scene unit in file units. A density per file unit times this is the density per scene unit, so that
-    /// optical depth is the same.
+    /// Length of a scene unit in file units.
+    ///
+    /// A density per file unit times this is the density per scene unit, which keeps optical depth the same.
     #[must_use]
     pub const fn scale(self) -> f64 {
         match self {
@@ -45,7 +47,7 @@ impl Coordinates {
         }
     }
 
-    /// p − ½ of a scene position.
+    /// p − ½ for a scene position.
     #[inline]
     pub(super) fn centered(self, x: Vec3) -> Vec3 {
         match self {
@@ -54,7 +56,7 @@ impl Coordinates {
         }
     }
 
-    /// A scene direction along the file's axes.
+    /// Expresses a scene direction in the file's axes.
     #[inline]
     pub(super) fn direction(self, d: Vec3) -> Vec3 {
         match self {
@@ -63,7 +65,7 @@ impl Coordinates {
         }
     }
 
-    /// A file direction along the scene's axes.
+    /// Expresses a file direction in the scene's axes.
     fn inverse_direction(self, d: DVec3) -> DVec3 {
         match self {
             Self::Ngp => d,
@@ -71,7 +73,7 @@ impl Coordinates {
         }
     }
 
-    /// Derivatives by scene position from those by c = p − ½ along its three axes.
+    /// Turns derivatives by c = p − ½ along its three axes into derivatives by scene position.
     #[inline]
     pub(super) fn gradient<T: Mul<f32, Output = T> + Copy>(self, [x, y, z]: [T; 3]) -> [T; 3] {
         match self {
@@ -89,7 +91,7 @@ impl Coordinates {
         }
     }
 
-    /// Position and axes of a scene camera (x right, y up, z back) from the file's pose (x right, y down, z forward).
+    /// Position and axes of a scene camera (x right, y up, z back), given the file's pose (x right, y down, z forward).
     pub(super) fn pose(self, axes: DMat3, position: DVec3) -> (DVec3, DMat3) {
         let position = match self {
             Self::Ngp => position,
@@ -99,7 +101,7 @@ impl Coordinates {
         (position, DMat3::from_cols(right, -down, -forward))
     }
 
-    /// A camera with square pixels and the principal point in the middle.
+    /// A camera with square pixels and the principal point at the image centre.
     pub(super) fn camera(self, (axes, position): (DMat3, DVec3), fov_x: f64, resolution: [u32; 2]) -> Camera {
         let (position, axes) = self.pose(axes, position);
         let looking = Camera::look_at(position, position - axes.z_axis, axes.y_axis, fov_x, resolution);
@@ -113,7 +115,7 @@ mod tests {
 
     #[test]
     fn a_blender_pose_goes_through_the_file_and_back() {
-        // The README of instant-ngp's convention: negate columns 1 and 2, t * 0.33 + 0.5, cycle the rows to (y, z, x).
+        // The convention of instant-ngp's README: negate columns 1 and 2, t * 0.33 + 0.5, cycle the rows to (y, z, x).
         let camera = Camera::look_at(DVec3::new(2.0, -3.0, 1.5), DVec3::ZERO, DVec3::Z, 0.7, [40, 30]);
         let cycle = |v: DVec3| DVec3::new(v.y, v.z, v.x);
         let columns = [camera.axes.x_axis, -camera.axes.y_axis, -camera.axes.z_axis].map(cycle);
@@ -122,7 +124,7 @@ mod tests {
         assert!((found.position - camera.position).length() < 1e-14 && found.axes.abs_diff_eq(camera.axes, 1e-15));
         assert_eq!((found.focal, found.center), (camera.focal, camera.center));
 
-        // In both coordinates a ray meets the same file positions.
+        // A ray meets the same file positions in both coordinates.
         let own = Coordinates::Ngp.camera(file, 0.7, [40, 30]);
         let [a, b] = [found, own].map(|c| c.ray(7.0, 11.0));
         let in_blender = Coordinates::Blender.centered(a.at(2.0).as_vec3());

@@ -1,11 +1,13 @@
 //! From positions to features: tables over sines and cosines (Lee et al., "Plenoptic PNG", arXiv 2409.15689).
 //!
-//! Letters: `F` = 4 frequencies, `C` = 4 features, `Q` grid points of a table axis, `R` rank; `slot` = 2f for sin and 2f + 1 for
-//! cos of frequency f. y = freq · (q − ½) along an axis, s = sin πy or cos πy, u = (s + 1)/2 · (Q − 1) the table coordinate.
+//! Letters: `F` = 4 frequencies, `C` = 4 features, `Q` grid points of a table axis, `R` rank; `slot` = 2f for sin
+//! and 2f + 1 for cos of frequency f. y = freq · (q − ½) along an axis, s = sin πy or cos πy, and
+//! u = (s + 1)/2 · (Q − 1) the table coordinate.
 //!
 //! - `Vectors` (type 1): Σ_r X[ux, r] Y[uy, r] Z[uz, r], each factor linear between grid points.
-//! - `Planes` (type 2): V[z, y, x] = Σ_r YZ[z, y, r] XZ[z, x, r] XY[y, x, r] at grid points, V trilinear between them. Interpolating
-//!   the planes before multiplying is another function, 16 dB worse on a trained file.
+//! - `Planes` (type 2): V[z, y, x] = Σ_r YZ[z, y, r] XZ[z, x, r] XY[y, x, r] at grid points, V trilinear
+//!   between them. Interpolating the planes before multiplying gives another function, 16 dB worse on a
+//!   trained file.
 
 #![allow(
     clippy::needless_range_loop,
@@ -17,23 +19,25 @@ use std::hint::black_box;
 
 use crate::field::elementary::sin_cos_pi;
 
-/// Rows evaluated together: buffers of a block are 15 KB, and a slot's tables (type 1: 30 KB) are read from near memory for all of them.
-/// A row is a point, or one of the [`JET`] of a point that is differentiated.
+/// Number of rows evaluated together. The buffers of a block take 16 KB, and a slot's tables (type 1: 30 KB)
+/// are read from near memory for all rows.
+///
+/// A row is a point, or one of the [`JET`] rows of a point that is differentiated.
 pub const BLOCK: usize = 64;
 /// Rows of a point with its derivatives: value, ∂x, ∂y, ∂z.
 pub const JET: usize = 4;
-/// F.
+/// F, the number of frequencies.
 pub const FREQUENCIES: usize = 4;
-/// C.
+/// C, the number of features per slot.
 pub const FEATURES: usize = 4;
-/// Slots, 2F.
+/// Number of slots, 2F.
 pub const SLOTS: usize = 2 * FREQUENCIES;
 /// Features of a point, slot-major.
 pub const WIDTH: usize = SLOTS * FEATURES;
-/// Two ranks times C: what is multiplied at once. An odd rank is padded with zeros.
+/// Numbers multiplied at once: two ranks times C. An odd rank is padded with zeros.
 const GROUP: usize = 8;
 
-/// One group.
+/// One group of numbers.
 type Lanes = [f32; GROUP];
 
 /// What a table holds.
@@ -55,7 +59,7 @@ impl Kind {
     }
 }
 
-/// The tables, f32.
+/// The tables in f32.
 #[derive(Debug, Clone)]
 pub struct Encoding {
     kind: Kind,
@@ -68,7 +72,7 @@ pub struct Encoding {
     tables: Vec<f32>,
 }
 
-/// Table coordinates u of one slot's points along one axis.
+/// Table coordinates u of the points of one slot along one axis.
 #[derive(Clone, Copy)]
 struct Place<const N: usize> {
     index: [u32; N],
@@ -78,7 +82,7 @@ struct Place<const N: usize> {
 }
 
 impl Encoding {
-    /// From the file's `[3][slot][points][R][C]`; `frequencies` per file unit.
+    /// Builds the encoding from the file's `[3][slot][points][R][C]`; `frequencies` are per file unit.
     pub fn new(kind: Kind, frequencies: [f32; FREQUENCIES], quants: usize, rank: usize, values: &[f32]) -> Self {
         let (points, given) = (kind.points(quants), rank * FEATURES);
         let row = given.next_multiple_of(GROUP);
@@ -91,8 +95,10 @@ impl Encoding {
         Self { kind, frequencies, quants, row, tables }
     }
 
-    /// The features of the first `count` of N positions `c` (= p − ½, `[axis][point]`), `[point · ROWS + row][slot · C + feature]`; row 0 is
-    /// the value, and with [`JET`] rows the others its derivatives by c.
+    /// Fills the features of the first `count` of N positions `c` (= p − ½, `[axis][point]`).
+    ///
+    /// The shape is `[point · ROWS + row][slot · C + feature]`. Row 0 is the value. With [`JET`] rows, the
+    /// others are its derivatives by c.
     #[inline(always)]
     pub fn encode<const N: usize, const ROWS: usize>(
         &self,
@@ -110,7 +116,7 @@ impl Encoding {
                     let index = [0, 1, 2].map(|axis| place[axis].index[p] as usize);
                     let t = [0, 1, 2].map(|axis| place[axis].fraction[p]);
                     let sums = match self.kind {
-                        // The compiler sees that the halves are added, and would work with vectors of half the width.
+                        // Otherwise the compiler sees that the halves are added, and uses vectors of half the width.
                         Kind::Vectors if ROWS == 1 => black_box(self.vectors::<ROWS>(tables, index, t)),
                         Kind::Vectors => self.vectors::<ROWS>(tables, index, t),
                         Kind::Planes => self.planes::<ROWS>(tables, index, t),
@@ -126,7 +132,8 @@ impl Encoding {
         }
     }
 
-    /// Where the points fall in the tables of sin and of cos, along each axis; slopes only if there are rows for them.
+    /// Places of the points in the tables of sin and of cos along each axis, with slopes only if there are
+    /// rows for them.
     #[inline(always)]
     fn places<const N: usize, const ROWS: usize>(&self, c: &[[f32; N]; 3], frequency: f32) -> [[Place<N>; 3]; 2] {
         let mut places = [[Place { index: [0; N], fraction: [0.0; N], slope: [0.0; N] }; 3]; 2];
@@ -157,7 +164,7 @@ impl Encoding {
         places
     }
 
-    /// Sums over every second rank, type 1, and their derivatives by u.
+    /// Type 1: sums over even and over odd ranks, and their derivatives by u.
     #[inline(always)]
     fn vectors<const ROWS: usize>(&self, tables: &[f32], index: [usize; 3], t: [f32; 3]) -> [Lanes; ROWS] {
         let (q, row) = (self.quants, self.row);
@@ -165,8 +172,8 @@ impl Encoding {
         let y = neighbours(tables, row, q + index[1]);
         let z = neighbours(tables, row, 2 * q + index[2]);
         let mut sums = [[0.0; GROUP]; ROWS];
-        // Loops, not closures: a closure would be compiled once, without the instructions of its caller. Whole groups are copied out of
-        // the tables first: then they become registers.
+        // Loops, because a closure would be compiled once, without its caller's instructions. Whole groups
+        // are copied out of the tables first, so that they stay in registers.
         for g in 0..row / GROUP {
             let (x0, x1, y0, y1, z0, z1) = (x.0[g], x.1[g], y.0[g], y.1[g], z.0[g], z.1[g]);
             for i in 0..GROUP {
@@ -184,7 +191,7 @@ impl Encoding {
         sums
     }
 
-    /// Sums over every second rank, type 2, and their derivatives by u.
+    /// Type 2: sums over even and over odd ranks, and their derivatives by u.
     #[inline(always)]
     fn planes<const ROWS: usize>(&self, tables: &[f32], [x, y, z]: [usize; 3], t: [f32; 3]) -> [Lanes; ROWS] {
         let (row, q) = (self.row, self.quants);
@@ -197,7 +204,7 @@ impl Encoding {
         let mut sums = [[0.0; GROUP]; ROWS];
         for g in 0..row / GROUP {
             for i in 0..GROUP {
-                // V at the corners of the cell, first along x.
+                // V at the corners of the cell, interpolated along x first.
                 let along_x = |yz: f32, xz: [f32; 2], xy: [f32; 2]| {
                     let [a, b] = [xz[0] * xy[0], xz[1] * xy[1]];
                     (yz * lerp(a, b, t[0]), yz * (b - a))

@@ -1,7 +1,7 @@
 //! Reads a `.ppng` file: one CBOR map with tables, weights, run lengths of the occupancy grid, and poses.
 //!
-//! Nothing is allocated by a length that the file states: byte strings are slices of what is there, and a list grows as its
-//! elements are met.
+//! No length that the file states is used for an allocation. Byte strings are slices of what is there, and a
+//! list grows as its elements arrive.
 
 use std::path::Path;
 
@@ -18,12 +18,13 @@ use crate::{Error, Result};
 const MAX_QUANTS: u64 = 1024;
 /// Largest rank; trained files have 8 (type 1) and 2 (type 2).
 const MAX_RANK: u64 = 64;
-/// Largest number of cascades: those of instant-ngp.
+/// Largest number of cascades, as in instant-ngp.
 const MAX_CASCADES: u64 = 8;
-/// Largest frequency, half turns per unit of the box; trained files go up to 16. f32 still resolves 1e-4 of a turn there.
+/// Largest frequency, half turns per unit of the box. Trained files go up to 16. f32 still resolves 1e-4 of a
+/// turn at 1024.
 const MAX_FREQUENCY: f64 = 1024.0;
 
-/// What the file says, checked.
+/// The checked content of a file.
 #[derive(Debug)]
 pub struct File {
     /// The tables.
@@ -42,7 +43,7 @@ pub struct File {
     pub step: f64,
 }
 
-/// Values as they come, any of which may be missing.
+/// Values as they come; any may be missing.
 #[derive(Default)]
 struct Raw<'a> {
     integers: [Option<u64>; INTEGERS.len()],
@@ -72,13 +73,13 @@ impl File {
         Self::parse(path, &std::fs::read(path).map_err(Error::io(path, "cannot read"))?)
     }
 
-    /// Checks the bytes of a file; `path` is for messages.
+    /// Checks the bytes of a file; `path` is for messages only.
     pub fn parse(path: &Path, bytes: &[u8]) -> Result<Self> {
         Raw::decode(path, bytes)?.check(path)
     }
 }
 
-/// One element after the other until the list ends, into a vector that grows as they come.
+/// Reads elements until the list ends, into a vector that grows as they arrive.
 fn list<'b, T>(
     decoder: &mut Decoder<'b>,
     mut element: impl FnMut(&mut Decoder<'b>) -> std::result::Result<T, CborError>,
@@ -100,7 +101,7 @@ fn list<'b, T>(
     Ok(elements)
 }
 
-/// A number of any width.
+/// Reads a number of any width.
 fn number(decoder: &mut Decoder) -> std::result::Result<f64, CborError> {
     match decoder.datatype()? {
         Type::F16 | Type::F32 | Type::F64 => decoder.f64(),
@@ -148,7 +149,7 @@ impl<'a> Raw<'a> {
         }
     }
 
-    /// Takes one value; whether there was one before.
+    /// Takes one value; returns whether there was one before.
     fn entry(&mut self, key: &str, decoder: &mut Decoder<'a>) -> std::result::Result<bool, CborError> {
         if let Some(i) = INTEGERS.iter().position(|(name, _)| *name == key) {
             return Ok(self.integers[i].replace(decoder.u64()?).is_some());
@@ -250,7 +251,7 @@ fn numbers<const N: usize>(
     }
 }
 
-/// Occupied cells of each cascade from run lengths, empty cells first.
+/// Occupied cells of each cascade from run lengths, starting with empty cells.
 fn occupied(path: &Path, runs: &[Vec<u32>], cells: usize, cascades: usize) -> Result<Vec<Vec<bool>>> {
     let volume = cells.pow(3);
     if runs.len() != cascades {
@@ -278,10 +279,10 @@ fn pose(path: &Path, index: usize, rows: &[Vec<f64>]) -> Result<(DMat3, DVec3)> 
     }
     let column = |k: usize| DVec3::new(rows[0][k], rows[1][k], rows[2][k]);
     let (axes, position) = (DMat3::from_cols(column(0), column(1), column(2)), column(3));
-    // Poses are f32 products of rotations; optimised ones drift by a little more. NaN fails the comparison.
+    // Poses are f32 products of rotations; optimised ones drift a little more. NaN fails the comparison.
     let skew = axes.transpose() * axes - DMat3::IDENTITY;
     let is_rotation = skew.to_cols_array().iter().all(|v| v.abs() <= 1e-2) && axes.determinant() > 0.0;
-    // Farther away than this a camera sees nothing of a box of at most 128 units.
+    // A camera farther away sees nothing of a box of at most 128 units.
     if is_rotation && position.abs().max_element() <= 1e6 {
         Ok((axes, position))
     } else {

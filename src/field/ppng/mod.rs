@@ -1,15 +1,17 @@
-//! Plenoptic PNG: a trained grid NeRF of 150 KB (Lee et al., arXiv 2409.15689), as written by its instant-ngp fork (`.ppng`).
+//! Plenoptic PNG: a trained grid NeRF of 150 KB (Lee et al., arXiv 2409.15689), as its instant-ngp fork
+//! writes it (`.ppng`).
 //!
-//! Letters: `x` scene position, `p` file position (instant-ngp's: the object lies in [0, 1]³), `c` = p − ½, S the side of
-//! the box, 1 for objects and more for unbounded scenes; q = c/S + ½ in the unit cube is what the tables know.
+//! Letters: `x` scene position; `p` file position (instant-ngp's: the object lies in [0, 1]³); `c` = p − ½; S
+//! the side of the box, 1 for objects and more for unbounded scenes. The tables are functions of q = c/S + ½
+//! in the unit cube.
 //!
 //! ```text
 //! x -> c -> sines and cosines -> tables -> 32 features -> tiny networks -> σ, colour
 //!      c -> window of the occupancy grid ------------------------------------^
 //! ```
-//! Positions go through in blocks of points, in code that the compiler turns into vector instructions; where the processor has
-//! AVX2 and FMA they are used. Results do not depend on that: every operation is rounded as IEEE says. (An x86 processor without FMA, older
-//! than 2013, emulates it and is slow.)
+//! Positions go through in blocks, in code that the compiler turns into vector instructions. AVX2 and FMA are
+//! used where the processor has them. Results do not depend on that: every operation is rounded as IEEE
+//! demands. (An x86 processor without FMA, older than 2013, emulates it and is slow.)
 
 mod coordinates;
 mod features;
@@ -36,9 +38,9 @@ const RESOLUTION: [u32; 2] = [400, 400];
 
 /// A trained Plenoptic PNG.
 ///
-/// The density is the network's times a continuous window: 1 in the cells that the file's occupancy grid marks, 0 from one cell
-/// beyond them. The trainer sampled marked cells only; what the network says elsewhere is noise. Colour has no window: a
-/// finite difference of it never meets an edge.
+/// The density is the network's times a continuous window: 1 in the cells that the file's occupancy grid
+/// marks, 0 from one cell beyond them. The trainer sampled marked cells only; elsewhere the network is noise.
+/// Colour has no window, so finite differences of colour never meet an edge.
 #[derive(Debug, Clone)]
 pub struct Ppng {
     coordinates: Coordinates,
@@ -49,16 +51,16 @@ pub struct Ppng {
     occupied_cells: Vec<u64>,
     /// Rotation (columns right, down, forward) and position in file coordinates.
     poses: Vec<(DMat3, DVec3)>,
-    /// File units.
+    /// Distance between samples, file units.
     step: f64,
 }
 
-/// Buffers of one block of N points: structure of arrays, `[axis][point]`, where points are lanes.
+/// Buffers of one block of N points, as a structure of arrays: `[axis][point]`, with points as lanes.
 struct Block<const N: usize> {
     centered: [[f32; N]; 3],
-    /// w.
+    /// The window w.
     windows: [f32; N],
-    /// ∇w by c; zero in blocks without derivatives.
+    /// ∇w by c. Zero in blocks without derivatives.
     ramps: [Vec3; N],
     directions: [[f32; N]; 3],
     features: [[f32; WIDTH]; BLOCK],
@@ -66,7 +68,7 @@ struct Block<const N: usize> {
     colors: [[f32; OUTPUTS]; BLOCK],
 }
 
-/// Points of a block whose derivatives are wanted too.
+/// Number of points in a block with derivatives.
 const JETS: usize = BLOCK / JET;
 
 impl<const N: usize> Block<N> {
@@ -84,7 +86,7 @@ impl<const N: usize> Block<N> {
 }
 
 impl<const N: usize> Block<N> {
-    /// Point `p` at ½ + `c`.
+    /// Puts point `p` at ½ + `c`.
     fn put(&mut self, p: usize, c: Vec3, (window, ramp): (f32, Vec3)) {
         for axis in 0..3 {
             self.centered[axis][p] = c[axis];
@@ -94,7 +96,7 @@ impl<const N: usize> Block<N> {
     }
 }
 
-/// Fills `hidden` of the block's first `count` points; with [`JET`] rows a point, their derivatives too.
+/// Fills `hidden` of the block's first `count` points. With [`JET`] rows per point, their derivatives follow.
 #[multiversion(targets("x86_64+avx2+fma"))]
 fn hidden_block<const N: usize, const ROWS: usize>(
     encoding: &Encoding,
@@ -106,7 +108,7 @@ fn hidden_block<const N: usize, const ROWS: usize>(
     network.hidden(&block.features, ROWS * count, &mut block.hidden);
 }
 
-/// σ (1 / file unit, without the window) of the block's points, behind [`hidden_block`].
+/// σ (1 / file unit, without the window) of the block's points, after [`hidden_block`].
 #[multiversion(targets("x86_64+avx2+fma"))]
 fn density_block<const N: usize>(block: &Block<N>) -> [f32; N] {
     let rows = BLOCK / N;
@@ -117,24 +119,24 @@ fn density_block<const N: usize>(block: &Block<N>) -> [f32; N] {
     densities
 }
 
-/// Fills `colors`, behind [`hidden_block`].
+/// Fills `colors`, after [`hidden_block`].
 #[multiversion(targets("x86_64+avx2+fma"))]
 fn color_block(network: &Network, block: &mut Block<BLOCK>, count: usize) {
     network.color(&block.hidden, &block.directions, count, &mut block.colors);
 }
 
-/// Fills `colors` and their derivatives, behind [`hidden_block`].
+/// Fills `colors` and their derivatives, after [`hidden_block`].
 #[multiversion(targets("x86_64+avx2+fma"))]
 fn color_jet_block(network: &Network, block: &mut Block<JETS>, count: usize) {
     network.color_jets(&block.hidden, &block.directions, count, &mut block.colors);
 }
 
 impl Ppng {
-    /// Reads a `.ppng` file, to be used in the given scene coordinates.
+    /// Reads a `.ppng` file for use in the given scene coordinates.
     ///
     /// # Errors
-    /// If the file cannot be read, a value is missing or outside its range, lengths contradict each other, or a number is not
-    /// finite.
+    /// If the file cannot be read, a value is missing or outside its range, lengths contradict each other, or
+    /// a number is not finite.
     pub fn read(path: &Path, coordinates: Coordinates) -> Result<Self> {
         File::read(path).map(|file| Self::new(file, coordinates))
     }
@@ -153,7 +155,7 @@ impl Ppng {
         }
     }
 
-    /// Cells that the occupancy grid marks, per cascade, from the innermost.
+    /// Number of cells that the occupancy grid marks in each cascade, from the innermost.
     #[must_use]
     pub fn occupied_cells(&self) -> &[u64] {
         &self.occupied_cells
@@ -284,7 +286,7 @@ impl Ppng {
         }
     }
 
-    /// w at ½ + `c`, and ∇w for blocks with derivatives.
+    /// w at ½ + `c`, with ∇w in blocks with derivatives.
     #[inline]
     fn window_at<const N: usize>(&self, c: Vec3) -> (f32, Vec3) {
         if N == JETS { self.window.at_with_gradient(c) } else { (self.window.at(c), Vec3::ZERO) }
@@ -298,7 +300,9 @@ impl Ppng {
         }
     }
 
-    /// Calls `visit` with blocks of those positions that are not in empty space, where no network is needed, and their indices.
+    /// Gathers the positions outside empty space into blocks, and calls `visit` with each block and their indices.
+    ///
+    /// Positions in empty space need no network.
     fn gather<const N: usize>(&self, positions: &[Vec3], mut visit: impl FnMut(&mut Block<N>, &[usize])) {
         let mut block = Block::<N>::new();
         let (mut owners, mut count) = ([0; N], 0);
@@ -320,7 +324,7 @@ impl Ppng {
         }
     }
 
-    /// ∇σ in scene units, of point `p` of the block, whose density without the window is given.
+    /// ∇σ in scene units of point `p` of the block. `density` is σ without the window, per file unit.
     fn density_gradient(&self, block: &Block<JETS>, density: f32, p: usize) -> Vec3 {
         let (window, ramp) = (block.windows[p], block.ramps[p]);
         let rows = &block.hidden[JET * p..JET * (p + 1)];

@@ -1,6 +1,7 @@
-//! The two tiny networks behind the features.
+//! The two tiny networks that follow the features.
 //!
-//! Letters: `h` the density network's 16 outputs (h₀ is log σ), `sh` 16 real spherical harmonics of the viewing direction.
+//! Letters: `h` the density network's 16 outputs (h₀ is log σ), `sh` 16 real spherical harmonics of the
+//! viewing direction.
 //!
 //! ```text
 //! features (32) -> density -> h -> σ = exp(min(h₀, 11))
@@ -21,9 +22,9 @@ use crate::field::harmonics::spherical_harmonics;
 pub const HIDDEN: usize = 16;
 /// Outputs of the last layer; the fourth is padding.
 pub const OUTPUTS: usize = 4;
-/// log σ is limited to this, as in training.
+/// Upper limit of log σ, as in training.
 pub const LOG_DENSITY_LIMIT: f32 = 11.0;
-/// Points whose sums are kept in registers together, so that each weight is loaded once for all of them.
+/// Number of points whose sums are kept in registers together. Each weight is then loaded once for all of them.
 const TILE: usize = 4;
 
 /// Weights of the two networks.
@@ -40,15 +41,15 @@ fn unblock<const IN: usize, const OUT: usize>(blocks: &[f32]) -> [[f32; OUT]; IN
 }
 
 impl Network {
-    /// Numbers in the file of the three layers.
+    /// Number of weights of each of the three layers in the file.
     pub const SIZES: [usize; 3] = [WIDTH * HIDDEN, 2 * HIDDEN * HIDDEN, HIDDEN * OUTPUTS];
 
-    /// From the three layers as stored in the file, of [`Self::SIZES`] numbers.
+    /// Builds the networks from the three layers as stored in the file, of [`Self::SIZES`] numbers.
     pub fn new([density, color0, color1]: [&[f32]; 3]) -> Self {
         Self { density: unblock(density), color0: unblock(color0), color1: unblock(color1) }
     }
 
-    /// h of the first `count` rows, `[row][16]`. It is linear: rows may be derivatives.
+    /// h of the first `count` rows, `[row][16]`. It is linear, so rows may be derivatives.
     #[inline(always)]
     pub fn hidden(&self, features: &[[f32; WIDTH]; BLOCK], count: usize, hidden: &mut [[f32; HIDDEN]; BLOCK]) {
         for first in (0..count).step_by(TILE) {
@@ -60,7 +61,9 @@ impl Network {
         }
     }
 
-    /// Colours, `[point][red, green, blue, padding]`, of points with outputs `hidden` seen along `directions` (`[axis][point]`).
+    /// Fills colours, `[point][red, green, blue, padding]`, of points with outputs `hidden`.
+    ///
+    /// They are seen along `directions` (`[axis][point]`).
     #[inline(always)]
     pub fn color(
         &self,
@@ -80,7 +83,7 @@ impl Network {
             }
             let mut outputs = [[0.0; OUTPUTS]; TILE];
             for i in 0..HIDDEN {
-                // f32::max would turn a NaN into 0.
+                // f32::max would turn NaN into 0.
                 add_input(&mut outputs, &self.color1[i], |p| if sums[p][i] < 0.0 { 0.0 } else { sums[p][i] });
             }
             for p in 0..TILE {
@@ -91,7 +94,9 @@ impl Network {
         }
     }
 
-    /// Colours and their derivatives, `[point · JET + row][red, green, blue, padding]`, from `hidden` with the same rows.
+    /// Fills colours and their derivatives from `hidden` with the same rows.
+    ///
+    /// The shape is `[point · JET + row][red, green, blue, padding]`.
     #[inline(always)]
     pub fn color_jets<const N: usize>(
         &self,
@@ -108,7 +113,7 @@ impl Network {
             for i in 0..HIDDEN {
                 add_input(&mut sums, &self.color0[i], |row| hidden[first + row][i]);
             }
-            // The direction is fixed: it has no derivatives.
+            // The direction is fixed, so it has no derivatives.
             for i in 0..HIDDEN {
                 for o in 0..HIDDEN {
                     sums[0][o] = self.color0[HIDDEN + i][o].mul_add(harmonics[i][p], sums[0][o]);
@@ -165,7 +170,7 @@ fn add_input<const OUT: usize>(sums: &mut [[f32; OUT]; TILE], weights: &[f32; OU
     }
 }
 
-/// σ from h₀. A NaN stays one.
+/// σ from h₀; NaN stays NaN.
 #[inline(always)]
 pub fn density(h0: f32) -> f32 {
     exp(if h0 > LOG_DENSITY_LIMIT { LOG_DENSITY_LIMIT } else { h0 })

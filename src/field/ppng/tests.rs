@@ -1,4 +1,4 @@
-//! Small random models against the definition in f64, in both coordinates, and damaged files.
+//! Small random models compared with the definition in f64, in both coordinates, and damaged files.
 
 use std::f64::consts::PI;
 
@@ -13,7 +13,7 @@ use crate::estimate::RaySettings;
 use crate::monitor::Silent;
 use crate::render::render_view;
 
-/// What a file holds, before it is one.
+/// The content of a file before it is encoded.
 #[derive(Clone)]
 struct Model {
     kind: u64,
@@ -28,14 +28,14 @@ struct Model {
     poses: Vec<[[f64; 4]; 3]>,
 }
 
-/// Entries of the map.
+/// Number of entries of the map.
 const KEYS: u64 = 16;
 
-/// Makes a model wrong.
+/// A change that makes a model wrong.
 type Change<'a> = &'a dyn Fn(&mut Model);
 
 impl Model {
-    /// Random numbers everywhere, every cell occupied.
+    /// A model of random numbers with every cell occupied.
     fn random(kind: u64, quants: usize, rank: usize, cascades: usize) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(kind);
         let points = if kind == 1 { quants } else { quants * quants };
@@ -51,7 +51,7 @@ impl Model {
             runs: vec![vec![0, 512]; cascades],
             tables,
             layers,
-            // Rows of a camera in front of the box: right x, down -y, forward -z.
+            // Rows of a camera in front of the box: right x, down −y, forward −z.
             poses: vec![[[1.0, 0.0, 0.0, 0.4], [0.0, -1.0, 0.0, 0.6], [0.0, 0.0, -1.0, 2.5]]],
         }
     }
@@ -113,7 +113,8 @@ impl Model {
         self.parse(coordinates).unwrap()
     }
 
-    /// The published definition: σ per file unit and colour at file position `p`, all in f64, numbers taken from where the file has them.
+    /// The published definition: σ per file unit and colour at file position `p`, in f64, with numbers taken
+    /// from the file's layout.
     fn reference(&self, p: DVec3, v: DVec3) -> (f64, [f64; 3]) {
         let (quants, rank) = (self.quants, self.rank);
         let q = (p - 0.5) / f64::from(1_u32 << (self.runs.len() - 1)) + 0.5;
@@ -211,7 +212,7 @@ fn evaluate(field: &Ppng, positions: &[Vec3], directions: &[Vec3]) -> Vec<Radian
 
 #[test]
 fn batches_agree_with_the_definition() {
-    // Odd rank and an even one, one cascade and two.
+    // Odd and even ranks, one cascade and two.
     for (kind, rank, cascades) in [(1, 3, 1), (1, 8, 2), (2, 2, 1), (2, 1, 2)] {
         let model = Model::random(kind, 7, rank, cascades);
         let field = model.field(Coordinates::Ngp);
@@ -222,8 +223,9 @@ fn batches_agree_with_the_definition() {
         let mut spread = [f64::INFINITY, f64::NEG_INFINITY];
         for (i, found) in out.iter().enumerate() {
             let (sigma, color) = model.reference(positions[i].as_dvec3(), directions[i].as_dvec3());
-            // Table coordinates, 3 (1 + sin), are off by 3 (π·4·2⁻²⁴ + 2e-7) = 3e-6; a feature of numbers up to 2 changes by up to 48 R
-            // per unit, and 32 of them enter log σ with weights below ½. Random signs leave 1e-5 (the largest seen) of it.
+            // Table coordinates, 3 (1 + sin), are off by 3 (π·4·2⁻²⁴ + 2e-7) = 3e-6. A feature of numbers up
+            // to 2 changes by up to 48 R per unit, and 32 of them enter log σ with weights below ½. Random
+            // signs leave 1e-5 of it (the largest seen).
             let error = f64::from(found.density).ln() - sigma.ln();
             assert!(error.abs() < 5e-5, "type {kind}, rank {rank}: {found:?}, expected {sigma}");
             for c in 0..3 {
@@ -238,7 +240,7 @@ fn batches_agree_with_the_definition() {
 
 #[test]
 fn jets_are_the_derivatives_of_the_definition() {
-    // Windows have their own ramps: some cells are empty.
+    // Some cells are empty, so that the window has ramps.
     for (kind, rank, coordinates) in
         [(1, 3, Coordinates::Ngp), (1, 8, Coordinates::Blender), (2, 2, Coordinates::Ngp), (2, 1, Coordinates::Blender)]
     {
@@ -257,7 +259,7 @@ fn jets_are_the_derivatives_of_the_definition() {
         for (i, jet) in jets.iter().enumerate() {
             assert_eq!((jet.value, jet.value.density), (values[i], densities[i]), "one arithmetic for all");
             assert_eq!(jet.density_gradient, gradients[i]);
-            // The definition in f64, times the field's own window, by the product rule.
+            // The definition in f64 times the field's own window, by the product rule.
             let (w, ramp) = field.window.at_with_gradient(coordinates.centered(positions[i]));
             let ramp = coordinates.gradient(ramp.to_array()).map(f64::from);
             let at = |x: DVec3| {
@@ -276,8 +278,9 @@ fn jets_are_the_derivatives_of_the_definition() {
                     let (density, c) = at(x + side * 1e-6 * DVec3::AXES[axis]);
                     (f64::from(w) * (density - sigma) / (side * 1e-6) + along * sigma, (c - color) / (side * 1e-6))
                 };
-                // Where the tables or a ReLU have a kink any slope between the two sides will do. f32 has the value to 5e-5, as above,
-                // and the slope, a sum of a hundred times larger terms, to a hundred times that.
+                // At a kink of the tables or a ReLU, any slope between the two sides will do. f32 has the
+                // value to 5e-5, as above, and the slope, a sum of a hundred times larger terms, to a hundred
+                // times that.
                 let (up, down) = (slope(1.0), slope(-1.0));
                 let found = f64::from(jet.density_gradient[axis]);
                 let off = (found - 0.5 * (up.0 + down.0)).abs();
@@ -291,7 +294,7 @@ fn jets_are_the_derivatives_of_the_definition() {
                     down.1,
                     up.1
                 );
-                // What a sharp test is made of.
+                // Counts only comparisons with a tight limit.
                 let sharp = limit < 0.01 * up.0.abs();
                 compared += usize::from(sharp && w == 1.0);
                 ramps += usize::from(sharp && w > 0.0 && w < 1.0);
@@ -353,7 +356,7 @@ fn density_bounds_hold_in_both_coordinates() {
 #[test]
 fn blender_coordinates_show_the_same_scene() {
     let mut model = Model::random(1, 7, 4, 1);
-    // A layer of cells in the middle: densities of the order of 1.
+    // A layer of cells in the middle gives densities of the order of 1.
     model.runs = vec![vec![192, 128, 192]];
     let settings = RaySettings { occupancy: 16, ..RaySettings::default() };
     let resolution = Some([24, 16]);
@@ -366,8 +369,8 @@ fn blender_coordinates_show_the_same_scene() {
     });
     let mut covered = 0;
     for (a, b) in images[0].pixels.iter().zip(&images[1].pixels) {
-        // Same samples up to f32 rounding of positions (1e-7 of the box, times a slope of log σ below 1e3). One sample more or less
-        // at the exit would show as 1e-2.
+        // The samples are the same up to f32 rounding of positions (1e-7 of the box, times a slope of log σ
+        // below 1e3). One sample more or less at the exit would show as 1e-2.
         assert!((a.color - b.color).abs().max_element() < 1e-3, "{} {}", a.color, b.color);
         covered += usize::from(a.opacity > 0.05 && a.opacity < 0.999);
     }
@@ -415,7 +418,8 @@ fn what_is_wrong_with_a_file_is_said() {
     assert!(parse(&longer).unwrap_err().to_string().contains("1 more bytes"));
 }
 
-/// Lengths that are not there: maps, lists, byte strings and texts that claim 10¹² elements. The reader would run out of memory if it believed one.
+/// Maps, lists, byte strings and texts claim 10¹² elements that are not there. A reader that believed one
+/// would run out of memory.
 #[test]
 fn claimed_lengths_are_not_believed() {
     let claim = |major: u8| [&[major << 5 | 27], &1_000_000_000_000_u64.to_be_bytes()[..]].concat();
@@ -446,11 +450,11 @@ fn files_cut_anywhere_are_refused() {
 }
 
 proptest! {
-    /// A damaged file is refused or, where numbers stay plausible, evaluated; nothing panics.
+    /// A damaged file is refused or, if its numbers stay plausible, evaluated. Nothing panics.
     #[test]
     fn altered_bytes_never_panic(changes in prop::collection::vec((0.0..1.0_f64, any::<u8>()), 1..6), header in any::<bool>()) {
         let mut bytes = Model::random(1, 4, 1, 1).bytes();
-        // Numbers of the tables are most of the file; its structure is in the first bytes.
+        // The numbers of the tables fill most of the file. Its structure is in the first bytes.
         let reach = if header { 260 } else { bytes.len() };
         for (at, value) in changes {
             bytes[(at * reach as f64) as usize] = value;
