@@ -24,8 +24,8 @@ pub enum Baseline {
     RayEntropy,
     /// 1 − opacity.
     Transparency,
-    /// Minus the number of training rays behind what the pixel shows: the rays of the field's vertices, averaged
-    /// along the ray like [`RayAverage::WeightedMean`].
+    /// Minus the number of training rays that support what the pixel shows: the rays of the field's vertices,
+    /// averaged along the ray like [`RayAverage::WeightedMean`].
     RayCount,
     /// A random number per pixel.
     Random,

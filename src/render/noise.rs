@@ -266,8 +266,8 @@ impl Sums {
 
 /// Truncation errors by increasing step.
 ///
-/// Measured where they stand out from the noise. Below, they are continued by a power of h between ½ for kinks (the
-/// errors are squared, and kinks are met in proportion to h) and 2 for smooth functions. Either way they grow with
+/// Measured where they stand out from the noise. Below, they are continued by a power of h: at least ½ (the root
+/// mean square for kinks, which are met in proportion to h), at most 2 (smooth functions). Either way they grow with
 /// h. An error that the next longer step does not confirm came from one point with a kink beside it, and counts
 /// only as much as there.
 fn truncations(steps: &[f64], sums: &[Sums]) -> Vec<f64> {

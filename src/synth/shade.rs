@@ -221,8 +221,8 @@ mod tests {
         for (x, sun) in [(shadow, 0.0), (open, 1.0)] {
             let [a, b] = [DVec3::new(0.1, 2.0, 2.0), DVec3::new(0.2, -2.5, 2.5)].map(|eye| seen(&lit, eye, x));
             assert!((a - b).abs().max_element() < 1e-9, "{a} from one side, {b} from the other");
-            // The ball's form factor is cos θ (r/d)² < (0.3 / 0.75)² = 0.16. It takes 1 − BOUNCE
-            // of that, at most 0.112.
+            // The ball's form factor is cos θ (r/d)² < (0.3 / 0.75)² = 0.16. The loss is
+            // 1 − BOUNCE of that, at most 0.112.
             let [low, high] = [0.888, 1.0].map(|sky| ground_with(sun, sky, x));
             assert!(a.cmpge(low - 1e-6).all() && a.cmple(high + 1e-6).all(), "{a}, expected {low} to {high}");
         }
@@ -234,8 +234,8 @@ mod tests {
         let corners = [[0.0, 0.0, 0.0], [0.01, 0.0, 0.0], [0.0, 0.0, 0.01]].map(DVec3::from);
         let scene = Scene::new(Mesh::new(corners.to_vec(), vec![[0, 1, 2]]).unwrap());
         let found = f64::from(sky_light(&scene, corners[0] + 0.01 * DVec3::Y, DVec3::Y, 3));
-        // Only strata cut by the horizon are random: 2·12 of 144, each off by at most half, so σ <
-        // sqrt(24)/2 / 144 = 0.017.
+        // Only strata cut by the horizon are random: 2·12 of 144, each off by at most half,
+        // so σ < sqrt(24)/2 / 144 = 0.017.
         assert!((found - 0.5 * (1.0 + BOUNCE)).abs() < 4.0 * 0.017, "{found}");
     }
 

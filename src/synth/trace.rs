@@ -181,7 +181,7 @@ mod tests {
     proptest! {
         /// The hierarchy finds the same hit as the scan, to the last bit: the same face with the same weights. Rays
         /// aim anywhere, at a vertex, at the middle of an edge, or along an axis through a vertex. The meshes are
-        /// closed, or a soup with slivers and with triangles without area.
+        /// a closed one, and a soup with slivers and with triangles without area.
         #[test]
         fn the_hierarchy_finds_what_the_scan_finds(
             origin in vector(4.0),

@@ -18,8 +18,8 @@ use crate::geometry::Camera;
 /// It is the centre of the smallest ball around the ground's rim and the top of what a mesh may fill; the radius of
 /// that ball is 1.144.
 pub const TARGET: DVec3 = DVec3::new(0.0, 0.0, (RADIUS * RADIUS - GROUND_RADIUS * GROUND_RADIUS) / (4.0 * HALF_HEIGHT));
-/// Distance of the cameras from [`TARGET`]. With [`ANGLE`], the ball is in view from 1.144 /
-/// sin(ANGLE / 2) = 3.38 on.
+/// Distance of the cameras from [`TARGET`]. With [`ANGLE`], the ball is in view from
+/// 1.144 / sin(ANGLE / 2) = 3.38 on.
 pub const DISTANCE: f64 = 3.4;
 /// Angle of view along the image's shorter side in radians, as in NeRF-synthetic.
 pub const ANGLE: f64 = 0.691_111_2;

@@ -1,9 +1,10 @@
 //! The loss of one ray and its derivatives with respect to the density and colour of its samples.
 //!
-//! Letters, for samples i along the ray: `sigma` density per unit length, `delta` interval in that unit, α = 1 −
-//! exp(−σδ), T transmittance before the sample, w = Tα, C = Σ w c + T_end · background, `s` distance in that unit.
-//! For any function of the weights with derivatives a_i = ∂L/∂w_i, ∂L/∂σ_i = δ_i (T_{i+1} a_i − Σ_{j>i} w_j a_j −
-//! T_end a_end). Colour loss and regulariser are such functions, and their a_i add up.
+//! Letters, for samples i along the ray: `sigma` density per unit length, `delta` interval in that unit,
+//! α = 1 − exp(−σδ), T transmittance before the sample, w = Tα, C = Σ w c + T_end · background, `s` distance in that
+//! unit. For any function of the weights with derivatives a_i = ∂L/∂w_i,
+//! ∂L/∂σ_i = δ_i (T_{i+1} a_i − Σ_{j>i} w_j a_j − T_end a_end). Colour loss and regulariser are such functions, and
+//! their a_i add up.
 
 use glam::Vec3;
 
