@@ -1,4 +1,4 @@
-//! Depth maps as truth for evaluation.
+//! Depth maps: the truth that rendered depths are evaluated against.
 
 use std::path::Path;
 
@@ -6,7 +6,7 @@ use super::image::decode;
 use crate::Result;
 use crate::geometry::Camera;
 
-/// What a depth map measures.
+/// Quantity that a depth map measures.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum DepthKind {
@@ -17,31 +17,34 @@ pub enum DepthKind {
     Z,
 }
 
-/// depth = offset + scale · p, scene units, with p = value / largest value for integer images. Value 0 is "unknown".
+/// Encoding of a depth map: depth = offset + scale · p in scene units, with p = value / largest
+/// value of the integer type.
+///
+/// Value 0 means "unknown".
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct DepthEncoding {
     /// Depth at p = 0.
     pub offset: f64,
-    /// Depth at p = 1, less the offset.
+    /// Depth at p = 1, minus the offset.
     pub scale: f64,
-    /// What is measured.
+    /// Quantity that is measured.
     pub kind: DepthKind,
 }
 
 /// A depth map, converted to distances from the camera's centre.
 #[derive(Debug, Clone)]
 pub struct DepthMap {
-    /// Width and height, pixels.
+    /// Width and height in pixels.
     pub resolution: [u32; 2],
-    /// `[height · width]`: Euclidean distance, scene units; `None` where unknown.
+    /// `[height · width]`: Euclidean distance in scene units; `None` if unknown.
     pub distance: Vec<Option<f64>>,
 }
 
 impl DepthMap {
-    /// Reads an 8- or 16-bit PNG; of a colour image the first channel.
+    /// Reads an 8- or 16-bit PNG; of a colour image, the first channel.
     ///
     /// # Errors
-    /// If the file is missing or damaged, or its size is not the camera's.
+    /// If the file is missing or damaged, or its size differs from the camera's.
     pub fn read(path: &Path, encoding: DepthEncoding, camera: &Camera, pixel_offset: f64) -> Result<Self> {
         let resolution = camera.resolution;
         let image = decode(path, "depth map", resolution)?;

@@ -1,56 +1,57 @@
-//! Which frames of a camera file are for training, which are held out, and which are left out: one rule for all verbs.
+//! Splits the frames of a camera file into training frames, held-out frames and frames to ignore:
+//! one rule for all verbs.
 //!
-//! Frames whose image is not there are left out; if no frame has an image, the file is one of cameras alone, and all
-//! count. Of the others every eighth is held out, unless file names say what is what: `transforms_train.json` beside a
-//! `transforms_test.json` is for training, `transforms_test.json` and `transforms_val.json` are held out as they are.
+//! Frames without an image are ignored. If no frame has an image, the file only lists cameras, and all of them count.
+//! Otherwise every eighth frame is held out, unless the file's name decides: `transforms_train.json` beside a
+//! `transforms_test.json` is all for training, `transforms_test.json` and `transforms_val.json` are all held out.
 
 use std::path::{Path, PathBuf};
 
 use super::{Frame, Views};
 use crate::{Error, Result};
 
-/// Of a file that is not split by its name, one image in this many is held out.
+/// One image in this many is held out, unless the name of the file decides.
 const HOLD_OUT: usize = 8;
 
-/// What frames are for.
+/// Purpose of frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Part {
-    /// To train on, and to compute the uncertainty from.
+    /// For training, and for computing the uncertainty.
     Training,
-    /// To judge by; of a file in which none is held out, all.
+    /// For evaluation; all frames, if none is held out.
     HeldOut,
 }
 
-/// Which frames of a part to use.
+/// Frames of a part to use.
 #[derive(Debug, Clone, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Selection {
-    /// All of them.
+    /// All frames of the part.
     #[default]
     All,
-    /// All of both parts.
+    /// All frames of both parts.
     BothParts,
-    /// This many, spread evenly over the camera file's order.
+    /// This many frames, spread evenly over the order of the camera file.
     Count(usize),
-    /// Those of these indices, from 0, in the camera file's order.
+    /// The frames of these indices, from 0, in the order of the camera file.
     Indices(Vec<usize>),
 }
 
-/// The frames of a camera file, told apart.
+/// The frames of a camera file, split into parts.
 #[derive(Debug, Clone)]
 pub struct FrameSplit {
     path: PathBuf,
-    /// Frames of the file.
+    /// Number of frames in the file.
     total: usize,
-    /// Those that can be used, and whether they are held out; in the file's order.
+    /// The usable frames, each with true if it is held out; in the file's order.
     frames: Vec<(Frame, bool)>,
-    /// Images that are not there, though others are.
+    /// Missing images, if any other exists.
     missing: Vec<PathBuf>,
     has_images: bool,
 }
 
 impl FrameSplit {
-    /// Splits a file's frames; looks which images exist.
+    /// Splits the frames of a file, after checking which images exist.
     #[must_use]
     pub fn of(views: Views) -> Self {
         let Views { path, frames, .. } = views;
@@ -64,26 +65,26 @@ impl FrameSplit {
         }
         let all_held_out = is_held_out_by_name(&path);
         let is_split = has_images && test_partner(&path).is_none() && !all_held_out;
-        // From the middle of the first eight: a single image is for training.
+        // Starts in the middle of the first eight, so that a single image is for training.
         let is_held_out = |i: usize| all_held_out || is_split && i % HOLD_OUT == HOLD_OUT / 2 - 1;
         let frames = usable.into_iter().enumerate().map(|(i, frame)| (frame, is_held_out(i))).collect();
         Self { path, total, frames, missing, has_images }
     }
 
-    /// Whether any frame has an image.
+    /// Returns true if any frame has an image.
     #[must_use]
     pub fn has_images(&self) -> bool {
         self.has_images
     }
 
-    /// Images that are not there, though others are.
+    /// Missing images, if any other exists.
     #[must_use]
     pub fn missing(&self) -> &[PathBuf] {
         &self.missing
     }
 
-    /// Selected frames of a part for which `keep` holds, in the file's order. Indices count before `keep`, a count
-    /// after it.
+    /// Selects frames of a part for which `keep` holds, in the file's order. Indices count before `keep`
+    /// applies, a count after it.
     ///
     /// # Errors
     /// If there are no such frames.
@@ -116,11 +117,11 @@ impl FrameSplit {
             self.frames.iter().filter(|(_, is)| both || *is == held_out).map(|(frame, _)| frame).collect()
         };
         let frames = of(part == Part::HeldOut);
-        // A file of one part serves for either.
+        // A file with one part serves as either.
         if frames.is_empty() { of(part != Part::HeldOut) } else { frames }
     }
 
-    /// A sentence on how many frames are `used` as this part, and why the others are not.
+    /// Describes in a sentence how many frames are `used` as this part, and why the others are not.
     #[must_use]
     pub fn describe(&self, part: Part, used: &[Frame]) -> String {
         let mut others = Vec::new();
@@ -129,7 +130,7 @@ impl FrameSplit {
             others.push(format!("{} {has} no image (first: {})", self.missing.len(), first.display()));
         }
         let is_other = |is_held_out: bool| is_held_out != (part == Part::HeldOut);
-        // A file of one part serves for either.
+        // A file with one part serves as either.
         let has_both = self.frames.iter().any(|(_, is)| !is_other(*is));
         let is_left = |(frame, is): &&(Frame, bool)| has_both && is_other(*is) && !used.contains(frame);
         let other_part = self.frames.iter().filter(is_left).count();
@@ -158,7 +159,7 @@ fn is_held_out_by_name(path: &Path) -> bool {
     has_name(path, &["transforms_test.json", "transforms_val.json"])
 }
 
-/// The file of held-out frames that belongs to a file of training frames, if there is one.
+/// The file of held-out frames that belongs to a file of training frames, if it exists.
 #[must_use]
 pub fn test_partner(path: &Path) -> Option<PathBuf> {
     let partner = path.with_file_name("transforms_test.json");
@@ -171,7 +172,7 @@ mod tests {
     use crate::dataset::write_transforms;
     use crate::field::ClosedForm;
 
-    /// A folder with camera files of 20 frames, of which those of `images` are there.
+    /// A folder with camera files of 20 frames, where only the given `images` exist.
     fn split(name: &str, images: &[usize]) -> (tempfile::TempDir, FrameSplit) {
         let folder = tempfile::tempdir().unwrap();
         let cameras = ClosedForm::half_circle(20, [8, 8]).into_iter().enumerate();

@@ -7,18 +7,18 @@ use image::{DynamicImage, ImageDecoder, ImageError, ImageReader};
 
 use crate::{Error, Result};
 
-/// Decodes a PNG or JPEG of a size that is known beforehand: what the file claims is compared with it before memory is taken.
+/// Decodes a PNG or JPEG of known size. The size in the file is compared with it before memory is allocated.
 ///
 /// # Errors
-/// If the file is missing or damaged, or its size is another.
+/// If the file is missing or damaged, or its size differs.
 pub(super) fn decode(path: &Path, what: &str, resolution: [u32; 2]) -> Result<DynamicImage> {
     let wrong = |e| match e {
-        // The system's own reasons have a number; the decoder's are about the content.
+        // Errors of the system carry a number; those of the decoder concern the content.
         ImageError::IoError(e) if e.raw_os_error().is_some() => Error::io(path, "cannot read")(e),
         e => Error::malformed(path, what, "a PNG or JPEG", e.to_string()),
     };
     let file = ImageReader::open(path).map_err(Error::io(path, "cannot open"))?;
-    // By content: a JPEG under the name of a PNG is one all the same.
+    // The content decides: a JPEG named like a PNG is still a JPEG.
     let file = file.with_guessed_format().map_err(Error::io(path, "cannot read"))?;
     let decoder = file.into_decoder().map_err(wrong)?;
     let (w, h) = decoder.dimensions();
@@ -29,20 +29,20 @@ pub(super) fn decode(path: &Path, what: &str, resolution: [u32; 2]) -> Result<Dy
     DynamicImage::from_decoder(decoder).map_err(wrong)
 }
 
-/// An 8-bit image with alpha, as linear fractions in [0, 1] of its own (sRGB-like) colour space.
+/// An 8-bit image with alpha, read as linear fractions in [0, 1] of its own (sRGB-like) colour space.
 #[derive(Debug, Clone)]
 pub struct PosedImage {
-    /// Width and height, pixels.
+    /// Width and height in pixels.
     pub resolution: [u32; 2],
     /// `[height · width]`: red, green, blue, alpha; straight alpha.
     pixels: Vec<[u8; 4]>,
 }
 
 impl PosedImage {
-    /// From `[height · width]` pixels: red, green, blue and straight alpha.
+    /// Makes an image of `[height · width]` pixels: red, green, blue and straight alpha.
     ///
     /// # Panics
-    /// If that is not their number.
+    /// If the number of pixels differs from the resolution.
     #[must_use]
     pub fn new(resolution: [u32; 2], pixels: Vec<[u8; 4]>) -> Self {
         let expected = u64::from(resolution[0]) * u64::from(resolution[1]);
@@ -50,10 +50,10 @@ impl PosedImage {
         Self { resolution, pixels }
     }
 
-    /// Reads a PNG or JPEG of a camera with `resolution`.
+    /// Reads a PNG or JPEG taken by a camera of this `resolution`.
     ///
     /// # Errors
-    /// If the file is missing or damaged, or its size is another.
+    /// If the file is missing or damaged, or its size differs.
     pub fn read(path: &Path, resolution: [u32; 2]) -> Result<Self> {
         let image = decode(path, "image", resolution)?.into_rgba8();
         Ok(Self { resolution, pixels: image.pixels().map(|p| p.0).collect() })
@@ -66,13 +66,13 @@ impl PosedImage {
         a * DVec3::new(r, g, b) + (1.0 - a) * background
     }
 
-    /// Shard of pixel `i` that shows the object.
+    /// Alpha of pixel `i`: the share of it that shows the object.
     #[must_use]
     pub fn alpha(&self, i: usize) -> f64 {
         f64::from(self.pixels[i][3]) / 255.0
     }
 
-    /// Whether pixel `i` is fully opaque: it shows the object alone.
+    /// Returns true if pixel `i` is fully opaque, so that it shows only the object.
     #[must_use]
     pub fn is_opaque(&self, i: usize) -> bool {
         self.pixels[i][3] == 255
@@ -84,7 +84,7 @@ impl PosedImage {
         self.pixels.len()
     }
 
-    /// Whether the image has no pixel.
+    /// Returns true if the image has no pixels.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.pixels.is_empty()

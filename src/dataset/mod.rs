@@ -1,4 +1,4 @@
-//! Posed images, which of them to use for what, depth maps, and lists of points.
+//! Posed images and their split, depth maps, and lists of points.
 
 mod depth;
 mod frames;

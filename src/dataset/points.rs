@@ -1,4 +1,4 @@
-//! Lists of points to ask a field at.
+//! Lists of points at which to query a field.
 
 use std::io::Read;
 use std::path::Path;
@@ -8,7 +8,7 @@ use glam::Vec3;
 use crate::io::npy;
 use crate::{Error, Result};
 
-/// Reads points, f32 or f64 `[N, 3]`, scene units, from a `.npy` file.
+/// Reads points from a `.npy` file: f32 or f64 `[N, 3]`, in scene units.
 ///
 /// # Errors
 /// If the file is missing or holds another array, or a coordinate is not finite as f32.
@@ -36,8 +36,9 @@ pub fn read_npy(path: &Path) -> Result<Vec<Vec3>> {
     }
 }
 
-/// Reads x,y,z, scene units, from the first three columns; a first line whose first three entries are no numbers is a header.
-/// `path` is for messages.
+/// Reads points from the first three columns of a CSV file: x,y,z in scene units.
+///
+/// A first line whose first three entries are not numbers is a header. `path` appears in error messages only.
 ///
 /// # Errors
 /// If reading fails, or a row is not three finite numbers.
@@ -51,7 +52,7 @@ pub fn read_csv(input: impl Read, path: &Path) -> Result<Vec<Vec3>> {
         let numbers: Vec<f32> = first().map_while(|v| v.ok().filter(|v| v.is_finite())).collect();
         match numbers.as_slice() {
             &[x, y, z] => points.push(Vec3::new(x, y, z)),
-            // Three names; numbers with other separators are one entry, not a header.
+            // Three names. Numbers with other separators are a single entry, not a header.
             _ if row == 0 && record.len() >= 3 && first().all(|v| v.is_err()) => {}
             _ => {
                 let found = record.iter().collect::<Vec<_>>().join(",");

@@ -1,8 +1,9 @@
 //! Camera files: transforms.json of the original NeRF, instant-ngp and nerfstudio.
 //!
-//! Intrinsics at top level or per frame: `fl_x fl_y cx cy w h` in pixels, or `camera_angle_x` (`camera_angle_y`) in radians.
-//! `k1 k2 p1 p2` are OpenCV's lens distortion, which is applied whatever perspective `camera_model` is named; fisheye lenses
-//! and panoramas are refused. `transform_matrix` is camera-to-world, OpenGL axes (x right, y up, looking along −z).
+//! Intrinsics stand at top level or per frame: `fl_x fl_y cx cy w h` in pixels, or `camera_angle_x`
+//! (`camera_angle_y`) in radians. `k1 k2 p1 p2` are OpenCV's lens distortion, applied for any perspective
+//! `camera_model`. Fisheye lenses and panoramas are an error. `transform_matrix` is camera-to-world with OpenGL
+//! axes (x right, y up, looking along −z).
 
 use std::path::{Path, PathBuf};
 
@@ -13,38 +14,38 @@ use serde::de::IgnoredAny;
 use crate::geometry::{Camera, Distortion, MAX_PIXELS, MAX_REACH, MAX_SIDE, MAX_SKEW, skew};
 use crate::{Error, Result};
 
-/// A camera with the image that belongs to it.
+/// A camera with its image.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Frame {
     /// Pose and intrinsics.
     pub camera: Camera,
-    /// `file_path` as written, for messages and for names of depth maps.
+    /// `file_path` as written; used in messages and for the names of depth maps.
     pub name: String,
-    /// The image's path, extension `.png` added if the file names none; it need not exist.
+    /// Path of the image, with `.png` added unless it ends in a known extension; the image need not exist.
     pub image: PathBuf,
 }
 
-/// Where the image size came from.
+/// Origin of the image size.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ResolutionSource {
     /// `w` and `h` in the file.
     File,
     /// The size of the first image found.
     Image,
-    /// The caller's wish.
+    /// The caller's request.
     Requested,
-    /// None of these: 400 × 400 assumed.
+    /// None of these: 400 × 400 is assumed.
     Assumed,
 }
 
 /// All cameras of a file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Views {
-    /// The file.
+    /// Path of the file.
     pub path: PathBuf,
-    /// At least one.
+    /// The frames, at least one.
     pub frames: Vec<Frame>,
-    /// Where the image size came from.
+    /// Origin of the image size.
     pub resolution_source: ResolutionSource,
 }
 
@@ -67,21 +68,21 @@ struct Intrinsics {
     is_fisheye: Option<bool>,
 }
 
-/// What a file says about the kind of its lenses.
+/// What a file says about the kind of lens.
 #[derive(Debug, Default, Deserialize)]
 struct LensKind {
     camera_model: Option<String>,
-    /// instant-ngp's f-theta lens: the key alone says so.
+    /// instant-ngp's f-theta lens; the presence of the key is enough.
     ftheta_p0: Option<IgnoredAny>,
     /// instant-ngp's panorama, likewise.
     latlong: Option<IgnoredAny>,
 }
 
-/// COLMAP's and nerfstudio's names of perspective cameras: all of them are [`Distortion`] with some coefficients zero.
+/// Names of perspective cameras in COLMAP and nerfstudio. All are [`Distortion`] with some coefficients zero.
 const PERSPECTIVE: [&str; 5] = ["PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "RADIAL", "SIMPLE_RADIAL"];
 
 impl LensKind {
-    /// What is there instead of a perspective lens, if that is so; the frame's own word counts before the file's.
+    /// Names the lens if it is not perspective. What the frame says takes precedence over the file.
     fn other_than_perspective(&self, file: &Self) -> Option<String> {
         let model = self.camera_model.as_ref().or(file.camera_model.as_ref());
         let other = model.filter(|name| !PERSPECTIVE.iter().any(|known| known.eq_ignore_ascii_case(name)));
@@ -111,19 +112,19 @@ struct RawFile {
     lens: LensKind,
 }
 
-/// Assumed image size where nothing tells.
+/// Image size if nothing states it.
 const ASSUMED: [u32; 2] = [400, 400];
 /// [`MAX_SIDE`] and [`MAX_PIXELS`] in words.
 const SIZES: &str = "whole numbers from 1 to 65536, at most 1e8 pixels";
 
-/// An image size that a camera can have; the size in words otherwise.
+/// Checks an image size for a camera; the error is the size in words.
 fn size(w: f64, h: f64) -> std::result::Result<[u32; 2], String> {
     let side = |v: f64| (1.0..=MAX_SIDE).contains(&v) && v.fract() == 0.0;
     if side(w) && side(h) && w * h <= MAX_PIXELS { Ok([w as u32, h as u32]) } else { Err(format!("{w} x {h}")) }
 }
 
 impl Intrinsics {
-    /// The frame's own values, where it has some, over the file's.
+    /// The frame's own values where it has them, else those of the file.
     fn over(self, file: Self) -> Self {
         Self {
             camera_angle_x: self.camera_angle_x.or(file.camera_angle_x),
@@ -144,13 +145,13 @@ impl Intrinsics {
         }
     }
 
-    /// w and h as an image size, `None` if absent.
+    /// w and h as an image size; `None` if absent.
     fn resolution(&self) -> Option<std::result::Result<[u32; 2], String>> {
         let (w, h) = (self.w?, self.h?);
         Some(size(w, h))
     }
 
-    /// The lens; what is wrong with it otherwise.
+    /// The lens distortion; the error says what is wrong with it.
     fn distortion(&self) -> std::result::Result<Distortion, String> {
         let value = |v: Option<f64>| v.unwrap_or(0.0);
         let distortion = Distortion { k: [self.k1, self.k2].map(value), p: [self.p1, self.p2].map(value) };
@@ -165,13 +166,13 @@ impl Intrinsics {
         }
     }
 
-    /// Focal lengths and principal point for an image of `resolution` pixels.
+    /// Focal lengths and principal point in pixels, for an image of `resolution` pixels.
     ///
-    /// `fl_x` is in pixels of the `w` × `h` that the file states; an image of another size scales it.
+    /// `fl_x` refers to the `w` × `h` that the file states and is scaled to images of another size.
     fn project(&self, resolution: [u32; 2]) -> std::result::Result<([f64; 2], [f64; 2]), String> {
         let [w, h] = resolution.map(f64::from);
         let scale = [self.w.map_or(1.0, |stated| w / stated), self.h.map_or(1.0, |stated| h / stated)];
-        // The tangent of half of 40 (degrees, say) is positive too.
+        // An angle in degrees, 40 say, would also give a positive tangent.
         for (name, angle) in [("camera_angle_x", self.camera_angle_x), ("camera_angle_y", self.camera_angle_y)] {
             if let Some(angle) = angle.filter(|angle| !(*angle > 0.0 && *angle < std::f64::consts::PI)) {
                 return Err(format!("`{name}` {angle}"));
@@ -201,12 +202,14 @@ impl Intrinsics {
 }
 
 impl Views {
-    /// Reads a camera file. The image size is the `requested` one, else the file's `w` and `h`, else that of the first image
-    /// that exists, else 400 × 400.
+    /// Reads a camera file.
+    ///
+    /// The image size is the `requested` one, else `w` and `h` of the file, else that of the first image that
+    /// exists, else 400 × 400.
     ///
     /// # Errors
-    /// If the file is missing or no JSON, has no frames or no focal length, or a matrix is not a finite rigid pose (a uniform
-    /// scale is removed).
+    /// If the file is missing or is not JSON, has no frames or no focal length, or if a matrix is not a finite
+    /// rigid pose (a uniform scale is removed).
     pub fn read(path: &Path, requested: Option<[u32; 2]>) -> Result<Self> {
         let text = std::fs::read_to_string(path).map_err(Error::io(path, "cannot read"))?;
         let file: RawFile = serde_json::from_str(&text).map_err(|e| {
@@ -280,16 +283,16 @@ impl Views {
         Ok(Self { path: path.to_path_buf(), frames, resolution_source: source })
     }
 
-    /// All cameras.
+    /// Cameras of all frames.
     #[must_use]
     pub fn cameras(&self) -> Vec<Camera> {
         self.frames.iter().map(|f| f.camera).collect()
     }
 
-    /// Frame `k`.
+    /// Returns frame `k`.
     ///
     /// # Errors
-    /// If there are fewer.
+    /// If there are not that many frames.
     pub fn frame(&self, k: usize) -> Result<&Frame> {
         self.frames.get(k).ok_or_else(|| {
             let place = format!("frame {k}");
@@ -307,7 +310,7 @@ fn image_path(folder: &Path, file_path: &str) -> PathBuf {
     if known { path } else { PathBuf::from(format!("{}.png", path.display())) }
 }
 
-/// Position and rotation of a pose; what is wrong with it otherwise.
+/// Position and rotation of a pose; the error says what is wrong with it.
 fn pose(matrix: Option<&[Vec<f64>]>) -> std::result::Result<(DVec3, DMat3), String> {
     let matrix = matrix.ok_or("none")?;
     if !(3..=4).contains(&matrix.len()) || matrix.iter().any(|row| row.len() != 4) {
@@ -318,7 +321,7 @@ fn pose(matrix: Option<&[Vec<f64>]>) -> std::result::Result<(DVec3, DMat3), Stri
     if !linear.is_finite() || !position.is_finite() {
         return Err("numbers that are not finite".into());
     }
-    // A transposed matrix has a rotation too: its position stands here.
+    // A transposed matrix also has a rotation, but its position stands here.
     let homogeneous = |row: &[f64]| row.iter().zip([0.0, 0.0, 0.0, 1.0]).all(|(a, b)| (a - b).abs() < 1e-6);
     if let Some(last) = matrix.get(3).filter(|row| !homogeneous(row)) {
         return Err(format!("a last row of {last:?} instead of [0, 0, 0, 1]"));
@@ -336,7 +339,7 @@ fn pose(matrix: Option<&[Vec<f64>]>) -> std::result::Result<(DVec3, DMat3), Stri
     Ok((position, axes))
 }
 
-/// Writes cameras as a transforms.json that [`Views::read`] and other tools read; `names` are the frames' `file_path`s.
+/// Writes cameras, each with the `file_path` of its frame, as a transforms.json for [`Views::read`] and other tools.
 ///
 /// # Errors
 /// If the file cannot be written.
@@ -413,7 +416,7 @@ mod tests {
             );
             assert_eq!(read(&json).expect(name).frames[0].camera.distortion.k, [0.1, 0.0]);
         }
-        // A frame's own lens counts before the file's.
+        // A frame's own lens takes precedence over the file's.
         let json = format!(
             r#"{{"fl_x": 50, "camera_model": "FISHEYE624", "frames": [{{"camera_model": "PINHOLE", {POSE}}}]}}"#
         );

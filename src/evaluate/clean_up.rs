@@ -1,7 +1,8 @@
-//! Clean-up (the paper, Sec. 5.2): what is too uncertain is removed; do held-out images get better?
+//! Clean-up (the paper, Sec. 5.2): do held-out images improve when uncertain density is removed?
 //!
-//! Thresholds are shares of the official code's scale: density stays where log10 U ≤ share · 6, here with U in longest edges of the field's domain, so that
-//! they mean the same at any scale. (At level 8, where nothing was seen, that share is 0.95 for `diagonal` and 0.94 for `trace`.)
+//! Thresholds are shares of the official code's scale: density stays where log10 U ≤ share · 6. Here U is measured in
+//! longest edges of the field's domain, so that a threshold means the same at any scale. At level 8, space that was
+//! never seen lies at a share of 0.95 for `diagonal` and 0.94 for `trace`.
 
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
@@ -14,32 +15,33 @@ use crate::monitor::{Monitor, check};
 use crate::render::{RenderedView, Tracer, render_view};
 use crate::uncertainty::{ThresholdedField, UncertaintyField};
 
-/// log10 U of share 1, U in longest edges of the domain.
+/// log10 U at a share of 1, with U in longest edges of the domain.
 pub const SCALE: f64 = 6.0;
-/// The ten steps of the sweep; the paper reports 0.9, 0.4 and the best of all.
+/// Thresholds of the sweep, as shares of [`SCALE`]. The paper reports 0.9, 0.4 and the best of all.
 pub const THRESHOLDS: [f64; 10] = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0];
 
-/// Held-out images after a clean-up: means over views.
+/// Quality of held-out images after a clean-up: means over views, except where a field says otherwise.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct CleanUp {
-    /// Shard of the scale; `None` for the field as it is.
+    /// Threshold as a share of [`SCALE`]; `None` for the field as it is.
     pub threshold: Option<f64>,
-    /// Largest log10 U that is kept, scene units.
+    /// Largest log10 U that is kept, with U in scene units.
     pub log10: Option<f64>,
-    /// PSNR of whole images, dB: the background shows where density was removed.
+    /// PSNR of whole images, dB. The background shows where density was removed.
     pub psnr: f64,
-    /// PSNR over the pixels that still show something (opacity above ½), dB, over the views that do; NaN if none does.
+    /// PSNR over the pixels that still show something (opacity above ½), dB; NaN if no view has such pixels.
     pub psnr_shown: f64,
-    /// SSIM of whole images; NaN if they are too small for it.
+    /// SSIM of whole images; NaN if they are too small.
     pub ssim: f64,
-    /// SSIMULACRA 2 of whole images; NaN if they are too small for it.
+    /// SSIMULACRA 2 of whole images; NaN if they are too small.
     pub ssimulacra2: f64,
-    /// Of the pixels that should show matter, the share that do (opacity above ½).
+    /// Share of the pixels of all views that should show matter and do (opacity above ½).
     pub coverage: f64,
 }
 
 impl CleanUp {
-    /// The clean-up of the highest PSNR of whole images; of several, the one that removes most. `None` without any.
+    /// The clean-up with the highest PSNR of whole images, the first if several tie.
+    /// `None` if nothing was cleaned up.
     #[must_use]
     pub fn best(all: &[Self]) -> Option<&Self> {
         let cleaned = all.iter().filter(|c| c.threshold.is_some());
@@ -76,9 +78,10 @@ impl CleanUp {
     }
 }
 
-/// Images of `truths` before and after removing what is above each of `thresholds`: the first entry is the field as it is.
+/// Renders `truths` before and after removing density above each of `thresholds`. The
+/// first entry is the field as it is.
 ///
-/// Advances the monitor by one per row of each image; the caller begins and ends the stage.
+/// Advances the monitor by one per row of each image. The caller begins and ends the stage.
 ///
 /// # Errors
 /// [`crate::Error::Interrupted`] only.
@@ -91,7 +94,7 @@ pub fn clean_up(
 ) -> Result<Vec<(CleanUp, Vec<RenderedView>)>> {
     let edge = uncertainty.lattice().domain().size().max_element();
     let render = |field: &dyn RadianceField| -> Result<Vec<RenderedView>> {
-        // The same samples: removing density keeps every bound of it.
+        // The samples stay the same: removing density keeps every upper bound of it valid.
         let tracer = Tracer { field, ..tracer.clone() };
         let view = |truth: &TrueView| {
             check(monitor)?;

@@ -1,20 +1,20 @@
-//! What is asked whether it ranks the error. Larger is more uncertain, always.
+//! Measures of uncertainty that are ranked against the error. Larger always means more uncertain.
 
 use crate::render::RayAverage;
 use crate::uncertainty::UncertaintyField;
 
-/// A field read through one covariance, blended along rays in some ways.
+/// An uncertainty field for one covariance, with the ways to average it along a ray.
 #[derive(Debug, Clone)]
 pub struct Reading {
-    /// For tables.
+    /// Name in tables.
     pub name: String,
-    /// U.
+    /// The uncertainty field U.
     pub field: UncertaintyField,
-    /// How log10 U becomes a pixel's, at least one.
+    /// How log10 U along a ray becomes the value of its pixel; at least one.
     pub blends: Vec<RayAverage>,
 }
 
-/// What an uncertainty field has to beat: measures without a Hessian.
+/// Measures without a Hessian, which an uncertainty field has to beat.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Baseline {
@@ -24,11 +24,13 @@ pub enum Baseline {
     RayEntropy,
     /// 1 − opacity.
     Transparency,
-    /// Minus the number of training rays that support what the pixel shows: that of the field's vertices, blended like [`RayAverage::WeightedMean`].
+    /// Minus the number of training rays that support what the pixel shows: the rays of the field's vertices,
+    /// averaged along the ray like [`RayAverage::WeightedMean`].
     RayCount,
     /// A random number per pixel.
     Random,
-    /// [`crate::metrics::ensemble_variance`] of the median depth; a member that shows nothing has the depth at which the ray leaves the box.
+    /// [`crate::metrics::ensemble_variance`] of the median depth. Where a member shows nothing, its depth is that
+    /// at which the ray leaves the box.
     EnsembleVariance,
     /// [`crate::metrics::density_aware`].
     DensityAware,
@@ -49,7 +51,7 @@ impl Baseline {
         }
     }
 
-    /// Whether it asks for nothing but one model and its rays.
+    /// Returns true if it needs nothing but one model and its rays.
     #[must_use]
     pub fn is_single_model(self) -> bool {
         !matches!(self, Self::EnsembleVariance | Self::DensityAware)
@@ -59,8 +61,8 @@ impl Baseline {
 /// One measure of uncertainty per pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Measure {
-    /// Blended log10 U of the reading of this index.
+    /// Ray average of log10 U, by the index of the reading.
     Reading(usize, RayAverage),
-    /// One of the others.
+    /// A measure without a Hessian.
     Baseline(Baseline),
 }

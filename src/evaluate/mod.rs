@@ -1,8 +1,9 @@
-//! Does an uncertainty tell where a field is wrong? Judged on held-out views whose depth is known, all measures on the same pixels.
+//! Checks whether an uncertainty shows where a field is wrong, on held-out views with known depth.
 //!
-//! In the order in which data flows: a [`TrueView`] is what a camera should see, [`Evaluator`] renders it and gives every pixel its depth
-//! error and all [`Measure`]s of uncertainty, [`Score`] says how well each ranks the error, [`clean_up()`] removes what is too
-//! uncertain and asks whether images get better.
+//! All measures are compared on the same pixels. In the order in which data flows: a [`TrueView`] is what a
+//! camera should see. [`Evaluator`] renders it and gives every pixel its depth error and all [`Measure`]s of
+//! uncertainty. [`Score`] says how well each measure ranks the error. [`clean_up()`] removes what is too
+//! uncertain and compares the images.
 
 mod clean_up;
 mod measure;

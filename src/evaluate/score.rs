@@ -1,21 +1,22 @@
-//! How well a measure ranks the error, and how large the error is.
+//! How well a measure ranks the depth error, and how large that error is.
 
 use serde::{Deserialize, Serialize};
 
 use super::EvaluatedView;
 use crate::metrics::{ErrorKind, Sparsification, quantile, sparsification};
 
-/// Area under the sparsification error of one measure.
+/// Area under the sparsification error (AUSE) of one measure.
 #[derive(Debug, Clone)]
 pub struct Score {
     /// `[error kinds]`: curves and area over the pixels of all views together.
     pub pooled: Vec<Sparsification>,
-    /// `[error kinds]`: mean of the views' own areas.
+    /// `[error kinds]`: mean of the areas of single views.
     pub per_view_mean: Vec<f64>,
 }
 
 impl Score {
-    /// The score of measure `m` for every [`ErrorKind`]; `None` if there is nothing to rank (see [`sparsification`]).
+    /// Scores the measure of index `m` for every [`ErrorKind`]; `None` if there is nothing to rank (see
+    /// [`sparsification`]).
     #[must_use]
     pub fn of(views: &[EvaluatedView], m: usize) -> Option<Self> {
         let errors: Vec<f64> = views.iter().flat_map(|v| &v.absolute_error).copied().collect();
@@ -40,21 +41,21 @@ impl Score {
     }
 }
 
-/// Absolute error of the median depth over the pixels of all views, scene units.
+/// Absolute error of the median depth over the pixels of all views, in scene units.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct DepthError {
-    /// Pixels.
+    /// Number of pixels.
     pub pixels: usize,
-    /// Half of the pixels are within.
+    /// Median.
     pub median: f64,
     /// Mean.
     pub mean: f64,
-    /// 95 % of the pixels are within.
+    /// 95th percentile.
     pub percentile_95: f64,
 }
 
 impl DepthError {
-    /// Over all views; `None` without pixels.
+    /// Collects the errors of all views; `None` if there are no pixels.
     #[must_use]
     pub fn of(views: &[EvaluatedView]) -> Option<Self> {
         let mut errors: Vec<f64> = views.iter().flat_map(|v| &v.absolute_error).copied().collect();

@@ -1,4 +1,4 @@
-//! On a ball of which everything is known.
+//! Tests on a ball whose geometry is known in closed form.
 
 use glam::{DVec3, Vec3};
 
@@ -12,7 +12,7 @@ use crate::posterior::Covariance;
 use crate::render::{RayAverage, Tracer, render_view};
 use crate::uncertainty::UncertaintyField;
 
-/// A field without matter in the ball's box.
+/// An empty field in the ball's box.
 struct Nothing(Aabb);
 
 impl RadianceField for Nothing {
@@ -58,7 +58,7 @@ fn tracer(field: &dyn RadianceField) -> Tracer<'_> {
     settings().tracer(field, 0.0, &Silent).unwrap()
 }
 
-/// What the ball shows; its true distance is the median depth less 0.01 for every pixel further to the right.
+/// What the ball shows. Its true distance falls short of the median depth by 0.01 more for every pixel to the right.
 fn truth(ball: &ClosedForm, camera: &Camera) -> TrueView {
     let view = render_view(&tracer(ball), camera, 0.5, &[], &Silent).unwrap();
     let width = camera.resolution[0] as usize;
@@ -106,7 +106,7 @@ fn every_measure_is_of_the_same_pixels() {
         assert_eq!(baseline(Baseline::RayVariance)[k], pixel.depth_variance);
         assert_eq!(baseline(Baseline::RayEntropy)[k], pixel.termination_entropy);
         assert_eq!(baseline(Baseline::Transparency)[k], 1.0 - pixel.opacity);
-        // The ball itself and nothing: its depth, and where the ray leaves the box.
+        // The members are the ball and nothing: the ball's depth, and the depth at which the ray leaves the box.
         let ray = camera.ray((i % 24) as f64 + 0.5, (i / 24) as f64 + 0.5);
         let exit = ball.bounds().clip(&ray).unwrap().1;
         assert_eq!(baseline(Baseline::EnsembleVariance)[k], ensemble_variance(&[pixel.median_depth, exit]));
@@ -120,10 +120,10 @@ fn every_measure_is_of_the_same_pixels() {
             assert_eq!(of(Measure::Reading(r, RayAverage::Spread))[k], log10(expected) + deviation.log10(), "{name}");
         }
     }
-    // Fewer rays are more uncertain: counts are those of the field, somewhere between none and all.
+    // Fewer rays mean more uncertainty. Counts are those of the field, between none and all.
     let counts = baseline(Baseline::RayCount);
     assert!(counts.iter().all(|c| (-4000.0..=0.0).contains(c)) && counts.iter().any(|c| *c < -1.0));
-    // Chance differs from view to view and is the same every time.
+    // The random baseline differs between views but repeats for one seed.
     assert_eq!(baseline(Baseline::Random), &evaluator.evaluate(&truth, 7, &Silent).unwrap().measures[16]);
     assert_ne!(baseline(Baseline::Random), &evaluator.evaluate(&truth, 8, &Silent).unwrap().measures[16]);
 }
@@ -175,6 +175,6 @@ fn clean_up_removes_nothing_above_the_prior_and_everything_below_the_least() {
     assert!(gone.1.iter().flat_map(|view| &view.pixels).all(|p| p.opacity == 0.0 && p.color == DVec3::ONE));
     assert!(gone.0.coverage == 0.0 && gone.0.psnr_shown.is_nan() && gone.0.psnr < 20.0);
     assert!(some.0.coverage < 1.0 && some.0.psnr > gone.0.psnr, "{some:?}");
-    // The threshold in scene units, from its share of the scale.
+    // The threshold in scene units follows from its share of the scale.
     assert!((10_f64.powf(kept.0.log10.unwrap()) / field.prior() - 1.0).abs() < 1e-7);
 }

@@ -8,19 +8,19 @@ use crate::Result;
 use crate::dataset::{DepthEncoding, DepthMap, Frame, PosedImage};
 use crate::geometry::Camera;
 
-/// Where true depth maps are.
+/// Location of true depth maps.
 #[derive(Debug, Clone)]
 pub struct DepthFiles {
-    /// Their folder.
+    /// Folder of the maps.
     pub folder: PathBuf,
     /// File name; `{}` is the frame's file name without extension.
     pub pattern: String,
-    /// What their values mean.
+    /// Meaning of their values.
     pub encoding: DepthEncoding,
 }
 
 impl DepthFiles {
-    /// The depth map of a frame.
+    /// Path of a frame's depth map.
     #[must_use]
     pub fn path(&self, frame: &Frame) -> PathBuf {
         let stem = Path::new(&frame.name).file_name().unwrap_or_default().to_string_lossy();
@@ -29,20 +29,21 @@ impl DepthFiles {
     }
 }
 
-/// What a held-out camera should see, at some of its pixels.
+/// What a held-out camera should see, for some of its pixels.
 #[derive(Debug, Clone)]
 pub struct TrueView {
     /// The frame's `file_path`.
     pub name: String,
-    /// A camera with just these pixels.
+    /// A camera with exactly these pixels.
     pub camera: Camera,
-    /// Where in a pixel rays go through.
+    /// Position in a pixel that its ray passes through, 0 to 1 along x and y.
     pub pixel_offset: f64,
-    /// `[height · width]`: over the background, in [0, 1].
+    /// `[height · width]`: colour over the background, in [0, 1].
     pub colors: Vec<DVec3>,
-    /// `[height · width]`: whether more than half of the pixel shows matter (alpha above ½).
+    /// `[height · width]`: true if more than half of the pixel shows matter (alpha above ½).
     pub covered: Vec<bool>,
-    /// `[height · width]`: distance from the camera, scene units, where it is known and the pixel shows matter alone (alpha 255).
+    /// `[height · width]`: distance from the camera in scene units, where it is known and
+    /// the pixel is opaque (alpha 255).
     pub distance: Vec<Option<f64>>,
 }
 
@@ -50,7 +51,7 @@ impl TrueView {
     /// Reads every `stride`-th pixel along x and y of a frame's image and depth map.
     ///
     /// # Errors
-    /// If a file is missing or damaged, or its size is not the camera's.
+    /// If a file is missing or damaged, or its size differs from the camera's.
     pub fn read(frame: &Frame, depth: &DepthFiles, background: DVec3, pixel_offset: f64, stride: u32) -> Result<Self> {
         let image = PosedImage::read(&frame.image, frame.camera.resolution)?;
         let truth = DepthMap::read(&depth.path(frame), depth.encoding, &frame.camera, pixel_offset)?;

@@ -1,4 +1,4 @@
-//! A rendered view beside the truth: depth errors and measures of the same pixels.
+//! A rendered view beside the truth: depth errors and measures of uncertainty for the same pixels.
 
 use glam::DVec3;
 use rand::{RngExt, SeedableRng};
@@ -10,32 +10,33 @@ use crate::metrics::{density_aware, ensemble_variance, psnr};
 use crate::monitor::{Monitor, check};
 use crate::render::{Probe, RayAverage, RenderedView, Tracer, render_view};
 
-/// A field to be judged, and all that claims to know where it is wrong.
+/// A field to evaluate, and everything that claims to know where it is wrong.
 pub struct Evaluator<'a> {
     /// The field.
     pub tracer: Tracer<'a>,
-    /// Its uncertainty.
+    /// Its uncertainty, read in several ways.
     pub readings: &'a [Reading],
-    /// Other fields trained like it, or none.
+    /// Other fields trained in the same way; may be empty.
     pub members: Vec<Tracer<'a>>,
 }
 
-/// The pixels of one view that have a true depth.
+/// Errors and measures at the pixels of one view that have a true depth.
 #[derive(Debug, Clone)]
 pub struct EvaluatedView {
     /// The frame's `file_path`.
     pub name: String,
     /// PSNR of the whole image, dB.
     pub psnr: f64,
-    /// `[n]`: indices in the image.
+    /// `[n]`: indices of the pixels in the image.
     pub pixels: Vec<usize>,
     /// `[n]`: |median depth − true distance|, scene units.
     pub absolute_error: Vec<f64>,
-    /// `[measures][n]`, larger is more uncertain.
+    /// `[measures][n]`: larger means more uncertain.
     pub measures: Vec<Vec<f64>>,
-    /// Pixels with true depth where the field shows nothing: left out, as no depth can be compared.
+    /// Pixels with a true depth where the field shows nothing. They are left out,
+    /// because there is no depth to compare.
     pub empty: usize,
-    /// The whole image.
+    /// The rendered view, whole.
     pub rendered: RenderedView,
 }
 
@@ -54,7 +55,7 @@ impl Evaluator<'_> {
         readings.chain(baselines.into_iter().map(Measure::Baseline)).collect()
     }
 
-    /// A measure's name in tables.
+    /// Name of a measure in tables.
     #[must_use]
     pub fn name(&self, measure: Measure) -> String {
         match measure {
@@ -66,7 +67,7 @@ impl Evaluator<'_> {
         }
     }
 
-    /// The first field that remembers how many rays it has from where.
+    /// The first reading whose field keeps its vertex sums, and with them its ray counts.
     fn counted(&self) -> Option<&Reading> {
         self.readings.iter().find(|reading| reading.field.sums().is_some())
     }
@@ -139,13 +140,13 @@ impl Evaluator<'_> {
         })
     }
 
-    /// Rows that [`Evaluator::judge`] renders for a view.
+    /// Rows that [`Evaluator::evaluate`] renders for a view.
     #[must_use]
     pub fn rows(&self, truth: &TrueView) -> u64 {
         u64::from(truth.camera.resolution[1]) * (1 + self.members.len() as u64)
     }
 
-    /// The median depth of a member's pixel; where it shows nothing, that at which the ray leaves the box.
+    /// Median depth of a member's pixel. Where it shows nothing, the depth at which the ray leaves the box.
     fn depth(&self, truth: &TrueView, member: &RenderedView, i: usize) -> f64 {
         if member.pixels[i].opacity > 0.0 {
             return member.pixels[i].median_depth;

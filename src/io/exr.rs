@@ -10,7 +10,7 @@ use exr::prelude::{
 use crate::io::AtomicFile;
 use crate::{Error, Result};
 
-/// Writes named f32 channels, `[height · width]` each, losslessly compressed.
+/// Writes named f32 channels of shape `[height · width]` with lossless compression.
 ///
 /// # Errors
 /// If the file cannot be written.

@@ -1,8 +1,8 @@
-//! Image error.
+//! Pixelwise image error.
 
-/// Peak signal-to-noise ratio in dB, −10 log10 of the mean squared error over all channels, for values in [0, 1].
+/// Peak signal-to-noise ratio in dB: −10 log10 of the mean squared error over all channels, for values in [0, 1].
 ///
-/// ∞ for identical images, NaN for empty ones or if a value is NaN.
+/// ∞ for identical images; NaN for empty images or if a value is NaN.
 #[must_use]
 pub fn psnr(image: &[glam::DVec3], truth: &[glam::DVec3]) -> f64 {
     assert_eq!(image.len(), truth.len(), "images of one size");

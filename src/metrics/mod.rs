@@ -1,4 +1,4 @@
-//! How good an image is, and how well an uncertainty ranks an error.
+//! Metrics of image quality, and of how well an uncertainty ranks an error.
 
 mod ensemble;
 mod image;

@@ -1,12 +1,13 @@
-//! A perceptual metric.
+//! Perceptual image quality.
 
 use glam::DVec3;
 use ssimulacra2::{ColorPrimaries, Rgb, TransferCharacteristic, compute_frame_ssimulacra2};
 
-/// SSIMULACRA 2 (Sneyers, Cloudinary): structural similarity at six scales in a perceptual colour space, tuned to people's judgement;
-/// 100 for identical images, 90 hardly distinguishable, 50 medium quality, negative for very bad ones.
+/// SSIMULACRA 2 (Sneyers, Cloudinary): structural similarity at six scales in a perceptual colour space.
 ///
-/// Images `[height · width]` in [0, 1], taken as sRGB. `None` if they are smaller than 8 × 8 pixels.
+/// It is tuned to human judgement: 100 for identical images, 90 hardly distinguishable, 50 medium
+/// quality, negative for very bad ones. Images are `[height · width]` in [0, 1], taken as sRGB. `None` if
+/// they are smaller than 8 × 8 pixels.
 #[must_use]
 pub fn ssimulacra2([width, height]: [u32; 2], image: &[DVec3], truth: &[DVec3]) -> Option<f64> {
     let of = |pixels: &[DVec3]| {

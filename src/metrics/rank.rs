@@ -1,7 +1,9 @@
-//! Ranks: what measures of different scales have in common.
+//! Ranks make measures of different scales comparable.
 
-/// The share of the other values that each value exceeds, ties counting half: 0 for the smallest, 1 for the largest, ½ if all are
-/// equal. Any increasing function of the values has the same percentiles. NaN stays NaN and counts for no one.
+/// Percentile of each value: the share of the other values that it exceeds, where ties count half.
+///
+/// 0 for the smallest, 1 for the largest, ½ if all are equal. Increasing functions of the values leave it unchanged.
+/// NaN stays NaN and is left out of the other values.
 #[must_use]
 pub fn percentiles(values: &[f64]) -> Vec<f64> {
     let mut order: Vec<usize> = (0..values.len()).filter(|&i| !values[i].is_nan()).collect();
@@ -20,7 +22,9 @@ pub fn percentiles(values: &[f64]) -> Vec<f64> {
     out
 }
 
-/// The smallest of increasing values that at least this share of them does not exceed (nearest rank); NaN of no values.
+/// Quantile by nearest rank: the smallest value that is not exceeded by at least this share of the ascending values.
+///
+/// NaN if there are no values.
 #[must_use]
 pub fn quantile(sorted: &[f64], share: f64) -> f64 {
     let rank = (share * sorted.len() as f64).ceil() as usize;

@@ -1,11 +1,11 @@
-//! Area under the sparsification error: does the uncertainty rank the error?
+//! Area under the sparsification error (AUSE): how well does the uncertainty rank the error?
 //!
-//! Pixels are removed in 100 equal steps, most uncertain first, and the mean error of the rest is followed; the oracle
-//! removes the largest errors first. Both curves are divided by their common maximum, and the area between them is taken
-//! with the trapezoid rule over the removed shares 0, 0.01, …, 0.99 (Ilg et al. 2018; exactly the procedure of the Bayes'
-//! Rays code, which took it from CF-NeRF). 0 is a perfect ranking. Ties keep the order of the pixels.
+//! Pixels are removed in 100 equal steps, most uncertain first, while the mean error of the rest is recorded. The
+//! oracle removes the largest errors first. Both curves are divided by their common maximum. The area between them
+//! follows from the trapezoid rule over the removed shares 0, 0.01, …, 0.99 (Ilg et al. 2018; exactly the procedure
+//! of the Bayes' Rays code, which took it from CF-NeRF). 0 is a perfect ranking. Ties keep the order of the pixels.
 
-/// Points of a curve.
+/// Number of points of a curve.
 pub const STEPS: usize = 100;
 
 /// Which error is averaged.
@@ -21,29 +21,29 @@ pub enum ErrorKind {
 }
 
 impl ErrorKind {
-    /// All of them.
+    /// All kinds of error.
     pub const ALL: [Self; 3] = [Self::Mae, Self::Mse, Self::Rmse];
 }
 
 /// Two sparsification curves and the area between them.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Sparsification {
-    /// `[STEPS]`: removed share.
+    /// `[STEPS]`: share of the pixels removed.
     pub removed: Vec<f64>,
-    /// `[STEPS]`: error left when the most uncertain are removed, relative to the common maximum.
+    /// `[STEPS]`: error left after the most uncertain pixels are removed, relative to the common maximum.
     pub by_uncertainty: Vec<f64>,
-    /// `[STEPS]`: error left when the largest errors are removed, relative to the common maximum.
+    /// `[STEPS]`: error left after the largest errors are removed, relative to the common maximum.
     pub by_error: Vec<f64>,
-    /// AUSE.
+    /// Area under the sparsification error.
     pub area: f64,
-    /// The common maximum, scene units (squared for [`ErrorKind::Mse`]).
+    /// Common maximum of both curves, in scene units (squared for [`ErrorKind::Mse`]).
     pub largest: f64,
 }
 
-/// Curves for absolute errors and the uncertainties (any increasing function of them) of the same pixels.
+/// Computes the curves from the absolute errors and the uncertainties of the same pixels.
 ///
-/// `None` if there are fewer than [`STEPS`] pixels (the last step would average nothing), if a value is NaN, or if all errors
-/// are zero (there is nothing to rank).
+/// Only the order of the uncertainties matters. `None` if there are fewer than [`STEPS`] pixels (the last step would
+/// average nothing), if a value is NaN, or if all errors are zero (there is nothing to rank).
 #[must_use]
 pub fn sparsification(uncertainty: &[f64], absolute_error: &[f64], kind: ErrorKind) -> Option<Sparsification> {
     assert_eq!(uncertainty.len(), absolute_error.len(), "one uncertainty per error");
@@ -55,12 +55,12 @@ pub fn sparsification(uncertainty: &[f64], absolute_error: &[f64], kind: ErrorKi
         ErrorKind::Mae => absolute_error[i],
         ErrorKind::Mse | ErrorKind::Rmse => absolute_error[i] * absolute_error[i],
     };
-    // Multiples of 0.01, truncated like the original: at some of them (1 − r) n is a hair below a whole number.
+    // Multiples of 0.01, truncated as in the original: for some of them (1 − r) n is a hair below a whole number.
     let removed: Vec<f64> = (0..STEPS).map(|k| k as f64 * (1.0 / STEPS as f64)).collect();
     let curve = |key: &dyn Fn(usize) -> f64| -> Vec<f64> {
         let mut order: Vec<usize> = (0..n).collect();
         order.sort_by(|&a, &b| key(a).total_cmp(&key(b)));
-        // Sum of the costs of the first k pixels, k = 0 … n.
+        // Sums of the costs of the first k pixels, k = 0 … n.
         let mut sums = vec![0.0; n + 1];
         for (k, &i) in order.iter().enumerate() {
             sums[k + 1] = sums[k] + cost(i);
@@ -94,7 +94,8 @@ mod tests {
 
     #[test]
     fn agrees_with_numpy() {
-        // Made with NumPy 2 by the original's steps: sort, slice to int((1 - r) * n), mean, common maximum, trapezoid.
+        // Computed with NumPy 2 by the original's steps: sort, slice to int((1 - r) * n),
+        // mean, common maximum, trapezoid.
         let error: Vec<f64> = (0..1000).map(f64::from).collect();
         let reversed: Vec<f64> = error.iter().map(|e| -e).collect();
         let scattered: Vec<f64> = error.iter().map(|i| (i * 0.618_033_988_749_894_9) % 1.0).collect();

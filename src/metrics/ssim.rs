@@ -1,12 +1,13 @@
 //! Structural similarity (Wang, Bovik, Sheikh, Simoncelli 2004).
 //!
-//! Gaussian window of 11 × 11 pixels with deviation 1.5, K₁ = 0.01, K₂ = 0.03, values in [0, 1], population variances, mean over
-//! all windows that lie inside the image and over the three channels: scikit-image's `structural_similarity` with
-//! `gaussian_weights=True, use_sample_covariance=False, data_range=1`.
+//! The window is an 11 × 11 Gaussian with standard deviation 1.5; K₁ = 0.01, K₂ = 0.03; values lie in [0, 1];
+//! variances are population variances. The mean is taken over the three channels and all windows inside the
+//! image. This is scikit-image's `structural_similarity` with `gaussian_weights=True,
+//! use_sample_covariance=False, data_range=1`.
 
 use glam::DVec3;
 
-/// Pixels to each side of a window's centre.
+/// Pixels on each side of a window's centre.
 const RADIUS: usize = 5;
 /// Pixels across a window.
 const WINDOW: usize = 2 * RADIUS + 1;
@@ -14,7 +15,7 @@ const DEVIATION: f64 = 1.5;
 const C1: f64 = 0.01 * 0.01;
 const C2: f64 = 0.03 * 0.03;
 
-/// The window along one axis, normalised.
+/// Weights of the window along one axis, normalised.
 fn window() -> [f64; WINDOW] {
     let weights: [f64; WINDOW] = std::array::from_fn(|i| {
         let x = i as f64 - RADIUS as f64;
@@ -24,13 +25,13 @@ fn window() -> [f64; WINDOW] {
     weights.map(|w| w / sum)
 }
 
-/// SSIM of a window from its means, variances and covariance.
+/// SSIM of one window, from its means, variances and covariance.
 fn similarity(mean: [f64; 2], variance: [f64; 2], covariance: f64) -> f64 {
     let [x, y] = mean;
     (2.0 * x * y + C1) * (2.0 * covariance + C2) / ((x * x + y * y + C1) * (variance[0] + variance[1] + C2))
 }
 
-/// Mean SSIM of two images `[height · width]` in [0, 1]; 1 for identical ones. `None` if they are smaller than a window.
+/// Mean SSIM of two images `[height · width]` in [0, 1]; 1 if they are identical, `None` if smaller than a window.
 #[must_use]
 pub fn ssim([width, height]: [u32; 2], image: &[DVec3], truth: &[DVec3]) -> Option<f64> {
     let (width, height) = (width as usize, height as usize);
@@ -38,7 +39,7 @@ pub fn ssim([width, height]: [u32; 2], image: &[DVec3], truth: &[DVec3]) -> Opti
     if width < WINDOW || height < WINDOW {
         return None;
     }
-    // The window is a product: sums along rows, then along columns. Rows of: x, y, x², y², xy.
+    // The window is separable: sum along rows, then along columns. Each row holds x, y, x², y², xy.
     let weights = window();
     let columns = width - WINDOW + 1;
     let moments = |a: DVec3, b: DVec3| [a, b, a * a, b * b, a * b];
@@ -75,7 +76,7 @@ pub fn ssim([width, height]: [u32; 2], image: &[DVec3], truth: &[DVec3]) -> Opti
 mod tests {
     use super::*;
 
-    /// Every window by itself, straight from the definition.
+    /// Computes every window on its own, straight from the definition.
     fn slowly([width, height]: [usize; 2], image: &[DVec3], truth: &[DVec3]) -> f64 {
         let w = window();
         let (mut total, mut count) = (0.0, 0.0);
@@ -120,10 +121,10 @@ mod tests {
 
     #[test]
     fn constant_images_have_the_closed_form() {
-        // Without variance only the means' term is left: (2ab + C₁) / (a² + b² + C₁).
+        // Without variance only the term of the means is left: (2ab + C₁) / (a² + b² + C₁).
         let [a, b] = [0.25, 0.75].map(|v| vec![DVec3::splat(v); 400]);
         let expected = (2.0 * 0.25 * 0.75 + C1) / (0.0625 + 0.5625 + C1);
-        // Variances are differences of numbers near ½: rounding of 1e-16 beside C₂ = 9e-4.
+        // Variances are differences of numbers near ½: rounding of 1e-16 against C₂ = 9e-4.
         assert!((ssim([20, 20], &a, &b).unwrap() - expected).abs() < 1e-11);
     }
 }

@@ -1,4 +1,4 @@
-//! Pictures for people: labelled panels as PNG, plots as SVG; and EXR for tools.
+//! Pictures: labelled panels as PNG and plots as SVG for readers, EXR for tools.
 
 mod panel;
 mod plot;

@@ -1,4 +1,4 @@
-//! Images with a title and a labelled colour bar, side by side on a sheet.
+//! Images with a title and a labelled colour bar, arranged on a sheet.
 
 use std::io::{Cursor, Write};
 use std::path::Path;
@@ -22,15 +22,15 @@ const NOTHING: Rgb<u8> = Rgb([225, 225, 225]);
 const MARGIN: u32 = 10;
 const TITLE: u32 = 20;
 const BAR: u32 = 16;
-/// Room for a tick and six characters.
+/// Width of a tick and six characters.
 const BAR_LABELS: u32 = 58;
 
-/// A colour scale and what its ends mean.
+/// A colour scale and the values at its ends.
 #[derive(Clone)]
 pub struct Bar {
-    /// Values at the lower and upper end.
+    /// Values at the lower and the upper end.
     pub range: [f64; 2],
-    /// Colours.
+    /// Colours of the scale.
     pub gradient: colorous::Gradient,
 }
 
@@ -45,18 +45,18 @@ impl Bar {
     }
 }
 
-/// One picture on a sheet.
+/// One picture of a sheet.
 #[derive(Clone)]
 pub struct Panel {
     /// Text above the picture.
     pub title: String,
     /// The picture.
     pub image: RgbImage,
-    /// The scale, if colours are values.
+    /// The scale, if colours stand for values.
     pub bar: Option<Bar>,
 }
 
-/// A colour image, `[height · width]` in [0, 1].
+/// Makes a panel of colours, `[height · width]` in [0, 1].
 #[must_use]
 pub fn color_panel(title: &str, [width, height]: [u32; 2], colors: impl IntoIterator<Item = DVec3>) -> Panel {
     let bytes =
@@ -65,7 +65,7 @@ pub fn color_panel(title: &str, [width, height]: [u32; 2], colors: impl IntoIter
     Panel { title: title.into(), image, bar: None }
 }
 
-/// An image of values, `[height · width]`; NaN is grey.
+/// Makes a panel of values, `[height · width]`. NaN is drawn grey.
 #[must_use]
 pub fn scalar_panel(title: &str, [width, height]: [u32; 2], values: impl IntoIterator<Item = f64>, bar: Bar) -> Panel {
     let bytes = values.into_iter().flat_map(|v| bar.color(v).0).collect();
@@ -109,7 +109,7 @@ pub fn write_sheet(path: &Path, rows: &[Vec<Panel>]) -> Result<()> {
     file.commit()
 }
 
-/// A picture that text can be drawn on.
+/// An image on which text can be drawn.
 struct Sheet(RgbImage);
 
 impl Sheet {
@@ -119,7 +119,7 @@ impl Sheet {
         Text::with_baseline(text, at, style, Baseline::Top).draw(self).expect("drawing on an image cannot fail");
     }
 
-    /// A vertical scale with five labelled ticks.
+    /// Draws a vertical scale with five labelled ticks.
     fn bar(&mut self, bar: &Bar, left: u32, top: u32, height: u32) {
         let [low, high] = bar.range;
         for y in 0..height {
@@ -131,7 +131,7 @@ impl Sheet {
             let y = top + (share * f64::from(height - 1)) as u32;
             (left + BAR..left + BAR + 4).for_each(|x| self.0.put_pixel(x, y, FOREGROUND));
             let value = high + (low - high) * share;
-            // Five ticks of such a scale differ in the digits that this shows.
+            // Enough digits for the five ticks to differ.
             let is_plain = (0.1..1e4).contains(&low.abs().max(high.abs()));
             let text = if is_plain { format!("{value:.2}") } else { format!("{value:.2e}") };
             self.text(&text, left + BAR + 7, y.saturating_sub(6).clamp(top.saturating_sub(3), top + height - 10));

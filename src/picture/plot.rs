@@ -13,13 +13,13 @@ use crate::{Error, Result};
 pub struct Curve {
     /// Name in the legend.
     pub name: String,
-    /// Points.
+    /// Points (x, y).
     pub points: Vec<(f64, f64)>,
-    /// Drawn thin and grey, as a reference for the others.
+    /// Draws the line thin and grey, as a reference for the others.
     pub reference: bool,
 }
 
-/// Writes curves over common axes.
+/// Writes curves over common axes as one plot.
 ///
 /// # Errors
 /// If the file cannot be written.

@@ -1,10 +1,11 @@
-//! Compositing along one ray, and its derivative.
+//! Compositing along a ray, and its derivative.
 //!
-//! Letters, for samples i in order along the ray: `sigma` density σ_i, `c` colour, `delta` the interval length δ,
-//! α_i = 1 − exp(−σ_i δ), `T_i` = exp(−Σ_{j<i} σ_j δ) transmittance before sample i, w_i = T_i α_i, `T_end` behind the last.
-//! C = Σ w_i c_i + T_end · background. `S_i` = Σ_{j>i} w_j c_j + T_end · background is the colour of what lies behind i.
+//! Letters, for samples i in order along the ray: `sigma` density σ_i, `c` colour, `delta` interval length δ,
+//! α_i = 1 − exp(−σ_i δ), `T_i` = exp(−Σ_{j<i} σ_j δ) transmittance before sample i, w_i = T_i α_i, `T_end`
+//! transmittance behind the last sample. C = Σ w_i c_i + T_end · background. `S_i` = Σ_{j>i} w_j c_j + T_end ·
+//! background is the colour of what lies behind i.
 //!
-//! All in f64: a ray has at most a few hundred samples, the field behind each costs a thousand times more.
+//! Everything is f64: a ray has a few hundred samples at most, and evaluating the field costs a thousand times more.
 
 use std::ops::Range;
 
@@ -29,10 +30,9 @@ pub struct Pixel {
     pub termination_entropy: f64,
 }
 
-/// Variance of the depth at which a ray ends, given that it ends: Σ w (t − t̄)² / Σ w with t̄ = Σ w t / Σ w, squared scene units;
-/// 0 without weights.
+/// Variance of the depth at which a ray ends, given that it ends, in squared scene units; 0 without weights.
 ///
-/// `weights` and distances `t` of the ray's samples.
+/// Σ w (t − t̄)² / Σ w with t̄ = Σ w t / Σ w, from the `weights` and distances `t` of the ray's samples.
 #[must_use]
 pub fn depth_variance(weights: &[f64], t: &[f64]) -> f64 {
     let total: f64 = weights.iter().sum();
@@ -43,25 +43,27 @@ pub fn depth_variance(weights: &[f64], t: &[f64]) -> f64 {
     weights.iter().zip(t).map(|(w, t)| w * (t - mean) * (t - mean)).sum::<f64>() / total
 }
 
-/// Shannon entropy of where a ray ends, nats: −Σ w ln w − T_end ln T_end. Passing through (T_end = 1 − Σ w) is one of the outcomes, so that thin fog
-/// counts as uncertain and a ray that meets nothing as certain.
+/// Shannon entropy of where a ray ends, in nats: −Σ w ln w − T_end ln T_end.
+///
+/// Passing through (T_end = 1 − Σ w) is one of the outcomes. Thin fog therefore counts as uncertain, and a ray that
+/// meets nothing as certain.
 #[must_use]
 pub fn termination_entropy(weights: &[f64], end_transmittance: f64) -> f64 {
     let of = |p: f64| if p > 0.0 { -p * p.ln() } else { 0.0 };
     weights.iter().map(|&w| of(w)).sum::<f64>() + of(end_transmittance)
 }
 
-/// Weights of the samples of a group of rays, in their order; buffers are used again from group to group.
+/// Weights of the samples of a group of rays, in order. The buffers are reused from group to group.
 #[derive(Debug, Clone, Default)]
 pub struct Quadrature {
-    /// w_i.
+    /// w_i of each sample.
     pub weights: Vec<f64>,
-    /// T_{i+1}, behind each sample.
+    /// T_{i+1}, the transmittance behind each sample.
     pub behind: Vec<f64>,
 }
 
 impl Quadrature {
-    /// Computes the weights for all samples of `traced` at intervals `delta`.
+    /// Computes the weights of all samples of `traced` for intervals of length `delta`.
     pub fn set(&mut self, traced: &TracedRays, delta: f64) {
         self.weights.clear();
         self.behind.clear();
@@ -70,12 +72,12 @@ impl Quadrature {
         }
     }
 
-    /// Appends a ray with any number of samples, none included.
+    /// Appends a ray with any number of samples, including none.
     fn push_ray(&mut self, densities: &[f32], delta: f64) {
         let mut transmittance = 1.0;
         for &density in densities {
-            // exp_m1 keeps α exact where σδ is tiny. T is what w leaves over, so Σ w + T_end = 1; where α rounds to 1 that is
-            // an error of an ulp of 1, of something that nothing can be seen through.
+            // exp_m1 keeps α exact where σδ is tiny. T is what w leaves over, so that Σ w + T_end = 1. Where α
+            // rounds to 1, T is wrong by an ulp of 1, but nothing can be seen through such a sample.
             let alpha = -(f64::from(density) * -delta).exp_m1();
             let weight = transmittance * alpha;
             transmittance -= weight;
@@ -90,7 +92,8 @@ impl Quadrature {
         self.behind[samples.clone()].last().copied().unwrap_or(1.0)
     }
 
-    /// Colour, opacity and depths of the ray that owns `samples`; `colors` (linear RGB in `[0, 1]`) and `t` (distances) are those of all samples.
+    /// Composites the ray that owns `samples`. `colors` (linear RGB in `[0, 1]`) and
+    /// distances `t` are those of all samples.
     #[must_use]
     pub fn pixel(&self, samples: &Range<usize>, colors: &[Vec3], t: &[f64], background: DVec3) -> Pixel {
         let weights = &self.weights[samples.clone()];
@@ -112,7 +115,8 @@ impl Quadrature {
         pixel
     }
 
-    /// ∂C/∂σ_i = δ (T_{i+1} c_i − S_i) for the samples of a ray, into `out` (of all samples); one backward sweep.
+    /// Writes ∂C/∂σ_i = δ (T_{i+1} c_i − S_i) for the samples of a ray into `out` (of all
+    /// samples), in one backward sweep.
     pub fn density_derivative(
         &self,
         samples: &Range<usize>,
@@ -153,7 +157,7 @@ mod tests {
         fn weights_and_final_transmittance_sum_to_one((densities, _) in samples(), delta in 1e-4..0.1_f64) {
             let (quadrature, ray) = one_ray(&densities, delta);
             let sum = quadrature.weights.iter().sum::<f64>() + quadrature.end_transmittance(&ray);
-            // A rounding per sample in T and one in the sum, at most 40 samples.
+            // One rounding per sample in T and one in the sum, at most 40 samples.
             prop_assert!((sum - 1.0).abs() <= 80.0 * f64::EPSILON, "{}", sum);
             prop_assert!(quadrature.weights.iter().chain(&quadrature.behind).all(|&w| w >= 0.0));
         }
@@ -165,7 +169,7 @@ mod tests {
             for (i, &density) in densities.iter().enumerate() {
                 let before = f64::exp(-depth);
                 depth += f64::from(density) * delta;
-                // One rounding of T and α per sample; 40 samples.
+                // One rounding of T and one of α per sample, 40 samples.
                 prop_assert!((quadrature.behind[i] - f64::exp(-depth)).abs() <= 80.0 * f64::EPSILON);
                 let alpha = -(-f64::from(density) * delta).exp_m1();
                 prop_assert!((quadrature.weights[i] - before * alpha).abs() <= 80.0 * f64::EPSILON * alpha);
@@ -184,8 +188,8 @@ mod tests {
             let mut analytic = vec![DVec3::ZERO; densities.len()];
             quadrature.density_derivative(&ray, &colors, delta, background, &mut analytic);
             for i in ray {
-                // σ is f32, so the perturbation is what f32 made of it. C is a sum of exponentials of −δσ_i: the
-                // second-order error is below (hδ)² relative, the rounding below 1e-15 / h.
+                // σ is f32, so the perturbation is what f32 makes of it. C is a sum of exponentials of −δσ_i: the
+                // second-order error is below (hδ)² relative, the rounding error below 1e-15 / h.
                 let h = 1e-3 * (1.0 + densities[i]);
                 let (mut up, mut down) = (densities.clone(), densities.clone());
                 up[i] += h;
@@ -216,18 +220,18 @@ mod tests {
 
     #[test]
     fn spread_of_two_surfaces_and_of_a_slab() {
-        // Half-transparent wall at 2, opaque one at 5: mean 3.5, variance 2.25, one bit of entropy.
+        // A half-transparent wall at 2, an opaque one at 5: mean 3.5, variance 2.25, one bit of entropy.
         assert!((depth_variance(&[0.5, 0.0, 0.5], &[2.0, 3.0, 5.0]) - 2.25).abs() < 1e-15);
         assert!((termination_entropy(&[0.5, 0.0, 0.5], 0.0) - std::f64::consts::LN_2).abs() < 1e-15);
-        // The same seen through a veil: the variance is that of what is hit, the entropy counts passing through.
+        // The same through a veil: the variance is that of what is hit; the entropy includes passing through.
         assert!((depth_variance(&[0.25, 0.25], &[2.0, 5.0]) - 2.25).abs() < 1e-15);
         assert!((termination_entropy(&[0.25, 0.25], 0.5) - 1.5 * std::f64::consts::LN_2).abs() < 1e-15);
-        // Nothing hit, one surface hit: certain.
+        // Nothing hit, or one surface hit: certain.
         assert_eq!((depth_variance(&[], &[]), termination_entropy(&[], 1.0)), (0.0, 0.0));
         assert_eq!((depth_variance(&[1.0], &[7.0]), termination_entropy(&[1.0], 0.0)), (0.0, 0.0));
 
-        // A homogeneous medium without end: depth is exponentially distributed, variance 1 / σ²; of intervals δ the entropy is
-        // that of a geometric distribution, h(α) / α with h the binary entropy.
+        // In an endless homogeneous medium the depth is exponentially distributed, with variance 1 / σ². With
+        // intervals δ the entropy is that of a geometric distribution, h(α) / α, where h is the binary entropy.
         let (sigma, delta, n) = (4.0_f64, 0.01, 2000_u32);
         let (quadrature, ray) = one_ray(&vec![sigma as f32; n as usize], delta);
         let t: Vec<f64> = (0..n).map(|i| delta * (f64::from(i) + 0.5)).collect();

@@ -1,4 +1,4 @@
-//! Derivatives of a field by position: central differences of any, or a field's own.
+//! Derivatives of a field with respect to position: central differences, or the field's own.
 
 use glam::{DVec3, Vec3};
 
@@ -6,25 +6,25 @@ use crate::field::{Differentiable, Radiance, RadianceField, RadianceJet};
 use crate::geometry::{Aabb, Domain};
 use crate::{Error, Result};
 
-/// Where derivatives come from.
+/// Source of the derivatives of a field.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
 pub enum GradientMethod {
-    /// Central differences: any field is a black box
+    /// Central differences; work for any field
     #[default]
     FiniteDifference,
-    /// The field's own, exact but for rounding; refused for a field that has none
+    /// The field's own derivatives, exact up to rounding; an error for a field without them
     Analytic,
-    /// The field's own where it has them, else differences
+    /// The field's own derivatives if it has them, else central differences
     Auto,
 }
 
 impl GradientMethod {
-    /// The derivatives of `field` that this method uses; `None` for finite differences.
+    /// Returns the derivatives of `field` that this method uses; `None` for finite differences.
     ///
     /// # Errors
-    /// If the field's own are asked for and it has none.
+    /// If analytic derivatives are required but the field has none.
     pub fn of(self, field: &dyn RadianceField) -> Result<Option<&dyn Differentiable>> {
         match (self, field.differentiable()) {
             (Self::FiniteDifference, _) | (Self::Auto, None) => Ok(None),
@@ -41,23 +41,24 @@ impl GradientMethod {
     }
 }
 
-/// How far apart central differences look.
+/// Step of the central differences.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Differences {
-    /// Distance h to both sides along each axis where space is not contracted, scene units.
+    /// Distance h to both sides along each axis, in scene units, where space is not contracted.
     pub step: DVec3,
-    /// Where it is, h grows with the lattice's cells.
+    /// Domain of the lattice. Where space is contracted, h grows with the lattice's cells.
     pub domain: Domain,
 }
 
 impl Differences {
-    /// h along each axis at x.
+    /// h along each axis at `x`, in scene units.
     #[must_use]
     pub fn at(&self, x: Vec3) -> DVec3 {
         self.step * self.domain.stretch(x)
     }
 
-    /// x ± h along each axis, clipped to `bounds`, so that the difference is one-sided at its border: +x, −x, +y, −y, +z, −z.
+    /// x ± h along each axis, in the order +x, −x, +y, −y, +z, −z. Points are clipped to `bounds`, so that
+    /// differences at its border are one-sided.
     fn around(&self, x: Vec3, bounds: &Aabb) -> [Vec3; 6] {
         let step = self.at(x);
         std::array::from_fn(|i| {
@@ -71,7 +72,8 @@ impl Differences {
     }
 }
 
-/// Derivatives along x, y, z from values `f` at the points of [`Differences::around`], by the distance that f32 positions really have.
+/// Derivatives along x, y, z from values `f` at the points of [`Differences::around`]. Divides by the true distance
+/// of the f32 positions.
 fn differences<T>(x: &[Vec3], f: impl Fn(usize) -> T) -> [T; 3]
 where
     T: std::ops::Sub<Output = T> + std::ops::Div<f64, Output = T> + Default,
@@ -83,11 +85,11 @@ where
     })
 }
 
-/// A method with what it needs.
+/// A method of differentiation with what it needs.
 #[derive(Clone, Copy)]
 pub struct Differentiation<'a> {
-    /// Finite differences, and how far they look even where the field's own derivatives are used: matter within this distance of a sample
-    /// counts as being there.
+    /// Step of the finite differences. It matters even where the field's own derivatives are used: matter within this
+    /// distance of a sample counts as being there.
     pub differences: Differences,
     /// The field's own derivatives, if they are to be used.
     pub analytic: Option<&'a dyn Differentiable>,
@@ -96,7 +98,7 @@ pub struct Differentiation<'a> {
 /// Value and derivatives of a field at a sample.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Jet {
-    /// c.
+    /// Colour c.
     pub color: Vec3,
     /// ∇σ.
     pub density_gradient: DVec3,
@@ -104,7 +106,7 @@ pub(super) struct Jet {
     pub color_gradients: [DVec3; 3],
 }
 
-/// Buffers that are used again.
+/// Reusable buffers.
 #[derive(Default)]
 pub(super) struct GradientBuffers {
     positions: Vec<Vec3>,
@@ -117,19 +119,20 @@ pub(super) struct GradientBuffers {
 }
 
 impl Differentiation<'_> {
-    /// Finite differences or the field's own.
+    /// Finite differences or analytic.
     #[must_use]
     pub fn method(&self) -> GradientMethod {
         if self.analytic.is_some() { GradientMethod::Analytic } else { GradientMethod::FiniteDifference }
     }
 
-    /// h along x, y and z, scene units, if it enters the result.
+    /// h along x, y and z in scene units, if it affects the result.
     #[must_use]
     pub fn difference_step(&self) -> Option<[f64; 3]> {
         self.analytic.is_none().then(|| self.differences.step.to_array())
     }
 
-    /// Jets of `field` at `positions` seen along `directions`, into `out`; `None` where the field is not finite there or nearby.
+    /// Writes the jets of `field` at `positions` seen along `directions` to `out`; `None` where the field is not
+    /// finite there or nearby.
     pub(super) fn jets(
         &self,
         field: &dyn RadianceField,
@@ -178,12 +181,12 @@ impl Differentiation<'_> {
         }));
     }
 
-    /// The field's own derivatives, if ∇σ is best asked for along with σ.
+    /// The field's own derivatives, if ∇σ is best evaluated together with σ.
     pub(super) fn along_rays(&self) -> Option<&dyn Differentiable> {
         self.analytic.filter(|field| field.is_cheap())
     }
 
-    /// ∇σ of `field` at `positions`, into `out`; `None` where it is not finite.
+    /// Writes ∇σ of `field` at `positions` to `out`; `None` where it is not finite.
     pub(super) fn density_gradients(
         &self,
         field: &dyn RadianceField,

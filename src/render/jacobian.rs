@@ -1,28 +1,35 @@
 //! The Jacobian of a pixel's colour with respect to the positions of its samples.
 //!
-//! G_i = dC/dx_i = (∂C/∂σ_i) ∇σ(x_i)ᵀ + w_i ∇c(x_i), 3×3, row = colour channel, column = axis (Bayes' Rays, Sec. 4.3, by the
-//! chain rule through compositing). ∂C/∂σ_i and ∂C/∂c_i = w_i are analytic; ∇σ and ∇c are a [`Differentiation`]'s.
+//! G_i = dC/dx_i = (∂C/∂σ_i) ∇σ(x_i)ᵀ + w_i ∇c(x_i), 3×3, row = colour channel, column = axis (Bayes' Rays,
+//! Sec. 4.3, by the chain rule through compositing). ∂C/∂σ_i and ∂C/∂c_i = w_i are analytic; ∇σ and ∇c come from a
+//! [`Differentiation`].
 //!
-//! What is evaluated, by what a sample can do to its pixel:
+//! What is evaluated depends on how much a sample can change its pixel:
 //!
 //! | | density | ∇σ | colour | ∇c |
 //! |---|---|---|---|---|
 //! | *visible*: w > cutoff | x | x | x | x |
-//! | *lurking*: w ≤ cutoff, but matter that would be seen may be within h: δ T σ̂ > cutoff | x | x | if ∇σ matters | |
+//! | *lurking*: w ≤ cutoff, but visible matter may lie within h: √3 δ T σ̂ > cutoff | x | x | if ∇σ matters | |
 //! | all others, behind surfaces or far from them | x | | if it can be seen | |
 //!
-//! What is not differentiated is composited all the same: it is part of the colour behind others, of which ∂C/∂σ is made. Colours lie in [0, 1], so
-//! that leaving some out behind sample i moves G_i by at most √3 δ ‖∇σ_i‖ Σ w of those. Samples are left black, from the ray's end on, as long as
-//! that stays below half of what is negligible for every i before them; G itself is left out below the other half.
+//! The two criteria bound what is left out. w > cutoff bounds the contribution of ∇c (|∇c| ≤ 1/2h), the criterion
+//! for lurking samples that of ∇σ (|∇σ| ≤ σ̂/2h). Here |∂C/∂σ| ≤ √3 δ T because colours lie in [0, 1], and σ̂ is
+//! the density bound of the occupancy grid. A sample in the empty space before a surface has w = 0 but may see the
+//! surface within h: it is lurking. Cutoff 0 leaves out only exact zeros.
 //!
-//! Where ∇σ is known along the rays ([`Differentiable::is_cheap`](crate::field::Differentiable::is_cheap)), lurking is what it shows: δ T ‖∇σ‖ matters.
-//! |∂C/∂σ| ≤ √3 δ T, because colours lie in [0, 1]; σ̂ is the occupancy's density bound. The first bounds the share of ∇c (|∇c| ≤ 1/2h), the second
-//! that of ∇σ (|∇σ| ≤ σ̂/2h). A sample in the empty space before a surface has w = 0 but may see the surface within h: it is
-//! lurking. Cutoff 0 leaves out only exact zeros.
+//! If ∇σ is known along the rays ([`Differentiable::is_cheap`](crate::field::Differentiable::is_cheap)), ∇σ itself
+//! decides which samples lurk: those with √3 δ T ‖∇σ‖ above what is negligible.
 //!
-//! σ̂ is also taken to be at most a hundred times what the ray meets at the sample and at its neighbours, if these are at least eight h away: whoever
-//! samples a field at that distance believes that it is resolved. A step is not; the rays that pass it by within h are found if the field bounds its density everywhere
-//! ([`RadianceField::density_bound`](crate::field::RadianceField::density_bound)), and lost if it does not (`experiments/hard_cases.md`).
+//! Samples without derivatives are composited all the same: they are part of the colour behind others, which enters
+//! ∂C/∂σ. Colours lie in [0, 1], so leaving some of them out behind sample i moves G_i by at most √3 δ ‖∇σ_i‖ Σ w
+//! over those left out. From the ray's end on, samples stay black as long as this is below half of what is
+//! negligible for every i before them. G itself is left out below the other half.
+//!
+//! σ̂ is also taken to be at most a hundred times the density at the sample and its neighbours on the ray, if these
+//! are at least eight h away: sampling a field at that distance presumes that it is resolved. A sudden step in
+//! density is not resolved. Rays that pass it within h are found if the field bounds its density everywhere
+//! ([`RadianceField::density_bound`](crate::field::RadianceField::density_bound)), and lost if it does not
+//! (`experiments/hard_cases.md`).
 
 use std::ops::Range;
 
@@ -33,21 +40,22 @@ use super::{Differentiation, Occupancy, Quadrature, RaySample, RaySamples, Trace
 use crate::field::Radiance;
 use crate::geometry::Ray;
 
-/// How many times denser a field is taken to become within h, a small share of the distance between samples, than at one sample and its two neighbours.
+/// Assumed bound of the density within h of a sample, as a multiple of the density at the
+/// sample and its two neighbours.
 const STEEPEST: f64 = 100.0;
-/// How many h samples must be apart for that.
+/// Smallest distance between samples, in multiples of h, at which that bound is assumed.
 const FAR_APART: f64 = 8.0;
 
-/// The largest density at sample `i` of a ray and at its neighbours.
+/// Largest density at sample `i` of a ray and at its neighbours.
 fn around(densities: &[f32], ray: &Range<usize>, i: usize) -> f32 {
     let near = i.saturating_sub(1).max(ray.start)..(i + 2).min(ray.end);
     densities[near].iter().copied().fold(0.0, f32::max)
 }
 
-/// Samples of which the same is asked.
+/// Samples that need the same evaluation.
 #[derive(Default, Clone)]
 struct Chosen {
-    /// `[n]`: index of the sample; increasing, if derivatives are asked for.
+    /// `[n]`: index of the sample; increasing where derivatives are needed.
     samples: Vec<u32>,
     /// `[n]`: index of its ray.
     rays: Vec<u32>,
@@ -78,7 +86,7 @@ impl Chosen {
     }
 }
 
-/// Buffers that a thread uses again from batch to batch.
+/// Buffers that a thread reuses from batch to batch.
 #[derive(Default)]
 pub struct JacobianBuffers<'a> {
     trace: TraceBuffers<'a>,
@@ -88,22 +96,25 @@ pub struct JacobianBuffers<'a> {
     gradient: GradientBuffers,
     jets: Vec<Option<Jet>>,
     density_gradients: Vec<Option<DVec3>>,
-    /// Samples whose colour alone is asked for.
+    /// Samples that need only their colour.
     shown: Chosen,
     radiance: Vec<Radiance>,
-    /// `[samples]`: ‖∇σ‖ of those that are differentiated; then, of all others, the largest such ‖∇σ‖ before them on their ray.
+    /// `[samples]`: first ‖∇σ‖ of the samples that are differentiated; then, for all others, the largest such ‖∇σ‖
+    /// before them on their ray.
     steepness: Vec<Option<f64>>,
-    /// `[samples]`.
+    /// `[samples]`: colours; black if left out.
     colors: Vec<Vec3>,
     /// `[samples]`: ∂C/∂σ.
     density_derivatives: Vec<DVec3>,
-    /// `[rays]`: a sample where the field is not finite.
+    /// `[rays]`: a sample at which the field is not finite, if any.
     invalid: Vec<Option<u32>>,
 }
 
 impl Tracer<'_> {
-    /// Traces `rays` and differentiates their pixels; the rays are numbered from `first_ray`. No sample's G, left out or not, is off by more than
-    /// `negligible` (‖G‖, 1 / scene unit) for having left something out, beside what the marcher's cutoff leaves out.
+    /// Traces `rays`, numbered from `first_ray`, and differentiates their pixels.
+    ///
+    /// What is left out changes no sample's G by more than `negligible` (‖G‖, 1 / scene unit), even if that G is
+    /// itself left out. What the marcher's cutoff leaves out comes on top.
     #[must_use]
     pub fn jacobians<'b>(
         &'b self,
@@ -120,7 +131,7 @@ impl Tracer<'_> {
         self.assemble(first_ray, negligible, buffers)
     }
 
-    /// Fills everything behind `quadrature`.
+    /// Fills the buffers that depend on `quadrature`.
     fn differentiate(
         &self,
         rays: &[Ray],
@@ -173,7 +184,7 @@ impl Tracer<'_> {
         self.show(rays, negligible, buffers);
     }
 
-    /// Evaluates the colours of those that lurk, and of all others that may be seen behind a sample that is differentiated.
+    /// Evaluates the colours of lurking samples, and of all others that may be seen behind a differentiated sample.
     fn show(&self, rays: &[Ray], negligible: f64, buffers: &mut JacobianBuffers) {
         let JacobianBuffers {
             visible,
@@ -230,12 +241,13 @@ impl Tracer<'_> {
         }
     }
 
-    /// Upper bound of |∂C/∂σ| where the transmittance is T, or of its change where colours of weight T behind change.
+    /// Upper bound of |∂C/∂σ| at transmittance T, or of its change when colours of total
+    /// weight T behind the sample change.
     fn influence(&self, transmittance: f64) -> f64 {
         3_f64.sqrt() * self.marcher.step * transmittance
     }
 
-    /// Sorts samples into visible and lurking ones.
+    /// Finds the visible and the lurking samples.
     fn choose(&self, rays: &[Ray], differentiation: &Differentiation, negligible: f64, buffers: &mut JacobianBuffers) {
         let JacobianBuffers { trace, quadrature, visible, lurking, .. } = buffers;
         let traced = &trace.traced;
@@ -267,11 +279,13 @@ impl Tracer<'_> {
         }
     }
 
-    /// Whether matter within `h` of a sample at `x` could change its pixel, if the density that the ray meets at the sample, one before and one behind is at
-    /// most `near`.
+    /// Returns true if matter within `h` of a sample at `x` could change its pixel.
+    ///
+    /// `near` is the largest density that the ray meets at the sample, the one before and the one behind it.
     fn may_matter(&self, influence: f64, x: Vec3, h: DVec3, near: f32) -> bool {
         let cutoff = self.marcher.cutoff;
-        // ∞ · 0 would be NaN: without occupancy the bound is infinite, and behind opaque matter the influence is 0.
+        // ∞ · 0 would be NaN: the bound is infinite without an occupancy grid, and the
+        // influence is 0 behind opaque matter.
         if influence == 0.0 || cutoff == 0.0 {
             return influence > 0.0;
         }
@@ -281,14 +295,15 @@ impl Tracer<'_> {
         if influence * STEEPEST * f64::from(near) > cutoff {
             return true;
         }
-        // The corners are rounded as the points that differences look at are.
+        // The corners are rounded like the points that differences evaluate.
         let within = |x: DVec3| self.field.density_bound((x - h).as_vec3(), (x + h).as_vec3());
-        // A field that knows some bounds only is not asked at every sample, most often in vain.
+        // A field that bounds only part of its density is not asked at every sample: it would mostly be in vain.
         self.marcher.occupancy.as_ref().is_some_and(Occupancy::is_certain)
             && within(x.as_dvec3()).is_some_and(|bound| influence * f64::from(bound) > cutoff)
     }
 
-    /// Jacobians of the chosen samples. A ray with an invalid evaluation is dropped as a whole, like one with an invalid density.
+    /// Assembles the Jacobians of the chosen samples. A ray with an invalid evaluation is dropped as a whole, like
+    /// a ray with an invalid density.
     fn assemble(&self, first_ray: u64, negligible: f64, buffers: &mut JacobianBuffers) -> RaySamples {
         let JacobianBuffers { trace, quadrature, visible, lurking, jets, density_gradients, colors, invalid, .. } =
             buffers;
@@ -353,7 +368,7 @@ mod tests {
         tracer.jacobians(rays, jitter, first, &differentiation, 0.0, &mut JacobianBuffers::default())
     }
 
-    /// A scene whose sample `moved` sits elsewhere: renders the ray's pixel with that one position displaced.
+    /// Renders the ray's pixel with the position of sample `moved` displaced.
     fn pixel_with_moved_sample(tracer: &Tracer, ray: &Ray, traced: &TracedRays, moved: usize, by: DVec3) -> DVec3 {
         let positions: Vec<Vec3> = traced
             .positions
@@ -393,10 +408,11 @@ mod tests {
                     for channel in 0..3 {
                         let brute = (up - down)[channel] / (2.0 * h);
                         let found = f64::from(jacobian[3 * channel + axis]);
-                        // Both difference the same field values, so its rounding cancels; widths differ by an ulp of
-                        // the positions, 2e-4 relative. What is left is that brute force squares and multiplies
-                        // increments: with |σ'| = 80 · 23, |σ''| = 80 · 901 (the ramp's largest), |∇c| = 2.25 and
-                        // δ = 0.01, C'' σ' σ'' h² / 2 = δ² · 1.3e8 · h² / 2 = 4e-4 and δ σ'' |∇c| h² / 2 = 5e-5.
+                        // Both difference the same field values, so the field's rounding cancels. Widths differ
+                        // by an ulp of the positions, 2e-4 relative. What remains is that brute force squares
+                        // and multiplies increments: with |σ'| = 80 · 23, |σ''| = 80 · 901 (the ramp's
+                        // largest), |∇c| = 2.25 and δ = 0.01, C'' σ' σ'' h² / 2 = δ² · 1.3e8 · h² / 2 = 4e-4
+                        // and δ σ'' |∇c| h² / 2 = 5e-5.
                         let limit = 0.001 * f64::from(scale) + 6e-4;
                         prop_assert!((brute - found).abs() <= limit, "axis {} channel {}: {} against {}", axis, channel, found, brute);
                     }
@@ -407,14 +423,14 @@ mod tests {
 
     #[test]
     fn differences_at_the_box_border_are_one_sided() {
-        // Density exactly on the face: the wall's flat side is cut by the box at x = 1.
+        // Density exactly on the face: the box cuts the wall's flat side at x = 1.
         let field = ClosedForm::courtyard();
         let marcher = Marcher { step: 0.004, bounds: field.bounds(), occupancy: None, cutoff: 0.0 };
         let tracer = Tracer { field: &field, marcher, background: Vec3::ONE };
-        // Down through the floor a hair inside the face.
+        // Down through the floor, a hair inside the face.
         let ray = Ray::new(DVec3::new(0.999_999, 0.1, 1.0), -DVec3::Z);
         let samples = by_differences(&tracer, &[ray], &[0.5], 0, 0.01);
-        // The floor does not change along x there except in texture; a two-sided difference across the face would see the
+        // Along x only the floor's texture changes there. A two-sided difference across the face would see the
         // density fall from 120 to 0 and give entries of several hundred.
         let along_x = samples.jacobians.iter().map(|j| j[0].abs()).fold(0.0, f32::max);
         assert!(along_x > 0.0 && along_x < 5.0, "{along_x}");
@@ -445,14 +461,14 @@ mod tests {
         let marcher = Marcher { step: 0.1, bounds: Holed.bounds(), occupancy: None, cutoff: 0.0 };
         let tracer = Tracer { field: &Holed, marcher, background: Vec3::ONE };
         let ray = |y| Ray::new(DVec3::new(-2.0, y, 0.2), DVec3::X);
-        // The second ray runs through the hole, the third is finite itself but its differences are not.
+        // The second ray runs through the hole. The third is finite itself, but its differences are not.
         let rays = [ray(0.0), ray(0.7), ray(0.499)];
         let samples = by_differences(&tracer, &rays, &[0.5; 3], 10, 0.01);
         assert_eq!((samples.rays, samples.dropped), (vec![10], 2));
         assert!(samples.first_invalid.unwrap().y > 0.49);
     }
 
-    /// A black bump in front of white fog against black: each sample of the fog weighs 1e-7, all of them 1e-5.
+    /// A black bump in front of white fog, against black. Each sample of the fog weighs 1e-7, all of them 1e-5.
     struct BumpBeforeFog;
 
     impl RadianceField for BumpBeforeFog {
@@ -477,7 +493,8 @@ mod tests {
         }
     }
 
-    /// The largest |G| of `all` that `some` left out, and by how much G of any other differs at most; `some` must have no others.
+    /// The largest |G| of `all` that `some` left out, and the largest difference of any other
+    /// G. `some` must have no others.
     fn left_out_and_changed(all: &RaySamples, some: &RaySamples) -> (f64, f64) {
         let (mut left_out, mut changed) = (0.0_f64, 0.0_f64);
         let length = |g: [f32; 9]| g.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>().sqrt();
@@ -512,7 +529,7 @@ mod tests {
         };
         let exact = Tracer { marcher: Marcher { cutoff: 0.0, ..tracer.marcher.clone() }, ..tracer.clone() };
         let exact = exact.jacobians(&[ray], &[0.5], 0, &differentiation, 0.0, &mut JacobianBuffers::default());
-        // Behind the bump, T S = exp(-20 · 0.05 · 16/15) · 1.05e-5 = 3.6e-6; times δ |∇σ| of some 600 that is 2e-5.
+        // Behind the bump, T S = exp(-20 · 0.05 · 16/15) · 1.05e-5 = 3.6e-6; times δ |∇σ| of about 600 that is 2e-5.
         let steepest = exact.jacobians.iter().map(|j| j[0].abs()).fold(0.0, f32::max);
         assert!((1e-5..4e-5).contains(&steepest), "{steepest}");
         for negligible in [0.0, 1e-9, 1e-7, 1e-6] {

@@ -1,52 +1,54 @@
 //! Sample positions along a ray.
 //!
-//! Samples sit at t = entry + (k + jitter) · step, k = 0, 1, …, up to the exit from the box: each stands for an interval of
-//! length `step`. Blocks of cells in which no sample could matter are leapt over; the others keep their places, so skipping
-//! does not move samples.
+//! Samples sit at t = entry + (k + jitter) · step, k = 0, 1, …, up to the exit from the box. Each stands for an
+//! interval of length `step`. Blocks of cells where no sample could matter are skipped. The other samples keep
+//! their places, so skipping moves none of them.
 
 use super::Occupancy;
 use super::occupancy::{Block, Space};
 use crate::geometry::{Aabb, Ray};
 
-/// Where to sample rays.
+/// Places samples along rays.
 #[derive(Debug, Clone)]
 pub struct Marcher {
     /// Distance between samples, scene units.
     pub step: f64,
-    /// Part of space that is sampled.
+    /// The box that is sampled.
     pub bounds: Aabb,
-    /// Density bound; `None` samples everything.
+    /// Upper bound of the density; `None` samples everything.
     pub occupancy: Option<Occupancy>,
-    /// Cells are passed over if all of them along a ray together are certain to stay below this optical depth, and a ray
-    /// ends when its transmittance is below it.
+    /// Smallest optical depth and transmittance that matter. Cells are skipped if, by their density bound, all of
+    /// them along a ray together stay below this optical depth. A ray ends when its transmittance falls below it.
     pub cutoff: f64,
 }
 
 impl Marcher {
-    /// Appends the ray's sample distances to `t`; `jitter` in `[0, 1)` shifts all of them by that share of a step.
+    /// Appends the distances of the ray's samples to `t`; `jitter` in `[0, 1)` shifts all
+    /// of them by that share of a step.
     pub fn distances(&self, ray: &Ray, jitter: f64, t: &mut Vec<f64>) {
         t.extend(self.walk(ray, jitter));
     }
 
-    /// The ray's sample distances, found as they are asked for: rays end at the first wall, the box may go on far behind it.
+    /// Walks along the distances of the ray's samples. They are found on demand, because rays
+    /// often end long before the box.
     #[must_use]
     pub fn walk(&self, ray: &Ray, jitter: f64) -> Walk<'_> {
         let (entry, exit) = self.bounds.clip(ray).unwrap_or_default();
         let steps = ((exit - entry) / self.step).ceil() as u64;
-        // Thin fog adds up: no ray through the box is longer than its diagonal.
+        // Thin fog adds up. No ray through the box is longer than its diagonal.
         let least = (self.cutoff / self.bounds.size().length()) as f32;
         let known = if self.occupancy.is_none() { steps } else { 0 };
         Walk { marcher: self, ray: *ray, jitter, entry, exit, steps, least, k: 0, known }
     }
 
-    /// The density bound at a sample, ∞ without occupancy.
+    /// Density bound at a point; ∞ without an occupancy grid.
     #[must_use]
     pub fn majorant(&self, x: glam::DVec3) -> f64 {
         self.occupancy.as_ref().map_or(f64::INFINITY, |o| f64::from(o.majorant(x)))
     }
 }
 
-/// Sample distances along a ray, in order.
+/// Iterator over the sample distances along a ray, in increasing order.
 #[derive(Debug, Clone)]
 pub struct Walk<'a> {
     marcher: &'a Marcher,
@@ -55,11 +57,11 @@ pub struct Walk<'a> {
     entry: f64,
     exit: f64,
     steps: u64,
-    /// A density that cannot matter.
+    /// Largest density that cannot matter.
     least: f32,
-    /// The next candidate.
+    /// Next candidate.
     k: u64,
-    /// Candidates before this one are samples.
+    /// All candidates before this one are samples.
     known: u64,
 }
 
@@ -68,10 +70,11 @@ impl Walk<'_> {
         self.entry + (k as f64 + self.jitter) * self.marcher.step
     }
 
-    /// A candidate behind the current one such that all between are in the block, most often the first outside.
+    /// Returns a candidate after the current one such that all between them are in the
+    /// block; usually the first outside it.
     fn behind(&self, block: Block, occupancy: &Occupancy) -> u64 {
-        // The indices of cells are monotone along a ray: if a later candidate is in the block, so are those between. The
-        // last one is found by division; rounding may put it just behind the block's face, then it is the one before.
+        // Cell indices are monotone along a ray: if a later candidate is in the block, so are those between.
+        // Division finds the last one. Rounding may put it just behind the block's face; then it is the one before.
         let last = ((occupancy.exit(&self.ray, block) - self.entry) / self.marcher.step - self.jitter) as u64;
         let mut lasts = [last, last.saturating_sub(1)].into_iter().map(|last| last.min(self.steps - 1));
         let inside = |k: u64| k > self.k && occupancy.is_in(self.ray.at(self.place(k)), block);
@@ -118,7 +121,7 @@ mod tests {
     use glam::DVec3;
     use proptest::prelude::*;
 
-    /// What [`Marcher::distances`] leaps to, step by step.
+    /// The same as [`Marcher::distances`], step by step instead of by leaps.
     fn distances_slowly(marcher: &Marcher, ray: &Ray, jitter: f64) -> Vec<f64> {
         let Some((entry, exit)) = marcher.bounds.clip(ray) else { return Vec::new() };
         let steps = ((exit - entry) / marcher.step).ceil() as u64;
@@ -127,7 +130,7 @@ mod tests {
         candidates.filter(|&t| marcher.majorant(ray.at(t)) > f64::from(least as f32)).collect()
     }
 
-    /// Scenes with grids of one brick, of several, of some that stick out, and of one value.
+    /// Scenes with grids of a single brick, of several bricks, of bricks that stick out, and of a single value.
     static MARCHERS: LazyLock<Vec<Marcher>> = LazyLock::new(|| {
         let scenes =
             [("courtyard", 8), ("courtyard", 19), ("courtyard", 64), ("slab", 12), ("floater", 33), ("city", 96)];
@@ -139,7 +142,8 @@ mod tests {
         scenes.map(marcher).to_vec()
     });
 
-    /// A coordinate in units of the box, often on the face of a cell or a brick or of the box itself, or an ulp beside it.
+    /// A coordinate in units of the box, often on or an ulp beside the face of a cell,
+    /// of a brick or of the box itself.
     fn coordinate() -> impl Strategy<Value = f64> {
         let face = (0u32..97, -1i32..2).prop_map(|(i, side)| {
             let face = f64::from(i) / 96.0;
@@ -154,7 +158,7 @@ mod tests {
         prop_oneof![-0.5..1.5_f64, 0.0..1.0_f64, face]
     }
 
-    /// A component of a direction: none, almost none, or any.
+    /// A component of a direction: zero, almost zero, or any.
     fn component() -> impl Strategy<Value = f64> {
         prop_oneof![Just(0.0), Just(-0.0), Just(1.0), Just(-1.0), Just(1e-14), Just(-1e-9), -1.0..1.0_f64]
     }
@@ -192,7 +196,7 @@ mod tests {
         let (mut a, mut b) = (Vec::new(), Vec::new());
         all.distances(&ray, 0.3, &mut a);
         some.distances(&ray, 0.3, &mut b);
-        // The chord through the ball and its ramp is 0.916 long; at each end a cell, 0.108 in diagonal, may be added.
+        // The chord through the ball and its ramp is 0.916 long. Each end may add a cell, with a diagonal of 0.108.
         assert!((198..=202).contains(&a.len()) && (91..=114).contains(&b.len()), "{} of {}", b.len(), a.len());
         assert!(b.iter().all(|t| a.contains(t)));
     }

@@ -1,20 +1,22 @@
-//! How noisy a field is, and what that makes of its finite differences.
+//! The noise of a field, and the error that it causes in finite differences.
 //!
-//! A field in f32, or one that rounds its weights or its output, is a smooth function plus noise of standard deviation ε. A central difference over
-//! ±h divides that noise by h, and truncates the function: per derivative
+//! A field in f32, or one that rounds its weights or its output, is a smooth function plus noise of
+//! standard deviation ε. A central difference over ±h divides that noise by h and truncates the
+//! function. The error per derivative is
 //!
 //! ```text
 //! E(h)² = ε² / 2h² + (μ h² / 6)²        smallest at h* = (3 ε / μ)^⅓
 //! ```
 //!
-//! with the third derivative μ. ε comes from difference tables ([`noise_level`]: Moré, Wild, *Estimating Computational Noise*, 2011; the
-//! optimum as in their *Estimating Derivatives of Noisy Simulations*, 2012). μ is measured for each h as the third difference over
-//! [−h, h]: at a kink, where there is no third derivative, that is about what a difference across it is off by. A field
-//! that differentiates itself is compared with its own ∇σ instead. E is then known for every step
-//! ([`DifferenceErrors`]), and the best step is where it is smallest, up to [`LONGEST_STEP`].
+//! with the third derivative μ. ε comes from difference tables ([`noise_level`]: Moré, Wild, *Estimating
+//! Computational Noise*, 2011; the optimum is that of their *Estimating Derivatives of Noisy Simulations*,
+//! 2012). μ is measured for each h as the third difference over [−h, h]. At a kink there is no third derivative,
+//! but this is about the error of a difference across it. A field that differentiates itself is compared with
+//! its own ∇σ instead. E is then known for every step ([`DifferenceErrors`]). The best step is where E is
+//! smallest, up to [`LONGEST_STEP`].
 //!
-//! All errors are means of absolute values over points, relative to the mean of |∂σ|: a single kink beside one of them
-//! would decide a mean of squares.
+//! All errors are means of absolute values over points, relative to the mean of |∂σ|. A mean of squares could be
+//! decided by a single point beside a kink.
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -23,27 +25,31 @@ use super::Differences;
 use crate::field::RadianceField;
 use crate::geometry::Aabb;
 
-/// Values of one difference table.
+/// Number of values in a difference table.
 pub const TABLE: usize = 9;
-/// Steps at which errors are measured, per decade; and their range, lattice edges.
+/// Steps per decade at which errors are measured, and their range as powers of ten of a lattice edge, in such steps.
 const PER_DECADE: i32 = 2;
 const RANGE: std::ops::RangeInclusive<i32> = -5 * PER_DECADE..=PER_DECADE;
-/// Longest step that is still a derivative at a point, edges of the finest lattice.
+/// Longest step that is still a derivative at a point, in edges of the finest lattice.
 ///
-/// A central difference is the mean of the derivative over [x − h, x + h]. The vertices around x share it by weights
-/// that change by 1 / edge, so that a share of up to h / 2 edges goes to the wrong one: at 1/8, 6 % of it or 0.03 in
-/// log10 U, however smooth the field is. Longer steps are never proposed.
+/// A central difference is the mean of the derivative over [x − h, x + h]. The vertices around x share it by
+/// weights that change by 1 / edge, so a share of up to h / 2 edges goes to the wrong vertex. At 1/8 that is 6 % of
+/// it, or 0.03 in log10 U, however smooth the field is. Longer steps are never proposed.
 pub const LONGEST_STEP: f64 = 0.125;
-/// Spacings of tables, powers of two of units in the last place of positions: the narrowest that does not show plateaus.
+/// Spacings of tables, as exponents of two in units in the last place of positions. The
+/// narrowest that shows noise is used.
 const SPACINGS: [i32; 6] = [2, 4, 6, 8, 10, 12];
-/// Lines whose values are asked for together.
+/// Number of lines that are evaluated together.
 const BATCH: usize = 32;
 
-/// Standard deviation of the noise in values at equal, small distances, by the ECnoise algorithm; `None` if the values do not look like
-/// noise on a smooth function: too smooth, or on plateaus because the distance is too small.
+/// Standard deviation of the noise in values at equal, small distances, by the ECnoise algorithm.
 ///
-/// The k-th differences of a smooth function fall quickly with k, those of noise grow as √(2k choose k): σ_k = rms(Δᵏ) / √(2k choose k) settles
-/// where only noise is left. It has where three of them in a row agree within a factor of 4 and Δᵏ changes sign.
+/// `None` if the values do not look like noise on a smooth function: they change too much, or are too smooth, or
+/// lie on plateaus because the distance is too small.
+///
+/// The k-th differences of a smooth function fall quickly with k; those of noise grow as √(2k choose k). So
+/// σ_k = rms(Δᵏ) / √(2k choose k) settles where only noise is left: where three of them in a row agree within a
+/// factor of 4 and Δᵏ changes sign.
 #[must_use]
 pub fn noise_level(values: &[f64; TABLE]) -> Option<f64> {
     let (low, high) = values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), &v| (l.min(v), h.max(v)));
@@ -72,56 +78,57 @@ pub fn noise_level(values: &[f64; TABLE]) -> Option<f64> {
     })
 }
 
-/// What central differences of a field's density are off by at one step, relative to ∂σ.
+/// Error of central differences of a field's density at one step, relative to ∂σ.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct DifferenceError {
-    /// Distance to both sides, lattice edges.
+    /// Distance to both sides, in lattice edges.
     pub step: f64,
-    /// By noise.
+    /// Error from noise.
     pub noise: f64,
-    /// By truncation.
+    /// Error from truncation.
     pub truncation: f64,
-    /// Standard error of the truncation by the choice of points.
+    /// Standard error of the truncation error, from the choice of points.
     pub doubt: f64,
 }
 
 impl DifferenceError {
-    /// Both together.
+    /// Noise and truncation together.
     #[must_use]
     pub fn total(&self) -> f64 {
         self.noise.hypot(self.truncation)
     }
 
-    /// About how much that moves log10 U: information is quadratic in derivatives, U its inverse root.
+    /// Approximate change of log10 U: information is quadratic in derivatives, and U is its inverse square root.
     #[must_use]
     pub fn in_log10(&self) -> f64 {
         self.total() * std::f64::consts::LOG10_E
     }
 
-    /// The error that it has at least, by two standard errors.
+    /// Lower bound of the total error, with a margin of two standard errors.
     fn at_least(&self) -> f64 {
         self.noise.hypot((self.truncation - 2.0 * self.doubt).max(0.0))
     }
 }
 
-/// Errors of central differences over all steps.
+/// Errors of central differences at all steps.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct DifferenceErrors {
-    /// Points at which the density changes.
+    /// Number of points at which the density changes.
     pub points: usize,
     /// ε / σ, root mean square over the points.
     pub noise: f64,
-    /// Third derivative relative to the first, 1 / lattice edge², at the smallest step at which it stands out from the noise; 0 if at none.
+    /// Third derivative relative to the first, 1 / lattice edge², at the smallest step at which it stands out from
+    /// the noise; 0 if there is none.
     pub curvature: f64,
-    /// Errors by increasing step, of those that fit into the box around most points; at least one.
+    /// Errors by increasing step, for steps that fit into the box around most points; at least one.
     pub steps: Vec<DifferenceError>,
 }
 
-/// A misplaced step costs at least this factor over the best one.
+/// A step is misplaced if it costs at least this factor over the best one.
 const FACTOR: f64 = 3.0;
 
 impl DifferenceErrors {
-    /// The steps that are looked at, lattice edges, increasing: two a decade from `shortest` to ten edges, and `own`.
+    /// Steps to measure, in lattice edges, increasing: two per decade from `shortest` to ten edges, and `own`.
     #[must_use]
     pub fn steps(shortest: f64, own: f64) -> Vec<f64> {
         let regular = RANGE.map(|k| 10_f64.powf(f64::from(k) / f64::from(PER_DECADE)));
@@ -131,8 +138,9 @@ impl DifferenceErrors {
         steps
     }
 
-    /// Measures the density of `field` near `points`, along one axis at each in turn, at increasing `steps`. `lattice`
-    /// has a step of one lattice edge. `None` if the density changes nowhere near them.
+    /// Measures the density of `field` near `points`, along one axis at each in turn, at increasing `steps`.
+    ///
+    /// `lattice` has a step of one lattice edge. `None` if the density changes nowhere near the points.
     #[must_use]
     pub fn measure(field: &dyn RadianceField, points: &[Vec3], lattice: &Differences, steps: &[f64]) -> Option<Self> {
         let bounds = field.bounds();
@@ -190,7 +198,7 @@ impl DifferenceErrors {
         Some(Self { points: used.len(), noise: relative.sqrt(), curvature, steps })
     }
 
-    /// The step with the smallest error, of those up to [`LONGEST_STEP`] (the shortest, if all are longer).
+    /// The step with the smallest error among those up to [`LONGEST_STEP`]; the shortest step if all are longer.
     #[must_use]
     pub fn best(&self) -> DifferenceError {
         let least = |a: &&DifferenceError, b: &&DifferenceError| a.total().total_cmp(&b.total());
@@ -198,7 +206,8 @@ impl DifferenceErrors {
         *short.min_by(least).unwrap_or(&self.steps[0])
     }
 
-    /// The error at any step: truncation of the nearest one that was measured, noise in proportion.
+    /// The error at any step: the truncation of the nearest measured step, and noise in
+    /// inverse proportion to the step.
     #[must_use]
     pub fn at(&self, step: f64) -> DifferenceError {
         let distance = |e: &DifferenceError| (e.step / step).ln().abs();
@@ -207,9 +216,11 @@ impl DifferenceErrors {
         DifferenceError { step, noise: near.noise * near.step / step, ..near }
     }
 
-    /// Whether `step` is badly placed: it moves log10 U by more than `tolerance`, and the best step by less than a
-    /// third of that; both with a margin of two standard errors, so that it does not depend on which points were looked
-    /// at.
+    /// Returns true if `step` is badly placed: it moves log10 U by more than `tolerance`, and the best step moves
+    /// it by less than a third of that.
+    ///
+    /// The error of `step` is taken two standard errors lower, so that the answer does not
+    /// depend on the choice of points.
     #[must_use]
     pub fn is_bad(&self, step: f64, tolerance: f64) -> bool {
         let (least, best) = (self.at(step).at_least(), self.best());
@@ -217,21 +228,21 @@ impl DifferenceErrors {
     }
 }
 
-/// Means of absolute errors over the points at which a step fits into the box, relative to the mean of |∂σ| there.
+/// Means of absolute errors over the points where a step fits into the box, relative to the mean of |∂σ| there.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 struct Sums {
-    /// By noise.
+    /// Error from noise.
     noise: f64,
-    /// By truncation, with the noise that is in it.
+    /// Error from truncation, including the noise in it.
     truncation: f64,
-    /// What the truncation would be if it were noise alone.
+    /// What the truncation error would be from noise alone.
     of_noise: f64,
     /// Standard error of the truncation.
     doubt: f64,
 }
 
 impl Sums {
-    /// Of stencils with ε and ∂σ; `exact` if ∂σ is the field's own.
+    /// Averages over stencils with their ε and ∂σ; `exact` if ∂σ is the field's own.
     fn of(points: &[(Stencil, f64, f64)], exact: bool) -> Self {
         let scale: f64 = points.iter().map(|(_, _, slope)| slope.abs()).sum();
         let error = |(stencil, _, slope): &(Stencil, f64, f64)| {
@@ -239,23 +250,26 @@ impl Sums {
         };
         let sum = |of: &dyn Fn(&(Stencil, f64, f64)) -> f64| points.iter().map(of).sum::<f64>() / scale;
         let truncation = sum(&error);
-        // The variance of a ratio of means, to first order.
+        // Variance of a ratio of means, to first order.
         let residuals = sum(&|point| (error(point) - truncation * point.2.abs()).powi(2)) / scale;
         let noise = sum(&|(stencil, noise, _)| 0.5_f64.sqrt() * noise / stencil.h);
-        // A third difference has 1 + 9 + 9 + 1 times the noise's variance.
+        // The variance of a third difference is 1 + 9 + 9 + 1 times that of the noise.
         let in_third = sum(&|(stencil, noise, _)| 20_f64.sqrt() * noise * stencil.truncation());
         Self { noise, truncation, of_noise: if exact { noise } else { in_third }, doubt: residuals.sqrt() }
     }
 
-    /// Whether truncation is clearly more than noise: by twice its variance, which is known to about that.
+    /// Returns true if truncation clearly exceeds noise: by twice its variance, which is known to about that factor.
     fn stands_out(&self) -> bool {
         self.truncation.powi(2) > 2.0 * self.of_noise.powi(2)
     }
 }
 
-/// Truncation errors by increasing step: what stands out from the noise, and below that its continuation, by a power of h between that of kinks,
-/// ½ (they are met as often as h is long, squared), and that of smooth functions, 2. Either way it grows with h: what the next longer step does not confirm was one point that
-/// happened to have a kink beside it, and counts for no more than there.
+/// Truncation errors by increasing step.
+///
+/// Measured where they stand out from the noise. Below, they are continued by a power of h: at least ½ (the root
+/// mean square for kinks, which are met in proportion to h), at most 2 (smooth functions). Either way they grow with
+/// h. An error that the next longer step does not confirm came from one point with a kink beside it, and counts
+/// only as much as there.
 fn truncations(steps: &[f64], sums: &[Sums]) -> Vec<f64> {
     let measured = |s: usize| (sums[s].truncation.powi(2) - sums[s].of_noise.powi(2)).max(0.0).sqrt();
     let Some(first) = sums.iter().position(Sums::stands_out) else { return vec![0.0; steps.len()] };
@@ -271,20 +285,21 @@ fn truncations(steps: &[f64], sums: &[Sums]) -> Vec<f64> {
 struct Line {
     x: Vec3,
     axis: usize,
-    /// Lattice edge along it here, scene units.
+    /// Lattice edge along the axis here, in scene units.
     edge: f64,
-    /// Smallest distance between positions that f32 holds exactly here, scene units.
+    /// Spacing of positions that f32 holds exactly here, in scene units.
     unit: f64,
     /// σ at the point.
     density: f64,
 }
 
 impl Line {
-    /// `None` if the box leaves no room for the longest stencil's smallest part.
+    /// Makes the line; `None` if the point, once rounded, lies outside the box, or if
+    /// the lattice has no extent there.
     fn through(x: Vec3, axis: usize, lattice: &Differences, bounds: &Aabb) -> Option<Self> {
         let edge = lattice.at(x)[axis];
         let largest = f64::from(x[axis].abs()).max(edge);
-        // The spacing of f32 numbers below the next power of two.
+        // The spacing of f32 numbers just above the next power of two: coarse enough for all positions nearby.
         let unit = 2.0_f64.powi(largest.log2().ceil() as i32 - 23);
         // Tables and stencils start on a multiple of a coarse unit, so that all their positions are exact.
         let mut x = x;
@@ -299,7 +314,7 @@ impl Line {
     }
 }
 
-/// Values at −h, −h/3, h/3 and h.
+/// Values of a function at −h, −h/3, h/3 and h.
 #[derive(Clone, Copy)]
 struct Stencil {
     values: [f64; 4],
@@ -318,24 +333,24 @@ impl Stencil {
         d - 3.0 * c + 3.0 * b - a
     }
 
-    /// What the third difference is multiplied with to give the truncation error f‴ h² / 6 of a central difference over ±h.
+    /// Factor from the third difference to the truncation error f‴ h² / 6 of a central difference over ±h.
     fn truncation(&self) -> f64 {
         27.0 / (8.0 * 6.0 * self.h)
     }
 
-    /// f′ to the fourth order: 9/8 of the narrow difference less 1/8 of the wide one.
+    /// f′ to fourth order: 9/8 of the narrow difference less 1/8 of the wide one.
     fn slope(&self) -> f64 {
         let [a, b, c, d] = self.values;
         (27.0 * (c - b) - (d - a)) / (16.0 * self.h)
     }
 
-    /// How far off that may be.
+    /// Estimated error of [`Stencil::slope`].
     fn doubt(&self, noise: f64) -> f64 {
         (self.third() * self.truncation()).abs() + 2.0 * noise / self.h
     }
 }
 
-/// Densities at `places` of every line.
+/// Densities of the field at `places` of every line.
 fn densities<const N: usize>(
     field: &dyn RadianceField,
     lines: &[Line],
@@ -350,7 +365,7 @@ fn densities<const N: usize>(
     batches.collect()
 }
 
-/// ∂σ of every line along its axis, if the field knows it.
+/// ∂σ along every line's axis, if the field knows it.
 fn own_slopes(field: &dyn RadianceField, lines: &[Line]) -> Option<Vec<f64>> {
     let own = field.differentiable()?;
     let batches = lines.par_chunks(BATCH).flat_map_iter(|lines| {
@@ -362,7 +377,7 @@ fn own_slopes(field: &dyn RadianceField, lines: &[Line]) -> Option<Vec<f64>> {
     Some(batches.collect())
 }
 
-/// ε of every line: by the narrowest table that shows it, at least the rounding of f32.
+/// ε of every line, from the narrowest table that shows it; at least the rounding of f32.
 fn noises(field: &dyn RadianceField, lines: &mut [Line]) -> Vec<f64> {
     let bounds = field.bounds();
     let mut found: Vec<Option<f64>> = vec![None; lines.len()];
@@ -374,18 +389,19 @@ fn noises(field: &dyn RadianceField, lines: &mut [Line]) -> Vec<f64> {
         let tables = densities(field, lines, places);
         for ((line, values), found) in lines.iter_mut().zip(&tables).zip(&mut found) {
             line.density = values[TABLE / 2];
-            // A box's face would pass for noise.
+            // A face of the box would pass for noise.
             let inside = places(line).into_iter().all(|x| bounds.contains(x));
             let usable = inside && found.is_none() && values.iter().all(|v| v.is_finite());
             *found = found.or_else(|| usable.then(|| noise_level(values)).flatten());
         }
     }
-    // Half a unit in the last place, uniformly: 2⁻²⁴ / √12 of a value just below a power of two.
+    // Half a unit in the last place, uniformly distributed: 2⁻²⁴ / √12 of a value just below a power of two.
     let rounding = 2.0_f64.powi(-24) / 12.0_f64.sqrt();
     found.iter().zip(&*lines).map(|(noise, line)| noise.unwrap_or(0.0).max(rounding * line.density)).collect()
 }
 
-/// Values around every line's point, at distances that f32 positions hold; `None` where they leave the box or are not finite.
+/// Values around every line's point, at distances that f32 positions hold exactly; `None` where the points leave
+/// the box or a value is not finite.
 fn stencils(field: &dyn RadianceField, lines: &[Line], step: f64) -> Vec<Option<Stencil>> {
     let bounds = field.bounds();
     let h = |line: &Line| ((step * line.edge / (3.0 * line.unit)).round().max(1.0)) * 3.0 * line.unit;

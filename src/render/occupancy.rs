@@ -1,4 +1,4 @@
-//! Where density can be: an upper bound of it on a coarse grid, built from the field itself.
+//! Occupancy grid: an upper bound of the density on a coarse grid, built from the field itself.
 
 mod bounded;
 mod pyramid;
@@ -13,12 +13,12 @@ use crate::field::RadianceField;
 use crate::geometry::{Aabb, Ray};
 use crate::monitor::{Monitor, check};
 
-/// A bound σ̂ of the density in each cell of a regular grid and in the space around it.
+/// An upper bound σ̂ of the density in each cell of a regular grid and in the space around it.
 ///
-/// Where a field bounds its density ([`RadianceField::density_bound`]) it is certain. Elsewhere it is an estimate: the
-/// largest of the densities at a cell's corners and centre and at those of its neighbours. Structures much thinner than a cell
-/// can be missed; what that changes is measured against runs without occupancy. A NaN counts as infinite density, so that it
-/// is met and reported, not skipped.
+/// Where a field bounds its density ([`RadianceField::density_bound`]), σ̂ is certain. Elsewhere it is an estimate:
+/// the largest density at the corners and the centre of a cell and of its neighbours. Structures much thinner than
+/// a cell can be missed; the effect is measured against runs without an occupancy grid. A NaN counts as infinite
+/// density, so that it is met and reported instead of skipped.
 #[derive(Debug, Clone)]
 pub struct Occupancy {
     bounds: Aabb,
@@ -28,20 +28,20 @@ pub struct Occupancy {
     per_unit: DVec3,
     /// σ̂, 1 / scene unit.
     majorant: Pyramid,
-    /// Whether all of it was bounded by the field, none of it sampled.
+    /// True if the field bounded all of it, so that nothing was sampled.
     is_certain: bool,
 }
 
-/// 2^level cells along each axis, `cell` one of them.
+/// A block of 2^level cells along each axis; `cell` is one of them.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Block {
     cell: [usize; 3],
     level: usize,
 }
 
-/// What is at a point, compared with a density.
+/// The space around a point, compared with a density.
 pub(super) enum Space {
-    /// Not in the box.
+    /// Outside the box.
     Outside,
     /// σ̂ does not exceed the density in this block, the largest such block around the point.
     Low(Block),
@@ -50,17 +50,21 @@ pub(super) enum Space {
 }
 
 impl Occupancy {
-    /// Cells per axis unless told otherwise: 9.4 cm³ of a 3 m box; 4.3 million field evaluations of a field that must be sampled.
+    /// Default number of cells per axis: cells of 2.3 cm in a box of 3 m, 4.2 million
+    /// evaluations of a field without bounds.
     pub const DEFAULT_RESOLUTION: usize = 128;
 
-    /// Bounds or samples `field` with `resolution` cells per axis of its box. The bound holds up to a distance `reach` (scene
-    /// units) from a cell, if it is sampled at least one cell: finite differences look that far.
+    /// Builds a grid of `resolution` cells per axis over the box of `field`, from its bounds or from samples.
+    ///
+    /// The bound holds up to a distance of `reach` (scene units) from a cell, because finite differences look that
+    /// far; if it is sampled, up to at least one cell.
     ///
     /// # Errors
     /// [`crate::Error::Interrupted`] only.
     pub fn build(field: &dyn RadianceField, resolution: usize, reach: f64, monitor: &dyn Monitor) -> Result<Self> {
         let bounds = field.bounds();
-        // Positions are rounded to f32, and once more around them for differences; the box that is asked for, too.
+        // Positions are rounded to f32, and rounded again for the differences around them.
+        // So is the box that is queried.
         let rounding = 2.0 * f64::from(f32::EPSILON) * bounds.min().abs().max(bounds.max().abs()).max_element();
         let bounder = Bounder { field, bounds, cells: resolution, pad: reach + rounding, monitor };
         monitor.begin("occupancy", (blocks(resolution, BRICK) as u64).pow(3));
@@ -86,15 +90,15 @@ impl Occupancy {
         })
     }
 
-    /// The cell of a scene point, `None` outside the box. Its indices do not fall with the point's coordinates, rounding
-    /// included.
+    /// Cell of a scene point; `None` outside the box. Its indices never fall as the point's
+    /// coordinates rise, even with rounding.
     fn cell(&self, x: DVec3) -> Option<[usize; 3]> {
         let u = (x - self.bounds.min()) * self.per_unit;
         if !u.cmpge(DVec3::ZERO).all() {
             return None;
         }
         let n = self.resolution;
-        // The upper faces belong to the last cell; rounding may put a point of the box there.
+        // The upper faces belong to the last cell. Rounding may put a point of the box there.
         let cell = u.to_array().map(|u| u as usize).map(|i| if i == n { n - 1 } else { i });
         cell.iter().all(|&i| i < n).then_some(cell)
     }
@@ -105,11 +109,11 @@ impl Occupancy {
         self.cell(x).map_or(0.0, |cell| self.majorant.value(0, cell))
     }
 
-    /// Whether σ̂ exceeds `density` at a point; if not, how far around it.
+    /// Compares σ̂ at a point with `density`, and says how far around it the answer holds.
     pub(super) fn space(&self, x: DVec3, density: f32) -> Space {
         let Some(cell) = self.cell(x) else { return Space::Outside };
         let low = |level: usize| level < self.majorant.levels() && self.majorant.value(level, cell) <= density;
-        // Most of space is far from everything: its bricks are low.
+        // Most of space is far from everything, so its bricks are low.
         match [BRICK, 0].into_iter().find(|&level| low(level)) {
             Some(mut level) => {
                 while low(level + 1) {
@@ -121,13 +125,13 @@ impl Occupancy {
         }
     }
 
-    /// Whether a point is in the block.
+    /// Returns true if a point is in the block.
     pub(super) fn is_in(&self, x: DVec3, block: Block) -> bool {
         let same = |cell: [usize; 3]| (0..3).all(|axis| cell[axis] >> block.level == block.cell[axis] >> block.level);
         self.cell(x).is_some_and(same)
     }
 
-    /// Where a ray that is in the block leaves it, up to rounding.
+    /// Distance at which a ray that is in the block leaves it, up to rounding.
     pub(super) fn exit(&self, ray: &Ray, block: Block) -> f64 {
         let edge = 1.0 / self.per_unit;
         let mut exit = f64::INFINITY;
@@ -142,7 +146,7 @@ impl Occupancy {
         exit
     }
 
-    /// Whether the field bounds its density everywhere, so that nothing had to be estimated.
+    /// Returns true if the field bounds its density everywhere, so that nothing had to be estimated.
     #[must_use]
     pub fn is_certain(&self) -> bool {
         self.is_certain
@@ -154,7 +158,7 @@ impl Occupancy {
         self.resolution
     }
 
-    /// Centres of the cells whose bound exceeds `density`, scene units.
+    /// Centres of the cells whose bound exceeds `density`, in scene units.
     pub fn cells_above(&self, density: f32) -> impl Iterator<Item = DVec3> + '_ {
         let n = self.resolution;
         let cells = (0..n * n * n).map(move |i| [i / (n * n), i / n % n, i % n]);
@@ -165,7 +169,7 @@ impl Occupancy {
         })
     }
 
-    /// Shard of cells whose bound exceeds `density`.
+    /// Share of the cells whose bound exceeds `density`.
     #[must_use]
     pub fn share_above(&self, density: f32) -> f64 {
         let n = self.resolution;
@@ -188,7 +192,7 @@ mod tests {
     use crate::monitor::Silent;
     use glam::Vec3;
 
-    /// A field that keeps its bound to itself.
+    /// A field that does not tell its density bound.
     struct BlackBox(ClosedForm);
 
     impl RadianceField for BlackBox {
@@ -229,7 +233,8 @@ mod tests {
                     let mut y = x.as_dvec3();
                     y[axis] += side;
                     if field.bounds().contains(y.as_vec3()) {
-                        // Cells are 1/16 wide, four times the surfaces' softness: the cell's own samples see the density.
+                        // Cells are 1/16 wide, four times the softness of surfaces:
+                        // the cell's own samples see the density.
                         assert!(occupancy.majorant(y) >= 0.9 * density.min(100.0), "{density} at {x}");
                     }
                 }
@@ -240,7 +245,7 @@ mod tests {
         assert!(occupancy.majorant(DVec3::new(1.0, 0.0, -0.7)) > 100.0, "the upper face belongs to the last cell");
     }
 
-    /// A post that is 100 times thinner than a cell of 32 per axis and stands between the points that are sampled.
+    /// A post 100 times thinner than a cell of a grid with 32 cells per axis, placed between the sampled points.
     fn post() -> ClosedForm {
         let shape = Shape::Box { center: Vec3::new(0.02, 0.04, 0.0), half: Vec3::new(3e-4, 3e-4, 0.5) };
         let post = Primitive { shape, peak: 9e3, softness: 1e-4, texture: Texture::Plain(Vec3::ONE) };
@@ -254,13 +259,13 @@ mod tests {
             let occupancy = Occupancy::build(&field, n, reach, &Silent).unwrap();
             let edge = 2.0 / n as f64;
             for i in 0..n * n * n {
-                // The counterpart: every cell by itself, straight from the definition.
+                // Reference: every cell by itself, straight from the definition.
                 let low = DVec3::new((i / (n * n)) as f64, (i / n % n) as f64, (i % n) as f64) * edge - 1.0;
                 let ask =
                     |grown: f64| field.density_bound((low - grown).as_vec3(), (low + edge + grown).as_vec3()).unwrap();
                 let found = occupancy.majorant(low + 0.5 * edge);
-                // The rounding pad is 2 · 2^-23, f32 moves the box that is asked for by 2^-25; a larger box has a larger bound
-                // up to the rounding of the ramp, 1e-5.
+                // The rounding pad is 2 · 2^-23. f32 moves the queried box by 2^-25. A larger box has a larger
+                // bound, up to the rounding of the ramp, 1e-5.
                 let (least, most) = (ask(reach) * (1.0 - 1e-5), ask(reach + 4e-7) * (1.0 + 1e-5));
                 assert!((least..=most).contains(&found), "{found} in cell {i}, not from {least} to {most}");
             }
@@ -275,7 +280,8 @@ mod tests {
 
     #[test]
     fn share_counts_cells() {
-        // The slab |x| < ½ cuts 12 cells across [-1, 1] into 3, 6, 3; its neighbours touch it within the rounding pad.
+        // The slab |x| < ½ cuts 12 cells across [-1, 1] into 3, 6, 3.
+        // Its neighbours touch it within the rounding pad.
         let occupancy = Occupancy::build(&ClosedForm::slab(4.0), 12, 0.0, &Silent).unwrap();
         assert_eq!(occupancy.share_above(0.0), 8.0 / 12.0);
         assert_eq!(occupancy.share_above(5.0), 0.0);

@@ -1,26 +1,28 @@
-//! What a posterior is made of: ray samples with their Jacobians, wherever they came from.
+//! Ray samples with their Jacobians: the input of a posterior, wherever it comes from.
 
 use glam::Vec3;
 
-/// Ray samples with their Jacobians. Rays in increasing order; rays
-/// without samples are absent. Ray r of the list owns `offsets[r]..offsets[r + 1]`.
+/// Ray samples with their Jacobians.
+///
+/// Rays come in increasing order; rays without samples are absent. Ray r of the list
+/// owns `offsets[r]..offsets[r + 1]`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RaySamples {
     /// `[rays]`, increasing: index of each ray in the whole run.
     pub rays: Vec<u64>,
-    /// `[rays + 1]`.
+    /// `[rays + 1]`: first sample of each ray, and the end of the last.
     pub offsets: Vec<usize>,
-    /// `[n]`, scene units.
+    /// `[n]`: positions in scene units.
     pub positions: Vec<Vec3>,
     /// `[n]`: ∂C_c/∂x_k at 3·c + k.
     pub jacobians: Vec<[f32; 9]>,
-    /// `[n]`: w, share of the pixel's colour; 0 where unknown.
+    /// `[n]`: w, the sample's share of the pixel's colour; 0 if unknown.
     pub weights: Vec<f32>,
-    /// `[n]`: ‖∂C/∂σ‖ ∇σ, the density's part of the Jacobian by size and direction; 0 where unknown.
+    /// `[n]`: ‖∂C/∂σ‖ ∇σ, the size and direction of the density's part of the Jacobian; 0 if unknown.
     pub gradients: Vec<[f32; 3]>,
-    /// Rays dropped because the field was not finite.
+    /// Number of rays dropped because the field was not finite.
     pub dropped: u64,
-    /// Position of the first sample that was not.
+    /// Position of the first sample that was not finite.
     pub first_invalid: Option<Vec3>,
 }
 
@@ -46,14 +48,14 @@ pub struct RaySample {
     pub position: Vec3,
     /// ∂C_c/∂x_k at 3·c + k.
     pub jacobian: [f32; 9],
-    /// w.
+    /// w, the sample's share of the pixel's colour.
     pub weight: f32,
     /// ‖∂C/∂σ‖ ∇σ.
     pub gradient: [f32; 3],
 }
 
 impl RaySamples {
-    /// Appends one sample to the ray with index `ray`, which must not be below the last one.
+    /// Appends one sample to the ray of index `ray`, which must not be below the last one.
     pub fn push(&mut self, ray: u64, sample: RaySample) {
         if self.rays.last() != Some(&ray) {
             self.rays.push(ray);
@@ -68,7 +70,7 @@ impl RaySamples {
         }
     }
 
-    /// Sample `i` of the list.
+    /// Returns sample `i` of the list.
     #[must_use]
     pub fn sample(&self, i: usize) -> RaySample {
         RaySample {
@@ -79,7 +81,7 @@ impl RaySamples {
         }
     }
 
-    /// Each ray's index and its samples' range.
+    /// Iterates over the index and the range of samples of each ray.
     pub fn iter(&self) -> impl Iterator<Item = (u64, std::ops::Range<usize>)> + '_ {
         self.rays.iter().zip(self.offsets.windows(2)).map(|(&ray, pair)| (ray, pair[0]..pair[1]))
     }

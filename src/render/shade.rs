@@ -1,4 +1,4 @@
-//! Colours of the samples that a pixel is made of.
+//! Colours of the samples that make up a pixel.
 
 use glam::Vec3;
 
@@ -7,8 +7,10 @@ use crate::field::Radiance;
 use crate::geometry::Ray;
 
 impl Tracer<'_> {
-    /// Colours of all samples of `traced`, `[n]`: the field's where a sample's share of its pixel is above the marcher's cutoff, black elsewhere.
-    /// NaN where the field's is not finite.
+    /// Colours of all samples of `traced`, `[n]`.
+    ///
+    /// The field's colour where a sample's share of its pixel exceeds the marcher's cutoff, black elsewhere. NaN
+    /// where the field's colour is not finite.
     #[must_use]
     pub fn visible_colors(&self, rays: &[Ray], traced: &TracedRays, quadrature: &Quadrature) -> Vec<Vec3> {
         let (mut which, mut positions, mut directions) = (Vec::new(), Vec::new(), Vec::new());

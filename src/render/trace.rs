@@ -1,6 +1,6 @@
-//! The density along groups of rays.
+//! Density along groups of rays.
 //!
-//! Colour is not asked for here: most samples lie in front of a surface or just behind it, and weigh nothing.
+//! Colour is left to later steps: most samples lie before a surface or just behind it, and have no weight.
 
 use glam::{DVec3, Vec3};
 
@@ -8,8 +8,10 @@ use super::{Marcher, Walk};
 use crate::field::{Differentiable, RadianceField};
 use crate::geometry::Ray;
 
-/// Samples taken per ray before its transmittance is looked at again: small enough that little is evaluated behind opaque
-/// surfaces, large enough that a group of rays fills the field's batches.
+/// Samples taken per ray between two checks of its transmittance.
+///
+/// Small enough that little is evaluated behind opaque surfaces, large enough that a group of rays fills the
+/// batches of the field.
 const ROUND: usize = 8;
 
 /// A field, where to sample it, and what lies behind it.
@@ -17,7 +19,7 @@ const ROUND: usize = 8;
 pub struct Tracer<'a> {
     /// The field.
     pub field: &'a dyn RadianceField,
-    /// Sample positions.
+    /// Placement of samples.
     pub marcher: Marcher,
     /// Colour of a ray that meets nothing.
     pub background: Vec3,
@@ -26,17 +28,18 @@ pub struct Tracer<'a> {
 /// Samples of a group of rays, concatenated: ray r owns `offsets[r]..offsets[r + 1]`.
 #[derive(Debug, Clone, Default)]
 pub struct TracedRays {
-    /// `[rays + 1]`.
+    /// `[rays + 1]`: first sample of each ray, and the end of the last.
     pub offsets: Vec<usize>,
-    /// Distances along the ray, scene units.
+    /// `[n]`: distances along the ray, in scene units.
     pub t: Vec<f64>,
-    /// Positions, scene units.
+    /// `[n]`: positions in scene units.
     pub positions: Vec<Vec3>,
-    /// σ, 1 / scene unit.
+    /// `[n]`: σ, 1 / scene unit.
     pub densities: Vec<f32>,
-    /// ∇σ, 1 / scene unit²; empty if it was not asked for.
+    /// `[n]`: ∇σ, 1 / scene unit²; empty if it was not requested.
     pub density_gradients: Vec<Vec3>,
-    /// Rays dropped because the field returned something not finite or a negative density: they own no samples.
+    /// Number of rays dropped because the field returned a density that was negative or
+    /// not finite. They own no samples.
     pub dropped: u64,
     /// Position of the first such sample.
     pub first_invalid: Option<Vec3>,
@@ -49,32 +52,32 @@ impl TracedRays {
         self.offsets.len().saturating_sub(1)
     }
 
-    /// Indices of ray `r`'s samples.
+    /// Indices of the samples of ray `r`.
     #[must_use]
     pub fn samples(&self, r: usize) -> std::ops::Range<usize> {
         self.offsets[r]..self.offsets[r + 1]
     }
 }
 
-/// One ray under way.
+/// A ray while it is traced.
 struct Path<'a> {
     /// Distances still to sample.
     pending: Walk<'a>,
     optical_depth: f64,
     samples: usize,
-    /// Whether a sample was not a density.
+    /// True once a sample had no valid density.
     invalid: bool,
 }
 
-/// One round's samples, or all of them in the order in which they were taken.
+/// The samples of one round, or all of them in the order in which they were taken.
 #[derive(Default)]
 struct Samples {
-    /// Index of the ray.
+    /// Index of the ray of each sample.
     owners: Vec<u32>,
     t: Vec<f64>,
     positions: Vec<Vec3>,
     densities: Vec<f32>,
-    /// Empty if not asked for.
+    /// Empty if not requested.
     density_gradients: Vec<Vec3>,
 }
 
@@ -88,12 +91,12 @@ impl Samples {
     }
 }
 
-/// Buffers that a thread uses again from batch to batch.
+/// Buffers that a thread reuses from batch to batch.
 #[derive(Default)]
 pub struct TraceBuffers<'a> {
     paths: Vec<Path<'a>>,
     samples: Samples,
-    /// What the rays met.
+    /// Samples of the rays.
     pub traced: TracedRays,
 }
 
@@ -104,13 +107,13 @@ impl<'a> Tracer<'a> {
         self.background.as_dvec3()
     }
 
-    /// Samples `rays`, each shifted by its `jitter` in `[0, 1)` steps, into `buffers.traced`. A ray ends when its transmittance falls
-    /// below the marcher's cutoff.
+    /// Samples `rays` into `buffers.traced`, each shifted by its `jitter` in `[0, 1)` steps. A ray ends when its
+    /// transmittance falls below the marcher's cutoff.
     pub fn trace<'b>(&'b self, rays: &[Ray], jitter: &[f64], buffers: &mut TraceBuffers<'b>) {
         self.trace_with(rays, jitter, None, buffers);
     }
 
-    /// As [`Tracer::trace`], with ∇σ of every sample if `gradients` is there to know it.
+    /// Traces like [`Tracer::trace`]; also returns ∇σ of every sample if `gradients` is given.
     pub(super) fn trace_with<'b>(
         &'b self,
         rays: &[Ray],
@@ -128,7 +131,7 @@ impl<'a> Tracer<'a> {
         }));
         let longest = if self.marcher.cutoff > 0.0 { -self.marcher.cutoff.ln() } else { f64::INFINITY };
 
-        // Samples of round k lie behind those of round k - 1.
+        // Samples of round k follow those of round k - 1.
         samples.clear();
         loop {
             let first = samples.owners.len();
@@ -164,7 +167,7 @@ impl<'a> Tracer<'a> {
     }
 }
 
-/// Sorts samples by ray; a ray with an invalid sample owns none.
+/// Sorts samples by ray. A ray with an invalid sample owns none.
 fn gather(paths: &[Path], samples: &Samples, traced: &mut TracedRays) {
     traced.offsets.clear();
     traced.offsets.push(0);
@@ -186,7 +189,7 @@ fn gather(paths: &[Path], samples: &Samples, traced: &mut TracedRays) {
     if !samples.density_gradients.is_empty() {
         traced.density_gradients.resize(total, Vec3::ZERO);
     }
-    // offsets[r] moves to the end of ray r while its samples come in; then the list is shifted back by one.
+    // offsets[r] moves to the end of ray r while its samples arrive. Then the list is shifted back by one.
     for (i, &owner) in samples.owners.iter().enumerate() {
         let owner = owner as usize;
         if paths[owner].invalid {
@@ -208,7 +211,7 @@ fn gather(paths: &[Path], samples: &Samples, traced: &mut TracedRays) {
             let density = samples.densities[*i];
             !(density >= 0.0 && density.is_finite())
         };
-        // The first ray's first one, whatever the rounds.
+        // The first invalid sample of the first such ray, independent of the rounds.
         let first = (0..samples.owners.len()).filter(invalid).min_by_key(|&i| samples.owners[i]);
         traced.first_invalid = first.map(|i| samples.positions[i]);
     }

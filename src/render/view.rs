@@ -1,4 +1,4 @@
-//! Whole images.
+//! Rendering of whole images.
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
@@ -9,18 +9,18 @@ use crate::Result;
 use crate::geometry::{Camera, Ray};
 use crate::monitor::{Monitor, check};
 
-/// How log10 U of a ray's samples becomes one number of its pixel.
+/// Ray average: how log10 U at the samples of a ray becomes one number per pixel.
 ///
-/// Letters: w weights of the samples, u = log10 U at them, t their distances, δ the distance between samples.
+/// Letters: w weights of the samples, u = log10 U at the samples, t their distances, δ the distance between samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum RayAverage {
-    /// Σ w u / Σ w: what the ray meets.
+    /// Σ w u / Σ w: the mean over what the ray meets.
     #[default]
     WeightedMean,
-    /// Σ w u − 3 T_end: the official code's, for which empty space is certain.
+    /// Σ w u − 3 T_end, as in the official code, which counts empty space as certain.
     Official,
-    /// log10 (Σ w U / Σ w): the expected U, to which the largest contribute most.
+    /// log10 (Σ w U / Σ w): the expected U, dominated by the largest values.
     Mean,
     /// ½ log10 (Σ w U² / Σ w): the expected variance.
     RootMeanSquare,
@@ -28,13 +28,15 @@ pub enum RayAverage {
     AtExpected,
     /// u at the median depth.
     AtMedian,
-    /// u at the expected depth + log10 s, s² = Var t + δ²/12 the variance of the ray's weights: how loosely matter is held there, times how widely it is spread along the ray.
-    /// Scene units squared; made for ranking pixels by their depth error, which it does best (`experiments/few_views.md`).
+    /// u at the expected depth + log10 s, where s² = Var t + δ²/12 is the variance of the ray's weights.
+    ///
+    /// How loosely matter is held there, times how widely it is spread along the ray; scene units squared. It is
+    /// meant for ranking pixels by their depth error and does so best of all (`experiments/few_views.md`).
     Spread,
 }
 
 impl RayAverage {
-    /// All of them.
+    /// All ray averages.
     pub const ALL: [Self; 7] = [
         Self::WeightedMean,
         Self::Official,
@@ -45,7 +47,7 @@ impl RayAverage {
         Self::Spread,
     ];
 
-    /// The name used on the command line and in reports.
+    /// Name on the command line and in reports.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -59,45 +61,47 @@ impl RayAverage {
         }
     }
 
-    /// Whether it asks for u at every sample.
+    /// Returns true if it needs u at every sample.
     fn is_of_samples(self) -> bool {
         !matches!(self, Self::AtExpected | Self::AtMedian | Self::Spread)
     }
 }
 
-/// The official code's log10 U of the part of a ray that hits nothing.
+/// log10 U that the official code assigns to the part of a ray that hits nothing.
 const OFFICIAL_EMPTY: f64 = -3.0;
 
-/// A scalar of space to blend along rays beside colour: log10 U at a scene point, most often.
+/// A scalar function of space, averaged along rays beside the colour; usually log10 U at a scene point.
 #[derive(Clone, Copy)]
 pub struct Probe<'a> {
     /// The scalar at a point.
     pub value: &'a (dyn Fn(Vec3) -> f64 + Sync),
-    /// How it is blended, one number a pixel for each.
+    /// Ray averages to compute: each gives one number per pixel.
     pub blends: &'a [RayAverage],
 }
 
-/// An image of a field, row by row from the top left pixel.
+/// The image of a field, row by row from the top left pixel.
 #[derive(Debug, Clone, Default)]
 pub struct RenderedView {
-    /// Width and height, pixels.
+    /// Width and height in pixels.
     pub resolution: [u32; 2],
     /// `[height · width]`.
     pub pixels: Vec<Pixel>,
-    /// `[probes' blends, one probe after the other][height · width]`: blended log10 U; NaN where nothing was hit (but for [`RayAverage::Official`]).
+    /// `[ray averages of all probes in order][height · width]`: ray averages of log10 U. NaN where nothing was hit,
+    /// except for [`RayAverage::Official`].
     pub log10_uncertainty: Vec<Vec<f64>>,
-    /// Rays dropped because the field was not finite; they show the background.
+    /// Number of rays dropped because the field was not finite; they show the background.
     pub dropped: u64,
 }
 
-/// How many numbers probes give per pixel.
+/// Number of values per pixel that the probes give.
 fn channels(probes: &[Probe]) -> usize {
     probes.iter().map(|probe| probe.blends.len()).sum()
 }
 
-/// Renders a camera's image; `pixel_offset` is where in a pixel the ray goes through (½ for the centre).
+/// Renders a camera's image. `pixel_offset` is the position in a pixel that its ray
+/// passes through (½ for the centre).
 ///
-/// Advances the monitor by one per row; the caller begins and ends the stage.
+/// Advances the monitor by one per row. The caller begins and ends the stage.
 ///
 /// # Errors
 /// [`crate::Error::Interrupted`] only.
@@ -135,11 +139,11 @@ pub fn render_view(
     Ok(view)
 }
 
-/// Renders any group of rays as one row.
+/// Renders a group of rays as one row.
 fn render_rays(tracer: &Tracer, rays: &[Ray], probes: &[Probe]) -> RenderedView {
     let background: DVec3 = tracer.background();
     let mut buffers = TraceBuffers::default();
-    // The middle of every interval: an image is deterministic.
+    // The middle of every interval makes the image deterministic.
     tracer.trace(rays, &vec![0.5; rays.len()], &mut buffers);
     let traced = &buffers.traced;
     let mut quadrature = Quadrature::default();
@@ -184,7 +188,7 @@ fn render_rays(tracer: &Tracer, rays: &[Ray], probes: &[Probe]) -> RenderedView 
     row
 }
 
-/// A ray of which scalars are blended.
+/// A ray along which scalars are averaged.
 struct BlendedRay<'a> {
     weights: &'a [f64],
     end_transmittance: f64,
@@ -194,7 +198,9 @@ struct BlendedRay<'a> {
 }
 
 impl BlendedRay<'_> {
-    /// `values` of the samples, any where the weight is zero, none if the blend asks for none; `value` elsewhere.
+    /// Computes a ray average from `values` at the samples and from `value` anywhere else.
+    ///
+    /// Where the weight is zero, `values` may be anything; they may be missing if the average needs none.
     fn blend(&self, blend: RayAverage, values: &[f64], value: &dyn Fn(Vec3) -> f64) -> f64 {
         let total: f64 = self.weights.iter().sum();
         let sum = |of: &dyn Fn(f64) -> f64| -> f64 {
@@ -220,7 +226,7 @@ mod tests {
 
     #[test]
     fn blends_of_two_samples() {
-        // U = 1 with weight 0.3, U = 100 with weight 0.1; a sample without weight; 0.6 hits nothing.
+        // U = 1 with weight 0.3, U = 100 with weight 0.1, one sample without weight; 0.6 of the ray hits nothing.
         let weights = &[0.3, 0.0, 0.1];
         let ray = BlendedRay { weights, end_transmittance: 0.6, at_expected: Vec3::X, at_median: Vec3::Y, spread: 0.1 };
         let values = [0.0, 77.0, 2.0];

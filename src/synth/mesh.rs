@@ -1,7 +1,8 @@
-//! Triangle meshes: reading OBJ, placing them into the scene box, smooth vertex normals.
+//! Triangle meshes: reading of OBJ files, placement in the scene box, smooth vertex normals.
 //!
-//! Placed meshes stand on the ground z = −[`HALF_HEIGHT`] with z up, centred over the origin, scaled uniformly until they
-//! touch the cylinder of radius [`RADIUS`] or the height 2·[`HALF_HEIGHT`]; the scene box is [−1, 1]³.
+//! A placed mesh stands on the ground z = −[`HALF_HEIGHT`], with z up and centred over the origin. It is
+//! scaled uniformly until it touches the cylinder of radius [`RADIUS`] or the height 2·[`HALF_HEIGHT`]. The
+//! scene box is [−1, 1]³.
 
 use std::path::Path;
 
@@ -10,29 +11,29 @@ use obj::{ObjData, ObjError};
 
 use crate::{Error, Result};
 
-/// Half the height that a placed mesh may have; the ground is at minus this.
+/// Half the maximal height of a placed mesh; the ground lies at minus this.
 pub const HALF_HEIGHT: f64 = 0.75;
-/// Largest distance of a placed mesh from the vertical axis.
+/// Maximal distance of a placed mesh from the vertical axis.
 pub const RADIUS: f64 = 0.75;
-/// Largest accepted number of triangles: about 20 GB of scene.
+/// Maximal number of triangles: a scene of about 20 GB.
 const MAX_FACES: usize = 100_000_000;
 
-/// Which axis of the file points up. The other two follow by rotation, so that no mesh is mirrored.
+/// The axis of the file that points up. The other two follow by rotation, so that no mesh is mirrored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
 pub enum Up {
     /// x up, y to the right: (x, y, z) becomes (y, z, x)
     X,
-    /// y up, z to the front, as most OBJ files have it: (x, y, z) becomes (x, -z, y)
+    /// y up, z to the front, as in most OBJ files: (x, y, z) becomes (x, -z, y)
     #[default]
     Y,
-    /// z up, as it will be in the scene: (x, y, z) stays
+    /// z up, as in the scene: (x, y, z) stays
     Z,
 }
 
 impl Up {
-    /// Turns a vector of the file so that z is up.
+    /// Rotates a vector of the file so that z is up.
     fn turn(self, v: DVec3) -> DVec3 {
         match self {
             Self::X => DVec3::new(v.y, v.z, v.x),
@@ -42,34 +43,34 @@ impl Up {
     }
 }
 
-/// What places a mesh: scene = scale · turned + shift.
+/// Placement of a mesh: scene = scale · rotated + shift.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Placement {
-    /// Which axis of the file points up.
+    /// Axis of the file that points up.
     pub up: Up,
     /// Scene units per unit of the file.
     pub scale: f64,
-    /// Scene units.
+    /// Shift in scene units.
     pub shift: [f64; 3],
 }
 
-/// Triangles with a normal per vertex. At least one triangle has an area.
+/// Triangles with a normal per vertex. At least one triangle has a positive area.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Mesh {
     /// `[vertices]`, finite.
     vertices: Vec<DVec3>,
-    /// `[vertices]`: unit, or zero where the faces around have no area or cancel.
+    /// `[vertices]`: unit normals; zero where the faces around have no area or cancel.
     normals: Vec<DVec3>,
     /// `[faces]`: indices of vertices.
     faces: Vec<[u32; 3]>,
 }
 
 impl Mesh {
-    /// A mesh of `vertices` and `faces` as they are; faces without area are kept.
+    /// Makes a mesh of `vertices` and `faces` as they are. Faces without area are kept.
     ///
     /// # Errors
-    /// What is wrong, as (expected, found): no face, an index out of range, a vertex that is not finite, or no face with an
-    /// area.
+    /// What is wrong, as (expected, found): no faces or too many, an index out of range, a vertex that is not
+    /// finite, or no face with an area.
     pub fn new(vertices: Vec<DVec3>, faces: Vec<[u32; 3]>) -> std::result::Result<Self, (String, String)> {
         if faces.is_empty() || faces.len() > MAX_FACES {
             return Err((format!("1 to {MAX_FACES} faces"), faces.len().to_string()));
@@ -90,14 +91,14 @@ impl Mesh {
         Ok(Self { vertices, normals, faces })
     }
 
-    /// Reads the positions and triangles of an OBJ file; materials, texture coordinates and normals are not looked at.
+    /// Reads the positions and triangles of an OBJ file. Materials, texture coordinates and normals are ignored.
     ///
     /// # Errors
-    /// If the file cannot be read or is no mesh of triangles as [`Mesh::new`] asks for.
+    /// If the file cannot be read, or its faces are not a mesh of triangles as [`Mesh::new`] requires.
     pub fn read(path: &Path) -> Result<Self> {
         let bytes = std::fs::read(path).map_err(Error::io(path, "cannot read"))?;
-        // Only positions and faces reach the parser: what else is in the file does not matter here, be it damaged or of a
-        // dialect. Other lines stay as empty ones, so that line numbers hold.
+        // Only positions and faces reach the parser: anything else does not matter here, even if it is damaged or
+        // in a dialect. Other lines become empty, so that line numbers hold.
         let text: Vec<u8> = String::from_utf8_lossy(&bytes)
             .lines()
             .flat_map(|line| {
@@ -121,7 +122,7 @@ impl Mesh {
         Self::new(vertices, faces).map_err(|(expected, found)| Error::malformed(path, "mesh", expected, found))
     }
 
-    /// Turns, scales and shifts the mesh into the scene box.
+    /// Rotates, scales and shifts the mesh into the scene box.
     #[must_use]
     pub fn placed(&self, up: Up) -> (Self, Placement) {
         let turned: Vec<DVec3> = self.vertices.iter().map(|&v| up.turn(v)).collect();
@@ -131,7 +132,7 @@ impl Mesh {
         let high = used().fold(DVec3::NEG_INFINITY, DVec3::max);
         let middle = 0.5 * (low + high);
         let radius = used().map(|v| (v - middle).truncate().length()).fold(0.0, f64::max);
-        // A face with an area has an extent along some axis, so one of the two quotients is finite.
+        // A face with an area has an extent along some axis, so at least one of the two quotients is finite.
         let scale = (RADIUS / radius).min(2.0 * HALF_HEIGHT / (high.z - low.z));
         let shift = -scale * middle.with_z(low.z) - HALF_HEIGHT * DVec3::Z;
         let mesh = Self {
@@ -142,13 +143,13 @@ impl Mesh {
         (mesh, Placement { up, scale, shift: shift.to_array() })
     }
 
-    /// `[vertices]`.
+    /// `[vertices]`: positions.
     #[must_use]
     pub fn vertices(&self) -> &[DVec3] {
         &self.vertices
     }
 
-    /// `[vertices]`: unit, or zero where the faces around have no area or cancel.
+    /// `[vertices]`: unit normals; zero where the faces around have no area or cancel.
     #[must_use]
     pub fn normals(&self) -> &[DVec3] {
         &self.normals
@@ -160,7 +161,7 @@ impl Mesh {
         &self.faces
     }
 
-    /// Corners of a face.
+    /// Positions of a face's corners.
     #[must_use]
     pub fn corners(&self, face: u32) -> [DVec3; 3] {
         self.faces[face as usize].map(|i| self.vertices[i as usize])
@@ -184,13 +185,14 @@ fn parse_error(path: &Path, error: ObjError) -> Error {
     }
 }
 
-/// Unit normal of a triangle, on the side from which its corners run anticlockwise; `None` without area.
+/// Unit normal of a triangle, on the side from which its corners run anticlockwise; `None` if it has no area.
 pub fn flat_normal([a, b, c]: [DVec3; 3]) -> Option<DVec3> {
     (b - a).cross(c - a).try_normalize()
 }
 
-/// Normals averaged over the faces around each vertex, weighted by the angle there (Thürmer, Wüthrich 1998): unlike an area
-/// weight it does not depend on how a flat part is cut into triangles.
+/// Normals averaged over the faces around each vertex, weighted by the angle there (Thürmer, Wüthrich 1998).
+///
+/// Unlike a weight by area, this does not depend on how a flat part is cut into triangles.
 fn smooth_normals(vertices: &[DVec3], faces: &[[u32; 3]]) -> Vec<DVec3> {
     let mut sums = vec![DVec3::ZERO; vertices.len()];
     for face in faces {
@@ -260,7 +262,7 @@ mod tests {
         // A tetrahedron of height 10 along z, far from the origin, and a vertex that no face uses.
         let corners = [[100.0, 0.0, 50.0], [103.0, 0.0, 50.0], [100.0, 2.0, 50.0], [100.0, 0.0, 60.0], [0.0; 3]];
         let faces = vec![[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]];
-        // Where the file's axes must be read from, for z to be up again.
+        // The axes and signs of the file for which z ends up on top.
         let sources =
             [(Up::X, [2, 0, 1], [1.0; 3]), (Up::Y, [0, 2, 1], [1.0, 1.0, -1.0]), (Up::Z, [0, 1, 2], [1.0; 3])];
         for (up, axes, signs) in sources {
@@ -271,7 +273,7 @@ mod tests {
             let top = mesh.vertices()[3];
             assert!((top - DVec3::new(-0.225, -0.15, 0.75)).abs().max_element() < 1e-12, "{up:?}: {top}");
             assert!(mesh.vertices()[..3].iter().all(|v| (v.z + HALF_HEIGHT).abs() < 1e-12), "{up:?}");
-            // Not mirrored: the slanted face still looks outwards.
+            // Not mirrored: the slanted face still faces outwards.
             assert!(mesh.normals()[1].dot(mesh.vertices()[1] - mesh.vertices()[0]) > 0.0, "{up:?}");
         }
         // Flat and wide: the radius decides.
@@ -282,13 +284,14 @@ mod tests {
 
     #[test]
     fn a_flat_part_has_its_normal_however_it_is_cut() {
-        // A cube's corner: three faces of 90° each, one of them cut into two triangles. By symmetry the normal is diagonal.
+        // The corner of a cube: three faces of 90° each, one cut into two triangles. By symmetry
+        // the normal is diagonal.
         let vertices = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [0, 1, 1]]
             .map(|v| DVec3::from(v.map(f64::from)));
         let faces = vec![[0, 2, 1], [0, 3, 2], [0, 1, 4], [1, 5, 4], [0, 4, 3], [3, 4, 6]];
         let normals = smooth_normals(&vertices, &faces);
         assert!((normals[0] + DVec3::ONE.normalize()).length() < 1e-12, "{}", normals[0]);
-        // Far corners belong to one face of the cut square and lie in its plane.
+        // Far corners belong only to the cut square and lie in its plane.
         assert!((normals[2] + DVec3::Z).length() < 1e-12);
     }
 }

@@ -1,11 +1,13 @@
-//! Exact synthetic datasets: a triangle mesh on a textured disc, under a sun and a sky, ray-traced to posed images and depth.
+//! Exact synthetic datasets: posed images and depth, ray-traced from a triangle mesh on a textured
+//! disc under sun and sky.
 //!
-//! What is exact: cameras, coverage up to sampling, and depth, which is computed in f64 without gaps between triangles and
-//! stored as f32. Radiance is a fixed function of position: seen from anywhere, a point has one colour. The scene lies in
-//! the box [−1, 1]³ with z up; front is −y, right is +x.
+//! Cameras are exact, and so is coverage up to sampling. Depth is computed in f64, without gaps between triangles,
+//! and stored as f32. Radiance is a fixed function of position: a point has the same colour from anywhere. The
+//! scene lies in the box [−1, 1]³ with z up; front is −y, right is +x.
 //!
-//! In the order in which data flows: [`Mesh`] is read and placed, [`Scene`] answers rays, [`LitScene`] gives hits a colour,
-//! [`viewpoints()`] places cameras, [`trace_view`] makes a picture, [`write_dataset`] does all of it into a folder.
+//! In the order in which data flows: [`Mesh`] is read and placed. [`Scene`] intersects rays. [`LitScene`]
+//! gives hits a colour. [`viewpoints()`] places cameras. [`trace_view`] makes a picture. [`write_dataset`]
+//! writes all of it to a folder.
 
 mod mesh;
 mod shade;

@@ -1,8 +1,9 @@
-//! Light: a sun without size, and a sky. Surfaces are Lambertian, so colour is a function of position (and side) alone.
+//! Light from a point-like sun and a sky. Surfaces are Lambertian, so colour depends only on position (and side).
 //!
-//! The sun's shadows are traced per sample. The sky's light is traced beforehand, [`SKY_RAYS`] cosine-weighted rays from either
-//! side of each vertex and from a grid on the ground, and interpolated: smooth, without noise, the same from every view. What
-//! leaves upwards brings 1, what leaves below the horizon or meets a surface brings [`BOUNCE`].
+//! The sun's shadows are traced per sample. The light of the sky is traced beforehand, with [`SKY_RAYS`]
+//! cosine-weighted rays from both sides of each vertex and from a grid on the ground, and then interpolated. It is
+//! smooth, without noise, and the same from every view. A ray that leaves upwards brings 1; one that leaves below
+//! the horizon or meets a surface brings [`BOUNCE`].
 
 use std::f64::consts::TAU;
 
@@ -18,38 +19,39 @@ use crate::Result;
 use crate::geometry::Ray;
 use crate::monitor::{Monitor, check};
 
-/// Direction to the sun, not normalised: from the front right, 47° high.
+/// Direction to the sun, not normalised: from the front right, 47° above the horizon.
 pub const SUN: DVec3 = DVec3::new(0.6, -0.7, 1.0);
-/// Linear colour that a white surface facing the sun shows of it.
+/// Linear colour of a white surface that faces the sun, from the sun alone.
 pub const SUN_COLOR: DVec3 = DVec3::new(0.72, 0.67, 0.58);
-/// Linear colour that a white surface under the open sky shows of it.
+/// Linear colour of a white surface under the open sky, from the sky alone.
 pub const SKY_COLOR: DVec3 = DVec3::new(0.38, 0.43, 0.50);
-/// Light that comes from surfaces, as a share of the sky's.
+/// Light from surfaces and from below the horizon, relative to that of the sky.
 pub const BOUNCE: f64 = 0.3;
-/// Rays into the sky per point: (`STRATA`)².
+/// Rays into the sky per point: `STRATA`².
 pub const SKY_RAYS: u32 = STRATA * STRATA;
 const STRATA: u32 = 12;
-/// Points per axis of the ground's grid of sky light: spacing 0.015.
+/// Points per axis of the grid of sky light on the ground; their spacing is 0.015.
 const GROUND_GRID: usize = 128;
-/// Distance that secondary rays keep from the surface they leave: far above the 1e-15 of a hit, far below any triangle.
+/// Distance of secondary rays from the surface they leave: far above the error of a hit, 1e-15,
+/// far below any triangle.
 const LIFT: f64 = 1e-7;
-/// The same for sky rays at vertices, where the faces around meet at an angle.
+/// The same for sky rays at vertices, where the surrounding faces meet at an angle.
 const VERTEX_LIFT: f64 = 1e-4;
 /// Points per unit of progress.
 const CHUNK: usize = 256;
 
-/// A scene with its light.
+/// A scene and its light.
 pub struct LitScene {
     scene: Scene,
     texture: Texture,
     sun: DVec3,
-    /// `[vertices]`: sky light on the side of the normal and on the other, 0 to 1.
+    /// `[vertices]`: sky light on the side of the normal and on the other side, 0 to 1.
     sky: Vec<[f32; 2]>,
-    /// `[GROUND_GRID · GROUND_GRID]`, y fastest, over the square around the disc.
+    /// `[GROUND_GRID · GROUND_GRID]`, y fastest: sky light over the square around the disc, 0 to 1.
     ground_sky: Vec<f32>,
 }
 
-/// Which side of a face is seen.
+/// The side of a face that is seen.
 #[derive(Debug, Clone, Copy)]
 enum Side {
     Normal,
@@ -57,7 +59,7 @@ enum Side {
 }
 
 impl LitScene {
-    /// Traces the sky's light.
+    /// Traces the light of the sky.
     ///
     /// # Errors
     /// [`crate::Error::Interrupted`] only.
@@ -72,7 +74,7 @@ impl LitScene {
 
         monitor.begin("sky light", (vertices.len() + ground.len()) as u64);
         let sky = in_chunks(&vertices, monitor, |i, &(x, normal)| {
-            // Without a normal there is no side that light could come to.
+            // Without a normal there is no side for light to reach.
             [normal, -normal].map(|n| n.try_normalize().map_or(0.0, |n| sky_light(&scene, x + VERTEX_LIFT * n, n, i)))
         })?;
         let ground_sky = in_chunks(&ground, monitor, |i, &x| sky_light(&scene, x, DVec3::Z, i))?;
@@ -80,13 +82,13 @@ impl LitScene {
         Ok(Self { texture: Texture::default(), sun: SUN.normalize(), scene, sky, ground_sky })
     }
 
-    /// The geometry.
+    /// The geometry of the scene.
     #[must_use]
     pub fn scene(&self) -> &Scene {
         &self.scene
     }
 
-    /// sRGB-encoded colour, 0 to 1 per channel, that a hit shows to the ray that found it.
+    /// sRGB-encoded colour, 0 to 1 per channel, of a hit for the ray that found it.
     #[must_use]
     pub fn color(&self, ray: &Ray, hit: &Hit) -> DVec3 {
         let x = ray.at(hit.t);
@@ -107,14 +109,16 @@ impl LitScene {
         (albedo * (sun * SUN_COLOR + sky * SKY_COLOR)).to_array().map(srgb).into()
     }
 
-    /// The side of a face that a ray sees, and the face's unit normal there.
+    /// The side of a face that a ray sees, and the unit normal of the face on that side.
     fn side(&self, ray: &Ray, face: u32) -> (Side, DVec3) {
         let flat = flat_normal(self.scene.mesh().corners(face)).unwrap_or(-ray.direction);
         if flat.dot(ray.direction) <= 0.0 { (Side::Normal, flat) } else { (Side::Other, -flat) }
     }
 
-    /// Interpolated normal, and where a shadow ray starts so that a coarse triangle does not shadow itself where the smooth
-    /// surface would be lit: the point raised to the vertices' tangent planes (Hanika, Ray Tracing Gems II, chapter 4).
+    /// Interpolated normal, and the origin of shadow rays.
+    ///
+    /// The origin is the point raised to the vertices' tangent planes (Hanika, Ray Tracing Gems II, chapter 4). A
+    /// coarse triangle then does not shadow itself where the smooth surface would be lit.
     fn smooth(&self, x: DVec3, face: u32, weights: [f64; 3], side: Side) -> (DVec3, DVec3) {
         let mesh = self.scene.mesh();
         let corners = mesh.faces()[face as usize].map(|i| (mesh.vertices()[i as usize], mesh.normals()[i as usize]));
@@ -132,7 +136,7 @@ impl LitScene {
     }
 }
 
-/// Maps points to values in parallel; the order is kept.
+/// Maps points to values in parallel, in order.
 fn in_chunks<T: Sync, V: Send>(
     points: &[T],
     monitor: &dyn Monitor,
@@ -160,7 +164,7 @@ fn sky_light(scene: &Scene, x: DVec3, normal: DVec3, index: usize) -> f32 {
     let mut sum = 0.0;
     for cell in 0..SKY_RAYS {
         let [a, b] = [cell / STRATA, cell % STRATA].map(|k| (f64::from(k) + rng.random::<f64>()) / f64::from(STRATA));
-        // Uniform on the disc below the hemisphere is cosine-weighted on it (Malley).
+        // Uniform on the disc below the hemisphere is cosine-weighted on the hemisphere (Malley).
         let (level, angle) = (a.sqrt(), TAU * b);
         let direction = frame * DVec3::new(level * angle.cos(), level * angle.sin(), (1.0 - a).sqrt());
         let free = direction.z > 0.0 && !scene.is_blocked(&Ray::new(x, direction));
@@ -169,7 +173,7 @@ fn sky_light(scene: &Scene, x: DVec3, normal: DVec3, index: usize) -> f32 {
     (sum / f64::from(SKY_RAYS)) as f32
 }
 
-/// The ground's sky light between its grid points.
+/// Sky light on the ground, interpolated between the grid points.
 fn bilinear(grid: &[f32], x: DVec3) -> f64 {
     let last = (GROUND_GRID - 1) as f64;
     let place = |v: f64| {
@@ -201,7 +205,7 @@ mod tests {
         lit.color(&ray, &lit.scene().nearest(&ray).unwrap())
     }
 
-    /// What the ground shows under full sun and a share of the sky.
+    /// Colour of the ground under a share of the sun and a share of the sky.
     fn ground_with(sun: f64, sky: f64, x: DVec3) -> DVec3 {
         let light = sun * SUN.normalize().z * SUN_COLOR + sky * SKY_COLOR;
         (Texture::default().ground(x) * light).to_array().map(srgb).into()
@@ -211,12 +215,14 @@ mod tests {
     fn ground_in_sun_and_shadow_and_colour_does_not_depend_on_the_view() {
         let lit = LitScene::new(Scene::new(icosphere(0.3, 2)), &Silent).unwrap();
         let along = SUN / SUN.z * HALF_HEIGHT;
-        // Along the sun's direction through the ball's centre: in its shadow; on the other side: in the sun.
+        // Along the sun's direction through the ball's centre the ground is in its shadow, on the
+        // other side in the sun.
         let [shadow, open] = [-along, along].map(|d| d.with_z(-HALF_HEIGHT));
         for (x, sun) in [(shadow, 0.0), (open, 1.0)] {
             let [a, b] = [DVec3::new(0.1, 2.0, 2.0), DVec3::new(0.2, -2.5, 2.5)].map(|eye| seen(&lit, eye, x));
             assert!((a - b).abs().max_element() < 1e-9, "{a} from one side, {b} from the other");
-            // The ball's form factor is cos θ (r/d)² < (0.3 / 0.75)² = 0.16; 1 − BOUNCE of that is missing, at most 0.112.
+            // The ball's form factor is cos θ (r/d)² < (0.3 / 0.75)² = 0.16. The loss is
+            // 1 − BOUNCE of that, at most 0.112.
             let [low, high] = [0.888, 1.0].map(|sky| ground_with(sun, sky, x));
             assert!(a.cmpge(low - 1e-6).all() && a.cmple(high + 1e-6).all(), "{a}, expected {low} to {high}");
         }
@@ -224,11 +230,12 @@ mod tests {
 
     #[test]
     fn sky_light_of_a_vertical_wall_is_half_open() {
-        // A wall far above the ground's bounce sees half of the cosine-weighted sky, the other half brings the bounce.
+        // A wall far above the ground sees half of the cosine-weighted sky. The other half brings the bounce.
         let corners = [[0.0, 0.0, 0.0], [0.01, 0.0, 0.0], [0.0, 0.0, 0.01]].map(DVec3::from);
         let scene = Scene::new(Mesh::new(corners.to_vec(), vec![[0, 1, 2]]).unwrap());
         let found = f64::from(sky_light(&scene, corners[0] + 0.01 * DVec3::Y, DVec3::Y, 3));
-        // Only strata cut by the horizon are random: 2·12 of 144, each off by at most half: σ < sqrt(24)/2 / 144 = 0.017.
+        // Only strata cut by the horizon are random: 2·12 of 144, each off by at most half,
+        // so σ < sqrt(24)/2 / 144 = 0.017.
         assert!((found - 0.5 * (1.0 + BOUNCE)).abs() < 4.0 * 0.017, "{found}");
     }
 

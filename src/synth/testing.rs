@@ -7,14 +7,16 @@ use rustc_hash::FxHashMap;
 
 use super::Mesh;
 
-/// An icosahedron around the origin, each face cut into four `rounds` times, vertices on the sphere, normals outwards.
+/// An icosahedron around the origin, with each face cut into four `rounds` times.
+///
+/// Vertices lie on the sphere of this radius, normals point outwards.
 pub fn icosphere(radius: f64, rounds: u32) -> Mesh {
     let g = 0.5 * (1.0 + 5.0_f64.sqrt());
     let mut vertices: Vec<DVec3> = Vec::new();
     for (a, b) in [(-1.0, g), (1.0, g), (-1.0, -g), (1.0, -g)] {
         vertices.extend([DVec3::new(a, b, 0.0), DVec3::new(0.0, a, b), DVec3::new(b, 0.0, a)]);
     }
-    // The faces are the triples at the shortest distance from each other, 2.
+    // The faces are the triples of vertices at mutual distance 2, the shortest.
     let near = |a: DVec3, b: DVec3| ((a - b).length() - 2.0).abs() < 1e-9;
     let mut faces: Vec<[u32; 3]> = Vec::new();
     for (i, &a) in vertices.iter().enumerate() {
@@ -45,7 +47,7 @@ pub fn icosphere(radius: f64, rounds: u32) -> Mesh {
     Mesh::new(vertices, faces).expect("an icosphere is a mesh")
 }
 
-/// Random triangles inside the box that share vertices; every fourth is a sliver, every eighth has no area.
+/// Random triangles inside the box, with shared vertices. Every eighth has no area, and every eighth is a sliver.
 pub fn soup(faces: u32, seed: u64) -> Mesh {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut vertices: Vec<DVec3> =

@@ -1,7 +1,8 @@
-//! Colour as a function of position: band-limited noise, so that every part of a surface can be told from its neighbourhood.
+//! Colour as a function of position: band-limited noise that makes every part of a surface distinct
+//! from its surroundings.
 //!
-//! Noise is a sum of plane waves with wavelengths from [`FINEST`] to [`COARSEST`]. A soft saturation (tanh) widens the contrast;
-//! its harmonics are weaker and stay above the size of a pixel.
+//! The noise is a sum of plane waves with wavelengths from [`FINEST`] to [`COARSEST`]. A soft saturation (tanh)
+//! widens the contrast; its harmonics are weaker and stay above the size of a pixel.
 
 use std::f64::consts::TAU;
 
@@ -9,13 +10,13 @@ use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// Shortest wavelength, scene units: 8 pixels at 400 × 400 from the cameras' distance.
+/// Shortest wavelength in scene units: 8 pixels at 400 × 400 from the distance of the cameras.
 pub const FINEST: f64 = 0.05;
-/// Longest wavelength, scene units.
+/// Longest wavelength in scene units.
 pub const COARSEST: f64 = 0.5;
-/// Waves in a sum: fewer look like a grid, more cost time.
+/// Waves in a sum. Fewer look like a grid; more cost time.
 const WAVES: usize = 16;
-/// Edge of the ground's checks, scene units: ten across the disc.
+/// Edge of the ground's checks in scene units: ten across the disc.
 const CHECK: f64 = 0.19;
 
 /// A wave a·sin(k·x + phase).
@@ -26,7 +27,7 @@ struct Wave {
     amplitude: f64,
 }
 
-/// The pattern of mesh and ground; the same for every dataset.
+/// The pattern of mesh and ground, the same for every dataset.
 #[derive(Debug, Clone)]
 pub struct Texture {
     /// Three independent noises of mean 0 and variance 1.
@@ -56,7 +57,7 @@ impl Default for Texture {
     }
 }
 
-/// A unit vector, uniform for uniform `a`, `b` in [0, 1).
+/// A unit vector; uniform on the sphere if `a` and `b` are uniform in [0, 1).
 fn on_sphere(a: f64, b: f64) -> DVec3 {
     let z = 2.0 * a - 1.0;
     let level = (1.0 - z * z).sqrt();
@@ -64,7 +65,7 @@ fn on_sphere(a: f64, b: f64) -> DVec3 {
 }
 
 impl Texture {
-    /// A noise, squeezed into (0, 1).
+    /// One of the noises, squeezed into (0, 1).
     fn noise(&self, which: usize, x: DVec3) -> f64 {
         let sum: f64 = self.noises[which].iter().map(|w| w.amplitude * (w.k.dot(x) + w.phase).sin()).sum();
         0.5 + 0.5 * (1.4 * sum).tanh()
@@ -102,7 +103,7 @@ mod tests {
             for albedo in [texture.mesh(x), texture.ground(x)] {
                 assert!(albedo.min_element() > 0.0 && albedo.max_element() < 1.0, "{albedo} at {x}");
             }
-            // Nowhere a plain patch: within one longest wavelength along some axis the colour changes visibly.
+            // There is no plain patch: within one longest wavelength along some axis the colour changes visibly.
             let there: Vec<DVec3> =
                 (1..=6).flat_map(|s| DVec3::AXES.map(|axis| texture.mesh(x + 0.1 * f64::from(s) * axis))).collect();
             assert!(there.iter().any(|c| (*c - texture.mesh(x)).abs().max_element() > 0.04), "plain at {x}");

@@ -1,7 +1,7 @@
-//! The scene as rays see it: a mesh in a bounding volume hierarchy, and the ground disc.
+//! Intersection of rays with the scene: a mesh in a bounding volume hierarchy, and the ground disc.
 //!
-//! The hierarchy (obvhs) works in f32 and only proposes triangles; hits are computed in f64. To propose too many is slow, too
-//! few is wrong, so boxes are larger by [`MARGIN`] than what they hold.
+//! The hierarchy (obvhs) works in f32 and only proposes triangles; hits are computed in f64. Too many proposals are
+//! slow, too few are wrong, so boxes exceed their content by [`MARGIN`].
 
 use glam::DVec3;
 use obvhs::BvhBuildParams;
@@ -17,22 +17,22 @@ use crate::geometry::{Aabb, Ray};
 /// Radius of the ground disc around the z axis.
 pub const GROUND_RADIUS: f64 = 0.95;
 
-/// How much larger boxes are, scene units.
+/// Margin of boxes around their content, in scene units.
 ///
-/// In f32 a slab test (b − o)/d is off as if the slab b were shifted: by o's rounding, the subtraction's, and those of d, 1/d
-/// and the product, relative 2⁻²⁴ each. With |o| ≤ 8 and |b − o| ≤ 9 that is below 2.7e-6. obvhs takes 2²³ for 1/d beyond it; a
-/// ray inside the slab then stays inside for 1e-5 · 2²³ = 84 units, more than any ray here is long. Smaller than 4e-6 would
-/// miss edges; 1e-4 begins to cost time on fine meshes.
+/// In f32 the error of a slab test (b − o)/d acts like a shift of the slab b. It comes from the rounding of o, of
+/// the subtraction, and of d, 1/d and the product, relative 2⁻²⁴ each. With |o| ≤ 8 and |b − o| ≤ 9 that is below
+/// 2.7e-6. obvhs takes 2²³ for larger 1/d. A ray inside the slab then stays inside for 1e-5 · 2²³ = 84 units,
+/// longer than any ray here. Less than 4e-6 would miss edges; 1e-4 begins to cost time on fine meshes.
 const MARGIN: f64 = 1e-5;
-/// Largest distance of a ray's origin from the scene's origin that [`MARGIN`] allows.
+/// Maximal distance of a ray's origin from the scene's origin, as assumed by [`MARGIN`].
 const REACH: f64 = 8.0;
 
-/// What a ray meets first.
+/// The first point that a ray meets.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Hit {
-    /// Distance along the ray, scene units.
+    /// Distance along the ray, in scene units.
     pub t: f64,
-    /// What is there.
+    /// Surface that is hit.
     pub surface: Surface,
 }
 
@@ -55,7 +55,7 @@ impl Hit {
         Self { t, surface: Surface::Face { face, barycentric } }
     }
 
-    /// The order of hits: by distance, equal ones (shared edges) by index, the ground first.
+    /// Sort key of hits: by distance, then (at shared edges) by index, with the ground first.
     fn key(&self) -> (f64, Option<u32>) {
         let face = match self.surface {
             Surface::Ground => None,
@@ -76,10 +76,10 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// Builds the hierarchy; deterministic.
+    /// Builds the hierarchy, deterministically.
     ///
     /// # Panics
-    /// If the mesh reaches out of the scene box: it must have been [`Mesh::placed`].
+    /// If the mesh extends beyond the scene box: it must have been [`Mesh::placed`].
     #[must_use]
     pub fn new(mesh: Mesh) -> Self {
         let bounds = Self::bounds();
@@ -98,7 +98,7 @@ impl Scene {
         Self { mesh, bvh }
     }
 
-    /// The box that everything lies in, [−1, 1]³.
+    /// The box around everything, [−1, 1]³.
     #[must_use]
     pub fn bounds() -> Aabb {
         Aabb::centered_cube(1.0)
@@ -110,7 +110,7 @@ impl Scene {
         &self.mesh
     }
 
-    /// What the ray meets first.
+    /// Returns the first hit of the ray.
     ///
     /// # Panics
     /// If the ray starts more than 8 units from the scene's origin.
@@ -118,7 +118,7 @@ impl Scene {
     pub fn nearest(&self, ray: &Ray) -> Option<Hit> {
         let mut best = ground(ray);
         let sheared = ShearedRay::new(ray);
-        // Rounded up: a face at the same distance as the best so far must still be proposed.
+        // Rounded up, because a face at the same distance as the best so far must still be proposed.
         let limit = |hit: &Hit| (hit.t as f32).next_up();
         let start = narrow(ray, best.as_ref().map_or(f32::INFINITY, limit));
         self.bvh.ray_traverse(start, &mut RayHit::none(), |_, slot| {
@@ -130,10 +130,10 @@ impl Scene {
         best
     }
 
-    /// Whether the ray meets anything.
+    /// Returns true if the ray meets anything.
     ///
     /// # Panics
-    /// As [`Scene::nearest`].
+    /// As for [`Scene::nearest`].
     #[must_use]
     pub fn is_blocked(&self, ray: &Ray) -> bool {
         let sheared = ShearedRay::new(ray);
@@ -144,7 +144,7 @@ impl Scene {
             })
     }
 
-    /// [`Scene::nearest`] by trying every face: the slow reference.
+    /// Like [`Scene::nearest`], but tests every face: the slow reference.
     #[must_use]
     pub fn nearest_of_all(&self, ray: &Ray) -> Option<Hit> {
         let sheared = ShearedRay::new(ray);
@@ -154,17 +154,17 @@ impl Scene {
     }
 }
 
-/// The ray in f32 for the hierarchy.
+/// The ray in f32, for the hierarchy.
 fn narrow(ray: &Ray, limit: f32) -> Ray32 {
     assert!(ray.origin.length() <= REACH, "rays start within {REACH} of the scene's origin, not at {}", ray.origin);
     Ray32::new(ray.origin.as_vec3a(), ray.direction.as_vec3a(), 0.0, limit)
 }
 
-/// Where the ray meets the ground disc.
+/// Hit of the ray on the ground disc.
 fn ground(ray: &Ray) -> Option<Hit> {
     let t = (-HALF_HEIGHT - ray.origin.z) / ray.direction.z;
     let at: DVec3 = ray.at(t);
-    // A ray along the ground has t infinite or NaN and no point on the disc.
+    // For a ray along the ground, t is infinite or NaN, and no point lies on the disc.
     (t >= 0.0 && at.truncate().length() <= GROUND_RADIUS).then_some(Hit { t, surface: Surface::Ground })
 }
 
@@ -179,9 +179,9 @@ mod tests {
     }
 
     proptest! {
-        /// The hierarchy's hit is the scan's, to the last bit: the same face, the same weights; aimed anywhere, at a
-        /// vertex, at the middle of an edge, or along an axis through a vertex; on a closed mesh and on a soup of
-        /// triangles with slivers and triangles without area.
+        /// The hierarchy finds the same hit as the scan, to the last bit: the same face with the same weights. Rays
+        /// aim anywhere, at a vertex, at the middle of an edge, or along an axis through a vertex. The meshes are
+        /// a closed one, and a soup with slivers and with triangles without area.
         #[test]
         fn the_hierarchy_finds_what_the_scan_finds(
             origin in vector(4.0),

@@ -1,17 +1,18 @@
-//! Rays against triangles without gaps: Woop, Benthin, Wald, *Watertight Ray/Triangle Intersection*, JCGT 2013.
+//! Intersection of rays and triangles without gaps: Woop, Benthin, Wald, *Watertight Ray/Triangle
+//! Intersection*, JCGT 2013.
 //!
-//! Letters: `x y z` coordinates after a shear that puts the ray's origin at 0 and its direction on the third axis; `u v w`
-//! edge functions, twice the signed areas that the origin spans with the triangle's edges in the sheared xy plane, also the
-//! unnormalised barycentric weights of corners 0, 1 and 2.
+//! Letters: `x y z` are coordinates after a shear that puts the ray's origin at 0 and its direction on the third
+//! axis. `u v w` are edge functions: twice the signed areas between the origin and the triangle's edges in the
+//! sheared xy plane. They are also the unnormalised barycentric weights of corners 0, 1 and 2.
 
 use glam::DVec3;
 
 use crate::geometry::Ray;
 
-/// Where a ray meets a triangle.
+/// The point where a ray meets a triangle.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Crossing {
-    /// Distance along the ray, scene units, ≥ 0.
+    /// Distance along the ray in scene units, ≥ 0.
     pub t: f64,
     /// Weights of the three corners, ≥ 0, sum 1.
     pub barycentric: [f64; 3],
@@ -21,9 +22,9 @@ pub struct Crossing {
 #[derive(Debug, Clone, Copy)]
 pub struct ShearedRay {
     origin: DVec3,
-    /// Which axes take the parts of x, y and z; z is the one along which the direction is longest.
+    /// Axes that take the parts of x, y and z. The direction is longest along z.
     axes: [usize; 3],
-    /// direction.x / direction.z, direction.y / direction.z, 1 / direction.z in the new order.
+    /// direction.x / direction.z, direction.y / direction.z and 1 / direction.z, in the new order.
     shear: [f64; 3],
 }
 
@@ -37,14 +38,16 @@ impl ShearedRay {
         Self { origin: ray.origin, axes, shear: [d[0] / d[2], d[1] / d[2], 1.0 / d[2]] }
     }
 
-    /// The crossing with a triangle, from either side; `None` if it is missed, behind, or seen exactly edge-on.
+    /// The crossing with a triangle, from either side. `None` if the triangle is missed, behind the origin,
+    /// or seen exactly edge-on.
     ///
-    /// No gaps between triangles that share vertices: sheared corners depend on the vertex alone, and the computed sign of
-    /// a·b − c·d is never the wrong one (rounding is monotone: fl(ab) > fl(cd) only if ab > cd), at worst it is 0, which
-    /// counts as inside. Triangles without area have u = v = w = 0 and cover nothing that their neighbours do not.
+    /// Triangles that share vertices leave no gaps. Sheared corners depend on the vertex alone, and the computed
+    /// sign of a·b − c·d is never the wrong one: rounding is monotone, so fl(ab) > fl(cd) only if ab > cd. At worst
+    /// it is 0, which counts as inside. Triangles without area have u = v = w = 0 and cover nothing that their
+    /// neighbours do not.
     ///
-    /// Where the triangle seems to have width w from the ray, t is off by up to about 1e-14/w of its extent, and never leaves
-    /// the range of its corners on the ray's longest axis: the weights are ≥ 0 and sum to 1.
+    /// Where a triangle of apparent width w is seen, t is wrong by up to about 1e-14/w of its extent. It never
+    /// leaves the range of the corners on the ray's longest axis, because the weights are ≥ 0 and sum to 1.
     #[must_use]
     pub fn cross(&self, corners: &[DVec3; 3]) -> Option<Crossing> {
         let [x, y, z] = self.axes;
@@ -93,7 +96,8 @@ mod tests {
     }
 
     proptest! {
-        /// Rays aimed at points of the edges and at the hub of a fan hit some triangle of it: no gaps, also with slivers.
+        /// Rays aimed at the edges and the hub of a fan hit some triangle of it: there are no gaps,
+        /// not even with slivers.
         #[test]
         fn no_gap_at_edges_and_vertices(
             origin in point(4.0),
@@ -105,7 +109,7 @@ mod tests {
         ) {
             let axis = (turn + DVec3::splat(1e-3)).normalize();
             let view = (hub - origin).try_normalize();
-            // Seen nearly edge-on the closed rim itself may be missed; that is no gap.
+            // Seen nearly edge-on, the closed rim itself may be missed. That is not a gap.
             prop_assume!(view.is_some_and(|d| d.dot(axis).abs() > 0.05));
             let right = axis.any_orthonormal_vector();
             let rim: Vec<DVec3> = (0..7)
@@ -129,8 +133,9 @@ mod tests {
                 let along = corners.map(|c| (c - origin)[axis] / ray.direction[axis]);
                 let low = along.into_iter().fold(f64::INFINITY, f64::min);
                 let high = along.into_iter().fold(f64::NEG_INFINITY, f64::max);
-                // Seen at 0.05 or more, 6 units away at most: rounding moves corners by 2e-15, seen widths are above
-                // 0.05 · 0.4 · stretch. Bridges (from 7) have no width; their t stays between their corners.
+                // Seen at 0.05 or more, at most 6 units away: rounding moves corners by 2e-15, apparent
+                // widths are above 0.05 · 0.4 · stretch. Bridges (from 7) have no width, but their t stays
+                // between their corners.
                 let off = if i < 7 { 2e-13 / stretch } else { high - low };
                 prop_assert!((hit.t - distance).abs() <= off + 1e-13, "{} instead of {distance}, face {i}", hit.t);
                 prop_assert!((low - 1e-13..=high + 1e-13).contains(&hit.t), "{} outside {low} to {high}", hit.t);

@@ -1,4 +1,4 @@
-//! One picture: colour and coverage from jittered samples, depth from the ray through the pixel's centre.
+//! A single picture: colour and coverage from jittered samples, depth from the ray through the pixel's centre.
 
 use glam::DVec3;
 use rand::{RngExt, SeedableRng};
@@ -13,28 +13,28 @@ use crate::monitor::{Monitor, check};
 /// A traced picture, row by row from the top left pixel.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TracedView {
-    /// Width and height, pixels.
+    /// Width and height in pixels.
     pub resolution: [u32; 2],
-    /// `[height · width]`: red, green, blue, straight alpha. Colour is the mean of the sRGB-encoded samples that hit something
-    /// (encoded, because radiance fields composite encoded values), alpha is their share.
+    /// `[height · width]`: red, green, blue, straight alpha. Colour is the mean of the sRGB-encoded samples that hit
+    /// something (encoded, because radiance fields composite encoded values). Alpha is the share of such samples.
     pub rgba: Vec<[u8; 4]>,
-    /// `[height · width]`: Euclidean distance from the camera along the ray through the pixel's centre, scene units; 0 where
-    /// it hits nothing.
+    /// `[height · width]`: Euclidean distance from the camera along the ray through the pixel's centre, in scene
+    /// units; 0 where the ray hits nothing.
     pub depth: Vec<f32>,
 }
 
-/// How pixels are sampled.
+/// Sampling of pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PixelSampling {
-    /// Samples along x and along y of a pixel, one in each cell of that grid.
+    /// Samples along x and along y of a pixel: one in each cell of this grid.
     pub per_side: u32,
-    /// Decides the jitter, together with `view` and the pixel.
+    /// Seed of the jitter, together with `view` and the pixel.
     pub seed: u64,
-    /// The picture's number within the dataset.
+    /// Index of the picture in the dataset.
     pub view: u32,
 }
 
-/// Traces a camera's picture. Advances the monitor by one per row; the caller begins and ends the stage.
+/// Traces a camera's picture. Advances the monitor by one per row. The caller begins and ends the stage.
 ///
 /// # Errors
 /// [`crate::Error::Interrupted`] only.
@@ -61,7 +61,7 @@ pub fn trace_view(
 fn pixel(lit: &LitScene, camera: &Camera, sampling: PixelSampling, [column, row]: [u32; 2]) -> ([u8; 4], f32) {
     let corner = [column, row].map(f64::from);
     let mut rng = ChaCha8Rng::seed_from_u64(sampling.seed);
-    // Pictures have at most 1e8 < 2³² pixels: every pixel of every picture has a stream of its own.
+    // Pictures have at most 1e8 < 2³² pixels, so every pixel of every picture has its own stream.
     let index = u64::from(row) * u64::from(camera.resolution[0]) + u64::from(column);
     rng.set_stream(u64::from(sampling.view) << 32 | index);
 

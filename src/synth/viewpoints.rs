@@ -1,7 +1,7 @@
-//! Where the cameras are: on a golden spiral over the upper half sphere, or over a part of it.
+//! Camera positions on a golden spiral over the upper hemisphere, or over a part of it.
 //!
-//! Camera n of N has height z = (n + ½)/N of the range and azimuth n/φ + turn of the range, φ the golden ratio: even in
-//! area, no two in a row nearby. Front is −y, right is +x.
+//! Camera n of N has height z = (n + ½)/N of the range and azimuth n/φ + turn of the range, where φ is the golden
+//! ratio. The cameras are evenly spread by area, and consecutive ones are far apart. Front is −y, right is +x.
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
@@ -14,14 +14,17 @@ use super::trace::GROUND_RADIUS;
 use crate::dataset::Hemisphere;
 use crate::geometry::Camera;
 
-/// Where the cameras look: the centre of the smallest ball around the ground's rim and the top of what a mesh may fill; its
-/// radius is 1.144.
+/// The point that cameras look at.
+///
+/// It is the centre of the smallest ball around the ground's rim and the top of what a mesh may fill; the radius of
+/// that ball is 1.144.
 pub const TARGET: DVec3 = DVec3::new(0.0, 0.0, (RADIUS * RADIUS - GROUND_RADIUS * GROUND_RADIUS) / (4.0 * HALF_HEIGHT));
-/// Distance of the cameras from [`TARGET`]: an angle of view of [`ANGLE`] takes the ball in from 1.144 / sin(ANGLE / 2) = 3.38.
+/// Distance of the cameras from [`TARGET`]. With [`ANGLE`], the ball is in view from
+/// 1.144 / sin(ANGLE / 2) = 3.38 on.
 pub const DISTANCE: f64 = 3.4;
-/// Angle of view along the image's shorter side, radians; that of NeRF-synthetic.
+/// Angle of view along the image's shorter side in radians, as in NeRF-synthetic.
 pub const ANGLE: f64 = 0.691_111_2;
-/// Lowest and highest sine of the elevation: the ground does not become a line, and up stays defined.
+/// Lowest and highest sine of the elevation. The ground does not become a line, and "up" stays defined.
 const SINE: [f64; 2] = [0.06, 0.97];
 
 /// Azimuths of a half from +x towards +y, start and width, radians.
@@ -34,7 +37,8 @@ fn azimuths(half: Hemisphere) -> [f64; 2] {
     }
 }
 
-/// `count` cameras that look at [`TARGET`], above the ground, all around or in one half. `seed` turns the spiral.
+/// Places `count` cameras that look at [`TARGET`] from above the ground, all around or in one half. `seed` turns the
+/// spiral.
 #[must_use]
 pub fn viewpoints(count: u32, half: Option<Hemisphere>, resolution: [u32; 2], seed: u64) -> Vec<Camera> {
     let [start, width] = half.map_or([0.0, TAU], azimuths);
@@ -92,7 +96,8 @@ mod tests {
     fn views_are_spread_over_the_sphere_and_seeds_turn_them() {
         let [a, b] = [0, 1].map(|seed| viewpoints(100, None, [40, 40], seed));
         assert!(a.iter().zip(&b).all(|(a, b)| (a.position - b.position).length() > 1e-3));
-        // An even spread of 100 over area A of the sphere has neighbours sqrt(A / 100) apart; half of it is not crowded.
+        // 100 cameras spread evenly over an area A of the sphere are sqrt(A / 100) apart; half
+        // of that is not crowded.
         let area = TAU * (SINE[1] - SINE[0]) * DISTANCE * DISTANCE;
         let even = (area / 100.0).sqrt();
         for (i, x) in a.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! The dataset on disk: pictures, depth maps, camera files, and what made them.
+//! Writing of datasets: pictures, depth maps, camera files, and a record of what made them.
 
 use std::io::{Cursor, Write};
 use std::path::Path;
@@ -20,27 +20,28 @@ use crate::io::write_exr;
 use crate::monitor::Monitor;
 use crate::{Error, Result};
 
-/// Depth in scene units of a depth PNG's white, 65535: one step is 1e-4. The farthest surface is below 4.6 units away.
+/// Depth in scene units of white, 65535, in a depth PNG. One step is 1e-4; the farthest surface
+/// is less than 4.6 away.
 pub const DEPTH_PNG_SCALE: f64 = 6.5535;
-/// Largest picture: what a camera file may state.
+/// Largest picture: the most that a camera file may state.
 const MAX_PIXELS: u64 = 100_000_000;
 
-/// What to make of a mesh.
+/// Settings of a dataset made from a mesh.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct DatasetSettings {
-    /// Which axis of the file points up.
+    /// Axis of the file that points up.
     pub up: Up,
-    /// Training cameras, at least 1.
+    /// Number of training cameras, at least 1.
     pub views: u32,
-    /// Half in which they stand; `None` all around.
+    /// Half in which they stand; `None` for all around.
     pub hemisphere: Option<Hemisphere>,
-    /// Test cameras, all around, at least 1.
+    /// Number of test cameras, which stand all around; at least 1.
     pub test_views: u32,
-    /// Width and height, pixels.
+    /// Width and height in pixels.
     pub resolution: [u32; 2],
-    /// Samples along x and along y of a pixel: their square is the number per pixel.
+    /// Samples along x and along y of a pixel; a pixel has the square of this number.
     pub samples_per_side: u32,
-    /// Turns the cameras' spirals and jitters the samples; mesh, light and texture do not depend on it.
+    /// Seed that turns the cameras' spirals and jitters the samples. Mesh, light and texture do not depend on it.
     pub seed: u64,
 }
 
@@ -73,13 +74,13 @@ impl DatasetSettings {
     }
 }
 
-/// A group of cameras with a file of its own.
+/// A group of cameras with its own file.
 struct Split {
     name: &'static str,
     cameras: Vec<Camera>,
 }
 
-/// `dataset.json`.
+/// Contents of `dataset.json`.
 #[derive(Serialize)]
 struct Record<'a> {
     generator: String,
@@ -129,7 +130,7 @@ struct TextureRecord {
     longest_wavelength: f64,
 }
 
-/// A camera file with one set of intrinsics, as instant-ngp and nerfstudio read it.
+/// A camera file with one set of intrinsics, for instant-ngp and nerfstudio.
 #[derive(Serialize)]
 struct Transforms {
     camera_angle_x: f64,
@@ -151,11 +152,11 @@ struct FrameRecord {
     transform_matrix: [[f64; 4]; 4],
 }
 
-/// Makes a dataset of the OBJ file `mesh_path` in the folder `target`, which appears when everything is complete.
+/// Makes a dataset of the OBJ file `mesh_path` in the folder `target`, which appears only when it is complete.
 ///
 /// # Errors
-/// If the mesh cannot be read, a setting is 0 or too large, `target` is not an empty or new folder, it cannot be written, or
-/// the user interrupts: then nothing of it stays.
+/// If the mesh cannot be read, a setting is 0 or too large, `target` is not an empty or new folder, it cannot be
+/// written, or the user interrupts. Nothing is left behind then.
 pub fn write_dataset(mesh_path: &Path, target: &Path, settings: &DatasetSettings, monitor: &dyn Monitor) -> Result<()> {
     settings.check()?;
     let folder = StagedFolder::create(target)?;
@@ -163,7 +164,7 @@ pub fn write_dataset(mesh_path: &Path, target: &Path, settings: &DatasetSettings
     let [vertices, faces] = [mesh.vertices().len(), mesh.faces().len()];
     let lit = LitScene::new(Scene::new(mesh), monitor)?;
 
-    // The two spirals are turned differently, so that test cameras do not stand on training cameras.
+    // The two spirals are turned differently, so that test cameras do not coincide with training cameras.
     let seeds = [settings.seed, settings.seed ^ 0x7e57];
     let [train, test] = [
         viewpoints(settings.views, settings.hemisphere, settings.resolution, seeds[0]),
@@ -231,7 +232,7 @@ fn frame_name(split: &str, i: usize) -> String {
     format!("{split}_{i:04}")
 }
 
-/// A picture as PNG, its depth as EXR (exact) and as 16-bit PNG.
+/// Writes a picture as PNG, and its depth as EXR (exact) and as 16-bit PNG.
 fn write_view(folder: &Path, name: &str, view: TracedView) -> Result<()> {
     let [width, height] = view.resolution;
     let whole = "a picture has a value for each pixel";
@@ -293,7 +294,7 @@ fn transforms(split: &Split) -> Transforms {
     }
 }
 
-/// The dataset explained to whoever finds it.
+/// Text of the dataset's README.
 fn readme(mesh: &str, settings: &DatasetSettings) -> String {
     let half = settings.hemisphere.map_or("all around".into(), |h| format!("{h:?} half only").to_lowercase());
     let DatasetSettings { views, test_views, samples_per_side: n, resolution: [w, h], seed, .. } = *settings;

@@ -4,7 +4,7 @@
 const BETA1: f32 = 0.9;
 /// Decay of the mean square.
 const BETA2: f32 = 0.99;
-/// Entries of rarely visited cells have tiny gradients; they count all the same.
+/// So small that the tiny gradients of rarely visited cells still count.
 const EPSILON: f32 = 1e-15;
 
 /// The bias-corrected step at one time.
@@ -16,13 +16,13 @@ pub struct Adam {
 }
 
 impl Adam {
-    /// The `step`th step, from 1.
+    /// The step of number `step`, from 1.
     pub fn new(rate: f32, step: u64) -> Self {
         let power = |beta: f32| 1.0 - f64::from(beta).powi(step.min(1 << 20) as i32);
         Self { rate: (f64::from(rate) / power(BETA1)) as f32, correction: (1.0 / power(BETA2).sqrt()) as f32 }
     }
 
-    /// Moves parameters `[n]` against their gradients `[n]`, keeping their moments `[n]`.
+    /// Moves parameters `[n]` against their gradients `[n]`, and updates their moments `[n]`.
     pub fn update(&self, parameters: &mut [f32], gradients: &[f32], means: &mut [f32], squares: &mut [f32]) {
         for (((p, g), m), v) in parameters.iter_mut().zip(gradients).zip(means).zip(squares) {
             self.update_one(p, *g, m, v);
@@ -36,8 +36,9 @@ impl Adam {
         *p -= self.rate * *m / (v.sqrt() * self.correction + EPSILON);
     }
 
-    /// [`Adam::update`] for entries of a hash table, of which a step visits few: the others keep their moments, as in instant-ngp. Gradients
-    /// are cleared for the next step.
+    /// Like [`Adam::update`], for the entries of a hash table, of which a step visits few.
+    ///
+    /// The other entries keep their moments, as in instant-ngp. Gradients are cleared for the next step.
     pub fn update_visited<const F: usize>(
         &self,
         entries: &mut [[f32; F]],

@@ -1,4 +1,5 @@
-//! Rays of one step: forward, loss, backward. Groups of rays are independent, so that any number of threads gives the same sums.
+//! The rays of one step: forward pass, loss, backward pass. Groups of rays are independent, so the sums do not
+//! depend on the number of threads.
 
 use glam::Vec3;
 use rand::{RngExt, SeedableRng};
@@ -15,14 +16,14 @@ use crate::field::hash_grid::{
 use crate::geometry::Ray;
 use crate::rays::PixelSequence;
 
-/// Rays that go through the networks together; sums over a group are one summand of the step.
+/// Rays that go through the networks together. The sum over a group is one summand of the step.
 pub const GROUP: u64 = 32;
-/// Samples taken per ray before its transmittance is looked at again.
+/// Samples taken per ray between two checks of its transmittance.
 const ROUND: usize = 8;
-/// Rays end when their transmittance is below this.
+/// Rays end when their transmittance falls below this.
 const OPAQUE: f32 = 1e-4;
 
-/// What does not change during a step.
+/// Everything that does not change during a step.
 #[derive(Clone, Copy)]
 pub struct Scene<'a> {
     pub shots: &'a [Shot],
@@ -36,12 +37,12 @@ pub struct Scene<'a> {
     pub seed: u64,
 }
 
-/// What a group of rays says.
+/// Gradient and loss, summed over a group of rays.
 pub struct GroupGradient {
     pub weights: Box<Network>,
     /// Positions in the unit cube, `[samples]`.
     pub u: Vec<[f32; 3]>,
-    /// Derivatives with respect to the features there, `[samples]`.
+    /// Derivatives of the loss with respect to the features at these positions, `[samples]`.
     pub features: Vec<[f32; WIDTH]>,
     pub loss: f64,
     pub squared_error: f64,
@@ -62,13 +63,13 @@ struct Tape {
     color: Vec<[f32; N_COLOR]>,
 }
 
-/// A ray's camera picture says this.
+/// True colour of a ray, and the background that it was composited over.
 struct Target {
     color: Vec3,
     background: Vec3,
 }
 
-/// The rays `first..first + count`.
+/// Computes the gradient of the rays `first..first + count`.
 pub fn group(scene: &Scene, first: u64, count: u64) -> GroupGradient {
     let unit_length = scene.space.unit_length();
     let mut rng = ChaCha8Rng::seed_from_u64(scene.seed ^ 0xbac6);
@@ -131,10 +132,10 @@ pub fn group(scene: &Scene, first: u64, count: u64) -> GroupGradient {
     backward(scene, tape, &targets, &sh)
 }
 
-/// Losses of all rays, and what they say about weights and features.
+/// Losses of all rays, and their derivatives with respect to weights and features.
 fn backward(scene: &Scene, tape: Tape, targets: &[Target], sh: &[[f32; N_VIEW]]) -> GroupGradient {
     let n = tape.u.len();
-    // Samples by ray, along it.
+    // Samples by ray, in order along it.
     let mut of_ray = vec![Vec::new(); targets.len()];
     for (i, &owner) in tape.owner.iter().enumerate() {
         of_ray[owner as usize].push(i);
@@ -155,7 +156,7 @@ fn backward(scene: &Scene, tape: Tape, targets: &[Target], sh: &[[f32; N_VIEW]])
         for (&i, gradient) in of_ray.iter().zip(&gradients) {
             d_g[i][0] = gradient.sigma * density_derivative(tape.g[i][0], tape.sigma[i]);
             for ((d_c, d_color), c) in d_c[i].iter_mut().zip(gradient.color.to_array()).zip(tape.color[i]) {
-                // The sigmoid's derivative.
+                // The derivative of the sigmoid.
                 *d_c = d_color * c * (1.0 - c);
             }
         }

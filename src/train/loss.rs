@@ -1,13 +1,14 @@
 //! The loss of one ray and its derivatives with respect to the density and colour of its samples.
 //!
-//! Letters, for samples i along the ray: `sigma` density per unit length, `delta` interval in that unit, α = 1 − exp(−σδ), T transmittance before
-//! the sample, w = Tα, C = Σ w c + T_end · background, `s` distance in that unit. For any function of the weights with
-//! derivatives a_i = ∂L/∂w_i, ∂L/∂σ_i = δ_i (T_{i+1} a_i − Σ_{j>i} w_j a_j − T_end a_end): colour and regulariser are such functions, and
+//! Letters, for samples i along the ray: `sigma` density per unit length, `delta` interval in that unit,
+//! α = 1 − exp(−σδ), T transmittance before the sample, w = Tα, C = Σ w c + T_end · background, `s` distance in that
+//! unit. For any function of the weights with derivatives a_i = ∂L/∂w_i,
+//! ∂L/∂σ_i = δ_i (T_{i+1} a_i − Σ_{j>i} w_j a_j − T_end a_end). Colour loss and regulariser are such functions, and
 //! their a_i add up.
 
 use glam::Vec3;
 
-/// Errors of colour count quadratically up to this and linearly beyond (Huber), as in instant-ngp.
+/// Colour errors count quadratically up to this and linearly beyond (Huber), as in instant-ngp.
 const HUBER: f32 = 0.1;
 
 /// A sample as the loss sees it.
@@ -19,24 +20,27 @@ pub struct RaySample {
     pub s: f32,
 }
 
-/// Derivatives of the loss.
+/// Derivatives of the loss with respect to a sample.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct SampleGradient {
     pub sigma: f32,
     pub color: Vec3,
 }
 
-/// What a ray adds to the loss.
+/// Contribution of a ray to the loss.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct RayLoss {
-    /// What is minimised.
+    /// The quantity that is minimised.
     pub loss: f64,
     /// Squared error of colour, summed over channels.
     pub squared_error: f64,
 }
 
-/// Loss of a ray with true colour `target` before `background`, and its derivatives into `gradients` (`[samples]`); `distortion` is the factor of mip-NeRF
-/// 360's distortion loss (Barron et al. 2022, Eq. 15), which gathers weights along the ray and so removes fog and floaters.
+/// Computes the loss of a ray with true colour `target` over `background`, and writes its derivatives to `gradients`
+/// (`[samples]`).
+///
+/// `distortion` is the factor of mip-NeRF 360's distortion loss (Barron et al. 2022, Eq. 15), which concentrates
+/// weights along the ray and so removes fog and floaters.
 pub fn ray_loss(
     samples: &[RaySample],
     target: Vec3,
@@ -47,7 +51,7 @@ pub fn ray_loss(
     gradients.clear();
     gradients.resize(samples.len(), SampleGradient::default());
     let (mut transmittance, mut color) = (1.0_f32, Vec3::ZERO);
-    // w for now, in place of the derivative; T_{i+1} is found again on the way back.
+    // (w, T_{i+1}) of each sample, for the way back.
     let mut weights = Vec::with_capacity(samples.len());
     let (mut total, mut first_moment) = (0.0_f32, 0.0_f32);
     for sample in samples {
@@ -69,7 +73,7 @@ pub fn ray_loss(
         squared_error: f64::from(error.length_squared()),
     };
 
-    // Backwards: what lies behind, and Σ w and Σ w s of it, for |s_i − s_j| summed over pairs.
+    // Backwards, with the colour behind, and with Σ w and Σ w s behind, from which |s_i − s_j| is summed over pairs.
     let mut behind = transmittance * d_color.dot(background);
     let (mut total_behind, mut moment_behind) = (0.0_f32, 0.0_f32);
     for (i, sample) in samples.iter().enumerate().rev() {
@@ -105,7 +109,7 @@ mod tests {
             .collect()
     }
 
-    /// The loss from its definition, in f64: all pairs.
+    /// The loss from its definition, in f64, over all pairs.
     fn loss_slowly(samples: &[RaySample], target: Vec3, background: Vec3, distortion: f64) -> f64 {
         let (mut transmittance, mut color) = (1.0, glam::DVec3::ZERO);
         let mut weights = Vec::new();
@@ -140,7 +144,8 @@ mod tests {
                 // f32 sums of a dozen terms of order 1.
                 assert!((loss.loss - slowly(&ray)).abs() < 3e-6, "{} {}", loss.loss, slowly(&ray));
                 for i in 0..ray.len() {
-                    // The definition is f64; the step's square times a third derivative of order 1 is 1e-6 relative, f32 rounds at 1e-6.
+                    // The definition is f64. The step's square times a third derivative of order 1 is 1e-6
+                    // relative; f32 rounds at 1e-6.
                     let difference = |change: &dyn Fn(&mut RaySample, f32)| {
                         let [low, high] = [-1e-3_f32, 1e-3].map(|h| {
                             let mut moved = ray.clone();

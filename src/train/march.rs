@@ -1,10 +1,11 @@
-//! Sample positions along a training ray: in occupied cells only, at constant steps, longer where space is contracted.
+//! Sample positions along a training ray: only in occupied cells, at constant steps, longer
+//! where space is contracted.
 
 use super::occupancy::OccupancyGrid;
 use crate::field::hash_grid::Space;
 use crate::geometry::{Domain, Ray};
 
-/// One sample: distance along the ray and length of its interval, scene units, and position in the unit cube.
+/// One sample: distance along the ray and interval length in scene units, and position in the unit cube.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sample {
     pub t: f64,
@@ -12,7 +13,7 @@ pub struct Sample {
     pub u: [f32; 3],
 }
 
-/// A ray under way.
+/// A ray while it is sampled.
 #[derive(Debug, Clone)]
 pub struct Walk {
     ray: Ray,
@@ -21,13 +22,13 @@ pub struct Walk {
 }
 
 impl Walk {
-    /// From where the ray enters the space; `jitter` in `[0, 1)` shifts samples by that share of a step.
+    /// Starts where the ray enters the space; `jitter` in `[0, 1)` shifts samples by that share of a step.
     pub fn new(space: &Space, ray: Ray, jitter: f64) -> Self {
         let (entry, exit) = space.bounds.clip(&ray).unwrap_or_default();
         Self { ray, t: entry + jitter * space.step(), exit }
     }
 
-    /// The next sample in an occupied cell.
+    /// Returns the next sample in an occupied cell.
     pub fn next(&mut self, space: &Space, grid: &OccupancyGrid) -> Option<Sample> {
         while self.t < self.exit {
             let t = self.t;
@@ -47,8 +48,9 @@ impl Walk {
         None
     }
 
-    /// Distance to the first candidate behind an empty block of `cells` cells around `u`: a whole number of steps, so that samples keep
-    /// their places.
+    /// Distance to the first candidate behind an empty block of `cells` cells around `u`.
+    ///
+    /// It is a whole number of steps, so that samples keep their places.
     fn leap(&self, space: &Space, grid: &OccupancyGrid, u: [f32; 3], cells: usize, delta: f64) -> f64 {
         let Domain::Box(bounds) = space.domain else { return delta };
         let size = bounds.size();

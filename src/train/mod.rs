@@ -1,8 +1,9 @@
 //! Fits a [`HashGrid`](crate::field::HashGrid) to posed images.
 //!
-//! One step draws rays from all training images, samples them where the occupancy grid says that something is, composites,
-//! and moves the parameters against the gradient of the loss (Adam). The backward pass is derived by hand. Rays per step adapt
-//! so that the number of samples stays near a budget, as in instant-ngp. Nothing depends on the number of threads.
+//! One step draws rays from all training images, samples them where the occupancy grid is occupied, composites, and
+//! moves the parameters against the gradient of the loss (Adam). The backward pass is derived by hand. The number
+//! of rays per step adapts to keep the number of samples near a budget, as in instant-ngp. Nothing depends on the
+//! number of threads.
 
 mod adam;
 mod batch;
@@ -25,30 +26,30 @@ use serde::{Deserialize, Serialize};
 
 use crate::field::HashGridConfig;
 
-/// What is behind the scene while it is trained.
+/// Background of the scene during training.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Background {
-    /// Another colour for every ray, where images are transparent: what is empty must be transparent to match.
+    /// Another colour for every ray, where images are transparent. Empty space must become transparent to match.
     Random,
-    /// A colour that opaque images show too.
+    /// A fixed colour, which opaque images show too.
     Fixed([f32; 3]),
 }
 
-/// How to train.
+/// Settings of a training run.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct TrainSettings {
-    /// The field's size.
+    /// Size of the field.
     pub config: HashGridConfig,
     /// Seed of weights, rays and backgrounds.
     pub seed: u64,
-    /// What is behind the scene.
+    /// Background of the scene.
     pub background: Background,
-    /// Samples per step, about: rays are chosen accordingly.
+    /// Approximate number of samples per step; the number of rays follows from it.
     pub samples_per_step: u64,
-    /// Adam's first learning rate.
+    /// Initial learning rate of Adam.
     pub learning_rate: f32,
-    /// Shard of it that is left at the end; it decays exponentially.
+    /// Share of the learning rate that is left at the end. The rate decays exponentially.
     pub final_rate: f32,
     /// Factor of the distortion loss; 0 for none.
     pub distortion: f32,

@@ -1,7 +1,8 @@
-//! Where it is worth sampling while the field is trained: instant-ngp's occupancy grid (Müller et al. 2022, App. E.2).
+//! instant-ngp's occupancy grid (Müller et al. 2022, App. E.2): where sampling is worthwhile during training.
 //!
-//! n³ cells of the unit cube, x fastest. A cell keeps the largest of its recent density samples; every few steps it decays, and a cell
-//! is occupied if what it keeps would make one march step more than 1 % opaque. Cells that no camera sees stay empty.
+//! n³ cells of the unit cube, x fastest. A cell keeps the largest of its recent density samples, which decays
+//! every few steps. It is occupied if this density would make one march step more than 1 % opaque. Cells that no
+//! camera sees stay empty.
 
 use glam::DVec3;
 use rand::{RngExt, SeedableRng};
@@ -13,31 +14,31 @@ use crate::geometry::Camera;
 
 /// Steps between two updates.
 pub const INTERVAL: u64 = 16;
-/// What a cell keeps from one look to the next.
+/// Share of its density that a cell keeps from one sample to the next.
 const DECAY: f32 = 0.95;
-/// Empty cells that are looked at in one update: one in this many. Occupied ones are all looked at.
+/// One in this many of the empty cells is sampled in an update. Occupied cells are all sampled.
 const TURNS: u64 = 16;
-/// Updates from the start that look at all cells: first guesses are replaced soon.
+/// Number of first updates that sample all cells, so that first guesses are soon replaced.
 const FULL_UPDATES: u64 = 4;
 /// Optical thickness of one march step above which a cell is occupied.
 const OPTICAL_THICKNESS: f64 = 0.01;
-/// Side of a brick of cells that rays leap over when it is empty.
+/// Side of a brick of cells that rays skip when it is empty.
 const BRICK: usize = 4;
 
-/// The grid.
+/// Occupancy grid of a field in training.
 #[derive(Debug, Clone, PartialEq)]
 pub struct OccupancyGrid {
     n: usize,
-    /// `[n³]`: per unit length of the space; −1 where no camera looks.
+    /// `[n³]`: density per unit length of the space; −1 where no camera looks.
     pub densities: Vec<f32>,
     occupied: Vec<bool>,
-    /// `[(n / 4)³]`: whether one of a brick's cells is occupied.
+    /// `[(n / 4)³]`: true if a cell of the brick is occupied.
     bricks: Vec<bool>,
     threshold: f32,
 }
 
 impl OccupancyGrid {
-    /// Everything that a camera sees is occupied.
+    /// A grid in which every cell that a camera sees is occupied.
     pub fn new(n: usize, space: &Space, cameras: &[Camera]) -> Self {
         let densities: Vec<f32> = (0..n * n * n)
             .into_par_iter()
@@ -49,12 +50,12 @@ impl OccupancyGrid {
                 if cameras.iter().any(|camera| sees(camera, x, reach)) { f32::INFINITY } else { -1.0 }
             })
             .collect();
-        // Infinite so far: that is above any threshold, and the first look replaces it.
+        // Densities start at infinity: above any threshold, and replaced by the first sample.
         let threshold = (OPTICAL_THICKNESS * space.unit_length() / space.step()) as f32;
         Self::from_densities(n, densities, threshold)
     }
 
-    /// A grid that was saved.
+    /// Restores a grid from saved densities.
     pub fn restore(n: usize, space: &Space, densities: Vec<f32>) -> Self {
         Self::from_densities(n, densities, (OPTICAL_THICKNESS * space.unit_length() / space.step()) as f32)
     }
@@ -65,7 +66,7 @@ impl OccupancyGrid {
         grid
     }
 
-    /// The cells that a finished field's window reaches: the occupied ones and those next to them.
+    /// Marks the cells that the window of a finished field reaches: occupied cells and their neighbours.
     pub fn reached(n: usize, space: &Space, occupied: &[bool]) -> Self {
         let mut densities = vec![0.0; n * n * n];
         for (cell, _) in occupied.iter().enumerate().filter(|(_, occupied)| **occupied) {
@@ -79,12 +80,13 @@ impl OccupancyGrid {
         Self::restore(n, space, densities)
     }
 
-    /// Whether the cells are occupied, `[n³]`.
+    /// `[n³]`: true for occupied cells.
     pub fn occupied(&self) -> &[bool] {
         &self.occupied
     }
 
-    /// Whether the cell of a position in the unit cube is occupied; if not, the size of the empty block around it in cells.
+    /// Checks whether the cell of a position in the unit cube is occupied. If not, the error is the size in cells
+    /// of the empty block around it.
     #[inline]
     pub fn at(&self, u: [f32; 3]) -> Result<(), usize> {
         let cell = u.map(|u| ((u * self.n as f32) as usize).min(self.n - 1));
@@ -101,7 +103,7 @@ impl OccupancyGrid {
         self.n
     }
 
-    /// Looks at the occupied cells and at a part of the others, each at a random point; `update` counts from 0.
+    /// Samples the occupied cells and a part of the others, each at a random point; `update` counts from 0.
     pub fn update(&mut self, parameters: &Parameters, seed: u64, update: u64) {
         let n = self.n;
         let looks: Vec<u32> = (0..n * n * n)
@@ -134,10 +136,10 @@ impl OccupancyGrid {
         self.mark();
     }
 
-    /// Says which cells are occupied.
+    /// Updates which cells are occupied.
     fn mark(&mut self) {
         let n = self.n;
-        // While everything is thin fog, the denser half of it is worth a look.
+        // While everything is thin fog, the cells above its mean density are occupied.
         let seen = self.densities.iter().filter(|d| **d >= 0.0);
         let (sum, count) = seen.fold((0.0_f64, 0_u64), |(sum, count), d| (sum + f64::from(*d), count + 1));
         let threshold = self.threshold.min((sum / count.max(1) as f64) as f32);
@@ -151,12 +153,12 @@ impl OccupancyGrid {
     }
 }
 
-/// x, y and z index of a cell.
+/// Indices of a cell along x, y and z.
 fn coordinates(cell: usize, n: usize) -> [usize; 3] {
     [cell % n, cell / n % n, cell / (n * n)]
 }
 
-/// Whether a ball around a scene point, of that radius, may be in a camera's picture.
+/// Returns true if a ball around a scene point may be in a camera's picture.
 fn sees(camera: &Camera, x: DVec3, radius: f64) -> bool {
     if camera.position.distance(x) <= radius {
         return true;

@@ -1,4 +1,4 @@
-//! How well a field shows images that it was not trained on.
+//! Quality of a field on images that it was not trained on.
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
@@ -10,25 +10,27 @@ use super::occupancy::OccupancyGrid;
 use crate::field::{HashGrid, Radiance, RadianceField};
 use crate::metrics::psnr;
 
-/// Samples taken per ray before its transmittance is looked at again.
+/// Samples taken per ray between two checks of its transmittance.
 const ROUND: usize = 8;
-/// Rays end when what is behind could change a pixel by less than half of this: half a step of 8 bits is 2e-3.
+/// Rays end when their transmittance falls below this. What is behind changes a pixel by no more; half a
+/// step of 8 bits is 2e-3.
 const OPAQUE: f64 = 1e-4;
 
-/// How well a field shows held-out images.
+/// Quality of a field on held-out images.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Quality {
-    /// Mean over images of their PSNR, dB.
+    /// Mean PSNR of the images, dB.
     pub psnr: f64,
-    /// Images.
+    /// Number of images.
     pub views: usize,
-    /// Pixels compared, of all images together.
+    /// Number of pixels compared, over all images.
     pub pixels: usize,
 }
 
-/// PSNR on images before `background`, on about `pixels` pixels: every k-th along x and y of each image. `None` without images.
+/// Measures the PSNR on images over `background`. `None` without images.
 ///
-/// Samples sit where training puts them, with longer steps where space is contracted; the renderer of all fields shows the same, more slowly.
+/// About `pixels` pixels are compared: every k-th along x and y of each image. Samples sit where training puts
+/// them, with longer steps where space is contracted. The renderer of all fields shows the same, more slowly.
 #[must_use]
 pub fn quality(field: &HashGrid, shots: &[Shot], background: Vec3, pixels: usize) -> Option<Quality> {
     let all: u64 = shots.iter().map(|shot| shot.camera.pixels()).sum();
@@ -57,7 +59,7 @@ pub fn quality(field: &HashGrid, shots: &[Shot], background: Vec3, pixels: usize
     })
 }
 
-/// As [`quality`], of the best image of one colour for all `shots`: what a model that has learnt nothing reaches.
+/// Like [`quality`], for the best single colour for all `shots`: what a model reaches that has learnt nothing.
 #[must_use]
 pub fn one_color(shots: &[Shot], background: Vec3, pixels: usize) -> Option<Quality> {
     let all: u64 = shots.iter().map(|shot| shot.camera.pixels()).sum();
@@ -76,12 +78,12 @@ pub fn one_color(shots: &[Shot], background: Vec3, pixels: usize) -> Option<Qual
     Some(Quality { psnr: psnrs.sum::<f64>() / shots.len() as f64, views: shots.len(), pixels: compared })
 }
 
-/// Colours of some pixels of a row.
+/// Colours of the pixels of a row at these columns.
 fn row(field: &HashGrid, grid: &OccupancyGrid, shot: &Shot, y: u32, columns: &[u32], background: Vec3) -> Vec<DVec3> {
     let space = field.space();
     let rays = columns.iter().map(|x| shot.camera.ray(f64::from(*x) + 0.5, f64::from(y) + 0.5));
     let rays: Vec<_> = rays.collect();
-    // The middle of every interval: an image is deterministic.
+    // The middle of every interval makes the image deterministic.
     let mut walks: Vec<Walk> = rays.iter().map(|ray| Walk::new(space, *ray, 0.5)).collect();
     let mut pixels = vec![(DVec3::ZERO, 1.0_f64); rays.len()];
     let (mut owners, mut deltas, mut positions, mut directions) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());

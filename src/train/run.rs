@@ -1,4 +1,4 @@
-//! A whole run: until its steps are done or its time is up, with the quality on held-out images now and then.
+//! A whole training run, limited by steps or by time, with repeated checks on held-out images.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -12,71 +12,71 @@ use crate::dataset::Hemisphere;
 use crate::geometry::Domain;
 use crate::monitor::Monitor;
 
-/// When a run ends.
+/// End of a run.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Budget {
-    /// After this many steps: the same result every time.
+    /// After this many steps; the result is the same every time.
     Steps(u64),
-    /// After this time: how many steps fit, and with them the result, depends on the machine.
+    /// After this time. The number of steps, and with it the result, depends on the machine.
     Time(Duration),
 }
 
-/// Steps between two looks at the clock and at Ctrl-C are one; between two reports of the loss this many.
+/// Steps between two reports of the loss. The clock and Ctrl-C are checked at every step.
 const REPORT: u64 = 16;
 
-/// What a run is told while it goes on.
+/// Progress of a run while it is going on.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Progress {
-    /// Steps so far.
+    /// Number of steps so far.
     pub steps: u64,
-    /// Shard of the run that is done, in `[0, 1]`.
+    /// Share of the run that is done, in `[0, 1]`.
     pub share: f64,
     /// Mean loss of a ray since the last report.
     pub loss: f64,
     /// PSNR on training rays since the last report, dB.
     pub train_psnr: f64,
-    /// PSNR on held-out images, dB, if it was just measured.
+    /// Quality on held-out images, if it was just measured.
     pub held_out: Option<Quality>,
-    /// Seconds left.
+    /// Time left, in seconds.
     pub left: f64,
 }
 
-/// Where a run keeps its state, and how often.
+/// Where and how often a run saves its state.
 #[derive(Debug, Clone)]
 pub struct StateFile {
-    /// The file.
+    /// Path of the file.
     pub path: PathBuf,
-    /// What the run must have in common with one that goes on from it.
+    /// Description that a resumed run must share with the saved one.
     pub key: String,
     /// Time between two saves.
     pub every: Duration,
 }
 
-/// A run to be made.
+/// A training run with its limits.
 pub struct Run<'a> {
     /// When it ends.
     pub budget: Budget,
     /// Images to measure its quality on.
     pub held_out: &'a [Shot],
-    /// Pixels of these that are compared while it runs.
+    /// Number of their pixels that are compared during the run.
     pub pixels: usize,
-    /// Times that this is done.
+    /// Number of parts into which these measurements divide the run. There is none at its end.
     pub looks: u32,
-    /// Where its state is kept.
+    /// Where the state is saved, if at all.
     pub state: Option<StateFile>,
 }
 
-/// What became of a run.
+/// Outcome of a run.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Finished {
-    /// Seconds of training, those before an interruption included, those of measuring quality not.
+    /// Seconds of training, including those before an interruption, without the time for measuring quality.
     pub elapsed: f64,
-    /// Whether the user stopped it.
+    /// True if the user stopped it.
     pub interrupted: bool,
 }
 
 impl Run<'_> {
-    /// Trains until the budget is spent or the user interrupts; `elapsed` seconds of it are spent already.
+    /// Trains until the budget is spent or the user interrupts. `elapsed` seconds of it are already spent.
     ///
     /// # Errors
     /// If the state cannot be saved.
@@ -153,7 +153,7 @@ impl Run<'_> {
     }
 }
 
-/// Time spent on training alone.
+/// Clock for the time spent on training alone.
 struct Clock {
     before: f64,
     start: Instant,
@@ -171,7 +171,7 @@ impl Clock {
 }
 
 impl Background {
-    /// The background of images: white where training saw any.
+    /// Background to show images on: white if training used random colours.
     #[must_use]
     pub fn for_images(self) -> Vec3 {
         match self {
@@ -181,31 +181,31 @@ impl Background {
     }
 }
 
-/// What a run was made from, as the model's file remembers it and as a run that goes on must have it.
+/// Origin of a run. The model's file records it, and a resumed run must share it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Description {
-    /// Version of this crate: another one may round or draw otherwise.
+    /// Version of this crate. Other versions may round or draw differently.
     pub version: &'static str,
-    /// The camera file.
+    /// Path of the camera file.
     pub dataset: String,
     /// Checksum of the camera file.
     pub cameras: u32,
-    /// Which training images.
+    /// Selection of training images.
     pub views: Selection,
-    /// Half in which their cameras stand.
+    /// Half in which their cameras stand; `None` for all around.
     pub hemisphere: Option<Hemisphere>,
-    /// How many these are.
+    /// Number of training images.
     pub images: usize,
-    /// Everything else.
+    /// All other settings.
     pub settings: super::TrainSettings,
-    /// The space that the model covers.
+    /// Space that the model covers.
     pub domain: Domain,
-    /// Steps or seconds.
+    /// Limit of the run, in steps or seconds.
     pub budget: String,
 }
 
 impl Description {
-    /// Checksum of a camera file.
+    /// Computes the checksum of a camera file.
     ///
     /// # Errors
     /// If it cannot be read.

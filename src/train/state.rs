@@ -1,7 +1,8 @@
-//! A training run in a file, so that it can go on where it was stopped, bit for bit.
+//! The state of a training run in a file, from which it can be resumed bit for bit.
 //!
-//! A [container] with the sections `table`, its `means` and `squares` (f32 [entries, 4] each), `network` (weights, means, squares one after
-//! the other) and `occupancy` (f32). A run only takes up a state whose description equals its own.
+//! It is a [container] with the sections `table`, its `means` and `squares` (f32 [entries, 4] each), `network`
+//! (weights, means and squares in turn) and `occupancy` (f32). A run resumes only from a state whose
+//! description equals its own.
 
 use std::path::Path;
 
@@ -19,17 +20,17 @@ const FORMAT: Format = (b"OCTOTRN\n", 2);
 
 #[derive(Serialize, Deserialize)]
 struct Header {
-    /// What the run must have in common with the one that goes on.
+    /// Description that a resumed run must share.
     key: String,
     steps: u64,
     rays: u64,
     rays_per_step: u64,
-    /// Seconds of training so far.
+    /// Time of training so far, in seconds.
     elapsed: f64,
 }
 
 impl Trainer<'_> {
-    /// Saves the run under a description; `elapsed` is its time so far, seconds.
+    /// Saves the run under a description; `elapsed` is its time so far in seconds.
     ///
     /// # Errors
     /// If the file cannot be written.
@@ -52,10 +53,10 @@ impl Trainer<'_> {
         )
     }
 
-    /// Goes on from a saved run with the same description; returns its time so far, seconds.
+    /// Resumes a saved run with the same description; returns its time so far in seconds.
     ///
     /// # Errors
-    /// If the file is missing, damaged, or of a run with another description.
+    /// If the file is missing or damaged, or belongs to a run with another description.
     pub fn restore(&mut self, path: &Path, key: &str) -> Result<f64> {
         let (header, mut file) = Reader::open::<Header>(path, FORMAT)?;
         if header.key != key {

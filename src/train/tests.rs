@@ -14,7 +14,7 @@ use crate::monitor::{Monitor, Silent};
 use crate::rays::{PixelSequence, Pixels};
 use crate::render::render_view;
 
-/// A closed-form scene's true images: colour over black, and opacity, as 8-bit straight alpha.
+/// True images of a closed-form scene: colour over black, and opacity, as 8-bit straight alpha.
 fn shots(scene: &ClosedForm, cameras: &[Camera]) -> Vec<Shot> {
     let settings = RaySettings { occupancy: 32, cutoff: 1e-4, background: Vec3::ZERO, ..RaySettings::default() };
     let tracer = settings.tracer(scene, 0.0, &Silent).unwrap();
@@ -34,7 +34,7 @@ fn shots(scene: &ClosedForm, cameras: &[Camera]) -> Vec<Shot> {
         .collect()
 }
 
-/// The courtyard, and images of it: to train on, and held out between them.
+/// The courtyard with its images: for training, and held-out ones between them.
 fn courtyard(resolution: u32) -> (Domain, [Vec<Shot>; 2]) {
     let scene = ClosedForm::courtyard();
     let cameras = ClosedForm::half_circle(16, [resolution; 2]);
@@ -50,14 +50,14 @@ fn small() -> TrainSettings {
     TrainSettings { config, samples_per_step: 1 << 13, ..TrainSettings::default() }
 }
 
-/// Runs to a number of steps out of `of`.
+/// Trains up to step `steps` of a run of `of` steps.
 fn run_steps(trainer: &mut Trainer, steps: u64, of: u64) {
     while trainer.steps() < steps {
         trainer.step(trainer.steps() as f64 / of as f64);
     }
 }
 
-/// All numbers that a run goes on with, as bits.
+/// All numbers that a resumed run needs, as bits.
 fn bits(trainer: &Trainer) -> Vec<u32> {
     let network = trainer.parameters.network.layers().concat();
     let moments = [&trainer.network_moments.mean, &trainer.network_moments.square].map(|n| n.layers().concat());
@@ -71,7 +71,7 @@ fn gradients_are_those_of_the_definition() {
     use rand::{RngExt, SeedableRng};
     let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(1);
     let (_, [shots, _]) = courtyard(24);
-    // Contracted, so that steps differ in length; few samples, so that the definition is quick.
+    // Contracted, so that steps differ in length; few samples, so that the definition is fast.
     for domain in [
         Domain::Box(ClosedForm::courtyard().bounds()),
         Domain::contracted(DVec3::new(0.1, 0.0, 0.2), 0.5, Norm::L2).unwrap(),
@@ -121,7 +121,7 @@ fn gradients_are_those_of_the_definition() {
         // Sums of a few thousand f32 terms.
         assert!((loss(&slow) / found.loss - 1.0).abs() < 1e-4, "{} {}", loss(&slow), found.loss);
 
-        // Differences where two steps agree; elsewhere a hidden unit switches in between.
+        // Compared only where differences at two steps agree; elsewhere a hidden unit switches in between.
         let (mut compared, mut kinks, mut worst) = ([0; LAYERS.len() + 1], 0, 0.0_f64);
         let mut compare = |kind: usize, gradient: f64, scale: f64, change: &dyn Fn(&mut SlowField, f64)| {
             let difference = |h: f64| {
@@ -168,7 +168,7 @@ fn gradients_are_those_of_the_definition() {
     }
 }
 
-/// Huber and distortion loss of one ray from their definitions, f64, all pairs of samples.
+/// Huber and distortion loss of one ray from their definitions, in f64, over all pairs of samples.
 fn loss_slowly(field: &SlowField, space: &Space, ray: &Ray, target: DVec3, samples: &[Sample]) -> f64 {
     let length = space.unit_length();
     let (mut transmittance, mut color, mut weights) = (1.0, DVec3::ZERO, Vec::new());
@@ -213,7 +213,8 @@ fn leaps_keep_the_samples_that_single_steps_keep() {
             let candidates = (0..).map(|k| entry + (f64::from(k) + 0.25) * space.step()).take_while(|t| *t < exit);
             let slowly: Vec<f64> =
                 candidates.filter(|t| space.unit(ray.at(*t).as_vec3()).is_some_and(|u| grid.at(u).is_ok())).collect();
-            // Steps are added up: after a few hundred the places differ by rounding, and a sample on a face of a cell may be lost.
+            // Steps are added up. After a few hundred, places differ by rounding, and a sample on the face
+            // of a cell may be lost.
             let same = |t: &f64, others: &[f64]| others.iter().any(|other| (other - t).abs() < 1e-9);
             let missing = slowly.iter().filter(|t| !same(t, &found)).count();
             let extra = found.iter().filter(|t| !same(t, &slowly)).count();
@@ -256,7 +257,8 @@ fn a_small_scene_is_learnt() {
     assert!(before < 13.0 && after > 24.0, "{before} {after}");
 }
 
-/// `quality` samples as training does; the renderer of all fields has another step in contracted space, and its own occupancy.
+/// `quality` samples as training does. The renderer of all fields has another step in contracted space, and its own
+/// occupancy grid.
 #[test]
 fn quality_is_what_the_renderer_shows() {
     let (domain, [shots, held_out]) = courtyard(48);
@@ -288,7 +290,7 @@ fn a_resumed_run_ends_with_the_same_bits() {
     run_steps(&mut whole, 60, 60);
 
     let mut first = Trainer::new(small(), domain, &shots).unwrap();
-    // Between two updates of occupancy.
+    // Between two updates of the occupancy grid.
     run_steps(&mut first, 23, 60);
     first.save(&path, "this run", 1.5).unwrap();
     let mut second = Trainer::new(small(), domain, &shots).unwrap();
@@ -310,7 +312,7 @@ fn a_resumed_run_ends_with_the_same_bits() {
     assert!(error.contains("finite numbers"), "{error}");
 }
 
-/// Says stop after some looks.
+/// Interrupts after a number of checks.
 struct StopAfter(std::sync::atomic::AtomicU32);
 
 impl Monitor for StopAfter {
@@ -363,7 +365,7 @@ fn an_interrupted_run_keeps_its_state_and_reports_on_its_way() {
 fn cells_that_no_camera_sees_stay_empty() {
     let scene = ClosedForm::courtyard();
     let space = Space::new(Domain::Box(scene.bounds())).unwrap();
-    // From outside, along +x, a quarter of the box's height.
+    // From outside, along +x, with a view a quarter as high as the box.
     let bounds = scene.bounds();
     let middle = 0.5 * (bounds.min() + bounds.max());
     let eye = middle - 3.0 * DVec3::X * bounds.size().x;

@@ -1,4 +1,4 @@
-//! The state of a training run and one step of it.
+//! The state of a training run, and one step of it.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -16,31 +16,31 @@ use crate::field::hash_grid::{
 use crate::geometry::{Camera, Domain};
 use crate::rays::{PixelSequence, Pixels};
 
-/// Range of first features.
+/// Range of the initial features.
 const FEATURE_RANGE: f32 = 1e-4;
-/// Most rays of a step: more would go through the same few samples.
+/// Maximal number of rays per step: more would go through the same few samples.
 pub(super) const MAX_RAYS: u64 = 1 << 14;
 
-/// How often an entry was moved, and where to: Adam's memory of the table.
+/// Adam's moments: running means of the gradients and of their squares.
 pub(super) struct Moments<T> {
     pub mean: T,
     pub square: T,
 }
 
-/// What a step found, before it changed anything.
+/// Results of a step, from before it changed the parameters.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StepReport {
     /// Mean loss of a ray.
     pub loss: f64,
-    /// Mean squared error of colour over channels.
+    /// Mean squared error of colour, averaged over channels.
     pub squared_error: f64,
-    /// Rays of the step.
+    /// Number of rays of the step.
     pub rays: u64,
-    /// Samples of these rays.
+    /// Number of samples of these rays.
     pub samples: u64,
 }
 
-/// A run under way.
+/// A training run in progress.
 pub struct Trainer<'a> {
     pub(super) settings: TrainSettings,
     pub(super) space: Space,
@@ -49,22 +49,22 @@ pub struct Trainer<'a> {
     pub(super) parameters: Parameters,
     pub(super) table_moments: Moments<Vec<Entry>>,
     pub(super) network_moments: Moments<Box<Network>>,
-    /// Zero between steps.
+    /// Gradient of the table; zero between steps.
     gradient: Vec<Entry>,
     pub(super) occupancy: OccupancyGrid,
-    /// Steps so far.
+    /// Number of steps so far.
     pub(super) steps: u64,
-    /// Rays so far.
+    /// Number of rays so far.
     pub(super) rays: u64,
-    /// Rays of the next step.
+    /// Number of rays of the next step.
     pub(super) rays_per_step: u64,
 }
 
 impl<'a> Trainer<'a> {
-    /// A run that begins: random weights, everything that a camera sees occupied.
+    /// Starts a run with random weights; every cell that a camera sees is occupied.
     ///
     /// # Errors
-    /// If the settings make no sense.
+    /// If the settings are invalid.
     ///
     /// # Panics
     /// If there are no shots.
@@ -106,19 +106,19 @@ impl<'a> Trainer<'a> {
         })
     }
 
-    /// Steps so far.
+    /// Number of steps so far.
     #[must_use]
     pub fn steps(&self) -> u64 {
         self.steps
     }
 
-    /// Rays so far.
+    /// Number of rays so far.
     #[must_use]
     pub fn rays(&self) -> u64 {
         self.rays
     }
 
-    /// The field as it is now.
+    /// Returns the field in its present state, with `training` as its description.
     #[must_use]
     pub fn field(&self, training: serde_json::Value) -> HashGrid {
         HashGrid::new(
@@ -131,8 +131,10 @@ impl<'a> Trainer<'a> {
         .with_training_cameras(self.shots.iter().map(Shot::named_camera).collect())
     }
 
-    /// One step; `progress` in `[0, 1]` is the share of the run that is done, for the learning rate. The same on any number of threads: groups of rays
-    /// are summed in their order, and every level of the grid is summed by one thread.
+    /// Takes one step; `progress` in `[0, 1]` is the share of the run that is done, for the learning rate.
+    ///
+    /// The result does not depend on the number of threads: groups of rays are summed in order, and each level of
+    /// the grid is summed by one thread.
     pub fn step(&mut self, progress: f64) -> StepReport {
         if self.steps > 0 && self.steps.is_multiple_of(INTERVAL) {
             self.occupancy.update(&self.parameters, self.settings.seed, self.steps / INTERVAL - 1);
@@ -150,14 +152,14 @@ impl<'a> Trainer<'a> {
         self.steps += 1;
         self.rays += rays;
         self.descend(&groups, progress);
-        // As many rays as fill the budget, were they like these; no faster than twofold.
+        // As many rays as would fill the budget if they were like these, changed at most by a factor of two.
         let fitting = u128::from(rays) * u128::from(self.settings.samples_per_step) / u128::from(samples.max(1));
         let fitting = (fitting as u64).clamp(rays / 2, 2 * rays).clamp(GROUP, MAX_RAYS);
         self.rays_per_step = fitting.next_multiple_of(GROUP);
         report
     }
 
-    /// Forward and backward for the rays of this step.
+    /// Forward and backward pass for the rays of this step.
     fn gradients(&self) -> Vec<GroupGradient> {
         let transposed = Transposed::new(&self.parameters.network);
         let scene = Scene {
@@ -191,7 +193,7 @@ impl<'a> Trainer<'a> {
             .zip(Encoding::split(&levels, &mut self.gradient))
             .zip(Encoding::split(&levels, &mut self.table_moments.mean))
             .zip(Encoding::split(&levels, &mut self.table_moments.square));
-        // One level at a time to whoever is free: fine ones take longer.
+        // Free threads take one level at a time, because fine levels take longer.
         parts.enumerate().with_max_len(1).for_each(|(l, (((entries, gradient), mean), square))| {
             debug_assert!(l < N_LEVELS);
             for group in groups {

@@ -1,4 +1,4 @@
-//! Images to train on and images held out, from a data set with camera files.
+//! Training images and held-out images of a data set with camera files.
 
 use std::path::{Path, PathBuf};
 
@@ -10,7 +10,7 @@ use crate::geometry::{Aabb, Camera, NamedCamera};
 use crate::monitor::{Monitor, check};
 use crate::{Error, Result};
 
-/// Half edge of the cube that NeRF-synthetic scenes fit into, and of instant-ngp's unit cube: 0.5 / 0.33.
+/// Half edge of the cube around NeRF-synthetic scenes, and of instant-ngp's unit cube: 0.5 / 0.33.
 const HALF_EDGE: f64 = 0.5 / 0.33;
 
 /// A picture and the camera that took it.
@@ -20,29 +20,29 @@ pub struct Shot {
     pub name: String,
     /// Pose and intrinsics.
     pub camera: Camera,
-    /// The picture, of the camera's resolution.
+    /// The picture, at the camera's resolution.
     pub image: PosedImage,
 }
 
 impl Shot {
-    /// The camera alone.
+    /// The camera with its name, without the picture.
     #[must_use]
     pub fn named_camera(&self) -> NamedCamera {
         NamedCamera { name: self.name.clone(), camera: self.camera }
     }
 }
 
-/// What a data set says about itself: camera files, which frames are for training, and where the scene is.
+/// A data set as described by its files: the camera file, the split of its frames, and the scene box.
 #[derive(Debug, Clone)]
 pub struct DatasetFiles {
-    /// The camera file for training.
+    /// Path of the camera file for training.
     pub path: PathBuf,
     split: FrameSplit,
     train: Vec<Frame>,
     held_out: Vec<Frame>,
-    /// Frames whose image does not exist.
+    /// Number of frames whose image does not exist.
     pub missing: usize,
-    /// The box that the camera file names, or instant-ngp's.
+    /// The box that the camera file states, or else instant-ngp's.
     pub bounds: Aabb,
 }
 
@@ -53,8 +53,11 @@ struct SceneBox {
 }
 
 impl DatasetFiles {
-    /// Reads the camera files of `dataset`: a folder with `transforms_train.json` (and `transforms_test.json`, which is held out) or
-    /// `transforms.json`, or a camera file. Of a file without a partner every eighth image is held out. Frames without an image are left out, as in instant-ngp.
+    /// Reads the camera files of `dataset`.
+    ///
+    /// `dataset` is a camera file, or a folder with `transforms_train.json` (and `transforms_test.json`, which is
+    /// held out) or `transforms.json`. Without a partner file every eighth image is held out. Frames without an
+    /// image are left out, as in instant-ngp.
     ///
     /// # Errors
     /// If a file cannot be read, or no frame has an image.
@@ -82,8 +85,8 @@ impl DatasetFiles {
         Ok(Self { path, split, train, held_out, missing, bounds })
     }
 
-    /// Keeps the training images of a selection, after those taken from one half of the scene (seen from the middle of the box).
-    /// What is trained on is not held out.
+    /// Keeps the training images of a selection, taken from one half of the scene (as seen from the middle of the
+    /// box). Indices count before this filter, a count after it. Images trained on are not held out.
     ///
     /// # Errors
     /// If there are no such images.
@@ -99,13 +102,13 @@ impl DatasetFiles {
         Ok(())
     }
 
-    /// A sentence on how many frames are trained on, and why the others of the file are not.
+    /// Describes in a sentence how many frames are trained on, and why the others of the file are not.
     #[must_use]
     pub fn describe(&self) -> String {
         self.split.describe(Part::Training, &self.train)
     }
 
-    /// The cube that NeRF-synthetic scenes fit into, scene units.
+    /// The cube around NeRF-synthetic scenes, in scene units.
     #[must_use]
     pub fn unit_cube() -> Aabb {
         Aabb::centered_cube(HALF_EDGE)
@@ -117,10 +120,10 @@ impl DatasetFiles {
         self.train.iter().map(|frame| frame.name.clone()).collect()
     }
 
-    /// Loads the images: for training, and held out.
+    /// Loads the images: those for training, then those held out.
     ///
     /// # Errors
-    /// If an image is damaged or its size is not the camera's; [`Error::Interrupted`].
+    /// If an image is damaged or its size differs from the camera's, and [`Error::Interrupted`].
     pub fn load(&self, monitor: &dyn Monitor) -> Result<[Vec<Shot>; 2]> {
         monitor.begin("images", (self.train.len() + self.held_out.len()) as u64);
         let load = |frames: &[Frame]| {

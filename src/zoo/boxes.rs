@@ -1,11 +1,11 @@
-//! Hard because of the box: what touches it, how little is in it, where it lies.
+//! Scenes that are hard because of the box: what touches it, how little it contains, where it lies.
 
 use glam::{DVec3, Vec3};
 
 use super::{CELL, Primitive, Quantity, Scene, Shape, Specimen, Treatment, Verdict, ball, claim, one, several, waves};
 use super::{Rig, ring};
 
-/// The scenes of this module.
+/// All scenes of this module.
 #[must_use]
 pub fn all() -> Vec<Scene> {
     let moved = [tiny(), huge(), shifted()].into_iter().flatten();
@@ -63,10 +63,10 @@ fn one_cell() -> Scene {
     }
 }
 
-/// The ball, scaled and shifted.
+/// The usual ball, scaled and shifted.
 ///
 /// # Errors
-/// If its box would not be one any more.
+/// If its box would no longer be valid.
 pub fn moved_ball(scale: f64, shift: DVec3) -> crate::Result<Specimen> {
     Specimen::new(one("moved ball", ball()), Treatment::Exact, ring()).moved(scale, shift)
 }

@@ -1,18 +1,19 @@
-//! What a claim of the zoo is compared with.
+//! Measurement of the quantities that claims of the zoo are about.
 
 use super::Quantity;
 use crate::posterior::Covariance;
 use crate::uncertainty::UncertaintyField;
 
-/// A vertex counts as moved if it lies more than this many decades below the prior.
+/// A vertex counts as moved if its U lies more than this many decades below the prior.
 const MOVED: f64 = 0.1;
 
 impl Quantity {
-    /// The quantity, of a field that kept its evidence and was not pooled; 0 of one that did not keep it.
+    /// Measures the quantity for a field that was not pooled. [`Quantity::Diagonal`], [`Quantity::Block`] and
+    /// [`Quantity::Moved`] are 0 if the field did not keep its vertex sums.
     #[must_use]
     pub fn of(self, field: &UncertaintyField) -> f64 {
         let protocol = field.protocol();
-        // Decades below the prior, of every vertex.
+        // Decades below the prior, for every vertex.
         let gains = |covariance: Covariance| {
             let prior = covariance.prior(protocol.lambda);
             let sums = field.sums().unwrap_or_default().iter();

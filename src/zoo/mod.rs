@@ -1,8 +1,9 @@
-//! A zoo of hard scenes: closed form, small, each hard in one way, each with what is to be expected of it.
+//! A zoo of hard scenes: small closed-form scenes, each hard in one way, each with stated expectations.
 //!
-//! Used by the tests (`tests/zoo`, against an oracle in f64), by `experiments/hard_cases`, and by people: `octobayes demo --scene
-//! NAME`, or `scene:NAME` where a verb wants a model. Unless a scene is about something else, the box is [−1, 1]³, the finest lattice has
-//! level 5 ([`CELL`] = 1/16), samples are an eighth of a cell apart, and twelve cameras stand around it.
+//! They serve the tests (`tests/zoo`, against an oracle in f64), `experiments/hard_cases`, and users: `octobayes
+//! demo --scene NAME`, or `scene:NAME` where a verb expects a model. Unless a scene is about something else, the
+//! box is [−1, 1]³, the finest lattice has level 5 ([`CELL`] = 1/16), samples are an eighth of a cell apart, and
+//! twelve cameras stand around it.
 //!
 //! | module | hard because of |
 //! |---|---|
@@ -36,19 +37,20 @@ use crate::{Error, Result};
 /// Edge of a finest cell of the usual lattice: 2 / 2⁵.
 pub const CELL: f32 = 1.0 / 16.0;
 
-/// What becomes of a hard case.
+/// Outcome of a hard case.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Verdict {
-    /// The numbers can be believed.
+    /// The numbers can be trusted.
     Handled,
-    /// The numbers are what the method says, computed correctly, but they do not mean what one would like: a limit of the method itself.
+    /// The numbers are those of the method, computed correctly, but do not mean what one would like:
+    /// the method's own limit.
     Limit,
-    /// No field comes out; an error says why.
+    /// No field is produced; an error says why.
     Refused,
 }
 
 impl Verdict {
-    /// For people.
+    /// Human-readable name.
     #[must_use]
     pub fn words(self) -> &'static str {
         match self {
@@ -59,21 +61,21 @@ impl Verdict {
     }
 }
 
-/// A number that a finished field can be asked for.
+/// A number that can be measured on a finished field.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Quantity {
-    /// Decades from the prior down to the least U at a vertex, covariance `diagonal`.
+    /// Decades from the prior down to the lowest U at a vertex, for covariance `diagonal`.
     Diagonal,
-    /// The same, covariance `block`.
+    /// The same for covariance `block`.
     Block,
-    /// Shard of the lattice's vertices whose U (`trace`) is more than a tenth of a decade below the prior.
+    /// Share of the lattice's vertices whose U (`trace`) is more than a tenth of a decade below the prior.
     Moved,
-    /// Shard of the rays that were dropped.
+    /// Share of the rays that were dropped.
     Dropped,
 }
 
 impl Quantity {
-    /// For people.
+    /// Human-readable description.
     #[must_use]
     pub fn words(self) -> &'static str {
         match self {
@@ -85,59 +87,59 @@ impl Quantity {
     }
 }
 
-/// What is to be expected, in words and as a bound.
+/// An expectation, in words and as bounds.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Claim {
-    /// For people.
+    /// Human-readable statement.
     pub words: &'static str,
-    /// What is measured.
+    /// Quantity that is measured.
     pub quantity: Quantity,
-    /// Between what it lies, at the scene's own level, with 2,000 rays or more.
+    /// Range of the quantity at the scene's own level, with 2,000 rays or more.
     pub range: RangeInclusive<f64>,
 }
 
 /// A hard scene.
 #[derive(Debug, Clone)]
 pub struct Scene {
-    /// What it is called.
+    /// Name of the scene.
     pub name: &'static str,
-    /// What is hard about it, and what is to be expected.
+    /// What is hard about the scene, and what to expect.
     pub about: &'static str,
-    /// The field; it brings its training cameras.
+    /// The field, with its training cameras.
     pub field: Specimen,
-    /// Level of the finest lattice that it is made for.
+    /// Level of the finest lattice that the scene is made for.
     pub level: u8,
-    /// What becomes of it.
+    /// Outcome.
     pub verdict: Verdict,
-    /// What is to be expected, as bounds; of scenes that are refused, nothing.
+    /// Expectations as bounds; empty for refused scenes.
     pub claims: Vec<Claim>,
 }
 
 impl Scene {
-    /// The training cameras.
+    /// Training cameras of the scene.
     #[must_use]
     pub fn cameras(&self) -> Vec<Camera> {
-        // The rig's own lens is one that it accepts, and a specimen always has a rig.
+        // A rig always accepts its own lens, and a specimen always has a rig.
         self.field.cameras(&Intrinsics::default()).ok().flatten().unwrap_or_default()
     }
 }
 
-/// All scenes.
+/// All scenes of the zoo.
 #[must_use]
 pub fn all() -> Vec<Scene> {
     [surfaces::all(), views::all(), rays::all(), boxes::all(), values::all()].concat()
 }
 
-/// Their names.
+/// Names of all scenes.
 #[must_use]
 pub fn names() -> Vec<&'static str> {
     all().iter().map(|scene| scene.name).collect()
 }
 
-/// The scene of that name.
+/// Finds a scene by its name.
 ///
 /// # Errors
-/// If there is none.
+/// If there is no such scene.
 pub fn by_name(name: &str) -> Result<Scene> {
     let mut scenes = all();
     match scenes.iter().position(|scene| scene.name == name) {
@@ -159,7 +161,7 @@ fn ring() -> Rig {
     Rig { viewpoints: (0..12).map(|i| (eye(i), DVec3::ZERO)).collect(), fov_x: 0.8, resolution: [64, 64] }
 }
 
-/// Cameras of one pixel, hence of one ray each, from the eyes through the targets.
+/// Cameras with one pixel, hence one ray each, from the eyes through the targets.
 fn single_rays(viewpoints: Vec<(DVec3, DVec3)>) -> Rig {
     Rig { viewpoints, fov_x: 0.8, resolution: [1, 1] }
 }
@@ -173,7 +175,7 @@ fn several(name: &str, primitives: Vec<Primitive>) -> ClosedForm {
     ClosedForm::new(name, primitives, Aabb::centered_cube(1.0), f64::from(CELL) / 8.0)
 }
 
-/// A soft ball that is easy to see, for scenes that are hard because of something else.
+/// A soft ball that is easy to see, for scenes that are hard for another reason.
 fn ball() -> Primitive {
     Primitive {
         shape: Shape::Ball { center: Vec3::ZERO, radius: 0.5 },
@@ -183,7 +185,7 @@ fn ball() -> Primitive {
     }
 }
 
-/// Smooth texture in all channels.
+/// A smooth texture in all channels.
 fn waves(frequency: f32) -> Texture {
     Texture::Waves { base: Vec3::new(0.6, 0.5, 0.4), amplitude: 0.3, frequency }
 }

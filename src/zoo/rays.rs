@@ -1,17 +1,17 @@
-//! Hard because of where rays run: cameras of one pixel send them there.
+//! Scenes that are hard because of where rays run. Cameras with one pixel send them there.
 
 use glam::{DVec3, Vec3};
 
 use super::surfaces::wall;
 use super::{CELL, Quantity, Scene, Specimen, Treatment, Verdict, claim, one, single_rays, waves};
 
-/// The scenes of this module.
+/// All scenes of this module.
 #[must_use]
 pub fn all() -> Vec<Scene> {
     vec![lattice_line(), lattice_vertex(), in_face(), grazing()]
 }
 
-/// Lattice points per half edge of the box.
+/// Lattice cells per half edge of the box.
 const HALF: f64 = 16.0;
 
 fn specimen(name: &str, viewpoints: Vec<(DVec3, DVec3)>) -> Specimen {
@@ -19,7 +19,7 @@ fn specimen(name: &str, viewpoints: Vec<(DVec3, DVec3)>) -> Specimen {
 }
 
 fn lattice_line() -> Scene {
-    // Along x, exactly on lines where y and z are multiples of a cell.
+    // Along x, exactly on lattice lines, where y and z are multiples of a cell.
     let cell = f64::from(CELL);
     let rays = (0..16).map(|i| {
         let (y, z) = (f64::from(2 * (i % 4) - 3) * cell, f64::from(2 * (i / 4) - 3) * cell);
@@ -33,7 +33,8 @@ fn lattice_line() -> Scene {
         verdict: Verdict::Handled,
         claims: vec![
             claim("the wall is pinned on the lines", Quantity::Block, 3.1..=4.3),
-            // 16 of the 33² lines, five vertices deep at most: the wall's front is 0.12 deep, but vertices beside it count.
+            // 16 of the 33² lines, at most five vertices deep: the wall's front is 0.12 deep, but
+            // vertices beside it count.
             claim("only vertices on the lines move", Quantity::Moved, 16.0 / 35_937.0..=80.0 / 35_937.0),
         ],
     }
@@ -58,7 +59,7 @@ fn lattice_vertex() -> Scene {
 }
 
 fn in_face() -> Scene {
-    // In the box's upper and lower faces, straight and askew; and in lattice planes inside.
+    // In the two faces of the box across y, straight and oblique, and in lattice planes inside.
     let cell = f64::from(CELL);
     let rays = (0..16).map(|i| {
         let y = [1.0, -1.0, 3.0 * cell, -8.0 * cell][i as usize % 4];
@@ -84,7 +85,7 @@ fn grazing() -> Scene {
         // Along an edge of the box, in two faces at once.
         (DVec3::new(2.5, 1.0, 1.0), DVec3::new(0.0, 1.0, 1.0)),
         (DVec3::new(2.5, -1.0, 1.0), DVec3::new(0.0, -1.0, 1.0)),
-        // A hair outside of a face.
+        // A hair outside a face.
         (DVec3::new(2.5, beside, 0.0), DVec3::new(0.0, beside, 0.0)),
         // Touches an upright edge, and a corner, in one point.
         (corner - 0.5 * DVec3::Z + 2.0 * across, corner - 0.5 * DVec3::Z),

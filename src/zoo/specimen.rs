@@ -1,4 +1,4 @@
-//! A closed-form scene, what is done to its values, and where in space it is put.
+//! A closed-form scene, with a treatment of its values and a placement in space.
 
 use glam::{DVec3, Vec3};
 use half::f16;
@@ -8,40 +8,42 @@ use crate::field::closed_form::rig::Rig;
 use crate::field::{ClosedForm, Differentiable, Intrinsics, Radiance, RadianceField, VoxelGrid};
 use crate::geometry::{Aabb, Camera};
 
-/// What is done to the values of a closed-form scene.
+/// Treatment of the values of a closed-form scene.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Treatment {
     /// Nothing.
     Exact,
-    /// Each colour c goes through a sigmoid that is flat there: 1 / (1 + exp(−(o + 8 (c − ½)))), o = 20 for red and green, −20 for
-    /// blue. In f32 red and green are 1.
+    /// Each colour c passes through a sigmoid that is flat there: 1 / (1 + exp(−(o + 8 (c − ½)))), with o = 20 for
+    /// red and green, −20 for blue. In f32, red and green become 1.
     Saturated,
-    /// Values at `points`³ grid points that include the faces of the box, trilinear in between ([`VoxelGrid`]): gradients jump from cell
-    /// to cell, as those of a hash grid do.
+    /// Values at `points`³ grid points that include the faces of the box, trilinear in between ([`VoxelGrid`]).
+    /// Gradients jump from cell to cell, like those of a hash grid.
     Grid {
         /// Points per axis.
         points: usize,
     },
-    /// Density and colour rounded to f16, as a network that runs in half precision returns them.
+    /// Density and colour rounded to f16, like the output of a network in half precision.
     Half,
-    /// Inside a ball the density is replaced.
+    /// The density inside a ball is replaced.
     Fault {
-        /// What it is replaced by.
+        /// The density inside.
         density: f32,
-        /// The ball's centre, before the scene is moved.
+        /// Centre of the ball, before the scene is moved.
         center: Vec3,
-        /// Its radius.
+        /// Radius of the ball.
         radius: f32,
     },
 }
 
-/// A closed-form scene, treated, then scaled about the origin and shifted. Lengths grow with the scale, densities shrink: a pixel
-/// of a camera that was moved along shows what it showed before.
+/// A closed-form scene, treated, then scaled about the origin and shifted.
+///
+/// Lengths grow with the scale while densities shrink, so that a pixel of a camera moved along
+/// shows the same as before.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Specimen {
     shapes: ClosedForm,
     treatment: Treatment,
-    /// The treated values, if they are those of a grid.
+    /// The treated values, if they come from a grid.
     grid: Option<VoxelGrid>,
     scale: f64,
     shift: DVec3,
@@ -50,7 +52,7 @@ pub struct Specimen {
 }
 
 impl Specimen {
-    /// `shapes` with this `treatment`, seen by the cameras of `rig`.
+    /// Makes a specimen of `shapes` with this `treatment`, seen by the cameras of `rig`.
     pub(super) fn new(shapes: ClosedForm, treatment: Treatment, rig: Rig) -> Self {
         let grid = match treatment {
             Treatment::Grid { points } => Some(VoxelGrid::bake(&shapes, [points; 3], Vec3::Z)),
@@ -60,41 +62,41 @@ impl Specimen {
         Self { shapes, treatment, grid, scale: 1.0, shift: DVec3::ZERO, bounds, rig }
     }
 
-    /// The same scene, x → `scale` x + `shift`.
+    /// Moves the scene: x becomes `scale` · x + `shift`.
     ///
     /// # Errors
-    /// If its box would not be one any more.
+    /// If its box would no longer be valid.
     pub fn moved(self, scale: f64, shift: DVec3) -> Result<Self> {
         let bounds = self.shapes.bounds();
         let bounds = Aabb::new(scale * bounds.min() + shift, scale * bounds.max() + shift)?;
         Ok(Self { scale, shift, bounds, ..self })
     }
 
-    /// The shapes, before they are treated and moved.
+    /// The shapes, before treatment and placement.
     #[must_use]
     pub fn shapes(&self) -> &ClosedForm {
         &self.shapes
     }
 
-    /// What is done to their values.
+    /// Treatment of the shapes' values.
     #[must_use]
     pub fn treatment(&self) -> Treatment {
         self.treatment
     }
 
-    /// Scale and shift: x of the shapes is at scale · x + shift.
+    /// Scale and shift: the point x of the shapes lies at scale · x + shift.
     #[must_use]
     pub fn placement(&self) -> (f64, DVec3) {
         (self.scale, self.shift)
     }
 
-    /// The point of the shapes that is put at x. No coordinate falls where x's rises, rounding included.
+    /// The point of the shapes that lies at `x`. Its coordinates never fall as those of `x` rise, even with rounding.
     fn own(&self, x: Vec3) -> Vec3 {
-        // Rounding may put the image of a point of the box beside the shapes' box.
+        // Rounding may put the image of a point of the box outside the box of the shapes.
         self.shapes.bounds().clamp(((x.as_dvec3() - self.shift) / self.scale).as_vec3())
     }
 
-    /// Values of the shapes at one of their own points.
+    /// Treats the value of the shapes at one of their own points.
     fn treat(&self, x: Vec3, value: Radiance) -> Radiance {
         match self.treatment {
             Treatment::Exact | Treatment::Grid { .. } => value,

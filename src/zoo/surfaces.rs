@@ -1,4 +1,4 @@
-//! Hard because of what is seen.
+//! Scenes that are hard because of what is seen.
 
 use std::f32::consts::PI;
 
@@ -9,7 +9,7 @@ use super::{Primitive, Quantity, Shape, Texture};
 
 const PLAIN: Texture = Texture::Plain(Vec3::new(0.8, 0.3, 0.2));
 
-/// The scenes of this module.
+/// All scenes of this module.
 #[must_use]
 pub fn all() -> Vec<Scene> {
     vec![
@@ -31,13 +31,13 @@ pub fn wall(normal: Vec3, texture: Texture) -> Primitive {
     Primitive { shape, peak: 80.0, softness: 0.06, texture }
 }
 
-/// One shape in the usual box, as it is, seen by twelve cameras around it.
+/// One untreated shape in the usual box, seen by twelve cameras around it.
 #[must_use]
 pub fn specimen(primitive: Primitive) -> Specimen {
     Specimen::new(one("one shape", primitive), Treatment::Exact, ring())
 }
 
-/// Checks of that edge, scene units, with soft rims: their sign is that of a product of sines.
+/// Checks with this edge in scene units and soft rims: their sign is that of a product of sines.
 #[must_use]
 pub fn checks(edge: f32) -> Texture {
     waves(PI / edge)
@@ -69,7 +69,8 @@ fn wall_diagonal() -> Scene {
         verdict: Verdict::Limit,
         claims: vec![
             claim("`diagonal` sees three pinned directions", Quantity::Diagonal, 3.1..=4.2),
-            // Differences of f32 are off by 1e-3 across the normal, which is taken for information of 1e-6 of that along it.
+            // Differences in f32 are wrong by 1e-3 across the normal. That passes for 1e-6 of
+            // the information along it.
             claim("`block` sees one: 0.088, and some rounding", Quantity::Block, 0.087..=0.5),
         ],
     }
@@ -133,7 +134,7 @@ fn thin_sheet() -> Scene {
         verdict: Verdict::Handled,
         claims: vec![
             claim("the sheet is found", Quantity::Block, 2.3..=3.3),
-            // Two of 33 lattice planes, of which cameras see most.
+            // Two of 33 lattice planes, most of which the cameras see.
             claim("at the two lattice planes beside it, nowhere else", Quantity::Moved, 0.03..=0.0607),
         ],
     }

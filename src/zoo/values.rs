@@ -1,10 +1,10 @@
-//! Hard because of the numbers that the field returns.
+//! Scenes that are hard because of the numbers that the field returns.
 
 use glam::Vec3;
 
 use super::{Quantity, Scene, Specimen, Treatment, Verdict, ball, claim, one, ring};
 
-/// The scenes of this module.
+/// All scenes of this module.
 #[must_use]
 pub fn all() -> Vec<Scene> {
     let mut scenes = vec![aligned(), misaligned(), half_precision()];
@@ -62,7 +62,7 @@ const FAULTS: [(&str, &str, f32); 3] = [
     ("fault-negative", "Negative density in a spot on the ball: rays that meet it are dropped and counted.", -5.0),
 ];
 
-/// A spot on the ball's surface that is so small that less than a hundredth of the rays meet it.
+/// A spot on the ball's surface, so small that less than a hundredth of the rays meet it.
 fn fault(name: &'static str, about: &'static str, density: f32) -> Scene {
     let treatment = Treatment::Fault { density, center: Vec3::new(0.3, 0.3, 0.26), radius: 0.13 };
     Scene {

@@ -1,10 +1,10 @@
-//! Hard because of who sees it.
+//! Scenes that are hard because of the cameras.
 
 use glam::{DVec3, Vec3};
 
 use super::{Primitive, Quantity, Rig, Scene, Shape, Specimen, Treatment, Verdict, ball, claim, one, waves};
 
-/// The scenes of this module.
+/// All scenes of this module.
 #[must_use]
 pub fn all() -> Vec<Scene> {
     vec![one_camera(), two_cameras(), no_camera(), camera_inside()]

@@ -5,9 +5,9 @@ use glam::DVec3;
 use proptest::prelude::*;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Waves of density with relative noise that depends on the position's bits alone, as rounding does.
+/// Waves of density with relative noise that depends only on the bits of the position, like rounding.
 struct Noisy {
-    /// Standard deviation over σ.
+    /// Standard deviation of the noise, relative to σ.
     noise: f64,
     /// Radians per scene unit.
     frequency: f64,
@@ -64,7 +64,7 @@ fn steps() -> Vec<f64> {
 fn errors_of(noise: f64, frequency: f64) -> DifferenceErrors {
     let field = Noisy { noise, frequency, evaluations: AtomicU64::new(0) };
     let errors = DifferenceErrors::measure(&field, &points(256), &lattice(), &steps()).unwrap();
-    // Cheap: as many as a few hundred rays take.
+    // Cheap: the evaluations of a few hundred rays.
     assert!(field.evaluations.into_inner() < 30_000);
     errors
 }
@@ -93,15 +93,15 @@ fn the_best_step_is_where_theory_has_it() {
         let third = frequency.powi(3) * mean([1.0, 1.3_f64.powi(3), 0.5 * 0.7_f64.powi(3)]);
         let edge = 2.0 / 256.0;
         let expected = (3.0 * noise * 107.0 / third).cbrt() / edge;
-        // Of all steps: derivatives at a point end before the two larger ones.
+        // Among all steps: the two longer ones are beyond the limit of a derivative at a point.
         let totals = errors.steps.iter().min_by(|a, b| a.total().total_cmp(&b.total()));
         let best = totals.unwrap();
         // The grid of steps is half a decade wide, and ε is good to a factor of two.
         assert!((0.4..2.5).contains(&(best.step / expected)), "{noise}: {} instead of {expected}", best.step);
-        // A third of it is the spread of the densities.
+        // A third of it comes from the spread of the densities.
         let curvature = third / slope * edge * edge;
         assert!((0.6..1.6).contains(&(errors.curvature / curvature)), "{} instead of {curvature}", errors.curvature);
-        // A hundredth of the best step drowns in noise, fifty times it loses the waves.
+        // At a hundredth of the best step the noise dominates, at fifty times the waves are lost.
         assert!(errors.is_bad(best.step / 100.0, 0.01) && errors.is_bad(best.step * 50.0, 0.01));
         assert!(!errors.is_bad(best.step, 0.0));
     }
@@ -125,9 +125,10 @@ proptest! {
     fn tables_of_noise_on_a_line_say_how_much(offset in 1.0..10.0_f64, slope in -1e-3..1e-3_f64, seed in 0..1_000_000_u32) {
         let value = |i: usize, n: f64| offset + slope * i as f64 * 0.1 + n * 12.0_f64.sqrt() * (hash(Vec3::new(seed as f32, i as f32, 3.0)) - 0.5);
         let found = noise_level(&std::array::from_fn(|i| value(i, 1e-3)));
-        // Nine values: single tables are off by a factor; the median of many is not (`planted_noise_is_found`).
+        // With nine values a single table may be off by a factor. The median of many is not
+        // (`planted_noise_is_found`).
         prop_assert!(found.is_none_or(|found| found > 1e-4 && found < 5e-3), "{:?}", found);
-        // A line without noise is not noise, but for its rounding.
+        // A line without noise has only its rounding.
         prop_assert!(noise_level(&std::array::from_fn(|i| value(i, 0.0))).is_none_or(|found| found < 1e-14));
         prop_assert_eq!(noise_level(&[offset; TABLE]), None);
     }
@@ -137,7 +138,7 @@ proptest! {
 fn a_kink_beside_one_point_is_not_the_error_of_a_step() {
     let steps = [1e-3, 3e-3, 1e-2, 3e-2];
     let measured = |truncations: [f64; 4]| truncations.map(|truncation| Sums { truncation, ..Sums::default() });
-    // Squares and roots of them round once each.
+    // Squares and their roots round once each.
     let close = |found: Vec<f64>, expected: [f64; 4]| {
         found.iter().zip(expected).all(|(found, expected)| (found - expected).abs() <= 4.0 * f64::EPSILON * expected)
     };
@@ -147,8 +148,8 @@ fn a_kink_beside_one_point_is_not_the_error_of_a_step() {
 
 #[test]
 fn a_step_that_leaves_the_box_is_not_one_without_errors() {
-    // Waves that the default step loses, on 16 cells: ten edges from a point lie outside the box, where nothing can be
-    // measured.
+    // Waves that the default step loses, on 16 cells. Ten edges from a point lie outside the box, where
+    // nothing can be measured.
     let field = Noisy { noise: 1e-6, frequency: 1500.0, evaluations: AtomicU64::new(0) };
     let lattice = Differences { step: DVec3::splat(2.0 / 16.0), ..lattice() };
     let errors = DifferenceErrors::measure(&field, &points(512), &lattice, &steps()).unwrap();
@@ -156,7 +157,7 @@ fn a_step_that_leaves_the_box_is_not_one_without_errors() {
     assert!(errors.is_bad(1.0 / 512.0, 0.005), "{errors:?}");
     assert!(errors.steps.iter().all(|error| error.step < 10.0 && error.total() > 0.0), "{errors:?}");
     assert!(errors.best().step < 1.0 / 512.0, "{errors:?}");
-    // Where only long steps are known, the best is the shortest of them, and that one is not said to be bad.
+    // If only long steps were measured, the shortest of them is the best, and is not reported as bad.
     let long = DifferenceErrors::measure(&field, &points(512), &lattice, &[0.5, 1.0, 2.0]).unwrap();
     assert_eq!(long.best().step, 0.5);
     assert!(!long.is_bad(0.5, 0.0));
@@ -164,7 +165,7 @@ fn a_step_that_leaves_the_box_is_not_one_without_errors() {
 
 #[test]
 fn no_proposal_is_longer_than_a_derivative_can_look() {
-    // Very smooth and noisy: the longer the step, the smaller the error, as far as the box goes.
+    // Very smooth and noisy: the error falls with the step, as far as the box reaches.
     let errors = errors_of(1e-2, 0.3);
     let longer = errors.steps.iter().filter(|e| e.step > LONGEST_STEP).map(DifferenceError::total);
     assert!(longer.fold(f64::INFINITY, f64::min) < 0.5 * errors.best().total(), "the test's premise: {errors:?}");

@@ -1,4 +1,4 @@
-//! Bounds of a field that knows them.
+//! Occupancy of a field that bounds its density.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -8,21 +8,22 @@ use crate::field::RadianceField;
 use crate::geometry::Aabb;
 use crate::monitor::Monitor;
 
-/// Asks `field` for the bound of each of `cells`³ cells grown by `pad`, coarse boxes first: what is in an empty one is not asked
-/// for. Blocks are `low..low + size` cells, clipped to the grid.
+/// Queries `field` for the bound of each of `cells`³ cells, grown by `pad`.
+///
+/// Coarse boxes come first; an empty one is not subdivided. Blocks are `low..low + size` cells, clipped to the grid.
 pub struct Bounder<'a> {
     pub field: &'a dyn RadianceField,
     pub bounds: Aabb,
     pub cells: usize,
-    /// Scene units.
+    /// Distance by which boxes are grown, in scene units.
     pub pad: f64,
     /// Advances by one per brick.
     pub monitor: &'a dyn Monitor,
 }
 
 impl Bounder<'_> {
-    /// The bricks that are not empty, by increasing position along the Z-curve: their indices (x slowest) and cells. Of no
-    /// use if the monitor was interrupted.
+    /// The bricks that are not empty, in the order of the Z-curve: their indices (x slowest) and cells. Meaningless
+    /// if the monitor was interrupted.
     pub fn bricks(&self) -> Vec<(usize, [f32; CELLS])> {
         self.bricks_in([0; 3], self.cells.next_power_of_two().max(EDGE))
     }
@@ -49,7 +50,7 @@ impl Bounder<'_> {
         }
     }
 
-    /// Sets the cells of a block that is not empty in its brick.
+    /// Sets the cells of a non-empty block in its brick.
     fn fill(&self, low: [usize; 3], size: usize, brick: &mut [f32; CELLS]) {
         for child in (0..8).map(|child| octant(low, size, child)) {
             if child.iter().any(|&i| i >= self.cells) {
@@ -65,7 +66,7 @@ impl Bounder<'_> {
         }
     }
 
-    /// The field's bound of a block and what is within `pad` of it. NaN, or no bound, is ∞.
+    /// Bound of the field's density in a block and within `pad` of it; ∞ if it is NaN or unknown.
     fn bound(&self, low: [usize; 3], size: usize) -> f32 {
         let corner = |index: [usize; 3]| {
             let index = DVec3::from(index.map(|i| i.min(self.cells) as f64));
@@ -77,7 +78,7 @@ impl Bounder<'_> {
     }
 }
 
-/// Lower corner of one of the eight halves-in-each-direction of a block.
+/// Lower corner of one of the eight octants of a block.
 fn octant(low: [usize; 3], size: usize, child: usize) -> [usize; 3] {
     std::array::from_fn(|axis| low[axis] + (child >> axis & 1) * (size / 2))
 }

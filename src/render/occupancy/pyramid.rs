@@ -1,7 +1,8 @@
 //! A sparse grid of values with the maxima of its blocks.
 //!
-//! A block of level l is 2^l cells wide, its position a multiple of that; level 0 is the cells. Blocks of level 3 are bricks:
-//! a brick of one value stores it once, another stores its cells and the maxima of its blocks of levels 1 and 2.
+//! A block of level l is 2^l cells wide and aligned to multiples of its width; level 0 is the cells. Blocks of
+//! level 3 are bricks. A brick with a single value stores it once. Any other stores its cells and the maxima of its
+//! blocks of levels 1 and 2.
 
 /// Level of bricks.
 pub const BRICK: usize = 3;
@@ -9,30 +10,32 @@ pub const BRICK: usize = 3;
 pub const EDGE: usize = 1 << BRICK;
 /// Cells of a brick.
 pub const CELLS: usize = EDGE * EDGE * EDGE;
-/// Where the blocks of levels 0, 1 and 2 begin among the values of a brick, and where they end.
+/// Offsets of the blocks of levels 0, 1 and 2 among the values of a brick, and their end.
 const OFFSETS: [usize; BRICK + 1] = [0, CELLS, CELLS + CELLS / 8, CELLS + CELLS / 8 + CELLS / 64];
 
 /// Values ≥ 0 of `[cells³]` cells.
 #[derive(Debug, Clone)]
 pub struct Pyramid {
     cells: usize,
-    /// `[bricks³]`, x slowest: where the values of a brick that has several begin in `detail`.
+    /// `[bricks³]`, x slowest: position in `detail` of a brick with several values, in bricks.
     detail_of: Vec<Option<u32>>,
     /// Values of levels 0, 1 and 2, brick by brick; x slowest in each level.
     detail: Vec<f32>,
-    /// Maxima of levels 3, 4, … up to the level of a single block, x slowest.
+    /// Maxima of levels 3, 4, … up to the level with a single block, x slowest.
     tops: Vec<Vec<f32>>,
 }
 
-/// Blocks of `level` along an axis of `cells` cells.
+/// Number of blocks of `level` along an axis of `cells` cells.
 pub fn blocks(cells: usize, level: usize) -> usize {
     cells.div_ceil(1 << level)
 }
 
 impl Pyramid {
-    /// A pyramid over `cells`³ zeros with `bricks` put in: the index of each (x slowest) and its cells, x slowest. Bricks stick
-    /// out of the grid if `cells` is not a multiple of 8; what is outside is never read as a cell, but must not exceed the
-    /// cells inside.
+    /// Builds a pyramid over `cells`³ zeros with `bricks` put in: the index of each (x
+    /// slowest) and its cells, x slowest.
+    ///
+    /// Bricks stick out of the grid if `cells` is not a multiple of 8. Values outside are never read as cells, but
+    /// must not exceed those inside.
     pub fn new(cells: usize, bricks: impl IntoIterator<Item = (usize, [f32; CELLS])>) -> Self {
         let n = blocks(cells, BRICK);
         let mut pyramid =
@@ -55,12 +58,12 @@ impl Pyramid {
         pyramid
     }
 
-    /// Number of levels; the last one is a single block.
+    /// Number of levels; the last has a single block.
     pub fn levels(&self) -> usize {
         BRICK + self.tops.len()
     }
 
-    /// The largest value in the block of `level` around a cell of the grid.
+    /// Largest value in the block of `level` around a cell of the grid.
     pub fn value(&self, level: usize, cell: [usize; 3]) -> f32 {
         let brick_level = level.max(BRICK);
         let [x, y, z] = cell.map(|i| i >> brick_level);
@@ -77,7 +80,7 @@ impl Pyramid {
         }
     }
 
-    /// Whether all cells of the brick around a cell have one value.
+    /// Returns true if all cells of the brick around a cell share one value.
     pub fn is_uniform(&self, cell: [usize; 3]) -> bool {
         let [x, y, z] = cell.map(|i| i >> BRICK);
         let n = blocks(self.cells, BRICK);
@@ -92,7 +95,7 @@ impl Pyramid {
     }
 }
 
-/// Maxima of aligned blocks of 2³ of an `[n³]` grid.
+/// Maxima over aligned blocks of 2³ values of an `[n³]` grid.
 fn halve(values: &[f32], n: usize) -> Vec<f32> {
     let half = n.div_ceil(2);
     let mut maxima = vec![0.0_f32; half * half * half];

@@ -1,4 +1,4 @@
-//! Bounds of a black box, estimated from samples.
+//! Occupancy of a black box, estimated from samples.
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
@@ -8,7 +8,7 @@ use crate::Result;
 use crate::field::RadianceField;
 use crate::monitor::{Monitor, check};
 
-/// The largest of the densities at the corners and centre of each of `n`³ cells and of the cells up to `rings` away along each
+/// Largest density at the corners and the centre of each of `n`³ cells and of the cells up to `rings` away along each
 /// axis, `[n³]`, x slowest.
 ///
 /// # Errors
@@ -33,7 +33,7 @@ pub fn sample(field: &dyn RadianceField, n: usize, rings: [usize; 3], monitor: &
     Ok((0..3).fold(own, |grid, axis| dilate(&grid, n, axis, rings[axis])))
 }
 
-/// One brick of an `[n³]` grid, zero where it sticks out.
+/// One brick of an `[n³]` grid, zero where it sticks out of the grid.
 pub fn brick(grid: &[f32], n: usize, index: usize) -> [f32; CELLS] {
     let b = blocks(n, BRICK);
     let [x0, y0, z0] = [index / (b * b), index / b % b, index % b].map(|i| EDGE * i);
@@ -48,7 +48,7 @@ pub fn brick(grid: &[f32], n: usize, index: usize) -> [f32; CELLS] {
     brick
 }
 
-/// Densities at the points `min + (index + shift) / cells · size`, `[count³]`, x slowest; NaN becomes ∞.
+/// Densities at the points `min + (index + shift) / cells · size`, `[count³]`, x slowest. NaN becomes ∞.
 fn sample_lattice(
     field: &dyn RadianceField,
     count: usize,
