@@ -107,13 +107,12 @@ fn main() -> Result<()> {
 fn information_difference(octree: &UncertaintyField, dense: &UncertaintyField) -> (usize, f64) {
     let Support::Octree(tree) = octree.support() else { return (0, f64::NAN) };
     let (a, b) = (octree.sums().expect("kept"), dense.sums().expect("kept"));
-    let n = octree.lattice().cells_per_axis() as usize + 1;
     let protocol = octree.protocol();
     let prior = 3.0 * protocol.lambda * protocol.rays as f64;
     let (mut vertices, mut worst) = (0, 0.0_f64);
     for (s, [x, y, z]) in a.iter().map(|e| &e.information).zip(tree.vertex_positions()) {
         if tree.is_surrounded_by_finest([x, y, z]) {
-            let t = &b[(x as usize * n + y as usize) * n + z as usize].information;
+            let t = &b[octree.lattice().dense_index([x, y, z])].information;
             let difference = s.iter().zip(t).map(|(s, t)| (s - t).abs()).fold(0.0, f64::max);
             worst = worst.max(difference / (trace(t) + prior));
             vertices += 1;

@@ -28,7 +28,7 @@ fn octree_and_dense_agree_on_the_same_samples() {
     for (vertex, [x, y, z]) in tree.vertex_positions().enumerate() {
         if tree.is_surrounded_by_finest([x, y, z]) {
             surrounded += 1;
-            let s = b[(x as usize * 65 + y as usize) * 65 + z as usize].information;
+            let s = b[dense.lattice().dense_index([x, y, z])].information;
             let scale = s[0] + s[3] + s[5];
             for k in 0..6 {
                 assert!((a[vertex].information[k] - s[k]).abs() <= 1e-12 * scale, "{:?} against {s:?}", a[vertex]);
@@ -218,7 +218,7 @@ fn error_bars_are_as_large_as_the_errors() {
         for (least, most, slack) in [(0, u32::MAX, 1.2), (8, 32, 1.4), (32, u32::MAX, 1.4)] {
             let (mut squares, mut n) = ([0.0, 0.0], 0);
             for (v, [x, y, z]) in tree.vertex_positions().enumerate() {
-                let limit = truth.deviations().get((x as usize * 33 + y as usize) * 33 + z as usize);
+                let limit = truth.deviations().get(truth.lattice().dense_index([x, y, z]));
                 let found = few.deviations().get(v);
                 let counts = found.min(limit) < moved && (least..most).contains(&sums[v].rays);
                 if let Some(error) = bars.get(v).filter(|_| counts) {
@@ -255,7 +255,7 @@ fn groups_add_up_and_differ_on_any_grid_with_any_threads() {
     let Support::Octree(tree) = octree.support() else { panic!("an octree was asked for") };
     let (mut known, mut unknown) = (0, 0);
     for (vertex, [x, y, z]) in tree.vertex_positions().enumerate() {
-        let v = (x as usize * 33 + y as usize) * 33 + z as usize;
+        let v = dense.lattice().dense_index([x, y, z]);
         let [a, b] = [octree.error_bars().unwrap().get(vertex), dense.error_bars().unwrap().get(v)];
         match (a, b) {
             // Sums in another order, one unit in the last place of f16.

@@ -64,6 +64,22 @@ impl Lattice {
         n * n * n
     }
 
+    /// Position of a lattice point in the arrays of a dense grid: x slowest, z fastest.
+    ///
+    /// A grid has one point more than cells along each axis; a stride of M instead of M + 1 would let opposite faces share entries.
+    #[must_use]
+    pub fn dense_index(&self, point: [u32; 3]) -> usize {
+        let n = self.cells_per_axis() as usize + 1;
+        point.into_iter().fold(0, |index, i| index * n + i as usize)
+    }
+
+    /// The lattice point at a position in the arrays of a dense grid.
+    #[must_use]
+    pub fn dense_point(&self, index: usize) -> [u32; 3] {
+        let n = self.cells_per_axis() as usize + 1;
+        [index / (n * n), index / n % n, index % n].map(|i| i as u32)
+    }
+
     /// Edge lengths of a finest cell in scene units, where space is not contracted.
     #[must_use]
     pub fn edge(&self) -> DVec3 {
@@ -145,5 +161,15 @@ mod tests {
         let lattice = Lattice::new(Aabb::centered_cube(0.5), 8).unwrap();
         let log10_u = 0.5 * (3.0 / (2.0 * lattice.default_lambda())).log10();
         assert!((log10_u - 5.70).abs() < 0.005, "{log10_u}");
+    }
+
+    #[test]
+    fn dense_positions_are_those_of_an_array_whose_last_axis_runs_fastest() {
+        let lattice = Lattice::new(Aabb::centered_cube(1.0), 2).unwrap();
+        let points = (0..5).flat_map(|x| (0..5).flat_map(move |y| (0..5).map(move |z| [x, y, z])));
+        for (index, point) in points.enumerate() {
+            assert_eq!((lattice.dense_index(point), lattice.dense_point(index)), (index, point));
+        }
+        assert_eq!(lattice.dense_vertices(), 125);
     }
 }

@@ -53,14 +53,13 @@ impl DensePosterior {
 
     /// J_v(r), and the weighted sum of density gradients, of every vertex v that one ray touches.
     fn ray_jacobian(&self, samples: &RaySamples, ray: std::ops::Range<usize>) -> BTreeMap<usize, ([f64; 9], [f64; 3])> {
-        let n = self.lattice.cells_per_axis() as usize + 1;
         let mut jacobian: BTreeMap<usize, ([f64; 9], [f64; 3])> = BTreeMap::new();
         for i in ray {
             let Some(u) = self.lattice.coordinates(samples.positions[i]) else { continue };
             let (cell, offset) = self.lattice.cell(u);
             for (corner, weight) in trilinear(offset).into_iter().enumerate() {
-                let [x, y, z]: [usize; 3] = std::array::from_fn(|axis| cell[axis] as usize + (corner >> axis & 1));
-                let (j, gradient) = jacobian.entry((x * n + y) * n + z).or_default();
+                let point = std::array::from_fn(|axis| cell[axis] + (corner as u32 >> axis & 1));
+                let (j, gradient) = jacobian.entry(self.lattice.dense_index(point)).or_default();
                 for (sum, &g) in j.iter_mut().zip(&samples.jacobians[i]) {
                     *sum += weight * f64::from(g);
                 }

@@ -329,7 +329,7 @@ impl UncertaintyField {
     pub fn trace_at(&self, point: [u32; 3]) -> Option<f64> {
         let sums = self.sums.as_ref()?;
         let vertex = match &self.support {
-            Support::Dense => Some(self.dense_index(point)),
+            Support::Dense => Some(self.lattice.dense_index(point)),
             Support::Octree(octree) => octree.vertex(point).map(|VertexId(v)| v as usize),
         };
         Some(vertex.map_or(0.0, |v| crate::posterior::trace(&sums[v].information)))
@@ -362,15 +362,11 @@ impl UncertaintyField {
         self.deviations.memory() + structure
     }
 
-    fn dense_index(&self, [x, y, z]: [u32; 3]) -> usize {
-        let n = self.lattice.cells_per_axis() as usize + 1;
-        (x as usize * n + y as usize) * n + z as usize
-    }
-
     fn query_dense(&self, u: DVec3) -> Estimate {
         let (cell, offset) = self.lattice.cell(u);
-        let vertices: [usize; 8] =
-            std::array::from_fn(|c| self.dense_index(std::array::from_fn(|axis| cell[axis] + (c as u32 >> axis & 1))));
+        let vertices: [usize; 8] = std::array::from_fn(|c| {
+            self.lattice.dense_index(std::array::from_fn(|axis| cell[axis] + (c as u32 >> axis & 1)))
+        });
         let weights = trilinear(offset);
         let corners = vertices.map(|v| self.deviations.get(v));
         let rays =

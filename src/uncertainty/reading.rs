@@ -27,10 +27,8 @@ pub fn read(
             sums.par_iter().map(|e| one(e, lambda)).collect()
         }
         Support::Dense => {
-            let n = last as usize + 1;
-            let index = |[x, y, z]: [u32; 3]| (x as usize * n + y as usize) * n + z as usize;
-            let point = |i: usize| [i / (n * n), i / n % n, i % n].map(|i| i as u32);
-            let pooled = |i: usize| pooling.pooled(point(i), last, |p| Some(sums[index(p)]));
+            let at = |point| Some(sums[lattice.dense_index(point)]);
+            let pooled = |i: usize| pooling.pooled(lattice.dense_point(i), last, at);
             (0..sums.len()).into_par_iter().map(|i| one(&pooled(i), lambda)).collect()
         }
         Support::Octree(octree) => {
