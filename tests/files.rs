@@ -14,7 +14,7 @@ use octobayes::field::{ClosedForm, VoxelGrid};
 const RUN: &str = "uncertainty model.npz --cameras cameras.json --level 4 --rays 600 --occupancy 16";
 const RENDER: &str = "render model.npz field.oct --cameras cameras.json --occupancy 16";
 const EVALUATE: &str =
-    "evaluate model.npz field.oct --cameras cameras.json --depth . --depth-encoding 0,6 --occupancy 16";
+    "evaluate model.npz field.oct --cameras cameras.json --depth . --depth-encoding 0,6 --occupancy 16 --views all";
 const ACCUMULATE: &str = "accumulate samples.npz --box=-1,-1,-1,1,1,1 --level 4";
 const TRAIN: &str = "train cameras.json --steps 2 --log2-hashmap-size 8 --samples-per-step 1024";
 

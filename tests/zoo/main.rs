@@ -121,7 +121,10 @@ fn a_scene_too_far_from_the_origin_is_refused_before_any_work_is_done() {
     let scene = zoo::by_name("shifted").unwrap();
     let (rays, grid) = settings(&scene, 4096);
     let refusal = Estimation::new(&scene.field, &scene.cameras()).rays(rays).grid(grid).run().unwrap_err();
-    assert!(matches!(refusal, Error::Setting { .. }) && refusal.to_string().contains("--step"), "{refusal}");
+    assert!(
+        matches!(refusal, Error::Setting { .. }) && refusal.to_string().contains("finite-difference step"),
+        "{refusal}"
+    );
     // A step of a quarter of a cell is two f32 positions wide there.
     let wider = RaySettings { step: Some(0.25), ..rays };
     let Outcome { field, .. } = Estimation::new(&scene.field, &scene.cameras()).rays(wider).grid(grid).run().unwrap();
