@@ -86,6 +86,41 @@ pub struct Intrinsics {
 /// A trained (or closed-form) radiance field, evaluated in batches from many threads.
 ///
 /// The value at a position and direction must not depend on the rest of the batch.
+///
+/// Three methods are enough for a model of your own:
+/// ```
+/// use octobayes::estimate::{Estimation, GridSettings, RaySettings};
+/// use octobayes::field::{ClosedForm, Radiance, RadianceField};
+/// use octobayes::geometry::Aabb;
+/// use octobayes::glam::Vec3;
+///
+/// /// A soft ball that is red on one side and blue on the other.
+/// struct Ball;
+///
+/// impl RadianceField for Ball {
+///     fn bounds(&self) -> Aabb {
+///         Aabb::centered_cube(1.0)
+///     }
+///     fn evaluate(&self, positions: &[Vec3], _directions: &[Vec3], out: &mut [Radiance]) {
+///         for (x, out) in positions.iter().zip(out) {
+///             let density = 50.0 / (1.0 + (40.0 * (x.length() - 0.5)).exp());
+///             *out = Radiance { density, color: Vec3::new(0.5 + 0.5 * x.x, 0.2, 0.5 - 0.5 * x.x) };
+///         }
+///     }
+///     fn suggested_step(&self) -> f64 {
+///         1.0 / 64.0
+///     }
+/// }
+///
+/// let cameras = ClosedForm::half_circle(4, [32, 32]);
+/// let rays = RaySettings { rays: 4_000, occupancy: 32, ..RaySettings::default() };
+/// let grid = GridSettings { level: 5, ..GridSettings::default() };
+/// let field = Estimation::new(&Ball, &cameras).rays(rays).grid(grid).run()?.field;
+/// // The cameras stand on the side x > 0: there the ball's surface is known better.
+/// let [seen, unseen] = [0.5, -0.5].map(|x| field.query(Vec3::new(x, 0.0, 0.1)).uncertainty);
+/// assert!(seen < 0.1 * unseen);
+/// # Ok::<(), octobayes::Error>(())
+/// ```
 pub trait RadianceField: Send + Sync {
     /// The box outside which the density is zero.
     fn bounds(&self) -> Aabb;
@@ -144,9 +179,13 @@ pub trait RadianceField: Send + Sync {
         0.5
     }
 
-    /// Size of parameters and tables, bytes.
-    fn memory(&self) -> usize;
+    /// Size of parameters and tables, bytes; 0 if nobody knows.
+    fn memory(&self) -> usize {
+        0
+    }
 
     /// One human-readable line: architecture and size.
-    fn describe(&self) -> String;
+    fn describe(&self) -> String {
+        "a field of another program".into()
+    }
 }

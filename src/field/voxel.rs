@@ -14,7 +14,22 @@ use crate::io::npz::{NpzReader, NpzWriter};
 use crate::octree::trilinear;
 use crate::{Error, Result};
 
-/// Density and colour at the grid points of a box.
+/// Density and colour at the grid points of a box, trilinear in between.
+///
+/// ```
+/// use octobayes::field::{ClosedForm, Radiance, RadianceField, VoxelGrid};
+/// use octobayes::glam::Vec3;
+///
+/// // Any field can be baked, as seen from one direction.
+/// let scene = ClosedForm::ball();
+/// let grid = VoxelGrid::bake(&scene, [33; 3], Vec3::Z);
+/// let x = [Vec3::ZERO];
+/// let mut values = [[Radiance::default()]; 2];
+/// scene.evaluate(&x, &[Vec3::Z], &mut values[0]);
+/// grid.evaluate(&x, &[Vec3::Z], &mut values[1]);
+/// // The centre is a grid point.
+/// assert_eq!(values[0][0].density, values[1][0].density);
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct VoxelGrid {
     bounds: Aabb,

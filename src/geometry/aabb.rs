@@ -6,6 +6,17 @@ use super::Ray;
 use crate::{Error, Result};
 
 /// An axis-aligned box `[min, max]` in scene units, of positive finite size along every axis.
+///
+/// ```
+/// use octobayes::geometry::Aabb;
+/// use octobayes::glam::{DVec3, Vec3};
+///
+/// let cube = Aabb::new(DVec3::splat(-1.0), DVec3::splat(1.0))?;
+/// assert_eq!(cube, Aabb::centered_cube(1.0));
+/// assert!(cube.contains(Vec3::ZERO) && !cube.contains(Vec3::splat(1.5)));
+/// assert!(Aabb::new(DVec3::ONE, DVec3::ONE).is_err(), "a box without volume is none");
+/// # Ok::<(), octobayes::Error>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Aabb {
     min: [f64; 3],

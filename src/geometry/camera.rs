@@ -24,6 +24,17 @@ pub(crate) fn skew(axes: DMat3) -> f64 {
 }
 
 /// A pinhole camera: pose and intrinsics in pixels.
+///
+/// ```
+/// use octobayes::geometry::Camera;
+/// use octobayes::glam::DVec3;
+///
+/// // 60 degrees wide, 4 units away from the origin, z up.
+/// let camera = Camera::look_at(DVec3::new(4.0, 0.0, 0.0), DVec3::ZERO, DVec3::Z, 60_f64.to_radians(), [640, 480]);
+/// // The ray through the image centre runs towards the target.
+/// let ray = camera.ray(320.0, 240.0);
+/// assert!((ray.direction - DVec3::NEG_X).length() < 1e-12);
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Camera {
     /// Optical centre, scene units.

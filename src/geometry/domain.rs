@@ -37,6 +37,20 @@ impl Norm {
 }
 
 /// A part of space, or all of it, with its map to the unit cube.
+///
+/// ```
+/// use octobayes::geometry::{Aabb, Domain, Lattice, Norm};
+/// use octobayes::glam::{DVec3, Vec3};
+///
+/// // All of space: unchanged in a ball of radius 1, contracted outside.
+/// let space = Domain::contracted(DVec3::ZERO, 1.0, Norm::L2)?;
+/// let far_away = Vec3::new(1e6, 0.0, 0.0);
+/// assert!(Lattice::of_domain(space, 4)?.coordinates(far_away).is_some());
+/// // A box ends somewhere.
+/// let cube = Domain::Box(Aabb::centered_cube(1.0));
+/// assert!(Lattice::of_domain(cube, 4)?.coordinates(far_away).is_none());
+/// # Ok::<(), octobayes::Error>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub enum Domain {
     /// A box, mapped affinely.

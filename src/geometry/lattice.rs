@@ -12,6 +12,17 @@ use crate::{Error, Result};
 pub const MAX_LEVEL: u8 = 16;
 
 /// The finest lattice {0..M}³ of a domain.
+///
+/// ```
+/// use octobayes::geometry::{Aabb, Lattice};
+///
+/// let lattice = Lattice::new(Aabb::centered_cube(1.0), 8)?;
+/// assert_eq!(lattice.cells_per_axis(), 256);
+/// // A point counts along every axis, on both faces of the box.
+/// assert_eq!(lattice.dense_vertices(), 257 * 257 * 257);
+/// assert_eq!(lattice.edge().x, 2.0 / 256.0);
+/// # Ok::<(), octobayes::Error>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Lattice {
     domain: Domain,

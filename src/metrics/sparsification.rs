@@ -44,6 +44,17 @@ pub struct Sparsification {
 ///
 /// Only the order of the uncertainties matters. `None` if there are fewer than [`STEPS`] pixels (the last step would
 /// average nothing), if a value is NaN, or if all errors are zero (there is nothing to rank).
+///
+/// ```
+/// use octobayes::metrics::{ErrorKind, sparsification};
+///
+/// let errors: Vec<f64> = (0..1000).map(f64::from).collect();
+/// // An uncertainty that ranks pixels as their errors do leaves no area; the reverse order leaves much.
+/// let reversed: Vec<f64> = errors.iter().map(|e| -e).collect();
+/// let area = |uncertainty: &[f64]| sparsification(uncertainty, &errors, ErrorKind::Mae).map(|s| s.area);
+/// assert_eq!(area(&errors), Some(0.0));
+/// assert!(area(&reversed) > Some(0.5));
+/// ```
 #[must_use]
 pub fn sparsification(uncertainty: &[f64], absolute_error: &[f64], kind: ErrorKind) -> Option<Sparsification> {
     assert_eq!(uncertainty.len(), absolute_error.len(), "one uncertainty per error");

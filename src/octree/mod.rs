@@ -86,6 +86,18 @@ pub fn trilinear(offset: DVec3) -> [f64; 8] {
 }
 
 /// A complete, 2:1 balanced octree with its free vertices.
+///
+/// ```
+/// use octobayes::octree::{Cell, Octree};
+///
+/// // One cell of level 3 is wanted; balance and completeness bring the others.
+/// let octree = Octree::refined(3, [Cell { level: 3, index: [0, 0, 0] }]);
+/// assert!(octree.validate().is_ok());
+/// // Far fewer vertices than the 9³ of the uniform grid.
+/// assert!(octree.vertex_count() < 100);
+/// // The wanted cell's corners are vertices; the middle of a coarse cell is none.
+/// assert!(octree.vertex([1, 1, 1]).is_some() && octree.vertex([6, 6, 6]).is_none());
+/// ```
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Octree {
     cells: CellTree,
