@@ -1,8 +1,9 @@
-//! What a run's approximations cost, measured on a few of its own rays.
+//! Measures the cost of a run's approximations on a few of its own rays.
 //!
-//! The first rays of the run are summed three times on the same lattice: as the run does it; with nothing left out (every sample of every ray, as
-//! `--cutoff 0`); and with better derivatives, the field's own if it has them, else differences over half the step. Together with what
-//! is certain (the tolerance) and what the number of rays leaves open ([`SamplingError`]), that is the error of a field.
+//! The first rays of the run are summed three times on the same lattice. The first sum is the run's own. The
+//! second leaves nothing out (every sample of every ray, as with `--cutoff 0`). The third uses better derivatives:
+//! the field's own if it has them, otherwise differences over half the step. The error of a field consists of
+//! these costs, the tolerance, which is guaranteed, and what the number of rays leaves open ([`SamplingError`]).
 
 use rayon::prelude::*;
 
@@ -13,19 +14,19 @@ use crate::rays::{RayStream, RunProgress, Shard};
 use crate::render::GradientMethod;
 use crate::uncertainty::MOVED;
 
-/// What approximations do to log10 U at the vertices that the rays looked at moved by more than half a decade.
+/// Effect of the approximations on log10 U, at vertices that the audited rays moved by more than half a decade.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Audit {
-    /// Rays looked at.
+    /// Number of audited rays.
     pub rays: u64,
-    /// Samples that were left out.
+    /// Effect of samples that were left out.
     pub cutoff: SamplingError,
-    /// Derivatives, against better ones; `None` if the run's are exact.
+    /// Effect of the derivatives, compared with better ones; `None` if the run's own are exact.
     pub derivatives: Option<SamplingError>,
 }
 
 impl Audit {
-    /// Rays that are looked at, unless the run has fewer.
+    /// Number of audited rays, unless the run has fewer.
     pub const RAYS: u64 = 8_192;
 
     /// Audits a run whose rays are those of `stream`, on `lattice`.
@@ -58,7 +59,8 @@ impl Audit {
 }
 
 impl FieldBuilder {
-    /// By how much log10 U differs between two treatments of the same `rays`, where either moves it by more than half a decade.
+    /// The difference in log10 U between two treatments of the same `rays`, at vertices that either
+    /// moves by more than half a decade.
     fn differs(&self, other: &Self, rays: u64) -> SamplingError {
         let lambda = self.settings().lambda(self.lattice());
         let covariance = self.settings().covariance;
@@ -87,7 +89,7 @@ mod tests {
     fn coarser_approximations_are_found_out() {
         let good = audit(RaySettings::default());
         assert!(good.rays == 2_000 && good.cutoff.vertices > 1_000);
-        // The defaults were chosen to cost less than the tolerance; the courtyard has no derivatives of its own.
+        // The defaults were chosen to cost less than the tolerance. The courtyard has no derivatives of its own.
         assert!(good.cutoff.mean < 1e-3 && good.derivatives.unwrap().mean < 1e-3, "{good:?}");
         let careless = audit(RaySettings { cutoff: 1e-2, ..RaySettings::default() });
         assert!(careless.cutoff.mean > 20.0 * good.cutoff.mean + 1e-3, "{careless:?}");

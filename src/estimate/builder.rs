@@ -1,4 +1,4 @@
-//! A field in the making.
+//! A field under construction.
 
 use std::collections::BTreeSet;
 use std::ops::AddAssign;
@@ -16,20 +16,20 @@ use crate::render::RaySamples;
 use crate::uncertainty::{Origin, Protocol, Support, UncertaintyField};
 use crate::{Error, Result};
 
-/// What a field's numbers come from: the part of its protocol that the grid does not know.
+/// The source of a field's numbers: the part of its protocol that the grid does not know.
 #[derive(Clone, Default)]
 pub struct Provenance<'a> {
-    /// Model and cameras, or samples file.
+    /// Model and cameras, or the samples file.
     pub source: String,
-    /// Rays drawn and dropped.
+    /// Counts of rays drawn and dropped.
     pub progress: RunProgress,
-    /// Which part of a run they are.
+    /// The part of a run that drew them.
     pub shard: Option<Shard>,
-    /// The stream that drew them, if it was this crate's.
+    /// The stream that drew them, if it belongs to this crate.
     pub stream: Option<&'a RayStream<'a>>,
 }
 
-/// Most cells that criteria other than sensitivity may ask for: 3 GB of their keys.
+/// Maximal number of cells that criteria other than sensitivity may ask for: 3 GB of their keys.
 const MOST_WANTED: u64 = 1 << 27;
 
 /// All finest cells.
@@ -42,21 +42,21 @@ fn every_cell(lattice: &Lattice) -> Result<Vec<Cell>> {
     Ok((0..1_u64 << (3 * u32::from(level))).map(cell).collect())
 }
 
-/// A field in the making.
+/// Builds an uncertainty field from ray samples.
 pub struct FieldBuilder {
     settings: GridSettings,
     lattice: Lattice,
     limits: MaxLevels,
-    /// Rays per vertex that the limits were made for.
+    /// Rays per vertex for which the limits were made.
     rays_per_vertex: f64,
-    /// Cells that must exist whatever rays say.
+    /// Cells that must exist regardless of the rays.
     wanted: Vec<Cell>,
     posterior: AnyPosterior,
     surface: Vec<[f32; 3]>,
 }
 
 impl FieldBuilder {
-    /// No information yet.
+    /// Creates a builder without information.
     ///
     /// # Errors
     /// As [`GridSettings::lattice`].
@@ -77,7 +77,7 @@ impl FieldBuilder {
         Ok(Self { settings, lattice, limits, rays_per_vertex: 0.0, wanted, posterior, surface: Vec::new() })
     }
 
-    /// Starts anew on the leaves of `plan`. A dense grid has only one kind of leaves.
+    /// Starts over on the leaves of `plan`. No effect on a dense grid, whose leaves all have one size.
     pub fn limit(&mut self, plan: &Plan) {
         if self.settings.grid == GridKind::Octree {
             self.limits = plan.limits.clone();
@@ -87,11 +87,13 @@ impl FieldBuilder {
         }
     }
 
-    /// Refines where there is density, if the settings ask for it: cells of the stream's occupancy grid in which a finest cell may have
-    /// an optical depth above a hundredth.
+    /// Adds refinement where there is density, if the settings ask for it.
+    ///
+    /// The refined cells are those cells of the stream's occupancy grid in which a finest cell may
+    /// have an optical depth above 0.01.
     ///
     /// # Errors
-    /// If there is no occupancy grid, or these are more cells than memory can hold.
+    /// If there is no occupancy grid, or the number of cells exceeds what memory can hold.
     pub fn want_density(&mut self, stream: &RayStream) -> Result<()> {
         if !self.settings.criteria.density || self.settings.grid == GridKind::Dense {
             return Ok(());
@@ -125,13 +127,13 @@ impl FieldBuilder {
     /// Adds rays.
     pub fn add(&mut self, batches: &[RaySamples]) {
         self.posterior_mut().add(batches);
-        // The first ones of a random sequence are as good as any.
+        // In a random sequence the first points are as good as any.
         let visible = batches.iter().flat_map(|batch| batch.positions.iter().zip(&batch.weights));
         let visible = visible.filter(|(_, weight)| **weight >= SURFACE_WEIGHT).map(|(x, _)| x.to_array());
         self.surface.extend(visible.take(self.settings.surface_points - self.surface.len()));
     }
 
-    /// Writes the state of the run `key` after the rays of `progress`.
+    /// Saves the state of the run `key` after the rays of `progress`.
     ///
     /// # Errors
     /// If the file cannot be written.
@@ -139,7 +141,7 @@ impl FieldBuilder {
         state::save(path, key, progress, &self.posterior, &self.surface)
     }
 
-    /// Takes up the state of the run `key`; returns where to go on.
+    /// Restores the state of the run `key` and returns its progress, from which the run continues.
     ///
     /// # Errors
     /// If the file is not the complete state of a run with the same description.
@@ -150,7 +152,7 @@ impl FieldBuilder {
         Ok(state.progress)
     }
 
-    /// Bytes that the sums take now.
+    /// Current size of the sums, bytes.
     #[must_use]
     pub fn memory(&self) -> usize {
         match &self.posterior {
@@ -159,14 +161,14 @@ impl FieldBuilder {
         }
     }
 
-    /// Bytes that finishing now would need at its peak, about.
+    /// Approximate peak memory if the field were finished now, bytes.
     #[must_use]
     pub fn expected_peak(&self) -> u64 {
         let finishing = if self.settings.grid == GridKind::Dense { 0.07 } else { plan::FINISHED / plan::SUMMING };
         (self.memory() as f64 * (1.0 + finishing)) as u64
     }
 
-    /// The leaves that rays are summed on.
+    /// The limits of the leaves on which rays are summed.
     #[must_use]
     pub fn limits(&self) -> &MaxLevels {
         &self.limits
@@ -177,7 +179,8 @@ impl FieldBuilder {
         &self.settings
     }
 
-    /// What this builder and another of the same lattice, both without limits, know of every vertex that one of them knows.
+    /// The sums of this builder and of another on the same lattice, at every vertex that rays touched in
+    /// either. Neither may have limits.
     pub(super) fn paired(&self, other: &Self) -> Vec<(VertexSums, VertexSums)> {
         match (&self.posterior, &other.posterior) {
             (AnyPosterior::Dense(mine), AnyPosterior::Dense(theirs)) => {
@@ -193,7 +196,7 @@ impl FieldBuilder {
         }
     }
 
-    /// A builder of the same settings and limits that holds nothing yet.
+    /// An empty builder with the same settings and limits.
     pub(super) fn emptied(&self) -> Self {
         let posterior = match self.settings.grid {
             GridKind::Dense => AnyPosterior::Dense(DensePosterior::new(self.lattice)),
@@ -203,7 +206,7 @@ impl FieldBuilder {
         Self { limits, wanted, posterior, surface: Vec::new(), ..*self }
     }
 
-    /// What the sums say at the vertices of `support`, in their order.
+    /// The sums at the vertices of `support`, in their order.
     pub(super) fn sums_at(self, support: &Support) -> Vec<VertexSums> {
         match (self.posterior, support) {
             (AnyPosterior::Dense(posterior), _) => posterior.into_sums(),
@@ -212,7 +215,7 @@ impl FieldBuilder {
         }
     }
 
-    /// Rays per vertex that the limits were made for; 0 if there are none.
+    /// Rays per vertex for which the limits were made; 0 without limits.
     #[must_use]
     pub fn rays_per_vertex(&self) -> f64 {
         self.rays_per_vertex
@@ -225,7 +228,7 @@ impl FieldBuilder {
         }
     }
 
-    /// The field that the rays so far give.
+    /// Computes the field from the rays so far.
     #[must_use]
     pub fn finish(self, provenance: &Provenance) -> UncertaintyField {
         let Self { settings, lattice, posterior, surface, wanted, .. } = self;
@@ -244,7 +247,7 @@ impl FieldBuilder {
             min_rays: settings.min_rays,
             criteria: settings.criteria,
             covariance: settings.covariance,
-            // A dense grid leaves nothing out; but pooling asks which vertices moved.
+            // A dense grid leaves nothing out, but pooling needs to know which vertices moved.
             tolerance: if settings.grid == GridKind::Dense && settings.min_rays == 0.0 {
                 0.0
             } else {
@@ -268,7 +271,7 @@ impl FieldBuilder {
 }
 
 impl AddAssign<&Self> for FieldBuilder {
-    /// Adds the sums of another builder of the same settings and limits, vertex by vertex.
+    /// Adds the sums of another builder with the same settings and limits, vertex by vertex.
     fn add_assign(&mut self, other: &Self) {
         match (&mut self.posterior, &other.posterior) {
             (AnyPosterior::Dense(mine), AnyPosterior::Dense(theirs)) => mine.add_sums(theirs.sums()),

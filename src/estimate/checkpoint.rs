@@ -1,4 +1,4 @@
-//! Where a long run keeps its state, and how often.
+//! The checkpoint of a long run: where its state is saved, and how often.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -8,7 +8,7 @@ use super::state::{self, RunKey};
 use crate::rays::RunProgress;
 use crate::{Error, Result};
 
-/// A file that lets a run survive Ctrl-C, `kill -9` and power cuts: the same run, resumed, ends with the same bits.
+/// A file that lets a run survive Ctrl-C, `kill -9` and power cuts. The resumed run ends with the same bits.
 #[derive(Debug, Clone)]
 pub struct Checkpoint {
     path: PathBuf,
@@ -17,19 +17,19 @@ pub struct Checkpoint {
 }
 
 impl Checkpoint {
-    /// A checkpoint in `path`, written once a minute. A run in groups appends `.0`, `.1`, … for its groups.
+    /// Creates a checkpoint at `path`, written once a minute. A run in groups appends `.0`, `.1`, … for its groups.
     #[must_use]
     pub fn new(path: impl Into<PathBuf>) -> Self {
         Self { path: path.into(), every: Duration::from_secs(60), resume: false }
     }
 
-    /// Time between two writes.
+    /// Sets the time between two writes.
     #[must_use]
     pub fn every(self, every: Duration) -> Self {
         Self { every, ..self }
     }
 
-    /// Goes on from the file, if there is one. Without this, a file that exists already is an error: it may be the work of hours.
+    /// Resumes from the file if it exists. Otherwise an existing file is an error, because it may hold hours of work.
     #[must_use]
     pub fn resume(self, resume: bool) -> Self {
         Self { resume, ..self }
@@ -46,7 +46,7 @@ impl Checkpoint {
         groups.map_or_else(|| vec![self.path.clone()], |n| (0..n).map(file).collect())
     }
 
-    /// Refuses files that would be overwritten.
+    /// Returns an error if a file would be overwritten.
     pub(super) fn check(&self, files: &[PathBuf]) -> Result<()> {
         match files.iter().find(|file| file.exists() && !self.resume) {
             Some(file) => {
@@ -57,16 +57,16 @@ impl Checkpoint {
         }
     }
 
-    /// Rays that the files hold, of those that exist and are complete states.
+    /// Total number of rays in those files that exist and hold a complete state.
     #[must_use]
     pub fn rays(&self, groups: Option<u16>) -> u64 {
         self.files(groups).iter().filter_map(|file| state::progress(file).ok()).map(|progress| progress.rays).sum()
     }
 
-    /// Removes the files of a run whose result is safe.
+    /// Removes the files of a run whose result is saved.
     ///
     /// # Errors
-    /// If a file is there and cannot be removed.
+    /// If a file exists and cannot be removed.
     pub fn remove(&self, groups: Option<u16>) -> Result<()> {
         let files = self.files(groups);
         let mut there = files.iter().filter(|file| file.exists());
@@ -74,7 +74,7 @@ impl Checkpoint {
     }
 }
 
-/// Saves one builder's state from time to time; does nothing without a file.
+/// Saves one builder's state at intervals; does nothing without a file.
 pub(super) struct Saver<'a> {
     file: Option<&'a Path>,
     every: Duration,
@@ -82,12 +82,12 @@ pub(super) struct Saver<'a> {
 }
 
 impl<'a> Saver<'a> {
-    /// For `file`, with the rhythm of `checkpoint`.
+    /// Creates a saver for `file` with the interval of `checkpoint`.
     pub fn new(checkpoint: Option<&Checkpoint>, file: Option<&'a Path>) -> Self {
         Self { file, every: checkpoint.map_or(Duration::MAX, |c| c.every), saved: Instant::now() }
     }
 
-    /// Takes up the state in the file, if there is one; returns where to go on.
+    /// Restores the state in the file, if there is one, and returns its progress.
     pub fn restore(&self, builder: &mut FieldBuilder, key: &RunKey) -> Result<RunProgress> {
         match self.file.filter(|file| file.exists()) {
             Some(file) => builder.restore(file, key),
@@ -95,7 +95,7 @@ impl<'a> Saver<'a> {
         }
     }
 
-    /// Saves if it is time to.
+    /// Saves if the interval has passed.
     pub fn save_if_due(
         &mut self,
         builder: &FieldBuilder,

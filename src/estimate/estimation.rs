@@ -1,4 +1,4 @@
-//! What to compute: the settings of one run, put together.
+//! The settings of one run.
 
 use super::run::Run;
 use super::{Checkpoint, GridSettings, Outcome, RaySettings};
@@ -9,12 +9,12 @@ use crate::rays::Shard;
 use crate::render::RaySamples;
 use crate::{Error, Result};
 
-/// Which rays a run draws, and when it ends.
+/// The rays that a run draws, and when it ends.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Goal {
-    /// Part `index` of `of` of the rays; the whole is part 0 of 1.
+    /// Part `index` of `of` of the rays; the whole run is part 0 of 1.
     Shard { index: u64, of: u64 },
-    /// All rays, in so many independent groups whose disagreement gives error bars.
+    /// All rays, in this many independent groups; their disagreement gives error bars.
     Groups(u16),
     /// Rays until the mean error of log10 U is within this, decades.
     MeanError(f64),
@@ -25,8 +25,8 @@ pub(super) type Tap<'a> = Box<dyn FnMut(&[RaySamples]) -> Result<()> + 'a>;
 
 /// A run from a trained field and its training cameras to an uncertainty field.
 ///
-/// Only field and cameras must be given; everything else has the command line's defaults. Whatever is left out, the result does not
-/// depend on the number of threads.
+/// Only field and cameras are required; everything else has the command line's defaults. The result never
+/// depends on the number of threads.
 ///
 /// ```
 /// use octobayes::estimate::{Checkpoint, Estimation, GridSettings, RaySettings};
@@ -58,14 +58,14 @@ pub struct Estimation<'a> {
     pub(super) goal: Goal,
     pub(super) checkpoint: Option<Checkpoint>,
     pub(super) source: String,
-    /// Checksum of the model's content, if it is known.
+    /// Checksum of the model's content, if known.
     pub(super) model: Option<u32>,
     pub(super) monitor: &'a dyn Monitor,
     pub(super) tap: Option<Tap<'a>>,
 }
 
 impl<'a> Estimation<'a> {
-    /// The uncertainty of `field` as its training `cameras` leave it, over the field's own box.
+    /// Creates a run for the uncertainty of `field` given its training `cameras`, over the field's own box.
     pub fn new(field: &'a dyn RadianceField, cameras: &'a [Camera]) -> Self {
         Self {
             field,
@@ -82,74 +82,78 @@ impl<'a> Estimation<'a> {
         }
     }
 
-    /// The part of space that is covered: another box, or all of space, contracted.
+    /// Sets the region that the field covers: another box, or all of space, contracted.
     pub fn domain(self, domain: Domain) -> Self {
         Self { domain, ..self }
     }
 
-    /// Which rays are drawn, and how they are differentiated.
+    /// Sets which rays are drawn and how they are differentiated.
     pub fn rays(self, rays: RaySettings) -> Self {
         Self { rays, ..self }
     }
 
-    /// What their information is gathered on. Its memory budget, if there is one, holds for the run.
+    /// Sets the grid on which information is summed. Its memory budget, if any, applies to the run.
     pub fn grid(self, grid: GridSettings) -> Self {
         Self { grid, ..self }
     }
 
-    /// Draws part `index` of `of` of the rays only; [`merge`](crate::uncertainty::merge) joins the parts.
+    /// Draws only part `index` of `of` of the rays; [`merge`](crate::uncertainty::merge) joins the parts.
     pub fn shard(self, index: u64, of: u64) -> Self {
         Self { goal: Goal::Shard { index, of }, ..self }
     }
 
-    /// Draws the rays in `groups` independent groups, and stores with every log10 U how far it is from the limit of ever more rays.
+    /// Draws the rays in `groups` independent groups, and stores with every log10 U its error relative to the
+    /// limit of infinitely many rays.
     ///
-    /// While rays are summed this takes `groups` + 1 times the memory.
+    /// Summing takes `groups` + 1 times the memory.
     pub fn error_bars(self, groups: u16) -> Self {
         Self { goal: Goal::Groups(groups), ..self }
     }
 
-    /// Draws rays until the estimated mean error of log10 U is at most `decades`, or the settings' number of rays is reached.
+    /// Draws rays until the estimated mean error of log10 U is at most `decades`, or the settings' number of rays
+    /// is reached.
     pub fn until_mean_error(self, decades: f64) -> Self {
         Self { goal: Goal::MeanError(decades), ..self }
     }
 
-    /// Keeps the run's state in a file, so that it can be taken up again.
+    /// Saves the run's state in a file, from which it can be resumed.
     pub fn checkpoint(self, checkpoint: Checkpoint) -> Self {
         Self { checkpoint: Some(checkpoint), ..self }
     }
 
-    /// Names model and cameras in the result, for people. The default is the field's description.
+    /// Sets a human-readable name of model and cameras for the result. The default is the field's description.
     pub fn source(self, source: impl Into<String>) -> Self {
         Self { source: source.into(), ..self }
     }
 
-    /// A checksum of the model's content ([`open::checksum`](crate::open::checksum)): by it, and not by a name, results are known to belong together.
+    /// Sets a checksum of the model's content ([`open::checksum`](crate::open::checksum)). Results are matched by
+    /// this checksum instead of a name.
     pub fn model(self, checksum: u32) -> Self {
         Self { model: Some(checksum), ..self }
     }
 
-    /// Receives progress, and can stop the run.
+    /// Sets the monitor, which receives progress and can stop the run.
     pub fn monitor(self, monitor: &'a dyn Monitor) -> Self {
         Self { monitor, ..self }
     }
 
-    /// Hands every group of samples to `tap` after it was summed, in ray order.
+    /// Passes every group of samples to `tap` after it was summed, in ray order.
     pub fn tap(self, tap: impl FnMut(&[RaySamples]) -> Result<()> + 'a) -> Self {
         Self { tap: Some(Box::new(tap)), ..self }
     }
 
-    /// Makes everything ready that comes before the first ray: lattice, occupancy grid, and a plan if memory or rays limit the octree.
+    /// Prepares everything that precedes the first ray: lattice, occupancy grid, and a plan if
+    /// memory or rays limit the octree.
     ///
     /// # Errors
-    /// If a setting is out of range, settings do not go together, there is no camera, a checkpoint would be overwritten or belongs to another run,
-    /// the plan does not fit its budget, or the work was interrupted.
+    /// If a setting is out of range, settings are incompatible, there is no camera, a checkpoint would be
+    /// overwritten or belongs to another run, the plan exceeds its budget, or the work was interrupted.
     pub fn prepare(self) -> Result<Run<'a>> {
         self.check()?;
         Run::new(self)
     }
 
-    /// Runs to the end.
+    /// Prepares the run and finishes it.
     ///
     /// # Errors
     /// As [`Estimation::prepare`] and [`Run::finish`].
@@ -165,12 +169,12 @@ impl<'a> Estimation<'a> {
         }
     }
 
-    /// What a checkpoint knows the model by: its content, not its path, if that is known.
+    /// Identifies the model in a checkpoint: by its content if that is known, not by its path.
     pub(super) fn key_source(&self) -> String {
         self.model.map_or_else(|| self.source.clone(), |checksum| format!("model {checksum:08x}"))
     }
 
-    /// Groups of the goal, if it has some.
+    /// Number of groups of the goal, if it has any.
     pub(super) fn groups(&self) -> Option<u16> {
         match self.goal {
             Goal::Groups(groups) => Some(groups),
@@ -178,7 +182,7 @@ impl<'a> Estimation<'a> {
         }
     }
 
-    /// Refuses what makes no sense before any work is done.
+    /// Rejects incompatible settings before any work is done.
     fn check(&self) -> Result<()> {
         if self.cameras.is_empty() {
             return Err(Error::setting("cameras", "at least one", "none"));
@@ -192,7 +196,7 @@ impl<'a> Estimation<'a> {
             return Err(Error::setting("samples as they are drawn", "a run of all rays in one group", "another"));
         }
         if self.tap.is_some() && (self.grid.memory.is_some() || self.checkpoint.is_some()) {
-            // A run that starts again, or goes on, would hand out rays twice, or not at all.
+            // A run that restarts or resumes would pass on rays twice or not at all.
             return Err(Error::setting(
                 "samples as they are drawn",
                 "no memory budget and no checkpoint",

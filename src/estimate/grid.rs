@@ -1,11 +1,11 @@
-//! What information is gathered on, and how it becomes a field.
+//! Settings of the grid on which information is summed, and of its conversion to a field.
 
 use crate::geometry::{Domain, Lattice};
 use crate::posterior::{Covariance, Criteria, DensePosterior, Prior};
 use crate::uncertainty::SAMPLES_SHARE;
 use crate::{Error, Result};
 
-/// What carries the field.
+/// The structure that carries the field.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 pub enum GridKind {
@@ -16,29 +16,30 @@ pub enum GridKind {
     Dense,
 }
 
-/// What information is gathered on, and how it becomes a field.
+/// Settings of the grid on which information is summed, and of its conversion to a field.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GridSettings {
     /// Dense grid or octree.
     pub grid: GridKind,
     /// Finest level: 2^level cells per axis of the box.
     pub level: u8,
-    /// Scalar read off the 3×3 matrices.
+    /// Definition of the standard deviation that is computed from the 3×3 matrices.
     pub covariance: Covariance,
-    /// λ, 1 / scene unit²; `None` for 1e-4 / M³ per squared longest edge of the box.
+    /// Prior precision λ, 1 / scene unit²; `None` for 1e-4 / M³ divided by the square of the box's longest edge.
     pub lambda: Option<f64>,
-    /// Largest change of log10 U by coarse leaves. Smaller keeps more vertices; 0 keeps all that any ray moved.
+    /// Largest change of log10 U due to coarse leaves. Smaller values keep more vertices; 0 keeps all that any
+    /// ray moved.
     pub tolerance: f64,
-    /// How λ depends on the size of cells.
+    /// The dependence of λ on cell size.
     pub prior: Prior,
-    /// Vertices with fewer rays around them than about this borrow from their neighbours ([`crate::posterior::Pooling`]); 0 leaves each by itself, as
-    /// the dense grid of the paper.
+    /// Approximate ray count below which a vertex borrows from its neighbours ([`crate::posterior::Pooling`]). 0
+    /// pools nothing, as on the dense grid of the paper.
     pub min_rays: f64,
-    /// Where the octree is refined.
+    /// Criteria for refining the octree.
     pub criteria: Criteria,
-    /// Most bytes for sums and field; `None` for as many as it takes.
+    /// Maximal number of bytes for sums and field; `None` for no limit.
     pub memory: Option<u64>,
-    /// Points on visible surfaces to keep, for comparisons.
+    /// Number of points on visible surfaces to keep for comparisons.
     pub surface_points: usize,
 }
 
@@ -59,7 +60,7 @@ impl Default for GridSettings {
     }
 }
 
-/// Highest level of a dense grid: 6.5 GB; the next needs 52 GB.
+/// Highest level of a dense grid, which takes 6.5 GB; the next would take 52 GB.
 const MAX_DENSE_LEVEL: u8 = 9;
 
 impl GridSettings {
@@ -73,16 +74,17 @@ impl GridSettings {
         }
     }
 
-    /// Whether a run has to be planned before it can be run.
+    /// Whether the run needs a plan.
     #[must_use]
     pub fn needs_plan(&self) -> bool {
         self.memory.is_some() || self.criteria.ray_count
     }
 
-    /// Largest change of log10 U by samples that are left out as negligible.
+    /// Largest change of log10 U due to samples that are left out as negligible.
     ///
-    /// A dense grid, which is the reference, leaves none out. `normal` neither: H and with it U along any fixed direction would change by no more than
-    /// this, but the mean gradient that is its direction may be that of small samples alone.
+    /// A dense grid is the reference and leaves none out. Neither does `normal`. There, H and thus U along any
+    /// fixed direction would change by no more than this, but the mean gradient that defines the direction may
+    /// come from small samples alone.
     #[must_use]
     pub fn samples_tolerance(&self) -> f64 {
         match (self.grid, self.covariance) {
@@ -91,7 +93,7 @@ impl GridSettings {
         }
     }
 
-    /// λ over `lattice`, 1 / scene unit².
+    /// Prior precision λ over `lattice`, 1 / scene unit².
     #[must_use]
     pub fn lambda(&self, lattice: &Lattice) -> f64 {
         self.lambda.unwrap_or_else(|| lattice.default_lambda())

@@ -1,32 +1,33 @@
-//! Groups of rays with sums of their own, so that it can be told how far they agree.
+//! Groups of rays with separate sums, whose disagreement can be measured.
 //!
-//! Every group has as many rays and its own, independent pixels. (Parts of one low-discrepancy sequence would complement each other: their
-//! differences say too much.) The groups' rays together are a little worse than as many of one sequence; that is the price.
+//! Every group has the same number of rays and its own, independent pixels. (Parts of one low-discrepancy
+//! sequence complement each other, so their differences would overstate the error.) All groups together are
+//! slightly less accurate than the same number of rays from one sequence.
 
 use super::{FieldBuilder, Provenance};
 use crate::rays::{Draw, Purpose, RayStream, RunProgress, Shard};
 use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
 
-/// One group of a run: which rays, through which pixels.
+/// One group of rays in a run.
 pub struct RayGroup<'a> {
     /// Seed of its pixels and jitter.
     pub seed: u64,
-    /// Its rays.
+    /// The stream of its rays.
     pub stream: RayStream<'a>,
-    /// All of them.
+    /// Its shard: all rays of the stream.
     pub shard: Shard,
 }
 
 impl RayGroup<'_> {
-    /// What it draws.
+    /// The draw of this group.
     #[must_use]
     pub fn draw(&self) -> Draw {
         self.stream.draw(self.shard)
     }
 }
 
-/// `rays` rays of `stream`'s settings in `count` independent groups, whose numbers of rays differ by one at most.
+/// Splits `rays` rays with `stream`'s settings into `count` independent groups, whose sizes differ by at most one.
 ///
 /// # Errors
 /// If there are fewer than two groups, or fewer rays than groups.
@@ -44,14 +45,16 @@ pub fn ray_groups<'a>(stream: &RayStream<'a>, count: u16, rays: u64) -> Result<V
 }
 
 impl FieldBuilder {
-    /// The field of all groups' rays together, with error bars. Each builder holds the sums of one group; all have the same settings and
-    /// limits, and `progress` says what each was made of. The whole needs as much memory as one more group.
+    /// Computes the field from the rays of all groups, with error bars.
+    ///
+    /// Each builder holds the sums of one group. All have the same settings and limits, and `progress` has one
+    /// entry per group. This takes the memory of one more group.
     ///
     /// # Errors
     /// As [`FieldBuilder::want_density`].
     ///
     /// # Panics
-    /// If there are fewer than two groups, or not as many entries of progress.
+    /// If there are fewer than two groups, or the number of entries in `progress` differs.
     pub fn finish_groups(
         groups: Vec<Self>,
         progress: &[RunProgress],

@@ -1,8 +1,9 @@
 //! Runs that end when a mean error is reached.
 //!
-//! Two halves of equally many rays, each with its own sums and its own, independent pixels. Where log10 U of the halves differs by Δ, the whole, whose
-//! variance is half of theirs, is off by about Δ/2. That is measured at every vertex that moved from the prior, each time that the
-//! number of rays has doubled. (Halves of one low-discrepancy sequence would complement each other: their difference says twice too much.)
+//! The rays are drawn in two halves of equal size, each with its own sums and its own, independent pixels. Where
+//! log10 U of the halves differs by Δ, the whole is off by about Δ/2, because its variance is half of theirs. Δ
+//! is measured at every vertex that moved from the prior, each time that the number of rays has doubled. (Halves
+//! of one low-discrepancy sequence would complement each other, and their difference would be twice too large.)
 
 use rayon::prelude::*;
 
@@ -14,13 +15,13 @@ use crate::monitor::Monitor;
 use crate::rays::{Draw, Purpose, RayStream, RunProgress, Shard};
 use crate::uncertainty::MOVED;
 
-/// Rays before the first look.
+/// Number of rays before the first measurement.
 const FIRST: u64 = 65_536;
 
-/// How far log10 U is off, estimated at the vertices that moved by more than half a decade from the prior.
+/// Estimated error of log10 U at the vertices that moved by more than half a decade from the prior.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct SamplingError {
-    /// Vertices looked at.
+    /// Number of these vertices.
     pub vertices: usize,
     /// Mean of |Δ log10 U|.
     pub mean: f64,
@@ -29,12 +30,12 @@ pub struct SamplingError {
 }
 
 impl SamplingError {
-    /// From log10 U of two halves at the vertices looked at.
+    /// From log10 U of both halves at these vertices.
     fn of_halves(halves: &[(f64, f64)]) -> Self {
         Self::of(halves.iter().map(|(a, b)| 0.5 * (a - b).abs()).collect())
     }
 
-    /// From |Δ log10 U| at the vertices looked at.
+    /// From |Δ log10 U| at these vertices.
     pub(super) fn of(mut errors: Vec<f64>) -> Self {
         if errors.is_empty() {
             return Self { vertices: 0, mean: 0.0, percentile_95: 0.0 };
@@ -45,11 +46,12 @@ impl SamplingError {
     }
 }
 
-/// One half of the rays: its sums, and what they were made of.
+/// One half of the rays: its sums and its progress.
 type Half = (FieldBuilder, RunProgress);
 
-/// Draws two halves of rays until the estimated mean error of log10 U is within `decades`, or there are `most` rays. Pixels of the first half are those of
-/// `stream`, and the second half has its own.
+/// Draws two halves of rays until the estimated mean error of log10 U is within `decades`, or `most` rays are drawn.
+///
+/// The first half uses the pixels of `stream`; the second has its own.
 ///
 /// # Errors
 /// As [`RayStream::run`].
@@ -82,14 +84,15 @@ pub(super) fn draw(
     }
 }
 
-/// What the halves of `stream`'s rays were made of.
+/// The draws of the two halves of `stream`'s rays.
 pub(super) fn draws(stream: &RayStream, halves: &[Half; 2]) -> Vec<Draw> {
     let [first, second] = halves.each_ref().map(|half| Shard::whole(half.1.rays));
     vec![stream.draw(first), stream.for_purpose(Purpose::SecondHalf).draw(second)]
 }
 
 impl FieldBuilder {
-    /// log10 U by the rays of this builder and by those of another, half of `rays` each, at the vertices that both together move by more than half a decade.
+    /// log10 U of this builder and of another, each with half of `rays`, at the vertices that both together
+    /// move by more than half a decade.
     fn both(&self, other: &Self, rays: u64) -> Vec<(f64, f64)> {
         let lambda = self.settings().lambda(self.lattice());
         let covariance = self.settings().covariance;
@@ -145,7 +148,7 @@ mod tests {
             let run = Estimation::new(&field, &cameras).rays(rays).grid(grid).until_mean_error(1e-9);
             run.run().unwrap().field.summary().vertices
         };
-        // What no ray of a few reached is refined where there is density.
+        // Space that none of a few rays reached is refined where there is density.
         let sensitive = refined(vec![Criterion::Sensitivity]);
         assert!(refined(vec![Criterion::Sensitivity, Criterion::Density]) > sensitive + 1_000);
     }
@@ -161,7 +164,8 @@ mod tests {
             let pairs = field.deviations().iter().zip(truth.deviations().iter());
             let errors: Vec<f64> = pairs.filter(|(a, _)| *a < moved).map(|(a, b)| (a / b).log10().abs()).collect();
             let mean = errors.iter().sum::<f64>() / errors.len() as f64;
-            // Two-sided: a quarter more or less, for what the truth is off by itself and for vertices on either side of half a decade.
+            // Two-sided: a quarter more or less allows for the error of the reference itself and for vertices
+            // on either side of half a decade.
             assert!((0.75..1.33).contains(&(error.mean / mean)), "estimated {}, found {mean}", error.mean);
         }
     }

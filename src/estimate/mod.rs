@@ -1,8 +1,9 @@
 //! From a field and its training cameras to its uncertainty.
 //!
-//! An [`Estimation`] holds everything that a run depends on, and runs it: whole or one shard, in groups with error bars, or until a mean error is
-//! reached; resumed where a [`Checkpoint`] ends. [`RaySettings`] say which rays are drawn and how they are differentiated, [`GridSettings`] what their
-//! information is gathered on. [`FieldBuilder`] is the second half alone, for samples that come from elsewhere.
+//! An [`Estimation`] holds everything that a run depends on, and runs it: as a whole or one shard, in groups with
+//! error bars, or until a mean error is reached. It can be resumed from a [`Checkpoint`]. [`RaySettings`] say
+//! which rays are drawn and how they are differentiated, [`GridSettings`] on which grid their information is
+//! summed. [`FieldBuilder`] is the second half alone, for samples from elsewhere.
 
 mod audit;
 mod builder;

@@ -1,4 +1,4 @@
-//! What a run will need, before it is run, and how it is made to fit.
+//! Predicts what a run will need, and limits it to fit.
 
 use std::time::{Duration, Instant};
 
@@ -10,29 +10,33 @@ use crate::posterior::{DensePosterior, OctreePosterior, PilotCounts, Posterior, 
 use crate::rays::{Purpose, RayStream, RunProgress, Shard};
 use crate::{Error, Result};
 
-/// Bytes per touched vertex while summing: 64 of evidence, in bricks that rays fill to a half (the city at level 11: 129 bytes a vertex), and a third more for
-/// what comes on top: lists of rays under way, and what the allocator keeps.
+/// Bytes per touched vertex while summing.
+///
+/// The sums take 64 bytes, in bricks that are about half full (the city at level 11: 129 bytes per vertex).
+/// Another half of that covers lists of rays in progress and the allocator's overhead.
 pub const SUMMING: f64 = 3.0 * size_of::<VertexSums>() as f64;
-/// Bytes per touched vertex of the finished field: evidence, deviation, position and structure (64 + 4 + 12 + 1), of one and a half
-/// vertices: cells around a touched vertex have others.
+/// Bytes per touched vertex of the finished field.
+///
+/// Sums, deviation, position and structure (64 + 4 + 12 + 1), times one and a half vertices, because the cells
+/// around a touched vertex have others.
 pub const FINISHED: f64 = 1.5 * 81.0;
 
-/// How a run will go.
+/// The expected course of a run.
 #[derive(Debug, Clone)]
 pub struct Plan {
-    /// How fine leaves may be.
+    /// The maximal level of leaves, by region.
     pub limits: MaxLevels,
-    /// Rays per vertex asked for by these limits; 0 if there are none.
+    /// Rays per vertex required by these limits; 0 without limits.
     pub rays_per_vertex: f64,
-    /// Vertices that rays are expected to touch.
+    /// Expected number of touched vertices.
     pub vertices: f64,
-    /// Vertices that they would touch without limits.
+    /// Expected number of touched vertices without limits.
     pub vertices_unlimited: f64,
-    /// Expected peak of the sums and the field, bytes; the model comes on top.
+    /// Expected peak memory of the sums and the field, bytes; the model is extra.
     pub bytes: f64,
     /// Expected time.
     pub time: Duration,
-    /// Shard of what rays touch by levels given up: 0, 1, 2, …
+    /// Fractions of all touches by the number of levels given up: 0, 1, 2, …
     pub given_up: Vec<f64>,
 }
 
@@ -40,7 +44,7 @@ pub struct Plan {
 pub struct Planner {
     settings: GridSettings,
     survey: PilotCounts,
-    /// Vertices that the run would touch without limits.
+    /// Expected number of touched vertices without limits.
     vertices_unlimited: f64,
     /// Rays of the run per ray of the pilot.
     scale: f64,
@@ -48,10 +52,10 @@ pub struct Planner {
 }
 
 impl Planner {
-    /// Rays of the pilot run, at most.
+    /// Maximal number of rays of the pilot.
     pub const PILOT: u64 = 16_384;
 
-    /// Runs a pilot: the first rays of the run with another seed, the same for every share of it.
+    /// Runs a pilot with the run's settings but another seed. All shards of a run use the same pilot.
     ///
     /// # Errors
     /// As [`RayStream::run`].
@@ -78,7 +82,7 @@ impl Planner {
         Ok(Self { settings, survey, vertices_unlimited, scale, time })
     }
 
-    /// The plan for limits with at least `evidence` rays per vertex; 0 for none.
+    /// The plan for limits with at least `rays_per_vertex` rays per vertex; 0 for no limits.
     #[must_use]
     pub fn with_rays_per_vertex(&self, lattice: &Lattice, rays_per_vertex: f64) -> Plan {
         let limits = if rays_per_vertex > 0.0 {
@@ -96,8 +100,9 @@ impl Planner {
         Plan { limits, rays_per_vertex, vertices, vertices_unlimited, bytes, time: self.time, given_up }
     }
 
-    /// The finest plan that the settings' criteria ask for and that fits their memory: where memory is short, the refinement that
-    /// fewest rays support is given up first.
+    /// The finest plan that meets the settings' criteria and memory budget.
+    ///
+    /// Where memory is short, the refinement supported by the fewest rays is given up first.
     ///
     /// # Errors
     /// If not even the coarsest limits fit; the message says what would.
@@ -118,7 +123,7 @@ impl Planner {
     /// The next coarser plan, if there is one.
     #[must_use]
     pub fn tighter(&self, lattice: &Lattice, plan: &Plan) -> Option<Plan> {
-        // Beyond this every region has had all its levels given up.
+        // Beyond this, every region has given up all its levels.
         const MOST: f64 = 1e12;
         let mut rays_per_vertex = plan.rays_per_vertex;
         while self.settings.grid == GridKind::Octree && rays_per_vertex < MOST {

@@ -1,4 +1,4 @@
-//! Which rays are drawn, and how they are sampled and differentiated.
+//! Settings of rays: which are drawn, and how they are sampled and differentiated.
 
 use glam::{DVec3, Vec3};
 
@@ -14,39 +14,46 @@ use crate::{Error, Result};
 
 /// Finite-difference step in lattice edges, unless f32 positions need more.
 const DEFAULT_STEP: f64 = 1.0 / 512.0;
-/// What they need, in their own distances: x ± h is then rounded by less than an eighth of h, and differences are divided by what is left.
+/// Shortest step that f32 positions allow, in multiples of their spacing.
+///
+/// x ± h is then rounded by less than an eighth of h, and differences are divided by the rounded distance.
 const LEAST_STEP: f64 = 4.0;
 
-/// Most samples along a ray: hundreds of rays are under way at once.
+/// Maximal number of samples along a ray; hundreds of rays are in progress at once.
 const MAX_STEPS: f64 = 65_536.0;
 
-/// Which rays are drawn, and how they are sampled and differentiated.
+/// Settings of rays: which are drawn, and how they are sampled and differentiated.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RaySettings {
-    /// R.
+    /// R, the number of rays.
     pub rays: u64,
-    /// How pixels are chosen.
+    /// The method of choosing pixels.
     pub pixels: Pixels,
     /// Seed of pixels and jitter.
     pub seed: u64,
-    /// Where the field's derivatives come from.
+    /// Source of the field's derivatives.
     pub gradient: GradientMethod,
-    /// Finite-difference step in edges of the finest lattice; `None` for 1/512, or as far as f32 positions need on very fine lattices.
+    /// Finite-difference step in edges of the finest lattice. `None` for 1/512, or for what f32
+    /// positions need on very fine lattices.
     ///
-    /// Larger steps smooth the field's derivative and move log10 U, smaller ones drown in the rounding of f32. The curves of
-    /// `experiments/hard_cases.md`, against exact derivatives at level 8: mean |Δ log10 U| of the two trained models is lowest (0.006, 0.004)
-    /// around 1/1024 and grows to 0.03 at 1/128, where kinks and high frequencies are; smooth fields, which would like 1/16, pay 6e-5 at 1/512.
-    /// On much finer lattices rounding gains: [`super::StepCheck`] tells.
+    /// Larger steps smooth the field's derivative and change log10 U; smaller ones are dominated by f32 rounding.
+    /// The curves in `experiments/hard_cases.md` compare with exact derivatives at level 8. For the two trained
+    /// models, the mean |Δ log10 U| is lowest (0.006, 0.004) around 1/1024 and grows to 0.03 at 1/128, because of
+    /// kinks and high frequencies. Smooth fields would prefer 1/16 and lose 6e-5 at 1/512. On much finer lattices
+    /// rounding matters more; [`super::StepCheck`] measures both.
     pub step: Option<f64>,
-    /// Samples are not differentiated if their weight, and their sensitivity as far as density bounds and neighbours tell, stay below this; rays end at
-    /// this transmittance. It bounds what a pixel loses, not what log10 U does, and is no part of the tolerance: `experiments/approximations.md` has what
-    /// it costs, [`super::Audit`] measures it. 0 leaves out nothing and takes a hundred times longer.
+    /// Samples are not differentiated if their weight stays below this, and so does their sensitivity, as
+    /// estimated from density bounds and neighbours. Rays end at this transmittance.
+    ///
+    /// The cutoff bounds what a pixel loses rather than the change of log10 U, and is not part of the
+    /// tolerance. `experiments/approximations.md` has its cost, and [`super::Audit`] measures it. 0 leaves out
+    /// nothing and takes a hundred times longer.
     pub cutoff: f64,
     /// Distance between samples, scene units; `None` for the field's suggestion.
     pub march_step: Option<f64>,
     /// Colour behind the scene.
     pub background: Vec3,
-    /// Where in a pixel rays go through; `None` for the field's own.
+    /// Position of rays within their pixel; `None` for the field's own.
     pub pixel_offset: Option<f64>,
     /// Cells per axis of the occupancy grid.
     pub occupancy: usize,
@@ -70,7 +77,7 @@ impl Default for RaySettings {
 }
 
 impl RaySettings {
-    /// A tracer through `field` whose occupancy holds within a distance `reach`, scene units.
+    /// A tracer through `field`, whose occupancy grid is valid within the distance `reach`, scene units.
     ///
     /// # Errors
     /// If the step is too small for the field's box, or [`Error::Interrupted`].
@@ -87,7 +94,7 @@ impl RaySettings {
         Ok(Tracer { field, marcher, background: self.background })
     }
 
-    /// The description under which a run of `shard` of these rays into `builder` can be taken up again; `source`
+    /// The description of a run of `shard` of these rays into `builder`, which a resumed run must match. `source`
     /// names the model, whatever its path.
     #[must_use]
     pub fn run_key(
@@ -123,8 +130,8 @@ impl RaySettings {
     /// The stream of rays from `cameras` through `field`, differentiated for `lattice`.
     ///
     /// # Errors
-    /// If the field cannot differentiate itself as it is asked to, if f32 positions are farther apart than differences look, or
-    /// [`Error::Interrupted`].
+    /// If the field does not provide the requested derivatives, if the spacing of f32 positions exceeds the
+    /// finite-difference step, or [`Error::Interrupted`].
     pub fn stream<'a>(
         &self,
         field: &'a dyn RadianceField,
@@ -134,7 +141,7 @@ impl RaySettings {
         monitor: &dyn Monitor,
     ) -> Result<RayStream<'a>> {
         let differences = self.differences(lattice, &field.bounds());
-        // h is largest in the corner of the field's box that is farthest from a contraction's centre.
+        // h is largest at the corner of the field's box that is farthest from the contraction's centre.
         let bounds = field.bounds();
         let corner = |c: u8| {
             DVec3::from(std::array::from_fn(|axis| [bounds.min(), bounds.max()][usize::from(c >> axis & 1)][axis]))
@@ -145,8 +152,8 @@ impl RaySettings {
             check_resolution(&differences, &bounds)?;
         }
         let tracer = self.tracer(field, farthest.max_element(), monitor)?;
-        // A ray crosses the cells around a vertex along two of their diagonals at most. (k levels coarser that is 2ᵏ times as long, and J
-        // counts 2⁻ᵏ.) Contracted cells have no longest diagonal.
+        // A ray crosses the cells around a vertex along at most two of their diagonals. (k levels coarser, that
+        // is 2ᵏ times as long, and J counts 2⁻ᵏ.) Contracted cells have no longest diagonal.
         let per_vertex = (2.0 * lattice.edge().length() / tracer.marcher.step).ceil() + 1.0;
         let bounded = matches!(lattice.domain(), Domain::Box(_)) && self.cutoff > 0.0;
         let tolerance = if bounded { grid.samples_tolerance() } else { 0.0 };
@@ -162,7 +169,7 @@ impl RaySettings {
 }
 
 impl RaySettings {
-    /// How far apart differences look on a lattice, over the box of a field.
+    /// The finite-difference steps for a lattice, over the box of a field.
     pub(super) fn differences(&self, lattice: &Lattice, bounds: &Aabb) -> Differences {
         let (edge, domain) = (lattice.edge(), *lattice.domain());
         let step = match self.step {
@@ -177,15 +184,15 @@ impl RaySettings {
     }
 }
 
-/// The shortest step that f32 positions hold everywhere in a box, lattice edges.
+/// The shortest step that f32 positions allow everywhere in a box, lattice edges.
 pub(super) fn shortest_step(lattice: &Lattice, bounds: &Aabb) -> f64 {
     let edges = (0..3).map(|axis| LEAST_STEP * resolution(lattice.domain(), bounds, axis).1 / lattice.edge()[axis]);
     edges.fold(0.0, f64::max)
 }
 
-/// The coordinate of a box that is farthest from the origin, and how far f32 numbers are apart there.
+/// The coordinate of a box that is farthest from the origin, and the spacing of f32 numbers there.
 fn resolution(domain: &Domain, bounds: &Aabb, axis: usize) -> (f32, f64) {
-    // A contraction stretches h faster than positions grow, so that its own ball is where h is hardest to tell.
+    // Outside a contraction's ball h grows faster than the spacing of positions, so the worst place is in the ball.
     let (low, high) = match domain {
         Domain::Box(_) => (bounds.min()[axis], bounds.max()[axis]),
         Domain::Contracted { center, radius, .. } => {
@@ -197,7 +204,7 @@ fn resolution(domain: &Domain, bounds: &Aabb, axis: usize) -> (f32, f64) {
     (farthest, f64::from(farthest.next_up()) - f64::from(farthest))
 }
 
-/// Refuses differences over less than f32 positions are apart: x ± h would be x, every derivative 0, and U the prior.
+/// Rejects steps below the spacing of f32 positions: x ± h would equal x, every derivative would be 0, and U the prior.
 fn check_resolution(differences: &Differences, bounds: &Aabb) -> Result<()> {
     for axis in 0..3 {
         let ((farthest, apart), h) = (resolution(&differences.domain, bounds, axis), differences.step[axis]);

@@ -1,4 +1,4 @@
-//! A run that is ready to draw rays, and how it draws them.
+//! A prepared run, and how it draws its rays.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -22,21 +22,22 @@ use crate::{Error, Result};
 pub struct Outcome {
     /// The result.
     pub field: UncertaintyField,
-    /// What it was made of.
+    /// Counts of the rays that were summed.
     pub progress: RunProgress,
-    /// Bytes that the sums took at the end.
+    /// Size of the sums at the end, bytes.
     pub sums_bytes: usize,
-    /// Time in which rays were summed and the field was read off the sums: what is left of the run's time is the field's own.
+    /// Time spent on summing rays and computing the field from the sums. The rest of the run's time is spent in
+    /// the model.
     pub summing: Duration,
     /// The plan that the run ended with, if something limited it.
     pub plan: Option<Plan>,
-    /// Whether memory ran out in spite of the plan, so that the run started again with a tighter one.
+    /// Whether memory ran out in spite of the plan, so that the run started over with a coarser one.
     pub is_replanned: bool,
-    /// How far log10 U is off, if the run went on until a mean error was reached.
+    /// Estimated error of log10 U, if the run was to reach a mean error.
     pub sampling_error: Option<SamplingError>,
 }
 
-/// A run before its first ray: see [`Estimation::prepare`].
+/// A prepared run before its first ray; see [`Estimation::prepare`].
 pub struct Run<'a> {
     estimation: Estimation<'a>,
     lattice: Lattice,
@@ -44,17 +45,17 @@ pub struct Run<'a> {
     pub(super) limits: Limits,
 }
 
-/// What keeps a run small.
+/// Limits to the memory of a run.
 #[derive(Default)]
 pub(super) struct Limits {
     planner: Option<Planner>,
     plan: Option<Plan>,
-    /// Most bytes that the run may take; the grid's, unless a test says otherwise.
+    /// Maximal number of bytes that the run may take: the grid's budget, unless a test sets another.
     pub budget: Option<u64>,
     is_replanned: bool,
 }
 
-/// Rays with sums of their own: all of a run, or one group.
+/// Rays with separate sums: a whole run or one group.
 struct Part<'r> {
     stream: &'r RayStream<'r>,
     shard: Shard,
@@ -65,7 +66,7 @@ struct Part<'r> {
 impl<'a> Run<'a> {
     pub(super) fn new(estimation: Estimation<'a>) -> Result<Self> {
         let Estimation { field, cameras, domain, rays, grid, monitor, .. } = &estimation;
-        // Refuses a prior that f32 cannot hold, too.
+        // This also rejects a prior that f32 cannot hold.
         let lattice = *FieldBuilder::new(*grid, *domain)?.lattice();
         let stream = rays.stream(*field, cameras, grid, &lattice, *monitor)?;
         let limits = Limits { budget: grid.memory, ..Limits::default() };
@@ -73,7 +74,7 @@ impl<'a> Run<'a> {
         if run.estimation.grid.needs_plan() {
             let planner = run.pilot()?;
             let mut plan = planner.plan(&run.lattice)?;
-            // The budget may have made the interrupted run give up more than was planned.
+            // Because of its budget, the interrupted run may have given up more than planned.
             let files = run.files();
             if let [Some(file)] = files.as_slice()
                 && file.exists()
@@ -96,19 +97,20 @@ impl<'a> Run<'a> {
         &self.lattice
     }
 
-    /// The rays.
+    /// The stream of rays.
     #[must_use]
     pub fn stream(&self) -> &RayStream<'a> {
         &self.stream
     }
 
-    /// Rays that the run will draw, at most.
+    /// Maximal number of rays that the run will draw.
     #[must_use]
     pub fn rays(&self) -> u64 {
         self.estimation.own_shard().own_rays()
     }
 
-    /// What the run will need: the plan that limits it or, if nothing does, what a pilot of 16,384 rays foretells.
+    /// Predicts what the run will need: the plan that limits it or, if nothing does, the
+    /// prediction of a pilot of 16,384 rays.
     ///
     /// # Errors
     /// As [`RayStream::run`].
@@ -117,7 +119,7 @@ impl<'a> Run<'a> {
             Some(plan) => plan.clone(),
             None => self.pilot()?.plan(&self.lattice)?,
         };
-        // Every group has its own sums, and they meet in one more.
+        // Every group has its own sums, and finishing needs one more.
         plan.bytes *= self.estimation.groups().map_or(1.0, |groups| f64::from(groups) + 1.0);
         Ok(plan)
     }
@@ -127,7 +129,7 @@ impl<'a> Run<'a> {
         Planner::new(*grid, rays, &self.stream, self.estimation.own_shard(), self.lattice, *monitor)
     }
 
-    /// Whether the cameras see anything of the field within its domain, measured on a few thousand rays.
+    /// Measures, on a few thousand rays, whether the cameras see anything of the field within its domain.
     ///
     /// # Errors
     /// [`Error::Interrupted`] only.
@@ -135,7 +137,8 @@ impl<'a> Run<'a> {
         Sight::of(&self.stream, &self.estimation.domain, self.estimation.monitor)
     }
 
-    /// Whether the finite-difference step suits the field; `None` with derivatives of the field's own, or if there is nothing to see.
+    /// Checks the finite-difference step; `None` if the field's own derivatives are used, or if there is nothing
+    /// to see.
     ///
     /// # Errors
     /// [`Error::Interrupted`] only.
@@ -143,7 +146,7 @@ impl<'a> Run<'a> {
         StepCheck::of(&self.stream, &self.lattice, self.estimation.grid.tolerance, self.estimation.monitor)
     }
 
-    /// What the run's approximations cost, measured on a few of its own rays.
+    /// Measures the cost of the run's approximations on a few of its own rays.
     ///
     /// # Errors
     /// As [`RayStream::run`].
@@ -151,14 +154,14 @@ impl<'a> Run<'a> {
         Audit::of(&self.estimation, &self.stream, &self.lattice)
     }
 
-    /// Draws the rays, and makes the field.
+    /// Draws the rays and computes the field.
     ///
-    /// Ctrl-C (the monitor's) leaves a checkpoint behind, if the run has one; a finished run leaves its checkpoint too, until the result is safe and
-    /// [`Checkpoint::remove`](super::Checkpoint::remove) is called.
+    /// Ctrl-C (through the monitor) leaves a checkpoint behind, if the run has one. So does a finished run, until
+    /// the result is saved and [`Checkpoint::remove`](super::Checkpoint::remove) is called.
     ///
     /// # Errors
-    /// If the field is not finite on too many rays, the memory budget does not hold the coarsest leaves, a checkpoint cannot be read or written, a
-    /// [tap](Estimation::tap) fails, or the work was interrupted.
+    /// If the field is not finite on too many rays, the memory budget does not hold the coarsest leaves, a
+    /// checkpoint cannot be read or written, a [tap](Estimation::tap) fails, or the work was interrupted.
     pub fn finish(self) -> Result<Outcome> {
         match self.estimation.goal {
             Goal::Shard { .. } => self.finish_shard(),
@@ -167,11 +170,14 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// Draws the rays once, and makes one field on each of `grids` of them: exact comparisons between grids, levels and readings. All
-    /// cover the run's domain; the run's own grid says how rays are differentiated, and none of the fields lacks samples that it would not have left out alone.
+    /// Draws the rays once and computes a field on each of `grids` from them, for exact comparisons between
+    /// grids, levels and covariances.
+    ///
+    /// All fields cover the run's domain. The run's own grid determines how rays are differentiated. No field
+    /// lacks samples that it would have kept by itself.
     ///
     /// # Errors
-    /// As [`Run::finish`], or if the run has another goal than all rays in one group, or a grid needs a plan.
+    /// As [`Run::finish`], or if the run's goal is not all rays in one group, or a grid needs a plan.
     pub fn finish_on(mut self, grids: &[GridSettings]) -> Result<Vec<Outcome>> {
         let Estimation { field, cameras, domain, rays, goal, monitor, checkpoint, .. } = &self.estimation;
         if !matches!(goal, Goal::Shard { .. }) || checkpoint.is_some() || grids.iter().any(GridSettings::needs_plan) {
@@ -244,13 +250,13 @@ impl<'a> Run<'a> {
         let [(mut whole, _), (other, _)] = halves;
         whole += &other;
         whole.want_density(&self.stream)?;
-        // Two sequences of pixels: no part of a run that others could be added to.
+        // Two sequences of pixels do not form a shard that others could be added to.
         let outcome = self.outcome(whole, progress, start.elapsed(), None);
         let field = outcome.field.with_draws(draws);
         Ok(Outcome { field, sums_bytes, sampling_error: Some(error), ..outcome })
     }
 
-    /// A builder on the plan's leaves.
+    /// Creates a builder on the plan's leaves.
     fn builder(&self) -> Result<FieldBuilder> {
         let mut builder = FieldBuilder::new(self.estimation.grid, self.estimation.domain)?;
         if let Some(plan) = &self.limits.plan {
@@ -259,7 +265,7 @@ impl<'a> Run<'a> {
         Ok(builder)
     }
 
-    /// The checkpoint's files, one for each group; `[None]` if there is none.
+    /// The checkpoint's files, one for each group; `[None]` without a checkpoint.
     fn files(&self) -> Vec<Option<PathBuf>> {
         let groups = self.estimation.groups();
         match &self.estimation.checkpoint {
@@ -313,10 +319,11 @@ impl Limits {
     }
 }
 
-/// Draws the rays of `part` into `builder`, from where its checkpoint ends. If the budget is used up in spite of the plan, the next
-/// tighter plan is made and the part starts again from its first ray, so that the outcome is that of a run which had been planned so.
+/// Draws the rays of `part` into `builder`, starting after its checkpoint. Returns the progress
+/// and the time spent on summing.
 ///
-/// Returns how far it came, and the time spent on summing.
+/// If the budget is exhausted in spite of the plan, the part starts over with the next coarser plan. The outcome
+/// is that of a run with this plan from the start.
 fn draw(
     estimation: &mut Estimation,
     limits: &mut Limits,
@@ -339,7 +346,7 @@ fn draw(
             summing += start.elapsed();
             is_over = limits.budget.is_some_and(|budget| builder.expected_peak() > budget);
             if is_over {
-                // Ends the stream; `is_over` tells it from Ctrl-C.
+                // Ends the stream; `is_over` distinguishes this from Ctrl-C.
                 return Err(Error::Interrupted);
             }
             progress = *so_far;
@@ -347,7 +354,7 @@ fn draw(
             tap.as_mut().map_or(Ok(()), |tap: &mut Tap| tap(batches))
         });
         if !is_over {
-            // A group that is done is not drawn again if a later one is interrupted.
+            // A completed group is not drawn again if a later one is interrupted.
             if matches!(result, Err(Error::Interrupted)) || is_group && result.is_ok() {
                 saver.save(builder, || key(builder), progress)?;
             }

@@ -1,7 +1,7 @@
-//! What cameras see of a field, before anything is computed from them.
+//! Checks what cameras see of a field, before anything is computed from them.
 //!
-//! Cameras in other axes or units, another box, a model in other coordinates: all of it gives a field, one that says
-//! "never seen" everywhere. A few thousand rays tell: [`Framing`] by geometry alone, [`Sight`] by tracing them.
+//! Cameras with other axes or units, another box, a model in other coordinates: each gives a field, but one that says
+//! "never seen" everywhere. A few thousand rays detect this: [`Framing`] by geometry alone, [`Sight`] by tracing them.
 
 use glam::DMat3;
 use rayon::prelude::*;
@@ -12,33 +12,33 @@ use crate::monitor::{Monitor, check};
 use crate::rays::{RayStream, SURFACE_WEIGHT};
 use crate::render::{Quadrature, TraceBuffers};
 
-/// Rays that are looked at, about: a thousandth of a default run's. A share is known to within 0.016 then (two standard
-/// errors of ½).
+/// Approximate number of rays traced, a thousandth of a default run's. The standard error of a fraction is at
+/// most 0.008, so it is known to within 0.016 (two standard errors, at ½).
 const RAYS: usize = 4096;
-/// Cameras that are looked at, at most, evenly spread over all.
+/// Maximal number of cameras used, evenly spread over all.
 const CAMERAS: usize = 512;
-/// So many times the rays are looked at before it is said that nothing is seen: a share of 10⁻⁴ is missed once in 26
-/// times.
+/// Factor by which rays are increased before a run reports that nothing is seen. A fraction of 10⁻⁴
+/// is then missed once in 26 runs.
 const INSISTENCE: usize = 8;
-/// A camera stands in matter if half the light of half its rays is lost within this many samples.
+/// A camera is inside matter if half the light of half its rays is lost within this many samples.
 const NEAR: f64 = 4.0;
-/// Shares of rays below this are little. `tests/sight.rs` has what correct and wrong settings of real models give.
+/// Fractions of rays below this are small. `tests/sight.rs` has values for correct and wrong settings of real models.
 const LITTLE: f64 = 0.05;
-/// Shares of cameras from this on are many.
+/// Fractions of cameras from this value on are large.
 const MANY: f64 = 0.25;
 
-/// How cameras stand to a box.
+/// The position of cameras relative to a box.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Framing {
-    /// Rays looked at.
+    /// Number of rays.
     pub rays: u64,
-    /// Shard of them that pass through the box.
+    /// Fraction of them that pass through the box.
     pub meet_box: f64,
-    /// Shard of the cameras that look away from it: they stand outside, and none of their rays meets it.
+    /// Fraction of the cameras that look away from the box: they stand outside, and none of their rays meets it.
     pub looking_away: f64,
-    /// Shard of the rays that would meet the box if the cameras' axes were OpenCV's (y down, looking along +z).
+    /// Fraction of the rays that would meet the box if the cameras' axes were OpenCV's (y down, looking along +z).
     pub turned: f64,
-    /// Mean distance of the cameras from the box's middle, half diagonals of the box.
+    /// Mean distance of the cameras from the centre of the box, in half diagonals of the box.
     pub distance: f64,
 }
 
@@ -48,8 +48,8 @@ struct View {
     rays: Vec<Ray>,
 }
 
-/// About `count` rays, as many from each camera: a low-discrepancy sequence over the image (R₂: Roberts 2018), the same
-/// for all.
+/// About `count` rays, equally many from each camera. All cameras use the same low-discrepancy sequence
+/// over the image (R₂: Roberts 2018).
 fn views(cameras: &[Camera], count: usize, pixel_offset: f64) -> Vec<View> {
     let used = cameras.len().min(CAMERAS);
     let each = count.div_ceil(used.max(1)).max(8);
@@ -65,7 +65,7 @@ fn views(cameras: &[Camera], count: usize, pixel_offset: f64) -> Vec<View> {
 }
 
 impl Framing {
-    /// How `cameras` stand to `bounds`.
+    /// Measures how `cameras` relate to `bounds`.
     #[must_use]
     pub fn of(cameras: &[Camera], bounds: &Aabb) -> Self {
         Self::of_views(&views(cameras, RAYS, 0.5), bounds)
@@ -96,20 +96,20 @@ impl Framing {
         self.meet_box == 0.0
     }
 
-    /// Whether hardly any does, or many cameras look away.
+    /// Whether few rays meet the box, or many cameras look away.
     #[must_use]
     pub fn is_little(&self) -> bool {
         self.meet_box < LITTLE || self.looking_away >= MANY
     }
 
-    /// What was measured.
+    /// Describes what was measured.
     #[must_use]
     pub fn measured(&self) -> String {
         let [met, away] = [self.meet_box, self.looking_away].map(|share| 100.0 * share);
         format!("of {} rays {met:.1} % meet the model's box, {away:.0} % of the cameras look away from it", self.rays)
     }
 
-    /// What it is likely to come from, if it is little.
+    /// The likely causes, if little is seen.
     #[must_use]
     pub fn causes(&self) -> Option<String> {
         let turned = 100.0 * self.turned;
@@ -129,23 +129,24 @@ impl Framing {
 /// What cameras see of a field.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Sight {
-    /// How they stand to the field's box.
+    /// Their position relative to the field's box.
     pub framing: Framing,
-    /// Shard of the rays that meet matter: opacity at least [`SURFACE_WEIGHT`].
+    /// Fraction of the rays that meet matter, with opacity at least [`SURFACE_WEIGHT`].
     pub meet_matter: f64,
-    /// Shard of the rays that meet as much of it inside the domain in which uncertainty is computed.
+    /// Fraction of the rays that meet matter within the domain of the uncertainty field.
     pub meet_domain: f64,
-    /// Shard of the cameras that stand in matter.
+    /// Fraction of the cameras that are inside matter.
     pub inside_matter: f64,
-    /// Rays dropped because the field was not finite.
+    /// Number of rays dropped because the field was not finite.
     pub dropped: u64,
 }
 
-/// What one camera sees: rays that meet matter, the same in the domain, whether it stands in matter, rays dropped.
+/// Observations of one camera: rays that meet matter, rays that meet it in the domain, whether it
+/// is inside matter, rays dropped.
 type Seen = (f64, f64, bool, u64);
 
 impl Sight {
-    /// Looks at what the cameras of `stream` see inside `domain`, with a thousandth of a default run's rays.
+    /// Measures what the cameras of `stream` see inside `domain`, with a thousandth of a default run's rays.
     ///
     /// # Errors
     /// [`crate::Error::Interrupted`] only.
@@ -176,19 +177,19 @@ impl Sight {
         })
     }
 
-    /// Whether no ray meets matter in the domain. A field that is not finite is another matter.
+    /// Whether no ray meets matter in the domain. Fields that are not finite are reported elsewhere.
     #[must_use]
     pub fn is_nothing(&self) -> bool {
         self.meet_domain == 0.0 && self.dropped == 0
     }
 
-    /// Whether hardly any ray does, many cameras look away, or many stand in matter.
+    /// Whether few rays meet matter, many cameras look away, or many are inside matter.
     #[must_use]
     pub fn is_little(&self) -> bool {
         self.framing.is_little() || self.meet_domain < LITTLE || self.inside_matter >= MANY
     }
 
-    /// What was measured.
+    /// Describes what was measured.
     #[must_use]
     pub fn measured(&self) -> String {
         let [matter, domain, inside] =
@@ -200,7 +201,7 @@ impl Sight {
         )
     }
 
-    /// What it is likely to come from, if it is little.
+    /// The likely causes, if little is seen.
     #[must_use]
     pub fn causes(&self) -> Option<String> {
         if !self.is_little() && !self.is_nothing() {
@@ -279,7 +280,7 @@ mod tests {
         let turned = sight(&changed(opencv), None);
         assert!(turned.is_nothing() && turned.framing.looking_away == 1.0, "{turned:?}");
         assert!(turned.causes().unwrap().contains("OpenCV"), "{turned:?}");
-        // Turned back, the same rays meet the box.
+        // With their axes turned back, the same rays meet the box.
         let right = Framing::of(&changed(|_| {}), &ClosedForm::courtyard().bounds());
         let wrong = Framing::of(&changed(opencv), &ClosedForm::courtyard().bounds());
         assert!((wrong.turned - right.meet_box).abs() < 1e-9, "{wrong:?}, {right:?}");
@@ -293,7 +294,7 @@ mod tests {
         assert!(boxed.is_nothing() && boxed.meet_matter > 0.3, "{boxed:?}");
         assert!(boxed.causes().unwrap().contains("a domain"), "{boxed:?}");
 
-        // Into the ground, which is where z is about -0.75.
+        // Inside the ground, which is where z is about -0.75.
         let buried = sight(&changed(|camera| camera.position = DVec3::new(0.2, 0.2, -0.77)), None);
         assert!(buried.is_little() && buried.inside_matter == 1.0, "{buried:?}");
     }

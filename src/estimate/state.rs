@@ -1,8 +1,9 @@
 //! The state of a posterior in a file, so that a run survives Ctrl-C, `kill -9` and power cuts.
 //!
-//! A [container] with the sections `codes` (u64, of bricks; empty for a dense grid), `sums` (64 or 1
-//! [`VertexSums`] each) and `surface`. Sums are kept bit for bit and rays go on behind the last one counted, so a
-//! resumed run ends with the bits of an uninterrupted one. A run only takes up a state whose description equals its own.
+//! A container file with the sections `codes` (u64, of bricks; empty for a dense grid), `sums` ([`VertexSums`], 8
+//! per code, or one per lattice point of a dense grid) and `surface`. Sums are kept bit for bit, and the run
+//! continues after the last counted ray. A resumed run therefore ends with the bits of an uninterrupted one. A
+//! run accepts only a state with its own description.
 
 use std::path::Path;
 
@@ -26,42 +27,42 @@ pub enum AnyPosterior {
     Octree(OctreePosterior),
 }
 
-/// What a run must have in common with the one that it goes on from: every setting that a sum depends on.
+/// Everything that a sum depends on; a resumed run must match it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RunKey {
-    /// Version of this crate: another one may round or draw otherwise.
+    /// Version of this crate. Other versions may round or draw differently.
     pub version: String,
     /// The model, by its checksum.
     pub source: String,
-    /// Checksum of the cameras in use: an image size can come from elsewhere than the file.
+    /// Checksum of the cameras in use. Their image size may come from a source other than the file.
     pub cameras: u32,
     /// Box and finest level.
     pub lattice: Lattice,
     /// The rays.
     pub shard: Shard,
-    /// How pixels are chosen.
+    /// The method of choosing pixels.
     pub pixels: Pixels,
     /// Seed of pixels and jitter.
     pub seed: u64,
     /// Distance between samples, scene units.
     pub march_step: f64,
-    /// Where the field's derivatives come from.
+    /// Source of the field's derivatives.
     pub gradient: GradientMethod,
-    /// Finite-difference step, scene units: samples within it of matter are differentiated.
+    /// Finite-difference step, scene units. Samples within this distance of matter are differentiated.
     pub difference_step: [f64; 3],
     /// Samples below this are left out.
     pub cutoff: f64,
-    /// So are those with a smaller Jacobian, 1 / scene unit.
+    /// Samples with a smaller Jacobian are left out too, 1 / scene unit.
     pub negligible: f64,
     /// Cells per axis of the occupancy grid.
     pub occupancy: u64,
     /// Colour behind the scene.
     pub background: [f32; 3],
-    /// Where in a pixel rays go through.
+    /// Position of rays within their pixel.
     pub pixel_offset: f64,
-    /// Points on visible surfaces to keep.
+    /// Number of points on visible surfaces to keep.
     pub surface_points: u64,
-    /// Rays per vertex that limits to refinement were made for; 0 for no limits.
+    /// Rays per vertex for which the refinement limits were made; 0 for no limits.
     pub rays_per_vertex: f64,
     /// Checksum of these limits.
     pub limits: u32,
@@ -74,11 +75,11 @@ struct Header {
     dense: bool,
 }
 
-/// A run that can be taken up again.
+/// The state of a run that can be resumed.
 pub struct State {
     /// The sums so far.
     pub posterior: AnyPosterior,
-    /// Rays so far.
+    /// Progress so far.
     pub progress: RunProgress,
     /// Points on visible surfaces so far, scene units.
     pub surface: Vec<[f32; 3]>,
@@ -93,10 +94,10 @@ impl Section for Bricks<'_> {
     }
 }
 
-/// Writes a state; an older one under the same name is replaced only when the new one is complete.
+/// Writes a state. An older one under the same name is replaced only when the new one is complete.
 ///
 /// # Errors
-/// If the folder cannot be written or the disk is full.
+/// If the folder is not writable or the disk is full.
 pub fn save(
     path: &Path,
     key: &RunKey,
@@ -119,19 +120,20 @@ pub fn save(
     }
 }
 
-/// The evidence that the run of a state was limited to: a budget of memory may have tightened it under way.
+/// The number of rays per vertex to which the saved run was limited. A memory budget may have increased it during
+/// the run.
 ///
 /// # Errors
-/// If the file is missing, or its header is not as written.
+/// If the file is missing or its header is damaged.
 pub fn rays_per_vertex(path: &Path) -> Result<f64> {
     let (header, _) = Reader::open::<Header>(path, FORMAT)?;
     Ok(header.key.rays_per_vertex)
 }
 
-/// How far the run of a state had come.
+/// The progress of the saved run.
 ///
 /// # Errors
-/// If the file is missing, or its header is not as written.
+/// If the file is missing or its header is damaged.
 pub fn progress(path: &Path) -> Result<RunProgress> {
     let (header, _) = Reader::open::<Header>(path, FORMAT)?;
     Ok(header.progress)

@@ -1,4 +1,4 @@
-//! Whether the finite-difference step suits the field.
+//! Checks whether the finite-difference step is suitable for the field.
 
 use glam::Vec3;
 
@@ -9,29 +9,29 @@ use crate::monitor::Monitor;
 use crate::rays::{Pixels, RayStream};
 use crate::render::{DifferenceErrors, Differences};
 
-/// Points on visible surfaces that are looked at: a mean over them is known to about 1 / √1024 of its spread.
+/// Number of points on visible surfaces. A mean over them is known to about 1 / √1024 of its spread.
 const POINTS: usize = 1024;
-/// Rays that look for them: four batches.
+/// Number of rays used to find them: four batches.
 const RAYS: u64 = 2048;
-/// Seed of these rays: not the run's, so that the same model and cameras are told the same.
+/// Seed of these rays. It does not depend on the run's, so the same model and cameras always get the same answer.
 const SEED: u64 = 0x57e9;
 
-/// A step, and what central differences over it and over others are off by.
+/// A step, and the errors of central differences with this step and with others.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StepCheck {
     /// The run's step, lattice edges.
     pub step: f64,
-    /// Errors of it and of others.
+    /// Errors with this step and with others.
     pub errors: DifferenceErrors,
-    /// Whether it is badly placed ([`DifferenceErrors::is_bad`]).
+    /// Whether the step is unsuitable ([`DifferenceErrors::is_bad`]).
     pub is_bad: bool,
-    /// Whether the field could differentiate itself instead.
+    /// Whether the field can provide exact derivatives instead.
     pub knows_derivatives: bool,
 }
 
 impl StepCheck {
-    /// Looks at surfaces that the cameras of `stream` see. `None` with derivatives of the field's own, or if there is
-    /// nothing to see.
+    /// Checks the step at surfaces seen by the cameras of `stream`. `None` if the field's own derivatives are
+    /// used, or if there is nothing to see.
     ///
     /// The answer does not depend on the stream's pixels.
     ///
@@ -74,7 +74,7 @@ mod tests {
     use crate::render::{GradientMethod, LONGEST_STEP};
     use glam::DVec3;
 
-    /// A ball of waves too short for the default step, as the highest frequencies of an MLP are on a coarse lattice.
+    /// A ball of waves too short for the default step, like the highest frequencies of an MLP on a coarse lattice.
     struct Waves;
 
     /// Radians per scene unit.
@@ -83,7 +83,7 @@ mod tests {
     fn jet(x: Vec3) -> (f32, Vec3) {
         let (x, direction) = (x.as_dvec3(), DVec3::new(0.8, 0.36, 0.48));
         let (wave, slope) = (FREQUENCY * direction.dot(x)).sin_cos();
-        // 0 outside a radius of 0.6.
+        // The density is 0 outside a radius of 0.6.
         let ramp = (1.0 - x.length() / 0.6).max(0.0);
         let inwards = if ramp > 0.0 { -x.normalize_or_zero() / 0.6 } else { DVec3::ZERO };
         let gradient = inwards * (1.5 + wave) + ramp * slope * FREQUENCY * direction;
@@ -123,7 +123,7 @@ mod tests {
         }
     }
 
-    /// The same, as a black box.
+    /// The same field as a black box.
     struct BlackBox;
 
     impl RadianceField for BlackBox {
@@ -156,7 +156,7 @@ mod tests {
         StepCheck::with_seed(seed, &stream, &lattice, 0.01, &Silent).unwrap().unwrap()
     }
 
-    /// Mean |Δ log10 U| against the field's own derivatives over the vertices that those moved.
+    /// Mean |Δ log10 U| relative to the field's own derivatives, over the vertices that these moved.
     fn error(step: f64) -> f64 {
         let cameras = ClosedForm::half_circle(6, [64, 64]);
         let domain = Domain::Box(Waves.bounds());
@@ -182,9 +182,9 @@ mod tests {
         let best = told.errors.best().step;
         assert!(best <= LONGEST_STEP, "{told:?}");
         let [before, after, harm] = [told.step, best, 10.0].map(error);
-        // What a step of ten edges made of it was advised once: the box has sixteen.
+        // A step of ten edges was once recommended, in a box of sixteen edges.
         assert!(after < 0.5 * before && harm > 10.0 * before, "{before}, {after} with {best}, {harm}");
-        // As a black box it is told much the same.
+        // The black box gets much the same answer.
         let blind = check(&BlackBox, SEED);
         assert!(blind.is_bad && !blind.knows_derivatives, "{blind:?}");
         let proposed = error(blind.errors.best().step);

@@ -1,4 +1,4 @@
-//! The whole line on small scenes.
+//! The whole pipeline on small scenes.
 
 use super::*;
 use crate::field::{ClosedForm, RadianceField, VoxelGrid};
@@ -37,7 +37,7 @@ fn octree_and_dense_agree_on_the_same_samples() {
     }
     assert!(surrounded > 5000, "{surrounded} vertices compared");
     let compared = crate::uncertainty::compare(octree, dense, 20_000, 1).unwrap();
-    // The tolerance, and the rounding of two deviations to f32.
+    // The tolerance, plus the rounding of two deviations to f32.
     assert!(compared.in_box.unwrap().max <= 0.01 + 1e-6);
     let on_surfaces = compared.on_surfaces.unwrap();
     assert!(on_surfaces.points > 1000 && on_surfaces.max <= 0.01 + 1e-6);
@@ -91,7 +91,7 @@ fn a_scene_scaled_by_s_has_its_uncertainty_scaled_by_s() {
     for i in 0..1000 {
         let x = Vec3::new((i % 10) as f32, (i / 10 % 10) as f32, (i / 100) as f32) / 5.1 - 0.9;
         let change = large.log10(8.0 * x) - small.log10(x) - 8.0_f64.log10();
-        // Powers of two scale f32 exactly; what is left is the rounding of λ and of the deviations.
+        // Powers of two scale f32 exactly, so only λ and the deviations are rounded.
         assert!(change.abs() < 1e-6, "{change} at {x}");
     }
     assert!(small.deviations().iter().any(|d| d < 0.01 * small.prior()), "the rays said something");
@@ -117,15 +117,16 @@ fn a_budget_of_memory_is_kept_by_giving_up_levels() {
     let Outcome { field: limited, .. } =
         Estimation::new(&field, &cameras).rays(settings(20_000)).grid(tight).run().unwrap();
     assert!(peak(&limited) <= budget && limited.validate().is_ok() && !limited.limits().is_unlimited());
-    // What was given up was refinement, not places: both say of the same points that they were seen.
+    // Refinement was given up, not coverage: both fields agree on which points were seen.
     let seen = |field: &UncertaintyField, x| field.log10(x) < field.prior().log10() - 1.0;
     let stream = settings(20_000).stream(&field, &cameras, &free, unlimited.lattice(), &Silent).unwrap();
     let points = stream.surface_points(2000, 20_000, &Silent).unwrap();
     let points: Vec<Vec3> = points.into_iter().map(Vec3::from_array).filter(|&x| seen(&unlimited, x)).collect();
     let kept = points.iter().filter(|&&x| seen(&limited, x)).count() as f64;
     assert!(points.len() > 500 && kept > 0.9 * points.len() as f64, "{kept} of {}", points.len());
-    // And U keeps its meaning: without the division by the footprint, larger leaves would read lower by another 0.3 per level given
-    // up, 1.1 here. What is left is that larger leaves have no gaps between few rays, where the lattice reads the prior.
+    // U keeps its meaning. Without the division by the footprint, larger leaves would be lower by another 0.3 per
+    // level given up, 1.1 here. The remaining difference is that larger leaves have no gaps between sparse rays,
+    // where the finest lattice has the prior.
     let given_up = points.iter().map(|x| 9.0 - f64::from(limited.query(*x).level)).sum::<f64>() / points.len() as f64;
     let lower = points.iter().map(|&x| unlimited.log10(x) - limited.log10(x)).sum::<f64>() / points.len() as f64;
     assert!(given_up > 3.0 && (0.0..0.9).contains(&lower), "{given_up} levels given up, log10 U lower by {lower}");
@@ -149,7 +150,8 @@ fn contracted_space_has_an_answer_everywhere_and_the_dense_one() {
         let compared = crate::uncertainty::compare(octree, dense, 20_000, 1).unwrap();
         assert!(compared.in_box.unwrap().max <= 0.01 + 1e-6);
         assert!(compared.on_surfaces.unwrap().max <= 0.01 + 1e-6);
-        // Something was learnt outside the ball that is not contracted, and far away nothing, which is said sensibly.
+        // Rays gave information outside the uncontracted ball. Far away they gave none, and the field reports the
+        // prior.
         let seen = |x: Vec3| octree.query(x).uncertainty < 0.1 * octree.prior();
         assert!(octree.surface().iter().any(|&x| seen(Vec3::from_array(x)) && Vec3::from_array(x).length() > 0.9));
         for x in [Vec3::splat(1e6), Vec3::new(-3e30, 0.0, 1.0), Vec3::splat(f32::MAX)] {
@@ -162,14 +164,14 @@ fn contracted_space_has_an_answer_everywhere_and_the_dense_one() {
 
 #[test]
 fn the_finest_level_of_all_works_and_says_the_same_as_a_scan_of_its_samples() {
-    // 65,536 cells per axis: a dense grid would take a petabyte.
+    // 65,536 cells per axis, for which a dense grid would take a petabyte.
     let field = ClosedForm::courtyard();
     let cameras = ClosedForm::half_circle(3, [40, 40]);
     let grid = GridSettings { level: 16, tolerance: 0.0, surface_points: 50, ..GridSettings::default() };
     let Outcome { field: found, progress, .. } =
         Estimation::new(&field, &cameras).rays(settings(24)).grid(grid).run().unwrap();
     assert!(progress.samples > 50 && found.validate().is_ok());
-    // Every ray meets vertices of its own here: where a sample was sensitive, one ray supports the number.
+    // Here every ray meets vertices of its own. Where a sample was sensitive, one ray supports the number.
     let seen = found.surface().iter().filter(|x| {
         let estimate = found.query(Vec3::from_array(**x));
         estimate.level == 16 && estimate.uncertainty < 0.9 * found.prior() && estimate.rays == Some(1.0)
@@ -177,7 +179,8 @@ fn the_finest_level_of_all_works_and_says_the_same_as_a_scan_of_its_samples() {
     assert!(seen.count() > 40, "of {}", found.surface().len());
 }
 
-/// A budget that the plan meets and the run does not: the outcome is that of a run which had been planned tighter from its first ray.
+/// A budget that the plan meets and the run exceeds. The outcome must be that of a run with the
+/// coarser plan from its first ray.
 #[test]
 fn a_run_that_starts_again_ends_as_if_it_had_been_planned_so() {
     let field = ClosedForm::courtyard();
@@ -185,7 +188,7 @@ fn a_run_that_starts_again_ends_as_if_it_had_been_planned_so() {
     let criteria = [crate::posterior::Criterion::RayCount].into_iter().collect();
     let grid = GridSettings { level: 8, criteria, min_rays: 0.25, surface_points: 0, ..GridSettings::default() };
     let estimation = |grid| Estimation::new(&field, &cameras).rays(settings(20_000)).grid(grid);
-    // Planned without a budget, run within one that the sums outgrow.
+    // Planned without a budget, then run with one that the sums exceed.
     let mut run = estimation(grid).prepare().unwrap();
     run.limits.budget = Some(40_000_000);
     let again = run.finish().unwrap();
@@ -198,7 +201,7 @@ fn a_run_that_starts_again_ends_as_if_it_had_been_planned_so() {
     assert!(!planned.is_replanned && planned.field == again.field);
 }
 
-/// The error that error bars promise, against the one found with twenty times the rays.
+/// Compares the error bars with the error measured against twenty times the rays.
 #[test]
 fn error_bars_are_as_large_as_the_errors() {
     let field = ClosedForm::courtyard();
@@ -228,8 +231,8 @@ fn error_bars_are_as_large_as_the_errors() {
                 }
             }
             let ratio = (squares[0] / squares[1]).sqrt();
-            // Root mean square, 20 % to both sides over all vertices whose error is known, 40 % by number of rays. The limit is itself off by 1/√20
-            // of the error, 2 % of the ratio.
+            // Root mean square: 20 % either way over all vertices with a known error, 40 % by number of rays. The
+            // reference itself is off by 1/√20 of the error, which is 2 % of the ratio.
             let is_right = ratio < slack && ratio > 1.0 / slack;
             assert!(n > 300 && is_right, "{groups} groups, {least} rays: {ratio}, {n} vertices");
         }
@@ -243,7 +246,7 @@ fn groups_add_up_and_differ_on_any_grid_with_any_threads() {
     let run = |kind, threads| {
         let grid = GridSettings { grid: kind, level: 5, tolerance: 0.0, ..GridSettings::default() };
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        // Not a multiple of the groups.
+        // Not a multiple of the number of groups.
         pool.install(|| {
             Estimation::new(&field, &cameras).rays(settings(5003)).grid(grid).error_bars(3).run().unwrap().field
         })
@@ -258,7 +261,7 @@ fn groups_add_up_and_differ_on_any_grid_with_any_threads() {
         let v = dense.lattice().dense_index([x, y, z]);
         let [a, b] = [octree.error_bars().unwrap().get(vertex), dense.error_bars().unwrap().get(v)];
         match (a, b) {
-            // Sums in another order, one unit in the last place of f16.
+            // Sums in another order: one unit in the last place of f16.
             (Some(a), Some(b)) if (a - b).abs() <= 1e-3 * a + 1e-6 => known += 1,
             (None, None) => unknown += 1,
             _ => panic!("{a:?} on the octree, {b:?} on the dense grid"),
@@ -284,10 +287,11 @@ fn the_default_step_is_as_far_as_positions_need() {
         RaySettings::default().differences(&lattice, &moved).step.x / lattice.edge().x
     };
     assert_eq!(step(8, 0.0), 1.0 / 512.0);
-    // Beyond 1 numbers are 2⁻²³ apart: four of these are more than 1/512 of an edge of the finest level; 4000 times farther from the origin of level 8, too.
+    // Beyond 1, f32 numbers are 2⁻²³ apart. Four of these are more than 1/512 of an edge of the finest level. The
+    // same holds at level 8, 4000 units from the origin.
     let (fine, far) = (step(16, 0.0), step(8, 4000.0));
     assert!((1.0 / 512.0..0.125).contains(&fine) && fine > 1.0 / 500.0, "{fine}");
     assert!(far > 1.0 / 500.0 && far <= 0.125, "{far}");
-    // Too far for any: left as it is, to be refused.
+    // Too far for any step: the default is kept and later rejected.
     assert_eq!(step(8, 1e5), 1.0 / 512.0);
 }

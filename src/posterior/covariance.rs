@@ -1,28 +1,29 @@
-//! Scalars read off a vertex's information.
+//! Standard deviations computed from a vertex's information.
 
 use glam::{DVec3, Vec3};
 
 use super::double_double::DoubleDouble;
 use super::{VertexSums, trace};
 
-/// Which standard deviation is read off H_v = (2/R) S_v + 2λ I.
+/// The definition of the standard deviation σ_v, computed from H_v = (2/R) S_v + 2λ I.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Covariance {
-    /// σ² = Σ_k 1 / H_kk (the paper, Sec. 4.4). Depends on how the axes are turned.
+    /// σ² = Σ_k 1 / H_kk (the paper, Sec. 4.4). Depends on the orientation of the axes.
     #[default]
     Diagonal,
     /// σ² = 1 / (tr S / R + λ) (the official code: no factor 2; interpolates variance with normalised squared weights).
     Trace,
     /// σ² = tr(H⁻¹) of the full 3×3 block. Does not depend on the axes; counts sliding along a surface as uncertainty.
     Block,
-    /// σ² = nᵀ H⁻¹ n, n = direction of the mean density gradient: across the surface only, the part that can move depth. Where
-    /// no gradient is known, the mean over all directions, tr(H⁻¹) / 3.
+    /// σ² = nᵀ H⁻¹ n, where n is the direction of the mean density gradient. It counts motion across the
+    /// surface only, which is the part that can change depth. Where no gradient is known, it is the mean
+    /// over all directions, tr(H⁻¹) / 3.
     Normal,
 }
 
 impl Covariance {
-    /// All of them.
+    /// All variants.
     pub const ALL: [Self; 4] = [Self::Diagonal, Self::Trace, Self::Block, Self::Normal];
 
     /// The name used on the command line and in files.
@@ -36,7 +37,7 @@ impl Covariance {
         }
     }
 
-    /// σ_v in scene units, for `evidence` from `rays` rays and the prior λ (1 / scene unit²).
+    /// σ_v in scene units, from the `sums` of a run of `rays` rays and the prior precision λ (1 / scene unit²).
     #[must_use]
     pub fn deviation(self, sums: &VertexSums, rays: u64, lambda: f64) -> f64 {
         let s = &sums.information;
@@ -57,13 +58,13 @@ impl Covariance {
         f64::sqrt(variance)
     }
 
-    /// σ_v where no ray said anything.
+    /// σ_v in scene units at a vertex that no ray touched.
     #[must_use]
     pub fn prior(self, lambda: f64) -> f64 {
         self.deviation(&VertexSums::default(), 1, lambda)
     }
 
-    /// U from the deviations of the eight corners of a cell, with their trilinear weights.
+    /// Interpolates U from the deviations at the eight corners of a cell, with their trilinear weights.
     ///
     /// The paper's U is trilinear in σ_v; the official code's is √(Σ w² σ² / Σ w²).
     #[must_use]
@@ -78,8 +79,10 @@ impl Covariance {
         }
     }
 
-    /// The error of log10 U that the corners' errors of log10 σ_v make, of the first order and at most: as if all were off to the same
-    /// side, which corners that the same rays pass nearly are. `None` if a corner's is not known.
+    /// Bounds the error of log10 U from the errors of log10 σ_v at the corners, to first order.
+    ///
+    /// The bound assumes that all errors have the same sign. That is nearly true for corners passed by the same
+    /// rays. `None` if the error of a corner is unknown.
     #[must_use]
     pub fn interpolate_errors(
         self,
@@ -90,9 +93,9 @@ impl Covariance {
         self.joined_error((0..8).map(|c| (errors[c], deviations[c], weights[c])))
     }
 
-    /// As [`Covariance::interpolate_errors`], from (error, deviation, weight).
+    /// Same as [`Covariance::interpolate_errors`], but takes (error, deviation, weight) per corner.
     ///
-    /// d log U = Σ p d log σ_v with shares p = w σ_v / Σ w σ_v; for `trace` w² σ² / Σ w² σ².
+    /// d log U = Σ p d log σ_v with fractions p = w σ_v / Σ w σ_v, or w² σ² / Σ w² σ² for `trace`.
     #[must_use]
     pub fn joined_error(self, corners: impl Iterator<Item = (Option<f64>, f64, f64)>) -> Option<f64> {
         let (mut sum, mut total) = (0.0, 0.0);
@@ -107,7 +110,8 @@ impl Covariance {
         Some(sum / total)
     }
 
-    /// The mean of the deviations at the ends of a hanging corner's edge or face, in the quantity that is interpolated.
+    /// The mean of the deviations at the ends of a hanging corner's edge or face, taken in the
+    /// quantity that is interpolated.
     #[must_use]
     pub fn mean(self, deviations: impl ExactSizeIterator<Item = f64>) -> f64 {
         let n = deviations.len() as f64;
@@ -118,21 +122,25 @@ impl Covariance {
     }
 }
 
-/// Largest tr S that changes log10 U of no covariance by more than `tolerance`, for `rays` rays and the prior λ.
+/// The largest tr S that changes log10 U by at most `tolerance` for every covariance, given `rays`
+/// rays and the prior precision λ.
 ///
-/// tr S ≤ ε λ R keeps every eigenvalue and every diagonal entry of S below ε λ R, hence H between 2λ and 2λ (1 + ε), so
-/// that no σ_v falls by more than the factor √(1 + ε): ε = 10^(2 · tolerance) − 1.
+/// tr S ≤ ε λ R keeps every eigenvalue and every diagonal entry of S below ε λ R. H then lies between 2λ and 2λ
+/// (1 + ε), so no σ_v falls by more than the factor √(1 + ε). Hence ε = 10^(2 · tolerance) − 1.
 #[must_use]
 pub fn negligible_information(tolerance: f64, rays: u64, lambda: f64) -> f64 {
     (2.0 * tolerance * std::f64::consts::LN_10).exp_m1() * lambda * rays as f64
 }
 
-/// By how much G of each sample may be off (‖ΔG‖, 1 / scene unit), left out or not, if no ray has more than `per_vertex` samples at one vertex: no
-/// scalar's log10 changes by more than `tolerance` (at most 0.1), whatever else the rays say; `normal`'s as long as its direction stays.
+/// The largest allowed error ‖ΔG‖ of every sample's G, in 1 / scene unit, whether or not the sample is left out.
 ///
-/// Along any direction, with S what stays (the paper's H is (2/R)(S + λR)): n rays, each with a J that is off by at most a √λ,
-/// a = per_vertex ‖G‖ / √λ, change S + λR by at most 2 √(S n) a √λ + n a² λ (Cauchy–Schwarz). With n ≤ R that is at most a + a² of it, because 2√s ≤ 1 + s, and log10 U
-/// moves by half of its log10.
+/// If no ray has more than `per_vertex` samples at one vertex, log10 of every scalar changes by at most `tolerance`
+/// (at most 0.1), whatever else the rays contribute. For `normal` this holds as long as its direction stays.
+///
+/// Along any direction, let S be what remains; the paper's H is (2/R)(S + λR). Take n rays, each with a J that
+/// is off by at most a √λ, where a = per_vertex ‖ΔG‖ / √λ. They change S + λR by at most 2 √(S n) a √λ + n a² λ
+/// (Cauchy–Schwarz). With n ≤ R the relative change is at most a + a², because 2√s ≤ 1 + s. log10 U moves by
+/// half the log10 of that factor.
 #[must_use]
 pub fn negligible_jacobian(tolerance: f64, lambda: f64, per_vertex: f64) -> f64 {
     tolerance * std::f64::consts::LN_10 * lambda.sqrt() / per_vertex
@@ -140,12 +148,13 @@ pub fn negligible_jacobian(tolerance: f64, lambda: f64, per_vertex: f64) -> f64 
 
 /// M = L⁻¹ and D⁻¹ of H = A + floor · I = L D Lᵀ (L unit lower triangular), so that H⁻¹ = Mᵀ D⁻¹ M.
 ///
-/// A is positive semidefinite (xx, xy, xz, yy, yz, zz); it may be of rank 1 and 10¹⁸ times larger than `floor`. f64 would lose the floor beside it,
-/// and with it all that is known of the other directions; pivots are therefore found in double-double arithmetic, of 104 bits. Each
-/// pivot is a Schur complement of H and therefore at least `floor`; sums that were rounded before they came here can put it below, and
-/// `floor` is enforced: what is read off is finite, positive and at most what `floor` alone gives.
+/// A is positive semidefinite (xx, xy, xz, yy, yz, zz). It may have rank 1 and be 10¹⁸ times larger than `floor`.
+/// In f64 the floor would be lost, and with it everything known about the other directions. The pivots are
+/// therefore computed in double-double arithmetic, with 104 bits. Each pivot is a Schur complement of H and hence
+/// at least `floor`. Sums that were already rounded can push it below, so `floor` is enforced: results are
+/// finite, positive and at most what `floor` alone gives.
 struct InverseFactor {
-    /// M below its diagonal of ones: 10, 20, 21.
+    /// M below its unit diagonal: entries 10, 20, 21.
     rows: [f64; 3],
     /// D⁻¹.
     inverse_pivots: [f64; 3],
@@ -198,7 +207,7 @@ mod tests {
     }
 
     fn information() -> impl Strategy<Value = Information> {
-        // Sums of a few outer products over many decades; one product alone is rank 1.
+        // Sums of a few outer products over many decades; a single product has rank 1.
         let row = ([-1.0..1.0_f64, -1.0..1.0, -1.0..1.0], -8.0..2.0_f64);
         proptest::collection::vec(row, 0..5).prop_map(|rows| {
             let mut s = [0.0; 6];
@@ -224,14 +233,16 @@ mod tests {
 
     #[test]
     fn diagonal_depends_on_the_axes_and_block_does_not() {
-        // A textureless wall: all information along its normal. Facing an axis, diagonal is near the prior; at (1,1,1)/√3 it
-        // is decades lower (a known fact of the formula). Block gives the same for both.
+        // A textureless wall: all information lies along its normal. If the normal is an axis, `diagonal` is
+        // near the prior. If it is (1,1,1)/√3, `diagonal` is decades lower, a known property of the formula.
+        // `block` gives the same for both.
         let (lambda, rays, strength) = (1e-10, 1000, 1e3);
         let axis = [strength, 0.0, 0.0, 0.0, 0.0, 0.0];
         let turned = [strength / 3.0; 6];
         let log10 = |c: Covariance, s: &Information| c.deviation(&seen(*s, [0.0; 3]), rays, lambda).log10();
         assert!(log10(Covariance::Diagonal, &axis) - log10(Covariance::Diagonal, &turned) > 4.0);
-        // Rounding 1/3 leaves a second eigenvalue of 1e-16 · strength = 1e-13, 1e-16 per ray, against λ = 1e-10.
+        // Rounding 1/3 leaves a second eigenvalue of 1e-16 · strength = 1e-13, or 1e-16 per ray, compared with
+        // λ = 1e-10.
         assert!((log10(Covariance::Block, &axis) - log10(Covariance::Block, &turned)).abs() < 1e-5);
     }
 
@@ -261,7 +272,7 @@ mod tests {
             }
             for covariance in Covariance::ALL {
                 let [a, b] = [without, with].map(|s| covariance.deviation(&seen(s, gradient), rays, lambda));
-                // Two decades of f64's precision are left in the smallest block.
+                // In the smallest block, two decades of f64 precision remain.
                 prop_assert!((a / b).log10().abs() <= tolerance + 1e-9, "{:?}: {} and {}", covariance, a, b);
             }
         }
@@ -278,7 +289,7 @@ mod tests {
                     let change = (covariance.prior(lambda) / covariance.deviation(&seen(scaled, gradient), rays, lambda)).log10();
                     prop_assert!((-1e-12..=tolerance * (1.0 + 1e-9)).contains(&change), "{:?} moves by {}", covariance, change);
                 }
-                // Two-sided: the bound is reached by `trace`.
+                // Two-sided: `trace` reaches the bound.
                 let change = (Covariance::Trace.prior(lambda) / Covariance::Trace.deviation(&seen(scaled, gradient), rays, lambda)).log10();
                 prop_assert!((change - tolerance).abs() < 1e-9);
             }
@@ -286,8 +297,8 @@ mod tests {
 
         #[test]
         fn trace_of_the_inverse_is_the_sum_over_eigenvalues(s in information(), decade in -9.0..0.0_f64) {
-            // tr(H⁻¹) = (sum of principal 2×2 minors) / det, evaluated in integers would be exact; in f64 it is good to
-            // 1e-16 · (largest / floor)², so it is compared only where that is small.
+            // tr(H⁻¹) = (sum of principal 2×2 minors) / det. In f64 its accuracy is 1e-16 · (largest / floor)²,
+            // so the comparison is limited to cases where that is small.
             let floor = 10_f64.powf(decade);
             let found = InverseFactor::new(s, floor).trace();
             let [xx, xy, xz, yy, yz, zz] = [s[0] + floor, s[1], s[2], s[3] + floor, s[4], s[5] + floor];
@@ -301,13 +312,14 @@ mod tests {
             prop_assert!(found > 0.0 && found <= 3.0 / floor * (1.0 + 1e-12));
         }
 
-        /// Against exact arithmetic with whole numbers of any length, down to a floor 10¹⁸ times below the largest eigenvalue.
+        /// Compares with exact rational arithmetic, down to a floor 10¹⁸ times below the largest eigenvalue.
         #[test]
         fn inverses_are_exact_down_to_the_floor(
             vectors in proptest::collection::vec((proptest::array::uniform3(-40..=40_i32), 0..=30_i32), 0..4),
             exponent in -60..=60_i32, direction in proptest::array::uniform3(-1.0..1.0_f64),
         ) {
-            // Sums of outer products of small whole vectors times powers of four: eigenvalues from 1 to 4³⁰ · 4800 floors, in any directions.
+            // Sums of outer products of small integer vectors times powers of four: eigenvalues from 1 to
+            // 4³⁰ · 4800 floors, in any direction.
             let floor = f64::from(exponent).exp2();
             let mut a = [0.0; 6];
             for (v, k) in &vectors {
@@ -330,13 +342,14 @@ mod tests {
             let inverse = InverseFactor::new(a, floor);
             let found = inverse.trace();
             prop_assert!(found > 0.0 && found <= 3.0 / floor, "{}", found);
-            // Sums of f64 that were rounded may not be positive semidefinite any more: then no answer is right, and bounds are all there is.
+            // Rounded f64 sums may no longer be positive semidefinite. Then no answer is right,
+            // and only the bounds are checked.
             let (minors, _, det) = minors_of(0.0);
             let zero = exact(0.0);
             if minors.iter().all(|m| *m >= zero) && det >= zero {
                 let (minors, cofactors, det) = minors_of(floor);
                 let expected = ((&minors[0] + &minors[1] + &minors[2]) / &det).to_f64().unwrap();
-                // Rounding 2⁻¹⁰⁰ of the largest entry, which is 10²² floors at most.
+                // The rounding is 2⁻¹⁰⁰ of the largest entry, which is at most 10²² floors.
                 prop_assert!((found / expected - 1.0).abs() < 1e-8, "{} instead of {}", found, expected);
                 if let Some(n) = DVec3::from(direction).try_normalize() {
                     // nᵀ H⁻¹ n by Cramer's rule.
@@ -344,7 +357,7 @@ mod tests {
                     let form = &minors[0] * &nx * &nx + &minors[1] * &ny * &ny + &minors[2] * &nz * &nz
                         + exact(2.0) * (&cofactors[0] * &nx * &ny + &cofactors[1] * &nx * &nz + &cofactors[2] * &ny * &nz);
                     let (found, expected) = (inverse.along(n), (form / &det).to_f64().unwrap());
-                    // Where M n cancels, its rounding in f64 is left.
+                    // Where M n cancels, its f64 rounding remains.
                     let limit = 1e-8 * expected.max(1e-7 / floor);
                     prop_assert!((found - expected).abs() <= limit, "{} instead of {}", found, expected);
                 }
@@ -353,7 +366,7 @@ mod tests {
 
         #[test]
         fn the_mean_over_three_axes_of_the_normal_reading_is_a_third_of_the_trace(s in information(), turn in 0.0..6.3_f64, tilt in 0.0..3.1_f64) {
-            // For any orthonormal triple; one of its directions at a time stands in for the normal.
+            // Holds for any orthonormal triple; each of its directions in turn stands in for the normal.
             let inverse = InverseFactor::new(s, 1e-3);
             let triple = glam::DMat3::from_rotation_z(turn) * glam::DMat3::from_rotation_x(tilt);
             let sum: f64 = [triple.x_axis, triple.y_axis, triple.z_axis].map(|n| inverse.along(n)).iter().sum();
@@ -365,7 +378,7 @@ mod tests {
             let sum: Information = std::array::from_fn(|k| s[k] + more[k]);
             for covariance in Covariance::ALL {
                 let [before, after] = [s, sum].map(|s| covariance.deviation(&seen(s, [0.3, -0.5, 0.8]), 10, 1e-6));
-                // Block goes through a Cholesky factor: relative rounding of 1e-16 · 1e2 / 2e-6.
+                // `block` uses a triangular factorisation: relative rounding of 1e-16 · 1e2 / 2e-6.
                 prop_assert!(after <= before * (1.0 + 1e-7), "{:?}: {} after {}", covariance, after, before);
             }
         }

@@ -1,22 +1,22 @@
-//! Where the octree is refined.
+//! Criteria for refining the octree.
 
 use std::fmt;
 
-/// One reason to refine, or not to.
+/// A single criterion that asks for refinement or limits it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 pub enum Criterion {
-    /// Around vertices whose displacement some pixel would notice
+    /// Around vertices whose displacement would change some pixel
     Sensitivity,
-    /// Where there is density, seen or not
+    /// Wherever there is density, seen or not
     Density,
-    /// No finer than the rays can support: about --min-rays rays a vertex (4, if that is 0)
+    /// No finer than the rays support: about --min-rays rays per vertex (4 if that is 0)
     RayCount,
-    /// Everywhere: the dense grid's vertices
+    /// Everywhere: the vertices of the dense grid
     Uniform,
 }
 
-/// A combination: refine where any of the first three says so, no finer than evidence supports.
+/// A combination of criteria: refine where any of the first three asks for it, but no finer than the rays support.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct Criteria {
     /// [`Criterion::Sensitivity`].
@@ -25,7 +25,7 @@ pub struct Criteria {
     pub density: bool,
     /// [`Criterion::Uniform`].
     pub uniform: bool,
-    /// [`Criterion::Evidence`].
+    /// [`Criterion::RayCount`].
     pub ray_count: bool,
 }
 
@@ -46,7 +46,7 @@ impl FromIterator<Criterion> for Criteria {
                 Criterion::Uniform => all.uniform = true,
             }
         }
-        // Evidence limits; alone it limits what rays are sensitive to.
+        // The ray count only limits. By itself it limits refinement by sensitivity.
         all.sensitivity |= !all.density && !all.uniform;
         all
     }

@@ -1,4 +1,4 @@
-//! The dense reference: the paper's uniform grid, written for reading.
+//! The dense reference: the paper's uniform grid, written for readability.
 
 use std::collections::BTreeMap;
 
@@ -7,7 +7,7 @@ use crate::geometry::Lattice;
 use crate::octree::trilinear;
 use crate::render::RaySamples;
 
-/// VertexSums of all (M + 1)³ lattice points, one after the other in ray order, in f64.
+/// The sums at all (M + 1)³ lattice points, added in f64 in ray order.
 #[derive(Debug, Clone)]
 pub struct DensePosterior {
     lattice: Lattice,
@@ -16,13 +16,13 @@ pub struct DensePosterior {
 }
 
 impl DensePosterior {
-    /// No information yet.
+    /// Creates a posterior without information.
     #[must_use]
     pub fn new(lattice: Lattice) -> Self {
         Self { lattice, sums: vec![VertexSums::default(); lattice.dense_vertices() as usize] }
     }
 
-    /// A posterior that goes on from `sums`, `[(M + 1)³]`, x slowest; `None` if there are more or fewer.
+    /// Continues from `sums`, `[(M + 1)³]`, x slowest; `None` if their number is wrong.
     #[must_use]
     pub fn from_sums(lattice: Lattice, sums: Vec<VertexSums>) -> Option<Self> {
         (sums.len() as u64 == lattice.dense_vertices()).then_some(Self { lattice, sums })
@@ -34,7 +34,7 @@ impl DensePosterior {
         lattice.dense_vertices().saturating_mul(size_of::<VertexSums>() as u64)
     }
 
-    /// The sums, `[(M + 1)³]`, x slowest.
+    /// Returns the sums, `[(M + 1)³]`, x slowest.
     #[must_use]
     pub fn into_sums(self) -> Vec<VertexSums> {
         self.sums
@@ -46,12 +46,12 @@ impl DensePosterior {
         &self.sums
     }
 
-    /// Adds sums over other rays, `[(M + 1)³]`, x slowest.
+    /// Adds the sums over other rays, `[(M + 1)³]`, x slowest.
     pub fn add_sums(&mut self, sums: &[VertexSums]) {
         self.sums.iter_mut().zip(sums).for_each(|(sum, other)| sum.add(other));
     }
 
-    /// J_v(r), and the weighted sum of density gradients, of every vertex v that one ray touches.
+    /// J_v(r) and the weighted sum of density gradients, for every vertex v that one ray touches.
     fn ray_jacobian(&self, samples: &RaySamples, ray: std::ops::Range<usize>) -> BTreeMap<usize, ([f64; 9], [f64; 3])> {
         let mut jacobian: BTreeMap<usize, ([f64; 9], [f64; 3])> = BTreeMap::new();
         for i in ray {

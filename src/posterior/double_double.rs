@@ -1,4 +1,5 @@
-//! DoubleDouble-double arithmetic: numbers of 106 bits as the sum of two f64 (Dekker 1971; the algorithms as in Joldes, Muller, Popescu 2017).
+//! Double-double arithmetic: 106-bit numbers as the sum of two f64 (Dekker 1971; algorithms as in
+//! Joldes, Muller, Popescu 2017).
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
@@ -29,7 +30,7 @@ impl DoubleDouble {
         Self { high, low: b - (high - a) }
     }
 
-    /// The larger of both.
+    /// The larger of the two.
     pub fn max(self, other: Self) -> Self {
         if (self - other).high >= 0.0 { self } else { other }
     }
@@ -80,7 +81,7 @@ impl Mul for DoubleDouble {
 
 impl Div for DoubleDouble {
     type Output = Self;
-    /// Long division: each digit has 53 bits.
+    /// Long division with digits of 53 bits.
     fn div(self, other: Self) -> Self {
         let first = self.high / other.high;
         let rest = self - other * first.into();

@@ -1,12 +1,12 @@
 //! From ray samples to the information that the training images hold about each deformation vertex.
 //!
-//! Letters: `J` = Jacobian of a pixel with respect to a vertex displacement, J_v(r) = Σ_i φ_v(x_i) G_i, summed over the ray's
-//! samples *before* squaring, 3×3, colour × axis, 1 / scene unit. `S_v` = Σ_r J_v(r)ᵀ J_v(r), symmetric 3×3, the vertex's
-//! *information*. `R` rays drawn, those that hit nothing included. H_v = (2/R) S_v + 2λ I.
+//! Letters: `J` = Jacobian of a pixel with respect to a vertex displacement, J_v(r) = Σ_i φ_v(x_i) G_i, summed over
+//! the ray's samples *before* squaring, 3×3, colour × axis, 1 / scene unit. `S_v` = Σ_r J_v(r)ᵀ J_v(r), symmetric 3×3,
+//! the vertex's *information*. `R` = number of rays drawn, including those that hit nothing. H_v = (2/R) S_v + 2λ I.
 //!
-//! Two posteriors sit side by side behind [`Posterior`]: [`DensePosterior`], plain and readable, over all (M + 1)³ lattice
-//! points, and [`OctreePosterior`], which keeps only what rays touched and ends as an octree. They share no accumulation code:
-//! each is the check of the other.
+//! [`Posterior`] has two implementations. [`DensePosterior`] is plain and readable and covers all (M + 1)³
+//! lattice points. [`OctreePosterior`] keeps only what rays touched and ends as an octree. They share no
+//! accumulation code, so each is a check of the other.
 
 mod covariance;
 mod criteria;
@@ -27,13 +27,14 @@ pub use sums::{Information, VertexSums, trace};
 
 use crate::render::RaySamples;
 
-/// Sums information from a stream of ray samples.
+/// Sums information over a stream of ray samples.
 pub trait Posterior {
-    /// Adds the rays of `batches`, in order. Samples outside the lattice's box say nothing and are passed over.
+    /// Adds the rays of `batches`, in order. Samples outside the lattice's box are skipped.
     ///
-    /// The result depends on the order of rays, but not on how they are cut into batches or on the number of threads.
+    /// The result depends on the order of the rays, but not on how they are split into batches or on the number
+    /// of threads.
     fn add(&mut self, batches: &[RaySamples]);
 
-    /// Bytes on the heap, now.
+    /// Current size on the heap, bytes.
     fn memory(&self) -> usize;
 }

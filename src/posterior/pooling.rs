@@ -1,38 +1,40 @@
-//! Pooling by evidence: a vertex that few rays reached borrows from its neighbours.
+//! Pooling by ray count: a vertex near few rays borrows from its neighbours.
 //!
-//! Letters, at vertex v: `N` the lattice points within one lattice edge of v along every axis (27, fewer at the cube's faces);
-//! `t_u` tent weights 1, ½, ¼, ⅛ for points off by 0, 1, 2, 3 axes, normalised over N; `n` the most rays that any moved vertex of N
-//! has; `m` the rays asked for. The pooled sums are
+//! Letters, at vertex v: `N` the lattice points within one lattice edge of v along every axis (27, fewer at the
+//! faces of the cube); `t_u` tent weights 1, ½, ¼, ⅛ for points that differ in 0, 1, 2, 3 coordinates, normalised
+//! over N; `n` the largest ray count of any moved vertex in N; `m` the requested number of rays. The pooled sums are
 //!
 //! ```text
 //! w Σ_v + (1 − w) Σ_{u ∈ N} t_u Σ_u        w = n³ / (n³ + (m/2)³)
 //! ```
 //!
-//! The share w of the vertex's own sums rises from 0 to 1 around n = m/2. Rays pass a neighbourhood as one: where the neighbours of
-//! v have many rays, v's own sums say what is so, be they small, and are left alone; where none has many, v's sums are chance.
-//! Counting v's own rays instead, or block means until there are enough, smears surfaces into the empty space beside them:
-//! `experiments/pooling.md` has the comparison.
+//! The weight w of the vertex's own sums rises from 0 to 1 around n = m/2. Rays pass a neighbourhood together.
+//! Where the neighbours of v have many rays, v's own sums are reliable, even if small, and are left alone. Where
+//! none has many, v's sums are due to chance. Counting only v's own rays, or taking block means until there are
+//! enough rays, smears surfaces into the adjacent empty space; `experiments/pooling.md` has the comparison.
 
 use super::{VertexSums, trace};
 use crate::octree::around;
 
-/// How evidence is pooled.
+/// Settings of pooling.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pooling {
-    /// m; 0 leaves every vertex by itself.
+    /// Requested number of rays m; 0 leaves every vertex unpooled.
     pub min_rays: f64,
-    /// Vertices with no more information (tr S) than this have not moved: their rays do not count.
+    /// Vertices with no more information (tr S) than this have not moved, and their rays do not count.
     pub floor: f64,
 }
 
 impl Pooling {
-    /// Whether anything is pooled.
+    /// Whether pooling is enabled.
     #[must_use]
     pub fn is_on(&self) -> bool {
         self.min_rays > 0.0
     }
 
-    /// The pooled sums of the lattice point `center` on a lattice {0..`last`}³ whose sums are `at`; rays stay the point's own.
+    /// The pooled sums at the lattice point `center` of a lattice {0..`last`}³ whose sums are `at`.
+    ///
+    /// The ray count remains that of the point itself.
     #[must_use]
     pub fn pooled(&self, center: [u32; 3], last: u32, at: impl Fn([u32; 3]) -> Option<VertexSums>) -> VertexSums {
         let own = at(center).unwrap_or_default();
@@ -82,19 +84,19 @@ mod tests {
         let points = [([4, 4, 4], seen(3.0, 200)), ([5, 4, 4], seen(900.0, 7))];
         let found = pool([4, 4, 4], &points);
         assert!((found.information[0] - 3.0).abs() < 1e-6 * 900.0 && found.rays == 200, "{found:?}");
-        // An empty vertex beside them is known to be empty: it has been passed as often.
+        // An empty vertex next to them is known to be empty, because as many rays passed it.
         assert!(pool([4, 4, 3], &points).information[0] < 1e-6 * 900.0);
     }
 
     #[test]
     fn few_rays_are_shared_among_neighbours() {
-        // Two rays at one of 27 points: w = ½. The tent weights sum to 2³ = 8, and the centre has 1 of them.
+        // Two rays at one of 27 points: w = ½. The tent weights sum to 2³ = 8; the centre's is 1.
         let points = [([4, 4, 4], seen(8.0, 2))];
         assert!((pool([4, 4, 4], &points).information[0] - (0.5 * 8.0 + 0.5 * 1.0)).abs() < 1e-12);
         assert!((pool([5, 4, 4], &points).information[0] - 0.5 * 0.5).abs() < 1e-12);
         assert!((pool([5, 3, 5], &points).information[0] - 0.5 * 0.125).abs() < 1e-12);
         assert_eq!(pool([6, 4, 4], &points), VertexSums::default());
-        // Without weights of their own, pooled sums add up to what was there: nothing is invented.
+        // Apart from the vertices' own weight, pooling preserves the total.
         let sum: f64 = around([4, 4, 4], 8).map(|(p, _)| pool(p, &points).information[0]).sum();
         assert!((sum - 8.0).abs() < 1e-12);
     }
@@ -107,7 +109,7 @@ mod tests {
 
     #[test]
     fn at_a_corner_of_the_cube_weights_still_sum_to_one() {
-        // Points within the cube: 8, with weights (1 + ½)³ = 3.375.
+        // Eight points lie within the cube. Their weights sum to (1 + ½)³ = 3.375.
         let points = [([8, 8, 8], seen(3.375, 1))];
         let share = 1.0 / 9.0;
         assert!((pool([8, 8, 8], &points).information[0] - (share * 3.375 + (1.0 - share))).abs() < 1e-12);

@@ -1,4 +1,4 @@
-//! What rays said about one vertex.
+//! Sums at one vertex over the rays that touched it.
 
 use crate::io::container::Item;
 
@@ -11,20 +11,20 @@ pub fn trace(s: &Information) -> f64 {
     s[0] + s[3] + s[5]
 }
 
-/// Sums over the rays that touched a vertex: 64 bytes.
+/// Sums over the rays that touched a vertex; 64 bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct VertexSums {
     /// S.
     pub information: Information,
-    /// Σ_r Σ_i φ_v(x_i) ‖∂C/∂σ_i‖ ∇σ(x_i), 1 / scene unit: points across the surface, into it. f32, because only its direction
-    /// is read.
+    /// Σ_r Σ_i φ_v(x_i) ‖∂C/∂σ_i‖ ∇σ(x_i), 1 / scene unit: points across the surface, into it. Stored as f32
+    /// because only its direction is used.
     pub gradient: [f32; 3],
-    /// Rays with a sample in one of the vertex's cells.
+    /// Number of rays with a sample in one of the vertex's cells.
     pub rays: u32,
 }
 
 impl VertexSums {
-    /// Adds what other rays said.
+    /// Adds the sums over other rays.
     #[inline]
     pub fn add(&mut self, other: &Self) {
         self.information.iter_mut().zip(other.information).for_each(|(s, o)| *s += o);
@@ -32,12 +32,15 @@ impl VertexSums {
         self.rays = self.rays.saturating_add(other.rays);
     }
 
-    /// Whether rays can have given these sums: all are finite, the information's diagonal is not negative, and its other entries are not
+    /// Checks whether rays can have produced these sums.
+    ///
+    /// All numbers are finite, the diagonal of the information is not negative, and its other entries are not
     /// larger than a sum of squares allows (Cauchy-Schwarz).
     #[must_use]
     pub fn is_valid(&self) -> bool {
         let [xx, xy, xz, yy, yz, zz] = self.information;
-        // Each of at most 2³² terms is rounded by 2⁻⁵³ of its bound; numbers below the smallest normal one are not rounded relatively.
+        // Each of at most 2³² terms is rounded by 2⁻⁵³ of its bound. Subnormal numbers have no bounded relative
+        // rounding.
         let bounded = |product: f64, a: f64, b: f64| {
             product.abs() <= a.sqrt() * b.sqrt() * (1.0 + 1e-6) + f64::MIN_POSITIVE.sqrt()
         };

@@ -1,8 +1,9 @@
-//! Training rays, up to the moment before anything is summed: which pixels are drawn, in which order, and what a ray says.
+//! Training rays before anything is summed: which pixels are drawn, in which order, and the samples of each ray.
 //!
-//! A run of `R` rays is cut into batches of 512, and any batch can be drawn alone. [`PixelSequence`] says through which pixel each ray goes,
-//! [`RayStream`] traces and differentiates it, [`Shard`] is the part of a run that one process draws, and [`RunProgress`] how far it has come. Samples
-//! with Jacobians that were computed elsewhere come from a [file](SamplesReader) instead.
+//! A run of `R` rays is split into batches of 512, and any batch can be drawn by itself. [`PixelSequence`]
+//! chooses the pixel of each ray. [`RayStream`] traces and differentiates it. [`Shard`] is the part of a run that
+//! one process draws, and [`RunProgress`] records how far it has come. Samples with Jacobians that were computed
+//! elsewhere come from a [file](SamplesReader) instead.
 
 mod pixels;
 mod progress;

@@ -1,61 +1,62 @@
-//! Which pixel the k-th training ray goes through.
+//! The pixel of the k-th training ray.
 //!
-//! Letters: `k` index of a ray in the whole run; `n` its index among the rays of its camera. A ray is a function of k and the
-//! seed alone, so shards, checkpoints and threads see the same rays.
+//! Letters: `k` index of a ray in the whole run; `n` its index among the rays of its camera. A ray depends only
+//! on k and the seed, so shards, checkpoints and threads see the same rays.
 
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::seeds::mix;
 
-/// How pixels are chosen.
+/// The method of choosing pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
 pub enum Pixels {
     /// Uniformly at random from all images, as in the paper
     Random,
-    /// Cameras in turn, each with its own low-discrepancy sequence: less noise from the same rays
+    /// Cameras in turn, each with its own low-discrepancy sequence; less noise from the same number of rays
     #[default]
     Sobol,
 }
 
-/// Rays of a camera before its sequence starts again with another scramble: all that the generator offers.
+/// Number of rays after which a camera's sequence starts again with another scramble: the limit of the generator.
 const SEQUENCE: u64 = 1 << 16;
-/// Longest round in which cameras of unequal size take turns: their shares of rays are right to one part in this.
+/// Maximal length of a round in which cameras of unequal size take turns. Their fractions of the rays are
+/// accurate to one part in this number.
 const LONGEST_ROUND: u64 = 1 << 14;
 
-/// One ray's place: camera, column and row, and the shift of its samples in `[0, 1)` steps.
+/// The pixel of one ray and the shift of its samples.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pick {
     /// Index of the camera.
     pub camera: usize,
     /// Column and row.
     pub pixel: [u32; 2],
-    /// Shift of the ray's samples.
+    /// Shift of the ray's samples in steps, in `[0, 1)`.
     pub jitter: f64,
 }
 
-/// Picks pixels of cameras of given resolutions, each pixel equally often.
+/// Chooses pixels of cameras with given resolutions, each pixel equally often.
 #[derive(Debug, Clone)]
 pub struct PixelSequence {
     kind: Pixels,
     seed: u64,
-    /// Width and height of every camera.
+    /// Width and height of every camera, pixels.
     resolutions: Vec<[u32; 2]>,
-    /// One round of turns: each entry a camera and how many of its turns came before in the round.
+    /// One round of turns: the camera, and the number of its earlier turns in the round.
     round: Vec<(u32, u32)>,
-    /// Turns of each camera in a round.
+    /// Number of turns of each camera per round.
     turns: Vec<u64>,
 }
 
 impl PixelSequence {
-    /// A sequence over images of the given resolutions.
+    /// Creates a sequence over images of the given resolutions, `[width, height]` in pixels.
     #[must_use]
     pub fn new(kind: Pixels, seed: u64, resolutions: Vec<[u32; 2]>) -> Self {
         let sizes: Vec<u64> = resolutions.iter().map(|[w, h]| u64::from(*w) * u64::from(*h)).collect();
         let turns = turns(&sizes);
-        // Turn t of a camera with m turns is due at (t + ½) / m of the round: turns are spread evenly.
+        // Turn t of a camera with m turns is due at (t + ½) / m of the round, which spreads turns evenly.
         let mut due: Vec<(f64, u32, u32)> = turns
             .iter()
             .enumerate()
@@ -66,19 +67,19 @@ impl PixelSequence {
         Self { kind, seed, resolutions, round, turns }
     }
 
-    /// How pixels are chosen.
+    /// The method of choosing pixels.
     #[must_use]
     pub fn kind(&self) -> Pixels {
         self.kind
     }
 
-    /// The seed.
+    /// Seed of pixels and jitter.
     #[must_use]
     pub fn seed(&self) -> u64 {
         self.seed
     }
 
-    /// The rays `first..first + count`. Random rays are drawn batch by batch: ask for whole batches.
+    /// The picks of the rays `first..first + count`. Random rays are drawn per batch, so ask for whole batches.
     #[must_use]
     pub fn picks(&self, first: u64, count: u64) -> Vec<Pick> {
         match self.kind {
@@ -101,12 +102,12 @@ impl PixelSequence {
             camera += 1;
         }
         let width = u64::from(self.resolutions[camera][0]);
-        // The upper 53 bits as a binary fraction.
+        // The upper 53 bits as a binary fraction in [0, 1).
         let jitter = (rng.next_u64() >> 11) as f64 * 2.0_f64.powi(-53);
         Pick { camera, pixel: [(pixel % width) as u32, (pixel / width) as u32], jitter }
     }
 
-    /// An Owen-scrambled Sobol point in (column, row, jitter), scrambled anew for every camera (Burley 2020).
+    /// An Owen-scrambled Sobol point in (column, row, jitter), with another scramble for every camera (Burley 2020).
     fn sobol(&self, k: u64) -> Pick {
         let length = self.round.len() as u64;
         let (camera, turn) = self.round[(k % length) as usize];
@@ -119,7 +120,8 @@ impl PixelSequence {
     }
 }
 
-/// Turns of each camera in a round, in proportion to its pixels: exactly if a short enough round can, else rounded.
+/// Number of turns of each camera per round, in proportion to its pixels: exact if the round is
+/// short enough, otherwise rounded.
 fn turns(sizes: &[u64]) -> Vec<u64> {
     let divisor = sizes.iter().fold(0, |a, &b| gcd(a, b)).max(1);
     let exact: u64 = sizes.iter().map(|s| s / divisor).sum();
@@ -153,7 +155,8 @@ mod tests {
             for (camera, &side) in sides.iter().enumerate() {
                 let found = picks.iter().filter(|p| p.camera == camera).count() as f64;
                 let fair = f64::from(side) / total * rays as f64;
-                // Evenly spread turns are never more than a turn of every camera away from their share.
+                // With evenly spread turns, no camera is more than 1 + half the number of cameras
+                // away from its fair number of rays.
                 prop_assert!((found - fair).abs() <= 1.0 + sides.len() as f64 / 2.0, "{} of {}", found, fair);
             }
             for p in &picks {
@@ -173,8 +176,8 @@ mod tests {
 
     #[test]
     fn sobol_pixels_fill_an_image_evenly_and_random_ones_do_not() {
-        // 4 rays for each of 16 × 16 tiles of one image. An Owen-scrambled (0, 2)-sequence puts exactly 4 into each; random
-        // counts have a variance of 4.
+        // 4 rays for each of 16 × 16 tiles of one image. An Owen-scrambled (0, 2)-sequence puts exactly 4 into
+        // each. The variance of random counts is 4.
         let spread = |kind| {
             let mut counts = [0.0_f64; 256];
             for p in sequence(kind, &[[64, 64]]).picks(0, 1024) {
@@ -183,13 +186,14 @@ mod tests {
             counts.iter().map(|c| (c - 4.0).powi(2)).sum::<f64>() / 256.0
         };
         assert_eq!(spread(Pixels::Sobol), 0.0);
-        // The mean of 256 squares of variance 2 · 4² each: 4 ± 3 · 5.7 / 16.
+        // The mean of 256 squares, each of variance 2 · 4²: 4 ± 3 · 5.7 / 16.
         assert!((2.9..5.1).contains(&spread(Pixels::Random)), "{}", spread(Pixels::Random));
     }
 
     #[test]
     fn every_one_of_several_cameras_is_filled_evenly() {
-        // Equal cameras take turns, and each sees its own sequence without gaps: 4 rays for each of its 16 × 16 tiles.
+        // Cameras of equal size take turns, and each has its own sequence without gaps: 4 rays for each of
+        // 16 × 16 tiles.
         let picks = sequence(Pixels::Sobol, &[[64, 64]; 3]).picks(0, 3 * 1024);
         for camera in 0..3 {
             let mut counts = [0; 256];

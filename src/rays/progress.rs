@@ -1,27 +1,27 @@
-//! How far a run has come.
+//! The progress of a run.
 
 use std::iter::Sum;
 use std::ops::Add;
 
-/// What came out of a run so far, apart from the samples themselves: also the place where it can be taken up again.
+/// Counts of a run so far, without the samples themselves. A run can be resumed from here.
 #[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 pub struct RunProgress {
-    /// Batches of the share that are done.
+    /// Completed batches of the shard.
     pub batches: u64,
-    /// Rays drawn: R.
+    /// R, the number of rays drawn.
     pub rays: u64,
-    /// Samples with a Jacobian.
+    /// Number of samples with a Jacobian.
     pub samples: u64,
-    /// Rays dropped because the field was not finite.
+    /// Number of rays dropped because the field was not finite.
     pub dropped: u64,
-    /// Position of the first sample that was not.
+    /// Position of the first sample where the field was not finite.
     pub first_invalid: Option<[f32; 3]>,
 }
 
 impl Add for RunProgress {
     type Output = Self;
 
-    /// Both runs together.
+    /// The progress of both runs together.
     fn add(self, other: Self) -> Self {
         Self {
             batches: self.batches + other.batches,

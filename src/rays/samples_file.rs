@@ -1,11 +1,16 @@
-//! Ray samples in a `.npz` file: the plug for Jacobians from any other framework.
+//! Ray samples in a `.npz` file: the interface for Jacobians from any other framework.
 //!
-//! `positions` f32 `[N, 3]` scene units; `jacobian` f32 `[N, 3, 3]` = ∂C_c/∂x_k, rows colour, columns axis; `ray` u32 or u64
-//! `[N]`, non-decreasing ray index; `rays_total` integer scalar, rays drawn, with those that hit nothing; optionally `weight`
-//! f32 `[N]`, the sample's share of the pixel's colour, from which visible surfaces are known, and `gradient` f32 `[N, 3]` =
-//! ‖∂C/∂σ‖ ∇σ, from which covariance `normal` knows the direction across surfaces.
+//! The arrays are:
+//! - `positions`: f32 `[N, 3]`, scene units.
+//! - `jacobian`: f32 `[N, 3, 3]` = ∂C_c/∂x_k, colours in rows, axes in columns.
+//! - `ray`: u32 or u64 `[N]`, non-decreasing ray index.
+//! - `rays_total`: integer scalar, the number of rays drawn, including those that hit nothing.
+//! - `weight` (optional): f32 `[N]`, the sample's weight in the pixel's colour, which identifies visible
+//!   surfaces.
+//! - `gradient` (optional): f32 `[N, 3]` = ‖∂C/∂σ‖ ∇σ, which gives covariance `normal` the direction across
+//!   surfaces.
 //!
-//! Both directions stream: neither holds more than a few batches in memory.
+//! Reading and writing both stream: neither holds more than a few batches in memory.
 
 use std::fs::File;
 use std::io::{BufReader, Read, Write};
@@ -24,10 +29,11 @@ use crate::{Error, Result};
 
 /// Rays per batch when reading.
 const BATCH: usize = 512;
-/// Batches handed over together.
+/// Number of batches passed on together.
 const GROUP: usize = 16;
 
-/// Writes samples as they come; the archive is put together at the end, because a zip holds one member after the other.
+/// Writes samples as they arrive. The archive is assembled at the end, because a zip file stores one member after
+/// the other.
 pub struct SamplesWriter {
     target: PathBuf,
     /// Raw little-endian data of `positions`, `jacobian`, `ray`, `weight`, `gradient`.
@@ -36,10 +42,10 @@ pub struct SamplesWriter {
 }
 
 impl SamplesWriter {
-    /// Starts a file that will be `target`.
+    /// Starts writing the file `target`.
     ///
     /// # Errors
-    /// If the folder cannot be written.
+    /// If the folder is not writable.
     pub fn create(target: &Path) -> Result<Self> {
         let part = || AtomicFile::create(target);
         Ok(Self { target: target.to_path_buf(), parts: [part()?, part()?, part()?, part()?, part()?], samples: 0 })
@@ -75,7 +81,7 @@ impl SamplesWriter {
         write().map_err(Error::io(&self.target, "cannot write"))
     }
 
-    /// Puts the archive together.
+    /// Assembles the archive.
     ///
     /// # Errors
     /// If the disk is full.
@@ -117,7 +123,7 @@ pub struct SamplesReader {
     ray_type: &'static str,
 }
 
-/// The `ray` array in either of its types.
+/// The `ray` array, in either of its types.
 enum RayIndices<R: Read> {
     U32(ArrayStream<u32, R>),
     U64(ArrayStream<u64, R>),
@@ -136,7 +142,7 @@ impl SamplesReader {
     /// Opens a file and checks the shapes and types of its arrays.
     ///
     /// # Errors
-    /// If an array is missing or not as described in the module's documentation.
+    /// If an array is missing or differs from the module's documentation.
     pub fn open(path: &Path) -> Result<Self> {
         let mut npz = NpzReader::open(path)?;
         let positions = npz.stream::<f32>("positions")?;
@@ -163,23 +169,23 @@ impl SamplesReader {
         Ok(Self { path: path.to_path_buf(), rays_total, samples, has_weights, has_gradients, ray_type })
     }
 
-    /// Rays drawn, with those that hit nothing.
+    /// Number of rays drawn, including those that hit nothing.
     #[must_use]
     pub fn rays_total(&self) -> u64 {
         self.rays_total
     }
 
-    /// Samples in the file.
+    /// Number of samples in the file.
     #[must_use]
     pub fn samples(&self) -> u64 {
         self.samples
     }
 
-    /// Hands all samples to `sink`, in order, a few thousand rays at a time.
+    /// Passes all samples to `sink`, in order, a few thousand rays at a time.
     ///
     /// # Errors
-    /// What `sink` returns; if a value is not finite, ray indices decrease or reach `rays_total`, the file ends early, or a checksum
-    /// of the archive is not that of its content.
+    /// If `sink` fails, a value is not finite, ray indices decrease or reach `rays_total`, the file is truncated,
+    /// or a checksum of the archive does not match its content.
     pub fn run(&self, monitor: &dyn Monitor, mut sink: impl FnMut(&[RaySamples]) -> Result<()>) -> Result<()> {
         let open = || NpzReader::open(&self.path);
         let (mut a, mut b, mut c, mut d, mut e) = (open()?, open()?, open()?, open()?, open()?);
@@ -206,7 +212,7 @@ impl SamplesReader {
                     ray.to_string(),
                 ));
             }
-            // Cut between rays only: a ray is summed as a whole.
+            // Batches are cut only between rays, because a ray is summed as a whole.
             let last = batches.len() - 1;
             if ray != previous && batches[last].rays.len() >= BATCH {
                 monitor.advance(batches[last].positions.len() as u64);
@@ -232,7 +238,7 @@ impl SamplesReader {
                 batch.push(ray, RaySample { position: Vec3::from_array(position), jacobian, weight, gradient });
             }
         }
-        // Behind the last element the archive's checksums are looked at.
+        // Reading past the last element verifies the archive's checksums.
         rays.next()?;
         positions.next_element()?;
         jacobians.next_element()?;
@@ -242,7 +248,7 @@ impl SamplesReader {
         Ok(())
     }
 
-    /// The next `N` finite numbers of an array.
+    /// Reads the next `N` numbers of an array, which must be finite.
     fn floats<const N: usize>(
         &self,
         stream: &mut ArrayStream<f32, ZipFile<'_, BufReader<File>>>,
@@ -268,7 +274,7 @@ impl SamplesReader {
     }
 }
 
-/// Says that `ray` may be of either type.
+/// Adds to the message that `ray` may have either type.
 fn name_both_types(error: Error) -> Error {
     match error {
         Error::Malformed { path, place, expected, found } if expected.starts_with("dtype") => {
@@ -278,7 +284,7 @@ fn name_both_types(error: Error) -> Error {
     }
 }
 
-/// `rays_total` in any of NumPy's usual integer types, as a scalar or an array of one element.
+/// Reads `rays_total` in any of NumPy's usual integer types, as a scalar or an array of one element.
 fn read_rays_total(npz: &mut NpzReader, path: &Path) -> Result<u64> {
     let value = match npz.array::<i64>("rays_total") {
         Ok(array) => array.data.first().copied().and_then(|v| u64::try_from(v).ok()),

@@ -1,11 +1,11 @@
-//! Seeds: every use of rays within a run has one of its own.
+//! Seeds: each use of rays within a run has its own.
 
-/// What a run draws rays for, beside its main sequence of pixels.
+/// A use of rays other than a run's main sequence of pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Purpose {
     /// The second of two halves that are compared; the first is the main sequence.
     SecondHalf,
-    /// One of several groups that are compared, by its index.
+    /// One of several groups that are compared, by index.
     Group(u16),
     /// The pilot from which a run is planned.
     Pilot,
@@ -14,8 +14,8 @@ pub enum Purpose {
 impl Purpose {
     /// The seed for this purpose in a run with the seed `base`.
     ///
-    /// Base, purpose and index are mixed one after the other. Combined by XOR alone they would cancel: small bases and
-    /// small indices reach the same few numbers, and two runs draw the same rays.
+    /// Base, purpose and index are mixed one after the other. A plain XOR would cancel: small bases and small
+    /// indices would give the same few numbers, and two runs would draw the same rays.
     #[must_use]
     pub fn seed(self, base: u64) -> u64 {
         let [purpose, index] = match self {
@@ -27,7 +27,7 @@ impl Purpose {
     }
 }
 
-/// SplitMix64's finaliser (Steele et al. 2014): a bijection that spreads every bit over all.
+/// SplitMix64's finaliser (Steele et al. 2014): a bijection in which every input bit affects all output bits.
 pub(super) fn mix(x: u64) -> u64 {
     let x = x.wrapping_add(0x9e37_79b9_7f4a_7c15);
     let x = (x ^ x >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -42,7 +42,7 @@ mod tests {
     use super::*;
     use crate::rays::{PixelSequence, Pixels};
 
-    /// Base seeds that people use, with everything that a run of each draws.
+    /// The base seeds in common use, with all seeds that a run of each draws from.
     fn seeds() -> Vec<(String, u64)> {
         let purposes = (0..64).map(Purpose::Group).chain([Purpose::SecondHalf, Purpose::Pilot]);
         let of_base = |base: u64| {
@@ -52,7 +52,7 @@ mod tests {
         (0..16).flat_map(of_base).collect()
     }
 
-    /// An early version combined base and index by XOR: bases 0 to 7 drew the same eight groups, in another order.
+    /// An early version combined base and index by XOR: bases 0 to 7 drew the same eight groups in another order.
     #[test]
     fn no_two_uses_of_small_seeds_are_the_same() {
         let mut of_seed: HashMap<u64, String> = HashMap::new();
@@ -66,7 +66,7 @@ mod tests {
 
     #[test]
     fn no_two_uses_of_small_seeds_draw_the_same_ray() {
-        // 1072 seeds × 64 rays, of 2⁴⁸ (pixel, jitter) or more: one pair by chance in 10⁵ such tests.
+        // 1072 seeds × 64 rays, of 2⁴⁸ (pixel, jitter) pairs or more: one accidental match in 10⁵ such tests.
         for kind in [Pixels::Sobol, Pixels::Random] {
             let mut drawn = HashSet::new();
             for (name, seed) in seeds() {
@@ -80,7 +80,7 @@ mod tests {
 
     #[test]
     fn a_plain_run_draws_the_rays_that_it_always_drew() {
-        // Results that name their seed can be computed again.
+        // Results that name their seed must stay reproducible.
         let picks = PixelSequence::new(Pixels::Sobol, 0, vec![[1000, 1000]]).picks(0, 4);
         let pixels: Vec<[u32; 2]> = picks.iter().map(|pick| pick.pixel).collect();
         assert_eq!(pixels, [[140, 299], [989, 618], [632, 27], [270, 952]]);

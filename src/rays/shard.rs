@@ -4,55 +4,55 @@ use std::collections::{HashMap, HashSet};
 
 use super::progress::RunProgress;
 
-/// Rays per batch: batch b holds rays b · 512 …; any batch can be drawn alone.
+/// Rays per batch. Batch b starts at ray b · 512, and any batch can be drawn by itself.
 pub(super) const BATCH: u64 = 512;
 
-/// Which rays of a run are drawn: batches `index`, `index + of`, `index + 2 · of`, … of a run of `rays` rays.
+/// A part of a run: batches `index`, `index + of`, `index + 2 · of`, … of `rays` rays.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
 pub struct Shard {
-    /// Rays of the whole run.
+    /// Number of rays in the whole run.
     pub rays: u64,
-    /// Which part this is, from 0.
+    /// Index of this part, from 0.
     pub index: u64,
-    /// Parts that the run is split into.
+    /// Number of parts.
     pub of: u64,
 }
 
 impl Shard {
-    /// All rays of a run.
+    /// The whole of a run.
     #[must_use]
     pub fn whole(rays: u64) -> Self {
         Self { rays, index: 0, of: 1 }
     }
 
-    /// Batches of this part.
+    /// Number of batches in this part.
     pub(super) fn batches(&self) -> u64 {
         self.rays.div_ceil(BATCH).saturating_sub(self.index).div_ceil(self.of)
     }
 
-    /// Index in the whole run of this part's n-th batch.
+    /// Index, within the whole run, of this part's n-th batch.
     pub(super) fn batch(&self, n: u64) -> u64 {
         self.index + n * self.of
     }
 
-    /// Rays of a batch of the whole run.
+    /// Number of rays in a batch of the whole run.
     pub(super) fn rays_of(&self, batch: u64) -> u64 {
         BATCH.min(self.rays - batch * BATCH)
     }
 
-    /// Whether a run of this part can have come as far as `progress` says.
+    /// Checks whether a run of this part can have come as far as `progress` says.
     #[must_use]
     pub fn admits(&self, progress: &RunProgress) -> bool {
         progress.batches <= self.batches() && progress.rays <= self.own_rays() && progress.dropped <= progress.rays
     }
 
-    /// Whether this is a part of something: at least one ray and part, and an index below their number.
+    /// Checks that there is at least one ray and one part, and that the index is below the number of parts.
     #[must_use]
     pub fn is_valid(&self) -> bool {
         self.rays > 0 && self.of > 0 && self.index < self.of
     }
 
-    /// Rays of this part.
+    /// Number of rays in this part.
     #[must_use]
     pub fn own_rays(&self) -> u64 {
         // Only the run's last batch can be short.
@@ -60,26 +60,26 @@ impl Shard {
     }
 }
 
-/// The rays of one sequence of pixels that sums are made of.
+/// Identifies summed rays by their seed and shard.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
 pub struct Draw {
     /// Seed of the sequence's pixels and jitter.
     pub seed: u64,
-    /// Which of its rays.
+    /// The part of the sequence.
     pub shard: Shard,
 }
 
 impl Draw {
-    /// Whether these rays are but a part of a run.
+    /// Whether these rays are only a part of a run.
     #[must_use]
     pub fn is_part(&self) -> bool {
         self.shard.of > 1
     }
 
-    /// Whether no two of these can have a ray in common.
+    /// Checks that no two of these draws can have a ray in common.
     ///
-    /// Batch b of a seed is the same in every run, whatever the run's length. Of one seed, therefore, only different
-    /// parts of the same run are disjoint.
+    /// Batch b of a seed is the same in every run, whatever the run's length. For one seed, therefore, only
+    /// different parts of the same run are disjoint.
     #[must_use]
     pub fn are_disjoint(draws: impl IntoIterator<Item = Self>) -> bool {
         let mut split = HashMap::new();
@@ -90,7 +90,7 @@ impl Draw {
         })
     }
 
-    /// The same rays in as few draws as possible, sorted: parts that make up a run become the run.
+    /// The same rays in as few draws as possible, sorted. If all parts of a run are present, they become one draw.
     #[must_use]
     pub fn joined(draws: impl IntoIterator<Item = Self>) -> Vec<Self> {
         let mut draws: Vec<Self> = draws.into_iter().collect();
@@ -126,7 +126,7 @@ mod tests {
             prop_assert_eq!(batches, (0..rays.div_ceil(BATCH)).collect::<Vec<_>>());
         }
 
-        /// Never called disjoint when two draws have a batch of one seed in common; parts of one run always are.
+        /// Draws with a common batch of one seed are never called disjoint; parts of one run always are.
         #[test]
         fn disjoint_draws_have_no_batch_in_common(
             draws in proptest::collection::vec((0_u64..2, 1_u64..3, 1_u64..4, 0_u64..3), 0..5)

@@ -1,4 +1,4 @@
-//! Training rays, as a stream of samples with Jacobians.
+//! Training rays as a stream of samples with Jacobians.
 
 use rayon::prelude::*;
 
@@ -11,27 +11,28 @@ use crate::monitor::{Monitor, check};
 use crate::render::{Differentiation, JacobianBuffers, Quadrature, RaySamples, TraceBuffers, TracedRays, Tracer};
 use crate::{Error, Result};
 
-/// Batches between two visits to the posterior.
+/// Number of batches passed to the posterior together.
 const GROUP: u64 = 16;
-/// A run fails if a larger share of its rays is dropped because the field was not finite.
+/// Largest fraction of rays that may be dropped because the field was not finite. Beyond it, a run fails.
 pub const MAX_DROPPED_SHARE: f64 = 0.01;
 
-/// A sample with at least this share of its pixel lies on a visible surface.
+/// Least weight in its pixel of a sample on a visible surface.
 pub const SURFACE_WEIGHT: f32 = 0.05;
 
 /// Draws pixels from all training images and differentiates them.
 pub struct RayStream<'a> {
     /// Field, sampling and background.
     pub tracer: Tracer<'a>,
-    /// How the field is differentiated.
+    /// The method of differentiating the field.
     pub differentiation: Differentiation<'a>,
-    /// By how much ‖∂C/∂x‖ of any sample may be off for what is left out beside the cutoff, 1 / scene unit; 0 leaves out nothing.
+    /// Largest change of ‖∂C/∂x‖ of any sample by what is left out in addition to the cutoff,
+    /// 1 / scene unit. 0 leaves out nothing.
     pub negligible: f64,
     /// Training cameras, at least one.
     pub cameras: &'a [Camera],
-    /// Where in a pixel the ray goes through: ½ is its centre.
+    /// Position of rays within their pixel; ½ is the centre.
     pub pixel_offset: f64,
-    /// Which pixels, in which order.
+    /// The pixels in their order.
     pub pixels: PixelSequence,
 }
 
@@ -49,13 +50,13 @@ impl<'a> RayStream<'a> {
         self.with_pixels(self.pixels.kind(), purpose.seed(self.pixels.seed()))
     }
 
-    /// What is drawn by a run of this part of the stream, to its end.
+    /// The draw made by a complete run of this shard of the stream.
     #[must_use]
     pub fn draw(&self, shard: Shard) -> Draw {
         Draw { seed: self.pixels.seed(), shard }
     }
 
-    /// Rays and jitters of one batch.
+    /// Rays and jitter of one batch.
     fn batch(&self, batch: u64, count: u64) -> (Vec<Ray>, Vec<f64>) {
         let picks = self.pixels.picks(batch * BATCH, count);
         let ray = |pick: &Pick| {
@@ -65,12 +66,14 @@ impl<'a> RayStream<'a> {
         picks.iter().map(ray).unzip()
     }
 
-    /// Draws the rays of `shard` and hands their samples to `sink`, in ray order, with the progress that includes them. A run that
-    /// stopped goes on behind the progress `from`.
+    /// Draws the rays of `shard` and passes their samples to `sink`, in ray order, with the progress that
+    /// includes them.
+    ///
+    /// A stopped run is resumed after the progress `from`.
     ///
     /// # Errors
-    /// What `sink` returns, [`Error::Interrupted`], or [`Error::NonFinite`] if more than [`MAX_DROPPED_SHARE`] of the rays
-    /// were dropped.
+    /// What `sink` returns, [`Error::Interrupted`], or [`Error::NonFinite`] if more than
+    /// [`MAX_DROPPED_SHARE`] of the rays were dropped.
     pub fn run(
         &self,
         shard: Shard,
@@ -121,8 +124,10 @@ impl<'a> RayStream<'a> {
 }
 
 impl RayStream<'_> {
-    /// Up to `count` points on visible surfaces, `[n]` scene units: samples of weight ≥ [`SURFACE_WEIGHT`], in ray order,
-    /// found by tracing at most `rays` rays without differentiating them.
+    /// Finds up to `count` points on visible surfaces, `[n]` in scene units.
+    ///
+    /// These are the samples of weight ≥ [`SURFACE_WEIGHT`], in ray order, along at most `rays` rays. The rays
+    /// are traced but not differentiated.
     ///
     /// # Errors
     /// [`Error::Interrupted`] only.
@@ -148,7 +153,7 @@ impl RayStream<'_> {
     }
 }
 
-/// Samples of weight ≥ [`SURFACE_WEIGHT`].
+/// Positions of samples of weight ≥ [`SURFACE_WEIGHT`].
 fn visible(traced: &TracedRays, step: f64) -> Vec<[f32; 3]> {
     let mut quadrature = Quadrature::default();
     quadrature.set(traced, step);

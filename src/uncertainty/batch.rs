@@ -1,7 +1,8 @@
-//! Queries, many at a time.
+//! Queries at many points at once.
 //!
-//! In an octree the way to a point is long, but neighbours share most of it. So points are looked up along the Z-curve, tile by tile: points in
-//! one leaf share its corners, and those in neighbouring leaves what the caches hold.
+//! The path to a leaf of an octree is long, but neighbouring points share most of it. Points are therefore
+//! looked up along the Z-curve, tile by tile. Points in one leaf share its corners, and points in neighbouring
+//! leaves share what is in the caches.
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
@@ -9,19 +10,20 @@ use rayon::prelude::*;
 use super::{Estimate, Support, UncertaintyField};
 use crate::octree::{Corner, Cursor, Octree, VertexId, morton};
 
-/// Most points sorted together: enough that even leaves of surfaces have several of them, and few enough that their order stays in a cache.
+/// Maximal number of points sorted together: enough that even leaves at surfaces contain several of them, and few
+/// enough that the sorted order stays in a cache.
 const TILE: usize = 1 << 18;
 
 /// Values at the corners of a leaf.
 pub(super) struct LeafValues {
     deviations: [f64; 8],
-    /// Of log10 σ; `None` inside where not known.
+    /// Errors of log10 σ; `None` inside where unknown.
     errors: Option<[Option<f64>; 8]>,
     rays: Option<[f64; 8]>,
 }
 
 impl UncertaintyField {
-    /// Estimates at many points, in parallel: exactly those of [`UncertaintyField::query`], several times faster.
+    /// Estimates at many points, in parallel: the same as those of [`UncertaintyField::query`], several times faster.
     #[must_use]
     pub fn query_all(&self, points: &[Vec3]) -> Vec<Estimate> {
         let mut estimates = vec![self.outside(); points.len()];
@@ -31,7 +33,7 @@ impl UncertaintyField {
                 pairs.for_each(|(&x, estimate)| *estimate = self.query(x));
             }
             Support::Octree(octree) => {
-                // Few points are shared out among the threads all the same.
+                // Even a few points are distributed over the threads.
                 let tile = points.len().div_ceil(rayon::current_num_threads()).clamp(1, TILE);
                 let tiles = points.par_chunks(tile).zip(estimates.par_chunks_mut(tile));
                 tiles.for_each(|(points, estimates)| self.query_tile(octree, points, estimates));
@@ -40,9 +42,9 @@ impl UncertaintyField {
         estimates
     }
 
-    /// Overwrites the estimates of those points that are inside.
+    /// Overwrites the estimates of the points inside the box.
     fn query_tile(&self, octree: &Octree, points: &[Vec3], estimates: &mut [Estimate]) {
-        // The first 32 bits of the way to the finest cell, then the point's index: numbers are sorted faster than what they stand for.
+        // The first 32 bits of the path to the finest cell, then the point's index. Integers sort faster than structs.
         let level = u32::from(self.lattice.level());
         let place = |code: u64| (code << (63 - 3 * level)) >> 31 << 32;
         let inside = (0_u64..).zip(points).filter_map(|(i, &x)| {
@@ -88,7 +90,7 @@ impl UncertaintyField {
         LeafValues { deviations, errors, rays }
     }
 
-    /// The estimate at lattice coordinates `u` in the cursor's leaf, which has the given values.
+    /// The estimate at lattice coordinates `u` in the cursor's leaf, whose values are given.
     pub(super) fn interpolate(&self, values: &LeafValues, cursor: &Cursor, u: DVec3) -> Estimate {
         let weights = cursor.weights(u);
         let rays = values.rays.map(|rays| rays.iter().zip(weights).map(|(rays, w)| w * rays).sum());
@@ -99,7 +101,7 @@ impl UncertaintyField {
         Estimate { uncertainty, log10_error, rays, level: cursor.leaf().level, inside: true }
     }
 
-    /// What is known outside the box: nothing.
+    /// The estimate outside the box, which is the prior.
     pub(super) fn outside(&self) -> Estimate {
         Estimate { uncertainty: self.prior(), log10_error: None, rays: None, level: 0, inside: false }
     }

@@ -1,10 +1,11 @@
-//! Coarsening a finished octree field with a guarantee: |Δ log10 U| ≤ ε everywhere.
+//! Coarsens a finished octree field with the guarantee |Δ log10 U| ≤ ε everywhere.
 //!
-//! Eight sibling leaves merge while interpolating their parent's corners stays within ε/2 of the original field at every corner of
-//! every original leaf inside the parent (its boundary included). Why that is enough: on each original leaf both fields are
-//! trilinear, so their ratio at a point is a weighted mean of the ratios at the leaf's corners, and a bound there holds
-//! between them. A corner of the parent may itself come to hang on a merged leaf of twice the size; its ends are free and
-//! unchanged, so it moves by at most ε/2, and what the parent interpolates from it by at most ε/2 + ε/2.
+//! Eight sibling leaves merge as long as the interpolant of their parent's corners stays within ε/2 of the
+//! original field. This is checked at every corner of every original leaf inside the parent, including its
+//! boundary, for the following reason. On each original leaf both fields are trilinear, so their ratio at a point
+//! is a weighted mean of the ratios at the leaf's corners, and a bound at the corners holds between them. A corner
+//! of the parent may itself become a hanging vertex on a merged leaf of twice the size. Its ends are free and
+//! unchanged, so it moves by at most ε/2, and what the parent interpolates from it moves by at most ε/2 + ε/2.
 
 use rayon::prelude::*;
 
@@ -13,16 +14,16 @@ use crate::octree::{Cell, Octree, VertexId, morton, trilinear};
 use crate::posterior::Covariance;
 use crate::{Error, Result};
 
-/// Room for the rounding of deviations to f32, in log10.
+/// Margin in log10 for the rounding of deviations to f32.
 const ROUNDING: f64 = 1e-7;
 
 impl UncertaintyField {
-    /// The field with leaves merged as long as log10 U changes by at most `epsilon` anywhere. It keeps deviations only, and its
-    /// tolerance grows by `epsilon`.
+    /// Merges leaves as long as log10 U changes by at most `epsilon` anywhere. The result keeps deviations only,
+    /// and its tolerance grows by `epsilon`.
     ///
     /// # Errors
-    /// If the field is a dense grid, or of `trace`, whose interpolation is not trilinear: no bound at vertices would hold between
-    /// them.
+    /// If the field is a dense grid, has error bars, or its covariance is `trace`. The interpolation of `trace`
+    /// is not trilinear, so bounds at vertices would not hold between them.
     pub fn coarsened(&self, epsilon: f64) -> Result<Self> {
         let Support::Octree(octree) = &self.support else {
             return Err(Error::setting("field to coarsen", "an octree", "a dense grid"));
@@ -53,7 +54,7 @@ impl UncertaintyField {
             codes.iter().map(move |&code| Cell { level: level as u8, index: morton::decode(code) }.child(0))
         });
         let coarse = Octree::refined(finest, wanted);
-        // A free vertex of the coarser octree was free before: whatever it hung on has only grown.
+        // A free vertex of the coarser octree was free before. Had it hung on a leaf, that leaf would only have grown.
         let mut deviations = Vec::with_capacity(coarse.vertex_count());
         deviations.extend(coarse.vertex_positions().map(|point| {
             let VertexId(v) = octree.vertex(point).expect("vertices of a coarser octree are a subset");
@@ -74,7 +75,7 @@ impl UncertaintyField {
         })
     }
 
-    /// The field coarsened and stored in `store`, the rounding within `epsilon`.
+    /// Coarsens the field and stores it in `store`; `epsilon` includes the rounding.
     ///
     /// # Errors
     /// As [`UncertaintyField::coarsened`], or if the rounding alone exceeds `epsilon`.
@@ -91,7 +92,7 @@ impl UncertaintyField {
         self.coarsened(epsilon - rounding).map(Self::in_f16)
     }
 
-    /// Largest |Δ log10 U| over the corners of the original leaves inside `cell` if it became one leaf.
+    /// The largest |Δ log10 U| at the corners of the original leaves inside `cell` if it became one leaf.
     fn merge_error(&self, octree: &Octree, split: &[Vec<u64>], cell: Cell) -> f64 {
         let finest = octree.finest();
         let (origin, edge) = cell.extent(finest);
@@ -122,7 +123,7 @@ impl UncertaintyField {
     }
 }
 
-/// The leaves inside a cell, given the split cells of each level in Morton order.
+/// Visits the leaves inside a cell, given the split cells of each level in Morton order.
 fn for_each_leaf_within(split: &[Vec<u64>], finest: u8, cell: Cell, visit: &mut impl FnMut(Cell)) {
     let is_split =
         cell.level < finest && split[usize::from(cell.level)].binary_search(&morton::encode(cell.index)).is_ok();
@@ -143,7 +144,7 @@ mod tests {
     use glam::Vec3;
     use proptest::prelude::*;
 
-    /// A field on an octree whose deviations are smooth in places and jump in others.
+    /// A field on an octree, whose deviations are smooth in places and jump in others.
     fn field(octree: Octree, roughness: f64) -> UncertaintyField {
         let lattice = Lattice::new(Aabb::centered_cube(1.0), octree.finest()).unwrap();
         let m = f64::from(lattice.cells_per_axis());

@@ -1,4 +1,4 @@
-//! How far two fields are apart.
+//! Measures the difference between two fields.
 
 use glam::{DVec3, Vec3};
 use rand::{RngExt, SeedableRng};
@@ -10,27 +10,27 @@ use crate::metrics::quantile;
 use crate::octree::OctreeStats;
 use crate::{Error, Result};
 
-/// What a field consists of.
+/// Size and structure of a field.
 #[derive(Debug, Clone, serde::Serialize)]
 pub struct Summary {
     /// `dense` or `octree`.
     pub grid: &'static str,
     /// Finest level.
     pub level: u8,
-    /// Vertices that carry values.
+    /// Number of vertices that carry values.
     pub vertices: u64,
-    /// Bytes for queries: structure and one value per vertex.
+    /// Bytes needed for queries: the structure and one value per vertex.
     pub query_bytes: usize,
-    /// Of these, structure.
+    /// Bytes of the structure alone.
     pub structure_bytes: usize,
-    /// Leaves of each level; empty for a dense grid.
+    /// Number of leaves by level; empty for a dense grid.
     pub leaves_per_level: Vec<u64>,
 }
 
 /// |Δ log10 U| over a set of points.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Difference {
-    /// Points compared.
+    /// Number of points compared.
     pub points: usize,
     /// Mean.
     pub mean: f64,
@@ -46,19 +46,19 @@ pub struct Difference {
     pub log10_at_max: [f64; 2],
 }
 
-/// Two fields side by side.
+/// The comparison of two fields.
 #[derive(Debug, Clone, serde::Serialize)]
 pub struct Comparison {
     /// The fields.
     pub fields: [Summary; 2],
-    /// Over points drawn uniformly from the cube that the domain is mapped to; `None` if no points were asked for.
+    /// Over points drawn uniformly from the cube that the domain is mapped to; `None` if no points were requested.
     pub in_box: Option<Difference>,
-    /// Over points on visible surfaces (ray samples of weight ≥ 0.05), if one of the fields holds some.
+    /// Over points on visible surfaces (ray samples of weight ≥ 0.05), if one of the fields has any.
     pub on_surfaces: Option<Difference>,
 }
 
 impl UncertaintyField {
-    /// What the field consists of.
+    /// Size and structure of the field.
     #[must_use]
     pub fn summary(&self) -> Summary {
         let values = self.deviations.memory();
@@ -80,7 +80,7 @@ impl UncertaintyField {
         }
     }
 
-    /// Checks the octree; `None` for a dense grid.
+    /// Validates the octree; `None` for a dense grid.
     ///
     /// # Errors
     /// The first defect.
@@ -92,12 +92,14 @@ impl UncertaintyField {
     }
 }
 
-/// Compares `a` with the reference `b`: log10 U at `points` random points, uniform in the lattice's cube (drawn with `seed`), and at up to
-/// as many surface points. These are the reference's, if it has any: a field's own lie where its rays went, and it would look
-/// better there than it is.
+/// Compares `a` with the reference `b`.
+///
+/// log10 U is compared at `points` random points, uniform in the lattice's cube (drawn with `seed`), and at no
+/// more than that many surface points. The latter are the reference's if it has any. A field's own surface points
+/// lie where its rays went, and there it would look better than it is.
 ///
 /// # Errors
-/// If the fields are of different domains.
+/// If the fields have different domains.
 pub fn compare(a: &UncertaintyField, b: &UncertaintyField, points: usize, seed: u64) -> Result<Comparison> {
     let domain = a.lattice().domain();
     if domain != b.lattice().domain() {
@@ -116,7 +118,7 @@ pub fn compare(a: &UncertaintyField, b: &UncertaintyField, points: usize, seed: 
     })
 }
 
-/// `None` without points.
+/// The difference over `points`; `None` without points.
 fn difference(a: &UncertaintyField, b: &UncertaintyField, points: &[Vec3]) -> Option<Difference> {
     let mut differences: Vec<f64> = points.par_iter().map(|&x| (a.log10(x) - b.log10(x)).abs()).collect();
     let at = (0..points.len()).max_by(|&i, &j| differences[i].total_cmp(&differences[j]))?;

@@ -1,4 +1,4 @@
-//! An octree's values on the dense grid: for tools that know no octree, and to compare queries with.
+//! An octree's values on the dense grid, for tools without octrees and for comparing queries.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use super::{StandardDeviations, Support, UncertaintyField};
 
 impl UncertaintyField {
-    /// The same U at every vertex of the finest lattice, without evidence or error bars: 4 (M + 1)³ bytes.
+    /// The same U at every vertex of the finest lattice, without sums or error bars: 4 (M + 1)³ bytes.
     #[must_use]
     pub fn on_dense_grid(&self) -> Self {
         let n = self.lattice.cells_per_axis() as usize + 1;

@@ -1,20 +1,23 @@
-//! How far log10 U is from what ever more rays would make of it: its root mean square error by the delete-one-group jackknife.
+//! Root mean square errors of log10 U relative to the limit of infinitely many rays, by the delete-one-group jackknife.
 //!
-//! Letters: `G` groups of rays with independent pixels; `m_g` rays of group g, R = Σ m_g, h_g = R / m_g; `θ` = log10 σ_v by all
-//! rays, `θ_g` by all but those of group g. With pseudo-values p_g = h_g θ − (h_g − 1) θ_g and their weighted mean p̄,
+//! Letters: `G` groups of rays with independent pixels; `m_g` rays of group g, R = Σ m_g, h_g = R / m_g;
+//! `θ` = log10 σ_v by all rays, `θ_g` by all but those of group g. With pseudo-values
+//! p_g = h_g θ − (h_g − 1) θ_g and their weighted mean p̄,
 //!
 //! ```text
-//! p̄ = G θ − Σ_g (1 − 1/h_g) θ_g        SE² = 1/G Σ_g (p_g − p̄)² / (h_g − 1)        bias = θ − p̄        E² = SE² + bias²
+//! p̄ = G θ − Σ_g (1 − 1/h_g) θ_g        SE² = 1/G Σ_g (p_g − p̄)² / (h_g − 1)
+//! bias = θ − p̄                         E² = SE² + bias²
 //! ```
 //!
-//! (Quenouille 1956, Tukey 1958; for groups of unequal size Busing, Meijer, van der Leeden 1999. For two equal groups SE is half their
-//! difference, which is `--rays auto`'s.) The bias is that of few rays: most of H comes from the few that happen to see a texture's edge, so that U is
-//! more often too large than too small. `experiments/hard_cases.md` has what leaving it out would cost. Each θ_g is read as the field itself
-//! is, pooling and limits to refinement included.
+//! (Quenouille 1956, Tukey 1958; for groups of unequal size Busing, Meijer, van der Leeden 1999. For two equal
+//! groups, SE is half their difference, as in `--rays auto`.) The bias is due to the small number of rays. Most
+//! of H comes from the few rays that happen to see the edge of a texture, so U is more often too large than too
+//! small. `experiments/hard_cases.md` has the cost of ignoring the bias. Each θ_g is computed like the field
+//! itself, with the same pooling and refinement limits.
 //!
-//! **Few rays.** The jackknife compares groups. Where fewer than two of them saw a vertex there is nothing to compare: the
-//! error is *not known*, `None`, not 0. In space that no ray reached U is the prior's, and no number says what a first ray
-//! would change.
+//! **Few rays.** The jackknife compares groups. Where fewer than two groups saw a vertex, there is nothing to
+//! compare, and the error is *unknown*: `None`, not 0. In space that no ray reached, U is the prior's, and no
+//! number can say how much a first ray would change it.
 
 use half::f16;
 use rayon::prelude::*;
@@ -27,18 +30,18 @@ use crate::posterior::VertexSums;
 #[derive(Debug, Clone, PartialEq)]
 pub struct ErrorBars {
     groups: u16,
-    /// `[vertices]`: bits of f16, which hold three digits; `UNKNOWN` where fewer than two groups saw the vertex.
+    /// `[vertices]`: bits of f16, which has three digits; `UNKNOWN` where fewer than two groups saw the vertex.
     errors: Vec<u16>,
 }
 
-/// Error bars of the vertices that moved by more than half a decade from the prior.
+/// Summary of the error bars of the vertices that moved by more than half a decade from the prior.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct ErrorSummary {
-    /// Groups of rays that were compared.
+    /// Number of groups of rays that were compared.
     pub groups: u16,
-    /// Vertices that moved.
+    /// Number of vertices that moved.
     pub moved: usize,
-    /// Those of them that two groups or more saw, so that their error is known.
+    /// Number of those that at least two groups saw, so that their error is known.
     pub known: usize,
     /// Root mean square of their errors, decades.
     pub root_mean_square: f64,
@@ -46,32 +49,32 @@ pub struct ErrorSummary {
     pub median: f64,
 }
 
-/// How an error that is not known is stored: the bits of NaN.
+/// Marks an unknown error: the bits of NaN.
 const UNKNOWN: u16 = 0x7e00;
-/// Groups that a file can claim.
+/// Numbers of groups that are valid in a file.
 const GROUPS: std::ops::RangeInclusive<u16> = 2..=1024;
 
-/// What the jackknife says about a statistic.
+/// Standard error and bias of a statistic by the jackknife.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Jackknife {
     /// Standard error.
     pub standard_error: f64,
-    /// Expected value less limit.
+    /// Expected value minus limit.
     pub bias: f64,
 }
 
 impl Jackknife {
-    /// From θ, `deleted`, θ_g of every group, and `rays`, m_g.
+    /// Computes the jackknife from `theta` = θ, `deleted` = θ_g and `rays` = m_g of every group.
     ///
     /// # Panics
-    /// If there are fewer than two groups, or not as many values as groups.
+    /// If there are fewer than two groups, or the lengths differ.
     #[must_use]
     pub fn of(theta: f64, deleted: &[f64], rays: &[u64]) -> Self {
         assert!(deleted.len() == rays.len() && rays.len() >= 2, "one value for each of two groups or more");
         let all: u64 = rays.iter().sum();
         let (groups, h) = (rays.len() as f64, |m: u64| all as f64 / m as f64);
         let pairs = || deleted.iter().zip(rays);
-        // Differences from θ instead of θ itself: they are small where errors are.
+        // Uses differences from θ instead of θ itself, because they are small where errors are.
         let mean: f64 = pairs().map(|(t, &m)| (1.0 - 1.0 / h(m)) * (theta - t)).sum();
         let pseudo = |t: f64, m: u64| (h(m) - 1.0) * (theta - t);
         let sum: f64 = pairs().map(|(&t, &m)| (pseudo(t, m) - mean).powi(2) / (h(m) - 1.0)).sum();
@@ -92,7 +95,7 @@ impl ErrorBars {
         self.groups
     }
 
-    /// Root mean square error of log10 σ of vertex `v`; `None` where fewer than two groups saw it.
+    /// Root mean square error of log10 σ at vertex `v`, decades; `None` where fewer than two groups saw it.
     #[must_use]
     pub fn get(&self, v: usize) -> Option<f64> {
         let bits = self.errors[v];
@@ -105,7 +108,7 @@ impl ErrorBars {
         self.errors.len()
     }
 
-    /// Whether there are none.
+    /// Whether there are no vertices.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.errors.is_empty()
@@ -117,12 +120,12 @@ impl ErrorBars {
         self.errors.capacity() * size_of::<u16>()
     }
 
-    /// The number of groups, then the bits of every error.
+    /// The number of groups, followed by the bits of every error.
     pub(super) fn words(&self) -> Vec<u16> {
         std::iter::once(self.groups).chain(self.errors.iter().copied()).collect()
     }
 
-    /// From what [`ErrorBars::words`] gave, which may come from an untrusted file.
+    /// Restores what [`ErrorBars::words`] returned. The words may come from an untrusted file.
     ///
     /// # Errors
     /// What was expected and what was found instead.
@@ -151,11 +154,12 @@ impl ErrorBars {
 }
 
 impl UncertaintyField {
-    /// The same field with the error of every log10 σ_v, from what each group of rays said: `groups[g]` is `[vertices]`, in the
-    /// order of the field's own evidence, by `rays[g]` rays. Groups must be independent of each other.
+    /// Adds the error of every log10 σ_v to the field, computed from the sums of independent groups of rays.
+    ///
+    /// `groups[g]` is `[vertices]`, in the order of the field's own sums, and comes from `rays[g]` rays.
     ///
     /// # Panics
-    /// If there are fewer than two groups, one has no rays, or the lengths do not match.
+    /// If there are fewer than two groups, a group has no rays, or the lengths differ.
     #[must_use]
     pub fn with_error_bars(mut self, groups: &[Vec<VertexSums>], rays: &[u64]) -> Self {
         let vertices = self.deviations.len();
@@ -163,7 +167,7 @@ impl UncertaintyField {
         assert!(groups.len() == rays.len() && rays.len() >= 2 && rays.iter().all(|&m| m > 0), "groups with rays");
         let all: u64 = rays.iter().sum();
         let without = |deleted: usize| {
-            // Added up anew: a difference of sums would leave rounding where nothing is left.
+            // Summed anew, because subtracting from the total would leave rounding where the result is 0.
             let others = || groups.iter().enumerate().filter(move |(g, _)| *g != deleted).map(|(_, group)| group);
             let sum = |v: usize| {
                 others().fold(VertexSums::default(), |mut sum, group| {
@@ -189,7 +193,7 @@ impl UncertaintyField {
         self
     }
 
-    /// What the error bars of the moved vertices amount to, if the field has error bars.
+    /// Summary of the error bars of the moved vertices, if the field has error bars.
     #[must_use]
     pub fn error_summary(&self) -> Option<ErrorSummary> {
         let bars = self.error_bars.as_ref()?;
@@ -222,8 +226,8 @@ mod tests {
         ) {
             let (values, rays): (Vec<f64>, Vec<u64>) = groups.iter().map(|g| (g.0 + shift, g.1)).unzip();
             let all: u64 = rays.iter().sum();
-            // A mean of n values of variance s² per ray has variance s²/R, and s² is estimated from each group's deviation: with p_g = x_g the formula is
-            // 1/G Σ (x_g − mean)² m_g / (R − m_g).
+            // A mean of n values of variance s² per ray has variance s²/R, where s² is estimated from each
+            // group's deviation. With p_g = x_g the formula is 1/G Σ (x_g − mean)² m_g / (R − m_g).
             let mean = |skip: Option<usize>| {
                 let kept = || (0..values.len()).filter(|g| Some(*g) != skip);
                 kept().map(|g| values[g] * rays[g] as f64).sum::<f64>() / kept().map(|g| rays[g] as f64).sum::<f64>()
@@ -233,7 +237,7 @@ mod tests {
             let terms = values.iter().zip(&rays).map(|(x, &m)| (x - theta).powi(2) * m as f64 / (all - m) as f64);
             let expected = (terms.sum::<f64>() / values.len() as f64).sqrt();
             let found = Jackknife::of(theta, &deleted, &rays);
-            // θ and θ_g are rounded to 1e3 · 2⁻⁵³ and pseudo-values magnify that by h ≤ 2e4.
+            // θ and θ_g are rounded to 1e3 · 2⁻⁵³; pseudo-values magnify that by h ≤ 2e4.
             let error = (found.standard_error - expected).abs();
             prop_assert!(error <= 1e-8 * expected.max(1.0), "{:?} instead of {}", found, expected);
             prop_assert!(found.bias.abs() <= 1e-8, "a mean has no bias: {:?}", found);
@@ -282,7 +286,7 @@ mod tests {
             (vec![8, one, f16::NEG_ONE.to_bits()], "not negative"),
             (vec![8, one, f16::NEG_ZERO.to_bits()], "not negative"),
             (vec![8, f16::INFINITY.to_bits(), one], "finite"),
-            // Another NaN than the one that is written.
+            // A NaN with bits other than those that are written.
             (vec![8, UNKNOWN | 1, one], "unknown"),
         ] {
             let (expected, found) = ErrorBars::from_words(&words, 2).unwrap_err();

@@ -1,4 +1,6 @@
-//! The field file, `.oct`: a [container] whose header holds protocol, lattice and draws, with the sections
+//! The field file, `.oct`.
+//!
+//! It is a [container] whose header holds protocol, lattice and draws, with the sections
 //!
 //! ```text
 //! masks        u8         child masks of the octree, breadth first (empty for a dense grid)
@@ -10,7 +12,8 @@
 //! errors       u16        number of groups, then bits of f16: errors of log10 σ_v, NaN where not known; or empty
 //! ```
 //!
-//! The octree is rebuilt from its masks, so a file cannot hold an inconsistent one. Versions 1 and 2 are [read](legacy), too.
+//! The octree is rebuilt from its masks, so a file cannot hold an inconsistent one. Versions 1 and 2 can be
+//! [read](legacy) too.
 
 mod legacy;
 
@@ -26,7 +29,7 @@ use crate::posterior::VertexSums;
 use crate::rays::Draw;
 use crate::{Error, Result};
 
-/// The newest version that this crate reads and writes.
+/// The newest version that this crate reads, and the one that it writes.
 pub const FORMAT_VERSION: u32 = 3;
 const FORMAT: Format = (b"OCTOBAY\n", FORMAT_VERSION);
 
@@ -37,7 +40,7 @@ struct Header {
     kind: Kind,
     /// Unit of the logarithms, scene units; `None` if deviations are f32.
     unit: Option<f32>,
-    /// The rays that were summed, by sequence of pixels; empty if not known.
+    /// The rays that were summed, by sequence of pixels; empty if unknown.
     draws: Vec<Draw>,
 }
 
@@ -48,10 +51,10 @@ enum Kind {
 }
 
 impl UncertaintyField {
-    /// Writes the field; the file appears complete or not at all.
+    /// Writes the field. The file appears either complete or not at all.
     ///
     /// # Errors
-    /// If the folder cannot be written or the disk is full.
+    /// If the folder is not writable or the disk is full.
     pub fn write(&self, path: &Path) -> Result<()> {
         let (kind, masks) = match &self.support {
             Support::Dense => (Kind::Dense, Vec::new()),
@@ -92,11 +95,11 @@ impl UncertaintyField {
     /// Reads a field.
     ///
     /// # Errors
-    /// If the file is missing, or is not a complete, unaltered field of a version that is known.
+    /// If the file is missing, or is not a complete, unaltered field of a known version.
     pub fn read(path: &Path) -> Result<Self> {
         let is_old = container::version(path, FORMAT)? < FORMAT_VERSION;
         let (header, mut file) = if is_old { legacy::open(path)? } else { Reader::open::<Header>(path, FORMAT)? };
-        // Deserialising bypasses the constructors' checks.
+        // Deserialisation bypasses the checks of the constructors.
         let lattice = header.lattice.domain().checked();
         let lattice = lattice
             .and_then(|domain| Lattice::of_domain(domain, header.lattice.level()))

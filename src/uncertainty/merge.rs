@@ -1,4 +1,4 @@
-//! Fields of the same box, level and protocol from different rays, joined as if one run had drawn them all.
+//! Joins fields with the same box, level and protocol from different rays, as if one run had drawn all rays.
 
 use super::{Protocol, Support, UncertaintyField};
 use crate::octree::VertexId;
@@ -6,19 +6,21 @@ use crate::posterior::{DensePosterior, OctreePosterior, Refinement, VertexSums};
 use crate::rays::Draw;
 use crate::{Error, Result};
 
-/// The field of all rays of `parts` together.
+/// Joins `parts` into the field of all their rays.
 ///
-/// Information adds up. Shards of one run keep all of theirs: joined, they have the vertices of the run over all rays, and its sums but for the
-/// order of f64 additions, a relative n ε for n rays at a vertex, at any tolerance. (Sums within n ε of what is negligible may fall to either side. With
-/// criterion `density`, the shards' leaves stay: there may be more vertices.)
+/// Information adds up. Shards of one run keep all of theirs. Joined, they have the vertices of a run over all
+/// rays, at any tolerance. The sums differ only by the order of f64 additions, a relative n ε for n rays at a
+/// vertex. (Sums within n ε of the negligible limit may fall on either side. With criterion `density`, the
+/// shards' leaves stay, so there may be more vertices.)
 ///
-/// Runs with other seeds left out, where their octrees are coarse, what was negligible for their own R rays. Together that stays negligible for the sum
-/// of the R, and no more is left out here: log10 U is within the tolerance of the dense grid of all rays, `normal`'s along its direction.
-/// Error bars of the parts are left behind: their groups' sums are not there any more ([`merge_with_error_bars`]).
+/// Runs with other seeds left out what was negligible for their own R rays, where their octrees are coarse. The
+/// total stays negligible for the sum of the R, and nothing beyond that is left out here. log10 U is within the
+/// tolerance of the dense grid of all rays; for `normal` this holds along its direction. Error bars of the parts
+/// are dropped, because the sums of their groups are no longer available ([`merge_with_error_bars`]).
 ///
 /// # Errors
-/// If there are less than two parts, one keeps no information, they differ in model, cameras or a setting that a sum depends on, or two of
-/// them may count the same rays.
+/// If there are fewer than two parts, a part has no sums, parts differ in model, cameras or a setting that
+/// affects a sum, or two of them may count the same rays.
 pub fn merge(parts: &[UncertaintyField]) -> Result<UncertaintyField> {
     let [first, rest @ ..] = parts else {
         return Err(Error::setting("fields to merge", "two or more", "none"));
@@ -45,7 +47,7 @@ pub fn merge(parts: &[UncertaintyField]) -> Result<UncertaintyField> {
         })
         .collect::<Result<_>>()?;
 
-    // Of one field whose rays are not known, those of the whole are not known.
+    // If the rays of one field are unknown, so are those of the whole.
     let draws = if parts.iter().any(|part| part.draws.is_empty()) {
         Vec::new()
     } else {
@@ -65,7 +67,7 @@ pub fn merge(parts: &[UncertaintyField]) -> Result<UncertaintyField> {
                 .with_draws(draws))
         }
         Support::Octree(_) => {
-            // What was refined for other reasons than information stays refined.
+            // What was refined for reasons other than information stays refined.
             let mut wanted = Vec::new();
             if protocol.criteria.density || protocol.criteria.uniform {
                 for part in parts {
@@ -87,11 +89,12 @@ pub fn merge(parts: &[UncertaintyField]) -> Result<UncertaintyField> {
     }
 }
 
-/// As [`merge`], with error bars: the parts are the groups of rays that the jackknife compares, whether or not they have error bars themselves.
+/// Same as [`merge`], with error bars. The parts are the groups of rays that the jackknife compares, whether or
+/// not they have error bars themselves.
 ///
 /// # Errors
-/// As [`merge`], or if two parts are shards of one low-discrepancy sequence: they complement each other, and their differences would say
-/// too much.
+/// As [`merge`], or if two parts are shards of one low-discrepancy sequence. They complement each other, so their
+/// differences would overstate the error.
 pub fn merge_with_error_bars(parts: &[UncertaintyField]) -> Result<UncertaintyField> {
     let merged = merge(parts)?;
     for (i, part) in parts.iter().enumerate() {
@@ -123,15 +126,17 @@ pub fn merge_with_error_bars(parts: &[UncertaintyField]) -> Result<UncertaintyFi
 /// Whether two fields may count the same rays.
 fn may_share_rays(a: &UncertaintyField, b: &UncertaintyField) -> bool {
     if a.draws.is_empty() || b.draws.is_empty() {
-        // Sample files: all that is known is where they came from.
+        // The draws of samples files are unknown; only their origin can be compared.
         let [a, b] = [&a.protocol, &b.protocol];
         return a.source == b.source || a.origin.model.is_some() && a.origin == b.origin;
     }
     !Draw::are_disjoint(a.draws.iter().chain(&b.draws).copied())
 }
 
-/// Whether model and cameras are the same: by their checksums, whatever their paths; where one is not known, by name,
-/// if this crate drew the rays.
+/// Whether model and cameras are the same.
+///
+/// They are compared by checksum, whatever their paths. If a checksum is unknown, they are compared by name,
+/// provided that this crate drew the rays.
 fn have_one_origin(a: &Protocol, b: &Protocol) -> bool {
     let same = |a: Option<u32>, b: Option<u32>| a.zip(b).map(|(a, b)| a == b);
     let same = [same(a.origin.model, b.origin.model), same(a.origin.cameras, b.origin.cameras)];
@@ -141,7 +146,7 @@ fn have_one_origin(a: &Protocol, b: &Protocol) -> bool {
     }
 }
 
-/// Compares everything but rays, seed and share; the source too, if this crate drew the rays.
+/// Compares everything except rays, seed and shard. The source is compared too if this crate drew the rays.
 fn check_alike(first: &UncertaintyField, part: &UncertaintyField, number: usize) -> Result<()> {
     let settings = |field: &UncertaintyField| {
         let p = &field.protocol;
@@ -188,12 +193,12 @@ fn check_alike(first: &UncertaintyField, part: &UncertaintyField, number: usize)
     Ok(())
 }
 
-/// Information that may still be left out where octrees are joined, so that it is negligible for all rays with what
-/// their makers left out.
+/// The information that may still be left out where octrees are joined: together with what the parts left out,
+/// it is negligible for all rays.
 ///
-/// Shards lack nothing; as long as some of theirs are missing, nothing is left out. A vertex that a whole run's octree
-/// lacks may have lost what was negligible for the rays of that run. Any vertex at hand is one of some part's, whose
-/// sums there are complete.
+/// Shards lack nothing, and nothing is left out as long as some shards are missing. A vertex that the octree of a
+/// whole run lacks may have lost what was negligible for the rays of that run. Every vertex considered here
+/// belongs to some part, whose sums are complete there.
 fn joined_floor(parts: &[UncertaintyField], draws: &[Draw]) -> f64 {
     if draws.iter().any(Draw::is_part) {
         return Refinement::EVERYTHING;
@@ -204,7 +209,7 @@ fn joined_floor(parts: &[UncertaintyField], draws: &[Draw]) -> f64 {
     parts[0].protocol.floor(if complete > 0 { complete } else { runs.min().unwrap_or(0) })
 }
 
-/// The protocol of the joined run of these draws; it is a whole run again if all its shares are there.
+/// The protocol of the joined run of these draws. It is a whole run again if all its shards are present.
 fn joined_protocol(parts: &[UncertaintyField], draws: &[Draw]) -> Protocol {
     let protocols = || parts.iter().map(|part| &part.protocol);
     let first = &parts[0].protocol;

@@ -1,7 +1,7 @@
 //! The finished spatial uncertainty field U(x), in scene units.
 //!
-//! U(x) = Σ_v φ_v(x) σ_v: how far the field could be moved at x without the training images noticing, one standard
-//! deviation. The field lives on a dense grid or on an octree; both are queried, stored and compared in the same way.
+//! U(x) = Σ_v φ_v(x) σ_v is one standard deviation of the displacement at x that the training images would not
+//! notice. The field lives on a dense grid or on an octree. Both are queried, stored and compared in the same way.
 
 mod batch;
 mod coarsen;
@@ -36,7 +36,8 @@ use crate::{Error, Result};
 
 /// A vertex counts as moved if log10 U lies more than this many decades below the prior's.
 ///
-/// Half a decade: where errors and rays are counted, vertices that hardly anything is known about should not outnumber the rest.
+/// Half a decade keeps vertices with hardly any information from outnumbering the rest where errors and rays are
+/// counted.
 pub const MOVED: f64 = 0.5;
 
 /// The vertices that carry values.
@@ -53,15 +54,16 @@ pub enum Support {
 pub struct Estimate {
     /// U, scene units.
     pub uncertainty: f64,
-    /// Root mean square error of log10 U by the number of rays, decades; `None` if the field has no error bars, or too few rays
-    /// passed here to know ([`ErrorBars`]). Between vertices, whose errors are those of the same rays, the errors of their σ are
-    /// added as they stand: an upper bound (first order).
+    /// Root mean square error of log10 U due to the number of rays, decades.
+    ///
+    /// `None` if the field has no error bars, or too few rays passed here for an estimate ([`ErrorBars`]). Vertices
+    /// share rays, so between them the errors of their σ are added without cancellation: an upper bound to first order.
     pub log10_error: Option<f64>,
-    /// How many rays support this number: interpolated from the vertices. `None` if the evidence was not kept.
+    /// Number of rays that support this estimate, interpolated from the vertices. `None` if the sums were not kept.
     pub rays: Option<f64>,
-    /// Level of the leaf around the point (the finest level on a dense grid), 0 outside the box.
+    /// Level of the leaf around the point (the finest level on a dense grid); 0 outside the box.
     pub level: u8,
-    /// Whether the point is inside the box; outside, `uncertainty` is the prior's.
+    /// Whether the point is inside the box. Outside, `uncertainty` is the prior's.
     pub inside: bool,
 }
 
@@ -71,25 +73,25 @@ pub struct UncertaintyField {
     protocol: Protocol,
     lattice: Lattice,
     support: Support,
-    /// The leaves that rays were summed on.
+    /// Limits of the leaves on which rays were summed.
     limits: MaxLevels,
     /// `[vertices]`: σ_v, scene units.
     deviations: StandardDeviations,
-    /// `[vertices]`: what rays said, if kept, so that another covariance can be read off later.
+    /// `[vertices]`: sums over the rays, if kept, from which other covariances can be computed.
     sums: Option<Vec<VertexSums>>,
-    /// `[vertices]`: how far log10 σ_v is from its limit, if independent groups of rays were compared.
+    /// `[vertices]`: errors of log10 σ_v relative to its limit, if independent groups of rays were compared.
     error_bars: Option<ErrorBars>,
-    /// `[n]`: some points on visible surfaces, scene units; for comparisons.
+    /// `[n]`: points on visible surfaces, scene units, for comparisons.
     surface: Vec<[f32; 3]>,
-    /// The rays that were summed; none if they are not known.
+    /// The rays that were summed; empty if unknown.
     draws: Vec<Draw>,
 }
 
 impl UncertaintyField {
-    /// The field that `evidence` gives under `protocol`, one entry per vertex of `support`.
+    /// Computes the field from `sums` under `protocol`, one entry per vertex of `support`.
     ///
     /// # Panics
-    /// If the number of entries is not the number of vertices.
+    /// If the number of entries differs from the number of vertices.
     #[must_use]
     pub fn new(protocol: Protocol, lattice: Lattice, support: Support, sums: Vec<VertexSums>) -> Self {
         let vertices = vertex_count(&lattice, &support);
@@ -120,15 +122,18 @@ impl UncertaintyField {
         }
     }
 
-    /// The field of an octree posterior, refined where the protocol's criteria and tolerance say so, and so that the cells `wanted`
-    /// exist. A part of a run ([`Protocol::is_part`]) is refined wherever a ray passed: what is negligible for the run is known when all parts are there.
+    /// Computes the field of an octree posterior.
+    ///
+    /// The octree is refined according to the protocol's criteria and tolerance, and contains the cells `wanted`.
+    /// A part of a run ([`Protocol::is_part`]) is refined wherever a ray passed, because what is negligible for
+    /// the run is known only when all parts are present.
     #[must_use]
     pub fn from_octree(protocol: Protocol, lattice: Lattice, posterior: OctreePosterior, wanted: Vec<Cell>) -> Self {
         let floor = if protocol.is_part() { Refinement::EVERYTHING } else { protocol.pooling().floor };
         Self::from_octree_above(floor, protocol, lattice, posterior, wanted)
     }
 
-    /// As [`UncertaintyField::from_octree`], with the vertices of more information than `floor`.
+    /// Same as [`UncertaintyField::from_octree`], refined around vertices with more information than `floor`.
     fn from_octree_above(
         floor: f64,
         protocol: Protocol,
@@ -144,13 +149,13 @@ impl UncertaintyField {
         Self::of_limits(protocol, lattice, Support::Octree(octree), limits, sums)
     }
 
-    /// The same field without the evidence: a fifteenth of the memory, but the covariance is fixed.
+    /// The same field without its sums: a fifteenth of the memory, but the covariance is fixed.
     #[must_use]
     pub fn without_sums(self) -> Self {
         Self { sums: None, ..self }
     }
 
-    /// The same field with its deviations in two bytes each and without evidence. Its tolerance grows by the rounding.
+    /// The same field without its sums and with two bytes per deviation. Its tolerance grows by the rounding.
     #[must_use]
     pub fn in_f16(mut self) -> Self {
         if self.deviations.store() == Store::F32 {
@@ -161,20 +166,20 @@ impl UncertaintyField {
         self.without_sums()
     }
 
-    /// The same field, which names the model that it was computed for by its [checksum](crate::open::checksum).
+    /// The same field with the [checksum](crate::open::checksum) of the model that it was computed from.
     #[must_use]
     pub fn of_model(mut self, checksum: u32) -> Self {
         self.protocol.origin.model = Some(checksum);
         self
     }
 
-    /// The same field with some points on visible surfaces.
+    /// The same field with the given points on visible surfaces.
     #[must_use]
     pub fn with_surface(self, surface: Vec<[f32; 3]>) -> Self {
         Self { surface, ..self }
     }
 
-    /// The same field, made of the rays of several draws: a protocol alone names one.
+    /// The same field with the rays of several draws. A protocol alone names only one.
     ///
     /// # Panics
     /// If two of them may have rays in common.
@@ -184,18 +189,23 @@ impl UncertaintyField {
         Self { draws, ..self }
     }
 
-    /// The rays that were summed, by sequence of pixels. Empty if they are not known: if they come from a samples file
-    /// or another program, or from several sequences by a version of this crate that did not write them down.
+    /// The rays that were summed, by sequence of pixels.
+    ///
+    /// Empty if they are unknown. That is so if they come from a samples file or another program, or from several
+    /// sequences by a version of this crate that did not record them.
     #[must_use]
     pub fn draws(&self) -> &[Draw] {
         &self.draws
     }
 
-    /// The same field with another scalar read off the evidence. Error bars are those of one scalar: they are left behind. `normal` of a field that was
-    /// not made with it lacks the gradients of samples that were left out as negligible: where there are no others its direction is not certain.
+    /// The same field with another covariance computed from its sums, without error bars, which hold for one
+    /// covariance only.
+    ///
+    /// If the field was not computed for `normal`, the gradients of samples left out as negligible are missing.
+    /// Where there are no others, the direction of `normal` is uncertain.
     ///
     /// # Errors
-    /// If the evidence was not kept.
+    /// If the sums were not kept.
     pub fn with_covariance(mut self, covariance: Covariance) -> Result<Self> {
         if covariance != self.protocol.covariance {
             let Some(sums) = &self.sums else {
@@ -213,8 +223,8 @@ impl UncertaintyField {
     /// The same field with another prior precision λ, 1 / scene unit², without error bars.
     ///
     /// # Errors
-    /// If the evidence was not kept, or λ is no number above 0; on an octree also if it is below the present one: what was
-    /// negligible beside that was not kept.
+    /// If the sums were not kept, or λ is not a finite number above 0. On an octree λ also must not fall below
+    /// its present value, because what was negligible compared with that was not kept.
     pub fn with_lambda(mut self, lambda: f64) -> Result<Self> {
         let least = if self.support == Support::Dense { f64::MIN_POSITIVE } else { self.protocol.lambda };
         let (Some(sums), true) = (&self.sums, lambda >= least && lambda.is_finite()) else {
@@ -227,10 +237,11 @@ impl UncertaintyField {
         Ok(self)
     }
 
-    /// The same dense field with its evidence pooled otherwise, without error bars; vertices count as moved by the given tolerance.
+    /// The same dense field with other pooling, without error bars. `tolerance` determines which vertices count
+    /// as moved.
     ///
     /// # Errors
-    /// If it is an octree, which holds only what its own pooling needs, or the evidence was not kept.
+    /// If the field is an octree, which holds only what its own pooling needs, or the sums were not kept.
     pub fn with_pooling(mut self, min_rays: f64, tolerance: f64) -> Result<Self> {
         match (&self.support, &self.sums) {
             (Support::Dense, Some(sums)) => {
@@ -244,7 +255,7 @@ impl UncertaintyField {
         }
     }
 
-    /// What the numbers depend on.
+    /// Everything that the numbers depend on.
     #[must_use]
     pub fn protocol(&self) -> &Protocol {
         &self.protocol
@@ -262,20 +273,20 @@ impl UncertaintyField {
         &self.support
     }
 
-    /// The leaves that rays were summed on.
+    /// Limits of the leaves on which rays were summed.
     #[must_use]
     pub fn limits(&self) -> &MaxLevels {
         &self.limits
     }
 
-    /// `[vertices]`: what rays said, if kept.
+    /// `[vertices]`: sums over the rays, if kept.
     #[must_use]
     pub fn sums(&self) -> Option<&[VertexSums]> {
         self.sums.as_deref()
     }
 
-    /// Median number of rays over the vertices that moved by more than half a decade from the prior; `None` if there are none, or the
-    /// evidence was not kept.
+    /// Median number of rays over the vertices that moved by more than half a decade from the prior. `None` if
+    /// there are no such vertices or the sums were not kept.
     #[must_use]
     pub fn median_rays(&self) -> Option<u32> {
         let moved = self.prior() * 10_f64.powf(-MOVED);
@@ -304,7 +315,7 @@ impl UncertaintyField {
         self.protocol.covariance.prior(self.protocol.lambda)
     }
 
-    /// U at a scene point. Outside the box (or for NaN) the prior, marked as outside.
+    /// U at a scene point. Outside the box, or for NaN, it is the prior, marked as outside.
     #[must_use]
     pub fn query(&self, x: Vec3) -> Estimate {
         let Some(u) = self.lattice.coordinates(x) else { return self.outside() };
@@ -324,7 +335,8 @@ impl UncertaintyField {
         self.query(x).uncertainty.log10()
     }
 
-    /// tr S at a lattice point: exact where a vertex is, 0 elsewhere (there it is negligible); `None` if not kept.
+    /// tr S at a lattice point: exact at a vertex, 0 elsewhere, where it is negligible; `None` if the sums were
+    /// not kept.
     #[must_use]
     pub fn trace_at(&self, point: [u32; 3]) -> Option<f64> {
         let sums = self.sums.as_ref()?;
@@ -352,7 +364,7 @@ impl UncertaintyField {
         parts
     }
 
-    /// Bytes that queries need: one value per vertex, and the structure.
+    /// Bytes needed for queries: one value per vertex, and the structure.
     #[must_use]
     pub fn query_memory(&self) -> usize {
         let structure: usize = match &self.support {

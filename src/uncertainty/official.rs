@@ -1,9 +1,9 @@
 //! The official code's file: a flat f32 `.npy` of Σ_r tr(JᵀJ) on (M + 1)³ vertices.
 //!
-//! Its index is x·M² + y·M + z: the stride is M although there are M + 1 vertices per axis, so vertices on the upper faces share
-//! entries with vertices on lower ones: (x, y, M) with (x, y + 1, 0), and (x, M, z) with (x + 1, 0, z). It is read and
-//! written that way (and nowhere else). Vertices inside the box are exact; on its faces an entry is the sum over all vertices
-//! that share it, as in the official code itself.
+//! Its index is x·M² + y·M + z. The stride is M although there are M + 1 vertices per axis, so vertices on the
+//! upper faces share entries with vertices on lower ones: (x, y, M) with (x, y + 1, 0), and (x, M, z) with
+//! (x + 1, 0, z). Files are read and written with this index, which nothing else uses. Vertices inside the box
+//! are exact. On its faces an entry is the sum over all vertices that share it, as in the official code itself.
 
 use std::path::Path;
 
@@ -13,25 +13,25 @@ use crate::io::npy;
 use crate::posterior::{Covariance, VertexSums};
 use crate::{Error, Result};
 
-/// What the official file does not say.
+/// What the official file does not contain.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OfficialGrid {
     /// The box that the unit cube was mapped to, scene units.
     pub bounds: Aabb,
-    /// Rays that the sums run over; the official default is 1000 batches of 4096.
+    /// Number of rays that were summed; the official default is 1000 batches of 4096.
     pub rays: u64,
-    /// λ, 1 / scene unit²; `None` for 1e-4 / M³ per squared longest edge.
+    /// Prior precision λ, 1 / scene unit²; `None` for 1e-4 / M³ divided by the square of the longest edge.
     pub lambda: Option<f64>,
 }
 
 impl OfficialGrid {
-    /// Rays of the official code's defaults.
+    /// Number of rays with the official code's defaults.
     pub const DEFAULT_RAYS: u64 = 4_096_000;
 
     /// Reads an official `.npy` as a dense field with the `trace` covariance.
     ///
     /// # Errors
-    /// If the array is not flat f32 of (2^level + 1)³ finite values ≥ 0.
+    /// If the array is not flat f32 with (2^level + 1)³ finite values ≥ 0.
     pub fn read(&self, path: &Path) -> Result<UncertaintyField> {
         let array = npy::read::<f32>(path)?;
         array.expect_shape(path, "data", &[None])?;
@@ -46,14 +46,14 @@ impl OfficialGrid {
         let lattice = Lattice::new(self.bounds, level)?;
         let mut sums = Vec::with_capacity(array.data.len());
         for_each_vertex(lattice.cells_per_axis(), |_, index| {
-            // Only the trace is known: an isotropic matrix has it.
+            // Only the trace is known, so an isotropic matrix with this trace stands in.
             let third = f64::from(array.data[index]) / 3.0;
             sums.push(VertexSums { information: [third, 0.0, 0.0, third, 0.0, third], ..VertexSums::default() });
         });
         let source = format!("official grid {}", path.display());
         let lambda = self.lambda.unwrap_or_else(|| lattice.default_lambda());
         let protocol = Protocol::unstated(source, self.rays, lambda, Covariance::Trace);
-        // An isotropic stand-in supports no other covariance honestly, so the matrices are not kept.
+        // An isotropic stand-in supports no other covariance, so the matrices are not kept.
         Ok(UncertaintyField::new(protocol, lattice, Support::Dense, sums).without_sums())
     }
 }
@@ -62,7 +62,8 @@ impl UncertaintyField {
     /// Writes Σ_r tr(JᵀJ) as the official code's `.npy`.
     ///
     /// # Errors
-    /// If the field keeps no evidence and is not of `trace`, its level is above 9 (1 GB), space is contracted, leaves were limited, or the file cannot be written.
+    /// If the field has no sums and its covariance is not `trace`, its level is above 9 (1 GB), space is
+    /// contracted, leaves were limited, or the file cannot be written.
     pub fn write_official(&self, path: &Path) -> Result<()> {
         if self.lattice.level() > 9 {
             let found = format!("level {}", self.lattice.level());
@@ -89,7 +90,7 @@ impl UncertaintyField {
         npy::write(path, &[sums.len() as u64], sums.into_iter().map(|s| s as f32))
     }
 
-    /// tr S from σ² = 1 / (tr S / R + λ), if that is what the field holds.
+    /// tr S from σ² = 1 / (tr S / R + λ), if the covariance of the field is `trace`.
     fn trace_from_deviation(&self, point: [u32; 3]) -> Option<f64> {
         if self.protocol.covariance != Covariance::Trace {
             return None;
@@ -100,7 +101,7 @@ impl UncertaintyField {
     }
 }
 
-/// Every vertex, x slowest, with its index in the official order.
+/// Visits every vertex, x slowest, with its index in the official order.
 fn for_each_vertex(m: u32, mut visit: impl FnMut([u32; 3], usize)) {
     for x in 0..=m {
         for y in 0..=m {

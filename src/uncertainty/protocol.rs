@@ -1,98 +1,102 @@
-//! What the numbers in a field depend on.
+//! The protocol of a field: everything that its numbers depend on.
 
 use crate::posterior::{Covariance, Criteria, Pooling, Prior, negligible_information};
 use crate::rays::{Draw, Pixels, Shard};
 use crate::render::GradientMethod;
 
-/// The share of the tolerance that is for samples whose Jacobian is negligible; the others are for refinement.
+/// Fraction of the tolerance reserved for samples with a negligible Jacobian; the rest is for refinement.
 pub const SAMPLES_SHARE: f64 = 0.1;
 
-/// Checksums of what a field was computed from, `None` where not known: contents, not paths.
+/// Checksums of what a field was computed from: of contents, not of paths. `None` where unknown.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 #[serde(default)]
 pub struct Origin {
-    /// Of the model ([`crate::open::checksum`]).
+    /// Checksum of the model ([`crate::open::checksum`]).
     pub model: Option<u32>,
-    /// Of its cameras ([`crate::geometry::Camera::checksum`]).
+    /// Checksum of its cameras ([`crate::geometry::Camera::checksum`]).
     pub cameras: Option<u32>,
 }
 
-/// Everything that the numbers in a field depend on. `None` where the field came from elsewhere and does not say.
+/// Everything that the numbers in a field depend on. `None` where the field came from elsewhere and the value is
+/// unknown.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Protocol {
     /// Version of this crate.
     pub version: String,
-    /// Model and cameras, or samples file.
+    /// Model and cameras, or the samples file.
     pub source: String,
-    /// Which model and cameras these are.
+    /// Checksums of the model and cameras.
     #[serde(default)]
     pub origin: Origin,
-    /// R: rays drawn, those that hit nothing included.
+    /// R, the number of rays drawn, including those that hit nothing.
     pub rays: u64,
-    /// Rays dropped because the field was not finite.
+    /// Number of rays dropped because the field was not finite.
     pub dropped: u64,
-    /// How pixels were chosen.
+    /// The method of choosing pixels.
     pub pixels: Option<Pixels>,
     /// Seed of the run's pixels and jitter; [`super::UncertaintyField::draws`] has those of all its sequences.
     pub seed: Option<u64>,
-    /// Which part of a run these rays are.
+    /// The part of a run that drew these rays.
     pub shard: Option<Shard>,
-    /// λ, 1 / scene unit².
+    /// Prior precision λ, 1 / scene unit².
     pub lambda: f64,
-    /// Scalar read off H.
+    /// Definition of the standard deviation.
     pub covariance: Covariance,
-    /// How λ depends on the size of cells.
+    /// The dependence of λ on cell size.
     pub prior: Prior,
-    /// Pooling by evidence; 0 is none.
+    /// Requested number of rays in pooling; 0 for no pooling.
     pub min_rays: f64,
-    /// Where the octree is refined.
+    /// Criteria for refining the octree.
     pub criteria: Criteria,
-    /// Largest change of log10 U by leaves that are coarser than the finest level and, for [`SAMPLES_SHARE`] of it, by samples that are left out
-    /// as negligible; what [`Protocol::cutoff`] leaves out is not part of it. On a dense grid it only says which vertices count for pooling.
+    /// Largest change of log10 U due to leaves coarser than the finest level and to negligible samples.
+    ///
+    /// [`SAMPLES_SHARE`] of it is for samples that are left out as negligible. What [`Protocol::cutoff`] leaves
+    /// out is not included. On a dense grid it only determines which vertices count for pooling.
     pub tolerance: f64,
     /// Distance between samples along rays, scene units.
     pub march_step: Option<f64>,
-    /// Where the field's derivatives came from; never [`GradientMethod::Auto`].
+    /// Source of the field's derivatives; never [`GradientMethod::Auto`].
     pub gradient: Option<GradientMethod>,
-    /// Finite-difference step along x, y and z, scene units; `None` with derivatives of the field's own.
+    /// Finite-difference step along x, y and z, scene units; `None` if the field's own derivatives were used.
     pub difference_step: Option<[f64; 3]>,
-    /// Samples below this weight and expected sensitivity were not differentiated, and rays ended at this transmittance. It is not a bound on log10 U.
+    /// Samples below this weight and expected sensitivity were not differentiated, and rays ended at this
+    /// transmittance. It does not bound log10 U.
     pub cutoff: Option<f64>,
     /// Colour behind the scene.
     pub background: Option<[f32; 3]>,
-    /// Where in a pixel rays went through; ½ is the centre.
+    /// Position of rays within their pixel; ½ is the centre.
     pub pixel_offset: Option<f64>,
 }
 
 impl Protocol {
-    /// The one draw that its seed and share name, if they do.
+    /// The draw named by the seed and shard, if both are known.
     #[must_use]
     pub fn draw(&self) -> Option<Draw> {
         self.seed.zip(self.shard).map(|(seed, shard)| Draw { seed, shard })
     }
 
-    /// Whether these rays are but a part of a run.
+    /// Whether these rays are only a part of a run.
     #[must_use]
     pub fn is_part(&self) -> bool {
         self.shard.is_some_and(|share| share.of > 1)
     }
 
-    /// How evidence is pooled.
+    /// Settings of pooling.
     #[must_use]
     pub fn pooling(&self) -> Pooling {
         Pooling { min_rays: self.min_rays, floor: self.floor(self.rays) }
     }
 
-    /// Information (tr S) that is negligible beside the prior, if it is that of `rays` rays.
+    /// Information (tr S) from `rays` rays that is negligible compared with the prior.
     pub(super) fn floor(&self, rays: u64) -> f64 {
         negligible_information((1.0 - SAMPLES_SHARE) * self.tolerance, rays, self.lambda)
     }
 
-    /// Whether a run can have had this protocol: for protocols read from files.
+    /// Checks whether a run can have had this protocol, for protocols read from files.
     #[must_use]
     pub fn is_possible(&self) -> bool {
         let counts = self.rays > 0 && self.dropped <= self.rays && self.shard.is_none_or(|s| s.is_valid());
-        // λ is accepted if f32 holds the prior's deviation, which queries far from all rays return.
+        // λ is valid if f32 can hold the prior's deviation, which queries far from all rays return.
         let lambda = self.lambda > 0.0
             && self.lambda.is_finite()
             && Covariance::ALL.iter().all(|c| (c.prior(self.lambda) as f32).is_normal());
@@ -107,7 +111,7 @@ impl Protocol {
             && self.background.iter().flatten().all(|v| (0.0..=1.0).contains(v))
     }
 
-    /// The protocol of a field from elsewhere, of which no more is known than this.
+    /// The protocol of a field from elsewhere, of which only these values are known.
     #[must_use]
     pub fn unstated(source: String, rays: u64, lambda: f64, covariance: Covariance) -> Self {
         Self {

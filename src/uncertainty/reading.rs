@@ -1,4 +1,4 @@
-//! From evidence to deviations: pooled, made comparable between leaves of different size, read with the prior of the place.
+//! From sums to deviations: pools the sums, makes leaves of different sizes comparable, and applies the local prior.
 
 use rayon::prelude::*;
 
@@ -7,10 +7,11 @@ use crate::geometry::Lattice;
 use crate::octree::{MaxLevels, VertexId};
 use crate::posterior::{Prior, VertexSums};
 
-/// σ_v of every vertex: evidence pooled, then read with the prior of its place.
+/// Computes σ_v of every vertex from its pooled sums and the local prior.
 ///
-/// The hat of a leaf k levels coarser than the lattice has 4ᵏ times the footprint on a surface, so that as many times the rays
-/// move its vertex: its information is divided by that, to mean what it means on the finest lattice.
+/// The hat function of a leaf k levels coarser than the finest lattice has 4ᵏ times the footprint on a surface,
+/// so 4ᵏ times as many rays move its vertex. Its information is divided by that factor, which gives it the
+/// meaning that it has on the finest lattice.
 pub fn read(
     protocol: &Protocol,
     lattice: &Lattice,
@@ -34,7 +35,8 @@ pub fn read(
         Support::Octree(octree) => {
             let points: Vec<[u32; 3]> = octree.vertex_positions().collect();
             let at = |p| octree.vertex(p).map(|VertexId(v)| sums[v as usize]);
-            // Vertices of coarser leaves have no neighbours on the finest lattice, and larger hats: they stay by themselves.
+            // Vertices of coarser leaves have no neighbours on the finest lattice and have larger hats, so they
+            // are not pooled.
             let pooled = |v: usize| match pooling.is_on() && octree.is_surrounded_by_finest(points[v]) {
                 true => pooling.pooled(points[v], last, at),
                 false => sums[v],

@@ -4,35 +4,35 @@ use std::sync::LazyLock;
 
 use half::f16;
 
-/// How deviations are stored.
+/// The storage of deviations.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 pub enum Store {
-    /// σ in four bytes: rounding moves log10 U by 3e-8
+    /// σ in four bytes; rounding changes log10 U by 3e-8
     #[default]
     F32,
-    /// log10 of σ over the prior in two bytes: rounding moves log10 U by |log10 (U / prior)| / 2048 or less
+    /// log10 of σ over the prior in two bytes; rounding changes log10 U by at most |log10 (U / prior)| / 2048
     F16,
 }
 
 /// Deviations by vertex, scene units.
 ///
-/// Sixteen bits cannot hold σ itself, which spans ten decades and more; they hold v = log10(σ / unit), and σ is looked up in a table
-/// of all 65,536 powers.
+/// Sixteen bits cannot hold σ itself, which spans ten decades or more. They hold v = log10(σ / unit) instead, and
+/// σ is looked up in a table of all 65,536 powers.
 #[derive(Debug, Clone, PartialEq)]
 pub enum StandardDeviations {
     /// σ.
     F32(Vec<f32>),
     /// σ = unit · 10^v.
     F16 {
-        /// The prior's deviation, so that what was not seen is exact.
+        /// The prior's deviation, so that unseen vertices are exact.
         unit: f32,
         /// v.
         logs: Vec<f16>,
     },
 }
 
-/// 10^v for every f16 v, by its bits.
+/// 10^v for every f16 v, indexed by its bits.
 static POWERS: LazyLock<Vec<f32>> =
     LazyLock::new(|| (0..=u16::MAX).map(|bits| 10_f64.powf(f16::from_bits(bits).to_f64()) as f32).collect());
 
@@ -46,7 +46,7 @@ impl StandardDeviations {
         }
     }
 
-    /// Whether there are none.
+    /// Whether there are no vertices.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len() == 0
@@ -66,7 +66,7 @@ impl StandardDeviations {
         (0..self.len()).map(|v| self.get(v))
     }
 
-    /// How they are stored.
+    /// The storage of the deviations.
     #[must_use]
     pub fn store(&self) -> Store {
         match self {
@@ -75,7 +75,7 @@ impl StandardDeviations {
         }
     }
 
-    /// The same in two bytes each, relative to the prior's deviation `unit`.
+    /// The same deviations in two bytes each, relative to the prior's deviation `unit`.
     #[must_use]
     pub fn to_f16(&self, unit: f64) -> Self {
         let unit = unit as f32;
@@ -83,8 +83,9 @@ impl StandardDeviations {
         Self::F16 { unit, logs }
     }
 
-    /// Most that [`StandardDeviations::to_f16`] changes log10 σ of any of them: f16 has 11 significant bits, and no exponent below −14; the
-    /// table's powers are f32.
+    /// The largest change of log10 σ by [`StandardDeviations::to_f16`] over all vertices.
+    ///
+    /// f16 has 11 significant bits and no exponent below −14. The powers in the table are f32.
     #[must_use]
     pub fn f16_rounding(&self, unit: f64) -> f64 {
         let largest = self.iter().map(|sigma| (sigma / unit).log10().abs()).fold(0.0, f64::max);

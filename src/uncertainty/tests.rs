@@ -1,4 +1,4 @@
-//! Queries, files, and the official format, on small fields with arbitrary evidence.
+//! Queries, files and the official format, on small fields with arbitrary sums.
 
 use super::*;
 use crate::geometry::Aabb;
@@ -32,7 +32,7 @@ fn protocol(lattice: &Lattice, covariance: Covariance, rays: u64) -> Protocol {
     }
 }
 
-/// A few rays through a box of edge 2 · scale; Jacobians shrink as lengths grow.
+/// A few rays through a box of edge 2 · scale. Jacobians shrink as lengths grow.
 fn samples(scale: f32) -> RaySamples {
     let mut out = RaySamples::default();
     for i in 0..40_u64 {
@@ -64,7 +64,8 @@ fn pooled_fields(covariance: Covariance, scale: f64, min_rays: f64) -> [Uncertai
     ]
 }
 
-/// The field with error bars from three groups, which saw each vertex unequally; every fifth vertex by one group only.
+/// The field with error bars from three groups that saw each vertex unequally. Every fifth vertex was seen by
+/// only one group.
 fn with_bars(field: UncertaintyField) -> UncertaintyField {
     let share = |v: usize, g: usize| match v % 5 {
         0 => [1.0, 0.0, 0.0][g],
@@ -89,7 +90,7 @@ fn error_bars_are_those_of_fields_without_each_group() {
             let sums = field.sums().unwrap();
             let bars = field.error_bars().unwrap();
             assert_eq!((bars.groups(), bars.len()), (3, sums.len()));
-            // By hand: the fields of the other groups' rays, made as fields are.
+            // By hand: the fields of the other groups' rays, computed as fields are.
             let without = |g: usize| {
                 let kept = |v: usize| match v % 5 {
                     0 => [0.0, 1.0, 1.0][g],
@@ -114,7 +115,7 @@ fn error_bars_are_those_of_fields_without_each_group() {
                 if e.rays == 0 || v.is_multiple_of(5) {
                     assert_eq!(bars.get(v), None, "one group or none saw vertex {v}");
                 } else {
-                    // Bits of f16; sums of rounded shares, and σ in f32.
+                    // Bits of f16, sums of rounded parts, and σ in f32.
                     let found = bars.get(v).unwrap();
                     assert!(
                         (found - expected).abs() <= 1e-3 * expected + 1e-6,
@@ -154,7 +155,7 @@ fn errors_between_vertices_are_means_by_shares_of_u() {
             assert_eq!(octree.query(x).log10_error, octree.query_all(&[x])[0].log10_error);
         }
         assert!(known > 0 && known < 40, "{known}");
-        // A vertex by itself answers with its own error; nothing is known outside, or without error bars.
+        // At a vertex, queries return its own error. Nothing is known outside the box or without error bars.
         let v = (0..n * n * n).find(|&v| dense.error_bars().unwrap().get(v).is_some_and(|e| e > 0.0)).unwrap();
         let at = DVec3::from([v / (n * n), v / n % n, v % n].map(|i| i as f64));
         let found = dense.query(dense.lattice().position(at).as_vec3()).log10_error.unwrap();
@@ -186,7 +187,7 @@ proptest! {
     fn pooled_fields_agree_too_and_are_pooled(x in -1.0..=1.0_f32, y in -1.0..=1.0_f32, z in -1.0..=1.0_f32, min_rays in 0.5..16.0_f64) {
         static PLAIN: std::sync::LazyLock<[UncertaintyField; 2]> = std::sync::LazyLock::new(|| fields(Covariance::Block, 1.0));
         let x = Vec3::new(x, y, z);
-        // Octrees of a few thousand vertices: one of three, by the number asked for.
+        // Octrees of a few thousand vertices; the requested number selects one of three.
         let index = (min_rays / 16.0 * 3.0) as usize;
         static POOLED: std::sync::LazyLock<[[UncertaintyField; 2]; 3]> =
             std::sync::LazyLock::new(|| [2.0, 4.0, 12.0].map(|m| pooled_fields(Covariance::Block, 1.0, m)));
@@ -203,7 +204,7 @@ proptest! {
         FIELDS.with(|fields| {
             for [dense, octree] in fields {
                 let difference = (dense.log10(Vec3::new(x, y, z)) - octree.log10(Vec3::new(x, y, z))).abs();
-                // The stated tolerance, and the rounding of σ to f32.
+                // The stated tolerance, plus the rounding of σ to f32.
                 prop_assert!(difference <= 0.01 + 1e-6, "{}", difference);
             }
             Ok(())
@@ -214,7 +215,7 @@ proptest! {
 #[test]
 fn scaling_the_scene_scales_the_uncertainty() {
     for covariance in Covariance::ALL {
-        // Powers of two scale floats exactly, so the only differences are roundings in σ: a few ulps of f32.
+        // Powers of two scale floats exactly, so fields differ only by roundings in σ: a few ulps of f32.
         let [[_, small], [_, large]] = [1.0, 1024.0].map(|scale| fields(covariance, scale));
         assert_eq!(small.support(), large.support());
         for (s, l) in small.deviations().iter().zip(large.deviations().iter()) {
@@ -314,7 +315,7 @@ fn official_file_has_its_own_index_order() {
     let flat = crate::io::npy::read::<f32>(&path).unwrap();
     let m = 32_usize;
     assert_eq!(flat.shape, [(m + 1).pow(3)]);
-    // A vertex away from the upper faces sits alone at x·M² + y·M + z.
+    // A vertex away from the upper faces has the entry x·M² + y·M + z to itself.
     let inner = (1..31_u32).flat_map(|x| (1..31).flat_map(move |y| (1..31).map(move |z| [x, y, z])));
     let point = inner.max_by(|&a, &b| dense.trace_at(a).unwrap().total_cmp(&dense.trace_at(b).unwrap())).unwrap();
     let index = (point[0] as usize * m + point[1] as usize) * m + point[2] as usize;
@@ -338,7 +339,8 @@ fn comparing_fields_of_different_boxes_is_refused() {
 
 #[test]
 fn batches_answer_as_single_queries_do() {
-    // More than the tiles of two threads hold, in no order, some on faces of cells and of the box, some outside, some not numbers.
+    // More points than the tiles of two threads hold, unordered: some on faces of cells and of the box, some
+    // outside, some NaN.
     let golden = [0.819_172_5_f32, 0.671_043_6, 0.549_700_5];
     let mut points: Vec<Vec3> =
         (0..600_000).map(|i| Vec3::from_array(golden.map(|g| 2.2 * (i as f32 * g).fract() - 1.1))).collect();
@@ -362,7 +364,7 @@ fn a_dense_copy_has_the_values_of_every_vertex() {
     for i in 0..33_u32.pow(3) {
         let u = DVec3::new(f64::from(i / 1089), f64::from(i / 33 % 33), f64::from(i % 33));
         let x = octree.lattice().position(u).as_vec3();
-        // Binary fractions of the box: f32 holds every vertex.
+        // Binary fractions of the box, so f32 holds every vertex.
         assert_eq!(copy.query(x).uncertainty as f32, octree.query(x).uncertainty as f32, "{x}");
     }
     assert_eq!(dense.on_dense_grid().deviations(), dense.deviations());
@@ -374,12 +376,12 @@ fn another_lambda_is_read_off_the_same_sums() {
         for field in fields(covariance, 1.0) {
             let lambda = field.protocol().lambda;
             let larger = field.clone().with_lambda(100.0 * lambda).unwrap();
-            // Where nothing was seen, σ falls with √λ; nowhere does it grow.
+            // Where nothing was seen, σ falls with √λ. It grows nowhere.
             assert!((larger.prior() * 10.0 / field.prior() - 1.0).abs() < 1e-9);
             let ratios: Vec<f64> =
                 larger.deviations().iter().zip(field.deviations().iter()).map(|(l, f)| l / f).collect();
             assert!(ratios.iter().all(|r| *r <= 1.0 + 1e-6) && ratios.iter().any(|r| *r < 0.5));
-            // The way back: exact on a grid, refused on an octree, which did not keep what was negligible.
+            // The way back is exact on a grid. It is refused on an octree, which did not keep what was negligible.
             match larger.support() {
                 Support::Dense => assert_eq!(larger.with_lambda(lambda).unwrap().deviations(), field.deviations()),
                 Support::Octree(_) => assert!(larger.with_lambda(lambda).is_err()),
@@ -399,11 +401,11 @@ fn surfaces_are_compared_at_the_reference_s_points() {
         |a: &UncertaintyField, b: &UncertaintyField| compare(a, b, 10, 0).unwrap().on_surfaces.map(|d| d.points);
     assert_eq!(points(&many, &few), Some(2));
     assert_eq!(points(&few, &many), Some(5));
-    // A reference without any is looked at where the field has some.
+    // If the reference has no points, those of the field are used.
     assert_eq!(points(&few, &octree.with_surface(Vec::new())), Some(2));
 }
 
-/// A later version may describe more; what it adds is passed over, and optional settings that are not there yet have their defaults.
+/// A later version may add settings, which are ignored. Optional settings that are missing get their defaults.
 #[test]
 fn headers_may_grow() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! Clean-up: a field without the density that is too uncertain (the paper, Sec. 5.2).
+//! Clean-up: removes the density that is too uncertain from a field (the paper, Sec. 5.2).
 
 use glam::Vec3;
 

@@ -1,9 +1,10 @@
-//! Sums of sparse lattice points, in bricks.
+//! Sums at sparse lattice points, stored in bricks.
 //!
-//! A vertex is keyed by its point on the lattice of its own level: `key` = coarseness · 2⁵⁷ + Morton code of (point / 2^coarseness),
-//! coarseness 0 being the finest lattice. The eight keys that differ in their low three bits make an aligned 2³ *brick*, which exists as
-//! soon as one of its vertices was touched; eight bricks make a *block*, which is looked up by hash. (Bricks of 4³ took three times the memory
-//! where rays are few for the lattice.) Blocks are spread over shards by hash, so that threads own them.
+//! A vertex is keyed by its point on the lattice of its own level: `key` = coarseness · 2⁵⁷ + Morton code of
+//! (point / 2^coarseness). Coarseness 0 is the finest lattice. The eight keys that differ only in their low three
+//! bits form an aligned 2³ *brick*, which exists once one of its vertices has been touched. Eight bricks form a
+//! *block*, which is found by hashing. (Bricks of 4³ took three times the memory where rays are sparse for the
+//! lattice.) A hash also distributes blocks over shards, and each shard is owned by one thread at a time.
 
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
@@ -12,45 +13,45 @@ use super::lists::{Contribution, Contributions};
 use crate::octree::morton;
 use crate::posterior::VertexSums;
 
-/// Shards: enough to keep many cores busy, few enough that their lists stay long.
+/// Number of shards: enough to keep many cores busy, few enough to keep their lists long.
 const SHARD_BITS: u32 = 6;
 pub const SHARDS: usize = 1 << SHARD_BITS;
 const COARSENESS_SHIFT: u32 = 57;
 
-/// Sums of the eight vertices of a brick.
+/// Sums at the eight vertices of a brick.
 pub type Brick = [VertexSums; 8];
 
-/// Where the bricks of a block are among those of its shard.
+/// Slots of a block's bricks in the brick list of its shard.
 #[derive(Debug, Clone, Copy)]
 struct Block([u32; 8]);
 
 impl Block {
-    /// No brick yet.
+    /// Marks a brick that does not exist.
     const NONE: u32 = u32::MAX;
     const EMPTY: Self = Self([Self::NONE; 8]);
 
-    /// Place of the brick that has the given key.
+    /// The slot of the brick that contains `key`.
     fn slot(&mut self, key: u64) -> &mut u32 {
         &mut self.0[(key >> 3 & 7) as usize]
     }
 
-    /// The same, if there is one.
+    /// The slot of the brick that contains `key`, if it exists.
     fn find(&self, key: u64) -> Option<u32> {
         Some(self.0[(key >> 3 & 7) as usize]).filter(|slot| *slot != Self::NONE)
     }
 
-    /// Bricks that exist, by their number in the block.
+    /// The bricks that exist, with their number within the block.
     fn bricks(&self) -> impl Iterator<Item = (u64, u32)> {
         (0..8).zip(self.0).filter(|(_, slot)| *slot != Self::NONE)
     }
 }
 
-/// The key of the vertex at `point`, which must be a multiple of 2^`coarseness` along every axis.
+/// The key of the vertex at `point`, whose coordinates must be multiples of 2^`coarseness`.
 pub fn key(point: [u32; 3], coarseness: u8) -> u64 {
     u64::from(coarseness) << COARSENESS_SHIFT | morton::encode(point.map(|i| i >> coarseness))
 }
 
-/// The point of a key.
+/// The lattice point of a key.
 pub fn point(key: u64) -> [u32; 3] {
     let coarseness = key >> COARSENESS_SHIFT;
     morton::decode(key & ((1 << COARSENESS_SHIFT) - 1)).map(|i| i << coarseness)
@@ -62,15 +63,15 @@ pub fn shard_of(key: u64) -> usize {
     ((key >> 6).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> (64 - SHARD_BITS)) as usize
 }
 
-/// Bricks of a chunk: 64 KiB.
+/// Bricks per chunk, which takes 64 KiB.
 const CHUNK: usize = 128;
 
-/// Bricks side by side, each vertex in a cache line of its own.
+/// Consecutive bricks; each vertex has its own cache line.
 #[derive(Debug, Clone)]
 #[repr(align(64))]
 struct Chunk([Brick; CHUNK]);
 
-/// A list of bricks that grows without moving or keeping room for more than a chunk.
+/// A list of bricks that grows without moving them and reserves at most one chunk.
 #[derive(Debug, Clone, Default)]
 struct BrickList {
     chunks: Vec<Box<Chunk>>,
@@ -78,7 +79,7 @@ struct BrickList {
 }
 
 impl BrickList {
-    /// Appends a brick without evidence; where it is.
+    /// Appends a brick of zeros and returns its slot.
     fn push(&mut self) -> u32 {
         if self.len == self.chunks.len() * CHUNK {
             self.chunks.push(Box::new(Chunk([Brick::default(); CHUNK])));
@@ -95,20 +96,20 @@ impl BrickList {
         &mut self.chunks[slot as usize / CHUNK].0[slot as usize % CHUNK]
     }
 
-    /// All bricks in order, by chunk.
+    /// All bricks in order, chunk by chunk.
     fn slices(&self) -> impl Iterator<Item = &[Brick]> {
         let len = |chunk: usize| CHUNK.min(self.len - chunk * CHUNK);
         self.chunks.iter().enumerate().map(move |(i, chunk)| &chunk.0[..len(i)])
     }
 }
 
-/// Contributions whose places are looked up before the first of them is added.
+/// Number of contributions whose slots are looked up before the first of them is added.
 const AHEAD: usize = 32;
 
 /// The blocks that hash to one shard.
 #[derive(Debug, Clone, Default)]
 struct Shard {
-    /// By block code (key without its low 6 bits).
+    /// Keyed by block code: the key without its low 6 bits.
     blocks: FxHashMap<u64, Block>,
     /// Codes of bricks (keys without their low 3 bits), in the order in which rays first touched them.
     codes: Vec<u64>,
@@ -116,7 +117,7 @@ struct Shard {
 }
 
 impl Shard {
-    /// Adds contributions in order. Neighbours in the list are most often neighbours in space.
+    /// Adds contributions in order. Neighbours in the list are usually neighbours in space.
     fn add(&mut self, contributions: &[Contribution]) {
         let mut slots = [0; AHEAD];
         for some in contributions.chunks(AHEAD) {
@@ -133,7 +134,7 @@ impl Shard {
                 }
             }
             let places = || some.iter().zip(&slots).map(|(c, &slot)| (slot, (c.key & 7) as usize));
-            // Waits for all of them at once.
+            // Touches all of them first, so that their cache misses overlap.
             std::hint::black_box(places().fold(0, |any, (slot, i)| any | self.bricks.get(slot)[i].rays));
             for (c, (slot, i)) in some.iter().zip(places()) {
                 self.bricks.get_mut(slot)[i].add(&c.sums);
@@ -141,7 +142,7 @@ impl Shard {
         }
     }
 
-    /// The brick with the given code, which is made if it is new.
+    /// The brick with the given code, created if it is new.
     fn brick(&mut self, code: u64) -> &mut Brick {
         let slot = self.blocks.entry(code >> 3).or_insert(Block::EMPTY).slot(code << 3);
         if *slot == Block::NONE {
@@ -157,7 +158,7 @@ impl Shard {
     }
 
     fn memory(&self) -> usize {
-        // hashbrown: one control byte and one (u64, Block) pair per bucket, of which one in eight stays empty.
+        // hashbrown has one control byte and one (u64, Block) pair per bucket; one bucket in eight stays empty.
         self.bricks.chunks.len() * size_of::<Chunk>()
             + self.bricks.chunks.capacity() * 8
             + self.codes.capacity() * 8
@@ -165,7 +166,7 @@ impl Shard {
     }
 }
 
-/// All sums.
+/// The sums at all vertices.
 #[derive(Debug, Clone)]
 pub struct Bricks {
     shards: Vec<Shard>,
@@ -193,29 +194,29 @@ impl Bricks {
         });
     }
 
-    /// Adds to one vertex.
+    /// Adds `sums` to one vertex.
     pub fn add_one(&mut self, key: u64, sums: &VertexSums) {
         self.shards[shard_of(key)].brick(key >> 3)[(key & 7) as usize].add(sums);
     }
 
-    /// The sums of a vertex, if its brick exists.
+    /// The sums at a vertex, if its brick exists.
     pub fn get(&self, key: u64) -> Option<&VertexSums> {
         let (block, bricks) = self.block(key)?;
         block.find(key).map(|slot| &bricks.get(slot)[(key & 7) as usize])
     }
 
-    /// The block of a key, if it exists, and its shard's bricks.
+    /// The block of a key, if it exists, and the bricks of its shard.
     fn block(&self, key: u64) -> Option<(&Block, &BrickList)> {
         let shard = &self.shards[shard_of(key)];
         Some((shard.blocks.get(&(key >> 6))?, &shard.bricks))
     }
 
-    /// A search for neighbouring vertices.
+    /// A reader for looking up neighbouring vertices.
     pub fn reader(&self) -> Reader<'_> {
         Reader { bricks: self, code: u64::MAX, block: None }
     }
 
-    /// For every block its code and the members whose sums fulfil `condition`, as a mask; in parallel.
+    /// For every block, its code and a mask of the members whose sums satisfy `condition`; in parallel.
     pub fn par_masks(
         &self,
         condition: impl Fn(&VertexSums) -> bool + Send + Sync,
@@ -231,7 +232,7 @@ impl Bricks {
         })
     }
 
-    /// All vertices of all bricks, in parallel, with their keys.
+    /// All vertices of all bricks with their keys, in parallel.
     pub fn par_iter(&self) -> impl ParallelIterator<Item = (u64, &VertexSums)> {
         let bricks = self.shards.par_iter().flat_map_iter(Shard::iter);
         bricks.flat_map_iter(|(code, brick)| (0_u64..).zip(brick).map(move |(i, sums)| (code << 3 | i, sums)))
@@ -247,13 +248,13 @@ impl Bricks {
         self.shards.iter().flat_map(|shard| shard.bricks.slices())
     }
 
-    /// Puts back what [`Bricks::codes`] and [`Bricks::slices`] gave, in the same order.
+    /// Restores what [`Bricks::codes`] and [`Bricks::slices`] returned, in the same order.
     ///
-    /// `None` if a code comes twice, or lies outside the lattice with `cells` per axis.
+    /// `None` if a code occurs twice or lies outside the lattice with `cells` per axis.
     pub fn restore(cells: u32, codes: &[u64], bricks: Vec<Brick>) -> Option<Self> {
         let mut restored = Self::new();
         for (&code, brick) in codes.iter().zip(bricks) {
-            // Every level of coarseness halves the lattice, until one cell is left.
+            // Each level of coarseness halves the lattice until one cell remains.
             let coarseness = code >> (COARSENESS_SHIFT - 3);
             if coarseness > u64::from(cells.ilog2()) {
                 return None;
@@ -278,16 +279,16 @@ impl Bricks {
     }
 }
 
-/// A search that looks a block up once for all its vertices in a row.
+/// A reader that looks up each block once for consecutive vertices in it.
 pub struct Reader<'a> {
     bricks: &'a Bricks,
-    /// Of the block looked up last.
+    /// Code of the block that was looked up last.
     code: u64,
     block: Option<(&'a Block, &'a BrickList)>,
 }
 
 impl Reader<'_> {
-    /// The sums of a vertex; none if its brick does not exist.
+    /// The sums at a vertex; zero if its brick does not exist.
     pub fn get(&mut self, key: u64) -> VertexSums {
         if key >> 6 != self.code {
             self.code = key >> 6;
@@ -307,7 +308,8 @@ mod tests {
 
     #[test]
     fn sums_of_many_chunks_are_those_of_a_map() {
-        // Half a million additions in runs of neighbours to some 30,000 bricks: several chunks a shard, all of them opened under way.
+        // Half a million additions in runs of neighbours, to some 30,000 bricks. Each shard needs several chunks,
+        // all of them allocated on the way.
         let (mut bricks, mut map) = (Bricks::new(), BTreeMap::<u64, VertexSums>::new());
         let mut state = 1_u64;
         for _ in 0..5 {
@@ -337,7 +339,7 @@ mod tests {
             (0..1 << 18)
                 .all(|key| bricks.get(key).copied().unwrap_or_default() == map.get(&key).copied().unwrap_or_default())
         );
-        // Written and read back.
+        // Save and restore.
         let codes: Vec<u64> = bricks.codes().collect();
         let restored = Bricks::restore(1 << 7, &codes, bricks.slices().flatten().copied().collect()).unwrap();
         assert!(restored.codes().eq(codes) && restored.slices().flatten().eq(bricks.slices().flatten()));

@@ -1,25 +1,25 @@
-//! What rays add, in lists by shard: each shard reads its own from beginning to end.
+//! The contributions of rays, in one list per shard, which that shard reads from beginning to end.
 
 use super::bricks::{SHARDS, shard_of};
 use crate::posterior::VertexSums;
 
-/// What one ray adds to one vertex.
+/// The contribution of one ray to one vertex.
 #[derive(Clone, Copy)]
 pub struct Contribution {
     pub key: u64,
     pub sums: VertexSums,
 }
 
-/// What the rays of a batch add, by shard, in ray order in each.
+/// The contributions of a batch of rays, by shard, each in ray order.
 pub struct Contributions(Vec<Vec<Contribution>>);
 
 impl Contributions {
-    /// None yet, with room for about `expected`.
+    /// Creates empty lists with room for about `expected` contributions.
     pub fn new(expected: usize) -> Self {
         Self((0..SHARDS).map(|_| Vec::with_capacity(expected / SHARDS)).collect())
     }
 
-    /// Appends what the next ray adds to a vertex, or the same ray to another one.
+    /// Appends a contribution of the current ray or the next one.
     #[inline(always)]
     pub fn push(&mut self, key: u64, sums: VertexSums) {
         self.0[shard_of(key)].push(Contribution { key, sums });

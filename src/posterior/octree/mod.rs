@@ -1,16 +1,18 @@
-//! The octree posterior: information only where rays were sensitive, in one pass, without a guess beforehand.
+//! The octree posterior: sums information only where rays are sensitive, in one pass and without an initial guess.
 //!
-//! Rays are summed on leaves that are as fine as [`MaxLevels`] allow: on the finest lattice, unless rays or memory cannot support it
-//! somewhere. Only [bricks] of vertices that some sensitive sample touched exist. At the end the octree is refined around every
-//! vertex that moved from the prior by more than the tolerance; everywhere else the field is the prior to within the tolerance,
-//! and leaves stay as coarse as 2:1 balance lets them. Nothing is ever accumulated at a vertex that later turns out to need
-//! splitting, so the outcome does not depend on the order in which space is discovered.
+//! Rays are summed on leaves as fine as [`MaxLevels`] allows. That is the finest lattice, unless rays or memory
+//! cannot support it in some region. Only the [bricks] of vertices touched by a sensitive sample exist. At the
+//! end the octree is refined around every vertex that moved from the prior by more than the tolerance. Everywhere
+//! else the field equals the prior to within the tolerance, and leaves stay as coarse as 2:1 balance permits.
+//! Nothing is ever accumulated at a vertex that later needs splitting, so the outcome does not depend on the
+//! order in which space is discovered.
 //!
-//! On limited leaves a corner may hang on a larger leaf. Its share of J goes to the ends that it is interpolated from, before
-//! squaring: J of a free vertex gathers what its hanging dependants would have received ([walk]).
+//! On limited leaves a corner may be a hanging vertex. Its part of J goes to the vertices that it is interpolated
+//! from, before squaring: the J of a free vertex includes what its hanging dependants would have received ([walk]).
 //!
-//! Threads: rays of a batch are squared ([squares], [walk]) in parallel into [lists] of contributions, one for each shard; then shards add theirs in
-//! parallel, each in ray order. Every sum therefore sees its contributions in ray order, whatever the number of threads.
+//! Threads: the rays of a batch are squared in parallel ([squares], [walk]) into [lists] of contributions, one
+//! list per shard. Then the shards add their lists in parallel, each in ray order. Every sum therefore receives
+//! its contributions in ray order, whatever the number of threads.
 
 mod bricks;
 mod lists;
@@ -42,23 +44,23 @@ pub struct OctreePosterior {
 }
 
 impl OctreePosterior {
-    /// No information yet, and no limit but the lattice.
+    /// Creates a posterior without information and without limits below the lattice's level.
     #[must_use]
     pub fn new(lattice: Lattice) -> Self {
         Self::limited(lattice, MaxLevels::none(lattice.level()))
     }
 
-    /// No information yet, to be gathered on the leaves of `limits`.
+    /// Creates a posterior without information that sums on the leaves of `limits`.
     ///
     /// # Panics
-    /// If the limits are those of another level.
+    /// If the limits belong to another level.
     #[must_use]
     pub fn limited(lattice: Lattice, limits: MaxLevels) -> Self {
         assert_eq!(limits.finest(), lattice.level(), "limits belong to the lattice's level");
         Self { lattice, limits, bricks: Bricks::new() }
     }
 
-    /// How fine leaves may be.
+    /// The maximal level of leaves, by region.
     #[must_use]
     pub fn limits(&self) -> &MaxLevels {
         &self.limits
@@ -74,15 +76,15 @@ impl OctreePosterior {
         self.bricks.slices()
     }
 
-    /// Puts back what [`OctreePosterior::brick_codes`] and [`OctreePosterior::slices`] gave, in the same order.
+    /// Restores what [`OctreePosterior::brick_codes`] and [`OctreePosterior::slices`] returned, in the same order.
     ///
-    /// `None` if a code lies outside the lattice or comes twice.
+    /// `None` if a code lies outside the lattice or occurs twice.
     pub(crate) fn restore(lattice: Lattice, limits: MaxLevels, codes: &[u64], bricks: Vec<Brick>) -> Option<Self> {
         let bricks = Bricks::restore(lattice.cells_per_axis(), codes, bricks)?;
         Some(Self { lattice, limits, bricks })
     }
 
-    /// Adds evidence at a lattice point: a part of another run.
+    /// Adds sums at a lattice point, as part of joining another run.
     pub fn add_sums_at(&mut self, point: [u32; 3], sums: &VertexSums) {
         self.bricks.add_one(key(point, self.coarseness(point)), sums);
     }
@@ -92,7 +94,7 @@ impl OctreePosterior {
         self.bricks.absorb(&other.bricks);
     }
 
-    /// The evidence summed so far at a lattice point.
+    /// The sums so far at a lattice point.
     #[must_use]
     pub fn sums(&self, point: [u32; 3]) -> VertexSums {
         self.bricks.get(key(point, self.coarseness(point))).copied().unwrap_or_default()
@@ -104,9 +106,9 @@ impl OctreePosterior {
         self.bricks.par_iter().filter(|(_, e)| e.rays > 0).map(|(key, e)| (bricks::point(key), e))
     }
 
-    /// Levels between the finest and that of the finest leaf which has `point` as a corner.
+    /// Number of levels between the finest level and the finest leaf that has `point` as a corner.
     ///
-    /// A point that is a corner of no leaf of that level belongs to none: it has no evidence under any key.
+    /// A point that is not a corner of a leaf of that level has no sums under any key.
     fn coarseness(&self, point: [u32; 3]) -> u8 {
         if self.limits.is_unlimited() {
             return 0;

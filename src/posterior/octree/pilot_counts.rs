@@ -1,9 +1,10 @@
-//! What a few rays tell about many: how many vertices a run will touch, and how many rays each will have.
+//! Extrapolates from a few rays to many: how many vertices a run will touch, and how many rays each will get.
 //!
-//! Letters, for one region, from P pilot rays on the finest lattice: `t` touches (one ray at one vertex), `d` distinct vertices,
-//! `f1`, `f2` those touched once and twice. The vertices that can be touched at all are estimated by Chao's lower bound
-//! V = d + f1 (f1 − 1) / (2 (f2 + 1)) (Chao 1984), the estimate of unseen species. R rays touch V (1 − exp(−t R / (P V))) of them.
-//! Leaves k levels coarser have V / 4ᵏ vertices, as surfaces do, and t / 2ᵏ touches, as a ray crosses fewer of them.
+//! Letters, for one region and P pilot rays on the finest lattice: `t` touches (one ray at one vertex), `d`
+//! distinct vertices, `f1` and `f2` those touched once and twice. Chao's lower bound (Chao 1984), an estimator of
+//! unseen species, gives the number of vertices that can be touched at all: V = d + f1 (f1 − 1) / (2 (f2 + 1)). R
+//! rays touch V (1 − exp(−t R / (P V))) of them. Leaves that are k levels coarser have V / 4ᵏ vertices, as
+//! surfaces do, and t / 2ᵏ touches, because a ray crosses fewer of them.
 
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
@@ -11,7 +12,7 @@ use rustc_hash::FxHashMap;
 use super::OctreePosterior;
 use crate::octree::{MaxLevels, cells_around};
 
-/// Counts of one region.
+/// Counts in one region.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 struct Counts {
     touches: f64,
@@ -29,7 +30,8 @@ impl Counts {
         self
     }
 
-    /// Vertices that rays can touch, and touches by `scale` times the pilot's rays, on leaves `coarser` levels coarser.
+    /// The vertices that rays can touch, and the touches by `scale` times the pilot's rays, on leaves
+    /// that are `coarser` levels coarser.
     fn expected(&self, scale: f64, coarser: u8) -> (f64, f64) {
         let all = self.distinct + self.once * (self.once - 1.0) / (2.0 * (self.twice + 1.0));
         let halves = f64::from(coarser);
@@ -50,7 +52,7 @@ pub struct PilotCounts {
 }
 
 impl PilotCounts {
-    /// Counts what the rays of `pilot` touched; its leaves are not limited.
+    /// Counts what the rays of `pilot` touched. Its leaves must not be limited.
     #[must_use]
     pub fn of(pilot: &OctreePosterior) -> Self {
         let finest = pilot.lattice.level();
@@ -61,7 +63,7 @@ impl PilotCounts {
             let counts = Counts { touches: f64::from(sums.rays), distinct: 1.0, once: is(1), twice: is(2) };
             (limits.region_of(cell), counts)
         });
-        // Sums of whole numbers: the order does not matter.
+        // These are sums of integers, so their order does not matter.
         let counts = each.fold(FxHashMap::<u64, Counts>::default, |mut map, (region, counts)| {
             let entry = map.entry(region).or_default();
             *entry = entry.add(counts);
@@ -77,7 +79,7 @@ impl PilotCounts {
         Self { finest, counts }
     }
 
-    /// The finest limits at which `scale` times the pilot's rays give vertices at least `min_rays` rays each, region by region.
+    /// The finest limits with which `scale` times the pilot's rays give at least `min_rays` rays per vertex, by region.
     #[must_use]
     pub fn limits(&self, scale: f64, min_rays: f64) -> MaxLevels {
         let least = MaxLevels::none(self.finest).region_level();
@@ -91,7 +93,7 @@ impl PilotCounts {
         MaxLevels::balanced(self.finest, wanted)
     }
 
-    /// Vertices that `scale` times the pilot's rays will touch on leaves of `limits`.
+    /// Number of vertices that `scale` times the pilot's rays will touch on the leaves of `limits`.
     #[must_use]
     pub fn vertices(&self, scale: f64, limits: &MaxLevels) -> f64 {
         let mut each: Vec<f64> = self
@@ -99,12 +101,12 @@ impl PilotCounts {
             .iter()
             .map(|(&region, counts)| counts.vertices(scale, self.finest - limits.level(region)))
             .collect();
-        // The order of a hash map is not part of the result.
+        // The iteration order of a hash map must not affect the result.
         each.sort_unstable_by(f64::total_cmp);
         each.iter().sum()
     }
 
-    /// Shard of all touches at leaves k = 0, 1, … levels coarser than the finest.
+    /// Fractions of all touches that fall on leaves k = 0, 1, … levels coarser than the finest.
     #[must_use]
     pub fn shares(&self, limits: &MaxLevels) -> Vec<f64> {
         let mut shares = vec![0.0; usize::from(self.finest - limits.region_level()) + 1];
@@ -113,7 +115,7 @@ impl PilotCounts {
             shares[usize::from(self.finest - limits.level(region))] += counts.touches;
             total += counts.touches;
         }
-        // Whole numbers below 2⁵³ add exactly in any order.
+        // Integers below 2⁵³ add exactly in any order.
         shares.iter_mut().for_each(|share| *share /= f64::max(total, 1.0));
         shares
     }
@@ -137,7 +139,7 @@ mod tests {
 
     #[test]
     fn a_few_rays_predict_how_many_vertices_many_rays_touch() {
-        // 10,000 vertices, of which a pilot sees a tenth: Chao's estimate has a standard error of about 4 % here.
+        // A pilot sees a tenth of 10,000 vertices. The standard error of Chao's estimate is about 4 % here.
         let pilot = counts(1000, 10_000);
         assert!(pilot.distinct < 1000.0);
         for scale in [1_u64, 10, 100] {
@@ -151,7 +153,7 @@ mod tests {
     fn limits_are_as_fine_as_rays_support() {
         let survey = PilotCounts { finest: 8, counts: [(0, counts(4000, 1000))].into_iter().collect() };
         let level = |scale, min_rays| survey.limits(scale, min_rays).level(0);
-        // About four rays a vertex; each coarser level doubles them.
+        // About four rays per vertex, which each coarser level doubles.
         assert_eq!((level(1.0, 3.0), level(1.0, 6.0), level(1.0, 12.0), level(1.0, 1e9)), (8, 7, 6, 3));
         assert_eq!(level(4.0, 12.0), 8, "four times the rays");
         let [fine, coarse] = [3.0, 6.0].map(|m| survey.vertices(1.0, &survey.limits(1.0, m)));

@@ -1,4 +1,4 @@
-//! From sums to an octree: where its leaves must be as fine as the sums.
+//! From sums to an octree: finds where its leaves must be as fine as the sums.
 
 use rayon::prelude::*;
 
@@ -6,40 +6,40 @@ use super::{OctreePosterior, bricks};
 use crate::octree::{Cell, Leaves, Octree, Wanted, around, cells_around};
 use crate::posterior::{Pooling, VertexSums, trace};
 
-/// Whether a ray passed a vertex and moved it by more than `floor` allows.
+/// Whether a ray touched the vertex and its information exceeds `floor`.
 fn moves(sums: &VertexSums, floor: f64) -> bool {
     sums.rays > 0 && trace(&sums.information) > floor
 }
 
-/// Where an octree is refined.
+/// Says where an octree is refined.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Refinement {
-    /// Refine around vertices that rays passed with more information (tr S) than this; `None` does not refine by sensitivity.
+    /// Refine around touched vertices with more information (tr S) than this; `None` does not refine by sensitivity.
     pub floor: Option<f64>,
-    /// Also around vertices that have it after pooling.
+    /// Also refine around vertices whose pooled information exceeds the floor.
     pub pooling: Pooling,
-    /// Cells that must exist for other reasons; limits hold for them too.
+    /// Cells that must exist for other reasons; limits apply to them too.
     pub wanted: Vec<Cell>,
 }
 
 impl Refinement {
-    /// A floor below all information: refines around every vertex that a ray passed.
+    /// A floor below all information: refines around every vertex that a ray touched.
     pub const EVERYTHING: f64 = f64::NEG_INFINITY;
 }
 
 impl OctreePosterior {
-    /// The octree whose leaves are as fine as the sums around every vertex that `refinement` asks for, with the evidence of its
-    /// vertices in the order of their ids.
+    /// Builds the octree, and returns it with the sums at its vertices in the order of their ids.
     ///
-    /// A floor of 0 keeps every vertex that any ray moved. At vertices surrounded by leaves of their own limit the evidence is
-    /// exact (that of the dense grid, on the finest lattice); at all others the information is negligible in the sense of the
-    /// floor.
+    /// Around every vertex selected by `refinement`, its leaves are as fine as those of the sums. A floor of 0
+    /// keeps every vertex that any ray moved. At vertices surrounded by leaves at their own limit, the sums are
+    /// exact; on the finest lattice they equal those of the dense grid. At all other vertices the information is
+    /// negligible with respect to the floor.
     #[must_use]
     pub fn into_octree(self, refinement: &Refinement) -> (Octree, Vec<VertexSums>) {
         let finest = self.lattice.level();
         let mut wanted = self.wanted_around_moved(refinement.floor);
         if refinement.pooling.is_on() {
-            // Keys are points of their own level's lattice: sorted and unique they are points in any order.
+            // A key is a point on the lattice of its own level, so sorted unique keys are unique points.
             let mut moved: Vec<u64> = match refinement.floor {
                 Some(floor) => self.bricks.par_iter().filter(|(_, e)| moves(e, floor)).map(|(key, _)| key).collect(),
                 None => Vec::new(),
@@ -59,7 +59,7 @@ impl OctreePosterior {
         (octree, sums)
     }
 
-    /// The evidence at the vertices of an octree, in the order of their ids.
+    /// The sums at the vertices of an octree, in the order of their ids.
     #[must_use]
     pub fn sums_at(&self, octree: &Octree) -> Vec<VertexSums> {
         let points = octree.par_vertex_positions();
@@ -92,7 +92,7 @@ impl OctreePosterior {
         around.for_each(|cell| wanted.cell(self.limits.leaf(cell)));
     }
 
-    /// Vertices of the finest lattice beside `moved` (sorted keys) that pooling moves.
+    /// Vertices of the finest lattice next to `moved` (sorted keys) that move by pooling.
     fn moved_by_pooling(&self, moved: &[u64], refinement: &Refinement) -> Vec<u64> {
         let last = self.lattice.cells_per_axis();
         let is_finest = |key: &u64| bricks::key(bricks::point(*key), 0) == *key;

@@ -1,9 +1,9 @@
-//! One ray's squares: J of every vertex that it touches, from the samples in its cells.
+//! Squares one ray: computes J of every vertex that it touches from the samples in the adjacent cells.
 //!
-//! A straight ray meets the cells of the lattice in an order that never turns back along any axis (a contracted one most often does
-//! not either). The eight cells around a vertex
-//! are two along each axis, so the ray is among them once, for a while: when it comes to a cell that does not have the vertex as a corner, the
-//! vertex is done. J of the eight corners of one cell is therefore all that has to be kept.
+//! A straight ray visits the cells of the lattice without turning back along any axis. Contracted rays usually do
+//! not turn back either. The eight cells around a vertex are two along each axis, so the ray visits them in one
+//! stretch. A vertex is done when the ray enters a cell that does not have it as a corner. It is therefore enough
+//! to keep J of the eight corners of one cell.
 
 use std::ops::Range;
 
@@ -16,7 +16,7 @@ use crate::geometry::Lattice;
 use crate::posterior::{Information, VertexSums};
 use crate::render::RaySamples;
 
-/// What a sample brings: ∂C_c/∂x_k at 3·c + k, then ‖∂C/∂σ‖ ∇σ.
+/// Derivatives of a sample: ∂C_c/∂x_k at 3·c + k, then ‖∂C/∂σ‖ ∇σ.
 pub struct Row([f64; 12]);
 
 impl Row {
@@ -41,7 +41,7 @@ impl Partial {
         }
     }
 
-    /// JᵀJ and what else is known of the vertex from this ray.
+    /// The contribution of this ray to the vertex: JᵀJ, gradient and one ray.
     #[inline(always)]
     pub fn squared(&self) -> VertexSums {
         let gradient = [self.0[9] as f32, self.0[10] as f32, self.0[11] as f32];
@@ -55,22 +55,25 @@ pub fn gram(j: &[f64]) -> Information {
     [dot(j, 0, 0), dot(j, 0, 1), dot(j, 0, 2), dot(j, 1, 1), dot(j, 1, 2), dot(j, 2, 2)]
 }
 
-/// Of two columns. A function, not a closure: only a function can be told to be inlined, and thereby compiled for AVX.
+/// Dot product of two columns. A function rather than a closure, because only a function can be marked for
+/// inlining, which compiles it for AVX here.
 #[inline(always)]
 fn dot(j: &[f64], a: usize, b: usize) -> f64 {
     j[a] * j[b] + j[3 + a] * j[3 + b] + j[6 + a] * j[6 + b]
 }
 
-/// Where a sample is.
+/// The location of a sample.
 pub struct Place {
     sample: u32,
     cell: [u32; 3],
-    /// In the cell, 0 to 1.
+    /// Position within the cell, 0 to 1.
     offset: DVec3,
 }
 
-/// The places of a ray's samples on the lattice. False if it turns back along an axis, as a contracted ray may, or rounded positions of
-/// one in a lattice plane.
+/// Locates a ray's samples on the lattice.
+///
+/// Returns false if the ray turns back along an axis. A contracted ray may do so, and so may the rounded
+/// positions of a ray within a lattice plane.
 pub fn places(lattice: &Lattice, batch: &RaySamples, samples: Range<usize>, places: &mut Vec<Place>) -> bool {
     places.clear();
     let mut direction = [0_i64; 3];
@@ -93,21 +96,23 @@ pub fn places(lattice: &Lattice, batch: &RaySamples, samples: Range<usize>, plac
     true
 }
 
-/// J of the eight corners of a cell. A corner is kept at the parities of its coordinates (bit 0 x, bit 1 y, bit 2 z): it stays there
-/// while the ray goes on to another cell that has it.
+/// J of the eight corners of a cell.
+///
+/// A corner is stored at the parities of its coordinates (bit 0 x, bit 1 y, bit 2 z). It stays there when the ray
+/// moves to another cell with the same corner.
 struct Corners {
     cell: [u32; 3],
     sums: [Partial; 8],
 }
 
 impl Corners {
-    /// The coordinates of the even and the odd corners of a cell along an axis.
+    /// The even and the odd corner coordinate of a cell along an axis.
     #[inline(always)]
     fn coordinates(cell: u32) -> [u32; 2] {
         [cell + (cell & 1), cell | 1]
     }
 
-    /// Adds a sample at an offset in the cell.
+    /// Adds a sample at the given offset in the cell.
     #[inline(always)]
     fn add(&mut self, offset: DVec3, row: &Row) {
         let mut along = [[0.0; 2]; 3];
@@ -121,7 +126,7 @@ impl Corners {
         }
     }
 
-    /// Goes on to another cell: corners that it does not have are done.
+    /// Moves to another cell and finishes the corners that it does not have.
     #[inline(always)]
     fn move_to(&mut self, cell: [u32; 3], out: &mut Contributions) {
         let mut stays = [[true; 2]; 3];
@@ -133,10 +138,10 @@ impl Corners {
         self.cell = cell;
     }
 
-    /// Squares the corners that are done.
+    /// Squares and empties the corners that are done.
     #[inline(always)]
     fn finish(&mut self, out: &mut Contributions, done: impl Fn(usize) -> bool) {
-        // Morton codes of points are those of their coordinates side by side.
+        // The Morton code of a point combines those of its coordinates.
         let mut codes = [[0; 2]; 3];
         for axis in 0..3 {
             for (code, coordinate) in codes[axis].iter_mut().zip(Self::coordinates(self.cell[axis])) {
@@ -154,7 +159,8 @@ impl Corners {
     }
 }
 
-/// Appends what a ray that never turns back adds to every vertex that it touches, in the order in which they are done.
+/// Appends the contribution of a ray that never turns back to every vertex that it touches, in the
+/// order in which vertices are done.
 #[multiversion(targets("x86_64+avx2+fma"))]
 pub fn along(places: &[Place], batch: &RaySamples, out: &mut Contributions) {
     let Some(first) = places.first() else { return };

@@ -1,4 +1,4 @@
-//! The octree against the dense grid.
+//! The octree compared with the dense grid.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -12,8 +12,8 @@ use crate::render::RaySample;
 use glam::{DVec3, Vec3};
 use proptest::prelude::*;
 
-/// Rays of samples with arbitrary Jacobians over many decades; positions are often on lattice planes, on the box's faces, or
-/// outside. Jacobians as small as 1e-9 are far below any tolerance.
+/// Rays of samples with arbitrary Jacobians over many decades. Positions often lie on lattice planes, on the
+/// faces of the box, or outside it. Jacobians as small as 1e-9 are far below any tolerance.
 fn ray_samples() -> impl Strategy<Value = RaySamples> {
     let coordinate =
         prop_oneof![-1.1..1.1_f32, Just(-1.0_f32), Just(1.0_f32), (-4..=4_i32).prop_map(|i| i as f32 / 4.0)];
@@ -45,8 +45,8 @@ fn refinement(floor: f64) -> Refinement {
     Refinement { floor: Some(floor), pooling: Pooling { min_rays: 0.0, floor }, wanted: Vec::new() }
 }
 
-/// The basis function of vertex `id` at lattice coordinates `u`: what the octree interpolates there from 1 at the vertex and 0 at all
-/// others.
+/// The basis function of vertex `id` at lattice coordinates `u`: the octree's interpolant of 1 at
+/// the vertex and 0 at all others.
 fn hat(octree: &Octree, id: VertexId, u: DVec3) -> f64 {
     let at = octree.locate(u);
     let value = |corner: &Corner| {
@@ -61,7 +61,7 @@ fn dense_index(point: [u32; 3], level: u8) -> usize {
     (point[0] as usize * n + point[1] as usize) * n + point[2] as usize
 }
 
-/// Largest difference relative to the larger trace: sums of at most 60 rays, each with a handful of roundings.
+/// Compares sums relative to the larger trace: at most 60 rays, each with a handful of roundings.
 fn assert_same(a: &VertexSums, b: &VertexSums, what: &str) {
     let scale = trace(&a.information).max(trace(&b.information));
     for k in 0..6 {
@@ -112,7 +112,8 @@ proptest! {
             for code in 0..(m + 1).pow(3) {
                 let point = [code % (m + 1), code / (m + 1) % (m + 1), code / (m + 1) / (m + 1)];
                 let moved = prior - log10(&dense.sums()[dense_index(point, level)]);
-                // Whatever moved by more than the tolerance is stored, and exact through its eight finest cells.
+                // Every vertex that moved by more than the tolerance is stored, and its eight finest cells make
+                // it exact.
                 if moved > tolerance + 1e-12 {
                     prop_assert!(stored.contains(&point) && octree.is_surrounded_by_finest(point), "{:?} moved {}", point, moved);
                 }
@@ -129,7 +130,8 @@ proptest! {
     fn on_limited_leaves_sums_are_those_of_the_conforming_basis(
         samples in ray_samples(), wanted in proptest::collection::vec((0_u64..8, 1_u8..=6), 1..5),
     ) {
-        // Regions of level 1 in a lattice of level 6: touching regions have leaves of different size, with hanging corners.
+        // Regions of level 1 in a lattice of level 6. Adjacent regions have leaves of different sizes, with
+        // hanging vertices.
         let lattice = lattice(6);
         let limits = MaxLevels::balanced(6, wanted);
         let mut posterior = OctreePosterior::limited(lattice, limits.clone());
@@ -167,10 +169,10 @@ proptest! {
                 prop_assert!((found.information[k] - expected[k]).abs() <= 1e-13 * scale, "{:?}: {:?} against {:?}", point, found, expected);
             }
         }
-        // Nothing was put where no vertex is.
+        // No sums lie at points that are not vertices.
         let total: u64 = posterior.touched().map(|(_, e)| u64::from(e.rays)).sum();
         prop_assert_eq!(seen, total);
-        // Beside leaves that stayed coarser than the limits there is nothing to lose.
+        // Next to leaves coarser than the limits, nothing is lost.
         let (coarse, sums) = posterior.into_octree(&refinement(0.0));
         for (point, sum) in coarse.vertex_positions().zip(&sums) {
             let as_limited = |cell| coarse.cells().leaf(cell) == limits.leaf(cell);
@@ -182,7 +184,7 @@ proptest! {
 proptest! {
     #[test]
     fn batches_and_threads_do_not_change_a_bit(samples in ray_samples(), cut in 0_usize..20) {
-        // The same rays in one batch and one thread, and in two batches and two threads.
+        // Compares the rays in one batch on one thread with the same rays in two batches on two threads.
         let mut parts = [RaySamples::default(), RaySamples::default()];
         for (n, (ray, range)) in samples.iter().enumerate() {
             for i in range {
@@ -200,11 +202,12 @@ proptest! {
     }
 }
 
-/// (vertex, sample's index, weight): sorting brings a vertex's samples together in ray order.
+/// (vertex, sample index, weight). A stable sort groups the samples of a vertex in ray order.
 type Touch = (u64, usize, f64);
 
 impl OctreePosterior {
-    /// The vertices that a sample touches with their weights: the corners of the leaf around it, hanging ones resolved.
+    /// Visits the vertices that a sample touches, with their weights: the corners of its leaf,
+    /// with hanging vertices resolved.
     fn for_each_vertex(&self, x: Vec3, mut visit: impl FnMut(u64, f64)) {
         let Some(u) = self.lattice.coordinates(x) else { return };
         let leaf = self.limits.leaf(self.lattice.cell(u).0);
@@ -218,7 +221,7 @@ impl OctreePosterior {
         }
     }
 
-    /// Squares one ray on any leaves, slowly: what its samples touch is sorted by vertex.
+    /// Squares one ray on any leaves, slowly, by sorting what its samples touch by vertex.
     fn gather(&self, batch: &RaySamples, samples: Range<usize>) -> BTreeMap<u64, Vec<VertexSums>> {
         let mut touched: Vec<Touch> = Vec::new();
         for i in samples {
@@ -234,7 +237,7 @@ impl OctreePosterior {
     }
 }
 
-/// What one ray adds, vertex by vertex.
+/// The contributions of one ray by vertex.
 fn by_vertex(contributions: &Contributions) -> BTreeMap<u64, Vec<VertexSums>> {
     let mut found: BTreeMap<u64, Vec<VertexSums>> = BTreeMap::new();
     let all = (0..bricks::SHARDS).flat_map(|s| contributions.of_shard(s));
@@ -263,7 +266,7 @@ proptest! {
         let range = 0..batch.positions.len();
         let sorted = posterior.gather(&batch, range.clone());
         let (mut places, mut walked) = (Vec::new(), Contributions::new(0));
-        // Rounded positions of a straight line do not fall back: products and sums of f32 are monotone.
+        // Rounded positions on a straight line do not turn back, because f32 products and sums are monotone.
         prop_assert!(squares::places(&posterior.lattice, &batch, range, &mut places));
         squares::along(&places, &batch, &mut walked);
         prop_assert_eq!(by_vertex(&walked), sorted);
@@ -274,7 +277,8 @@ proptest! {
         samples in ray_samples(), straight in proptest::array::uniform2(proptest::array::uniform3(-1.0..1.0_f32)),
         wanted in proptest::collection::vec((0_u64..64, 2_u8..=7), 0..9), unlimited in proptest::bool::weighted(0.2),
     ) {
-        // 4³ regions with leaves of up to six sizes; rays that jump to and fro, and one that is straight, with many samples a leaf.
+        // 4³ regions with leaves of up to six sizes. Some rays jump to and fro; one is straight
+        // and has many samples per leaf.
         let limits = if unlimited { MaxLevels::none(7) } else { MaxLevels::balanced(7, wanted) };
         let posterior = OctreePosterior::limited(lattice(7), limits);
         let mut samples = samples;
@@ -284,7 +288,7 @@ proptest! {
             let row = std::array::from_fn(|k| (f32::from(i) * 0.1 + k as f32).sin());
             samples.push(1000, RaySample { position, jacobian: row, weight: 0.5, gradient: [1.0, -0.5, f32::from(i)] });
         }
-        // One walk for all rays: nothing may be left of the ray before.
+        // One walk for all rays: no state may remain from the previous ray.
         let mut walk = Walk::new(&posterior.lattice, &posterior.limits);
         for (_, range) in samples.iter() {
             let mut walked = Contributions::new(0);
@@ -303,13 +307,13 @@ fn a_ray_that_turns_back_is_squared_once() {
     }
     let posterior = OctreePosterior::new(lattice(3));
     assert!(!squares::places(&posterior.lattice, &batch, 0..4, &mut Vec::new()));
-    // Two samples in the cell from ¼ to ½ in one square: (Σ φ)², not the sum of two squares.
+    // Both samples in the cell from ¼ to ½ enter one square: (Σ φ)² rather than the sum of two squares.
     let mut whole = posterior.clone();
     whole.add(&[batch.clone()]);
     let weight: f64 =
         [0.1, 0.3, 0.6, 0.3].iter().map(|&x| (1.0 - 4.0 * (f64::from(x as f32) - 0.25).abs()).max(0.0)).sum();
     let across = (1.0 - 4.0 * f64::from(0.1_f32)).powi(2);
     let found = whole.sums([5, 4, 4]).information[0];
-    // Three channels of 1; f64.
+    // Three channels of 1, in f64.
     assert!((found / (3.0 * (weight * across).powi(2)) - 1.0).abs() < 1e-12, "{found}");
 }

@@ -1,8 +1,8 @@
-//! One ray's squares on leaves of any size, along any path.
+//! Squares one ray on leaves of any size, along any path.
 //!
-//! J of every vertex that the ray touched is kept until its end: a vertex can come back, because a corner that hangs on a larger leaf
-//! gives its share to that leaf's corners. What does not depend on a sample's place in its leaf is found out once a leaf, limits
-//! are looked up once a region.
+//! J of every touched vertex is kept until the end of the ray. A vertex can recur, because a corner that hangs on
+//! a larger leaf passes its weight to the corners of that leaf. What does not depend on a sample's position
+//! within the leaf is computed once per leaf, and limits are looked up once per region.
 
 use std::ops::Range;
 
@@ -17,10 +17,10 @@ use crate::geometry::Lattice;
 use crate::octree::{Leaves, MaxLevels, Nearby, coarseness, masters, trilinear};
 use crate::render::RaySamples;
 
-/// What a corner of a leaf gives to a vertex.
+/// The contribution of a leaf's corner to a vertex.
 struct Term {
     corner: u8,
-    /// Of the corner's weight: 1, ½ or ¼.
+    /// Fraction of the corner's weight: 1, ½ or ¼.
     share: f64,
     /// Index of the vertex among those of the ray.
     vertex: u32,
@@ -28,23 +28,24 @@ struct Term {
 
 /// The vertices that one ray touched.
 struct Touched {
-    /// Index in the lists below.
+    /// Index in the lists below, by key.
     index: FxHashMap<u64, u32>,
     keys: Vec<u64>,
     sums: Vec<Partial>,
-    /// Looked up last, by the low bits of the key, which tell the corners of a leaf apart: the next leaf has half of them.
+    /// Vertices looked up last, by the low bits of their keys, which distinguish the corners of a leaf. Half
+    /// of them recur in the next leaf.
     recent: [(u64, u32); 8],
 }
 
 impl Touched {
-    /// No vertex has this key.
+    /// A key that no vertex has.
     const NONE: u64 = u64::MAX;
 
     fn none() -> Self {
         Self { index: FxHashMap::default(), keys: Vec::new(), sums: Vec::new(), recent: [(Self::NONE, 0); 8] }
     }
 
-    /// Index of the vertex with a key, which is new to the ray or not.
+    /// Index of the vertex with the given key, which is added if it is new to the ray.
     fn index(&mut self, key: u64) -> u32 {
         let recent = &mut self.recent[(key & 7) as usize];
         if recent.0 != key {
@@ -66,11 +67,11 @@ impl Touched {
     }
 }
 
-/// The leaf that the ray is in.
+/// The leaf that contains the current sample.
 #[derive(Default)]
 struct Leaf {
     origin: [u32; 3],
-    /// 0 before the ray is in any.
+    /// Edge length in finest cells; 0 before the first leaf.
     edge: u32,
     terms: Vec<Term>,
 }
@@ -80,7 +81,7 @@ impl Leaf {
         (0..3).all(|axis| cell[axis].wrapping_sub(self.origin[axis]) < self.edge)
     }
 
-    /// Goes on to the leaf around a finest cell.
+    /// Moves to the leaf around a finest cell.
     fn move_to(&mut self, cell: [u32; 3], near: &Nearby, touched: &mut Touched) {
         let leaf = near.leaf(cell);
         (self.origin, self.edge) = leaf.extent(near.finest());
@@ -102,7 +103,7 @@ impl Leaf {
     }
 }
 
-/// Squares ray after ray.
+/// Squares one ray after another.
 pub struct Walk<'a> {
     lattice: &'a Lattice,
     limits: &'a MaxLevels,
@@ -112,17 +113,17 @@ pub struct Walk<'a> {
 }
 
 impl<'a> Walk<'a> {
-    /// On the leaves of `limits`.
+    /// Creates a walk on the leaves of `limits`.
     pub fn new(lattice: &'a Lattice, limits: &'a MaxLevels) -> Self {
         Self { lattice, limits, near: None, leaf: Leaf::default(), touched: Touched::none() }
     }
 
-    /// Appends what a ray adds to every vertex that it touches, in the order in which it meets them.
+    /// Appends a ray's contribution to every vertex that it touches, in the order of first contact.
     pub fn ray(&mut self, batch: &RaySamples, samples: Range<usize>, out: &mut Contributions) {
         walk(self, batch, samples, out);
     }
 
-    /// Goes on to the leaf around a finest cell.
+    /// Moves to the leaf around a finest cell.
     fn move_to(&mut self, cell: [u32; 3]) {
         let near = match self.near.take() {
             Some(near) if near.is_around(cell) => near,
@@ -145,7 +146,7 @@ fn walk(walk: &mut Walk, batch: &RaySamples, samples: Range<usize>, out: &mut Co
         let weights = trilinear((u - DVec3::from(leaf.origin.map(f64::from))) / f64::from(leaf.edge));
         let row = Row::of(batch, i);
         for term in &leaf.terms {
-            // Halves and quarters are exact.
+            // Multiplication by ½ or ¼ is exact.
             walk.touched.sums[term.vertex as usize].add(weights[usize::from(term.corner)] * term.share, &row);
         }
     }

@@ -1,4 +1,4 @@
-//! Fields of versions 1 and 2, whose headers are positional: what they hold is frozen here.
+//! Fields of versions 1 and 2, whose headers are positional. Their content is frozen here.
 
 use std::path::Path;
 
@@ -74,7 +74,7 @@ impl From<OldProtocol> for Protocol {
     }
 }
 
-/// Opens a field of version 1 or 2. Its rays are those of the one sequence of pixels that its protocol names, or not known.
+/// Opens a field of version 1 or 2. Its draws are the one named in its protocol, or unknown.
 pub(super) fn open(path: &Path) -> Result<(Header, Reader)> {
     let (old, file) = legacy::open::<OldHeader>(path, (FORMAT.0, LAST), &SECTIONS)?;
     let OldHeader { protocol, lattice, kind, unit } = old;
