@@ -79,8 +79,8 @@
 //!   by 3e-8 (or as 16-bit logarithms, by a stated amount).
 //! - No unsafe code.
 
-// Without the `cli` feature, code that only the command line uses is dead. Allowing that here is better than a
-// gate at every function.
+// Without the `cli` feature, code that only the command line or the trainer uses may be dead. Allowing that here is
+// better than a gate at every function.
 #![cfg_attr(not(feature = "cli"), allow(dead_code, unused_imports))]
 
 #[cfg(feature = "cli")]
