@@ -1,23 +1,43 @@
 //! Where can a trained radiance field be trusted?
 //!
-//! octobayes computes a *post-hoc spatial uncertainty* field for a trained NeRF: post-hoc, because it takes the finished model and
-//! its training cameras and retrains nothing; spatial, because the answer is a function of position, in scene units. It asks how
-//! far each part of space could be displaced without any training image noticing (Bayes' Rays: Goli, Reading, Sellán,
-//! Jacobson, Tagliasacchi, CVPR 2024). Displacements live on *deformation vertices*: corners of cells, interpolated in between.
-//! The paper puts them on a uniform grid; this crate puts them on an adaptive octree that is fine where images are
+//! octobayes computes a *post-hoc spatial uncertainty* for a trained NeRF. Post-hoc: it takes the finished model
+//! and its training cameras, and retrains nothing. Spatial: the answer U(x) is a function of position, in scene
+//! units. It says how far each part of space could be displaced without any training image noticing (Bayes' Rays:
+//! Goli, Reading, Sellán, Jacobson, Tagliasacchi, CVPR 2024).
+//!
+//! Displacements live on *deformation vertices*, the corners of cells, and are interpolated in between. The paper
+//! puts these vertices on a uniform grid. This crate puts them on an adaptive octree that is fine where images are
 //! sensitive, and keeps the grid beside it as reference.
 //!
 //! # In the order in which data flows
 //!
-//! A [`field`] returns density and colour for a position and a direction, nothing else is asked of it. [`render`] samples a
-//! training ray, composites it, and differentiates its pixel with respect to the positions of its samples, with central
-//! differences of the field. [`posterior`] spreads these Jacobians onto the vertices around each sample, sums them over the
-//! ray, squares, and sums over rays. [`octree`] is refined where that left a trace. [`uncertainty`] reads one number per vertex off the
-//! sums and interpolates it; fields are stored, queried, compared. [`evaluate`] asks whether it ranks the depth error, by [`metrics`], beside measures that need no Hessian; [`synth`]
-//! makes data whose depth is known exactly, and [`train`] a field of such data or any other posed images.
+//! - [`geometry`] has cameras, rays, the lattice, and the [`Domain`](geometry::Domain) that a result covers: a
+//!   box, or all of space, contracted.
+//! - [`octree`] has cells of many sizes, and the deformation vertices at their corners.
+//! - [`field`] is the model: a [`RadianceField`](field::RadianceField) returns density and colour for positions
+//!   and directions.
+//! - [`render`] samples a ray through the field, composites its pixel, and differentiates the pixel with respect
+//!   to the positions of the samples: by central differences, or by the field's own derivatives.
+//! - [`rays`] draws the training rays and hands on their samples with these Jacobians.
+//! - [`posterior`] spreads the Jacobians over the vertices around each sample, sums them along the ray, squares,
+//!   and sums over rays. It refines the octree where rays left a trace. Where rays or memory cannot support the
+//!   finest lattice, [`MaxLevels`](octree::MaxLevels) keep leaves coarser.
+//! - [`uncertainty`] reads one standard deviation per vertex off these sums and interpolates it. This is U(x), to
+//!   be stored, queried, compared and merged.
+//! - [`estimate`] runs all of this: an [`Estimation`](estimate::Estimation) holds the settings of a run, and a
+//!   [`Planner`](estimate::Planner) tells beforehand what it needs.
+//! - [`evaluate`] checks whether U ranks the depth error of held-out views, beside measures that need no Hessian.
+//! - [`metrics`] has the formulas for that, and those of image quality.
 //!
-//! Where rays or memory cannot support the finest lattice, [`octree::MaxLevels`] keep leaves coarser, and [`estimate::Planner`] says
-//! beforehand what that gives up. [`geometry::Domain`] is the space that a field covers: a box, or all of space, contracted.
+//! Input comes from these:
+//!
+//! - [`dataset`] reads posed images, their split, and depth maps.
+//! - [`zoo`] has scenes that are hard, each in one way, with the result to expect.
+//! - [`train`] fits a hash grid to posed images.
+//! - [`synth`] ray-traces a mesh into images whose depth is known exactly.
+//! - [`open`] finds the model that a name means: a file or a built-in scene.
+//!
+//! # Example
 //!
 //! ```
 //! use glam::Vec3;
@@ -41,21 +61,26 @@
 //! # Ok::<(), octobayes::Error>(())
 //! ```
 //!
-//! The primary types are [`field::RadianceField`] (implement it for your own model), [`estimate::Estimation`] (what to compute), and [`uncertainty::UncertaintyField`] (the result). Jacobians from elsewhere,
-//! autograd on a GPU say, go through [`estimate::FieldBuilder`] as [`render::RaySamples`].
+//! The primary types are [`field::RadianceField`] (implement it for your own model), [`estimate::Estimation`]
+//! (what to compute), and [`uncertainty::UncertaintyField`] (the result). Jacobians from elsewhere, such as
+//! autograd on a GPU, go through [`estimate::FieldBuilder`] as [`render::RaySamples`].
 //!
 //! # What holds
 //!
-//! - [`octree`] knows nothing of rays or colour; only [`field`] knows how a model is stored; only [`cli`] prints.
-//! - The dense reference ([`posterior::DensePosterior`]) shares no accumulation code with the octree: each checks the other.
-//! - Results do not depend on the number of threads, bit for bit: rays are drawn by index and summed in ray order.
-//! - A file read is untrusted: nothing is allocated by a length that has not been compared with the bytes that are there.
-//! - No generic scalar: fields speak f32, because they are trained in it; geometry and sums are f64, because squares between
-//!   1e-12 and 1e6 are added millions of times; deviations are stored as f32, which moves log10 U by 3e-8
-//!   (or as 16-bit logarithms, by a stated amount).
+//! - [`octree`] knows nothing of rays or colour. Only [`field`] knows how a model is stored. Only the command line
+//!   prints.
+//! - The dense reference ([`posterior::DensePosterior`]) shares no accumulation code with the octree: each checks
+//!   the other.
+//! - Results do not depend on the number of threads, bit for bit. Rays are drawn by index and summed in ray order.
+//! - Files are untrusted. Nothing is allocated by a length from a file before it is compared with the bytes
+//!   present.
+//! - No generic scalar. Fields speak f32, because they are trained in it. Geometry and sums are f64, because
+//!   squares between 1e-12 and 1e6 are added millions of times. Deviations are stored as f32, which moves log10 U
+//!   by 3e-8 (or as 16-bit logarithms, by a stated amount).
 //! - No unsafe code.
 
-// Some of what the command line and the trainer alone use is compiled without them: better than a feature gate at every function.
+// Without the `cli` feature, code that only the command line or the trainer uses may be dead. Allowing that here is
+// better than a gate at every function.
 #![cfg_attr(not(feature = "cli"), allow(dead_code, unused_imports))]
 
 #[cfg(feature = "cli")]
@@ -86,7 +111,7 @@ pub mod zoo;
 pub use error::{Error, Result};
 pub use glam;
 
-/// Not part of the library: what its own command line, tests, benches and experiments need of it.
+/// Not part of the public API: what the crate's own command line, tests, benches and experiments need.
 #[doc(hidden)]
 pub mod internal {
     #[cfg(feature = "cli")]

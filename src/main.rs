@@ -1,4 +1,4 @@
-//! The command line: parses, calls the library, prints.
+//! The command line: parses its arguments, calls the library, prints.
 
 use std::process::ExitCode;
 

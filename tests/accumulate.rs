@@ -1,4 +1,4 @@
-//! `accumulate`: samples from elsewhere, against NumPy; and our own samples, dumped and read back.
+//! `accumulate`: samples from elsewhere against NumPy, and our own samples, dumped and read back.
 
 use std::path::Path;
 use std::process::Command;
@@ -53,13 +53,13 @@ fn samples_written_by_numpy_give_numpys_sums() {
             let scale = trace(&s).max(row[3] + row[6] + row[8]);
             total += trace(&s);
             for k in 0..6 {
-                // A vertex sums at most a few dozen products of f64: 1e-14 of the trace.
+                // A vertex sums at most a few dozen products in f64: 1e-14 of the trace.
                 assert!((s[k] - row[3 + k]).abs() <= 1e-14 * scale, "{grid} {point:?}: {s:?} against {:?}", &row[3..]);
             }
             compared += 1;
         }
         assert_eq!(compared, expected.shape[0]);
-        // Nothing beside what NumPy lists.
+        // There is nothing beyond what NumPy lists.
         let all: f64 = field.sums().unwrap().iter().map(|e| trace(&e.information)).sum();
         assert!((all / total - 1.0).abs() < 1e-12, "{grid}: {all} against {total}");
     }
@@ -111,7 +111,7 @@ fn dumped_samples_give_the_same_field_bit_for_bit() {
         ]);
         let [a, b] = [first, second].map(|p| UncertaintyField::read(Path::new(&p)).unwrap());
         assert_eq!(a.support(), b.support());
-        // No NaN and no -0 can be in a field: equal values have equal bits.
+        // A field can hold neither NaN nor -0, so equal values have equal bits.
         assert_eq!((a.deviations(), a.sums()), (b.deviations(), b.sums()));
         assert_eq!(a.surface(), b.surface());
         assert_eq!((a.protocol().rays, a.protocol().lambda), (b.protocol().rays, b.protocol().lambda));

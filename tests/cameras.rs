@@ -1,5 +1,5 @@
-//! Cameras belong to the model: what `train` trained on is what `uncertainty` uses, one rule selects frames, and files
-//! that do not belong together are refused.
+//! Cameras belong to the model: `uncertainty` uses those that `train` trained on. One rule selects frames, and
+//! files that do not belong together are refused.
 
 use std::path::PathBuf;
 use std::process::{Command, Output, Stdio};
@@ -9,7 +9,7 @@ use octobayes::field::{HashGrid, RadianceField};
 use octobayes::geometry::Domain;
 use octobayes::uncertainty::UncertaintyField;
 
-/// A folder with synthetic images of an octahedron: 20 to train on and 2 held out.
+/// A folder with synthetic images of an octahedron: 20 for training and 2 held out.
 struct Desk(tempfile::TempDir);
 
 const SMALL: &str = "--samples-per-step 4096 --log2-hashmap-size 12 --test-pixels 100";
@@ -30,7 +30,7 @@ impl Desk {
         desk
     }
 
-    /// The training frames alone, as `set/transforms.json`; two of their images are gone. Returns these images.
+    /// Writes the training frames alone as `set/transforms.json`. Two of their images are gone; returns these.
     fn one_file(&self) -> [PathBuf; 2] {
         let path = self.path("set/transforms.json");
         std::fs::copy(self.path("set/transforms_train.json"), &path).unwrap();
@@ -52,7 +52,7 @@ impl Desk {
         command
     }
 
-    /// Runs and returns stderr; panics on failure.
+    /// Runs the program and returns stderr. Panics on failure.
     fn good(&self, args: &str) -> String {
         let output = self.command(args).output().unwrap();
         let stderr = String::from_utf8(output.stderr).unwrap();
@@ -60,7 +60,7 @@ impl Desk {
         stderr
     }
 
-    /// Runs what must be refused with exit code 2 and one line; returns it.
+    /// Runs a command that must be refused with exit code 2 and one line. Returns that line.
     fn refused(&self, args: &str) -> String {
         let Output { status, stderr, .. } = self.command(args).output().unwrap();
         let stderr = String::from_utf8(stderr).unwrap();
@@ -83,7 +83,7 @@ fn uncertainty_uses_the_cameras_that_the_model_was_trained_on() {
     let stderr = desk.good(&format!("uncertainty m.safetensors {RUN} -o own.oct"));
     assert!(stderr.contains("4 cameras (stored in the model)"), "{stderr}");
 
-    // The same frames from the file: the same field, and nothing to warn of.
+    // The same frames from the file give the same field, and nothing to warn of.
     let file = "--cameras set/transforms_train.json";
     let stderr = desk.good(&format!("uncertainty m.safetensors {file} --views 4 {RUN} -o same.oct"));
     assert!(stderr.contains("4 cameras of 20 frames") && !stderr.contains("not the cameras"), "{stderr}");
@@ -92,7 +92,7 @@ fn uncertainty_uses_the_cameras_that_the_model_was_trained_on() {
     assert_eq!(own.protocol().origin, same.protocol().origin);
     assert!(own.protocol().origin.model.is_some() && own.protocol().origin.cameras.is_some());
 
-    // All frames of the file: said, and warned of.
+    // With all frames of the file, it says so and warns.
     let stderr = desk.good(&format!("uncertainty m.safetensors {file} --seed 1 {RUN} -o all.oct"));
     assert!(stderr.contains("20 cameras of 20 frames of set/transforms_train.json\n"), "{stderr}");
     let warning = "16 of these 20 are others, 0 of its 4 are not among these";
@@ -122,7 +122,7 @@ fn models_without_cameras_are_read_and_damaged_cameras_refused() {
     assert_eq!(named.len(), 2);
     assert!(named.iter().all(|n| frames.iter().any(|f| f.name == n.name && f.camera == n.camera)));
 
-    // Without cameras nothing is written: such a file is one of before.
+    // No cameras, no section: such a file is like those of older versions.
     field.with_training_cameras(Vec::new()).write(&desk.path("old.safetensors")).unwrap();
     let bytes = std::fs::read(desk.path("old.safetensors")).unwrap();
     assert!(!bytes.windows(8).any(|part| part == b"position"));
@@ -200,7 +200,7 @@ fn a_field_of_another_model_is_refused_wherever_models_lie() {
     desk.good("merge field.oct second.oct -o merged.oct");
     desk.good(&format!("uncertainty m-1.safetensors --seed 1 {RUN} -o other.oct"));
     assert!(desk.refused("merge field.oct other.oct -o x.oct").contains("model and cameras of field 2"));
-    // Rays that were drawn already are found under any path.
+    // Rays that were already drawn are recognised under any path.
     desk.good(&format!("uncertainty moved/n.safetensors {RUN} -o again.oct"));
     assert!(desk.refused("merge field.oct again.oct -o x.oct").contains("rays in common"));
     assert!(desk.refused("merge merged.oct second.oct -o x.oct").contains("rays in common"));

@@ -1,4 +1,5 @@
-//! The binary as scripts see it: one clear line for bad input, exit code 2, no partial output; answers in the stated formats.
+//! The binary as scripts see it: one clear line for bad input, exit code 2, no partial output, and answers in the
+//! stated formats.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -42,7 +43,7 @@ impl Desk {
         self.command(args).output().unwrap()
     }
 
-    /// Runs and returns stdout; panics on failure.
+    /// Runs the program and returns stdout. Panics on failure.
     fn good(&self, args: &str) -> String {
         let output = self.run(args);
         assert!(output.status.success(), "{args}: {}", String::from_utf8_lossy(&output.stderr));
@@ -207,14 +208,14 @@ fn bad_input_gets_one_line_exit_code_2_and_no_output() {
         }
         assert!(!stderr.contains("panicked"), "{args}: {stderr}");
         assert!(output.stdout.is_empty(), "{args}: {}", String::from_utf8_lossy(&output.stdout));
-        // The command line's own parser adds a hint on usage; everything else is one line.
+        // The parser of the command line adds a hint on usage. Everything else is one line.
         let lines = stderr.lines().filter(|l| !l.starts_with("note: ")).count();
         assert!(lines == 1 || stderr.contains("For more information, try '--help'"), "{args}: {stderr}");
         assert_eq!(desk.files(), before, "{args} left something behind");
     }
 }
 
-/// Finite but absurd lens coefficients are legal input: rays stay finite.
+/// Finite but absurd lens coefficients are legal input, and rays stay finite.
 #[test]
 fn an_absurd_lens_does_not_panic() {
     let desk = Desk::new();
@@ -231,7 +232,7 @@ fn a_field_of_another_box_is_refused() {
     let output = desk.run("compare field.oct small.oct");
     let stderr = String::from_utf8(output.stderr).unwrap();
     assert!(output.status.code() == Some(2) && stderr.contains("same box") && stderr.contains("0.5"), "{stderr}");
-    // A model that is smaller than the field's box.
+    // A model smaller than the field's box.
     let mut npz = NpzWriter::create(&desk.path("tiny.npz")).unwrap();
     npz.array("box", &[2, 3], [-0.1_f32, -0.1, -0.1, 0.1, 0.1, 0.1]).unwrap();
     npz.array("density", &[2, 2, 2], [1.0_f32; 8]).unwrap();
@@ -244,7 +245,7 @@ fn a_field_of_another_box_is_refused() {
 
 #[test]
 fn a_full_disk_is_reported_and_leaves_no_field() {
-    // /dev/full refuses every write; a field cannot be renamed onto a device, so answers go there.
+    // /dev/full refuses every write. A field cannot be renamed onto a device, so the answers of `query` go there.
     if !Path::new("/dev/full").exists() {
         return;
     }
@@ -270,7 +271,7 @@ fn ctrl_c_leaves_no_file_and_exits_with_130() {
     let before = desk.files();
     let args = "uncertainty scene:courtyard --cameras transforms.json --level 8 --rays 100000000 -o long.oct --dump-samples long.npz";
     let mut child = desk.command(args).stderr(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
-    // Its temporary files exist before any ray is drawn.
+    // The temporary files exist before any ray is drawn.
     let started = std::time::Instant::now();
     while desk.files() == before {
         assert!(started.elapsed().as_secs() < 60, "the run did not start");
@@ -304,7 +305,7 @@ fn queries_answer_in_all_formats() {
     let lines: Vec<&str> = text.lines().collect();
     assert_eq!(lines[0], "x,y,z,uncertainty,log10_uncertainty,level,inside,rays");
     assert_eq!(lines.len(), 4);
-    // Level, whether inside, and how many rays support the number; outside, none can.
+    // Level, whether the point is inside, and how many rays support the number. Outside, none can.
     assert!(lines[1].contains(",5,1,") && !lines[1].ends_with(',') && lines[3].ends_with(",0,0,"), "{text}");
     assert!(lines[3].contains(&field.prior().to_string()));
 
@@ -330,7 +331,7 @@ fn error_bars_are_told_wherever_a_field_is() {
         bars["root_mean_square"].as_f64() > bars["median"].as_f64() && value["memory"]["error bars"].as_u64() > Some(0)
     );
 
-    // Where rays are plenty, where no ray came, outside.
+    // Points where rays are plenty, where no ray came, and outside.
     let points = [[0.5_f32, 0.5, -0.1], [0.0, 0.0, 0.9], [3.0, 0.0, 0.0]];
     npy::write(&desk.path("points.npy"), &[3, 3], points.into_iter().flatten()).unwrap();
     desk.good("query bars.oct points.npy -o out.npy");
@@ -342,7 +343,7 @@ fn error_bars_are_told_wherever_a_field_is() {
     let lines: Vec<&str> = text.lines().collect();
     assert_eq!(lines[0], "x,y,z,uncertainty,log10_uncertainty,level,inside,rays,log10_error");
     assert!(lines[1].ends_with(&format!(",{}", answers.data[2])) && lines[2].ends_with(','), "{text}");
-    // Two bytes a deviation do not touch the errors; another scalar has none.
+    // Storing deviations in two bytes leaves the errors alone. Another scalar has none.
     desk.good("convert bars.oct half.oct --store f16");
     desk.good("query half.oct points.npy -o half.npy");
     let half = npy::read::<f64>(&desk.path("half.npy")).unwrap();
@@ -351,7 +352,7 @@ fn error_bars_are_told_wherever_a_field_is() {
     assert!(String::from_utf8(output.stderr).unwrap().contains("error bars are not those of `block`"));
     assert_eq!(npy::read::<f64>(&desk.path("block.npy")).unwrap().shape, [3, 2]);
 
-    // Fields of several seeds are groups too.
+    // Fields of several seeds are groups, too.
     for seed in 1..=4 {
         desk.good(&format!("{run} --rays 1500 --seed {seed} --error-bars 2 -o part{seed}.oct"));
     }
@@ -362,7 +363,7 @@ fn error_bars_are_told_wherever_a_field_is() {
     desk.good(&format!("merge {parts} -o merged.oct --error-bars"));
     let [one, merged] =
         ["bars.oct", "merged.oct"].map(|f| UncertaintyField::read(&desk.path(f)).unwrap().error_summary().unwrap());
-    // As many rays: the same errors but for chance, and for the fewer groups.
+    // With as many rays the errors are the same, but for chance and the smaller number of groups.
     let ratio = merged.root_mean_square / one.root_mean_square;
     assert!(merged.groups == 4 && (0.75..1.33).contains(&ratio), "{merged:?} {one:?}");
 
@@ -380,7 +381,8 @@ fn error_bars_are_told_wherever_a_field_is() {
     }
 }
 
-/// An early version gave seeds 0 to 7 the same eight groups: two such runs merged into twice the rays, without a word.
+/// An early version gave seeds 0 to 7 the same eight groups. Two such runs merged into twice the rays without a
+/// word.
 #[test]
 fn error_bars_of_different_seeds_are_of_different_rays() {
     let desk = Desk::new();
@@ -397,11 +399,12 @@ fn error_bars_of_different_seeds_are_of_different_rays() {
     desk.good("merge bars0.oct bars3.oct -o both.oct --error-bars");
     let both = read("both.oct");
     assert_eq!((both.protocol().rays, both.draws().len()), (6000, 16));
-    // Twice the rays: 1/√2 of the error, within a factor of 3, as two groups are few. Of the same rays it would be 0.
+    // Twice the rays give 1/√2 of the error, within a factor of 3 because two groups are few. The same rays would
+    // give 0.
     let [one, two] = [&zero, &both].map(|field| field.error_summary().unwrap().root_mean_square);
     assert!((0.3 / 2_f64.sqrt()..3.0 / 2_f64.sqrt()).contains(&(two / one)), "{one} of one, {two} of both");
 
-    // What holds rays of another is told from what does not, whatever the base seeds are.
+    // Fields that share rays are distinguished from fields that do not, whatever the base seeds are.
     let refused = |parts: &str| {
         let output = desk.run(&format!("merge {parts} -o x.oct"));
         let message = String::from_utf8(output.stderr).unwrap();
@@ -449,7 +452,7 @@ fn pictures_and_official_grids_are_written() {
     let names: Vec<String> = exr.layer_data.channel_data.list.iter().map(|c| c.name.to_string()).collect();
     assert_eq!(names, ["A", "B", "G", "R", "depth.Z", "log10_uncertainty.U", "uncertainty.U"]);
 
-    // The ball stays away from the box's faces, where the official index order lets vertices share entries.
+    // The ball stays away from the box's faces, where the official index order makes vertices share entries.
     desk.good("uncertainty scene:ball --cameras transforms.json --level 5 --rays 3000 --occupancy 32 -o ball.oct");
     desk.good("convert ball.oct unc.npy");
     assert_eq!(npy::read::<f32>(&desk.path("unc.npy")).unwrap().shape, [33 * 33 * 33]);
@@ -458,7 +461,7 @@ fn pictures_and_official_grids_are_written() {
     let value: serde_json::Value = serde_json::from_str(&out).unwrap();
     for place in ["in_box", "on_surfaces"] {
         let max = value[place]["max"].as_f64().unwrap();
-        // Sums go through f32; hanging corners of coarse leaves stay within the tolerance.
+        // Sums pass through f32. Hanging corners of coarse leaves stay within the tolerance.
         assert!(max <= 0.01, "{place}: {out}");
     }
 }
@@ -468,7 +471,8 @@ fn derivatives_and_the_number_of_rays_can_be_chosen() {
     let desk = Desk::new();
     VoxelGrid::bake(&ClosedForm::ball(), [25; 3], Vec3::Z).write(&desk.path("ball.npz")).unwrap();
     let base = "uncertainty ball.npz --cameras transforms.json --level 4 --cutoff 1e-6 -o a.oct";
-    // Differences over a step that a voxel's slope does not notice are the slope: both fields agree, and say what they are.
+    // Differences over a step that is small beside a voxel are the slope itself. Both fields agree, and say how
+    // they were made.
     let exact = desk.good(&format!("{base} --rays 4000 --gradient auto"));
     assert!(exact.contains("the field's own derivatives"), "{exact}");
     std::fs::rename(desk.path("a.oct"), desk.path("exact.oct")).unwrap();
@@ -476,7 +480,7 @@ fn derivatives_and_the_number_of_rays_can_be_chosen() {
     assert!(differences.contains("difference   central"), "{differences}");
     let [a, b] = ["a.oct", "exact.oct"].map(|name| UncertaintyField::read(&desk.path(name)).unwrap());
     let found = octobayes::uncertainty::compare(&a, &b, 20_000, 0).unwrap().in_box.unwrap();
-    // Not the same bits; kinks of the voxels between the two sides of a difference are rare.
+    // The bits differ, but kinks of the voxels rarely lie between the two sides of a difference.
     assert!(found.max > 0.0 && found.mean < 0.01, "{found:?}");
 
     let output = desk.run("uncertainty scene:ball --gradient analytic --rays 10 -o x.oct");
@@ -512,11 +516,11 @@ fn demos_of_hard_scenes_say_what_to_expect_beside_what_was_measured() {
             assert!(desk.path(name).join(file).exists(), "{name}/{file}");
         }
     }
-    // What is expected is said before the error that was expected.
+    // What to expect is printed before the error that was expected.
     let refused = desk.run("demo --scene shifted --rays 2000 --out shifted");
     assert_eq!(refused.status.code(), Some(2));
     let out = String::from_utf8_lossy(&refused.stdout);
     assert!(out.contains("verdict:  refused with an error"), "{out}");
-    // A hard scene is a model too, and brings its cameras.
+    // A hard scene is a model, too, and has its own cameras.
     desk.good("uncertainty scene:wall-diagonal --level 4 --rays 2000 --occupancy 16 -o diagonal.oct");
 }

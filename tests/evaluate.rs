@@ -1,11 +1,11 @@
-//! The whole line on a small mesh: exact data, an ensemble, its uncertainty, its judgement.
+//! The whole pipeline on a small mesh: exact data, an ensemble, its uncertainty, and the evaluation.
 
 use std::path::Path;
 use std::process::Command;
 
 use serde_json::Value;
 
-/// Runs the binary in `folder`; stdout.
+/// Runs the program in `folder` and returns stdout.
 fn octobayes(folder: &Path, args: &str) -> String {
     let output = Command::new(env!("CARGO_BIN_EXE_octobayes"))
         .args(args.split_whitespace())
@@ -16,7 +16,7 @@ fn octobayes(folder: &Path, args: &str) -> String {
     String::from_utf8(output.stdout).unwrap()
 }
 
-/// An octahedron and what a few hundred steps of training make of it, twice.
+/// An octahedron, and what a few hundred steps of training make of it, twice.
 fn desk() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     let mut mesh = String::new();
@@ -86,7 +86,7 @@ fn all_measures_and_the_clean_up_are_in_the_tables() {
         &format!("--threads 1 {EVALUATE} --blend weighted-mean,mean --clean-up sheet.png --json"),
     );
     assert_eq!(text, one);
-    // The same for people.
+    // The same, human-readable.
     let table = run("");
     for name in baselines.iter().chain(&["m diagonal", "m normal", "without a Hessian"]) {
         assert!(table.contains(name), "{name} is not in\n{table}");

@@ -1,7 +1,7 @@
-//! Every row of `docs/errors.md`, run: a fault in the input, the message, the exit code. The table is read by this test, so that what
-//! is promised and what happens cannot part.
+//! Runs every row of `docs/errors.md`: a fault in the input, the message, the exit code. The test reads the table
+//! itself, so what is promised and what happens cannot drift apart.
 
-// The tests of damaged files use all of it.
+// The tests of damaged files use all of this module.
 #[allow(dead_code)]
 mod untrusted;
 
@@ -23,17 +23,17 @@ struct Row {
     code: i32,
 }
 
-/// The rows of all tables with a column "exit code".
+/// The rows of all tables that have a column "exit code".
 fn rows() -> Vec<Row> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/errors.md");
     let text = std::fs::read_to_string(path).unwrap();
-    // Code with backticks in it stands between two of them.
+    // Code that contains backticks is enclosed in double ones.
     let code = |cell: &str| {
         let between = |mark| cell.strip_prefix(mark).and_then(|c| c.strip_suffix(mark));
         between("``").map(str::trim).or_else(|| between("`")).map(str::to_string)
     };
     let row = |line: &str| {
-        // A vertical line inside a cell is written `\|`.
+        // A vertical bar inside a cell is written `\|`.
         let line = line.replace("\\|", "\u{1}");
         let cells: Vec<String> = line.split('|').map(|cell| cell.trim().replace('\u{1}', "|")).collect();
         let [_, fault, command, message, exit, _] = cells.as_slice() else { return None };
@@ -42,7 +42,7 @@ fn rows() -> Vec<Row> {
     text.lines().filter(|line| line.starts_with('|')).filter_map(row).collect()
 }
 
-/// Whether `text` is `pattern`, in which `…` stands for anything but nothing.
+/// Returns true if `text` matches `pattern`, in which `…` stands for any non-empty text.
 fn fits(pattern: &str, text: &str) -> bool {
     match pattern.split_once('…') {
         None => pattern == text,
@@ -138,11 +138,11 @@ impl Desk {
             change(&mut parts);
             self.write(name, forge::file(Kind::Field, &forge::join(&parts)));
         };
-        // Checksums that are right, around nonsense: header, masks, deviations, ….
+        // Correct checksums around nonsense: header, masks, deviations, ….
         forged("nan.oct", &|parts| parts[2][..4].copy_from_slice(&f32::NAN.to_le_bytes()));
         forged("masks.oct", &|parts| parts[1].push(0));
         forged("twice.oct", &|parts| {
-            let draw = r#"{"seed":0,"shard":{"rays":600,"index":0,"of":1}}"#;
+            let draw = r#"{"seed":0,"shard":{"index":0,"of":1,"rays":600}}"#;
             let header = String::from_utf8(parts[0].clone()).unwrap();
             assert!(header.contains(draw), "{header}");
             parts[0] = header.replacen(draw, &format!("{draw},{draw}"), 1).into_bytes();
@@ -310,7 +310,7 @@ fn the_table_of_errors_is_true() {
     for Row { fault, command, message, code } in &rows {
         let args = command.strip_prefix("octobayes ").unwrap_or_else(|| panic!("`{command}` runs octobayes"));
         let (exit, out, err) = desk.run(args);
-        // Notes may come before; the command line's own parser adds how to get help.
+        // Notes may come first. The parser of the command line adds how to get help.
         let found = err.lines().find_map(|line| line.strip_prefix("error: ")).unwrap_or_default();
         let errors = err.lines().filter(|line| !line.starts_with("note: ")).count();
         let is_one_line = errors == 1 || err.contains("For more information, try '--help'");
@@ -329,13 +329,13 @@ fn the_table_of_errors_is_true() {
     );
 }
 
-/// A fault that no row shows would be one that nobody is told of.
+/// Checks that every fault has a row: one without a row would be documented nowhere.
 #[test]
 fn every_faulty_file_has_its_row() {
     let desk = Desk::new();
     let rows = rows();
     let text: String = rows.iter().map(|row| row.command.as_str()).collect::<Vec<_>>().join(" ");
-    // What commands need beside the fault.
+    // What the commands need besides the fault.
     let good = ["bare.oct", "good.npy", "good.npz", "r_0.png", "r_1.png"];
     for path in desk.files() {
         let name = path.file_name().unwrap().to_str().unwrap();

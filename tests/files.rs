@@ -1,5 +1,5 @@
-//! No file is lost to another: what the verbs do when an output is an input, another output, a link, or no file at all.
-//! Every verb that writes is here.
+//! No file is lost to another: what each verb does when an output is an input, another output, a link, or no
+//! regular file. Every verb that writes is here.
 #![cfg(unix)]
 
 use std::collections::BTreeMap;
@@ -66,7 +66,7 @@ impl Desk {
         assert_eq!(code, Some(0), "{args}: {stderr}");
     }
 
-    /// Names and contents of all that is there; of links, where they lead.
+    /// Names and contents of everything in the folder; for links, where they lead.
     fn contents(&self) -> BTreeMap<PathBuf, Vec<u8>> {
         let content = |path: &Path| {
             let kind = path.symlink_metadata().unwrap().file_type();
@@ -81,7 +81,7 @@ impl Desk {
     }
 }
 
-/// Every verb that writes a file, an ending that its output may have, and all but the output's name.
+/// For every verb that writes a file: an ending that its output may have, and all arguments but the output's name.
 fn writers() -> Vec<(&'static str, String)> {
     vec![
         ("oct", format!("{RUN} -o")),
@@ -101,8 +101,8 @@ fn writers() -> Vec<(&'static str, String)> {
     ]
 }
 
-/// Early versions wrote over whatever had the output's name. With a checkpoint of that name the result was even removed
-/// at the end, as the checkpoint of a finished run, with exit code 0.
+/// Early versions overwrote whatever had the output's name. With a checkpoint of that name they even removed the
+/// result at the end, as the checkpoint of a finished run, with exit code 0.
 #[test]
 fn two_files_of_a_command_are_never_the_same() {
     let desk = Desk::new();
@@ -140,7 +140,7 @@ fn two_files_of_a_command_are_never_the_same() {
         let (code, stderr) = desk.run(args);
         let [output, other] = named;
         assert_eq!(code, Some(2), "{args}: {stderr}");
-        // Notes on the cameras may come before.
+        // Notes on the cameras may come first.
         let errors: Vec<&str> = stderr.lines().filter(|line| !line.starts_with("note: ")).collect();
         let [error] = errors.as_slice() else { panic!("{args}: {stderr}") };
         assert!(
@@ -150,7 +150,7 @@ fn two_files_of_a_command_are_never_the_same() {
         assert!(error.trim_end().ends_with(&format!(" of {other}")), "{args}: {stderr}");
         assert!(desk.contents() == before, "{args} touched a file");
     }
-    // A folder as output is new or empty: an input can neither be it nor be in it.
+    // A folder for output must be new or empty: no input can be that folder or lie in it.
     for args in ["synth mesh.obj -o mesh.obj", "synth mesh.obj -o .", "demo --out mesh.obj"] {
         assert_eq!(desk.run(args).0, Some(2), "{args}");
         assert!(desk.contents() == before, "{args} touched a file");
@@ -180,7 +180,7 @@ fn what_is_no_file_is_not_replaced_by_one() {
             assert!(desk.contents() == before, "{command} {output} touched something");
         }
     }
-    // Refused even where stdout is a file: the shell has it open, and would go on with the old one.
+    // Refused even where stdout is a file: the shell has it open, and would continue with the old one.
     let (code, stderr) = desk.run("merge part0.oct part1.oct -o /dev/stdout");
     assert!(code == Some(2) && stderr.contains("/dev/stdout: output path"), "{stderr}");
 }
@@ -204,18 +204,18 @@ fn links_are_followed_and_stay() {
     assert_eq!(left.count(), 0);
 }
 
-/// A run of days must not learn at its first checkpoint that it cannot save one.
+/// A run that takes days must not learn at its first checkpoint that it cannot save one.
 #[test]
 fn the_folder_of_a_checkpoint_is_looked_at_before_any_work() {
     let desk = Desk::new();
     let run = RUN.replace("600", "1000000000000");
     for more in ["", "--error-bars 2"] {
-        // More rays than an age of waiting: if any work began, this would not end.
+        // So many rays would take an age. If any work began, this test would not end.
         let (code, stderr) = desk.run(&format!("{run} -o x.oct --checkpoint no/folder/x.chk {more}"));
         assert!(code == Some(2) && stderr.starts_with("error: no/folder/x.chk"), "{stderr}");
         assert!(stderr.contains("cannot create a file in this folder"), "{stderr}");
     }
-    // Beside each other they are both well.
+    // Side by side, both work.
     desk.good(&format!("{RUN} -o x.oct --checkpoint x.chk --checkpoint-every 0"));
     assert!(desk.path("x.oct").exists() && !desk.path("x.chk").exists());
     desk.good(&format!("{RUN} -o x.oct --checkpoint x --error-bars 2"));

@@ -1,4 +1,5 @@
-//! What is left out as negligible changes log10 U by no more than is said, at every vertex; and parts of a run leave nothing out that the run does not.
+//! What is left out as negligible changes log10 U by no more than stated, at every vertex. Shards leave out
+//! nothing that the whole run keeps.
 
 use std::path::{Path, PathBuf};
 
@@ -13,7 +14,7 @@ use octobayes::render::GradientMethod;
 use octobayes::uncertainty::{SAMPLES_SHARE, UncertaintyField, merge};
 use rayon::prelude::*;
 
-/// The field of a part of `stream`'s rays.
+/// The field of a shard of `stream`'s rays.
 fn part(stream: &RayStream, grid: GridSettings, domain: Domain, shard: Shard) -> UncertaintyField {
     let mut builder = FieldBuilder::new(grid, domain).unwrap();
     let progress = stream.run(shard, RunProgress::default(), &Silent, |batches, _| {
@@ -25,24 +26,26 @@ fn part(stream: &RayStream, grid: GridSettings, domain: Domain, shard: Shard) ->
     builder.finish(&provenance)
 }
 
-/// Largest |Δ log10 U| over all lattice points, of which `dense` has one value each.
+/// Largest |Δ log10 U| over all lattice points. `dense` has one value for each.
 fn largest_difference(field: &UncertaintyField, dense: &UncertaintyField) -> f64 {
     let field = field.on_dense_grid();
     let pairs = field.deviations().iter().zip(dense.deviations().iter());
     pairs.map(|(a, b)| (a / b).log10().abs()).fold(0.0, f64::max)
 }
 
-/// The same vertices with the same sums, but for the order in which at most `n` f64 were added; largest |Δ log10 U| that is left.
+/// Checks that both have the same vertices, and the same sums but for the order in which at most `n` f64 were
+/// added; and that log10 U differs by no more than follows.
 fn check_equal(merged: &UncertaintyField, whole: &UncertaintyField, n: f64, what: &str) {
     assert!(merged.support() == whole.support(), "{what}: other vertices");
     let pairs = || merged.sums().unwrap().iter().zip(whole.sums().unwrap());
     for (a, b) in pairs() {
-        // Each term's entries are at most its trace, and the traces are not negative.
+        // The entries of each term are at most its trace, and traces are not negative.
         let limit = n * f64::EPSILON * trace(&b.information);
         let off = |k: usize| (a.information[k] - b.information[k]).abs();
         assert!(a.rays == b.rays && (0..6).all(|k| off(k) <= limit), "{what}: {a:?} and {b:?}");
     }
-    // H is off by less than `off` I, hence every eigenvalue and every σ² by less than off / 2λ of itself; U is stored as f32.
+    // H is off by less than `off` I, so every eigenvalue and every σ² is off by less than off / 2λ of itself. U is
+    // stored as f32.
     let (covariance, lambda) = (whole.protocol().covariance, whole.protocol().lambda);
     let sigmas = merged.deviations().iter().zip(whole.deviations().iter());
     for ((a, b), (_, sums)) in sigmas.zip(pairs()) {
@@ -50,14 +53,15 @@ fn check_equal(merged: &UncertaintyField, whole: &UncertaintyField, n: f64, what
         let limit = match covariance {
             Covariance::Diagonal | Covariance::Trace => n * f64::EPSILON,
             Covariance::Block => off / (1.0 - f64::min(off, 0.5)),
-            // Its direction is a sum of f32 in another order, which may cancel: only that it is not another one.
+            // Its direction is a sum of f32 in another order, which may cancel. Only another direction is ruled
+            // out.
             Covariance::Normal => 1e-3,
         };
         assert!((a / b).ln().abs() <= limit + f64::from(f32::EPSILON), "{what}: {a:e} and {b:e}");
     }
 }
 
-/// Parts, joined, are the run over all rays; and that is within the tolerance of the dense grid of the same rays.
+/// Merged shards are the run over all rays, and within the tolerance of the dense grid of the same rays.
 #[test]
 fn parts_joined_are_the_whole_run_at_any_tolerance() {
     let field = ClosedForm::courtyard();
@@ -90,7 +94,7 @@ fn parts_joined_are_the_whole_run_at_any_tolerance() {
     }
 }
 
-/// Runs with seeds of their own prune their octrees for themselves; joined, they are within the tolerance still.
+/// Runs with seeds of their own prune their octrees separately. Merged, they are still within the tolerance.
 #[test]
 fn whole_runs_joined_stay_within_the_tolerance() {
     let field = ClosedForm::courtyard();
@@ -133,10 +137,10 @@ fn the_dense_reference_and_normals_leave_no_sample_out() {
     }
 }
 
-/// A model with cameras that see it.
+/// A model, and cameras that see it.
 type Model = (String, Box<dyn RadianceField>, Vec<Camera>);
 
-/// Every trained model that there is data of, one after the other.
+/// Every trained model in the data folder, one after the other.
 fn models() -> impl Iterator<Item = Model> {
     let root =
         PathBuf::from(std::env::var_os("OCTOBAYES_DATA").expect("OCTOBAYES_DATA must name the folder of the data"));
@@ -202,8 +206,9 @@ fn negligible_samples_of_trained_models_are_within_their_share_of_the_tolerance(
                 some_tally.samples as f64 / rays.rays as f64,
                 all_tally.samples as f64 / rays.rays as f64
             );
-            // Jacobians are f32: the rounding of J moves σ of the well-seen by 1e-7, and `block`, which hangs on differences of 1e-7 between
-            // large entries, by no more as long as what is differentiated is the same.
+            // Jacobians are f32, and their rounding moves σ of well-seen vertices by 1e-7. `block` depends on
+            // differences of 1e-7 between large entries, but moves by no more while the same samples are
+            // differentiated.
             for (covariance, off) in [("diagonal", diagonal), ("trace", trace), ("block", block)] {
                 assert!(off <= SAMPLES_SHARE * tolerance + 1e-6, "{name}, {gradient:?}, {covariance}: {off}");
             }

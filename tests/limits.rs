@@ -1,4 +1,5 @@
-//! Limits that a user thinks in, as the binary takes them: cell size, memory, refinement criteria, bytes per value.
+//! Limits in the user's own terms, as the binary takes them: cell size, memory, refinement criteria, bytes per
+//! value.
 
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
@@ -41,7 +42,7 @@ fn read(folder: &Path, name: &str) -> UncertaintyField {
 fn a_cell_size_chooses_the_level_that_is_as_fine() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
-    // The courtyard's box has edge 2: 0.03 asks for 67 cells, so 128; 2/64 is met exactly.
+    // The courtyard's box has edge 2. A size of 0.03 asks for 67 cells, so 128; 2/64 is met exactly.
     for (size, level) in [("0.03", 7), ("0.03125", 6), ("5", 1)] {
         good(folder, &format!("{RUN} --cell-size {size} -o field.oct"));
         assert_eq!(read(folder, "field.oct").lattice().level(), level, "{size}");
@@ -73,7 +74,7 @@ fn a_limited_run_survives_and_merges() {
     let folder = folder.path();
     let limited = format!("{RUN} --level 8 --refine ray-count --tolerance 0");
     good(folder, &format!("{limited} -o whole.oct"));
-    // Killed as soon as it has saved something, a run takes up its own limits again.
+    // Killed as soon as it has saved something, a run resumes with its own limits.
     let resumable = format!("{limited} -o again.oct --checkpoint run.chk --checkpoint-every 0 --resume");
     let mut child = command(folder, &resumable).stderr(Stdio::null()).stdout(Stdio::null()).spawn().unwrap();
     while !folder.join("run.chk").exists() && child.try_wait().unwrap().is_none() {
@@ -82,7 +83,7 @@ fn a_limited_run_survives_and_merges() {
     child.kill().unwrap();
     child.wait().unwrap();
     assert!(folder.join("run.chk").exists() && !folder.join("again.oct").exists(), "it was killed under way");
-    // Only a run of the same limits may go on from it.
+    // Only a run with the same limits may continue it.
     let other = resumable.replace("--refine ray-count", "--refine sensitivity");
     assert!(refused(folder, &other).contains("run, limits"));
     good(folder, &resumable);
@@ -119,15 +120,15 @@ fn criteria_refine_where_they_say() {
     let (all, uniform) = vertices("uniform");
     assert_eq!(all, 65 * 65 * 65);
     assert!(sensitive < both && dense < both && both < all, "{sensitive} {dense} {both} {all}");
-    // Uniform is the dense grid, bit by bit, if it leaves no negligible samples out either.
+    // Uniform refinement is the dense grid, bit for bit, if it leaves no negligible samples out either.
     good(folder, &format!("{RUN} --level 6 --grid dense -o dense.oct"));
     good(folder, &format!("{RUN} --level 6 --refine uniform --tolerance 0 -o exact.oct"));
     let [exact, dense] = ["exact.oct", "dense.oct"].map(|file| read(folder, file));
     assert_eq!(compare(&exact, &dense, 20_000, 1).unwrap().in_box.unwrap().max, 0.0);
-    // A tenth of the default tolerance is for such samples; both are stored as f32.
+    // A tenth of the default tolerance is for negligible samples; both fields are stored as f32.
     assert!(compare(&uniform, &dense, 20_000, 1).unwrap().in_box.unwrap().max <= 0.001 + 1e-6);
     assert!(refused(folder, &format!("{RUN} --level 10 --refine uniform -o x.oct")).contains("level up to 9"));
-    // Parts of such a run join to one.
+    // Shards of such a run merge into one field.
     for shard in 0..2 {
         good(folder, &format!("{RUN} --level 6 --refine uniform --shard {shard}/2 -o part{shard}.oct"));
     }

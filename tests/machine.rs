@@ -1,5 +1,5 @@
-//! When the machine fails: a full disk, a folder that cannot be written, files that change while they are read, processes killed while
-//! they write. Whatever happens, no field can be read that was not written.
+//! Failures of the machine: a full disk, a folder that cannot be written, files that change while they are read,
+//! processes killed while they write. Whatever happens, no field can be read that was not written whole.
 #![cfg(unix)]
 
 use std::collections::BTreeSet;
@@ -32,7 +32,7 @@ fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
 }
 
-/// A folder with cameras, two fields that differ, samples, a mesh and points.
+/// A folder with cameras, two different fields, samples, a mesh and points.
 fn desk() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     let cameras = ClosedForm::half_circle(3, [24, 24]).into_iter().enumerate();
@@ -47,7 +47,8 @@ fn files(folder: &Path) -> BTreeSet<PathBuf> {
     std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect()
 }
 
-/// A disk that is full after a kilobyte: `ulimit -f` makes longer writes fail with EFBIG, if the signal that would come first is ignored.
+/// A disk that is full after a kilobyte: `ulimit -f` makes longer writes fail with EFBIG, if the signal that comes
+/// first is ignored.
 #[test]
 fn a_full_disk_leaves_what_was_there_and_nothing_else() {
     let folder = desk();
@@ -74,7 +75,7 @@ fn a_full_disk_leaves_what_was_there_and_nothing_else() {
     for target in targets {
         std::fs::write(folder.join(target), "precious").unwrap();
     }
-    // Not there: a state would be taken for an unfinished run's.
+    // Not present: a state would pass for that of an unfinished run.
     std::fs::remove_file(folder.join("x.chk")).unwrap();
     let before = files(folder);
     let checkpoint = format!("{RUN} --level 4 -o y.oct --checkpoint x.chk --checkpoint-every 0");
@@ -92,7 +93,7 @@ fn a_full_disk_leaves_what_was_there_and_nothing_else() {
     }
 }
 
-/// `/dev/full` takes nothing.
+/// `/dev/full` accepts nothing.
 #[test]
 #[cfg(target_os = "linux")]
 fn output_that_nobody_can_take_is_a_failure() {
@@ -107,8 +108,8 @@ fn output_that_nobody_can_take_is_a_failure() {
     }
 }
 
-/// Permissions do not bind the superuser, who runs tests in many containers: so folders that nobody can write are taken too, and a
-/// folder without permission only where it binds.
+/// Permissions do not bind the superuser, who runs tests in many containers. So folders that nobody can write are
+/// tested too, and a folder without permission only where it has an effect.
 #[test]
 fn a_folder_that_cannot_be_written_is_named() {
     use std::os::unix::fs::PermissionsExt;
@@ -128,7 +129,7 @@ fn a_folder_that_cannot_be_written_is_named() {
             let found = run(folder, &args);
             let stderr = text(&found.stderr);
             assert_eq!(found.status.code(), Some(2), "{args}: {stderr}");
-            // Notes on the cameras may come before.
+            // Notes on the cameras may come first.
             let error = stderr.lines().find(|line| line.starts_with("error: ")).unwrap_or_default();
             assert!(error.starts_with(&format!("error: {output}: cannot create")), "{args}: {stderr}");
         }
@@ -137,8 +138,8 @@ fn a_folder_that_cannot_be_written_is_named() {
     assert_eq!(std::fs::read(closed.join("x.oct")).unwrap(), std::fs::read(folder.join("old.oct")).unwrap());
 }
 
-/// One thread reads a field again and again while `replace` writes the one and the other in turn, until errors (if there can be any)
-/// and both fields were met.
+/// One thread reads a field again and again while `replace` writes the two fields in turn, until both fields, and
+/// errors if there can be any, were met.
 fn read_while(replace: impl Fn(&Path, &[u8]) + Sync, can_fail: bool) {
     let folder = desk();
     let [old, new] = ["old.oct", "new.oct"].map(|name| folder.path().join(name));
@@ -158,7 +159,7 @@ fn read_while(replace: impl Fn(&Path, &[u8]) + Sync, can_fail: bool) {
             }
         });
         let mut met = [0; 3];
-        // So often that an outcome which never comes would have come.
+        // Often enough that any possible outcome would have occurred.
         for _ in 0..200_000 {
             let outcome = match UncertaintyField::read(&path) {
                 Ok(field) => fields.iter().position(|known| *known == field),
@@ -197,7 +198,7 @@ fn a_field_that_is_replaced_as_this_program_does_is_always_whole() {
     read_while(replace, false);
 }
 
-/// As `cp` does: the file is cut to nothing and grows again, or parts of it change while it keeps its length.
+/// As `cp` does: the file is truncated and grows again, or parts of it change while it keeps its length.
 #[test]
 fn a_field_that_is_overwritten_while_it_is_read_is_whole_or_refused() {
     let replace = |path: &Path, content: &[u8]| {
@@ -226,7 +227,8 @@ fn a_field_that_is_overwritten_while_it_is_read_is_whole_or_refused() {
     read_while(in_place, true);
 }
 
-/// A run names its input by checksums: what it read must be what it names. A pipe gives other bytes at every reading.
+/// A run names its input by checksums, so what it read must be what it names. A pipe gives other bytes each time
+/// it is read.
 #[test]
 fn cameras_that_change_while_they_are_read_are_refused() {
     let folder = desk();
@@ -242,7 +244,8 @@ fn cameras_that_change_while_they_are_read_are_refused() {
         .stderr(Stdio::piped())
         .spawn()
         .unwrap();
-    // Checksum, content, checksum: opening a pipe waits for its reader, who is done when the next opening can be told from this one.
+    // The run reads for a checksum, for content, and for a checksum again. Opening a pipe waits for its reader,
+    // who must be done before the next opening can be distinguished from this one.
     for content in [&cameras, &cameras, &changed] {
         std::fs::write(&pipe, content).unwrap();
         std::thread::sleep(Duration::from_millis(200));
@@ -254,8 +257,8 @@ fn cameras_that_change_while_they_are_read_are_refused() {
     assert!(!folder.join("x.oct").exists());
 }
 
-/// `kill -9` while a field is being written, at random moments: the target is what it was, or the whole new field; what is left
-/// beside it has a name that says so, and is no field unless it is a whole one.
+/// `kill -9` at random moments while a field is written: the target is what it was, or the whole new field. What
+/// stays beside it has the name of a temporary file, and is a field only if it is whole.
 #[test]
 fn kills_while_writing_leave_no_half_field() {
     let folder = tempfile::tempdir().unwrap();
@@ -283,7 +286,7 @@ fn kills_while_writing_leave_no_half_field() {
         let mut command = Command::new(PROGRAM);
         command.args(["convert", "new.oct", "x.oct"]).current_dir(folder).stdout(Stdio::null()).stderr(Stdio::null());
         let mut child = command.spawn().unwrap();
-        // From the moment at which it begins to write.
+        // Counted from the moment at which it begins to write.
         while parts().is_empty() && child.try_wait().unwrap().is_none() {
             std::thread::yield_now();
         }

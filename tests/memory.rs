@@ -1,4 +1,5 @@
-//! The bytes that fields say they hold are those that the allocator gave; in a process of its own, because it counts.
+//! The bytes that a field reports are those that the allocator gave. Runs in a process of its own, because it
+//! counts all allocations.
 
 use octobayes::estimate::{Estimation, GridKind, GridSettings, RaySettings};
 use octobayes::field::{ClosedForm, Intrinsics, RadianceField};
@@ -9,7 +10,7 @@ use std::alloc::System;
 #[global_allocator]
 static ALLOCATOR: &StatsAlloc<System> = &INSTRUMENTED_SYSTEM;
 
-/// Bytes that are held at the end of `make` and were not at its start, and what holds them.
+/// What `make` returns, and the bytes allocated by it that are still held at its end.
 fn held<T>(make: impl FnOnce() -> T) -> (usize, T) {
     let region = Region::new(ALLOCATOR);
     let made = make();
@@ -29,7 +30,7 @@ fn city(level: u8, rays: u64) -> UncertaintyField {
         .field
 }
 
-// One test: the allocator counts for the whole process.
+// A single test, because the allocator counts for the whole process.
 #[test]
 fn parts_add_up_to_what_was_allocated_and_structure_is_small() {
     let courtyard = ClosedForm::courtyard();
@@ -49,7 +50,7 @@ fn parts_add_up_to_what_was_allocated_and_structure_is_small() {
             let (bytes, copy) = held(|| make(&field));
             check(bytes, &copy);
         }
-        // What comes from a file is not kept with more than it needs either.
+        // A field read from a file holds no more than it needs, either.
         let (bytes, read) = held(|| UncertaintyField::read(file.path()).unwrap());
         check(bytes, &read);
         if let Support::Octree(octree) = field.support() {
@@ -68,7 +69,7 @@ fn parts_add_up_to_what_was_allocated_and_structure_is_small() {
     }
 }
 
-/// Strings of the protocol, and the vectors' own headers inside vectors, come on top of what `memory` lists.
+/// Strings of the protocol, and headers of vectors inside vectors, come on top of what `memory` lists.
 fn check(allocated: usize, field: &UncertaintyField) {
     let listed: usize = field.memory().iter().map(|part| part.1).sum();
     assert!(listed <= allocated && allocated <= listed + 4096, "{listed} bytes listed, {allocated} allocated");

@@ -1,7 +1,7 @@
-//! Valid files of every kind, damaged in many ways: readers refuse or accept, what they accept can be used, nothing panics, and memory
-//! is bounded by what a file holds, not by what it claims.
+//! Valid files of every kind, damaged in many ways. Readers refuse or accept them; what they accept can be used,
+//! and nothing panics. Memory is bounded by what a file holds, not by what it claims.
 //!
-//! The fuzz targets in `fuzz/` look at the same readers for longer.
+//! The fuzz targets in `fuzz/` test the same readers for longer.
 
 mod untrusted;
 
@@ -18,21 +18,22 @@ use untrusted::{Kind, forge, probe, samples};
 #[global_allocator]
 static ALLOCATOR: &StatsAlloc<System> = &INSTRUMENTED_SYSTEM;
 
-/// The allocator counts for the whole process: one test at a time.
+/// Runs one test at a time: the allocator counts for the whole process.
 static ONE: Mutex<()> = Mutex::new(());
 
 fn alone() -> MutexGuard<'static, ()> {
     ONE.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Bytes that a reader may take in all, freed ones counted too, for a file of `length` bytes.
+/// Bytes that a reader may allocate in total, freed ones included, for a file of `length` bytes.
 ///
-/// The factor covers vectors that grow by doubling (3), numbers that are shorter in the file than in memory (a list of CBOR or JSON
-/// numbers takes 2 bytes an entry there and up to 24 here), and octrees: a mask of one byte stands for eight cells, whose vertices are
-/// found by sorting. Deflated archives unfold to at most 1032 times their size.
+/// The factor covers vectors that grow by doubling (3), and numbers that are shorter in the file than in memory (a
+/// list of CBOR or JSON numbers takes 2 bytes an entry in the file and up to 24 in memory). It also covers
+/// octrees: a mask of one byte stands for eight cells, whose vertices are found by sorting. Deflated archives grow
+/// to at most 1032 times their size.
 fn allowance(kind: Kind, length: usize) -> usize {
     let (fixed, factor) = match kind {
-        // 8 cascades of 128³ cells, one byte each, and a window around them: what the format allows at most.
+        // 8 cascades of 128³ cells, one byte each, and a window around them: the most that the format allows.
         Kind::Ppng => (120_000_000, 300),
         Kind::Field | Kind::Checkpoint => (2_000_000, 2000),
         Kind::Samples | Kind::Voxels => (2_000_000, 1100),
@@ -41,7 +42,7 @@ fn allowance(kind: Kind, length: usize) -> usize {
     fixed + factor * length
 }
 
-/// Reads a file, first counting memory, then using what came of it.
+/// Reads a file twice: once to count memory, once to use the result.
 fn read(kind: Kind, folder: &Path, bytes: &[u8]) -> octobayes::Result<()> {
     let path = folder.join(kind.file_name());
     std::fs::write(&path, bytes).unwrap();
@@ -54,7 +55,7 @@ fn read(kind: Kind, folder: &Path, bytes: &[u8]) -> octobayes::Result<()> {
     probe::read(kind, &path)
 }
 
-/// One thing that happens to a file; places are shares of its length.
+/// A damage to a file. Places are fractions of its length.
 #[derive(Debug, Clone)]
 enum Damage {
     Set(f64, u8),
@@ -63,7 +64,7 @@ enum Damage {
     /// A run of digits, or of bytes, becomes a large number.
     Grow(f64, usize),
     Remove(f64, usize),
-    /// Some bytes come once more, elsewhere.
+    /// Some bytes are repeated elsewhere.
     Copy(f64, f64, usize),
     Insert(f64, Vec<u8>),
 }
@@ -117,7 +118,7 @@ impl Damage {
     }
 }
 
-/// A kind's valid files, as they are or by their parts, and what happens to which part.
+/// For each kind: its valid files, whole or in parts, and which damage happens to which part.
 fn damaged(kind: Kind) -> impl Strategy<Value = (usize, bool, Vec<(f64, Damage)>)> {
     let files = samples::of(kind).len();
     (0..files, any::<bool>(), prop::collection::vec((0.0..1.0_f64, damage()), 1..5))
@@ -150,7 +151,7 @@ fn damaged_files_are_refused_or_harmless() {
             let mut bytes = whole.clone();
             if by_parts {
                 let recipe = forge::recipe(kind, whole);
-                // Kinds without parts are one part.
+                // Kinds without parts are a single part.
                 let mut parts: Vec<Vec<u8>> = match recipe[0] % 2 {
                     1 => forge::split(&recipe[1..]).into_iter().map(<[u8]>::to_vec).collect(),
                     _ => vec![recipe[1..].to_vec()],
@@ -163,7 +164,7 @@ fn damaged_files_are_refused_or_harmless() {
             }
             let outcome = read(kind, folder.path(), &bytes);
             refused.set(refused.get() + u32::from(outcome.is_err()));
-            // Checksums cover every byte of these.
+            // Checksums cover every byte of these kinds.
             if matches!(kind, Kind::Field | Kind::Checkpoint) && !by_parts && bytes != *whole {
                 prop_assert!(outcome.is_err(), "an altered file was accepted");
             }
@@ -175,7 +176,7 @@ fn damaged_files_are_refused_or_harmless() {
     assert!(refused > 2000, "only {refused} files were damaged enough to be refused: the test damages too little");
 }
 
-/// A checksum by itself is no proof: a wrong one must be noticed in every part.
+/// A checksum alone proves nothing: a wrong one must be noticed in every part.
 #[test]
 fn every_byte_of_the_container_is_covered() {
     let _alone = alone();
@@ -194,7 +195,7 @@ fn every_byte_of_the_container_is_covered() {
     }
 }
 
-/// Archives have a checksum for every array; a reader that stops behind the last element would not look at it.
+/// Archives have a checksum for every array. A reader that stops after the last element would not check it.
 #[test]
 fn every_array_of_an_archive_is_covered() {
     let _alone = alone();
@@ -205,7 +206,7 @@ fn every_array_of_an_archive_is_covered() {
             for part in forge::split(&recipe[1..]) {
                 let at =
                     file.windows(part.len()).position(|bytes| bytes == part).expect("arrays are stored as they are");
-                // The lowest bit of the last number: no other check can notice.
+                // The lowest bit of the last number: no other check can notice it.
                 let low = at + part.len() - if part.len() % 8 == 0 { 8 } else { 4 };
                 let mut bytes = file.clone();
                 bytes[low] ^= 1;
@@ -215,7 +216,7 @@ fn every_array_of_an_archive_is_covered() {
     }
 }
 
-/// Few bytes that claim much.
+/// A few bytes that claim much.
 #[test]
 fn small_files_that_claim_much_are_refused_without_the_memory() {
     let _alone = alone();
@@ -294,14 +295,14 @@ fn small_files_that_claim_much_are_refused_without_the_memory() {
         let outcome = probe::open(kind, &path);
         let taken = region.change().bytes_allocated;
         assert!(!outcome, "case {i}, {kind:?}, was accepted");
-        // A buffer for reading (64 KiB), decoders' own.
+        // Buffers: 64 KiB for reading, and those of decoders.
         assert!(taken < 1_000_000, "case {i}, {kind:?}: {taken} bytes taken");
-        // As damaged files are: with the message looked at.
+        // Handled as damaged files are, including the message.
         assert!(read(kind, folder.path(), &bytes).is_err());
     }
 }
 
-/// Contents that no run writes, under checksums that are right: each was once accepted, or was a panic later.
+/// Contents that no run writes, under correct checksums. Each was once accepted, or caused a panic later.
 #[test]
 fn contents_that_no_run_writes_are_refused() {
     let _alone = alone();
@@ -322,7 +323,7 @@ fn contents_that_no_run_writes_are_refused() {
             "header",
         ),
         (Kind::Field, 0, 2, &|deviations| deviations[..4].fill(0xff), "deviations"),
-        // Off the diagonal more than squares allow; on it, infinite together only.
+        // Off the diagonal, more than squares allow; on the diagonal, infinite only when added.
         (Kind::Field, 0, 3, &|evidence| evidence[8..16].copy_from_slice(&1e30_f64.to_le_bytes()), "sums"),
         (
             Kind::Field,
@@ -334,13 +335,13 @@ fn contents_that_no_run_writes_are_refused() {
             "sums",
         ),
         (Kind::Field, 0, 4, &|surface| surface[..4].fill(0xff), "surface"),
-        // Error bars that are negative, and of one group.
+        // Error bars that are negative, and error bars of one group.
         (Kind::Field, 6, 7, &|errors| errors[3] = 0x80, "errors"),
         (Kind::Field, 6, 7, &|errors| errors[..2].copy_from_slice(&[1, 0]), "errors"),
-        // Codes of bricks: so coarse that a shift by their levels overflows; coarse and outside; twice the same.
+        // Codes of bricks: so coarse that a shift by their levels overflows, then coarse and outside.
         (Kind::Checkpoint, 0, 1, &|codes| codes[..8].copy_from_slice(&(40_u64 << 51).to_le_bytes()), "sums"),
         (Kind::Checkpoint, 0, 1, &|codes| codes[..8].copy_from_slice(&(3_u64 << 51 | 1).to_le_bytes()), "sums"),
-        // More points than the run keeps, and one that is none.
+        // More points than the run keeps, and a point that is not finite.
         (Kind::Checkpoint, 0, 3, &|surface| surface.resize(12 * 101, 0), "surface"),
         (Kind::Checkpoint, 0, 3, &|surface| surface[..4].fill(0xff), "surface"),
     ];

@@ -1,4 +1,4 @@
-//! Fields of older versions are still read, and answer as they did when they were written.
+//! Fields of older versions can still be read, and give the answers that they gave when they were written.
 
 use std::path::{Path, PathBuf};
 
@@ -10,7 +10,7 @@ fn fixture(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures").join(name)
 }
 
-/// Rows of a CSV file behind its header, `None` where a cell is empty.
+/// The rows of a CSV file after its header. Empty cells are `None`.
 fn rows(path: &Path) -> Vec<Vec<Option<f64>>> {
     let mut reader = csv::ReaderBuilder::new().has_headers(true).from_path(path).unwrap();
     let cells = |row: csv::StringRecord| row.iter().map(|cell| cell.parse().ok()).collect();

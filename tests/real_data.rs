@@ -1,5 +1,6 @@
-//! Tests on pre-trained models, which the project does not ship. They read `$OCTOBAYES_DATA`; `.ci/run` sets it and runs them
-//! with `--include-ignored`, where missing data is a failure. The README says where to get the data.
+//! Tests on pre-trained models, which the project does not ship. They read `$OCTOBAYES_DATA`. `.ci/run` sets it
+//! and runs them with `--include-ignored`; there, missing data is a failure. The README says where to get the
+//! data.
 
 use std::path::PathBuf;
 
@@ -19,8 +20,8 @@ fn vectors(rows: &serde_json::Value) -> Vec<Vec3> {
     rows.iter().map(|v| Vec3::from_array(std::array::from_fn(|k| v[k].as_f64().unwrap() as f32))).collect()
 }
 
-/// Renders test views of lego and compares their PSNR over every `stride`th pixel along x and y with what was measured, to within
-/// 0.3 dB.
+/// Renders test views of lego and compares their PSNR with what was measured, to within 0.3 dB, over every
+/// `stride`th pixel along x and y.
 fn check_lego_renders(model: &dyn RadianceField, stride: usize, measured: [f64; 3]) {
     let views = Views::read(&data("nerf-lego-400/transforms_test.json"), None).unwrap();
     let settings = RaySettings { cutoff: 1e-4, ..RaySettings::default() };
@@ -59,9 +60,9 @@ fn mlp_models_return_the_published_check_values() {
         let mut out = vec![Radiance::default(); positions.len()];
         model.evaluate(&positions, &directions, &mut out);
         for (i, found) in out.iter().enumerate() {
-            // The expected values are f64 evaluations of the f32 weights. Five layers of 128 f32 products, and sines of
-            // arguments up to 512 · 1.5 whose f32 rounding is 3e-5: 1e-4 relative to the largest activations, which are
-            // of the order of |σ|.
+            // The expected values are f64 evaluations of the f32 weights. The network has five layers of 128 f32
+            // products, and sines of arguments up to 512 · 1.5, whose f32 rounding is 3e-5. That gives 1e-4
+            // relative to the largest activations, which are of the order of |σ|.
             let expected = sigma[i].max(0.0);
             assert!(
                 (found.density - expected).abs() <= 2e-4 * sigma[i].abs().max(10.0),
@@ -84,7 +85,7 @@ fn the_forward_facing_model_is_refused_with_a_reason() {
 #[ignore = "needs OCTOBAYES_DATA/nerf-mlp-pretrained and nerf-lego-400"]
 fn lego_renders_reach_the_measured_quality() {
     let model = NerfMlp::read(&data("nerf-mlp-pretrained/lego.safetensors")).unwrap();
-    // Measured with the original sampling (64 coarse + 64 fine) in NumPy, on every fifth pixel.
+    // Measured in NumPy with the original sampling (64 coarse + 64 fine), on every fifth pixel.
     check_lego_renders(&model, 1, [27.5, 27.8, 27.3]);
 }
 
@@ -100,7 +101,7 @@ fn ppng_models_return_the_check_values() {
         let cells: Vec<u64> = check["occupied_cells"].as_array().unwrap().iter().map(|n| n.as_u64().unwrap()).collect();
         assert_eq!(model.occupied_cells(), cells, "{name}");
         let [positions, directions, rgb] = ["pos_unit_box", "unit_dir", "rgb"].map(|key| vectors(&check[key]));
-        // Positions are those of the unit box that the tables know.
+        // Positions are those of the unit box, as the tables have them.
         let side = model.bounds().longest_edge() as f32;
         let positions: Vec<Vec3> = positions.iter().map(|q| (q - 0.5) * side + 0.5).collect();
         let mut out = vec![Radiance::default(); 6];
@@ -108,7 +109,8 @@ fn ppng_models_return_the_check_values() {
         for (i, found) in out.iter().enumerate() {
             let expected = check["sigma"][i].as_f64().unwrap();
             let error = f64::from(found.density).ln() - expected.ln();
-            // The printed positions have 6 digits: 5e-7 of the box times slopes of log σ of the order of 1e3. Largest seen: 2.5e-4.
+            // The printed positions have 6 digits: 5e-7 of the box, times slopes of log σ of the order of 1e3. The
+            // largest error seen is 2.5e-4.
             assert!(error.abs() < 1e-3, "{name} {i}: {found:?}, {expected}");
             assert!((found.color - rgb[i]).abs().max_element() < 1e-3, "{name} {i}: {found:?}, {}", rgb[i]);
         }
@@ -118,8 +120,8 @@ fn ppng_models_return_the_check_values() {
 #[test]
 #[ignore = "needs OCTOBAYES_DATA/ppng-pretrained and nerf-lego-400"]
 fn ppng_lego_renders_reach_the_measured_quality() {
-    // Measured in NumPy with the model's own sampling of occupied cells, on the same pixels. Over all pixels r_60 is 0.35 dB lower.
-    // A model whose occupancy is ignored loses 0.5 to 1.2 dB at type 2.
+    // Measured in NumPy with the model's own sampling of occupied cells, on the same pixels. Over all pixels r_60
+    // is 0.35 dB lower. A model whose occupancy grid is ignored loses 0.5 to 1.2 dB at type 2.
     for (kind, measured) in [(1, [29.8, 32.4, 30.4]), (2, [31.7, 35.1, 32.5])] {
         let file = data(&format!("ppng-pretrained/NeRFSynthetic/ppng_{kind}/lego.ppng"));
         check_lego_renders(&Ppng::read(&file, Coordinates::Blender).unwrap(), 5, measured);
@@ -135,7 +137,7 @@ fn ppng_poses_are_the_training_cameras() {
     let found = model.cameras(&intrinsics).unwrap().unwrap();
     assert_eq!(found.len(), 100);
     for (found, frame) in found.iter().zip(&views.frames) {
-        // The file's poses are f32 numbers, positions of up to 2 units of 1/0.33.
+        // The file's poses are f32, and positions reach 2 units of 1/0.33.
         assert!(found.position.abs_diff_eq(frame.camera.position, 2e-6), "{found:?}, {:?}", frame.camera);
         assert!(found.axes.abs_diff_eq(frame.camera.axes, 2e-6), "{found:?}, {:?}", frame.camera);
         assert!((found.focal[0] - frame.camera.focal[0]).abs() < 1e-4);
@@ -176,7 +178,8 @@ fn a_short_training_on_lego_reaches_the_measured_quality() {
         trainer.step(f64::from(step) / 300.0);
     }
     let quality = quality(&trainer.field(serde_json::Value::Null), &held_out, Vec3::ONE, 50_000).unwrap();
-    // 20.07 dB measured after these 300 steps; half a decibel for processors that round expm1 otherwise.
+    // 20.07 dB were measured after these 300 steps. Half a decibel is allowed for processors that round expm1
+    // otherwise.
     assert!((quality.psnr - 20.07).abs() < 0.5, "{quality:?}");
 }
 

@@ -1,4 +1,4 @@
-//! What turning a scene by 45° does to each scalar that is read off the Hessian.
+//! What turning a scene by 45° does to each scalar read off the Hessian.
 
 use glam::{DMat3, DVec3, Mat3, Vec3};
 use octobayes::estimate::{Estimation, GridSettings, RaySettings};
@@ -45,7 +45,7 @@ impl RadianceField for Moved {
     }
 }
 
-/// The field of a moved scene whose cameras moved with it: the same rays hit the same places.
+/// The field of a moved scene. Its cameras moved with it, so the same rays hit the same places.
 fn field(scene: &ClosedForm, angle: f64, shift: DVec3) -> (UncertaintyField, Moved) {
     let moved = Moved { scene: scene.clone(), angle, shift };
     let cameras: Vec<Camera> = (0..12)
@@ -61,13 +61,13 @@ fn field(scene: &ClosedForm, angle: f64, shift: DVec3) -> (UncertaintyField, Mov
     (Estimation::new(&moved, &cameras).rays(rays).grid(grid).run().unwrap().field, moved)
 }
 
-/// Mean |Δ log10 U| between a scene as it is and moved, over points on the ball's surface, each at its own place.
+/// Mean |Δ log10 U| between two copies of a scene, over points on the ball's surface, each moved with its copy.
 fn change(a: &(UncertaintyField, Moved), b: &(UncertaintyField, Moved), points: &[DVec3]) -> f64 {
     let log10 = |(field, moved): &(UncertaintyField, Moved), x: DVec3| field.log10(moved.forth(x).as_vec3());
     points.iter().map(|&x| (log10(a, x) - log10(b, x)).abs()).sum::<f64>() / points.len() as f64
 }
 
-/// Points spread over a sphere of the given radius: a spiral.
+/// Points spread along a spiral over a sphere of the given radius.
 fn sphere(radius: f64) -> Vec<DVec3> {
     (0..2000)
         .map(|i| {
@@ -82,7 +82,7 @@ fn sphere(radius: f64) -> Vec<DVec3> {
 fn trace_block_and_normal_change_no_more_than_discretisation_does() {
     let scene = ClosedForm::ball();
     let turned = 45_f64.to_radians();
-    // Shifts by fractions of the lattice edge, 2.5 / 32, are what discretisation alone does.
+    // Shifts by fractions of the lattice edge, 2.5 / 32, show what discretisation alone does.
     let edge = 2.5 / 32.0;
     let still = field(&scene, 0.0, DVec3::ZERO);
     let shifted = field(&scene, 0.0, edge * DVec3::new(0.5, 0.31, 0.43));
@@ -95,7 +95,8 @@ fn trace_block_and_normal_change_no_more_than_discretisation_does() {
         let [still, shifted, rotated] = [&still, &shifted, &rotated].map(read);
         let discretisation = change(&still, &shifted, &points);
         let rotation = change(&still, &rotated, &points);
-        // The lattice turns against the scene as well as shifting: half as much again is allowed, and a change there must be.
+        // The lattice turns against the scene in addition to shifting, so half as much again is allowed. Some
+        // change must remain.
         assert!(
             rotation <= 1.5 * discretisation && rotation >= 0.2 * discretisation,
             "{covariance:?}: turning changes {rotation}, shifting {discretisation}"
@@ -103,8 +104,9 @@ fn trace_block_and_normal_change_no_more_than_discretisation_does() {
     }
 }
 
-/// A known fact of the paper's formula, not of its implementation: a textureless wall that faces an axis leaves two of the three
-/// diagonal entries of H at the prior, one turned by 45° only one; so σ² = Σ 1/H_kk falls from two priors to one.
+/// A known fact of the paper's formula, not of its implementation. A textureless wall that faces an axis leaves
+/// two of the three diagonal entries of H at the prior; a wall turned by 45° leaves only one. So `σ² = Σ 1/H_kk`
+/// falls from two priors to one.
 #[test]
 fn diagonal_depends_on_the_axes_and_block_does_not() {
     let shape = Shape::Slab { center: Vec3::ZERO, normal: Vec3::X, half: 0.2 };
@@ -112,8 +114,8 @@ fn diagonal_depends_on_the_axes_and_block_does_not() {
     let wall = Primitive { shape, peak: 40.0, softness: 0.2, texture };
     let scene = ClosedForm::new("plain wall", vec![wall], Aabb::centered_cube(0.75), 1.0 / 256.0);
     let [still, turned] = [0.0, 45_f64.to_radians()].map(|angle| field(&scene, angle, DVec3::ZERO));
-    // Lines along the normal through the middle of the front face, far from the wall's rims: the least U on each lies where all
-    // vertices around were seen.
+    // Lines along the normal through the middle of the front face, far from the wall's rims. The least U on each
+    // line lies where all surrounding vertices were seen.
     let ratio = |covariance| {
         let of = |f: &(UncertaintyField, Moved)| {
             let read = f.0.clone().with_covariance(covariance).unwrap();
@@ -125,7 +127,7 @@ fn diagonal_depends_on_the_axes_and_block_does_not() {
         };
         of(&still) - of(&turned)
     };
-    // √2 in σ, 0.15 in log10; block keeps two priors' worth however it is turned.
+    // √2 in σ is 0.15 in log10. `block` keeps two priors' worth, however the wall is turned.
     let diagonal = ratio(Covariance::Diagonal);
     assert!((0.14..0.17).contains(&diagonal), "{diagonal}");
     assert!(ratio(Covariance::Block).abs() < 0.005, "{}", ratio(Covariance::Block));

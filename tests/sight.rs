@@ -1,4 +1,5 @@
-//! What cameras see of real models, with right and wrong settings. `OCTOBAYES_DATA` names the folder of the data.
+//! What cameras see of real models, with correct and wrong settings. `OCTOBAYES_DATA` names the folder of the
+//! data.
 
 use std::path::PathBuf;
 
@@ -24,7 +25,7 @@ fn mlp(scene: &str) -> (String, Vec<Camera>) {
 
 fn sight(model: &str, coordinates: Option<Coordinates>, cameras: Option<Vec<Camera>>) -> Sight {
     let field = open_in(model, coordinates).unwrap();
-    // Of the NeRF-synthetic cameras; phones have about 60 degrees.
+    // The angle of the NeRF-synthetic cameras; phones have about 60 degrees.
     let fov = if model.contains("NeRFSynthetic") { 0.691_111_2 } else { 1.0 };
     let intrinsics = Intrinsics { fov_x: Some(fov), resolution: Some([100, 100]) };
     let cameras = cameras.unwrap_or_else(|| field.cameras(&intrinsics).unwrap().unwrap());

@@ -1,4 +1,4 @@
-//! Long runs survive: killed at random moments and resumed, split into shards and merged.
+//! Long runs survive: killed at random moments and resumed, or split into shards and merged.
 
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
@@ -35,7 +35,8 @@ fn folder_with_cameras() -> tempfile::TempDir {
 
 const RUN: &str = "uncertainty scene:courtyard --cameras transforms.json --level 6 --rays 40000 --occupancy 40";
 
-/// `kill -9` gives a process no chance to do anything; whatever moment it hits, the run goes on and ends with the same bytes.
+/// `kill -9` gives a process no chance to do anything. Whatever moment it hits, the run can be resumed and ends
+/// with the same bytes.
 #[test]
 fn twenty_kills_at_random_moments_change_no_bit() {
     let folder = folder_with_cameras();
@@ -67,7 +68,8 @@ fn twenty_kills_at_random_moments_change_no_bit() {
             child.kill().unwrap();
             child.wait().unwrap();
             kills += 1;
-            // A kill can hit after the field got its name and before the checkpoint is gone: then the field is whole.
+            // A kill can hit after the field got its name and before the checkpoint is removed. Then the field is
+            // whole.
             if let Ok(parts) = std::fs::read(folder.join("parts.oct")) {
                 assert!(
                     parts == std::fs::read(folder.join(format!("whole_{grid}.oct"))).unwrap(),
@@ -79,7 +81,7 @@ fn twenty_kills_at_random_moments_change_no_bit() {
     assert!(resumed >= 10, "{resumed} of {kills} attempts found a checkpoint: the test must interrupt real progress");
 }
 
-/// Each group of a run with error bars has its own state; stopped in any of them, it ends with the same bytes.
+/// Each group of a run with error bars has its own state. Stopped in any group, the run ends with the same bytes.
 #[test]
 fn groups_of_rays_are_taken_up_where_they_stopped() {
     let folder = folder_with_cameras();
@@ -87,7 +89,7 @@ fn groups_of_rays_are_taken_up_where_they_stopped() {
     good(folder, &format!("{RUN} --error-bars 3 -o whole.oct"));
     let args = format!("{RUN} --error-bars 3 -o parts.oct --checkpoint run.chk --checkpoint-every 0 --resume");
     let state = |g: usize| folder.join(format!("run.chk.{g}"));
-    // Killed as soon as the group under way has a state: in the first, the second and the third.
+    // Killed as soon as the current group has a state: in the first, the second and the third.
     for g in 0..3 {
         let mut child = command(folder, &args).spawn().unwrap();
         while !state(g).exists() {
@@ -119,7 +121,7 @@ fn ctrl_c_saves_the_state_and_resume_goes_on() {
     good(folder, &format!("{RUN} -o whole.oct"));
     let args = format!("{RUN} -o parts.oct --checkpoint run.chk --checkpoint-every 0");
     let mut child = command(folder, &args).spawn().unwrap();
-    // Its first group of rays is done when the first checkpoint is there.
+    // The first group of rays is done when the first checkpoint appears.
     while !folder.join("run.chk").exists() {
         assert!(child.try_wait().unwrap().is_none(), "the run ended before it could be interrupted");
         std::thread::sleep(Duration::from_millis(5));
@@ -176,7 +178,7 @@ fn merged_shards_are_the_whole_run() {
     let inside = run(folder, "merge two.oct part2.oct -o x.oct");
     let stderr = String::from_utf8(inside.stderr).unwrap();
     assert!(inside.status.code() == Some(2) && stderr.contains("rays in common"), "{stderr}");
-    // Part 1 of 3 and part 1 of 2 of the same seed have batches in common.
+    // Shard 1 of 3 and shard 1 of 2 of the same seed have batches in common.
     good(folder, &format!("{RUN} --keep hessian --grid dense --tolerance 0 --shard 1/2 -o half.oct"));
     let overlapping = run(folder, "merge part1.oct half.oct -o x.oct");
     let stderr = String::from_utf8(overlapping.stderr).unwrap();

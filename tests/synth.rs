@@ -1,4 +1,4 @@
-//! Synthetic datasets against closed forms: what is written must be what geometry says.
+//! Synthetic data sets against closed forms: what is written must be what geometry says.
 
 use std::f64::consts::{PI, TAU};
 use std::path::Path;
@@ -15,7 +15,8 @@ use octobayes::synth::{
     DEPTH_PNG_SCALE, DatasetSettings, GROUND_RADIUS, HALF_HEIGHT, Mesh, RADIUS, Scene, Up, write_dataset,
 };
 
-/// A sphere with 2·`rings` meridians; poles and equator are vertices, so that it is placed with exactly radius 0.75 around 0.
+/// A sphere with 2·`rings` meridians. Poles and equator are vertices, so it is placed around 0 with radius exactly
+/// 0.75.
 fn sphere(rings: usize) -> String {
     let columns = 2 * rings;
     let mut text = String::new();
@@ -44,7 +45,7 @@ fn exact_depth(path: &Path) -> Vec<f32> {
     channel.sample_data.values_as_f32().collect()
 }
 
-/// Distances at which a ray enters the sphere of `radius` around 0.
+/// Distances at which a ray meets the sphere of `radius` around 0.
 fn enter(ray: &Ray, radius: f64) -> Option<f64> {
     let b = ray.origin.dot(ray.direction);
     let root = b * b - ray.origin.length_squared() + radius * radius;
@@ -80,10 +81,11 @@ fn depth_is_that_of_the_sphere_and_the_ground() {
     };
     write_dataset(&obj, &out, &settings, &Silent).unwrap();
 
-    // Triangles are chords: their points are between sqrt(r² − ρ²) and r from the centre, ρ the circumradius. Both halves of
-    // an isosceles trapezoid share its circle, ρ² = (l² + p·q) / 4 sin²θ with legs l, bases p, q and base angle θ. All sides
-    // are below r·π/RINGS, largest at the equator, where θ is a right angle; polewards p·q shrinks faster than sin²θ. So
-    // 2ρ² ≤ (r·π/RINGS)². Vertices are off the sphere by 9 digits and f32: 1e-7.
+    // Triangles are chords: their points lie between sqrt(r² − ρ²) and r from the centre, with circumradius ρ.
+    // Both halves of an isosceles trapezoid share its circle: `ρ² = (l² + p·q) / 4 sin²θ` with legs l, bases p, q
+    // and base angle θ. All sides are below r·π/RINGS. They are largest at the equator, where θ is a right angle;
+    // towards the poles p·q shrinks faster than sin²θ. So `2ρ² ≤ (r·π/RINGS)²`. Vertices are off the sphere by the
+    // rounding to 9 digits and to f32: 1e-7.
     let chord = RADIUS * PI / RINGS as f64;
     let inner = (RADIUS * RADIUS - 0.5 * chord * chord).sqrt() - 1e-7;
     let outer = RADIUS + 1e-7;
@@ -105,12 +107,12 @@ fn depth_is_that_of_the_sphere_and_the_ground() {
                 let ray = camera.ray(center[0], center[1]);
                 let t = f64::from(found);
                 match steps.distance[k] {
-                    // Half a step of 1e-4, and f32.
+                    // Half a step of 1e-4, and the rounding to f32.
                     Some(step) => assert!((step - t).abs() <= 0.5e-4 + 1e-6 && found > 0.0),
                     None => assert_eq!(found, 0.0),
                 }
                 if found > 0.0 {
-                    // The hit point is seen in its pixel's centre: f32 rounding is along the ray.
+                    // The hit point projects to the centre of its pixel: f32 rounding is along the ray.
                     let pixel = camera.project(ray.at(t)).unwrap().0;
                     assert!((0..2).all(|axis| (pixel[axis] - center[axis]).abs() < 1e-10), "{pixel:?} for {center:?}");
                 }
@@ -132,7 +134,7 @@ fn depth_is_that_of_the_sphere_and_the_ground() {
         }
     }
     assert!(on_sphere > 3000 && on_ground > 1000 && empty > 1000, "{on_sphere}, {on_ground}, {empty}");
-    // The bound is no idle one: the deepest point found reaches the better part of it, so chords are seen as chords.
+    // The bound is not idle: the deepest point found comes close to it, so chords are seen as chords.
     assert!(deepest > 0.5 * (RADIUS - inner), "{deepest} of {}", RADIUS - inner);
 }
 
@@ -150,7 +152,8 @@ fn depth_of_a_plane_is_exact_to_f32() {
         let ray = Ray::new(eye, target - eye);
         let t = -eye.dot(normal) / ray.direction.dot(normal);
         let at = ray.at(t);
-        // Inside the wall's rectangle, away from its rim; the radius decides its scale, 0.335, so that its top is at 0.256.
+        // Inside the wall's rectangle, away from its rim. The radius decides its scale, 0.335, so its top is at
+        // 0.256.
         if (-0.74..0.25).contains(&at.z) && at.truncate().length() < 0.65 {
             let found = f64::from(scene.nearest(&ray).expect("the wall has no gaps").t as f32);
             assert!((found - t).abs() <= rounding(t), "{found} for {t}");
@@ -251,15 +254,16 @@ fn interrupted_runs_leave_nothing() {
         samples_per_side: 1,
         ..DatasetSettings::default()
     };
-    // Sky light: 128² points of the ground and 40 of the ball; then three pictures of 20 rows. Rows of one picture may be under way
-    // together, and end, when the stop comes: only a stop before the last picture is sure to be in time.
+    // Sky light takes 128² points of the ground and 40 of the ball; then come three pictures of 20 rows. Rows of
+    // one picture may be under way together and still end when the stop comes. Only a stop before the last picture
+    // is sure to be in time.
     let sky = 128 * 128 + 40;
     for left in [1, sky / 2, sky + 1, sky + 30, sky + 39] {
         let error = write_dataset(&obj, &out, &settings, &StopAfter { left: left.into() }).unwrap_err();
         assert!(matches!(error, Error::Interrupted), "{left}: {error}");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "only the mesh is there");
     }
-    // An empty folder is taken.
+    // An empty folder is accepted.
     std::fs::create_dir(&out).unwrap();
     write_dataset(&obj, &out, &settings, &Silent).unwrap();
     assert!(out.join("transforms_test.json").exists());

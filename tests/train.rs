@@ -1,4 +1,5 @@
-//! `train` as scripts see it: a data set in, a model out that the other verbs read; interrupted runs go on.
+//! `train` as scripts see it: a data set in, a model out that the other verbs read. Interrupted runs can be
+//! resumed.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
@@ -12,7 +13,7 @@ use octobayes::monitor::Silent;
 use octobayes::render::render_view;
 use serde_json::Value;
 
-/// A folder with images of the courtyard: 12 to train on and 3 held out, on a black background.
+/// A folder with images of the courtyard, on a black background: 12 for training and 3 held out.
 struct Desk {
     folder: tempfile::TempDir,
 }
@@ -35,7 +36,7 @@ impl Desk {
             image.save(desk.path(&format!("{name}.png"))).unwrap();
             if i % 5 == 2 { test.push((name, camera)) } else { train.push((name, camera)) }
         }
-        // A frame whose image is not there, as in instant-ngp's fox.
+        // A frame whose image is missing, as in instant-ngp's fox.
         let missing: (String, Camera) = ("gone".into(), train[0].1);
         train.push(missing);
         write_transforms(&desk.path("transforms_train.json"), &train).unwrap();
@@ -58,7 +59,7 @@ impl Desk {
         self.command(args).output().unwrap()
     }
 
-    /// Runs and returns stdout and stderr; panics on failure.
+    /// Runs the program and returns stdout and stderr. Panics on failure.
     fn good(&self, args: &str) -> [String; 2] {
         let output = self.run(args);
         let [stdout, stderr] = [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).unwrap());
@@ -82,11 +83,11 @@ fn a_model_is_trained_and_the_other_verbs_read_it() {
     let model = &report["models"][0];
     assert_eq!((&model["images"], &model["steps"], &model["seed"]), (&12.into(), &150.into(), &0.into()));
     assert_eq!((&model["held_out"]["views"], &model["held_out"]["pixels"]), (&3.into(), &4800.into()));
-    // Black images have about 11 dB here; 19.1 measured.
+    // Black images have about 11 dB here; 19.1 was measured.
     let psnr = model["held_out"]["psnr"].as_f64().unwrap();
     assert!(psnr > 17.0, "{psnr}");
 
-    // Again, with other threads: the same bytes.
+    // Again with another number of threads: the same bytes.
     train("b.safetensors", "--threads 3");
     assert!(desk.bytes("a.safetensors") == desk.bytes("b.safetensors"));
     let field = HashGrid::read(&desk.path("a.safetensors")).unwrap();
@@ -152,7 +153,7 @@ fn ctrl_c_saves_a_usable_model_and_resume_ends_with_the_same_bytes() {
     let args = |out: &str| format!("train . -o {out} --steps 250 {SMALL} --save-every 0.05");
     desk.good(&args("whole.safetensors"));
     let mut child = desk.command(&args("parts.safetensors")).spawn().unwrap();
-    // The state appears after the first steps: the run takes seconds.
+    // The state appears after the first steps, and the run takes seconds.
     while !desk.path("parts.state").exists() {
         assert!(child.try_wait().unwrap().is_none(), "the run ended before it saved its state");
         std::thread::sleep(std::time::Duration::from_millis(5));

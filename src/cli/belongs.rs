@@ -1,4 +1,4 @@
-//! Whether a field belongs to the model at hand.
+//! Checks that a field belongs to the model at hand.
 
 use std::path::Path;
 
@@ -6,7 +6,7 @@ use super::options::ModelOptions;
 use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
 
-/// Refuses a field that was computed for another model; with `force` warns of it. Fields that do not say pass.
+/// Refuses a field that was computed for another model; with `force` only warns. Fields that name no model pass.
 pub fn check_model(model: &ModelOptions, path: &Path, field: &UncertaintyField, force: bool) -> Result<()> {
     let Some(expected) = field.protocol().origin.model else { return Ok(()) };
     let found = crate::open::checksum(&model.model, model.coordinates)?;

@@ -1,4 +1,4 @@
-//! `compare`: how far two fields are apart.
+//! `compare`: how much two fields differ.
 
 use std::path::PathBuf;
 
@@ -16,10 +16,10 @@ pub struct Args {
     /// One field: `.oct`, or the official code's `.npy` with --box
     a: PathBuf,
 
-    /// The reference: surfaces are compared at its surface points, if it has any
+    /// The reference. Surfaces are compared at its surface points, if it has any
     b: PathBuf,
 
-    /// Random points in the box, and most points on surfaces
+    /// Random points in the box, and at most as many on surfaces
     #[arg(long, value_name = "N", default_value_t = 1_000_000)]
     points: usize,
 

@@ -1,4 +1,4 @@
-//! `convert`: to and from the official code's grid; and to a coarser octree.
+//! `convert`: to and from the official code's grid, and to a coarser octree.
 
 use std::path::PathBuf;
 
@@ -10,22 +10,22 @@ use crate::{Error, Result};
 
 /// Convert between `.oct` and the official code's `.npy`, or make an octree coarser
 ///
-/// The official file is a flat f32 array of (2^lod + 1)^3 sums of squared derivatives in its own index order (stride M, so
-/// vertices on upper faces share entries); its viewer and evaluation read what this writes.
+/// The official file is a flat f32 array of (2^lod + 1)^3 sums of squared derivatives, in its own index order
+/// (stride M, so vertices on upper faces share entries). The official viewer and evaluation read what this writes.
 #[derive(clap::Args)]
 #[command(after_help = "Example: octobayes convert lego.oct unc.npy")]
 pub struct Args {
-    /// `.oct` or `.npy`
+    /// File to read, `.oct` or `.npy`
     input: PathBuf,
 
-    /// `.npy` or `.oct`
+    /// File to write, `.npy` or `.oct`
     output: PathBuf,
 
-    /// Merge leaves of an octree as long as log10 U changes by at most this, everywhere; keeps deviations only
+    /// Merge leaves of an octree while log10 U changes by at most this anywhere; keeps deviations only
     #[arg(long, value_name = "DECADES", value_parser = parse_positive)]
     coarsen: Option<f64>,
 
-    /// How deviations are stored; f16 keeps deviations only
+    /// How to store deviations; f16 keeps deviations only
     #[arg(long, value_enum, default_value = "f32")]
     store: Store,
 

@@ -1,4 +1,4 @@
-//! The files of a command: before any work it is made sure that no file is lost to another.
+//! The files of a command. They are checked before any work, so that no file is lost to another.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -9,7 +9,7 @@ use crate::{Error, Result};
 
 /// All files that a command reads and writes, by the names of their options.
 ///
-/// A file that is read and written because that is its point, such as the checkpoint of a resumed run, is an output.
+/// A file that is read and written by design, such as the checkpoint of a resumed run, is an output.
 #[derive(Default)]
 pub struct CommandFiles {
     inputs: Vec<(String, PathBuf)>,
@@ -17,39 +17,39 @@ pub struct CommandFiles {
 }
 
 impl CommandFiles {
-    /// With a file to read, or a folder.
+    /// Adds a file or folder to read.
     pub fn input(mut self, option: &str, path: impl AsRef<Path>) -> Self {
         self.inputs.push((option.into(), path.as_ref().into()));
         self
     }
 
-    /// With some files to read, or none.
+    /// Adds files to read, if any.
     pub fn inputs(self, option: &str, paths: impl IntoIterator<Item = impl AsRef<Path>>) -> Self {
         paths.into_iter().fold(self, |files, path| files.input(option, path))
     }
 
-    /// With the images of a camera file.
+    /// Adds the images of a camera file.
     pub fn images(self, views: &Views) -> Self {
         let images = views.frames.iter().map(|frame| &frame.image).filter(|image| !image.as_os_str().is_empty());
         self.inputs("an image of --cameras", images)
     }
 
-    /// With a file to write.
+    /// Adds a file to write.
     pub fn output(mut self, option: impl Into<String>, path: impl AsRef<Path>) -> Self {
         self.outputs.push((option.into(), path.as_ref().into()));
         self
     }
 
-    /// With some files to write, or none.
+    /// Adds files to write, if any.
     pub fn outputs(self, option: &str, paths: impl IntoIterator<Item = impl AsRef<Path>>) -> Self {
         paths.into_iter().fold(self, |files, path| files.output(option, path))
     }
 
-    /// Makes sure that every output can be written, and is another file than all the others.
+    /// Checks that every output can be written, and that it is a different file from all others.
     ///
     /// # Errors
-    /// If the folder of an output does not exist or cannot be written, if an output is something else than a file, or
-    /// if it is the same as another file of the command.
+    /// If the folder of an output does not exist or cannot be written, if an output is no regular file, or if it
+    /// is the same as another file of the command.
     pub fn check(&self) -> Result<()> {
         let mut others: HashMap<Identity, &(String, PathBuf)> = HashMap::new();
         others.extend(self.inputs.iter().map(|input| (Identity::of(&input.1), input)));

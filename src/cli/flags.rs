@@ -1,8 +1,8 @@
-//! The library names settings; people type flags.
+//! Turns the library's names of settings into the flags that users type.
 
 use crate::Error;
 
-/// What the library calls a setting, and the flag that sets it.
+/// The library's name of a setting, and the flag that sets it.
 const FLAGS: [(&str, &str); 16] = [
     ("angle of view", "--fov"),
     ("checkpoint", "--checkpoint, --resume"),
@@ -22,7 +22,7 @@ const FLAGS: [(&str, &str); 16] = [
     ("training views", "--views"),
 ];
 
-/// The error as the command line says it: with the flag instead of the setting's name.
+/// The error as the command line words it: with the flag in place of the setting's name.
 pub fn in_flags(error: Error) -> Error {
     match error {
         Error::Setting { what, expected, found } => {

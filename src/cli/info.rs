@@ -9,7 +9,7 @@ use crate::error::printable;
 use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
 
-/// Say what a field or model file holds, and its memory by part
+/// Show what a field or model file holds, and its memory by part
 #[derive(clap::Args)]
 pub struct Args {
     /// `.oct` field, or a model (`.safetensors`, `.ppng`, `.npz`, `scene:NAME`)

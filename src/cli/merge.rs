@@ -1,4 +1,4 @@
-//! `merge`: parts of a run joined.
+//! `merge`: joins the parts of a run.
 
 use std::path::PathBuf;
 
@@ -9,8 +9,8 @@ use crate::uncertainty::{UncertaintyField, merge, merge_with_error_bars};
 
 /// Join fields of the same box, level and protocol that were computed from different rays
 ///
-/// The result is what one run over all the rays gives, up to the order of summation and the fields' tolerance; so a job can be
-/// split over machines by any scheduler. The fields must keep their Hessian (`--keep hessian`).
+/// The result is what one run over all the rays gives, up to the order of summation and the fields' tolerance. So
+/// any scheduler can split a job over machines. The fields must keep their Hessian (`--keep hessian`).
 #[derive(clap::Args)]
 #[command(
     after_help = "Example: for i in 0 1 2 3; do octobayes uncertainty model.npz --cameras transforms.json --shard $i/4 -o part$i.oct; \
@@ -21,14 +21,15 @@ pub struct Args {
     #[arg(value_name = "FIELD.oct", required = true, num_args = 2..)]
     fields: Vec<PathBuf>,
 
-    /// Where the joined field is written
+    /// Where to write the joined field
     #[arg(short, long, value_name = "FIELD.oct")]
     output: PathBuf,
 
-    /// Also store how far log10 U is from its limit of ever more rays, from how the fields differ (delete-one jackknife)
+    /// Also store how far log10 U is from its limit for ever more rays, by comparing the fields (delete-one
+    /// jackknife)
     ///
-    /// The fields must come from different seeds, or independent rays from elsewhere. The more fields, the better is the error known: ten are
-    /// many, two say half their difference.
+    /// The fields must come from different seeds, or from independent rays computed elsewhere. The estimate
+    /// improves with the number of fields: ten are many, two give half their difference.
     #[arg(long)]
     error_bars: bool,
 }

@@ -1,7 +1,7 @@
-//! The command line, one file per verb. Results go to stdout, progress and warnings to stderr; a failure is one line on
-//! stderr and exit code 2 (130 after Ctrl-C).
+//! The command line, one file per verb. Results go to stdout, progress and warnings to stderr. A failure is one
+//! line on stderr and exit code 2 (130 after Ctrl-C).
 
-/// Prints one line (or several) to stdout: `say!(…)?`.
+/// Prints one or more lines to stdout: `say!(…)?`.
 macro_rules! say {
     ($($arg:tt)*) => { crate::cli::report::print(format_args!($($arg)*)) };
 }
@@ -35,8 +35,8 @@ use progress::Bars;
 
 /// Where can a trained radiance field (NeRF) be trusted?
 ///
-/// Asks of every part of space how far it could be moved without any training image noticing (Bayes' Rays, Goli et al.,
-/// CVPR 2024), and stores the answer on an adaptive octree that is fine where the images say something. Start with
+/// Asks of every part of space how far it could be moved without any training image noticing (Bayes' Rays, Goli et
+/// al., CVPR 2024). Stores the answer on an adaptive octree that is fine where images are sensitive. Start with
 /// `octobayes demo`.
 #[derive(Parser)]
 #[command(name = "octobayes", version, max_term_width = 110)]
@@ -44,7 +44,7 @@ struct Cli {
     #[command(subcommand)]
     verb: Verb,
 
-    /// Threads; results do not depend on it [default: all cores]
+    /// Number of threads; results do not depend on it [default: all cores]
     #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
 }
@@ -52,7 +52,7 @@ struct Cli {
 #[derive(Subcommand)]
 enum Verb {
     Demo(demo::Args),
-    // Boxed: it has more options than any other.
+    // Boxed: it has the most options.
     Uncertainty(Box<uncertainty::Args>),
     Accumulate(accumulate::Args),
     Query(query::Args),
@@ -63,7 +63,7 @@ enum Verb {
     Merge(merge::Args),
     Info(info::Args),
     Synth(synth::Args),
-    // Boxed for its many options.
+    // Boxed: it has many options.
     Train(Box<train::Args>),
 }
 
@@ -72,7 +72,7 @@ enum Verb {
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
     if let Some(threads) = cli.threads {
-        // Fails only if a pool exists already, which it does not at this point.
+        // Fails only if a pool exists already, and none does here.
         let _ = rayon::ThreadPoolBuilder::new().num_threads(usize::from(threads)).build_global();
     }
     match run(cli.verb, &Bars::new()) {

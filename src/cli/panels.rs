@@ -3,7 +3,7 @@
 use crate::picture::{Bar, Panel, color_panel, scalar_panel};
 use crate::render::RenderedView;
 
-/// Ends of the colour bars: one choice for all rows of a sheet.
+/// Ends of the colour bars, the same for all rows of a sheet.
 #[derive(Clone, Copy)]
 pub struct Ranges {
     /// Median depth, scene units.
@@ -29,7 +29,7 @@ pub fn view_panels(view: &RenderedView, name: &str, ranges: Ranges) -> Vec<Panel
     panels
 }
 
-/// Smallest and largest median depth of what is seen in some views.
+/// Smallest and largest median depth over the pixels of some views that show matter (opacity above ½).
 pub fn depth_range<'a>(views: impl IntoIterator<Item = &'a RenderedView>) -> [f64; 2] {
     let seen = views.into_iter().flat_map(|v| &v.pixels).filter(|p| p.opacity > 0.5).map(|p| p.median_depth);
     let (low, high) = seen.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), d| (l.min(d), h.max(d)));

@@ -1,4 +1,4 @@
-//! Progress bars on stderr, quiet when that is not a terminal, and Ctrl-C.
+//! Progress bars on stderr, hidden if that is no terminal, and Ctrl-C.
 
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -10,15 +10,15 @@ use crate::monitor::Monitor;
 
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 
-/// One bar at a time; the stage under way.
+/// The progress bar of the current stage.
 pub struct Bars {
     current: Mutex<ProgressBar>,
 }
 
 impl Bars {
-    /// No stage yet. The first Ctrl-C asks the work to stop, a second one ends the process at once.
+    /// No stage yet. The first Ctrl-C asks the work to stop; a second one ends the process at once.
     pub fn new() -> Self {
-        // Without a handler Ctrl-C still ends the process; only temporary files would stay behind.
+        // Without a handler Ctrl-C still ends the process, and only temporary files stay behind.
         let _ = ctrlc::set_handler(|| {
             if INTERRUPTED.swap(true, Ordering::Relaxed) {
                 std::process::exit(130);
@@ -27,7 +27,7 @@ impl Bars {
         Self { current: Mutex::new(ProgressBar::hidden()) }
     }
 
-    /// Says more about the stage under way, behind the bar.
+    /// Shows text about the current stage, to the right of the bar.
     pub fn message(&self, text: String) {
         self.bar().set_message(text);
     }

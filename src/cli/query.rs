@@ -13,12 +13,15 @@ use crate::posterior::Covariance;
 use crate::uncertainty::Estimate;
 use crate::{Error, Result};
 
-/// Ask for the uncertainty at points
+/// Query the uncertainty at points
 ///
-/// POINTS is `.npy` (f32 or f64 N x 3) or `.csv` (columns x,y,z; a header is recognised), in scene units. OUT is `.npy` (f64 N x 2:
-/// uncertainty, log10 uncertainty) or `.csv` (x,y,z,uncertainty,log10_uncertainty,level,inside,rays). `-` is CSV on stdin or
-/// stdout. Points outside the box get the prior and inside = 0. A field with error bars adds a column, `log10_error`: the root mean square error of
-/// log10 U, decades; where too few rays passed to know it is left empty in `.csv` and NaN in `.npy`.
+/// POINTS is `.npy` (f32 or f64, N x 3) or `.csv` (columns x,y,z; a header is recognised), in scene units. OUT is
+/// `.npy` (f64, N x 2: uncertainty, log10 uncertainty) or `.csv`
+/// (x,y,z,uncertainty,log10_uncertainty,level,inside,rays). `-` is CSV on stdin or stdout. Points outside the box
+/// get the prior and inside = 0.
+///
+/// A field with error bars adds a column, `log10_error`: the root mean square error of log10 U, in decades. Where
+/// too few rays passed to know it, it is empty in `.csv` and NaN in `.npy`.
 #[derive(clap::Args)]
 #[command(after_help = "Example: echo 0,0,0.5 | octobayes query lego.oct - -o -")]
 pub struct Args {
@@ -32,7 +35,7 @@ pub struct Args {
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
 
-    /// Another covariance than the field's own, if it keeps its Hessian
+    /// Read another covariance than the field's own; the field must keep its Hessian
     #[arg(long, value_enum)]
     covariance: Option<Covariance>,
 

@@ -20,8 +20,8 @@ use crate::{Error, Result};
 
 /// Render colour, depth and uncertainty of one view
 ///
-/// OUT.png shows labelled panels for people; OUT.exr holds the channels R, G, B, A, depth.Z (median distance from the camera),
-/// uncertainty.U (scene units) and log10_uncertainty.U for tools.
+/// OUT.png shows labelled panels for viewing. OUT.exr holds channels for tools: R, G, B, A, depth.Z (median
+/// distance from the camera), uncertainty.U (scene units) and log10_uncertainty.U.
 #[derive(clap::Args)]
 #[command(
     after_help = "Example: octobayes render lego.safetensors lego.oct --cameras transforms_test.json --frame 0 -o view.png"
@@ -30,14 +30,14 @@ pub struct Args {
     #[command(flatten)]
     model: ModelOptions,
 
-    /// Its uncertainty
+    /// Uncertainty of the model
     #[arg(value_name = "FIELD.oct")]
     field: PathBuf,
 
     #[command(flatten)]
     cameras: CameraOptions,
 
-    /// Which frame of the camera file, or which camera of the model, from 0
+    /// Frame of the camera file, or camera of the model, counted from 0
     #[arg(long, value_name = "K", default_value_t = 0)]
     frame: usize,
 
@@ -45,23 +45,23 @@ pub struct Args {
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
 
-    /// Remove density where log10 U exceeds this (the paper's clean-up); a PNG shows both, an EXR the cleaned view
+    /// Remove density where log10 U exceeds this (the paper's clean-up); PNG shows both views, EXR the cleaned one
     #[arg(long, value_name = "LOG10_U", allow_negative_numbers = true)]
     threshold: Option<f64>,
 
-    /// Ends of the colour bar of log10 U [default: those of the official code, -3,6]
+    /// Ends of the colour bar of log10 U [default: -3,6, as in the official code]
     #[arg(long, value_name = "LOW,HIGH", value_parser = parse_range, default_value = "-3,6", hide_default_value = true, allow_hyphen_values = true)]
     range: [f64; 2],
 
-    /// How log10 U is blended along a ray
+    /// How log10 U is averaged along a ray
     #[arg(long, value_enum, default_value = "weighted-mean")]
     blend: RayAverage,
 
-    /// Another covariance than the field's own, if it keeps its Hessian
+    /// Read another covariance than the field's own; the field must keep its Hessian
     #[arg(long, value_enum)]
     covariance: Option<Covariance>,
 
-    /// Use the field though it was computed for another model
+    /// Use the field even if it was computed for another model
     #[arg(long)]
     force: bool,
 }
@@ -124,11 +124,11 @@ impl Args {
     }
 }
 
-/// A field says nothing about space outside its box: it must lie in the model's.
+/// Refuses a field whose box does not lie in the model's.
 pub fn check_box(name: &str, model: &Aabb, field: &UncertaintyField) -> Result<()> {
-    // Contracted, it says something about all of space.
+    // A contracted field covers all of space.
     let Some(bounds) = field.lattice().domain().bounds() else { return Ok(()) };
-    // Boxes go through f32 in some files.
+    // Some files store boxes as f32.
     let slack = 1e-5 * model.longest_edge();
     let inside =
         (bounds.min() - model.min()).min_element() >= -slack && (model.max() - bounds.max()).min_element() >= -slack;
@@ -143,7 +143,7 @@ pub fn check_box(name: &str, model: &Aabb, field: &UncertaintyField) -> Result<(
     ))
 }
 
-/// The EXR's channels.
+/// The channels of the EXR.
 fn channels(view: &RenderedView) -> Vec<(&'static str, Vec<f32>)> {
     let of_pixel = |value: &dyn Fn(&crate::render::Pixel) -> f64| view.pixels.iter().map(|p| value(p) as f32).collect();
     let log10 = &view.log10_uncertainty[0];

@@ -1,4 +1,4 @@
-//! What runs print: protocol and results, for people or as JSON.
+//! What runs print: protocol and results, human-readable or as JSON.
 
 use std::io::Write;
 use std::path::Path;
@@ -18,7 +18,7 @@ use crate::{Error, Result};
 /// Prints a line to stdout. A reader that has seen enough (`| head`) is no failure.
 ///
 /// # Errors
-/// If stdout cannot be written otherwise, a full disk for example.
+/// If stdout cannot be written for another reason, such as a full disk.
 pub fn print(text: std::fmt::Arguments) -> Result<()> {
     match writeln!(std::io::stdout(), "{text}") {
         Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => Err(Error::io(Path::new("stdout"), "cannot write")(e)),
@@ -26,7 +26,7 @@ pub fn print(text: std::fmt::Arguments) -> Result<()> {
     }
 }
 
-/// Bytes for people.
+/// A number of bytes, human-readable.
 pub fn bytes(n: usize) -> String {
     let n = n as f64;
     match n {
@@ -37,7 +37,7 @@ pub fn bytes(n: usize) -> String {
     }
 }
 
-/// A number for people: four digits, without an exponent where it can be read without one.
+/// A number, human-readable: four digits, without an exponent where none is needed.
 pub fn short(x: f64) -> String {
     match x.abs() {
         0.0 => "0".into(),
@@ -46,17 +46,17 @@ pub fn short(x: f64) -> String {
     }
 }
 
-/// Seconds, times and memory of a run.
+/// Time and memory of a run, and the check of its step.
 pub struct Cost {
-    /// From the first ray to the finished field.
+    /// Time from the first ray to the finished field.
     pub elapsed: Duration,
-    /// Most that the sums held.
+    /// Largest size of the sums, bytes.
     pub sums_bytes: usize,
-    /// Whether the finite-difference step suits the field, if there is one.
+    /// Check of the finite-difference step, if there is one.
     pub step: Option<StepCheck>,
 }
 
-/// The protocol of a field as text, one setting a line.
+/// The protocol of a field as text, one setting per line.
 pub fn protocol(field: &UncertaintyField) -> String {
     let p = field.protocol();
     let lattice = field.lattice();
@@ -101,7 +101,7 @@ pub fn protocol(field: &UncertaintyField) -> String {
     out.trim_end().to_string()
 }
 
-/// Error bars in a line.
+/// Error bars in one line.
 fn error_bars(e: &ErrorSummary) -> String {
     let share = 100.0 * e.known as f64 / e.moved.max(1) as f64;
     format!(
@@ -125,7 +125,7 @@ pub fn protocol_json(field: &UncertaintyField) -> Value {
     })
 }
 
-/// One line on what a field consists of.
+/// What a field consists of, in one line.
 pub fn summary(s: &Summary) -> String {
     let leaves: Vec<String> = s.leaves_per_level.iter().enumerate().map(|(l, n)| format!("{l}:{n}")).collect();
     let leaves = if leaves.is_empty() { String::new() } else { format!(", leaves {}", leaves.join(" ")) };
@@ -140,7 +140,7 @@ pub fn summary(s: &Summary) -> String {
     )
 }
 
-/// Rows of |Δ log10 U|.
+/// Table of |Δ log10 U|.
 pub fn comparison(c: &Comparison) -> String {
     let row = |name: &str, d: &Option<Difference>| match d {
         None => format!("  {name:<10} no points: neither field holds surface points"),
@@ -165,7 +165,7 @@ pub fn comparison(c: &Comparison) -> String {
     )
 }
 
-/// Says on stderr how a run will go.
+/// Says on stderr what a run is expected to need.
 pub fn plan(plan: &Plan, grid: &GridSettings) {
     let memory = |b: f64| bytes(b as usize);
     let time = plan.time.as_secs_f64();
@@ -183,8 +183,8 @@ pub fn plan(plan: &Plan, grid: &GridSettings) {
             .filter(|(_, share)| **share > 0.0)
             .map(|(levels, share)| format!("{levels}: {:.1} %", 100.0 * share))
             .collect();
-        // The mean over a hat of twice the edge instead of the finest one's value: surfaces' H grows fourfold, which is divided
-        // out; what is left is what U varies by within the larger hat.
+        // A larger leaf has the mean over a hat of twice the edge instead of the finest hat's value. H at surfaces
+        // grows fourfold, which is divided out. What is left is the variation of U within the larger hat.
         eprintln!(
             "      leaves that have {:.1} rays a vertex or are {} levels coarser: {:.1} % of vertices given up;\n      levels given up by share of what \
              rays touch: {}; log10 U is the larger leaf's there",
@@ -196,7 +196,7 @@ pub fn plan(plan: &Plan, grid: &GridSettings) {
     }
 }
 
-/// Says on stderr that a finite-difference step is badly placed, if it is.
+/// Warns on stderr if a finite-difference step is badly placed.
 pub fn step(check: &StepCheck) {
     if check.is_bad {
         let (here, best) = (check.errors.at(check.step), check.errors.best());
@@ -219,7 +219,7 @@ pub fn step(check: &StepCheck) {
     }
 }
 
-/// A check of the step as JSON.
+/// The check of a step as JSON.
 fn step_json(check: &StepCheck) -> Value {
     let (here, best) = (check.errors.at(check.step), check.errors.best());
     json!({
@@ -237,7 +237,7 @@ fn step_json(check: &StepCheck) -> Value {
     })
 }
 
-/// Says on stderr what a run's approximations cost; `samples` is what negligible ones may.
+/// Says on stderr what a run's approximations cost. `samples` bounds the cost of negligible samples.
 pub fn audit(audit: &Audit, grid: &GridSettings, samples: f64) {
     let row = |name: &str, e: &SamplingError| {
         eprintln!("  {name:<44} {:.1e} in the mean, 95 % within {:.1e}", e.mean, e.percentile_95);
@@ -262,7 +262,7 @@ pub fn audit(audit: &Audit, grid: &GridSettings, samples: f64) {
     );
 }
 
-/// Says on stderr how far a run to a mean error came.
+/// Says on stderr how close a run to a mean error came.
 pub fn sampling_error(error: &SamplingError, rays: u64, wanted: f64) {
     let SamplingError { vertices, mean, percentile_95 } = error;
     if *vertices == 0 {
@@ -276,7 +276,7 @@ pub fn sampling_error(error: &SamplingError, rays: u64, wanted: f64) {
     );
 }
 
-/// What a finished run says about its field.
+/// Prints the results of a finished run.
 ///
 /// # Errors
 /// If stdout cannot be written.

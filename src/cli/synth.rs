@@ -11,19 +11,22 @@ use crate::synth::{DEPTH_PNG_SCALE, DatasetSettings, Up, write_dataset};
 
 /// Ray-trace a triangle mesh into a dataset: posed images and exact depth
 ///
-/// The mesh stands on a textured disc under a sun and a sky, everything in the box [-1, 1]^3; colour depends on position alone.
-/// Writes images/*.png (RGBA), depth/*.exr (32-bit float distance from the camera, 0 where nothing is hit; *.png the same in
-/// 16 bits), transforms_train.json, transforms_test.json, dataset.json and README.md. The folder appears when it is complete.
+/// The mesh stands on a textured disc under a sun and a sky, all in the box [-1, 1]^3. Colour depends on position
+/// alone.
+///
+/// Writes images/*.png (RGBA), depth/*.exr (32-bit float distance from the camera, 0 where nothing is hit),
+/// depth/*.png (the same in 16 bits), transforms_train.json, transforms_test.json, dataset.json and README.md. The
+/// folder appears once it is complete.
 #[derive(clap::Args)]
 #[command(after_help = "Example: octobayes synth bunny.obj -o bunny --views 60 --hemisphere left\n\
     then: octobayes evaluate MODEL FIELD.oct --cameras bunny/transforms_test.json --depth bunny/depth --depth-pattern {}.png \
     --depth-encoding 0,6.5535")]
 pub struct Args {
-    /// Triangle mesh (Wavefront OBJ); positions and faces are read, nothing else
+    /// Triangle mesh (Wavefront OBJ); only positions and faces are read
     #[arg(value_name = "MESH.obj")]
     mesh: PathBuf,
 
-    /// Folder to write; new or empty
+    /// Folder to write; it must be new or empty
     #[arg(short, long, value_name = "DATASET")]
     output: PathBuf,
 
@@ -31,7 +34,8 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     views: u32,
 
-    /// Stand training cameras in one half only, seen from the front (y < 0; right is x > 0); test cameras stand all around
+    /// Put training cameras in one half only, seen from the front (y < 0; right is x > 0); test cameras stand all
+    /// around
     #[arg(long, value_enum, value_name = "HALF")]
     hemisphere: Option<Hemisphere>,
 

@@ -20,19 +20,22 @@ use crate::train::{
 };
 use crate::{Error, Result};
 
-/// Parts of a run that the progress bar tells apart.
+/// Units of the progress bar.
 const PARTS: u64 = 1000;
-/// Pixels of held-out images that are compared while training goes on.
+/// Pixels of held-out images that are compared during training.
 const LOOK_PIXELS: usize = 20_000;
-/// A model within this many dB of one colour for all images has learnt nothing: a fifth of the squared error is gone.
+/// A model has learnt nothing if it is less than this many dB better than one colour for all images. At 1 dB a
+/// fifth of the squared error is gone.
 const ONE_COLOR_MARGIN: f64 = 1.0;
 
-/// Train a field of our own on posed images: a multiresolution hash grid (instant-ngp's design) on the CPU
+/// Train a model on posed images: a multiresolution hash grid (instant-ngp's design), on the CPU
 ///
-/// DATASET is a folder with transforms_train.json (and transforms_test.json, which is held out for measuring) or transforms.json
-/// (every eighth image is held out), or such a file, as `octobayes synth`, NeRF-synthetic, instant-ngp and nerfstudio write them. The model is
-/// input for all other verbs. With --steps the result is the same bit for bit on any number of threads; with --time it depends on how
-/// many steps fit, hence on the machine.
+/// DATASET is a folder or a camera file, as `octobayes synth`, NeRF-synthetic, instant-ngp and nerfstudio write
+/// them. Beside a transforms_train.json, transforms_test.json is held out for measuring. Of a transforms.json
+/// every eighth image is held out. `uncertainty`, `render`, `evaluate` and `info` read the model.
+///
+/// With --steps the result is the same bit for bit on any number of threads. With --time it depends on how many
+/// steps fit, hence on the machine.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  octobayes train nerf_synthetic/lego -o lego.safetensors --time 10m\n  \
     octobayes train lego -o few.safetensors --views 10 --steps 3000 --seed 1\n  \
@@ -48,24 +51,26 @@ pub struct Args {
     #[arg(short, long, value_name = "MODEL.safetensors")]
     output: PathBuf,
 
-    /// Training images: a number of them, spread over the file's order, or their indices from 0 as 0,7,31 (`7,` for
-    /// one), or `all`: those held out, too. Frames without an image are left out [default: all that are not held out]
+    /// Training images: how many, spread over the file's order; or their indices from 0, such as 0,7,31 (`7,` for
+    /// one); or `all`, including those held out. Frames without an image are left out [default: all that are not
+    /// held out]
     #[arg(long, value_name = "N|I,J,...|all", value_parser = parse_views)]
     views: Option<Selection>,
 
-    /// Only images taken from this half of the scene, seen from the front (y < 0; right is x > 0), around the middle of its box
+    /// Use only images taken from this half of the scene, seen from the front (y < 0; right is x > 0), around the
+    /// middle of its box
     #[arg(long, value_enum, value_name = "HALF")]
     hemisphere: Option<Hemisphere>,
 
-    /// Steps of training: reproducible
+    /// Number of training steps; the result is reproducible
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..), conflicts_with = "time")]
     steps: Option<u64>,
 
-    /// Time of training, as 90s, 3m or 1h; how many steps fit depends on the machine [default: 3m]
+    /// Training time, such as 90s, 3m or 1h; how many steps fit depends on the machine [default: 3m]
     #[arg(long, value_name = "TIME", value_parser = parse_time)]
     time: Option<Duration>,
 
-    /// Seed of first weights, rays and backgrounds
+    /// Seed of initial weights, rays and backgrounds
     #[arg(long, default_value_t = 0)]
     seed: u64,
 
@@ -73,49 +78,50 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=1000))]
     members: u64,
 
-    /// Go on where an interrupted run of the same command stopped; members that are finished are kept
+    /// Continue where an interrupted run of the same command stopped; finished models are kept
     #[arg(long)]
     resume: bool,
 
-    /// Seconds between two saves of the run's state (MODEL.state, removed at the end)
+    /// Seconds between saves of the run's state (MODEL.state, removed at the end)
     #[arg(long, value_name = "SECONDS", default_value_t = 60.0, value_parser = parse_non_negative)]
     save_every: f64,
 
-    /// What is behind transparent pixels: another colour for every ray (the model learns to be transparent there), or the colour that
-    /// images without alpha show: white, black or r,g,b in [0, 1]
+    /// Colour behind transparent pixels: `random` takes another for every ray, so that the model learns to be
+    /// transparent there; else the colour that images without alpha show: white, black or r,g,b in [0, 1]
     #[arg(long, value_name = "COLOR", default_value = "random", value_parser = parse_training_background)]
     background: Background,
 
-    /// Box of the scene: x0,y0,z0,x1,y1,z1 in scene units; nothing is modelled outside [default: `aabb` of the camera file, else
-    /// instant-ngp's cube of edge 3.03 around the origin times `aabb_scale`]
+    /// Box of the scene: x0,y0,z0,x1,y1,z1 in scene units; nothing is modelled outside [default: `aabb` of the
+    /// camera file, else instant-ngp's cube of edge 3.03 around the origin, times `aabb_scale`]
     #[arg(long = "box", value_name = "BOX", value_parser = parse_box, allow_hyphen_values = true, conflicts_with = "contract")]
     bounds: Option<Aabb>,
 
-    /// For unbounded scenes: contract space outside --inner as in mip-NeRF 360; modelled up to 8 radii away
+    /// Contract space outside --inner as in mip-NeRF 360, for unbounded scenes; modelled up to 8 radii away
     #[arg(long, value_enum, value_name = "NORM")]
     contract: Option<Norm>,
 
-    /// Centre and radius of the part that is not contracted: x,y,z,r in scene units [default: 0,0,0,1.515, instant-ngp's cube]
+    /// Centre and radius of the part that is not contracted: x,y,z,r in scene units [default: 0,0,0,1.515,
+    /// instant-ngp's cube]
     #[arg(long, value_name = "BALL", value_parser = numbers::<4>, allow_hyphen_values = true, requires = "contract")]
     inner: Option<[f64; 4]>,
 
-    /// Table entries per level, as power of two; larger tables hold more detail and are slower
+    /// Table entries per level, as a power of two; larger tables hold more detail and are slower
     #[arg(long, value_name = "LOG2", default_value_t = HashGridConfig::default().log2_hashmap_size, value_parser = clap::value_parser!(u32).range(8..=22))]
     log2_hashmap_size: u32,
 
-    /// Samples per step, about
+    /// Approximate number of samples per step
     #[arg(long, value_name = "N", default_value_t = TrainSettings::default().samples_per_step, value_parser = clap::value_parser!(u64).range(1024..=16_777_216))]
     samples_per_step: u64,
 
-    /// Adam's first learning rate; it decays over the run
+    /// Initial learning rate of Adam; it decays over the run
     #[arg(long, value_name = "RATE", default_value_t = TrainSettings::default().learning_rate, value_parser = parse_rate)]
     learning_rate: f32,
 
-    /// Factor of the distortion loss (mip-NeRF 360), which removes fog and floaters; 0 for none
+    /// Factor of the distortion loss (mip-NeRF 360), which removes fog and floaters; 0 turns it off
     #[arg(long, value_name = "FACTOR", default_value_t = f64::from(TrainSettings::default().distortion), value_parser = parse_non_negative)]
     distortion: f64,
 
-    /// Pixels of held-out images compared at the end, of all images together
+    /// Pixels of held-out images compared at the end, over all images together
     #[arg(long, value_name = "N", default_value_t = 200_000)]
     test_pixels: usize,
 
@@ -124,7 +130,7 @@ pub struct Args {
     json: bool,
 }
 
-/// Seconds, or a number with unit.
+/// Seconds, or a number with a unit.
 fn parse_time(text: &str) -> std::result::Result<Duration, String> {
     let split = text.find(|c: char| c.is_ascii_alphabetic()).unwrap_or(text.len());
     let (number, unit) = text.split_at(split);
@@ -156,7 +162,7 @@ fn state_file(model: &Path) -> PathBuf {
     model.with_extension("state")
 }
 
-/// One model to be trained.
+/// One model to train.
 struct Member {
     settings: TrainSettings,
     path: PathBuf,
@@ -207,7 +213,7 @@ impl Args {
         }
     }
 
-    /// What is read and written; a state is both, that is its point.
+    /// What is read and written. A state is both by design.
     fn command_files(&self, dataset: &Path) -> CommandFiles {
         (0..self.members)
             .map(|k| self.member_file(k))
@@ -226,7 +232,7 @@ impl Args {
         self.output.with_file_name(format!("{stem}-{k}.safetensors"))
     }
 
-    /// The k-th model; makes sure that no unfinished run is lost.
+    /// The k-th model. Refuses to overwrite the state of an unfinished run.
     fn member(&self, k: u64, files: &DatasetFiles) -> Result<Member> {
         let settings = TrainSettings {
             config: HashGridConfig { log2_hashmap_size: self.log2_hashmap_size, ..HashGridConfig::default() },
@@ -347,12 +353,12 @@ impl Args {
     }
 }
 
-/// Refuses cameras none of whose rays meets the space to be trained, and warns if few do.
+/// Refuses cameras whose rays all miss the space to be trained. Warns if few meet it.
 fn check_framing(train: &[Shot], domain: &Domain) -> Result<()> {
     let cameras: Vec<Camera> = train.iter().map(|shot| shot.camera).collect();
     let (bounds, is_all) = match domain {
         Domain::Box(bounds) => (*bounds, true),
-        // What is not contracted is what the pictures should be of; there is something to see outside of it, too.
+        // The pictures should show what is not contracted, but there is something to see outside it, too.
         Domain::Contracted { center, radius, .. } => {
             let (center, half) = (DVec3::from(*center), DVec3::splat(*radius));
             (Aabb::new(center - half, center + half)?, false)
@@ -369,12 +375,12 @@ fn check_framing(train: &[Shot], domain: &Domain) -> Result<()> {
     Ok(())
 }
 
-/// Warns of a model that shows images hardly better than one colour does.
+/// Warns if a model shows images hardly better than a single colour would.
 fn warn_of_one_color(field: &HashGrid, shots: [&[Shot]; 2], background: Vec3) {
     for (what, shots) in ["training", "held-out"].into_iter().zip(shots) {
         let Some(shown) = quality(field, shots, background, LOOK_PIXELS) else { continue };
         let Some(constant) = one_color(shots, background, LOOK_PIXELS) else { continue };
-        // Images of one colour are shown by one colour exactly.
+        // A single colour shows images of one colour exactly.
         if constant.psnr.is_finite() && shown.psnr < constant.psnr + ONE_COLOR_MARGIN {
             let (shown, constant) = (shown.psnr, constant.psnr);
             eprintln!(
@@ -386,7 +392,7 @@ fn warn_of_one_color(field: &HashGrid, shots: [&[Shot]; 2], background: Vec3) {
     }
 }
 
-/// A model that is there must be of the same run.
+/// Checks that a finished model is of the same run.
 fn check_finished(member: &Member) -> Result<()> {
     let field = HashGrid::read(&member.path)?;
     let other = member.description.as_object().into_iter().flatten().find(|(k, v)| field.training().get(k) != Some(v));

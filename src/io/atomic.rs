@@ -9,8 +9,8 @@ use tempfile::NamedTempFile;
 use super::place::{check_replaceable, destination, folder_of};
 use crate::{Error, Result};
 
-/// A buffered file under a temporary name beside its target, renamed over the target by [`AtomicFile::commit`] after its
-/// content has reached the disk, and removed if dropped before.
+/// A buffered file under a temporary name beside its target. [`AtomicFile::commit`] renames it over the target
+/// once its content has reached the disk. A file that is dropped before that is removed.
 #[derive(Debug)]
 pub struct AtomicFile {
     writer: BufWriter<NamedTempFile>,
@@ -18,10 +18,11 @@ pub struct AtomicFile {
 }
 
 impl AtomicFile {
-    /// Starts a file that will replace `target`, or what it links to: the link stays.
+    /// Starts a file that will replace `target`. If `target` is a link, the link stays and the file behind it is
+    /// replaced.
     ///
     /// # Errors
-    /// If the folder does not exist or cannot be written, or `target` is a folder, a device or a pipe.
+    /// If the folder does not exist or cannot be written, or if `target` is a folder, a device or a pipe.
     pub fn create(target: &Path) -> Result<Self> {
         check_replaceable(target)?;
         let destination = destination(target)?;
@@ -30,7 +31,7 @@ impl AtomicFile {
         builder.prefix(".octobayes-").suffix(".part");
         #[cfg(unix)]
         {
-            // The usual permissions of a new file (the umask applies), instead of a temporary file's private ones.
+            // A new file gets the usual permissions (the umask applies), not the private ones of a temporary file.
             use std::os::unix::fs::PermissionsExt;
             builder.permissions(std::fs::Permissions::from_mode(0o666));
         }
@@ -38,16 +39,16 @@ impl AtomicFile {
         Ok(Self { writer: BufWriter::with_capacity(1 << 16, file), target: destination })
     }
 
-    /// The path that the file will have, behind symbolic links.
+    /// The path that the file will have, with symbolic links resolved.
     #[must_use]
     pub fn target(&self) -> &Path {
         &self.target
     }
 
-    /// Flushes to disk and gives the file its name.
+    /// Flushes the content to disk and gives the file its name.
     ///
     /// # Errors
-    /// If the disk is full or the rename fails; the target is then as it was before.
+    /// If the disk is full or the rename fails. The target then stays as it was.
     pub fn commit(self) -> Result<()> {
         let Self { writer, target } = self;
         let file = writer.into_inner().map_err(|e| Error::io(&target, "cannot write")(e.into_error()))?;
@@ -56,7 +57,7 @@ impl AtomicFile {
         Ok(())
     }
 
-    /// The temporary file read from its start, for content that is copied elsewhere instead of committed.
+    /// Returns the temporary file, read from its start, for content that is copied elsewhere instead of committed.
     ///
     /// # Errors
     /// If buffered data cannot be written.

@@ -1,16 +1,17 @@
-//! The container of this crate's own files: a described header and named sections, all checksummed.
+//! The container of this crate's own files: a header that describes named sections, all checksummed.
 //!
 //! ```text
 //! 8 bytes   magic
 //! 3 × u32   format version, header length, CRC-32 of the header
 //! header    JSON: { "content": the content's own header, "sections": [{ "name", "bytes", "crc32" }, …] }
-//! sections  raw little-endian, one after the other, nothing behind the last
+//! sections  raw little-endian, one after the other; nothing follows the last
 //! ```
 //!
-//! The header names what it holds, so that a new setting breaks no old file: unknown fields and sections are passed over,
-//! and what is missing has its default. The version is raised only when an older program would misread the file.
+//! The header names what it holds, so a new setting breaks no old file. Unknown fields and sections are skipped,
+//! and missing ones get their defaults. The version is raised only when an older program would misread the file.
 //!
-//! A reader refuses what is truncated, altered, longer than it says, or newer, and allocates no more than the file holds.
+//! A reader refuses files that are truncated, altered, newer, or longer than they say. It allocates no more than
+//! the file holds.
 
 use std::collections::VecDeque;
 use std::fs::File;
@@ -23,12 +24,13 @@ use serde::{Deserialize, Serialize};
 use super::AtomicFile;
 use crate::{Error, Result};
 
-/// Headers are a few kilobytes; only the name of a source and the number of draws vary.
+/// Largest accepted header, bytes. Headers take a few kilobytes; only a source's name and the number of draws
+/// vary.
 pub(super) const MAX_HEADER: usize = 1 << 20;
-/// Items read or written at a time: between 16 KiB and 768 KiB.
+/// Items read or written at a time, between 16 KiB and 768 KiB.
 const CHUNK: usize = 1 << 14;
 
-/// Which file it is: `(magic, version)`.
+/// What identifies a kind of file: `(magic, version)`.
 pub type Format = (&'static [u8; 8], u32);
 
 /// What a section consists of.
@@ -93,14 +95,14 @@ impl<T: Item> Section for &[T] {
     }
 }
 
-/// How a file begins: what it is about, and what follows.
+/// How a file begins: the content's own header, and a description of the sections that follow.
 #[derive(Serialize, Deserialize)]
 struct Header<H> {
     content: H,
     sections: VecDeque<Described>,
 }
 
-/// A section in a file.
+/// A section as the header describes it.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct Described {
     pub name: String,
@@ -108,7 +110,7 @@ pub(super) struct Described {
     pub crc32: u32,
 }
 
-/// Writes a file; it appears complete or not at all.
+/// Writes a file. It appears complete or not at all.
 ///
 /// # Errors
 /// If the folder cannot be written or the disk is full.
@@ -142,7 +144,7 @@ pub fn write(path: &Path, format: Format, content: &impl Serialize, sections: &[
     file.commit()
 }
 
-/// The start of a file: its version, the bytes of its header, and where it goes on.
+/// The start of a file: its version, the bytes of its header, and the stream after them.
 pub(super) struct Start {
     pub version: u32,
     pub header: Vec<u8>,
@@ -184,7 +186,7 @@ impl Start {
         Ok(Self { version, header, file, length, path: path.to_path_buf() })
     }
 
-    /// The sections behind the header, whose lengths are compared with the file's.
+    /// The sections after the header. Checks their lengths against the file's.
     pub fn sections(self, sections: VecDeque<Described>) -> Result<Reader> {
         let Self { header, file, length, path, .. } = self;
         let expected = sections.iter().try_fold(20 + header.len() as u64, |sum, s| sum.checked_add(s.bytes));
@@ -197,17 +199,17 @@ impl Start {
     }
 }
 
-/// A file being read: its sections are taken in order.
+/// A file being read. Its sections are taken in order.
 pub struct Reader {
     file: BufReader<File>,
     path: PathBuf,
     sections: VecDeque<Described>,
 }
 
-/// The version of a file, which is of `format` or older.
+/// The version of a file in `format` or an older version of it.
 ///
 /// # Errors
-/// If the file is missing, of another format or newer, or its header is not as written.
+/// If the file is missing, of another format or newer, or if its header is damaged.
 pub fn version(path: &Path, format: Format) -> Result<u32> {
     Start::open(path, format).map(|start| start.version)
 }
@@ -216,7 +218,7 @@ impl Reader {
     /// Opens a file of exactly this `format`, and reads its header.
     ///
     /// # Errors
-    /// If the file is missing, of another format or version, or its header or length is not as written.
+    /// If the file is missing or of another format or version, or if its header or length is damaged.
     pub fn open<H: DeserializeOwned>(path: &Path, format: Format) -> Result<(H, Self)> {
         let start = Start::open(path, format)?;
         if start.version != format.1 {
@@ -228,23 +230,23 @@ impl Reader {
         Ok((content, start.sections(sections)?))
     }
 
-    /// Reads the next section of this name and checks it. Sections of other names before it are passed over.
+    /// Reads and checks the next section of this name. Sections of other names before it are skipped.
     ///
     /// # Errors
-    /// If there is none, its length is no multiple of the item's, its checksum differs, or reading fails.
+    /// If there is none, if its length is no multiple of the item's, if its checksum differs, or if reading fails.
     pub fn section<T: Item>(&mut self, name: &str) -> Result<Vec<T>> {
         let path = &self.path;
         let missing = || Error::malformed(path, "header", format!("a section `{name}`"), "none");
         let at = self.sections.iter().position(|section| section.name == name).ok_or_else(missing)?;
         let unknown = self.sections.drain(..at).map(|section| section.bytes).sum::<u64>();
-        // Their lengths together are less than the file's.
+        // The sum of their lengths is below the file's length, so it fits.
         self.file.seek_relative(unknown as i64).map_err(Error::io(path, "cannot read"))?;
         let Described { bytes: length, crc32, .. } = self.sections.pop_front().ok_or_else(missing)?;
         if !length.is_multiple_of(T::SIZE as u64) {
             let expected = format!("a multiple of {} bytes", T::SIZE);
             return Err(Error::malformed(path, format!("section `{name}`"), expected, format!("{length} bytes")));
         }
-        // The lengths were compared with the file's, so this allocates no more than is there.
+        // The lengths were checked against the file's, so this allocates no more than the file holds.
         let mut left = (length / T::SIZE as u64) as usize;
         let mut items = Vec::with_capacity(left);
         let mut hasher = crc32fast::Hasher::new();

@@ -1,4 +1,4 @@
-//! Containers as they were written before their headers named what they hold: bincode, and sections by position.
+//! Containers of older versions: a bincode header, and sections identified by position.
 
 use std::collections::VecDeque;
 use std::path::Path;
@@ -8,11 +8,11 @@ use serde::de::DeserializeOwned;
 use super::container::{Described, Format, MAX_HEADER, Reader, Start};
 use crate::{Error, Result};
 
-/// Opens a file of a version up to that of `format`. Files of version 1 have all but the last few of the sections
+/// Opens a file of `format` or an older version. Files of version 1 have all but the last few of the sections
 /// `names`; each later version has one more.
 ///
 /// # Errors
-/// If the file is missing, of another format or newer, or its header or length is not as written.
+/// If the file is missing, of another format or newer, or if its header or length is damaged.
 pub fn open<H: DeserializeOwned>(path: &Path, format: Format, names: &[&str]) -> Result<(H, Reader)> {
     let start = Start::open(path, format)?;
     let config = bincode::config::standard().with_limit::<MAX_HEADER>();
@@ -24,7 +24,7 @@ pub fn open<H: DeserializeOwned>(path: &Path, format: Format, names: &[&str]) ->
         let expected = format!("{} bytes and {count} sections", start.header.len());
         return Err(Error::malformed(path, "header", expected, format!("{read} and {}", described.len())));
     }
-    // What a version did not have yet is there, and empty: the checksum of nothing is 0.
+    // Sections that a version did not have yet are present but empty: the checksum of nothing is 0.
     let described = described.into_iter().chain(std::iter::repeat((0, 0)));
     let named = names.iter().zip(described);
     let sections = named.map(|(name, (bytes, crc32))| Described { name: (*name).into(), bytes, crc32 });

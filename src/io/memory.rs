@@ -1,6 +1,6 @@
 //! Memory used by this process.
 
-/// Peak resident set size of this process in bytes, if the system reports it (Linux does).
+/// Peak resident set size of this process, in bytes, if the system reports it (Linux does).
 #[must_use]
 pub fn peak() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
@@ -17,7 +17,7 @@ mod tests {
         let touched = vec![1_u8; 64 << 20];
         let with = super::peak().unwrap();
         assert!(std::hint::black_box(touched).iter().all(|&b| b == 1));
-        // Other tests of this process may have raised the peak before, so it is only a lower bound that is checked.
+        // Other tests of this process may have raised the peak before, so only a lower bound can be checked.
         assert!(with >= before && with >= 64 << 20);
     }
 }

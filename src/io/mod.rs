@@ -1,6 +1,8 @@
-//! Files: NumPy arrays and archives, this crate's own container, and writing without half-written results.
+//! Files: NumPy arrays and archives, EXR images, this crate's own container, and writing without half-written
+//! results.
 //!
-//! Readers treat every file as untrusted: sizes are checked against the bytes that are there before anything is allocated.
+//! Readers treat every file as untrusted: they check sizes against the bytes present before they allocate
+//! anything.
 
 mod atomic;
 pub mod container;

@@ -9,7 +9,7 @@ use npyz::{AutoSerialize, Deserialize, NpyHeader, Order, Serialize, TypeRead, Wr
 use super::AtomicFile;
 use crate::{Error, Result};
 
-/// Longest accepted header; NumPy's own are below 128 bytes for plain arrays.
+/// Longest accepted header, bytes. NumPy's own headers stay below 128 bytes for plain arrays.
 const MAX_HEADER: usize = 4096;
 
 /// An array in memory, C order.
@@ -32,7 +32,7 @@ impl<T> Array<T> {
     }
 }
 
-/// An array that is read element by element.
+/// An array read element by element.
 pub struct ArrayStream<T: Deserialize, R: Read> {
     reader: R,
     element: T::TypeReader,
@@ -44,10 +44,11 @@ pub struct ArrayStream<T: Deserialize, R: Read> {
 }
 
 impl<T: Deserialize, R: Read> ArrayStream<T, R> {
-    /// Starts reading the array `name` of the file `path`, of which `available` bytes (header included) are there at most.
+    /// Starts reading the array `name` of the file `path`. At most `available` bytes are there, header included.
     ///
     /// # Errors
-    /// If the header is not that of a C-order array of `T`, or claims more elements than `available` bytes can hold.
+    /// If the header is not that of a C-order array of `T`, or if it claims more elements than `available` bytes
+    /// can hold.
     pub fn new(mut reader: R, available: u64, path: &Path, name: &str) -> Result<Self> {
         let place = || format!("array `{name}`");
         let header = read_header(&mut reader, path, name)?;
@@ -90,10 +91,11 @@ impl<T: Deserialize, R: Read> ArrayStream<T, R> {
         check_shape(&self.path, &self.name, &self.shape, expected)
     }
 
-    /// The next element, `None` behind the last: there, that nothing follows, and an archive's checksum.
+    /// The next element, or `None` after the last. There it checks that nothing follows, and an archive's
+    /// checksum.
     ///
     /// # Errors
-    /// If the file ends early or goes on behind the last element, or an archive's checksum is not that of its content.
+    /// If the file ends early, if it goes on after the last element, or if an archive's checksum does not match.
     pub fn next_element(&mut self) -> Result<Option<T>> {
         let wrong = |found: String| {
             let expected = format!("data of shape {:?}", self.shape);
@@ -107,7 +109,7 @@ impl<T: Deserialize, R: Read> ArrayStream<T, R> {
             self.left -= 1;
             return self.element.read_one(&mut self.reader).map(Some).map_err(|e| wrong(reason(e)));
         }
-        // An archive's reader looks at the checksum when it comes to the end.
+        // An archive's reader checks the checksum only when it reaches the end.
         match self.reader.read(&mut [0]) {
             Ok(0) => Ok(None),
             Ok(_) => Err(wrong("more data behind it".into())),
@@ -138,7 +140,7 @@ fn check_shape(path: &Path, name: &str, shape: &[u64], expected: &[Option<u64>])
     Err(Error::malformed(path, format!("array `{name}`"), expected, format!("shape {shape:?}")))
 }
 
-/// Reads the header's bytes and makes sure that the parser behind can neither overflow nor recurse deeply.
+/// Reads the header's bytes, and refuses those on which the parser could overflow or recurse deeply.
 fn read_header(reader: &mut impl Read, path: &Path, name: &str) -> Result<Vec<u8>> {
     let bad = |found: &str| Error::malformed(path, format!("array `{name}`"), "a NumPy array header", found);
     let mut header = vec![0; 10];
@@ -163,7 +165,7 @@ fn read_header(reader: &mut impl Read, path: &Path, name: &str) -> Result<Vec<u8
     let brackets = text.iter().filter(|b| b"([{".contains(b)).count();
     let shape_at = text.iter().position(|&b| b == b'(').unwrap_or(0);
     let digits = text[shape_at..].iter().filter(|b| b.is_ascii_digit()).count();
-    // A dictionary with one tuple has two brackets; 18 digits in a shape keep its product below 2^64.
+    // A dictionary with one tuple has two brackets. With at most 18 digits, a shape's product stays below 2^64.
     if brackets > 2 || digits > 18 {
         return Err(bad("a nested or oversized header"));
     }

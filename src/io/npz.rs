@@ -1,4 +1,4 @@
-//! NumPy `.npz` archives: a zip of `.npy` members.
+//! NumPy `.npz` archives: a zip file with `.npy` members.
 
 use std::fs::File;
 use std::io::{BufReader, Write};
@@ -13,7 +13,7 @@ use super::AtomicFile;
 use super::npy::{self, Array, ArrayStream};
 use crate::{Error, Result};
 
-/// An archive opened for reading; open it once more for every member that is streamed at the same time.
+/// An archive opened for reading. To stream several members at the same time, open it once for each.
 pub struct NpzReader {
     archive: ZipArchive<BufReader<File>>,
     path: PathBuf,
@@ -23,7 +23,7 @@ impl NpzReader {
     /// Opens an archive.
     ///
     /// # Errors
-    /// If the file is missing or no zip archive.
+    /// If the file is missing or is no zip archive.
     pub fn open(path: &Path) -> Result<Self> {
         let file = File::open(path).map_err(Error::io(path, "cannot open"))?;
         let archive = ZipArchive::new(BufReader::new(file))
@@ -31,7 +31,7 @@ impl NpzReader {
         Ok(Self { archive, path: path.to_path_buf() })
     }
 
-    /// Whether the archive has the member `NAME.npy`.
+    /// True if the archive has the member `NAME.npy`.
     #[must_use]
     pub fn has(&self, name: &str) -> bool {
         self.archive.index_for_name(&format!("{name}.npy")).is_some()
@@ -56,16 +56,16 @@ impl NpzReader {
         ArrayStream::new(member, available, path, name)
     }
 
-    /// Reads the member `NAME.npy` as a whole.
+    /// Reads the whole member `NAME.npy`.
     ///
     /// # Errors
-    /// As [`NpzReader::stream`], or if the member ends early.
+    /// As [`NpzReader::stream`], and if the member ends early.
     pub fn array<T: Deserialize>(&mut self, name: &str) -> Result<Array<T>> {
         self.stream(name)?.into_array()
     }
 }
 
-/// An archive being written; it appears under its name with [`NpzWriter::finish`].
+/// An archive being written. It appears under its name with [`NpzWriter::finish`].
 pub struct NpzWriter {
     zip: ZipWriter<AtomicFile>,
     path: PathBuf,

@@ -4,10 +4,10 @@ use std::path::{Path, PathBuf};
 
 use crate::{Error, Result};
 
-/// Symbolic links that are followed one after the other, as on Linux.
+/// Longest chain of symbolic links that is followed, as on Linux.
 const MOST_LINKS: usize = 40;
 
-/// The folder that a path names something in.
+/// The folder that holds what `path` names.
 #[must_use]
 pub fn folder_of(path: &Path) -> &Path {
     match path.parent() {
@@ -16,10 +16,10 @@ pub fn folder_of(path: &Path) -> &Path {
     }
 }
 
-/// The path behind symbolic links at the end of `path`; it need not exist.
+/// `path` with symbolic links at its end resolved. The result need not exist.
 ///
 /// # Errors
-/// If links lead in a circle.
+/// If the links form a circle.
 pub fn destination(path: &Path) -> Result<PathBuf> {
     let mut destination = path.to_path_buf();
     for _ in 0..=MOST_LINKS {
@@ -32,41 +32,42 @@ pub fn destination(path: &Path) -> Result<PathBuf> {
     Err(Error::malformed(path, "output path", "a file", "symbolic links without an end"))
 }
 
-/// Makes sure that a file can be put at `path`: that there is a file, or nothing.
+/// Checks that a file can be put at `path`: there is a regular file, or nothing.
 ///
-/// A folder is not replaced by a file. Nor are devices and pipes: others hold them open, and a file under their name
-/// would not reach them.
+/// Folders are not replaced by files. Neither are devices and pipes: others hold them open, and a new file under
+/// their name would not reach them.
 ///
 /// # Errors
-/// If there is something else.
+/// If `path` is anything else.
 pub fn check_replaceable(path: &Path) -> Result<()> {
     let found = match std::fs::metadata(path) {
         Ok(metadata) if metadata.is_dir() => "a folder",
         Ok(metadata) if !metadata.is_file() => "a device or a pipe",
-        // Such as /dev/stdout, even where it leads to a file: the shell has it open.
+        // Such as /dev/stdout, even where it leads to a file: the shell has that file open.
         Ok(_) if is_of_the_system(folder_of(path)) => "a device or a pipe",
         _ => return Ok(()),
     };
     Err(Error::malformed(path, "output path", "a file", found))
 }
 
-/// Whether a folder holds devices, or open files of processes. Folders in `/dev`, as `/dev/shm`, are like any other.
+/// True if a folder holds devices, or open files of processes. Folders inside `/dev`, such as `/dev/shm`, do not
+/// count.
 fn is_of_the_system(folder: &Path) -> bool {
     let folder = folder.canonicalize().unwrap_or_default();
     cfg!(unix) && (folder == Path::new("/dev") || folder.starts_with("/proc"))
 }
 
-/// What tells one file from another, whether or not it exists yet.
+/// What distinguishes one file from another, whether or not it exists yet.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub enum Identity {
-    /// Device and number of an existing file: hard links are the same file.
+    /// Device and inode number of an existing file. Hard links are the same file.
     Number(u64, u64),
-    /// Name in a folder without links.
+    /// A path whose folder has no symbolic links.
     Name(PathBuf),
 }
 
 impl Identity {
-    /// Of the file at `path`, behind symbolic links.
+    /// The identity of the file at `path`, with symbolic links resolved.
     #[must_use]
     pub fn of(path: &Path) -> Self {
         #[cfg(unix)]

@@ -1,11 +1,11 @@
 //! Files whose checksums and lengths are right, whatever they hold.
 //!
-//! A byte changed at random in a file with checksums only ever tests the checksum. So a file of such a kind is taken apart into its
-//! contents, these are changed, and a file around them is made anew: what a person can do who wants to harm, or another program that
-//! writes the format and errs.
+//! A byte changed at random in a file with checksums only ever tests the checksum. So a file of such a kind is
+//! taken apart into its contents, these are changed, and a new file is built around them. This is what an attacker
+//! can do, or another program that writes the format and errs.
 //!
-//! A *recipe* is such contents in one row of bytes: its first byte is even if a whole file follows; if it is odd, parts follow, each
-//! with its length (u32, little-endian) before it.
+//! A *recipe* holds such contents in one row of bytes. If its first byte is even, a whole file follows. If it is
+//! odd, parts follow, each with its length (u32, little-endian) before it.
 
 use std::io::{Cursor, Read, Write};
 
@@ -19,10 +19,10 @@ const CHECKPOINT: [&str; 3] = ["codes", "sums", "surface"];
 const SAMPLES: [&str; 6] = ["positions", "jacobian", "ray", "rays_total", "weight", "gradient"];
 const VOXELS: [&str; 3] = ["box", "density", "color"];
 
-/// Most zeros that a forged `.safetensors` file ends with: more than an MLP NeRF needs.
+/// Most zeros at the end of a forged `.safetensors` file: more than an MLP NeRF needs.
 const MOST_WEIGHTS: usize = 1 << 20;
 
-/// The file that a recipe describes.
+/// Builds the file that a recipe describes.
 pub fn file(kind: Kind, recipe: &[u8]) -> Vec<u8> {
     let Some((&first, rest)) = recipe.split_first() else { return Vec::new() };
     if first % 2 == 0 {
@@ -44,7 +44,8 @@ pub fn file(kind: Kind, recipe: &[u8]) -> Vec<u8> {
     }
 }
 
-/// A recipe that says every content of a valid file apart, if the kind has parts; otherwise the file as it is.
+/// A recipe that names every content of a valid file separately, if the kind has parts; otherwise the file as it
+/// is.
 pub fn recipe(kind: Kind, file: &[u8]) -> Vec<u8> {
     let parts = match kind {
         Kind::Field | Kind::Checkpoint => container_parts(file),
@@ -65,7 +66,7 @@ pub fn raw(file: &[u8]) -> Vec<u8> {
     [&[0], file].concat()
 }
 
-/// The parts of a recipe behind its first byte; a length beyond the end means all that is left.
+/// The parts of a recipe after its first byte. A length beyond the end means all that is left.
 pub fn split(mut bytes: &[u8]) -> Vec<&[u8]> {
     let mut parts = Vec::new();
     while let Some((length, rest)) = bytes.split_first_chunk::<4>() {
@@ -86,7 +87,7 @@ pub fn join(parts: &[Vec<u8>]) -> Vec<u8> {
     recipe
 }
 
-/// A container: the content of its header as JSON, then the sections of these names.
+/// A container with this header content (JSON), followed by the sections of these names.
 fn container(magic: &[u8; 8], version: u32, names: &[&str], parts: &[&[u8]]) -> Vec<u8> {
     let part = |i: usize| parts.get(i).copied().unwrap_or_default();
     let sections: Vec<&[u8]> = (1..=names.len()).map(part).collect();
@@ -106,7 +107,7 @@ fn container(magic: &[u8; 8], version: u32, names: &[&str], parts: &[&[u8]]) -> 
     file
 }
 
-/// Content of the header, and the sections, of a valid container.
+/// The header content and the sections of a valid container.
 fn container_parts(file: &[u8]) -> Vec<Vec<u8>> {
     let length = u32::from_le_bytes(file[12..16].try_into().unwrap()) as usize;
     let (header, mut rest) = file[20..].split_at(length);
@@ -120,7 +121,7 @@ fn container_parts(file: &[u8]) -> Vec<Vec<u8>> {
     parts
 }
 
-/// A zip archive with the first few of these arrays, stored.
+/// A zip archive with the first few of these arrays, stored without compression.
 fn archive(names: &[&str], parts: &[&[u8]]) -> Vec<u8> {
     let mut zip = zip::ZipWriter::new(Cursor::new(Vec::new()));
     let options = zip::write::SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored);

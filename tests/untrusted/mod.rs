@@ -1,14 +1,15 @@
-//! Files from strangers: small valid ones of every kind that the program reads, ways to put wrong ones together, and readers that
-//! also use what they were given. Shared by the tests of damaged files and the fuzz targets in `fuzz/`.
+//! Files from strangers: small valid ones of every kind that the program reads, ways to build faulty ones, and
+//! readers that also use what they read. The tests of damaged files and the fuzz targets in `fuzz/` share this
+//! module.
 
 pub mod forge;
 pub mod probe;
 pub mod samples;
 
-/// What the program reads.
+/// The kinds of files that the program reads.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
-    /// `.oct`
+    /// `.oct` field.
     Field,
     /// State of an unfinished run.
     Checkpoint,
@@ -50,7 +51,7 @@ impl Kind {
         Self::Image,
     ];
 
-    /// Name of a file of this kind; it has the extension that the program goes by.
+    /// Name of a file of this kind, with the extension that the program expects.
     pub fn file_name(self) -> &'static str {
         match self {
             Self::Field => "field.oct",

@@ -1,4 +1,4 @@
-//! Reads a file and uses what came of it: what a reader lets through must not harm later.
+//! Reads a file and uses the result: what a reader accepts must do no harm later.
 
 use std::path::Path;
 
@@ -18,7 +18,7 @@ use octobayes::{Error, Result};
 
 use super::{Kind, samples};
 
-/// Points in and around the boxes of the samples, and what is no point.
+/// Points in and around the boxes of the samples, and some that are not finite.
 fn points_around(bounds: Aabb) -> Vec<Vec3> {
     let (min, max) = (bounds.min(), bounds.max());
     let at = |u: [f64; 3]| (min + DVec3::from(u) * (max - min)).as_vec3();
@@ -27,7 +27,7 @@ fn points_around(bounds: Aabb) -> Vec<Vec3> {
     inside.into_iter().chain(others).collect()
 }
 
-/// Reads `path` as `kind` and does no more; whether it was accepted.
+/// Reads `path` as `kind`, without using the result. Returns true if it was accepted.
 pub fn open(kind: Kind, path: &Path) -> bool {
     match kind {
         Kind::Field => UncertaintyField::read(path).is_ok(),
@@ -57,13 +57,13 @@ fn csv(path: &Path) -> Result<Vec<Vec3>> {
     std::fs::File::open(path).map_err(Error::io(path, "cannot open")).and_then(|file| points::read_csv(file, path))
 }
 
-/// Reads `path` as `kind` and uses it.
+/// Reads `path` as `kind` and uses the result.
 ///
 /// # Errors
 /// If the reader refuses the file.
 ///
 /// # Panics
-/// If what it accepted is nonsense.
+/// If the reader accepted nonsense.
 pub fn read(kind: Kind, path: &Path) -> Result<()> {
     let outcome = match kind {
         Kind::Field => UncertaintyField::read(path).map(|field| field_is_sound(&field, path)),
@@ -111,7 +111,7 @@ fn field_is_sound(field: &UncertaintyField, path: &Path) {
         let _ = field.coarsened(0.1);
         let _ = merge(&[field.clone(), field.clone()]);
         let _ = merge_with_error_bars(&[field.clone(), field.clone()]);
-        // Level 5 of the official grid is 36,000 entries, level 9 a gigabyte.
+        // Level 5 of the official grid has 36,000 entries; level 9 takes a gigabyte.
         if field.lattice().level() <= 5 {
             let _ = field.write_official(&path.with_extension("again.npy"));
         }
@@ -141,7 +141,7 @@ fn checkpoint(path: &Path) -> Result<()> {
                 field_is_sound(&builder.finish(&Provenance { progress, ..Provenance::default() }), path);
             }
         });
-        // The other grid's is of another lattice: that says nothing of what is wrong.
+        // The other grid belongs to another lattice, so a refusal says nothing about this file.
         if !outcome.as_ref().is_err_and(|e| e.to_string().contains("run, lattice")) {
             break;
         }

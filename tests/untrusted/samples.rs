@@ -1,4 +1,5 @@
-//! Small valid files of every kind, written by the program's own writers where it has one; nothing here is anybody's data.
+//! Small valid files of every kind, written by the program's own writers where there is one. Nothing here is
+//! anybody's data.
 
 use std::path::Path;
 
@@ -19,7 +20,7 @@ use safetensors::tensor::{Dtype, TensorView};
 
 use super::Kind;
 
-/// Valid files of a kind, each with something that the others do not have.
+/// Valid files of a kind. Each has something that the others lack.
 pub fn of(kind: Kind) -> Vec<Vec<u8>> {
     match kind {
         Kind::Field => fields().iter().map(|field| written("field.oct", |path| field.write(path).unwrap())).collect(),
@@ -49,7 +50,7 @@ pub fn of(kind: Kind) -> Vec<Vec<u8>> {
     }
 }
 
-/// What `write` writes.
+/// The bytes that `write` writes.
 fn written(name: &str, write: impl FnOnce(&Path)) -> Vec<u8> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join(name);
@@ -79,7 +80,7 @@ fn progress() -> RunProgress {
     RunProgress { batches: 1, rays: 5, samples: 12, ..RunProgress::default() }
 }
 
-/// Octree and dense grid, with and without evidence, in two bytes, of contracted space, with limited leaves.
+/// Fields on octree and dense grid: with and without sums, in two bytes, of contracted space, with limited leaves.
 pub fn fields() -> Vec<UncertaintyField> {
     let cube = Domain::Box(Aabb::centered_cube(1.0));
     let space = Domain::contracted(DVec3::new(0.1, 0.2, 0.3), 0.5, Norm::L2).unwrap();
@@ -104,7 +105,7 @@ pub fn fields() -> Vec<UncertaintyField> {
     let rays = RaySettings { rays: 100, occupancy: 8, ..RaySettings::default() };
     let cameras = ClosedForm::half_circle(2, [8, 8]);
     let limited = Estimation::new(&ClosedForm::ball(), &cameras).rays(rays).grid(limited).run().unwrap().field;
-    // Error bars, known and not.
+    // Error bars, known and unknown.
     let bars = |field: UncertaintyField| {
         let half = field.sums().unwrap().to_vec();
         let other = half.iter().enumerate().map(|(v, e)| if v % 3 == 0 { *e } else { VertexSums::default() }).collect();
@@ -122,7 +123,7 @@ pub fn fields() -> Vec<UncertaintyField> {
     ]
 }
 
-/// The run that the sample checkpoints belong to.
+/// The run to which the sample checkpoints belong.
 pub fn run_key(grid: GridKind) -> RunKey {
     let settings = GridSettings { grid, level: if grid == GridKind::Dense { 1 } else { 3 }, ..GridSettings::default() };
     RunKey {
@@ -158,7 +159,7 @@ fn checkpoint(grid: GridKind) -> Vec<u8> {
     written("run.chk", |path| one.save(path, &key, progress()).unwrap())
 }
 
-/// A Plenoptic PNG of type `kind` with as few numbers as there can be.
+/// A Plenoptic PNG of type `kind` with as few numbers as possible.
 fn ppng(kind: u64, cascades: u64) -> Vec<u8> {
     let (quants, rank, cells) = (2_u64, 1, 4_u32);
     let mut out = Vec::new();
@@ -224,7 +225,7 @@ fn samples() -> Vec<u8> {
     })
 }
 
-/// Without what is optional, in NumPy's other integers.
+/// Without optional entries, and in NumPy's other integer types.
 fn few_samples() -> Vec<u8> {
     written("samples.npz", |path| {
         let mut npz = octobayes::internal::npz::NpzWriter::create(path).unwrap();

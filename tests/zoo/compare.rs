@@ -13,7 +13,7 @@ use octobayes::zoo::Specimen;
 use crate::oracle::ground::Ground;
 use crate::oracle::{Derivatives, Oracle, Sums, hessian, readings};
 
-/// A specimen, its cameras, and how it is looked at.
+/// A specimen, its cameras, and the settings to look at it.
 pub struct Case<'a> {
     pub field: &'a Specimen,
     pub cameras: &'a [Camera],
@@ -21,16 +21,16 @@ pub struct Case<'a> {
     pub rays: u64,
 }
 
-/// What came out of the pipeline, with what the oracle needs to follow its rays.
+/// What came out of the pipeline, and what the oracle needs to follow its rays.
 pub struct Run {
     pub field: UncertaintyField,
     pub progress: RunProgress,
     pub picks: Vec<Pick>,
-    /// h of the differences.
+    /// Half the width h of the differences.
     pub h: DVec3,
 }
 
-/// The settings that leave nothing out: every sample of every ray is differentiated.
+/// Settings that leave nothing out: every sample of every ray is differentiated.
 pub fn nothing_left_out(rays: RaySettings, grid: GridSettings) -> (RaySettings, GridSettings) {
     (RaySettings { cutoff: 0.0, ..rays }, GridSettings { tolerance: 0.0, ..grid })
 }
@@ -47,7 +47,7 @@ impl Case<'_> {
         self.run_through(self.field, settings)
     }
 
-    /// Runs the pipeline on another field that is the same.
+    /// Runs the pipeline on a field with the same values.
     pub fn run_through(&self, field: &dyn RadianceField, (rays, grid): (RaySettings, GridSettings)) -> Result<Run> {
         let run = Estimation::new(field, self.cameras).rays(rays).grid(grid).prepare()?;
         let picks = run.stream().pixels.picks(0, rays.rays);
@@ -90,26 +90,27 @@ fn matrix(sums: &VertexSums) -> DMat3 {
 /// How far apart two fields are, over all (M + 1)³ vertices, none left out.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Error {
-    /// max ‖ΔH‖ / ‖H‖, Frobenius.
+    /// max ‖ΔH‖ / ‖H‖, Frobenius norm.
     pub hessian: f64,
     /// max |Δ log10 U| of `diagonal`, `trace`, `block`.
     pub largest: [f64; 3],
-    /// Mean |Δ log10 U| of the same over the vertices whose `trace` either moved by more than a tenth of a decade.
+    /// Mean |Δ log10 U| of the same, over the vertices whose `trace` was moved by more than a tenth of a decade in
+    /// either run.
     pub mean: [f64; 3],
-    /// Mean of Δ log10 U (pipeline − oracle) over them.
+    /// Mean of Δ log10 U (pipeline − oracle) over these vertices.
     pub bias: [f64; 3],
-    /// How many these are.
+    /// Number of these vertices.
     pub moved: usize,
 }
 
 impl Error {
-    /// Mean and maximum of |Δ log10 U| of whichever reading is worst.
+    /// Mean and maximum of |Δ log10 U| of the worst reading of each.
     pub fn worst(&self) -> [f64; 2] {
         [self.mean, self.largest].map(|readings| readings.into_iter().fold(0.0, f64::max))
     }
 }
 
-/// A run against the oracle's sums over its rays.
+/// Compares a run with the oracle's sums over the same rays.
 pub fn error(case: &Case, run: &Run, truth: &Sums) -> Error {
     let (rays, lambda) = (run.picks.len() as u64, lambda(case.field, case.level));
     let sums = run.field.sums().expect("it was kept");
@@ -119,7 +120,7 @@ pub fn error(case: &Case, run: &Run, truth: &Sums) -> Error {
     for (found, truth) in sums.iter().zip(&truth.information) {
         let (a, b) = (hessian(&matrix(found), rays, lambda), hessian(truth, rays, lambda));
         let norm = |m: DMat3| m.to_cols_array().iter().map(|v| v * v).sum::<f64>().sqrt();
-        // A maximum passes over NaN.
+        // Taking a maximum would skip NaN.
         assert!(norm(a).is_finite() && norm(b).is_finite(), "{a} against {b}");
         error.hessian = error.hessian.max(norm(a - b) / norm(b));
         let exact = readings(truth, rays, lambda);

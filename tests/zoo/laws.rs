@@ -18,14 +18,14 @@ use crate::oracle::Derivatives;
 
 const RAYS: u64 = 400;
 
-/// U of a specimen at level 4, dense, by default, with its evidence.
+/// U of a specimen at level 4 on the dense grid, by default settings, with its sums.
 fn dense(field: &Specimen, cameras: &[Camera]) -> octobayes::Result<UncertaintyField> {
     let grid = GridSettings { grid: GridKind::Dense, level: 4, ..GridSettings::default() };
     let rays = RaySettings { rays: RAYS, occupancy: 32, ..RaySettings::default() };
     Ok(Estimation::new(field, cameras).rays(rays).grid(grid).run()?.field)
 }
 
-/// U of the ball where it usually is.
+/// U of the ball in its usual place.
 static USUAL: LazyLock<UncertaintyField> = LazyLock::new(|| {
     let ball = boxes::moved_ball(1.0, DVec3::ZERO).unwrap();
     dense(&ball, &cameras(&ball)).unwrap()
@@ -40,7 +40,7 @@ fn change(field: &UncertaintyField, decades: f64) -> (f64, f64) {
     (changes.iter().sum::<f64>() / changes.len() as f64, changes.iter().copied().fold(0.0, f64::max))
 }
 
-/// What f32 positions are apart at x.
+/// The spacing of f32 positions at x.
 fn ulp(x: f64) -> f64 {
     f64::from((x as f32).next_up()) - f64::from(x as f32)
 }
@@ -52,7 +52,7 @@ proptest! {
     fn u_scales_with_the_scene(decades in -6.0..6.0_f64) {
         let ball = boxes::moved_ball(10_f64.powf(decades), DVec3::ZERO).unwrap();
         let (mean, largest) = change(&dense(&ball, &cameras(&ball)).unwrap(), decades);
-        // Rounded anew everywhere: twice the error of either against the oracle.
+        // Rounding is different everywhere: twice the error of either against the oracle.
         prop_assert!(mean < 2e-4 && largest < 0.02, "{} {}", mean, largest);
     }
 
@@ -81,7 +81,8 @@ proptest! {
         match dense(&ball, &cameras(&ball)) {
             Ok(field) => {
                 prop_assert!(apart <= most, "{} apart, {} at most", apart, most);
-                // A position is off by up to half of what they are apart, as is the middle of a difference, in a ramp 0.08 wide.
+                // A position is off by up to half the spacing, and so is the middle of a difference, in a ramp
+                // 0.08 wide.
                 let (mean, _) = change(&field, 0.0);
                 prop_assert!(mean < 2.0 * apart / 0.08 + 2e-4, "mean {} where positions are {} apart", mean, apart);
             }
@@ -110,9 +111,11 @@ proptest! {
         for (found, expected) in [xx, xy, xz, yy, yz, zz].into_iter().zip(expected) {
             prop_assert!((found / s - expected).abs() < 2e-3, "{:?} along {}", best, normal);
         }
-        // `block`: two of three priors stay (0.088), but for what rounding looks like. `diagonal`: all three go, unless the wall faces an axis: the method's own limit.
+        // `block` keeps two of three priors (0.088), except where rounding passes for information. `diagonal`
+        // loses all three unless the wall faces an axis. That is a limit of the method itself.
         let gain = (prior / Covariance::Block.deviation(best, RAYS, lambda)).log10();
-        // Differences of f32 are off by ε = 2⁻²⁴ f / h = 5e-4 f, beside slopes of 2 f: along the wall that adds up as squares, ε² / 4 of s at most.
+        // Differences of f32 are off by `ε = 2⁻²⁴ f / h = 5e-4 f`, beside slopes of 2 f. Along the wall that adds
+        // up as squares, to at most ε² / 4 of s.
         let noise = s * (5e-4_f64 / 2.0).powi(2) / (lambda * RAYS as f64);
         let most = 0.5 * (1.5 * (1.0 + noise)).log10();
         prop_assert!((0.087..most).contains(&gain), "{} of at most {}", gain, most);
@@ -133,7 +136,7 @@ proptest! {
         let run = case.run(nothing_left_out(rays, grid)).unwrap();
         let truth = case.oracle(&run, Derivatives::Differences(run.h));
         let e = error(&case, &run, &truth);
-        // As in the table of limits; and no more.
+        // As in the table of limits, but not zero.
         prop_assert!(e.hessian < 2e-2 && e.hessian > 1e-9 && e.worst()[0] < 1e-3, "{:?}", e);
     }
 }

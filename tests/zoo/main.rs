@@ -1,6 +1,7 @@
 //! The zoo of hard scenes against an independent oracle in f64.
 //!
-//! "Nothing left out" is cutoff 0 and tolerance 0: what is left is the rounding of f32. "By default" samples without influence are skipped.
+//! "Nothing left out" means cutoff 0 and tolerance 0: only the rounding of f32 remains. "By default", samples
+//! without influence are skipped.
 
 mod compare;
 mod laws;
@@ -17,7 +18,7 @@ use octobayes::zoo::{self, Quantity, Scene, Treatment, Verdict};
 use compare::{Case, error, nothing_left_out};
 use oracle::Derivatives;
 
-/// What a comparison with the oracle may come to.
+/// How far a comparison with the oracle may be off.
 struct Limits {
     /// max ‖ΔH‖ / ‖H‖, nothing left out.
     hessian: f64,
@@ -25,25 +26,28 @@ struct Limits {
     default: [f64; 2],
 }
 
-/// Differences of f32 values over ±h = 2⁻¹³ have an error of 2⁻²⁴ f / h = 5e-4 f, beside slopes of 2 f and more where a vertex has information;
-/// twice that in H, and forty times more where a ramp ends and its slope does: 2e-2 (0.017 was the worst, on a wall). By default a tenth of the tolerance, 1e-3, in the mean (what
-/// the cutoff leaves out has no bound at single vertices that hardly anything else speaks of: 0.05).
+/// Differences of f32 values over ±h = 2⁻¹³ have an error of `2⁻²⁴ f / h = 5e-4 f`, beside slopes of 2 f and more
+/// where a vertex has information. H has twice that error, and forty times more where a ramp ends and so does its
+/// slope: 2e-2 (0.017 was the worst, on a wall). By default the mean may be off by a tenth of the tolerance, 1e-3.
+/// What the cutoff leaves out has no bound at single vertices that have hardly any other information: 0.05.
 const USUAL: Limits = Limits { hessian: 2e-2, default: [1e-3, 0.05] };
 
 fn limits(scene: &Scene) -> Limits {
     match (scene.name, scene.field.treatment()) {
-        // Positions are rounded by 6e-8 in a ramp of 1.2e-4, at whose foot the density grows with the third power; one sample may be all that a vertex has.
+        // Positions are rounded by 6e-8 in a ramp of 1.2e-4. At its foot the density grows with the third power,
+        // and one sample may be all that a vertex has.
         ("opaque-step", _) => Limits { hessian: 0.5, default: [2e-3, 0.05] },
-        // f32 and f64 fall on different sides of an f16 step in one of 5,000 cases, and then differ by all of it; what a wall says along itself is such
-        // noise alone.
+        // f32 and f64 fall on different sides of an f16 step in one of 5,000 cases, and then differ by the whole
+        // step. What a wall says along itself is nothing but such noise.
         (_, Treatment::Half) => Limits { hessian: 0.2, default: [5e-3, 0.5] },
-        // A black box with kinks or steps: rays that pass it by within h are lost, which some vertices at the rim live on. 0.8 was measured.
+        // A black box with kinks or steps: rays that pass it within h are lost, and some vertices at the rim
+        // depend on them. 0.8 was measured.
         (_, Treatment::Grid { .. } | Treatment::Fault { .. }) => Limits { default: [1e-3, 1.0], ..USUAL },
         _ => USUAL,
     }
 }
 
-/// A case of the zoo with few rays: errors of single vertices do not depend on their number.
+/// Compares a case of the zoo on few rays: errors of single vertices do not depend on their number.
 fn agrees_with_the_oracle(scene: &Scene) {
     let cameras = scene.cameras();
     let case = Case { field: &scene.field, cameras: &cameras, level: scene.level, rays: 1024 };
@@ -57,18 +61,18 @@ fn agrees_with_the_oracle(scene: &Scene) {
     let (rounding, default) = (error(&case, &whole, &truth), error(&case, &run, &truth));
     let limits = limits(scene);
     if truth.dropped == 0 {
-        // With cutoff 0 rays go on behind opaque matter and may be dropped for what nobody sees.
+        // With cutoff 0, rays continue behind opaque matter, and may be dropped for what nobody sees.
         assert!(rounding.hessian <= limits.hessian, "{}, nothing left out: {rounding:?}", scene.name);
     }
     let [mean, largest] = default.worst();
     assert!(mean <= limits.default[0] && largest <= limits.default[1], "{}: {default:?}", scene.name);
-    // Two-sided: the oracle is no copy. Where no ray meets anything, nothing is rounded.
+    // Two-sided, because the oracle is no copy. Where no ray meets anything, nothing is rounded.
     let blind = ["no-camera", "empty"].contains(&scene.name);
     assert_eq!(default.moved == 0, blind, "{}: {default:?}", scene.name);
     assert_eq!(rounding.hessian < 1e-9, blind, "{}: {rounding:?}", scene.name);
 }
 
-/// One test per module of the zoo, so that they run side by side.
+/// One test per module of the zoo, so that they run in parallel.
 macro_rules! agreement {
     ($($module:ident)*) => { $(
         #[test]
@@ -111,7 +115,7 @@ fn the_octree_says_what_the_dense_grid_says() {
         let Outcome { field: octree, .. } =
             Estimation::new(&scene.field, &cameras).rays(rays).grid(grid).run().unwrap();
         let largest = compare_fields(&octree, &dense, 20_000, 0).unwrap().in_box.unwrap().max;
-        // The tolerance, and deviations stored as f32.
+        // The tolerance, and the rounding of deviations to f32.
         assert!(largest <= grid.tolerance + 1e-7, "{}: {largest}", scene.name);
     }
 }

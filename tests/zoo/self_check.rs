@@ -1,4 +1,4 @@
-//! The oracle against definitions: it must not be wrong in the same way as what it judges.
+//! The oracle against definitions: it must not be wrong in the same way as what it checks.
 
 use glam::{DMat3, DVec3};
 use octobayes::rays::Pick;
@@ -7,7 +7,7 @@ use octobayes::zoo;
 use crate::oracle::ground::Ground;
 use crate::oracle::{Derivatives, Oracle, eigenvalues};
 
-/// ∂C/∂θ_v by the model itself: the vertex is displaced, the ray composited again.
+/// ∂C/∂θ_v by the model itself: the vertex is displaced, and the ray composited again.
 #[test]
 fn jacobians_are_the_pixels_response_to_a_displaced_vertex() {
     for name in ["checker-coarse", "camera-inside", "thin-sheet", "saturated"] {
@@ -37,7 +37,8 @@ fn jacobians_are_the_pixels_response_to_a_displaced_vertex() {
                 };
                 let brute = DMat3::from_cols(column(0), column(1), column(2));
                 let off = (brute - jacobian).to_cols_array().into_iter().fold(0.0, |a: f64, b| a.max(b.abs()));
-                // Rounding, 1e-16 / 1e-6; truncation, h² times the third derivative: 1e-12 · (1 / 0.004)² at a sheet's ramp.
+                // Rounding is 1e-16 / 1e-6. Truncation is h² times the third derivative: `1e-12 · (1 / 0.004)²` at
+                // a sheet's ramp.
                 assert!(off <= 1e-6 * scale + 1e-9, "{name}, vertex {vertex}: {jacobian} against {brute}");
                 compared += 1;
             }
@@ -54,7 +55,7 @@ fn eigenvalues_are_those_that_a_matrix_was_made_of() {
         let mut found = eigenvalues(&(turn * DMat3::from_diagonal(DVec3::from(made)) * turn.transpose()));
         found.sort_by(f64::total_cmp);
         for (found, made) in found.into_iter().zip(made) {
-            // Two products round by some ulps of the largest.
+            // Two products round by a few ulps of the largest.
             assert!((found - made).abs() <= 1e-14 * 1e3, "{found} for {made}");
         }
     }

@@ -1,4 +1,4 @@
-//! Single scenes: what is particular to them.
+//! Single scenes: what is special about each.
 
 use glam::{DMat3, DVec3, Vec3};
 use octobayes::estimate::RaySettings;
@@ -20,7 +20,7 @@ fn information(run: &Run) -> f64 {
     run.field.sums().unwrap().iter().map(|e| trace(&e.information)).sum()
 }
 
-/// A field that keeps its bounds to itself, as most models do.
+/// A field that does not reveal its density bounds, as most models do not.
 struct BlackBox<'a>(&'a dyn RadianceField);
 
 impl RadianceField for BlackBox<'_> {
@@ -41,7 +41,8 @@ impl RadianceField for BlackBox<'_> {
     }
 }
 
-/// An early version lost 39 % of the information here: of rays that pass a step by within h, all of whose samples are in empty space.
+/// An early version lost 39 % of the information here, from rays that pass a step within h with all samples in
+/// empty space.
 #[test]
 fn rays_that_pass_a_step_by_are_found_if_the_field_bounds_its_density() {
     let scene = scene("opaque-step");
@@ -50,14 +51,15 @@ fn rays_that_pass_a_step_by_are_found_if_the_field_bounds_its_density() {
     let (rays, grid) = case.defaults();
     let whole = information(&case.run(nothing_left_out(rays, grid)).unwrap());
     let default = information(&case.run((rays, grid)).unwrap());
-    // Left out: ‖G‖ below the cutoff, 1e-6 / 2h = 1e-3 of G up to 80.
+    // Left out: ‖G‖ below the cutoff, `1e-6 / 2h = 1e-3`, of G up to 80.
     assert!((default / whole - 1.0).abs() < 1e-6, "{default} of {whole}");
     let hidden = information(&case.run_through(&BlackBox(&scene.field), (rays, grid)).unwrap());
-    // A limit that the README tells: if this rises to 1 the sentence there can go.
+    // The README states this limit. If the ratio rises to 1, that sentence can go.
     assert!((0.3..0.95).contains(&(hidden / whole)), "{hidden} of {whole}");
 }
 
-/// The derivative of a step is a spike that few samples meet; differences blur it over 2h, and say something else for every h.
+/// The derivative of a step is a spike that few samples meet. Differences blur it over 2h, and give another result
+/// for every h.
 #[test]
 fn an_opaque_step_depends_on_the_step_of_differences() {
     let scene = scene("opaque-step");
@@ -68,8 +70,9 @@ fn an_opaque_step_depends_on_the_step_of_differences() {
         let run = case.run((RaySettings { step: Some(step), ..rays }, grid)).unwrap();
         information(&run)
     };
-    // Head on, a share of 2h / δ of the rays meets the blurred spike, with (1 / 2h)² each: 1 / h. Grazing a ball, √h samples in a row meet it on a share h
-    // of the rays, and add up before they are squared: h⁰.
+    // Head on, a share 2h / δ of the rays meets the blurred spike, with (1 / 2h)² each: 1 / h. At grazing
+    // incidence on a ball, √h samples in a row meet it on a share h of the rays. They add up before they are
+    // squared: h⁰.
     let ratio = at(1.0 / 128.0) / at(1.0 / 32.0);
     assert!((1.3..4.0).contains(&ratio), "{ratio}");
 }
@@ -86,7 +89,8 @@ fn noise_of_half_precision_fades_with_a_larger_step() {
     };
     let (fine, coarse) = (off(1.0 / 128.0), off(1.0 / 16.0));
     assert!(fine.mean[2] > 3.0 * coarse.mean[2], "{fine:?} {coarse:?}");
-    // Noise adds up as squares: it can only be taken for information, of what a surface's texture says least about (`block`).
+    // Noise adds up as squares, so it can only pass for information, most of all where a surface's texture says
+    // least (`block`).
     assert!(fine.bias[2] < 0.0, "{fine:?}");
 }
 
@@ -102,7 +106,7 @@ fn matter_in_one_cell_moves_the_cells_eight_corners() {
     assert_eq!(moved, corners.collect::<Vec<usize>>());
 }
 
-/// The coarsest lattice has 2³ cells; one of a single cell is refused.
+/// The coarsest lattice has 2³ cells. A lattice of a single cell is refused.
 #[test]
 fn a_lattice_of_eight_cells_agrees_with_the_oracle_and_one_of_one_is_refused() {
     let scene = scene("camera-inside");
@@ -117,7 +121,7 @@ fn a_lattice_of_eight_cells_agrees_with_the_oracle_and_one_of_one_is_refused() {
     assert!(none.run(none.defaults()).is_err());
 }
 
-/// Median over well-seen vertices of one deviation over another.
+/// Median of `of` over well-seen vertices: those whose information is above `floor`.
 fn median(run: &Run, floor: f64, of: impl Fn(&VertexSums) -> f64) -> f64 {
     let mut values: Vec<f64> =
         run.field.sums().unwrap().iter().filter(|e| trace(&e.information) > floor).map(of).collect();
@@ -126,8 +130,8 @@ fn median(run: &Run, floor: f64, of: impl Fn(&VertexSums) -> f64) -> f64 {
     values[values.len() / 2]
 }
 
-/// One picture, or two from almost the same place, pin what is across the line of sight better than what is along it; the method
-/// takes the second for another picture of the same, and reports no depth from it.
+/// One picture, or two from almost the same place, pin what is across the line of sight better than what is along
+/// it. The method counts the second as another picture of the same, and reports no depth from it.
 #[test]
 fn two_cameras_alike_are_taken_for_one() {
     let runs = ["one-camera", "two-cameras"].map(|name| {
@@ -154,13 +158,14 @@ fn two_cameras_alike_are_taken_for_one() {
     let spread = |(run, lambda): &(Run, f64)| {
         median(run, 1e3 * lambda * 40_000.0, |e| Covariance::Block.deviation(e, 40_000, *lambda).log10())
     };
-    // The same number of rays, the same information.
+    // The same number of rays gives the same information.
     assert!((spread(&runs[0]) - spread(&runs[1])).abs() < 0.05, "{} {}", spread(&runs[0]), spread(&runs[1]));
 }
 
-/// For a plain colour c before a background b, ∂C/∂σ = T_end (c − b) δ all along the ray, so that a hat function φ along it gets
-/// J = T_end (c − b) ∫ φ σ' dt = −T_end (c − b) ∫ φ' σ dt: with matter in one cell, ± T_end (c − b) τ / edge, however steep its sides are. Squaring before
-/// summing would give the slopes themselves.
+/// For a plain colour c before a background b, `∂C/∂σ = T_end (c − b) δ` all along the ray. A hat function φ along
+/// it gets `J = T_end (c − b) ∫ φ σ' dt = −T_end (c − b) ∫ φ' σ dt`. With matter in one cell that is
+/// `± T_end (c − b) τ / edge`, however steep its sides are. Squaring before summing would give the slopes
+/// themselves.
 #[test]
 fn both_sides_of_a_thin_sheet_cancel_within_a_ray() {
     let color = Vec3::new(0.8, 0.3, 0.2);
@@ -168,7 +173,7 @@ fn both_sides_of_a_thin_sheet_cancel_within_a_ray() {
     let sheet = Primitive { shape, peak: 150.0, softness: CELL / 32.0, texture: Texture::Plain(color) };
     let field = surfaces::specimen(sheet);
     let edge = f64::from(CELL);
-    // On a lattice line: two vertices, with weights 1 across.
+    // On a lattice line there are two vertices, with weights 1 across.
     let ray = Ray::new(DVec3::new(2.0, 2.0 * edge, -3.0 * edge), -DVec3::X);
     let marcher = Marcher { step: edge / 256.0, bounds: field.bounds(), occupancy: None, cutoff: 0.0 };
     let tracer = Tracer { field: &field, marcher, background: Vec3::ONE };
@@ -184,15 +189,15 @@ fn both_sides_of_a_thin_sheet_cancel_within_a_ray() {
     let at = |x: usize, y: usize, z: usize| posterior.sums()[(x * 33 + y) * 33 + z].information;
     for x in [16, 17] {
         let [xx, xy, xz, yy, yz, zz] = at(x, 18, 13);
-        // The quadrature of a ramp of 16 samples, twice; differences over an eighth of it.
+        // The quadrature of a ramp of 16 samples, twice, and differences over an eighth of it.
         assert!((xx / expected - 1.0).abs() < 0.01, "{xx} instead of {expected}");
         assert!([xy, xz, yy, yz, zz].iter().all(|s| s.abs() < 1e-6 * xx));
     }
-    // A line of vertices beside it has weight 0.
+    // The line of vertices beside it has weight 0.
     assert_eq!(at(16, 19, 13), [0.0; 6]);
 }
 
-/// 1e-9 outside of the box is outside; on its edge is inside.
+/// A ray 1e-9 outside the box is outside; a ray on its edge is inside.
 #[test]
 fn grazing_rays_count_if_they_touch_the_box_along_a_line() {
     let scene = scene("ray-grazing");
@@ -203,7 +208,8 @@ fn grazing_rays_count_if_they_touch_the_box_along_a_line() {
         case.run(case.defaults()).unwrap().progress.samples > 0
     };
     let found: Vec<bool> = all.iter().map(seen).collect();
-    // Two edges; a hair outside, an edge and a corner in one point; an edge cut by a thousandth of a cell, in empty space; past everything.
+    // Two edges; a hair outside; an edge and a corner in one point; an edge cut by a thousandth of a cell, in
+    // empty space; past everything.
     assert_eq!(found, [true, true, false, false, false, false, false]);
     assert_eq!(cameras(&scene.field).len(), found.len());
 }

@@ -1,4 +1,4 @@
-//! `demo`: the whole line, for people who have nothing yet.
+//! `demo`: the whole pipeline, for users who have no model yet.
 
 mod model;
 mod scene;
@@ -24,30 +24,33 @@ use crate::train::Quality;
 use crate::uncertainty::{ThresholdedField, UncertaintyField, compare};
 use crate::{Error, Result};
 
-/// The trained model, in the folder of results.
+/// File name of the trained model, in the folder of results.
 const MODEL: &str = "courtyard.safetensors";
 
-/// Try everything: a NeRF trained on the spot on pictures of a courtyard that no camera saw from behind
+/// Try everything: train a NeRF on pictures of a courtyard that no camera sees from behind
 ///
-/// Trains a small hash grid (always the same steps), computes its uncertainty on an octree and on the dense grid from the same ray samples, compares
-/// memory, time and values, and writes pictures, the fields, the cameras and the model: input for every other verb.
+/// Trains a small hash grid for a fixed number of steps, and computes its uncertainty on an octree and on the
+/// dense grid from the same ray samples. Compares memory, time and values. Writes pictures, the fields, the
+/// cameras and the model, which are input for the other verbs.
 ///
-/// With --scene, does so on a built-in scene itself. Some are hard, each in one way: for these it prints what is to be expected beside what was measured.
+/// With --scene, uses a built-in scene instead of a trained model. Some scenes are hard, each in one way: for
+/// these it prints what to expect beside what was measured.
 #[derive(clap::Args)]
 pub struct Args {
     /// Folder for the results
     #[arg(long, value_name = "DIR", default_value = "octobayes-demo")]
     out: PathBuf,
 
-    /// Built-in scene instead of the trained model, `list` for all names. `scene:NAME` is a model for the other verbs too
+    /// Built-in scene to use instead of the trained model, or `list` for all names; `scene:NAME` is a model for
+    /// the other verbs too
     #[arg(long, value_name = "NAME")]
     scene: Option<String>,
 
-    /// Finest level, 4 to 9 [default: 7; that of a hard scene is its own]
+    /// Finest level, 4 to 9 [default: 7; a hard scene has its own]
     #[arg(long, value_parser = clap::value_parser!(u8).range(4..=9))]
     level: Option<u8>,
 
-    /// Rays [default: 40000; 200000 of a built-in scene]
+    /// Rays [default: 40000; 200000 for a built-in scene]
     #[arg(long, value_parser = clap::value_parser!(u64).range(1000..))]
     rays: Option<u64>,
 }
@@ -91,7 +94,7 @@ impl Args {
         self.suggest()
     }
 
-    /// The model trained on the spot, and its file.
+    /// Trains the model and writes its file.
     fn trained(&self, bars: &Bars) -> Result<DemoScene> {
         let start = Instant::now();
         let (scene, cameras) = scene::courtyard();
@@ -104,7 +107,7 @@ impl Args {
         Ok(DemoScene::trained(field, cameras))
     }
 
-    /// What was written, and what to try with it.
+    /// Prints what was written, and what to try with it.
     fn suggest(&self) -> Result<()> {
         let out = self.out.display();
         let (model, file) = match &self.scene {
@@ -120,7 +123,7 @@ impl Args {
         say!("  octobayes render {model} {out}/again.oct{cameras} --frame 0 -o {out}/view.png")
     }
 
-    /// Octree and dense field from the same samples, and a table of what they cost.
+    /// The octree and the dense field from the same samples. Prints a table of what they cost.
     fn both_fields(&self, subject: &DemoScene, bars: &Bars) -> Result<[UncertaintyField; 2]> {
         let (scene, level) = (subject.field.as_ref(), self.level.unwrap_or(subject.level));
         let kinds = [GridKind::Octree, GridKind::Dense];
@@ -153,7 +156,7 @@ impl Args {
         Ok([octree, dense])
     }
 
-    /// The scene from two sides, whole and cleaned.
+    /// Writes pictures of the scene from two sides, whole and cleaned.
     fn pictures(&self, subject: &DemoScene, field: &UncertaintyField, bars: &Bars) -> Result<()> {
         let scene = subject.field.as_ref();
         let Shown { log10: shown, threshold } = subject.shown.unwrap_or_else(|| Shown::below(field.prior().log10()));

@@ -12,22 +12,22 @@ use crate::monitor::Monitor;
 use crate::render::render_view;
 use crate::train::{Budget, Quality, Run, Shot, TrainSettings, Trainer, quality};
 
-/// Entries per level, as power of two: half a megabyte of parameters, enough for pictures of 100 × 100.
+/// Entries per level, as a power of two. Half a megabyte of parameters is enough for pictures of 100 × 100.
 const LOG2_HASHMAP_SIZE: u32 = 12;
-/// Of training, a fixed number: the demo shows the same on every machine.
+/// Training steps. The number is fixed, so the demo shows the same on every machine.
 const STEPS: u64 = 400;
 /// Side of the training pictures, pixels.
 const RESOLUTION: u32 = 100;
 
-/// A model and how well it shows what it was not trained on.
+/// A model, and how well it shows what it was not trained on.
 pub struct DemoModel {
     /// The model.
     pub field: HashGrid,
-    /// On pictures from between the training cameras.
+    /// Quality on pictures from between the training cameras.
     pub held_out: Option<Quality>,
 }
 
-/// Trains on what `cameras` see of `scene`, every eighth of them held out.
+/// Trains on what `cameras` see of `scene`. Every eighth picture is held out.
 pub fn train(scene: &dyn RadianceField, cameras: &[Camera], bars: &Bars) -> Result<DemoModel> {
     let cameras: Vec<Camera> = cameras.iter().map(|camera| camera.resized([RESOLUTION; 2])).collect();
     let (mut train, mut held_out) = (Vec::new(), Vec::new());
@@ -56,14 +56,14 @@ pub fn train(scene: &dyn RadianceField, cameras: &[Camera], bars: &Bars) -> Resu
     Ok(DemoModel { field, held_out })
 }
 
-/// Pictures with alpha.
+/// What `cameras` see of `scene`, as pictures with alpha.
 fn shots(scene: &dyn RadianceField, cameras: &[Camera], bars: &Bars) -> Result<Vec<Shot>> {
     let settings = RaySettings { cutoff: 1e-4, background: Vec3::ZERO, ..RaySettings::default() };
     let tracer = settings.tracer(scene, 0.0, bars)?;
     let shot = |(i, camera): (usize, &Camera)| {
         let view = render_view(&tracer, camera, 0.5, &[], bars)?;
         let pixels = view.pixels.iter().map(|pixel| {
-            // Before black, colour is already times alpha.
+            // Over black, colour is already multiplied by alpha.
             let straight = pixel.color / pixel.opacity.max(1e-6);
             let byte = |v: f64| (255.0 * v.clamp(0.0, 1.0)).round() as u8;
             let DVec3 { x, y, z } = straight;

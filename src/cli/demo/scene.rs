@@ -1,4 +1,4 @@
-//! What the demo runs on: a model trained on the courtyard, a built-in scene itself, or one of the zoo.
+//! What the demo shows: a model trained on the courtyard, a built-in scene itself, or one of the zoo.
 
 use glam::DVec3;
 
@@ -11,61 +11,62 @@ use crate::{Error, Result};
 
 /// Cameras of the courtyard, all on one side.
 const CAMERAS: u32 = 40;
-/// Finest level unless a hard scene has its own.
+/// Finest level, unless a hard scene has its own.
 const LEVEL: u8 = 7;
-/// Rays for the trained model, and for scenes in closed form, which are faster.
+/// Rays for the trained model, and for closed-form scenes, which are faster.
 const RAYS: [u64; 2] = [40_000, 200_000];
-/// Samples along the trained model's rays are this many times farther apart than it suggests: a model that was trained for seconds is foggy,
-/// and its pictures are small.
+/// Distance between samples along the trained model's rays, over the distance that it suggests. A model trained
+/// for seconds is foggy, and its pictures are small.
 const COARSER: f64 = 2.0;
-/// Decades below the prior where colour bars begin, and where clean-up ends.
+/// Decades below the prior at which colour bars begin, and at which clean-up starts to remove density.
 const BELOW_PRIOR: [f64; 2] = [4.0, 1.0];
-/// Cameras that see less than this, radians, are close-ups: pictures from anywhere else would show nothing.
+/// Cameras with a smaller angle of view than this, radians, are close-ups. Pictures from anywhere else would show
+/// nothing.
 const CLOSE_UP: f64 = 0.2;
-/// Pixels of a picture.
+/// Width and height of a picture, pixels.
 const PICTURE: [u32; 2] = [220, 220];
 
 /// A scene with its cameras, and how to show it.
 pub struct DemoScene {
     pub field: Box<dyn RadianceField>,
     pub cameras: Vec<Camera>,
-    /// Finest level unless told otherwise.
+    /// Finest level, unless the user names one.
     pub level: u8,
-    /// Rays unless told otherwise.
+    /// Rays, unless the user names a number.
     pub rays: u64,
     /// Distance between samples over the suggested one.
     pub coarser: f64,
-    /// From where it was seen, if that is to be told.
+    /// From where the scene was seen, in words. Empty if there is nothing to say.
     pub side: &'static str,
-    /// Model, for the protocol.
+    /// Name of the model in the protocol.
     pub source: String,
-    /// How U is shown, if not [`Shown::below`] its prior.
+    /// How U is shown; `None` for [`Shown::below`] its prior.
     pub shown: Option<Shown>,
-    /// What is to be expected, if it is one of the zoo.
+    /// The scene of the zoo with its expectations, if it is one.
     pub hard: Option<Scene>,
 }
 
 /// How U is shown.
 #[derive(Clone, Copy)]
 pub struct Shown {
-    /// log10 U on colour bars.
+    /// Ends of the colour bars, log10 U.
     pub log10: [f64; 2],
     /// log10 U above which clean-up removes density.
     pub threshold: f64,
 }
 
 impl Shown {
-    /// The trained model's: from the best seen surface to the prior of level 7, rounded; most of what cameras saw lies below the threshold,
-    /// most of what the model made up above.
+    /// For the trained model: from the best seen surface to the prior of level 7, rounded. Most of what cameras
+    /// saw lies below the threshold, most of what the model made up lies above.
     const TRAINED: Self = Self { log10: [2.0, 6.0], threshold: 4.4 };
 
-    /// Decades below log10 U of the prior.
+    /// Colour bars and threshold by [`BELOW_PRIOR`], from log10 U of the prior.
     pub fn below(prior: f64) -> Self {
         Self { log10: [prior - BELOW_PRIOR[0], prior], threshold: prior - BELOW_PRIOR[1] }
     }
 }
 
-/// The courtyard with cameras on one side.
+/// The courtyard, with cameras on one side.
 pub fn courtyard() -> (ClosedForm, Vec<Camera>) {
     (ClosedForm::courtyard(), ClosedForm::half_circle(CAMERAS, [200, 200]))
 }
@@ -97,7 +98,8 @@ impl DemoScene {
         Self { field, cameras, level: LEVEL, rays, coarser: COARSER, side, source, shown, hard: None }
     }
 
-    /// Two views: from the side x > 0, where the built-in scenes' cameras are, and from the other.
+    /// Two views. The trained model is shown from the seen and from the unseen side, a close-up by two of its
+    /// cameras. Other scenes are shown from x > 0, the side of the courtyard's cameras, and from x < 0.
     pub fn views(&self) -> [(&'static str, Camera); 2] {
         let first = &self.cameras[0];
         let angle = 2.0 * (0.5 * f64::from(first.resolution[0]) / first.focal[0]).atan();
@@ -115,13 +117,13 @@ impl DemoScene {
         }
     }
 
-    /// What is hard about the scene, if something is.
+    /// What is hard about the scene, if anything is.
     pub fn about(&self) -> Option<String> {
         let scene = self.hard.as_ref()?;
         Some(format!("expected: {}\nverdict:  {}", scene.about, scene.verdict.words()))
     }
 
-    /// Bounds on what is to be expected of the scene, beside what was measured.
+    /// What to expect of a hard scene, beside what was measured.
     pub fn outcome(&self, field: &UncertaintyField) -> Option<String> {
         let scene = self.hard.as_ref()?;
         let line = |claim: &zoo::Claim| {
@@ -139,13 +141,13 @@ impl DemoScene {
     }
 }
 
-/// A camera outside of a box that sees all of it.
+/// A camera outside a box that sees all of it.
 fn outside(bounds: &Aabb, side: f64) -> Camera {
     let (center, half) = (0.5 * (bounds.min() + bounds.max()), 0.5 * bounds.longest_edge());
     Camera::look_at(center + half * DVec3::new(3.4 * side, 1.1, 1.5), center, DVec3::Z, 0.8, PICTURE)
 }
 
-/// All names, with what is to be expected of the hard scenes.
+/// All names, and what to expect of the hard scenes.
 pub fn list() -> String {
     let built_in = ClosedForm::NAMES.join(", ");
     let line = |scene: Scene| format!("  {:<20} {}: {}", scene.name, scene.verdict.words(), scene.about);
@@ -153,7 +155,7 @@ pub fn list() -> String {
     format!("built-in: {built_in}, city-SEED\nhard, each in one way:\n{}", hard.join("\n"))
 }
 
-/// As `DemoScene::named`, with an error that names `--scene`.
+/// As [`DemoScene::named`], with an error that names `--scene`.
 pub fn subject(name: &str) -> Result<DemoScene> {
     DemoScene::named(name).map_err(|_| {
         let expected = format!("{}, city-SEED, or one that `--scene list` lists", ClosedForm::NAMES.join(", "));

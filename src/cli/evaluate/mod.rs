@@ -1,4 +1,4 @@
-//! `evaluate`: does the uncertainty tell where the model is wrong?
+//! `evaluate`: checks whether the uncertainty shows where the model is wrong.
 
 mod sheet;
 mod table;
@@ -24,14 +24,18 @@ use crate::render::{RayAverage, RenderedView};
 use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
 
-/// Evaluator fields against true depth: AUSE beside measures that need no Hessian, depth error, PSNR, clean-up
+/// Evaluate fields against true depth: AUSE beside measures that need no Hessian, depth error, PSNR, clean-up
 ///
-/// Renders the test views and asks whether pixels of large uncertainty are pixels of large depth error (area under the
-/// sparsification error, by the official code's procedure: 100 steps, both curves over their common maximum, trapezoid; only the order of pixels
-/// counts, so nothing is normalised per image). Several fields, covariances and blendings share the rendering, and the same pixels are ranked by
-/// what any field gives for nothing: the variance and the entropy of the ray's weights, 1 - opacity, the number of training rays, and chance; with --ensemble, by what
-/// several models disagree about. Depth is compared where the image is fully opaque (alpha 255; images
-/// without alpha are opaque everywhere) and the true depth is known.
+/// Renders the test views and checks whether pixels of large uncertainty are pixels of large depth error. AUSE is
+/// the area under the sparsification error by the official code's procedure: 100 steps, both curves over their
+/// common maximum, trapezoid rule. Only the order of pixels counts, so nothing is normalised per image.
+///
+/// Several fields, covariances and ray averages share the rendering. The same pixels are ranked by what any field
+/// gives for nothing: the variance and the entropy of the ray's weights, 1 - opacity, the number of training rays,
+/// and chance. With --ensemble they are also ranked by the disagreement of several models.
+///
+/// Depth is compared where the true depth is known and the image is fully opaque (alpha 255; images without alpha
+/// are opaque everywhere).
 #[derive(clap::Args)]
 #[command(
     after_help = "Examples:\n  octobayes evaluate lego.safetensors lego.oct --cameras transforms_test.json --depth test \
@@ -42,7 +46,7 @@ pub struct Args {
     #[command(flatten)]
     model: ModelOptions,
 
-    /// Fields to judge
+    /// Fields to evaluate
     #[arg(value_name = "FIELD.oct", required = true)]
     fields: Vec<PathBuf>,
 
@@ -56,11 +60,11 @@ pub struct Args {
     #[arg(long, value_name = "DIR")]
     depth: PathBuf,
 
-    /// Name of a frame's depth map; {} is the frame's file name without extension
+    /// File name of a frame's depth map; {} stands for the frame's file name without extension
     #[arg(long, value_name = "PATTERN", default_value = "{}_depth_0001.png")]
     depth_pattern: String,
 
-    /// Depth in scene units = OFFSET + SCALE * p, p in [0, 1] from black to white; p = 0 is unknown
+    /// Depth in scene units = OFFSET + SCALE * p, p in [0, 1] from black to white; p = 0 means unknown
     #[arg(long, value_name = "OFFSET,SCALE", value_parser = parse_pair, allow_hyphen_values = true)]
     depth_encoding: [f64; 2],
 
@@ -68,22 +72,23 @@ pub struct Args {
     #[arg(long)]
     z_depth: bool,
 
-    /// Covariances to judge, separated by commas [default: all, if a field keeps its Hessian, else its own]
+    /// Covariances to evaluate, separated by commas [default: all if a field keeps its Hessian, else its own]
     #[arg(long, value_enum, value_delimiter = ',')]
     covariance: Vec<Covariance>,
 
-    /// How log10 U is blended along a ray; several, separated by commas, are judged side by side. `spread` ranked depth errors best in the study of few
-    /// views (experiments/few_views.md); `hit` is what `render` shows
+    /// How log10 U is averaged along a ray; several, separated by commas, are compared side by side. `spread`
+    /// ranked depth errors best in the study of few views (experiments/few_views.md); `render` shows
+    /// `weighted-mean`
     #[arg(long, value_enum, value_delimiter = ',', default_value = "spread")]
     blend: Vec<RayAverage>,
 
-    /// Two or more models trained like MODEL with other seeds, MODEL among them or not: judges the variance of their depth, and the
-    /// density-aware ensemble (Sünderhauf et al. 2023)
+    /// Two or more models trained like MODEL with other seeds; MODEL may be among them. Evaluates the variance of
+    /// their depth, and the density-aware ensemble (Sünderhauf et al. 2023)
     #[arg(long, value_name = "MODEL", num_args = 2..)]
     ensemble: Vec<String>,
 
-    /// Remove density above ten thresholds of log10 U (the first field's first covariance), tell how images change, and write this
-    /// sheet of pictures before and after
+    /// Remove density above ten thresholds of log10 U (the first field's first covariance), report how images
+    /// change, and write this sheet of pictures before and after
     #[arg(long, value_name = "SHEET.png")]
     clean_up: Option<PathBuf>,
 
@@ -103,7 +108,7 @@ pub struct Args {
     #[arg(long, value_name = "CURVES.csv")]
     csv: Option<PathBuf>,
 
-    /// Use the field though it was computed for another model
+    /// Use the field even if it was computed for another model
     #[arg(long)]
     force: bool,
 
@@ -147,7 +152,7 @@ impl Args {
         for (seed, frame) in (0..).zip(frames) {
             let background = self.model.background.as_dvec3();
             let truth = TrueView::read(frame, &depth_files, background, offset, self.stride)?;
-            // Whole images are large, and only the clean-up looks at them again.
+            // Whole images are large, and only the clean-up needs the true ones again.
             judged.push(EvaluatedView { rendered: RenderedView::default(), ..evaluator.evaluate(&truth, seed, bars)? });
             truths.extend(self.clean_up.is_some().then_some(truth));
         }
@@ -193,7 +198,7 @@ impl Args {
         Ok(readings)
     }
 
-    /// A member of the ensemble: it must cover what the model covers.
+    /// Opens a member of the ensemble. It must cover the same box as the model.
     fn member(&self, name: &str, model: &dyn RadianceField) -> Result<Box<dyn RadianceField>> {
         let member = crate::open::open_in(name, self.model.coordinates)?;
         let text = |b: Aabb| format!("{} to {}", b.min(), b.max());
@@ -218,7 +223,7 @@ impl Args {
         }
     }
 
-    /// Sweeps the thresholds, if asked to, and writes the sheet.
+    /// Sweeps the thresholds and writes the sheet, if asked to.
     fn clean_up(&self, evaluator: &Evaluator, truths: &[TrueView], bars: &Bars) -> Result<Vec<CleanUp>> {
         let Some(path) = &self.clean_up else { return Ok(Vec::new()) };
         let rows: u64 = truths.iter().map(|truth| u64::from(truth.camera.resolution[1])).sum();

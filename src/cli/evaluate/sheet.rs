@@ -1,4 +1,4 @@
-//! Pictures before and after clean-ups.
+//! Pictures before and after clean-up.
 
 use std::path::Path;
 
@@ -10,7 +10,8 @@ use crate::render::RenderedView;
 /// Most views on a sheet.
 const VIEWS: usize = 4;
 
-/// The paper's fixed thresholds and that of the best PSNR, after the field as it is; indices, no two the same.
+/// Indices of the versions to show, without repeats: the field as it is, the paper's fixed thresholds, and the
+/// threshold of the best PSNR.
 #[must_use]
 pub fn shown(cleaned: &[(CleanUp, Vec<RenderedView>)]) -> Vec<usize> {
     let of_threshold = |t: f64| cleaned.iter().position(|(c, _)| c.threshold == Some(t));
@@ -21,7 +22,7 @@ pub fn shown(cleaned: &[(CleanUp, Vec<RenderedView>)]) -> Vec<usize> {
     shown
 }
 
-/// One row a view, evenly spread over all: the truth, the field as it is, and after clean-ups.
+/// Writes one row per view, for views spread evenly over all: the truth, the field as it is, and after clean-up.
 pub fn write(path: &Path, truths: &[TrueView], cleaned: &[(CleanUp, Vec<RenderedView>)]) -> Result<()> {
     let step = truths.len().div_ceil(VIEWS).max(1);
     let rows: Vec<Vec<Panel>> = (step / 2..truths.len())

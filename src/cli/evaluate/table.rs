@@ -1,4 +1,4 @@
-//! What an evaluation found, for people and for programs.
+//! The results of an evaluation: human-readable, as JSON, as CSV, and as a plot.
 
 use std::path::Path;
 
@@ -12,16 +12,16 @@ use crate::metrics::{ErrorKind, STEPS, Sparsification};
 use crate::picture::{Curve, write_plot};
 use crate::{Error, Result};
 
-/// What an evaluation found.
+/// The results of an evaluation.
 pub struct Evaluation<'a> {
     pub args: &'a Args,
     pub evaluator: &'a Evaluator<'a>,
     pub measures: Vec<Measure>,
     pub views: &'a [EvaluatedView],
-    /// Of each measure.
+    /// One per measure.
     pub scores: Vec<Score>,
     pub depth: DepthError,
-    /// Empty if not asked for.
+    /// Empty unless asked for.
     pub cleaned: Vec<CleanUp>,
 }
 
@@ -43,7 +43,7 @@ impl Evaluation<'_> {
         self.views.iter().map(|v| v.empty).sum()
     }
 
-    /// The curves of mean absolute error, in scene units.
+    /// Plots the curves of mean absolute error, in scene units.
     pub fn write_plot(&self, path: &Path) -> Result<()> {
         let points = |s: &Sparsification, values: &[f64]| {
             s.removed.iter().zip(values).map(|(&r, &v)| (r, v * s.largest)).collect()
@@ -64,7 +64,7 @@ impl Evaluation<'_> {
         write_plot(path, "Mean depth error left, scene units", axes, &curves)
     }
 
-    /// One row per error kind and removed share; values in scene units.
+    /// Writes one row per error kind and removed share, with values in scene units.
     pub fn write_csv(&self, path: &Path) -> Result<()> {
         let mut file = AtomicFile::create(path)?;
         let mut write = || -> csv::Result<()> {

@@ -22,18 +22,19 @@ pub struct CameraFile {
     pub resolution: Option<[u32; 2]>,
 }
 
-/// Which frames of a camera file.
+/// Which frames of a camera file to use.
 #[derive(Args)]
 pub struct FrameOptions {
-    /// Frames of the camera file: a number of them, spread over its order, or their indices from 0 as 0,7,31 (`7,` for
-    /// one), or `all`. Frames without an image are left out, unless there are no images at all; of a transforms.json
-    /// with images every eighth frame is held out, as in `train` [default: all that are for this purpose]
+    /// Frames of the camera file: how many, spread over its order; or their indices from 0, such as 0,7,31 (`7,`
+    /// for one); or `all`. Frames without an image are left out, unless there are no images at all. In a
+    /// transforms.json with images every eighth frame is held out, as in `train` [default: all training frames; in
+    /// `evaluate`, all held-out frames]
     #[arg(long, value_name = "N|I,J,...|all", value_parser = parse_views, requires = "cameras")]
     pub views: Option<Selection>,
 }
 
 impl FrameOptions {
-    /// The selected frames of a part; says on stderr how many, and why the others are left out.
+    /// Selects frames of a part. Says on stderr how many, and why the others are left out.
     fn select(&self, part: Part, views: Views) -> Result<Vec<Frame>> {
         let split = FrameSplit::of(views);
         let frames = split.select(part, &self.views.clone().unwrap_or_default(), |_| true)?;
@@ -43,7 +44,7 @@ impl FrameOptions {
 }
 
 impl CameraFile {
-    /// Frames to judge `model` by; warns if it was trained on some of them.
+    /// Frames to evaluate `model` on. Warns if it was trained on some of them.
     pub fn held_out(&self, options: &FrameOptions, model: &dyn RadianceField) -> Result<Vec<Frame>> {
         let frames = options.select(Part::HeldOut, self.read()?)?;
         let known = matched(&frames, model).iter().flatten().count();
@@ -56,7 +57,7 @@ impl CameraFile {
         Ok(frames)
     }
 
-    /// Reads the file; says so if the image size had to be assumed.
+    /// Reads the file. Says so if it has to assume the image size.
     pub fn read(&self) -> Result<Views> {
         let views = Views::read(&self.cameras, self.resolution)?;
         if views.resolution_source == ResolutionSource::Assumed {
@@ -70,11 +71,11 @@ impl CameraFile {
     }
 }
 
-/// A camera file, or the cameras that the model brings along.
+/// A camera file, or the cameras that come with the model.
 #[derive(Args)]
 pub struct CameraOptions {
-    /// transforms.json with intrinsics and camera-to-world poses (OpenGL axes) [default: the cameras that the model
-    /// was trained on or brings along, if it knows them]
+    /// transforms.json with intrinsics and camera-to-world poses (OpenGL axes) [default: the model's own cameras,
+    /// if it has any]
     #[arg(long, value_name = "JSON")]
     pub cameras: Option<PathBuf>,
 
@@ -88,7 +89,7 @@ pub struct CameraOptions {
 }
 
 impl CameraOptions {
-    /// Reads the camera file, or asks the model `name`.
+    /// Reads the camera file, or else asks the model `name`.
     pub fn read(&self, model: &dyn RadianceField, name: &str) -> Result<Views> {
         if let Some(cameras) = &self.cameras {
             return CameraFile { cameras: cameras.clone(), resolution: self.resolution }.read();
@@ -111,8 +112,8 @@ impl CameraOptions {
         })
     }
 
-    /// The cameras that the model was trained on: those that it brings along, or those of the camera file that are for
-    /// training. Says on stderr which, and warns if they are not those that the model knows.
+    /// The cameras that the model was trained on: its own, or the training frames of the camera file. Says on
+    /// stderr which. Warns if they differ from those that the model knows.
     pub fn training(&self, options: &FrameOptions, model: &dyn RadianceField, name: &str) -> Result<Views> {
         let views = self.read(model, name)?;
         if self.cameras.is_none() {
@@ -137,8 +138,8 @@ impl CameraOptions {
     }
 }
 
-/// For each frame, which of the cameras that the model was trained on it is ([`Camera::is_like`], seen from the far
-/// side of the model's box).
+/// For each frame, the index of the same camera among those that the model was trained on ([`Camera::is_like`],
+/// seen from the far side of the model's box).
 ///
 /// [`Camera::is_like`]: crate::geometry::Camera::is_like
 fn matched(frames: &[Frame], model: &dyn RadianceField) -> Vec<Option<usize>> {

@@ -1,4 +1,4 @@
-//! What a field covers and how fine it is, how information becomes one, and what is kept of it.
+//! What a field covers, how fine it is, how information becomes a field, and what the file keeps.
 
 use std::path::{Path, PathBuf};
 
@@ -29,18 +29,18 @@ impl ValueEnum for Covariance {
     }
 }
 
-/// Fewer rays per vertex than this gain from pooling: `experiments/pooling.md`.
+/// Fewer rays per vertex than this gain from pooling (`experiments/pooling.md`).
 const FEW_RAYS: u32 = 4;
 
 /// The part of space that a field covers.
 #[derive(Args)]
 pub struct DomainOptions {
-    /// Box of the field: x0,y0,z0,x1,y1,z1 in scene units [default: the space that the model
-    /// covers, contracted if it is]
+    /// Box of the field: x0,y0,z0,x1,y1,z1 in scene units [default: the space that the model covers, which may be
+    /// contracted]
     #[arg(long = "box", value_name = "BOX", value_parser = parse_box, allow_hyphen_values = true, conflicts_with = "contract")]
     pub bounds: Option<Aabb>,
 
-    /// Cover all of space, contracted outside --inner as in mip-NeRF 360: for unbounded scenes
+    /// Cover all of space, contracted outside --inner as in mip-NeRF 360; for unbounded scenes
     #[arg(long, value_enum, value_name = "NORM", requires = "inner")]
     pub contract: Option<Norm>,
 
@@ -50,7 +50,7 @@ pub struct DomainOptions {
 }
 
 impl DomainOptions {
-    /// What the options say, or the space that the model covers, if there is one; if that is contracted, says so.
+    /// What the options say, or else the space that the model covers. Says so on stderr if that is contracted.
     pub fn domain(&self, model: Option<Domain>) -> Result<Domain> {
         match (self.contract, self.inner, self.bounds.map(Domain::Box).or(model)) {
             (Some(norm), Some([x, y, z, radius]), _) => Domain::contracted(DVec3::new(x, y, z), radius, norm),
@@ -65,10 +65,10 @@ impl DomainOptions {
     }
 }
 
-/// Which information to keep in the file.
+/// What to keep in the file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Keep {
-    /// The 3x3 matrices too: another covariance can be chosen later
+    /// The 3x3 matrices too, so that another covariance can be chosen later
     Hessian,
     /// The deviations only
     Deviation,
@@ -77,27 +77,27 @@ pub enum Keep {
 /// How information becomes a field.
 #[derive(Args)]
 pub struct GridOptions {
-    /// Where the field is written
+    /// Where to write the field
     #[arg(short, long, value_name = "FIELD.oct")]
     pub output: PathBuf,
 
-    /// Finest level: 2^level cells per axis, 1 to 16
+    /// Finest level, 1 to 16: 2^level cells per axis
     #[arg(long, default_value_t = 8, value_parser = clap::value_parser!(u8).range(1..=16))]
     pub level: u8,
 
-    /// Instead of --level: edge of the finest cells, scene units; the next finer level
+    /// Edge of the finest cells in scene units, instead of --level; rounded to the next finer level
     #[arg(long, value_name = "LENGTH", value_parser = parse_positive, conflicts_with = "level")]
     pub cell_size: Option<f64>,
 
-    /// Most memory for sums and field, e.g. 2GiB: refinement that fewest rays support is given up first
+    /// Most memory for sums and field, e.g. 2GiB; refinement that the fewest rays support is given up first
     #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
     pub memory: Option<u64>,
 
-    /// Where the octree is refined: one or several, separated by commas
+    /// Where to refine the octree; several criteria are separated by commas
     #[arg(long, value_enum, value_delimiter = ',', default_value = "sensitivity")]
     pub refine: Vec<Criterion>,
 
-    /// What carries the field
+    /// Structure that carries the field
     #[arg(long, value_enum, default_value = "octree")]
     pub grid: GridKind,
 
@@ -113,12 +113,12 @@ pub struct GridOptions {
     #[arg(long, value_name = "DECADES", default_value_t = 0.01, value_parser = parse_non_negative)]
     pub tolerance: f64,
 
-    /// How the prior's precision depends on the size of cells
+    /// How the prior precision depends on the size of cells
     #[arg(long, value_enum, default_value = "uniform")]
     pub prior: Prior,
 
-    /// Pooling by evidence: where neighbourhoods have fewer rays than about this, vertices share what their neighbours saw; 0
-    /// leaves every vertex by itself, as in the paper
+    /// Pool sums where rays are few: vertices whose neighbourhood has fewer rays than about this share what their
+    /// neighbours saw; 0 leaves every vertex by itself, as in the paper
     #[arg(long, value_name = "RAYS", default_value_t = 0.0, value_parser = parse_non_negative)]
     pub min_rays: f64,
 
@@ -126,11 +126,11 @@ pub struct GridOptions {
     #[arg(long, value_enum)]
     pub keep: Option<Keep>,
 
-    /// Merge leaves of the finished octree as long as log10 U changes by at most this, everywhere; keeps deviations only
+    /// Merge leaves of the finished octree while log10 U changes by at most this anywhere; keeps deviations only
     #[arg(long, value_name = "DECADES", value_parser = parse_positive)]
     pub coarsen: Option<f64>,
 
-    /// How deviations are stored; f16 keeps deviations only
+    /// How to store deviations; f16 keeps deviations only
     #[arg(long, value_enum, default_value = "f32")]
     pub store: Store,
 
@@ -176,7 +176,7 @@ impl GridOptions {
         }
     }
 
-    /// Makes sure, before any work, that the field can be coarsened if that is wanted.
+    /// Checks, before any work, that the field can be coarsened, if asked to.
     pub fn check_coarsening(&self) -> Result<()> {
         if self.coarsen.is_some() && (self.grid == GridKind::Dense || self.covariance == Covariance::Trace) {
             let found = format!(
@@ -189,7 +189,7 @@ impl GridOptions {
         Ok(())
     }
 
-    /// Writes a finished field, with or without its information, and reports it.
+    /// Writes a finished field, with or without its sums, and reports it.
     pub fn write(&self, field: UncertaintyField, cost: &Cost) -> Result<()> {
         let keep = self.keep.unwrap_or(match self.grid {
             GridKind::Dense => Keep::Deviation,
@@ -212,14 +212,14 @@ impl GridOptions {
     }
 }
 
-/// The box of an official `.npy`, which does not say.
+/// What an official `.npy` does not say: its box and its number of rays.
 #[derive(Args)]
 pub struct OfficialOptions {
     /// Box of the official code's `.npy` grids: x0,y0,z0,x1,y1,z1 in scene units
     #[arg(long = "box", value_name = "BOX", value_parser = parse_box, allow_hyphen_values = true)]
     pub bounds: Option<Aabb>,
 
-    /// Rays summed in the official code's `.npy` grids
+    /// Number of rays summed in the official code's `.npy` grids
     #[arg(long, default_value_t = OfficialGrid::DEFAULT_RAYS, value_parser = clap::value_parser!(u64).range(1..))]
     pub rays: u64,
 }

@@ -1,4 +1,4 @@
-//! Options that several verbs share.
+//! Options shared by several verbs.
 
 mod cameras;
 mod grid;
@@ -19,7 +19,8 @@ use crate::estimate::RaySettings;
 use crate::field::{Coordinates, RadianceField};
 use crate::render::{Occupancy, RayAverage};
 
-/// What images leave out changes a pixel by no more than this in front and behind: less than half a step of 8 bits.
+/// Cutoff for images. What it leaves out in front and behind changes a pixel by no more than this, less than half
+/// a step of 8 bits.
 const IMAGE_CUTOFF: f64 = 1e-4;
 
 impl ValueEnum for Coordinates {
@@ -57,20 +58,20 @@ impl ValueEnum for RayAverage {
     }
 }
 
-/// A radiance field and how rays go through it.
+/// A radiance field, and how rays pass through it.
 #[derive(Args)]
 pub struct ModelOptions {
-    /// The trained field: a `.safetensors` hash grid (of `octobayes train`) or MLP NeRF, a `.ppng` Plenoptic PNG, an `.npz` voxel grid (density, color, box), or
-    /// `scene:NAME` for a built-in scene
+    /// The trained model: a `.safetensors` hash grid (of `octobayes train`) or MLP NeRF, a `.ppng` Plenoptic PNG,
+    /// an `.npz` voxel grid (density, color, box), or `scene:NAME` for a built-in scene
     #[arg(value_name = "MODEL")]
     pub model: String,
 
-    /// Scene units and axes to use a `.ppng` model in; fields, cameras and depth must all have the same [default: ngp]
+    /// Scene units and axes of a `.ppng` model; fields, cameras and depth must use the same [default: ngp]
     #[arg(long, value_enum)]
     pub coordinates: Option<Coordinates>,
 
-    /// What is behind the scene: white, black or r,g,b in [0, 1]. It enters the derivatives through the rays' final
-    /// transmittance: use what the field was trained with
+    /// Colour behind the scene: white, black or r,g,b in [0, 1]. It enters the derivatives through the final
+    /// transmittance of rays, so use what the model was trained with
     #[arg(long, value_name = "COLOR", default_value = "white", value_parser = parse_background)]
     pub background: Vec3,
 
@@ -78,7 +79,8 @@ pub struct ModelOptions {
     #[arg(long, value_name = "LENGTH", value_parser = parse_positive)]
     pub march_step: Option<f64>,
 
-    /// Where in a pixel rays go through: 0.5 for its centre, 0 for its upper left corner [default: as the model was trained]
+    /// Where rays pass through a pixel: 0.5 for its centre, 0 for its upper left corner [default: as the model
+    /// was trained]
     #[arg(long, value_name = "OFFSET", value_parser = parse_non_negative)]
     pub pixel_offset: Option<f64>,
 
@@ -93,12 +95,12 @@ impl ModelOptions {
         crate::open::open_in(&self.model, self.coordinates)
     }
 
-    /// How images are rendered.
+    /// Settings for rendering images.
     pub fn image_settings(&self) -> RaySettings {
         self.ray_settings(RaySettings { cutoff: IMAGE_CUTOFF, ..RaySettings::default() })
     }
 
-    /// `others` with what these options say.
+    /// `others`, with these options filled in.
     pub fn ray_settings(&self, others: RaySettings) -> RaySettings {
         RaySettings {
             march_step: self.march_step,

@@ -1,4 +1,4 @@
-//! Texts that options are given as.
+//! Parsers of option values.
 
 use glam::{DVec3, Vec3};
 
@@ -89,7 +89,7 @@ pub fn parse_positive(text: &str) -> Result<f64, String> {
     }
 }
 
-/// A finite number from 0.
+/// A finite number, 0 or more.
 pub fn parse_non_negative(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(v) if v >= 0.0 && v.is_finite() => Ok(v),

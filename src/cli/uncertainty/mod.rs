@@ -19,9 +19,9 @@ use crate::{Error, Result};
 
 /// Compute the uncertainty of a trained field from its training cameras
 ///
-/// Draws random training rays, differentiates their pixels with respect to displacements of space, and sums what they say about
-/// each deformation vertex. The cameras must be those that the model was trained on: a model of `train` has stored
-/// them, others need --cameras. The result is a field that `query`, `render`, `compare` and `evaluate` read.
+/// Draws training rays, differentiates their pixels with respect to displacements of space, and sums the squares
+/// at each deformation vertex. The cameras must be those that the model was trained on: a model of `train` stores
+/// them, others need --cameras. `query`, `render`, `compare` and `evaluate` read the resulting field.
 #[derive(clap::Args)]
 #[command(after_help = "Examples (a model of `train` knows its cameras):\n  \
     octobayes uncertainty lego.safetensors -o lego.oct --rays 409600\n  \
@@ -39,9 +39,11 @@ pub struct Args {
     #[command(flatten)]
     grid: GridOptions,
 
-    /// Rays drawn (the paper uses 4096000), or `auto`: as many as bring the estimated mean error of log10 U within --tolerance
+    /// Rays to draw (the paper uses 4096000), or `auto` for as many as bring the estimated mean error of log10 U
+    /// within --tolerance
     ///
-    /// `auto` doubles the rays, from 65536, until two halves of them agree. Most scenes take tens of millions for 0.05.
+    /// `auto` doubles the rays, from 65536, until two halves of them agree. Most scenes need tens of millions for
+    /// 0.05.
     #[arg(long, value_name = "N|auto", default_value = "4096000", value_parser = parse_rays)]
     rays: Rays,
 
@@ -64,57 +66,61 @@ pub struct Args {
     #[arg(long, value_enum, default_value_t)]
     gradient: GradientMethod,
 
-    /// Finite-difference step to both sides, in edges of the finest lattice [default: 1/512, more where f32 positions need it]
+    /// Finite-difference step to both sides, in edges of the finest lattice [default: 1/512, larger where f32
+    /// positions need it]
     ///
-    /// A few hundred points tell how noisy the field is; a step at which noise or truncation moves log10 U by more than --tolerance, and more than
-    /// three times as much as at another step, is warned of.
+    /// A few hundred points show how noisy the field is. A warning says if noise or truncation at this step moves
+    /// log10 U by more than --tolerance, and by more than three times as much as at another step.
     #[arg(long, value_name = "EDGES", value_parser = parse_positive)]
     step: Option<f64>,
 
-    /// Do not differentiate samples whose weight, and whose density bound times |dC/dsigma|, are both below this; 0 leaves out nothing
+    /// Do not differentiate samples whose weight, and whose density bound times |dC/dsigma|, are both below this;
+    /// 0 skips none
     ///
-    /// Rays end at this transmittance. What it does to log10 U is not part of --tolerance; --audit measures it.
+    /// Rays end at this transmittance. The effect on log10 U is not part of --tolerance; --audit measures it.
     #[arg(long, value_name = "WEIGHT", default_value_t = RaySettings::default().cutoff, value_parser = parse_non_negative)]
     cutoff: f64,
 
-    /// Measure on a few rays what leaving samples out and the derivatives cost, and print the error budget
+    /// Measure on a few rays what skipped samples and the derivatives cost, and print the error budget
     #[arg(long)]
     audit: bool,
 
-    /// Also store how far log10 U is from its limit of ever more rays: compares this many independent groups of rays [without a number: 8]
+    /// Also store how far log10 U is from its limit for ever more rays, by comparing this many independent groups
+    /// of rays [without a number: 8]
     ///
-    /// The rays are drawn in groups with pixels of their own; the root mean square error of log10 U (decades, by the delete-one-group
-    /// jackknife; 2 is split half) goes into the field, and `query` answers with it. Where fewer than two groups saw anything it is not known,
-    /// and left empty. While summing this takes GROUPS + 1 times the memory. With --checkpoint every group has its own file, FILE.0, FILE.1, …
-    /// On several machines: other --seed for each, then `merge --error-bars`.
+    /// Each group draws pixels of its own. The field stores the root mean square error of log10 U (decades, by the
+    /// delete-one-group jackknife; 2 is split half), and `query` returns it. Where fewer than two groups saw
+    /// anything, the error is unknown and left empty. Summing takes GROUPS + 1 times the memory. With --checkpoint
+    /// every group has its own file, FILE.0, FILE.1, … On several machines, give each another --seed, then run
+    /// `merge --error-bars`.
     #[arg(long, value_name = "GROUPS", num_args = 0..=1, default_missing_value = "8", value_parser = clap::value_parser!(u16).range(2..=64),
           conflicts_with_all = ["dump_samples", "shard", "memory", "coarsen"])]
     error_bars: Option<u16>,
 
-    /// Also write the ray samples with their Jacobians, as `accumulate` reads them
-    // A run that starts again would dump its first rays twice.
+    /// Also write the ray samples with their Jacobians, in the format that `accumulate` reads
+    // Under a memory budget a run may start again, and would write its first rays twice.
     #[arg(long, value_name = "SAMPLES.npz", conflicts_with = "memory")]
     dump_samples: Option<PathBuf>,
 
-    /// Compute only part I of N of the rays (I from 0); `merge` joins the parts
-    // Ray indices of a part are those of the whole run, beyond the `rays_total` of its own dump.
+    /// Draw only part I of N of the rays (I from 0); `merge` joins the parts
+    // Ray indices of a shard are those of the whole run, beyond the `rays_total` of a file of its own.
     #[arg(long, value_name = "I/N", value_parser = parse_shard, conflicts_with = "dump_samples")]
     shard: Option<[u64; 2]>,
 
-    /// Keep the state of the run in this file, so that it survives Ctrl-C, kill -9 and power cuts
+    /// Save the state of the run in this file, so that it survives Ctrl-C, kill -9 and power cuts
     #[arg(long, value_name = "FILE", conflicts_with = "dump_samples")]
     checkpoint: Option<PathBuf>,
 
-    /// Seconds between two checkpoints
+    /// Seconds between checkpoints
     #[arg(long, value_name = "SECONDS", default_value_t = 60.0, value_parser = parse_non_negative)]
     checkpoint_every: f64,
 
-    /// Go on from the checkpoint, if there is one
+    /// Continue from the checkpoint, if there is one
     #[arg(long, requires = "checkpoint")]
     resume: bool,
 }
 
-/// How many rays.
+/// How many rays to draw.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Rays {
     Count(u64),
@@ -139,7 +145,7 @@ fn parse_shard(text: &str) -> std::result::Result<[u64; 2], String> {
     }
 }
 
-/// A file's name and checksum; a built-in scene has its name alone.
+/// A file's name and checksum. A built-in scene has only a name.
 fn identity(file: &str) -> Result<String> {
     if file.starts_with("scene:") {
         return Ok(file.into());
@@ -162,9 +168,9 @@ impl Args {
         let field = self.model.open()?;
         let views = self.cameras.training(&self.frames, &*field, &self.model.model)?;
         self.command_files().images(&views).check()?;
-        // The readers know better what is wrong with a file than that it has no checksum.
+        // Checked only now: if a file is at fault, the model's and cameras' readers explain it better.
         let files = files?;
-        // The result names these files by their checksums: it must be true.
+        // The result names these files by their checksums, so they must not have changed meanwhile.
         let now = self.files()?;
         if let Some((before, now)) = files.iter().zip(&now).find(|(before, now)| before != now) {
             return Err(Error::setting("an input file", format!("{before}, as before it was read"), now));
@@ -232,7 +238,7 @@ impl Args {
         checkpoint.map_or(Ok(()), |checkpoint| checkpoint.remove(self.error_bars))
     }
 
-    /// Which rays are drawn, and when the run ends.
+    /// Sets which rays are drawn, and when the run ends.
     fn goal<'a>(&self, estimation: Estimation<'a>, tolerance: f64) -> Result<Estimation<'a>> {
         let others = [
             ("--shard", self.shard.is_some()),
@@ -252,7 +258,7 @@ impl Args {
         })
     }
 
-    /// Says on stderr what the run will need, if something limits it or a pilot costs little beside it.
+    /// Says on stderr what the run will need, if it has limits, or if a pilot costs little beside it.
     fn forecast(&self, run: &Run, grid: &GridSettings) -> Result<()> {
         let is_cheap = self.rays != Rays::Auto && run.rays() >= 32 * Planner::PILOT;
         if grid.needs_plan() || is_cheap {
@@ -261,7 +267,7 @@ impl Args {
         Ok(())
     }
 
-    /// Rays of the run, or the most that it may take.
+    /// Rays of the run, or the most that it may draw.
     fn most_rays(&self) -> u64 {
         match self.rays {
             Rays::Count(rays) => rays,
@@ -269,7 +275,7 @@ impl Args {
         }
     }
 
-    /// What is read and written. A checkpoint is both, that is its point.
+    /// What is read and written. A checkpoint is both by design.
     fn command_files(&self) -> CommandFiles {
         let files = CommandFiles::default()
             .input("MODEL", &self.model.model)
@@ -285,13 +291,13 @@ impl Args {
         }
     }
 
-    /// Model and camera file, if there is one, with their checksums.
+    /// The model and the camera file, if there is one, with their checksums.
     fn files(&self) -> Result<Vec<String>> {
         let cameras = self.cameras.cameras.as_ref().map(|file| file.to_string_lossy());
         [Some(self.model.model.as_str()), cameras.as_deref()].into_iter().flatten().map(identity).collect()
     }
 
-    /// What was computed from what: the run's identity.
+    /// What the field was computed from, which identifies the run.
     fn source(&self, files: &[String], cameras: &[Camera]) -> String {
         let mut model = files[0].clone();
         if let Some(coordinates) = self.model.coordinates {
@@ -305,7 +311,7 @@ impl Args {
         format!("{model} seen by {seen_by}")
     }
 
-    /// Where and how often to save, if anywhere.
+    /// Where and how often to save, if at all.
     fn checkpoint(&self) -> Option<Checkpoint> {
         let every = Duration::try_from_secs_f64(self.checkpoint_every).unwrap_or(Duration::MAX);
         self.checkpoint.as_ref().map(|path| Checkpoint::new(path).every(every).resume(self.resume))

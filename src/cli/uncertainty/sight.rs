@@ -1,14 +1,14 @@
-//! Whether the cameras see anything of the model.
+//! Checks whether the cameras see anything of the model.
 
 use super::Args;
 use crate::estimate::Sight;
 use crate::{Error, Result};
 
 impl Args {
-    /// Refuses a run in which nothing is seen, and warns of one in which little is.
+    /// Refuses a run in which nothing is seen. Warns of one in which little is seen.
     pub(super) fn check_sight(&self, sight: &Sight) -> Result<()> {
         let Some(mut causes) = sight.causes() else { return Ok(()) };
-        // These models have two kinds of coordinates. If matter is met and lies elsewhere, they are right.
+        // These models have two kinds of coordinates. If rays meet matter, but outside the domain, they are right.
         if self.model.model.ends_with(".ppng") && sight.meet_matter <= 2.0 * sight.meet_domain {
             causes.push_str(", or --coordinates (ngp or blender)");
         }

@@ -4,7 +4,7 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use glam::DVec3;
 
-/// A value with ∂/∂x, ∂/∂y, ∂/∂z.
+/// A value with its derivatives ∂/∂x, ∂/∂y, ∂/∂z.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Dual {
     pub value: f64,
@@ -34,7 +34,7 @@ impl Dual {
         self.chain(s, s * (1.0 - s))
     }
 
-    /// 0 at 0, where a distance has no slope.
+    /// The slope at 0 is set to 0: a distance has none there.
     pub fn sqrt(self) -> Self {
         let root = self.value.sqrt();
         self.chain(root, if root > 0.0 { 0.5 / root } else { 0.0 })

@@ -1,6 +1,6 @@
 //! The scenes of the zoo, written again in f64 from their description, with gradients.
 //!
-//! Nothing of the field's own evaluation is used: only the numbers that describe it.
+//! Only the numbers that describe a scene are shared. Nothing of the field's own evaluation is used.
 
 use glam::{DMat3, DVec3};
 use octobayes::field::RadianceField;
@@ -21,7 +21,7 @@ pub struct Jet {
 impl Jet {
     const NOTHING: Self = Self { density: 0.0, slope: DVec3::ZERO, color: DVec3::splat(0.5), color_slope: DMat3::ZERO };
 
-    /// Whether compositing can use it.
+    /// Returns true if compositing can use it.
     pub fn is_valid(&self) -> bool {
         self.density >= 0.0 && self.density.is_finite()
     }
@@ -35,7 +35,7 @@ pub struct Ground {
     shift: DVec3,
     pub min: DVec3,
     pub max: DVec3,
-    /// Density and colour at the points of a grid, x slowest; empty if it is none.
+    /// Density and colour at the points of a grid, x slowest. Empty if the specimen is no grid.
     nodes: Vec<[f64; 4]>,
 }
 
@@ -56,7 +56,7 @@ impl Ground {
             let node = |i: usize| {
                 let at = DVec3::new((i / (n * n)) as f64, (i / n % n) as f64, (i % n) as f64) / (n - 1) as f64;
                 let (density, color) = ground.sum(Dual::position(ground.min + at * (ground.max - ground.min)));
-                // A grid's values are f32: that is what it is made of, not how it is evaluated.
+                // A grid's values are f32. They are its definition, not its evaluation.
                 [density, color[0], color[1], color[2]].map(|v| f64::from(v.value as f32))
             };
             ground.nodes = (0..n * n * n).map(node).collect();
@@ -64,7 +64,7 @@ impl Ground {
         ground
     }
 
-    /// σ and c of the shapes, untreated and unmoved.
+    /// σ and c of the shapes, without treatment or motion.
     fn sum(&self, x: [Dual; 3]) -> (Dual, [Dual; 3]) {
         let zero = Dual::constant(0.0);
         let (mut density, mut weighted) = (zero, [zero; 3]);
@@ -80,7 +80,8 @@ impl Ground {
         (density, color)
     }
 
-    /// The field at a scene point, with exact derivatives; of rounding to f16, those of what is rounded.
+    /// The field at a scene point, with exact derivatives. If values are rounded to f16, they are the derivatives
+    /// before rounding.
     pub fn jet(&self, x: DVec3) -> Jet {
         if x.cmplt(self.min).any() || x.cmpgt(self.max).any() {
             return Jet::NOTHING;
@@ -111,7 +112,7 @@ impl Ground {
         }
     }
 
-    /// σ and c as the field returns them: rounded to f16, if it does so.
+    /// σ and c as the field returns them, rounded to f16 if it does so.
     pub fn value(&self, x: DVec3) -> (f64, DVec3) {
         let jet = self.jet(x);
         if self.treatment == Treatment::Half {
@@ -121,7 +122,7 @@ impl Ground {
         (jet.density, jet.color)
     }
 
-    /// Trilinear in the grid's cell around x; of two cells that share a face, the upper one.
+    /// Trilinear interpolation in the grid's cell around x. Of two cells that share a face, the upper one counts.
     fn between_nodes(&self, x: DVec3, n: usize) -> (Dual, [Dual; 3]) {
         let cells = (n - 1) as f64;
         let mut factors = [[Dual::constant(0.0); 2]; 3];
@@ -154,7 +155,7 @@ fn length(v: [Dual; 3]) -> Dual {
     (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]).sqrt()
 }
 
-/// The density of one shape, after the words of its documentation.
+/// The density of one shape, as its documentation states it.
 fn density_of(primitive: &Primitive, x: [Dual; 3]) -> Dual {
     let distance = match primitive.shape {
         Shape::Slab { center, normal, half } => {
@@ -180,7 +181,7 @@ fn density_of(primitive: &Primitive, x: [Dual; 3]) -> Dual {
     if softness == 0.0 {
         return Dual::constant(if distance.value < 0.0 { peak } else { 0.0 });
     }
-    // The quintic smoothstep, 6t⁵ − 15t⁴ + 10t³, from the outer to the inner end of the transition.
+    // The quintic smoothstep, `6t⁵ − 15t⁴ + 10t³`, from the outer to the inner end of the transition.
     let t = (Dual::constant(softness) - distance) * (0.5 / softness);
     let t = t.max(0.0).min(1.0);
     let cubed = t * t * t;

@@ -1,13 +1,18 @@
-//! An independent brute-force computation of H in f64: written from the formulas of the method, for reading, sharing no code with the
-//! pipeline that it judges.
+//! An independent brute-force computation of H in f64. It is written for reading, from the formulas of the method,
+//! and shares no code with the pipeline that it checks.
 //!
-//! What both must agree on, the *rule*, is: which pixels are drawn and with which jitter (taken from the pipeline's sequence, as picks); a sample
-//! at t = entry + (k + jitter) δ, k = 0, 1, … while t < exit, where [entry, exit] is the part of the ray with t ≥ 0 in the closed box; its
-//! interval is δ; the pixel's centre is at ½; R counts all rays drawn; a ray that meets something that is no density before T falls to 1e-6 is left out of
-//! the sums.
-//! Everything else is done in another way: no sample is left out, no ray ends early, T is an exponential of a sum, rays and positions stay
-//! f64, the field is written again in f64 ([`ground`]), its gradients are exact (or differences over ±h in f64, to judge a run that uses them),
-//! and the sums run over a plain dense grid.
+//! Both must agree on the *rule*:
+//!
+//! - Which pixels are drawn, and with which jitter, is taken from the pipeline's sequence, as picks.
+//! - Samples lie at `t = entry + (k + jitter) δ`, k = 0, 1, … while t < exit. Here [entry, exit] is the part of
+//!   the ray with t ≥ 0 in the closed box. Each sample's interval is δ.
+//! - The pixel's centre is at ½.
+//! - R counts all rays drawn.
+//! - A ray is left out of the sums if it meets an invalid density before T falls to 1e-6.
+//!
+//! Everything else is done in another way. No sample is left out and no ray ends early. T is the exponential of a
+//! sum. Rays and positions stay f64. The field is written again in f64 ([`ground`]), and its gradients are exact
+//! (or differences over ±h in f64, to check a run that uses them). The sums run over a plain dense grid.
 
 pub mod dual;
 pub mod ground;
@@ -27,19 +32,19 @@ pub enum Derivatives {
     Differences(DVec3),
 }
 
-/// What is computed.
+/// The computation and its settings.
 pub struct Oracle<'a> {
     pub ground: &'a Ground,
     pub cameras: &'a [Camera],
-    /// δ.
+    /// δ, the distance between samples.
     pub interval: f64,
     pub background: DVec3,
     pub derivatives: Derivatives,
-    /// M.
+    /// M, cells per axis.
     pub cells: usize,
 }
 
-/// Σ_r JᵀJ at the (M + 1)³ lattice points, x slowest, and how many rays were left out.
+/// Σ_r JᵀJ at the (M + 1)³ lattice points, x slowest, and the number of rays left out.
 pub struct Sums {
     pub information: Vec<DMat3>,
     pub dropped: u64,
@@ -78,7 +83,8 @@ impl Oracle<'_> {
         (0..).map(|k| entry + (f64::from(k) + jitter) * self.interval).take_while(|&t| t < exit).collect()
     }
 
-    /// Value and derivatives at x; not a density if it, or what a difference looks at, is none.
+    /// Value and derivatives at x. The density is invalid if the value, or a value used by a difference, is
+    /// invalid.
     fn jet(&self, x: DVec3) -> Jet {
         match self.derivatives {
             Derivatives::Exact => self.ground.jet(x),
@@ -103,10 +109,11 @@ impl Oracle<'_> {
         }
     }
 
-    /// ∂C/∂x of the samples of a ray (rows colour, columns axis), up to one that is no density and that nobody can see; `None` if it can be seen.
+    /// ∂C/∂x of the samples of a ray (rows colour, columns axis). Ends before an invalid density that nobody can
+    /// see; `None` if it can be seen.
     fn jacobians(&self, samples: &[Sample]) -> Option<Vec<DMat3>> {
         let delta = self.interval;
-        // Optical depth before each sample, and behind the last.
+        // Optical depth before each sample, and after the last.
         let mut depth = vec![0.0];
         for sample in samples {
             if !sample.jet.is_valid() {
@@ -119,7 +126,7 @@ impl Oracle<'_> {
             depth.push(depth[depth.len() - 1] + sample.jet.density * delta);
         }
         let transmittance: Vec<f64> = depth.iter().map(|d| (-d).exp()).collect();
-        // Colour of what is behind each sample, by the definition.
+        // Colour of what is behind each sample, by definition.
         let seen = depth.len() - 1;
         let mut behind = vec![transmittance[seen] * self.background; seen + 1];
         for i in (0..seen).rev() {
@@ -129,7 +136,7 @@ impl Oracle<'_> {
         let jacobian = |i: usize| {
             let jet = &samples[i].jet;
             let weight = transmittance[i] * -(-jet.density * delta).exp_m1();
-            // More density at i shows more of its colour, and less of all behind it.
+            // More density at i shows more of its colour, and less of everything behind it.
             let by_density = delta * (transmittance[i + 1] * jet.color - behind[i + 1]);
             DMat3::from_cols(by_density * jet.slope.x, by_density * jet.slope.y, by_density * jet.slope.z)
                 + weight * jet.color_slope
@@ -137,7 +144,7 @@ impl Oracle<'_> {
         Some((0..seen).map(jacobian).collect())
     }
 
-    /// Lattice points around x, with their hat functions.
+    /// The lattice points around x, with the values of their hat functions.
     pub fn hats(&self, x: DVec3) -> [(usize, f64); 8] {
         let n = self.cells;
         let u = (x - self.ground.min) / (self.ground.max - self.ground.min) * n as f64;
@@ -150,7 +157,7 @@ impl Oracle<'_> {
         })
     }
 
-    /// J_v of one ray at every vertex that it touches; `None` if the ray is left out.
+    /// J_v of one ray at every vertex that it touches. `None` if the ray is left out.
     pub fn vertex_jacobians(&self, pick: &Pick) -> Option<Vec<(usize, DMat3)>> {
         let (origin, direction) = self.ray(pick);
         let distances = self.distances(origin, direction, pick.jitter);
@@ -192,7 +199,8 @@ impl Oracle<'_> {
         sums
     }
 
-    /// The colour of a ray whose vertex `moved` is displaced by `by`: the model itself, x → x + φ_v(x) θ, composited.
+    /// The colour of a ray when the vertex `moved` is displaced by `by`. This composites the model itself,
+    /// `x → x + φ_v(x) θ`.
     pub fn color_with_displaced_vertex(&self, pick: &Pick, moved: usize, by: DVec3) -> DVec3 {
         let (origin, direction) = self.ray(pick);
         let (mut color, mut depth) = (DVec3::ZERO, 0.0_f64);
@@ -213,7 +221,7 @@ pub fn hessian(information: &DMat3, rays: u64, lambda: f64) -> DMat3 {
     *information * (2.0 / rays as f64) + DMat3::from_diagonal(DVec3::splat(2.0 * lambda))
 }
 
-/// Eigenvalues of a symmetric matrix by Jacobi rotations: small ones are right to 1e-16 of the largest.
+/// Eigenvalues of a symmetric matrix by Jacobi rotations. Small ones are right to 1e-16 of the largest.
 pub fn eigenvalues(m: &DMat3) -> [f64; 3] {
     let mut a = m.to_cols_array_2d();
     for _ in 0..20 {
@@ -239,7 +247,7 @@ pub fn eigenvalues(m: &DMat3) -> [f64; 3] {
     [a[0][0], a[1][1], a[2][2]]
 }
 
-/// Standard deviations read off H: `diagonal`, `trace`, `block`, after the table of the README.
+/// Standard deviations read off H: `diagonal`, `trace`, `block`, by the README's table.
 pub fn readings(information: &DMat3, rays: u64, lambda: f64) -> [f64; 3] {
     let h = hessian(information, rays, lambda);
     let diagonal = (0..3).map(|k| 1.0 / h.col(k)[k]).sum::<f64>();
