@@ -77,7 +77,8 @@ impl Lattice {
 
     /// Position of a lattice point in the arrays of a dense grid: x slowest, z fastest.
     ///
-    /// A grid has one point more than cells along each axis; a stride of M instead of M + 1 would let opposite faces share entries.
+    /// A grid has one point more than cells along each axis: a stride of M instead of M + 1 would let opposite faces
+    /// share entries.
     #[must_use]
     pub fn dense_index(&self, point: [u32; 3]) -> usize {
         let n = self.cells_per_axis() as usize + 1;
