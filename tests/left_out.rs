@@ -175,7 +175,7 @@ fn negligible_samples_of_trained_models_are_within_their_share_of_the_tolerance(
     let (tolerance, mut seen) = (0.01, 0);
     for (name, model, cameras) in models() {
         let domain = Domain::Box(model.bounds());
-        let is_cheap = model.differentiable().is_some_and(|own| own.is_cheap());
+        let is_cheap = model.differentiable().is_some_and(octobayes::field::Differentiable::is_cheap);
         let methods = [GradientMethod::FiniteDifference, GradientMethod::Auto];
         for gradient in methods.into_iter().take(if is_cheap { 2 } else { 1 }) {
             let rays = RaySettings { rays: 4_096, gradient, ..RaySettings::default() };

@@ -130,7 +130,13 @@ impl FieldBuilder {
         // In a random sequence the first points are as good as any.
         let visible = batches.iter().flat_map(|batch| batch.positions.iter().zip(&batch.weights));
         let visible = visible.filter(|(_, weight)| **weight >= SURFACE_WEIGHT).map(|(x, _)| x.to_array());
-        self.surface.extend(visible.take(self.settings.surface_points - self.surface.len()));
+        self.keep_surface(visible);
+    }
+
+    /// Keeps as many of these points as there is room for.
+    fn keep_surface(&mut self, points: impl Iterator<Item = [f32; 3]>) {
+        let room = self.settings.surface_points - self.surface.len();
+        self.surface.extend(points.take(room));
     }
 
     /// Saves the state of the run `key` after the rays of `progress`.
@@ -278,7 +284,6 @@ impl AddAssign<&Self> for FieldBuilder {
             (AnyPosterior::Octree(mine), AnyPosterior::Octree(theirs)) => mine.add_bricks(theirs),
             _ => unreachable!("both have the same settings"),
         }
-        let room = self.settings.surface_points - self.surface.len();
-        self.surface.extend(other.surface.iter().take(room));
+        self.keep_surface(other.surface.iter().copied());
     }
 }
