@@ -94,7 +94,7 @@ pub struct Intrinsics {
 /// use octobayes::geometry::Aabb;
 /// use octobayes::glam::Vec3;
 ///
-/// /// A soft ball that is red on one side and blue on the other.
+/// /// A soft ball with waves of colour along every axis.
 /// struct Ball;
 ///
 /// impl RadianceField for Ball {
@@ -104,7 +104,7 @@ pub struct Intrinsics {
 ///     fn evaluate(&self, positions: &[Vec3], _directions: &[Vec3], out: &mut [Radiance]) {
 ///         for (x, out) in positions.iter().zip(out) {
 ///             let density = 50.0 / (1.0 + (40.0 * (x.length() - 0.5)).exp());
-///             *out = Radiance { density, color: Vec3::new(0.5 + 0.5 * x.x, 0.2, 0.5 - 0.5 * x.x) };
+///             *out = Radiance { density, color: (9.0 * *x).map(|v| 0.5 + 0.4 * v.sin()) };
 ///         }
 ///     }
 ///     fn suggested_step(&self) -> f64 {
@@ -117,7 +117,7 @@ pub struct Intrinsics {
 /// let grid = GridSettings { level: 5, ..GridSettings::default() };
 /// let field = Estimation::new(&Ball, &cameras).rays(rays).grid(grid).run()?.field;
 /// // The cameras stand on the side x > 0: there the ball's surface is known better.
-/// let [seen, unseen] = [0.5, -0.5].map(|x| field.query(Vec3::new(x, 0.0, 0.1)).uncertainty);
+/// let [seen, unseen] = [0.5, -0.5].map(|x| field.query(Vec3::new(x, 0.1, 0.1)).uncertainty);
 /// assert!(seen < 0.1 * unseen);
 /// # Ok::<(), octobayes::Error>(())
 /// ```

@@ -9,14 +9,9 @@
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
+use super::key::{BlockCode, BrickCode, SHARDS, VertexKey};
 use super::lists::{Contribution, Contributions};
-use crate::octree::morton;
 use crate::posterior::VertexSums;
-
-/// Number of shards: enough to keep many cores busy, few enough to keep their lists long.
-const SHARD_BITS: u32 = 6;
-pub const SHARDS: usize = 1 << SHARD_BITS;
-const COARSENESS_SHIFT: u32 = 57;
 
 /// Sums at the eight vertices of a brick.
 pub type Brick = [VertexSums; 8];
@@ -31,36 +26,19 @@ impl Block {
     const EMPTY: Self = Self([Self::NONE; 8]);
 
     /// The slot of the brick that contains `key`.
-    fn slot(&mut self, key: u64) -> &mut u32 {
-        &mut self.0[(key >> 3 & 7) as usize]
+    fn slot(&mut self, brick: BrickCode) -> &mut u32 {
+        &mut self.0[brick.in_block()]
     }
 
     /// The slot of the brick that contains `key`, if it exists.
-    fn find(&self, key: u64) -> Option<u32> {
-        Some(self.0[(key >> 3 & 7) as usize]).filter(|slot| *slot != Self::NONE)
+    fn find(&self, brick: BrickCode) -> Option<u32> {
+        Some(self.0[brick.in_block()]).filter(|slot| *slot != Self::NONE)
     }
 
     /// The bricks that exist, with their number within the block.
     fn bricks(&self) -> impl Iterator<Item = (u64, u32)> {
         (0..8).zip(self.0).filter(|(_, slot)| *slot != Self::NONE)
     }
-}
-
-/// The key of the vertex at `point`, whose coordinates must be multiples of 2^`coarseness`.
-pub fn key(point: [u32; 3], coarseness: u8) -> u64 {
-    u64::from(coarseness) << COARSENESS_SHIFT | morton::encode(point.map(|i| i >> coarseness))
-}
-
-/// The lattice point of a key.
-pub fn point(key: u64) -> [u32; 3] {
-    let coarseness = key >> COARSENESS_SHIFT;
-    morton::decode(key & ((1 << COARSENESS_SHIFT) - 1)).map(|i| i << coarseness)
-}
-
-/// The shard that owns a vertex.
-pub fn shard_of(key: u64) -> usize {
-    // Fibonacci hashing of the block's code (Knuth, TAOCP 3, 6.4).
-    ((key >> 6).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> (64 - SHARD_BITS)) as usize
 }
 
 /// Bricks per chunk, which takes 64 KiB.
@@ -110,9 +88,9 @@ const AHEAD: usize = 32;
 #[derive(Debug, Clone, Default)]
 struct Shard {
     /// Keyed by block code: the key without its low 6 bits.
-    blocks: FxHashMap<u64, Block>,
+    blocks: FxHashMap<BlockCode, Block>,
     /// Codes of bricks (keys without their low 3 bits), in the order in which rays first touched them.
-    codes: Vec<u64>,
+    codes: Vec<BrickCode>,
     bricks: BrickList,
 }
 
@@ -122,18 +100,18 @@ impl Shard {
         let mut slots = [0; AHEAD];
         for some in contributions.chunks(AHEAD) {
             let mut next = slots.iter_mut();
-            for run in some.chunk_by(|a, b| a.key >> 6 == b.key >> 6) {
-                let block = self.blocks.entry(run[0].key >> 6).or_insert(Block::EMPTY);
+            for run in some.chunk_by(|a, b| a.key.block() == b.key.block()) {
+                let block = self.blocks.entry(run[0].key.block()).or_insert(Block::EMPTY);
                 for (Contribution { key, .. }, found) in run.iter().zip(&mut next) {
-                    let slot = block.slot(*key);
+                    let slot = block.slot(key.brick());
                     if *slot == Block::NONE {
                         *slot = self.bricks.push();
-                        self.codes.push(key >> 3);
+                        self.codes.push(key.brick());
                     }
                     *found = *slot;
                 }
             }
-            let places = || some.iter().zip(&slots).map(|(c, &slot)| (slot, (c.key & 7) as usize));
+            let places = || some.iter().zip(&slots).map(|(c, &slot)| (slot, c.key.in_brick()));
             // Touches all of them first, so that their cache misses overlap.
             std::hint::black_box(places().fold(0, |any, (slot, i)| any | self.bricks.get(slot)[i].rays));
             for (c, (slot, i)) in some.iter().zip(places()) {
@@ -143,8 +121,8 @@ impl Shard {
     }
 
     /// The brick with the given code, created if it is new.
-    fn brick(&mut self, code: u64) -> &mut Brick {
-        let slot = self.blocks.entry(code >> 3).or_insert(Block::EMPTY).slot(code << 3);
+    fn brick(&mut self, code: BrickCode) -> &mut Brick {
+        let slot = self.blocks.entry(code.block()).or_insert(Block::EMPTY).slot(code);
         if *slot == Block::NONE {
             *slot = self.bricks.push();
             self.codes.push(code);
@@ -153,16 +131,16 @@ impl Shard {
     }
 
     /// All bricks with their codes.
-    fn iter(&self) -> impl Iterator<Item = (u64, &Brick)> {
+    fn iter(&self) -> impl Iterator<Item = (BrickCode, &Brick)> {
         self.codes.iter().copied().zip(self.bricks.slices().flatten())
     }
 
     fn memory(&self) -> usize {
-        // hashbrown has one control byte and one (u64, Block) pair per bucket; one bucket in eight stays empty.
+        // hashbrown has one control byte and one (code, Block) pair per bucket; one bucket in eight stays empty.
         self.bricks.chunks.len() * size_of::<Chunk>()
             + self.bricks.chunks.capacity() * 8
             + self.codes.capacity() * 8
-            + self.blocks.capacity() * 8 / 7 * (1 + size_of::<(u64, Block)>())
+            + self.blocks.capacity() * 8 / 7 * (1 + size_of::<(BlockCode, Block)>())
     }
 }
 
@@ -195,32 +173,32 @@ impl Bricks {
     }
 
     /// Adds `sums` to one vertex.
-    pub fn add_one(&mut self, key: u64, sums: &VertexSums) {
-        self.shards[shard_of(key)].brick(key >> 3)[(key & 7) as usize].add(sums);
+    pub fn add_one(&mut self, key: VertexKey, sums: &VertexSums) {
+        self.shards[key.shard()].brick(key.brick())[key.in_brick()].add(sums);
     }
 
     /// The sums at a vertex, if its brick exists.
-    pub fn get(&self, key: u64) -> Option<&VertexSums> {
+    pub fn get(&self, key: VertexKey) -> Option<&VertexSums> {
         let (block, bricks) = self.block(key)?;
-        block.find(key).map(|slot| &bricks.get(slot)[(key & 7) as usize])
+        block.find(key.brick()).map(|slot| &bricks.get(slot)[key.in_brick()])
     }
 
     /// The block of a key, if it exists, and the bricks of its shard.
-    fn block(&self, key: u64) -> Option<(&Block, &BrickList)> {
-        let shard = &self.shards[shard_of(key)];
-        Some((shard.blocks.get(&(key >> 6))?, &shard.bricks))
+    fn block(&self, key: VertexKey) -> Option<(&Block, &BrickList)> {
+        let shard = &self.shards[key.shard()];
+        Some((shard.blocks.get(&key.block())?, &shard.bricks))
     }
 
     /// A reader for looking up neighbouring vertices.
     pub fn reader(&self) -> Reader<'_> {
-        Reader { bricks: self, code: u64::MAX, block: None }
+        Reader { bricks: self, code: BlockCode::NONE, block: None }
     }
 
     /// For every block, its code and a mask of the members whose sums satisfy `condition`; in parallel.
     pub fn par_masks(
         &self,
         condition: impl Fn(&VertexSums) -> bool + Send + Sync,
-    ) -> impl ParallelIterator<Item = (u64, u64)> {
+    ) -> impl ParallelIterator<Item = (BlockCode, u64)> {
         let blocks = self
             .shards
             .par_iter()
@@ -233,14 +211,14 @@ impl Bricks {
     }
 
     /// All vertices of all bricks with their keys, in parallel.
-    pub fn par_iter(&self) -> impl ParallelIterator<Item = (u64, &VertexSums)> {
+    pub fn par_iter(&self) -> impl ParallelIterator<Item = (VertexKey, &VertexSums)> {
         let bricks = self.shards.par_iter().flat_map_iter(Shard::iter);
-        bricks.flat_map_iter(|(code, brick)| (0_u64..).zip(brick).map(move |(i, sums)| (code << 3 | i, sums)))
+        bricks.flat_map_iter(|(code, brick)| (0..).zip(brick).map(move |(i, sums)| (code.vertex(i), sums)))
     }
 
     /// Brick codes, in the order in which [`Bricks::slices`] returns their sums.
     pub fn codes(&self) -> impl Iterator<Item = u64> + '_ {
-        self.shards.iter().flat_map(|shard| shard.codes.iter().copied())
+        self.shards.iter().flat_map(|shard| shard.codes.iter().map(|code| code.bits()))
     }
 
     /// The sums, slice by slice.
@@ -254,16 +232,11 @@ impl Bricks {
     pub fn restore(cells: u32, codes: &[u64], bricks: Vec<Brick>) -> Option<Self> {
         let mut restored = Self::new();
         for (&code, brick) in codes.iter().zip(bricks) {
-            // Each level of coarseness halves the lattice until one cell remains.
-            let coarseness = code >> (COARSENESS_SHIFT - 3);
-            if coarseness > u64::from(cells.ilog2()) {
+            let code = BrickCode::from_bits(code);
+            if !code.is_within(cells) {
                 return None;
             }
-            let first = morton::decode(code << 3 & ((1 << COARSENESS_SHIFT) - 1));
-            if first.iter().any(|&i| i > cells >> coarseness) {
-                return None;
-            }
-            let shard = &mut restored.shards[shard_of(code << 3)];
+            let shard = &mut restored.shards[code.shard()];
             let before = shard.codes.len();
             *shard.brick(code) = brick;
             if shard.codes.len() == before {
@@ -283,19 +256,19 @@ impl Bricks {
 pub struct Reader<'a> {
     bricks: &'a Bricks,
     /// Code of the block that was looked up last.
-    code: u64,
+    code: BlockCode,
     block: Option<(&'a Block, &'a BrickList)>,
 }
 
 impl Reader<'_> {
     /// The sums at a vertex; zero if its brick does not exist.
-    pub fn get(&mut self, key: u64) -> VertexSums {
-        if key >> 6 != self.code {
-            self.code = key >> 6;
+    pub fn get(&mut self, key: VertexKey) -> VertexSums {
+        if key.block() != self.code {
+            self.code = key.block();
             self.block = self.bricks.block(key);
         }
-        let brick = self.block.and_then(|(block, bricks)| Some(bricks.get(block.find(key)?)));
-        brick.map_or_else(VertexSums::default, |brick| brick[(key & 7) as usize])
+        let brick = self.block.and_then(|(block, bricks)| Some(bricks.get(block.find(key.brick())?)));
+        brick.map_or_else(VertexSums::default, |brick| brick[key.in_brick()])
     }
 }
 
@@ -304,13 +277,12 @@ mod tests {
     use std::collections::BTreeMap;
 
     use super::*;
-    use proptest::prelude::*;
 
     #[test]
     fn sums_of_many_chunks_are_those_of_a_map() {
         // Half a million additions in runs of neighbours, to some 30,000 bricks. Each shard needs several chunks,
         // all of them allocated on the way.
-        let (mut bricks, mut map) = (Bricks::new(), BTreeMap::<u64, VertexSums>::new());
+        let (mut bricks, mut map) = (Bricks::new(), BTreeMap::<VertexKey, VertexSums>::new());
         let mut state = 1_u64;
         for _ in 0..5 {
             let lists: Vec<Contributions> = (0..4)
@@ -319,7 +291,7 @@ mod tests {
                     for _ in 0..2500 {
                         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
                         for i in 0..10 {
-                            let key = (state >> 40) % (1 << 18) + 3 * i;
+                            let key = VertexKey::finest((state >> 40) % (1 << 18) + 3 * i);
                             let value = (state >> 11) as f64 / (1_u64 << 53) as f64 + i as f64;
                             let sums = VertexSums { information: [value; 6], gradient: [1.0; 3], rays: 1 };
                             map.entry(key).or_default().add(&sums);
@@ -332,11 +304,12 @@ mod tests {
             bricks.add(&lists);
         }
         assert!(bricks.slices().filter(|slice| slice.len() == CHUNK).count() > 2 * SHARDS);
-        let found: BTreeMap<u64, VertexSums> =
+        let found: BTreeMap<VertexKey, VertexSums> =
             bricks.par_iter().filter(|(_, e)| e.rays > 0).map(|(key, e)| (key, *e)).collect();
         assert_eq!(found, map);
         assert!(
             (0..1 << 18)
+                .map(VertexKey::finest)
                 .all(|key| bricks.get(key).copied().unwrap_or_default() == map.get(&key).copied().unwrap_or_default())
         );
         // Save and restore.
@@ -348,14 +321,5 @@ mod tests {
     #[test]
     fn every_vertex_has_a_cache_line_of_its_own() {
         assert_eq!((size_of::<Chunk>(), align_of::<Chunk>()), (CHUNK * 512, 64));
-    }
-
-    proptest! {
-        #[test]
-        fn a_key_holds_its_point(index in proptest::array::uniform3(0_u32..=1 << 11), coarseness in 0_u8..=5) {
-            let at = index.map(|i| i << coarseness);
-            prop_assert_eq!(point(key(at, coarseness)), at);
-            prop_assert_eq!(key(at, coarseness) >> COARSENESS_SHIFT, u64::from(coarseness));
-        }
     }
 }

@@ -1,12 +1,12 @@
 //! The contributions of rays, in one list per shard, which that shard reads from beginning to end.
 
-use super::bricks::{SHARDS, shard_of};
+use super::key::{SHARDS, VertexKey};
 use crate::posterior::VertexSums;
 
 /// The contribution of one ray to one vertex.
 #[derive(Clone, Copy)]
 pub struct Contribution {
-    pub key: u64,
+    pub key: VertexKey,
     pub sums: VertexSums,
 }
 
@@ -21,8 +21,8 @@ impl Contributions {
 
     /// Appends a contribution of the current ray or the next one.
     #[inline(always)]
-    pub fn push(&mut self, key: u64, sums: VertexSums) {
-        self.0[shard_of(key)].push(Contribution { key, sums });
+    pub fn push(&mut self, key: VertexKey, sums: VertexSums) {
+        self.0[key.shard()].push(Contribution { key, sums });
     }
 
     /// The list of one shard.

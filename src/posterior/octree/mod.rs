@@ -15,6 +15,7 @@
 //! its contributions in ray order, whatever the number of threads.
 
 mod bricks;
+mod key;
 mod lists;
 mod pilot_counts;
 mod refine;
@@ -25,7 +26,8 @@ pub use bricks::Brick;
 pub use pilot_counts::PilotCounts;
 pub use refine::Refinement;
 
-use bricks::{Bricks, key};
+use bricks::Bricks;
+use key::VertexKey;
 use lists::Contributions;
 use rayon::prelude::*;
 use walk::Walk;
@@ -86,7 +88,7 @@ impl OctreePosterior {
 
     /// Adds sums at a lattice point, as part of joining another run.
     pub fn add_sums_at(&mut self, point: [u32; 3], sums: &VertexSums) {
-        self.bricks.add_one(key(point, self.coarseness(point)), sums);
+        self.bricks.add_one(VertexKey::new(point, self.coarseness(point)), sums);
     }
 
     /// Adds the sums over other rays on the same leaves, vertex by vertex.
@@ -97,13 +99,13 @@ impl OctreePosterior {
     /// The sums so far at a lattice point.
     #[must_use]
     pub fn sums(&self, point: [u32; 3]) -> VertexSums {
-        self.bricks.get(key(point, self.coarseness(point))).copied().unwrap_or_default()
+        self.bricks.get(VertexKey::new(point, self.coarseness(point))).copied().unwrap_or_default()
     }
 
     /// Every vertex that a ray touched, with its lattice point.
     #[must_use = "iterators are lazy"]
     pub fn touched(&self) -> impl ParallelIterator<Item = ([u32; 3], &VertexSums)> {
-        self.bricks.par_iter().filter(|(_, e)| e.rays > 0).map(|(key, e)| (bricks::point(key), e))
+        self.bricks.par_iter().filter(|(_, e)| e.rays > 0).map(|(key, e)| (key.point(), e))
     }
 
     /// Number of levels between the finest level and the finest leaf that has `point` as a corner.

@@ -2,7 +2,8 @@
 
 use rayon::prelude::*;
 
-use super::{OctreePosterior, bricks};
+use super::OctreePosterior;
+use super::key::VertexKey;
 use crate::octree::{Cell, Leaves, Octree, Wanted, around, cells_around};
 use crate::posterior::{Pooling, VertexSums, trace};
 
@@ -40,7 +41,7 @@ impl OctreePosterior {
         let mut wanted = self.wanted_around_moved(refinement.floor);
         if refinement.pooling.is_on() {
             // A key is a point on the lattice of its own level, so sorted unique keys are unique points.
-            let mut moved: Vec<u64> = match refinement.floor {
+            let mut moved: Vec<VertexKey> = match refinement.floor {
                 Some(floor) => self.bricks.par_iter().filter(|(_, e)| moves(e, floor)).map(|(key, _)| key).collect(),
                 None => Vec::new(),
             };
@@ -64,7 +65,10 @@ impl OctreePosterior {
     pub fn sums_at(&self, octree: &Octree) -> Vec<VertexSums> {
         let points = octree.par_vertex_positions();
         points
-            .map_init(|| self.bricks.reader(), |reader, point| reader.get(bricks::key(point, self.coarseness(point))))
+            .map_init(
+                || self.bricks.reader(),
+                |reader, point| reader.get(VertexKey::new(point, self.coarseness(point))),
+            )
             .collect()
     }
 
@@ -76,10 +80,10 @@ impl OctreePosterior {
         let masks = self.bricks.par_masks(|sums| moves(sums, floor));
         let each = masks.fold(none, |mut wanted, (code, moved)| {
             if self.limits.is_unlimited() {
-                wanted.around_points(code, moved);
+                wanted.around_points(code.bits(), moved);
             } else {
                 let members = (0..64_u64).filter(|i| moved >> i & 1 == 1);
-                members.for_each(|i| self.want_around(&mut wanted, code << 6 | i));
+                members.for_each(|i| self.want_around(&mut wanted, code.vertex(i)));
             }
             wanted
         });
@@ -87,32 +91,32 @@ impl OctreePosterior {
     }
 
     /// The leaves around one vertex.
-    fn want_around(&self, wanted: &mut Wanted, key: u64) {
-        let around = cells_around(bricks::point(key), self.lattice.level());
+    fn want_around(&self, wanted: &mut Wanted, key: VertexKey) {
+        let around = cells_around(key.point(), self.lattice.level());
         around.for_each(|cell| wanted.cell(self.limits.leaf(cell)));
     }
 
     /// Vertices of the finest lattice next to `moved` (sorted keys) that move by pooling.
-    fn moved_by_pooling(&self, moved: &[u64], refinement: &Refinement) -> Vec<u64> {
+    fn moved_by_pooling(&self, moved: &[VertexKey], refinement: &Refinement) -> Vec<VertexKey> {
         let last = self.lattice.cells_per_axis();
-        let is_finest = |key: &u64| bricks::key(bricks::point(*key), 0) == *key;
-        let mut beside: Vec<u64> = moved
+        let is_finest = |key: &VertexKey| VertexKey::new(key.point(), 0) == *key;
+        let mut beside: Vec<VertexKey> = moved
             .par_chunks(64)
             .flat_map_iter(|keys| {
-                let near = keys.iter().filter(|key| is_finest(key)).flat_map(|&key| around(bricks::point(key), last));
-                let mut near: Vec<u64> = near.map(|(point, _)| bricks::key(point, 0)).collect();
+                let near = keys.iter().filter(|key| is_finest(key)).flat_map(|&key| around(key.point(), last));
+                let mut near: Vec<VertexKey> = near.map(|(point, _)| VertexKey::new(point, 0)).collect();
                 near.sort_unstable();
                 near.dedup();
-                near.retain(|key| moved.binary_search(key).is_err() && self.coarseness(bricks::point(*key)) == 0);
+                near.retain(|key| moved.binary_search(key).is_err() && self.coarseness(key.point()) == 0);
                 near
             })
             .collect();
         beside.par_sort_unstable();
         beside.dedup();
         let floor = refinement.pooling.floor;
-        let at = |point| self.bricks.get(bricks::key(point, 0)).copied();
-        let is_moved = |key: &u64| {
-            let pooled = refinement.pooling.pooled(bricks::point(*key), last, at);
+        let at = |point| self.bricks.get(VertexKey::new(point, 0)).copied();
+        let is_moved = |key: &VertexKey| {
+            let pooled = refinement.pooling.pooled(key.point(), last, at);
             trace(&pooled.information) > floor
         };
         beside.into_par_iter().filter(is_moved).collect()

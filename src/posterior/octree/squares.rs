@@ -10,9 +10,10 @@ use std::ops::Range;
 use glam::DVec3;
 use multiversion::multiversion;
 
-use super::bricks::key;
+use super::key::VertexKey;
 use super::lists::Contributions;
 use crate::geometry::Lattice;
+use crate::octree::morton;
 use crate::posterior::{Information, VertexSums};
 use crate::render::RaySamples;
 
@@ -147,12 +148,13 @@ impl Corners {
             for (code, coordinate) in codes[axis].iter_mut().zip(Self::coordinates(self.cell[axis])) {
                 let mut point = [0; 3];
                 point[axis] = coordinate;
-                *code = key(point, 0);
+                *code = morton::encode(point);
             }
         }
         for (s, sum) in self.sums.iter_mut().enumerate() {
             if done(s) {
-                out.push(codes[0][s & 1] | codes[1][s >> 1 & 1] | codes[2][s >> 2], sum.squared());
+                let code = codes[0][s & 1] | codes[1][s >> 1 & 1] | codes[2][s >> 2];
+                out.push(VertexKey::finest(code), sum.squared());
                 *sum = Partial::default();
             }
         }

@@ -203,12 +203,12 @@ proptest! {
 }
 
 /// (vertex, sample index, weight). A stable sort groups the samples of a vertex in ray order.
-type Touch = (u64, usize, f64);
+type Touch = (VertexKey, usize, f64);
 
 impl OctreePosterior {
     /// Visits the vertices that a sample touches, with their weights: the corners of its leaf,
     /// with hanging vertices resolved.
-    fn for_each_vertex(&self, x: Vec3, mut visit: impl FnMut(u64, f64)) {
+    fn for_each_vertex(&self, x: Vec3, mut visit: impl FnMut(VertexKey, f64)) {
         let Some(u) = self.lattice.coordinates(x) else { return };
         let leaf = self.limits.leaf(self.lattice.cell(u).0);
         let (origin, edge) = leaf.extent(self.limits.finest());
@@ -217,12 +217,12 @@ impl OctreePosterior {
             let corner = std::array::from_fn(|axis| origin[axis] + edge * (c as u32 >> axis & 1));
             let masters = masters(&self.limits, corner);
             let weight = weight / masters.points().len() as f64;
-            masters.points().iter().for_each(|&point| visit(key(point, self.coarseness(point)), weight));
+            masters.points().iter().for_each(|&point| visit(VertexKey::new(point, self.coarseness(point)), weight));
         }
     }
 
     /// Squares one ray on any leaves, slowly, by sorting what its samples touch by vertex.
-    fn gather(&self, batch: &RaySamples, samples: Range<usize>) -> BTreeMap<u64, Vec<VertexSums>> {
+    fn gather(&self, batch: &RaySamples, samples: Range<usize>) -> BTreeMap<VertexKey, Vec<VertexSums>> {
         let mut touched: Vec<Touch> = Vec::new();
         for i in samples {
             self.for_each_vertex(batch.positions[i], |key, weight| touched.push((key, i, weight)));
@@ -238,9 +238,9 @@ impl OctreePosterior {
 }
 
 /// The contributions of one ray by vertex.
-fn by_vertex(contributions: &Contributions) -> BTreeMap<u64, Vec<VertexSums>> {
-    let mut found: BTreeMap<u64, Vec<VertexSums>> = BTreeMap::new();
-    let all = (0..bricks::SHARDS).flat_map(|s| contributions.of_shard(s));
+fn by_vertex(contributions: &Contributions) -> BTreeMap<VertexKey, Vec<VertexSums>> {
+    let mut found: BTreeMap<VertexKey, Vec<VertexSums>> = BTreeMap::new();
+    let all = (0..key::SHARDS).flat_map(|s| contributions.of_shard(s));
     all.for_each(|c| found.entry(c.key).or_default().push(c.sums));
     found
 }

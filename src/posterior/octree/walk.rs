@@ -10,7 +10,7 @@ use glam::DVec3;
 use multiversion::multiversion;
 use rustc_hash::FxHashMap;
 
-use super::bricks::key;
+use super::key::VertexKey;
 use super::lists::Contributions;
 use super::squares::{Partial, Row};
 use crate::geometry::Lattice;
@@ -29,25 +29,25 @@ struct Term {
 /// The vertices that one ray touched.
 struct Touched {
     /// Index in the lists below, by key.
-    index: FxHashMap<u64, u32>,
-    keys: Vec<u64>,
+    index: FxHashMap<VertexKey, u32>,
+    keys: Vec<VertexKey>,
     sums: Vec<Partial>,
     /// Vertices looked up last, by the low bits of their keys, which distinguish the corners of a leaf. Half
     /// of them recur in the next leaf.
-    recent: [(u64, u32); 8],
+    recent: [(VertexKey, u32); 8],
 }
 
 impl Touched {
     /// A key that no vertex has.
-    const NONE: u64 = u64::MAX;
+    const NONE: VertexKey = VertexKey::NONE;
 
     fn none() -> Self {
         Self { index: FxHashMap::default(), keys: Vec::new(), sums: Vec::new(), recent: [(Self::NONE, 0); 8] }
     }
 
     /// Index of the vertex with the given key, which is added if it is new to the ray.
-    fn index(&mut self, key: u64) -> u32 {
-        let recent = &mut self.recent[(key & 7) as usize];
+    fn index(&mut self, key: VertexKey) -> u32 {
+        let recent = &mut self.recent[key.in_brick()];
         if recent.0 != key {
             let index = *self.index.entry(key).or_insert_with(|| {
                 self.keys.push(key);
@@ -89,14 +89,14 @@ impl Leaf {
         for corner in 0..8_u8 {
             let point = std::array::from_fn(|axis| self.origin[axis] + self.edge * u32::from(corner >> axis & 1));
             if near.is_inside(point) {
-                let vertex = touched.index(key(point, near.finest() - leaf.level));
+                let vertex = touched.index(VertexKey::new(point, near.finest() - leaf.level));
                 self.terms.push(Term { corner, share: 1.0, vertex });
                 continue;
             }
             let masters = masters(near, point);
             let share = 1.0 / masters.points().len() as f64;
             for &point in masters.points() {
-                let vertex = touched.index(key(point, coarseness(near, point)));
+                let vertex = touched.index(VertexKey::new(point, coarseness(near, point)));
                 self.terms.push(Term { corner, share, vertex });
             }
         }

@@ -1,0 +1,157 @@
+//! Names of vertices, bricks and blocks: where their sums are found.
+//!
+//! The bits of a vertex's key, from the lowest: its number in its brick (3), the brick's number in its block (3), the
+//! rest of the Morton code of its point on the lattice of its own level, and from bit 57 on how much coarser than the
+//! finest lattice that level is.
+
+use crate::octree::morton;
+
+/// Shards: enough to keep many cores busy, few enough that their lists stay long.
+const SHARD_BITS: u32 = 6;
+pub const SHARDS: usize = 1 << SHARD_BITS;
+const COARSENESS_SHIFT: u32 = 57;
+
+/// A vertex: a lattice point and the level of its leaves.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct VertexKey(u64);
+
+/// An aligned 2³ brick of vertices.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct BrickCode(u64);
+
+/// An aligned 2³ block of bricks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct BlockCode(u64);
+
+impl VertexKey {
+    /// No vertex has this key.
+    pub const NONE: Self = Self(u64::MAX);
+
+    /// The vertex at `point`, which must be a multiple of 2^`coarseness` along every axis.
+    #[inline]
+    pub fn new(point: [u32; 3], coarseness: u8) -> Self {
+        Self(u64::from(coarseness) << COARSENESS_SHIFT | morton::encode(point.map(|i| i >> coarseness)))
+    }
+
+    /// The vertex of the finest leaves at the point with this Morton code.
+    #[inline]
+    pub fn finest(code: u64) -> Self {
+        Self(code)
+    }
+
+    /// Its point on the finest lattice.
+    pub fn point(self) -> [u32; 3] {
+        morton::decode(self.0 & ((1 << COARSENESS_SHIFT) - 1)).map(|i| i << self.coarseness())
+    }
+
+    /// Levels between its leaves and the finest lattice.
+    pub fn coarseness(self) -> u64 {
+        self.0 >> COARSENESS_SHIFT
+    }
+
+    /// Its number in its brick, 0 to 7.
+    #[inline]
+    pub fn in_brick(self) -> usize {
+        (self.0 & 7) as usize
+    }
+
+    /// The brick that holds it.
+    #[inline]
+    pub fn brick(self) -> BrickCode {
+        BrickCode(self.0 >> 3)
+    }
+
+    /// The block that holds its brick.
+    #[inline]
+    pub fn block(self) -> BlockCode {
+        BlockCode(self.0 >> 6)
+    }
+
+    /// The shard that owns it.
+    #[inline]
+    pub fn shard(self) -> usize {
+        self.brick().shard()
+    }
+}
+
+impl BrickCode {
+    /// A code as [`BrickCode::bits`] gave it, or as an untrusted file says.
+    pub fn from_bits(bits: u64) -> Self {
+        Self(bits)
+    }
+
+    /// For files.
+    pub fn bits(self) -> u64 {
+        self.0
+    }
+
+    /// Its number in its block, 0 to 7.
+    #[inline]
+    pub fn in_block(self) -> usize {
+        (self.0 & 7) as usize
+    }
+
+    /// The block that holds it.
+    #[inline]
+    pub fn block(self) -> BlockCode {
+        BlockCode(self.0 >> 3)
+    }
+
+    /// One of its eight vertices.
+    pub fn vertex(self, in_brick: usize) -> VertexKey {
+        VertexKey(self.0 << 3 | in_brick as u64)
+    }
+
+    /// The shard that owns it.
+    #[inline]
+    pub fn shard(self) -> usize {
+        // Fibonacci hashing of the block's code (Knuth, TAOCP 3, 6.4).
+        (self.block().0.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> (64 - SHARD_BITS)) as usize
+    }
+
+    /// Whether its first vertex lies on a lattice with `cells` per axis.
+    pub fn is_within(self, cells: u32) -> bool {
+        // Each level of coarseness halves the lattice until one cell remains.
+        let coarseness = self.0 >> (COARSENESS_SHIFT - 3);
+        if coarseness > u64::from(cells.ilog2()) {
+            return false;
+        }
+        let first = morton::decode(self.0 << 3 & ((1 << COARSENESS_SHIFT) - 1));
+        first.iter().all(|&i| i <= cells >> coarseness)
+    }
+}
+
+impl BlockCode {
+    /// No block has this code.
+    pub const NONE: Self = Self(u64::MAX);
+
+    /// The bits: of finest vertices, those of a Morton code without its lowest six.
+    pub fn bits(self) -> u64 {
+        self.0
+    }
+
+    /// One of its 64 vertices.
+    pub fn vertex(self, in_block: u64) -> VertexKey {
+        VertexKey(self.0 << 6 | in_block)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn a_key_holds_its_point(index in proptest::array::uniform3(0_u32..=1 << 11), coarseness in 0_u8..=5) {
+            let at = index.map(|i| i << coarseness);
+            let key = VertexKey::new(at, coarseness);
+            prop_assert_eq!((key.point(), key.coarseness()), (at, u64::from(coarseness)));
+            let brick = key.brick();
+            prop_assert_eq!(brick.vertex(key.in_brick()), key);
+            prop_assert_eq!(key.block().vertex((8 * brick.in_block() + key.in_brick()) as u64), key);
+            prop_assert_eq!((BrickCode::from_bits(brick.bits()), brick.block()), (brick, key.block()));
+            prop_assert!(brick.is_within(1 << 16) && brick.shard() < SHARDS);
+        }
+    }
+}
