@@ -62,12 +62,6 @@ impl FieldBuilder {
     /// As [`GridSettings::lattice`].
     pub fn new(settings: GridSettings, domain: Domain) -> Result<Self> {
         let lattice = settings.lattice(domain)?;
-        let lambda = settings.lambda(&lattice);
-        let prior = settings.covariance.prior(lambda);
-        if !(prior as f32).is_normal() {
-            let found = format!("{lambda:e}, whose prior deviation is {prior:e}");
-            return Err(Error::setting("lambda", "a prior deviation that f32 can hold", found));
-        }
         let posterior = match settings.grid {
             GridKind::Dense => AnyPosterior::Dense(DensePosterior::new(lattice)),
             GridKind::Octree => AnyPosterior::Octree(OctreePosterior::new(lattice)),

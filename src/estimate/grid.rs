@@ -102,13 +102,19 @@ impl GridSettings {
     /// The lattice over `domain`.
     ///
     /// # Errors
-    /// If the level is out of range, or above 9 for a dense grid.
+    /// If the level is out of range, or above 9 for a dense grid, or if f32 cannot hold the prior's deviation.
     pub fn lattice(&self, domain: Domain) -> Result<Lattice> {
         let lattice = Lattice::of_domain(domain, self.level)?;
         if self.grid == GridKind::Dense && self.level > MAX_DENSE_LEVEL {
             let gigabytes = DensePosterior::required_memory(&lattice) as f64 / 1e9;
             let found = format!("level {}, which needs {gigabytes:.0} GB (an octree does not)", self.level);
             return Err(Error::setting("dense grid", format!("a level up to {MAX_DENSE_LEVEL}"), found));
+        }
+        let lambda = self.lambda(&lattice);
+        let prior = self.covariance.prior(lambda);
+        if !(prior as f32).is_normal() {
+            let found = format!("{lambda:e}, whose prior deviation is {prior:e}");
+            return Err(Error::setting("lambda", "a prior deviation that f32 can hold", found));
         }
         Ok(lattice)
     }

@@ -66,8 +66,7 @@ struct Part<'r> {
 impl<'a> Run<'a> {
     pub(super) fn new(estimation: Estimation<'a>) -> Result<Self> {
         let Estimation { field, cameras, domain, rays, grid, monitor, .. } = &estimation;
-        // This also rejects a prior that f32 cannot hold.
-        let lattice = *FieldBuilder::new(*grid, *domain)?.lattice();
+        let lattice = grid.lattice(*domain)?;
         let stream = rays.stream(*field, cameras, grid, &lattice, *monitor)?;
         let limits = Limits { budget: grid.memory, ..Limits::default() };
         let mut run = Self { estimation, lattice, stream, limits };
@@ -179,7 +178,7 @@ impl<'a> Run<'a> {
     /// # Errors
     /// As [`Run::finish`], or if the run's goal is not all rays in one group, or a grid needs a plan.
     pub fn finish_on(mut self, grids: &[GridSettings]) -> Result<Vec<Outcome>> {
-        let Estimation { field, cameras, domain, rays, goal, monitor, checkpoint, .. } = &self.estimation;
+        let Estimation { domain, rays, goal, checkpoint, .. } = &self.estimation;
         if !matches!(goal, Goal::Shard { .. }) || checkpoint.is_some() || grids.iter().any(GridSettings::needs_plan) {
             return Err(Error::setting(
                 "several grids",
@@ -190,8 +189,8 @@ impl<'a> Run<'a> {
         let mut builders = Vec::new();
         for grid in grids {
             let mut builder = FieldBuilder::new(*grid, *domain)?;
-            let alone = rays.stream(*field, cameras, grid, builder.lattice(), *monitor)?;
-            self.stream.negligible = self.stream.negligible.min(alone.negligible);
+            let alone = rays.negligible(grid, builder.lattice(), self.stream.tracer.marcher.step);
+            self.stream.negligible = self.stream.negligible.min(alone);
             builder.want_density(&self.stream)?;
             builders.push((builder, Duration::ZERO));
         }
