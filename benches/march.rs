@@ -92,7 +92,7 @@ fn distances(c: &mut Criterion) {
     for (name, resolution) in [("courtyard", 128), ("city", 128), ("city", 512)] {
         let scene = ClosedForm::named(name).unwrap();
         let rays = rays(&scene);
-        let settings = RaySettings { occupancy: resolution, ..RaySettings::default() };
+        let settings = RaySettings::default().occupancy(resolution);
         let marcher = settings.tracer(&scene, 1e-3, &Silent).unwrap().marcher;
         let (mut t, mut intervals) = (Vec::new(), Vec::new());
         let boxes = Boxes::of(&marcher);

@@ -16,11 +16,11 @@ use octobayes::uncertainty::UncertaintyField;
 const RAYS: u64 = 8_192;
 
 fn grid(grid: GridKind) -> GridSettings {
-    GridSettings { grid, level: 7, ..GridSettings::default() }
+    GridSettings::default().grid(grid).level(7)
 }
 
 fn rays() -> RaySettings {
-    RaySettings { rays: RAYS, occupancy: 64, ..RaySettings::default() }
+    RaySettings::default().rays(RAYS).occupancy(64)
 }
 
 /// Points of the box in no particular order.
@@ -121,7 +121,7 @@ fn build_and_coarsen(c: &mut Criterion) {
         group.bench_function(name, |b| b.iter_batched(make, finish, criterion::BatchSize::PerIteration));
     }
     group.finish();
-    let settings = RaySettings { rays: 100_000, ..rays() };
+    let settings = rays().rays(100_000);
     let field = Estimation::new(&scene, &cameras).rays(settings).grid(grid(GridKind::Octree)).run().unwrap().field;
     let mut group = c.benchmark_group("coarsen");
     group.sample_size(10);
@@ -137,7 +137,7 @@ fn query_and_file(c: &mut Criterion) {
     let folder = tempfile::tempdir().unwrap();
     let positions = points(200_000);
     for kind in [GridKind::Octree, GridKind::Dense] {
-        let settings = RaySettings { rays: 100_000, ..rays() };
+        let settings = rays().rays(100_000);
         let field =
             Estimation::new(&scene, &cameras).rays(settings).grid(grid(kind)).run().unwrap().field.without_sums();
         let mut group = c.benchmark_group("query");

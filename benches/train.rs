@@ -13,7 +13,7 @@ use octobayes::render::render_view;
 use octobayes::train::{Shot, TrainSettings, Trainer};
 
 fn shots(scene: &ClosedForm) -> Vec<Shot> {
-    let tracer = RaySettings { occupancy: 32, cutoff: 1e-4, ..RaySettings::default() };
+    let tracer = RaySettings::default().occupancy(32).cutoff(1e-4);
     let tracer = tracer.tracer(scene, 0.0, &Silent).unwrap();
     let shot = |camera| {
         let view = render_view(&tracer, &camera, 0.5, &[], &Silent).unwrap();
@@ -35,8 +35,8 @@ fn step(c: &mut Criterion) {
     let mut group = c.benchmark_group("train");
     group.sample_size(20);
     for log2_hashmap_size in [14, 16, 18] {
-        let config = HashGridConfig { log2_hashmap_size, ..HashGridConfig::default() };
-        let settings = TrainSettings { config, ..TrainSettings::default() };
+        let config = HashGridConfig::default().log2_hashmap_size(log2_hashmap_size);
+        let settings = TrainSettings::default().config(config);
         let mut trainer = Trainer::new(settings, Domain::Box(scene.bounds()), &shots).unwrap();
         for _ in 0..200 {
             trainer.step(0.5);

@@ -61,9 +61,9 @@ fn main() -> Result<()> {
 }
 
 fn run(case: &Case, settings: RaySettings) -> Result<(UncertaintyField, u64, f64)> {
-    let grid = GridSettings { level: case.level, tolerance: 0.0, surface_points: 200_000, ..GridSettings::default() };
+    let grid = GridSettings::default().level(case.level).tolerance(0.0).surface_points(200_000);
     let start = Instant::now();
-    let rays = RaySettings { rays: case.rays, ..settings };
+    let rays = settings.rays(case.rays);
     let Outcome { field, progress, .. } = Estimation::new(&*case.field, &case.cameras).rays(rays).grid(grid).run()?;
     Ok((field, progress.samples, start.elapsed().as_secs_f64()))
 }
@@ -78,10 +78,10 @@ fn cutoffs(case: &Case) -> Result<()> {
     println!("\n## Leaving samples out: {}, level {}, {} rays\n", case.name, case.level, case.rays);
     println!("| cutoff | samples | seconds | mean, surfaces | 95 % | 99 % | max | mean, box | 95 % | 99 % | max |");
     println!("|---|---|---|---|---|---|---|---|---|---|---|");
-    let (all, samples, seconds) = run(case, RaySettings { cutoff: 0.0, ..RaySettings::default() })?;
+    let (all, samples, seconds) = run(case, RaySettings::default().cutoff(0.0))?;
     println!("| 0 | {samples} | {seconds:.1} | | | | | | | | |");
     for cutoff in [1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3] {
-        let (some, samples, seconds) = run(case, RaySettings { cutoff, ..RaySettings::default() })?;
+        let (some, samples, seconds) = run(case, RaySettings::default().cutoff(cutoff))?;
         let d = compare(&some, &all, 200_000, 0)?;
         println!("| {cutoff:e} | {samples} | {seconds:.1} | {} | {} |", columns(&d.on_surfaces), columns(&d.in_box));
     }
@@ -92,11 +92,11 @@ fn steps(case: &Case) -> Result<()> {
     println!("\n## Finite-difference step: {}, level {}, {} rays\n", case.name, case.level, case.rays);
     println!("| step h, lattice edges | against | mean | 95 % | 99 % | max |");
     println!("|---|---|---|---|---|---|");
-    let settings = |step| RaySettings { step: Some(step), cutoff: 1e-6, ..RaySettings::default() };
+    let settings = |step| RaySettings::default().step(Some(step)).cutoff(1e-6);
     let field = |step| run(case, settings(step)).map(|r| r.0);
     let steps: Vec<f64> = (-12..=1).map(|k| 2_f64.powi(k)).collect();
     let (name, reference) = if case.field.differentiable().is_some() {
-        let exact = RaySettings { gradient: GradientMethod::Analytic, ..settings(1.0 / 128.0) };
+        let exact = settings(1.0 / 128.0).gradient(GradientMethod::Analytic);
         let (field, _, seconds) = run(case, exact)?;
         let differences = run(case, settings(1.0 / 128.0))?.2;
         println!("| | exact: {seconds:.2} s, differences: {differences:.2} s | | | | |");

@@ -31,10 +31,10 @@ fn main() -> Result<()> {
 }
 
 fn study(name: &str, field: &dyn RadianceField, cameras: &[Camera], level: u8, rays: u64) -> Result<()> {
-    let rays = RaySettings { rays, ..RaySettings::default() };
-    let settings = GridSettings { level, surface_points: POINTS, ..GridSettings::default() };
+    let rays = RaySettings::default().rays(rays);
+    let settings = GridSettings::default().level(level).surface_points(POINTS);
     let Outcome { field: dense, .. } =
-        Estimation::new(field, cameras).rays(rays).grid(GridSettings { grid: GridKind::Dense, ..settings }).run()?;
+        Estimation::new(field, cameras).rays(rays).grid(settings.grid(GridKind::Dense)).run()?;
     let dense = dense.without_sums();
     println!("\n### {name}, level {level}, {} rays; dense: {} bytes\n", rays.rays, dense.query_memory());
     println!(
@@ -55,7 +55,7 @@ fn study(name: &str, field: &dyn RadianceField, cameras: &[Camera], level: u8, r
         (only(Criterion::RayCount), 0.01, 16.0),
     ];
     for (criteria, tolerance, min_rays) in cases {
-        let grid = GridSettings { criteria: criteria.into_iter().collect(), tolerance, min_rays, ..settings };
+        let grid = settings.criteria(criteria.into_iter().collect()).tolerance(tolerance).min_rays(min_rays);
         let start = Instant::now();
         let Outcome { field: octree, .. } = Estimation::new(field, cameras).rays(rays).grid(grid).run()?;
         let time = start.elapsed().as_secs_f64();

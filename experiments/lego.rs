@@ -26,10 +26,10 @@ fn main() -> Result<()> {
     let model = NerfMlp::read(&folder.join("lego.safetensors"))?;
     let cameras = Views::read(&folder.join("cameras/lego_train.json"), Some([400, 400]))?.cameras();
 
-    let settings = |grid, tolerance| GridSettings { grid, tolerance, level: LEVEL, ..GridSettings::default() };
+    let settings = |grid, tolerance| GridSettings::default().grid(grid).tolerance(tolerance).level(LEVEL);
     let names = ["octree, tolerance 0.01", "octree, nothing left out", "dense"];
     let grids = [settings(GridKind::Octree, 0.01), settings(GridKind::Octree, 0.0), settings(GridKind::Dense, 0.0)];
-    let rays = RaySettings { rays: RAYS, ..RaySettings::default() };
+    let rays = RaySettings::default().rays(RAYS);
     let start = Instant::now();
     let run = Estimation::new(&model, &cameras)
         .rays(rays)
@@ -45,7 +45,7 @@ fn main() -> Result<()> {
     let fields: Vec<UncertaintyField> = outcomes.into_iter().map(|outcome| outcome.field).collect();
 
     // As many surface points as box points; the run's own rays do not give a million.
-    let other = RaySettings { seed: rays.seed + 1, ..rays };
+    let other = rays.seed(rays.seed + 1);
     let other = Estimation::new(&model, &cameras).rays(other).prepare()?;
     let surface = other.stream().surface_points(POINTS, 10 * RAYS, &Silent)?;
     let fields: Vec<_> = fields.into_iter().map(|f| f.with_surface(surface.clone())).collect();

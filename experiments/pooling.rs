@@ -39,8 +39,8 @@ fn main() -> Result<()> {
 
 fn study(name: &str, field: &dyn RadianceField, cameras: &[Camera]) -> Result<()> {
     let run = |rays, seed, pixels| {
-        let grid = GridSettings { grid: GridKind::Dense, level: LEVEL, surface_points: 0, ..GridSettings::default() };
-        let rays = RaySettings { rays, seed, pixels, ..RaySettings::default() };
+        let grid = GridSettings::default().grid(GridKind::Dense).level(LEVEL).surface_points(0);
+        let rays = RaySettings::default().rays(rays).seed(seed).pixels(pixels);
         Estimation::new(field, cameras).rays(rays).grid(grid).run().map(|outcome| outcome.field)
     };
     let truth = run(TRUTH, 99, Pixels::Random)?.without_sums();

@@ -57,8 +57,8 @@ fn main() -> Result<()> {
 fn row(level: u8, rays: u64, memory: Option<u64>) -> Result<()> {
     let city = ClosedForm::named("city")?;
     let cameras = city.cameras(&Intrinsics::default())?.unwrap_or_default();
-    let grid = GridSettings { level, memory, surface_points: QUERIES, ..GridSettings::default() };
-    let settings = RaySettings { rays, occupancy: 512, ..RaySettings::default() };
+    let grid = GridSettings::default().level(level).memory(memory).surface_points(QUERIES);
+    let settings = RaySettings::default().rays(rays).occupancy(512);
     let start = Instant::now();
     let Outcome { field, .. } = Estimation::new(&city, &cameras).rays(settings).grid(grid).run()?;
     let time = start.elapsed().as_secs_f64();

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 /// Everything that can go wrong, printed as one line. The command line exits with [`Error::exit_code`].
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum Error {
     /// The operating system refused: missing file, full disk, read-only folder.
     #[error("{path}: {action}: {source}", path = path.display())]

@@ -47,8 +47,8 @@
 //! // A courtyard that four cameras look at from one side.
 //! let scene = ClosedForm::courtyard();
 //! let cameras = ClosedForm::half_circle(4, [48, 48]);
-//! let rays = RaySettings { rays: 16_000, occupancy: 48, ..RaySettings::default() };
-//! let grid = GridSettings { level: 6, ..GridSettings::default() };
+//! let rays = RaySettings::default().rays(16_000).occupancy(48);
+//! let grid = GridSettings::default().level(6);
 //! let outcome = Estimation::new(&scene, &cameras).rays(rays).grid(grid).run()?;
 //! let uncertainty = outcome.field;
 //! assert_eq!(outcome.progress.rays, 16_000);

@@ -21,13 +21,8 @@ fn held<T>(make: impl FnOnce() -> T) -> (usize, T) {
 fn city(level: u8, rays: u64) -> UncertaintyField {
     let city = ClosedForm::named("city").unwrap();
     let cameras = city.cameras(&Intrinsics::default()).unwrap().unwrap();
-    let grid = GridSettings { level, surface_points: 100, ..GridSettings::default() };
-    Estimation::new(&city, &cameras)
-        .rays(RaySettings { rays, ..RaySettings::default() })
-        .grid(grid)
-        .run()
-        .unwrap()
-        .field
+    let grid = GridSettings::default().level(level).surface_points(100);
+    Estimation::new(&city, &cameras).rays(RaySettings::default().rays(rays)).grid(grid).run().unwrap().field
 }
 
 // A single test, because the allocator counts for the whole process.
@@ -35,9 +30,9 @@ fn city(level: u8, rays: u64) -> UncertaintyField {
 fn parts_add_up_to_what_was_allocated_and_structure_is_small() {
     let courtyard = ClosedForm::courtyard();
     let cameras = ClosedForm::half_circle(8, [64, 64]);
-    let rays = RaySettings { rays: 10_000, ..RaySettings::default() };
+    let rays = RaySettings::default().rays(10_000);
     let of = |grid, level| {
-        let settings = GridSettings { grid, level, ..GridSettings::default() };
+        let settings = GridSettings::default().grid(grid).level(level);
         Estimation::new(&courtyard, &cameras).rays(rays).grid(settings).run().unwrap().field
     };
     let fields = [of(GridKind::Octree, 7), of(GridKind::Dense, 5), city(10, 10_000), city(12, 10_000)];

@@ -24,7 +24,7 @@ fn vectors(rows: &serde_json::Value) -> Vec<Vec3> {
 /// `stride`th pixel along x and y.
 fn check_lego_renders(model: &dyn RadianceField, stride: usize, measured: [f64; 3]) {
     let views = Views::read(&data("nerf-lego-400/transforms_test.json"), None).unwrap();
-    let settings = RaySettings { cutoff: 1e-4, ..RaySettings::default() };
+    let settings = RaySettings::default().cutoff(1e-4);
     let tracer = settings.tracer(model, 0.0, &Silent).unwrap();
     for (name, expected) in ["./test/r_0", "./test/r_60", "./test/r_120"].into_iter().zip(measured) {
         let frame = views.frames.iter().find(|f| f.name == name).unwrap();
@@ -189,10 +189,10 @@ fn advice_on_the_step_of_an_mlp_can_be_obeyed() {
     let field = NerfMlp::read(&data("nerf-mlp-pretrained/lego.safetensors")).unwrap();
     let cameras = data("nerf-mlp-pretrained/cameras/lego_train.json");
     let cameras = Views::read(&cameras, Some([400, 400])).unwrap().cameras();
-    let grid = GridSettings { level: 4, surface_points: 0, ..GridSettings::default() };
+    let grid = GridSettings::default().level(4).surface_points(0);
     let domain = Domain::Box(field.bounds());
     let lattice = grid.lattice(domain).unwrap();
-    let base = RaySettings { rays: 4_000, ..RaySettings::default() };
+    let base = RaySettings::default().rays(4_000);
     let stream = base.stream(&field, &cameras, &grid, &lattice, &Silent).unwrap();
     let check = StepCheck::of(&stream, &lattice, grid.tolerance, &Silent).unwrap().unwrap();
     assert!(check.is_bad && check.knows_derivatives);
@@ -202,9 +202,9 @@ fn advice_on_the_step_of_an_mlp_can_be_obeyed() {
         let at = |u: [f64; 3]| field.query(domain.to_scene(glam::DVec3::from(u) / 16.0).as_vec3()).uncertainty.log10();
         points.map(at).collect::<Vec<f64>>()
     };
-    let exact = log10(RaySettings { gradient: GradientMethod::Analytic, ..base });
+    let exact = log10(base.gradient(GradientMethod::Analytic));
     let error = |step: f64| {
-        let found = log10(RaySettings { step: Some(step), ..base });
+        let found = log10(base.step(Some(step)));
         found.iter().zip(&exact).map(|(a, b)| (a - b).abs()).sum::<f64>() / exact.len() as f64
     };
     let best = check.errors.best().step;

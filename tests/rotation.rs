@@ -56,8 +56,8 @@ fn field(scene: &ClosedForm, angle: f64, shift: DVec3) -> (UncertaintyField, Mov
             Camera::look_at(moved.forth(eye), moved.forth(DVec3::ZERO), up, 0.6, [64, 64])
         })
         .collect();
-    let grid = GridSettings { level: 5, tolerance: 0.0, ..GridSettings::default() };
-    let rays = RaySettings { rays: 60_000, occupancy: 32, ..RaySettings::default() };
+    let grid = GridSettings::default().level(5).tolerance(0.0);
+    let rays = RaySettings::default().rays(60_000).occupancy(32);
     (Estimation::new(&moved, &cameras).rays(rays).grid(grid).run().unwrap().field, moved)
 }
 

@@ -29,10 +29,10 @@ fn sight(model: &str, coordinates: Option<Coordinates>, cameras: Option<Vec<Came
     let fov = if model.contains("NeRFSynthetic") { 0.691_111_2 } else { 1.0 };
     let intrinsics = Intrinsics { fov_x: Some(fov), resolution: Some([100, 100]) };
     let cameras = cameras.unwrap_or_else(|| field.cameras(&intrinsics).unwrap().unwrap());
-    let grid = GridSettings { level: 5, ..GridSettings::default() };
+    let grid = GridSettings::default().level(5);
     let domain = Domain::Box(field.bounds());
     let lattice = grid.lattice(domain).unwrap();
-    let rays = RaySettings { occupancy: 64, gradient: GradientMethod::Auto, ..RaySettings::default() };
+    let rays = RaySettings::default().occupancy(64).gradient(GradientMethod::Auto);
     let stream = rays.stream(&*field, &cameras, &grid, &lattice, &Silent).unwrap();
     Sight::of(&stream, &domain, &Silent).unwrap()
 }

@@ -70,15 +70,14 @@ fn depth_is_that_of_the_sphere_and_the_ground() {
     let obj = folder.path().join("sphere.obj");
     std::fs::write(&obj, sphere(RINGS)).unwrap();
     let out = folder.path().join("data");
-    let settings = DatasetSettings {
-        up: Up::Z,
-        views: 3,
-        hemisphere: Some(Hemisphere::Left),
-        test_views: 2,
-        resolution: [72, 60],
-        samples_per_side: 2,
-        seed: 5,
-    };
+    let settings = DatasetSettings::default()
+        .up(Up::Z)
+        .views(3)
+        .hemisphere(Some(Hemisphere::Left))
+        .test_views(2)
+        .resolution([72, 60])
+        .samples_per_side(2)
+        .seed(5);
     write_dataset(&obj, &out, &settings, &Silent).unwrap();
 
     // Triangles are chords: their points lie between sqrt(r² − ρ²) and r from the centre, with circumradius ρ.
@@ -247,13 +246,7 @@ fn interrupted_runs_leave_nothing() {
     let obj = folder.path().join("ball.obj");
     std::fs::write(&obj, sphere(4)).unwrap();
     let out = folder.path().join("data");
-    let settings = DatasetSettings {
-        views: 2,
-        test_views: 1,
-        resolution: [20, 20],
-        samples_per_side: 1,
-        ..DatasetSettings::default()
-    };
+    let settings = DatasetSettings::default().views(2).test_views(1).resolution([20, 20]).samples_per_side(1);
     // Sky light takes 128² points of the ground and 40 of the ball; then come three pictures of 20 rows. Rows of
     // one picture may be under way together and still end when the stop comes. Only a stop before the last picture
     // is sure to be in time.

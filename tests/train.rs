@@ -24,7 +24,7 @@ impl Desk {
     fn new() -> Self {
         let desk = Self { folder: tempfile::tempdir().unwrap() };
         let scene = ClosedForm::courtyard();
-        let settings = RaySettings { occupancy: 32, cutoff: 1e-4, background: Vec3::ZERO, ..RaySettings::default() };
+        let settings = RaySettings::default().occupancy(32).cutoff(1e-4).background(Vec3::ZERO);
         let tracer = settings.tracer(&scene, 0.0, &Silent).unwrap();
         let (mut train, mut test) = (Vec::new(), Vec::new());
         for (i, camera) in ClosedForm::half_circle(15, [40; 2]).into_iter().enumerate() {

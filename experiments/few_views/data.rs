@@ -39,14 +39,12 @@ impl Dataset {
         let synthetic = |mesh: &Path, name: &str, up| -> Result<(PathBuf, DepthFiles)> {
             let folder = work.join(format!("data-{name}"));
             if !folder.exists() {
-                let settings = DatasetSettings {
-                    up,
-                    views: plan.train_views,
-                    test_views: plan.test_views,
-                    resolution: [plan.resolution; 2],
-                    samples_per_side: plan.samples_per_side,
-                    ..DatasetSettings::default()
-                };
+                let settings = DatasetSettings::default()
+                    .up(up)
+                    .views(plan.train_views)
+                    .test_views(plan.test_views)
+                    .resolution([plan.resolution; 2])
+                    .samples_per_side(plan.samples_per_side);
                 write_dataset(mesh, &folder, &settings, &Silent)?;
             }
             Ok((folder.clone(), depth_of(folder.join("depth"), "{}.png", [0.0, DEPTH_PNG_SCALE], DepthKind::Euclidean)))

@@ -91,8 +91,8 @@ pub struct Training {
 }
 
 fn settings(plan: &Plan, seed: u64) -> TrainSettings {
-    let config = HashGridConfig { log2_hashmap_size: plan.log2_hashmap_size, ..HashGridConfig::default() };
-    TrainSettings { config, seed, ..TrainSettings::default() }
+    let config = HashGridConfig::default().log2_hashmap_size(plan.log2_hashmap_size);
+    TrainSettings::default().config(config).seed(seed)
 }
 
 /// The hash grid of a scene's views with this seed.
@@ -182,12 +182,12 @@ pub fn uncertainties(
     eprintln!("  uncertainty");
     let clock = Clock::start();
     let domain = Domain::Box(field.bounds());
-    let rays = RaySettings { rays: plan.rays, gradient: GradientMethod::Auto, ..RaySettings::default() };
+    let rays = RaySettings::default().rays(plan.rays).gradient(GradientMethod::Auto);
     let grids: Vec<GridSettings> = wanted
         .iter()
         .map(|&(level, factor)| {
-            let grid = GridSettings { level, ..GridSettings::default() };
-            Ok(GridSettings { lambda: Some(factor * grid.lambda(&grid.lattice(domain)?)), ..grid })
+            let grid = GridSettings::default().level(level);
+            Ok(grid.lambda(Some(factor * grid.prior_precision(&grid.lattice(domain)?))))
         })
         .collect::<Result<_>>()?;
     let outcomes = Estimation::new(field, cameras).rays(rays).grid(grids[0]).prepare()?.finish_on(&grids)?;

@@ -238,7 +238,7 @@ fn compute(scene: &Scene, plan: &Plan, work: &Path, folder: &Path) -> Result<Sce
     let (readings, mut labels) = readings(&base, plan, &others)?;
     drop((base, others));
 
-    let settings = RaySettings { cutoff: 1e-4, ..RaySettings::default() };
+    let settings = RaySettings::default().cutoff(1e-4);
     let tracer = |field| settings.tracer(field, 0.0, &Silent);
     let evaluator = Evaluator {
         tracer: tracer(&*field)?,
@@ -257,9 +257,9 @@ fn compute(scene: &Scene, plan: &Plan, work: &Path, folder: &Path) -> Result<Sce
         (0..).zip(&truths).map(|(seed, truth)| evaluator.evaluate(truth, seed, &Silent)).collect::<Result<Vec<_>>>()?;
 
     labels.extend(evaluator.measures().into_iter().filter_map(|measure| match measure {
-        Measure::Reading(..) => None,
         Measure::Baseline(b) if b.is_single_model() => Some(label(Kind::Baseline, b.name(), "")),
         Measure::Baseline(b) => Some(label(Kind::Ensemble, b.name(), "")),
+        _ => None,
     }));
     if let Some(training) = training {
         add_total_variance(&mut views, &mut labels, training, data.pixels());

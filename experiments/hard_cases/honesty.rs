@@ -41,16 +41,16 @@ pub fn honesty() -> Result<()> {
 
 impl Scene {
     fn grid(&self) -> GridSettings {
-        GridSettings { level: self.level, tolerance: 0.0, surface_points: 20_000, ..GridSettings::default() }
+        GridSettings::default().level(self.level).tolerance(0.0).surface_points(20_000)
     }
 
     fn settings(&self) -> RaySettings {
-        RaySettings { rays: self.rays, gradient: GradientMethod::Auto, ..RaySettings::default() }
+        RaySettings::default().rays(self.rays).gradient(GradientMethod::Auto)
     }
 
     /// What stands for the limit.
     fn limit(&self) -> Result<UncertaintyField> {
-        let many = RaySettings { rays: MORE * self.rays, seed: 77, ..self.settings() };
+        let many = self.settings().rays(MORE * self.rays).seed(77);
         Ok(Estimation::new(&*self.field, &self.cameras).rays(many).grid(self.grid()).run()?.field)
     }
 

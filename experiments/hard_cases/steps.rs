@@ -85,7 +85,7 @@ pub fn steps() -> Result<()> {
 }
 
 fn settings(scene: &Scene) -> RaySettings {
-    RaySettings { rays: scene.rays, gradient: GradientMethod::Analytic, occupancy: 64, ..RaySettings::default() }
+    RaySettings::default().rays(scene.rays).gradient(GradientMethod::Analytic).occupancy(64)
 }
 
 /// The samples of a scene's rays with exact derivatives.
@@ -205,7 +205,7 @@ fn changes(truth: &UncertaintyField, field: &UncertaintyField) -> f64 {
 
 fn study(scene: &Scene) -> Result<Vec<(f64, [Errors; 3])>> {
     let domain = Domain::Box(scene.field.bounds());
-    let grid = GridSettings { level: scene.level, tolerance: 0.0, surface_points: 0, ..GridSettings::default() };
+    let grid = GridSettings::default().level(scene.level).tolerance(0.0).surface_points(0);
     let lattice = grid.lattice(domain)?;
     let samples = samples(scene, &grid, domain)?;
     let exact: Vec<[DVec3; 4]> = samples.iter().map(|s| s.exact).collect();
@@ -235,11 +235,8 @@ fn study(scene: &Scene) -> Result<Vec<(f64, [Errors; 3])>> {
         out.push((step, errors));
     }
     report(scene, samples.len(), &out);
-    let rays = RaySettings { gradient: GradientMethod::FiniteDifference, ..settings(scene) };
-    let run = Estimation::new(&*scene.field, &scene.cameras)
-        .rays(rays)
-        .grid(GridSettings { tolerance: 0.01, ..grid })
-        .prepare()?;
+    let rays = settings(scene).gradient(GradientMethod::FiniteDifference);
+    let run = Estimation::new(&*scene.field, &scene.cameras).rays(rays).grid(grid.tolerance(0.01)).prepare()?;
     if let Some(check) = run.check_step()? {
         let best = check.errors.best();
         println!(

@@ -5,7 +5,6 @@ use std::path::Path;
 use glam::DVec3;
 use octobayes::Result;
 use octobayes::dataset::{DepthEncoding, DepthKind, Views};
-use octobayes::estimate::RaySettings;
 use octobayes::evaluate::{DepthFiles, Evaluator, Reading, Score, TrueView};
 use octobayes::metrics::ErrorKind;
 use octobayes::monitor::Silent;
@@ -38,7 +37,7 @@ impl Truth {
 
     /// AUSE (MAE) of a field; the scene's colours do not depend on it.
     pub fn ause(&self, scene: &Scene, field: &UncertaintyField) -> Result<f64> {
-        let tracer = RaySettings { cutoff: 1e-4, ..scene.settings }.tracer(&*scene.field, 0.0, &Silent)?;
+        let tracer = scene.settings.cutoff(1e-4).tracer(&*scene.field, 0.0, &Silent)?;
         let readings = [Reading { name: "U".into(), field: field.clone(), blends: vec![RayAverage::WeightedMean] }];
         let evaluator = Evaluator { tracer, readings: &readings, members: Vec::new() };
         let judged: Vec<_> = (0..)

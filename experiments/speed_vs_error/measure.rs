@@ -15,7 +15,7 @@ const POINTS: usize = 200_000;
 
 /// Grid of `level` with surface points to compare at.
 pub fn grid(kind: GridKind, level: u8) -> GridSettings {
-    GridSettings { grid: kind, level, surface_points: POINTS, ..GridSettings::default() }
+    GridSettings::default().grid(kind).level(level).surface_points(POINTS)
 }
 
 /// A finished run.
@@ -48,7 +48,7 @@ pub fn median(scene: &Scene, rays: &RaySettings, grid: &GridSettings, times: usi
 /// a sample left out.
 pub fn reference(scene: &Scene, level: u8, rays: u64) -> Result<UncertaintyField> {
     let gradient = GradientMethod::Auto;
-    let settings = RaySettings { rays, gradient, pixels: Pixels::Random, seed: 7_777, cutoff: 1e-8, ..scene.settings };
+    let settings = scene.settings.rays(rays).gradient(gradient).pixels(Pixels::Random).seed(7_777).cutoff(1e-8);
     let run = run(scene, &settings, &grid(GridKind::Dense, level))?;
     eprintln!("reference of {}: {rays} rays, {:.0} s", scene.name, run.seconds);
     Ok(run.field)

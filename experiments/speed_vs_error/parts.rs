@@ -20,7 +20,7 @@ pub fn targets(lego: &Scene) -> Result<()> {
         "\n## The paper's workload: lego, level 8, 4,096,000 rays\n\n| derivatives | s, median of 5 | rays / s |\n|---|---|---|"
     );
     for gradient in [GradientMethod::FiniteDifference, GradientMethod::Analytic] {
-        let rays = RaySettings { gradient, ..lego.settings };
+        let rays = lego.settings.gradient(gradient);
         let run = median(lego, &rays, &grid(GridKind::Octree, 8), 5)?;
         println!("| {gradient:?} | {:.2} | {:.0} |", run.seconds, rays.rays as f64 / run.seconds);
     }
@@ -29,12 +29,12 @@ pub fn targets(lego: &Scene) -> Result<()> {
 
 /// Each feature switched on behind the others.
 pub fn ablation(lego: &Scene, reference: &UncertaintyField) -> Result<()> {
-    let paper = RaySettings { rays: 409_600, pixels: Pixels::Random, cutoff: 1e-8, ..lego.settings };
+    let paper = lego.settings.rays(409_600).pixels(Pixels::Random).cutoff(1e-8);
     let (dense, octree) = (grid(GridKind::Dense, 8), grid(GridKind::Octree, 8));
-    let culled = RaySettings { cutoff: RaySettings::default().cutoff, ..paper };
-    let coarse = RaySettings { cutoff: 1e-4, ..paper };
-    let sobol = RaySettings { pixels: Pixels::Sobol, ..culled };
-    let analytic = RaySettings { gradient: GradientMethod::Analytic, ..sobol };
+    let culled = paper.cutoff(RaySettings::default().cutoff);
+    let coarse = paper.cutoff(1e-4);
+    let sobol = culled.pixels(Pixels::Sobol);
+    let analytic = sobol.gradient(GradientMethod::Analytic);
     let rows: [(&str, RaySettings, GridSettings); 8] = [
         ("dense grid, random rays, differences, cutoff 1e-8", paper, dense),
         ("octree instead", paper, octree),
@@ -42,7 +42,7 @@ pub fn ablation(lego: &Scene, reference: &UncertaintyField) -> Result<()> {
         ("  or cutoff 1e-4", coarse, octree),
         ("+ low-discrepancy rays (default)", sobol, octree),
         ("+ the field's own derivatives (`--gradient auto`)", analytic, octree),
-        ("+ `--min-rays 4`", analytic, GridSettings { min_rays: 4.0, ..octree }),
+        ("+ `--min-rays 4`", analytic, octree.min_rays(4.0)),
         ("dense grid with all of the rays' features", analytic, dense),
     ];
     println!("\n## Feature by feature: lego, level 8, 409,600 rays\n");
@@ -80,7 +80,7 @@ pub fn rays(scene: &Scene, reference: &UncertaintyField, truth: Option<&Truth>) 
     let counts = [20_480, 102_400, 204_800, 409_600, 1_024_000, 4_096_000];
     for rays in counts.into_iter().filter(|&rays| rays <= scene.rays) {
         for ((name, kind, pixels, gradient), curve) in methods.into_iter().zip(&mut curves) {
-            let settings = RaySettings { rays, pixels, gradient, ..scene.settings };
+            let settings = scene.settings.rays(rays).pixels(pixels).gradient(gradient);
             let run = run(scene, &settings, &grid(kind, 8))?;
             let bytes = run.field.query_memory();
             let [surface, space] = error(&run.field, reference)?;
@@ -110,14 +110,14 @@ pub fn levels(lego: &Scene) -> Result<()> {
     }
     for level in 8..=12 {
         let criteria = [Criterion::Sensitivity, Criterion::RayCount].into_iter().collect();
-        let limited = GridSettings { criteria, ..grid(GridKind::Octree, level) };
+        let limited = grid(GridKind::Octree, level).criteria(criteria);
         of_level(lego, &limited, "`--refine sensitivity,ray-count`")?;
     }
     Ok(())
 }
 
 fn of_level(lego: &Scene, grid: &GridSettings, leaves: &str) -> Result<()> {
-    let rays = RaySettings { rays: 409_600, gradient: GradientMethod::Analytic, ..lego.settings };
+    let rays = lego.settings.rays(409_600).gradient(GradientMethod::Analytic);
     let run = median(lego, &rays, grid, 3)?;
     let dense = 4 * run.field.lattice().dense_vertices();
     println!(

@@ -6,7 +6,7 @@ use std::time::Instant;
 use glam::Vec3;
 use ndarray::Array2;
 use octobayes::Result;
-use octobayes::estimate::{Estimation, FieldBuilder, GridKind, RaySettings};
+use octobayes::estimate::{Estimation, FieldBuilder, GridKind};
 use octobayes::field::{Differentiable, Radiance, RadianceField, RadianceJet};
 use octobayes::geometry::{Aabb, Domain, Ray};
 use octobayes::monitor::Silent;
@@ -107,7 +107,7 @@ pub fn profile(lego: &Scene) -> Result<()> {
     ] {
         let mut rows = Vec::new();
         for _ in 0..5 {
-            let settings = RaySettings { rays: RAYS, gradient: gradient.unwrap_or_default(), ..lego.settings };
+            let settings = lego.settings.rays(RAYS).gradient(gradient.unwrap_or_default());
             let octree = grid(GridKind::Octree, 8);
             let run = Estimation::new(&counted, &lego.cameras).rays(settings).grid(octree).prepare()?;
             counted.nanoseconds.store(0, Ordering::Relaxed);

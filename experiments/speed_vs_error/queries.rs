@@ -4,7 +4,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use glam::Vec3;
-use octobayes::estimate::{GridKind, RaySettings};
+use octobayes::estimate::GridKind;
 use octobayes::render::GradientMethod;
 use octobayes::uncertainty::UncertaintyField;
 use octobayes::{Error, Result};
@@ -52,7 +52,7 @@ pub fn queries(lego: &Scene) -> Result<()> {
         "| level | points | octree | dense | dense : octree | single: octree | dense |\n|---|---|---|---|---|---|---|"
     );
     for level in [8, 9, 10] {
-        let rays = RaySettings { rays: 1_024_000, gradient: GradientMethod::Analytic, ..lego.settings };
+        let rays = lego.settings.rays(1_024_000).gradient(GradientMethod::Analytic);
         let octree = run(lego, &rays, &grid(GridKind::Octree, level))?.field;
         let bounds = lego.field.bounds();
         let golden = [0.819_172_513_396_164_4, 0.671_043_606_703_789_2, 0.549_700_477_901_970_3];

@@ -40,7 +40,7 @@ fn own_poses(data: &Path, file: &str, name: &'static str, fov: f64, background: 
     let field = open_in(&data.join("ppng-pretrained").join(file).to_string_lossy(), Some(Coordinates::Ngp))?;
     let intrinsics = Intrinsics { fov_x: Some(fov.to_radians()), resolution: Some([400, 300]) };
     let cameras = field.cameras(&intrinsics)?.unwrap_or_default();
-    let settings = RaySettings { background, ..RaySettings::default() };
+    let settings = RaySettings::default().background(background);
     Ok(Scene { name, field, cameras, settings, rays: 409_600 })
 }
 
@@ -60,6 +60,6 @@ pub fn garden(data: &Path) -> Result<Scene> {
 pub fn city() -> Result<Scene> {
     let city = ClosedForm::named("city")?;
     let cameras = city.cameras(&Intrinsics::default())?.unwrap_or_default();
-    let settings = RaySettings { occupancy: 512, ..RaySettings::default() };
+    let settings = RaySettings::default().occupancy(512);
     Ok(Scene { name: "city", field: Box::new(city), cameras, settings, rays: 204_800 })
 }

@@ -9,6 +9,7 @@ use crate::geometry::Camera;
 /// Quantity that a depth map measures.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
 #[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
 pub enum DepthKind {
     /// Distance from the camera's centre.
     #[default]

@@ -62,7 +62,7 @@ impl FieldBuilder {
     /// The difference in log10 U between two treatments of the same `rays`, at vertices that either
     /// moves by more than half a decade.
     fn differs(&self, other: &Self, rays: u64) -> SamplingError {
-        let lambda = self.settings().lambda(self.lattice());
+        let lambda = self.settings().prior_precision(self.lattice());
         let covariance = self.settings().covariance;
         let moved = covariance.prior(lambda).log10() - MOVED;
         let log10 = |sums| covariance.deviation(&sums, rays, lambda).log10();

@@ -242,7 +242,7 @@ impl FieldBuilder {
             pixels: stream.map(|s| s.pixels.kind()),
             seed: stream.map(|s| s.pixels.seed()),
             shard: provenance.shard,
-            lambda: settings.lambda(&lattice),
+            lambda: settings.prior_precision(&lattice),
             prior: settings.prior,
             min_rays: settings.min_rays,
             criteria: settings.criteria,

@@ -39,8 +39,8 @@ pub(super) type Tap<'a> = Box<dyn FnMut(&[RaySamples]) -> Result<()> + 'a>;
 /// // All of space, contracted outside a ball; the first of two shards; resumable.
 /// let outcome = Estimation::new(&scene, &cameras)
 ///     .domain(Domain::contracted([0.0, 0.0, 0.0].into(), 1.0, Norm::L2)?)
-///     .rays(RaySettings { rays: 20_000, occupancy: 48, ..RaySettings::default() })
-///     .grid(GridSettings { level: 6, ..GridSettings::default() })
+///     .rays(RaySettings::default().rays(20_000).occupancy(48))
+///     .grid(GridSettings::default().level(6))
 ///     .shard(0, 2)
 ///     .checkpoint(Checkpoint::new(folder.path().join("run.chk")).resume(true))
 ///     .run()?;

@@ -4,10 +4,12 @@ use crate::geometry::{Domain, Lattice};
 use crate::posterior::{Covariance, Criteria, DensePosterior, Prior};
 use crate::uncertainty::SAMPLES_SHARE;
 use crate::{Error, Result};
+use derive_setters::Setters;
 
 /// The structure that carries the field.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[non_exhaustive]
 pub enum GridKind {
     /// Adaptive octree, finest where rays are sensitive
     #[default]
@@ -17,7 +19,8 @@ pub enum GridKind {
 }
 
 /// Settings of the grid on which information is summed, and of its conversion to a field.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Setters)]
+#[non_exhaustive]
 pub struct GridSettings {
     /// Dense grid or octree.
     pub grid: GridKind,
@@ -26,6 +29,7 @@ pub struct GridSettings {
     /// Definition of the standard deviation that is computed from the 3×3 matrices.
     pub covariance: Covariance,
     /// Prior precision λ, 1 / scene unit²; `None` for 1e-4 / M³ divided by the square of the box's longest edge.
+    #[setters(into)]
     pub lambda: Option<f64>,
     /// Largest change of log10 U due to coarse leaves. Smaller values keep more vertices; 0 keeps all that any
     /// ray moved.
@@ -38,6 +42,7 @@ pub struct GridSettings {
     /// Criteria for refining the octree.
     pub criteria: Criteria,
     /// Maximal number of bytes for sums and field; `None` for no limit.
+    #[setters(into)]
     pub memory: Option<u64>,
     /// Number of points on visible surfaces to keep for comparisons.
     pub surface_points: usize,
@@ -95,7 +100,7 @@ impl GridSettings {
 
     /// Prior precision λ over `lattice`, 1 / scene unit².
     #[must_use]
-    pub fn lambda(&self, lattice: &Lattice) -> f64 {
+    pub fn prior_precision(&self, lattice: &Lattice) -> f64 {
         self.lambda.unwrap_or_else(|| lattice.default_lambda())
     }
 
@@ -110,7 +115,7 @@ impl GridSettings {
             let found = format!("level {}, which needs {gigabytes:.0} GB (an octree does not)", self.level);
             return Err(Error::setting("dense grid", format!("a level up to {MAX_DENSE_LEVEL}"), found));
         }
-        let lambda = self.lambda(&lattice);
+        let lambda = self.prior_precision(&lattice);
         let prior = self.covariance.prior(lambda);
         if !(prior as f32).is_normal() {
             let found = format!("{lambda:e}, whose prior deviation is {prior:e}");

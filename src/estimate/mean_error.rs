@@ -94,7 +94,7 @@ impl FieldBuilder {
     /// log10 U of this builder and of another, each with half of `rays`, at the vertices that both together
     /// move by more than half a decade.
     fn both(&self, other: &Self, rays: u64) -> Vec<(f64, f64)> {
-        let lambda = self.settings().lambda(self.lattice());
+        let lambda = self.settings().prior_precision(self.lattice());
         let covariance = self.settings().covariance;
         let moved = covariance.prior(lambda) * 10_f64.powf(-MOVED);
         let pairs = self.paired(other);

@@ -1,5 +1,6 @@
 //! Settings of rays: which are drawn, and how they are sampled and differentiated.
 
+use derive_setters::Setters;
 use glam::{DVec3, Vec3};
 
 use super::{FieldBuilder, GridSettings};
@@ -23,7 +24,8 @@ const LEAST_STEP: f64 = 4.0;
 const MAX_STEPS: f64 = 65_536.0;
 
 /// Settings of rays: which are drawn, and how they are sampled and differentiated.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Setters)]
+#[non_exhaustive]
 pub struct RaySettings {
     /// R, the number of rays.
     pub rays: u64,
@@ -41,6 +43,7 @@ pub struct RaySettings {
     /// models, the mean |Δ log10 U| is lowest (0.006, 0.004) around 1/1024 and grows to 0.03 at 1/128, because of
     /// kinks and high frequencies. Smooth fields would prefer 1/16 and lose 6e-5 at 1/512. On much finer lattices
     /// rounding matters more; [`super::StepCheck`] measures both.
+    #[setters(into)]
     pub step: Option<f64>,
     /// Samples are not differentiated if their weight stays below this, and so does their sensitivity, as
     /// estimated from density bounds and neighbours. Rays end at this transmittance.
@@ -50,10 +53,12 @@ pub struct RaySettings {
     /// nothing and takes a hundred times longer.
     pub cutoff: f64,
     /// Distance between samples, scene units; `None` for the field's suggestion.
+    #[setters(into)]
     pub march_step: Option<f64>,
     /// Colour behind the scene.
     pub background: Vec3,
     /// Position of rays within their pixel; `None` for the field's own.
+    #[setters(into)]
     pub pixel_offset: Option<f64>,
     /// Cells per axis of the occupancy grid.
     pub occupancy: usize,
@@ -172,7 +177,7 @@ impl RaySettings {
         let per_vertex = (2.0 * lattice.edge().length() / march_step).ceil() + 1.0;
         let bounded = matches!(lattice.domain(), Domain::Box(_)) && self.cutoff > 0.0;
         let tolerance = if bounded { grid.samples_tolerance() } else { 0.0 };
-        negligible_jacobian(tolerance, grid.lambda(lattice), per_vertex)
+        negligible_jacobian(tolerance, grid.prior_precision(lattice), per_vertex)
     }
 
     /// The finite-difference steps for a lattice, over the box of a field.

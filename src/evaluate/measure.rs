@@ -17,6 +17,7 @@ pub struct Reading {
 /// Measures without a Hessian, which an uncertainty field has to beat.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
 pub enum Baseline {
     /// [`crate::render::depth_variance`] of the ray's weights.
     RayVariance,
@@ -60,6 +61,7 @@ impl Baseline {
 
 /// One measure of uncertainty per pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[non_exhaustive]
 pub enum Measure {
     /// Ray average of log10 U, by the index of the reading.
     Reading(usize, RayAverage),

@@ -113,8 +113,8 @@ pub struct Intrinsics {
 /// }
 ///
 /// let cameras = ClosedForm::half_circle(4, [32, 32]);
-/// let rays = RaySettings { rays: 4_000, occupancy: 32, ..RaySettings::default() };
-/// let grid = GridSettings { level: 5, ..GridSettings::default() };
+/// let rays = RaySettings::default().rays(4_000).occupancy(32);
+/// let grid = GridSettings::default().level(5);
 /// let field = Estimation::new(&Ball, &cameras).rays(rays).grid(grid).run()?.field;
 /// // The cameras stand on the side x > 0: there the ball's surface is known better.
 /// let [seen, unseen] = [0.5, -0.5].map(|x| field.query(Vec3::new(x, 0.1, 0.1)).uncertainty);

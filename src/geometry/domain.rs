@@ -20,6 +20,7 @@ use crate::{Error, Result};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "lowercase")]
+#[non_exhaustive]
 pub enum Norm {
     /// Euclidean (mip-NeRF 360): the cube's corners stay empty
     L2,
@@ -52,6 +53,7 @@ impl Norm {
 /// # Ok::<(), octobayes::Error>(())
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+#[non_exhaustive]
 pub enum Domain {
     /// A box, mapped affinely.
     Box(Aabb),

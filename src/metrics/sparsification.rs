@@ -11,6 +11,7 @@ pub const STEPS: usize = 100;
 /// Which error is averaged.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
+#[non_exhaustive]
 pub enum ErrorKind {
     /// Mean absolute error.
     Mae,

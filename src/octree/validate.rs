@@ -26,6 +26,7 @@ impl OctreeStats {
 
 /// The first property that an octree lacks.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
 pub enum Defect {
     /// The leaves' volumes do not add up to the box: leaves are missing or overlap.
     #[error("leaves cover {found} finest cells of {expected}")]

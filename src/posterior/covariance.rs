@@ -8,6 +8,7 @@ use super::{VertexSums, trace};
 /// The definition of the standard deviation σ_v, computed from H_v = (2/R) S_v + 2λ I.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
 pub enum Covariance {
     /// σ² = Σ_k 1 / H_kk (the paper, Sec. 4.4). Depends on the orientation of the axes.
     #[default]

@@ -5,6 +5,7 @@ use std::fmt;
 /// A single criterion that asks for refinement or limits it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[non_exhaustive]
 pub enum Criterion {
     /// Around vertices whose displacement would change some pixel
     Sensitivity,
@@ -18,6 +19,7 @@ pub enum Criterion {
 
 /// A combination of criteria: refine where any of the first three asks for it, but no finer than the rays support.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[non_exhaustive]
 pub struct Criteria {
     /// [`Criterion::Sensitivity`].
     pub sensitivity: bool,

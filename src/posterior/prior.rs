@@ -6,6 +6,7 @@ use crate::octree::{Octree, cells_around};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "lowercase")]
+#[non_exhaustive]
 pub enum Prior {
     /// The same λ at every vertex; agrees with the dense grid where nothing was seen
     #[default]

@@ -12,6 +12,7 @@ use super::seeds::mix;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
 pub enum Pixels {
     /// Uniformly at random from all images, as in the paper
     Random,

@@ -14,6 +14,7 @@ use crate::monitor::{Monitor, check};
 /// Letters: w weights of the samples, u = log10 U at the samples, t their distances, δ the distance between samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
 pub enum RayAverage {
     /// Σ w u / Σ w: the mean over what the ray meets.
     #[default]

@@ -1,5 +1,6 @@
 //! Writing of datasets: pictures, depth maps, camera files, and a record of what made them.
 
+use derive_setters::Setters;
 use std::io::{Cursor, Write};
 use std::path::Path;
 
@@ -27,13 +28,15 @@ pub const DEPTH_PNG_SCALE: f64 = 6.5535;
 const MAX_PIXELS: u64 = 100_000_000;
 
 /// Settings of a dataset made from a mesh.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Setters)]
+#[non_exhaustive]
 pub struct DatasetSettings {
     /// Axis of the file that points up.
     pub up: Up,
     /// Number of training cameras, at least 1.
     pub views: u32,
     /// Half in which they stand; `None` for all around.
+    #[setters(into)]
     pub hemisphere: Option<Hemisphere>,
     /// Number of test cameras, which stand all around; at least 1.
     pub test_views: u32,

@@ -22,6 +22,7 @@ pub use run::{Budget, Description, Finished, Progress, Run, StateFile};
 pub use trainer::{StepReport, Trainer};
 pub use views::{DatasetFiles, Shot};
 
+use derive_setters::Setters;
 use serde::{Deserialize, Serialize};
 
 use crate::field::HashGridConfig;
@@ -29,6 +30,7 @@ use crate::field::HashGridConfig;
 /// Background of the scene during training.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
 pub enum Background {
     /// Another colour for every ray, where images are transparent. Empty space must become transparent to match.
     Random,
@@ -37,7 +39,8 @@ pub enum Background {
 }
 
 /// Settings of a training run.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, Setters)]
+#[non_exhaustive]
 pub struct TrainSettings {
     /// Size of the field.
     pub config: HashGridConfig,

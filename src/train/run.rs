@@ -14,6 +14,7 @@ use crate::monitor::Monitor;
 
 /// End of a run.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub enum Budget {
     /// After this many steps; the result is the same every time.
     Steps(u64),

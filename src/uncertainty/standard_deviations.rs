@@ -7,6 +7,7 @@ use half::f16;
 /// The storage of deviations.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[non_exhaustive]
 pub enum Store {
     /// σ in four bytes; rounding changes log10 U by 3e-8
     #[default]

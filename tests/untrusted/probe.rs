@@ -132,7 +132,7 @@ fn checkpoint(path: &Path) -> Result<()> {
             assert!(key.shard.admits(&state.progress));
             assert!(state.surface.len() as u64 <= key.surface_points, "no more points than the run keeps");
             assert!(state.surface.iter().flatten().all(|v| v.is_finite()), "surface points are finite");
-            let settings = GridSettings { grid, level, surface_points: 100, ..GridSettings::default() };
+            let settings = GridSettings::default().grid(grid).level(level).surface_points(100);
             let mut builder = FieldBuilder::new(settings, *key.lattice.domain()).unwrap();
             builder.restore(path, &key).unwrap();
             builder.add(&[samples::ray_samples()]);
@@ -180,7 +180,7 @@ fn cameras_are_sound(cameras: &[Camera]) {
 
 fn samples_are_sound(path: &Path) -> Result<()> {
     let reader = SamplesReader::open(path)?;
-    let settings = GridSettings { level: 4, ..GridSettings::default() };
+    let settings = GridSettings::default().level(4);
     let mut builder = FieldBuilder::new(settings, Domain::Box(Aabb::centered_cube(1.0)))?;
     reader.run(&Silent, |batches| {
         builder.add(batches);

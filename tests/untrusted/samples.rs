@@ -12,7 +12,7 @@ use octobayes::estimate::{Estimation, FieldBuilder, GridKind, GridSettings, Prov
 use octobayes::field::{ClosedForm, VoxelGrid};
 use octobayes::geometry::{Aabb, Camera, Domain, Norm};
 use octobayes::internal::npy;
-use octobayes::posterior::{Covariance, Criteria, Prior, VertexSums};
+use octobayes::posterior::{Covariance, Criteria, Criterion, Prior, VertexSums};
 use octobayes::rays::{Pixels, RunProgress, SamplesWriter, Shard};
 use octobayes::render::{GradientMethod, RaySample, RaySamples};
 use octobayes::uncertainty::UncertaintyField;
@@ -84,7 +84,7 @@ fn progress() -> RunProgress {
 pub fn fields() -> Vec<UncertaintyField> {
     let cube = Domain::Box(Aabb::centered_cube(1.0));
     let space = Domain::contracted(DVec3::new(0.1, 0.2, 0.3), 0.5, Norm::L2).unwrap();
-    let small = GridSettings { level: 2, ..GridSettings::default() };
+    let small = GridSettings::default().level(2);
     let field = |settings, domain| {
         let shard = Some(Shard { rays: 5, index: 0, of: 1 });
         builder(settings, domain).finish(&Provenance {
@@ -94,15 +94,10 @@ pub fn fields() -> Vec<UncertaintyField> {
             stream: None,
         })
     };
-    let block = GridSettings { covariance: Covariance::Block, level: 3, min_rays: 2.0, ..small };
-    let normal = GridSettings { covariance: Covariance::Normal, prior: Prior::Volume, ..small };
-    let limited = GridSettings {
-        level: 6,
-        criteria: Criteria { ray_count: true, ..Criteria::default() },
-        surface_points: 5,
-        ..small
-    };
-    let rays = RaySettings { rays: 100, occupancy: 8, ..RaySettings::default() };
+    let block = small.covariance(Covariance::Block).level(3).min_rays(2.0);
+    let normal = small.covariance(Covariance::Normal).prior(Prior::Volume);
+    let limited = small.level(6).criteria(Criteria::from_iter([Criterion::RayCount])).surface_points(5);
+    let rays = RaySettings::default().rays(100).occupancy(8);
     let cameras = ClosedForm::half_circle(2, [8, 8]);
     let limited = Estimation::new(&ClosedForm::ball(), &cameras).rays(rays).grid(limited).run().unwrap().field;
     // Error bars, known and unknown.
@@ -113,19 +108,19 @@ pub fn fields() -> Vec<UncertaintyField> {
     };
     vec![
         field(small, cube),
-        field(GridSettings { level: 1, ..small }, cube).without_sums(),
+        field(small.level(1), cube).without_sums(),
         field(block, cube).in_f16(),
         field(normal, space),
-        field(GridSettings { grid: GridKind::Dense, level: 1, ..small }, cube),
+        field(small.grid(GridKind::Dense).level(1), cube),
         limited.without_sums(),
         bars(field(small, cube)),
-        bars(field(GridSettings { grid: GridKind::Dense, level: 1, ..small }, cube)).in_f16(),
+        bars(field(small.grid(GridKind::Dense).level(1), cube)).in_f16(),
     ]
 }
 
 /// The run to which the sample checkpoints belong.
 pub fn run_key(grid: GridKind) -> RunKey {
-    let settings = GridSettings { grid, level: if grid == GridKind::Dense { 1 } else { 3 }, ..GridSettings::default() };
+    let settings = GridSettings::default().grid(grid).level(if grid == GridKind::Dense { 1 } else { 3 });
     RunKey {
         version: "1".into(),
         source: "tests".into(),
@@ -150,7 +145,7 @@ pub fn run_key(grid: GridKind) -> RunKey {
 
 fn checkpoint(grid: GridKind) -> Vec<u8> {
     let key = run_key(grid);
-    let settings = GridSettings { grid, level: key.lattice.level(), ..GridSettings::default() };
+    let settings = GridSettings::default().grid(grid).level(key.lattice.level());
     let mut one = FieldBuilder::new(settings, *key.lattice.domain()).unwrap();
     let mut ray = RaySamples::default();
     let sample = RaySample { position: Vec3::splat(0.1), jacobian: [0.5; 9], weight: 0.9, gradient: [0.1; 3] };

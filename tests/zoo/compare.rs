@@ -32,14 +32,14 @@ pub struct Run {
 
 /// Settings that leave nothing out: every sample of every ray is differentiated.
 pub fn nothing_left_out(rays: RaySettings, grid: GridSettings) -> (RaySettings, GridSettings) {
-    (RaySettings { cutoff: 0.0, ..rays }, GridSettings { tolerance: 0.0, ..grid })
+    (rays.cutoff(0.0), grid.tolerance(0.0))
 }
 
 impl Case<'_> {
     /// The program's defaults, on a dense grid.
     pub fn defaults(&self) -> (RaySettings, GridSettings) {
-        let rays = RaySettings { rays: self.rays, occupancy: 48, ..RaySettings::default() };
-        (rays, GridSettings { grid: GridKind::Dense, level: self.level, ..GridSettings::default() })
+        let rays = RaySettings::default().rays(self.rays).occupancy(48);
+        (rays, GridSettings::default().grid(GridKind::Dense).level(self.level))
     }
 
     /// Runs the pipeline.

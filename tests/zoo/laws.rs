@@ -20,8 +20,8 @@ const RAYS: u64 = 400;
 
 /// U of a specimen at level 4 on the dense grid, by default settings, with its sums.
 fn dense(field: &Specimen, cameras: &[Camera]) -> octobayes::Result<UncertaintyField> {
-    let grid = GridSettings { grid: GridKind::Dense, level: 4, ..GridSettings::default() };
-    let rays = RaySettings { rays: RAYS, occupancy: 32, ..RaySettings::default() };
+    let grid = GridSettings::default().grid(GridKind::Dense).level(4);
+    let rays = RaySettings::default().rays(RAYS).occupancy(32);
     Ok(Estimation::new(field, cameras).rays(rays).grid(grid).run()?.field)
 }
 

@@ -88,8 +88,8 @@ mod agreement {
 }
 
 fn settings(scene: &Scene, rays: u64) -> (RaySettings, GridSettings) {
-    let grid = GridSettings { level: scene.level, ..GridSettings::default() };
-    (RaySettings { rays, occupancy: 48, ..RaySettings::default() }, grid)
+    let grid = GridSettings::default().level(scene.level);
+    (RaySettings::default().rays(rays).occupancy(48), grid)
 }
 
 #[test]
@@ -130,7 +130,7 @@ fn a_scene_too_far_from_the_origin_is_refused_before_any_work_is_done() {
         "{refusal}"
     );
     // A step of a quarter of a cell is two f32 positions wide there.
-    let wider = RaySettings { step: Some(0.25), ..rays };
+    let wider = rays.step(Some(0.25));
     let Outcome { field, .. } = Estimation::new(&scene.field, &scene.cameras()).rays(wider).grid(grid).run().unwrap();
     assert!(Quantity::Block.of(&field) > 1.0);
 }

@@ -1,7 +1,6 @@
 //! Single scenes: what is special about each.
 
 use glam::{DMat3, DVec3, Vec3};
-use octobayes::estimate::RaySettings;
 use octobayes::field::closed_form::{Primitive, Shape, Texture};
 use octobayes::field::{Radiance, RadianceField};
 use octobayes::geometry::{Aabb, Camera, Domain, Ray};
@@ -67,7 +66,7 @@ fn an_opaque_step_depends_on_the_step_of_differences() {
     let case = Case { field: &scene.field, cameras: &cameras, level: scene.level, rays: 40_000 };
     let (rays, grid) = case.defaults();
     let at = |step: f64| {
-        let run = case.run((RaySettings { step: Some(step), ..rays }, grid)).unwrap();
+        let run = case.run((rays.step(Some(step)), grid)).unwrap();
         information(&run)
     };
     // Head on, a share 2h / δ of the rays meets the blurred spike, with (1 / 2h)² each: 1 / h. At grazing
@@ -84,7 +83,7 @@ fn noise_of_half_precision_fades_with_a_larger_step() {
     let case = Case { field: &scene.field, cameras: &cameras, level: scene.level, rays: 512 };
     let (rays, grid) = case.defaults();
     let off = |step: f64| {
-        let run = case.run((RaySettings { step: Some(step), ..rays }, grid)).unwrap();
+        let run = case.run((rays.step(Some(step)), grid)).unwrap();
         error(&case, &run, &case.oracle(&run, Derivatives::Exact))
     };
     let (fine, coarse) = (off(1.0 / 128.0), off(1.0 / 16.0));

@@ -1,6 +1,7 @@
 //! Hyper-parameters, named as in instant-ngp (Müller, Evans, Schied, Keller, "Instant Neural Graphics Primitives with a
 //! Multiresolution Hash Encoding", SIGGRAPH 2022, Table 1).
 
+use derive_setters::Setters;
 use serde::{Deserialize, Serialize};
 
 use crate::{Error, Result};
@@ -21,7 +22,8 @@ pub const MAX_OCCUPANCY: usize = 128;
 const MAX_RESOLUTION: f64 = 65_536.0;
 
 /// The configurable part of a hash grid.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, Setters)]
+#[non_exhaustive]
 pub struct HashGridConfig {
     /// log2 of T, the largest number of entries per level; 8 to 22. Smaller tables collide more, larger ones
     /// leave the caches.
