@@ -95,7 +95,7 @@ fn render(c: &mut Criterion) {
     group.finish();
 }
 
-fn build_and_coarsen(c: &mut Criterion) {
+fn build(c: &mut Criterion) {
     let scene = ClosedForm::courtyard();
     let cameras = ClosedForm::half_circle(40, [200, 200]);
     let mut group = c.benchmark_group("build");
@@ -119,14 +119,6 @@ fn build_and_coarsen(c: &mut Criterion) {
             builder.finish(&Provenance { source: name.into(), progress, ..Provenance::default() })
         };
         group.bench_function(name, |b| b.iter_batched(make, finish, criterion::BatchSize::PerIteration));
-    }
-    group.finish();
-    let settings = rays().rays(100_000);
-    let field = Estimation::new(&scene, &cameras).rays(settings).grid(grid(GridKind::Octree)).run().unwrap().field;
-    let mut group = c.benchmark_group("coarsen");
-    group.sample_size(10);
-    for epsilon in [0.0, 0.2] {
-        group.bench_function(format!("by {epsilon}"), |b| b.iter(|| black_box(&field).coarsened(epsilon).unwrap()));
     }
     group.finish();
 }
@@ -161,5 +153,5 @@ fn query_and_file(c: &mut Criterion) {
     }
 }
 
-criterion_group!(benches, field_evaluation, render, accumulate, build_and_coarsen, query_and_file);
+criterion_group!(benches, field_evaluation, render, accumulate, build, query_and_file);
 criterion_main!(benches);

@@ -9,7 +9,7 @@ use std::process::Command;
 
 use octobayes::{Error, Result};
 
-const COVARIANCES: [&str; 4] = ["diagonal", "trace", "block", "normal"];
+const COVARIANCES: [&str; 3] = ["diagonal", "trace", "block"];
 
 fn main() -> Result<()> {
     let data = PathBuf::from(std::env::var_os("OCTOBAYES_DATA").expect("OCTOBAYES_DATA names the data folder"));

@@ -88,7 +88,7 @@ fn all_measures_and_the_clean_up_are_in_the_tables() {
     assert_eq!(text, one);
     // The same, human-readable.
     let table = run("");
-    for name in baselines.iter().chain(&["m diagonal", "m normal", "without a Hessian"]) {
+    for name in baselines.iter().chain(&["m diagonal", "m block", "without a Hessian"]) {
         assert!(table.contains(name), "{name} is not in\n{table}");
     }
 }

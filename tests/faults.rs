@@ -96,7 +96,7 @@ impl Desk {
         write_transforms(&desk.path("cameras.json"), &named).unwrap();
         desk.write("points.csv", "x,y,z\n0,0,0\n");
         desk.good("uncertainty scene:ball --cameras cameras.json --level 4 --rays 600 --occupancy 16 -o field.oct");
-        desk.good("convert field.oct bare.oct --store f16");
+        desk.good("convert field.oct bare.oct");
         let resized = "--resolution 8 --seed 1 --level 4 --rays 600 --occupancy 16 -o resized.oct";
         desk.good(&format!("uncertainty scene:ball --cameras cameras.json {resized}"));
         desk.fields();

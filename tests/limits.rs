@@ -1,12 +1,13 @@
-//! Limits in the user's own terms, as the binary takes them: cell size, memory, refinement criteria, bytes per
-//! value.
+//! Limits in the user's own terms, as the binary takes them: cell size, memory, refinement criteria.
 
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
 use std::time::Duration;
 
-use octobayes::posterior::Criteria;
-use octobayes::uncertainty::{Store, Support, UncertaintyField, compare};
+use octobayes::estimate::{Estimation, GridKind, GridSettings, RaySettings};
+use octobayes::field::ClosedForm;
+use octobayes::posterior::{Criteria, Criterion};
+use octobayes::uncertainty::{Support, UncertaintyField, compare, merge};
 
 const RUN: &str = "uncertainty scene:courtyard --resolution 64 --rays 40000 --occupancy 40";
 
@@ -117,43 +118,25 @@ fn criteria_refine_where_they_say() {
     assert_eq!(field.protocol().criteria, Criteria::default());
     let (dense, _) = vertices("density");
     let (both, _) = vertices("sensitivity,density");
-    let (all, uniform) = vertices("uniform");
-    assert_eq!(all, 65 * 65 * 65);
-    assert!(sensitive < both && dense < both && both < all, "{sensitive} {dense} {both} {all}");
-    // Uniform refinement is the dense grid, bit for bit, if it leaves no negligible samples out either.
-    good(folder, &format!("{RUN} --level 6 --grid dense -o dense.oct"));
-    good(folder, &format!("{RUN} --level 6 --refine uniform --tolerance 0 -o exact.oct"));
-    let [exact, dense] = ["exact.oct", "dense.oct"].map(|file| read(folder, file));
-    assert_eq!(compare(&exact, &dense, 20_000, 1).unwrap().in_box.unwrap().max, 0.0);
-    // A tenth of the default tolerance is for negligible samples; both fields are stored as f32.
-    assert!(compare(&uniform, &dense, 20_000, 1).unwrap().in_box.unwrap().max <= 0.001 + 1e-6);
-    assert!(refused(folder, &format!("{RUN} --level 10 --refine uniform -o x.oct")).contains("level up to 9"));
-    // Shards of such a run merge into one field.
-    for shard in 0..2 {
-        good(folder, &format!("{RUN} --level 6 --refine uniform --shard {shard}/2 -o part{shard}.oct"));
-    }
-    good(folder, "merge part0.oct part1.oct -o merged.oct");
-    assert_eq!(read(folder, "merged.oct").support(), uniform.support());
+    assert!(sensitive < both && dense < both && both < 65 * 65 * 65, "{sensitive} {dense} {both}");
 }
 
+/// An octree refined everywhere is the dense grid, bit for bit.
 #[test]
-fn two_bytes_a_value_stay_within_the_stated_tolerance() {
-    let folder = tempfile::tempdir().unwrap();
-    let folder = folder.path();
-    good(folder, &format!("{RUN} --level 6 -o full.oct"));
-    good(folder, &format!("{RUN} --level 6 --store f16 -o half.oct"));
-    good(folder, "convert full.oct converted.oct --store f16");
-    good(folder, "convert full.oct coarse.oct --store f16 --coarsen 0.1");
-    let [full, half, converted, coarse] =
-        ["full", "half", "converted", "coarse"].map(|n| read(folder, &format!("{n}.oct")));
-    assert_eq!(half.deviations(), converted.deviations());
-    assert_eq!((half.deviations().store(), coarse.deviations().store()), (Store::F16, Store::F16));
-    assert_eq!(2 * half.deviations().memory(), full.deviations().memory());
-    let stated = half.protocol().tolerance - full.protocol().tolerance;
-    let found = compare(&full, &half, 50_000, 1).unwrap().on_surfaces.unwrap().max;
-    assert!(found <= stated && found > 0.2 * stated, "{found} of {stated}");
-    assert!(compare(&full, &coarse, 50_000, 1).unwrap().in_box.unwrap().max <= 0.1);
-    assert!(refused(folder, "convert full.oct x.oct --store f16 --coarsen 0.0001").contains("rounding"));
+fn the_dense_grid_is_a_uniform_octree() {
+    let (scene, cameras) = (ClosedForm::courtyard(), ClosedForm::half_circle(6, [64, 64]));
+    let dense = GridSettings::default().level(6).grid(GridKind::Dense);
+    let uniform = dense.grid(GridKind::Octree).criteria([Criterion::Uniform].into_iter().collect());
+    let run = |grid| Estimation::new(&scene, &cameras).rays(RaySettings::default().rays(20_000)).grid(grid);
+    let [of_grid, of_octree] = [dense, uniform].map(|grid| run(grid).run().unwrap().field);
+    let Support::Octree(octree) = of_octree.support() else { panic!("an octree") };
+    assert_eq!(octree.vertex_count(), 65 * 65 * 65);
+    assert_eq!(compare(&of_octree, &of_grid, 20_000, 1).unwrap().in_box.unwrap().max, 0.0);
+    // Shards of such a run merge into one field.
+    let parts = [0, 1].map(|index| run(uniform).shard(index, 2).run().unwrap().field);
+    assert_eq!(merge(&parts).unwrap().support(), of_octree.support());
+    let error = run(uniform.level(10)).run().err().unwrap().to_string();
+    assert!(error.contains("level up to 9"), "{error}");
 }
 
 #[test]

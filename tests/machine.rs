@@ -17,7 +17,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_octobayes");
-const RUN: &str = "uncertainty scene:ball --cameras cameras.json --rays 2000 --occupancy 16 --keep hessian";
+const RUN: &str = "uncertainty scene:ball --cameras cameras.json --rays 2000 --occupancy 16 --keep-sums";
 
 fn run(folder: &Path, args: &str) -> Output {
     Command::new(PROGRAM).args(args.split_whitespace()).current_dir(folder).output().unwrap()
@@ -62,7 +62,7 @@ fn a_full_disk_leaves_what_was_there_and_nothing_else() {
     let commands = [
         format!("{RUN} --level 4 -o x.oct"),
         format!("{RUN} --level 4 -o y.oct --dump-samples x.npz"),
-        "accumulate samples.npz --box=-1,-1,-1,1,1,1 --level 4 --keep hessian -o x.oct".into(),
+        "accumulate samples.npz --box=-1,-1,-1,1,1,1 --level 4 --keep-sums -o x.oct".into(),
         "convert old.oct x.oct".into(),
         "convert old.oct x.npy".into(),
         "merge old.oct new.oct -o x.oct".into(),

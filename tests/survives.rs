@@ -151,7 +151,7 @@ fn merged_shards_are_the_whole_run() {
     let folder = folder_with_cameras();
     let folder = folder.path();
     for (grid, tolerance) in [("octree", "0"), ("octree", "0.01"), ("dense", "0")] {
-        let settings = format!("{RUN} --keep hessian --grid {grid} --tolerance {tolerance}");
+        let settings = format!("{RUN} --keep-sums --grid {grid} --tolerance {tolerance}");
         good(folder, &format!("{settings} -o whole.oct"));
         for shard in 0..3 {
             good(folder, &format!("{settings} --shard {shard}/3 -o part{shard}.oct"));
@@ -179,15 +179,15 @@ fn merged_shards_are_the_whole_run() {
     let stderr = String::from_utf8(inside.stderr).unwrap();
     assert!(inside.status.code() == Some(2) && stderr.contains("rays in common"), "{stderr}");
     // Shard 1 of 3 and shard 1 of 2 of the same seed have batches in common.
-    good(folder, &format!("{RUN} --keep hessian --grid dense --tolerance 0 --shard 1/2 -o half.oct"));
+    good(folder, &format!("{RUN} --keep-sums --grid dense --tolerance 0 --shard 1/2 -o half.oct"));
     let overlapping = run(folder, "merge part1.oct half.oct -o x.oct");
     let stderr = String::from_utf8(overlapping.stderr).unwrap();
     assert!(overlapping.status.code() == Some(2) && stderr.contains("rays in common"), "{stderr}");
     let ball = RUN.replace("courtyard", "ball");
-    good(folder, &format!("{ball} --keep hessian --grid dense --tolerance 0 --seed 8 -o ball.oct"));
+    good(folder, &format!("{ball} --keep-sums --grid dense --tolerance 0 --seed 8 -o ball.oct"));
     let stderr = String::from_utf8(run(folder, "merge part0.oct ball.oct -o x.oct").stderr).unwrap();
     assert!(stderr.contains("model and cameras of field 2"), "{stderr}");
-    good(folder, &format!("{RUN} --keep hessian --grid dense --tolerance 0 --seed 9 --lambda 1e-3 -o other.oct"));
+    good(folder, &format!("{RUN} --keep-sums --grid dense --tolerance 0 --seed 9 --lambda 1e-3 -o other.oct"));
     let unlike = run(folder, "merge part0.oct other.oct -o x.oct");
     let stderr = String::from_utf8(unlike.stderr).unwrap();
     assert!(unlike.status.code() == Some(2) && stderr.contains("lambda of field 2"), "{stderr}");

@@ -86,7 +86,7 @@ pub struct Plan {
 }
 
 /// How log10 U becomes a pixel's at the default level.
-pub const BLENDS: [RayAverage; 7] = RayAverage::ALL;
+pub const BLENDS: [RayAverage; 4] = RayAverage::ALL;
 /// The same at other levels.
 pub const LEVEL_BLENDS: [RayAverage; 2] = [RayAverage::AtExpected, RayAverage::Spread];
 

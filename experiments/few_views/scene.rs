@@ -191,9 +191,9 @@ fn add_total_variance(views: &mut [EvaluatedView], labels: &mut Vec<Label>, trai
     let scale = 2.0 * 10_f64.powf(-0.1 * training.psnr) / pixels as f64;
     let mut added = Vec::new();
     for covariance in Covariance::ALL {
-        let rms = find(Kind::RayAverage, covariance.name(), RayAverage::RootMeanSquare.name());
+        let displacement = find(Kind::RayAverage, covariance.name(), RayAverage::AtExpected.name());
         for view in views.iter_mut() {
-            let both = view.measures[variance].iter().zip(&view.measures[rms]);
+            let both = view.measures[variance].iter().zip(&view.measures[displacement]);
             let total = both.map(|(v, u)| v + scale * 10_f64.powf(2.0 * u)).collect();
             view.measures.push(total);
         }

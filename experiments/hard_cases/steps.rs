@@ -185,7 +185,7 @@ fn field_of(
     for (sample, d) in samples.iter().zip(derivatives) {
         let columns = sample.jacobian(d);
         let jacobian = std::array::from_fn(|i| columns[i % 3][i / 3] as f32);
-        batch.push(sample.ray, RaySample { position: sample.x, jacobian, weight: 1.0, gradient: [0.0; 3] });
+        batch.push(sample.ray, RaySample { position: sample.x, jacobian, weight: 1.0 });
     }
     let mut builder = FieldBuilder::new(grid, domain)?;
     builder.add(&[batch]);

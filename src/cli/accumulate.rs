@@ -15,9 +15,8 @@ use crate::{Error, Result};
 ///
 /// SAMPLES.npz holds `positions` (f32, N x 3, scene units); `jacobian` (f32, N x 3 x 3, dC_c/dx_k, rows colour,
 /// columns axis); `ray` (u32 or u64, N, the index of each sample's ray, never decreasing); and `rays_total`, the
-/// number of rays drawn, including those that hit nothing. Two arrays are optional: `weight` (f32, N, the sample's
-/// share of the pixel) and `gradient` (f32, N x 3, ||dC/dsigma|| times the density's gradient), which covariance
-/// `normal` needs. The file may be larger than memory.
+/// number of rays drawn, including those that hit nothing. `weight` (f32, N, the sample's share of the pixel) is
+/// optional. The file may be larger than memory.
 #[derive(clap::Args)]
 #[command(
     after_help = "Example: octobayes accumulate samples.npz --box=-1.5,-1.5,-1.5,1.5,1.5,1.5 --level 8 -o field.oct"
@@ -42,11 +41,10 @@ impl Args {
         let domain = self.domain.domain(None)?;
         let settings = self.grid.settings(&domain)?;
         if settings.needs_plan() || settings.criteria.density {
-            let expected = "`sensitivity` or `uniform`, and no --memory: the rest needs the model and its rays";
+            let expected = "`sensitivity`, and no --memory: the rest needs the model and its rays";
             return Err(Error::setting("--refine", expected, format!("{}", settings.criteria)));
         }
         let mut builder = FieldBuilder::new(settings, domain)?;
-        self.grid.check_coarsening()?;
         let start = Instant::now();
         reader.run(bars, |batches| {
             builder.add(batches);

@@ -1,14 +1,13 @@
-//! `convert`: to and from the official code's grid, and to a coarser octree.
+//! `convert`: to and from the official code's grid.
 
 use std::path::PathBuf;
 
 use super::files::CommandFiles;
-use super::options::{OfficialOptions, parse_positive};
+use super::options::OfficialOptions;
 use super::report;
-use crate::uncertainty::Store;
 use crate::{Error, Result};
 
-/// Convert between `.oct` and the official code's `.npy`, or make an octree coarser
+/// Convert between `.oct` and the official code's `.npy`
 ///
 /// The official file is a flat f32 array of (2^lod + 1)^3 sums of squared derivatives, in its own index order
 /// (stride M, so vertices on upper faces share entries). The official viewer and evaluation read what this writes.
@@ -21,13 +20,9 @@ pub struct Args {
     /// File to write, `.npy` or `.oct`
     output: PathBuf,
 
-    /// Merge leaves of an octree while log10 U changes by at most this anywhere; keeps deviations only
-    #[arg(long, value_name = "DECADES", value_parser = parse_positive)]
-    coarsen: Option<f64>,
-
-    /// How to store deviations; f16 keeps deviations only
-    #[arg(long, value_enum, default_value = "f32")]
-    store: Store,
+    /// Keep the 3x3 matrices of an `.oct` file; without this, only a shard's stay
+    #[arg(long)]
+    keep_sums: bool,
 
     #[command(flatten)]
     official: OfficialOptions,
@@ -38,11 +33,6 @@ impl Args {
     pub fn run(self) -> Result<()> {
         CommandFiles::default().input("INPUT", &self.input).output("OUTPUT", &self.output).check()?;
         let field = self.official.read(&self.input)?;
-        let field = match (self.coarsen, self.store) {
-            (Some(epsilon), store) => field.coarsened_in(store, epsilon)?,
-            (None, Store::F16) => field.in_f16(),
-            (None, Store::F32) => field,
-        };
         match self.output.extension().and_then(|e| e.to_str()) {
             Some("npy") => {
                 field.write_official(&self.output)?;
@@ -54,6 +44,7 @@ impl Args {
                 Ok(())
             }
             Some("oct") => {
+                let field = if self.keep_sums { field } else { field.for_queries() };
                 field.write(&self.output)?;
                 say!("{}: {}", self.output.display(), report::summary(&field.summary()))
             }

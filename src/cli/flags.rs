@@ -3,17 +3,16 @@
 use crate::Error;
 
 /// The library's name of a setting, and the flag that sets it.
-const FLAGS: [(&str, &str); 16] = [
+const FLAGS: [(&str, &str); 15] = [
     ("angle of view", "--fov"),
     ("checkpoint", "--checkpoint, --resume"),
-    ("coarsening bound", "--coarsen"),
     ("coordinates", "--coordinates"),
     ("criterion `density`", "--refine density"),
-    ("criterion `uniform`", "--refine uniform"),
     ("dense grid", "--grid dense"),
     ("error bars", "--error-bars"),
     ("finite-difference step", "--step"),
     ("groups of rays", "--error-bars"),
+    ("kept sums", "--keep-sums"),
     ("lambda", "--lambda"),
     ("march step", "--march-step"),
     ("memory budget", "--memory"),

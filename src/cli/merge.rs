@@ -10,7 +10,7 @@ use crate::uncertainty::{UncertaintyField, merge, merge_with_error_bars};
 /// Join fields of the same box, level and protocol that were computed from different rays
 ///
 /// The result is what one run over all the rays gives, up to the order of summation and the fields' tolerance. So
-/// any scheduler can split a job over machines. The fields must keep their Hessian (`--keep hessian`).
+/// any scheduler can split a job over machines. Shards keep what this needs; whole runs do with `--keep-sums`.
 #[derive(clap::Args)]
 #[command(
     after_help = "Example: for i in 0 1 2 3; do octobayes uncertainty model.npz --cameras transforms.json --shard $i/4 -o part$i.oct; \
@@ -24,6 +24,10 @@ pub struct Args {
     /// Where to write the joined field
     #[arg(short, long, value_name = "FIELD.oct")]
     output: PathBuf,
+
+    /// Keep the 3x3 matrices in the joined field too; they stay by themselves as long as shards are missing
+    #[arg(long)]
+    keep_sums: bool,
 
     /// Also store how far log10 U is from its limit for ever more rays, by comparing the fields (delete-one
     /// jackknife)
@@ -45,6 +49,7 @@ impl Args {
                 "note: the fields' own error bars are not those of the whole, which has none; --error-bars compares the fields"
             );
         }
+        let field = if self.keep_sums { field } else { field.for_queries() };
         field.write(&self.output)?;
         say!("protocol\n{}\nfield\n  {}", report::protocol(&field), report::summary(&field.summary()))
     }

@@ -35,7 +35,7 @@ pub struct Args {
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
 
-    /// Read another covariance than the field's own; the field must keep its Hessian
+    /// Read another covariance than the field's own; the field must keep its sums
     #[arg(long, value_enum)]
     covariance: Option<Covariance>,
 

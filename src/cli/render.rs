@@ -57,7 +57,7 @@ pub struct Args {
     #[arg(long, value_enum, default_value = "weighted-mean")]
     blend: RayAverage,
 
-    /// Read another covariance than the field's own; the field must keep its Hessian
+    /// Read another covariance than the field's own; the field must keep its sums
     #[arg(long, value_enum)]
     covariance: Option<Covariance>,
 

@@ -12,7 +12,7 @@ use crate::io::memory::peak;
 use crate::posterior::Prior;
 use crate::rays::Pixels;
 use crate::render::GradientMethod;
-use crate::uncertainty::{Comparison, Difference, ErrorSummary, SAMPLES_SHARE, Summary, UncertaintyField};
+use crate::uncertainty::{Comparison, Difference, ErrorSummary, Summary, UncertaintyField};
 use crate::{Error, Result};
 
 /// Prints a line to stdout. A reader that has seen enough (`| head`) is no failure.
@@ -237,20 +237,17 @@ fn step_json(check: &StepCheck) -> Value {
     })
 }
 
-/// Says on stderr what a run's approximations cost. `samples` bounds the cost of negligible samples.
-pub fn audit(audit: &Audit, grid: &GridSettings, samples: f64) {
+/// Says on stderr what a run's approximations cost.
+pub fn audit(audit: &Audit, grid: &GridSettings) {
     let row = |name: &str, e: &SamplingError| {
         eprintln!("  {name:<44} {:.1e} in the mean, 95 % within {:.1e}", e.mean, e.percentile_95);
     };
     eprintln!("error budget in log10 U:");
-    let leaves = if grid.grid == GridKind::Dense { 0.0 } else { (1.0 - SAMPLES_SHARE) * grid.tolerance };
-    let certain = |name: &str, most: f64| match most {
-        0.0 => eprintln!("  {name:<44} none"),
-        most => eprintln!("  {name:<44} at most {most:.1e}, certain"),
-    };
-    certain("coarser leaves", leaves);
-    certain("negligible samples", samples);
-    row("cutoff and negligible samples, measured", &audit.cutoff);
+    match grid.grid {
+        GridKind::Dense => eprintln!("  {:<44} none", "coarser leaves"),
+        GridKind::Octree => eprintln!("  {:<44} at most {:.1e}, certain", "coarser leaves", grid.tolerance),
+    }
+    row("cutoff", &audit.cutoff);
     match &audit.derivatives {
         Some(error) => row("finite differences", error),
         None => eprintln!("  {:<44} the field's own, exact", "derivatives"),

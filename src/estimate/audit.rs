@@ -42,7 +42,7 @@ impl Audit {
             })?;
             Ok(builder)
         };
-        let sums = |rays: RaySettings| sums_of(&rays.stream(*field, cameras, &grid, lattice, *monitor)?);
+        let sums = |rays: RaySettings| sums_of(&rays.stream(*field, cameras, lattice, *monitor)?);
         let own = sums_of(stream)?;
         let cutoff = own.differs(&sums(RaySettings { cutoff: 0.0, ..*rays })?, count);
         let better = match (rays.gradient.of(*field)?, field.differentiable()) {

@@ -2,7 +2,6 @@
 
 use crate::geometry::{Domain, Lattice};
 use crate::posterior::{Covariance, Criteria, DensePosterior, Prior};
-use crate::uncertainty::SAMPLES_SHARE;
 use crate::{Error, Result};
 use derive_setters::Setters;
 
@@ -83,19 +82,6 @@ impl GridSettings {
     #[must_use]
     pub fn needs_plan(&self) -> bool {
         self.memory.is_some() || self.criteria.ray_count
-    }
-
-    /// Largest change of log10 U due to samples that are left out as negligible.
-    ///
-    /// A dense grid is the reference and leaves none out. Neither does `normal`. There, H and thus U along any
-    /// fixed direction would change by no more than this, but the mean gradient that defines the direction may
-    /// come from small samples alone.
-    #[must_use]
-    pub fn samples_tolerance(&self) -> f64 {
-        match (self.grid, self.covariance) {
-            (GridKind::Dense, _) | (_, Covariance::Normal) => 0.0,
-            _ => SAMPLES_SHARE * self.tolerance,
-        }
     }
 
     /// Prior precision λ over `lattice`, 1 / scene unit².

@@ -8,7 +8,6 @@ use crate::estimate::state::RunKey;
 use crate::field::RadianceField;
 use crate::geometry::{Aabb, Camera, Domain, Lattice};
 use crate::monitor::Monitor;
-use crate::posterior::negligible_jacobian;
 use crate::rays::{PixelSequence, Pixels, RayStream, Shard};
 use crate::render::{Differences, Differentiation, GradientMethod, LONGEST_STEP, Marcher, Occupancy, Tracer};
 use crate::{Error, Result};
@@ -120,7 +119,6 @@ impl RaySettings {
             seed: self.seed,
             march_step: stream.tracer.marcher.step,
             gradient: stream.differentiation.method(),
-            negligible: stream.negligible,
             difference_step: stream.differentiation.differences.step.to_array(),
             cutoff: stream.tracer.marcher.cutoff,
             occupancy: self.occupancy as u64,
@@ -141,7 +139,6 @@ impl RaySettings {
         &self,
         field: &'a dyn RadianceField,
         cameras: &'a [Camera],
-        grid: &GridSettings,
         lattice: &Lattice,
         monitor: &dyn Monitor,
     ) -> Result<RayStream<'a>> {
@@ -157,11 +154,9 @@ impl RaySettings {
             check_resolution(&differences, &bounds)?;
         }
         let tracer = self.tracer(field, farthest.max_element(), monitor)?;
-        let negligible = self.negligible(grid, lattice, tracer.marcher.step);
         Ok(RayStream {
             tracer,
             differentiation: Differentiation { differences, analytic },
-            negligible,
             cameras,
             pixel_offset: self.pixel_offset.unwrap_or_else(|| field.pixel_offset()),
             pixels: PixelSequence::new(self.pixels, self.seed, cameras.iter().map(|c| c.resolution).collect()),
@@ -170,16 +165,6 @@ impl RaySettings {
 }
 
 impl RaySettings {
-    /// ‖∂C/∂x‖ below which samples `march_step` apart are left out on a grid, 1 / scene unit.
-    pub(super) fn negligible(&self, grid: &GridSettings, lattice: &Lattice, march_step: f64) -> f64 {
-        // A ray crosses the cells around a vertex along at most two of their diagonals. (k levels coarser, that
-        // is 2ᵏ times as long, and J counts 2⁻ᵏ.) Contracted cells have no longest diagonal.
-        let per_vertex = (2.0 * lattice.edge().length() / march_step).ceil() + 1.0;
-        let bounded = matches!(lattice.domain(), Domain::Box(_)) && self.cutoff > 0.0;
-        let tolerance = if bounded { grid.samples_tolerance() } else { 0.0 };
-        negligible_jacobian(tolerance, grid.prior_precision(lattice), per_vertex)
-    }
-
     /// The finite-difference steps for a lattice, over the box of a field.
     pub(super) fn differences(&self, lattice: &Lattice, bounds: &Aabb) -> Differences {
         let (edge, domain) = (lattice.edge(), *lattice.domain());

@@ -67,7 +67,7 @@ impl<'a> Run<'a> {
     pub(super) fn new(estimation: Estimation<'a>) -> Result<Self> {
         let Estimation { field, cameras, domain, rays, grid, monitor, .. } = &estimation;
         let lattice = grid.lattice(*domain)?;
-        let stream = rays.stream(*field, cameras, grid, &lattice, *monitor)?;
+        let stream = rays.stream(*field, cameras, &lattice, *monitor)?;
         let limits = Limits { budget: grid.memory, ..Limits::default() };
         let mut run = Self { estimation, lattice, stream, limits };
         if run.estimation.grid.needs_plan() {
@@ -172,13 +172,12 @@ impl<'a> Run<'a> {
     /// Draws the rays once and computes a field on each of `grids` from them, for exact comparisons between
     /// grids, levels and covariances.
     ///
-    /// All fields cover the run's domain. The run's own grid determines how rays are differentiated. No field
-    /// lacks samples that it would have kept by itself.
+    /// All fields cover the run's domain. The run's own grid determines how rays are differentiated.
     ///
     /// # Errors
     /// As [`Run::finish`], or if the run's goal is not all rays in one group, or a grid needs a plan.
     pub fn finish_on(mut self, grids: &[GridSettings]) -> Result<Vec<Outcome>> {
-        let Estimation { domain, rays, goal, checkpoint, .. } = &self.estimation;
+        let Estimation { domain, goal, checkpoint, .. } = &self.estimation;
         if !matches!(goal, Goal::Shard { .. }) || checkpoint.is_some() || grids.iter().any(GridSettings::needs_plan) {
             return Err(Error::setting(
                 "several grids",
@@ -189,8 +188,6 @@ impl<'a> Run<'a> {
         let mut builders = Vec::new();
         for grid in grids {
             let mut builder = FieldBuilder::new(*grid, *domain)?;
-            let alone = rays.negligible(grid, builder.lattice(), self.stream.tracer.marcher.step);
-            self.stream.negligible = self.stream.negligible.min(alone);
             builder.want_density(&self.stream)?;
             builders.push((builder, Duration::ZERO));
         }

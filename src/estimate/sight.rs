@@ -253,7 +253,7 @@ mod tests {
         let grid = GridSettings { level: 4, ..GridSettings::default() };
         let lattice = grid.lattice(domain).unwrap();
         let rays = RaySettings { occupancy: 32, ..RaySettings::default() };
-        let stream = rays.stream(&field, cameras, &grid, &lattice, &Silent).unwrap();
+        let stream = rays.stream(&field, cameras, &lattice, &Silent).unwrap();
         Sight::of(&stream, &domain, &Silent).unwrap()
     }
 

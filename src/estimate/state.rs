@@ -52,8 +52,6 @@ pub struct RunKey {
     pub difference_step: [f64; 3],
     /// Samples below this are left out.
     pub cutoff: f64,
-    /// Samples with a smaller Jacobian are left out too, 1 / scene unit.
-    pub negligible: f64,
     /// Cells per axis of the occupancy grid.
     pub occupancy: u64,
     /// Colour behind the scene.

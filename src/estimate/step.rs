@@ -152,7 +152,7 @@ mod tests {
         let cameras = ClosedForm::half_circle(6, [64, 64]);
         let lattice = grid().lattice(Domain::Box(field.bounds())).unwrap();
         let rays = RaySettings { occupancy: 32, ..RaySettings::default() };
-        let stream = rays.stream(field, &cameras, &grid(), &lattice, &Silent).unwrap();
+        let stream = rays.stream(field, &cameras, &lattice, &Silent).unwrap();
         StepCheck::with_seed(seed, &stream, &lattice, 0.01, &Silent).unwrap().unwrap()
     }
 

@@ -119,7 +119,7 @@ fn a_budget_of_memory_is_kept_by_giving_up_levels() {
     assert!(peak(&limited) <= budget && limited.validate().is_ok() && !limited.limits().is_unlimited());
     // Refinement was given up, not coverage: both fields agree on which points were seen.
     let seen = |field: &UncertaintyField, x| field.log10(x) < field.prior().log10() - 1.0;
-    let stream = settings(20_000).stream(&field, &cameras, &free, unlimited.lattice(), &Silent).unwrap();
+    let stream = settings(20_000).stream(&field, &cameras, unlimited.lattice(), &Silent).unwrap();
     let points = stream.surface_points(2000, 20_000, &Silent).unwrap();
     let points: Vec<Vec3> = points.into_iter().map(Vec3::from_array).filter(|&x| seen(&unlimited, x)).collect();
     let kept = points.iter().filter(|&&x| seen(&limited, x)).count() as f64;

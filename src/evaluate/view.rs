@@ -67,9 +67,9 @@ impl Evaluator<'_> {
         }
     }
 
-    /// The first reading whose field keeps its vertex sums, and with them its ray counts.
+    /// The first reading whose field knows its ray counts.
     fn counted(&self) -> Option<&Reading> {
-        self.readings.iter().find(|reading| reading.field.sums().is_some())
+        self.readings.iter().find(|reading| !reading.field.rays().is_empty())
     }
 
     /// Renders a view with the field and all members, and compares. Advances the monitor by [`Evaluator::rows`].

@@ -230,6 +230,14 @@ impl Reader {
         Ok((content, start.sections(sections)?))
     }
 
+    /// Like [`Reader::section`], but nothing if no such section follows.
+    ///
+    /// # Errors
+    /// As [`Reader::section`], but for a missing one.
+    pub fn optional<T: Item>(&mut self, name: &str) -> Result<Vec<T>> {
+        if self.sections.iter().any(|section| section.name == name) { self.section(name) } else { Ok(Vec::new()) }
+    }
+
     /// Reads and checks the next section of this name. Sections of other names before it are skipped.
     ///
     /// # Errors

@@ -1,7 +1,5 @@
 //! Standard deviations computed from a vertex's information.
 
-use glam::{DVec3, Vec3};
-
 use super::double_double::DoubleDouble;
 use super::{VertexSums, trace};
 
@@ -17,15 +15,11 @@ pub enum Covariance {
     Trace,
     /// σ² = tr(H⁻¹) of the full 3×3 block. Does not depend on the axes; counts sliding along a surface as uncertainty.
     Block,
-    /// σ² = nᵀ H⁻¹ n, where n is the direction of the mean density gradient. It counts motion across the
-    /// surface only, which is the part that can change depth. Where no gradient is known, it is the mean
-    /// over all directions, tr(H⁻¹) / 3.
-    Normal,
 }
 
 impl Covariance {
     /// All variants.
-    pub const ALL: [Self; 4] = [Self::Diagonal, Self::Trace, Self::Block, Self::Normal];
+    pub const ALL: [Self; 3] = [Self::Diagonal, Self::Trace, Self::Block];
 
     /// The name used on the command line and in files.
     #[must_use]
@@ -34,7 +28,6 @@ impl Covariance {
             Self::Diagonal => "diagonal",
             Self::Trace => "trace",
             Self::Block => "block",
-            Self::Normal => "normal",
         }
     }
 
@@ -48,13 +41,6 @@ impl Covariance {
             Self::Diagonal => [s[0], s[3], s[5]].iter().map(|s| 1.0 / (2.0 * per_ray * s + 2.0 * lambda)).sum(),
             Self::Trace => 1.0 / (per_ray * trace(s) + lambda),
             Self::Block => InverseFactor::new(hessian(per_ray), 2.0 * lambda).trace(),
-            Self::Normal => {
-                let inverse = InverseFactor::new(hessian(per_ray), 2.0 * lambda);
-                match Vec3::from_array(sums.gradient).as_dvec3().try_normalize() {
-                    Some(normal) => inverse.along(normal),
-                    None => inverse.trace() / 3.0,
-                }
-            }
         };
         f64::sqrt(variance)
     }
@@ -72,7 +58,7 @@ impl Covariance {
     pub fn interpolate(self, deviations: &[f64; 8], weights: &[f64; 8]) -> f64 {
         let pairs = || deviations.iter().zip(weights);
         match self {
-            Self::Diagonal | Self::Block | Self::Normal => pairs().map(|(s, w)| s * w).sum(),
+            Self::Diagonal | Self::Block => pairs().map(|(s, w)| s * w).sum(),
             Self::Trace => {
                 let squares: f64 = weights.iter().map(|w| w * w).sum();
                 (pairs().map(|(s, w)| w * w * s * s).sum::<f64>() / squares).sqrt()
@@ -102,7 +88,7 @@ impl Covariance {
         let (mut sum, mut total) = (0.0, 0.0);
         for (error, deviation, weight) in corners.filter(|corner| corner.2 > 0.0) {
             let share = match self {
-                Self::Diagonal | Self::Block | Self::Normal => weight * deviation,
+                Self::Diagonal | Self::Block => weight * deviation,
                 Self::Trace => (weight * deviation).powi(2),
             };
             sum += share * error?;
@@ -117,7 +103,7 @@ impl Covariance {
     pub fn mean(self, deviations: impl ExactSizeIterator<Item = f64>) -> f64 {
         let n = deviations.len() as f64;
         match self {
-            Self::Diagonal | Self::Block | Self::Normal => deviations.sum::<f64>() / n,
+            Self::Diagonal | Self::Block => deviations.sum::<f64>() / n,
             Self::Trace => (deviations.map(|s| s * s).sum::<f64>() / n).sqrt(),
         }
     }
@@ -131,20 +117,6 @@ impl Covariance {
 #[must_use]
 pub fn negligible_information(tolerance: f64, rays: u64, lambda: f64) -> f64 {
     (2.0 * tolerance * std::f64::consts::LN_10).exp_m1() * lambda * rays as f64
-}
-
-/// The largest allowed error ‖ΔG‖ of every sample's G, in 1 / scene unit, whether or not the sample is left out.
-///
-/// If no ray has more than `per_vertex` samples at one vertex, log10 of every scalar changes by at most `tolerance`
-/// (at most 0.1), whatever else the rays contribute. For `normal` this holds as long as its direction stays.
-///
-/// Along any direction, let S be what remains; the paper's H is (2/R)(S + λR). Take n rays, each with a J that
-/// is off by at most a √λ, where a = per_vertex ‖ΔG‖ / √λ. They change S + λR by at most 2 √(S n) a √λ + n a² λ
-/// (Cauchy–Schwarz). With n ≤ R the relative change is at most a + a², because 2√s ≤ 1 + s. log10 U moves by
-/// half the log10 of that factor.
-#[must_use]
-pub fn negligible_jacobian(tolerance: f64, lambda: f64, per_vertex: f64) -> f64 {
-    tolerance * std::f64::consts::LN_10 * lambda.sqrt() / per_vertex
 }
 
 /// M = L⁻¹ and D⁻¹ of H = A + floor · I = L D Lᵀ (L unit lower triangular), so that H⁻¹ = Mᵀ D⁻¹ M.
@@ -186,13 +158,6 @@ impl InverseFactor {
         let sum = p0 + (1.0 + m10 * m10) * p1 + (1.0 + m20 * m20 + m21 * m21) * p2;
         sum.min(3.0 / self.floor)
     }
-
-    /// nᵀ H⁻¹ n = Σ_i (M n)_i² / d_i for a unit vector n.
-    fn along(&self, n: DVec3) -> f64 {
-        let ([m10, m20, m21], [p0, p1, p2]) = (self.rows, self.inverse_pivots);
-        let y = [n.x, m10 * n.x + n.y, m20 * n.x + m21 * n.y + n.z];
-        (y[0] * y[0] * p0 + y[1] * y[1] * p1 + y[2] * y[2] * p2).min(1.0 / self.floor)
-    }
 }
 
 #[cfg(test)]
@@ -203,8 +168,8 @@ mod tests {
     use num_traits::ToPrimitive;
     use proptest::prelude::*;
 
-    fn seen(information: Information, gradient: [f32; 3]) -> VertexSums {
-        VertexSums { information, gradient, rays: 1 }
+    fn seen(information: Information) -> VertexSums {
+        VertexSums { information, rays: 1 }
     }
 
     fn information() -> impl Strategy<Value = Information> {
@@ -240,7 +205,7 @@ mod tests {
         let (lambda, rays, strength) = (1e-10, 1000, 1e3);
         let axis = [strength, 0.0, 0.0, 0.0, 0.0, 0.0];
         let turned = [strength / 3.0; 6];
-        let log10 = |c: Covariance, s: &Information| c.deviation(&seen(*s, [0.0; 3]), rays, lambda).log10();
+        let log10 = |c: Covariance, s: &Information| c.deviation(&seen(*s), rays, lambda).log10();
         assert!(log10(Covariance::Diagonal, &axis) - log10(Covariance::Diagonal, &turned) > 4.0);
         // Rounding 1/3 leaves a second eigenvalue of 1e-16 · strength = 1e-13, or 1e-16 per ray, compared with
         // λ = 1e-10.
@@ -249,49 +214,18 @@ mod tests {
 
     proptest! {
         #[test]
-        fn negligible_samples_change_no_scalar_by_more(
-            kept in proptest::collection::vec((-6..2_i32, proptest::array::uniform9(-1.0..1.0_f64)), 1..20),
-            lost in proptest::collection::vec(proptest::array::uniform9(-1.0..1.0_f64), 20),
-            aligned in proptest::bool::ANY, tolerance in 1e-4..0.1_f64,
-            gradient in [-1.0..1.0_f32, -1.0..1.0, -1.0..1.0],
-        ) {
-            let (lambda, per_vertex): (f64, f64) = (1e-6, 4.0);
-            let most = per_vertex * negligible_jacobian(tolerance, lambda, per_vertex);
-            let rays = kept.len() as u64;
-            let square = |j: &[f64; 9]| {
-                let dot = |a: usize, b: usize| j[a] * j[b] + j[3 + a] * j[3 + b] + j[6 + a] * j[6 + b];
-                [dot(0, 0), dot(0, 1), dot(0, 2), dot(1, 1), dot(1, 2), dot(2, 2)]
-            };
-            let (mut without, mut with) = ([0.0; 6], [0.0; 6]);
-            for ((decade, j), lost) in kept.iter().zip(&lost) {
-                let j = j.map(|v| v * 10_f64.powi(*decade));
-                let lost = if aligned { &j } else { lost };
-                let length = lost.iter().map(|v| v * v).sum::<f64>().sqrt();
-                let whole = std::array::from_fn(|i| j[i] + lost[i] * most / length);
-                without.iter_mut().zip(square(&j)).for_each(|(s, v)| *s += v);
-                with.iter_mut().zip(square(&whole)).for_each(|(s, v)| *s += v);
-            }
-            for covariance in Covariance::ALL {
-                let [a, b] = [without, with].map(|s| covariance.deviation(&seen(s, gradient), rays, lambda));
-                // In the smallest block, two decades of f64 precision remain.
-                prop_assert!((a / b).log10().abs() <= tolerance + 1e-9, "{:?}: {} and {}", covariance, a, b);
-            }
-        }
-
-        #[test]
-        fn negligible_information_bounds_every_scalar(s in information(), tolerance in 1e-4..0.1_f64,
-                                                      gradient in [-1.0..1.0_f32, -1.0..1.0, -1.0..1.0]) {
+        fn negligible_information_bounds_every_scalar(s in information(), tolerance in 1e-4..0.1_f64) {
             let (lambda, rays) = (1e-6, 100);
             let limit = negligible_information(tolerance, rays, lambda);
             let t = trace(&s);
             if t > 0.0 {
                 let scaled = s.map(|v| v * limit / t);
                 for covariance in Covariance::ALL {
-                    let change = (covariance.prior(lambda) / covariance.deviation(&seen(scaled, gradient), rays, lambda)).log10();
+                    let change = (covariance.prior(lambda) / covariance.deviation(&seen(scaled), rays, lambda)).log10();
                     prop_assert!((-1e-12..=tolerance * (1.0 + 1e-9)).contains(&change), "{:?} moves by {}", covariance, change);
                 }
                 // Two-sided: `trace` reaches the bound.
-                let change = (Covariance::Trace.prior(lambda) / Covariance::Trace.deviation(&seen(scaled, gradient), rays, lambda)).log10();
+                let change = (Covariance::Trace.prior(lambda) / Covariance::Trace.deviation(&seen(scaled), rays, lambda)).log10();
                 prop_assert!((change - tolerance).abs() < 1e-9);
             }
         }
@@ -317,7 +251,7 @@ mod tests {
         #[test]
         fn inverses_are_exact_down_to_the_floor(
             vectors in proptest::collection::vec((proptest::array::uniform3(-40..=40_i32), 0..=30_i32), 0..4),
-            exponent in -60..=60_i32, direction in proptest::array::uniform3(-1.0..1.0_f64),
+            exponent in -60..=60_i32,
         ) {
             // Sums of outer products of small integer vectors times powers of four: eigenvalues from 1 to
             // 4³⁰ · 4800 floors, in any direction.
@@ -348,37 +282,18 @@ mod tests {
             let (minors, _, det) = minors_of(0.0);
             let zero = exact(0.0);
             if minors.iter().all(|m| *m >= zero) && det >= zero {
-                let (minors, cofactors, det) = minors_of(floor);
+                let (minors, _, det) = minors_of(floor);
                 let expected = ((&minors[0] + &minors[1] + &minors[2]) / &det).to_f64().unwrap();
                 // The rounding is 2⁻¹⁰⁰ of the largest entry, which is at most 10²² floors.
                 prop_assert!((found / expected - 1.0).abs() < 1e-8, "{} instead of {}", found, expected);
-                if let Some(n) = DVec3::from(direction).try_normalize() {
-                    // nᵀ H⁻¹ n by Cramer's rule.
-                    let [nx, ny, nz] = n.to_array().map(exact);
-                    let form = &minors[0] * &nx * &nx + &minors[1] * &ny * &ny + &minors[2] * &nz * &nz
-                        + exact(2.0) * (&cofactors[0] * &nx * &ny + &cofactors[1] * &nx * &nz + &cofactors[2] * &ny * &nz);
-                    let (found, expected) = (inverse.along(n), (form / &det).to_f64().unwrap());
-                    // Where M n cancels, its f64 rounding remains.
-                    let limit = 1e-8 * expected.max(1e-7 / floor);
-                    prop_assert!((found - expected).abs() <= limit, "{} instead of {}", found, expected);
-                }
             }
-        }
-
-        #[test]
-        fn the_mean_over_three_axes_of_the_normal_reading_is_a_third_of_the_trace(s in information(), turn in 0.0..6.3_f64, tilt in 0.0..3.1_f64) {
-            // Holds for any orthonormal triple; each of its directions in turn stands in for the normal.
-            let inverse = InverseFactor::new(s, 1e-3);
-            let triple = glam::DMat3::from_rotation_z(turn) * glam::DMat3::from_rotation_x(tilt);
-            let sum: f64 = [triple.x_axis, triple.y_axis, triple.z_axis].map(|n| inverse.along(n)).iter().sum();
-            prop_assert!((sum / inverse.trace() - 1.0).abs() < 1e-12);
         }
 
         #[test]
         fn more_information_never_raises_the_deviation(s in information(), more in information()) {
             let sum: Information = std::array::from_fn(|k| s[k] + more[k]);
             for covariance in Covariance::ALL {
-                let [before, after] = [s, sum].map(|s| covariance.deviation(&seen(s, [0.3, -0.5, 0.8]), 10, 1e-6));
+                let [before, after] = [s, sum].map(|s| covariance.deviation(&seen(s), 10, 1e-6));
                 // `block` uses a triangular factorisation: relative rounding of 1e-16 · 1e2 / 2e-6.
                 prop_assert!(after <= before * (1.0 + 1e-7), "{:?}: {} after {}", covariance, after, before);
             }

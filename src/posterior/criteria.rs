@@ -13,7 +13,8 @@ pub enum Criterion {
     Density,
     /// No finer than the rays support: about --min-rays rays per vertex (4 if that is 0)
     RayCount,
-    /// Everywhere: the vertices of the dense grid
+    /// Everywhere: the vertices of the dense grid, for comparisons
+    #[cfg_attr(feature = "cli", value(skip))]
     Uniform,
 }
 

@@ -51,19 +51,16 @@ impl DensePosterior {
         self.sums.iter_mut().zip(sums).for_each(|(sum, other)| sum.add(other));
     }
 
-    /// J_v(r) and the weighted sum of density gradients, for every vertex v that one ray touches.
-    fn ray_jacobian(&self, samples: &RaySamples, ray: std::ops::Range<usize>) -> BTreeMap<usize, ([f64; 9], [f64; 3])> {
-        let mut jacobian: BTreeMap<usize, ([f64; 9], [f64; 3])> = BTreeMap::new();
+    /// J_v(r) for every vertex v that one ray touches.
+    fn ray_jacobian(&self, samples: &RaySamples, ray: std::ops::Range<usize>) -> BTreeMap<usize, [f64; 9]> {
+        let mut jacobian: BTreeMap<usize, [f64; 9]> = BTreeMap::new();
         for i in ray {
             let Some(u) = self.lattice.coordinates(samples.positions[i]) else { continue };
             let (cell, offset) = self.lattice.cell(u);
             for (corner, weight) in trilinear(offset).into_iter().enumerate() {
                 let point = std::array::from_fn(|axis| cell[axis] + (corner as u32 >> axis & 1));
-                let (j, gradient) = jacobian.entry(self.lattice.dense_index(point)).or_default();
+                let j = jacobian.entry(self.lattice.dense_index(point)).or_default();
                 for (sum, &g) in j.iter_mut().zip(&samples.jacobians[i]) {
-                    *sum += weight * f64::from(g);
-                }
-                for (sum, &g) in gradient.iter_mut().zip(&samples.gradients[i]) {
                     *sum += weight * f64::from(g);
                 }
             }
@@ -76,12 +73,9 @@ impl Posterior for DensePosterior {
     fn add(&mut self, batches: &[RaySamples]) {
         for batch in batches {
             for (_, samples) in batch.iter() {
-                for (vertex, (j, gradient)) in self.ray_jacobian(batch, samples) {
+                for (vertex, j) in self.ray_jacobian(batch, samples) {
                     let sum = &mut self.sums[vertex];
                     sum.rays += 1;
-                    for (sum, g) in sum.gradient.iter_mut().zip(gradient) {
-                        *sum += g as f32;
-                    }
                     let s = &mut sum.information;
                     for channel in 0..3 {
                         let [x, y, z] = [j[3 * channel], j[3 * channel + 1], j[3 * channel + 2]];

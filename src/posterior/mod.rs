@@ -12,14 +12,16 @@ mod covariance;
 mod criteria;
 mod dense;
 mod double_double;
+mod factor;
 mod octree;
 mod pooling;
 mod prior;
 mod sums;
 
-pub use covariance::{Covariance, negligible_information, negligible_jacobian};
+pub use covariance::{Covariance, negligible_information};
 pub use criteria::{Criteria, Criterion};
 pub use dense::DensePosterior;
+pub use factor::FactoredSums;
 pub use octree::{Brick, OctreePosterior, PilotCounts, Refinement};
 pub use pooling::Pooling;
 pub use prior::Prior;

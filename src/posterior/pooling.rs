@@ -41,13 +41,12 @@ impl Pooling {
         if !self.is_on() {
             return own;
         }
-        let (mut information, mut gradient) = ([0.0; 6], [0.0_f64; 3]);
+        let mut information = [0.0; 6];
         let (mut total, mut most) = (0.0, 0_u32);
         for (point, tent) in around(center, last) {
             total += tent;
             let Some(e) = at(point) else { continue };
             information.iter_mut().zip(e.information).for_each(|(s, v)| *s += tent * v);
-            gradient.iter_mut().zip(e.gradient).for_each(|(s, v)| *s += tent * f64::from(v));
             if trace(&e.information) > self.floor {
                 most = most.max(e.rays);
             }
@@ -55,11 +54,7 @@ impl Pooling {
         let cubes = [f64::from(most), 0.5 * self.min_rays].map(|n| n * n * n);
         let share = cubes[0] / (cubes[0] + cubes[1]);
         let mix = |own: f64, sum: f64| share * own + (1.0 - share) * sum / total;
-        VertexSums {
-            information: std::array::from_fn(|k| mix(own.information[k], information[k])),
-            gradient: std::array::from_fn(|k| mix(f64::from(own.gradient[k]), gradient[k]) as f32),
-            rays: own.rays,
-        }
+        VertexSums { information: std::array::from_fn(|k| mix(own.information[k], information[k])), rays: own.rays }
     }
 }
 
@@ -70,7 +65,7 @@ mod tests {
     const POOLING: Pooling = Pooling { min_rays: 4.0, floor: 0.5 };
 
     fn seen(xx: f64, rays: u32) -> VertexSums {
-        VertexSums { information: [xx, 0.0, 0.0, 0.0, 0.0, 0.0], gradient: [xx as f32, 0.0, 0.0], rays }
+        VertexSums { information: [xx, 0.0, 0.0, 0.0, 0.0, 0.0], rays }
     }
 
     /// Pools at `center` of a lattice on which only `points` were seen.

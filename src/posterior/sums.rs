@@ -11,14 +11,11 @@ pub fn trace(s: &Information) -> f64 {
     s[0] + s[3] + s[5]
 }
 
-/// Sums over the rays that touched a vertex; 64 bytes.
+/// Sums over the rays that touched a vertex; 56 bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct VertexSums {
     /// S.
     pub information: Information,
-    /// Σ_r Σ_i φ_v(x_i) ‖∂C/∂σ_i‖ ∇σ(x_i), 1 / scene unit: points across the surface, into it. Stored as f32
-    /// because only its direction is used.
-    pub gradient: [f32; 3],
     /// Number of rays with a sample in one of the vertex's cells.
     pub rays: u32,
 }
@@ -28,7 +25,6 @@ impl VertexSums {
     #[inline]
     pub fn add(&mut self, other: &Self) {
         self.information.iter_mut().zip(other.information).for_each(|(s, o)| *s += o);
-        self.gradient.iter_mut().zip(other.gradient).for_each(|(s, o)| *s += o);
         self.rays = self.rays.saturating_add(other.rays);
     }
 
@@ -45,7 +41,6 @@ impl VertexSums {
             product.abs() <= a.sqrt() * b.sqrt() * (1.0 + 1e-6) + f64::MIN_POSITIVE.sqrt()
         };
         trace(&self.information).is_finite()
-            && self.gradient.iter().all(|v| v.is_finite())
             && xx.min(yy).min(zz) >= 0.0
             && bounded(xy, xx, yy)
             && bounded(xz, xx, zz)
@@ -54,17 +49,15 @@ impl VertexSums {
 }
 
 impl Item for VertexSums {
-    const SIZE: usize = Information::SIZE + <[f32; 3]>::SIZE + u32::SIZE;
+    const SIZE: usize = Information::SIZE + u32::SIZE;
 
     fn put(self, out: &mut Vec<u8>) {
         self.information.put(out);
-        self.gradient.put(out);
         self.rays.put(out);
     }
 
     fn take(bytes: &[u8]) -> Self {
-        let (information, rest) = bytes.split_at(Information::SIZE);
-        let (gradient, rays) = rest.split_at(<[f32; 3]>::SIZE);
-        Self { information: Item::take(information), gradient: Item::take(gradient), rays: Item::take(rays) }
+        let (information, rays) = bytes.split_at(Information::SIZE);
+        Self { information: Item::take(information), rays: Item::take(rays) }
     }
 }

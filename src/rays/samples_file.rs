@@ -7,8 +7,6 @@
 //! - `rays_total`: integer scalar, the number of rays drawn, including those that hit nothing.
 //! - `weight` (optional): f32 `[N]`, the sample's weight in the pixel's colour, which identifies visible
 //!   surfaces.
-//! - `gradient` (optional): f32 `[N, 3]` = ‖∂C/∂σ‖ ∇σ, which gives covariance `normal` the direction across
-//!   surfaces.
 //!
 //! Reading and writing both stream: neither holds more than a few batches in memory.
 
@@ -36,8 +34,8 @@ const GROUP: usize = 16;
 /// the other.
 pub struct SamplesWriter {
     target: PathBuf,
-    /// Raw little-endian data of `positions`, `jacobian`, `ray`, `weight`, `gradient`.
-    parts: [AtomicFile; 5],
+    /// Raw little-endian data of `positions`, `jacobian`, `ray`, `weight`.
+    parts: [AtomicFile; 4],
     samples: u64,
 }
 
@@ -48,7 +46,7 @@ impl SamplesWriter {
     /// If the folder is not writable.
     pub fn create(target: &Path) -> Result<Self> {
         let part = || AtomicFile::create(target);
-        Ok(Self { target: target.to_path_buf(), parts: [part()?, part()?, part()?, part()?, part()?], samples: 0 })
+        Ok(Self { target: target.to_path_buf(), parts: [part()?, part()?, part()?, part()?], samples: 0 })
     }
 
     /// Appends samples.
@@ -56,7 +54,7 @@ impl SamplesWriter {
     /// # Errors
     /// If the disk is full.
     pub fn add(&mut self, batches: &[RaySamples]) -> Result<()> {
-        let [positions, jacobian, ray, weight, gradient] = &mut self.parts;
+        let [positions, jacobian, ray, weight] = &mut self.parts;
         let mut write = || {
             for batch in batches {
                 for x in &batch.positions {
@@ -67,9 +65,6 @@ impl SamplesWriter {
                 }
                 for w in &batch.weights {
                     weight.write_all(&w.to_le_bytes())?;
-                }
-                for g in &batch.gradients {
-                    g.iter().try_for_each(|v| gradient.write_all(&v.to_le_bytes()))?;
                 }
                 for (index, samples) in batch.iter() {
                     samples.into_iter().try_for_each(|_| ray.write_all(&index.to_le_bytes()))?;
@@ -89,12 +84,11 @@ impl SamplesWriter {
         let Self { target, parts, samples: n } = self;
         let mut npz = NpzWriter::create(&target)?;
         let float = f32::default_dtype();
-        let members: [(&str, &[u64], DType); 5] = [
+        let members: [(&str, &[u64], DType); 4] = [
             ("positions", &[n, 3], float.clone()),
             ("jacobian", &[n, 3, 3], float.clone()),
             ("ray", &[n], u64::default_dtype()),
-            ("weight", &[n], float.clone()),
-            ("gradient", &[n, 3], float),
+            ("weight", &[n], float),
         ];
         for (part, (name, shape, dtype)) in parts.into_iter().zip(members) {
             let failed = || Error::io(&target, "cannot write");
@@ -119,7 +113,6 @@ pub struct SamplesReader {
     rays_total: u64,
     samples: u64,
     has_weights: bool,
-    has_gradients: bool,
     ray_type: &'static str,
 }
 
@@ -161,12 +154,8 @@ impl SamplesReader {
         if has_weights {
             npz.stream::<f32>("weight")?.expect_shape(&[Some(samples)])?;
         }
-        let has_gradients = npz.has("gradient");
-        if has_gradients {
-            npz.stream::<f32>("gradient")?.expect_shape(&[Some(samples), Some(3)])?;
-        }
         let rays_total = read_rays_total(&mut npz, path)?;
-        Ok(Self { path: path.to_path_buf(), rays_total, samples, has_weights, has_gradients, ray_type })
+        Ok(Self { path: path.to_path_buf(), rays_total, samples, has_weights, ray_type })
     }
 
     /// Number of rays drawn, including those that hit nothing.
@@ -188,7 +177,7 @@ impl SamplesReader {
     /// or a checksum of the archive does not match its content.
     pub fn run(&self, monitor: &dyn Monitor, mut sink: impl FnMut(&[RaySamples]) -> Result<()>) -> Result<()> {
         let open = || NpzReader::open(&self.path);
-        let (mut a, mut b, mut c, mut d, mut e) = (open()?, open()?, open()?, open()?, open()?);
+        let (mut a, mut b, mut c, mut d) = (open()?, open()?, open()?, open()?);
         let mut positions = a.stream::<f32>("positions")?;
         let mut jacobians = b.stream::<f32>("jacobian")?;
         let mut rays = match self.ray_type {
@@ -196,7 +185,6 @@ impl SamplesReader {
             _ => RayIndices::U64(c.stream::<u64>("ray")?),
         };
         let mut weights = if self.has_weights { Some(d.stream::<f32>("weight")?) } else { None };
-        let mut gradients = if self.has_gradients { Some(e.stream::<f32>("gradient")?) } else { None };
 
         monitor.begin("samples", self.samples);
         let mut batches = vec![RaySamples::default()];
@@ -230,19 +218,15 @@ impl SamplesReader {
                 Some(weights) => self.floats::<1>(weights, sample)?[0],
                 None => 0.0,
             };
-            let gradient = match &mut gradients {
-                Some(gradients) => self.floats(gradients, sample)?,
-                None => [0.0; 3],
-            };
             if let Some(batch) = batches.last_mut() {
-                batch.push(ray, RaySample { position: Vec3::from_array(position), jacobian, weight, gradient });
+                batch.push(ray, RaySample { position: Vec3::from_array(position), jacobian, weight });
             }
         }
         // Reading past the last element verifies the archive's checksums.
         rays.next()?;
         positions.next_element()?;
         jacobians.next_element()?;
-        weights.iter_mut().chain(&mut gradients).try_for_each(|stream| stream.next_element().map(drop))?;
+        weights.iter_mut().try_for_each(|stream| stream.next_element().map(drop))?;
         sink(&batches)?;
         monitor.end();
         Ok(())

@@ -25,9 +25,6 @@ pub struct RayStream<'a> {
     pub tracer: Tracer<'a>,
     /// The method of differentiating the field.
     pub differentiation: Differentiation<'a>,
-    /// Largest change of ‖∂C/∂x‖ of any sample by what is left out in addition to the cutoff,
-    /// 1 / scene unit. 0 leaves out nothing.
-    pub negligible: f64,
     /// Training cameras, at least one.
     pub cameras: &'a [Camera],
     /// Position of rays within their pixel; ½ is the centre.
@@ -94,7 +91,7 @@ impl<'a> RayStream<'a> {
                     let batch = shard.batch(n);
                     let (rays, jitter) = self.batch(batch, shard.rays_of(batch));
                     let (first, how) = (batch * BATCH, &self.differentiation);
-                    let samples = self.tracer.jacobians(&rays, &jitter, first, how, self.negligible, buffers);
+                    let samples = self.tracer.jacobians(&rays, &jitter, first, how, buffers);
                     monitor.advance(rays.len() as u64);
                     samples
                 })

@@ -18,8 +18,6 @@ pub struct RaySamples {
     pub jacobians: Vec<[f32; 9]>,
     /// `[n]`: w, the sample's share of the pixel's colour; 0 if unknown.
     pub weights: Vec<f32>,
-    /// `[n]`: ‖∂C/∂σ‖ ∇σ, the size and direction of the density's part of the Jacobian; 0 if unknown.
-    pub gradients: Vec<[f32; 3]>,
     /// Number of rays dropped because the field was not finite.
     pub dropped: u64,
     /// Position of the first sample that was not finite.
@@ -34,7 +32,6 @@ impl Default for RaySamples {
             positions: Vec::new(),
             jacobians: Vec::new(),
             weights: Vec::new(),
-            gradients: Vec::new(),
             dropped: 0,
             first_invalid: None,
         }
@@ -50,8 +47,6 @@ pub struct RaySample {
     pub jacobian: [f32; 9],
     /// w, the sample's share of the pixel's colour.
     pub weight: f32,
-    /// ‖∂C/∂σ‖ ∇σ.
-    pub gradient: [f32; 3],
 }
 
 impl RaySamples {
@@ -64,7 +59,6 @@ impl RaySamples {
         self.positions.push(sample.position);
         self.jacobians.push(sample.jacobian);
         self.weights.push(sample.weight);
-        self.gradients.push(sample.gradient);
         if let Some(end) = self.offsets.last_mut() {
             *end = self.positions.len();
         }
@@ -73,12 +67,7 @@ impl RaySamples {
     /// Returns sample `i` of the list.
     #[must_use]
     pub fn sample(&self, i: usize) -> RaySample {
-        RaySample {
-            position: self.positions[i],
-            jacobian: self.jacobians[i],
-            weight: self.weights[i],
-            gradient: self.gradients[i],
-        }
+        RaySample { position: self.positions[i], jacobian: self.jacobians[i], weight: self.weights[i] }
     }
 
     /// Iterates over the index and the range of samples of each ray.

@@ -21,14 +21,8 @@ pub enum RayAverage {
     WeightedMean,
     /// Σ w u − 3 T_end, as in the official code, which counts empty space as certain.
     Official,
-    /// log10 (Σ w U / Σ w): the expected U, dominated by the largest values.
-    Mean,
-    /// ½ log10 (Σ w U² / Σ w): the expected variance.
-    RootMeanSquare,
     /// u at the expected depth Σ w t / Σ w, which may lie between two surfaces.
     AtExpected,
-    /// u at the median depth.
-    AtMedian,
     /// u at the expected depth + log10 s, where s² = Var t + δ²/12 is the variance of the ray's weights.
     ///
     /// How loosely matter is held there, times how widely it is spread along the ray; scene units squared. It is
@@ -38,15 +32,7 @@ pub enum RayAverage {
 
 impl RayAverage {
     /// All ray averages.
-    pub const ALL: [Self; 7] = [
-        Self::WeightedMean,
-        Self::Official,
-        Self::Mean,
-        Self::RootMeanSquare,
-        Self::AtExpected,
-        Self::AtMedian,
-        Self::Spread,
-    ];
+    pub const ALL: [Self; 4] = [Self::WeightedMean, Self::Official, Self::AtExpected, Self::Spread];
 
     /// Name on the command line and in reports.
     #[must_use]
@@ -54,17 +40,14 @@ impl RayAverage {
         match self {
             Self::WeightedMean => "weighted-mean",
             Self::Official => "official",
-            Self::Mean => "mean",
-            Self::RootMeanSquare => "root-mean-square",
             Self::AtExpected => "at-expected",
-            Self::AtMedian => "at-median",
             Self::Spread => "spread",
         }
     }
 
     /// Returns true if it needs u at every sample.
     fn is_of_samples(self) -> bool {
-        !matches!(self, Self::AtExpected | Self::AtMedian | Self::Spread)
+        !matches!(self, Self::AtExpected | Self::Spread)
     }
 }
 
@@ -170,7 +153,6 @@ fn render_rays(tracer: &Tracer, rays: &[Ray], probes: &[Probe]) -> RenderedView 
             weights,
             end_transmittance: quadrature.end_transmittance(&samples),
             at_expected: tracer.marcher.bounds.clamp(ray.at(pixel.expected_depth).as_vec3()),
-            at_median: tracer.marcher.bounds.clamp(ray.at(pixel.median_depth).as_vec3()),
             spread: (pixel.depth_variance + tracer.marcher.step.powi(2) / 12.0).sqrt(),
         };
         let mut channel = 0;
@@ -194,7 +176,6 @@ struct BlendedRay<'a> {
     weights: &'a [f64],
     end_transmittance: f64,
     at_expected: Vec3,
-    at_median: Vec3,
     spread: f64,
 }
 
@@ -204,18 +185,13 @@ impl BlendedRay<'_> {
     /// Where the weight is zero, `values` may be anything; they may be missing if the average needs none.
     fn blend(&self, blend: RayAverage, values: &[f64], value: &dyn Fn(Vec3) -> f64) -> f64 {
         let total: f64 = self.weights.iter().sum();
-        let sum = |of: &dyn Fn(f64) -> f64| -> f64 {
-            let hit = self.weights.iter().zip(values).filter(|(w, _)| **w > 0.0);
-            hit.map(|(w, &u)| w * of(u)).sum()
-        };
+        let hit = self.weights.iter().zip(values).filter(|(w, _)| **w > 0.0);
+        let sum: f64 = hit.map(|(w, u)| w * u).sum();
         match blend {
-            RayAverage::Official => sum(&|u| u) + OFFICIAL_EMPTY * self.end_transmittance,
+            RayAverage::Official => sum + OFFICIAL_EMPTY * self.end_transmittance,
             _ if total <= 0.0 => f64::NAN,
-            RayAverage::WeightedMean => sum(&|u| u) / total,
-            RayAverage::Mean => (sum(&|u| 10_f64.powf(u)) / total).log10(),
-            RayAverage::RootMeanSquare => 0.5 * (sum(&|u| 10_f64.powf(2.0 * u)) / total).log10(),
+            RayAverage::WeightedMean => sum / total,
             RayAverage::AtExpected => value(self.at_expected),
-            RayAverage::AtMedian => value(self.at_median),
             RayAverage::Spread => value(self.at_expected) + self.spread.log10(),
         }
     }
@@ -229,16 +205,13 @@ mod tests {
     fn blends_of_two_samples() {
         // U = 1 with weight 0.3, U = 100 with weight 0.1, one sample without weight; 0.6 of the ray hits nothing.
         let weights = &[0.3, 0.0, 0.1];
-        let ray = BlendedRay { weights, end_transmittance: 0.6, at_expected: Vec3::X, at_median: Vec3::Y, spread: 0.1 };
+        let ray = BlendedRay { weights, end_transmittance: 0.6, at_expected: Vec3::X, spread: 0.1 };
         let values = [0.0, 77.0, 2.0];
         let blend = |blend| ray.blend(blend, &values, &|x| if x == Vec3::X { 1.5 } else { 0.25 });
         let expected = [
             (RayAverage::WeightedMean, 0.2 / 0.4),
             (RayAverage::Official, 0.2 - 3.0 * 0.6),
-            (RayAverage::Mean, (10.3_f64 / 0.4).log10()),
-            (RayAverage::RootMeanSquare, 0.5 * (1000.3_f64 / 0.4).log10()),
             (RayAverage::AtExpected, 1.5),
-            (RayAverage::AtMedian, 0.25),
             (RayAverage::Spread, 1.5 - 1.0),
         ];
         for (name, expected) in expected {
@@ -249,8 +222,7 @@ mod tests {
 
     #[test]
     fn a_ray_that_meets_nothing_has_no_value_but_the_official_one() {
-        let (at_expected, at_median) = (Vec3::ZERO, Vec3::ZERO);
-        let ray = BlendedRay { weights: &[0.0], end_transmittance: 1.0, at_expected, at_median, spread: 0.1 };
+        let ray = BlendedRay { weights: &[0.0], end_transmittance: 1.0, at_expected: Vec3::ZERO, spread: 0.1 };
         for blend in RayAverage::ALL {
             let found = ray.blend(blend, &[5.0], &|_| 5.0);
             assert!(if blend == RayAverage::Official { found == -3.0 } else { found.is_nan() }, "{blend:?}: {found}");

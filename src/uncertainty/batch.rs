@@ -80,10 +80,10 @@ impl UncertaintyField {
                 }
             })
         });
-        let rays = self.sums.as_ref().map(|sums| {
+        let rays = (!self.rays.is_empty()).then(|| {
             let of_corner = |corner: &Corner| {
                 let masters = corner.masters();
-                masters.iter().map(|&VertexId(v)| f64::from(sums[v as usize].rays)).sum::<f64>() / masters.len() as f64
+                masters.iter().map(|&VertexId(v)| self.rays.get(v as usize) as f64).sum::<f64>() / masters.len() as f64
             };
             cursor.corners().each_ref().map(of_corner)
         });

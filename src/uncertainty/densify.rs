@@ -3,7 +3,7 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::{StandardDeviations, Support, UncertaintyField};
+use super::{RayCounts, StandardDeviations, Support, UncertaintyField};
 
 impl UncertaintyField {
     /// The same U at every vertex of the finest lattice, without sums or error bars: 4 (M + 1)³ bytes.
@@ -37,7 +37,8 @@ impl UncertaintyField {
             lattice: self.lattice,
             support: Support::Dense,
             limits: self.limits.clone(),
-            deviations: StandardDeviations::F32(values),
+            deviations: StandardDeviations(values),
+            rays: RayCounts::default(),
             sums: None,
             error_bars: None,
             surface: self.surface.clone(),

@@ -4,13 +4,17 @@
 //!
 //! ```text
 //! masks        u8         child masks of the octree, breadth first (empty for a dense grid)
-//! deviations   f32        σ_v, by vertex (octree: finest first, in Morton order; dense: x slowest); or empty
-//! sums         64 bytes   f64 × 6 information, f32 × 3 gradient, u32 rays; or empty
+//! deviations   f32        σ_v, by vertex (octree: finest first, in Morton order; dense: x slowest)
+//! rays         u8         codes of ray counts, by vertex; or empty if unknown
+//! factors      28 bytes   Cholesky factors of the sums, by vertex: f32 × 6, u32 rays; or empty
+//! exact        52 bytes   instead of `factors`: the sums themselves, by vertex: f64 × 6 information, u32 rays; or empty
 //! surface      f32 × 3    points on visible surfaces
-//! logs         u16        instead of `deviations`: bits of f16, log10(σ_v / unit); the header has the unit
 //! limits       u64        the regions' level, then region · 256 + limit; empty if nothing is limited
 //! errors       u16        number of groups, then bits of f16: errors of log10 σ_v, NaN where not known; or empty
 //! ```
+//!
+//! A shard keeps exact sums, so that shards merge to the sums of one run. A whole run that keeps its sums keeps the
+//! factors, which answer for every covariance to within 1e-6 decades.
 //!
 //! The octree is rebuilt from its masks, so a file cannot hold an inconsistent one. Versions 1 and 2 can be
 //! [read](legacy) too.
@@ -19,13 +23,11 @@ mod legacy;
 
 use std::path::Path;
 
-use half::f16;
-
-use super::{ErrorBars, Protocol, StandardDeviations, Support, UncertaintyField, vertex_count};
+use super::{ErrorBars, Protocol, RayCounts, StandardDeviations, Support, UncertaintyField, vertex_count};
 use crate::geometry::Lattice;
 use crate::io::container::{self, Format, Reader};
 use crate::octree::{MaxLevels, Octree};
-use crate::posterior::VertexSums;
+use crate::posterior::{FactoredSums, VertexSums};
 use crate::rays::Draw;
 use crate::{Error, Result};
 
@@ -38,8 +40,6 @@ struct Header {
     protocol: Protocol,
     lattice: Lattice,
     kind: Kind,
-    /// Unit of the logarithms, scene units; `None` if deviations are f32.
-    unit: Option<f32>,
     /// The rays that were summed, by sequence of pixels; empty if unknown.
     draws: Vec<Draw>,
 }
@@ -48,6 +48,37 @@ struct Header {
 enum Kind {
     Dense,
     Octree { root_split: bool },
+}
+
+/// What a file holds, before it is checked.
+struct Content {
+    header: Header,
+    masks: Vec<u8>,
+    deviations: Vec<f32>,
+    rays: RayCounts,
+    /// Empty if they were not kept.
+    sums: Vec<VertexSums>,
+    surface: Vec<[f32; 3]>,
+    limits: Vec<u64>,
+    errors: Vec<u16>,
+}
+
+impl Content {
+    fn read(path: &Path) -> Result<Self> {
+        let (header, mut file) = Reader::open::<Header>(path, FORMAT)?;
+        let masks = file.section("masks")?;
+        let deviations = file.section("deviations")?;
+        let rays = RayCounts(file.optional("rays")?);
+        let factors = file.optional::<FactoredSums>("factors")?;
+        if let Some(i) = factors.iter().position(|factor| !factor.is_valid()) {
+            let found = format!("{:?}", factors[i]);
+            return Err(Error::malformed(path, format!("section `factors`, entry {i}"), "a Cholesky factor", found));
+        }
+        let exact = file.optional("exact")?;
+        let sums = if exact.is_empty() { factors.iter().map(FactoredSums::sums).collect() } else { exact };
+        let (surface, limits, errors) = (file.optional("surface")?, file.optional("limits")?, file.optional("errors")?);
+        Ok(Self { header, masks, deviations, rays, sums, surface, limits, errors })
+    }
 }
 
 impl UncertaintyField {
@@ -63,19 +94,17 @@ impl UncertaintyField {
                 (Kind::Octree { root_split }, masks)
             }
         };
-        let (unit, values, logs) = match &self.deviations {
-            StandardDeviations::F32(values) => (None, values.as_slice(), Vec::new()),
-            StandardDeviations::F16 { unit, logs } => {
-                (Some(*unit), &[][..], logs.iter().map(|v| v.to_bits()).collect())
-            }
-        };
         let (protocol, draws) = (self.protocol.clone(), self.draws.clone());
-        let header = Header { protocol, lattice: self.lattice, kind, unit, draws };
+        let header = Header { protocol, lattice: self.lattice, kind, draws };
         let sums = self.sums.as_deref().unwrap_or_default();
+        let exact = if self.is_part() { sums } else { &[] };
+        let factors: Vec<FactoredSums> =
+            if self.is_part() { Vec::new() } else { sums.iter().map(Into::into).collect() };
         let limits = self.limits.packed().unwrap_or_default();
         let errors = self.error_bars.as_ref().map(ErrorBars::words).unwrap_or_default();
-        let (masks, surface, logs) = (masks.as_slice(), self.surface.as_slice(), logs.as_slice());
+        let (masks, surface, factors) = (masks.as_slice(), self.surface.as_slice(), factors.as_slice());
         let (limits, errors) = (limits.as_slice(), errors.as_slice());
+        let (values, rays) = (self.deviations.0.as_slice(), self.rays.0.as_slice());
         container::write(
             path,
             FORMAT,
@@ -83,9 +112,10 @@ impl UncertaintyField {
             &[
                 ("masks", &masks),
                 ("deviations", &values),
-                ("sums", &sums),
+                ("rays", &rays),
+                ("factors", &factors),
+                ("exact", &exact),
                 ("surface", &surface),
-                ("logs", &logs),
                 ("limits", &limits),
                 ("errors", &errors),
             ],
@@ -98,7 +128,8 @@ impl UncertaintyField {
     /// If the file is missing, or is not a complete, unaltered field of a known version.
     pub fn read(path: &Path) -> Result<Self> {
         let is_old = container::version(path, FORMAT)? < FORMAT_VERSION;
-        let (header, mut file) = if is_old { legacy::open(path)? } else { Reader::open::<Header>(path, FORMAT)? };
+        let content = if is_old { legacy::read(path)? } else { Content::read(path)? };
+        let Content { header, masks, deviations, rays, sums, surface, limits, errors } = content;
         // Deserialisation bypasses the checks of the constructors.
         let lattice = header.lattice.domain().checked();
         let lattice = lattice
@@ -109,26 +140,11 @@ impl UncertaintyField {
             let expected = "a protocol that a run can have";
             return Err(Error::malformed(path, "header", expected, format!("{protocol:?}")));
         }
-        let masks = file.section::<u8>("masks")?;
-        let values = file.section::<f32>("deviations")?;
-        let sums = file.section::<VertexSums>("sums")?;
-        let surface = file.section::<[f32; 3]>("surface")?;
         if let Some(i) = surface.iter().position(|x| !x.iter().all(|v| v.is_finite())) {
             let found = format!("{:?}", surface[i]);
             return Err(Error::malformed(path, format!("section `surface`, point {i}"), "finite coordinates", found));
         }
-        let logs = file.section::<u16>("logs")?;
-        let deviations = match header.unit {
-            None if logs.is_empty() => StandardDeviations::F32(values),
-            Some(unit) if values.is_empty() => {
-                StandardDeviations::F16 { unit, logs: logs.into_iter().map(f16::from_bits).collect() }
-            }
-            _ => {
-                let found = format!("{} and {}", values.len(), logs.len());
-                return Err(Error::malformed(path, "sections `deviations` and `logs`", "one of them empty", found));
-            }
-        };
-        let limits = match file.section::<u64>("limits")?.as_slice() {
+        let limits = match limits.as_slice() {
             [] => MaxLevels::none(lattice.level()),
             packed => MaxLevels::from_packed(lattice.level(), packed)
                 .ok_or_else(|| Error::malformed(path, "section `limits`", "balanced limits to refinement", "others"))?,
@@ -142,24 +158,22 @@ impl UncertaintyField {
                     .map_err(|problem| Error::malformed(path, "section `masks`", "a balanced octree", problem))?,
             };
         let vertices = vertex_count(&lattice, &support);
-        let counts = [("deviations", deviations.len()), ("sums", sums.len())];
-        for (name, count) in counts {
-            if count as u64 != vertices && !(name == "sums" && count == 0) {
+        for (name, count) in [("deviations", deviations.len()), ("rays", rays.len()), ("sums", sums.len())] {
+            if count as u64 != vertices && (name == "deviations" || count != 0) {
                 let expected = format!("{vertices} entries, one per vertex");
                 return Err(Error::malformed(path, format!("section `{name}`"), expected, count.to_string()));
             }
         }
-        if let Some(i) = deviations.iter().position(|d| !(d > 0.0 && d.is_finite())) {
-            let found = deviations.get(i).to_string();
+        if let Some(i) = deviations.iter().position(|d| !(*d > 0.0 && d.is_finite())) {
+            let found = deviations[i].to_string();
             return Err(Error::malformed(path, format!("section `deviations`, entry {i}"), "a positive number", found));
         }
         if let Some(i) = sums.iter().position(|e| !e.is_valid()) {
             let found = format!("{:?}", sums[i]);
             return Err(Error::malformed(path, format!("section `sums`, entry {i}"), "sums that rays can give", found));
         }
-        let sums = (!sums.is_empty()).then_some(sums);
-        let words = file.section::<u16>("errors")?;
-        let error_bars = (!words.is_empty()).then(|| ErrorBars::from_words(&words, vertices)).transpose();
+        let (deviations, sums) = (StandardDeviations(deviations), (!sums.is_empty()).then_some(sums));
+        let error_bars = (!errors.is_empty()).then(|| ErrorBars::from_words(&errors, vertices)).transpose();
         let error_bars =
             error_bars.map_err(|(expected, found)| Error::malformed(path, "section `errors`", expected, found))?;
         let draws = header.draws;
@@ -167,6 +181,6 @@ impl UncertaintyField {
             let found = "an empty part, or two that may have rays in common";
             return Err(Error::malformed(path, "header, draws", "parts of runs, each ray in one of them", found));
         }
-        Ok(Self { protocol, lattice, support, limits, deviations, sums, error_bars, surface, draws })
+        Ok(Self { protocol, lattice, support, limits, deviations, rays, sums, error_bars, surface, draws })
     }
 }

@@ -41,9 +41,7 @@ pub fn merge(parts: &[UncertaintyField]) -> Result<UncertaintyField> {
     let kept: Vec<&[VertexSums]> = parts
         .iter()
         .map(|part| {
-            part.sums().ok_or_else(|| {
-                Error::setting("fields to merge", "fields that keep their Hessian", "one that holds deviations only")
-            })
+            part.sums().ok_or_else(|| Error::setting("kept sums", "fields that keep their sums", "one that does not"))
         })
         .collect::<Result<_>>()?;
 

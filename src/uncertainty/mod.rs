@@ -4,7 +4,6 @@
 //! notice. The field lives on a dense grid or on an octree. Both are queried, stored and compared in the same way.
 
 mod batch;
-mod coarsen;
 mod compare;
 mod densify;
 mod error_bars;
@@ -12,6 +11,7 @@ mod file;
 mod merge;
 mod official;
 mod protocol;
+mod ray_counts;
 mod reading;
 mod standard_deviations;
 mod threshold;
@@ -21,8 +21,9 @@ pub use error_bars::{ErrorBars, ErrorSummary, Jackknife};
 pub use file::FORMAT_VERSION;
 pub use merge::{merge, merge_with_error_bars};
 pub use official::OfficialGrid;
-pub use protocol::{Origin, Protocol, SAMPLES_SHARE};
-pub use standard_deviations::{StandardDeviations, Store};
+pub use protocol::{Origin, Protocol};
+pub use ray_counts::RayCounts;
+pub use standard_deviations::StandardDeviations;
 pub use threshold::ThresholdedField;
 
 use glam::{DVec3, Vec3};
@@ -59,7 +60,8 @@ pub struct Estimate {
     /// `None` if the field has no error bars, or too few rays passed here for an estimate ([`ErrorBars`]). Vertices
     /// share rays, so between them the errors of their σ are added without cancellation: an upper bound to first order.
     pub log10_error: Option<f64>,
-    /// Number of rays that support this estimate, interpolated from the vertices. `None` if the sums were not kept.
+    /// Number of rays that support this estimate, interpolated from the vertices' [`RayCounts`]. `None` if they are
+    /// unknown.
     pub rays: Option<f64>,
     /// Level of the leaf around the point (the finest level on a dense grid); 0 outside the box.
     pub level: u8,
@@ -77,6 +79,8 @@ pub struct UncertaintyField {
     limits: MaxLevels,
     /// `[vertices]`: σ_v, scene units.
     deviations: StandardDeviations,
+    /// `[vertices]`: number of rays that passed; empty if unknown.
+    rays: RayCounts,
     /// `[vertices]`: sums over the rays, if kept, from which other covariances can be computed.
     sums: Option<Vec<VertexSums>>,
     /// `[vertices]`: errors of log10 σ_v relative to its limit, if independent groups of rays were compared.
@@ -115,6 +119,7 @@ impl UncertaintyField {
             support,
             limits,
             deviations,
+            rays: sums.iter().map(|sums| sums.rays).collect(),
             sums: Some(sums),
             error_bars: None,
             surface: Vec::new(),
@@ -149,21 +154,23 @@ impl UncertaintyField {
         Self::of_limits(protocol, lattice, Support::Octree(octree), limits, sums)
     }
 
-    /// The same field without its sums: a fifteenth of the memory, but the covariance is fixed.
+    /// The same field without its sums: a tenth of the memory, but the covariance is fixed.
     #[must_use]
     pub fn without_sums(self) -> Self {
         Self { sums: None, ..self }
     }
 
-    /// The same field without its sums and with two bytes per deviation. Its tolerance grows by the rounding.
+    /// The same field without what queries do not need. A part of a run keeps its sums: it is of no use without
+    /// the other parts.
     #[must_use]
-    pub fn in_f16(mut self) -> Self {
-        if self.deviations.store() == Store::F32 {
-            let prior = self.prior();
-            self.protocol.tolerance += self.deviations.f16_rounding(prior);
-            self.deviations = self.deviations.to_f16(prior);
-        }
-        self.without_sums()
+    pub fn for_queries(self) -> Self {
+        if self.is_part() { self } else { self.without_sums() }
+    }
+
+    /// Whether these rays are only a part of a run, whose other shards are missing.
+    #[must_use]
+    pub fn is_part(&self) -> bool {
+        self.protocol.is_part() || self.draws.iter().any(Draw::is_part)
     }
 
     /// The same field with the [checksum](crate::open::checksum) of the model that it was computed from.
@@ -201,17 +208,17 @@ impl UncertaintyField {
     /// The same field with another covariance computed from its sums, without error bars, which hold for one
     /// covariance only.
     ///
-    /// If the field was not computed for `normal`, the gradients of samples left out as negligible are missing.
-    /// Where there are no others, the direction of `normal` is uncertain.
-    ///
     /// # Errors
     /// If the sums were not kept.
     pub fn with_covariance(mut self, covariance: Covariance) -> Result<Self> {
         if covariance != self.protocol.covariance {
             let Some(sums) = &self.sums else {
-                let found =
-                    format!("a field that holds `{}` only, without the Hessian", self.protocol.covariance.name());
-                return Err(Error::setting("covariance", covariance.name(), found));
+                let expected = format!("a field that keeps its sums, to read `{}`", covariance.name());
+                return Err(Error::setting(
+                    "kept sums",
+                    expected,
+                    format!("one of `{}` only", self.protocol.covariance.name()),
+                ));
             };
             self.protocol.covariance = covariance;
             self.error_bars = None;
@@ -279,6 +286,12 @@ impl UncertaintyField {
         &self.limits
     }
 
+    /// `[vertices]`: number of rays that passed; empty if unknown.
+    #[must_use]
+    pub fn rays(&self) -> &RayCounts {
+        &self.rays
+    }
+
     /// `[vertices]`: sums over the rays, if kept.
     #[must_use]
     pub fn sums(&self) -> Option<&[VertexSums]> {
@@ -286,15 +299,15 @@ impl UncertaintyField {
     }
 
     /// Median number of rays over the vertices that moved by more than half a decade from the prior. `None` if
-    /// there are no such vertices or the sums were not kept.
+    /// there are no such vertices or their rays are unknown.
     #[must_use]
-    pub fn median_rays(&self) -> Option<u32> {
+    pub fn median_rays(&self) -> Option<u64> {
         let moved = self.prior() * 10_f64.powf(-MOVED);
-        let sums = self.sums.as_ref()?;
-        let seen = self.deviations.iter().zip(sums).filter(|(sigma, _)| *sigma < moved);
-        let mut rays: Vec<u32> = seen.map(|(_, e)| e.rays).collect();
-        let middle = rays.len() / 2;
-        (!rays.is_empty()).then(|| *rays.select_nth_unstable(middle).1)
+        let seen = self.deviations.iter().zip(&self.rays.0).filter(|(sigma, _)| *sigma < moved);
+        let mut codes: Vec<u8> = seen.map(|(_, &code)| code).collect();
+        let middle = codes.len() / 2;
+        // Codes have the order of the counts.
+        (!codes.is_empty()).then(|| ray_counts::decode(*codes.select_nth_unstable(middle).1))
     }
 
     /// `[vertices]`: σ_v, scene units.
@@ -350,7 +363,7 @@ impl UncertaintyField {
     /// Bytes on the heap by part, spare capacity included.
     #[must_use]
     pub fn memory(&self) -> Vec<(&'static str, usize)> {
-        let mut parts = vec![("deviations", self.deviations.memory())];
+        let mut parts = vec![("deviations", self.deviations.memory()), ("ray counts", self.rays.memory())];
         if let Some(sums) = &self.sums {
             parts.push(("sums", sums.capacity() * size_of::<VertexSums>()));
         }
@@ -364,14 +377,14 @@ impl UncertaintyField {
         parts
     }
 
-    /// Bytes needed for queries: one value per vertex, and the structure.
+    /// Bytes needed for queries: deviation and ray count of every vertex, and the structure.
     #[must_use]
     pub fn query_memory(&self) -> usize {
         let structure: usize = match &self.support {
             Support::Dense => 0,
             Support::Octree(octree) => octree.memory().iter().map(|part| part.1).sum(),
         };
-        self.deviations.memory() + structure
+        self.deviations.memory() + self.rays.memory() + structure
     }
 
     fn query_dense(&self, u: DVec3) -> Estimate {
@@ -381,8 +394,8 @@ impl UncertaintyField {
         });
         let weights = trilinear(offset);
         let corners = vertices.map(|v| self.deviations.get(v));
-        let rays =
-            self.sums.as_ref().map(|e| vertices.iter().zip(weights).map(|(&v, w)| w * f64::from(e[v].rays)).sum());
+        let rays = (!self.rays.is_empty())
+            .then(|| vertices.iter().zip(weights).map(|(&v, w)| w * self.rays.get(v) as f64).sum());
         let covariance = self.protocol.covariance;
         let uncertainty = covariance.interpolate(&corners, &weights);
         let errors = self.error_bars.as_ref().map(|errors| vertices.map(|v| errors.get(v)));

@@ -4,9 +4,6 @@ use crate::posterior::{Covariance, Criteria, Pooling, Prior, negligible_informat
 use crate::rays::{Draw, Pixels, Shard};
 use crate::render::GradientMethod;
 
-/// Fraction of the tolerance reserved for samples with a negligible Jacobian; the rest is for refinement.
-pub const SAMPLES_SHARE: f64 = 0.1;
-
 /// Checksums of what a field was computed from: of contents, not of paths. `None` where unknown.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 #[serde(default)]
@@ -48,10 +45,9 @@ pub struct Protocol {
     pub min_rays: f64,
     /// Criteria for refining the octree.
     pub criteria: Criteria,
-    /// Largest change of log10 U due to leaves coarser than the finest level and to negligible samples.
+    /// Largest change of log10 U due to leaves coarser than the finest level.
     ///
-    /// [`SAMPLES_SHARE`] of it is for samples that are left out as negligible. What [`Protocol::cutoff`] leaves
-    /// out is not included. On a dense grid it only determines which vertices count for pooling.
+    /// What [`Protocol::cutoff`] leaves out is not included. On a dense grid it only determines which vertices count for pooling.
     pub tolerance: f64,
     /// Distance between samples along rays, scene units.
     pub march_step: Option<f64>,
@@ -89,7 +85,7 @@ impl Protocol {
 
     /// Information (tr S) from `rays` rays that is negligible compared with the prior.
     pub(super) fn floor(&self, rays: u64) -> f64 {
-        negligible_information((1.0 - SAMPLES_SHARE) * self.tolerance, rays, self.lambda)
+        negligible_information(self.tolerance, rays, self.lambda)
     }
 
     /// Checks whether a run can have had this protocol, for protocols read from files.

@@ -23,7 +23,7 @@ pub fn read(
     let pooling = protocol.pooling();
     let last = lattice.cells_per_axis();
     let one = |e: &VertexSums, lambda: f64| (covariance.deviation(e, rays, lambda) as f32).max(f32::MIN_POSITIVE);
-    StandardDeviations::F32(match support {
+    StandardDeviations(match support {
         _ if !pooling.is_on() && prior == Prior::Uniform && limits.is_unlimited() => {
             sums.par_iter().map(|e| one(e, lambda)).collect()
         }

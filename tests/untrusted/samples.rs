@@ -65,7 +65,7 @@ pub fn ray_samples() -> RaySamples {
         let t = i as f32 / 12.0;
         let position = Vec3::new(0.9 * (7.0 * t).sin(), 0.5 * (11.0 * t).cos(), 0.3 - 0.2 * t);
         let jacobian = std::array::from_fn(|k| ((k as f32 + 1.0) * (3.0 * t + 1.0)).sin());
-        out.push(i / 3, RaySample { position, jacobian, weight: 0.6, gradient: [0.1, 0.2, -0.3] });
+        out.push(i / 3, RaySample { position, jacobian, weight: 0.6 });
     }
     out
 }
@@ -95,7 +95,7 @@ pub fn fields() -> Vec<UncertaintyField> {
         })
     };
     let block = small.covariance(Covariance::Block).level(3).min_rays(2.0);
-    let normal = small.covariance(Covariance::Normal).prior(Prior::Volume);
+    let trace = small.covariance(Covariance::Trace).prior(Prior::Volume);
     let limited = small.level(6).criteria(Criteria::from_iter([Criterion::RayCount])).surface_points(5);
     let rays = RaySettings::default().rays(100).occupancy(8);
     let cameras = ClosedForm::half_circle(2, [8, 8]);
@@ -109,12 +109,12 @@ pub fn fields() -> Vec<UncertaintyField> {
     vec![
         field(small, cube),
         field(small.level(1), cube).without_sums(),
-        field(block, cube).in_f16(),
-        field(normal, space),
+        field(block, cube).without_sums(),
+        field(trace, space),
         field(small.grid(GridKind::Dense).level(1), cube),
         limited.without_sums(),
         bars(field(small, cube)),
-        bars(field(small.grid(GridKind::Dense).level(1), cube)).in_f16(),
+        bars(field(small.grid(GridKind::Dense).level(1), cube)).without_sums(),
     ]
 }
 
@@ -132,7 +132,6 @@ pub fn run_key(grid: GridKind) -> RunKey {
         march_step: 0.1,
         gradient: GradientMethod::FiniteDifference,
         difference_step: [0.01; 3],
-        negligible: 0.0,
         cutoff: 1e-4,
         occupancy: 8,
         background: [1.0; 3],
@@ -148,7 +147,7 @@ fn checkpoint(grid: GridKind) -> Vec<u8> {
     let settings = GridSettings::default().grid(grid).level(key.lattice.level());
     let mut one = FieldBuilder::new(settings, *key.lattice.domain()).unwrap();
     let mut ray = RaySamples::default();
-    let sample = RaySample { position: Vec3::splat(0.1), jacobian: [0.5; 9], weight: 0.9, gradient: [0.1; 3] };
+    let sample = RaySample { position: Vec3::splat(0.1), jacobian: [0.5; 9], weight: 0.9 };
     ray.push(0, sample);
     one.add(&[ray]);
     written("run.chk", |path| one.save(path, &key, progress()).unwrap())

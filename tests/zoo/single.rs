@@ -178,7 +178,7 @@ fn both_sides_of_a_thin_sheet_cancel_within_a_ray() {
     let tracer = Tracer { field: &field, marcher, background: Vec3::ONE };
     let differences = Differences { step: DVec3::splat(edge / 512.0), domain: Domain::Box(field.bounds()) };
     let how = Differentiation { differences, analytic: None };
-    let samples = tracer.jacobians(&[ray], &[0.4], 0, &how, 0.0, &mut JacobianBuffers::default());
+    let samples = tracer.jacobians(&[ray], &[0.4], 0, &how, &mut JacobianBuffers::default());
     let lattice = octobayes::geometry::Lattice::new(field.bounds(), 5).unwrap();
     let mut posterior = DensePosterior::new(lattice);
     posterior.add(&[samples]);

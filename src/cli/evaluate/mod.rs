@@ -72,7 +72,7 @@ pub struct Args {
     #[arg(long)]
     z_depth: bool,
 
-    /// Covariances to evaluate, separated by commas [default: all if a field keeps its Hessian, else its own]
+    /// Covariances to evaluate, separated by commas [default: all if a field keeps its sums, else its own]
     #[arg(long, value_enum, value_delimiter = ',')]
     covariance: Vec<Covariance>,
 

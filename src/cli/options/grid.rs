@@ -10,7 +10,7 @@ use crate::cli::report::{self, Cost};
 use crate::estimate::{GridKind, GridSettings};
 use crate::geometry::{Aabb, Domain, MAX_LEVEL, Norm};
 use crate::posterior::{Covariance, Criterion, Prior};
-use crate::uncertainty::{OfficialGrid, Store, UncertaintyField};
+use crate::uncertainty::{OfficialGrid, UncertaintyField};
 use crate::{Error, Result};
 
 impl ValueEnum for Covariance {
@@ -23,14 +23,13 @@ impl ValueEnum for Covariance {
             Self::Diagonal => "sum of 1/H_kk: the paper's; depends on how the axes are turned",
             Self::Trace => "1/(tr S/R + lambda): the official code's",
             Self::Block => "trace of the inverse 3x3 block: does not depend on the axes",
-            Self::Normal => "inverse 3x3 block across the surface only: the part that can move depth",
         };
         Some(clap::builder::PossibleValue::new(self.name()).help(help))
     }
 }
 
 /// Fewer rays per vertex than this gain from pooling (`experiments/pooling.md`).
-const FEW_RAYS: u32 = 4;
+const FEW_RAYS: u64 = 4;
 
 /// The part of space that a field covers.
 #[derive(Args)]
@@ -63,15 +62,6 @@ impl DomainOptions {
             _ => Err(Error::setting("--box", "the box of the field, or --contract and --inner", "neither")),
         }
     }
-}
-
-/// What to keep in the file.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Keep {
-    /// The 3x3 matrices too, so that another covariance can be chosen later
-    Hessian,
-    /// The deviations only
-    Deviation,
 }
 
 /// How information becomes a field.
@@ -122,17 +112,9 @@ pub struct GridOptions {
     #[arg(long, value_name = "RAYS", default_value_t = 0.0, value_parser = parse_non_negative)]
     pub min_rays: f64,
 
-    /// What to keep in the file [default: hessian for an octree, deviation for a dense grid]
-    #[arg(long, value_enum)]
-    pub keep: Option<Keep>,
-
-    /// Merge leaves of the finished octree while log10 U changes by at most this anywhere; keeps deviations only
-    #[arg(long, value_name = "DECADES", value_parser = parse_positive)]
-    pub coarsen: Option<f64>,
-
-    /// How to store deviations; f16 keeps deviations only
-    #[arg(long, value_enum, default_value = "f32")]
-    pub store: Store,
+    /// Keep the 3x3 matrices too: 28 bytes more a vertex. Other covariances, and `merge` with other seeds, need them
+    #[arg(long)]
+    pub keep_sums: bool,
 
     /// Points on visible surfaces to keep in the file, for `compare`
     #[arg(long, value_name = "N", default_value_t = 16_384)]
@@ -176,37 +158,15 @@ impl GridOptions {
         }
     }
 
-    /// Checks, before any work, that the field can be coarsened, if asked to.
-    pub fn check_coarsening(&self) -> Result<()> {
-        if self.coarsen.is_some() && (self.grid == GridKind::Dense || self.covariance == Covariance::Trace) {
-            let found = format!(
-                "{} and `{}`",
-                if self.grid == GridKind::Dense { "dense" } else { "octree" },
-                self.covariance.name()
-            );
-            return Err(Error::setting("--coarsen", "an octree with covariance `diagonal` or `block`", found));
-        }
-        Ok(())
-    }
-
     /// Writes a finished field, with or without its sums, and reports it.
     pub fn write(&self, field: UncertaintyField, cost: &Cost) -> Result<()> {
-        let keep = self.keep.unwrap_or(match self.grid {
-            GridKind::Dense => Keep::Deviation,
-            GridKind::Octree => Keep::Hessian,
-        });
         if let Some(median) = field.median_rays().filter(|&median| median < FEW_RAYS && self.min_rays == 0.0) {
             eprintln!(
                 "note: half of the vertices that moved are supported by {median} rays or fewer; --min-rays 4 shares what their \
                  neighbours saw, more --rays is better"
             );
         }
-        let field = match (self.coarsen, keep, self.store) {
-            (Some(epsilon), ..) => field.coarsened_in(self.store, epsilon)?,
-            (None, _, Store::F16) => field.in_f16(),
-            (None, Keep::Deviation, _) => field.without_sums(),
-            (None, Keep::Hessian, _) => field,
-        };
+        let field = if self.keep_sums { field } else { field.for_queries() };
         field.write(&self.output)?;
         report::finished(&field, cost, self.json)
     }

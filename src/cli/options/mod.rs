@@ -46,10 +46,7 @@ impl ValueEnum for RayAverage {
         let help = match self {
             Self::WeightedMean => "mean of log10 U over what the ray hits",
             Self::Official => "the official code's: -3 for the part that hits nothing",
-            Self::Mean => "log10 of the mean U over what the ray hits",
-            Self::RootMeanSquare => "log10 of the root of the mean U squared",
             Self::AtExpected => "log10 U at the expected depth",
-            Self::AtMedian => "log10 U at the median depth",
             Self::Spread => {
                 "log10 (U at the expected depth times the deviation of the ray's weights): for ranking pixels"
             }

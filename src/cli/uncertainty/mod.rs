@@ -94,7 +94,7 @@ pub struct Args {
     /// every group has its own file, FILE.0, FILE.1, … On several machines, give each another --seed, then run
     /// `merge --error-bars`.
     #[arg(long, value_name = "GROUPS", num_args = 0..=1, default_missing_value = "8", value_parser = clap::value_parser!(u16).range(2..=64),
-          conflicts_with_all = ["dump_samples", "shard", "memory", "coarsen"])]
+          conflicts_with_all = ["dump_samples", "shard", "memory"])]
     error_bars: Option<u16>,
 
     /// Also write the ray samples with their Jacobians, in the format that `accumulate` reads
@@ -178,7 +178,6 @@ impl Args {
         let domain = self.domain.domain(Some(field.natural_domain()))?;
         let checksum = crate::open::checksum(&self.model.model, self.model.coordinates)?;
         let grid = self.grid.settings(&domain)?;
-        self.grid.check_coarsening()?;
         let mut dump = self.dump_samples.as_deref().map(SamplesWriter::create).transpose()?;
 
         let start = Instant::now();
@@ -208,8 +207,7 @@ impl Args {
         let step = run.check_step()?;
         step.iter().for_each(report::step);
         if self.audit {
-            let samples = if run.stream().negligible > 0.0 { grid.samples_tolerance() } else { 0.0 };
-            report::audit(&run.audit()?, &grid, samples);
+            report::audit(&run.audit()?, &grid);
         }
         self.forecast(&run, &grid)?;
         let rays = run.rays();

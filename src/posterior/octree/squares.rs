@@ -17,22 +17,19 @@ use crate::octree::morton;
 use crate::posterior::{Information, VertexSums};
 use crate::render::RaySamples;
 
-/// Derivatives of a sample: ∂C_c/∂x_k at 3·c + k, then ‖∂C/∂σ‖ ∇σ.
-pub struct Row([f64; 12]);
+/// Derivatives of a sample: ∂C_c/∂x_k at 3·c + k.
+pub struct Row([f64; 9]);
 
 impl Row {
     #[inline(always)]
     pub fn of(batch: &RaySamples, sample: usize) -> Self {
-        let mut row = [0.0; 12];
-        let values = batch.jacobians[sample].iter().chain(&batch.gradients[sample]);
-        row.iter_mut().zip(values).for_each(|(row, &value)| *row = f64::from(value));
-        Self(row)
+        Self(batch.jacobians[sample].map(f64::from))
     }
 }
 
 /// A vertex's weighted sum of rows over one ray.
 #[derive(Clone, Copy, Default)]
-pub struct Partial([f64; 12]);
+pub struct Partial([f64; 9]);
 
 impl Partial {
     #[inline(always)]
@@ -42,11 +39,10 @@ impl Partial {
         }
     }
 
-    /// The contribution of this ray to the vertex: JᵀJ, gradient and one ray.
+    /// The contribution of this ray to the vertex: JᵀJ and one ray.
     #[inline(always)]
     pub fn squared(&self) -> VertexSums {
-        let gradient = [self.0[9] as f32, self.0[10] as f32, self.0[11] as f32];
-        VertexSums { information: gram(&self.0), gradient, rays: 1 }
+        VertexSums { information: gram(&self.0), rays: 1 }
     }
 }
 

@@ -20,18 +20,17 @@ fn ray_samples() -> impl Strategy<Value = RaySamples> {
     let sample = (
         [coordinate.clone(), coordinate.clone(), coordinate],
         proptest::array::uniform9(-1.0..1.0_f32),
-        [-1.0..1.0_f32, -1.0..1.0, -1.0..1.0],
         -9..1_i32,
         0..3_u64,
     );
     proptest::collection::vec(sample, 0..60).prop_map(|samples| {
         let mut out = RaySamples::default();
         let mut ray = 0;
-        for (position, jacobian, gradient, decade, skip) in samples {
+        for (position, jacobian, decade, skip) in samples {
             ray += skip;
             let scale = 10_f32.powi(decade);
             let jacobian = jacobian.map(|g| g * scale);
-            out.push(ray, RaySample { position: Vec3::from_array(position), jacobian, weight: 0.5, gradient });
+            out.push(ray, RaySample { position: Vec3::from_array(position), jacobian, weight: 0.5 });
         }
         out
     })
@@ -69,7 +68,7 @@ fn assert_same(a: &VertexSums, b: &VertexSums, what: &str) {
         assert!(difference <= 100.0 * f64::EPSILON * scale, "{what}: {a:?} against {b:?}");
     }
     // Both add the same rays in the same order.
-    assert_eq!((a.rays, a.gradient), (b.rays, b.gradient), "{what}");
+    assert_eq!(a.rays, b.rays, "{what}");
 }
 
 proptest! {
@@ -251,16 +250,15 @@ proptest! {
         from in (-1.0..1.0_f32, Just(0.25_f32), -1.0..1.0_f32),
         to in (-1.0..1.0_f32, prop_oneof![Just(0.25_f32), -1.0..1.0_f32], -1.0..1.0_f32),
         steps in proptest::collection::vec(0.0..0.2_f32, 1..40),
-        rows in proptest::collection::vec(proptest::array::uniform12(-1.0..1.0_f32), 40),
+        rows in proptest::collection::vec(proptest::array::uniform9(-1.0..1.0_f32), 40),
     ) {
         let mut batch = RaySamples::default();
         let (from, to) = (Vec3::from(from), Vec3::from(to));
         let mut t = 0.0;
-        for (step, row) in steps.iter().zip(&rows) {
+        for (step, &jacobian) in steps.iter().zip(&rows) {
             t += step;
             let position = from + t * (to - from);
-            let (jacobian, gradient) = (row[..9].try_into().unwrap(), row[9..].try_into().unwrap());
-            batch.push(0, RaySample { position, jacobian, weight: 0.5, gradient });
+            batch.push(0, RaySample { position, jacobian, weight: 0.5 });
         }
         let posterior = OctreePosterior::new(lattice(4));
         let range = 0..batch.positions.len();
@@ -286,7 +284,7 @@ proptest! {
         for i in 0..200_u8 {
             let position = from + f32::from(i) / 199.0 * (to - from);
             let row = std::array::from_fn(|k| (f32::from(i) * 0.1 + k as f32).sin());
-            samples.push(1000, RaySample { position, jacobian: row, weight: 0.5, gradient: [1.0, -0.5, f32::from(i)] });
+            samples.push(1000, RaySample { position, jacobian: row, weight: 0.5 });
         }
         // One walk for all rays: no state may remain from the previous ray.
         let mut walk = Walk::new(&posterior.lattice, &posterior.limits);
@@ -303,7 +301,7 @@ fn a_ray_that_turns_back_is_squared_once() {
     let mut batch = RaySamples::default();
     for x in [0.1, 0.3, 0.6, 0.3] {
         let position = Vec3::new(x, 0.1, 0.1);
-        batch.push(0, RaySample { position, jacobian: [1.0; 9], weight: 0.5, gradient: [0.0; 3] });
+        batch.push(0, RaySample { position, jacobian: [1.0; 9], weight: 0.5 });
     }
     let posterior = OctreePosterior::new(lattice(3));
     assert!(!squares::places(&posterior.lattice, &batch, 0..4, &mut Vec::new()));

@@ -2,15 +2,17 @@
 
 use std::path::Path;
 
-use super::{FORMAT, Header, Kind};
-use crate::Result;
+use half::f16;
+
+use super::{Content, FORMAT, Header, Kind};
 use crate::geometry::Lattice;
-use crate::io::container::Reader;
+use crate::io::container::Item;
 use crate::io::legacy;
-use crate::posterior::{Covariance, Criteria, Prior};
+use crate::posterior::{Covariance, Criteria, Prior, VertexSums};
 use crate::rays::{Pixels, Shard};
 use crate::render::GradientMethod;
-use crate::uncertainty::{Origin, Protocol};
+use crate::uncertainty::{Origin, Protocol, RayCounts};
+use crate::{Error, Result};
 
 /// The last positional version. Version 1 has no error bars.
 const LAST: u32 = 2;
@@ -34,7 +36,7 @@ struct OldProtocol {
     seed: Option<u64>,
     shard: Option<Shard>,
     lambda: f64,
-    covariance: Covariance,
+    covariance: OldCovariance,
     prior: Prior,
     min_rays: f64,
     criteria: Criteria,
@@ -47,9 +49,35 @@ struct OldProtocol {
     pixel_offset: Option<f64>,
 }
 
-impl From<OldProtocol> for Protocol {
-    fn from(old: OldProtocol) -> Self {
-        Self {
+#[derive(serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum OldCovariance {
+    Diagonal,
+    Trace,
+    Block,
+    Normal,
+}
+
+/// Information, the mean density gradient that covariance `normal` needed, and the ray count.
+type OldSums = [u8; 64];
+
+fn sums(old: &OldSums) -> VertexSums {
+    VertexSums { information: Item::take(old), rays: Item::take(&old[60..]) }
+}
+
+impl OldProtocol {
+    fn protocol(self, path: &Path) -> Result<Protocol> {
+        let covariance = match self.covariance {
+            OldCovariance::Diagonal => Covariance::Diagonal,
+            OldCovariance::Trace => Covariance::Trace,
+            OldCovariance::Block => Covariance::Block,
+            OldCovariance::Normal => {
+                let found = "`normal`, which is no longer supported";
+                return Err(Error::malformed(path, "header", "covariance `diagonal`, `trace` or `block`", found));
+            }
+        };
+        let old = self;
+        Ok(Protocol {
             version: old.version,
             source: old.source,
             origin: Origin::default(),
@@ -59,7 +87,7 @@ impl From<OldProtocol> for Protocol {
             seed: old.seed,
             shard: old.shard,
             lambda: old.lambda,
-            covariance: old.covariance,
+            covariance,
             prior: old.prior,
             min_rays: old.min_rays,
             criteria: old.criteria,
@@ -70,15 +98,33 @@ impl From<OldProtocol> for Protocol {
             cutoff: old.cutoff,
             background: old.background,
             pixel_offset: old.pixel_offset,
-        }
+        })
     }
 }
 
-/// Opens a field of version 1 or 2. Its draws are the one named in its protocol, or unknown.
-pub(super) fn open(path: &Path) -> Result<(Header, Reader)> {
-    let (old, file) = legacy::open::<OldHeader>(path, (FORMAT.0, LAST), &SECTIONS)?;
+/// Reads a field of version 1 or 2. Its draws are the one named in its protocol, or unknown.
+pub(super) fn read(path: &Path) -> Result<Content> {
+    let (old, mut file) = legacy::open::<OldHeader>(path, (FORMAT.0, LAST), &SECTIONS)?;
     let OldHeader { protocol, lattice, kind, unit } = old;
-    let protocol = Protocol::from(protocol);
+    let protocol = protocol.protocol(path)?;
     let draws = protocol.draw().into_iter().collect();
-    Ok((Header { protocol, lattice, kind, unit, draws }, file))
+    let (masks, values) = (file.section("masks")?, file.section("deviations")?);
+    let sums: Vec<VertexSums> = file.section::<OldSums>("sums")?.iter().map(sums).collect();
+    let surface = file.section("surface")?;
+    let logs = file.section::<u16>("logs")?;
+    let deviations = match unit {
+        None if logs.is_empty() => values,
+        // Deviations in two bytes: σ = unit · 10^v.
+        Some(unit) if values.is_empty() => {
+            logs.iter().map(|&bits| (f64::from(unit) * 10_f64.powf(f16::from_bits(bits).to_f64())) as f32).collect()
+        }
+        _ => {
+            let found = format!("{} and {}", values.len(), logs.len());
+            return Err(Error::malformed(path, "sections `deviations` and `logs`", "one of them empty", found));
+        }
+    };
+    let rays: RayCounts = sums.iter().map(|sums| sums.rays).collect();
+    let header = Header { protocol, lattice, kind, draws };
+    let (limits, errors) = (file.section("limits")?, file.section("errors")?);
+    Ok(Content { header, masks, deviations, rays, sums, surface, limits, errors })
 }
