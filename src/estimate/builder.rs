@@ -10,7 +10,7 @@ use super::state::{self, AnyPosterior, RunKey};
 use super::{GridKind, GridSettings, Plan, plan};
 use crate::geometry::{Camera, Domain, Lattice};
 use crate::octree::{Cell, MaxLevels, morton};
-use crate::posterior::{DensePosterior, OctreePosterior, Posterior, VertexSums};
+use crate::posterior::{DensePosterior, OctreePosterior, Posterior, VertexSums, Visits};
 use crate::rays::{RayStream, RunProgress, SURFACE_WEIGHT, Shard};
 use crate::render::RaySamples;
 use crate::uncertainty::{Origin, Protocol, Support, UncertaintyField};
@@ -53,6 +53,8 @@ pub struct FieldBuilder {
     wanted: Vec<Cell>,
     posterior: AnyPosterior,
     surface: Vec<[f32; 3]>,
+    /// Rays seen passing; `None` if it is not known where they passed.
+    visits: Option<Visits>,
 }
 
 impl FieldBuilder {
@@ -68,7 +70,16 @@ impl FieldBuilder {
         };
         let limits = MaxLevels::none(lattice.level());
         let wanted = if settings.criteria.uniform { every_cell(&lattice)? } else { Vec::new() };
-        Ok(Self { settings, lattice, limits, rays_per_vertex: 0.0, wanted, posterior, surface: Vec::new() })
+        Ok(Self {
+            settings,
+            lattice,
+            limits,
+            rays_per_vertex: 0.0,
+            wanted,
+            posterior,
+            surface: Vec::new(),
+            visits: None,
+        })
     }
 
     /// Starts over on the leaves of `plan`. No effect on a dense grid, whose leaves all have one size.
@@ -78,6 +89,7 @@ impl FieldBuilder {
             self.rays_per_vertex = plan.rays_per_vertex;
             self.posterior = AnyPosterior::Octree(OctreePosterior::limited(self.lattice, plan.limits.clone()));
             self.surface.clear();
+            self.visits = None;
         }
     }
 
@@ -121,6 +133,9 @@ impl FieldBuilder {
     /// Adds rays.
     pub fn add(&mut self, batches: &[RaySamples]) {
         self.posterior_mut().add(batches);
+        if batches.iter().any(|batch| !batch.sight.is_empty()) {
+            self.visits.get_or_insert_with(|| Visits::new(&self.lattice)).add(batches);
+        }
         // In a random sequence the first points are as good as any.
         let visible = batches.iter().flat_map(|batch| batch.positions.iter().zip(&batch.weights));
         let visible = visible.filter(|(_, weight)| **weight >= SURFACE_WEIGHT).map(|(x, _)| x.to_array());
@@ -138,7 +153,7 @@ impl FieldBuilder {
     /// # Errors
     /// If the file cannot be written.
     pub fn save(&self, path: &Path, key: &RunKey, progress: RunProgress) -> Result<()> {
-        state::save(path, key, progress, &self.posterior, &self.surface)
+        state::save(path, key, progress, &self.posterior, &self.surface, self.visits.as_ref())
     }
 
     /// Restores the state of the run `key` and returns its progress, from which the run continues.
@@ -149,6 +164,7 @@ impl FieldBuilder {
         let state = state::load(path, key, &self.limits, self.settings.grid == GridKind::Dense)?;
         self.posterior = state.posterior;
         self.surface = state.surface;
+        self.visits = state.visits;
         Ok(state.progress)
     }
 
@@ -203,7 +219,7 @@ impl FieldBuilder {
             GridKind::Octree => AnyPosterior::Octree(OctreePosterior::limited(self.lattice, self.limits.clone())),
         };
         let (limits, wanted) = (self.limits.clone(), self.wanted.clone());
-        Self { limits, wanted, posterior, surface: Vec::new(), ..*self }
+        Self { limits, wanted, posterior, surface: Vec::new(), visits: None, ..*self }
     }
 
     /// The sums at the vertices of `support`, in their order.
@@ -231,7 +247,7 @@ impl FieldBuilder {
     /// Computes the field from the rays so far.
     #[must_use]
     pub fn finish(self, provenance: &Provenance) -> UncertaintyField {
-        let Self { settings, lattice, posterior, surface, wanted, .. } = self;
+        let Self { settings, lattice, posterior, surface, wanted, visits, .. } = self;
         let stream = provenance.stream;
         let protocol = Protocol {
             version: env!("CARGO_PKG_VERSION").into(),
@@ -266,7 +282,7 @@ impl FieldBuilder {
             }
             AnyPosterior::Octree(posterior) => UncertaintyField::from_octree(protocol, lattice, posterior, wanted),
         };
-        field.with_surface(surface)
+        field.with_surface(surface).with_visits(visits)
     }
 }
 
@@ -279,5 +295,10 @@ impl AddAssign<&Self> for FieldBuilder {
             _ => unreachable!("both have the same settings"),
         }
         self.keep_surface(other.surface.iter().copied());
+        match (&mut self.visits, &other.visits) {
+            (Some(mine), Some(theirs)) => *mine += theirs,
+            (mine @ None, theirs) => mine.clone_from(theirs),
+            (Some(_), None) => {}
+        }
     }
 }

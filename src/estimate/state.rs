@@ -1,7 +1,7 @@
 //! The state of a posterior in a file, so that a run survives Ctrl-C, `kill -9` and power cuts.
 //!
 //! A container file with the sections `codes` (u64, of bricks; empty for a dense grid), `sums` ([`VertexSums`], 8
-//! per code, or one per lattice point of a dense grid) and `surface`. Sums are kept bit for bit, and the run
+//! per code, or one per lattice point of a dense grid), `surface` and `visits`. Sums are kept bit for bit, and the run
 //! continues after the last counted ray. A resumed run therefore ends with the bits of an uninterrupted one. A
 //! run accepts only a state with its own description.
 
@@ -12,12 +12,12 @@ use serde::{Deserialize, Serialize};
 use crate::geometry::Lattice;
 use crate::io::container::{self, Format, Reader, Section};
 use crate::octree::MaxLevels;
-use crate::posterior::{Brick, DensePosterior, OctreePosterior, VertexSums};
+use crate::posterior::{Brick, DensePosterior, OctreePosterior, VertexSums, Visits};
 use crate::rays::{Pixels, RunProgress, Shard};
 use crate::render::GradientMethod;
 use crate::{Error, Result};
 
-const FORMAT: Format = (b"OCTOCHK\n", 2);
+const FORMAT: Format = (b"OCTOCHK\n", 3);
 
 /// A posterior of either kind.
 pub enum AnyPosterior {
@@ -81,6 +81,8 @@ pub struct State {
     pub progress: RunProgress,
     /// Points on visible surfaces so far, scene units.
     pub surface: Vec<[f32; 3]>,
+    /// Rays seen passing so far, if known.
+    pub visits: Option<Visits>,
 }
 
 /// The bricks of all shards as one section.
@@ -102,18 +104,20 @@ pub fn save(
     progress: RunProgress,
     posterior: &AnyPosterior,
     surface: &[[f32; 3]],
+    visits: Option<&Visits>,
 ) -> Result<()> {
     let header = |dense| Header { key: key.clone(), progress, dense };
+    let visits = visits.map_or(&[][..], Visits::counts);
+    let write = |dense, codes: &[u64], sums: &dyn Section| {
+        let sections: [(&str, &dyn Section); 4] =
+            [("codes", &codes), ("sums", sums), ("surface", &surface), ("visits", &visits)];
+        container::write(path, FORMAT, &header(dense), &sections)
+    };
     match posterior {
-        AnyPosterior::Dense(posterior) => {
-            let none: &[u64] = &[];
-            let sums = posterior.sums();
-            container::write(path, FORMAT, &header(true), &[("codes", &none), ("sums", &sums), ("surface", &surface)])
-        }
+        AnyPosterior::Dense(posterior) => write(true, &[], &posterior.sums()),
         AnyPosterior::Octree(posterior) => {
             let codes: Vec<u64> = posterior.brick_codes().collect();
-            let (codes, sums) = (codes.as_slice(), Bricks(posterior));
-            container::write(path, FORMAT, &header(false), &[("codes", &codes), ("sums", &sums), ("surface", &surface)])
+            write(false, &codes, &Bricks(posterior))
         }
     }
 }
@@ -180,7 +184,13 @@ pub fn load(path: &Path, key: &RunKey, limits: &MaxLevels, dense: bool) -> Resul
         let expected = format!("at most {} points with finite coordinates", key.surface_points);
         return Err(Error::malformed(path, "section `surface`", expected, found));
     }
-    Ok(State { posterior, progress: header.progress, surface })
+    let visits = match file.section::<u32>("visits")? {
+        counts if counts.is_empty() => None,
+        counts => Some(Visits::from_counts(&key.lattice, counts).ok_or_else(|| {
+            Error::malformed(path, "section `visits`", "a count for every cell of the coarse grid", "another number")
+        })?),
+    };
+    Ok(State { posterior, progress: header.progress, surface, visits })
 }
 
 /// Name and values of the first setting that differs.

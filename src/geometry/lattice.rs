@@ -50,6 +50,12 @@ impl Lattice {
         }
     }
 
+    /// The lattice of the same domain with 2^`level` cells per axis, if that is coarser.
+    #[must_use]
+    pub fn coarsened(&self, level: u8) -> Self {
+        Self { level: level.clamp(1, self.level), ..*self }
+    }
+
     /// The part of space that the lattice spans.
     #[must_use]
     pub fn domain(&self) -> &Domain {

@@ -17,6 +17,7 @@ mod octree;
 mod pooling;
 mod prior;
 mod sums;
+mod visits;
 
 pub use covariance::{Covariance, negligible_information};
 pub use criteria::{Criteria, Criterion};
@@ -26,6 +27,7 @@ pub use octree::{Brick, OctreePosterior, PilotCounts, Refinement};
 pub use pooling::Pooling;
 pub use prior::Prior;
 pub use sums::{Information, VertexSums, trace};
+pub use visits::Visits;
 
 use crate::render::RaySamples;
 

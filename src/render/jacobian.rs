@@ -35,7 +35,7 @@ use std::ops::Range;
 use glam::{DVec3, Vec3};
 
 use super::gradient::{GradientBuffers, Jet};
-use super::{Differentiation, Occupancy, Quadrature, RaySample, RaySamples, TraceBuffers, Tracer};
+use super::{Differentiation, Occupancy, Quadrature, RaySample, RaySamples, SightLine, TraceBuffers, Tracer};
 use crate::field::Radiance;
 use crate::geometry::Ray;
 
@@ -127,7 +127,7 @@ impl Tracer<'_> {
         self.trace_with(rays, jitter, differentiation.along_rays(), &mut buffers.trace);
         buffers.quadrature.set(&buffers.trace.traced, self.marcher.step);
         self.differentiate(rays, differentiation, buffers);
-        self.assemble(first_ray, buffers)
+        self.assemble(rays, first_ray, buffers)
     }
 
     /// Fills the buffers that depend on `quadrature`.
@@ -258,7 +258,7 @@ impl Tracer<'_> {
 
     /// Assembles the Jacobians of the chosen samples. A ray with an invalid evaluation is dropped as a whole, like
     /// a ray with an invalid density.
-    fn assemble(&self, first_ray: u64, buffers: &mut JacobianBuffers) -> RaySamples {
+    fn assemble(&self, rays: &[Ray], first_ray: u64, buffers: &mut JacobianBuffers) -> RaySamples {
         let JacobianBuffers { trace, quadrature, visible, lurking, jets, density_gradients, colors, invalid, .. } =
             buffers;
         let traced = &trace.traced;
@@ -274,6 +274,11 @@ impl Tracer<'_> {
                 out.first_invalid.get_or_insert(traced.positions[sample as usize]);
             } else {
                 quadrature.density_derivative(&samples, colors, self.marcher.step, self.background(), derivatives);
+                if !traced.is_dropped[r] {
+                    let dark = samples.clone().find(|&i| quadrature.behind[i] < 0.5);
+                    let until = dark.map_or(f64::INFINITY, |i| traced.t[i] + 0.5 * self.marcher.step);
+                    out.sight.push(SightLine { ray: rays[r], until });
+                }
             }
         }
         let (mut v, mut l) = (0, 0);

@@ -17,6 +17,6 @@ pub use jacobian::JacobianBuffers;
 pub use march::{Marcher, Walk};
 pub use noise::{DifferenceError, DifferenceErrors, LONGEST_STEP, TABLE, noise_level};
 pub use occupancy::Occupancy;
-pub use samples::{RaySample, RaySamples};
+pub use samples::{RaySample, RaySamples, SightLine};
 pub use trace::{TraceBuffers, TracedRays, Tracer};
 pub use view::{Probe, RayAverage, RenderedView, render_view};

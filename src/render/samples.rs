@@ -2,6 +2,8 @@
 
 use glam::Vec3;
 
+use crate::geometry::Ray;
+
 /// Ray samples with their Jacobians.
 ///
 /// Rays come in increasing order; rays without samples are absent. Ray r of the list
@@ -18,6 +20,8 @@ pub struct RaySamples {
     pub jacobians: Vec<[f32; 9]>,
     /// `[n]`: w, the sample's share of the pixel's colour; 0 if unknown.
     pub weights: Vec<f32>,
+    /// What the rays saw on their way, those without samples too; empty if unknown.
+    pub sight: Vec<SightLine>,
     /// Number of rays dropped because the field was not finite.
     pub dropped: u64,
     /// Position of the first sample that was not finite.
@@ -32,10 +36,20 @@ impl Default for RaySamples {
             positions: Vec::new(),
             jacobians: Vec::new(),
             weights: Vec::new(),
+            sight: Vec::new(),
             dropped: 0,
             first_invalid: None,
         }
     }
+}
+
+/// The part of a ray that is seen: up to where half of its light is lost.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SightLine {
+    /// The ray.
+    pub ray: Ray,
+    /// Distance at which T falls to ½, to within a step of the march, scene units; infinite if it does not.
+    pub until: f64,
 }
 
 /// One sample of a ray; see [`RaySamples`] for units.

@@ -41,6 +41,8 @@ pub struct TracedRays {
     /// Number of rays dropped because the field returned a density that was negative or
     /// not finite. They own no samples.
     pub dropped: u64,
+    /// `[rays]`: whether each of them was dropped.
+    pub is_dropped: Vec<bool>,
     /// Position of the first such sample.
     pub first_invalid: Option<Vec3>,
 }
@@ -171,13 +173,14 @@ impl<'a> Tracer<'a> {
 fn gather(paths: &[Path], samples: &Samples, traced: &mut TracedRays) {
     traced.offsets.clear();
     traced.offsets.push(0);
-    traced.dropped = 0;
+    traced.is_dropped.clear();
+    traced.is_dropped.extend(paths.iter().map(|path| path.invalid));
+    traced.dropped = paths.iter().filter(|path| path.invalid).count() as u64;
     traced.first_invalid = None;
     let mut total = 0;
     for path in paths {
         total += if path.invalid { 0 } else { path.samples };
         traced.offsets.push(total);
-        traced.dropped += u64::from(path.invalid);
     }
     traced.t.clear();
     traced.t.resize(total, 0.0);

@@ -42,6 +42,7 @@ impl UncertaintyField {
             sums: None,
             error_bars: None,
             surface: self.surface.clone(),
+            visits: self.visits.clone(),
             draws: self.draws.clone(),
         }
     }

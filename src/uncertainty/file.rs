@@ -9,11 +9,13 @@
 //! factors      28 bytes   Cholesky factors of the sums, by vertex: f32 × 6, u32 rays; or empty
 //! exact        52 bytes   instead of `factors`: the sums themselves, by vertex: f64 × 6 information, u32 rays; or empty
 //! surface      f32 × 3    points on visible surfaces
+//! visits       u8         codes of ray counts by cell of the coarse grid, x slowest; or empty if unknown
+//! counted      u32        instead of `visits`: the counts themselves
 //! limits       u64        the regions' level, then region · 256 + limit; empty if nothing is limited
 //! errors       u16        number of groups, then bits of f16: errors of log10 σ_v, NaN where not known; or empty
 //! ```
 //!
-//! A shard keeps exact sums, so that shards merge to the sums of one run. A whole run that keeps its sums keeps the
+//! A shard keeps exact sums and counts, so that shards merge to the sums of one run. A whole run that keeps its sums keeps the
 //! factors, which answer for every covariance to within 1e-6 decades.
 //!
 //! The octree is rebuilt from its masks, so a file cannot hold an inconsistent one. Versions 1 and 2 can be
@@ -27,7 +29,7 @@ use super::{ErrorBars, Protocol, RayCounts, StandardDeviations, Support, Uncerta
 use crate::geometry::Lattice;
 use crate::io::container::{self, Format, Reader};
 use crate::octree::{MaxLevels, Octree};
-use crate::posterior::{FactoredSums, VertexSums};
+use crate::posterior::{FactoredSums, VertexSums, Visits};
 use crate::rays::Draw;
 use crate::{Error, Result};
 
@@ -59,6 +61,8 @@ struct Content {
     /// Empty if they were not kept.
     sums: Vec<VertexSums>,
     surface: Vec<[f32; 3]>,
+    /// Ray counts by cell of the coarse grid; empty if unknown.
+    visits: Vec<u32>,
     limits: Vec<u64>,
     errors: Vec<u16>,
 }
@@ -76,8 +80,13 @@ impl Content {
         }
         let exact = file.optional("exact")?;
         let sums = if exact.is_empty() { factors.iter().map(FactoredSums::sums).collect() } else { exact };
-        let (surface, limits, errors) = (file.optional("surface")?, file.optional("limits")?, file.optional("errors")?);
-        Ok(Self { header, masks, deviations, rays, sums, surface, limits, errors })
+        let surface = file.optional("surface")?;
+        let visits = RayCounts(file.optional("visits")?);
+        let counted = file.optional("counted")?;
+        let visits =
+            if counted.is_empty() { visits.iter().map(|n| n.min(u32::MAX.into()) as u32).collect() } else { counted };
+        let (limits, errors) = (file.optional("limits")?, file.optional("errors")?);
+        Ok(Self { header, masks, deviations, rays, sums, surface, visits, limits, errors })
     }
 }
 
@@ -104,6 +113,10 @@ impl UncertaintyField {
         let errors = self.error_bars.as_ref().map(ErrorBars::words).unwrap_or_default();
         let (masks, surface, factors) = (masks.as_slice(), self.surface.as_slice(), factors.as_slice());
         let (limits, errors) = (limits.as_slice(), errors.as_slice());
+        let counts = self.visits.as_ref().map_or(&[][..], Visits::counts);
+        let counted = if self.is_part() { counts } else { &[] };
+        let visits = if self.is_part() { RayCounts::default() } else { counts.iter().copied().collect() };
+        let visits = visits.0.as_slice();
         let (values, rays) = (self.deviations.0.as_slice(), self.rays.0.as_slice());
         container::write(
             path,
@@ -116,6 +129,8 @@ impl UncertaintyField {
                 ("factors", &factors),
                 ("exact", &exact),
                 ("surface", &surface),
+                ("visits", &visits),
+                ("counted", &counted),
                 ("limits", &limits),
                 ("errors", &errors),
             ],
@@ -129,7 +144,7 @@ impl UncertaintyField {
     pub fn read(path: &Path) -> Result<Self> {
         let is_old = container::version(path, FORMAT)? < FORMAT_VERSION;
         let content = if is_old { legacy::read(path)? } else { Content::read(path)? };
-        let Content { header, masks, deviations, rays, sums, surface, limits, errors } = content;
+        let Content { header, masks, deviations, rays, sums, surface, visits, limits, errors } = content;
         // Deserialisation bypasses the checks of the constructors.
         let lattice = header.lattice.domain().checked();
         let lattice = lattice
@@ -150,6 +165,17 @@ impl UncertaintyField {
                 .ok_or_else(|| Error::malformed(path, "section `limits`", "balanced limits to refinement", "others"))?,
         };
 
+        let visits = match visits {
+            counts if counts.is_empty() => None,
+            counts => Some(Visits::from_counts(&lattice, counts).ok_or_else(|| {
+                Error::malformed(
+                    path,
+                    "section `visits`",
+                    "a count for every cell of the coarse grid",
+                    "another number",
+                )
+            })?),
+        };
         let support =
             match header.kind {
                 Kind::Dense => Support::Dense,
@@ -181,6 +207,6 @@ impl UncertaintyField {
             let found = "an empty part, or two that may have rays in common";
             return Err(Error::malformed(path, "header, draws", "parts of runs, each ray in one of them", found));
         }
-        Ok(Self { protocol, lattice, support, limits, deviations, rays, sums, error_bars, surface, draws })
+        Ok(Self { protocol, lattice, support, limits, deviations, rays, sums, error_bars, surface, visits, draws })
     }
 }

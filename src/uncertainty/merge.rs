@@ -54,6 +54,14 @@ pub fn merge(parts: &[UncertaintyField]) -> Result<UncertaintyField> {
     let protocol = joined_protocol(parts, &draws);
     let most = parts.iter().map(|part| part.surface.len()).max().unwrap_or(0);
     let surface = parts.iter().flat_map(|part| &part.surface).copied().take(most).collect();
+    let mut visits = first.visits.clone();
+    for part in rest {
+        // If it is not known where the rays of one field passed, it is not known of the whole.
+        visits = visits.zip(part.visits.as_ref()).map(|(mut sum, more)| {
+            sum += more;
+            sum
+        });
+    }
     match &first.support {
         Support::Dense => {
             let mut sums = DensePosterior::new(first.lattice).into_sums();
@@ -62,7 +70,8 @@ pub fn merge(parts: &[UncertaintyField]) -> Result<UncertaintyField> {
             }
             Ok(UncertaintyField::new(protocol, first.lattice, Support::Dense, sums)
                 .with_surface(surface)
-                .with_draws(draws))
+                .with_draws(draws)
+                .with_visits(visits))
         }
         Support::Octree(_) => {
             // What was refined for reasons other than information stays refined.
@@ -82,7 +91,7 @@ pub fn merge(parts: &[UncertaintyField]) -> Result<UncertaintyField> {
             }
             let floor = joined_floor(parts, &draws);
             let field = UncertaintyField::from_octree_above(floor, protocol, first.lattice, posterior, wanted);
-            Ok(field.with_surface(surface).with_draws(draws))
+            Ok(field.with_surface(surface).with_draws(draws).with_visits(visits))
         }
     }
 }

@@ -31,7 +31,7 @@ use glam::{DVec3, Vec3};
 use self::reading::read;
 use crate::geometry::Lattice;
 use crate::octree::{Cell, MaxLevels, Octree, VertexId, trilinear};
-use crate::posterior::{Covariance, OctreePosterior, Refinement, VertexSums};
+use crate::posterior::{Covariance, OctreePosterior, Refinement, VertexSums, Visits};
 use crate::rays::Draw;
 use crate::{Error, Result};
 
@@ -69,6 +69,30 @@ pub struct Estimate {
     pub inside: bool,
 }
 
+/// What the training rays tell of a point.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Knowledge {
+    /// Moving it changes some training pixel: log10 U is more than [`MOVED`] below the prior's.
+    Constrained,
+    /// Rays passed and met nothing that a pixel would miss: visible free space.
+    Free,
+    /// No ray came here with half of its light.
+    Unseen,
+}
+
+impl Knowledge {
+    /// The name in tables and files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Constrained => "constrained",
+            Self::Free => "free",
+            Self::Unseen => "unseen",
+        }
+    }
+}
+
 /// A spatial uncertainty field.
 #[derive(Debug, Clone, PartialEq)]
 pub struct UncertaintyField {
@@ -87,6 +111,8 @@ pub struct UncertaintyField {
     error_bars: Option<ErrorBars>,
     /// `[n]`: points on visible surfaces, scene units, for comparisons.
     surface: Vec<[f32; 3]>,
+    /// Rays that reached each part of space, if known.
+    visits: Option<Visits>,
     /// The rays that were summed; empty if unknown.
     draws: Vec<Draw>,
 }
@@ -123,6 +149,7 @@ impl UncertaintyField {
             sums: Some(sums),
             error_bars: None,
             surface: Vec::new(),
+            visits: None,
             draws,
         }
     }
@@ -184,6 +211,38 @@ impl UncertaintyField {
     #[must_use]
     pub fn with_surface(self, surface: Vec<[f32; 3]>) -> Self {
         Self { surface, ..self }
+    }
+
+    /// The same field with the rays that reached each part of space.
+    ///
+    /// They are kept as finely as the number of rays allows ([`Visits::level_of`]), and as finely as can be in a part
+    /// of a run.
+    #[must_use]
+    pub fn with_visits(self, visits: Option<Visits>) -> Self {
+        let level = if self.is_part() { Visits::LEVEL } else { Visits::level_of(self.protocol.rays) };
+        Self { visits: visits.map(|visits| visits.coarsened(level)), ..self }
+    }
+
+    /// Rays that reached each part of space; `None` if unknown.
+    #[must_use]
+    pub fn visits(&self) -> Option<&Visits> {
+        self.visits.as_ref()
+    }
+
+    /// What the training rays tell of a scene point where U is `uncertainty`; `None` if it is not known where they
+    /// passed.
+    ///
+    /// Outside the domain nothing was seen.
+    #[must_use]
+    pub fn knowledge(&self, x: Vec3, uncertainty: f64) -> Option<Knowledge> {
+        let visits = self.visits.as_ref()?.at(x).unwrap_or(0);
+        Some(if uncertainty < self.prior() * 10_f64.powf(-MOVED) {
+            Knowledge::Constrained
+        } else if visits > 0 {
+            Knowledge::Free
+        } else {
+            Knowledge::Unseen
+        })
     }
 
     /// The same field with the rays of several draws. A protocol alone names only one.
@@ -372,6 +431,9 @@ impl UncertaintyField {
         }
         if let Support::Octree(octree) = &self.support {
             parts.extend(octree.memory());
+        }
+        if let Some(visits) = &self.visits {
+            parts.push(("visits", visits.memory()));
         }
         parts.push(("surface points", self.surface.capacity() * size_of::<[f32; 3]>()));
         parts

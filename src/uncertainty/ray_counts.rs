@@ -32,6 +32,11 @@ impl RayCounts {
         decode(self.0[v])
     }
 
+    /// Number of rays at every vertex.
+    pub fn iter(&self) -> impl Iterator<Item = u64> + '_ {
+        self.0.iter().map(|&code| decode(code))
+    }
+
     /// Bytes on the heap, spare capacity included.
     #[must_use]
     pub fn memory(&self) -> usize {

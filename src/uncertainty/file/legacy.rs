@@ -126,5 +126,5 @@ pub(super) fn read(path: &Path) -> Result<Content> {
     let rays: RayCounts = sums.iter().map(|sums| sums.rays).collect();
     let header = Header { protocol, lattice, kind, draws };
     let (limits, errors) = (file.section("limits")?, file.section("errors")?);
-    Ok(Content { header, masks, deviations, rays, sums, surface, limits, errors })
+    Ok(Content { header, masks, deviations, rays, sums, surface, visits: Vec::new(), limits, errors })
 }

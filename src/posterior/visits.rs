@@ -1,0 +1,281 @@
+//! How many training rays reached each part of space: what was seen, whether or not anything was there.
+//!
+//! U does not tell free air from space that no ray reached: neither moves a pixel, and both keep the prior. Visits
+//! do. A ray visits what it crosses before half of its light is lost, T > ½. Counts are kept in the cells of a coarse
+//! grid of their own: an octree's leaves in free space are far too large to tell what lies before a surface from what
+//! lies behind it.
+
+use std::ops::AddAssign;
+
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
+
+use crate::geometry::{Domain, Lattice};
+use crate::render::{RaySamples, SightLine};
+
+/// Steps per coarse cell along a contracted ray, which is curved on the grid.
+const STEPS_PER_CELL: f64 = 2.0;
+
+/// Ray counts in the cells of a coarse grid over a domain.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Visits {
+    lattice: Lattice,
+    /// `[cells]`, x slowest, z fastest.
+    counts: Vec<u32>,
+}
+
+impl Visits {
+    /// Finest level: 64 cells per axis, a megabyte of counts. At level 8 a cell is four finest cells wide.
+    pub const LEVEL: u8 = 6;
+
+    /// No visits to the domain of `finest`, on a grid of its level but at most [`Visits::LEVEL`].
+    #[must_use]
+    pub fn new(finest: &Lattice) -> Self {
+        let lattice = finest.coarsened(Self::LEVEL);
+        Self { lattice, counts: vec![0; 1 << (3 * u32::from(lattice.level()))] }
+    }
+
+    /// The visits of `counts`, `[cells]`, x slowest; `None` if no grid over the domain of `finest` has as many cells.
+    #[must_use]
+    pub fn from_counts(finest: &Lattice, counts: Vec<u32>) -> Option<Self> {
+        let level = (1..=finest.level().min(Self::LEVEL)).find(|level| counts.len() == 1 << (3 * u32::from(*level)))?;
+        Some(Self { lattice: finest.coarsened(level), counts })
+    }
+
+    /// The finest level at which `rays` rays leave no holes by chance.
+    ///
+    /// A ray crosses about 1.5 · 2^level cells of 8^level. Where rays are spread evenly, a cell is then visited by 1.5
+    /// rays / 4^level of them; ten and more leave one cell in 10⁴ unvisited by chance.
+    #[must_use]
+    pub fn level_of(rays: u64) -> u8 {
+        (1..=Self::LEVEL).rev().find(|level| rays >= 10 << (2 * u32::from(*level))).unwrap_or(1)
+    }
+
+    /// The same visits in the cells of a coarser level: the most that any part of such a cell had.
+    #[must_use]
+    pub fn coarsened(&self, level: u8) -> Self {
+        let lattice = self.lattice.coarsened(level);
+        let shift = self.lattice.level() - lattice.level();
+        let mut counts = vec![0; 1 << (3 * u32::from(lattice.level()))];
+        let fine = self.lattice.level();
+        for (i, &count) in self.counts.iter().enumerate() {
+            let cell = [2 * fine, fine, 0].map(|at| (i >> at) as u32 & ((1 << fine) - 1));
+            let most: &mut u32 = &mut counts[index(&lattice, cell.map(|i| i >> shift))];
+            *most = count.max(*most);
+        }
+        Self { lattice, counts }
+    }
+
+    /// `[cells]`, x slowest, z fastest.
+    #[must_use]
+    pub fn counts(&self) -> &[u32] {
+        &self.counts
+    }
+
+    /// Number of rays that reached the cell around a scene point; `None` outside the domain.
+    #[must_use]
+    pub fn at(&self, x: Vec3) -> Option<u32> {
+        let u = self.lattice.coordinates(x)?;
+        Some(self.counts[index(&self.lattice, self.lattice.cell(u).0)])
+    }
+
+    /// Share of the cells that no ray reached.
+    #[must_use]
+    pub fn unseen_share(&self) -> f64 {
+        self.counts.iter().filter(|count| **count == 0).count() as f64 / self.counts.len() as f64
+    }
+
+    /// Bytes on the heap.
+    #[must_use]
+    pub fn memory(&self) -> usize {
+        self.counts.capacity() * size_of::<u32>()
+    }
+
+    /// Adds rays.
+    pub fn add(&mut self, batches: &[RaySamples]) {
+        let lattice = &self.lattice;
+        let visited = |batch: &RaySamples| {
+            let mut cells = Vec::new();
+            for line in &batch.sight {
+                match lattice.domain() {
+                    Domain::Box(_) => along_straight(lattice, line, |cell| cells.push(cell)),
+                    Domain::Contracted { .. } => along_curved(lattice, line, |cell| cells.push(cell)),
+                }
+            }
+            cells
+        };
+        let visited: Vec<Vec<usize>> = batches.par_iter().map(visited).collect();
+        for cell in visited.into_iter().flatten() {
+            self.counts[cell] = self.counts[cell].saturating_add(1);
+        }
+    }
+}
+
+impl AddAssign<&Self> for Visits {
+    /// Adds other rays. The sum has the coarser level of the two.
+    fn add_assign(&mut self, other: &Self) {
+        let level = self.lattice.level().min(other.lattice.level());
+        if level < self.lattice.level() {
+            *self = self.coarsened(level);
+        }
+        if level < other.lattice.level() {
+            return *self += &other.coarsened(level);
+        }
+        self.counts.iter_mut().zip(&other.counts).for_each(|(sum, count)| *sum = sum.saturating_add(*count));
+    }
+}
+
+/// Position of a cell in the array of counts.
+fn index(lattice: &Lattice, cell: [u32; 3]) -> usize {
+    cell.into_iter().fold(0, |index, i| index << lattice.level() | i as usize)
+}
+
+/// Calls `visit` once for every cell that a line crosses in a box, in order (Amanatides & Woo 1987).
+fn along_straight(lattice: &Lattice, line: &SightLine, mut visit: impl FnMut(usize)) {
+    let Some(bounds) = lattice.domain().bounds() else { return };
+    let Some((enter, exit)) = bounds.clip(&line.ray) else { return };
+    let (enter, exit) = (enter.max(0.0), exit.min(line.until));
+    if enter >= exit {
+        return;
+    }
+    let scale = f64::from(lattice.cells_per_axis()) / bounds.size();
+    let last = i64::from(lattice.cells_per_axis()) - 1;
+    let [origin, direction] = [line.ray.origin - bounds.min(), line.ray.direction].map(|v| (v * scale).to_array());
+    let start = [0, 1, 2].map(|axis| origin[axis] + enter * direction[axis]);
+    let mut cell = start.map(|u| (u as i64).clamp(0, last));
+    let step = direction.map(|d| if d < 0.0 { -1 } else { 1 });
+    // Distance along the ray between two planes of an axis, and to its next plane.
+    let between = direction.map(|d| 1.0 / d.abs());
+    let mut next = [0, 1, 2].map(|axis| match direction[axis] {
+        0.0 => f64::INFINITY,
+        d => ((cell[axis] + i64::from(d > 0.0)) as f64 - origin[axis]) / d,
+    });
+    loop {
+        visit(index(lattice, cell.map(|i| i as u32)));
+        let axis = if next[0] <= next[1] && next[0] <= next[2] {
+            0
+        } else if next[1] <= next[2] {
+            1
+        } else {
+            2
+        };
+        cell[axis] += step[axis];
+        if next[axis] >= exit || !(0..=last).contains(&cell[axis]) {
+            return;
+        }
+        next[axis] += between[axis];
+    }
+}
+
+/// Calls `visit` for every cell that a line enters in contracted space, but for corners that it cuts by less than a
+/// step.
+fn along_curved(lattice: &Lattice, line: &SightLine, mut visit: impl FnMut(usize)) {
+    let shortest = |x: Vec3| lattice.edge().min_element() / STEPS_PER_CELL * lattice.domain().stretch(x);
+    let (mut t, mut step) = (0.0, 0.0);
+    let mut last: Option<(usize, DVec3)> = None;
+    while t < line.until {
+        let x = line.ray.at(t).as_vec3();
+        let Some(u) = lattice.coordinates(x) else { return };
+        let cell = index(lattice, lattice.cell(u).0);
+        if last.is_none_or(|(last, _)| last != cell) {
+            visit(cell);
+        }
+        // Lengths along the direction to the centre grow faster than those across it, by which steps begin.
+        let moved = last.map_or(0.0, |(_, last)| STEPS_PER_CELL * (u - last).abs().max_element());
+        if t > 0.0 && moved < NOWHERE {
+            return;
+        }
+        step = (step / moved.max(0.5)).max(shortest(x));
+        last = Some((cell, u));
+        t += step;
+    }
+}
+
+/// Steps this short on the grid, in steps of full length, lead no farther: the ray has reached its last cell.
+const NOWHERE: f64 = 1e-3;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::{Aabb, Norm, Ray};
+    use proptest::prelude::*;
+
+    fn visits(domain: Domain, lines: Vec<SightLine>) -> Visits {
+        let mut visits = Visits::new(&Lattice::of_domain(domain, 8).unwrap());
+        visits.add(&[RaySamples { sight: lines, ..RaySamples::default() }]);
+        visits
+    }
+
+    fn line(origin: [f64; 3], direction: [f64; 3], until: f64) -> Option<SightLine> {
+        let direction = DVec3::from(direction).try_normalize()?;
+        Some(SightLine { ray: Ray::new(DVec3::from(origin), direction), until })
+    }
+
+    proptest! {
+        /// Against thousands of points along the line.
+        #[test]
+        fn a_line_visits_the_cells_that_it_crosses_once(
+            origin in proptest::array::uniform3(-2.0..2.0_f64), direction in proptest::array::uniform3(-1.0..1.0_f64),
+            until in prop_oneof![Just(f64::INFINITY), 0.0..4.0_f64], contracted in proptest::option::of(prop_oneof![Just(Norm::L2), Just(Norm::Linf)]),
+        ) {
+            let domain = match contracted {
+                Some(norm) => Domain::contracted(DVec3::ZERO, 0.5, norm).unwrap(),
+                None => Domain::Box(Aabb::centered_cube(1.0)),
+            };
+            let Some(line) = line(origin, direction, until) else { return Ok(()) };
+            let found = visits(domain, vec![line]);
+            let lattice = found.lattice;
+            // How far the line goes within every cell that it crosses, in cells.
+            let mut crossed = std::collections::BTreeMap::<usize, f64>::new();
+            let mut last: Option<DVec3> = None;
+            for i in 0..200_000 {
+                let t = 6.0 * f64::from(i) / 200_000.0;
+                if t >= until {
+                    break;
+                }
+                if let Some(u) = lattice.coordinates(line.ray.at(t).as_vec3()) {
+                    let moved = last.map_or(0.0, |last| (u - last).abs().max_element());
+                    *crossed.entry(index(&lattice, lattice.cell(u).0)).or_default() += moved;
+                    last = Some(u);
+                }
+            }
+            let least = if contracted.is_some() { 0.8 } else { 0.01 };
+            for (cell, _) in crossed.iter().filter(|(_, length)| **length > least) {
+                prop_assert!(found.counts[*cell] > 0, "cell {} of {:?}", cell, line);
+            }
+            if contracted.is_none() {
+                prop_assert!(found.counts.iter().all(|count| *count <= 1));
+                // Nothing else is visited, but for corners that no point fell into.
+                let others = found.counts.iter().enumerate().filter(|(cell, count)| **count > 0 && !crossed.contains_key(cell));
+                prop_assert!(others.count() <= 3);
+            }
+        }
+    }
+
+    #[test]
+    fn a_line_ends_where_half_of_the_light_is_lost() {
+        let cube = Domain::Box(Aabb::centered_cube(1.0));
+        let wall = visits(cube, vec![line([-3.0, 0.01, 0.01], [1.0, 0.0, 0.0], 3.2).unwrap()]);
+        let at = |x: f32| wall.at(Vec3::new(x, 0.01, 0.01));
+        assert_eq!([-0.99, 0.0, 0.19].map(at), [Some(1); 3]);
+        assert_eq!([0.25, 0.99, 1.01].map(at), [Some(0), Some(0), None]);
+        assert_eq!(wall.unseen_share(), 1.0 - 39.0 / 262_144.0);
+        // From inside, along a face, and past the box.
+        let more =
+            [([0.5, 0.5, 0.5], [0.0, 0.0, -1.0]), ([-1.0, -1.0, -3.0], [0.0, 0.0, 1.0]), ([-3.0; 3], [0.0, 1.0, 0.0])];
+        let more = more.map(|(origin, direction)| line(origin, direction, f64::INFINITY).unwrap());
+        let mut both = visits(cube, more.to_vec());
+        assert_eq!(both.counts.iter().sum::<u32>(), 49 + 64);
+        both += &wall;
+        assert_eq!(both.counts.iter().sum::<u32>(), 49 + 64 + 39);
+        assert_eq!(Visits::from_counts(&both.lattice, both.counts.clone()), Some(both.clone()));
+        assert_eq!(Visits::from_counts(&both.lattice, vec![0; 7]), None);
+        // Coarser cells hold the most of their parts, and may be added to finer ones.
+        let coarse = both.coarsened(1);
+        assert_eq!(coarse.counts, [1, 1, 0, 1, 0, 0, 1, 1]);
+        let mut sum = both.clone();
+        sum += &coarse;
+        assert_eq!(sum.counts, [2, 2, 0, 2, 0, 0, 2, 2]);
+        assert_eq!([10, 159, 160, 40_959, 40_960].map(Visits::level_of), [1, 1, 2, 5, 6]);
+    }
+}
