@@ -31,7 +31,7 @@ pub struct Args {
     output: PathBuf,
 
     /// Training cameras
-    #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    #[arg(long, value_name = "N", default_value_t = 100, value_parser = count::<u32>(1..=1_000_000))]
     views: u32,
 
     /// Put training cameras in one half only, seen from the front (y < 0; right is x > 0); test cameras stand all
@@ -44,7 +44,7 @@ pub struct Args {
     resolution: [u32; 2],
 
     /// Test cameras
-    #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = count::<u32>(1..=1_000_000))]
     test_views: u32,
 
     /// Turns the cameras and jitters the samples; mesh, light and texture do not depend on it

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 use glam::DVec3;
 
+use super::numbers::count;
 use super::parse::{numbers, parse_box, parse_bytes, parse_non_negative, parse_positive};
 use crate::cli::report::{self, Cost};
 use crate::estimate::{GridKind, GridSettings};
@@ -135,7 +136,7 @@ pub struct GridOptions {
     pub store: Store,
 
     /// Points on visible surfaces to keep in the file, for `compare`
-    #[arg(long, value_name = "N", default_value_t = 16_384)]
+    #[arg(long, value_name = "N", default_value_t = 16_384, value_parser = count::<usize>(..))]
     pub surface_points: usize,
 
     /// Print one JSON object
@@ -220,7 +221,7 @@ pub struct OfficialOptions {
     pub bounds: Option<Aabb>,
 
     /// Number of rays summed in the official code's `.npy` grids
-    #[arg(long, default_value_t = OfficialGrid::DEFAULT_RAYS, value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, default_value_t = OfficialGrid::DEFAULT_RAYS, value_parser = count::<u64>(1..))]
     pub rays: u64,
 }
 

@@ -2,10 +2,12 @@
 
 mod cameras;
 mod grid;
+mod numbers;
 mod parse;
 
 pub use cameras::{CameraFile, CameraOptions, FrameOptions};
-pub use grid::{DomainOptions, GridOptions, OfficialOptions};
+pub use grid::{DomainOptions, GridOptions, OfficialOptions, check_field_name};
+pub use numbers::{count, parse_interval, parse_time};
 pub use parse::{
     numbers, parse_background, parse_box, parse_non_negative, parse_pair, parse_positive, parse_range,
     parse_resolution, parse_views,

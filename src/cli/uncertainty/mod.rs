@@ -7,7 +7,8 @@ use std::time::{Duration, Instant};
 
 use super::files::CommandFiles;
 use super::options::{
-    CameraOptions, DomainOptions, FrameOptions, GridOptions, ModelOptions, parse_non_negative, parse_positive,
+    CameraOptions, DomainOptions, FrameOptions, GridOptions, ModelOptions, count, parse_interval, parse_non_negative,
+    parse_positive,
 };
 use super::progress::Bars;
 use super::report::{self, Cost};
@@ -39,7 +40,7 @@ pub struct Args {
     #[command(flatten)]
     grid: GridOptions,
 
-    /// Rays to draw (the paper uses 4096000), or `auto` for as many as bring the estimated mean error of log10 U
+    /// Rays to draw, such as 400k or 1M (the paper uses 4096000), or `auto` for as many as bring the estimated mean error of log10 U
     /// within --tolerance
     ///
     /// `auto` doubles the rays, from 65536, until two halves of them agree. Most scenes need tens of millions for
@@ -48,7 +49,7 @@ pub struct Args {
     rays: Rays,
 
     /// Most rays that `--rays auto` draws
-    #[arg(long, value_name = "N", default_value_t = 32_768_000, value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = 32_768_000, value_parser = count::<u64>(1..))]
     max_rays: u64,
 
     /// How pixels are chosen
@@ -111,9 +112,9 @@ pub struct Args {
     #[arg(long, value_name = "FILE", conflicts_with = "dump_samples")]
     checkpoint: Option<PathBuf>,
 
-    /// Seconds between checkpoints
-    #[arg(long, value_name = "SECONDS", default_value_t = 60.0, value_parser = parse_non_negative)]
-    checkpoint_every: f64,
+    /// Time between checkpoints, such as 90s, 5min or 1h30m
+    #[arg(long, value_name = "TIME", default_value = "60s", value_parser = parse_interval)]
+    checkpoint_every: Duration,
 
     /// Continue from the checkpoint, if there is one
     #[arg(long, requires = "checkpoint")]
@@ -129,11 +130,10 @@ enum Rays {
 
 /// A number of rays, or `auto`.
 fn parse_rays(text: &str) -> std::result::Result<Rays, String> {
-    match text.parse() {
-        _ if text == "auto" => Ok(Rays::Auto),
-        Ok(rays) if rays > 0 => Ok(Rays::Count(rays)),
-        _ => Err("expected a whole number above 0, or `auto`".into()),
+    if text == "auto" {
+        return Ok(Rays::Auto);
     }
+    count(1..)(text).map(Rays::Count).map_err(|expected| format!("{expected}; or `auto`"))
 }
 
 /// `I/N` with I < N.
@@ -313,7 +313,6 @@ impl Args {
 
     /// Where and how often to save, if at all.
     fn checkpoint(&self) -> Option<Checkpoint> {
-        let every = Duration::try_from_secs_f64(self.checkpoint_every).unwrap_or(Duration::MAX);
-        self.checkpoint.as_ref().map(|path| Checkpoint::new(path).every(every).resume(self.resume))
+        self.checkpoint.as_ref().map(|path| Checkpoint::new(path).every(self.checkpoint_every).resume(self.resume))
     }
 }
