@@ -89,7 +89,7 @@ fn bad_input_gets_one_line_exit_code_2_and_no_output() {
     desk.write("points.csv", b"x,y,z\n0,0,0\n1,two,3\n");
     desk.write("points.txt", b"0,0,0\n");
     npy::write(&desk.path("pairs.npy"), &[2, 2], [0.0_f32; 4]).unwrap();
-    npy::write(&desk.path("whole.npy"), &[1, 3], [0_i64; 3]).unwrap();
+    npy::write(&desk.path("flags.npy"), &[1, 3], [true; 3]).unwrap();
     let voxels = |name: &str, density: f32, shape: &[u64]| {
         let mut npz = NpzWriter::create(&desk.path(name)).unwrap();
         let n: u64 = shape.iter().product();
@@ -178,7 +178,7 @@ fn bad_input_gets_one_line_exit_code_2_and_no_output() {
         ("query field.oct points.csv -o x.csv".into(), vec!["points.csv", "row 3", "1,two,3"]),
         ("query field.oct points.txt -o x.csv".into(), vec!["points.txt", ".npy"]),
         ("query field.oct pairs.npy -o x.csv".into(), vec!["pairs.npy", "[2, 2]"]),
-        ("query field.oct whole.npy -o x.csv".into(), vec!["whole.npy", "i8"]),
+        ("query field.oct flags.npy -o x.csv".into(), vec!["flags.npy", "b1"]),
         ("compare field.oct pairs.npy".into(), vec!["--box", "pairs.npy"]),
         ("compare field.oct pairs.npy --box=-1,-1,-1,1,1,1".into(), vec!["pairs.npy", "[2, 2]"]),
         (
@@ -313,6 +313,121 @@ fn queries_answer_in_all_formats() {
         desk.command("query field.oct - -o -").stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
     child.stdin.take().unwrap().write_all(csv.as_bytes()).unwrap();
     assert_eq!(String::from_utf8(child.wait_with_output().unwrap().stdout).unwrap(), text);
+}
+
+/// Whoever has a table with other columns must not get answers for those.
+#[test]
+fn columns_of_points_are_found_by_name_and_others_are_named() {
+    let desk = Desk::with_field();
+    desk.write("plain.csv", b"0.5,0.5,-0.1\n0,0,0.9\n");
+    desk.write("named.csv", b"\xef\xbb\xbfid,Z,name,Y,X\n1,-0.1,a,0.5,0.5\n2,0.9,b,0,0\n");
+    let expected = desk.good("query field.oct plain.csv -o -");
+    let output = desk.run("query field.oct named.csv -o -");
+    assert_eq!(String::from_utf8(output.stdout).unwrap(), expected);
+    let notes = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(notes, "note: columns x, y and z of named.csv are read, others are not: id, name\n");
+    assert!(desk.run("query field.oct plain.csv -o -").stderr.is_empty());
+}
+
+#[test]
+fn arrays_of_any_type_of_numbers_and_files_with_a_byte_order_mark_are_read() {
+    let desk = Desk::with_field();
+    // All exact in every type.
+    let points = [0_i8, 0, 1, 0, 1, 0, 3, 0, 0];
+    let halves = points.map(|v| half::f16::from_f32(v.into()));
+    npy::write(&desk.path("f16.npy"), &[3, 3], halves).unwrap();
+    npy::write(&desk.path("f32.npy"), &[3, 3], points.map(f32::from)).unwrap();
+    npy::write(&desk.path("f64.npy"), &[3, 3], points.map(f64::from)).unwrap();
+    npy::write(&desk.path("i32.npy"), &[3, 3], points.map(i32::from)).unwrap();
+    npy::write(&desk.path("i64.npy"), &[3, 3], points.map(i64::from)).unwrap();
+    let answers = |name: &str| desk.good(&format!("query field.oct {name}.npy -o -"));
+    for name in ["f16", "f64", "i32", "i64"] {
+        assert_eq!(answers(name), answers("f32"), "{name}");
+    }
+
+    // Samples and voxels as NumPy makes them if nobody says f32.
+    let write = |name: &str, is_wide: bool| {
+        let mut npz = NpzWriter::create(&desk.path(name)).unwrap();
+        let mut array = |name: &str, shape: &[u64], values: &[f32]| match is_wide {
+            true => npz.array(name, shape, values.iter().map(|&v| f64::from(v))).unwrap(),
+            false => npz.array(name, shape, values.iter().copied()).unwrap(),
+        };
+        array("positions", &[2, 3], &[0.25, 0.5, 0.125, -0.25, 0.0, 0.5]);
+        array("jacobian", &[2, 3, 3], &[1.5; 18]);
+        array("weight", &[2], &[0.5; 2]);
+        match is_wide {
+            true => npz.array("ray", &[2], [0_i64, 1]).unwrap(),
+            false => npz.array("ray", &[2], [0_u32, 1]).unwrap(),
+        }
+        npz.array("rays_total", &[], [2_i16]).unwrap();
+        npz.finish().unwrap();
+        desk.good(&format!("accumulate {name} --box=-1,-1,-1,1,1,1 --level 4 -o {name}.oct"));
+        UncertaintyField::read(&desk.path(&format!("{name}.oct"))).unwrap()
+    };
+    let [narrow, wide] = [write("narrow.npz", false), write("wide.npz", true)];
+    assert_eq!((narrow.deviations(), narrow.sums()), (wide.deviations(), wide.sums()));
+    let mut npz = NpzWriter::create(&desk.path("voxels.npz")).unwrap();
+    npz.array("box", &[2, 3], [-1_i64, -1, -1, 1, 1, 1]).unwrap();
+    npz.array("density", &[2, 2, 2], [1.0_f64; 8]).unwrap();
+    npz.array("color", &[2, 2, 2, 3], [half::f16::from_f32(0.5); 24]).unwrap();
+    npz.finish().unwrap();
+    desk.good("info voxels.npz");
+
+    let cameras = std::fs::read(desk.path("transforms.json")).unwrap();
+    desk.write("marked.json", &[b"\xef\xbb\xbf", &cameras[..]].concat());
+    desk.good("render scene:courtyard field.oct --cameras marked.json --occupancy 16 -o x.png");
+}
+
+#[test]
+fn numbers_and_times_are_taken_as_people_write_them() {
+    let desk = Desk::with_field();
+    let plain = std::fs::read(desk.path("field.oct")).unwrap();
+    let run = |args: &str| FIELD.replace("--rays 3000", args);
+    for args in ["--rays 3k", "--rays 3e3 --surface-points 16_384", "--rays 3_000 --max-rays 1M"] {
+        desk.good(&run(args));
+        assert_eq!(std::fs::read(desk.path("field.oct")).unwrap(), plain, "{args}");
+    }
+    desk.good(&run("--rays 3k --checkpoint run.chk --checkpoint-every 1h30m"));
+    assert!(desk.good("compare field.oct field.oct --points 2k").contains("2000"), "points");
+    for args in ["--rays 1.5", "--rays 3k5", "--rays 1m2", "--max-rays 0", "--surface-points=-1"] {
+        let message = String::from_utf8(desk.run(&run(args)).stderr).unwrap();
+        assert!(message.contains("whole number") && message.contains("20k"), "{args}: {message}");
+    }
+    let message = desk.run(&run("--rays 3k --checkpoint run.chk --checkpoint-every often")).stderr;
+    assert!(String::from_utf8(message).unwrap().contains("1h30m"));
+}
+
+/// Queries of a list longer than memory. The peak is that of the child process.
+#[test]
+#[cfg(target_os = "linux")]
+fn queries_of_long_lists_take_no_more_memory() {
+    use std::io::{BufRead, BufReader};
+    let desk = Desk::with_field();
+    // Whole batches of the program, so that all are answered before the input ends.
+    let peak = |points: usize| -> u64 {
+        let mut child =
+            desk.command("query field.oct - -o -").stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
+        let mut input = child.stdin.take().unwrap();
+        let writer = std::thread::spawn(move || {
+            let rows: String = (0..1 << 12).map(|i| format!("{},0.5,-0.1\n", f64::from(i) / 4096.0)).collect();
+            (0..points >> 12).for_each(|_| input.write_all(rows.as_bytes()).unwrap());
+            input
+        });
+        let mut answers = BufReader::new(child.stdout.take().unwrap());
+        let mut line = String::new();
+        for _ in 0..=points {
+            line.clear();
+            answers.read_line(&mut line).unwrap();
+        }
+        let status = std::fs::read_to_string(format!("/proc/{}/status", child.id())).unwrap();
+        drop(writer.join().unwrap());
+        assert!(child.wait().unwrap().success() && line.split(',').count() == 8, "{line}");
+        let peak = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).unwrap();
+        peak.trim().strip_suffix(" kB").unwrap().parse::<u64>().unwrap() * 1024
+    };
+    let [short, long] = [1 << 18, 1 << 21].map(peak);
+    // Answers in memory would be 88 bytes a point, 160 MB more; the allocator's own slack is a small part of one batch.
+    assert!(long < short + (16 << 20), "{long} bytes for 2M points, {short} for 262k");
 }
 
 #[test]

@@ -14,10 +14,10 @@ use crate::{Error, Result};
 /// Sum up ray samples whose Jacobians were computed elsewhere
 ///
 /// SAMPLES.npz holds `positions` (f32, N x 3, scene units); `jacobian` (f32, N x 3 x 3, dC_c/dx_k, rows colour,
-/// columns axis); `ray` (u32 or u64, N, the index of each sample's ray, never decreasing); and `rays_total`, the
+/// columns axis); `ray` (u64, N, the index of each sample's ray, never decreasing); and `rays_total`, the
 /// number of rays drawn, including those that hit nothing. Two arrays are optional: `weight` (f32, N, the sample's
 /// share of the pixel) and `gradient` (f32, N x 3, ||dC/dsigma|| times the density's gradient), which covariance
-/// `normal` needs. The file may be larger than memory.
+/// `normal` needs. Other types of floats and integers are converted. The file may be larger than memory.
 #[derive(clap::Args)]
 #[command(
     after_help = "Example: octobayes accumulate samples.npz --box=-1.5,-1.5,-1.5,1.5,1.5,1.5 --level 8 -o field.oct"

@@ -6,6 +6,7 @@
 
 mod atomic;
 pub mod container;
+mod element;
 #[cfg(feature = "synth")]
 mod exr;
 pub mod legacy;
@@ -13,8 +14,11 @@ pub mod memory;
 pub mod npy;
 pub mod npz;
 mod place;
+mod text;
 
 pub use atomic::AtomicFile;
+pub use element::{Element, Index, Real};
 #[cfg(feature = "synth")]
 pub use exr::write_exr;
 pub use place::{Identity, destination, folder_of};
+pub use text::read_text;
