@@ -1,5 +1,5 @@
 //! The command line, one file per verb. Results go to stdout, progress and warnings to stderr. A failure is one
-//! line on stderr and exit code 2 (130 after Ctrl-C).
+//! line on stderr and exit code 2 (130 after Ctrl-C, SIGTERM or SIGHUP).
 
 /// Prints one or more lines to stdout: `say!(…)?`.
 macro_rules! say {
@@ -75,7 +75,7 @@ pub fn main() -> ExitCode {
         // Fails only if a pool exists already, and none does here.
         let _ = rayon::ThreadPoolBuilder::new().num_threads(usize::from(threads)).build_global();
     }
-    match run(cli.verb, &Bars::new()) {
+    match run(cli.verb) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             let goes_on = if matches!(error, Error::Stopped { .. }) { "; --resume goes on" } else { "" };
@@ -86,12 +86,20 @@ pub fn main() -> ExitCode {
     }
 }
 
-fn run(verb: Verb, bars: &Bars) -> Result<()> {
+fn run(verb: Verb) -> Result<()> {
+    let bars = &Bars::new();
+    // The other verbs end at once if they are asked to.
+    if !matches!(
+        verb,
+        Verb::Query(_) | Verb::Compare(_) | Verb::Convert(_) | Verb::Merge(_) | Verb::Info(_) | Verb::Completions(_)
+    ) {
+        bars.listen();
+    }
     match verb {
         Verb::Demo(args) => args.run(bars),
         Verb::Uncertainty(args) => args.run(bars),
         Verb::Accumulate(args) => args.run(bars),
-        Verb::Query(args) => args.run(),
+        Verb::Query(args) => args.run(bars),
         Verb::Compare(args) => args.run(),
         Verb::Render(args) => args.run(bars),
         Verb::Evaluate(args) => args.run(bars),
