@@ -13,6 +13,7 @@ pub mod legacy;
 pub mod memory;
 pub mod npy;
 pub mod npz;
+pub mod part;
 mod place;
 mod text;
 
