@@ -44,7 +44,7 @@ impl VoxelGrid {
     /// Reads the three arrays from an `.npz` file.
     ///
     /// # Errors
-    /// If an array is missing, of another type or shape, or holds values outside its range.
+    /// If an array is missing, is not of numbers, is of another shape, or holds values outside its range.
     pub fn read(path: &Path) -> Result<Self> {
         let mut npz = NpzReader::open(path)?;
         // Shapes first, which stand at the start of each member: a megabyte may unfold to a gigabyte.
@@ -64,6 +64,7 @@ impl VoxelGrid {
         let density = npz.reals("density")?;
         let [nx, ny, nz] = [density.shape[0], density.shape[1], density.shape[2]];
         check_range(path, "density", &density.data, "finite values >= 0", |v| v >= 0.0 && v.is_finite())?;
+        let color = npz.reals("color")?;
         check_range(path, "color", &color.data, "values from 0 to 1", |v| (0.0..=1.0).contains(&v))?;
 
         let corner = |row: usize| DVec3::from([0, 1, 2].map(|axis| f64::from(corners.data[3 * row + axis])));

@@ -56,14 +56,24 @@ impl AtomicFile {
         &self.target
     }
 
+    /// Flushes the content to disk. After that, [`AtomicFile::commit`] can hardly fail: files that belong together
+    /// are all flushed before the first gets its name.
+    ///
+    /// # Errors
+    /// If the disk is full.
+    pub fn sync(&mut self) -> Result<()> {
+        let written = self.writer.flush().and_then(|()| self.writer.get_ref().as_file().sync_all());
+        written.map_err(Error::io(&self.target, "cannot write"))
+    }
+
     /// Flushes the content to disk and gives the file its name.
     ///
     /// # Errors
     /// If the disk is full or the rename fails. The target then stays as it was.
-    pub fn commit(self) -> Result<()> {
+    pub fn commit(mut self) -> Result<()> {
+        self.sync()?;
         let Self { writer, target } = self;
         let file = writer.into_inner().map_err(|e| Error::io(&target, "cannot write")(e.into_error()))?;
-        file.as_file().sync_all().map_err(Error::io(&target, "cannot write"))?;
         file.persist(&target).map_err(|e| Error::io(&target, "cannot rename the finished file")(e.error))?;
         Ok(())
     }

@@ -9,7 +9,7 @@ use crate::cli::report;
 use crate::evaluate::{CleanUp, DepthError, EvaluatedView, Evaluator, Measure, Score};
 use crate::io::AtomicFile;
 use crate::metrics::{ErrorKind, STEPS, Sparsification};
-use crate::picture::{Curve, write_plot};
+use crate::picture::{Curve, stage_plot};
 use crate::{Error, Result};
 
 /// The results of an evaluation.
@@ -43,8 +43,8 @@ impl Evaluation<'_> {
         self.views.iter().map(|v| v.empty).sum()
     }
 
-    /// Plots the curves of mean absolute error, in scene units.
-    pub fn write_plot(&self, path: &Path) -> Result<()> {
+    /// Plots the curves of mean absolute error, in scene units, in a file to be committed.
+    pub fn plot(&self, path: &Path) -> Result<AtomicFile> {
         let points = |s: &Sparsification, values: &[f64]| {
             s.removed.iter().zip(values).map(|(&r, &v)| (r, v * s.largest)).collect()
         };
@@ -61,11 +61,11 @@ impl Evaluation<'_> {
             curves.push(Curve { name: "oracle: largest errors removed first".into(), points: oracle, reference: true });
         }
         let axes = ["removed share of pixels", "mean absolute depth error"];
-        write_plot(path, "Mean depth error left, scene units", axes, &curves)
+        stage_plot(path, "Mean depth error left, scene units", axes, &curves)
     }
 
-    /// Writes one row per error kind and removed share, with values in scene units.
-    pub fn write_csv(&self, path: &Path) -> Result<()> {
+    /// Writes one row per error kind and removed share, with values in scene units, in a file to be committed.
+    pub fn csv(&self, path: &Path) -> Result<AtomicFile> {
         let mut file = AtomicFile::create(path)?;
         let mut write = || -> csv::Result<()> {
             let mut csv = csv::Writer::from_writer(&mut file);
@@ -84,7 +84,7 @@ impl Evaluation<'_> {
             Ok(())
         };
         write().map_err(|e| Error::io(path, "cannot write")(e.into()))?;
-        file.commit()
+        Ok(file)
     }
 
     fn json(&self) -> serde_json::Value {
