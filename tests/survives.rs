@@ -209,8 +209,18 @@ fn merged_shards_are_the_whole_run() {
             good(folder, &format!("{settings} --shard {shard}/3 -o part{shard}.oct"));
         }
         // In any order, and step by step.
-        good(folder, "merge part2.oct part0.oct -o two.oct");
-        good(folder, "merge two.oct part1.oct -o merged.oct");
+        let output = run(folder, "merge part2.oct part0.oct -o two.oct");
+        let stderr = String::from_utf8(output.stderr).unwrap();
+        let warning = "warning: the run over 40000 rays is not complete: part 1 of 3 (seed 0) missing\n";
+        assert!(output.status.success() && stderr == warning, "{stderr}");
+        let output = Command::new(env!("CARGO_BIN_EXE_octobayes"))
+            .args(["merge", "two.oct", "part1.oct", "-o", "merged.oct", "--json"])
+            .current_dir(folder)
+            .output()
+            .unwrap();
+        assert!(output.status.success() && output.stderr.is_empty(), "nothing is missing");
+        let value: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        assert_eq!(value["missing_shards"], serde_json::json!([]));
         let [whole, merged] = ["whole.oct", "merged.oct"].map(|f| UncertaintyField::read(&folder.join(f)).unwrap());
         assert_eq!((whole.protocol().rays, whole.protocol().shard), (merged.protocol().rays, merged.protocol().shard));
         assert_eq!(whole.draws(), merged.draws());

@@ -2,15 +2,18 @@
 
 use std::path::PathBuf;
 
+use serde_json::json;
+
 use super::files::CommandFiles;
 use super::report;
 use crate::Result;
+use crate::rays::MissingShards;
 use crate::uncertainty::{UncertaintyField, merge, merge_with_error_bars};
 
 /// Join fields of the same box, level and protocol that were computed from different rays
 ///
 /// The result is what one run over all the rays gives, up to the order of summation and the fields' tolerance. So
-/// any scheduler can split a job over machines. The fields must keep their Hessian (`--keep hessian`).
+/// any scheduler can split a job over machines. If parts of a run are missing, a warning names them. The fields must keep their Hessian (`--keep hessian`).
 #[derive(clap::Args)]
 #[command(
     after_help = "Example: for i in 0 1 2 3; do octobayes uncertainty model.npz --cameras transforms.json --shard $i/4 -o part$i.oct; \
@@ -32,6 +35,10 @@ pub struct Args {
     /// improves with the number of fields: ten are many, two give half their difference.
     #[arg(long)]
     error_bars: bool,
+
+    /// Print one JSON object
+    #[arg(long)]
+    json: bool,
 }
 
 impl Args {
@@ -45,7 +52,17 @@ impl Args {
                 "note: the fields' own error bars are not those of the whole, which has none; --error-bars compares the fields"
             );
         }
+        let missing = MissingShards::beside(field.draws());
         field.write(&self.output)?;
+        for run in &missing {
+            eprintln!("warning: the run over {} rays is not complete: {run} missing", run.rays);
+        }
+        if self.json {
+            let mut value = report::protocol_json(&field);
+            value["summary"] = json!(field.summary());
+            value["missing_shards"] = json!(missing);
+            return say!("{value}");
+        }
         say!("protocol\n{}\nfield\n  {}", report::protocol(&field), report::summary(&field.summary()))
     }
 }
