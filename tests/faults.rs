@@ -250,6 +250,9 @@ impl Desk {
         self.write("panorama.json", frame("\"fl_x\": 20, \"camera_model\": \"EQUIRECTANGULAR\"", pose));
         let own = format!("{pose}, \"camera_model\": \"OPENCV_FISHEYE\"");
         self.write("one_fisheye.json", frame("\"fl_x\": 20, \"camera_model\": \"OPENCV\"", &own));
+        std::fs::create_dir(self.path("colmap")).unwrap();
+        self.write("colmap/cameras.txt", "1 FULL_OPENCV 16 16 20 20 8 8 0 0 0 0 0 0 0 0\n");
+        self.write("colmap/images.txt", "1 1 0 0 0 0 0 3 1 a.png\n\n");
         self.write("huge.json", frame("\"fl_x\": 9e4, \"w\": 65536, \"h\": 65536", pose));
     }
 

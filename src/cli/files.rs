@@ -28,6 +28,11 @@ impl CommandFiles {
         paths.into_iter().fold(self, |files, path| files.input(option, path))
     }
 
+    /// Adds the files that `--cameras` means, if it is given.
+    pub fn cameras(self, path: Option<&Path>) -> Self {
+        self.inputs("--cameras", path.iter().flat_map(|path| Views::files(path)))
+    }
+
     /// Adds the images of a camera file.
     pub fn images(self, views: &Views) -> Self {
         let images = views.frames.iter().map(|frame| &frame.image).filter(|image| !image.as_os_str().is_empty());

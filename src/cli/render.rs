@@ -77,7 +77,7 @@ impl Args {
         let files = CommandFiles::default()
             .input("MODEL", &self.model.model)
             .input("FIELD", &self.field)
-            .inputs("--cameras", &self.cameras.cameras)
+            .cameras(self.cameras.cameras.as_deref())
             .output("--output", &self.output);
         files.check()?;
         let model = self.model.open()?;

@@ -1,5 +1,6 @@
 //! Posed images and their split, depth maps, and lists of points.
 
+mod colmap;
 mod depth;
 mod frames;
 mod hemisphere;

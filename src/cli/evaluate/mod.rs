@@ -125,7 +125,7 @@ impl Args {
             .input("MODEL", &self.model.model)
             .inputs("FIELD", &self.fields)
             .inputs("--ensemble", &self.ensemble)
-            .input("--cameras", &self.cameras.cameras)
+            .cameras(Some(&self.cameras.cameras))
             .outputs("--plot", &self.plot)
             .outputs("--csv", &self.csv)
             .outputs("--clean-up", &self.clean_up);

@@ -13,8 +13,9 @@ use crate::{Error, Result};
 /// A camera file.
 #[derive(Args)]
 pub struct CameraFile {
-    /// transforms.json with intrinsics and camera-to-world poses (OpenGL axes)
-    #[arg(long, value_name = "JSON")]
+    /// transforms.json with intrinsics and camera-to-world poses (OpenGL axes), or a COLMAP model: its folder
+    /// (cameras and images, .bin or .txt) or the folder with sparse/0
+    #[arg(long, value_name = "PATH")]
     pub cameras: PathBuf,
 
     /// Image size, W or WxH [default: from the camera file, else from its first image, else 400x400]
@@ -74,9 +75,10 @@ impl CameraFile {
 /// A camera file, or the cameras that come with the model.
 #[derive(Args)]
 pub struct CameraOptions {
-    /// transforms.json with intrinsics and camera-to-world poses (OpenGL axes) [default: the model's own cameras,
-    /// if it has any]
-    #[arg(long, value_name = "JSON")]
+    /// transforms.json with intrinsics and camera-to-world poses (OpenGL axes), or a COLMAP model: its folder
+    /// (cameras and images, .bin or .txt) or the folder with sparse/0 [default: the model's own cameras, if it has
+    /// any]
+    #[arg(long, value_name = "PATH")]
     pub cameras: Option<PathBuf>,
 
     /// Horizontal angle of view of the model's own cameras, degrees

@@ -12,6 +12,7 @@ use super::options::{
 };
 use super::progress::Bars;
 use super::report::{self, Cost};
+use crate::dataset::Views;
 use crate::estimate::{Checkpoint, Estimation, GridSettings, Outcome, Planner, RaySettings, Run};
 use crate::geometry::Camera;
 use crate::rays::{Pixels, RunProgress, SamplesWriter};
@@ -279,7 +280,7 @@ impl Args {
     fn command_files(&self) -> CommandFiles {
         let files = CommandFiles::default()
             .input("MODEL", &self.model.model)
-            .inputs("--cameras", &self.cameras.cameras)
+            .cameras(self.cameras.cameras.as_deref())
             .output("--output", &self.grid.output)
             .outputs("--dump-samples", &self.dump_samples);
         let states = self.checkpoint().map_or(Vec::new(), |checkpoint| checkpoint.files(self.error_bars));
@@ -293,8 +294,9 @@ impl Args {
 
     /// The model and the camera file, if there is one, with their checksums.
     fn files(&self) -> Result<Vec<String>> {
-        let cameras = self.cameras.cameras.as_ref().map(|file| file.to_string_lossy());
-        [Some(self.model.model.as_str()), cameras.as_deref()].into_iter().flatten().map(identity).collect()
+        let cameras = self.cameras.cameras.iter().flat_map(|path| Views::files(path));
+        let cameras = cameras.map(|file| file.to_string_lossy().into_owned());
+        [self.model.model.clone()].into_iter().chain(cameras).map(|file| identity(&file)).collect()
     }
 
     /// What the field was computed from, which identifies the run.
@@ -303,11 +305,14 @@ impl Args {
         if let Some(coordinates) = self.model.coordinates {
             model = format!("{model} in {} coordinates", coordinates.name());
         }
-        let seen_by = files.get(1).cloned().unwrap_or_else(|| {
-            let [w, h] = cameras[0].resolution;
-            let fov = self.cameras.fov.map_or(String::new(), |fov| format!(", {fov} degrees"));
-            format!("its own {} cameras of {w} x {h}{fov}", cameras.len())
-        });
+        let seen_by = match &files[1..] {
+            [] => {
+                let [w, h] = cameras[0].resolution;
+                let fov = self.cameras.fov.map_or(String::new(), |fov| format!(", {fov} degrees"));
+                format!("its own {} cameras of {w} x {h}{fov}", cameras.len())
+            }
+            files => files.join(" and "),
+        };
         format!("{model} seen by {seen_by}")
     }
 
