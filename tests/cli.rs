@@ -581,6 +581,90 @@ fn pictures_and_official_grids_are_written() {
     }
 }
 
+/// The preview is as wide as the picture would be, in 800 pixels; and nothing is squashed.
+#[test]
+fn pictures_are_previews_with_the_cameras_aspect_ratio_unless_told_otherwise() {
+    let desk = Desk::with_field();
+    let camera = ClosedForm::half_circle(1, [10, 1600])[0];
+    octobayes::dataset::write_transforms(&desk.path("portrait.json"), &[("a".into(), camera)]).unwrap();
+    let size = |args: &str| {
+        let run = "render scene:courtyard field.oct --cameras portrait.json --occupancy 16 -o x.exr";
+        let output = desk.run(&format!("{run} {args}"));
+        assert!(output.status.success(), "{args}: {}", String::from_utf8_lossy(&output.stderr));
+        let exr = exr::prelude::read_first_flat_layer_from_file(desk.path("x.exr")).unwrap();
+        ([exr.layer_data.size.0, exr.layer_data.size.1], String::from_utf8(output.stderr).unwrap())
+    };
+    let (preview, note) = size("");
+    assert_eq!(preview, [5, 800]);
+    assert_eq!(note, "note: a preview of 5 x 800 pixels; --scale 1 renders all 10 x 1600\n");
+    for (args, expected) in [
+        ("--scale 1", [10, 1600]),
+        ("--scale 0.1", [1, 160]),
+        ("--resolution 2", [2, 320]),
+        ("--resolution 3x4", [3, 4]),
+    ] {
+        assert_eq!(size(args), (expected, String::new()), "{args}");
+    }
+    // Small pictures are left as they are.
+    desk.good("render scene:courtyard field.oct --cameras transforms.json --occupancy 16 -o y.exr");
+    let exr = exr::prelude::read_first_flat_layer_from_file(desk.path("y.exr")).unwrap();
+    assert_eq!((exr.layer_data.size.0, exr.layer_data.size.1), (32, 32));
+    let refused =
+        desk.run("render scene:courtyard field.oct --cameras portrait.json --scale 1 --resolution 9 -o x.exr");
+    assert_eq!(refused.status.code(), Some(2));
+}
+
+/// A log file of a long run says how far it is; one of a short run holds nothing.
+#[test]
+#[cfg(unix)]
+fn long_work_tells_off_a_terminal_how_far_it_is() {
+    use std::io::{BufRead, BufReader};
+    let desk = Desk::with_field();
+    let is_progress =
+        |line: &str| line.starts_with("rays: ") && line.contains(" %), about ") && line.contains(" s left");
+    let short = desk.run(FIELD);
+    assert!(!String::from_utf8(short.stderr).unwrap().lines().any(is_progress));
+    let started = std::time::Instant::now();
+    let mut child = desk.command(&FIELD.replace("3000", "1G")).stderr(Stdio::piped()).spawn().unwrap();
+    let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
+    let line = lines.by_ref().map(Result::unwrap).find(|line| is_progress(line));
+    assert!(line.is_some() && started.elapsed().as_secs() >= 10, "{line:?} after {:?}", started.elapsed());
+    assert!(Command::new("kill").args(["-TERM", &child.id().to_string()]).status().unwrap().success());
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+    assert!(lines.last().unwrap().unwrap().starts_with("error: interrupted"));
+}
+
+#[test]
+fn shells_and_man_know_every_verb() {
+    let desk = Desk::new();
+    let help = desk.good("--help");
+    let verbs: Vec<&str> = help
+        .lines()
+        .skip_while(|line| *line != "Commands:")
+        .skip(1)
+        .take_while(|line| !line.is_empty())
+        .filter_map(|line| line.split_whitespace().next())
+        .filter(|verb| *verb != "help")
+        .collect();
+    assert!(verbs.len() >= 13 && verbs.contains(&"completions"), "{verbs:?}");
+    for shell in ["bash", "elvish", "fish", "powershell", "zsh"] {
+        let script = desk.good(&format!("completions {shell}"));
+        for verb in &verbs {
+            assert!(script.contains(verb), "{shell}: {verb}");
+        }
+        assert!(script.contains("--dump-samples") || script.contains("dump-samples"), "{shell}");
+    }
+    desk.good("completions man -o share/man1");
+    for verb in &verbs {
+        let page = std::fs::read_to_string(desk.path(&format!("share/man1/octobayes-{verb}.1"))).unwrap();
+        assert!(page.contains(&format!(".TH octobayes-{verb} 1")) && page.contains(".SH SYNOPSIS"), "{page}");
+    }
+    assert!(std::fs::read_to_string(desk.path("share/man1/octobayes.1")).unwrap().contains("octobayes\\-query(1)"));
+    for args in ["completions", "completions csh", "completions man", "completions bash -o x"] {
+        assert_eq!(desk.run(args).status.code(), Some(2), "{args}");
+    }
+}
+
 #[test]
 fn derivatives_and_the_number_of_rays_can_be_chosen() {
     let desk = Desk::new();

@@ -9,6 +9,7 @@ macro_rules! say {
 mod accumulate;
 mod belongs;
 mod compare;
+mod completions;
 mod convert;
 mod demo;
 mod evaluate;
@@ -65,6 +66,7 @@ enum Verb {
     Synth(synth::Args),
     // Boxed: it has many options.
     Train(Box<train::Args>),
+    Completions(completions::Args),
 }
 
 /// Runs the command line of this process.
@@ -108,5 +110,6 @@ fn run(verb: Verb) -> Result<()> {
         Verb::Info(args) => args.run(),
         Verb::Synth(args) => args.run(bars),
         Verb::Train(args) => args.run(bars),
+        Verb::Completions(args) => args.run(),
     }
 }
