@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use serde_json::json;
 
 use super::files::CommandFiles;
+use super::options::check_field_name;
 use super::report;
 use crate::Result;
 use crate::rays::MissingShards;
@@ -44,6 +45,7 @@ pub struct Args {
 impl Args {
     /// Runs the verb.
     pub fn run(self) -> Result<()> {
+        check_field_name(&self.output)?;
         CommandFiles::default().inputs("FIELD", &self.fields).output("--output", &self.output).check()?;
         let parts = self.fields.iter().map(|path| UncertaintyField::read(path)).collect::<Result<Vec<_>>>()?;
         let field = if self.error_bars { merge_with_error_bars(&parts)? } else { merge(&parts)? };

@@ -113,7 +113,11 @@ pub struct Args {
     #[arg(long)]
     force: bool,
 
-    /// Print one JSON object
+    /// Print the protocol of every field and covariance, too
+    #[arg(long)]
+    verbose: bool,
+
+    /// Print one JSON object, with all protocols
     #[arg(long)]
     json: bool,
 }

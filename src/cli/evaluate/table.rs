@@ -30,6 +30,19 @@ fn kind_name(kind: ErrorKind) -> String {
     format!("{kind:?}").to_lowercase()
 }
 
+/// Which pixels are used, in words.
+fn every_pixel(stride: u32) -> String {
+    let ending = match (stride % 10, stride % 100) {
+        _ if stride == 1 => return "every pixel".into(),
+        (_, 11..=13) => "th",
+        (1, _) => "st",
+        (2, _) => "nd",
+        (3, _) => "rd",
+        _ => "th",
+    };
+    format!("every {stride}{ending} pixel along x and y")
+}
+
 impl Evaluation<'_> {
     fn named(&self) -> impl Iterator<Item = (Measure, String, &Score)> {
         self.measures.iter().zip(&self.scores).map(|(&measure, score)| (measure, self.evaluator.name(measure), score))
@@ -129,12 +142,12 @@ impl Evaluation<'_> {
         if args.json {
             return say!("{}", self.json());
         }
-        for reading in self.evaluator.readings {
+        for reading in self.evaluator.readings.iter().filter(|_| args.verbose) {
             say!("{}\n{}", reading.name, report::protocol(&reading.field))?;
         }
         say!("protocol of the evaluation")?;
         let (n, cameras) = (self.views.len(), args.cameras.cameras.display());
-        say!("  views        {n} of {cameras}, every {}. pixel along x and y", args.stride)?;
+        say!("  views        {n} of {cameras}, {}", every_pixel(args.stride))?;
         let kind = if args.z_depth { "along the viewing axis" } else { "Euclidean" };
         say!("  depth        median of the ray's weights, against {kind} depth of {}", args.depth.display())?;
         let empty = self.empty();
@@ -191,5 +204,19 @@ impl Evaluation<'_> {
             )?;
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn strides_are_counted_as_people_do() {
+        let said = [1, 2, 3, 4, 11, 12, 21, 112].map(every_pixel);
+        assert_eq!(said[0], "every pixel");
+        for (text, number) in said[1..].iter().zip(["2nd", "3rd", "4th", "11th", "12th", "21st", "112th"]) {
+            assert_eq!(text, &format!("every {number} pixel along x and y"));
+        }
     }
 }

@@ -145,6 +145,11 @@ pub struct GridOptions {
 }
 
 impl GridOptions {
+    /// Checks that the output has the name of a field.
+    pub fn check_output(&self) -> Result<()> {
+        check_field_name(&self.output)
+    }
+
     /// The library's settings for a field over `domain`.
     pub fn settings(&self, domain: &Domain) -> Result<GridSettings> {
         Ok(GridSettings {
@@ -211,6 +216,15 @@ impl GridOptions {
         field.write(&self.output)?;
         report::finished(&field, cost, self.json)
     }
+}
+
+/// Refuses names of files that would not be taken for a field.
+pub fn check_field_name(output: &Path) -> Result<()> {
+    if output.extension().is_some_and(|extension| extension == "oct") {
+        return Ok(());
+    }
+    let expected = "`.oct` (`convert` writes `.npy` from it)";
+    Err(Error::malformed(output, "file name", expected, "another extension"))
 }
 
 /// What an official `.npy` does not say: its box and its number of rays.

@@ -164,6 +164,7 @@ fn warn_of_dropped(progress: &RunProgress) {
 impl Args {
     /// Runs the verb.
     pub fn run(self, bars: &Bars) -> Result<()> {
+        self.grid.check_output()?;
         self.command_files().check()?;
         let files = self.files();
         let field = self.model.open()?;
