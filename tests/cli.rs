@@ -643,7 +643,9 @@ fn shells_and_man_know_every_verb() {
         .skip_while(|line| *line != "Commands:")
         .skip(1)
         .take_while(|line| !line.is_empty())
-        .filter_map(|line| line.split_whitespace().next())
+        // Lines of longer descriptions are further indented.
+        .filter_map(|line| line.strip_prefix("  ")?.split_once(' ').map(|(verb, _)| verb))
+        .filter(|verb| !verb.is_empty())
         .filter(|verb| *verb != "help")
         .collect();
     assert!(verbs.len() >= 13 && verbs.contains(&"completions"), "{verbs:?}");

@@ -14,7 +14,8 @@ use crate::uncertainty::{UncertaintyField, merge, merge_with_error_bars};
 /// Join fields of the same box, level and protocol that were computed from different rays
 ///
 /// The result is what one run over all the rays gives, up to the order of summation and the fields' tolerance. So
-/// any scheduler can split a job over machines. If parts of a run are missing, a warning names them. The fields must keep their Hessian (`--keep hessian`).
+/// any scheduler can split a job over machines. If parts of a run are missing, a warning names them. The fields
+/// must keep their Hessian (`--keep hessian`).
 #[derive(clap::Args)]
 #[command(
     after_help = "Example: for i in 0 1 2 3; do octobayes uncertainty model.npz --cameras transforms.json --shard $i/4 -o part$i.oct; \

@@ -34,8 +34,9 @@ const ONE_COLOR_MARGIN: f64 = 1.0;
 /// Train a model on posed images: a multiresolution hash grid (instant-ngp's design), on the CPU
 ///
 /// DATASET is a folder or a camera file, as `octobayes synth`, NeRF-synthetic, instant-ngp, nerfstudio and COLMAP
-/// (images and sparse/0) write them. Beside a transforms_train.json, transforms_test.json is held out for measuring. Of a transforms.json
-/// or a COLMAP model every eighth image is held out. `uncertainty`, `render`, `evaluate` and `info` read the model.
+/// (images and sparse/0) write them. Beside a transforms_train.json, transforms_test.json is held out for measuring.
+/// Of a transforms.json or a COLMAP model every eighth image is held out. `uncertainty`, `render`, `evaluate` and
+/// `info` read the model.
 ///
 /// With --steps the result is the same bit for bit on any number of threads. With --time it depends on how many
 /// steps fit, hence on the machine.

@@ -161,7 +161,9 @@ impl Columns {
     /// The columns of a file that begins with `first`, and whether that is a row of names.
     fn of(first: &StringRecord, path: &Path) -> Result<(Self, bool)> {
         let place = "row 1";
-        if !first.iter().all(is_name) {
+        // A table with numbered rows has a column without a name.
+        let is_header = first.iter().any(is_name) && first.iter().all(|entry| entry.is_empty() || is_name(entry));
+        if !is_header {
             let is_number = |entry: &str| entry.parse::<f64>().is_ok();
             if first.len() > 3 && first.iter().all(is_number) {
                 let expected = "three columns x,y,z, or a first row that names its columns, among them x, y and z";
@@ -176,7 +178,8 @@ impl Columns {
         match AXES.map(columns_of).each_ref().map(Vec::as_slice) {
             [&[x], &[y], &[z]] => {
                 let others = (0..names.len()).filter(|i| ![x, y, z].contains(i));
-                let ignored = others.map(|i| names[i].to_string()).collect();
+                let name = |i: usize| if names[i].is_empty() { "one without a name" } else { names[i] };
+                let ignored = others.map(|i| name(i).to_string()).collect();
                 Ok((Self { axes: [x, y, z], count: names.len(), ignored }, true))
             }
             _ => {
@@ -219,6 +222,7 @@ mod tests {
             "x, y, z, name\n 1 , 2 , 3 , four\n",
             "Z,Y,X\n3,2,1\n",
             "id,x,y,z\n9,1,2,3\n",
+            ",x,y,z\n0,1,2,3\n",
             "\"y\",\"name\",\"x\",\"z\"\n2,\"a,b\",1,3\n",
             "# x,y,z\n1,2,3\n",
             "#x,y,z\n1,2,3",
@@ -231,6 +235,7 @@ mod tests {
         assert!(parse("").unwrap().is_empty() && parse("x,y,z\n").unwrap().is_empty());
         let ignored = |text: &str| PointReader::csv(text.as_bytes(), Path::new("p.csv")).unwrap().ignored().to_vec();
         assert_eq!(ignored("id,z,x,Y,#rays\n"), ["id", "rays"]);
+        assert_eq!(ignored(",x,y,z\n"), ["one without a name"]);
         assert!(ignored("x,y,z\n").is_empty() && ignored("1,2,3\n").is_empty());
     }
 
@@ -250,6 +255,7 @@ mod tests {
             ("7,1,2,3\n", "row 1: expected three columns x,y,z, or a first row that names its columns"),
             ("a,b,c\n1,2,3\n", "row 1: expected names of columns, among them x, y and z once each"),
             ("x,y\n1,2\n", "names of columns"),
+            (",,\n1,2,3\n", "row 1: expected three finite numbers"),
             ("x,X,y,z\n1,2,3,4\n", "names of columns"),
             ("x;y;z\n1;2;3\n", "names of columns"),
         ];

@@ -56,8 +56,8 @@ impl DatasetFiles {
     /// Reads the camera files of `dataset`.
     ///
     /// `dataset` is a camera file, or a folder with `transforms_train.json` (and `transforms_test.json`, which is
-    /// held out) or `transforms.json`, or a COLMAP model. Without a partner file every eighth image is held out. Frames without an
-    /// image are left out, as in instant-ngp.
+    /// held out) or `transforms.json`, or a COLMAP model. Without a partner file every eighth image is held out.
+    /// Frames without an image are left out, as in instant-ngp.
     ///
     /// # Errors
     /// If a file cannot be read, or no frame has an image.
@@ -151,7 +151,8 @@ fn has_image(frame: &Frame) -> bool {
     frame.image.exists()
 }
 
-/// `aabb` of the camera file (a COLMAP model has none), else instant-ngp's unit cube around the origin times `aabb_scale`.
+/// `aabb` of the camera file (a COLMAP model has none), else instant-ngp's unit cube around the origin times
+/// `aabb_scale`.
 fn scene_box(path: &Path) -> Result<Aabb> {
     if Views::files(path) != [path] {
         return Ok(Aabb::centered_cube(HALF_EDGE));

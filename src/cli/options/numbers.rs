@@ -34,17 +34,17 @@ fn expected_count(range: &impl RangeBounds<u64>) -> String {
 /// The whole number that `text` stands for, without rounding.
 fn whole(text: &str) -> Option<u64> {
     let (number, power) = split_power(text)?;
-    let (integer, fraction) = number.split_once('.').unwrap_or((number, ""));
-    let digits = digits(integer)? + &(if fraction.is_empty() { String::new() } else { digits(fraction)? });
-    let fraction = fraction.chars().filter(|c| *c != '_').count();
-    let mantissa: u64 = digits.parse().ok()?;
-    match power.checked_sub(u32::try_from(fraction).ok()?) {
-        Some(power) => mantissa.checked_mul(10_u64.checked_pow(power)?),
-        None => {
-            let divisor = 10_u64.checked_pow(fraction as u32 - power)?;
-            mantissa.is_multiple_of(divisor).then_some(mantissa / divisor)
-        }
+    let (integer, fraction) = match number.split_once('.') {
+        Some((integer, fraction)) => (digits(integer)?, digits(fraction)?),
+        None => (digits(number)?, String::new()),
+    };
+    let mantissa: u64 = (integer + &fraction).parse().ok()?;
+    let places = u32::try_from(fraction.len()).ok()?;
+    if places <= power {
+        return mantissa.checked_mul(10_u64.checked_pow(power - places)?);
     }
+    let divisor = 10_u64.checked_pow(places - power)?;
+    mantissa.is_multiple_of(divisor).then_some(mantissa / divisor)
 }
 
 /// Splits off the power of ten that a suffix or an exponent stands for.

@@ -41,8 +41,8 @@ pub struct Args {
     #[command(flatten)]
     grid: GridOptions,
 
-    /// Rays to draw, such as 400k or 1M (the paper uses 4096000), or `auto` for as many as bring the estimated mean error of log10 U
-    /// within --tolerance
+    /// Rays to draw, such as 400k or 1M (the paper uses 4096000), or `auto` for as many as bring the estimated mean
+    /// error of log10 U within --tolerance
     ///
     /// `auto` doubles the rays, from 65536, until two halves of them agree. Most scenes need tens of millions for
     /// 0.05.

@@ -40,7 +40,7 @@ const MODELS: [&str; 12] = [
 const PARAMETERS: [usize; 5] = [3, 4, 4, 5, 8];
 
 /// Where a model's files may lie in the folder of a project.
-const FOLDERS: [&str; 5] = ["", "sparse/0", "sparse", "colmap/sparse/0", "colmap/sparse"];
+const FOLDERS: [&str; 6] = ["", "0", "sparse/0", "sparse", "colmap/sparse/0", "colmap/sparse"];
 
 /// A kind of lens that is read: an index into [`PARAMETERS`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
