@@ -71,7 +71,8 @@ pub enum Error {
 pub type Result<T> = std::result::Result<T, Error>;
 
 impl Error {
-    /// Exit code of the command line: 130 after Ctrl-C (the shell's convention for SIGINT), otherwise 2.
+    /// Exit code of the command line: 130 after Ctrl-C (the shell's convention for SIGINT), SIGTERM and SIGHUP,
+    /// otherwise 2.
     #[must_use]
     pub const fn exit_code(&self) -> u8 {
         match self {

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use crate::dataset::Views;
 use crate::field::{ClosedForm, Coordinates, HashGrid, NerfMlp, Ppng, RadianceField, VoxelGrid};
 use crate::{Error, Result, zoo};
 
@@ -38,12 +39,29 @@ pub fn open_in(model: &str, coordinates: Option<Coordinates>) -> Result<Box<dyn 
         Some("safetensors") if HashGrid::is_in(path)? => Ok(Box::new(HashGrid::read(path)?)),
         Some("safetensors") => Ok(Box::new(NerfMlp::read(path)?)),
         Some("npz") => Ok(Box::new(VoxelGrid::read(path)?)),
+        Some("ckpt" | "pt" | "pth" | "tar") => Err(Error::setting(
+            format!("model `{model}`"),
+            "a model in a format of this program: bake the checkpoint into an `.npz` voxel grid, with the Python in \
+             docs/src/formats.md (Voxel grids), or differentiate it in PyTorch and use `accumulate`",
+            "a PyTorch checkpoint, which only its own code can load",
+        )),
+        _ if is_of_colmap(path) => Err(Error::setting(
+            format!("model `{model}`"),
+            "a radiance field; `train` makes one from the pictures, and --cameras reads these",
+            "cameras of COLMAP",
+        )),
         _ => Err(Error::setting(
             format!("model `{model}`"),
             "`scene:NAME`, a `.safetensors` MLP NeRF, a `.ppng` Plenoptic PNG or an `.npz` voxel grid",
             "another extension",
         )),
     }
+}
+
+/// True for a COLMAP model, its points or its database.
+fn is_of_colmap(path: &Path) -> bool {
+    let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+    Views::files(path) != [path] || ["points3D.bin", "points3D.txt", "points3D.ply", "database.db"].contains(&name)
 }
 
 /// Checksum of what [`open_in`] opens with these arguments.

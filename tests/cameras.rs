@@ -148,8 +148,9 @@ fn models_without_cameras_are_read_and_damaged_cameras_refused() {
 #[test]
 fn all_verbs_select_frames_by_one_rule() {
     let desk = Desk::new();
-    let first = desk.one_file()[0].display().to_string();
-    let why = format!("of 20 frames of set/transforms.json: 2 have no image (first: {first})");
+    let [first, second] = desk.one_file();
+    let missing = format!("{}, {}", first.display(), second.file_name().unwrap().display());
+    let why = format!("of 20 frames of set/transforms.json: 2 have no image ({missing})");
     let held = "2 are held out, every eighth (views `all` takes both)";
     let stderr = desk.good(&format!("train set/transforms.json -o m.safetensors --steps 60 {SMALL}"));
     assert!(stderr.contains(&format!("16 cameras {why}, {held}")), "{stderr}");

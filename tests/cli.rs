@@ -89,7 +89,7 @@ fn bad_input_gets_one_line_exit_code_2_and_no_output() {
     desk.write("points.csv", b"x,y,z\n0,0,0\n1,two,3\n");
     desk.write("points.txt", b"0,0,0\n");
     npy::write(&desk.path("pairs.npy"), &[2, 2], [0.0_f32; 4]).unwrap();
-    npy::write(&desk.path("whole.npy"), &[1, 3], [0_i64; 3]).unwrap();
+    npy::write(&desk.path("flags.npy"), &[1, 3], [true; 3]).unwrap();
     let voxels = |name: &str, density: f32, shape: &[u64]| {
         let mut npz = NpzWriter::create(&desk.path(name)).unwrap();
         let n: u64 = shape.iter().product();
@@ -178,7 +178,7 @@ fn bad_input_gets_one_line_exit_code_2_and_no_output() {
         ("query field.oct points.csv -o x.csv".into(), vec!["points.csv", "row 3", "1,two,3"]),
         ("query field.oct points.txt -o x.csv".into(), vec!["points.txt", ".npy"]),
         ("query field.oct pairs.npy -o x.csv".into(), vec!["pairs.npy", "[2, 2]"]),
-        ("query field.oct whole.npy -o x.csv".into(), vec!["whole.npy", "i8"]),
+        ("query field.oct flags.npy -o x.csv".into(), vec!["flags.npy", "b1"]),
         ("compare field.oct pairs.npy".into(), vec!["--box", "pairs.npy"]),
         ("compare field.oct pairs.npy --box=-1,-1,-1,1,1,1".into(), vec!["pairs.npy", "[2, 2]"]),
         (
@@ -313,6 +313,121 @@ fn queries_answer_in_all_formats() {
         desk.command("query field.oct - -o -").stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
     child.stdin.take().unwrap().write_all(csv.as_bytes()).unwrap();
     assert_eq!(String::from_utf8(child.wait_with_output().unwrap().stdout).unwrap(), text);
+}
+
+/// Whoever has a table with other columns must not get answers for those.
+#[test]
+fn columns_of_points_are_found_by_name_and_others_are_named() {
+    let desk = Desk::with_field();
+    desk.write("plain.csv", b"0.5,0.5,-0.1\n0,0,0.9\n");
+    desk.write("named.csv", b"\xef\xbb\xbfid,Z,name,Y,X\n1,-0.1,a,0.5,0.5\n2,0.9,b,0,0\n");
+    let expected = desk.good("query field.oct plain.csv -o -");
+    let output = desk.run("query field.oct named.csv -o -");
+    assert_eq!(String::from_utf8(output.stdout).unwrap(), expected);
+    let notes = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(notes, "note: columns x, y and z of named.csv are read, others are not: id, name\n");
+    assert!(desk.run("query field.oct plain.csv -o -").stderr.is_empty());
+}
+
+#[test]
+fn arrays_of_any_type_of_numbers_and_files_with_a_byte_order_mark_are_read() {
+    let desk = Desk::with_field();
+    // All exact in every type.
+    let points = [0_i8, 0, 1, 0, 1, 0, 3, 0, 0];
+    let halves = points.map(|v| half::f16::from_f32(v.into()));
+    npy::write(&desk.path("f16.npy"), &[3, 3], halves).unwrap();
+    npy::write(&desk.path("f32.npy"), &[3, 3], points.map(f32::from)).unwrap();
+    npy::write(&desk.path("f64.npy"), &[3, 3], points.map(f64::from)).unwrap();
+    npy::write(&desk.path("i32.npy"), &[3, 3], points.map(i32::from)).unwrap();
+    npy::write(&desk.path("i64.npy"), &[3, 3], points.map(i64::from)).unwrap();
+    let answers = |name: &str| desk.good(&format!("query field.oct {name}.npy -o -"));
+    for name in ["f16", "f64", "i32", "i64"] {
+        assert_eq!(answers(name), answers("f32"), "{name}");
+    }
+
+    // Samples and voxels as NumPy makes them if nobody says f32.
+    let write = |name: &str, is_wide: bool| {
+        let mut npz = NpzWriter::create(&desk.path(name)).unwrap();
+        let mut array = |name: &str, shape: &[u64], values: &[f32]| match is_wide {
+            true => npz.array(name, shape, values.iter().map(|&v| f64::from(v))).unwrap(),
+            false => npz.array(name, shape, values.iter().copied()).unwrap(),
+        };
+        array("positions", &[2, 3], &[0.25, 0.5, 0.125, -0.25, 0.0, 0.5]);
+        array("jacobian", &[2, 3, 3], &[1.5; 18]);
+        array("weight", &[2], &[0.5; 2]);
+        match is_wide {
+            true => npz.array("ray", &[2], [0_i64, 1]).unwrap(),
+            false => npz.array("ray", &[2], [0_u32, 1]).unwrap(),
+        }
+        npz.array("rays_total", &[], [2_i16]).unwrap();
+        npz.finish().unwrap();
+        desk.good(&format!("accumulate {name} --box=-1,-1,-1,1,1,1 --level 4 -o {name}.oct"));
+        UncertaintyField::read(&desk.path(&format!("{name}.oct"))).unwrap()
+    };
+    let [narrow, wide] = [write("narrow.npz", false), write("wide.npz", true)];
+    assert_eq!((narrow.deviations(), narrow.sums()), (wide.deviations(), wide.sums()));
+    let mut npz = NpzWriter::create(&desk.path("voxels.npz")).unwrap();
+    npz.array("box", &[2, 3], [-1_i64, -1, -1, 1, 1, 1]).unwrap();
+    npz.array("density", &[2, 2, 2], [1.0_f64; 8]).unwrap();
+    npz.array("color", &[2, 2, 2, 3], [half::f16::from_f32(0.5); 24]).unwrap();
+    npz.finish().unwrap();
+    desk.good("info voxels.npz");
+
+    let cameras = std::fs::read(desk.path("transforms.json")).unwrap();
+    desk.write("marked.json", &[b"\xef\xbb\xbf", &cameras[..]].concat());
+    desk.good("render scene:courtyard field.oct --cameras marked.json --occupancy 16 -o x.png");
+}
+
+#[test]
+fn numbers_and_times_are_taken_as_people_write_them() {
+    let desk = Desk::with_field();
+    let plain = std::fs::read(desk.path("field.oct")).unwrap();
+    let run = |args: &str| FIELD.replace("--rays 3000", args);
+    for args in ["--rays 3k", "--rays 3e3 --surface-points 16_384", "--rays 3_000 --max-rays 1M"] {
+        desk.good(&run(args));
+        assert_eq!(std::fs::read(desk.path("field.oct")).unwrap(), plain, "{args}");
+    }
+    desk.good(&run("--rays 3k --checkpoint run.chk --checkpoint-every 1h30m"));
+    assert!(desk.good("compare field.oct field.oct --points 2k").contains("2000"), "points");
+    for args in ["--rays 1.5", "--rays 3k5", "--rays 1m2", "--max-rays 0", "--surface-points=-1"] {
+        let message = String::from_utf8(desk.run(&run(args)).stderr).unwrap();
+        assert!(message.contains("whole number") && message.contains("20k"), "{args}: {message}");
+    }
+    let message = desk.run(&run("--rays 3k --checkpoint run.chk --checkpoint-every often")).stderr;
+    assert!(String::from_utf8(message).unwrap().contains("1h30m"));
+}
+
+/// Queries of a list longer than memory. The peak is that of the child process.
+#[test]
+#[cfg(target_os = "linux")]
+fn queries_of_long_lists_take_no_more_memory() {
+    use std::io::{BufRead, BufReader};
+    let desk = Desk::with_field();
+    // Whole batches of the program, so that all are answered before the input ends.
+    let peak = |points: usize| -> u64 {
+        let mut child =
+            desk.command("query field.oct - -o -").stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
+        let mut input = child.stdin.take().unwrap();
+        let writer = std::thread::spawn(move || {
+            let rows: String = (0..1 << 12).map(|i| format!("{},0.5,-0.1\n", f64::from(i) / 4096.0)).collect();
+            (0..points >> 12).for_each(|_| input.write_all(rows.as_bytes()).unwrap());
+            input
+        });
+        let mut answers = BufReader::new(child.stdout.take().unwrap());
+        let mut line = String::new();
+        for _ in 0..=points {
+            line.clear();
+            answers.read_line(&mut line).unwrap();
+        }
+        let status = std::fs::read_to_string(format!("/proc/{}/status", child.id())).unwrap();
+        drop(writer.join().unwrap());
+        assert!(child.wait().unwrap().success() && line.split(',').count() == 8, "{line}");
+        let peak = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).unwrap();
+        peak.trim().strip_suffix(" kB").unwrap().parse::<u64>().unwrap() * 1024
+    };
+    let [short, long] = [1 << 18, 1 << 21].map(peak);
+    // Answers in memory would be 88 bytes a point, 160 MB more; the allocator's own slack is a small part of one batch.
+    assert!(long < short + (16 << 20), "{long} bytes for 2M points, {short} for 262k");
 }
 
 #[test]
@@ -461,6 +576,92 @@ fn pictures_and_official_grids_are_written() {
         let max = value[place]["max"].as_f64().unwrap();
         // Sums pass through f32. Hanging corners of coarse leaves stay within the tolerance.
         assert!(max <= 0.01, "{place}: {out}");
+    }
+}
+
+/// The preview is as wide as the picture would be, in 800 pixels; and nothing is squashed.
+#[test]
+fn pictures_are_previews_with_the_cameras_aspect_ratio_unless_told_otherwise() {
+    let desk = Desk::with_field();
+    let camera = ClosedForm::half_circle(1, [10, 1600])[0];
+    octobayes::dataset::write_transforms(&desk.path("portrait.json"), &[("a".into(), camera)]).unwrap();
+    let size = |args: &str| {
+        let run = "render scene:courtyard field.oct --cameras portrait.json --occupancy 16 -o x.exr";
+        let output = desk.run(&format!("{run} {args}"));
+        assert!(output.status.success(), "{args}: {}", String::from_utf8_lossy(&output.stderr));
+        let exr = exr::prelude::read_first_flat_layer_from_file(desk.path("x.exr")).unwrap();
+        ([exr.layer_data.size.0, exr.layer_data.size.1], String::from_utf8(output.stderr).unwrap())
+    };
+    let (preview, note) = size("");
+    assert_eq!(preview, [5, 800]);
+    assert_eq!(note, "note: a preview of 5 x 800 pixels; --scale 1 renders all 10 x 1600\n");
+    for (args, expected) in [
+        ("--scale 1", [10, 1600]),
+        ("--scale 0.1", [1, 160]),
+        ("--resolution 2", [2, 320]),
+        ("--resolution 3x4", [3, 4]),
+    ] {
+        assert_eq!(size(args), (expected, String::new()), "{args}");
+    }
+    // Small pictures are left as they are.
+    desk.good("render scene:courtyard field.oct --cameras transforms.json --occupancy 16 -o y.exr");
+    let exr = exr::prelude::read_first_flat_layer_from_file(desk.path("y.exr")).unwrap();
+    assert_eq!((exr.layer_data.size.0, exr.layer_data.size.1), (32, 32));
+    let refused =
+        desk.run("render scene:courtyard field.oct --cameras portrait.json --scale 1 --resolution 9 -o x.exr");
+    assert_eq!(refused.status.code(), Some(2));
+}
+
+/// A log file of a long run says how far it is; one of a short run holds nothing.
+#[test]
+#[cfg(unix)]
+fn long_work_tells_off_a_terminal_how_far_it_is() {
+    use std::io::{BufRead, BufReader};
+    let desk = Desk::with_field();
+    let is_progress =
+        |line: &str| line.starts_with("rays: ") && line.contains(" %), about ") && line.contains(" s left");
+    let short = desk.run(FIELD);
+    assert!(!String::from_utf8(short.stderr).unwrap().lines().any(is_progress));
+    let started = std::time::Instant::now();
+    let mut child = desk.command(&FIELD.replace("3000", "1G")).stderr(Stdio::piped()).spawn().unwrap();
+    let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
+    let line = lines.by_ref().map(Result::unwrap).find(|line| is_progress(line));
+    assert!(line.is_some() && started.elapsed().as_secs() >= 10, "{line:?} after {:?}", started.elapsed());
+    assert!(Command::new("kill").args(["-TERM", &child.id().to_string()]).status().unwrap().success());
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+    assert!(lines.last().unwrap().unwrap().starts_with("error: interrupted"));
+}
+
+#[test]
+fn shells_and_man_know_every_verb() {
+    let desk = Desk::new();
+    let help = desk.good("--help");
+    let verbs: Vec<&str> = help
+        .lines()
+        .skip_while(|line| *line != "Commands:")
+        .skip(1)
+        .take_while(|line| !line.is_empty())
+        // Lines of longer descriptions are further indented.
+        .filter_map(|line| line.strip_prefix("  ")?.split_once(' ').map(|(verb, _)| verb))
+        .filter(|verb| !verb.is_empty())
+        .filter(|verb| *verb != "help")
+        .collect();
+    assert!(verbs.len() >= 13 && verbs.contains(&"completions"), "{verbs:?}");
+    for shell in ["bash", "elvish", "fish", "powershell", "zsh"] {
+        let script = desk.good(&format!("completions {shell}"));
+        for verb in &verbs {
+            assert!(script.contains(verb), "{shell}: {verb}");
+        }
+        assert!(script.contains("--dump-samples") || script.contains("dump-samples"), "{shell}");
+    }
+    desk.good("completions man -o share/man1");
+    for verb in &verbs {
+        let page = std::fs::read_to_string(desk.path(&format!("share/man1/octobayes-{verb}.1"))).unwrap();
+        assert!(page.contains(&format!(".TH octobayes-{verb} 1")) && page.contains(".SH SYNOPSIS"), "{page}");
+    }
+    assert!(std::fs::read_to_string(desk.path("share/man1/octobayes.1")).unwrap().contains("octobayes\\-query(1)"));
+    for args in ["completions", "completions csh", "completions man", "completions bash -o x"] {
+        assert_eq!(desk.run(args).status.code(), Some(2), "{args}");
     }
 }
 

@@ -42,6 +42,34 @@ fn desk() -> tempfile::TempDir {
 const EVALUATE: &str = "evaluate m-0.safetensors m.oct --cameras set/transforms_test.json --depth set/depth --depth-pattern {}.png \
     --depth-encoding 0,6.5535 --ensemble m-0.safetensors m-1.safetensors";
 
+/// The outputs of one command appear together or not at all.
+#[test]
+#[cfg(unix)]
+fn a_disk_that_is_full_at_the_last_file_leaves_no_half_set() {
+    let desk = desk();
+    let names = ["sheet.png", "plot.svg", "curves.csv"];
+    let outputs = "--clean-up sheet.png --plot plot.svg --csv curves.csv --blend spread,weighted-mean,mean";
+    octobayes(desk.path(), &format!("{EVALUATE} {outputs}"));
+    let sizes = names.map(|name| std::fs::metadata(desk.path().join(name)).unwrap().len());
+    for name in names {
+        std::fs::write(desk.path().join(name), "precious").unwrap();
+    }
+    let count = || std::fs::read_dir(desk.path()).unwrap().count();
+    let before = count();
+    // Blocks of 512 bytes: enough for the others, too few for the table, which is the last to be written.
+    let blocks = sizes[..2].iter().max().unwrap().div_ceil(512);
+    assert!(sizes[2] > 512 * blocks, "{sizes:?}");
+    let program = env!("CARGO_BIN_EXE_octobayes");
+    let script = format!("trap '' XFSZ; ulimit -f {blocks}; exec {program} {EVALUATE} {outputs}");
+    let output = Command::new("sh").args(["-c", &script]).current_dir(desk.path()).output().unwrap();
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.code() == Some(2) && stderr.contains("curves.csv: cannot write"), "{stderr}");
+    for name in names {
+        assert_eq!(std::fs::read(desk.path().join(name)).unwrap(), b"precious", "{name}");
+    }
+    assert_eq!(count(), before, "nothing else is left");
+}
+
 #[test]
 fn all_measures_and_the_clean_up_are_in_the_tables() {
     let desk = desk();

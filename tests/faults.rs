@@ -154,10 +154,13 @@ impl Desk {
         self.write("words.csv", "x,y,z\n0,0,0\n1,two,3\n");
         self.write("semicolons.csv", "0.1;0.2;0.3\n");
         self.write("infinite.csv", "0,0,1e39\n");
+        self.write("unnamed.csv", "a,b,c\n1,2,3\n");
+        self.write("four.csv", "7,0,0,0\n");
+        self.write("ragged.csv", "x,y,z\n1,2,3\n1,2,3,4\n");
         self.write("points.txt", "0,0,0\n");
         self.write("control.csv", "0,\u{1b}[2J,0\n");
         npy::write(&self.path("pairs.npy"), &[2, 2], [0.0_f32; 4]).unwrap();
-        npy::write(&self.path("whole.npy"), &[1, 3], [0_i64; 3]).unwrap();
+        npy::write(&self.path("flags.npy"), &[1, 3], [true; 3]).unwrap();
         npy::write(&self.path("nan.npy"), &[1, 3], [0.0, f32::NAN, 0.0]).unwrap();
         npy::write(&self.path("good.npy"), &[1, 3], [0.0_f32; 3]).unwrap();
         npy::write(&self.path("official.npy"), &[27], [-1.0_f32; 27]).unwrap();
@@ -247,6 +250,9 @@ impl Desk {
         self.write("panorama.json", frame("\"fl_x\": 20, \"camera_model\": \"EQUIRECTANGULAR\"", pose));
         let own = format!("{pose}, \"camera_model\": \"OPENCV_FISHEYE\"");
         self.write("one_fisheye.json", frame("\"fl_x\": 20, \"camera_model\": \"OPENCV\"", &own));
+        std::fs::create_dir(self.path("colmap")).unwrap();
+        self.write("colmap/cameras.txt", "1 FULL_OPENCV 16 16 20 20 8 8 0 0 0 0 0 0 0 0\n");
+        self.write("colmap/images.txt", "1 1 0 0 0 0 0 3 1 a.png\n\n");
         self.write("huge.json", frame("\"fl_x\": 9e4, \"w\": 65536, \"h\": 65536", pose));
     }
 

@@ -306,3 +306,52 @@ fn kills_while_writing_leave_no_half_field() {
         }
     }
 }
+
+/// After `kill -9` parts of files stay behind, gigabytes after some nights. The next run that writes the same file
+/// removes them, but none that another process is writing.
+#[test]
+fn what_killed_runs_left_is_removed_by_the_next_that_writes_the_same_file() {
+    let folder = desk();
+    let folder = folder.path();
+    let parts = || -> BTreeSet<PathBuf> {
+        files(folder).into_iter().filter(|path| path.extension().is_some_and(|e| e == "part")).collect()
+    };
+    let of_samples = |parts: BTreeSet<PathBuf>| -> BTreeSet<PathBuf> {
+        parts.into_iter().filter(|path| path.to_string_lossy().contains("-x.npz-")).collect()
+    };
+    // The samples are written from the first ray on, in five parts.
+    let start = || {
+        let args = format!("{RUN} --level 4 -o x.oct --dump-samples x.npz").replace("--rays 2000", "--rays 100M");
+        let before = of_samples(parts());
+        let mut child = Command::new(PROGRAM)
+            .args(args.split_whitespace())
+            .current_dir(folder)
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        loop {
+            let new: BTreeSet<PathBuf> = of_samples(parts()).difference(&before).cloned().collect();
+            if new.len() == 5 {
+                return (child, new);
+            }
+            assert!(child.try_wait().unwrap().is_none(), "the run ended");
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    };
+    let (mut killed, left) = start();
+    killed.kill().unwrap();
+    killed.wait().unwrap();
+    assert_eq!(of_samples(parts()), left, "a killed process removes nothing");
+    let other = folder.join(".octobayes-other.npz-ABCDEF.part");
+    std::fs::write(&other, "of another file").unwrap();
+
+    let (mut alive, written) = start();
+    assert_eq!(of_samples(parts()), written, "the next run removes what was left");
+    good(folder, &format!("{RUN} --level 4 -o x.oct --dump-samples x.npz"));
+    assert!(folder.join("x.npz").exists());
+    assert_eq!(of_samples(parts()), written, "what another process writes stays");
+    assert!(Command::new("kill").args(["-TERM", &alive.id().to_string()]).status().unwrap().success());
+    assert_eq!(alive.wait().unwrap().code(), Some(130));
+    assert_eq!(parts(), BTreeSet::from([other]));
+}

@@ -1,7 +1,7 @@
 //! Long runs survive: killed at random moments and resumed, or split into shards and merged.
 
 use std::path::Path;
-use std::process::{Command, Output, Stdio};
+use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
 use octobayes::field::ClosedForm;
@@ -113,6 +113,65 @@ fn groups_of_rays_are_taken_up_where_they_stopped() {
     assert!((0..3).all(|g| !state(g).exists()), "a finished run removes its checkpoints");
 }
 
+/// Waits until the first group of rays is done, when the first checkpoint appears.
+#[cfg(unix)]
+fn wait_for_checkpoint(folder: &Path, child: &mut Child) {
+    while !folder.join("run.chk").exists() {
+        assert!(child.try_wait().unwrap().is_none(), "the run ended before it could be interrupted");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+#[cfg(unix)]
+fn send(signal: &str, child: &Child) {
+    assert!(Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap().success());
+}
+
+#[cfg(unix)]
+fn assert_stopped(child: Child) {
+    let output = child.wait_with_output().unwrap();
+    let stderr = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(130), "{stderr}");
+    assert!(stderr.contains("--resume goes on"), "{stderr}");
+}
+
+/// SIGTERM is what batch systems send before they kill, SIGHUP what a terminal sends that is closed.
+#[test]
+#[cfg(target_os = "linux")]
+fn a_run_that_is_told_to_end_saves_its_state() {
+    let folder = folder_with_cameras();
+    let folder = folder.path();
+    good(folder, &format!("{RUN} -o whole.oct"));
+    let whole = std::fs::read(folder.join("whole.oct")).unwrap();
+    let args = format!("{RUN} -o parts.oct --checkpoint run.chk --checkpoint-every");
+    let spawn = |before: &str, args: &str| {
+        // Whoever runs the tests may ignore hangups.
+        let shell = format!("{before} exec env --default-signal=HUP {} {args}", env!("CARGO_BIN_EXE_octobayes"));
+        let shell = if before.is_empty() { shell } else { shell.replace("env --default-signal=HUP ", "") };
+        let mut command = Command::new("sh");
+        command.args(["-c", &shell]).current_dir(folder).stdout(Stdio::null()).stderr(Stdio::piped());
+        command.spawn().unwrap()
+    };
+    for signal in ["-TERM", "-HUP"] {
+        let mut child = spawn("", &format!("{args} 0"));
+        wait_for_checkpoint(folder, &mut child);
+        // A shell that ends and its terminal may both send one.
+        send(signal, &child);
+        send(signal, &child);
+        assert_stopped(child);
+        good(folder, &format!("{args} 1h --resume"));
+        assert!(std::fs::read(folder.join("parts.oct")).unwrap() == whole, "{signal}: the field has other bytes");
+    }
+    // `nohup` starts programs with hangups ignored, and they stay so.
+    let mut child = spawn("trap '' HUP;", &format!("{args} 0").replace("--rays 40000", "--rays 100M"));
+    wait_for_checkpoint(folder, &mut child);
+    send("-HUP", &child);
+    std::thread::sleep(Duration::from_secs(1));
+    assert!(child.try_wait().unwrap().is_none(), "a hangup ended a run that ignores hangups");
+    send("-TERM", &child);
+    assert_stopped(child);
+}
+
 #[test]
 #[cfg(unix)]
 fn ctrl_c_saves_the_state_and_resume_goes_on() {
@@ -121,16 +180,9 @@ fn ctrl_c_saves_the_state_and_resume_goes_on() {
     good(folder, &format!("{RUN} -o whole.oct"));
     let args = format!("{RUN} -o parts.oct --checkpoint run.chk --checkpoint-every 0");
     let mut child = command(folder, &args).spawn().unwrap();
-    // The first group of rays is done when the first checkpoint appears.
-    while !folder.join("run.chk").exists() {
-        assert!(child.try_wait().unwrap().is_none(), "the run ended before it could be interrupted");
-        std::thread::sleep(Duration::from_millis(5));
-    }
-    Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
-    let output = child.wait_with_output().unwrap();
-    let stderr = String::from_utf8(output.stderr).unwrap();
-    assert_eq!(output.status.code(), Some(130), "{stderr}");
-    assert!(stderr.contains("--resume goes on"), "{stderr}");
+    wait_for_checkpoint(folder, &mut child);
+    send("-INT", &child);
+    assert_stopped(child);
     // Without --resume the unfinished run is not overwritten; with other settings it is not continued.
     let again = run(folder, &format!("{RUN} -o parts.oct --checkpoint run.chk"));
     assert_eq!(again.status.code(), Some(2));
@@ -157,8 +209,18 @@ fn merged_shards_are_the_whole_run() {
             good(folder, &format!("{settings} --shard {shard}/3 -o part{shard}.oct"));
         }
         // In any order, and step by step.
-        good(folder, "merge part2.oct part0.oct -o two.oct");
-        good(folder, "merge two.oct part1.oct -o merged.oct");
+        let output = run(folder, "merge part2.oct part0.oct -o two.oct");
+        let stderr = String::from_utf8(output.stderr).unwrap();
+        let warning = "warning: the run over 40000 rays is not complete: part 1 of 3 (seed 0) missing\n";
+        assert!(output.status.success() && stderr == warning, "{stderr}");
+        let output = Command::new(env!("CARGO_BIN_EXE_octobayes"))
+            .args(["merge", "two.oct", "part1.oct", "-o", "merged.oct", "--json"])
+            .current_dir(folder)
+            .output()
+            .unwrap();
+        assert!(output.status.success() && output.stderr.is_empty(), "nothing is missing");
+        let value: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        assert_eq!(value["missing_shards"], serde_json::json!([]));
         let [whole, merged] = ["whole.oct", "merged.oct"].map(|f| UncertaintyField::read(&folder.join(f)).unwrap());
         assert_eq!((whole.protocol().rays, whole.protocol().shard), (merged.protocol().rays, merged.protocol().shard));
         assert_eq!(whole.draws(), merged.draws());

@@ -2,8 +2,9 @@
 
 use std::f64::consts::{PI, TAU};
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::{Command, Output, Stdio};
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
 
 use glam::DVec3;
 use octobayes::Error;
@@ -260,6 +261,40 @@ fn interrupted_runs_leave_nothing() {
     std::fs::create_dir(&out).unwrap();
     write_dataset(&obj, &out, &settings, &Silent).unwrap();
     assert!(out.join("transforms_test.json").exists());
+}
+
+#[test]
+#[cfg(unix)]
+fn a_program_that_is_told_to_end_leaves_nothing_and_one_that_is_killed_leaves_it_to_the_next() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("ball.obj"), sphere(8)).unwrap();
+    let count = || std::fs::read_dir(folder.path()).unwrap().count();
+    let start = |views: u32| {
+        let args = format!("synth ball.obj -o data --views {views} --test-views 1 --resolution 60");
+        let mut command = Command::new(env!("CARGO_BIN_EXE_octobayes"));
+        command.args(args.split(' ')).current_dir(folder.path()).stdout(Stdio::null()).stderr(Stdio::null());
+        command.spawn().unwrap()
+    };
+    for signal in ["-INT", "-TERM"] {
+        let mut child = start(100_000);
+        while count() == 1 {
+            assert!(child.try_wait().unwrap().is_none(), "it ended before it was told to");
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        std::thread::sleep(Duration::from_millis(300));
+        assert!(Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap().success());
+        assert_eq!((child.wait().unwrap().code(), count()), (Some(130), 1), "{signal}");
+    }
+    let mut child = start(100_000);
+    while count() == 1 {
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    assert_eq!(count(), 2, "the mesh and what was left");
+    assert!(start(1).wait().unwrap().success());
+    assert_eq!(count(), 2, "the mesh and the data");
+    assert!(folder.path().join("data/transforms_train.json").exists());
 }
 
 #[test]

@@ -77,7 +77,7 @@ fn a_model_is_trained_and_the_other_verbs_read_it() {
     let desk = Desk::new();
     let train = |out: &str, more: &str| desk.good(&format!("train . -o {out} --steps 150 {SMALL} --json {more}"));
     let [stdout, stderr] = train("a.safetensors", "--threads 1");
-    let left_out = "12 cameras of 13 frames of ./transforms_train.json: 1 has no image (first: ./gone.png)";
+    let left_out = "12 cameras of 13 frames of ./transforms_train.json: 1 has no image (./gone.png)";
     assert!(stderr.contains(left_out), "{stderr}");
     let report: Value = serde_json::from_str(&stdout).unwrap();
     let model = &report["models"][0];

@@ -14,9 +14,9 @@ use crate::{Error, Result};
 /// Sum up ray samples whose Jacobians were computed elsewhere
 ///
 /// SAMPLES.npz holds `positions` (f32, N x 3, scene units); `jacobian` (f32, N x 3 x 3, dC_c/dx_k, rows colour,
-/// columns axis); `ray` (u32 or u64, N, the index of each sample's ray, never decreasing); and `rays_total`, the
+/// columns axis); `ray` (u64, N, the index of each sample's ray, never decreasing); and `rays_total`, the
 /// number of rays drawn, including those that hit nothing. `weight` (f32, N, the sample's share of the pixel) is
-/// optional. The file may be larger than memory.
+/// optional. Other types of floats and integers are converted. The file may be larger than memory.
 #[derive(clap::Args)]
 #[command(
     after_help = "Example: octobayes accumulate samples.npz --box=-1.5,-1.5,-1.5,1.5,1.5,1.5 --level 8 -o field.oct"
@@ -36,6 +36,7 @@ pub struct Args {
 impl Args {
     /// Runs the verb.
     pub fn run(self, bars: &Bars) -> Result<()> {
+        self.grid.check_output()?;
         CommandFiles::default().input("SAMPLES", &self.samples).output("--output", &self.grid.output).check()?;
         let reader = SamplesReader::open(&self.samples)?;
         let domain = self.domain.domain(None)?;

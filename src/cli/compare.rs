@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use serde_json::json;
 
-use super::options::OfficialOptions;
+use super::options::{OfficialOptions, count};
 use super::report;
 use crate::Result;
 use crate::posterior::Covariance;
@@ -20,7 +20,7 @@ pub struct Args {
     b: PathBuf,
 
     /// Random points in the box, and at most as many on surfaces
-    #[arg(long, value_name = "N", default_value_t = 1_000_000)]
+    #[arg(long, value_name = "N", default_value_t = 1_000_000, value_parser = count::<usize>(..))]
     points: usize,
 
     /// Seed of the points

@@ -28,6 +28,11 @@ impl CommandFiles {
         paths.into_iter().fold(self, |files, path| files.input(option, path))
     }
 
+    /// Adds the files that `--cameras` means, if it is given.
+    pub fn cameras(self, path: Option<&Path>) -> Self {
+        self.inputs("--cameras", path.iter().flat_map(|path| Views::files(path)))
+    }
+
     /// Adds the images of a camera file.
     pub fn images(self, views: &Views) -> Self {
         let images = views.frames.iter().map(|frame| &frame.image).filter(|image| !image.as_os_str().is_empty());
@@ -45,7 +50,8 @@ impl CommandFiles {
         paths.into_iter().fold(self, |files, path| files.output(option, path))
     }
 
-    /// Checks that every output can be written, and that it is a different file from all others.
+    /// Checks that every output can be written, and that it is a different file from all others. Removes what
+    /// killed runs left of the outputs.
     ///
     /// # Errors
     /// If the folder of an output does not exist or cannot be written, if an output is no regular file, or if it
@@ -59,6 +65,7 @@ impl CommandFiles {
                 let found = format!("{}, the same file as {} of {other}", path.display(), name.display());
                 return Err(Error::setting(option, "a file of its own", found));
             }
+            AtomicFile::clear_leftovers(path);
             drop(AtomicFile::create(path)?);
         }
         Ok(())

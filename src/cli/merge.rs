@@ -2,15 +2,20 @@
 
 use std::path::PathBuf;
 
+use serde_json::json;
+
 use super::files::CommandFiles;
+use super::options::check_field_name;
 use super::report;
 use crate::Result;
+use crate::rays::MissingShards;
 use crate::uncertainty::{UncertaintyField, merge, merge_with_error_bars};
 
 /// Join fields of the same box, level and protocol that were computed from different rays
 ///
 /// The result is what one run over all the rays gives, up to the order of summation and the fields' tolerance. So
-/// any scheduler can split a job over machines. Shards keep what this needs; whole runs do with `--keep-sums`.
+/// any scheduler can split a job over machines. Shards keep what this needs; whole runs do with `--keep-sums`. If
+/// parts of a run are missing, a warning names them.
 #[derive(clap::Args)]
 #[command(
     after_help = "Example: for i in 0 1 2 3; do octobayes uncertainty model.npz --cameras transforms.json --shard $i/4 -o part$i.oct; \
@@ -36,11 +41,16 @@ pub struct Args {
     /// improves with the number of fields: ten are many, two give half their difference.
     #[arg(long)]
     error_bars: bool,
+
+    /// Print one JSON object
+    #[arg(long)]
+    json: bool,
 }
 
 impl Args {
     /// Runs the verb.
     pub fn run(self) -> Result<()> {
+        check_field_name(&self.output)?;
         CommandFiles::default().inputs("FIELD", &self.fields).output("--output", &self.output).check()?;
         let parts = self.fields.iter().map(|path| UncertaintyField::read(path)).collect::<Result<Vec<_>>>()?;
         let field = if self.error_bars { merge_with_error_bars(&parts)? } else { merge(&parts)? };
@@ -50,7 +60,17 @@ impl Args {
             );
         }
         let field = if self.keep_sums { field } else { field.for_queries() };
+        let missing = MissingShards::beside(field.draws());
         field.write(&self.output)?;
+        for run in &missing {
+            eprintln!("warning: the run over {} rays is not complete: {run} missing", run.rays);
+        }
+        if self.json {
+            let mut value = report::protocol_json(&field);
+            value["summary"] = json!(field.summary());
+            value["missing_shards"] = json!(missing);
+            return say!("{value}");
+        }
         say!("protocol\n{}\nfield\n  {}", report::protocol(&field), report::summary(&field.summary()))
     }
 }

@@ -1,5 +1,5 @@
 //! The command line, one file per verb. Results go to stdout, progress and warnings to stderr. A failure is one
-//! line on stderr and exit code 2 (130 after Ctrl-C).
+//! line on stderr and exit code 2 (130 after Ctrl-C, SIGTERM or SIGHUP).
 
 /// Prints one or more lines to stdout: `say!(…)?`.
 macro_rules! say {
@@ -9,6 +9,7 @@ macro_rules! say {
 mod accumulate;
 mod belongs;
 mod compare;
+mod completions;
 mod convert;
 mod demo;
 mod evaluate;
@@ -65,6 +66,7 @@ enum Verb {
     Synth(synth::Args),
     // Boxed: it has many options.
     Train(Box<train::Args>),
+    Completions(completions::Args),
 }
 
 /// Runs the command line of this process.
@@ -75,7 +77,7 @@ pub fn main() -> ExitCode {
         // Fails only if a pool exists already, and none does here.
         let _ = rayon::ThreadPoolBuilder::new().num_threads(usize::from(threads)).build_global();
     }
-    match run(cli.verb, &Bars::new()) {
+    match run(cli.verb) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             let goes_on = if matches!(error, Error::Stopped { .. }) { "; --resume goes on" } else { "" };
@@ -86,12 +88,20 @@ pub fn main() -> ExitCode {
     }
 }
 
-fn run(verb: Verb, bars: &Bars) -> Result<()> {
+fn run(verb: Verb) -> Result<()> {
+    let bars = &Bars::new();
+    // The other verbs end at once if they are asked to.
+    if !matches!(
+        verb,
+        Verb::Query(_) | Verb::Compare(_) | Verb::Convert(_) | Verb::Merge(_) | Verb::Info(_) | Verb::Completions(_)
+    ) {
+        bars.listen();
+    }
     match verb {
         Verb::Demo(args) => args.run(bars),
         Verb::Uncertainty(args) => args.run(bars),
         Verb::Accumulate(args) => args.run(bars),
-        Verb::Query(args) => args.run(),
+        Verb::Query(args) => args.run(bars),
         Verb::Compare(args) => args.run(),
         Verb::Render(args) => args.run(bars),
         Verb::Evaluate(args) => args.run(bars),
@@ -100,5 +110,6 @@ fn run(verb: Verb, bars: &Bars) -> Result<()> {
         Verb::Info(args) => args.run(),
         Verb::Synth(args) => args.run(bars),
         Verb::Train(args) => args.run(bars),
+        Verb::Completions(args) => args.run(),
     }
 }

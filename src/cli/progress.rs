@@ -1,71 +1,131 @@
-//! Progress bars on stderr, hidden if that is no terminal, and Ctrl-C.
+//! Progress on stderr: a bar on a terminal, else a line now and then. And the signals that ask to stop.
 
-use std::sync::Mutex;
+mod lines;
+
+use std::io::IsTerminal;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
 
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::{HumanDuration, ProgressBar, ProgressState, ProgressStyle};
+use signal_hook::consts::{SIGINT, SIGTERM};
 
+use self::lines::Lines;
 use crate::monitor::Monitor;
 
-static INTERRUPTED: AtomicBool = AtomicBool::new(false);
-
-/// The progress bar of the current stage.
+/// The progress of the current stage.
 pub struct Bars {
-    current: Mutex<ProgressBar>,
+    current: Mutex<Shown>,
+    interrupted: Arc<AtomicBool>,
+}
+
+/// What shows the progress.
+struct Shown {
+    bar: ProgressBar,
+    /// If stderr is no terminal.
+    lines: Option<Lines>,
 }
 
 impl Bars {
-    /// No stage yet. The first Ctrl-C asks the work to stop; a second one ends the process at once.
+    /// No stage yet.
     pub fn new() -> Self {
-        // Without a handler Ctrl-C still ends the process, and only temporary files stay behind.
-        let _ = ctrlc::set_handler(|| {
-            if INTERRUPTED.swap(true, Ordering::Relaxed) {
-                std::process::exit(130);
+        let lines = (!std::io::stderr().is_terminal()).then(|| Lines::new(Instant::now()));
+        let current = Mutex::new(Shown { bar: ProgressBar::hidden(), lines });
+        Self { current, interrupted: Arc::new(AtomicBool::new(false)) }
+    }
+
+    /// From now on Ctrl-C, SIGTERM and SIGHUP ask the work to stop. Ctrl-C after any of them ends the process at
+    /// once; the others may well come twice, from a shell that ends and from its terminal. A signal that was to be
+    /// ignored, as `nohup` says of SIGHUP, still is.
+    pub fn listen(&self) {
+        for signal in signals() {
+            // Without a handler the signal still ends the process, and only temporary files stay behind.
+            if signal == SIGINT {
+                let _ = signal_hook::flag::register_conditional_shutdown(signal, 130, self.interrupted.clone());
             }
-        });
-        Self { current: Mutex::new(ProgressBar::hidden()) }
+            let _ = signal_hook::flag::register(signal, self.interrupted.clone());
+        }
     }
 
     /// Shows text about the current stage, to the right of the bar.
     pub fn message(&self, text: String) {
-        self.bar().set_message(text);
+        let mut shown = self.shown();
+        if let Some(lines) = &mut shown.lines {
+            lines.message(text);
+        } else {
+            shown.bar.set_message(text);
+        }
     }
 
     /// Prints a line to stderr, above the bar if there is one.
     pub fn line(&self, text: &str) {
-        self.bar().suspend(|| eprintln!("{text}"));
+        let mut shown = self.shown();
+        if let Some(lines) = &mut shown.lines {
+            lines.printed(Instant::now());
+        }
+        shown.bar.suspend(|| eprintln!("{text}"));
     }
 
-    fn bar(&self) -> ProgressBar {
-        self.current.lock().map_or_else(|poisoned| poisoned.into_inner().clone(), |bar| bar.clone())
+    fn shown(&self) -> MutexGuard<'_, Shown> {
+        self.current.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 impl Monitor for Bars {
     fn begin(&self, stage: &str, total: u64) {
-        let style = ProgressStyle::with_template(
-            "{prefix:>12} [{bar:36}] {human_pos}/{human_len}  {per_sec}  {eta} left  {msg}",
-        )
-        .unwrap_or_else(|_| ProgressStyle::default_bar())
-        .progress_chars("=> ");
-        // `ProgressBar::new` draws to stderr, and only if that is a terminal.
+        let mut shown = self.shown();
+        if let Some(lines) = &mut shown.lines {
+            lines.begin(stage, total, Instant::now());
+            return;
+        }
+        // No time is left to tell before anything is done.
+        let left = |state: &ProgressState, out: &mut dyn std::fmt::Write| {
+            let _ = match state.pos() {
+                0 => Ok(()),
+                _ => write!(out, "{:#} left", HumanDuration(state.eta())),
+            };
+        };
+        let style =
+            ProgressStyle::with_template("{prefix:>12} [{bar:36}] {human_pos}/{human_len}  {per_sec}  {left}  {msg}")
+                .unwrap_or_else(|_| ProgressStyle::default_bar())
+                .with_key("left", left)
+                .progress_chars("=> ");
         let bar = ProgressBar::new(total).with_style(style).with_prefix(stage.to_string());
         bar.enable_steady_tick(Duration::from_millis(200));
-        if let Ok(mut current) = self.current.lock() {
-            *current = bar;
-        }
+        shown.bar = bar;
     }
 
     fn advance(&self, units: u64) {
-        self.bar().inc(units);
+        let mut shown = self.shown();
+        match &mut shown.lines {
+            Some(lines) => lines.advance(units, Instant::now()).iter().for_each(|line| eprintln!("{line}")),
+            None => shown.bar.inc(units),
+        }
     }
 
     fn end(&self) {
-        self.bar().finish_and_clear();
+        self.shown().bar.finish_and_clear();
     }
 
     fn interrupted(&self) -> bool {
-        INTERRUPTED.load(Ordering::Relaxed)
+        self.interrupted.load(Ordering::Relaxed)
     }
+}
+
+/// The signals that ask to stop.
+fn signals() -> Vec<i32> {
+    #[cfg(unix)]
+    if !is_ignored(signal_hook::consts::SIGHUP) {
+        return vec![SIGINT, SIGTERM, signal_hook::consts::SIGHUP];
+    }
+    vec![SIGINT, SIGTERM]
+}
+
+/// True if this process was started with the signal ignored, as far as the system tells (Linux does).
+#[cfg(unix)]
+fn is_ignored(signal: i32) -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0);
+    mask >> (signal - 1) & 1 == 1
 }

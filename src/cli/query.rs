@@ -1,24 +1,33 @@
 //! `query`: U at points.
 
-use std::io::Write;
+use std::fs::File;
+use std::io::{BufReader, Write};
 use std::path::{Path, PathBuf};
 
 use glam::Vec3;
 
 use super::files::CommandFiles;
 use super::options::OfficialOptions;
-use crate::dataset::points;
+use super::progress::Bars;
+use crate::dataset::PointReader;
+use crate::error::printable;
 use crate::io::{AtomicFile, npy};
+use crate::monitor::check;
 use crate::posterior::Covariance;
-use crate::uncertainty::Estimate;
+use crate::uncertainty::{Estimate, UncertaintyField};
 use crate::{Error, Result};
+
+/// Points that are answered together. More are no faster, and this many with their answers take 30 MB.
+const BATCH: usize = 1 << 18;
 
 /// Query the uncertainty at points
 ///
-/// POINTS is `.npy` (f32 or f64, N x 3) or `.csv` (columns x,y,z; a header is recognised), in scene units. OUT is
-/// `.npy` (f64, N x 2: uncertainty, log10 uncertainty) or `.csv`
-/// (x,y,z,uncertainty,log10_uncertainty,level,inside,rays). `-` is CSV on stdin or stdout. Points outside the box
-/// get the prior and inside = 0.
+/// POINTS is `.npy` (N x 3, numbers of any type) or `.csv`, in scene units. If the first row of a `.csv` names its
+/// columns, those named x, y and z are read, in any order; without names there are exactly three. OUT is `.npy`
+/// (f64, N x 2: uncertainty, log10 uncertainty) or `.csv` (x,y,z,uncertainty,log10_uncertainty,level,inside,rays).
+/// `-` is CSV on stdin or stdout. Points outside the box get the prior and inside = 0.
+///
+/// CSV is answered as it is read: the list may be longer than memory.
 ///
 /// A field with error bars adds a column, `log10_error`: the root mean square error of log10 U, in decades. Where
 /// too few rays passed to know it, it is empty in `.csv` and NaN in `.npy`.
@@ -62,8 +71,12 @@ fn format(path: &Path) -> Result<Format> {
 
 impl Args {
     /// Runs the verb.
-    pub fn run(self) -> Result<()> {
+    pub fn run(self, bars: &Bars) -> Result<()> {
         let (input, output) = (format(&self.points)?, format(&self.output)?);
+        // Whoever waits for stdin cannot look whether to stop, and ends at once.
+        if input != Format::Stream {
+            bars.listen();
+        }
         let named = |path: &Path| (path != Path::new("-")).then(|| path.to_path_buf());
         CommandFiles::default()
             .input("FIELD", &self.field)
@@ -78,47 +91,86 @@ impl Args {
                 eprintln!("note: the field's error bars are not those of `{}`: no log10_error", covariance.name());
             }
         }
-        let with_errors = field.error_bars().is_some();
-        let points = match input {
-            Format::Npy => points::read_npy(&self.points)?,
-            Format::Csv => {
-                let file = std::fs::File::open(&self.points).map_err(Error::io(&self.points, "cannot open"))?;
-                points::read_csv(file, &self.points)?
-            }
-            Format::Stream => points::read_csv(std::io::stdin().lock(), Path::new("stdin"))?,
-        };
-        let answers = field.query_all(&points);
+        let mut points = self.points(&input)?;
         match output {
-            Format::Npy => {
-                let columns = if with_errors { 3 } else { 2 };
-                let row = |a: &Estimate| [a.uncertainty, a.uncertainty.log10(), a.log10_error.unwrap_or(f64::NAN)];
-                let values = answers.iter().flat_map(|a| row(a).into_iter().take(columns));
-                npy::write(&self.output, &[answers.len() as u64, columns as u64], values)
-            }
+            Format::Npy => write_npy(&self.output, &field, &mut points, bars),
             Format::Csv => {
-                let mut file = AtomicFile::create(&self.output)?;
-                write_csv(&mut file, &points, &answers, with_errors)
-                    .map_err(Error::io(&self.output, "cannot write"))?;
-                file.commit()
-            }
-            Format::Stream => {
-                let out = std::io::stdout().lock();
-                match write_csv(out, &points, &answers, with_errors) {
-                    // A reader that has seen enough (`| head`) is no failure.
-                    Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => {
-                        Err(Error::io(Path::new("stdout"), "cannot write")(e))
-                    }
-                    _ => Ok(()),
+                let file = AtomicFile::create(&self.output)?;
+                match write_csv(file, &field, &mut points, bars)? {
+                    Ok(file) => file.commit(),
+                    Err(error) => Err(Error::io(&self.output, "cannot write")(error)),
                 }
             }
+            Format::Stream => match write_csv(std::io::stdout().lock(), &field, &mut points, bars)? {
+                // A reader that has seen enough (`| head`) is no failure.
+                Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => {
+                    Err(Error::io(Path::new("stdout"), "cannot write")(e))
+                }
+                _ => Ok(()),
+            },
+        }
+    }
+
+    /// Starts reading the points. Says on stderr which columns are not read.
+    fn points(&self, format: &Format) -> Result<PointReader<'static>> {
+        let points = match format {
+            Format::Npy => PointReader::npy(&self.points)?,
+            Format::Csv => {
+                let file = File::open(&self.points).map_err(Error::io(&self.points, "cannot open"))?;
+                PointReader::csv(BufReader::new(file), &self.points)?
+            }
+            Format::Stream => PointReader::csv(std::io::stdin().lock(), Path::new("stdin"))?,
+        };
+        if !points.ignored().is_empty() {
+            let others = printable(&points.ignored().join(", "));
+            eprintln!("note: columns x, y and z of {} are read, others are not: {others}", self.points.display());
+        }
+        Ok(points)
+    }
+}
+
+fn write_npy(path: &Path, field: &UncertaintyField, points: &mut PointReader, bars: &Bars) -> Result<()> {
+    let columns = if field.error_bars().is_some() { 3 } else { 2 };
+    // The number of rows stands at the start of the file, so that all must be read first.
+    let answers = field.query_all(&points.rest()?);
+    check(bars)?;
+    let row = |a: &Estimate| [a.uncertainty, a.uncertainty.log10(), a.log10_error.unwrap_or(f64::NAN)];
+    let values = answers.iter().flat_map(|a| row(a).into_iter().take(columns));
+    npy::write(path, &[answers.len() as u64, columns as u64], values)
+}
+
+/// Answers batch by batch. The inner error is that of `out`, the outer one that of the points.
+fn write_csv<W: Write>(
+    out: W,
+    field: &UncertaintyField,
+    points: &mut PointReader,
+    bars: &Bars,
+) -> Result<std::io::Result<W>> {
+    let with_errors = field.error_bars().is_some();
+    let mut writer = csv::Writer::from_writer(out);
+    let header = ["x", "y", "z", "uncertainty", "log10_uncertainty", "level", "inside", "rays"];
+    if let Err(error) = writer.write_record(header.iter().chain(with_errors.then_some(&"log10_error"))) {
+        return Ok(Err(error.into()));
+    }
+    loop {
+        check(bars)?;
+        let batch = points.batch(BATCH)?;
+        if batch.is_empty() {
+            let finished = writer.into_inner().map_err(csv::IntoInnerError::into_error);
+            return Ok(finished);
+        }
+        if let Err(error) = write_rows(&mut writer, &batch, &field.query_all(&batch), with_errors) {
+            return Ok(Err(error));
         }
     }
 }
 
-fn write_csv(out: impl Write, points: &[Vec3], answers: &[Estimate], with_errors: bool) -> std::io::Result<()> {
-    let mut writer = csv::Writer::from_writer(out);
-    let header = ["x", "y", "z", "uncertainty", "log10_uncertainty", "level", "inside", "rays"];
-    writer.write_record(header.iter().chain(with_errors.then_some(&"log10_error")))?;
+fn write_rows<W: Write>(
+    writer: &mut csv::Writer<W>,
+    points: &[Vec3],
+    answers: &[Estimate],
+    with_errors: bool,
+) -> std::io::Result<()> {
     for (x, a) in points.iter().zip(answers) {
         let numbers = [x.x.to_string(), x.y.to_string(), x.z.to_string(), a.uncertainty.to_string()];
         let rays = a.rays.map_or(String::new(), |rays| rays.to_string());

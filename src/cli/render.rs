@@ -4,12 +4,12 @@ use std::path::PathBuf;
 
 use super::belongs::check_model;
 use super::files::CommandFiles;
-use super::options::{CameraOptions, ModelOptions, parse_range};
+use super::options::{CameraOptions, ModelOptions, parse_positive, parse_range, scaled};
 use super::panels::{Ranges, depth_range, view_panels};
 use super::progress::Bars;
 use super::report;
 use crate::field::RadianceField;
-use crate::geometry::Aabb;
+use crate::geometry::{Aabb, Camera, MAX_PIXELS};
 use crate::io::write_exr;
 use crate::monitor::Monitor;
 use crate::picture::write_sheet;
@@ -17,6 +17,9 @@ use crate::posterior::Covariance;
 use crate::render::{Probe, RayAverage, RenderedView, render_view};
 use crate::uncertainty::{ThresholdedField, UncertaintyField};
 use crate::{Error, Result};
+
+/// Longer side of a picture if nobody asks for another, pixels. A photograph at its own size takes minutes.
+const PREVIEW: u32 = 800;
 
 /// Render colour, depth and uncertainty of one view
 ///
@@ -40,6 +43,11 @@ pub struct Args {
     /// Frame of the camera file, or camera of the model, counted from 0
     #[arg(long, value_name = "K", default_value_t = 0)]
     frame: usize,
+
+    /// Size of the picture relative to the camera's image; 1 for its full size [default: 1, or less for a preview
+    /// whose longer side has 800 pixels]
+    #[arg(long, value_name = "FACTOR", value_parser = parse_positive, conflicts_with = "resolution")]
+    scale: Option<f64>,
 
     /// Picture to write, `.png` or `.exr`
     #[arg(short, long, value_name = "OUT")]
@@ -77,7 +85,7 @@ impl Args {
         let files = CommandFiles::default()
             .input("MODEL", &self.model.model)
             .input("FIELD", &self.field)
-            .inputs("--cameras", &self.cameras.cameras)
+            .cameras(self.cameras.cameras.as_deref())
             .output("--output", &self.output);
         files.check()?;
         let model = self.model.open()?;
@@ -89,7 +97,7 @@ impl Args {
         check_model(&self.model, &self.field, &field, self.force)?;
         let views = self.cameras.read(&*model, &self.model.model)?;
         files.images(&views).check()?;
-        let camera = views.frame(self.frame)?.camera;
+        let camera = self.sized(&views.frame(self.frame)?.camera)?;
 
         let log10 = |x| field.log10(x);
         let probes = [Probe { value: &log10, blends: &[self.blend] }];
@@ -121,6 +129,29 @@ impl Args {
         }
         say!("{}\nprotocol of the field\n{}", self.output.display(), report::protocol(&field))?;
         Ok(())
+    }
+}
+
+impl Args {
+    /// The camera at the size of the picture. Says so on stderr if that is a preview.
+    fn sized(&self, camera: &Camera) -> Result<Camera> {
+        let longest = camera.resolution.into_iter().max().unwrap_or(1);
+        let shown = match self.scale {
+            Some(scale) => scaled(camera, scale),
+            None if self.cameras.resolution.is_none() && longest > PREVIEW => {
+                scaled(camera, f64::from(PREVIEW) / f64::from(longest))
+            }
+            None => return Ok(*camera),
+        };
+        let [[w, h], [full_w, full_h]] = [shown.resolution, camera.resolution];
+        let pixels = f64::from(w) * f64::from(h);
+        if pixels > MAX_PIXELS {
+            return Err(Error::setting("--scale", format!("at most {MAX_PIXELS:e} pixels"), format!("{w} x {h}")));
+        }
+        if self.scale.is_none() {
+            eprintln!("note: a preview of {w} x {h} pixels; --scale 1 renders all {full_w} x {full_h}");
+        }
+        Ok(shown)
     }
 }
 

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::time::Instant;
 
-use super::options::parse_resolution;
+use super::options::{Resolution, count, parse_resolution};
 use super::progress::Bars;
 use crate::Result;
 use crate::dataset::Hemisphere;
@@ -31,7 +31,7 @@ pub struct Args {
     output: PathBuf,
 
     /// Training cameras
-    #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    #[arg(long, value_name = "N", default_value_t = 100, value_parser = count::<u32>(1..=1_000_000))]
     views: u32,
 
     /// Put training cameras in one half only, seen from the front (y < 0; right is x > 0); test cameras stand all
@@ -39,12 +39,12 @@ pub struct Args {
     #[arg(long, value_enum, value_name = "HALF")]
     hemisphere: Option<Hemisphere>,
 
-    /// Image size, W or WxH
+    /// Image size, WxH, or W for a square
     #[arg(long, value_name = "SIZE", value_parser = parse_resolution, default_value = "400")]
-    resolution: [u32; 2],
+    resolution: Resolution,
 
     /// Test cameras
-    #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = count::<u32>(1..=1_000_000))]
     test_views: u32,
 
     /// Turns the cameras and jitters the samples; mesh, light and texture do not depend on it
@@ -80,7 +80,11 @@ impl Args {
             views: self.views,
             hemisphere: self.hemisphere,
             test_views: self.test_views,
-            resolution: self.resolution,
+            // Its cameras have square images unless they are told otherwise.
+            resolution: match self.resolution {
+                Resolution::Width(side) => [side; 2],
+                Resolution::Size(size) => size,
+            },
             samples_per_side: self.samples_per_pixel.root,
             seed: self.seed,
         };

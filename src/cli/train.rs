@@ -7,7 +7,10 @@ use glam::{DVec3, Vec3};
 use serde_json::json;
 
 use super::files::CommandFiles;
-use super::options::{numbers, parse_background, parse_box, parse_non_negative, parse_positive, parse_views};
+use super::options::{
+    count, numbers, parse_background, parse_box, parse_interval, parse_non_negative, parse_positive, parse_time,
+    parse_views,
+};
 use super::progress::Bars;
 use crate::dataset::Hemisphere;
 use crate::estimate::Framing;
@@ -30,9 +33,10 @@ const ONE_COLOR_MARGIN: f64 = 1.0;
 
 /// Train a model on posed images: a multiresolution hash grid (instant-ngp's design), on the CPU
 ///
-/// DATASET is a folder or a camera file, as `octobayes synth`, NeRF-synthetic, instant-ngp and nerfstudio write
-/// them. Beside a transforms_train.json, transforms_test.json is held out for measuring. Of a transforms.json
-/// every eighth image is held out. `uncertainty`, `render`, `evaluate` and `info` read the model.
+/// DATASET is a folder or a camera file, as `octobayes synth`, NeRF-synthetic, instant-ngp, nerfstudio and COLMAP
+/// (images and sparse/0) write them. Beside a transforms_train.json, transforms_test.json is held out for measuring.
+/// Of a transforms.json or a COLMAP model every eighth image is held out. `uncertainty`, `render`, `evaluate` and
+/// `info` read the model.
 ///
 /// With --steps the result is the same bit for bit on any number of threads. With --time it depends on how many
 /// steps fit, hence on the machine.
@@ -63,10 +67,10 @@ pub struct Args {
     hemisphere: Option<Hemisphere>,
 
     /// Number of training steps; the result is reproducible
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..), conflicts_with = "time")]
+    #[arg(long, value_name = "N", value_parser = count::<u64>(1..), conflicts_with = "time")]
     steps: Option<u64>,
 
-    /// Training time, such as 90s, 3m or 1h; how many steps fit depends on the machine [default: 3m]
+    /// Training time, such as 90s, 5min or 1h30m; how many steps fit depends on the machine [default: 3m]
     #[arg(long, value_name = "TIME", value_parser = parse_time)]
     time: Option<Duration>,
 
@@ -75,16 +79,16 @@ pub struct Args {
     seed: u64,
 
     /// Train this many models with seeds SEED, SEED + 1, ...: MODEL-0.safetensors, MODEL-1.safetensors, ...
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=1000))]
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = count::<u64>(1..=1000))]
     members: u64,
 
     /// Continue where an interrupted run of the same command stopped; finished models are kept
     #[arg(long)]
     resume: bool,
 
-    /// Seconds between saves of the run's state (MODEL.state, removed at the end)
-    #[arg(long, value_name = "SECONDS", default_value_t = 60.0, value_parser = parse_non_negative)]
-    save_every: f64,
+    /// Time between saves of the run's state (MODEL.state, removed at the end)
+    #[arg(long, value_name = "TIME", default_value = "60s", value_parser = parse_interval)]
+    save_every: Duration,
 
     /// Colour behind transparent pixels: `random` takes another for every ray, so that the model learns to be
     /// transparent there; else the colour that images without alpha show: white, black or r,g,b in [0, 1]
@@ -110,7 +114,7 @@ pub struct Args {
     log2_hashmap_size: u32,
 
     /// Approximate number of samples per step
-    #[arg(long, value_name = "N", default_value_t = TrainSettings::default().samples_per_step, value_parser = clap::value_parser!(u64).range(1024..=16_777_216))]
+    #[arg(long, value_name = "N", default_value_t = TrainSettings::default().samples_per_step, value_parser = count::<u64>(1024..=16_777_216))]
     samples_per_step: u64,
 
     /// Initial learning rate of Adam; it decays over the run
@@ -122,26 +126,12 @@ pub struct Args {
     distortion: f64,
 
     /// Pixels of held-out images compared at the end, over all images together
-    #[arg(long, value_name = "N", default_value_t = 200_000)]
+    #[arg(long, value_name = "N", default_value_t = 200_000, value_parser = count::<usize>(..))]
     test_pixels: usize,
 
     /// Print one JSON object
     #[arg(long)]
     json: bool,
-}
-
-/// Seconds, or a number with a unit.
-fn parse_time(text: &str) -> std::result::Result<Duration, String> {
-    let split = text.find(|c: char| c.is_ascii_alphabetic()).unwrap_or(text.len());
-    let (number, unit) = text.split_at(split);
-    let factor = match unit {
-        "" | "s" => 1.0,
-        "m" => 60.0,
-        "h" => 3600.0,
-        _ => return Err(format!("`{unit}` is not a unit of time: s, m or h")),
-    };
-    let seconds = parse_positive(number)? * factor;
-    Duration::try_from_secs_f64(seconds).map_err(|e| e.to_string())
 }
 
 /// A finite number above 0, as f32.
@@ -267,8 +257,7 @@ impl Args {
         let description =
             serde_json::to_value(description).map_err(|e| Error::setting("run", "a description", e.to_string()))?;
         let key = description.to_string();
-        let every = Duration::try_from_secs_f64(self.save_every).unwrap_or(Duration::MAX);
-        Ok(Member { settings, path, state: StateFile { path: state, key, every }, description })
+        Ok(Member { settings, path, state: StateFile { path: state, key, every: self.save_every }, description })
     }
 
     /// Trains one model and writes it, finished or not.
@@ -410,11 +399,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn texts_become_times_and_backgrounds() {
-        assert_eq!(parse_time("3m"), Ok(Duration::from_secs(180)));
-        assert_eq!(parse_time("1.5h"), Ok(Duration::from_secs(5400)));
-        assert_eq!(parse_time("20"), Ok(Duration::from_secs(20)));
-        assert!(["0", "-1s", "3d", "1e30h", "m"].iter().all(|text| parse_time(text).is_err()));
+    fn texts_become_backgrounds() {
         assert_eq!(parse_training_background("random"), Ok(Background::Random));
         assert!(parse_training_background("red").is_err());
     }

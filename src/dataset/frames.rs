@@ -8,8 +8,11 @@
 use std::path::{Path, PathBuf};
 
 use super::{Frame, Views};
+use crate::error::printable;
 use crate::{Error, Result};
 
+/// Missing images that are named.
+const NAMED: usize = 6;
 /// One image in this many is held out, unless the name of the file decides.
 const HOLD_OUT: usize = 8;
 
@@ -127,7 +130,12 @@ impl FrameSplit {
         let mut others = Vec::new();
         if let Some(first) = self.missing.first() {
             let has = if self.missing.len() == 1 { "has" } else { "have" };
-            others.push(format!("{} {has} no image (first: {})", self.missing.len(), first.display()));
+            let name = |path: &PathBuf| path.file_name().map(|name| name.to_string_lossy().into_owned());
+            let mut names = vec![first.display().to_string()];
+            names.extend(self.missing[1..].iter().take(NAMED - 1).filter_map(name));
+            let more = self.missing.len().saturating_sub(NAMED);
+            let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+            others.push(format!("{} {has} no image ({}{more})", self.missing.len(), printable(&names.join(", "))));
         }
         let is_other = |is_held_out: bool| is_held_out != (part == Part::HeldOut);
         // A file with one part serves as either.
@@ -208,7 +216,7 @@ mod tests {
         assert!(split.select(Part::Training, &Selection::Indices(vec![16]), |_| true).is_err());
 
         let path = folder.path().display();
-        let start = format!("of 20 frames of {path}/transforms.json: 2 have no image (first: {path}/r_1.png)");
+        let start = format!("of 20 frames of {path}/transforms.json: 2 have no image ({path}/r_1.png, r_5.png)");
         let held = "2 are held out, every eighth (views `all` takes both)";
         assert_eq!(split.describe(Part::Training, &training), format!("16 cameras {start}, {held}"));
         assert_eq!(split.describe(Part::Training, &three), format!("3 cameras {start}, {held}, 13 not chosen"));

@@ -1,14 +1,16 @@
 //! Posed images and their split, depth maps, and lists of points.
 
+mod colmap;
 mod depth;
 mod frames;
 mod hemisphere;
 mod image;
-pub mod points;
+mod points;
 mod transforms;
 
 pub use depth::{DepthEncoding, DepthKind, DepthMap};
 pub use frames::{FrameSplit, Part, Selection, test_partner};
 pub use hemisphere::Hemisphere;
 pub use image::PosedImage;
+pub use points::PointReader;
 pub use transforms::{Frame, ResolutionSource, Views, write_transforms};

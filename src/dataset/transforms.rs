@@ -11,6 +11,7 @@ use glam::{DMat3, DVec3};
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 
+use super::colmap::ModelFiles;
 use crate::geometry::{Camera, Distortion, MAX_PIXELS, MAX_REACH, MAX_SIDE, MAX_SKEW, skew};
 use crate::{Error, Result};
 
@@ -50,22 +51,22 @@ pub struct Views {
 }
 
 #[derive(Debug, Clone, Copy, Default, Deserialize)]
-struct Intrinsics {
-    camera_angle_x: Option<f64>,
-    camera_angle_y: Option<f64>,
-    fl_x: Option<f64>,
-    fl_y: Option<f64>,
-    cx: Option<f64>,
-    cy: Option<f64>,
-    w: Option<f64>,
-    h: Option<f64>,
-    k1: Option<f64>,
-    k2: Option<f64>,
-    k3: Option<f64>,
-    k4: Option<f64>,
-    p1: Option<f64>,
-    p2: Option<f64>,
-    is_fisheye: Option<bool>,
+pub(super) struct Intrinsics {
+    pub(super) camera_angle_x: Option<f64>,
+    pub(super) camera_angle_y: Option<f64>,
+    pub(super) fl_x: Option<f64>,
+    pub(super) fl_y: Option<f64>,
+    pub(super) cx: Option<f64>,
+    pub(super) cy: Option<f64>,
+    pub(super) w: Option<f64>,
+    pub(super) h: Option<f64>,
+    pub(super) k1: Option<f64>,
+    pub(super) k2: Option<f64>,
+    pub(super) k3: Option<f64>,
+    pub(super) k4: Option<f64>,
+    pub(super) p1: Option<f64>,
+    pub(super) p2: Option<f64>,
+    pub(super) is_fisheye: Option<bool>,
 }
 
 /// What a file says about the kind of lens.
@@ -115,7 +116,7 @@ struct RawFile {
 /// Image size if nothing states it.
 const ASSUMED: [u32; 2] = [400, 400];
 /// [`MAX_SIDE`] and [`MAX_PIXELS`] in words.
-const SIZES: &str = "whole numbers from 1 to 65536, at most 1e8 pixels";
+pub(super) const SIZES: &str = "whole numbers from 1 to 65536, at most 1e8 pixels";
 
 /// Checks an image size for a camera; the error is the size in words.
 fn size(w: f64, h: f64) -> std::result::Result<[u32; 2], String> {
@@ -146,13 +147,13 @@ impl Intrinsics {
     }
 
     /// w and h as an image size; `None` if absent.
-    fn resolution(&self) -> Option<std::result::Result<[u32; 2], String>> {
+    pub(super) fn resolution(&self) -> Option<std::result::Result<[u32; 2], String>> {
         let (w, h) = (self.w?, self.h?);
         Some(size(w, h))
     }
 
     /// The lens distortion; the error says what is wrong with it.
-    fn distortion(&self) -> std::result::Result<Distortion, String> {
+    pub(super) fn distortion(&self) -> std::result::Result<Distortion, String> {
         let value = |v: Option<f64>| v.unwrap_or(0.0);
         let distortion = Distortion { k: [self.k1, self.k2].map(value), p: [self.p1, self.p2].map(value) };
         if self.is_fisheye == Some(true) {
@@ -169,7 +170,7 @@ impl Intrinsics {
     /// Focal lengths and principal point in pixels, for an image of `resolution` pixels.
     ///
     /// `fl_x` refers to the `w` × `h` that the file states and is scaled to images of another size.
-    fn project(&self, resolution: [u32; 2]) -> std::result::Result<([f64; 2], [f64; 2]), String> {
+    pub(super) fn project(&self, resolution: [u32; 2]) -> std::result::Result<([f64; 2], [f64; 2]), String> {
         let [w, h] = resolution.map(f64::from);
         let scale = [self.w.map_or(1.0, |stated| w / stated), self.h.map_or(1.0, |stated| h / stated)];
         // An angle in degrees, 40 say, would also give a positive tangent.
@@ -202,7 +203,7 @@ impl Intrinsics {
 }
 
 impl Views {
-    /// Reads a camera file.
+    /// Reads a camera file: a transforms.json, or a sparse model of COLMAP (one of its files, or its folder).
     ///
     /// The image size is the `requested` one, else `w` and `h` of the file, else that of the first image that
     /// exists, else 400 × 400.
@@ -211,7 +212,19 @@ impl Views {
     /// If the file is missing or is not JSON, has no frames or no focal length, or if a matrix is not a finite
     /// rigid pose (a uniform scale is removed).
     pub fn read(path: &Path, requested: Option<[u32; 2]>) -> Result<Self> {
-        let text = std::fs::read_to_string(path).map_err(Error::io(path, "cannot read"))?;
+        if let Some(model) = ModelFiles::find(path) {
+            return model.read(path, requested);
+        }
+        if path.extension().is_some_and(|extension| ["ckpt", "pt", "pth", "db"].iter().any(|e| extension == *e)) {
+            let expected = "a transforms.json or a COLMAP model; a nerfstudio run's transforms.json is in its data set";
+            return Err(Error::malformed(path, "cameras", expected, "a checkpoint or a database"));
+        }
+        if path.is_dir() {
+            let expected =
+                "a camera file: transforms.json, or the folder of a COLMAP model (cameras and images, .bin or .txt)";
+            return Err(Error::malformed(path, "cameras", expected, "a folder without"));
+        }
+        let text = crate::io::read_text(path)?;
         let file: RawFile = serde_json::from_str(&text).map_err(|e| {
             Error::malformed(
                 path,
@@ -281,6 +294,12 @@ impl Views {
             frames.push(Frame { camera, name: raw.file_path, image: image.clone() });
         }
         Ok(Self { path: path.to_path_buf(), frames, resolution_source: source })
+    }
+
+    /// The files that hold the cameras of `path`: itself, or those of the COLMAP model that it means.
+    #[must_use]
+    pub fn files(path: &Path) -> Vec<PathBuf> {
+        ModelFiles::find(path).map_or_else(|| vec![path.to_path_buf()], |model| vec![model.cameras, model.images])
     }
 
     /// Cameras of all frames.

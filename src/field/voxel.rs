@@ -10,6 +10,7 @@ use glam::{DVec3, Vec3};
 
 use super::{Differentiable, Radiance, RadianceField, RadianceJet};
 use crate::geometry::Aabb;
+use crate::io::Real;
 use crate::io::npz::{NpzReader, NpzWriter};
 use crate::octree::trilinear;
 use crate::{Error, Result};
@@ -43,22 +44,27 @@ impl VoxelGrid {
     /// Reads the three arrays from an `.npz` file.
     ///
     /// # Errors
-    /// If an array is missing, of another type or shape, or holds values outside its range.
+    /// If an array is missing, is not of numbers, is of another shape, or holds values outside its range.
     pub fn read(path: &Path) -> Result<Self> {
         let mut npz = NpzReader::open(path)?;
-        let corners = npz.array::<f32>("box")?;
-        let density = npz.array::<f32>("density")?;
-        let color = npz.array::<f32>("color")?;
-
-        corners.expect_shape(path, "box", &[Some(2), Some(3)])?;
-        density.expect_shape(path, "density", &[None, None, None])?;
-        let [nx, ny, nz] = [density.shape[0], density.shape[1], density.shape[2]];
-        color.expect_shape(path, "color", &[Some(nx), Some(ny), Some(nz), Some(3)])?;
-        if [nx, ny, nz].iter().any(|&n| n < 2) {
-            let found = format!("{:?}", density.shape);
+        // Shapes first, which stand at the start of each member: a megabyte may unfold to a gigabyte.
+        npz.stream::<Real>("box")?.expect_shape(&[Some(2), Some(3)])?;
+        let density = npz.stream::<Real>("density")?;
+        density.expect_shape(&[None, None, None])?;
+        let shape = density.shape().to_vec();
+        if shape.iter().any(|&n| n < 2) {
+            let found = format!("{shape:?}");
             return Err(Error::malformed(path, "array `density`", "at least 2 grid points per axis", found));
         }
+        drop(density);
+        let of_color: Vec<Option<u64>> = shape.iter().copied().chain([3]).map(Some).collect();
+        npz.stream::<Real>("color")?.expect_shape(&of_color)?;
+
+        let corners = npz.reals("box")?;
+        let density = npz.reals("density")?;
+        let [nx, ny, nz] = [density.shape[0], density.shape[1], density.shape[2]];
         check_range(path, "density", &density.data, "finite values >= 0", |v| v >= 0.0 && v.is_finite())?;
+        let color = npz.reals("color")?;
         check_range(path, "color", &color.data, "values from 0 to 1", |v| (0.0..=1.0).contains(&v))?;
 
         let corner = |row: usize| DVec3::from([0, 1, 2].map(|axis| f64::from(corners.data[3 * row + axis])));

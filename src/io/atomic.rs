@@ -6,11 +6,13 @@ use std::path::{Path, PathBuf};
 
 use tempfile::NamedTempFile;
 
+use super::part;
 use super::place::{check_replaceable, destination, folder_of};
 use crate::{Error, Result};
 
 /// A buffered file under a temporary name beside its target. [`AtomicFile::commit`] renames it over the target
-/// once its content has reached the disk. A file that is dropped before that is removed.
+/// once its content has reached the disk. A file that is dropped before that is removed. Files of processes that
+/// were killed stay until [`AtomicFile::clear_leftovers`] is called for the same target.
 #[derive(Debug)]
 pub struct AtomicFile {
     writer: BufWriter<NamedTempFile>,
@@ -27,16 +29,25 @@ impl AtomicFile {
         check_replaceable(target)?;
         let destination = destination(target)?;
         let folder = folder_of(&destination);
+        let prefix = part::prefix(&destination);
         let mut builder = tempfile::Builder::new();
-        builder.prefix(".octobayes-").suffix(".part");
+        builder.prefix(&prefix).suffix(part::SUFFIX);
         #[cfg(unix)]
         {
             // A new file gets the usual permissions (the umask applies), not the private ones of a temporary file.
             use std::os::unix::fs::PermissionsExt;
             builder.permissions(std::fs::Permissions::from_mode(0o666));
         }
-        let file = builder.tempfile_in(folder).map_err(Error::io(target, "cannot create a file in this folder"))?;
+        let file = part::locked(|| builder.tempfile_in(folder), NamedTempFile::as_file)
+            .map_err(Error::io(target, "cannot create a file in this folder"))?;
         Ok(Self { writer: BufWriter::with_capacity(1 << 16, file), target: destination })
+    }
+
+    /// Removes what processes that were killed left of `target`, and nothing that is still being written.
+    pub fn clear_leftovers(target: &Path) {
+        if let Ok(destination) = destination(target) {
+            part::clear_leftovers(&destination);
+        }
     }
 
     /// The path that the file will have, with symbolic links resolved.
@@ -45,14 +56,24 @@ impl AtomicFile {
         &self.target
     }
 
+    /// Flushes the content to disk. After that, [`AtomicFile::commit`] can hardly fail: files that belong together
+    /// are all flushed before the first gets its name.
+    ///
+    /// # Errors
+    /// If the disk is full.
+    pub fn sync(&mut self) -> Result<()> {
+        let written = self.writer.flush().and_then(|()| self.writer.get_ref().as_file().sync_all());
+        written.map_err(Error::io(&self.target, "cannot write"))
+    }
+
     /// Flushes the content to disk and gives the file its name.
     ///
     /// # Errors
     /// If the disk is full or the rename fails. The target then stays as it was.
-    pub fn commit(self) -> Result<()> {
+    pub fn commit(mut self) -> Result<()> {
+        self.sync()?;
         let Self { writer, target } = self;
         let file = writer.into_inner().map_err(|e| Error::io(&target, "cannot write")(e.into_error()))?;
-        file.as_file().sync_all().map_err(Error::io(&target, "cannot write"))?;
         file.persist(&target).map_err(|e| Error::io(&target, "cannot rename the finished file")(e.error))?;
         Ok(())
     }

@@ -6,15 +6,20 @@
 
 mod atomic;
 pub mod container;
+mod element;
 #[cfg(feature = "synth")]
 mod exr;
 pub mod legacy;
 pub mod memory;
 pub mod npy;
 pub mod npz;
+pub mod part;
 mod place;
+mod text;
 
 pub use atomic::AtomicFile;
+pub use element::{Element, Index, Real};
 #[cfg(feature = "synth")]
 pub use exr::write_exr;
 pub use place::{Identity, destination, folder_of};
+pub use text::read_text;

@@ -4,9 +4,9 @@ use std::fs::File;
 use std::io::{BufReader, BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 
-use npyz::{AutoSerialize, Deserialize, NpyHeader, Order, Serialize, TypeRead, WriteOptions, WriterBuilder};
+use npyz::{AutoSerialize, NpyHeader, Order, Serialize, TypeRead, WriteOptions, WriterBuilder};
 
-use super::AtomicFile;
+use super::{AtomicFile, Element, Real};
 use crate::{Error, Result};
 
 /// Longest accepted header, bytes. NumPy's own headers stay below 128 bytes for plain arrays.
@@ -33,7 +33,7 @@ impl<T> Array<T> {
 }
 
 /// An array read element by element.
-pub struct ArrayStream<T: Deserialize, R: Read> {
+pub struct ArrayStream<T: Element, R: Read> {
     reader: R,
     element: T::TypeReader,
     /// Elements not read yet.
@@ -43,7 +43,7 @@ pub struct ArrayStream<T: Deserialize, R: Read> {
     name: String,
 }
 
-impl<T: Deserialize, R: Read> ArrayStream<T, R> {
+impl<T: Element, R: Read> ArrayStream<T, R> {
     /// Starts reading the array `name` of the file `path`. At most `available` bytes are there, header included.
     ///
     /// # Errors
@@ -65,9 +65,8 @@ impl<T: Deserialize, R: Read> ArrayStream<T, R> {
             let expected = format!("at most the {available} bytes that are stored");
             return Err(Error::malformed(path, place(), expected, format!("shape {shape:?} of {found}")));
         }
-        let element = T::reader(&header.dtype()).map_err(|_| {
-            Error::malformed(path, place(), format!("dtype {}", std::any::type_name::<T>()), format!("dtype {found}"))
-        })?;
+        let element = T::reader(&header.dtype())
+            .map_err(|_| Error::malformed(path, place(), format!("dtype {}", T::ACCEPTED), format!("dtype {found}")))?;
         Ok(Self { reader, element, left: header.len(), shape, path: path.to_path_buf(), name: name.to_string() })
     }
 
@@ -130,6 +129,17 @@ impl<T: Deserialize, R: Read> ArrayStream<T, R> {
     }
 }
 
+impl<R: Read> ArrayStream<Real, R> {
+    /// The remaining elements as f32.
+    ///
+    /// # Errors
+    /// If the file ends early.
+    pub fn into_reals(self) -> Result<Array<f32>> {
+        let Array { shape, data } = self.into_array()?;
+        Ok(Array { shape, data: data.into_iter().map(|Real(value)| value).collect() })
+    }
+}
+
 fn check_shape(path: &Path, name: &str, shape: &[u64], expected: &[Option<u64>]) -> Result<()> {
     let fits = shape.len() == expected.len() && shape.iter().zip(expected).all(|(n, e)| e.is_none_or(|e| e == *n));
     if fits {
@@ -176,10 +186,26 @@ fn read_header(reader: &mut impl Read, path: &Path, name: &str) -> Result<Vec<u8
 ///
 /// # Errors
 /// If the file is missing or is not a C-order array of `T`.
-pub fn read<T: Deserialize>(path: &Path) -> Result<Array<T>> {
+pub fn read<T: Element>(path: &Path) -> Result<Array<T>> {
+    stream(path)?.into_array()
+}
+
+/// Reads a whole `.npy` file of real numbers of any type.
+///
+/// # Errors
+/// If the file is missing or is not a C-order array of numbers.
+pub fn read_reals(path: &Path) -> Result<Array<f32>> {
+    stream(path)?.into_reals()
+}
+
+/// Starts reading a `.npy` file.
+///
+/// # Errors
+/// If the file is missing or is not a C-order array of `T`.
+pub fn stream<T: Element>(path: &Path) -> Result<ArrayStream<T, BufReader<File>>> {
     let file = File::open(path).map_err(Error::io(path, "cannot open"))?;
     let available = file.metadata().map_err(Error::io(path, "cannot read"))?.len();
-    ArrayStream::new(BufReader::new(file), available, path, "data")?.into_array()
+    ArrayStream::new(BufReader::new(file), available, path, "data")
 }
 
 /// Writes `data` as an array of `shape` to any stream.

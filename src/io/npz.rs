@@ -4,13 +4,13 @@ use std::fs::File;
 use std::io::{BufReader, Write};
 use std::path::{Path, PathBuf};
 
-use npyz::{AutoSerialize, Deserialize, Serialize};
+use npyz::{AutoSerialize, Serialize};
 use zip::read::ZipFile;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipArchive, ZipWriter};
 
-use super::AtomicFile;
 use super::npy::{self, Array, ArrayStream};
+use super::{AtomicFile, Element};
 use crate::{Error, Result};
 
 /// An archive opened for reading. To stream several members at the same time, open it once for each.
@@ -41,7 +41,7 @@ impl NpzReader {
     ///
     /// # Errors
     /// If there is no such member or it is not a C-order array of `T`.
-    pub fn stream<T: Deserialize>(&mut self, name: &str) -> Result<ArrayStream<T, ZipFile<'_, BufReader<File>>>> {
+    pub fn stream<T: Element>(&mut self, name: &str) -> Result<ArrayStream<T, ZipFile<'_, BufReader<File>>>> {
         let Self { archive, path } = self;
         let names: Vec<String> =
             archive.file_names().flatten().map(|n| n.trim_end_matches(".npy").to_string()).collect();
@@ -60,8 +60,16 @@ impl NpzReader {
     ///
     /// # Errors
     /// As [`NpzReader::stream`], and if the member ends early.
-    pub fn array<T: Deserialize>(&mut self, name: &str) -> Result<Array<T>> {
+    pub fn array<T: Element>(&mut self, name: &str) -> Result<Array<T>> {
         self.stream(name)?.into_array()
+    }
+
+    /// Reads the whole member `NAME.npy`, real numbers of any type.
+    ///
+    /// # Errors
+    /// As [`NpzReader::stream`], and if the member ends early.
+    pub fn reals(&mut self, name: &str) -> Result<Array<f32>> {
+        self.stream(name)?.into_reals()
     }
 }
 

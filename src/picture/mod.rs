@@ -3,5 +3,5 @@
 mod panel;
 mod plot;
 
-pub use panel::{Bar, Panel, color_panel, scalar_panel, write_sheet};
-pub use plot::{Curve, write_plot};
+pub use panel::{Bar, Panel, color_panel, scalar_panel, stage_sheet, write_sheet};
+pub use plot::{Curve, stage_plot, write_plot};

@@ -78,6 +78,14 @@ pub fn scalar_panel(title: &str, [width, height]: [u32; 2], values: impl IntoIte
 /// # Errors
 /// If the file cannot be written.
 pub fn write_sheet(path: &Path, rows: &[Vec<Panel>]) -> Result<()> {
+    stage_sheet(path, rows)?.commit()
+}
+
+/// Writes rows of panels as one PNG, in a file that appears when it is committed.
+///
+/// # Errors
+/// As [`write_sheet`].
+pub fn stage_sheet(path: &Path, rows: &[Vec<Panel>]) -> Result<AtomicFile> {
     let width_of = |panel: &Panel| {
         let bar = if panel.bar.is_some() { MARGIN / 2 + BAR + BAR_LABELS } else { 0 };
         (panel.image.width() + bar).max(7 * panel.title.len() as u32) + MARGIN
@@ -106,7 +114,7 @@ pub fn write_sheet(path: &Path, rows: &[Vec<Panel>]) -> Result<()> {
         .map_err(|e| Error::malformed(path, "picture", "an encodable PNG", e.to_string()))?;
     let mut file = AtomicFile::create(path)?;
     file.write_all(bytes.get_ref()).map_err(Error::io(path, "cannot write"))?;
-    file.commit()
+    Ok(file)
 }
 
 /// An image on which text can be drawn.

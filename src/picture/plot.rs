@@ -19,11 +19,11 @@ pub struct Curve {
     pub reference: bool,
 }
 
-/// Writes curves over common axes as one plot.
+/// Writes curves over common axes as one plot, in a file that appears when it is committed.
 ///
 /// # Errors
 /// If the file cannot be written.
-pub fn write_plot(path: &Path, title: &str, axes: [&str; 2], curves: &[Curve]) -> Result<()> {
+pub fn stage_plot(path: &Path, title: &str, axes: [&str; 2], curves: &[Curve]) -> Result<AtomicFile> {
     let all = || curves.iter().flat_map(|c| &c.points).filter(|p| p.0.is_finite() && p.1.is_finite());
     let range = |value: fn(&(f64, f64)) -> f64| {
         let (low, high) = all().map(value).fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
@@ -62,5 +62,13 @@ pub fn write_plot(path: &Path, title: &str, axes: [&str; 2], curves: &[Curve]) -
     draw().map_err(|e| Error::malformed(path, "plot", "drawable curves", e.to_string()))?;
     let mut file = AtomicFile::create(path)?;
     file.write_all(svg.as_bytes()).map_err(Error::io(path, "cannot write"))?;
-    file.commit()
+    Ok(file)
+}
+
+/// Writes curves over common axes as one plot.
+///
+/// # Errors
+/// If the file cannot be written.
+pub fn write_plot(path: &Path, title: &str, axes: [&str; 2], curves: &[Curve]) -> Result<()> {
+    stage_plot(path, title, axes, curves)?.commit()
 }

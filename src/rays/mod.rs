@@ -5,6 +5,7 @@
 //! one process draws, and [`RunProgress`] records how far it has come. Samples with Jacobians that were computed
 //! elsewhere come from a [file](SamplesReader) instead.
 
+mod missing;
 mod pixels;
 mod progress;
 mod samples_file;
@@ -12,6 +13,7 @@ mod seeds;
 mod shard;
 mod stream;
 
+pub use missing::MissingShards;
 pub use pixels::{Pick, PixelSequence, Pixels};
 pub use progress::RunProgress;
 pub use samples_file::{SamplesReader, SamplesWriter};

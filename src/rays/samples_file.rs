@@ -1,9 +1,9 @@
 //! Ray samples in a `.npz` file: the interface for Jacobians from any other framework.
 //!
-//! The arrays are:
+//! The arrays are the following. Other types of floats and integers are converted.
 //! - `positions`: f32 `[N, 3]`, scene units.
 //! - `jacobian`: f32 `[N, 3, 3]` = ∂C_c/∂x_k, colours in rows, axes in columns.
-//! - `ray`: u32 or u64 `[N]`, non-decreasing ray index.
+//! - `ray`: u64 `[N]`, non-decreasing ray index.
 //! - `rays_total`: integer scalar, the number of rays drawn, including those that hit nothing.
 //! - `weight` (optional): f32 `[N]`, the sample's weight in the pixel's colour, which identifies visible
 //!   surfaces.
@@ -11,16 +11,16 @@
 //! Reading and writing both stream: neither holds more than a few batches in memory.
 
 use std::fs::File;
-use std::io::{BufReader, Read, Write};
+use std::io::{BufReader, Write};
 use std::path::{Path, PathBuf};
 
 use glam::Vec3;
 use npyz::{AutoSerialize, DType, WriteOptions, WriterBuilder};
 use zip::read::ZipFile;
 
-use crate::io::AtomicFile;
 use crate::io::npy::ArrayStream;
 use crate::io::npz::{NpzReader, NpzWriter};
+use crate::io::{AtomicFile, Index, Real};
 use crate::monitor::{Monitor, check};
 use crate::render::{RaySample, RaySamples};
 use crate::{Error, Result};
@@ -113,22 +113,6 @@ pub struct SamplesReader {
     rays_total: u64,
     samples: u64,
     has_weights: bool,
-    ray_type: &'static str,
-}
-
-/// The `ray` array, in either of its types.
-enum RayIndices<R: Read> {
-    U32(ArrayStream<u32, R>),
-    U64(ArrayStream<u64, R>),
-}
-
-impl<R: Read> RayIndices<R> {
-    fn next(&mut self) -> Result<Option<u64>> {
-        match self {
-            Self::U32(stream) => Ok(stream.next_element()?.map(u64::from)),
-            Self::U64(stream) => stream.next_element(),
-        }
-    }
 }
 
 impl SamplesReader {
@@ -138,24 +122,18 @@ impl SamplesReader {
     /// If an array is missing or differs from the module's documentation.
     pub fn open(path: &Path) -> Result<Self> {
         let mut npz = NpzReader::open(path)?;
-        let positions = npz.stream::<f32>("positions")?;
+        let positions = npz.stream::<Real>("positions")?;
         positions.expect_shape(&[None, Some(3)])?;
         let samples = positions.shape()[0];
         drop(positions);
-        npz.stream::<f32>("jacobian")?.expect_shape(&[Some(samples), Some(3), Some(3)])?;
-        let ray_type = if let Ok(ray) = npz.stream::<u32>("ray") {
-            ray.expect_shape(&[Some(samples)])?;
-            "u32"
-        } else {
-            npz.stream::<u64>("ray").map_err(name_both_types)?.expect_shape(&[Some(samples)])?;
-            "u64"
-        };
+        npz.stream::<Real>("jacobian")?.expect_shape(&[Some(samples), Some(3), Some(3)])?;
+        npz.stream::<Index>("ray")?.expect_shape(&[Some(samples)])?;
         let has_weights = npz.has("weight");
         if has_weights {
-            npz.stream::<f32>("weight")?.expect_shape(&[Some(samples)])?;
+            npz.stream::<Real>("weight")?.expect_shape(&[Some(samples)])?;
         }
         let rays_total = read_rays_total(&mut npz, path)?;
-        Ok(Self { path: path.to_path_buf(), rays_total, samples, has_weights, ray_type })
+        Ok(Self { path: path.to_path_buf(), rays_total, samples, has_weights })
     }
 
     /// Number of rays drawn, including those that hit nothing.
@@ -178,19 +156,16 @@ impl SamplesReader {
     pub fn run(&self, monitor: &dyn Monitor, mut sink: impl FnMut(&[RaySamples]) -> Result<()>) -> Result<()> {
         let open = || NpzReader::open(&self.path);
         let (mut a, mut b, mut c, mut d) = (open()?, open()?, open()?, open()?);
-        let mut positions = a.stream::<f32>("positions")?;
-        let mut jacobians = b.stream::<f32>("jacobian")?;
-        let mut rays = match self.ray_type {
-            "u32" => RayIndices::U32(c.stream::<u32>("ray")?),
-            _ => RayIndices::U64(c.stream::<u64>("ray")?),
-        };
-        let mut weights = if self.has_weights { Some(d.stream::<f32>("weight")?) } else { None };
+        let mut positions = a.stream::<Real>("positions")?;
+        let mut jacobians = b.stream::<Real>("jacobian")?;
+        let mut rays = c.stream::<Index>("ray")?;
+        let mut weights = if self.has_weights { Some(d.stream::<Real>("weight")?) } else { None };
 
         monitor.begin("samples", self.samples);
         let mut batches = vec![RaySamples::default()];
         let mut previous = 0;
         for sample in 0..self.samples {
-            let ray = self.present(rays.next()?, "ray", sample)?;
+            let Index(ray) = self.present(rays.next_element()?, "ray", sample)?;
             if ray < previous || ray >= self.rays_total {
                 let expected = format!("from {previous} (non-decreasing) to below rays_total = {}", self.rays_total);
                 return Err(Error::malformed(
@@ -223,7 +198,7 @@ impl SamplesReader {
             }
         }
         // Reading past the last element verifies the archive's checksums.
-        rays.next()?;
+        rays.next_element()?;
         positions.next_element()?;
         jacobians.next_element()?;
         weights.iter_mut().try_for_each(|stream| stream.next_element().map(drop))?;
@@ -235,13 +210,13 @@ impl SamplesReader {
     /// Reads the next `N` numbers of an array, which must be finite.
     fn floats<const N: usize>(
         &self,
-        stream: &mut ArrayStream<f32, ZipFile<'_, BufReader<File>>>,
+        stream: &mut ArrayStream<Real, ZipFile<'_, BufReader<File>>>,
         sample: u64,
     ) -> Result<[f32; N]> {
         let mut values = [0.0; N];
         for value in &mut values {
             let next = stream.next_element()?;
-            *value = self.present(next, stream.origin().1, sample)?;
+            Real(*value) = self.present(next, stream.origin().1, sample)?;
             if !value.is_finite() {
                 let place = format!("array `{}`, sample {sample}", stream.origin().1);
                 return Err(Error::malformed(&self.path, place, "finite numbers", value.to_string()));
@@ -258,29 +233,17 @@ impl SamplesReader {
     }
 }
 
-/// Adds to the message that `ray` may have either type.
-fn name_both_types(error: Error) -> Error {
-    match error {
-        Error::Malformed { path, place, expected, found } if expected.starts_with("dtype") => {
-            Error::Malformed { path, place, expected: "dtype u32 or u64 (`.astype(\"u4\")`)".into(), found }
-        }
-        other => other,
-    }
-}
-
 /// Reads `rays_total` in any of NumPy's usual integer types, as a scalar or an array of one element.
 fn read_rays_total(npz: &mut NpzReader, path: &Path) -> Result<u64> {
-    let value = match npz.array::<i64>("rays_total") {
-        Ok(array) => array.data.first().copied().and_then(|v| u64::try_from(v).ok()),
-        Err(error) if !npz.has("rays_total") => return Err(error),
-        Err(_) => match npz.array::<i32>("rays_total") {
-            Ok(array) => array.data.first().copied().and_then(|v| u64::try_from(v).ok()),
-            Err(_) => match npz.array::<u32>("rays_total") {
-                Ok(array) => array.data.first().copied().map(u64::from),
-                Err(_) => npz.array::<u64>("rays_total")?.data.first().copied(),
-            },
-        },
-    };
+    let mut stream = npz.stream::<Index>("rays_total")?;
+    // One number, whatever else the array claims to hold.
+    let found = stream.shape().iter().product::<u64>();
+    if found > 1 {
+        return Err(Error::malformed(path, "array `rays_total`", "one integer above 0", format!("{found} of them")));
+    }
+    let value = stream.next_element()?.map(|Index(value)| value);
+    // Reading past it verifies the archive's checksum.
+    stream.next_element()?;
     value
         .filter(|&v| v > 0)
         .ok_or_else(|| Error::malformed(path, "array `rays_total`", "one integer above 0", "none or less"))

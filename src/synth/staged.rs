@@ -1,16 +1,20 @@
 //! Folders that appear complete or not at all.
 
+use std::fs::File;
 use std::path::{Path, PathBuf};
 
-use crate::io::{destination, folder_of};
+use crate::io::{destination, folder_of, part};
 use crate::{Error, Result};
 
 /// A folder under a temporary name beside its target.
 ///
-/// It is renamed when complete. If it is dropped before, it is removed with its content.
+/// It is renamed when complete. If it is dropped before, it is removed with its content. What a killed process left
+/// of it is removed when the same target is written again.
 pub struct StagedFolder {
     staged: tempfile::TempDir,
     target: PathBuf,
+    /// Says that the folder is no leftover.
+    _lock: File,
 }
 
 impl StagedFolder {
@@ -28,16 +32,25 @@ impl StagedFolder {
         // As for files: a link stays, and what it points to is replaced.
         let destination = destination(target)?;
         let parent = folder_of(&destination);
+        part::clear_leftovers(&destination);
+        let prefix = part::prefix(&destination);
         let mut builder = tempfile::Builder::new();
-        builder.prefix(".octobayes-").suffix(".part");
+        builder.prefix(&prefix).suffix(part::SUFFIX);
         #[cfg(unix)]
         {
             // As for files: the usual permissions, under the umask.
             use std::os::unix::fs::PermissionsExt;
             builder.permissions(std::fs::Permissions::from_mode(0o777));
         }
-        let staged = builder.tempdir_in(parent).map_err(Error::io(target, "cannot create the folder"))?;
-        Ok(Self { staged, target: destination })
+        let make = || {
+            let staged = builder.tempdir_in(parent)?;
+            // Windows opens no folders, and has no such locks either.
+            let lock = if cfg!(unix) { File::open(staged.path())? } else { tempfile::tempfile()? };
+            Ok((staged, lock))
+        };
+        let made = part::locked(make, |(_, lock)| lock);
+        let (staged, lock) = made.map_err(Error::io(target, "cannot create the folder"))?;
+        Ok(Self { staged, target: destination, _lock: lock })
     }
 
     /// Path of the folder while it is being filled.

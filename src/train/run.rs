@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use super::{Background, Quality, Selection, Shot, Trainer, quality};
 use crate::Result;
-use crate::dataset::Hemisphere;
+use crate::dataset::{Hemisphere, Views};
 use crate::geometry::Domain;
 use crate::monitor::Monitor;
 
@@ -211,7 +211,10 @@ impl Description {
     /// # Errors
     /// If it cannot be read.
     pub fn checksum(path: &Path) -> Result<u32> {
-        let bytes = std::fs::read(path).map_err(crate::Error::io(path, "cannot read"))?;
-        Ok(crc32fast::hash(&bytes))
+        let mut checksum = crc32fast::Hasher::new();
+        for file in Views::files(path) {
+            checksum.update(&std::fs::read(&file).map_err(crate::Error::io(&file, "cannot read"))?);
+        }
+        Ok(checksum.finalize())
     }
 }

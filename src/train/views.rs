@@ -56,16 +56,20 @@ impl DatasetFiles {
     /// Reads the camera files of `dataset`.
     ///
     /// `dataset` is a camera file, or a folder with `transforms_train.json` (and `transforms_test.json`, which is
-    /// held out) or `transforms.json`. Without a partner file every eighth image is held out. Frames without an
-    /// image are left out, as in instant-ngp.
+    /// held out) or `transforms.json`, or a COLMAP model. Without a partner file every eighth image is held out.
+    /// Frames without an image are left out, as in instant-ngp.
     ///
     /// # Errors
     /// If a file cannot be read, or no frame has an image.
     pub fn read(dataset: &Path) -> Result<Self> {
         let path = if dataset.is_dir() {
             let names = ["transforms_train.json", "transforms.json"];
-            names.iter().map(|name| dataset.join(name)).find(|path| path.exists()).ok_or_else(|| {
-                Error::malformed(dataset, "data set", "transforms_train.json or transforms.json", "neither")
+            let found = names.iter().map(|name| dataset.join(name)).find(|path| path.exists());
+            // A model of COLMAP is a folder itself.
+            let found = found.or_else(|| (Views::files(dataset) != [dataset]).then(|| dataset.to_path_buf()));
+            found.ok_or_else(|| {
+                let expected = "transforms_train.json, transforms.json, or a COLMAP model in sparse/0";
+                Error::malformed(dataset, "data set", expected, "none of them")
             })?
         } else {
             dataset.to_path_buf()
@@ -147,9 +151,13 @@ fn has_image(frame: &Frame) -> bool {
     frame.image.exists()
 }
 
-/// `aabb` of the camera file, else instant-ngp's unit cube around the origin times `aabb_scale`.
+/// `aabb` of the camera file (a COLMAP model has none), else instant-ngp's unit cube around the origin times
+/// `aabb_scale`.
 fn scene_box(path: &Path) -> Result<Aabb> {
-    let text = std::fs::read_to_string(path).map_err(Error::io(path, "cannot read"))?;
+    if Views::files(path) != [path] {
+        return Ok(Aabb::centered_cube(HALF_EDGE));
+    }
+    let text = crate::io::read_text(path)?;
     let found: SceneBox = serde_json::from_str(&text)
         .map_err(|e| Error::malformed(path, "`aabb`, `aabb_scale`", "corners and a number", e.to_string()))?;
     if let Some([min, max]) = found.aabb {

@@ -9,7 +9,7 @@ use std::path::Path;
 
 use super::{Protocol, Support, UncertaintyField};
 use crate::geometry::{Aabb, Lattice};
-use crate::io::npy;
+use crate::io::{Real, npy};
 use crate::posterior::{Covariance, VertexSums};
 use crate::{Error, Result};
 
@@ -31,10 +31,11 @@ impl OfficialGrid {
     /// Reads an official `.npy` as a dense field with the `trace` covariance.
     ///
     /// # Errors
-    /// If the array is not flat f32 with (2^level + 1)³ finite values ≥ 0.
+    /// If the array is not flat and of numbers, with (2^level + 1)³ finite values ≥ 0.
     pub fn read(&self, path: &Path) -> Result<UncertaintyField> {
-        let array = npy::read::<f32>(path)?;
-        array.expect_shape(path, "data", &[None])?;
+        let stream = npy::stream::<Real>(path)?;
+        stream.expect_shape(&[None])?;
+        let array = stream.into_reals()?;
         let level = (1..=9_u8).find(|&level| ((1_usize << level) + 1).pow(3) == array.data.len()).ok_or_else(|| {
             let found = format!("{} values", array.data.len());
             Error::malformed(path, "data", "(2^lod + 1)^3 values, lod from 1 to 9", found)

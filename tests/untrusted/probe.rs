@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use glam::{DVec3, Vec3};
-use octobayes::dataset::{DepthEncoding, DepthKind, DepthMap, PosedImage, Views, points};
+use octobayes::dataset::{DepthEncoding, DepthKind, DepthMap, PointReader, PosedImage, Views};
 use octobayes::estimate::state;
 use octobayes::estimate::{FieldBuilder, GridKind, GridSettings, Provenance};
 use octobayes::field::{Coordinates, Intrinsics, NerfMlp, Ppng, Radiance, RadianceField, VoxelGrid};
@@ -40,7 +40,7 @@ pub fn open(kind: Kind, path: &Path) -> bool {
         Kind::Transforms => Views::read(path, None).is_ok(),
         Kind::Samples => SamplesReader::open(path).is_ok(),
         Kind::Voxels => VoxelGrid::read(path).is_ok(),
-        Kind::Points => points::read_npy(path).is_ok(),
+        Kind::Points => points(path).is_ok(),
         Kind::Official => official(path).is_ok(),
         Kind::Safetensors => NerfMlp::read(path).is_ok(),
         Kind::Mesh => Mesh::read(path).is_ok(),
@@ -54,7 +54,13 @@ fn official(path: &Path) -> Result<UncertaintyField> {
 }
 
 fn csv(path: &Path) -> Result<Vec<Vec3>> {
-    std::fs::File::open(path).map_err(Error::io(path, "cannot open")).and_then(|file| points::read_csv(file, path))
+    std::fs::File::open(path)
+        .map_err(Error::io(path, "cannot open"))
+        .and_then(|file| PointReader::csv(file, path)?.rest())
+}
+
+fn points(path: &Path) -> Result<Vec<Vec3>> {
+    PointReader::npy(path)?.rest()
 }
 
 /// Reads `path` as `kind` and uses the result.
@@ -72,7 +78,7 @@ pub fn read(kind: Kind, path: &Path) -> Result<()> {
         Kind::Transforms => Views::read(path, None).map(|views| cameras_are_sound(&views.cameras())),
         Kind::Samples => samples_are_sound(path),
         Kind::Voxels => VoxelGrid::read(path).map(|grid| model_is_sound(&grid)),
-        Kind::Points => points::read_npy(path).map(|points| assert!(points.iter().all(|x| x.is_finite()))),
+        Kind::Points => points(path).map(|points| assert!(points.iter().all(|x| x.is_finite()))),
         Kind::Official => official(path).map(|field| field_is_sound(&field, path)),
         Kind::Safetensors => NerfMlp::read(path).map(|mlp| model_is_sound(&mlp)),
         Kind::Mesh => Mesh::read(path).map(|mesh| mesh_is_sound(&mesh)),

@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 use self::model::DemoModel;
 use self::scene::{DemoScene, Shown};
 use super::files::CommandFiles;
+use super::options::count;
 use super::panels::{Ranges, depth_range, view_panels};
 use super::progress::Bars;
 use super::report;
@@ -51,7 +52,7 @@ pub struct Args {
     level: Option<u8>,
 
     /// Rays [default: 40000; 200000 for a built-in scene]
-    #[arg(long, value_parser = clap::value_parser!(u64).range(1000..))]
+    #[arg(long, value_parser = count::<u64>(1000..))]
     rays: Option<u64>,
 }
 

@@ -17,6 +17,7 @@ use crate::evaluate::{
 };
 use crate::field::RadianceField;
 use crate::geometry::Aabb;
+use crate::io::AtomicFile;
 use crate::metrics::STEPS;
 use crate::monitor::Monitor;
 use crate::posterior::Covariance;
@@ -112,7 +113,11 @@ pub struct Args {
     #[arg(long)]
     force: bool,
 
-    /// Print one JSON object
+    /// Print the protocol of every field and covariance, too
+    #[arg(long)]
+    verbose: bool,
+
+    /// Print one JSON object, with all protocols
     #[arg(long)]
     json: bool,
 }
@@ -124,7 +129,7 @@ impl Args {
             .input("MODEL", &self.model.model)
             .inputs("FIELD", &self.fields)
             .inputs("--ensemble", &self.ensemble)
-            .input("--cameras", &self.cameras.cameras)
+            .cameras(Some(&self.cameras.cameras))
             .outputs("--plot", &self.plot)
             .outputs("--csv", &self.csv)
             .outputs("--clean-up", &self.clean_up);
@@ -165,15 +170,16 @@ impl Args {
             let expected = format!("at least {STEPS} pixels with depth and some error");
             Error::malformed(&self.depth, "depth maps", expected, found)
         })?;
-        let cleaned = self.clean_up(&evaluator, &truths, bars)?;
+        let (cleaned, sheet) = self.clean_up(&evaluator, &truths, bars)?.unzip();
+        let cleaned = cleaned.unwrap_or_default();
         let evaluation =
             Evaluation { args: &self, evaluator: &evaluator, measures, views: &judged, scores, depth, cleaned };
-        if let Some(path) = &self.plot {
-            evaluation.write_plot(path)?;
-        }
-        if let Some(path) = &self.csv {
-            evaluation.write_csv(path)?;
-        }
+        let plot = self.plot.as_ref().map(|path| evaluation.plot(path)).transpose()?;
+        let csv = self.csv.as_ref().map(|path| evaluation.csv(path)).transpose()?;
+        // All are on the disk before the first gets its name, so that no half set is left.
+        let mut files: Vec<AtomicFile> = [sheet, plot, csv].into_iter().flatten().collect();
+        files.iter_mut().try_for_each(AtomicFile::sync)?;
+        files.into_iter().try_for_each(AtomicFile::commit)?;
         evaluation.print()
     }
 
@@ -223,14 +229,19 @@ impl Args {
         }
     }
 
-    /// Sweeps the thresholds and writes the sheet, if asked to.
-    fn clean_up(&self, evaluator: &Evaluator, truths: &[TrueView], bars: &Bars) -> Result<Vec<CleanUp>> {
-        let Some(path) = &self.clean_up else { return Ok(Vec::new()) };
+    /// Sweeps the thresholds and draws the sheet, if asked to.
+    fn clean_up(
+        &self,
+        evaluator: &Evaluator,
+        truths: &[TrueView],
+        bars: &Bars,
+    ) -> Result<Option<(Vec<CleanUp>, AtomicFile)>> {
+        let Some(path) = &self.clean_up else { return Ok(None) };
         let rows: u64 = truths.iter().map(|truth| u64::from(truth.camera.resolution[1])).sum();
         bars.begin("rows, cleaned", rows * (1 + THRESHOLDS.len() as u64));
         let cleaned = clean_up(&evaluator.tracer, &evaluator.readings[0].field, truths, &THRESHOLDS, bars)?;
         bars.end();
-        sheet::write(path, truths, &cleaned)?;
-        Ok(cleaned.into_iter().map(|(cleaned, _)| cleaned).collect())
+        let sheet = sheet::stage(path, truths, &cleaned)?;
+        Ok(Some((cleaned.into_iter().map(|(cleaned, _)| cleaned).collect(), sheet)))
     }
 }

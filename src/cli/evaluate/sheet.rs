@@ -4,7 +4,8 @@ use std::path::Path;
 
 use crate::Result;
 use crate::evaluate::{CleanUp, TrueView};
-use crate::picture::{Panel, color_panel, write_sheet};
+use crate::io::AtomicFile;
+use crate::picture::{Panel, color_panel, stage_sheet};
 use crate::render::RenderedView;
 
 /// Most views on a sheet.
@@ -23,7 +24,7 @@ pub fn shown(cleaned: &[(CleanUp, Vec<RenderedView>)]) -> Vec<usize> {
 }
 
 /// Writes one row per view, for views spread evenly over all: the truth, the field as it is, and after clean-up.
-pub fn write(path: &Path, truths: &[TrueView], cleaned: &[(CleanUp, Vec<RenderedView>)]) -> Result<()> {
+pub fn stage(path: &Path, truths: &[TrueView], cleaned: &[(CleanUp, Vec<RenderedView>)]) -> Result<AtomicFile> {
     let step = truths.len().div_ceil(VIEWS).max(1);
     let rows: Vec<Vec<Panel>> = (step / 2..truths.len())
         .step_by(step)
@@ -38,5 +39,5 @@ pub fn write(path: &Path, truths: &[TrueView], cleaned: &[(CleanUp, Vec<Rendered
             row
         })
         .collect();
-    write_sheet(path, &rows)
+    stage_sheet(path, &rows)
 }

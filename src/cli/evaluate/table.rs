@@ -9,7 +9,7 @@ use crate::cli::report;
 use crate::evaluate::{CleanUp, DepthError, EvaluatedView, Evaluator, Measure, Score};
 use crate::io::AtomicFile;
 use crate::metrics::{ErrorKind, STEPS, Sparsification};
-use crate::picture::{Curve, write_plot};
+use crate::picture::{Curve, stage_plot};
 use crate::{Error, Result};
 
 /// The results of an evaluation.
@@ -30,6 +30,19 @@ fn kind_name(kind: ErrorKind) -> String {
     format!("{kind:?}").to_lowercase()
 }
 
+/// Which pixels are used, in words.
+fn every_pixel(stride: u32) -> String {
+    let ending = match (stride % 10, stride % 100) {
+        _ if stride == 1 => return "every pixel".into(),
+        (_, 11..=13) => "th",
+        (1, _) => "st",
+        (2, _) => "nd",
+        (3, _) => "rd",
+        _ => "th",
+    };
+    format!("every {stride}{ending} pixel along x and y")
+}
+
 impl Evaluation<'_> {
     fn named(&self) -> impl Iterator<Item = (Measure, String, &Score)> {
         self.measures.iter().zip(&self.scores).map(|(&measure, score)| (measure, self.evaluator.name(measure), score))
@@ -43,8 +56,8 @@ impl Evaluation<'_> {
         self.views.iter().map(|v| v.empty).sum()
     }
 
-    /// Plots the curves of mean absolute error, in scene units.
-    pub fn write_plot(&self, path: &Path) -> Result<()> {
+    /// Plots the curves of mean absolute error, in scene units, in a file to be committed.
+    pub fn plot(&self, path: &Path) -> Result<AtomicFile> {
         let points = |s: &Sparsification, values: &[f64]| {
             s.removed.iter().zip(values).map(|(&r, &v)| (r, v * s.largest)).collect()
         };
@@ -61,11 +74,11 @@ impl Evaluation<'_> {
             curves.push(Curve { name: "oracle: largest errors removed first".into(), points: oracle, reference: true });
         }
         let axes = ["removed share of pixels", "mean absolute depth error"];
-        write_plot(path, "Mean depth error left, scene units", axes, &curves)
+        stage_plot(path, "Mean depth error left, scene units", axes, &curves)
     }
 
-    /// Writes one row per error kind and removed share, with values in scene units.
-    pub fn write_csv(&self, path: &Path) -> Result<()> {
+    /// Writes one row per error kind and removed share, with values in scene units, in a file to be committed.
+    pub fn csv(&self, path: &Path) -> Result<AtomicFile> {
         let mut file = AtomicFile::create(path)?;
         let mut write = || -> csv::Result<()> {
             let mut csv = csv::Writer::from_writer(&mut file);
@@ -84,7 +97,7 @@ impl Evaluation<'_> {
             Ok(())
         };
         write().map_err(|e| Error::io(path, "cannot write")(e.into()))?;
-        file.commit()
+        Ok(file)
     }
 
     fn json(&self) -> serde_json::Value {
@@ -129,12 +142,12 @@ impl Evaluation<'_> {
         if args.json {
             return say!("{}", self.json());
         }
-        for reading in self.evaluator.readings {
+        for reading in self.evaluator.readings.iter().filter(|_| args.verbose) {
             say!("{}\n{}", reading.name, report::protocol(&reading.field))?;
         }
         say!("protocol of the evaluation")?;
         let (n, cameras) = (self.views.len(), args.cameras.cameras.display());
-        say!("  views        {n} of {cameras}, every {}. pixel along x and y", args.stride)?;
+        say!("  views        {n} of {cameras}, {}", every_pixel(args.stride))?;
         let kind = if args.z_depth { "along the viewing axis" } else { "Euclidean" };
         say!("  depth        median of the ray's weights, against {kind} depth of {}", args.depth.display())?;
         let empty = self.empty();
@@ -191,5 +204,19 @@ impl Evaluation<'_> {
             )?;
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn strides_are_counted_as_people_do() {
+        let said = [1, 2, 3, 4, 11, 12, 21, 112].map(every_pixel);
+        assert_eq!(said[0], "every pixel");
+        for (text, number) in said[1..].iter().zip(["2nd", "3rd", "4th", "11th", "12th", "21st", "112th"]) {
+            assert_eq!(text, &format!("every {number} pixel along x and y"));
+        }
     }
 }

@@ -1,11 +1,11 @@
-//! Where cameras come from: a file, or the model.
+//! Where cameras come from: files, or the model.
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use clap::Args;
 
-use super::parse::{parse_fov, parse_resolution, parse_views};
+use super::parse::{Resolution, parse_fov, parse_resolution, parse_views};
 use crate::dataset::{Frame, FrameSplit, Part, ResolutionSource, Selection, Views};
 use crate::field::{Intrinsics, RadianceField};
 use crate::{Error, Result};
@@ -13,13 +13,15 @@ use crate::{Error, Result};
 /// A camera file.
 #[derive(Args)]
 pub struct CameraFile {
-    /// transforms.json with intrinsics and camera-to-world poses (OpenGL axes)
-    #[arg(long, value_name = "JSON")]
+    /// transforms.json with intrinsics and camera-to-world poses (OpenGL axes), or a COLMAP model: its folder
+    /// (cameras and images, .bin or .txt) or the folder with sparse/0
+    #[arg(long, value_name = "PATH")]
     pub cameras: PathBuf,
 
-    /// Image size, W or WxH [default: from the camera file, else from its first image, else 400x400]
+    /// Image size, WxH, or W alone to keep the aspect ratio [default: from the camera file, else from its first
+    /// image, else 400x400]
     #[arg(long, value_name = "SIZE", value_parser = parse_resolution)]
-    pub resolution: Option<[u32; 2]>,
+    pub resolution: Option<Resolution>,
 }
 
 /// Which frames of a camera file to use.
@@ -59,7 +61,11 @@ impl CameraFile {
 
     /// Reads the file. Says so if it has to assume the image size.
     pub fn read(&self) -> Result<Views> {
-        let views = Views::read(&self.cameras, self.resolution)?;
+        let mut views = Views::read(&self.cameras, self.resolution.and_then(Resolution::size))?;
+        if let Some(resolution) = self.resolution {
+            views.frames.iter_mut().for_each(|frame| frame.camera = resolution.of(&frame.camera));
+            views.resolution_source = ResolutionSource::Requested;
+        }
         if views.resolution_source == ResolutionSource::Assumed {
             let [w, h] = views.frames[0].camera.resolution;
             let path = self.cameras.display();
@@ -74,18 +80,20 @@ impl CameraFile {
 /// A camera file, or the cameras that come with the model.
 #[derive(Args)]
 pub struct CameraOptions {
-    /// transforms.json with intrinsics and camera-to-world poses (OpenGL axes) [default: the model's own cameras,
-    /// if it has any]
-    #[arg(long, value_name = "JSON")]
+    /// transforms.json with intrinsics and camera-to-world poses (OpenGL axes), or a COLMAP model: its folder
+    /// (cameras and images, .bin or .txt) or the folder with sparse/0 [default: the model's own cameras, if it has
+    /// any]
+    #[arg(long, value_name = "PATH")]
     pub cameras: Option<PathBuf>,
 
     /// Horizontal angle of view of the model's own cameras, degrees
     #[arg(long, value_name = "DEGREES", value_parser = parse_fov, conflicts_with = "cameras")]
     pub fov: Option<f64>,
 
-    /// Image size, W or WxH [default: from the camera file, else from its first image, else 400x400]
+    /// Image size, WxH, or W alone to keep the aspect ratio [default: from the camera file, else from its first
+    /// image, else 400x400]
     #[arg(long, value_name = "SIZE", value_parser = parse_resolution)]
-    pub resolution: Option<[u32; 2]>,
+    pub resolution: Option<Resolution>,
 }
 
 impl CameraOptions {
@@ -94,7 +102,8 @@ impl CameraOptions {
         if let Some(cameras) = &self.cameras {
             return CameraFile { cameras: cameras.clone(), resolution: self.resolution }.read();
         }
-        let intrinsics = Intrinsics { fov_x: self.fov.map(f64::to_radians), resolution: self.resolution };
+        let size = self.resolution.and_then(Resolution::size);
+        let intrinsics = Intrinsics { fov_x: self.fov.map(f64::to_radians), resolution: size };
         let cameras = model.cameras(&intrinsics)?.ok_or_else(|| {
             Error::setting(
                 "--cameras",
@@ -104,7 +113,8 @@ impl CameraOptions {
         })?;
         let names = model.training_cameras();
         let name_of = |i: usize| names.get(i).map_or_else(|| format!("pose {i}"), |named| named.name.clone());
-        let frame = |(i, camera)| Frame { camera, name: name_of(i), image: PathBuf::new() };
+        let sized = |camera| self.resolution.map_or(camera, |resolution| resolution.of(&camera));
+        let frame = |(i, camera)| Frame { camera: sized(camera), name: name_of(i), image: PathBuf::new() };
         Ok(Views {
             path: PathBuf::from(name),
             frames: cameras.into_iter().enumerate().map(frame).collect(),

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 use glam::DVec3;
 
+use super::numbers::count;
 use super::parse::{numbers, parse_box, parse_bytes, parse_non_negative, parse_positive};
 use crate::cli::report::{self, Cost};
 use crate::estimate::{GridKind, GridSettings};
@@ -117,7 +118,7 @@ pub struct GridOptions {
     pub keep_sums: bool,
 
     /// Points on visible surfaces to keep in the file, for `compare`
-    #[arg(long, value_name = "N", default_value_t = 16_384)]
+    #[arg(long, value_name = "N", default_value_t = 16_384, value_parser = count::<usize>(..))]
     pub surface_points: usize,
 
     /// Print one JSON object
@@ -126,6 +127,11 @@ pub struct GridOptions {
 }
 
 impl GridOptions {
+    /// Checks that the output has the name of a field.
+    pub fn check_output(&self) -> Result<()> {
+        check_field_name(&self.output)
+    }
+
     /// The library's settings for a field over `domain`.
     pub fn settings(&self, domain: &Domain) -> Result<GridSettings> {
         Ok(GridSettings {
@@ -172,6 +178,15 @@ impl GridOptions {
     }
 }
 
+/// Refuses names of files that would not be taken for a field.
+pub fn check_field_name(output: &Path) -> Result<()> {
+    if output.extension().is_some_and(|extension| extension == "oct") {
+        return Ok(());
+    }
+    let expected = "`.oct` (`convert` writes `.npy` from it)";
+    Err(Error::malformed(output, "file name", expected, "another extension"))
+}
+
 /// What an official `.npy` does not say: its box and its number of rays.
 #[derive(Args)]
 pub struct OfficialOptions {
@@ -180,7 +195,7 @@ pub struct OfficialOptions {
     pub bounds: Option<Aabb>,
 
     /// Number of rays summed in the official code's `.npy` grids
-    #[arg(long, default_value_t = OfficialGrid::DEFAULT_RAYS, value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, default_value_t = OfficialGrid::DEFAULT_RAYS, value_parser = count::<u64>(1..))]
     pub rays: u64,
 }
 

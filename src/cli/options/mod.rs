@@ -2,13 +2,15 @@
 
 mod cameras;
 mod grid;
+mod numbers;
 mod parse;
 
 pub use cameras::{CameraFile, CameraOptions, FrameOptions};
-pub use grid::{DomainOptions, GridOptions, OfficialOptions};
+pub use grid::{DomainOptions, GridOptions, OfficialOptions, check_field_name};
+pub use numbers::{count, parse_interval, parse_time};
 pub use parse::{
-    numbers, parse_background, parse_box, parse_non_negative, parse_pair, parse_positive, parse_range,
-    parse_resolution, parse_views,
+    Resolution, numbers, parse_background, parse_box, parse_non_negative, parse_pair, parse_positive, parse_range,
+    parse_resolution, parse_views, scaled,
 };
 
 use clap::{Args, ValueEnum};
@@ -48,7 +50,8 @@ impl ValueEnum for RayAverage {
             Self::Official => "the official code's: -3 for the part that hits nothing",
             Self::AtExpected => "log10 U at the expected depth",
             Self::Spread => {
-                "log10 (U at the expected depth times the deviation of the ray's weights): for ranking pixels"
+                "log10 (U at the expected depth times the deviation of the ray's weights, with delta^2/12 added to \
+                 their variance for the length delta of a sample): for ranking pixels"
             }
         };
         Some(clap::builder::PossibleValue::new(self.name()).help(help))

@@ -3,7 +3,7 @@
 use glam::{DVec3, Vec3};
 
 use crate::dataset::Selection;
-use crate::geometry::Aabb;
+use crate::geometry::{Aabb, Camera};
 
 /// Numbers separated by commas.
 pub fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
@@ -69,15 +69,48 @@ pub fn parse_views(text: &str) -> Result<Selection, String> {
     Ok(Selection::Indices(indices))
 }
 
+/// A requested image size.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Resolution {
+    /// This width; the height follows from the camera's own aspect ratio.
+    Width(u32),
+    /// Width and height.
+    Size([u32; 2]),
+}
+
+impl Resolution {
+    /// The size to ask for before any camera is known, if it is known.
+    pub fn size(self) -> Option<[u32; 2]> {
+        match self {
+            Self::Width(_) => None,
+            Self::Size(size) => Some(size),
+        }
+    }
+
+    /// The camera at this size.
+    pub fn of(self, camera: &Camera) -> Camera {
+        match self {
+            Self::Width(width) => scaled(camera, f64::from(width) / f64::from(camera.resolution[0])),
+            Self::Size(size) => camera.resized(size),
+        }
+    }
+}
+
+/// The camera with sides times `scale`, at least a pixel and at most what an image may have.
+pub fn scaled(camera: &Camera, scale: f64) -> Camera {
+    let side = |side: u32| (f64::from(side) * scale).round().clamp(1.0, 65_536.0) as u32;
+    camera.resized(camera.resolution.map(side))
+}
+
 /// `W` or `WxH`.
-pub fn parse_resolution(text: &str) -> Result<[u32; 2], String> {
+pub fn parse_resolution(text: &str) -> Result<Resolution, String> {
     let side = |text: &str| match text.parse::<u32>() {
         Ok(side) if (1..=65_536).contains(&side) => Ok(side),
         _ => Err(format!("`{text}` is not a whole number of pixels from 1 to 65536")),
     };
     match text.split_once('x') {
-        Some((w, h)) => Ok([side(w)?, side(h)?]),
-        None => Ok([side(text)?; 2]),
+        Some((w, h)) => Ok(Resolution::Size([side(w)?, side(h)?])),
+        None => Ok(Resolution::Width(side(text)?)),
     }
 }
 
@@ -130,13 +163,25 @@ mod tests {
     use super::*;
 
     #[test]
+    fn a_width_alone_keeps_the_aspect_ratio() {
+        let camera = Camera::look_at(DVec3::X, DVec3::ZERO, DVec3::Z, 0.7, [1080, 1920]);
+        let small = Resolution::Width(200).of(&camera);
+        assert_eq!(small.resolution, [200, 356]);
+        // 355.6 is rounded, and the pixels with it: they stay square to within that.
+        assert!((small.focal[0] / small.focal[1] - 1.0).abs() < 0.5 / 356.0);
+        assert_eq!(Resolution::Size([30, 20]).of(&camera).resolution, [30, 20]);
+        assert_eq!(scaled(&camera, 1e-9).resolution, [1, 1]);
+    }
+
+    #[test]
     fn texts_become_settings_or_reasons() {
         assert!(parse_box("-1,-1,-1,1,1,1").is_ok());
         assert!(parse_box("1,1,1,-1,-1,-1").unwrap_err().contains("min < max"));
         assert!(parse_box("1,2,3").unwrap_err().contains("6 numbers"));
         assert_eq!(parse_background("0,0.5,1"), Ok(Vec3::new(0.0, 0.5, 1.0)));
         assert!(parse_background("0,0.5,2").is_err() && parse_background("red").is_err());
-        assert_eq!(parse_resolution("80x60"), Ok([80, 60]));
+        assert_eq!(parse_resolution("80x60"), Ok(Resolution::Size([80, 60])));
+        assert_eq!(parse_resolution("80"), Ok(Resolution::Width(80)));
         assert!(parse_resolution("0").is_err() && parse_resolution("8x").is_err());
         assert_eq!(parse_views("10"), Ok(Selection::Count(10)));
         assert_eq!(parse_views("7,0,31,7"), Ok(Selection::Indices(vec![0, 7, 31])));

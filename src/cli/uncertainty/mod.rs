@@ -7,10 +7,12 @@ use std::time::{Duration, Instant};
 
 use super::files::CommandFiles;
 use super::options::{
-    CameraOptions, DomainOptions, FrameOptions, GridOptions, ModelOptions, parse_non_negative, parse_positive,
+    CameraOptions, DomainOptions, FrameOptions, GridOptions, ModelOptions, count, parse_interval, parse_non_negative,
+    parse_positive,
 };
 use super::progress::Bars;
 use super::report::{self, Cost};
+use crate::dataset::Views;
 use crate::estimate::{Checkpoint, Estimation, GridSettings, Outcome, Planner, RaySettings, Run};
 use crate::geometry::Camera;
 use crate::rays::{Pixels, RunProgress, SamplesWriter};
@@ -39,8 +41,8 @@ pub struct Args {
     #[command(flatten)]
     grid: GridOptions,
 
-    /// Rays to draw (the paper uses 4096000), or `auto` for as many as bring the estimated mean error of log10 U
-    /// within --tolerance
+    /// Rays to draw, such as 400k or 1M (the paper uses 4096000), or `auto` for as many as bring the estimated mean
+    /// error of log10 U within --tolerance
     ///
     /// `auto` doubles the rays, from 65536, until two halves of them agree. Most scenes need tens of millions for
     /// 0.05.
@@ -48,7 +50,7 @@ pub struct Args {
     rays: Rays,
 
     /// Most rays that `--rays auto` draws
-    #[arg(long, value_name = "N", default_value_t = 32_768_000, value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = 32_768_000, value_parser = count::<u64>(1..))]
     max_rays: u64,
 
     /// How pixels are chosen
@@ -111,9 +113,9 @@ pub struct Args {
     #[arg(long, value_name = "FILE", conflicts_with = "dump_samples")]
     checkpoint: Option<PathBuf>,
 
-    /// Seconds between checkpoints
-    #[arg(long, value_name = "SECONDS", default_value_t = 60.0, value_parser = parse_non_negative)]
-    checkpoint_every: f64,
+    /// Time between checkpoints, such as 90s, 5min or 1h30m
+    #[arg(long, value_name = "TIME", default_value = "60s", value_parser = parse_interval)]
+    checkpoint_every: Duration,
 
     /// Continue from the checkpoint, if there is one
     #[arg(long, requires = "checkpoint")]
@@ -129,11 +131,10 @@ enum Rays {
 
 /// A number of rays, or `auto`.
 fn parse_rays(text: &str) -> std::result::Result<Rays, String> {
-    match text.parse() {
-        _ if text == "auto" => Ok(Rays::Auto),
-        Ok(rays) if rays > 0 => Ok(Rays::Count(rays)),
-        _ => Err("expected a whole number above 0, or `auto`".into()),
+    if text == "auto" {
+        return Ok(Rays::Auto);
     }
+    count(1..)(text).map(Rays::Count).map_err(|expected| format!("{expected}; or `auto`"))
 }
 
 /// `I/N` with I < N.
@@ -163,6 +164,7 @@ fn warn_of_dropped(progress: &RunProgress) {
 impl Args {
     /// Runs the verb.
     pub fn run(self, bars: &Bars) -> Result<()> {
+        self.grid.check_output()?;
         self.command_files().check()?;
         let files = self.files();
         let field = self.model.open()?;
@@ -277,7 +279,7 @@ impl Args {
     fn command_files(&self) -> CommandFiles {
         let files = CommandFiles::default()
             .input("MODEL", &self.model.model)
-            .inputs("--cameras", &self.cameras.cameras)
+            .cameras(self.cameras.cameras.as_deref())
             .output("--output", &self.grid.output)
             .outputs("--dump-samples", &self.dump_samples);
         let states = self.checkpoint().map_or(Vec::new(), |checkpoint| checkpoint.files(self.error_bars));
@@ -291,8 +293,9 @@ impl Args {
 
     /// The model and the camera file, if there is one, with their checksums.
     fn files(&self) -> Result<Vec<String>> {
-        let cameras = self.cameras.cameras.as_ref().map(|file| file.to_string_lossy());
-        [Some(self.model.model.as_str()), cameras.as_deref()].into_iter().flatten().map(identity).collect()
+        let cameras = self.cameras.cameras.iter().flat_map(|path| Views::files(path));
+        let cameras = cameras.map(|file| file.to_string_lossy().into_owned());
+        [self.model.model.clone()].into_iter().chain(cameras).map(|file| identity(&file)).collect()
     }
 
     /// What the field was computed from, which identifies the run.
@@ -301,17 +304,19 @@ impl Args {
         if let Some(coordinates) = self.model.coordinates {
             model = format!("{model} in {} coordinates", coordinates.name());
         }
-        let seen_by = files.get(1).cloned().unwrap_or_else(|| {
-            let [w, h] = cameras[0].resolution;
-            let fov = self.cameras.fov.map_or(String::new(), |fov| format!(", {fov} degrees"));
-            format!("its own {} cameras of {w} x {h}{fov}", cameras.len())
-        });
+        let seen_by = match &files[1..] {
+            [] => {
+                let [w, h] = cameras[0].resolution;
+                let fov = self.cameras.fov.map_or(String::new(), |fov| format!(", {fov} degrees"));
+                format!("its own {} cameras of {w} x {h}{fov}", cameras.len())
+            }
+            files => files.join(" and "),
+        };
         format!("{model} seen by {seen_by}")
     }
 
     /// Where and how often to save, if at all.
     fn checkpoint(&self) -> Option<Checkpoint> {
-        let every = Duration::try_from_secs_f64(self.checkpoint_every).unwrap_or(Duration::MAX);
-        self.checkpoint.as_ref().map(|path| Checkpoint::new(path).every(every).resume(self.resume))
+        self.checkpoint.as_ref().map(|path| Checkpoint::new(path).every(self.checkpoint_every).resume(self.resume))
     }
 }

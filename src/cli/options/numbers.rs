@@ -1,0 +1,195 @@
+//! Numbers as people write them: `1M`, `4e5`, `250k`, `1_000_000`; times: `90s`, `5min`, `1h30m`.
+
+use std::ops::{Bound, RangeBounds};
+use std::time::Duration;
+
+/// A parser of whole numbers in `range`, for clap.
+///
+/// Takes `k`, `M` and `G` (thousands, millions, billions, in either case), an exponent, and `_` between digits. The
+/// value must be whole: `1.5k` is, `1.5` is not.
+pub fn count<T: TryFrom<u64>>(
+    range: impl RangeBounds<u64> + Clone + Send + Sync + 'static,
+) -> impl Fn(&str) -> Result<T, String> + Clone + Send + Sync + 'static {
+    move |text| {
+        let value = whole(text).filter(|value| range.contains(value));
+        value.and_then(|value| T::try_from(value).ok()).ok_or_else(|| expected_count(&range))
+    }
+}
+
+/// What [`count`] takes, in words.
+fn expected_count(range: &impl RangeBounds<u64>) -> String {
+    let low = match range.start_bound() {
+        Bound::Included(&low) => low,
+        Bound::Excluded(&low) => low + 1,
+        Bound::Unbounded => 0,
+    };
+    let high = match range.end_bound() {
+        Bound::Included(&high) => format!("from {low} to {high}"),
+        Bound::Excluded(&high) => format!("from {low} to {}", high - 1),
+        Bound::Unbounded => format!("of {low} or more"),
+    };
+    format!("expected a whole number {high}, such as 20000, 20_000, 20k or 2e4")
+}
+
+/// The whole number that `text` stands for, without rounding.
+fn whole(text: &str) -> Option<u64> {
+    let (number, power) = split_power(text)?;
+    let (integer, fraction) = match number.split_once('.') {
+        Some((integer, fraction)) => (digits(integer)?, digits(fraction)?),
+        None => (digits(number)?, String::new()),
+    };
+    let mantissa: u64 = (integer + &fraction).parse().ok()?;
+    let places = u32::try_from(fraction.len()).ok()?;
+    if places <= power {
+        return mantissa.checked_mul(10_u64.checked_pow(power - places)?);
+    }
+    let divisor = 10_u64.checked_pow(places - power)?;
+    mantissa.is_multiple_of(divisor).then_some(mantissa / divisor)
+}
+
+/// Splits off the power of ten that a suffix or an exponent stands for.
+fn split_power(text: &str) -> Option<(&str, u32)> {
+    if let Some((number, exponent)) = text.split_once(['e', 'E']) {
+        return Some((number, exponent.strip_prefix('+').unwrap_or(exponent).parse().ok()?));
+    }
+    let power = match text.chars().last()? {
+        'k' | 'K' => 3,
+        'm' | 'M' => 6,
+        'g' | 'G' => 9,
+        _ => return Some((text, 0)),
+    };
+    Some((text[..text.len() - 1].trim_end(), power))
+}
+
+/// The digits of `text`, without the `_` between them.
+fn digits(text: &str) -> Option<String> {
+    let parts = || text.split('_');
+    let is_sound = parts().all(|part| !part.is_empty() && part.bytes().all(|b| b.is_ascii_digit()));
+    is_sound.then(|| parts().collect())
+}
+
+/// What [`parse_time`] and [`parse_interval`] take, in words.
+const TIMES: &str = "such as 90s, 5min, 1.5h or 1h30m; a number alone is seconds";
+
+/// A time above 0.
+pub fn parse_time(text: &str) -> Result<Duration, String> {
+    time(text).filter(|time| !time.is_zero()).ok_or_else(|| format!("expected a time above 0, {TIMES}"))
+}
+
+/// A time, which may be 0.
+pub fn parse_interval(text: &str) -> Result<Duration, String> {
+    time(text).ok_or_else(|| format!("expected a time, {TIMES}"))
+}
+
+/// Numbers with units, summed; or one number of seconds.
+fn time(text: &str) -> Option<Duration> {
+    let mut rest = text.trim();
+    let mut seconds = 0.0;
+    let mut is_first = true;
+    loop {
+        let end = rest.find(|c: char| !(c.is_ascii_digit() || "._".contains(c))).unwrap_or(rest.len());
+        let (number, behind) = rest.split_at(end);
+        let number: f64 = number.replace('_', "").parse().ok()?;
+        let behind = behind.trim_start();
+        let end = behind.find(|c: char| !c.is_ascii_alphabetic()).unwrap_or(behind.len());
+        let (unit, behind) = behind.split_at(end);
+        seconds += number
+            * match unit {
+                "" if is_first && behind.is_empty() => 1.0,
+                "s" | "sec" | "secs" | "second" | "seconds" => 1.0,
+                "m" | "min" | "mins" | "minute" | "minutes" => 60.0,
+                "h" | "hr" | "hrs" | "hour" | "hours" => 3600.0,
+                "d" | "day" | "days" => 86_400.0,
+                _ => return None,
+            };
+        rest = behind.trim_start();
+        is_first = false;
+        if rest.is_empty() {
+            return Duration::try_from_secs_f64(seconds).ok();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn counts_are_read_as_people_write_them() {
+        let parse = count::<u64>(1..);
+        let cases = [
+            ("7", 7),
+            ("1M", 1_000_000),
+            ("4e5", 400_000),
+            ("4E+5", 400_000),
+            ("250k", 250_000),
+            ("250 K", 250_000),
+            ("1_000_000", 1_000_000),
+            ("100_000", 100_000),
+            ("4.096M", 4_096_000),
+            ("1.5e3", 1500),
+            ("2g", 2_000_000_000),
+            ("1.0", 1),
+            ("18446744073709551615", u64::MAX),
+        ];
+        for (text, value) in cases {
+            assert_eq!(parse(text), Ok(value), "{text}");
+        }
+        let refused = [
+            "",
+            "0",
+            "-1",
+            "+1",
+            "1.5",
+            "1e-3",
+            "e5",
+            "k",
+            "1kk",
+            "1 000",
+            "1_",
+            "_1",
+            "1__0",
+            "1._5k",
+            "1.",
+            "nan",
+            "inf",
+            "1e400",
+            "18446744073709551616",
+            "0x10",
+            "١",
+            "1M rays",
+        ];
+        for text in refused {
+            let error = parse(text).expect_err(text);
+            assert!(error.contains("of 1 or more") && error.contains("20k"), "{error}");
+        }
+        assert_eq!(count::<u32>(1..=1000)("1k"), Ok(1000));
+        assert!(count::<u32>(1..=1000)("1001").unwrap_err().contains("from 1 to 1000"));
+        assert!(count::<u8>(..)("300").is_err() && count::<usize>(..)("0") == Ok(0));
+    }
+
+    #[test]
+    fn times_are_read_as_people_write_them() {
+        let cases = [
+            ("90s", 90.0),
+            ("5min", 300.0),
+            ("3m", 180.0),
+            ("1.5h", 5400.0),
+            ("1h30m", 5400.0),
+            ("1h 30 min", 5400.0),
+            ("2 days", 172_800.0),
+            ("20", 20.0),
+            ("0.25", 0.25),
+        ];
+        for (text, seconds) in cases {
+            assert_eq!(parse_time(text), Ok(Duration::from_secs_f64(seconds)), "{text}");
+            assert_eq!(parse_time(text), parse_interval(text));
+        }
+        for text in ["", "-1s", "m", "3x", "1h30", "30 1h", "1e30h", "99999999999999999999h", "1..2s", "s1", "5 é"] {
+            assert!(parse_time(text).unwrap_err().contains("1h30m"), "{text}");
+            assert!(parse_interval(text).is_err(), "{text}");
+        }
+        assert!(parse_time("0").is_err());
+        assert_eq!(parse_interval("0"), Ok(Duration::ZERO));
+    }
+}

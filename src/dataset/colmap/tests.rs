@@ -1,0 +1,220 @@
+use std::fmt::Write;
+
+use glam::DVec3;
+use proptest::prelude::*;
+
+use super::*;
+use crate::dataset::write_transforms;
+use crate::geometry::Distortion;
+
+/// Cameras that look at the origin from odd places, each with a lens of its own kind.
+fn cameras() -> Vec<(String, Camera, Lens)> {
+    (0..7)
+        .map(|i| {
+            let (angle, kind) = (0.9 * f64::from(i) + 0.1, i as usize % PARAMETERS.len());
+            let position = 4.0 * DVec3::new(angle.cos(), angle.sin(), 0.3 * angle.cos() - 0.2);
+            let mut camera = Camera::look_at(position, DVec3::splat(0.1), DVec3::Z, 0.7, [60 + i as u32, 40]);
+            camera.center = [29.25 + 0.1 * f64::from(i), 20.125];
+            let [k1, k2, p1, p2] = [0.05, -0.01, 2e-3, -1e-3];
+            camera.distortion = match kind {
+                0 | 1 => Distortion { k: [0.0; 2], p: [0.0; 2] },
+                2 => Distortion { k: [k1, 0.0], p: [0.0; 2] },
+                3 => Distortion { k: [k1, k2], p: [0.0; 2] },
+                _ => Distortion { k: [k1, k2], p: [p1, p2] },
+            };
+            if kind == 1 || kind == 4 {
+                camera.focal[1] *= 1.01;
+            }
+            (format!("picture {i}.png"), camera, Lens(kind))
+        })
+        .collect()
+}
+
+fn parameters(camera: &Camera, lens: Lens) -> Vec<f64> {
+    let ([fx, fy], [cx, cy], Distortion { k: [k1, k2], p: [p1, p2] }) =
+        (camera.focal, camera.center, camera.distortion);
+    match lens.0 {
+        0 => vec![fx, cx, cy],
+        1 => vec![fx, fy, cx, cy],
+        2 => vec![fx, cx, cy, k1],
+        3 => vec![fx, cx, cy, k1, k2],
+        _ => vec![fx, fy, cx, cy, k1, k2, p1, p2],
+    }
+}
+
+/// World to camera with OpenCV's axes: w, x, y, z and a translation.
+fn world_to_camera(camera: &Camera) -> [f64; 7] {
+    let axes = DMat3::from_cols(camera.axes.x_axis, -camera.axes.y_axis, -camera.axes.z_axis);
+    let to_camera = axes.transpose();
+    let q = DQuat::from_mat3(&to_camera);
+    let t = -(to_camera * camera.position);
+    [q.w, q.x, q.y, q.z, t.x, t.y, t.z]
+}
+
+/// Both text files, as COLMAP writes them.
+fn as_text(cameras: &[(String, Camera, Lens)]) -> [String; 2] {
+    let mut lenses =
+        "# Camera list with one line of data per camera:\n#   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n".to_string();
+    let mut images = "# Image list with two lines of data per image:\n".to_string();
+    for (i, (name, camera, lens)) in cameras.iter().enumerate() {
+        let numbers = |values: &[f64]| values.iter().map(f64::to_string).collect::<Vec<_>>().join(" ");
+        let [w, h] = camera.resolution;
+        writeln!(lenses, "{} {} {w} {h} {}", i + 5, MODELS[lens.0], numbers(&parameters(camera, *lens))).unwrap();
+        writeln!(images, "{} {} {} {name}", i + 1, numbers(&world_to_camera(camera)), i + 5).unwrap();
+        // Pictures without points have an empty line.
+        writeln!(images, "{}", ["", "1.5 2.5 -1 7 8.25 4711"][i % 2]).unwrap();
+    }
+    [lenses, images]
+}
+
+/// Both binary files, as COLMAP writes them.
+fn as_binary(cameras: &[(String, Camera, Lens)]) -> [Vec<u8>; 2] {
+    let count = (cameras.len() as u64).to_le_bytes();
+    let (mut lenses, mut images) = (count.to_vec(), count.to_vec());
+    for (i, (name, camera, lens)) in cameras.iter().enumerate() {
+        let floats = |values: &[f64]| values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
+        lenses.extend((i as u32 + 5).to_le_bytes());
+        lenses.extend((lens.0 as i32).to_le_bytes());
+        lenses.extend(camera.resolution.iter().flat_map(|&n| u64::from(n).to_le_bytes()));
+        lenses.extend(floats(&parameters(camera, *lens)));
+        images.extend((i as u32 + 1).to_le_bytes());
+        images.extend(floats(&world_to_camera(camera)));
+        images.extend((i as u32 + 5).to_le_bytes());
+        images.extend(name.as_bytes());
+        images.push(0);
+        let points = (i % 3) as u64;
+        images.extend(points.to_le_bytes());
+        images.extend((0..24 * points).map(|b| b as u8));
+    }
+    [lenses, images]
+}
+
+fn write(folder: &Path, extension: &str, [cameras, images]: [&[u8]; 2]) {
+    std::fs::create_dir_all(folder).unwrap();
+    std::fs::write(folder.join(format!("cameras.{extension}")), cameras).unwrap();
+    std::fs::write(folder.join(format!("images.{extension}")), images).unwrap();
+}
+
+#[test]
+fn text_and_binary_are_the_cameras_of_a_transforms_json() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let cameras = cameras();
+    let named: Vec<_> = cameras.iter().map(|(name, camera, _)| (name.clone(), *camera)).collect();
+    write_transforms(&path("transforms.json"), &named).unwrap();
+    let [lenses, images] = as_text(&cameras);
+    write(&path("text"), "txt", [lenses.as_bytes(), images.as_bytes()]);
+    let [lenses, images] = as_binary(&cameras);
+    write(&path("project/sparse/0"), "bin", [&lenses, &images]);
+
+    let expected = Views::read(&path("transforms.json"), None).unwrap();
+    for name in
+        ["text", "text/cameras.txt", "text/images.txt", "project", "project/sparse", "project/sparse/0/images.bin"]
+    {
+        let views = Views::read(&path(name), None).unwrap();
+        assert_eq!((views.frames.len(), views.resolution_source), (7, ResolutionSource::File), "{name}");
+        for (frame, other) in views.frames.iter().zip(&expected.frames) {
+            assert_eq!((&frame.name, frame.camera.resolution), (&other.name, other.camera.resolution));
+            // Rays through corners and middle: pose and lens in one. The distance of origins is at most 4.
+            for pixel in [[0.0, 0.0], [60.0, 40.0], [31.5, 7.25]] {
+                let [a, b] = [&frame.camera, &other.camera].map(|camera| camera.ray(pixel[0], pixel[1]));
+                let off = (a.origin - b.origin).length().max((a.direction - b.direction).length());
+                assert!(off < 1e-12, "{name}, {}: off by {off:e}", frame.name);
+            }
+        }
+    }
+    // Of another size: focal lengths and principal points are scaled, as for a transforms.json.
+    let [a, b] = ["text", "transforms.json"].map(|name| Views::read(&path(name), Some([30, 20])).unwrap());
+    for (a, b) in a.frames.iter().zip(&b.frames) {
+        assert!((a.camera.focal[0] - b.camera.focal[0]).abs() < 1e-12 && a.camera.center == b.camera.center);
+    }
+}
+
+#[test]
+fn pictures_are_found_beside_the_model_or_above_it() {
+    let desk = tempfile::tempdir().unwrap();
+    let cameras = cameras();
+    let [lenses, images] = as_binary(&cameras);
+    for (model, pictures) in [("a/sparse/0", "a/images"), ("b/sparse", "b/images"), ("c", "c/images"), ("d", "d")] {
+        write(&desk.path().join(model), "bin", [&lenses, &images]);
+        std::fs::create_dir_all(desk.path().join(pictures)).unwrap();
+        std::fs::write(desk.path().join(pictures).join("picture 3.png"), "").unwrap();
+        let views = Views::read(&desk.path().join(model), None).unwrap();
+        assert_eq!(views.frames[3].image, desk.path().join(pictures).join("picture 3.png"), "{model}");
+    }
+}
+
+#[test]
+fn what_is_wrong_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let [lenses, images] = as_text(&cameras()[..1]);
+    let refused = |lenses: &str, images: &str| {
+        write(folder.path(), "txt", [lenses.as_bytes(), images.as_bytes()]);
+        Views::read(folder.path(), None).unwrap_err().to_string()
+    };
+    let perspective = "expected a perspective camera (SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV)";
+    for name in &MODELS[PARAMETERS.len()..] {
+        let error = refused(&lenses.replace("SIMPLE_PINHOLE", name), &images);
+        let expected = format!("cameras.txt: camera 5, model: {perspective}, found {name}");
+        assert!(error.ends_with(&expected), "{error}");
+    }
+    let cases = [
+        (lenses.replace(" 60 40 ", " 60 "), images.clone(), "cameras.txt: line 3"),
+        (lenses.replace(" 60 40 ", " 0 40 "), images.clone(), "cameras.txt: camera 5, image size"),
+        (lenses.replace(" 60 40 ", " 60 40 -"), images.clone(), "cameras.txt: camera 5, parameters"),
+        (format!("{lenses}{lenses}"), images.clone(), "camera 5: expected a number of its own"),
+        (lenses.replacen("\n5 ", "\n6 ", 1), images.clone(), "image `picture 0.png`, camera: expected a camera"),
+        (lenses.clone(), String::new(), "images.txt: images: expected at least one image"),
+        (lenses.clone(), images.replacen("\n1 ", "\n1 9", 1), "image `picture 0.png`, pose: expected a rotation"),
+        (lenses.clone(), images.replace(" 5 picture 0.png", ""), "images.txt: line 2"),
+        (lenses.clone(), images.replace("png\n", "png\n1 2\n"), "images.txt: line 3: expected the points"),
+    ];
+    for (lenses, images, expected) in cases {
+        let error = refused(&lenses, &images);
+        assert!(error.contains(expected), "{expected}: {error}");
+    }
+    let [lenses, images] = as_binary(&cameras());
+    let mut fisheye = lenses.clone();
+    fisheye[12] = 5;
+    let Err(complaint) = binary::cameras(&fisheye) else { panic!("a fisheye lens") };
+    assert_eq!((complaint.place.as_str(), complaint.found.as_str()), ("camera 5, model", "OPENCV_FISHEYE"));
+    // Numbers that promise more than there is.
+    let mut many = images.clone();
+    many[..8].fill(0xff);
+    let Err(complaint) = binary::images(&many) else { panic!("too many images") };
+    assert!(complaint.found.contains("end of the file"), "{}", complaint.found);
+    assert!(binary::images(&[&images[..], &[0]].concat()).is_err());
+}
+
+/// Everything that is read from mutated files is finite, and nothing panics.
+fn use_mutated(extension: &str, lenses: &[u8], images: &[u8]) {
+    let folder = tempfile::tempdir().unwrap();
+    write(folder.path(), extension, [lenses, images]);
+    if let Ok(views) = Views::read(folder.path(), None) {
+        for frame in views.frames {
+            assert!(frame.camera.position.is_finite() && frame.camera.axes.is_finite(), "{:?}", frame.camera);
+            assert!(frame.camera.focal.iter().all(|f| f.is_finite() && *f > 0.0), "{:?}", frame.camera);
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(2000))]
+
+    #[test]
+    fn mutated_files_never_panic(
+        is_binary: bool, in_images: bool, changes in proptest::collection::vec((0_usize..2000, any::<u8>()), 1..4),
+        cut in 0_usize..4000,
+    ) {
+        let cameras = cameras();
+        let mut files: [Vec<u8>; 2] =
+            if is_binary { as_binary(&cameras) } else { as_text(&cameras).map(String::into_bytes) };
+        let file = &mut files[usize::from(in_images)];
+        for (at, byte) in changes {
+            let length = file.len();
+            file[at % length] = byte;
+        }
+        file.truncate(cut);
+        use_mutated(if is_binary { "bin" } else { "txt" }, &files[0], &files[1]);
+    }
+}

@@ -1,0 +1,95 @@
+//! The text files. Lines that begin with `#` are comments.
+
+use std::collections::HashMap;
+use std::str::{FromStr, SplitWhitespace};
+
+use super::{Complaint, Lens, Parsed, RawCamera, RawImage, insert};
+
+/// The words of a line.
+struct Words<'a> {
+    words: SplitWhitespace<'a>,
+    /// Line number, from 1.
+    line: usize,
+}
+
+impl<'a> Words<'a> {
+    fn of(text: &'a str, line: usize) -> Self {
+        Self { words: text.split_whitespace(), line }
+    }
+
+    fn complaint(&self, expected: &str, found: impl Into<String>) -> Complaint {
+        Complaint::new(format!("line {}", self.line), expected, found)
+    }
+
+    fn word(&mut self, what: &str) -> Parsed<&'a str> {
+        self.words.next().ok_or_else(|| self.complaint(what, "the end of the line"))
+    }
+
+    fn number<T: FromStr>(&mut self, what: &str) -> Parsed<T> {
+        let word = self.word(what)?;
+        word.parse().map_err(|_| self.complaint(what, word))
+    }
+
+    fn numbers<const N: usize>(&mut self, what: &str) -> Parsed<[f64; N]> {
+        let mut numbers = [0.0; N];
+        for number in &mut numbers {
+            *number = self.number(what)?;
+        }
+        Ok(numbers)
+    }
+}
+
+fn is_comment(line: &str) -> bool {
+    line.trim_start().starts_with('#')
+}
+
+/// Reads `cameras.txt`: a line `CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]` for each.
+pub fn cameras(text: &str) -> Parsed<HashMap<u32, RawCamera>> {
+    let mut cameras = HashMap::new();
+    let lines = (1..).zip(text.lines()).filter(|(_, line)| !is_comment(line) && !line.trim().is_empty());
+    for (number, line) in lines {
+        let mut words = Words::of(line, number);
+        let id = words.number("the number of a camera")?;
+        let lens = Lens::named(words.word("a camera model")?).map_err(|mut complaint| {
+            complaint.place = format!("camera {id}, model");
+            complaint
+        })?;
+        let size = [words.number("a width")?, words.number("a height")?];
+        let mut parameters = Vec::new();
+        for _ in 0..lens.parameters() {
+            parameters.push(words.number("a parameter of the lens")?);
+        }
+        if let Some(more) = words.words.next() {
+            return Err(words.complaint("the end of the line after the lens's parameters", more));
+        }
+        insert(&mut cameras, id, RawCamera { lens, size, parameters })?;
+    }
+    Ok(cameras)
+}
+
+/// Reads `images.txt`: for each a line `IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME`, and a line of points, which
+/// may be empty.
+pub fn images(text: &str) -> Parsed<Vec<RawImage>> {
+    let mut images = Vec::new();
+    let mut lines = (1..).zip(text.lines()).filter(|(_, line)| !is_comment(line));
+    while let Some((number, line)) = lines.next() {
+        if line.trim().is_empty() {
+            continue;
+        }
+        let mut words = Words::of(line, number);
+        words.number::<u32>("the number of an image")?;
+        let [w, x, y, z, a, b, c] = words.numbers("a quaternion and a translation")?;
+        let camera = words.number("the number of a camera")?;
+        let first = words.word("the name of an image")?;
+        let name = words.words.fold(first.to_string(), |name, word| name + " " + word);
+        images.push(RawImage { quaternion: [w, x, y, z], translation: [a, b, c], camera, name });
+        // The points: x, y and a number for each.
+        if let Some((number, points)) = lines.next()
+            && points.split_whitespace().count() % 3 != 0
+        {
+            let expected = "the points of an image, three numbers each, or an empty line";
+            return Err(Words::of(points, number).complaint(expected, points));
+        }
+    }
+    Ok(images)
+}
