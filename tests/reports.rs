@@ -110,6 +110,9 @@ fn the_table_wants_titles_blocks_and_stamps() {
     let expected =
         "| [one](one.md) | Why? | `cargo run --release --example one` | 3.0 | 5.0 | 2026-11-22 to 2026-11-24 |";
     assert!(with(&two).unwrap().contains(expected), "minutes add up, dates reach from first to last");
+    let unknown = stamp.replace("1.5 min", "0.0 min").replace("2.5 min", "0.0 min");
+    let unknown = with(&format!("# Why?\n{}", block("a", &unknown))).unwrap();
+    assert!(unknown.contains("| – | – | 2026-11-22 |"), "minutes that nobody kept: {unknown}");
     let mut head = table::Table::new(&["report", "question", "command", "minutes", "of processors", "date"]);
     head.row(&expected[2..expected.len() - 2].split(" | ").collect::<Vec<_>>());
     assert_eq!(with(&two).unwrap(), head.text());

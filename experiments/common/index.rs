@@ -35,7 +35,9 @@ pub fn table(folder: &Path) -> Result<String> {
             let place = format!("block `{}`", block.name);
             stamps.push(Stamp::read(block.body).ok_or_else(|| Error::malformed(&path, place, "a stamp", "none"))?);
         }
-        let minutes = [0, 1].map(|i| format!("{:.1}", stamps.iter().map(|stamp| stamp.minutes[i]).sum::<f64>()));
+        let minutes = [0, 1].map(|i| stamps.iter().map(|stamp| stamp.minutes[i]).sum::<f64>());
+        // None were kept of blocks from before programs wrote them.
+        let minutes = minutes.map(|m| if m > 0.0 { format!("{m:.1}") } else { "–".into() });
         let days = || stamps.iter().flat_map(|stamp| &stamp.dates);
         let date = match (days().min(), days().max()) {
             (Some(first), Some(last)) if first == last => first.clone(),
