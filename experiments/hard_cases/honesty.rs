@@ -1,11 +1,11 @@
 //! How far from the limit: error bars against the errors found with twenty times the rays.
 
-use octobayes::Result;
 use octobayes::estimate::{GridSettings, RaySettings};
 use octobayes::octree::VertexId;
 use octobayes::render::GradientMethod;
 use octobayes::uncertainty::{Support, UncertaintyField};
 use octobayes::zoo::{self as hard, Verdict};
+use octobayes::{Error, Result};
 use serde::{Deserialize, Serialize};
 
 use crate::common::scenes::Scene;
@@ -258,15 +258,23 @@ pub fn zoo(work: &Work) -> Result<(String, String)> {
         };
         said = words(&scene);
         let limit = work.field(("limit", name, ZOO_RAYS), || limit(&scene))?;
-        let of =
-            |seed| work.row((name, ZOO_RAYS, DEFAULT_GROUPS, seed), || of_seed(&scene, &limit, seed, DEFAULT_GROUPS));
-        let found = SEEDS.into_iter().map(of).collect::<Result<Vec<OfSeed>>>()?;
-        if let Some(cells) = cells(found.iter().map(|seed| &seed.all)) {
+        // A group whose rays meet a fault too often is refused as a run of its own would be.
+        let make = |seed| match of_seed(&scene, &limit, seed, DEFAULT_GROUPS) {
+            Err(Error::NonFinite { .. }) => Ok(None),
+            made => made.map(Some),
+        };
+        let of = |seed| work.row((name, ZOO_RAYS, DEFAULT_GROUPS, seed), || make(seed));
+        let found = SEEDS.into_iter().map(of).collect::<Result<Vec<Option<OfSeed>>>>()?;
+        if let Some(cells) = cells(found.iter().flatten().map(|seed| &seed.all)) {
             table.row(&[&[name.to_string()][..], &cells[..]].concat());
         }
     }
     let rays = whole(ZOO_RAYS as f64);
-    Ok((format!("{rays} rays, {DEFAULT_GROUPS} groups, every scene at its own level. {said}"), table.text().into()))
+    let words = format!(
+        "{rays} rays, {DEFAULT_GROUPS} groups, every scene at its own level; a seed is left out if one of its groups \
+         meets too many faults. {said}"
+    );
+    Ok((words, table.text().into()))
 }
 
 /// Points between vertices, where errors are added as if all were off to the same side: see [`OfSeed::surfaces`].
