@@ -1,81 +1,137 @@
 //! Question: what does each refinement criterion cost, and what error does it leave?
 //!
-//! Octrees of the same rays under every criterion against the dense grid of these rays: vertices, bytes, time, |Δ log10 U| over 500,000
-//! random points of the box and up to as many on visible surfaces. Courtyard (level 7, 204,800 rays) and, with `OCTOBAYES_DATA`, the
-//! Plenoptic PNG lego of type 1 (level 8, 409,600 rays). Prints the tables of `experiments/criteria.md`.
+//! Octrees under every criterion against the dense grid of the same rays: vertices, bytes, |Δ log10 U| at random points
+//! of the box and on visible surfaces. Writes the blocks of `experiments/criteria.md`.
 
-use std::path::PathBuf;
-use std::time::Instant;
+mod common;
 
 use octobayes::Result;
-use octobayes::dataset::Views;
-use octobayes::estimate::{Estimation, GridKind, GridSettings, Outcome, RaySettings};
-use octobayes::field::{ClosedForm, Coordinates, RadianceField};
-use octobayes::geometry::Camera;
-use octobayes::open::open_in;
+use octobayes::estimate::{GridKind, GridSettings, Outcome};
 use octobayes::posterior::Criterion;
-use octobayes::uncertainty::{Difference, compare};
+use octobayes::uncertainty::{Difference, UncertaintyField, compare};
+use serde::{Deserialize, Serialize};
 
-const POINTS: usize = 500_000;
+use common::program::{Needs, Program};
+use common::scenes::Scene;
+use common::settings::{describe, seeds};
+use common::table::{Table, mean, spread, spread_e, whole, whole_spread};
+use common::work::Work;
+
+const SEEDS: [u64; 3] = [0, 1, 2];
+/// Points of a comparison: of the box, and at most on surfaces.
+const POINTS: usize = 200_000;
 
 fn main() -> Result<()> {
-    study("courtyard", &ClosedForm::courtyard(), &ClosedForm::half_circle(40, [400, 400]), 7, 204_800)?;
-    if let Some(data) = std::env::var_os("OCTOBAYES_DATA").map(PathBuf::from) {
-        let model = data.join("ppng-pretrained/NeRFSynthetic/ppng_1/lego.ppng");
-        let lego = open_in(&model.to_string_lossy(), Some(Coordinates::Blender))?;
-        let file = data.join("nerf-mlp-pretrained/cameras/lego_train.json");
-        let cameras = Views::read(&file, Some([400, 400]))?.cameras();
-        study("lego, Plenoptic PNG type 1", &*lego, &cameras, 8, 409_600)?;
-    }
-    Ok(())
+    let program = Program::start("criteria", &[("courtyard", Needs::Nothing), ("lego", Needs::Data)])?;
+    program.part("courtyard", |work| study(work, &Scene::courtyard()))?;
+    program.part("lego", |work| study(work, &Scene::lego(&Program::data()?)?))
 }
 
-fn study(name: &str, field: &dyn RadianceField, cameras: &[Camera], level: u8, rays: u64) -> Result<()> {
-    let rays = RaySettings::default().rays(rays);
-    let settings = GridSettings::default().level(level).surface_points(POINTS);
-    let Outcome { field: dense, .. } =
-        Estimation::new(field, cameras).rays(rays).grid(settings.grid(GridKind::Dense)).run()?;
-    let dense = dense.without_sums();
-    println!("\n### {name}, level {level}, {} rays; dense: {} bytes\n", rays.rays, dense.query_memory());
-    println!(
-        "| refine | tolerance | min rays | vertices | bytes | dense : this | s | box: mean | max | surfaces: mean | 95 % | max |"
-    );
-    println!("|---|---|---|---|---|---|---|---|---|---|---|---|");
-    let only = |criterion| vec![criterion];
-    let cases = [
-        (only(Criterion::Sensitivity), 0.0, 0.0),
-        (only(Criterion::Sensitivity), 0.001, 0.0),
-        (only(Criterion::Sensitivity), 0.01, 0.0),
-        (only(Criterion::Sensitivity), 0.1, 0.0),
-        (only(Criterion::Density), 0.01, 0.0),
-        (vec![Criterion::Sensitivity, Criterion::Density], 0.01, 0.0),
-        (only(Criterion::Uniform), 0.01, 0.0),
-        (only(Criterion::RayCount), 0.01, 2.0),
-        (only(Criterion::RayCount), 0.01, 4.0),
-        (only(Criterion::RayCount), 0.01, 16.0),
-    ];
-    for (criteria, tolerance, min_rays) in cases {
-        let grid = settings.criteria(criteria.into_iter().collect()).tolerance(tolerance).min_rays(min_rays);
-        let start = Instant::now();
-        let Outcome { field: octree, .. } = Estimation::new(field, cameras).rays(rays).grid(grid).run()?;
-        let time = start.elapsed().as_secs_f64();
-        let s = octree.summary();
-        let compared = compare(&octree, &dense, POINTS, 1)?;
-        let number = |d: &Option<Difference>, of: fn(&Difference) -> f64| {
-            d.as_ref().map_or("–".into(), |d| format!("{:.4}", of(d)))
-        };
-        println!(
-            "| {} | {tolerance} | {min_rays} | {} | {} | {:.1} | {time:.1} | {} | {} | {} | {} | {} |",
-            grid.criteria,
-            s.vertices,
-            s.query_bytes,
-            dense.query_memory() as f64 / s.query_bytes as f64,
-            number(&compared.in_box, |d| d.mean),
-            number(&compared.in_box, |d| d.max),
-            number(&compared.on_surfaces, |d| d.mean),
-            number(&compared.on_surfaces, |d| d.percentile_95),
-            number(&compared.on_surfaces, |d| d.max),
-        );
+/// A criterion with its tolerance and, for ray counts, the fewest rays of a vertex.
+type Rule = (&'static [Criterion], f64, f64);
+
+const RULES: [Rule; 9] = [
+    (&[Criterion::Sensitivity], 0.0, 0.0),
+    (&[Criterion::Sensitivity], 0.001, 0.0),
+    (&[Criterion::Sensitivity], 0.01, 0.0),
+    (&[Criterion::Sensitivity], 0.1, 0.0),
+    (&[Criterion::Density], 0.01, 0.0),
+    (&[Criterion::Sensitivity, Criterion::Density], 0.01, 0.0),
+    (&[Criterion::RayCount], 0.01, 2.0),
+    (&[Criterion::RayCount], 0.01, 4.0),
+    (&[Criterion::RayCount], 0.01, 16.0),
+];
+
+/// One octree beside the dense grid.
+#[derive(Serialize, Deserialize)]
+struct Row {
+    vertices: f64,
+    bytes: f64,
+    dense_bytes: f64,
+    /// In the box: mean, maximum.
+    space: [f64; 2],
+    /// On surfaces: mean, 95 %, maximum.
+    surfaces: [f64; 3],
+}
+
+impl Row {
+    fn of(octree: &UncertaintyField, dense: &UncertaintyField) -> Result<Self> {
+        let summary = octree.summary();
+        let compared = compare(octree, dense, POINTS, 1)?;
+        let of = |d: &Option<Difference>, value: fn(&Difference) -> f64| d.as_ref().map_or(f64::NAN, value);
+        let (space, surfaces) = (&compared.in_box, &compared.on_surfaces);
+        Ok(Self {
+            vertices: summary.vertices as f64,
+            bytes: summary.query_bytes as f64,
+            dense_bytes: dense.query_memory() as f64,
+            space: [of(space, |d| d.mean), of(space, |d| d.max)],
+            surfaces: [of(surfaces, |d| d.mean), of(surfaces, |d| d.percentile_95), of(surfaces, |d| d.max)],
+        })
     }
-    Ok(())
+}
+
+/// All octrees of one seed. Those without limits share one stream of rays with the dense grid.
+fn of_seed(scene: &Scene, settings: GridSettings, seed: u64) -> Result<Vec<Row>> {
+    let rays = scene.settings.seed(seed);
+    let grid = |(criteria, tolerance, min_rays): &Rule| {
+        settings.criteria(criteria.iter().copied().collect()).tolerance(*tolerance).min_rays(*min_rays)
+    };
+    let (limited, free): (Vec<GridSettings>, Vec<GridSettings>) =
+        RULES.iter().map(grid).partition(GridSettings::needs_plan);
+    let dense = settings.grid(GridKind::Dense);
+    let all: Vec<GridSettings> = [dense].into_iter().chain(free).collect();
+    let mut fields = scene.estimation(rays, dense).prepare()?.finish_on(&all)?.into_iter().map(|outcome| outcome.field);
+    let dense = fields.next().expect("the dense grid is the first").without_sums();
+    let mut rows = fields.map(|field| Row::of(&field, &dense)).collect::<Result<Vec<Row>>>()?;
+    for grid in limited {
+        let Outcome { field, .. } = scene.estimation(rays, grid).run()?;
+        rows.push(Row::of(&field, &dense)?);
+    }
+    Ok(rows)
+}
+
+fn study(work: &Work, scene: &Scene) -> Result<(String, String)> {
+    let settings = scene.grid.surface_points(POINTS);
+    let rows = SEEDS.map(|seed| work.row(("criteria", scene.name, seed), || of_seed(scene, settings, seed)));
+    let rows = rows.into_iter().collect::<Result<Vec<_>>>()?;
+    let mut table = Table::new(&[
+        "refine",
+        "tolerance",
+        "min rays",
+        "vertices",
+        "bytes",
+        "dense : this",
+        "box: mean",
+        "max",
+        "surfaces: mean",
+        "95 %",
+        "max",
+    ]);
+    for (i, (criteria, tolerance, min_rays)) in RULES.iter().enumerate() {
+        let of = |value: &dyn Fn(&Row) -> f64| rows.iter().map(|rows| value(&rows[i])).collect::<Vec<f64>>();
+        let names: octobayes::posterior::Criteria = criteria.iter().copied().collect();
+        table.row(&[
+            names.to_string(),
+            tolerance.to_string(),
+            min_rays.to_string(),
+            whole_spread(&of(&|r| r.vertices)),
+            whole(mean(&of(&|r| r.bytes))),
+            format!("{:.1}", mean(&of(&|r| r.dense_bytes / r.bytes))),
+            spread_e(&of(&|r| r.space[0])),
+            spread(&of(&|r| r.space[1]), 4),
+            spread_e(&of(&|r| r.surfaces[0])),
+            spread(&of(&|r| r.surfaces[1]), 4),
+            spread(&of(&|r| r.surfaces[2]), 4),
+        ]);
+    }
+    let dense = whole(mean(&rows.iter().map(|rows| rows[0].dense_bytes).collect::<Vec<f64>>()));
+    let cameras = scene.cameras.len();
+    let words = format!(
+        "{}, {cameras} cameras; the dense grid takes {dense} bytes. {} {} Points: {} of the box, as many on surfaces.",
+        scene.name,
+        describe(&scene.settings, &settings, &["grid", "tolerance", "min-rays"]),
+        seeds(&SEEDS),
+        whole(POINTS as f64),
+    );
+    Ok((words, table.text().into()))
 }

@@ -1,103 +1,132 @@
-//! Question: what do low-discrepancy pixels and pooling by evidence gain, and what does pooling spoil?
+//! Question: what do low-discrepancy pixels and pooling by ray counts gain, and what does pooling spoil?
 //!
-//! Dense grids of the same rays, read with every vertex by itself, pooled by this crate's rule (`--min-rays`), and pooled as block
-//! means (the smallest aligned block of 1, 2³, 4³ or 8³ vertices with at least 4 rays, counted at the vertices themselves), against
-//! a dense grid of 4,096,000 random rays of another seed. |Δ log10 U|, mean / rms, over two sets of vertices: those that the truth moved by
-//! more than 0.5 from the prior, and those that the truth or the estimate moved so far. The second set is the one that sees
-//! surfaces smeared into empty space.
-//!
-//! Scenes: the courtyard (level 7, 40 cameras of 400 × 400 on a half circle) and, with `OCTOBAYES_DATA`, the pre-trained Plenoptic PNG
-//! lego of type 1 (level 7, its 100 training cameras of 400 × 400). Prints the tables of `experiments/pooling.md`.
+//! Dense grids of the same rays, read with every vertex by itself, pooled by this crate's rule (`--min-rays`), and
+//! pooled as block means (the smallest aligned block of 1, 2³, 4³ or 8³ vertices with at least 4 rays, counted at the
+//! vertices themselves), against a dense grid of 4,096,000 random rays of another seed. |Δ log10 U|, mean / rms, over
+//! two sets of vertices: those that the truth moved by more than half a decade, and those that the truth or the
+//! estimate moved so far. The second set is the one that sees surfaces smeared into empty space. Writes the blocks of
+//! `experiments/pooling.md`.
 
-use std::path::PathBuf;
+mod common;
 
 use octobayes::Result;
-use octobayes::dataset::Views;
-use octobayes::estimate::{Estimation, GridKind, GridSettings, RaySettings};
-use octobayes::field::{ClosedForm, Coordinates, RadianceField};
-use octobayes::geometry::Camera;
-use octobayes::open::open_in;
+use octobayes::estimate::{GridKind, RaySettings};
 use octobayes::posterior::{Covariance, VertexSums};
 use octobayes::rays::Pixels;
-use octobayes::uncertainty::UncertaintyField;
+use octobayes::render::GradientMethod;
+use octobayes::uncertainty::{MOVED, UncertaintyField};
+
+use common::program::{Needs, Program};
+use common::scenes::Scene;
+use common::settings::{describe, seeds};
+use common::table::{Table, spread, whole};
+use common::work::Work;
 
 const LEVEL: u8 = 7;
-const RAYS: [u64; 6] = [20_000, 50_000, 100_000, 200_000, 500_000, 1_000_000];
+const RAYS: [u64; 4] = [20_000, 50_000, 200_000, 500_000];
+const SEEDS: [u64; 3] = [0, 1, 2];
 const TRUTH: u64 = 4_096_000;
+const TRUTH_SEED: u64 = 99;
 const TOLERANCE: f64 = 0.01;
 
+/// How a field is estimated.
+const METHODS: [&str; 5] =
+    ["random, by itself", "Sobol, by itself", "Sobol, `--min-rays 4`", "Sobol, `--min-rays 8`", "Sobol, block means"];
+/// Which vertices are judged.
+const SETS: [&str; 2] = ["moved in truth", "moved in either"];
+
 fn main() -> Result<()> {
-    study("courtyard", &ClosedForm::courtyard(), &ClosedForm::half_circle(40, [400, 400]))?;
-    if let Some(data) = std::env::var_os("OCTOBAYES_DATA").map(PathBuf::from) {
-        let model = data.join("ppng-pretrained/NeRFSynthetic/ppng_1/lego.ppng");
-        let lego = open_in(&model.to_string_lossy(), Some(Coordinates::Blender))?;
-        let file = data.join("nerf-mlp-pretrained/cameras/lego_train.json");
-        study("lego, Plenoptic PNG type 1", &*lego, &Views::read(&file, Some([400, 400]))?.cameras())?;
-    }
-    Ok(())
+    let program = Program::start("pooling", &[("courtyard", Needs::Nothing), ("lego", Needs::Data)])?;
+    program.part("courtyard", |work| study(work, &Scene::courtyard()))?;
+    program.part("lego", |work| study(work, &Scene::lego(&Program::data()?)?))
 }
 
-fn study(name: &str, field: &dyn RadianceField, cameras: &[Camera]) -> Result<()> {
-    let run = |rays, seed, pixels| {
-        let grid = GridSettings::default().grid(GridKind::Dense).level(LEVEL).surface_points(0);
-        let rays = RaySettings::default().rays(rays).seed(seed).pixels(pixels);
-        Estimation::new(field, cameras).rays(rays).grid(grid).run().map(|outcome| outcome.field)
+fn run(scene: &Scene, rays: RaySettings) -> Result<UncertaintyField> {
+    let grid = scene.grid.grid(GridKind::Dense).level(LEVEL).surface_points(0);
+    Ok(scene.estimation(rays, grid).run()?.field)
+}
+
+fn log10(field: &UncertaintyField) -> Vec<f64> {
+    field.deviations().iter().map(f64::log10).collect()
+}
+
+/// Mean and rms of |Δ log10 U| by method and set, of one number of rays and one seed.
+type Row = Vec<[[f64; 2]; 2]>;
+
+fn row(scene: &Scene, rays: RaySettings, truth: &[f64], prior: f64) -> Result<Row> {
+    let random = run(scene, rays.pixels(Pixels::Random))?;
+    let sobol = run(scene, rays.pixels(Pixels::Sobol))?;
+    let mut estimates = vec![log10(&random), log10(&sobol)];
+    let blocks = by_blocks(&sobol);
+    let mut pooled = sobol;
+    for min_rays in [4.0, 8.0] {
+        pooled = pooled.with_pooling(min_rays, TOLERANCE)?;
+        estimates.push(log10(&pooled));
+    }
+    estimates.push(blocks);
+    let judge = |estimate: &Vec<f64>| {
+        [false, true].map(|either| {
+            let pairs = truth.iter().zip(estimate);
+            let of_set = pairs.filter(|&(t, e)| prior - t > MOVED || either && prior - e > MOVED);
+            let errors: Vec<f64> = of_set.map(|(t, e)| (t - e).abs()).collect();
+            let n = errors.len() as f64;
+            [errors.iter().sum::<f64>() / n, (errors.iter().map(|e| e * e).sum::<f64>() / n).sqrt()]
+        })
     };
-    let truth = run(TRUTH, 99, Pixels::Random)?.without_sums();
-    let prior = truth.prior().log10();
-    let truth: Vec<f64> = truth.deviations().iter().map(f64::log10).collect();
-    let moved = truth.iter().filter(|&&t| prior - t > 0.5).count();
-    println!("\n### {name}: {moved} of {} vertices moved by more than 0.5\n", truth.len());
-    println!(
-        "| rays | set | random, by itself | Sobol, by itself | Sobol, --min-rays 4 | Sobol, --min-rays 8 | Sobol, block means |"
-    );
-    println!("|---|---|---|---|---|---|---|");
+    Ok(estimates.iter().map(judge).collect())
+}
+
+fn study(work: &Work, scene: &Scene) -> Result<(String, String)> {
+    let settings = scene.settings.gradient(GradientMethod::Auto);
+    let truth = settings.rays(TRUTH).seed(TRUTH_SEED).pixels(Pixels::Random);
+    let truth = work.field(("truth", scene.name, LEVEL, TRUTH), || Ok(run(scene, truth)?.without_sums()))?;
+    let (prior, truth) = (truth.prior().log10(), log10(&truth));
+    let moved = truth.iter().filter(|&&t| prior - t > MOVED).count();
+
+    let mut table = Table::new(&[&["rays", "set"][..], &METHODS[..]].concat());
     for rays in RAYS {
-        let random = run(rays, 1, Pixels::Random)?;
-        let sobol = run(rays, 1, Pixels::Sobol)?;
-        let blocks = by_blocks(&sobol);
-        let read = |field: &UncertaintyField| -> Vec<f64> { field.deviations().iter().map(f64::log10).collect() };
-        let plain = [read(&random.without_sums()), read(&sobol)];
-        let four = sobol.with_pooling(4.0, TOLERANCE)?;
-        let pooled = [read(&four), read(&four.with_pooling(8.0, TOLERANCE)?)];
-        for (set, either) in [("moved in truth", false), ("moved in either", true)] {
-            let cells: Vec<String> = plain
-                .iter()
-                .chain(&pooled)
-                .chain([&blocks])
-                .map(|estimate| {
-                    let pairs = truth.iter().zip(estimate);
-                    let of_set = pairs.filter(|&(t, e)| prior - t > 0.5 || either && prior - e > 0.5);
-                    let (n, sum, squares) =
-                        of_set.fold((0.0, 0.0, 0.0), |(n, sum, squares): (f64, f64, f64), (t, e)| {
-                            (n + 1.0, sum + (t - e).abs(), squares + (t - e).powi(2))
-                        });
-                    format!("{:.3} / {:.3}", sum / n, (squares / n).sqrt())
-                })
-                .collect();
-            println!("| {rays} | {set} | {} |", cells.join(" | "));
+        let of = |seed| {
+            work.row((scene.name, LEVEL, rays, seed), || row(scene, settings.rays(rays).seed(seed), &truth, prior))
+        };
+        let rows = SEEDS.into_iter().map(of).collect::<Result<Vec<Row>>>()?;
+        for (s, set) in SETS.iter().enumerate() {
+            let of =
+                |method: usize, k: usize| spread(&rows.iter().map(|row| row[method][s][k]).collect::<Vec<f64>>(), 3);
+            let cells = (0..METHODS.len()).map(|method| format!("{} / {}", of(method, 0), of(method, 1)));
+            table.row(&[whole(rays as f64), (*set).to_string()].into_iter().chain(cells).collect::<Vec<_>>());
         }
     }
-    Ok(())
+    let grid = scene.grid.grid(GridKind::Dense).level(LEVEL);
+    let words = format!(
+        "{}. Mean / rms of |Δ log10 U|. {} {} The truth: {} random rays of seed {TRUTH_SEED}; it moved {} of {} \
+        vertices.",
+        scene.name,
+        describe(&settings, &grid, &["rays", "pixels", "min-rays", "tolerance"]),
+        seeds(&SEEDS),
+        whole(TRUTH as f64),
+        whole(moved as f64),
+        whole(truth.len() as f64),
+    );
+    Ok((words, table.text().into()))
 }
 
-/// log10 σ_v from the mean evidence of the smallest aligned block around v with at least 4 rays.
+/// log10 σ_v from the mean sums of the smallest aligned block around v with at least 4 rays.
 fn by_blocks(field: &UncertaintyField) -> Vec<f64> {
     let kept = field.sums().expect("kept");
     let n = (1_usize << LEVEL) + 1;
     let protocol = field.protocol();
-    let mut settled: Vec<Option<VertexSums>> = kept.iter().map(|e| (e.rays >= 4).then_some(*e)).collect();
+    let mut settled: Vec<Option<VertexSums>> = kept.iter().map(|sums| (sums.rays >= 4).then_some(*sums)).collect();
     for edge in [2, 4, 8] {
         let blocks = n.div_ceil(edge);
         let mut sums = vec![VertexSums::default(); blocks.pow(3)];
         let block = |i: usize| ((i / (n * n) / edge) * blocks + i / n % n / edge) * blocks + i % n / edge;
-        kept.iter().enumerate().for_each(|(i, e)| sums[block(i)].add(e));
+        kept.iter().enumerate().for_each(|(i, own)| sums[block(i)].add(own));
         let volume = (edge * edge * edge) as f64;
         for (i, settled) in settled.iter_mut().enumerate().filter(|(_, settled)| settled.is_none()) {
             let sum = sums[block(i)];
             *settled = (sum.rays >= 4).then(|| VertexSums { information: sum.information.map(|s| s / volume), ..sum });
         }
     }
-    let read = |e: VertexSums| Covariance::Diagonal.deviation(&e, protocol.rays, protocol.lambda).log10();
+    let read = |sums: VertexSums| Covariance::Diagonal.deviation(&sums, protocol.rays, protocol.lambda).log10();
     settled.into_iter().zip(kept).map(|(pooled, own)| read(pooled.unwrap_or(*own))).collect()
 }

@@ -1,7 +1,5 @@
 //! The scenes' images and depth maps, made or converted once.
 
-use std::f64::consts::TAU;
-use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use glam::{DMat3, DVec3};
@@ -15,6 +13,8 @@ use octobayes::synth::{DEPTH_PNG_SCALE, DatasetSettings, Up, write_dataset};
 use octobayes::train::{DatasetFiles, Shot};
 use octobayes::{Error, Result};
 
+use crate::common::knot::knot;
+use crate::common::program::Program;
 use crate::plan::{Data, Plan, Scene};
 
 /// What a scene's model is trained on and judged by.
@@ -26,11 +26,6 @@ pub struct Dataset {
     pub depth: DepthFiles,
     /// The box.
     pub files: DatasetFiles,
-}
-
-/// The shared data folder.
-pub fn shared() -> PathBuf {
-    PathBuf::from(std::env::var_os("OCTOBAYES_DATA").expect("OCTOBAYES_DATA names the data folder"))
 }
 
 impl Dataset {
@@ -51,11 +46,11 @@ impl Dataset {
         };
         let (folder, depth) = match scene.data {
             Data::Lego => {
-                let folder = shared().join("nerf-lego-400");
+                let folder = Program::data()?.join("nerf-lego-400");
                 let depth = depth_of(folder.join("test"), "{}_depth_0001.png", [8.0, -8.0], DepthKind::Euclidean);
                 (folder, depth)
             }
-            Data::Mesh(name, up) => synthetic(&shared().join(format!("meshes/{name}.obj")), name, up)?,
+            Data::Mesh(name, up) => synthetic(&Program::data()?.join(format!("meshes/{name}.obj")), name, up)?,
             Data::Knot => {
                 let mesh = work.join("knot.obj");
                 std::fs::write(&mesh, knot()).map_err(Error::io(&mesh, "cannot write"))?;
@@ -64,7 +59,7 @@ impl Dataset {
             Data::Kitchen => {
                 let folder = work.join("data-kitchen");
                 if !folder.exists() {
-                    kitchen(&shared().join("rgbd-7scenes-kitchen"), &folder)?;
+                    kitchen(&Program::data()?.join("rgbd-7scenes-kitchen"), &folder)?;
                 }
                 (folder.clone(), depth_of(folder.join("depth"), "{}.png", [0.0, MILLIMETRES], DepthKind::Z))
             }
@@ -80,43 +75,10 @@ impl Dataset {
     pub fn cameras(&self) -> Vec<Camera> {
         self.train.iter().map(|shot| shot.camera).collect()
     }
-
-    /// Training pixels.
-    pub fn pixels(&self) -> u64 {
-        self.train.iter().map(|shot| shot.camera.pixels()).sum()
-    }
 }
 
 fn depth_of(folder: PathBuf, pattern: &str, [offset, scale]: [f64; 2], kind: DepthKind) -> DepthFiles {
     DepthFiles { folder, pattern: pattern.into(), encoding: DepthEncoding { offset, scale, kind } }
-}
-
-/// A trefoil's tube as OBJ text.
-fn knot() -> String {
-    const ALONG: usize = 160;
-    const AROUND: usize = 20;
-    let center =
-        |t: f64| DVec3::new(t.sin() + 2.0 * (2.0 * t).sin(), t.cos() - 2.0 * (2.0 * t).cos(), -(3.0 * t).sin());
-    let mut obj = String::new();
-    for i in 0..ALONG {
-        let t = TAU * i as f64 / ALONG as f64;
-        let tangent = (center(t + 1e-4) - center(t - 1e-4)).normalize();
-        let side = tangent.cross(DVec3::Z).normalize();
-        let up = side.cross(tangent);
-        for k in 0..AROUND {
-            let angle = TAU * k as f64 / AROUND as f64;
-            let v = center(t) + 0.55 * (angle.cos() * side + angle.sin() * up);
-            writeln!(obj, "v {} {} {}", v.x, v.y, v.z).expect("writing to a string");
-        }
-    }
-    let vertex = |i: usize, k: usize| 1 + i % ALONG * AROUND + k % AROUND;
-    for i in 0..ALONG {
-        for k in 0..AROUND {
-            let [a, b, c, d] = [vertex(i, k), vertex(i + 1, k), vertex(i + 1, k + 1), vertex(i, k + 1)];
-            writeln!(obj, "f {a} {b} {c}\nf {a} {c} {d}").expect("writing to a string");
-        }
-    }
-    obj
 }
 
 /// Depth of white, metres: the sensor's unit is a millimetre.
@@ -126,8 +88,8 @@ const HELD_OUT: usize = 4;
 /// Four neighbouring readings that differ by more than this, millimetres, straddle an edge.
 const EDGE: u16 = 50;
 
-/// Converts the RGB-D frames: half the size, OpenGL axes, depth only where four neighbouring readings agree; a box around everything that was seen and the
-/// cameras.
+/// Converts the RGB-D frames: half the size, OpenGL axes, depth only where four neighbouring readings agree; a box
+/// around everything that was seen and the cameras.
 fn kitchen(source: &Path, folder: &Path) -> Result<()> {
     let staged = folder.with_extension("part");
     for part in ["images", "depth"] {
@@ -195,7 +157,8 @@ fn kitchen(source: &Path, folder: &Path) -> Result<()> {
                     let [x, y, z] = [camera.axes.x_axis, camera.axes.y_axis, camera.axes.z_axis];
                     [x[k], y[k], z[k], camera.position[k]]
                 };
-                serde_json::json!({ "file_path": name, "transform_matrix": [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]] })
+                let pose = [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]];
+                serde_json::json!({ "file_path": name, "transform_matrix": pose })
             })
             .collect();
         let file = serde_json::json!({

@@ -1,86 +1,23 @@
 //! Models and their uncertainties, made once and kept.
 
-use std::io::Write as _;
 use std::path::Path;
-use std::time::Instant;
 
 use glam::Vec3;
 use octobayes::estimate::{Estimation, GridSettings, Outcome, RaySettings};
 use octobayes::field::{HashGrid, HashGridConfig, NerfMlp, RadianceField, VoxelGrid};
 use octobayes::geometry::{Camera, Domain};
-use octobayes::internal::AtomicFile;
 use octobayes::monitor::Silent;
 use octobayes::render::GradientMethod;
 use octobayes::train::{Budget, Run, TrainSettings, Trainer, quality};
 use octobayes::uncertainty::UncertaintyField;
 use octobayes::{Error, Result};
-use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use crate::data::{Dataset, shared};
+use crate::common::clock::{Clock, Time};
+use crate::common::program::Program;
+use crate::common::work::{keep, kept};
+use crate::data::Dataset;
 use crate::plan::{Architecture, Plan, Scene};
-
-/// Time that something took.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-pub struct Time {
-    /// Of all threads of this process, seconds: what counts where others use the machine too. 0 where the system does not say.
-    pub cpu: f64,
-    /// Seconds.
-    pub wall: f64,
-}
-
-impl Time {
-    pub fn plus(self, other: Self) -> Self {
-        Self { cpu: self.cpu + other.cpu, wall: self.wall + other.wall }
-    }
-}
-
-/// Time since a moment.
-pub struct Clock {
-    start: Instant,
-    cpu: f64,
-}
-
-impl Clock {
-    pub fn start() -> Self {
-        Self { start: Instant::now(), cpu: cpu() }
-    }
-
-    pub fn elapsed(&self) -> Time {
-        Time { cpu: cpu() - self.cpu, wall: self.start.elapsed().as_secs_f64() }
-    }
-}
-
-/// Processor time of this process so far, seconds (Linux: hundredths).
-fn cpu() -> f64 {
-    let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
-    // Behind the name, which may hold spaces: state is field 3, user and system time are fields 14 and 15.
-    let fields: Vec<&str> = stat.rsplit(')').next().unwrap_or_default().split_whitespace().collect();
-    let ticks = |i: usize| fields.get(i - 3).and_then(|f| f.parse::<f64>().ok()).unwrap_or(0.0);
-    (ticks(14) + ticks(15)) / 100.0
-}
-
-/// Something kept in a file beside what it was made for.
-#[derive(Serialize, Deserialize)]
-struct Kept<T> {
-    key: serde_json::Value,
-    value: T,
-}
-
-/// The value kept in `path`, if it was made for `key`.
-pub fn kept<T: DeserializeOwned>(path: &Path, key: &serde_json::Value) -> Option<T> {
-    let kept: Kept<T> = serde_json::from_slice(&std::fs::read(path).ok()?).ok()?;
-    (kept.key == *key).then_some(kept.value)
-}
-
-/// Keeps a value, atomically.
-pub fn keep<T: Serialize>(path: &Path, key: &serde_json::Value, value: T) -> Result<()> {
-    let text = serde_json::to_vec_pretty(&Kept { key: key.clone(), value })
-        .map_err(|e| Error::malformed(path, "value", "one that JSON can hold", e.to_string()))?;
-    let mut file = AtomicFile::create(path)?;
-    file.write_all(&text).map_err(Error::io(path, "cannot write"))?;
-    file.commit()
-}
 
 /// What a training took and reached.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -139,7 +76,7 @@ pub fn judged(
             Ok((Box::new(VoxelGrid::bake(&field, [plan.baked; 3], Vec3::NEG_Z)), None))
         }
         Architecture::Mlp => {
-            Ok((Box::new(NerfMlp::read(&shared().join("nerf-mlp-pretrained/lego.safetensors"))?), None))
+            Ok((Box::new(NerfMlp::read(&Program::data()?.join("nerf-mlp-pretrained/lego.safetensors"))?), None))
         }
     }
 }
@@ -162,8 +99,9 @@ pub struct Spent {
     pub vertices: usize,
 }
 
-/// The uncertainties at some levels, each with λ = its factor times the default. All are gathered from the same ray samples, which do not depend on the
-/// level as long as the field differentiates itself and no level leaves out what another needs.
+/// The uncertainties at some levels, each with λ = its factor times the default. All are gathered from the same ray
+/// samples, which do not depend on the level as long as the field differentiates itself and no level leaves out what
+/// another needs.
 pub fn uncertainties(
     plan: &Plan,
     wanted: &[(u8, f64)],

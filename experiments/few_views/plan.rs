@@ -1,6 +1,7 @@
 //! Which scenes, which sizes.
 
 use octobayes::dataset::Hemisphere;
+use octobayes::posterior::Covariance;
 use octobayes::render::RayAverage;
 use octobayes::synth::Up;
 use octobayes::train::Selection;
@@ -85,10 +86,10 @@ pub struct Plan {
     pub baked: usize,
 }
 
-/// How log10 U becomes a pixel's at the default level.
-pub const BLENDS: [RayAverage; 4] = RayAverage::ALL;
-/// The same at other levels.
-pub const LEVEL_BLENDS: [RayAverage; 2] = [RayAverage::AtExpected, RayAverage::Spread];
+/// How H is read.
+pub const COVARIANCES: [Covariance; 3] = [Covariance::Diagonal, Covariance::Trace, Covariance::Block];
+/// How log10 U becomes a pixel's at the default level; at others, and with another λ, it is `spread`.
+pub const AVERAGES: [RayAverage; 2] = [RayAverage::WeightedMean, RayAverage::Spread];
 
 impl Plan {
     pub fn full() -> Self {

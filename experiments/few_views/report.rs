@@ -1,35 +1,40 @@
-//! The tables, as Markdown.
+//! The tables, as Markdown, and the block of the report.
 
 use std::fmt::Write as _;
-use std::io::Write as _;
 use std::path::Path;
 
 use octobayes::evaluate::Baseline;
-use octobayes::internal::AtomicFile;
 use octobayes::posterior::Covariance;
 use octobayes::{Error, Result};
 
+use crate::common::clock::Time;
+use crate::common::index;
+use crate::common::program::{folder, stamp};
+use crate::common::report;
+use crate::common::table::{self, deviation, mean as mean_of};
+use crate::common::work::Dated;
 use crate::picture::{DEFAULT, FOUND, best_baseline, best_reading, title};
-use crate::plan::{BLENDS, LEVEL_BLENDS, Plan};
-use crate::scene::{CleanUpRow, Entry, Kind, SceneResult, variant};
+use crate::plan::{AVERAGES, COVARIANCES, Plan};
+use crate::scene::{CleanUpRow, Entry, Kind, SceneResult};
 
-const BEGIN: &str = "<!-- tables: written by the program -->";
-const END: &str = "<!-- end of tables -->";
+/// The block of the report.
+const BLOCK: &str = "tables";
 
-/// Rows of a table.
-struct Table(String);
+/// A table with its title.
+struct Table(String, table::Table);
 
 impl Table {
     fn new(title: &str, head: &[String]) -> Self {
-        let mut out = Self(format!("\n### {title}\n\n"));
-        out.row(head.iter().cloned());
-        out.row(head.iter().map(|_| "---".into()));
-        out
+        let head: Vec<&str> = head.iter().map(String::as_str).collect();
+        Self(format!("\n### {title}\n\n"), table::Table::new(&head))
     }
 
     fn row(&mut self, cells: impl IntoIterator<Item = String>) {
-        let cells: Vec<String> = cells.into_iter().collect();
-        writeln!(self.0, "| {} |", cells.join(" | ")).expect("writing to a string");
+        self.1.row(&cells.into_iter().collect::<Vec<String>>());
+    }
+
+    fn text(&self) -> String {
+        format!("{}{}", self.0, self.1.text())
     }
 }
 
@@ -38,8 +43,7 @@ fn heads(names: &[&str]) -> Vec<String> {
 }
 
 fn mean(values: impl Iterator<Item = f64>) -> f64 {
-    let values: Vec<f64> = values.collect();
-    values.iter().sum::<f64>() / values.len() as f64
+    mean_of(&values.collect::<Vec<f64>>())
 }
 
 fn optional(value: Option<f64>, digits: usize) -> String {
@@ -62,18 +66,18 @@ pub fn tables(plan: &Plan, done: &[SceneResult], left: &[String]) -> String {
     }
     let left = if left.is_empty() { "none".into() } else { left.join("; ") };
     writeln!(out, "\n{} scenes done. Not run: {left}.", done.len()).expect("writing to a string");
-    out += &scenes(done).0;
+    out += &scenes(done).text();
     for (name, pick) in [
         ("AUSE of the mean absolute error, all pixels together", (|e| e.mae) as Pick),
         ("AUSE of the RMSE, all pixels together", |e| e.rmse),
         ("AUSE of the mean absolute error, mean over views", |e| e.per_view),
     ] {
-        out += &areas(name, done, pick).0;
+        out += &areas(name, done, pick).text();
     }
     out += &choices(plan, done);
     out += &targets(done);
-    out += &clean_ups(done).0;
-    out += &costs(plan, done).0;
+    out += &clean_ups(done).text();
+    out += &costs(plan, done).text();
     out
 }
 
@@ -110,25 +114,24 @@ fn scenes(done: &[SceneResult]) -> Table {
 
 /// The columns of the area tables: kind, name, variant.
 fn columns() -> Vec<(Kind, &'static str, &'static str)> {
-    let spread = Covariance::ALL.iter().map(|c| (Kind::RayAverage, c.name(), "spread"));
-    let alone = ["weighted-mean", "at-expected"].map(|v| (Kind::RayAverage, "diagonal", v));
+    let spread = COVARIANCES.iter().map(|c| (Kind::RayAverage, c.name(), "spread"));
+    let mean = (Kind::RayAverage, "diagonal", "weighted-mean");
     let baselines =
         [Baseline::RayVariance, Baseline::RayEntropy, Baseline::Transparency, Baseline::RayCount, Baseline::Random];
     let ensembles = [Baseline::EnsembleVariance, Baseline::DensityAware];
     spread
-        .chain(alone)
-        .chain(FOUND)
+        .chain([mean, FOUND])
         .chain(baselines.map(|b| (Kind::Baseline, b.name(), "")))
         .chain(ensembles.map(|b| (Kind::Ensemble, b.name(), "")))
         .collect()
 }
 
-/// One row a scene; the best of each row without an ensemble is bold, and the last row is the mean over scenes.
+/// One row a scene; the best of each row without an ensemble is bold, and the last row is over scenes.
 fn areas(name: &str, done: &[SceneResult], pick: Pick) -> Table {
     let columns = columns();
     let mut head = heads(&["scene"]);
     head.extend(columns.iter().map(|(kind, name, variant)| match kind {
-        Kind::Level => format!("{name}, level {variant}"),
+        Kind::Level => format!("{name}, level {variant}, spread"),
         Kind::RayAverage => format!("{name}, {variant}"),
         _ => (*name).to_string(),
     }));
@@ -147,21 +150,25 @@ fn areas(name: &str, done: &[SceneResult], pick: Pick) -> Table {
     let means = columns.iter().map(|&c| {
         let values: Vec<f64> = done.iter().filter_map(|r| of(r, c)).collect();
         // A mean over other scenes than the neighbouring columns' would mislead.
-        optional((values.len() == done.len()).then(|| mean(values.into_iter())), 3)
+        if values.len() < done.len() {
+            "–".into()
+        } else {
+            format!("{:.3} ± {:.3}", mean_of(&values), deviation(&values))
+        }
     });
-    table.row(["mean".to_string()].into_iter().chain(means));
+    table.row(["mean ± deviation over scenes".to_string()].into_iter().chain(means));
     table
 }
 
-/// Means over scenes of every choice of a reading: blending, level, λ, total variance.
+/// Means over scenes of every choice of a reading: ray average, level, λ.
 fn choices(plan: &Plan, done: &[SceneResult]) -> String {
     let mut out = String::new();
     let mut add = |title: &str, what: &str, kind: Kind, variants: Vec<String>| {
-        let head = heads(&[what]).into_iter().chain(Covariance::ALL.iter().map(|c| c.name().to_string()));
+        let head = heads(&[what]).into_iter().chain(COVARIANCES.iter().map(|c| c.name().to_string()));
         let mut table = Table::new(title, &head.collect::<Vec<_>>());
         for variant in variants {
             let cell = |c: Covariance| {
-                // The default level and λ are among the blends.
+                // The default level and λ are among the ray averages.
                 let entries: Vec<(&SceneResult, &Entry)> = done
                     .iter()
                     .filter_map(|r| {
@@ -182,25 +189,24 @@ fn choices(plan: &Plan, done: &[SceneResult]) -> String {
                 let worst = entries.iter().map(|(r, e)| ratio(r, e)).fold(0.0, f64::max);
                 format!("{area:.3} ({wins} of {}, {worst:.2})", entries.len())
             };
-            table.row([variant.clone()].into_iter().chain(Covariance::ALL.map(cell)));
+            table.row([variant.clone()].into_iter().chain(COVARIANCES.map(cell)));
         }
-        out.push_str(&table.0);
+        out.push_str(&table.text());
     };
-    let what = "mean AUSE (MAE) over scenes (scenes in which it beats the best measure without a Hessian, worst ratio to that)";
-    let blends = BLENDS.iter().map(|b| b.name().to_string()).collect();
-    add(&format!("Blending, level {}: {what}", plan.level), "blending", Kind::RayAverage, blends);
+    let what = "mean AUSE (MAE) over scenes (scenes in which it beats the best measure without a Hessian, worst \
+                ratio to that)";
+    let averages = AVERAGES.iter().map(|a| a.name().to_string()).collect();
+    add(&format!("Ray average, level {}: {what}", plan.level), "ray average", Kind::RayAverage, averages);
     let mut levels = plan.other_levels.clone();
     levels.sort_unstable();
-    let levels: Vec<String> =
-        LEVEL_BLENDS.iter().flat_map(|&b| levels.iter().map(move |&level| variant(level, b))).collect();
-    add("Other levels and their blending", "level", Kind::Level, levels);
+    let mut levels: Vec<String> = levels.iter().map(u8::to_string).collect();
+    levels.push(format!("{} *", plan.level));
+    add("Level, averaged as `spread` (* the default)", "level", Kind::Level, levels);
     let mut lambdas: Vec<(f64, String)> = plan.lambdas.iter().map(|f| (*f, format!("{f:e}"))).collect();
     lambdas.push((1.0, "1 *".into()));
     lambdas.sort_by(|a, b| a.0.total_cmp(&b.0));
     let lambdas = lambdas.into_iter().map(|l| l.1).collect();
-    add("λ, as a factor of the default, blended `spread`", "factor", Kind::Lambda, lambdas);
-    let variant = vec![String::new()];
-    add("Total variance: that of the ray's weights and U's, on one scale", "", Kind::TotalVariance, variant);
+    add("λ, as a factor of the default, averaged as `spread` (* the default)", "factor", Kind::Lambda, lambdas);
 
     let head = heads(&["scene", "best reading of H", "AUSE", "best without a Hessian", "AUSE", "default", "ratio"]);
     let mut table = Table::new("Best of each scene (MAE)", &head);
@@ -217,7 +223,7 @@ fn choices(plan: &Plan, done: &[SceneResult]) -> String {
             optional(default.map(|e| ratio(r, e)), 2),
         ]);
     }
-    out + &table.0
+    out + &table.text()
 }
 
 /// The targets, as met or missed. Scenes that were seen from everywhere do not count for the first two.
@@ -233,24 +239,24 @@ fn targets(done: &[SceneResult]) -> String {
     let verdict = |met: bool| if met { "met" } else { "missed" };
     let mut line = |text: String| out.push_str(&format!("- {text}\n"));
     line(format!(
-        "Few-view and half scenes ({}): mean AUSE {default:.3} of the default reading, {:.3} of the best measure without a Hessian ({}), ratio {:.2}; at most 0.90 \
-         wanted: **{}**.",
+        "Few-view and half scenes ({}): mean AUSE {default:.3} of the default reading, {:.3} of the best measure \
+         without a Hessian ({}), ratio {:.2}; at most 0.90 wanted: **{}**.",
         few.len(),
         best.1,
         best.0,
         default / best.1,
         verdict(default <= 0.9 * best.1)
     ));
-    for (kind, name, variant) in FOUND {
-        let found = mean(few.iter().map(|r| of(r, kind, name, variant)));
-        let wins = few.iter().filter(|r| r.entry(kind, name, variant).is_some_and(|e| ratio(r, e) < 1.0)).count();
-        if found.is_finite() {
-            line(format!(
-                "The same for `{name}` at level {variant}, chosen on the first two scenes: {found:.3}, ratio {:.2}; it beats the best such measure of the scene itself in {wins} of {}.",
-                found / best.1,
-                few.len()
-            ));
-        }
+    let (kind, name, variant) = FOUND;
+    let found = mean(few.iter().map(|r| of(r, kind, name, variant)));
+    let wins = few.iter().filter(|r| r.entry(kind, name, variant).is_some_and(|e| ratio(r, e) < 1.0)).count();
+    if found.is_finite() {
+        line(format!(
+            "The same for `{name}` at level {variant}, chosen on the first two scenes: {found:.3}, ratio {:.2}; it \
+             beats the best such measure of the scene itself in {wins} of {}.",
+            found / best.1,
+            few.len()
+        ));
     }
     let with: Vec<&&SceneResult> = few.iter().filter(|r| r.costs.ensemble.is_some()).collect();
     if !with.is_empty() {
@@ -261,9 +267,10 @@ fn targets(done: &[SceneResult]) -> String {
         let theirs = mean(with.iter().map(|r| r.costs.ensemble.map_or(0.0, |t| t.cpu)));
         let alone = mean(with.iter().map(|r| r.costs.estimation.time.cpu));
         line(format!(
-            "The {} scenes with ensembles: mean AUSE {default:.3} of the default reading, {ensemble:.3} of the ensemble's depth variance, ratio {:.2}; at most 1.15 wanted: \
-             **{}**. Processor time of one model and its uncertainty {ours:.0} s ({alone:.0} s of it the uncertainty), of the ensemble {theirs:.0} s: {:.2} ({:.2} \
-             for the uncertainty alone); at most 0.10 wanted: **{}** ({} for the uncertainty alone).",
+            "The {} scenes with ensembles: mean AUSE {default:.3} of the default reading, {ensemble:.3} of the \
+             ensemble's depth variance, ratio {:.2}; at most 1.15 wanted: **{}**. Processor time of one model and its \
+             uncertainty {ours:.0} s ({alone:.0} s of it the uncertainty), of the ensemble {theirs:.0} s: {:.2} \
+             ({:.2} for the uncertainty alone); at most 0.10 wanted: **{}** ({} for the uncertainty alone).",
             with.len(),
             default / ensemble,
             verdict(default <= 1.15 * ensemble),
@@ -282,7 +289,8 @@ fn targets(done: &[SceneResult]) -> String {
         })
         .collect();
     line(format!(
-        "Clean-up with a gain of PSNR (whole held-out images, best threshold) at a coverage of at least 0.7: {} scenes, 3 wanted: **{}**{}{}.",
+        "Clean-up with a gain of PSNR (whole held-out images, best threshold) at a coverage of at least 0.7: {} \
+         scenes, 3 wanted: **{}**{}{}.",
         gains.len(),
         verdict(gains.len() >= 3),
         if gains.is_empty() { "" } else { ": " },
@@ -376,26 +384,32 @@ fn pictures(plan: &Plan, folder: &str, done: &[SceneResult]) -> String {
     out
 }
 
-/// Replaces the tables between the report's markers and copies the pictures beside it.
-pub fn write(plan: &Plan, done: &[SceneResult], left: &[String], work: &Path, report: Option<&Path>) -> Result<()> {
-    let Some(report) = report else { return Ok(()) };
-    let text = std::fs::read_to_string(report).map_err(Error::io(report, "cannot read"))?;
-    let parts = text.split_once(BEGIN).and_then(|(head, rest)| Some((head, rest.split_once(END)?.1)));
-    let (head, tail) =
-        parts.ok_or_else(|| Error::malformed(report, "report", format!("`{BEGIN}` and `{END}`"), "no such lines"))?;
-    let folder = report.with_extension("");
-    std::fs::create_dir_all(&folder).map_err(Error::io(&folder, "cannot create the folder"))?;
-    for r in done {
+/// Rewrites the report's block and copies the pictures beside it.
+pub fn write(plan: &Plan, results: &[Dated<SceneResult>], left: &[String], work: &Path) -> Result<()> {
+    let done: Vec<SceneResult> = results.iter().map(|result| result.value.clone()).collect();
+    let reports = folder();
+    let pictured = reports.join("few_views");
+    for r in &done {
         for (from, to) in [("row.png", ".png"), ("sparsification.svg", ".svg"), ("clean-up.png", "-clean-up.png")] {
-            let (from, to) = (work.join(&r.slug).join(from), folder.join(format!("{}{to}", r.slug)));
+            let (from, to) = (work.join(&r.slug).join(from), pictured.join(format!("{}{to}", r.slug)));
             if from.exists() {
                 std::fs::copy(&from, &to).map_err(Error::io(&from, "cannot copy"))?;
             }
         }
     }
-    let name = folder.file_name().unwrap_or_default().to_string_lossy();
-    let new = format!("{head}{BEGIN}\n{}{}\n{END}{tail}", tables(plan, done, left), pictures(plan, &name, done));
-    let mut file = AtomicFile::create(report)?;
-    file.write_all(new.as_bytes()).map_err(Error::io(report, "cannot write"))?;
-    file.commit()
+    let time = results.iter().fold(Time::default(), |time, result| time + result.time);
+    let dates = || results.iter().map(|result| result.date.clone());
+    let dates = [dates().min(), dates().max()].map(Option::unwrap_or_default);
+    let words = format!(
+        "Level {}, {} rays, the field's own derivatives, tolerance 0.01, seed 0 of rays and of training ({} steps; \
+         ensembles: seeds 0 to {}). Spread is over scenes.",
+        plan.level,
+        table::whole(plan.rays as f64),
+        plan.steps,
+        plan.members - 1,
+    );
+    let body =
+        format!("{} {words}\n{}{}", stamp(dates, time), tables(plan, &done, left), pictures(plan, "few_views", &done));
+    report::rewrite(&reports.join("few_views.md"), BLOCK, &body)?;
+    index::update(&reports)
 }

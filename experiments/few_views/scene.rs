@@ -6,32 +6,31 @@ use glam::DVec3;
 use octobayes::Result;
 use octobayes::estimate::RaySettings;
 use octobayes::evaluate::{
-    Baseline, CleanUp, DepthError, EvaluatedView, Evaluator, Measure, Reading, Score, THRESHOLDS, TrueView, clean_up,
+    CleanUp, DepthError, EvaluatedView, Evaluator, Measure, Reading, Score, THRESHOLDS, TrueView, clean_up,
 };
 use octobayes::field::RadianceField;
 use octobayes::metrics::{ErrorKind, percentiles};
 use octobayes::monitor::Silent;
-use octobayes::posterior::Covariance;
 use octobayes::render::{RayAverage, Tracer};
 use octobayes::uncertainty::UncertaintyField;
 use serde::{Deserialize, Serialize};
 
+use crate::common::clock::{Clock, Time};
+use crate::common::work::{Dated, keep, kept};
 use crate::data::Dataset;
-use crate::model::{self, Clock, Spent, Time, Training};
+use crate::model::{self, Spent, Training};
 use crate::picture;
-use crate::plan::{BLENDS, LEVEL_BLENDS, Plan, Scene};
+use crate::plan::{AVERAGES, COVARIANCES, Plan, Scene};
 
 /// Which question a measure belongs to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Kind {
-    /// A reading at the default level and λ; the variant is the blending.
+    /// A reading at the default level and λ; the variant is the ray average.
     RayAverage,
-    /// The variant is level and blending.
+    /// The variant is the level; averaged as `spread`.
     Level,
-    /// The variant is the factor of λ; blended `spread`.
+    /// The variant is the factor of λ; averaged as `spread`.
     Lambda,
-    /// The ray's weights and U as variances of one depth.
-    TotalVariance,
     /// Without a Hessian, one model.
     Baseline,
     /// Several models.
@@ -111,22 +110,20 @@ impl SceneResult {
 }
 
 /// The scene's result: the kept one, or a new one unless it `is_late`.
-pub fn result(scene: &Scene, plan: &Plan, work: &Path, is_late: bool) -> Result<Option<SceneResult>> {
+pub fn result(scene: &Scene, plan: &Plan, work: &Path, is_late: bool) -> Result<Option<Dated<SceneResult>>> {
     let folder = model::folder(work, &scene.slug())?;
     let file = folder.join(if scene.ensemble { "result-ensemble.json" } else { "result.json" });
     let key = serde_json::json!([env!("CARGO_PKG_VERSION"), scene, plan]);
-    if let Some(result) = model::kept(&file, &key) {
+    if let Some(result) = kept(&file, &key) {
         return Ok(Some(result));
     }
     if is_late {
         return Ok(None);
     }
     eprintln!("{}", scene.name);
-    let clock = Clock::start();
-    let result = compute(scene, plan, work, &folder)?;
-    let time = clock.elapsed();
-    eprintln!("  done in {:.0} s, {:.0} s of processors", time.wall, time.cpu);
-    model::keep(&file, &key, &result)?;
+    let result = Dated::make(|| compute(scene, plan, work, &folder))?;
+    eprintln!("  done in {:.0} s, {:.0} s of processors", result.time.wall, result.time.cpu);
+    keep(&file, &key, &result)?;
     Ok(Some(result))
 }
 
@@ -141,12 +138,7 @@ fn label(kind: Kind, name: &str, variant: impl Into<String>) -> Label {
     Label { kind, name: name.into(), variant: variant.into() }
 }
 
-/// A level and a blending, as a variant.
-pub fn variant(level: u8, blend: RayAverage) -> String {
-    format!("{level}, {}", blend.name())
-}
-
-/// All readings, with the labels of their blends.
+/// All readings, with the labels of their ray averages.
 fn readings(base: &UncertaintyField, plan: &Plan, others: &[UncertaintyField]) -> Result<(Vec<Reading>, Vec<Label>)> {
     let (mut readings, mut labels) = (Vec::new(), Vec::new());
     let lambda = base.protocol().lambda / plan.lambdas.iter().copied().fold(1.0, f64::min);
@@ -154,21 +146,20 @@ fn readings(base: &UncertaintyField, plan: &Plan, others: &[UncertaintyField]) -
         let name = field.protocol().covariance.name().into();
         readings.push(Reading { name, field, blends: blends.to_vec() });
     };
-    for covariance in Covariance::ALL {
-        // The first keeps its evidence, for the number of rays.
+    for covariance in COVARIANCES {
+        // The first keeps its sums, for the number of rays.
         let field = base.clone().with_lambda(lambda)?.with_covariance(covariance)?;
-        add(if covariance == Covariance::ALL[0] { field } else { field.without_sums() }, &BLENDS);
-        labels.extend(BLENDS.iter().map(|b| label(Kind::RayAverage, covariance.name(), b.name())));
+        add(if covariance == COVARIANCES[0] { field } else { field.without_sums() }, &AVERAGES);
+        labels.extend(AVERAGES.iter().map(|a| label(Kind::RayAverage, covariance.name(), a.name())));
     }
     for other in others {
-        for covariance in Covariance::ALL {
-            add(other.clone().with_covariance(covariance)?.without_sums(), &LEVEL_BLENDS);
-            let level = other.lattice().level();
-            labels.extend(LEVEL_BLENDS.iter().map(|b| label(Kind::Level, covariance.name(), variant(level, *b))));
+        for covariance in COVARIANCES {
+            add(other.clone().with_covariance(covariance)?.without_sums(), &[RayAverage::Spread]);
+            labels.push(label(Kind::Level, covariance.name(), other.lattice().level().to_string()));
         }
     }
     for factor in &plan.lambdas {
-        for covariance in Covariance::ALL {
+        for covariance in COVARIANCES {
             let field =
                 base.clone().with_lambda((factor * lambda).max(base.protocol().lambda))?.with_covariance(covariance)?;
             add(field.without_sums(), &[RayAverage::Spread]);
@@ -176,30 +167,6 @@ fn readings(base: &UncertaintyField, plan: &Plan, others: &[UncertaintyField]) -
         }
     }
     Ok((readings, labels))
-}
-
-/// Appends to every view the total variance of depth: by its law, that of the ray's weights plus the expected square of the displacement.
-///
-/// U comes from H = (2/R) S + 2λ, the mean over rays; the posterior of N training pixels with noise variance s² has the precision (N / 2 s²) H, so its
-/// displacement has the deviation √(2/N) s U. s² is the mean squared error of training pixels.
-fn add_total_variance(views: &mut [EvaluatedView], labels: &mut Vec<Label>, training: Training, pixels: u64) {
-    let find = |kind, name: &str, variant: &str| {
-        let is = |l: &Label| l.kind == kind && l.name == name && l.variant == variant;
-        labels.iter().position(is).expect("a measure of the study")
-    };
-    let variance = find(Kind::Baseline, Baseline::RayVariance.name(), "");
-    let scale = 2.0 * 10_f64.powf(-0.1 * training.psnr) / pixels as f64;
-    let mut added = Vec::new();
-    for covariance in Covariance::ALL {
-        let displacement = find(Kind::RayAverage, covariance.name(), RayAverage::AtExpected.name());
-        for view in views.iter_mut() {
-            let both = view.measures[variance].iter().zip(&view.measures[displacement]);
-            let total = both.map(|(v, u)| v + scale * 10_f64.powf(2.0 * u)).collect();
-            view.measures.push(total);
-        }
-        added.push(label(Kind::TotalVariance, covariance.name(), ""));
-    }
-    labels.extend(added);
 }
 
 /// Every k-th of some things, at most `most` of them, spread evenly.
@@ -216,7 +183,7 @@ fn compute(scene: &Scene, plan: &Plan, work: &Path, folder: &Path) -> Result<Sce
         let mut time = Time::default();
         for seed in 0..plan.members {
             let (member, training) = model::hash_grid(scene, plan, &data, folder, seed)?;
-            time = time.plus(training.time);
+            time = time + training.time;
             members.push(member);
         }
         ensemble = Some(time);
@@ -253,7 +220,7 @@ fn compute(scene: &Scene, plan: &Plan, work: &Path, folder: &Path) -> Result<Sce
         .collect::<Result<Vec<_>>>()?;
     eprintln!("  judging {} views of {:?} pixels", truths.len(), truths[0].camera.resolution);
     let [rendering, reading] = costs(&evaluator.tracer, &readings[0], &truths)?;
-    let mut views =
+    let views =
         (0..).zip(&truths).map(|(seed, truth)| evaluator.evaluate(truth, seed, &Silent)).collect::<Result<Vec<_>>>()?;
 
     labels.extend(evaluator.measures().into_iter().filter_map(|measure| match measure {
@@ -261,9 +228,6 @@ fn compute(scene: &Scene, plan: &Plan, work: &Path, folder: &Path) -> Result<Sce
         Measure::Baseline(b) => Some(label(Kind::Ensemble, b.name(), "")),
         _ => None,
     }));
-    if let Some(training) = training {
-        add_total_variance(&mut views, &mut labels, training, data.pixels());
-    }
     let scores: Vec<Score> =
         (0..labels.len()).map(|m| Score::of(&views, m).expect("pixels with depth and some error")).collect();
     let entries: Vec<Entry> = labels

@@ -2,47 +2,115 @@
 
 use octobayes::Result;
 use octobayes::zoo::{self, Verdict};
+use serde::{Deserialize, Serialize};
 
+use crate::common::settings::describe;
+use crate::common::table::{Table, whole_spread};
+use crate::common::work::Work;
 use crate::compare::{Case, error, nothing_left_out};
 use crate::oracle::Derivatives;
 
 /// Rays per scene: errors of single vertices do not depend on it much, the oracle's time does.
 const RAYS: u64 = 1024;
+const SEEDS: [u64; 3] = [0, 1, 2];
 
-/// Prints case × error × verdict.
-pub fn cases() -> Result<()> {
-    println!("{RAYS} rays, seed 0, the scene's own level, dense grid; all vertices of the lattice\n");
-    println!("| scene | vertices | ‖ΔH‖/‖H‖ | \\|Δ log10 U\\|: mean | max | exact derivatives: mean | max | verdict |");
-    println!("|---|---|---|---|---|---|---|---|");
+/// What became of a scene with one seed.
+#[derive(Serialize, Deserialize)]
+enum Found {
+    Refused(String),
+    Compared {
+        moved: f64,
+        dropped: f64,
+        /// Largest ‖ΔH‖ / ‖H‖ with nothing left out; `None` where that drops other rays.
+        rounding: Option<f64>,
+        /// |Δ log10 U|, mean and maximum: against the same differences, against exact derivatives.
+        default: [f64; 2],
+        exact: [f64; 2],
+    },
+}
+
+fn look(scene: &zoo::Scene, seed: u64) -> Result<Found> {
+    let cameras = scene.cameras();
+    let case = Case { field: &scene.field, cameras: &cameras, level: scene.level, rays: RAYS };
+    let (rays, grid) = case.defaults();
+    let rays = rays.seed(seed);
+    let run = match case.run((rays, grid)) {
+        Err(refusal) if scene.verdict == Verdict::Refused => return Ok(Found::Refused(refusal.to_string())),
+        run => run?,
+    };
+    let whole = case.run(nothing_left_out(rays, grid))?;
+    let same = case.oracle(&run, Derivatives::Differences(run.h));
+    let exact = case.oracle(&run, Derivatives::Exact);
+    let [rounding, default, exact] =
+        [error(&case, &whole, &same), error(&case, &run, &same), error(&case, &run, &exact)];
+    // Where rays are dropped, leaving nothing out drops more: of those that meet the fault behind opaque matter.
+    let is_same = whole.progress.dropped == run.progress.dropped;
+    Ok(Found::Compared {
+        moved: default.moved as f64,
+        dropped: run.progress.dropped as f64,
+        rounding: is_same.then_some(rounding.hessian),
+        default: default.worst(),
+        exact: exact.worst(),
+    })
+}
+
+/// Mean over seeds of a mean, and the largest of maxima.
+fn worst(values: &[[f64; 2]]) -> [String; 2] {
+    let mean = values.iter().map(|v| v[0]).sum::<f64>() / values.len() as f64;
+    [format!("{mean:.0e}"), format!("{:.0e}", values.iter().map(|v| v[1]).fold(0.0, f64::max))]
+}
+
+/// Case × error × verdict.
+pub fn cases(work: &Work) -> Result<(String, String)> {
+    let mut table = Table::new(&[
+        "scene",
+        "vertices",
+        "‖ΔH‖/‖H‖",
+        "\\|Δ log10 U\\|: mean",
+        "max",
+        "exact derivatives: mean",
+        "max",
+        "verdict",
+    ]);
+    let mut settings = String::new();
     for scene in zoo::all() {
         let cameras = scene.cameras();
-        let case = Case { field: &scene.field, cameras: &cameras, level: scene.level, rays: RAYS };
-        let (name, verdict) = (scene.name, scene.verdict.words());
-        let run = match case.run(case.defaults()) {
-            Err(refusal) if scene.verdict == Verdict::Refused => {
-                println!("| {name} | | | | | | | {verdict}: `{refusal}` |");
-                continue;
+        let (rays, grid) = Case { field: &scene.field, cameras: &cameras, level: scene.level, rays: RAYS }.defaults();
+        settings = describe(&rays, &grid, &["level"]);
+        let found = SEEDS.map(|seed| work.row((scene.name, RAYS, seed), || look(&scene, seed)));
+        let found = found.into_iter().collect::<Result<Vec<_>>>()?;
+        let (name, mut verdict) = (scene.name.to_string(), scene.verdict.words().to_string());
+        let (mut counts, mut drops, mut rounding) = (Vec::new(), Vec::new(), Some(0.0_f64));
+        let (mut default, mut exact, mut refusal) = (Vec::new(), Vec::new(), None);
+        for found in found {
+            match found {
+                Found::Refused(words) => refusal = Some(words),
+                Found::Compared { moved, dropped, rounding: one, default: d, exact: e } => {
+                    counts.push(moved);
+                    drops.push(dropped);
+                    rounding = rounding.zip(one).map(|(a, b)| a.max(b));
+                    default.push(d);
+                    exact.push(e);
+                }
             }
-            run => run?,
-        };
-        let (rays, grid) = case.defaults();
-        let whole = case.run(nothing_left_out(rays, grid))?;
-        let same = case.oracle(&run, Derivatives::Differences(run.h));
-        let exact = case.oracle(&run, Derivatives::Exact);
-        let [rounding, default, derivatives] =
-            [error(&case, &whole, &same), error(&case, &run, &same), error(&case, &run, &exact)];
-        let ([mean, largest], [exact_mean, exact_largest]) = (default.worst(), derivatives.worst());
-        let dropped =
-            if run.progress.dropped > 0 { format!(", {} rays dropped", run.progress.dropped) } else { String::new() };
-        // Where rays are dropped, leaving nothing out drops more: of those that meet the fault behind opaque matter.
-        let rounding = match whole.progress.dropped == run.progress.dropped {
-            true => format!("{:.0e}", rounding.hessian),
-            false => String::new(),
-        };
-        println!(
-            "| {name} | {} | {rounding} | {mean:.0e} | {largest:.0e} | {exact_mean:.0e} | {exact_largest:.0e} | {verdict}{dropped} |",
-            default.moved,
-        );
+        }
+        if let Some(words) = refusal {
+            let row = [name, format!("{verdict}: `{words}`")];
+            table.row(&[&row[..1], &vec![String::new(); 6], &row[1..]].concat());
+            continue;
+        }
+        if drops.iter().any(|&n| n > 0.0) {
+            verdict += &format!(", {} rays dropped", whole_spread(&drops));
+        }
+        let ([mean, largest], [exact_mean, exact_largest]) = (worst(&default), worst(&exact));
+        let rounding = rounding.map_or(String::new(), |r| format!("{r:.0e}"));
+        table.row(&[name, whole_spread(&counts), rounding, mean, largest, exact_mean, exact_largest, verdict]);
     }
-    Ok(())
+    let list: Vec<String> = SEEDS.iter().map(u64::to_string).collect();
+    let words = format!(
+        "{settings} Every scene at its own level, all vertices of the lattice. Seeds {}: counts are mean ± standard \
+         deviation, means of |Δ log10 U| are means over seeds, maxima are over all seeds.",
+        list.join(", ")
+    );
+    Ok((words, table.text().into()))
 }

@@ -1,13 +1,17 @@
 //! How far from the limit: error bars against the errors found with twenty times the rays.
 
-use octobayes::Result;
-use octobayes::estimate::{Estimation, GridSettings, RaySettings};
+use octobayes::estimate::{GridSettings, RaySettings};
 use octobayes::octree::VertexId;
 use octobayes::render::GradientMethod;
 use octobayes::uncertainty::{Support, UncertaintyField};
-use octobayes::zoo;
+use octobayes::zoo::{self as hard, Verdict};
+use octobayes::{Error, Result};
+use serde::{Deserialize, Serialize};
 
-use super::scenes::{Scene, scenes};
+use crate::common::scenes::Scene;
+use crate::common::settings::{describe, seeds};
+use crate::common::table::{Table, mean, spread, whole};
+use crate::common::work::Work;
 
 /// Rays of the run that stands for the limit, per ray of the run that is judged.
 const MORE: u64 = 20;
@@ -19,45 +23,149 @@ struct Judged {
     bar: Option<f64>,
 }
 
-/// Rays of a scene of the zoo, and groups of its error bars.
+/// Rays of a scene of the zoo.
 const ZOO_RAYS: u64 = 16_384;
-const ZOO_GROUPS: u16 = 8;
 
-/// Tables of every scene and number of groups, and of the zoo.
-pub fn honesty() -> Result<()> {
-    println!(
-        "\n# How far from the limit\n\nVertices that the run or the one of {MORE} times the rays moved by more than half a decade."
-    );
-    for scene in scenes()? {
-        let limit = scene.limit()?;
-        for groups in [2, 8, 16] {
-            let field = scene.with_error_bars(groups)?;
-            table(&scene, groups, &judged(&field, &limit));
-            on_surfaces(&field, &limit, groups);
-        }
-    }
-    zoo_table()
+const SEEDS: [u64; 3] = [0, 1, 2];
+/// Of the run that stands for the limit.
+const LIMIT_SEED: u64 = 77;
+const GROUPS: [u16; 3] = [2, 8, 16];
+/// The number of groups by default.
+const DEFAULT_GROUPS: u16 = 8;
+
+fn grid(scene: &Scene) -> GridSettings {
+    scene.grid.tolerance(0.0).surface_points(20_000)
 }
 
-impl Scene {
-    fn grid(&self) -> GridSettings {
-        GridSettings::default().level(self.level).tolerance(0.0).surface_points(20_000)
-    }
+fn settings(scene: &Scene) -> RaySettings {
+    scene.settings.gradient(GradientMethod::Auto)
+}
 
-    fn settings(&self) -> RaySettings {
-        RaySettings::default().rays(self.rays).gradient(GradientMethod::Auto)
-    }
+/// What stands for the limit.
+fn limit(scene: &Scene) -> Result<UncertaintyField> {
+    let many = settings(scene).rays(MORE * scene.settings.rays).seed(LIMIT_SEED);
+    Ok(scene.estimation(many, grid(scene)).run()?.field.without_sums())
+}
 
-    /// What stands for the limit.
-    fn limit(&self) -> Result<UncertaintyField> {
-        let many = self.settings().rays(MORE * self.rays).seed(77);
-        Ok(Estimation::new(&*self.field, &self.cameras).rays(many).grid(self.grid()).run()?.field)
-    }
+fn with_error_bars(scene: &Scene, seed: u64, groups: u16) -> Result<UncertaintyField> {
+    Ok(scene.estimation(settings(scene).seed(seed), grid(scene)).error_bars(groups).run()?.field)
+}
 
-    fn with_error_bars(&self, groups: u16) -> Result<UncertaintyField> {
-        let (field, cameras) = (&*self.field, &self.cameras);
-        Ok(Estimation::new(field, cameras).rays(self.settings()).grid(self.grid()).error_bars(groups).run()?.field)
+/// Calibrations of one seed and number of groups.
+#[derive(Serialize, Deserialize)]
+struct OfSeed {
+    all: Option<Calibration>,
+    /// By the number of rays of a vertex.
+    bins: Vec<Option<Calibration>>,
+    /// Points on surfaces: share whose error is known, rms of errors there, rms of error bars there.
+    surfaces: [f64; 3],
+}
+
+fn of_seed(scene: &Scene, limit: &UncertaintyField, seed: u64, groups: u16) -> Result<OfSeed> {
+    let field = with_error_bars(scene, seed, groups)?;
+    let judged = judged(&field, limit);
+    let of = |(least, below): (u32, u32)| {
+        let bin: Vec<&Judged> = judged.iter().filter(|j| (least..below).contains(&j.rays)).collect();
+        Calibration::of(&bin, groups)
+    };
+    Ok(OfSeed {
+        all: of((0, u32::MAX)),
+        bins: BINS.into_iter().map(of).collect(),
+        surfaces: on_surfaces(&field, limit),
+    })
+}
+
+/// Numbers of rays of a vertex, and one more than the last.
+const BINS: [(u32, u32); 8] = [(1, 2), (2, 4), (4, 8), (8, 16), (16, 32), (32, 64), (64, 128), (128, u32::MAX)];
+
+fn bin_name((least, below): (u32, u32)) -> String {
+    match below {
+        u32::MAX => format!("{least} and more"),
+        _ if below == least + 1 => least.to_string(),
+        _ => format!("{least} to {}", below - 1),
     }
+}
+
+/// Columns behind the first ones of a table of calibrations.
+const COLUMNS: [&str; 9] =
+    ["vertices", "error known", "bias", "true rms", "estimated", "ratio", "true mean", "estimated", "ratio"];
+
+/// Cells of [`COLUMNS`], over the seeds that have enough vertices; `None` if none has.
+fn cells<'a>(seeds: impl Iterator<Item = &'a Option<Calibration>>) -> Option<Vec<String>> {
+    let all: Vec<&Calibration> = seeds.flatten().collect();
+    if all.is_empty() {
+        return None;
+    }
+    let of = |value: fn(&Calibration) -> f64| all.iter().map(|c| value(c)).collect::<Vec<f64>>();
+    let mut cells = vec![
+        whole(mean(&of(|c| c.vertices as f64))),
+        format!("{:.2}", mean(&of(|c| c.known as f64 / c.vertices as f64))),
+    ];
+    if all.iter().any(|c| c.known < FEWEST) {
+        cells.extend(vec![String::new(); 7]);
+        return Some(cells);
+    }
+    let number = |value: fn(&Calibration) -> f64| format!("{:.3}", mean(&of(value)));
+    cells.extend([
+        format!("{:+.3}", mean(&of(|c| c.bias))),
+        number(|c| c.true_rms),
+        number(|c| c.rms),
+        spread(&of(|c| c.rms / c.true_rms), 2),
+        number(|c| c.true_mean),
+        number(|c| c.mean),
+        spread(&of(|c| c.mean / c.true_mean), 2),
+    ]);
+    Some(cells)
+}
+
+/// What all tables share.
+fn words(scene: &Scene) -> String {
+    format!(
+        "{} {} The limit: {MORE} times the rays, seed {LIMIT_SEED}. Vertices that either moved by more than half a \
+         decade.",
+        describe(&settings(scene), &grid(scene), &["rays", "level"]),
+        seeds(&SEEDS),
+    )
+}
+
+/// Every scene with every number of groups, by the rays of a vertex with the default number, and on surfaces.
+pub fn scenes(work: &Work, scenes: &[Scene]) -> Result<(String, String)> {
+    let mut all = Table::new(&[&["scene", "level", "rays", "groups"][..], &COLUMNS[..]].concat());
+    let mut bins = Table::new(&[&["scene", "rays of a vertex"][..], &COLUMNS[..]].concat());
+    let mut surfaces = Table::new(&["scene", "groups", "error known", "true rms", "estimated", "ratio"]);
+    for scene in scenes {
+        let (name, level, rays) = (scene.name, scene.grid.level, scene.settings.rays);
+        let limit = work.field(("limit", name, level, rays), || limit(scene))?;
+        for groups in GROUPS {
+            let of = |seed| work.row((name, level, rays, groups, seed), || of_seed(scene, &limit, seed, groups));
+            let found = SEEDS.into_iter().map(of).collect::<Result<Vec<OfSeed>>>()?;
+            let head = [name.to_string(), level.to_string(), whole(rays as f64), groups.to_string()];
+            if let Some(cells) = cells(found.iter().map(|seed| &seed.all)) {
+                all.row(&[&head[..], &cells[..]].concat());
+            }
+            for (b, bin) in BINS.into_iter().enumerate().filter(|_| groups == DEFAULT_GROUPS) {
+                if let Some(cells) = cells(found.iter().map(|seed| &seed.bins[b])) {
+                    bins.row(&[&[name.to_string(), bin_name(bin)][..], &cells[..]].concat());
+                }
+            }
+            let of = |value: fn(&[f64; 3]) -> f64| found.iter().map(|seed| value(&seed.surfaces)).collect::<Vec<f64>>();
+            surfaces.row(&[
+                name.to_string(),
+                groups.to_string(),
+                format!("{:.3}", mean(&of(|s| s[0]))),
+                format!("{:.3}", mean(&of(|s| s[1]))),
+                format!("{:.3}", mean(&of(|s| s[2]))),
+                spread(&of(|s| s[2] / s[1]), 2),
+            ]);
+        }
+    }
+    let body = format!(
+        "All vertices:\n\n{}\nBy the rays of a vertex, {DEFAULT_GROUPS} groups:\n\n{}\nAt points on surfaces:\n\n{}",
+        all.text(),
+        bins.text(),
+        surfaces.text()
+    );
+    Ok((words(&scenes[0]), body))
 }
 
 /// Vertices of both fields' octrees; where one has none, it says the prior.
@@ -94,7 +202,9 @@ fn mean_of_absolute(groups: u16) -> f64 {
 }
 
 /// What error bars say of vertices whose error they know, and what is true.
+#[derive(Serialize, Deserialize)]
 struct Calibration {
+    vertices: usize,
     known: usize,
     bias: f64,
     true_rms: f64,
@@ -103,99 +213,80 @@ struct Calibration {
     mean: f64,
 }
 
-impl Calibration {
-    fn of(judged: &[&Judged], groups: u16) -> Self {
-        let known: Vec<(f64, f64)> = judged.iter().filter_map(|j| j.bar.map(|bar| (j.error, bar))).collect();
-        let n = known.len() as f64;
-        let rms = |f: fn(&(f64, f64)) -> f64| (known.iter().map(|p| f(p).powi(2)).sum::<f64>() / n).sqrt();
-        let mean = |f: fn(&(f64, f64)) -> f64| known.iter().map(f).sum::<f64>() / n;
-        Self {
-            known: known.len(),
-            bias: mean(|p| p.0),
-            true_rms: rms(|p| p.0),
-            rms: rms(|p| p.1),
-            true_mean: mean(|p| p.0.abs()),
-            mean: mean_of_absolute(groups) * mean(|p| p.1),
-        }
-    }
-
-    /// The row of a table: what it is of, how many vertices, share of known errors, and the rest unless too few are known.
-    fn row(&self, name: &str, vertices: usize) -> String {
-        let share = self.known as f64 / vertices as f64;
-        if self.known < FEWEST {
-            return format!("| {name} | {vertices} | {share:.2} | | | | | | | |");
-        }
-        let Self { bias, true_rms, rms, true_mean, mean, .. } = self;
-        format!(
-            "| {name} | {vertices} | {share:.2} | {bias:+.3} | {true_rms:.3} | {rms:.3} | {:.2} | {true_mean:.3} | {mean:.3} | {:.2} |",
-            rms / true_rms,
-            mean / true_mean
-        )
-    }
-}
-
 /// Fewer vertices say nothing of a calibration.
 const FEWEST: usize = 30;
 
-/// Prints the head of a table of [`Calibration::row`]s.
-fn head(of: &str) {
-    println!("| {of} | vertices | error known | bias | true rms | estimated | ratio | true mean | estimated | ratio |");
-    println!("|---|---|---|---|---|---|---|---|---|---|");
+fn rms(values: impl Iterator<Item = f64>) -> f64 {
+    let squares: Vec<f64> = values.map(|v| v * v).collect();
+    mean(&squares).sqrt()
 }
 
-fn table(scene: &Scene, groups: u16, all: &[Judged]) {
-    println!("\n## {}, level {}, {} rays, {groups} groups\n", scene.name, scene.level, scene.rays);
-    head("rays of a vertex");
-    let bins = [(0, 1), (1, 2), (2, 4), (4, 8), (8, 16), (16, 32), (32, 64), (64, 128), (128, u32::MAX), (0, u32::MAX)];
-    for (least, below) in bins {
-        let bin: Vec<&Judged> = all.iter().filter(|j| (least..below).contains(&j.rays)).collect();
-        if bin.len() < FEWEST {
-            continue;
+impl Calibration {
+    /// Of these vertices; `None` if they are too few.
+    fn of(judged: &[&Judged], groups: u16) -> Option<Self> {
+        if judged.len() < FEWEST {
+            return None;
         }
-        let name = match (least, below) {
-            (0, u32::MAX) => "all".into(),
-            (least, u32::MAX) => format!("{least} and more"),
-            (least, below) if below == least + 1 => format!("{least}"),
-            (least, below) => format!("{least} to {}", below - 1),
-        };
-        println!("{}", Calibration::of(&bin, groups).row(&name, bin.len()));
+        let known: Vec<(f64, f64)> = judged.iter().filter_map(|j| j.bar.map(|bar| (j.error, bar))).collect();
+        // Nothing is known of vertices that one group alone has seen.
+        let sure = if known.is_empty() { vec![(0.0, 0.0)] } else { known.clone() };
+        let mean_of = |f: fn(&(f64, f64)) -> f64| mean(&sure.iter().map(f).collect::<Vec<f64>>());
+        Some(Self {
+            vertices: judged.len(),
+            known: known.len(),
+            bias: mean_of(|p| p.0),
+            true_rms: rms(sure.iter().map(|p| p.0)),
+            rms: rms(sure.iter().map(|p| p.1)),
+            true_mean: mean_of(|p| p.0.abs()),
+            mean: mean_of_absolute(groups) * mean_of(|p| p.1),
+        })
     }
 }
 
 /// All scenes of the zoo that are not refused and move enough vertices, one row each.
-fn zoo_table() -> Result<()> {
-    println!("\n## The zoo, {ZOO_RAYS} rays, {ZOO_GROUPS} groups, every scene at its own level\n");
-    head("scene");
-    for hard in zoo::all().into_iter().filter(|scene| scene.verdict != zoo::Verdict::Refused) {
-        let (name, level, cameras) = (hard.name, hard.level, hard.cameras());
-        let scene = Scene { name, field: Box::new(hard.field), cameras, level, rays: ZOO_RAYS };
-        let limit = scene.limit()?;
-        let judged = judged(&scene.with_error_bars(ZOO_GROUPS)?, &limit);
-        if judged.len() >= FEWEST {
-            let all: Vec<&Judged> = judged.iter().collect();
-            println!("{}", Calibration::of(&all, ZOO_GROUPS).row(name, all.len()));
+pub fn zoo(work: &Work) -> Result<(String, String)> {
+    let mut table = Table::new(&[&["scene"][..], &COLUMNS[..]].concat());
+    let mut said = String::new();
+    for case in hard::all().into_iter().filter(|scene| scene.verdict != Verdict::Refused) {
+        let (name, cameras) = (case.name, case.cameras());
+        let scene = Scene {
+            name,
+            cameras,
+            settings: RaySettings::default().rays(ZOO_RAYS),
+            grid: GridSettings::default().level(case.level),
+            field: Box::new(case.field),
+        };
+        said = words(&scene);
+        let limit = work.field(("limit", name, ZOO_RAYS), || limit(&scene))?;
+        // A group whose rays meet a fault too often is refused as a run of its own would be.
+        let make = |seed| match of_seed(&scene, &limit, seed, DEFAULT_GROUPS) {
+            Err(Error::NonFinite { .. }) => Ok(None),
+            made => made.map(Some),
+        };
+        let of = |seed| work.row((name, ZOO_RAYS, DEFAULT_GROUPS, seed), || make(seed));
+        let found = SEEDS.into_iter().map(of).collect::<Result<Vec<Option<OfSeed>>>>()?;
+        if let Some(cells) = cells(found.iter().flatten().map(|seed| &seed.all)) {
+            table.row(&[&[name.to_string()][..], &cells[..]].concat());
         }
     }
-    Ok(())
+    let rays = whole(ZOO_RAYS as f64);
+    let words = format!(
+        "{rays} rays, {DEFAULT_GROUPS} groups, every scene at its own level; a seed is left out if one of its groups \
+         meets too many faults. {said}"
+    );
+    Ok((words, table.text().into()))
 }
 
-/// The same at points between vertices, where errors are added as if all were off to the same side.
-fn on_surfaces(field: &UncertaintyField, limit: &UncertaintyField, groups: u16) {
-    let answers = limit.surface().iter().map(|&x| {
+/// Points between vertices, where errors are added as if all were off to the same side: see [`OfSeed::surfaces`].
+fn on_surfaces(field: &UncertaintyField, limit: &UncertaintyField) -> [f64; 3] {
+    let answer = |&x: &[f32; 3]| {
         let answer = field.query(x.into());
-        (answer.uncertainty.log10() - limit.log10(x.into()), answer.log10_error)
-    });
-    let answers: Vec<(f64, Option<f64>)> = answers.collect();
-    if answers.is_empty() {
-        return;
+        answer.log10_error.map(|bar| (answer.uncertainty.log10() - limit.log10(x.into()), bar))
+    };
+    let points = limit.surface();
+    let known: Vec<(f64, f64)> = points.iter().filter_map(answer).collect();
+    if known.is_empty() {
+        return [0.0; 3];
     }
-    let known: Vec<(f64, f64)> = answers.iter().filter_map(|a| a.1.map(|bar| (a.0, bar))).collect();
-    let rms = |f: fn(&(f64, f64)) -> f64| (known.iter().map(|p| f(p).powi(2)).sum::<f64>() / known.len() as f64).sqrt();
-    let (found, estimated) = (rms(|p| p.0), rms(|p| p.1));
-    println!(
-        "\n{} points on surfaces, {groups} groups: error known at {:.1} %; there true rms {found:.3}, estimated {estimated:.3}, ratio {:.2}",
-        answers.len(),
-        100.0 * known.len() as f64 / answers.len() as f64,
-        estimated / found
-    );
+    [known.len() as f64 / points.len() as f64, rms(known.iter().map(|p| p.0)), rms(known.iter().map(|p| p.1))]
 }

@@ -1,14 +1,16 @@
 //! Question: when can the numbers be believed?
 //!
-//! Prints the tables of `experiments/hard_cases.md` and writes its plots; arguments choose parts: `cases steps sums honesty`, by default all.
-//! Parts on real models need `OCTOBAYES_DATA` and say so where it is missing.
+//! Hard scenes against an oracle in f64, the finite-difference step, the precision of sums, and error bars against the
+//! errors themselves. Writes the blocks of `experiments/hard_cases.md` and its plots.
 
 mod cases;
 mod honesty;
-mod scenes;
 mod steps;
 mod sums;
 mod waves;
+// Each experiment uses its part.
+#[path = "../common/mod.rs"]
+mod common;
 // The tests use all of both.
 #[allow(dead_code)]
 #[path = "../../tests/zoo/compare.rs"]
@@ -19,21 +21,39 @@ mod oracle;
 
 use octobayes::Result;
 
+use common::program::{Needs, Program};
+use common::scenes::Scene;
+
 fn main() -> Result<()> {
-    let chosen: Vec<String> = std::env::args().skip(1).collect();
-    let wants = |part: &str| chosen.is_empty() || chosen.iter().any(|c| c == part);
-    println!("{} threads, seed 0", rayon::current_num_threads());
-    if wants("cases") {
-        cases::cases()?;
-    }
-    if wants("steps") {
-        steps::steps()?;
-    }
-    if wants("sums") {
-        sums::sums()?;
-    }
-    if wants("honesty") {
-        honesty::honesty()?;
-    }
-    Ok(())
+    let parts = [
+        ("cases", Needs::Nothing),
+        ("steps", Needs::Nothing),
+        ("steps-lego", Needs::Data),
+        ("sums", Needs::Nothing),
+        ("error-bars", Needs::Nothing),
+        ("error-bars-lego", Needs::Data),
+        ("error-bars-zoo", Needs::Nothing),
+    ];
+    let program = Program::start("hard_cases", &parts)?;
+    program.part("cases", cases::cases)?;
+    program.part("steps", |work| steps::steps(work, &steps::waves(), "hard_cases_steps.svg"))?;
+    program.part("steps-lego", |work| {
+        let data = Program::data()?;
+        let [png, mlp] = [Scene::lego(&data)?, Scene::lego_mlp(&data)?];
+        let png = Scene { settings: png.settings.rays(1024), ..png };
+        let mlp = Scene { settings: mlp.settings.rays(256), ..mlp };
+        steps::steps(work, &[png, mlp], "hard_cases_steps_lego.svg")
+    })?;
+    program.part("sums", |_| sums::sums())?;
+    program.part("error-bars", |work| {
+        let courtyard = Scene::built_in("courtyard")?;
+        let courtyard = Scene { settings: courtyard.settings.rays(102_400), ..courtyard };
+        honesty::scenes(work, &[courtyard, Scene::built_in("wall")?, Scene::built_in("floater")?])
+    })?;
+    program.part("error-bars-lego", |work| {
+        let lego = Scene::lego(&Program::data()?)?;
+        let (settings, grid) = (lego.settings.rays(204_800), lego.grid.level(7));
+        honesty::scenes(work, &[Scene { settings, grid, ..lego }])
+    })?;
+    program.part("error-bars-zoo", honesty::zoo)
 }

@@ -1,12 +1,11 @@
-//! The finite-difference step: errors of derivatives, Jacobians and log10 U against step and scheme, exact derivatives as truth.
-
-use std::path::Path;
+//! The finite-difference step: errors of derivatives, Jacobians and log10 U against step and scheme, exact derivatives
+//! as truth.
 
 use glam::{DVec3, Vec3};
 use octobayes::Result;
-use octobayes::estimate::{Estimation, FieldBuilder, GridSettings, Provenance, RaySettings};
+use octobayes::estimate::{FieldBuilder, GridSettings, Provenance, RaySettings};
 use octobayes::field::{ClosedForm, Radiance, RadianceField, RadianceJet, VoxelGrid};
-use octobayes::geometry::{Camera, Domain};
+use octobayes::geometry::Domain;
 use octobayes::internal::{Curve, write_plot};
 use octobayes::monitor::Silent;
 use octobayes::octree::VertexId;
@@ -14,14 +13,22 @@ use octobayes::rays::{RunProgress, Shard};
 use octobayes::render::{GradientMethod, RaySample, RaySamples};
 use octobayes::uncertainty::{MOVED, Support, UncertaintyField};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
-use super::scenes::{Scene, data, lego, lego_mlp};
 use super::waves::{Kind, Waves};
+use crate::common::program::folder;
+use crate::common::scenes::Scene;
+use crate::common::settings::{describe, seeds};
+use crate::common::table::{Table, mean, spread_e};
+use crate::common::work::Work;
 
 /// Steps per decade, from 1e-4 to 10 lattice edges.
 const PER_DECADE: i32 = 4;
 const RANGE: std::ops::RangeInclusive<i32> = -4 * PER_DECADE..=PER_DECADE;
 const SCHEMES: [&str; 3] = ["one-sided", "central", "Richardson"];
+/// Index of the scheme that the crate uses.
+const CENTRAL: usize = 1;
+const SEEDS: [u64; 3] = [0, 1, 2];
 
 /// A sample with its exact derivatives.
 struct Sample {
@@ -38,70 +45,154 @@ struct Sample {
 /// Errors of one scheme at one step: ∇σ, ∇c, G, relative; mean |Δ log10 U| of moved vertices.
 type Errors = [f64; 4];
 
-/// Tables and plots of all fields.
-pub fn steps() -> Result<()> {
-    println!(
-        "\n# Steps\n\nErrors relative to exact derivatives, root mean square weighted by what matters for H (‖∂C/∂σ‖ for ∇σ, w for ∇c); log10 U: mean |Δ| over vertices that moved by more than half a decade. Level 8."
-    );
-    let waves = |name, field: Box<dyn RadianceField>| Scene {
+/// What the program itself says of a field's step.
+#[derive(Serialize, Deserialize)]
+struct Check {
+    noise: f64,
+    best: f64,
+    error: f64,
+    at_default: f64,
+    is_bad: bool,
+}
+
+/// Errors of all schemes by step, and the program's own estimate.
+#[derive(Serialize, Deserialize)]
+struct Study {
+    samples: usize,
+    errors: Vec<(f64, [Errors; 3])>,
+    check: Option<Check>,
+}
+
+/// Fields whose derivatives are known.
+pub fn waves() -> Vec<Scene> {
+    let scene = |name, field: Box<dyn RadianceField>| Scene {
         name,
         field,
         cameras: ClosedForm::half_circle(10, [100, 100]),
-        level: 8,
-        rays: 64,
+        settings: RaySettings::default().rays(64),
+        grid: GridSettings::default(),
     };
-    let mut scenes = vec![
-        waves("smooth", Box::new(Waves(Kind::Smooth))),
-        waves("exponential", Box::new(Waves(Kind::Exponential))),
+    vec![
+        scene("smooth", Box::new(Waves(Kind::Smooth))),
+        scene("exponential", Box::new(Waves(Kind::Exponential))),
         // 59 cells to 256: kinks at no lattice plane of ours but the middle.
-        waves("piecewise linear", Box::new(VoxelGrid::bake(&Waves(Kind::Smooth), [60; 3], Vec3::Z))),
-        waves("rounded to f16", Box::new(Waves(Kind::Half))),
-    ];
-    if let Some(data) = data() {
-        scenes.push(Scene { name: "lego, Plenoptic PNG", rays: 1024, ..lego(&data)? });
-        scenes.push(Scene { rays: 256, ..lego_mlp(&data)? });
+        scene("piecewise linear", Box::new(VoxelGrid::bake(&Waves(Kind::Smooth), [60; 3], Vec3::Z))),
+        scene("rounded to f16", Box::new(Waves(Kind::Half))),
+    ]
+}
+
+/// The studies of a field, one a seed.
+struct Studied<'a> {
+    scene: &'a Scene,
+    studies: Vec<Study>,
+}
+
+impl Studied<'_> {
+    /// Errors of all seeds at a step.
+    fn errors(&self, step: usize, scheme: usize, what: usize) -> Vec<f64> {
+        self.studies.iter().map(|study| study.errors[step].1[scheme][what]).collect()
     }
-    let mut curves = Vec::new();
-    for scene in &scenes {
-        let errors = study(scene)?;
-        let points = |scheme: usize, what: usize| {
-            errors.iter().map(|(step, schemes)| (step.log10(), schemes[scheme][what].log10())).collect::<Vec<_>>()
-        };
-        curves.push(Curve { name: scene.name.into(), points: points(1, 2), reference: false });
-        let schemes = (0..3).map(|s| Curve { name: SCHEMES[s].into(), points: points(s, 2), reference: false });
-        let file =
-            format!("experiments/hard_cases_steps_{}.svg", scene.name.replace([' ', ','], "_").replace("__", "_"));
-        let title = format!("{}: error of G", scene.name);
-        write_plot(
-            Path::new(&file),
-            &title,
-            ["log10 step / lattice edges", "log10 relative error"],
-            &schemes.collect::<Vec<_>>(),
-        )?;
+
+    /// The steps.
+    fn steps(&self) -> impl Iterator<Item = (usize, f64)> {
+        self.studies[0].errors.iter().map(|e| e.0).enumerate()
     }
+
+    /// The step with the least mean error, and that error.
+    fn best(&self, scheme: usize, what: usize) -> [String; 2] {
+        let of = |i: usize| mean(&self.errors(i, scheme, what));
+        let finite = self.steps().filter(|(i, _)| of(*i).is_finite());
+        let least = finite.min_by(|a, b| of(a.0).total_cmp(&of(b.0)));
+        least.map_or([String::new(), String::new()], |(i, step)| {
+            [format!("{step:.1e}"), spread_e(&self.errors(i, scheme, what))]
+        })
+    }
+}
+
+/// Tables of some fields, and a plot of central differences.
+pub fn steps(work: &Work, scenes: &[Scene], plot: &str) -> Result<(String, String)> {
+    let mut all = Vec::new();
+    for scene in scenes {
+        let of = |seed| work.row((scene.name, scene.settings.rays, seed), || study(scene, seed));
+        all.push(Studied { scene, studies: SEEDS.into_iter().map(of).collect::<Result<_>>()? });
+    }
+    let head: Vec<&str> = ["step"].into_iter().chain(scenes.iter().map(|scene| scene.name)).collect();
+    let table = |what: usize| {
+        let mut table = Table::new(&head);
+        for (i, step) in all[0].steps() {
+            let cells = all.iter().map(|studied| spread_e(&studied.errors(i, CENTRAL, what)));
+            table.row(&[format!("{step:.1e}")].into_iter().chain(cells).collect::<Vec<_>>());
+        }
+        table
+    };
+    let mut best = Table::new(&[
+        "field",
+        "scheme",
+        "evaluations",
+        "best step for G",
+        "error of G",
+        "best step for log10 U",
+        "error of log10 U",
+    ]);
+    let mut checks =
+        Table::new(&["field", "noise of σ", "its best step", "its error of ∇σ", "at the default", "warns"]);
+    for studied in &all {
+        let name = studied.scene.name.to_string();
+        for (s, (scheme, evaluations)) in SCHEMES.iter().zip([4, 7, 13]).enumerate() {
+            let head = [name.clone(), (*scheme).to_string(), evaluations.to_string()];
+            best.row(&[&head[..], &studied.best(s, 2), &studied.best(s, 3)].concat());
+        }
+        let checked: Vec<&Check> = studied.studies.iter().filter_map(|study| study.check.as_ref()).collect();
+        if !checked.is_empty() {
+            let of = |value: fn(&Check) -> f64| spread_e(&checked.iter().map(|c| value(c)).collect::<Vec<f64>>());
+            let warned = checked.iter().filter(|c| c.is_bad).count();
+            let warns = format!("{warned} of {} seeds", checked.len());
+            checks.row(&[name, of(|c| c.noise), of(|c| c.best), of(|c| c.error), of(|c| c.at_default), warns]);
+        }
+    }
+    let curve = |studied: &Studied| Curve {
+        name: studied.scene.name.into(),
+        points: studied.steps().map(|(i, step)| (step.log10(), mean(&studied.errors(i, CENTRAL, 2)).log10())).collect(),
+        reference: false,
+    };
+    let curves: Vec<Curve> = all.iter().map(curve).collect();
     let title = "Central differences: error of G against step";
-    let file = Path::new("experiments/hard_cases_steps.svg");
-    write_plot(file, title, ["log10 step / lattice edges", "log10 relative error"], &curves)
+    write_plot(&folder().join(plot), title, ["log10 step / lattice edges", "log10 relative error"], &curves)?;
+    let counts: Vec<String> = all
+        .iter()
+        .map(|Studied { scene, studies }| {
+            format!("{}: {} rays, {} samples", scene.name, scene.settings.rays, studies[0].samples)
+        })
+        .collect();
+    let described = describe(&settings(&scenes[0]), &scenes[0].grid.tolerance(0.0), &["rays", "gradient", "step"]);
+    let words = format!("{described} {} {} (of the first seed).", seeds(&SEEDS), counts.join("; "));
+    let body = format!(
+        "Central differences, error of log10 U:\n\n{}\nCentral differences, error of G:\n\n{}\nBest steps:\n\n{}\nWhat \
+         the program says of its own accord, from 256 points:\n\n{}",
+        table(3).text(),
+        table(2).text(),
+        best.text(),
+        checks.text()
+    );
+    Ok((words, body))
 }
 
 fn settings(scene: &Scene) -> RaySettings {
-    RaySettings::default().rays(scene.rays).gradient(GradientMethod::Analytic).occupancy(64)
+    scene.settings.gradient(GradientMethod::Analytic).occupancy(64)
 }
 
 /// The samples of a scene's rays with exact derivatives.
-fn samples(scene: &Scene, grid: &GridSettings, domain: Domain) -> Result<Vec<Sample>> {
-    let run =
-        Estimation::new(&*scene.field, &scene.cameras).domain(domain).rays(settings(scene)).grid(*grid).prepare()?;
+fn samples(scene: &Scene, seed: u64, grid: &GridSettings) -> Result<Vec<Sample>> {
+    let run = scene.estimation(settings(scene).seed(seed), *grid).prepare()?;
     let stream = run.stream();
     let field = scene.field.differentiable().expect("scenes of this study know their derivatives");
     let direction = |ray: u64| {
         let pick = stream.pixels.picks(ray, 1)[0];
         let [x, y] = pick.pixel.map(|i| f64::from(i) + stream.pixel_offset);
-        let camera: &Camera = &scene.cameras[pick.camera];
-        camera.ray(x, y).direction.as_vec3()
+        scene.cameras[pick.camera].ray(x, y).direction.as_vec3()
     };
     let mut out = Vec::new();
-    stream.run(Shard::whole(scene.rays), RunProgress::default(), &Silent, |batches, _| {
+    stream.run(Shard::whole(scene.settings.rays), RunProgress::default(), &Silent, |batches, _| {
         for batch in batches {
             for (ray, range) in batch.iter() {
                 let positions = &batch.positions[range.clone()];
@@ -203,13 +294,13 @@ fn changes(truth: &UncertaintyField, field: &UncertaintyField) -> f64 {
     changes.iter().sum::<f64>() / changes.len() as f64
 }
 
-fn study(scene: &Scene) -> Result<Vec<(f64, [Errors; 3])>> {
+fn study(scene: &Scene, seed: u64) -> Result<Study> {
     let domain = Domain::Box(scene.field.bounds());
-    let grid = GridSettings::default().level(scene.level).tolerance(0.0).surface_points(0);
+    let grid = scene.grid.tolerance(0.0).surface_points(0);
     let lattice = grid.lattice(domain)?;
-    let samples = samples(scene, &grid, domain)?;
+    let samples = samples(scene, seed, &grid)?;
     let exact: Vec<[DVec3; 4]> = samples.iter().map(|s| s.exact).collect();
-    let truth = field_of(&samples, &exact, scene.rays, grid, domain)?;
+    let truth = field_of(&samples, &exact, scene.settings.rays, grid, domain)?;
     let mut out = Vec::new();
     for step in RANGE.map(|k| 10_f64.powf(f64::from(k) / f64::from(PER_DECADE))) {
         let found: Vec<[[DVec3; 4]; 3]> =
@@ -229,47 +320,21 @@ fn study(scene: &Scene) -> Result<Vec<(f64, [Errors; 3])>> {
             errors[1] = relative(&|s, d| s.weight * s.weight * squares(&d[1..]));
             errors[2] = relative(&|s, d| squares(&s.jacobian(d)));
             let derivatives: Vec<[DVec3; 4]> = found.iter().map(|f| f[scheme]).collect();
-            let field = field_of(&samples, &derivatives, scene.rays, grid, domain)?;
+            let field = field_of(&samples, &derivatives, scene.settings.rays, grid, domain)?;
             errors[3] = changes(&truth, &field);
         }
         out.push((step, errors));
     }
-    report(scene, samples.len(), &out);
-    let rays = settings(scene).gradient(GradientMethod::FiniteDifference);
-    let run = Estimation::new(&*scene.field, &scene.cameras).rays(rays).grid(grid.tolerance(0.01)).prepare()?;
-    if let Some(check) = run.check_step()? {
+    let rays = settings(scene).seed(seed).gradient(GradientMethod::FiniteDifference);
+    let check = scene.estimation(rays, grid.tolerance(0.01)).prepare()?.check_step()?.map(|check| {
         let best = check.errors.best();
-        println!(
-            "\nThe tool's own estimate: noise {:.1e} of σ, best step {:.1e} with error {:.1e}; at the default {:.1e}{}",
-            check.errors.noise,
-            best.step,
-            best.total(),
-            check.errors.at(check.step).total(),
-            if check.is_bad { ": it warns" } else { "" }
-        );
-    }
-    Ok(out)
-}
-
-fn report(scene: &Scene, samples: usize, errors: &[(f64, [Errors; 3])]) {
-    println!("\n## {}, {} rays, {samples} samples\n", scene.name, scene.rays);
-    println!(
-        "| step | one-sided ∇σ | ∇c | G | log10 U | central ∇σ | ∇c | G | log10 U | Richardson ∇σ | ∇c | G | log10 U |"
-    );
-    println!("|---|---|---|---|---|---|---|---|---|---|---|---|---|");
-    for (step, schemes) in errors {
-        let cells: Vec<String> = schemes.iter().flatten().map(|e| format!("{e:.1e}")).collect();
-        println!("| {step:.1e} | {} |", cells.join(" | "));
-    }
-    println!(
-        "\n| scheme | evaluations | best step for G | error of G there | best step for log10 U | error there |\n|---|---|---|---|---|---|"
-    );
-    for (s, (name, evaluations)) in SCHEMES.iter().zip([4, 7, 13]).enumerate() {
-        let best = |what: usize| {
-            let least =
-                errors.iter().filter(|e| e.1[s][what].is_finite()).min_by(|a, b| a.1[s][what].total_cmp(&b.1[s][what]));
-            least.map_or("| ".into(), |e| format!("{:.1e} | {:.1e}", e.0, e.1[s][what]))
-        };
-        println!("| {name} | {evaluations} | {} | {} |", best(2), best(3));
-    }
+        Check {
+            noise: check.errors.noise,
+            best: best.step,
+            error: best.total(),
+            at_default: check.errors.at(check.step).total(),
+            is_bad: check.is_bad,
+        }
+    });
+    Ok(Study { samples: samples.len(), errors: out, check })
 }

@@ -1,10 +1,10 @@
 //! Sums: what order, precision and compensation make of ten million contributions over eighteen decades.
 
-use std::time::Instant;
-
 use octobayes::Result;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+
+use crate::common::table::Table;
 
 /// Contributions.
 const COUNT: usize = 10_000_000;
@@ -56,8 +56,7 @@ fn sum(method: usize, values: &[f64], parts: usize) -> f64 {
     }
 }
 
-/// The exact sum, rounded once: 2⁻¹⁰⁷⁴ … would need many words; contributions are whole multiples of 2⁻¹¹⁵ here, and two words of 64 bits on
-/// either side of the point hold them.
+/// The exact sum, rounded once. Contributions are whole multiples of 2⁻¹¹⁵ here, which two words hold.
 fn exact(values: &[f64]) -> f64 {
     // High and low parts of every value: above 2⁻⁶⁰, and what is left times 2⁶⁰; both are exact.
     let (mut high, mut low) = (0_i128, 0_i128);
@@ -71,8 +70,8 @@ fn exact(values: &[f64]) -> f64 {
     ((high + carry) as f64 + (low & ((1 << 60) - 1)) as f64 / unit) / unit
 }
 
-/// The table.
-pub fn sums() -> Result<()> {
+/// The tables.
+pub fn sums() -> Result<(String, String)> {
     let mut rng = ChaCha8Rng::seed_from_u64(0);
     // Whole multiples of 2⁻¹¹⁵: the last bits of the smallest are cut.
     let cut = |v: f64| (v * f64::from(115).exp2()).round() * f64::from(-115).exp2();
@@ -85,39 +84,40 @@ pub fn sums() -> Result<()> {
         }
         values
     };
-    println!(
-        "\n# Sums\n\n{COUNT} squares, evenly spread over the decades from 1e-12 to 1e6; relative errors against the exact sum. Parts: summed each by itself, then together.\n"
-    );
-    println!(
-        "| | as they come | increasing | decreasing | 2 parts | 64 parts | other bits with 2 or 64 parts | ns an addition |\n|---|---|---|---|---|---|---|---|"
-    );
+    let mut table = Table::new(&[
+        "relative error",
+        "as they come",
+        "increasing",
+        "decreasing",
+        "2 parts",
+        "64 parts",
+        "other bits with 2 or 64 parts",
+        "hardly seen",
+    ]);
     let (increasing, decreasing) = (sorted(true), sorted(false));
     let truth = exact(&spread);
     assert_eq!(truth.to_bits(), exact(&increasing).to_bits(), "an exact sum knows no order");
+    // What a vertex that only small contributions reach makes of each.
+    let small: Vec<f64> = (0..COUNT).map(|_| cut(10_f64.powf(rng.random_range(-12.0..-6.0)))).collect();
+    let small_truth = exact(&small);
     for (method, name) in METHODS.iter().enumerate() {
-        let error = |values: &[f64], parts| (sum(method, values, parts) / truth - 1.0).abs();
-        let start = Instant::now();
-        let plain = std::hint::black_box(sum(method, &spread, 1));
-        let nanoseconds = start.elapsed().as_secs_f64() * 1e9 / COUNT as f64;
+        let error = |values: &[f64], parts| format!("{:.1e}", (sum(method, values, parts) / truth - 1.0).abs());
+        let plain = sum(method, &spread, 1);
         let differs = [2, 64].iter().any(|&parts| sum(method, &spread, parts).to_bits() != plain.to_bits());
-        println!(
-            "| {name} | {:.1e} | {:.1e} | {:.1e} | {:.1e} | {:.1e} | {} | {nanoseconds:.1} |",
+        table.row(&[
+            (*name).to_string(),
             error(&spread, 1),
             error(&increasing, 1),
             error(&decreasing, 1),
             error(&spread, 2),
             error(&spread, 64),
-            if differs { "yes" } else { "no" }
-        );
+            if differs { "yes" } else { "no" }.into(),
+            format!("{:.1e}", (sum(method, &small, 1) / small_truth - 1.0).abs()),
+        ]);
     }
-    // What a vertex that only small contributions reach makes of each: relative to its own sum.
-    println!(
-        "\nThe same with contributions from 1e-12 to 1e-6 only, a vertex that is hardly seen:\n\n| | relative error |\n|---|---|"
+    let words = format!(
+        "{COUNT} squares, evenly spread over the decades from 1e-12 to 1e6 (*hardly seen*: to 1e-6), seed 0; errors \
+         against the exact sum. Parts: summed each by itself, then together."
     );
-    let small: Vec<f64> = (0..COUNT).map(|_| cut(10_f64.powf(rng.random_range(-12.0..-6.0)))).collect();
-    let truth = exact(&small);
-    for (method, name) in METHODS.iter().enumerate() {
-        println!("| {name} | {:.1e} |", (sum(method, &small, 1) / truth - 1.0).abs());
-    }
-    Ok(())
+    Ok((words, table.text().into()))
 }

@@ -1,55 +1,55 @@
 //! Question: what error does a user buy with what time and memory?
 //!
-//! Time and |Δ log10 U| of the dense grid with the paper's random rays and of the octree with each feature switched on one after the other; over rays,
-//! levels and scenes; the profile of a run; queries; files. Errors are against a dense grid of twenty times as many random rays with exact
-//! derivatives ([`measure::reference`]). Needs `OCTOBAYES_DATA`. Prints the tables of `experiments/speed_vs_error.md` and writes its plots;
-//! arguments choose parts: `ablation rays scenes levels targets profile queries`, by default all.
+//! Time and |Δ log10 U| of the dense grid with the paper's random rays and of the octree with each feature switched on
+//! one after the other; over rays, levels and scenes; the profile of a run; queries; files. Errors are against a dense
+//! grid of twenty times as many random rays with exact derivatives ([`measure::reference`]). Writes the blocks of
+//! `experiments/speed_vs_error.md` and its plots.
 
-mod ause;
+#[path = "../common/mod.rs"]
+mod common;
 mod measure;
 mod parts;
 mod profile;
 mod queries;
-mod scenes;
-
-use std::path::PathBuf;
 
 use octobayes::Result;
 
+use common::program::{Needs, Program};
+use common::ranking::Truth;
+use common::scenes::Scene;
+
+/// Rays of the paper's workload.
+const PAPER: u64 = 4_096_000;
+/// Of the test views one in so many for the depth ranking, and of their pixels along x and y.
+const EVERY: usize = 5;
+const STRIDE: u32 = 2;
+
 fn main() -> Result<()> {
-    let data = PathBuf::from(std::env::var_os("OCTOBAYES_DATA").expect("OCTOBAYES_DATA names the data folder"));
-    let chosen: Vec<String> = std::env::args().skip(1).collect();
-    let wants = |part: &str| chosen.is_empty() || chosen.iter().any(|c| c == part);
-    println!("two cores wanted, {} threads, seed 0, level 8 unless said otherwise", rayon::current_num_threads());
-    let lego = scenes::lego(&data)?;
-    if wants("targets") {
-        parts::targets(&lego)?;
-    }
-    if wants("profile") {
-        profile::profile(&lego)?;
-        profile::network(&scenes::lego_mlp(&data)?);
-    }
-    if wants("levels") {
-        parts::levels(&lego)?;
-    }
-    if wants("queries") {
-        queries::queries(&lego)?;
-    }
-    if wants("ablation") || wants("rays") {
-        // Twenty times as many as all rows but the last have.
-        let reference = measure::reference(&lego, 8, 20 * 1_024_000)?;
-        if wants("ablation") {
-            parts::ablation(&lego, &reference)?;
-        }
-        if wants("rays") {
-            parts::rays(&lego, &reference, Some(&ause::Truth::lego(&data)?))?;
-        }
-    }
-    if wants("scenes") {
-        for scene in [scenes::ignatius(&data)?, scenes::garden(&data)?, scenes::city()?] {
-            let reference = measure::reference(&scene, 8, 20 * scene.rays)?;
-            parts::rays(&scene, &reference, None)?;
-        }
-    }
-    Ok(())
+    let parts = [
+        ("targets", Needs::Data),
+        ("profile", Needs::Data),
+        ("ablation", Needs::Data),
+        ("audit", Needs::Data),
+        ("rays", Needs::Data),
+        ("scenes", Needs::Data),
+        ("levels", Needs::Data),
+        ("queries", Needs::Data),
+    ];
+    let program = Program::start("speed_vs_error", &parts)?;
+    let lego = || Scene::lego(&Program::data()?);
+    let at_most = |scene: Scene, rays: u64| Scene { settings: scene.settings.rays(rays), ..scene };
+    program.part("targets", |work| parts::targets(work, &at_most(lego()?, PAPER)))?;
+    program.part("profile", |work| profile::profile(work, &lego()?, &Scene::lego_mlp(&Program::data()?)?))?;
+    program.part("ablation", |work| parts::ablation(work, &lego()?))?;
+    program.part("audit", |work| parts::audit(work, &lego()?))?;
+    program.part("rays", |work| {
+        let truth = Truth::lego(&Program::data()?, EVERY, STRIDE)?;
+        parts::rays(work, &[at_most(lego()?, PAPER)], Some(&truth))
+    })?;
+    program.part("scenes", |work| {
+        let data = Program::data()?;
+        parts::rays(work, &[Scene::ignatius(&data)?, Scene::garden(&data)?, Scene::city()?], None)
+    })?;
+    program.part("levels", |work| parts::levels(work, &lego()?))?;
+    program.part("queries", |work| queries::queries(work, &lego()?))
 }

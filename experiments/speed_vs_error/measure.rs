@@ -1,17 +1,23 @@
-//! One run with its time and its error.
-
-use std::time::Instant;
+//! Runs with their time and their error.
 
 use octobayes::Result;
-use octobayes::estimate::{Estimation, GridKind, GridSettings, Outcome, RaySettings};
+use octobayes::estimate::{GridKind, GridSettings, Outcome, RaySettings};
 use octobayes::rays::Pixels;
 use octobayes::render::GradientMethod;
 use octobayes::uncertainty::{Difference, UncertaintyField, compare};
+use serde::{Deserialize, Serialize};
 
-use super::scenes::Scene;
+use crate::common::clock::{Clock, median};
+use crate::common::scenes::Scene;
+use crate::common::table::{mean, spread};
+use crate::common::work::Work;
 
+/// Every row is run with these; times are medians over them.
+pub const SEEDS: [u64; 3] = [0, 1, 2];
 /// Points of a comparison: of the box, and on visible surfaces.
 const POINTS: usize = 200_000;
+/// Most rays of a reference: twenty times as many as all rows but the longest of lego have.
+const MOST: u64 = 20 * 1_024_000;
 
 /// Grid of `level` with surface points to compare at.
 pub fn grid(kind: GridKind, level: u8) -> GridSettings {
@@ -28,39 +34,74 @@ pub struct Run {
 
 /// Runs once.
 pub fn run(scene: &Scene, rays: &RaySettings, grid: &GridSettings) -> Result<Run> {
-    let start = Instant::now();
-    let Outcome { field, progress, .. } =
-        Estimation::new(&*scene.field, &scene.cameras).rays(*rays).grid(*grid).run()?;
-    let seconds = start.elapsed().as_secs_f64();
+    let clock = Clock::start();
+    let Outcome { field, progress, .. } = scene.estimation(*rays, *grid).run()?;
+    let seconds = clock.elapsed().wall;
     Ok(Run { field: field.without_sums(), seconds, samples: progress.samples })
 }
 
-/// Runs `times` times; the last one with the median of the times.
-pub fn median(scene: &Scene, rays: &RaySettings, grid: &GridSettings, times: usize) -> Result<Run> {
-    let mut runs = (0..times).map(|_| run(scene, rays, grid)).collect::<Result<Vec<_>>>()?;
-    let mut seconds: Vec<f64> = runs.iter().map(|r| r.seconds).collect();
-    seconds.sort_by(f64::total_cmp);
-    let last = runs.pop().expect("at least one run");
-    Ok(Run { seconds: seconds[times / 2], ..last })
+/// What an error is measured against: the dense grid of level 8 with so many random rays of another seed, exact
+/// derivatives if the field has them, hardly a sample left out.
+pub fn reference(work: &Work, scene: &Scene, rays: u64) -> Result<UncertaintyField> {
+    let rays = rays.min(MOST);
+    let settings = scene.settings.rays(rays).gradient(GradientMethod::Auto).pixels(Pixels::Random);
+    let settings = settings.seed(7_777).cutoff(1e-8);
+    work.field(("reference", scene.name, rays), || Ok(run(scene, &settings, &grid(GridKind::Dense, 8))?.field))
 }
 
-/// What an error is measured against: the dense grid, `rays` random rays of another seed, exact derivatives if the field has them, hardly
-/// a sample left out.
-pub fn reference(scene: &Scene, level: u8, rays: u64) -> Result<UncertaintyField> {
-    let gradient = GradientMethod::Auto;
-    let settings = scene.settings.rays(rays).gradient(gradient).pixels(Pixels::Random).seed(7_777).cutoff(1e-8);
-    let run = run(scene, &settings, &grid(GridKind::Dense, level))?;
-    eprintln!("reference of {}: {rays} rays, {:.0} s", scene.name, run.seconds);
-    Ok(run.field)
+/// What one run showed.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct Row {
+    pub seconds: f64,
+    pub samples: f64,
+    pub bytes: f64,
+    pub vertices: f64,
+    /// |Δ log10 U| on visible surfaces and in the box: mean, 95 %, maximum; 0 without a reference.
+    pub surfaces: [f64; 3],
+    pub space: [f64; 3],
+    /// AUSE (MAE) of the depth error, where the truth is known.
+    pub ause: Option<f64>,
 }
 
-/// |Δ log10 U| on visible surfaces and in the box.
-pub fn error(field: &UncertaintyField, reference: &UncertaintyField) -> Result<[Difference; 2]> {
-    let compared = compare(field, reference, POINTS, 1)?;
-    Ok([compared.on_surfaces, compared.in_box].map(|d| d.expect("both fields have points to compare at")))
+impl Row {
+    pub fn of(run: &Run, reference: Option<&UncertaintyField>) -> Result<Self> {
+        let compared = reference.map(|reference| compare(&run.field, reference, POINTS, 1)).transpose()?;
+        let of = |d: Option<&Difference>| d.map_or([0.0; 3], |d| [d.mean, d.percentile_95, d.max]);
+        let compared = compared.as_ref();
+        Ok(Self {
+            seconds: run.seconds,
+            samples: run.samples as f64,
+            bytes: run.field.query_memory() as f64,
+            vertices: run.field.deviations().len() as f64,
+            surfaces: of(compared.and_then(|c| c.on_surfaces.as_ref())),
+            space: of(compared.and_then(|c| c.in_box.as_ref())),
+            ause: None,
+        })
+    }
 }
 
-/// Mean, 95 % and maximum for a table.
-pub fn cells(d: &Difference) -> String {
-    format!("{:.4} | {:.4} | {:.3}", d.mean, d.percentile_95, d.max)
+/// The rows of all seeds.
+pub struct Rows(pub Vec<Row>);
+
+impl Rows {
+    pub fn all(&self, value: impl Fn(&Row) -> f64) -> Vec<f64> {
+        self.0.iter().map(value).collect()
+    }
+
+    pub fn mean(&self, value: impl Fn(&Row) -> f64) -> f64 {
+        mean(&self.all(value))
+    }
+
+    /// Median of the times.
+    pub fn seconds(&self) -> f64 {
+        median(self.all(|row| row.seconds))
+    }
+
+    /// Mean, 95 % and maximum on surfaces, then in the box.
+    pub fn errors(&self) -> Vec<String> {
+        let cells = |value: fn(&Row) -> [f64; 3]| {
+            [(0, 4), (1, 3), (2, 2)].map(|(k, digits)| spread(&self.all(|row| value(row)[k]), digits))
+        };
+        [cells(|row| row.surfaces), cells(|row| row.space)].concat()
+    }
 }

@@ -1,41 +1,61 @@
 //! The tables of time against error.
 
-use std::path::Path;
-
 use octobayes::Result;
 use octobayes::estimate::{GridKind, GridSettings, RaySettings};
+use octobayes::evaluate::Reading;
 use octobayes::internal::{Curve, write_plot};
 use octobayes::posterior::Criterion;
 use octobayes::rays::Pixels;
-use octobayes::render::GradientMethod;
-use octobayes::uncertainty::UncertaintyField;
+use octobayes::render::{GradientMethod, RayAverage};
 
-use super::ause::Truth;
-use super::measure::{cells, error, grid, median, run};
-use super::scenes::Scene;
+use super::measure::{Row, Rows, Run, SEEDS, grid, reference, run};
+use crate::common::clock::median;
+use crate::common::program::folder;
+use crate::common::ranking::Truth;
+use crate::common::scenes::Scene;
+use crate::common::settings::{describe, seeds};
+use crate::common::table::{Table, spread, spread_e, whole};
+use crate::common::work::Work;
+
+const TIMES: &str = "Times are wall times of everything between the open model and the finished field";
+const ERRORS: &str = "Errors are |Δ log10 U| against a dense grid of many times the rays (20,480,000 on lego, twenty \
+                      times those of the last row elsewhere), random, of another seed, with exact derivatives and \
+                      cutoff 1e-8";
 
 /// The paper's workload, five times each.
-pub fn targets(lego: &Scene) -> Result<()> {
-    println!(
-        "\n## The paper's workload: lego, level 8, 4,096,000 rays\n\n| derivatives | s, median of 5 | rays / s |\n|---|---|---|"
-    );
+pub fn targets(work: &Work, lego: &Scene) -> Result<(String, String)> {
+    const TIMES_EACH: u64 = 5;
+    let mut table = Table::new(&["derivatives", "s, median of 5", "least", "most", "rays / s"]);
     for gradient in [GradientMethod::FiniteDifference, GradientMethod::Analytic] {
         let rays = lego.settings.gradient(gradient);
-        let run = median(lego, &rays, &grid(GridKind::Octree, 8), 5)?;
-        println!("| {gradient:?} | {:.2} | {:.0} |", run.seconds, rays.rays as f64 / run.seconds);
+        let name = format!("{gradient:?}");
+        let of = |time| work.row((&name, time), || Ok(run(lego, &rays, &grid(GridKind::Octree, 8))?.seconds));
+        let mut times = (0..TIMES_EACH).map(of).collect::<Result<Vec<f64>>>()?;
+        times.sort_by(f64::total_cmp);
+        let middle = median(times.clone());
+        let [least, most] = [times[0], times[times.len() - 1]].map(|t| format!("{t:.2}"));
+        table.row(&[name, format!("{middle:.2}"), least, most, whole(rays.rays as f64 / middle)]);
     }
-    Ok(())
+    let described = describe(&lego.settings, &lego.grid, &["gradient"]);
+    Ok((format!("{}. {described} {} {TIMES}.", lego.name, seeds(&[0])), table.text().into()))
+}
+
+/// Runs of all seeds.
+fn rows(work: &Work, name: &str, rays: &RaySettings, make: impl Fn(RaySettings) -> Result<Row>) -> Result<Rows> {
+    let of = |seed| work.row((name, rays.rays, seed), || make(rays.seed(seed)));
+    Ok(Rows(SEEDS.into_iter().map(of).collect::<Result<_>>()?))
 }
 
 /// Each feature switched on behind the others.
-pub fn ablation(lego: &Scene, reference: &UncertaintyField) -> Result<()> {
-    let paper = lego.settings.rays(409_600).pixels(Pixels::Random).cutoff(1e-8);
+pub fn ablation(work: &Work, lego: &Scene) -> Result<(String, String)> {
+    let reference = reference(work, lego, 50 * lego.settings.rays)?;
+    let paper = lego.settings.pixels(Pixels::Random).cutoff(1e-8).gradient(GradientMethod::FiniteDifference);
     let (dense, octree) = (grid(GridKind::Dense, 8), grid(GridKind::Octree, 8));
     let culled = paper.cutoff(RaySettings::default().cutoff);
     let coarse = paper.cutoff(1e-4);
     let sobol = culled.pixels(Pixels::Sobol);
     let analytic = sobol.gradient(GradientMethod::Analytic);
-    let rows: [(&str, RaySettings, GridSettings); 8] = [
+    let features: [(&str, RaySettings, GridSettings); 8] = [
         ("dense grid, random rays, differences, cutoff 1e-8", paper, dense),
         ("octree instead", paper, octree),
         ("+ cutoff 1e-6 (default)", culled, octree),
@@ -45,88 +65,148 @@ pub fn ablation(lego: &Scene, reference: &UncertaintyField) -> Result<()> {
         ("+ `--min-rays 4`", analytic, octree.min_rays(4.0)),
         ("dense grid with all of the rays' features", analytic, dense),
     ];
-    println!("\n## Feature by feature: lego, level 8, 409,600 rays\n");
-    println!(
-        "| | s, median of 3 | samples / ray | bytes for queries | surfaces: mean | 95 % | max | box: mean | 95 % | max |\n|---|---|---|---|---|---|---|---|---|---|"
-    );
-    for (name, rays, grid) in rows {
-        let run = median(lego, &rays, &grid, 3)?;
-        let bytes = run.field.query_memory();
-        let [surface, space] = error(&run.field, reference)?;
-        println!(
-            "| {name} | {:.2} | {:.1} | {bytes} | {} | {} |",
-            run.seconds,
-            run.samples as f64 / rays.rays as f64,
-            cells(&surface),
-            cells(&space)
-        );
+    let mut table = Table::new(&[
+        "",
+        "s, median",
+        "samples / ray",
+        "bytes for queries",
+        "surfaces: mean",
+        "95 %",
+        "max",
+        "box: mean",
+        "95 %",
+        "max",
+    ]);
+    for (name, rays, grid) in features {
+        let rows = rows(work, name, &rays, |rays| Row::of(&run(lego, &rays, &grid)?, Some(&reference)))?;
+        let head = [
+            name.to_string(),
+            format!("{:.2}", rows.seconds()),
+            format!("{:.1}", rows.mean(|row| row.samples) / rays.rays as f64),
+            whole(rows.mean(|row| row.bytes)),
+        ];
+        table.row(&[&head[..], &rows.errors()].concat());
     }
-    Ok(())
+    let described = describe(&lego.settings, &octree, &["gradient", "pixels", "cutoff", "grid", "min-rays"]);
+    Ok((format!("{}. {described} {} {TIMES}. {ERRORS}.", lego.name, seeds(&SEEDS)), table.text().into()))
 }
 
-/// Error over rays, time and memory, with a plot; AUSE where the truth is known.
-pub fn rays(scene: &Scene, reference: &UncertaintyField, truth: Option<&Truth>) -> Result<()> {
+/// What `--audit` measures, and what is promised.
+pub fn audit(work: &Work, lego: &Scene) -> Result<(String, String)> {
+    let octree = grid(GridKind::Octree, 8);
+    let of = |seed| {
+        work.row(("audit", seed), || {
+            let rays = lego.settings.seed(seed).gradient(GradientMethod::FiniteDifference);
+            let audit = lego.estimation(rays, octree).prepare()?.audit()?;
+            let derivatives = audit.derivatives.expect("differences are not exact");
+            Ok((audit.rays, [&audit.cutoff, &derivatives].map(|e| [e.mean, e.percentile_95])))
+        })
+    };
+    let found = SEEDS.into_iter().map(of).collect::<Result<Vec<(u64, [[f64; 2]; 2])>>>()?;
+    let mut table = Table::new(&["approximation", "log10 U: mean", "95 % within"]);
+    for (i, name) in ["samples left out", "finite differences; none with `--gradient auto`"].iter().enumerate() {
+        let cells = [0, 1].map(|k| spread_e(&found.iter().map(|(_, e)| e[i][k]).collect::<Vec<f64>>()));
+        table.row(&[&[(*name).to_string()][..], &cells].concat());
+    }
+    let rays = whole(found[0].0 as f64);
+    let described = describe(&lego.settings, &octree, &[]);
+    let words = format!("{}, {rays} audited rays. {described} {}", lego.name, seeds(&SEEDS));
+    Ok((words, table.text().into()))
+}
+
+/// Error over rays, time and memory, with a plot for each scene; AUSE where the truth is known.
+pub fn rays(work: &Work, scenes: &[Scene], truth: Option<&Truth>) -> Result<(String, String)> {
     let methods = [
         ("dense, random", GridKind::Dense, Pixels::Random, GradientMethod::FiniteDifference),
         ("octree, differences", GridKind::Octree, Pixels::Sobol, GradientMethod::FiniteDifference),
         ("octree, own derivatives", GridKind::Octree, Pixels::Sobol, GradientMethod::Auto),
     ];
-    println!("\n## Rays: {}, level 8\n", scene.name);
-    println!(
-        "| rays | method | s | bytes for queries | surfaces: mean | 95 % | max | box: mean | 95 % | max | AUSE (MAE) |\n|---|---|---|---|---|---|---|---|---|---|---|"
-    );
-    let mut curves: Vec<Curve> =
-        methods.iter().map(|m| Curve { name: m.0.into(), points: Vec::new(), reference: false }).collect();
-    let counts = [20_480, 102_400, 204_800, 409_600, 1_024_000, 4_096_000];
-    for rays in counts.into_iter().filter(|&rays| rays <= scene.rays) {
-        for ((name, kind, pixels, gradient), curve) in methods.into_iter().zip(&mut curves) {
-            let settings = scene.settings.rays(rays).pixels(pixels).gradient(gradient);
-            let run = run(scene, &settings, &grid(kind, 8))?;
-            let bytes = run.field.query_memory();
-            let [surface, space] = error(&run.field, reference)?;
-            curve.points.push((run.seconds.log10(), surface.mean.log10()));
-            let ause = truth.map(|truth| truth.ause(scene, &run.field)).transpose()?;
-            let ause = ause.map_or("-".into(), |ause| format!("{ause:.4}"));
-            println!(
-                "| {rays} | {name} | {:.2} | {bytes} | {} | {} | {ause} |",
-                run.seconds,
-                cells(&surface),
-                cells(&space)
-            );
+    let mut table = Table::new(&[
+        "scene",
+        "rays",
+        "method",
+        "s, median",
+        "bytes for queries",
+        "surfaces: mean",
+        "95 %",
+        "max",
+        "box: mean",
+        "95 %",
+        "max",
+        "AUSE (MAE), `spread`",
+    ]);
+    for scene in scenes {
+        let reference = reference(work, scene, 20 * scene.settings.rays)?;
+        let mut curves: Vec<Curve> =
+            methods.iter().map(|m| Curve { name: m.0.into(), points: Vec::new(), reference: false }).collect();
+        let counts = [20_480, 102_400, 204_800, 409_600, 1_024_000, 4_096_000];
+        for rays in counts.into_iter().filter(|&rays| rays <= scene.settings.rays) {
+            for ((name, kind, pixels, gradient), curve) in methods.into_iter().zip(&mut curves) {
+                let settings = scene.settings.rays(rays).pixels(pixels).gradient(gradient);
+                let rows = rows(work, &format!("{}, {name}", scene.name), &settings, |settings| {
+                    let run = run(scene, &settings, &grid(kind, 8))?;
+                    let mut row = Row::of(&run, Some(&reference))?;
+                    row.ause = truth.map(|truth| ause(scene, truth, run)).transpose()?;
+                    Ok(row)
+                })?;
+                curve.points.push((rows.seconds().log10(), rows.mean(|row| row.surfaces[0]).log10()));
+                let ause: Option<Vec<f64>> = rows.0.iter().map(|row| row.ause).collect();
+                let head = [
+                    scene.name.to_string(),
+                    whole(rays as f64),
+                    name.to_string(),
+                    format!("{:.2}", rows.seconds()),
+                    whole(rows.mean(|row| row.bytes)),
+                ];
+                let ause = ause.map_or("–".into(), |values| spread(&values, 3));
+                table.row(&[&head[..], &rows.errors(), &[ause]].concat());
+            }
         }
+        let word = scene.name.split([' ', ',']).next().unwrap_or(scene.name);
+        let file = folder().join(format!("speed_vs_error_{word}.svg"));
+        let title = format!("{}: error on surfaces against time", scene.name);
+        write_plot(&file, &title, ["log10 seconds", "log10 mean |Δ log10 U|"], &curves)?;
     }
-    let file = format!("experiments/speed_vs_error_{}.svg", scene.name.split(' ').next().unwrap_or(scene.name));
-    let title = format!("{}: error on surfaces against time", scene.name);
-    write_plot(Path::new(&file), &title, ["log10 seconds", "log10 mean |Δ log10 U|"], &curves)
+    let varied = ["rays", "pixels", "gradient", "grid", "occupancy"];
+    let described = describe(&scenes[0].settings, &grid(GridKind::Octree, 8), &varied);
+    Ok((format!("{described} {} {TIMES}. {ERRORS}.", seeds(&SEEDS)), table.text().into()))
+}
+
+fn ause(scene: &Scene, truth: &Truth, run: Run) -> Result<f64> {
+    let reading = Reading { name: "U".into(), field: run.field, blends: vec![RayAverage::Spread] };
+    Ok(truth.rank(scene, &[reading])?.ranks[0].mae)
 }
 
 /// Time per ray over levels, on leaves as fine as the lattice, and no finer than four rays a vertex support.
-pub fn levels(lego: &Scene) -> Result<()> {
-    println!(
-        "\n## Levels: lego, 409,600 rays, own derivatives\n\n| level | leaves | s, median of 3 | µs / ray | vertices | bytes for queries | dense f32 grid |\n|---|---|---|---|---|---|---|"
-    );
-    for level in 7..=11 {
-        of_level(lego, &grid(GridKind::Octree, level), "as fine as the level")?;
+pub fn levels(work: &Work, lego: &Scene) -> Result<(String, String)> {
+    let mut table = Table::new(&[
+        "level",
+        "leaves",
+        "s, median",
+        "µs / ray",
+        "vertices",
+        "bytes for queries",
+        "dense f32 grid, bytes",
+    ]);
+    let rays = lego.settings.gradient(GradientMethod::Analytic);
+    let free = (7..=11).map(|level| (grid(GridKind::Octree, level), "as fine as the level"));
+    let criteria = [Criterion::Sensitivity, Criterion::RayCount].into_iter().collect();
+    let limited =
+        (8..=12).map(|level| (grid(GridKind::Octree, level).criteria(criteria), "`--refine sensitivity,ray-count`"));
+    for (grid, leaves) in free.chain(limited) {
+        let name = format!("level {}, {leaves}", grid.level);
+        let rows = rows(work, &name, &rays, |rays| Row::of(&run(lego, &rays, &grid)?, None))?;
+        let dense = 4 * grid.lattice(octobayes::geometry::Domain::Box(lego.field.bounds()))?.dense_vertices();
+        table.row(&[
+            grid.level.to_string(),
+            leaves.into(),
+            format!("{:.2}", rows.seconds()),
+            format!("{:.1}", rows.seconds() * 1e6 / rays.rays as f64),
+            whole(rows.mean(|row| row.vertices)),
+            whole(rows.mean(|row| row.bytes)),
+            whole(dense as f64),
+        ]);
     }
-    for level in 8..=12 {
-        let criteria = [Criterion::Sensitivity, Criterion::RayCount].into_iter().collect();
-        let limited = grid(GridKind::Octree, level).criteria(criteria);
-        of_level(lego, &limited, "`--refine sensitivity,ray-count`")?;
-    }
-    Ok(())
-}
-
-fn of_level(lego: &Scene, grid: &GridSettings, leaves: &str) -> Result<()> {
-    let rays = lego.settings.rays(409_600).gradient(GradientMethod::Analytic);
-    let run = median(lego, &rays, grid, 3)?;
-    let dense = 4 * run.field.lattice().dense_vertices();
-    println!(
-        "| {} | {leaves} | {:.2} | {:.1} | {} | {} | {dense} |",
-        grid.level,
-        run.seconds,
-        run.seconds * 1e6 / rays.rays as f64,
-        run.field.summary().vertices,
-        run.field.query_memory()
-    );
-    Ok(())
+    let described = describe(&rays, &grid(GridKind::Octree, 8), &["level"]);
+    Ok((format!("{}. {described} {} {TIMES}.", lego.name, seeds(&SEEDS)), table.text().into()))
 }

@@ -15,7 +15,11 @@ use octobayes::render::{GradientMethod, Quadrature, TraceBuffers};
 use rayon::prelude::*;
 
 use super::measure::grid;
-use super::scenes::Scene;
+use crate::common::clock::median;
+use crate::common::scenes::Scene;
+use crate::common::settings::{describe, seeds};
+use crate::common::table::Table;
+use crate::common::work::Work;
 
 /// Kinds of evaluation.
 const KINDS: [&str; 4] = ["σ", "σ, c", "σ, ∇σ", "σ, c, ∇σ, ∇c"];
@@ -88,85 +92,104 @@ impl Differentiable for Counted<'_> {
     }
 }
 
+/// Points per ray by kind, then µs of one core per ray: in all, in the field, in accumulation.
+type Measured = ([f64; 4], [f64; 3]);
+
+const WAYS: [(&str, Option<GradientMethod>); 3] = [
+    ("plain colour rendering", None),
+    ("differences", Some(GradientMethod::FiniteDifference)),
+    ("own derivatives", Some(GradientMethod::Analytic)),
+];
+
 /// Evaluations per ray, and shares of the time; beside them a plain colour rendering of the same rays.
-pub fn profile(lego: &Scene) -> Result<()> {
-    const RAYS: u64 = 409_600;
-    let threads = rayon::current_num_threads() as f64;
-    println!("\n## Profile: lego, level 8, {RAYS} rays; µs of one core per ray\n");
-    println!(
-        "| | {} | in the field | accumulation | all | share of accumulation | times plain rendering |",
-        KINDS.join(" | ")
-    );
-    println!("|---|---|---|---|---|---|---|---|---|---|");
-    let counted = Counted { field: &*lego.field, points: Default::default(), nanoseconds: AtomicU64::new(0) };
+pub fn profile(work: &Work, lego: &Scene, mlp: &Scene) -> Result<(String, String)> {
+    let head = ["in the field", "accumulation", "all", "share of accumulation", "times plain rendering"];
+    let mut table = Table::new(&[&[""][..], &KINDS, &head].concat());
     let mut plain = f64::NAN;
-    for (name, gradient) in [
-        ("plain colour rendering", None),
-        ("differences", Some(GradientMethod::FiniteDifference)),
-        ("own derivatives", Some(GradientMethod::Analytic)),
-    ] {
-        let mut rows = Vec::new();
-        for _ in 0..5 {
-            let settings = lego.settings.rays(RAYS).gradient(gradient.unwrap_or_default());
-            let octree = grid(GridKind::Octree, 8);
-            let run = Estimation::new(&counted, &lego.cameras).rays(settings).grid(octree).prepare()?;
-            counted.nanoseconds.store(0, Ordering::Relaxed);
-            counted.points.iter().for_each(|n| n.store(0, Ordering::Relaxed));
-            let mut builder = FieldBuilder::new(octree, Domain::Box(counted.bounds()))?;
-            let stream = run.stream();
-            let (start, mut adding) = (Instant::now(), 0.0);
-            if gradient.is_some() {
-                // Without what comes after the last ray: reading the field off the sums.
-                stream.run(Shard::whole(RAYS), RunProgress::default(), &Silent, |batches, _| {
-                    let start = Instant::now();
-                    builder.add(batches);
-                    adding += start.elapsed().as_secs_f64();
-                    Ok(())
-                })?;
-            } else {
-                (0..RAYS / 512).into_par_iter().for_each(|batch| {
-                    let picks = stream.pixels.picks(batch * 512, 512);
-                    let offset = stream.pixel_offset;
-                    let rays: Vec<Ray> = picks
-                        .iter()
-                        .map(|p| {
-                            lego.cameras[p.camera].ray(f64::from(p.pixel[0]) + offset, f64::from(p.pixel[1]) + offset)
-                        })
-                        .collect();
-                    let jitter: Vec<f64> = picks.iter().map(|p| p.jitter).collect();
-                    let (mut buffers, mut quadrature) = (TraceBuffers::default(), Quadrature::default());
-                    stream.tracer.trace(&rays, &jitter, &mut buffers);
-                    let traced = &buffers.traced;
-                    quadrature.set(traced, stream.tracer.marcher.step);
-                    let colors = stream.tracer.visible_colors(&rays, traced, &quadrature);
-                    let background = stream.tracer.background();
-                    let pixel = |r| quadrature.pixel(&traced.samples(r), &colors, &traced.t, background).color;
-                    std::hint::black_box((0..rays.len()).map(pixel).collect::<Vec<_>>());
-                });
-            }
-            let per_ray = 1e6 * threads / RAYS as f64;
-            let all = start.elapsed().as_secs_f64() * per_ray;
-            let field = counted.nanoseconds.load(Ordering::Relaxed) as f64 * 1e-9 * 1e6 / RAYS as f64;
-            rows.push((all, field, adding * per_ray));
-        }
-        rows.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let (all, field, adding) = rows[2];
+    for (name, gradient) in WAYS {
+        let (points, [all, field, adding]) = work.row(("profile", name), || measure(lego, gradient))?;
         plain = if gradient.is_none() { all } else { plain };
-        let points =
-            counted.points.each_ref().map(|n| format!("{:.2}", n.load(Ordering::Relaxed) as f64 / RAYS as f64));
-        println!(
-            "| {name} | {} | {field:.2} | {adding:.2} | {all:.2} | {:.0} % | {:.2} |",
-            points.join(" | "),
-            100.0 * adding / all,
-            all / plain
-        );
+        let points = points.map(|n| format!("{n:.2}"));
+        let times = [field, adding, all].map(|t| format!("{t:.2}"));
+        let shares = [format!("{:.0} %", 100.0 * adding / all), format!("{:.2}", all / plain)];
+        table.row(&[&[name.to_string()][..], &points, &times, &shares].concat());
     }
-    costs(lego);
-    Ok(())
+    let costs: [f64; 4] = work.row("costs", || Ok(costs(lego)))?;
+    let costs: Vec<String> = KINDS.iter().zip(costs).map(|(kind, ns)| format!("{kind}: {ns:.0} ns")).collect();
+    let [network, product]: [f64; 2] = work.row("network", || Ok(network(mlp)))?;
+    let words = format!(
+        "{}. {} {} Evaluations per ray by what is asked for, then µs of one core per ray; medians of five.",
+        lego.name,
+        describe(&lego.settings.rays(RAYS), &grid(GridKind::Octree, 8), &["gradient"]),
+        seeds(&[0])
+    );
+    let body = format!(
+        "{}\nOne evaluation on one core, median of 9, where the field is not empty: {}.\n\nMLP on one core: {:.1} \
+         Gflop/s with encoding and activations, a 512³ product alone {:.1}: {:.0} %.",
+        table.text(),
+        costs.join("; "),
+        network * 1e-9,
+        product * 1e-9,
+        100.0 * network / product
+    );
+    Ok((words, body))
 }
 
-/// What one evaluation of each kind costs on one core, at points along rays that the field is not empty at.
-fn costs(lego: &Scene) {
+const RAYS: u64 = 409_600;
+
+fn measure(lego: &Scene, gradient: Option<GradientMethod>) -> Result<Measured> {
+    let threads = rayon::current_num_threads() as f64;
+    let counted = Counted { field: &*lego.field, points: Default::default(), nanoseconds: AtomicU64::new(0) };
+    let mut rows = Vec::new();
+    for _ in 0..5 {
+        let settings = lego.settings.rays(RAYS).gradient(gradient.unwrap_or_default());
+        let octree = grid(GridKind::Octree, 8);
+        let run = Estimation::new(&counted, &lego.cameras).rays(settings).grid(octree).prepare()?;
+        counted.nanoseconds.store(0, Ordering::Relaxed);
+        counted.points.iter().for_each(|n| n.store(0, Ordering::Relaxed));
+        let mut builder = FieldBuilder::new(octree, Domain::Box(counted.bounds()))?;
+        let stream = run.stream();
+        let (start, mut adding) = (Instant::now(), 0.0);
+        if gradient.is_some() {
+            // Without what comes after the last ray: reading the field off the sums.
+            stream.run(Shard::whole(RAYS), RunProgress::default(), &Silent, |batches, _| {
+                let start = Instant::now();
+                builder.add(batches);
+                adding += start.elapsed().as_secs_f64();
+                Ok(())
+            })?;
+        } else {
+            (0..RAYS / 512).into_par_iter().for_each(|batch| {
+                let picks = stream.pixels.picks(batch * 512, 512);
+                let offset = stream.pixel_offset;
+                let rays: Vec<Ray> = picks
+                    .iter()
+                    .map(|p| lego.cameras[p.camera].ray(f64::from(p.pixel[0]) + offset, f64::from(p.pixel[1]) + offset))
+                    .collect();
+                let jitter: Vec<f64> = picks.iter().map(|p| p.jitter).collect();
+                let (mut buffers, mut quadrature) = (TraceBuffers::default(), Quadrature::default());
+                stream.tracer.trace(&rays, &jitter, &mut buffers);
+                let traced = &buffers.traced;
+                quadrature.set(traced, stream.tracer.marcher.step);
+                let colors = stream.tracer.visible_colors(&rays, traced, &quadrature);
+                let background = stream.tracer.background();
+                let pixel = |r| quadrature.pixel(&traced.samples(r), &colors, &traced.t, background).color;
+                std::hint::black_box((0..rays.len()).map(pixel).collect::<Vec<_>>());
+            });
+        }
+        let per_ray = 1e6 * threads / RAYS as f64;
+        let all = start.elapsed().as_secs_f64() * per_ray;
+        let field = counted.nanoseconds.load(Ordering::Relaxed) as f64 * 1e-9 * 1e6 / RAYS as f64;
+        rows.push((all, field, adding * per_ray));
+    }
+    rows.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let (all, field, adding) = rows[2];
+    let points = counted.points.each_ref().map(|n| n.load(Ordering::Relaxed) as f64 / RAYS as f64);
+    Ok((points, [all, field, adding]))
+}
+
+/// Nanoseconds of one evaluation of each kind on one core, at points along rays that the field is not empty at.
+fn costs(lego: &Scene) -> [f64; 4] {
     let bounds = lego.field.bounds();
     let golden = [0.819_172_5_f64, 0.671_043_6, 0.549_700_5];
     let positions: Vec<Vec3> = (0..)
@@ -192,18 +215,11 @@ fn costs(lego: &Scene) {
         }
         start.elapsed().as_secs_f64() * 1e9 / n as f64
     };
-    let medians: Vec<String> = (0..4)
-        .map(|kind| {
-            let mut times: Vec<f64> = (0..9).map(|_| time(kind)).collect();
-            times.sort_by(f64::total_cmp);
-            format!("{}: {:.0} ns", KINDS[kind], times[4])
-        })
-        .collect();
-    println!("\nOne evaluation on one core, median of 9, where the field is not empty: {}", medians.join("; "));
+    [0, 1, 2, 3].map(|kind| median((0..9).map(|_| time(kind)).collect()))
 }
 
-/// The MLP's rate inside the network beside that of a product of matrices alone.
-pub fn network(mlp: &Scene) {
+/// Operations per second inside the MLP's network, and in a product of matrices alone.
+fn network(mlp: &Scene) -> [f64; 2] {
     // Multiplications and additions of one point: layers of 63, 4 × 128 and 155 inputs, two heads.
     const FLOP: f64 = 2.0 * (63.0 * 128.0 + 4.0 * 128.0 * 128.0 + 155.0 * 64.0 + 128.0 + 3.0 * 64.0);
     let positions: Vec<Vec3> = (0..16_384).map(|i| Vec3::splat(0.5) * (i as f32 * 0.37).sin()).collect();
@@ -222,12 +238,5 @@ pub fn network(mlp: &Scene) {
         }
         product.push(20.0 * 2.0 * 512_f64.powi(3) / start.elapsed().as_secs_f64());
     }
-    network.sort_by(f64::total_cmp);
-    product.sort_by(f64::total_cmp);
-    println!(
-        "\nMLP on one core: {:.1} Gflop/s with encoding and activations, a 512³ product alone {:.1}: {:.0} %",
-        network[4] * 1e-9,
-        product[4] * 1e-9,
-        100.0 * network[4] / product[4]
-    );
+    [median(network), median(product)]
 }

@@ -15,8 +15,8 @@ use crate::{Error, Result};
 ///
 /// Runs with other seeds left out what was negligible for their own R rays, where their octrees are coarse. The
 /// total stays negligible for the sum of the R, and nothing beyond that is left out here. log10 U is within the
-/// tolerance of the dense grid of all rays; Error bars of the parts
-/// are dropped, because the sums of their groups are no longer available ([`merge_with_error_bars`]).
+/// tolerance of the dense grid of all rays. Error bars of the parts are dropped, because the sums of their groups
+/// are no longer available ([`merge_with_error_bars`]).
 ///
 /// # Errors
 /// If there are fewer than two parts, a part has no sums, parts differ in model, cameras or a setting that

@@ -1,0 +1,23 @@
+//! What the experiments share: scenes, clocks, tables, kept rows, and reports that a program writes.
+//!
+//! An experiment is a program with parts. Every part writes one block of `experiments/NAME.md`, between markers; the
+//! words around it are written by hand. Without arguments all parts run:
+//!
+//!     cargo run --release --example NAME -- [PART ...] [--work DIR] [--fresh]
+//!
+//! Rows that are finished are kept in the work folder, `target/experiments/NAME` by default, until their block is
+//! written. A run that was killed goes on from there.
+
+// Each experiment uses some of this.
+#![allow(dead_code)]
+
+pub mod clock;
+pub mod index;
+pub mod knot;
+pub mod program;
+pub mod ranking;
+pub mod report;
+pub mod scenes;
+pub mod settings;
+pub mod table;
+pub mod work;
