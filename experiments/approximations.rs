@@ -111,10 +111,10 @@ fn cutoffs(work: &Work, scene: &Scene) -> Result<(String, String)> {
     let rows = rows(work, scene, "cutoffs", |seed| {
         let rays = scene.settings.seed(seed);
         let (all, samples) = run(scene, rays.cutoff(0.0))?;
-        let mut rows = vec![Row::of(&all, samples, &all)?];
+        let mut rows = vec![Row::new(&all, samples, &all)?];
         for cutoff in CUTOFFS {
             let (some, samples) = run(scene, rays.cutoff(cutoff))?;
-            rows.push(Row::of(&some, samples, &all)?);
+            rows.push(Row::new(&some, samples, &all)?);
         }
         Ok(rows)
     })?;
@@ -141,7 +141,7 @@ fn steps(work: &Work, scene: &Scene) -> Result<(String, String)> {
         let (reference, _) = run(scene, best)?;
         let row = |k: i32| {
             let (field, samples) = run(scene, rays.step(2_f64.powi(k)))?;
-            Row::of(&field, samples, &reference)
+            Row::new(&field, samples, &reference)
         };
         STEPS.into_iter().map(row).collect()
     })?;

@@ -55,7 +55,7 @@ struct Row {
 }
 
 impl Row {
-    fn of(octree: &UncertaintyField, dense: &UncertaintyField) -> Result<Self> {
+    fn new(octree: &UncertaintyField, dense: &UncertaintyField) -> Result<Self> {
         let summary = octree.summary();
         let compared = compare(octree, dense, POINTS, 1)?;
         let of = |d: &Option<Difference>, value: fn(&Difference) -> f64| d.as_ref().map_or(f64::NAN, value);
@@ -82,10 +82,10 @@ fn of_seed(scene: &Scene, settings: GridSettings, seed: u64) -> Result<Vec<Row>>
     let all: Vec<GridSettings> = [dense].into_iter().chain(free).collect();
     let mut fields = scene.estimation(rays, dense).prepare()?.finish_on(&all)?.into_iter().map(|outcome| outcome.field);
     let dense = fields.next().expect("the dense grid is the first").without_sums();
-    let mut rows = fields.map(|field| Row::of(&field, &dense)).collect::<Result<Vec<Row>>>()?;
+    let mut rows = fields.map(|field| Row::new(&field, &dense)).collect::<Result<Vec<Row>>>()?;
     for grid in limited {
         let Outcome { field, .. } = scene.estimation(rays, grid).run()?;
-        rows.push(Row::of(&field, &dense)?);
+        rows.push(Row::new(&field, &dense)?);
     }
     Ok(rows)
 }

@@ -120,7 +120,7 @@ fn by_blocks(field: &UncertaintyField) -> Vec<f64> {
         let blocks = n.div_ceil(edge);
         let mut sums = vec![VertexSums::default(); blocks.pow(3)];
         let block = |i: usize| ((i / (n * n) / edge) * blocks + i / n % n / edge) * blocks + i % n / edge;
-        kept.iter().enumerate().for_each(|(i, own)| sums[block(i)].add(own));
+        kept.iter().enumerate().for_each(|(i, own)| sums[block(i)] += own);
         let volume = (edge * edge * edge) as f64;
         for (i, settled) in settled.iter_mut().enumerate().filter(|(_, settled)| settled.is_none()) {
             let sum = sums[block(i)];

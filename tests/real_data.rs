@@ -194,7 +194,7 @@ fn advice_on_the_step_of_an_mlp_can_be_obeyed() {
     let lattice = grid.lattice(domain).unwrap();
     let base = RaySettings::default().rays(4_000);
     let stream = base.stream(&field, &cameras, &lattice, &Silent).unwrap();
-    let check = StepCheck::of(&stream, &lattice, grid.tolerance, &Silent).unwrap().unwrap();
+    let check = StepCheck::measure(&stream, &lattice, grid.tolerance, &Silent).unwrap().unwrap();
     assert!(check.is_bad && check.knows_derivatives);
     let log10 = |rays: RaySettings| {
         let Outcome { field, .. } = Estimation::new(&field, &cameras).rays(rays).grid(grid).run().unwrap();

@@ -39,7 +39,7 @@ fn examples() -> BTreeSet<String> {
 fn the_table_of_reports_is_up_to_date() {
     let readme = folder().join("README.md");
     let text = text(&readme);
-    let blocks = report::blocks(&text).unwrap_or_else(|fault| panic!("{}", fault.of(&readme)));
+    let blocks = report::blocks(&text).unwrap_or_else(|fault| panic!("{}", fault.in_file(&readme)));
     let block = blocks.iter().find(|block| block.name == index::BLOCK).expect("the table of reports");
     let table = index::table(&folder()).unwrap();
     assert_eq!(block.body, table, "every experiment brings the table up to date when it writes its report");
@@ -53,7 +53,7 @@ fn the_table_of_reports_is_up_to_date() {
 fn all_blocks_are_of_this_version() {
     for path in reports() {
         let text = text(&path);
-        let blocks = report::blocks(&text).unwrap_or_else(|fault| panic!("{}", fault.of(&path)));
+        let blocks = report::blocks(&text).unwrap_or_else(|fault| panic!("{}", fault.in_file(&path)));
         assert!(!blocks.is_empty(), "{}: nothing in it is written by a program", path.display());
         for block in blocks {
             let stamp = Stamp::read(block.body);

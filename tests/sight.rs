@@ -34,7 +34,7 @@ fn sight(model: &str, coordinates: Option<Coordinates>, cameras: Option<Vec<Came
     let lattice = grid.lattice(domain).unwrap();
     let rays = RaySettings::default().occupancy(64).gradient(GradientMethod::Auto);
     let stream = rays.stream(&*field, &cameras, &lattice, &Silent).unwrap();
-    Sight::of(&stream, &domain, &Silent).unwrap()
+    Sight::measure(&stream, &domain, &Silent).unwrap()
 }
 
 #[test]
@@ -55,7 +55,7 @@ fn right_settings_of_real_models_are_left_in_peace() {
         assert!(!found.is_little(), "{name}: {found:?}");
     }
     let fox = Views::read(&data("fox/transforms.json"), None).unwrap().cameras();
-    let framing = Framing::of(&fox, &octobayes::geometry::Aabb::centered_cube(0.5 / 0.33));
+    let framing = Framing::from_cameras(&fox, &octobayes::geometry::Aabb::centered_cube(0.5 / 0.33));
     assert!(!framing.is_little(), "{framing:?}");
 }
 

@@ -13,7 +13,7 @@ use octobayes::dataset::{DepthEncoding, DepthKind, DepthMap, PosedImage, Views};
 use octobayes::geometry::Ray;
 use octobayes::monitor::{Monitor, Silent};
 use octobayes::synth::{
-    DEPTH_PNG_SCALE, DatasetSettings, GROUND_RADIUS, HALF_HEIGHT, Mesh, RADIUS, Scene, Up, write_dataset,
+    DEPTH_PNG_SCALE, DatasetSettings, GROUND_RADIUS, HALF_HEIGHT, Mesh, MeshScene, RADIUS, Up, write_dataset,
 };
 
 /// A sphere with 2·`rings` meridians. Poles and equator are vertices, so it is placed around 0 with radius exactly
@@ -143,7 +143,7 @@ fn depth_of_a_plane_is_exact_to_f32() {
     // A wall x + 2y = 0 of two triangles, placed around the origin.
     let corners = [[2.0, -1.0, 0.0], [-2.0, 1.0, 0.0], [-2.0, 1.0, 3.0], [2.0, -1.0, 3.0]].map(DVec3::from);
     let (wall, _) = Mesh::new(corners.to_vec(), vec![[0, 1, 2], [0, 2, 3]]).unwrap().placed(Up::Z);
-    let scene = Scene::new(wall);
+    let scene = MeshScene::new(wall);
     let normal = DVec3::new(1.0, 2.0, 0.0);
     let eye = DVec3::new(1.3, 2.9, 0.4);
     let mut hits = 0;
@@ -303,7 +303,7 @@ fn scanned_meshes_are_traced_as_a_scan_of_all_faces_says() {
     let data = std::env::var("OCTOBAYES_DATA").expect("OCTOBAYES_DATA names the data folder");
     for name in ["spot", "stanford-bunny", "armadillo", "nefertiti"] {
         let mesh = Mesh::read(&Path::new(&data).join(format!("meshes/{name}.obj"))).unwrap();
-        let scene = Scene::new(mesh.placed(Up::Y).0);
+        let scene = MeshScene::new(mesh.placed(Up::Y).0);
         let mut hits = 0;
         for i in 0..200_u32 {
             // Every other ray aims at a vertex, the others anywhere.

@@ -33,7 +33,7 @@ fn visits_are_those_of_ray_tracing() {
     let run = estimation(&scene, &cameras).prepare().unwrap();
     let offset = run.stream().pixel_offset;
     let picks = run.stream().pixels.picks(0, RAYS);
-    let lattice = Lattice::of_domain(*run.lattice().domain(), Visits::LEVEL).unwrap();
+    let lattice = Lattice::from_domain(*run.lattice().domain(), Visits::LEVEL).unwrap();
     let n = lattice.cells_per_axis() as usize;
     let mut traced = vec![0_u32; n * n * n];
     // Two hundred steps per cell.

@@ -31,7 +31,7 @@ pub fn table(folder: &Path) -> Result<String> {
         let title = text.lines().next().and_then(|line| line.strip_prefix("# "));
         let title = title.ok_or_else(|| Error::malformed(&path, "line 1", "a title", "none"))?;
         let mut stamps = Vec::new();
-        for block in report::blocks(&text).map_err(|fault| fault.of(&path))? {
+        for block in report::blocks(&text).map_err(|fault| fault.in_file(&path))? {
             let place = format!("block `{}`", block.name);
             stamps.push(Stamp::read(block.body).ok_or_else(|| Error::malformed(&path, place, "a stamp", "none"))?);
         }

@@ -70,7 +70,7 @@ impl Truth {
             other => evaluator.name(other),
         };
         let rank = |(m, measure)| {
-            let score = Score::of(&views, m).expect("pixels with depth and some error");
+            let score = Score::new(&views, m).expect("pixels with depth and some error");
             let curve = &score.pooled[0];
             let left = curve.removed.iter().zip(&curve.by_uncertainty).zip(&curve.by_error);
             let curve = left.map(|((&r, &u), &e)| [r, u * curve.largest, e * curve.largest]).collect();
@@ -78,7 +78,7 @@ impl Truth {
         };
         Ok(Ranking {
             ranks: evaluator.measures().into_iter().enumerate().map(rank).collect(),
-            depth: DepthError::of(&views).expect("pixels with depth"),
+            depth: DepthError::new(&views).expect("pixels with depth"),
             psnr: views.iter().map(|view| view.psnr).sum::<f64>() / views.len() as f64,
         })
     }

@@ -35,7 +35,7 @@ impl Fault {
     }
 
     /// The fault as an error of the report `path`.
-    pub fn of(self, path: &Path) -> Error {
+    pub fn in_file(self, path: &Path) -> Error {
         let place = self.line.map_or("markers".into(), |line| format!("line {line}"));
         Error::malformed(path, place, self.expected, self.found)
     }
@@ -117,7 +117,7 @@ pub fn replaced(text: &str, name: &str, body: &str) -> std::result::Result<Strin
 /// As [`replaced`], or if the file cannot be read or written.
 pub fn rewrite(path: &Path, name: &str, body: &str) -> Result<()> {
     let text = std::fs::read_to_string(path).map_err(Error::io(path, "cannot read"))?;
-    let new = replaced(&text, name, body).map_err(|fault| fault.of(path))?;
+    let new = replaced(&text, name, body).map_err(|fault| fault.in_file(path))?;
     let mut file = AtomicFile::create(path)?;
     file.write_all(new.as_bytes()).map_err(Error::io(path, "cannot write"))?;
     file.commit()

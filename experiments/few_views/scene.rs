@@ -229,7 +229,7 @@ fn compute(scene: &Scene, plan: &Plan, work: &Path, folder: &Path) -> Result<Sce
         _ => None,
     }));
     let scores: Vec<Score> =
-        (0..labels.len()).map(|m| Score::of(&views, m).expect("pixels with depth and some error")).collect();
+        (0..labels.len()).map(|m| Score::new(&views, m).expect("pixels with depth and some error")).collect();
     let entries: Vec<Entry> = labels
         .into_iter()
         .zip(&scores)
@@ -260,7 +260,7 @@ fn compute(scene: &Scene, plan: &Plan, work: &Path, folder: &Path) -> Result<Sce
         views: data.train.len(),
         test_views: views.len(),
         psnr_test: views.iter().map(|v| v.psnr).sum::<f64>() / views.len() as f64,
-        depth: DepthError::of(&views).expect("pixels with depth"),
+        depth: DepthError::new(&views).expect("pixels with depth"),
         empty: views.iter().map(|v| v.empty).sum(),
         entries,
         clean_up: cleaned.into_iter().map(|(c, _)| c.into()).collect(),

@@ -29,7 +29,7 @@ enum Found {
     },
 }
 
-fn look(scene: &zoo::Scene, seed: u64) -> Result<Found> {
+fn look(scene: &zoo::HardScene, seed: u64) -> Result<Found> {
     let cameras = scene.cameras();
     let case = Case { field: &scene.field, cameras: &cameras, level: scene.level, rays: RAYS };
     let (rays, grid) = case.defaults();

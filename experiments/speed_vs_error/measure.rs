@@ -64,7 +64,7 @@ pub struct Row {
 }
 
 impl Row {
-    pub fn of(run: &Run, reference: Option<&UncertaintyField>) -> Result<Self> {
+    pub fn new(run: &Run, reference: Option<&UncertaintyField>) -> Result<Self> {
         let compared = reference.map(|reference| compare(&run.field, reference, POINTS, 1)).transpose()?;
         let of = |d: Option<&Difference>| d.map_or([0.0; 3], |d| [d.mean, d.percentile_95, d.max]);
         let compared = compared.as_ref();

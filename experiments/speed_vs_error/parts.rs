@@ -78,7 +78,7 @@ pub fn ablation(work: &Work, lego: &Scene) -> Result<(String, String)> {
         "max",
     ]);
     for (name, rays, grid) in features {
-        let rows = rows(work, name, &rays, |rays| Row::of(&run(lego, &rays, &grid)?, Some(&reference)))?;
+        let rows = rows(work, name, &rays, |rays| Row::new(&run(lego, &rays, &grid)?, Some(&reference)))?;
         let head = [
             name.to_string(),
             format!("{:.2}", rows.seconds()),
@@ -145,7 +145,7 @@ pub fn rays(work: &Work, scenes: &[Scene], truth: Option<&Truth>) -> Result<(Str
                 let settings = scene.settings.rays(rays).pixels(pixels).gradient(gradient);
                 let rows = rows(work, &format!("{}, {name}", scene.name), &settings, |settings| {
                     let run = run(scene, &settings, &grid(kind, 8))?;
-                    let mut row = Row::of(&run, Some(&reference))?;
+                    let mut row = Row::new(&run, Some(&reference))?;
                     row.ause = truth.map(|truth| ause(scene, truth, run)).transpose()?;
                     Ok(row)
                 })?;
@@ -195,7 +195,7 @@ pub fn levels(work: &Work, lego: &Scene) -> Result<(String, String)> {
         (8..=12).map(|level| (grid(GridKind::Octree, level).criteria(criteria), "`--refine sensitivity,ray-count`"));
     for (grid, leaves) in free.chain(limited) {
         let name = format!("level {}, {leaves}", grid.level);
-        let rows = rows(work, &name, &rays, |rays| Row::of(&run(lego, &rays, &grid)?, None))?;
+        let rows = rows(work, &name, &rays, |rays| Row::new(&run(lego, &rays, &grid)?, None))?;
         let dense = 4 * grid.lattice(octobayes::geometry::Domain::Box(lego.field.bounds()))?.dense_vertices();
         table.row(&[
             grid.level.to_string(),

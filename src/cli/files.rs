@@ -58,10 +58,10 @@ impl CommandFiles {
     /// is the same as another file of the command.
     pub fn check(&self) -> Result<()> {
         let mut others: HashMap<Identity, &(String, PathBuf)> = HashMap::new();
-        others.extend(self.inputs.iter().map(|input| (Identity::of(&input.1), input)));
+        others.extend(self.inputs.iter().map(|input| (Identity::new(&input.1), input)));
         for output in &self.outputs {
             let (option, path) = output;
-            if let Some((other, name)) = others.insert(Identity::of(path), output) {
+            if let Some((other, name)) = others.insert(Identity::new(path), output) {
                 let found = format!("{}, the same file as {} of {other}", path.display(), name.display());
                 return Err(Error::setting(option, "a file of its own", found));
             }

@@ -353,7 +353,7 @@ fn check_framing(train: &[Shot], domain: &Domain) -> Result<()> {
             (Aabb::new(center - half, center + half)?, false)
         }
     };
-    let framing = Framing::of(&cameras, &bounds);
+    let framing = Framing::from_cameras(&cameras, &bounds);
     let Some(causes) = framing.causes() else { return Ok(()) };
     let measured = framing.measured();
     if is_all && framing.is_nothing() {

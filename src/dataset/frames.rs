@@ -56,7 +56,7 @@ pub struct FrameSplit {
 impl FrameSplit {
     /// Splits the frames of a file, after checking which images exist.
     #[must_use]
-    pub fn of(views: Views) -> Self {
+    pub fn new(views: Views) -> Self {
         let Views { path, frames, .. } = views;
         let total = frames.len();
         let (mut usable, others): (Vec<Frame>, Vec<Frame>) = frames.into_iter().partition(|frame| frame.image.exists());
@@ -191,7 +191,7 @@ mod tests {
         for i in images {
             std::fs::write(folder.path().join(format!("r_{i}.png")), b"").unwrap();
         }
-        let split = FrameSplit::of(Views::read(&folder.path().join(name), Some([8, 8])).unwrap());
+        let split = FrameSplit::new(Views::read(&folder.path().join(name), Some([8, 8])).unwrap());
         (folder, split)
     }
 

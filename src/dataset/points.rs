@@ -68,7 +68,8 @@ impl<'a> PointReader<'a> {
         let mut reader = builder.from_reader(Box::new(input) as Box<dyn Read + 'a>);
         let mut first = StringRecord::new();
         let is_there = reader.read_record(&mut first).map_err(|e| unreadable(path, 1, &e))?;
-        let (columns, is_header) = if is_there { Columns::of(&first, path)? } else { (Columns::plain(), true) };
+        let (columns, is_header) =
+            if is_there { Columns::from_record(&first, path)? } else { (Columns::plain(), true) };
         let source = Source::Csv(Csv { reader, columns, first: (!is_header).then_some(first) });
         Ok(Self { source, path: path.to_path_buf(), read: u64::from(is_there && is_header) })
     }
@@ -159,7 +160,7 @@ impl Columns {
     }
 
     /// The columns of a file that begins with `first`, and whether that is a row of names.
-    fn of(first: &StringRecord, path: &Path) -> Result<(Self, bool)> {
+    fn from_record(first: &StringRecord, path: &Path) -> Result<(Self, bool)> {
         let place = "row 1";
         // A table with numbered rows has a column without a name.
         let is_header = first.iter().any(is_name) && first.iter().all(|entry| entry.is_empty() || is_name(entry));

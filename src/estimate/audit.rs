@@ -30,7 +30,7 @@ impl Audit {
     pub const RAYS: u64 = 8_192;
 
     /// Audits a run whose rays are those of `stream`, on `lattice`.
-    pub(super) fn of(run: &Estimation, stream: &RayStream, lattice: &Lattice) -> Result<Self> {
+    pub(super) fn measure(run: &Estimation, stream: &RayStream, lattice: &Lattice) -> Result<Self> {
         let Estimation { field, cameras, domain, rays, monitor, .. } = run;
         let count = rays.rays.min(Self::RAYS);
         let grid = GridSettings { surface_points: 0, memory: None, ..run.grid };
@@ -68,7 +68,7 @@ impl FieldBuilder {
         let log10 = |sums| covariance.deviation(&sums, rays, lambda).log10();
         let pairs = self.paired(other).into_par_iter().map(|(mine, theirs)| (log10(mine), log10(theirs)));
         let errors = pairs.filter(|(a, b)| a.min(*b) < moved).map(|(a, b)| (a - b).abs());
-        SamplingError::of(errors.collect())
+        SamplingError::from_errors(errors.collect())
     }
 }
 

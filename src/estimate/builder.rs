@@ -290,8 +290,8 @@ impl AddAssign<&Self> for FieldBuilder {
     /// Adds the sums of another builder with the same settings and limits, vertex by vertex.
     fn add_assign(&mut self, other: &Self) {
         match (&mut self.posterior, &other.posterior) {
-            (AnyPosterior::Dense(mine), AnyPosterior::Dense(theirs)) => mine.add_sums(theirs.sums()),
-            (AnyPosterior::Octree(mine), AnyPosterior::Octree(theirs)) => mine.add_bricks(theirs),
+            (AnyPosterior::Dense(mine), AnyPosterior::Dense(theirs)) => *mine += theirs,
+            (AnyPosterior::Octree(mine), AnyPosterior::Octree(theirs)) => *mine += theirs,
             _ => unreachable!("both have the same settings"),
         }
         self.keep_surface(other.surface.iter().copied());

@@ -95,7 +95,7 @@ impl GridSettings {
     /// # Errors
     /// If the level is out of range, or above 9 for a dense grid, or if f32 cannot hold the prior's deviation.
     pub fn lattice(&self, domain: Domain) -> Result<Lattice> {
-        let lattice = Lattice::of_domain(domain, self.level)?;
+        let lattice = Lattice::from_domain(domain, self.level)?;
         if self.grid == GridKind::Dense && self.level > MAX_DENSE_LEVEL {
             let gigabytes = DensePosterior::required_memory(&lattice) as f64 / 1e9;
             let found = format!("level {}, which needs {gigabytes:.0} GB (an octree does not)", self.level);

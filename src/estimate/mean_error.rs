@@ -31,12 +31,12 @@ pub struct SamplingError {
 
 impl SamplingError {
     /// From log10 U of both halves at these vertices.
-    fn of_halves(halves: &[(f64, f64)]) -> Self {
-        Self::of(halves.iter().map(|(a, b)| 0.5 * (a - b).abs()).collect())
+    fn from_halves(halves: &[(f64, f64)]) -> Self {
+        Self::from_errors(halves.iter().map(|(a, b)| 0.5 * (a - b).abs()).collect())
     }
 
     /// From |Δ log10 U| at these vertices.
-    pub(super) fn of(mut errors: Vec<f64>) -> Self {
+    pub(super) fn from_errors(mut errors: Vec<f64>) -> Self {
         if errors.is_empty() {
             return Self { vertices: 0, mean: 0.0, percentile_95: 0.0 };
         }
@@ -76,7 +76,7 @@ pub(super) fn draw(
             })?;
         }
         let drawn = halves.iter().map(|half| half.1.rays).sum();
-        let error = SamplingError::of_halves(&halves[0].0.both(&halves[1].0, drawn));
+        let error = SamplingError::from_halves(&halves[0].0.both(&halves[1].0, drawn));
         if error.vertices > 0 && error.mean <= decades || rays == most {
             return Ok((halves, error));
         }
@@ -100,7 +100,7 @@ impl FieldBuilder {
         let pairs = self.paired(other);
         let looked_at = pairs.into_par_iter().filter_map(|(mine, theirs)| {
             let mut sum = mine;
-            sum.add(&theirs);
+            sum += &theirs;
             let half = |sums| covariance.deviation(&sums, rays / 2, lambda).log10();
             (covariance.deviation(&sum, rays, lambda) < moved).then(|| (half(mine), half(theirs)))
         });

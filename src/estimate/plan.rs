@@ -77,7 +77,7 @@ impl Planner {
         })?;
         let scale = rays.rays as f64 / pilot.rays as f64;
         let time = start.elapsed().mul_f64(shard.own_rays() as f64 / pilot.rays as f64);
-        let survey = PilotCounts::of(&posterior);
+        let survey = PilotCounts::from_pilot(&posterior);
         let vertices_unlimited = survey.vertices(scale, &MaxLevels::none(lattice.level()));
         Ok(Self { settings, survey, vertices_unlimited, scale, time })
     }

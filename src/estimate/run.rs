@@ -133,7 +133,7 @@ impl<'a> Run<'a> {
     /// # Errors
     /// [`Error::Interrupted`] only.
     pub fn sight(&self) -> Result<Sight> {
-        Sight::of(&self.stream, &self.estimation.domain, self.estimation.monitor)
+        Sight::measure(&self.stream, &self.estimation.domain, self.estimation.monitor)
     }
 
     /// Checks the finite-difference step; `None` if the field's own derivatives are used, or if there is nothing
@@ -142,7 +142,7 @@ impl<'a> Run<'a> {
     /// # Errors
     /// [`Error::Interrupted`] only.
     pub fn check_step(&self) -> Result<Option<StepCheck>> {
-        StepCheck::of(&self.stream, &self.lattice, self.estimation.grid.tolerance, self.estimation.monitor)
+        StepCheck::measure(&self.stream, &self.lattice, self.estimation.grid.tolerance, self.estimation.monitor)
     }
 
     /// Measures the cost of the run's approximations on a few of its own rays.
@@ -150,7 +150,7 @@ impl<'a> Run<'a> {
     /// # Errors
     /// As [`RayStream::run`].
     pub fn audit(&self) -> Result<Audit> {
-        Audit::of(&self.estimation, &self.stream, &self.lattice)
+        Audit::measure(&self.estimation, &self.stream, &self.lattice)
     }
 
     /// Draws the rays and computes the field.
@@ -288,7 +288,7 @@ impl<'a> Run<'a> {
     }
 
     fn outcome_of(&self, field: UncertaintyField, progress: RunProgress, summing: Duration) -> Outcome {
-        let field = self.estimation.model.iter().fold(field, |field, &checksum| field.of_model(checksum));
+        let field = self.estimation.model.iter().fold(field, |field, &checksum| field.with_model(checksum));
         let plan = self.limits.plan.clone().filter(|_| self.estimation.grid.grid == GridKind::Octree);
         Outcome {
             field,

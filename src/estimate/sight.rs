@@ -67,11 +67,11 @@ fn views(cameras: &[Camera], count: usize, pixel_offset: f64) -> Vec<View> {
 impl Framing {
     /// Measures how `cameras` relate to `bounds`.
     #[must_use]
-    pub fn of(cameras: &[Camera], bounds: &Aabb) -> Self {
-        Self::of_views(&views(cameras, RAYS, 0.5), bounds)
+    pub fn from_cameras(cameras: &[Camera], bounds: &Aabb) -> Self {
+        Self::from_views(&views(cameras, RAYS, 0.5), bounds)
     }
 
-    fn of_views(views: &[View], bounds: &Aabb) -> Self {
+    fn from_views(views: &[View], bounds: &Aabb) -> Self {
         let middle = 0.5 * (bounds.min() + bounds.max());
         let mut sums = [0.0; 4];
         for View { camera, rays } in views {
@@ -150,7 +150,7 @@ impl Sight {
     ///
     /// # Errors
     /// [`crate::Error::Interrupted`] only.
-    pub fn of(stream: &RayStream, domain: &Domain, monitor: &dyn Monitor) -> Result<Self> {
+    pub fn measure(stream: &RayStream, domain: &Domain, monitor: &dyn Monitor) -> Result<Self> {
         let first = Self::with_rays(RAYS, stream, domain, monitor)?;
         if !first.is_nothing() {
             return Ok(first);
@@ -169,7 +169,7 @@ impl Sight {
             .collect::<Result<Vec<Seen>>>()?;
         let mean = |of: &dyn Fn(&Seen) -> f64| seen.iter().map(of).sum::<f64>() / seen.len().max(1) as f64;
         Ok(Self {
-            framing: Framing::of_views(&views, &stream.tracer.field.bounds()),
+            framing: Framing::from_views(&views, &stream.tracer.field.bounds()),
             meet_matter: mean(&|seen| seen.0),
             meet_domain: mean(&|seen| seen.1),
             inside_matter: mean(&|seen| f64::from(u8::from(seen.2))),
@@ -254,7 +254,7 @@ mod tests {
         let lattice = grid.lattice(domain).unwrap();
         let rays = RaySettings { occupancy: 32, ..RaySettings::default() };
         let stream = rays.stream(&field, cameras, &lattice, &Silent).unwrap();
-        Sight::of(&stream, &domain, &Silent).unwrap()
+        Sight::measure(&stream, &domain, &Silent).unwrap()
     }
 
     fn changed(change: impl Fn(&mut Camera)) -> Vec<Camera> {
@@ -281,8 +281,8 @@ mod tests {
         assert!(turned.is_nothing() && turned.framing.looking_away == 1.0, "{turned:?}");
         assert!(turned.causes().unwrap().contains("OpenCV"), "{turned:?}");
         // With their axes turned back, the same rays meet the box.
-        let right = Framing::of(&changed(|_| {}), &ClosedForm::courtyard().bounds());
-        let wrong = Framing::of(&changed(opencv), &ClosedForm::courtyard().bounds());
+        let right = Framing::from_cameras(&changed(|_| {}), &ClosedForm::courtyard().bounds());
+        let wrong = Framing::from_cameras(&changed(opencv), &ClosedForm::courtyard().bounds());
         assert!((wrong.turned - right.meet_box).abs() < 1e-9, "{wrong:?}, {right:?}");
 
         // Millimetres: a thousand times as far away.

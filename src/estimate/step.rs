@@ -37,7 +37,12 @@ impl StepCheck {
     ///
     /// # Errors
     /// [`crate::Error::Interrupted`] only.
-    pub fn of(stream: &RayStream, lattice: &Lattice, tolerance: f64, monitor: &dyn Monitor) -> Result<Option<Self>> {
+    pub fn measure(
+        stream: &RayStream,
+        lattice: &Lattice,
+        tolerance: f64,
+        monitor: &dyn Monitor,
+    ) -> Result<Option<Self>> {
         Self::with_seed(SEED, stream, lattice, tolerance, monitor)
     }
 

@@ -48,7 +48,7 @@ impl CleanUp {
         cleaned.reduce(|best, c| if c.psnr > best.psnr { c } else { best })
     }
 
-    fn of(threshold: Option<f64>, log10: Option<f64>, truths: &[TrueView], views: &[RenderedView]) -> Self {
+    fn new(threshold: Option<f64>, log10: Option<f64>, truths: &[TrueView], views: &[RenderedView]) -> Self {
         let (mut shown, mut should) = (0, 0);
         let mut sums = [0.0; 3];
         let (mut psnr_shown, mut views_shown) = (0.0, 0.0);
@@ -103,11 +103,11 @@ pub fn clean_up(
         truths.iter().map(view).collect()
     };
     let before = render(tracer.field)?;
-    let mut out = vec![(CleanUp::of(None, None, truths, &before), before)];
+    let mut out = vec![(CleanUp::new(None, None, truths, &before), before)];
     for &share in thresholds {
         let threshold = share * SCALE + edge.log10();
         let after = render(&ThresholdedField { field: tracer.field, uncertainty, threshold })?;
-        out.push((CleanUp::of(Some(share), Some(threshold), truths, &after), after));
+        out.push((CleanUp::new(Some(share), Some(threshold), truths, &after), after));
     }
     Ok(out)
 }

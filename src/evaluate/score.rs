@@ -18,7 +18,7 @@ impl Score {
     /// Scores the measure of index `m` for every [`ErrorKind`]; `None` if there is nothing to rank (see
     /// [`sparsification`]).
     #[must_use]
-    pub fn of(views: &[EvaluatedView], m: usize) -> Option<Self> {
+    pub fn new(views: &[EvaluatedView], m: usize) -> Option<Self> {
         let errors: Vec<f64> = views.iter().flat_map(|v| &v.absolute_error).copied().collect();
         let measure: Vec<f64> = views.iter().flat_map(|v| &v.measures[m]).copied().collect();
         let pooled = ErrorKind::ALL.iter().map(|&kind| sparsification(&measure, &errors, kind));
@@ -57,7 +57,7 @@ pub struct DepthError {
 impl DepthError {
     /// Collects the errors of all views; `None` if there are no pixels.
     #[must_use]
-    pub fn of(views: &[EvaluatedView]) -> Option<Self> {
+    pub fn new(views: &[EvaluatedView]) -> Option<Self> {
         let mut errors: Vec<f64> = views.iter().flat_map(|v| &v.absolute_error).copied().collect();
         let n = errors.len();
         errors.sort_unstable_by(f64::total_cmp);

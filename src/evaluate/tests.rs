@@ -137,7 +137,7 @@ fn a_measure_that_is_the_error_has_no_area() {
     let mut view = evaluator.evaluate(&truth, 0, &Silent).unwrap();
     view.measures = vec![view.absolute_error.clone(), view.absolute_error.iter().map(|e| -e).collect()];
     let views = [view.clone(), view];
-    let [best, worst] = [0, 1].map(|m| Score::of(&views, m).unwrap());
+    let [best, worst] = [0, 1].map(|m| Score::new(&views, m).unwrap());
     for kind in ErrorKind::ALL {
         assert!(best.area(kind) == 0.0 && worst.area(kind) > 0.2, "{kind:?}");
         let all = |values: &dyn Fn(&EvaluatedView) -> Vec<f64>| views.iter().flat_map(values).collect::<Vec<_>>();
@@ -146,7 +146,7 @@ fn a_measure_that_is_the_error_has_no_area() {
         assert_eq!(worst.area(kind), expected);
     }
     assert!(worst.area(ErrorKind::Mae) != worst.area(ErrorKind::Rmse));
-    let depth = DepthError::of(&views).unwrap();
+    let depth = DepthError::new(&views).unwrap();
     let errors = &views[0].absolute_error;
     let mean = errors.iter().sum::<f64>() / errors.len() as f64;
     assert!((depth.mean - mean).abs() < 1e-12 && depth.median < depth.percentile_95);

@@ -29,7 +29,7 @@ pub enum Norm {
 }
 
 impl Norm {
-    fn of(self, y: DVec3) -> f64 {
+    fn length(self, y: DVec3) -> f64 {
         match self {
             Self::L2 => y.length(),
             Self::Linf => y.abs().max_element(),
@@ -46,10 +46,10 @@ impl Norm {
 /// // All of space: unchanged in a ball of radius 1, contracted outside.
 /// let space = Domain::contracted(DVec3::ZERO, 1.0, Norm::L2)?;
 /// let far_away = Vec3::new(1e6, 0.0, 0.0);
-/// assert!(Lattice::of_domain(space, 4)?.coordinates(far_away).is_some());
+/// assert!(Lattice::from_domain(space, 4)?.coordinates(far_away).is_some());
 /// // A box ends somewhere.
 /// let cube = Domain::Box(Aabb::centered_cube(1.0));
-/// assert!(Lattice::of_domain(cube, 4)?.coordinates(far_away).is_none());
+/// assert!(Lattice::from_domain(cube, 4)?.coordinates(far_away).is_none());
 /// # Ok::<(), octobayes::Error>(())
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -123,7 +123,7 @@ impl Domain {
             }
             Self::Contracted { center, radius, norm } => {
                 let y = (x - DVec3::from(*center)) / *radius;
-                let r = norm.of(y);
+                let r = norm.length(y);
                 // The largest coordinate ignores NaN, so y is checked too.
                 if !(y.is_finite() && r.is_finite()) {
                     return None;
@@ -145,7 +145,7 @@ impl Domain {
             Self::Box(bounds) => bounds.min() + u * bounds.size(),
             Self::Contracted { center, radius, norm } => {
                 let y = 4.0 * u - 2.0;
-                let s = norm.of(y);
+                let s = norm.length(y);
                 let r = if s > 1.0 { (1.0 / (2.0 - s).max(1.0 / FARTHEST)).min(FARTHEST) } else { s };
                 DVec3::from(*center) + if s > 1.0 { *radius * r / s * y } else { *radius * y }
             }
@@ -159,7 +159,7 @@ impl Domain {
             Self::Box(bounds) => g / bounds.size(),
             Self::Contracted { center, radius, norm } => {
                 let y = (x.as_dvec3() - DVec3::from(*center)) / *radius;
-                let r = norm.of(y);
+                let r = norm.length(y);
                 let scale = 0.25 / *radius;
                 if r <= 1.0 {
                     return scale * g;
@@ -195,7 +195,7 @@ impl Domain {
         match self {
             Self::Box(_) => 1.0,
             Self::Contracted { center, radius, norm } => {
-                let r = norm.of((x.as_dvec3() - DVec3::from(*center)) / *radius);
+                let r = norm.length((x.as_dvec3() - DVec3::from(*center)) / *radius);
                 if r > 1.0 { r / (2.0 - 1.0 / r) } else { 1.0 }
             }
         }

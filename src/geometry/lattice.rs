@@ -35,14 +35,14 @@ impl Lattice {
     /// # Errors
     /// If `level` is 0 or above [`MAX_LEVEL`].
     pub fn new(bounds: Aabb, level: u8) -> Result<Self> {
-        Self::of_domain(Domain::Box(bounds), level)
+        Self::from_domain(Domain::Box(bounds), level)
     }
 
     /// The lattice with 2^`level` cells along every axis of the unit cube to which `domain` is mapped.
     ///
     /// # Errors
     /// If `level` is 0 or above [`MAX_LEVEL`].
-    pub fn of_domain(domain: Domain, level: u8) -> Result<Self> {
+    pub fn from_domain(domain: Domain, level: u8) -> Result<Self> {
         if (1..=MAX_LEVEL).contains(&level) {
             Ok(Self { domain, level })
         } else {

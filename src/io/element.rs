@@ -30,7 +30,7 @@ impl Deserialize for Real {
 
     fn reader(dtype: &DType) -> Result<RealReader, DTypeError> {
         // The error is that of a type that is accepted.
-        Scalar::of(dtype).map_or_else(|| f32::reader(dtype).map(Scalar::F32), Ok).map(RealReader)
+        Scalar::from_dtype(dtype).map_or_else(|| f32::reader(dtype).map(Scalar::F32), Ok).map(RealReader)
     }
 }
 
@@ -46,7 +46,7 @@ impl Deserialize for Index {
     type TypeReader = IndexReader;
 
     fn reader(dtype: &DType) -> Result<IndexReader, DTypeError> {
-        let whole = Scalar::of(dtype).filter(|scalar| !scalar.is_float());
+        let whole = Scalar::from_dtype(dtype).filter(|scalar| !scalar.is_float());
         whole.map_or_else(|| u64::reader(dtype).map(Scalar::U64), Ok).map(IndexReader)
     }
 }
@@ -95,7 +95,7 @@ macro_rules! scalars {
 
         impl Scalar {
             /// The reader of a type, if it is a type of numbers.
-            fn of(dtype: &DType) -> Option<Self> {
+            fn from_dtype(dtype: &DType) -> Option<Self> {
                 $(if let Ok(reader) = <$type>::reader(dtype) {
                     return Some(Self::$variant(reader));
                 })*

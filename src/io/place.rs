@@ -69,7 +69,7 @@ pub enum Identity {
 impl Identity {
     /// The identity of the file at `path`, with symbolic links resolved.
     #[must_use]
-    pub fn of(path: &Path) -> Self {
+    pub fn new(path: &Path) -> Self {
         #[cfg(unix)]
         if let Ok(metadata) = std::fs::metadata(path) {
             use std::os::unix::fs::MetadataExt;
@@ -105,7 +105,7 @@ mod tests {
         symlink("soft", path("softer")).unwrap();
         symlink("folder/new", path("dangling")).unwrap();
         symlink("circle", path("circle")).unwrap();
-        let same = |a: &str, b: &str| Identity::of(&path(a)) == Identity::of(&path(b));
+        let same = |a: &str, b: &str| Identity::new(&path(a)) == Identity::new(&path(b));
         for name in ["hard", "soft", "softer", "folder/../there", "other/../there", "./there"] {
             assert!(same("there", name) && !same("apart", name), "{name}");
         }

@@ -1,5 +1,7 @@
 //! Finds the cells to split so that all wanted cells exist and the octree is 2:1 balanced.
 
+use std::ops::BitOr;
+
 use super::masks::{MaskSet, PARENTS_AROUND_POINT, PARENTS_OF_NEIGHBORS};
 use super::{Cell, morton};
 
@@ -30,13 +32,6 @@ impl Wanted {
         if let Some(parents) = self.split.last_mut() {
             parents.insert_reached(brick, mask, &PARENTS_AROUND_POINT, cells);
         }
-    }
-
-    /// The union of both.
-    #[must_use]
-    pub fn and(mut self, other: Self) -> Self {
-        self.split.iter_mut().zip(other.split).for_each(|(mine, theirs)| mine.absorb(theirs));
-        self
     }
 
     /// Splits as few cells as possible such that every wanted cell exists and the octree is 2:1 balanced over
@@ -83,6 +78,16 @@ impl Split {
     }
 }
 
+impl BitOr for Wanted {
+    type Output = Self;
+
+    /// The union of both.
+    fn bitor(mut self, other: Self) -> Self {
+        self.split.iter_mut().zip(other.split).for_each(|(mine, theirs)| *mine |= theirs);
+        self
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -119,7 +124,7 @@ mod tests {
             let mut halves = [Wanted::new(finest), Wanted::new(finest)];
             cells.iter().enumerate().for_each(|(i, &cell)| halves[i % 2].cell(cell));
             let [a, b] = halves;
-            prop_assert_eq!(a.and(b).balanced().codes(), balanced_slowly(finest, &cells));
+            prop_assert_eq!((a | b).balanced().codes(), balanced_slowly(finest, &cells));
         }
 
         #[test]

@@ -21,7 +21,7 @@ const BLOCK: usize = 60;
 /// Consecutive child masks with their rank.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(align(64))]
-struct Block {
+struct RankedMasks {
     /// Set bits in all earlier blocks.
     rank: u32,
     /// Masks, padded with zeros.
@@ -63,7 +63,7 @@ pub struct CellTree {
     root_split: bool,
     /// Number of masks.
     count: usize,
-    blocks: Vec<Block>,
+    blocks: Vec<RankedMasks>,
 }
 
 impl CellTree {
@@ -93,7 +93,7 @@ impl CellTree {
         let mut rank = 0;
         let mut blocks = Vec::with_capacity(masks.len().div_ceil(BLOCK));
         blocks.extend(masks.chunks(BLOCK).map(|chunk| {
-            let mut block = Block { rank, masks: [0; BLOCK] };
+            let mut block = RankedMasks { rank, masks: [0; BLOCK] };
             block.masks[..chunk.len()].copy_from_slice(chunk);
             rank += chunk.iter().map(|m| m.count_ones()).sum::<u32>();
             block
@@ -208,6 +208,6 @@ impl CellTree {
     /// Bytes on the heap, spare capacity included: the child masks, then their rank directory with padding.
     #[must_use]
     pub fn heap_bytes(&self) -> [usize; 2] {
-        [self.count, self.blocks.capacity() * size_of::<Block>() - self.count]
+        [self.count, self.blocks.capacity() * size_of::<RankedMasks>() - self.count]
     }
 }

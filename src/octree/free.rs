@@ -27,7 +27,7 @@ struct Owned {
 }
 
 impl Owned {
-    fn of(split: &MaskSet, brick: u64, per_axis: u32) -> Self {
+    fn new(split: &MaskSet, brick: u64, per_axis: u32) -> Self {
         let first = morton::decode(brick).map(|i| 4 * i);
         // For every parent P of the brick and every side: whether P − side is split, and whether it is split
         // or outside the box.
@@ -174,7 +174,7 @@ pub fn free_vertices(split: &Split) -> Vec<MortonSet> {
         let parents = split.level(level - 1);
         let per_axis = 1 << (level - 1);
         let owned: Vec<(u64, Owned)> =
-            owners(parents).into_par_iter().map(|brick| (brick, Owned::of(parents, brick, per_axis))).collect();
+            owners(parents).into_par_iter().map(|brick| (brick, Owned::new(parents, brick, per_axis))).collect();
         let bricks = owned.iter().flat_map(|(brick, owned)| {
             let parts = (0_u64..).zip(owned.points);
             parts.map(move |(part, points)| (brick << 3 | part, points))

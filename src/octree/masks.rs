@@ -3,6 +3,8 @@
 //! Masks let the neighbourhoods of 64 members be processed at once. A brick's code is the Morton code of its
 //! members without the low six bits, which give a member's place in the mask.
 
+use std::ops::BitOrAssign;
+
 use rustc_hash::FxHashMap;
 
 use super::morton;
@@ -58,13 +60,6 @@ impl MaskSet {
     pub fn insert_mask(&mut self, brick: u64, mask: u64) {
         if mask != 0 {
             *self.bricks.entry(brick).or_default() |= mask;
-        }
-    }
-
-    /// Adds all members of another set.
-    pub fn absorb(&mut self, other: Self) {
-        for (brick, mask) in other.bricks {
-            self.insert_mask(brick, mask);
         }
     }
 
@@ -129,6 +124,15 @@ impl MaskSet {
     }
 }
 
+impl BitOrAssign for MaskSet {
+    /// Adds all members of another set.
+    fn bitor_assign(&mut self, other: Self) {
+        for (brick, mask) in other.bricks {
+            self.insert_mask(brick, mask);
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -161,7 +165,7 @@ mod tests {
         fn members_come_back_sorted_and_once(codes in proptest::collection::vec(0_u64..1 << 12, 0..200)) {
             let (mut a, mut b) = (MaskSet::default(), MaskSet::default());
             codes.iter().enumerate().for_each(|(i, &code)| if i % 3 == 0 { a.insert(code) } else { b.insert(code) });
-            a.absorb(b);
+            a |= b;
             let sorted: BTreeSet<u64> = codes.into_iter().collect();
             prop_assert_eq!(a.codes(), sorted.into_iter().collect::<Vec<_>>());
         }

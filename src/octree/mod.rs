@@ -110,12 +110,12 @@ impl Octree {
     pub fn refined(finest: u8, wanted: impl IntoIterator<Item = Cell>) -> Self {
         let mut all = Wanted::new(finest);
         wanted.into_iter().for_each(|cell| all.cell(cell));
-        Self::of(all)
+        Self::from_wanted(all)
     }
 
     /// The coarsest balanced octree in which every wanted cell exists, as a leaf or split further.
     #[must_use]
-    pub fn of(wanted: Wanted) -> Self {
+    pub fn from_wanted(wanted: Wanted) -> Self {
         let split = wanted.balanced();
         Self::from_balanced(&split, &split.codes())
     }

@@ -1,6 +1,7 @@
 //! The dense reference: the paper's uniform grid, written for readability.
 
 use std::collections::BTreeMap;
+use std::ops::AddAssign;
 
 use super::{Posterior, VertexSums};
 use crate::geometry::Lattice;
@@ -46,11 +47,6 @@ impl DensePosterior {
         &self.sums
     }
 
-    /// Adds the sums over other rays, `[(M + 1)³]`, x slowest.
-    pub fn add_sums(&mut self, sums: &[VertexSums]) {
-        self.sums.iter_mut().zip(sums).for_each(|(sum, other)| sum.add(other));
-    }
-
     /// J_v(r) for every vertex v that one ray touches.
     fn ray_jacobian(&self, samples: &RaySamples, ray: std::ops::Range<usize>) -> BTreeMap<usize, [f64; 9]> {
         let mut jacobian: BTreeMap<usize, [f64; 9]> = BTreeMap::new();
@@ -66,6 +62,13 @@ impl DensePosterior {
             }
         }
         jacobian
+    }
+}
+
+impl AddAssign<&Self> for DensePosterior {
+    /// Adds the sums over other rays.
+    fn add_assign(&mut self, other: &Self) {
+        self.sums.iter_mut().zip(&other.sums).for_each(|(sum, other)| *sum += other);
     }
 }
 

@@ -1,5 +1,7 @@
 //! Sums at one vertex over the rays that touched it.
 
+use std::ops::AddAssign;
+
 use crate::io::container::Item;
 
 /// S = Σ_r JᵀJ of one vertex, summed over rays and colour channels: xx, xy, xz, yy, yz, zz, in 1 / scene unit².
@@ -21,13 +23,6 @@ pub struct VertexSums {
 }
 
 impl VertexSums {
-    /// Adds the sums over other rays.
-    #[inline]
-    pub fn add(&mut self, other: &Self) {
-        self.information.iter_mut().zip(other.information).for_each(|(s, o)| *s += o);
-        self.rays = self.rays.saturating_add(other.rays);
-    }
-
     /// Checks whether rays can have produced these sums.
     ///
     /// All numbers are finite, the diagonal of the information is not negative, and its other entries are not
@@ -45,6 +40,15 @@ impl VertexSums {
             && bounded(xy, xx, yy)
             && bounded(xz, xx, zz)
             && bounded(yz, yy, zz)
+    }
+}
+
+impl AddAssign<&Self> for VertexSums {
+    /// Adds the sums over other rays.
+    #[inline]
+    fn add_assign(&mut self, other: &Self) {
+        self.information.iter_mut().zip(other.information).for_each(|(s, o)| *s += o);
+        self.rays = self.rays.saturating_add(other.rays);
     }
 }
 

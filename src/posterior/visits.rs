@@ -201,7 +201,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn visits(domain: Domain, lines: Vec<SightLine>) -> Visits {
-        let mut visits = Visits::new(&Lattice::of_domain(domain, 8).unwrap());
+        let mut visits = Visits::new(&Lattice::from_domain(domain, 8).unwrap());
         visits.add(&[RaySamples { sight: lines, ..RaySamples::default() }]);
         visits
     }

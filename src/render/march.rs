@@ -5,7 +5,7 @@
 //! their places, so skipping moves none of them.
 
 use super::Occupancy;
-use super::occupancy::{Block, Space};
+use super::occupancy::{SkipBlock, Space};
 use crate::geometry::{Aabb, Ray};
 
 /// Places samples along rays.
@@ -32,13 +32,13 @@ impl Marcher {
     /// Walks along the distances of the ray's samples. They are found on demand, because rays
     /// often end long before the box.
     #[must_use]
-    pub fn walk(&self, ray: &Ray, jitter: f64) -> Walk<'_> {
+    pub fn walk(&self, ray: &Ray, jitter: f64) -> SampleDistances<'_> {
         let (entry, exit) = self.bounds.clip(ray).unwrap_or_default();
         let steps = ((exit - entry) / self.step).ceil() as u64;
         // Thin fog adds up. No ray through the box is longer than its diagonal.
         let least = (self.cutoff / self.bounds.size().length()) as f32;
         let known = if self.occupancy.is_none() { steps } else { 0 };
-        Walk { marcher: self, ray: *ray, jitter, entry, exit, steps, least, k: 0, known }
+        SampleDistances { marcher: self, ray: *ray, jitter, entry, exit, steps, least, k: 0, known }
     }
 
     /// Density bound at a point; ∞ without an occupancy grid.
@@ -50,7 +50,7 @@ impl Marcher {
 
 /// Iterator over the sample distances along a ray, in increasing order.
 #[derive(Debug, Clone)]
-pub struct Walk<'a> {
+pub struct SampleDistances<'a> {
     marcher: &'a Marcher,
     ray: Ray,
     jitter: f64,
@@ -65,14 +65,14 @@ pub struct Walk<'a> {
     known: u64,
 }
 
-impl Walk<'_> {
+impl SampleDistances<'_> {
     fn place(&self, k: u64) -> f64 {
         self.entry + (k as f64 + self.jitter) * self.marcher.step
     }
 
     /// Returns a candidate after the current one such that all between them are in the
     /// block; usually the first outside it.
-    fn behind(&self, block: Block, occupancy: &Occupancy) -> u64 {
+    fn behind(&self, block: SkipBlock, occupancy: &Occupancy) -> u64 {
         // Cell indices are monotone along a ray: if a later candidate is in the block, so are those between.
         // Division finds the last one. Rounding may put it just behind the block's face; then it is the one before.
         let last = ((occupancy.exit(&self.ray, block) - self.entry) / self.marcher.step - self.jitter) as u64;
@@ -82,7 +82,7 @@ impl Walk<'_> {
     }
 }
 
-impl Iterator for Walk<'_> {
+impl Iterator for SampleDistances<'_> {
     type Item = f64;
 
     fn next(&mut self) -> Option<f64> {

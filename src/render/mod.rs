@@ -14,7 +14,7 @@ mod view;
 pub use composite::{Pixel, Quadrature, depth_variance, termination_entropy};
 pub use gradient::{Differences, Differentiation, GradientMethod};
 pub use jacobian::JacobianBuffers;
-pub use march::{Marcher, Walk};
+pub use march::{Marcher, SampleDistances};
 pub use noise::{DifferenceError, DifferenceErrors, LONGEST_STEP, TABLE, noise_level};
 pub use occupancy::Occupancy;
 pub use samples::{RaySample, RaySamples, SightLine};

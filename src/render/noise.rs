@@ -177,7 +177,7 @@ impl DifferenceErrors {
             .iter()
             .map(|stencils| {
                 let at = |p: usize| stencils[p].map(|stencil| (stencil, noises[p], slopes[p]));
-                Sums::of(&used.iter().filter_map(|&p| at(p)).collect::<Vec<_>>(), own.is_some())
+                Sums::from_points(&used.iter().filter_map(|&p| at(p)).collect::<Vec<_>>(), own.is_some())
             })
             .collect();
         let truncation = if own.is_some() {
@@ -243,7 +243,7 @@ struct Sums {
 
 impl Sums {
     /// Averages over stencils with their ε and ∂σ; `exact` if ∂σ is the field's own.
-    fn of(points: &[(Stencil, f64, f64)], exact: bool) -> Self {
+    fn from_points(points: &[(Stencil, f64, f64)], exact: bool) -> Self {
         let scale: f64 = points.iter().map(|(_, _, slope)| slope.abs()).sum();
         let error = |(stencil, _, slope): &(Stencil, f64, f64)| {
             if exact { (stencil.central() - slope).abs() } else { (stencil.third() * stencil.truncation()).abs() }

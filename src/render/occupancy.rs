@@ -34,7 +34,7 @@ pub struct Occupancy {
 
 /// A block of 2^level cells along each axis; `cell` is one of them.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Block {
+pub(super) struct SkipBlock {
     cell: [usize; 3],
     level: usize,
 }
@@ -44,9 +44,9 @@ pub(super) enum Space {
     /// Outside the box.
     Outside,
     /// σ̂ does not exceed the density in this block, the largest such block around the point.
-    Low(Block),
+    Low(SkipBlock),
     /// σ̂ exceeds the density in this block, which need not be the largest.
-    Matter(Block),
+    Matter(SkipBlock),
 }
 
 impl Occupancy {
@@ -119,20 +119,20 @@ impl Occupancy {
                 while low(level + 1) {
                     level += 1;
                 }
-                Space::Low(Block { cell, level })
+                Space::Low(SkipBlock { cell, level })
             }
-            None => Space::Matter(Block { cell, level: if self.majorant.is_uniform(cell) { BRICK } else { 0 } }),
+            None => Space::Matter(SkipBlock { cell, level: if self.majorant.is_uniform(cell) { BRICK } else { 0 } }),
         }
     }
 
     /// Returns true if a point is in the block.
-    pub(super) fn is_in(&self, x: DVec3, block: Block) -> bool {
+    pub(super) fn is_in(&self, x: DVec3, block: SkipBlock) -> bool {
         let same = |cell: [usize; 3]| (0..3).all(|axis| cell[axis] >> block.level == block.cell[axis] >> block.level);
         self.cell(x).is_some_and(same)
     }
 
     /// Distance at which a ray that is in the block leaves it, up to rounding.
-    pub(super) fn exit(&self, ray: &Ray, block: Block) -> f64 {
+    pub(super) fn exit(&self, ray: &Ray, block: SkipBlock) -> f64 {
         let edge = 1.0 / self.per_unit;
         let mut exit = f64::INFINITY;
         for axis in 0..3 {

@@ -4,7 +4,7 @@
 
 use glam::{DVec3, Vec3};
 
-use super::{Marcher, Walk};
+use super::{Marcher, SampleDistances};
 use crate::field::{Differentiable, RadianceField};
 use crate::geometry::Ray;
 
@@ -64,7 +64,7 @@ impl TracedRays {
 /// A ray while it is traced.
 struct Path<'a> {
     /// Distances still to sample.
-    pending: Walk<'a>,
+    pending: SampleDistances<'a>,
     optical_depth: f64,
     samples: usize,
     /// True once a sample had no valid density.

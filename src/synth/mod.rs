@@ -5,7 +5,7 @@
 //! and stored as f32. Radiance is a fixed function of position: a point has the same colour from anywhere. The
 //! scene lies in the box [−1, 1]³ with z up; front is −y, right is +x.
 //!
-//! In the order in which data flows: [`Mesh`] is read and placed. [`Scene`] intersects rays. [`LitScene`]
+//! In the order in which data flows: [`Mesh`] is read and placed. [`MeshScene`] intersects rays. [`LitScene`]
 //! gives hits a colour. [`viewpoints()`] places cameras. [`trace_view`] makes a picture. [`write_dataset`]
 //! writes all of it to a folder.
 
@@ -24,7 +24,7 @@ mod write;
 pub use mesh::{HALF_HEIGHT, Mesh, Placement, RADIUS, Up};
 pub use shade::LitScene;
 pub use texture::Texture;
-pub use trace::{GROUND_RADIUS, Hit, Scene, Surface};
+pub use trace::{GROUND_RADIUS, Hit, MeshScene, Surface};
 pub use triangle::{Crossing, ShearedRay};
 pub use view::{PixelSampling, TracedView, trace_view};
 pub use viewpoints::{ANGLE, DISTANCE, TARGET, viewpoints};

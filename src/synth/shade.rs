@@ -14,7 +14,7 @@ use rayon::prelude::*;
 
 use super::mesh::{HALF_HEIGHT, flat_normal};
 use super::texture::Texture;
-use super::trace::{GROUND_RADIUS, Hit, Scene, Surface};
+use super::trace::{GROUND_RADIUS, Hit, MeshScene, Surface};
 use crate::Result;
 use crate::geometry::Ray;
 use crate::monitor::{Monitor, check};
@@ -42,7 +42,7 @@ const CHUNK: usize = 256;
 
 /// A scene and its light.
 pub struct LitScene {
-    scene: Scene,
+    scene: MeshScene,
     texture: Texture,
     sun: DVec3,
     /// `[vertices]`: sky light on the side of the normal and on the other side, 0 to 1.
@@ -63,7 +63,7 @@ impl LitScene {
     ///
     /// # Errors
     /// [`crate::Error::Interrupted`] only.
-    pub fn new(scene: Scene, monitor: &dyn Monitor) -> Result<Self> {
+    pub fn new(scene: MeshScene, monitor: &dyn Monitor) -> Result<Self> {
         let mesh = scene.mesh();
         let vertices: Vec<(DVec3, DVec3)> =
             mesh.vertices().iter().copied().zip(mesh.normals().iter().copied()).collect();
@@ -84,7 +84,7 @@ impl LitScene {
 
     /// The geometry of the scene.
     #[must_use]
-    pub fn scene(&self) -> &Scene {
+    pub fn scene(&self) -> &MeshScene {
         &self.scene
     }
 
@@ -156,7 +156,7 @@ fn in_chunks<T: Sync, V: Send>(
 }
 
 /// Sky light at a point just above a surface of unit `normal`; `index` decides the jitter.
-fn sky_light(scene: &Scene, x: DVec3, normal: DVec3, index: usize) -> f32 {
+fn sky_light(scene: &MeshScene, x: DVec3, normal: DVec3, index: usize) -> f32 {
     let mut rng = ChaCha8Rng::seed_from_u64(0x5c1);
     rng.set_stream(index as u64);
     let (right, up) = normal.any_orthonormal_pair();
@@ -213,7 +213,7 @@ mod tests {
 
     #[test]
     fn ground_in_sun_and_shadow_and_colour_does_not_depend_on_the_view() {
-        let lit = LitScene::new(Scene::new(icosphere(0.3, 2)), &Silent).unwrap();
+        let lit = LitScene::new(MeshScene::new(icosphere(0.3, 2)), &Silent).unwrap();
         let along = SUN / SUN.z * HALF_HEIGHT;
         // Along the sun's direction through the ball's centre the ground is in its shadow, on the
         // other side in the sun.
@@ -232,7 +232,7 @@ mod tests {
     fn sky_light_of_a_vertical_wall_is_half_open() {
         // A wall far above the ground sees half of the cosine-weighted sky. The other half brings the bounce.
         let corners = [[0.0, 0.0, 0.0], [0.01, 0.0, 0.0], [0.0, 0.0, 0.01]].map(DVec3::from);
-        let scene = Scene::new(Mesh::new(corners.to_vec(), vec![[0, 1, 2]]).unwrap());
+        let scene = MeshScene::new(Mesh::new(corners.to_vec(), vec![[0, 1, 2]]).unwrap());
         let found = f64::from(sky_light(&scene, corners[0] + 0.01 * DVec3::Y, DVec3::Y, 3));
         // Only strata cut by the horizon are random: 2·12 of 144, each off by at most half,
         // so σ < sqrt(24)/2 / 144 = 0.017.

@@ -70,12 +70,12 @@ impl Hit {
 }
 
 /// A mesh and the ground disc z = −[`HALF_HEIGHT`] under it.
-pub struct Scene {
+pub struct MeshScene {
     mesh: Mesh,
     bvh: Bvh2,
 }
 
-impl Scene {
+impl MeshScene {
     /// Builds the hierarchy, deterministically.
     ///
     /// # Panics
@@ -133,7 +133,7 @@ impl Scene {
     /// Returns true if the ray meets anything.
     ///
     /// # Panics
-    /// As for [`Scene::nearest`].
+    /// As for [`MeshScene::nearest`].
     #[must_use]
     pub fn is_blocked(&self, ray: &Ray) -> bool {
         let sheared = ShearedRay::new(ray);
@@ -144,7 +144,7 @@ impl Scene {
             })
     }
 
-    /// Like [`Scene::nearest`], but tests every face: the slow reference.
+    /// Like [`MeshScene::nearest`], but tests every face: the slow reference.
     #[must_use]
     pub fn nearest_of_all(&self, ray: &Ray) -> Option<Hit> {
         let sheared = ShearedRay::new(ray);
@@ -191,7 +191,7 @@ mod tests {
             aim in 0..4,
         ) {
             for mesh in [soup(80, seed), icosphere(0.7, 1)] {
-                let scene = Scene::new(mesh);
+                let scene = MeshScene::new(mesh);
                 let corners = scene.mesh().corners(face);
                 let (origin, target) = match aim {
                     0 => (origin, target),
@@ -210,7 +210,7 @@ mod tests {
 
     #[test]
     fn a_closed_mesh_has_no_gap_at_its_vertices_and_edges() {
-        let scene = Scene::new(icosphere(0.7, 2));
+        let scene = MeshScene::new(icosphere(0.7, 2));
         let inside = DVec3::new(0.011, -0.007, 0.013);
         for face in 0..scene.mesh().faces().len() as u32 {
             let [a, b, _] = scene.mesh().corners(face);
@@ -224,7 +224,7 @@ mod tests {
     #[test]
     fn one_triangle_is_a_scene_and_the_ground_ends() {
         let corner = DVec3::new(0.0, 0.0, 0.5);
-        let scene = Scene::new(
+        let scene = MeshScene::new(
             Mesh::new(vec![corner, corner + 0.1 * DVec3::X, corner + 0.1 * DVec3::Y], vec![[0, 1, 2]]).unwrap(),
         );
         let down = |x, y| scene.nearest(&Ray::new(DVec3::new(x, y, 3.0), -DVec3::Z));

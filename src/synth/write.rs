@@ -11,7 +11,7 @@ use super::mesh::{Mesh, Placement, Up};
 use super::shade::{BOUNCE, LitScene, SKY_COLOR, SKY_RAYS, SUN, SUN_COLOR};
 use super::staged::StagedFolder;
 use super::texture::{COARSEST, FINEST};
-use super::trace::{GROUND_RADIUS, Scene};
+use super::trace::{GROUND_RADIUS, MeshScene};
 use super::view::{PixelSampling, TracedView, trace_view};
 use super::viewpoints::{ANGLE, DISTANCE, TARGET, viewpoints};
 use crate::dataset::Hemisphere;
@@ -165,7 +165,7 @@ pub fn write_dataset(mesh_path: &Path, target: &Path, settings: &DatasetSettings
     let folder = StagedFolder::create(target)?;
     let (mesh, placement) = Mesh::read(mesh_path)?.placed(settings.up);
     let [vertices, faces] = [mesh.vertices().len(), mesh.faces().len()];
-    let lit = LitScene::new(Scene::new(mesh), monitor)?;
+    let lit = LitScene::new(MeshScene::new(mesh), monitor)?;
 
     // The two spirals are turned differently, so that test cameras do not coincide with training cameras.
     let seeds = [settings.seed, settings.seed ^ 0x7e57];
@@ -200,7 +200,7 @@ pub fn write_dataset(mesh_path: &Path, target: &Path, settings: &DatasetSettings
         vertices,
         faces,
         placement,
-        aabb: Scene::bounds(),
+        aabb: MeshScene::bounds(),
         settings,
         cameras: CameraRecord {
             target: TARGET.to_array(),
@@ -282,7 +282,7 @@ fn transforms(split: &Split) -> Transforms {
             transform_matrix: [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]],
         }
     };
-    let bounds = Scene::bounds();
+    let bounds = MeshScene::bounds();
     Transforms {
         camera_angle_x: angle_x,
         camera_angle_y: angle_y,

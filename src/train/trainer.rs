@@ -180,7 +180,7 @@ impl<'a> Trainer<'a> {
         let rate = self.settings.learning_rate * self.settings.final_rate.powf(progress.clamp(0.0, 1.0) as f32);
         let adam = Adam::new(rate, self.steps);
         let mut sum = Network::zero();
-        groups.iter().for_each(|group| sum.add(&group.weights));
+        groups.iter().for_each(|group| sum += &group.weights);
         let network = self.parameters.network.layers_mut().into_iter().zip(sum.layers());
         let moments = self.network_moments.mean.layers_mut().into_iter().zip(self.network_moments.square.layers_mut());
         for ((weights, gradients), (mean, square)) in network.zip(moments) {

@@ -74,14 +74,14 @@ impl DatasetFiles {
         } else {
             dataset.to_path_buf()
         };
-        let split = FrameSplit::of(Views::read(&path, None)?);
+        let split = FrameSplit::new(Views::read(&path, None)?);
         if !split.has_images() {
             return Err(Error::malformed(&path, "`frames`", "images that exist", "none"));
         }
         let all = &Selection::All;
         let train = split.select(Part::Training, all, |_| true)?;
         let held_out = match test_partner(&path) {
-            Some(partner) => FrameSplit::of(Views::read(&partner, None)?).select(Part::HeldOut, all, has_image)?,
+            Some(partner) => FrameSplit::new(Views::read(&partner, None)?).select(Part::HeldOut, all, has_image)?,
             // A file of one part has nothing to spare.
             None => split.select(Part::HeldOut, all, |frame| !train.contains(frame))?,
         };

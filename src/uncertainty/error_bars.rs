@@ -69,7 +69,7 @@ impl Jackknife {
     /// # Panics
     /// If there are fewer than two groups, or the lengths differ.
     #[must_use]
-    pub fn of(theta: f64, deleted: &[f64], rays: &[u64]) -> Self {
+    pub fn new(theta: f64, deleted: &[f64], rays: &[u64]) -> Self {
         assert!(deleted.len() == rays.len() && rays.len() >= 2, "one value for each of two groups or more");
         let all: u64 = rays.iter().sum();
         let (groups, h) = (rays.len() as f64, |m: u64| all as f64 / m as f64);
@@ -171,7 +171,7 @@ impl UncertaintyField {
             let others = || groups.iter().enumerate().filter(move |(g, _)| *g != deleted).map(|(_, group)| group);
             let sum = |v: usize| {
                 others().fold(VertexSums::default(), |mut sum, group| {
-                    sum.add(&group[v]);
+                    sum += &group[v];
                     sum
                 })
             };
@@ -186,7 +186,7 @@ impl UncertaintyField {
                 return UNKNOWN;
             }
             let others: Vec<f64> = deleted.iter().map(|d| d.get(v).log10()).collect();
-            f16::from_f64(Jackknife::of(self.deviations.get(v).log10(), &others, rays).error()).to_bits()
+            f16::from_f64(Jackknife::new(self.deviations.get(v).log10(), &others, rays).error()).to_bits()
         };
         let errors = (0..vertices).into_par_iter().map(error).collect();
         self.error_bars = Some(ErrorBars { groups: groups.len() as u16, errors });
@@ -236,7 +236,7 @@ mod tests {
             let deleted: Vec<f64> = (0..values.len()).map(|g| mean(Some(g))).collect();
             let terms = values.iter().zip(&rays).map(|(x, &m)| (x - theta).powi(2) * m as f64 / (all - m) as f64);
             let expected = (terms.sum::<f64>() / values.len() as f64).sqrt();
-            let found = Jackknife::of(theta, &deleted, &rays);
+            let found = Jackknife::new(theta, &deleted, &rays);
             // θ and θ_g are rounded to 1e3 · 2⁻⁵³; pseudo-values magnify that by h ≤ 2e4.
             let error = (found.standard_error - expected).abs();
             prop_assert!(error <= 1e-8 * expected.max(1.0), "{:?} instead of {}", found, expected);
@@ -245,7 +245,7 @@ mod tests {
 
         #[test]
         fn two_groups_are_split_half(a in -5.0..5.0_f64, b in -5.0..5.0_f64) {
-            let found = Jackknife::of(0.5 * (a + b), &[b, a], &[7, 7]).error();
+            let found = Jackknife::new(0.5 * (a + b), &[b, a], &[7, 7]).error();
             prop_assert!((found - 0.5 * (a - b).abs()).abs() < 1e-14);
         }
 
@@ -254,7 +254,7 @@ mod tests {
             let n = values.len() as f64;
             let sum: f64 = values.iter().sum();
             let deleted: Vec<f64> = values.iter().map(|x| ((sum - x) / (n - 1.0)).powi(2)).collect();
-            let found = Jackknife::of((sum / n).powi(2), &deleted, &vec![5; values.len()]);
+            let found = Jackknife::new((sum / n).powi(2), &deleted, &vec![5; values.len()]);
             // Known (Efron 1982, Sec. 2.1): exactly s²/n.
             let expected = values.iter().map(|x| (x - sum / n).powi(2)).sum::<f64>() / (n - 1.0) / n;
             prop_assert!((found.bias - expected).abs() < 1e-12 * n * n, "{:?} instead of {}", found, expected);

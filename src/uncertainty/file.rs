@@ -148,7 +148,7 @@ impl UncertaintyField {
         // Deserialisation bypasses the checks of the constructors.
         let lattice = header.lattice.domain().checked();
         let lattice = lattice
-            .and_then(|domain| Lattice::of_domain(domain, header.lattice.level()))
+            .and_then(|domain| Lattice::from_domain(domain, header.lattice.level()))
             .map_err(|e| Error::malformed(path, "header", "a valid domain and level", e.to_string()))?;
         let protocol = header.protocol;
         if !protocol.is_possible() {

@@ -66,7 +66,7 @@ pub fn merge(parts: &[UncertaintyField]) -> Result<UncertaintyField> {
         Support::Dense => {
             let mut sums = DensePosterior::new(first.lattice).into_sums();
             for part in kept {
-                sums.iter_mut().zip(part).for_each(|(sum, more)| sum.add(more));
+                sums.iter_mut().zip(part).for_each(|(sum, more)| *sum += more);
             }
             Ok(UncertaintyField::new(protocol, first.lattice, Support::Dense, sums)
                 .with_surface(surface)

@@ -127,10 +127,10 @@ impl UncertaintyField {
         let vertices = vertex_count(&lattice, &support);
         assert_eq!(sums.len() as u64, vertices, "one entry per vertex");
         let limits = MaxLevels::none(lattice.level());
-        Self::of_limits(protocol, lattice, support, limits, sums)
+        Self::on_leaves(protocol, lattice, support, limits, sums)
     }
 
-    fn of_limits(
+    fn on_leaves(
         protocol: Protocol,
         lattice: Lattice,
         support: Support,
@@ -178,7 +178,7 @@ impl UncertaintyField {
         let floor = protocol.criteria.sensitivity.then_some(floor);
         let refinement = Refinement { floor, pooling, wanted };
         let (octree, sums) = posterior.into_octree(&refinement);
-        Self::of_limits(protocol, lattice, Support::Octree(octree), limits, sums)
+        Self::on_leaves(protocol, lattice, Support::Octree(octree), limits, sums)
     }
 
     /// The same field without its sums: a tenth of the memory, but the covariance is fixed.
@@ -202,7 +202,7 @@ impl UncertaintyField {
 
     /// The same field with the [checksum](crate::open::checksum) of the model that it was computed from.
     #[must_use]
-    pub fn of_model(mut self, checksum: u32) -> Self {
+    pub fn with_model(mut self, checksum: u32) -> Self {
         self.protocol.origin.model = Some(checksum);
         self
     }

@@ -110,7 +110,7 @@ fn error_bars_are_those_of_fields_without_each_group() {
             let mut known = 0;
             for (v, e) in sums.iter().enumerate() {
                 let deleted = others.each_ref().map(|other| other.deviations().get(v).log10());
-                let expected = Jackknife::of(field.deviations().get(v).log10(), &deleted, &[8, 7, 5]).error();
+                let expected = Jackknife::new(field.deviations().get(v).log10(), &deleted, &[8, 7, 5]).error();
                 if e.rays == 0 || v.is_multiple_of(5) {
                     assert_eq!(bars.get(v), None, "one group or none saw vertex {v}");
                 } else {
@@ -245,7 +245,7 @@ fn files_survive_bit_by_bit() {
             field.without_sums(),
             drawn(&bars),
             bars.clone().without_sums(),
-            drawn(&bars).of_model(0xfedc_ba98),
+            drawn(&bars).with_model(0xfedc_ba98),
         ];
         for (j, field) in all.into_iter().enumerate() {
             let [first, second] = ["a", "b"].map(|name| folder.path().join(format!("{name}{i}{j}.oct")));

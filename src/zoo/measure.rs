@@ -11,7 +11,7 @@ impl Quantity {
     /// Measures the quantity for a field that was not pooled. [`Quantity::Diagonal`], [`Quantity::Block`] and
     /// [`Quantity::Moved`] are 0 if the field did not keep its vertex sums.
     #[must_use]
-    pub fn of(self, field: &UncertaintyField) -> f64 {
+    pub fn read(self, field: &UncertaintyField) -> f64 {
         let protocol = field.protocol();
         // Decades below the prior, for every vertex.
         let gains = |covariance: Covariance| {

@@ -100,7 +100,7 @@ pub struct Claim {
 
 /// A hard scene.
 #[derive(Debug, Clone)]
-pub struct Scene {
+pub struct HardScene {
     /// Name of the scene.
     pub name: &'static str,
     /// What is hard about the scene, and what to expect.
@@ -115,7 +115,7 @@ pub struct Scene {
     pub claims: Vec<Claim>,
 }
 
-impl Scene {
+impl HardScene {
     /// Training cameras of the scene.
     #[must_use]
     pub fn cameras(&self) -> Vec<Camera> {
@@ -126,7 +126,7 @@ impl Scene {
 
 /// All scenes of the zoo.
 #[must_use]
-pub fn all() -> Vec<Scene> {
+pub fn all() -> Vec<HardScene> {
     [surfaces::all(), views::all(), rays::all(), boxes::all(), values::all()].concat()
 }
 
@@ -140,7 +140,7 @@ pub fn names() -> Vec<&'static str> {
 ///
 /// # Errors
 /// If there is no such scene.
-pub fn by_name(name: &str) -> Result<Scene> {
+pub fn by_name(name: &str) -> Result<HardScene> {
     let mut scenes = all();
     match scenes.iter().position(|scene| scene.name == name) {
         Some(i) => Ok(scenes.swap_remove(i)),

@@ -3,11 +3,11 @@
 use glam::{DVec3, Vec3};
 
 use super::surfaces::wall;
-use super::{CELL, Quantity, Scene, Specimen, Treatment, Verdict, claim, one, single_rays, waves};
+use super::{CELL, HardScene, Quantity, Specimen, Treatment, Verdict, claim, one, single_rays, waves};
 
 /// All scenes of this module.
 #[must_use]
-pub fn all() -> Vec<Scene> {
+pub fn all() -> Vec<HardScene> {
     vec![lattice_line(), lattice_vertex(), in_face(), grazing()]
 }
 
@@ -18,14 +18,14 @@ fn specimen(name: &str, viewpoints: Vec<(DVec3, DVec3)>) -> Specimen {
     Specimen::new(one(name, wall(Vec3::X, waves(9.0))), Treatment::Exact, single_rays(viewpoints))
 }
 
-fn lattice_line() -> Scene {
+fn lattice_line() -> HardScene {
     // Along x, exactly on lattice lines, where y and z are multiples of a cell.
     let cell = f64::from(CELL);
     let rays = (0..16).map(|i| {
         let (y, z) = (f64::from(2 * (i % 4) - 3) * cell, f64::from(2 * (i / 4) - 3) * cell);
         (DVec3::new(2.5, y, z), DVec3::new(0.0, y, z))
     });
-    Scene {
+    HardScene {
         name: "ray-lattice-line",
         about: "Rays exactly on lattice lines: samples lie on cells' edges, where three of four vertices around have weight 0. They are not moved.",
         field: specimen("ray-lattice-line", rays.collect()),
@@ -40,7 +40,7 @@ fn lattice_line() -> Scene {
     }
 }
 
-fn lattice_vertex() -> Scene {
+fn lattice_vertex() -> HardScene {
     // Along space diagonals through lattice points: rounding decides in which of eight cells a sample falls.
     let cell = f64::from(CELL);
     let rays = (0..16).map(|i| {
@@ -48,7 +48,7 @@ fn lattice_vertex() -> Scene {
         let sign = |bit: i32| if i >> bit & 1 == 0 { 1.0 } else { -1.0 };
         (vertex + 1.5 * DVec3::new(1.0, sign(0), sign(1)), vertex)
     });
-    Scene {
+    HardScene {
         name: "ray-lattice-vertex",
         about: "Rays along space diagonals through lattice vertices: rounding decides in which cell a sample falls, and must not matter.",
         field: specimen("ray-lattice-vertex", rays.collect()),
@@ -58,7 +58,7 @@ fn lattice_vertex() -> Scene {
     }
 }
 
-fn in_face() -> Scene {
+fn in_face() -> HardScene {
     // In the two faces of the box across y, straight and oblique, and in lattice planes inside.
     let cell = f64::from(CELL);
     let rays = (0..16).map(|i| {
@@ -66,7 +66,7 @@ fn in_face() -> Scene {
         let z = 0.1 * f64::from(i / 4) - 0.13;
         (DVec3::new(2.5, y, z), DVec3::new(0.0, y, -z))
     });
-    Scene {
+    HardScene {
         name: "ray-in-face",
         about: "Rays that run in the box's faces and in lattice planes: faces belong to the box, and derivatives there look inwards only.",
         field: specimen("ray-in-face", rays.collect()),
@@ -76,7 +76,7 @@ fn in_face() -> Scene {
     }
 }
 
-fn grazing() -> Scene {
+fn grazing() -> HardScene {
     let corner = DVec3::ONE;
     let across = DVec3::new(1.0, -1.0, 0.0);
     let beside = 1.0 + 1e-9;
@@ -95,7 +95,7 @@ fn grazing() -> Scene {
         // Past everything.
         (DVec3::new(2.5, 3.0, 0.0), DVec3::new(0.0, 3.0, 0.0)),
     ];
-    Scene {
+    HardScene {
         name: "ray-grazing",
         about: "Rays along the box's edges, past them by a billionth, and through its corners: those along an edge count, the others see nothing.",
         field: specimen("ray-grazing", rays),

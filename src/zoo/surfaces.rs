@@ -4,14 +4,14 @@ use std::f32::consts::PI;
 
 use glam::Vec3;
 
-use super::{CELL, Scene, Specimen, Treatment, Verdict, claim, one, ring, several, waves};
+use super::{CELL, HardScene, Specimen, Treatment, Verdict, claim, one, ring, several, waves};
 use super::{Primitive, Quantity, Shape, Texture};
 
 const PLAIN: Texture = Texture::Plain(Vec3::new(0.8, 0.3, 0.2));
 
 /// All scenes of this module.
 #[must_use]
-pub fn all() -> Vec<Scene> {
+pub fn all() -> Vec<HardScene> {
     vec![
         wall_axis(),
         wall_diagonal(),
@@ -43,8 +43,8 @@ pub fn checks(edge: f32) -> Texture {
     waves(PI / edge)
 }
 
-fn wall_axis() -> Scene {
-    Scene {
+fn wall_axis() -> HardScene {
+    HardScene {
         name: "wall-axis",
         about: "A textureless wall that faces an axis: nothing tells how far it slides along itself, so that two of three priors stay, in \
                 every reading.",
@@ -59,8 +59,8 @@ fn wall_axis() -> Scene {
     }
 }
 
-fn wall_diagonal() -> Scene {
-    Scene {
+fn wall_diagonal() -> HardScene {
+    HardScene {
         name: "wall-diagonal",
         about: "The same wall, facing (1, 1, 1): `block` says what it said before, but `diagonal` (the paper's) now takes the wall for pinned \
                 in all directions, decades below.",
@@ -76,9 +76,9 @@ fn wall_diagonal() -> Scene {
     }
 }
 
-fn checker_coarse() -> Scene {
+fn checker_coarse() -> HardScene {
     let field = one("checker-coarse", wall(Vec3::X, checks(4.0 * CELL)));
-    Scene {
+    HardScene {
         name: "checker-coarse",
         about: "A wall of checks four cells wide: texture pins all three directions.",
         field: Specimen::new(field, Treatment::Exact, ring()),
@@ -88,9 +88,9 @@ fn checker_coarse() -> Scene {
     }
 }
 
-fn checker_fine() -> Scene {
+fn checker_fine() -> HardScene {
     let field = one("checker-fine", wall(Vec3::X, checks(0.25 * CELL)));
-    Scene {
+    HardScene {
         name: "checker-fine",
         about: "A wall of checks a quarter of a cell wide: U is small, as a small shift is noticed at once; that a shift by two checks looks the \
                 same again is beyond a Laplace approximation. A vertex moves many checks together.",
@@ -101,11 +101,11 @@ fn checker_fine() -> Scene {
     }
 }
 
-fn opaque_step() -> Scene {
+fn opaque_step() -> HardScene {
     let solid = |shape| Primitive { shape, peak: 1e4, softness: 1e-3 * CELL, texture: PLAIN };
     let round = Shape::Ball { center: Vec3::new(0.0, 0.45, 0.1), radius: 0.4 };
     let square = Shape::Box { center: Vec3::new(0.1, -0.45, -0.1), half: Vec3::new(0.3, 0.25, 0.4) };
-    Scene {
+    HardScene {
         name: "opaque-step",
         about: "Density from 0 to 10,000 within a five hundredth of a cell: its derivative is a spike that few samples meet. Where one does, U is far too small, \
                 elsewhere it is the prior; how many do depends on the step of the finite differences, which blurs the spike. It is chance.",
@@ -120,12 +120,12 @@ fn opaque_step() -> Scene {
     }
 }
 
-fn thin_sheet() -> Scene {
+fn thin_sheet() -> HardScene {
     let shape = Shape::Slab { center: 0.5 * CELL * Vec3::X, normal: Vec3::X, half: CELL / 16.0 };
     let sheet = Primitive { shape, peak: 200.0, softness: CELL / 32.0, texture: waves(9.0) };
     let mut field = one("thin-sheet", sheet);
     field = field.with_step(f64::from(CELL) / 32.0);
-    Scene {
+    HardScene {
         name: "thin-sheet",
         about: "A sheet an eighth of a cell thick between two lattice planes: its two sides pull at the same vertices and nearly cancel within a \
                 ray, which is why Jacobians are summed over the ray before they are squared.",
@@ -140,10 +140,10 @@ fn thin_sheet() -> Scene {
     }
 }
 
-fn fog() -> Scene {
+fn fog() -> HardScene {
     let shape = Shape::Fog { center: Vec3::ZERO, radius: 0.9 };
     let fog = Primitive { shape, peak: 0.5, softness: 0.0, texture: Texture::Plain(Vec3::new(0.7, 0.6, 0.8)) };
-    Scene {
+    HardScene {
         name: "fog",
         about: "Thin fog and nothing else: every part of it can be moved far before a pixel changes, so that U is large everywhere; but images \
                 say a little about all of it, and the prior is weak enough to be moved by that.",
@@ -154,9 +154,9 @@ fn fog() -> Scene {
     }
 }
 
-fn saturated() -> Scene {
+fn saturated() -> HardScene {
     let field = one("saturated", wall(Vec3::X, waves(9.0)));
-    Scene {
+    HardScene {
         name: "saturated",
         about: "A textured wall whose colours lie where the sigmoid is flat: the texture is there in the network and gone in the picture, so that the wall \
                 counts as textureless.",

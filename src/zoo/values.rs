@@ -2,19 +2,19 @@
 
 use glam::Vec3;
 
-use super::{Quantity, Scene, Specimen, Treatment, Verdict, ball, claim, one, ring};
+use super::{HardScene, Quantity, Specimen, Treatment, Verdict, ball, claim, one, ring};
 
 /// All scenes of this module.
 #[must_use]
-pub fn all() -> Vec<Scene> {
+pub fn all() -> Vec<HardScene> {
     let mut scenes = vec![aligned(), misaligned(), half_precision()];
     scenes.extend(FAULTS.map(|(name, about, density)| fault(name, about, density)));
     scenes.extend([denormal(), fault_everywhere()]);
     scenes
 }
 
-fn aligned() -> Scene {
-    Scene {
+fn aligned() -> HardScene {
+    HardScene {
         name: "lattice-aligned",
         about: "A piecewise trilinear field (as a hash grid is) whose cells are the lattice's: its gradient jumps exactly at the vertices. A difference \
                 across a kink is the mean of both sides.",
@@ -25,8 +25,8 @@ fn aligned() -> Scene {
     }
 }
 
-fn misaligned() -> Scene {
-    Scene {
+fn misaligned() -> HardScene {
+    HardScene {
         name: "lattice-misaligned",
         about: "The same with cells of 2/23, against the lattice's 2/32: its gradient jumps anywhere within a cell.",
         field: Specimen::new(one("lattice-misaligned", ball()), Treatment::Grid { points: 24 }, ring()),
@@ -36,8 +36,8 @@ fn misaligned() -> Scene {
     }
 }
 
-fn half_precision() -> Scene {
-    Scene {
+fn half_precision() -> HardScene {
+    HardScene {
         name: "half-precision",
         about: "A field that returns f16: a staircase, whose differences over a 256th of a cell are 0 on a tread and far too large at a riser. U \
                 is too small where the field is flatter than its noise; a larger --step helps.",
@@ -63,9 +63,9 @@ const FAULTS: [(&str, &str, f32); 3] = [
 ];
 
 /// A spot on the ball's surface, so small that less than a hundredth of the rays meet it.
-fn fault(name: &'static str, about: &'static str, density: f32) -> Scene {
+fn fault(name: &'static str, about: &'static str, density: f32) -> HardScene {
     let treatment = Treatment::Fault { density, center: Vec3::new(0.3, 0.3, 0.26), radius: 0.13 };
-    Scene {
+    HardScene {
         name,
         about,
         field: Specimen::new(one(name, ball()), treatment, ring()),
@@ -78,10 +78,10 @@ fn fault(name: &'static str, about: &'static str, density: f32) -> Scene {
     }
 }
 
-fn denormal() -> Scene {
+fn denormal() -> HardScene {
     // The smallest normal number is 1.2e-38.
     let treatment = Treatment::Fault { density: 1e-40, center: Vec3::new(0.3, 0.3, 0.26), radius: 0.3 };
-    Scene {
+    HardScene {
         name: "fault-denormal",
         about: "Denormal densities in a bite out of the ball: as good as none.",
         field: Specimen::new(one("fault-denormal", ball()), treatment, ring()),
@@ -94,9 +94,9 @@ fn denormal() -> Scene {
     }
 }
 
-fn fault_everywhere() -> Scene {
+fn fault_everywhere() -> HardScene {
     let treatment = Treatment::Fault { density: f32::NAN, center: Vec3::new(0.3, 0.3, 0.26), radius: 0.5 };
-    Scene {
+    HardScene {
         name: "fault-everywhere",
         about: "NaN over half of the ball: what is left would be no answer, so that the run ends with an error which names the first position.",
         field: Specimen::new(one("fault-everywhere", ball()), treatment, ring()),

@@ -2,11 +2,11 @@
 
 use glam::{DVec3, Vec3};
 
-use super::{Primitive, Quantity, Rig, Scene, Shape, Specimen, Treatment, Verdict, ball, claim, one, waves};
+use super::{HardScene, Primitive, Quantity, Rig, Shape, Specimen, Treatment, Verdict, ball, claim, one, waves};
 
 /// All scenes of this module.
 #[must_use]
-pub fn all() -> Vec<Scene> {
+pub fn all() -> Vec<HardScene> {
     vec![one_camera(), two_cameras(), no_camera(), camera_inside()]
 }
 
@@ -16,9 +16,9 @@ fn seen_from(viewpoints: Vec<(DVec3, DVec3)>) -> Rig {
 
 const EYE: DVec3 = DVec3::new(2.6, 0.4, 0.7);
 
-fn one_camera() -> Scene {
+fn one_camera() -> HardScene {
     let rig = seen_from(vec![(EYE, DVec3::ZERO)]);
-    Scene {
+    HardScene {
         name: "one-camera",
         about: "A textured ball seen by one camera: its front is pinned across the line of sight; along it, moving matter changes a pixel only by \
                 what its own colour and density vary, which one picture cannot tell from anything else.",
@@ -29,11 +29,11 @@ fn one_camera() -> Scene {
     }
 }
 
-fn two_cameras() -> Scene {
+fn two_cameras() -> HardScene {
     // 2 degrees apart.
     let turn = glam::DMat3::from_rotation_z(2_f64.to_radians());
     let rig = seen_from(vec![(EYE, DVec3::ZERO), (turn * EYE, DVec3::ZERO)]);
-    Scene {
+    HardScene {
         name: "two-cameras",
         about: "The same ball seen by two cameras two degrees apart: a Laplace approximation takes them for twice the pictures of one, not for a \
                 stereo pair.",
@@ -44,9 +44,9 @@ fn two_cameras() -> Scene {
     }
 }
 
-fn no_camera() -> Scene {
+fn no_camera() -> HardScene {
     let rig = seen_from(vec![(EYE, 2.0 * EYE), (-EYE, -2.0 * EYE)]);
-    Scene {
+    HardScene {
         name: "no-camera",
         about: "A ball that two cameras turn their backs on: U is the prior everywhere, to the last bit.",
         field: Specimen::new(one("no-camera", ball()), Treatment::Exact, rig),
@@ -59,7 +59,7 @@ fn no_camera() -> Scene {
     }
 }
 
-fn camera_inside() -> Scene {
+fn camera_inside() -> HardScene {
     let cloud = Primitive {
         shape: Shape::Fog { center: Vec3::ZERO, radius: 0.9 },
         peak: 8.0,
@@ -72,7 +72,7 @@ fn camera_inside() -> Scene {
         fov_x: 1.6,
         resolution: [64, 64],
     };
-    Scene {
+    HardScene {
         name: "camera-inside",
         about: "Cameras inside a cloud: rays begin in the middle of density, and the nearest matter is seen best.",
         field: Specimen::new(one("camera-inside", cloud), Treatment::Exact, rig),

@@ -13,7 +13,7 @@ use octobayes::Error;
 use octobayes::estimate::{Estimation, GridSettings, Outcome, RaySettings};
 use octobayes::field::RadianceField;
 use octobayes::uncertainty::compare as compare_fields;
-use octobayes::zoo::{self, Quantity, Scene, Treatment, Verdict};
+use octobayes::zoo::{self, HardScene, Quantity, Treatment, Verdict};
 
 use compare::{Case, error, nothing_left_out};
 use oracle::Derivatives;
@@ -32,7 +32,7 @@ struct Limits {
 /// What the cutoff leaves out has no bound at single vertices that have hardly any other information: 0.05.
 const USUAL: Limits = Limits { hessian: 2e-2, default: [1e-3, 0.05] };
 
-fn limits(scene: &Scene) -> Limits {
+fn limits(scene: &HardScene) -> Limits {
     match (scene.name, scene.field.treatment()) {
         // Positions are rounded by 6e-8 in a ramp of 1.2e-4. At its foot the density grows with the third power,
         // and one sample may be all that a vertex has.
@@ -48,7 +48,7 @@ fn limits(scene: &Scene) -> Limits {
 }
 
 /// Compares a case of the zoo on few rays: errors of single vertices do not depend on their number.
-fn agrees_with_the_oracle(scene: &Scene) {
+fn agrees_with_the_oracle(scene: &HardScene) {
     let cameras = scene.cameras();
     let case = Case { field: &scene.field, cameras: &cameras, level: scene.level, rays: 1024 };
     let (rays, grid) = case.defaults();
@@ -87,7 +87,7 @@ mod agreement {
     agreement!(surfaces views rays boxes values);
 }
 
-fn settings(scene: &Scene, rays: u64) -> (RaySettings, GridSettings) {
+fn settings(scene: &HardScene, rays: u64) -> (RaySettings, GridSettings) {
     let grid = GridSettings::default().level(scene.level);
     (RaySettings::default().rays(rays).occupancy(48), grid)
 }
@@ -99,7 +99,7 @@ fn every_claim_holds() {
         for claim in &scene.claims {
             let Outcome { field, .. } =
                 Estimation::new(&scene.field, &scene.cameras()).rays(rays).grid(grid).run().unwrap();
-            let found = claim.quantity.of(&field);
+            let found = claim.quantity.read(&field);
             assert!(claim.range.contains(&found), "{}: {:?} {found}, {claim:?}", scene.name, claim.quantity);
         }
     }
@@ -132,7 +132,7 @@ fn a_scene_too_far_from_the_origin_is_refused_before_any_work_is_done() {
     // A step of a quarter of a cell is two f32 positions wide there.
     let wider = rays.step(Some(0.25));
     let Outcome { field, .. } = Estimation::new(&scene.field, &scene.cameras()).rays(wider).grid(grid).run().unwrap();
-    assert!(Quantity::Block.of(&field) > 1.0);
+    assert!(Quantity::Block.read(&field) > 1.0);
 }
 
 #[test]

@@ -6,12 +6,12 @@ use octobayes::field::{Radiance, RadianceField};
 use octobayes::geometry::{Aabb, Camera, Domain, Ray};
 use octobayes::posterior::{Covariance, DensePosterior, Posterior, VertexSums, trace};
 use octobayes::render::{Differences, Differentiation, JacobianBuffers, Marcher, Tracer};
-use octobayes::zoo::{self, CELL, Scene, surfaces};
+use octobayes::zoo::{self, CELL, HardScene, surfaces};
 
 use crate::compare::{Case, Run, cameras, error, lambda, nothing_left_out};
 use crate::oracle::Derivatives;
 
-fn scene(name: &str) -> Scene {
+fn scene(name: &str) -> HardScene {
     zoo::by_name(name).unwrap()
 }
 

@@ -6,7 +6,7 @@ use crate::cli::report;
 use crate::field::{ClosedForm, HashGrid, Intrinsics, RadianceField};
 use crate::geometry::{Aabb, Camera};
 use crate::uncertainty::UncertaintyField;
-use crate::zoo::{self, Scene};
+use crate::zoo::{self, HardScene};
 use crate::{Error, Result};
 
 /// Cameras of the courtyard, all on one side.
@@ -43,7 +43,7 @@ pub struct DemoScene {
     /// How U is shown; `None` for [`Shown::below`] its prior.
     pub shown: Option<Shown>,
     /// The scene of the zoo with its expectations, if it is one.
-    pub hard: Option<Scene>,
+    pub hard: Option<HardScene>,
 }
 
 /// How U is shown.
@@ -127,7 +127,7 @@ impl DemoScene {
     pub fn outcome(&self, field: &UncertaintyField) -> Option<String> {
         let scene = self.hard.as_ref()?;
         let line = |claim: &zoo::Claim| {
-            let (found, range) = (claim.quantity.of(field), &claim.range);
+            let (found, range) = (claim.quantity.read(field), &claim.range);
             let judged = if range.contains(&found) { "as expected" } else { "NOT as expected" };
             let [low, high, found] = [*range.start(), *range.end(), found].map(report::short);
             format!(
@@ -150,7 +150,7 @@ fn outside(bounds: &Aabb, side: f64) -> Camera {
 /// All names, and what to expect of the hard scenes.
 pub fn list() -> String {
     let built_in = ClosedForm::NAMES.join(", ");
-    let line = |scene: Scene| format!("  {:<20} {}: {}", scene.name, scene.verdict.words(), scene.about);
+    let line = |scene: HardScene| format!("  {:<20} {}: {}", scene.name, scene.verdict.words(), scene.about);
     let hard: Vec<String> = zoo::all().into_iter().map(line).collect();
     format!("built-in: {built_in}, city-SEED\nhard, each in one way:\n{}", hard.join("\n"))
 }

@@ -163,8 +163,8 @@ impl Args {
         }
         bars.end();
         let measures = evaluator.measures();
-        let scores: Option<Vec<Score>> = (0..measures.len()).map(|m| Score::of(&judged, m)).collect();
-        let depth = DepthError::of(&judged);
+        let scores: Option<Vec<Score>> = (0..measures.len()).map(|m| Score::new(&judged, m)).collect();
+        let depth = DepthError::new(&judged);
         let (scores, depth) = scores.zip(depth).ok_or_else(|| {
             let found = judged.iter().map(|view| view.pixels.len()).sum::<usize>().to_string();
             let expected = format!("at least {STEPS} pixels with depth and some error");

@@ -38,7 +38,7 @@ pub struct FrameOptions {
 impl FrameOptions {
     /// Selects frames of a part. Says on stderr how many, and why the others are left out.
     fn select(&self, part: Part, views: Views) -> Result<Vec<Frame>> {
-        let split = FrameSplit::of(views);
+        let split = FrameSplit::new(views);
         let frames = split.select(part, &self.views.clone().unwrap_or_default(), |_| true)?;
         eprintln!("note: {}", split.describe(part, &frames));
         Ok(frames)
@@ -63,7 +63,7 @@ impl CameraFile {
     pub fn read(&self) -> Result<Views> {
         let mut views = Views::read(&self.cameras, self.resolution.and_then(Resolution::size))?;
         if let Some(resolution) = self.resolution {
-            views.frames.iter_mut().for_each(|frame| frame.camera = resolution.of(&frame.camera));
+            views.frames.iter_mut().for_each(|frame| frame.camera = resolution.apply(&frame.camera));
             views.resolution_source = ResolutionSource::Requested;
         }
         if views.resolution_source == ResolutionSource::Assumed {
@@ -113,7 +113,7 @@ impl CameraOptions {
         })?;
         let names = model.training_cameras();
         let name_of = |i: usize| names.get(i).map_or_else(|| format!("pose {i}"), |named| named.name.clone());
-        let sized = |camera| self.resolution.map_or(camera, |resolution| resolution.of(&camera));
+        let sized = |camera| self.resolution.map_or(camera, |resolution| resolution.apply(&camera));
         let frame = |(i, camera)| Frame { camera: sized(camera), name: name_of(i), image: PathBuf::new() };
         Ok(Views {
             path: PathBuf::from(name),

@@ -88,7 +88,7 @@ impl Resolution {
     }
 
     /// The camera at this size.
-    pub fn of(self, camera: &Camera) -> Camera {
+    pub fn apply(self, camera: &Camera) -> Camera {
         match self {
             Self::Width(width) => scaled(camera, f64::from(width) / f64::from(camera.resolution[0])),
             Self::Size(size) => camera.resized(size),
@@ -165,11 +165,11 @@ mod tests {
     #[test]
     fn a_width_alone_keeps_the_aspect_ratio() {
         let camera = Camera::look_at(DVec3::X, DVec3::ZERO, DVec3::Z, 0.7, [1080, 1920]);
-        let small = Resolution::Width(200).of(&camera);
+        let small = Resolution::Width(200).apply(&camera);
         assert_eq!(small.resolution, [200, 356]);
         // 355.6 is rounded, and the pixels with it: they stay square to within that.
         assert!((small.focal[0] / small.focal[1] - 1.0).abs() < 0.5 / 356.0);
-        assert_eq!(Resolution::Size([30, 20]).of(&camera).resolution, [30, 20]);
+        assert_eq!(Resolution::Size([30, 20]).apply(&camera).resolution, [30, 20]);
         assert_eq!(scaled(&camera, 1e-9).resolution, [1, 1]);
     }
 

@@ -105,7 +105,7 @@ impl Complaint {
         Self { place: place.into(), expected: expected.into(), found: found.into() }
     }
 
-    fn of(self, path: &Path) -> Error {
+    fn in_file(self, path: &Path) -> Error {
         Error::malformed(path, self.place, self.expected, self.found)
     }
 }
@@ -153,11 +153,11 @@ impl ModelFiles {
     pub fn read(&self, path: &Path, requested: Option<[u32; 2]>) -> Result<Views> {
         let bytes = |path: &Path| std::fs::read(path).map_err(Error::io(path, "cannot read"));
         let (cameras, mut images) = if self.is_binary {
-            let cameras = binary::cameras(&bytes(&self.cameras)?).map_err(|e| e.of(&self.cameras))?;
-            (cameras, binary::images(&bytes(&self.images)?).map_err(|e| e.of(&self.images))?)
+            let cameras = binary::cameras(&bytes(&self.cameras)?).map_err(|e| e.in_file(&self.cameras))?;
+            (cameras, binary::images(&bytes(&self.images)?).map_err(|e| e.in_file(&self.images))?)
         } else {
-            let cameras = text::cameras(&crate::io::read_text(&self.cameras)?).map_err(|e| e.of(&self.cameras))?;
-            (cameras, text::images(&crate::io::read_text(&self.images)?).map_err(|e| e.of(&self.images))?)
+            let cameras = text::cameras(&crate::io::read_text(&self.cameras)?).map_err(|e| e.in_file(&self.cameras))?;
+            (cameras, text::images(&crate::io::read_text(&self.images)?).map_err(|e| e.in_file(&self.images))?)
         };
         if images.is_empty() {
             return Err(Error::malformed(&self.images, "images", "at least one image", "none"));
@@ -168,15 +168,15 @@ impl ModelFiles {
             let at = |what: &str| format!("image `{}`, {what}", image.name);
             let raw = cameras.get(&image.camera).ok_or_else(|| {
                 let found = format!("no camera {}", image.camera);
-                Complaint::new(at("camera"), "a camera of the model", found).of(&self.images)
+                Complaint::new(at("camera"), "a camera of the model", found).in_file(&self.images)
             })?;
             let camera = lens(raw, requested).map_err(|mut complaint| {
                 complaint.place = format!("camera {}, {}", image.camera, complaint.place);
-                complaint.of(&self.cameras)
+                complaint.in_file(&self.cameras)
             })?;
             let (position, axes) = pose(&image).map_err(|found| {
                 let expected = "a rotation (quaternion of length 1) and a finite translation";
-                Complaint::new(at("pose"), expected, found).of(&self.images)
+                Complaint::new(at("pose"), expected, found).in_file(&self.images)
             })?;
             let file = folder.join(&image.name);
             Ok(Frame { camera: Camera { position, axes, ..camera }, name: image.name, image: file })

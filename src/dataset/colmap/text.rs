@@ -13,7 +13,7 @@ struct Words<'a> {
 }
 
 impl<'a> Words<'a> {
-    fn of(text: &'a str, line: usize) -> Self {
+    fn new(text: &'a str, line: usize) -> Self {
         Self { words: text.split_whitespace(), line }
     }
 
@@ -48,7 +48,7 @@ pub fn cameras(text: &str) -> Parsed<HashMap<u32, RawCamera>> {
     let mut cameras = HashMap::new();
     let lines = (1..).zip(text.lines()).filter(|(_, line)| !is_comment(line) && !line.trim().is_empty());
     for (number, line) in lines {
-        let mut words = Words::of(line, number);
+        let mut words = Words::new(line, number);
         let id = words.number("the number of a camera")?;
         let lens = Lens::named(words.word("a camera model")?).map_err(|mut complaint| {
             complaint.place = format!("camera {id}, model");
@@ -76,7 +76,7 @@ pub fn images(text: &str) -> Parsed<Vec<RawImage>> {
         if line.trim().is_empty() {
             continue;
         }
-        let mut words = Words::of(line, number);
+        let mut words = Words::new(line, number);
         words.number::<u32>("the number of an image")?;
         let [w, x, y, z, a, b, c] = words.numbers("a quaternion and a translation")?;
         let camera = words.number("the number of a camera")?;
@@ -88,7 +88,7 @@ pub fn images(text: &str) -> Parsed<Vec<RawImage>> {
             && points.split_whitespace().count() % 3 != 0
         {
             let expected = "the points of an image, three numbers each, or an empty line";
-            return Err(Words::of(points, number).complaint(expected, points));
+            return Err(Words::new(points, number).complaint(expected, points));
         }
     }
     Ok(images)

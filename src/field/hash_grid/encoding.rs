@@ -28,7 +28,7 @@ pub struct Level {
 
 /// The cell of a point: its corners' entries, and the place within it.
 #[derive(Clone, Copy)]
-struct Place {
+struct CellEntries {
     index: [u32; 8],
     t: [f32; 3],
 }
@@ -41,7 +41,7 @@ impl Level {
     }
 
     #[inline(always)]
-    fn place(&self, u: [f32; 3]) -> Place {
+    fn place(&self, u: [f32; 3]) -> CellEntries {
         let mut cell = [0_u32; 3];
         let mut t = [0.0; 3];
         for axis in 0..3 {
@@ -65,7 +65,7 @@ impl Level {
                 index[c as usize] = ((cell[2] + (c >> 2)) * m + cell[1] + (c >> 1 & 1)) * m + cell[0] + (c & 1);
             }
         }
-        Place { index, t }
+        CellEntries { index, t }
     }
 }
 
@@ -170,7 +170,7 @@ impl Encoding {
             let table = &self.table[first..first + level.size];
             let resolution = level.resolution as f32;
             for (u, slopes) in u.iter().zip(slopes.iter_mut()) {
-                let Place { index, t } = level.place(*u);
+                let CellEntries { index, t } = level.place(*u);
                 let corners = index.map(|i| table[i as usize]);
                 for axis in 0..3 {
                     // Differences between opposite corners, bilinear over the other two axes.

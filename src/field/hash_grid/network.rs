@@ -16,6 +16,8 @@
     reason = "lanes of several fixed arrays go together; plain loops over them become vector code"
 )]
 
+use std::ops::AddAssign;
+
 use super::config::{N_GEOMETRY, N_NEURONS};
 use super::encoding::WIDTH;
 use crate::field::elementary::exp;
@@ -91,15 +93,6 @@ impl Network {
         }
     }
 
-    /// Adds the numbers of `other` to those of `self`.
-    pub fn add(&mut self, other: &Self) {
-        for (sum, other) in self.layers_mut().into_iter().zip(other.layers()) {
-            for (sum, other) in sum.iter_mut().zip(other) {
-                *sum += other;
-            }
-        }
-    }
-
     /// a and g of points with features `f`.
     #[inline(always)]
     pub fn density(&self, f: &[[f32; WIDTH]], a: &mut [[f32; N_NEURONS]], g: &mut [[f32; N_GEOMETRY]]) {
@@ -141,6 +134,17 @@ pub fn density(g0: f32) -> f32 {
 /// dσ/dg₀ where the density is σ; 0 beyond the limit, where the density is constant.
 pub fn density_derivative(g0: f32, sigma: f32) -> f32 {
     if g0 > LOG_DENSITY_LIMIT { 0.0 } else { sigma }
+}
+
+impl AddAssign<&Self> for Network {
+    /// Adds the numbers of `other` to those of `self`.
+    fn add_assign(&mut self, other: &Self) {
+        for (sum, other) in self.layers_mut().into_iter().zip(other.layers()) {
+            for (sum, other) in sum.iter_mut().zip(other) {
+                *sum += other;
+            }
+        }
+    }
 }
 
 /// The transposed weights, which take derivatives backwards through the layers.

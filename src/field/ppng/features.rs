@@ -74,7 +74,7 @@ pub struct Encoding {
 
 /// Table coordinates u of the points of one slot along one axis.
 #[derive(Clone, Copy)]
-struct Place<const N: usize> {
+struct TablePoints<const N: usize> {
     index: [u32; N],
     fraction: [f32; N],
     /// du/dc.
@@ -135,8 +135,8 @@ impl Encoding {
     /// Places of the points in the tables of sin and of cos along each axis, with slopes only if there are
     /// rows for them.
     #[inline(always)]
-    fn places<const N: usize, const ROWS: usize>(&self, c: &[[f32; N]; 3], frequency: f32) -> [[Place<N>; 3]; 2] {
-        let mut places = [[Place { index: [0; N], fraction: [0.0; N], slope: [0.0; N] }; 3]; 2];
+    fn places<const N: usize, const ROWS: usize>(&self, c: &[[f32; N]; 3], frequency: f32) -> [[TablePoints<N>; 3]; 2] {
+        let mut places = [[TablePoints { index: [0; N], fraction: [0.0; N], slope: [0.0; N] }; 3]; 2];
         let half = 0.5 * (self.quants - 1) as f32;
         let last = (self.quants - 2) as i32;
         let speed = half * PI * frequency;

@@ -56,7 +56,7 @@ pub struct Ppng {
 }
 
 /// Buffers of one block of N points, as a structure of arrays: `[axis][point]`, with points as lanes.
-struct Block<const N: usize> {
+struct PointBlock<const N: usize> {
     centered: [[f32; N]; 3],
     /// The window w.
     windows: [f32; N],
@@ -71,7 +71,7 @@ struct Block<const N: usize> {
 /// Number of points in a block with derivatives.
 const JETS: usize = BLOCK / JET;
 
-impl<const N: usize> Block<N> {
+impl<const N: usize> PointBlock<N> {
     fn new() -> Self {
         Self {
             centered: [[0.0; N]; 3],
@@ -85,7 +85,7 @@ impl<const N: usize> Block<N> {
     }
 }
 
-impl<const N: usize> Block<N> {
+impl<const N: usize> PointBlock<N> {
     /// Puts point `p` at ½ + `c`.
     fn put(&mut self, p: usize, c: Vec3, (window, ramp): (f32, Vec3)) {
         for axis in 0..3 {
@@ -101,7 +101,7 @@ impl<const N: usize> Block<N> {
 fn hidden_block<const N: usize, const ROWS: usize>(
     encoding: &Encoding,
     network: &Network,
-    block: &mut Block<N>,
+    block: &mut PointBlock<N>,
     count: usize,
 ) {
     encoding.encode::<N, ROWS>(&block.centered, count, &mut block.features);
@@ -110,7 +110,7 @@ fn hidden_block<const N: usize, const ROWS: usize>(
 
 /// σ (1 / file unit, without the window) of the block's points, after [`hidden_block`].
 #[multiversion(targets("x86_64+avx2+fma"))]
-fn density_block<const N: usize>(block: &Block<N>) -> [f32; N] {
+fn density_block<const N: usize>(block: &PointBlock<N>) -> [f32; N] {
     let rows = BLOCK / N;
     let mut densities = [0.0; N];
     for (p, density) in densities.iter_mut().enumerate() {
@@ -121,13 +121,13 @@ fn density_block<const N: usize>(block: &Block<N>) -> [f32; N] {
 
 /// Fills `colors`, after [`hidden_block`].
 #[multiversion(targets("x86_64+avx2+fma"))]
-fn color_block(network: &Network, block: &mut Block<BLOCK>, count: usize) {
+fn color_block(network: &Network, block: &mut PointBlock<BLOCK>, count: usize) {
     network.color(&block.hidden, &block.directions, count, &mut block.colors);
 }
 
 /// Fills `colors` and their derivatives, after [`hidden_block`].
 #[multiversion(targets("x86_64+avx2+fma"))]
-fn color_jet_block(network: &Network, block: &mut Block<JETS>, count: usize) {
+fn color_jet_block(network: &Network, block: &mut PointBlock<JETS>, count: usize) {
     network.color_jets(&block.hidden, &block.directions, count, &mut block.colors);
 }
 
@@ -169,7 +169,7 @@ impl RadianceField for Ppng {
 
     fn evaluate(&self, positions: &[Vec3], directions: &[Vec3], out: &mut [Radiance]) {
         let scale = self.coordinates.scale() as f32;
-        let mut block = Block::<BLOCK>::new();
+        let mut block = PointBlock::<BLOCK>::new();
         for ((positions, directions), out) in
             positions.chunks(BLOCK).zip(directions.chunks(BLOCK)).zip(out.chunks_mut(BLOCK))
         {
@@ -240,7 +240,7 @@ impl RadianceField for Ppng {
 impl Differentiable for Ppng {
     fn jets(&self, positions: &[Vec3], directions: &[Vec3], out: &mut [RadianceJet]) {
         let scale = self.coordinates.scale() as f32;
-        let mut block = Block::<JETS>::new();
+        let mut block = PointBlock::<JETS>::new();
         for ((positions, directions), out) in
             positions.chunks(JETS).zip(directions.chunks(JETS)).zip(out.chunks_mut(JETS))
         {
@@ -279,7 +279,7 @@ impl Differentiable for Ppng {
 
 impl Ppng {
     /// Puts up to N positions into the block.
-    fn place<const N: usize>(&self, positions: &[Vec3], block: &mut Block<N>) {
+    fn place<const N: usize>(&self, positions: &[Vec3], block: &mut PointBlock<N>) {
         for (p, &x) in positions.iter().enumerate() {
             let c = self.coordinates.centered(x);
             block.put(p, c, self.window_at::<N>(c));
@@ -293,7 +293,7 @@ impl Ppng {
     }
 
     /// Puts the points' directions into the block.
-    fn look<const N: usize>(&self, directions: &[Vec3], block: &mut Block<N>) {
+    fn look<const N: usize>(&self, directions: &[Vec3], block: &mut PointBlock<N>) {
         for (p, &d) in directions.iter().enumerate() {
             let d = self.coordinates.direction(d).to_array();
             d.iter().zip(&mut block.directions).for_each(|(d, to)| to[p] = *d);
@@ -303,8 +303,8 @@ impl Ppng {
     /// Gathers the positions outside empty space into blocks, and calls `visit` with each block and their indices.
     ///
     /// Positions in empty space need no network.
-    fn gather<const N: usize>(&self, positions: &[Vec3], mut visit: impl FnMut(&mut Block<N>, &[usize])) {
-        let mut block = Block::<N>::new();
+    fn gather<const N: usize>(&self, positions: &[Vec3], mut visit: impl FnMut(&mut PointBlock<N>, &[usize])) {
+        let mut block = PointBlock::<N>::new();
         let (mut owners, mut count) = ([0; N], 0);
         for (i, &x) in positions.iter().enumerate() {
             let c = self.coordinates.centered(x);
@@ -325,7 +325,7 @@ impl Ppng {
     }
 
     /// ∇σ in scene units of point `p` of the block. `density` is σ without the window, per file unit.
-    fn density_gradient(&self, block: &Block<JETS>, density: f32, p: usize) -> Vec3 {
+    fn density_gradient(&self, block: &PointBlock<JETS>, density: f32, p: usize) -> Vec3 {
         let (window, ramp) = (block.windows[p], block.ramps[p]);
         let rows = &block.hidden[JET * p..JET * (p + 1)];
         let slope = window * network::density_slope(density, rows[0][0]);

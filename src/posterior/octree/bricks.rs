@@ -6,6 +6,8 @@
 //! *block*, which is found by hashing. (Bricks of 4³ took three times the memory where rays are sparse for the
 //! lattice.) A hash also distributes blocks over shards, and each shard is owned by one thread at a time.
 
+use std::ops::AddAssign;
+
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
@@ -18,9 +20,9 @@ pub type Brick = [VertexSums; 8];
 
 /// Slots of a block's bricks in the brick list of its shard.
 #[derive(Debug, Clone, Copy)]
-struct Block([u32; 8]);
+struct BlockSlots([u32; 8]);
 
-impl Block {
+impl BlockSlots {
     /// Marks a brick that does not exist.
     const NONE: u32 = u32::MAX;
     const EMPTY: Self = Self([Self::NONE; 8]);
@@ -88,7 +90,7 @@ const AHEAD: usize = 32;
 #[derive(Debug, Clone, Default)]
 struct Shard {
     /// Keyed by block code: the key without its low 6 bits.
-    blocks: FxHashMap<BlockCode, Block>,
+    blocks: FxHashMap<BlockCode, BlockSlots>,
     /// Codes of bricks (keys without their low 3 bits), in the order in which rays first touched them.
     codes: Vec<BrickCode>,
     bricks: BrickList,
@@ -101,10 +103,10 @@ impl Shard {
         for some in contributions.chunks(AHEAD) {
             let mut next = slots.iter_mut();
             for run in some.chunk_by(|a, b| a.key.block() == b.key.block()) {
-                let block = self.blocks.entry(run[0].key.block()).or_insert(Block::EMPTY);
+                let block = self.blocks.entry(run[0].key.block()).or_insert(BlockSlots::EMPTY);
                 for (Contribution { key, .. }, found) in run.iter().zip(&mut next) {
                     let slot = block.slot(key.brick());
-                    if *slot == Block::NONE {
+                    if *slot == BlockSlots::NONE {
                         *slot = self.bricks.push();
                         self.codes.push(key.brick());
                     }
@@ -115,15 +117,15 @@ impl Shard {
             // Touches all of them first, so that their cache misses overlap.
             std::hint::black_box(places().fold(0, |any, (slot, i)| any | self.bricks.get(slot)[i].rays));
             for (c, (slot, i)) in some.iter().zip(places()) {
-                self.bricks.get_mut(slot)[i].add(&c.sums);
+                self.bricks.get_mut(slot)[i] += &c.sums;
             }
         }
     }
 
     /// The brick with the given code, created if it is new.
     fn brick(&mut self, code: BrickCode) -> &mut Brick {
-        let slot = self.blocks.entry(code.block()).or_insert(Block::EMPTY).slot(code);
-        if *slot == Block::NONE {
+        let slot = self.blocks.entry(code.block()).or_insert(BlockSlots::EMPTY).slot(code);
+        if *slot == BlockSlots::NONE {
             *slot = self.bricks.push();
             self.codes.push(code);
         }
@@ -136,11 +138,11 @@ impl Shard {
     }
 
     fn memory(&self) -> usize {
-        // hashbrown has one control byte and one (code, Block) pair per bucket; one bucket in eight stays empty.
+        // hashbrown has one control byte and one (code, BlockSlots) pair per bucket; one bucket in eight stays empty.
         self.bricks.chunks.len() * size_of::<Chunk>()
             + self.bricks.chunks.capacity() * 8
             + self.codes.capacity() * 8
-            + self.blocks.capacity() * 8 / 7 * (1 + size_of::<(BlockCode, Block)>())
+            + self.blocks.capacity() * 8 / 7 * (1 + size_of::<(BlockCode, BlockSlots)>())
     }
 }
 
@@ -158,23 +160,13 @@ impl Bricks {
     /// Adds lists of contributions, in order.
     pub fn add(&mut self, lists: &[Contributions]) {
         self.shards.par_iter_mut().enumerate().for_each(|(s, shard)| {
-            lists.iter().for_each(|list| shard.add(list.of_shard(s)));
-        });
-    }
-
-    /// Adds all sums of `other`.
-    pub fn absorb(&mut self, other: &Self) {
-        self.shards.par_iter_mut().zip(&other.shards).for_each(|(shard, other)| {
-            for (code, brick) in other.iter() {
-                let mine = shard.brick(code);
-                mine.iter_mut().zip(brick).for_each(|(sum, sums)| sum.add(sums));
-            }
+            lists.iter().for_each(|list| shard.add(list.shard(s)));
         });
     }
 
     /// Adds `sums` to one vertex.
     pub fn add_one(&mut self, key: VertexKey, sums: &VertexSums) {
-        self.shards[key.shard()].brick(key.brick())[key.in_brick()].add(sums);
+        self.shards[key.shard()].brick(key.brick())[key.in_brick()] += sums;
     }
 
     /// The sums at a vertex, if its brick exists.
@@ -184,7 +176,7 @@ impl Bricks {
     }
 
     /// The block of a key, if it exists, and the bricks of its shard.
-    fn block(&self, key: VertexKey) -> Option<(&Block, &BrickList)> {
+    fn block(&self, key: VertexKey) -> Option<(&BlockSlots, &BrickList)> {
         let shard = &self.shards[key.shard()];
         Some((shard.blocks.get(&key.block())?, &shard.bricks))
     }
@@ -257,7 +249,7 @@ pub struct Reader<'a> {
     bricks: &'a Bricks,
     /// Code of the block that was looked up last.
     code: BlockCode,
-    block: Option<(&'a Block, &'a BrickList)>,
+    block: Option<(&'a BlockSlots, &'a BrickList)>,
 }
 
 impl Reader<'_> {
@@ -269,6 +261,18 @@ impl Reader<'_> {
         }
         let brick = self.block.and_then(|(block, bricks)| Some(bricks.get(block.find(key.brick())?)));
         brick.map_or_else(VertexSums::default, |brick| brick[key.in_brick()])
+    }
+}
+
+impl AddAssign<&Self> for Bricks {
+    /// Adds all sums of `other`.
+    fn add_assign(&mut self, other: &Self) {
+        self.shards.par_iter_mut().zip(&other.shards).for_each(|(shard, other)| {
+            for (code, brick) in other.iter() {
+                let mine = shard.brick(code);
+                mine.iter_mut().zip(brick).for_each(|(sum, sums)| *sum += sums);
+            }
+        });
     }
 }
 
@@ -294,7 +298,7 @@ mod tests {
                             let key = VertexKey::finest((state >> 40) % (1 << 18) + 3 * i);
                             let value = (state >> 11) as f64 / (1_u64 << 53) as f64 + i as f64;
                             let sums = VertexSums { information: [value; 6], rays: 1 };
-                            map.entry(key).or_default().add(&sums);
+                            *map.entry(key).or_default() += &sums;
                             list.push(key, sums);
                         }
                     }

@@ -26,7 +26,7 @@ impl Contributions {
     }
 
     /// The list of one shard.
-    pub fn of_shard(&self, s: usize) -> &[Contribution] {
+    pub fn shard(&self, s: usize) -> &[Contribution] {
         &self.0[s]
     }
 }

@@ -26,11 +26,13 @@ pub use bricks::Brick;
 pub use pilot_counts::PilotCounts;
 pub use refine::Refinement;
 
+use std::ops::AddAssign;
+
 use bricks::Bricks;
 use key::VertexKey;
 use lists::Contributions;
 use rayon::prelude::*;
-use walk::Walk;
+use walk::LeafWalk;
 
 use super::{Posterior, VertexSums};
 use crate::geometry::Lattice;
@@ -91,11 +93,6 @@ impl OctreePosterior {
         self.bricks.add_one(VertexKey::new(point, self.coarseness(point)), sums);
     }
 
-    /// Adds the sums over other rays on the same leaves, vertex by vertex.
-    pub fn add_bricks(&mut self, other: &Self) {
-        self.bricks.absorb(&other.bricks);
-    }
-
     /// The sums so far at a lattice point.
     #[must_use]
     pub fn sums(&self, point: [u32; 3]) -> VertexSums {
@@ -121,7 +118,7 @@ impl OctreePosterior {
     /// Squares every ray of a batch.
     fn contributions(&self, batch: &RaySamples) -> Contributions {
         let finest = self.limits.is_unlimited();
-        let (mut places, mut walk) = (Vec::new(), Walk::new(&self.lattice, &self.limits));
+        let (mut places, mut walk) = (Vec::new(), LeafWalk::new(&self.lattice, &self.limits));
         let mut all = Contributions::new(8 * batch.positions.len());
         for (_, samples) in batch.iter() {
             if finest && squares::places(&self.lattice, batch, samples.clone(), &mut places) {
@@ -131,6 +128,13 @@ impl OctreePosterior {
             }
         }
         all
+    }
+}
+
+impl AddAssign<&Self> for OctreePosterior {
+    /// Adds the sums over other rays on the same leaves, vertex by vertex.
+    fn add_assign(&mut self, other: &Self) {
+        self.bricks += &other.bricks;
     }
 }
 

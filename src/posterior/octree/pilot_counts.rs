@@ -54,7 +54,7 @@ pub struct PilotCounts {
 impl PilotCounts {
     /// Counts what the rays of `pilot` touched. Its leaves must not be limited.
     #[must_use]
-    pub fn of(pilot: &OctreePosterior) -> Self {
+    pub fn from_pilot(pilot: &OctreePosterior) -> Self {
         let finest = pilot.lattice.level();
         let limits = MaxLevels::none(finest);
         let each = pilot.touched().map(|(point, sums)| {

@@ -55,7 +55,7 @@ impl OctreePosterior {
             let limit = self.limits.leaf(origin);
             wanted.cell(if limit.level < cell.level { limit } else { cell });
         }
-        let octree = Octree::of(wanted);
+        let octree = Octree::from_wanted(wanted);
         let sums = self.sums_at(&octree);
         (octree, sums)
     }
@@ -87,7 +87,7 @@ impl OctreePosterior {
             }
             wanted
         });
-        each.reduce(none, Wanted::and)
+        each.reduce(none, |a, b| a | b)
     }
 
     /// The leaves around one vertex.

@@ -22,7 +22,7 @@ pub struct Row([f64; 9]);
 
 impl Row {
     #[inline(always)]
-    pub fn of(batch: &RaySamples, sample: usize) -> Self {
+    pub fn new(batch: &RaySamples, sample: usize) -> Self {
         Self(batch.jacobians[sample].map(f64::from))
     }
 }
@@ -60,7 +60,7 @@ fn dot(j: &[f64], a: usize, b: usize) -> f64 {
 }
 
 /// The location of a sample.
-pub struct Place {
+pub struct LocatedSample {
     sample: u32,
     cell: [u32; 3],
     /// Position within the cell, 0 to 1.
@@ -71,7 +71,7 @@ pub struct Place {
 ///
 /// Returns false if the ray turns back along an axis. A contracted ray may do so, and so may the rounded
 /// positions of a ray within a lattice plane.
-pub fn places(lattice: &Lattice, batch: &RaySamples, samples: Range<usize>, places: &mut Vec<Place>) -> bool {
+pub fn places(lattice: &Lattice, batch: &RaySamples, samples: Range<usize>, places: &mut Vec<LocatedSample>) -> bool {
     places.clear();
     let mut direction = [0_i64; 3];
     for i in samples {
@@ -88,7 +88,7 @@ pub fn places(lattice: &Lattice, batch: &RaySamples, samples: Range<usize>, plac
                 }
             }
         }
-        places.push(Place { sample: i as u32, cell, offset });
+        places.push(LocatedSample { sample: i as u32, cell, offset });
     }
     true
 }
@@ -160,14 +160,14 @@ impl Corners {
 /// Appends the contribution of a ray that never turns back to every vertex that it touches, in the
 /// order in which vertices are done.
 #[multiversion(targets("x86_64+avx2+fma"))]
-pub fn along(places: &[Place], batch: &RaySamples, out: &mut Contributions) {
+pub fn along(places: &[LocatedSample], batch: &RaySamples, out: &mut Contributions) {
     let Some(first) = places.first() else { return };
     let mut corners = Corners { cell: first.cell, sums: [Partial::default(); 8] };
     for place in places {
         if place.cell != corners.cell {
             corners.move_to(place.cell, out);
         }
-        corners.add(place.offset, &Row::of(batch, place.sample as usize));
+        corners.add(place.offset, &Row::new(batch, place.sample as usize));
     }
     corners.finish(out, |_| true);
 }

@@ -229,7 +229,7 @@ impl OctreePosterior {
         touched.sort_by_key(|touch| touch.0);
         let square = |group: &[Touch]| {
             let mut partial = Partial::default();
-            group.iter().for_each(|&(_, sample, weight)| partial.add(weight, &Row::of(batch, sample)));
+            group.iter().for_each(|&(_, sample, weight)| partial.add(weight, &Row::new(batch, sample)));
             (group[0].0, vec![partial.squared()])
         };
         touched.chunk_by(|a, b| a.0 == b.0).map(square).collect()
@@ -239,7 +239,7 @@ impl OctreePosterior {
 /// The contributions of one ray by vertex.
 fn by_vertex(contributions: &Contributions) -> BTreeMap<VertexKey, Vec<VertexSums>> {
     let mut found: BTreeMap<VertexKey, Vec<VertexSums>> = BTreeMap::new();
-    let all = (0..key::SHARDS).flat_map(|s| contributions.of_shard(s));
+    let all = (0..key::SHARDS).flat_map(|s| contributions.shard(s));
     all.for_each(|c| found.entry(c.key).or_default().push(c.sums));
     found
 }
@@ -287,7 +287,7 @@ proptest! {
             samples.push(1000, RaySample { position, jacobian: row, weight: 0.5 });
         }
         // One walk for all rays: no state may remain from the previous ray.
-        let mut walk = Walk::new(&posterior.lattice, &posterior.limits);
+        let mut walk = LeafWalk::new(&posterior.lattice, &posterior.limits);
         for (_, range) in samples.iter() {
             let mut walked = Contributions::new(0);
             walk.ray(&samples, range.clone(), &mut walked);

@@ -104,7 +104,7 @@ impl Leaf {
 }
 
 /// Squares one ray after another.
-pub struct Walk<'a> {
+pub struct LeafWalk<'a> {
     lattice: &'a Lattice,
     limits: &'a MaxLevels,
     near: Option<Nearby>,
@@ -112,7 +112,7 @@ pub struct Walk<'a> {
     touched: Touched,
 }
 
-impl<'a> Walk<'a> {
+impl<'a> LeafWalk<'a> {
     /// Creates a walk on the leaves of `limits`.
     pub fn new(lattice: &'a Lattice, limits: &'a MaxLevels) -> Self {
         Self { lattice, limits, near: None, leaf: Leaf::default(), touched: Touched::none() }
@@ -135,7 +135,7 @@ impl<'a> Walk<'a> {
 }
 
 #[multiversion(targets("x86_64+avx2+fma"))]
-fn walk(walk: &mut Walk, batch: &RaySamples, samples: Range<usize>, out: &mut Contributions) {
+fn walk(walk: &mut LeafWalk, batch: &RaySamples, samples: Range<usize>, out: &mut Contributions) {
     for i in samples {
         let Some(u) = walk.lattice.coordinates(batch.positions[i]) else { continue };
         let (cell, _) = walk.lattice.cell(u);
@@ -144,7 +144,7 @@ fn walk(walk: &mut Walk, batch: &RaySamples, samples: Range<usize>, out: &mut Co
         }
         let leaf = &walk.leaf;
         let weights = trilinear((u - DVec3::from(leaf.origin.map(f64::from))) / f64::from(leaf.edge));
-        let row = Row::of(batch, i);
+        let row = Row::new(batch, i);
         for term in &leaf.terms {
             // Multiplication by ½ or ¼ is exact.
             walk.touched.sums[term.vertex as usize].add(weights[usize::from(term.corner)] * term.share, &row);
