@@ -69,7 +69,7 @@ struct Row {
 }
 
 impl Row {
-    fn of(field: &UncertaintyField, samples: u64, reference: &UncertaintyField) -> Result<Self> {
+    fn new(field: &UncertaintyField, samples: u64, reference: &UncertaintyField) -> Result<Self> {
         let compared = compare(field, reference, POINTS, 0)?;
         let of = |d: &Option<Difference>| {
             d.as_ref().map_or([f64::NAN; 4], |d| [d.mean, d.percentile_95, d.percentile_99, d.max])

@@ -103,7 +103,7 @@ pub fn row(path: &Path, data: Data, truths: &[TrueView], views: &[EvaluatedView]
         view.rendered.pixels.iter().map(|p| if p.opacity > 0.5 { p.median_depth } else { f64::NAN }).collect();
     let known = depth.iter().copied().filter(|d| !d.is_nan());
     let (low, high) = known.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), d| (l.min(d), h.max(d)));
-    let bar = |range, gradient| Bar { range, gradient };
+    let bar = Bar::new;
     let rank = |title: &str, values: &[f64]| {
         scalar_panel(title, size, ranks(view, values), bar([0.0, 1.0], colorous::INFERNO))
     };

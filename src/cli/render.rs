@@ -120,7 +120,7 @@ impl Args {
         } else {
             let view = picture(&*model)?;
             let depth = depth_range([&view].into_iter().chain(&cleaned));
-            let ranges = Ranges { depth, log10: self.range };
+            let ranges = Ranges { depth, log10: self.range, prior: field.prior().log10() };
             let mut rows = vec![view_panels(&view, &format!("frame {}", self.frame), ranges)];
             if let (Some(cleaned), Some(threshold)) = (&cleaned, self.threshold) {
                 rows.push(view_panels(cleaned, &format!("log10 U <= {threshold}"), ranges));

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use embedded_graphics::Pixel as GraphicsPixel;
 use embedded_graphics::mono_font::MonoTextStyle;
-use embedded_graphics::mono_font::ascii::FONT_7X13;
+use embedded_graphics::mono_font::ascii::FONT_10X20;
 use embedded_graphics::pixelcolor::Rgb888;
 use embedded_graphics::prelude::*;
 use embedded_graphics::text::{Baseline, Text};
@@ -20,21 +20,83 @@ const PAPER: Rgb<u8> = Rgb([255, 255, 255]);
 /// Colour of pixels without a value.
 const NOTHING: Rgb<u8> = Rgb([225, 225, 225]);
 const MARGIN: u32 = 10;
-const TITLE: u32 = 20;
+/// Width and height of a character.
+const CHARACTER: [u32; 2] = [10, 20];
+/// Height of a title.
+const TITLE: u32 = CHARACTER[1] + 4;
 const BAR: u32 = 16;
-/// Width of a tick and six characters.
-const BAR_LABELS: u32 = 58;
+/// Distance from the bar to its labels.
+const TICK: u32 = 7;
+/// Number of ticks with a number.
+const TICKS: u32 = 5;
+/// Least height of a bar with room for words between its numbers.
+const ROOM_FOR_WORDS: u32 = 14 * CHARACTER[1];
 
 /// A colour scale and the values at its ends.
 #[derive(Clone)]
 pub struct Bar {
-    /// Values at the lower and the upper end.
-    pub range: [f64; 2],
-    /// Colours of the scale.
-    pub gradient: colorous::Gradient,
+    range: [f64; 2],
+    gradient: colorous::Gradient,
+    meaning: Option<Meaning>,
+}
+
+/// What the numbers of a scale mean.
+#[derive(Clone)]
+struct Meaning {
+    low: [&'static str; 2],
+    value: f64,
+    words: &'static str,
 }
 
 impl Bar {
+    /// A scale with the values at its lower and its upper end.
+    #[must_use]
+    pub fn new(range: [f64; 2], gradient: colorous::Gradient) -> Self {
+        Self { range, gradient, meaning: None }
+    }
+
+    /// The same scale with words beside its numbers: two lines at the lower end, and one at `value`. There are none
+    /// if `value` is not on the scale, or if the picture is too low for words between numbers.
+    #[must_use]
+    pub fn meaning(self, low: [&'static str; 2], value: f64, words: &'static str) -> Self {
+        let on_scale = self.range[0] < value && value <= self.range[1];
+        Self { meaning: on_scale.then_some(Meaning { low, value, words }), ..self }
+    }
+
+    /// Values at the ticks, from the upper end, as text.
+    fn numbers(&self) -> Vec<String> {
+        let [low, high] = self.range;
+        // Enough digits for the ticks to differ.
+        let is_plain = (0.1..1e4).contains(&low.abs().max(high.abs()));
+        let value = |tick: u32| high + (low - high) * f64::from(tick) / f64::from(TICKS - 1);
+        (0..TICKS).map(value).map(|v| if is_plain { format!("{v:.2}") } else { format!("{v:.2e}") }).collect()
+    }
+
+    /// Words to write, each with its distance from the upper end of a bar of this height, pixels.
+    fn words(&self, height: u32) -> Vec<(u32, &'static str)> {
+        let Some(meaning) = self.meaning.as_ref().filter(|_| height >= ROOM_FOR_WORDS) else { return Vec::new() };
+        let line = CHARACTER[1];
+        let share = (self.range[1] - meaning.value) / (self.range[1] - self.range[0]);
+        let at = (share * f64::from(height - 1)) as u32;
+        // Beside the nearest number, on the side where the value is.
+        let nearest = (0..TICKS).map(|tick| tick * (height - 1) / (TICKS - 1)).min_by_key(|y| y.abs_diff(at));
+        let at = match nearest.filter(|y| y.abs_diff(at) < line) {
+            Some(0) => line,
+            Some(y) if at >= y => y + line,
+            Some(y) => y - line,
+            None => at,
+        };
+        vec![(at, meaning.words), (height - 1 - 2 * line, meaning.low[0]), (height - 1 - line, meaning.low[1])]
+    }
+
+    /// Width of the bar with its labels, beside a picture of this height.
+    fn width(&self, height: u32) -> u32 {
+        let words = self.words(height);
+        let numbers = self.numbers();
+        let longest = numbers.iter().map(String::len).chain(words.iter().map(|word| word.1.len())).max().unwrap_or(0);
+        MARGIN / 2 + BAR + TICK + CHARACTER[0] * longest as u32
+    }
+
     fn color(&self, value: f64) -> Rgb<u8> {
         let share = (value - self.range[0]) / (self.range[1] - self.range[0]);
         if share.is_nan() {
@@ -87,8 +149,8 @@ pub fn write_sheet(path: &Path, rows: &[Vec<Panel>]) -> Result<()> {
 /// As [`write_sheet`].
 pub fn stage_sheet(path: &Path, rows: &[Vec<Panel>]) -> Result<AtomicFile> {
     let width_of = |panel: &Panel| {
-        let bar = if panel.bar.is_some() { MARGIN / 2 + BAR + BAR_LABELS } else { 0 };
-        (panel.image.width() + bar).max(7 * panel.title.len() as u32) + MARGIN
+        let bar = panel.bar.as_ref().map_or(0, |bar| bar.width(panel.image.height()));
+        (panel.image.width() + bar).max(CHARACTER[0] * panel.title.len() as u32) + MARGIN
     };
     let row_height = |row: &Vec<Panel>| TITLE + row.iter().map(|p| p.image.height()).max().unwrap_or(0) + MARGIN;
     let width = rows.iter().map(|row| row.iter().map(width_of).sum::<u32>()).max().unwrap_or(0) + MARGIN;
@@ -122,27 +184,31 @@ struct Sheet(RgbImage);
 
 impl Sheet {
     fn text(&mut self, text: &str, x: u32, y: u32) {
-        let style = MonoTextStyle::new(&FONT_7X13, Rgb888::new(FOREGROUND[0], FOREGROUND[1], FOREGROUND[2]));
+        let style = MonoTextStyle::new(&FONT_10X20, Rgb888::new(FOREGROUND[0], FOREGROUND[1], FOREGROUND[2]));
         let at = Point::new(x as i32, y as i32);
         Text::with_baseline(text, at, style, Baseline::Top).draw(self).expect("drawing on an image cannot fail");
     }
 
-    /// Draws a vertical scale with five labelled ticks.
+    /// Draws a vertical scale with labelled ticks, and the words that explain it.
     fn bar(&mut self, bar: &Bar, left: u32, top: u32, height: u32) {
         let [low, high] = bar.range;
         for y in 0..height {
             let color = bar.color(high + (low - high) * f64::from(y) / f64::from(height - 1));
             (left..left + BAR).for_each(|x| self.0.put_pixel(x, top + y, color));
         }
-        for tick in 0..5 {
-            let share = f64::from(tick) / 4.0;
-            let y = top + (share * f64::from(height - 1)) as u32;
-            (left + BAR..left + BAR + 4).for_each(|x| self.0.put_pixel(x, y, FOREGROUND));
-            let value = high + (low - high) * share;
-            // Enough digits for the five ticks to differ.
-            let is_plain = (0.1..1e4).contains(&low.abs().max(high.abs()));
-            let text = if is_plain { format!("{value:.2}") } else { format!("{value:.2e}") };
-            self.text(&text, left + BAR + 7, y.saturating_sub(6).clamp(top.saturating_sub(3), top + height - 10));
+        let mut label = |text: &str, y: u32| {
+            let y = (top + y).saturating_sub(CHARACTER[1] / 2);
+            self.text(text, left + BAR + TICK, y.clamp(top.saturating_sub(3), top + height - CHARACTER[1] + 4));
+        };
+        let place = |tick: u32| tick * (height - 1) / (TICKS - 1);
+        for (tick, number) in (0..).zip(bar.numbers()) {
+            label(&number, place(tick));
+        }
+        for (y, words) in bar.words(height) {
+            label(words, y);
+        }
+        for tick in 0..TICKS {
+            (left + BAR..left + BAR + 4).for_each(|x| self.0.put_pixel(x, top + place(tick), FOREGROUND));
         }
     }
 }
@@ -170,5 +236,30 @@ impl DrawTarget for Sheet {
             }
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn words_stand_between_numbers_and_only_where_they_are_true() {
+        let inferno = |range| Bar::new(range, colorous::INFERNO);
+        let bar = |range, value| inferno(range).meaning(["well", "constrained"], value, "never seen");
+        for height in [280, 360, 800] {
+            for value in [5.55, 5.4, 4.7, 4.6, 4.2, 3.0, 2.1] {
+                let words = bar([2.0, 5.55], value).words(height);
+                let ticks: Vec<u32> = (0..TICKS).map(|tick| tick * (height - 1) / (TICKS - 1)).collect();
+                let (at, text) = words[0];
+                assert_eq!(text, "never seen");
+                // A line is 20 pixels high.
+                assert!(ticks.iter().all(|tick| tick.abs_diff(at) >= 20 || value < 2.5), "{value} at {at}: {ticks:?}");
+                let exact = (5.55 - value) / 3.55 * f64::from(height - 1);
+                assert!((f64::from(at) - exact).abs() <= 21.0, "{value}: {at} instead of {exact}");
+            }
+        }
+        assert!(bar([2.0, 3.0], 5.55).words(360).is_empty(), "not on the scale");
+        assert!(bar([2.0, 5.55], 5.55).words(200).is_empty(), "no room");
     }
 }

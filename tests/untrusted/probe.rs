@@ -12,7 +12,7 @@ use octobayes::monitor::Silent;
 use octobayes::octree::MaxLevels;
 use octobayes::posterior::Covariance;
 use octobayes::rays::{RunProgress, SamplesReader};
-use octobayes::synth::{Mesh, Scene, Up};
+use octobayes::synth::{Mesh, MeshScene, Up};
 use octobayes::uncertainty::{OfficialGrid, UncertaintyField, merge, merge_with_error_bars};
 use octobayes::{Error, Result};
 
@@ -203,7 +203,7 @@ fn mesh_is_sound(mesh: &Mesh) {
     let (placed, _) = mesh.placed(up);
     assert!(placed.vertices().iter().zip(mesh.vertices()).all(|(v, _)| v.is_finite()), "placed vertices are finite");
     if placed.faces().len() < 1000 {
-        let scene = Scene::new(placed);
+        let scene = MeshScene::new(placed);
         let camera = Camera::look_at(DVec3::new(2.0, -2.0, 1.0), DVec3::ZERO, DVec3::Z, 0.7, [2, 2]);
         for (x, y) in [(0.5, 0.5), (1.0, 1.0), (1.2, 0.8)] {
             let hit = scene.nearest(&camera.ray(x, y));

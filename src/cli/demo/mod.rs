@@ -1,13 +1,16 @@
 //! `demo`: the whole pipeline, for users who have no model yet.
 
+mod matter;
 mod model;
 mod scene;
+#[cfg(test)]
+mod tests;
 
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use self::model::DemoModel;
-use self::scene::{DemoScene, Shown};
+use self::matter::{Matter, Shares};
+use self::scene::{DemoScene, TOLERANCE};
 use super::files::CommandFiles;
 use super::options::count;
 use super::panels::{Ranges, depth_range, view_panels};
@@ -16,9 +19,8 @@ use super::report;
 use crate::dataset::write_transforms;
 use crate::estimate::{Estimation, GridKind, GridSettings, Outcome, RaySettings};
 use crate::field::RadianceField;
-use crate::geometry::Camera;
 use crate::monitor::Monitor;
-use crate::picture::{Panel, write_sheet};
+use crate::picture::{Panel, color_panel, write_sheet};
 use crate::rays::RunProgress;
 use crate::render::{GradientMethod, Probe, RayAverage, RenderedView, render_view};
 use crate::train::Quality;
@@ -28,11 +30,19 @@ use crate::{Error, Result};
 /// File name of the trained model, in the folder of results.
 const MODEL: &str = "courtyard.safetensors";
 
+/// Share of the matter that cameras see which clean-up keeps. The rest, reached by few rays, leaves small holes.
+const KEPT: f64 = 0.99;
+/// Share of that matter whose log10 U lies below the colour bar.
+const BELOW_BAR: f64 = 0.01;
+/// Least length of the colour bar, decades. It ends at the prior.
+const LEAST_BAR: f64 = 1.0;
+
 /// Try everything: train a NeRF on pictures of a courtyard that no camera sees from behind
 ///
 /// Trains a small hash grid for a fixed number of steps, and computes its uncertainty on an octree and on the
-/// dense grid from the same ray samples. Compares memory, time and values. Writes pictures, the fields, the
-/// cameras and the model, which are input for the other verbs.
+/// dense grid from the same ray samples. Compares memory, time and values. Removes what is uncertain from the model,
+/// and measures against the true scene what was removed and what was kept. Writes pictures, the fields, the cameras
+/// and the model, which are input for the other verbs.
 ///
 /// With --scene, uses a built-in scene instead of a trained model. Some scenes are hard, each in one way: for
 /// these it prints what to expect beside what was measured.
@@ -51,9 +61,9 @@ pub struct Args {
     #[arg(long, value_parser = clap::value_parser!(u8).range(4..=9))]
     level: Option<u8>,
 
-    /// Rays [default: 40000; 200000 for a built-in scene]
-    #[arg(long, value_parser = count::<u64>(1000..))]
-    rays: Option<u64>,
+    /// Rays
+    #[arg(long, default_value_t = 200_000, value_parser = count::<u64>(1000..))]
+    rays: u64,
 }
 
 impl Args {
@@ -71,7 +81,7 @@ impl Args {
             Some(subject) => subject,
             None => self.trained(bars)?,
         };
-        say!("scene: {}, seen by {} cameras{}", subject.field.describe(), subject.cameras.len(), subject.side)?;
+        say!("scene: {}, seen by {} cameras", subject.field.describe(), subject.cameras.len())?;
         if let Some(about) = subject.about() {
             say!("{about}")?;
         }
@@ -86,26 +96,25 @@ impl Args {
             say!("{outcome}")?;
         }
 
-        self.pictures(&subject, octree, bars)?;
+        let shown = Shown::new(&subject, octree, bars)?;
+        self.clean(&subject, octree, shown, bars)?;
+        self.pictures(&subject, octree, shown, bars)?;
         octree.write(&self.out.join("field.oct"))?;
         dense.clone().without_sums().write(&self.out.join("dense.oct"))?;
-        let named: Vec<(String, Camera)> =
-            subject.cameras.iter().enumerate().map(|(i, camera)| (format!("train/r_{i}"), *camera)).collect();
-        write_transforms(&self.out.join("transforms.json"), &named)?;
+        write_transforms(&self.out.join("transforms.json"), &subject.cameras)?;
         self.suggest()
     }
 
     /// Trains the model and writes its file.
     fn trained(&self, bars: &Bars) -> Result<DemoScene> {
         let start = Instant::now();
-        let (scene, cameras) = scene::courtyard();
-        let DemoModel { field, held_out } = model::train(&scene, &cameras, bars)?;
-        say!("model: {}, trained on the spot in {:.1} s", field.describe(), start.elapsed().as_secs_f64())?;
-        if let Some(Quality { psnr, views, .. }) = held_out {
-            say!("  {psnr:.1} dB on {views} held-out pictures of the seen side")?;
+        let model = model::train(0, bars)?;
+        say!("model: {}, trained on the spot in {:.1} s", model.field.describe(), start.elapsed().as_secs_f64())?;
+        if let Some(Quality { psnr, views, .. }) = model.held_out {
+            say!("  {psnr:.1} dB on {views} held-out pictures of the seen side; no camera saw the other one")?;
         }
-        field.write(&self.out.join(MODEL))?;
-        Ok(DemoScene::trained(field, cameras))
+        model.field.write(&self.out.join(MODEL))?;
+        Ok(DemoScene::trained(model))
     }
 
     /// Prints what was written, and what to try with it.
@@ -125,19 +134,15 @@ impl Args {
     }
 
     /// The octree and the dense field from the same samples. Prints a table of what they cost.
-    fn both_fields(&self, subject: &DemoScene, bars: &Bars) -> Result<[UncertaintyField; 2]> {
+    fn both_fields(&self, subject: &DemoScene, bars: &dyn Monitor) -> Result<[UncertaintyField; 2]> {
         let (scene, level) = (subject.field.as_ref(), self.level.unwrap_or(subject.level));
+        let cameras = subject.poses();
         let kinds = [GridKind::Octree, GridKind::Dense];
         let grids = kinds.map(|grid| GridSettings { grid, level, surface_points: 200_000, ..GridSettings::default() });
-        let rays = RaySettings {
-            rays: self.rays.unwrap_or(subject.rays),
-            gradient: GradientMethod::Auto,
-            march_step: Some(subject.coarser * scene.suggested_step()),
-            ..RaySettings::default()
-        };
+        let rays = RaySettings::default().rays(self.rays).gradient(GradientMethod::Auto);
         let start = Instant::now();
         let estimation =
-            Estimation::new(scene, &subject.cameras).rays(rays).grid(grids[0]).source(&subject.source).monitor(bars);
+            Estimation::new(scene, &cameras).rays(rays).grid(grids[0]).source(&subject.source).monitor(bars);
         let outcomes = estimation.prepare()?.finish_on(&grids)?;
         let rays_alone = start.elapsed() - outcomes.iter().map(|outcome| outcome.summing).sum::<Duration>();
         let RunProgress { rays, samples, .. } = outcomes[0].progress;
@@ -157,29 +162,75 @@ impl Args {
         Ok([octree, dense])
     }
 
-    /// Writes pictures of the scene from two sides, whole and cleaned.
-    fn pictures(&self, subject: &DemoScene, field: &UncertaintyField, bars: &Bars) -> Result<()> {
-        let scene = subject.field.as_ref();
-        let Shown { log10: shown, threshold } = subject.shown.unwrap_or_else(|| Shown::below(field.prior().log10()));
-        let cleaned = ThresholdedField { field: scene, uncertainty: field, threshold };
-        let log10 = |x| field.log10(x);
+    /// Prints what clean-up does and, for the trained model, what it did by the truth.
+    fn clean(&self, subject: &DemoScene, uncertainty: &UncertaintyField, shown: Shown, bars: &Bars) -> Result<()> {
+        let Shown { threshold, .. } = shown;
+        let percentile = format!("the {:.0}th percentile of what cameras see", 100.0 * KEPT);
+        say!("clean-up: no density where log10 U is above {threshold:.2}, {percentile}")?;
+        let Some(truth) = &subject.truth else { return Ok(()) };
+        let model = ThresholdedField { field: subject.field.as_ref(), uncertainty, threshold };
+        let Shares { made_up_seen, made_up_behind, removed, kept } = Shares::measure(&model, truth, bars)?;
+        let [seen, behind, removed, kept] = [made_up_seen, made_up_behind, removed, kept].map(|share| 100.0 * share);
+        say!("by the truth, the scene that the pictures show")?;
+        say!("  made up: {seen:.2} % of what the seen side shows, {behind:.1} % of what is visible from behind")?;
+        say!("  removed: {removed:.1} % of what is made up behind")?;
+        say!("  kept:    {kept:.1} % of the true surface that held-out cameras see")?;
+        say!("  (made up: with nothing true within {TOLERANCE} scene units along each axis)")
+    }
+
+    /// Writes pictures of the scene from two sides: the truth or the depth, the model, log10 U, the model cleaned.
+    fn pictures(&self, subject: &DemoScene, uncertainty: &UncertaintyField, shown: Shown, bars: &Bars) -> Result<()> {
+        let Shown { low, threshold } = shown;
+        let (field, prior) = (subject.field.as_ref(), uncertainty.prior().log10());
+        let cleaned = ThresholdedField { field, uncertainty, threshold };
+        let truth = subject.truth.as_ref().map(|truth| &truth.scene as &dyn RadianceField);
+        let log10 = |x| uncertainty.log10(x);
         let probes = [Probe { value: &log10, blends: &[RayAverage::WeightedMean] }];
-        let sides = subject.views();
-        let versions: [(&dyn RadianceField, String); 2] = [(scene, String::new()), (&cleaned, ", cleaned".into())];
-        say!("rows of demo.png that say \"cleaned\" are without density where log10 U is above {threshold:.1}")?;
-        let mut views: Vec<(String, RenderedView)> = Vec::new();
-        for (field, suffix) in &versions {
-            let march_step = Some(subject.coarser * field.suggested_step());
-            let settings = RaySettings { cutoff: 1e-4, march_step, ..RaySettings::default() };
-            let tracer = settings.tracer(*field, 0.0, bars)?;
-            bars.begin("rows", sides.iter().map(|(_, camera)| u64::from(camera.resolution[1])).sum());
-            for (side, camera) in &sides {
-                views.push((format!("{side}{suffix}"), render_view(&tracer, camera, 0.5, &probes, bars)?));
-            }
+        let render = |field: &dyn RadianceField| -> Result<Vec<RenderedView>> {
+            let tracer = RaySettings::default().cutoff(1e-4).tracer(field, 0.0, bars)?;
+            let cameras = subject.views().map(|view| view.1);
+            bars.begin("rows", cameras.iter().map(|camera| u64::from(camera.resolution[1])).sum());
+            let views = cameras.iter().map(|camera| render_view(&tracer, camera, 0.5, &probes, bars)).collect();
             bars.end();
-        }
-        let ranges = Ranges { depth: depth_range(views.iter().map(|v| &v.1)), log10: shown };
-        let rows: Vec<Vec<Panel>> = views.iter().map(|(name, view)| view_panels(view, name, ranges)).collect();
+            views
+        };
+        let (views, cleaned) = (render(field)?, render(&cleaned)?);
+        let truths = truth.map(render).transpose()?;
+        let ranges = Ranges { depth: depth_range(&views), log10: [low, prior], prior };
+        let colors = |title: &str, view: &RenderedView| {
+            color_panel(title, view.resolution, view.pixels.iter().map(|pixel| pixel.color))
+        };
+        let rows: Vec<Vec<Panel>> = (0..views.len())
+            .map(|i| {
+                let mut row = view_panels(&views[i], subject.views()[i].0, ranges);
+                if let Some(truths) = &truths {
+                    row.remove(1);
+                    row.insert(0, colors(&format!("{}: truth", subject.views()[i].0), &truths[i]));
+                    row[1].title = "model".into();
+                }
+                row.push(colors(&format!("cleaned: log10 U <= {threshold:.2}"), &cleaned[i]));
+                row
+            })
+            .collect();
         write_sheet(&self.out.join("demo.png"), &rows)
+    }
+}
+
+/// How U is shown.
+#[derive(Clone, Copy)]
+struct Shown {
+    /// Lower end of the colour bar, log10 U.
+    low: f64,
+    /// log10 U above which clean-up removes density.
+    threshold: f64,
+}
+
+impl Shown {
+    /// By percentiles of log10 U over what the cameras see. If they see nothing, there is nothing to remove.
+    fn new(subject: &DemoScene, uncertainty: &UncertaintyField, bars: &dyn Monitor) -> Result<Self> {
+        let seen = Matter::seen(subject.field.as_ref(), &subject.poses(), uncertainty, bars)?;
+        let prior = uncertainty.prior().log10();
+        let [low, threshold] = [BELOW_BAR, KEPT].map(|share| seen.quantile(share).unwrap_or(prior));
+        Ok(Self { low: low.min(prior - LEAST_BAR), threshold })
     }
 }

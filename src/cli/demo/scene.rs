@@ -1,9 +1,13 @@
 //! What the demo shows: a model trained on the courtyard, a built-in scene itself, or one of the zoo.
 
-use glam::DVec3;
+use std::f64::consts::PI;
 
+use glam::{DVec3, Vec3};
+
+use super::model::DemoModel;
 use crate::cli::report;
-use crate::field::{ClosedForm, HashGrid, Intrinsics, RadianceField};
+use crate::field::closed_form::{Primitive, Shape, Texture};
+use crate::field::{ClosedForm, Intrinsics, RadianceField};
 use crate::geometry::{Aabb, Camera};
 use crate::uncertainty::UncertaintyField;
 use crate::zoo::{self, HardScene};
@@ -11,64 +15,101 @@ use crate::{Error, Result};
 
 /// Cameras of the courtyard, all on one side.
 const CAMERAS: u32 = 40;
+/// The angle over which they are spread, as seen from the middle of the scene, radians.
+const ARC: f64 = 2.0 / 3.0 * PI;
+/// Distance of the cameras from the axis of the scene, scene units.
+const DISTANCE: f64 = 2.8;
+/// The point that they look at.
+const TARGET: DVec3 = DVec3::new(0.0, 0.0, -0.25);
+/// The point at which pictures of the trained model look, and their angle of view, radians. The scene just fits.
+const PICTURED: (DVec3, f64) = (DVec3::new(0.0, 0.0, -0.5), 0.7);
+/// Half the width of a surface of the courtyard, scene units.
+const SOFTNESS: f32 = 0.016;
+/// Distance from true matter within which matter of the model counts as true, scene units: the width of a surface.
+/// At level 7 these are two cells.
+pub const TOLERANCE: f32 = 2.0 * SOFTNESS;
 /// Finest level, unless a hard scene has its own.
 const LEVEL: u8 = 7;
-/// Rays for the trained model, and for closed-form scenes, which are faster.
-const RAYS: [u64; 2] = [40_000, 200_000];
-/// Distance between samples along the trained model's rays, over the distance that it suggests. A model trained
-/// for seconds is foggy, and its pictures are small.
-const COARSER: f64 = 2.0;
-/// Decades below the prior at which colour bars begin, and at which clean-up starts to remove density.
-const BELOW_PRIOR: [f64; 2] = [4.0, 1.0];
 /// Cameras with a smaller angle of view than this, radians, are close-ups. Pictures from anywhere else would show
 /// nothing.
 const CLOSE_UP: f64 = 0.2;
 /// Width and height of a picture, pixels.
-const PICTURE: [u32; 2] = [220, 220];
+const PICTURE: [u32; 2] = [360, 360];
 
 /// A scene with its cameras, and how to show it.
 pub struct DemoScene {
     pub field: Box<dyn RadianceField>,
-    pub cameras: Vec<Camera>,
+    /// Name of each camera's picture, and the camera.
+    pub cameras: Vec<(String, Camera)>,
     /// Finest level, unless the user names one.
     pub level: u8,
-    /// Rays, unless the user names a number.
-    pub rays: u64,
-    /// Distance between samples over the suggested one.
-    pub coarser: f64,
-    /// From where the scene was seen, in words. Empty if there is nothing to say.
-    pub side: &'static str,
     /// Name of the model in the protocol.
     pub source: String,
-    /// How U is shown; `None` for [`Shown::below`] its prior.
-    pub shown: Option<Shown>,
+    /// What the model was trained on, if it was.
+    pub truth: Option<Truth>,
     /// The scene of the zoo with its expectations, if it is one.
     pub hard: Option<HardScene>,
 }
 
-/// How U is shown.
-#[derive(Clone, Copy)]
-pub struct Shown {
-    /// Ends of the colour bars, log10 U.
-    pub log10: [f64; 2],
-    /// log10 U above which clean-up removes density.
-    pub threshold: f64,
+/// The scene that a model was trained on, and cameras to compare the model with it.
+pub struct Truth {
+    pub scene: ClosedForm,
+    /// Cameras between those of training.
+    pub held_out: Vec<Camera>,
+    /// Cameras on the side that no camera of training saw.
+    pub behind: Vec<Camera>,
 }
 
-impl Shown {
-    /// For the trained model: from the best seen surface to the prior of level 7, rounded. Most of what cameras
-    /// saw lies below the threshold, most of what the model made up lies above.
-    const TRAINED: Self = Self { log10: [2.0, 6.0], threshold: 4.4 };
+impl Truth {
+    /// `cameras` are those of the scene, of which `held_out` were not trained on.
+    pub fn new(scene: ClosedForm, cameras: &[Camera], held_out: Vec<Camera>) -> Self {
+        Self { scene, held_out, behind: cameras.iter().map(mirrored).collect() }
+    }
 
-    /// Colour bars and threshold by [`BELOW_PRIOR`], from log10 U of the prior.
-    pub fn below(prior: f64) -> Self {
-        Self { log10: [prior - BELOW_PRIOR[0], prior], threshold: prior - BELOW_PRIOR[1] }
+    /// Returns true if the scene has matter within [`TOLERANCE`] of a point, along each axis.
+    pub fn has_matter_near(&self, x: Vec3) -> bool {
+        self.scene.density_bound(x - TOLERANCE, x + TOLERANCE).is_none_or(|bound| bound > 0.0)
     }
 }
 
-/// The courtyard, with cameras on one side.
-pub fn courtyard() -> (ClosedForm, Vec<Camera>) {
-    (ClosedForm::courtyard(), ClosedForm::half_circle(CAMERAS, [200, 200]))
+/// The same view from the other side of the plane x = 0.
+fn mirrored(camera: &Camera) -> Camera {
+    let mirror = DVec3::new(-1.0, 1.0, 1.0);
+    let fov_x = 2.0 * (0.5 * f64::from(camera.resolution[0]) / camera.focal[0]).atan();
+    let (eye, forward) = (mirror * camera.position, -mirror * camera.axes.z_axis);
+    Camera::look_at(eye, eye + forward, DVec3::Z, fov_x, camera.resolution)
+}
+
+/// A courtyard with texture everywhere, and cameras on one side of it, with pictures of that width and height.
+///
+/// It differs from [`ClosedForm::courtyard`] in what a stranger would take for an error of the method: the cloud, which
+/// is true and looks like a floater, and the ball without texture, on which sliding goes unnoticed. Its surfaces
+/// are half as thick, and the floor ends within the box.
+pub fn courtyard(resolution: u32) -> (ClosedForm, Vec<Camera>) {
+    let solid = |shape, [r, g, b]: [f32; 3], frequency| {
+        let texture = Texture::Waves { base: Vec3::new(r, g, b), amplitude: 0.25, frequency };
+        Primitive { shape, peak: 300.0, softness: SOFTNESS, texture }
+    };
+    let block =
+        |z, half, color, frequency| solid(Shape::Box { center: Vec3::new(0.0, 0.0, z), half }, color, frequency);
+    let ball =
+        |x, y, color, frequency| solid(Shape::Ball { center: Vec3::new(x, y, -0.35), radius: 0.25 }, color, frequency);
+    let primitives = vec![
+        block(-0.7, Vec3::new(0.8, 0.8, 0.1), [0.55, 0.5, 0.42], 14.0),
+        block(-0.25, Vec3::new(0.15, 0.15, 0.35), [0.5, 0.35, 0.6], 16.0),
+        ball(0.5, 0.5, [0.7, 0.3, 0.25], 18.0),
+        ball(-0.5, 0.5, [0.3, 0.55, 0.3], 22.0),
+        ball(0.5, -0.5, [0.3, 0.4, 0.7], 26.0),
+        ball(-0.5, -0.5, [0.7, 0.65, 0.3], 20.0),
+    ];
+    let scene = ClosedForm::new("courtyard", primitives, Aabb::centered_cube(1.0), 1.0 / 256.0);
+    let camera = |i: u32| {
+        let azimuth = ARC * ((f64::from(i) + 0.5) / f64::from(CAMERAS) - 0.5);
+        let height = if i.is_multiple_of(2) { 0.9 } else { 1.7 };
+        let eye = DVec3::new(DISTANCE * azimuth.cos(), DISTANCE * azimuth.sin(), height);
+        Camera::look_at(eye, TARGET, DVec3::Z, 0.8, [resolution; 2])
+    };
+    (scene, (0..CAMERAS).map(camera).collect())
 }
 
 impl DemoScene {
@@ -87,29 +128,34 @@ impl DemoScene {
             }
         };
         let level = hard.as_ref().map_or(LEVEL, |scene| scene.level);
-        let (rays, source) = (RAYS[1], format!("scene:{name}"));
-        Ok(Self { field, cameras, level, rays, coarser: 1.0, side: "", source, shown: None, hard })
+        let cameras = cameras.into_iter().enumerate().map(|(i, camera)| (format!("train/r_{i}"), camera)).collect();
+        Ok(Self { field, cameras, level, source: format!("scene:{name}"), truth: None, hard })
     }
 
     /// The model trained on pictures of the courtyard.
-    pub fn trained(model: HashGrid, cameras: Vec<Camera>) -> Self {
-        let (source, shown) = (model.describe(), Some(Shown::TRAINED));
-        let (rays, side, field) = (RAYS[0], " from one side only", Box::new(model));
-        Self { field, cameras, level: LEVEL, rays, coarser: COARSER, side, source, shown, hard: None }
+    pub fn trained(model: DemoModel) -> Self {
+        let DemoModel { field, truth, .. } = model;
+        let cameras = field.training_cameras().iter().map(|named| (named.name.clone(), named.camera)).collect();
+        let (source, field) = (field.describe(), Box::new(field));
+        Self { field, cameras, level: LEVEL, source, truth: Some(truth), hard: None }
     }
 
-    /// Two views. The trained model is shown from the seen and from the unseen side, a close-up by two of its
+    /// The cameras without their names.
+    pub fn poses(&self) -> Vec<Camera> {
+        self.cameras.iter().map(|named| named.1).collect()
+    }
+
+    /// Two views. The trained model is shown by a camera that was held out, and from behind; a close-up by two of its
     /// cameras. Other scenes are shown from x > 0, the side of the courtyard's cameras, and from x < 0.
     pub fn views(&self) -> [(&'static str, Camera); 2] {
-        let first = &self.cameras[0];
+        let first = &self.cameras[0].1;
         let angle = 2.0 * (0.5 * f64::from(first.resolution[0]) / first.focal[0]).atan();
-        if !self.side.is_empty() {
-            let seen = self.cameras[self.cameras.len() / 2].resized(PICTURE);
-            let target = DVec3::new(0.0, 0.0, -0.25);
-            let mirrored = DVec3::new(-seen.position.x, seen.position.y, seen.position.z);
-            [("seen", seen), ("unseen", Camera::look_at(mirrored, target, DVec3::Z, 0.8, PICTURE))]
+        if let Some(truth) = &self.truth {
+            let seen = truth.held_out[truth.held_out.len() / 2];
+            let seen = Camera::look_at(seen.position, PICTURED.0, DVec3::Z, PICTURED.1, PICTURE);
+            [("seen side", seen), ("from behind", mirrored(&seen))]
         } else if angle < CLOSE_UP {
-            let [one, other] = [0, self.cameras.len() / 2].map(|i| self.cameras[i].resized(PICTURE));
+            let [one, other] = [0, self.cameras.len() / 2].map(|i| self.cameras[i].1.resized(PICTURE));
             [("one side", one), ("other side", other)]
         } else {
             let [one, other] = [1.0, -1.0].map(|side| outside(&self.field.bounds(), side));
