@@ -164,8 +164,8 @@ fn warn_of_dropped(progress: &RunProgress) {
 impl Args {
     /// Runs the verb.
     pub fn run(self, bars: &Bars) -> Result<()> {
-        self.grid.check_output()?;
         self.command_files().check()?;
+        self.grid.check_output()?;
         let files = self.files();
         let field = self.model.open()?;
         let views = self.cameras.training(&self.frames, &*field, &self.model.model)?;
