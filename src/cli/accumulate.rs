@@ -36,8 +36,8 @@ pub struct Args {
 impl Args {
     /// Runs the verb.
     pub fn run(self, bars: &Bars) -> Result<()> {
-        self.grid.check_output()?;
         CommandFiles::default().input("SAMPLES", &self.samples).output("--output", &self.grid.output).check()?;
+        self.grid.check_output()?;
         let reader = SamplesReader::open(&self.samples)?;
         let domain = self.domain.domain(None)?;
         let settings = self.grid.settings(&domain)?;

@@ -50,8 +50,8 @@ pub struct Args {
 impl Args {
     /// Runs the verb.
     pub fn run(self) -> Result<()> {
-        check_field_name(&self.output)?;
         CommandFiles::default().inputs("FIELD", &self.fields).output("--output", &self.output).check()?;
+        check_field_name(&self.output)?;
         let parts = self.fields.iter().map(|path| UncertaintyField::read(path)).collect::<Result<Vec<_>>>()?;
         let field = if self.error_bars { merge_with_error_bars(&parts)? } else { merge(&parts)? };
         if !self.error_bars && parts.iter().any(|part| part.error_bars().is_some()) {

@@ -43,7 +43,7 @@ pub fn of(kind: Kind) -> Vec<Vec<u8>> {
             b"v 0 0 0 1 0 0\nv 1e3 0 0\nv 0 2.5 -1\ng a b\nf 1/1/1 2/2/2 3/3/3\n".to_vec(),
         ],
         Kind::Csv => vec![
-            b"x,y,z\n0.5,0.25,-1\n1e-3, 2 ,3,more\n".to_vec(),
+            b"name,x,y,z\n,0.5,0.25,-1\nmore,1e-3, 2 ,3\n".to_vec(),
             b"1,2,3\r\n\"4\",5,6\r\n".to_vec(),
         ],
         Kind::Image => images(),

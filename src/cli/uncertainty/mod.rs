@@ -164,12 +164,12 @@ fn warn_of_dropped(progress: &RunProgress) {
 impl Args {
     /// Runs the verb.
     pub fn run(self, bars: &Bars) -> Result<()> {
-        self.grid.check_output()?;
         self.command_files().check()?;
         let files = self.files();
         let field = self.model.open()?;
         let views = self.cameras.training(&self.frames, &*field, &self.model.model)?;
         self.command_files().images(&views).check()?;
+        self.grid.check_output()?;
         // Checked only now: if a file is at fault, the model's and cameras' readers explain it better.
         let files = files?;
         // The result names these files by their checksums, so they must not have changed meanwhile.
