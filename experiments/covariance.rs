@@ -56,7 +56,7 @@ fn study(work: &Work, scene: &Scene) -> Result<(String, String)> {
                 for field in fields {
                     for covariance in COVARIANCES {
                         let field = field.clone().with_covariance(covariance)?.without_sums();
-                        readings.push(Reading { name: covariance.name().into(), field, blends: AVERAGES.to_vec() });
+                        readings.push(Reading { name: covariance.name().into(), field, averages: AVERAGES.to_vec() });
                     }
                 }
             }

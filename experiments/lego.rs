@@ -199,7 +199,7 @@ fn ranking(work: &Work, scene: &Scene) -> Result<(String, String)> {
             for (name, outcome) in ["octree", "dense"].into_iter().zip(run.finish_on(&[octree, dense])?) {
                 // The first keeps its sums, for the number of rays.
                 let field = if readings.is_empty() { outcome.field } else { outcome.field.without_sums() };
-                readings.push(Reading { name: name.into(), field, blends: averages.clone() });
+                readings.push(Reading { name: name.into(), field, averages: averages.clone() });
             }
         }
         truth.rank(scene, &readings)

@@ -303,7 +303,7 @@ fn queries_answer_in_all_formats() {
     desk.good("query field.oct points.csv -o out.csv");
     let text = std::fs::read_to_string(desk.path("out.csv")).unwrap();
     let lines: Vec<&str> = text.lines().collect();
-    assert_eq!(lines[0], "x,y,z,uncertainty,log10_uncertainty,level,inside,rays");
+    assert_eq!(lines[0], "x,y,z,uncertainty,log10_uncertainty,level,inside,rays,visits,seen");
     assert_eq!(lines.len(), 4);
     // Level, whether the point is inside, and how many rays support the number. Outside, none can.
     assert!(lines[1].contains(",5,1,") && !lines[1].ends_with(',') && lines[3].ends_with(",0,0,"), "{text}");
@@ -456,7 +456,7 @@ fn error_bars_are_told_wherever_a_field_is() {
     desk.good("query bars.oct points.npy -o out.csv");
     let text = std::fs::read_to_string(desk.path("out.csv")).unwrap();
     let lines: Vec<&str> = text.lines().collect();
-    assert_eq!(lines[0], "x,y,z,uncertainty,log10_uncertainty,level,inside,rays,log10_error");
+    assert_eq!(lines[0], "x,y,z,uncertainty,log10_uncertainty,level,inside,rays,visits,seen,log10_error");
     assert!(lines[1].ends_with(&format!(",{}", answers.data[2])) && lines[2].ends_with(','), "{text}");
     // Leaving the sums out leaves the errors alone. Another scalar has none.
     desk.good("convert bars.oct bare.oct");

@@ -48,7 +48,8 @@ const EVALUATE: &str = "evaluate m-0.safetensors m.oct --cameras set/transforms_
 fn a_disk_that_is_full_at_the_last_file_leaves_no_half_set() {
     let desk = desk();
     let names = ["sheet.png", "plot.svg", "curves.csv"];
-    let outputs = "--clean-up sheet.png --plot plot.svg --csv curves.csv --blend spread,weighted-mean,mean";
+    let outputs =
+        "--clean-up sheet.png --plot plot.svg --csv curves.csv --ray-average spread,weighted-mean,at-expected";
     octobayes(desk.path(), &format!("{EVALUATE} {outputs}"));
     let sizes = names.map(|name| std::fs::metadata(desk.path().join(name)).unwrap().len());
     for name in names {
@@ -74,7 +75,8 @@ fn a_disk_that_is_full_at_the_last_file_leaves_no_half_set() {
 fn all_measures_and_the_clean_up_are_in_the_tables() {
     let desk = desk();
     let run = |more: &str| octobayes(desk.path(), &format!("{EVALUATE} {more}"));
-    let text = run("--clean-up sheet.png --json --plot plot.svg --csv curves.csv --blend weighted-mean,mean");
+    let text =
+        run("--clean-up sheet.png --json --plot plot.svg --csv curves.csv --ray-average weighted-mean,at-expected");
     let json: Value = serde_json::from_str(&text).unwrap();
     let names = |key: &str| -> Vec<String> {
         json[key].as_array().unwrap().iter().map(|e| e["name"].as_str().unwrap().to_string()).collect()
@@ -111,7 +113,7 @@ fn all_measures_and_the_clean_up_are_in_the_tables() {
     // Results do not depend on the number of threads.
     let one = octobayes(
         desk.path(),
-        &format!("--threads 1 {EVALUATE} --blend weighted-mean,mean --clean-up sheet.png --json"),
+        &format!("--threads 1 {EVALUATE} --ray-average weighted-mean,at-expected --clean-up sheet.png --json"),
     );
     assert_eq!(text, one);
     // The same, human-readable.

@@ -142,9 +142,9 @@ fn label(kind: Kind, name: &str, variant: impl Into<String>) -> Label {
 fn readings(base: &UncertaintyField, plan: &Plan, others: &[UncertaintyField]) -> Result<(Vec<Reading>, Vec<Label>)> {
     let (mut readings, mut labels) = (Vec::new(), Vec::new());
     let lambda = base.protocol().lambda / plan.lambdas.iter().copied().fold(1.0, f64::min);
-    let mut add = |field: UncertaintyField, blends: &[RayAverage]| {
+    let mut add = |field: UncertaintyField, averages: &[RayAverage]| {
         let name = field.protocol().covariance.name().into();
-        readings.push(Reading { name, field, blends: blends.to_vec() });
+        readings.push(Reading { name, field, averages: averages.to_vec() });
     };
     for covariance in COVARIANCES {
         // The first keeps its sums, for the number of rays.
@@ -271,7 +271,7 @@ fn compute(scene: &Scene, plan: &Plan, work: &Path, folder: &Path) -> Result<Sce
 /// Time to render all views alone, and what one reading adds, from the first two views.
 fn costs(tracer: &Tracer, reading: &Reading, truths: &[TrueView]) -> Result<[Time; 2]> {
     let few = &truths[..truths.len().min(2)];
-    let one = [Reading { blends: vec![RayAverage::Spread], ..reading.clone() }];
+    let one = [Reading { averages: vec![RayAverage::Spread], ..reading.clone() }];
     let time = |readings: &[Reading]| -> Result<Time> {
         let evaluator = Evaluator { tracer: tracer.clone(), readings, members: Vec::new() };
         let clock = Clock::start();

@@ -173,7 +173,7 @@ pub fn rays(work: &Work, scenes: &[Scene], truth: Option<&Truth>) -> Result<(Str
 }
 
 fn ause(scene: &Scene, truth: &Truth, run: Run) -> Result<f64> {
-    let reading = Reading { name: "U".into(), field: run.field, blends: vec![RayAverage::Spread] };
+    let reading = Reading { name: "U".into(), field: run.field, averages: vec![RayAverage::Spread] };
     Ok(truth.rank(scene, &[reading])?.ranks[0].mae)
 }
 

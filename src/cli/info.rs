@@ -35,15 +35,19 @@ impl Args {
         if self.json {
             let mut value = report::protocol_json(&field);
             value["summary"] = json!(field.summary());
+            value["surfaces"] = report::surfaces_json(&field);
             value["octree"] = json!(stats);
             value["memory"] = memory.iter().map(|&(part, bytes)| (part.to_string(), json!(bytes))).collect();
             say!("{value}")?;
             return Ok(());
         }
         say!("{}\n{}", path.display(), report::protocol(&field))?;
-        say!("field\n  {}", report::summary(&field.summary()))?;
+        say!("field\n  {}{}", report::summary(&field.summary()), report::surfaces(&field))?;
         if let Some(stats) = stats {
             say!("  sound octree: {} leaves, {} hanging corners", stats.leaves(), stats.hanging_corners)?;
+        }
+        if let Some(visits) = field.visits() {
+            say!("  {:.0} % of the space was never seen", 100.0 * visits.unseen_share())?;
         }
         say!("  prior U {:.4e} (log10 {:.4})", field.prior(), field.prior().log10())?;
         say!("memory")?;

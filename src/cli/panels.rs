@@ -1,7 +1,9 @@
 //! A rendered view as a row of labelled panels.
 
+use crate::geometry::Camera;
 use crate::picture::{Bar, Panel, color_panel, scalar_panel};
 use crate::render::RenderedView;
+use crate::uncertainty::{Knowledge, UncertaintyField};
 
 /// Meaning of a small U, in two lines.
 const CONSTRAINED: [&str; 2] = ["well", "constrained"];
@@ -17,8 +19,8 @@ pub struct Ranges {
     pub prior: f64,
 }
 
-/// Colour, median depth and log10 U of a view.
-pub fn view_panels(view: &RenderedView, name: &str, ranges: Ranges) -> Vec<Panel> {
+/// Colour, median depth and log10 U of a view. log10 U is hatched where no training ray reached what is shown.
+pub fn view_panels(view: &RenderedView, name: &str, ranges: Ranges, is_unseen: &dyn Fn(usize) -> bool) -> Vec<Panel> {
     let colors = view.pixels.iter().map(|p| p.color);
     let depths = view.pixels.iter().map(|p| if p.opacity > 0.5 { p.median_depth } else { f64::NAN });
     let depth_bar = Bar::new(ranges.depth, colorous::VIRIDIS);
@@ -29,7 +31,7 @@ pub fn view_panels(view: &RenderedView, name: &str, ranges: Ranges) -> Vec<Panel
     if let Some(log10) = view.log10_uncertainty.first() {
         let shown = log10.iter().zip(&view.pixels).map(|(u, p)| if p.opacity > 0.05 { *u } else { f64::NAN });
         let bar = Bar::new(ranges.log10, colorous::INFERNO).meaning(CONSTRAINED, ranges.prior, "never seen");
-        panels.push(scalar_panel("log10 U (U in scene units)", view.resolution, shown, bar));
+        panels.push(scalar_panel("log10 U (hatched: never seen)", view.resolution, shown, bar).hatched(is_unseen));
     }
     panels
 }
@@ -39,4 +41,12 @@ pub fn depth_range<'a>(views: impl IntoIterator<Item = &'a RenderedView>) -> [f6
     let seen = views.into_iter().flat_map(|v| &v.pixels).filter(|p| p.opacity > 0.5).map(|p| p.median_depth);
     let (low, high) = seen.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), d| (l.min(d), h.max(d)));
     if low < high { [low, high] } else { [0.0, 1.0] }
+}
+
+/// Whether no training ray reached what a pixel shows, at its median depth.
+pub fn is_unseen(field: &UncertaintyField, camera: &Camera, offset: f64, view: &RenderedView, pixel: usize) -> bool {
+    let width = view.resolution[0] as usize;
+    let [x, y] = [pixel % width, pixel / width].map(|i| i as f64 + offset);
+    let at = camera.ray(x, y).at(view.pixels[pixel].median_depth).as_vec3();
+    view.pixels[pixel].opacity > 0.5 && field.knowledge(at, field.query(at).uncertainty) == Some(Knowledge::Unseen)
 }

@@ -14,7 +14,7 @@ use crate::error::printable;
 use crate::io::{AtomicFile, npy};
 use crate::monitor::check;
 use crate::posterior::Covariance;
-use crate::uncertainty::{Estimate, UncertaintyField};
+use crate::uncertainty::{Estimate, Knowledge, UncertaintyField};
 use crate::{Error, Result};
 
 /// Points that are answered together. More are no faster, and this many with their answers take 30 MB.
@@ -24,8 +24,11 @@ const BATCH: usize = 1 << 18;
 ///
 /// POINTS is `.npy` (N x 3, numbers of any type) or `.csv`, in scene units. If the first row of a `.csv` names its
 /// columns, those named x, y and z are read, in any order; without names there are exactly three. OUT is `.npy`
-/// (f64, N x 2: uncertainty, log10 uncertainty) or `.csv` (x,y,z,uncertainty,log10_uncertainty,level,inside,rays).
-/// `-` is CSV on stdin or stdout. Points outside the box get the prior and inside = 0.
+/// (f64, N x 2: uncertainty, log10 uncertainty) or `.csv` (x,y,z,uncertainty,log10_uncertainty,level,inside,rays,
+/// visits,seen). `-` is CSV on stdin or stdout. Points outside the box get the prior and inside = 0.
+///
+/// `visits` counts the training rays that reached the space around a point with half of their light; `seen` is
+/// `constrained` (moving the point changes training pixels), `free` (rays passed and met nothing) or `unseen`.
 ///
 /// CSV is answered as it is read: the list may be longer than memory.
 ///
@@ -148,7 +151,7 @@ fn write_csv<W: Write>(
 ) -> Result<std::io::Result<W>> {
     let with_errors = field.error_bars().is_some();
     let mut writer = csv::Writer::from_writer(out);
-    let header = ["x", "y", "z", "uncertainty", "log10_uncertainty", "level", "inside", "rays"];
+    let header = ["x", "y", "z", "uncertainty", "log10_uncertainty", "level", "inside", "rays", "visits", "seen"];
     if let Err(error) = writer.write_record(header.iter().chain(with_errors.then_some(&"log10_error"))) {
         return Ok(Err(error.into()));
     }
@@ -159,7 +162,7 @@ fn write_csv<W: Write>(
             let finished = writer.into_inner().map_err(csv::IntoInnerError::into_error);
             return Ok(finished);
         }
-        if let Err(error) = write_rows(&mut writer, &batch, &field.query_all(&batch), with_errors) {
+        if let Err(error) = write_rows(&mut writer, field, &batch, with_errors) {
             return Ok(Err(error));
         }
     }
@@ -167,14 +170,17 @@ fn write_csv<W: Write>(
 
 fn write_rows<W: Write>(
     writer: &mut csv::Writer<W>,
+    field: &UncertaintyField,
     points: &[Vec3],
-    answers: &[Estimate],
     with_errors: bool,
 ) -> std::io::Result<()> {
-    for (x, a) in points.iter().zip(answers) {
+    for (x, a) in points.iter().zip(field.query_all(points)) {
         let numbers = [x.x.to_string(), x.y.to_string(), x.z.to_string(), a.uncertainty.to_string()];
         let rays = a.rays.map_or(String::new(), |rays| rays.to_string());
-        let rest = [a.uncertainty.log10().to_string(), a.level.to_string(), u8::from(a.inside).to_string(), rays];
+        let visits = field.visits().map_or(String::new(), |visits| visits.at(*x).unwrap_or(0).to_string());
+        let seen = field.knowledge(*x, a.uncertainty).map_or("", Knowledge::name).to_string();
+        let inside = u8::from(a.inside).to_string();
+        let rest = [a.uncertainty.log10().to_string(), a.level.to_string(), inside, rays, visits, seen];
         let error = with_errors.then(|| a.log10_error.map_or(String::new(), |error| error.to_string()));
         writer.write_record(numbers.iter().chain(&rest).chain(&error))?;
     }

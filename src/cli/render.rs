@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use super::belongs::check_model;
 use super::files::CommandFiles;
-use super::options::{CameraOptions, ModelOptions, parse_positive, parse_range, scaled};
-use super::panels::{Ranges, depth_range, view_panels};
+use super::options::{CameraOptions, ModelOptions, Threshold, parse_positive, parse_range, scaled};
+use super::panels::{Ranges, depth_range, is_unseen, view_panels};
 use super::progress::Bars;
 use super::report;
 use crate::field::RadianceField;
@@ -23,7 +23,7 @@ const PREVIEW: u32 = 800;
 
 /// Render colour, depth and uncertainty of one view
 ///
-/// OUT.png shows labelled panels for viewing. OUT.exr holds channels for tools: R, G, B, A, depth.Z (median
+/// OUT.png shows labelled panels for viewing; what no training ray reached is hatched. OUT.exr holds channels for tools: R, G, B, A, depth.Z (median
 /// distance from the camera), uncertainty.U (scene units) and log10_uncertainty.U.
 #[derive(clap::Args)]
 #[command(
@@ -53,9 +53,10 @@ pub struct Args {
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
 
-    /// Remove density where log10 U exceeds this (the paper's clean-up); PNG shows both views, EXR the cleaned one
-    #[arg(long, value_name = "LOG10_U", allow_negative_numbers = true)]
-    threshold: Option<f64>,
+    /// Remove density where log10 U exceeds this (the paper's clean-up), or, as `99%`, what it exceeds on the most
+    /// certain 99 percent of visible surfaces; PNG shows both views, EXR the cleaned one
+    #[arg(long, value_name = "LOG10_U|PERCENT%", value_parser = Threshold::parse, allow_hyphen_values = true)]
+    threshold: Option<Threshold>,
 
     /// Ends of the colour bar of log10 U [default: -3,6, as in the official code]
     #[arg(long, value_name = "LOW,HIGH", value_parser = parse_range, default_value = "-3,6", hide_default_value = true, allow_hyphen_values = true)]
@@ -63,7 +64,7 @@ pub struct Args {
 
     /// How log10 U is averaged along a ray
     #[arg(long, value_enum, default_value = "weighted-mean")]
-    blend: RayAverage,
+    ray_average: RayAverage,
 
     /// Read another covariance than the field's own; the field must keep its sums
     #[arg(long, value_enum)]
@@ -100,7 +101,7 @@ impl Args {
         let camera = self.sized(&views.frame(self.frame)?.camera)?;
 
         let log10 = |x| field.log10(x);
-        let probes = [Probe { value: &log10, blends: &[self.blend] }];
+        let probes = [Probe { value: &log10, averages: &[self.ray_average] }];
         let settings = self.model.image_settings();
         let offset = settings.pixel_offset.unwrap_or_else(|| model.pixel_offset());
         let picture = |field: &dyn RadianceField| -> Result<RenderedView> {
@@ -110,7 +111,8 @@ impl Args {
             bars.end();
             Ok(view)
         };
-        let cleaned = match self.threshold {
+        let threshold = self.threshold.map(|threshold| threshold.log10(&field)).transpose()?;
+        let cleaned = match threshold {
             Some(threshold) => Some(picture(&ThresholdedField { field: &*model, uncertainty: &field, threshold })?),
             None => None,
         };
@@ -119,15 +121,20 @@ impl Args {
             write_exr(&self.output, view.resolution, channels(&view))?;
         } else {
             let view = picture(&*model)?;
+            let unseen = |view: &RenderedView, i: usize| is_unseen(&field, &camera, offset, view, i);
             let depth = depth_range([&view].into_iter().chain(&cleaned));
             let ranges = Ranges { depth, log10: self.range, prior: field.prior().log10() };
-            let mut rows = vec![view_panels(&view, &format!("frame {}", self.frame), ranges)];
-            if let (Some(cleaned), Some(threshold)) = (&cleaned, self.threshold) {
-                rows.push(view_panels(cleaned, &format!("log10 U <= {threshold}"), ranges));
+            let mut rows = vec![view_panels(&view, &format!("frame {}", self.frame), ranges, &|i| unseen(&view, i))];
+            if let (Some(cleaned), Some(threshold)) = (&cleaned, threshold) {
+                rows.push(view_panels(cleaned, &format!("log10 U <= {threshold:.3}"), ranges, &|i| unseen(cleaned, i)));
             }
             write_sheet(&self.output, &rows)?;
         }
-        say!("{}\nprotocol of the field\n{}", self.output.display(), report::protocol(&field))?;
+        say!(
+            "{}\nprotocol of the field\n{}",
+            self.output.display(),
+            format!("{}{}", report::protocol(&field), report::surfaces(&field))
+        )?;
         Ok(())
     }
 }

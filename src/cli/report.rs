@@ -140,6 +140,27 @@ pub fn summary(s: &Summary) -> String {
     )
 }
 
+/// Percentiles of log10 U over visible surfaces, by which thresholds are chosen; empty if there are no such points.
+pub fn surfaces(field: &UncertaintyField) -> String {
+    let Some(log10) = field.surface_quantiles(PERCENTS.map(|percent| 0.01 * percent)) else { return String::new() };
+    let listed: Vec<String> = PERCENTS.iter().zip(log10).map(|(p, log10)| format!("{log10:.2} ({p}%)")).collect();
+    format!("\n  log10 U on visible surfaces: {}; prior {:.2}", listed.join(", "), field.prior().log10())
+}
+
+/// The same as JSON.
+pub fn surfaces_json(field: &UncertaintyField) -> Value {
+    let log10 = field.surface_quantiles(PERCENTS.map(|percent| 0.01 * percent));
+    json!({
+        "percent": PERCENTS,
+        "log10_uncertainty": log10,
+        "prior": field.prior().log10(),
+        "unseen_share": field.visits().map(crate::posterior::Visits::unseen_share),
+    })
+}
+
+/// Percents of the visible surfaces of which log10 U is told.
+const PERCENTS: [f64; 5] = [1.0, 10.0, 50.0, 90.0, 99.0];
+
 /// Table of |Δ log10 U|.
 pub fn comparison(c: &Comparison) -> String {
     let row = |name: &str, d: &Option<Difference>| match d {
@@ -282,6 +303,7 @@ pub fn finished(field: &UncertaintyField, cost: &Cost, as_json: bool) -> Result<
     if as_json {
         let mut value = protocol_json(field);
         value["summary"] = json!(s);
+        value["surfaces"] = surfaces_json(field);
         value["threads"] = json!(rayon::current_num_threads());
         value["seconds"] = json!(cost.elapsed.as_secs_f64());
         value["peak_bytes"] = json!(peak());
@@ -290,7 +312,7 @@ pub fn finished(field: &UncertaintyField, cost: &Cost, as_json: bool) -> Result<
         say!("{value}")?;
     } else {
         say!("protocol\n{}\n  threads      {}", protocol(field), rayon::current_num_threads())?;
-        say!("field\n  {}", summary(&s))?;
+        say!("field\n  {}{}", summary(&s), surfaces(field))?;
         let peak = peak().map_or(String::new(), |peak| format!(", {} the peak of the process", bytes(peak as usize)));
         say!("  {} while summing{peak}, {:.1} s", bytes(cost.sums_bytes), cost.elapsed.as_secs_f64())?;
     }

@@ -11,7 +11,7 @@ pub struct Reading {
     /// The uncertainty field U.
     pub field: UncertaintyField,
     /// How log10 U along a ray becomes the value of its pixel; at least one.
-    pub blends: Vec<RayAverage>,
+    pub averages: Vec<RayAverage>,
 }
 
 /// Measures without a Hessian, which an uncertainty field has to beat.

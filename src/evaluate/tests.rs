@@ -83,7 +83,7 @@ fn every_measure_is_of_the_same_pixels() {
         .map(|&c| Reading {
             name: c.name().into(),
             field: field.clone().with_covariance(c).unwrap(),
-            blends: vec![RayAverage::WeightedMean, RayAverage::AtExpected, RayAverage::Spread],
+            averages: vec![RayAverage::WeightedMean, RayAverage::AtExpected, RayAverage::Spread],
         })
         .collect();
     let nothing = Nothing(ball.bounds());

@@ -45,7 +45,7 @@ impl Evaluator<'_> {
     #[must_use]
     pub fn measures(&self) -> Vec<Measure> {
         let readings = self.readings.iter().enumerate();
-        let readings = readings.flat_map(|(i, r)| r.blends.iter().map(move |&blend| Measure::Reading(i, blend)));
+        let readings = readings.flat_map(|(i, r)| r.averages.iter().map(move |&average| Measure::Reading(i, average)));
         let mut baselines = vec![Baseline::RayVariance, Baseline::RayEntropy, Baseline::Transparency];
         baselines.extend(self.counted().map(|_| Baseline::RayCount));
         baselines.push(Baseline::Random);
@@ -59,8 +59,8 @@ impl Evaluator<'_> {
     #[must_use]
     pub fn name(&self, measure: Measure) -> String {
         match measure {
-            Measure::Reading(i, blend) if self.readings[i].blends.len() > 1 => {
-                format!("{}, {}", self.readings[i].name, blend.name())
+            Measure::Reading(i, average) if self.readings[i].averages.len() > 1 => {
+                format!("{}, {}", self.readings[i].name, average.name())
             }
             Measure::Reading(i, _) => self.readings[i].name.clone(),
             Measure::Baseline(baseline) => baseline.name().into(),
@@ -80,12 +80,12 @@ impl Evaluator<'_> {
         let values: Vec<_> = self.readings.iter().map(|reading| |x| reading.field.log10(x)).collect();
         let mut probes: Vec<Probe> = Vec::new();
         for (value, reading) in values.iter().zip(self.readings) {
-            probes.push(Probe { value, blends: &reading.blends });
+            probes.push(Probe { value, averages: &reading.averages });
         }
         let counted = self.counted();
         let unsupported = |x| -counted.and_then(|reading| reading.field.query(x).rays).unwrap_or(0.0);
         if counted.is_some() {
-            probes.push(Probe { value: &unsupported, blends: &[RayAverage::WeightedMean] });
+            probes.push(Probe { value: &unsupported, averages: &[RayAverage::WeightedMean] });
         }
         check(monitor)?;
         let mut rendered = render_view(&self.tracer, &truth.camera, truth.pixel_offset, &probes, monitor)?;
@@ -106,8 +106,8 @@ impl Evaluator<'_> {
             let each = |value: &dyn Fn(usize) -> f64| pixels.iter().map(|&i| value(i)).collect();
             match measure {
                 Measure::Reading(..) => {
-                    let blended = readings.next().expect("one image per reading and blend");
-                    each(&|i| blended[i])
+                    let averaged = readings.next().expect("one image per reading and average");
+                    each(&|i| averaged[i])
                 }
                 Measure::Baseline(baseline) => match baseline {
                     Baseline::RayVariance => each(&|i| rendered.pixels[i].depth_variance),

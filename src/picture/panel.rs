@@ -107,6 +107,9 @@ impl Bar {
     }
 }
 
+/// Colour of hatching: lighter than the background, and on no colour map.
+const HATCHING: Rgb<u8> = Rgb([150, 150, 150]);
+
 /// One picture of a sheet.
 #[derive(Clone)]
 pub struct Panel {
@@ -133,6 +136,21 @@ pub fn scalar_panel(title: &str, [width, height]: [u32; 2], values: impl IntoIte
     let bytes = values.into_iter().flat_map(|v| bar.color(v).0).collect();
     let image = RgbImage::from_raw(width, height, bytes).expect("one value per pixel");
     Panel { title: title.into(), image, bar: Some(bar) }
+}
+
+impl Panel {
+    /// The same panel, hatched in grey at the pixels `[height · width]` for which `is_hatched` holds.
+    #[must_use]
+    pub fn hatched(mut self, is_hatched: impl Fn(usize) -> bool) -> Self {
+        let width = self.image.width();
+        for (i, pixel) in self.image.pixels_mut().enumerate() {
+            let (x, y) = (i as u32 % width, i as u32 / width);
+            if (x + y) % 6 < 2 && is_hatched(i) {
+                *pixel = HATCHING;
+            }
+        }
+        self
+    }
 }
 
 /// Writes rows of panels as one PNG.

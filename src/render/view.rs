@@ -60,7 +60,7 @@ pub struct Probe<'a> {
     /// The scalar at a point.
     pub value: &'a (dyn Fn(Vec3) -> f64 + Sync),
     /// Ray averages to compute: each gives one number per pixel.
-    pub blends: &'a [RayAverage],
+    pub averages: &'a [RayAverage],
 }
 
 /// The image of a field, row by row from the top left pixel.
@@ -79,7 +79,7 @@ pub struct RenderedView {
 
 /// Number of values per pixel that the probes give.
 fn channels(probes: &[Probe]) -> usize {
-    probes.iter().map(|probe| probe.blends.len()).sum()
+    probes.iter().map(|probe| probe.averages.len()).sum()
 }
 
 /// Renders a camera's image. `pixel_offset` is the position in a pixel that its ray
@@ -149,7 +149,7 @@ fn render_rays(tracer: &Tracer, rays: &[Ray], probes: &[Probe]) -> RenderedView 
         let pixel = quadrature.pixel(&samples, &colors, &traced.t, background);
         row.pixels.push(pixel);
         let weights = &quadrature.weights[samples.clone()];
-        let blended = BlendedRay {
+        let averaged = WeightedRay {
             weights,
             end_transmittance: quadrature.end_transmittance(&samples),
             at_expected: tracer.marcher.bounds.clamp(ray.at(pixel.expected_depth).as_vec3()),
@@ -158,12 +158,12 @@ fn render_rays(tracer: &Tracer, rays: &[Ray], probes: &[Probe]) -> RenderedView 
         let mut channel = 0;
         for probe in probes {
             values.clear();
-            if probe.blends.iter().any(|blend| blend.is_of_samples()) {
+            if probe.averages.iter().any(|average| average.is_of_samples()) {
                 let hit = weights.iter().zip(&traced.positions[samples.clone()]);
                 values.extend(hit.map(|(w, x)| if *w > 0.0 { (probe.value)(*x) } else { 0.0 }));
             }
-            for &blend in probe.blends {
-                row.log10_uncertainty[channel].push(blended.blend(blend, &values, probe.value));
+            for &average in probe.averages {
+                row.log10_uncertainty[channel].push(averaged.average(average, &values, probe.value));
                 channel += 1;
             }
         }
@@ -172,22 +172,22 @@ fn render_rays(tracer: &Tracer, rays: &[Ray], probes: &[Probe]) -> RenderedView 
 }
 
 /// A ray along which scalars are averaged.
-struct BlendedRay<'a> {
+struct WeightedRay<'a> {
     weights: &'a [f64],
     end_transmittance: f64,
     at_expected: Vec3,
     spread: f64,
 }
 
-impl BlendedRay<'_> {
+impl WeightedRay<'_> {
     /// Computes a ray average from `values` at the samples and from `value` anywhere else.
     ///
     /// Where the weight is zero, `values` may be anything; they may be missing if the average needs none.
-    fn blend(&self, blend: RayAverage, values: &[f64], value: &dyn Fn(Vec3) -> f64) -> f64 {
+    fn average(&self, average: RayAverage, values: &[f64], value: &dyn Fn(Vec3) -> f64) -> f64 {
         let total: f64 = self.weights.iter().sum();
         let hit = self.weights.iter().zip(values).filter(|(w, _)| **w > 0.0);
         let sum: f64 = hit.map(|(w, u)| w * u).sum();
-        match blend {
+        match average {
             RayAverage::Official => sum + OFFICIAL_EMPTY * self.end_transmittance,
             _ if total <= 0.0 => f64::NAN,
             RayAverage::WeightedMean => sum / total,
@@ -205,9 +205,9 @@ mod tests {
     fn blends_of_two_samples() {
         // U = 1 with weight 0.3, U = 100 with weight 0.1, one sample without weight; 0.6 of the ray hits nothing.
         let weights = &[0.3, 0.0, 0.1];
-        let ray = BlendedRay { weights, end_transmittance: 0.6, at_expected: Vec3::X, spread: 0.1 };
+        let ray = WeightedRay { weights, end_transmittance: 0.6, at_expected: Vec3::X, spread: 0.1 };
         let values = [0.0, 77.0, 2.0];
-        let blend = |blend| ray.blend(blend, &values, &|x| if x == Vec3::X { 1.5 } else { 0.25 });
+        let average = |average| ray.average(average, &values, &|x| if x == Vec3::X { 1.5 } else { 0.25 });
         let expected = [
             (RayAverage::WeightedMean, 0.2 / 0.4),
             (RayAverage::Official, 0.2 - 3.0 * 0.6),
@@ -215,17 +215,20 @@ mod tests {
             (RayAverage::Spread, 1.5 - 1.0),
         ];
         for (name, expected) in expected {
-            assert!((blend(name) - expected).abs() < 1e-12, "{name:?}: {} instead of {expected}", blend(name));
+            assert!((average(name) - expected).abs() < 1e-12, "{name:?}: {} instead of {expected}", average(name));
         }
         assert_eq!(expected.map(|(name, _)| name), RayAverage::ALL);
     }
 
     #[test]
     fn a_ray_that_meets_nothing_has_no_value_but_the_official_one() {
-        let ray = BlendedRay { weights: &[0.0], end_transmittance: 1.0, at_expected: Vec3::ZERO, spread: 0.1 };
-        for blend in RayAverage::ALL {
-            let found = ray.blend(blend, &[5.0], &|_| 5.0);
-            assert!(if blend == RayAverage::Official { found == -3.0 } else { found.is_nan() }, "{blend:?}: {found}");
+        let ray = WeightedRay { weights: &[0.0], end_transmittance: 1.0, at_expected: Vec3::ZERO, spread: 0.1 };
+        for average in RayAverage::ALL {
+            let found = ray.average(average, &[5.0], &|_| 5.0);
+            assert!(
+                if average == RayAverage::Official { found == -3.0 } else { found.is_nan() },
+                "{average:?}: {found}"
+            );
         }
     }
 }

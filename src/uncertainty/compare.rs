@@ -19,7 +19,7 @@ pub struct Summary {
     pub level: u8,
     /// Number of vertices that carry values.
     pub vertices: u64,
-    /// Bytes needed for queries: the structure and one value per vertex.
+    /// Bytes needed for queries: the structure, and deviation and ray count of every vertex.
     pub query_bytes: usize,
     /// Bytes of the structure alone.
     pub structure_bytes: usize,
@@ -61,7 +61,7 @@ impl UncertaintyField {
     /// Size and structure of the field.
     #[must_use]
     pub fn summary(&self) -> Summary {
-        let values = self.deviations.memory();
+        let values = self.deviations.memory() + self.rays.memory();
         let (grid, leaves_per_level) = match &self.support {
             Support::Dense => ("dense", Vec::new()),
             Support::Octree(octree) => {

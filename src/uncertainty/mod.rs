@@ -30,6 +30,7 @@ use glam::{DVec3, Vec3};
 
 use self::reading::read;
 use crate::geometry::Lattice;
+use crate::metrics::quantile;
 use crate::octree::{Cell, MaxLevels, Octree, VertexId, trilinear};
 use crate::posterior::{Covariance, OctreePosterior, Refinement, VertexSums, Visits};
 use crate::rays::Draw;
@@ -227,6 +228,16 @@ impl UncertaintyField {
     #[must_use]
     pub fn visits(&self) -> Option<&Visits> {
         self.visits.as_ref()
+    }
+
+    /// log10 U at these shares of the field's points on visible surfaces, from the most certain; `None` without such
+    /// points.
+    #[must_use]
+    pub fn surface_quantiles<const N: usize>(&self, shares: [f64; N]) -> Option<[f64; N]> {
+        let points: Vec<Vec3> = self.surface.iter().copied().map(Vec3::from_array).collect();
+        let mut log10: Vec<f64> = self.query_all(&points).iter().map(|found| found.uncertainty.log10()).collect();
+        log10.sort_by(f64::total_cmp);
+        (!log10.is_empty()).then(|| shares.map(|share| quantile(&log10, share)))
     }
 
     /// What the training rays tell of a scene point where U is `uncertainty`; `None` if it is not known where they

@@ -13,7 +13,7 @@ use self::matter::{Matter, Shares};
 use self::scene::{DemoScene, TOLERANCE};
 use super::files::CommandFiles;
 use super::options::count;
-use super::panels::{Ranges, depth_range, view_panels};
+use super::panels::{Ranges, depth_range, is_unseen, view_panels};
 use super::progress::Bars;
 use super::report;
 use crate::dataset::write_transforms;
@@ -185,7 +185,7 @@ impl Args {
         let cleaned = ThresholdedField { field, uncertainty, threshold };
         let truth = subject.truth.as_ref().map(|truth| &truth.scene as &dyn RadianceField);
         let log10 = |x| uncertainty.log10(x);
-        let probes = [Probe { value: &log10, blends: &[RayAverage::WeightedMean] }];
+        let probes = [Probe { value: &log10, averages: &[RayAverage::WeightedMean] }];
         let render = |field: &dyn RadianceField| -> Result<Vec<RenderedView>> {
             let tracer = RaySettings::default().cutoff(1e-4).tracer(field, 0.0, bars)?;
             let cameras = subject.views().map(|view| view.1);
@@ -202,7 +202,9 @@ impl Args {
         };
         let rows: Vec<Vec<Panel>> = (0..views.len())
             .map(|i| {
-                let mut row = view_panels(&views[i], subject.views()[i].0, ranges);
+                let (name, camera) = subject.views()[i];
+                let unseen = |pixel| is_unseen(uncertainty, &camera, 0.5, &views[i], pixel);
+                let mut row = view_panels(&views[i], name, ranges, &unseen);
                 if let Some(truths) = &truths {
                     row.remove(1);
                     row.insert(0, colors(&format!("{}: truth", subject.views()[i].0), &truths[i]));

@@ -81,7 +81,7 @@ pub struct Args {
     /// ranked depth errors best in the study of few views (experiments/few_views.md); `render` shows
     /// `weighted-mean`
     #[arg(long, value_enum, value_delimiter = ',', default_value = "spread")]
-    blend: Vec<RayAverage>,
+    ray_average: Vec<RayAverage>,
 
     /// Two or more models trained like MODEL with other seeds; MODEL may be among them. Evaluates the variance of
     /// their depth, and the density-aware ensemble (Sünderhauf et al. 2023)
@@ -198,7 +198,7 @@ impl Args {
                 let stem = path.file_stem().unwrap_or_default().to_string_lossy();
                 let name = format!("{stem} {}", covariance.name());
                 let field = field.clone().with_covariance(covariance)?;
-                readings.push(Reading { name, field, blends: self.blend.clone() });
+                readings.push(Reading { name, field, averages: self.ray_average.clone() });
             }
         }
         Ok(readings)

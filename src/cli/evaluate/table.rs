@@ -112,8 +112,8 @@ impl Evaluation<'_> {
                 "ause_mean_over_views": by_kind(&|e| score.per_view_mean[e]),
             });
             match measure {
-                Measure::Reading(r, blend) => {
-                    entry["blend"] = json!(blend);
+                Measure::Reading(r, average) => {
+                    entry["ray_average"] = json!(average);
                     entry["field"] = report::protocol_json(&self.evaluator.readings[r].field);
                     readings.push(entry);
                 }
@@ -153,8 +153,8 @@ impl Evaluation<'_> {
         let empty = self.empty();
         say!("  mask         alpha 255 and known depth; {empty} pixels left out where the field shows nothing")?;
         say!("  alignment    none")?;
-        let blends: Vec<_> = args.blend.iter().map(|b| b.name()).collect();
-        say!("  U per pixel  log10 U blended `{}`", blends.join("`, `"))?;
+        let averages: Vec<_> = args.ray_average.iter().map(|b| b.name()).collect();
+        say!("  U per pixel  log10 U averaged `{}`", averages.join("`, `"))?;
         say!("  AUSE         100 steps, both curves over their common maximum, trapezoid; 0 is a perfect order")?;
         say!("PSNR {:.2} dB (mean over views)", self.psnr())?;
         let DepthError { pixels, median, mean, percentile_95 } = self.depth;

@@ -4,6 +4,7 @@ mod cameras;
 mod grid;
 mod numbers;
 mod parse;
+mod threshold;
 
 pub use cameras::{CameraFile, CameraOptions, FrameOptions};
 pub use grid::{DomainOptions, GridOptions, OfficialOptions, check_field_name};
@@ -12,6 +13,7 @@ pub use parse::{
     Resolution, numbers, parse_background, parse_box, parse_non_negative, parse_pair, parse_positive, parse_range,
     parse_resolution, parse_views, scaled,
 };
+pub use threshold::Threshold;
 
 use clap::{Args, ValueEnum};
 use glam::Vec3;

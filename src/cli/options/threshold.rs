@@ -1,0 +1,56 @@
+//! A threshold of log10 U, as a number or by its share of visible surfaces.
+
+use crate::uncertainty::UncertaintyField;
+use crate::{Error, Result};
+
+/// Where the clean-up cuts.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Threshold {
+    /// log10 U.
+    Log10(f64),
+    /// Share of the visible surfaces that stays, the most certain first.
+    Share(f64),
+}
+
+impl Threshold {
+    /// `4.2`, or `99%`.
+    pub fn parse(text: &str) -> std::result::Result<Self, String> {
+        let expected = "expected log10 U as a number, or a share of visible surfaces as 99%";
+        match text.strip_suffix('%').map(|share| share.trim().parse::<f64>()) {
+            Some(Ok(percent)) if (0.0..=100.0).contains(&percent) => Ok(Self::Share(0.01 * percent)),
+            Some(_) => Err(format!("{expected}, from 0% to 100%")),
+            None => text.parse().ok().filter(|v: &f64| v.is_finite()).map(Self::Log10).ok_or_else(|| expected.into()),
+        }
+    }
+
+    /// log10 U of the threshold in a field. Says so on stderr if it had to be found.
+    ///
+    /// # Errors
+    /// If it is a share, and the field holds no points on visible surfaces.
+    pub fn log10(self, field: &UncertaintyField) -> Result<f64> {
+        match self {
+            Self::Log10(log10) => Ok(log10),
+            Self::Share(share) => {
+                let Some([log10]) = field.surface_quantiles([share]) else {
+                    let expected = "a field with points on visible surfaces, for a share";
+                    return Err(Error::setting("--threshold", expected, "one without (see --surface-points)"));
+                };
+                eprintln!("note: log10 U is at most {log10:.3} on {}% of the visible surfaces", 100.0 * share);
+                Ok(log10)
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn thresholds_are_numbers_or_shares() {
+        let parse = |text| Threshold::parse(text).ok();
+        assert_eq!(parse("-1.5"), Some(Threshold::Log10(-1.5)));
+        assert_eq!(parse("99 %"), Some(Threshold::Share(0.99)));
+        assert_eq!([parse("101%"), parse("x%"), parse("inf"), parse("nan"), parse("")], [None; 5]);
+    }
+}
