@@ -11,7 +11,7 @@ use octobayes::field::{Differentiable, Radiance, RadianceField, RadianceJet};
 use octobayes::geometry::{Aabb, Domain, Ray};
 use octobayes::monitor::Silent;
 use octobayes::rays::{RunProgress, Shard};
-use octobayes::render::{GradientMethod, Quadrature, TraceBuffers};
+use octobayes::render::{CompositingWeights, GradientMethod, TraceBuffers};
 use rayon::prelude::*;
 
 use super::measure::grid;
@@ -167,7 +167,7 @@ fn measure(lego: &Scene, gradient: Option<GradientMethod>) -> Result<Measured> {
                     .map(|p| lego.cameras[p.camera].ray(f64::from(p.pixel[0]) + offset, f64::from(p.pixel[1]) + offset))
                     .collect();
                 let jitter: Vec<f64> = picks.iter().map(|p| p.jitter).collect();
-                let (mut buffers, mut quadrature) = (TraceBuffers::default(), Quadrature::default());
+                let (mut buffers, mut quadrature) = (TraceBuffers::default(), CompositingWeights::default());
                 stream.tracer.trace(&rays, &jitter, &mut buffers);
                 let traced = &buffers.traced;
                 quadrature.set(traced, stream.tracer.marcher.step);

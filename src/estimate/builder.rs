@@ -180,7 +180,7 @@ impl FieldBuilder {
     /// Approximate peak memory if the field were finished now, bytes.
     #[must_use]
     pub fn expected_peak(&self) -> u64 {
-        let finishing = if self.settings.grid == GridKind::Dense { 0.07 } else { plan::FINISHED / plan::SUMMING };
+        let finishing = if self.settings.grid == GridKind::Dense { 0.09 } else { plan::FINISHED / plan::SUMMING };
         (self.memory() as f64 * (1.0 + finishing)) as u64
     }
 

@@ -12,14 +12,14 @@ use crate::{Error, Result};
 
 /// Bytes per touched vertex while summing.
 ///
-/// The sums take 64 bytes, in bricks that are about half full (the city at level 11: 129 bytes per vertex).
+/// The sums take 56 bytes, in bricks that are about half full (the city at level 11: twice that per vertex).
 /// Another half of that covers lists of rays in progress and the allocator's overhead.
 pub const SUMMING: f64 = 3.0 * size_of::<VertexSums>() as f64;
 /// Bytes per touched vertex of the finished field.
 ///
-/// Sums, deviation, position and structure (64 + 4 + 12 + 1), times one and a half vertices, because the cells
-/// around a touched vertex have others.
-pub const FINISHED: f64 = 1.5 * 81.0;
+/// Sums, deviation, ray count and structure (56 + 4 + 1 + 1), times one and a half vertices, because the cells around
+/// a touched vertex have others.
+pub const FINISHED: f64 = 1.5 * (size_of::<VertexSums>() + 6) as f64;
 
 /// The expected course of a run.
 #[derive(Debug, Clone)]
@@ -93,7 +93,7 @@ impl Planner {
         let vertices = self.survey.vertices(self.scale, &limits);
         let given_up = self.survey.shares(&limits);
         let bytes = match self.settings.grid {
-            GridKind::Dense => DensePosterior::required_memory(lattice) as f64 * (1.0 + 4.0 / 64.0),
+            GridKind::Dense => DensePosterior::required_memory(lattice) as f64 * (1.0 + 5.0 / size_of::<VertexSums>() as f64),
             GridKind::Octree => vertices * (SUMMING + FINISHED),
         };
         let vertices_unlimited = self.vertices_unlimited;

@@ -10,7 +10,7 @@ use crate::Result;
 use crate::geometry::{Aabb, Camera, Domain, Ray};
 use crate::monitor::{Monitor, check};
 use crate::rays::{RayStream, SURFACE_WEIGHT};
-use crate::render::{Quadrature, TraceBuffers};
+use crate::render::{CompositingWeights, TraceBuffers};
 
 /// Approximate number of rays traced, a thousandth of a default run's. The standard error of a fraction is at
 /// most 0.008, so it is known to within 0.016 (two standard errors, at ½).
@@ -222,7 +222,7 @@ fn seen<'b>(view: &View, stream: &'b RayStream, domain: &Domain, buffers: &mut T
     let tracer = &stream.tracer;
     tracer.trace(&view.rays, &vec![0.5; view.rays.len()], buffers);
     let traced = &buffers.traced;
-    let mut quadrature = Quadrature::default();
+    let mut quadrature = CompositingWeights::default();
     quadrature.set(traced, tracer.marcher.step);
     let (mut matter, mut within, mut near) = (0_usize, 0_usize, 0_usize);
     for ray in 0..traced.rays() {

@@ -11,7 +11,7 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use crate::geometry::{Domain, Lattice};
-use crate::render::{RaySamples, SightLine};
+use crate::render::{RaySamples, VisibleSegment};
 
 /// Steps per coarse cell along a contracted ray, which is curved on the grid.
 const STEPS_PER_CELL: f64 = 2.0;
@@ -131,7 +131,7 @@ fn index(lattice: &Lattice, cell: [u32; 3]) -> usize {
 }
 
 /// Calls `visit` once for every cell that a line crosses in a box, in order (Amanatides & Woo 1987).
-fn along_straight(lattice: &Lattice, line: &SightLine, mut visit: impl FnMut(usize)) {
+fn along_straight(lattice: &Lattice, line: &VisibleSegment, mut visit: impl FnMut(usize)) {
     let Some(bounds) = lattice.domain().bounds() else { return };
     let Some((enter, exit)) = bounds.clip(&line.ray) else { return };
     let (enter, exit) = (enter.max(0.0), exit.min(line.until));
@@ -169,7 +169,7 @@ fn along_straight(lattice: &Lattice, line: &SightLine, mut visit: impl FnMut(usi
 
 /// Calls `visit` for every cell that a line enters in contracted space, but for corners that it cuts by less than a
 /// step.
-fn along_curved(lattice: &Lattice, line: &SightLine, mut visit: impl FnMut(usize)) {
+fn along_curved(lattice: &Lattice, line: &VisibleSegment, mut visit: impl FnMut(usize)) {
     let shortest = |x: Vec3| lattice.edge().min_element() / STEPS_PER_CELL * lattice.domain().stretch(x);
     let (mut t, mut step) = (0.0, 0.0);
     let mut last: Option<(usize, DVec3)> = None;
@@ -200,15 +200,15 @@ mod tests {
     use crate::geometry::{Aabb, Norm, Ray};
     use proptest::prelude::*;
 
-    fn visits(domain: Domain, lines: Vec<SightLine>) -> Visits {
+    fn visits(domain: Domain, lines: Vec<VisibleSegment>) -> Visits {
         let mut visits = Visits::new(&Lattice::from_domain(domain, 8).unwrap());
         visits.add(&[RaySamples { sight: lines, ..RaySamples::default() }]);
         visits
     }
 
-    fn line(origin: [f64; 3], direction: [f64; 3], until: f64) -> Option<SightLine> {
+    fn line(origin: [f64; 3], direction: [f64; 3], until: f64) -> Option<VisibleSegment> {
         let direction = DVec3::from(direction).try_normalize()?;
-        Some(SightLine { ray: Ray::new(DVec3::from(origin), direction), until })
+        Some(VisibleSegment { ray: Ray::new(DVec3::from(origin), direction), until })
     }
 
     proptest! {

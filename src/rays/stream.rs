@@ -8,7 +8,9 @@ use super::seeds::Purpose;
 use super::shard::{BATCH, Draw, Shard};
 use crate::geometry::{Camera, Ray};
 use crate::monitor::{Monitor, check};
-use crate::render::{Differentiation, JacobianBuffers, Quadrature, RaySamples, TraceBuffers, TracedRays, Tracer};
+use crate::render::{
+    CompositingWeights, Differentiation, JacobianBuffers, RaySamples, TraceBuffers, TracedRays, Tracer,
+};
 use crate::{Error, Result};
 
 /// Number of batches passed to the posterior together.
@@ -152,7 +154,7 @@ impl RayStream<'_> {
 
 /// Positions of samples of weight ≥ [`SURFACE_WEIGHT`].
 fn visible(traced: &TracedRays, step: f64) -> Vec<[f32; 3]> {
-    let mut quadrature = Quadrature::default();
+    let mut quadrature = CompositingWeights::default();
     quadrature.set(traced, step);
     let weighted = quadrature.weights.iter().zip(&traced.positions);
     weighted.filter(|(w, _)| **w >= f64::from(SURFACE_WEIGHT)).map(|(_, x)| x.to_array()).collect()

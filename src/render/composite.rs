@@ -55,14 +55,14 @@ pub fn termination_entropy(weights: &[f64], end_transmittance: f64) -> f64 {
 
 /// Weights of the samples of a group of rays, in order. The buffers are reused from group to group.
 #[derive(Debug, Clone, Default)]
-pub struct Quadrature {
+pub struct CompositingWeights {
     /// w_i of each sample.
     pub weights: Vec<f64>,
     /// T_{i+1}, the transmittance behind each sample.
     pub behind: Vec<f64>,
 }
 
-impl Quadrature {
+impl CompositingWeights {
     /// Computes the weights of all samples of `traced` for intervals of length `delta`.
     pub fn set(&mut self, traced: &TracedRays, delta: f64) {
         self.weights.clear();
@@ -146,8 +146,8 @@ mod tests {
         proptest::collection::vec((density, color), 0..40).prop_map(|samples| samples.into_iter().unzip())
     }
 
-    fn one_ray(densities: &[f32], delta: f64) -> (Quadrature, Range<usize>) {
-        let mut quadrature = Quadrature::default();
+    fn one_ray(densities: &[f32], delta: f64) -> (CompositingWeights, Range<usize>) {
+        let mut quadrature = CompositingWeights::default();
         quadrature.push_ray(densities, delta);
         (quadrature, 0..densities.len())
     }

@@ -35,7 +35,9 @@ use std::ops::Range;
 use glam::{DVec3, Vec3};
 
 use super::gradient::{GradientBuffers, Jet};
-use super::{Differentiation, Occupancy, Quadrature, RaySample, RaySamples, SightLine, TraceBuffers, Tracer};
+use super::{
+    CompositingWeights, Differentiation, Occupancy, RaySample, RaySamples, TraceBuffers, Tracer, VisibleSegment,
+};
 use crate::field::Radiance;
 use crate::geometry::Ray;
 
@@ -96,7 +98,7 @@ impl Chosen {
 #[derive(Default)]
 pub struct JacobianBuffers<'a> {
     trace: TraceBuffers<'a>,
-    quadrature: Quadrature,
+    quadrature: CompositingWeights,
     visible: Chosen,
     lurking: Chosen,
     gradient: GradientBuffers,
@@ -277,7 +279,7 @@ impl Tracer<'_> {
                 if !traced.is_dropped[r] {
                     let dark = samples.clone().find(|&i| quadrature.behind[i] < 0.5);
                     let until = dark.map_or(f64::INFINITY, |i| traced.t[i] + 0.5 * self.marcher.step);
-                    out.sight.push(SightLine { ray: rays[r], until });
+                    out.sight.push(VisibleSegment { ray: rays[r], until });
                 }
             }
         }
@@ -337,7 +339,7 @@ mod tests {
         let mut radiance = vec![Radiance::default(); positions.len()];
         tracer.field.evaluate(&positions, &vec![ray.direction.as_vec3(); positions.len()], &mut radiance);
         let (densities, colors): (Vec<f32>, Vec<Vec3>) = radiance.iter().map(|r| (r.density, r.color)).unzip();
-        let mut quadrature = Quadrature::default();
+        let mut quadrature = CompositingWeights::default();
         quadrature.set(&TracedRays { densities, ..traced.clone() }, tracer.marcher.step);
         quadrature.pixel(&traced.samples(0), &colors, &traced.t, tracer.background()).color
     }

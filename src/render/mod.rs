@@ -11,12 +11,12 @@ mod shade;
 mod trace;
 mod view;
 
-pub use composite::{Pixel, Quadrature, depth_variance, termination_entropy};
+pub use composite::{CompositingWeights, Pixel, depth_variance, termination_entropy};
 pub use gradient::{Differences, Differentiation, GradientMethod};
 pub use jacobian::JacobianBuffers;
 pub use march::{Marcher, SampleDistances};
 pub use noise::{DifferenceError, DifferenceErrors, LONGEST_STEP, TABLE, noise_level};
 pub use occupancy::Occupancy;
-pub use samples::{RaySample, RaySamples, SightLine};
+pub use samples::{RaySample, RaySamples, VisibleSegment};
 pub use trace::{TraceBuffers, TracedRays, Tracer};
 pub use view::{Probe, RayAverage, RenderedView, render_view};

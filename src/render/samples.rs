@@ -21,7 +21,7 @@ pub struct RaySamples {
     /// `[n]`: w, the sample's share of the pixel's colour; 0 if unknown.
     pub weights: Vec<f32>,
     /// What the rays saw on their way, those without samples too; empty if unknown.
-    pub sight: Vec<SightLine>,
+    pub sight: Vec<VisibleSegment>,
     /// Number of rays dropped because the field was not finite.
     pub dropped: u64,
     /// Position of the first sample that was not finite.
@@ -45,7 +45,7 @@ impl Default for RaySamples {
 
 /// The part of a ray that is seen: up to where half of its light is lost.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SightLine {
+pub struct VisibleSegment {
     /// The ray.
     pub ray: Ray,
     /// Distance at which T falls to ½, to within a step of the march, scene units; infinite if it does not.

@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 
-use super::{Quadrature, TracedRays, Tracer};
+use super::{CompositingWeights, TracedRays, Tracer};
 use crate::field::Radiance;
 use crate::geometry::Ray;
 
@@ -12,7 +12,7 @@ impl Tracer<'_> {
     /// The field's colour where a sample's share of its pixel exceeds the marcher's cutoff, black elsewhere. NaN
     /// where the field's colour is not finite.
     #[must_use]
-    pub fn visible_colors(&self, rays: &[Ray], traced: &TracedRays, quadrature: &Quadrature) -> Vec<Vec3> {
+    pub fn visible_colors(&self, rays: &[Ray], traced: &TracedRays, quadrature: &CompositingWeights) -> Vec<Vec3> {
         let (mut which, mut positions, mut directions) = (Vec::new(), Vec::new(), Vec::new());
         for (r, ray) in rays.iter().enumerate() {
             for i in traced.samples(r).filter(|&i| quadrature.weights[i] > self.marcher.cutoff) {

@@ -4,7 +4,7 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::trace::TraceBuffers;
-use super::{Pixel, Quadrature, Tracer};
+use super::{CompositingWeights, Pixel, Tracer};
 use crate::Result;
 use crate::geometry::{Camera, Ray};
 use crate::monitor::{Monitor, check};
@@ -130,7 +130,7 @@ fn render_rays(tracer: &Tracer, rays: &[Ray], probes: &[Probe]) -> RenderedView 
     // The middle of every interval makes the image deterministic.
     tracer.trace(rays, &vec![0.5; rays.len()], &mut buffers);
     let traced = &buffers.traced;
-    let mut quadrature = Quadrature::default();
+    let mut quadrature = CompositingWeights::default();
     quadrature.set(traced, tracer.marcher.step);
     let colors = tracer.visible_colors(rays, traced, &quadrature);
     let mut row = RenderedView {

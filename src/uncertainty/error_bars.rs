@@ -22,7 +22,7 @@
 use half::f16;
 use rayon::prelude::*;
 
-use super::reading::read;
+use super::from_sums::deviations_from_sums;
 use super::{MOVED, Protocol, UncertaintyField};
 use crate::posterior::VertexSums;
 
@@ -177,7 +177,7 @@ impl UncertaintyField {
             };
             let sums: Vec<VertexSums> = (0..vertices).into_par_iter().map(sum).collect();
             let protocol = Protocol { rays: all - rays[deleted], ..self.protocol.clone() };
-            read(&protocol, &self.lattice, &self.support, &self.limits, &sums)
+            deviations_from_sums(&protocol, &self.lattice, &self.support, &self.limits, &sums)
         };
         let deleted: Vec<_> = (0..groups.len()).map(without).collect();
         let error = |v: usize| {

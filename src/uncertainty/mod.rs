@@ -8,11 +8,11 @@ mod compare;
 mod densify;
 mod error_bars;
 mod file;
+mod from_sums;
 mod merge;
 mod official;
 mod protocol;
 mod ray_counts;
-mod reading;
 mod standard_deviations;
 mod threshold;
 
@@ -28,7 +28,7 @@ pub use threshold::ThresholdedField;
 
 use glam::{DVec3, Vec3};
 
-use self::reading::read;
+use self::from_sums::deviations_from_sums;
 use crate::geometry::Lattice;
 use crate::metrics::quantile;
 use crate::octree::{Cell, MaxLevels, Octree, VertexId, trilinear};
@@ -138,7 +138,7 @@ impl UncertaintyField {
         limits: MaxLevels,
         sums: Vec<VertexSums>,
     ) -> Self {
-        let deviations = read(&protocol, &lattice, &support, &limits, &sums);
+        let deviations = deviations_from_sums(&protocol, &lattice, &support, &limits, &sums);
         let draws = protocol.draw().into_iter().collect();
         Self {
             protocol,
@@ -292,7 +292,7 @@ impl UncertaintyField {
             };
             self.protocol.covariance = covariance;
             self.error_bars = None;
-            self.deviations = read(&self.protocol, &self.lattice, &self.support, &self.limits, sums);
+            self.deviations = deviations_from_sums(&self.protocol, &self.lattice, &self.support, &self.limits, sums);
         }
         Ok(self)
     }
@@ -310,7 +310,7 @@ impl UncertaintyField {
         };
         self.protocol.lambda = lambda;
         self.error_bars = None;
-        self.deviations = read(&self.protocol, &self.lattice, &self.support, &self.limits, sums);
+        self.deviations = deviations_from_sums(&self.protocol, &self.lattice, &self.support, &self.limits, sums);
         Ok(self)
     }
 
@@ -325,7 +325,8 @@ impl UncertaintyField {
                 self.protocol.min_rays = min_rays;
                 self.protocol.tolerance = tolerance;
                 self.error_bars = None;
-                self.deviations = read(&self.protocol, &self.lattice, &self.support, &self.limits, sums);
+                self.deviations =
+                    deviations_from_sums(&self.protocol, &self.lattice, &self.support, &self.limits, sums);
                 Ok(self)
             }
             _ => Err(Error::setting("field to pool anew", "a dense grid with its sums", "an octree, or none")),

@@ -9,7 +9,7 @@ use crate::estimate::RaySettings;
 use crate::field::RadianceField;
 use crate::geometry::{Camera, Ray};
 use crate::monitor::{Monitor, check};
-use crate::render::{Quadrature, TraceBuffers};
+use crate::render::{CompositingWeights, TraceBuffers};
 use crate::uncertainty::{ThresholdedField, UncertaintyField};
 
 /// Side of the pictures that are looked at, pixels.
@@ -57,7 +57,7 @@ impl Matter {
                 let rays: Vec<Ray> = (0..RESOLUTION).map(center).collect();
                 let mut buffers = TraceBuffers::default();
                 tracer.trace(&rays, &vec![0.5; rays.len()], &mut buffers);
-                let mut quadrature = Quadrature::default();
+                let mut quadrature = CompositingWeights::default();
                 quadrature.set(&buffers.traced, tracer.marcher.step);
                 let weighted = quadrature.weights.iter().zip(&buffers.traced.positions);
                 let counted = weighted.filter(|(weight, _)| **weight >= LEAST_WEIGHT);

@@ -4,21 +4,21 @@
 //! (point / 2^coarseness). Coarseness 0 is the finest lattice. The eight keys that differ only in their low three
 //! bits form an aligned 2³ *brick*, which exists once one of its vertices has been touched. Eight bricks form a
 //! *block*, which is found by hashing. (Bricks of 4³ took three times the memory where rays are sparse for the
-//! lattice.) A hash also distributes blocks over shards, and each shard is owned by one thread at a time.
+//! lattice.) A hash also distributes blocks over partitions, and each partition is owned by one thread at a time.
 
 use std::ops::AddAssign;
 
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
-use super::key::{BlockCode, BrickCode, SHARDS, VertexKey};
+use super::key::{BlockCode, BrickCode, PARTITIONS, VertexKey};
 use super::lists::{Contribution, Contributions};
 use crate::posterior::VertexSums;
 
 /// Sums at the eight vertices of a brick.
 pub type Brick = [VertexSums; 8];
 
-/// Slots of a block's bricks in the brick list of its shard.
+/// Slots of a block's bricks in the brick list of its partition.
 #[derive(Debug, Clone, Copy)]
 struct BlockSlots([u32; 8]);
 
@@ -86,9 +86,9 @@ impl BrickList {
 /// Number of contributions whose slots are looked up before the first of them is added.
 const AHEAD: usize = 32;
 
-/// The blocks that hash to one shard.
+/// The blocks that hash to one partition.
 #[derive(Debug, Clone, Default)]
-struct Shard {
+struct Partition {
     /// Keyed by block code: the key without its low 6 bits.
     blocks: FxHashMap<BlockCode, BlockSlots>,
     /// Codes of bricks (keys without their low 3 bits), in the order in which rays first touched them.
@@ -96,7 +96,7 @@ struct Shard {
     bricks: BrickList,
 }
 
-impl Shard {
+impl Partition {
     /// Adds contributions in order. Neighbours in the list are usually neighbours in space.
     fn add(&mut self, contributions: &[Contribution]) {
         let mut slots = [0; AHEAD];
@@ -149,24 +149,24 @@ impl Shard {
 /// The sums at all vertices.
 #[derive(Debug, Clone)]
 pub struct Bricks {
-    shards: Vec<Shard>,
+    partitions: Vec<Partition>,
 }
 
 impl Bricks {
     pub fn new() -> Self {
-        Self { shards: vec![Shard::default(); SHARDS] }
+        Self { partitions: vec![Partition::default(); PARTITIONS] }
     }
 
     /// Adds lists of contributions, in order.
     pub fn add(&mut self, lists: &[Contributions]) {
-        self.shards.par_iter_mut().enumerate().for_each(|(s, shard)| {
-            lists.iter().for_each(|list| shard.add(list.shard(s)));
+        self.partitions.par_iter_mut().enumerate().for_each(|(s, partition)| {
+            lists.iter().for_each(|list| partition.add(list.partition(s)));
         });
     }
 
     /// Adds `sums` to one vertex.
     pub fn add_one(&mut self, key: VertexKey, sums: &VertexSums) {
-        self.shards[key.shard()].brick(key.brick())[key.in_brick()] += sums;
+        self.partitions[key.partition()].brick(key.brick())[key.in_brick()] += sums;
     }
 
     /// The sums at a vertex, if its brick exists.
@@ -175,10 +175,10 @@ impl Bricks {
         block.find(key.brick()).map(|slot| &bricks.get(slot)[key.in_brick()])
     }
 
-    /// The block of a key, if it exists, and the bricks of its shard.
+    /// The block of a key, if it exists, and the bricks of its partition.
     fn block(&self, key: VertexKey) -> Option<(&BlockSlots, &BrickList)> {
-        let shard = &self.shards[key.shard()];
-        Some((shard.blocks.get(&key.block())?, &shard.bricks))
+        let partition = &self.partitions[key.partition()];
+        Some((partition.blocks.get(&key.block())?, &partition.bricks))
     }
 
     /// A reader for looking up neighbouring vertices.
@@ -192,11 +192,11 @@ impl Bricks {
         condition: impl Fn(&VertexSums) -> bool + Send + Sync,
     ) -> impl ParallelIterator<Item = (BlockCode, u64)> {
         let blocks = self
-            .shards
+            .partitions
             .par_iter()
-            .flat_map_iter(|shard| shard.blocks.iter().map(move |(&code, block)| (code, shard, block)));
-        blocks.map(move |(code, shard, block)| {
-            let members = block.bricks().flat_map(|(i, slot)| (8 * i..).zip(shard.bricks.get(slot)));
+            .flat_map_iter(|partition| partition.blocks.iter().map(move |(&code, block)| (code, partition, block)));
+        blocks.map(move |(code, partition, block)| {
+            let members = block.bricks().flat_map(|(i, slot)| (8 * i..).zip(partition.bricks.get(slot)));
             let fulfilling = members.filter(|(_, sums)| condition(sums));
             (code, fulfilling.fold(0, |mask, (member, _)| mask | 1 << member))
         })
@@ -204,18 +204,18 @@ impl Bricks {
 
     /// All vertices of all bricks with their keys, in parallel.
     pub fn par_iter(&self) -> impl ParallelIterator<Item = (VertexKey, &VertexSums)> {
-        let bricks = self.shards.par_iter().flat_map_iter(Shard::iter);
+        let bricks = self.partitions.par_iter().flat_map_iter(Partition::iter);
         bricks.flat_map_iter(|(code, brick)| (0..).zip(brick).map(move |(i, sums)| (code.vertex(i), sums)))
     }
 
     /// Brick codes, in the order in which [`Bricks::slices`] returns their sums.
     pub fn codes(&self) -> impl Iterator<Item = u64> + '_ {
-        self.shards.iter().flat_map(|shard| shard.codes.iter().map(|code| code.bits()))
+        self.partitions.iter().flat_map(|partition| partition.codes.iter().map(|code| code.bits()))
     }
 
     /// The sums, slice by slice.
     pub fn slices(&self) -> impl Iterator<Item = &[Brick]> {
-        self.shards.iter().flat_map(|shard| shard.bricks.slices())
+        self.partitions.iter().flat_map(|partition| partition.bricks.slices())
     }
 
     /// Restores what [`Bricks::codes`] and [`Bricks::slices`] returned, in the same order.
@@ -228,10 +228,10 @@ impl Bricks {
             if !code.is_within(cells) {
                 return None;
             }
-            let shard = &mut restored.shards[code.shard()];
-            let before = shard.codes.len();
-            *shard.brick(code) = brick;
-            if shard.codes.len() == before {
+            let partition = &mut restored.partitions[code.partition()];
+            let before = partition.codes.len();
+            *partition.brick(code) = brick;
+            if partition.codes.len() == before {
                 return None;
             }
         }
@@ -240,7 +240,7 @@ impl Bricks {
 
     /// Bytes on the heap.
     pub fn memory(&self) -> usize {
-        self.shards.iter().map(Shard::memory).sum()
+        self.partitions.iter().map(Partition::memory).sum()
     }
 }
 
@@ -267,9 +267,9 @@ impl Reader<'_> {
 impl AddAssign<&Self> for Bricks {
     /// Adds all sums of `other`.
     fn add_assign(&mut self, other: &Self) {
-        self.shards.par_iter_mut().zip(&other.shards).for_each(|(shard, other)| {
+        self.partitions.par_iter_mut().zip(&other.partitions).for_each(|(partition, other)| {
             for (code, brick) in other.iter() {
-                let mine = shard.brick(code);
+                let mine = partition.brick(code);
                 mine.iter_mut().zip(brick).for_each(|(sum, sums)| *sum += sums);
             }
         });
@@ -284,7 +284,7 @@ mod tests {
 
     #[test]
     fn sums_of_many_chunks_are_those_of_a_map() {
-        // Half a million additions in runs of neighbours, to some 30,000 bricks. Each shard needs several chunks,
+        // Half a million additions in runs of neighbours, to some 30,000 bricks. Each partition needs several chunks,
         // all of them allocated on the way.
         let (mut bricks, mut map) = (Bricks::new(), BTreeMap::<VertexKey, VertexSums>::new());
         let mut state = 1_u64;
@@ -307,7 +307,7 @@ mod tests {
                 .collect();
             bricks.add(&lists);
         }
-        assert!(bricks.slices().filter(|slice| slice.len() == CHUNK).count() > 2 * SHARDS);
+        assert!(bricks.slices().filter(|slice| slice.len() == CHUNK).count() > 2 * PARTITIONS);
         let found: BTreeMap<VertexKey, VertexSums> =
             bricks.par_iter().filter(|(_, e)| e.rays > 0).map(|(key, e)| (key, *e)).collect();
         assert_eq!(found, map);

@@ -8,7 +8,7 @@ use crate::octree::morton;
 
 /// Shards: enough to keep many cores busy, few enough that their lists stay long.
 const SHARD_BITS: u32 = 6;
-pub const SHARDS: usize = 1 << SHARD_BITS;
+pub const PARTITIONS: usize = 1 << SHARD_BITS;
 const COARSENESS_SHIFT: u32 = 57;
 
 /// A vertex: a lattice point and the level of its leaves.
@@ -67,10 +67,10 @@ impl VertexKey {
         BlockCode(self.0 >> 6)
     }
 
-    /// The shard that owns it.
+    /// The partition that owns it.
     #[inline]
-    pub fn shard(self) -> usize {
-        self.brick().shard()
+    pub fn partition(self) -> usize {
+        self.brick().partition()
     }
 }
 
@@ -102,9 +102,9 @@ impl BrickCode {
         VertexKey(self.0 << 3 | in_brick as u64)
     }
 
-    /// The shard that owns it.
+    /// The partition that owns it.
     #[inline]
-    pub fn shard(self) -> usize {
+    pub fn partition(self) -> usize {
         // Fibonacci hashing of the block's code (Knuth, TAOCP 3, 6.4).
         (self.block().0.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> (64 - SHARD_BITS)) as usize
     }
@@ -151,7 +151,7 @@ mod tests {
             prop_assert_eq!(brick.vertex(key.in_brick()), key);
             prop_assert_eq!(key.block().vertex((8 * brick.in_block() + key.in_brick()) as u64), key);
             prop_assert_eq!((BrickCode::from_bits(brick.bits()), brick.block()), (brick, key.block()));
-            prop_assert!(brick.is_within(1 << 16) && brick.shard() < SHARDS);
+            prop_assert!(brick.is_within(1 << 16) && brick.partition() < PARTITIONS);
         }
     }
 }

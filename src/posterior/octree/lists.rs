@@ -1,6 +1,6 @@
-//! The contributions of rays, in one list per shard, which that shard reads from beginning to end.
+//! The contributions of rays, in one list per partition, which that partition reads from beginning to end.
 
-use super::key::{SHARDS, VertexKey};
+use super::key::{PARTITIONS, VertexKey};
 use crate::posterior::VertexSums;
 
 /// The contribution of one ray to one vertex.
@@ -10,23 +10,23 @@ pub struct Contribution {
     pub sums: VertexSums,
 }
 
-/// The contributions of a batch of rays, by shard, each in ray order.
+/// The contributions of a batch of rays, by partition, each in ray order.
 pub struct Contributions(Vec<Vec<Contribution>>);
 
 impl Contributions {
     /// Creates empty lists with room for about `expected` contributions.
     pub fn new(expected: usize) -> Self {
-        Self((0..SHARDS).map(|_| Vec::with_capacity(expected / SHARDS)).collect())
+        Self((0..PARTITIONS).map(|_| Vec::with_capacity(expected / PARTITIONS)).collect())
     }
 
     /// Appends a contribution of the current ray or the next one.
     #[inline(always)]
     pub fn push(&mut self, key: VertexKey, sums: VertexSums) {
-        self.0[key.shard()].push(Contribution { key, sums });
+        self.0[key.partition()].push(Contribution { key, sums });
     }
 
-    /// The list of one shard.
-    pub fn shard(&self, s: usize) -> &[Contribution] {
+    /// The list of one partition.
+    pub fn partition(&self, s: usize) -> &[Contribution] {
         &self.0[s]
     }
 }

@@ -11,7 +11,7 @@
 //! from, before squaring: the J of a free vertex includes what its hanging dependants would have received ([walk]).
 //!
 //! Threads: the rays of a batch are squared in parallel ([squares], [walk]) into [lists] of contributions, one
-//! list per shard. Then the shards add their lists in parallel, each in ray order. Every sum therefore receives
+//! list per partition. Then the partitions add their lists in parallel, each in ray order. Every sum therefore receives
 //! its contributions in ray order, whatever the number of threads.
 
 mod bricks;

@@ -18,9 +18,9 @@ use crate::posterior::{Information, VertexSums};
 use crate::render::RaySamples;
 
 /// Derivatives of a sample: ∂C_c/∂x_k at 3·c + k.
-pub struct Row([f64; 9]);
+pub struct SampleJacobian([f64; 9]);
 
-impl Row {
+impl SampleJacobian {
     #[inline(always)]
     pub fn new(batch: &RaySamples, sample: usize) -> Self {
         Self(batch.jacobians[sample].map(f64::from))
@@ -29,11 +29,11 @@ impl Row {
 
 /// A vertex's weighted sum of rows over one ray.
 #[derive(Clone, Copy, Default)]
-pub struct Partial([f64; 9]);
+pub struct VertexJacobian([f64; 9]);
 
-impl Partial {
+impl VertexJacobian {
     #[inline(always)]
-    pub fn add(&mut self, weight: f64, row: &Row) {
+    pub fn add(&mut self, weight: f64, row: &SampleJacobian) {
         for (sum, value) in self.0.iter_mut().zip(&row.0) {
             *sum += weight * value;
         }
@@ -99,7 +99,7 @@ pub fn places(lattice: &Lattice, batch: &RaySamples, samples: Range<usize>, plac
 /// moves to another cell with the same corner.
 struct Corners {
     cell: [u32; 3],
-    sums: [Partial; 8],
+    sums: [VertexJacobian; 8],
 }
 
 impl Corners {
@@ -111,7 +111,7 @@ impl Corners {
 
     /// Adds a sample at the given offset in the cell.
     #[inline(always)]
-    fn add(&mut self, offset: DVec3, row: &Row) {
+    fn add(&mut self, offset: DVec3, row: &SampleJacobian) {
         let mut along = [[0.0; 2]; 3];
         for axis in 0..3 {
             let lower = (self.cell[axis] & 1) as usize;
@@ -151,7 +151,7 @@ impl Corners {
             if done(s) {
                 let code = codes[0][s & 1] | codes[1][s >> 1 & 1] | codes[2][s >> 2];
                 out.push(VertexKey::finest(code), sum.squared());
-                *sum = Partial::default();
+                *sum = VertexJacobian::default();
             }
         }
     }
@@ -162,12 +162,12 @@ impl Corners {
 #[multiversion(targets("x86_64+avx2+fma"))]
 pub fn along(places: &[LocatedSample], batch: &RaySamples, out: &mut Contributions) {
     let Some(first) = places.first() else { return };
-    let mut corners = Corners { cell: first.cell, sums: [Partial::default(); 8] };
+    let mut corners = Corners { cell: first.cell, sums: [VertexJacobian::default(); 8] };
     for place in places {
         if place.cell != corners.cell {
             corners.move_to(place.cell, out);
         }
-        corners.add(place.offset, &Row::new(batch, place.sample as usize));
+        corners.add(place.offset, &SampleJacobian::new(batch, place.sample as usize));
     }
     corners.finish(out, |_| true);
 }

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-use super::squares::{Partial, Row};
+use super::squares::{SampleJacobian, VertexJacobian};
 use super::*;
 use crate::geometry::Aabb;
 use crate::octree::{Cell, Corner, Octree, VertexId, cells_around, masters, morton, trilinear};
@@ -228,8 +228,8 @@ impl OctreePosterior {
         }
         touched.sort_by_key(|touch| touch.0);
         let square = |group: &[Touch]| {
-            let mut partial = Partial::default();
-            group.iter().for_each(|&(_, sample, weight)| partial.add(weight, &Row::new(batch, sample)));
+            let mut partial = VertexJacobian::default();
+            group.iter().for_each(|&(_, sample, weight)| partial.add(weight, &SampleJacobian::new(batch, sample)));
             (group[0].0, vec![partial.squared()])
         };
         touched.chunk_by(|a, b| a.0 == b.0).map(square).collect()
@@ -239,7 +239,7 @@ impl OctreePosterior {
 /// The contributions of one ray by vertex.
 fn by_vertex(contributions: &Contributions) -> BTreeMap<VertexKey, Vec<VertexSums>> {
     let mut found: BTreeMap<VertexKey, Vec<VertexSums>> = BTreeMap::new();
-    let all = (0..key::SHARDS).flat_map(|s| contributions.shard(s));
+    let all = (0..key::PARTITIONS).flat_map(|s| contributions.partition(s));
     all.for_each(|c| found.entry(c.key).or_default().push(c.sums));
     found
 }

@@ -12,7 +12,7 @@ use rustc_hash::FxHashMap;
 
 use super::key::VertexKey;
 use super::lists::Contributions;
-use super::squares::{Partial, Row};
+use super::squares::{SampleJacobian, VertexJacobian};
 use crate::geometry::Lattice;
 use crate::octree::{Leaves, MaxLevels, Nearby, coarseness, masters, trilinear};
 use crate::render::RaySamples;
@@ -31,7 +31,7 @@ struct Touched {
     /// Index in the lists below, by key.
     index: FxHashMap<VertexKey, u32>,
     keys: Vec<VertexKey>,
-    sums: Vec<Partial>,
+    sums: Vec<VertexJacobian>,
     /// Vertices looked up last, by the low bits of their keys, which distinguish the corners of a leaf. Half
     /// of them recur in the next leaf.
     recent: [(VertexKey, u32); 8],
@@ -51,7 +51,7 @@ impl Touched {
         if recent.0 != key {
             let index = *self.index.entry(key).or_insert_with(|| {
                 self.keys.push(key);
-                self.sums.push(Partial::default());
+                self.sums.push(VertexJacobian::default());
                 (self.keys.len() - 1) as u32
             });
             *recent = (key, index);
@@ -144,7 +144,7 @@ fn walk(walk: &mut LeafWalk, batch: &RaySamples, samples: Range<usize>, out: &mu
         }
         let leaf = &walk.leaf;
         let weights = trilinear((u - DVec3::from(leaf.origin.map(f64::from))) / f64::from(leaf.edge));
-        let row = Row::new(batch, i);
+        let row = SampleJacobian::new(batch, i);
         for term in &leaf.terms {
             // Multiplication by ½ or ¼ is exact.
             walk.touched.sums[term.vertex as usize].add(weights[usize::from(term.corner)] * term.share, &row);

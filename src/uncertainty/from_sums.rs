@@ -12,7 +12,7 @@ use crate::posterior::{Prior, VertexSums};
 /// The hat function of a leaf k levels coarser than the finest lattice has 4ᵏ times the footprint on a surface,
 /// so 4ᵏ times as many rays move its vertex. Its information is divided by that factor, which gives it the
 /// meaning that it has on the finest lattice.
-pub fn read(
+pub fn deviations_from_sums(
     protocol: &Protocol,
     lattice: &Lattice,
     support: &Support,
