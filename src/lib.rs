@@ -120,3 +120,12 @@ pub mod internal {
     #[cfg(feature = "cli")]
     pub use crate::picture::*;
 }
+
+/// The Rust of README and book is compiled and run like all documentation.
+#[cfg(doctest)]
+mod pages {
+    #[doc = include_str!("../README.md")]
+    struct Readme;
+    #[doc = include_str!("../docs/src/library.md")]
+    struct Library;
+}

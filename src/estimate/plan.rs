@@ -93,7 +93,9 @@ impl Planner {
         let vertices = self.survey.vertices(self.scale, &limits);
         let given_up = self.survey.shares(&limits);
         let bytes = match self.settings.grid {
-            GridKind::Dense => DensePosterior::required_memory(lattice) as f64 * (1.0 + 5.0 / size_of::<VertexSums>() as f64),
+            GridKind::Dense => {
+                DensePosterior::required_memory(lattice) as f64 * (1.0 + 5.0 / size_of::<VertexSums>() as f64)
+            }
             GridKind::Octree => vertices * (SUMMING + FINISHED),
         };
         let vertices_unlimited = self.vertices_unlimited;
