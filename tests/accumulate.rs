@@ -3,7 +3,13 @@
 use std::path::Path;
 use std::process::Command;
 
+use octobayes::estimate::{FieldBuilder, GridKind, GridSettings, Provenance};
+use octobayes::geometry::{Aabb, Domain};
+use octobayes::internal::npy::Array;
+use octobayes::monitor::Silent;
 use octobayes::posterior::{Information, trace};
+use octobayes::rays::{RunProgress, SamplesReader};
+use octobayes::render::RaySamples;
 use octobayes::uncertainty::{Support, UncertaintyField};
 
 fn octobayes(args: &[&str]) {
@@ -17,7 +23,7 @@ fn samples_written_by_numpy_give_numpys_sums() {
     let numpy = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/numpy");
     let expected = octobayes::internal::npy::read::<f64>(&numpy.join("expected.npy")).unwrap();
     let folder = tempfile::tempdir().unwrap();
-    for grid in ["dense", "octree"] {
+    for (grid, kind) in [("dense", GridKind::Dense), ("octree", GridKind::Octree)] {
         let out = folder.path().join(format!("{grid}.oct"));
         let samples = numpy.join("samples.npz");
         let [samples, out] = [&samples, &out].map(|p| p.to_str().unwrap());
@@ -31,38 +37,53 @@ fn samples_written_by_numpy_give_numpys_sums() {
             grid,
             "--tolerance",
             "0",
-            "--keep",
-            "hessian",
+            "--keep-sums",
             "-o",
             out,
         ]);
-        let field = UncertaintyField::read(Path::new(out)).unwrap();
-        assert_eq!(field.protocol().rays, 150);
-        let found = |[x, y, z]: [u32; 3]| -> Option<Information> {
-            let vertex = match field.support() {
-                Support::Dense => ((x * 9 + y) * 9 + z) as usize,
-                Support::Octree(octree) => octree.vertex([x, y, z])?.0 as usize,
-            };
-            Some(field.sums().unwrap()[vertex].information)
+        let read = UncertaintyField::read(Path::new(out)).unwrap();
+        let reader = SamplesReader::open(Path::new(samples)).unwrap();
+        let settings = GridSettings::default().grid(kind).level(3).tolerance(0.0);
+        let mut builder = FieldBuilder::new(settings, Domain::Box(Aabb::centered_cube(1.0))).unwrap();
+        let add = |batches: &[RaySamples]| {
+            builder.add(batches);
+            Ok(())
         };
-        let mut compared = 0;
-        let mut total = 0.0;
-        for row in expected.data.chunks_exact(9) {
-            let point = [row[0] as u32, row[1] as u32, row[2] as u32];
-            let s = found(point).unwrap_or_else(|| panic!("{point:?} is a vertex"));
-            let scale = trace(&s).max(row[3] + row[6] + row[8]);
-            total += trace(&s);
-            for k in 0..6 {
-                // A vertex sums at most a few dozen products in f64: 1e-14 of the trace.
-                assert!((s[k] - row[3 + k]).abs() <= 1e-14 * scale, "{grid} {point:?}: {s:?} against {:?}", &row[3..]);
-            }
-            compared += 1;
-        }
-        assert_eq!(compared, expected.shape[0]);
-        // There is nothing beyond what NumPy lists.
-        let all: f64 = field.sums().unwrap().iter().map(|e| trace(&e.information)).sum();
-        assert!((all / total - 1.0).abs() < 1e-12, "{grid}: {all} against {total}");
+        reader.run(&Silent, add).unwrap();
+        let progress = RunProgress { rays: reader.rays_total(), ..RunProgress::default() };
+        let exact = builder.finish(&Provenance { progress, ..Provenance::default() });
+        compare_with_numpy(&exact, &expected, 1e-14, grid);
+        // Files keep factors in f32, each entry within 6e-8 of itself: six products of two entries.
+        compare_with_numpy(&read, &expected, 4e-7, grid);
     }
+}
+
+/// Compares sums, relative to their trace. A vertex sums at most a few dozen products in f64.
+fn compare_with_numpy(field: &UncertaintyField, expected: &Array<f64>, precision: f64, grid: &str) {
+    assert_eq!(field.protocol().rays, 150);
+    let found = |[x, y, z]: [u32; 3]| -> Option<Information> {
+        let vertex = match field.support() {
+            Support::Dense => ((x * 9 + y) * 9 + z) as usize,
+            Support::Octree(octree) => octree.vertex([x, y, z])?.0 as usize,
+        };
+        Some(field.sums().unwrap()[vertex].information)
+    };
+    let mut compared = 0;
+    let mut total = 0.0;
+    for row in expected.data.chunks_exact(9) {
+        let point = [row[0] as u32, row[1] as u32, row[2] as u32];
+        let s = found(point).unwrap_or_else(|| panic!("{point:?} is a vertex"));
+        let scale = trace(&s).max(row[3] + row[6] + row[8]);
+        total += trace(&s);
+        for k in 0..6 {
+            assert!((s[k] - row[3 + k]).abs() <= precision * scale, "{grid} {point:?}: {s:?} against {:?}", &row[3..]);
+        }
+        compared += 1;
+    }
+    assert_eq!(compared, expected.shape[0]);
+    // There is nothing beyond what NumPy lists.
+    let all: f64 = field.sums().unwrap().iter().map(|e| trace(&e.information)).sum();
+    assert!((all / total - 1.0).abs() < 1e-12, "{grid}: {all} against {total}");
 }
 
 #[test]

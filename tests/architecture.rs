@@ -128,8 +128,8 @@ fn imports_of(code: &[String], from: &str, depth: usize, place: &str, rooms: &BT
 /// The rooms of `src/`: what `lib.rs` declares.
 fn rooms() -> BTreeSet<String> {
     let text = read(&root().join("src/lib.rs"));
-    let names = text.lines().filter_map(|line| line.trim_start_matches("pub ").strip_prefix("mod "));
-    names.map(|name| name.trim_end_matches(';').to_string()).collect()
+    let names = text.lines().filter_map(|line| line.trim_start_matches("pub ").strip_prefix("mod ")?.strip_suffix(';'));
+    names.map(str::to_string).collect()
 }
 
 fn imports(rooms: &BTreeSet<String>) -> Vec<Import> {

@@ -13,7 +13,7 @@ use octobayes::uncertainty::UncertaintyField;
 struct Desk(tempfile::TempDir);
 
 const SMALL: &str = "--samples-per-step 4096 --log2-hashmap-size 12 --test-pixels 100";
-const RUN: &str = "--level 4 --rays 2000 --gradient auto --occupancy 16";
+const RUN: &str = "--level 4 --rays 2000 --gradient auto --occupancy 16 --keep-sums";
 
 impl Desk {
     fn new() -> Self {

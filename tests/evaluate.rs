@@ -34,7 +34,7 @@ fn desk() -> tempfile::TempDir {
     );
     octobayes(
         folder.path(),
-        "uncertainty m-0.safetensors --cameras set/transforms_train.json --level 5 --rays 3000 --gradient auto -o m.oct",
+        "uncertainty m-0.safetensors --cameras set/transforms_train.json --level 5 --rays 3000 --gradient auto --keep-sums -o m.oct",
     );
     folder
 }

@@ -127,7 +127,7 @@ impl Desk {
         let bars = forge::recipe(Kind::Field, &std::fs::read(self.path("bars.oct")).unwrap());
         let mut parts: Vec<Vec<u8>> = forge::split(&bars[1..]).into_iter().map(<[u8]>::to_vec).collect();
         // The sign of the last error.
-        parts[7].last_mut().into_iter().for_each(|byte| *byte |= 0x80);
+        parts[10].last_mut().into_iter().for_each(|byte| *byte |= 0x80);
         self.write("minus.oct", forge::file(Kind::Field, &forge::join(&parts)));
         self.good("uncertainty scene:ball --cameras cameras.json --level 4 --rays 1200 --occupancy 16 --shard 0/2 -o part0.oct");
         self.good("uncertainty scene:ball --cameras cameras.json --level 4 --rays 1200 --occupancy 16 --shard 1/2 -o part1.oct");

@@ -310,7 +310,7 @@ fn contents_that_no_run_writes_are_refused() {
     let lambda = format!("\"lambda\":{}", serde_json::json!(samples::fields()[0].protocol().lambda));
     // Kind, sample, part, change, what the message names.
     type Change<'a> = &'a dyn Fn(&mut Vec<u8>);
-    let cases: [(Kind, usize, usize, Change, &str); 11] = [
+    let cases: [(Kind, usize, usize, Change, &str); 15] = [
         // A prior that is infinite.
         (
             Kind::Field,
@@ -324,20 +324,24 @@ fn contents_that_no_run_writes_are_refused() {
         ),
         (Kind::Field, 0, 2, &|deviations| deviations[..4].fill(0xff), "deviations"),
         // Off the diagonal, more than squares allow; on the diagonal, infinite only when added.
-        (Kind::Field, 0, 3, &|evidence| evidence[8..16].copy_from_slice(&1e30_f64.to_le_bytes()), "sums"),
+        (Kind::Field, 8, 5, &|sums| sums[8..16].copy_from_slice(&1e30_f64.to_le_bytes()), "sums"),
         (
             Kind::Field,
-            0,
-            3,
-            &|evidence| {
-                [0, 24, 40].into_iter().for_each(|at| evidence[at..at + 8].copy_from_slice(&1e308_f64.to_le_bytes()));
-            },
+            8,
+            5,
+            &|sums| [0, 24, 40].into_iter().for_each(|at| sums[at..at + 8].copy_from_slice(&1e308_f64.to_le_bytes())),
             "sums",
         ),
-        (Kind::Field, 0, 4, &|surface| surface[..4].fill(0xff), "surface"),
+        // A factor that is not finite, and one whose pivots have a seventh order.
+        (Kind::Field, 0, 4, &|factors| factors[..4].fill(0xff), "factors"),
+        (Kind::Field, 0, 4, &|factors| [3, 11, 23].into_iter().for_each(|at| factors[at] |= 0x80), "factors"),
+        (Kind::Field, 0, 6, &|surface| surface[..4].fill(0xff), "surface"),
+        // Ray counts of one vertex too many, and visits of no grid.
+        (Kind::Field, 0, 3, &|rays| rays.push(0), "rays"),
+        (Kind::Field, 5, 7, &|visits| visits.truncate(7), "visits"),
         // Error bars that are negative, and error bars of one group.
-        (Kind::Field, 6, 7, &|errors| errors[3] = 0x80, "errors"),
-        (Kind::Field, 6, 7, &|errors| errors[..2].copy_from_slice(&[1, 0]), "errors"),
+        (Kind::Field, 6, 10, &|errors| errors[3] = 0x80, "errors"),
+        (Kind::Field, 6, 10, &|errors| errors[..2].copy_from_slice(&[1, 0]), "errors"),
         // Codes of bricks: so coarse that a shift by their levels overflows, then coarse and outside.
         (Kind::Checkpoint, 0, 1, &|codes| codes[..8].copy_from_slice(&(40_u64 << 51).to_le_bytes()), "sums"),
         (Kind::Checkpoint, 0, 1, &|codes| codes[..8].copy_from_slice(&(3_u64 << 51 | 1).to_le_bytes()), "sums"),

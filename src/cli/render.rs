@@ -23,8 +23,9 @@ const PREVIEW: u32 = 800;
 
 /// Render colour, depth and uncertainty of one view
 ///
-/// OUT.png shows labelled panels for viewing; what no training ray reached is hatched. OUT.exr holds channels for tools: R, G, B, A, depth.Z (median
-/// distance from the camera), uncertainty.U (scene units) and log10_uncertainty.U.
+/// OUT.png shows labelled panels for viewing; what no training ray reached is hatched. OUT.exr holds channels for
+/// tools: R, G, B, A, depth.Z (median distance from the camera), uncertainty.U (scene units) and
+/// log10_uncertainty.U.
 #[derive(clap::Args)]
 #[command(
     after_help = "Example: octobayes render lego.safetensors lego.oct --cameras transforms_test.json --frame 0 -o view.png"
@@ -58,9 +59,10 @@ pub struct Args {
     #[arg(long, value_name = "LOG10_U|PERCENT%", value_parser = Threshold::parse, allow_hyphen_values = true)]
     threshold: Option<Threshold>,
 
-    /// Ends of the colour bar of log10 U [default: -3,6, as in the official code]
-    #[arg(long, value_name = "LOW,HIGH", value_parser = parse_range, default_value = "-3,6", hide_default_value = true, allow_hyphen_values = true)]
-    range: [f64; 2],
+    /// Ends of the colour bar of log10 U; -3,6 in the official code [default: from the most certain percent of the
+    /// visible surfaces to the prior]
+    #[arg(long, value_name = "LOW,HIGH", value_parser = parse_range, allow_hyphen_values = true)]
+    range: Option<[f64; 2]>,
 
     /// How log10 U is averaged along a ray
     #[arg(long, value_enum, default_value = "weighted-mean")]
@@ -123,7 +125,10 @@ impl Args {
             let view = picture(&*model)?;
             let unseen = |view: &RenderedView, i: usize| is_unseen(&field, &camera, offset, view, i);
             let depth = depth_range([&view].into_iter().chain(&cleaned));
-            let ranges = Ranges { depth, log10: self.range, prior: field.prior().log10() };
+            let prior = field.prior().log10();
+            let [low] = field.surface_quantiles([0.01]).unwrap_or([-3.0]);
+            let log10 = self.range.unwrap_or([low.min(prior - 0.5), prior]);
+            let ranges = Ranges { depth, log10, prior };
             let mut rows = vec![view_panels(&view, &format!("frame {}", self.frame), ranges, &|i| unseen(&view, i))];
             if let (Some(cleaned), Some(threshold)) = (&cleaned, threshold) {
                 rows.push(view_panels(cleaned, &format!("log10 U <= {threshold:.3}"), ranges, &|i| unseen(cleaned, i)));

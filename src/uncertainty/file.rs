@@ -7,7 +7,7 @@
 //! deviations   f32        σ_v, by vertex (octree: finest first, in Morton order; dense: x slowest)
 //! rays         u8         codes of ray counts, by vertex; or empty if unknown
 //! factors      28 bytes   Cholesky factors of the sums, by vertex: f32 × 6, u32 rays; or empty
-//! exact        52 bytes   instead of `factors`: the sums themselves, by vertex: f64 × 6 information, u32 rays; or empty
+//! exact        52 bytes   instead of `factors`, the sums themselves: f64 × 6 information, u32 rays; or empty
 //! surface      f32 × 3    points on visible surfaces
 //! visits       u8         codes of ray counts by cell of the coarse grid, x slowest; or empty if unknown
 //! counted      u32        instead of `visits`: the counts themselves
@@ -15,8 +15,8 @@
 //! errors       u16        number of groups, then bits of f16: errors of log10 σ_v, NaN where not known; or empty
 //! ```
 //!
-//! A shard keeps exact sums and counts, so that shards merge to the sums of one run. A whole run that keeps its sums keeps the
-//! factors, which answer for every covariance to within 1e-6 decades.
+//! A shard keeps exact sums and counts, so that shards merge to the sums of one run. A whole run that keeps its sums
+//! keeps the factors, which answer for every covariance to within 1e-6 decades.
 //!
 //! The octree is rebuilt from its masks, so a file cannot hold an inconsistent one. Versions 1 and 2 can be
 //! [read](legacy) too.

@@ -86,7 +86,7 @@ impl UncertaintyField {
         });
         if missing {
             let found = format!("a field that holds `{}` only", self.protocol.covariance.name());
-            return Err(Error::setting("export", "a field with its sums, or of `trace`", found));
+            return Err(Error::setting("kept sums", "a field that keeps its sums, or one of `trace`", found));
         }
         npy::write(path, &[sums.len() as u64], sums.into_iter().map(|s| s as f32))
     }

@@ -47,7 +47,8 @@ pub struct Protocol {
     pub criteria: Criteria,
     /// Largest change of log10 U due to leaves coarser than the finest level.
     ///
-    /// What [`Protocol::cutoff`] leaves out is not included. On a dense grid it only determines which vertices count for pooling.
+    /// What [`Protocol::cutoff`] leaves out is not included. On a dense grid it only determines which vertices count
+    /// for pooling.
     pub tolerance: f64,
     /// Distance between samples along rays, scene units.
     pub march_step: Option<f64>,

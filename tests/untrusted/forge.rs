@@ -12,11 +12,12 @@ use std::io::{Cursor, Read, Write};
 use super::Kind;
 
 /// Sections of containers, in the order of their parts.
-const FIELD: [&str; 7] = ["masks", "deviations", "sums", "surface", "logs", "limits", "errors"];
-const CHECKPOINT: [&str; 3] = ["codes", "sums", "surface"];
+const FIELD: [&str; 10] =
+    ["masks", "deviations", "rays", "factors", "exact", "surface", "visits", "counted", "limits", "errors"];
+const CHECKPOINT: [&str; 4] = ["codes", "sums", "surface", "visits"];
 
 /// Arrays that archives may have, in the order of their parts.
-const SAMPLES: [&str; 6] = ["positions", "jacobian", "ray", "rays_total", "weight", "gradient"];
+const SAMPLES: [&str; 5] = ["positions", "jacobian", "ray", "rays_total", "weight"];
 const VOXELS: [&str; 3] = ["box", "density", "color"];
 
 /// Most zeros at the end of a forged `.safetensors` file: more than an MLP NeRF needs.
@@ -32,7 +33,7 @@ pub fn file(kind: Kind, recipe: &[u8]) -> Vec<u8> {
     let part = |i: usize| parts.get(i).copied().unwrap_or_default();
     match kind {
         Kind::Field => container(b"OCTOBAY\n", 3, &FIELD, &parts),
-        Kind::Checkpoint => container(b"OCTOCHK\n", 2, &CHECKPOINT, &parts),
+        Kind::Checkpoint => container(b"OCTOCHK\n", 3, &CHECKPOINT, &parts),
         Kind::Samples => archive(&SAMPLES, &parts),
         Kind::Voxels => archive(&VOXELS, &parts),
         Kind::Safetensors => {

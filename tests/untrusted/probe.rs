@@ -122,7 +122,10 @@ fn field_is_sound(field: &UncertaintyField, path: &Path) {
         }
         let again = path.with_extension("again.oct");
         field.write(&again).unwrap();
-        assert_eq!(UncertaintyField::read(&again).as_ref().ok(), Some(field), "what is read can be written and read");
+        let again = UncertaintyField::read(&again).unwrap();
+        // Factors are rounded each time, the rest is not.
+        let same = if field.is_part() { again == *field } else { again.without_sums() == field.clone().without_sums() };
+        assert!(same, "what is read can be written and read");
     }
 }
 

@@ -80,20 +80,16 @@ fn progress() -> RunProgress {
     RunProgress { batches: 1, rays: 5, samples: 12, ..RunProgress::default() }
 }
 
-/// Fields on octree and dense grid: with and without sums, in two bytes, of contracted space, with limited leaves.
+/// Fields on octree and dense grid: with and without sums, of contracted space, with limited leaves, of a shard.
 pub fn fields() -> Vec<UncertaintyField> {
     let cube = Domain::Box(Aabb::centered_cube(1.0));
     let space = Domain::contracted(DVec3::new(0.1, 0.2, 0.3), 0.5, Norm::L2).unwrap();
     let small = GridSettings::default().level(2);
-    let field = |settings, domain| {
-        let shard = Some(Shard { rays: 5, index: 0, of: 1 });
-        builder(settings, domain).finish(&Provenance {
-            source: "tests".into(),
-            progress: progress(),
-            shard,
-            stream: None,
-        })
+    let drawn = |settings, domain, shard| {
+        let source = "tests".into();
+        builder(settings, domain).finish(&Provenance { source, progress: progress(), shard: Some(shard), stream: None })
     };
+    let field = |settings, domain| drawn(settings, domain, Shard { rays: 5, index: 0, of: 1 });
     let block = small.covariance(Covariance::Block).level(3).min_rays(2.0);
     let trace = small.covariance(Covariance::Trace).prior(Prior::Volume);
     let limited = small.level(6).criteria(Criteria::from_iter([Criterion::RayCount])).surface_points(5);
@@ -115,6 +111,7 @@ pub fn fields() -> Vec<UncertaintyField> {
         limited.without_sums(),
         bars(field(small, cube)),
         bars(field(small.grid(GridKind::Dense).level(1), cube)).without_sums(),
+        drawn(small, cube, Shard { rays: 2_000, index: 0, of: 2 }),
     ]
 }
 

@@ -33,7 +33,7 @@ pub fn stage(path: &Path, truths: &[TrueView], cleaned: &[(CleanUp, Vec<Rendered
             let mut row = vec![color_panel(&truth.name, truth.camera.resolution, truth.colors.iter().copied())];
             row.extend(shown(cleaned).into_iter().map(|k| {
                 let (cleaned, views) = &cleaned[k];
-                let name = cleaned.threshold.map_or("as it is".into(), |t| format!("threshold {t}"));
+                let name = cleaned.log10.map_or("as it is".into(), |u| format!("log10 U <= {u:.2}"));
                 color_panel(&name, views[v].resolution, views[v].pixels.iter().map(|p| p.color))
             }));
             row

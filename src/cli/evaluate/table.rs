@@ -184,18 +184,17 @@ impl Evaluation<'_> {
     fn print_clean_up(&self) -> Result<()> {
         let (Some(path), Some(reading)) = (&self.args.clean_up, self.evaluator.readings.first()) else { return Ok(()) };
         say!("clean-up by {}, pictures in {}", reading.name, path.display())?;
-        say!("  threshold   log10 U    PSNR, dB   where shown      SSIM   SSIMULACRA 2   coverage")?;
+        say!("  log10 U at most    PSNR, dB   where shown      SSIM   SSIMULACRA 2   coverage")?;
         let best = CleanUp::best(&self.cleaned);
         for c in &self.cleaned {
-            let threshold = c.threshold.map_or("as it is".into(), |t| format!("{t:.1}"));
-            let log10 = c.log10.map_or(String::new(), |u| format!("{u:.2}"));
+            let log10 = c.log10.map_or("as it is".into(), |u| format!("{u:.2}"));
             let mark = if c.threshold.is_some() && best.is_some_and(|best| best.threshold == c.threshold) {
                 "   best PSNR"
             } else {
                 ""
             };
             say!(
-                "  {threshold:>9} {log10:>9} {:>11.2} {:>13.2} {:>9.4} {:>14.1} {:>10.3}{mark}",
+                "  {log10:>15} {:>11.2} {:>13.2} {:>9.4} {:>14.1} {:>10.3}{mark}",
                 c.psnr,
                 c.psnr_shown,
                 c.ssim,

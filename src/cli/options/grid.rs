@@ -194,9 +194,9 @@ pub struct OfficialOptions {
     #[arg(long = "box", value_name = "BOX", value_parser = parse_box, allow_hyphen_values = true)]
     pub bounds: Option<Aabb>,
 
-    /// Number of rays summed in the official code's `.npy` grids
-    #[arg(long, default_value_t = OfficialGrid::DEFAULT_RAYS, value_parser = count::<u64>(1..))]
-    pub rays: u64,
+    /// Number of rays summed in the official code's `.npy` grids [default: 4096000]
+    #[arg(long, value_parser = count::<u64>(1..))]
+    pub rays: Option<u64>,
 }
 
 impl OfficialOptions {
@@ -208,7 +208,15 @@ impl OfficialOptions {
                     let found = format!("{} without one", path.display());
                     Error::setting("--box", "the box of the official grid, which its file does not name", found)
                 })?;
-                OfficialGrid { bounds, rays: self.rays, lambda: None }.read(path)
+                let rays = self.rays.unwrap_or_else(|| {
+                    let rays = OfficialGrid::DEFAULT_RAYS;
+                    eprintln!(
+                        "note: {} is taken for sums of {rays} rays, the official default; --rays",
+                        path.display()
+                    );
+                    rays
+                });
+                OfficialGrid { bounds, rays, lambda: None }.read(path)
             }
             _ => UncertaintyField::read(path),
         }
