@@ -6,9 +6,12 @@ use super::options::ModelOptions;
 use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
 
-/// Refuses a field that was computed for another model; with `force` only warns. Fields that name no model pass.
+/// Refuses a field that was computed for another model; with `force` only warns. Says so on stderr if it names none.
 pub fn check_model(model: &ModelOptions, path: &Path, field: &UncertaintyField, force: bool) -> Result<()> {
-    let Some(expected) = field.protocol().origin.model else { return Ok(()) };
+    let Some(expected) = field.protocol().origin.model else {
+        eprintln!("note: {} does not say which model it was computed from", path.display());
+        return Ok(());
+    };
     let found = crate::open::checksum(&model.model, model.coordinates)?;
     if expected == found {
         return Ok(());

@@ -99,8 +99,10 @@ impl Args {
         let shown = Shown::new(&subject, octree, bars)?;
         self.clean(&subject, octree, shown, bars)?;
         self.pictures(&subject, octree, shown, bars)?;
-        octree.write(&self.out.join("field.oct"))?;
-        dense.clone().without_sums().write(&self.out.join("dense.oct"))?;
+        let checksum = crate::open::checksum(&self.model_name(), None)?;
+        for (field, name) in [(octree, "field.oct"), (dense, "dense.oct")] {
+            field.clone().for_queries().with_model(checksum).write(&self.out.join(name))?;
+        }
         write_transforms(&self.out.join("transforms.json"), &subject.cameras)?;
         self.suggest()
     }
@@ -117,13 +119,19 @@ impl Args {
         Ok(DemoScene::trained(model))
     }
 
+    /// The model as other verbs call it.
+    fn model_name(&self) -> String {
+        match &self.scene {
+            None => self.out.join(MODEL).to_string_lossy().into_owned(),
+            Some(scene) => format!("scene:{scene}"),
+        }
+    }
+
     /// Prints what was written, and what to try with it.
     fn suggest(&self) -> Result<()> {
         let out = self.out.display();
-        let (model, file) = match &self.scene {
-            None => (format!("{out}/{MODEL}"), format!(", {MODEL}")),
-            Some(scene) => (format!("scene:{scene}"), String::new()),
-        };
+        let model = self.model_name();
+        let file = if self.scene.is_none() { format!(", {MODEL}") } else { String::new() };
         say!("written to {out}: demo.png (look at it first), field.oct, dense.oct{file}, transforms.json")?;
         say!("now try, for example")?;
         say!("  octobayes info {out}/field.oct")?;
