@@ -4,12 +4,13 @@ use super::Quantity;
 use crate::posterior::Covariance;
 use crate::uncertainty::UncertaintyField;
 
-/// A vertex counts as moved if its U lies more than this many decades below the prior.
-const MOVED: f64 = 0.1;
+/// U counts as lowered at a vertex if it lies more than this many decades below the prior: less than for a vertex to
+/// count as [moved](crate::uncertainty::MOVED), because some scenes hardly lower it.
+const LOWERED: f64 = 0.1;
 
 impl Quantity {
     /// Measures the quantity for a field that was not pooled. [`Quantity::Diagonal`], [`Quantity::Block`] and
-    /// [`Quantity::Moved`] are 0 if the field did not keep its vertex sums.
+    /// [`Quantity::Lowered`] are 0 if the field did not keep its vertex sums.
     #[must_use]
     pub fn read(self, field: &UncertaintyField) -> f64 {
         let protocol = field.protocol();
@@ -22,9 +23,9 @@ impl Quantity {
         match self {
             Self::Diagonal => gains(Covariance::Diagonal).fold(0.0, f64::max),
             Self::Block => gains(Covariance::Block).fold(0.0, f64::max),
-            Self::Moved => {
-                let moved = gains(Covariance::Trace).filter(|&gain| gain > MOVED).count();
-                moved as f64 / field.lattice().dense_vertices() as f64
+            Self::Lowered => {
+                let lowered = gains(Covariance::Trace).filter(|&gain| gain > LOWERED).count();
+                lowered as f64 / field.lattice().dense_vertices() as f64
             }
             Self::Dropped => protocol.dropped as f64 / protocol.rays.max(1) as f64,
         }

@@ -69,7 +69,7 @@ pub enum Quantity {
     /// The same for covariance `block`.
     Block,
     /// Share of the lattice's vertices whose U (`trace`) is more than a tenth of a decade below the prior.
-    Moved,
+    Lowered,
     /// Share of the rays that were dropped.
     Dropped,
 }
@@ -81,7 +81,7 @@ impl Quantity {
         match self {
             Self::Diagonal => "decades from the prior down to the least U, `diagonal`",
             Self::Block => "decades from the prior down to the least U, `block`",
-            Self::Moved => "share of the lattice's vertices that moved",
+            Self::Lowered => "share of the lattice's vertices where U is lowered",
             Self::Dropped => "share of the rays that were dropped",
         }
     }
