@@ -51,7 +51,7 @@ fn main() -> Result<()> {
         |views: Selection| Dataset::open("lego, 400 × 400", &Program::data()?.join("nerf-lego-400"), &views, None);
     program.part("lego", |work| {
         let rows = [lego(Selection::Count(FEW))?, lego(Selection::All)?];
-        let rows = [(&rows[0], 1000, defaults), (&rows[1], 1000, defaults)];
+        let rows = [(&rows[0], 1000, defaults), (&rows[1], 1000, defaults), (&rows[1], 8000, defaults)];
         Ok((words(&defaults), table(work, &rows)?))
     })?;
     program.part("fox", |work| {
