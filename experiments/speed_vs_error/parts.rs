@@ -21,6 +21,8 @@ const TIMES: &str = "Times are wall times of everything between the open model a
 const ERRORS: &str = "Errors are |Δ log10 U| against a dense grid of many times the rays (20,480,000 on lego, twenty \
                       times those of the last row elsewhere), random, of another seed, with exact derivatives and \
                       cutoff 1e-8";
+/// The columns that [`Rows::errors`] fills.
+const ERROR_COLUMNS: [&str; 6] = ["surfaces: mean", "95 %", "max", "box: mean", "95 %", "max"];
 
 /// The paper's workload, five times each.
 pub fn targets(work: &Work, lego: &Scene) -> Result<(String, String)> {
@@ -65,18 +67,8 @@ pub fn ablation(work: &Work, lego: &Scene) -> Result<(String, String)> {
         ("+ `--min-rays 4`", analytic, octree.min_rays(4.0)),
         ("dense grid with all of the rays' features", analytic, dense),
     ];
-    let mut table = Table::new(&[
-        "",
-        "s, median",
-        "samples / ray",
-        "bytes for queries",
-        "surfaces: mean",
-        "95 %",
-        "max",
-        "box: mean",
-        "95 %",
-        "max",
-    ]);
+    let head = ["", "s, median", "samples / ray", "bytes for queries"];
+    let mut table = Table::new(&[&head[..], &ERROR_COLUMNS].concat());
     for (name, rays, grid) in features {
         let rows = rows(work, name, &rays, |rays| Row::new(&run(lego, &rays, &grid)?, Some(&reference)))?;
         let head = [
@@ -121,20 +113,8 @@ pub fn rays(work: &Work, scenes: &[Scene], truth: Option<&Truth>) -> Result<(Str
         ("octree, differences", GridKind::Octree, Pixels::Sobol, GradientMethod::FiniteDifference),
         ("octree, own derivatives", GridKind::Octree, Pixels::Sobol, GradientMethod::Auto),
     ];
-    let mut table = Table::new(&[
-        "scene",
-        "rays",
-        "method",
-        "s, median",
-        "bytes for queries",
-        "surfaces: mean",
-        "95 %",
-        "max",
-        "box: mean",
-        "95 %",
-        "max",
-        "AUSE (MAE), `spread`",
-    ]);
+    let head = ["scene", "rays", "method", "s, median", "bytes for queries"];
+    let mut table = Table::new(&[&head[..], &ERROR_COLUMNS, &["AUSE (MAE), `spread`"]].concat());
     for scene in scenes {
         let reference = reference(work, scene, 20 * scene.settings.rays)?;
         let mut curves: Vec<Curve> =

@@ -1,5 +1,6 @@
 //! Rays through a field: samples, compositing, and the Jacobian of a pixel with respect to its samples.
 
+mod choose;
 mod composite;
 mod gradient;
 mod jacobian;
