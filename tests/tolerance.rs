@@ -81,7 +81,7 @@ fn parts_joined_are_the_whole_run_at_any_tolerance() {
             for of in [2, 4, 8] {
                 let what = format!("{} in {of} parts, tolerance {tolerance}", covariance.name());
                 let parts: Vec<_> =
-                    (0..of).map(|index| part(&stream, octree, domain, Shard { rays, index, of })).collect();
+                    (0..of).map(|index| part(&stream, octree, domain, Shard::new(rays, index, of))).collect();
                 let merged = merge(&parts).unwrap();
                 let off = largest_difference(&merged, &of_all);
                 eprintln!("{what}: {off:.5} off the dense grid");

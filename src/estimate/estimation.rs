@@ -164,7 +164,7 @@ impl<'a> Estimation<'a> {
     /// The rays of the goal, if it draws one fixed set of them.
     pub(super) fn own_shard(&self) -> Shard {
         match self.goal {
-            Goal::Shard { index, of } => Shard { rays: self.rays.rays, index, of },
+            Goal::Shard { index, of } => Shard::new(self.rays.rays, index, of),
             _ => Shard::whole(self.rays.rays),
         }
     }

@@ -17,7 +17,7 @@ use crate::rays::{Pixels, RunProgress, Shard};
 use crate::render::GradientMethod;
 use crate::{Error, Result};
 
-const FORMAT: Format = (b"OCTOCHK\n", 3);
+const FORMAT: Format = (b"OCTOCHK\n", 4);
 
 /// A posterior of either kind.
 pub enum AnyPosterior {

@@ -23,10 +23,8 @@ impl MissingShards {
     #[must_use]
     pub fn beside(draws: &[Draw]) -> Vec<Self> {
         let mut parts: Vec<&Draw> = draws.iter().filter(|draw| draw.is_part()).collect();
-        parts.sort_unstable_by_key(|draw| (draw.seed, draw.shard.rays, draw.shard.of, draw.shard.index));
-        let of_one_run =
-            |a: &&Draw, b: &&Draw| (a.seed, a.shard.rays, a.shard.of) == (b.seed, b.shard.rays, b.shard.of);
-        let missing = parts.chunk_by(of_one_run).map(|run| {
+        parts.sort_unstable_by_key(|draw| (draw.run(), draw.shard.index));
+        let missing = parts.chunk_by(|a, b| a.run() == b.run()).map(|run| {
             let Draw { seed, shard: Shard { rays, of, .. } } = *run[0];
             // The end of a run stands for one more part. Runs may be split into more parts than can be listed.
             let mut indices = Vec::new();
@@ -66,7 +64,7 @@ mod tests {
 
     #[test]
     fn gaps_are_named() {
-        let part = |seed, of, index| Draw { seed, shard: Shard { rays: 5000, index, of } };
+        let part = |seed, of, index| Draw { seed, shard: Shard::new(5000, index, of) };
         let said =
             |draws: &[Draw]| -> Vec<String> { MissingShards::beside(draws).iter().map(ToString::to_string).collect() };
         assert_eq!(said(&[part(0, 3, 2), part(0, 3, 0)]), ["part 1 of 3 (seed 0)"]);

@@ -18,5 +18,5 @@ pub use pixels::{Pick, PixelSequence, Pixels};
 pub use progress::RunProgress;
 pub use samples_file::{SamplesReader, SamplesWriter};
 pub use seeds::Purpose;
-pub use shard::{Draw, Shard};
+pub use shard::{Deal, Draw, Shard};
 pub use stream::{MAX_DROPPED_SHARE, RayStream, SURFACE_WEIGHT};

@@ -7,8 +7,21 @@ use super::progress::RunProgress;
 /// Rays per batch. Batch b starts at ray b · 512, and any batch can be drawn by itself.
 pub(super) const BATCH: u64 = 512;
 
-/// A part of a run: batches `index`, `index + of`, `index + 2 · of`, … of `rays` rays.
+/// How the batches of a run are dealt out to its parts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Deal {
+    /// Part i has every n-th batch, from batch i, as in files of earlier versions. If cameras take turns with a period
+    /// that shares a divisor with n, a part never sees some of them.
+    #[default]
+    Strided,
+    /// The turn moves on from round to round by a Weyl sequence, so every part sees all cameras equally often.
+    Shifted,
+}
+
+/// A part of a run of `rays` rays. In every round of `of` batches, it draws one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
+#[non_exhaustive]
 pub struct Shard {
     /// Number of rays in the whole run.
     pub rays: u64,
@@ -16,23 +29,48 @@ pub struct Shard {
     pub index: u64,
     /// Number of parts.
     pub of: u64,
+    /// Which batch of each round is this part's.
+    #[serde(default)]
+    pub deal: Deal,
 }
 
 impl Shard {
+    /// Part `index` of `of` parts of a run.
+    #[must_use]
+    pub fn new(rays: u64, index: u64, of: u64) -> Self {
+        Self { rays, index, of, deal: Deal::Shifted }
+    }
+
     /// The whole of a run.
     #[must_use]
     pub fn whole(rays: u64) -> Self {
-        Self { rays, index: 0, of: 1 }
+        Self::new(rays, 0, 1)
     }
 
-    /// Number of batches in this part.
+    /// The place of this part's batch among the `of` batches of round `n`.
+    ///
+    /// Fractions of multiples of the golden ratio fill [0, 1) evenly, together with any period of n. So a part's
+    /// batches fall evenly on the cameras, whatever the period in which these take turns.
+    fn place(&self, n: u64) -> u64 {
+        // The golden ratio's fraction, times 2^64.
+        const GOLDEN: u64 = 0x9E37_79B9_7F4A_7C15;
+        let turn = match self.deal {
+            Deal::Strided => 0,
+            Deal::Shifted => (u128::from(n.wrapping_mul(GOLDEN)) * u128::from(self.of)) >> 64,
+        };
+        ((u128::from(self.index) + turn) % u128::from(self.of)) as u64
+    }
+
+    /// Number of batches in this part: one of each full round, and perhaps one of the last.
     pub(super) fn batches(&self) -> u64 {
-        self.rays.div_ceil(BATCH).saturating_sub(self.index).div_ceil(self.of)
+        let batches = self.rays.div_ceil(BATCH);
+        let (rounds, rest) = (batches / self.of, batches % self.of);
+        rounds + u64::from(self.place(rounds) < rest)
     }
 
     /// Index, within the whole run, of this part's n-th batch.
     pub(super) fn batch(&self, n: u64) -> u64 {
-        self.index + n * self.of
+        n * self.of + self.place(n)
     }
 
     /// Number of rays in a batch of the whole run.
@@ -55,7 +93,7 @@ impl Shard {
     /// Number of rays in this part.
     #[must_use]
     pub fn own_rays(&self) -> u64 {
-        // Only the run's last batch can be short.
+        // Only the run's last batch can be short, and that is the last of its part.
         self.batches().checked_sub(1).map_or(0, |last| last * BATCH + self.rays_of(self.batch(last)))
     }
 }
@@ -79,29 +117,34 @@ impl Draw {
     /// Checks that no two of these draws can have a ray in common.
     ///
     /// Batch b of a seed is the same in every run, whatever the run's length. For one seed, therefore, only
-    /// different parts of the same run are disjoint.
+    /// different parts of the same run, dealt in the same way, are disjoint.
     #[must_use]
     pub fn are_disjoint(draws: impl IntoIterator<Item = Self>) -> bool {
         let mut split = HashMap::new();
         let mut parts = HashSet::new();
         draws.into_iter().all(|draw| {
-            let Shard { rays, of, .. } = draw.shard;
-            *split.entry(draw.seed).or_insert((rays, of)) == (rays, of) && parts.insert(draw)
+            let run = draw.run();
+            *split.entry(draw.seed).or_insert(run) == run && parts.insert(draw)
         })
+    }
+
+    /// What the parts of one run have in common: seed, rays, number of parts, and how they are dealt.
+    pub(super) fn run(&self) -> (u64, u64, u64, Deal) {
+        let Shard { rays, of, deal, .. } = self.shard;
+        (self.seed, rays, of, deal)
     }
 
     /// The same rays in as few draws as possible, sorted. If all parts of a run are present, they become one draw.
     #[must_use]
     pub fn joined(draws: impl IntoIterator<Item = Self>) -> Vec<Self> {
         let mut draws: Vec<Self> = draws.into_iter().collect();
-        draws.sort_unstable_by_key(|draw| (draw.seed, draw.shard.rays, draw.shard.of, draw.shard.index));
-        let of_one_run = |a: &Self, b: &Self| (a.seed, a.shard.rays, a.shard.of) == (b.seed, b.shard.rays, b.shard.of);
+        draws.sort_unstable_by_key(|draw| (draw.run(), draw.shard.index));
         let join = |parts: &[Self]| {
             let Self { seed, shard } = parts[0];
             let are_all = parts.iter().map(|part| part.shard.index).eq(0..shard.of);
             if are_all { vec![Self { seed, shard: Shard::whole(shard.rays) }] } else { parts.to_vec() }
         };
-        draws.chunk_by(of_one_run).flat_map(join).collect()
+        draws.chunk_by(|a, b| a.run() == b.run()).flat_map(join).collect()
     }
 }
 
@@ -116,7 +159,7 @@ mod tests {
             let mut batches: Vec<u64> = Vec::new();
             let mut drawn = 0;
             for index in 0..of {
-                let shard = Shard { rays, index, of };
+                let shard = Shard::new(rays, index, of);
                 batches.extend((0..shard.batches()).map(|n| shard.batch(n)));
                 drawn += shard.own_rays();
                 prop_assert_eq!(shard.own_rays(), (0..shard.batches()).map(|n| shard.rays_of(shard.batch(n))).sum::<u64>());
@@ -133,7 +176,7 @@ mod tests {
         ) {
             let draws: Vec<Draw> = draws
                 .into_iter()
-                .map(|(seed, rays, of, index)| Draw { seed, shard: Shard { rays: 4000 * rays, index: index % of, of } })
+                .map(|(seed, rays, of, index)| Draw { seed, shard: Shard::new(4000 * rays, index % of, of) })
                 .collect();
             let batches = |draw: &Draw| -> Vec<(u64, u64)> {
                 let Draw { seed, shard } = *draw;
@@ -161,9 +204,41 @@ mod tests {
         }
     }
 
+    /// Cameras of equal size take turns, ray by ray. A part of N batches of a run should see each `period`-th batch
+    /// N / period times. The golden ratio's multiples deviate by a few terms of ln N; 10 is beyond what any of the 384
+    /// cases comes to, while every n-th batch misses some cameras altogether.
+    #[test]
+    fn every_part_sees_all_cameras() {
+        let counts = |shard: Shard, period: u64| {
+            let mut counts = vec![0_u64; period as usize];
+            (0..shard.batches()).for_each(|n| counts[(shard.batch(n) % period) as usize] += 1);
+            counts
+        };
+        let mut missed = 0;
+        for (of, period) in itertools::iproduct!([2, 3, 4, 8, 12, 64], [2, 3, 4, 6, 8, 16]) {
+            for index in 0..of.min(16) {
+                let shard = Shard::new(1600 * of * BATCH, index, of);
+                let fair = shard.batches() as f64 / period as f64;
+                for count in counts(shard, period) {
+                    assert!((count as f64 - fair).abs() <= 10.0, "{shard:?}, {period}: {count} for {fair}");
+                }
+                missed += counts(Shard { deal: Deal::Strided, ..shard }, period).iter().filter(|n| **n == 0).count();
+            }
+        }
+        assert!(missed > 0, "the test can tell the two apart");
+    }
+
+    #[test]
+    fn parts_that_are_dealt_differently_may_share_rays() {
+        let new = Draw { seed: 0, shard: Shard::new(5000, 0, 2) };
+        let old = Draw { seed: 0, shard: Shard { deal: Deal::Strided, ..Shard::new(5000, 1, 2) } };
+        assert!(!Draw::are_disjoint([new, old]));
+        assert!(Draw::are_disjoint([new, Draw { seed: 0, shard: Shard::new(5000, 1, 2) }]));
+    }
+
     #[test]
     fn the_parts_of_a_run_are_the_run() {
-        let part = |index| Draw { seed: 7, shard: Shard { rays: 5000, index, of: 3 } };
+        let part = |index| Draw { seed: 7, shard: Shard::new(5000, index, 3) };
         let other = Draw { seed: 1, shard: Shard::whole(10) };
         let whole = Draw { seed: 7, shard: Shard::whole(5000) };
         assert_eq!(Draw::joined([part(2), other, part(0), part(1)]), [other, whole]);
