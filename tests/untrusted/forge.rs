@@ -33,7 +33,7 @@ pub fn file(kind: Kind, recipe: &[u8]) -> Vec<u8> {
     let part = |i: usize| parts.get(i).copied().unwrap_or_default();
     match kind {
         Kind::Field => container(b"OCTOBAY\n", 3, &FIELD, &parts),
-        Kind::Checkpoint => container(b"OCTOCHK\n", 3, &CHECKPOINT, &parts),
+        Kind::Checkpoint => container(b"OCTOCHK\n", 4, &CHECKPOINT, &parts),
         Kind::Samples => archive(&SAMPLES, &parts),
         Kind::Voxels => archive(&VOXELS, &parts),
         Kind::Safetensors => {
@@ -60,6 +60,14 @@ pub fn recipe(kind: Kind, file: &[u8]) -> Vec<u8> {
         _ => return raw(file),
     };
     join(&parts)
+}
+
+/// The files of a COLMAP model in one: the first byte is odd if they are binary, then follow `cameras` and `images`,
+/// each with its length before it.
+pub fn colmap(is_binary: bool, files: [&[u8]; 2]) -> Vec<u8> {
+    let mut bytes = join(&files.map(<[u8]>::to_vec));
+    bytes[0] = is_binary.into();
+    bytes
 }
 
 /// A recipe for exactly this file.

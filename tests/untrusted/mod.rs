@@ -33,10 +33,12 @@ pub enum Kind {
     Csv,
     /// Image or depth map.
     Image,
+    /// `cameras` and `images` of COLMAP, in one file: see [`forge::colmap`].
+    Colmap,
 }
 
 impl Kind {
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 13] = [
         Self::Field,
         Self::Checkpoint,
         Self::Ppng,
@@ -49,6 +51,7 @@ impl Kind {
         Self::Mesh,
         Self::Csv,
         Self::Image,
+        Self::Colmap,
     ];
 
     /// Name of a file of this kind, with the extension that the program expects.
@@ -66,6 +69,7 @@ impl Kind {
             Self::Mesh => "mesh.obj",
             Self::Csv => "points.csv",
             Self::Image => "image.png",
+            Self::Colmap => "model.colmap",
         }
     }
 }

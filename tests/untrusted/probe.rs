@@ -16,7 +16,7 @@ use octobayes::synth::{Mesh, MeshScene, Up};
 use octobayes::uncertainty::{OfficialGrid, UncertaintyField, merge, merge_with_error_bars};
 use octobayes::{Error, Result};
 
-use super::{Kind, samples};
+use super::{Kind, forge, samples};
 
 /// Points in and around the boxes of the samples, and some that are not finite.
 fn points_around(bounds: Aabb) -> Vec<Vec3> {
@@ -46,7 +46,23 @@ pub fn open(kind: Kind, path: &Path) -> bool {
         Kind::Mesh => Mesh::read(path).is_ok(),
         Kind::Csv => csv(path).is_ok(),
         Kind::Image => PosedImage::read(path, [4, 3]).is_ok(),
+        Kind::Colmap => colmap(path).is_ok(),
     }
+}
+
+/// Reads the two files of a COLMAP model that `path` holds.
+fn colmap(path: &Path) -> Result<Views> {
+    let packed = std::fs::read(path).map_err(Error::io(path, "cannot read"))?;
+    let (first, rest) = packed.split_first().map_or((0, &packed[..]), |(first, rest)| (*first, rest));
+    let parts = forge::split(rest);
+    let folder = path.with_extension("model");
+    let _ = std::fs::remove_dir_all(&folder);
+    std::fs::create_dir(&folder).map_err(Error::io(&folder, "cannot create"))?;
+    let extension = if first % 2 == 1 { "bin" } else { "txt" };
+    for (name, part) in ["cameras", "images"].iter().zip(parts) {
+        std::fs::write(folder.join(format!("{name}.{extension}")), part).map_err(Error::io(&folder, "cannot write"))?;
+    }
+    Views::read(&folder, None)
 }
 
 fn official(path: &Path) -> Result<UncertaintyField> {
@@ -84,6 +100,7 @@ pub fn read(kind: Kind, path: &Path) -> Result<()> {
         Kind::Mesh => Mesh::read(path).map(|mesh| mesh_is_sound(&mesh)),
         Kind::Csv => csv(path).map(|points| assert!(points.iter().all(|x| x.is_finite()))),
         Kind::Image => picture(path),
+        Kind::Colmap => colmap(path).map(|views| cameras_are_sound(&views.cameras())),
     };
     if let Err(error) = &outcome {
         let text = error.to_string();

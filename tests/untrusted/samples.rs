@@ -18,7 +18,7 @@ use octobayes::render::{GradientMethod, RaySample, RaySamples};
 use octobayes::uncertainty::UncertaintyField;
 use safetensors::tensor::{Dtype, TensorView};
 
-use super::Kind;
+use super::{Kind, forge};
 
 /// Valid files of a kind. Each has something that the others lack.
 pub fn of(kind: Kind) -> Vec<Vec<u8>> {
@@ -47,7 +47,34 @@ pub fn of(kind: Kind) -> Vec<Vec<u8>> {
             b"1,2,3\r\n\"4\",5,6\r\n".to_vec(),
         ],
         Kind::Image => images(),
+        Kind::Colmap => colmap(),
     }
+}
+
+/// COLMAP models, as text and binary: two lenses, two pictures with and without points.
+fn colmap() -> Vec<Vec<u8>> {
+    let cameras = b"# cameras\n1 PINHOLE 8 6 7 7.5 4 3\n2 OPENCV 8 6 7 7 4 3 0.1 -0.01 0 1e-3\n";
+    let images = b"# images\n1 1 0 0 0 0.5 0 2 1 a.png\n1.5 2 -1 3 4 7\n2 0.6 0 0.8 0 0 1 2 2 b.png\n\n";
+    let floats = |values: &[f64]| values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
+    let camera = |id: u32, model: u32, parameters: &[f64]| {
+        [&id.to_le_bytes()[..], &model.to_le_bytes(), &8_u64.to_le_bytes(), &6_u64.to_le_bytes(), &floats(parameters)]
+            .concat()
+    };
+    let image = |id: u32, pose: &[f64; 7], camera: u32, name: &[u8], points: &[f64]| {
+        let points: Vec<u8> =
+            points.chunks(2).flat_map(|xy| [floats(xy), 3_u64.to_le_bytes().to_vec()].concat()).collect();
+        let count = points.len() as u64 / 24;
+        let head = [&id.to_le_bytes()[..], &floats(pose), &camera.to_le_bytes(), name, &[0]].concat();
+        [&head[..], &count.to_le_bytes(), &points].concat()
+    };
+    let lenses = [camera(1, 1, &[7.0, 7.5, 4.0, 3.0]), camera(2, 0, &[7.0, 4.0, 3.0])].concat();
+    let poses = [
+        image(1, &[1.0, 0.0, 0.0, 0.0, 0.5, 0.0, 2.0], 1, b"a.png", &[1.5, 2.0, 3.0, 4.0]),
+        image(2, &[0.6, 0.0, 0.8, 0.0, 0.0, 1.0, 2.0], 2, b"b.png", &[]),
+    ];
+    let count = 2_u64.to_le_bytes();
+    let binary = [[&count[..], &lenses].concat(), [&count[..], &poses.concat()].concat()];
+    vec![forge::colmap(false, [cameras, images]), forge::colmap(true, [&binary[0], &binary[1]])]
 }
 
 /// The bytes that `write` writes.
@@ -89,7 +116,7 @@ pub fn fields() -> Vec<UncertaintyField> {
         let source = "tests".into();
         builder(settings, domain).finish(&Provenance { source, progress: progress(), shard: Some(shard), stream: None })
     };
-    let field = |settings, domain| drawn(settings, domain, Shard { rays: 5, index: 0, of: 1 });
+    let field = |settings, domain| drawn(settings, domain, Shard::whole(5));
     let block = small.covariance(Covariance::Block).level(3).min_rays(2.0);
     let trace = small.covariance(Covariance::Trace).prior(Prior::Volume);
     let limited = small.level(6).criteria(Criteria::from_iter([Criterion::RayCount])).surface_points(5);
@@ -111,7 +138,7 @@ pub fn fields() -> Vec<UncertaintyField> {
         limited.without_sums(),
         bars(field(small, cube)),
         bars(field(small.grid(GridKind::Dense).level(1), cube)).without_sums(),
-        drawn(small, cube, Shard { rays: 2_000, index: 0, of: 2 }),
+        drawn(small, cube, Shard::new(2_000, 0, 2)),
     ]
 }
 
