@@ -42,6 +42,45 @@ fn desk() -> tempfile::TempDir {
 const EVALUATE: &str = "evaluate m-0.safetensors m.oct --cameras set/transforms_test.json --depth set/depth --depth-pattern {}.png \
     --depth-encoding 0,6.5535 --ensemble m-0.safetensors m-1.safetensors";
 
+#[test]
+fn depths_in_other_units_are_noticed() {
+    let desk = desk();
+    let run = |encoding: &str| {
+        let args = EVALUATE.replace("0,6.5535", encoding);
+        let output = Command::new(env!("CARGO_BIN_EXE_octobayes"))
+            .args(args.split_whitespace())
+            .current_dir(desk.path())
+            .output();
+        let output = output.unwrap();
+        (output.status.code(), String::from_utf8(output.stderr).unwrap())
+    };
+    let (code, said) = run("0,6.5535");
+    assert!(code == Some(0) && !said.contains("depths are off"), "{said}");
+    // Three quarters of the true depths, which are about 4 in a box of edge 2.
+    let (code, said) = run("0,5");
+    assert!(code == Some(0) && said.contains("warning: half of the depths are off by more than "), "{said}");
+    // Millimetres.
+    let (code, said) = run("0,6553.5");
+    assert!(code == Some(2) && said.contains("--depth-encoding"), "{said}");
+}
+
+/// PSNR, SSIM and coverage need no depth.
+#[test]
+fn photographs_alone_can_be_cleaned_up() {
+    let desk = desk();
+    let command = "evaluate m-0.safetensors m.oct --cameras set/transforms_test.json --clean-up";
+    let json = octobayes(desk.path(), &format!("{command} sheet.png --json"));
+    let found: Value = serde_json::from_str(&json).unwrap();
+    assert_eq!((&found["depth_error"], &found["pixels"]), (&Value::Null, &0.into()));
+    assert!(found["psnr"].as_f64().unwrap() > 10.0);
+    assert!(std::fs::metadata(desk.path().join("sheet.png")).unwrap().len() > 1000);
+    let with_depth = octobayes(desk.path(), &format!("{EVALUATE} --clean-up other.png --json"));
+    let with_depth: Value = serde_json::from_str(&with_depth).unwrap();
+    assert_eq!(found["clean_up"], with_depth["clean_up"], "depth changes nothing in it");
+    let text = octobayes(desk.path(), &format!("{command} sheet.png"));
+    assert!(text.contains("surfaces kept") && !text.contains("AUSE, all"), "{text}");
+}
+
 /// The outputs of one command appear together or not at all.
 #[test]
 #[cfg(unix)]

@@ -48,7 +48,7 @@ impl Truth {
         let depth = DepthFiles { folder: folder.join("test"), pattern: "{}_depth_0001.png".into(), encoding };
         let frames = views.frames.iter().step_by(every);
         let views =
-            frames.map(|frame| TrueView::read(frame, &depth, DVec3::ONE, 0.5, stride)).collect::<Result<_>>()?;
+            frames.map(|frame| TrueView::read(frame, Some(&depth), DVec3::ONE, 0.5, stride)).collect::<Result<_>>()?;
         Ok(Self { views })
     }
 

@@ -216,7 +216,7 @@ fn compute(scene: &Scene, plan: &Plan, work: &Path, folder: &Path) -> Result<Sce
     let stride = (frames[0].camera.resolution[0] / plan.judged).max(1);
     let truths = frames
         .iter()
-        .map(|frame| TrueView::read(frame, &data.depth, DVec3::ONE, field.pixel_offset(), stride))
+        .map(|frame| TrueView::read(frame, Some(&data.depth), DVec3::ONE, field.pixel_offset(), stride))
         .collect::<Result<Vec<_>>>()?;
     eprintln!("  judging {} views of {:?} pixels", truths.len(), truths[0].camera.resolution);
     let [rendering, reading] = costs(&evaluator.tracer, &readings[0], &truths)?;

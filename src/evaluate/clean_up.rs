@@ -4,7 +4,7 @@
 //! longest edges of the field's domain, so that a threshold means the same at any scale. At level 8, space that was
 //! never seen lies at a share of 0.95 for `diagonal` and 0.94 for `trace`.
 
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 
 use super::TrueView;
@@ -12,6 +12,7 @@ use crate::Result;
 use crate::field::RadianceField;
 use crate::metrics::{psnr, ssim, ssimulacra2};
 use crate::monitor::{Monitor, check};
+use crate::posterior::Scale;
 use crate::render::{RenderedView, Tracer, render_view};
 use crate::uncertainty::{ThresholdedField, UncertaintyField};
 
@@ -27,6 +28,9 @@ pub struct CleanUp {
     pub threshold: Option<f64>,
     /// Largest log10 U that is kept, with U in scene units.
     pub log10: Option<f64>,
+    /// Share of the field's points on visible surfaces that are kept; `None` without a threshold, or such points.
+    #[serde(default)]
+    pub surfaces: Option<f64>,
     /// PSNR of whole images, dB. The background shows where density was removed.
     pub psnr: f64,
     /// PSNR over the pixels that still show something (opacity above ½), dB; NaN if no view has such pixels.
@@ -74,7 +78,23 @@ impl CleanUp {
         }
         let [psnr, ssim, ssimulacra2] = sums.map(|sum| sum / views.len() as f64);
         let coverage = f64::from(shown as u32) / f64::from(should as u32);
-        Self { threshold, log10, psnr, psnr_shown: psnr_shown / views_shown, ssim, ssimulacra2, coverage }
+        let psnr_shown = psnr_shown / views_shown;
+        Self { threshold, log10, surfaces: None, psnr, psnr_shown, ssim, ssimulacra2, coverage }
+    }
+}
+
+/// log10 U at a share of 0: that of the domain's longest edge, on the paper's scale.
+///
+/// On the scale of the training pixels, the prior lies as many decades above it as on the paper's with the default λ.
+fn thresholds_start_at(uncertainty: &UncertaintyField) -> f64 {
+    let lattice = uncertainty.lattice();
+    let edge = lattice.domain().size().max_element().log10();
+    match uncertainty.protocol().scale {
+        Scale::Data(_) => {
+            let paper = uncertainty.protocol().covariance.prior(lattice.default_lambda());
+            edge + (uncertainty.prior() / paper).log10()
+        }
+        _ => edge,
     }
 }
 
@@ -92,7 +112,13 @@ pub fn clean_up(
     thresholds: &[f64],
     monitor: &dyn Monitor,
 ) -> Result<Vec<(CleanUp, Vec<RenderedView>)>> {
-    let edge = uncertainty.lattice().domain().size().max_element();
+    let unit = thresholds_start_at(uncertainty);
+    let surface: Vec<Vec3> = uncertainty.surface().iter().copied().map(Vec3::from_array).collect();
+    let surface: Vec<f64> = uncertainty.query_all(&surface).iter().map(|found| found.uncertainty.log10()).collect();
+    let kept = |threshold: f64| {
+        let kept = surface.iter().filter(|log10| **log10 <= threshold).count();
+        (!surface.is_empty()).then(|| kept as f64 / surface.len() as f64)
+    };
     let render = |field: &dyn RadianceField| -> Result<Vec<RenderedView>> {
         // The samples stay the same: removing density keeps every upper bound of it valid.
         let tracer = Tracer { field, ..tracer.clone() };
@@ -105,9 +131,10 @@ pub fn clean_up(
     let before = render(tracer.field)?;
     let mut out = vec![(CleanUp::new(None, None, truths, &before), before)];
     for &share in thresholds {
-        let threshold = share * SCALE + edge.log10();
+        let threshold = share * SCALE + unit;
         let after = render(&ThresholdedField { field: tracer.field, uncertainty, threshold })?;
-        out.push((CleanUp::new(Some(share), Some(threshold), truths, &after), after));
+        let cleaned = CleanUp::new(Some(share), Some(threshold), truths, &after);
+        out.push((CleanUp { surfaces: kept(threshold), ..cleaned }, after));
     }
     Ok(out)
 }

@@ -178,4 +178,7 @@ fn clean_up_removes_nothing_above_the_prior_and_everything_below_the_least() {
     assert!(some.0.coverage < 1.0 && some.0.psnr > gone.0.psnr, "{some:?}");
     // The threshold in scene units follows from its share of the scale.
     assert!((10_f64.powf(kept.0.log10.unwrap()) / field.prior() - 1.0).abs() < 1e-7);
+    // What stays of the visible surfaces, which are among what the field is most certain of.
+    assert_eq!([before.0.surfaces, gone.0.surfaces, kept.0.surfaces], [None, Some(0.0), Some(1.0)]);
+    assert!(some.0.surfaces.is_some_and(|share| share > 0.0));
 }

@@ -48,13 +48,22 @@ pub struct TrueView {
 }
 
 impl TrueView {
-    /// Reads every `stride`-th pixel along x and y of a frame's image and depth map.
+    /// Reads every `stride`-th pixel along x and y of a frame's image and, if there are any, its depth map.
     ///
     /// # Errors
     /// If a file is missing or damaged, or its size differs from the camera's.
-    pub fn read(frame: &Frame, depth: &DepthFiles, background: DVec3, pixel_offset: f64, stride: u32) -> Result<Self> {
+    pub fn read(
+        frame: &Frame,
+        depth: Option<&DepthFiles>,
+        background: DVec3,
+        pixel_offset: f64,
+        stride: u32,
+    ) -> Result<Self> {
         let image = PosedImage::read(&frame.image, frame.camera.resolution)?;
-        let truth = DepthMap::read(&depth.path(frame), depth.encoding, &frame.camera, pixel_offset)?;
+        let read = |depth: &DepthFiles| {
+            DepthMap::read(&depth.path(frame), depth.encoding, &frame.camera, pixel_offset).map(|map| map.distance)
+        };
+        let truth = depth.map(read).transpose()?;
         let camera = frame.camera.strided(stride, pixel_offset);
         let [width, height] = camera.resolution;
         let full = |row: u32, column: u32| (row * stride * frame.camera.resolution[0] + column * stride) as usize;
@@ -65,7 +74,7 @@ impl TrueView {
             pixel_offset,
             colors: pixels.iter().map(|&i| image.over(i, background)).collect(),
             covered: pixels.iter().map(|&i| image.alpha(i) > 0.5).collect(),
-            distance: pixels.iter().map(|&i| truth.distance[i].filter(|_| image.is_opaque(i))).collect(),
+            distance: pixels.iter().map(|&i| truth.as_ref()?[i].filter(|_| image.is_opaque(i))).collect(),
         })
     }
 }

@@ -3,7 +3,7 @@
 mod sheet;
 mod table;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use self::table::Evaluation;
 use super::belongs::check_model;
@@ -16,7 +16,7 @@ use crate::evaluate::{
     CleanUp, DepthError, DepthFiles, EvaluatedView, Evaluator, Reading, Score, THRESHOLDS, TrueView, clean_up,
 };
 use crate::field::RadianceField;
-use crate::geometry::Aabb;
+use crate::geometry::{Aabb, Domain};
 use crate::io::AtomicFile;
 use crate::metrics::STEPS;
 use crate::monitor::Monitor;
@@ -57,17 +57,17 @@ pub struct Args {
     #[command(flatten)]
     frames: FrameOptions,
 
-    /// Folder of true depth maps
-    #[arg(long, value_name = "DIR")]
-    depth: PathBuf,
+    /// Folder of true depth maps. Only --clean-up does without
+    #[arg(long, value_name = "DIR", requires = "depth_encoding", required_unless_present = "clean_up")]
+    depth: Option<PathBuf>,
 
     /// File name of a frame's depth map; {} stands for the frame's file name without extension
     #[arg(long, value_name = "PATTERN", default_value = "{}_depth_0001.png")]
     depth_pattern: String,
 
     /// Depth in scene units = OFFSET + SCALE * p, p in [0, 1] from black to white; p = 0 means unknown
-    #[arg(long, value_name = "OFFSET,SCALE", value_parser = parse_pair, allow_hyphen_values = true)]
-    depth_encoding: [f64; 2],
+    #[arg(long, value_name = "OFFSET,SCALE", value_parser = parse_pair, allow_hyphen_values = true, requires = "depth")]
+    depth_encoding: Option<[f64; 2]>,
 
     /// Depth maps hold depth along the viewing axis, not distance from the camera
     #[arg(long)]
@@ -85,7 +85,7 @@ pub struct Args {
 
     /// Two or more models trained like MODEL with other seeds; MODEL may be among them. Evaluates the variance of
     /// their depth, and the density-aware ensemble (Sünderhauf et al. 2023)
-    #[arg(long, value_name = "MODEL", num_args = 2..)]
+    #[arg(long, value_name = "MODEL", num_args = 2.., requires = "depth")]
     ensemble: Vec<String>,
 
     /// Remove density above ten thresholds of log10 U (the first field's first covariance), report how images
@@ -102,11 +102,11 @@ pub struct Args {
     every: u32,
 
     /// Write the sparsification curves (mean absolute error) as an SVG plot
-    #[arg(long, value_name = "PLOT.svg")]
+    #[arg(long, value_name = "PLOT.svg", requires = "depth")]
     plot: Option<PathBuf>,
 
     /// Write all sparsification curves as CSV
-    #[arg(long, value_name = "CURVES.csv")]
+    #[arg(long, value_name = "CURVES.csv", requires = "depth")]
     csv: Option<PathBuf>,
 
     /// Use the field even if it was computed for another model
@@ -140,7 +140,7 @@ impl Args {
         let judged = self.cameras.held_out(&self.frames, &*model)?;
         let depth_files = self.depth_files();
         let images = judged.iter().map(|frame| &frame.image);
-        let maps = judged.iter().map(|frame| depth_files.path(frame));
+        let maps = judged.iter().flat_map(|frame| depth_files.iter().map(|files| files.path(frame)));
         files.inputs("an image of --cameras", images).inputs("--depth", maps).check()?;
         let frames: Vec<&Frame> = judged.iter().step_by(self.every as usize).collect();
         let settings = self.model.image_settings();
@@ -156,24 +156,17 @@ impl Args {
         let (mut truths, mut judged) = (Vec::new(), Vec::new());
         for (seed, frame) in (0..).zip(frames) {
             let background = self.model.background.as_dvec3();
-            let truth = TrueView::read(frame, &depth_files, background, offset, self.stride)?;
+            let truth = TrueView::read(frame, depth_files.as_ref(), background, offset, self.stride)?;
             // Whole images are large, and only the clean-up needs the true ones again.
             judged.push(EvaluatedView { rendered: RenderedView::default(), ..evaluator.evaluate(&truth, seed, bars)? });
             truths.extend(self.clean_up.is_some().then_some(truth));
         }
         bars.end();
         let measures = evaluator.measures();
-        let scores: Option<Vec<Score>> = (0..measures.len()).map(|m| Score::new(&judged, m)).collect();
-        let depth = DepthError::new(&judged);
-        let (scores, depth) = scores.zip(depth).ok_or_else(|| {
-            let found = judged.iter().map(|view| view.pixels.len()).sum::<usize>().to_string();
-            let expected = format!("at least {STEPS} pixels with depth and some error");
-            Error::malformed(&self.depth, "depth maps", expected, found)
-        })?;
+        let ranked = self.depth.as_ref().map(|folder| rank(folder, &judged, measures.len(), &*model)).transpose()?;
         let (cleaned, sheet) = self.clean_up(&evaluator, &truths, bars)?.unzip();
         let cleaned = cleaned.unwrap_or_default();
-        let evaluation =
-            Evaluation { args: &self, evaluator: &evaluator, measures, views: &judged, scores, depth, cleaned };
+        let evaluation = Evaluation { args: &self, evaluator: &evaluator, measures, views: &judged, ranked, cleaned };
         let plot = self.plot.as_ref().map(|path| evaluation.plot(path)).transpose()?;
         let csv = self.csv.as_ref().map(|path| evaluation.csv(path)).transpose()?;
         // All are on the disk before the first gets its name, so that no half set is left.
@@ -220,13 +213,11 @@ impl Args {
         Ok(member)
     }
 
-    fn depth_files(&self) -> DepthFiles {
+    fn depth_files(&self) -> Option<DepthFiles> {
         let kind = if self.z_depth { DepthKind::Z } else { DepthKind::Euclidean };
-        DepthFiles {
-            folder: self.depth.clone(),
-            pattern: self.depth_pattern.clone(),
-            encoding: DepthEncoding { offset: self.depth_encoding[0], scale: self.depth_encoding[1], kind },
-        }
+        let (folder, [offset, scale]) = self.depth.clone().zip(self.depth_encoding)?;
+        let encoding = DepthEncoding { offset, scale, kind };
+        Some(DepthFiles { folder, pattern: self.depth_pattern.clone(), encoding })
     }
 
     /// Sweeps the thresholds and draws the sheet, if asked to.
@@ -244,4 +235,42 @@ impl Args {
         let sheet = sheet::stage(path, truths, &cleaned)?;
         Ok(Some((cleaned.into_iter().map(|(cleaned, _)| cleaned).collect(), sheet)))
     }
+}
+
+/// Scores every measure against the depth error, and says how large that error is.
+fn rank(
+    folder: &Path,
+    views: &[EvaluatedView],
+    measures: usize,
+    model: &dyn RadianceField,
+) -> Result<(Vec<Score>, DepthError)> {
+    let scores: Option<Vec<Score>> = (0..measures).map(|m| Score::new(views, m)).collect();
+    let (scores, depth) = scores.zip(DepthError::new(views)).ok_or_else(|| {
+        let found = views.iter().map(|view| view.pixels.len()).sum::<usize>().to_string();
+        let expected = format!("at least {STEPS} pixels with depth and some error");
+        Error::malformed(folder, "depth maps", expected, found)
+    })?;
+    check_depth(folder, &depth, model)?;
+    Ok((scores, depth))
+}
+
+/// Refuses depths that no error of a model explains. Warns of those that hardly any does.
+///
+/// Models trained from five views are off by a hundredth of their box in the median, a wrong encoding by the
+/// distance of the cameras.
+fn check_depth(folder: &Path, depth: &DepthError, model: &dyn RadianceField) -> Result<()> {
+    let (size, is_bounded) = match model.natural_domain() {
+        Domain::Box(bounds) => (bounds.longest_edge(), true),
+        Domain::Contracted { radius, .. } => (2.0 * radius, false),
+    };
+    let causes = "likely causes: --depth-encoding, --z-depth, or units of the cameras";
+    let found = format!("half of the depths are off by more than {:.4} scene units", depth.median);
+    if is_bounded && depth.median > size {
+        let expected = format!("depths within the model's box, {size:.4} across; {causes}");
+        return Err(Error::malformed(folder, "depth maps", expected, found));
+    }
+    if depth.median > 0.1 * size {
+        eprintln!("warning: {found}, and the model is {size:.4} across; {causes}");
+    }
+    Ok(())
 }

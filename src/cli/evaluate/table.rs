@@ -18,9 +18,8 @@ pub struct Evaluation<'a> {
     pub evaluator: &'a Evaluator<'a>,
     pub measures: Vec<Measure>,
     pub views: &'a [EvaluatedView],
-    /// One per measure.
-    pub scores: Vec<Score>,
-    pub depth: DepthError,
+    /// A score per measure, and the error of depth; `None` without true depth.
+    pub ranked: Option<(Vec<Score>, DepthError)>,
     /// Empty unless asked for.
     pub cleaned: Vec<CleanUp>,
 }
@@ -45,7 +44,15 @@ fn every_pixel(stride: u32) -> String {
 
 impl Evaluation<'_> {
     fn named(&self) -> impl Iterator<Item = (Measure, String, &Score)> {
-        self.measures.iter().zip(&self.scores).map(|(&measure, score)| (measure, self.evaluator.name(measure), score))
+        self.measures.iter().zip(self.scores()).map(|(&measure, score)| (measure, self.evaluator.name(measure), score))
+    }
+
+    fn scores(&self) -> &[Score] {
+        self.ranked.as_ref().map_or(&[], |ranked| &ranked.0)
+    }
+
+    fn depth(&self) -> Option<&DepthError> {
+        self.ranked.as_ref().map(|ranked| &ranked.1)
     }
 
     fn psnr(&self) -> f64 {
@@ -69,7 +76,7 @@ impl Evaluation<'_> {
                 reference: false,
             })
             .collect();
-        if let Some(score) = self.scores.first() {
+        if let Some(score) = self.scores().first() {
             let oracle = points(&score.pooled[0], &score.pooled[0].by_error);
             curves.push(Curve { name: "oracle: largest errors removed first".into(), points: oracle, reference: true });
         }
@@ -87,10 +94,10 @@ impl Evaluation<'_> {
             for (e, &kind) in ErrorKind::ALL.iter().enumerate() {
                 for k in 0..STEPS {
                     let value = |s: &Sparsification, values: &[f64]| (values[k] * s.largest).to_string();
-                    let first = &self.scores[0].pooled[e];
+                    let first = &self.scores()[0].pooled[e];
                     let head = [kind_name(kind), first.removed[k].to_string(), value(first, &first.by_error)];
                     let of = |s: &Score| value(&s.pooled[e], &s.pooled[e].by_uncertainty);
-                    csv.write_record(head.into_iter().chain(self.scores.iter().map(of)))?;
+                    csv.write_record(head.into_iter().chain(self.scores().iter().map(of)))?;
                 }
             }
             csv.flush()?;
@@ -127,10 +134,11 @@ impl Evaluation<'_> {
             "mask": "alpha 255 and known depth", "alignment": "none",
             "background": args.model.background.to_array(),
             "views": self.views.iter().map(|v| json!({ "name": v.name, "psnr": v.psnr, "pixels": v.pixels.len() })).collect::<Vec<_>>(),
-            "pixels": self.depth.pixels, "pixels_without_depth": self.empty(), "psnr": self.psnr(),
-            "depth_error": {
-                "median": self.depth.median, "mean": self.depth.mean, "percentile_95": self.depth.percentile_95,
-            },
+            "pixels": self.depth().map_or(0, |depth| depth.pixels), "pixels_without_depth": self.empty(),
+            "psnr": self.psnr(),
+            "depth_error": self.depth().map(|depth| json!({
+                "median": depth.median, "mean": depth.mean, "percentile_95": depth.percentile_95,
+            })),
             "readings": readings,
             "baselines": baselines,
             "clean_up": self.cleaned,
@@ -148,8 +156,18 @@ impl Evaluation<'_> {
         say!("protocol of the evaluation")?;
         let (n, cameras) = (self.views.len(), args.cameras.cameras.display());
         say!("  views        {n} of {cameras}, {}", every_pixel(args.stride))?;
+        if let Some(depth) = self.depth() {
+            self.print_ranking(depth)?;
+        } else {
+            say!("PSNR {:.2} dB (mean over views)", self.psnr())?;
+        }
+        self.print_clean_up()
+    }
+
+    fn print_ranking(&self, depth: &DepthError) -> Result<()> {
+        let (args, folder) = (self.args, self.args.depth.iter().next().map_or("".into(), |d| d.display().to_string()));
         let kind = if args.z_depth { "along the viewing axis" } else { "Euclidean" };
-        say!("  depth        median of the ray's weights, against {kind} depth of {}", args.depth.display())?;
+        say!("  depth        median of the ray's weights, against {kind} depth of {folder}")?;
         let empty = self.empty();
         say!("  mask         alpha 255 and known depth; {empty} pixels left out where the field shows nothing")?;
         say!("  alignment    none")?;
@@ -157,7 +175,7 @@ impl Evaluation<'_> {
         say!("  U per pixel  log10 U averaged `{}`", averages.join("`, `"))?;
         say!("  AUSE         100 steps, both curves over their common maximum, trapezoid; 0 is a perfect order")?;
         say!("PSNR {:.2} dB (mean over views)", self.psnr())?;
-        let DepthError { pixels, median, mean, percentile_95 } = self.depth;
+        let DepthError { pixels, median, mean, percentile_95 } = depth;
         say!(
             "depth error over {pixels} pixels: median {median:.4}, mean {mean:.4}, 95 % {percentile_95:.4} scene units"
         )?;
@@ -178,23 +196,24 @@ impl Evaluation<'_> {
             let [d, e, f] = [0, 1, 2].map(|k| score.per_view_mean[k]);
             say!("  {name:<width$} {a:>7.4} {b:>7.4} {c:>7.4}   |              {d:>7.4} {e:>7.4} {f:>7.4}")?;
         }
-        self.print_clean_up()
+        Ok(())
     }
 
     fn print_clean_up(&self) -> Result<()> {
         let (Some(path), Some(reading)) = (&self.args.clean_up, self.evaluator.readings.first()) else { return Ok(()) };
         say!("clean-up by {}, pictures in {}", reading.name, path.display())?;
-        say!("  log10 U at most    PSNR, dB   where shown      SSIM   SSIMULACRA 2   coverage")?;
+        say!("  log10 U at most   surfaces kept    PSNR, dB   where shown      SSIM   SSIMULACRA 2   coverage")?;
         let best = CleanUp::best(&self.cleaned);
         for c in &self.cleaned {
             let log10 = c.log10.map_or("as it is".into(), |u| format!("{u:.2}"));
+            let surfaces = c.surfaces.map_or(String::new(), |share| format!("{:.1} %", 100.0 * share));
             let mark = if c.threshold.is_some() && best.is_some_and(|best| best.threshold == c.threshold) {
                 "   best PSNR"
             } else {
                 ""
             };
             say!(
-                "  {log10:>15} {:>11.2} {:>13.2} {:>9.4} {:>14.1} {:>10.3}{mark}",
+                "  {log10:>15} {surfaces:>15} {:>11.2} {:>13.2} {:>9.4} {:>14.1} {:>10.3}{mark}",
                 c.psnr,
                 c.psnr_shown,
                 c.ssim,
