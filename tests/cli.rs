@@ -228,7 +228,7 @@ fn an_absurd_lens_does_not_panic() {
 #[test]
 fn a_field_of_another_box_is_refused() {
     let desk = Desk::with_field();
-    desk.good("uncertainty scene:ball --cameras transforms.json --level 4 --rays 2000 --occupancy 32 --box=-0.5,-0.5,-0.5,0.5,0.5,0.5 -o small.oct");
+    desk.good("uncertainty scene:courtyard --cameras transforms.json --level 4 --rays 2000 --occupancy 32 --box=-0.5,-0.5,-0.5,0.5,0.5,0.5 -o small.oct");
     let output = desk.run("compare field.oct small.oct");
     let stderr = String::from_utf8(output.stderr).unwrap();
     assert!(output.status.code() == Some(2) && stderr.contains("same box") && stderr.contains("0.5"), "{stderr}");

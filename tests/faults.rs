@@ -99,6 +99,7 @@ impl Desk {
         desk.good("convert field.oct bare.oct");
         let resized = "--resolution 8 --seed 1 --level 4 --rays 600 --occupancy 16 -o resized.oct";
         desk.good(&format!("uncertainty scene:ball --cameras cameras.json {resized}"));
+        desk.good("uncertainty scene:courtyard --level 4 --rays 600 --resolution 8 --occupancy 16 -o courtyard.oct");
         desk.fields();
         desk.points();
         desk.models();
@@ -142,7 +143,7 @@ impl Desk {
         forged("nan.oct", &|parts| parts[2][..4].copy_from_slice(&f32::NAN.to_le_bytes()));
         forged("masks.oct", &|parts| parts[1].push(0));
         forged("twice.oct", &|parts| {
-            let draw = r#"{"seed":0,"shard":{"index":0,"of":1,"rays":600}}"#;
+            let draw = r#"{"seed":0,"shard":{"deal":"shifted","index":0,"of":1,"rays":600}}"#;
             let header = String::from_utf8(parts[0].clone()).unwrap();
             assert!(header.contains(draw), "{header}");
             parts[0] = header.replacen(draw, &format!("{draw},{draw}"), 1).into_bytes();

@@ -97,6 +97,12 @@ fn a_model_is_trained_and_the_other_verbs_read_it() {
     let [info, _] = desk.good("info a.safetensors");
     assert!(info.contains("hash grid"), "{info}");
     desk.good("uncertainty a.safetensors --cameras transforms_train.json --rays 3000 --level 5 --background black --occupancy 32 -o a.oct");
+    // The model knows the noise that training left: somewhat below that of held-out images.
+    desk.good(
+        "uncertainty a.safetensors --rays 3000 --level 5 --background black --occupancy 32 --scale data -o scaled.oct",
+    );
+    let noise = field.training_noise().unwrap();
+    assert!(noise < 10_f64.powf(-psnr / 20.0) && noise > 0.3 * 10_f64.powf(-psnr / 20.0), "{noise}");
     desk.good("render a.safetensors a.oct --cameras transforms_test.json --background black --occupancy 32 -o a.png");
 }
 

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use super::files::CommandFiles;
-use super::options::{DomainOptions, GridOptions};
+use super::options::{DomainOptions, GridOptions, TrainingPixels, count};
 use super::progress::Bars;
 use super::report::Cost;
 use crate::estimate::{FieldBuilder, Provenance};
@@ -31,6 +31,10 @@ pub struct Args {
 
     #[command(flatten)]
     grid: GridOptions,
+
+    /// Number of training pixels, for --scale data
+    #[arg(long, value_name = "N", value_parser = count::<u64>(1..))]
+    training_pixels: Option<u64>,
 }
 
 impl Args {
@@ -40,7 +44,7 @@ impl Args {
         self.grid.check_output()?;
         let reader = SamplesReader::open(&self.samples)?;
         let domain = self.domain.domain(None)?;
-        let settings = self.grid.settings(&domain)?;
+        let settings = self.grid.settings(&domain, TrainingPixels { pixels: self.training_pixels, noise: None })?;
         if settings.needs_plan() || settings.criteria.density {
             let expected = "`sensitivity`, and no --memory: the rest needs the model and its rays";
             return Err(Error::setting("--refine", expected, format!("{}", settings.criteria)));

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use serde_json::json;
 
+use super::belongs::check_fields;
 use super::options::{OfficialOptions, count};
 use super::report;
 use crate::Result;
@@ -31,6 +32,10 @@ pub struct Args {
     #[arg(long, value_enum)]
     covariance: Option<Covariance>,
 
+    /// Compare although the fields are of different models or scales
+    #[arg(long)]
+    force: bool,
+
     /// Print one JSON object
     #[arg(long)]
     json: bool,
@@ -50,6 +55,7 @@ impl Args {
             }
         };
         let (a, b) = (read(&self.a)?, read(&self.b)?);
+        check_fields((&self.a, a.protocol()), (&self.b, b.protocol()), self.force)?;
         if a.protocol().covariance != b.protocol().covariance {
             let names = [&a, &b].map(|f| f.protocol().covariance.name());
             eprintln!("warning: `{}` of one field is compared with `{}` of the other", names[0], names[1]);

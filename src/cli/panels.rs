@@ -17,6 +17,8 @@ pub struct Ranges {
     pub log10: [f64; 2],
     /// log10 U of the prior.
     pub prior: f64,
+    /// What log10 U is called.
+    pub quantity: &'static str,
 }
 
 /// Colour, median depth and log10 U of a view. log10 U is hatched where no training ray reached what is shown.
@@ -31,7 +33,8 @@ pub fn view_panels(view: &RenderedView, name: &str, ranges: Ranges, is_unseen: &
     if let Some(log10) = view.log10_uncertainty.first() {
         let shown = log10.iter().zip(&view.pixels).map(|(u, p)| if p.opacity > 0.05 { *u } else { f64::NAN });
         let bar = Bar::new(ranges.log10, colorous::INFERNO).meaning(CONSTRAINED, ranges.prior, "never seen");
-        panels.push(scalar_panel("log10 U (hatched: never seen)", view.resolution, shown, bar).hatched(is_unseen));
+        let title = format!("{} (hatched: never seen)", ranges.quantity);
+        panels.push(scalar_panel(&title, view.resolution, shown, bar).hatched(is_unseen));
     }
     panels
 }

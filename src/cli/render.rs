@@ -128,7 +128,7 @@ impl Args {
             let prior = field.prior().log10();
             let [low] = field.surface_quantiles([0.01]).unwrap_or([-3.0]);
             let log10 = self.range.unwrap_or([low.min(prior - 0.5), prior]);
-            let ranges = Ranges { depth, log10, prior };
+            let ranges = Ranges { depth, log10, prior, quantity: field.protocol().scale.quantity() };
             let mut rows = vec![view_panels(&view, &format!("frame {}", self.frame), ranges, &|i| unseen(&view, i))];
             if let (Some(cleaned), Some(threshold)) = (&cleaned, threshold) {
                 rows.push(view_panels(cleaned, &format!("log10 U <= {threshold:.3}"), ranges, &|i| unseen(cleaned, i)));

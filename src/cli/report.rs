@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use crate::error::printable;
 use crate::estimate::{Audit, GridKind, GridSettings, Plan, SamplingError, StepCheck};
 use crate::io::memory::peak;
-use crate::posterior::Prior;
+use crate::posterior::{DataScale, Prior, Scale};
 use crate::rays::Pixels;
 use crate::render::GradientMethod;
 use crate::uncertainty::{Comparison, Difference, ErrorSummary, Summary, UncertaintyField};
@@ -85,6 +85,16 @@ pub fn protocol(field: &UncertaintyField) -> String {
     line("seed", known(p.seed.map(|s| format!("{s}{sequences}"))));
     let prior = if p.prior == Prior::Volume { ", times the volume of cells" } else { "" };
     line("lambda", format!("{:.6e} per scene unit²{prior}", p.lambda));
+    line(
+        "scale",
+        match p.scale {
+            Scale::Data(DataScale { pixels, noise, prior_deviation }) => format!(
+                "data: a deviation in scene units, from {pixels} pixels of noise {noise:.4}; prior {prior_deviation:.4} \
+                 along each axis"
+            ),
+            _ => "paper: one ray of noise 1/2; for ranking, not a length (--scale data)".into(),
+        },
+    );
     line("covariance", p.covariance.name().into());
     line("pooling", if p.min_rays > 0.0 { format!("below about {} rays", p.min_rays) } else { "none".into() });
     let limits = if field.limits().is_unlimited() { "" } else { ", limited" };
@@ -94,7 +104,7 @@ pub fn protocol(field: &UncertaintyField) -> String {
         p.difference_step.map(|h| format!("central, h = [{:.6}, {:.6}, {:.6}] scene units", h[0], h[1], h[2]));
     let own = p.gradient.filter(|&g| g == GradientMethod::Analytic).map(|_| "none: the field's own derivatives".into());
     line("difference", known(differences.or(own)));
-    line("cutoff", known(p.cutoff.map(|c| format!("{c:e}"))));
+    line("cutoff", known(p.cutoff.map(|c| format!("{c:e}, not part of the tolerance (--audit)"))));
     line("background", known(p.background.map(|b| format!("{b:?}"))));
     line("pixel offset", known(p.pixel_offset.map(|o| o.to_string())));
     line("error bars", field.error_summary().map_or("none".into(), |e| error_bars(&e)));
@@ -144,7 +154,8 @@ pub fn summary(s: &Summary) -> String {
 pub fn surfaces(field: &UncertaintyField) -> String {
     let Some(log10) = field.surface_quantiles(PERCENTS.map(|percent| 0.01 * percent)) else { return String::new() };
     let listed: Vec<String> = PERCENTS.iter().zip(log10).map(|(p, log10)| format!("{log10:.2} ({p}%)")).collect();
-    format!("\n  log10 U on visible surfaces: {}; prior {:.2}", listed.join(", "), field.prior().log10())
+    let quantity = field.protocol().scale.quantity();
+    format!("\n  {quantity} on visible surfaces: {}; prior {:.2}", listed.join(", "), field.prior().log10())
 }
 
 /// The same as JSON.

@@ -17,6 +17,7 @@ use crate::estimate::Framing;
 use crate::field::{HashGrid, HashGridConfig, RadianceField};
 use crate::geometry::{Aabb, Camera, Domain, Norm};
 use crate::monitor::Monitor;
+use crate::posterior::DataScale;
 use crate::train::{
     Background, Budget, DatasetFiles, Description, Finished, Quality, Run, Selection, Shot, StateFile, TrainSettings,
     Trainer, one_color, quality,
@@ -296,7 +297,12 @@ impl Args {
         let mut training = member.description.clone();
         training["steps"] = trainer.steps().into();
         training["rays"] = trainer.rays().into();
-        let field = trainer.field(training);
+        let background = member.settings.background.for_images();
+        let field = trainer.field(json!(null));
+        // What the images leave open of the model's colours, by which `uncertainty --scale data` weighs them.
+        let noise = quality(&field, train, background, LOOK_PIXELS).map(|shown| DataScale::noise_of(shown.psnr));
+        training["training_noise"] = json!(noise.filter(|noise| *noise > 0.0));
+        let field = field.with_training(training);
         field.write(&member.path)?;
         if finished.interrupted {
             return Err(Error::Stopped { path: member.path.clone(), steps: trainer.steps() });
@@ -304,7 +310,6 @@ impl Args {
         if member.state.path.exists() {
             std::fs::remove_file(&member.state.path).map_err(Error::io(&member.state.path, "cannot remove"))?;
         }
-        let background = member.settings.background.for_images();
         let quality = quality(&field, held_out, background, self.test_pixels);
         warn_of_one_color(&field, [train, held_out], background);
         self.report(member, &trainer, &field, finished, train.len(), quality.as_ref(), background)

@@ -259,6 +259,7 @@ impl FieldBuilder {
             seed: stream.map(|s| s.pixels.seed()),
             shard: provenance.shard,
             lambda: settings.prior_precision(&lattice),
+            scale: settings.scale,
             prior: settings.prior,
             min_rays: settings.min_rays,
             criteria: settings.criteria,

@@ -1,9 +1,10 @@
 //! Settings of the grid on which information is summed, and of its conversion to a field.
 
-use crate::geometry::{Domain, Lattice};
-use crate::posterior::{Covariance, Criteria, DensePosterior, Prior};
-use crate::{Error, Result};
 use derive_setters::Setters;
+
+use crate::geometry::{Domain, Lattice};
+use crate::posterior::{Covariance, Criteria, DensePosterior, Prior, Scale};
+use crate::{Error, Result};
 
 /// The structure that carries the field.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -30,6 +31,8 @@ pub struct GridSettings {
     /// Prior precision λ, 1 / scene unit²; `None` for 1e-4 / M³ divided by the square of the box's longest edge.
     #[setters(into)]
     pub lambda: Option<f64>,
+    /// What U is a deviation of. The scale of the training pixels determines λ.
+    pub scale: Scale,
     /// Largest change of log10 U due to coarse leaves. Smaller values keep more vertices; 0 keeps all that any
     /// ray moved.
     pub tolerance: f64,
@@ -54,6 +57,7 @@ impl Default for GridSettings {
             level: 8,
             covariance: Covariance::Diagonal,
             lambda: None,
+            scale: Scale::Paper,
             tolerance: 0.01,
             prior: Prior::Uniform,
             min_rays: 0.0,
@@ -87,7 +91,10 @@ impl GridSettings {
     /// Prior precision λ over `lattice`, 1 / scene unit².
     #[must_use]
     pub fn prior_precision(&self, lattice: &Lattice) -> f64 {
-        self.lambda.unwrap_or_else(|| lattice.default_lambda())
+        match self.scale {
+            Scale::Paper => self.lambda.unwrap_or_else(|| lattice.default_lambda()),
+            Scale::Data(data) => data.lambda(),
+        }
     }
 
     /// The lattice over `domain`.
@@ -100,6 +107,10 @@ impl GridSettings {
             let gigabytes = DensePosterior::required_memory(&lattice) as f64 / 1e9;
             let found = format!("level {}, which needs {gigabytes:.0} GB (an octree does not)", self.level);
             return Err(Error::setting("dense grid", format!("a level up to {MAX_DENSE_LEVEL}"), found));
+        }
+        if let (Scale::Data(data), Some(lambda)) = (self.scale, self.lambda) {
+            let expected = format!("none: the scale of the training pixels has {:e}", data.lambda());
+            return Err(Error::setting("lambda", expected, format!("{lambda:e}")));
         }
         let lambda = self.prior_precision(&lattice);
         let prior = self.covariance.prior(lambda);

@@ -166,6 +166,11 @@ pub trait RadianceField: Send + Sync {
         &[]
     }
 
+    /// Root mean square error of the training pixels' colours (0..1) that training left, if the model records it.
+    fn training_noise(&self) -> Option<f64> {
+        None
+    }
+
     /// The space that the field covers, as its parameters divide it: its box, unless it contracts space.
     fn natural_domain(&self) -> Domain {
         Domain::Box(self.bounds())

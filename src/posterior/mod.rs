@@ -16,6 +16,7 @@ mod factor;
 mod octree;
 mod pooling;
 mod prior;
+mod scale;
 mod sums;
 mod visits;
 
@@ -26,6 +27,7 @@ pub use factor::FactoredSums;
 pub use octree::{Brick, OctreePosterior, PilotCounts, Refinement};
 pub use pooling::Pooling;
 pub use prior::Prior;
+pub use scale::{DataScale, Scale};
 pub use sums::{Information, VertexSums, trace};
 pub use visits::Visits;
 

@@ -19,10 +19,10 @@ pub fn deviations_from_sums(
     limits: &MaxLevels,
     sums: &[VertexSums],
 ) -> StandardDeviations {
-    let Protocol { covariance, rays, lambda, prior, .. } = *protocol;
+    let Protocol { lambda, prior, .. } = *protocol;
     let pooling = protocol.pooling();
     let last = lattice.cells_per_axis();
-    let one = |e: &VertexSums, lambda: f64| (covariance.deviation(e, rays, lambda) as f32).max(f32::MIN_POSITIVE);
+    let one = |e: &VertexSums, lambda: f64| (protocol.deviation(e, lambda) as f32).max(f32::MIN_POSITIVE);
     StandardDeviations(match support {
         _ if !pooling.is_on() && prior == Prior::Uniform && limits.is_unlimited() => {
             sums.par_iter().map(|e| one(e, lambda)).collect()

@@ -162,6 +162,7 @@ fn check_alike(first: &UncertaintyField, part: &UncertaintyField, number: usize)
             ("box and level", format!("{:?}", field.lattice)),
             ("grid", kind.to_string()),
             ("lambda", p.lambda.to_string()),
+            ("scale", format!("{:?}", p.scale)),
             ("covariance", p.covariance.name().to_string()),
             ("tolerance", p.tolerance.to_string()),
             ("march step", format!("{:?}", p.march_step)),

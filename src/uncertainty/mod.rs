@@ -9,9 +9,11 @@ mod densify;
 mod error_bars;
 mod file;
 mod from_sums;
+mod knowledge;
 mod merge;
 mod official;
 mod protocol;
+mod query;
 mod ray_counts;
 mod standard_deviations;
 mod threshold;
@@ -19,20 +21,19 @@ mod threshold;
 pub use compare::{Comparison, Difference, Summary, compare};
 pub use error_bars::{ErrorBars, ErrorSummary, Jackknife};
 pub use file::FORMAT_VERSION;
+pub use knowledge::Knowledge;
 pub use merge::{merge, merge_with_error_bars};
 pub use official::OfficialGrid;
 pub use protocol::{Origin, Protocol};
+pub use query::Estimate;
 pub use ray_counts::RayCounts;
 pub use standard_deviations::StandardDeviations;
 pub use threshold::ThresholdedField;
 
-use glam::{DVec3, Vec3};
-
 use self::from_sums::deviations_from_sums;
 use crate::geometry::Lattice;
-use crate::metrics::quantile;
-use crate::octree::{Cell, MaxLevels, Octree, VertexId, trilinear};
-use crate::posterior::{Covariance, OctreePosterior, Refinement, VertexSums, Visits};
+use crate::octree::{Cell, MaxLevels, Octree, VertexId};
+use crate::posterior::{Covariance, DataScale, OctreePosterior, Refinement, Scale, VertexSums, Visits};
 use crate::rays::Draw;
 use crate::{Error, Result};
 
@@ -49,49 +50,6 @@ pub enum Support {
     Dense,
     /// The free vertices of an octree.
     Octree(Octree),
-}
-
-/// U at a point.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Estimate {
-    /// U, scene units.
-    pub uncertainty: f64,
-    /// Root mean square error of log10 U due to the number of rays, decades.
-    ///
-    /// `None` if the field has no error bars, or too few rays passed here for an estimate ([`ErrorBars`]). Vertices
-    /// share rays, so between them the errors of their σ are added without cancellation: an upper bound to first order.
-    pub log10_error: Option<f64>,
-    /// Number of rays that support this estimate, interpolated from the vertices' [`RayCounts`]. `None` if they are
-    /// unknown.
-    pub rays: Option<f64>,
-    /// Level of the leaf around the point (the finest level on a dense grid); 0 outside the box.
-    pub level: u8,
-    /// Whether the point is inside the box. Outside, `uncertainty` is the prior's.
-    pub inside: bool,
-}
-
-/// What the training rays tell of a point.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Knowledge {
-    /// Moving it changes some training pixel: log10 U is more than [`MOVED`] below the prior's.
-    Constrained,
-    /// Rays passed and met nothing that a pixel would miss: visible free space.
-    Free,
-    /// No ray came here with half of its light.
-    Unseen,
-}
-
-impl Knowledge {
-    /// The name in tables and files.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Constrained => "constrained",
-            Self::Free => "free",
-            Self::Unseen => "unseen",
-        }
-    }
 }
 
 /// A spatial uncertainty field.
@@ -214,48 +172,6 @@ impl UncertaintyField {
         Self { surface, ..self }
     }
 
-    /// The same field with the rays that reached each part of space.
-    ///
-    /// They are kept as finely as the number of rays allows ([`Visits::level_of`]), and as finely as can be in a part
-    /// of a run.
-    #[must_use]
-    pub fn with_visits(self, visits: Option<Visits>) -> Self {
-        let level = if self.is_part() { Visits::LEVEL } else { Visits::level_of(self.protocol.rays) };
-        Self { visits: visits.map(|visits| visits.coarsened(level)), ..self }
-    }
-
-    /// Rays that reached each part of space; `None` if unknown.
-    #[must_use]
-    pub fn visits(&self) -> Option<&Visits> {
-        self.visits.as_ref()
-    }
-
-    /// log10 U at these shares of the field's points on visible surfaces, from the most certain; `None` without such
-    /// points.
-    #[must_use]
-    pub fn surface_quantiles<const N: usize>(&self, shares: [f64; N]) -> Option<[f64; N]> {
-        let points: Vec<Vec3> = self.surface.iter().copied().map(Vec3::from_array).collect();
-        let mut log10: Vec<f64> = self.query_all(&points).iter().map(|found| found.uncertainty.log10()).collect();
-        log10.sort_by(f64::total_cmp);
-        (!log10.is_empty()).then(|| shares.map(|share| quantile(&log10, share)))
-    }
-
-    /// What the training rays tell of a scene point where U is `uncertainty`; `None` if it is not known where they
-    /// passed.
-    ///
-    /// Outside the domain nothing was seen.
-    #[must_use]
-    pub fn knowledge(&self, x: Vec3, uncertainty: f64) -> Option<Knowledge> {
-        let visits = self.visits.as_ref()?.at(x).unwrap_or(0);
-        Some(if uncertainty < self.prior() * 10_f64.powf(-MOVED) {
-            Knowledge::Constrained
-        } else if visits > 0 {
-            Knowledge::Free
-        } else {
-            Knowledge::Unseen
-        })
-    }
-
     /// The same field with the rays of several draws. A protocol alone names only one.
     ///
     /// # Panics
@@ -299,6 +215,8 @@ impl UncertaintyField {
 
     /// The same field with another prior precision λ, 1 / scene unit², without error bars.
     ///
+    /// The scale becomes the paper's.
+    ///
     /// # Errors
     /// If the sums were not kept, or λ is not a finite number above 0. On an octree λ also must not fall below
     /// its present value, because what was negligible compared with that was not kept.
@@ -309,9 +227,22 @@ impl UncertaintyField {
             return Err(Error::setting("lambda", expected, format!("{lambda:e}")));
         };
         self.protocol.lambda = lambda;
+        self.protocol.scale = Scale::Paper;
         self.error_bars = None;
         self.deviations = deviations_from_sums(&self.protocol, &self.lattice, &self.support, &self.limits, sums);
         Ok(self)
+    }
+
+    /// The same field in the scale of its training pixels, without error bars.
+    ///
+    /// # Errors
+    /// As [`UncertaintyField::with_lambda`].
+    pub fn with_data_scale(self, data: DataScale) -> Result<Self> {
+        let mut field = self.with_lambda(data.lambda())?;
+        field.protocol.scale = Scale::Data(data);
+        let Some(sums) = &field.sums else { return Ok(field) };
+        field.deviations = deviations_from_sums(&field.protocol, &field.lattice, &field.support, &field.limits, sums);
+        Ok(field)
     }
 
     /// The same dense field with other pooling, without error bars. `tolerance` determines which vertices count
@@ -396,27 +327,7 @@ impl UncertaintyField {
     /// U where nothing was seen, scene units.
     #[must_use]
     pub fn prior(&self) -> f64 {
-        self.protocol.covariance.prior(self.protocol.lambda)
-    }
-
-    /// U at a scene point. Outside the box, or for NaN, it is the prior, marked as outside.
-    #[must_use]
-    pub fn query(&self, x: Vec3) -> Estimate {
-        let Some(u) = self.lattice.coordinates(x) else { return self.outside() };
-        match &self.support {
-            Support::Dense => self.query_dense(u),
-            Support::Octree(octree) => {
-                let mut cursor = octree.cursor();
-                cursor.seek(u);
-                self.interpolate(&self.leaf_values(&cursor), &cursor, u)
-            }
-        }
-    }
-
-    /// log10 U at a scene point.
-    #[must_use]
-    pub fn log10(&self, x: Vec3) -> f64 {
-        self.query(x).uncertainty.log10()
+        self.protocol.prior_deviation()
     }
 
     /// tr S at a lattice point: exact at a vertex, 0 elsewhere, where it is negligible; `None` if the sums were
@@ -459,22 +370,6 @@ impl UncertaintyField {
             Support::Octree(octree) => octree.memory().iter().map(|part| part.1).sum(),
         };
         self.deviations.memory() + self.rays.memory() + structure
-    }
-
-    fn query_dense(&self, u: DVec3) -> Estimate {
-        let (cell, offset) = self.lattice.cell(u);
-        let vertices: [usize; 8] = std::array::from_fn(|c| {
-            self.lattice.dense_index(std::array::from_fn(|axis| cell[axis] + (c as u32 >> axis & 1)))
-        });
-        let weights = trilinear(offset);
-        let corners = vertices.map(|v| self.deviations.get(v));
-        let rays = (!self.rays.is_empty())
-            .then(|| vertices.iter().zip(weights).map(|(&v, w)| w * self.rays.get(v) as f64).sum());
-        let covariance = self.protocol.covariance;
-        let uncertainty = covariance.interpolate(&corners, &weights);
-        let errors = self.error_bars.as_ref().map(|errors| vertices.map(|v| errors.get(v)));
-        let log10_error = errors.and_then(|errors| covariance.interpolate_errors(&errors, &corners, &weights));
-        Estimate { uncertainty, log10_error, rays, level: self.lattice.level(), inside: true }
     }
 }
 

@@ -97,7 +97,8 @@ impl UncertaintyField {
             return None;
         }
         let x = self.lattice.position(glam::DVec3::from(point.map(f64::from))).as_vec3();
-        let deviation = self.query(self.lattice.domain().clamp(x)).uncertainty;
+        let factor = self.protocol.scale.factor(Covariance::Trace);
+        let deviation = self.query(self.lattice.domain().clamp(x)).uncertainty / factor;
         Some((self.protocol.rays as f64 * (deviation.powi(-2) - self.protocol.lambda)).max(0.0))
     }
 }

@@ -1,6 +1,6 @@
 //! The protocol of a field: everything that its numbers depend on.
 
-use crate::posterior::{Covariance, Criteria, Pooling, Prior, negligible_information};
+use crate::posterior::{Covariance, Criteria, Pooling, Prior, Scale, VertexSums, negligible_information};
 use crate::rays::{Draw, Pixels, Shard};
 use crate::render::GradientMethod;
 
@@ -37,6 +37,9 @@ pub struct Protocol {
     pub shard: Option<Shard>,
     /// Prior precision λ, 1 / scene unit².
     pub lambda: f64,
+    /// What U is a deviation of.
+    #[serde(default)]
+    pub scale: Scale,
     /// Definition of the standard deviation.
     pub covariance: Covariance,
     /// The dependence of λ on cell size.
@@ -78,6 +81,18 @@ impl Protocol {
         self.shard.is_some_and(|share| share.of > 1)
     }
 
+    /// σ_v in scene units, from the `sums` of a vertex and its prior precision.
+    #[must_use]
+    pub fn deviation(&self, sums: &VertexSums, lambda: f64) -> f64 {
+        self.scale.factor(self.covariance) * self.covariance.deviation(sums, self.rays, lambda)
+    }
+
+    /// σ_v in scene units where nothing was seen.
+    #[must_use]
+    pub fn prior_deviation(&self) -> f64 {
+        self.deviation(&VertexSums::default(), self.lambda)
+    }
+
     /// Settings of pooling.
     #[must_use]
     pub fn pooling(&self) -> Pooling {
@@ -97,11 +112,16 @@ impl Protocol {
         let lambda = self.lambda > 0.0
             && self.lambda.is_finite()
             && Covariance::ALL.iter().all(|c| (c.prior(self.lambda) as f32).is_normal());
+        let scale = match &self.scale {
+            Scale::Paper => true,
+            Scale::Data(data) => data.is_possible() && data.lambda() == self.lambda,
+        };
         let limits = [self.tolerance, self.min_rays].iter().all(|v| *v >= 0.0 && v.is_finite());
         let lengths = self.march_step.iter().chain(self.difference_step.iter().flatten());
         let others = self.cutoff.iter().chain(&self.pixel_offset);
         counts
             && lambda
+            && scale
             && limits
             && lengths.into_iter().all(|v| *v > 0.0 && v.is_finite())
             && others.into_iter().all(|v| *v >= 0.0 && v.is_finite())
@@ -121,6 +141,7 @@ impl Protocol {
             seed: None,
             shard: None,
             lambda,
+            scale: Scale::Paper,
             covariance,
             prior: Prior::Uniform,
             min_rays: 0.0,

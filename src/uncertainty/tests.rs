@@ -1,7 +1,10 @@
 //! Queries, files and the official format, on small fields with arbitrary sums.
 
+use glam::{DVec3, Vec3};
+
 use super::*;
 use crate::geometry::Aabb;
+use crate::octree::trilinear;
 use crate::posterior::{Criteria, DensePosterior, OctreePosterior, Posterior, Prior};
 use crate::rays::{Draw, Pixels, Shard};
 use crate::render::{RaySample, RaySamples};
@@ -18,6 +21,7 @@ fn protocol(lattice: &Lattice, covariance: Covariance, rays: u64) -> Protocol {
         seed: Some(1),
         shard: None,
         lambda: lattice.default_lambda(),
+        scale: Scale::Paper,
         covariance,
         prior: Prior::Uniform,
         min_rays: 0.0,
@@ -64,6 +68,11 @@ fn pooled_fields(covariance: Covariance, scale: f64, min_rays: f64) -> [Uncertai
     ]
 }
 
+/// Rays of every group that saw a vertex. With one ray in each of three groups, every 25th vertex has too few.
+fn rays_of_a_group(v: usize, sums: &VertexSums) -> u32 {
+    if v % 25 == 1 { sums.rays.min(1) } else { 2 * sums.rays }
+}
+
 /// The field with error bars from three groups that saw each vertex unequally. Every fifth vertex was seen by
 /// only one group.
 fn with_bars(field: UncertaintyField) -> UncertaintyField {
@@ -75,7 +84,10 @@ fn with_bars(field: UncertaintyField) -> UncertaintyField {
     let group = |g: usize| {
         let part = |(v, e): (usize, &VertexSums)| {
             let share = share(v, g);
-            VertexSums { information: e.information.map(|s| share * s), rays: u32::from(share > 0.0) * e.rays }
+            VertexSums {
+                information: e.information.map(|s| share * s),
+                rays: u32::from(share > 0.0) * rays_of_a_group(v, e),
+            }
         };
         sums.iter().enumerate().map(part).collect()
     };
@@ -100,7 +112,7 @@ fn error_bars_are_those_of_fields_without_each_group() {
                 let rays = |v: usize| if v.is_multiple_of(5) { u32::from(g != 0) } else { 2 };
                 let part = |(v, e): (usize, &VertexSums)| VertexSums {
                     information: e.information.map(|s| kept(v) * s),
-                    rays: rays(v) * e.rays,
+                    rays: rays(v) * rays_of_a_group(v, e),
                 };
                 let protocol = Protocol { rays: [12, 13, 15][g], ..field.protocol.clone() };
                 let sums = sums.iter().enumerate().map(part).collect();
@@ -111,8 +123,8 @@ fn error_bars_are_those_of_fields_without_each_group() {
             for (v, e) in sums.iter().enumerate() {
                 let deleted = others.each_ref().map(|other| other.deviations().get(v).log10());
                 let expected = Jackknife::new(field.deviations().get(v).log10(), &deleted, &[8, 7, 5]).error();
-                if e.rays == 0 || v.is_multiple_of(5) {
-                    assert_eq!(bars.get(v), None, "one group or none saw vertex {v}");
+                if e.rays == 0 || v.is_multiple_of(5) || v % 25 == 1 {
+                    assert_eq!(bars.get(v), None, "one group, three rays or none saw vertex {v}");
                 } else {
                     // Bits of f16, sums of rounded parts, and σ in f32.
                     let found = bars.get(v).unwrap();
@@ -238,7 +250,7 @@ fn files_survive_bit_by_bit() {
     let folder = tempfile::tempdir().unwrap();
     for (i, field) in fields(Covariance::Block, 1.0).into_iter().enumerate() {
         let bars = with_bars(field.clone());
-        let draw = |seed| Draw { seed, shard: Shard { rays: 10, index: seed, of: 3 } };
+        let draw = |seed| Draw { seed, shard: Shard::new(10, seed, 3) };
         let drawn = |field: &UncertaintyField| field.clone().with_draws(vec![draw(0), draw(1)]);
         let all = [
             drawn(&field),
@@ -400,6 +412,30 @@ fn another_lambda_is_read_off_the_same_sums() {
             }
             assert!(field.clone().with_lambda(f64::NAN).is_err());
             assert!(field.without_sums().with_lambda(lambda).is_err());
+        }
+    }
+}
+
+#[test]
+fn the_scale_of_the_data_is_read_off_the_same_sums() {
+    // λ = s² / (N τ²) a hundred times the default.
+    let data = DataScale::new(1000, 0.02, 2e-3 / (1e5 * fields(Covariance::Block, 1.0)[0].protocol().lambda).sqrt());
+    let data = data.unwrap();
+    for covariance in Covariance::ALL {
+        for field in fields(covariance, 1.0) {
+            let scaled = field.clone().with_data_scale(data).unwrap();
+            let factor = Scale::Data(data).factor(covariance);
+            for (sums, found) in field.sums().unwrap().iter().zip(scaled.deviations().iter()) {
+                let expected = factor * covariance.deviation(sums, field.protocol().rays, data.lambda());
+                assert!((found / expected - 1.0).abs() < 1e-6, "{found} for {expected}");
+            }
+            let axes = if covariance == Covariance::Trace { 1.0 } else { 3.0_f64 };
+            assert!((scaled.prior() / (axes.sqrt() * data.prior_deviation) - 1.0).abs() < 1e-9);
+            let folder = tempfile::tempdir().unwrap();
+            let path = folder.path().join("scaled.oct");
+            scaled.write(&path).unwrap();
+            assert_eq!(UncertaintyField::read(&path).unwrap().protocol(), scaled.protocol());
+            assert_eq!(scaled.with_lambda(data.lambda()).unwrap().protocol().scale, Scale::Paper);
         }
     }
 }

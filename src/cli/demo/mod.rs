@@ -204,7 +204,8 @@ impl Args {
         };
         let (views, cleaned) = (render(field)?, render(&cleaned)?);
         let truths = truth.map(render).transpose()?;
-        let ranges = Ranges { depth: depth_range(&views), log10: [low, prior], prior };
+        let quantity = uncertainty.protocol().scale.quantity();
+        let ranges = Ranges { depth: depth_range(&views), log10: [low, prior], prior, quantity };
         let colors = |title: &str, view: &RenderedView| {
             color_panel(title, view.resolution, view.pixels.iter().map(|pixel| pixel.color))
         };

@@ -7,6 +7,7 @@ use glam::DVec3;
 
 use super::numbers::count;
 use super::parse::{numbers, parse_box, parse_bytes, parse_non_negative, parse_positive};
+use super::scale::{ScaleOptions, TrainingPixels};
 use crate::cli::report::{self, Cost};
 use crate::estimate::{GridKind, GridSettings};
 use crate::geometry::{Aabb, Domain, MAX_LEVEL, Norm};
@@ -100,6 +101,9 @@ pub struct GridOptions {
     #[arg(long, value_name = "LAMBDA", value_parser = parse_positive)]
     pub lambda: Option<f64>,
 
+    #[command(flatten)]
+    pub scale: ScaleOptions,
+
     /// Largest change of log10 U that coarse leaves of the octree may cause; 0 keeps every vertex that any ray touched
     #[arg(long, value_name = "DECADES", default_value_t = 0.01, value_parser = parse_non_negative)]
     pub tolerance: f64,
@@ -133,7 +137,7 @@ impl GridOptions {
     }
 
     /// The library's settings for a field over `domain`.
-    pub fn settings(&self, domain: &Domain) -> Result<GridSettings> {
+    pub fn settings(&self, domain: &Domain, training: TrainingPixels) -> Result<GridSettings> {
         Ok(GridSettings {
             grid: self.grid,
             level: self.level_over(domain)?,
@@ -141,6 +145,7 @@ impl GridOptions {
             memory: self.memory,
             covariance: self.covariance,
             lambda: self.lambda,
+            scale: self.scale.scale(domain, training)?,
             tolerance: self.tolerance,
             prior: self.prior,
             min_rays: self.min_rays,

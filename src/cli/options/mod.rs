@@ -4,6 +4,7 @@ mod cameras;
 mod grid;
 mod numbers;
 mod parse;
+mod scale;
 mod threshold;
 
 pub use cameras::{CameraFile, CameraOptions, FrameOptions};
@@ -13,6 +14,7 @@ pub use parse::{
     Resolution, numbers, parse_background, parse_box, parse_non_negative, parse_pair, parse_positive, parse_range,
     parse_resolution, parse_views, scaled,
 };
+pub use scale::TrainingPixels;
 pub use threshold::Threshold;
 
 use clap::{Args, ValueEnum};

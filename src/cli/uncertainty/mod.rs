@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 
 use super::files::CommandFiles;
 use super::options::{
-    CameraOptions, DomainOptions, FrameOptions, GridOptions, ModelOptions, count, parse_interval, parse_non_negative,
-    parse_positive,
+    CameraOptions, DomainOptions, FrameOptions, GridOptions, ModelOptions, TrainingPixels, count, parse_interval,
+    parse_non_negative, parse_positive,
 };
 use super::progress::Bars;
 use super::report::{self, Cost};
@@ -91,10 +91,10 @@ pub struct Args {
     /// of rays [without a number: 8]
     ///
     /// Each group draws pixels of its own. The field stores the root mean square error of log10 U (decades, by the
-    /// delete-one-group jackknife; 2 is split half), and `query` returns it. Where fewer than two groups saw
-    /// anything, the error is unknown and left empty. Summing takes GROUPS + 1 times the memory. With --checkpoint
-    /// every group has its own file, FILE.0, FILE.1, … On several machines, give each another --seed, then run
-    /// `merge --error-bars`.
+    /// delete-one-group jackknife; 2 is split half), and `query` returns it. Where fewer than two groups or
+    /// four rays saw anything, the error is unknown and left empty. Summing takes GROUPS + 1 times the memory. With
+    /// --checkpoint every group has its own file, FILE.0, FILE.1, … On several machines, give each another --seed,
+    /// then run `merge --error-bars`.
     #[arg(long, value_name = "GROUPS", num_args = 0..=1, default_missing_value = "8", value_parser = clap::value_parser!(u16).range(2..=64),
           conflicts_with_all = ["dump_samples", "shard", "memory"])]
     error_bars: Option<u16>,
@@ -179,7 +179,6 @@ impl Args {
         }
         let domain = self.domain.domain(Some(field.natural_domain()))?;
         let checksum = crate::open::checksum(&self.model.model, self.model.coordinates)?;
-        let grid = self.grid.settings(&domain)?;
         let mut dump = self.dump_samples.as_deref().map(SamplesWriter::create).transpose()?;
 
         let start = Instant::now();
@@ -193,6 +192,9 @@ impl Args {
             ..RaySettings::default()
         });
         let cameras = views.cameras();
+        let pixels = cameras.iter().map(Camera::pixels).sum();
+        let training = TrainingPixels { pixels: Some(pixels), noise: field.training_noise() };
+        let grid = self.grid.settings(&domain, training)?;
         let source = self.source(&files, &cameras);
         let estimation =
             Estimation::new(&*field, &cameras).domain(domain).rays(rays).grid(grid).source(source).model(checksum);

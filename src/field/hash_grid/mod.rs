@@ -204,6 +204,12 @@ impl HashGrid {
         &self.occupied
     }
 
+    /// The same field with another record of its training.
+    #[must_use]
+    pub fn with_training(self, training: serde_json::Value) -> Self {
+        Self { training, ..self }
+    }
+
     /// What the field was trained on and how, as `octobayes train` wrote it.
     #[must_use]
     pub fn training(&self) -> &serde_json::Value {
@@ -310,6 +316,11 @@ impl RadianceField for HashGrid {
 
     fn training_cameras(&self) -> &[NamedCamera] {
         &self.cameras
+    }
+
+    fn training_noise(&self) -> Option<f64> {
+        let noise = self.training.get("training_noise")?.as_f64()?;
+        (noise > 0.0 && noise.is_finite()).then_some(noise)
     }
 
     fn natural_domain(&self) -> Domain {

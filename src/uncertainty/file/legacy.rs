@@ -8,8 +8,8 @@ use super::{Content, FORMAT, Header, Kind};
 use crate::geometry::Lattice;
 use crate::io::container::Item;
 use crate::io::legacy;
-use crate::posterior::{Covariance, Criteria, Prior, VertexSums};
-use crate::rays::{Pixels, Shard};
+use crate::posterior::{Covariance, Criteria, Prior, Scale, VertexSums};
+use crate::rays::{Deal, Pixels, Shard};
 use crate::render::GradientMethod;
 use crate::uncertainty::{Origin, Protocol, RayCounts};
 use crate::{Error, Result};
@@ -34,7 +34,7 @@ struct OldProtocol {
     dropped: u64,
     pixels: Option<Pixels>,
     seed: Option<u64>,
-    shard: Option<Shard>,
+    shard: Option<OldShard>,
     lambda: f64,
     covariance: OldCovariance,
     prior: Prior,
@@ -47,6 +47,21 @@ struct OldProtocol {
     cutoff: Option<f64>,
     background: Option<[f32; 3]>,
     pixel_offset: Option<f64>,
+}
+
+#[derive(serde::Deserialize)]
+struct OldShard {
+    rays: u64,
+    index: u64,
+    of: u64,
+}
+
+impl OldShard {
+    fn shard(self) -> Shard {
+        let Self { rays, index, of } = self;
+        let deal = if of == 1 { Deal::Shifted } else { Deal::Strided };
+        Shard { deal, ..Shard::new(rays, index, of) }
+    }
 }
 
 #[derive(serde::Deserialize)]
@@ -85,8 +100,9 @@ impl OldProtocol {
             dropped: old.dropped,
             pixels: old.pixels,
             seed: old.seed,
-            shard: old.shard,
+            shard: old.shard.map(OldShard::shard),
             lambda: old.lambda,
+            scale: Scale::Paper,
             covariance,
             prior: old.prior,
             min_rays: old.min_rays,

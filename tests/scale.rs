@@ -1,0 +1,76 @@
+//! `--scale data`: deviations in scene units, from the command line.
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+use octobayes::field::ClosedForm;
+use octobayes::geometry::Camera;
+use octobayes::posterior::Scale;
+use octobayes::uncertainty::UncertaintyField;
+
+fn run(folder: &Path, args: &str) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_octobayes")).current_dir(folder).args(args.split(' ')).output().unwrap()
+}
+
+fn good(folder: &Path, args: &str) -> String {
+    let output = run(folder, args);
+    assert!(output.status.success(), "{args}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+const RUN: &str = "uncertainty scene:ball --cameras transforms.json --level 5 --rays 4000 --occupancy 32";
+
+#[test]
+fn more_pixels_and_less_noise_make_a_scene_more_certain() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let cameras = |size| {
+        let cameras = ClosedForm::half_circle(4, [size; 2]).into_iter().enumerate();
+        cameras.map(|(i, c)| (format!("r_{i}"), c)).collect::<Vec<(String, Camera)>>()
+    };
+    octobayes::dataset::write_transforms(&folder.join("transforms.json"), &cameras(32)).unwrap();
+    good(folder, &format!("{RUN} --scale data --psnr 30 --keep-sums -o data.oct"));
+    let field = UncertaintyField::read(&folder.join("data.oct")).unwrap();
+    let Scale::Data(data) = field.protocol().scale else { panic!("the scale is stored") };
+    // All pixels of the cameras, the noise of 30 dB, 0.02 of the longest edge.
+    let edge = field.lattice().domain().size().max_element();
+    assert_eq!((data.pixels, data.prior_deviation), (4 * 32 * 32, 0.02 * edge));
+    assert!((data.noise.powi(2) - 1e-3).abs() < 1e-15);
+    assert!((field.prior() / (3_f64.sqrt() * 0.02 * edge) - 1.0).abs() < 1e-6);
+
+    // Ten times the pixels, or a tenth of the noise's square, have the same posterior.
+    good(folder, &format!("{RUN} --scale data --noise 0.01 -o sharp.oct"));
+    let sharp = UncertaintyField::read(&folder.join("sharp.oct")).unwrap();
+    let x = glam::Vec3::from_array(field.surface()[0]);
+    let [one, ten] = [&field, &sharp].map(|field| field.query(x).uncertainty);
+    assert!(ten < one && one < field.prior(), "{ten}, {one}");
+    // Rays only sample the pixels: twice as many leave the posterior where it is, to their own noise of some tenths.
+    good(folder, &format!("{} --scale data --psnr 30 -o more.oct", RUN.replace("4000", "8000")));
+    let more = UncertaintyField::read(&folder.join("more.oct")).unwrap();
+    let median = |field: &UncertaintyField| field.surface_quantiles([0.5]).unwrap()[0];
+    assert!((median(&more) - median(&field)).abs() < 0.15, "{} and {}", median(&more), median(&field));
+
+    // The two scales are not compared in silence, and say what they are.
+    good(folder, &format!("{RUN} -o paper.oct"));
+    let output = run(folder, "compare paper.oct data.oct");
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.code() == Some(2) && said.contains("scale of data.oct: expected `paper`"), "{said}");
+    good(folder, "compare paper.oct data.oct --force --points 1000");
+    assert!(good(folder, "info data.oct").contains("a deviation in scene units, from 4096 pixels of noise 0.0316"));
+    assert!(good(folder, "info paper.oct").contains("not a length"));
+}
+
+#[test]
+fn fields_of_two_models_are_not_compared_in_silence() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let args = "--level 4 --rays 1000 --resolution 32 --occupancy 16 --box=-1,-1,-1,1,1,1";
+    good(folder, &format!("uncertainty scene:ball {args} -o ball.oct"));
+    good(folder, &format!("uncertainty scene:courtyard {args} -o courtyard.oct"));
+    let output = run(folder, "compare ball.oct courtyard.oct");
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.code() == Some(2) && said.contains("model of courtyard.oct"), "{said}");
+    let output = run(folder, "compare ball.oct courtyard.oct --force --points 1000");
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.success() && said.contains("warning: model of courtyard.oct"), "{said}");
+}
