@@ -145,6 +145,7 @@ impl GridOptions {
             prior: self.prior,
             min_rays: self.min_rays,
             surface_points: self.surface_points,
+            keep_sums: self.keep_sums,
         })
     }
 
