@@ -40,7 +40,8 @@ pub struct GridSettings {
     pub min_rays: f64,
     /// Criteria for refining the octree.
     pub criteria: Criteria,
-    /// Maximal number of bytes for sums and field; `None` for no limit.
+    /// Maximal peak memory of the process, bytes; `None` for no limit. Leaves stay coarser where it is short, so a
+    /// field under a budget depends on what the process takes beside it.
     #[setters(into)]
     pub memory: Option<u64>,
     /// Number of points on visible surfaces to keep for comparisons.

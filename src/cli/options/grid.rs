@@ -80,7 +80,7 @@ pub struct GridOptions {
     #[arg(long, value_name = "LENGTH", value_parser = parse_positive, conflicts_with = "level")]
     pub cell_size: Option<f64>,
 
-    /// Most memory for sums and field, e.g. 2GiB; refinement that the fewest rays support is given up first
+    /// Most memory for the whole process, e.g. 2GiB; refinement that the fewest rays support is given up first
     #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
     pub memory: Option<u64>,
 
