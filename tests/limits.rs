@@ -56,11 +56,11 @@ fn a_cell_size_chooses_the_level_that_is_as_fine() {
 fn a_budget_is_planned_kept_and_reported() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
-    let stderr = good(folder, &format!("{RUN} --level 9 --memory 60MB -o limited.oct"));
+    let stderr = good(folder, &format!("{RUN} --level 9 --memory 120MB -o limited.oct"));
     assert!(stderr.contains("plan: level 9") && stderr.contains("given up"), "{stderr}");
     let limited = read(folder, "limited.oct");
     let bytes: usize = limited.memory().iter().map(|part| part.1).sum();
-    assert!(bytes <= 60_000_000 && !limited.limits().is_unlimited() && limited.validate().is_ok());
+    assert!(bytes <= 120_000_000 && !limited.limits().is_unlimited() && limited.validate().is_ok());
     // A plan that cannot fit says what would.
     let stderr = refused(folder, &format!("{RUN} --level 9 --memory 5kB -o x.oct"));
     assert!(stderr.contains("--memory") && stderr.contains("at least"), "{stderr}");

@@ -1,11 +1,14 @@
-//! The bytes that a field reports are those that the allocator gave. Runs in a process of its own, because it
-//! counts all allocations.
+//! The bytes that a field reports are those that the allocator gave, and those that a run plans are those that the
+//! kernel counts. Runs in a process of its own, because it counts all allocations.
 
 use octobayes::estimate::{Estimation, GridKind, GridSettings, RaySettings};
 use octobayes::field::{ClosedForm, Intrinsics, RadianceField};
 use octobayes::uncertainty::{Support, UncertaintyField};
 use stats_alloc::{INSTRUMENTED_SYSTEM, Region, StatsAlloc};
 use std::alloc::System;
+use std::path::Path;
+use std::process::{Command, Output};
+use std::sync::Mutex;
 
 #[global_allocator]
 static ALLOCATOR: &StatsAlloc<System> = &INSTRUMENTED_SYSTEM;
@@ -25,9 +28,12 @@ fn city(level: u8, rays: u64) -> UncertaintyField {
     Estimation::new(&city, &cameras).rays(RaySettings::default().rays(rays)).grid(grid).run().unwrap().field
 }
 
-// A single test, because the allocator counts for the whole process.
+/// The allocator counts for the whole process, so tests run one after another.
+static ALONE: Mutex<()> = Mutex::new(());
+
 #[test]
 fn parts_add_up_to_what_was_allocated_and_structure_is_small() {
+    let _alone = ALONE.lock();
     let courtyard = ClosedForm::courtyard();
     let cameras = ClosedForm::half_circle(8, [64, 64]);
     let rays = RaySettings::default().rays(10_000);
@@ -67,4 +73,133 @@ fn parts_add_up_to_what_was_allocated_and_structure_is_small() {
 fn check(allocated: usize, field: &UncertaintyField) {
     let listed: usize = field.memory().iter().map(|part| part.1).sum();
     assert!(listed <= allocated && allocated <= listed + 4096, "{listed} bytes listed, {allocated} allocated");
+}
+
+/// A run of the program as a process of its own.
+struct Measured {
+    /// The kernel's count at the process's end, bytes.
+    peak: f64,
+    /// Of the file that it wrote, bytes.
+    file: f64,
+    /// The last plan that it announced.
+    plan: Option<Announced>,
+}
+
+/// What a plan says, bytes.
+#[derive(Debug)]
+struct Announced {
+    peak: f64,
+    file: f64,
+}
+
+fn run(folder: &Path, args: &str) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_octobayes"));
+    command.args(args.split_whitespace()).current_dir(folder).output().unwrap()
+}
+
+fn measure(args: &str) -> Measured {
+    let folder = tempfile::tempdir().unwrap();
+    let output = run(folder.path(), &format!("uncertainty {args} --json -o field.oct"));
+    let stderr = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.success(), "{args}: {stderr}");
+    let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let file = folder.path().join("field.oct").metadata().unwrap().len() as f64;
+    let plan = stderr.lines().rfind(|line| line.starts_with("plan:")).map(announced);
+    Measured { peak: report["peak_bytes"].as_f64().unwrap(), file, plan }
+}
+
+/// Reads "plan: …, 1.01 GB the peak of the process, a file of 56.27 MB, …".
+fn announced(line: &str) -> Announced {
+    let bytes = |part: &str| {
+        let words: Vec<&str> = part.split_whitespace().collect();
+        let unit = words.iter().position(|word| ["B", "kB", "MB", "GB", "TB"].contains(word)).expect("a unit");
+        let scale = match words[unit] {
+            "B" => 1.0,
+            "kB" => 1e3,
+            "MB" => 1e6,
+            _ => 1e9,
+        };
+        scale * words[unit - 1].parse::<f64>().unwrap()
+    };
+    let part = |words: &str| line.split(',').find(|part| part.contains(words)).map(bytes).unwrap();
+    Announced { peak: part("the peak of the process"), file: part("a file of") }
+}
+
+/// Runs under a budget that they would exceed: the kernel's peak is at most a tenth above it and at least half of it.
+fn keeps_and_uses(scene: &str, cases: &[(u8, f64)]) {
+    for (level, budget) in cases {
+        let run = measure(&format!("{scene} --level {level} --memory {budget}"));
+        let share = run.peak / budget;
+        println!(
+            "| {scene} | {level} | {:.0} | {:.0} | {share:.2} | {:.1} |",
+            budget / 1e6,
+            run.peak / 1e6,
+            run.file / 1e6
+        );
+        assert!((0.5..=1.1).contains(&share), "{scene}, level {level}: {} of {budget} bytes", run.peak);
+    }
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn a_budget_bounds_the_peak_of_the_process_and_is_used() {
+    let _alone = ALONE.lock();
+    keeps_and_uses("scene:courtyard --rays 100k", &[(9, 150e6), (10, 200e6), (12, 300e6)]);
+    keeps_and_uses("scene:city --rays 200k", &[(12, 200e6)]);
+}
+
+/// Models of other kinds, of which some need much memory beside the sums.
+#[test]
+#[cfg(target_os = "linux")]
+#[ignore = "needs OCTOBAYES_DATA and a quarter of an hour"]
+fn a_budget_bounds_the_peak_with_trained_models() {
+    let _alone = ALONE.lock();
+    let data = std::env::var("OCTOBAYES_DATA").unwrap();
+    let ppng = |name: &str, more: &str| format!("{data}/ppng-pretrained/{name}.ppng --rays 400k {more}");
+    let usual = [(8, 100e6), (10, 200e6), (10, 500e6), (12, 500e6), (12, 1e9)];
+    keeps_and_uses(&ppng("NeRFSynthetic/ppng_1/lego", "--fov 39.6"), &usual);
+    keeps_and_uses(&ppng("TanksAndTemple/ppng_1/Ignatius", "--fov 50"), &usual[1..]);
+    let around = "--fov 60 --contract l2 --inner 0.5,0.5,0.5,0.5 --background black";
+    keeps_and_uses(&ppng("360_v2/ppng_1/garden", around), &usual[2..]);
+}
+
+/// What a plan announces is right within a factor of two, from sparse rays on the finest lattices to dense ones.
+#[test]
+#[cfg(target_os = "linux")]
+fn a_plan_foresees_peak_and_file_within_a_factor_of_two() {
+    let _alone = ALONE.lock();
+    for args in [
+        "scene:courtyard --level 16 --rays 1000",
+        "scene:courtyard --level 12 --rays 10000",
+        "scene:courtyard --level 8 --rays 100000",
+        "scene:courtyard --level 8 --rays 20000 --keep-sums",
+        "scene:courtyard --level 7 --rays 20000 --grid dense",
+        "scene:city --level 10 --rays 100000",
+    ] {
+        let run = measure(&format!("{args} --memory 100GB"));
+        let plan = run.plan.expect("a run with a budget is planned");
+        println!("{args}: {plan:?}, {} and {} found", run.peak, run.file);
+        for (expected, found) in [(plan.peak, run.peak), (plan.file, run.file)] {
+            assert!((0.5..=2.0).contains(&(expected / found)), "{args}: {expected} expected, {found} found");
+        }
+    }
+    // Without a budget too, a large file is announced.
+    assert!(measure("scene:courtyard --level 16 --rays 1000").plan.is_some());
+}
+
+/// A budget that is too small is refused, and the one that the refusal names is enough.
+#[test]
+#[cfg(target_os = "linux")]
+fn a_refused_budget_is_told_the_smallest_one() {
+    let _alone = ALONE.lock();
+    let folder = tempfile::tempdir().unwrap();
+    let args = "scene:courtyard --rays 50k";
+    let output = run(folder.path(), &format!("uncertainty {args} --level 10 --memory 20MB -o x.oct"));
+    let stderr = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(2), "{stderr}");
+    let (_, least) = stderr.split_once("--memory: expected at least ").expect("the smallest budget");
+    let least: f64 = least.split_whitespace().next().unwrap().parse().unwrap();
+    assert!(least > 20.0, "{stderr}");
+    // What the process takes outside the sums varies from run to run.
+    keeps_and_uses(args, &[(10, 1.1e6 * least)]);
 }

@@ -202,10 +202,11 @@ pub fn plan(plan: &Plan, grid: &GridSettings) {
     let memory = |b: f64| bytes(b as usize);
     let time = plan.time.as_secs_f64();
     eprintln!(
-        "plan: level {}, about {:.2e} vertices, {} at the peak, {time:.0} s",
+        "plan: level {}, about {:.2e} vertices, {} the peak of the process, a file of {}, {time:.0} s",
         grid.level,
         plan.vertices,
-        memory(plan.bytes)
+        memory(plan.peak()),
+        memory(plan.file)
     );
     if plan.rays_per_vertex > 0.0 {
         let shares: Vec<String> = plan

@@ -7,7 +7,7 @@ use std::path::Path;
 use rayon::prelude::*;
 
 use super::state::{self, AnyPosterior, RunKey};
-use super::{GridKind, GridSettings, Plan, plan};
+use super::{GridKind, GridSettings, Plan};
 use crate::geometry::{Camera, Domain, Lattice};
 use crate::octree::{Cell, MaxLevels, morton};
 use crate::posterior::{DensePosterior, OctreePosterior, Posterior, VertexSums, Visits};
@@ -177,13 +177,6 @@ impl FieldBuilder {
         }
     }
 
-    /// Approximate peak memory if the field were finished now, bytes.
-    #[must_use]
-    pub fn expected_peak(&self) -> u64 {
-        let finishing = if self.settings.grid == GridKind::Dense { 0.09 } else { plan::FINISHED / plan::SUMMING };
-        (self.memory() as f64 * (1.0 + finishing)) as u64
-    }
-
     /// The limits of the leaves on which rays are summed.
     #[must_use]
     pub fn limits(&self) -> &MaxLevels {
@@ -281,8 +274,14 @@ impl FieldBuilder {
             AnyPosterior::Dense(posterior) => {
                 UncertaintyField::new(protocol, lattice, Support::Dense, posterior.into_sums())
             }
-            AnyPosterior::Octree(posterior) => UncertaintyField::from_octree(protocol, lattice, posterior, wanted),
+            AnyPosterior::Octree(posterior) if settings.keep_sums => {
+                UncertaintyField::from_octree(protocol, lattice, posterior, wanted)
+            }
+            AnyPosterior::Octree(posterior) => {
+                UncertaintyField::from_octree_for_queries(protocol, lattice, posterior, wanted)
+            }
         };
+        let field = if settings.keep_sums { field } else { field.for_queries() };
         field.with_surface(surface).with_visits(visits)
     }
 }

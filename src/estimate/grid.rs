@@ -43,11 +43,15 @@ pub struct GridSettings {
     pub min_rays: f64,
     /// Criteria for refining the octree.
     pub criteria: Criteria,
-    /// Maximal number of bytes for sums and field; `None` for no limit.
+    /// Maximal peak memory of the process, bytes; `None` for no limit. Leaves stay coarser where it is short, so a
+    /// field under a budget depends on what the process takes beside it.
     #[setters(into)]
     pub memory: Option<u64>,
     /// Number of points on visible surfaces to keep for comparisons.
     pub surface_points: usize,
+    /// Whether the field keeps its sums, for other covariances and merging. Without them an octree needs a third less
+    /// memory to finish. A part of a run keeps them all the same.
+    pub keep_sums: bool,
 }
 
 impl Default for GridSettings {
@@ -64,6 +68,7 @@ impl Default for GridSettings {
             criteria: Criteria::default(),
             memory: None,
             surface_points: 16_384,
+            keep_sums: true,
         }
     }
 }

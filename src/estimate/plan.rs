@@ -1,25 +1,40 @@
 //! Predicts what a run will need, and limits it to fit.
+//!
+//! The peak of the process is the sum of three parts:
+//!
+//! - *outside*: program, model, cameras, occupancy grid, rays under way and their contributions. The operating system
+//!   says how much that is during the pilot, which draws rays as the run does.
+//! - *summing*: bricks of sums, by the pilot's [`Census`].
+//! - *finishing*: the field, made while the sums are still there.
 
 use std::time::{Duration, Instant};
 
 use super::{GridKind, GridSettings, RaySettings};
 use crate::geometry::Lattice;
+use crate::io::memory;
 use crate::monitor::Monitor;
 use crate::octree::MaxLevels;
-use crate::posterior::{DensePosterior, OctreePosterior, PilotCounts, Posterior, VertexSums};
+use crate::posterior::{
+    BRICK_BYTES, CONTRIBUTION_BYTES, Census, DensePosterior, FactoredSums, Needs, PilotCounts, VertexSums,
+};
 use crate::rays::{Purpose, RayStream, RunProgress, Shard};
 use crate::{Error, Result};
 
-/// Bytes per touched vertex while summing.
-///
-/// The sums take 56 bytes, in bricks that are about half full (the city at level 11: twice that per vertex).
-/// Another half of that covers lists of rays in progress and the allocator's overhead.
-pub const SUMMING: f64 = 3.0 * size_of::<VertexSums>() as f64;
-/// Bytes per touched vertex of the finished field.
-///
-/// Sums, deviation, ray count and structure (56 + 4 + 1 + 1), times one and a half vertices, because the cells around
-/// a touched vertex have others.
-pub const FINISHED: f64 = 1.5 * (size_of::<VertexSums>() + 6) as f64;
+/// Bytes per vertex of deviation and ray count, in memory and in the file.
+const VALUES: f64 = (size_of::<f32>() + size_of::<u8>()) as f64;
+/// Bytes per vertex of the octree's structure, in memory and in the file. Measured: 0.4 to 2.1, 0.1 to 0.3.
+const STRUCTURE: [f64; 2] = [1.0, 0.2];
+/// Bytes per vertex that building the structure takes on the way, beyond what lists of rays leave free: masks of split
+/// cells, and the points that their bricks own.
+const BUILDING: f64 = 4.0;
+/// Bytes of a part's sums in the file.
+const EXACT: f64 = (6 * size_of::<f64>() + size_of::<u32>()) as f64;
+/// Bytes that every process needs beyond what the pilot shows: visits, chunks of bricks that are not full.
+const RESERVE: f64 = 6e6;
+/// Contributions are kept in lists that double when they are full.
+const LISTS: f64 = 1.5;
+/// Maximal number of species in each of a census's samples, if memory is short.
+const FEW: usize = 1 << 16;
 
 /// The expected course of a run.
 #[derive(Debug, Clone)]
@@ -28,32 +43,61 @@ pub struct Plan {
     pub limits: MaxLevels,
     /// Rays per vertex required by these limits; 0 without limits.
     pub rays_per_vertex: f64,
-    /// Expected number of touched vertices.
+    /// Expected number of the field's vertices.
     pub vertices: f64,
-    /// Expected number of touched vertices without limits.
+    /// Expected number of the field's vertices without limits.
     pub vertices_unlimited: f64,
-    /// Expected peak memory of the sums and the field, bytes; the model is extra.
-    pub bytes: f64,
+    /// Expected size of the sums when all rays are drawn, bytes.
+    pub summing: f64,
+    /// Expected size of what is added to the sums to finish the field, bytes.
+    pub finishing: f64,
+    /// What the process holds beside sums and field, bytes.
+    pub outside: f64,
+    /// Expected size of the field's file, bytes.
+    pub file: f64,
     /// Expected time.
     pub time: Duration,
     /// Fractions of all touches by the number of levels given up: 0, 1, 2, …
     pub given_up: Vec<f64>,
 }
 
+impl Plan {
+    /// Expected peak memory of the process, bytes.
+    #[must_use]
+    pub fn peak(&self) -> f64 {
+        self.outside + self.summing + self.finishing
+    }
+
+    /// Expected peak memory of the process if its sums come to `summed` bytes.
+    #[must_use]
+    pub fn peak_of(&self, summed: usize) -> f64 {
+        self.outside + summed as f64 * (1.0 + self.finishing / self.summing.max(1.0))
+    }
+}
+
 /// A pilot run, from which plans are made.
 pub struct Planner {
     settings: GridSettings,
-    survey: PilotCounts,
-    /// Expected number of touched vertices without limits.
+    lattice: Lattice,
+    census: Census,
+    counts: PilotCounts,
+    /// Expected number of the field's vertices without limits.
     vertices_unlimited: f64,
-    /// Rays of the run per ray of the pilot.
+    /// Rays of the whole run, and of this part of it, per ray of the pilot.
     scale: f64,
+    own_scale: f64,
+    is_part: bool,
+    outside: f64,
+    /// What the sums of earlier attempts took, per byte that was expected.
+    correction: f64,
     time: Duration,
 }
 
 impl Planner {
     /// Maximal number of rays of the pilot.
     pub const PILOT: u64 = 16_384;
+    /// Rays of the run per ray of a pilot that only predicts.
+    pub const CHEAP: u64 = 32;
 
     /// Runs a pilot with the run's settings but another seed. All shards of a run use the same pilot.
     ///
@@ -67,39 +111,78 @@ impl Planner {
         lattice: Lattice,
         monitor: &dyn Monitor,
     ) -> Result<Self> {
-        let pilot = Shard::whole(Self::PILOT.min(rays.rays));
+        let most = if settings.needs_plan() { rays.rays } else { rays.rays.div_ceil(Self::CHEAP) };
+        let pilot = Shard::whole(Self::PILOT.min(most));
         let start = Instant::now();
-        let mut posterior = OctreePosterior::new(lattice);
+        // Limits by ray count alone are exact.
+        let is_exact = settings.memory.is_none() && settings.rays_per_vertex() > 0.0;
+        let mut census = Census::new(lattice, if is_exact { usize::MAX } else { FEW });
+        let mut outside = 0.0_f64;
         let stream = stream.for_purpose(Purpose::Pilot);
         stream.run(pilot, RunProgress::default(), monitor, |batches, _| {
-            posterior.add(batches);
+            let here = memory::resident().map_or(0.0, |bytes| bytes as f64 - census.memory() as f64);
+            outside = outside.max(here);
+            census.add(batches);
             Ok(())
         })?;
+        let lists = LISTS * (rayon::current_num_threads() * census.longest_batch() * CONTRIBUTION_BYTES) as f64;
         let scale = rays.rays as f64 / pilot.rays as f64;
-        let time = start.elapsed().mul_f64(shard.own_rays() as f64 / pilot.rays as f64);
-        let survey = PilotCounts::from_pilot(&posterior);
-        let vertices_unlimited = survey.vertices(scale, &MaxLevels::none(lattice.level()));
-        Ok(Self { settings, survey, vertices_unlimited, scale, time })
+        let own_scale = shard.own_rays() as f64 / pilot.rays as f64;
+        let vertices_unlimited = census.needs(own_scale, &MaxLevels::none(lattice.level())).vertices;
+        Ok(Self {
+            settings,
+            lattice,
+            counts: census.counts(),
+            census,
+            vertices_unlimited,
+            scale,
+            own_scale,
+            is_part: shard.of > 1,
+            outside: outside + lists + RESERVE,
+            correction: 1.0,
+            time: start.elapsed().mul_f64(own_scale),
+        })
     }
 
     /// The plan for limits with at least `rays_per_vertex` rays per vertex; 0 for no limits.
     #[must_use]
-    pub fn with_rays_per_vertex(&self, lattice: &Lattice, rays_per_vertex: f64) -> Plan {
+    pub fn with_rays_per_vertex(&self, rays_per_vertex: f64) -> Plan {
         let limits = if rays_per_vertex > 0.0 {
-            self.survey.limits(self.scale, rays_per_vertex)
+            self.counts.limits(self.scale, rays_per_vertex)
         } else {
-            MaxLevels::none(lattice.level())
+            MaxLevels::none(self.lattice.level())
         };
-        let vertices = self.survey.vertices(self.scale, &limits);
-        let given_up = self.survey.shares(&limits);
-        let bytes = match self.settings.grid {
+        let (vertices, summing) = match self.settings.grid {
             GridKind::Dense => {
-                DensePosterior::required_memory(lattice) as f64 * (1.0 + 5.0 / size_of::<VertexSums>() as f64)
+                (self.lattice.dense_vertices() as f64, DensePosterior::required_memory(&self.lattice) as f64)
             }
-            GridKind::Octree => vertices * (SUMMING + FINISHED),
+            GridKind::Octree => {
+                let Needs { bricks, vertices } = self.census.needs(self.own_scale, &limits);
+                (self.correction * vertices, self.correction * bricks * BRICK_BYTES)
+            }
         };
-        let vertices_unlimited = self.vertices_unlimited;
-        Plan { limits, rays_per_vertex, vertices, vertices_unlimited, bytes, time: self.time, given_up }
+        let [structure, stored] = if self.settings.grid == GridKind::Dense { [0.0; 2] } else { STRUCTURE };
+        let building = if self.settings.grid == GridKind::Dense { 0.0 } else { BUILDING };
+        let keeps_sums = self.settings.keep_sums || self.is_part || self.settings.min_rays > 0.0;
+        let gathered = if keeps_sums && self.settings.grid == GridKind::Octree { size_of::<VertexSums>() } else { 0 };
+        let in_file = match (self.is_part, self.settings.keep_sums) {
+            (true, _) => EXACT,
+            (false, true) => size_of::<FactoredSums>() as f64,
+            (false, false) => 0.0,
+        };
+        let given_up = self.counts.shares(&limits);
+        Plan {
+            limits,
+            rays_per_vertex,
+            vertices,
+            vertices_unlimited: self.correction * self.vertices_unlimited,
+            summing,
+            finishing: vertices * (VALUES + structure + f64::max(building, gathered as f64)),
+            outside: self.outside,
+            file: vertices * (VALUES + stored + in_file) + 12.0 * self.settings.surface_points as f64,
+            time: self.time,
+            given_up,
+        }
     }
 
     /// The finest plan that meets the settings' criteria and memory budget.
@@ -108,33 +191,58 @@ impl Planner {
     ///
     /// # Errors
     /// If not even the coarsest limits fit; the message says what would.
-    pub fn plan(&self, lattice: &Lattice) -> Result<Plan> {
-        let wanted = self.settings.rays_per_vertex();
-        let mut plan = self.with_rays_per_vertex(lattice, wanted);
-        let Some(budget) = self.settings.memory else { return Ok(plan) };
-        while plan.bytes > budget as f64 {
-            let tighter = self.tighter(lattice, &plan).ok_or_else(|| {
-                let expected = format!("at least {:.0} MB, or a lower level, or fewer rays", plan.bytes / 1e6);
-                Error::setting("memory budget", expected, format!("{:.0} MB", budget as f64 / 1e6))
-            })?;
-            plan = tighter;
-        }
-        Ok(plan)
+    pub fn plan(&self) -> Result<Plan> {
+        let wanted = self.with_rays_per_vertex(self.settings.rays_per_vertex());
+        let Some(budget) = self.settings.memory.map(|bytes| bytes as f64) else { return Ok(wanted) };
+        self.within(budget).ok_or_else(|| {
+            let least = match self.settings.grid {
+                GridKind::Dense => wanted.peak(),
+                GridKind::Octree => self.with_rays_per_vertex(MOST).peak(),
+            };
+            let expected = format!("at least {:.0} MB, or a lower level, or fewer rays", least / 1e6);
+            Error::setting("memory budget", expected, format!("{:.0} MB", budget / 1e6))
+        })
     }
 
-    /// The next coarser plan, if there is one.
-    #[must_use]
-    pub fn tighter(&self, lattice: &Lattice, plan: &Plan) -> Option<Plan> {
-        // Beyond this, every region has given up all its levels.
-        const MOST: f64 = 1e12;
-        let mut rays_per_vertex = plan.rays_per_vertex;
-        while self.settings.grid == GridKind::Octree && rays_per_vertex < MOST {
-            rays_per_vertex = (1.25 * rays_per_vertex).max(1.0 / 64.0);
-            let tighter = self.with_rays_per_vertex(lattice, rays_per_vertex);
-            if tighter.vertices < plan.vertices {
-                return Some(tighter);
+    /// The finest plan whose peak is within `budget` bytes, if there is one.
+    fn within(&self, budget: f64) -> Option<Plan> {
+        let fits = |plan: &Plan| plan.peak() <= budget;
+        let least = self.settings.rays_per_vertex();
+        let finest = self.with_rays_per_vertex(least);
+        if fits(&finest) || self.settings.grid == GridKind::Dense {
+            return Some(finest).filter(fits);
+        }
+        let mut best = Some(self.with_rays_per_vertex(MOST)).filter(fits)?;
+        // A region drops a level when its rays per vertex fall below the bound, so the peak falls with the bound.
+        let (mut low, mut high) = (least.max(LEAST).log2(), MOST.log2());
+        while high - low > 0.02 {
+            let middle = 0.5 * (low + high);
+            let plan = self.with_rays_per_vertex(middle.exp2());
+            if fits(&plan) {
+                (best, high) = (plan, middle);
+            } else {
+                low = middle;
             }
         }
-        None
+        Some(best)
+    }
+
+    /// Plans as if the process took nothing beside sums and field.
+    #[cfg(test)]
+    pub(super) fn forget_process(&mut self) {
+        self.outside = 0.0;
+    }
+
+    /// Another plan within `budget` bytes, if the sums came to `summed` bytes after the fraction `done` of the rays of
+    /// `plan`: all further plans expect as much more, or less, as was found.
+    pub(super) fn corrected(&mut self, plan: &Plan, done: f64, summed: usize, budget: f64) -> Option<Plan> {
+        let Needs { bricks, .. } = self.census.needs(done * self.own_scale, &plan.limits);
+        self.correction = summed as f64 / (bricks * BRICK_BYTES).max(1.0);
+        self.within(budget)
     }
 }
+
+/// Bounds on rays per vertex: below the first no region gives up anything, beyond the second every region has given up
+/// all its levels.
+const LEAST: f64 = 1e-6;
+const MOST: f64 = 1e12;

@@ -50,10 +50,19 @@ pub struct Run<'a> {
 pub(super) struct Limits {
     planner: Option<Planner>,
     plan: Option<Plan>,
-    /// Maximal number of bytes that the run may take: the grid's budget, unless a test sets another.
-    pub budget: Option<u64>,
+    /// Maximal number of bytes that the process may take: the grid's budget, unless a test sets another.
+    budget: Option<u64>,
     is_replanned: bool,
+    /// Whether the plan was compared with what the first rays took.
+    is_compared: bool,
 }
+
+/// The fraction of the rays after which a plan is compared with what they took.
+const COMPARED_AT: f64 = 1.0 / 16.0;
+/// The fraction of the budget that a run without all its refinement should come to.
+const WELL_USED: f64 = 0.7;
+/// The fraction of the budget that a second plan aims at, so that there is no third.
+const AIM: f64 = 0.95;
 
 /// Rays with separate sums: a whole run or one group.
 struct Part<'r> {
@@ -72,18 +81,14 @@ impl<'a> Run<'a> {
         let mut run = Self { estimation, lattice, stream, limits };
         if run.estimation.grid.needs_plan() {
             let planner = run.pilot()?;
-            let mut plan = planner.plan(&run.lattice)?;
-            // Because of its budget, the interrupted run may have given up more than planned.
+            let mut plan = planner.plan()?;
+            // The interrupted run's plan depends on its budget, and on what its process took beside.
             let files = run.files();
-            if let [Some(file)] = files.as_slice()
+            if run.limits.budget.is_some()
+                && let [Some(file)] = files.as_slice()
                 && file.exists()
             {
-                let rays_per_vertex = state::rays_per_vertex(file)?;
-                while plan.rays_per_vertex < rays_per_vertex
-                    && let Some(tighter) = planner.tighter(&run.lattice, &plan)
-                {
-                    plan = tighter;
-                }
+                plan = planner.with_rays_per_vertex(state::rays_per_vertex(file)?);
             }
             (run.limits.planner, run.limits.plan) = (Some(planner), Some(plan));
         }
@@ -116,10 +121,11 @@ impl<'a> Run<'a> {
     pub fn forecast(&self) -> Result<Plan> {
         let mut plan = match &self.limits.plan {
             Some(plan) => plan.clone(),
-            None => self.pilot()?.plan(&self.lattice)?,
+            None => self.pilot()?.plan()?,
         };
         // Every group has its own sums, and finishing needs one more.
-        plan.bytes *= self.estimation.groups().map_or(1.0, |groups| f64::from(groups) + 1.0);
+        let sums = self.estimation.groups().map_or(1.0, |groups| f64::from(groups) + 1.0);
+        (plan.summing, plan.finishing) = (sums * plan.summing, sums * plan.finishing);
         Ok(plan)
     }
 
@@ -303,23 +309,55 @@ impl<'a> Run<'a> {
 }
 
 impl Limits {
+    /// Sets a budget for sums and field, as if the process took nothing beside. The plan stays as it is.
+    #[cfg(test)]
+    pub fn bound_without_process(&mut self, budget: u64) {
+        self.budget = Some(budget);
+        self.plan.iter_mut().for_each(|plan| plan.outside = 0.0);
+        self.planner.iter_mut().for_each(Planner::forget_process);
+    }
+
     /// Replaces the plan.
     #[cfg(test)]
     pub fn set_plan(&mut self, plan: Plan) {
         self.plan = Some(plan);
     }
 
-    /// The next coarser plan, if there is one.
-    fn tighter(&self, lattice: &Lattice) -> Option<Plan> {
-        self.planner.as_ref()?.tighter(lattice, self.plan.as_ref()?)
+    /// Whether a run whose sums came to `summed` bytes would exceed the budget if it were finished now.
+    fn is_exceeded(&self, summed: usize) -> bool {
+        self.budget.zip(self.plan.as_ref()).is_some_and(|(budget, plan)| plan.peak_of(summed) > budget as f64)
+    }
+
+    /// Whether it is time to compare the plan with what the fraction `done` of the rays took.
+    fn is_due(&self, done: f64) -> bool {
+        self.budget.is_some() && !self.is_compared && done >= COMPARED_AT
+    }
+
+    /// A better plan, if there is one, for a run whose sums came to `summed` bytes after the fraction `done` of its
+    /// rays. Another plan is only better than one within the budget if that leaves much of it unused.
+    fn better(&mut self, done: f64, summed: usize) -> Option<Plan> {
+        let (planner, plan, budget) = (self.planner.as_mut()?, self.plan.as_ref()?, self.budget? as f64);
+        self.is_compared = true;
+        let other = planner.corrected(plan, done, summed, AIM * budget)?;
+        let here = planner.with_rays_per_vertex(plan.rays_per_vertex).peak();
+        let is_better = here > budget || here < WELL_USED * budget && other.rays_per_vertex < plan.rays_per_vertex;
+        is_better.then_some(other)
+    }
+
+    /// A coarser plan, if there is one, for a run that exceeded its budget after the fraction `done` of its rays.
+    fn coarser(&mut self, done: f64, summed: usize) -> Option<Plan> {
+        let (planner, plan, budget) = (self.planner.as_mut()?, self.plan.as_ref()?, self.budget? as f64);
+        let aims = [AIM, 0.5 * AIM, 0.25 * AIM].into_iter();
+        let mut plans = aims.filter_map(|aim| planner.corrected(plan, done, summed, aim * budget));
+        plans.find(|other| other.rays_per_vertex > plan.rays_per_vertex)
     }
 }
 
 /// Draws the rays of `part` into `builder`, starting after its checkpoint. Returns the progress
 /// and the time spent on summing.
 ///
-/// If the budget is exhausted in spite of the plan, the part starts over with the next coarser plan. The outcome
-/// is that of a run with this plan from the start.
+/// If the budget is exhausted in spite of the plan, or if the first rays show that half of it would remain unused, the
+/// part starts over with a better plan. The outcome is that of a run with this plan from the start.
 fn draw(
     estimation: &mut Estimation,
     limits: &mut Limits,
@@ -334,33 +372,41 @@ fn draw(
     let mut saver = Saver::new(checkpoint.as_ref(), part.file);
     let mut progress = saver.restore(builder, &key(builder))?;
     let mut summing = Duration::ZERO;
+    let all = part.shard.own_rays() as f64;
+    limits.is_compared |= progress.rays as f64 >= COMPARED_AT * all;
     loop {
+        let mut next = None;
         let mut is_over = false;
         let result = part.stream.run(part.shard, progress, *monitor, |batches, so_far| {
             let start = Instant::now();
             builder.add(batches);
             summing += start.elapsed();
-            is_over = limits.budget.is_some_and(|budget| builder.expected_peak() > budget);
-            if is_over {
-                // Ends the stream; `is_over` distinguishes this from Ctrl-C.
+            let (done, summed) = (so_far.rays as f64 / all, builder.memory());
+            if limits.is_exceeded(summed) {
+                (is_over, next) = (true, limits.coarser(done, summed));
+            } else if limits.is_due(done) {
+                next = limits.better(done, summed);
+            }
+            if is_over || next.is_some() {
+                // Ends the stream; these two distinguish this from Ctrl-C.
                 return Err(Error::Interrupted);
             }
             progress = *so_far;
             saver.save_if_due(builder, || key(builder), progress)?;
             tap.as_mut().map_or(Ok(()), |tap: &mut Tap| tap(batches))
         });
-        if !is_over {
+        if !is_over && next.is_none() {
             // A completed group is not drawn again if a later one is interrupted.
             if matches!(result, Err(Error::Interrupted)) || is_group && result.is_ok() {
                 saver.save(builder, || key(builder), progress)?;
             }
             return result.map(|progress| (progress, summing));
         }
-        let Some(tighter) = limits.tighter(builder.lattice()) else {
+        let Some(next) = next else {
             let found = format!("{} MB, used up on the coarsest leaves", limits.budget.unwrap_or(0) / 1_000_000);
             return Err(Error::setting("memory budget", "room for the field, or a lower level or fewer rays", found));
         };
-        builder.limit(&tighter);
-        (limits.plan, limits.is_replanned, progress) = (Some(tighter), true, RunProgress::default());
+        builder.limit(&next);
+        (limits.plan, limits.is_replanned, progress) = (Some(next), true, RunProgress::default());
     }
 }

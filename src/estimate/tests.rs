@@ -113,9 +113,11 @@ fn a_budget_of_memory_is_kept_by_giving_up_levels() {
         Estimation::new(&field, &cameras).rays(settings(20_000)).grid(free).run().unwrap();
     let budget = 40_000_000;
     assert!(peak(&unlimited) > budget && unlimited.limits().is_unlimited());
-    let tight = GridSettings { memory: Some(budget as u64), ..free };
-    let Outcome { field: limited, .. } =
-        Estimation::new(&field, &cameras).rays(settings(20_000)).grid(tight).run().unwrap();
+    // Other tests share this process, so the budget is one for sums and field alone.
+    let tight = GridSettings { memory: Some(u64::MAX), ..free };
+    let mut run = Estimation::new(&field, &cameras).rays(settings(20_000)).grid(tight).prepare().unwrap();
+    run.limits.bound_without_process(budget as u64);
+    let Outcome { field: limited, .. } = run.finish().unwrap();
     assert!(peak(&limited) <= budget && limited.validate().is_ok() && !limited.limits().is_unlimited());
     // Refinement was given up, not coverage: both fields agree on which points were seen.
     let seen = |field: &UncertaintyField, x| field.log10(x) < field.prior().log10() - 1.0;
@@ -190,7 +192,7 @@ fn a_run_that_starts_again_ends_as_if_it_had_been_planned_so() {
     let estimation = |grid| Estimation::new(&field, &cameras).rays(settings(20_000)).grid(grid);
     // Planned without a budget, then run with one that the sums exceed.
     let mut run = estimation(grid).prepare().unwrap();
-    run.limits.budget = Some(40_000_000);
+    run.limits.bound_without_process(40_000_000);
     let again = run.finish().unwrap();
     assert!(again.is_replanned && again.progress.rays == 20_000);
     let plan = again.plan.unwrap();

@@ -27,7 +27,7 @@ use std::path::Path;
 
 use super::{ErrorBars, Protocol, RayCounts, StandardDeviations, Support, UncertaintyField, vertex_count};
 use crate::geometry::Lattice;
-use crate::io::container::{self, Format, Reader};
+use crate::io::container::{self, Format, Reader, Section};
 use crate::octree::{MaxLevels, Octree};
 use crate::posterior::{FactoredSums, VertexSums, Visits};
 use crate::rays::Draw;
@@ -50,6 +50,18 @@ struct Header {
 enum Kind {
     Dense,
     Octree { root_split: bool },
+}
+
+/// Sums, written as their factors. These are computed on the way: all of them would take half as much again as the sums.
+struct Factors<'a>(&'a [VertexSums]);
+
+impl Section for Factors<'_> {
+    fn visit(&self, visit: &mut dyn FnMut(&[u8]) -> std::io::Result<()>) -> std::io::Result<()> {
+        self.0.chunks(1 << 14).try_for_each(|sums| {
+            let factors: Vec<FactoredSums> = sums.iter().map(Into::into).collect();
+            factors.as_slice().visit(visit)
+        })
+    }
 }
 
 /// What a file holds, before it is checked.
@@ -107,11 +119,10 @@ impl UncertaintyField {
         let header = Header { protocol, lattice: self.lattice, kind, draws };
         let sums = self.sums.as_deref().unwrap_or_default();
         let exact = if self.is_part() { sums } else { &[] };
-        let factors: Vec<FactoredSums> =
-            if self.is_part() { Vec::new() } else { sums.iter().map(Into::into).collect() };
+        let factors = Factors(if self.is_part() { &[] } else { sums });
         let limits = self.limits.packed().unwrap_or_default();
         let errors = self.error_bars.as_ref().map(ErrorBars::words).unwrap_or_default();
-        let (masks, surface, factors) = (masks.as_slice(), self.surface.as_slice(), factors.as_slice());
+        let (masks, surface) = (masks.as_slice(), self.surface.as_slice());
         let (limits, errors) = (limits.as_slice(), errors.as_slice());
         let counts = self.visits.as_ref().map_or(&[][..], Visits::counts);
         let counted = if self.is_part() { counts } else { &[] };

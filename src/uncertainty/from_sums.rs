@@ -2,10 +2,39 @@
 
 use rayon::prelude::*;
 
-use super::{Protocol, StandardDeviations, Support};
+use super::{Protocol, RayCounts, StandardDeviations, Support, ray_counts};
 use crate::geometry::Lattice;
-use crate::octree::{MaxLevels, VertexId};
-use crate::posterior::{Prior, VertexSums};
+use crate::octree::{MaxLevels, Octree, VertexId};
+use crate::posterior::{OctreePosterior, Prior, VertexSums};
+
+/// σ of one vertex from its own or pooled sums, as the field stores it.
+fn stored(protocol: &Protocol, sums: &VertexSums, lambda: f64) -> f32 {
+    (protocol.deviation(sums, lambda) as f32).max(f32::MIN_POSITIVE)
+}
+
+/// The sums at a lattice point, in the units of the finest lattice.
+fn comparable(limits: &MaxLevels, point: [u32; 3], mut sums: VertexSums) -> VertexSums {
+    let footprint = limits.footprint(point);
+    sums.information.iter_mut().for_each(|s| *s /= footprint);
+    sums
+}
+
+/// What queries need of every vertex of `octree`, without a copy of the sums, and without pooling, which needs the sums
+/// of neighbours.
+pub fn values_without_sums(
+    protocol: &Protocol,
+    octree: &Octree,
+    posterior: &OctreePosterior,
+) -> (StandardDeviations, RayCounts) {
+    let (mut deviations, mut rays) = (Vec::new(), Vec::new());
+    let value = |(point, sums): ([u32; 3], VertexSums)| {
+        let lambda = protocol.prior.at(protocol.lambda, octree, point);
+        let sums = comparable(posterior.limits(), point, sums);
+        (stored(protocol, &sums, lambda), ray_counts::encode(sums.rays))
+    };
+    posterior.each_at(octree).map(value).unzip_into_vecs(&mut deviations, &mut rays);
+    (StandardDeviations(deviations), RayCounts(rays))
+}
 
 /// Computes σ_v of every vertex from its pooled sums and the local prior.
 ///
@@ -22,7 +51,7 @@ pub fn deviations_from_sums(
     let Protocol { lambda, prior, .. } = *protocol;
     let pooling = protocol.pooling();
     let last = lattice.cells_per_axis();
-    let one = |e: &VertexSums, lambda: f64| (protocol.deviation(e, lambda) as f32).max(f32::MIN_POSITIVE);
+    let one = |e: &VertexSums, lambda: f64| stored(protocol, e, lambda);
     StandardDeviations(match support {
         _ if !pooling.is_on() && prior == Prior::Uniform && limits.is_unlimited() => {
             sums.par_iter().map(|e| one(e, lambda)).collect()
@@ -41,13 +70,10 @@ pub fn deviations_from_sums(
                 true => pooling.pooled(points[v], last, at),
                 false => sums[v],
             };
-            let comparable = |v: usize| {
-                let mut sums = pooled(v);
-                let footprint = limits.footprint(points[v]);
-                sums.information.iter_mut().for_each(|s| *s /= footprint);
-                sums
+            let deviation = |v: usize| {
+                let sums = comparable(limits, points[v], pooled(v));
+                one(&sums, prior.at(lambda, octree, points[v]))
             };
-            let deviation = |v: usize| one(&comparable(v), prior.at(lambda, octree, points[v]));
             (0..points.len()).into_par_iter().map(deviation).collect()
         }
     })

@@ -30,7 +30,7 @@ pub use ray_counts::RayCounts;
 pub use standard_deviations::StandardDeviations;
 pub use threshold::ThresholdedField;
 
-use self::from_sums::deviations_from_sums;
+use self::from_sums::{deviations_from_sums, values_without_sums};
 use crate::geometry::Lattice;
 use crate::octree::{Cell, MaxLevels, Octree, VertexId};
 use crate::posterior::{Covariance, DataScale, OctreePosterior, Refinement, Scale, VertexSums, Visits};
@@ -97,6 +97,17 @@ impl UncertaintyField {
         sums: Vec<VertexSums>,
     ) -> Self {
         let deviations = deviations_from_sums(&protocol, &lattice, &support, &limits, &sums);
+        let rays = sums.iter().map(|sums| sums.rays).collect();
+        Self { sums: Some(sums), ..Self::from_values(protocol, lattice, support, limits, (deviations, rays)) }
+    }
+
+    fn from_values(
+        protocol: Protocol,
+        lattice: Lattice,
+        support: Support,
+        limits: MaxLevels,
+        (deviations, rays): (StandardDeviations, RayCounts),
+    ) -> Self {
         let draws = protocol.draw().into_iter().collect();
         Self {
             protocol,
@@ -104,8 +115,8 @@ impl UncertaintyField {
             support,
             limits,
             deviations,
-            rays: sums.iter().map(|sums| sums.rays).collect(),
-            sums: Some(sums),
+            rays,
+            sums: None,
             error_bars: None,
             surface: Vec::new(),
             visits: None,
@@ -122,6 +133,26 @@ impl UncertaintyField {
     pub fn from_octree(protocol: Protocol, lattice: Lattice, posterior: OctreePosterior, wanted: Vec<Cell>) -> Self {
         let floor = if protocol.is_part() { Refinement::EVERYTHING } else { protocol.pooling().floor };
         Self::from_octree_above(floor, protocol, lattice, posterior, wanted)
+    }
+
+    /// Same as [`UncertaintyField::from_octree`], then [`UncertaintyField::for_queries`], in less memory: the sums are
+    /// not gathered a second time.
+    #[must_use]
+    pub fn from_octree_for_queries(
+        protocol: Protocol,
+        lattice: Lattice,
+        posterior: OctreePosterior,
+        wanted: Vec<Cell>,
+    ) -> Self {
+        if protocol.is_part() || protocol.pooling().is_on() {
+            return Self::from_octree(protocol, lattice, posterior, wanted).for_queries();
+        }
+        let pooling = protocol.pooling();
+        let floor = protocol.criteria.sensitivity.then_some(pooling.floor);
+        let octree = posterior.octree(&Refinement { floor, pooling, wanted });
+        let values = values_without_sums(&protocol, &octree, &posterior);
+        let limits = posterior.limits().clone();
+        Self::from_values(protocol, lattice, Support::Octree(octree), limits, values)
     }
 
     /// Same as [`UncertaintyField::from_octree`], refined around vertices with more information than `floor`.

@@ -81,7 +81,7 @@ pub struct GridOptions {
     #[arg(long, value_name = "LENGTH", value_parser = parse_positive, conflicts_with = "level")]
     pub cell_size: Option<f64>,
 
-    /// Most memory for sums and field, e.g. 2GiB; refinement that the fewest rays support is given up first
+    /// Most memory for the whole process, e.g. 2GiB; refinement that the fewest rays support is given up first
     #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
     pub memory: Option<u64>,
 
@@ -150,6 +150,7 @@ impl GridOptions {
             prior: self.prior,
             min_rays: self.min_rays,
             surface_points: self.surface_points,
+            keep_sums: self.keep_sums,
         })
     }
 

@@ -15,6 +15,7 @@ use super::report::{self, Cost};
 use crate::dataset::Views;
 use crate::estimate::{Checkpoint, Estimation, GridSettings, Outcome, Planner, RaySettings, Run};
 use crate::geometry::Camera;
+use crate::io::memory::{available, resident};
 use crate::rays::{Pixels, RunProgress, SamplesWriter};
 use crate::render::GradientMethod;
 use crate::{Error, Result};
@@ -121,6 +122,9 @@ pub struct Args {
     #[arg(long, requires = "checkpoint")]
     resume: bool,
 }
+
+/// A file of this many bytes is announced before the run.
+const LARGE_FILE: f64 = 5e7;
 
 /// How many rays to draw.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -260,13 +264,28 @@ impl Args {
         })
     }
 
-    /// Says on stderr what the run will need, if it has limits, or if a pilot costs little beside it.
+    /// Says on stderr what the run will need, if it is long, has limits or makes a large file. Refuses a run that needs
+    /// more memory than there is.
     fn forecast(&self, run: &Run, grid: &GridSettings) -> Result<()> {
-        let is_cheap = self.rays != Rays::Auto && run.rays() >= 32 * Planner::PILOT;
-        if grid.needs_plan() || is_cheap {
-            report::plan(&run.forecast()?, grid);
+        if self.rays == Rays::Auto {
+            return Ok(());
         }
-        Ok(())
+        let plan = run.forecast()?;
+        if grid.needs_plan() || run.rays() >= Planner::CHEAP * Planner::PILOT || plan.file > LARGE_FILE {
+            report::plan(&plan, grid);
+        }
+        let left = available().zip(resident()).map(|(available, resident)| (available + resident) as f64);
+        match left {
+            Some(left) if plan.peak() > left => {
+                let expected = format!(
+                    "{}, the peak of the process by a pilot of the run; --memory bounds it, a lower --level or \
+                     --refine ray-count need less",
+                    report::bytes(plan.peak() as usize)
+                );
+                Err(Error::setting("memory", expected, format!("{} free", report::bytes(left as usize))))
+            }
+            _ => Ok(()),
+        }
     }
 
     /// Rays of the run, or the most that it may draw.

@@ -83,6 +83,11 @@ impl BrickList {
     }
 }
 
+/// Expected bytes per brick: its sums, its code in a list that doubles, and its part of the table of blocks.
+///
+/// A block has two to three bricks, and 41 bytes in a table that is two thirds full.
+pub const BRICK_BYTES: f64 = (size_of::<Brick>() + 12 + 25) as f64;
+
 /// Number of contributions whose slots are looked up before the first of them is added.
 const AHEAD: usize = 32;
 

@@ -15,6 +15,7 @@
 //! its contributions in ray order, whatever the number of threads.
 
 mod bricks;
+mod census;
 mod key;
 mod lists;
 mod pilot_counts;
@@ -23,6 +24,7 @@ mod squares;
 mod walk;
 
 pub use bricks::Brick;
+pub use census::{Census, Needs};
 pub use pilot_counts::PilotCounts;
 pub use refine::Refinement;
 
@@ -38,6 +40,11 @@ use super::{Posterior, VertexSums};
 use crate::geometry::Lattice;
 use crate::octree::{Leaves, MaxLevels, coarseness};
 use crate::render::RaySamples;
+
+/// Expected bytes of a brick, with what it takes to find it.
+pub(crate) use bricks::BRICK_BYTES;
+/// Bytes of one ray's contribution to one vertex, before it is summed.
+pub(crate) const CONTRIBUTION_BYTES: usize = size_of::<lists::Contribution>();
 
 /// Information summed in sparse bricks.
 #[derive(Debug, Clone)]
@@ -140,8 +147,11 @@ impl AddAssign<&Self> for OctreePosterior {
 
 impl Posterior for OctreePosterior {
     fn add(&mut self, batches: &[RaySamples]) {
-        let lists: Vec<_> = batches.par_iter().map(|batch| self.contributions(batch)).collect();
-        self.bricks.add(&lists);
+        // A list is several times as large as its batch, so there are only as many as keep the threads busy.
+        for some in batches.chunks(rayon::current_num_threads()) {
+            let lists: Vec<_> = some.par_iter().map(|batch| self.contributions(batch)).collect();
+            self.bricks.add(&lists);
+        }
     }
 
     fn memory(&self) -> usize {

@@ -6,23 +6,27 @@
 //! rays touch V (1 − exp(−t R / (P V))) of them. Leaves that are k levels coarser have V / 4ᵏ vertices, as
 //! surfaces do, and t / 2ᵏ touches, because a ray crosses fewer of them.
 
-use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
-use super::OctreePosterior;
-use crate::octree::{MaxLevels, cells_around};
+use crate::octree::{MaxLevels, cells_around, morton};
 
 /// Counts in one region.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-struct Counts {
+pub struct Counts {
     touches: f64,
-    distinct: f64,
+    pub distinct: f64,
     once: f64,
     twice: f64,
 }
 
 impl Counts {
-    fn add(mut self, other: Self) -> Self {
+    /// One species that `rays` rays touched.
+    pub fn of(rays: u32) -> Self {
+        let is = |n: u32| f64::from(u8::from(rays == n));
+        Self { touches: f64::from(rays), distinct: 1.0, once: is(1), twice: is(2) }
+    }
+
+    pub fn add(mut self, other: Self) -> Self {
         self.touches += other.touches;
         self.distinct += other.distinct;
         self.once += other.once;
@@ -38,7 +42,8 @@ impl Counts {
         (all * (-2.0 * halves).exp2(), self.touches * scale * (-halves).exp2())
     }
 
-    fn vertices(&self, scale: f64, coarser: u8) -> f64 {
+    /// Number of vertices that `scale` times the pilot's rays touch.
+    pub fn vertices(&self, scale: f64, coarser: u8) -> f64 {
         let (all, touches) = self.expected(scale, coarser);
         -all * (-touches / all).exp_m1()
     }
@@ -52,30 +57,17 @@ pub struct PilotCounts {
 }
 
 impl PilotCounts {
-    /// Counts what the rays of `pilot` touched. Its leaves must not be limited.
+    /// Sorts vertices of the finest lattice, Morton codes with their numbers of rays, by region.
     #[must_use]
-    pub fn from_pilot(pilot: &OctreePosterior) -> Self {
-        let finest = pilot.lattice.level();
+    pub fn new(finest: u8, touched: impl IntoIterator<Item = (u64, u32)>) -> Self {
         let limits = MaxLevels::none(finest);
-        let each = pilot.touched().map(|(point, sums)| {
-            let cell = cells_around(point, finest).next().unwrap_or_default();
-            let is = |n: u32| f64::from(u8::from(sums.rays == n));
-            let counts = Counts { touches: f64::from(sums.rays), distinct: 1.0, once: is(1), twice: is(2) };
-            (limits.region_of(cell), counts)
-        });
-        // These are sums of integers, so their order does not matter.
-        let counts = each.fold(FxHashMap::<u64, Counts>::default, |mut map, (region, counts)| {
-            let entry = map.entry(region).or_default();
-            *entry = entry.add(counts);
-            map
-        });
-        let counts = counts.reduce(FxHashMap::default, |mut a, b| {
-            for (region, counts) in b {
-                let entry = a.entry(region).or_default();
-                *entry = entry.add(counts);
-            }
-            a
-        });
+        let mut counts = FxHashMap::<u64, Counts>::default();
+        for (vertex, rays) in touched {
+            let cell = cells_around(morton::decode(vertex), finest).next().unwrap_or_default();
+            // These are sums of integers, so their order does not matter.
+            let entry = counts.entry(limits.region_of(cell)).or_default();
+            *entry = entry.add(Counts::of(rays));
+        }
         Self { finest, counts }
     }
 
@@ -91,19 +83,6 @@ impl PilotCounts {
             (region, coarser.map_or(least, |coarser| self.finest - coarser))
         });
         MaxLevels::balanced(self.finest, wanted)
-    }
-
-    /// Number of vertices that `scale` times the pilot's rays will touch on the leaves of `limits`.
-    #[must_use]
-    pub fn vertices(&self, scale: f64, limits: &MaxLevels) -> f64 {
-        let mut each: Vec<f64> = self
-            .counts
-            .iter()
-            .map(|(&region, counts)| counts.vertices(scale, self.finest - limits.level(region)))
-            .collect();
-        // The iteration order of a hash map must not affect the result.
-        each.sort_unstable_by(f64::total_cmp);
-        each.iter().sum()
     }
 
     /// Fractions of all touches that fall on leaves k = 0, 1, … levels coarser than the finest.
@@ -156,7 +135,7 @@ mod tests {
         // About four rays per vertex, which each coarser level doubles.
         assert_eq!((level(1.0, 3.0), level(1.0, 6.0), level(1.0, 12.0), level(1.0, 1e9)), (8, 7, 6, 3));
         assert_eq!(level(4.0, 12.0), 8, "four times the rays");
-        let [fine, coarse] = [3.0, 6.0].map(|m| survey.vertices(1.0, &survey.limits(1.0, m)));
+        let [fine, coarse] = [0, 1].map(|coarser| survey.counts[&0].vertices(1.0, coarser));
         assert!(
             (3.0..4.1).contains(&(fine / coarse)),
             "a quarter of the vertices, a little better filled: {fine}, {coarse}"

@@ -37,6 +37,14 @@ impl OctreePosterior {
     /// negligible with respect to the floor.
     #[must_use]
     pub fn into_octree(self, refinement: &Refinement) -> (Octree, Vec<VertexSums>) {
+        let octree = self.octree(refinement);
+        let sums = self.sums_at(&octree);
+        (octree, sums)
+    }
+
+    /// The octree of [`OctreePosterior::into_octree`] alone.
+    #[must_use]
+    pub fn octree(&self, refinement: &Refinement) -> Octree {
         let finest = self.lattice.level();
         let mut wanted = self.wanted_around_moved(refinement.floor);
         if refinement.pooling.is_on() {
@@ -55,21 +63,22 @@ impl OctreePosterior {
             let limit = self.limits.leaf(origin);
             wanted.cell(if limit.level < cell.level { limit } else { cell });
         }
-        let octree = Octree::from_wanted(wanted);
-        let sums = self.sums_at(&octree);
-        (octree, sums)
+        Octree::from_wanted(wanted)
     }
 
     /// The sums at the vertices of an octree, in the order of their ids.
     #[must_use]
     pub fn sums_at(&self, octree: &Octree) -> Vec<VertexSums> {
+        self.each_at(octree).map(|(_, sums)| sums).collect()
+    }
+
+    /// The vertices of an octree with their sums, in the order of their ids. Nothing is copied.
+    pub(crate) fn each_at(&self, octree: &Octree) -> impl IndexedParallelIterator<Item = ([u32; 3], VertexSums)> {
         let points = octree.par_vertex_positions();
-        points
-            .map_init(
-                || self.bricks.reader(),
-                |reader, point| reader.get(VertexKey::new(point, self.coarseness(point))),
-            )
-            .collect()
+        points.map_init(
+            || self.bricks.reader(),
+            |reader, point| (point, reader.get(VertexKey::new(point, self.coarseness(point)))),
+        )
     }
 
     /// The leaves around every vertex with more information than `floor`.
