@@ -154,3 +154,18 @@ fn contracted_fields_are_made_stored_and_asked_anywhere() {
     assert!(stderr.contains("--inner"), "{stderr}");
     assert!(refused(folder, "convert all.oct x.npy").contains("contracted"));
 }
+
+/// Processes are never of exactly the same size, but parts of one run must have the same leaves.
+#[test]
+fn parts_under_a_budget_make_the_same_plan_and_merge() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    for index in 0..3 {
+        let run = format!("{RUN} --level 10 --memory 110MB --shard {index}/3 -o part{index}.oct");
+        let stderr = good(folder, &run);
+        assert!(stderr.contains("given up"), "{stderr}");
+    }
+    good(folder, "merge part0.oct part1.oct part2.oct -o whole.oct");
+    let whole = read(folder, "whole.oct");
+    assert!(!whole.limits().is_unlimited() && !whole.is_part() && whole.validate().is_ok());
+}

@@ -35,7 +35,7 @@ const BATCH: usize = 1 << 18;
 /// A field with error bars adds a column, `log10_error`: the root mean square error of log10 U, in decades. Where
 /// too few rays passed to know it, it is empty in `.csv` and NaN in `.npy`.
 #[derive(clap::Args)]
-#[command(after_help = "Example: echo 0,0,0.5 | octobayes query lego.oct - -o -")]
+#[command(after_help = "Example: echo 0,0,0.5 | octobayes query lego.oct -")]
 pub struct Args {
     /// The field: `.oct`, or the official code's `.npy`
     field: PathBuf,
@@ -44,7 +44,7 @@ pub struct Args {
     points: PathBuf,
 
     /// Answers: `.npy`, `.csv`, or `-`
-    #[arg(short, long, value_name = "OUT")]
+    #[arg(short, long, value_name = "OUT", default_value = "-")]
     output: PathBuf,
 
     /// Read another covariance than the field's own; the field must keep its sums

@@ -71,7 +71,8 @@ pub struct Args {
     #[arg(long, value_name = "N", value_parser = count::<u64>(1..), conflicts_with = "time")]
     steps: Option<u64>,
 
-    /// Training time, such as 90s, 5min or 1h30m; how many steps fit depends on the machine [default: 3m]
+    /// Time of training itself, such as 90s, 5min or 1h30m; loading images and the measurement at the end take more.
+    /// How many steps fit depends on the machine [default: 3m]
     #[arg(long, value_name = "TIME", value_parser = parse_time)]
     time: Option<Duration>,
 
@@ -358,6 +359,7 @@ fn check_framing(train: &[Shot], domain: &Domain) -> Result<()> {
             (Aabb::new(center - half, center + half)?, false)
         }
     };
+    note_contracted_cameras(&cameras, domain);
     let framing = Framing::from_cameras(&cameras, &bounds);
     let Some(causes) = framing.causes() else { return Ok(()) };
     let measured = framing.measured();
@@ -367,6 +369,23 @@ fn check_framing(train: &[Shot], domain: &Domain) -> Result<()> {
     }
     eprintln!("warning: the cameras see little of the space to be trained: {measured}; likely causes: {causes}");
     Ok(())
+}
+
+/// Says on stderr if cameras stand where space is contracted: what they see from nearby has fewer cells than it could.
+fn note_contracted_cameras(cameras: &[Camera], domain: &Domain) {
+    let outside = cameras.iter().filter(|camera| domain.stretch(camera.position.as_vec3()) > 1.0).count();
+    if outside > 0 {
+        let (low, high) = cameras
+            .iter()
+            .fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(l, h), c| (l.min(c.position), h.max(c.position)));
+        let [x, y, z] = (0.5 * (low + high)).to_array();
+        let radius = 0.5 * (high - low).length();
+        eprintln!(
+            "note: {outside} of {} cameras stand where space is contracted; --inner {x:.3},{y:.3},{z:.3},{radius:.3} \
+             would hold them all",
+            cameras.len()
+        );
+    }
 }
 
 /// Warns if a model shows images hardly better than a single colour would.

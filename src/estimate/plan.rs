@@ -31,6 +31,9 @@ const BUILDING: f64 = 4.0;
 const EXACT: f64 = (6 * size_of::<f64>() + size_of::<u32>()) as f64;
 /// Bytes that every process needs beyond what the pilot shows: visits, chunks of bricks that are not full.
 const RESERVE: f64 = 6e6;
+/// What the process holds is rounded up to multiples of this, so that runs on equal machines, and shards above all, make
+/// the same plan although no two processes are of exactly the same size.
+const GRAIN: f64 = 16e6;
 /// Contributions are kept in lists that double when they are full.
 const LISTS: f64 = 1.5;
 /// Maximal number of species in each of a census's samples, if memory is short.
@@ -127,7 +130,8 @@ impl Planner {
         })?;
         let lists = LISTS * (rayon::current_num_threads() * census.longest_batch() * CONTRIBUTION_BYTES) as f64;
         let scale = rays.rays as f64 / pilot.rays as f64;
-        let own_scale = shard.own_rays() as f64 / pilot.rays as f64;
+        // All parts of a run expect the same.
+        let own_scale = scale / shard.of as f64;
         let vertices_unlimited = census.needs(own_scale, &MaxLevels::none(lattice.level())).vertices;
         Ok(Self {
             settings,
@@ -138,7 +142,7 @@ impl Planner {
             scale,
             own_scale,
             is_part: shard.of > 1,
-            outside: outside + lists + RESERVE,
+            outside: ((outside + lists + RESERVE) / GRAIN).ceil() * GRAIN,
             correction: 1.0,
             time: start.elapsed().mul_f64(own_scale),
         })
