@@ -6,8 +6,10 @@ mod jacobian;
 mod march;
 mod noise;
 mod occupancy;
+mod question;
 mod samples;
 mod shade;
+mod together;
 mod trace;
 mod view;
 
@@ -18,5 +20,8 @@ pub use march::{Marcher, SampleDistances};
 pub use noise::{DifferenceError, DifferenceErrors, LONGEST_STEP, TABLE, noise_level};
 pub use occupancy::Occupancy;
 pub use samples::{RaySample, RaySamples, VisibleSegment};
+pub use together::{RayGroup, RaysTogether};
 pub use trace::{TraceBuffers, TracedRays, Tracer};
 pub use view::{Probe, RayAverage, RenderedView, render_view};
+
+use question::{Kind, Question};

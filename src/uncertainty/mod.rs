@@ -9,6 +9,7 @@ mod densify;
 mod error_bars;
 mod file;
 mod from_sums;
+mod matrices;
 mod merge;
 mod official;
 mod protocol;
