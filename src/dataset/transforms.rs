@@ -284,7 +284,8 @@ impl Views {
                     found,
                 )
             })?;
-            let (position, axes) = pose(raw.transform_matrix.as_deref()).map_err(|found| {
+            let pose = raw.transform_matrix.as_deref().ok_or_else(|| "none".to_string()).and_then(rigid_pose);
+            let (position, axes) = pose.map_err(|found| {
                 Error::malformed(path, place("`transform_matrix`"), "a 4x4 camera-to-world pose", found)
             })?;
             let distortion = intrinsics.distortion().map_err(|found| {
@@ -329,9 +330,12 @@ fn image_path(folder: &Path, file_path: &str) -> PathBuf {
     if known { path } else { PathBuf::from(format!("{}.png", path.display())) }
 }
 
-/// Position and rotation of a pose; the error says what is wrong with it.
-fn pose(matrix: Option<&[Vec<f64>]>) -> std::result::Result<(DVec3, DMat3), String> {
-    let matrix = matrix.ok_or("none")?;
+/// Position and rotation of a camera-to-world matrix of 3 or 4 rows, from which a uniform scale is removed; the error
+/// says what is wrong with it.
+///
+/// # Errors
+/// If the matrix is not a finite rigid pose times a positive scale.
+pub fn rigid_pose(matrix: &[Vec<f64>]) -> std::result::Result<(DVec3, DMat3), String> {
     if !(3..=4).contains(&matrix.len()) || matrix.iter().any(|row| row.len() != 4) {
         return Err(format!("rows of {:?} numbers", matrix.iter().map(Vec::len).collect::<Vec<_>>()));
     }

@@ -160,13 +160,16 @@ impl Sight {
 
     fn with_rays(rays: usize, stream: &RayStream, domain: &Domain, monitor: &dyn Monitor) -> Result<Self> {
         let views = views(stream.cameras, rays, stream.pixel_offset);
+        // A field that wants many points at once sees all views as one.
+        let each = if stream.tracer.field.batch() > 0 { views.len().max(1) } else { 1 };
         let seen = views
-            .par_iter()
-            .map_init(TraceBuffers::default, |buffers, view| {
+            .par_chunks(each)
+            .map_init(TraceBuffers::default, |buffers, views| {
                 check(monitor)?;
-                Ok(seen(view, stream, domain, buffers))
+                Ok(seen(views, stream, domain, buffers))
             })
-            .collect::<Result<Vec<Seen>>>()?;
+            .collect::<Result<Vec<_>>>()?
+            .concat();
         let mean = |of: &dyn Fn(&Seen) -> f64| seen.iter().map(of).sum::<f64>() / seen.len().max(1) as f64;
         Ok(Self {
             framing: Framing::from_views(&views, &stream.tracer.field.bounds()),
@@ -218,25 +221,33 @@ impl Sight {
     }
 }
 
-fn seen<'b>(view: &View, stream: &'b RayStream, domain: &Domain, buffers: &mut TraceBuffers<'b>) -> Seen {
+fn seen<'b>(views: &[View], stream: &'b RayStream, domain: &Domain, buffers: &mut TraceBuffers<'b>) -> Vec<Seen> {
     let tracer = &stream.tracer;
-    tracer.trace(&view.rays, &vec![0.5; view.rays.len()], buffers);
+    let rays: Vec<Ray> = views.iter().flat_map(|view| &view.rays).copied().collect();
+    tracer.trace(&rays, &vec![0.5; rays.len()], buffers);
     let traced = &buffers.traced;
     let mut quadrature = CompositingWeights::default();
     quadrature.set(traced, tracer.marcher.step);
-    let (mut matter, mut within, mut near) = (0_usize, 0_usize, 0_usize);
-    for ray in 0..traced.rays() {
-        let sum = |keep: &dyn Fn(usize) -> bool| -> f64 {
-            traced.samples(ray).filter(|&i| keep(i)).map(|i| quadrature.weights[i]).sum()
-        };
-        let least = f64::from(SURFACE_WEIGHT);
-        matter += usize::from(sum(&|_| true) >= least);
-        within += usize::from(sum(&|i| domain.to_unit(traced.positions[i]).is_some()) >= least);
-        near += usize::from(sum(&|i| traced.t[i] <= NEAR * tracer.marcher.step) >= 0.5);
-    }
-    let count = view.rays.len() as f64;
-    let inside = tracer.marcher.bounds.contains(view.camera.position.as_vec3());
-    (matter as f64 / count, within as f64 / count, inside && 2 * near >= view.rays.len(), traced.dropped)
+    let mut first = 0;
+    let of_view = |view: &View| {
+        let rays = first..first + view.rays.len();
+        first = rays.end;
+        let (mut matter, mut within, mut near, mut dropped) = (0_usize, 0_usize, 0_usize, 0_u64);
+        for ray in rays {
+            let sum = |keep: &dyn Fn(usize) -> bool| -> f64 {
+                traced.samples(ray).filter(|&i| keep(i)).map(|i| quadrature.weights[i]).sum()
+            };
+            let least = f64::from(SURFACE_WEIGHT);
+            matter += usize::from(sum(&|_| true) >= least);
+            within += usize::from(sum(&|i| domain.to_unit(traced.positions[i]).is_some()) >= least);
+            near += usize::from(sum(&|i| traced.t[i] <= NEAR * tracer.marcher.step) >= 0.5);
+            dropped += u64::from(traced.is_dropped[ray]);
+        }
+        let count = view.rays.len() as f64;
+        let inside = tracer.marcher.bounds.contains(view.camera.position.as_vec3());
+        (matter as f64 / count, within as f64 / count, inside && 2 * near >= view.rays.len(), dropped)
+    };
+    views.iter().map(of_view).collect()
 }
 
 #[cfg(test)]

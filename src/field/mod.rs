@@ -184,6 +184,15 @@ pub trait RadianceField: Send + Sync {
         0.5
     }
 
+    /// Number of points from which on asking pays, 0 if a few hundred will do.
+    ///
+    /// A field that is dear to enter, such as one in another language or on a GPU, gets at least as many points at
+    /// once where rays permit: rays then run side by side until enough questions have come up
+    /// ([`RayStream::run`](crate::rays::RayStream::run)). Results are the same.
+    fn batch(&self) -> usize {
+        0
+    }
+
     /// Size of parameters and tables, bytes; 0 if nobody knows.
     fn memory(&self) -> usize {
         0

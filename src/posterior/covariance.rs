@@ -1,7 +1,7 @@
 //! Standard deviations computed from a vertex's information.
 
 use super::double_double::DoubleDouble;
-use super::{VertexSums, trace};
+use super::{Information, VertexSums, trace};
 
 /// The definition of the standard deviation σ_v, computed from H_v = (2/R) S_v + 2λ I.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, serde::Serialize, serde::Deserialize)]
@@ -43,6 +43,27 @@ impl Covariance {
             Self::Block => InverseFactor::new(hessian(per_ray), 2.0 * lambda).trace(),
         };
         f64::sqrt(variance)
+    }
+
+    /// The covariance matrix (xx, xy, xz, yy, yz, zz) whose trace is σ_v², squared scene units.
+    ///
+    /// `block` has all of H⁻¹, `diagonal` 1 / H_kk on its diagonal, and `trace`, which knows no directions, a third of
+    /// σ_v² in each.
+    #[must_use]
+    pub fn matrix(self, sums: &VertexSums, rays: u64, lambda: f64) -> Information {
+        let per_ray = 1.0 / (rays.max(1) as f64);
+        let hessian = sums.information.map(|s| 2.0 * per_ray * s);
+        match self {
+            Self::Diagonal => {
+                let [xx, yy, zz] = [0, 3, 5].map(|k| 1.0 / (hessian[k] + 2.0 * lambda));
+                [xx, 0.0, 0.0, yy, 0.0, zz]
+            }
+            Self::Trace => {
+                let third = self.deviation(sums, rays, lambda).powi(2) / 3.0;
+                [third, 0.0, 0.0, third, 0.0, third]
+            }
+            Self::Block => InverseFactor::new(hessian, 2.0 * lambda).matrix(),
+        }
     }
 
     /// σ_v in scene units at a vertex that no ray touched.
@@ -152,6 +173,14 @@ impl InverseFactor {
         Self { rows, inverse_pivots: [d0, d1, d2].map(|d| 1.0 / f64::from(d)), floor }
     }
 
+    /// H⁻¹ = Mᵀ D⁻¹ M.
+    fn matrix(&self) -> Information {
+        let ([m10, m20, m21], [p0, p1, p2]) = (self.rows, self.inverse_pivots);
+        let rows = [(p0, [1.0, 0.0, 0.0]), (p1, [m10, 1.0, 0.0]), (p2, [m20, m21, 1.0])];
+        [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]
+            .map(|(i, j)| rows.iter().map(|(pivot, row)| pivot * row[i] * row[j]).sum())
+    }
+
     /// tr(H⁻¹) = Σ_i ‖M_i‖² / d_i.
     fn trace(&self) -> f64 {
         let ([m10, m20, m21], [p0, p1, p2]) = (self.rows, self.inverse_pivots);
@@ -163,7 +192,6 @@ impl InverseFactor {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::posterior::Information;
     use num_rational::BigRational;
     use num_traits::ToPrimitive;
     use proptest::prelude::*;
@@ -186,6 +214,21 @@ mod tests {
             }
             s
         })
+    }
+
+    #[test]
+    fn matrices_are_the_inverses_whose_trace_is_the_variance() {
+        // H = 2 S / R + 2 λ with S / R = [[2, 1, 0], [1, 2, 0], [0, 0, 5]] and λ = ½ is [[5, 2, 0], [2, 5, 0], [0, 0, 11]].
+        let sums = seen([20.0, 10.0, 0.0, 20.0, 0.0, 50.0]);
+        let matrix = |covariance: Covariance| covariance.matrix(&sums, 10, 0.5);
+        let expected = [5.0 / 21.0, -2.0 / 21.0, 0.0, 5.0 / 21.0, 0.0, 1.0 / 11.0];
+        assert!(matrix(Covariance::Block).iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-15));
+        assert_eq!(matrix(Covariance::Diagonal), [0.2, 0.0, 0.0, 0.2, 0.0, 1.0 / 11.0]);
+        for covariance in Covariance::ALL {
+            let variance = covariance.deviation(&sums, 10, 0.5).powi(2);
+            // A few roundings of f64.
+            assert!((trace(&matrix(covariance)) / variance - 1.0).abs() < 1e-14, "{covariance:?}");
+        }
     }
 
     #[test]

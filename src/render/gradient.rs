@@ -2,6 +2,7 @@
 
 use glam::{DVec3, Vec3};
 
+use super::Question;
 use crate::field::{Differentiable, Radiance, RadianceField, RadianceJet};
 use crate::geometry::{Aabb, Domain};
 use crate::{Error, Result};
@@ -116,7 +117,6 @@ pub(super) struct GradientBuffers {
     densities: Vec<f32>,
     jets: Vec<RadianceJet>,
     gradients: Vec<Vec3>,
-    ignored: Vec<f32>,
 }
 
 impl Differentiation<'_> {
@@ -132,22 +132,50 @@ impl Differentiation<'_> {
         self.analytic.is_none().then(|| self.differences.step.to_array())
     }
 
-    /// Writes the jets of `field` at `positions` seen along `directions` to `out`; `None` where the field is not
-    /// finite there or nearby.
-    pub(super) fn jets(
+    /// Prepares the question for the jets of a field at `positions` seen along `directions`.
+    pub(super) fn ask_jets(
         &self,
-        field: &dyn RadianceField,
+        bounds: &Aabb,
         positions: &[Vec3],
         directions: &[Vec3],
         buffers: &mut GradientBuffers,
-        out: &mut Vec<Option<Jet>>,
     ) {
+        if self.analytic.is_some() {
+            buffers.jets.resize(positions.len(), RadianceJet::default());
+            return;
+        }
+        let GradientBuffers { positions: around, directions: along, radiance, .. } = buffers;
+        around.clear();
+        along.clear();
+        for (&x, &direction) in positions.iter().zip(directions) {
+            around.push(x);
+            around.extend(self.differences.around(x, bounds));
+            along.extend([direction; 7]);
+        }
+        radiance.clear();
+        radiance.resize(around.len(), Radiance::default());
+    }
+
+    /// That question.
+    pub(super) fn jets_question<'q>(
+        &self,
+        positions: &'q [Vec3],
+        directions: &'q [Vec3],
+        buffers: &'q mut GradientBuffers,
+    ) -> Question<'q> {
+        let GradientBuffers { positions: around, directions: along, radiance, jets, .. } = buffers;
+        if self.analytic.is_some() {
+            Question::Jets { positions, directions, out: jets }
+        } else {
+            Question::Radiance { positions: around, directions: along, out: radiance }
+        }
+    }
+
+    /// Writes the jets to `out`, once the question is answered; `None` where the field is not finite there or nearby.
+    pub(super) fn read_jets(&self, buffers: &GradientBuffers, out: &mut Vec<Option<Jet>>) {
         out.clear();
-        if let Some(analytic) = self.analytic {
-            let jets = &mut buffers.jets;
-            jets.resize(positions.len(), RadianceJet::default());
-            analytic.jets(positions, directions, jets);
-            out.extend(jets.iter().map(|jet| {
+        if self.analytic.is_some() {
+            out.extend(buffers.jets.iter().map(|jet| {
                 let finite = jet.value.is_valid()
                     && jet.density_gradient.is_finite()
                     && jet.color_gradients.iter().all(|g| g.is_finite());
@@ -159,18 +187,7 @@ impl Differentiation<'_> {
             }));
             return;
         }
-        let bounds = field.bounds();
-        let GradientBuffers { positions: around, directions: along, radiance, .. } = buffers;
-        around.clear();
-        along.clear();
-        for (&x, &direction) in positions.iter().zip(directions) {
-            around.push(x);
-            around.extend(self.differences.around(x, &bounds));
-            along.extend([direction; 7]);
-        }
-        radiance.clear();
-        radiance.resize(around.len(), Radiance::default());
-        field.evaluate(around, along, radiance);
+        let GradientBuffers { positions: around, radiance, .. } = buffers;
         out.extend(around.as_chunks::<7>().0.iter().zip(radiance.as_chunks::<7>().0).map(|(x, r)| {
             let (x, [center, r @ ..]) = (&x[1..], r);
             let finite = center.is_valid() && r.iter().all(Radiance::is_valid);
@@ -187,30 +204,42 @@ impl Differentiation<'_> {
         self.analytic.filter(|field| field.is_cheap())
     }
 
-    /// Writes ∇σ of `field` at `positions` to `out`; `None` where it is not finite.
-    pub(super) fn density_gradients(
-        &self,
-        field: &dyn RadianceField,
-        positions: &[Vec3],
-        buffers: &mut GradientBuffers,
-        out: &mut Vec<Option<DVec3>>,
-    ) {
-        out.clear();
-        if let Some(analytic) = self.analytic {
-            let GradientBuffers { gradients, ignored, .. } = buffers;
+    /// Prepares the question for ∇σ of a field at `positions`.
+    pub(super) fn ask_density_gradients(&self, bounds: &Aabb, positions: &[Vec3], buffers: &mut GradientBuffers) {
+        let GradientBuffers { positions: around, densities, gradients, .. } = buffers;
+        around.clear();
+        densities.clear();
+        if self.analytic.is_some() {
             gradients.resize(positions.len(), Vec3::ZERO);
-            ignored.resize(positions.len(), 0.0);
-            analytic.density_jets(positions, ignored, gradients);
+            densities.resize(positions.len(), 0.0);
+        } else {
+            around.extend(positions.iter().flat_map(|&x| self.differences.around(x, bounds)));
+            densities.resize(around.len(), 0.0);
+        }
+    }
+
+    /// That question.
+    pub(super) fn density_gradients_question<'q>(
+        &self,
+        positions: &'q [Vec3],
+        buffers: &'q mut GradientBuffers,
+    ) -> Question<'q> {
+        let GradientBuffers { positions: around, densities, gradients, .. } = buffers;
+        if self.analytic.is_some() {
+            Question::DensityJets { positions, densities, gradients }
+        } else {
+            Question::Densities { positions: around, out: densities }
+        }
+    }
+
+    /// Writes ∇σ to `out`, once the question is answered; `None` where it is not finite.
+    pub(super) fn read_density_gradients(&self, buffers: &GradientBuffers, out: &mut Vec<Option<DVec3>>) {
+        let GradientBuffers { positions: around, densities, gradients, .. } = buffers;
+        out.clear();
+        if self.analytic.is_some() {
             out.extend(gradients.iter().map(|gradient| gradient.is_finite().then(|| gradient.as_dvec3())));
             return;
         }
-        let bounds = field.bounds();
-        let GradientBuffers { positions: around, densities, .. } = buffers;
-        around.clear();
-        around.extend(positions.iter().flat_map(|&x| self.differences.around(x, &bounds)));
-        densities.clear();
-        densities.resize(around.len(), 0.0);
-        field.densities(around, densities);
         out.extend(around.as_chunks::<6>().0.iter().zip(densities.as_chunks::<6>().0).map(|(x, densities)| {
             let finite = densities.iter().all(|&density| density >= 0.0 && density.is_finite());
             finite.then(|| differences(x, |i| f64::from(densities[i])).into())

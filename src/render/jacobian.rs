@@ -11,13 +11,32 @@ use itertools::{Itertools, izip};
 
 use super::choose::Chosen;
 use super::gradient::{GradientBuffers, Jet};
-use super::{CompositingWeights, Differentiation, RaySample, RaySamples, TraceBuffers, Tracer, VisibleSegment};
+use super::{
+    CompositingWeights, Differentiation, Question, RaySample, RaySamples, TraceBuffers, Tracer, VisibleSegment,
+};
 use crate::field::Radiance;
 use crate::geometry::Ray;
 
-/// Buffers that a thread reuses from batch to batch.
+/// How far a group of rays has come, and with it what it asks of the field next.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+enum Stage {
+    /// σ at the next samples.
+    Tracing,
+    /// Jets of the visible samples.
+    Jets,
+    /// ∇σ of the lurking samples.
+    DensityGradients,
+    /// Colours of the samples that need no more.
+    Colors,
+    /// Nothing.
+    #[default]
+    Done,
+}
+
+/// Buffers that a thread reuses from batch to batch, or rays on the way to their Jacobians.
 #[derive(Default)]
 pub struct JacobianBuffers<'a> {
+    stage: Stage,
     pub(super) trace: TraceBuffers<'a>,
     pub(super) quadrature: CompositingWeights,
     pub(super) visible: Chosen,
@@ -36,6 +55,23 @@ pub struct JacobianBuffers<'a> {
     invalid: Vec<Option<u32>>,
 }
 
+impl JacobianBuffers<'_> {
+    /// What the rays ask of the field; `None` once they need nothing more.
+    pub(super) fn question(&mut self, how: &Differentiation) -> Option<Question<'_>> {
+        let Self { trace, visible, lurking, faint, gradient, radiance, .. } = self;
+        match self.stage {
+            Stage::Tracing => Some(trace.question()),
+            Stage::Jets => Some(how.jets_question(&visible.positions, &visible.directions, gradient)),
+            Stage::DensityGradients => Some(how.density_gradients_question(&lurking.positions, gradient)),
+            Stage::Colors => {
+                let (positions, directions) = (&faint.positions, &faint.directions);
+                Some(Question::Radiance { positions, directions, out: radiance })
+            }
+            Stage::Done => None,
+        }
+    }
+}
+
 impl Tracer<'_> {
     /// Traces `rays`, numbered from `first_ray`, and differentiates their pixels.
     #[must_use]
@@ -47,24 +83,71 @@ impl Tracer<'_> {
         differentiation: &Differentiation,
         buffers: &mut JacobianBuffers<'b>,
     ) -> RaySamples {
-        self.trace_with(rays, jitter, differentiation.along_rays(), &mut buffers.trace);
-        buffers.quadrature.set(&buffers.trace.traced, self.marcher.step);
-        self.differentiate(rays, differentiation, buffers);
+        self.begin(rays, jitter, differentiation, buffers);
+        while let Some(question) = buffers.question(differentiation) {
+            question.answer(self.field, differentiation.analytic);
+            self.advance(rays, differentiation, buffers);
+        }
         self.assemble(rays, first_ray, buffers)
     }
 
-    /// Fills the buffers that depend on `quadrature`.
-    fn differentiate(&self, rays: &[Ray], differentiation: &Differentiation, buffers: &mut JacobianBuffers) {
+    /// Takes rays to their first question.
+    pub(super) fn begin<'b>(
+        &'b self,
+        rays: &[Ray],
+        jitter: &[f64],
+        differentiation: &Differentiation,
+        buffers: &mut JacobianBuffers<'b>,
+    ) {
+        self.start(rays, jitter, &mut buffers.trace);
+        self.trace_on(rays, differentiation, buffers);
+    }
+
+    /// Takes rays whose question is answered to the next one that asks for anything.
+    pub(super) fn advance(&self, rays: &[Ray], differentiation: &Differentiation, buffers: &mut JacobianBuffers) {
+        match buffers.stage {
+            Stage::Tracing => {
+                self.absorb(&mut buffers.trace);
+                self.trace_on(rays, differentiation, buffers);
+            }
+            Stage::Jets => self.read_jets(differentiation, buffers),
+            Stage::DensityGradients => {
+                differentiation.read_density_gradients(&buffers.gradient, &mut buffers.density_gradients);
+                self.weigh_lurking(buffers);
+            }
+            Stage::Colors => Self::read_colors(buffers),
+            Stage::Done => {}
+        }
+    }
+
+    /// Takes the next samples along the rays, or, where these have ended, those that matter.
+    fn trace_on(&self, rays: &[Ray], differentiation: &Differentiation, buffers: &mut JacobianBuffers) {
+        let with_gradients = differentiation.along_rays().is_some();
+        buffers.stage = Stage::Tracing;
+        if self.next_round(rays, with_gradients, &mut buffers.trace) {
+            return;
+        }
+        buffers.trace.gather();
+        buffers.quadrature.set(&buffers.trace.traced, self.marcher.step);
         self.choose(rays, differentiation, buffers);
-        let JacobianBuffers { visible, lurking, faint, gradient, jets, density_gradients, colors, invalid, .. } =
-            buffers;
-        let (traced, quadrature) = (&buffers.trace.traced, &buffers.quadrature);
+        let JacobianBuffers { trace, visible, gradient, colors, invalid, stage, .. } = &mut *buffers;
         invalid.clear();
         invalid.resize(rays.len(), None);
         colors.clear();
-        colors.resize(traced.positions.len(), Vec3::ZERO);
+        colors.resize(trace.traced.positions.len(), Vec3::ZERO);
+        differentiation.ask_jets(&self.field.bounds(), &visible.positions, &visible.directions, gradient);
+        *stage = Stage::Jets;
+        if visible.positions.is_empty() {
+            self.read_jets(differentiation, buffers);
+        }
+    }
 
-        differentiation.jets(self.field, &visible.positions, &visible.directions, gradient, jets);
+    /// Takes in the jets of the visible samples, and prepares for ∇σ of the lurking ones.
+    fn read_jets(&self, differentiation: &Differentiation, buffers: &mut JacobianBuffers) {
+        let JacobianBuffers {
+            trace, visible, lurking, gradient, jets, density_gradients, colors, invalid, stage, ..
+        } = &mut *buffers;
+        differentiation.read_jets(gradient, jets);
         for (i, jet) in jets.iter().enumerate() {
             match jet {
                 Some(jet) => colors[visible.samples[i] as usize] = jet.color,
@@ -73,14 +156,25 @@ impl Tracer<'_> {
                 }
             }
         }
-
-        if traced.density_gradients.is_empty() {
-            differentiation.density_gradients(self.field, &lurking.positions, gradient, density_gradients);
-        } else {
-            let known = lurking.samples.iter().map(|&i| traced.density_gradients[i as usize]);
+        let known = &trace.traced.density_gradients;
+        if !known.is_empty() {
+            let known = lurking.samples.iter().map(|&i| known[i as usize]);
             density_gradients.clear();
             density_gradients.extend(known.map(|g| g.is_finite().then(|| g.as_dvec3())));
+            self.weigh_lurking(buffers);
+        } else if lurking.positions.is_empty() {
+            density_gradients.clear();
+            self.weigh_lurking(buffers);
+        } else {
+            differentiation.ask_density_gradients(&self.field.bounds(), &lurking.positions, gradient);
+            *stage = Stage::DensityGradients;
         }
+    }
+
+    /// Keeps the lurking samples that can change their pixel, and prepares for the colours of all that need no more.
+    fn weigh_lurking(&self, buffers: &mut JacobianBuffers) {
+        let JacobianBuffers { quadrature, lurking, faint, density_gradients, invalid, radiance, stage, .. } =
+            &mut *buffers;
         // The few that can change their pixel move to the front; of the others, some are faint.
         let mut kept = 0;
         for i in 0..lurking.samples.len() {
@@ -100,27 +194,27 @@ impl Tracer<'_> {
         }
         lurking.truncate(kept);
         density_gradients.truncate(kept);
-        self.color(buffers);
-    }
-
-    /// Evaluates the colours of samples that need no more.
-    fn color(&self, buffers: &mut JacobianBuffers) {
-        let JacobianBuffers { lurking, faint, radiance, colors, invalid, .. } = buffers;
         faint.append(lurking);
         radiance.clear();
         radiance.resize(faint.samples.len(), Radiance::default());
-        self.field.evaluate(&faint.positions, &faint.directions, radiance);
+        *stage = if faint.samples.is_empty() { Stage::Done } else { Stage::Colors };
+    }
+
+    /// Takes in the colours of samples that need no more.
+    fn read_colors(buffers: &mut JacobianBuffers) {
+        let JacobianBuffers { faint, radiance, colors, invalid, stage, .. } = buffers;
         for (i, radiance) in radiance.iter().enumerate() {
             colors[faint.samples[i] as usize] = radiance.color;
             if !radiance.is_valid() {
                 invalid[faint.rays[i] as usize].get_or_insert(faint.samples[i]);
             }
         }
+        *stage = Stage::Done;
     }
 
     /// Assembles the Jacobians of the chosen samples. A ray with an invalid evaluation is dropped as a whole, like
     /// a ray with an invalid density.
-    fn assemble(&self, rays: &[Ray], first_ray: u64, buffers: &mut JacobianBuffers) -> RaySamples {
+    pub(super) fn assemble(&self, rays: &[Ray], first_ray: u64, buffers: &mut JacobianBuffers) -> RaySamples {
         let JacobianBuffers { trace, quadrature, visible, lurking, jets, density_gradients, colors, invalid, .. } =
             buffers;
         let traced = &trace.traced;

@@ -7,8 +7,10 @@ mod jacobian;
 mod march;
 mod noise;
 mod occupancy;
+mod question;
 mod samples;
 mod shade;
+mod together;
 mod trace;
 mod view;
 
@@ -19,5 +21,8 @@ pub use march::{Marcher, SampleDistances};
 pub use noise::{DifferenceError, DifferenceErrors, LONGEST_STEP, TABLE, noise_level};
 pub use occupancy::Occupancy;
 pub use samples::{RaySample, RaySamples, VisibleSegment};
+pub use together::{RayGroup, RaysTogether};
 pub use trace::{TraceBuffers, TracedRays, Tracer};
 pub use view::{Probe, RayAverage, RenderedView, render_view};
+
+use question::{Kind, Question};

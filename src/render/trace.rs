@@ -4,7 +4,7 @@
 
 use glam::{DVec3, Vec3};
 
-use super::{Marcher, SampleDistances};
+use super::{Marcher, Question, SampleDistances};
 use crate::field::{Differentiable, RadianceField};
 use crate::geometry::Ray;
 
@@ -98,6 +98,8 @@ impl Samples {
 pub struct TraceBuffers<'a> {
     paths: Vec<Path<'a>>,
     samples: Samples,
+    /// First sample of the round.
+    round: usize,
     /// Samples of the rays.
     pub traced: TracedRays,
 }
@@ -123,7 +125,18 @@ impl<'a> Tracer<'a> {
         gradients: Option<&dyn Differentiable>,
         buffers: &mut TraceBuffers<'b>,
     ) {
-        let TraceBuffers { paths, samples, traced } = buffers;
+        self.start(rays, jitter, buffers);
+        while self.next_round(rays, gradients.is_some(), buffers) {
+            buffers.question().answer(self.field, gradients);
+            self.absorb(buffers);
+        }
+        buffers.gather();
+    }
+
+    /// Begins to trace `rays`: [`Tracer::next_round`], the field's answers and [`Tracer::absorb`] follow in turns, and
+    /// [`TraceBuffers::gather`] when there is no further round.
+    pub(super) fn start<'b>(&'b self, rays: &[Ray], jitter: &[f64], buffers: &mut TraceBuffers<'b>) {
+        let TraceBuffers { paths, samples, .. } = buffers;
         paths.clear();
         paths.extend(rays.iter().zip(jitter).map(|(ray, &jitter)| Path {
             pending: self.marcher.walk(ray, jitter),
@@ -131,41 +144,59 @@ impl<'a> Tracer<'a> {
             samples: 0,
             invalid: false,
         }));
-        let longest = if self.marcher.cutoff > 0.0 { -self.marcher.cutoff.ln() } else { f64::INFINITY };
-
-        // Samples of round k follow those of round k - 1.
         samples.clear();
-        loop {
-            let first = samples.owners.len();
-            for (owner, (path, ray)) in paths.iter_mut().zip(rays).enumerate() {
-                if path.optical_depth >= longest {
-                    continue;
-                }
-                for t in path.pending.by_ref().take(ROUND) {
-                    samples.owners.push(owner as u32);
-                    samples.t.push(t);
-                    samples.positions.push(self.marcher.bounds.clamp(ray.at(t).as_vec3()));
-                }
+    }
+
+    /// Places the next samples of all rays that go on; false if none does. With `gradients`, ∇σ is wanted too.
+    pub(super) fn next_round(&self, rays: &[Ray], gradients: bool, buffers: &mut TraceBuffers) -> bool {
+        let TraceBuffers { paths, samples, round, .. } = buffers;
+        let longest = if self.marcher.cutoff > 0.0 { -self.marcher.cutoff.ln() } else { f64::INFINITY };
+        // Samples of round k follow those of round k - 1.
+        *round = samples.owners.len();
+        for (owner, (path, ray)) in paths.iter_mut().zip(rays).enumerate() {
+            if path.optical_depth >= longest {
+                continue;
             }
-            if samples.owners.len() == first {
-                break;
-            }
-            samples.densities.resize(samples.owners.len(), 0.0);
-            let (positions, densities) = (&samples.positions[first..], &mut samples.densities[first..]);
-            if let Some(field) = gradients {
-                samples.density_gradients.resize(samples.owners.len(), Vec3::ZERO);
-                field.density_jets(positions, densities, &mut samples.density_gradients[first..]);
-            } else {
-                self.field.densities(positions, densities);
-            }
-            for (&owner, &density) in samples.owners[first..].iter().zip(&samples.densities[first..]) {
-                let path = &mut paths[owner as usize];
-                path.optical_depth += f64::from(density) * self.marcher.step;
-                path.samples += 1;
-                path.invalid |= !(density >= 0.0 && density.is_finite());
+            for t in path.pending.by_ref().take(ROUND) {
+                samples.owners.push(owner as u32);
+                samples.t.push(t);
+                samples.positions.push(self.marcher.bounds.clamp(ray.at(t).as_vec3()));
             }
         }
-        gather(paths, samples, traced);
+        samples.densities.resize(samples.owners.len(), 0.0);
+        if gradients {
+            samples.density_gradients.resize(samples.owners.len(), Vec3::ZERO);
+        }
+        samples.owners.len() > *round
+    }
+
+    /// Takes in the densities of the round.
+    pub(super) fn absorb(&self, buffers: &mut TraceBuffers) {
+        let TraceBuffers { paths, samples, round, .. } = buffers;
+        for (&owner, &density) in samples.owners[*round..].iter().zip(&samples.densities[*round..]) {
+            let path = &mut paths[owner as usize];
+            path.optical_depth += f64::from(density) * self.marcher.step;
+            path.samples += 1;
+            path.invalid |= !(density >= 0.0 && density.is_finite());
+        }
+    }
+}
+
+impl TraceBuffers<'_> {
+    /// What the round asks of the field.
+    pub(super) fn question(&mut self) -> Question<'_> {
+        let (samples, first) = (&mut self.samples, self.round);
+        let (positions, densities) = (&samples.positions[first..], &mut samples.densities[first..]);
+        if samples.density_gradients.is_empty() {
+            Question::Densities { positions, out: densities }
+        } else {
+            Question::DensityJets { positions, densities, gradients: &mut samples.density_gradients[first..] }
+        }
+    }
+
+    /// Sorts the samples by ray into `traced`.
+    pub(super) fn gather(&mut self) {
+        gather(&self.paths, &self.samples, &mut self.traced);
     }
 }
 

@@ -77,6 +77,9 @@ pub struct RenderedView {
     pub dropped: u64,
 }
 
+/// About as many points of a ray are asked about at once ([`RadianceField::batch`](crate::field::RadianceField::batch)).
+const POINTS_PER_RAY: usize = 4;
+
 /// Number of values per pixel that the probes give.
 fn channels(probes: &[Probe]) -> usize {
     probes.iter().map(|probe| probe.averages.len()).sum()
@@ -97,14 +100,17 @@ pub fn render_view(
     monitor: &dyn Monitor,
 ) -> Result<RenderedView> {
     let [width, height] = camera.resolution;
-    let rows: Vec<RenderedView> = (0..height)
-        .into_par_iter()
-        .map(|row| {
+    // A field that wants many points at once gets several rows: a ray asks about a few points at a time.
+    let together = tracer.field.batch().div_ceil(POINTS_PER_RAY * width.max(1) as usize).max(1);
+    let rows: Vec<u32> = (0..height).collect();
+    let rows: Vec<RenderedView> = rows
+        .par_chunks(together)
+        .map(|rows| {
             check(monitor)?;
-            let y = f64::from(row) + pixel_offset;
-            let rays: Vec<Ray> = (0..width).map(|x| camera.ray(f64::from(x) + pixel_offset, y)).collect();
+            let ray = |row: u32, x: u32| camera.ray(f64::from(x) + pixel_offset, f64::from(row) + pixel_offset);
+            let rays: Vec<Ray> = rows.iter().flat_map(|&row| (0..width).map(move |x| ray(row, x))).collect();
             let rendered = render_rays(tracer, &rays, probes);
-            monitor.advance(1);
+            monitor.advance(rows.len() as u64);
             Ok(rendered)
         })
         .collect::<Result<_>>()?;

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use super::{Protocol, RayCounts, StandardDeviations, Support, ray_counts};
 use crate::geometry::Lattice;
 use crate::octree::{MaxLevels, Octree, VertexId};
-use crate::posterior::{OctreePosterior, Prior, VertexSums};
+use crate::posterior::{OctreePosterior, Pooling, Prior, VertexSums};
 
 /// σ of one vertex from its own or pooled sums, as the field stores it.
 fn stored(protocol: &Protocol, sums: &VertexSums, lambda: f64) -> f32 {
@@ -48,33 +48,66 @@ pub fn deviations_from_sums(
     limits: &MaxLevels,
     sums: &[VertexSums],
 ) -> StandardDeviations {
-    let Protocol { lambda, prior, .. } = *protocol;
-    let pooling = protocol.pooling();
-    let last = lattice.cells_per_axis();
-    let one = |e: &VertexSums, lambda: f64| stored(protocol, e, lambda);
-    StandardDeviations(match support {
-        _ if !pooling.is_on() && prior == Prior::Uniform && limits.is_unlimited() => {
-            sums.par_iter().map(|e| one(e, lambda)).collect()
+    let local = LocalSums::new(protocol, lattice, support, limits, sums);
+    let deviation = |v: usize| {
+        let (sums, lambda) = local.at(v);
+        stored(protocol, &sums, lambda)
+    };
+    StandardDeviations((0..sums.len()).into_par_iter().map(deviation).collect())
+}
+
+/// What is read off each vertex: its pooled and comparable sums, and its prior.
+pub struct LocalSums<'a> {
+    lambda: f64,
+    prior: Prior,
+    pooling: Pooling,
+    lattice: &'a Lattice,
+    support: &'a Support,
+    limits: &'a MaxLevels,
+    sums: &'a [VertexSums],
+    /// `[vertices]` of an octree, if they are needed.
+    points: Vec<[u32; 3]>,
+}
+
+impl<'a> LocalSums<'a> {
+    /// Of `sums`, one entry per vertex.
+    pub fn new(
+        protocol: &Protocol,
+        lattice: &'a Lattice,
+        support: &'a Support,
+        limits: &'a MaxLevels,
+        sums: &'a [VertexSums],
+    ) -> Self {
+        let Protocol { lambda, prior, .. } = *protocol;
+        let pooling = protocol.pooling();
+        let is_plain = !pooling.is_on() && prior == Prior::Uniform && limits.is_unlimited();
+        let points = match support {
+            Support::Octree(octree) if !is_plain => octree.vertex_positions().collect(),
+            _ => Vec::new(),
+        };
+        Self { lambda, prior, pooling, lattice, support, limits, sums, points }
+    }
+
+    /// The sums of a vertex, pooled and comparable with those of the finest lattice, and its prior precision.
+    pub fn at(&self, v: usize) -> (VertexSums, f64) {
+        let last = self.lattice.cells_per_axis();
+        match self.support {
+            Support::Dense if self.pooling.is_on() => {
+                let at = |point| Some(self.sums[self.lattice.dense_index(point)]);
+                (self.pooling.pooled(self.lattice.dense_point(v), last, at), self.lambda)
+            }
+            Support::Octree(octree) if !self.points.is_empty() => {
+                let point = self.points[v];
+                let at = |p| octree.vertex(p).map(|VertexId(v)| self.sums[v as usize]);
+                // Vertices of coarser leaves have no neighbours on the finest lattice and have larger hats, so they
+                // are not pooled.
+                let sums = match self.pooling.is_on() && octree.is_surrounded_by_finest(point) {
+                    true => self.pooling.pooled(point, last, at),
+                    false => self.sums[v],
+                };
+                (comparable(self.limits, point, sums), self.prior.at(self.lambda, octree, point))
+            }
+            _ => (self.sums[v], self.lambda),
         }
-        Support::Dense => {
-            let at = |point| Some(sums[lattice.dense_index(point)]);
-            let pooled = |i: usize| pooling.pooled(lattice.dense_point(i), last, at);
-            (0..sums.len()).into_par_iter().map(|i| one(&pooled(i), lambda)).collect()
-        }
-        Support::Octree(octree) => {
-            let points: Vec<[u32; 3]> = octree.vertex_positions().collect();
-            let at = |p| octree.vertex(p).map(|VertexId(v)| sums[v as usize]);
-            // Vertices of coarser leaves have no neighbours on the finest lattice and have larger hats, so they
-            // are not pooled.
-            let pooled = |v: usize| match pooling.is_on() && octree.is_surrounded_by_finest(points[v]) {
-                true => pooling.pooled(points[v], last, at),
-                false => sums[v],
-            };
-            let deviation = |v: usize| {
-                let sums = comparable(limits, points[v], pooled(v));
-                one(&sums, prior.at(lambda, octree, points[v]))
-            };
-            (0..points.len()).into_par_iter().map(deviation).collect()
-        }
-    })
+    }
 }

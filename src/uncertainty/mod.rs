@@ -10,6 +10,7 @@ mod error_bars;
 mod file;
 mod from_sums;
 mod knowledge;
+mod matrices;
 mod merge;
 mod official;
 mod protocol;

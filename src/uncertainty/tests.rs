@@ -5,7 +5,7 @@ use glam::{DVec3, Vec3};
 use super::*;
 use crate::geometry::Aabb;
 use crate::octree::trilinear;
-use crate::posterior::{Criteria, DensePosterior, OctreePosterior, Posterior, Prior};
+use crate::posterior::{Criteria, DensePosterior, OctreePosterior, Posterior, Prior, trace};
 use crate::rays::{Draw, Pixels, Shard};
 use crate::render::{RaySample, RaySamples};
 use proptest::prelude::*;
@@ -474,4 +474,38 @@ fn headers_may_grow() {
     let sections = [&sections[..masks], b"12345", &sections[masks..]].concat();
     std::fs::write(&grown, [&bytes[..8], &words, &header, &sections].concat()).unwrap();
     assert_eq!(UncertaintyField::read(&grown).unwrap(), field);
+}
+
+#[test]
+fn matrices_have_the_trace_of_the_squared_uncertainty() {
+    let points: Vec<Vec3> = (0..200)
+        .map(|i| {
+            let t = i as f32 / 200.0;
+            Vec3::new(1.1 * (5.0 * t).sin(), 1.1 * (7.0 * t).cos(), 1.1 * (13.0 * t).sin())
+        })
+        .chain(samples(1.0).positions)
+        .collect();
+    for covariance in Covariance::ALL {
+        for min_rays in [0.0, 4.0] {
+            let [dense, octree] = pooled_fields(Covariance::Diagonal, 1.0, min_rays);
+            let [found, on_octree] = [&dense, &octree].map(|field| field.covariances(&points, covariance).unwrap());
+            let read = dense.clone().with_covariance(covariance).unwrap();
+            let is_slanted: fn(&[f64; 6]) -> bool = |m| m[1].abs() > 1e-3 * trace(m);
+            assert_eq!(found.iter().any(is_slanted), covariance == Covariance::Block);
+            for ((&x, m), n) in points.iter().zip(&found).zip(&on_octree) {
+                let variance = read.query(x).uncertainty.powi(2);
+                // A few roundings of f64.
+                assert!((trace(m) / variance - 1.0).abs() < 1e-13, "{covariance:?} at {x}");
+                // The octree keeps all that moved by the tolerance: 0.01 decades of U, twice that of its square.
+                let off = (trace(n) / variance).log10().abs();
+                assert!(off <= 0.02 + 1e-6, "{covariance:?} at {x}: {off}");
+                // A matrix of displacements has no negative variance in any direction.
+                let [xx, xy, xz, yy, yz, zz] = *m;
+                let determinant = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz);
+                assert!(xx > 0.0 && xx * yy - xy * xy > 0.0 && determinant > 0.0, "{m:?}");
+            }
+            let error = dense.without_sums().covariances(&points, covariance).unwrap_err();
+            assert!(error.to_string().contains("keeps its sums"), "{error}");
+        }
+    }
 }

@@ -57,6 +57,10 @@ impl RadianceField for ThresholdedField<'_> {
         self.field.pixel_offset()
     }
 
+    fn batch(&self) -> usize {
+        self.field.batch()
+    }
+
     fn memory(&self) -> usize {
         self.field.memory()
     }

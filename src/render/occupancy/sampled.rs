@@ -58,21 +58,25 @@ fn sample_lattice(
 ) -> Vec<f32> {
     let bounds = field.bounds();
     let mut densities = vec![0.0_f32; count * count * count];
-    densities.par_chunks_mut(count * count).enumerate().for_each(|(x, slab)| {
+    // A field that wants many points at once gets several slabs.
+    let slabs = field.batch().div_ceil(count * count).max(1);
+    densities.par_chunks_mut(slabs * count * count).enumerate().for_each(|(chunk, densities)| {
         if monitor.interrupted() {
             return;
         }
-        let positions: Vec<Vec3> = (0..count * count)
+        let first = chunk * slabs;
+        let positions: Vec<Vec3> = (0..densities.len())
             .map(|i| {
-                let index = DVec3::new(x as f64, (i / count) as f64, (i % count) as f64) + shift;
+                let (x, y, z) = (first + i / (count * count), i / count % count, i % count);
+                let index = DVec3::new(x as f64, y as f64, z as f64) + shift;
                 bounds.clamp((bounds.min() + index / cells as f64 * bounds.size()).as_vec3())
             })
             .collect();
-        field.densities(&positions, slab);
-        for density in slab.iter_mut().filter(|d| d.is_nan()) {
+        field.densities(&positions, densities);
+        for density in densities.iter_mut().filter(|d| d.is_nan()) {
             *density = f32::INFINITY;
         }
-        monitor.advance(1);
+        monitor.advance((densities.len() / (count * count)) as u64);
     });
     densities
 }

@@ -1,0 +1,135 @@
+"""Cameras: files, arrays, dictionaries."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import _octobayes
+from ._arguments import array, floats, whole, wrong
+
+#: Pose (row by row), focal lengths, principal point, image size, k1, k2, p1, p2.
+NUMBERS = 26
+
+EXPECTED = (
+    "a camera file, or cameras as dictionaries: pose (4x4, camera-to-world, OpenGL axes), focal (pixels) or fov "
+    "(degrees), size (width, height)"
+)
+
+
+def size(resolution: Any) -> tuple[int | None, int | None]:
+    """Width and height of ``resolution``: a width, or both; ``None`` where it says nothing."""
+    if resolution is None:
+        return None, None
+    if isinstance(resolution, (int, np.integer)):
+        return whole("resolution", resolution, 1, 65_536), None
+    try:
+        width, height = resolution
+    except (TypeError, ValueError) as error:
+        raise wrong("resolution", "a width, or (width, height)", resolution) from error
+    return whole("resolution", width, 1, 65_536), whole("resolution", height, 1, 65_536)
+
+
+def one(name: str, camera: Mapping[str, Any]) -> NDArray[np.float64]:
+    """The numbers of one camera."""
+    known = {"pose", "transform_matrix", "focal", "fov", "center", "size", "fl_x", "fl_y", "cx", "cy", "w", "h"}
+    known |= {"k1", "k2", "p1", "p2", "camera_angle_x"}
+    unknown = sorted(set(camera) - known - {"file_path", "name"})
+    if unknown:
+        raise wrong(f"{name}['{unknown[0]}']", f"one of {', '.join(sorted(known))}", unknown[0])
+    pose = camera.get("pose", camera.get("transform_matrix"))
+    if pose is None:
+        raise wrong(name, "a camera with a pose", f"keys {sorted(camera)}")
+    given = array(pose)
+    pose = floats(f"{name}['pose']", given, (3 if given.shape[:1] == (3,) else 4, 4), np.float64)
+    if len(pose) == 3:
+        pose = np.vstack([pose, [0.0, 0.0, 0.0, 1.0]])
+    sides = camera.get("size", (camera.get("w"), camera.get("h")))
+    if np.shape(sides) != (2,):
+        raise wrong(f"{name}['size']", "width and height in pixels", sides)
+    width, height = (whole(f"{name}['size']", side, 1, 65_536) for side in sides)
+    fov, angle = camera.get("fov"), camera.get("camera_angle_x")
+    if "focal" in camera:
+        focal = np.atleast_1d(array(camera["focal"]))
+        focal = np.broadcast_to(floats(f"{name}['focal']", focal, (2 if len(focal) == 2 else 1,), np.float64), (2,))
+    elif "fl_x" in camera:
+        focal = np.array([camera["fl_x"], camera.get("fl_y", camera["fl_x"])], dtype=np.float64)
+    elif fov is not None or angle is not None:
+        radians = math.radians(fov) if fov is not None else float(angle or 0)
+        focal = np.full(2, 0.5 * width / math.tan(0.5 * radians))
+    else:
+        raise wrong(name, "a camera with focal (pixels) or fov (degrees)", f"keys {sorted(camera)}")
+    center = camera.get("center", (camera.get("cx", 0.5 * width), camera.get("cy", 0.5 * height)))
+    center = floats(f"{name}['center']", center, (2,), np.float64)
+    lens = [float(camera.get(key, 0.0)) for key in ("k1", "k2", "p1", "p2")]
+    return np.concatenate([pose.ravel(), focal, center, [width, height], lens])
+
+
+def _split(cameras: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
+    """One dictionary of arrays as a list: what has an entry per camera is divided, the rest is shared."""
+    pose = array(cameras.get("pose", cameras.get("transform_matrix")))
+    if pose.ndim != 3:
+        return [cameras]
+    # An array of two numbers belongs to all cameras; to each belongs what has one row per pose.
+    each = {"focal": 2, "center": 2, "size": 2}
+
+    def part(key: str, value: Any, i: int) -> Any:
+        if key in ("pose", "transform_matrix"):
+            return pose[i]
+        given = array(value)
+        if key in each:
+            is_each = given.ndim == 2 or (key == "focal" and given.ndim == 1 and len(given) == len(pose) != 2)
+        else:
+            is_each = given.ndim == 1
+        if is_each and len(given) != len(pose):
+            raise wrong(f"cameras['{key}']", f"one entry for each of {len(pose)} poses", str(len(given)))
+        return given[i] if is_each else value
+
+    return [{key: part(key, value, i) for key, value in cameras.items()} for i in range(len(pose))]
+
+
+def rows(
+    cameras: Any, part: str = "training", views: Any = None, resolution: Any = None
+) -> tuple[NDArray[np.float64], str]:
+    """Numbers of cameras ``[C, 26]``, and how they were chosen in words."""
+    width, height = size(resolution)
+    if isinstance(cameras, (str, os.PathLike)):
+        if not (views is None or views == "all"):
+            views = whole("views", views, 1) if np.ndim(views) == 0 else [whole("views", i, 0) for i in views]
+        numbers, _, note = _octobayes.read_cameras(os.fspath(cameras), part, views, width, height)
+        return numbers, note
+    if views is not None:
+        raise wrong("views", "None with cameras that are not a file", views)
+    if isinstance(cameras, Mapping):
+        cameras = _split(cameras)
+    try:
+        listed = list(cameras)
+        given = [camera if isinstance(camera, Mapping) else _refuse(camera) for camera in listed]
+    except TypeError as error:
+        raise wrong("cameras", EXPECTED, cameras) from error
+    if not given:
+        raise wrong("cameras", "at least one", "none")
+    numbers = np.stack([one(f"cameras[{i}]", camera) for i, camera in enumerate(given)])
+    if width is not None:
+        numbers = resized(numbers, width, height)
+    return numbers, f"{len(numbers)} cameras"
+
+
+def _refuse(camera: Any) -> Mapping[str, Any]:
+    raise wrong("cameras", EXPECTED, camera)
+
+
+def resized(rows: NDArray[np.float64], width: int, height: int | None) -> NDArray[np.float64]:
+    """The same views with another image size; without a height, with the same aspect ratio."""
+    rows = rows.copy()
+    for row in rows:
+        old = row[20:22].copy()
+        row[20:22] = width, height or max(1, round(width * old[1] / old[0]))
+        row[16:18] *= row[20:22] / old
+        row[18:20] *= row[20:22] / old
+    return rows

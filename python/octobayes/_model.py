@@ -1,0 +1,92 @@
+"""Models that the library reads, as Python callables."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from . import _octobayes
+from ._arguments import floats, points
+
+Floats = NDArray[np.float32]
+
+
+class Model:
+    """A radiance field in Rust: ``model(x, d) -> (density, color)``. See :func:`octobayes.open_model`."""
+
+    def __init__(self, name: str, coordinates: str | None = None) -> None:
+        self._model = _octobayes.Model(name, coordinates)
+
+    def __call__(self, x: ArrayLike, d: ArrayLike) -> tuple[Floats, Floats]:
+        """Density and colour at points seen along directions.
+
+        x: float32 ``[N, 3]``, scene units. d: float32 ``[N, 3]``, of length 1.
+        Returns density ``[N]`` (1 / scene unit) and colour ``[N, 3]`` (red, green, blue in [0, 1]), float32.
+        """
+        return self._model.radiance(*self._asked(x, d))
+
+    def density(self, x: ArrayLike) -> Floats:
+        """Density alone, ``[N]`` (1 / scene unit), at ``x`` ``[N, 3]``."""
+        return self._model.density(points("x", x)[0])
+
+    def derivatives(self, x: ArrayLike, d: ArrayLike) -> tuple[Floats, Floats, Floats, Floats]:
+        """Density ``[N]``, colour ``[N, 3]``, ∂density/∂x ``[N, 3]`` and ∂color/∂x ``[N, 3, 3]`` (channel, axis).
+
+        Raises ValueError if the model does not differentiate itself (:attr:`is_differentiable`).
+        """
+        density, color, slope, tint = self._model.derivatives(*self._asked(x, d))
+        return density, color, slope, tint.reshape(-1, 3, 3)
+
+    @staticmethod
+    def _asked(x: ArrayLike, d: ArrayLike) -> tuple[Floats, Floats]:
+        x = floats("x", x, (None, 3))
+        return x, floats("d", d, (len(x), 3))
+
+    def cameras(
+        self, fov: float | None = None, resolution: tuple[int, int] | None = None
+    ) -> list[dict[str, Any]] | None:
+        """The cameras that come with the model, as :func:`octobayes.uncertainty` takes them; ``None`` if it has none.
+
+        fov: horizontal angle of view in degrees, and resolution: (width, height), where the model does not know them.
+        """
+        rows = self._model.cameras(fov, resolution)
+        if rows is None:
+            return None
+        each = {"focal": slice(16, 18), "center": slice(18, 20), "size": slice(20, 22)}
+        lens = dict(zip(("k1", "k2", "p1", "p2"), range(22, 26)))
+        return [
+            {"pose": row[:16].reshape(4, 4)}
+            | {key: row[part] for key, part in each.items()}
+            | {key: float(row[i]) for key, i in lens.items()}
+            for row in rows
+        ]
+
+    @property
+    def box(self) -> NDArray[np.float64]:
+        """``[2, 3]``: corners of the box outside which the density is zero, scene units."""
+        return np.array(self._model.box)
+
+    @property
+    def step(self) -> float:
+        """Distance between samples along a ray that resolves the model, scene units."""
+        return self._model.step
+
+    @property
+    def pixel_offset(self) -> float:
+        """Where in a pixel the training rays went; 0.5 is the centre."""
+        return self._model.pixel_offset
+
+    @property
+    def is_differentiable(self) -> bool:
+        """Whether the model computes its own derivatives."""
+        return self._model.is_differentiable
+
+    @property
+    def name(self) -> str:
+        """The file or built-in scene."""
+        return self._model.name
+
+    def __repr__(self) -> str:
+        return f"<octobayes.Model {self.name}: {self._model.description}>"

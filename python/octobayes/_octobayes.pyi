@@ -1,0 +1,106 @@
+"""The part that is Rust. The package checks arguments: arrays are C-contiguous and of these types."""
+
+import os
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float32]
+Doubles = NDArray[np.float64]
+Box = list[list[float]]
+Progress = Callable[[str, int, int], Any]
+
+__version__: str
+
+class Model:
+    """A radiance field in Rust."""
+
+    def __new__(cls, name: str, coordinates: str | None = None) -> Model: ...
+    def radiance(self, x: Floats, d: Floats) -> tuple[Floats, Floats]:
+        """x [N, 3], d [N, 3] -> density [N], color [N, 3]."""
+    def density(self, x: Floats) -> Floats:
+        """x [N, 3] -> [N]."""
+    def derivatives(self, x: Floats, d: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+        """x [N, 3], d [N, 3] -> density [N], color [N, 3], d_density [N, 3], d_color [N, 9] (channel, then axis)."""
+    def cameras(self, fov: float | None = None, resolution: tuple[int, int] | None = None) -> Doubles | None:
+        """[cameras, 26]: pose by rows, focal lengths, principal point, size, k1, k2, p1, p2."""
+    @property
+    def is_differentiable(self) -> bool: ...
+    @property
+    def box(self) -> Box: ...
+    @property
+    def step(self) -> float: ...
+    @property
+    def pixel_offset(self) -> float: ...
+    @property
+    def name(self) -> str: ...
+    @property
+    def description(self) -> str: ...
+
+class Uncertainty:
+    """A finished field."""
+
+    def query(self, x: Floats) -> tuple[Doubles, Doubles, Doubles, NDArray[np.uint8], NDArray[np.bool_]]:
+        """x [N, 3] -> U, error of log10 U, rays, level, inside; each [N]. NaN where unknown."""
+    def seen(self, x: Floats) -> tuple[list[str], NDArray[np.uint32]] | None:
+        """x [N, 3] -> names and counts of rays; None if unknown."""
+    def covariance(self, x: Floats, kind: str | None = None) -> Doubles:
+        """x [N, 3] -> [N, 3, 3], squared scene units."""
+    def with_covariance(self, kind: str) -> Uncertainty: ...
+    def save(self, path: str | os.PathLike[str]) -> None: ...
+    def save_official(self, path: str | os.PathLike[str]) -> None: ...
+    def surface_quantile(self, share: float) -> float | None: ...
+    def protocol(self) -> str:
+        """JSON."""
+    def summary(self) -> str:
+        """JSON."""
+    @property
+    def visits(self) -> NDArray[np.uint32] | None:
+        """[M, M, M]."""
+    @property
+    def surface(self) -> Floats:
+        """[n, 3]."""
+    @property
+    def prior(self) -> float: ...
+    @property
+    def level(self) -> int: ...
+    @property
+    def box(self) -> Box | None: ...
+    @property
+    def domain(self) -> str: ...
+    @property
+    def keeps_sums(self) -> bool: ...
+    @property
+    def has_error_bars(self) -> bool: ...
+    @property
+    def is_part(self) -> bool: ...
+
+def uncertainty(
+    nerf: Any, rows: Doubles, options: dict[str, Any], progress: Progress | None
+) -> tuple[Uncertainty, list[str]]:
+    """nerf: a Model or a Gate; rows: cameras [C, 26]. The field and its warnings."""
+
+def read_cameras(
+    path: str | os.PathLike[str], part: str, views: Any = None, width: int | None = None, height: int | None = None
+) -> tuple[Doubles, list[str], str]:
+    """Cameras [C, 26], names and a note."""
+
+def load(path: str | os.PathLike[str], box: Box | None = None, rays: int | None = None) -> Uncertainty: ...
+def compare(a: Uncertainty, b: Uncertainty, points: int, seed: int) -> str:
+    """JSON."""
+
+def merge(fields: Sequence[Uncertainty], error_bars: bool, keep_sums: bool) -> tuple[Uncertainty, list[str]]: ...
+def accumulate(samples: Any, options: dict[str, Any], progress: Progress | None) -> Uncertainty:
+    """samples: a path, or positions [N, 3], jacobians [N, 9], ray uint64 [N], weight [N], rays in all."""
+
+def render(
+    nerf: Any, uncertainty: Uncertainty | None, rows: Doubles, options: dict[str, Any], progress: Progress | None
+) -> dict[str, Floats]:
+    """color [H, W, 3], depth, opacity, log10_uncertainty [H, W]."""
+
+def evaluate(
+    nerf: Any, fields: Sequence[tuple[str, Uncertainty]], options: dict[str, Any], progress: Progress | None
+) -> str:
+    """JSON."""

@@ -1,0 +1,191 @@
+//! A finished uncertainty field.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2};
+use octobayes::geometry::{Aabb, Domain};
+use octobayes::posterior::Covariance;
+use octobayes::uncertainty::{Knowledge, OfficialGrid, UncertaintyField};
+use pyo3::prelude::*;
+
+use crate::errors::OrRaise;
+use crate::model::points;
+use crate::options::choose;
+
+/// U(x), the standard deviation of displacements that the training images allow, in scene units.
+#[pyclass(frozen, module = "octobayes._octobayes")]
+pub struct Uncertainty(pub Arc<UncertaintyField>);
+
+/// U, errors of log10 U (NaN if unknown), rays (NaN if unknown), levels, and whether a point is inside.
+type Estimates<'py> = (
+    Bound<'py, PyArray1<f64>>,
+    Bound<'py, PyArray1<f64>>,
+    Bound<'py, PyArray1<f64>>,
+    Bound<'py, PyArray1<u8>>,
+    Bound<'py, PyArray1<bool>>,
+);
+
+/// What the rays tell of points, and how many came there.
+type Seen<'py> = (Vec<&'static str>, Bound<'py, PyArray1<u32>>);
+
+fn covariance(name: &str) -> PyResult<Covariance> {
+    choose("covariance", name, &Covariance::ALL.map(|covariance| (covariance.name(), covariance)))
+}
+
+/// Reads a field: `.oct`, or the official code's `.npy` with its box and number of rays.
+#[pyfunction]
+#[pyo3(signature = (path, r#box = None, rays = None))]
+pub fn load(py: Python<'_>, path: PathBuf, r#box: Option<[[f64; 3]; 2]>, rays: Option<u64>) -> PyResult<Uncertainty> {
+    let read = || match r#box {
+        Some([min, max]) => {
+            let bounds = Aabb::new(min.into(), max.into())?;
+            let rays = rays.unwrap_or(OfficialGrid::DEFAULT_RAYS);
+            OfficialGrid { bounds, rays, lambda: None }.read(&path)
+        }
+        None => UncertaintyField::read(&path),
+    };
+    py.detach(read).or_raise().map(|field| Uncertainty(Arc::new(field)))
+}
+
+#[pymethods]
+impl Uncertainty {
+    /// Estimates at points `[n, 3]`.
+    fn query<'py>(&self, py: Python<'py>, x: PyReadonlyArray2<'py, f32>) -> PyResult<Estimates<'py>> {
+        let x = points(&x)?;
+        let found = py.detach(|| self.0.query_all(&x));
+        let numbers = |of: &dyn Fn(usize) -> f64| PyArray1::from_iter(py, (0..found.len()).map(of));
+        Ok((
+            numbers(&|i| found[i].uncertainty),
+            numbers(&|i| found[i].log10_error.unwrap_or(f64::NAN)),
+            numbers(&|i| found[i].rays.unwrap_or(f64::NAN)),
+            PyArray1::from_iter(py, found.iter().map(|estimate| estimate.level)),
+            PyArray1::from_iter(py, found.iter().map(|estimate| estimate.inside)),
+        ))
+    }
+
+    /// What the rays tell of points `[n, 3]`, and how many came there; `None` if unknown.
+    fn seen<'py>(&self, py: Python<'py>, x: PyReadonlyArray2<'py, f32>) -> PyResult<Option<Seen<'py>>> {
+        let x = points(&x)?;
+        let Some(visits) = self.0.visits() else { return Ok(None) };
+        let (names, counts) = py.detach(|| {
+            let found = self.0.query_all(&x);
+            let knowledge = x.iter().zip(&found).map(|(&x, found)| self.0.knowledge(x, found.uncertainty));
+            let names: Vec<&str> = knowledge.map(|seen| seen.map_or("", Knowledge::name)).collect();
+            let counts: Vec<u32> = x.iter().map(|&x| visits.at(x).unwrap_or(0)).collect();
+            (names, counts)
+        });
+        Ok(Some((names, PyArray1::from_vec(py, counts))))
+    }
+
+    /// Covariance matrices `[n, 3, 3]` at points `[n, 3]`, of a kind or the field's own.
+    #[pyo3(signature = (x, kind = None))]
+    fn covariance<'py>(
+        &self,
+        py: Python<'py>,
+        x: PyReadonlyArray2<'py, f32>,
+        kind: Option<&str>,
+    ) -> PyResult<Bound<'py, PyArray3<f64>>> {
+        let x = points(&x)?;
+        let kind = kind.map(covariance).transpose()?.unwrap_or(self.0.protocol().covariance);
+        let found = py.detach(|| self.0.covariances(&x, kind)).or_raise()?;
+        let full = found.iter().flat_map(|[xx, xy, xz, yy, yz, zz]| [xx, xy, xz, xy, yy, yz, xz, yz, zz]).copied();
+        PyArray1::from_iter(py, full).reshape([x.len(), 3, 3])
+    }
+
+    /// Counts of rays that reached each cell of a coarse grid, x slowest; `None` if unknown.
+    #[getter]
+    fn visits<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray3<u32>>>> {
+        let Some(visits) = self.0.visits() else { return Ok(None) };
+        let counts = visits.counts();
+        let side = (counts.len() as f64).cbrt().round() as usize;
+        PyArray1::from_slice(py, counts).reshape([side; 3]).map(Some)
+    }
+
+    /// Points on visible surfaces, `[n, 3]`.
+    #[getter]
+    fn surface<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        let points = self.0.surface();
+        PyArray1::from_iter(py, points.iter().flatten().copied()).reshape([points.len(), 3])
+    }
+
+    /// The same field read with another covariance.
+    fn with_covariance(&self, py: Python<'_>, kind: &str) -> PyResult<Self> {
+        let kind = covariance(kind)?;
+        let field = py.detach(|| (*self.0).clone().with_covariance(kind)).or_raise()?;
+        Ok(Self(Arc::new(field)))
+    }
+
+    /// Writes an `.oct` file.
+    fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
+        py.detach(|| self.0.write(&path)).or_raise()
+    }
+
+    /// Writes the official code's `.npy`.
+    fn save_official(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
+        py.detach(|| self.0.write_official(&path)).or_raise()
+    }
+
+    /// log10 U that the most certain `share` of visible surfaces does not exceed; `None` without such points.
+    fn surface_quantile(&self, py: Python<'_>, share: f64) -> Option<f64> {
+        py.detach(|| self.0.surface_quantiles([share])).map(|[log10]| log10)
+    }
+
+    /// U where nothing was seen, scene units.
+    #[getter]
+    fn prior(&self) -> f64 {
+        self.0.prior()
+    }
+
+    /// The finest level.
+    #[getter]
+    fn level(&self) -> u8 {
+        self.0.lattice().level()
+    }
+
+    /// Corners of the box; `None` if all of space is covered, contracted.
+    #[getter]
+    fn r#box(&self) -> Option<[[f64; 3]; 2]> {
+        let Domain::Box(bounds) = self.0.lattice().domain() else { return None };
+        Some([bounds.min().to_array(), bounds.max().to_array()])
+    }
+
+    /// The space that is covered, in words.
+    #[getter]
+    fn domain(&self) -> String {
+        self.0.lattice().domain().to_string()
+    }
+
+    /// True if the sums are kept, from which other covariances can be read.
+    #[getter]
+    fn keeps_sums(&self) -> bool {
+        self.0.sums().is_some()
+    }
+
+    /// True if there are error bars.
+    #[getter]
+    fn has_error_bars(&self) -> bool {
+        self.0.error_bars().is_some()
+    }
+
+    /// True if these are only some of the rays of a run.
+    #[getter]
+    fn is_part(&self) -> bool {
+        self.0.is_part()
+    }
+
+    /// Everything that the numbers depend on, as JSON.
+    fn protocol(&self) -> PyResult<String> {
+        json(self.0.protocol())
+    }
+
+    /// Size and structure, as JSON.
+    fn summary(&self) -> PyResult<String> {
+        json(&self.0.summary())
+    }
+}
+
+/// A value as JSON.
+pub fn json(value: &impl serde::Serialize) -> PyResult<String> {
+    serde_json::to_string(value).map_err(|e| pyo3::exceptions::PyValueError::new_err(e.to_string()))
+}

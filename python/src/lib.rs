@@ -1,0 +1,32 @@
+//! The part of the Python package `octobayes` that is Rust.
+//!
+//! `octobayes/` beside this crate is what users import; it checks arguments, and hands over NumPy arrays of the types
+//! that are expected here. A field in Python is asked in one place only ([`work`]).
+
+mod errors;
+mod field;
+mod fields;
+mod model;
+mod options;
+mod run;
+mod view;
+mod work;
+
+use pyo3::prelude::*;
+
+/// The bindings; `octobayes` is what to import.
+#[pymodule]
+fn _octobayes(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+    module.add_class::<field::Uncertainty>()?;
+    module.add_class::<model::Model>()?;
+    module.add_function(wrap_pyfunction!(run::uncertainty, module)?)?;
+    module.add_function(wrap_pyfunction!(run::read_cameras, module)?)?;
+    module.add_function(wrap_pyfunction!(field::load, module)?)?;
+    module.add_function(wrap_pyfunction!(fields::compare, module)?)?;
+    module.add_function(wrap_pyfunction!(fields::merge, module)?)?;
+    module.add_function(wrap_pyfunction!(fields::accumulate, module)?)?;
+    module.add_function(wrap_pyfunction!(view::render, module)?)?;
+    module.add_function(wrap_pyfunction!(view::evaluate, module)?)?;
+    Ok(())
+}

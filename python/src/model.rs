@@ -1,0 +1,175 @@
+//! A model that the library reads.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
+use octobayes::Error;
+use octobayes::field::{Coordinates, Intrinsics, Radiance, RadianceField, RadianceJet};
+use octobayes::glam::Vec3;
+use octobayes::open;
+use pyo3::prelude::*;
+use rayon::prelude::*;
+
+use crate::errors::OrRaise;
+use crate::options::{choose, numbers};
+
+/// Points that one thread evaluates at a time.
+const CHUNK: usize = 4096;
+
+/// A radiance field in Rust.
+#[pyclass(frozen, module = "octobayes._octobayes")]
+pub struct Model {
+    pub field: Arc<dyn RadianceField>,
+    pub name: String,
+    pub checksum: u32,
+}
+
+/// Rows of an array `[n, 3]` as points.
+pub fn points(array: &PyReadonlyArray2<f32>) -> PyResult<Vec<Vec3>> {
+    Ok(array.as_slice()?.as_chunks::<3>().0.iter().copied().map(Vec3::from_array).collect())
+}
+
+fn flat<'a>(vectors: impl Iterator<Item = &'a Vec3>) -> Vec<f32> {
+    vectors.flat_map(Vec3::to_array).collect()
+}
+
+type Array1<'py> = Bound<'py, PyArray1<f32>>;
+type Array2<'py> = Bound<'py, PyArray2<f32>>;
+
+fn rows(py: Python<'_>, values: Vec<f32>, width: usize) -> PyResult<Array2<'_>> {
+    let n = values.len() / width;
+    PyArray1::from_vec(py, values).reshape([n, width])
+}
+
+#[pymethods]
+impl Model {
+    /// Opens the model that `name` names.
+    #[new]
+    #[pyo3(signature = (name, coordinates = None))]
+    fn new(py: Python<'_>, name: String, coordinates: Option<&str>) -> PyResult<Self> {
+        let known = Coordinates::ALL.map(|coordinates| (coordinates.name(), coordinates));
+        let coordinates = coordinates.map(|found| choose("coordinates", found, &known)).transpose()?;
+        py.detach(|| {
+            let field: Arc<dyn RadianceField> = open::open_in(&name, coordinates).or_raise()?.into();
+            let checksum = open::checksum(&name, coordinates).or_raise()?;
+            Ok(Self { field, name, checksum })
+        })
+    }
+
+    /// Density `[n]` and colour `[n, 3]` at `x` `[n, 3]`, seen along `d` `[n, 3]`.
+    fn radiance<'py>(
+        &self,
+        py: Python<'py>,
+        x: PyReadonlyArray2<'py, f32>,
+        d: PyReadonlyArray2<'py, f32>,
+    ) -> PyResult<(Array1<'py>, Array2<'py>)> {
+        let (x, d) = (points(&x)?, points(&d)?);
+        let (density, color) = py.detach(|| {
+            let mut radiance = vec![Radiance::default(); x.len()];
+            let parts = x.par_chunks(CHUNK).zip(d.par_chunks(CHUNK)).zip(radiance.par_chunks_mut(CHUNK));
+            parts.for_each(|((x, d), out)| self.field.evaluate(x, d, out));
+            let density = radiance.iter().map(|r| r.density).collect();
+            (density, flat(radiance.iter().map(|r| &r.color)))
+        });
+        Ok((PyArray1::from_vec(py, density), rows(py, color, 3)?))
+    }
+
+    /// Density `[n]` at `x` `[n, 3]`.
+    fn density<'py>(&self, py: Python<'py>, x: PyReadonlyArray2<'py, f32>) -> PyResult<Array1<'py>> {
+        let x = points(&x)?;
+        let density = py.detach(|| {
+            let mut density = vec![0.0; x.len()];
+            let parts = x.par_chunks(CHUNK).zip(density.par_chunks_mut(CHUNK));
+            parts.for_each(|(x, out)| self.field.densities(x, out));
+            density
+        });
+        Ok(PyArray1::from_vec(py, density))
+    }
+
+    /// Density `[n]`, colour `[n, 3]`, ∇ density `[n, 3]` and ∇ colour `[n, 9]` (channel, then axis).
+    fn derivatives<'py>(
+        &self,
+        py: Python<'py>,
+        x: PyReadonlyArray2<'py, f32>,
+        d: PyReadonlyArray2<'py, f32>,
+    ) -> PyResult<(Array1<'py>, Array2<'py>, Array2<'py>, Array2<'py>)> {
+        let (x, d) = (points(&x)?, points(&d)?);
+        let jets = py.detach(|| {
+            let field = self.field.differentiable().ok_or_else(|| {
+                let found = format!("one that does not: {}", self.field.describe());
+                Error::setting("derivatives", "a model that differentiates itself", found)
+            });
+            let field = field.or_raise()?;
+            let mut jets = vec![RadianceJet::default(); x.len()];
+            let parts = x.par_chunks(CHUNK).zip(d.par_chunks(CHUNK)).zip(jets.par_chunks_mut(CHUNK));
+            parts.for_each(|((x, d), out)| field.jets(x, d, out));
+            PyResult::Ok(jets)
+        })?;
+        let density = jets.iter().map(|jet| jet.value.density).collect();
+        let color = flat(jets.iter().map(|jet| &jet.value.color));
+        let slope = flat(jets.iter().map(|jet| &jet.density_gradient));
+        // A jet has one colour for each axis; Python's rows are channels.
+        let tint = |jet: &RadianceJet| -> [f32; 9] { std::array::from_fn(|i| jet.color_gradients[i % 3][i / 3]) };
+        let tint = jets.iter().flat_map(tint).collect();
+        Ok((PyArray1::from_vec(py, density), rows(py, color, 3)?, rows(py, slope, 3)?, rows(py, tint, 9)?))
+    }
+
+    /// Rows of numbers of the model's cameras, `[cameras, 26]`; `None` if it has none. `fov` in degrees.
+    #[pyo3(signature = (fov = None, resolution = None))]
+    fn cameras<'py>(
+        &self,
+        py: Python<'py>,
+        fov: Option<f64>,
+        resolution: Option<[u32; 2]>,
+    ) -> PyResult<Option<Bound<'py, PyArray2<f64>>>> {
+        let intrinsics = Intrinsics { fov_x: fov.map(f64::to_radians), resolution };
+        let cameras = self.field.cameras(&intrinsics).or_raise()?;
+        cameras
+            .map(|all| PyArray1::from_vec(py, numbers(&all)).reshape([all.len(), crate::options::NUMBERS]))
+            .transpose()
+    }
+
+    /// True if the model computes its own derivatives.
+    #[getter]
+    fn is_differentiable(&self) -> bool {
+        self.field.differentiable().is_some()
+    }
+
+    /// Lower and upper corner of the box outside which the density is zero.
+    #[getter]
+    fn r#box(&self) -> [[f64; 3]; 2] {
+        let bounds = self.field.bounds();
+        [bounds.min(), bounds.max()].map(|corner| corner.to_array())
+    }
+
+    /// Distance between samples along a ray that resolves the model, scene units.
+    #[getter]
+    fn step(&self) -> f64 {
+        self.field.suggested_step()
+    }
+
+    /// Where in a pixel the training rays went.
+    #[getter]
+    fn pixel_offset(&self) -> f64 {
+        self.field.pixel_offset()
+    }
+
+    /// The name or file.
+    #[getter]
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// One line: architecture and size.
+    #[getter]
+    fn description(&self) -> String {
+        self.field.describe()
+    }
+
+    /// The model's file without its folder.
+    #[getter]
+    fn file(&self) -> String {
+        Path::new(&self.name).file_name().map_or_else(|| self.name.clone(), |name| name.to_string_lossy().into_owned())
+    }
+}

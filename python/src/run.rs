@@ -1,0 +1,263 @@
+//! From a model and its cameras to its uncertainty.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+
+use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
+use octobayes::Error;
+use octobayes::dataset::{FrameSplit, Part, ResolutionSource, Selection, Views};
+use octobayes::estimate::{Checkpoint, Estimation, Outcome, RaySettings, Sight};
+use octobayes::field::RadianceField;
+use octobayes::geometry::{Camera, Domain};
+use octobayes::rays::SamplesWriter;
+use octobayes::uncertainty::UncertaintyField;
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+use crate::errors::OrRaise;
+use crate::field::Uncertainty;
+use crate::model::Model;
+use crate::options::{NUMBERS, Options, cameras, numbers};
+use crate::work::{Engine, PythonField, Traits, work};
+
+/// A model of the library, or a field in Python.
+pub enum Source {
+    Rust(Arc<dyn RadianceField>),
+    Python(Traits),
+}
+
+impl Source {
+    /// The model, or what is known of the callable behind a gate.
+    pub fn new(nerf: &Bound<'_, PyAny>) -> PyResult<Self> {
+        if let Ok(model) = nerf.cast::<Model>() {
+            return Ok(Self::Rust(model.get().field.clone()));
+        }
+        let traits = nerf.getattr("traits")?.cast_into::<PyDict>()?;
+        let options = Options(&traits);
+        let missing = |what: &str| PyValueError::new_err(format!("nerf: expected {what}, found none"));
+        Ok(Self::Python(Traits {
+            bounds: options.bounds()?.ok_or_else(|| missing("a box"))?,
+            step: options.get("step")?.ok_or_else(|| missing("a step"))?,
+            batch: options.get("batch")?.ok_or_else(|| missing("a batch"))?,
+            pixel_offset: options.or("pixel_offset", 0.5)?,
+            has_density: options.or("has_density", false)?,
+            has_derivatives: options.or("has_derivatives", false)?,
+            description: options.or("description", String::new())?,
+        }))
+    }
+
+    /// Calls `job` with the field.
+    pub fn with<T>(&self, engine: &Engine, job: impl FnOnce(&dyn RadianceField) -> T) -> T {
+        match self {
+            Self::Rust(model) => job(&**model),
+            Self::Python(traits) => {
+                let field: PythonField = engine.field(traits.clone());
+                job(&field)
+            }
+        }
+    }
+
+    /// What there is in Python to ask.
+    pub fn gate<'a, 'py>(&self, nerf: &'a Bound<'py, PyAny>) -> Option<&'a Bound<'py, PyAny>> {
+        matches!(self, Self::Python(_)).then_some(nerf)
+    }
+}
+
+/// What a run draws.
+enum Goal {
+    All,
+    Shard(u64, u64),
+    Groups(u16),
+    MeanError,
+}
+
+/// A run, but for its field.
+struct Job {
+    domain: Option<Domain>,
+    rays: RaySettings,
+    grid: octobayes::estimate::GridSettings,
+    goal: Goal,
+    checkpoint: Option<Checkpoint>,
+    error_bars: Option<u16>,
+    dump: Option<PathBuf>,
+    source: String,
+    checksum: Option<u32>,
+}
+
+/// Computes an uncertainty field. Returns it with its warnings.
+#[pyfunction]
+pub fn uncertainty(
+    py: Python<'_>,
+    nerf: &Bound<'_, PyAny>,
+    rows: PyReadonlyArray2<'_, f64>,
+    options: &Bound<'_, PyDict>,
+    progress: Option<&Bound<'_, PyAny>>,
+) -> PyResult<(Uncertainty, Vec<String>)> {
+    let (source, cameras, options) = (Source::new(nerf)?, cameras(&rows)?, Options(options));
+    let domain = match (options.contraction()?, options.bounds()?) {
+        (Some(contracted), _) => Some(contracted),
+        (None, bounds) => bounds.map(Domain::Box),
+    };
+    let error_bars = options.get("error_bars")?;
+    let goal = match (options.or("auto", false)?, options.get::<[u64; 2]>("shard")?, error_bars) {
+        (true, ..) => Goal::MeanError,
+        (_, Some([index, of]), _) => Goal::Shard(index, of),
+        (.., Some(groups)) => Goal::Groups(groups),
+        _ => Goal::All,
+    };
+    let every = Duration::from_secs_f64(options.or("checkpoint_every", 60.0)?);
+    let resume = options.or("resume", false)?;
+    let checkpoint = options.get::<PathBuf>("checkpoint")?;
+    let job = Job {
+        domain,
+        rays: options.rays()?,
+        grid: options.grid()?,
+        goal,
+        checkpoint: checkpoint.map(|path| Checkpoint::new(path).every(every).resume(resume)),
+        error_bars,
+        dump: options.get("dump_samples")?,
+        source: options.or("source", String::new())?,
+        checksum: nerf.cast::<Model>().ok().map(|model| model.get().checksum),
+    };
+    let keeps_sums = options.or("keep_sums", false)?;
+    let (field, warnings) =
+        work(py, source.gate(nerf), progress, |engine| source.with(engine, |field| job.run(engine, field, &cameras)))?;
+    let field = if keeps_sums { field } else { field.for_queries() };
+    Ok((Uncertainty(Arc::new(field)), warnings))
+}
+
+impl Job {
+    fn run(
+        self,
+        engine: &Engine,
+        field: &dyn RadianceField,
+        cameras: &[Camera],
+    ) -> octobayes::Result<(UncertaintyField, Vec<String>)> {
+        let mut warnings = Vec::new();
+        let mut dump = self.dump.as_deref().map(SamplesWriter::create).transpose()?;
+        let domain = self.domain.unwrap_or_else(|| field.natural_domain());
+        let estimation = Estimation::new(field, cameras)
+            .domain(domain)
+            .rays(self.rays)
+            .grid(self.grid)
+            .source(self.source)
+            .monitor(engine.monitor());
+        let estimation = self.checksum.into_iter().fold(estimation, Estimation::model);
+        let estimation = match self.goal {
+            Goal::All => estimation,
+            Goal::Shard(index, of) => estimation.shard(index, of),
+            Goal::Groups(groups) => estimation.error_bars(groups),
+            Goal::MeanError => estimation.until_mean_error(self.grid.tolerance),
+        };
+        let estimation = self.checkpoint.iter().cloned().fold(estimation, Estimation::checkpoint);
+        let estimation = match &mut dump {
+            Some(dump) => estimation.tap(|batches| dump.add(batches)),
+            None => estimation,
+        };
+        let run = estimation.prepare()?;
+        warnings.extend(looked_at(&run.sight()?)?);
+        if let Some(check) = run.check_step()?.filter(|check| check.is_bad) {
+            let best = check.errors.best().step;
+            warnings.push(format!(
+                "the finite-difference step of 1/{:.0} of a cell suits this field badly: step={best:.2e} has the least \
+                 error",
+                1.0 / check.step
+            ));
+        }
+        let Outcome { field, progress, is_replanned, .. } = run.finish()?;
+        if is_replanned {
+            warnings.push("memory ran out under way; the run started again with a coarser octree".into());
+        }
+        if let Some(first) = progress.first_invalid {
+            let dropped = progress.dropped;
+            warnings.push(format!("{dropped} rays dropped, the field is not finite; first at {first:?}"));
+        }
+        if let Some(dump) = dump {
+            dump.finish(progress.rays)?;
+        }
+        // Whoever holds the result has nothing to resume.
+        self.checkpoint.map_or(Ok(()), |checkpoint| checkpoint.remove(self.error_bars))?;
+        Ok((field, warnings))
+    }
+}
+
+/// Refuses cameras that see nothing; a warning if they see little.
+fn looked_at(sight: &Sight) -> octobayes::Result<Option<String>> {
+    let Some(causes) = sight.causes() else { return Ok(None) };
+    let measured = sight.measured();
+    if sight.is_nothing() {
+        let expected = format!("rays that meet matter in the field's domain; likely causes: {causes}");
+        return Err(Error::setting("cameras", expected, format!("none: {measured}")));
+    }
+    Ok(Some(format!("the cameras see little of the model: {measured}; likely causes: {causes}")))
+}
+
+/// Rows of numbers, the frames' names and a note.
+type CameraFile<'py> = (Bound<'py, PyArray2<f64>>, Vec<String>, String);
+
+/// Reads the cameras of a file. `views` is "all", a number of frames or their indices; `part` is
+/// "training", "held out" or "every frame".
+#[pyfunction]
+#[pyo3(signature = (path, part, views = None, width = None, height = None))]
+pub fn read_cameras<'py>(
+    py: Python<'py>,
+    path: PathBuf,
+    part: &str,
+    views: Option<&Bound<'py, PyAny>>,
+    width: Option<u32>,
+    height: Option<u32>,
+) -> PyResult<CameraFile<'py>> {
+    let selection = match views {
+        None => Selection::All,
+        Some(views) => match (views.extract::<usize>(), views.extract::<Vec<usize>>()) {
+            (Ok(count), _) => Selection::Count(count),
+            (_, Ok(mut indices)) => {
+                indices.sort_unstable();
+                indices.dedup();
+                Selection::Indices(indices)
+            }
+            _ => Selection::BothParts,
+        },
+    };
+    let (frames, note) = py.detach(|| read(&path, part, &selection, width, height)).or_raise()?;
+    let all: Vec<Camera> = frames.iter().map(|frame| frame.0).collect();
+    let names = frames.into_iter().map(|frame| frame.1).collect();
+    Ok((PyArray1::from_vec(py, numbers(&all)).reshape([all.len(), NUMBERS])?, names, note))
+}
+
+fn read(
+    path: &Path,
+    part: &str,
+    selection: &Selection,
+    width: Option<u32>,
+    height: Option<u32>,
+) -> octobayes::Result<(Vec<(Camera, String)>, String)> {
+    let mut views = Views::read(path, width.zip(height).map(Into::into))?;
+    if let (Some(width), None) = (width, height) {
+        for frame in &mut views.frames {
+            let [w, h] = frame.camera.resolution;
+            let height = (f64::from(width) * f64::from(h) / f64::from(w)).round().max(1.0) as u32;
+            frame.camera = frame.camera.resized([width, height]);
+        }
+    }
+    let is_assumed = width.is_none() && views.resolution_source == ResolutionSource::Assumed;
+    let assumed = if is_assumed {
+        let [w, h] = views.frames[0].camera.resolution;
+        format!("; no image size is stated, and there are no images: {w} x {h} is assumed")
+    } else {
+        String::new()
+    };
+    let (frames, note) = match part {
+        "every frame" => (views.frames, String::new()),
+        _ => {
+            let split = FrameSplit::new(views);
+            let part = if part == "training" { Part::Training } else { Part::HeldOut };
+            let frames = split.select(part, selection, |_| true)?;
+            let note = split.describe(part, &frames);
+            (frames, note)
+        }
+    };
+    Ok((frames.into_iter().map(|frame| (frame.camera, frame.name)).collect(), note + &assumed))
+}

@@ -1,0 +1,70 @@
+"""Models that the library reads, as callables."""
+
+import numpy as np
+import pytest
+
+import octobayes as ob
+
+
+def test_a_model_answers_like_any_callable(courtyard, points):
+    directions = np.tile(np.float32([0, 0, 1]), (len(points), 1))
+    density, color = courtyard(points, directions)
+    assert density.shape == (1000,) and density.dtype == np.float32 and density.max() > 100
+    assert color.shape == (1000, 3) and color.dtype == np.float32
+    assert np.array_equal(courtyard.density(points), density)
+    assert courtyard.box.tolist() == [[-1, -1, -1], [1, 1, 1]] and courtyard.step > 0
+
+
+def voxels(folder, n=24):
+    """A smooth blob in a voxel grid, whose derivatives are known."""
+    axis = np.linspace(-1, 1, n)
+    x, y, z = np.meshgrid(axis, axis, axis, indexing="ij")
+    density = np.maximum(0, 40 * (1 - 2 * np.sqrt(x**2 + y**2 + z**2))).astype(np.float32)
+    color = np.stack([0.5 + 0.4 * np.sin(5 * v) for v in (x, y, z)], axis=-1).astype(np.float32)
+    path = folder / "blob.npz"
+    np.savez(path, density=density, color=color, box=np.float32([[-1, -1, -1], [1, 1, 1]]))
+    return path
+
+
+def test_derivatives_are_those_of_the_values(points, tmp_path):
+    model = ob.open_model(voxels(tmp_path))
+    assert model.is_differentiable
+    x = points[np.linalg.norm(points, axis=1) < 0.4]
+    d = np.tile(np.float32([0, 0, 1]), (len(x), 1))
+    density, color, slope, tint = model.derivatives(x, d)
+    assert slope.shape == (len(x), 3) and tint.shape == (len(x), 3, 3)
+    own_density, own_color = model(x, d)
+    np.testing.assert_allclose(density, own_density, rtol=1e-6)
+    np.testing.assert_allclose(color, own_color, rtol=1e-6)
+    h = 1e-3
+    for axis in range(3):
+        step = h * np.eye(3, dtype=np.float32)[axis]
+        (up, c_up), (down, c_down) = model(x + step, d), model(x - step, d)
+        # Trilinear functions are straight along an axis, but for points within h of a cell's face.
+        near = abs(((x[:, axis] + 1) / 2 * 23 + 0.5) % 1 - 0.5) < 2 * h * 23 / 2
+        # f32 densities up to 40 are rounded by 2e-6, and divided by 2 h.
+        np.testing.assert_allclose(((up - down) / (2 * h))[~near], slope[~near, axis], atol=0.02)
+        np.testing.assert_allclose(((c_up - c_down) / (2 * h))[~near], tint[~near][:, :, axis], atol=1e-3)
+
+
+def test_a_scene_without_derivatives_says_so(courtyard, points):
+    assert not courtyard.is_differentiable
+    with pytest.raises(ValueError, match="derivatives: expected a model that differentiates itself"):
+        courtyard.derivatives(points, points)
+
+
+def test_wrong_arguments_get_a_sentence(courtyard, points, tmp_path):
+    with pytest.raises(
+        ValueError, match=r"d: expected an array of real numbers of shape \[1000, 3\], found an array of shape \[999"
+    ):
+        courtyard(points, points[1:])
+    with pytest.raises(ValueError, match=r"x: expected .*\[N, 3\], found an array of shape \[3000\]"):
+        courtyard(points.ravel(), points)
+    with pytest.raises(ValueError, match="another extension"):
+        ob.open_model(tmp_path / "model.bin")
+    with pytest.raises(FileNotFoundError, match="none.npz"):
+        ob.open_model(tmp_path / "none.npz")
+    with pytest.raises(ValueError, match="coordinates: expected 'ngp', 'blender', found 'colmap'"):
+        ob.open_model("scene:courtyard", coordinates="colmap")
+    with pytest.raises(ValueError, match="name: expected a path, found 3"):
+        ob.open_model(3)

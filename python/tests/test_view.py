@@ -1,0 +1,155 @@
+"""Pictures, and whether U ranks the error of depth."""
+
+import json
+import re
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import SMALL, in_python
+
+import octobayes as ob
+
+
+def test_a_view_has_colour_depth_opacity_and_uncertainty(courtyard, cameras, field):
+    view = ob.render(courtyard, field, cameras[3], progress=False)
+    assert {name: (array.shape, array.dtype.name) for name, array in view.items()} == {
+        "color": ((48, 48, 3), "float32"),
+        "depth": ((48, 48), "float32"),
+        "opacity": ((48, 48), "float32"),
+        "log10_uncertainty": ((48, 48), "float32"),
+    }
+    solid = view["opacity"] > 0.99
+    assert 0.2 < solid.mean() < 1 and (view["depth"][solid] > 0.5).all()
+    assert (
+        np.isfinite(view["log10_uncertainty"][solid]).all()
+        and np.isnan(view["log10_uncertainty"][view["depth"] == 0]).all()
+    )
+    # What the pixel shows lies where its ray has the depth.
+    row, column = np.argwhere(solid)[200]
+    focal, center = cameras[3]["focal"], cameras[3]["center"]
+    x, y = (column + 0.5 - center[0]) / focal[0], (row + 0.5 - center[1]) / focal[1]
+    along = cameras[3]["pose"][:3, :3] @ np.array([x, -y, -1])
+    point = cameras[3]["pose"][:3, 3] + view["depth"][row, column] * along / np.linalg.norm(along)
+    assert courtyard.density(point[None])[0] > 1
+
+
+def test_a_callable_renders_the_same_view(courtyard, cameras, field):
+    rust = ob.render(courtyard, field, cameras[0], progress=False)
+    callable_ = in_python(courtyard, "step", "density")
+    python = ob.render(callable_, field, cameras[0], progress=False)
+    assert len(callable_.calls) < 100
+    for name in rust:
+        # The occupancy grid of a callable is sampled, not certain: what it skips moves a pixel by 1e-4 at most.
+        np.testing.assert_allclose(python[name], rust[name], atol=1e-3 if name == "log10_uncertainty" else 2e-4)
+
+
+def test_a_threshold_removes_what_is_uncertain(courtyard, cameras, field):
+    behind = {**cameras[0], "pose": np.diag([-1, -1, 1, 1]) @ cameras[0]["pose"]}
+    before = ob.render(courtyard, field, behind, progress=False)
+    after = ob.render(courtyard, field, behind, threshold="90%", progress=False)
+    assert after["opacity"].sum() < 0.9 * before["opacity"].sum()
+    number = field.surface_quantile(0.9)
+    again = ob.render(courtyard, field, behind, threshold=number, progress=False)
+    assert np.array_equal(again["opacity"], after["opacity"])
+    assert "log10_uncertainty" not in ob.render(courtyard, None, cameras[0], progress=False)
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"threshold": "much"}, "threshold: expected log10 U, or a share of visible surfaces as '99%', found much"),
+        ({"u": None, "threshold": 3.0}, "threshold: expected an uncertainty to cut by, found none"),
+        ({"u": 3}, "u: expected an Uncertainty or the path of an .oct file, found 3"),
+        ({"camera": []}, "cameras: expected at least one, found none"),
+        ({"ray_average": "mean"}, "ray_average: expected 'weighted-mean', .* found 'mean'"),
+    ],
+)
+def test_wrong_arguments_get_a_sentence(changes, sentence, courtyard, cameras, field):
+    arguments = {"u": field, "camera": cameras[0], "progress": False, **changes}
+    with pytest.raises(ValueError, match=sentence):
+        ob.render(courtyard, arguments.pop("u"), arguments.pop("camera"), **arguments)
+
+
+def png(path: Path, pixels: np.ndarray) -> None:
+    """Writes RGBA of 8 bits, or grey of 16."""
+    height, width = pixels.shape[:2]
+    depth, kind = (8, 6) if pixels.ndim == 3 else (16, 0)
+    rows = pixels.astype(np.uint8 if pixels.ndim == 3 else ">u2").reshape(height, -1)
+    raw = b"".join(b"\0" + row.tobytes() for row in rows)
+
+    def chunk(name: bytes, content: bytes) -> bytes:
+        return struct.pack(">I", len(content)) + name + content + struct.pack(">I", zlib.crc32(name + content))
+
+    header = struct.pack(">IIBBBBB", width, height, depth, kind, 0, 0, 0)
+    path.write_bytes(
+        b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(raw)) + chunk(b"IEND", b"")
+    )
+
+
+def test_u_ranks_the_error_of_depth_better_than_chance(courtyard, cameras, field, tmp_path):
+    # The truth is the scene; the model has grown where no camera looked: on the far side.
+    frames = []
+    for i in range(4):
+        turned = np.eye(4)
+        angle = i * np.pi / 2
+        turned[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+        camera = {**cameras[0], "pose": turned @ cameras[0]["pose"]}
+        view = ob.render(courtyard, None, camera, progress=False)
+        solid = view["opacity"] > 0.99
+        png(tmp_path / f"r_{i}.png", np.dstack([255 * view["color"].clip(0, 1), 255 * solid]))
+        png(tmp_path / f"r_{i}_depth.png", np.where(solid, view["depth"] / 10 * 65535, 0))
+        frames.append({"file_path": f"r_{i}.png", "transform_matrix": camera["pose"].tolist()})
+    lens = {"fl_x": float(cameras[0]["focal"][0]), "w": 48, "h": 48}
+    (tmp_path / "transforms_test.json").write_text(json.dumps({**lens, "frames": frames}))
+
+    def grown(x, d):
+        density, color = courtyard(x, d)
+        behind = (x[:, 0] < -0.2) & (np.linalg.norm(x - [-0.5, 0, -0.3], axis=1) < 0.45)
+        return np.where(behind, 100, density), color
+
+    grown.step = courtyard.step
+    result = ob.evaluate(
+        grown,
+        {"field": field},
+        tmp_path / "transforms_test.json",
+        depth=tmp_path,
+        depth_pattern="{}_depth.png",
+        depth_encoding=(0, 10),
+        progress=False,
+    )
+    area = {entry["name"]: entry["ause_pooled"]["mae"] for entry in result["readings"] + result["baselines"]}
+    assert len(result["readings"]) == 3 and result["pixels"] > 2000
+    assert area["field diagonal"] < 0.5 * area["random"], area
+    with pytest.raises(FileNotFoundError, match="r_0_none.png"):
+        ob.evaluate(
+            grown,
+            field,
+            tmp_path / "transforms_test.json",
+            depth=tmp_path,
+            depth_pattern="{}_none.png",
+            depth_encoding=(0, 10),
+            progress=False,
+        )
+
+
+def test_the_readmes_example_runs(capsys):
+    text = (Path(__file__).parent.parent / "README.md").read_text()
+    blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    example = next(block for block in blocks if "def nerf" in block)
+    exec(compile(example, "README.md", "exec"), {})
+    assert "in front" in capsys.readouterr().out
+
+
+@pytest.mark.data
+def test_a_plenoptic_png_through_python(data):
+    model = ob.open_model(data / "ppng-pretrained" / "NeRFSynthetic" / "ppng_1" / "lego.ppng")
+    cameras = model.cameras(fov=39.6, resolution=(100, 100))
+    run = {**SMALL, "pixel_offset": model.pixel_offset}
+    rust = ob.uncertainty(model, cameras, **run)
+    callable_ = in_python(model, "step", "density")
+    python = ob.uncertainty(callable_, cameras, box=model.box, **run)
+    surface = rust.surface
+    assert len(surface) > 1000 and np.array_equal(rust.query(surface), python.query(surface))
