@@ -349,7 +349,9 @@ impl Limits {
         let (planner, plan, budget) = (self.planner.as_mut()?, self.plan.as_ref()?, self.budget? as f64);
         let aims = [AIM, 0.5 * AIM, 0.25 * AIM].into_iter();
         let mut plans = aims.filter_map(|aim| planner.corrected(plan, done, summed, aim * budget));
-        plans.find(|other| other.rays_per_vertex > plan.rays_per_vertex)
+        let is_coarser = |other: &Plan| other.rays_per_vertex > plan.rays_per_vertex && other.limits != plan.limits;
+        let found = plans.find(is_coarser);
+        found.or_else(|| Some(planner.coarsest()).filter(is_coarser))
     }
 }
 
