@@ -15,7 +15,7 @@ use crate::io::memory;
 use crate::monitor::Monitor;
 use crate::octree::MaxLevels;
 use crate::posterior::{
-    BRICK_BYTES, CONTRIBUTION_BYTES, Census, DensePosterior, FactoredSums, Needs, PilotCounts, VertexSums,
+    BRICK_BYTES, CONTRIBUTION_BYTES, Census, DensePosterior, FactoredSums, Needs, PilotCounts, SPARE_BYTES, VertexSums,
 };
 use crate::rays::{Purpose, RayStream, RunProgress, Shard};
 use crate::{Error, Result};
@@ -74,7 +74,9 @@ impl Plan {
     /// Expected peak memory of the process if its sums come to `summed` bytes.
     #[must_use]
     pub fn peak_of(&self, summed: usize) -> f64 {
-        self.outside + summed as f64 * (1.0 + self.finishing / self.summing.max(1.0))
+        // The reserve outside holds spare room already.
+        let summed = summed.saturating_sub(SPARE_BYTES) as f64;
+        self.outside + summed * (1.0 + self.finishing / self.summing.max(1.0))
     }
 }
 
@@ -151,8 +153,11 @@ impl Planner {
     /// The plan for limits with at least `rays_per_vertex` rays per vertex; 0 for no limits.
     #[must_use]
     pub fn with_rays_per_vertex(&self, rays_per_vertex: f64) -> Plan {
-        let limits = if rays_per_vertex > 0.0 {
-            self.counts.limits(self.scale, rays_per_vertex)
+        let limits = if rays_per_vertex > 0.0 && self.settings.grid == GridKind::Octree {
+            // Where memory is short, no criterion says where to stop.
+            let is_short = self.settings.memory.is_some() && rays_per_vertex > self.settings.rays_per_vertex();
+            let limits = if is_short { PilotCounts::spread_limits } else { PilotCounts::limits };
+            limits(&self.counts, self.scale, rays_per_vertex)
         } else {
             MaxLevels::none(self.lattice.level())
         };
@@ -175,6 +180,8 @@ impl Planner {
             (false, false) => 0.0,
         };
         let given_up = self.counts.shares(&limits);
+        // They are made in a table twice as large.
+        let outside = self.outside + 3.0 * limits.heap_bytes() as f64;
         Plan {
             limits,
             rays_per_vertex,
@@ -182,7 +189,7 @@ impl Planner {
             vertices_unlimited: self.correction * self.vertices_unlimited,
             summing,
             finishing: vertices * (VALUES + structure + f64::max(building, gathered as f64)),
-            outside: self.outside,
+            outside,
             file: vertices * (VALUES + stored + in_file) + 12.0 * self.settings.surface_points as f64,
             time: self.time,
             given_up,
@@ -198,11 +205,16 @@ impl Planner {
     pub fn plan(&self) -> Result<Plan> {
         let wanted = self.with_rays_per_vertex(self.settings.rays_per_vertex());
         let Some(budget) = self.settings.memory.map(|bytes| bytes as f64) else { return Ok(wanted) };
-        self.within(budget).ok_or_else(|| {
-            let least = match self.settings.grid {
-                GridKind::Dense => wanted.peak(),
-                GridKind::Octree => self.with_rays_per_vertex(MOST).peak(),
-            };
+        let least = match self.settings.grid {
+            GridKind::Dense => wanted.peak(),
+            GridKind::Octree => {
+                // On the coarsest leaves nothing is left to give up if the plan is wrong.
+                let coarsest = self.coarsest();
+                coarsest.outside + 2.0 * (coarsest.summing + coarsest.finishing)
+            }
+        };
+        let is_safe = |plan: &Plan| budget >= least || plan.rays_per_vertex == wanted.rays_per_vertex;
+        self.within(budget).filter(is_safe).ok_or_else(|| {
             let expected = format!("at least {:.0} MB, or a lower level, or fewer rays", least / 1e6);
             Error::setting("memory budget", expected, format!("{:.0} MB", budget / 1e6))
         })
@@ -216,7 +228,7 @@ impl Planner {
         if fits(&finest) || self.settings.grid == GridKind::Dense {
             return Some(finest).filter(fits);
         }
-        let mut best = Some(self.with_rays_per_vertex(MOST)).filter(fits)?;
+        let mut best = Some(self.coarsest()).filter(fits)?;
         // A region drops a level when its rays per vertex fall below the bound, so the peak falls with the bound.
         let (mut low, mut high) = (least.max(LEAST).log2(), MOST.log2());
         while high - low > 0.02 {
@@ -231,6 +243,11 @@ impl Planner {
         Some(best)
     }
 
+    /// The plan with the coarsest leaves.
+    pub(super) fn coarsest(&self) -> Plan {
+        self.with_rays_per_vertex(MOST)
+    }
+
     /// Plans as if the process took nothing beside sums and field.
     #[cfg(test)]
     pub(super) fn forget_process(&mut self) {
@@ -241,7 +258,7 @@ impl Planner {
     /// `plan`: all further plans expect as much more, or less, as was found.
     pub(super) fn corrected(&mut self, plan: &Plan, done: f64, summed: usize, budget: f64) -> Option<Plan> {
         let Needs { bricks, .. } = self.census.needs(done * self.own_scale, &plan.limits);
-        self.correction = summed as f64 / (bricks * BRICK_BYTES).max(1.0);
+        self.correction = summed.saturating_sub(SPARE_BYTES) as f64 / (bricks * BRICK_BYTES).max(1.0);
         self.within(budget)
     }
 }

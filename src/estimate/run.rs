@@ -31,7 +31,7 @@ pub struct Outcome {
     pub summing: Duration,
     /// The plan that the run ended with, if something limited it.
     pub plan: Option<Plan>,
-    /// Whether memory ran out in spite of the plan, so that the run started over with a coarser one.
+    /// Whether the first rays took more or less memory than planned, so that the run started over with another plan.
     pub is_replanned: bool,
     /// Estimated error of log10 U, if the run was to reach a mean error.
     pub sampling_error: Option<SamplingError>,
@@ -349,7 +349,9 @@ impl Limits {
         let (planner, plan, budget) = (self.planner.as_mut()?, self.plan.as_ref()?, self.budget? as f64);
         let aims = [AIM, 0.5 * AIM, 0.25 * AIM].into_iter();
         let mut plans = aims.filter_map(|aim| planner.corrected(plan, done, summed, aim * budget));
-        plans.find(|other| other.rays_per_vertex > plan.rays_per_vertex)
+        let is_coarser = |other: &Plan| other.rays_per_vertex > plan.rays_per_vertex && other.limits != plan.limits;
+        let found = plans.find(is_coarser);
+        found.or_else(|| Some(planner.coarsest()).filter(is_coarser))
     }
 }
 

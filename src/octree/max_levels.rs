@@ -4,6 +4,8 @@
 //! level, its limit. Limits of touching regions differ by at most one, so the leaves are balanced. Where rays
 //! are too few, or memory too small, to support the finest level, vertex sums are gathered on these leaves.
 
+use std::sync::Arc;
+
 use rustc_hash::FxHashMap;
 
 use super::{Cell, Leaves, cells_around, morton};
@@ -18,7 +20,8 @@ pub struct MaxLevels {
     /// Level of the regions.
     region: u8,
     /// Limits by region; a region without an entry keeps its own level. `None`: the finest level everywhere.
-    levels: Option<FxHashMap<u64, u8>>,
+    /// Copies share them: at level 12 they are hundreds of thousands.
+    levels: Option<Arc<FxHashMap<u64, u8>>>,
 }
 
 impl MaxLevels {
@@ -59,7 +62,8 @@ impl MaxLevels {
             }
         }
         levels.retain(|_, level| *level > region);
-        Self { finest, region, levels: Some(levels) }
+        levels.shrink_to_fit();
+        Self { finest, region, levels: Some(Arc::new(levels)) }
     }
 
     /// Level of the regions.
@@ -72,6 +76,13 @@ impl MaxLevels {
     #[must_use]
     pub fn is_unlimited(&self) -> bool {
         self.levels.is_none()
+    }
+
+    /// Bytes on the heap, shared by all copies.
+    #[must_use]
+    pub fn heap_bytes(&self) -> usize {
+        // hashbrown: one control byte and one pair per bucket; one bucket in eight stays empty.
+        self.levels.as_ref().map_or(0, |levels| levels.capacity() * 8 / 7 * (1 + size_of::<(u64, u8)>()))
     }
 
     /// The limit of a region.

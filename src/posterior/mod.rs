@@ -24,7 +24,7 @@ pub use covariance::{Covariance, negligible_information};
 pub use criteria::{Criteria, Criterion};
 pub use dense::DensePosterior;
 pub use factor::FactoredSums;
-pub(crate) use octree::{BRICK_BYTES, CONTRIBUTION_BYTES};
+pub(crate) use octree::{BRICK_BYTES, CONTRIBUTION_BYTES, SPARE_BYTES};
 pub use octree::{Brick, Census, Needs, OctreePosterior, PilotCounts, Refinement};
 pub use pooling::Pooling;
 pub use prior::Prior;

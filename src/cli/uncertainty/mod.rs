@@ -233,7 +233,9 @@ impl Args {
             report::sampling_error(error, progress.rays, grid.tolerance);
         }
         if let Some(plan) = plan.filter(|_| is_replanned) {
-            eprintln!("note: memory ran out under way; the run started again with less:");
+            eprintln!(
+                "note: the first rays took more or less memory than planned; the run started again with this plan:"
+            );
             report::plan(&plan, &grid);
         }
         warn_of_dropped(&progress);

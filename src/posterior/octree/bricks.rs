@@ -88,6 +88,9 @@ impl BrickList {
 /// A block has two to three bricks, and 41 bytes in a table that is two thirds full.
 pub const BRICK_BYTES: f64 = (size_of::<Brick>() + 12 + 25) as f64;
 
+/// Expected bytes of chunks that are not yet full: half a chunk in every partition.
+pub const SPARE_BYTES: usize = PARTITIONS * size_of::<Chunk>() / 2;
+
 /// Number of contributions whose slots are looked up before the first of them is added.
 const AHEAD: usize = 32;
 

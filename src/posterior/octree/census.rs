@@ -1,9 +1,10 @@
 //! Counts what a pilot's rays touch, without sums, and says from that how much a run will touch.
 //!
-//! Bricks of sums and split cells of the octree are *species*, rays are catches ([`Caught`] has the estimator). Bricks are counted on the leaves of every coarseness that limits may ask for, because a coarse
-//! leaf is touched by more rays than its part of the finest ones. Cells are counted level by level, as if every ray
-//! had an octree of its own. The octree of all rays splits what the octree of any ray splits, because balance is a
-//! rule from one cell to its neighbours.
+//! Bricks of sums and split cells of the octree are *species*, rays are catches ([`Caught`] has the estimator). Bricks
+//! are counted on the leaves of every coarseness that limits may ask for, because a coarse leaf is touched by more rays
+//! than its part of the finest ones. Cells are counted level by level, as if every ray had an octree of its own. The
+//! octree of all rays splits what the octree of any ray splits, because balance is a rule from one cell to its
+//! neighbours.
 //!
 //! A census of millions would itself take the memory that it is to plan. [`Sample`] therefore keeps those species whose
 //! hash ends in enough zeros (Wegman's adaptive sampling, Flajolet 1990), so that they are at most a fixed number.

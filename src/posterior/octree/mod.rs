@@ -41,8 +41,8 @@ use crate::geometry::Lattice;
 use crate::octree::{Leaves, MaxLevels, coarseness};
 use crate::render::RaySamples;
 
-/// Expected bytes of a brick, with what it takes to find it.
-pub(crate) use bricks::BRICK_BYTES;
+/// Expected bytes of a brick, with what it takes to find it, and of chunks of bricks that are not yet full.
+pub(crate) use bricks::{BRICK_BYTES, SPARE_BYTES};
 /// Bytes of one ray's contribution to one vertex, before it is summed.
 pub(crate) const CONTRIBUTION_BYTES: usize = size_of::<lists::Contribution>();
 

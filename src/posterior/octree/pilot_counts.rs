@@ -74,11 +74,26 @@ impl PilotCounts {
     /// The finest limits with which `scale` times the pilot's rays give at least `min_rays` rays per vertex, by region.
     #[must_use]
     pub fn limits(&self, scale: f64, min_rays: f64) -> MaxLevels {
+        self.limits_where(scale, |_| min_rays)
+    }
+
+    /// As [`PilotCounts::limits`], but every region asks for up to twice as many rays, by chance.
+    ///
+    /// Many regions have the same few counts. Their limits would all fall at the same number of rays, and a budget that
+    /// lies between could not be used.
+    #[must_use]
+    pub fn spread_limits(&self, scale: f64, min_rays: f64) -> MaxLevels {
+        let chance =
+            |region: u64| (region.wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 40) as f64 / 2_f64.powi(24);
+        self.limits_where(scale, |region| min_rays * chance(region).exp2())
+    }
+
+    fn limits_where(&self, scale: f64, min_rays: impl Fn(u64) -> f64) -> MaxLevels {
         let least = MaxLevels::none(self.finest).region_level();
         let wanted = self.counts.iter().map(|(&region, counts)| {
             let coarser = (0..=self.finest - least).find(|&coarser| {
                 let (all, touches) = counts.expected(scale, coarser);
-                touches >= min_rays * all
+                touches >= min_rays(region) * all
             });
             (region, coarser.map_or(least, |coarser| self.finest - coarser))
         });
