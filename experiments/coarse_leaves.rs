@@ -20,6 +20,7 @@ use common::table::{Table, mean, spread, whole};
 use common::work::Work;
 
 const SEEDS: [u64; 3] = [0, 1, 2];
+const COVARIANCES: [Covariance; 2] = [Covariance::Diagonal, Covariance::Block];
 /// Most levels given up.
 const COARSEST: u8 = 4;
 /// Points on surfaces.
@@ -28,29 +29,24 @@ const POINTS: usize = 100_000;
 const LEAST_RAYS: f64 = 64.0;
 
 fn main() -> Result<()> {
-    let parts =
-        [("built-in", Needs::Nothing), ("city", Needs::Nothing), ("lego", Needs::Data), ("ignatius", Needs::Data)];
+    let parts = [("built-in", Needs::Nothing), ("city", Needs::Nothing), ("lego", Needs::Data)];
     let program = Program::start("coarse_leaves", &parts)?;
     program.part("built-in", |work| {
         let level_6 = |name| -> Result<Scene> {
             let scene = Scene::built_in(name)?;
-            Ok(Scene { settings: scene.settings.rays(1_024_000), ..scene })
+            Ok(Scene { settings: scene.settings.rays(204_800), ..scene })
         };
         let courtyard = Scene::courtyard();
-        let courtyard = Scene { settings: courtyard.settings.rays(4_096_000), ..courtyard };
+        let courtyard = Scene { settings: courtyard.settings.rays(1_024_000), ..courtyard };
         study(work, &[courtyard, level_6("wall")?, level_6("slab")?, level_6("ball")?])
     })?;
     program.part("city", |work| {
         let city = Scene::city()?;
-        study(work, &[Scene { settings: city.settings.rays(4_096_000), ..city }])
+        study(work, &[Scene { settings: city.settings.rays(1_024_000), ..city }])
     })?;
     program.part("lego", |work| {
         let lego = Scene::lego(&Program::data()?)?;
         study(work, &[Scene { settings: lego.settings.rays(4_096_000), ..lego }])
-    })?;
-    program.part("ignatius", |work| {
-        let ignatius = Scene::ignatius(&Program::data()?)?;
-        study(work, &[Scene { settings: ignatius.settings.rays(4_096_000), ..ignatius }])
     })
 }
 
@@ -62,14 +58,24 @@ struct Row {
     shifts: Vec<[f64; 4]>,
 }
 
-fn measure(scene: &Scene, covariance: Covariance, seed: u64) -> Result<Row> {
-    let finest = scene.grid.covariance(covariance).surface_points(POINTS);
+/// The rows of all [`COVARIANCES`], from the same rays.
+fn measure(scene: &Scene, seed: u64) -> Result<Vec<Row>> {
+    let finest = scene.grid.surface_points(POINTS);
     let estimation = scene.estimation(scene.settings.seed(seed), finest);
     let run = estimation.prepare()?;
     let lambda = finest.prior_precision(run.lattice());
     let coarser = |k: u8| finest.level(finest.level - k).lambda(lambda * 4_f64.powi(k.into()));
     let grids: Vec<GridSettings> = [finest].into_iter().chain((1..=COARSEST).map(coarser)).collect();
     let fields = run.finish_on(&grids)?.into_iter().map(|outcome| outcome.field).collect::<Vec<UncertaintyField>>();
+    let rows = COVARIANCES.into_iter().map(|covariance| {
+        let fields = fields.iter().map(|field| field.clone().with_covariance(covariance));
+        Ok(shifts(&fields.collect::<Result<Vec<UncertaintyField>>>()?))
+    });
+    rows.collect()
+}
+
+/// How the coarser of `fields` differ from the first.
+fn shifts(fields: &[UncertaintyField]) -> Row {
     let truth = &fields[0];
     let moved = truth.prior() * 10_f64.powf(-octobayes::uncertainty::MOVED);
     let points: Vec<Vec3> = truth.surface().iter().copied().map(Vec3::from_array).collect();
@@ -91,7 +97,7 @@ fn measure(scene: &Scene, covariance: Covariance, seed: u64) -> Result<Row> {
         let at = |share: f64| off[((off.len() - 1) as f64 * share) as usize];
         [average, deviation, at(0.05), at(0.95)]
     });
-    Ok(Row { points: points.len() as f64, shifts: shifts.collect() })
+    Row { points: points.len() as f64, shifts: shifts.collect() }
 }
 
 fn study(work: &Work, scenes: &[Scene]) -> Result<(String, String)> {
@@ -109,19 +115,19 @@ fn study(work: &Work, scenes: &[Scene]) -> Result<(String, String)> {
         "without division, per level",
     ]);
     for scene in scenes {
-        for covariance in [Covariance::Diagonal, Covariance::Block] {
-            let of = |seed| work.row((scene.name, covariance, seed), || measure(scene, covariance, seed));
-            let rows = SEEDS.into_iter().map(of).collect::<Result<Vec<Row>>>()?;
+        let of = |seed| work.row((scene.name, seed), || measure(scene, seed));
+        let rows = SEEDS.into_iter().map(of).collect::<Result<Vec<Vec<Row>>>>()?;
+        for (c, covariance) in COVARIANCES.into_iter().enumerate() {
             for k in 1..=usize::from(COARSEST) {
                 let of = |value: &dyn Fn(&[f64; 4]) -> f64| -> Vec<f64> {
-                    rows.iter().map(|row| value(&row.shifts[k - 1])).collect()
+                    rows.iter().map(|rows| value(&rows[c].shifts[k - 1])).collect()
                 };
                 let levels = k as f64;
                 table.row(&[
                     scene.name.to_string(),
                     scene.grid.level.to_string(),
                     covariance.name().to_string(),
-                    whole(mean(&rows.iter().map(|row| row.points).collect::<Vec<f64>>())),
+                    whole(mean(&rows.iter().map(|rows| rows[c].points).collect::<Vec<f64>>())),
                     k.to_string(),
                     spread(&of(&|s| s[0]), 3),
                     spread(&of(&|s| s[1]), 2),

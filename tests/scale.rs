@@ -57,7 +57,13 @@ fn more_pixels_and_less_noise_make_a_scene_more_certain() {
     assert!(output.status.code() == Some(2) && said.contains("scale of data.oct: expected `paper`"), "{said}");
     good(folder, "compare paper.oct data.oct --force --points 1000");
     assert!(good(folder, "info data.oct").contains("a deviation in scene units, from 4096 pixels of noise 0.0316"));
-    assert!(good(folder, "info paper.oct").contains("not a length"));
+    let info = good(folder, "info paper.oct");
+    assert!(info.contains("not a length"));
+    // What a file can answer, and what would make it.
+    assert!(info.contains("covariances      no: only `diagonal`; uncertainty --keep-sums"), "{info}");
+    assert!(good(folder, "info data.oct").contains("covariances      diagonal, trace, block"));
+    let value: serde_json::Value = serde_json::from_str(&good(folder, "info paper.oct --json")).unwrap();
+    assert_eq!((&value["answers"]["merging"], &value["answers"]["never seen"]), (&false.into(), &true.into()));
 }
 
 #[test]

@@ -6,6 +6,7 @@ use serde_json::json;
 
 use super::report;
 use crate::error::printable;
+use crate::posterior::Covariance;
 use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
 
@@ -18,6 +19,42 @@ pub struct Args {
     /// Print one JSON object
     #[arg(long)]
     json: bool,
+}
+
+/// A question, and whether a file answers it.
+struct Answer {
+    what: &'static str,
+    is_known: bool,
+    /// What it answers, or what of `uncertainty` would make it.
+    words: String,
+}
+
+/// What a field can answer, and what it cannot.
+fn answers(field: &UncertaintyField) -> Vec<Answer> {
+    let answer = |what, is_known: bool, yes: String, no: &str| {
+        let words = if is_known { yes } else { no.to_string() };
+        Answer { what, is_known, words }
+    };
+    let covariance = field.protocol().covariance.name();
+    let has_sums = field.sums().is_some();
+    let of_sums = format!("only `{covariance}`; uncertainty --keep-sums keeps what the others need");
+    let names: Vec<&str> = Covariance::ALL.iter().map(|covariance| covariance.name()).collect();
+    let points = field.surface().len();
+    vec![
+        answer("U at points", true, format!("by `{covariance}`"), ""),
+        answer("covariances", has_sums, names.join(", "), &of_sums),
+        answer(
+            "merging",
+            has_sums,
+            "with fields of other rays".into(),
+            "its sums were not kept (uncertainty --keep-sums)",
+        ),
+        answer("ray counts", !field.rays().is_empty(), "at every vertex".into(), "the file does not say"),
+        answer("never seen", field.visits().is_some(), "told from free space".into(), "where rays passed is not known"),
+        answer("error bars", field.error_bars().is_some(), "of log10 U".into(), "uncertainty --error-bars makes them"),
+        answer("surfaces", points > 0, format!("{points} points for compare and --threshold 99%"), "no points on them"),
+        answer("its model", field.protocol().origin.model.is_some(), "known by its checksum".into(), "not known"),
+    ]
 }
 
 impl Args {
@@ -37,6 +74,7 @@ impl Args {
             value["summary"] = json!(field.summary());
             value["surfaces"] = report::surfaces_json(&field);
             value["octree"] = json!(stats);
+            value["answers"] = answers(&field).iter().map(|a| (a.what.to_string(), json!(a.is_known))).collect();
             value["memory"] = memory.iter().map(|&(part, bytes)| (part.to_string(), json!(bytes))).collect();
             say!("{value}")?;
             return Ok(());
@@ -50,6 +88,10 @@ impl Args {
             say!("  {:.0} % of the space was never seen", 100.0 * visits.unseen_share())?;
         }
         say!("  prior U {:.4e} (log10 {:.4})", field.prior(), field.prior().log10())?;
+        say!("answers")?;
+        for Answer { what, is_known, words } in answers(&field) {
+            say!("  {what:<16} {}{words}", if is_known { "" } else { "no: " })?;
+        }
         say!("memory")?;
         for (part, bytes) in &memory {
             say!(
