@@ -13,7 +13,7 @@ import torch
 import octobayes as ob
 
 BOX = ([-1.0, -1.0, -1.0], [1.0, 1.0, 1.0])
-STEPS, RAYS, SAMPLES = 600, 512, 64
+STEPS, RAYS, SAMPLES = 400, 384, 48
 torch.manual_seed(0)
 
 # 1. Pictures, with their cameras. The scene's own cameras all stand on one side.
