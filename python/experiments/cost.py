@@ -214,8 +214,8 @@ def main() -> None:
 
 Written by `{command}`, commit {commit.stdout.strip() or "unknown"}, Python
 {platform.python_version()}, NumPy {np.__version__}{torch_version}, {os.cpu_count()} processors shared with others.
-Ratios are of processor seconds of all threads, which others do not change; the ratio by the wall, which they do, is
-beside it.
+Ratios are of processor seconds of all threads, which others disturb least; the ratio by the wall, which they disturb
+most, is beside it.
 
 ## A Plenoptic PNG through Python
 
@@ -228,7 +228,7 @@ log10 U on surfaces. The target is 1.25.
 |---|---|---:|---:|---:|---:|---:|---:|---:|
 {chr(10).join(ppng)}
 
-Without `density` a callable computes colours that nobody needs. In Rust the model bounds its density, and the callable
+Without `density` a callable computes colours that nobody needs, and misses the target. In Rust the model bounds its density, and the callable
 cannot: its occupancy grid is sampled, {129**3 + 128**3:,} points more, which weigh less the more rays there are.
 
 ## A torch MLP on the CPU
