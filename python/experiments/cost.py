@@ -228,8 +228,9 @@ log10 U on surfaces. The target is 1.25.
 |---|---|---:|---:|---:|---:|---:|---:|---:|
 {chr(10).join(ppng)}
 
-Without `density` a callable computes colours that nobody needs, and misses the target. In Rust the model bounds its density, and the callable
-cannot: its occupancy grid is sampled, {129**3 + 128**3:,} points more, which weigh less the more rays there are.
+Without `density` a callable computes colours that nobody needs, and misses the target. In Rust the model bounds its
+density, and the callable cannot: its occupancy grid is sampled, {129**3 + 128**3:,} points more, which weigh less the
+more rays there are.
 
 ## A torch MLP on the CPU
 
