@@ -25,21 +25,26 @@ pub struct Model {
     pub checksum: u32,
 }
 
-/// Rows of an array `[n, 3]` as points.
-pub fn points(array: &PyReadonlyArray2<f32>) -> PyResult<Vec<Vec3>> {
-    Ok(array.as_slice()?.as_chunks::<3>().0.iter().copied().map(Vec3::from_array).collect())
+/// Rows of an array `[n, 3]`.
+fn triples<'a>(array: &'a PyReadonlyArray2<f32>) -> PyResult<&'a [[f32; 3]]> {
+    Ok(array.as_slice()?.as_chunks::<3>().0)
 }
 
-fn flat<'a>(vectors: impl Iterator<Item = &'a Vec3>) -> Vec<f32> {
-    vectors.flat_map(Vec3::to_array).collect()
+fn vectors(triples: &[[f32; 3]]) -> Vec<Vec3> {
+    triples.iter().copied().map(Vec3::from_array).collect()
+}
+
+/// Rows of an array `[n, 3]` as points.
+pub fn points(array: &PyReadonlyArray2<f32>) -> PyResult<Vec<Vec3>> {
+    triples(array).map(vectors)
 }
 
 type Array1<'py> = Bound<'py, PyArray1<f32>>;
 type Array2<'py> = Bound<'py, PyArray2<f32>>;
 
-fn rows(py: Python<'_>, values: Vec<f32>, width: usize) -> PyResult<Array2<'_>> {
-    let n = values.len() / width;
-    PyArray1::from_vec(py, values).reshape([n, width])
+fn rows<const N: usize>(py: Python<'_>, values: Vec<[f32; N]>) -> PyResult<Array2<'_>> {
+    let n = values.len();
+    PyArray1::from_vec(py, values.into_flattened()).reshape([n, N])
 }
 
 #[pymethods]
@@ -64,25 +69,29 @@ impl Model {
         x: PyReadonlyArray2<'py, f32>,
         d: PyReadonlyArray2<'py, f32>,
     ) -> PyResult<(Array1<'py>, Array2<'py>)> {
-        let (x, d) = (points(&x)?, points(&d)?);
-        let (density, color) = py.detach(|| {
-            let mut radiance = vec![Radiance::default(); x.len()];
-            let parts = x.par_chunks(CHUNK).zip(d.par_chunks(CHUNK)).zip(radiance.par_chunks_mut(CHUNK));
-            parts.for_each(|((x, d), out)| self.field.evaluate(x, d, out));
-            let density = radiance.iter().map(|r| r.density).collect();
-            (density, flat(radiance.iter().map(|r| &r.color)))
+        let (x, d) = (triples(&x)?, triples(&d)?);
+        let (mut density, mut color) = (vec![0.0; x.len()], vec![[0.0; 3]; x.len()]);
+        py.detach(|| {
+            let parts = x.par_chunks(CHUNK).zip(d.par_chunks(CHUNK));
+            let parts = parts.zip(density.par_chunks_mut(CHUNK).zip(color.par_chunks_mut(CHUNK)));
+            parts.for_each(|((x, d), (density, color))| {
+                let mut radiance = vec![Radiance::default(); x.len()];
+                self.field.evaluate(&vectors(x), &vectors(d), &mut radiance);
+                for ((density, color), r) in density.iter_mut().zip(color).zip(radiance) {
+                    (*density, *color) = (r.density, r.color.to_array());
+                }
+            });
         });
-        Ok((PyArray1::from_vec(py, density), rows(py, color, 3)?))
+        Ok((PyArray1::from_vec(py, density), rows(py, color)?))
     }
 
     /// Density `[n]` at `x` `[n, 3]`.
     fn density<'py>(&self, py: Python<'py>, x: PyReadonlyArray2<'py, f32>) -> PyResult<Array1<'py>> {
-        let x = points(&x)?;
-        let density = py.detach(|| {
-            let mut density = vec![0.0; x.len()];
+        let x = triples(&x)?;
+        let mut density = vec![0.0; x.len()];
+        py.detach(|| {
             let parts = x.par_chunks(CHUNK).zip(density.par_chunks_mut(CHUNK));
-            parts.for_each(|(x, out)| self.field.densities(x, out));
-            density
+            parts.for_each(|(x, out)| self.field.densities(&vectors(x), out));
         });
         Ok(PyArray1::from_vec(py, density))
     }
@@ -94,25 +103,29 @@ impl Model {
         x: PyReadonlyArray2<'py, f32>,
         d: PyReadonlyArray2<'py, f32>,
     ) -> PyResult<(Array1<'py>, Array2<'py>, Array2<'py>, Array2<'py>)> {
-        let (x, d) = (points(&x)?, points(&d)?);
-        let jets = py.detach(|| {
-            let field = self.field.differentiable().ok_or_else(|| {
-                let found = format!("one that does not: {}", self.field.describe());
-                Error::setting("derivatives", "a model that differentiates itself", found)
+        let field = self.field.differentiable().ok_or_else(|| {
+            let found = format!("one that does not: {}", self.field.describe());
+            Error::setting("derivatives", "a model that differentiates itself", found)
+        });
+        let (field, x, d) = (field.or_raise()?, triples(&x)?, triples(&d)?);
+        let (mut density, mut color) = (vec![0.0; x.len()], vec![[0.0; 3]; x.len()]);
+        let (mut slope, mut tint) = (vec![[0.0; 3]; x.len()], vec![[0.0; 9]; x.len()]);
+        py.detach(|| {
+            let parts = x.par_chunks(CHUNK).zip(d.par_chunks(CHUNK));
+            let values = density.par_chunks_mut(CHUNK).zip(color.par_chunks_mut(CHUNK));
+            let slopes = slope.par_chunks_mut(CHUNK).zip(tint.par_chunks_mut(CHUNK));
+            parts.zip(values.zip(slopes)).for_each(|((x, d), ((density, color), (slope, tint)))| {
+                let mut jets = vec![RadianceJet::default(); x.len()];
+                field.jets(&vectors(x), &vectors(d), &mut jets);
+                for (i, jet) in jets.iter().enumerate() {
+                    (density[i], color[i]) = (jet.value.density, jet.value.color.to_array());
+                    slope[i] = jet.density_gradient.to_array();
+                    // A jet has one colour for each axis; Python's rows are channels.
+                    tint[i] = std::array::from_fn(|k| jet.color_gradients[k % 3][k / 3]);
+                }
             });
-            let field = field.or_raise()?;
-            let mut jets = vec![RadianceJet::default(); x.len()];
-            let parts = x.par_chunks(CHUNK).zip(d.par_chunks(CHUNK)).zip(jets.par_chunks_mut(CHUNK));
-            parts.for_each(|((x, d), out)| field.jets(x, d, out));
-            PyResult::Ok(jets)
-        })?;
-        let density = jets.iter().map(|jet| jet.value.density).collect();
-        let color = flat(jets.iter().map(|jet| &jet.value.color));
-        let slope = flat(jets.iter().map(|jet| &jet.density_gradient));
-        // A jet has one colour for each axis; Python's rows are channels.
-        let tint = |jet: &RadianceJet| -> [f32; 9] { std::array::from_fn(|i| jet.color_gradients[i % 3][i / 3]) };
-        let tint = jets.iter().flat_map(tint).collect();
-        Ok((PyArray1::from_vec(py, density), rows(py, color, 3)?, rows(py, slope, 3)?, rows(py, tint, 9)?))
+        });
+        Ok((PyArray1::from_vec(py, density), rows(py, color)?, rows(py, slope)?, rows(py, tint)?))
     }
 
     /// Rows of numbers of the model's cameras, `[cameras, 26]`; `None` if it has none. `fov` in degrees.

@@ -18,6 +18,7 @@ use octobayes::glam::Vec3;
 use octobayes::monitor::Monitor;
 use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
+use rayon::prelude::*;
 
 use crate::errors::to_python;
 
@@ -270,8 +271,11 @@ pub struct PythonField<'a> {
     link: Sender<Message>,
 }
 
+/// Points that a thread copies at a time. Copying is done by all threads, because all wait for it.
+const COPIED: usize = 1 << 13;
+
 fn flat(points: &[Vec3]) -> Vec<f32> {
-    points.iter().flat_map(Vec3::to_array).collect()
+    points.par_iter().with_min_len(COPIED).map(Vec3::to_array).collect::<Vec<_>>().into_flattened()
 }
 
 impl PythonField<'_> {
@@ -305,9 +309,10 @@ impl RadianceField for PythonField<'_> {
 
     fn evaluate(&self, positions: &[Vec3], directions: &[Vec3], out: &mut [Radiance]) {
         self.ask(Kind::Radiance, positions, directions, |from, [density, color, ..]| {
-            for ((out, density), color) in out[from..].iter_mut().zip(density).zip(color.as_chunks::<3>().0) {
-                *out = Radiance { density, color: Vec3::from_array(*color) };
-            }
+            let answers = density.par_iter().zip(color.as_chunks::<3>().0);
+            out[from..].par_iter_mut().zip(answers).with_min_len(COPIED).for_each(|(out, (density, color))| {
+                *out = Radiance { density: *density, color: Vec3::from_array(*color) };
+            });
         });
     }
 
@@ -348,10 +353,10 @@ impl RadianceField for PythonField<'_> {
 impl Differentiable for PythonField<'_> {
     fn jets(&self, positions: &[Vec3], directions: &[Vec3], out: &mut [RadianceJet]) {
         self.ask(Kind::Derivatives, positions, directions, |from, [density, color, slope, tint]| {
-            let rows = density.iter().zip(color.as_chunks::<3>().0).zip(slope.as_chunks::<3>().0);
-            for ((out, ((density, color), slope)), tint) in
-                out[from..].iter_mut().zip(rows).zip(tint.as_chunks::<9>().0)
-            {
+            let values = density.par_iter().zip(color.as_chunks::<3>().0);
+            let slopes = slope.as_chunks::<3>().0.par_iter().zip(tint.as_chunks::<9>().0);
+            let jets = out[from..].par_iter_mut().zip(values.zip(slopes)).with_min_len(COPIED);
+            jets.for_each(|(out, ((density, color), (slope, tint)))| {
                 // Python's rows are channels; a jet has one colour for each axis.
                 let gradient = |axis: usize| Vec3::new(tint[axis], tint[3 + axis], tint[6 + axis]);
                 *out = RadianceJet {
@@ -359,7 +364,7 @@ impl Differentiable for PythonField<'_> {
                     density_gradient: Vec3::from_array(*slope),
                     color_gradients: [0, 1, 2].map(gradient),
                 };
-            }
+            });
         });
     }
 }

@@ -93,8 +93,8 @@ impl Question<'_> {
             questions.remove(0).answer(field, analytic);
             return;
         }
-        let positions: Vec<Vec3> = questions.iter().flat_map(Self::positions).copied().collect();
-        let directions: Vec<Vec3> = questions.iter().flat_map(Self::directions).copied().collect();
+        let positions = questions.iter().map(Self::positions).collect::<Vec<_>>().concat();
+        let directions = questions.iter().map(Self::directions).collect::<Vec<_>>().concat();
         let n = positions.len();
         let (mut densities, mut gradients) = (Vec::new(), Vec::new());
         let (mut radiance, mut jets) = (Vec::new(), Vec::new());
