@@ -167,7 +167,7 @@ LONG_RUNS = {
     "a callable": "ob.uncertainty(nerf, cameras, box=model.box, **forever)",
     "a model": "ob.uncertainty(model, cameras, **forever)",
     "a slow callable": "ob.uncertainty(slow, cameras, box=model.box, **forever)",
-    "a picture": "ob.render(model, None, {'pose': cameras[0]['pose'], 'fov': 20, 'size': (9000, 9000)}, **told)",
+    "a picture": "ob.render(model, None, {'pose': cameras[0]['pose'], 'fov': 20, 'size': (1600, 1600)}, **told)",
     "samples": "ob.uncertainty(model, cameras, dump_samples='samples.npz', **forever)",
 }
 

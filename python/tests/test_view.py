@@ -147,9 +147,10 @@ def test_the_readmes_example_runs(capsys):
 def test_a_plenoptic_png_through_python(data):
     model = ob.open_model(data / "ppng-pretrained" / "NeRFSynthetic" / "ppng_1" / "lego.ppng")
     cameras = model.cameras(fov=39.6, resolution=(100, 100))
-    run = {**SMALL, "pixel_offset": model.pixel_offset}
+    # With a cutoff, what is left out depends on the occupancy grid, which is certain in Rust and sampled in Python.
+    run = {**SMALL, "level": 5, "grid": "dense", "rays": 2_048, "cutoff": 0, "pixel_offset": model.pixel_offset}
     rust = ob.uncertainty(model, cameras, **run)
     callable_ = in_python(model, "step", "density")
     python = ob.uncertainty(callable_, cameras, box=model.box, **run)
     surface = rust.surface
-    assert len(surface) > 1000 and np.array_equal(rust.query(surface), python.query(surface))
+    assert len(surface) > 500 and np.array_equal(rust.query(surface), python.query(surface))
