@@ -272,22 +272,24 @@ impl Args {
         if self.rays == Rays::Auto {
             return Ok(());
         }
-        let plan = run.forecast()?;
+        let plan = match run.forecast() {
+            // Of the few rays of a pilot, too many may be at fault by chance; the run will tell.
+            Err(Error::NonFinite { .. }) => return Ok(()),
+            plan => plan?,
+        };
+        let left = available().zip(resident()).map(|(available, resident)| (available + resident) as f64);
+        if let Some(left) = left.filter(|left| plan.peak() > *left) {
+            let expected = format!(
+                "{}, the peak of the process by a pilot of the run; --memory bounds it, a lower --level or \
+                 --refine ray-count need less",
+                report::bytes(plan.peak() as usize)
+            );
+            return Err(Error::setting("memory", expected, format!("{} free", report::bytes(left as usize))));
+        }
         if grid.needs_plan() || run.rays() >= Planner::CHEAP * Planner::PILOT || plan.file > LARGE_FILE {
             report::plan(&plan, grid);
         }
-        let left = available().zip(resident()).map(|(available, resident)| (available + resident) as f64);
-        match left {
-            Some(left) if plan.peak() > left => {
-                let expected = format!(
-                    "{}, the peak of the process by a pilot of the run; --memory bounds it, a lower --level or \
-                     --refine ray-count need less",
-                    report::bytes(plan.peak() as usize)
-                );
-                Err(Error::setting("memory", expected, format!("{} free", report::bytes(left as usize))))
-            }
-            _ => Ok(()),
-        }
+        Ok(())
     }
 
     /// Rays of the run, or the most that it may draw.
