@@ -38,7 +38,7 @@ fn main() -> Result<()> {
         };
         let courtyard = Scene::courtyard();
         let courtyard = Scene { settings: courtyard.settings.rays(1_024_000), ..courtyard };
-        study(work, &[courtyard, level_6("wall")?, level_6("slab")?, level_6("ball")?])
+        study(work, &[courtyard, level_6("wall")?, level_6("ball")?])
     })?;
     program.part("city", |work| {
         let city = Scene::city()?;
@@ -77,6 +77,7 @@ fn measure(scene: &Scene, seed: u64) -> Result<Vec<Row>> {
 /// How the coarser of `fields` differ from the first.
 fn shifts(fields: &[UncertaintyField]) -> Row {
     let truth = &fields[0];
+    assert!(!truth.surface().is_empty(), "a scene with surfaces");
     let moved = truth.prior() * 10_f64.powf(-octobayes::uncertainty::MOVED);
     let points: Vec<Vec3> = truth.surface().iter().copied().map(Vec3::from_array).collect();
     let points: Vec<(Vec3, f64)> = points

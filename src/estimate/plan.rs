@@ -31,9 +31,15 @@ const BUILDING: f64 = 4.0;
 const EXACT: f64 = (6 * size_of::<f64>() + size_of::<u32>()) as f64;
 /// Bytes that every process needs beyond what the pilot shows: visits, chunks of bricks that are not full.
 const RESERVE: f64 = 6e6;
-/// What the process holds is rounded up to multiples of this, so that runs on equal machines, and shards above all, make
-/// the same plan although no two processes are of exactly the same size.
+/// What the process holds is rounded up to multiples of this, so that runs on equal machines usually make the same plan
+/// although no two processes are of exactly the same size.
 const GRAIN: f64 = 16e6;
+/// What the process of a part holds beside its model and its lists of rays: program, cameras, occupancy grid. All parts of
+/// a run must have the same leaves, so theirs is not measured.
+const OF_A_PART: f64 = 96e6;
+/// The fraction of the budget that the plan of a part aims at. A part that exceeds its budget all the same plans anew, and
+/// then no longer fits the others.
+const AIM_OF_A_PART: f64 = 0.8;
 /// Contributions are kept in lists that double when they are full.
 const LISTS: f64 = 1.5;
 /// Maximal number of species in each of a census's samples, if memory is short.
@@ -135,6 +141,10 @@ impl Planner {
         // All parts of a run expect the same.
         let own_scale = scale / shard.of as f64;
         let vertices_unlimited = census.needs(own_scale, &MaxLevels::none(lattice.level())).vertices;
+        let outside = match shard.of {
+            1 => ((outside + lists + RESERVE) / GRAIN).ceil() * GRAIN,
+            _ => OF_A_PART + stream.tracer.field.memory() as f64 + lists,
+        };
         Ok(Self {
             settings,
             lattice,
@@ -144,7 +154,7 @@ impl Planner {
             scale,
             own_scale,
             is_part: shard.of > 1,
-            outside: ((outside + lists + RESERVE) / GRAIN).ceil() * GRAIN,
+            outside,
             correction: 1.0,
             time: start.elapsed().mul_f64(own_scale),
         })
@@ -214,7 +224,8 @@ impl Planner {
             }
         };
         let is_safe = |plan: &Plan| budget >= least || plan.rays_per_vertex == wanted.rays_per_vertex;
-        self.within(budget).filter(is_safe).ok_or_else(|| {
+        let aim = if self.is_part { AIM_OF_A_PART * budget } else { budget };
+        self.within(aim).filter(is_safe).ok_or_else(|| {
             let expected = format!("at least {:.0} MB, or a lower level, or fewer rays", least / 1e6);
             Error::setting("memory budget", expected, format!("{:.0} MB", budget / 1e6))
         })
