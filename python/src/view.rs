@@ -122,7 +122,7 @@ pub fn evaluate(
             monitor.begin("rows", frames.iter().map(|f| u64::from(f.camera.resolution[1].div_ceil(stride))).sum());
             let mut views = Vec::new();
             for (seed, frame) in (0..).zip(frames) {
-                let truth = TrueView::read(frame, &depth, settings.background.as_dvec3(), offset, stride)?;
+                let truth = TrueView::read(frame, Some(&depth), settings.background.as_dvec3(), offset, stride)?;
                 let view = evaluator.evaluate(&truth, seed, monitor)?;
                 views.push(EvaluatedView { rendered: RenderedView::default(), ..view });
             }
