@@ -34,11 +34,11 @@ const RESERVE: f64 = 6e6;
 /// What the process holds is rounded up to multiples of this, so that runs on equal machines usually make the same plan
 /// although no two processes are of exactly the same size.
 const GRAIN: f64 = 16e6;
-/// What the process of a part holds beside its model and its lists of rays: program, cameras, occupancy grid. All parts of
-/// a run must have the same leaves, so theirs is not measured.
+/// What the process of a part holds beside its model and its lists of rays: program, cameras, occupancy grid. All
+/// parts of a run must have the same leaves, so theirs is not measured.
 const OF_A_PART: f64 = 96e6;
-/// The fraction of the budget that the plan of a part aims at. A part that exceeds its budget all the same plans anew, and
-/// then no longer fits the others.
+/// The fraction of the budget that the plan of a part aims at. A part that exceeds its budget all the same plans
+/// anew, and then no longer fits the others.
 const AIM_OF_A_PART: f64 = 0.8;
 /// Contributions are kept in lists that double when they are full.
 const LISTS: f64 = 1.5;

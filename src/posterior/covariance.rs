@@ -218,7 +218,8 @@ mod tests {
 
     #[test]
     fn matrices_are_the_inverses_whose_trace_is_the_variance() {
-        // H = 2 S / R + 2 λ with S / R = [[2, 1, 0], [1, 2, 0], [0, 0, 5]] and λ = ½ is [[5, 2, 0], [2, 5, 0], [0, 0, 11]].
+        // H = 2 S / R + 2 λ with S / R = [[2, 1, 0], [1, 2, 0], [0, 0, 5]] and λ = ½
+        // is [[5, 2, 0], [2, 5, 0], [0, 0, 11]].
         let sums = seen([20.0, 10.0, 0.0, 20.0, 0.0, 50.0]);
         let matrix = |covariance: Covariance| covariance.matrix(&sums, 10, 0.5);
         let expected = [5.0 / 21.0, -2.0 / 21.0, 0.0, 5.0 / 21.0, 0.0, 1.0 / 11.0];

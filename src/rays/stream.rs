@@ -26,9 +26,9 @@ pub const SURFACE_WEIGHT: f32 = 0.05;
 
 /// Points that a batch asks about when it begins: a round of samples along each ray.
 const FIRST_POINTS: usize = 4096;
-/// A field that wants many points at once gets them from batches of rays in different stages. A batch whose last rays are
-/// long asks about few points for many rounds: 128 are enough for a hundred such rounds beside a fresh batch. More batches
-/// than that make are not begun, for memory's sake.
+/// A field that wants many points at once gets them from batches of rays in different stages. A batch whose last rays
+/// are long asks about few points for many rounds: 128 are enough for a hundred such rounds beside a fresh batch. More
+/// batches than that makes are not begun, for memory's sake.
 const LEAST_POINTS: usize = 128;
 
 /// A run whose batches ask the field together.

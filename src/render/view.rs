@@ -77,7 +77,8 @@ pub struct RenderedView {
     pub dropped: u64,
 }
 
-/// About as many points of a ray are asked about at once ([`RadianceField::batch`](crate::field::RadianceField::batch)).
+/// About as many points of a ray are asked about at once
+/// ([`RadianceField::batch`](crate::field::RadianceField::batch)).
 const POINTS_PER_RAY: usize = 4;
 
 /// Number of values per pixel that the probes give.

@@ -52,7 +52,8 @@ enum Kind {
     Octree { root_split: bool },
 }
 
-/// Sums, written as their factors. These are computed on the way: all of them would take half as much again as the sums.
+/// Sums, written as their factors. These are computed on the way: all of them would take half as much again as the
+/// sums.
 struct Factors<'a>(&'a [VertexSums]);
 
 impl Section for Factors<'_> {
