@@ -270,6 +270,7 @@ impl Desk {
         write("beyond.npz", [4, 50], 1.0, 10);
         write("nan_samples.npz", [4, 5], f32::NAN, 10);
         write("none_drawn.npz", [0, 0], 1.0, 0);
+        write("far.npz", [0, 1], 1.0, 10);
         write("altered_samples.npz", [0, 1], 1.0, 10);
         let mut bytes = std::fs::read(self.path("altered_samples.npz")).unwrap();
         let at = bytes.windows(4).position(|b| b == 0.1_f32.to_le_bytes()).unwrap();

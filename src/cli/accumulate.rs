@@ -38,6 +38,19 @@ pub struct Args {
 }
 
 impl Args {
+    /// Refuses samples that all lie outside the box. Warns if half of them do.
+    fn check_inside(&self, inside: u64, all: u64) -> Result<()> {
+        let found = format!("{inside} of {all} samples");
+        if inside == 0 && all > 0 {
+            let expected = "samples inside the box (--box); likely causes: units, or axes";
+            return Err(Error::malformed(&self.samples, "array `positions`", expected, found));
+        }
+        if 2 * inside < all {
+            eprintln!("warning: {found} lie in the box; likely causes: --box, units, or axes");
+        }
+        Ok(())
+    }
+
     /// Runs the verb.
     pub fn run(self, bars: &Bars) -> Result<()> {
         CommandFiles::default().input("SAMPLES", &self.samples).output("--output", &self.grid.output).check()?;
@@ -51,10 +64,15 @@ impl Args {
         }
         let mut builder = FieldBuilder::new(settings, domain)?;
         let start = Instant::now();
+        let (mut inside, mut all) = (0_u64, 0_u64);
         reader.run(bars, |batches| {
+            let positions = || batches.iter().flat_map(|batch| &batch.positions);
+            inside += positions().filter(|x| builder.lattice().coordinates(**x).is_some()).count() as u64;
+            all += positions().count() as u64;
             builder.add(batches);
             Ok(())
         })?;
+        self.check_inside(inside, all)?;
         let sums_bytes = builder.memory();
         let progress = RunProgress { rays: reader.rays_total(), samples: reader.samples(), ..RunProgress::default() };
         let source = format!("samples {}", self.samples.display());

@@ -3,7 +3,7 @@
 use crate::Error;
 
 /// The library's name of a setting, and the flag that sets it.
-const FLAGS: [(&str, &str); 15] = [
+const FLAGS: [(&str, &str); 16] = [
     ("angle of view", "--fov"),
     ("checkpoint", "--checkpoint, --resume"),
     ("coordinates", "--coordinates"),
@@ -17,6 +17,7 @@ const FLAGS: [(&str, &str); 15] = [
     ("march step", "--march-step"),
     ("memory budget", "--memory"),
     ("run to a mean error", "--rays auto"),
+    ("scale", "--scale data"),
     ("shard", "--shard"),
     ("training views", "--views"),
 ];

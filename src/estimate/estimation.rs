@@ -25,8 +25,8 @@ pub(super) type Tap<'a> = Box<dyn FnMut(&[RaySamples]) -> Result<()> + 'a>;
 
 /// A run from a trained field and its training cameras to an uncertainty field.
 ///
-/// Only field and cameras are required; everything else has the command line's defaults. The result never
-/// depends on the number of threads.
+/// Only field and cameras are required; everything else has the command line's defaults. The result does
+/// not depend on the number of threads, unless a budget of memory does.
 ///
 /// ```
 /// use octobayes::estimate::{Checkpoint, Estimation, GridSettings, RaySettings};
@@ -45,7 +45,7 @@ pub(super) type Tap<'a> = Box<dyn FnMut(&[RaySamples]) -> Result<()> + 'a>;
 ///     .checkpoint(Checkpoint::new(folder.path().join("run.chk")).resume(true))
 ///     .run()?;
 /// outcome.field.write(&folder.path().join("part-0.oct"))?;
-/// # assert_eq!(outcome.progress.rays, 10_240);
+/// # assert_eq!(outcome.progress.rays, 9_760);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[must_use]

@@ -43,14 +43,15 @@ impl DataScale {
     /// The scale of `pixels` training pixels with this noise and prior deviation.
     ///
     /// # Errors
-    /// If one of them is not above 0, or if the prior precision is not a normal number.
+    /// If one of them is not above 0, if the noise is above 1, which no error of colours is, or if the prior precision is
+    /// not a normal number.
     pub fn new(pixels: u64, noise: f64, prior_deviation: f64) -> Result<Self> {
         let scale = Self { pixels, noise, prior_deviation };
         if scale.is_possible() {
             return Ok(scale);
         }
         let found = format!("{pixels} pixels, noise {noise:e}, prior deviation {prior_deviation:e}");
-        Err(Error::setting("scale", "pixels, noise and prior deviation above 0", found))
+        Err(Error::setting("scale", "pixels, noise and prior deviation above 0, and noise of colours in 0..1", found))
     }
 
     /// The scale of all pixels of `cameras`, with the default prior deviation over `domain`.
@@ -88,7 +89,10 @@ impl DataScale {
     #[must_use]
     pub fn is_possible(&self) -> bool {
         let lambda = self.lambda();
-        self.pixels > 0 && self.noise > 0.0 && self.prior_deviation > 0.0 && lambda.is_normal()
+        self.pixels > 0
+            && (f64::MIN_POSITIVE..=1.0).contains(&self.noise)
+            && self.prior_deviation > 0.0
+            && lambda.is_normal()
     }
 }
 
@@ -150,7 +154,7 @@ mod tests {
     #[test]
     fn impossible_scales_are_refused() {
         assert!(
-            [(0, 0.1, 0.1), (1, 0.0, 0.1), (1, 0.1, f64::NAN), (1, 1e-200, 1e200)]
+            [(0, 0.1, 0.1), (1, 0.0, 0.1), (1, 25.0, 0.1), (1, 0.1, f64::NAN), (1, 1e-200, 1e200)]
                 .iter()
                 .all(|&(n, s, t)| DataScale::new(n, s, t).is_err())
         );

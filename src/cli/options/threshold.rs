@@ -28,8 +28,14 @@ impl Threshold {
     /// # Errors
     /// If it is a share, and the field holds no points on visible surfaces.
     pub fn log10(self, field: &UncertaintyField) -> Result<f64> {
+        let prior = field.prior().log10();
         match self {
-            Self::Log10(log10) => Ok(log10),
+            Self::Log10(log10) => {
+                if log10 >= prior {
+                    eprintln!("warning: no density lies above the threshold: the field's prior is {prior:.3}");
+                }
+                Ok(log10)
+            }
             Self::Share(share) => {
                 let Some([log10]) = field.surface_quantiles([share]) else {
                     let expected = "a field with points on visible surfaces, for a share";
