@@ -43,8 +43,8 @@ impl DataScale {
     /// The scale of `pixels` training pixels with this noise and prior deviation.
     ///
     /// # Errors
-    /// If one of them is not above 0, if the noise is above 1, which no error of colours is, or if the prior precision is
-    /// not a normal number.
+    /// If one of them is not above 0, if the noise is above 1, which no error of colours is, or if the prior precision
+    /// is not a normal number.
     pub fn new(pixels: u64, noise: f64, prior_deviation: f64) -> Result<Self> {
         let scale = Self { pixels, noise, prior_deviation };
         if scale.is_possible() {
