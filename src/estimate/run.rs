@@ -55,6 +55,8 @@ pub(super) struct Limits {
     is_replanned: bool,
     /// Whether the plan was compared with what the first rays took.
     is_compared: bool,
+    /// How often the budget was exceeded.
+    overflows: i32,
 }
 
 /// The fraction of the rays after which a plan is compared with what they took.
@@ -63,6 +65,8 @@ const COMPARED_AT: f64 = 1.0 / 16.0;
 const WELL_USED: f64 = 0.7;
 /// The fraction of the budget that a second plan aims at, so that there is no third.
 const AIM: f64 = 0.95;
+/// The factor by which every further plan after an exceeded budget aims lower than the one before.
+const LOWER: f64 = 0.8;
 
 /// Rays with separate sums: a whole run or one group.
 struct Part<'r> {
@@ -347,7 +351,9 @@ impl Limits {
     /// A coarser plan, if there is one, for a run that exceeded its budget after the fraction `done` of its rays.
     fn coarser(&mut self, done: f64, summed: usize) -> Option<Plan> {
         let (planner, plan, budget) = (self.planner.as_mut()?, self.plan.as_ref()?, self.budget? as f64);
-        let aims = [AIM, 0.5 * AIM, 0.25 * AIM].into_iter();
+        // Where leaves fill up early, the sums of the first rays foretell too little: every further plan aims lower.
+        self.overflows += 1;
+        let aims = (self.overflows..self.overflows + 8).map(|times| AIM * LOWER.powi(times - 1));
         let mut plans = aims.filter_map(|aim| planner.corrected(plan, done, summed, aim * budget));
         let is_coarser = |other: &Plan| other.rays_per_vertex > plan.rays_per_vertex && other.limits != plan.limits;
         let found = plans.find(is_coarser);
