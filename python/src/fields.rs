@@ -89,11 +89,9 @@ pub fn accumulate(
         return Err(Error::setting("refine", expected, format!("{}", settings.criteria))).or_raise();
     }
     let mut builder = FieldBuilder::new(settings, domain).or_raise()?;
-    let keep_sums = options.or("keep_sums", false)?;
     let finish = |builder: FieldBuilder, source: String, rays: u64, samples: u64| {
         let progress = RunProgress { rays, samples, ..RunProgress::default() };
-        let field = builder.finish(&Provenance { source, progress, ..Provenance::default() });
-        if keep_sums { field } else { field.for_queries() }
+        builder.finish(&Provenance { source, progress, ..Provenance::default() })
     };
     let field = if let Ok(path) = samples.extract::<PathBuf>() {
         work(py, None, progress, move |engine| {

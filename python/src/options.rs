@@ -92,7 +92,8 @@ impl<'py> Options<'_, 'py> {
             .min_rays(self.or("min_rays", default.min_rays)?)
             .criteria(criteria.map_or(default.criteria, FromIterator::from_iter))
             .memory(self.get("memory")?)
-            .surface_points(self.or("surface_points", default.surface_points)?))
+            .surface_points(self.or("surface_points", default.surface_points)?)
+            .keep_sums(self.or("keep_sums", false)?))
     }
 
     /// The covariance, if one was named.

@@ -121,10 +121,8 @@ pub fn uncertainty(
         source: options.or("source", String::new())?,
         checksum: nerf.cast::<Model>().ok().map(|model| model.get().checksum),
     };
-    let keeps_sums = options.or("keep_sums", false)?;
     let (field, warnings) =
         work(py, source.gate(nerf), progress, |engine| source.with(engine, |field| job.run(engine, field, &cameras)))?;
-    let field = if keeps_sums { field } else { field.for_queries() };
     Ok((Uncertainty(Arc::new(field)), warnings))
 }
 
@@ -168,7 +166,7 @@ impl Job {
         }
         let Outcome { field, progress, is_replanned, .. } = run.finish()?;
         if is_replanned {
-            warnings.push("memory ran out under way; the run started again with a coarser octree".into());
+            warnings.push("the first rays took more or less memory than planned; the run started again".into());
         }
         if let Some(first) = progress.first_invalid {
             let dropped = progress.dropped;

@@ -23,12 +23,9 @@ use crate::options::{Options, cameras};
 use crate::run::Source;
 use crate::work::work;
 
-/// Cutoff for images, as on the command line: less than half a step of 8 bits.
-const IMAGE_CUTOFF: f64 = 1e-4;
-
 /// Settings of images.
 fn image_settings(options: &Options) -> PyResult<RaySettings> {
-    options.image(RaySettings::default().cutoff(IMAGE_CUTOFF))
+    options.image(RaySettings::for_images())
 }
 
 /// Renders a camera's image: a dictionary of arrays.
@@ -98,7 +95,11 @@ pub fn evaluate(
     let averages = options.ray_averages()?.unwrap_or_else(|| vec![RayAverage::Spread]);
     let fields: Vec<_> = fields.into_iter().map(|(name, field)| (name, field.get().0.clone())).collect();
     let covariances = options.covariances()?;
-    let readings = readings(&fields, covariances.as_deref(), &averages).or_raise()?;
+    let read = |(name, field): &(String, Arc<UncertaintyField>)| {
+        Reading::from_field(name, field, covariances.as_deref(), &averages)
+    };
+    let readings: Vec<Vec<Reading>> = fields.iter().map(read).collect::<octobayes::Result<_>>().or_raise()?;
+    let readings = readings.concat();
     let settings = image_settings(&options)?;
     let needed = |name: &str| PyValueError::new_err(format!("{name}: expected a value, found none"));
     let [offset, scale] = options.get("depth_encoding")?.ok_or_else(|| needed("depth_encoding"))?;
@@ -134,28 +135,6 @@ pub fn evaluate(
         })
     })?;
     Ok(result.to_string())
-}
-
-/// The fields, each read with the covariances asked for, or all that it can be read with.
-fn readings(
-    fields: &[(String, Arc<UncertaintyField>)],
-    covariances: Option<&[octobayes::posterior::Covariance]>,
-    averages: &[RayAverage],
-) -> octobayes::Result<Vec<Reading>> {
-    let mut readings = Vec::new();
-    for (name, field) in fields {
-        let own = field.protocol().covariance;
-        let mut wanted = covariances.map_or_else(|| vec![own], <[_]>::to_vec);
-        if covariances.is_none() && field.sums().is_some() {
-            wanted.extend(octobayes::posterior::Covariance::ALL.into_iter().filter(|c| *c != own));
-        }
-        for covariance in wanted {
-            let field = (**field).clone().with_covariance(covariance)?;
-            let name = format!("{name} {}", covariance.name());
-            readings.push(Reading { name, field, averages: averages.to_vec() });
-        }
-    }
-    Ok(readings)
 }
 
 /// Names and figures as the command line's `evaluate --json` has them; `None` if there is nothing to rank.

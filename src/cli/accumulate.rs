@@ -77,6 +77,6 @@ impl Args {
         let progress = RunProgress { rays: reader.rays_total(), samples: reader.samples(), ..RunProgress::default() };
         let source = format!("samples {}", self.samples.display());
         let field = builder.finish(&Provenance { source, progress, ..Provenance::default() });
-        self.grid.write(field, &Cost { elapsed: start.elapsed(), sums_bytes, step: None })
+        self.grid.write(&field, &Cost { elapsed: start.elapsed(), sums_bytes, step: None })
     }
 }

@@ -232,7 +232,7 @@ impl Planner {
     }
 
     /// The finest plan whose peak is within `budget` bytes, if there is one.
-    fn within(&self, budget: f64) -> Option<Plan> {
+    pub(super) fn within(&self, budget: f64) -> Option<Plan> {
         let fits = |plan: &Plan| plan.peak() <= budget;
         let least = self.settings.rays_per_vertex();
         let finest = self.with_rays_per_vertex(least);
@@ -265,12 +265,11 @@ impl Planner {
         self.outside = 0.0;
     }
 
-    /// Another plan within `budget` bytes, if the sums came to `summed` bytes after the fraction `done` of the rays of
-    /// `plan`: all further plans expect as much more, or less, as was found.
-    pub(super) fn corrected(&mut self, plan: &Plan, done: f64, summed: usize, budget: f64) -> Option<Plan> {
+    /// Makes all further plans expect as much more, or less, as was found: the sums came to `summed` bytes after the
+    /// fraction `done` of the rays of `plan`.
+    pub(super) fn correct(&mut self, plan: &Plan, done: f64, summed: usize) {
         let Needs { bricks, .. } = self.census.needs(done * self.own_scale, &plan.limits);
         self.correction = summed.saturating_sub(SPARE_BYTES) as f64 / (bricks * BRICK_BYTES).max(1.0);
-        self.within(budget)
     }
 }
 

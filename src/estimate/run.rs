@@ -342,7 +342,8 @@ impl Limits {
     fn better(&mut self, done: f64, summed: usize) -> Option<Plan> {
         let (planner, plan, budget) = (self.planner.as_mut()?, self.plan.as_ref()?, self.budget? as f64);
         self.is_compared = true;
-        let other = planner.corrected(plan, done, summed, AIM * budget)?;
+        planner.correct(plan, done, summed);
+        let other = planner.within(AIM * budget)?;
         let here = planner.with_rays_per_vertex(plan.rays_per_vertex).peak();
         let is_better = here > budget || here < WELL_USED * budget && other.rays_per_vertex < plan.rays_per_vertex;
         is_better.then_some(other)
@@ -354,9 +355,9 @@ impl Limits {
         // Where leaves fill up early, the sums of the first rays foretell too little: every further plan aims lower.
         self.overflows += 1;
         let aims = (self.overflows..self.overflows + 8).map(|times| AIM * LOWER.powi(times - 1));
-        let mut plans = aims.filter_map(|aim| planner.corrected(plan, done, summed, aim * budget));
+        planner.correct(plan, done, summed);
         let is_coarser = |other: &Plan| other.rays_per_vertex > plan.rays_per_vertex && other.limits != plan.limits;
-        let found = plans.find(is_coarser);
+        let found = aims.filter_map(|aim| planner.within(aim * budget)).find(is_coarser);
         found.or_else(|| Some(planner.coarsest()).filter(is_coarser))
     }
 }

@@ -1,5 +1,7 @@
 //! Measures of uncertainty that are ranked against the error. Larger always means more uncertain.
 
+use crate::Result;
+use crate::posterior::Covariance;
 use crate::render::RayAverage;
 use crate::uncertainty::UncertaintyField;
 
@@ -12,6 +14,30 @@ pub struct Reading {
     pub field: UncertaintyField,
     /// How log10 U along a ray becomes the value of its pixel; at least one.
     pub averages: Vec<RayAverage>,
+}
+
+impl Reading {
+    /// `field`, called `name`, read by each of these covariances, or by all that it can be read by.
+    ///
+    /// # Errors
+    /// As [`UncertaintyField::with_covariance`].
+    pub fn from_field(
+        name: &str,
+        field: &UncertaintyField,
+        covariances: Option<&[Covariance]>,
+        averages: &[RayAverage],
+    ) -> Result<Vec<Self>> {
+        let own = field.protocol().covariance;
+        let mut wanted = covariances.map_or_else(|| vec![own], <[_]>::to_vec);
+        if covariances.is_none() && field.sums().is_some() {
+            wanted.extend(Covariance::ALL.into_iter().filter(|c| *c != own));
+        }
+        let read = |covariance: Covariance| {
+            let name = format!("{name} {}", covariance.name());
+            Ok(Self { name, field: field.clone().with_covariance(covariance)?, averages: averages.to_vec() })
+        };
+        wanted.into_iter().map(read).collect()
+    }
 }
 
 /// Measures without a Hessian, which an uncertainty field has to beat.

@@ -11,6 +11,7 @@ mod element;
 mod exr;
 pub mod legacy;
 pub mod memory;
+mod mix;
 pub mod npy;
 pub mod npz;
 pub mod part;
@@ -21,5 +22,6 @@ pub use atomic::AtomicFile;
 pub use element::{Element, Index, Real};
 #[cfg(feature = "synth")]
 pub use exr::write_exr;
+pub use mix::mix;
 pub use place::{Identity, destination, folder_of};
 pub use text::read_text;

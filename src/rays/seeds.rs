@@ -1,5 +1,7 @@
 //! Seeds: each use of rays within a run has its own.
 
+use crate::io::mix;
+
 /// A use of rays other than a run's main sequence of pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Purpose {
@@ -25,14 +27,6 @@ impl Purpose {
         };
         mix(mix(mix(base) ^ purpose) ^ index)
     }
-}
-
-/// SplitMix64's finaliser (Steele et al. 2014): a bijection in which every input bit affects all output bits.
-pub(super) fn mix(x: u64) -> u64 {
-    let x = x.wrapping_add(0x9e37_79b9_7f4a_7c15);
-    let x = (x ^ x >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    let x = (x ^ x >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
-    x ^ x >> 31
 }
 
 #[cfg(test)]

@@ -252,17 +252,8 @@ impl UncertaintyField {
     /// # Errors
     /// If the sums were not kept, or λ is not a finite number above 0. On an octree λ also must not fall below
     /// its present value, because what was negligible compared with that was not kept.
-    pub fn with_lambda(mut self, lambda: f64) -> Result<Self> {
-        let least = if self.support == Support::Dense { f64::MIN_POSITIVE } else { self.protocol.lambda };
-        let (Some(sums), true) = (&self.sums, lambda >= least && lambda.is_finite()) else {
-            let expected = format!("a field with its sums, and at least {least:e}");
-            return Err(Error::setting("lambda", expected, format!("{lambda:e}")));
-        };
-        self.protocol.lambda = lambda;
-        self.protocol.scale = Scale::Paper;
-        self.error_bars = None;
-        self.deviations = deviations_from_sums(&self.protocol, &self.lattice, &self.support, &self.limits, sums);
-        Ok(self)
+    pub fn with_lambda(self, lambda: f64) -> Result<Self> {
+        self.with_prior(lambda, Scale::Paper)
     }
 
     /// The same field in the scale of its training pixels, without error bars.
@@ -270,11 +261,20 @@ impl UncertaintyField {
     /// # Errors
     /// As [`UncertaintyField::with_lambda`].
     pub fn with_data_scale(self, data: DataScale) -> Result<Self> {
-        let mut field = self.with_lambda(data.lambda())?;
-        field.protocol.scale = Scale::Data(data);
-        let Some(sums) = &field.sums else { return Ok(field) };
-        field.deviations = deviations_from_sums(&field.protocol, &field.lattice, &field.support, &field.limits, sums);
-        Ok(field)
+        self.with_prior(data.lambda(), Scale::Data(data))
+    }
+
+    fn with_prior(mut self, lambda: f64, scale: Scale) -> Result<Self> {
+        let least = if self.support == Support::Dense { f64::MIN_POSITIVE } else { self.protocol.lambda };
+        let (Some(sums), true) = (&self.sums, lambda >= least && lambda.is_finite()) else {
+            let expected = format!("a field with its sums, and at least {least:e}");
+            return Err(Error::setting("lambda", expected, format!("{lambda:e}")));
+        };
+        self.protocol.lambda = lambda;
+        self.protocol.scale = scale;
+        self.error_bars = None;
+        self.deviations = deviations_from_sums(&self.protocol, &self.lattice, &self.support, &self.limits, sums);
+        Ok(self)
     }
 
     /// The same dense field with other pooling, without error bars. `tolerance` determines which vertices count

@@ -182,17 +182,9 @@ impl Args {
             let field = UncertaintyField::read(path)?;
             check_box(&self.model.model, bounds, &field)?;
             check_model(&self.model, path, &field, self.force)?;
-            let own = field.protocol().covariance;
-            let mut wanted = if self.covariance.is_empty() { vec![own] } else { self.covariance.clone() };
-            if self.covariance.is_empty() && field.sums().is_some() {
-                wanted.extend(Covariance::ALL.into_iter().filter(|c| *c != own));
-            }
-            for covariance in wanted {
-                let stem = path.file_stem().unwrap_or_default().to_string_lossy();
-                let name = format!("{stem} {}", covariance.name());
-                let field = field.clone().with_covariance(covariance)?;
-                readings.push(Reading { name, field, averages: self.ray_average.clone() });
-            }
+            let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+            let covariances = Some(&self.covariance[..]).filter(|wanted| !wanted.is_empty());
+            readings.extend(Reading::from_field(&stem, &field, covariances, &self.ray_average)?);
         }
         Ok(readings)
     }

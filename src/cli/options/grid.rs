@@ -170,17 +170,16 @@ impl GridOptions {
         }
     }
 
-    /// Writes a finished field, with or without its sums, and reports it.
-    pub fn write(&self, field: UncertaintyField, cost: &Cost) -> Result<()> {
+    /// Writes a finished field and reports it.
+    pub fn write(&self, field: &UncertaintyField, cost: &Cost) -> Result<()> {
         if let Some(median) = field.median_rays().filter(|&median| median < FEW_RAYS && self.min_rays == 0.0) {
             eprintln!(
                 "note: half of the vertices that moved are supported by {median} rays or fewer; --min-rays 4 shares what their \
                  neighbours saw, more --rays is better"
             );
         }
-        let field = if self.keep_sums { field } else { field.for_queries() };
         field.write(&self.output)?;
-        report::finished(&field, cost, self.json)
+        report::finished(field, cost, self.json)
     }
 }
 

@@ -25,10 +25,6 @@ use crate::estimate::RaySettings;
 use crate::field::{Coordinates, RadianceField};
 use crate::render::{Occupancy, RayAverage};
 
-/// Cutoff for images. What it leaves out in front and behind changes a pixel by no more than this, less than half
-/// a step of 8 bits.
-const IMAGE_CUTOFF: f64 = 1e-4;
-
 impl ValueEnum for Coordinates {
     fn value_variants<'a>() -> &'a [Self] {
         &Self::ALL
@@ -101,7 +97,7 @@ impl ModelOptions {
 
     /// Settings for rendering images.
     pub fn image_settings(&self) -> RaySettings {
-        self.ray_settings(RaySettings { cutoff: IMAGE_CUTOFF, ..RaySettings::default() })
+        self.ray_settings(RaySettings::for_images())
     }
 
     /// `others`, with these options filled in.

@@ -242,7 +242,7 @@ impl Args {
         if let Some(dump) = dump {
             dump.finish(progress.rays)?;
         }
-        self.grid.write(field, &Cost { elapsed: start.elapsed(), sums_bytes, step })?;
+        self.grid.write(&field, &Cost { elapsed: start.elapsed(), sums_bytes, step })?;
         checkpoint.map_or(Ok(()), |checkpoint| checkpoint.remove(self.error_bars))
     }
 

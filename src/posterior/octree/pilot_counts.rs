@@ -8,6 +8,7 @@
 
 use rustc_hash::FxHashMap;
 
+use crate::io::mix;
 use crate::octree::{MaxLevels, cells_around, morton};
 
 /// Counts in one region.
@@ -83,8 +84,7 @@ impl PilotCounts {
     /// lies between could not be used.
     #[must_use]
     pub fn spread_limits(&self, scale: f64, min_rays: f64) -> MaxLevels {
-        let chance =
-            |region: u64| (region.wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 40) as f64 / 2_f64.powi(24);
+        let chance = |region: u64| (mix(region) >> 40) as f64 / 2_f64.powi(24);
         self.limits_where(scale, |region| min_rays * chance(region).exp2())
     }
 
