@@ -13,6 +13,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use proptest::prelude::*;
 use proptest::test_runner::{Config, TestRunner};
 use stats_alloc::{INSTRUMENTED_SYSTEM, Region, StatsAlloc};
+use untrusted::damage::{self, Damage};
 use untrusted::{Kind, forge, probe, samples};
 
 #[global_allocator]
@@ -55,21 +56,7 @@ fn read(kind: Kind, folder: &Path, bytes: &[u8]) -> octobayes::Result<()> {
     probe::read(kind, &path)
 }
 
-/// A damage to a file. Places are fractions of its length.
-#[derive(Debug, Clone)]
-enum Damage {
-    Set(f64, u8),
-    Flip(f64, u8),
-    Cut(f64),
-    /// A run of digits, or of bytes, becomes a large number.
-    Grow(f64, usize),
-    Remove(f64, usize),
-    /// Some bytes are repeated elsewhere.
-    Copy(f64, f64, usize),
-    Insert(f64, Vec<u8>),
-}
-
-fn damage() -> impl Strategy<Value = Damage> {
+fn any_damage() -> impl Strategy<Value = Damage> {
     let place = || 0.0..1.0_f64;
     prop_oneof![
         (place(), any::<u8>()).prop_map(|(at, byte)| Damage::Set(at, byte)),
@@ -82,46 +69,10 @@ fn damage() -> impl Strategy<Value = Damage> {
     ]
 }
 
-impl Damage {
-    fn apply(&self, bytes: &mut Vec<u8>) {
-        let n = bytes.len();
-        let place = |share: f64| (share * n as f64) as usize;
-        if n == 0 {
-            return;
-        }
-        match self {
-            Self::Set(at, byte) => bytes[place(*at)] = *byte,
-            Self::Flip(at, bit) => bytes[place(*at)] ^= 1 << bit,
-            Self::Cut(at) => bytes.truncate(place(*at)),
-            Self::Grow(at, width) => {
-                let at = place(*at);
-                match bytes[at..].iter().position(u8::is_ascii_digit).filter(|_| width % 2 == 0) {
-                    Some(digit) => drop(bytes.splice(at + digit..=at + digit, *b"1000000000000")),
-                    None => bytes[at..(at + width).min(n)].fill(0xff),
-                }
-            }
-            Self::Remove(at, count) => {
-                let at = place(*at);
-                bytes.drain(at..(at + count).min(n));
-            }
-            Self::Copy(from, to, count) => {
-                let from = place(*from);
-                let copy = bytes[from..(from + count).min(n)].to_vec();
-                let to = place(*to);
-                bytes.splice(to..to, copy);
-            }
-            Self::Insert(at, new) => {
-                let at = place(*at);
-                bytes.splice(at..at, new.iter().copied());
-            }
-        }
-    }
-}
-
 /// For each kind: its valid files, whole or in parts, and which damage happens to which part.
 fn damaged(kind: Kind) -> impl Strategy<Value = (usize, bool, Vec<(f64, Damage)>)> {
     let files = samples::of(kind).len();
-    (0..files, any::<bool>(), prop::collection::vec((0.0..1.0_f64, damage()), 1..5))
+    (0..files, any::<bool>(), prop::collection::vec((0.0..1.0_f64, any_damage()), 1..5))
 }
 
 #[test]
@@ -148,20 +99,7 @@ fn damaged_files_are_refused_or_harmless() {
         let mut runner = TestRunner::new(Config { cases, failure_persistence: None, ..Config::default() });
         let outcome = runner.run(&damaged(kind), |(file, by_parts, damages)| {
             let whole = &files[file];
-            let mut bytes = whole.clone();
-            if by_parts {
-                let recipe = forge::recipe(kind, whole);
-                // Kinds without parts are a single part.
-                let mut parts: Vec<Vec<u8>> = match recipe[0] % 2 {
-                    1 => forge::split(&recipe[1..]).into_iter().map(<[u8]>::to_vec).collect(),
-                    _ => vec![recipe[1..].to_vec()],
-                };
-                let count = parts.len() as f64;
-                damages.iter().for_each(|(part, damage)| damage.apply(&mut parts[(part * count) as usize]));
-                bytes = if recipe[0] % 2 == 1 { forge::file(kind, &forge::join(&parts)) } else { parts.remove(0) };
-            } else {
-                damages.iter().for_each(|(_, damage)| damage.apply(&mut bytes));
-            }
+            let bytes = damage::file(kind, whole, by_parts, &damages);
             let outcome = read(kind, folder.path(), &bytes);
             refused.set(refused.get() + u32::from(outcome.is_err()));
             // Checksums cover every byte of these kinds.

@@ -217,7 +217,7 @@ pub fn plan(plan: &Plan, grid: &GridSettings) {
             .map(|(levels, share)| format!("{levels}: {:.1} %", 100.0 * share))
             .collect();
         // A larger leaf has the mean over a hat of twice the edge instead of the finest hat's value. H at surfaces
-        // grows fourfold, which is divided out. What is left is the variation of U within the larger hat.
+        // grows about eightfold, which is divided out. What is left is the variation of U within the larger hat.
         eprintln!(
             "      leaves that have {:.1} rays a vertex or are {} levels coarser: {:.1} % of vertices given up;\n      levels given up by share of what \
              rays touch: {}; log10 U is the larger leaf's there",

@@ -52,6 +52,18 @@ pub fn coarseness(leaves: &impl Leaves, point: [u32; 3]) -> u8 {
     point.iter().fold(coarseness, |c, i| c.min(i.trailing_zeros().min(32) as u8))
 }
 
+/// Volume of the leaves around a lattice point, in finest cells, averaged over its up to eight octants.
+#[must_use]
+pub fn mean_volume(leaves: &impl Leaves, point: [u32; 3]) -> f64 {
+    let finest = leaves.finest();
+    let (mut volume, mut octants) = (0.0, 0.0);
+    for cell in cells_around(point, finest) {
+        volume += f64::from(1_u32 << (finest - leaves.leaf(cell).level)).powi(3);
+        octants += 1.0;
+    }
+    volume / octants
+}
+
 /// The leaf that touches `point` without having it as a corner, if there is one.
 pub fn hanging_on(leaves: &impl Leaves, point: [u32; 3]) -> Option<Cell> {
     cells_around(point, leaves.finest()).map(|cell| leaves.leaf(cell)).find(|leaf| {

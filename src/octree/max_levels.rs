@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use rustc_hash::FxHashMap;
 
-use super::{Cell, Leaves, cells_around, morton};
+use super::{Cell, Leaves, morton};
 
 /// Levels between a region and the finest cells in it.
 const DEPTH: u8 = 5;
@@ -114,21 +114,6 @@ impl MaxLevels {
         (limits.packed().as_deref() == Some(packed)).then_some(limits)
     }
 
-    /// Face area of the leaves around a lattice point, in faces of finest cells, averaged over its up to
-    /// eight octants.
-    #[must_use]
-    pub fn footprint(&self, point: [u32; 3]) -> f64 {
-        if self.is_unlimited() {
-            return 1.0;
-        }
-        let (mut area, mut octants) = (0.0, 0.0);
-        for cell in cells_around(point, self.finest) {
-            area += f64::from(1_u32 << (self.finest - self.leaf(cell).level)).powi(2);
-            octants += 1.0;
-        }
-        area / octants
-    }
-
     /// The region that contains a finest cell.
     #[must_use]
     pub fn region_of(&self, cell: [u32; 3]) -> u64 {
@@ -158,6 +143,7 @@ fn neighbors(code: u64, level: u8) -> impl Iterator<Item = u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::octree::cells_around;
     use proptest::prelude::*;
 
     proptest! {

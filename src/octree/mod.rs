@@ -25,7 +25,7 @@ mod vertices;
 pub use balance::{Split, Wanted};
 pub use cells::{Cell, CellTree};
 pub use cursor::Cursor;
-pub use leaves::{Leaves, Masters, coarseness, masters};
+pub use leaves::{Leaves, Masters, coarseness, masters, mean_volume};
 pub use max_levels::MaxLevels;
 pub use nearby::Nearby;
 pub use set::MortonSet;

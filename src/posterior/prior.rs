@@ -1,6 +1,6 @@
 //! The prior precision of a vertex.
 
-use crate::octree::{Octree, cells_around};
+use crate::octree::{Octree, mean_volume};
 
 /// The dependence of the prior precision λ on cell size.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
@@ -25,13 +25,7 @@ impl Prior {
         if self == Self::Uniform {
             return lambda;
         }
-        let finest = octree.finest();
-        let (mut volume, mut octants) = (0.0, 0.0);
-        for cell in cells_around(point, finest) {
-            volume += f64::from(1_u32 << (finest - octree.cells().leaf(cell).level)).powi(3);
-            octants += 1.0;
-        }
-        lambda * volume / octants
+        lambda * mean_volume(octree.cells(), point)
     }
 }
 

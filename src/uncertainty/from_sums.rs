@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use super::{Protocol, RayCounts, StandardDeviations, Support, ray_counts};
 use crate::geometry::Lattice;
-use crate::octree::{MaxLevels, Octree, VertexId};
+use crate::octree::{MaxLevels, Octree, VertexId, mean_volume};
 use crate::posterior::{OctreePosterior, Pooling, Prior, VertexSums};
 
 /// σ of one vertex from its own or pooled sums, as the field stores it.
@@ -12,10 +12,17 @@ fn stored(protocol: &Protocol, sums: &VertexSums, lambda: f64) -> f32 {
     (protocol.deviation(sums, lambda) as f32).max(f32::MIN_POSITIVE)
 }
 
-/// The sums at a lattice point, in the units of the finest lattice.
+/// The sums at a lattice point, comparable with those of the finest lattice: divided by the volume of the leaves around
+/// it, in finest cells.
+///
+/// The hat function of a leaf k levels coarser is crossed by 4ᵏ times as many rays. Along each of them 2ᵏ times as many
+/// samples add to J; as far as these differ in sign, their square grows by another factor of 2ᵏ. Both depend on the
+/// scene; `experiments/coarse_leaves.md` has what U shifts by.
 fn comparable(limits: &MaxLevels, point: [u32; 3], mut sums: VertexSums) -> VertexSums {
-    let footprint = limits.footprint(point);
-    sums.information.iter_mut().for_each(|s| *s /= footprint);
+    if !limits.is_unlimited() {
+        let volume = mean_volume(limits, point);
+        sums.information.iter_mut().for_each(|s| *s /= volume);
+    }
     sums
 }
 
@@ -36,11 +43,7 @@ pub fn values_without_sums(
     (StandardDeviations(deviations), RayCounts(rays))
 }
 
-/// Computes σ_v of every vertex from its pooled sums and the local prior.
-///
-/// The hat function of a leaf k levels coarser than the finest lattice has 4ᵏ times the footprint on a surface,
-/// so 4ᵏ times as many rays move its vertex. Its information is divided by that factor, which gives it the
-/// meaning that it has on the finest lattice.
+/// Computes σ_v of every vertex from its pooled and comparable sums and the local prior.
 pub fn deviations_from_sums(
     protocol: &Protocol,
     lattice: &Lattice,

@@ -509,3 +509,34 @@ fn matrices_have_the_trace_of_the_squared_uncertainty() {
         }
     }
 }
+
+/// On leaves that are two levels coarser everywhere, the field is that of the coarser lattice. Its information is divided
+/// by their volume, 8².
+#[test]
+fn information_of_coarse_leaves_is_divided_by_their_volume() {
+    let levels_up = 2;
+    let lattice = Lattice::new(Aabb::centered_cube(1.0), 6).unwrap();
+    let coarser = lattice.coarsened(6 - levels_up);
+    let limits = MaxLevels::balanced(6, (0..8).map(|region| (region, 6 - levels_up)));
+    for covariance in Covariance::ALL {
+        let field = |lattice: Lattice, limits: MaxLevels, lambda: f64| {
+            let protocol = Protocol { tolerance: 0.0, lambda, ..protocol(&lattice, covariance, 20) };
+            let mut posterior = OctreePosterior::limited(lattice, limits);
+            posterior.add(&[samples(1.0)]);
+            UncertaintyField::from_octree(protocol, lattice, posterior, Vec::new())
+        };
+        let (lambda, volume) = (lattice.default_lambda(), 8_f64.powi(levels_up.into()));
+        let limited = field(lattice, limits.clone(), lambda);
+        // (S / v + λ)⁻¹ = v (S + v λ)⁻¹.
+        let unlimited = field(coarser, MaxLevels::none(6 - levels_up), volume * lambda);
+        let mut seen = 0;
+        for i in 0..5000_u32 {
+            let x = 0.95 * Vec3::from([0.9, 1.7, 2.3].map(|k: f32| (k * i as f32).sin()));
+            let [found, expected] = [limited.log10(x), unlimited.log10(x) + 0.5 * volume.log10()];
+            // Deviations are stored as f32, relative error 6e-8.
+            assert!((found - expected).abs() < 1e-6, "{covariance:?} at {x}: {found} instead of {expected}");
+            seen += u32::from(found < limited.prior().log10() - 0.1);
+        }
+        assert!(seen > 100, "{covariance:?}: {seen} of 5000 points know more than the prior");
+    }
+}

@@ -2,6 +2,7 @@
 //! readers that also use what they read. The tests of damaged files and the fuzz targets in `fuzz/` share this
 //! module.
 
+pub mod damage;
 pub mod forge;
 pub mod probe;
 pub mod samples;

@@ -395,7 +395,7 @@ fn what_is_wrong_with_a_file_is_said() {
         change(&mut model);
         model.parse(Coordinates::Ngp).unwrap_err().to_string()
     };
-    let cases: [(Change, [&str; 3]); 10] = [
+    let cases: [(Change, [&str; 3]); 13] = [
         (&|m| m.kind = 3, ["qff_type", "1 to 2", "3"]),
         (&|m| m.quants = 6, ["qff_buffer", "2304 bytes", "1920 bytes"]),
         (&|m| m.quants = 1 << 40, ["n_quants", "2 to 1024", "1099511627776"]),
@@ -406,6 +406,9 @@ fn what_is_wrong_with_a_file_is_said() {
         (&|m| m.runs = vec![vec![0, 513]], ["grid_rles", "512", "513"]),
         (&|m| m.freqs[2] = -1.0, ["freqs", "above 0", "-1"]),
         (&|m| m.poses[0][1][1] = 0.5, ["poses", "pose 0", "3x4"]),
+        (&|m| m.poses[0][0][3] = f64::NAN, ["poses", "pose 0", "3x4"]),
+        (&|m| m.poses[0][1][3] = f64::NAN, ["poses", "pose 0", "3x4"]),
+        (&|m| m.poses[0][2][3] = f64::NAN, ["poses", "pose 0", "3x4"]),
     ];
     for (change, parts) in cases {
         let error = message(change);
