@@ -41,7 +41,7 @@ const STEEPEST: f64 = 100.0;
 const FAR_APART: f64 = 8.0;
 
 /// Largest density at sample `i` of a ray and at its neighbours.
-fn around(densities: &[f32], ray: &Range<usize>, i: usize) -> f32 {
+pub(super) fn around(densities: &[f32], ray: &Range<usize>, i: usize) -> f32 {
     let near = i.saturating_sub(1).max(ray.start)..(i + 2).min(ray.end);
     densities[near].iter().copied().fold(0.0, f32::max)
 }

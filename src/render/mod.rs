@@ -2,6 +2,7 @@
 
 mod choose;
 mod composite;
+mod depth;
 mod gradient;
 mod jacobian;
 mod march;
@@ -15,6 +16,7 @@ mod trace;
 mod view;
 
 pub use composite::{CompositingWeights, Pixel, depth_variance, termination_entropy};
+pub use depth::{DepthProbe, DepthSample};
 pub use gradient::{Differences, Differentiation, GradientMethod};
 pub use jacobian::JacobianBuffers;
 pub use march::{Marcher, SampleDistances};
@@ -23,6 +25,6 @@ pub use occupancy::Occupancy;
 pub use samples::{RaySample, RaySamples, VisibleSegment};
 pub use together::{RayGroup, RaysTogether};
 pub use trace::{TraceBuffers, TracedRays, Tracer};
-pub use view::{Probe, RayAverage, RenderedView, render_view};
+pub use view::{Probe, RayAverage, RenderedView, render_view, render_view_with_depth};
 
 use question::{Kind, Question};

@@ -4,7 +4,7 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::trace::TraceBuffers;
-use super::{CompositingWeights, Pixel, Tracer};
+use super::{CompositingWeights, DepthProbe, Pixel, Tracer};
 use crate::Result;
 use crate::geometry::{Camera, Ray};
 use crate::monitor::{Monitor, check};
@@ -73,6 +73,9 @@ pub struct RenderedView {
     /// `[ray averages of all probes in order][height · width]`: ray averages of log10 U. NaN where nothing was hit,
     /// except for [`RayAverage::Official`].
     pub log10_uncertainty: Vec<Vec<f64>>,
+    /// `[height · width]`: variance of the expected depth if the matter moves, squared scene units; NaN where nothing
+    /// was hit. Empty if no [`DepthProbe`] asked.
+    pub moved_depth_variance: Vec<f64>,
     /// Number of rays dropped because the field was not finite; they show the background.
     pub dropped: u64,
 }
@@ -100,6 +103,32 @@ pub fn render_view(
     probes: &[Probe],
     monitor: &dyn Monitor,
 ) -> Result<RenderedView> {
+    render(tracer, camera, pixel_offset, probes, None, monitor)
+}
+
+/// Same as [`render_view`], with the variance of every pixel's expected depth.
+///
+/// # Errors
+/// [`crate::Error::Interrupted`] only.
+pub fn render_view_with_depth(
+    tracer: &Tracer,
+    camera: &Camera,
+    pixel_offset: f64,
+    probes: &[Probe],
+    depth: &DepthProbe,
+    monitor: &dyn Monitor,
+) -> Result<RenderedView> {
+    render(tracer, camera, pixel_offset, probes, Some(depth), monitor)
+}
+
+fn render(
+    tracer: &Tracer,
+    camera: &Camera,
+    pixel_offset: f64,
+    probes: &[Probe],
+    depth: Option<&DepthProbe>,
+    monitor: &dyn Monitor,
+) -> Result<RenderedView> {
     let [width, height] = camera.resolution;
     // A field that wants many points at once gets several rows: a ray asks about a few points at a time.
     let together = tracer.field.batch().div_ceil(POINTS_PER_RAY * width.max(1) as usize).max(1);
@@ -110,7 +139,7 @@ pub fn render_view(
             check(monitor)?;
             let ray = |row: u32, x: u32| camera.ray(f64::from(x) + pixel_offset, f64::from(row) + pixel_offset);
             let rays: Vec<Ray> = rows.iter().flat_map(|&row| (0..width).map(move |x| ray(row, x))).collect();
-            let rendered = render_rays(tracer, &rays, probes);
+            let rendered = render_rays(tracer, &rays, probes, depth);
             monitor.advance(rows.len() as u64);
             Ok(rendered)
         })
@@ -122,6 +151,7 @@ pub fn render_view(
     };
     for row in rows {
         view.pixels.extend(row.pixels);
+        view.moved_depth_variance.extend(row.moved_depth_variance);
         view.dropped += row.dropped;
         for (all, part) in view.log10_uncertainty.iter_mut().zip(row.log10_uncertainty) {
             all.extend(part);
@@ -131,7 +161,7 @@ pub fn render_view(
 }
 
 /// Renders a group of rays as one row.
-fn render_rays(tracer: &Tracer, rays: &[Ray], probes: &[Probe]) -> RenderedView {
+fn render_rays(tracer: &Tracer, rays: &[Ray], probes: &[Probe], depth: Option<&DepthProbe>) -> RenderedView {
     let background: DVec3 = tracer.background();
     let mut buffers = TraceBuffers::default();
     // The middle of every interval makes the image deterministic.
@@ -144,6 +174,7 @@ fn render_rays(tracer: &Tracer, rays: &[Ray], probes: &[Probe]) -> RenderedView 
         resolution: [rays.len() as u32, 1],
         pixels: Vec::with_capacity(rays.len()),
         log10_uncertainty: vec![Vec::with_capacity(rays.len()); channels(probes)],
+        moved_depth_variance: depth.map_or_else(Vec::new, |depth| depth.variances(tracer, rays, traced, &quadrature)),
         dropped: traced.dropped,
     };
     let mut values = Vec::new();
@@ -152,6 +183,7 @@ fn render_rays(tracer: &Tracer, rays: &[Ray], probes: &[Probe]) -> RenderedView 
         if colors[samples.clone()].iter().any(|color| !color.is_finite()) {
             row.dropped += 1;
             samples = 0..0;
+            row.moved_depth_variance.get_mut(r).into_iter().for_each(|variance| *variance = f64::NAN);
         }
         let pixel = quadrature.pixel(&samples, &colors, &traced.t, background);
         row.pixels.push(pixel);

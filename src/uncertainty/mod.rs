@@ -6,6 +6,7 @@
 mod batch;
 mod compare;
 mod densify;
+mod depth;
 mod error_bars;
 mod file;
 mod from_sums;
@@ -20,6 +21,7 @@ mod standard_deviations;
 mod threshold;
 
 pub use compare::{Comparison, Difference, Summary, compare};
+pub use depth::DepthPosterior;
 pub use error_bars::{ErrorBars, ErrorSummary, Jackknife};
 pub use file::FORMAT_VERSION;
 pub use knowledge::Knowledge;

@@ -1,0 +1,98 @@
+//! The variance of a pixel's depth: the posterior of the displacements, pushed through to expected depth.
+//!
+//! Letters: g_v = Σ_i φ_v(x_i) ∂d/∂x_i, the gradient of a ray's expected depth with respect to the displacement of
+//! vertex v; C_v the covariance of that displacement. Displacements of different vertices are independent in this
+//! posterior, so to first order Var(d) = Σ_v g_vᵀ C_v g_v.
+
+use glam::DVec3;
+use rustc_hash::FxHashMap;
+
+use super::{Support, UncertaintyField};
+use crate::octree::{Leaves, VertexId, masters, trilinear};
+use crate::posterior::{Scale, VertexSums};
+use crate::render::DepthSample;
+use crate::{Error, Result};
+
+/// The posterior of the displacements, ready for rays.
+#[derive(Clone, Copy)]
+pub struct DepthPosterior<'a> {
+    field: &'a UncertaintyField,
+    /// From the paper's scale to that of the data, squared.
+    scale: f64,
+}
+
+impl UncertaintyField {
+    /// The posterior that gives depths their variance.
+    ///
+    /// With kept sums C_v is the whole matrix that the field's covariance gives ([`Covariance::matrix`]). Without, only
+    /// its trace is known, σ_v², and C_v is taken for the same in all directions.
+    ///
+    /// [`Covariance::matrix`]: crate::posterior::Covariance::matrix
+    ///
+    /// # Errors
+    /// If the field is in the paper's scale, in which deviations are no lengths.
+    pub fn depth_posterior(&self) -> Result<DepthPosterior<'_>> {
+        let Scale::Data(_) = self.protocol.scale else {
+            return Err(Error::setting(
+                "scale",
+                "a field in the scale of its data, for errors of depth",
+                "the paper's",
+            ));
+        };
+        Ok(DepthPosterior { field: self, scale: self.protocol.scale.factor(self.protocol.covariance).powi(2) })
+    }
+}
+
+impl DepthPosterior<'_> {
+    /// Var(d) of a ray from the samples that move its expected depth, squared scene units.
+    ///
+    /// What lies outside the lattice's box is held by the prior alone, every sample by itself.
+    #[must_use]
+    pub fn variance(&self, samples: &[DepthSample]) -> f64 {
+        let mut gradients: FxHashMap<[u32; 3], DVec3> = FxHashMap::default();
+        let mut outside = 0.0;
+        for DepthSample { position, gradient } in samples {
+            let Some(u) = self.field.lattice.coordinates(*position) else {
+                outside += gradient.length_squared();
+                continue;
+            };
+            // The leaves on which rays were summed: of the finest level, unless there are limits.
+            let limits = &self.field.limits;
+            let (origin, edge) = limits.leaf(self.field.lattice.cell(u).0).extent(limits.finest());
+            let offset = (u - DVec3::from(origin.map(f64::from))) / f64::from(edge);
+            for (c, weight) in (0_u32..).zip(trilinear(offset)).filter(|(_, weight)| *weight > 0.0) {
+                let corner = masters(limits, std::array::from_fn(|axis| origin[axis] + edge * (c >> axis & 1)));
+                let share = weight / corner.points().len() as f64;
+                for &point in corner.points() {
+                    *gradients.entry(point).or_default() += share * *gradient;
+                }
+            }
+        }
+        let inside: f64 = gradients.into_iter().map(|(point, gradient)| self.of_vertex(point, gradient)).sum();
+        inside + self.field.prior().powi(2) / 3.0 * outside
+    }
+
+    /// gᵀ C_v g of the vertex at a lattice point.
+    fn of_vertex(&self, point: [u32; 3], g: DVec3) -> f64 {
+        let UncertaintyField { protocol, lattice, support, sums, deviations, .. } = self.field;
+        let (vertex, lambda) = match support {
+            Support::Dense => (Some(lattice.dense_index(point)), protocol.lambda),
+            Support::Octree(octree) => {
+                let lambda = protocol.prior.at(protocol.lambda, octree, point);
+                (octree.vertex(point).map(|VertexId(v)| v as usize), lambda)
+            }
+        };
+        // An octree has no vertex where the information is negligible.
+        let isotropic = |deviation: f64| deviation * deviation / 3.0 * g.length_squared();
+        match (sums, vertex) {
+            (Some(sums), _) => {
+                let sums = vertex.map_or_else(VertexSums::default, |v| sums[v]);
+                let [xx, xy, xz, yy, yz, zz] = protocol.covariance.matrix(&sums, protocol.rays, lambda);
+                let squares = xx * g.x * g.x + yy * g.y * g.y + zz * g.z * g.z;
+                self.scale * (squares + 2.0 * (xy * g.x * g.y + xz * g.x * g.z + yz * g.y * g.z))
+            }
+            (None, Some(v)) => isotropic(deviations.get(v)),
+            (None, None) => isotropic(self.field.prior()),
+        }
+    }
+}
