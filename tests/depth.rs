@@ -62,7 +62,8 @@ fn view_with_depth(tracer: &Tracer, camera: &Camera, field: &UncertaintyField) -
     let variance = |samples: &[DepthSample]| posterior.variance(samples);
     let step = 0.02 * field.lattice().edge();
     let differences = Differences { step, domain: *field.lattice().domain() };
-    let probe = DepthProbe { differentiation: Differentiation { differences, analytic: None }, variance: &variance };
+    let differentiation = Differentiation { differences, analytic: None };
+    let probe = DepthProbe { differentiation, variances: &[&variance] };
     render_view_with_depth(tracer, camera, 0.5, &[], &probe, &Silent).unwrap()
 }
 
@@ -101,7 +102,7 @@ fn the_variance_is_that_of_rendering_moved_matter_again() {
             }
         }
         let hit = (0..sums.len()).filter(|&i| view.pixels[i].opacity > 0.0);
-        for (i, found, expected) in hit.map(|i| (i, view.moved_depth_variance[i], sums[i])) {
+        for (i, found, expected) in hit.map(|i| (i, view.posterior_variance[0][i], sums[i])) {
             // Second-order errors of both differences, and f32 positions.
             assert!((found / expected - 1.0).abs() < 0.02, "{covariance:?}, pixel {i}: {found} against {expected}");
         }
@@ -117,7 +118,9 @@ fn octree_and_dense_grid_give_the_same_errors() {
     let tracer = tracer(&courtyard, 0.01);
     let views = [GridKind::Dense, GridKind::Octree].map(|grid| {
         let settings = GridSettings::default().grid(grid).level(5).keep_sums(true);
-        view_with_depth(&tracer, &camera, &uncertainty(&courtyard, settings, Covariance::Block)).moved_depth_variance
+        view_with_depth(&tracer, &camera, &uncertainty(&courtyard, settings, Covariance::Block))
+            .posterior_variance
+            .remove(0)
     });
     let mut compared = 0;
     for (dense, octree) in views[0].iter().zip(&views[1]) {
@@ -138,7 +141,7 @@ fn a_field_without_sums_takes_its_covariances_for_the_same_in_all_directions() {
     let camera = ClosedForm::half_circle(3, [24; 2])[0];
     let tracer = tracer(&ball, 0.01);
     let [with, without] = [field.clone(), field.without_sums()]
-        .map(|field| view_with_depth(&tracer, &camera, &field).moved_depth_variance);
+        .map(|field| view_with_depth(&tracer, &camera, &field).posterior_variance.remove(0));
     let mut compared = 0;
     for (with, without) in with.iter().zip(&without).filter(|(with, _)| **with > 0.0) {
         // `trace` knows no directions anyway. Deviations are stored in f32, relative error 6e-8.

@@ -161,3 +161,54 @@ fn all_measures_and_the_clean_up_are_in_the_tables() {
         assert!(table.contains(name), "{name} is not in\n{table}");
     }
 }
+
+/// A field in the scale of its data gives depths a standard deviation; its coverage stands beside that of the ray's
+/// weights, which know nothing of the training images.
+#[test]
+fn deviations_of_depth_are_calibrated_beside_those_of_the_weights() {
+    let desk = desk();
+    octobayes(
+        desk.path(),
+        "uncertainty m-0.safetensors --level 5 --rays 3000 --gradient auto --scale data --keep-sums -o data.oct",
+    );
+    let command = EVALUATE.replace("m.oct", "data.oct --covariance block");
+    let found: Value =
+        serde_json::from_str(&octobayes(desk.path(), &format!("{command} --json --reliability rel.svg"))).unwrap();
+    let calibration = |part: &str, name: &str| {
+        let entries = found[part].as_array().unwrap();
+        entries.iter().find(|entry| entry["name"] == name).unwrap()["calibration"].clone()
+    };
+    let posterior = calibration("readings", "data block, depth deviation");
+    let weights = calibration("baselines", "ray-weight variance");
+    let held = |of: &Value| of["coverage"].as_array().unwrap().iter().map(|p| p[1].as_f64().unwrap()).collect::<Vec<_>>();
+    // √(Var + s²) is wider than s, for every pixel.
+    let (posterior, weights) = (held(&posterior), held(&weights));
+    assert!(posterior.iter().zip(&weights).all(|(wide, narrow)| wide >= narrow), "{posterior:?} and {weights:?}");
+    // A model of 120 steps: calibrated it is not, but neither all within nor all outside.
+    assert!((0.3..0.999).contains(&posterior[1]), "{posterior:?}");
+    assert!(std::fs::read_to_string(desk.path().join("rel.svg")).unwrap().contains("depth deviation (AUCE 0."));
+    let text = octobayes(desk.path(), &command);
+    assert!(text.contains("errors of depth within") && text.contains("deviation of the ray's weights"), "{text}");
+    // In the paper's scale there is nothing to calibrate.
+    assert!(!octobayes(desk.path(), EVALUATE).contains("errors of depth within"));
+
+    // Pictures, and the channel.
+    let render = |more: &str| {
+        let args = format!("render m-0.safetensors {more} --cameras set/transforms_test.json");
+        let mut command = Command::new(env!("CARGO_BIN_EXE_octobayes"));
+        command.args(args.split_whitespace()).current_dir(desk.path()).output().unwrap()
+    };
+    assert!(render("data.oct --depth-error -o view.exr").status.success());
+    assert!(render("data.oct --depth-error -o with.png").status.success());
+    assert!(render("data.oct -o without.png").status.success());
+    let image = exr::prelude::read_first_flat_layer_from_file(desk.path().join("view.exr")).unwrap();
+    let channel = image.layer_data.channel_data.list.iter().find(|c| c.name.to_string() == "depth_error.Z").unwrap();
+    let values: Vec<f32> = channel.sample_data.values_as_f32().collect();
+    let known = values.iter().filter(|s| s.is_finite()).count();
+    assert!(known > 50 && values.iter().all(|s| s.is_nan() || *s > 0.0), "{known} of {}", values.len());
+    let width = |name: &str| image::image_dimensions(desk.path().join(name)).unwrap().0;
+    assert!(width("with.png") > width("without.png"), "one panel more");
+    let refused = render("m.oct --depth-error -o no.png");
+    let said = String::from_utf8(refused.stderr).unwrap();
+    assert!(refused.status.code() == Some(2) && said.contains("--scale data: expected a field in the scale"), "{said}");
+}

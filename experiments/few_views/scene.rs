@@ -210,6 +210,7 @@ fn compute(scene: &Scene, plan: &Plan, work: &Path, folder: &Path) -> Result<Sce
     let evaluator = Evaluator {
         tracer: tracer(&*field)?,
         readings: &readings,
+        differentiation: None,
         members: members.iter().map(|m| tracer(m as &dyn RadianceField)).collect::<Result<_>>()?,
     };
     let frames = spread(&data.test, plan.judged_views);
@@ -273,7 +274,7 @@ fn costs(tracer: &Tracer, reading: &Reading, truths: &[TrueView]) -> Result<[Tim
     let few = &truths[..truths.len().min(2)];
     let one = [Reading { averages: vec![RayAverage::Spread], ..reading.clone() }];
     let time = |readings: &[Reading]| -> Result<Time> {
-        let evaluator = Evaluator { tracer: tracer.clone(), readings, members: Vec::new() };
+        let evaluator = Evaluator { tracer: tracer.clone(), readings, differentiation: None, members: Vec::new() };
         let clock = Clock::start();
         for truth in few {
             evaluator.evaluate(truth, 0, &Silent)?;

@@ -116,8 +116,12 @@ pub fn evaluate(
         source.with(engine, |model| {
             let frames = FrameSplit::new(Views::read(&path, size)?).select(Part::HeldOut, &Selection::All, |_| true)?;
             let monitor = engine.monitor();
-            let evaluator =
-                Evaluator { tracer: settings.tracer(model, 0.0, monitor)?, readings: &readings, members: Vec::new() };
+            let evaluator = Evaluator {
+                tracer: settings.tracer(model, 0.0, monitor)?,
+                readings: &readings,
+                differentiation: None,
+                members: Vec::new(),
+            };
             let offset = settings.pixel_offset.unwrap_or_else(|| model.pixel_offset());
             let frames: Vec<_> = frames.iter().step_by(every).collect();
             monitor.begin("rows", frames.iter().map(|f| u64::from(f.camera.resolution[1].div_ceil(stride))).sum());

@@ -1,6 +1,7 @@
 //! A rendered view as a row of labelled panels.
 
 use crate::geometry::Camera;
+use crate::metrics::quantile;
 use crate::picture::{Bar, Panel, color_panel, scalar_panel};
 use crate::render::RenderedView;
 use crate::uncertainty::{Knowledge, UncertaintyField};
@@ -13,6 +14,8 @@ const CONSTRAINED: [&str; 2] = ["well", "constrained"];
 pub struct Ranges {
     /// Median depth, scene units.
     pub depth: [f64; 2],
+    /// Standard deviation of depth, scene units.
+    pub error: [f64; 2],
     /// log10 U.
     pub log10: [f64; 2],
     /// log10 U of the prior.
@@ -30,6 +33,11 @@ pub fn view_panels(view: &RenderedView, name: &str, ranges: Ranges, is_unseen: &
         color_panel(&format!("{name}: colour"), view.resolution, colors),
         scalar_panel("median depth (scene units)", view.resolution, depths, depth_bar),
     ];
+    if let Some(deviation) = view.depth_deviation.first() {
+        let shown = deviation.iter().zip(&view.pixels).map(|(s, p)| if p.opacity > 0.5 { *s } else { f64::NAN });
+        let bar = Bar::new(ranges.error, colorous::CIVIDIS);
+        panels.push(scalar_panel("deviation of depth (scene units)", view.resolution, shown, bar));
+    }
     if let Some(log10) = view.log10_uncertainty.first() {
         let shown = log10.iter().zip(&view.pixels).map(|(u, p)| if p.opacity > 0.05 { *u } else { f64::NAN });
         let bar = Bar::new(ranges.log10, colorous::INFERNO).meaning(CONSTRAINED, ranges.prior, "never seen");
@@ -44,6 +52,15 @@ pub fn depth_range<'a>(views: impl IntoIterator<Item = &'a RenderedView>) -> [f6
     let seen = views.into_iter().flat_map(|v| &v.pixels).filter(|p| p.opacity > 0.5).map(|p| p.median_depth);
     let (low, high) = seen.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), d| (l.min(d), h.max(d)));
     if low < high { [low, high] } else { [0.0, 1.0] }
+}
+
+/// From 0 to the deviation of depth that 95 % of the pixels with matter (opacity above ½) stay below.
+pub fn error_range<'a>(views: impl IntoIterator<Item = &'a RenderedView>) -> [f64; 2] {
+    let of_view = |v: &'a RenderedView| v.depth_deviation.iter().flat_map(|errors| errors.iter().zip(&v.pixels));
+    let seen = views.into_iter().flat_map(of_view).filter(|(s, p)| p.opacity > 0.5 && s.is_finite());
+    let mut errors: Vec<f64> = seen.map(|(s, _)| *s).collect();
+    errors.sort_unstable_by(f64::total_cmp);
+    [0.0, if errors.is_empty() { 1.0 } else { quantile(&errors, 0.95) }]
 }
 
 /// Whether no training ray reached what a pixel shows, at its median depth.

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use super::belongs::check_model;
 use super::files::CommandFiles;
 use super::options::{CameraOptions, ModelOptions, Threshold, parse_positive, parse_range, scaled};
-use super::panels::{Ranges, depth_range, is_unseen, view_panels};
+use super::panels::{Ranges, depth_range, error_range, is_unseen, view_panels};
 use super::progress::Bars;
 use super::report;
 use crate::field::RadianceField;
@@ -14,7 +14,9 @@ use crate::io::write_exr;
 use crate::monitor::Monitor;
 use crate::picture::write_sheet;
 use crate::posterior::Covariance;
-use crate::render::{Probe, RayAverage, RenderedView, render_view};
+use crate::render::{
+    DepthProbe, DepthSample, Probe, RayAverage, RenderedView, render_view, render_view_with_depth,
+};
 use crate::uncertainty::{ThresholdedField, UncertaintyField};
 use crate::{Error, Result};
 
@@ -24,8 +26,8 @@ const PREVIEW: u32 = 800;
 /// Render colour, depth and uncertainty of one view
 ///
 /// OUT.png shows labelled panels for viewing; what no training ray reached is hatched. OUT.exr holds channels for
-/// tools: R, G, B, A, depth.Z (median distance from the camera), uncertainty.U (scene units) and
-/// log10_uncertainty.U.
+/// tools: R, G, B, A, depth.Z (median distance from the camera), uncertainty.U (scene units),
+/// log10_uncertainty.U and, with --depth-error, depth_error.Z (one standard deviation, scene units).
 #[derive(clap::Args)]
 #[command(
     after_help = "Example: octobayes render lego.safetensors lego.oct --cameras transforms_test.json --frame 0 -o view.png"
@@ -72,6 +74,11 @@ pub struct Args {
     #[arg(long, value_enum)]
     covariance: Option<Covariance>,
 
+    /// Show the standard deviation of depth, too, in scene units; the field must be one of `--scale data`. It joins what
+    /// the training images leave open (matter that could be elsewhere) and how widely matter is spread along the ray
+    #[arg(long)]
+    depth_error: bool,
+
     /// Use the field even if it was computed for another model
     #[arg(long)]
     force: bool,
@@ -102,14 +109,23 @@ impl Args {
         files.images(&views).check()?;
         let camera = self.sized(&views.frame(self.frame)?.camera)?;
 
+        let uncertainty = &field;
         let log10 = |x| field.log10(x);
         let probes = [Probe { value: &log10, averages: &[self.ray_average] }];
         let settings = self.model.image_settings();
         let offset = settings.pixel_offset.unwrap_or_else(|| model.pixel_offset());
+        let posterior = self.depth_error.then(|| field.depth_posterior()).transpose()?;
+        let variance = |samples: &[DepthSample]| posterior.map_or(f64::NAN, |posterior| posterior.variance(samples));
         let picture = |field: &dyn RadianceField| -> Result<RenderedView> {
             let tracer = settings.tracer(field, 0.0, bars)?;
             bars.begin("rows", u64::from(camera.resolution[1]));
-            let view = render_view(&tracer, &camera, offset, &probes, bars)?;
+            let view = if self.depth_error {
+                let differentiation = settings.differentiation(tracer.field, uncertainty.lattice())?;
+                let depth = DepthProbe { differentiation, variances: &[&variance] };
+                render_view_with_depth(&tracer, &camera, offset, &probes, &depth, bars)?
+            } else {
+                render_view(&tracer, &camera, offset, &probes, bars)?
+            };
             bars.end();
             Ok(view)
         };
@@ -128,7 +144,8 @@ impl Args {
             let prior = field.prior().log10();
             let [low] = field.surface_quantiles([0.01]).unwrap_or([-3.0]);
             let log10 = self.range.unwrap_or([low.min(prior - 0.5), prior]);
-            let ranges = Ranges { depth, log10, prior, quantity: field.protocol().scale.quantity() };
+            let error = error_range([&view].into_iter().chain(&cleaned));
+            let ranges = Ranges { depth, error, log10, prior, quantity: field.protocol().scale.quantity() };
             let mut rows = vec![view_panels(&view, &format!("frame {}", self.frame), ranges, &|i| unseen(&view, i))];
             if let (Some(cleaned), Some(threshold)) = (&cleaned, threshold) {
                 rows.push(view_panels(cleaned, &format!("log10 U <= {threshold:.3}"), ranges, &|i| unseen(cleaned, i)));
@@ -190,7 +207,7 @@ pub fn check_box(name: &str, model: &Aabb, field: &UncertaintyField) -> Result<(
 fn channels(view: &RenderedView) -> Vec<(&'static str, Vec<f32>)> {
     let of_pixel = |value: &dyn Fn(&crate::render::Pixel) -> f64| view.pixels.iter().map(|p| value(p) as f32).collect();
     let log10 = &view.log10_uncertainty[0];
-    vec![
+    let mut channels = vec![
         ("R", of_pixel(&|p| p.color.x)),
         ("G", of_pixel(&|p| p.color.y)),
         ("B", of_pixel(&|p| p.color.z)),
@@ -198,5 +215,8 @@ fn channels(view: &RenderedView) -> Vec<(&'static str, Vec<f32>)> {
         ("depth.Z", of_pixel(&|p| p.median_depth)),
         ("uncertainty.U", log10.iter().map(|&u| 10_f64.powf(u) as f32).collect()),
         ("log10_uncertainty.U", log10.iter().map(|&u| u as f32).collect()),
-    ]
+    ];
+    let errors = view.depth_deviation.iter().map(|of_pixels| of_pixels.iter().map(|&s| s as f32).collect());
+    channels.extend(errors.map(|errors| ("depth_error.Z", errors)));
+    channels
 }

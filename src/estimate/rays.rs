@@ -99,10 +99,10 @@ impl RaySettings {
     }
 
     /// Settings for images. What the cutoff leaves out in front and behind changes a pixel by no more than 1e-4, less
-    /// than half a step of 8 bits.
+    /// than half a step of 8 bits. Derivatives are the field's own, if it has any.
     #[must_use]
     pub fn for_images() -> Self {
-        Self { cutoff: 1e-4, ..Self::default() }
+        Self { cutoff: 1e-4, gradient: GradientMethod::Auto, ..Self::default() }
     }
 
     /// The description of a run of `shard` of these rays into `builder`, which a resumed run must match. `source`
@@ -149,21 +149,18 @@ impl RaySettings {
         lattice: &Lattice,
         monitor: &dyn Monitor,
     ) -> Result<RayStream<'a>> {
-        let differences = self.differences(lattice, &field.bounds());
+        let differentiation = self.differentiation(field, lattice)?;
         // h is largest at the corner of the field's box that is farthest from the contraction's centre.
         let bounds = field.bounds();
         let corner = |c: u8| {
             DVec3::from(std::array::from_fn(|axis| [bounds.min(), bounds.max()][usize::from(c >> axis & 1)][axis]))
         };
+        let differences = &differentiation.differences;
         let farthest = (0..8).map(|c| differences.at(corner(c).as_vec3())).fold(DVec3::ZERO, DVec3::max);
-        let analytic = self.gradient.of(field)?;
-        if analytic.is_none() {
-            check_resolution(&differences, &bounds)?;
-        }
         let tracer = self.tracer(field, farthest.max_element(), monitor)?;
         Ok(RayStream {
             tracer,
-            differentiation: Differentiation { differences, analytic },
+            differentiation,
             cameras,
             pixel_offset: self.pixel_offset.unwrap_or_else(|| field.pixel_offset()),
             pixels: PixelSequence::new(self.pixels, self.seed, cameras.iter().map(|c| c.resolution).collect()),
@@ -172,6 +169,20 @@ impl RaySettings {
 }
 
 impl RaySettings {
+    /// How `field` is differentiated for `lattice`.
+    ///
+    /// # Errors
+    /// If the field does not provide the requested derivatives, or if the spacing of f32 positions exceeds the
+    /// finite-difference step.
+    pub fn differentiation<'a>(&self, field: &'a dyn RadianceField, lattice: &Lattice) -> Result<Differentiation<'a>> {
+        let differences = self.differences(lattice, &field.bounds());
+        let analytic = self.gradient.of(field)?;
+        if analytic.is_none() {
+            check_resolution(&differences, &field.bounds())?;
+        }
+        Ok(Differentiation { differences, analytic })
+    }
+
     /// The finite-difference steps for a lattice, over the box of a field.
     pub(super) fn differences(&self, lattice: &Lattice, bounds: &Aabb) -> Differences {
         let (edge, domain) = (lattice.edge(), *lattice.domain());

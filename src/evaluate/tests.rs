@@ -87,8 +87,12 @@ fn every_measure_is_of_the_same_pixels() {
         })
         .collect();
     let nothing = Nothing(ball.bounds());
-    let evaluator =
-        Evaluator { tracer: tracer(&ball), readings: &readings, members: vec![tracer(&ball), tracer(&nothing)] };
+    let evaluator = Evaluator {
+        tracer: tracer(&ball),
+        readings: &readings,
+        differentiation: None,
+        members: vec![tracer(&ball), tracer(&nothing)],
+    };
     let camera = cameras()[1];
     let truth = truth(&ball, &camera);
     let view = evaluator.evaluate(&truth, 7, &Silent).unwrap();
@@ -132,7 +136,7 @@ fn every_measure_is_of_the_same_pixels() {
 #[test]
 fn a_measure_that_is_the_error_has_no_area() {
     let ball = ClosedForm::ball();
-    let evaluator = Evaluator { tracer: tracer(&ball), readings: &[], members: Vec::new() };
+    let evaluator = Evaluator { tracer: tracer(&ball), readings: &[], differentiation: None, members: Vec::new() };
     let truth = truth(&ball, &cameras()[0]);
     let mut view = evaluator.evaluate(&truth, 0, &Silent).unwrap();
     view.measures = vec![view.absolute_error.clone(), view.absolute_error.iter().map(|e| -e).collect()];

@@ -6,9 +6,13 @@ use rand_chacha::ChaCha8Rng;
 
 use super::{Baseline, Measure, Reading, TrueView};
 use crate::Result;
-use crate::metrics::{density_aware, ensemble_variance, psnr};
+use crate::metrics::{Calibration, density_aware, ensemble_variance, psnr};
 use crate::monitor::{Monitor, check};
-use crate::render::{Probe, RayAverage, RenderedView, Tracer, render_view};
+use crate::render::{
+    DepthProbe, DepthSample, DepthVariance, Differentiation, Probe, RayAverage, RenderedView, Tracer, render_view,
+    render_view_with_depth,
+};
+use crate::uncertainty::DepthPosterior;
 
 /// A field to evaluate, and everything that claims to know where it is wrong.
 pub struct Evaluator<'a> {
@@ -16,6 +20,8 @@ pub struct Evaluator<'a> {
     pub tracer: Tracer<'a>,
     /// Its uncertainty, read in several ways.
     pub readings: &'a [Reading],
+    /// How the field is differentiated for the deviation of its depth; `None` leaves that out.
+    pub differentiation: Option<Differentiation<'a>>,
     /// Other fields trained in the same way; may be empty.
     pub members: Vec<Tracer<'a>>,
 }
@@ -52,7 +58,8 @@ impl Evaluator<'_> {
         if !self.members.is_empty() {
             baselines.extend([Baseline::EnsembleVariance, Baseline::DensityAware]);
         }
-        readings.chain(baselines.into_iter().map(Measure::Baseline)).collect()
+        let deviations = self.posteriors().map(|(i, _)| Measure::DepthDeviation(i));
+        readings.chain(deviations).chain(baselines.into_iter().map(Measure::Baseline)).collect()
     }
 
     /// Name of a measure in tables.
@@ -63,8 +70,15 @@ impl Evaluator<'_> {
                 format!("{}, {}", self.readings[i].name, average.name())
             }
             Measure::Reading(i, _) => self.readings[i].name.clone(),
+            Measure::DepthDeviation(i) => format!("{}, depth deviation", self.readings[i].name),
             Measure::Baseline(baseline) => baseline.name().into(),
         }
+    }
+
+    /// The readings that give depths a deviation, by their index.
+    fn posteriors(&self) -> impl Iterator<Item = (usize, DepthPosterior<'_>)> {
+        let readings = self.readings.iter().enumerate().filter(|_| self.differentiation.is_some());
+        readings.filter_map(|(i, reading)| Some((i, reading.field.depth_posterior().ok()?)))
     }
 
     /// The first reading whose field knows its ray counts.
@@ -88,12 +102,22 @@ impl Evaluator<'_> {
             probes.push(Probe { value: &unsupported, averages: &[RayAverage::WeightedMean] });
         }
         check(monitor)?;
-        let mut rendered = render_view(&self.tracer, &truth.camera, truth.pixel_offset, &probes, monitor)?;
+        let variances: Vec<_> =
+            self.posteriors().map(|(_, p)| move |samples: &[DepthSample]| p.variance(samples)).collect();
+        let variances: Vec<&DepthVariance> = variances.iter().map(|variance| variance as &DepthVariance).collect();
+        let (camera, offset) = (&truth.camera, truth.pixel_offset);
+        let mut rendered = match self.differentiation {
+            Some(differentiation) if !variances.is_empty() => {
+                let depth = DepthProbe { differentiation, variances: &variances };
+                render_view_with_depth(&self.tracer, camera, offset, &probes, &depth, monitor)?
+            }
+            _ => render_view(&self.tracer, camera, offset, &probes, monitor)?,
+        };
         let counts = counted.and_then(|_| rendered.log10_uncertainty.pop());
         let mut members = Vec::new();
         for member in &self.members {
             check(monitor)?;
-            members.push(render_view(member, &truth.camera, truth.pixel_offset, &[], monitor)?);
+            members.push(render_view(member, camera, offset, &[], monitor)?);
         }
 
         let with_truth = truth.distance.iter().enumerate().filter_map(|(i, d)| Some((i, (*d)?)));
@@ -102,12 +126,18 @@ impl Evaluator<'_> {
         let pixels: Vec<usize> = seen.iter().map(|(i, _)| *i).collect();
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let mut readings = rendered.log10_uncertainty.iter();
+        let mut deviations = rendered.depth_deviation.iter();
         let mut measure = |measure| -> Vec<f64> {
             let each = |value: &dyn Fn(usize) -> f64| pixels.iter().map(|&i| value(i)).collect();
             match measure {
                 Measure::Reading(..) => {
                     let averaged = readings.next().expect("one image per reading and average");
                     each(&|i| averaged[i])
+                }
+                Measure::DepthDeviation(_) => {
+                    let deviations = deviations.next().expect("one image per posterior");
+                    // Where ∇σ is not finite, the depth is not known at all.
+                    each(&|i| if deviations[i].is_nan() { f64::INFINITY } else { deviations[i] })
                 }
                 Measure::Baseline(baseline) => match baseline {
                     Baseline::RayVariance => each(&|i| rendered.pixels[i].depth_variance),
@@ -138,6 +168,23 @@ impl Evaluator<'_> {
             empty: empty.len(),
             rendered,
         })
+    }
+
+    /// Calibration over the pixels of all views, if the measure of index `m` is a standard deviation of depth.
+    ///
+    /// [`Baseline::RayVariance`] stands for the root of itself + δ²/12, where δ is the marching step. `None` for other
+    /// measures, and if [`Calibration::new`] has none.
+    #[must_use]
+    pub fn calibration(&self, views: &[EvaluatedView], m: usize) -> Option<Calibration> {
+        let (measure, least) = (self.measures()[m], self.tracer.marcher.step.powi(2) / 12.0);
+        let deviation = |value: &f64| match measure {
+            Measure::DepthDeviation(_) => Some(*value),
+            Measure::Baseline(Baseline::RayVariance) => Some((value + least).sqrt()),
+            _ => None,
+        };
+        let deviations: Option<Vec<f64>> = views.iter().flat_map(|view| &view.measures[m]).map(deviation).collect();
+        let errors: Vec<f64> = views.iter().flat_map(|view| &view.absolute_error).copied().collect();
+        Calibration::new(&errors, &deviations?)
     }
 
     /// Rows that [`Evaluator::evaluate`] renders for a view.

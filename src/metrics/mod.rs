@@ -1,5 +1,6 @@
 //! Metrics of image quality, and of how well an uncertainty ranks an error.
 
+mod calibration;
 mod ensemble;
 mod image;
 mod perceptual;
@@ -7,6 +8,7 @@ mod rank;
 mod sparsification;
 mod ssim;
 
+pub use calibration::{Calibration, ErrorDensity, PROBABILITIES};
 pub use ensemble::{density_aware, ensemble_variance};
 pub use image::psnr;
 pub use perceptual::ssimulacra2;

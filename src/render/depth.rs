@@ -19,24 +19,27 @@ pub struct DepthSample {
     pub gradient: DVec3,
 }
 
-/// Asks for the variance of the expected depth of every pixel, beside its image.
+/// The variance of a ray's expected depth from its samples, squared scene units.
+pub type DepthVariance<'a> = dyn Fn(&[DepthSample]) -> f64 + Sync + 'a;
+
+/// Asks for variances of the expected depth of every pixel, beside its image.
 #[derive(Clone, Copy)]
 pub struct DepthProbe<'a> {
     /// Source of ∇σ.
     pub differentiation: Differentiation<'a>,
-    /// The variance from the samples of a ray, squared scene units.
-    pub variance: &'a (dyn Fn(&[DepthSample]) -> f64 + Sync),
+    /// Each gives one number per pixel.
+    pub variances: &'a [&'a DepthVariance<'a>],
 }
 
 impl DepthProbe<'_> {
-    /// `[rays]`: the variance of each ray's expected depth; NaN where it has none, or where ∇σ is not finite.
-    pub(super) fn variances(
+    /// `[variances][rays]`: those of each ray's expected depth; NaN where it has none, or where ∇σ is not finite.
+    pub(super) fn ask(
         &self,
         tracer: &Tracer,
         rays: &[Ray],
         traced: &TracedRays,
         quadrature: &CompositingWeights,
-    ) -> Vec<f64> {
+    ) -> Vec<Vec<f64>> {
         let mut derivatives = vec![0.0; traced.positions.len()];
         let mut chosen = Chosen::default();
         for (r, ray) in rays.iter().enumerate() {
@@ -54,7 +57,8 @@ impl DepthProbe<'_> {
         let gradients = self.density_gradients(tracer, &chosen.positions);
         let mut found = chosen.samples.iter().zip(&chosen.rays).zip(&chosen.positions).zip(gradients).peekable();
         let mut moving = Vec::new();
-        let variances = (0..rays.len()).map(|r| {
+        let mut variances = vec![Vec::with_capacity(rays.len()); self.variances.len()];
+        for r in 0..rays.len() {
             moving.clear();
             let mut is_finite = true;
             while let Some((((&i, _), &position), gradient)) = found.next_if(|(((_, ray), _), _)| **ray as usize == r) {
@@ -63,9 +67,11 @@ impl DepthProbe<'_> {
                 moving.extend(gradient.map(|gradient| DepthSample { position, gradient }));
             }
             let has_depth = traced.samples(r).any(|i| quadrature.weights[i] > 0.0);
-            if has_depth && is_finite { (self.variance)(&moving) } else { f64::NAN }
-        });
-        variances.collect()
+            for (variance, out) in self.variances.iter().zip(&mut variances) {
+                out.push(if has_depth && is_finite { variance(&moving) } else { f64::NAN });
+            }
+        }
+        variances
     }
 
     /// ∇σ at some points; `None` where it is not finite.

@@ -16,7 +16,7 @@ mod trace;
 mod view;
 
 pub use composite::{CompositingWeights, Pixel, depth_variance, termination_entropy};
-pub use depth::{DepthProbe, DepthSample};
+pub use depth::{DepthProbe, DepthSample, DepthVariance};
 pub use gradient::{Differences, Differentiation, GradientMethod};
 pub use jacobian::JacobianBuffers;
 pub use march::{Marcher, SampleDistances};

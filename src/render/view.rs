@@ -73,9 +73,12 @@ pub struct RenderedView {
     /// `[ray averages of all probes in order][height · width]`: ray averages of log10 U. NaN where nothing was hit,
     /// except for [`RayAverage::Official`].
     pub log10_uncertainty: Vec<Vec<f64>>,
-    /// `[height · width]`: variance of the expected depth if the matter moves, squared scene units; NaN where nothing
-    /// was hit. Empty if no [`DepthProbe`] asked.
-    pub moved_depth_variance: Vec<f64>,
+    /// `[variances of the depth probe][height · width]`: the variance of the expected depth under a posterior of
+    /// displacements, squared scene units; NaN where nothing was hit.
+    pub posterior_variance: Vec<Vec<f64>>,
+    /// The same with what the ray's weights leave open: √(Var + s²), where s² is their variance + δ²/12. A standard
+    /// deviation of depth, scene units.
+    pub depth_deviation: Vec<Vec<f64>>,
     /// Number of rays dropped because the field was not finite; they show the background.
     pub dropped: u64,
 }
@@ -144,14 +147,22 @@ fn render(
             Ok(rendered)
         })
         .collect::<Result<_>>()?;
+    let posteriors = depth.map_or(0, |depth| depth.variances.len());
     let mut view = RenderedView {
         resolution: camera.resolution,
         log10_uncertainty: vec![Vec::new(); channels(probes)],
+        posterior_variance: vec![Vec::new(); posteriors],
+        depth_deviation: vec![Vec::new(); posteriors],
         ..RenderedView::default()
     };
     for row in rows {
         view.pixels.extend(row.pixels);
-        view.moved_depth_variance.extend(row.moved_depth_variance);
+        for (all, part) in view.posterior_variance.iter_mut().zip(row.posterior_variance) {
+            all.extend(part);
+        }
+        for (all, part) in view.depth_deviation.iter_mut().zip(row.depth_deviation) {
+            all.extend(part);
+        }
         view.dropped += row.dropped;
         for (all, part) in view.log10_uncertainty.iter_mut().zip(row.log10_uncertainty) {
             all.extend(part);
@@ -174,7 +185,8 @@ fn render_rays(tracer: &Tracer, rays: &[Ray], probes: &[Probe], depth: Option<&D
         resolution: [rays.len() as u32, 1],
         pixels: Vec::with_capacity(rays.len()),
         log10_uncertainty: vec![Vec::with_capacity(rays.len()); channels(probes)],
-        moved_depth_variance: depth.map_or_else(Vec::new, |depth| depth.variances(tracer, rays, traced, &quadrature)),
+        posterior_variance: depth.map_or_else(Vec::new, |depth| depth.ask(tracer, rays, traced, &quadrature)),
+        depth_deviation: vec![Vec::with_capacity(rays.len()); depth.map_or(0, |depth| depth.variances.len())],
         dropped: traced.dropped,
     };
     let mut values = Vec::new();
@@ -183,7 +195,7 @@ fn render_rays(tracer: &Tracer, rays: &[Ray], probes: &[Probe], depth: Option<&D
         if colors[samples.clone()].iter().any(|color| !color.is_finite()) {
             row.dropped += 1;
             samples = 0..0;
-            row.moved_depth_variance.get_mut(r).into_iter().for_each(|variance| *variance = f64::NAN);
+            row.posterior_variance.iter_mut().for_each(|variances| variances[r] = f64::NAN);
         }
         let pixel = quadrature.pixel(&samples, &colors, &traced.t, background);
         row.pixels.push(pixel);
@@ -194,6 +206,9 @@ fn render_rays(tracer: &Tracer, rays: &[Ray], probes: &[Probe], depth: Option<&D
             at_expected: tracer.marcher.bounds.clamp(ray.at(pixel.expected_depth).as_vec3()),
             spread: (pixel.depth_variance + tracer.marcher.step.powi(2) / 12.0).sqrt(),
         };
+        for (variances, out) in row.posterior_variance.iter().zip(&mut row.depth_deviation) {
+            out.push((variances[r] + averaged.spread.powi(2)).sqrt());
+        }
         let mut channel = 0;
         for probe in probes {
             values.clear();

@@ -13,7 +13,7 @@ use self::matter::{Matter, Shares};
 use self::scene::{DemoScene, TOLERANCE};
 use super::files::CommandFiles;
 use super::options::count;
-use super::panels::{Ranges, depth_range, is_unseen, view_panels};
+use super::panels::{Ranges, depth_range, error_range, is_unseen, view_panels};
 use super::progress::Bars;
 use super::report;
 use crate::dataset::write_transforms;
@@ -205,7 +205,8 @@ impl Args {
         let (views, cleaned) = (render(field)?, render(&cleaned)?);
         let truths = truth.map(render).transpose()?;
         let quantity = uncertainty.protocol().scale.quantity();
-        let ranges = Ranges { depth: depth_range(&views), log10: [low, prior], prior, quantity };
+        let (depth, error) = (depth_range(&views), error_range(&views));
+        let ranges = Ranges { depth, error, log10: [low, prior], prior, quantity };
         let colors = |title: &str, view: &RenderedView| {
             color_panel(title, view.resolution, view.pixels.iter().map(|pixel| pixel.color))
         };

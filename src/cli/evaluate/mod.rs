@@ -105,6 +105,11 @@ pub struct Args {
     #[arg(long, value_name = "PLOT.svg", requires = "depth")]
     plot: Option<PathBuf>,
 
+    /// Write the reliability curves of the deviations of depth as an SVG plot: the share of errors within the interval that
+    /// should hold each share. For fields of `--scale data`
+    #[arg(long, value_name = "PLOT.svg", requires = "depth")]
+    reliability: Option<PathBuf>,
+
     /// Write all sparsification curves as CSV
     #[arg(long, value_name = "CURVES.csv", requires = "depth")]
     csv: Option<PathBuf>,
@@ -131,6 +136,7 @@ impl Args {
             .inputs("--ensemble", &self.ensemble)
             .cameras(Some(&self.cameras.cameras))
             .outputs("--plot", &self.plot)
+            .outputs("--reliability", &self.reliability)
             .outputs("--csv", &self.csv)
             .outputs("--clean-up", &self.clean_up);
         files.check()?;
@@ -147,6 +153,10 @@ impl Args {
         let evaluator = Evaluator {
             tracer: settings.tracer(&*model, 0.0, bars)?,
             readings: &readings,
+            differentiation: readings
+                .first()
+                .map(|r| settings.differentiation(&*model, r.field.lattice()))
+                .transpose()?,
             members: members.iter().map(|member| settings.tracer(&**member, 0.0, bars)).collect::<Result<_>>()?,
         };
         let offset = settings.pixel_offset.unwrap_or_else(|| model.pixel_offset());
@@ -166,11 +176,17 @@ impl Args {
         let ranked = self.depth.as_ref().map(|folder| rank(folder, &judged, measures.len(), &*model)).transpose()?;
         let (cleaned, sheet) = self.clean_up(&evaluator, &truths, bars)?.unzip();
         let cleaned = cleaned.unwrap_or_default();
-        let evaluation = Evaluation { args: &self, evaluator: &evaluator, measures, views: &judged, ranked, cleaned };
+        let calibrations = match &ranked {
+            Some(_) => (0..measures.len()).map(|m| evaluator.calibration(&judged, m)).collect(),
+            None => Vec::new(),
+        };
+        let evaluation =
+            Evaluation { args: &self, evaluator: &evaluator, measures, views: &judged, ranked, calibrations, cleaned };
         let plot = self.plot.as_ref().map(|path| evaluation.plot(path)).transpose()?;
+        let reliability = self.reliability.as_ref().map(|path| evaluation.reliability(path)).transpose()?;
         let csv = self.csv.as_ref().map(|path| evaluation.csv(path)).transpose()?;
         // All are on the disk before the first gets its name, so that no half set is left.
-        let mut files: Vec<AtomicFile> = [sheet, plot, csv].into_iter().flatten().collect();
+        let mut files: Vec<AtomicFile> = [sheet, plot, reliability, csv].into_iter().flatten().collect();
         files.iter_mut().try_for_each(AtomicFile::sync)?;
         files.into_iter().try_for_each(AtomicFile::commit)?;
         evaluation.print()

@@ -8,7 +8,7 @@ use super::Args;
 use crate::cli::report;
 use crate::evaluate::{CleanUp, DepthError, EvaluatedView, Evaluator, Measure, Score};
 use crate::io::AtomicFile;
-use crate::metrics::{ErrorKind, STEPS, Sparsification};
+use crate::metrics::{Calibration, ErrorKind, PROBABILITIES, STEPS, Sparsification};
 use crate::picture::{Curve, stage_plot};
 use crate::{Error, Result};
 
@@ -20,6 +20,8 @@ pub struct Evaluation<'a> {
     pub views: &'a [EvaluatedView],
     /// A score per measure, and the error of depth; `None` without true depth.
     pub ranked: Option<(Vec<Score>, DepthError)>,
+    /// One per measure with true depth; `None` for measures that are no deviations of depth.
+    pub calibrations: Vec<Option<Calibration>>,
     /// Empty unless asked for.
     pub cleaned: Vec<CleanUp>,
 }
@@ -84,6 +86,35 @@ impl Evaluation<'_> {
         stage_plot(path, "Mean depth error left, scene units", axes, &curves)
     }
 
+    /// The measures that are deviations of depth.
+    fn calibrated(&self) -> impl Iterator<Item = (Measure, String, &Calibration)> {
+        let all = self.measures.iter().zip(&self.calibrations);
+        all.filter_map(|(&measure, found)| {
+            let name = match measure {
+                Measure::Baseline(_) => "deviation of the ray's weights".into(),
+                _ => self.evaluator.name(measure),
+            };
+            Some((measure, name, found.as_ref()?))
+        })
+    }
+
+    /// Plots the shares of errors within the intervals that should hold them, in a file to be committed.
+    pub fn reliability(&self, path: &Path) -> Result<AtomicFile> {
+        let points = |curve: &[[f64; 2]]| curve.iter().map(|&[p, found]| (p, found)).collect();
+        let mut curves: Vec<Curve> = self
+            .calibrated()
+            .map(|(_, name, c)| Curve {
+                name: format!("{name} (AUCE {:.3})", c.auce),
+                points: points(&c.reliability),
+                reference: false,
+            })
+            .collect();
+        let diagonal = vec![(0.0, 0.0), (1.0, 1.0)];
+        curves.push(Curve { name: "what it should be".into(), points: diagonal, reference: true });
+        let axes = ["share of errors that the interval should hold", "share that it holds"];
+        stage_plot(path, "Reliability of the deviation of depth", axes, &curves)
+    }
+
     /// Writes one row per error kind and removed share, with values in scene units, in a file to be committed.
     pub fn csv(&self, path: &Path) -> Result<AtomicFile> {
         let mut file = AtomicFile::create(path)?;
@@ -112,13 +143,20 @@ impl Evaluation<'_> {
             ErrorKind::ALL.iter().enumerate().map(|(e, &kind)| (kind_name(kind), json!(values(e)))).collect()
         };
         let (mut readings, mut baselines) = (Vec::new(), Vec::new());
-        for (measure, name, score) in self.named() {
+        for (m, (measure, name, score)) in self.named().enumerate() {
             let mut entry = json!({
                 "name": name,
                 "ause_pooled": by_kind(&|e| score.pooled[e].area),
                 "ause_mean_over_views": by_kind(&|e| score.per_view_mean[e]),
             });
+            if let Some(calibration) = &self.calibrations[m] {
+                entry["calibration"] = json!(calibration);
+            }
             match measure {
+                Measure::DepthDeviation(r) => {
+                    entry["field"] = report::protocol_json(&self.evaluator.readings[r].field);
+                    readings.push(entry);
+                }
                 Measure::Reading(r, average) => {
                     entry["ray_average"] = json!(average);
                     entry["field"] = report::protocol_json(&self.evaluator.readings[r].field);
@@ -187,7 +225,7 @@ impl Evaluation<'_> {
         )?;
         let mut before = None;
         for (measure, name, score) in self.named() {
-            let is_reading = matches!(measure, Measure::Reading(..));
+            let is_reading = !matches!(measure, Measure::Baseline(_));
             if before == Some(true) && !is_reading {
                 say!("  without a Hessian:")?;
             }
@@ -195,6 +233,30 @@ impl Evaluation<'_> {
             let [a, b, c] = [0, 1, 2].map(|k| score.pooled[k].area);
             let [d, e, f] = [0, 1, 2].map(|k| score.per_view_mean[k]);
             say!("  {name:<width$} {a:>7.4} {b:>7.4} {c:>7.4}   |              {d:>7.4} {e:>7.4} {f:>7.4}")?;
+        }
+        self.print_calibration(width)
+    }
+
+    /// Only if a field gives deviations in scene units: the ray's weights alone are there to be compared with.
+    fn print_calibration(&self, width: usize) -> Result<()> {
+        if !self.calibrated().any(|(measure, ..)| matches!(measure, Measure::DepthDeviation(_))) {
+            return Ok(());
+        }
+        let nominal = PROBABILITIES.map(|p| format!("{:>6.0} %", 100.0 * p)).concat();
+        say!(
+            "{:<width$}{nominal}    AUCE   mean e/s   NLL, nats: Gauss  Laplace  Student   (with the best scale)",
+            "errors of depth within",
+            width = width + 2
+        )?;
+        for (_, name, c) in self.calibrated() {
+            let held = c.coverage.map(|[_, found]| format!("{:>6.1} %", 100.0 * found)).concat();
+            let [gauss, laplace, student] = c.nll;
+            let [g, l, s] = c.nll_best_scale;
+            say!(
+                "  {name:<width$}{held} {:>7.3} {:>10.2} {gauss:>18.2} {laplace:>8.2} {student:>8.2}   ({g:.2}, {l:.2}, {s:.2})",
+                c.auce,
+                c.mean_ratio
+            )?;
         }
         Ok(())
     }
