@@ -180,7 +180,8 @@ fn deviations_of_depth_are_calibrated_beside_those_of_the_weights() {
     };
     let posterior = calibration("readings", "data block, depth deviation");
     let weights = calibration("baselines", "ray-weight variance");
-    let held = |of: &Value| of["coverage"].as_array().unwrap().iter().map(|p| p[1].as_f64().unwrap()).collect::<Vec<_>>();
+    let held =
+        |of: &Value| of["coverage"].as_array().unwrap().iter().map(|p| p[1].as_f64().unwrap()).collect::<Vec<_>>();
     // √(Var + s²) is wider than s, for every pixel.
     let (posterior, weights) = (held(&posterior), held(&weights));
     assert!(posterior.iter().zip(&weights).all(|(wide, narrow)| wide >= narrow), "{posterior:?} and {weights:?}");

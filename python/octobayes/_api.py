@@ -178,6 +178,10 @@ def uncertainty(
     lambda_: float | None = None,
     tolerance: float = 0.01,
     prior: str = "uniform",
+    scale: str = "paper",
+    noise: float | None = None,
+    psnr: float | None = None,
+    prior_deviation: float | None = None,
     min_rays: float = 0.0,
     surface_points: int = 16_384,
     max_rays: int = 32_768_000,
@@ -223,7 +227,9 @@ def uncertainty(
     (a number, or 'auto': until the mean error of log10 U is within ``tolerance``, at most ``max_rays``); gradient
     ('finite-difference', 'analytic': the model's own derivatives, 'auto'); covariance ('diagonal', 'block', 'trace');
     refine ('sensitivity', 'density', 'ray-count', or several); memory in bytes; step in edges of the finest lattice;
-    error_bars (number of groups); checkpoint_every in seconds. ``lambda_`` is ``--lambda``.
+    error_bars (number of groups); checkpoint_every in seconds; scale ('paper', or 'data': a standard deviation in scene
+    units, which needs the noise that training left, as ``noise``, ``psnr`` or recorded in the model, and cameras of the
+    size that the model was trained at). ``lambda_`` is ``--lambda``.
 
     progress: called with (stage, done, total); True for a bar of tqdm, False for none; by default a bar where one is
     seen and tqdm is installed.
@@ -255,6 +261,7 @@ def uncertainty(
             surface_points,
         ),
         **_image_options(nerf, background, march_step, pixel_offset, occupancy),
+        **_scale_options(scale, noise, psnr, prior_deviation, lambda_),
         "rays": whole("max_rays", max_rays, 1) if auto else whole("rays", rays, 1),
         "auto": auto,
         "seed": whole("seed", seed, 0, 2**64 - 1),
@@ -275,6 +282,23 @@ def uncertainty(
         field, texts = _octobayes.uncertainty(asked, numbers, options, report)
     _warn(texts)
     return Uncertainty(field)
+
+
+def _scale_options(
+    scale: str, noise: float | None, psnr: float | None, prior_deviation: float | None, lambda_: float | None
+) -> dict[str, Any]:
+    """What U is a deviation of."""
+    if scale not in ("paper", "data"):
+        raise wrong("scale", "'paper' or 'data'", scale)
+    given = {"noise": noise, "psnr": psnr, "prior_deviation": prior_deviation}
+    for name in (name for name, value in given.items() if value is not None and scale == "paper"):
+        raise wrong(name, "scale='data' beside it", "scale='paper'")
+    if scale == "data" and lambda_ is not None:
+        raise wrong("lambda_", "None with scale='data', where prior_deviation stands for it", lambda_)
+    if noise is not None and psnr is not None:
+        raise wrong("noise", "None with psnr, which says the same", noise)
+    numbers = {name: None if value is None else real(name, value, above=0) for name, value in given.items()}
+    return {"of_data": scale == "data", **numbers}
 
 
 def _training_cameras(nerf: Any, cameras: Any, views: Any, resolution: Any, fov: float | None) -> tuple[Any, str]:
@@ -406,6 +430,7 @@ def render(
     frame: int = 0,
     ray_average: str = "weighted-mean",
     threshold: float | str | None = None,
+    depth_error: bool = False,
     box: Any = None,
     background: Any = None,
     march_step: float | None = None,
@@ -421,10 +446,12 @@ def render(
     nerf, camera and the arguments not explained here: as in :func:`uncertainty`; of a camera file, ``frame`` is
     rendered. u: the model's uncertainty, or None for none. ray_average: how log10 U becomes a pixel's
     ('weighted-mean', 'official', 'at-expected', 'spread'). threshold: remove density where log10 U exceeds this (or,
-    as '99%', what it exceeds on the most certain 99 percent of visible surfaces). box: for a callable, by default u's.
+    as '99%', what it exceeds on the most certain 99 percent of visible surfaces). depth_error: the standard deviation of
+    depth, too; u must be one of scale='data'. box: for a callable, by default u's.
 
     Returns float32 arrays: 'color' ``[H, W, 3]``, 'depth' ``[H, W]`` (median distance from the camera, scene units;
-    0 where nothing is), 'opacity' ``[H, W]``, and with u 'log10_uncertainty' ``[H, W]`` (NaN where nothing is).
+    0 where nothing is), 'opacity' ``[H, W]``, with u 'log10_uncertainty' ``[H, W]`` (NaN where nothing is), and with
+    depth_error 'depth_error' ``[H, W]`` (scene units; NaN where nothing is).
     Raises as :func:`uncertainty` does.
     """
     nerf = _opened(nerf, coordinates)
@@ -441,10 +468,13 @@ def render(
         threshold = _threshold(threshold, u)
     if box is None and u is not None and not isinstance(nerf, Model):
         box = getattr(nerf, "box", u.box)
+    if depth_error and u is None:
+        raise wrong("depth_error", "an uncertainty beside it", "none")
     options = {
         **_image_options(nerf, background, march_step, pixel_offset, occupancy),
         "ray_average": names("ray_average", ray_average)[:1],
         "threshold": threshold,
+        "depth_error": bool(depth_error),
     }
     asked = _asked(nerf, box, march_step, batch)
     field = None if u is None else u._field

@@ -7,9 +7,10 @@ use std::time::Duration;
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
 use octobayes::Error;
 use octobayes::dataset::{FrameSplit, Part, ResolutionSource, Selection, Views};
-use octobayes::estimate::{Checkpoint, Estimation, Outcome, RaySettings, Sight};
+use octobayes::estimate::{Checkpoint, Estimation, GridSettings, Outcome, RaySettings, Sight};
 use octobayes::field::RadianceField;
 use octobayes::geometry::{Camera, Domain};
+use octobayes::posterior::{DataScale, Scale};
 use octobayes::rays::SamplesWriter;
 use octobayes::uncertainty::UncertaintyField;
 use pyo3::exceptions::PyValueError;
@@ -77,7 +78,8 @@ enum Goal {
 struct Job {
     domain: Option<Domain>,
     rays: RaySettings,
-    grid: octobayes::estimate::GridSettings,
+    grid: GridSettings,
+    scale: Option<ScaleOfData>,
     goal: Goal,
     checkpoint: Option<Checkpoint>,
     error_bars: Option<u16>,
@@ -114,6 +116,7 @@ pub fn uncertainty(
         domain,
         rays: options.rays()?,
         grid: options.grid()?,
+        scale: options.or("of_data", false)?.then(|| ScaleOfData::new(&options)).transpose()?,
         goal,
         checkpoint: checkpoint.map(|path| Checkpoint::new(path).every(every).resume(resume)),
         error_bars,
@@ -126,6 +129,29 @@ pub fn uncertainty(
     Ok((Uncertainty(Arc::new(field)), warnings))
 }
 
+/// What a scale in scene units is made from, beside the cameras.
+struct ScaleOfData {
+    noise: Option<f64>,
+    prior_deviation: Option<f64>,
+}
+
+impl ScaleOfData {
+    fn new(options: &Options) -> PyResult<Self> {
+        let psnr = options.get::<f64>("psnr")?.map(DataScale::noise_of);
+        Ok(Self { noise: options.get("noise")?.or(psnr), prior_deviation: options.get("prior_deviation")? })
+    }
+
+    /// The scale of a run over `domain`.
+    fn of(&self, field: &dyn RadianceField, cameras: &[Camera], domain: &Domain) -> octobayes::Result<Scale> {
+        let noise = self.noise.or_else(|| field.training_noise()).ok_or_else(|| {
+            let expected = "the noise that training left, as noise or psnr";
+            Error::setting("scale='data'", expected, "neither, nor a model that records it")
+        })?;
+        let prior = self.prior_deviation.unwrap_or_else(|| DataScale::default_prior_deviation(domain));
+        DataScale::new(cameras.iter().map(Camera::pixels).sum(), noise, prior).map(Scale::Data)
+    }
+}
+
 impl Job {
     fn run(
         self,
@@ -136,10 +162,11 @@ impl Job {
         let mut warnings = Vec::new();
         let mut dump = self.dump.as_deref().map(SamplesWriter::create).transpose()?;
         let domain = self.domain.unwrap_or_else(|| field.natural_domain());
+        let scale = self.scale.map(|scale| scale.of(field, cameras, &domain)).transpose()?.unwrap_or_default();
         let estimation = Estimation::new(field, cameras)
             .domain(domain)
             .rays(self.rays)
-            .grid(self.grid)
+            .grid(self.grid.scale(scale))
             .source(self.source)
             .monitor(engine.monitor());
         let estimation = self.checksum.into_iter().fold(estimation, Estimation::model);

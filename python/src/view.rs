@@ -10,7 +10,9 @@ use octobayes::estimate::RaySettings;
 use octobayes::evaluate::{DepthError, DepthFiles, EvaluatedView, Evaluator, Measure, Reading, Score, TrueView};
 use octobayes::field::RadianceField;
 use octobayes::metrics::{ErrorKind, STEPS};
-use octobayes::render::{Pixel, Probe, RayAverage, RenderedView, render_view};
+use octobayes::render::{
+    DepthProbe, DepthSample, Pixel, Probe, RayAverage, RenderedView, render_view, render_view_with_depth,
+};
 use octobayes::uncertainty::{ThresholdedField, UncertaintyField};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -43,6 +45,7 @@ pub fn render<'py>(
     let settings = image_settings(&options)?;
     let field = uncertainty.map(|field| field.get().0.clone());
     let threshold = options.get::<f64>("threshold")?;
+    let depth_error = options.or("depth_error", false)?;
     let averages = options.ray_averages()?.unwrap_or_else(|| vec![RayAverage::default()]);
     let view = work(py, source.gate(nerf), progress, |engine| {
         source.with(engine, |model| {
@@ -58,7 +61,14 @@ pub fn render<'py>(
             let tracer = settings.tracer(shown, 0.0, engine.monitor())?;
             let offset = settings.pixel_offset.unwrap_or_else(|| model.pixel_offset());
             engine.monitor().begin("rows", u64::from(camera.resolution[1]));
-            render_view(&tracer, &camera, offset, probes, engine.monitor())
+            let Some(field) = field.as_deref().filter(|_| depth_error) else {
+                return render_view(&tracer, &camera, offset, probes, engine.monitor());
+            };
+            let posterior = field.depth_posterior()?;
+            let variance = |samples: &[DepthSample]| posterior.variance(samples);
+            let differentiation = settings.differentiation(shown, field.lattice())?;
+            let depth = DepthProbe { differentiation, variances: &[&variance] };
+            render_view_with_depth(&tracer, &camera, offset, probes, &depth, engine.monitor())
         })
     })?;
     pictures(py, &view)
@@ -78,6 +88,10 @@ fn pictures<'py>(py: Python<'py>, view: &RenderedView) -> PyResult<Bound<'py, Py
     for values in &view.log10_uncertainty {
         let values = PyArray1::from_iter(py, values.iter().map(|&u| u as f32));
         out.set_item("log10_uncertainty", values.reshape([height, width])?)?;
+    }
+    for deviations in &view.depth_deviation {
+        let deviations = PyArray1::from_iter(py, deviations.iter().map(|&s| s as f32));
+        out.set_item("depth_error", deviations.reshape([height, width])?)?;
     }
     Ok(out)
 }

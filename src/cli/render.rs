@@ -14,9 +14,7 @@ use crate::io::write_exr;
 use crate::monitor::Monitor;
 use crate::picture::write_sheet;
 use crate::posterior::Covariance;
-use crate::render::{
-    DepthProbe, DepthSample, Probe, RayAverage, RenderedView, render_view, render_view_with_depth,
-};
+use crate::render::{DepthProbe, DepthSample, Probe, RayAverage, RenderedView, render_view, render_view_with_depth};
 use crate::uncertainty::{ThresholdedField, UncertaintyField};
 use crate::{Error, Result};
 

@@ -61,7 +61,12 @@ impl DepthPosterior<'_> {
             let (origin, edge) = limits.leaf(self.field.lattice.cell(u).0).extent(limits.finest());
             let offset = (u - DVec3::from(origin.map(f64::from))) / f64::from(edge);
             for (c, weight) in (0_u32..).zip(trilinear(offset)).filter(|(_, weight)| *weight > 0.0) {
-                let corner = masters(limits, std::array::from_fn(|axis| origin[axis] + edge * (c >> axis & 1)));
+                let point = std::array::from_fn(|axis| origin[axis] + edge * (c >> axis & 1));
+                if limits.is_unlimited() {
+                    *gradients.entry(point).or_default() += weight * *gradient;
+                    continue;
+                }
+                let corner = masters(limits, point);
                 let share = weight / corner.points().len() as f64;
                 for &point in corner.points() {
                     *gradients.entry(point).or_default() += share * *gradient;
