@@ -446,8 +446,8 @@ def render(
     nerf, camera and the arguments not explained here: as in :func:`uncertainty`; of a camera file, ``frame`` is
     rendered. u: the model's uncertainty, or None for none. ray_average: how log10 U becomes a pixel's
     ('weighted-mean', 'official', 'at-expected', 'spread'). threshold: remove density where log10 U exceeds this (or,
-    as '99%', what it exceeds on the most certain 99 percent of visible surfaces). depth_error: the standard deviation of
-    depth, too; u must be one of scale='data'. box: for a callable, by default u's.
+    as '99%', what it exceeds on the most certain 99 percent of visible surfaces). depth_error: the standard deviation
+    of depth, too; u must be one of scale='data'. box: for a callable, by default u's.
 
     Returns float32 arrays: 'color' ``[H, W, 3]``, 'depth' ``[H, W]`` (median distance from the camera, scene units;
     0 where nothing is), 'opacity' ``[H, W]``, with u 'log10_uncertainty' ``[H, W]`` (NaN where nothing is), and with
