@@ -97,9 +97,13 @@ impl DatasetFiles {
     pub fn select(&mut self, selection: &Selection, half: Option<Hemisphere>) -> Result<()> {
         let middle = 0.5 * (self.bounds.min() + self.bounds.max());
         let keep = |frame: &Frame| half.is_none_or(|half| half.contains(frame.camera.position - middle));
+        if !self.train.iter().any(keep) {
+            return Err(Error::setting("half of the scene", "a half that some training images were taken from", "none"));
+        }
         self.train = self.split.select(Part::Training, selection, keep)?;
         if self.train.is_empty() {
-            return Err(Error::setting("training views", "some training images", "none"));
+            let expected = "indices of images taken from that half";
+            return Err(Error::setting("training views", expected, "none of them"));
         }
         let train = &self.train;
         self.held_out.retain(|frame| !train.contains(frame));
