@@ -57,6 +57,25 @@ fn length(x: [f32; 3]) -> f32 {
 
 const RUN: &str = "--cameras cameras.json --level 5 --rays 4000 --occupancy 32";
 
+/// A share is one of surface points. In fog it takes many more pixels.
+#[test]
+fn a_share_that_takes_many_pixels_says_how_many() {
+    let desk = desk();
+    let ball = |x| if length(x) < 0.4 { 80.0 } else { 0.0 };
+    voxels(&desk.path().join("clear.npz"), ball);
+    voxels(&desk.path().join("fog.npz"), |x| ball(x).max(0.6));
+    let removed = |model: &str, out: &str| {
+        said(desk.path(), &format!("uncertainty {model}.npz {RUN} -o {model}.oct"));
+        let view = "--cameras cameras.json --occupancy 32 --threshold 99%";
+        let said = said(desk.path(), &format!("render {model}.npz {model}.oct {view} -o {out}"));
+        let line = said.lines().find(|line| line.contains("of the pixels that show matter")).map(str::to_owned);
+        line.map(|line| line.split_once("removes ").unwrap().1.split_once(" %").unwrap().0.parse::<f64>().unwrap())
+    };
+    assert_eq!(removed("clear", "clear.png"), None);
+    let [png, exr] = ["fog.png", "fog.exr"].map(|out| removed("fog", out).unwrap());
+    assert!(png > 10.0 && png == exr, "{png} and {exr}");
+}
+
 /// A plain grey picture is never off by more than one half.
 #[test]
 fn errors_of_colours_that_no_training_leaves_are_refused() {
@@ -69,4 +88,15 @@ fn errors_of_colours_that_no_training_leaves_are_refused() {
     for good in ["--psnr 6.1", "--psnr 60", "--noise 0.5"] {
         said(desk.path(), &format!("uncertainty scene:ball {RUN} --scale data {good} -o x.oct"));
     }
+}
+
+/// The protocol is told by those who are asked.
+#[test]
+fn a_picture_comes_without_a_protocol_unless_asked() {
+    let desk = desk();
+    said(desk.path(), &format!("uncertainty scene:ball {RUN} -o x.oct"));
+    let render = "render scene:ball x.oct --cameras cameras.json --occupancy 32 -o x.png";
+    assert_eq!(run(desk.path(), render).1, "x.png\n");
+    let told = run(desk.path(), &format!("{render} --verbose")).1;
+    assert!(told.contains("x.png") && told.contains("lambda") && told.contains("on visible surfaces"), "{told}");
 }

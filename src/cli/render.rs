@@ -75,6 +75,10 @@ pub struct Args {
     /// Use the field even if it was computed for another model
     #[arg(long)]
     force: bool,
+
+    /// Print the protocol of the field, too
+    #[arg(long)]
+    verbose: bool,
 }
 
 impl Args {
@@ -118,11 +122,16 @@ impl Args {
             Some(threshold) => Some(picture(&ThresholdedField { field: &*model, uncertainty: &field, threshold })?),
             None => None,
         };
+        // An EXR holds the cleaned view only, but what a share takes is told by both.
+        let is_shown = !as_exr || !matches!(self.threshold, Some(Threshold::Log10(_)));
+        let view = is_shown.then(|| picture(&*model)).transpose()?;
+        if let (Some(threshold), Some(view), Some(cleaned)) = (self.threshold, &view, &cleaned) {
+            threshold.note_pixels(view, cleaned);
+        }
         if as_exr {
-            let view = cleaned.map_or_else(|| picture(&*model), Ok)?;
+            let view = cleaned.or(view).expect("one of them is rendered");
             write_exr(&self.output, view.resolution, channels(&view))?;
-        } else {
-            let view = picture(&*model)?;
+        } else if let Some(view) = view {
             let unseen = |view: &RenderedView, i: usize| is_unseen(&field, &camera, offset, view, i);
             let depth = depth_range([&view].into_iter().chain(&cleaned));
             let prior = field.prior().log10();
@@ -135,11 +144,10 @@ impl Args {
             }
             write_sheet(&self.output, &rows)?;
         }
-        say!(
-            "{}\nprotocol of the field\n{}",
-            self.output.display(),
-            format!("{}{}", report::protocol(&field), report::surfaces(&field))
-        )?;
+        say!("{}", self.output.display())?;
+        if self.verbose {
+            say!("protocol of the field\n{}{}", report::protocol(&field), report::surfaces(&field))?;
+        }
         Ok(())
     }
 }
