@@ -76,6 +76,24 @@ fn a_share_that_takes_many_pixels_says_how_many() {
     assert!(png > 10.0 && png == exr, "{png} and {exr}");
 }
 
+/// N is the number of training pixels; an image size that nobody knows makes it a guess.
+#[test]
+fn an_unknown_number_of_training_pixels_is_told() {
+    let desk = desk();
+    let data = "--level 4 --rays 1000 --occupancy 16 --scale data --psnr 30 -o x.oct";
+    let warns = |args: &str| said(desk.path(), &format!("uncertainty scene:ball {args}")).contains("training pixels");
+    assert!(warns(&format!("--resolution 32 {data}")) && warns(data));
+    assert!(!warns(&format!("--cameras cameras.json {data}")));
+    assert!(!warns(&data.replace("--scale data --psnr 30", "")));
+    // The file states no size, and its images are not there.
+    let text = std::fs::read_to_string(desk.path().join("cameras.json")).unwrap();
+    let unsized_cameras = text.replace("\"w\"", "\"a\"").replace("\"h\"", "\"b\"");
+    std::fs::write(desk.path().join("unsized.json"), unsized_cameras).unwrap();
+    assert!(warns(&format!("--cameras unsized.json {data}")));
+    let told = said(desk.path(), &format!("uncertainty scene:ball --cameras cameras.json {data}"));
+    assert!(!told.contains("warning"), "{told}");
+}
+
 /// A plain grey picture is never off by more than one half.
 #[test]
 fn errors_of_colours_that_no_training_leaves_are_refused() {

@@ -118,7 +118,11 @@ impl CameraOptions {
         Ok(Views {
             path: PathBuf::from(name),
             frames: cameras.into_iter().enumerate().map(frame).collect(),
-            resolution_source: self.resolution.map_or(ResolutionSource::Assumed, |_| ResolutionSource::Requested),
+            // Cameras that a model was trained on come with the size of their images; mere poses do not.
+            resolution_source: match names {
+                [_, ..] if self.resolution.is_none() => ResolutionSource::File,
+                _ => ResolutionSource::Assumed,
+            },
         })
     }
 
@@ -145,6 +149,18 @@ impl CameraOptions {
             );
         }
         Ok(Views { path, frames, resolution_source })
+    }
+}
+
+/// Warns if the number of training pixels, by which `--scale data` weighs them, follows from an image size that nobody
+/// knows.
+pub fn warn_of_pixels(views: &Views, pixels: u64) {
+    if views.resolution_source == ResolutionSource::Assumed {
+        let [w, h] = views.frames[0].camera.resolution;
+        eprintln!(
+            "warning: --scale data counts {pixels} training pixels, of images of {w} x {h} that neither model nor \
+             cameras vouch for; if their sides were k times as long, U would be k times as small"
+        );
     }
 }
 
