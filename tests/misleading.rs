@@ -118,3 +118,30 @@ fn a_picture_comes_without_a_protocol_unless_asked() {
     let told = run(desk.path(), &format!("{render} --verbose")).1;
     assert!(told.contains("x.png") && told.contains("lambda") && told.contains("on visible surfaces"), "{told}");
 }
+
+/// Matter outside the box is not unseen, and no part of what is said about visible surfaces.
+#[test]
+fn matter_outside_the_box_is_told_and_not_counted() {
+    let desk = desk();
+    voxels(&desk.path().join("ball.npz"), |x| if length(x) < 0.5 { 80.0 } else { 0.0 });
+    let share = |bounds: &str| {
+        let told = said(desk.path(), &format!("uncertainty ball.npz {RUN} {bounds} --gradient auto -o x.oct"));
+        let line = told.lines().find(|line| line.contains("lies outside --box"))?.to_owned();
+        Some(line.split_once("note: ").unwrap().1.split_once(" %").unwrap().0.parse::<f64>().unwrap())
+    };
+    assert_eq!(share(""), None);
+    // Cameras stand all around the half circle; about half of what they see is above the middle.
+    let cut = share("--box=-1,-1,-1,1,1,0").unwrap();
+    assert!(cut > 20.0 && cut < 80.0, "{cut}");
+    let field = octobayes::uncertainty::UncertaintyField::read(&desk.path().join("x.oct")).unwrap();
+    let inside = |x: &[f32; 3]| field.query(glam::Vec3::from_array(*x)).inside;
+    assert!(field.surface().len() > 100 && field.surface().iter().all(inside));
+
+    // Hatched pixels have a colour of their own; outside the box there are none.
+    let hatched = |field: &str| {
+        said(desk.path(), &format!("render ball.npz {field} --cameras cameras.json --occupancy 32 -o x.png"));
+        let picture = image::open(desk.path().join("x.png")).unwrap().to_rgb8();
+        picture.pixels().filter(|pixel| pixel.0 == [150; 3]).count()
+    };
+    assert_eq!(hatched("x.oct"), 0);
+}

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use super::belongs::check_model;
 use super::files::CommandFiles;
 use super::options::{CameraOptions, ModelOptions, Threshold, parse_positive, parse_range, scaled};
-use super::panels::{Ranges, depth_range, is_unseen, view_panels};
+use super::panels::{Ranges, depth_range, unknown, view_panels};
 use super::progress::Bars;
 use super::report;
 use crate::field::RadianceField;
@@ -132,15 +132,17 @@ impl Args {
             let view = cleaned.or(view).expect("one of them is rendered");
             write_exr(&self.output, view.resolution, channels(&view))?;
         } else if let Some(view) = view {
-            let unseen = |view: &RenderedView, i: usize| is_unseen(&field, &camera, offset, view, i);
+            let unknown = |view: &RenderedView, i: usize| unknown(&field, &camera, offset, view, i);
             let depth = depth_range([&view].into_iter().chain(&cleaned));
             let prior = field.prior().log10();
             let [low] = field.surface_quantiles([0.01]).unwrap_or([-3.0]);
             let log10 = self.range.unwrap_or([low.min(prior - 0.5), prior]);
             let ranges = Ranges { depth, log10, prior, quantity: field.protocol().scale.quantity() };
-            let mut rows = vec![view_panels(&view, &format!("frame {}", self.frame), ranges, &|i| unseen(&view, i))];
+            let mut rows = vec![view_panels(&view, &format!("frame {}", self.frame), ranges, &|i| unknown(&view, i))];
             if let (Some(cleaned), Some(threshold)) = (&cleaned, threshold) {
-                rows.push(view_panels(cleaned, &format!("log10 U <= {threshold:.3}"), ranges, &|i| unseen(cleaned, i)));
+                rows.push(view_panels(cleaned, &format!("log10 U <= {threshold:.3}"), ranges, &|i| {
+                    unknown(cleaned, i)
+                }));
             }
             write_sheet(&self.output, &rows)?;
         }

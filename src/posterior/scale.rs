@@ -103,10 +103,7 @@ impl DataScale {
     #[must_use]
     pub fn is_possible(&self) -> bool {
         let lambda = self.lambda();
-        self.pixels > 0
-            && Self::NOISE.contains(&self.noise)
-            && self.prior_deviation > 0.0
-            && lambda.is_normal()
+        self.pixels > 0 && Self::NOISE.contains(&self.noise) && self.prior_deviation > 0.0 && lambda.is_normal()
     }
 }
 

@@ -98,7 +98,11 @@ impl DatasetFiles {
         let middle = 0.5 * (self.bounds.min() + self.bounds.max());
         let keep = |frame: &Frame| half.is_none_or(|half| half.contains(frame.camera.position - middle));
         if !self.train.iter().any(keep) {
-            return Err(Error::setting("half of the scene", "a half that some training images were taken from", "none"));
+            return Err(Error::setting(
+                "half of the scene",
+                "a half that some training images were taken from",
+                "none",
+            ));
         }
         self.train = self.split.select(Part::Training, selection, keep)?;
         if self.train.is_empty() {

@@ -32,7 +32,11 @@ pub fn stage(path: &Path, truths: &[TrueView], cleaned: &[(CleanUp, Vec<Rendered
         .step_by(step)
         .map(|v| {
             let truth = &truths[v];
-            let mut row = vec![color_panel(&format!("{}: truth", truth.name), truth.camera.resolution, truth.colors.iter().copied())];
+            let mut row = vec![color_panel(
+                &format!("{}: truth", truth.name),
+                truth.camera.resolution,
+                truth.colors.iter().copied(),
+            )];
             row.extend(shown(cleaned).into_iter().map(|k| {
                 let (cleaned, views) = &cleaned[k];
                 let name = cleaned.log10.map_or("as it is".into(), |u| format!("log10 U <= {u:.2}"));
