@@ -8,6 +8,9 @@ use crate::uncertainty::{Knowledge, UncertaintyField};
 /// Meaning of a small U, in two lines.
 const CONSTRAINED: [&str; 2] = ["well", "constrained"];
 
+/// Pixels of this opacity or less show no log10 U.
+const FAINT: f64 = 0.05;
+
 /// Ends of the colour bars, the same for all rows of a sheet.
 #[derive(Clone, Copy)]
 pub struct Ranges {
@@ -47,7 +50,7 @@ pub fn view_panels(
     ];
     if let Some(log10) = view.log10_uncertainty.first() {
         let unknown: Vec<Option<Unknown>> = (0..view.pixels.len()).map(unknown).collect();
-        let is_shown = |i: usize| view.pixels[i].opacity > 0.05 && unknown[i] != Some(Unknown::Outside);
+        let is_shown = |i: usize| view.pixels[i].opacity > FAINT && unknown[i] != Some(Unknown::Outside);
         let shown = (0..).zip(log10).map(|(i, u)| if is_shown(i) { *u } else { f64::NAN });
         let bar = Bar::new(ranges.log10, colorous::INFERNO).meaning(CONSTRAINED, ranges.prior, "never seen");
         let outside = if unknown.contains(&Some(Unknown::Outside)) { "; grey: outside the box" } else { "" };
@@ -77,10 +80,10 @@ pub fn unknown(
     let [x, y] = [pixel % width, pixel / width].map(|i| i as f64 + offset);
     let at = camera.ray(x, y).at(view.pixels[pixel].median_depth).as_vec3();
     let found = field.query(at);
+    let opacity = view.pixels[pixel].opacity;
     match field.knowledge(at, found.uncertainty) {
-        _ if view.pixels[pixel].opacity <= 0.5 => None,
-        _ if !found.inside => Some(Unknown::Outside),
-        Some(Knowledge::Unseen) => Some(Unknown::Unseen),
+        _ if !found.inside => (opacity > FAINT).then_some(Unknown::Outside),
+        Some(Knowledge::Unseen) if opacity > 0.5 => Some(Unknown::Unseen),
         _ => None,
     }
 }

@@ -4,8 +4,8 @@ use glam::DMat3;
 
 use crate::geometry::{Aabb, Camera, Ray};
 
-/// Approximate number of rays, a thousandth of a default run's. The standard error of a fraction is at most 0.008, so it
-/// is known to within 0.016 (two standard errors, at ½).
+/// Approximate number of rays, a thousandth of a default run's. The standard error of a fraction is at most 0.008, so
+/// it is known to within 0.016 (two standard errors, at ½).
 pub(super) const RAYS: usize = 4096;
 /// Maximal number of cameras used, evenly spread over all.
 const CAMERAS: usize = 512;
