@@ -145,3 +145,24 @@ fn matter_outside_the_box_is_told_and_not_counted() {
     };
     assert_eq!(hatched("x.oct"), 0);
 }
+
+/// Cameras of data sets in folders: one rule for all verbs.
+#[test]
+fn a_folder_of_cameras_is_its_training_or_its_test_file() {
+    let desk = desk();
+    let set = desk.path().join("set");
+    std::fs::create_dir(&set).unwrap();
+    write_transforms(&set.join("transforms_train.json"), &named(5)).unwrap();
+    write_transforms(&set.join("transforms_test.json"), &named(3)).unwrap();
+    for i in 0..3 {
+        image::RgbaImage::from_pixel(32, 32, image::Rgba([90, 90, 90, 255]))
+            .save(set.join(format!("r_{i}.png")))
+            .unwrap();
+    }
+    let run = "--level 4 --rays 1000 --occupancy 16";
+    let told = said(desk.path(), &format!("uncertainty scene:ball --cameras set {run} -o x.oct"));
+    assert!(told.contains("3 cameras of 5 frames of set/transforms_train.json"), "{told}");
+    let told = said(desk.path(), "evaluate scene:ball x.oct --cameras set --clean-up sheet.png");
+    assert!(told.contains("3 cameras of 3 frames of set/transforms_test.json"), "{told}");
+    said(desk.path(), "render scene:ball x.oct --cameras set --frame 4 -o x.png");
+}

@@ -8,6 +8,7 @@ use super::options::{CameraOptions, ModelOptions, Threshold, parse_positive, par
 use super::panels::{Ranges, depth_range, unknown, view_panels};
 use super::progress::Bars;
 use super::report;
+use crate::dataset::Part;
 use crate::field::RadianceField;
 use crate::geometry::{Aabb, Camera, MAX_PIXELS};
 use crate::io::write_exr;
@@ -83,7 +84,8 @@ pub struct Args {
 
 impl Args {
     /// Runs the verb.
-    pub fn run(self, bars: &Bars) -> Result<()> {
+    pub fn run(mut self, bars: &Bars) -> Result<()> {
+        self.cameras.find(Part::Training);
         let as_exr = match self.output.extension().and_then(|e| e.to_str()) {
             Some("png") => false,
             Some("exr") => true,

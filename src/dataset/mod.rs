@@ -9,7 +9,7 @@ mod points;
 mod transforms;
 
 pub use depth::{DepthEncoding, DepthKind, DepthMap};
-pub use frames::{FrameSplit, Part, Selection, test_partner};
+pub use frames::{FrameSplit, Part, Selection, camera_file, test_partner};
 pub use hemisphere::Hemisphere;
 pub use image::PosedImage;
 pub use points::PointReader;

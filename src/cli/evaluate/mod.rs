@@ -124,7 +124,8 @@ pub struct Args {
 
 impl Args {
     /// Runs the verb.
-    pub fn run(self, bars: &Bars) -> Result<()> {
+    pub fn run(mut self, bars: &Bars) -> Result<()> {
+        self.cameras.find();
         let files = CommandFiles::default()
             .input("MODEL", &self.model.model)
             .inputs("FIELD", &self.fields)

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use clap::Args;
 
 use super::parse::{Resolution, parse_fov, parse_resolution, parse_views};
-use crate::dataset::{Frame, FrameSplit, Part, ResolutionSource, Selection, Views};
+use crate::dataset::{Frame, FrameSplit, Part, ResolutionSource, Selection, Views, camera_file};
 use crate::field::{Intrinsics, RadianceField};
 use crate::{Error, Result};
 
@@ -14,7 +14,8 @@ use crate::{Error, Result};
 #[derive(Args)]
 pub struct CameraFile {
     /// transforms.json with intrinsics and camera-to-world poses (OpenGL axes), or a COLMAP model: its folder
-    /// (cameras and images, .bin or .txt) or the folder with sparse/0
+    /// (cameras and images, .bin or .txt) or the folder with sparse/0; or a folder with transforms.json or
+    /// transforms_test.json
     #[arg(long, value_name = "PATH")]
     pub cameras: PathBuf,
 
@@ -46,6 +47,11 @@ impl FrameOptions {
 }
 
 impl CameraFile {
+    /// Of a folder, takes the file of held-out cameras.
+    pub fn find(&mut self) {
+        self.cameras = camera_file(&self.cameras, Part::HeldOut);
+    }
+
     /// Frames to evaluate `model` on. Warns if it was trained on some of them.
     pub fn held_out(&self, options: &FrameOptions, model: &dyn RadianceField) -> Result<Vec<Frame>> {
         let frames = options.select(Part::HeldOut, self.read()?)?;
@@ -81,8 +87,8 @@ impl CameraFile {
 #[derive(Args)]
 pub struct CameraOptions {
     /// transforms.json with intrinsics and camera-to-world poses (OpenGL axes), or a COLMAP model: its folder
-    /// (cameras and images, .bin or .txt) or the folder with sparse/0 [default: the model's own cameras, if it has
-    /// any]
+    /// (cameras and images, .bin or .txt) or the folder with sparse/0; or a folder with transforms.json or
+    /// transforms_train.json [default: the model's own cameras, if it has any]
     #[arg(long, value_name = "PATH")]
     pub cameras: Option<PathBuf>,
 
@@ -97,6 +103,11 @@ pub struct CameraOptions {
 }
 
 impl CameraOptions {
+    /// Of a folder, takes the file of a part.
+    pub fn find(&mut self, part: Part) {
+        self.cameras = self.cameras.take().map(|path| camera_file(&path, part));
+    }
+
     /// Reads the camera file, or else asks the model `name`.
     pub fn read(&self, model: &dyn RadianceField, name: &str) -> Result<Views> {
         if let Some(cameras) = &self.cameras {

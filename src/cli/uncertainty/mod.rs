@@ -12,7 +12,7 @@ use super::options::{
 };
 use super::progress::Bars;
 use super::report::{self, Cost};
-use crate::dataset::Views;
+use crate::dataset::{Part, Views};
 use crate::estimate::{Checkpoint, Estimation, GridSettings, Outcome, Planner, RaySettings, Run};
 use crate::geometry::Camera;
 use crate::io::memory::{available, resident};
@@ -168,7 +168,8 @@ fn warn_of_dropped(progress: &RunProgress) {
 
 impl Args {
     /// Runs the verb.
-    pub fn run(self, bars: &Bars) -> Result<()> {
+    pub fn run(mut self, bars: &Bars) -> Result<()> {
+        self.cameras.find(Part::Training);
         self.command_files().check()?;
         let files = self.files();
         let field = self.model.open()?;
