@@ -166,3 +166,43 @@ fn a_folder_of_cameras_is_its_training_or_its_test_file() {
     assert!(told.contains("3 cameras of 3 frames of set/transforms_test.json"), "{told}");
     said(desk.path(), "render scene:ball x.oct --cameras set --frame 4 -o x.png");
 }
+
+/// Depth maps as `synth` and `render` write them, and the two readings of depth.
+#[test]
+fn exact_depth_is_read_and_the_better_reading_is_named() {
+    let desk = desk();
+    said(desk.path(), &format!("uncertainty scene:ball {RUN} -o x.oct"));
+    for i in 0..4 {
+        let image = image::RgbaImage::from_pixel(32, 32, image::Rgba([90, 90, 90, 255]));
+        image.save(desk.path().join(format!("r_{i}.png"))).unwrap();
+        // Coarser than what is judged, so that there is some error.
+        let render = "render scene:ball x.oct --cameras cameras.json --occupancy 32 --march-step 0.01";
+        said(desk.path(), &format!("{render} --frame {i} -o r_{i}.exr"));
+    }
+    // The other kind of depth.
+    for (i, (_, camera)) in named(4).into_iter().enumerate() {
+        use exr::prelude::*;
+        let image = read_first_flat_layer_from_file(desk.path().join(format!("r_{i}.exr"))).unwrap();
+        let channel = image.layer_data.channel_data.list.iter().find(|c| c.name.eq("depth.Z")).unwrap();
+        let depth: Vec<f32> = channel.sample_data.values_as_f32().collect();
+        let z = |at: Vec2<usize>| {
+            let ray = camera.ray(at.x() as f64 + 0.5, at.y() as f64 + 0.5);
+            (depth[at.y() * 32 + at.x()] * ray.direction.dot(-camera.axes.z_axis) as f32,)
+        };
+        let channels = SpecificChannels::build().with_channel("Z").with_pixel_fn(z);
+        Image::from_channels((32, 32), channels).write().to_file(desk.path().join(format!("r_{i}_z.exr"))).unwrap();
+    }
+    let views = "evaluate scene:ball x.oct --cameras cameras.json --views all --depth .";
+    let note = |args: &str| {
+        said(desk.path(), &format!("{views} {args}")).lines().find(|l| l.contains("if the maps")).map(str::to_owned)
+    };
+    assert_eq!(note("--depth-pattern {}.exr"), None);
+    assert_eq!(note("--depth-pattern {}_z.exr --z-depth"), None);
+    assert!(note("--depth-pattern {}.exr --z-depth").unwrap().contains("without --z-depth"));
+    assert!(note("--depth-pattern {}_z.exr").unwrap().contains("with --z-depth"));
+    // Only EXR tells its unit.
+    let (code, _, said) = run(desk.path(), &format!("{views} --depth-pattern {{}}.png"));
+    assert!(code == Some(2) && said.contains("error: --depth-encoding: expected OFFSET,SCALE"), "{said}");
+    let (code, _, said) = run(desk.path(), &format!("{views} --depth-pattern {{}}.exr --depth-encoding 0,1"));
+    assert!(code == Some(2) && said.contains("error: --depth-encoding: expected none"), "{said}");
+}
