@@ -6,7 +6,7 @@ use std::process::{Command, Output};
 use octobayes::field::ClosedForm;
 use octobayes::geometry::Camera;
 use octobayes::posterior::Scale;
-use octobayes::uncertainty::UncertaintyField;
+use octobayes::uncertainty::{Knowledge, UncertaintyField};
 
 fn run(folder: &Path, args: &str) -> Output {
     Command::new(env!("CARGO_BIN_EXE_octobayes")).current_dir(folder).args(args.split(' ')).output().unwrap()
@@ -64,6 +64,28 @@ fn more_pixels_and_less_noise_make_a_scene_more_certain() {
     assert!(good(folder, "info data.oct").contains("covariances      diagonal, trace, block"));
     let value: serde_json::Value = serde_json::from_str(&good(folder, "info paper.oct --json")).unwrap();
     assert_eq!((&value["answers"]["merging"], &value["answers"]["never seen"]), (&false.into(), &true.into()));
+}
+
+/// Whether images say something of a place does not depend on what U is a deviation of.
+#[test]
+fn what_was_seen_is_the_same_on_both_scales() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let run = "uncertainty scene:courtyard --level 6 --rays 50000 --resolution 64 --occupancy 64";
+    good(folder, &format!("{run} -o paper.oct"));
+    good(folder, &format!("{run} --scale data --psnr 30 -o data.oct"));
+    let fields = ["paper.oct", "data.oct"].map(|name| UncertaintyField::read(&folder.join(name)).unwrap());
+    let words = |x: glam::Vec3| [0, 1].map(|i| fields[i].knowledge(x, fields[i].query(x).uncertainty).unwrap());
+    let at = |n: i32| -0.99 + 1.98 * n as f32 / 30.0;
+    let points = (0..31 * 31 * 31).map(|n| glam::Vec3::new(at(n / 961), at(n / 31 % 31), at(n % 31)));
+    let grid: Vec<_> = points.map(words).collect();
+    let surface: Vec<_> = fields[0].surface().iter().map(|x| words(glam::Vec3::from_array(*x))).collect();
+    for (what, words, least) in [("grid", grid, 0.95), ("surface", surface, 0.98)] {
+        let same = words.iter().filter(|[a, b]| a == b).count() as f64 / words.len() as f64;
+        let constrained: Vec<_> = words.iter().filter(|[a, _]| *a == Knowledge::Constrained).collect();
+        let kept = constrained.iter().filter(|[a, b]| a == b).count() as f64 / constrained.len() as f64;
+        assert!(same > least && kept > 0.9, "{what}: {same} of {}, {kept} of the constrained", words.len());
+    }
 }
 
 #[test]

@@ -136,7 +136,10 @@ fn views_members_and_what_is_wrong_with_them() {
         ("train . -o m.npz --steps 1", "--output"),
         ("train . -o x.safetensors --steps 1 --views 13", "at most 12"),
         ("train . -o x.safetensors --steps 1 --views 0,12", "from 0 to 11"),
-        ("train . -o x.safetensors --steps 1 --hemisphere left", "some training images"),
+        (
+            "train . -o x.safetensors --steps 1 --hemisphere left",
+            "--hemisphere: expected a half that some training images were taken from",
+        ),
         ("train . -o x.safetensors --steps 1 --inner 0,0,0,1", "--contract"),
         ("train . -o x.safetensors --steps 1 --time 1s", "--time"),
         ("train no_images.json -o x.safetensors --steps 1", "images that exist"),

@@ -3,7 +3,7 @@
 use crate::Error;
 
 /// The library's name of a setting, and the flag that sets it.
-const FLAGS: [(&str, &str); 16] = [
+const FLAGS: [(&str, &str); 17] = [
     ("angle of view", "--fov"),
     ("checkpoint", "--checkpoint, --resume"),
     ("coordinates", "--coordinates"),
@@ -12,6 +12,7 @@ const FLAGS: [(&str, &str); 16] = [
     ("error bars", "--error-bars"),
     ("finite-difference step", "--step"),
     ("groups of rays", "--error-bars"),
+    ("half of the scene", "--hemisphere"),
     ("kept sums", "--keep-sums"),
     ("lambda", "--lambda"),
     ("march step", "--march-step"),

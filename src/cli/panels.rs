@@ -9,6 +9,9 @@ use crate::uncertainty::{Knowledge, UncertaintyField};
 /// Meaning of a small U, in two lines.
 const CONSTRAINED: [&str; 2] = ["well", "constrained"];
 
+/// Pixels of this opacity or less show no log10 U.
+const FAINT: f64 = 0.05;
+
 /// Ends of the colour bars, the same for all rows of a sheet.
 #[derive(Clone, Copy)]
 pub struct Ranges {
@@ -24,8 +27,23 @@ pub struct Ranges {
     pub quantity: &'static str,
 }
 
-/// Colour, median depth and log10 U of a view. log10 U is hatched where no training ray reached what is shown.
-pub fn view_panels(view: &RenderedView, name: &str, ranges: Ranges, is_unseen: &dyn Fn(usize) -> bool) -> Vec<Panel> {
+/// Why U says nothing of what a pixel shows.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Unknown {
+    /// No training ray reached it.
+    Unseen,
+    /// It lies outside the field's domain.
+    Outside,
+}
+
+/// Colour, median depth and log10 U of a view. log10 U is hatched where no training ray reached what is shown, and grey
+/// outside the field's domain.
+pub fn view_panels(
+    view: &RenderedView,
+    name: &str,
+    ranges: Ranges,
+    unknown: &dyn Fn(usize) -> Option<Unknown>,
+) -> Vec<Panel> {
     let colors = view.pixels.iter().map(|p| p.color);
     let depths = view.pixels.iter().map(|p| if p.opacity > 0.5 { p.median_depth } else { f64::NAN });
     let depth_bar = Bar::new(ranges.depth, colorous::VIRIDIS);
@@ -39,10 +57,14 @@ pub fn view_panels(view: &RenderedView, name: &str, ranges: Ranges, is_unseen: &
         panels.push(scalar_panel("deviation of depth (scene units)", view.resolution, shown, bar));
     }
     if let Some(log10) = view.log10_uncertainty.first() {
-        let shown = log10.iter().zip(&view.pixels).map(|(u, p)| if p.opacity > 0.05 { *u } else { f64::NAN });
+        let unknown: Vec<Option<Unknown>> = (0..view.pixels.len()).map(unknown).collect();
+        let is_shown = |i: usize| view.pixels[i].opacity > FAINT && unknown[i] != Some(Unknown::Outside);
+        let shown = (0..).zip(log10).map(|(i, u)| if is_shown(i) { *u } else { f64::NAN });
         let bar = Bar::new(ranges.log10, colorous::INFERNO).meaning(CONSTRAINED, ranges.prior, "never seen");
-        let title = format!("{} (hatched: never seen)", ranges.quantity);
-        panels.push(scalar_panel(&title, view.resolution, shown, bar).hatched(is_unseen));
+        let outside = if unknown.contains(&Some(Unknown::Outside)) { "; grey: outside the box" } else { "" };
+        let title = format!("{} (hatched: never seen{outside})", ranges.quantity);
+        let panel = scalar_panel(&title, view.resolution, shown, bar);
+        panels.push(panel.hatched(|i| unknown[i] == Some(Unknown::Unseen)));
     }
     panels
 }
@@ -63,10 +85,22 @@ pub fn error_range<'a>(views: impl IntoIterator<Item = &'a RenderedView>) -> [f6
     [0.0, if errors.is_empty() { 1.0 } else { quantile(&errors, 0.95) }]
 }
 
-/// Whether no training ray reached what a pixel shows, at its median depth.
-pub fn is_unseen(field: &UncertaintyField, camera: &Camera, offset: f64, view: &RenderedView, pixel: usize) -> bool {
+/// Why U says nothing of what a pixel shows at its median depth; `None` if it does.
+pub fn unknown(
+    field: &UncertaintyField,
+    camera: &Camera,
+    offset: f64,
+    view: &RenderedView,
+    pixel: usize,
+) -> Option<Unknown> {
     let width = view.resolution[0] as usize;
     let [x, y] = [pixel % width, pixel / width].map(|i| i as f64 + offset);
     let at = camera.ray(x, y).at(view.pixels[pixel].median_depth).as_vec3();
-    view.pixels[pixel].opacity > 0.5 && field.knowledge(at, field.query(at).uncertainty) == Some(Knowledge::Unseen)
+    let found = field.query(at);
+    let opacity = view.pixels[pixel].opacity;
+    match field.knowledge(at, found.uncertainty) {
+        _ if !found.inside => (opacity > FAINT).then_some(Unknown::Outside),
+        Some(Knowledge::Unseen) if opacity > 0.5 => Some(Unknown::Unseen),
+        _ => None,
+    }
 }

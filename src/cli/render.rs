@@ -5,9 +5,10 @@ use std::path::PathBuf;
 use super::belongs::check_model;
 use super::files::CommandFiles;
 use super::options::{CameraOptions, ModelOptions, Threshold, parse_positive, parse_range, scaled};
-use super::panels::{Ranges, depth_range, error_range, is_unseen, view_panels};
+use super::panels::{Ranges, depth_range, error_range, unknown, view_panels};
 use super::progress::Bars;
 use super::report;
+use crate::dataset::Part;
 use crate::field::RadianceField;
 use crate::geometry::{Aabb, Camera, MAX_PIXELS};
 use crate::io::write_exr;
@@ -80,11 +81,16 @@ pub struct Args {
     /// Use the field even if it was computed for another model
     #[arg(long)]
     force: bool,
+
+    /// Print the protocol of the field, too
+    #[arg(long)]
+    verbose: bool,
 }
 
 impl Args {
     /// Runs the verb.
-    pub fn run(self, bars: &Bars) -> Result<()> {
+    pub fn run(mut self, bars: &Bars) -> Result<()> {
+        self.cameras.find(Part::Training);
         let as_exr = match self.output.extension().and_then(|e| e.to_str()) {
             Some("png") => false,
             Some("exr") => true,
@@ -132,29 +138,35 @@ impl Args {
             Some(threshold) => Some(picture(&ThresholdedField { field: &*model, uncertainty: &field, threshold })?),
             None => None,
         };
+        // An EXR holds the cleaned view only, but what a share takes is told by both.
+        let is_shown = !as_exr || !matches!(self.threshold, Some(Threshold::Log10(_)));
+        let view = is_shown.then(|| picture(&*model)).transpose()?;
+        if let (Some(threshold), Some(view), Some(cleaned)) = (self.threshold, &view, &cleaned) {
+            threshold.note_pixels(view, cleaned);
+        }
         if as_exr {
-            let view = cleaned.map_or_else(|| picture(&*model), Ok)?;
+            let view = cleaned.or(view).expect("one of them is rendered");
             write_exr(&self.output, view.resolution, channels(&view))?;
-        } else {
-            let view = picture(&*model)?;
-            let unseen = |view: &RenderedView, i: usize| is_unseen(&field, &camera, offset, view, i);
+        } else if let Some(view) = view {
+            let unknown = |view: &RenderedView, i: usize| unknown(&field, &camera, offset, view, i);
             let depth = depth_range([&view].into_iter().chain(&cleaned));
             let prior = field.prior().log10();
             let [low] = field.surface_quantiles([0.01]).unwrap_or([-3.0]);
             let log10 = self.range.unwrap_or([low.min(prior - 0.5), prior]);
             let error = error_range([&view].into_iter().chain(&cleaned));
             let ranges = Ranges { depth, error, log10, prior, quantity: field.protocol().scale.quantity() };
-            let mut rows = vec![view_panels(&view, &format!("frame {}", self.frame), ranges, &|i| unseen(&view, i))];
+            let mut rows = vec![view_panels(&view, &format!("frame {}", self.frame), ranges, &|i| unknown(&view, i))];
             if let (Some(cleaned), Some(threshold)) = (&cleaned, threshold) {
-                rows.push(view_panels(cleaned, &format!("log10 U <= {threshold:.3}"), ranges, &|i| unseen(cleaned, i)));
+                rows.push(view_panels(cleaned, &format!("log10 U <= {threshold:.3}"), ranges, &|i| {
+                    unknown(cleaned, i)
+                }));
             }
             write_sheet(&self.output, &rows)?;
         }
-        say!(
-            "{}\nprotocol of the field\n{}",
-            self.output.display(),
-            format!("{}{}", report::protocol(&field), report::surfaces(&field))
-        )?;
+        say!("{}", self.output.display())?;
+        if self.verbose {
+            say!("protocol of the field\n{}{}", report::protocol(&field), report::surfaces(&field))?;
+        }
         Ok(())
     }
 }

@@ -7,7 +7,7 @@ use super::options::{Resolution, count, parse_resolution};
 use super::progress::Bars;
 use crate::Result;
 use crate::dataset::Hemisphere;
-use crate::synth::{DEPTH_PNG_SCALE, DatasetSettings, Up, write_dataset};
+use crate::synth::{DatasetSettings, Up, write_dataset};
 
 /// Ray-trace a triangle mesh into a dataset: posed images and exact depth
 ///
@@ -19,8 +19,7 @@ use crate::synth::{DEPTH_PNG_SCALE, DatasetSettings, Up, write_dataset};
 /// folder appears once it is complete.
 #[derive(clap::Args)]
 #[command(after_help = "Example: octobayes synth bunny.obj -o bunny --views 60 --hemisphere left\n\
-    then: octobayes evaluate MODEL FIELD.oct --cameras bunny/transforms_test.json --depth bunny/depth --depth-pattern {}.png \
-    --depth-encoding 0,6.5535")]
+    then: octobayes evaluate MODEL FIELD.oct --cameras bunny/transforms_test.json --depth bunny/depth --depth-pattern {}.exr")]
 pub struct Args {
     /// Triangle mesh (Wavefront OBJ); only positions and faces are read
     #[arg(value_name = "MESH.obj")]
@@ -97,7 +96,7 @@ impl Args {
             self.output.display(),
             seconds / f64::from(pictures)
         )?;
-        say!("box [-1, 1]^3, z up; depth for `evaluate`: --depth-pattern {{}}.png --depth-encoding 0,{DEPTH_PNG_SCALE}")
+        say!("box [-1, 1]^3, z up; depth for `evaluate`: --depth-pattern {{}}.exr")
     }
 }
 

@@ -18,6 +18,26 @@ pub enum DepthKind {
     Z,
 }
 
+impl DepthKind {
+    /// Distance from the camera's centre per depth of this kind, along the ray through image coordinates `(x, y)`.
+    #[must_use]
+    pub fn stretch(self, camera: &Camera, x: f64, y: f64) -> f64 {
+        match self {
+            Self::Euclidean => 1.0,
+            Self::Z => 1.0 / camera.ray(x, y).direction.dot(-camera.axes.z_axis),
+        }
+    }
+
+    /// The other kind, for which this one may have been taken.
+    #[must_use]
+    pub fn other(self) -> Self {
+        match self {
+            Self::Euclidean => Self::Z,
+            Self::Z => Self::Euclidean,
+        }
+    }
+}
+
 /// Encoding of a depth map: depth = offset + scale · p in scene units, with p = value / largest
 /// value of the integer type.
 ///
@@ -42,38 +62,58 @@ pub struct DepthMap {
 }
 
 impl DepthMap {
-    /// Reads an 8- or 16-bit PNG; of a colour image, the first channel.
+    /// Reads an 8- or 16-bit PNG (of a colour image, the first channel), or the depth channel of an EXR, which is in
+    /// scene units whatever the encoding's offset and scale. There, unknown depths are 0, or not finite.
     ///
     /// # Errors
     /// If the file is missing or damaged, or its size differs from the camera's.
     pub fn read(path: &Path, encoding: DepthEncoding, camera: &Camera, pixel_offset: f64) -> Result<Self> {
         let resolution = camera.resolution;
-        let image = decode(path, "depth map", resolution)?;
-        let raw: Vec<f64> = match &image {
-            image::DynamicImage::ImageLuma16(i) => i.pixels().map(|p| f64::from(p.0[0]) / 65535.0).collect(),
-            image::DynamicImage::ImageLumaA16(i) => i.pixels().map(|p| f64::from(p.0[0]) / 65535.0).collect(),
-            image::DynamicImage::ImageRgb16(i) => i.pixels().map(|p| f64::from(p.0[0]) / 65535.0).collect(),
-            image::DynamicImage::ImageRgba16(i) => i.pixels().map(|p| f64::from(p.0[0]) / 65535.0).collect(),
-            other => other.to_rgba8().pixels().map(|p| f64::from(p.0[0]) / 255.0).collect(),
+        let depths = match exact(path, resolution)? {
+            Some(depths) => depths,
+            None => steps(path, encoding, resolution)?,
         };
         let width = resolution[0] as usize;
-        let distance = raw
-            .iter()
-            .enumerate()
-            .map(|(i, &p)| {
-                let depth = encoding.offset + encoding.scale * p;
-                let stretch = match encoding.kind {
-                    DepthKind::Euclidean => 1.0,
-                    DepthKind::Z => {
-                        let ray = camera.ray((i % width) as f64 + pixel_offset, (i / width) as f64 + pixel_offset);
-                        1.0 / ray.direction.dot(-camera.axes.z_axis)
-                    }
-                };
-                (p > 0.0).then_some(depth * stretch)
-            })
-            .collect();
-        Ok(Self { resolution, distance })
+        let distance = depths.into_iter().enumerate().map(|(i, depth)| {
+            let [x, y] = [i % width, i / width].map(|n| n as f64 + pixel_offset);
+            Some(depth? * encoding.kind.stretch(camera, x, y))
+        });
+        Ok(Self { resolution, distance: distance.collect() })
     }
+}
+
+/// Whether a depth map of this name holds scene units.
+#[must_use]
+pub fn is_exact(name: &str) -> bool {
+    Path::new(name).extension().is_some_and(|extension| extension.eq_ignore_ascii_case("exr"))
+}
+
+/// The depths of an EXR; `None` for any other file.
+#[cfg(feature = "synth")]
+fn exact(path: &Path, resolution: [u32; 2]) -> Result<Option<Vec<Option<f64>>>> {
+    if !is_exact(&path.to_string_lossy()) {
+        return Ok(None);
+    }
+    let depths = crate::io::read_exr_depth(path, resolution)?.into_iter().map(f64::from);
+    Ok(Some(depths.map(|depth| (depth > 0.0 && depth.is_finite()).then_some(depth)).collect()))
+}
+
+/// Without the feature that writes EXR there is none to read.
+#[cfg(not(feature = "synth"))]
+fn exact(_: &Path, _: [u32; 2]) -> Result<Option<Vec<Option<f64>>>> {
+    Ok(None)
+}
+
+/// The depths of a PNG.
+fn steps(path: &Path, encoding: DepthEncoding, resolution: [u32; 2]) -> Result<Vec<Option<f64>>> {
+    let raw: Vec<f64> = match &decode(path, "depth map", resolution)? {
+        image::DynamicImage::ImageLuma16(i) => i.pixels().map(|p| f64::from(p.0[0]) / 65535.0).collect(),
+        image::DynamicImage::ImageLumaA16(i) => i.pixels().map(|p| f64::from(p.0[0]) / 65535.0).collect(),
+        image::DynamicImage::ImageRgb16(i) => i.pixels().map(|p| f64::from(p.0[0]) / 65535.0).collect(),
+        image::DynamicImage::ImageRgba16(i) => i.pixels().map(|p| f64::from(p.0[0]) / 65535.0).collect(),
+        other => other.to_rgba8().pixels().map(|p| f64::from(p.0[0]) / 255.0).collect(),
+    };
+    Ok(raw.into_iter().map(|p| (p > 0.0).then_some(encoding.offset + encoding.scale * p)).collect())
 }
 
 #[cfg(test)]

@@ -8,8 +8,8 @@ mod image;
 mod points;
 mod transforms;
 
-pub use depth::{DepthEncoding, DepthKind, DepthMap};
-pub use frames::{FrameSplit, Part, Selection, test_partner};
+pub use depth::{DepthEncoding, DepthKind, DepthMap, is_exact};
+pub use frames::{FrameSplit, Part, Selection, camera_file, test_partner};
 pub use hemisphere::Hemisphere;
 pub use image::PosedImage;
 pub use points::PointReader;

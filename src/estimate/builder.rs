@@ -138,8 +138,10 @@ impl FieldBuilder {
         }
         // In a random sequence the first points are as good as any.
         let visible = batches.iter().flat_map(|batch| batch.positions.iter().zip(&batch.weights));
-        let visible = visible.filter(|(_, weight)| **weight >= SURFACE_WEIGHT).map(|(x, _)| x.to_array());
-        self.keep_surface(visible);
+        let lattice = self.lattice;
+        // Matter outside the domain has no U of its own.
+        let visible = visible.filter(|(x, weight)| **weight >= SURFACE_WEIGHT && lattice.coordinates(**x).is_some());
+        self.keep_surface(visible.map(|(x, _)| x.to_array()));
     }
 
     /// Keeps as many of these points as there is room for.

@@ -9,6 +9,7 @@ mod audit;
 mod builder;
 mod checkpoint;
 mod estimation;
+mod framing;
 mod grid;
 mod groups;
 mod mean_error;
@@ -23,12 +24,13 @@ pub use audit::Audit;
 pub use builder::{FieldBuilder, Provenance};
 pub use checkpoint::Checkpoint;
 pub use estimation::Estimation;
+pub use framing::Framing;
 pub use grid::{GridKind, GridSettings};
 pub use mean_error::SamplingError;
 pub use plan::{Plan, Planner};
 pub use rays::RaySettings;
 pub use run::{Outcome, Run};
-pub use sight::{Framing, Sight};
+pub use sight::Sight;
 pub use step::StepCheck;
 
 #[cfg(test)]

@@ -3,128 +3,22 @@
 //! Cameras with other axes or units, another box, a model in other coordinates: each gives a field, but one that says
 //! "never seen" everywhere. A few thousand rays detect this: [`Framing`] by geometry alone, [`Sight`] by tracing them.
 
-use glam::DMat3;
 use rayon::prelude::*;
 
+use super::framing::{Framing, LITTLE, MANY, RAYS, View, WORLD_TO_CAMERA, inverted, views};
 use crate::Result;
-use crate::geometry::{Aabb, Camera, Domain, Ray};
+use crate::geometry::{Camera, Domain, Ray};
 use crate::monitor::{Monitor, check};
 use crate::rays::{RayStream, SURFACE_WEIGHT};
 use crate::render::{CompositingWeights, TraceBuffers};
 
-/// Approximate number of rays traced, a thousandth of a default run's. The standard error of a fraction is at
-/// most 0.008, so it is known to within 0.016 (two standard errors, at ½).
-const RAYS: usize = 4096;
-/// Maximal number of cameras used, evenly spread over all.
-const CAMERAS: usize = 512;
 /// Factor by which rays are increased before a run reports that nothing is seen. A fraction of 10⁻⁴
 /// is then missed once in 26 runs.
 const INSISTENCE: usize = 8;
 /// A camera is inside matter if half the light of half its rays is lost within this many samples.
 const NEAR: f64 = 4.0;
-/// Fractions of rays below this are small. `tests/sight.rs` has values for correct and wrong settings of real models.
-const LITTLE: f64 = 0.05;
-/// Fractions of cameras from this value on are large.
-const MANY: f64 = 0.25;
-
-/// The position of cameras relative to a box.
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
-pub struct Framing {
-    /// Number of rays.
-    pub rays: u64,
-    /// Fraction of them that pass through the box.
-    pub meet_box: f64,
-    /// Fraction of the cameras that look away from the box: they stand outside, and none of their rays meets it.
-    pub looking_away: f64,
-    /// Fraction of the rays that would meet the box if the cameras' axes were OpenCV's (y down, looking along +z).
-    pub turned: f64,
-    /// Mean distance of the cameras from the centre of the box, in half diagonals of the box.
-    pub distance: f64,
-}
-
-/// A camera and its rays.
-struct View {
-    camera: Camera,
-    rays: Vec<Ray>,
-}
-
-/// About `count` rays, equally many from each camera. All cameras use the same low-discrepancy sequence
-/// over the image (R₂: Roberts 2018).
-fn views(cameras: &[Camera], count: usize, pixel_offset: f64) -> Vec<View> {
-    let used = cameras.len().min(CAMERAS);
-    let each = count.div_ceil(used.max(1)).max(8);
-    let view = |i: usize| {
-        let camera = cameras[i * cameras.len() / used];
-        let pixel = |n: usize, axis: usize| {
-            let share = (0.5 + (n + 1) as f64 * [0.754_877_666_246_693, 0.569_840_290_998_053_3][axis]).fract();
-            (share * f64::from(camera.resolution[axis])).floor() + pixel_offset
-        };
-        View { camera, rays: (0..each).map(|n| camera.ray(pixel(n, 0), pixel(n, 1))).collect() }
-    };
-    (0..used).map(view).collect()
-}
-
-impl Framing {
-    /// Measures how `cameras` relate to `bounds`.
-    #[must_use]
-    pub fn from_cameras(cameras: &[Camera], bounds: &Aabb) -> Self {
-        Self::from_views(&views(cameras, RAYS, 0.5), bounds)
-    }
-
-    fn from_views(views: &[View], bounds: &Aabb) -> Self {
-        let middle = 0.5 * (bounds.min() + bounds.max());
-        let mut sums = [0.0; 4];
-        for View { camera, rays } in views {
-            let meets = |ray: &Ray| bounds.clip(ray).is_some();
-            // In the camera's own axes, OpenCV's differ by the signs of y and z.
-            let axes = camera.axes * DMat3::from_diagonal(glam::DVec3::new(1.0, -1.0, -1.0)) * camera.axes.transpose();
-            let turned = |ray: &&Ray| meets(&Ray::new(ray.origin, axes * ray.direction));
-            let met = rays.iter().filter(|ray| meets(ray)).count();
-            sums[0] += met as f64 / rays.len() as f64;
-            sums[1] += f64::from(u8::from(met == 0));
-            sums[2] += rays.iter().filter(turned).count() as f64 / rays.len() as f64;
-            sums[3] += (camera.position - middle).length() / (0.5 * bounds.size().length());
-        }
-        let [meet_box, looking_away, turned, distance] = sums.map(|sum| sum / views.len().max(1) as f64);
-        let rays = views.iter().map(|view| view.rays.len() as u64).sum();
-        Self { rays, meet_box, looking_away, turned, distance }
-    }
-
-    /// Whether no ray meets the box.
-    #[must_use]
-    pub fn is_nothing(&self) -> bool {
-        self.meet_box == 0.0
-    }
-
-    /// Whether few rays meet the box, or many cameras look away.
-    #[must_use]
-    pub fn is_little(&self) -> bool {
-        self.meet_box < LITTLE || self.looking_away >= MANY
-    }
-
-    /// Describes what was measured.
-    #[must_use]
-    pub fn measured(&self) -> String {
-        let [met, away] = [self.meet_box, self.looking_away].map(|share| 100.0 * share);
-        format!("of {} rays {met:.1} % meet the model's box, {away:.0} % of the cameras look away from it", self.rays)
-    }
-
-    /// The likely causes, if little is seen.
-    #[must_use]
-    pub fn causes(&self) -> Option<String> {
-        let turned = 100.0 * self.turned;
-        if self.is_little() && self.turned > (2.0 * self.meet_box).max(LITTLE) {
-            Some(format!("OpenCV's camera axes instead of OpenGL's: turned, {turned:.0} % of the rays meet the box"))
-        } else if self.is_little() {
-            let distance = self.distance;
-            Some(format!(
-                "units, origin or axes of the cameras, which stand {distance:.1} half diagonals of the box from it"
-            ))
-        } else {
-            None
-        }
-    }
-}
+/// A model is fog if no ray is more opaque than this, and no density is above 1.
+const OPAQUE: f64 = 0.95;
 
 /// What cameras see of a field.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
@@ -137,13 +31,32 @@ pub struct Sight {
     pub meet_domain: f64,
     /// Fraction of the cameras that are inside matter.
     pub inside_matter: f64,
+    /// Share of the rays' weight that lies outside the domain of the uncertainty field.
+    pub outside_domain: f64,
+    /// Opacity of the most opaque ray.
+    pub most_opaque: f64,
+    /// Largest density met, 1 / scene unit.
+    pub densest: f64,
+    /// [`Sight::meet_domain`] if the poses were world-to-camera; 0 if the cameras see enough as they are.
+    pub inverted: f64,
     /// Number of rays dropped because the field was not finite.
     pub dropped: u64,
 }
 
-/// Observations of one camera: rays that meet matter, rays that meet it in the domain, whether it
-/// is inside matter, rays dropped.
-type Seen = (f64, f64, bool, u64);
+/// Observations of one camera.
+#[derive(Clone, Copy)]
+struct Seen {
+    /// Fractions of the rays that meet matter, anywhere and in the domain.
+    matter: f64,
+    within: f64,
+    is_inside_matter: bool,
+    dropped: u64,
+    /// Weight of all rays together, and the part of it outside the domain.
+    weight: f64,
+    outside: f64,
+    most_opaque: f64,
+    densest: f64,
+}
 
 impl Sight {
     /// Measures what the cameras of `stream` see inside `domain`, with a thousandth of a default run's rays.
@@ -151,15 +64,28 @@ impl Sight {
     /// # Errors
     /// [`crate::Error::Interrupted`] only.
     pub fn measure(stream: &RayStream, domain: &Domain, monitor: &dyn Monitor) -> Result<Self> {
-        let first = Self::with_rays(RAYS, stream, domain, monitor)?;
-        if !first.is_nothing() {
-            return Ok(first);
+        let measured = |rays, cameras: &[Camera]| Self::with_rays(rays, cameras, stream, domain, monitor);
+        let mut found = measured(RAYS, stream.cameras)?;
+        if found.is_nothing() {
+            found = measured(INSISTENCE * RAYS, stream.cameras)?;
         }
-        Self::with_rays(INSISTENCE * RAYS, stream, domain, monitor)
+        if found.is_little() || found.is_nothing() {
+            for axes in 0..2 {
+                let cameras: Vec<Camera> = stream.cameras.iter().map(|camera| inverted(camera)[axes]).collect();
+                found.inverted = found.inverted.max(measured(RAYS, &cameras)?.meet_domain);
+            }
+        }
+        Ok(found)
     }
 
-    fn with_rays(rays: usize, stream: &RayStream, domain: &Domain, monitor: &dyn Monitor) -> Result<Self> {
-        let views = views(stream.cameras, rays, stream.pixel_offset);
+    fn with_rays(
+        rays: usize,
+        cameras: &[Camera],
+        stream: &RayStream,
+        domain: &Domain,
+        monitor: &dyn Monitor,
+    ) -> Result<Self> {
+        let views = views(cameras, rays, stream.pixel_offset);
         // A field that wants many points at once sees all views as one.
         let each = if stream.tracer.field.batch() > 0 { views.len().max(1) } else { 1 };
         let seen = views
@@ -173,10 +99,14 @@ impl Sight {
         let mean = |of: &dyn Fn(&Seen) -> f64| seen.iter().map(of).sum::<f64>() / seen.len().max(1) as f64;
         Ok(Self {
             framing: Framing::from_views(&views, &stream.tracer.field.bounds()),
-            meet_matter: mean(&|seen| seen.0),
-            meet_domain: mean(&|seen| seen.1),
-            inside_matter: mean(&|seen| f64::from(u8::from(seen.2))),
-            dropped: seen.iter().map(|seen| seen.3).sum(),
+            meet_matter: mean(&|seen| seen.matter),
+            meet_domain: mean(&|seen| seen.within),
+            inside_matter: mean(&|seen| f64::from(u8::from(seen.is_inside_matter))),
+            outside_domain: mean(&|seen| seen.outside) / mean(&|seen| seen.weight).max(f64::MIN_POSITIVE),
+            most_opaque: seen.iter().map(|seen| seen.most_opaque).fold(0.0, f64::max),
+            densest: seen.iter().map(|seen| seen.densest).fold(0.0, f64::max),
+            inverted: 0.0,
+            dropped: seen.iter().map(|seen| seen.dropped).sum(),
         })
     }
 
@@ -186,10 +116,15 @@ impl Sight {
         self.meet_domain == 0.0 && self.dropped == 0
     }
 
-    /// Whether few rays meet matter, many cameras look away, or many are inside matter.
+    /// Whether few rays meet matter, many cameras look away, many are inside matter, or all they see is fog.
     #[must_use]
     pub fn is_little(&self) -> bool {
-        self.framing.is_little() || self.meet_domain < LITTLE || self.inside_matter >= MANY
+        self.framing.is_little() || self.meet_domain < LITTLE || self.inside_matter >= MANY || self.is_fog()
+    }
+
+    /// Whether all that the rays meet is transparent, as it is if opacity takes the place of density.
+    fn is_fog(&self) -> bool {
+        self.densest > 0.0 && self.densest <= 1.0 && self.most_opaque < OPAQUE
     }
 
     /// Describes what was measured.
@@ -211,6 +146,19 @@ impl Sight {
             None
         } else if let Some(causes) = self.framing.causes() {
             Some(causes)
+        } else if self.inverted > (2.0 * self.meet_domain).max(LITTLE) {
+            let inverted = 100.0 * self.inverted;
+            Some(format!("{WORLD_TO_CAMERA}: inverted, {inverted:.0} % of the rays meet matter"))
+        } else if self.is_fog() {
+            let (opaque, densest) = (100.0 * self.most_opaque, self.densest);
+            Some(format!(
+                "opacity (0 to 1) in place of density (per scene unit): no density is above {densest:.3}, no ray loses \
+                 more than {opaque:.0} % of its light"
+            ))
+        } else if let Some(units) =
+            self.framing.units().filter(|_| self.meet_matter < LITTLE || self.inside_matter >= MANY)
+        {
+            Some(units)
         } else if self.meet_matter < LITTLE {
             Some("cameras of another scene, or in other units or axes than the model".into())
         } else if self.meet_domain < LITTLE {
@@ -233,19 +181,27 @@ fn seen<'b>(views: &[View], stream: &'b RayStream, domain: &Domain, buffers: &mu
         let rays = first..first + view.rays.len();
         first = rays.end;
         let (mut matter, mut within, mut near, mut dropped) = (0_usize, 0_usize, 0_usize, 0_u64);
+        let (mut weight, mut outside, mut most_opaque, mut densest) = (0.0, 0.0, 0.0_f64, 0.0_f64);
         for ray in rays {
             let sum = |keep: &dyn Fn(usize) -> bool| -> f64 {
                 traced.samples(ray).filter(|&i| keep(i)).map(|i| quadrature.weights[i]).sum()
             };
             let least = f64::from(SURFACE_WEIGHT);
-            matter += usize::from(sum(&|_| true) >= least);
-            within += usize::from(sum(&|i| domain.to_unit(traced.positions[i]).is_some()) >= least);
+            let opacity = sum(&|_| true);
+            let inside = sum(&|i| domain.to_unit(traced.positions[i]).is_some());
+            matter += usize::from(opacity >= least);
+            within += usize::from(inside >= least);
             near += usize::from(sum(&|i| traced.t[i] <= NEAR * tracer.marcher.step) >= 0.5);
             dropped += u64::from(traced.is_dropped[ray]);
+            weight += opacity;
+            outside += opacity - inside;
+            most_opaque = most_opaque.max(opacity);
+            densest = traced.samples(ray).map(|i| f64::from(traced.densities[i])).fold(densest, f64::max);
         }
-        let count = view.rays.len() as f64;
-        let inside = tracer.marcher.bounds.contains(view.camera.position.as_vec3());
-        (matter as f64 / count, within as f64 / count, inside && 2 * near >= view.rays.len(), dropped)
+        let [matter, within] = [matter, within].map(|count| count as f64 / view.rays.len() as f64);
+        let is_inside = tracer.marcher.bounds.contains(view.camera.position.as_vec3());
+        let is_inside_matter = is_inside && 2 * near >= view.rays.len();
+        Seen { matter, within, is_inside_matter, dropped, weight, outside, most_opaque, densest }
     };
     views.iter().map(of_view).collect()
 }
@@ -255,16 +211,21 @@ mod tests {
     use super::*;
     use crate::estimate::{GridSettings, RaySettings};
     use crate::field::{ClosedForm, RadianceField};
+    use crate::field::{Radiance, VoxelGrid};
+    use crate::geometry::Aabb;
     use crate::monitor::Silent;
-    use glam::DVec3;
+    use glam::{DMat3, DVec3, Vec3};
 
     fn sight(cameras: &[Camera], domain: Option<Domain>) -> Sight {
-        let field = ClosedForm::courtyard();
+        sight_of(&ClosedForm::courtyard(), cameras, domain)
+    }
+
+    fn sight_of(field: &dyn RadianceField, cameras: &[Camera], domain: Option<Domain>) -> Sight {
         let domain = domain.unwrap_or(Domain::Box(field.bounds()));
         let grid = GridSettings { level: 4, ..GridSettings::default() };
         let lattice = grid.lattice(domain).unwrap();
         let rays = RaySettings { occupancy: 32, ..RaySettings::default() };
-        let stream = rays.stream(&field, cameras, &lattice, &Silent).unwrap();
+        let stream = rays.stream(field, cameras, &lattice, &Silent).unwrap();
         Sight::measure(&stream, &domain, &Silent).unwrap()
     }
 
@@ -300,6 +261,10 @@ mod tests {
         let far = sight(&changed(|camera| camera.position *= 1000.0), None);
         assert!(far.framing.meet_box < 0.01 && far.causes().unwrap().contains("units"), "{far:?}");
 
+        // And the reverse, at the middle of the box, where there is no matter.
+        let near = sight(&changed(|camera| camera.position *= 0.001), None);
+        assert!(near.framing.meet_box == 1.0 && near.framing.distance < 0.01, "{near:?}");
+
         let elsewhere = Aabb::new(DVec3::splat(5.0), DVec3::splat(6.0)).unwrap();
         let boxed = sight(&changed(|_| {}), Some(Domain::Box(elsewhere)));
         assert!(boxed.is_nothing() && boxed.meet_matter > 0.3, "{boxed:?}");
@@ -308,5 +273,80 @@ mod tests {
         // Inside the ground, which is where z is about -0.75.
         let buried = sight(&changed(|camera| camera.position = DVec3::new(0.2, 0.2, -0.77)), None);
         assert!(buried.is_little() && buried.inside_matter == 1.0, "{buried:?}");
+    }
+
+    /// Poses as other programs write them: world-to-camera, with OpenGL's axes or OpenCV's.
+    #[test]
+    fn inverted_poses_are_named_because_the_right_ones_see_the_model() {
+        let to_camera = |camera: &mut Camera| {
+            let to_camera = camera.axes.transpose();
+            (camera.position, camera.axes) = (-(to_camera * camera.position), to_camera);
+        };
+        for axes in [false, true] {
+            let found = sight(
+                &changed(|camera| {
+                    if axes {
+                        opencv(camera);
+                    }
+                    to_camera(camera);
+                }),
+                None,
+            );
+            let causes = found.causes().unwrap();
+            assert!(found.is_little() && causes.contains("world-to-camera"), "{causes}: {found:?}");
+            assert!(found.inverted > 0.3, "{found:?}");
+        }
+        assert!(!sight(&changed(opencv), None).causes().unwrap().contains("world-to-camera"));
+        assert_eq!(sight(&changed(|_| {}), None).inverted, 0.0);
+    }
+
+    #[test]
+    fn units_that_differ_by_powers_of_ten_are_named_with_their_factor() {
+        let named = |factor: f64| sight(&changed(|camera| camera.position *= factor), None).causes();
+        for (factor, told) in [(10.0, "10 times smaller"), (100.0, "100 times smaller"), (1000.0, "1000 times smaller")]
+        {
+            let causes = named(factor).unwrap();
+            assert!(causes.contains("units") && causes.contains(told), "{factor}: {causes}");
+        }
+        // Inside the ball, all is matter.
+        let in_ball = |factor: f64| {
+            let cameras = changed(|camera| camera.position *= factor);
+            sight_of(&ClosedForm::ball(), &cameras, None).causes().unwrap()
+        };
+        assert!(in_ball(0.01).contains("100 times larger"), "{}", in_ball(0.01));
+    }
+
+    /// A scene whose opacity was taken for its density.
+    struct Opacity(VoxelGrid);
+
+    impl RadianceField for Opacity {
+        fn bounds(&self) -> Aabb {
+            self.0.bounds()
+        }
+        fn evaluate(&self, positions: &[Vec3], directions: &[Vec3], out: &mut [Radiance]) {
+            self.0.evaluate(positions, directions, out);
+            out.iter_mut().for_each(|out| out.density = 1.0 - (-out.density).exp());
+        }
+        fn suggested_step(&self) -> f64 {
+            self.0.suggested_step()
+        }
+    }
+
+    #[test]
+    fn opacity_in_place_of_density_is_named() {
+        let scene = VoxelGrid::bake(&ClosedForm::ball(), [32; 3], Vec3::Z);
+        let cameras = changed(|_| {});
+        assert_eq!(sight_of(&scene, &cameras, None).causes(), None);
+        let fog = sight_of(&Opacity(scene), &cameras, None);
+        assert!(fog.is_little() && fog.causes().unwrap().contains("opacity"), "{fog:?}");
+    }
+
+    #[test]
+    fn what_a_box_cuts_off_is_measured() {
+        let all = sight(&changed(|_| {}), None);
+        assert_eq!(all.outside_domain, 0.0);
+        let half = Aabb::new(DVec3::splat(-1.0), DVec3::new(1.0, 0.0, 1.0)).unwrap();
+        let cut = sight(&changed(|_| {}), Some(Domain::Box(half)));
+        assert!(cut.outside_domain > 0.05 && cut.outside_domain < 0.95, "{cut:?}");
     }
 }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use glam::DVec3;
 
 use crate::Result;
-use crate::dataset::{DepthEncoding, DepthMap, Frame, PosedImage};
+use crate::dataset::{DepthEncoding, DepthKind, DepthMap, Frame, PosedImage};
 use crate::geometry::Camera;
 
 /// Location of true depth maps.
@@ -76,5 +76,17 @@ impl TrueView {
             covered: pixels.iter().map(|&i| image.alpha(i) > 0.5).collect(),
             distance: pixels.iter().map(|&i| truth.as_ref()?[i].filter(|_| image.is_opaque(i))).collect(),
         })
+    }
+
+    /// [`TrueView::distance`] if depth maps that were taken for depth of this kind hold the other one.
+    #[must_use]
+    pub fn distance_if_not(&self, kind: DepthKind) -> Vec<Option<f64>> {
+        let width = self.camera.resolution[0] as usize;
+        let otherwise = |(i, distance): (usize, &Option<f64>)| {
+            let [x, y] = [i % width, i / width].map(|n| n as f64 + self.pixel_offset);
+            let stretch = |kind: DepthKind| kind.stretch(&self.camera, x, y);
+            Some((*distance)? * stretch(kind.other()) / stretch(kind))
+        };
+        self.distance.iter().enumerate().map(otherwise).collect()
     }
 }

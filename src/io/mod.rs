@@ -21,7 +21,7 @@ mod text;
 pub use atomic::AtomicFile;
 pub use element::{Element, Index, Real};
 #[cfg(feature = "synth")]
-pub use exr::write_exr;
+pub use exr::{read_exr_depth, write_exr};
 pub use mix::mix;
 pub use place::{Identity, destination, folder_of};
 pub use text::read_text;

@@ -10,6 +10,7 @@ use embedded_graphics::pixelcolor::Rgb888;
 use embedded_graphics::prelude::*;
 use embedded_graphics::text::{Baseline, Text};
 use glam::DVec3;
+use image::imageops::FilterType;
 use image::{ImageFormat, Rgb, RgbImage};
 
 use crate::io::AtomicFile;
@@ -31,6 +32,9 @@ const TICK: u32 = 7;
 const TICKS: u32 = 5;
 /// Least height of a bar with room for words between its numbers.
 const ROOM_FOR_WORDS: u32 = 14 * CHARACTER[1];
+
+/// Largest width to which small pictures are magnified.
+const WIDEST: u32 = 1600;
 
 /// A colour scale and the values at its ends.
 #[derive(Clone)]
@@ -166,24 +170,29 @@ pub fn write_sheet(path: &Path, rows: &[Vec<Panel>]) -> Result<()> {
 /// # Errors
 /// As [`write_sheet`].
 pub fn stage_sheet(path: &Path, rows: &[Vec<Panel>]) -> Result<AtomicFile> {
+    let rows = &legible(rows);
     let width_of = |panel: &Panel| {
         let bar = panel.bar.as_ref().map_or(0, |bar| bar.width(panel.image.height()));
         (panel.image.width() + bar).max(CHARACTER[0] * panel.title.len() as u32) + MARGIN
     };
     let row_height = |row: &Vec<Panel>| TITLE + row.iter().map(|p| p.image.height()).max().unwrap_or(0) + MARGIN;
-    let width = rows.iter().map(|row| row.iter().map(width_of).sum::<u32>()).max().unwrap_or(0) + MARGIN;
+    // Panels of one column are as wide as its widest, so that they stand below each other.
+    let columns = rows.iter().map(Vec::len).max().unwrap_or(0);
+    let column = |k: usize| rows.iter().filter_map(|row| row.get(k)).map(width_of).max().unwrap_or(0);
+    let columns: Vec<u32> = (0..columns).map(column).collect();
+    let width = columns.iter().sum::<u32>() + MARGIN;
     let height = rows.iter().map(row_height).sum::<u32>() + MARGIN;
     let mut sheet = Sheet(RgbImage::from_pixel(width, height, PAPER));
     let mut top = MARGIN;
     for row in rows {
         let mut left = MARGIN;
-        for panel in row {
+        for (panel, width) in row.iter().zip(&columns) {
             sheet.text(&panel.title, left, top);
             image::imageops::replace(&mut sheet.0, &panel.image, i64::from(left), i64::from(top + TITLE));
             if let Some(bar) = &panel.bar {
                 sheet.bar(bar, left + panel.image.width() + MARGIN / 2, top + TITLE, panel.image.height());
             }
-            left += width_of(panel);
+            left += width;
         }
         top += row_height(row);
     }
@@ -195,6 +204,20 @@ pub fn stage_sheet(path: &Path, rows: &[Vec<Panel>]) -> Result<AtomicFile> {
     let mut file = AtomicFile::create(path)?;
     file.write_all(bytes.get_ref()).map_err(Error::io(path, "cannot write"))?;
     Ok(file)
+}
+
+/// The same rows, in which pictures that are too small for the words of their scales are magnified by whole numbers,
+/// all by the same.
+fn legible(rows: &[Vec<Panel>]) -> Vec<Vec<Panel>> {
+    let sides = rows.iter().flatten().map(|panel| panel.image.dimensions());
+    let [width, height] = sides.fold([1, u32::MAX], |[w, h], side| [w.max(side.0), h.min(side.1.max(1))]);
+    let factor = ROOM_FOR_WORDS.div_ceil(height).min(WIDEST / width).max(1);
+    let magnified = |panel: &Panel| {
+        let [w, h] = [panel.image.width(), panel.image.height()].map(|side| factor * side);
+        let image = image::imageops::resize(&panel.image, w, h, FilterType::Nearest);
+        Panel { image, ..panel.clone() }
+    };
+    rows.iter().map(|row| row.iter().map(magnified).collect()).collect()
 }
 
 /// An image on which text can be drawn.
@@ -277,6 +300,27 @@ mod tests {
                 assert!((f64::from(at) - exact).abs() <= 21.0, "{value}: {at} instead of {exact}");
             }
         }
+        // Columns stand below each other, and small pictures are magnified until there is room for words.
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("sheet.png");
+        let panel = |title: &str, value: f64| {
+            let bar = bar([2.0, 5.55], 5.55);
+            scalar_panel(title, [40, 30], vec![value; 1200], bar)
+        };
+        let rows = [vec![panel("a", 2.0), panel("b", 5.55)], vec![panel(&"long ".repeat(20), 2.0), panel("d", 5.55)]];
+        write_sheet(&path, &rows).unwrap();
+        let sheet = image::open(&path).unwrap().to_rgb8();
+        let yellow = rows[0][1].image.get_pixel(0, 0);
+        let [first, second] = [0, 1].map(|half| {
+            let row = (half * sheet.height() / 2..(half + 1) * sheet.height() / 2).step_by(5);
+            let starts = row.filter_map(|y| {
+                let is_long = |x: u32| (x..x + 20).all(|x| sheet.get_pixel(x, y) == yellow);
+                (0..sheet.width() - 20).find(|&x| is_long(x))
+            });
+            starts.collect::<Vec<_>>()
+        });
+        assert!(first.len() * 5 >= ROOM_FOR_WORDS as usize - 10, "{} lines of five pixels", first.len());
+        assert!(first.iter().chain(&second).all(|x| *x == first[0]), "{first:?} {second:?}");
         assert!(bar([2.0, 3.0], 5.55).words(360).is_empty(), "not on the scale");
         assert!(bar([2.0, 5.55], 5.55).words(200).is_empty(), "no room");
     }

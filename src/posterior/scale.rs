@@ -1,5 +1,7 @@
 //! What the numbers are a deviation of: the paper's loss, or the posterior of all training pixels.
 
+use std::ops::RangeInclusive;
+
 use glam::DVec3;
 
 use super::Covariance;
@@ -37,21 +39,27 @@ pub struct DataScale {
 }
 
 impl DataScale {
+    /// Noise that training may leave. A plain grey picture is off by at most ½, and colours of 8 bits are rounded by
+    /// 10⁻³.
+    pub const NOISE: RangeInclusive<f64> = 1e-6..=0.5;
+
     /// Default of τ, as a fraction of the longest edge of the part of space that is not contracted.
     pub const PRIOR_SHARE: f64 = 0.02;
 
     /// The scale of `pixels` training pixels with this noise and prior deviation.
     ///
     /// # Errors
-    /// If one of them is not above 0, if the noise is above 1, which no error of colours is, or if the prior precision
-    /// is not a normal number.
+    /// If one of them is not above 0, if the noise is not in [`DataScale::NOISE`], or if the prior precision is not a
+    /// normal number.
     pub fn new(pixels: u64, noise: f64, prior_deviation: f64) -> Result<Self> {
         let scale = Self { pixels, noise, prior_deviation };
         if scale.is_possible() {
             return Ok(scale);
         }
         let found = format!("{pixels} pixels, noise {noise:e}, prior deviation {prior_deviation:e}");
-        Err(Error::setting("scale", "pixels, noise and prior deviation above 0, and noise of colours in 0..1", found))
+        let expected = "pixels and prior deviation above 0, and noise of colours in 0..1 of at most 0.5, which a plain \
+                        grey picture keeps";
+        Err(Error::setting("scale", expected, found))
     }
 
     /// The scale of all pixels of `cameras`, with the default prior deviation over `domain`.
@@ -78,6 +86,12 @@ impl DataScale {
         10_f64.powf(-psnr / 20.0)
     }
 
+    /// The PSNR in dB that belongs to a noise.
+    #[must_use]
+    pub fn psnr_of(noise: f64) -> f64 {
+        -20.0 * noise.log10()
+    }
+
     /// The prior precision λ that C has in the paper's H, 1 / scene unit²: C = (2 s² / N) ((2/R) S + 2 λ I)⁻¹ with
     /// λ = s² / (N τ²).
     #[must_use]
@@ -89,10 +103,7 @@ impl DataScale {
     #[must_use]
     pub fn is_possible(&self) -> bool {
         let lambda = self.lambda();
-        self.pixels > 0
-            && (f64::MIN_POSITIVE..=1.0).contains(&self.noise)
-            && self.prior_deviation > 0.0
-            && lambda.is_normal()
+        self.pixels > 0 && Self::NOISE.contains(&self.noise) && self.prior_deviation > 0.0 && lambda.is_normal()
     }
 }
 
@@ -154,7 +165,7 @@ mod tests {
     #[test]
     fn impossible_scales_are_refused() {
         assert!(
-            [(0, 0.1, 0.1), (1, 0.0, 0.1), (1, 25.0, 0.1), (1, 0.1, f64::NAN), (1, 1e-200, 1e200)]
+            [(0, 0.1, 0.1), (1, 0.0, 0.1), (1, 0.7, 0.1), (1, 1e-9, 0.1), (1, 0.1, f64::NAN), (1, 1e-200, 1e200)]
                 .iter()
                 .all(|&(n, s, t)| DataScale::new(n, s, t).is_err())
         );

@@ -262,7 +262,8 @@ mod tests {
     use super::*;
     use crate::field::{ClosedForm, RadianceField};
     use crate::geometry::Domain;
-    use crate::render::{Differences, Marcher, TracedRays};
+    use crate::monitor::Silent;
+    use crate::render::{Differences, Marcher, Occupancy, TracedRays};
     use proptest::prelude::*;
 
     /// Jacobians by central differences over ±h.
@@ -397,9 +398,18 @@ mod tests {
         }
     }
 
+    /// Without an occupancy grid the fog's samples are asked for ∇σ, which is 0. With one they are not: its bound of the
+    /// density says that nothing near them matters.
     #[test]
     fn what_is_not_differentiated_is_composited() {
-        let marcher = Marcher { step: 0.01, bounds: BumpBeforeFog.bounds(), occupancy: None, cutoff: 1e-6 };
+        let grid = Occupancy::build(&BumpBeforeFog, 32, 1e-3, &Silent).unwrap();
+        for occupancy in [None, Some(grid)] {
+            let marcher = Marcher { step: 0.01, bounds: BumpBeforeFog.bounds(), occupancy, cutoff: 1e-6 };
+            composites_what_is_not_differentiated(marcher);
+        }
+    }
+
+    fn composites_what_is_not_differentiated(marcher: Marcher) {
         let tracer = Tracer { field: &BumpBeforeFog, marcher, background: Vec3::ZERO };
         let ray = Ray::new(DVec3::new(-2.0, 0.1, 0.2), DVec3::X);
         let differences = Differences { step: DVec3::splat(1e-3), domain: Domain::Box(BumpBeforeFog.bounds()) };
@@ -414,6 +424,10 @@ mod tests {
         // The fog is even and white, and its 100 samples weigh less than the cutoff: they have no derivatives. All
         // derivatives are of the bump, but for the fog's rim.
         assert!(found.positions.iter().all(|x| x.x < 0.02));
+        // All of the bump is there: were the fog left out, too, there would be nothing to see behind it, and no derivative.
+        let of_bump =
+            exact.positions.iter().zip(&exact.jacobians).filter(|(x, j)| x.x < 0.0 && j[0].abs() > 1e-3 * steepest);
+        assert!(of_bump.clone().count() > 5 && of_bump.clone().all(|(x, _)| found.positions.contains(x)));
         // What is differentiated sees all of it: equal, but for the rounding to f32.
         for (position, jacobian) in found.positions.iter().zip(&found.jacobians) {
             let i = exact.positions.iter().position(|x| x == position).unwrap();

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 
 use crate::dataset::Hemisphere;
-use crate::dataset::{Frame, FrameSplit, Part, PosedImage, Selection, Views, test_partner};
+use crate::dataset::{Frame, FrameSplit, Part, PosedImage, Selection, Views, camera_file, test_partner};
 use crate::geometry::{Aabb, Camera, NamedCamera};
 use crate::monitor::{Monitor, check};
 use crate::{Error, Result};
@@ -55,25 +55,19 @@ struct SceneBox {
 impl DatasetFiles {
     /// Reads the camera files of `dataset`.
     ///
-    /// `dataset` is a camera file, or a folder with `transforms_train.json` (and `transforms_test.json`, which is
-    /// held out) or `transforms.json`, or a COLMAP model. Without a partner file every eighth image is held out.
-    /// Frames without an image are left out, as in instant-ngp.
+    /// `dataset` is a camera file, or a folder as [`camera_file`] reads it: with `transforms.json`, a COLMAP model, or
+    /// `transforms_train.json` (and `transforms_test.json`, which is held out). Without a partner
+    /// file every eighth image is held out. Frames without an image are left out, as in instant-ngp.
     ///
     /// # Errors
     /// If a file cannot be read, or no frame has an image.
     pub fn read(dataset: &Path) -> Result<Self> {
-        let path = if dataset.is_dir() {
-            let names = ["transforms_train.json", "transforms.json"];
-            let found = names.iter().map(|name| dataset.join(name)).find(|path| path.exists());
-            // A model of COLMAP is a folder itself.
-            let found = found.or_else(|| (Views::files(dataset) != [dataset]).then(|| dataset.to_path_buf()));
-            found.ok_or_else(|| {
-                let expected = "transforms_train.json, transforms.json, or a COLMAP model in sparse/0";
-                Error::malformed(dataset, "data set", expected, "none of them")
-            })?
-        } else {
-            dataset.to_path_buf()
-        };
+        let path = camera_file(dataset, Part::Training);
+        // A model of COLMAP is a folder itself.
+        if path.is_dir() && Views::files(&path) == [path.as_path()] {
+            let expected = "transforms.json, a COLMAP model in sparse/0, or transforms_train.json";
+            return Err(Error::malformed(dataset, "data set", expected, "none of them"));
+        }
         let split = FrameSplit::new(Views::read(&path, None)?);
         if !split.has_images() {
             return Err(Error::malformed(&path, "`frames`", "images that exist", "none"));
@@ -97,9 +91,17 @@ impl DatasetFiles {
     pub fn select(&mut self, selection: &Selection, half: Option<Hemisphere>) -> Result<()> {
         let middle = 0.5 * (self.bounds.min() + self.bounds.max());
         let keep = |frame: &Frame| half.is_none_or(|half| half.contains(frame.camera.position - middle));
+        if !self.train.iter().any(keep) {
+            return Err(Error::setting(
+                "half of the scene",
+                "a half that some training images were taken from",
+                "none",
+            ));
+        }
         self.train = self.split.select(Part::Training, selection, keep)?;
         if self.train.is_empty() {
-            return Err(Error::setting("training views", "some training images", "none"));
+            let expected = "indices of images taken from that half";
+            return Err(Error::setting("training views", expected, "none of them"));
         }
         let train = &self.train;
         self.held_out.retain(|frame| !train.contains(frame));

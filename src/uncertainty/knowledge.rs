@@ -6,11 +6,15 @@ use super::{MOVED, UncertaintyField};
 use crate::metrics::quantile;
 use crate::posterior::Visits;
 
+/// Differences of log10 U that rounding to f32 does not make.
+const ROUNDING: f64 = 1e-6;
+
 /// What the training rays tell of a point.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Knowledge {
-    /// Moving it changes some training pixel: log10 U is more than [`MOVED`] below the prior's.
+    /// Moving it changes some training pixel: there is as much information as lowers log10 U by [`MOVED`] below the
+    /// prior's on the paper's scale with the default λ.
     Constrained,
     /// Rays passed and met nothing that a pixel would miss: visible free space.
     Free,
@@ -57,6 +61,16 @@ impl UncertaintyField {
         (!log10.is_empty()).then(|| shares.map(|share| quantile(&log10, share)))
     }
 
+    /// How far log10 U lies below the prior's where there is as much information as lowers it by [`MOVED`] with the
+    /// default λ: σ² falls in the ratio of 2λ to h + 2λ along an axis of information h.
+    ///
+    /// It is not below the tolerance, to which U is known at most.
+    fn margin(&self) -> f64 {
+        let information = (10_f64.powf(2.0 * MOVED) - 1.0) * self.lattice.default_lambda();
+        let margin = 0.5 * (1.0 + information / self.protocol.lambda).log10();
+        margin.max(self.protocol.tolerance.clamp(ROUNDING, MOVED))
+    }
+
     /// What the training rays tell of a scene point where U is `uncertainty`; `None` if it is not known where they
     /// passed.
     ///
@@ -64,7 +78,7 @@ impl UncertaintyField {
     #[must_use]
     pub fn knowledge(&self, x: Vec3, uncertainty: f64) -> Option<Knowledge> {
         let visits = self.visits.as_ref()?.at(x).unwrap_or(0);
-        Some(if uncertainty < self.prior() * 10_f64.powf(-MOVED) {
+        Some(if uncertainty < self.prior() * 10_f64.powf(-self.margin()) {
             Knowledge::Constrained
         } else if visits > 0 {
             Knowledge::Free

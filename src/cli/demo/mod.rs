@@ -13,7 +13,7 @@ use self::matter::{Matter, Shares};
 use self::scene::{DemoScene, TOLERANCE};
 use super::files::CommandFiles;
 use super::options::count;
-use super::panels::{Ranges, depth_range, error_range, is_unseen, view_panels};
+use super::panels::{Ranges, depth_range, error_range, unknown, view_panels};
 use super::progress::Bars;
 use super::report;
 use crate::dataset::write_transforms;
@@ -213,8 +213,8 @@ impl Args {
         let rows: Vec<Vec<Panel>> = (0..views.len())
             .map(|i| {
                 let (name, camera) = subject.views()[i];
-                let unseen = |pixel| is_unseen(uncertainty, &camera, 0.5, &views[i], pixel);
-                let mut row = view_panels(&views[i], name, ranges, &unseen);
+                let unknown = |pixel| unknown(uncertainty, &camera, 0.5, &views[i], pixel);
+                let mut row = view_panels(&views[i], name, ranges, &unknown);
                 if let Some(truths) = &truths {
                     row.remove(1);
                     row.insert(0, colors(&format!("{}: truth", subject.views()[i].0), &truths[i]));

@@ -11,14 +11,14 @@ use super::files::CommandFiles;
 use super::options::{CameraFile, FrameOptions, ModelOptions, parse_pair};
 use super::progress::Bars;
 use super::render::check_box;
-use crate::dataset::{DepthEncoding, DepthKind, Frame};
+use crate::dataset::{DepthEncoding, DepthKind, Frame, is_exact};
 use crate::evaluate::{
     CleanUp, DepthError, DepthFiles, EvaluatedView, Evaluator, Reading, Score, THRESHOLDS, TrueView, clean_up,
 };
 use crate::field::RadianceField;
 use crate::geometry::{Aabb, Domain};
 use crate::io::AtomicFile;
-use crate::metrics::STEPS;
+use crate::metrics::{STEPS, quantile};
 use crate::monitor::Monitor;
 use crate::posterior::Covariance;
 use crate::render::{RayAverage, RenderedView};
@@ -58,14 +58,15 @@ pub struct Args {
     frames: FrameOptions,
 
     /// Folder of true depth maps. Only --clean-up does without
-    #[arg(long, value_name = "DIR", requires = "depth_encoding", required_unless_present = "clean_up")]
+    #[arg(long, value_name = "DIR", required_unless_present = "clean_up")]
     depth: Option<PathBuf>,
 
     /// File name of a frame's depth map; {} stands for the frame's file name without extension
     #[arg(long, value_name = "PATTERN", default_value = "{}_depth_0001.png")]
     depth_pattern: String,
 
-    /// Depth in scene units = OFFSET + SCALE * p, p in [0, 1] from black to white; p = 0 means unknown
+    /// For PNG: depth in scene units = OFFSET + SCALE * p, p in [0, 1] from black to white; p = 0 means unknown.
+    /// Maps in .exr (their only channel, or the one named Z or depth) hold scene units, and 0 where depth is unknown
     #[arg(long, value_name = "OFFSET,SCALE", value_parser = parse_pair, allow_hyphen_values = true, requires = "depth")]
     depth_encoding: Option<[f64; 2]>,
 
@@ -129,7 +130,8 @@ pub struct Args {
 
 impl Args {
     /// Runs the verb.
-    pub fn run(self, bars: &Bars) -> Result<()> {
+    pub fn run(mut self, bars: &Bars) -> Result<()> {
+        self.cameras.find();
         let files = CommandFiles::default()
             .input("MODEL", &self.model.model)
             .inputs("FIELD", &self.fields)
@@ -144,7 +146,7 @@ impl Args {
         let readings = self.readings(&model.bounds())?;
         let members = self.ensemble.iter().map(|name| self.member(name, &*model)).collect::<Result<Vec<_>>>()?;
         let judged = self.cameras.held_out(&self.frames, &*model)?;
-        let depth_files = self.depth_files();
+        let depth_files = self.depth_files()?;
         let images = judged.iter().map(|frame| &frame.image);
         let maps = judged.iter().flat_map(|frame| depth_files.iter().map(|files| files.path(frame)));
         files.inputs("an image of --cameras", images).inputs("--depth", maps).check()?;
@@ -163,17 +165,24 @@ impl Args {
 
         let rows = frames.iter().map(|f| u64::from(f.camera.resolution[1].div_ceil(self.stride))).sum::<u64>();
         bars.begin("rows", rows * (1 + members.len() as u64));
-        let (mut truths, mut judged) = (Vec::new(), Vec::new());
+        let (mut truths, mut judged, mut otherwise) = (Vec::new(), Vec::new(), Vec::new());
         for (seed, frame) in (0..).zip(frames) {
             let background = self.model.background.as_dvec3();
             let truth = TrueView::read(frame, depth_files.as_ref(), background, offset, self.stride)?;
+            let view = evaluator.evaluate(&truth, seed, bars)?;
+            let other = truth.distance_if_not(self.depth_kind());
+            let error = |&i: &usize| Some((view.rendered.pixels[i].median_depth - other[i]?).abs());
+            otherwise.extend(view.pixels.iter().filter_map(error));
             // Whole images are large, and only the clean-up needs the true ones again.
-            judged.push(EvaluatedView { rendered: RenderedView::default(), ..evaluator.evaluate(&truth, seed, bars)? });
+            judged.push(EvaluatedView { rendered: RenderedView::default(), ..view });
             truths.extend(self.clean_up.is_some().then_some(truth));
         }
         bars.end();
         let measures = evaluator.measures();
         let ranked = self.depth.as_ref().map(|folder| rank(folder, &judged, measures.len(), &*model)).transpose()?;
+        if let Some((_, depth)) = &ranked {
+            self.note_depth_kind(depth, otherwise);
+        }
         let (cleaned, sheet) = self.clean_up(&evaluator, &truths, bars)?.unzip();
         let cleaned = cleaned.unwrap_or_default();
         let calibrations = match &ranked {
@@ -221,11 +230,43 @@ impl Args {
         Ok(member)
     }
 
-    fn depth_files(&self) -> Option<DepthFiles> {
-        let kind = if self.z_depth { DepthKind::Z } else { DepthKind::Euclidean };
-        let (folder, [offset, scale]) = self.depth.clone().zip(self.depth_encoding)?;
-        let encoding = DepthEncoding { offset, scale, kind };
-        Some(DepthFiles { folder, pattern: self.depth_pattern.clone(), encoding })
+    fn depth_kind(&self) -> DepthKind {
+        if self.z_depth { DepthKind::Z } else { DepthKind::Euclidean }
+    }
+
+    fn depth_files(&self) -> Result<Option<DepthFiles>> {
+        let Some(folder) = self.depth.clone() else { return Ok(None) };
+        let pattern = self.depth_pattern.clone();
+        let [offset, scale] = match (self.depth_encoding, is_exact(&pattern)) {
+            (Some(encoding), false) => encoding,
+            (None, true) => [0.0, 1.0],
+            (None, false) => {
+                let expected = "OFFSET,SCALE of the depth maps (those in .exr, by --depth-pattern, are in scene units)";
+                return Err(Error::setting("--depth-encoding", expected, "none"));
+            }
+            (Some([offset, scale]), true) => {
+                let expected = "none, as depth maps in .exr are in scene units";
+                return Err(Error::setting("--depth-encoding", expected, format!("{offset},{scale}")));
+            }
+        };
+        let encoding = DepthEncoding { offset, scale, kind: self.depth_kind() };
+        Ok(Some(DepthFiles { folder, pattern, encoding }))
+    }
+
+    /// Says on stderr if the depth maps fit much better when read as the other kind of depth.
+    fn note_depth_kind(&self, depth: &DepthError, mut otherwise: Vec<f64>) {
+        otherwise.sort_unstable_by(f64::total_cmp);
+        let (found, other) = (depth.median, quantile(&otherwise, 0.5));
+        if other < 0.5 * found {
+            let (kind, flag) = match self.depth_kind() {
+                DepthKind::Z => ("distance from the camera", "without --z-depth"),
+                _ => ("depth along the viewing axis", "with --z-depth"),
+            };
+            eprintln!(
+                "note: half of the depths are off by more than {found:.4} scene units; if the maps hold {kind} \
+                 ({flag}), by more than {other:.4}"
+            );
+        }
     }
 
     /// Sweeps the thresholds and draws the sheet, if asked to.

@@ -11,8 +11,8 @@ use crate::render::RenderedView;
 /// Most views on a sheet.
 const VIEWS: usize = 4;
 
-/// Indices of the versions to show, without repeats: the field as it is, the paper's fixed thresholds, and the
-/// threshold of the best PSNR.
+/// Indices of the versions to show, without repeats: the field as it is, then the paper's fixed thresholds and that of
+/// the best PSNR, from the one that keeps most.
 #[must_use]
 pub fn shown(cleaned: &[(CleanUp, Vec<RenderedView>)]) -> Vec<usize> {
     let of_threshold = |t: f64| cleaned.iter().position(|(c, _)| c.threshold == Some(t));
@@ -20,6 +20,8 @@ pub fn shown(cleaned: &[(CleanUp, Vec<RenderedView>)]) -> Vec<usize> {
     let all: Vec<CleanUp> = cleaned.iter().map(|(c, _)| *c).collect();
     let best = CleanUp::best(&all).and_then(|best| best.threshold).and_then(of_threshold);
     shown.extend(best.filter(|best| !shown.contains(best)));
+    let threshold = |k: usize| cleaned[k].0.threshold.unwrap_or(f64::INFINITY);
+    shown.sort_by(|a, b| threshold(*b).total_cmp(&threshold(*a)));
     shown
 }
 
@@ -30,7 +32,11 @@ pub fn stage(path: &Path, truths: &[TrueView], cleaned: &[(CleanUp, Vec<Rendered
         .step_by(step)
         .map(|v| {
             let truth = &truths[v];
-            let mut row = vec![color_panel(&truth.name, truth.camera.resolution, truth.colors.iter().copied())];
+            let mut row = vec![color_panel(
+                &format!("{}: truth", truth.name),
+                truth.camera.resolution,
+                truth.colors.iter().copied(),
+            )];
             row.extend(shown(cleaned).into_iter().map(|k| {
                 let (cleaned, views) = &cleaned[k];
                 let name = cleaned.log10.map_or("as it is".into(), |u| format!("log10 U <= {u:.2}"));

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use clap::Args;
 
 use super::parse::{Resolution, parse_fov, parse_resolution, parse_views};
-use crate::dataset::{Frame, FrameSplit, Part, ResolutionSource, Selection, Views};
+use crate::dataset::{Frame, FrameSplit, Part, ResolutionSource, Selection, Views, camera_file};
 use crate::field::{Intrinsics, RadianceField};
 use crate::{Error, Result};
 
@@ -14,7 +14,8 @@ use crate::{Error, Result};
 #[derive(Args)]
 pub struct CameraFile {
     /// transforms.json with intrinsics and camera-to-world poses (OpenGL axes), or a COLMAP model: its folder
-    /// (cameras and images, .bin or .txt) or the folder with sparse/0
+    /// (cameras and images, .bin or .txt) or the folder with sparse/0; or a folder with transforms.json or
+    /// transforms_test.json
     #[arg(long, value_name = "PATH")]
     pub cameras: PathBuf,
 
@@ -46,6 +47,11 @@ impl FrameOptions {
 }
 
 impl CameraFile {
+    /// Of a folder, takes the file of held-out cameras.
+    pub fn find(&mut self) {
+        self.cameras = camera_file(&self.cameras, Part::HeldOut);
+    }
+
     /// Frames to evaluate `model` on. Warns if it was trained on some of them.
     pub fn held_out(&self, options: &FrameOptions, model: &dyn RadianceField) -> Result<Vec<Frame>> {
         let frames = options.select(Part::HeldOut, self.read()?)?;
@@ -81,8 +87,8 @@ impl CameraFile {
 #[derive(Args)]
 pub struct CameraOptions {
     /// transforms.json with intrinsics and camera-to-world poses (OpenGL axes), or a COLMAP model: its folder
-    /// (cameras and images, .bin or .txt) or the folder with sparse/0 [default: the model's own cameras, if it has
-    /// any]
+    /// (cameras and images, .bin or .txt) or the folder with sparse/0; or a folder with transforms.json or
+    /// transforms_train.json [default: the model's own cameras, if it has any]
     #[arg(long, value_name = "PATH")]
     pub cameras: Option<PathBuf>,
 
@@ -97,6 +103,11 @@ pub struct CameraOptions {
 }
 
 impl CameraOptions {
+    /// Of a folder, takes the file of a part.
+    pub fn find(&mut self, part: Part) {
+        self.cameras = self.cameras.take().map(|path| camera_file(&path, part));
+    }
+
     /// Reads the camera file, or else asks the model `name`.
     pub fn read(&self, model: &dyn RadianceField, name: &str) -> Result<Views> {
         if let Some(cameras) = &self.cameras {
@@ -118,7 +129,11 @@ impl CameraOptions {
         Ok(Views {
             path: PathBuf::from(name),
             frames: cameras.into_iter().enumerate().map(frame).collect(),
-            resolution_source: self.resolution.map_or(ResolutionSource::Assumed, |_| ResolutionSource::Requested),
+            // Cameras that a model was trained on come with the size of their images; mere poses do not.
+            resolution_source: match names {
+                [_, ..] if self.resolution.is_none() => ResolutionSource::File,
+                _ => ResolutionSource::Assumed,
+            },
         })
     }
 
@@ -145,6 +160,18 @@ impl CameraOptions {
             );
         }
         Ok(Views { path, frames, resolution_source })
+    }
+}
+
+/// Warns if the number of training pixels, by which `--scale data` weighs them, follows from an image size that nobody
+/// knows.
+pub fn warn_of_pixels(views: &Views, pixels: u64) {
+    if views.resolution_source == ResolutionSource::Assumed {
+        let [w, h] = views.frames[0].camera.resolution;
+        eprintln!(
+            "warning: --scale data counts {pixels} training pixels, of images of {w} x {h} that neither model nor \
+             cameras vouch for; if their sides were k times as long, U would be k times as small"
+        );
     }
 }
 

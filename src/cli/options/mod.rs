@@ -7,7 +7,7 @@ mod parse;
 mod scale;
 mod threshold;
 
-pub use cameras::{CameraFile, CameraOptions, FrameOptions};
+pub use cameras::{CameraFile, CameraOptions, FrameOptions, warn_of_pixels};
 pub use grid::{DomainOptions, GridOptions, OfficialOptions, check_field_name};
 pub use numbers::{count, parse_interval, parse_time};
 pub use parse::{

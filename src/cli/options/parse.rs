@@ -4,6 +4,7 @@ use glam::{DVec3, Vec3};
 
 use crate::dataset::Selection;
 use crate::geometry::{Aabb, Camera};
+use crate::posterior::DataScale;
 
 /// Numbers separated by commas.
 pub fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
@@ -119,6 +120,31 @@ pub fn parse_positive(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(v) if v > 0.0 && v.is_finite() => Ok(v),
         _ => Err("expected a finite number above 0".into()),
+    }
+}
+
+/// A root mean square error of colours that training may leave.
+pub fn parse_noise(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(noise) if DataScale::NOISE.contains(&noise) => Ok(noise),
+        _ => Err(format!(
+            "expected an error of colours in 0..1, from {:e}, far below a step of 8 bits, to {}, which a plain grey \
+             picture keeps",
+            DataScale::NOISE.start(),
+            DataScale::NOISE.end()
+        )),
+    }
+}
+
+/// The same as PSNR in dB.
+pub fn parse_psnr(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(psnr) if DataScale::NOISE.contains(&DataScale::noise_of(psnr)) => Ok(psnr),
+        _ => Err(format!(
+            "expected a PSNR in dB, from {:.2}, which a plain grey picture reaches, to {:.0}, far beyond 8 bits",
+            DataScale::psnr_of(*DataScale::NOISE.end()),
+            DataScale::psnr_of(*DataScale::NOISE.start())
+        )),
     }
 }
 

@@ -2,7 +2,7 @@
 
 use clap::{Args, ValueEnum};
 
-use super::parse::parse_positive;
+use super::parse::{parse_noise, parse_positive, parse_psnr};
 use crate::geometry::Domain;
 use crate::posterior::{DataScale, Scale};
 use crate::{Error, Result};
@@ -24,11 +24,11 @@ pub struct ScaleOptions {
 
     /// For --scale data: root mean square error of the training pixels' colours, which lie in 0..1 [default: what the
     /// model records, if `train` made it]
-    #[arg(long, value_name = "RMSE", value_parser = parse_positive, conflicts_with = "psnr")]
+    #[arg(long, value_name = "RMSE", value_parser = parse_noise, allow_negative_numbers = true, conflicts_with = "psnr")]
     noise: Option<f64>,
 
     /// The same as PSNR of the training images, dB
-    #[arg(long, value_name = "DB", value_parser = parse_positive)]
+    #[arg(long, value_name = "DB", value_parser = parse_psnr, allow_negative_numbers = true)]
     psnr: Option<f64>,
 
     /// For --scale data: deviation along each axis before any image was seen, scene units [default: 0.02 of the

@@ -1,7 +1,13 @@
 //! A threshold of log10 U, as a number or by its share of visible surfaces.
 
+use crate::render::RenderedView;
 use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
+
+/// Share of the pixels that a share of visible surfaces may take without a word.
+const FEW_PIXELS: f64 = 0.05;
+/// The same, in shares of the surfaces that go.
+const MANY_TIMES: f64 = 3.0;
 
 /// Where the clean-up cuts.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -46,6 +52,29 @@ impl Threshold {
             }
         }
     }
+
+    /// Says on stderr if a share of visible surfaces takes many more of a view's pixels than it seems to.
+    pub fn note_pixels(self, view: &RenderedView, cleaned: &RenderedView) {
+        let Self::Share(kept) = self else { return };
+        let Some(removed) = removed_share(view, cleaned) else { return };
+        if removed > FEW_PIXELS.max(MANY_TIMES * (1.0 - kept)) {
+            eprintln!(
+                "note: the clean-up removes {:.1} % of the pixels that show matter in this view, although {}% of the \
+                 visible surfaces stay: these pixels show fog, a side that no training ray saw, or what lies outside \
+                 the field's box",
+                100.0 * removed,
+                100.0 * kept
+            );
+        }
+    }
+}
+
+/// Share of the pixels that show matter (opacity above ½) and do so no longer; `None` if there are none.
+fn removed_share(view: &RenderedView, cleaned: &RenderedView) -> Option<f64> {
+    let shown = |view: &RenderedView, i: usize| view.pixels[i].opacity > 0.5;
+    let before: Vec<usize> = (0..view.pixels.len()).filter(|&i| shown(view, i)).collect();
+    let removed = before.iter().filter(|&&i| !shown(cleaned, i)).count();
+    (!before.is_empty()).then(|| removed as f64 / before.len() as f64)
 }
 
 #[cfg(test)]

@@ -8,14 +8,15 @@ use std::time::{Duration, Instant};
 use super::files::CommandFiles;
 use super::options::{
     CameraOptions, DomainOptions, FrameOptions, GridOptions, ModelOptions, TrainingPixels, count, parse_interval,
-    parse_non_negative, parse_positive,
+    parse_non_negative, parse_positive, warn_of_pixels,
 };
 use super::progress::Bars;
 use super::report::{self, Cost};
-use crate::dataset::Views;
+use crate::dataset::{Part, Views};
 use crate::estimate::{Checkpoint, Estimation, GridSettings, Outcome, Planner, RaySettings, Run};
 use crate::geometry::Camera;
 use crate::io::memory::{available, resident};
+use crate::posterior::Scale;
 use crate::rays::{Pixels, RunProgress, SamplesWriter};
 use crate::render::GradientMethod;
 use crate::{Error, Result};
@@ -167,7 +168,8 @@ fn warn_of_dropped(progress: &RunProgress) {
 
 impl Args {
     /// Runs the verb.
-    pub fn run(self, bars: &Bars) -> Result<()> {
+    pub fn run(mut self, bars: &Bars) -> Result<()> {
+        self.cameras.find(Part::Training);
         self.command_files().check()?;
         let files = self.files();
         let field = self.model.open()?;
@@ -199,6 +201,9 @@ impl Args {
         let pixels = cameras.iter().map(Camera::pixels).sum();
         let training = TrainingPixels { pixels: Some(pixels), noise: field.training_noise() };
         let grid = self.grid.settings(&domain, training)?;
+        if matches!(grid.scale, Scale::Data(_)) {
+            warn_of_pixels(&views, pixels);
+        }
         let source = self.source(&files, &cameras);
         let estimation =
             Estimation::new(&*field, &cameras).domain(domain).rays(rays).grid(grid).source(source).model(checksum);

@@ -1,0 +1,208 @@
+//! Results that would be wrong or misleading are not given without a word.
+
+use std::path::Path;
+use std::process::Command;
+
+use octobayes::dataset::write_transforms;
+use octobayes::field::ClosedForm;
+use octobayes::geometry::Camera;
+use octobayes::internal::npz::NpzWriter;
+
+/// Exit code, stdout and stderr.
+fn run(folder: &Path, args: &str) -> (Option<i32>, String, String) {
+    let output = Command::new(env!("CARGO_BIN_EXE_octobayes"))
+        .args(args.split_whitespace())
+        .current_dir(folder)
+        .output()
+        .unwrap();
+    let text = |bytes| String::from_utf8(bytes).unwrap();
+    (output.status.code(), text(output.stdout), text(output.stderr))
+}
+
+/// What a command says on stderr.
+fn said(folder: &Path, args: &str) -> String {
+    let (code, _, said) = run(folder, args);
+    assert_eq!(code, Some(0), "{args}: {said}");
+    said
+}
+
+/// A folder with four cameras on a half circle.
+fn desk() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    write_transforms(&folder.path().join("cameras.json"), &named(4)).unwrap();
+    folder
+}
+
+fn named(count: u32) -> Vec<(String, Camera)> {
+    let cameras = ClosedForm::half_circle(count, [32, 32]).into_iter().enumerate();
+    cameras.map(|(i, camera)| (format!("r_{i}"), camera)).collect()
+}
+
+/// A voxel grid over [-1, 1]³ whose density is a function of the position.
+fn voxels(path: &Path, density: impl Fn([f32; 3]) -> f32) {
+    const N: u64 = 32;
+    let at = |i: u64| -1.0 + 2.0 * i as f32 / (N - 1) as f32;
+    let place = |i: u64| [at(i / (N * N)), at(i / N % N), at(i % N)];
+    let mut npz = NpzWriter::create(path).unwrap();
+    npz.array("box", &[2, 3], [-1.0_f32, -1.0, -1.0, 1.0, 1.0, 1.0]).unwrap();
+    npz.array("density", &[N, N, N], (0..N * N * N).map(|i| density(place(i)))).unwrap();
+    let stripes = |i: u64| place(i).map(|x| 0.5 + 0.4 * (9.0 * x).sin());
+    npz.array("color", &[N, N, N, 3], (0..N * N * N).flat_map(stripes)).unwrap();
+    npz.finish().unwrap();
+}
+
+fn length(x: [f32; 3]) -> f32 {
+    x.iter().map(|x| x * x).sum::<f32>().sqrt()
+}
+
+const RUN: &str = "--cameras cameras.json --level 5 --rays 4000 --occupancy 32";
+
+/// A share is one of surface points. In fog it takes many more pixels.
+#[test]
+fn a_share_that_takes_many_pixels_says_how_many() {
+    let desk = desk();
+    let ball = |x| if length(x) < 0.4 { 80.0 } else { 0.0 };
+    voxels(&desk.path().join("clear.npz"), ball);
+    voxels(&desk.path().join("fog.npz"), |x| ball(x).max(0.6));
+    let removed = |model: &str, out: &str| {
+        said(desk.path(), &format!("uncertainty {model}.npz {RUN} -o {model}.oct"));
+        let view = "--cameras cameras.json --occupancy 32 --threshold 99%";
+        let said = said(desk.path(), &format!("render {model}.npz {model}.oct {view} -o {out}"));
+        let line = said.lines().find(|line| line.contains("of the pixels that show matter")).map(str::to_owned);
+        line.map(|line| line.split_once("removes ").unwrap().1.split_once(" %").unwrap().0.parse::<f64>().unwrap())
+    };
+    assert_eq!(removed("clear", "clear.png"), None);
+    let [png, exr] = ["fog.png", "fog.exr"].map(|out| removed("fog", out).unwrap());
+    assert!(png > 10.0 && png == exr, "{png} and {exr}");
+}
+
+/// N is the number of training pixels; an image size that nobody knows makes it a guess.
+#[test]
+fn an_unknown_number_of_training_pixels_is_told() {
+    let desk = desk();
+    let data = "--level 4 --rays 1000 --occupancy 16 --scale data --psnr 30 -o x.oct";
+    let warns = |args: &str| said(desk.path(), &format!("uncertainty scene:ball {args}")).contains("training pixels");
+    assert!(warns(&format!("--resolution 32 {data}")) && warns(data));
+    assert!(!warns(&format!("--cameras cameras.json {data}")));
+    assert!(!warns(&data.replace("--scale data --psnr 30", "")));
+    // The file states no size, and its images are not there.
+    let text = std::fs::read_to_string(desk.path().join("cameras.json")).unwrap();
+    let unsized_cameras = text.replace("\"w\"", "\"a\"").replace("\"h\"", "\"b\"");
+    std::fs::write(desk.path().join("unsized.json"), unsized_cameras).unwrap();
+    assert!(warns(&format!("--cameras unsized.json {data}")));
+    let told = said(desk.path(), &format!("uncertainty scene:ball --cameras cameras.json {data}"));
+    assert!(!told.contains("warning"), "{told}");
+}
+
+/// A plain grey picture is never off by more than one half.
+#[test]
+fn errors_of_colours_that_no_training_leaves_are_refused() {
+    let desk = desk();
+    for bad in ["--psnr 3", "--psnr -20", "--psnr 0.03", "--psnr 500", "--noise 0.7", "--noise -0.1", "--noise 1e-9"] {
+        let args = format!("uncertainty scene:ball {RUN} --scale data {bad} -o x.oct");
+        let (code, _, said) = run(desk.path(), &args);
+        assert!(code == Some(2) && (said.contains("grey") || said.contains("8 bits")), "{bad}: {said}");
+    }
+    for good in ["--psnr 6.1", "--psnr 60", "--noise 0.5"] {
+        said(desk.path(), &format!("uncertainty scene:ball {RUN} --scale data {good} -o x.oct"));
+    }
+}
+
+/// The protocol is told by those who are asked.
+#[test]
+fn a_picture_comes_without_a_protocol_unless_asked() {
+    let desk = desk();
+    said(desk.path(), &format!("uncertainty scene:ball {RUN} -o x.oct"));
+    let render = "render scene:ball x.oct --cameras cameras.json --occupancy 32 -o x.png";
+    assert_eq!(run(desk.path(), render).1, "x.png\n");
+    let told = run(desk.path(), &format!("{render} --verbose")).1;
+    assert!(told.contains("x.png") && told.contains("lambda") && told.contains("on visible surfaces"), "{told}");
+}
+
+/// Matter outside the box is not unseen, and no part of what is said about visible surfaces.
+#[test]
+fn matter_outside_the_box_is_told_and_not_counted() {
+    let desk = desk();
+    voxels(&desk.path().join("ball.npz"), |x| if length(x) < 0.5 { 80.0 } else { 0.0 });
+    let share = |bounds: &str| {
+        let told = said(desk.path(), &format!("uncertainty ball.npz {RUN} {bounds} --gradient auto -o x.oct"));
+        let line = told.lines().find(|line| line.contains("lies outside --box"))?.to_owned();
+        Some(line.split_once("note: ").unwrap().1.split_once(" %").unwrap().0.parse::<f64>().unwrap())
+    };
+    assert_eq!(share(""), None);
+    // Cameras stand all around the half circle; about half of what they see is above the middle.
+    let cut = share("--box=-1,-1,-1,1,1,0").unwrap();
+    assert!(cut > 20.0 && cut < 80.0, "{cut}");
+    let field = octobayes::uncertainty::UncertaintyField::read(&desk.path().join("x.oct")).unwrap();
+    let inside = |x: &[f32; 3]| field.query(glam::Vec3::from_array(*x)).inside;
+    assert!(field.surface().len() > 100 && field.surface().iter().all(inside));
+
+    // Hatched pixels have a colour of their own; outside the box there are none.
+    let hatched = |field: &str| {
+        said(desk.path(), &format!("render ball.npz {field} --cameras cameras.json --occupancy 32 -o x.png"));
+        let picture = image::open(desk.path().join("x.png")).unwrap().to_rgb8();
+        picture.pixels().filter(|pixel| pixel.0 == [150; 3]).count()
+    };
+    assert_eq!(hatched("x.oct"), 0);
+}
+
+/// Cameras of data sets in folders: one rule for all verbs.
+#[test]
+fn a_folder_of_cameras_is_its_training_or_its_test_file() {
+    let desk = desk();
+    let set = desk.path().join("set");
+    std::fs::create_dir(&set).unwrap();
+    write_transforms(&set.join("transforms_train.json"), &named(5)).unwrap();
+    write_transforms(&set.join("transforms_test.json"), &named(3)).unwrap();
+    for i in 0..3 {
+        image::RgbaImage::from_pixel(32, 32, image::Rgba([90, 90, 90, 255]))
+            .save(set.join(format!("r_{i}.png")))
+            .unwrap();
+    }
+    let run = "--level 4 --rays 1000 --occupancy 16";
+    let told = said(desk.path(), &format!("uncertainty scene:ball --cameras set {run} -o x.oct"));
+    assert!(told.contains("3 cameras of 5 frames of set/transforms_train.json"), "{told}");
+    let told = said(desk.path(), "evaluate scene:ball x.oct --cameras set --clean-up sheet.png");
+    assert!(told.contains("3 cameras of 3 frames of set/transforms_test.json"), "{told}");
+    said(desk.path(), "render scene:ball x.oct --cameras set --frame 4 -o x.png");
+}
+
+/// Depth maps as `synth` and `render` write them, and the two readings of depth.
+#[test]
+fn exact_depth_is_read_and_the_better_reading_is_named() {
+    let desk = desk();
+    said(desk.path(), &format!("uncertainty scene:ball {RUN} -o x.oct"));
+    for i in 0..4 {
+        let image = image::RgbaImage::from_pixel(32, 32, image::Rgba([90, 90, 90, 255]));
+        image.save(desk.path().join(format!("r_{i}.png"))).unwrap();
+        // Coarser than what is judged, so that there is some error.
+        let render = "render scene:ball x.oct --cameras cameras.json --occupancy 32 --march-step 0.01";
+        said(desk.path(), &format!("{render} --frame {i} -o r_{i}.exr"));
+    }
+    // The other kind of depth.
+    for (i, (_, camera)) in named(4).into_iter().enumerate() {
+        use exr::prelude::*;
+        let image = read_first_flat_layer_from_file(desk.path().join(format!("r_{i}.exr"))).unwrap();
+        let channel = image.layer_data.channel_data.list.iter().find(|c| c.name.eq("depth.Z")).unwrap();
+        let depth: Vec<f32> = channel.sample_data.values_as_f32().collect();
+        let z = |at: Vec2<usize>| {
+            let ray = camera.ray(at.x() as f64 + 0.5, at.y() as f64 + 0.5);
+            (depth[at.y() * 32 + at.x()] * ray.direction.dot(-camera.axes.z_axis) as f32,)
+        };
+        let channels = SpecificChannels::build().with_channel("Z").with_pixel_fn(z);
+        Image::from_channels((32, 32), channels).write().to_file(desk.path().join(format!("r_{i}_z.exr"))).unwrap();
+    }
+    let views = "evaluate scene:ball x.oct --cameras cameras.json --views all --depth .";
+    let note = |args: &str| {
+        said(desk.path(), &format!("{views} {args}")).lines().find(|l| l.contains("if the maps")).map(str::to_owned)
+    };
+    assert_eq!(note("--depth-pattern {}.exr"), None);
+    assert_eq!(note("--depth-pattern {}_z.exr --z-depth"), None);
+    assert!(note("--depth-pattern {}.exr --z-depth").unwrap().contains("without --z-depth"));
+    assert!(note("--depth-pattern {}_z.exr").unwrap().contains("with --z-depth"));
+    // Only EXR tells its unit.
+    let (code, _, said) = run(desk.path(), &format!("{views} --depth-pattern {{}}.png"));
+    assert!(code == Some(2) && said.contains("error: --depth-encoding: expected OFFSET,SCALE"), "{said}");
+    let (code, _, said) = run(desk.path(), &format!("{views} --depth-pattern {{}}.exr --depth-encoding 0,1"));
+    assert!(code == Some(2) && said.contains("error: --depth-encoding: expected none"), "{said}");
+}
