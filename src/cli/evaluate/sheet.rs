@@ -47,3 +47,26 @@ pub fn stage(path: &Path, truths: &[TrueView], cleaned: &[(CleanUp, Vec<Rendered
         .collect();
     stage_sheet(path, &rows)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn versions_stand_in_the_order_of_what_they_keep() {
+        let version = |threshold: Option<f64>, psnr: f64| {
+            let [psnr_shown, ssim, ssimulacra2, coverage] = [psnr; 4];
+            let (log10, surfaces) = (threshold, None);
+            (CleanUp { threshold, log10, surfaces, psnr, psnr_shown, ssim, ssimulacra2, coverage }, Vec::new())
+        };
+        let all = |best: f64| {
+            let psnr = |t: f64| if t == best { 30.0 } else { 20.0 };
+            let thresholds = [0.3, 0.4, 0.6, 0.9, 1.0].map(|t| version(Some(t), psnr(t)));
+            let all: Vec<_> = [version(None, 25.0)].into_iter().chain(thresholds).collect();
+            shown(&all).into_iter().map(|k| all[k].0.threshold).collect::<Vec<_>>()
+        };
+        assert_eq!(all(0.6), [None, Some(0.9), Some(0.6), Some(0.4)]);
+        assert_eq!(all(1.0), [None, Some(1.0), Some(0.9), Some(0.4)]);
+        assert_eq!(all(0.9), [None, Some(0.9), Some(0.4)]);
+    }
+}

@@ -170,7 +170,7 @@ pub fn warn_of_pixels(views: &Views, pixels: u64) {
         let [w, h] = views.frames[0].camera.resolution;
         eprintln!(
             "warning: --scale data counts {pixels} training pixels, of images of {w} x {h} that neither model nor \
-             cameras vouch for; if their sides were k times as long, U would be k times as small"
+             cameras vouch for; with sides k times as long, U of what images constrain would be k times as small"
         );
     }
 }
