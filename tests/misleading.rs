@@ -3,10 +3,12 @@
 use std::path::Path;
 use std::process::Command;
 
+use glam::Vec3;
 use octobayes::dataset::write_transforms;
 use octobayes::field::ClosedForm;
 use octobayes::geometry::Camera;
 use octobayes::internal::npz::NpzWriter;
+use octobayes::uncertainty::UncertaintyField;
 
 /// Exit code, stdout and stderr.
 fn run(folder: &Path, args: &str) -> (Option<i32>, String, String) {
@@ -74,6 +76,23 @@ fn a_share_that_takes_many_pixels_says_how_many() {
     assert_eq!(removed("clear", "clear.png"), None);
     let [png, exr] = ["fog.png", "fog.exr"].map(|out| removed("fog", out).unwrap());
     assert!(png > 10.0 && png == exr, "{png} and {exr}");
+}
+
+/// `--threshold 90%` is the log10 U that nine of ten points on visible surfaces stay below.
+#[test]
+fn a_share_is_that_of_the_most_certain_surfaces() {
+    let desk = desk();
+    said(desk.path(), &format!("uncertainty scene:ball {RUN} -o ball.oct"));
+    let view = "--cameras cameras.json --occupancy 32 --threshold 90% -o view.png";
+    let said = said(desk.path(), &format!("render scene:ball ball.oct {view}"));
+    let threshold = said.split_once("log10 U is at most ").unwrap().1.split_once(" on 90% of the visible").unwrap().0;
+    let threshold: f64 = threshold.parse().unwrap();
+    let field = UncertaintyField::read(&desk.path().join("ball.oct")).unwrap();
+    let points = field.surface();
+    let below = points.iter().filter(|&&x| field.log10(Vec3::from_array(x)) <= threshold).count();
+    let share = below as f64 / points.len() as f64;
+    // The threshold is printed to a thousandth of a decade, near which some points may lie.
+    assert!((share - 0.9).abs() < 0.01, "{share} of {} points", points.len());
 }
 
 /// N is the number of training pixels; an image size that nobody knows makes it a guess.

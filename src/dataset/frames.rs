@@ -167,22 +167,16 @@ fn is_held_out_by_name(path: &Path) -> bool {
     has_name(path, &["transforms_test.json", "transforms_val.json"])
 }
 
-/// The camera file that `path` means for a part. Of a folder it is `transforms.json` or the COLMAP model, or else
-/// `transforms_train.json` or `transforms_test.json`.
+/// The camera file that `path` means for a part. Of a folder it is `transforms_train.json` or `transforms_test.json`, or
+/// else `transforms.json` or the COLMAP model, in this order.
 #[must_use]
 pub fn camera_file(path: &Path, part: Part) -> PathBuf {
     let of_part = match part {
         Part::Training => "transforms_train.json",
         Part::HeldOut => "transforms_test.json",
     };
-    let [all, of_part] = ["transforms.json", of_part].map(|name| path.join(name));
-    if all.is_file() {
-        all
-    } else if Views::files(path) == [path] && of_part.is_file() {
-        of_part
-    } else {
-        path.to_path_buf()
-    }
+    let mut files = [of_part, "transforms.json"].map(|name| path.join(name)).into_iter();
+    files.find(|file| file.is_file()).unwrap_or_else(|| path.to_path_buf())
 }
 
 /// The file of held-out frames that belongs to a file of training frames, if it exists.
@@ -246,18 +240,21 @@ mod tests {
 
     #[test]
     fn a_folder_means_the_file_of_the_part() {
-        let (folder, _) = split("transforms_train.json", &[]);
-        let named = |part| camera_file(folder.path(), part).file_name().unwrap().to_string_lossy().into_owned();
-        assert_eq!(named(Part::Training), "transforms_train.json");
-        assert_eq!(named(Part::HeldOut), "transforms_test.json");
+        let folder = tempfile::tempdir().unwrap();
+        let write = |name: &str| std::fs::write(folder.path().join(name), b"").unwrap();
+        let named = |part| camera_file(folder.path(), part);
+        ["cameras.txt", "images.txt"].into_iter().for_each(write);
+        assert_eq!(named(Part::Training), folder.path(), "a model of COLMAP");
+        write("transforms.json");
+        assert_eq!(
+            [named(Part::Training), named(Part::HeldOut)],
+            ["transforms.json"; 2].map(|name| folder.path().join(name))
+        );
+        ["transforms_train.json", "transforms_test.json"].into_iter().for_each(write);
         let file = folder.path().join("transforms_train.json");
+        assert_eq!(named(Part::Training), file);
+        assert_eq!(named(Part::HeldOut), folder.path().join("transforms_test.json"));
         assert_eq!(camera_file(&file, Part::HeldOut), file);
-        for name in ["cameras.txt", "images.txt"] {
-            std::fs::write(folder.path().join(name), b"").unwrap();
-        }
-        assert_eq!(camera_file(folder.path(), Part::Training), folder.path(), "a model of COLMAP");
-        std::fs::write(folder.path().join("transforms.json"), b"").unwrap();
-        assert_eq!([named(Part::Training), named(Part::HeldOut)], ["transforms.json"; 2]);
     }
 
     #[test]
