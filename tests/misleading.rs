@@ -152,8 +152,8 @@ fn matter_outside_the_box_is_told_and_not_counted() {
     // Cameras stand all around the half circle; about half of what they see is above the middle.
     let cut = share("--box=-1,-1,-1,1,1,0").unwrap();
     assert!(cut > 20.0 && cut < 80.0, "{cut}");
-    let field = octobayes::uncertainty::UncertaintyField::read(&desk.path().join("x.oct")).unwrap();
-    let inside = |x: &[f32; 3]| field.query(glam::Vec3::from_array(*x)).inside;
+    let field = UncertaintyField::read(&desk.path().join("x.oct")).unwrap();
+    let inside = |x: &[f32; 3]| field.query(Vec3::from_array(*x)).inside;
     assert!(field.surface().len() > 100 && field.surface().iter().all(inside));
 
     // Hatched pixels have a colour of their own; outside the box there are none.
