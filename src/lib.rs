@@ -116,6 +116,8 @@ pub use glam;
 pub mod internal {
     #[cfg(feature = "cli")]
     pub use crate::cli::main;
+    #[cfg(feature = "synth")]
+    pub use crate::io::write_exr;
     pub use crate::io::{AtomicFile, memory, npy, npz};
     #[cfg(feature = "cli")]
     pub use crate::picture::*;

@@ -248,7 +248,7 @@ fn contents_that_no_run_writes_are_refused() {
     let lambda = format!("\"lambda\":{}", serde_json::json!(samples::fields()[0].protocol().lambda));
     // Kind, sample, part, change, what the message names.
     type Change<'a> = &'a dyn Fn(&mut Vec<u8>);
-    let cases: [(Kind, usize, usize, Change, &str); 15] = [
+    let cases: [(Kind, usize, usize, Change, &str); 16] = [
         // A prior that is infinite.
         (
             Kind::Field,
@@ -277,6 +277,8 @@ fn contents_that_no_run_writes_are_refused() {
         // Ray counts of one vertex too many, and visits of no grid.
         (Kind::Field, 0, 3, &|rays| rays.push(0), "rays"),
         (Kind::Field, 5, 7, &|visits| visits.truncate(7), "visits"),
+        // Exact counts, which only parts keep: written again they would be rounded.
+        (Kind::Field, 5, 8, &|counted| counted.extend([1, 0, 0, 0]), "counted"),
         // Error bars that are negative, and error bars of one group.
         (Kind::Field, 6, 10, &|errors| errors[3] = 0x80, "errors"),
         (Kind::Field, 6, 10, &|errors| errors[..2].copy_from_slice(&[1, 0]), "errors"),

@@ -78,7 +78,7 @@ impl Posterior for DensePosterior {
             for (_, samples) in batch.iter() {
                 for (vertex, j) in self.ray_jacobian(batch, samples) {
                     let sum = &mut self.sums[vertex];
-                    sum.rays += 1;
+                    sum.rays = sum.rays.saturating_add(1);
                     let s = &mut sum.information;
                     for channel in 0..3 {
                         let [x, y, z] = [j[3 * channel], j[3 * channel + 1], j[3 * channel + 2]];
@@ -96,5 +96,27 @@ impl Posterior for DensePosterior {
 
     fn memory(&self) -> usize {
         self.sums.capacity() * size_of::<VertexSums>()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec3;
+
+    use super::*;
+    use crate::geometry::Aabb;
+    use crate::render::RaySample;
+
+    /// As in the octree: a run of more rays than a u32 counts goes on, and says "at least".
+    #[test]
+    fn a_full_count_of_rays_stays_full() {
+        let lattice = Lattice::new(Aabb::centered_cube(1.0), 1).unwrap();
+        let full = VertexSums { rays: u32::MAX, ..VertexSums::default() };
+        let mut posterior = DensePosterior::from_sums(lattice, vec![full; 27]).unwrap();
+        let mut ray = RaySamples::default();
+        ray.push(0, RaySample { position: Vec3::splat(0.3), jacobian: [1.0; 9], weight: 1.0 });
+        posterior.add(&[ray]);
+        let sums = posterior.into_sums();
+        assert!(sums.iter().all(|sums| sums.rays == u32::MAX) && sums.iter().any(|sums| sums.information[0] > 0.0));
     }
 }

@@ -76,6 +76,8 @@ struct Content {
     surface: Vec<[f32; 3]>,
     /// Ray counts by cell of the coarse grid; empty if unknown.
     visits: Vec<u32>,
+    /// Whether these are the counts themselves, as only parts of runs keep them.
+    has_exact_counts: bool,
     limits: Vec<u64>,
     errors: Vec<u16>,
 }
@@ -96,10 +98,11 @@ impl Content {
         let surface = file.optional("surface")?;
         let visits = RayCounts(file.optional("visits")?);
         let counted = file.optional("counted")?;
+        let has_exact_counts = !counted.is_empty();
         let visits =
-            if counted.is_empty() { visits.iter().map(|n| n.min(u32::MAX.into()) as u32).collect() } else { counted };
+            if has_exact_counts { counted } else { visits.iter().map(|n| n.min(u32::MAX.into()) as u32).collect() };
         let (limits, errors) = (file.optional("limits")?, file.optional("errors")?);
-        Ok(Self { header, masks, deviations, rays, sums, surface, visits, limits, errors })
+        Ok(Self { header, masks, deviations, rays, sums, surface, visits, has_exact_counts, limits, errors })
     }
 }
 
@@ -156,7 +159,8 @@ impl UncertaintyField {
     pub fn read(path: &Path) -> Result<Self> {
         let is_old = container::version(path, FORMAT)? < FORMAT_VERSION;
         let content = if is_old { legacy::read(path)? } else { Content::read(path)? };
-        let Content { header, masks, deviations, rays, sums, surface, visits, limits, errors } = content;
+        let Content { header, masks, deviations, rays, sums, surface, visits, has_exact_counts, limits, errors } =
+            content;
         // Deserialisation bypasses the checks of the constructors.
         let lattice = header.lattice.domain().checked();
         let lattice = lattice
@@ -166,6 +170,10 @@ impl UncertaintyField {
         if !protocol.is_possible() {
             let expected = "a protocol that a run can have";
             return Err(Error::malformed(path, "header", expected, format!("{protocol:?}")));
+        }
+        let is_part = protocol.is_part() || header.draws.iter().any(Draw::is_part);
+        if has_exact_counts && !is_part {
+            return Err(Error::malformed(path, "section `counted`", "counts of a part of a run", "a whole run's"));
         }
         if let Some(i) = surface.iter().position(|x| !x.iter().all(|v| v.is_finite())) {
             let found = format!("{:?}", surface[i]);

@@ -34,12 +34,14 @@ pub enum Kind {
     Csv,
     /// Image or depth map.
     Image,
+    /// `.exr` depth map.
+    Exr,
     /// `cameras` and `images` of COLMAP, in one file: see [`forge::colmap`].
     Colmap,
 }
 
 impl Kind {
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 14] = [
         Self::Field,
         Self::Checkpoint,
         Self::Ppng,
@@ -52,6 +54,7 @@ impl Kind {
         Self::Mesh,
         Self::Csv,
         Self::Image,
+        Self::Exr,
         Self::Colmap,
     ];
 
@@ -70,6 +73,7 @@ impl Kind {
             Self::Mesh => "mesh.obj",
             Self::Csv => "points.csv",
             Self::Image => "image.png",
+            Self::Exr => "depth.exr",
             Self::Colmap => "model.colmap",
         }
     }

@@ -46,6 +46,7 @@ pub fn open(kind: Kind, path: &Path) -> bool {
         Kind::Mesh => Mesh::read(path).is_ok(),
         Kind::Csv => csv(path).is_ok(),
         Kind::Image => PosedImage::read(path, [4, 3]).is_ok(),
+        Kind::Exr => depth_map(path).is_ok(),
         Kind::Colmap => colmap(path).is_ok(),
     }
 }
@@ -100,6 +101,7 @@ pub fn read(kind: Kind, path: &Path) -> Result<()> {
         Kind::Mesh => Mesh::read(path).map(|mesh| mesh_is_sound(&mesh)),
         Kind::Csv => csv(path).map(|points| assert!(points.iter().all(|x| x.is_finite()))),
         Kind::Image => picture(path),
+        Kind::Exr => depth_map(path).map(|depth| depth_is_sound(&depth)),
         Kind::Colmap => colmap(path).map(|views| cameras_are_sound(&views.cameras())),
     };
     if let Err(error) = &outcome {
@@ -234,12 +236,9 @@ fn mesh_is_sound(mesh: &Mesh) {
 
 fn picture(path: &Path) -> Result<()> {
     let image = PosedImage::read(path, [4, 3]);
-    let camera = Camera::look_at(DVec3::new(2.0, -2.0, 1.0), DVec3::ZERO, DVec3::Z, 0.7, [4, 3]);
-    let encoding = DepthEncoding { offset: 0.0, scale: 10.0, kind: DepthKind::Z };
-    let depth = DepthMap::read(path, encoding, &camera, 0.5);
+    let depth = depth_map(path);
     if let Ok(depth) = &depth {
-        assert_eq!(depth.distance.len(), 12);
-        assert!(depth.distance.iter().flatten().all(|d| d.is_finite()));
+        depth_is_sound(depth);
     }
     let image = image?;
     assert_eq!(image.len(), 12);
@@ -247,4 +246,14 @@ fn picture(path: &Path) -> Result<()> {
         assert!(image.over(i, DVec3::ONE).is_finite());
     }
     depth.map(|_| ())
+}
+
+fn depth_map(path: &Path) -> Result<DepthMap> {
+    let camera = Camera::look_at(DVec3::new(2.0, -2.0, 1.0), DVec3::ZERO, DVec3::Z, 0.7, [4, 3]);
+    DepthMap::read(path, DepthEncoding { offset: 0.0, scale: 10.0, kind: DepthKind::Z }, &camera, 0.5)
+}
+
+fn depth_is_sound(depth: &DepthMap) {
+    assert_eq!(depth.distance.len(), 12);
+    assert!(depth.distance.iter().flatten().all(|d| d.is_finite()));
 }

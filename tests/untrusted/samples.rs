@@ -11,7 +11,7 @@ use octobayes::estimate::state::RunKey;
 use octobayes::estimate::{Estimation, FieldBuilder, GridKind, GridSettings, Provenance, RaySettings};
 use octobayes::field::{ClosedForm, VoxelGrid};
 use octobayes::geometry::{Aabb, Camera, Domain, Norm};
-use octobayes::internal::npy;
+use octobayes::internal::{npy, write_exr};
 use octobayes::posterior::{Covariance, Criteria, Criterion, Prior, VertexSums};
 use octobayes::rays::{Pixels, RunProgress, SamplesWriter, Shard};
 use octobayes::render::{GradientMethod, RaySample, RaySamples};
@@ -47,6 +47,7 @@ pub fn of(kind: Kind) -> Vec<Vec<u8>> {
             b"1,2,3\r\n\"4\",5,6\r\n".to_vec(),
         ],
         Kind::Image => images(),
+        Kind::Exr => exr(),
         Kind::Colmap => colmap(),
     }
 }
@@ -275,6 +276,13 @@ fn safetensors() -> Vec<u8> {
         (name, TensorView::new(Dtype::F32, shape, &data[..bytes]).unwrap())
     });
     safetensors::serialize(views, None).unwrap()
+}
+
+/// Depth alone, and among colours.
+fn exr() -> Vec<Vec<u8>> {
+    let depth: Vec<f32> = (0..12).map(|i| i as f32 / 3.0).collect();
+    let save = |channels: Vec<(&str, Vec<f32>)>| written("d.exr", |path| write_exr(path, [4, 3], channels).unwrap());
+    vec![save(vec![("Z", depth.clone())]), save(vec![("R", vec![0.5; 12]), ("depth.Z", depth)])]
 }
 
 fn images() -> Vec<Vec<u8>> {

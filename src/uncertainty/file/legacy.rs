@@ -142,5 +142,16 @@ pub(super) fn read(path: &Path) -> Result<Content> {
     let rays: RayCounts = sums.iter().map(|sums| sums.rays).collect();
     let header = Header { protocol, lattice, kind, draws };
     let (limits, errors) = (file.section("limits")?, file.section("errors")?);
-    Ok(Content { header, masks, deviations, rays, sums, surface, visits: Vec::new(), limits, errors })
+    Ok(Content {
+        header,
+        masks,
+        deviations,
+        rays,
+        sums,
+        surface,
+        visits: Vec::new(),
+        has_exact_counts: false,
+        limits,
+        errors,
+    })
 }
