@@ -298,8 +298,8 @@ fn the_default_step_is_as_far_as_positions_need() {
     assert_eq!(step(8, 1e5), 1.0 / 512.0);
 }
 
-/// What leaves of one or two levels less say of well-seen surfaces, against the finest lattice and the same rays. The rule
-/// is to keep log10 U within a tenth of a decade per level in the mean; dividing by less or more would not
+/// What leaves of one or two levels less say of well-seen surfaces, against the finest lattice and the same rays. The
+/// rule is to keep log10 U within a tenth of a decade per level in the mean; dividing by less or more would not
 /// (`experiments/coarse_leaves.md` has more scenes and levels).
 #[test]
 fn coarse_leaves_mean_what_fine_ones_do() {

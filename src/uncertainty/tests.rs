@@ -510,8 +510,8 @@ fn matrices_have_the_trace_of_the_squared_uncertainty() {
     }
 }
 
-/// On leaves that are two levels coarser everywhere, the field is that of the coarser lattice. Its information is divided
-/// by their volume, 8².
+/// On leaves that are two levels coarser everywhere, the field is that of the coarser lattice. Its information is
+/// divided by their volume, 8².
 #[test]
 fn information_of_coarse_leaves_is_divided_by_their_volume() {
     let levels_up = 2;

@@ -282,8 +282,8 @@ fn pose(path: &Path, index: usize, rows: &[Vec<f64>]) -> Result<(DMat3, DVec3)> 
     // Poses are f32 products of rotations; optimised ones drift a little more. NaN fails the comparison.
     let skew = axes.transpose() * axes - DMat3::IDENTITY;
     let is_rotation = skew.to_cols_array().iter().all(|v| v.abs() <= 1e-2) && axes.determinant() > 0.0;
-    // A camera farther away sees nothing of a box of at most 128 units. The largest of several numbers is not NaN if one
-    // of them is.
+    // A camera farther away sees nothing of a box of at most 128 units. The largest of several numbers need not be NaN
+    // if one of them is.
     if is_rotation && position.is_finite() && position.abs().max_element() <= 1e6 {
         Ok((axes, position))
     } else {
