@@ -1,8 +1,8 @@
 //! Question: what does a leaf that is kept coarse say of a surface?
 //!
 //! Leaves one to four levels coarser everywhere, against the finest lattice with the same rays, many a vertex. A leaf k
-//! levels coarser has its information divided by 8^k, its volume. Equivalently, its U is 8^(k/2) times that of a field of
-//! its level with the prior precision 8^k λ. Writes the blocks of `experiments/coarse_leaves.md`.
+//! levels coarser has its information divided by 8^k, its volume. Equivalently, its U is 8^(k/2) times that of a field
+//! of its level with the prior precision 8^k λ. Writes the blocks of `experiments/coarse_leaves.md`.
 
 mod common;
 

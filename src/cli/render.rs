@@ -73,8 +73,9 @@ pub struct Args {
     #[arg(long, value_enum)]
     covariance: Option<Covariance>,
 
-    /// Show the standard deviation of depth, too, in scene units; the field must be one of `--scale data`. It joins what
-    /// the training images leave open (matter that could be elsewhere) and how widely matter is spread along the ray
+    /// Show the standard deviation of depth, too, in scene units; the field must be one of `--scale data`. It joins
+    /// what the training images leave open (matter that could be elsewhere) and how widely matter is spread along the
+    /// ray
     #[arg(long)]
     depth_error: bool,
 

@@ -167,8 +167,8 @@ fn is_held_out_by_name(path: &Path) -> bool {
     has_name(path, &["transforms_test.json", "transforms_val.json"])
 }
 
-/// The camera file that `path` means for a part. Of a folder it is `transforms_train.json` or `transforms_test.json`, or
-/// else `transforms.json` or the COLMAP model, in this order.
+/// The camera file that `path` means for a part. Of a folder it is `transforms_train.json` or `transforms_test.json`,
+/// or else `transforms.json` or the COLMAP model, in this order.
 #[must_use]
 pub fn camera_file(path: &Path, part: Part) -> PathBuf {
     let of_part = match part {

@@ -91,8 +91,8 @@ impl Baseline {
 pub enum Measure {
     /// Ray average of log10 U, by the index of the reading.
     Reading(usize, RayAverage),
-    /// Standard deviation of depth under the posterior of a reading ([`RenderedView::depth_deviation`]), scene units, by
-    /// the index of the reading. Only of fields in the scale of their data.
+    /// Standard deviation of depth under the posterior of a reading ([`RenderedView::depth_deviation`]), scene units,
+    /// by the index of the reading. Only of fields in the scale of their data.
     ///
     /// [`RenderedView::depth_deviation`]: crate::render::RenderedView::depth_deviation
     DepthDeviation(usize),

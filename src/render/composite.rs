@@ -135,8 +135,8 @@ impl CompositingWeights {
 }
 
 impl CompositingWeights {
-    /// Writes ∂d/∂σ_i of the expected depth d = Σ w t / O, O = Σ w, for the samples of a ray into `out` (of all samples;
-    /// scene units²), in one backward sweep:
+    /// Writes ∂d/∂σ_i of the expected depth d = Σ w t / O, O = Σ w, for the samples of a ray into `out` (of all
+    /// samples; scene units²), in one backward sweep:
     ///
     /// ∂d/∂σ_i = (δ / O) (T_{i+1} t'_i − Σ_{j>i} w_j t'_j) with t' = t − d.
     ///
@@ -250,8 +250,9 @@ mod tests {
                     prop_assert_eq!(analytic[i], 0.0);
                     continue;
                 }
-                // Differences in f64 of an f64 version, over a width that is small against 1/δ and the density: d depends
-                // on σ_i through exp(−δσ_i) and 1/O, so the relative second-order error is of the order of (hδ / O)².
+                // Differences in f64 of an f64 version, over a width that is small against 1/δ and the density: d
+                // depends on σ_i through exp(−δσ_i) and 1/O, so the relative second-order error is of the order of
+                // (hδ / O)².
                 let h = (1e-4 * pixel.opacity / delta).min(0.5 * exact[i].max(1e-9 / delta));
                 let (mut up, mut down) = (exact.clone(), exact.clone());
                 up[i] += h;

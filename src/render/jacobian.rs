@@ -398,8 +398,7 @@ mod tests {
         }
     }
 
-    /// Without an occupancy grid the fog's samples are asked for ∇σ, which is 0. With one they are not: its bound of the
-    /// density says that nothing near them matters.
+    /// With and without an occupancy grid, whose bound of the density is one more reason to leave the fog's samples out.
     #[test]
     fn what_is_not_differentiated_is_composited() {
         let grid = Occupancy::build(&BumpBeforeFog, 32, 1e-3, &Silent).unwrap();
@@ -424,7 +423,8 @@ mod tests {
         // The fog is even and white, and its 100 samples weigh less than the cutoff: they have no derivatives. All
         // derivatives are of the bump, but for the fog's rim.
         assert!(found.positions.iter().all(|x| x.x < 0.02));
-        // All of the bump is there: were the fog left out, too, there would be nothing to see behind it, and no derivative.
+        // All of the bump is there: were the fog left out, too, there would be nothing to see behind it, and no
+        // derivative.
         let of_bump =
             exact.positions.iter().zip(&exact.jacobians).filter(|(x, j)| x.x < 0.0 && j[0].abs() > 1e-3 * steepest);
         assert!(of_bump.clone().count() > 5 && of_bump.clone().all(|(x, _)| found.positions.contains(x)));

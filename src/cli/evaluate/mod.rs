@@ -106,8 +106,8 @@ pub struct Args {
     #[arg(long, value_name = "PLOT.svg", requires = "depth")]
     plot: Option<PathBuf>,
 
-    /// Write the reliability curves of the deviations of depth as an SVG plot: the share of errors within the interval that
-    /// should hold each share. For fields of `--scale data`
+    /// Write the reliability curves of the deviations of depth as an SVG plot: the share of errors within the interval
+    /// that should hold each share. For fields of `--scale data`
     #[arg(long, value_name = "PLOT.svg", requires = "depth")]
     reliability: Option<PathBuf>,
 
