@@ -499,13 +499,24 @@ def _threshold(threshold: float | str, u: Uncertainty | None) -> float:
     return log10
 
 
+def _depth_encoding(encoding: tuple[float, float] | None, pattern: str) -> list[float]:
+    is_exact = pattern.lower().endswith(".exr")
+    if encoding is None and is_exact:
+        return [0.0, 1.0]
+    if encoding is None:
+        raise wrong("depth_encoding", "(offset, scale) of the depth maps; those in .exr are in scene units", "none")
+    if is_exact:
+        raise wrong("depth_encoding", "none, as depth maps in .exr are in scene units", encoding)
+    return floats("depth_encoding", encoding, (2,), np.float64).tolist()
+
+
 def evaluate(
     nerf: Nerf,
     u: Uncertainty | str | Mapping[str, Uncertainty | str],
     cameras: str | os.PathLike[str],
     *,
     depth: str | os.PathLike[str],
-    depth_encoding: tuple[float, float],
+    depth_encoding: tuple[float, float] | None = None,
     depth_pattern: str = "{}_depth_0001.png",
     z_depth: bool = False,
     covariance: str | Sequence[str] | None = None,
@@ -526,10 +537,12 @@ def evaluate(
 
     u: one field, or several by name. cameras: a camera file with images. depth: folder of depth maps, named by
     ``depth_pattern`` ({} is the frame's name); depth = offset + scale * p for ``depth_encoding`` (offset, scale), p
-    from 0 to 1. The other arguments are the command line's (``octobayes evaluate --help``).
+    from 0 to 1, or scene units in .exr, which have no encoding. The other arguments are the command line's
+    (``octobayes evaluate --help``).
 
-    Returns a dictionary: 'readings' and 'baselines' (name, 'ause_pooled' and 'ause_mean_over_views' by error kind),
-    'depth_error', 'psnr', 'views', 'pixels'. Raises as :func:`uncertainty` does.
+    Returns a dictionary: 'readings' and 'baselines' (name, 'ause_pooled' and 'ause_mean_over_views' by error kind, and
+    'calibration' of standard deviations of depth, which fields of scale='data' give), 'depth_error', 'psnr', 'views',
+    'pixels'. Raises as :func:`uncertainty` does.
     """
     nerf = _opened(nerf, coordinates)
     named = u if isinstance(u, Mapping) else {"u": u}
@@ -543,7 +556,7 @@ def evaluate(
         "covariance": None if covariance is None else names("covariance", covariance),
         "cameras": as_path("cameras", cameras),
         "depth": as_path("depth", depth),
-        "depth_encoding": floats("depth_encoding", depth_encoding, (2,), np.float64).tolist(),
+        "depth_encoding": _depth_encoding(depth_encoding, depth_pattern),
         "depth_pattern": depth_pattern,
         "z_depth": bool(z_depth),
         "stride": whole("stride", stride, 1),

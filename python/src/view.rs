@@ -133,7 +133,10 @@ pub fn evaluate(
             let evaluator = Evaluator {
                 tracer: settings.tracer(model, 0.0, monitor)?,
                 readings: &readings,
-                differentiation: None,
+                differentiation: readings
+                    .first()
+                    .map(|reading| settings.differentiation(model, reading.field.lattice()))
+                    .transpose()?,
                 members: Vec::new(),
             };
             let offset = settings.pixel_offset.unwrap_or_else(|| model.pixel_offset());
@@ -173,11 +176,15 @@ fn scores(evaluator: &Evaluator, views: &[EvaluatedView]) -> Option<serde_json::
             "ause_pooled": by_kind(&|e| score.pooled[e].area),
             "ause_mean_over_views": by_kind(&|e| score.per_view_mean[e]),
         });
+        if let Some(calibration) = evaluator.calibration(views, m) {
+            entry["calibration"] = json!(calibration);
+        }
         match measure {
             Measure::Reading(_, average) => {
                 entry["ray_average"] = json!(average);
                 readings.push(entry);
             }
+            Measure::DepthDeviation(_) => readings.push(entry),
             _ => baselines.push(entry),
         }
     }

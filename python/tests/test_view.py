@@ -123,6 +123,18 @@ def test_u_ranks_the_error_of_depth_better_than_chance(courtyard, cameras, field
     area = {entry["name"]: entry["ause_pooled"]["mae"] for entry in result["readings"] + result["baselines"]}
     assert len(result["readings"]) == 3 and result["pixels"] > 2000
     assert area["field diagonal"] < 0.5 * area["random"], area
+    # In the scale of the data depths have deviations, which are calibrated or not.
+    metric = ob.uncertainty(courtyard, cameras, scale="data", psnr=30, keep_sums=True, **SMALL)
+    files = {"depth": tmp_path, "depth_pattern": "{}_depth.png", "progress": False}
+    test = tmp_path / "transforms_test.json"
+    result = ob.evaluate(grown, {"m": metric}, test, depth_encoding=(0, 10), covariance="block", **files)
+    deviation = next(entry for entry in result["readings"] if entry["name"] == "m block, depth deviation")
+    shares = [found for _, found in deviation["calibration"]["coverage"]]
+    assert shares == sorted(shares) and 0 < shares[0] < 1, shares
+    with pytest.raises(ValueError, match="depth_encoding: expected .offset, scale. of the depth maps"):
+        ob.evaluate(grown, metric, test, **files)
+    with pytest.raises(ValueError, match="depth_encoding: expected none"):
+        ob.evaluate(grown, metric, test, depth_encoding=(0, 1), **{**files, "depth_pattern": "{}.exr"})
     with pytest.raises(FileNotFoundError, match="r_0_none.png"):
         ob.evaluate(
             grown,
