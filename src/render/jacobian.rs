@@ -398,7 +398,8 @@ mod tests {
         }
     }
 
-    /// With and without an occupancy grid, whose bound of the density is one more reason to leave the fog's samples out.
+    /// With and without an occupancy grid, whose bound of the density is one more reason to leave the fog's samples
+    /// out.
     #[test]
     fn what_is_not_differentiated_is_composited() {
         let grid = Occupancy::build(&BumpBeforeFog, 32, 1e-3, &Silent).unwrap();
