@@ -176,12 +176,19 @@ fn along_curved(lattice: &Lattice, line: &VisibleSegment, mut visit: impl FnMut(
     while t < line.until {
         let x = line.ray.at(t).as_vec3();
         let Some(u) = lattice.coordinates(x) else { return };
+        let moved = last.map_or(0.0, |(_, last)| STEPS_PER_CELL * (u - last).abs().max_element());
+        // Where the contraction bends (L∞: where another axis becomes the longest), lengths on the grid grow within a
+        // step.
+        if moved > FARTHEST && step > shortest(x) {
+            step *= 0.5;
+            t -= step;
+            continue;
+        }
         let cell = index(lattice, lattice.cell(u).0);
         if last.is_none_or(|(last, _)| last != cell) {
             visit(cell);
         }
         // Lengths along the direction to the centre grow faster than those across it, by which steps begin.
-        let moved = last.map_or(0.0, |(_, last)| STEPS_PER_CELL * (u - last).abs().max_element());
         if t > 0.0 && moved < NOWHERE {
             return;
         }
@@ -190,6 +197,10 @@ fn along_curved(lattice: &Lattice, line: &VisibleSegment, mut visit: impl FnMut(
         t += step;
     }
 }
+
+/// Longest step on the grid, in steps of full length: 0.75 cells. A cell that a line crosses for longer is never
+/// missed.
+const FARTHEST: f64 = 0.75 * STEPS_PER_CELL;
 
 /// Steps this short on the grid, in steps of full length, lead no farther: the ray has reached its last cell.
 const NOWHERE: f64 = 1e-3;
