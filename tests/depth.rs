@@ -7,8 +7,7 @@ use octobayes::geometry::{Aabb, Camera, Lattice};
 use octobayes::monitor::Silent;
 use octobayes::posterior::{Covariance, DataScale, Information};
 use octobayes::render::{
-    DepthProbe, DepthSample, Differences, Differentiation, Marcher, RenderedView, Tracer, render_view,
-    render_view_with_depth,
+    DepthProbe, Differences, Differentiation, Marcher, RenderedView, Tracer, render_view, render_view_with_depth,
 };
 use octobayes::uncertainty::UncertaintyField;
 
@@ -59,11 +58,10 @@ fn uncertainty(scene: &ClosedForm, grid: GridSettings, covariance: Covariance) -
 
 fn view_with_depth(tracer: &Tracer, camera: &Camera, field: &UncertaintyField) -> RenderedView {
     let posterior = field.depth_posterior().unwrap();
-    let variance = |samples: &[DepthSample]| posterior.variance(samples);
     let step = 0.02 * field.lattice().edge();
     let differences = Differences { step, domain: *field.lattice().domain() };
     let differentiation = Differentiation { differences, analytic: None };
-    let probe = DepthProbe { differentiation, variances: &[&variance] };
+    let probe = DepthProbe { differentiation, variances: &[&posterior] };
     render_view_with_depth(tracer, camera, 0.5, &[], &probe, &Silent).unwrap()
 }
 

@@ -27,12 +27,12 @@ fn main() {
     let seconds = arguments.next().and_then(|text| text.parse().ok()).expect("seconds for each kind");
     let seed = arguments.next().map_or(0, |text| text.parse().expect("a seed, a whole number"));
     let wanted: Vec<String> = arguments.collect();
-    let names = |kind: Kind| format!("{kind:?}").to_lowercase();
+    let name = |kind: Kind| format!("{kind:?}").to_lowercase();
     let folder = tempfile::tempdir_in(if Path::new("/dev/shm").is_dir() { "/dev/shm" } else { "." }).expect("a folder");
     println!("| kind | inputs | refused | panics | slowest, ms |\n|---|---|---|---|---|");
     let mut all = 0;
     for (k, kind) in Kind::ALL.into_iter().enumerate() {
-        if !wanted.is_empty() && !wanted.contains(&names(kind)) {
+        if !wanted.is_empty() && !wanted.contains(&name(kind)) {
             continue;
         }
         let count = Mutex::new(Count::default());
@@ -47,7 +47,7 @@ fn main() {
         });
         let Count { inputs, refused, panics, slowest } = count.into_inner().expect("no thread panicked");
         all += inputs;
-        println!("| `{}` | {inputs} | {refused} | {panics} | {} |", names(kind), slowest.as_millis());
+        println!("| `{}` | {inputs} | {refused} | {panics} | {} |", name(kind), slowest.as_millis());
     }
     println!("{all} inputs");
 }

@@ -499,17 +499,6 @@ def _threshold(threshold: float | str, u: Uncertainty | None) -> float:
     return log10
 
 
-def _depth_encoding(encoding: tuple[float, float] | None, pattern: str) -> list[float]:
-    is_exact = pattern.lower().endswith(".exr")
-    if encoding is None and is_exact:
-        return [0.0, 1.0]
-    if encoding is None:
-        raise wrong("depth_encoding", "(offset, scale) of the depth maps; those in .exr are in scene units", "none")
-    if is_exact:
-        raise wrong("depth_encoding", "none, as depth maps in .exr are in scene units", encoding)
-    return floats("depth_encoding", encoding, (2,), np.float64).tolist()
-
-
 def evaluate(
     nerf: Nerf,
     u: Uncertainty | str | Mapping[str, Uncertainty | str],
@@ -556,7 +545,9 @@ def evaluate(
         "covariance": None if covariance is None else names("covariance", covariance),
         "cameras": as_path("cameras", cameras),
         "depth": as_path("depth", depth),
-        "depth_encoding": _depth_encoding(depth_encoding, depth_pattern),
+        "depth_encoding": None
+        if depth_encoding is None
+        else floats("depth_encoding", depth_encoding, (2,), np.float64).tolist(),
         "depth_pattern": depth_pattern,
         "z_depth": bool(z_depth),
         "stride": whole("stride", stride, 1),

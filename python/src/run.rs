@@ -66,9 +66,6 @@ impl Source {
     }
 }
 
-/// Share of the rays' weight outside the box from which it is told, as on the command line.
-const WORTH_SAYING: f64 = 0.01;
-
 /// What a run draws.
 enum Goal {
     All,
@@ -187,8 +184,7 @@ impl Job {
         let run = estimation.prepare()?;
         let sight = run.sight()?;
         warnings.extend(looked_at(&sight)?);
-        if sight.outside_domain >= WORTH_SAYING && !sight.is_nothing() {
-            let outside = 100.0 * sight.outside_domain;
+        if let Some(outside) = sight.cut_off().map(|share| 100.0 * share) {
             warnings.push(format!("{outside:.1} % of what the rays meet lies outside the box: U is the prior there"));
         }
         if let Some(check) = run.check_step()?.filter(|check| check.is_bad) {

@@ -10,9 +10,7 @@ use octobayes::estimate::RaySettings;
 use octobayes::evaluate::{DepthError, DepthFiles, EvaluatedView, Evaluator, Measure, Reading, Score, TrueView};
 use octobayes::field::RadianceField;
 use octobayes::metrics::{ErrorKind, STEPS};
-use octobayes::render::{
-    DepthProbe, DepthSample, Pixel, Probe, RayAverage, RenderedView, render_view, render_view_with_depth,
-};
+use octobayes::render::{DepthProbe, Pixel, Probe, RayAverage, RenderedView, render_view, render_view_with_depth};
 use octobayes::uncertainty::{ThresholdedField, UncertaintyField};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -65,9 +63,8 @@ pub fn render<'py>(
                 return render_view(&tracer, &camera, offset, probes, engine.monitor());
             };
             let posterior = field.depth_posterior()?;
-            let variance = |samples: &[DepthSample]| posterior.variance(samples);
             let differentiation = settings.differentiation(shown, field.lattice())?;
-            let depth = DepthProbe { differentiation, variances: &[&variance] };
+            let depth = DepthProbe { differentiation, variances: &[&posterior] };
             render_view_with_depth(&tracer, &camera, offset, probes, &depth, engine.monitor())
         })
     })?;
@@ -116,13 +113,10 @@ pub fn evaluate(
     let readings = readings.concat();
     let settings = image_settings(&options)?;
     let needed = |name: &str| PyValueError::new_err(format!("{name}: expected a value, found none"));
-    let [offset, scale] = options.get("depth_encoding")?.ok_or_else(|| needed("depth_encoding"))?;
     let kind = if options.or("z_depth", false)? { DepthKind::Z } else { DepthKind::Euclidean };
-    let depth = DepthFiles {
-        folder: options.get("depth")?.ok_or_else(|| needed("depth"))?,
-        pattern: options.or("depth_pattern", "{}_depth_0001.png".to_string())?,
-        encoding: DepthEncoding { offset, scale, kind },
-    };
+    let pattern = options.or("depth_pattern", "{}_depth_0001.png".to_string())?;
+    let encoding = DepthEncoding::of_maps(&pattern, options.get("depth_encoding")?, kind).or_raise()?;
+    let depth = DepthFiles { folder: options.get("depth")?.ok_or_else(|| needed("depth"))?, pattern, encoding };
     let path: PathBuf = options.get("cameras")?.ok_or_else(|| needed("cameras"))?;
     let size = options.get::<[u32; 2]>("resolution")?;
     let (stride, every) = (options.or("stride", 1_u32)?, options.or("every", 1_usize)?);

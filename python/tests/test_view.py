@@ -131,9 +131,9 @@ def test_u_ranks_the_error_of_depth_better_than_chance(courtyard, cameras, field
     deviation = next(entry for entry in result["readings"] if entry["name"] == "m block, depth deviation")
     shares = [found for _, found in deviation["calibration"]["coverage"]]
     assert shares == sorted(shares) and 0 < shares[0] < 1, shares
-    with pytest.raises(ValueError, match="depth_encoding: expected .offset, scale. of the depth maps"):
+    with pytest.raises(ValueError, match="depth encoding: expected offset and scale of the depth maps"):
         ob.evaluate(grown, metric, test, **files)
-    with pytest.raises(ValueError, match="depth_encoding: expected none"):
+    with pytest.raises(ValueError, match="depth encoding: expected none"):
         ob.evaluate(grown, metric, test, depth_encoding=(0, 1), **{**files, "depth_pattern": "{}.exr"})
     with pytest.raises(FileNotFoundError, match="r_0_none.png"):
         ob.evaluate(

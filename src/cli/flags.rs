@@ -3,12 +3,13 @@
 use crate::Error;
 
 /// The library's name of a setting, and the flag that sets it.
-const FLAGS: [(&str, &str); 17] = [
+const FLAGS: [(&str, &str); 18] = [
     ("angle of view", "--fov"),
     ("checkpoint", "--checkpoint, --resume"),
     ("coordinates", "--coordinates"),
     ("criterion `density`", "--refine density"),
     ("dense grid", "--grid dense"),
+    ("depth encoding", "--depth-encoding"),
     ("error bars", "--error-bars"),
     ("finite-difference step", "--step"),
     ("groups of rays", "--error-bars"),

@@ -15,7 +15,7 @@ use crate::io::write_exr;
 use crate::monitor::Monitor;
 use crate::picture::write_sheet;
 use crate::posterior::Covariance;
-use crate::render::{DepthProbe, DepthSample, Probe, RayAverage, RenderedView, render_view, render_view_with_depth};
+use crate::render::{DepthProbe, Probe, RayAverage, RenderedView, render_view, render_view_with_depth};
 use crate::uncertainty::{ThresholdedField, UncertaintyField};
 use crate::{Error, Result};
 
@@ -120,13 +120,12 @@ impl Args {
         let settings = self.model.image_settings();
         let offset = settings.pixel_offset.unwrap_or_else(|| model.pixel_offset());
         let posterior = self.depth_error.then(|| field.depth_posterior()).transpose()?;
-        let variance = |samples: &[DepthSample]| posterior.map_or(f64::NAN, |posterior| posterior.variance(samples));
         let picture = |field: &dyn RadianceField| -> Result<RenderedView> {
             let tracer = settings.tracer(field, 0.0, bars)?;
             bars.begin("rows", u64::from(camera.resolution[1]));
-            let view = if self.depth_error {
+            let view = if let Some(posterior) = &posterior {
                 let differentiation = settings.differentiation(tracer.field, uncertainty.lattice())?;
-                let depth = DepthProbe { differentiation, variances: &[&variance] };
+                let depth = DepthProbe { differentiation, variances: &[posterior] };
                 render_view_with_depth(&tracer, &camera, offset, &probes, &depth, bars)?
             } else {
                 render_view(&tracer, &camera, offset, &probes, bars)?

@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use super::image::decode;
-use crate::Result;
 use crate::geometry::Camera;
+use crate::{Error, Result};
 
 /// Quantity that a depth map measures.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
@@ -52,6 +52,26 @@ pub struct DepthEncoding {
     pub kind: DepthKind,
 }
 
+impl DepthEncoding {
+    /// The encoding of depth maps whose names follow `pattern`, from an offset and scale for those that need one.
+    ///
+    /// # Errors
+    /// If maps in .exr, which are in scene units, are given an offset and scale, or others none.
+    pub fn of_maps(pattern: &str, given: Option<[f64; 2]>, kind: DepthKind) -> Result<Self> {
+        let refused = |expected: &str, found: String| Err(Error::setting("depth encoding", expected, found));
+        match (given, is_exact(Path::new(pattern))) {
+            (Some([offset, scale]), false) => Ok(Self { offset, scale, kind }),
+            (None, true) => Ok(Self { offset: 0.0, scale: 1.0, kind }),
+            (None, false) => {
+                refused("offset and scale of the depth maps (those in .exr are in scene units)", "none".into())
+            }
+            (Some([offset, scale]), true) => {
+                refused("none, as depth maps in .exr are in scene units", format!("{offset},{scale}"))
+            }
+        }
+    }
+}
+
 /// A depth map, converted to distances from the camera's centre.
 #[derive(Debug, Clone)]
 pub struct DepthMap {
@@ -83,15 +103,14 @@ impl DepthMap {
 }
 
 /// Whether a depth map of this name holds scene units.
-#[must_use]
-pub fn is_exact(name: &str) -> bool {
-    Path::new(name).extension().is_some_and(|extension| extension.eq_ignore_ascii_case("exr"))
+fn is_exact(name: &Path) -> bool {
+    name.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("exr"))
 }
 
 /// The depths of an EXR; `None` for any other file.
 #[cfg(feature = "synth")]
 fn exact(path: &Path, resolution: [u32; 2]) -> Result<Option<Vec<Option<f64>>>> {
-    if !is_exact(&path.to_string_lossy()) {
+    if !is_exact(path) {
         return Ok(None);
     }
     let depths = crate::io::read_exr_depth(path, resolution)?.into_iter().map(f64::from);

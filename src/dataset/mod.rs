@@ -8,7 +8,7 @@ mod image;
 mod points;
 mod transforms;
 
-pub use depth::{DepthEncoding, DepthKind, DepthMap, is_exact};
+pub use depth::{DepthEncoding, DepthKind, DepthMap};
 pub use frames::{FrameSplit, Part, Selection, camera_file, test_partner};
 pub use hemisphere::Hemisphere;
 pub use image::PosedImage;

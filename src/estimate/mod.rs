@@ -12,6 +12,7 @@ mod estimation;
 mod framing;
 mod grid;
 mod groups;
+mod limits;
 mod mean_error;
 mod plan;
 mod rays;

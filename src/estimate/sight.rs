@@ -17,6 +17,8 @@ use crate::render::{CompositingWeights, TraceBuffers};
 const INSISTENCE: usize = 8;
 /// A camera is inside matter if half the light of half its rays is lost within this many samples.
 const NEAR: f64 = 4.0;
+/// Share of the rays' weight outside the domain from which it is told.
+const WORTH_SAYING: f64 = 0.01;
 /// A model is fog if no ray is more opaque than this, and no density is above 1.
 const OPAQUE: f64 = 0.95;
 
@@ -116,6 +118,12 @@ impl Sight {
         self.meet_domain == 0.0 && self.dropped == 0
     }
 
+    /// [`Sight::outside_domain`], if that is worth saying.
+    #[must_use]
+    pub fn cut_off(&self) -> Option<f64> {
+        Some(self.outside_domain).filter(|share| *share >= WORTH_SAYING && !self.is_nothing())
+    }
+
     /// Whether few rays meet matter, many cameras look away, many are inside matter, or all they see is fog.
     #[must_use]
     pub fn is_little(&self) -> bool {
@@ -210,8 +218,7 @@ fn seen<'b>(views: &[View], stream: &'b RayStream, domain: &Domain, buffers: &mu
 mod tests {
     use super::*;
     use crate::estimate::{GridSettings, RaySettings};
-    use crate::field::{ClosedForm, RadianceField};
-    use crate::field::{Radiance, VoxelGrid};
+    use crate::field::{ClosedForm, Radiance, RadianceField, VoxelGrid};
     use crate::geometry::Aabb;
     use crate::monitor::Silent;
     use glam::{DMat3, DVec3, Vec3};

@@ -9,7 +9,7 @@ use crate::Result;
 use crate::metrics::{Calibration, density_aware, ensemble_variance, psnr};
 use crate::monitor::{Monitor, check};
 use crate::render::{
-    DepthProbe, DepthSample, DepthVariance, Differentiation, Probe, RayAverage, RenderedView, Tracer, render_view,
+    DepthProbe, DepthVariance, Differentiation, Probe, RayAverage, RenderedView, Tracer, render_view,
     render_view_with_depth,
 };
 use crate::uncertainty::DepthPosterior;
@@ -102,9 +102,8 @@ impl Evaluator<'_> {
             probes.push(Probe { value: &unsupported, averages: &[RayAverage::WeightedMean] });
         }
         check(monitor)?;
-        let variances: Vec<_> =
-            self.posteriors().map(|(_, p)| move |samples: &[DepthSample]| p.variance(samples)).collect();
-        let variances: Vec<&DepthVariance> = variances.iter().map(|variance| variance as &DepthVariance).collect();
+        let posteriors: Vec<DepthPosterior> = self.posteriors().map(|(_, posterior)| posterior).collect();
+        let variances: Vec<&dyn DepthVariance> = posteriors.iter().map(|posterior| posterior as _).collect();
         let (camera, offset) = (&truth.camera, truth.pixel_offset);
         let mut rendered = match self.differentiation {
             Some(differentiation) if !variances.is_empty() => {

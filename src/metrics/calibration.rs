@@ -149,8 +149,9 @@ mod tests {
         let (errors, deviations) = normal_errors(4000, 3.0);
         let narrow = Calibration::new(&errors, &deviations).unwrap();
         let within = libm::erf(1.0 / (3.0 * SQRT_2));
-        let one = Calibration::new(&errors, &deviations).unwrap().reliability[67][1];
-        assert!((one - within).abs() < 0.01, "{one} instead of {within}");
+        // 68 % are within 0.9945 deviations, not 1: 0.0014 less. Quantiles stand 1 / 4000 apart.
+        let one = narrow.reliability[67][1];
+        assert!((one - within).abs() < 2e-3, "{one} instead of {within}");
         assert!(narrow.auce > 0.25 && narrow.nll[0] > narrow.nll_best_scale[0] + 2.0, "{narrow:?}");
         assert!((narrow.nll_best_scale[0] - found.nll[0] - 3_f64.ln()).abs() < 1e-3, "{narrow:?}");
     }

@@ -19,8 +19,11 @@ pub struct DepthSample {
     pub gradient: DVec3,
 }
 
-/// The variance of a ray's expected depth from its samples, squared scene units.
-pub type DepthVariance<'a> = dyn Fn(&[DepthSample]) -> f64 + Sync + 'a;
+/// What knows how certain the places of matter are.
+pub trait DepthVariance: Sync {
+    /// Variance of a ray's expected depth from the samples that move it, squared scene units.
+    fn variance(&self, samples: &[DepthSample]) -> f64;
+}
 
 /// Asks for variances of the expected depth of every pixel, beside its image.
 #[derive(Clone, Copy)]
@@ -28,7 +31,7 @@ pub struct DepthProbe<'a> {
     /// Source of ∇σ.
     pub differentiation: Differentiation<'a>,
     /// Each gives one number per pixel.
-    pub variances: &'a [&'a DepthVariance<'a>],
+    pub variances: &'a [&'a dyn DepthVariance],
 }
 
 impl DepthProbe<'_> {
@@ -68,7 +71,7 @@ impl DepthProbe<'_> {
             }
             let has_depth = traced.samples(r).any(|i| quadrature.weights[i] > 0.0);
             for (variance, out) in self.variances.iter().zip(&mut variances) {
-                out.push(if has_depth && is_finite { variance(&moving) } else { f64::NAN });
+                out.push(if has_depth && is_finite { variance.variance(&moving) } else { f64::NAN });
             }
         }
         variances

@@ -10,7 +10,7 @@ use rustc_hash::FxHashMap;
 use super::{Support, UncertaintyField};
 use crate::octree::{Leaves, VertexId, masters, trilinear};
 use crate::posterior::{Scale, VertexSums};
-use crate::render::DepthSample;
+use crate::render::{DepthSample, DepthVariance};
 use crate::{Error, Result};
 
 /// The posterior of the displacements, ready for rays.
@@ -43,12 +43,9 @@ impl UncertaintyField {
     }
 }
 
-impl DepthPosterior<'_> {
-    /// Var(d) of a ray from the samples that move its expected depth, squared scene units.
-    ///
+impl DepthVariance for DepthPosterior<'_> {
     /// What lies outside the lattice's box is held by the prior alone, every sample by itself.
-    #[must_use]
-    pub fn variance(&self, samples: &[DepthSample]) -> f64 {
+    fn variance(&self, samples: &[DepthSample]) -> f64 {
         let mut gradients: FxHashMap<[u32; 3], DVec3> = FxHashMap::default();
         let mut outside = 0.0;
         for DepthSample { position, gradient } in samples {
@@ -76,7 +73,9 @@ impl DepthPosterior<'_> {
         let inside: f64 = gradients.into_iter().map(|(point, gradient)| self.of_vertex(point, gradient)).sum();
         inside + self.field.prior().powi(2) / 3.0 * outside
     }
+}
 
+impl DepthPosterior<'_> {
     /// gᵀ C_v g of the vertex at a lattice point.
     fn of_vertex(&self, point: [u32; 3], g: DVec3) -> f64 {
         let UncertaintyField { protocol, lattice, support, sums, deviations, .. } = self.field;

@@ -11,7 +11,7 @@ use super::files::CommandFiles;
 use super::options::{CameraFile, FrameOptions, ModelOptions, parse_pair};
 use super::progress::Bars;
 use super::render::check_box;
-use crate::dataset::{DepthEncoding, DepthKind, Frame, is_exact};
+use crate::dataset::{DepthEncoding, DepthKind, Frame};
 use crate::evaluate::{
     CleanUp, DepthError, DepthFiles, EvaluatedView, Evaluator, Reading, Score, THRESHOLDS, TrueView, clean_up,
 };
@@ -237,19 +237,7 @@ impl Args {
     fn depth_files(&self) -> Result<Option<DepthFiles>> {
         let Some(folder) = self.depth.clone() else { return Ok(None) };
         let pattern = self.depth_pattern.clone();
-        let [offset, scale] = match (self.depth_encoding, is_exact(&pattern)) {
-            (Some(encoding), false) => encoding,
-            (None, true) => [0.0, 1.0],
-            (None, false) => {
-                let expected = "OFFSET,SCALE of the depth maps (those in .exr, by --depth-pattern, are in scene units)";
-                return Err(Error::setting("--depth-encoding", expected, "none"));
-            }
-            (Some([offset, scale]), true) => {
-                let expected = "none, as depth maps in .exr are in scene units";
-                return Err(Error::setting("--depth-encoding", expected, format!("{offset},{scale}")));
-            }
-        };
-        let encoding = DepthEncoding { offset, scale, kind: self.depth_kind() };
+        let encoding = DepthEncoding::of_maps(&pattern, self.depth_encoding, self.depth_kind())?;
         Ok(Some(DepthFiles { folder, pattern, encoding }))
     }
 

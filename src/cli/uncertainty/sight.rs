@@ -4,14 +4,10 @@ use super::Args;
 use crate::estimate::Sight;
 use crate::{Error, Result};
 
-/// Share of the rays' weight outside the box from which it is told.
-const WORTH_SAYING: f64 = 0.01;
-
 impl Args {
     /// Refuses a run in which nothing is seen. Warns of one in which little is seen.
     pub(super) fn check_sight(&self, sight: &Sight) -> Result<()> {
-        if sight.outside_domain >= WORTH_SAYING && !sight.is_nothing() {
-            let outside = 100.0 * sight.outside_domain;
+        if let Some(outside) = sight.cut_off().map(|share| 100.0 * share) {
             eprintln!("note: {outside:.1} % of what the rays meet lies outside --box: U is the prior there");
         }
         let Some(mut causes) = sight.causes() else { return Ok(()) };

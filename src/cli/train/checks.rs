@@ -1,0 +1,84 @@
+//! What is checked before training, and of what came of it.
+
+use glam::{DVec3, Vec3};
+
+use super::{LOOK_PIXELS, Member};
+use crate::estimate::Framing;
+use crate::field::HashGrid;
+use crate::geometry::{Aabb, Camera, Domain};
+use crate::train::{Shot, one_color, quality};
+use crate::{Error, Result};
+
+/// A model has learnt nothing if it is less than this many dB better than one colour for all images. At 1 dB a
+/// fifth of the squared error is gone.
+const ONE_COLOR_MARGIN: f64 = 1.0;
+
+/// Refuses cameras whose rays all miss the space to be trained. Warns if few meet it.
+pub(super) fn check_framing(train: &[Shot], domain: &Domain) -> Result<()> {
+    let cameras: Vec<Camera> = train.iter().map(|shot| shot.camera).collect();
+    let (bounds, is_all) = match domain {
+        Domain::Box(bounds) => (*bounds, true),
+        // The pictures should show what is not contracted, but there is something to see outside it, too.
+        Domain::Contracted { center, radius, .. } => {
+            let (center, half) = (DVec3::from(*center), DVec3::splat(*radius));
+            (Aabb::new(center - half, center + half)?, false)
+        }
+    };
+    note_contracted_cameras(&cameras, domain);
+    let framing = Framing::from_cameras(&cameras, &bounds);
+    let Some(causes) = framing.causes() else { return Ok(()) };
+    let measured = framing.measured();
+    if is_all && framing.is_nothing() {
+        let expected = format!("rays that meet the box (--box); likely causes: {causes}");
+        return Err(Error::setting("cameras", expected, format!("none: {measured}")));
+    }
+    eprintln!("warning: the cameras see little of the space to be trained: {measured}; likely causes: {causes}");
+    Ok(())
+}
+
+/// Says on stderr if cameras stand where space is contracted: what they see from nearby has fewer cells than it could.
+fn note_contracted_cameras(cameras: &[Camera], domain: &Domain) {
+    let outside = cameras.iter().filter(|camera| domain.stretch(camera.position.as_vec3()) > 1.0).count();
+    if outside > 0 {
+        let (low, high) = cameras
+            .iter()
+            .fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(l, h), c| (l.min(c.position), h.max(c.position)));
+        let [x, y, z] = (0.5 * (low + high)).to_array();
+        let radius = 0.5 * (high - low).length();
+        eprintln!(
+            "note: {outside} of {} cameras stand where space is contracted; --inner {x:.3},{y:.3},{z:.3},{radius:.3} \
+             would hold them all",
+            cameras.len()
+        );
+    }
+}
+
+/// Warns if a model shows images hardly better than a single colour would.
+pub(super) fn warn_of_one_color(field: &HashGrid, shots: [&[Shot]; 2], background: Vec3) {
+    for (what, shots) in ["training", "held-out"].into_iter().zip(shots) {
+        let Some(shown) = quality(field, shots, background, LOOK_PIXELS) else { continue };
+        let Some(constant) = one_color(shots, background, LOOK_PIXELS) else { continue };
+        // A single colour shows images of one colour exactly.
+        if constant.psnr.is_finite() && shown.psnr < constant.psnr + ONE_COLOR_MARGIN {
+            let (shown, constant) = (shown.psnr, constant.psnr);
+            eprintln!(
+                "warning: {what} images are shown with {shown:.1} dB, one colour for all gives {constant:.1} dB; \
+                 likely causes: camera axes, units or --box, or too few steps or views"
+            );
+            return;
+        }
+    }
+}
+
+/// Checks that a finished model is of the same run.
+pub(super) fn check_finished(member: &Member) -> Result<()> {
+    let field = HashGrid::read(&member.path)?;
+    let other = member.description.as_object().into_iter().flatten().find(|(k, v)| field.training().get(k) != Some(v));
+    match other {
+        None => Ok(()),
+        Some((what, expected)) => {
+            let found = field.training().get(what).map_or("nothing".into(), ToString::to_string);
+            Err(Error::malformed(&member.path, format!("training, {what}"), expected.to_string(), found))
+        }
+    }
+}
