@@ -126,9 +126,14 @@ fn all_measures_and_the_clean_up_are_in_the_tables() {
     assert_eq!(names("readings"), expected);
     let baselines = [
         "ray-weight variance",
+        "weights' deviation / sqrt(rays)",
+        "weights' deviation / rays",
         "ray entropy",
         "1 - opacity",
         "ray count",
+        "visits",
+        "training views that see it",
+        "angle to a training view",
         "random",
         "ensemble depth variance",
         "density-aware ensemble",
@@ -180,8 +185,9 @@ fn deviations_of_depth_are_calibrated_beside_those_of_the_weights() {
     };
     let posterior = calibration("readings", "data block, depth deviation");
     let weights = calibration("baselines", "ray-weight variance");
-    let held =
-        |of: &Value| of["coverage"].as_array().unwrap().iter().map(|p| p[1].as_f64().unwrap()).collect::<Vec<_>>();
+    let held = |of: &Value| {
+        of["densities"][2]["coverage"].as_array().unwrap().iter().map(|p| p[1].as_f64().unwrap()).collect::<Vec<_>>()
+    };
     // √(Var + s²) is wider than s, for every pixel.
     let (posterior, weights) = (held(&posterior), held(&weights));
     assert!(posterior.iter().zip(&weights).all(|(wide, narrow)| wide >= narrow), "{posterior:?} and {weights:?}");
@@ -190,6 +196,18 @@ fn deviations_of_depth_are_calibrated_beside_those_of_the_weights() {
     assert!(std::fs::read_to_string(desk.path().join("rel.svg")).unwrap().contains("depth deviation (AUCE 0."));
     let text = octobayes(desk.path(), &command);
     assert!(text.contains("errors of depth within") && text.contains("deviation of the ray's weights"), "{text}");
+    // The risk is the mean error left: at least the oracle's, and chance's is near the mean error.
+    let risk = octobayes(desk.path(), &format!("{command} --protocol error-units"));
+    let figure = |name: &str| -> f64 {
+        let line = risk.lines().find(|line| line.trim_start().starts_with(name)).unwrap_or_else(|| panic!("{risk}"));
+        line.trim_start()[name.len()..].split_whitespace().next().unwrap().parse().unwrap()
+    };
+    let mean = found["depth_error"]["mean"].as_f64().unwrap();
+    let (least, chance) = (figure("the least possible"), figure("random"));
+    assert!(least < figure("ray-weight variance") && (chance / mean - 1.0).abs() < 0.3, "{risk}");
+    for control in ["weights' deviation / rays", "visits", "training views that see it", "angle to a training view"] {
+        assert!(figure(control) >= least, "{control}: {risk}");
+    }
     // In the paper's scale there is nothing to calibrate.
     assert!(!octobayes(desk.path(), EVALUATE).contains("errors of depth within"));
 
@@ -212,4 +230,87 @@ fn deviations_of_depth_are_calibrated_beside_those_of_the_weights() {
     let refused = render("m.oct --depth-error -o no.png");
     let said = String::from_utf8(refused.stderr).unwrap();
     assert!(refused.status.code() == Some(2) && said.contains("--scale data: expected a field in the scale"), "{said}");
+}
+
+/// The interval that calibration gives holds what it should on the views that it was made on, to one pixel; it goes with
+/// the file, and into every answer about depth.
+#[test]
+fn a_calibrated_interval_holds_its_share_and_goes_with_the_field() {
+    let desk = desk();
+    let run = |args: &str| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_octobayes"));
+        command.args(args.split_whitespace()).current_dir(desk.path()).output().unwrap()
+    };
+    octobayes(
+        desk.path(),
+        "uncertainty m-0.safetensors --level 5 --rays 3000 --gradient auto --scale data --keep-sums -o data.oct",
+    );
+    let calibrate = "calibrate m-0.safetensors data.oct --cameras set/transforms_test.json --depth set/depth \
+        --depth-pattern {}.png --depth-encoding 0,6.5535 --stride 1 -o cal.oct";
+    let found: Value =
+        serde_json::from_str(&octobayes(desk.path(), &format!("{calibrate} --probability 0.8 --json"))).unwrap();
+    let (factor, pixels) =
+        (found["conformal"]["factor"].as_f64().unwrap(), found["conformal"]["pixels"].as_f64().unwrap());
+    assert!(factor > 0.1 && pixels > 200.0 && found["conformal"]["views"] == 2, "{found}");
+    let left_out: Vec<f64> =
+        found["views_left_out"].as_array().unwrap().iter().map(|share| share.as_f64().unwrap()).collect();
+    assert!(left_out[0] <= left_out[2] && left_out.iter().all(|share| (0.3..=1.0).contains(share)), "{left_out:?}");
+
+    let evaluate = EVALUATE.replace("m.oct", "cal.oct");
+    let json: Value =
+        serde_json::from_str(&octobayes(desk.path(), &format!("{evaluate} --covariance diagonal --json"))).unwrap();
+    let share = json["conformal"][0]["share_inside"].as_f64().unwrap();
+    // ⌈(n + 1) p⌉ of n.
+    assert!((share - ((pixels + 1.0) * 0.8).ceil() / pixels).abs() < 1e-12, "{share} of {pixels}");
+    // Of another covariance the deviations are others.
+    let other: Value =
+        serde_json::from_str(&octobayes(desk.path(), &format!("{evaluate} --covariance block --json"))).unwrap();
+    assert_eq!(other["conformal"].as_array().unwrap().len(), 0);
+    let said = octobayes(desk.path(), "info cal.oct");
+    assert!(said.contains("80 % of depth errors below"), "{said}");
+
+    // The same numbers along one ray as in the picture: the ray through the middle of a pixel.
+    assert!(
+        run("render m-0.safetensors cal.oct --depth-error --cameras set/transforms_test.json -o view.exr")
+            .status
+            .success()
+    );
+    let image = exr::prelude::read_first_flat_layer_from_file(desk.path().join("view.exr")).unwrap();
+    let channel = |name: &str| -> Vec<f64> {
+        let channel = image.layer_data.channel_data.list.iter().find(|c| c.name.to_string() == name).unwrap();
+        channel.sample_data.values_as_f32().map(f64::from).collect()
+    };
+    let frames: Value =
+        serde_json::from_slice(&std::fs::read(desk.path().join("set/transforms_test.json")).unwrap()).unwrap();
+    let pose: Vec<Vec<f64>> = serde_json::from_value(frames["frames"][0]["transform_matrix"].clone()).unwrap();
+    // Pixel (12, 12) of 24: half a pixel right of the middle and below.
+    let focal = 12.0 / (0.5 * frames["camera_angle_x"].as_f64().unwrap()).tan();
+    let ray: Vec<String> = (0..3)
+        .map(|axis| pose[axis][3].to_string())
+        .chain((0..3).map(|axis| ((0.5 * pose[axis][0] - 0.5 * pose[axis][1]) / focal - pose[axis][2]).to_string()))
+        .collect();
+    let text = octobayes(desk.path(), &format!("query cal.oct --model m-0.safetensors --ray {}", ray.join(",")));
+    let mut lines = text.lines().map(|line| line.split(',').collect::<Vec<_>>());
+    let (head, row) = (lines.next().unwrap(), lines.next().unwrap());
+    let value = |name: &str| row[head.iter().position(|h| *h == name).unwrap()].parse::<f64>().unwrap();
+    for (name, channel_name) in
+        [("median_depth", "depth.Z"), ("depth_error", "depth_error.Z"), ("depth_interval", "depth_interval.Z")]
+    {
+        let expected = channel(channel_name)[12 * 24 + 12];
+        // Poses are written with all their digits, channels as f32.
+        assert!((value(name) / expected - 1.0).abs() < 1e-4, "{name}: {} against {expected}", value(name));
+    }
+    assert!((value("depth_interval") / value("depth_error") - factor).abs() < 1e-9);
+
+    // Too few pixels, the paper's scale, and a ray without a model.
+    for (args, says) in [
+        (format!("{calibrate} --probability 0.99999"), "more pixels of known depth"),
+        (calibrate.replace("data.oct", "m.oct"), "--scale data: expected a field in the scale"),
+        ("query cal.oct --ray 0,0,0,0,0,0 --model m-0.safetensors".into(), "a direction that is not zero"),
+        ("query cal.oct --ray 0,0,0,0,0,1".into(), "--model"),
+    ] {
+        let refused = run(&args);
+        let said = String::from_utf8(refused.stderr).unwrap();
+        assert!(refused.status.code() == Some(2) && said.contains(says), "{args}: {said}");
+    }
 }

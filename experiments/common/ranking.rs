@@ -60,7 +60,7 @@ impl Truth {
     /// Ranks the depth error of a scene's model by these readings.
     pub fn rank(&self, scene: &Scene, readings: &[Reading]) -> Result<Ranking> {
         let tracer = scene.settings.cutoff(1e-4).tracer(&*scene.field, 0.0, &Silent)?;
-        let evaluator = Evaluator { tracer, readings, differentiation: None, members: Vec::new() };
+        let evaluator = Evaluator::new(tracer, readings);
         let views: Vec<EvaluatedView> = (0..)
             .zip(&self.views)
             .map(|(seed, truth)| evaluator.evaluate(truth, seed, &Silent))

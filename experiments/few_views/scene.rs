@@ -207,12 +207,8 @@ fn compute(scene: &Scene, plan: &Plan, work: &Path, folder: &Path) -> Result<Sce
 
     let settings = RaySettings::default().cutoff(1e-4);
     let tracer = |field| settings.tracer(field, 0.0, &Silent);
-    let evaluator = Evaluator {
-        tracer: tracer(&*field)?,
-        readings: &readings,
-        differentiation: None,
-        members: members.iter().map(|m| tracer(m as &dyn RadianceField)).collect::<Result<_>>()?,
-    };
+    let members = members.iter().map(|m| tracer(m as &dyn RadianceField)).collect::<Result<_>>()?;
+    let evaluator = Evaluator { members, ..Evaluator::new(tracer(&*field)?, &readings) };
     let frames = spread(&data.test, plan.judged_views);
     let stride = (frames[0].camera.resolution[0] / plan.judged).max(1);
     let truths = frames
@@ -274,7 +270,7 @@ fn costs(tracer: &Tracer, reading: &Reading, truths: &[TrueView]) -> Result<[Tim
     let few = &truths[..truths.len().min(2)];
     let one = [Reading { averages: vec![RayAverage::Spread], ..reading.clone() }];
     let time = |readings: &[Reading]| -> Result<Time> {
-        let evaluator = Evaluator { tracer: tracer.clone(), readings, differentiation: None, members: Vec::new() };
+        let evaluator = Evaluator::new(tracer.clone(), readings);
         let clock = Clock::start();
         for truth in few {
             evaluator.evaluate(truth, 0, &Silent)?;

@@ -45,10 +45,14 @@ pub fn render<'py>(
     let threshold = options.get::<f64>("threshold")?;
     let depth_error = options.or("depth_error", false)?;
     let averages = options.ray_averages()?.unwrap_or_else(|| vec![RayAverage::default()]);
+    for field in &field {
+        averages.iter().try_for_each(|&average| Reading::check(field, average)).or_raise()?;
+    }
     let view = work(py, source.gate(nerf), progress, |engine| {
         source.with(engine, |model| {
             let log10 = |x| field.as_ref().map_or(f64::NAN, |field| field.log10(x));
-            let probes = [Probe { value: &log10, averages: &averages }];
+            let rays = |x| field.as_ref().map_or(f64::NAN, |field| field.support_at(x));
+            let probes = [Probe { value: &log10, rays: Some(&rays), averages: &averages }];
             let probes = if field.is_some() { &probes[..] } else { &[] };
             let cleaned = field.as_deref().zip(threshold).map(|(uncertainty, threshold)| ThresholdedField {
                 field: model,
@@ -124,15 +128,10 @@ pub fn evaluate(
         source.with(engine, |model| {
             let frames = FrameSplit::new(Views::read(&path, size)?).select(Part::HeldOut, &Selection::All, |_| true)?;
             let monitor = engine.monitor();
-            let evaluator = Evaluator {
-                tracer: settings.tracer(model, 0.0, monitor)?,
-                readings: &readings,
-                differentiation: readings
-                    .first()
-                    .map(|reading| settings.differentiation(model, reading.field.lattice()))
-                    .transpose()?,
-                members: Vec::new(),
-            };
+            let differentiation =
+                readings.first().map(|reading| settings.differentiation(model, reading.field.lattice())).transpose()?;
+            let tracer = settings.tracer(model, 0.0, monitor)?;
+            let evaluator = Evaluator { differentiation, ..Evaluator::new(tracer, &readings) };
             let offset = settings.pixel_offset.unwrap_or_else(|| model.pixel_offset());
             let frames: Vec<_> = frames.iter().step_by(every).collect();
             monitor.begin("rows", frames.iter().map(|f| u64::from(f.camera.resolution[1].div_ceil(stride))).sum());

@@ -129,7 +129,7 @@ def test_u_ranks_the_error_of_depth_better_than_chance(courtyard, cameras, field
     test = tmp_path / "transforms_test.json"
     result = ob.evaluate(grown, {"m": metric}, test, depth_encoding=(0, 10), covariance="block", **files)
     deviation = next(entry for entry in result["readings"] if entry["name"] == "m block, depth deviation")
-    shares = [found for _, found in deviation["calibration"]["coverage"]]
+    shares = [found for _, found in deviation["calibration"]["densities"][2]["coverage"]]
     assert shares == sorted(shares) and 0 < shares[0] < 1, shares
     with pytest.raises(ValueError, match="depth encoding: expected offset and scale of the depth maps"):
         ob.evaluate(grown, metric, test, **files)

@@ -3,7 +3,7 @@
 use crate::Error;
 
 /// The library's name of a setting, and the flag that sets it.
-const FLAGS: [(&str, &str); 18] = [
+const FLAGS: [(&str, &str); 20] = [
     ("angle of view", "--fov"),
     ("checkpoint", "--checkpoint, --resume"),
     ("coordinates", "--coordinates"),
@@ -18,6 +18,8 @@ const FLAGS: [(&str, &str); 18] = [
     ("lambda", "--lambda"),
     ("march step", "--march-step"),
     ("memory budget", "--memory"),
+    ("probability", "--probability"),
+    ("ray average", "--ray-average"),
     ("run to a mean error", "--rays auto"),
     ("scale", "--scale data"),
     ("shard", "--shard"),

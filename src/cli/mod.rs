@@ -8,6 +8,7 @@ macro_rules! say {
 
 mod accumulate;
 mod belongs;
+mod calibrate;
 mod compare;
 mod completions;
 mod convert;
@@ -60,6 +61,7 @@ enum Verb {
     Compare(compare::Args),
     Render(render::Args),
     Evaluate(evaluate::Args),
+    Calibrate(calibrate::Args),
     Convert(convert::Args),
     Merge(merge::Args),
     Info(info::Args),
@@ -105,6 +107,7 @@ fn run(verb: Verb) -> Result<()> {
         Verb::Compare(args) => args.run(),
         Verb::Render(args) => args.run(bars),
         Verb::Evaluate(args) => args.run(bars),
+        Verb::Calibrate(args) => args.run(bars),
         Verb::Convert(args) => args.run(),
         Verb::Merge(args) => args.run(),
         Verb::Info(args) => args.run(),

@@ -4,7 +4,7 @@ use crate::geometry::Camera;
 use crate::metrics::quantile;
 use crate::picture::{Bar, Panel, color_panel, scalar_panel};
 use crate::render::RenderedView;
-use crate::uncertainty::{Knowledge, UncertaintyField};
+use crate::uncertainty::{Conformal, Knowledge, UncertaintyField};
 
 /// Meaning of a small U, in two lines.
 const CONSTRAINED: [&str; 2] = ["well", "constrained"];
@@ -19,6 +19,8 @@ pub struct Ranges {
     pub depth: [f64; 2],
     /// Standard deviation of depth, scene units.
     pub error: [f64; 2],
+    /// The calibrated interval of depth, if there is one.
+    pub conformal: Option<Conformal>,
     /// log10 U.
     pub log10: [f64; 2],
     /// log10 U of the prior.
@@ -54,7 +56,11 @@ pub fn view_panels(
     if let Some(deviation) = view.depth_deviation.first() {
         let shown = deviation.iter().zip(&view.pixels).map(|(s, p)| if p.opacity > 0.5 { *s } else { f64::NAN });
         let bar = Bar::new(ranges.error, colorous::CIVIDIS);
-        panels.push(scalar_panel("deviation of depth (scene units)", view.resolution, shown, bar));
+        let title = match ranges.conformal {
+            Some(c) => format!("deviation of depth ({:.0} % of errors below {:.2} x)", 100.0 * c.probability, c.factor),
+            None => "deviation of depth (scene units)".into(),
+        };
+        panels.push(scalar_panel(&title, view.resolution, shown, bar));
     }
     if let Some(log10) = view.log10_uncertainty.first() {
         let unknown: Vec<Option<Unknown>> = (0..view.pixels.len()).map(unknown).collect();

@@ -9,6 +9,7 @@ use super::panels::{Ranges, depth_range, error_range, unknown, view_panels};
 use super::progress::Bars;
 use super::report;
 use crate::dataset::Part;
+use crate::evaluate::Reading;
 use crate::field::RadianceField;
 use crate::geometry::{Aabb, Camera, MAX_PIXELS};
 use crate::io::write_exr;
@@ -26,7 +27,8 @@ const PREVIEW: u32 = 800;
 ///
 /// OUT.png shows labelled panels for viewing; what no training ray reached is hatched. OUT.exr holds channels for
 /// tools: R, G, B, A, depth.Z (median distance from the camera), uncertainty.U (scene units),
-/// log10_uncertainty.U and, with --depth-error, depth_error.Z (one standard deviation, scene units).
+/// log10_uncertainty.U and, with --depth-error, depth_error.Z (one standard deviation, scene units) and, if the field is
+/// calibrated, depth_interval.Z (half width of the interval).
 #[derive(clap::Args)]
 #[command(
     after_help = "Example: octobayes render lego.safetensors lego.oct --cameras transforms_test.json --frame 0 -o view.png"
@@ -116,7 +118,9 @@ impl Args {
 
         let uncertainty = &field;
         let log10 = |x| field.log10(x);
-        let probes = [Probe { value: &log10, averages: &[self.ray_average] }];
+        let rays = |x| field.support_at(x);
+        Reading::check(&field, self.ray_average)?;
+        let probes = [Probe { value: &log10, rays: Some(&rays), averages: &[self.ray_average] }];
         let settings = self.model.image_settings();
         let offset = settings.pixel_offset.unwrap_or_else(|| model.pixel_offset());
         let posterior = self.depth_error.then(|| field.depth_posterior()).transpose()?;
@@ -146,7 +150,7 @@ impl Args {
         }
         if as_exr {
             let view = cleaned.or(view).expect("one of them is rendered");
-            write_exr(&self.output, view.resolution, channels(&view))?;
+            write_exr(&self.output, view.resolution, channels(&view, &field))?;
         } else if let Some(view) = view {
             let unknown = |view: &RenderedView, i: usize| unknown(&field, &camera, offset, view, i);
             let depth = depth_range([&view].into_iter().chain(&cleaned));
@@ -154,7 +158,8 @@ impl Args {
             let [low] = field.surface_quantiles([0.01]).unwrap_or([-3.0]);
             let log10 = self.range.unwrap_or([low.min(prior - 0.5), prior]);
             let error = error_range([&view].into_iter().chain(&cleaned));
-            let ranges = Ranges { depth, error, log10, prior, quantity: field.protocol().scale.quantity() };
+            let (conformal, quantity) = (field.conformal().copied(), field.protocol().scale.quantity());
+            let ranges = Ranges { depth, error, conformal, log10, prior, quantity };
             let mut rows = vec![view_panels(&view, &format!("frame {}", self.frame), ranges, &|i| unknown(&view, i))];
             if let (Some(cleaned), Some(threshold)) = (&cleaned, threshold) {
                 rows.push(view_panels(cleaned, &format!("log10 U <= {threshold:.3}"), ranges, &|i| {
@@ -214,7 +219,7 @@ pub fn check_box(name: &str, model: &Aabb, field: &UncertaintyField) -> Result<(
 }
 
 /// The channels of the EXR.
-fn channels(view: &RenderedView) -> Vec<(&'static str, Vec<f32>)> {
+fn channels(view: &RenderedView, field: &UncertaintyField) -> Vec<(&'static str, Vec<f32>)> {
     let of_pixel = |value: &dyn Fn(&crate::render::Pixel) -> f64| view.pixels.iter().map(|p| value(p) as f32).collect();
     let log10 = &view.log10_uncertainty[0];
     let mut channels = vec![
@@ -228,5 +233,10 @@ fn channels(view: &RenderedView) -> Vec<(&'static str, Vec<f32>)> {
     ];
     let errors = view.depth_deviation.iter().map(|of_pixels| of_pixels.iter().map(|&s| s as f32).collect());
     channels.extend(errors.map(|errors| ("depth_error.Z", errors)));
+    let interval = |factor: f64| {
+        let scaled = move |of_pixels: &Vec<f64>| of_pixels.iter().map(|s| (factor * s) as f32).collect();
+        view.depth_deviation.iter().map(move |of_pixels| ("depth_interval.Z", scaled(of_pixels)))
+    };
+    channels.extend(field.conformal().into_iter().flat_map(|conformal| interval(conformal.factor)));
     channels
 }

@@ -12,7 +12,7 @@ use crate::io::memory::peak;
 use crate::posterior::{DataScale, Prior, Scale};
 use crate::rays::Pixels;
 use crate::render::GradientMethod;
-use crate::uncertainty::{Comparison, Difference, ErrorSummary, Summary, UncertaintyField};
+use crate::uncertainty::{Comparison, Conformal, Difference, ErrorSummary, Summary, UncertaintyField};
 use crate::{Error, Result};
 
 /// Prints a line to stdout. A reader that has seen enough (`| head`) is no failure.
@@ -107,8 +107,18 @@ pub fn protocol(field: &UncertaintyField) -> String {
     line("cutoff", known(p.cutoff.map(|c| format!("{c:e}, not part of the tolerance (--audit)"))));
     line("background", known(p.background.map(|b| format!("{b:?}"))));
     line("pixel offset", known(p.pixel_offset.map(|o| o.to_string())));
+    line("interval", field.conformal().map_or("none: not calibrated".into(), interval));
     line("error bars", field.error_summary().map_or("none".into(), |e| error_bars(&e)));
     out.trim_end().to_string()
+}
+
+/// A calibrated interval of depth in one line.
+pub fn interval(c: &Conformal) -> String {
+    let Conformal { probability, factor, pixels, views } = c;
+    format!(
+        "{:.0} % of depth errors below {factor:.3} deviations, by {pixels} pixels of {views} views",
+        100.0 * probability
+    )
 }
 
 /// Error bars in one line.

@@ -1,9 +1,9 @@
 //! Measures of uncertainty that are ranked against the error. Larger always means more uncertain.
 
-use crate::Result;
 use crate::posterior::Covariance;
 use crate::render::RayAverage;
 use crate::uncertainty::UncertaintyField;
+use crate::{Error, Result};
 
 /// An uncertainty field for one covariance, with the ways to average it along a ray.
 #[derive(Debug, Clone)]
@@ -20,13 +20,14 @@ impl Reading {
     /// `field`, called `name`, read by each of these covariances, or by all that it can be read by.
     ///
     /// # Errors
-    /// As [`UncertaintyField::with_covariance`].
+    /// As [`UncertaintyField::with_covariance`], and [`Reading::check`].
     pub fn from_field(
         name: &str,
         field: &UncertaintyField,
         covariances: Option<&[Covariance]>,
         averages: &[RayAverage],
     ) -> Result<Vec<Self>> {
+        averages.iter().try_for_each(|&average| Self::check(field, average))?;
         let own = field.protocol().covariance;
         let mut wanted = covariances.map_or_else(|| vec![own], <[_]>::to_vec);
         if covariances.is_none() && field.sums().is_some() {
@@ -38,15 +39,34 @@ impl Reading {
         };
         wanted.into_iter().map(read).collect()
     }
+
+    /// Whether `field` can be averaged like this.
+    ///
+    /// # Errors
+    /// If it does not know its ray counts, which [`RayAverage::SpreadPerRay`] needs.
+    pub fn check(field: &UncertaintyField, average: RayAverage) -> Result<()> {
+        if average == RayAverage::SpreadPerRay && field.rays().is_empty() {
+            let expected = "`spread` or another that needs no ray counts, which this field does not know";
+            return Err(Error::setting("ray average", expected, "`spread-per-ray`"));
+        }
+        Ok(())
+    }
 }
 
 /// Measures without a Hessian, which an uncertainty field has to beat.
+///
+/// Letters: s² variance of the ray's weights + δ²/12, where δ is the marching step; n number of training rays of the
+/// field's vertices around the expected depth.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Baseline {
     /// [`crate::render::depth_variance`] of the ray's weights.
     RayVariance,
+    /// s / √n.
+    SpreadPerRootRay,
+    /// s / n.
+    SpreadPerRay,
     /// [`crate::render::termination_entropy`] of the ray's weights.
     RayEntropy,
     /// 1 − opacity.
@@ -54,6 +74,15 @@ pub enum Baseline {
     /// Minus the number of training rays that support what the pixel shows: the rays of the field's vertices,
     /// averaged along the ray like [`RayAverage::WeightedMean`].
     RayCount,
+    /// Minus the number of training rays that reached the expected depth
+    /// ([`Visits`](crate::posterior::Visits)).
+    Visits,
+    /// Minus the number of training cameras that see the point at the expected depth.
+    TrainingViews,
+    /// The angle to the nearest training camera that sees it, radians; π if none does.
+    TrainingAngle,
+    /// [`Misfit`](super::Misfit) at the expected depth.
+    Misfit,
     /// A random number per pixel.
     Random,
     /// [`crate::metrics::ensemble_variance`] of the median depth. Where a member shows nothing, its depth is that
@@ -69,9 +98,15 @@ impl Baseline {
     pub fn name(self) -> &'static str {
         match self {
             Self::RayVariance => "ray-weight variance",
+            Self::SpreadPerRootRay => "weights' deviation / sqrt(rays)",
+            Self::SpreadPerRay => "weights' deviation / rays",
             Self::RayEntropy => "ray entropy",
             Self::Transparency => "1 - opacity",
             Self::RayCount => "ray count",
+            Self::Visits => "visits",
+            Self::TrainingViews => "training views that see it",
+            Self::TrainingAngle => "angle to a training view",
+            Self::Misfit => "misfit of the training images",
             Self::Random => "random",
             Self::EnsembleVariance => "ensemble depth variance",
             Self::DensityAware => "density-aware ensemble",

@@ -6,14 +6,20 @@
 //! uncertain and compares the images.
 
 mod clean_up;
+mod interval;
 mod measure;
+mod misfit;
 mod score;
+mod training_views;
 mod truth;
 mod view;
 
 pub use clean_up::{CleanUp, SCALE, THRESHOLDS, clean_up};
+pub use interval::Interval;
 pub use measure::{Baseline, Measure, Reading};
+pub use misfit::Misfit;
 pub use score::{DepthError, Score};
+pub use training_views::{Sighting, TrainingViews};
 pub use truth::{DepthFiles, TrueView};
 pub use view::{EvaluatedView, Evaluator};
 

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::EvaluatedView;
-use crate::metrics::{ErrorKind, Sparsification, quantile, sparsification};
+use crate::metrics::{ErrorKind, Sparsification, quantile, sparsification, spearman};
 
 /// Area under the sparsification error (AUSE) of one measure.
 #[derive(Debug, Clone)]
@@ -12,6 +12,10 @@ pub struct Score {
     pub pooled: Vec<Sparsification>,
     /// `[error kinds]`: mean of the areas of single views.
     pub per_view_mean: Vec<f64>,
+    /// Spearman's rank correlation with the absolute error over all pixels; 0 if the measure is the same everywhere.
+    pub rank_correlation: f64,
+    /// The same, mean of single views.
+    pub rank_correlation_per_view: f64,
 }
 
 impl Score {
@@ -27,9 +31,13 @@ impl Score {
             let areas: Vec<f64> = areas.map(|s| s.area).collect();
             areas.iter().sum::<f64>() / areas.len() as f64
         };
+        let correlation = |v: &EvaluatedView| spearman(&v.measures[m], &v.absolute_error);
+        let correlations: Vec<f64> = views.iter().filter_map(correlation).collect();
         Some(Self {
             pooled: pooled.collect::<Option<_>>()?,
             per_view_mean: ErrorKind::ALL.iter().map(|&kind| mean(kind)).collect(),
+            rank_correlation: spearman(&measure, &errors).unwrap_or(0.0),
+            rank_correlation_per_view: correlations.iter().sum::<f64>() / correlations.len().max(1) as f64,
         })
     }
 

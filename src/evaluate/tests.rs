@@ -87,19 +87,15 @@ fn every_measure_is_of_the_same_pixels() {
         })
         .collect();
     let nothing = Nothing(ball.bounds());
-    let evaluator = Evaluator {
-        tracer: tracer(&ball),
-        readings: &readings,
-        differentiation: None,
-        members: vec![tracer(&ball), tracer(&nothing)],
-    };
+    let members = vec![tracer(&ball), tracer(&nothing)];
+    let evaluator = Evaluator { members, ..Evaluator::new(tracer(&ball), &readings) };
     let camera = cameras()[1];
     let truth = truth(&ball, &camera);
     let view = evaluator.evaluate(&truth, 7, &Silent).unwrap();
     let n = view.pixels.len();
     assert!(n > 50 && view.empty == 0 && view.psnr == f64::INFINITY, "{n} pixels");
     let measures = evaluator.measures();
-    assert_eq!(measures.len(), 9 + 7);
+    assert_eq!(measures.len(), 9 + 10);
     assert!(view.measures.len() == measures.len() && view.measures.iter().all(|m| m.len() == n));
 
     let of = |measure| &view.measures[measures.iter().position(|m| *m == measure).unwrap()];
@@ -136,7 +132,7 @@ fn every_measure_is_of_the_same_pixels() {
 #[test]
 fn a_measure_that_is_the_error_has_no_area() {
     let ball = ClosedForm::ball();
-    let evaluator = Evaluator { tracer: tracer(&ball), readings: &[], differentiation: None, members: Vec::new() };
+    let evaluator = Evaluator::new(tracer(&ball), &[]);
     let truth = truth(&ball, &cameras()[0]);
     let mut view = evaluator.evaluate(&truth, 0, &Silent).unwrap();
     view.measures = vec![view.absolute_error.clone(), view.absolute_error.iter().map(|e| -e).collect()];

@@ -1,15 +1,18 @@
 //! A rendered view beside the truth: depth errors and measures of uncertainty for the same pixels.
 
+use std::f64::consts::PI;
+
 use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::{Baseline, Measure, Reading, TrueView};
+use super::{Baseline, Measure, Misfit, Reading, Sighting, TrainingViews, TrueView};
 use crate::Result;
 use crate::metrics::{Calibration, density_aware, ensemble_variance, psnr};
 use crate::monitor::{Monitor, check};
+use crate::posterior::Visits;
 use crate::render::{
-    DepthProbe, DepthVariance, Differentiation, Probe, RayAverage, RenderedView, Tracer, render_view,
+    DepthProbe, DepthVariance, Differentiation, FEWEST, Probe, RayAverage, RenderedView, Tracer, render_view,
     render_view_with_depth,
 };
 use crate::uncertainty::DepthPosterior;
@@ -24,6 +27,10 @@ pub struct Evaluator<'a> {
     pub differentiation: Option<Differentiation<'a>>,
     /// Other fields trained in the same way; may be empty.
     pub members: Vec<Tracer<'a>>,
+    /// The cameras that the field was trained on, if they are known.
+    pub training: Option<&'a TrainingViews>,
+    /// What training left unexplained, if the images are known.
+    pub misfit: Option<&'a Misfit>,
 }
 
 /// Errors and measures at the pixels of one view that have a true depth.
@@ -46,14 +53,29 @@ pub struct EvaluatedView {
     pub rendered: RenderedView,
 }
 
-impl Evaluator<'_> {
+impl<'a> Evaluator<'a> {
+    /// Evaluates a field by these readings and by what its own rays tell.
+    #[must_use]
+    pub fn new(tracer: Tracer<'a>, readings: &'a [Reading]) -> Self {
+        Self { tracer, readings, differentiation: None, members: Vec::new(), training: None, misfit: None }
+    }
+
     /// All measures, in the order of [`EvaluatedView::measures`].
     #[must_use]
     pub fn measures(&self) -> Vec<Measure> {
         let readings = self.readings.iter().enumerate();
         let readings = readings.flat_map(|(i, r)| r.averages.iter().map(move |&average| Measure::Reading(i, average)));
-        let mut baselines = vec![Baseline::RayVariance, Baseline::RayEntropy, Baseline::Transparency];
+        let mut baselines = vec![Baseline::RayVariance];
+        if self.counted().is_some() {
+            baselines.extend([Baseline::SpreadPerRootRay, Baseline::SpreadPerRay]);
+        }
+        baselines.extend([Baseline::RayEntropy, Baseline::Transparency]);
         baselines.extend(self.counted().map(|_| Baseline::RayCount));
+        baselines.extend(self.visited().map(|_| Baseline::Visits));
+        if self.training.is_some() {
+            baselines.extend([Baseline::TrainingViews, Baseline::TrainingAngle]);
+        }
+        baselines.extend(self.misfit.map(|_| Baseline::Misfit));
         baselines.push(Baseline::Random);
         if !self.members.is_empty() {
             baselines.extend([Baseline::EnsembleVariance, Baseline::DensityAware]);
@@ -86,6 +108,11 @@ impl Evaluator<'_> {
         self.readings.iter().find(|reading| !reading.field.rays().is_empty())
     }
 
+    /// The first reading whose field knows how many training rays passed.
+    fn visited(&self) -> Option<&Visits> {
+        self.readings.iter().find_map(|reading| reading.field.visits())
+    }
+
     /// Renders a view with the field and all members, and compares. Advances the monitor by [`Evaluator::rows`].
     ///
     /// # Errors
@@ -93,14 +120,12 @@ impl Evaluator<'_> {
     pub fn evaluate(&self, truth: &TrueView, seed: u64, monitor: &dyn Monitor) -> Result<EvaluatedView> {
         let values: Vec<_> = self.readings.iter().map(|reading| |x| reading.field.log10(x)).collect();
         let mut probes: Vec<Probe> = Vec::new();
-        for (value, reading) in values.iter().zip(self.readings) {
-            probes.push(Probe { value, averages: &reading.averages });
+        let supports: Vec<_> = self.readings.iter().map(|reading| |x| reading.field.support_at(x)).collect();
+        for ((value, rays), reading) in values.iter().zip(&supports).zip(self.readings) {
+            probes.push(Probe { value, rays: Some(rays), averages: &reading.averages });
         }
-        let counted = self.counted();
-        let unsupported = |x| -counted.and_then(|reading| reading.field.query(x).rays).unwrap_or(0.0);
-        if counted.is_some() {
-            probes.push(Probe { value: &unsupported, averages: &[RayAverage::WeightedMean] });
-        }
+        let rays = |x| self.counted().map_or(0.0, |reading| reading.field.support_at(x));
+        probes.push(Probe { value: &rays, rays: None, averages: &[RayAverage::WeightedMean] });
         check(monitor)?;
         let posteriors: Vec<DepthPosterior> = self.posteriors().map(|(_, posterior)| posterior).collect();
         let variances: Vec<&dyn DepthVariance> = posteriors.iter().map(|posterior| posterior as _).collect();
@@ -112,7 +137,7 @@ impl Evaluator<'_> {
             }
             _ => render_view(&self.tracer, camera, offset, &probes, monitor)?,
         };
-        let counts = counted.and_then(|_| rendered.log10_uncertainty.pop());
+        let counts = rendered.log10_uncertainty.pop().expect("the last probe");
         let mut members = Vec::new();
         for member in &self.members {
             check(monitor)?;
@@ -123,6 +148,18 @@ impl Evaluator<'_> {
         let shown = |i: usize| rendered.pixels[i].opacity > 0.0;
         let (seen, empty): (Vec<_>, Vec<_>) = with_truth.partition(|(i, _)| shown(*i));
         let pixels: Vec<usize> = seen.iter().map(|(i, _)| *i).collect();
+        let width = camera.resolution[0] as usize;
+        let hit = |i: usize| {
+            let [x, y] = [i % width, i / width].map(|n| n as f64 + offset);
+            let x = camera.ray(x, y).at(rendered.pixels[i].expected_depth);
+            self.tracer.marcher.bounds.clamp(x.as_vec3())
+        };
+        let sighting = |i: usize| {
+            let unseen = Sighting { views: 0, angle: PI };
+            self.training.map_or(unseen, |training| training.sighting(hit(i).as_dvec3(), camera.position))
+        };
+        let least = self.tracer.marcher.step.powi(2) / 12.0;
+        let spread = |i: usize| (rendered.pixels[i].depth_variance + least).sqrt();
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let mut readings = rendered.log10_uncertainty.iter();
         let mut deviations = rendered.depth_deviation.iter();
@@ -142,7 +179,16 @@ impl Evaluator<'_> {
                     Baseline::RayVariance => each(&|i| rendered.pixels[i].depth_variance),
                     Baseline::RayEntropy => each(&|i| rendered.pixels[i].termination_entropy),
                     Baseline::Transparency => each(&|i| 1.0 - rendered.pixels[i].opacity),
-                    Baseline::RayCount => counts.as_ref().map_or_else(Vec::new, |counts| each(&|i| counts[i])),
+                    Baseline::SpreadPerRootRay => each(&|i| spread(i) / rays(hit(i)).max(FEWEST).sqrt()),
+                    Baseline::SpreadPerRay => each(&|i| spread(i) / rays(hit(i)).max(FEWEST)),
+                    Baseline::RayCount => each(&|i| -counts[i]),
+                    Baseline::Visits => {
+                        let visits = |i| self.visited().and_then(|visits| visits.at(hit(i))).unwrap_or(0);
+                        each(&|i| -f64::from(visits(i)))
+                    }
+                    Baseline::TrainingViews => each(&|i| -(sighting(i).views as f64)),
+                    Baseline::TrainingAngle => each(&|i| sighting(i).angle),
+                    Baseline::Misfit => each(&|i| self.misfit.map_or(0.0, |misfit| misfit.at(hit(i)))),
                     Baseline::Random => pixels.iter().map(|_| random.random()).collect(),
                     Baseline::EnsembleVariance => each(&|i| {
                         let depth = |m: &RenderedView| self.depth(truth, m, i);

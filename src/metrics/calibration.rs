@@ -1,9 +1,8 @@
 //! Calibration: do errors lie within the deviations that are claimed for them as often as they should?
 //!
-//! Letters: e an absolute error, s the standard deviation claimed for it, z = e / s. If errors are normal, the share
-//! p(z) = erf(z / √2) of them is smaller than z deviations.
+//! Letters: e an absolute error, s the standard deviation claimed for it, z = e / s.
 
-use std::f64::consts::{LN_2, PI, SQRT_2};
+use super::ErrorDensity;
 
 /// Probabilities whose intervals are reported.
 pub const PROBABILITIES: [f64; 4] = [0.5, 0.68, 0.9, 0.95];
@@ -11,55 +10,31 @@ pub const PROBABILITIES: [f64; 4] = [0.5, 0.68, 0.9, 0.95];
 /// Points of the reliability curve: nominal probabilities 1/100, 2/100, …, 99/100.
 const POINTS: usize = 99;
 
-/// Degrees of freedom of [`ErrorDensity::Student`].
-const FREEDOM: f64 = 3.0;
-
-/// The shape of the errors' density, of standard deviation s.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
-#[serde(rename_all = "lowercase")]
-#[non_exhaustive]
-pub enum ErrorDensity {
-    /// Normal.
-    Gauss,
-    /// Two exponentials.
-    Laplace,
-    /// Student's t with three degrees of freedom: heavy tails.
-    Student,
-}
-
-impl ErrorDensity {
-    /// All shapes.
-    pub const ALL: [Self; 3] = [Self::Gauss, Self::Laplace, Self::Student];
-
-    /// Negative logarithm of the density at an error of `z` deviations, for deviation 1.
-    #[must_use]
-    pub fn negative_log(self, z: f64) -> f64 {
-        match self {
-            Self::Gauss => 0.5 * (2.0 * PI).ln() + 0.5 * z * z,
-            // Of scale 1/√2.
-            Self::Laplace => 0.5 * LN_2 + SQRT_2 * z.abs(),
-            // Of scale √((ν − 2) / ν); for ν = 3 the density is 2 / (π (1 + z²)²).
-            Self::Student => (0.5 * PI).ln() + 0.5 * (FREEDOM + 1.0) * (z * z / (FREEDOM - 2.0)).ln_1p(),
-        }
-    }
-}
-
-/// How well deviations tell the size of errors.
+/// How well deviations tell the size of errors of one density.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
-pub struct Calibration {
+pub struct DensityCalibration {
+    /// The density that errors are taken to have.
+    pub density: ErrorDensity,
     /// Each of [`PROBABILITIES`], and the share of the errors within the interval that should hold it.
     pub coverage: [[f64; 2]; PROBABILITIES.len()],
     /// `[99]`: nominal probability and the share found, for the reliability diagram.
     pub reliability: Vec<[f64; 2]>,
     /// Area between the reliability curve and the diagonal (Gustafsson et al. 2020): 0 is perfect, ½ the worst.
     pub auce: f64,
-    /// Mean of e / s.
-    pub mean_ratio: f64,
-    /// Mean negative log likelihood for each [`ErrorDensity`], nats.
-    pub nll: [f64; 3],
+    /// Mean negative log likelihood, nats.
+    pub nll: f64,
     /// The same if all deviations are multiplied by the one factor that suits these errors best: what is lost by not
     /// knowing their common scale.
-    pub nll_best_scale: [f64; 3],
+    pub nll_best_scale: f64,
+}
+
+/// How well deviations tell the size of errors.
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+pub struct Calibration {
+    /// Mean of e / s.
+    pub mean_ratio: f64,
+    /// One for each [`ErrorDensity`].
+    pub densities: [DensityCalibration; ErrorDensity::ALL.len()],
 }
 
 impl Calibration {
@@ -79,25 +54,47 @@ impl Calibration {
         let n = absolute_error.len() as f64;
         let mut ratios: Vec<f64> = absolute_error.iter().zip(deviation).map(|(e, s)| e / s).collect();
         ratios.sort_unstable_by(f64::total_cmp);
+        let log_deviation = deviation.iter().map(|s| s.ln()).sum::<f64>() / n;
+        Some(Self {
+            mean_ratio: ratios.iter().sum::<f64>() / n,
+            densities: ErrorDensity::ALL.map(|density| DensityCalibration::new(density, &ratios, log_deviation)),
+        })
+    }
+
+    /// That of [`ErrorDensity::PREDICTIVE`].
+    #[must_use]
+    pub fn predictive(&self) -> &DensityCalibration {
+        self.of(ErrorDensity::PREDICTIVE)
+    }
+
+    /// That of one density.
+    #[must_use]
+    pub fn of(&self, density: ErrorDensity) -> &DensityCalibration {
+        self.densities.iter().find(|found| found.density == density).expect("one for each density")
+    }
+}
+
+impl DensityCalibration {
+    /// From the ascending z of all errors, and the mean of ln s.
+    fn new(density: ErrorDensity, ratios: &[f64], log_deviation: f64) -> Self {
+        let n = ratios.len() as f64;
         // By the ratios' order their probabilities are sorted, too.
-        let found: Vec<f64> = ratios.iter().map(|z| libm::erf(z / SQRT_2)).collect();
+        let found: Vec<f64> = ratios.iter().map(|&z| density.within(z)).collect();
         let share = |probability: f64| found.partition_point(|p| *p <= probability) as f64 / n;
         let nominal = (1..=POINTS).map(|k| k as f64 / (POINTS + 1) as f64);
         let reliability: Vec<[f64; 2]> = nominal.map(|p| [p, share(p)]).collect();
-        let auce = reliability.iter().map(|[p, found]| (p - found).abs()).sum::<f64>() / POINTS as f64;
-        let log_deviations = deviation.iter().map(|s| s.ln()).sum::<f64>() / n;
-        let scaled = |density: ErrorDensity, factor: f64| {
+        let scaled = |factor: f64| {
             let sum: f64 = ratios.iter().map(|z| density.negative_log(z / factor)).sum();
-            sum / n + factor.ln() + log_deviations
+            sum / n + factor.ln() + log_deviation
         };
-        Some(Self {
+        Self {
+            density,
             coverage: PROBABILITIES.map(|p| [p, share(p)]),
+            auce: reliability.iter().map(|[p, found]| (p - found).abs()).sum::<f64>() / POINTS as f64,
             reliability,
-            auce,
-            mean_ratio: ratios.iter().sum::<f64>() / n,
-            nll: ErrorDensity::ALL.map(|density| scaled(density, 1.0)),
-            nll_best_scale: ErrorDensity::ALL.map(|density| least(|log| scaled(density, log.exp()))),
-        })
+            nll: scaled(1.0),
+            nll_best_scale: least(|log| scaled(log.exp())),
+        }
     }
 }
 
@@ -117,58 +114,52 @@ fn least(f: impl Fn(f64) -> f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Quantiles of |e| for normal errors of these deviations: errors without chance.
-    fn normal_errors(n: usize, scale: f64) -> (Vec<f64>, Vec<f64>) {
-        let quantile = |p: f64| {
-            let (mut low, mut high) = (0.0, 10.0);
-            for _ in 0..60 {
-                let middle: f64 = 0.5 * (low + high);
-                if libm::erf(middle / SQRT_2) < p { low = middle } else { high = middle }
-            }
-            low
-        };
+    /// Quantiles of |e| for errors of this density and these deviations: errors without chance.
+    fn errors(density: ErrorDensity, n: usize, scale: f64) -> (Vec<f64>, Vec<f64>) {
         let deviations: Vec<f64> = (0..n).map(|i| 0.1 + (i * 7 % 13) as f64).collect();
-        let errors = (0..n).map(|i| scale * deviations[i] * quantile((i as f64 + 0.5) / n as f64)).collect();
+        let quantile = |i: usize| density.deviations((i as f64 + 0.5) / n as f64);
+        let errors = (0..n).map(|i| scale * deviations[i] * quantile(i)).collect();
         (errors, deviations)
     }
 
     #[test]
-    fn normal_errors_are_calibrated_and_a_wrong_scale_is_found() {
-        let (errors, deviations) = normal_errors(4000, 1.0);
-        let found = Calibration::new(&errors, &deviations).unwrap();
-        for [expected, found] in found.coverage {
-            assert!((found - expected).abs() < 1e-3, "{found} instead of {expected}");
+    fn errors_of_a_density_are_calibrated_by_it() {
+        for density in ErrorDensity::ALL {
+            let (errors, deviations) = errors(density, 4000, 1.0);
+            let found = Calibration::new(&errors, &deviations).unwrap();
+            let own = found.of(density);
+            for [expected, found] in own.coverage {
+                assert!((found - expected).abs() < 1e-3, "{found} instead of {expected}");
+            }
+            assert!(own.auce < 1e-3 && (own.nll - own.nll_best_scale).abs() < 2e-3, "{own:?}");
+            // No other density is as likely, and none has the same reliability.
+            for other in found.densities.iter().filter(|other| other.density != density) {
+                assert!(other.nll > own.nll + 0.005 && other.auce > own.auce + 0.005, "{other:?} against {own:?}");
+            }
         }
-        // The mean of a half normal variable; the entropy of a normal one.
-        assert!(found.auce < 1e-3 && (found.mean_ratio - (2.0 / PI).sqrt()).abs() < 1e-3, "{found:?}");
-        let log = deviations.iter().map(|s| s.ln()).sum::<f64>() / 4000.0;
-        assert!((found.nll[0] - 0.5 - 0.5 * (2.0 * PI).ln() - log).abs() < 2e-3, "{found:?}");
-        assert!((found.nll[0] - found.nll_best_scale[0]).abs() < 1e-3);
-
-        // Deviations a third of what they should be: one in three within one of them, and the scale mends it.
-        let (errors, deviations) = normal_errors(4000, 3.0);
-        let narrow = Calibration::new(&errors, &deviations).unwrap();
-        let within = libm::erf(1.0 / (3.0 * SQRT_2));
-        // 68 % are within 0.9945 deviations, not 1: 0.0014 less. Quantiles stand 1 / 4000 apart.
-        let one = narrow.reliability[67][1];
-        assert!((one - within).abs() < 2e-3, "{one} instead of {within}");
-        assert!(narrow.auce > 0.25 && narrow.nll[0] > narrow.nll_best_scale[0] + 2.0, "{narrow:?}");
-        assert!((narrow.nll_best_scale[0] - found.nll[0] - 3_f64.ln()).abs() < 1e-3, "{narrow:?}");
     }
 
     #[test]
-    fn densities_integrate_to_one_with_deviation_one() {
-        for density in ErrorDensity::ALL {
-            let (mut mass, mut variance) = (0.0, 0.0);
-            // Student's tail holds 2e-7 of the mass and 4e-3 of the variance beyond 300.
-            let width = 1e-3;
-            for i in 0..600_000 {
-                let z = -300.0 + width * (f64::from(i) + 0.5);
-                let p = (-density.negative_log(z)).exp() * width;
-                (mass, variance) = (mass + p, variance + p * z * z);
-            }
-            assert!((mass - 1.0).abs() < 1e-5 && (variance - 1.0).abs() < 6e-3, "{density:?}: {mass}, {variance}");
-        }
+    fn a_wrong_scale_is_found() {
+        let (right, deviations) = errors(ErrorDensity::Gauss, 4000, 1.0);
+        let found = Calibration::new(&right, &deviations).unwrap();
+        // The mean of a half normal variable; the entropy of a normal one.
+        let pi = std::f64::consts::PI;
+        assert!((found.mean_ratio - (2.0 / pi).sqrt()).abs() < 1e-3, "{found:?}");
+        let log = deviations.iter().map(|s| s.ln()).sum::<f64>() / 4000.0;
+        let gauss = found.of(ErrorDensity::Gauss);
+        assert!((gauss.nll - 0.5 - 0.5 * (2.0 * pi).ln() - log).abs() < 2e-3, "{found:?}");
+
+        // Deviations a third of what they should be: one in three within one of them, and the scale mends it.
+        let (large, deviations) = errors(ErrorDensity::Gauss, 4000, 3.0);
+        let narrow = Calibration::new(&large, &deviations).unwrap();
+        let narrow = narrow.of(ErrorDensity::Gauss);
+        let within = ErrorDensity::Gauss.within(1.0 / 3.0);
+        // 68 % are within 0.9945 deviations, not 1: 0.0014 less. Quantiles stand 1 / 4000 apart.
+        let one = narrow.reliability[67][1];
+        assert!((one - within).abs() < 2e-3, "{one} instead of {within}");
+        assert!(narrow.auce > 0.25 && narrow.nll > narrow.nll_best_scale + 2.0, "{narrow:?}");
+        assert!((narrow.nll_best_scale - gauss.nll - 3_f64.ln()).abs() < 1e-3, "{narrow:?}");
     }
 
     #[test]

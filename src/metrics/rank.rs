@@ -22,6 +22,25 @@ pub fn percentiles(values: &[f64]) -> Vec<f64> {
     out
 }
 
+/// Spearman's rank correlation of two measures of the same pixels: 1 if they order them alike, −1 if the other way.
+///
+/// `None` if there are fewer than two pixels, if a value is NaN, or if all values of one measure are equal.
+///
+/// # Panics
+/// If the lengths differ.
+#[must_use]
+pub fn spearman(a: &[f64], b: &[f64]) -> Option<f64> {
+    assert_eq!(a.len(), b.len(), "two measures of the same pixels");
+    if a.iter().chain(b).any(|v| v.is_nan()) {
+        return None;
+    }
+    // Percentiles have the mean ½, whatever is tied.
+    let [a, b] = [a, b].map(|values| percentiles(values).into_iter().map(|p| p - 0.5).collect::<Vec<f64>>());
+    let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    let scale = (product(&a, &a) * product(&b, &b)).sqrt();
+    (scale > 0.0).then(|| product(&a, &b) / scale)
+}
+
 /// Quantile by nearest rank: the smallest value that is not exceeded by at least this share of the ascending values.
 ///
 /// NaN if there are no values.
@@ -34,6 +53,17 @@ pub fn quantile(sorted: &[f64], share: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn rank_correlation_is_that_of_scipy() {
+        // scipy.stats.spearmanr([1, 2, 3, 4, 5], [5, 6, 7, 8, 7])
+        let found = spearman(&[1.0, 2.0, 3.0, 4.0, 5.0], &[5.0, 6.0, 7.0, 8.0, 7.0]).unwrap();
+        assert!((found - 0.820_782_681_668_123_3).abs() < 1e-12, "{found}");
+        assert_eq!(spearman(&[1.0, 2.0, 3.0], &[9.0, 4.0, 1.0]), Some(-1.0));
+        assert_eq!(spearman(&[1.0, 1.0], &[2.0, 3.0]), None);
+        assert_eq!(spearman(&[1.0], &[2.0]), None);
+    }
 
     #[test]
     fn quantiles_are_values_of_nearest_rank() {
@@ -43,7 +73,6 @@ mod tests {
         assert_eq!(quantile(&[7.0], 0.95), 7.0);
         assert!(quantile(&[], 0.5).is_nan());
     }
-    use proptest::prelude::*;
 
     #[test]
     fn ties_share_their_place() {

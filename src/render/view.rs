@@ -26,13 +26,18 @@ pub enum RayAverage {
     /// u at the expected depth + log10 s, where s² = Var t + δ²/12 is the variance of the ray's weights.
     ///
     /// How loosely matter is held there, times how widely it is spread along the ray; scene units squared. It is
-    /// meant for ranking pixels by their depth error and does so best of all (`experiments/few_views.md`).
+    /// meant for ranking pixels by their depth error.
     Spread,
+    /// [`RayAverage::Spread`] − ½ log10 n, where n is the number of training rays of the vertices around the expected
+    /// depth, at least ½. NaN if the number is not known.
+    ///
+    /// What few rays support is known less well than its U says. It ranks depth errors best (`experiments/depth.md`).
+    SpreadPerRay,
 }
 
 impl RayAverage {
     /// All ray averages.
-    pub const ALL: [Self; 4] = [Self::WeightedMean, Self::Official, Self::AtExpected, Self::Spread];
+    pub const ALL: [Self; 5] = [Self::WeightedMean, Self::Official, Self::AtExpected, Self::Spread, Self::SpreadPerRay];
 
     /// Name on the command line and in reports.
     #[must_use]
@@ -42,23 +47,29 @@ impl RayAverage {
             Self::Official => "official",
             Self::AtExpected => "at-expected",
             Self::Spread => "spread",
+            Self::SpreadPerRay => "spread-per-ray",
         }
     }
 
     /// Returns true if it needs u at every sample.
     fn is_of_samples(self) -> bool {
-        !matches!(self, Self::AtExpected | Self::Spread)
+        !matches!(self, Self::AtExpected | Self::Spread | Self::SpreadPerRay)
     }
 }
 
 /// log10 U that the official code assigns to the part of a ray that hits nothing.
 const OFFICIAL_EMPTY: f64 = -3.0;
 
+/// What no ray supports counts as if half a ray did: known less well than by one ray, but not infinitely so.
+pub const FEWEST: f64 = 0.5;
+
 /// A scalar function of space, averaged along rays beside the colour; usually log10 U at a scene point.
 #[derive(Clone, Copy)]
 pub struct Probe<'a> {
     /// The scalar at a point.
     pub value: &'a (dyn Fn(Vec3) -> f64 + Sync),
+    /// Number of training rays around a point, for [`RayAverage::SpreadPerRay`].
+    pub rays: Option<&'a (dyn Fn(Vec3) -> f64 + Sync)>,
     /// Ray averages to compute: each gives one number per pixel.
     pub averages: &'a [RayAverage],
 }
@@ -171,8 +182,9 @@ fn render(
     Ok(view)
 }
 
-/// Renders a group of rays as one row.
-fn render_rays(tracer: &Tracer, rays: &[Ray], probes: &[Probe], depth: Option<&DepthProbe>) -> RenderedView {
+/// Renders single rays, as an image of one row.
+#[must_use]
+pub fn render_rays(tracer: &Tracer, rays: &[Ray], probes: &[Probe], depth: Option<&DepthProbe>) -> RenderedView {
     let background: DVec3 = tracer.background();
     let mut buffers = TraceBuffers::default();
     // The middle of every interval makes the image deterministic.
@@ -217,7 +229,7 @@ fn render_rays(tracer: &Tracer, rays: &[Ray], probes: &[Probe], depth: Option<&D
                 values.extend(hit.map(|(w, x)| if *w > 0.0 { (probe.value)(*x) } else { 0.0 }));
             }
             for &average in probe.averages {
-                row.log10_uncertainty[channel].push(averaged.average(average, &values, probe.value));
+                row.log10_uncertainty[channel].push(averaged.average(average, &values, probe));
                 channel += 1;
             }
         }
@@ -234,10 +246,10 @@ struct WeightedRay<'a> {
 }
 
 impl WeightedRay<'_> {
-    /// Computes a ray average from `values` at the samples and from `value` anywhere else.
+    /// Computes a ray average from `values` at the samples and from `probe` anywhere else.
     ///
     /// Where the weight is zero, `values` may be anything; they may be missing if the average needs none.
-    fn average(&self, average: RayAverage, values: &[f64], value: &dyn Fn(Vec3) -> f64) -> f64 {
+    fn average(&self, average: RayAverage, values: &[f64], probe: &Probe) -> f64 {
         let total: f64 = self.weights.iter().sum();
         let hit = self.weights.iter().zip(values).filter(|(w, _)| **w > 0.0);
         let sum: f64 = hit.map(|(w, u)| w * u).sum();
@@ -245,8 +257,12 @@ impl WeightedRay<'_> {
             RayAverage::Official => sum + OFFICIAL_EMPTY * self.end_transmittance,
             _ if total <= 0.0 => f64::NAN,
             RayAverage::WeightedMean => sum / total,
-            RayAverage::AtExpected => value(self.at_expected),
-            RayAverage::Spread => value(self.at_expected) + self.spread.log10(),
+            RayAverage::AtExpected => (probe.value)(self.at_expected),
+            RayAverage::Spread => (probe.value)(self.at_expected) + self.spread.log10(),
+            RayAverage::SpreadPerRay => {
+                let rays = probe.rays.map_or(f64::NAN, |rays| rays(self.at_expected).max(FEWEST));
+                (probe.value)(self.at_expected) + self.spread.log10() - 0.5 * rays.log10()
+            }
         }
     }
 }
@@ -261,24 +277,33 @@ mod tests {
         let weights = &[0.3, 0.0, 0.1];
         let ray = WeightedRay { weights, end_transmittance: 0.6, at_expected: Vec3::X, spread: 0.1 };
         let values = [0.0, 77.0, 2.0];
-        let average = |average| ray.average(average, &values, &|x| if x == Vec3::X { 1.5 } else { 0.25 });
+        let at = |there: f64, elsewhere: f64| move |x: Vec3| if x == Vec3::X { there } else { elsewhere };
+        let (value, rays) = (at(1.5, 0.25), at(100.0, 1.0));
+        let probe = Probe { value: &value, rays: Some(&rays), averages: &[] };
+        let average = |average| ray.average(average, &values, &probe);
         let expected = [
             (RayAverage::WeightedMean, 0.2 / 0.4),
             (RayAverage::Official, 0.2 - 3.0 * 0.6),
             (RayAverage::AtExpected, 1.5),
             (RayAverage::Spread, 1.5 - 1.0),
+            (RayAverage::SpreadPerRay, 1.5 - 1.0 - 1.0),
         ];
         for (name, expected) in expected {
             assert!((average(name) - expected).abs() < 1e-12, "{name:?}: {} instead of {expected}", average(name));
         }
         assert_eq!(expected.map(|(name, _)| name), RayAverage::ALL);
+        let (unseen, unknown) = (|_| 0.0, Probe { rays: None, ..probe });
+        let unseen = ray.average(RayAverage::SpreadPerRay, &values, &Probe { rays: Some(&unseen), ..probe });
+        assert!((unseen - 0.5 - 0.5 * 2_f64.log10()).abs() < 1e-12, "{unseen}");
+        assert!(ray.average(RayAverage::SpreadPerRay, &values, &unknown).is_nan());
     }
 
     #[test]
     fn a_ray_that_meets_nothing_has_no_value_but_the_official_one() {
         let ray = WeightedRay { weights: &[0.0], end_transmittance: 1.0, at_expected: Vec3::ZERO, spread: 0.1 };
         for average in RayAverage::ALL {
-            let found = ray.average(average, &[5.0], &|_| 5.0);
+            let five = |_| 5.0;
+            let found = ray.average(average, &[5.0], &Probe { value: &five, rays: Some(&five), averages: &[] });
             assert!(
                 if average == RayAverage::Official { found == -3.0 } else { found.is_nan() },
                 "{average:?}: {found}"

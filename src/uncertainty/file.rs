@@ -1,6 +1,7 @@
 //! The field file, `.oct`.
 //!
-//! It is a [container] whose header holds protocol, lattice and draws, with the sections
+//! It is a [container] whose header holds protocol, lattice, draws and a calibrated interval of depth, and whose sections
+//! are
 //!
 //! ```text
 //! masks        u8         child masks of the octree, breadth first (empty for a dense grid)
@@ -25,7 +26,7 @@ mod legacy;
 
 use std::path::Path;
 
-use super::{ErrorBars, Protocol, RayCounts, StandardDeviations, Support, UncertaintyField, vertex_count};
+use super::{Conformal, ErrorBars, Protocol, RayCounts, StandardDeviations, Support, UncertaintyField, vertex_count};
 use crate::geometry::Lattice;
 use crate::io::container::{self, Format, Reader, Section};
 use crate::octree::{MaxLevels, Octree};
@@ -44,6 +45,9 @@ struct Header {
     kind: Kind,
     /// The rays that were summed, by sequence of pixels; empty if unknown.
     draws: Vec<Draw>,
+    /// The calibrated interval of depth, if there is one.
+    #[serde(default)]
+    conformal: Option<Conformal>,
 }
 
 #[derive(serde::Serialize, serde::Deserialize)]
@@ -120,7 +124,7 @@ impl UncertaintyField {
             }
         };
         let (protocol, draws) = (self.protocol.clone(), self.draws.clone());
-        let header = Header { protocol, lattice: self.lattice, kind, draws };
+        let header = Header { protocol, lattice: self.lattice, kind, draws, conformal: self.conformal };
         let sums = self.sums.as_deref().unwrap_or_default();
         let exact = if self.is_part() { sums } else { &[] };
         let factors = Factors(if self.is_part() { &[] } else { sums });
@@ -227,6 +231,25 @@ impl UncertaintyField {
             let found = "an empty part, or two that may have rays in common";
             return Err(Error::malformed(path, "header, draws", "parts of runs, each ray in one of them", found));
         }
-        Ok(Self { protocol, lattice, support, limits, deviations, rays, sums, error_bars, surface, visits, draws })
+        let conformal = header.conformal;
+        if let Some(conformal) = conformal.filter(|conformal| !conformal.is_possible()) {
+            let expected = "an interval that a calibration can give";
+            return Err(Error::malformed(path, "header, conformal", expected, format!("{conformal:?}")));
+        }
+        let field = Self {
+            protocol,
+            lattice,
+            support,
+            limits,
+            deviations,
+            rays,
+            sums,
+            error_bars,
+            surface,
+            visits,
+            draws,
+            conformal,
+        };
+        Ok(field)
     }
 }

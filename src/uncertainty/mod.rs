@@ -5,6 +5,7 @@
 
 mod batch;
 mod compare;
+mod conformal;
 mod densify;
 mod depth;
 mod error_bars;
@@ -21,6 +22,7 @@ mod standard_deviations;
 mod threshold;
 
 pub use compare::{Comparison, Difference, Summary, compare};
+pub use conformal::Conformal;
 pub use depth::DepthPosterior;
 pub use error_bars::{ErrorBars, ErrorSummary, Jackknife};
 pub use file::FORMAT_VERSION;
@@ -77,6 +79,8 @@ pub struct UncertaintyField {
     visits: Option<Visits>,
     /// The rays that were summed; empty if unknown.
     draws: Vec<Draw>,
+    /// An interval of depth that was calibrated for these deviations.
+    conformal: Option<Conformal>,
 }
 
 impl UncertaintyField {
@@ -124,6 +128,7 @@ impl UncertaintyField {
             surface: Vec::new(),
             visits: None,
             draws,
+            conformal: None,
         }
     }
 
@@ -177,7 +182,9 @@ impl UncertaintyField {
     /// The same field without its sums: a tenth of the memory, but the covariance is fixed.
     #[must_use]
     pub fn without_sums(self) -> Self {
-        Self { sums: None, ..self }
+        // Without the matrices deviations of depth are others, so an interval for those would be wrong.
+        let conformal = self.conformal.filter(|_| self.sums.is_none());
+        Self { sums: None, conformal, ..self }
     }
 
     /// The same field without what queries do not need. A part of a run keeps its sums: it is of no use without
@@ -241,7 +248,7 @@ impl UncertaintyField {
                 ));
             };
             self.protocol.covariance = covariance;
-            self.error_bars = None;
+            (self.error_bars, self.conformal) = (None, None);
             self.deviations = deviations_from_sums(&self.protocol, &self.lattice, &self.support, &self.limits, sums);
         }
         Ok(self)
@@ -274,7 +281,7 @@ impl UncertaintyField {
         };
         self.protocol.lambda = lambda;
         self.protocol.scale = scale;
-        self.error_bars = None;
+        (self.error_bars, self.conformal) = (None, None);
         self.deviations = deviations_from_sums(&self.protocol, &self.lattice, &self.support, &self.limits, sums);
         Ok(self)
     }
@@ -289,7 +296,7 @@ impl UncertaintyField {
             (Support::Dense, Some(sums)) => {
                 self.protocol.min_rays = min_rays;
                 self.protocol.tolerance = tolerance;
-                self.error_bars = None;
+                (self.error_bars, self.conformal) = (None, None);
                 self.deviations =
                     deviations_from_sums(&self.protocol, &self.lattice, &self.support, &self.limits, sums);
                 Ok(self)

@@ -40,6 +40,14 @@ impl UncertaintyField {
         }
     }
 
+    /// Number of training rays that support U at a scene point, interpolated; NaN if the field does not know, 0 outside
+    /// the box.
+    #[must_use]
+    pub fn support_at(&self, x: Vec3) -> f64 {
+        let found = self.query(x);
+        if found.inside { found.rays.unwrap_or(f64::NAN) } else { 0.0 }
+    }
+
     /// log10 U at a scene point.
     #[must_use]
     pub fn log10(&self, x: Vec3) -> f64 {

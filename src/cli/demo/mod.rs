@@ -193,7 +193,7 @@ impl Args {
         let cleaned = ThresholdedField { field, uncertainty, threshold };
         let truth = subject.truth.as_ref().map(|truth| &truth.scene as &dyn RadianceField);
         let log10 = |x| uncertainty.log10(x);
-        let probes = [Probe { value: &log10, averages: &[RayAverage::WeightedMean] }];
+        let probes = [Probe { value: &log10, rays: None, averages: &[RayAverage::WeightedMean] }];
         let render = |field: &dyn RadianceField| -> Result<Vec<RenderedView>> {
             let tracer = RaySettings::default().cutoff(1e-4).tracer(field, 0.0, bars)?;
             let cameras = subject.views().map(|view| view.1);
@@ -206,7 +206,7 @@ impl Args {
         let truths = truth.map(render).transpose()?;
         let quantity = uncertainty.protocol().scale.quantity();
         let (depth, error) = (depth_range(&views), error_range(&views));
-        let ranges = Ranges { depth, error, log10: [low, prior], prior, quantity };
+        let ranges = Ranges { depth, error, conformal: None, log10: [low, prior], prior, quantity };
         let colors = |title: &str, view: &RenderedView| {
             color_panel(title, view.resolution, view.pixels.iter().map(|pixel| pixel.color))
         };

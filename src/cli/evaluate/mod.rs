@@ -1,27 +1,29 @@
 //! `evaluate`: checks whether the uncertainty shows where the model is wrong.
 
+mod ranking;
 mod sheet;
 mod table;
 
 use std::path::{Path, PathBuf};
 
+use self::ranking::Ranking;
 use self::table::Evaluation;
 use super::belongs::check_model;
 use super::files::CommandFiles;
-use super::options::{CameraFile, FrameOptions, ModelOptions, parse_pair};
+use super::options::{CameraFile, DepthOptions, FrameOptions, ModelOptions};
 use super::progress::Bars;
 use super::render::check_box;
-use crate::dataset::{DepthEncoding, DepthKind, Frame};
+use crate::dataset::Frame;
 use crate::evaluate::{
-    CleanUp, DepthError, DepthFiles, EvaluatedView, Evaluator, Reading, Score, THRESHOLDS, TrueView, clean_up,
+    CleanUp, DepthError, EvaluatedView, Evaluator, Reading, Score, THRESHOLDS, TrainingViews, TrueView, clean_up,
 };
 use crate::field::RadianceField;
-use crate::geometry::{Aabb, Domain};
+use crate::geometry::{Aabb, Camera, Domain};
 use crate::io::AtomicFile;
-use crate::metrics::{STEPS, quantile};
+use crate::metrics::STEPS;
 use crate::monitor::Monitor;
 use crate::posterior::Covariance;
-use crate::render::{RayAverage, RenderedView};
+use crate::render::{RayAverage, RenderedView, Tracer};
 use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
 
@@ -32,8 +34,10 @@ use crate::{Error, Result};
 /// common maximum, trapezoid rule. Only the order of pixels counts, so nothing is normalised per image.
 ///
 /// Several fields, covariances and ray averages share the rendering. The same pixels are ranked by what any field
-/// gives for nothing: the variance and the entropy of the ray's weights, 1 - opacity, the number of training rays,
-/// and chance. With --ensemble they are also ranked by the disagreement of several models.
+/// gives for nothing: the variance and the entropy of the ray's weights, the weights' deviation over the number of
+/// training rays, 1 - opacity, the rays and visits themselves, and chance; and, if the model knows its training cameras,
+/// by how many of them see the place, and from how near an angle. With --ensemble they are also ranked by the
+/// disagreement of several models.
 ///
 /// Depth is compared where the true depth is known and the image is fully opaque (alpha 255; images without alpha
 /// are opaque everywhere).
@@ -61,18 +65,8 @@ pub struct Args {
     #[arg(long, value_name = "DIR", required_unless_present = "clean_up")]
     depth: Option<PathBuf>,
 
-    /// File name of a frame's depth map; {} stands for the frame's file name without extension
-    #[arg(long, value_name = "PATTERN", default_value = "{}_depth_0001.png")]
-    depth_pattern: String,
-
-    /// For PNG: depth in scene units = OFFSET + SCALE * p, p in [0, 1] from black to white; p = 0 means unknown.
-    /// Maps in .exr (their only channel, or the one named Z or depth) hold scene units, and 0 where depth is unknown
-    #[arg(long, value_name = "OFFSET,SCALE", value_parser = parse_pair, allow_hyphen_values = true, requires = "depth")]
-    depth_encoding: Option<[f64; 2]>,
-
-    /// Depth maps hold depth along the viewing axis, not distance from the camera
-    #[arg(long)]
-    z_depth: bool,
+    #[command(flatten)]
+    maps: DepthOptions,
 
     /// Covariances to evaluate, separated by commas [default: all if a field keeps its sums, else its own]
     #[arg(long, value_enum, value_delimiter = ',')]
@@ -83,6 +77,10 @@ pub struct Args {
     /// `weighted-mean`
     #[arg(long, value_enum, value_delimiter = ',', default_value = "spread")]
     ray_average: Vec<RayAverage>,
+
+    /// How the ranking is told
+    #[arg(long, value_enum, default_value = "bayesrays")]
+    protocol: Ranking,
 
     /// Two or more models trained like MODEL with other seeds; MODEL may be among them. Evaluates the variance of
     /// their depth, and the density-aware ensemble (Sünderhauf et al. 2023)
@@ -146,22 +144,23 @@ impl Args {
         let readings = self.readings(&model.bounds())?;
         let members = self.ensemble.iter().map(|name| self.member(name, &*model)).collect::<Result<Vec<_>>>()?;
         let judged = self.cameras.held_out(&self.frames, &*model)?;
-        let depth_files = self.depth_files()?;
+        let depth_files = self.depth.clone().map(|folder| self.maps.files(folder)).transpose()?;
         let images = judged.iter().map(|frame| &frame.image);
         let maps = judged.iter().flat_map(|frame| depth_files.iter().map(|files| files.path(frame)));
         files.inputs("an image of --cameras", images).inputs("--depth", maps).check()?;
         let frames: Vec<&Frame> = judged.iter().step_by(self.every as usize).collect();
         let settings = self.model.image_settings();
-        let evaluator = Evaluator {
-            tracer: settings.tracer(&*model, 0.0, bars)?,
-            readings: &readings,
-            differentiation: readings
-                .first()
-                .map(|r| settings.differentiation(&*model, r.field.lattice()))
-                .transpose()?,
-            members: members.iter().map(|member| settings.tracer(&**member, 0.0, bars)).collect::<Result<_>>()?,
-        };
         let offset = settings.pixel_offset.unwrap_or_else(|| model.pixel_offset());
+        let tracer = settings.tracer(&*model, 0.0, bars)?;
+        let training = self.training_views(&tracer, offset, bars)?;
+        let differentiation =
+            readings.first().map(|r| settings.differentiation(&*model, r.field.lattice())).transpose()?;
+        let evaluator = Evaluator {
+            differentiation,
+            members: members.iter().map(|member| settings.tracer(&**member, 0.0, bars)).collect::<Result<_>>()?,
+            training: training.as_ref(),
+            ..Evaluator::new(tracer, &readings)
+        };
 
         let rows = frames.iter().map(|f| u64::from(f.camera.resolution[1].div_ceil(self.stride))).sum::<u64>();
         bars.begin("rows", rows * (1 + members.len() as u64));
@@ -170,7 +169,7 @@ impl Args {
             let background = self.model.background.as_dvec3();
             let truth = TrueView::read(frame, depth_files.as_ref(), background, offset, self.stride)?;
             let view = evaluator.evaluate(&truth, seed, bars)?;
-            let other = truth.distance_if_not(self.depth_kind());
+            let other = truth.distance_if_not(self.maps.kind());
             let error = |&i: &usize| Some((view.rendered.pixels[i].median_depth - other[i]?).abs());
             otherwise.extend(view.pixels.iter().filter_map(error));
             // Whole images are large, and only the clean-up needs the true ones again.
@@ -181,7 +180,7 @@ impl Args {
         let measures = evaluator.measures();
         let ranked = self.depth.as_ref().map(|folder| rank(folder, &judged, measures.len(), &*model)).transpose()?;
         if let Some((_, depth)) = &ranked {
-            self.note_depth_kind(depth, otherwise);
+            self.maps.note_kind(depth, otherwise);
         }
         let (cleaned, sheet) = self.clean_up(&evaluator, &truths, bars)?.unzip();
         let cleaned = cleaned.unwrap_or_default();
@@ -199,6 +198,18 @@ impl Args {
         files.iter_mut().try_for_each(AtomicFile::sync)?;
         files.into_iter().try_for_each(AtomicFile::commit)?;
         evaluation.print()
+    }
+
+    /// What the cameras see that the model was trained on, if it knows them.
+    fn training_views(&self, tracer: &Tracer, offset: f64, bars: &Bars) -> Result<Option<TrainingViews>> {
+        let cameras: Vec<Camera> = tracer.field.training_cameras().iter().map(|named| named.camera).collect();
+        if cameras.is_empty() || self.depth.is_none() {
+            return Ok(None);
+        }
+        bars.begin("rows of training views", TrainingViews::rows(&cameras));
+        let views = TrainingViews::render(tracer, &cameras, offset, bars)?;
+        bars.end();
+        Ok(Some(views))
     }
 
     fn readings(&self, bounds: &Aabb) -> Result<Vec<Reading>> {
@@ -228,33 +239,6 @@ impl Args {
             ));
         }
         Ok(member)
-    }
-
-    fn depth_kind(&self) -> DepthKind {
-        if self.z_depth { DepthKind::Z } else { DepthKind::Euclidean }
-    }
-
-    fn depth_files(&self) -> Result<Option<DepthFiles>> {
-        let Some(folder) = self.depth.clone() else { return Ok(None) };
-        let pattern = self.depth_pattern.clone();
-        let encoding = DepthEncoding::of_maps(&pattern, self.depth_encoding, self.depth_kind())?;
-        Ok(Some(DepthFiles { folder, pattern, encoding }))
-    }
-
-    /// Says on stderr if the depth maps fit much better when read as the other kind of depth.
-    fn note_depth_kind(&self, depth: &DepthError, mut otherwise: Vec<f64>) {
-        otherwise.sort_unstable_by(f64::total_cmp);
-        let (found, other) = (depth.median, quantile(&otherwise, 0.5));
-        if other < 0.5 * found {
-            let (kind, flag) = match self.depth_kind() {
-                DepthKind::Z => ("distance from the camera", "without --z-depth"),
-                _ => ("depth along the viewing axis", "with --z-depth"),
-            };
-            eprintln!(
-                "note: half of the depths are off by more than {found:.4} scene units; if the maps hold {kind} \
-                 ({flag}), by more than {other:.4}"
-            );
-        }
     }
 
     /// Sweeps the thresholds and draws the sheet, if asked to.

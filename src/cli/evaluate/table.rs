@@ -6,9 +6,9 @@ use serde_json::json;
 
 use super::Args;
 use crate::cli::report;
-use crate::evaluate::{CleanUp, DepthError, EvaluatedView, Evaluator, Measure, Score};
+use crate::evaluate::{CleanUp, DepthError, EvaluatedView, Evaluator, Measure, Reading, Score};
 use crate::io::AtomicFile;
-use crate::metrics::{Calibration, ErrorKind, PROBABILITIES, STEPS, Sparsification};
+use crate::metrics::{Calibration, ErrorKind, STEPS, Sparsification};
 use crate::picture::{Curve, stage_plot};
 use crate::{Error, Result};
 
@@ -44,8 +44,8 @@ fn every_pixel(stride: u32) -> String {
     format!("every {stride}{ending} pixel along x and y")
 }
 
-impl Evaluation<'_> {
-    fn named(&self) -> impl Iterator<Item = (Measure, String, &Score)> {
+impl<'a> Evaluation<'a> {
+    pub(super) fn named(&self) -> impl Iterator<Item = (Measure, String, &Score)> {
         self.measures.iter().zip(self.scores()).map(|(&measure, score)| (measure, self.evaluator.name(measure), score))
     }
 
@@ -57,11 +57,11 @@ impl Evaluation<'_> {
         self.ranked.as_ref().map(|ranked| &ranked.1)
     }
 
-    fn psnr(&self) -> f64 {
+    pub(super) fn psnr(&self) -> f64 {
         self.views.iter().map(|v| v.psnr).sum::<f64>() / self.views.len() as f64
     }
 
-    fn empty(&self) -> usize {
+    pub(super) fn empty(&self) -> usize {
         self.views.iter().map(|v| v.empty).sum()
     }
 
@@ -87,7 +87,7 @@ impl Evaluation<'_> {
     }
 
     /// The measures that are deviations of depth.
-    fn calibrated(&self) -> impl Iterator<Item = (Measure, String, &Calibration)> {
+    pub(super) fn calibrated(&self) -> impl Iterator<Item = (Measure, String, &Calibration)> {
         let all = self.measures.iter().zip(&self.calibrations);
         all.filter_map(|(&measure, found)| {
             let name = match measure {
@@ -104,8 +104,8 @@ impl Evaluation<'_> {
         let mut curves: Vec<Curve> = self
             .calibrated()
             .map(|(_, name, c)| Curve {
-                name: format!("{name} (AUCE {:.3})", c.auce),
-                points: points(&c.reliability),
+                name: format!("{name} (AUCE {:.3})", c.predictive().auce),
+                points: points(&c.predictive().reliability),
                 reference: false,
             })
             .collect();
@@ -148,6 +148,10 @@ impl Evaluation<'_> {
                 "name": name,
                 "ause_pooled": by_kind(&|e| score.pooled[e].area),
                 "ause_mean_over_views": by_kind(&|e| score.per_view_mean[e]),
+                "risk": by_kind(&|e| score.pooled[e].risk()),
+                "least_risk": by_kind(&|e| score.pooled[e].least_risk()),
+                "rank_correlation": score.rank_correlation,
+                "rank_correlation_mean_over_views": score.rank_correlation_per_view,
             });
             if let Some(calibration) = &self.calibrations[m] {
                 entry["calibration"] = json!(calibration);
@@ -168,7 +172,7 @@ impl Evaluation<'_> {
         let args = self.args;
         json!({
             "model": args.model.model, "cameras": args.cameras.cameras, "depth": args.depth, "ensemble": args.ensemble,
-            "depth_kind": if args.z_depth { "z" } else { "euclidean" }, "stride": args.stride,
+            "depth_kind": if args.maps.z_depth { "z" } else { "euclidean" }, "stride": args.stride,
             "mask": "alpha 255 and known depth", "alignment": "none",
             "background": args.model.background.to_array(),
             "views": self.views.iter().map(|v| json!({ "name": v.name, "psnr": v.psnr, "pixels": v.pixels.len() })).collect::<Vec<_>>(),
@@ -179,6 +183,9 @@ impl Evaluation<'_> {
             })),
             "readings": readings,
             "baselines": baselines,
+            "conformal": self.conformal().map(|(reading, share)| json!({
+                "name": reading.name, "interval": reading.field.conformal(), "share_inside": share,
+            })).collect::<Vec<_>>(),
             "clean_up": self.cleaned,
         })
     }
@@ -202,63 +209,16 @@ impl Evaluation<'_> {
         self.print_clean_up()
     }
 
-    fn print_ranking(&self, depth: &DepthError) -> Result<()> {
-        let (args, folder) = (self.args, self.args.depth.iter().next().map_or("".into(), |d| d.display().to_string()));
-        let kind = if args.z_depth { "along the viewing axis" } else { "Euclidean" };
-        say!("  depth        median of the ray's weights, against {kind} depth of {folder}")?;
-        let empty = self.empty();
-        say!("  mask         alpha 255 and known depth; {empty} pixels left out where the field shows nothing")?;
-        say!("  alignment    none")?;
-        let averages: Vec<_> = args.ray_average.iter().map(|b| b.name()).collect();
-        say!("  U per pixel  log10 U averaged `{}`", averages.join("`, `"))?;
-        say!("  AUSE         100 steps, both curves over their common maximum, trapezoid; 0 is a perfect order")?;
-        say!("PSNR {:.2} dB (mean over views)", self.psnr())?;
-        let DepthError { pixels, median, mean, percentile_95 } = depth;
-        say!(
-            "depth error over {pixels} pixels: median {median:.4}, mean {mean:.4}, 95 % {percentile_95:.4} scene units"
-        )?;
-        let width = self.named().map(|(_, name, _)| name.chars().count()).max().unwrap_or(0).max(32);
-        say!(
-            "{:<width$}     mae     mse    rmse   | mean over views   mae     mse    rmse",
-            "AUSE, all pixels together",
-            width = width + 2
-        )?;
-        let mut before = None;
-        for (measure, name, score) in self.named() {
-            let is_reading = !matches!(measure, Measure::Baseline(_));
-            if before == Some(true) && !is_reading {
-                say!("  without a Hessian:")?;
-            }
-            before = Some(is_reading);
-            let [a, b, c] = [0, 1, 2].map(|k| score.pooled[k].area);
-            let [d, e, f] = [0, 1, 2].map(|k| score.per_view_mean[k]);
-            say!("  {name:<width$} {a:>7.4} {b:>7.4} {c:>7.4}   |              {d:>7.4} {e:>7.4} {f:>7.4}")?;
-        }
-        self.print_calibration(width)
-    }
-
-    /// Only if a field gives deviations in scene units: the ray's weights alone are there to be compared with.
-    fn print_calibration(&self, width: usize) -> Result<()> {
-        if !self.calibrated().any(|(measure, ..)| matches!(measure, Measure::DepthDeviation(_))) {
-            return Ok(());
-        }
-        let nominal = PROBABILITIES.map(|p| format!("{:>6.0} %", 100.0 * p)).concat();
-        say!(
-            "{:<width$}{nominal}    AUCE   mean e/s   NLL, nats: Gauss  Laplace  Student   (with the best scale)",
-            "errors of depth within",
-            width = width + 2
-        )?;
-        for (_, name, c) in self.calibrated() {
-            let held = c.coverage.map(|[_, found]| format!("{:>6.1} %", 100.0 * found)).concat();
-            let [gauss, laplace, student] = c.nll;
-            let [g, l, s] = c.nll_best_scale;
-            say!(
-                "  {name:<width$}{held} {:>7.3} {:>10.2} {gauss:>18.2} {laplace:>8.2} {student:>8.2}   ({g:.2}, {l:.2}, {s:.2})",
-                c.auce,
-                c.mean_ratio
-            )?;
-        }
-        Ok(())
+    /// The readings with a calibrated interval, and the share of errors that it holds here.
+    pub(super) fn conformal(&self) -> impl Iterator<Item = (&Reading, f64)> {
+        self.measures.iter().enumerate().filter_map(|(m, measure)| {
+            let Measure::DepthDeviation(r) = *measure else { return None };
+            let reading = &self.evaluator.readings[r];
+            let factor = reading.field.conformal()?.factor;
+            let of_view = |view: &'a EvaluatedView| view.absolute_error.iter().zip(&view.measures[m]);
+            let pixels: Vec<bool> = self.views.iter().flat_map(of_view).map(|(e, s)| *e <= factor * s).collect();
+            Some((reading, pixels.iter().filter(|inside| **inside).count() as f64 / pixels.len() as f64))
+        })
     }
 
     fn print_clean_up(&self) -> Result<()> {

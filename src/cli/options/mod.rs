@@ -1,6 +1,7 @@
 //! Options shared by several verbs.
 
 mod cameras;
+mod depth;
 mod grid;
 mod numbers;
 mod parse;
@@ -8,11 +9,12 @@ mod scale;
 mod threshold;
 
 pub use cameras::{CameraFile, CameraOptions, FrameOptions, warn_of_pixels};
+pub use depth::DepthOptions;
 pub use grid::{DomainOptions, GridOptions, OfficialOptions, check_field_name};
 pub use numbers::{count, parse_interval, parse_time};
 pub use parse::{
-    Resolution, numbers, parse_background, parse_box, parse_non_negative, parse_pair, parse_positive, parse_range,
-    parse_resolution, parse_views, scaled,
+    Resolution, numbers, parse_background, parse_box, parse_non_negative, parse_pair, parse_positive,
+    parse_probability, parse_range, parse_resolution, parse_views, scaled,
 };
 pub use scale::TrainingPixels;
 pub use threshold::Threshold;
@@ -51,7 +53,10 @@ impl ValueEnum for RayAverage {
             Self::AtExpected => "log10 U at the expected depth",
             Self::Spread => {
                 "log10 (U at the expected depth times the deviation of the ray's weights, with delta^2/12 added to \
-                 their variance for the length delta of a sample): for ranking pixels"
+                 their variance for the length delta of a sample)"
+            }
+            Self::SpreadPerRay => {
+                "`spread` over the root of the number of training rays around the expected depth: for ranking pixels"
             }
         };
         Some(clap::builder::PossibleValue::new(self.name()).help(help))

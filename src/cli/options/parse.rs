@@ -123,6 +123,14 @@ pub fn parse_positive(text: &str) -> Result<f64, String> {
     }
 }
 
+/// A probability that is neither impossible nor certain.
+pub fn parse_probability(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(p) if p > 0.0 && p < 1.0 => Ok(p),
+        _ => Err("expected a probability between 0 and 1, both excluded, such as 0.9".into()),
+    }
+}
+
 /// A root mean square error of colours that training may leave.
 pub fn parse_noise(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {

@@ -1,4 +1,6 @@
-//! `query`: U at points.
+//! `query`: U at points, depth and its deviation along rays.
+
+mod rays;
 
 use std::fs::File;
 use std::io::{BufReader, Write};
@@ -6,6 +8,7 @@ use std::path::{Path, PathBuf};
 
 use glam::Vec3;
 
+use self::rays::RayOptions;
 use super::files::CommandFiles;
 use super::options::OfficialOptions;
 use super::progress::Bars;
@@ -20,7 +23,7 @@ use crate::{Error, Result};
 /// Points that are answered together. More are no faster, and this many with their answers take 30 MB.
 const BATCH: usize = 1 << 18;
 
-/// Query the uncertainty at points
+/// Query the uncertainty at points, or the depth of rays and its deviation
 ///
 /// POINTS is `.npy` (N x 3, numbers of any type) or `.csv`, in scene units. If the first row of a `.csv` names its
 /// columns, those named x, y and z are read, in any order; without names there are exactly three. OUT is `.npy`
@@ -35,13 +38,19 @@ const BATCH: usize = 1 << 18;
 /// A field with error bars adds a column, `log10_error`: the root mean square error of log10 U, in decades. Where
 /// too few rays passed to know it, it is empty in `.csv` and NaN in `.npy`.
 #[derive(clap::Args)]
-#[command(after_help = "Example: echo 0,0,0.5 | octobayes query lego.oct -")]
+#[command(
+    after_help = "Examples:\n  echo 0,0,0.5 | octobayes query lego.oct -\n  octobayes query lego.oct --ray 0,-3,0.5,0,1,0 --model lego.safetensors"
+)]
 pub struct Args {
     /// The field: `.oct`, or the official code's `.npy`
     field: PathBuf,
 
     /// Points: `.npy`, `.csv`, or `-`
-    points: PathBuf,
+    #[arg(required_unless_present = "ray", conflicts_with = "ray")]
+    points: Option<PathBuf>,
+
+    #[command(flatten)]
+    rays: RayOptions,
 
     /// Answers: `.npy`, `.csv`, or `-`
     #[arg(short, long, value_name = "OUT", default_value = "-")]
@@ -74,16 +83,19 @@ fn format(path: &Path) -> Result<Format> {
 
 impl Args {
     /// Runs the verb.
-    pub fn run(self, bars: &Bars) -> Result<()> {
-        let (input, output) = (format(&self.points)?, format(&self.output)?);
+    pub fn run(mut self, bars: &Bars) -> Result<()> {
+        let points = self.points.take();
+        let input = points.as_deref().map(format).transpose()?;
+        let output = format(&self.output)?;
         // Whoever waits for stdin cannot look whether to stop, and ends at once.
-        if input != Format::Stream {
+        if input != Some(Format::Stream) {
             bars.listen();
         }
         let named = |path: &Path| (path != Path::new("-")).then(|| path.to_path_buf());
         CommandFiles::default()
             .input("FIELD", &self.field)
-            .inputs("POINTS", named(&self.points))
+            .inputs("POINTS", points.as_deref().and_then(named))
+            .inputs("--model", &self.rays.model)
             .outputs("--output", named(&self.output))
             .check()?;
         let mut field = self.official.read(&self.field)?;
@@ -94,42 +106,57 @@ impl Args {
                 eprintln!("note: the field's error bars are not those of `{}`: no log10_error", covariance.name());
             }
         }
-        let mut points = self.points(&input)?;
-        match output {
-            Format::Npy => write_npy(&self.output, &field, &mut points, bars),
-            Format::Csv => {
-                let file = AtomicFile::create(&self.output)?;
-                match write_csv(file, &field, &mut points, bars)? {
-                    Ok(file) => file.commit(),
-                    Err(error) => Err(Error::io(&self.output, "cannot write")(error)),
-                }
-            }
-            Format::Stream => match write_csv(std::io::stdout().lock(), &field, &mut points, bars)? {
-                // A reader that has seen enough (`| head`) is no failure.
-                Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => {
-                    Err(Error::io(Path::new("stdout"), "cannot write")(e))
-                }
-                _ => Ok(()),
-            },
+        let Some((points, input)) = points.zip(input) else { return self.answer_rays(&field, &output, bars) };
+        let mut points = open(&points, &input)?;
+        if output == Format::Npy {
+            return write_npy(&self.output, &field, &mut points, bars);
         }
+        written(&self.output, &output, |out| write_csv(out, &field, &mut points, bars))
     }
 
-    /// Starts reading the points. Says on stderr which columns are not read.
-    fn points(&self, format: &Format) -> Result<PointReader<'static>> {
-        let points = match format {
-            Format::Npy => PointReader::npy(&self.points)?,
-            Format::Csv => {
-                let file = File::open(&self.points).map_err(Error::io(&self.points, "cannot open"))?;
-                PointReader::csv(BufReader::new(file), &self.points)?
-            }
-            Format::Stream => PointReader::csv(std::io::stdin().lock(), Path::new("stdin"))?,
-        };
-        if !points.ignored().is_empty() {
-            let others = printable(&points.ignored().join(", "));
-            eprintln!("note: columns x, y and z of {} are read, others are not: {others}", self.points.display());
+    fn answer_rays(self, field: &UncertaintyField, output: &Format, bars: &Bars) -> Result<()> {
+        if *output == Format::Npy {
+            let expected = "`.csv` or `-` for the answers of --ray";
+            return Err(Error::malformed(&self.output, "file name", expected, "`.npy`"));
         }
-        Ok(points)
+        let Self { field: path, output: to, rays, .. } = self;
+        written(&to, output, |out| rays.answer(&path, field, out, bars))
     }
+}
+
+/// Lets `write` write to a file or to stdout. Its inner error is that of what it writes to.
+fn written(
+    path: &Path,
+    format: &Format,
+    write: impl FnOnce(&mut dyn Write) -> Result<std::io::Result<()>>,
+) -> Result<()> {
+    if *format == Format::Csv {
+        let mut file = AtomicFile::create(path)?;
+        write(&mut file)?.map_err(Error::io(path, "cannot write"))?;
+        return file.commit();
+    }
+    match write(&mut std::io::stdout().lock())? {
+        // A reader that has seen enough (`| head`) is no failure.
+        Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => Err(Error::io(Path::new("stdout"), "cannot write")(e)),
+        _ => Ok(()),
+    }
+}
+
+/// Starts reading the points. Says on stderr which columns are not read.
+fn open(path: &Path, format: &Format) -> Result<PointReader<'static>> {
+    let points = match format {
+        Format::Npy => PointReader::npy(path)?,
+        Format::Csv => {
+            let file = File::open(path).map_err(Error::io(path, "cannot open"))?;
+            PointReader::csv(BufReader::new(file), path)?
+        }
+        Format::Stream => PointReader::csv(std::io::stdin().lock(), Path::new("stdin"))?,
+    };
+    if !points.ignored().is_empty() {
+        let others = printable(&points.ignored().join(", "));
+        eprintln!("note: columns x, y and z of {} are read, others are not: {others}", path.display());
+    }
+    Ok(points)
 }
 
 fn write_npy(path: &Path, field: &UncertaintyField, points: &mut PointReader, bars: &Bars) -> Result<()> {
@@ -143,12 +170,12 @@ fn write_npy(path: &Path, field: &UncertaintyField, points: &mut PointReader, ba
 }
 
 /// Answers batch by batch. The inner error is that of `out`, the outer one that of the points.
-fn write_csv<W: Write>(
-    out: W,
+fn write_csv(
+    out: &mut dyn Write,
     field: &UncertaintyField,
     points: &mut PointReader,
     bars: &Bars,
-) -> Result<std::io::Result<W>> {
+) -> Result<std::io::Result<()>> {
     let with_errors = field.error_bars().is_some();
     let mut writer = csv::Writer::from_writer(out);
     let header = ["x", "y", "z", "uncertainty", "log10_uncertainty", "level", "inside", "rays", "visits", "seen"];
@@ -159,8 +186,7 @@ fn write_csv<W: Write>(
         check(bars)?;
         let batch = points.batch(BATCH)?;
         if batch.is_empty() {
-            let finished = writer.into_inner().map_err(csv::IntoInnerError::into_error);
-            return Ok(finished);
+            return Ok(writer.flush());
         }
         if let Err(error) = write_rows(&mut writer, field, &batch, with_errors) {
             return Ok(Err(error));

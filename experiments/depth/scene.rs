@@ -1,0 +1,145 @@
+//! A mesh, what a model saw of it, and the model.
+
+use std::path::{Path, PathBuf};
+
+use glam::{DVec3, Vec3};
+use octobayes::dataset::Views;
+use octobayes::evaluate::TrueView;
+use octobayes::field::{HashGrid, RadianceField};
+use octobayes::geometry::{Camera, Domain, Ray};
+use octobayes::monitor::Silent;
+use octobayes::synth::{DatasetSettings, Mesh, MeshScene, Up, write_dataset};
+use octobayes::train::{DatasetFiles, Selection, Shot, TrainSettings, Trainer, quality};
+use octobayes::{Error, Result};
+use serde::Serialize;
+
+use crate::common::knot::knot;
+use crate::common::program::Program;
+
+/// Side of the images, pixels.
+pub const SIDE: u32 = 200;
+/// Views around a mesh, of which a scene takes some.
+const VIEWS: u32 = 40;
+/// Held-out views all around.
+pub const TEST_VIEWS: u32 = 20;
+/// Pixels of training images by which their noise is measured, about.
+const PIXELS: usize = 20_000;
+/// Every so many pixels of the training images count for the misfit, along x and y.
+const MISFIT_STRIDE: u32 = 2;
+/// A camera sees a point if nothing stands this much nearer on the way, scene units.
+const NEAR: f64 = 1e-3;
+
+/// Which views of a mesh a model is trained on.
+#[derive(Clone, Copy, PartialEq, Serialize)]
+pub enum Seen {
+    /// So many, all around.
+    Few(usize),
+    /// Those from azimuths between these two, degrees.
+    Arc(f64, f64),
+}
+
+/// A mesh, which way up it stands, and what was seen of it.
+#[derive(Clone, Copy)]
+pub struct Scene {
+    pub mesh: &'static str,
+    pub up: Up,
+    pub seen: Seen,
+    /// Steps of training.
+    pub steps: u64,
+}
+
+impl Scene {
+    pub fn name(&self) -> String {
+        let seen = match self.seen {
+            Seen::Few(views) => format!("{views} views"),
+            Seen::Arc(from, to) if to - from > 180.0 => format!("hole of {:.0}°", 360.0 - (to - from)),
+            Seen::Arc(from, to) => format!("arc of {:.0}°", to - from),
+        };
+        format!("{}, {seen}", self.mesh)
+    }
+
+    /// The mesh's file, and the images of it in a folder.
+    fn images(&self, folder: &Path) -> Result<PathBuf> {
+        let file = if self.mesh == "knot" {
+            let file = folder.with_extension("obj");
+            std::fs::write(&file, knot()).map_err(Error::io(&file, "cannot write"))?;
+            file
+        } else {
+            Program::data()?.join(format!("meshes/{}.obj", self.mesh))
+        };
+        let settings = DatasetSettings::default().up(self.up).views(VIEWS).test_views(TEST_VIEWS);
+        write_dataset(&file, folder, &settings.resolution([SIDE; 2]).samples_per_side(2), &Silent)?;
+        Ok(file)
+    }
+
+    fn selection(&self, folder: &Path) -> Result<Selection> {
+        let (from, to) = match self.seen {
+            Seen::Few(views) => return Ok(Selection::Count(views)),
+            Seen::Arc(from, to) => (from, to),
+        };
+        let frames = Views::read(&folder.join("transforms_train.json"), None)?.frames;
+        let azimuth = |camera: &Camera| camera.position.y.atan2(camera.position.x).to_degrees().rem_euclid(360.0);
+        let inside = |camera: &Camera| (azimuth(camera) - from).rem_euclid(360.0) < to - from;
+        Ok(Selection::Indices((0..frames.len()).filter(|&i| inside(&frames[i].camera)).collect()))
+    }
+
+    /// Trains a model of the scene; its files go into `folder`.
+    pub fn train(&self, folder: &Path, seed: u64) -> Result<Model> {
+        let folder = folder.join("images");
+        let file = self.images(&folder)?;
+        let mut files = DatasetFiles::read(&folder)?;
+        files.select(&self.selection(&folder)?, None)?;
+        let [shots, _] = files.load(&Silent)?;
+        let domain = Domain::Box(files.bounds);
+        let mut trainer = Trainer::new(TrainSettings::default().seed(seed), domain, &shots)?;
+        while trainer.steps() < self.steps {
+            trainer.step(trainer.steps() as f64 / self.steps as f64);
+        }
+        let field = trainer.field(serde_json::Value::Null);
+        let psnr = quality(&field, &shots, Vec3::ONE, PIXELS).map_or(f64::NAN, |quality| quality.psnr);
+        let images = shots.iter().map(|shot| image(shot, field.pixel_offset())).collect();
+        let mesh = MeshScene::new(Mesh::read(&file)?.placed(self.up).0);
+        let cameras = shots.iter().map(|shot| shot.camera).collect();
+        Ok(Model { field, psnr, domain, cameras, images, mesh, folder })
+    }
+}
+
+/// Every so many pixels of a training image, along x and y.
+fn image(shot: &Shot, pixel_offset: f64) -> TrueView {
+    let camera = shot.camera.strided(MISFIT_STRIDE, pixel_offset);
+    let [width, height] = camera.resolution;
+    let full = |row: u32, column: u32| ((row * shot.camera.resolution[0] + column) * MISFIT_STRIDE) as usize;
+    let pixels = (0..height).flat_map(|row| (0..width).map(move |column| full(row, column)));
+    let colors: Vec<DVec3> = pixels.map(|i| shot.image.over(i, DVec3::ONE)).collect();
+    let (covered, distance) = (vec![true; colors.len()], vec![None; colors.len()]);
+    TrueView { name: shot.name.clone(), camera, pixel_offset, colors, covered, distance }
+}
+
+/// A trained model, and the truth about its scene.
+pub struct Model {
+    pub field: HashGrid,
+    /// Of the training images, dB.
+    pub psnr: f64,
+    pub domain: Domain,
+    pub cameras: Vec<Camera>,
+    /// The training images.
+    pub images: Vec<TrueView>,
+    mesh: MeshScene,
+    /// The data set.
+    pub folder: PathBuf,
+}
+
+impl Model {
+    /// Whether a training camera saw this point of the true surface.
+    pub fn was_seen(&self, x: DVec3) -> bool {
+        self.cameras.iter().any(|camera| {
+            let Some(([column, row], _)) = camera.project(x) else { return false };
+            let [width, height] = camera.resolution.map(f64::from);
+            let distance = x.distance(camera.position);
+            let ray = Ray::new(camera.position, x - camera.position);
+            (0.0..width).contains(&column)
+                && (0.0..height).contains(&row)
+                && self.mesh.nearest(&ray).is_none_or(|hit| hit.t > distance - NEAR)
+        })
+    }
+}

@@ -1,0 +1,179 @@
+//! The tables of the report.
+
+use octobayes::metrics::{ErrorDensity, PROBABILITIES};
+
+use crate::common::table::{Table, deviation, mean, spread};
+use crate::joint::{Joint, fit};
+use crate::judge::{Row, Scored};
+use crate::scene::Scene;
+
+/// Values of all rows.
+fn of(rows: &[&Row], value: impl Fn(&Row) -> f64) -> Vec<f64> {
+    rows.iter().map(|row| value(row)).collect()
+}
+
+/// Coverage of the intervals, by scene and over all.
+pub fn coverage(scenes: &[Scene], rows: &[Vec<Row>]) -> String {
+    let mut table = Table::new(&[
+        "scene",
+        "PSNR, dB",
+        "median error",
+        "intervals of",
+        "50 %",
+        "68 %",
+        "90 %",
+        "95 %",
+        "AUCE",
+        "NLL",
+        "best scale",
+    ]);
+    let mut add = |name: &str, rows: &[&Row]| {
+        for (b, bar) in ["√(Var + s²), Student", "√(Var + s²), normal", "s alone, Student"].into_iter().enumerate()
+        {
+            let first = |text: String| if b == 0 { text } else { String::new() };
+            let of = |value: &dyn Fn(&Row) -> f64, digits| spread(&of(rows, value), digits);
+            let mut cells = vec![first(name.into()), first(of(&|row| row.psnr, 2)), first(of(&|row| row.error, 4))];
+            cells.push(bar.into());
+            cells.extend((0..PROBABILITIES.len()).map(|p| of(&|row| 100.0 * row.bars[b].held[p], 1)));
+            cells.extend([
+                of(&|row| row.bars[b].auce, 3),
+                of(&|row| row.bars[b].nll[0], 2),
+                of(&|row| row.bars[b].nll[1], 2),
+            ]);
+            table.row(&cells);
+        }
+    };
+    for (scene, rows) in scenes.iter().zip(rows) {
+        add(&scene.name(), &rows.iter().collect::<Vec<_>>());
+    }
+    add("all", &rows.iter().flatten().collect::<Vec<_>>());
+    format!("### Coverage\n\n{}", table.text())
+}
+
+/// The mean over the models of a scene, for each measure.
+fn by_scene(rows: &[Vec<Row>], m: usize, value: impl Fn(&Scored) -> f64) -> Vec<f64> {
+    rows.iter().map(|rows| mean(&rows.iter().map(|row| value(&row.scored[m])).collect::<Vec<_>>())).collect()
+}
+
+/// Every measure on the scenes by which the default was chosen, and on the others.
+pub fn ranking(choosing: &[Vec<Row>], testing: &[Vec<Row>]) -> String {
+    let mut table = Table::new(&[
+        "measure",
+        "chosen on: MAE",
+        "RMSE",
+        "tested on: MAE",
+        "RMSE",
+        "rank correlation",
+        "mean over views",
+        "less than the best (MAE)",
+        "(RMSE)",
+    ]);
+    let measures = choosing[0][0].scored.len();
+    let sum = |m: usize| mean(&by_scene(choosing, m, |s| s.mae)) + mean(&by_scene(choosing, m, |s| s.rmse));
+    let mut order: Vec<usize> = (0..measures).collect();
+    order.sort_by(|&a, &b| sum(a).total_cmp(&sum(b)));
+    let best = order[0];
+    for &m in &order {
+        let of = |rows, value: &dyn Fn(&Scored) -> f64| format!("{:.3}", mean(&by_scene(rows, m, value)));
+        // The best of the chosen ones against this, pair by pair of the scenes tested on.
+        let paired = |value: &dyn Fn(&Scored) -> f64| {
+            let pairs = by_scene(testing, m, value).into_iter().zip(by_scene(testing, best, value));
+            interval(&pairs.map(|(other, best)| other - best).collect::<Vec<_>>())
+        };
+        table.row(&[
+            testing[0][0].scored[m].name.clone(),
+            of(choosing, &|s| s.mae),
+            of(choosing, &|s| s.rmse),
+            of(testing, &|s| s.mae),
+            of(testing, &|s| s.rmse),
+            of(testing, &|s| s.spearman[0]),
+            of(testing, &|s| s.spearman[1]),
+            paired(&|s| s.mae),
+            paired(&|s| s.rmse),
+        ]);
+    }
+    format!("### Ranking\n\n{}", table.text())
+}
+
+/// Mean of paired differences, and the interval that holds the mean of scenes like these with 95 %.
+fn interval(differences: &[f64]) -> String {
+    /// Two-sided quantiles of Student's t at 95 %, for 1, 2, … degrees of freedom.
+    const T: [f64; 15] = [12.71, 4.30, 3.18, 2.78, 2.57, 2.45, 2.36, 2.31, 2.26, 2.23, 2.20, 2.18, 2.16, 2.14, 2.13];
+    let n = differences.len();
+    let t = T[(n.max(2) - 2).min(T.len() - 1)];
+    let (middle, half) = (mean(differences), t * deviation(differences) / (n as f64).sqrt());
+    format!("{middle:+.3} ({:+.3} to {:+.3})", middle - half, middle + half)
+}
+
+/// How well each measure tells surfaces that no training view saw.
+pub fn never_seen(rows: &[Vec<Row>]) -> String {
+    let mut table = Table::new(&["measure", "AUROC", "worst scene", "AUPR", "never seen, %"]);
+    let measures = rows[0][0].scored.len();
+    let of = |m: usize| -> Option<[Vec<f64>; 3]> {
+        let found = |value: &dyn Fn(octobayes::metrics::Detection) -> f64| -> Option<Vec<f64>> {
+            let scene = |rows: &Vec<Row>| {
+                let values: Option<Vec<f64>> = rows.iter().map(|row| row.scored[m].never_seen.map(value)).collect();
+                values.map(|values| mean(&values))
+            };
+            rows.iter().map(scene).collect()
+        };
+        Some([found(&|d| d.auroc)?, found(&|d| d.aupr)?, found(&|d| d.positives)?])
+    };
+    let mut all: Vec<(usize, [Vec<f64>; 3])> = (0..measures).filter_map(|m| Some((m, of(m)?))).collect();
+    all.sort_by(|a, b| mean(&b.1[0]).total_cmp(&mean(&a.1[0])));
+    for (m, [auroc, aupr, share]) in all {
+        table.row(&[
+            rows[0][0].scored[m].name.clone(),
+            format!("{:.3}", mean(&auroc)),
+            format!("{:.3}", auroc.iter().copied().fold(f64::INFINITY, f64::min)),
+            format!("{:.3}", mean(&aupr)),
+            format!("{:.1}", 100.0 * mean(&share)),
+        ]);
+    }
+    format!("### Never seen\n\n{}", table.text())
+}
+
+/// The joint variance, with constants fitted to all other scenes.
+pub fn joint(scenes: &[Scene], rows: &[Vec<Row>]) -> String {
+    let mut table =
+        Table::new(&["scene", "a²", "c", "50 %", "68 %", "90 %", "95 %", "NLL", "a = 1, c = 0", "best scale"]);
+    let mut all: Vec<[f64; 7]> = Vec::new();
+    for (scene, own) in scenes.iter().zip(rows) {
+        // Not only this view of the mesh: every model of it is left out.
+        let others = scenes.iter().zip(rows).filter(|(other, _)| other.mesh != scene.mesh);
+        let fitted = fit(others.flat_map(|(_, rows)| rows));
+        let of = |joint: Joint| own.iter().map(move |row| joint.calibration(row));
+        let found: Vec<[f64; 7]> = of(fitted)
+            .zip(of(Joint { factor: 1.0, length: 0.0 }))
+            .map(|(joint, plain)| {
+                let (joint, plain) = (joint.of(ErrorDensity::PREDICTIVE), plain.of(ErrorDensity::PREDICTIVE));
+                let [a, b, c, d] = joint.coverage.map(|[_, share]| 100.0 * share);
+                [a, b, c, d, joint.nll, plain.nll, joint.nll_best_scale]
+            })
+            .collect();
+        let column = |k: usize| mean(&found.iter().map(|row| row[k]).collect::<Vec<_>>());
+        all.push(std::array::from_fn(column));
+        let mut cells = vec![scene.name(), format!("{}", fitted.factor), format!("{}", fitted.length)];
+        cells.extend(numbers(&all[all.len() - 1]));
+        table.row(&cells);
+    }
+    let means: [f64; 7] = std::array::from_fn(|k| mean(&all.iter().map(|row| row[k]).collect::<Vec<_>>()));
+    let mut cells = vec!["all".to_owned(), String::new(), String::new()];
+    cells.extend(numbers(&means));
+    table.row(&cells);
+    format!("### With the misfit of the training images\n\n{}", table.text())
+}
+
+fn numbers(row: &[f64; 7]) -> impl Iterator<Item = String> {
+    row.iter().enumerate().map(|(k, value)| if k < 4 { format!("{value:.1}") } else { format!("{value:.3}") })
+}
+
+/// Processor seconds of a model.
+pub fn costs(rows: &[Vec<Row>]) -> String {
+    let mut table = Table::new(&["processor seconds of a model", "mean"]);
+    let all: Vec<&Row> = rows.iter().flatten().collect();
+    for (k, name) in ["images and training", "uncertainty at level 7", "evaluation, all measures"].iter().enumerate() {
+        table.row(&[(*name).to_owned(), format!("{:.1}", mean(&of(&all, |row| row.seconds[k])))]);
+    }
+    format!("### Cost\n\n{}", table.text())
+}

@@ -1,0 +1,51 @@
+//! Split conformal prediction on evaluated views.
+
+use super::{EvaluatedView, Evaluator, Measure};
+use crate::metrics::{ErrorDensity, conformal_factor};
+use crate::uncertainty::Conformal;
+
+/// An interval of depth, calibrated on some views.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Interval {
+    /// The interval.
+    pub conformal: Conformal,
+    /// Half width without calibration, from [`ErrorDensity::PREDICTIVE`], in deviations.
+    pub predicted: f64,
+    /// Share of a view's errors inside the interval that all other views give: smallest, median and largest over the
+    /// views. NaN if there is one view only.
+    pub left_out: [f64; 3],
+}
+
+impl Interval {
+    /// Calibrates the deviation of depth of the evaluator's first posterior.
+    ///
+    /// `None` if there is none, or if the pixels are too few for this probability.
+    #[must_use]
+    pub fn calibrate(evaluator: &Evaluator, views: &[EvaluatedView], probability: f64) -> Option<Self> {
+        let m = evaluator.measures().iter().position(|measure| matches!(measure, Measure::DepthDeviation(_)))?;
+        // An infinite deviation holds every error.
+        let ratio = |(e, s): (&f64, &f64)| e / s;
+        let of_view = |view: &EvaluatedView| view.absolute_error.iter().zip(&view.measures[m]).map(ratio).collect();
+        let ratios: Vec<Vec<f64>> = views.iter().map(of_view).filter(|ratios: &Vec<f64>| !ratios.is_empty()).collect();
+        let all = ratios.concat();
+        let conformal = Conformal {
+            probability,
+            factor: conformal_factor(&all, probability)?,
+            pixels: all.len() as u64,
+            views: ratios.len() as u64,
+        };
+        let mut shares: Vec<f64> = (0..ratios.len())
+            .filter_map(|left_out| {
+                let others: Vec<f64> =
+                    (0..ratios.len()).filter(|&i| i != left_out).flat_map(|i| &ratios[i]).copied().collect();
+                let factor = conformal_factor(&others, probability)?;
+                let own = &ratios[left_out];
+                Some(own.iter().filter(|z| **z <= factor).count() as f64 / own.len() as f64)
+            })
+            .collect();
+        shares.sort_unstable_by(f64::total_cmp);
+        let at = |share: f64| crate::metrics::quantile(&shares, share);
+        let predicted = ErrorDensity::PREDICTIVE.deviations(probability);
+        Some(Self { conformal, predicted, left_out: [at(0.0), at(0.5), at(1.0)] })
+    }
+}
