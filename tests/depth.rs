@@ -210,8 +210,8 @@ fn the_variance_before_a_wall_is_that_by_hand() {
         let place = a + 0.5 * (inside - a);
         let expected = prior * prior * ((1.0 - place).powi(2) + place * place) / 4.0;
         let found = view.posterior_variance[0][0];
-        // Samples are a fortieth of the light's reach apart; a quarter of a sample is 0.6 % of it.
-        assert!((found / expected - 1.0).abs() < 0.01, "{found} against {expected}");
+        // Samples are a fortieth of the reach of light apart; errors of their sums are of second order.
+        assert!((found / expected - 1.0).abs() < 2e-3, "{found} against {expected}");
     }
 }
 

@@ -509,7 +509,7 @@ def evaluate(
     depth_pattern: str = "{}_depth_0001.png",
     z_depth: bool = False,
     covariance: str | Sequence[str] | None = None,
-    ray_average: str | Sequence[str] = "spread",
+    ray_average: str | Sequence[str] | None = None,
     stride: int = 1,
     every: int = 1,
     box: Any = None,
@@ -526,8 +526,8 @@ def evaluate(
 
     u: one field, or several by name. cameras: a camera file with images. depth: folder of depth maps, named by
     ``depth_pattern`` ({} is the frame's name); depth = offset + scale * p for ``depth_encoding`` (offset, scale), p
-    from 0 to 1, or scene units in .exr, which have no encoding. The other arguments are the command line's
-    (``octobayes evaluate --help``).
+    from 0 to 1, or scene units in .exr, which have no encoding. ray_average: ``spread-per-ray`` unless told otherwise.
+    The other arguments are the command line's (``octobayes evaluate --help``).
 
     Returns a dictionary: 'readings' and 'baselines' (name, 'ause_pooled' and 'ause_mean_over_views' by error kind, and
     'calibration' of standard deviations of depth, which fields of scale='data' give), 'depth_error', 'psnr', 'views',
@@ -541,7 +541,7 @@ def evaluate(
         raise wrong("resolution", "(width, height)", resolution)
     options = {
         **_image_options(nerf, background, march_step, pixel_offset, occupancy),
-        "ray_average": names("ray_average", ray_average),
+        "ray_average": None if ray_average is None else names("ray_average", ray_average),
         "covariance": None if covariance is None else names("covariance", covariance),
         "cameras": as_path("cameras", cameras),
         "depth": as_path("depth", depth),

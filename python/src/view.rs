@@ -107,11 +107,11 @@ pub fn evaluate(
     progress: Option<&Bound<'_, PyAny>>,
 ) -> PyResult<String> {
     let (source, options) = (Source::new(nerf)?, Options(options));
-    let averages = options.ray_averages()?.unwrap_or_else(|| vec![RayAverage::Spread]);
+    let averages = options.ray_averages()?;
     let fields: Vec<_> = fields.into_iter().map(|(name, field)| (name, field.get().0.clone())).collect();
     let covariances = options.covariances()?;
     let read = |(name, field): &(String, Arc<UncertaintyField>)| {
-        Reading::from_field(name, field, covariances.as_deref(), &averages)
+        Reading::from_field(name, field, covariances.as_deref(), averages.as_deref())
     };
     let readings: Vec<Vec<Reading>> = fields.iter().map(read).collect::<octobayes::Result<_>>().or_raise()?;
     let readings = readings.concat();

@@ -17,7 +17,8 @@ pub struct Reading {
 }
 
 impl Reading {
-    /// `field`, called `name`, read by each of these covariances, or by all that it can be read by.
+    /// `field`, called `name`, read by each of these covariances, or by all that it can be read by, and averaged in each
+    /// of these ways, or in the one that ranks best.
     ///
     /// # Errors
     /// As [`UncertaintyField::with_covariance`], and [`Reading::check`].
@@ -25,8 +26,9 @@ impl Reading {
         name: &str,
         field: &UncertaintyField,
         covariances: Option<&[Covariance]>,
-        averages: &[RayAverage],
+        averages: Option<&[RayAverage]>,
     ) -> Result<Vec<Self>> {
+        let averages = averages.map_or_else(|| vec![Self::best_average(field)], <[_]>::to_vec);
         averages.iter().try_for_each(|&average| Self::check(field, average))?;
         let own = field.protocol().covariance;
         let mut wanted = covariances.map_or_else(|| vec![own], <[_]>::to_vec);
@@ -35,9 +37,15 @@ impl Reading {
         }
         let read = |covariance: Covariance| {
             let name = format!("{name} {}", covariance.name());
-            Ok(Self { name, field: field.clone().with_covariance(covariance)?, averages: averages.to_vec() })
+            Ok(Self { name, field: field.clone().with_covariance(covariance)?, averages: averages.clone() })
         };
         wanted.into_iter().map(read).collect()
+    }
+
+    /// The average that ranks depth errors best of those that `field` can be read by (`experiments/depth.md`).
+    #[must_use]
+    pub fn best_average(field: &UncertaintyField) -> RayAverage {
+        if field.rays().is_empty() { RayAverage::Spread } else { RayAverage::SpreadPerRay }
     }
 
     /// Whether `field` can be averaged like this.

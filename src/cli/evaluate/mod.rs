@@ -72,10 +72,10 @@ pub struct Args {
     #[arg(long, value_enum, value_delimiter = ',')]
     covariance: Vec<Covariance>,
 
-    /// How log10 U is averaged along a ray; several, separated by commas, are compared side by side. `spread`
-    /// ranked depth errors best in the study of few views (experiments/few_views.md); `render` shows
-    /// `weighted-mean`
-    #[arg(long, value_enum, value_delimiter = ',', default_value = "spread")]
+    /// How log10 U is averaged along a ray; several, separated by commas, are compared side by side [default:
+    /// `spread-per-ray`, which ranked depth errors best (experiments/depth.md), or `spread` for a field that does not
+    /// know its ray counts]
+    #[arg(long, value_enum, value_delimiter = ',')]
     ray_average: Vec<RayAverage>,
 
     /// How the ranking is told
@@ -220,7 +220,8 @@ impl Args {
             check_model(&self.model, path, &field, self.force)?;
             let stem = path.file_stem().unwrap_or_default().to_string_lossy();
             let covariances = Some(&self.covariance[..]).filter(|wanted| !wanted.is_empty());
-            readings.extend(Reading::from_field(&stem, &field, covariances, &self.ray_average)?);
+            let averages = Some(&self.ray_average[..]).filter(|wanted| !wanted.is_empty());
+            readings.extend(Reading::from_field(&stem, &field, covariances, averages)?);
         }
         Ok(readings)
     }

@@ -25,7 +25,12 @@ impl Evaluation<'_> {
         let empty = self.empty();
         say!("  mask         alpha 255 and known depth; {empty} pixels left out where the field shows nothing")?;
         say!("  alignment    none")?;
-        let averages: Vec<_> = args.ray_average.iter().map(|b| b.name()).collect();
+        let mut averages: Vec<&str> = Vec::new();
+        for average in self.evaluator.readings.iter().flat_map(|reading| &reading.averages) {
+            if !averages.contains(&average.name()) {
+                averages.push(average.name());
+            }
+        }
         say!("  U per pixel  log10 U averaged `{}`", averages.join("`, `"))?;
         match args.protocol {
             Ranking::Bayesrays => {
