@@ -9,6 +9,7 @@ Tested with nerfacto of nerfstudio 1.1.5.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 from pathlib import Path
@@ -27,8 +28,8 @@ class NerfstudioField(TorchField):
     """A trained radiance field of nerfstudio, as :func:`load` returns it: ``field(x, d) -> (density, color)``.
 
     Positions are in scene units, those of nerfstudio's data parser, which orients, centres and scales the poses:
-    ``x = scale * (transform[:, :3] @ x_original + transform[:, 3])``. U is in scene units, too; U / ``scale`` is in those
-    of the original cameras.
+    ``x = scale * (transform[:, :3] @ x_original + transform[:, 3])``. U is in scene units, too; U / ``scale`` is in
+    those of the original cameras.
     """
 
     #: ``[2, 3]``: the part of space in which rays are followed, scene units.
@@ -44,6 +45,8 @@ class NerfstudioField(TorchField):
     transform: NDArray[np.float64]
     #: Scene units per original unit.
     scale: float
+    #: Number of rays in a batch of training.
+    rays_per_batch: int
     #: The model as nerfstudio has it.
     model: Any
 
@@ -108,6 +111,21 @@ def _background(model: Any) -> str | NDArray[np.float64]:
     return "white" if color == "white" else "black"
 
 
+def _readable() -> Any:
+    """A context in which ``torch.load`` reads checkpoints of nerfstudio without executing them.
+
+    Schedulers leave NumPy scalars in them, which PyTorch 2.6 and later refuse unless they are allowed by name.
+    """
+    import torch
+
+    allowed = getattr(torch.serialization, "safe_globals", None)
+    if allowed is None:
+        return contextlib.nullcontext()
+    scalar = np.float64(0).__reduce__()[0]
+    kinds = [np.dtype, type(np.dtype(np.float64)), type(np.dtype(np.float32)), type(np.dtype(np.int64))]
+    return allowed([(scalar, f"numpy.{core}.multiarray.scalar") for core in ("core", "_core")] + kinds)
+
+
 def cameras(cameras: Any, corrections: Any = None) -> list[dict[str, Any]]:
     """Cameras of nerfstudio (``nerfstudio.cameras.cameras.Cameras``) as :func:`octobayes.uncertainty` takes them.
 
@@ -147,17 +165,17 @@ def load(
 ) -> tuple[NerfstudioField, list[dict[str, Any]]]:
     """Opens a run of nerfstudio: the field of its latest checkpoint, and its training cameras.
 
-    config: the run's ``config.yml``. reach: half the edge of the cube around the origin in which rays are followed, scene
-    units, for a model that contracts all of space; others have a box. step: distance between samples along a ray, scene
-    units; by default 1/128 of the unit cube's half edge with a contraction, else the box's diagonal / 1024.
-    pose_corrections: apply what the camera optimiser learnt, as training did; False for the poses as evaluation has them.
+    config: the run's ``config.yml``. reach: half the edge of the cube around the origin in which rays are followed,
+    scene units, for a model that contracts all of space; others have a box. step: distance between samples along a ray,
+    scene units; by default 1/128 with a contraction, else the box's diagonal / 1024. pose_corrections: apply what the
+    camera optimiser learnt, as training did; False for the poses as evaluation has them.
 
     Returns the field, of type :class:`NerfstudioField`, and cameras as :func:`octobayes.uncertainty` takes them: of the
     size of the training images, with their lens distortion, in scene units. The field is what nerfstudio evaluates:
     appearance embeddings are averaged (or zero, as the model has it), and the model's device is used.
 
-    Raises ImportError without nerfstudio, FileNotFoundError without config or checkpoint, ValueError for a model without
-    a radiance field (splatfacto), for lenses that are not perspective, and what nerfstudio raises.
+    Raises ImportError without nerfstudio, FileNotFoundError without config or checkpoint, ValueError for a model
+    without a radiance field (splatfacto), for lenses that are not perspective, and what nerfstudio raises.
     """
     path = Path(as_path("config", config))
     reach = real("reach", reach, above=1)
@@ -166,9 +184,12 @@ def load(
     try:
         from nerfstudio.utils.eval_utils import eval_setup
     except ImportError as error:
-        raise ImportError("nerfstudio: expected it to be installed (pip install nerfstudio), found it missing") from error
+        raise ImportError(
+            "nerfstudio: expected it to be installed (pip install nerfstudio), found it missing"
+        ) from error
     try:
-        settings, pipeline, _, _ = eval_setup(path, test_mode="inference")
+        with _readable():
+            settings, pipeline, _, _ = eval_setup(path, test_mode="inference")
     except SystemExit as error:
         raise FileNotFoundError(f"config: expected a run with a checkpoint, found none beside {path}") from error
     model = pipeline.model.eval()
@@ -178,6 +199,7 @@ def load(
     # For inference the pipeline takes full-size images; the parser itself knows the size of those trained on.
     parsed = settings.pipeline.datamanager.dataparser.setup().get_dataparser_outputs(split="train")
     field = _field(model, trained, parsed, reach, step)
+    field.rays_per_batch = int(settings.pipeline.datamanager.train_num_rays_per_batch)
     optimizer = getattr(model, "camera_optimizer", None) if pose_corrections else None
     is_on = optimizer is not None and optimizer.config.mode != "off"
     return field, cameras(parsed.cameras, optimizer.get_correction_matrices() if is_on else None)

@@ -67,7 +67,7 @@ fn colmap(path: &Path) -> Result<Views> {
 }
 
 fn official(path: &Path) -> Result<UncertaintyField> {
-    OfficialGrid { bounds: Aabb::centered_cube(1.0), rays: 10, lambda: None }.read(path)
+    OfficialGrid { domain: Domain::Box(Aabb::centered_cube(1.0)), rays: 10, lambda: None }.read(path)
 }
 
 fn csv(path: &Path) -> Result<Vec<Vec3>> {
