@@ -171,8 +171,8 @@ def load(
     camera optimiser learnt, as training did; False for the poses as evaluation has them.
 
     Returns the field, of type :class:`NerfstudioField`, and cameras as :func:`octobayes.uncertainty` takes them: of the
-    size of the training images, with their lens distortion, in scene units. The field is what nerfstudio evaluates:
-    appearance embeddings are averaged (or zero, as the model has it), and the model's device is used.
+    size of the training images, with their lens distortion and the images' names, in scene units. The field is what
+    nerfstudio evaluates: appearance embeddings are averaged (or zero, as the model has it), on the model's device.
 
     Raises ImportError without nerfstudio, FileNotFoundError without config or checkpoint, ValueError for a model
     without a radiance field (splatfacto), for lenses that are not perspective, and what nerfstudio raises.
@@ -202,7 +202,10 @@ def load(
     field.rays_per_batch = int(settings.pipeline.datamanager.train_num_rays_per_batch)
     optimizer = getattr(model, "camera_optimizer", None) if pose_corrections else None
     is_on = optimizer is not None and optimizer.config.mode != "off"
-    return field, cameras(parsed.cameras, optimizer.get_correction_matrices() if is_on else None)
+    found = cameras(parsed.cameras, optimizer.get_correction_matrices() if is_on else None)
+    for camera, name in zip(found, parsed.image_filenames):
+        camera["file_path"] = os.fspath(name)
+    return field, found
 
 
 def _field(model: Any, trained: Any, parsed: Any, reach: float, step: float | None) -> NerfstudioField:

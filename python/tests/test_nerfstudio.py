@@ -11,7 +11,7 @@ import pytest
 
 import octobayes as ob
 
-pytestmark = pytest.mark.nerfstudio
+needs_nerfstudio = pytest.mark.nerfstudio
 
 LAUNCHER = """
 import sys
@@ -91,6 +91,7 @@ def nerfstudio_cameras(cameras):
     return Cameras(poses, fx, fy, cx, cy, width, height, distortion_params=lens.expand(len(cameras), 6))
 
 
+@needs_nerfstudio
 def test_density_and_color_are_those_of_nerfstudio(run):
     import torch
     from nerfstudio.field_components.field_heads import FieldHeadNames
@@ -112,6 +113,7 @@ def test_density_and_color_are_those_of_nerfstudio(run):
     assert torch.equal(field.density(x), density)
 
 
+@needs_nerfstudio
 def test_derivatives_are_differences(run):
     kind, _, field, _ = run
     rng = np.random.default_rng(0)
@@ -128,6 +130,7 @@ def test_derivatives_are_differences(run):
     assert abs(slope).max() > 0
 
 
+@needs_nerfstudio
 def test_rays_are_those_of_nerfstudio(run):
     """Distortion, pixel centres, downscaling and pose corrections, seen as colours of an opaque field."""
     _, _, field, cameras = run
@@ -137,6 +140,7 @@ def test_rays_are_those_of_nerfstudio(run):
     assert abs(2 * shown["color"] - 1 - rays.directions.numpy()).max() <= 1e-5
 
 
+@needs_nerfstudio
 def test_original_units(run):
     _, config, field, cameras = run
     frames = json.loads((config.parents[4] / "transforms.json").read_text())["frames"]
@@ -150,6 +154,7 @@ def test_original_units(run):
     assert 0 < moved < 0.1, "six steps move the poses a little"
 
 
+@needs_nerfstudio
 def test_the_command_writes_both_files(run, tmp_path):
     from octobayes._nerfstudio_command import main
 
