@@ -36,9 +36,9 @@ def _parser() -> argparse.ArgumentParser:
     add(
         "--reach",
         type=float,
-        default=8.0,
+        default=4.0,
         metavar="R",
-        help="of a contracted scene: half the edge of the cube in which rays are followed, scene units [default: 8]",
+        help="of a contracted scene: half the edge of the cube in which rays are followed, scene units [default: 4]",
     )
     add("--march-step", type=float, metavar="S", help="distance between samples along a ray, scene units")
     add("--occupancy", type=int, default=128, metavar="N", help="cells per axis of the occupancy grid [default: 128]")

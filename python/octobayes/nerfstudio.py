@@ -63,8 +63,8 @@ class NerfstudioField(TorchField):
         return np.linalg.solve(self.transform[:, :3], moved.T).T.reshape(*shape, 3)
 
 
-def _radiance(field: Any) -> Any:
-    """A field of nerfstudio as a module of positions and directions."""
+def _radiance(field: Any, rest: Any = None) -> Any:
+    """A field of nerfstudio as a module of positions and directions; beyond it, ``rest`` of :func:`_backdrop`."""
     import torch
     from nerfstudio.cameras.rays import Frustums, RaySamples
     from nerfstudio.field_components.field_heads import FieldHeadNames
@@ -75,9 +75,18 @@ def _radiance(field: Any) -> Any:
             self.field = field
 
         def density(self, x: torch.Tensor) -> torch.Tensor:
-            return self.field.density_fn(x)[:, 0]
+            density = self.field.density_fn(x)[:, 0]
+            return density if rest is None else torch.where(rest.is_on(x), rest.density, density)
 
         def forward(self, x: torch.Tensor, d: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+            density, color = self.trained(x, d)
+            if rest is not None and (on := rest.is_on(x)).any():
+                density = torch.where(on, rest.density, density)
+                color = color.clone()
+                color[on] = rest.color(self.trained, x[on], d[on])
+            return density, color
+
+        def trained(self, x: torch.Tensor, d: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
             # A sample of no length has its position at its origin. In evaluation no image's appearance is used, so that
             # the camera does not matter.
             none = torch.zeros_like(x[:, :1])
@@ -88,6 +97,44 @@ def _radiance(field: Any) -> Any:
             return density[:, 0], color
 
     return Radiance().eval()
+
+
+class _Backdrop:
+    """What a contracted scene shows beyond a cube, painted on the cube's faces from inside.
+
+    Rays are followed in even steps, which cannot go on for ever. On the faces a field is opaque, with the colour that
+    the rest of the ray would bring: samples that are farther apart the farther they are, up to the model's far plane.
+    """
+
+    #: Samples of the rest of a ray; nerfacto has 48 for all of it.
+    SAMPLES = 64
+
+    def __init__(self, reach: float, far: float, step: float, background: Any) -> None:
+        # Two steps of it leave exp(-20) of the light.
+        self.edge, self.density = reach - 2 * step, 10 / step
+        self._reach, self._far, self._background = reach, far, background
+
+    def is_on(self, x: Any) -> Any:
+        return x.abs().amax(dim=-1) > self.edge
+
+    def color(self, trained: Any, x: Any, d: Any) -> Any:
+        """Colour of the rest of rays from ``x`` along ``d``."""
+        import torch
+
+        # Even in disparity, as seen from the cube's middle.
+        last = self._far / (self._reach + self._far)
+        s = torch.linspace(0, last, self.SAMPLES + 1, device=x.device)
+        edges = self._reach * s / (1 - s)
+        t, width = 0.5 * (edges[1:] + edges[:-1]), edges[1:] - edges[:-1]
+        at = x[:, None] + t[:, None] * d[:, None]
+        along = d[:, None].expand_as(at)
+        density, color = trained(at.reshape(-1, 3), along.reshape(-1, 3))
+        depth = density.reshape(len(x), -1) * width
+        color = color.reshape(*depth.shape, 3)
+        before = torch.exp(-(depth.cumsum(-1) - depth))
+        weights = before * -torch.expm1(-depth)
+        behind = color[:, -1] if self._background is None else self._background.to(x)
+        return (weights[..., None] * color).sum(dim=1) + (1 - weights.sum(dim=1, keepdim=True)) * behind
 
 
 def _contraction(field: Any) -> tuple[str | None, tuple[float, float, float, float] | None]:
@@ -101,14 +148,15 @@ def _contraction(field: Any) -> tuple[str | None, tuple[float, float, float, flo
     return "linf" if order == math.inf else "l2", (0.0, 0.0, 0.0, 1.0)
 
 
-def _background(model: Any) -> str | NDArray[np.float64]:
-    """The colour behind the scene, as nerfstudio evaluates."""
+def _background(model: Any) -> Any:
+    """The colour behind the scene as nerfstudio evaluates, a tensor; None for that of a ray's last sample."""
+    import torch
+
     color = getattr(getattr(model, "renderer_rgb", None), "background_color", "black")
     if not isinstance(color, str):
-        return np.asarray(color.detach().cpu(), dtype=np.float64)
-    # 'random' adds none in evaluation. 'last_sample' has the colour of the farthest sample, where nothing was met; a
-    # field has nothing as far away as that.
-    return "white" if color == "white" else "black"
+        return color.detach().float()
+    # 'random' adds none in evaluation.
+    return None if color == "last_sample" else torch.full((3,), 1.0 if color == "white" else 0.0)
 
 
 def _readable() -> Any:
@@ -161,12 +209,13 @@ def cameras(cameras: Any, corrections: Any = None) -> list[dict[str, Any]]:
 
 
 def load(
-    config: str | os.PathLike[str], *, reach: float = 8.0, step: float | None = None, pose_corrections: bool = True
+    config: str | os.PathLike[str], *, reach: float = 4.0, step: float | None = None, pose_corrections: bool = True
 ) -> tuple[NerfstudioField, list[dict[str, Any]]]:
     """Opens a run of nerfstudio: the field of its latest checkpoint, and its training cameras.
 
     config: the run's ``config.yml``. reach: half the edge of the cube around the origin in which rays are followed,
-    scene units, for a model that contracts all of space; others have a box. step: distance between samples along a ray,
+    scene units, for a model that contracts all of space; others have a box. What is beyond is painted on the cube's
+    faces, opaque, as seen along each ray; U cannot tell there how far it is. step: distance between samples on a ray,
     scene units; by default 1/128 with a contraction, else the box's diagonal / 1024. pose_corrections: apply what the
     camera optimiser learnt, as training did; False for the poses as evaluation has them.
 
@@ -211,18 +260,19 @@ def load(
 def _field(model: Any, trained: Any, parsed: Any, reach: float, step: float | None) -> NerfstudioField:
     """The field of a model, with what its data parser did to space."""
     contract, inner = _contraction(trained)
+    behind, rest = _background(model), None
     if contract is None:
         box = np.asarray(trained.aabb.detach().cpu(), dtype=np.float64).reshape(2, 3)
-        suggested = float(np.linalg.norm(box[1] - box[0])) / 1024
+        step = float(np.linalg.norm(box[1] - box[0])) / 1024 if step is None else real("step", step, above=0)
     else:
-        box, suggested = np.array([[-reach] * 3, [reach] * 3]), 1 / 128
-    attributes = {
-        "box": box,
-        "step": suggested if step is None else real("step", step, above=0),
-        "background": _background(model),
-    }
+        box = np.array([[-reach] * 3, [reach] * 3])
+        step = 1 / 128 if step is None else real("step", step, above=0)
+        rest = _Backdrop(reach, getattr(model.config, "far_plane", 1000.0), step, behind)
+    # In a box, where nothing was met, the last sample's colour cannot be known.
+    background = np.zeros(3) if behind is None else behind.cpu().numpy()
     device = next(trained.parameters()).device
-    field = NerfstudioField(_radiance(trained), device, None, attributes)
+    attributes = {"box": box, "step": step, "background": background, "pixel_offset": None}
+    field = NerfstudioField(_radiance(trained, rest), device, None, attributes)
     field.contract, field.inner, field.model = contract, inner, model
     field.transform = np.asarray(parsed.dataparser_transform, dtype=np.float64)[:3]
     field.scale = float(parsed.dataparser_scale)

@@ -100,16 +100,18 @@ def test_density_and_color_are_those_of_nerfstudio(run):
     bundle = nerfstudio_cameras(cameras).generate_rays(camera_indices=torch.arange(11)[:, None])
     with torch.no_grad():
         samples, _, _ = field.model.proposal_sampler(
-            field.model.collider(bundle.flatten()[:: len(bundle.flatten()) // 220]), density_fns=field.model.density_fns
+            field.model.collider(bundle.flatten()[:: len(bundle.flatten()) // 480]), density_fns=field.model.density_fns
         )
         truth = field.model.field(samples)
     x = samples.frustums.get_positions().reshape(-1, 3).numpy()
-    d = samples.frustums.directions.reshape(-1, 3).numpy()
+    # Beyond, a contracted field is a backdrop.
+    near = (abs(x) < field.box[1] - 0.1).all(axis=1)
+    x, d = x[near], samples.frustums.directions.reshape(-1, 3).numpy()[near]
     density, color = field(x, d)
-    own = truth[FieldHeadNames.DENSITY].reshape(-1)
+    own = truth[FieldHeadNames.DENSITY].reshape(-1)[near]
     assert len(x) >= 10_000 and own.max() > 0
     assert torch.allclose(density, own, rtol=1e-5, atol=1e-5)
-    assert (color - truth[FieldHeadNames.RGB].reshape(-1, 3)).abs().max() <= 1e-5
+    assert (color - truth[FieldHeadNames.RGB].reshape(-1, 3)[near]).abs().max() <= 1e-5
     assert torch.equal(field.density(x), density)
 
 
@@ -119,15 +121,15 @@ def test_derivatives_are_differences(run):
     rng = np.random.default_rng(0)
     x = rng.uniform(-0.9, 0.9, (200, 3)).astype(np.float32) * (3 if kind == "contracted" else 1)
     d = np.tile(np.float32([[0.6, 0, 0.8]]), (200, 1))
-    density, _, slope, tint = (np.asarray(part) for part in field.derivatives(x, d))
-    h = 1e-3
+    _, _, slope, tint = (np.asarray(part) for part in field.derivatives(x, d))
+    h = 1e-4
     for axis in range(3):
         ends = [field(x + sign * h * np.eye(3, dtype=np.float32)[axis], d) for sign in (1, -1)]
         along = (ends[0][0] - ends[1][0]).numpy() / (2 * h), (ends[0][1] - ends[1][1]).numpy() / (2 * h)
         # Hash grids have kinks at the faces of their cells, which some of the steps cross.
-        assert np.median(abs(along[0] - slope[:, axis])) <= 0.02 * np.median(density)
-        assert np.median(abs(along[1] - tint[:, :, axis])) <= 0.02
-    assert abs(slope).max() > 0
+        for differences, own in zip(along, (slope[:, axis], tint[:, :, axis])):
+            assert np.median(abs(own)) > 0
+            assert np.median(abs(differences - own)) <= 0.05 * np.median(abs(own))
 
 
 @needs_nerfstudio
@@ -138,6 +140,21 @@ def test_rays_are_those_of_nerfstudio(run):
     wall = lambda x, d: (np.full(len(x), 1e6, np.float32), 0.5 * (d + 1))
     shown = ob.render(wall, None, cameras[3], box=field.box, occupancy=4, march_step=0.5, progress=False)
     assert abs(2 * shown["color"] - 1 - rays.directions.numpy()).max() <= 1e-5
+
+
+@needs_nerfstudio
+def test_pictures_are_those_of_nerfstudio(run):
+    """Also of what is beyond the cube, for the contracted model."""
+    import torch
+
+    kind, _, field, cameras = run
+    rays = nerfstudio_cameras(cameras).generate_rays(camera_indices=3, keep_shape=True)
+    with torch.no_grad():
+        truth = field.model.get_outputs_for_camera_ray_bundle(rays)["rgb"].numpy()
+    shown = ob.render(field, None, cameras[3], march_step=field.step, occupancy=16, progress=False)
+    assert 10 * np.log10(((shown["color"] - truth) ** 2).mean()) <= -30
+    if kind == "contracted":
+        assert shown["opacity"].min() > 0.999
 
 
 @needs_nerfstudio
