@@ -33,7 +33,7 @@ struct Found {
 }
 
 impl<'a> File<'a> {
-    /// Reads the names, types and shapes. `bytes` are those of the file, unless it is a checkpoint, which is opened here.
+    /// Reads the names, types and shapes. `bytes` are those of the file, but for a checkpoint, which is opened here.
     pub(super) fn open(path: &Path, bytes: &'a [u8]) -> Result<Self> {
         if is_checkpoint(path) {
             let wrong = |e: pytorch_reader::PytorchError| match e {
