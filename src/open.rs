@@ -3,14 +3,15 @@
 use std::path::Path;
 
 use crate::dataset::Views;
-use crate::field::{ClosedForm, Coordinates, HashGrid, NerfMlp, Ppng, RadianceField, VoxelGrid};
+use crate::field::{ClosedForm, Coordinates, HashGrid, NerfMlp, Ppng, RadianceField, VoxelGrid, is_checkpoint};
 use crate::{Error, Result, zoo};
 
 /// Opens the field that `model` names.
 ///
 /// `scene:NAME` is a built-in scene or one of the [zoo]. Anything else is a file, read by its extension:
-/// `.safetensors` for a hash grid of `octobayes train` (its metadata says so) or an MLP NeRF, `.npz` for a
-/// voxel grid, `.ppng` for a Plenoptic PNG in the coordinates of its file.
+/// `.safetensors` for a hash grid of `octobayes train` (its metadata says so) or an MLP NeRF, `.ckpt`, `.pt`, `.pth` or
+/// `.tar` for an MLP NeRF as nerf-pytorch saves it, `.npz` for a voxel grid, `.ppng` for a Plenoptic PNG in the
+/// coordinates of its file.
 ///
 /// # Errors
 /// If the scene or extension is unknown, or the file cannot be read as what its extension says.
@@ -39,12 +40,7 @@ pub fn open_in(model: &str, coordinates: Option<Coordinates>) -> Result<Box<dyn 
         Some("safetensors") if HashGrid::is_in(path)? => Ok(Box::new(HashGrid::read(path)?)),
         Some("safetensors") => Ok(Box::new(NerfMlp::read(path)?)),
         Some("npz") => Ok(Box::new(VoxelGrid::read(path)?)),
-        Some("ckpt" | "pt" | "pth" | "tar") => Err(Error::setting(
-            format!("model `{model}`"),
-            "a model in a format of this program: bake the checkpoint into an `.npz` voxel grid, with the Python in \
-             docs/src/formats.md (Voxel grids), or differentiate it in PyTorch and use `accumulate`",
-            "a PyTorch checkpoint, which only its own code can load",
-        )),
+        _ if is_checkpoint(path) => Ok(Box::new(NerfMlp::read(path)?)),
         _ if is_of_colmap(path) => Err(Error::setting(
             format!("model `{model}`"),
             "a radiance field; `train` makes one from the pictures, and --cameras reads these",
@@ -52,7 +48,7 @@ pub fn open_in(model: &str, coordinates: Option<Coordinates>) -> Result<Box<dyn 
         )),
         _ => Err(Error::setting(
             format!("model `{model}`"),
-            "`scene:NAME`, a `.safetensors` MLP NeRF, a `.ppng` Plenoptic PNG or an `.npz` voxel grid",
+            "`scene:NAME`, a `.safetensors` or `.ckpt` MLP NeRF, a `.ppng` Plenoptic PNG or an `.npz` voxel grid",
             "another extension",
         )),
     }

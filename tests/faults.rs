@@ -213,6 +213,15 @@ impl Desk {
         let renamed = String::from_utf8_lossy(&mlp[8..]).replacen("fine.fc_rgb.bias", "fine.fc_rgb.blas", 1);
         self.write("renamed.safetensors", [&mlp[..8], renamed.as_bytes()].concat());
 
+        let checkpoint = samples::of(Kind::Torch).remove(1);
+        self.write("short.ckpt", &checkpoint[..checkpoint.len() - 1]);
+        self.write("text.ckpt", "this is no model");
+        // As long as the name that it replaces, which the file's lengths ask for.
+        let mut other = checkpoint;
+        let at = other.windows(21).position(|b| b == b"model_fine_state_dict").unwrap();
+        other[at..at + 21].copy_from_slice(b"pipeline._model.field");
+        self.write("step-000029999.ckpt", other);
+
         let ppng = samples::of(Kind::Ppng).remove(0);
         self.write("good.ppng", &ppng);
         self.write("short.ppng", &ppng[..ppng.len() - 1]);

@@ -95,7 +95,7 @@ fn damaged_files_are_refused_or_harmless() {
     let refused = Cell::new(0);
     for kind in Kind::ALL {
         let files = samples::of(kind);
-        let cases = if kind == Kind::Safetensors { 200 } else { 600 };
+        let cases = if matches!(kind, Kind::Safetensors | Kind::Torch) { 200 } else { 600 };
         let mut runner = TestRunner::new(Config { cases, failure_persistence: None, ..Config::default() });
         let outcome = runner.run(&damaged(kind), |(file, by_parts, damages)| {
             let whole = &files[file];

@@ -76,6 +76,23 @@ fn mlp_models_return_the_published_check_values() {
 
 #[test]
 #[ignore = "needs OCTOBAYES_DATA/nerf-mlp-pretrained"]
+fn a_checkpoint_of_pytorch_holds_the_same_bits_as_its_conversion() {
+    let names = ["lego.original.ckpt", "lego.safetensors"];
+    let models = names.map(|name| NerfMlp::read(&data(&format!("nerf-mlp-pretrained/{name}"))).unwrap());
+    let positions: Vec<Vec3> =
+        (0..4096).map(|i| Vec3::new((i % 16) as f32, (i / 16 % 16) as f32, (i / 256) as f32) / 8.0 - 0.9).collect();
+    let directions = vec![Vec3::new(0.6, 0.0, 0.8); positions.len()];
+    let [checkpoint, converted] = models.map(|model| {
+        let mut out = vec![Radiance::default(); positions.len()];
+        model.evaluate(&positions, &directions, &mut out);
+        out
+    });
+    assert_eq!(checkpoint, converted);
+    assert!(converted.iter().any(|r| r.density > 10.0));
+}
+
+#[test]
+#[ignore = "needs OCTOBAYES_DATA/nerf-mlp-pretrained"]
 fn the_forward_facing_model_is_refused_with_a_reason() {
     let error = NerfMlp::read(&data("nerf-mlp-pretrained/fern.safetensors")).unwrap_err().to_string();
     assert!(error.contains("fern.safetensors") && error.contains("NDC"), "{error}");

@@ -13,6 +13,7 @@ Arrays are NumPy's; anything with ``__array__`` or DLPack is accepted. Lengths a
 
 from __future__ import annotations
 
+from . import nerfstudio
 from ._api import accumulate, compare, evaluate, export, load, merge, open_model, render, uncertainty
 from ._autodiff import jax_field, torch_field
 from ._model import Model
@@ -30,6 +31,7 @@ __all__ = [
     "jax_field",
     "load",
     "merge",
+    "nerfstudio",
     "open_model",
     "render",
     "torch_field",

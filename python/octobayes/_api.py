@@ -35,19 +35,29 @@ def open_model(name: str | os.PathLike[str], coordinates: str | None = None) -> 
     return Model(as_path("name", name), coordinates)
 
 
-def load(path: str | os.PathLike[str], *, box: Any = None, rays: int | None = None) -> Uncertainty:
-    """Reads an ``.oct`` file; or the official code's ``.npy``, with its ``box`` (low, high) and number of ``rays``.
+def load(
+    path: str | os.PathLike[str],
+    *,
+    box: Any = None,
+    rays: int | None = None,
+    contract: str | None = None,
+    inner: Any = None,
+) -> Uncertainty:
+    """Reads an ``.oct`` file; or the official code's ``.npy``, with the space it covers and its number of ``rays``.
+
+    That space is a ``box`` (low, high), or contracted as ``contract`` and ``inner`` of :func:`uncertainty` say.
 
     Raises OSError or ValueError if it cannot be read.
     """
     path = as_path("path", path)
     if not path.endswith(".npy"):
-        if box is not None or rays is not None:
-            raise wrong("box, rays", "None for an .oct file, which knows its own", path)
-        return Uncertainty(_octobayes.load(path))
-    if box is None:
+        if any(argument is not None for argument in (box, rays, contract, inner)):
+            raise wrong("box, rays, contract, inner", "None for an .oct file, which knows its own", path)
+        return Uncertainty(_octobayes.load(path, {}))
+    domain = _domain_options(box, contract, inner)
+    if box is None and contract is None:
         raise wrong("box", "the box of the official grid, which its file does not name", "none")
-    return Uncertainty(_octobayes.load(path, as_box("box", box), None if rays is None else whole("rays", rays, 1)))
+    return Uncertainty(_octobayes.load(path, domain, None if rays is None else whole("rays", rays, 1)))
 
 
 def _field(name: str, value: Any) -> Uncertainty:

@@ -87,7 +87,7 @@ def read_cameras(
 ) -> tuple[Doubles, list[str], str]:
     """Cameras [C, 26], names and a note."""
 
-def load(path: str | os.PathLike[str], box: Box | None = None, rays: int | None = None) -> Uncertainty: ...
+def load(path: str | os.PathLike[str], options: dict[str, Any], rays: int | None = None) -> Uncertainty: ...
 def compare(a: Uncertainty, b: Uncertainty, points: int, seed: int) -> str:
     """JSON."""
 

@@ -4,14 +4,15 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2};
-use octobayes::geometry::{Aabb, Domain};
+use octobayes::geometry::Domain;
 use octobayes::posterior::Covariance;
 use octobayes::uncertainty::{Knowledge, OfficialGrid, UncertaintyField};
 use pyo3::prelude::*;
+use pyo3::types::PyDict;
 
 use crate::errors::OrRaise;
 use crate::model::points;
-use crate::options::choose;
+use crate::options::{Options, choose};
 
 /// U(x), the standard deviation of displacements that the training images allow, in scene units.
 #[pyclass(frozen, module = "octobayes._octobayes")]
@@ -33,15 +34,16 @@ fn covariance(name: &str) -> PyResult<Covariance> {
     choose("covariance", name, &Covariance::ALL.map(|covariance| (covariance.name(), covariance)))
 }
 
-/// Reads a field: `.oct`, or the official code's `.npy` with its box and number of rays.
+/// Reads a field: `.oct`, or the official code's `.npy` with the space that it covers and its number of rays.
 #[pyfunction]
-#[pyo3(signature = (path, r#box = None, rays = None))]
-pub fn load(py: Python<'_>, path: PathBuf, r#box: Option<[[f64; 3]; 2]>, rays: Option<u64>) -> PyResult<Uncertainty> {
-    let read = || match r#box {
-        Some([min, max]) => {
-            let bounds = Aabb::new(min.into(), max.into())?;
+#[pyo3(signature = (path, options, rays = None))]
+pub fn load(py: Python<'_>, path: PathBuf, options: &Bound<'_, PyDict>, rays: Option<u64>) -> PyResult<Uncertainty> {
+    let options = Options(options);
+    let domain = options.contraction()?.or(options.bounds()?.map(Domain::Box));
+    let read = || match domain {
+        Some(domain) => {
             let rays = rays.unwrap_or(OfficialGrid::DEFAULT_RAYS);
-            OfficialGrid { bounds, rays, lambda: None }.read(&path)
+            OfficialGrid { domain, rays, lambda: None }.read(&path)
         }
         None => UncertaintyField::read(&path),
     };

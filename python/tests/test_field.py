@@ -88,6 +88,16 @@ def test_the_official_grid_there_and_back(field, points, tmp_path):
         ob.load(path)
 
 
+def test_the_official_grid_of_contracted_space(courtyard, cameras, points, tmp_path):
+    path, space = tmp_path / "unc.npy", {"contract": "linf", "inner": (0, 0, 0, 1)}
+    field = ob.uncertainty(courtyard, cameras, covariance="trace", **space, **SMALL)
+    ob.export(field, path)
+    again = ob.load(path, rays=field.protocol["rays"], **space)
+    spread = np.concatenate([points, 4 * points])
+    assert np.ptp(field.log10(spread)) > 1
+    assert abs(again.log10(spread) - field.log10(spread)).max() <= 0.01 + 1e-6
+
+
 def test_shards_merge_into_the_whole_run(courtyard, cameras, points):
     whole = ob.uncertainty(courtyard, cameras, **SMALL)
     parts = [ob.uncertainty(courtyard, cameras, shard=(i, 2), **SMALL) for i in range(2)]

@@ -1,5 +1,7 @@
 """Models that the library reads, as callables."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -51,6 +53,43 @@ def test_a_scene_without_derivatives_says_so(courtyard, points):
     assert not courtyard.is_differentiable
     with pytest.raises(ValueError, match="derivatives: expected a model that differentiates itself"):
         courtyard.derivatives(points, points)
+
+
+#: Layers of nerf-pytorch's network, with their outputs and inputs.
+LAYERS = {
+    "layer1": (128, 63), "layers_xyz.0": (128, 128), "layers_xyz.1": (128, 128), "layers_xyz.2": (128, 128),
+    "fc_alpha": (1, 128), "fc_feat": (128, 128), "layers_dir.0": (64, 155), "fc_rgb": (3, 64),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("is_archive", [True, False], ids=["archive", "before 1.6"])
+def test_checkpoints_of_torch_are_read_without_it(points, tmp_path, is_archive):
+    torch = pytest.importorskip("torch")
+    torch.manual_seed(5)
+    fine = {}
+    for name, (outputs, inputs) in LAYERS.items():
+        # A view across its storage, as some programs save them.
+        fine[f"{name}.weight"] = (2 * torch.randn(inputs, outputs) / inputs**0.5).T
+        fine[f"{name}.bias"] = torch.rand(2, outputs)[1]
+    coarse = {name: torch.zeros(values.shape) for name, values in fine.items()}
+    adam = {"state": {0: {"step": 3, "exp_avg": torch.zeros(7)}}, "param_groups": [{"lr": 5e-4, "params": [0]}]}
+    state = {"iter": 7, "model_coarse_state_dict": coarse, "model_fine_state_dict": fine, "optimizer_state_dict": adam}
+    path = tmp_path / "checkpoint7.ckpt"
+    torch.save(state | {"loss": torch.tensor(0.1)}, path, _use_new_zipfile_serialization=is_archive)
+
+    header, raw = {}, b""
+    for name, values in fine.items():
+        bytes_ = values.contiguous().numpy().tobytes()
+        offsets = [len(raw), len(raw) + len(bytes_)]
+        header[f"fine.{name}"] = {"dtype": "F32", "shape": list(values.shape), "data_offsets": offsets}
+        raw += bytes_
+    text = json.dumps(header).encode()
+    (tmp_path / "model.safetensors").write_bytes(len(text).to_bytes(8, "little") + text + raw)
+
+    directions = np.tile(np.float32([0.6, 0, 0.8]), (len(points), 1))
+    found, expected = (ob.open_model(tmp_path / name)(points, directions) for name in (path.name, "model.safetensors"))
+    assert expected[0].max() > 0.1 and np.ptp(expected[1]) > 0.1
+    assert all(np.array_equal(a, b) for a, b in zip(found, expected))
 
 
 def test_wrong_arguments_get_a_sentence(courtyard, points, tmp_path):

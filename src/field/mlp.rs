@@ -8,13 +8,16 @@
 //! ```
 //! `layer1` has no activation and there is no skip connection. Weights are `[out, in]`, y = W x + b.
 
+mod file;
+
 use std::path::Path;
 
 use glam::Vec3;
 use multiversion::multiversion;
 use ndarray::{Array1, Array2, Axis, linalg::general_mat_mul, s};
-use safetensors::{Dtype, SafeTensors};
 
+use self::file::File;
+pub use self::file::is_checkpoint;
 use super::elementary::sin_cos;
 use super::{Differentiable, Radiance, RadianceField, RadianceJet};
 use crate::geometry::Aabb;
@@ -121,30 +124,35 @@ impl Scratch {
 }
 
 impl NerfMlp {
-    /// Reads the `fine.` network of a `.safetensors` file.
+    /// Reads the fine network of a `.safetensors` file (`fine.*`), or of a checkpoint of nerf-pytorch
+    /// (`model_fine_state_dict.*`; `.ckpt`, `.pt`, `.pth` or `.tar`, zipped or from before PyTorch 1.6).
     ///
     /// # Errors
     /// If the file cannot be read, a tensor is missing or of another shape or type, or a weight is not finite.
     pub fn read(path: &Path) -> Result<Self> {
-        let bytes = std::fs::read(path).map_err(Error::io(path, "cannot read"))?;
-        let tensors = SafeTensors::deserialize(&bytes)
-            .map_err(|e| Error::malformed(path, "header", "a safetensors file", e.to_string()))?;
+        // A checkpoint has the state of its optimiser, too, which nobody needs in memory.
+        let bytes = if is_checkpoint(path) {
+            Vec::new()
+        } else {
+            std::fs::read(path).map_err(Error::io(path, "cannot read"))?
+        };
+        let file = File::open(path, &bytes)?;
         let linear = |name: &str, outputs, inputs| {
-            let weight = tensor(path, &tensors, name, "weight", &[outputs, inputs])?;
+            let weight = file.tensor(path, name, "weight", &[outputs, inputs])?;
             let weight = Array2::from_shape_vec((outputs, inputs), weight).expect("the shape was checked");
             Ok(Linear {
                 weight: weight.t().as_standard_layout().into_owned(),
-                bias: Array1::from_vec(tensor(path, &tensors, name, "bias", &[outputs])?),
+                bias: Array1::from_vec(file.tensor(path, name, "bias", &[outputs])?),
             })
         };
-        let xyz = |i| linear(&format!("fine.layers_xyz.{i}"), HIDDEN, HIDDEN);
+        let xyz = |i| linear(&format!("layers_xyz.{i}"), HIDDEN, HIDDEN);
         Ok(Self {
-            layer1: linear("fine.layer1", HIDDEN, ENCODED[0])?,
+            layer1: linear("layer1", HIDDEN, ENCODED[0])?,
             layers_xyz: [xyz(0)?, xyz(1)?, xyz(2)?],
-            fc_alpha: linear("fine.fc_alpha", 1, HIDDEN)?,
-            fc_feat: linear("fine.fc_feat", HIDDEN, HIDDEN)?,
-            layers_dir: linear("fine.layers_dir.0", 64, HIDDEN + ENCODED[1])?,
-            fc_rgb: linear("fine.fc_rgb", 3, 64)?,
+            fc_alpha: linear("fc_alpha", 1, HIDDEN)?,
+            fc_feat: linear("fc_feat", HIDDEN, HIDDEN)?,
+            layers_dir: linear("layers_dir.0", 64, HIDDEN + ENCODED[1])?,
+            fc_rgb: linear("fc_rgb", 3, 64)?,
         })
     }
 
@@ -184,33 +192,6 @@ fn density(raw: f32) -> f32 {
 
 fn sigmoid(x: f32) -> f32 {
     1.0 / (1.0 + (-x).exp())
-}
-
-/// Reads one tensor: f32, finite, of the expected shape.
-fn tensor(path: &Path, tensors: &SafeTensors, layer: &str, part: &str, shape: &[usize]) -> Result<Vec<f32>> {
-    let name = format!("{layer}.{part}");
-    let expected =
-        format!("f32 {shape:?} (a plain NeRF MLP with {} position and {} direction features)", ENCODED[0], ENCODED[1]);
-    let view = tensors
-        .tensor(&name)
-        .map_err(|_| Error::malformed(path, format!("tensor `{name}`"), &expected, "no such tensor"))?;
-    if view.dtype() != Dtype::F32 || view.shape() != shape {
-        let hint = if name == "fine.layer1.weight" && view.shape() == [HIDDEN, 39] {
-            "; 39 position features mark a forward-facing model in NDC space, which has no scene box: not supported"
-        } else {
-            ""
-        };
-        let found = format!("{:?} {:?}{hint}", view.dtype(), view.shape());
-        return Err(Error::malformed(path, format!("tensor `{name}`"), expected, found));
-    }
-    let values: Vec<f32> = view.data().as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect();
-    match values.iter().position(|v| !v.is_finite()) {
-        Some(i) => {
-            let found = values[i].to_string();
-            Err(Error::malformed(path, format!("tensor `{name}`, element {i}"), "a finite number", found))
-        }
-        None => Ok(values),
-    }
 }
 
 /// Fills enc(v) = [v, sin v, cos v, sin 2v, cos 2v, …], each a 3-vector, without a factor π.

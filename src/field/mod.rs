@@ -15,6 +15,7 @@ mod window;
 pub use closed_form::ClosedForm;
 pub use hash_grid::{HashGrid, HashGridConfig};
 pub use mlp::NerfMlp;
+pub(crate) use mlp::is_checkpoint;
 pub use ppng::{Coordinates, Ppng};
 pub use voxel::VoxelGrid;
 

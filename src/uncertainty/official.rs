@@ -8,7 +8,7 @@
 use std::path::Path;
 
 use super::{Protocol, Support, UncertaintyField};
-use crate::geometry::{Aabb, Lattice};
+use crate::geometry::{Domain, Lattice};
 use crate::io::{Real, npy};
 use crate::posterior::{Covariance, VertexSums};
 use crate::{Error, Result};
@@ -16,8 +16,8 @@ use crate::{Error, Result};
 /// What the official file does not contain.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OfficialGrid {
-    /// The box that the unit cube was mapped to, scene units.
-    pub bounds: Aabb,
+    /// The space that was mapped to the unit cube, in scene units: a box; for models that contract all of space, that.
+    pub domain: Domain,
     /// Number of rays that were summed; the official default is 1000 batches of 4096.
     pub rays: u64,
     /// Prior precision λ, 1 / scene unit²; `None` for 1e-4 / M³ divided by the square of the longest edge.
@@ -44,7 +44,7 @@ impl OfficialGrid {
             let found = array.data[i].to_string();
             return Err(Error::malformed(path, format!("data, element {i}"), "a finite sum of squares", found));
         }
-        let lattice = Lattice::new(self.bounds, level)?;
+        let lattice = Lattice::from_domain(self.domain.checked()?, level)?;
         let mut sums = Vec::with_capacity(array.data.len());
         for_each_vertex(lattice.cells_per_axis(), |_, index| {
             // Only the trace is known, so an isotropic matrix with this trace stands in.
@@ -63,15 +63,12 @@ impl UncertaintyField {
     /// Writes Σ_r tr(JᵀJ) as the official code's `.npy`.
     ///
     /// # Errors
-    /// If the field has no sums and its covariance is not `trace`, its level is above 9 (1 GB), space is
-    /// contracted, leaves were limited, or the file cannot be written.
+    /// If the field has no sums and its covariance is not `trace`, its level is above 9 (1 GB), leaves were limited, or
+    /// the file cannot be written.
     pub fn write_official(&self, path: &Path) -> Result<()> {
         if self.lattice.level() > 9 {
             let found = format!("level {}", self.lattice.level());
             return Err(Error::setting("export", "a level up to 9: the official grid is dense", found));
-        }
-        if self.lattice.domain().bounds().is_none() {
-            return Err(Error::setting("export", "a field of a box", "a contracted domain"));
         }
         if !self.limits.is_unlimited() {
             let found = "one whose sums lie on coarser leaves";

@@ -3,7 +3,7 @@
 use glam::{DVec3, Vec3};
 
 use super::*;
-use crate::geometry::Aabb;
+use crate::geometry::{Aabb, Domain};
 use crate::octree::trilinear;
 use crate::posterior::{Criteria, DensePosterior, OctreePosterior, Posterior, Prior, trace};
 use crate::rays::{Draw, Pixels, Shard};
@@ -346,7 +346,8 @@ fn official_file_has_its_own_index_order() {
     let trace = dense.trace_at(point).unwrap();
     assert!(trace > 0.0 && (f64::from(flat.data[index]) / trace - 1.0).abs() < 1e-6);
 
-    let read = OfficialGrid { bounds: Aabb::centered_cube(1.0), rays: 20, lambda: None }.read(&path).unwrap();
+    let domain = Domain::Box(Aabb::centered_cube(1.0));
+    let read = OfficialGrid { domain, rays: 20, lambda: None }.read(&path).unwrap();
     for x in [Vec3::new(0.25, -0.25, 0.2), Vec3::new(-0.4, 0.1, 0.3), Vec3::ZERO] {
         assert!((read.log10(x) - dense.log10(x)).abs() < 1e-6, "{x}");
     }

@@ -9,7 +9,7 @@
 
 use std::io::{Cursor, Read, Write};
 
-use super::Kind;
+use super::{Kind, torch};
 
 /// Sections of containers, in the order of their parts.
 const FIELD: [&str; 10] =
@@ -41,6 +41,7 @@ pub fn file(kind: Kind, recipe: &[u8]) -> Vec<u8> {
             let length = (part(0).len() as u64).to_le_bytes();
             [&length[..], part(0), &vec![0; zeros]].concat()
         }
+        Kind::Torch => torch::archive(part(0)),
         _ => rest.to_vec(),
     }
 }
@@ -57,6 +58,7 @@ pub fn recipe(kind: Kind, file: &[u8]) -> Vec<u8> {
             let data = (file.len() - 8 - header) as u32;
             vec![file[8..8 + header].to_vec(), data.to_be_bytes().to_vec()]
         }
+        Kind::Torch if file.starts_with(b"PK") => vec![torch::pickle_of(file)],
         _ => return raw(file),
     };
     join(&parts)

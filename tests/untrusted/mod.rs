@@ -6,6 +6,7 @@ pub mod damage;
 pub mod forge;
 pub mod probe;
 pub mod samples;
+pub mod torch;
 
 /// The kinds of files that the program reads.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -28,6 +29,8 @@ pub enum Kind {
     Official,
     /// `.safetensors` model.
     Safetensors,
+    /// Checkpoint of PyTorch.
+    Torch,
     /// `.obj` mesh.
     Mesh,
     /// `.csv` points.
@@ -41,7 +44,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 15] = [
         Self::Field,
         Self::Checkpoint,
         Self::Ppng,
@@ -51,6 +54,7 @@ impl Kind {
         Self::Points,
         Self::Official,
         Self::Safetensors,
+        Self::Torch,
         Self::Mesh,
         Self::Csv,
         Self::Image,
@@ -70,6 +74,7 @@ impl Kind {
             Self::Points => "points.npy",
             Self::Official => "official.npy",
             Self::Safetensors => "model.safetensors",
+            Self::Torch => "model.ckpt",
             Self::Mesh => "mesh.obj",
             Self::Csv => "points.csv",
             Self::Image => "image.png",

@@ -42,7 +42,7 @@ pub fn open(kind: Kind, path: &Path) -> bool {
         Kind::Voxels => VoxelGrid::read(path).is_ok(),
         Kind::Points => points(path).is_ok(),
         Kind::Official => official(path).is_ok(),
-        Kind::Safetensors => NerfMlp::read(path).is_ok(),
+        Kind::Safetensors | Kind::Torch => NerfMlp::read(path).is_ok(),
         Kind::Mesh => Mesh::read(path).is_ok(),
         Kind::Csv => csv(path).is_ok(),
         Kind::Image => PosedImage::read(path, [4, 3]).is_ok(),
@@ -67,7 +67,7 @@ fn colmap(path: &Path) -> Result<Views> {
 }
 
 fn official(path: &Path) -> Result<UncertaintyField> {
-    OfficialGrid { bounds: Aabb::centered_cube(1.0), rays: 10, lambda: None }.read(path)
+    OfficialGrid { domain: Domain::Box(Aabb::centered_cube(1.0)), rays: 10, lambda: None }.read(path)
 }
 
 fn csv(path: &Path) -> Result<Vec<Vec3>> {
@@ -97,7 +97,7 @@ pub fn read(kind: Kind, path: &Path) -> Result<()> {
         Kind::Voxels => VoxelGrid::read(path).map(|grid| model_is_sound(&grid)),
         Kind::Points => points(path).map(|points| assert!(points.iter().all(|x| x.is_finite()))),
         Kind::Official => official(path).map(|field| field_is_sound(&field, path)),
-        Kind::Safetensors => NerfMlp::read(path).map(|mlp| model_is_sound(&mlp)),
+        Kind::Safetensors | Kind::Torch => NerfMlp::read(path).map(|mlp| model_is_sound(&mlp)),
         Kind::Mesh => Mesh::read(path).map(|mesh| mesh_is_sound(&mesh)),
         Kind::Csv => csv(path).map(|points| assert!(points.iter().all(|x| x.is_finite()))),
         Kind::Image => picture(path),

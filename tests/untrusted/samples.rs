@@ -18,7 +18,7 @@ use octobayes::render::{GradientMethod, RaySample, RaySamples};
 use octobayes::uncertainty::UncertaintyField;
 use safetensors::tensor::{Dtype, TensorView};
 
-use super::{Kind, forge};
+use super::{Kind, forge, torch};
 
 /// Valid files of a kind. Each has something that the others lack.
 pub fn of(kind: Kind) -> Vec<Vec<u8>> {
@@ -38,6 +38,7 @@ pub fn of(kind: Kind) -> Vec<Vec<u8>> {
         ],
         Kind::Official => vec![written("o.npy", |path| npy::write(path, &[27], (0..27).map(|i| i as f32)).unwrap())],
         Kind::Safetensors => vec![safetensors()],
+        Kind::Torch => vec![torch::archive(&torch::pickle(false)), torch::stream()],
         Kind::Mesh => vec![
             b"# a tetrahedron\no t\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1/1 2/1 4/1\nf -4//1 -2//1 -1//1\nf 2 3 4\n".to_vec(),
             b"v 0 0 0 1 0 0\nv 1e3 0 0\nv 0 2.5 -1\ng a b\nf 1/1/1 2/2/2 3/3/3\n".to_vec(),
@@ -256,18 +257,20 @@ fn few_samples() -> Vec<u8> {
     })
 }
 
+/// Layers of an MLP NeRF, with the numbers of their outputs and inputs.
+pub const LAYERS: [(&str, usize, usize); 8] = [
+    ("layer1", 128, 63),
+    ("layers_xyz.0", 128, 128),
+    ("layers_xyz.1", 128, 128),
+    ("layers_xyz.2", 128, 128),
+    ("fc_alpha", 1, 128),
+    ("fc_feat", 128, 128),
+    ("layers_dir.0", 64, 155),
+    ("fc_rgb", 3, 64),
+];
+
 fn safetensors() -> Vec<u8> {
-    let layers = [
-        ("layer1", 128, 63),
-        ("layers_xyz.0", 128, 128),
-        ("layers_xyz.1", 128, 128),
-        ("layers_xyz.2", 128, 128),
-        ("fc_alpha", 1, 128),
-        ("fc_feat", 128, 128),
-        ("layers_dir.0", 64, 155),
-        ("fc_rgb", 3, 64),
-    ];
-    let shapes = layers.iter().flat_map(|&(name, outputs, inputs)| {
+    let shapes = LAYERS.iter().flat_map(|&(name, outputs, inputs)| {
         [(format!("fine.{name}.weight"), vec![outputs, inputs]), (format!("fine.{name}.bias"), vec![outputs])]
     });
     let data = vec![0; 4 * 128 * 128];

@@ -221,7 +221,7 @@ impl OfficialOptions {
                     );
                     rays
                 });
-                OfficialGrid { bounds, rays, lambda: None }.read(path)
+                OfficialGrid { domain: Domain::Box(bounds), rays, lambda: None }.read(path)
             }
             _ => UncertaintyField::read(path),
         }
