@@ -13,6 +13,7 @@ mod completions;
 mod convert;
 mod demo;
 mod evaluate;
+mod export;
 mod files;
 mod flags;
 mod info;
@@ -60,6 +61,7 @@ enum Verb {
     Compare(compare::Args),
     Render(render::Args),
     Evaluate(evaluate::Args),
+    Export(export::Args),
     Convert(convert::Args),
     Merge(merge::Args),
     Info(info::Args),
@@ -105,6 +107,7 @@ fn run(verb: Verb) -> Result<()> {
         Verb::Compare(args) => args.run(),
         Verb::Render(args) => args.run(bars),
         Verb::Evaluate(args) => args.run(bars),
+        Verb::Export(args) => args.run(bars),
         Verb::Convert(args) => args.run(),
         Verb::Merge(args) => args.run(),
         Verb::Info(args) => args.run(),

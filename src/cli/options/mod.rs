@@ -66,6 +66,13 @@ pub struct ModelOptions {
     #[arg(value_name = "MODEL")]
     pub model: String,
 
+    #[command(flatten)]
+    pub rays: RayOptions,
+}
+
+/// How rays pass through a radiance field.
+#[derive(Args, Clone, Copy)]
+pub struct RayOptions {
     /// Scene units and axes of a `.ppng` model; fields, cameras and depth must use the same [default: ngp]
     #[arg(long, value_enum)]
     pub coordinates: Option<Coordinates>,
@@ -92,14 +99,16 @@ pub struct ModelOptions {
 impl ModelOptions {
     /// Opens the model.
     pub fn open(&self) -> Result<Box<dyn RadianceField>> {
-        crate::open::open_in(&self.model, self.coordinates)
+        crate::open::open_in(&self.model, self.rays.coordinates)
     }
 
     /// Settings for rendering images.
     pub fn image_settings(&self) -> RaySettings {
-        self.ray_settings(RaySettings::for_images())
+        self.rays.ray_settings(RaySettings::for_images())
     }
+}
 
+impl RayOptions {
     /// `others`, with these options filled in.
     pub fn ray_settings(&self, others: RaySettings) -> RaySettings {
         RaySettings {
