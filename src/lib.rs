@@ -108,6 +108,8 @@ pub mod synth;
 #[cfg(feature = "train")]
 pub mod train;
 pub mod uncertainty;
+#[cfg(feature = "cli")]
+mod viewer;
 pub mod zoo;
 
 pub use error::{Error, Result};

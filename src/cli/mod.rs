@@ -27,6 +27,7 @@ mod report;
 mod synth;
 mod train;
 mod uncertainty;
+mod view;
 
 use std::process::ExitCode;
 
@@ -60,6 +61,7 @@ enum Verb {
     Query(query::Args),
     Compare(compare::Args),
     Render(render::Args),
+    View(view::Args),
     Evaluate(evaluate::Args),
     Export(export::Args),
     Convert(convert::Args),
@@ -106,6 +108,7 @@ fn run(verb: Verb) -> Result<()> {
         Verb::Query(args) => args.run(bars),
         Verb::Compare(args) => args.run(),
         Verb::Render(args) => args.run(bars),
+        Verb::View(args) => args.run(bars),
         Verb::Evaluate(args) => args.run(bars),
         Verb::Export(args) => args.run(bars),
         Verb::Convert(args) => args.run(),

@@ -151,8 +151,7 @@ impl Args {
             let unknown = |view: &RenderedView, i: usize| unknown(&field, &camera, offset, view, i);
             let depth = depth_range([&view].into_iter().chain(&cleaned));
             let prior = field.prior().log10();
-            let [low] = field.surface_quantiles([0.01]).unwrap_or([-3.0]);
-            let log10 = self.range.unwrap_or([low.min(prior - 0.5), prior]);
+            let log10 = bar_of(&field, self.range);
             let error = error_range([&view].into_iter().chain(&cleaned));
             let ranges = Ranges { depth, error, log10, prior, quantity: field.protocol().scale.quantity() };
             let mut rows = vec![view_panels(&view, &format!("frame {}", self.frame), ranges, &|i| unknown(&view, i))];
@@ -192,6 +191,16 @@ impl Args {
         }
         Ok(shown)
     }
+}
+
+/// Ends of the colour bar of log10 U: those that are asked for, or from the most certain percent of the visible surfaces to
+/// the prior.
+pub fn bar_of(field: &UncertaintyField, range: Option<[f64; 2]>) -> [f64; 2] {
+    range.unwrap_or_else(|| {
+        let prior = field.prior().log10();
+        let [low] = field.surface_quantiles([0.01]).unwrap_or([-3.0]);
+        [low.min(prior - 0.5), prior]
+    })
 }
 
 /// Refuses a field whose box does not lie in the model's.
