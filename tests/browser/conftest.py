@@ -44,7 +44,7 @@ class Page:
         self.driver = driver
         driver.get(Path(path).as_uri())
         self.said = driver.execute_async_script(
-            "const done = arguments[0]; octobayes.then((v) => { window.v = v; done('ready'); }, (e) => done(String(e)));"
+            "const done = arguments[0]; octobayes.then((o) => { window.v = o; done('ready'); }, (e) => done(e + ''));"
         )
 
     def do(self, script, *arguments):
@@ -99,7 +99,12 @@ class Scene:
         run(self.folder, f"render {self.model} field.oct {self.options} --frame {frame} {more} -o view.exr")
         channels = OpenEXR.File(str(self.folder / "view.exr")).channels()
         color = channels["RGBA"].pixels
-        return color[..., :3].clip(0, 1), color[..., 3], channels["depth.Z"].pixels, channels["log10_uncertainty.U"].pixels
+        return (
+            color[..., :3].clip(0, 1),
+            color[..., 3],
+            channels["depth.Z"].pixels,
+            channels["log10_uncertainty.U"].pixels,
+        )
 
     def query(self, points):
         np.save(self.folder / "points.npy", np.asarray(points, dtype=np.float32))

@@ -96,12 +96,15 @@ def test_the_slider_removes_what_render_removes(scene, page):
     # Where two thirds of the visible surfaces stay.
     kept = np.searchsorted(np.cumsum(bars), 0.66 * bars.sum()) + 1
     threshold = low + kept / len(bars) * (prior - low)
-    page.do("document.getElementById('threshold').value = arguments[0]; "
-            "document.getElementById('threshold').dispatchEvent(new Event('input'))", threshold)
+    page.do(
+        "document.getElementById('threshold').value = arguments[0]; "
+        "document.getElementById('threshold').dispatchEvent(new Event('input'))",
+        threshold,
+    )
     threshold = page.do("return v.shown.threshold")
     page.layer("color")
     color, opacity, _, _ = scene.rendered(1, f"--threshold={threshold}")
-    whole, before, _, _ = scene.rendered(1)
+    whole, _, _, _ = scene.rendered(1)
     found = page.numbers()[..., 0] > 0.5
     same = (found == (opacity > 0.5)).mean()
     assert same > 0.97, same
@@ -146,8 +149,10 @@ def test_mouse_keys_and_buttons_move_the_camera(page):
     assert np.allclose(position(), page.do("return v.about.cameras[1].position"))
     page.driver.find_element(By.ID, "frusta").click()
     page.do("v.camera.zoom(4); v.draw()")
-    drawn = page.do("return v.overlay.getContext('2d').getImageData(0, 0, v.overlay.width, v.overlay.height).data"
-                    ".some((n) => n > 0)")
+    drawn = page.do(
+        "return v.overlay.getContext('2d').getImageData(0, 0, v.overlay.width, v.overlay.height).data"
+        ".some((n) => n > 0)"
+    )
     assert drawn, "frusta are drawn"
     page.driver.find_element(By.ID, "frusta").click()
     assert page.console() == []
@@ -172,7 +177,9 @@ def test_frames_come_fast_enough_to_turn(scene, page, record_property):
     for _ in range(12):
         took = page.do("v.camera.orbit(0.02, 0); return v.draw(v.shrink)")
     took = np.median([page.do("v.camera.orbit(0.02, 0); return v.draw(v.shrink)") for _ in range(7)])
-    reads = page.do("const n = v.renderer.measure(v.camera, v.shown, 400, 400); let s = 0; "
-                    "for (let i = 3; i < n.length; i += 4) s += n[i]; return s / 160000")
+    reads = page.do(
+        "const n = v.renderer.measure(v.camera, v.shown, 400, 400); let s = 0; "
+        "for (let i = 3; i < n.length; i += 4) s += n[i]; return s / 160000"
+    )
     print(f"400 x 400: {whole:.0f} ms at rest, {took:.0f} ms while it moves, {reads:.1f} texture reads a pixel")
     assert took < 200, "on a shared machine; 80 ms are aimed at"

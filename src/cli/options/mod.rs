@@ -11,8 +11,8 @@ pub use cameras::{CameraFile, CameraOptions, FrameOptions, warn_of_pixels};
 pub use grid::{DomainOptions, GridOptions, OfficialOptions, check_field_name};
 pub use numbers::{count, parse_interval, parse_time};
 pub use parse::{
-    Resolution, numbers, parse_background, parse_box, parse_bytes, parse_non_negative, parse_pair, parse_positive,
-    parse_range, parse_resolution, parse_views, scaled,
+    Resolution, numbers, parse_background, parse_box, parse_bytes, parse_frames, parse_non_negative, parse_pair,
+    parse_positive, parse_range, parse_resolution, parse_views, scaled,
 };
 pub use scale::TrainingPixels;
 pub use threshold::Threshold;
