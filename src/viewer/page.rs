@@ -37,8 +37,8 @@ const BARS: usize = 48;
 /// Most cameras in the file.
 const CAMERAS: usize = 1000;
 
-/// The power of the resolution with which files grow: 2 for surfaces in bricks of no size, 3 for fog.
-const GROWTH: f64 = 2.5;
+/// The power of the resolution with which files grow: 2 for thin surfaces, 3 for fog.
+const GROWTH: f64 = 2.65;
 /// Cells along the longest edge, at least.
 const COARSEST: u32 = 32;
 /// The same of a first try that tells the size of finer ones.

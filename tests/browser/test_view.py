@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import DATA, Page, Scene, run
+from conftest import DATA, Page, Scene
 
 COMMON = "--rays 60000 --level 6"
 LEGO = "ppng-pretrained/NeRFSynthetic/ppng_2/lego.ppng"
@@ -22,7 +22,6 @@ def voxels(folder):
     color = 0.5 + 0.4 * np.sin(7 * at)
     box = np.array([[-1, -1, -1], [1, 1, 1]], dtype=np.float32)
     np.savez(folder / "ball.npz", density=density.astype("f4"), color=color.astype("f4"), box=box)
-    run(folder, "uncertainty scene:ball --level 4 --rays 1000 -o other.oct")
     return Scene(folder, "ball.npz", f"--cameras {cameras(folder)}", COMMON)
 
 
