@@ -15,10 +15,10 @@ def lego(folder):
 
 
 def voxels(folder):
-    """A grid of voxels that holds a bumpy ball, with colours that say where one is."""
-    at = np.stack(np.meshgrid(*[np.linspace(-1, 1, 96)] * 3, indexing="ij"), axis=-1)
+    """A grid of voxels that holds a hollow bumpy ball, with colours that say where one is."""
+    at = np.stack(np.meshgrid(*[np.linspace(-1, 1, 64)] * 3, indexing="ij"), axis=-1)
     radius = np.linalg.norm(at, axis=-1) + 0.05 * np.sin(9 * at).prod(axis=-1)
-    density = 120 / (1 + np.exp(60 * (radius - 0.6)))
+    density = 120 / (1 + np.exp(60 * (np.abs(radius - 0.55) - 0.05)))
     color = 0.5 + 0.4 * np.sin(7 * at)
     box = np.array([[-1, -1, -1], [1, 1, 1]], dtype=np.float32)
     np.savez(folder / "ball.npz", density=density.astype("f4"), color=color.astype("f4"), box=box)
