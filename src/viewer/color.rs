@@ -10,6 +10,10 @@ use crate::geometry::Camera;
 const EYES: usize = 48;
 /// Directions over which a colour is averaged.
 const DIRECTIONS: usize = 6;
+/// The same inside of matter, where hardly any camera sees.
+const INSIDE: usize = 2;
+/// Matter that changes less than this from sample to sample has no surface.
+const FLAT: f32 = 0.02;
 /// Samples that absorb less than this get the colour of their neighbours.
 const LEAST: f64 = 1e-3;
 
@@ -72,7 +76,7 @@ impl MeanColor<'_> {
         match outwards {
             Some(_) => all.truncate(DIRECTIONS),
             // All alike: a few that are spread over the order.
-            None => all = all.iter().step_by(all.len().div_ceil(DIRECTIONS)).copied().collect(),
+            None => all = all.iter().step_by(all.len().div_ceil(INSIDE)).copied().collect(),
         }
         all
     }
@@ -86,7 +90,7 @@ pub fn outwards(alpha: &[f64], i: usize) -> Option<Vec3> {
         (alpha[low] - alpha[high]) as f32
     });
     let slope: Vec<f32> = slope.collect();
-    Vec3::from_slice(&slope).try_normalize()
+    Some(Vec3::from_slice(&slope)).filter(|slope| slope.length() >= FLAT)?.try_normalize()
 }
 
 fn mean(colors: impl Iterator<Item = Vec3>) -> Option<Vec3> {
