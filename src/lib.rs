@@ -89,6 +89,8 @@ pub mod dataset;
 pub mod error;
 pub mod estimate;
 pub mod evaluate;
+#[cfg(feature = "cli")]
+mod export;
 pub mod field;
 pub mod geometry;
 mod io;
@@ -106,6 +108,8 @@ pub mod synth;
 #[cfg(feature = "train")]
 pub mod train;
 pub mod uncertainty;
+#[cfg(feature = "cli")]
+mod viewer;
 pub mod zoo;
 
 pub use error::{Error, Result};

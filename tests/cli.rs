@@ -714,7 +714,7 @@ fn demos_of_hard_scenes_say_what_to_expect_beside_what_was_measured() {
         let said: Vec<&str> = out.lines().filter(|line| line.contains("measured: ")).collect();
         assert!(said.len() == claims && said.iter().all(|line| line.ends_with("measured: as expected")), "{out}");
         assert!(out.contains("expected: ") && out.contains("verdict:  handled"), "{out}");
-        for file in ["demo.png", "field.oct", "dense.oct", "transforms.json"] {
+        for file in ["view.html", "demo.png", "field.oct", "dense.oct", "transforms.json"] {
             assert!(desk.path(name).join(file).exists(), "{name}/{file}");
         }
     }

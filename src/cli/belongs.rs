@@ -13,7 +13,7 @@ pub fn check_model(model: &ModelOptions, path: &Path, field: &UncertaintyField, 
         eprintln!("note: {} does not say which model it was computed from", path.display());
         return Ok(());
     };
-    let found = crate::open::checksum(&model.model, model.coordinates)?;
+    let found = crate::open::checksum(&model.model, model.rays.coordinates)?;
     if expected == found {
         return Ok(());
     }

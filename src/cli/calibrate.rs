@@ -107,7 +107,7 @@ impl Args {
         bars.begin("rows", frames.iter().map(|f| u64::from(f.camera.resolution[1].div_ceil(self.stride))).sum());
         let (mut views, mut otherwise) = (Vec::new(), Vec::new());
         for (seed, frame) in (0..).zip(frames) {
-            let truth = TrueView::read(frame, Some(&maps), self.model.background.as_dvec3(), offset, self.stride)?;
+            let truth = TrueView::read(frame, Some(&maps), self.model.rays.background.as_dvec3(), offset, self.stride)?;
             let view = evaluator.evaluate(&truth, seed, bars)?;
             let other = truth.distance_if_not(self.maps.kind());
             let error = |&i: &usize| Some((view.rendered.pixels[i].median_depth - other[i]?).abs());

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use glam::Vec3;
 use serde_json::json;
 
 use super::report;
@@ -19,6 +20,34 @@ pub struct Args {
     /// Print one JSON object
     #[arg(long)]
     json: bool,
+}
+
+/// Bars of the histogram.
+const BARS: usize = 40;
+
+/// How log10 U is distributed, in one line: over visible surfaces if the field holds points on them, else over vertices.
+fn histogram(field: &UncertaintyField) -> String {
+    let points: Vec<Vec3> = field.surface().iter().copied().map(Vec3::from_array).collect();
+    let (of, log10): (_, Vec<f64>) = if points.is_empty() {
+        ("vertices", field.deviations().iter().map(f64::log10).collect())
+    } else {
+        ("visible surfaces", field.query_all(&points).iter().map(|found| found.uncertainty.log10()).collect())
+    };
+    let high = field.prior().log10();
+    let low = log10.iter().copied().fold(high - 0.5, f64::min);
+    let mut counts = [0_u64; BARS];
+    for u in log10 {
+        counts[(((u - low) / (high - low) * BARS as f64) as usize).min(BARS - 1)] += 1;
+    }
+    format!("log10 U of {of}: {low:.2} {} {high:.2} (the prior)", bars(&counts))
+}
+
+/// Counts as bars of eight heights; what is not 0 shows.
+fn bars(counts: &[u64]) -> String {
+    const HEIGHTS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
+    let most = counts.iter().copied().max().unwrap_or(0).max(1);
+    let bar = |&n: &u64| if n == 0 { ' ' } else { HEIGHTS[(n * 7).div_ceil(most) as usize] };
+    counts.iter().map(bar).collect()
 }
 
 /// A question, and whether a file answers it.
@@ -81,6 +110,7 @@ impl Args {
         }
         say!("{}\n{}", path.display(), report::protocol(&field))?;
         say!("field\n  {}{}", report::summary(&field.summary()), report::surfaces(&field))?;
+        say!("  {}", histogram(&field))?;
         if let Some(stats) = stats {
             say!("  sound octree: {} leaves, {} hanging corners", stats.leaves(), stats.hanging_corners)?;
         }
@@ -131,5 +161,16 @@ impl Args {
             say!("  memory       {}", report::bytes(field.memory()))?;
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn few_are_seen_beside_many() {
+        assert_eq!(bars(&[0, 1, 500, 1000]), " ▂▅█");
+        assert_eq!(bars(&[0, 0]), "  ");
     }
 }

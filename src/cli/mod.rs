@@ -14,6 +14,7 @@ mod completions;
 mod convert;
 mod demo;
 mod evaluate;
+mod export;
 mod files;
 mod flags;
 mod info;
@@ -27,6 +28,7 @@ mod report;
 mod synth;
 mod train;
 mod uncertainty;
+mod view;
 
 use std::process::ExitCode;
 
@@ -60,8 +62,10 @@ enum Verb {
     Query(query::Args),
     Compare(compare::Args),
     Render(render::Args),
+    View(view::Args),
     Evaluate(evaluate::Args),
     Calibrate(calibrate::Args),
+    Export(export::Args),
     Convert(convert::Args),
     Merge(merge::Args),
     Info(info::Args),
@@ -106,8 +110,10 @@ fn run(verb: Verb) -> Result<()> {
         Verb::Query(args) => args.run(bars),
         Verb::Compare(args) => args.run(),
         Verb::Render(args) => args.run(bars),
+        Verb::View(args) => args.run(bars),
         Verb::Evaluate(args) => args.run(bars),
         Verb::Calibrate(args) => args.run(bars),
+        Verb::Export(args) => args.run(bars),
         Verb::Convert(args) => args.run(),
         Verb::Merge(args) => args.run(),
         Verb::Info(args) => args.run(),

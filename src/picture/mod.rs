@@ -1,7 +1,9 @@
-//! Pictures: labelled panels as PNG and plots as SVG for readers, EXR for tools.
+//! Pictures: labelled panels as PNG, moving ones, and plots as SVG for readers, EXR for tools.
 
+mod animation;
 mod panel;
 mod plot;
 
-pub use panel::{Bar, Panel, color_panel, scalar_panel, stage_sheet, write_sheet};
+pub use animation::write_animation;
+pub use panel::{Bar, Panel, color_panel, draw_sheet, scalar_panel, stage_sheet, write_sheet};
 pub use plot::{Curve, stage_plot, write_plot};

@@ -170,6 +170,18 @@ pub fn write_sheet(path: &Path, rows: &[Vec<Panel>]) -> Result<()> {
 /// # Errors
 /// As [`write_sheet`].
 pub fn stage_sheet(path: &Path, rows: &[Vec<Panel>]) -> Result<AtomicFile> {
+    let mut bytes = Cursor::new(Vec::new());
+    draw_sheet(rows)
+        .write_to(&mut bytes, ImageFormat::Png)
+        .map_err(|e| Error::malformed(path, "picture", "an encodable PNG", e.to_string()))?;
+    let mut file = AtomicFile::create(path)?;
+    file.write_all(bytes.get_ref()).map_err(Error::io(path, "cannot write"))?;
+    Ok(file)
+}
+
+/// Draws rows of panels as one picture.
+#[must_use]
+pub fn draw_sheet(rows: &[Vec<Panel>]) -> RgbImage {
     let rows = &legible(rows);
     let width_of = |panel: &Panel| {
         let bar = panel.bar.as_ref().map_or(0, |bar| bar.width(panel.image.height()));
@@ -196,14 +208,7 @@ pub fn stage_sheet(path: &Path, rows: &[Vec<Panel>]) -> Result<AtomicFile> {
         }
         top += row_height(row);
     }
-    let mut bytes = Cursor::new(Vec::new());
-    sheet
-        .0
-        .write_to(&mut bytes, ImageFormat::Png)
-        .map_err(|e| Error::malformed(path, "picture", "an encodable PNG", e.to_string()))?;
-    let mut file = AtomicFile::create(path)?;
-    file.write_all(bytes.get_ref()).map_err(Error::io(path, "cannot write"))?;
-    Ok(file)
+    sheet.0
 }
 
 /// The same rows, in which pictures that are too small for the words of their scales are magnified by whole numbers,

@@ -1,5 +1,7 @@
 //! Covariance matrices at points: in which directions a place could be displaced.
 
+use std::borrow::Cow;
+
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
@@ -12,42 +14,65 @@ use crate::{Error, Result};
 /// Points that a thread looks up one after the other.
 const CHUNK: usize = 1024;
 
+/// Covariance matrices of a field's displacements, ready to be asked for at points.
+pub struct Matrices<'a> {
+    field: Cow<'a, UncertaintyField>,
+    local: LocalSums<'a>,
+    covariance: Covariance,
+}
+
 impl UncertaintyField {
-    /// Covariance matrices of the displacement at many points, squared scene units (xx, xy, xz, yy, yz, zz).
-    ///
-    /// The trace of a matrix is U² under `covariance`. Its proportions are those of the vertices' matrices
-    /// ([`Covariance::matrix`]), interpolated with the weights that interpolate U. Outside the box it is the prior's.
+    /// Covariance matrices of the displacement at many points: [`Matrices::at`].
     ///
     /// # Errors
     /// If the sums were not kept.
     pub fn covariances(&self, points: &[Vec3], covariance: Covariance) -> Result<Vec<Information>> {
+        Ok(self.matrices(covariance)?.at(points))
+    }
+
+    /// The covariance matrices of the displacement under `covariance`, for many calls.
+    ///
+    /// # Errors
+    /// If the sums were not kept.
+    pub fn matrices(&self, covariance: Covariance) -> Result<Matrices<'_>> {
         let Some(sums) = self.sums() else {
             let found = format!("one of `{}` only", self.protocol().covariance.name());
             return Err(Error::setting("kept sums", "a field that keeps its sums, to give matrices", found));
         };
-        let own;
         let field = if covariance == self.protocol().covariance {
-            self
+            Cow::Borrowed(self)
         } else {
-            own = self.clone().with_covariance(covariance)?;
-            &own
+            Cow::Owned(self.clone().with_covariance(covariance)?)
         };
         let local = LocalSums::new(&self.protocol, &self.lattice, &self.support, &self.limits, sums);
-        let rays = self.protocol.rays;
+        Ok(Matrices { field, local, covariance })
+    }
+}
+
+impl Matrices<'_> {
+    /// Covariance matrices of the displacement at many points, squared scene units (xx, xy, xz, yy, yz, zz).
+    ///
+    /// The trace of a matrix is U². Its proportions are those of the vertices' matrices ([`Covariance::matrix`]),
+    /// interpolated with the weights that interpolate U. Outside the box it is the prior's.
+    #[must_use]
+    pub fn at(&self, points: &[Vec3]) -> Vec<Information> {
+        let rays = self.field.protocol.rays;
         let matrix = |v: usize| {
-            let (sums, lambda) = local.at(v);
-            covariance.matrix(&sums, rays, lambda)
+            let (sums, lambda) = self.local.at(v);
+            self.covariance.matrix(&sums, rays, lambda)
         };
         let mut out = vec![[0.0; 6]; points.len()];
         let chunks = points.par_chunks(CHUNK).zip(out.par_chunks_mut(CHUNK));
         chunks.for_each(|(points, out)| {
             for (&x, out) in points.iter().zip(out) {
-                *out = field.covariance_at(x, &matrix);
+                *out = self.field.covariance_at(x, &matrix);
             }
         });
-        Ok(out)
+        out
     }
+}
 
+impl UncertaintyField {
     /// The matrix at a point, given those of vertices.
     fn covariance_at(&self, x: Vec3, matrix: &dyn Fn(usize) -> Information) -> Information {
         let shape = match self.lattice.coordinates(x) {

@@ -27,6 +27,7 @@ pub use depth::DepthPosterior;
 pub use error_bars::{ErrorBars, ErrorSummary, Jackknife};
 pub use file::FORMAT_VERSION;
 pub use knowledge::Knowledge;
+pub use matrices::Matrices;
 pub use merge::{merge, merge_with_error_bars};
 pub use official::OfficialGrid;
 pub use protocol::{Origin, Protocol};

@@ -9,6 +9,8 @@ mod tests;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
+use glam::Vec3;
+
 use self::matter::{Matter, Shares};
 use self::scene::{DemoScene, TOLERANCE};
 use super::files::CommandFiles;
@@ -16,20 +18,25 @@ use super::options::count;
 use super::panels::{Ranges, depth_range, error_range, unknown, view_panels};
 use super::progress::Bars;
 use super::report;
-use crate::dataset::write_transforms;
+use crate::dataset::{Frame, write_transforms};
 use crate::estimate::{Estimation, GridKind, GridSettings, Outcome, RaySettings};
 use crate::field::RadianceField;
+use crate::geometry::Camera;
 use crate::monitor::Monitor;
 use crate::picture::{Panel, color_panel, write_sheet};
 use crate::rays::RunProgress;
 use crate::render::{GradientMethod, Probe, RayAverage, RenderedView, render_view};
 use crate::train::Quality;
 use crate::uncertainty::{ThresholdedField, UncertaintyField, compare};
+use crate::viewer::{View, write_view};
 use crate::{Error, Result};
 
 /// File name of the trained model, in the folder of results.
 const MODEL: &str = "courtyard.safetensors";
 
+/// Cells of the viewer's volume, and the most bytes of its file: it is written in a few seconds.
+const CELLS: u32 = 128;
+const SIZE: usize = 6_000_000;
 /// Share of the matter that cameras see which clean-up keeps. The rest, reached by few rays, leaves small holes.
 const KEPT: f64 = 0.99;
 /// Share of that matter whose log10 U lies below the colour bar.
@@ -75,7 +82,7 @@ impl Args {
         let named = self.scene.as_deref().map(scene::subject).transpose()?;
         std::fs::create_dir_all(&self.out).map_err(Error::io(&self.out, "cannot create the folder"))?;
         let model = self.scene.is_none().then_some(MODEL);
-        let results = ["demo.png", "field.oct", "dense.oct", "transforms.json"].into_iter().chain(model);
+        let results = ["view.html", "demo.png", "field.oct", "dense.oct", "transforms.json"].into_iter().chain(model);
         CommandFiles::default().outputs("a file in --out", results.map(|name| self.out.join(name))).check()?;
         let subject = match named {
             Some(subject) => subject,
@@ -99,6 +106,7 @@ impl Args {
         let shown = Shown::new(&subject, octree, bars)?;
         self.clean(&subject, octree, shown, bars)?;
         self.pictures(&subject, octree, shown, bars)?;
+        self.viewer(&subject, octree, shown, bars)?;
         let checksum = crate::open::checksum(&self.model_name(), None)?;
         for (field, name) in [(octree, "field.oct"), (dense, "dense.oct")] {
             field.clone().for_queries().with_model(checksum).write(&self.out.join(name))?;
@@ -132,7 +140,9 @@ impl Args {
         let out = self.out.display();
         let model = self.model_name();
         let file = if self.scene.is_none() { format!(", {MODEL}") } else { String::new() };
-        say!("written to {out}: demo.png (look at it first), field.oct, dense.oct{file}, transforms.json")?;
+        say!(
+            "written to {out}: view.html (open it in a browser first), demo.png, field.oct, dense.oct{file}, transforms.json"
+        )?;
         say!("now try, for example")?;
         say!("  octobayes info {out}/field.oct")?;
         // The trained model knows its cameras.
@@ -184,6 +194,27 @@ impl Args {
         say!("  removed: {removed:.1} % of what is made up behind")?;
         say!("  kept:    {kept:.1} % of the true surface that held-out cameras see")?;
         say!("  (made up: with nothing true within {TOLERANCE} scene units along each axis)")
+    }
+
+    /// Writes the viewer.
+    fn viewer(&self, subject: &DemoScene, field: &UncertaintyField, shown: Shown, bars: &Bars) -> Result<()> {
+        let model = subject.field.as_ref();
+        let tracer = RaySettings::for_images().tracer(model, 0.0, bars)?;
+        let frame =
+            |(name, camera): &(String, Camera)| Frame { camera: *camera, name: name.clone(), image: PathBuf::new() };
+        let frames: Vec<Frame> = subject.cameras.iter().map(frame).collect();
+        let surface: Vec<Vec3> = field.surface().iter().copied().map(Vec3::from_array).collect();
+        let view = View {
+            model,
+            field,
+            tracer: &tracer,
+            frames: &frames,
+            offset: 0.5,
+            surface: &surface,
+            range: [shown.low, field.prior().log10()],
+            title: &format!("the demo's {}", self.scene.as_deref().unwrap_or("courtyard")),
+        };
+        write_view(&self.out.join("view.html"), &view, CELLS, SIZE, bars).map(|_| ())
     }
 
     /// Writes pictures of the scene from two sides: the truth or the depth, the model, log10 U, the model cleaned.

@@ -166,7 +166,7 @@ impl Args {
         bars.begin("rows", rows * (1 + members.len() as u64));
         let (mut truths, mut judged, mut otherwise) = (Vec::new(), Vec::new(), Vec::new());
         for (seed, frame) in (0..).zip(frames) {
-            let background = self.model.background.as_dvec3();
+            let background = self.model.rays.background.as_dvec3();
             let truth = TrueView::read(frame, depth_files.as_ref(), background, offset, self.stride)?;
             let view = evaluator.evaluate(&truth, seed, bars)?;
             let other = truth.distance_if_not(self.maps.kind());
@@ -228,7 +228,7 @@ impl Args {
 
     /// Opens a member of the ensemble. It must cover the same box as the model.
     fn member(&self, name: &str, model: &dyn RadianceField) -> Result<Box<dyn RadianceField>> {
-        let member = crate::open::open_in(name, self.model.coordinates)?;
+        let member = crate::open::open_in(name, self.model.rays.coordinates)?;
         let text = |b: Aabb| format!("{} to {}", b.min(), b.max());
         let [expected, found] = [model.bounds(), member.bounds()];
         let same = [expected.min() - found.min(), expected.max() - found.max()];

@@ -174,7 +174,7 @@ impl<'a> Evaluation<'a> {
             "model": args.model.model, "cameras": args.cameras.cameras, "depth": args.depth, "ensemble": args.ensemble,
             "depth_kind": if args.maps.z_depth { "z" } else { "euclidean" }, "stride": args.stride,
             "mask": "alpha 255 and known depth", "alignment": "none",
-            "background": args.model.background.to_array(),
+            "background": args.model.rays.background.to_array(),
             "views": self.views.iter().map(|v| json!({ "name": v.name, "psnr": v.psnr, "pixels": v.pixels.len() })).collect::<Vec<_>>(),
             "pixels": self.depth().map_or(0, |depth| depth.pixels), "pixels_without_depth": self.empty(),
             "psnr": self.psnr(),

@@ -13,8 +13,8 @@ pub use depth::DepthOptions;
 pub use grid::{DomainOptions, GridOptions, OfficialOptions, check_field_name};
 pub use numbers::{count, parse_interval, parse_time};
 pub use parse::{
-    Resolution, numbers, parse_background, parse_box, parse_non_negative, parse_pair, parse_positive,
-    parse_probability, parse_range, parse_resolution, parse_views, scaled,
+    Resolution, numbers, parse_background, parse_box, parse_bytes, parse_frames, parse_non_negative, parse_pair,
+    parse_positive, parse_probability, parse_range, parse_resolution, parse_views, scaled,
 };
 pub use scale::TrainingPixels;
 pub use threshold::Threshold;
@@ -71,6 +71,13 @@ pub struct ModelOptions {
     #[arg(value_name = "MODEL")]
     pub model: String,
 
+    #[command(flatten)]
+    pub rays: RayOptions,
+}
+
+/// How rays pass through a radiance field.
+#[derive(Args, Clone, Copy)]
+pub struct RayOptions {
     /// Scene units and axes of a `.ppng` model; fields, cameras and depth must use the same [default: ngp]
     #[arg(long, value_enum)]
     pub coordinates: Option<Coordinates>,
@@ -97,14 +104,16 @@ pub struct ModelOptions {
 impl ModelOptions {
     /// Opens the model.
     pub fn open(&self) -> Result<Box<dyn RadianceField>> {
-        crate::open::open_in(&self.model, self.coordinates)
+        crate::open::open_in(&self.model, self.rays.coordinates)
     }
 
     /// Settings for rendering images.
     pub fn image_settings(&self) -> RaySettings {
-        self.ray_settings(RaySettings::for_images())
+        self.rays.ray_settings(RaySettings::for_images())
     }
+}
 
+impl RayOptions {
     /// `others`, with these options filled in.
     pub fn ray_settings(&self, others: RaySettings) -> RaySettings {
         RaySettings {

@@ -172,6 +172,15 @@ pub fn parse_fov(text: &str) -> Result<f64, String> {
     }
 }
 
+/// Frames from a first to before a last: `0..8`.
+pub fn parse_frames(text: &str) -> Result<std::ops::Range<usize>, String> {
+    let ends = text.split_once("..").map(|(a, b)| (a.parse::<usize>(), b.parse::<usize>()));
+    match ends {
+        Some((Ok(a), Ok(b))) if a < b && b - a <= 10_000 => Ok(a..b),
+        _ => Err("expected A..B with A < B, at most 10000 frames, as 0..8".into()),
+    }
+}
+
 /// A number of bytes: `2GiB`, `500MB`, `1000000`.
 pub fn parse_bytes(text: &str) -> Result<u64, String> {
     let split = text.find(|c: char| c.is_ascii_alphabetic()).unwrap_or(text.len());

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use glam::Vec3;
 
-use self::rays::RayOptions;
+use self::rays::RayQuery;
 use super::files::CommandFiles;
 use super::options::OfficialOptions;
 use super::progress::Bars;
@@ -50,7 +50,7 @@ pub struct Args {
     points: Option<PathBuf>,
 
     #[command(flatten)]
-    rays: RayOptions,
+    rays: RayQuery,
 
     /// Answers: `.npy`, `.csv`, or `-`
     #[arg(short, long, value_name = "OUT", default_value = "-")]

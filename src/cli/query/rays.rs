@@ -8,7 +8,7 @@ use glam::{DVec3, Vec3};
 
 use crate::Result;
 use crate::cli::belongs::check_model;
-use crate::cli::options::{ModelOptions, numbers};
+use crate::cli::options::{ModelOptions, RayOptions, numbers};
 use crate::cli::progress::Bars;
 use crate::cli::render::check_box;
 use crate::field::Coordinates;
@@ -18,7 +18,7 @@ use crate::uncertainty::UncertaintyField;
 
 /// Rays to ask about, and the model that they pass through.
 #[derive(Args)]
-pub struct RayOptions {
+pub struct RayQuery {
     /// Ask about the depth along a ray: its origin and direction (of any length), scene units. May be given several
     /// times. OUT is CSV: origin, unit direction, opacity, median_depth (distance to the surface), expected_depth,
     /// depth_error (one standard deviation of depth, scene units; for fields of `--scale data`),
@@ -48,7 +48,7 @@ fn parse_ray(text: &str) -> std::result::Result<Ray, String> {
     Ok(Ray::new(origin, direction))
 }
 
-impl RayOptions {
+impl RayQuery {
     /// Writes a row for each ray. The inner error is that of `out`.
     pub fn answer(
         self,
@@ -57,14 +57,14 @@ impl RayOptions {
         out: &mut dyn Write,
         bars: &Bars,
     ) -> Result<std::io::Result<()>> {
-        let options = ModelOptions {
-            model: self.model.unwrap_or_default(),
+        let rays = RayOptions {
             coordinates: self.coordinates,
             background: Vec3::ONE,
             march_step: None,
             pixel_offset: None,
             occupancy: Occupancy::DEFAULT_RESOLUTION as u16,
         };
+        let options = ModelOptions { model: self.model.unwrap_or_default(), rays };
         let model = options.open()?;
         check_box(&options.model, &model.bounds(), field)?;
         check_model(&options, path, field, self.force)?;

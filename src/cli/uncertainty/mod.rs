@@ -184,11 +184,11 @@ impl Args {
             return Err(Error::setting("an input file", format!("{before}, as before it was read"), now));
         }
         let domain = self.domain.domain(Some(field.natural_domain()))?;
-        let checksum = crate::open::checksum(&self.model.model, self.model.coordinates)?;
+        let checksum = crate::open::checksum(&self.model.model, self.model.rays.coordinates)?;
         let mut dump = self.dump_samples.as_deref().map(SamplesWriter::create).transpose()?;
 
         let start = Instant::now();
-        let rays = self.model.ray_settings(RaySettings {
+        let rays = self.model.rays.ray_settings(RaySettings {
             rays: self.most_rays(),
             pixels: self.pixels,
             seed: self.seed,
@@ -331,7 +331,7 @@ impl Args {
     /// What the field was computed from, which identifies the run.
     fn source(&self, files: &[String], cameras: &[Camera]) -> String {
         let mut model = files[0].clone();
-        if let Some(coordinates) = self.model.coordinates {
+        if let Some(coordinates) = self.model.rays.coordinates {
             model = format!("{model} in {} coordinates", coordinates.name());
         }
         let seen_by = match &files[1..] {

@@ -1,22 +1,28 @@
 //! `render`: pictures of a field and its uncertainty.
 
-use std::path::PathBuf;
+mod orbit;
+mod studio;
 
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+use image::RgbImage;
+
+use self::orbit::orbit;
+use self::studio::Studio;
 use super::belongs::check_model;
 use super::files::CommandFiles;
-use super::options::{CameraOptions, ModelOptions, Threshold, parse_positive, parse_range, scaled};
-use super::panels::{Ranges, depth_range, error_range, unknown, view_panels};
+use super::options::{CameraOptions, ModelOptions, Threshold, parse_frames, parse_positive, parse_range, scaled};
 use super::progress::Bars;
 use super::report;
-use crate::dataset::Part;
+use crate::dataset::{Frame, Part};
 use crate::evaluate::Reading;
-use crate::field::RadianceField;
 use crate::geometry::{Aabb, Camera, MAX_PIXELS};
 use crate::io::write_exr;
 use crate::monitor::Monitor;
-use crate::picture::write_sheet;
+use crate::picture::{draw_sheet, write_animation, write_sheet};
 use crate::posterior::Covariance;
-use crate::render::{DepthProbe, Probe, RayAverage, RenderedView, render_view, render_view_with_depth};
+use crate::render::{RayAverage, RenderedView};
 use crate::uncertainty::{ThresholdedField, UncertaintyField};
 use crate::{Error, Result};
 
@@ -52,6 +58,15 @@ pub struct Args {
     /// whose longer side has 800 pixels]
     #[arg(long, value_name = "FACTOR", value_parser = parse_positive, conflicts_with = "resolution")]
     scale: Option<f64>,
+
+    /// Frames A to B - 1 instead of one; OUT is then a folder, and pictures are called after their frames
+    #[arg(long, value_name = "A..B", value_parser = parse_frames, conflicts_with = "frame")]
+    frames: Option<Range<usize>>,
+
+    /// A picture that moves, `.gif` or `.png`: N views on a circle that starts at the frame. Colour and log10 U, and
+    /// with --threshold the colour of what is left
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=720), conflicts_with_all = ["frames", "depth_error"])]
+    orbit: Option<u32>,
 
     /// Picture to write, `.png` or `.exr`
     #[arg(short, long, value_name = "OUT")]
@@ -94,16 +109,12 @@ impl Args {
     /// Runs the verb.
     pub fn run(mut self, bars: &Bars) -> Result<()> {
         self.cameras.find(Part::Training);
-        let as_exr = match self.output.extension().and_then(|e| e.to_str()) {
-            Some("png") => false,
-            Some("exr") => true,
-            _ => return Err(Error::malformed(&self.output, "file name", "`.png` or `.exr`", "another extension")),
-        };
+        self.check_output()?;
         let files = CommandFiles::default()
             .input("MODEL", &self.model.model)
             .input("FIELD", &self.field)
             .cameras(self.cameras.cameras.as_deref())
-            .output("--output", &self.output);
+            .outputs("--output", self.outputs());
         files.check()?;
         let model = self.model.open()?;
         let mut field = UncertaintyField::read(&self.field)?;
@@ -114,59 +125,48 @@ impl Args {
         check_model(&self.model, &self.field, &field, self.force)?;
         let views = self.cameras.read(&*model, &self.model.model)?;
         files.images(&views).check()?;
-        let camera = self.sized(&views.frame(self.frame)?.camera)?;
+        // A frame that is not there is refused before any work.
+        let wanted = self.frames.clone().unwrap_or(self.frame..self.frame + 1);
+        let frames: Vec<&Frame> = wanted.clone().map(|k| views.frame(k)).collect::<Result<_>>()?;
+        if self.depth_error {
+            field.depth_posterior()?;
+        }
 
-        let uncertainty = &field;
-        let log10 = |x| field.log10(x);
-        let rays = |x| field.support_at(x);
         Reading::check(&field, self.ray_average)?;
-        let probes = [Probe { value: &log10, rays: Some(&rays), averages: &[self.ray_average] }];
         let settings = self.model.image_settings();
-        let offset = settings.pixel_offset.unwrap_or_else(|| model.pixel_offset());
-        let posterior = self.depth_error.then(|| field.depth_posterior()).transpose()?;
-        let picture = |field: &dyn RadianceField| -> Result<RenderedView> {
-            let tracer = settings.tracer(field, 0.0, bars)?;
-            bars.begin("rows", u64::from(camera.resolution[1]));
-            let view = if let Some(posterior) = &posterior {
-                let differentiation = settings.differentiation(tracer.field, uncertainty.lattice())?;
-                let depth = DepthProbe { differentiation, variances: &[posterior] };
-                render_view_with_depth(&tracer, &camera, offset, &probes, &depth, bars)?
-            } else {
-                render_view(&tracer, &camera, offset, &probes, bars)?
-            };
-            bars.end();
-            Ok(view)
-        };
         let threshold = self.threshold.map(|threshold| threshold.log10(&field)).transpose()?;
-        let cleaned = match threshold {
-            Some(threshold) => Some(picture(&ThresholdedField { field: &*model, uncertainty: &field, threshold })?),
+        let cleaned = threshold.map(|threshold| ThresholdedField { field: &*model, uncertainty: &field, threshold });
+        let cleaned = match &cleaned {
+            Some(cleaned) => Some((settings.tracer(cleaned, 0.0, bars)?, cleaned.threshold)),
             None => None,
         };
-        // An EXR holds the cleaned view only, but what a share takes is told by both.
-        let is_shown = !as_exr || !matches!(self.threshold, Some(Threshold::Log10(_)));
-        let view = is_shown.then(|| picture(&*model)).transpose()?;
-        if let (Some(threshold), Some(view), Some(cleaned)) = (self.threshold, &view, &cleaned) {
-            threshold.note_pixels(view, cleaned);
-        }
-        if as_exr {
-            let view = cleaned.or(view).expect("one of them is rendered");
-            write_exr(&self.output, view.resolution, channels(&view, &field))?;
-        } else if let Some(view) = view {
-            let unknown = |view: &RenderedView, i: usize| unknown(&field, &camera, offset, view, i);
-            let depth = depth_range([&view].into_iter().chain(&cleaned));
-            let prior = field.prior().log10();
-            let [low] = field.surface_quantiles([0.01]).unwrap_or([-3.0]);
-            let log10 = self.range.unwrap_or([low.min(prior - 0.5), prior]);
-            let error = error_range([&view].into_iter().chain(&cleaned));
-            let (conformal, quantity) = (field.conformal().copied(), field.protocol().scale.quantity());
-            let ranges = Ranges { depth, error, conformal, log10, prior, quantity };
-            let mut rows = vec![view_panels(&view, &format!("frame {}", self.frame), ranges, &|i| unknown(&view, i))];
-            if let (Some(cleaned), Some(threshold)) = (&cleaned, threshold) {
-                rows.push(view_panels(cleaned, &format!("log10 U <= {threshold:.3}"), ranges, &|i| {
-                    unknown(cleaned, i)
-                }));
+        let studio = Studio {
+            options: &self.model,
+            field: &field,
+            tracer: settings.tracer(&*model, 0.0, bars)?,
+            cleaned,
+            offset: settings.pixel_offset.unwrap_or_else(|| model.pixel_offset()),
+            average: self.ray_average,
+            depth_error: self.depth_error,
+            log10: bar_of(&field, self.range),
+            bars,
+        };
+        let pictures = if studio.cleaned.is_some() { 2 } else { 1 };
+        let rows = |camera: &Camera| pictures * u64::from(camera.resolution[1]);
+        if let Some(count) = self.orbit {
+            let others: Vec<Camera> = views.frames.iter().map(|frame| frame.camera).collect();
+            let cameras = orbit(&self.sized(&frames[0].camera)?, &others, field.lattice().domain(), count);
+            bars.begin("rows", cameras.iter().map(rows).sum());
+            let frames = cameras.iter().map(|camera| moment(&studio, camera)).collect::<Result<_>>()?;
+            bars.end();
+            write_animation(&self.output, frames)?;
+        } else {
+            let cameras: Vec<Camera> = frames.iter().map(|frame| self.sized(&frame.camera)).collect::<Result<_>>()?;
+            bars.begin("rows", cameras.iter().map(rows).sum());
+            for ((k, camera), path) in wanted.zip(&cameras).zip(self.outputs()) {
+                self.picture(&studio, k, camera, &path)?;
             }
-            write_sheet(&self.output, &rows)?;
+            bars.end();
         }
         say!("{}", self.output.display())?;
         if self.verbose {
@@ -174,6 +174,61 @@ impl Args {
         }
         Ok(())
     }
+
+    /// Checks the kind of the output, and makes the folder of several.
+    fn check_output(&self) -> Result<()> {
+        if self.frames.is_some() {
+            return std::fs::create_dir_all(&self.output).map_err(Error::io(&self.output, "cannot create the folder"));
+        }
+        let expected = if self.orbit.is_some() { ["gif", "png"] } else { ["png", "exr"] };
+        let extension = self.output.extension().and_then(|e| e.to_str());
+        if extension.is_some_and(|extension| expected.contains(&extension)) {
+            return Ok(());
+        }
+        let expected = expected.map(|extension| format!("`.{extension}`")).join(" or ");
+        Err(Error::malformed(&self.output, "file name", expected, "another extension"))
+    }
+
+    /// The files to write, in the order of the frames.
+    fn outputs(&self) -> Vec<PathBuf> {
+        match &self.frames {
+            Some(frames) => frames.clone().map(|k| self.output.join(format!("frame_{k:04}.png"))).collect(),
+            None => vec![self.output.clone()],
+        }
+    }
+
+    /// Writes the picture of one camera.
+    fn picture(&self, studio: &Studio, k: usize, camera: &Camera, path: &Path) -> Result<()> {
+        let as_exr = path.extension().is_some_and(|e| e == "exr");
+        if let (true, Some(Threshold::Log10(_)), Some((tracer, _))) = (as_exr, self.threshold, &studio.cleaned) {
+            // An EXR holds the cleaned view only; what a share takes is told by both.
+            let view = studio.view(tracer, camera)?;
+            return write_exr(path, view.resolution, channels(&view, studio.field));
+        }
+        let views = studio.views(camera)?;
+        if let (Some(threshold), (view, Some(cleaned))) = (self.threshold, &views) {
+            threshold.note_pixels(view, cleaned);
+        }
+        if !as_exr {
+            return write_sheet(path, &studio.rows(&format!("frame {k}"), camera, &views));
+        }
+        let (view, cleaned) = views;
+        let view = cleaned.unwrap_or(view);
+        write_exr(path, view.resolution, channels(&view, studio.field))
+    }
+}
+
+/// One picture of a moving one: colour, log10 U, and the colour of what is left by the clean-up.
+fn moment(studio: &Studio, camera: &Camera) -> Result<RgbImage> {
+    let mut rows = studio.rows("model", camera, &studio.views(camera)?).into_iter();
+    let mut row = rows.next().unwrap_or_default();
+    row.drain(1..row.len() - 1);
+    // Titles that are the same in all pictures keep these of one size.
+    if let Some(panel) = row.last_mut() {
+        panel.title = format!("{} (hatched: never seen)", studio.field.protocol().scale.quantity());
+    }
+    row.extend(rows.next().into_iter().flatten().next());
+    Ok(draw_sheet(&[row]))
 }
 
 impl Args {
@@ -197,6 +252,16 @@ impl Args {
         }
         Ok(shown)
     }
+}
+
+/// Ends of the colour bar of log10 U: those that are asked for, or from the most certain percent of the visible surfaces to
+/// the prior.
+pub fn bar_of(field: &UncertaintyField, range: Option<[f64; 2]>) -> [f64; 2] {
+    range.unwrap_or_else(|| {
+        let prior = field.prior().log10();
+        let [low] = field.surface_quantiles([0.01]).unwrap_or([-3.0]);
+        [low.min(prior - 0.5), prior]
+    })
 }
 
 /// Refuses a field whose box does not lie in the model's.

@@ -1,0 +1,80 @@
+//! A model with its uncertainty, ready for pictures.
+
+use crate::Result;
+use crate::cli::options::ModelOptions;
+use crate::cli::panels::{Ranges, depth_range, error_range, unknown, view_panels};
+use crate::cli::progress::Bars;
+use crate::geometry::Camera;
+use crate::picture::Panel;
+use crate::render::{DepthProbe, Probe, RayAverage, RenderedView, Tracer, render_view, render_view_with_depth};
+use crate::uncertainty::UncertaintyField;
+
+/// What pictures are made of.
+pub struct Studio<'a> {
+    /// The model's options.
+    pub options: &'a ModelOptions,
+    /// The uncertainty.
+    pub field: &'a UncertaintyField,
+    /// The model.
+    pub tracer: Tracer<'a>,
+    /// The model without what is uncertain, and the largest log10 U that is left.
+    pub cleaned: Option<(Tracer<'a>, f64)>,
+    /// Where in a pixel rays pass.
+    pub offset: f64,
+    /// How log10 U is averaged along a ray.
+    pub average: RayAverage,
+    /// Whether depth gets its standard deviation.
+    pub depth_error: bool,
+    /// Ends of the colour bar of log10 U.
+    pub log10: [f64; 2],
+    /// Progress, one unit a row of pixels.
+    pub bars: &'a Bars,
+}
+
+impl Studio<'_> {
+    /// The view of a camera.
+    pub fn view(&self, tracer: &Tracer, camera: &Camera) -> Result<RenderedView> {
+        let log10 = |x| self.field.log10(x);
+        let rays = |x| self.field.support_at(x);
+        let probes = [Probe { value: &log10, rays: Some(&rays), averages: &[self.average] }];
+        if !self.depth_error {
+            return render_view(tracer, camera, self.offset, &probes, self.bars);
+        }
+        let posterior = self.field.depth_posterior()?;
+        let differentiation = self.options.image_settings().differentiation(tracer.field, self.field.lattice())?;
+        let depth = DepthProbe { differentiation, variances: &[&posterior] };
+        render_view_with_depth(tracer, camera, self.offset, &probes, &depth, self.bars)
+    }
+
+    /// The views of a camera: the model, and the model cleaned.
+    pub fn views(&self, camera: &Camera) -> Result<(RenderedView, Option<RenderedView>)> {
+        let cleaned = self.cleaned.as_ref().map(|(tracer, _)| self.view(tracer, camera)).transpose()?;
+        Ok((self.view(&self.tracer, camera)?, cleaned))
+    }
+
+    /// Labelled panels of both, one row each.
+    pub fn rows(
+        &self,
+        name: &str,
+        camera: &Camera,
+        (view, cleaned): &(RenderedView, Option<RenderedView>),
+    ) -> Vec<Vec<Panel>> {
+        let both = || [view].into_iter().chain(cleaned);
+        let ranges = Ranges {
+            depth: depth_range(both()),
+            error: error_range(both()),
+            conformal: self.field.conformal().copied(),
+            log10: self.log10,
+            prior: self.field.prior().log10(),
+            quantity: self.field.protocol().scale.quantity(),
+        };
+        let panels = |name: &str, view: &RenderedView| {
+            view_panels(view, name, ranges, &|i| unknown(self.field, camera, self.offset, view, i))
+        };
+        let mut rows = vec![panels(name, view)];
+        if let (Some(cleaned), Some((_, threshold))) = (cleaned, &self.cleaned) {
+            rows.push(panels(&format!("log10 U <= {threshold:.3}"), cleaned));
+        }
+        rows
+    }
+}

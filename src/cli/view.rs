@@ -1,0 +1,115 @@
+//! `view`: a viewer in one file.
+
+use std::path::PathBuf;
+
+use glam::Vec3;
+
+use super::belongs::check_model;
+use super::files::CommandFiles;
+use super::options::{CameraOptions, ModelOptions, parse_bytes, parse_range};
+use super::progress::Bars;
+use super::render::{bar_of, check_box};
+use super::report;
+use crate::dataset::Part;
+use crate::export::surfaces;
+use crate::geometry::Camera;
+use crate::uncertainty::UncertaintyField;
+use crate::viewer::{Shown, View, write_view};
+use crate::{Error, Result};
+
+/// Pixels looked at for the histogram, if the field holds no points on visible surfaces.
+const PIXELS: u64 = 50_000;
+
+/// Write a viewer: one HTML file that opens from disk in any browser
+///
+/// Shows the model as a volume that you turn with mouse, fingers or keys: colour, depth, log10 U, colour tinted by U. A
+/// slider removes what is uncertain. The training cameras can be shown and stepped through; the pointer reads position,
+/// U, rays, density and depth. The file holds everything and asks no server.
+///
+/// The volume is a regular lattice: detail finer than a cell is averaged, and colour does not depend on direction.
+#[derive(clap::Args)]
+#[command(after_help = "Example: octobayes view lego.safetensors lego.oct -o lego.html")]
+pub struct Args {
+    #[command(flatten)]
+    model: ModelOptions,
+
+    /// Uncertainty of the model
+    #[arg(value_name = "FIELD.oct")]
+    field: PathBuf,
+
+    #[command(flatten)]
+    cameras: CameraOptions,
+
+    /// File to write, `.html`
+    #[arg(short, long, value_name = "VIEW.html")]
+    output: PathBuf,
+
+    /// Cells of the volume along the longest edge of the model's box, or of contracted space; fewer if they do not fit
+    /// into --size
+    #[arg(long, value_name = "N", default_value_t = 256, value_parser = clap::value_parser!(u32).range(32..=1024))]
+    cells: u32,
+
+    /// Largest size of the file, such as 8MB
+    #[arg(long, value_name = "SIZE", default_value = "6MB", value_parser = parse_bytes)]
+    size: u64,
+
+    /// Ends of the colour bar of log10 U [default: as in render]
+    #[arg(long, value_name = "LOW,HIGH", value_parser = parse_range, allow_hyphen_values = true)]
+    range: Option<[f64; 2]>,
+
+    /// Use the field even if it was computed for another model
+    #[arg(long)]
+    force: bool,
+}
+
+impl Args {
+    /// Runs the verb.
+    pub fn run(mut self, bars: &Bars) -> Result<()> {
+        self.cameras.find(Part::Training);
+        if self.output.extension().is_none_or(|e| e != "html") {
+            return Err(Error::malformed(&self.output, "file name", "`.html`", "another extension"));
+        }
+        let files = CommandFiles::default()
+            .input("MODEL", &self.model.model)
+            .input("FIELD", &self.field)
+            .cameras(self.cameras.cameras.as_deref())
+            .output("--output", &self.output);
+        files.check()?;
+        let model = self.model.open()?;
+        let field = UncertaintyField::read(&self.field)?;
+        check_box(&self.model.model, &model.bounds(), &field)?;
+        check_model(&self.model, &self.field, &field, self.force)?;
+        let views = self.cameras.read(&*model, &self.model.model)?;
+        files.images(&views).check()?;
+
+        let settings = self.model.image_settings();
+        let offset = settings.pixel_offset.unwrap_or_else(|| model.pixel_offset());
+        let tracer = settings.tracer(&*model, 0.0, bars)?;
+        let surface: Vec<Vec3> = if field.surface().is_empty() {
+            let cameras: Vec<Camera> = views.frames.iter().map(|frame| frame.camera).collect();
+            surfaces(&tracer, &cameras, offset, PIXELS, bars)?.positions
+        } else {
+            field.surface().iter().copied().map(Vec3::from_array).collect()
+        };
+        let name = PathBuf::from(&self.model.model);
+        let title =
+            name.file_name().map_or_else(|| self.model.model.clone(), |name| name.to_string_lossy().into_owned());
+        let view = View {
+            model: &*model,
+            field: &field,
+            tracer: &tracer,
+            frames: &views.frames,
+            offset,
+            surface: &surface,
+            range: bar_of(&field, self.range),
+            title: &title,
+        };
+        let Shown { cells, bytes, bricks, is_reduced } =
+            write_view(&self.output, &view, self.cells, self.size as usize, bars)?;
+        if is_reduced {
+            eprintln!("note: {cells} instead of {} cells along the longest edge, to fit into --size", self.cells);
+        }
+        let bytes = report::bytes(bytes);
+        say!("{}: {bytes}, {cells} cells along the longest edge, {bricks} bricks with matter", self.output.display())
+    }
+}

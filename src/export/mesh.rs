@@ -1,0 +1,152 @@
+//! The surface of a model as a triangle mesh with its uncertainty.
+
+use std::path::Path;
+
+use fast_surface_nets::ndshape::{RuntimeShape, Shape};
+use fast_surface_nets::{SurfaceNetsBuffer, surface_nets};
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
+
+use super::ply::{PlyWriter, bytes};
+use crate::field::{Radiance, RadianceField};
+use crate::geometry::Aabb;
+use crate::monitor::{Monitor, check};
+use crate::uncertainty::UncertaintyField;
+use crate::{Error, Result};
+
+/// How a surface is found.
+#[derive(Debug, Clone, Copy)]
+pub struct MeshSettings {
+    /// Cells along the longest edge of the model's box.
+    pub resolution: u32,
+    /// σ on the surface, 1 / scene unit; `None` for what absorbs half of the light along the edge of a cell.
+    pub density: Option<f64>,
+}
+
+/// A lattice of cubes that covers a box, with one cube of empty space around.
+struct Cubes {
+    bounds: Aabb,
+    /// Edge of a cube, scene units.
+    edge: f64,
+    /// Points along x, y and z.
+    points: [u32; 3],
+}
+
+impl Cubes {
+    fn new(bounds: Aabb, resolution: u32) -> Self {
+        let edge = bounds.longest_edge() / f64::from(resolution);
+        // Cells, one point more than those, and one more on either side.
+        let points = bounds.size().to_array().map(|side| (side / edge - 1e-6).ceil() as u32 + 3);
+        Self { bounds, edge, points }
+    }
+
+    /// Scene position of array coordinates.
+    fn position(&self, at: DVec3) -> DVec3 {
+        self.bounds.min() + self.edge * (at - 1.0)
+    }
+
+    /// ½ minus the light that a cube absorbs along its edge, relative to that of `density`: negative inside. Densities
+    /// grow exponentially towards the inside of some models; this does not, so that crossings are found between points.
+    fn outside(&self, field: &dyn RadianceField, density: f64, monitor: &dyn Monitor) -> Result<Vec<f32>> {
+        let [nx, ny, nz] = self.points.map(|n| n as usize);
+        let mut out = vec![0.5_f32; nx * ny * nz];
+        monitor.begin("layers", nz as u64);
+        out.par_chunks_mut(nx * ny).enumerate().try_for_each(|(z, layer)| {
+            check(monitor)?;
+            let at = |i: usize| self.position(DVec3::new((i % nx) as f64, (i / nx) as f64, z as f64)).as_vec3();
+            let inside: Vec<usize> = (0..nx * ny).filter(|&i| self.bounds.contains(at(i))).collect();
+            let positions: Vec<Vec3> = inside.iter().map(|&i| at(i)).collect();
+            let mut densities = vec![0.0; positions.len()];
+            field.densities(&positions, &mut densities);
+            for (i, sigma) in inside.into_iter().zip(densities) {
+                layer[i] = ((-std::f64::consts::LN_2 * f64::from(sigma) / density).exp() - 0.5) as f32;
+            }
+            monitor.advance(1);
+            Ok(())
+        })?;
+        monitor.end();
+        // The surface is closed: beside the box there is nothing.
+        for (i, value) in out.iter_mut().enumerate() {
+            let [x, y, z] = [i % nx, i / nx % ny, i / (nx * ny)];
+            if x == 0 || y == 0 || z == 0 || x == nx - 1 || y == ny - 1 || z == nz - 1 {
+                *value = 0.5;
+            }
+        }
+        Ok(out)
+    }
+}
+
+/// Properties of a vertex.
+const VERTEX: [(&str, &str); 12] = [
+    ("float", "x"),
+    ("float", "y"),
+    ("float", "z"),
+    ("float", "nx"),
+    ("float", "ny"),
+    ("float", "nz"),
+    ("uchar", "red"),
+    ("uchar", "green"),
+    ("uchar", "blue"),
+    ("float", "scalar_log10_uncertainty"),
+    ("float", "scalar_sigma"),
+    ("float", "scalar_rays"),
+];
+
+/// Writes the surface of `model` where its density is that of the settings, by surface nets, with the model's colour seen
+/// from outside, normals, and what `field` says. Returns the number of vertices and triangles.
+///
+/// # Errors
+/// If the file cannot be written, if nothing is as dense, or [`Error::Interrupted`].
+pub fn write_mesh(
+    path: &Path,
+    model: &dyn RadianceField,
+    field: &UncertaintyField,
+    settings: MeshSettings,
+    monitor: &dyn Monitor,
+) -> Result<[usize; 2]> {
+    let cubes = Cubes::new(model.bounds(), settings.resolution);
+    let density = settings.density.unwrap_or(std::f64::consts::LN_2 / cubes.edge);
+    let outside = cubes.outside(model, density, monitor)?;
+    let mut net = SurfaceNetsBuffer::default();
+    let shape = RuntimeShape::<u32, 3>::new(cubes.points);
+    debug_assert_eq!(shape.linearize([1, 0, 0]), 1, "x runs fastest");
+    surface_nets(&outside, &shape, [0; 3], cubes.points.map(|n| n - 1), &mut net);
+    if net.positions.is_empty() {
+        let least = outside.iter().copied().fold(0.5, f32::min);
+        let densest = -(f64::from(least) + 0.5).ln() / std::f64::consts::LN_2 * density;
+        let expected = format!("a density below the model's largest on this lattice, {densest:.4}");
+        return Err(Error::setting("--density", expected, format!("{density:.4} per scene unit")));
+    }
+    let positions: Vec<Vec3> = net
+        .positions
+        .iter()
+        .map(|at| cubes.bounds.clamp(cubes.position(Vec3::from_array(*at).as_dvec3()).as_vec3()))
+        .collect();
+    // The net's normals are gradients of what grows outwards.
+    let normals: Vec<Vec3> = net.normals.iter().map(|n| Vec3::from_array(*n).normalize_or(Vec3::Z)).collect();
+    let mut radiance = vec![Radiance::default(); positions.len()];
+    let chunks = positions.par_chunks(1024).zip(normals.par_chunks(1024)).zip(radiance.par_chunks_mut(1024));
+    chunks.for_each(|((positions, normals), out)| {
+        let directions: Vec<Vec3> = normals.iter().map(|n| -*n).collect();
+        model.evaluate(positions, &directions, out);
+    });
+    let found = field.query_all(&positions);
+
+    let triangles = net.indices.len() / 3;
+    let elements =
+        [("vertex", positions.len(), &VERTEX[..]), ("face", triangles, &[("list uchar int", "vertex_indices")])];
+    let comments = [format!("density {density:.6} per scene unit; {}", field.protocol().scale.quantity())];
+    let mut ply = PlyWriter::create(path, &comments, &elements)?;
+    for (i, found) in found.iter().enumerate() {
+        ply.floats(positions[i].to_array().into_iter().chain(normals[i].to_array()))?;
+        ply.put(&bytes(radiance[i].color))?;
+        let rays = found.rays.map_or(f32::NAN, |rays| rays as f32);
+        ply.floats([found.uncertainty.log10() as f32, found.uncertainty as f32, rays])?;
+    }
+    for triangle in net.indices.chunks_exact(3) {
+        ply.put(&[3])?;
+        triangle.iter().try_for_each(|&v| ply.put(&(v as i32).to_le_bytes()))?;
+    }
+    ply.finish()?;
+    Ok([positions.len(), triangles])
+}

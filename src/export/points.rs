@@ -1,0 +1,154 @@
+//! The surfaces that cameras see, as points.
+
+use std::path::Path;
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::axes::principal_axes;
+use super::leaves::code;
+use super::ply::{PlyWriter, bytes};
+use crate::Result;
+use crate::geometry::Camera;
+use crate::monitor::{Monitor, check};
+use crate::render::{Tracer, render_view};
+use crate::uncertainty::UncertaintyField;
+
+/// Points that are asked about together.
+const CHUNK: usize = 1 << 16;
+
+/// Points on surfaces: where rays of cameras lose half of their light, if they lose as much.
+#[derive(Debug, Clone, Default)]
+pub struct Surfaces {
+    /// `[n]`: scene units.
+    pub positions: Vec<Vec3>,
+    /// `[n]`: unit vectors against the gradient of density, on the camera's side.
+    pub normals: Vec<Vec3>,
+    /// `[n]`: colours of the pixels without what lies behind, in [0, 1].
+    pub colors: Vec<Vec3>,
+    /// `[n]`: index of the camera.
+    pub cameras: Vec<u32>,
+    /// Pixels looked at, of each camera.
+    pub pixels: Vec<u64>,
+}
+
+/// Looks at every k-th pixel of every k-th row of all cameras, with the least k that makes it at most `pixels` or so.
+///
+/// # Errors
+/// [`crate::Error::Interrupted`] only.
+pub fn surfaces(
+    tracer: &Tracer,
+    cameras: &[Camera],
+    offset: f64,
+    pixels: u64,
+    monitor: &dyn Monitor,
+) -> Result<Surfaces> {
+    let total: u64 = cameras.iter().map(Camera::pixels).sum();
+    let stride = ((total as f64 / pixels as f64).sqrt().ceil() as u32).max(1);
+    let cameras: Vec<Camera> = cameras.iter().map(|camera| camera.strided(stride, offset)).collect();
+    monitor.begin("rows", cameras.iter().map(|camera| u64::from(camera.resolution[1])).sum());
+    let mut found = Surfaces::default();
+    let background = tracer.background();
+    for (k, camera) in (0..).zip(&cameras) {
+        let view = render_view(tracer, camera, offset, &[], monitor)?;
+        let width = camera.resolution[0] as usize;
+        found.pixels.push(camera.pixels());
+        for (i, pixel) in view.pixels.iter().enumerate().filter(|(_, pixel)| pixel.opacity > 0.5) {
+            let ray = camera.ray((i % width) as f64 + offset, (i / width) as f64 + offset);
+            found.positions.push(ray.at(pixel.median_depth).as_vec3());
+            // The camera's side, until the gradient is known.
+            found.normals.push(-ray.direction.as_vec3());
+            found.colors.push(((pixel.color - (1.0 - pixel.opacity) * background) / pixel.opacity).as_vec3());
+            found.cameras.push(k);
+        }
+    }
+    monitor.end();
+    check(monitor)?;
+    let Surfaces { positions, normals, .. } = &mut found;
+    let chunks = positions.par_chunks(CHUNK).zip(normals.par_chunks_mut(CHUNK));
+    chunks.for_each(|(positions, normals)| against_gradient(tracer, positions, normals));
+    Ok(found)
+}
+
+/// Replaces directions to the camera by normals: the negative gradient of density, on the same side. Where density does
+/// not change, the direction stays.
+fn against_gradient(tracer: &Tracer, positions: &[Vec3], normals: &mut [Vec3]) {
+    let step = tracer.marcher.step as f32;
+    let bounds = &tracer.marcher.bounds;
+    let around = |x: Vec3| {
+        [Vec3::X, Vec3::Y, Vec3::Z].into_iter().flat_map(move |axis| [-step, step].map(|h| bounds.clamp(x + h * axis)))
+    };
+    let positions: Vec<Vec3> = positions.iter().flat_map(|&x| around(x)).collect();
+    let mut densities = vec![0.0; positions.len()];
+    tracer.field.densities(&positions, &mut densities);
+    for (normal, d) in normals.iter_mut().zip(densities.chunks_exact(6)) {
+        let gradient = Vec3::new(d[1] - d[0], d[3] - d[2], d[5] - d[4]);
+        if let Some(unit) = gradient.try_normalize() {
+            *normal = if unit.dot(*normal) > 0.0 { unit } else { -unit };
+        }
+    }
+}
+
+/// Properties of every point; CloudCompare takes what begins with `scalar_` as scalar fields without asking.
+const POINT: [(&str, &str); 14] = [
+    ("float", "x"),
+    ("float", "y"),
+    ("float", "z"),
+    ("float", "nx"),
+    ("float", "ny"),
+    ("float", "nz"),
+    ("uchar", "red"),
+    ("uchar", "green"),
+    ("uchar", "blue"),
+    ("float", "scalar_log10_uncertainty"),
+    ("float", "scalar_sigma"),
+    ("float", "scalar_rays"),
+    ("float", "scalar_seen"),
+    ("float", "scalar_camera"),
+];
+
+/// Axes of the ellipsoids: three vectors, the longest first, as long as one standard deviation.
+const AXES: [(&str, &str); 9] = [
+    ("float", "scalar_axis_1_x"),
+    ("float", "scalar_axis_1_y"),
+    ("float", "scalar_axis_1_z"),
+    ("float", "scalar_axis_2_x"),
+    ("float", "scalar_axis_2_y"),
+    ("float", "scalar_axis_2_z"),
+    ("float", "scalar_axis_3_x"),
+    ("float", "scalar_axis_3_y"),
+    ("float", "scalar_axis_3_z"),
+];
+
+/// Writes the points with what the field says of them; with `ellipsoids` also the axes of the covariance there.
+///
+/// # Errors
+/// If the file cannot be written, or if the field keeps no sums, without which there are no axes.
+pub fn write_points(path: &Path, surfaces: &Surfaces, field: &UncertaintyField, ellipsoids: bool) -> Result<()> {
+    let matrices = ellipsoids.then(|| field.matrices(field.protocol().covariance)).transpose()?;
+    let axes = if ellipsoids { &AXES[..] } else { &[] };
+    let properties = [&POINT[..], axes].concat();
+    let comments = [format!("surfaces of training views; {}", field.protocol().scale.quantity())];
+    let mut ply = PlyWriter::create(path, &comments, &[("vertex", surfaces.positions.len(), &properties)])?;
+    for first in (0..surfaces.positions.len()).step_by(CHUNK) {
+        let chunk = first..(first + CHUNK).min(surfaces.positions.len());
+        let found = field.query_all(&surfaces.positions[chunk.clone()]);
+        let matrices = matrices.as_ref().map(|matrices| matrices.at(&surfaces.positions[chunk.clone()]));
+        for (i, found) in chunk.zip(&found) {
+            let x = surfaces.positions[i];
+            ply.floats(x.to_array().into_iter().chain(surfaces.normals[i].to_array()))?;
+            ply.put(&bytes(surfaces.colors[i]))?;
+            ply.floats([found.uncertainty.log10() as f32, found.uncertainty as f32])?;
+            let seen = match field.visits() {
+                Some(_) => f32::from(code(field.knowledge(x, found.uncertainty))),
+                None => f32::NAN,
+            };
+            ply.floats([found.rays.map_or(f32::NAN, |rays| rays as f32), seen, surfaces.cameras[i] as f32])?;
+            if let Some(matrices) = &matrices {
+                let axes = principal_axes(matrices[i % CHUNK]);
+                ply.floats(axes.into_iter().flat_map(|axis| axis.as_vec3().to_array()))?;
+            }
+        }
+    }
+    ply.finish()
+}

@@ -1,0 +1,96 @@
+//! The lattice of a volume: cubes in folded space, in bricks.
+//!
+//! Folded space is scene space, except that a contracted domain is folded to a cube: the ball around its centre is as it
+//! is, the rest of space lies around it, up to twice the radius.
+
+use glam::{DVec3, Vec3};
+
+use crate::geometry::{Aabb, Domain};
+
+/// Cells along each axis of a brick. Its eight samples along each axis include those on its faces, which neighbours repeat:
+/// interpolation then never leaves a brick.
+pub const CELLS: u32 = 7;
+/// Samples along each axis of a brick.
+pub const SIDE: usize = CELLS as usize + 1;
+/// Samples of a brick.
+pub const SAMPLES: usize = SIDE * SIDE * SIDE;
+
+/// A lattice of cubes.
+#[derive(Debug, Clone)]
+pub struct Grid {
+    /// What is folded, and how.
+    pub domain: Domain,
+    /// Where the model may have density.
+    pub bounds: Aabb,
+    /// Lower corner in folded space.
+    pub origin: DVec3,
+    /// Edge of a cell in folded space.
+    pub edge: f64,
+    /// Bricks along each axis.
+    pub bricks: [u32; 3],
+}
+
+impl Grid {
+    /// A lattice of `cells` along the longest edge: over `bounds`, or over all of space if the `field`'s domain does.
+    pub fn new(bounds: Aabb, field: &Domain, cells: u32) -> Self {
+        let (domain, low, size) = match field {
+            Domain::Contracted { center, radius, .. } => {
+                (*field, DVec3::from(*center) - 2.0 * *radius, DVec3::splat(4.0 * *radius))
+            }
+            _ => (Domain::Box(bounds), bounds.min(), bounds.size()),
+        };
+        let edge = size.max_element() / f64::from(cells);
+        let bricks = (size / (edge * f64::from(CELLS))).to_array().map(|n| ((n - 1e-6).ceil() as u32).max(1));
+        Self { domain, bounds, origin: low, edge, bricks }
+    }
+
+    /// Scene position of lattice coordinates; `None` where there can be no density.
+    pub fn position(&self, at: DVec3) -> Option<Vec3> {
+        let folded = self.origin + self.edge * at;
+        let x = match &self.domain {
+            Domain::Contracted { center, radius, .. } => {
+                let unit = (folded - DVec3::from(*center)) / (4.0 * *radius) + 0.5;
+                let is_inside = unit.cmpge(DVec3::ZERO).all() && unit.cmple(DVec3::ONE).all();
+                is_inside.then(|| self.domain.to_scene(unit))?
+            }
+            _ => folded,
+        };
+        Some(x.as_vec3()).filter(|x| self.bounds.contains(*x))
+    }
+
+    /// Length that a cell's edge has in the scene around x.
+    pub fn length(&self, x: Vec3) -> f64 {
+        self.edge * self.domain.stretch(x)
+    }
+
+    /// True if space is as it is around x.
+    pub fn is_plain(&self, x: Vec3) -> bool {
+        self.domain.stretch(x) <= 1.0
+    }
+
+    /// The bricks in order, x fastest.
+    pub fn all_bricks(&self) -> Vec<[u32; 3]> {
+        let [nx, ny, nz] = self.bricks;
+        (0..nz).flat_map(|z| (0..ny).flat_map(move |y| (0..nx).map(move |x| [x, y, z]))).collect()
+    }
+}
+
+/// Lattice coordinates of sample `i` of a brick, x fastest.
+pub fn sample(brick: [u32; 3], i: usize) -> DVec3 {
+    let offset = place(i);
+    DVec3::from([0, 1, 2].map(|axis| f64::from(brick[axis] * CELLS) + offset[axis] as f64))
+}
+
+/// Place of a sample in its brick.
+pub fn place(i: usize) -> [usize; 3] {
+    [i % SIDE, i / SIDE % SIDE, i / (SIDE * SIDE)]
+}
+
+/// A sample and those around it in its brick.
+pub fn neighbours(i: usize) -> impl Iterator<Item = usize> {
+    let [x, y, z] = place(i).map(|k| k.saturating_sub(1)..(k + 2).min(SIDE));
+    z.flat_map(move |z| {
+        let x = x.clone();
+        y.clone().flat_map(move |y| x.clone().map(move |x| x + SIDE * (y + SIDE * z)))
+    })
+}

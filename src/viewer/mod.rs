@@ -1,0 +1,13 @@
+//! A viewer in one file: a model and its uncertainty as a sparse volume, and the scripts that show it in a browser.
+//!
+//! The volume is a regular lattice of [`grid::Grid`] in bricks; only bricks with matter are stored ([`bricks`]), packed into
+//! 3D textures ([`pack`]). [`page`] puts them into a page with the scripts of `web/`. The book's chapter on `view` says
+//! what is approximated.
+
+mod bricks;
+mod color;
+mod grid;
+mod pack;
+mod page;
+
+pub use page::{Shown, View, write_view};

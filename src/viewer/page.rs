@@ -1,0 +1,193 @@
+//! The page: data, scripts and words in one file that opens from disk.
+
+use std::io::Write;
+use std::path::Path;
+
+use glam::Vec3;
+use serde_json::{Value, json};
+
+use super::bricks::{Codes, PRIOR, RAYS, bricks};
+use super::grid::{CELLS, Grid};
+use super::pack::Packed;
+use crate::dataset::Frame;
+use crate::field::RadianceField;
+use crate::geometry::{Camera, Domain, Norm};
+use crate::io::AtomicFile;
+use crate::monitor::Monitor;
+use crate::render::Tracer;
+use crate::uncertainty::UncertaintyField;
+use crate::{Error, Result};
+
+/// The scripts, in the order in which they are read.
+const SCRIPTS: [&str; 8] = [
+    include_str!("web/data.js"),
+    include_str!("web/space.js"),
+    include_str!("web/volume.js"),
+    include_str!("web/renderer.js"),
+    include_str!("web/camera.js"),
+    include_str!("web/overlay.js"),
+    include_str!("web/panel.js"),
+    include_str!("web/main.js"),
+];
+const PAGE: &str = include_str!("web/page.html");
+const STYLE: &str = include_str!("web/style.css");
+const SHADER: &str = include_str!("web/march.glsl");
+/// Bars of the histogram.
+const BARS: usize = 48;
+/// Most cameras in the file.
+const CAMERAS: usize = 1000;
+
+/// The power of the resolution with which files grow: 2 for thin surfaces, 3 for fog.
+const GROWTH: f64 = 2.65;
+/// Cells along the longest edge, at least.
+const COARSEST: u32 = 32;
+/// The same of a first try that tells the size of finer ones.
+const PILOT: u32 = 96;
+
+/// What a file shows.
+pub struct View<'a> {
+    /// The model.
+    pub model: &'a dyn RadianceField,
+    /// Its uncertainty.
+    pub field: &'a UncertaintyField,
+    /// Tells where the model may have density, and what lies behind it.
+    pub tracer: &'a Tracer<'a>,
+    /// The training cameras.
+    pub frames: &'a [Frame],
+    /// Where in a pixel rays pass.
+    pub offset: f64,
+    /// Points on visible surfaces, for the histogram.
+    pub surface: &'a [Vec3],
+    /// Ends of the colour bar of log10 U.
+    pub range: [f64; 2],
+    /// Name of the model, for people.
+    pub title: &'a str,
+}
+
+/// What was written.
+#[derive(Debug, Clone, Copy)]
+pub struct Shown {
+    /// Cells along the longest edge.
+    pub cells: u32,
+    /// Bytes of the file.
+    pub bytes: usize,
+    /// Bricks with matter.
+    pub bricks: usize,
+    /// True if the budget made the cells coarser.
+    pub is_reduced: bool,
+}
+
+/// Writes the viewer: `cells` along the longest edge, or as many as fit into `budget` bytes.
+///
+/// # Errors
+/// If the file cannot be written, if even a coarse volume does not fit, or [`Error::Interrupted`].
+pub fn write_view(path: &Path, view: &View, cells: u32, budget: usize, monitor: &dyn Monitor) -> Result<Shown> {
+    // A coarse volume costs little and tells how fine a one will fit.
+    let pilot = (cells > 2 * PILOT).then_some(PILOT);
+    let mut now = pilot.unwrap_or(cells);
+    let mut is_pilot = pilot.is_some();
+    loop {
+        let grid = Grid::new(view.model.bounds(), view.field.lattice().domain(), now);
+        let cameras: Vec<Camera> = view.frames.iter().map(|frame| frame.camera).collect();
+        let occupancy = view.tracer.marcher.occupancy.as_ref().expect("pictures are rendered with occupancy");
+        let (found, codes) = bricks(&grid, view.model, occupancy, view.field, &cameras, monitor)?;
+        let count = found.len();
+        let packed = Packed::new(&grid, &found);
+        drop(found);
+        let page = page(view, &grid, &packed, codes, now);
+        if page.len() <= budget && !is_pilot {
+            let mut file = AtomicFile::create(path)?;
+            file.write_all(page.as_bytes()).map_err(Error::io(path, "cannot write"))?;
+            file.commit()?;
+            return Ok(Shown { cells: now, bytes: page.len(), bricks: count, is_reduced: now < cells });
+        }
+        if now == COARSEST {
+            let expected = format!("at least {} bytes, for {COARSEST} cells along the longest edge", page.len());
+            return Err(Error::setting("--size", expected, format!("{budget}")));
+        }
+        let fixed = page.len() - packed.bytes();
+        let share = budget.saturating_sub(fixed) as f64 / packed.bytes() as f64;
+        let most = if is_pilot { cells } else { now - 1 };
+        now = ((0.98 * f64::from(now) * share.powf(1.0 / GROWTH)) as u32).clamp(COARSEST, most);
+        is_pilot = false;
+    }
+}
+
+/// The page as text.
+fn page(view: &View, grid: &Grid, packed: &Packed, codes: Codes, cells: u32) -> String {
+    let about = about(view, grid, packed, codes, cells).to_string();
+    // `</script>` in a name would end the data.
+    let about = about.replace('<', "\\u003c");
+    let scripts = SCRIPTS.join("\n");
+    let title = view.title.replace('&', "&amp;").replace('<', "&lt;");
+    let parts: [(&str, &str); 7] = [
+        ("{{TITLE}}", &title),
+        ("{{STYLE}}", STYLE),
+        ("{{SHADER}}", SHADER),
+        ("{{ABOUT}}", &about),
+        ("{{PAGES}}", &packed.pages),
+        ("{{PLANES}}", &packed.planes),
+        ("{{SCRIPTS}}", &scripts),
+    ];
+    // Piece by piece: what is filled in is not searched.
+    let (mut out, mut rest) = (String::with_capacity(packed.bytes() + 200_000), PAGE);
+    for (mark, text) in parts {
+        let (before, after) = rest.split_once(mark).expect("the page has every mark, in this order");
+        out.push_str(before);
+        out.push_str(text);
+        rest = after;
+    }
+    out + rest
+}
+
+/// Everything but the volume.
+fn about(view: &View, grid: &Grid, packed: &Packed, codes: Codes, cells: u32) -> Value {
+    let field = view.field;
+    let contraction = match &grid.domain {
+        Domain::Contracted { center, radius, norm } => {
+            json!({ "center": center, "radius": radius, "norm": if *norm == Norm::L2 { "l2" } else { "linf" } })
+        }
+        _ => Value::Null,
+    };
+    let map = |gradient: colorous::Gradient| -> Vec<[u8; 3]> {
+        (0..256).map(|i| gradient.eval_rational(i, 256).as_array()).collect()
+    };
+    let spacing = view.frames.len().div_ceil(CAMERAS).max(1);
+    let camera = |(index, frame): (usize, &Frame)| {
+        let Camera { position, axes, focal, center, resolution, distortion } = frame.camera;
+        json!({
+            "index": index, "name": frame.name, "position": position.to_array(), "axes": axes.to_cols_array(),
+            "focal": focal, "center": center, "resolution": resolution,
+            "isDistorted": distortion != crate::geometry::Distortion::default(),
+        })
+    };
+    json!({
+        "title": view.title,
+        "cells": cells,
+        "contraction": contraction,
+        "bounds": { "min": grid.bounds.min().to_array(), "max": grid.bounds.max().to_array() },
+        "grid": { "origin": grid.origin.to_array(), "edge": grid.edge, "bricks": grid.bricks, "cellsPerBrick": CELLS },
+        "atlas": packed.atlas,
+        "codes": { "low": codes.low, "prior": codes.prior, "last": PRIOR, "rays": codes.rays, "lastRays": RAYS },
+        "knowsRays": !field.rays().is_empty(),
+        "knowsUnseen": field.visits().is_some(),
+        "quantity": field.protocol().scale.quantity(),
+        "isLength": matches!(field.protocol().scale, crate::posterior::Scale::Data(_)),
+        "range": view.range,
+        "histogram": histogram(view, codes),
+        "background": view.tracer.background.to_array(),
+        "pixelOffset": view.offset,
+        "maps": { "uncertainty": map(colorous::INFERNO), "depth": map(colorous::VIRIDIS) },
+        "cameras": view.frames.iter().enumerate().step_by(spacing).map(camera).collect::<Vec<_>>(),
+    })
+}
+
+/// Numbers of surface points by log10 U, from the lower end of the colour bar to the prior.
+fn histogram(view: &View, codes: Codes) -> Vec<u64> {
+    let mut bars = vec![0; BARS];
+    for found in view.field.query_all(view.surface) {
+        let share = (found.uncertainty.log10() - view.range[0]) / (codes.prior - view.range[0]);
+        bars[((share * BARS as f64).max(0.0) as usize).min(BARS - 1)] += 1;
+    }
+    bars
+}

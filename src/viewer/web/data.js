@@ -1,0 +1,43 @@
+// What the file holds: numbers and names as JSON, the volume as base 64 of zlib.
+
+/** Bytes of an element's base 64, unpacked. */
+async function unpack(id) {
+  const text = document.getElementById(id).textContent.trim();
+  const packed = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream('deflate'));
+  return new Uint8Array(await new Response(stream).arrayBuffer());
+}
+
+/** Everything in the file: `about` as written by octobayes, pages of bricks, and the atlas as texels. */
+async function readFile() {
+  const about = JSON.parse(document.getElementById('about').textContent);
+  const pages = await unpack('pages');
+  const planes = await unpack('planes');
+  // Every byte was stored as its difference to the one before it in its row of eight.
+  for (let i = 0; i < planes.length; i++) {
+    if (i % 8 !== 0) planes[i] = (planes[i] + planes[i - 1]) & 255;
+  }
+  return { about, pages, ...atlas(about.atlas, planes) };
+}
+
+/** The planes of all bricks, as texels of an atlas: red, green, blue, matter; and codes of log10 U and of rays. */
+function atlas([width, height, depth], planes) {
+  const bricks = planes.length / (6 * 512);
+  const matter = new Uint8Array(width * height * depth * 512 * 4);
+  const knowledge = new Uint8Array(width * height * depth * 512 * 2);
+  for (let brick = 0; brick < bricks; brick++) {
+    const x0 = 8 * (brick % width);
+    const y0 = 8 * (Math.floor(brick / width) % height);
+    const z0 = 8 * Math.floor(brick / (width * height));
+    for (let i = 0; i < 512; i++) {
+      const texel = x0 + (i & 7) + 8 * width * (y0 + ((i >> 3) & 7) + 8 * height * (z0 + (i >> 6)));
+      const from = brick * 512 + i;
+      // Red and blue are quarters of differences to green, from -128 to 127.
+      const plane = (k) => planes[k * bricks * 512 + from];
+      const channel = (k) => Math.min(Math.max(plane(0) + 4 * ((plane(k) << 24) >> 24), 0), 255);
+      matter.set([channel(1), plane(0), channel(2), plane(3)], 4 * texel);
+      knowledge.set([plane(4), plane(5)], 2 * texel);
+    }
+  }
+  return { matter, knowledge };
+}

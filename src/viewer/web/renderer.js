@@ -1,0 +1,140 @@
+// The volume on the GPU: textures, the two programs, and what comes back.
+
+const VERTICES = `#version 300 es
+void main() { gl_Position = vec4(vec2(gl_VertexID == 1 ? 3 : -1, gl_VertexID == 2 ? 3 : -1), 0, 1); }`;
+
+class Renderer {
+  constructor(canvas, volume) {
+    // Screenshots are taken after drawing.
+    const gl = canvas.getContext('webgl2', { antialias: false, preserveDrawingBuffer: true, powerPreference: 'high-performance' });
+    if (!gl) throw new Error('This browser offers no WebGL2, which draws the volume.');
+    Object.assign(this, { gl, canvas, volume });
+    const march = document.getElementById('march').textContent;
+    this.picture = this.program(`#version 300 es\n${march}`);
+    this.numbers = this.program(`#version 300 es\n#define NUMBERS\n${march}`);
+    this.upload();
+  }
+
+  program(fragments) {
+    const { gl } = this;
+    const program = gl.createProgram();
+    for (const [kind, source] of [[gl.VERTEX_SHADER, VERTICES], [gl.FRAGMENT_SHADER, fragments]]) {
+      const shader = gl.createShader(kind);
+      gl.shaderSource(shader, source);
+      gl.compileShader(shader);
+      gl.attachShader(program, shader);
+      if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS)) throw new Error(gl.getShaderInfoLog(shader));
+    }
+    gl.linkProgram(program);
+    if (!gl.getProgramParameter(program, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(program));
+    const places = new Map();
+    return { program, place: (name) => places.get(name) ?? places.set(name, gl.getUniformLocation(program, name)).get(name) };
+  }
+
+  upload() {
+    const { gl, volume } = this;
+    const { atlas, grid, maps } = volume.about;
+    const side = 8 * Math.max(...atlas);
+    const most = gl.getParameter(gl.MAX_3D_TEXTURE_SIZE);
+    if (side > most) throw new Error(`This device holds 3D textures of ${most} texels a side; the volume needs ${side}. Write it with a smaller --size.`);
+    gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
+    const volumeTexture = (unit, inner, outer, size, bytes, filter) => {
+      gl.activeTexture(gl.TEXTURE0 + unit);
+      gl.bindTexture(gl.TEXTURE_3D, gl.createTexture());
+      gl.texImage3D(gl.TEXTURE_3D, 0, inner, ...size, 0, outer, gl.UNSIGNED_BYTE, bytes);
+      for (const name of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_3D, name, filter);
+      for (const name of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T, gl.TEXTURE_WRAP_R]) gl.texParameteri(gl.TEXTURE_3D, name, gl.CLAMP_TO_EDGE);
+    };
+    const texels = atlas.map((n) => 8 * n);
+    volumeTexture(0, gl.RGBA8UI, gl.RGBA_INTEGER, grid.bricks, volume.pages, gl.NEAREST);
+    volumeTexture(1, gl.RGBA8, gl.RGBA, texels, volume.matter, gl.LINEAR);
+    volumeTexture(2, gl.RG8, gl.RG, texels, volume.knowledge, gl.LINEAR);
+    const rows = [maps.uncertainty, maps.depth].flat().flatMap((color) => [...color, 255]);
+    gl.activeTexture(gl.TEXTURE3);
+    gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA8, 256, 2, 0, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(rows));
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_S, gl.CLAMP_TO_EDGE);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
+  }
+
+  /** Sets what both programs share. `placing` puts the camera's image on a target of this height. */
+  prepare({ program, place }, camera, shown, placing, height) {
+    const { gl, volume } = this;
+    const { bounds, grid, atlas, contraction, codes, background } = volume.about;
+    gl.useProgram(program);
+    const set3 = (name, v) => gl.uniform3f(place(name), ...v);
+    const set2 = (name, v) => gl.uniform2f(place(name), ...v);
+    const set = (name, v) => gl.uniform1f(place(name), v);
+    set3('eye', volume.local(camera.position));
+    gl.uniformMatrix3fv(place('axes'), false, camera.axes);
+    set2('focal', camera.focal);
+    set2('principal', camera.center);
+    set3('placing', placing);
+    set('canvasHeight', height);
+    set3('low', volume.local(bounds.min));
+    set3('high', volume.local(bounds.max));
+    set3('origin', volume.local(grid.origin));
+    set('edge', grid.edge / volume.unit);
+    gl.uniform3i(place('bricks'), ...grid.bricks);
+    set3('atlasSize', atlas.map((n) => 8 * n));
+    gl.uniform1i(place('norm'), contraction ? (contraction.norm === 'l2' ? 1 : 2) : 0);
+    set3('background', background);
+    // The prior itself is rounded: at the upper end nothing is removed.
+    set('threshold', shown.threshold >= codes.prior ? 1e9 : shown.threshold);
+    set2('codes', [codes.low, codes.prior]);
+    set2('range', shown.range);
+    set2('depths', shown.depths.map((v) => v / volume.unit));
+    gl.uniform1i(place('layer'), ['color', 'depth', 'uncertainty', 'tinted'].indexOf(shown.layer));
+    ['pages', 'matter', 'knowledge', 'maps'].forEach((name, unit) => gl.uniform1i(place(name), unit));
+  }
+
+  /** Canvas pixel = xy + z * image pixel: the whole image of a camera, in the middle. */
+  placing(camera, width, height) {
+    const [w, h] = camera.resolution;
+    const z = Math.min(width / w, height / h);
+    // Rays pass through pixels at the place where the model was trained.
+    const shift = z * (0.5 - this.volume.about.pixelOffset);
+    return [(width - z * w) / 2 + shift, (height - z * h) / 2 + shift, z];
+  }
+
+  draw(camera, shown) {
+    const { gl, canvas } = this;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    gl.viewport(0, 0, canvas.width, canvas.height);
+    this.prepare(this.picture, camera, shown, this.placing(camera, canvas.width, canvas.height), canvas.height);
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+  }
+
+  /** Waits until everything is drawn. */
+  finish() {
+    this.gl.readPixels(0, 0, 1, 1, this.gl.RGBA, this.gl.UNSIGNED_BYTE, new Uint8Array(4));
+  }
+
+  /** Opacity, depth (scene units), log10 U and texture reads of the pixels of a target, from the top left. */
+  measure(camera, shown, width, height, placing) {
+    const { gl } = this;
+    this.target ??= gl.createFramebuffer();
+    const texture = gl.createTexture();
+    gl.activeTexture(gl.TEXTURE4);
+    gl.bindTexture(gl.TEXTURE_2D, texture);
+    gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA32UI, width, height);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.target);
+    gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, texture, 0);
+    gl.viewport(0, 0, width, height);
+    this.prepare(this.numbers, camera, shown, placing ?? this.placing(camera, width, height), height);
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+    const bits = new Uint32Array(4 * width * height);
+    gl.readPixels(0, 0, width, height, gl.RGBA_INTEGER, gl.UNSIGNED_INT, bits);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    gl.deleteTexture(texture);
+    const upwards = new Float32Array(bits.buffer);
+    const numbers = new Float32Array(upwards.length);
+    for (let row = 0; row < height; row++) {
+      numbers.set(upwards.subarray(4 * width * (height - 1 - row), 4 * width * (height - row)), 4 * width * row);
+    }
+    for (let i = 1; i < numbers.length; i += 4) numbers[i] *= this.volume.unit;
+    return numbers;
+  }
+}

@@ -1,0 +1,112 @@
+"""Headless Chromium with software GL, and the binary named by OCTOBAYES at work in a folder."""
+
+import base64
+import io
+import os
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+from PIL import Image
+from selenium import webdriver
+from selenium.webdriver.chrome.service import Service
+
+BINARY = os.environ.get("OCTOBAYES", "octobayes")
+DRIVER = os.environ.get("CHROMEDRIVER", "/usr/bin/chromedriver")
+DATA = os.environ.get("OCTOBAYES_DATA")
+
+
+def run(folder, line):
+    done = subprocess.run([BINARY, *line.split()], cwd=folder, capture_output=True, text=True)
+    assert done.returncode == 0, f"{line}: {done.stderr}"
+    return done.stdout
+
+
+@pytest.fixture(scope="session")
+def browser():
+    options = webdriver.ChromeOptions()
+    software = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+    for argument in ["--headless=new", "--no-sandbox", "--window-size=1000,700", *software]:
+        options.add_argument(argument)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    driver = webdriver.Chrome(options=options, service=Service(DRIVER))
+    driver.set_script_timeout(300)
+    yield driver
+    driver.quit()
+
+
+class Page:
+    """A viewer in the browser, opened from disk, with pictures as large as the training images."""
+
+    def __init__(self, driver, path):
+        self.driver = driver
+        driver.get(Path(path).as_uri())
+        self.said = driver.execute_async_script(
+            "const done = arguments[0]; octobayes.then((o) => { window.v = o; done('ready'); }, (e) => done(e + ''));"
+        )
+
+    def do(self, script, *arguments):
+        return self.driver.execute_script(script, *arguments)
+
+    def camera(self, k):
+        size = self.do("v.fixed = v.about.cameras[arguments[0]].resolution; v.jump(arguments[0]); return v.fixed", k)
+        self.size = tuple(size)
+
+    def layer(self, name):
+        self.do("v.layer(arguments[0])", name)
+
+    def threshold(self, log10):
+        self.do("v.threshold(arguments[0])", log10)
+
+    def picture(self):
+        """The canvas, RGB in [0, 1]."""
+        self.do("v.draw()")
+        text = self.do("return v.canvas.toDataURL()").split(",")[1]
+        image = Image.open(io.BytesIO(base64.b64decode(text))).convert("RGB")
+        assert image.size == self.size
+        return np.asarray(image) / 255.0
+
+    def numbers(self):
+        """Opacity, depth, log10 U and texture reads of every pixel."""
+        script = """
+            const bits = v.renderer.measure(v.camera, v.shown, ...arguments[0]);
+            const bytes = new Uint8Array(bits.buffer);
+            let text = '';
+            for (let i = 0; i < bytes.length; i += 32768) text += String.fromCharCode(...bytes.subarray(i, i + 32768));
+            return btoa(text);"""
+        found = np.frombuffer(base64.b64decode(self.do(script, self.size)), dtype="<f4")
+        return found.reshape(self.size[1], self.size[0], 4)
+
+    def console(self):
+        """What the console says, but for the driver's remarks on speed."""
+        return [line for line in self.driver.get_log("browser") if "Performance" not in line["message"]]
+
+
+class Scene:
+    """A model, its field and its viewer."""
+
+    def __init__(self, folder, model, options, arguments=""):
+        self.folder, self.model = folder, model
+        self.options = options
+        run(folder, f"uncertainty {model} {options} {arguments} -o field.oct")
+        self.said = run(folder, f"view {model} field.oct {options} -o view.html")
+        self.html = folder / "view.html"
+
+    def rendered(self, frame, more=""):
+        """Channels of `render`: colour, opacity, depth, log10 U."""
+        run(self.folder, f"render {self.model} field.oct {self.options} --frame {frame} {more} -o view.exr")
+        channels = OpenEXR.File(str(self.folder / "view.exr")).channels()
+        color = channels["RGBA"].pixels
+        return (
+            color[..., :3].clip(0, 1),
+            color[..., 3],
+            channels["depth.Z"].pixels,
+            channels["log10_uncertainty.U"].pixels,
+        )
+
+    def query(self, points):
+        np.save(self.folder / "points.npy", np.asarray(points, dtype=np.float32))
+        run(self.folder, "query field.oct points.npy -o answers.csv")
+        return np.genfromtxt(self.folder / "answers.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
