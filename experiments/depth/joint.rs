@@ -37,8 +37,8 @@ impl Joint {
 }
 
 /// The constants of least mean negative log likelihood over some models.
-pub fn fit<'a>(rows: impl Iterator<Item = &'a Row> + Clone) -> Joint {
+pub fn fit(rows: &[&Row]) -> Joint {
     let all = FACTORS.into_iter().flat_map(|factor| LENGTHS.into_iter().map(move |length| Joint { factor, length }));
-    let scored = all.map(|joint| (joint, rows.clone().map(|row| joint.nll(row)).sum::<f64>()));
+    let scored = all.map(|joint| (joint, rows.iter().map(|row| joint.nll(row)).sum::<f64>()));
     scored.min_by(|a, b| a.1.total_cmp(&b.1)).expect("constants to try").0
 }

@@ -20,13 +20,9 @@ use common::program::{Needs, Program};
 use common::settings::{describe, seeds};
 use common::work::Work;
 use judge::{Row, STRIDE, grid, measure, rays};
-use scene::{SIDE, Scene, Seen, TEST_VIEWS};
+use scene::{SIDE, STEPS, Scene, Seen, TEST_VIEWS};
 
 const SEEDS: [u64; 2] = [0, 1];
-/// Steps of training.
-const STEPS: u64 = 1000;
-/// Those of a model that had more time.
-const LONGER: u64 = 6000;
 
 const HALF: Seen = Seen::Arc(90.0, 270.0);
 /// All around but for a hole of 75°.
@@ -56,21 +52,20 @@ const TESTING: [((&str, Up), Seen); 8] = [
     (SPOT, SIDE_ONLY),
 ];
 
-fn scene(&((mesh, up), seen): &((&'static str, Up), Seen), steps: u64) -> Scene {
-    Scene { mesh, up, seen, steps }
+fn scene(&((mesh, up), seen): &((&'static str, Up), Seen)) -> Scene {
+    Scene { mesh, up, seen }
 }
 
 fn main() -> Result<()> {
-    let parts = [("built-in", Needs::Nothing), ("meshes", Needs::Data), ("longer", Needs::Data)];
-    let program = Program::start("depth", &parts)?;
+    let program = Program::start("depth", &[("built-in", Needs::Nothing), ("meshes", Needs::Data)])?;
     program.part("built-in", |work| {
-        let scenes = [(KNOT, FEW), (KNOT, HALF)].map(|case| scene(&case, STEPS));
-        let rows = study(work, &scenes, &SEEDS)?;
-        Ok((settings(STEPS, &SEEDS), tables::coverage(&scenes, &rows)))
+        let scenes = [(KNOT, FEW), (KNOT, HALF)].map(|case| scene(&case));
+        let rows = study(work, &scenes)?;
+        Ok((settings(), tables::coverage(&scenes, &rows)))
     })?;
     program.part("meshes", |work| {
-        let scenes: Vec<Scene> = CHOOSING.iter().chain(&TESTING).map(|case| scene(case, STEPS)).collect();
-        let rows = study(work, &scenes, &SEEDS)?;
+        let scenes: Vec<Scene> = CHOOSING.iter().chain(&TESTING).map(scene).collect();
+        let rows = study(work, &scenes)?;
         let (choosing, testing) = rows.split_at(CHOOSING.len());
         let text = [
             tables::coverage(&scenes, &rows),
@@ -79,32 +74,26 @@ fn main() -> Result<()> {
             tables::joint(&scenes, &rows),
             tables::costs(&rows),
         ];
-        Ok((settings(STEPS, &SEEDS), text.join("\n")))
-    })?;
-    program.part("longer", |work| {
-        let scenes = [(SPOT, FEW), (BUNNY, HALF), (ARMADILLO, HOLE), (NEFERTITI, HALF)];
-        let scenes = scenes.map(|case| scene(&case, LONGER));
-        let rows = study(work, &scenes, &SEEDS[..1])?;
-        Ok((settings(LONGER, &SEEDS[..1]), tables::coverage(&scenes, &rows)))
+        Ok((settings(), text.join("\n")))
     })
 }
 
 /// All rows of each scene.
-fn study(work: &Work, scenes: &[Scene], seeds: &[u64]) -> Result<Vec<Vec<Row>>> {
+fn study(work: &Work, scenes: &[Scene]) -> Result<Vec<Vec<Row>>> {
     // Seeds outside: if it is interrupted, whole seeds are done.
     let mut all = vec![Vec::new(); scenes.len()];
-    for &seed in seeds {
+    for seed in SEEDS {
         for (scene, rows) in scenes.iter().zip(&mut all) {
-            rows.push(work.row((scene.name(), scene.steps, seed), || measure(scene, seed))?);
+            rows.push(work.row((scene.name(), seed), || measure(scene, seed))?);
         }
     }
     Ok(all)
 }
 
-fn settings(steps: u64, chosen: &[u64]) -> String {
+fn settings() -> String {
     let described = describe(&rays(), &grid(), &[]);
     format!(
-        "{SIDE} × {SIDE} pixels, {steps} steps; every {STRIDE}nd pixel of {TEST_VIEWS} held-out views. {described} {}",
-        seeds(chosen)
+        "{SIDE} × {SIDE} pixels, {STEPS} steps; every {STRIDE}nd pixel of {TEST_VIEWS} held-out views. {described} {}",
+        seeds(&SEEDS)
     )
 }

@@ -18,6 +18,8 @@ use crate::common::program::Program;
 
 /// Side of the images, pixels.
 pub const SIDE: u32 = 200;
+/// Steps of training.
+pub const STEPS: u64 = 1000;
 /// Views around a mesh, of which a scene takes some.
 const VIEWS: u32 = 40;
 /// Held-out views all around.
@@ -44,8 +46,6 @@ pub struct Scene {
     pub mesh: &'static str,
     pub up: Up,
     pub seen: Seen,
-    /// Steps of training.
-    pub steps: u64,
 }
 
 impl Scene {
@@ -92,8 +92,8 @@ impl Scene {
         let [shots, _] = files.load(&Silent)?;
         let domain = Domain::Box(files.bounds);
         let mut trainer = Trainer::new(TrainSettings::default().seed(seed), domain, &shots)?;
-        while trainer.steps() < self.steps {
-            trainer.step(trainer.steps() as f64 / self.steps as f64);
+        while trainer.steps() < STEPS {
+            trainer.step(trainer.steps() as f64 / STEPS as f64);
         }
         let field = trainer.field(serde_json::Value::Null);
         let psnr = quality(&field, &shots, Vec3::ONE, PIXELS).map_or(f64::NAN, |quality| quality.psnr);

@@ -141,7 +141,7 @@ pub fn joint(scenes: &[Scene], rows: &[Vec<Row>]) -> String {
     for (scene, own) in scenes.iter().zip(rows) {
         // Not only this view of the mesh: every model of it is left out.
         let others = scenes.iter().zip(rows).filter(|(other, _)| other.mesh != scene.mesh);
-        let fitted = fit(others.flat_map(|(_, rows)| rows));
+        let fitted = fit(&others.flat_map(|(_, rows)| rows).collect::<Vec<_>>());
         let of = |joint: Joint| own.iter().map(move |row| joint.calibration(row));
         let found: Vec<[f64; 7]> = of(fitted)
             .zip(of(Joint { factor: 1.0, length: 0.0 }))

@@ -45,7 +45,7 @@ pub fn render<'py>(
     let threshold = options.get::<f64>("threshold")?;
     let depth_error = options.or("depth_error", false)?;
     let averages = options.ray_averages()?.unwrap_or_else(|| vec![RayAverage::default()]);
-    for field in &field {
+    if let Some(field) = &field {
         averages.iter().try_for_each(|&average| Reading::check(field, average)).or_raise()?;
     }
     let view = work(py, source.gate(nerf), progress, |engine| {

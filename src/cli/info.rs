@@ -25,7 +25,8 @@ pub struct Args {
 /// Bars of the histogram.
 const BARS: usize = 40;
 
-/// How log10 U is distributed, in one line: over visible surfaces if the field holds points on them, else over vertices.
+/// How log10 U is distributed, in one line: over visible surfaces if the field holds points on them, else over
+/// vertices.
 fn histogram(field: &UncertaintyField) -> String {
     let points: Vec<Vec3> = field.surface().iter().copied().map(Vec3::from_array).collect();
     let (of, log10): (_, Vec<f64>) = if points.is_empty() {

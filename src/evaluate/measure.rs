@@ -17,8 +17,8 @@ pub struct Reading {
 }
 
 impl Reading {
-    /// `field`, called `name`, read by each of these covariances, or by all that it can be read by, and averaged in each
-    /// of these ways, or in the one that ranks best.
+    /// `field`, called `name`, read by each of these covariances, or by all that it can be read by, and averaged in
+    /// each of these ways, or in the one that ranks best.
     ///
     /// # Errors
     /// As [`UncertaintyField::with_covariance`], and [`Reading::check`].

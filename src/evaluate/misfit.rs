@@ -115,8 +115,8 @@ mod tests {
         };
         let (high, low) = (at(32.0, 20.0), at(32.0, 44.0));
         let wrong = 0.2 / 3_f64.sqrt();
-        // The mean square, about half of the wrong one, has the weight of one pixel beside six or more of the vertex' own:
-        // √(6.5 / 7) of the wrong residual where it is, √(0.5 / 7) where none is.
+        // The mean square, about half of the wrong one, has the weight of one pixel beside six or more of the vertex'
+        // own: √(6.5 / 7) of the wrong residual where it is, √(0.5 / 7) where none is.
         assert!((0.96 * wrong..=wrong).contains(&high) && low < 0.28 * wrong, "{high} and {low}");
         // Behind the ball, where no image shows anything: the mean over the pixels that show matter.
         let matter: Vec<usize> = (0..64 * 64).filter(|&i| view.pixels[i].opacity > 0.5).collect();

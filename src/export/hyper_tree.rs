@@ -31,7 +31,8 @@ struct Array {
 /// Writes all cells, split ones too, with log10 U at their centres, their level, and as far as the field knows them the
 /// rays there and what they tell (0 never seen, 1 free, 2 constrained).
 ///
-/// A contracted domain is written as its cube: the part that is not contracted in scene units, the rest folded around it.
+/// A contracted domain is written as its cube: the part that is not contracted in scene units, the rest folded around
+/// it.
 ///
 /// # Errors
 /// If the file cannot be written.
@@ -81,14 +82,14 @@ pub fn write_hyper_tree(path: &Path, field: &UncertaintyField) -> Result<()> {
                 "TreeIds" => put(&0_u64.to_le_bytes())?,
                 "DepthPerTree" => put(&(levels as u32).to_le_bytes())?,
                 "log10_uncertainty" => {
-                    at_centers().try_for_each(|(_, found)| put(&(found.uncertainty.log10() as f32).to_le_bytes()))?
+                    at_centers().try_for_each(|(_, found)| put(&(found.uncertainty.log10() as f32).to_le_bytes()))?;
                 }
                 "level" => all().try_for_each(|(Cell { level, .. }, _)| put(&[level]))?,
                 "rays" => {
-                    at_centers().try_for_each(|(_, found)| put(&(found.rays.unwrap_or(0.0) as f32).to_le_bytes()))?
+                    at_centers().try_for_each(|(_, found)| put(&(found.rays.unwrap_or(0.0) as f32).to_le_bytes()))?;
                 }
                 "seen" => {
-                    at_centers().try_for_each(|(x, found)| put(&[code(field.knowledge(x, found.uncertainty))]))?
+                    at_centers().try_for_each(|(x, found)| put(&[code(field.knowledge(x, found.uncertainty))]))?;
                 }
                 side => {
                     let axis = ["XCoordinates", "YCoordinates", "ZCoordinates"].iter().position(|name| *name == side);

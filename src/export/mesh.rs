@@ -92,8 +92,8 @@ const VERTEX: [(&str, &str); 12] = [
     ("float", "scalar_rays"),
 ];
 
-/// Writes the surface of `model` where its density is that of the settings, by surface nets, with the model's colour seen
-/// from outside, normals, and what `field` says. Returns the number of vertices and triangles.
+/// Writes the surface of `model` where its density is that of the settings, by surface nets, with the model's colour
+/// seen from outside, normals, and what `field` says. Returns the number of vertices and triangles.
 ///
 /// # Errors
 /// If the file cannot be written, if nothing is as dense, or [`Error::Interrupted`].

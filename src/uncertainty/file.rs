@@ -1,7 +1,7 @@
 //! The field file, `.oct`.
 //!
-//! It is a [container] whose header holds protocol, lattice, draws and a calibrated interval of depth, and whose sections
-//! are
+//! It is a [container] whose header holds protocol, lattice, draws and a calibrated interval of depth, and whose
+//! sections are
 //!
 //! ```text
 //! masks        u8         child masks of the octree, breadth first (empty for a dense grid)

@@ -149,9 +149,9 @@ fn absorbed(
     (alpha, middles)
 }
 
-/// What the field says at the samples of a brick: what a ray towards the surface there would say, not of the air beside it, in
-/// which U is larger by decades. Samples without matter get the mean of their neighbours with matter, so that interpolation
-/// stays at the surface.
+/// What the field says at the samples of a brick: what a ray towards the surface there would say, not of the air beside
+/// it, in which U is larger by decades. Samples without matter get the mean of their neighbours with matter, so that
+/// interpolation stays at the surface.
 fn knowledge(
     (grid, index): (&Grid, [u32; 3]),
     model: &dyn RadianceField,
@@ -196,7 +196,8 @@ fn knowledge(
     (0..SAMPLES).map(|i| own[i].or_else(|| is_asked(i).then(|| mean(i)).flatten())).collect()
 }
 
-/// For every sample with a surface beside it: places along a short ray across it, from outside, with what they contribute.
+/// For every sample with a surface beside it: places along a short ray across it, from outside, with what they
+/// contribute.
 fn towards_surface(grid: &Grid, index: [u32; 3], model: &dyn RadianceField, alpha: &[f64]) -> Vec<Vec<(Vec3, f64)>> {
     let mut points = Vec::new();
     for i in (0..SAMPLES).filter(|&i| alpha[i] >= LEAST) {

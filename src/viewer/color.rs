@@ -32,8 +32,8 @@ pub struct MeanColor<'a> {
 }
 
 impl MeanColor<'_> {
-    /// Colours at the samples of a brick, which absorb `alpha`. What absorbs nothing gets the mean of its neighbours, so
-    /// that interpolation does not darken edges.
+    /// Colours at the samples of a brick, which absorb `alpha`. What absorbs nothing gets the mean of its neighbours,
+    /// so that interpolation does not darken edges.
     pub fn of_brick(&self, positions: &[Option<Vec3>], alpha: &[f64]) -> Vec<[u8; 3]> {
         let mut owners = Vec::new();
         let (mut points, mut directions) = (Vec::new(), Vec::new());
@@ -59,8 +59,8 @@ impl MeanColor<'_> {
         (0..SAMPLES).map(|i| color(i).to_array().map(|v| (255.0 * v.clamp(0.0, 1.0)).round() as u8)).collect()
     }
 
-    /// The directions, with weights, along which cameras look at a point whose surface faces `outwards`: those that see it
-    /// least obliquely.
+    /// The directions, with weights, along which cameras look at a point whose surface faces `outwards`: those that see
+    /// it least obliquely.
     fn directions(&self, x: Vec3, outwards: Option<Vec3>) -> Vec<(Vec3, f32)> {
         let weight = |direction: Vec3| outwards.map_or(1.0, |n| (-n.dot(direction)).max(0.02));
         let mut all: Vec<(Vec3, f32)> = self

@@ -1,14 +1,14 @@
 //! The lattice of a volume: cubes in folded space, in bricks.
 //!
-//! Folded space is scene space, except that a contracted domain is folded to a cube: the ball around its centre is as it
-//! is, the rest of space lies around it, up to twice the radius.
+//! Folded space is scene space, except that a contracted domain is folded to a cube: the ball around its centre is as
+//! it is, the rest of space lies around it, up to twice the radius.
 
 use glam::{DVec3, Vec3};
 
 use crate::geometry::{Aabb, Domain};
 
-/// Cells along each axis of a brick. Its eight samples along each axis include those on its faces, which neighbours repeat:
-/// interpolation then never leaves a brick.
+/// Cells along each axis of a brick. Its eight samples along each axis include those on its faces, which neighbours
+/// repeat: interpolation then never leaves a brick.
 pub const CELLS: u32 = 7;
 /// Samples along each axis of a brick.
 pub const SIDE: usize = CELLS as usize + 1;

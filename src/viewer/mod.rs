@@ -1,8 +1,8 @@
 //! A viewer in one file: a model and its uncertainty as a sparse volume, and the scripts that show it in a browser.
 //!
-//! The volume is a regular lattice of [`grid::Grid`] in bricks; only bricks with matter are stored ([`bricks`]), packed into
-//! 3D textures ([`pack`]). [`page`] puts them into a page with the scripts of `web/`. The book's chapter on `view` says
-//! what is approximated.
+//! The volume is a regular lattice of [`grid::Grid`] in bricks; only bricks with matter are stored ([`bricks`]), packed
+//! into 3D textures ([`pack`]). [`page`] puts them into a page with the scripts of `web/`. The book's chapter on `view`
+//! says what is approximated.
 
 mod bricks;
 mod color;

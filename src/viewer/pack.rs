@@ -14,11 +14,11 @@ use super::grid::{Grid, SAMPLES};
 pub struct Packed {
     /// Bricks along each axis of the atlas.
     pub atlas: [u32; 3],
-    /// `[bricks of the lattice][4]`, x fastest: place in the atlas and 0; or three zeros and the distance to the next brick
-    /// with matter, in bricks along the axis on which it is largest.
+    /// `[bricks of the lattice][4]`, x fastest: place in the atlas and 0; or three zeros and the distance to the next
+    /// brick with matter, in bricks along the axis on which it is largest.
     pub pages: String,
-    /// `[6][bricks of the atlas][samples]`: green, (red − green) / 4, (blue − green) / 4, matter, log10 U, rays. Colours
-    /// are right within 2/255. Base 64 of zlib.
+    /// `[6][bricks of the atlas][samples]`: green, (red − green) / 4, (blue − green) / 4, matter, log10 U, rays.
+    /// Colours are right within 2/255. Base 64 of zlib.
     pub planes: String,
 }
 
@@ -52,7 +52,7 @@ impl Packed {
 
 /// Every byte minus the one before it in its row of a brick: neighbours are alike, and what is small compresses well.
 fn differences(planes: &[u8]) -> Vec<u8> {
-    let before = |i: usize| if i % super::grid::SIDE == 0 { 0 } else { planes[i - 1] };
+    let before = |i: usize| if i.is_multiple_of(super::grid::SIDE) { 0 } else { planes[i - 1] };
     (0..planes.len()).map(|i| planes[i].wrapping_sub(before(i))).collect()
 }
 

@@ -33,11 +33,11 @@ use crate::{Error, Result};
 /// the area under the sparsification error by the official code's procedure: 100 steps, both curves over their
 /// common maximum, trapezoid rule. Only the order of pixels counts, so nothing is normalised per image.
 ///
-/// Several fields, covariances and ray averages share the rendering. The same pixels are ranked by what any field
-/// gives for nothing: the variance and the entropy of the ray's weights, the weights' deviation over the number of
-/// training rays, 1 - opacity, the rays and visits themselves, and chance; and, if the model knows its training cameras,
-/// by how many of them see the place, and from how near an angle. With --ensemble they are also ranked by the
-/// disagreement of several models.
+/// Several fields, covariances and ray averages share the rendering. The same pixels are ranked by what any field gives
+/// for nothing: the variance and the entropy of the ray's weights, the weights' deviation over the number of training
+/// rays, 1 - opacity, the rays and visits themselves, and chance; and, if the model knows its training cameras, by how
+/// many of them see the place, and from how near an angle. With --ensemble they are also ranked by the disagreement of
+/// several models.
 ///
 /// Depth is compared where the true depth is known and the image is fully opaque (alpha 255; images without alpha
 /// are opaque everywhere).

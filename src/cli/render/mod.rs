@@ -32,9 +32,9 @@ const PREVIEW: u32 = 800;
 /// Render colour, depth and uncertainty of one view
 ///
 /// OUT.png shows labelled panels for viewing; what no training ray reached is hatched. OUT.exr holds channels for
-/// tools: R, G, B, A, depth.Z (median distance from the camera), uncertainty.U (scene units),
-/// log10_uncertainty.U and, with --depth-error, depth_error.Z (one standard deviation, scene units) and, if the field is
-/// calibrated, depth_interval.Z (half width of the interval).
+/// tools: R, G, B, A, depth.Z (median distance from the camera), uncertainty.U (scene units), log10_uncertainty.U and,
+/// with --depth-error, depth_error.Z (one standard deviation, scene units) and, if the field is calibrated,
+/// depth_interval.Z (half width of the interval).
 #[derive(clap::Args)]
 #[command(
     after_help = "Example: octobayes render lego.safetensors lego.oct --cameras transforms_test.json --frame 0 -o view.png"
@@ -254,8 +254,8 @@ impl Args {
     }
 }
 
-/// Ends of the colour bar of log10 U: those that are asked for, or from the most certain percent of the visible surfaces to
-/// the prior.
+/// Ends of the colour bar of log10 U: those that are asked for, or from the most certain percent of the visible
+/// surfaces to the prior.
 pub fn bar_of(field: &UncertaintyField, range: Option<[f64; 2]>) -> [f64; 2] {
     range.unwrap_or_else(|| {
         let prior = field.prior().log10();
