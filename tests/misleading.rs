@@ -221,7 +221,10 @@ fn exact_depth_is_read_and_the_better_reading_is_named() {
     assert!(note("--depth-pattern {}_z.exr").unwrap().contains("with --z-depth"));
     // Only EXR tells its unit.
     let (code, _, said) = run(desk.path(), &format!("{views} --depth-pattern {{}}.png"));
-    assert!(code == Some(2) && said.contains("error: --depth-encoding: expected offset and scale of the depth maps"), "{said}");
+    assert!(
+        code == Some(2) && said.contains("error: --depth-encoding: expected offset and scale of the depth maps"),
+        "{said}"
+    );
     let (code, _, said) = run(desk.path(), &format!("{views} --depth-pattern {{}}.exr --depth-encoding 0,1"));
     assert!(code == Some(2) && said.contains("error: --depth-encoding: expected none"), "{said}");
 }
