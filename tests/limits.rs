@@ -6,8 +6,8 @@ use std::time::Duration;
 
 use octobayes::estimate::{Estimation, GridKind, GridSettings, RaySettings};
 use octobayes::field::ClosedForm;
-use octobayes::posterior::{Criteria, Criterion};
-use octobayes::uncertainty::{Support, UncertaintyField, compare, merge};
+use octobayes::posterior::{Covariance, Criteria, Criterion};
+use octobayes::uncertainty::{OfficialGrid, Support, UncertaintyField, compare, merge};
 
 const RUN: &str = "uncertainty scene:courtyard --resolution 64 --rays 40000 --occupancy 40";
 
@@ -154,8 +154,18 @@ fn contracted_fields_are_made_stored_and_asked_anywhere() {
     assert!(stderr.contains("--inner"), "{stderr}");
     // The official code's grid of a contracted scene has the same lattice, in contracted coordinates.
     good(folder, "convert all.oct x.npy");
-    let official = std::fs::metadata(folder.join("x.npy")).unwrap().len();
-    assert!(official > 4 * 65 * 65 * 65, "{official} bytes");
+    let (domain, rays) = (*field.lattice().domain(), field.protocol().rays);
+    let official = OfficialGrid { domain, rays, lambda: None }.read(&folder.join("x.npy")).unwrap();
+    let trace = field.clone().with_covariance(Covariance::Trace).unwrap();
+    let mut moved = 0;
+    for point in field.surface() {
+        let x = glam::Vec3::from_array(*point);
+        let (found, expected) = (official.log10(x), trace.log10(x));
+        // The octree is within its tolerance of the dense grid, which the file holds.
+        assert!((found - expected).abs() < 0.02, "{x}: {found} against {expected}");
+        moved += usize::from(expected < field.prior().log10() - 1.0);
+    }
+    assert!(moved > 100, "{moved} points on surfaces that are known");
 }
 
 /// Processes are never of exactly the same size, but parts of one run must have the same leaves.

@@ -3,12 +3,57 @@
 use std::path::Path;
 
 use super::options::ModelOptions;
+use crate::field::RadianceField;
+use crate::geometry::Aabb;
 use crate::posterior::Scale;
 use crate::uncertainty::{Protocol, UncertaintyField};
 use crate::{Error, Result};
 
+/// Reads a field of this model. Refuses one of another model, unless `force`, or of another box.
+pub fn read_field(
+    path: &Path,
+    options: &ModelOptions,
+    model: &dyn RadianceField,
+    force: bool,
+) -> Result<UncertaintyField> {
+    let field = UncertaintyField::read(path)?;
+    check_field(path, &field, options, model, force)?;
+    Ok(field)
+}
+
+/// Checks a field that was read as [`read_field`] does.
+pub fn check_field(
+    path: &Path,
+    field: &UncertaintyField,
+    options: &ModelOptions,
+    model: &dyn RadianceField,
+    force: bool,
+) -> Result<()> {
+    check_box(&options.model, &model.bounds(), field)?;
+    check_model(options, path, field, force)
+}
+
+/// Refuses a field whose box does not lie in the model's.
+fn check_box(name: &str, model: &Aabb, field: &UncertaintyField) -> Result<()> {
+    // A contracted field covers all of space.
+    let Some(bounds) = field.lattice().domain().bounds() else { return Ok(()) };
+    // Some files store boxes as f32.
+    let slack = 1e-5 * model.longest_edge();
+    let inside =
+        (bounds.min() - model.min()).min_element() >= -slack && (model.max() - bounds.max()).min_element() >= -slack;
+    if inside {
+        return Ok(());
+    }
+    let text = |b: &Aabb| format!("{} to {}", b.min(), b.max());
+    Err(Error::setting(
+        format!("box of the field for `{name}`"),
+        format!("inside the model's, {}", text(model)),
+        text(bounds),
+    ))
+}
+
 /// Refuses a field that was computed for another model; with `force` only warns. Says so on stderr if it names none.
-pub fn check_model(model: &ModelOptions, path: &Path, field: &UncertaintyField, force: bool) -> Result<()> {
+fn check_model(model: &ModelOptions, path: &Path, field: &UncertaintyField, force: bool) -> Result<()> {
     let Some(expected) = field.protocol().origin.model else {
         eprintln!("note: {} does not say which model it was computed from", path.display());
         return Ok(());

@@ -4,15 +4,13 @@ use std::path::PathBuf;
 
 use serde_json::json;
 
-use super::belongs::check_model;
+use super::belongs::read_field;
 use super::files::CommandFiles;
 use super::options::{CameraFile, DepthOptions, FrameOptions, ModelOptions, check_field_name, parse_probability};
 use super::progress::Bars;
-use super::render::check_box;
 use crate::evaluate::{DepthError, EvaluatedView, Evaluator, Interval, Reading, TrueView};
 use crate::monitor::Monitor;
 use crate::render::RenderedView;
-use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
 
 /// Calibrate the deviation of depth on held-out views of known depth
@@ -88,9 +86,7 @@ impl Args {
             .output("--output", &self.output);
         files.check()?;
         let model = self.model.open()?;
-        let field = UncertaintyField::read(&self.field)?;
-        check_box(&self.model.model, &model.bounds(), &field)?;
-        check_model(&self.model, &self.field, &field, self.force)?;
+        let field = read_field(&self.field, &self.model, &*model, self.force)?;
         field.depth_posterior()?;
         let frames = self.cameras.held_out(&self.frames, &*model)?;
         let maps = self.maps.files(self.depth.clone())?;

@@ -2,11 +2,10 @@
 
 use std::path::PathBuf;
 
-use super::belongs::check_model;
+use super::belongs::check_field;
 use super::files::CommandFiles;
 use super::options::{CameraOptions, ModelOptions, RayOptions, Threshold, count, parse_positive};
 use super::progress::Bars;
-use super::render::check_box;
 use crate::dataset::{Part, Views};
 use crate::export::{
     MeshSettings, Surfaces, surfaces, write_hyper_tree, write_leaves, write_mesh, write_points, write_report,
@@ -158,8 +157,7 @@ impl Args {
     fn with_model(&self, kind: Kind, name: String, field: &UncertaintyField, bars: &Bars) -> Result<()> {
         let options = ModelOptions { model: name, rays: self.rays };
         let model = options.open()?;
-        check_box(&options.model, &model.bounds(), field)?;
-        check_model(&options, &self.field, field, self.force)?;
+        check_field(&self.field, field, &options, &*model, self.force)?;
         let threshold = self.threshold.map(|threshold| threshold.log10(field)).transpose()?;
         let cleaned = threshold.map(|threshold| ThresholdedField { field: &*model, uncertainty: field, threshold });
         let shown: &dyn RadianceField = cleaned.as_ref().map_or(&*model, |cleaned| cleaned);

@@ -4,16 +4,15 @@ use std::path::PathBuf;
 
 use glam::Vec3;
 
-use super::belongs::check_model;
+use super::belongs::read_field;
 use super::files::CommandFiles;
 use super::options::{CameraOptions, ModelOptions, parse_bytes, parse_range};
 use super::progress::Bars;
-use super::render::{bar_of, check_box};
+use super::render::bar_of;
 use super::report;
 use crate::dataset::Part;
 use crate::export::surfaces;
 use crate::geometry::Camera;
-use crate::uncertainty::UncertaintyField;
 use crate::viewer::{Shown, View, write_view};
 use crate::{Error, Result};
 
@@ -76,9 +75,7 @@ impl Args {
             .output("--output", &self.output);
         files.check()?;
         let model = self.model.open()?;
-        let field = UncertaintyField::read(&self.field)?;
-        check_box(&self.model.model, &model.bounds(), &field)?;
-        check_model(&self.model, &self.field, &field, self.force)?;
+        let field = read_field(&self.field, &self.model, &*model, self.force)?;
         let views = self.cameras.read(&*model, &self.model.model)?;
         files.images(&views).check()?;
 

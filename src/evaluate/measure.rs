@@ -12,7 +12,7 @@ pub struct Reading {
     pub name: String,
     /// The uncertainty field U.
     pub field: UncertaintyField,
-    /// How log10 U along a ray becomes the value of its pixel; at least one.
+    /// How log10 U along a ray becomes the value of its pixel; none if only the deviation of depth is wanted.
     pub averages: Vec<RayAverage>,
 }
 

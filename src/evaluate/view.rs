@@ -1,7 +1,5 @@
 //! A rendered view beside the truth: depth errors and measures of uncertainty for the same pixels.
 
-use std::f64::consts::PI;
-
 use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -154,10 +152,9 @@ impl<'a> Evaluator<'a> {
             let x = camera.ray(x, y).at(rendered.pixels[i].expected_depth);
             self.tracer.marcher.bounds.clamp(x.as_vec3())
         };
-        let sighting = |i: usize| {
-            let unseen = Sighting { views: 0, angle: PI };
-            self.training.map_or(unseen, |training| training.sighting(hit(i).as_dvec3(), camera.position))
-        };
+        let sighting = |training: &TrainingViews, i: usize| training.sighting(hit(i).as_dvec3(), camera.position);
+        let sightings: Vec<Sighting> =
+            self.training.iter().flat_map(|training| pixels.iter().map(|&i| sighting(training, i))).collect();
         let least = self.tracer.marcher.step.powi(2) / 12.0;
         let spread = |i: usize| (rendered.pixels[i].depth_variance + least).sqrt();
         let mut random = ChaCha8Rng::seed_from_u64(seed);
@@ -179,15 +176,17 @@ impl<'a> Evaluator<'a> {
                     Baseline::RayVariance => each(&|i| rendered.pixels[i].depth_variance),
                     Baseline::RayEntropy => each(&|i| rendered.pixels[i].termination_entropy),
                     Baseline::Transparency => each(&|i| 1.0 - rendered.pixels[i].opacity),
-                    Baseline::SpreadPerRootRay => each(&|i| spread(i) / rays(hit(i)).max(FEWEST).sqrt()),
-                    Baseline::SpreadPerRay => each(&|i| spread(i) / rays(hit(i)).max(FEWEST)),
+                    Baseline::SpreadPerRootRay => {
+                        each(&|i| spread(i) / rays(hit(i)).clamp(FEWEST, f64::INFINITY).sqrt())
+                    }
+                    Baseline::SpreadPerRay => each(&|i| spread(i) / rays(hit(i)).clamp(FEWEST, f64::INFINITY)),
                     Baseline::RayCount => each(&|i| -counts[i]),
                     Baseline::Visits => {
                         let visits = |i| self.visited().and_then(|visits| visits.at(hit(i))).unwrap_or(0);
                         each(&|i| -f64::from(visits(i)))
                     }
-                    Baseline::TrainingViews => each(&|i| -(sighting(i).views as f64)),
-                    Baseline::TrainingAngle => each(&|i| sighting(i).angle),
+                    Baseline::TrainingViews => sightings.iter().map(|found| -(found.views as f64)).collect(),
+                    Baseline::TrainingAngle => sightings.iter().map(|found| found.angle).collect(),
                     Baseline::Misfit => each(&|i| self.misfit.map_or(0.0, |misfit| misfit.at(hit(i)))),
                     Baseline::Random => pixels.iter().map(|_| random.random()).collect(),
                     Baseline::EnsembleVariance => each(&|i| {

@@ -7,7 +7,7 @@ use fast_surface_nets::{SurfaceNetsBuffer, surface_nets};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-use super::ply::{PlyWriter, bytes};
+use super::ply::{PlyWriter, SURFACE};
 use crate::field::{Radiance, RadianceField};
 use crate::geometry::Aabb;
 use crate::monitor::{Monitor, check};
@@ -76,22 +76,6 @@ impl Cubes {
     }
 }
 
-/// Properties of a vertex.
-const VERTEX: [(&str, &str); 12] = [
-    ("float", "x"),
-    ("float", "y"),
-    ("float", "z"),
-    ("float", "nx"),
-    ("float", "ny"),
-    ("float", "nz"),
-    ("uchar", "red"),
-    ("uchar", "green"),
-    ("uchar", "blue"),
-    ("float", "scalar_log10_uncertainty"),
-    ("float", "scalar_sigma"),
-    ("float", "scalar_rays"),
-];
-
 /// Writes the surface of `model` where its density is that of the settings, by surface nets, with the model's colour
 /// seen from outside, normals, and what `field` says. Returns the number of vertices and triangles.
 ///
@@ -134,14 +118,11 @@ pub fn write_mesh(
 
     let triangles = net.indices.len() / 3;
     let elements =
-        [("vertex", positions.len(), &VERTEX[..]), ("face", triangles, &[("list uchar int", "vertex_indices")])];
+        [("vertex", positions.len(), &SURFACE[..]), ("face", triangles, &[("list uchar int", "vertex_indices")])];
     let comments = [format!("density {density:.6} per scene unit; {}", field.protocol().scale.quantity())];
     let mut ply = PlyWriter::create(path, &comments, &elements)?;
     for (i, found) in found.iter().enumerate() {
-        ply.floats(positions[i].to_array().into_iter().chain(normals[i].to_array()))?;
-        ply.put(&bytes(radiance[i].color))?;
-        let rays = found.rays.map_or(f32::NAN, |rays| rays as f32);
-        ply.floats([found.uncertainty.log10() as f32, found.uncertainty as f32, rays])?;
+        ply.surface(positions[i], normals[i], radiance[i].color, found)?;
     }
     for triangle in net.indices.chunks_exact(3) {
         ply.put(&[3])?;

@@ -3,8 +3,28 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+use glam::Vec3;
+
 use crate::io::AtomicFile;
+use crate::uncertainty::Estimate;
 use crate::{Error, Result};
+
+/// Properties of every point of a surface. CloudCompare takes what begins with `scalar_` as scalar fields without
+/// asking.
+pub const SURFACE: [(&str, &str); 12] = [
+    ("float", "x"),
+    ("float", "y"),
+    ("float", "z"),
+    ("float", "nx"),
+    ("float", "ny"),
+    ("float", "nz"),
+    ("uchar", "red"),
+    ("uchar", "green"),
+    ("uchar", "blue"),
+    ("float", "scalar_log10_uncertainty"),
+    ("float", "scalar_sigma"),
+    ("float", "scalar_rays"),
+];
 
 /// A PLY file being written: its header first, then the rows of its elements.
 pub struct PlyWriter {
@@ -40,13 +60,17 @@ impl PlyWriter {
         values.into_iter().try_for_each(|value| self.put(&value.to_le_bytes()))
     }
 
+    /// Appends the properties [`SURFACE`] of a point: position, normal, colour in [0, 1], and what the field says
+    /// there.
+    pub fn surface(&mut self, x: Vec3, normal: Vec3, color: Vec3, found: &Estimate) -> Result<()> {
+        self.floats(x.to_array().into_iter().chain(normal.to_array()))?;
+        self.put(&color.to_array().map(|v| (255.0 * v.clamp(0.0, 1.0)).round() as u8))?;
+        let rays = found.rays.map_or(f32::NAN, |rays| rays as f32);
+        self.floats([found.uncertainty.log10() as f32, found.uncertainty as f32, rays])
+    }
+
     /// Completes the file and gives it its name.
     pub fn finish(self) -> Result<()> {
         self.file.commit()
     }
-}
-
-/// A colour in [0, 1] as three `uchar`.
-pub fn bytes(color: glam::Vec3) -> [u8; 3] {
-    color.to_array().map(|v| (255.0 * v.clamp(0.0, 1.0)).round() as u8)
 }

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::axes::principal_axes;
 use super::leaves::code;
-use super::ply::{PlyWriter, bytes};
+use super::ply::{PlyWriter, SURFACE};
 use crate::Result;
 use crate::geometry::Camera;
 use crate::monitor::{Monitor, check};
@@ -89,23 +89,8 @@ fn against_gradient(tracer: &Tracer, positions: &[Vec3], normals: &mut [Vec3]) {
     }
 }
 
-/// Properties of every point; CloudCompare takes what begins with `scalar_` as scalar fields without asking.
-const POINT: [(&str, &str); 14] = [
-    ("float", "x"),
-    ("float", "y"),
-    ("float", "z"),
-    ("float", "nx"),
-    ("float", "ny"),
-    ("float", "nz"),
-    ("uchar", "red"),
-    ("uchar", "green"),
-    ("uchar", "blue"),
-    ("float", "scalar_log10_uncertainty"),
-    ("float", "scalar_sigma"),
-    ("float", "scalar_rays"),
-    ("float", "scalar_seen"),
-    ("float", "scalar_camera"),
-];
+/// What is said of a point beside its surface: what was seen of it, and the index of the camera that shows it.
+const POINT: [(&str, &str); 2] = [("float", "scalar_seen"), ("float", "scalar_camera")];
 
 /// Axes of the ellipsoids: three vectors, the longest first, as long as one standard deviation.
 const AXES: [(&str, &str); 9] = [
@@ -127,7 +112,7 @@ const AXES: [(&str, &str); 9] = [
 pub fn write_points(path: &Path, surfaces: &Surfaces, field: &UncertaintyField, ellipsoids: bool) -> Result<()> {
     let matrices = ellipsoids.then(|| field.matrices(field.protocol().covariance)).transpose()?;
     let axes = if ellipsoids { &AXES[..] } else { &[] };
-    let properties = [&POINT[..], axes].concat();
+    let properties = [&SURFACE[..], &POINT, axes].concat();
     let comments = [format!("surfaces of training views; {}", field.protocol().scale.quantity())];
     let mut ply = PlyWriter::create(path, &comments, &[("vertex", surfaces.positions.len(), &properties)])?;
     for first in (0..surfaces.positions.len()).step_by(CHUNK) {
@@ -136,14 +121,12 @@ pub fn write_points(path: &Path, surfaces: &Surfaces, field: &UncertaintyField, 
         let matrices = matrices.as_ref().map(|matrices| matrices.at(&surfaces.positions[chunk.clone()]));
         for (i, found) in chunk.zip(&found) {
             let x = surfaces.positions[i];
-            ply.floats(x.to_array().into_iter().chain(surfaces.normals[i].to_array()))?;
-            ply.put(&bytes(surfaces.colors[i]))?;
-            ply.floats([found.uncertainty.log10() as f32, found.uncertainty as f32])?;
+            ply.surface(x, surfaces.normals[i], surfaces.colors[i], found)?;
             let seen = match field.visits() {
                 Some(_) => f32::from(code(field.knowledge(x, found.uncertainty))),
                 None => f32::NAN,
             };
-            ply.floats([found.rays.map_or(f32::NAN, |rays| rays as f32), seen, surfaces.cameras[i] as f32])?;
+            ply.floats([seen, surfaces.cameras[i] as f32])?;
             if let Some(matrices) = &matrices {
                 let axes = principal_axes(matrices[i % CHUNK]);
                 ply.floats(axes.into_iter().flat_map(|axis| axis.as_vec3().to_array()))?;

@@ -260,7 +260,7 @@ impl WeightedRay<'_> {
             RayAverage::AtExpected => (probe.value)(self.at_expected),
             RayAverage::Spread => (probe.value)(self.at_expected) + self.spread.log10(),
             RayAverage::SpreadPerRay => {
-                let rays = probe.rays.map_or(f64::NAN, |rays| rays(self.at_expected).max(FEWEST));
+                let rays = probe.rays.map_or(f64::NAN, |rays| rays(self.at_expected).clamp(FEWEST, f64::INFINITY));
                 (probe.value)(self.at_expected) + self.spread.log10() - 0.5 * rays.log10()
             }
         }
@@ -296,6 +296,9 @@ mod tests {
         let unseen = ray.average(RayAverage::SpreadPerRay, &values, &Probe { rays: Some(&unseen), ..probe });
         assert!((unseen - 0.5 - 0.5 * 2_f64.log10()).abs() < 1e-12, "{unseen}");
         assert!(ray.average(RayAverage::SpreadPerRay, &values, &unknown).is_nan());
+        let unknown = |_| f64::NAN;
+        let found = ray.average(RayAverage::SpreadPerRay, &values, &Probe { rays: Some(&unknown), ..probe });
+        assert!(found.is_nan(), "{found}");
     }
 
     #[test]

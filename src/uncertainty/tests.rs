@@ -5,7 +5,9 @@ use glam::{DVec3, Vec3};
 use super::*;
 use crate::geometry::{Aabb, Domain};
 use crate::octree::trilinear;
-use crate::posterior::{Criteria, DensePosterior, OctreePosterior, Posterior, Prior, trace};
+use crate::posterior::{
+    Covariance, Criteria, DataScale, DensePosterior, OctreePosterior, Posterior, Prior, Scale, trace,
+};
 use crate::rays::{Draw, Pixels, Shard};
 use crate::render::{RaySample, RaySamples};
 use proptest::prelude::*;

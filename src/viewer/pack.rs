@@ -94,3 +94,64 @@ fn text(bytes: &[u8]) -> String {
     let packed = zlib.write_all(bytes).and_then(|()| zlib.finish()).expect("writing to memory cannot fail");
     BASE64_STANDARD.encode(packed)
 }
+
+#[cfg(test)]
+mod tests {
+    use std::io::Read;
+
+    use flate2::read::ZlibDecoder;
+
+    use super::*;
+    use crate::geometry::{Aabb, Domain};
+
+    fn bytes(text: &str) -> Vec<u8> {
+        let mut out = Vec::new();
+        ZlibDecoder::new(&*BASE64_STANDARD.decode(text).unwrap()).read_to_end(&mut out).unwrap();
+        out
+    }
+
+    fn brick(index: [u32; 3], seed: u8) -> Brick {
+        let byte = |i: usize, factor: usize| (i * factor + usize::from(seed)) as u8;
+        let plane = |factor: usize| (0..SAMPLES).map(|i| byte(i, factor)).collect();
+        let color = (0..SAMPLES).map(|i| [byte(i, 3), byte(i, 5), byte(i, 7)]).collect();
+        Brick { index, matter: plane(11), color, log10: plane(13), rays: plane(1) }
+    }
+
+    /// Four bricks along each axis, three of them with matter.
+    #[test]
+    fn what_is_packed_comes_out_again_and_empty_space_is_as_wide_as_said() {
+        let bounds = Aabb::centered_cube(1.0);
+        let grid = Grid::new(bounds, &Domain::Box(bounds), 28);
+        assert_eq!(grid.bricks, [4; 3]);
+        let bricks = [brick([0, 0, 0], 1), brick([3, 1, 2], 2), brick([3, 3, 3], 3)];
+        let packed = Packed::new(&grid, &bricks);
+        let pages = bytes(&packed.pages);
+        for (i, index) in grid.all_bricks().into_iter().enumerate() {
+            let page = &pages[4 * i..4 * i + 4];
+            if let Some(k) = bricks.iter().position(|brick| brick.index == index) {
+                let [x, y, z] = [page[0], page[1], page[2]].map(u32::from);
+                assert_eq!((x + packed.atlas[0] * (y + packed.atlas[1] * z), page[3]), (k as u32, 0));
+                continue;
+            }
+            let apart = |other: &Brick| (0..3).map(|axis| index[axis].abs_diff(other.index[axis])).max();
+            assert_eq!(Some(u32::from(page[3])), bricks.iter().filter_map(apart).min(), "{index:?}");
+        }
+        let mut planes = bytes(&packed.planes);
+        assert_eq!(planes.len(), 6 * SAMPLES * bricks.len());
+        for i in (0..planes.len()).filter(|i| i % crate::viewer::grid::SIDE != 0) {
+            planes[i] = planes[i].wrapping_add(planes[i - 1]);
+        }
+        let at = |plane: usize, brick: usize, i: usize| planes[(plane * bricks.len() + brick) * SAMPLES + i];
+        for (k, brick) in bricks.iter().enumerate() {
+            for i in 0..SAMPLES {
+                assert_eq!([at(3, k, i), at(4, k, i), at(5, k, i)], [brick.matter[i], brick.log10[i], brick.rays[i]]);
+                let green = i16::from(at(0, k, i));
+                let [red, blue] = [1, 2].map(|plane| green + 4 * i16::from(at(plane, k, i) as i8));
+                for (found, stored) in [(red, 0), (green, 1), (blue, 2)] {
+                    // Rounded to a multiple of four.
+                    assert!((found - i16::from(brick.color[i][stored])).abs() <= 2, "{found}");
+                }
+            }
+        }
+    }
+}

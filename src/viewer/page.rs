@@ -86,10 +86,10 @@ pub fn write_view(path: &Path, view: &View, cells: u32, budget: usize, monitor: 
     let pilot = (cells > 2 * PILOT).then_some(PILOT);
     let mut now = pilot.unwrap_or(cells);
     let mut is_pilot = pilot.is_some();
+    let cameras: Vec<Camera> = view.frames.iter().map(|frame| frame.camera).collect();
+    let occupancy = view.tracer.marcher.occupancy.as_ref().expect("pictures are rendered with occupancy");
     loop {
         let grid = Grid::new(view.model.bounds(), view.field.lattice().domain(), now);
-        let cameras: Vec<Camera> = view.frames.iter().map(|frame| frame.camera).collect();
-        let occupancy = view.tracer.marcher.occupancy.as_ref().expect("pictures are rendered with occupancy");
         let (found, codes) = bricks(&grid, view.model, occupancy, view.field, &cameras, monitor)?;
         let count = found.len();
         let packed = Packed::new(&grid, &found);
@@ -101,7 +101,7 @@ pub fn write_view(path: &Path, view: &View, cells: u32, budget: usize, monitor: 
             file.commit()?;
             return Ok(Shown { cells: now, bytes: page.len(), bricks: count, is_reduced: now < cells });
         }
-        if now == COARSEST {
+        if now <= COARSEST {
             let expected = format!("at least {} bytes, for {COARSEST} cells along the longest edge", page.len());
             return Err(Error::setting("--size", expected, format!("{budget}")));
         }
@@ -190,4 +190,60 @@ fn histogram(view: &View, codes: Codes) -> Vec<u64> {
         bars[((share * BARS as f64).max(0.0) as usize).min(BARS - 1)] += 1;
     }
     bars
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimate::{Estimation, GridSettings, RaySettings};
+    use crate::field::ClosedForm;
+    use crate::monitor::Silent;
+
+    /// Writes the viewer of a ball.
+    fn written(cells: u32, budget: usize, title: &str) -> Result<(Shown, String)> {
+        let ball = ClosedForm::ball();
+        let cameras = ClosedForm::half_circle(3, [24; 2]);
+        let rays = RaySettings::default().rays(2000).occupancy(32);
+        let run = Estimation::new(&ball, &cameras).rays(rays).grid(GridSettings::default().level(5));
+        let field = run.run()?.field;
+        let tracer = rays.tracer(&ball, 0.0, &Silent)?;
+        let frame = |camera| Frame { camera, name: "</script><b>".into(), image: std::path::PathBuf::new() };
+        let frames: Vec<Frame> = cameras.into_iter().map(frame).collect();
+        let surface: Vec<Vec3> = field.surface().iter().copied().map(Vec3::from_array).collect();
+        let view = View {
+            model: &ball,
+            field: &field,
+            tracer: &tracer,
+            frames: &frames,
+            offset: 0.5,
+            surface: &surface,
+            range: [2.0, field.prior().log10()],
+            title,
+        };
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("view.html");
+        let shown = write_view(&path, &view, cells, budget, &Silent)?;
+        Ok((shown, std::fs::read_to_string(path).unwrap()))
+    }
+
+    #[test]
+    fn a_budget_is_kept_and_told() {
+        let (whole, page) = written(64, 10_000_000, "ball").unwrap();
+        assert!(!whole.is_reduced && whole.cells == 64 && whole.bytes == page.len() && whole.bricks > 10, "{whole:?}");
+        let budget = whole.bytes - 10_000;
+        let (less, page) = written(64, budget, "ball").unwrap();
+        assert!(less.is_reduced && less.cells < 64 && page.len() <= budget && less.bytes == page.len(), "{less:?}");
+        // The scripts alone are larger.
+        let error = written(64, 10_000, "ball").unwrap_err().to_string();
+        assert!(error.contains("--size") && error.contains("32 cells"), "{error}");
+    }
+
+    #[test]
+    fn names_cannot_end_the_page_s_data() {
+        let (_, page) = written(32, 10_000_000, "a & <script>").unwrap();
+        assert!(page.contains("<title>a &amp; &lt;script>") && !page.contains("</script><b>"), "names are data");
+        // As many ends as the page has scripts, whatever its data say.
+        assert_eq!(page.matches("</script>").count(), PAGE.matches("</script>").count());
+        assert!(!page.contains("{{"), "every mark is filled in");
+    }
 }

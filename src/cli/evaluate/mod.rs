@@ -8,11 +8,10 @@ use std::path::{Path, PathBuf};
 
 use self::ranking::Ranking;
 use self::table::Evaluation;
-use super::belongs::check_model;
+use super::belongs::read_field;
 use super::files::CommandFiles;
 use super::options::{CameraFile, DepthOptions, FrameOptions, ModelOptions};
 use super::progress::Bars;
-use super::render::check_box;
 use crate::dataset::Frame;
 use crate::evaluate::{
     CleanUp, DepthError, EvaluatedView, Evaluator, Reading, Score, THRESHOLDS, TrainingViews, TrueView, clean_up,
@@ -24,7 +23,6 @@ use crate::metrics::STEPS;
 use crate::monitor::Monitor;
 use crate::posterior::Covariance;
 use crate::render::{RayAverage, RenderedView, Tracer};
-use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
 
 /// Evaluate fields against true depth: AUSE beside measures that need no Hessian, depth error, PSNR, clean-up
@@ -141,7 +139,7 @@ impl Args {
             .outputs("--clean-up", &self.clean_up);
         files.check()?;
         let model = self.model.open()?;
-        let readings = self.readings(&model.bounds())?;
+        let readings = self.readings(&*model)?;
         let members = self.ensemble.iter().map(|name| self.member(name, &*model)).collect::<Result<Vec<_>>>()?;
         let judged = self.cameras.held_out(&self.frames, &*model)?;
         let depth_files = self.depth.clone().map(|folder| self.maps.files(folder)).transpose()?;
@@ -212,12 +210,10 @@ impl Args {
         Ok(Some(views))
     }
 
-    fn readings(&self, bounds: &Aabb) -> Result<Vec<Reading>> {
+    fn readings(&self, model: &dyn RadianceField) -> Result<Vec<Reading>> {
         let mut readings = Vec::new();
         for path in &self.fields {
-            let field = UncertaintyField::read(path)?;
-            check_box(&self.model.model, bounds, &field)?;
-            check_model(&self.model, path, &field, self.force)?;
+            let field = read_field(path, &self.model, model, self.force)?;
             let stem = path.file_stem().unwrap_or_default().to_string_lossy();
             let covariances = Some(&self.covariance[..]).filter(|wanted| !wanted.is_empty());
             let averages = Some(&self.ray_average[..]).filter(|wanted| !wanted.is_empty());

@@ -7,10 +7,9 @@ use clap::Args;
 use glam::{DVec3, Vec3};
 
 use crate::Result;
-use crate::cli::belongs::check_model;
+use crate::cli::belongs::check_field;
 use crate::cli::options::{ModelOptions, RayOptions, numbers};
 use crate::cli::progress::Bars;
-use crate::cli::render::check_box;
 use crate::field::Coordinates;
 use crate::geometry::Ray;
 use crate::render::{DepthProbe, DepthVariance, Occupancy, Probe, RayAverage, render_rays};
@@ -66,8 +65,7 @@ impl RayQuery {
         };
         let options = ModelOptions { model: self.model.unwrap_or_default(), rays };
         let model = options.open()?;
-        check_box(&options.model, &model.bounds(), field)?;
-        check_model(&options, path, field, self.force)?;
+        check_field(path, field, &options, &*model, self.force)?;
         let settings = options.image_settings();
         let tracer = settings.tracer(&*model, 0.0, bars)?;
         // Fields in the paper's scale have no deviations of depth.

@@ -10,14 +10,14 @@ use image::RgbImage;
 
 use self::orbit::orbit;
 use self::studio::Studio;
-use super::belongs::check_model;
+use super::belongs::read_field;
 use super::files::CommandFiles;
 use super::options::{CameraOptions, ModelOptions, Threshold, parse_frames, parse_positive, parse_range, scaled};
 use super::progress::Bars;
 use super::report;
 use crate::dataset::{Frame, Part};
 use crate::evaluate::Reading;
-use crate::geometry::{Aabb, Camera, MAX_PIXELS};
+use crate::geometry::{Camera, MAX_PIXELS};
 use crate::io::write_exr;
 use crate::monitor::Monitor;
 use crate::picture::{draw_sheet, write_animation, write_sheet};
@@ -117,12 +117,10 @@ impl Args {
             .outputs("--output", self.outputs());
         files.check()?;
         let model = self.model.open()?;
-        let mut field = UncertaintyField::read(&self.field)?;
+        let mut field = read_field(&self.field, &self.model, &*model, self.force)?;
         if let Some(covariance) = self.covariance {
             field = field.with_covariance(covariance)?;
         }
-        check_box(&self.model.model, &model.bounds(), &field)?;
-        check_model(&self.model, &self.field, &field, self.force)?;
         let views = self.cameras.read(&*model, &self.model.model)?;
         files.images(&views).check()?;
         // A frame that is not there is refused before any work.
@@ -262,25 +260,6 @@ pub fn bar_of(field: &UncertaintyField, range: Option<[f64; 2]>) -> [f64; 2] {
         let [low] = field.surface_quantiles([0.01]).unwrap_or([-3.0]);
         [low.min(prior - 0.5), prior]
     })
-}
-
-/// Refuses a field whose box does not lie in the model's.
-pub fn check_box(name: &str, model: &Aabb, field: &UncertaintyField) -> Result<()> {
-    // A contracted field covers all of space.
-    let Some(bounds) = field.lattice().domain().bounds() else { return Ok(()) };
-    // Some files store boxes as f32.
-    let slack = 1e-5 * model.longest_edge();
-    let inside =
-        (bounds.min() - model.min()).min_element() >= -slack && (model.max() - bounds.max()).min_element() >= -slack;
-    if inside {
-        return Ok(());
-    }
-    let text = |b: &Aabb| format!("{} to {}", b.min(), b.max());
-    Err(Error::setting(
-        format!("box of the field for `{name}`"),
-        format!("inside the model's, {}", text(model)),
-        text(bounds),
-    ))
 }
 
 /// The channels of the EXR.
