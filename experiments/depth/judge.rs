@@ -22,7 +22,9 @@ use serde::{Deserialize, Serialize};
 use crate::candidates::candidates;
 use crate::common::clock::Clock;
 use crate::common::table::mean;
-use crate::scene::{Model, Scene};
+use crate::regression::Regression;
+use crate::scene::{Data, Model, Scene};
+use crate::warp::Warp;
 
 /// Levels of the readings; the deviation of depth is that of the first.
 pub const LEVELS: [u8; 3] = [7, 6, 5];
@@ -32,6 +34,9 @@ const MISFIT_LEVEL: u8 = 6;
 pub const STRIDE: u32 = 2;
 /// About so many pixels are kept of each model, for fits over scenes.
 const KEPT: usize = 4000;
+
+/// Baselines that are not the evaluator's, in the manner of what they are called after.
+const BESIDE: [&str; 3] = ["warped depth (WarpRF)", "warped colour (WarpRF)", "residual regression (PRIMU)"];
 
 /// What is known of a pixel.
 #[derive(Clone, Copy, Serialize, Deserialize)]
@@ -77,8 +82,8 @@ pub struct Row {
     pub bars: [Bar; 3],
     pub scored: Vec<Scored>,
     pub kept: Vec<Kept>,
-    /// Processor seconds: training, uncertainty at the first level, evaluation.
-    pub seconds: [f64; 3],
+    /// Processor seconds: training, uncertainty at the first level, evaluation; training the others of an ensemble.
+    pub seconds: [f64; 4],
 }
 
 pub fn grid() -> GridSettings {
@@ -89,27 +94,32 @@ pub fn rays() -> RaySettings {
     RaySettings::default().rays(480_000).gradient(GradientMethod::Auto)
 }
 
-/// Trains a scene's model and judges it.
-pub fn measure(scene: &Scene, seed: u64) -> Result<Row> {
+/// Trains a scene's model and judges it, beside an ensemble of so many if it is more than one.
+pub fn measure(scene: &Scene, seed: u64, ensemble: u64) -> Result<Row> {
     let folder = tempfile::tempdir().map_err(Error::io(Path::new("a temporary folder"), "cannot create"))?;
+    let data = scene.data(folder.path())?;
     let clock = Clock::start();
-    let model = scene.train(folder.path(), seed)?;
+    let model = scene.train(&data, seed)?;
     let trained = clock.elapsed().cpu;
-    let data = DataScale::from_cameras(&model.cameras, DataScale::noise_of(model.psnr), &model.domain)?;
+    let clock = Clock::start();
+    // No seed of another row.
+    let others = (1..ensemble).map(|i| scene.train(&data, 1000 + 100 * seed + i)).collect::<Result<Vec<_>>>()?;
+    let others_trained = clock.elapsed().cpu;
+    let of_data = DataScale::from_cameras(&data.cameras, DataScale::noise_of(model.psnr), &data.domain)?;
     let mut fields = Vec::new();
     let mut summed = 0.0;
     for level in LEVELS {
         let clock = Clock::start();
-        let grid = grid().level(level).scale(Scale::Data(data));
-        let estimation = Estimation::new(&model.field, &model.cameras).rays(rays().seed(seed)).grid(grid);
+        let grid = grid().level(level).scale(Scale::Data(of_data));
+        let estimation = Estimation::new(&model.field, &data.cameras).rays(rays().seed(seed)).grid(grid);
         fields.push(estimation.run()?.field);
         if level == LEVELS[0] {
             summed = clock.elapsed().cpu;
         }
     }
     let clock = Clock::start();
-    let mut row = judge(&model, fields)?;
-    row.seconds = [trained, summed, clock.elapsed().cpu];
+    let mut row = judge(&data, &model, &others, fields)?;
+    row.seconds = [trained, summed, clock.elapsed().cpu, others_trained];
     Ok(row)
 }
 
@@ -128,41 +138,64 @@ fn averages() -> Vec<RayAverage> {
     vec![RayAverage::Spread, RayAverage::AtExpected]
 }
 
-fn judge(model: &Model, fields: Vec<UncertaintyField>) -> Result<Row> {
+fn judge(data: &Data, model: &Model, others: &[Model], fields: Vec<UncertaintyField>) -> Result<Row> {
     let settings = RaySettings::for_images();
     let field = &model.field;
+    let pixel_offset = field.pixel_offset();
     let differentiation = settings.differentiation(field, fields[0].lattice())?;
     let tracer = settings.tracer(field, 0.0, &Silent)?;
-    let training = TrainingViews::render(&tracer, &model.cameras, field.pixel_offset(), &Silent)?;
+    let training = TrainingViews::render(&tracer, &data.cameras, pixel_offset, &Silent)?;
     let lattice = Lattice::new(field.bounds(), MISFIT_LEVEL)?;
-    let misfit = Misfit::new(&tracer, &model.images, lattice, &Silent)?;
+    let misfit = Misfit::new(&tracer, &data.for_misfit(pixel_offset), lattice, &Silent)?;
+    let warp = Warp::render(&tracer, &data.cameras, pixel_offset)?;
     let readings = readings(fields)?;
-    let evaluator = Evaluator {
-        differentiation: Some(differentiation),
-        training: Some(&training),
-        misfit: Some(&misfit),
-        ..Evaluator::new(tracer, &readings)
-    };
-    let encoding = DepthEncoding { offset: 0.0, scale: DEPTH_PNG_SCALE, kind: DepthKind::Euclidean };
-    let depth = DepthFiles { folder: model.folder.join("depth"), pattern: "{}.png".into(), encoding };
-    let frames: Vec<Frame> = Views::read(&model.folder.join("transforms_test.json"), None)?.frames;
+    let mut evaluator =
+        Evaluator { training: Some(&training), misfit: Some(&misfit), ..Evaluator::new(tracer, &readings) };
+    let regression = Regression::fit(&evaluator, &data.for_regression(pixel_offset))?;
+    evaluator.differentiation = Some(differentiation);
+    if !others.is_empty() {
+        let members = others.iter().map(|other| &other.field).chain([field]);
+        evaluator.members = members.map(|field| settings.tracer(field, 0.0, &Silent)).collect::<Result<_>>()?;
+    }
+    let depth = truth_files(&data.folder);
+    let frames: Vec<Frame> = Views::read(&data.folder.join("transforms_test.json"), None)?.frames;
     let (mut views, mut unseen) = (Vec::new(), Vec::new());
+    let mut beside = BESIDE.map(|name| (name.to_owned(), Vec::new()));
     for (seed, frame) in (0..).zip(&frames) {
-        let truth = TrueView::read(frame, Some(&depth), DVec3::ONE, field.pixel_offset(), STRIDE)?;
+        let truth = TrueView::read(frame, Some(&depth), DVec3::ONE, pixel_offset, STRIDE)?;
         let view = evaluator.evaluate(&truth, seed, &Silent)?;
         let width = truth.camera.resolution[0] as usize;
-        let never_seen = |&i: &usize| {
-            let [x, y] = [i % width, i / width].map(|n| n as f64 + truth.pixel_offset);
-            truth.distance[i].is_some_and(|t| !model.was_seen(truth.camera.ray(x, y).at(t)))
+        let at = |i: usize, t: f64| {
+            let [x, y] = [i % width, i / width].map(|n| n as f64 + pixel_offset);
+            truth.camera.ray(x, y).at(t)
         };
+        let never_seen = |&i: &usize| truth.distance[i].is_some_and(|t| !data.was_seen(at(i, t)));
         unseen.extend(view.pixels.iter().map(never_seen));
+        for &i in &view.pixels {
+            let pixel = &view.rendered.pixels[i];
+            let warped = warp.at(at(i, pixel.median_depth), pixel.color);
+            beside[0].1.push(warped.depth);
+            beside[1].1.push(warped.color);
+        }
+        beside[2].1.extend(regression.of(&evaluator, &view));
         views.push(view);
     }
-    row(&evaluator, &views, &unseen)
-        .ok_or_else(|| Error::malformed(&model.folder, "views", "errors of depth, and finite deviations", "none"))
+    row(&evaluator, &views, beside.into(), &unseen)
+        .ok_or_else(|| Error::malformed(&data.folder, "views", "errors of depth, and finite deviations", "none"))
 }
 
-fn row(evaluator: &Evaluator, views: &[EvaluatedView], unseen: &[bool]) -> Option<Row> {
+/// Where a data set has its depth maps.
+pub fn truth_files(folder: &Path) -> DepthFiles {
+    let encoding = DepthEncoding { offset: 0.0, scale: DEPTH_PNG_SCALE, kind: DepthKind::Euclidean };
+    DepthFiles { folder: folder.join("depth"), pattern: "{}.png".into(), encoding }
+}
+
+fn row(
+    evaluator: &Evaluator,
+    views: &[EvaluatedView],
+    beside: Vec<(String, Vec<f64>)>,
+    unseen: &[bool],
+) -> Option<Row> {
     let measures = evaluator.measures();
     let index = |measure| measures.iter().position(|found| *found == measure);
     let errors: Vec<f64> = views.iter().flat_map(|view| &view.absolute_error).copied().collect();
@@ -175,6 +208,7 @@ fn row(evaluator: &Evaluator, views: &[EvaluatedView], unseen: &[bool]) -> Optio
     let misfit = pooled(index(Measure::Baseline(Baseline::Misfit))?);
     let named = measures.iter().map(|&measure| evaluator.name(measure)).zip((0..).map(pooled));
     let mut all: Vec<(String, Vec<f64>)> = named.take(measures.len()).collect();
+    all.extend(beside);
     candidates(&mut all, &weights, &posterior);
     let counts: Vec<usize> = views.iter().map(|view| view.absolute_error.len()).collect();
     let scored = all.iter().map(|(name, values)| score(name, values, &errors, &counts, unseen));
@@ -202,7 +236,7 @@ fn row(evaluator: &Evaluator, views: &[EvaluatedView], unseen: &[bool]) -> Optio
         ],
         scored: scored.collect::<Option<_>>()?,
         kept: (0..errors.len()).step_by(every).map(kept).collect(),
-        seconds: [0.0; 3],
+        seconds: [0.0; 4],
     })
 }
 

@@ -8,21 +8,30 @@
 mod common;
 
 mod candidates;
+mod correlations;
 mod joint;
 mod judge;
+mod regression;
 mod scene;
 mod tables;
+mod warp;
 
 use octobayes::Result;
+use octobayes::evaluate::Baseline;
 use octobayes::synth::Up;
 
 use common::program::{Needs, Program};
 use common::settings::{describe, seeds};
 use common::work::Work;
-use judge::{Row, STRIDE, grid, measure, rays};
-use scene::{SIDE, STEPS, Scene, Seen, TEST_VIEWS};
+use judge::{LEVELS, Row, STRIDE, grid, measure, rays};
+use scene::{SIDE, Scene, Seen, TEST_VIEWS};
 
 const SEEDS: [u64; 2] = [0, 1];
+/// Steps of training, and those of models of greater strength.
+const STEPS: u64 = 1000;
+const STRONG: u64 = 6000;
+/// Models of an ensemble, the judged one among them.
+const ENSEMBLE: u64 = 10;
 
 const HALF: Seen = Seen::Arc(90.0, 270.0);
 /// All around but for a hole of 75°.
@@ -52,20 +61,23 @@ const TESTING: [((&str, Up), Seen); 8] = [
     (SPOT, SIDE_ONLY),
 ];
 
-fn scene(&((mesh, up), seen): &((&'static str, Up), Seen)) -> Scene {
-    Scene { mesh, up, seen }
+fn scenes(cases: &[((&'static str, Up), Seen)], steps: u64) -> Vec<Scene> {
+    cases.iter().map(|&((mesh, up), seen)| Scene { mesh, up, seen, steps }).collect()
 }
 
 fn main() -> Result<()> {
-    let program = Program::start("depth", &[("built-in", Needs::Nothing), ("meshes", Needs::Data)])?;
+    let program = Program::start(
+        "depth",
+        &[("built-in", Needs::Nothing), ("meshes", Needs::Data), ("ensembles", Needs::Data), ("strong", Needs::Data)],
+    )?;
     program.part("built-in", |work| {
-        let scenes = [(KNOT, FEW), (KNOT, HALF)].map(|case| scene(&case));
-        let rows = study(work, &scenes)?;
-        Ok((settings(), tables::coverage(&scenes, &rows)))
+        let scenes = scenes(&[(KNOT, FEW), (KNOT, HALF)], STEPS);
+        let rows = study(work, &scenes, &SEEDS, 1)?;
+        Ok((settings(STEPS, &SEEDS), tables::coverage(&scenes, &rows)))
     })?;
     program.part("meshes", |work| {
-        let scenes: Vec<Scene> = CHOOSING.iter().chain(&TESTING).map(scene).collect();
-        let rows = study(work, &scenes)?;
+        let scenes = scenes(&[&CHOOSING[..], &TESTING].concat(), STEPS);
+        let rows = study(work, &scenes, &SEEDS, 1)?;
         let (choosing, testing) = rows.split_at(CHOOSING.len());
         let text = [
             tables::coverage(&scenes, &rows),
@@ -74,26 +86,56 @@ fn main() -> Result<()> {
             tables::joint(&scenes, &rows),
             tables::costs(&rows),
         ];
-        Ok((settings(), text.join("\n")))
+        Ok((settings(STEPS, &SEEDS), text.join("\n")))
+    })?;
+    program.part("ensembles", |work| {
+        let scenes = scenes(&TESTING, STEPS);
+        let rows = study(work, &scenes, &SEEDS[..1], ENSEMBLE)?;
+        let text = [tables::beside(&rows, Baseline::EnsembleVariance.name()), tables::costs(&rows)];
+        Ok((settings(STEPS, &SEEDS[..1]), text.join("\n")))
+    })?;
+    program.part("strong", |work| {
+        let scenes = scenes(&TESTING, STRONG);
+        let rows = study(work, &scenes, &SEEDS[..1], 1)?;
+        let text = [
+            tables::coverage(&scenes, &rows),
+            tables::beside(&rows, &format!("block {}, spread / sqrt(rays)", LEVELS[1])),
+            tables::never_seen(&rows),
+            tables::costs(&rows),
+        ];
+        Ok((settings(STRONG, &SEEDS[..1]), text.join("\n")))
+    })?;
+    program.part("correlations", |work| {
+        let mut rows = Vec::new();
+        for scene in scenes(&CORRELATED, STEPS) {
+            for level in correlations::LEVELS {
+                rows.push(work.row((scene.name(), level), || correlations::measure(&scene, level))?);
+            }
+        }
+        Ok((correlations::settings(), correlations::table(&rows)))
     })
 }
 
-/// All rows of each scene.
-fn study(work: &Work, scenes: &[Scene]) -> Result<Vec<Vec<Row>>> {
+/// Scenes on which the price of leaving correlations out is measured.
+const CORRELATED: [((&str, Up), Seen); 4] = [(BUNNY, FEW), (ARMADILLO, HALF), (SPOT, HOLE), (NEFERTITI, HOLE)];
+
+/// All rows of each scene, each beside an ensemble of so many if it is more than one.
+fn study(work: &Work, scenes: &[Scene], seeds: &[u64], ensemble: u64) -> Result<Vec<Vec<Row>>> {
     // Seeds outside: if it is interrupted, whole seeds are done.
     let mut all = vec![Vec::new(); scenes.len()];
-    for seed in SEEDS {
+    for &seed in seeds {
         for (scene, rows) in scenes.iter().zip(&mut all) {
-            rows.push(work.row((scene.name(), seed), || measure(scene, seed))?);
+            let key = (scene.name(), scene.steps, ensemble, seed);
+            rows.push(work.row(key, || measure(scene, seed, ensemble))?);
         }
     }
     Ok(all)
 }
 
-fn settings() -> String {
+fn settings(steps: u64, of: &[u64]) -> String {
     let described = describe(&rays(), &grid(), &[]);
     format!(
-        "{SIDE} × {SIDE} pixels, {STEPS} steps; every {STRIDE}nd pixel of {TEST_VIEWS} held-out views. {described} {}",
-        seeds(&SEEDS)
+        "{SIDE} × {SIDE} pixels, {steps} steps; every {STRIDE}nd pixel of {TEST_VIEWS} held-out views. {described} {}",
+        seeds(of)
     )
 }

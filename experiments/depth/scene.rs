@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use glam::{DVec3, Vec3};
 use octobayes::dataset::Views;
 use octobayes::evaluate::TrueView;
-use octobayes::field::{HashGrid, RadianceField};
+use octobayes::field::HashGrid;
 use octobayes::geometry::{Camera, Domain, Ray};
 use octobayes::monitor::Silent;
 use octobayes::synth::{DatasetSettings, Mesh, MeshScene, Up, write_dataset};
@@ -18,8 +18,6 @@ use crate::common::program::Program;
 
 /// Side of the images, pixels.
 pub const SIDE: u32 = 200;
-/// Steps of training.
-pub const STEPS: u64 = 1000;
 /// Views around a mesh, of which a scene takes some.
 const VIEWS: u32 = 40;
 /// Held-out views all around.
@@ -28,6 +26,8 @@ pub const TEST_VIEWS: u32 = 20;
 const PIXELS: usize = 20_000;
 /// Every so many pixels of the training images count for the misfit, along x and y.
 const MISFIT_STRIDE: u32 = 2;
+/// Every so many pixels of the training images count for the regression, along x and y.
+const REGRESSION_STRIDE: u32 = 4;
 /// A camera sees a point if nothing stands this much nearer on the way, scene units.
 const NEAR: f64 = 1e-3;
 
@@ -40,12 +40,14 @@ pub enum Seen {
     Arc(f64, f64),
 }
 
-/// A mesh, which way up it stands, and what was seen of it.
+/// A mesh, which way up it stands, what was seen of it, and how long models of it are trained.
 #[derive(Clone, Copy)]
 pub struct Scene {
     pub mesh: &'static str,
     pub up: Up,
     pub seen: Seen,
+    /// Steps of training.
+    pub steps: u64,
 }
 
 impl Scene {
@@ -83,53 +85,59 @@ impl Scene {
         Ok(Selection::Indices((0..frames.len()).filter(|&i| inside(&frames[i].camera)).collect()))
     }
 
-    /// Trains a model of the scene; its files go into `folder`.
-    pub fn train(&self, folder: &Path, seed: u64) -> Result<Model> {
+    /// Makes the images of the scene, below `folder`.
+    pub fn data(&self, folder: &Path) -> Result<Data> {
         let folder = folder.join("images");
         let file = self.images(&folder)?;
         let mut files = DatasetFiles::read(&folder)?;
         files.select(&self.selection(&folder)?, None)?;
         let [shots, _] = files.load(&Silent)?;
-        let domain = Domain::Box(files.bounds);
-        let mut trainer = Trainer::new(TrainSettings::default().seed(seed), domain, &shots)?;
-        while trainer.steps() < STEPS {
-            trainer.step(trainer.steps() as f64 / STEPS as f64);
-        }
-        let field = trainer.field(serde_json::Value::Null);
-        let psnr = quality(&field, &shots, Vec3::ONE, PIXELS).map_or(f64::NAN, |quality| quality.psnr);
-        let images = shots.iter().map(|shot| image(shot, field.pixel_offset())).collect();
         let mesh = MeshScene::new(Mesh::read(&file)?.placed(self.up).0);
         let cameras = shots.iter().map(|shot| shot.camera).collect();
-        Ok(Model { field, psnr, domain, cameras, images, mesh, folder })
+        Ok(Data { domain: Domain::Box(files.bounds), shots, cameras, mesh, folder })
+    }
+
+    /// Trains a model of the scene.
+    pub fn train(&self, data: &Data, seed: u64) -> Result<Model> {
+        let mut trainer = Trainer::new(TrainSettings::default().seed(seed), data.domain, &data.shots)?;
+        while trainer.steps() < self.steps {
+            trainer.step(trainer.steps() as f64 / self.steps as f64);
+        }
+        let field = trainer.field(serde_json::Value::Null);
+        let psnr = quality(&field, &data.shots, Vec3::ONE, PIXELS).map_or(f64::NAN, |quality| quality.psnr);
+        Ok(Model { field, psnr })
     }
 }
 
-/// Every so many pixels of a training image, along x and y.
-fn image(shot: &Shot, pixel_offset: f64) -> TrueView {
-    let camera = shot.camera.strided(MISFIT_STRIDE, pixel_offset);
-    let [width, height] = camera.resolution;
-    let full = |row: u32, column: u32| ((row * shot.camera.resolution[0] + column) * MISFIT_STRIDE) as usize;
-    let pixels = (0..height).flat_map(|row| (0..width).map(move |column| full(row, column)));
-    let colors: Vec<DVec3> = pixels.map(|i| shot.image.over(i, DVec3::ONE)).collect();
-    let (covered, distance) = (vec![true; colors.len()], vec![None; colors.len()]);
-    TrueView { name: shot.name.clone(), camera, pixel_offset, colors, covered, distance }
-}
-
-/// A trained model, and the truth about its scene.
-pub struct Model {
-    pub field: HashGrid,
-    /// Of the training images, dB.
-    pub psnr: f64,
+/// What there is to train on, and the truth about the scene.
+pub struct Data {
     pub domain: Domain,
+    shots: Vec<Shot>,
+    /// Of the training images.
     pub cameras: Vec<Camera>,
-    /// The training images.
-    pub images: Vec<TrueView>,
     mesh: MeshScene,
     /// The data set.
     pub folder: PathBuf,
 }
 
-impl Model {
+/// A trained model.
+pub struct Model {
+    pub field: HashGrid,
+    /// Of the training images, dB.
+    pub psnr: f64,
+}
+
+impl Data {
+    /// The training images, as the misfit looks at them.
+    pub fn for_misfit(&self, pixel_offset: f64) -> Vec<TrueView> {
+        self.shots.iter().map(|shot| image(shot, pixel_offset, MISFIT_STRIDE, None)).collect()
+    }
+
+    /// The training images, as a regression looks at them: every pixel has a depth, which means nothing.
+    pub fn for_regression(&self, pixel_offset: f64) -> Vec<TrueView> {
+        self.shots.iter().map(|shot| image(shot, pixel_offset, REGRESSION_STRIDE, Some(0.0))).collect()
+    }
+
     /// Whether a training camera saw this point of the true surface.
     pub fn was_seen(&self, x: DVec3) -> bool {
         self.cameras.iter().any(|camera| {
@@ -142,4 +150,15 @@ impl Model {
                 && self.mesh.nearest(&ray).is_none_or(|hit| hit.t > distance - NEAR)
         })
     }
+}
+
+/// Every so many pixels of a training image, along x and y, with this depth.
+fn image(shot: &Shot, pixel_offset: f64, stride: u32, depth: Option<f64>) -> TrueView {
+    let camera = shot.camera.strided(stride, pixel_offset);
+    let [width, height] = camera.resolution;
+    let full = |row: u32, column: u32| ((row * shot.camera.resolution[0] + column) * stride) as usize;
+    let pixels = (0..height).flat_map(|row| (0..width).map(move |column| full(row, column)));
+    let colors: Vec<DVec3> = pixels.map(|i| shot.image.over(i, DVec3::ONE)).collect();
+    let (covered, distance) = (vec![true; colors.len()], vec![depth; colors.len()]);
+    TrueView { name: shot.name.clone(), camera, pixel_offset, colors, covered, distance }
 }

@@ -95,6 +95,34 @@ pub fn ranking(choosing: &[Vec<Row>], testing: &[Vec<Row>]) -> String {
     format!("### Ranking\n\n{}", table.text())
 }
 
+/// Every measure on these scenes, and each beside the one of this name.
+pub fn beside(rows: &[Vec<Row>], reference: &str) -> String {
+    let [mae, rmse] = ["MAE", "RMSE"].map(|kind| format!("less than {reference} ({kind})"));
+    let mut table = Table::new(&["measure", "MAE", "RMSE", "rank correlation", "mean over views", &mae, &rmse]);
+    let scored = &rows[0][0].scored;
+    let reference = scored.iter().position(|found| found.name == reference).expect("a measure of the study");
+    let sum = |m: usize| mean(&by_scene(rows, m, |s| s.mae)) + mean(&by_scene(rows, m, |s| s.rmse));
+    let mut order: Vec<usize> = (0..scored.len()).collect();
+    order.sort_by(|&a, &b| sum(a).total_cmp(&sum(b)));
+    for m in order {
+        let of = |value: &dyn Fn(&Scored) -> f64| format!("{:.3}", mean(&by_scene(rows, m, value)));
+        let paired = |value: &dyn Fn(&Scored) -> f64| {
+            let pairs = by_scene(rows, m, value).into_iter().zip(by_scene(rows, reference, value));
+            interval(&pairs.map(|(other, reference)| other - reference).collect::<Vec<_>>())
+        };
+        table.row(&[
+            scored[m].name.clone(),
+            of(&|s| s.mae),
+            of(&|s| s.rmse),
+            of(&|s| s.spearman[0]),
+            of(&|s| s.spearman[1]),
+            paired(&|s| s.mae),
+            paired(&|s| s.rmse),
+        ]);
+    }
+    format!("### Ranking\n\n{}", table.text())
+}
+
 /// Mean of paired differences, and the interval that holds the mean of scenes like these with 95 %.
 fn interval(differences: &[f64]) -> String {
     /// Two-sided quantiles of Student's t at 95 %, for 1, 2, … degrees of freedom.
@@ -172,7 +200,12 @@ fn numbers(row: &[f64; 7]) -> impl Iterator<Item = String> {
 pub fn costs(rows: &[Vec<Row>]) -> String {
     let mut table = Table::new(&["processor seconds of a model", "mean"]);
     let all: Vec<&Row> = rows.iter().flatten().collect();
-    for (k, name) in ["images and training", "uncertainty at level 7", "evaluation, all measures"].iter().enumerate() {
+    let names =
+        ["training", "uncertainty at level 7", "evaluation, all measures", "training the others of the ensemble"];
+    for (k, name) in names.iter().enumerate() {
+        if all.iter().all(|row| row.seconds[k] == 0.0) {
+            continue;
+        }
         table.row(&[(*name).to_owned(), format!("{:.1}", mean(&of(&all, |row| row.seconds[k])))]);
     }
     format!("### Cost\n\n{}", table.text())

@@ -13,6 +13,8 @@ mod criteria;
 mod dense;
 mod double_double;
 mod factor;
+#[cfg(feature = "correlations")]
+mod full;
 mod octree;
 mod pooling;
 mod prior;
@@ -24,6 +26,8 @@ pub use covariance::{Covariance, negligible_information};
 pub use criteria::{Criteria, Criterion};
 pub use dense::DensePosterior;
 pub use factor::FactoredSums;
+#[cfg(feature = "correlations")]
+pub use full::{DrawnPosterior, Draws, ExactPosterior, FullPosterior};
 pub(crate) use octree::{BRICK_BYTES, CONTRIBUTION_BYTES, SPARE_BYTES};
 pub use octree::{Brick, Census, Needs, OctreePosterior, PilotCounts, Refinement};
 pub use pooling::Pooling;

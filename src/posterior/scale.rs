@@ -99,6 +99,12 @@ impl DataScale {
         (self.noise / self.prior_deviation).powi(2) / self.pixels as f64
     }
 
+    /// k = N / (R s²), by which S of `rays` rays is weighed, 1 / colour².
+    #[must_use]
+    pub fn share_of_a_ray(&self, rays: u64) -> f64 {
+        self.pixels as f64 / (rays as f64 * self.noise * self.noise)
+    }
+
     /// Whether these are numbers that a run can have, for scales read from files.
     #[must_use]
     pub fn is_possible(&self) -> bool {

@@ -1,0 +1,115 @@
+//! A regression of residuals on coverage, fitted on training views only, in the manner of PRIMU and U-3DGS.
+
+use glam::DVec3;
+use octobayes::Result;
+use octobayes::evaluate::{Baseline, EvaluatedView, Evaluator, Measure, TrueView};
+use octobayes::monitor::Silent;
+
+/// What residuals are explained by; the angle to a training view is 0 on training views, and explains nothing there.
+const FEATURES: [Baseline; 7] = [
+    Baseline::RayVariance,
+    Baseline::RayEntropy,
+    Baseline::Transparency,
+    Baseline::RayCount,
+    Baseline::Visits,
+    Baseline::TrainingViews,
+    Baseline::Misfit,
+];
+/// The weight of coefficients of zero, in pixels.
+const RIDGE: f64 = 1.0;
+const WIDTH: usize = FEATURES.len() + 1;
+/// The smallest residual: half a step of 8 bits.
+const LEAST: f64 = 0.5 / 255.0;
+
+/// log10 of the residual of colour as a linear function of features.
+pub struct Regression {
+    mean: [f64; WIDTH],
+    deviation: [f64; WIDTH],
+    coefficients: [f64; WIDTH],
+}
+
+impl Regression {
+    /// Fits residuals of these training images.
+    pub fn fit(evaluator: &Evaluator, images: &[TrueView]) -> Result<Self> {
+        let (mut rows, mut residuals) = (Vec::new(), Vec::new());
+        for image in images {
+            let view = evaluator.evaluate(image, 0, &Silent)?;
+            rows.extend(features(evaluator, &view));
+            let residual = |&i: &usize| color_error(view.rendered.pixels[i].color, image.colors[i]);
+            residuals.extend(view.pixels.iter().map(residual));
+        }
+        let n = rows.len().max(1) as f64;
+        let column = |k: usize| rows.iter().map(move |row: &[f64; WIDTH]| row[k]);
+        let mut mean: [f64; WIDTH] = std::array::from_fn(|k| column(k).sum::<f64>() / n);
+        let spread = |k: usize| (column(k).map(|v| (v - mean[k]).powi(2)).sum::<f64>() / n).sqrt();
+        // What does not vary explains nothing, whatever it is divided by.
+        let mut deviation: [f64; WIDTH] = std::array::from_fn(|k| spread(k).max(1e-9));
+        (mean[WIDTH - 1], deviation[WIDTH - 1]) = (0.0, 1.0);
+        let mut fitted = Self { mean, deviation, coefficients: [0.0; WIDTH] };
+        let mut normal = [[0.0; WIDTH]; WIDTH];
+        let mut right = [0.0; WIDTH];
+        for (row, residual) in rows.iter().zip(&residuals) {
+            let row = fitted.standard(row);
+            for i in 0..WIDTH {
+                right[i] += row[i] * residual;
+                for j in 0..WIDTH {
+                    normal[i][j] += row[i] * row[j];
+                }
+            }
+        }
+        for (i, row) in normal.iter_mut().enumerate().take(WIDTH - 1) {
+            row[i] += RIDGE;
+        }
+        fitted.coefficients = solve(normal, right);
+        Ok(fitted)
+    }
+
+    fn standard(&self, row: &[f64; WIDTH]) -> [f64; WIDTH] {
+        std::array::from_fn(|k| (row[k] - self.mean[k]) / self.deviation[k])
+    }
+
+    /// The residual that is expected at each pixel of a view.
+    pub fn of(&self, evaluator: &Evaluator, view: &EvaluatedView) -> Vec<f64> {
+        let expected = |row: [f64; WIDTH]| self.standard(&row).iter().zip(self.coefficients).map(|(x, c)| x * c).sum();
+        features(evaluator, view).map(expected).collect()
+    }
+}
+
+fn color_error(found: DVec3, truth: DVec3) -> f64 {
+    found.distance(truth).max(LEAST).log10()
+}
+
+/// Features of the pixels of a view, the last of them one.
+fn features<'a>(evaluator: &Evaluator, view: &'a EvaluatedView) -> impl Iterator<Item = [f64; WIDTH]> + 'a {
+    let measures = evaluator.measures();
+    let index = |baseline| measures.iter().position(|found| *found == Measure::Baseline(baseline));
+    let indices = FEATURES.map(|baseline| index(baseline).expect("a measure of the evaluator"));
+    (0..view.pixels.len()).map(move |i| {
+        std::array::from_fn(|k| {
+            let Some(&m) = indices.get(k) else { return 1.0 };
+            let value = view.measures[m][i];
+            match FEATURES[k] {
+                Baseline::RayVariance | Baseline::Misfit => value.max(1e-12).log10(),
+                Baseline::RayCount | Baseline::Visits => (1.0 - value).log10(),
+                _ => value,
+            }
+        })
+    })
+}
+
+/// x of A x = b for a symmetric positive definite A: Cholesky's factors.
+fn solve(mut a: [[f64; WIDTH]; WIDTH], mut b: [f64; WIDTH]) -> [f64; WIDTH] {
+    for i in 0..WIDTH {
+        for j in 0..=i {
+            let known: f64 = (0..j).map(|k| a[i][k] * a[j][k]).sum();
+            a[i][j] = if i == j { (a[i][i] - known).sqrt() } else { (a[i][j] - known) / a[j][j] };
+        }
+    }
+    for i in 0..WIDTH {
+        b[i] = (b[i] - (0..i).map(|k| a[i][k] * b[k]).sum::<f64>()) / a[i][i];
+    }
+    for i in (0..WIDTH).rev() {
+        b[i] = (b[i] - (i + 1..WIDTH).map(|k| a[k][i] * b[k]).sum::<f64>()) / a[i][i];
+    }
+    b
+}
