@@ -89,8 +89,8 @@ pub mod dataset;
 pub mod error;
 pub mod estimate;
 pub mod evaluate;
-#[cfg(feature = "cli")]
-mod export;
+#[cfg(feature = "export")]
+pub mod export;
 pub mod field;
 pub mod geometry;
 mod io;

@@ -68,7 +68,13 @@ fn scenes(cases: &[((&'static str, Up), Seen)], steps: u64) -> Vec<Scene> {
 fn main() -> Result<()> {
     let program = Program::start(
         "depth",
-        &[("built-in", Needs::Nothing), ("meshes", Needs::Data), ("ensembles", Needs::Data), ("strong", Needs::Data)],
+        &[
+            ("built-in", Needs::Nothing),
+            ("meshes", Needs::Data),
+            ("ensembles", Needs::Data),
+            ("strong", Needs::Data),
+            ("correlations", Needs::Data),
+        ],
     )?;
     program.part("built-in", |work| {
         let scenes = scenes(&[(KNOT, FEW), (KNOT, HALF)], STEPS);

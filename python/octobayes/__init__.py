@@ -14,8 +14,9 @@ Arrays are NumPy's; anything with ``__array__`` or DLPack is accepted. Lengths a
 from __future__ import annotations
 
 from . import nerfstudio
-from ._api import accumulate, compare, evaluate, export, load, merge, open_model, render, uncertainty
+from ._api import accumulate, compare, evaluate, load, merge, open_model, render, uncertainty
 from ._autodiff import jax_field, torch_field
+from ._export import export
 from ._model import Model
 from ._octobayes import __version__
 from ._uncertainty import Uncertainty

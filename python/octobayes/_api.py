@@ -421,17 +421,6 @@ def _samples(samples: Mapping[str, Any]) -> tuple[Any, ...]:
     return positions, jacobian, np.ascontiguousarray(ray, dtype=np.uint64), weight, total
 
 
-def export(u: Uncertainty | str, path: str | os.PathLike[str]) -> None:
-    """Writes the official code's ``.npy`` grid of a field: sums of squared derivatives at all lattice points.
-
-    Raises ValueError if the field does not keep what that needs, OSError if the file cannot be written.
-    """
-    path = as_path("path", path)
-    if not path.endswith(".npy"):
-        raise wrong("path", "a name that ends in .npy (Uncertainty.save writes .oct)", path)
-    _field("u", u)._field.save_official(path)
-
-
 def render(
     nerf: Nerf,
     u: Uncertainty | str | None,

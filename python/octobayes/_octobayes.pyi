@@ -50,7 +50,6 @@ class Uncertainty:
         """x [N, 3] -> [N, 3, 3], squared scene units."""
     def with_covariance(self, kind: str) -> Uncertainty: ...
     def save(self, path: str | os.PathLike[str]) -> None: ...
-    def save_official(self, path: str | os.PathLike[str]) -> None: ...
     def surface_quantile(self, share: float) -> float | None: ...
     def protocol(self) -> str:
         """JSON."""
@@ -95,6 +94,16 @@ def merge(fields: Sequence[Uncertainty], error_bars: bool, keep_sums: bool) -> t
 def accumulate(samples: Any, options: dict[str, Any], progress: Progress | None) -> Uncertainty:
     """samples: a path, or positions [N, 3], jacobians [N, 9], ray uint64 [N], weight [N], rays in all."""
 
+def export_field(field: Uncertainty, path: str, kind: str) -> None: ...
+def export_surfaces(
+    nerf: Any,
+    field: Uncertainty,
+    path: str,
+    rows: Doubles,
+    names: Sequence[str],
+    options: dict[str, Any],
+    progress: Progress | None,
+) -> None: ...
 def render(
     nerf: Any, uncertainty: Uncertainty | None, rows: Doubles, options: dict[str, Any], progress: Progress | None
 ) -> dict[str, Floats]:

@@ -123,11 +123,6 @@ impl Uncertainty {
         py.detach(|| self.0.write(&path)).or_raise()
     }
 
-    /// Writes the official code's `.npy`.
-    fn save_official(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
-        py.detach(|| self.0.write_official(&path)).or_raise()
-    }
-
     /// log10 U that the most certain `share` of visible surfaces does not exceed; `None` without such points.
     fn surface_quantile(&self, py: Python<'_>, share: f64) -> Option<f64> {
         py.detach(|| self.0.surface_quantiles([share])).map(|[log10]| log10)

@@ -4,6 +4,7 @@
 //! that are expected here. A field in Python is asked in one place only ([`work`]).
 
 mod errors;
+mod export;
 mod field;
 mod fields;
 mod model;
@@ -26,6 +27,8 @@ fn _octobayes(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(fields::compare, module)?)?;
     module.add_function(wrap_pyfunction!(fields::merge, module)?)?;
     module.add_function(wrap_pyfunction!(fields::accumulate, module)?)?;
+    module.add_function(wrap_pyfunction!(export::export_field, module)?)?;
+    module.add_function(wrap_pyfunction!(export::export_surfaces, module)?)?;
     module.add_function(wrap_pyfunction!(view::render, module)?)?;
     module.add_function(wrap_pyfunction!(view::evaluate, module)?)?;
     Ok(())

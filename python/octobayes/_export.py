@@ -1,0 +1,107 @@
+"""Files for other people's tools."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import numpy as np
+
+from . import _octobayes
+from ._api import Nerf, _asked, _field, _image_options, _opened, _threshold, _training_cameras
+from ._arguments import path as as_path
+from ._arguments import real, whole, wrong
+from ._model import Model
+from ._progress import Progress, reporting
+from ._uncertainty import Uncertainty
+
+# What is written of the field alone, and of surfaces.
+FIELD = {".npy": "official", ".npz": "leaves", ".htg": "hyper tree"}
+SURFACES = {".ply": "points", ".csv": "report"}
+
+
+def export(
+    u: Uncertainty | str,
+    path: str | os.PathLike[str],
+    nerf: Nerf | None = None,
+    cameras: Any = None,
+    *,
+    mesh: bool = False,
+    ellipsoids: bool = False,
+    threshold: float | str | None = None,
+    pixels: int = 400_000,
+    cells: int = 192,
+    density: float | None = None,
+    box: Any = None,
+    background: Any = None,
+    march_step: float | None = None,
+    pixel_offset: float | None = None,
+    occupancy: int = 128,
+    coordinates: str | None = None,
+    views: Any = None,
+    resolution: Any = None,
+    fov: float | None = None,
+    batch: int = 1 << 16,
+    progress: Progress | bool | None = None,
+) -> None:
+    """Writes a field for other tools; the extension says what.
+
+    Of the field alone: ``.npz``, its leaves (centre, edge, level, log10 U, rays, what was seen, 3x3 covariance);
+    ``.htg``, the octree for VTK and ParaView; ``.npy``, the official code's grid.
+    With ``nerf`` and its training ``cameras`` (both as in :func:`uncertainty`): ``.ply``, points on the surfaces that
+    the cameras see, with colour, normal, log10 U, sigma and rays, and with ``ellipsoids`` the axes of the covariance;
+    ``.ply`` with ``mesh``, the surface as triangles; ``.csv``, per camera and region the share of surfaces that was
+    never seen, and quantiles of sigma.
+
+    threshold: first remove density where log10 U exceeds this (or, as '99%', what it exceeds on the most certain 99
+    percent of visible surfaces). pixels: how many to look at, over all cameras. cells: of the mesh, along the longest
+    edge. density: on the mesh's surface, 1 / scene unit; by default what absorbs half of the light along a cell's edge.
+    Raises ValueError if the field does not keep what the file needs, OSError if it cannot be written, and whatever a
+    callable raises.
+    """
+    u, path = _field("u", u), as_path("path", path)
+    extension = os.path.splitext(path)[1]
+    if extension not in FIELD | SURFACES:
+        expected = f"a name that ends in {', '.join(FIELD | SURFACES)} (Uncertainty.save writes .oct)"
+        raise wrong("path", expected, path)
+    is_points = extension == ".ply" and not mesh
+    if mesh and extension != ".ply":
+        raise wrong("mesh", "a mesh only in a .ply", path)
+    if ellipsoids and not is_points:
+        raise wrong("ellipsoids", "ellipsoids only with points in a .ply", path)
+    if extension in FIELD:
+        if threshold is not None:
+            raise wrong("threshold", "surfaces to clean, in a .ply or .csv", path)
+        _octobayes.export_field(u._field, path, FIELD[extension])
+        return
+    if nerf is None:
+        raise wrong("nerf", "a model beside the field, for surfaces", "none")
+    nerf = _opened(nerf, coordinates)
+    if mesh:
+        numbers, names = np.empty((0, 26)), []
+    else:
+        numbers, _ = _training_cameras(nerf, cameras, views, resolution, fov)
+        names = _names(cameras, views, len(numbers))
+    if box is None and not isinstance(nerf, Model):
+        box = getattr(nerf, "box", u.box)
+    options = {
+        **_image_options(nerf, background, march_step, pixel_offset, occupancy),
+        "kind": "mesh" if mesh else SURFACES[extension],
+        "ellipsoids": bool(ellipsoids),
+        "threshold": None if threshold is None else _threshold(threshold, u),
+        "pixels": whole("pixels", pixels, 1),
+        "cells": whole("cells", cells, 8, 640),
+        "density": None if density is None else real("density", density, above=0),
+    }
+    asked = _asked(nerf, box, march_step, batch)
+    with reporting(progress) as report:
+        _octobayes.export_surfaces(asked, u._field, path, np.ascontiguousarray(numbers), names, options, report)
+
+
+def _names(cameras: Any, views: Any, count: int) -> list[str]:
+    """The frames' names of a camera file, or numbers."""
+    if isinstance(cameras, (str, os.PathLike)):
+        names = _octobayes.read_cameras(os.fspath(cameras), "training", views, None, None)[1]
+        if len(names) == count:
+            return names
+    return [f"camera {i}" for i in range(count)]

@@ -1,0 +1,107 @@
+//! Files for other people's tools.
+
+use std::path::PathBuf;
+
+use numpy::PyReadonlyArray2;
+use octobayes::estimate::RaySettings;
+use octobayes::export::{
+    MeshSettings, surfaces, write_hyper_tree, write_leaves, write_mesh, write_points, write_report,
+};
+use octobayes::field::RadianceField;
+use octobayes::geometry::Camera;
+use octobayes::uncertainty::{ThresholdedField, UncertaintyField};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+use crate::errors::OrRaise;
+use crate::field::Uncertainty;
+use crate::options::{Options, cameras};
+use crate::run::Source;
+use crate::work::{Engine, work};
+
+/// Writes what needs the field alone; `kind` is "official", "leaves" or "hyper tree".
+#[pyfunction]
+pub fn export_field(py: Python<'_>, field: &Bound<'_, Uncertainty>, path: PathBuf, kind: &str) -> PyResult<()> {
+    let field = field.get().0.clone();
+    py.detach(|| match kind {
+        "leaves" => write_leaves(&path, &field),
+        "hyper tree" => write_hyper_tree(&path, &field),
+        _ => field.write_official(&path),
+    })
+    .or_raise()
+}
+
+/// What is written of a model's surfaces.
+enum Kind {
+    Points { ellipsoids: bool },
+    Mesh(MeshSettings),
+    Report { names: Vec<String> },
+}
+
+/// A file of a model's surfaces, but for the model.
+struct Job<'a> {
+    path: PathBuf,
+    kind: Kind,
+    settings: RaySettings,
+    threshold: Option<f64>,
+    pixels: u64,
+    cameras: &'a [Camera],
+}
+
+/// Writes what needs the model, too. `names` are those of the cameras; `kind` is "points", "mesh" or "report".
+#[pyfunction]
+#[expect(clippy::too_many_arguments, reason = "one call from Python, by position")]
+pub fn export_surfaces(
+    py: Python<'_>,
+    nerf: &Bound<'_, PyAny>,
+    field: &Bound<'_, Uncertainty>,
+    path: PathBuf,
+    rows: PyReadonlyArray2<'_, f64>,
+    names: Vec<String>,
+    options: &Bound<'_, PyDict>,
+    progress: Option<&Bound<'_, PyAny>>,
+) -> PyResult<()> {
+    let (source, cameras, options) = (Source::new(nerf)?, cameras(&rows)?, Options(options));
+    let kind = match options.or("kind", String::new())?.as_str() {
+        "mesh" => {
+            let default = MeshSettings { resolution: 192, density: None };
+            let resolution = options.or("cells", default.resolution)?;
+            Kind::Mesh(MeshSettings { resolution, density: options.get("density")? })
+        }
+        "report" => Kind::Report { names },
+        _ => Kind::Points { ellipsoids: options.or("ellipsoids", false)? },
+    };
+    let job = Job {
+        path,
+        kind,
+        settings: options.image(RaySettings::for_images())?,
+        threshold: options.get("threshold")?,
+        pixels: options.or("pixels", 400_000)?,
+        cameras: &cameras,
+    };
+    let field = field.get().0.clone();
+    work(py, source.gate(nerf), progress, |engine| source.with(engine, |model| job.write(engine, model, &field)))
+}
+
+impl Job<'_> {
+    fn write(
+        self,
+        engine: &Engine,
+        model: &dyn RadianceField,
+        uncertainty: &UncertaintyField,
+    ) -> octobayes::Result<()> {
+        let cleaned = self.threshold.map(|threshold| ThresholdedField { field: model, uncertainty, threshold });
+        let shown: &dyn RadianceField = cleaned.as_ref().map_or(model, |cleaned| cleaned);
+        if let Kind::Mesh(settings) = self.kind {
+            return write_mesh(&self.path, shown, uncertainty, settings, engine.monitor()).map(|_| ());
+        }
+        let tracer = self.settings.tracer(shown, 0.0, engine.monitor())?;
+        let offset = self.settings.pixel_offset.unwrap_or_else(|| shown.pixel_offset());
+        let found = surfaces(&tracer, self.cameras, offset, self.pixels, engine.monitor())?;
+        match self.kind {
+            Kind::Report { names } => write_report(&self.path, &found, &names, uncertainty),
+            Kind::Points { ellipsoids } => write_points(&self.path, &found, uncertainty, ellipsoids),
+            Kind::Mesh(_) => Ok(()),
+        }
+    }
+}
