@@ -207,7 +207,12 @@ fn merged_shards_are_the_whole_run() {
         for shard in 0..3 {
             good(folder, &format!("{settings} --shard {shard}/3 -o part{shard}.oct"));
         }
-        // In any order, and step by step.
+        // In any order, to the last bit.
+        good(folder, "merge part0.oct part1.oct part2.oct -o a.oct");
+        good(folder, "merge part2.oct part0.oct part1.oct -o b.oct");
+        let [a, b] = ["a.oct", "b.oct"].map(|f| std::fs::read(folder.join(f)).unwrap());
+        assert!(a == b, "the order of the parts matters");
+        // And step by step.
         let output = run(folder, "merge part2.oct part0.oct -o two.oct");
         let stderr = String::from_utf8(output.stderr).unwrap();
         let warning = "warning: the run over 40000 rays is not complete: part 1 of 3 (seed 0) missing\n";

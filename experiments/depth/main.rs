@@ -11,6 +11,7 @@ mod candidates;
 mod correlations;
 mod joint;
 mod judge;
+mod pictures;
 mod regression;
 mod scene;
 mod tables;
@@ -70,6 +71,7 @@ fn main() -> Result<()> {
         "depth",
         &[
             ("built-in", Needs::Nothing),
+            ("pictures", Needs::Nothing),
             ("meshes", Needs::Data),
             ("ensembles", Needs::Data),
             ("strong", Needs::Data),
@@ -80,6 +82,10 @@ fn main() -> Result<()> {
         let scenes = scenes(&[(KNOT, FEW), (KNOT, HALF)], STEPS);
         let rows = study(work, &scenes, &SEEDS, 1)?;
         Ok((settings(STEPS, &SEEDS), tables::coverage(&scenes, &rows)))
+    })?;
+    program.part("pictures", |_| {
+        let scene = scenes(&[(KNOT, FEW)], STRONG)[0];
+        Ok((settings(STRONG, &SEEDS[..1]), pictures::draw(&scene)?))
     })?;
     program.part("meshes", |work| {
         let scenes = scenes(&[&CHOOSING[..], &TESTING].concat(), STEPS);

@@ -6,11 +6,12 @@ import json
 import os
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import Executor
 from typing import Any, TypeAlias
 
 import numpy as np
 
-from . import _octobayes
+from . import _octobayes, _shards
 from ._arguments import array, color, floats, names, real, whole, wrong
 from ._arguments import box as as_box
 from ._arguments import path as as_path
@@ -200,6 +201,8 @@ def uncertainty(
     cutoff: float = 1e-6,
     error_bars: int | None = None,
     shard: str | tuple[int, int] | None = None,
+    executor: Executor | None = None,
+    shards: int | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
     checkpoint_every: float = 60.0,
     resume: bool = False,
@@ -241,6 +244,11 @@ def uncertainty(
     units, which needs the noise that training left, as ``noise``, ``psnr`` or recorded in the model, and cameras of the
     size that the model was trained at). ``lambda_`` is ``--lambda``.
 
+    executor: anything with the ``submit`` of ``concurrent.futures``, which runs the ``shards`` instead of this process:
+    a ProcessPoolExecutor, dask.distributed's ``client.get_executor()``. nerf must be a model's file that the workers
+    see, too, or a callable that they can unpickle. The shards are merged here as they come; the result is that of one
+    run up to the order of additions, and the same to the last bit whichever came first.
+
     progress: called with (stage, done, total); True for a bar of tqdm, False for none; by default a bar where one is
     seen and tqdm is installed.
 
@@ -264,6 +272,13 @@ def uncertainty(
     if not isinstance(nerf, Model) and domain["box"] is None and own_box is not None:
         domain["box"] = as_box("nerf.box", own_box)
     numbers, seen_by = _training_cameras(nerf, cameras, views, resolution, fov)
+    if executor is None and shards is not None:
+        raise wrong("shards", "an executor beside them (one shard alone: shard=)", shards)
+    if executor is not None:
+        own = {"shard": shard, "checkpoint": checkpoint, "dump_samples": dump_samples, "error_bars": error_bars}
+        shards = _shards.checked(executor, shards, own)
+        if auto or memory is not None:
+            raise wrong("executor", "a number of rays, and no limit of memory, which is each shard's own", "another")
     options = {
         **domain,
         **_grid_options(
@@ -287,6 +302,13 @@ def uncertainty(
         "dump_samples": None if dump_samples is None else as_path("dump_samples", dump_samples),
         "source": f"{_source(nerf)} seen by {seen_by}",
     }  # fmt: skip
+    if executor is not None and shards is not None:
+        gate = {"box": domain["box"], "step": march_step, "batch": batch, "description": _source(nerf)}
+        task = _shards.Task(nerf, gate, numbers, options)
+        with reporting(progress) as report:
+            field, texts = _shards.run(task, executor, shards, report)
+        _warn(texts)
+        return Uncertainty(field if keep_sums else field.for_queries())
     asked = _asked(nerf, domain["box"], march_step, batch)
     with reporting(progress) as report:
         field, texts = _octobayes.uncertainty(asked, numbers, options, report)

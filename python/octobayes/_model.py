@@ -18,6 +18,11 @@ class Model:
 
     def __init__(self, name: str, coordinates: str | None = None) -> None:
         self._model = _octobayes.Model(name, coordinates)
+        self._coordinates = coordinates
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """By its name: another process opens the file again."""
+        return Model, (self.name, self._coordinates)
 
     def __call__(self, x: ArrayLike, d: ArrayLike) -> tuple[Floats, Floats]:
         """Density and colour at points seen along directions.

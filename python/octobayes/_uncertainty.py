@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import tempfile
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,14 @@ class Uncertainty:
 
     def __init__(self, field: _octobayes.Uncertainty) -> None:
         self._field = field
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """As the bytes of an .oct file, so that fields pass between processes."""
+        with tempfile.TemporaryDirectory() as folder:
+            path = os.path.join(folder, "field.oct")
+            self._field.save(path)
+            with open(path, "rb") as file:
+                return _unpickled, (file.read(),)
 
     def _estimates(self, points: ArrayLike) -> list[NDArray[Any]]:
         x, shape = as_points("points", points)
@@ -169,3 +178,11 @@ class Uncertainty:
             f"<octobayes.Uncertainty {summary['grid']} of level {summary['level']} over {self._field.domain}: "
             f"{summary['vertices']} vertices, {protocol['rays']} rays>"
         )
+
+
+def _unpickled(content: bytes) -> Uncertainty:
+    with tempfile.TemporaryDirectory() as folder:
+        path = os.path.join(folder, "field.oct")
+        with open(path, "wb") as file:
+            file.write(content)
+        return Uncertainty(_octobayes.load(path, {}))

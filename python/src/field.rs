@@ -123,6 +123,11 @@ impl Uncertainty {
         py.detach(|| self.0.write(&path)).or_raise()
     }
 
+    /// The field without what only merging needs.
+    fn for_queries(&self, py: Python<'_>) -> Self {
+        Self(Arc::new(py.detach(|| (*self.0).clone().for_queries())))
+    }
+
     /// log10 U that the most certain `share` of visible surfaces does not exceed; `None` without such points.
     fn surface_quantile(&self, py: Python<'_>, share: f64) -> Option<f64> {
         py.detach(|| self.0.surface_quantiles([share])).map(|[log10]| log10)

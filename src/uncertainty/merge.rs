@@ -10,7 +10,7 @@ use crate::{Error, Result};
 ///
 /// Information adds up. Shards of one run keep all of theirs. Joined, they have the vertices of a run over all
 /// rays, at any tolerance. The sums differ only by the order of f64 additions, a relative n ε for n rays at a
-/// vertex. (Sums within n ε of the negligible limit may fall on either side. With criterion `density`, the
+/// vertex. The order of the parts does not matter, bit for bit. (Sums within n ε of the negligible limit may fall on either side. With criterion `density`, the
 /// shards' leaves stay, so there may be more vertices.)
 ///
 /// Runs with other seeds left out what was negligible for their own R rays, where their octrees are coarse. The
@@ -38,6 +38,8 @@ pub fn merge(parts: &[UncertaintyField]) -> Result<UncertaintyField> {
             }
         }
     }
+    let parts = &in_one_order(parts)[..];
+    let first = parts[0];
     let kept: Vec<&[VertexSums]> = parts
         .iter()
         .map(|part| {
@@ -55,7 +57,7 @@ pub fn merge(parts: &[UncertaintyField]) -> Result<UncertaintyField> {
     let most = parts.iter().map(|part| part.surface.len()).max().unwrap_or(0);
     let surface = parts.iter().flat_map(|part| &part.surface).copied().take(most).collect();
     let mut visits = first.visits.clone();
-    for part in rest {
+    for part in &parts[1..] {
         // If it is not known where the rays of one field passed, it is not known of the whole.
         visits = visits.zip(part.visits.as_ref()).map(|(mut sum, more)| {
             sum += more;
@@ -125,9 +127,22 @@ pub fn merge_with_error_bars(parts: &[UncertaintyField]) -> Result<UncertaintyFi
             _ => own.to_vec(),
         }
     };
-    let groups: Vec<Vec<VertexSums>> = parts.iter().map(at).collect();
+    let parts = in_one_order(parts);
+    let groups: Vec<Vec<VertexSums>> = parts.iter().map(|part| at(part)).collect();
     let rays: Vec<u64> = parts.iter().map(|part| part.protocol.rays).collect();
     Ok(merged.with_error_bars(&groups, &rays))
+}
+
+/// The parts by seed and shard, so that what is joined does not depend on the order in which they are given, bit for
+/// bit: f64 additions do not commute over three summands.
+fn in_one_order(parts: &[UncertaintyField]) -> Vec<&UncertaintyField> {
+    let mut parts: Vec<&UncertaintyField> = parts.iter().collect();
+    let key = |draw: &Draw| (draw.seed, draw.shard.rays, draw.shard.of, draw.shard.index);
+    parts.sort_by(|a, b| {
+        let by_draws = a.draws.iter().map(key).cmp(b.draws.iter().map(key));
+        by_draws.then_with(|| a.protocol.source.cmp(&b.protocol.source))
+    });
+    parts
 }
 
 /// Whether two fields may count the same rays.
@@ -207,7 +222,7 @@ fn check_alike(first: &UncertaintyField, part: &UncertaintyField, number: usize)
 /// Shards lack nothing, and nothing is left out as long as some shards are missing. A vertex that the octree of a
 /// whole run lacks may have lost what was negligible for the rays of that run. Every vertex considered here
 /// belongs to some part, whose sums are complete there.
-fn joined_floor(parts: &[UncertaintyField], draws: &[Draw]) -> f64 {
+fn joined_floor(parts: &[&UncertaintyField], draws: &[Draw]) -> f64 {
     if draws.iter().any(Draw::is_part) {
         return Refinement::EVERYTHING;
     }
@@ -218,7 +233,7 @@ fn joined_floor(parts: &[UncertaintyField], draws: &[Draw]) -> f64 {
 }
 
 /// The protocol of the joined run of these draws. It is a whole run again if all its shards are present.
-fn joined_protocol(parts: &[UncertaintyField], draws: &[Draw]) -> Protocol {
+fn joined_protocol(parts: &[&UncertaintyField], draws: &[Draw]) -> Protocol {
     let protocols = || parts.iter().map(|part| &part.protocol);
     let first = &parts[0].protocol;
     let one_seed = first.seed.filter(|_| protocols().all(|p| p.seed == first.seed));
