@@ -5,7 +5,7 @@
 
 use glam::{DVec3, Vec3};
 
-use crate::geometry::{Aabb, Domain};
+use crate::geometry::{Aabb, Domain, Norm};
 
 /// Cells along each axis of a brick. Its eight samples along each axis include those on its faces, which neighbours
 /// repeat: interpolation then never leaves a brick.
@@ -14,6 +14,9 @@ pub const CELLS: u32 = 7;
 pub const SIDE: usize = CELLS as usize + 1;
 /// Samples of a brick.
 pub const SAMPLES: usize = SIDE * SIDE * SIDE;
+
+/// Of what is stored at every other sample along each axis.
+pub const COARSE: usize = (SIDE / 2).pow(3);
 
 /// A lattice of cubes.
 #[derive(Debug, Clone)]
@@ -56,6 +59,31 @@ impl Grid {
             _ => folded,
         };
         Some(x.as_vec3()).filter(|x| self.bounds.contains(*x))
+    }
+
+    /// Lattice coordinates of a scene position.
+    pub fn folded(&self, x: DVec3) -> DVec3 {
+        match &self.domain {
+            Domain::Contracted { center, radius, norm } => {
+                let y = (x - DVec3::from(*center)) / *radius;
+                let r = if *norm == Norm::L2 { y.length() } else { y.abs().max_element() };
+                let k = if r > 1.0 { (2.0 - 1.0 / r) / r } else { 1.0 };
+                (*radius * (k * y + 2.0)) / self.edge
+            }
+            _ => (x - self.origin) / self.edge,
+        }
+    }
+
+    /// The same; `None` outside the lattice.
+    pub fn lattice(&self, x: DVec3) -> Option<DVec3> {
+        let at = self.folded(x);
+        let last = DVec3::from(self.samples().map(|n| n as f64 - 1.0));
+        (at.cmpge(DVec3::ZERO).all() && at.cmple(last).all()).then_some(at)
+    }
+
+    /// Samples along each axis.
+    pub fn samples(&self) -> [usize; 3] {
+        self.bricks.map(|n| (n * CELLS) as usize + 1)
     }
 
     /// Length that a cell's edge has in the scene around x.
