@@ -5,7 +5,7 @@
 
 use glam::{DVec3, Vec3};
 
-use crate::geometry::{Aabb, Domain, Norm};
+use crate::geometry::{Aabb, Domain, Lattice, Norm};
 
 /// Cells along each axis of a brick. Its eight samples along each axis include those on its faces, which neighbours
 /// repeat: interpolation then never leaves a brick.
@@ -59,6 +59,18 @@ impl Grid {
             _ => folded,
         };
         Some(x.as_vec3()).filter(|x| self.bounds.contains(*x))
+    }
+
+    /// True if every vertex of a field's lattice is a sample, so that what the field interpolates can be interpolated.
+    pub fn holds(&self, field: &Lattice) -> bool {
+        let low = match field.domain() {
+            Domain::Box(bounds) => bounds.min(),
+            Domain::Contracted { center, radius, .. } => DVec3::from(*center) - 2.0 * *radius,
+        };
+        let apart = field.domain().size() / (f64::from(field.cells_per_axis()) * self.edge);
+        let offset = (low - self.origin) / self.edge;
+        let is_whole = |v: DVec3| (v - v.round()).abs().max_element() < 1e-6 * v.abs().max_element().max(1.0);
+        is_whole(apart) && apart.min_element() > 0.5 && is_whole(offset)
     }
 
     /// Lattice coordinates of a scene position.
@@ -121,4 +133,37 @@ pub fn neighbours(i: usize) -> impl Iterator<Item = usize> {
         let x = x.clone();
         y.clone().flat_map(move |y| x.clone().map(move |x| x + SIDE * (y + SIDE * z)))
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_field_is_held_by_multiples_of_its_cells() {
+        let bounds = Aabb::centered_cube(1.5);
+        let field = Lattice::new(bounds, 5).unwrap();
+        let holds = |cells| Grid::new(bounds, field.domain(), cells).holds(&field);
+        assert!(holds(32) && holds(64) && holds(96));
+        assert!(!holds(16) && !holds(48) && !holds(63));
+        // Shifted by a third of a cell.
+        let shifted = Aabb::new(bounds.min() + 0.01, bounds.max() + 0.01).unwrap();
+        assert!(!Grid::new(shifted, field.domain(), 64).holds(&field));
+        let domain = Domain::contracted(DVec3::new(0.3, 0.0, 1.0), 0.7, Norm::L2).unwrap();
+        let field = Lattice::from_domain(domain, 6).unwrap();
+        assert!(Grid::new(bounds, &domain, 256).holds(&field) && !Grid::new(bounds, &domain, 250).holds(&field));
+    }
+
+    #[test]
+    fn folding_is_the_inverse_of_position() {
+        let bounds = Aabb::centered_cube(9.0);
+        for norm in [Norm::L2, Norm::Linf] {
+            let domain = Domain::contracted(DVec3::new(0.3, 0.0, 1.0), 0.7, norm).unwrap();
+            let grid = Grid::new(bounds, &domain, 64);
+            for at in [DVec3::new(30.0, 31.5, 33.0), DVec3::new(12.0, 40.0, 29.0)] {
+                let x = grid.position(at).unwrap();
+                assert!((grid.lattice(x.as_dvec3()).unwrap() - at).length() < 1e-3, "{norm:?} {at}");
+            }
+        }
+    }
 }

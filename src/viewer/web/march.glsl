@@ -19,14 +19,14 @@ uniform ivec3 bricks;
 uniform vec3 atlasSize;       // texels
 uniform int norm;             // 0: no contraction, 1: Euclidean, 2: largest coordinate
 uniform vec3 background;
-uniform float threshold;      // log10 U above which matter is removed
+uniform float threshold;      // share of the prior above which matter is removed
 uniform vec2 codes;           // log10 U of code 1 and of the prior, which is code 254
 uniform vec2 range;           // ends of the colour bar of log10 U
 uniform vec2 depths;          // ends of the colour bar of depth
 uniform int layer;            // 0 colour, 1 depth, 2 log10 U, 3 colour tinted by U
 uniform usampler3D pages;
 uniform sampler3D matter;     // red, green, blue, sqrt(absorbed along a cell)
-uniform sampler3D knowledge;  // code of log10 U as it is seen; U in PARTS of the prior, or more where no ray came
+uniform sampler3D knowledge;  // code of log10 U as it is seen; share of the prior at the point, in PARTS; more where no ray came
 uniform sampler2D maps;       // row 0: log10 U, row 1: depth
 
 #ifdef NUMBERS
@@ -101,8 +101,8 @@ void main() {
     ivec3 last = ivec3(-1);
     uvec4 page = uvec4(0u);
     bool isLong = false;
-    float most = 1.001 * PARTS * exp2(3.321928 * min(threshold - codes.y, 1.0));
-    bool asksU = layer > 1 || threshold < 1e8 || NUMBERED;
+    float most = 1.0005 * PARTS * threshold;
+    bool asksU = layer > 1 || threshold < 1.0 || NUMBERED;
     for (int i = 0; i < 4096 && t < ends.y && transmittance > END; i++) {
         vec3 p = eye + t * d;
         vec3 g = lattice(p);

@@ -82,7 +82,7 @@ class Renderer {
     gl.uniform1i(place('norm'), contraction ? (contraction.norm === 'l2' ? 1 : 2) : 0);
     set3('background', background);
     // The prior itself is rounded: at the upper end nothing is removed.
-    set('threshold', shown.threshold >= codes.prior ? 1e9 : shown.threshold);
+    set('threshold', shown.threshold >= codes.prior ? 2 : volume.shareOf(shown.threshold));
     set2('codes', [codes.low, codes.prior]);
     set2('range', shown.range);
     set2('depths', shown.depths.map((v) => v / volume.unit));

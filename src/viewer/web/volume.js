@@ -37,13 +37,30 @@ class Volume {
     return r > 1 ? (grid.edge * r) / (2 - 1 / r) : grid.edge;
   }
 
-  /** U of a code of log10 U at a point, in parts of the prior. */
+  /**
+   * What is interpolated for a code of log10 U at a point: U in parts of the prior, as in the field, if the field's
+   * vertices are among the samples; else 1 plus log10 U in parts of its range, which leaves out less between them.
+   */
   share(code) {
-    const { low, prior, last } = this.about.codes;
-    return 10 ** (((Math.min(Math.max(code, 1), last) - last) / (last - 1)) * (prior - low));
+    const { codes, holdsField } = this.about;
+    const part = (Math.min(Math.max(code, 1), codes.last) - 1) / (codes.last - 1);
+    return holdsField ? 10 ** ((part - 1) * (codes.prior - codes.low)) : (1 + part) / 2;
   }
 
-  /** Texels of log10 U as it is seen, codes, and of U, in 32768 parts of the prior and half as much again where no ray came. */
+  /** log10 U of what was interpolated. */
+  log10(share) {
+    const { codes, holdsField } = this.about;
+    return holdsField ? codes.prior + Math.log10(share) : codes.low + (2 * share - 1) * (codes.prior - codes.low);
+  }
+
+  /** The same of log10 U. */
+  shareOf(log10U) {
+    const { codes, holdsField } = this.about;
+    const beyond = Math.min(log10U - codes.prior, 0.1);
+    return holdsField ? 10 ** beyond : 1 + beyond / (2 * (codes.prior - codes.low));
+  }
+
+  /** Texels of log10 U as it is seen, codes, and of shares at points, in 32768 parts and half as many again where no ray came. */
   halves() {
     const { knowledge } = this;
     const codes = Uint16Array.from({ length: 256 }, (_, code) => half(code));
@@ -69,7 +86,6 @@ class Volume {
       const at = bits.map((bit, k) => 8 * this.pages[page + k] + first[k] + bit);
       const texel = at[0] + 8 * atlas[0] * (at[1] + 8 * atlas[1] * at[2]);
       sums[0] += weight * this.matter[4 * texel + 3];
-      // U is interpolated, not its logarithm, as the field does.
       const code = this.knowledge[2 * texel + 1];
       sums[1] += weight * this.share(code);
       sums[2] += weight * (code > codes.last);
@@ -80,7 +96,7 @@ class Volume {
     const rays = this.rays[64 * slot + near[0] + 4 * (near[1] + 4 * near[2])];
     const absorbed = (sums[0] / 255) ** 2;
     return {
-      log10U: codes.prior + Math.log10(sums[1]),
+      log10U: this.log10(sums[1]),
       density: -Math.log(Math.max(1 - absorbed, 0.001)) / this.length(x) / codes.density,
       rays: 2 ** ((rays / codes.lastRays) * codes.rays) - 1,
       isUnseen: sums[2] > 0.5,
