@@ -32,8 +32,8 @@ const STEPS: [u8; 3] = [1, 3, 9];
 /// Steps of the codes of matter: that is seen, and that is not.
 const FINE: f32 = 3.0;
 const ROUGH: u8 = 17;
-/// Factors of density that are tried. The mean of what is absorbed in a cell is less than what its mean density absorbs,
-/// so that surfaces seem to lie deeper than they do.
+/// Factors of density that are tried. The mean of what is absorbed in a cell is less than what its mean density
+/// absorbs, so that surfaces seem to lie deeper than they do.
 const FACTORS: [f64; 8] = [1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0];
 
 /// A brick with matter.
@@ -176,8 +176,8 @@ fn may_hold(grid: &Grid, positions: &[Option<Vec3>], occupancy: &Occupancy) -> b
     positions.iter().flatten().any(holds)
 }
 
-/// What is absorbed along the edge of a cell at the samples of a brick: averaged over eight points around those that are
-/// marked.
+/// What is absorbed along the edge of a cell at the samples of a brick: averaged over eight points around those that
+/// are marked.
 fn absorbed(
     grid: &Grid,
     index: [u32; 3],

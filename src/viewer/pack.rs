@@ -53,8 +53,8 @@ impl Pages {
 pub struct Packed {
     /// Where the bricks are, as in [`Pages`]. Base 64 of zlib.
     pub pages: String,
-    /// `[6][bricks of the atlas][SAMPLES]`: green, (red − green) / 8, (blue − green) / 8, matter, log10 U as it is seen,
-    /// log10 U; then `[bricks of the atlas][COARSE]` rays. Red and blue are right within 4/255. Base 64 of zlib.
+    /// `[6][bricks of the atlas][SAMPLES]`: green, (red − green) / 8, (blue − green) / 8, matter, log10 U as it is
+    /// seen, log10 U; then `[bricks of the atlas][COARSE]` rays. Red and blue are right within 4/255. Base 64 of zlib.
     pub planes: String,
 }
 

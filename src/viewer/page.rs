@@ -129,8 +129,8 @@ pub fn write_view(path: &Path, view: &View, cells: u32, budget: usize, monitor: 
     }
 }
 
-/// The number of cells near to `cells`, if there is one, of which the field's `vertices` along an edge are a part: U can
-/// then be interpolated as the field does it.
+/// The number of cells near to `cells`, if there is one, of which the field's `vertices` along an edge are a part: U
+/// can then be interpolated as the field does it.
 fn snapped(cells: u32, vertices: u32) -> u32 {
     let whole = (f64::from(cells) / f64::from(vertices)).round() as u32 * vertices;
     if f64::from(cells.abs_diff(whole)) <= NEAR * f64::from(cells) { whole } else { cells }

@@ -26,7 +26,7 @@ uniform vec2 depths;          // ends of the colour bar of depth
 uniform int layer;            // 0 colour, 1 depth, 2 log10 U, 3 colour tinted by U
 uniform usampler3D pages;
 uniform sampler3D matter;     // red, green, blue, sqrt(absorbed along a cell)
-uniform sampler3D knowledge;  // code of log10 U as it is seen; share of the prior at the point, in PARTS; more where no ray came
+uniform sampler3D knowledge;  // code of log10 U as seen; share of the prior at the point, in PARTS, more if no ray came
 uniform sampler2D maps;       // row 0: log10 U, row 1: depth
 
 #ifdef NUMBERS
