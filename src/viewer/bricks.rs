@@ -3,88 +3,103 @@
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-use super::color::{MeanColor, outwards, spread};
-use super::grid::{Grid, SAMPLES, neighbours, sample};
+use super::color::MeanColor;
+use super::fit::{Fit, deeper};
+use super::grid::{COARSE, Grid, SAMPLES, SIDE, neighbours, place, sample};
+use super::march::Volume;
+use super::pack::Pages;
+use super::seen::{Marks, SeenRay};
 use crate::Result;
 use crate::field::RadianceField;
-use crate::geometry::Camera;
 use crate::monitor::{Monitor, check};
 use crate::render::Occupancy;
 use crate::uncertainty::{Knowledge, UncertaintyField};
 
 /// Matter that absorbs less than this along the edge of a cell is left out, if a whole brick holds no more.
 const LEAST: f64 = 2e-4;
-/// Codes of log10 U run from 0 at the lower end to this at the prior.
+/// Codes of log10 U run from 1 at the lower end to this at the prior.
 pub const PRIOR: f64 = 254.0;
 /// The code of what no training ray reached. U is the prior's there.
 pub const UNSEEN: u8 = 255;
-/// How far rays across a surface reach to both sides of a sample, cells, and at how many places they ask.
-const ACROSS: f64 = 1.5;
-const PLACES: u32 = 9;
-/// Places that contribute less to such a ray are not asked about U.
-const FAINT: f64 = 0.03;
-/// The share of a cell's edge by which the points lie apart over which density is averaged.
-const APART: f64 = 0.25;
-
-/// A brick with matter; all arrays are `[SAMPLES]`, x fastest.
-pub struct Brick {
-    /// Among the lattice's bricks.
-    pub index: [u32; 3],
-    /// 255 √α, where α is what is absorbed along the edge of a cell.
-    pub matter: Vec<u8>,
-    /// Red, green and blue.
-    pub color: Vec<[u8; 3]>,
-    /// log10 U, from 0 at the lower end to [`PRIOR`]; or [`UNSEEN`].
-    pub log10: Vec<u8>,
-    /// [`RAYS`] log2(1 + rays) / log2(1 + the most).
-    pub rays: Vec<u8>,
-}
-
+/// The code of log10 U as it is seen where nothing sees it: it is as at the point.
+pub const AS_AT_POINT: u8 = 0;
 /// The code of the most rays. Few codes compress well; a few thousand rays are right within 15 %.
 pub const RAYS: f64 = 31.0;
+/// The share of a cell's edge by which the points lie apart over which density is averaged.
+const APART: f64 = 0.25;
+/// Steps of the codes of log10 U: as it is seen, at a point, and at a point that is not seen. Few codes compress well.
+const STEPS: [u8; 3] = [1, 3, 9];
+/// Steps of the codes of matter: that is seen, and that is not.
+const FINE: f32 = 3.0;
+const ROUGH: u8 = 17;
+/// Factors of density that are tried. The mean of what is absorbed in a cell is less than what its mean density
+/// absorbs, so that surfaces seem to lie deeper than they do.
+const FACTORS: [f64; 8] = [1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0];
+
+/// A brick with matter.
+pub struct Brick {
+    /// `[SAMPLES]`, x fastest: 255 √α, where α is what is absorbed along the edge of a cell.
+    pub matter: Vec<u8>,
+    /// `[SAMPLES]`: red, green and blue.
+    pub color: Vec<[u8; 3]>,
+    /// `[SAMPLES]`: mean of log10 U along rays, so that rays through the volume say what `render` says; from 1 at the
+    /// lower end to [`PRIOR`], or [`AS_AT_POINT`].
+    pub seen: Vec<u8>,
+    /// `[SAMPLES]`: log10 U at the sample, from 1 at the lower end to [`PRIOR`]; or [`UNSEEN`].
+    pub log10: Vec<u8>,
+    /// `[COARSE]`: [`RAYS`] log2(1 + rays) / log2(1 + the most), at every other sample.
+    pub rays: Vec<u8>,
+}
 
 /// How values become codes.
 #[derive(Debug, Clone, Copy)]
 pub struct Codes {
-    /// log10 U of code 0.
+    /// log10 U of code 1.
     pub low: f64,
     /// log10 U of code [`PRIOR`].
     pub prior: f64,
     /// log2(1 + rays) of code [`RAYS`].
     pub rays: f64,
+    /// Factor of density.
+    pub density: f64,
 }
 
-/// A brick whose uncertainty is not coded yet.
+/// What is to be shown.
+pub struct Source<'a> {
+    pub model: &'a dyn RadianceField,
+    pub field: &'a UncertaintyField,
+    /// Tells where the model may have density.
+    pub occupancy: &'a Occupancy,
+    /// Positions of cameras, over whose directions colours are averaged.
+    pub eyes: &'a [Vec3],
+    /// What cameras see, and what they would see if the slider had removed some of it.
+    pub rays: [&'a [SeenRay]; 2],
+}
+
+/// A brick that is not coded yet.
 struct Matter {
     index: [u32; 3],
-    matter: Vec<u8>,
+    alpha: Vec<f32>,
+    is_marked: Vec<bool>,
     color: Vec<[u8; 3]>,
     /// `None` where no interpolation asks.
     found: Vec<Option<Known>>,
 }
 
-/// What the field says of the matter at a sample.
-#[derive(Clone, Copy, Default)]
+/// What the field says at a sample.
+#[derive(Clone, Copy)]
 struct Known {
-    log10: f64,
-    rays: f64,
+    log10: f32,
+    rays: f32,
     is_unseen: bool,
 }
 
-/// Samples `model` and `field` on a lattice; `occupancy` tells where the model may have density. Colours are means over
-/// the directions from which `cameras` look.
+/// Samples a model and its field on a lattice; the bricks with matter, in their order in the pages.
 ///
 /// # Errors
 /// [`crate::Error::Interrupted`] only.
-pub fn bricks(
-    grid: &Grid,
-    model: &dyn RadianceField,
-    occupancy: &Occupancy,
-    field: &UncertaintyField,
-    cameras: &[Camera],
-    monitor: &dyn Monitor,
-) -> Result<(Vec<Brick>, Codes)> {
-    let eyes = spread(cameras);
+pub fn bricks(grid: &Grid, source: &Source, monitor: &dyn Monitor) -> Result<(Pages, Vec<Brick>, Codes)> {
+    let marks = [Marks::new(grid, source.rays[0]), Marks::new(grid, source.rays[1])];
     let all = grid.all_bricks();
     monitor.begin("bricks", all.len() as u64);
     let found: Vec<Option<Matter>> = all
@@ -92,24 +107,67 @@ pub fn bricks(
         .map(|index| {
             check(monitor)?;
             monitor.advance(1);
-            let positions: Vec<Option<Vec3>> = (0..SAMPLES).map(|i| grid.position(sample(index, i))).collect();
-            if !may_hold(grid, &positions, occupancy) {
-                return Ok(None);
-            }
-            let (alpha, middles) = absorbed(grid, index, &positions, model);
-            if alpha.iter().all(|a| *a < LEAST) {
-                return Ok(None);
-            }
-            let color = MeanColor { model, eyes: &eyes }.of_brick(&positions, &alpha);
-            let matter: Vec<u8> = alpha.iter().map(|a| (255.0 * a.sqrt()).round() as u8).collect();
-            let found = knowledge((grid, index), model, field, (&alpha, &matter), &middles);
-            Ok(Some(Matter { index, matter, color, found }))
+            Ok(matter(grid, index, source, &marks))
         })
         .collect::<Result<_>>()?;
     monitor.end();
     let found: Vec<Matter> = found.into_iter().flatten().collect();
-    let codes = Codes::of(&found, field);
-    Ok((found.into_iter().map(|brick| codes.code(brick)).collect(), codes))
+    let places: Vec<[u32; 3]> = found.iter().map(|brick| brick.index).collect();
+    let pages = Pages::new(grid, &places);
+    let (density, matter) = unbiased(grid, &pages, &found, source.rays[0]);
+    let fit = Fit::new(&Volume { grid, pages: &pages, matter: &matter }, &places, source.rays[0]);
+    let codes = Codes::of(&found, source.field, density);
+    let coded = found
+        .into_par_iter()
+        .zip(matter.par_chunks(SAMPLES))
+        .enumerate()
+        .map(|(slot, (brick, matter))| codes.code(brick, matter, |i| fit.at(slot * SAMPLES + i)))
+        .collect();
+    Ok((pages, coded, codes))
+}
+
+/// A brick; `None` without matter.
+fn matter(grid: &Grid, index: [u32; 3], source: &Source, marks: &[Marks; 2]) -> Option<Matter> {
+    let positions: Vec<Option<Vec3>> = (0..SAMPLES).map(|i| grid.position(sample(index, i))).collect();
+    if !may_hold(grid, &positions, source.occupancy) {
+        return None;
+    }
+    let is_marked: Vec<bool> = (0..SAMPLES).map(|i| marks.iter().any(|marks| marks.has(sample(index, i)))).collect();
+    let alpha = absorbed(grid, index, &positions, &is_marked, source.model);
+    if alpha.iter().all(|a| *a < LEAST) {
+        return None;
+    }
+    let color = MeanColor { model: source.model, eyes: source.eyes }.of_brick(&positions, &alpha, &is_marked);
+    let is_asked = |i: usize| alpha[i] > 0.0 || neighbours(i).any(|j| alpha[j] > 0.0);
+    let known = |x: Vec3| {
+        let found = source.field.query(x);
+        let is_unseen = source.field.knowledge(x, found.uncertainty) == Some(Knowledge::Unseen);
+        Known { log10: found.uncertainty.log10() as f32, rays: found.rays.unwrap_or(0.0) as f32, is_unseen }
+    };
+    let found = (0..SAMPLES).map(|i| positions[i].filter(|_| is_asked(i)).map(known)).collect();
+    Some(Matter { index, alpha: alpha.into_iter().map(|a| a as f32).collect(), is_marked, color, found })
+}
+
+/// The factor of density with which the volume's surfaces are as deep as those that are seen, and codes of matter.
+fn unbiased(grid: &Grid, pages: &Pages, bricks: &[Matter], rays: &[SeenRay]) -> (f64, Vec<u8>) {
+    let coded = |factor: f64| -> Vec<u8> {
+        let absorbed = |a: &f32| (-(factor as f32 * (-*a).ln_1p()).exp_m1()).max(0.0);
+        let code = |a: &f32| (FINE * (255.0 / FINE * absorbed(a).sqrt()).round()) as u8;
+        bricks.par_iter().flat_map_iter(|brick| brick.alpha.iter().map(code)).collect()
+    };
+    let mut best = (f64::INFINITY, 1.0, coded(1.0));
+    for factor in FACTORS {
+        let matter = coded(factor);
+        let off = deeper(&Volume { grid, pages, matter: &matter }, rays);
+        if off.abs() < best.0 {
+            best = (off.abs(), factor, matter);
+        }
+        // More density only brings surfaces nearer.
+        if off <= 0.0 {
+            break;
+        }
+    }
+    (best.1, best.2)
 }
 
 /// False if the model has no density at the samples of a brick, nor in the cells of the occupancy grid around them.
@@ -118,128 +176,80 @@ fn may_hold(grid: &Grid, positions: &[Option<Vec3>], occupancy: &Occupancy) -> b
     positions.iter().flatten().any(holds)
 }
 
-/// What is absorbed along the edge of a cell at the samples of a brick, averaged over eight points around each, and the
-/// middle of what absorbs there.
+/// What is absorbed along the edge of a cell at the samples of a brick: averaged over eight points around those that
+/// are marked.
 fn absorbed(
     grid: &Grid,
     index: [u32; 3],
     positions: &[Option<Vec3>],
+    is_marked: &[bool],
     model: &dyn RadianceField,
-) -> (Vec<f64>, Vec<Option<Vec3>>) {
+) -> Vec<f64> {
     let corners = (0..8_u32).map(|c| DVec3::from([0, 1, 2].map(|axis| APART * (f64::from(c >> axis & 1) - 0.5) * 2.0)));
     let corners: Vec<DVec3> = corners.collect();
     let mut points = Vec::with_capacity(8 * SAMPLES);
-    for i in (0..SAMPLES).filter(|&i| positions[i].is_some()) {
-        let at = sample(index, i);
-        points.extend(corners.iter().filter_map(|corner| Some((i, grid.position(at + *corner)?))));
+    for (i, x) in positions.iter().enumerate() {
+        match *x {
+            Some(_) if is_marked[i] => {
+                let at = sample(index, i);
+                points.extend(corners.iter().filter_map(|corner| Some((i, 0.125, grid.position(at + *corner)?))));
+            }
+            Some(x) => points.push((i, 1.0, x)),
+            None => {}
+        }
     }
     let mut densities = vec![0.0; points.len()];
-    model.densities(&points.iter().map(|(_, x)| *x).collect::<Vec<_>>(), &mut densities);
-    let (mut alpha, mut middles) = (vec![0.0; SAMPLES], vec![DVec3::ZERO; SAMPLES]);
-    for ((i, x), sigma) in points.into_iter().zip(densities) {
+    model.densities(&points.iter().map(|(_, _, x)| *x).collect::<Vec<_>>(), &mut densities);
+    let mut alpha = vec![0.0; SAMPLES];
+    for ((i, share, x), sigma) in points.into_iter().zip(densities) {
         // What is not finite is left out, as rays through it are.
         if sigma > 0.0 && sigma.is_finite() {
-            let share = -0.125 * (-f64::from(sigma) * grid.length(x)).exp_m1();
-            alpha[i] += share;
-            middles[i] += share * x.as_dvec3();
+            alpha[i] -= share * (-f64::from(sigma) * grid.length(x)).exp_m1();
         }
     }
-    let middle = |(sum, alpha): (DVec3, &f64)| (*alpha > 0.0).then(|| (sum / *alpha).as_vec3());
-    let middles = middles.into_iter().zip(&alpha).map(middle).collect();
-    (alpha, middles)
-}
-
-/// What the field says at the samples of a brick: what a ray towards the surface there would say, not of the air beside
-/// it, in which U is larger by decades. Samples without matter get the mean of their neighbours with matter, so that
-/// interpolation stays at the surface.
-fn knowledge(
-    (grid, index): (&Grid, [u32; 3]),
-    model: &dyn RadianceField,
-    field: &UncertaintyField,
-    (alpha, matter): (&[f64], &[u8]),
-    middles: &[Option<Vec3>],
-) -> Vec<Option<Known>> {
-    let seen = towards_surface(grid, index, model, alpha);
-    let own: Vec<Option<Known>> = (0..SAMPLES)
-        .map(|i| {
-            let middle = middles[i].filter(|_| alpha[i] >= LEAST)?;
-            let known = |x: Vec3| {
-                let found = field.query(x);
-                let is_unseen = field.knowledge(x, found.uncertainty) == Some(Knowledge::Unseen);
-                Known { log10: found.uncertainty.log10(), rays: found.rays.unwrap_or(0.0), is_unseen }
-            };
-            if seen[i].is_empty() {
-                return Some(known(middle));
-            }
-            let total: f64 = seen[i].iter().map(|(_, weight)| weight).sum();
-            let found = seen[i].iter().map(|&(x, weight)| (known(x), weight / total));
-            Some(found.fold(Known::default(), |sum, (known, share)| Known {
-                log10: sum.log10 + share * known.log10,
-                rays: sum.rays + share * known.rays,
-                // The place where most of the light is lost decides.
-                is_unseen: if share >= 0.5 { known.is_unseen } else { sum.is_unseen },
-            }))
-        })
-        .collect();
-    let mean = |i: usize| {
-        let (mut sum, mut total, mut unseen) = (Known::default(), 0.0, 0.0);
-        for (known, j) in neighbours(i).filter_map(|j| Some((own[j]?, j))) {
-            sum.log10 += alpha[j] * known.log10;
-            sum.rays += alpha[j] * known.rays;
-            unseen += alpha[j] * f64::from(u8::from(known.is_unseen));
-            total += alpha[j];
-        }
-        let is_unseen = unseen > 0.5 * total;
-        (total > 0.0).then(|| Known { log10: sum.log10 / total, rays: sum.rays / total, is_unseen })
-    };
-    let is_asked = |i: usize| neighbours(i).any(|j| matter[j] > 0);
-    (0..SAMPLES).map(|i| own[i].or_else(|| is_asked(i).then(|| mean(i)).flatten())).collect()
-}
-
-/// For every sample with a surface beside it: places along a short ray across it, from outside, with what they
-/// contribute.
-fn towards_surface(grid: &Grid, index: [u32; 3], model: &dyn RadianceField, alpha: &[f64]) -> Vec<Vec<(Vec3, f64)>> {
-    let mut points = Vec::new();
-    for i in (0..SAMPLES).filter(|&i| alpha[i] >= LEAST) {
-        let Some(outwards) = outwards(alpha, i) else { continue };
-        let (at, outwards) = (sample(index, i), outwards.as_dvec3());
-        let places = (0..PLACES).map(|k| ACROSS * (1.0 - 2.0 * f64::from(k) / f64::from(PLACES - 1)));
-        points.extend(places.filter_map(|along| Some((i, grid.position(at + along * outwards)?))));
-    }
-    let mut densities = vec![0.0; points.len()];
-    model.densities(&points.iter().map(|(_, x)| *x).collect::<Vec<_>>(), &mut densities);
-    let step = 2.0 * ACROSS / f64::from(PLACES - 1);
-    let (mut found, mut transmittance) = (vec![Vec::new(); SAMPLES], vec![1.0; SAMPLES]);
-    for ((i, x), sigma) in points.into_iter().zip(densities).filter(|(_, sigma)| *sigma > 0.0 && sigma.is_finite()) {
-        let weight: f64 = -transmittance[i] * (-f64::from(sigma) * step * grid.length(x)).exp_m1();
-        transmittance[i] -= weight;
-        if weight > FAINT {
-            found[i].push((x, weight));
-        }
-    }
-    found
+    alpha
 }
 
 impl Codes {
     /// That hold the values of all samples.
-    fn of(bricks: &[Matter], field: &UncertaintyField) -> Self {
+    fn of(bricks: &[Matter], field: &UncertaintyField, density: f64) -> Self {
         let all = || bricks.iter().flat_map(|brick| brick.found.iter().flatten());
         let prior = field.prior().log10();
-        let low = all().map(|known| known.log10).fold(prior - 1.0, f64::min);
-        let rays = all().map(|known| known.rays).fold(1.0, f64::max);
-        Self { low, prior, rays: (1.0 + rays).log2() }
+        let low = all().map(|known| f64::from(known.log10)).fold(prior - 1.0, f64::min);
+        let rays = all().map(|known| f64::from(known.rays)).fold(1.0, f64::max);
+        Self { low, prior, rays: (1.0 + rays).log2(), density }
     }
 
-    fn code(&self, Matter { index, matter, color, found }: Matter) -> Brick {
-        let log10 = |known: &Option<Known>| match known {
-            Some(known) if known.is_unseen => UNSEEN,
-            Some(known) => (PRIOR * ((known.log10 - self.low) / (self.prior - self.low)).clamp(0.0, 1.0)).round() as u8,
-            None => 0,
+    fn log10(&self, log10: f32) -> u8 {
+        let share = ((f64::from(log10) - self.low) / (self.prior - self.low)).clamp(0.0, 1.0);
+        (1.0 + (PRIOR - 1.0) * share).round() as u8
+    }
+
+    fn code(&self, brick: Matter, matter: &[u8], fitted: impl Fn(usize) -> Option<[f32; 4]>) -> Brick {
+        let Matter { is_marked, mut color, found, .. } = brick;
+        let (mut seen, mut log10) = (vec![AS_AT_POINT; SAMPLES], vec![AS_AT_POINT; SAMPLES]);
+        let mut matter = matter.to_vec();
+        let rounded = |code: u8, step: u8| (f64::from(code) / f64::from(step)).round() as u8 * step;
+        let log10_code = |log10: f32, step: u8| (1 + rounded(self.log10(log10) - 1, step)).min(PRIOR as u8);
+        for i in 0..SAMPLES {
+            if let Some(known) = found[i] {
+                let step = if is_marked[i] { STEPS[1] } else { STEPS[2] };
+                log10[i] = if known.is_unseen { UNSEEN } else { log10_code(known.log10, step) };
+            }
+            if !is_marked[i] {
+                matter[i] = rounded(matter[i], ROUGH);
+            }
+            if let Some([u, red, green, blue]) = fitted(i) {
+                seen[i] = log10_code(u, STEPS[0]);
+                color[i] = [red, green, blue].map(|v| (255.0 * v.clamp(0.0, 1.0)).round() as u8);
+            }
+        }
+        let at_coarse = |i: &usize| place(*i).iter().all(|k| k % 2 == 0);
+        let rays = |i: usize| {
+            (RAYS * (1.0 + found[i].map_or(0.0, |known| f64::from(known.rays))).log2() / self.rays).round() as u8
         };
-        let rays = |known: &Option<Known>| {
-            (RAYS * (1.0 + known.map_or(0.0, |known| known.rays)).log2() / self.rays).round() as u8
-        };
-        let (log10, rays) = (found.iter().map(log10).collect(), found.iter().map(rays).collect());
-        Brick { index, matter, color, log10, rays }
+        let rays: Vec<u8> = (0..SAMPLES).filter(at_coarse).map(rays).collect();
+        debug_assert_eq!((rays.len(), SIDE % 2), (COARSE, 0));
+        Brick { matter, color, seen, log10, rays }
     }
 }

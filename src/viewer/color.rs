@@ -4,24 +4,17 @@ use glam::Vec3;
 
 use super::grid::{SAMPLES, SIDE, neighbours, place};
 use crate::field::{Radiance, RadianceField};
-use crate::geometry::Camera;
 
-/// Cameras whose directions are tried.
-const EYES: usize = 48;
 /// Directions over which a colour is averaged.
-const DIRECTIONS: usize = 6;
+const DIRECTIONS: usize = 3;
 /// The same inside of matter, where hardly any camera sees.
 const INSIDE: usize = 2;
+/// One of so many samples is asked for the colour of a brick of which nothing is seen.
+const FEW: usize = 37;
 /// Matter that changes less than this from sample to sample has no surface.
 const FLAT: f32 = 0.02;
 /// Samples that absorb less than this get the colour of their neighbours.
 const LEAST: f64 = 1e-3;
-
-/// Some of the cameras' positions, spread over their order.
-pub fn spread(cameras: &[Camera]) -> Vec<Vec3> {
-    let n = cameras.len().min(EYES);
-    (0..n).map(|k| cameras[(2 * k + 1) * cameras.len() / (2 * n)].position.as_vec3()).collect()
-}
 
 /// Colours of a model as cameras at `eyes` see them.
 pub struct MeanColor<'a> {
@@ -33,11 +26,13 @@ pub struct MeanColor<'a> {
 
 impl MeanColor<'_> {
     /// Colours at the samples of a brick, which absorb `alpha`. What absorbs nothing gets the mean of its neighbours,
-    /// so that interpolation does not darken edges.
-    pub fn of_brick(&self, positions: &[Option<Vec3>], alpha: &[f64]) -> Vec<[u8; 3]> {
+    /// so that interpolation does not darken edges; what is not marked, the mean of the marked or of a few.
+    pub fn of_brick(&self, positions: &[Option<Vec3>], alpha: &[f64], is_marked: &[bool]) -> Vec<[u8; 3]> {
         let mut owners = Vec::new();
         let (mut points, mut directions) = (Vec::new(), Vec::new());
-        for (i, x) in positions.iter().enumerate().filter(|(i, _)| alpha[*i] >= LEAST) {
+        let has_marked = (0..SAMPLES).any(|i| is_marked[i] && alpha[i] >= LEAST);
+        let is_asked = |i: usize| alpha[i] >= LEAST && if has_marked { is_marked[i] } else { i.is_multiple_of(FEW) };
+        for (i, x) in positions.iter().enumerate().filter(|(i, _)| is_asked(*i)) {
             let Some(x) = *x else { continue };
             for (direction, weight) in self.directions(x, outwards(alpha, i)) {
                 owners.push((i, weight));
@@ -55,6 +50,7 @@ impl MeanColor<'_> {
         let known: Vec<Option<Vec3>> =
             sums.iter().map(|(sum, weight)| (*weight > 0.0).then(|| *sum / *weight)).collect();
         let grey = mean(known.iter().flatten().copied()).unwrap_or(Vec3::splat(0.5));
+        let known: Vec<Option<Vec3>> = if has_marked { known } else { vec![None; SAMPLES] };
         let color = |i: usize| known[i].or_else(|| mean(neighbours(i).filter_map(|j| known[j]))).unwrap_or(grey);
         (0..SAMPLES).map(|i| color(i).to_array().map(|v| (255.0 * v.clamp(0.0, 1.0)).round() as u8)).collect()
     }

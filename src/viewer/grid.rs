@@ -5,7 +5,7 @@
 
 use glam::{DVec3, Vec3};
 
-use crate::geometry::{Aabb, Domain};
+use crate::geometry::{Aabb, Domain, Lattice, Norm};
 
 /// Cells along each axis of a brick. Its eight samples along each axis include those on its faces, which neighbours
 /// repeat: interpolation then never leaves a brick.
@@ -14,6 +14,9 @@ pub const CELLS: u32 = 7;
 pub const SIDE: usize = CELLS as usize + 1;
 /// Samples of a brick.
 pub const SAMPLES: usize = SIDE * SIDE * SIDE;
+
+/// Of what is stored at every other sample along each axis.
+pub const COARSE: usize = (SIDE / 2).pow(3);
 
 /// A lattice of cubes.
 #[derive(Debug, Clone)]
@@ -58,6 +61,43 @@ impl Grid {
         Some(x.as_vec3()).filter(|x| self.bounds.contains(*x))
     }
 
+    /// True if every vertex of a field's lattice is a sample, so that what the field interpolates can be interpolated.
+    pub fn holds(&self, field: &Lattice) -> bool {
+        let low = match field.domain() {
+            Domain::Box(bounds) => bounds.min(),
+            Domain::Contracted { center, radius, .. } => DVec3::from(*center) - 2.0 * *radius,
+        };
+        let apart = field.domain().size() / (f64::from(field.cells_per_axis()) * self.edge);
+        let offset = (low - self.origin) / self.edge;
+        let is_whole = |v: DVec3| (v - v.round()).abs().max_element() < 1e-6 * v.abs().max_element().max(1.0);
+        is_whole(apart) && apart.min_element() > 0.5 && is_whole(offset)
+    }
+
+    /// Lattice coordinates of a scene position.
+    pub fn folded(&self, x: DVec3) -> DVec3 {
+        match &self.domain {
+            Domain::Contracted { center, radius, norm } => {
+                let y = (x - DVec3::from(*center)) / *radius;
+                let r = if *norm == Norm::L2 { y.length() } else { y.abs().max_element() };
+                let k = if r > 1.0 { (2.0 - 1.0 / r) / r } else { 1.0 };
+                (*radius * (k * y + 2.0)) / self.edge
+            }
+            _ => (x - self.origin) / self.edge,
+        }
+    }
+
+    /// The same; `None` outside the lattice.
+    pub fn lattice(&self, x: DVec3) -> Option<DVec3> {
+        let at = self.folded(x);
+        let last = DVec3::from(self.samples().map(|n| n as f64 - 1.0));
+        (at.cmpge(DVec3::ZERO).all() && at.cmple(last).all()).then_some(at)
+    }
+
+    /// Samples along each axis.
+    pub fn samples(&self) -> [usize; 3] {
+        self.bricks.map(|n| (n * CELLS) as usize + 1)
+    }
+
     /// Length that a cell's edge has in the scene around x.
     pub fn length(&self, x: Vec3) -> f64 {
         self.edge * self.domain.stretch(x)
@@ -93,4 +133,37 @@ pub fn neighbours(i: usize) -> impl Iterator<Item = usize> {
         let x = x.clone();
         y.clone().flat_map(move |y| x.clone().map(move |x| x + SIDE * (y + SIDE * z)))
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_field_is_held_by_multiples_of_its_cells() {
+        let bounds = Aabb::centered_cube(1.5);
+        let field = Lattice::new(bounds, 5).unwrap();
+        let holds = |cells| Grid::new(bounds, field.domain(), cells).holds(&field);
+        assert!(holds(32) && holds(64) && holds(96));
+        assert!(!holds(16) && !holds(48) && !holds(63));
+        // Shifted by a third of a cell.
+        let shifted = Aabb::new(bounds.min() + 0.01, bounds.max() + 0.01).unwrap();
+        assert!(!Grid::new(shifted, field.domain(), 64).holds(&field));
+        let domain = Domain::contracted(DVec3::new(0.3, 0.0, 1.0), 0.7, Norm::L2).unwrap();
+        let field = Lattice::from_domain(domain, 6).unwrap();
+        assert!(Grid::new(bounds, &domain, 256).holds(&field) && !Grid::new(bounds, &domain, 250).holds(&field));
+    }
+
+    #[test]
+    fn folding_is_the_inverse_of_position() {
+        let bounds = Aabb::centered_cube(9.0);
+        for norm in [Norm::L2, Norm::Linf] {
+            let domain = Domain::contracted(DVec3::new(0.3, 0.0, 1.0), 0.7, norm).unwrap();
+            let grid = Grid::new(bounds, &domain, 64);
+            for at in [DVec3::new(30.0, 31.5, 33.0), DVec3::new(12.0, 40.0, 29.0)] {
+                let x = grid.position(at).unwrap();
+                assert!((grid.lattice(x.as_dvec3()).unwrap() - at).length() < 1e-3, "{norm:?} {at}");
+            }
+        }
+    }
 }

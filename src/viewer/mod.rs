@@ -6,8 +6,11 @@
 
 mod bricks;
 mod color;
+mod fit;
 mod grid;
+mod march;
 mod pack;
 mod page;
+mod seen;
 
 pub use page::{Shown, View, write_view};

@@ -6,16 +6,17 @@ use std::path::Path;
 use glam::Vec3;
 use serde_json::{Value, json};
 
-use super::bricks::{Codes, PRIOR, RAYS, bricks};
+use super::bricks::{Codes, PRIOR, RAYS, Source, bricks};
 use super::grid::{CELLS, Grid};
-use super::pack::Packed;
+use super::pack::{Packed, Pages};
+use super::seen::{SeenRay, look, spread};
 use crate::dataset::Frame;
 use crate::field::RadianceField;
 use crate::geometry::{Camera, Domain, Norm};
 use crate::io::AtomicFile;
 use crate::monitor::Monitor;
 use crate::render::Tracer;
-use crate::uncertainty::UncertaintyField;
+use crate::uncertainty::{ThresholdedField, UncertaintyField};
 use crate::{Error, Result};
 
 /// The scripts, in the order in which they are read.
@@ -34,11 +35,21 @@ const STYLE: &str = include_str!("web/style.css");
 const SHADER: &str = include_str!("web/march.glsl");
 /// Bars of the histogram.
 const BARS: usize = 48;
+/// Cameras over whose directions colours are averaged.
+const EYES: usize = 48;
+/// About how many rays the volume is fitted to, times the square of its cells along the longest edge, and at most; and
+/// the share of them that tells what the slider shows with so much of the visible surfaces left.
+const RAYS_SEEN: f64 = 16.0;
+const MOST_RAYS: f64 = 4e6;
+const RAYS_BEHIND: f64 = 0.15;
+const BEHIND: [f64; 2] = [2.0 / 3.0, 1.0 / 3.0];
 /// Most cameras in the file.
 const CAMERAS: usize = 1000;
 
 /// The power of the resolution with which files grow: 2 for thin surfaces, 3 for fog.
-const GROWTH: f64 = 2.65;
+const GROWTH: f64 = 2.5;
+/// Numbers of cells that differ by less than this share are near.
+const NEAR: f64 = 0.06;
 /// Cells along the longest edge, at least.
 const COARSEST: u32 = 32;
 /// The same of a first try that tells the size of finer ones.
@@ -88,13 +99,17 @@ pub fn write_view(path: &Path, view: &View, cells: u32, budget: usize, monitor: 
     let mut is_pilot = pilot.is_some();
     let cameras: Vec<Camera> = view.frames.iter().map(|frame| frame.camera).collect();
     let occupancy = view.tracer.marcher.occupancy.as_ref().expect("pictures are rendered with occupancy");
+    let eyes: Vec<Vec3> = spread(&cameras, EYES).iter().map(|camera| camera.position.as_vec3()).collect();
+    let count = (RAYS_SEEN * f64::from(cells).powi(2)).min(MOST_RAYS);
+    let (rays, behind) = seen(view, &cameras, count, monitor)?;
+    let source = Source { model: view.model, field: view.field, occupancy, eyes: &eyes, rays: [&rays, &behind] };
     loop {
         let grid = Grid::new(view.model.bounds(), view.field.lattice().domain(), now);
-        let (found, codes) = bricks(&grid, view.model, occupancy, view.field, &cameras, monitor)?;
+        let (pages, found, codes) = bricks(&grid, &source, monitor)?;
         let count = found.len();
-        let packed = Packed::new(&grid, &found);
+        let packed = Packed::new(&pages, &found);
         drop(found);
-        let page = page(view, &grid, &packed, codes, now);
+        let page = page(view, &grid, (&pages, &packed), codes, now);
         if page.len() <= budget && !is_pilot {
             let mut file = AtomicFile::create(path)?;
             file.write_all(page.as_bytes()).map_err(Error::io(path, "cannot write"))?;
@@ -109,13 +124,37 @@ pub fn write_view(path: &Path, view: &View, cells: u32, budget: usize, monitor: 
         let share = budget.saturating_sub(fixed) as f64 / packed.bytes() as f64;
         let most = if is_pilot { cells } else { now - 1 };
         now = ((0.98 * f64::from(now) * share.powf(1.0 / GROWTH)) as u32).clamp(COARSEST, most);
+        now = snapped(now, view.field.lattice().cells_per_axis()).min(most);
         is_pilot = false;
     }
 }
 
+/// The number of cells near to `cells`, if there is one, of which the field's `vertices` along an edge are a part: U
+/// can then be interpolated as the field does it.
+fn snapped(cells: u32, vertices: u32) -> u32 {
+    let whole = (f64::from(cells) / f64::from(vertices)).round() as u32 * vertices;
+    if f64::from(cells.abs_diff(whole)) <= NEAR * f64::from(cells) { whole } else { cells }
+}
+
+/// What cameras see; and what they would see if the slider had removed a third or two of the visible surfaces.
+fn seen(view: &View, cameras: &[Camera], count: f64, monitor: &dyn Monitor) -> Result<(Vec<SeenRay>, Vec<SeenRay>)> {
+    let rays = look(view.tracer, view.field, cameras, view.offset, count, monitor)?;
+    let mut of_surface: Vec<f64> = rays.iter().map(|ray| f64::from(ray.log10)).filter(|u| u.is_finite()).collect();
+    of_surface.sort_unstable_by(f64::total_cmp);
+    let mut behind = Vec::new();
+    for share in BEHIND {
+        let Some(&threshold) = of_surface.get((share * of_surface.len() as f64) as usize) else { continue };
+        let cleaned = ThresholdedField { field: view.model, uncertainty: view.field, threshold };
+        let tracer =
+            Tracer { field: &cleaned, marcher: view.tracer.marcher.clone(), background: view.tracer.background };
+        behind.extend(look(&tracer, view.field, cameras, view.offset, RAYS_BEHIND * count, monitor)?);
+    }
+    Ok((rays, behind))
+}
+
 /// The page as text.
-fn page(view: &View, grid: &Grid, packed: &Packed, codes: Codes, cells: u32) -> String {
-    let about = about(view, grid, packed, codes, cells).to_string();
+fn page(view: &View, grid: &Grid, (pages, packed): (&Pages, &Packed), codes: Codes, cells: u32) -> String {
+    let about = about(view, grid, pages, codes, cells).to_string();
     // `</script>` in a name would end the data.
     let about = about.replace('<', "\\u003c");
     let scripts = SCRIPTS.join("\n");
@@ -141,7 +180,7 @@ fn page(view: &View, grid: &Grid, packed: &Packed, codes: Codes, cells: u32) -> 
 }
 
 /// Everything but the volume.
-fn about(view: &View, grid: &Grid, packed: &Packed, codes: Codes, cells: u32) -> Value {
+fn about(view: &View, grid: &Grid, pages: &Pages, codes: Codes, cells: u32) -> Value {
     let field = view.field;
     let contraction = match &grid.domain {
         Domain::Contracted { center, radius, norm } => {
@@ -167,8 +206,10 @@ fn about(view: &View, grid: &Grid, packed: &Packed, codes: Codes, cells: u32) ->
         "contraction": contraction,
         "bounds": { "min": grid.bounds.min().to_array(), "max": grid.bounds.max().to_array() },
         "grid": { "origin": grid.origin.to_array(), "edge": grid.edge, "bricks": grid.bricks, "cellsPerBrick": CELLS },
-        "atlas": packed.atlas,
-        "codes": { "low": codes.low, "prior": codes.prior, "last": PRIOR, "rays": codes.rays, "lastRays": RAYS },
+        "atlas": pages.atlas,
+        "codes": { "low": codes.low, "prior": codes.prior, "last": PRIOR, "rays": codes.rays, "lastRays": RAYS,
+            "density": codes.density },
+        "holdsField": grid.holds(field.lattice()),
         "knowsRays": !field.rays().is_empty(),
         "knowsUnseen": field.visits().is_some(),
         "quantity": field.protocol().scale.quantity(),

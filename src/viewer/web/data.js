@@ -20,11 +20,15 @@ async function readFile() {
   return { about, pages, ...atlas(about.atlas, planes) };
 }
 
-/** The planes of all bricks, as texels of an atlas: red, green, blue, matter; and codes of log10 U and of rays. */
+/**
+ * The planes of all bricks, as texels of an atlas: red, green, blue, matter; and codes of log10 U, as it is seen and at the
+ * point. Numbers of rays stay as they are, `[bricks][64]`.
+ */
 function atlas([width, height, depth], planes) {
-  const bricks = planes.length / (6 * 512);
+  const bricks = planes.length / (6 * 512 + 64);
   const matter = new Uint8Array(width * height * depth * 512 * 4);
   const knowledge = new Uint8Array(width * height * depth * 512 * 2);
+  const plane = (k, from) => planes[k * bricks * 512 + from];
   for (let brick = 0; brick < bricks; brick++) {
     const x0 = 8 * (brick % width);
     const y0 = 8 * (Math.floor(brick / width) % height);
@@ -32,12 +36,17 @@ function atlas([width, height, depth], planes) {
     for (let i = 0; i < 512; i++) {
       const texel = x0 + (i & 7) + 8 * width * (y0 + ((i >> 3) & 7) + 8 * height * (z0 + (i >> 6)));
       const from = brick * 512 + i;
-      // Red and blue are quarters of differences to green, from -128 to 127.
-      const plane = (k) => planes[k * bricks * 512 + from];
-      const channel = (k) => Math.min(Math.max(plane(0) + 4 * ((plane(k) << 24) >> 24), 0), 255);
-      matter.set([channel(1), plane(0), channel(2), plane(3)], 4 * texel);
-      knowledge.set([plane(4), plane(5)], 2 * texel);
+      // Red and blue are eighths of differences to green, with a sign.
+      const green = plane(0, from);
+      const beyond = (k) => Math.min(Math.max(green + 8 * ((plane(k, from) << 24) >> 24), 0), 255);
+      matter[4 * texel] = beyond(1);
+      matter[4 * texel + 1] = green;
+      matter[4 * texel + 2] = beyond(2);
+      matter[4 * texel + 3] = plane(3, from);
+      // What no camera sees is shown as it is at the point.
+      knowledge[2 * texel] = plane(4, from) || Math.min(plane(5, from), 254);
+      knowledge[2 * texel + 1] = plane(5, from);
     }
   }
-  return { matter, knowledge };
+  return { matter, knowledge, rays: planes.subarray(6 * 512 * bricks) };
 }

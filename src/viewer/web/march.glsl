@@ -19,14 +19,14 @@ uniform ivec3 bricks;
 uniform vec3 atlasSize;       // texels
 uniform int norm;             // 0: no contraction, 1: Euclidean, 2: largest coordinate
 uniform vec3 background;
-uniform float threshold;      // log10 U above which matter is removed
-uniform vec2 codes;           // log10 U of code 0 and of the prior
+uniform float threshold;      // share of the prior above which matter is removed
+uniform vec2 codes;           // log10 U of code 1 and of the prior, which is code 254
 uniform vec2 range;           // ends of the colour bar of log10 U
 uniform vec2 depths;          // ends of the colour bar of depth
 uniform int layer;            // 0 colour, 1 depth, 2 log10 U, 3 colour tinted by U
 uniform usampler3D pages;
 uniform sampler3D matter;     // red, green, blue, sqrt(absorbed along a cell)
-uniform sampler3D knowledge;  // log10 U, rays
+uniform sampler3D knowledge;  // code of log10 U as seen; share of the prior at the point, in PARTS, more if no ray came
 uniform sampler2D maps;       // row 0: log10 U, row 1: depth
 
 #ifdef NUMBERS
@@ -38,6 +38,7 @@ layout(location = 0) out vec4 picture;
 #endif
 
 const float CELLS = 7.0;
+const float PARTS = 32768.0;
 const float STEP = 0.5;            // of a cell
 const float END = 0.003;           // transmittance at which a ray ends
 const float FAINT = 0.05;          // opacity below which no log10 U is shown
@@ -100,7 +101,8 @@ void main() {
     ivec3 last = ivec3(-1);
     uvec4 page = uvec4(0u);
     bool isLong = false;
-    bool asksU = layer > 1 || threshold < 1e8 || NUMBERED;
+    float most = 1.0005 * PARTS * threshold;
+    bool asksU = layer > 1 || threshold < 1.0 || NUMBERED;
     for (int i = 0; i < 4096 && t < ends.y && transmittance > END; i++) {
         vec3 p = eye + t * d;
         vec3 g = lattice(p);
@@ -145,20 +147,20 @@ void main() {
         }
         vec2 known = vec2(0.0);
         if (asksU) {
-            known = texture(knowledge, texel).rg * 255.0;
+            known = texture(knowledge, texel).rg;
             reads++;
         }
-        float u = mix(codes.x, codes.y, min(known.r, 254.0) / 254.0);
-        if (u <= threshold) {
+        // What is removed is what is uncertain where it is; what is shown is what a ray as a whole says.
+        if (min(known.g, PARTS) <= most) {
             float passed = pow(max(1.0 - found.a * found.a, 0.001), advance / (edge * stretch(p)));
             float weight = transmittance * (1.0 - passed);
             if (transmittance > 0.5 && transmittance - weight <= 0.5) {
-                depth = t + 0.5 * advance;
-                unseen = step(254.5, known.r);
+                depth = t + advance * (log(2.0 * transmittance) / -log(passed) - 0.5);
+                unseen = step(1.25 * PARTS, known.g);
             }
             transmittance -= weight;
             color += weight * found.rgb;
-            sum += weight * u;
+            sum += weight * mix(codes.x, codes.y, (known.r - 1.0) / 253.0);
         }
         t += advance;
     }

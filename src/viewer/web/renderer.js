@@ -38,17 +38,17 @@ class Renderer {
     const most = gl.getParameter(gl.MAX_3D_TEXTURE_SIZE);
     if (side > most) throw new Error(`This device holds 3D textures of ${most} texels a side; the volume needs ${side}. Write it with a smaller --size.`);
     gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
-    const volumeTexture = (unit, inner, outer, size, bytes, filter) => {
+    const volumeTexture = (unit, inner, outer, size, bytes, filter, type = gl.UNSIGNED_BYTE) => {
       gl.activeTexture(gl.TEXTURE0 + unit);
       gl.bindTexture(gl.TEXTURE_3D, gl.createTexture());
-      gl.texImage3D(gl.TEXTURE_3D, 0, inner, ...size, 0, outer, gl.UNSIGNED_BYTE, bytes);
+      gl.texImage3D(gl.TEXTURE_3D, 0, inner, ...size, 0, outer, type, bytes);
       for (const name of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_3D, name, filter);
       for (const name of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T, gl.TEXTURE_WRAP_R]) gl.texParameteri(gl.TEXTURE_3D, name, gl.CLAMP_TO_EDGE);
     };
     const texels = atlas.map((n) => 8 * n);
     volumeTexture(0, gl.RGBA8UI, gl.RGBA_INTEGER, grid.bricks, volume.pages, gl.NEAREST);
     volumeTexture(1, gl.RGBA8, gl.RGBA, texels, volume.matter, gl.LINEAR);
-    volumeTexture(2, gl.RG8, gl.RG, texels, volume.knowledge, gl.LINEAR);
+    volumeTexture(2, gl.RG16F, gl.RG, texels, volume.halves(), gl.LINEAR, gl.HALF_FLOAT);
     const rows = [maps.uncertainty, maps.depth].flat().flatMap((color) => [...color, 255]);
     gl.activeTexture(gl.TEXTURE3);
     gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
@@ -82,7 +82,7 @@ class Renderer {
     gl.uniform1i(place('norm'), contraction ? (contraction.norm === 'l2' ? 1 : 2) : 0);
     set3('background', background);
     // The prior itself is rounded: at the upper end nothing is removed.
-    set('threshold', shown.threshold >= codes.prior ? 1e9 : shown.threshold);
+    set('threshold', shown.threshold >= codes.prior ? 2 : volume.shareOf(shown.threshold));
     set2('codes', [codes.low, codes.prior]);
     set2('range', shown.range);
     set2('depths', shown.depths.map((v) => v / volume.unit));

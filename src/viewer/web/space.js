@@ -16,6 +16,13 @@ function turned(v, axis, angle) {
   return add(add(scale(v, c), scale(cross(axis, v), s)), scale(axis, dot(axis, v) * (1 - c)));
 }
 
+/** The bits of a number from 0 to 65504 as a float of 16 bits. */
+function half(x) {
+  if (x < 2 ** -14) return 0;
+  const exponent = Math.floor(Math.log2(x));
+  return ((exponent + 15) << 10) + Math.round((x / 2 ** exponent - 1) * 1024);
+}
+
 /** A number for people: four digits, without an exponent where none is needed. */
 function words(x) {
   const size = Math.abs(x);

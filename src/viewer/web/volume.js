@@ -1,8 +1,8 @@
 // The volume on the CPU: what it says at a point, as the shader reads it.
 
 class Volume {
-  constructor({ about, pages, matter, knowledge }) {
-    Object.assign(this, { about, pages, matter, knowledge });
+  constructor({ about, pages, matter, knowledge, rays }) {
+    Object.assign(this, { about, pages, matter, knowledge, rays });
     const { min, max } = about.bounds;
     const size = sub(max, min);
     // The shader's units: see march.glsl.
@@ -37,6 +37,38 @@ class Volume {
     return r > 1 ? (grid.edge * r) / (2 - 1 / r) : grid.edge;
   }
 
+  /**
+   * What is interpolated for a code of log10 U at a point: U in parts of the prior, as in the field, if the field's
+   * vertices are among the samples; else 1 plus log10 U in parts of its range, which leaves out less between them.
+   */
+  share(code) {
+    const { codes, holdsField } = this.about;
+    const part = (Math.min(Math.max(code, 1), codes.last) - 1) / (codes.last - 1);
+    return holdsField ? 10 ** ((part - 1) * (codes.prior - codes.low)) : (1 + part) / 2;
+  }
+
+  /** log10 U of what was interpolated. */
+  log10(share) {
+    const { codes, holdsField } = this.about;
+    return holdsField ? codes.prior + Math.log10(share) : codes.low + (2 * share - 1) * (codes.prior - codes.low);
+  }
+
+  /** The same of log10 U. */
+  shareOf(log10U) {
+    const { codes, holdsField } = this.about;
+    const beyond = Math.min(log10U - codes.prior, 0.1);
+    return holdsField ? 10 ** beyond : 1 + beyond / (2 * (codes.prior - codes.low));
+  }
+
+  /** Texels of log10 U as it is seen, codes, and of shares at points, in 32768 parts and half as many again where no ray came. */
+  halves() {
+    const { knowledge } = this;
+    const codes = Uint16Array.from({ length: 256 }, (_, code) => half(code));
+    const shares = Uint16Array.from({ length: 256 }, (_, code) => half(32768 * this.share(code)));
+    shares[255] = half(49152);
+    return Uint16Array.from(knowledge, (code, i) => (i % 2 === 0 ? codes[code] : shares[code]));
+  }
+
   /** What is stored at a scene point: log10 U, density, rays, and whether it was seen; null where there is no matter. */
   read(x) {
     const { grid, codes, atlas } = this.about;
@@ -54,15 +86,20 @@ class Volume {
       const at = bits.map((bit, k) => 8 * this.pages[page + k] + first[k] + bit);
       const texel = at[0] + 8 * atlas[0] * (at[1] + 8 * atlas[1] * at[2]);
       sums[0] += weight * this.matter[4 * texel + 3];
-      sums[1] += weight * this.knowledge[2 * texel];
-      sums[2] += weight * this.knowledge[2 * texel + 1];
+      const code = this.knowledge[2 * texel + 1];
+      sums[1] += weight * this.share(code);
+      sums[2] += weight * (code > codes.last);
     }
+    // Rays are known at every other sample.
+    const near = inside.map((v) => Math.min(Math.round(v / 2), 3));
+    const slot = this.pages[page] + atlas[0] * (this.pages[page + 1] + atlas[1] * this.pages[page + 2]);
+    const rays = this.rays[64 * slot + near[0] + 4 * (near[1] + 4 * near[2])];
     const absorbed = (sums[0] / 255) ** 2;
     return {
-      log10U: codes.low + (Math.min(sums[1], codes.last) / codes.last) * (codes.prior - codes.low),
-      density: -Math.log(Math.max(1 - absorbed, 0.001)) / this.length(x),
-      rays: 2 ** ((sums[2] / codes.lastRays) * codes.rays) - 1,
-      isUnseen: sums[1] > codes.last + 0.5,
+      log10U: this.log10(sums[1]),
+      density: -Math.log(Math.max(1 - absorbed, 0.001)) / this.length(x) / codes.density,
+      rays: 2 ** ((rays / codes.lastRays) * codes.rays) - 1,
+      isUnseen: sums[2] > 0.5,
     };
   }
 }
