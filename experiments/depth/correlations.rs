@@ -20,9 +20,7 @@ use crate::common::table::{Table, mean, whole};
 use crate::judge::{grid, rays, truth_files};
 use crate::scene::Scene;
 
-/// The last one for its blocks only: draws would take half an hour of processors for a scene.
-pub const LEVELS: [u8; 4] = [4, 5, 6, 7];
-const WITHOUT_FULL: u8 = 7;
+pub const LEVELS: [u8; 3] = [4, 5, 6];
 /// Every row of J is kept.
 const RAYS: u64 = 120_000;
 /// Every so many pixels of a held-out view are compared, along x and y.
@@ -40,7 +38,7 @@ struct Judged {
     held: [f64; PROBABILITIES.len()],
     nll: f64,
     /// log10 of the full σ over this one, over the touched vertices: median, 10th and 90th of a hundred.
-    lost: Option<[f64; 3]>,
+    lost: [f64; 3],
     /// Median √Var of the pixels, scene units.
     deviation: f64,
 }
@@ -100,56 +98,52 @@ pub fn measure(scene: &Scene, level: u8) -> Result<Row> {
     let summed = clock.elapsed().cpu;
     let (field, drawn) = (outcome.field, outcome.progress.rays);
     let clock = Clock::start();
-    let (whole, iterations) = if level == WITHOUT_FULL {
-        (None, None)
-    } else if full.vertices() <= FullPosterior::MOST_VERTICES {
-        (Some(Full::Exact(full.exact(drawn, scale)?)), None)
+    let (whole, iterations) = if full.vertices() <= FullPosterior::MOST_VERTICES {
+        (Full::Exact(full.exact(drawn, scale)?), None)
     } else {
         let found = full.draw(drawn, scale, DRAWS)?;
         let iterations = found.iterations;
-        (Some(Full::Drawn(found)), Some(iterations))
+        (Full::Drawn(found), Some(iterations))
     };
     let seconds = [summed, clock.elapsed().cpu];
     let diagonal = field.clone().with_covariance(Covariance::Diagonal)?;
     let posteriors = [diagonal.depth_posterior()?, field.depth_posterior()?];
-    let mut variances: Vec<&dyn DepthVariance> = vec![&posteriors[0], &posteriors[1]];
-    variances.extend(whole.as_ref().map(Full::variance));
+    let variances: [&dyn DepthVariance; 3] = [&posteriors[0], &posteriors[1], whole.variance()];
     let Depths { errors, variances, deviations } = depths(&data, &model.field, &field, &variances)?;
     let points = full.points();
-    let of_full: Option<Vec<f64>> =
-        whole.as_ref().map(|whole| points.iter().map(|&point| whole.deviation(point).log10()).collect());
+    let of_full: Vec<f64> = points.iter().map(|&point| whole.deviation(point).log10()).collect();
     let lost = |own: &dyn Fn(usize) -> f64| {
-        let mut lost: Vec<f64> = of_full.as_ref()?.iter().enumerate().map(|(i, full)| full - own(i)).collect();
+        let mut lost: Vec<f64> = of_full.iter().enumerate().map(|(i, full)| full - own(i)).collect();
         lost.sort_unstable_by(f64::total_cmp);
-        Some([0.5, 0.1, 0.9].map(|share| quantile(&lost, share)))
+        [0.5, 0.1, 0.9].map(|share| quantile(&lost, share))
     };
     let at = |i: usize| lattice.position(DVec3::from(points[i].map(f64::from))).as_vec3();
-    let lost = [lost(&|i| diagonal.log10(at(i))), lost(&|i| field.log10(at(i))), None];
-    let judged = (0..variances.len()).map(|p| judge(&errors, &variances[p], &deviations[p], lost[p]));
+    let lost = [lost(&|i| diagonal.log10(at(i))), lost(&|i| field.log10(at(i))), [0.0; 3]];
+    let judged = (0..NAMES.len()).map(|p| judge(&errors, &variances[p], &deviations[p], lost[p]));
     let judged = judged.collect::<Option<Vec<_>>>();
     let judged = judged.ok_or_else(|| Error::malformed(&data.folder, "views", "errors of depth", "none"))?;
     Ok(Row { scene: scene.name(), level, vertices: full.vertices(), iterations, judged, seconds })
 }
 
 /// Of the pixels that show matter: errors of depth, and by each posterior Var and √(Var + s²).
+#[derive(Default)]
 struct Depths {
     errors: Vec<f64>,
-    variances: Vec<Vec<f64>>,
-    deviations: Vec<Vec<f64>>,
+    variances: [Vec<f64>; NAMES.len()],
+    deviations: [Vec<f64>; NAMES.len()],
 }
 
 fn depths(
     data: &crate::scene::Data,
     model: &dyn RadianceField,
     field: &octobayes::uncertainty::UncertaintyField,
-    posteriors: &[&dyn DepthVariance],
+    posteriors: &[&dyn DepthVariance; 3],
 ) -> Result<Depths> {
     let settings = RaySettings::for_images();
     let tracer = settings.tracer(model, 0.0, &Silent)?;
     let probe =
         DepthProbe { differentiation: settings.differentiation(model, field.lattice())?, variances: posteriors };
-    let none = vec![Vec::new(); posteriors.len()];
-    let mut found = Depths { errors: Vec::new(), variances: none.clone(), deviations: none };
+    let mut found = Depths::default();
     for frame in Views::read(&data.folder.join("transforms_test.json"), None)?.frames {
         let offset = model.pixel_offset();
         let truth = TrueView::read(&frame, Some(&truth_files(&data.folder)), DVec3::ONE, offset, STRIDE)?;
@@ -160,7 +154,7 @@ fn depths(
                 continue;
             }
             found.errors.push((pixel.median_depth - distance).abs());
-            for p in 0..posteriors.len() {
+            for p in 0..NAMES.len() {
                 found.variances[p].push(view.posterior_variance[p][i]);
                 found.deviations[p].push(view.depth_deviation[p][i]);
             }
@@ -169,7 +163,7 @@ fn depths(
     Ok(found)
 }
 
-fn judge(errors: &[f64], variances: &[f64], deviations: &[f64], lost: Option<[f64; 3]>) -> Option<Judged> {
+fn judge(errors: &[f64], variances: &[f64], deviations: &[f64], lost: [f64; 3]) -> Option<Judged> {
     let area = |values: &[f64], kind| sparsification(values, errors, kind).map(|found| found.area);
     let both = |values| Some([area(values, ErrorKind::Mae)?, area(values, ErrorKind::Rmse)?]);
     let calibration = Calibration::new(errors, deviations)?;
@@ -221,9 +215,8 @@ pub fn table(rows: &[Row]) -> String {
                 None if p == 2 => format!("{name}, exact"),
                 _ => name.into(),
             };
-            let lost = judged
-                .lost
-                .map_or_else(String::new, |[median, low, high]| format!("{median:.2} ({low:.2} to {high:.2})"));
+            let [median, low, high] = judged.lost;
+            let lost = if p == 2 { String::new() } else { format!("{median:.2} ({low:.2} to {high:.2})") };
             let mut cells =
                 vec![first(row.scene.clone()), first(row.level.to_string()), first(whole(row.vertices as f64))];
             cells.extend([how, lost, format!("{:.4}", judged.deviation)]);
@@ -236,20 +229,13 @@ pub fn table(rows: &[Row]) -> String {
     }
     for level in LEVELS {
         for (p, name) in NAMES.iter().enumerate() {
-            let judged: Vec<&Judged> =
-                rows.iter().filter(|row| row.level == level).filter_map(|row| row.judged.get(p)).collect();
-            if judged.is_empty() {
-                continue;
-            }
-            let of = |value: &dyn Fn(&Judged) -> f64| mean(&judged.iter().map(|j| value(j)).collect::<Vec<_>>());
+            let of = |value: &dyn Fn(&Judged) -> f64| {
+                mean(&rows.iter().filter(|row| row.level == level).map(|row| value(&row.judged[p])).collect::<Vec<_>>())
+            };
             let first = |text: String| if p == 0 { text } else { String::new() };
             let mut cells = vec![first("mean".into()), first(level.to_string()), String::new(), (*name).to_owned()];
             cells.extend([
-                if judged.iter().all(|j| j.lost.is_some()) {
-                    format!("{:.2}", of(&|j| j.lost.map_or(0.0, |lost| lost[0])))
-                } else {
-                    String::new()
-                },
+                if p == 2 { String::new() } else { format!("{:.2}", of(&|j| j.lost[0])) },
                 format!("{:.4}", of(&|j| j.deviation)),
                 format!("{:.3}", of(&|j| j.alone[0])),
                 format!("{:.3}", of(&|j| j.alone[1])),

@@ -32,7 +32,7 @@ const SEEDS: [u64; 2] = [0, 1];
 const STEPS: u64 = 1000;
 const STRONG: u64 = 6000;
 /// Scenes without a say that ensembles are trained on: the first so many.
-const WITH_ENSEMBLES: usize = 4;
+const WITH_ENSEMBLES: usize = 3;
 /// Models of an ensemble, the judged one among them.
 const ENSEMBLE: u64 = 10;
 

@@ -8,10 +8,10 @@ use crate::{Error, Result};
 
 /// Joins `parts` into the field of all their rays.
 ///
-/// Information adds up. Shards of one run keep all of theirs. Joined, they have the vertices of a run over all
-/// rays, at any tolerance. The sums differ only by the order of f64 additions, a relative n ε for n rays at a
-/// vertex. The order of the parts does not matter, bit for bit. (Sums within n ε of the negligible limit may fall on either side. With criterion `density`, the
-/// shards' leaves stay, so there may be more vertices.)
+/// Information adds up. Shards of one run keep all of theirs. Joined, they have the vertices of a run over all rays, at
+/// any tolerance. The sums differ only by the order of f64 additions, a relative n ε for n rays at a vertex. The order
+/// of the parts does not matter, bit for bit. (Sums within n ε of the negligible limit may fall on either side. With
+/// criterion `density`, the shards' leaves stay, so there may be more vertices.)
 ///
 /// Runs with other seeds left out what was negligible for their own R rays, where their octrees are coarse. The
 /// total stays negligible for the sum of the R, and nothing beyond that is left out here. log10 U is within the
