@@ -15,7 +15,7 @@ from . import _octobayes, _shards
 from ._arguments import array, color, floats, names, real, whole, wrong
 from ._arguments import box as as_box
 from ._arguments import path as as_path
-from ._cameras import resized
+from ._cameras import named, resized
 from ._cameras import rows as camera_rows
 from ._cameras import size as as_size
 from ._gate import Gate
@@ -271,7 +271,7 @@ def uncertainty(
     own_box = getattr(nerf, "box", None)
     if not isinstance(nerf, Model) and domain["box"] is None and own_box is not None:
         domain["box"] = as_box("nerf.box", own_box)
-    numbers, seen_by = _training_cameras(nerf, cameras, views, resolution, fov)
+    numbers, _, seen_by = _training_cameras(nerf, cameras, views, resolution, fov)
     if executor is None and shards is not None:
         raise wrong("shards", "an executor beside them (one shard alone: shard=)", shards)
     if executor is not None:
@@ -333,8 +333,10 @@ def _scale_options(
     return {"of_data": scale == "data", **numbers}
 
 
-def _training_cameras(nerf: Any, cameras: Any, views: Any, resolution: Any, fov: float | None) -> tuple[Any, str]:
-    """Numbers of the cameras that the model was trained on, and what they are."""
+def _training_cameras(
+    nerf: Any, cameras: Any, views: Any, resolution: Any, fov: float | None
+) -> tuple[Any, list[str], str]:
+    """Numbers of the cameras that the model was trained on, their names, and what they are."""
     if cameras is None and isinstance(nerf, Model):
         return _own_cameras(nerf, resolution, fov)
     if fov is not None:
@@ -344,12 +346,12 @@ def _training_cameras(nerf: Any, cameras: Any, views: Any, resolution: Any, fov:
         cameras = cameras() if callable(cameras) else cameras
     if cameras is None:
         raise wrong("cameras", "a camera file or cameras, as this model brings none", "none")
-    numbers, note = camera_rows(cameras, "training", views, resolution)
+    numbers, names, note = camera_rows(cameras, "training", views, resolution)
     is_file = isinstance(cameras, (str, os.PathLike))
-    return numbers, f"{len(numbers)} cameras of {os.fspath(cameras)}" if is_file else note
+    return numbers, names, f"{len(numbers)} cameras of {os.fspath(cameras)}" if is_file else note
 
 
-def _own_cameras(model: Model, resolution: Any, fov: float | None) -> tuple[Any, str]:
+def _own_cameras(model: Model, resolution: Any, fov: float | None) -> tuple[Any, list[str], str]:
     """The cameras that come with a model."""
     width, height = as_size(resolution)
     fov = None if fov is None else real("fov", fov, above=0)
@@ -358,7 +360,7 @@ def _own_cameras(model: Model, resolution: Any, fov: float | None) -> tuple[Any,
         raise wrong("cameras", "a camera file or cameras, as this model brings none", "none")
     if width is not None:
         numbers = resized(numbers, width, height)
-    return numbers, f"its own {len(numbers)} cameras"
+    return numbers, named(len(numbers)), f"its own {len(numbers)} cameras"
 
 
 def compare(
@@ -478,11 +480,11 @@ def render(
     nerf = _opened(nerf, coordinates)
     u = None if u is None else _field("u", u)
     if isinstance(camera, (str, os.PathLike)):
-        numbers, _ = camera_rows(camera, "every frame", None, resolution)
+        numbers, _, _ = camera_rows(camera, "every frame", None, resolution)
         numbers = numbers[whole("frame", frame, 0, len(numbers) - 1)][None]
     else:
         listed = [camera] if isinstance(camera, Mapping) else camera
-        numbers, _ = camera_rows(listed, resolution=resolution)
+        numbers, _, _ = camera_rows(listed, resolution=resolution)
     if len(numbers) != 1:
         raise wrong("camera", "one camera", f"{len(numbers)} cameras")
     if threshold is not None:

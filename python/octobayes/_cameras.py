@@ -95,14 +95,13 @@ def _split(cameras: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
 
 def rows(
     cameras: Any, part: str = "training", views: Any = None, resolution: Any = None
-) -> tuple[NDArray[np.float64], str]:
-    """Numbers of cameras ``[C, 26]``, and how they were chosen in words."""
+) -> tuple[NDArray[np.float64], list[str], str]:
+    """Numbers of cameras ``[C, 26]``, their names, and how they were chosen in words."""
     width, height = size(resolution)
     if isinstance(cameras, (str, os.PathLike)):
         if not (views is None or views == "all"):
             views = whole("views", views, 1) if np.ndim(views) == 0 else [whole("views", i, 0) for i in views]
-        numbers, _, note = _octobayes.read_cameras(os.fspath(cameras), part, views, width, height)
-        return numbers, note
+        return _octobayes.read_cameras(os.fspath(cameras), part, views, width, height)
     if views is not None:
         raise wrong("views", "None with cameras that are not a file", views)
     if isinstance(cameras, Mapping):
@@ -117,7 +116,12 @@ def rows(
     numbers = np.stack([one(f"cameras[{i}]", camera) for i, camera in enumerate(given)])
     if width is not None:
         numbers = resized(numbers, width, height)
-    return numbers, f"{len(numbers)} cameras"
+    return numbers, named(len(numbers)), f"{len(numbers)} cameras"
+
+
+def named(count: int) -> list[str]:
+    """Names of cameras that have none."""
+    return [f"camera {i}" for i in range(count)]
 
 
 def _refuse(camera: Any) -> Mapping[str, Any]:

@@ -80,8 +80,7 @@ def export(
     if mesh:
         numbers, names = np.empty((0, 26)), []
     else:
-        numbers, _ = _training_cameras(nerf, cameras, views, resolution, fov)
-        names = _names(cameras, views, len(numbers))
+        numbers, names, _ = _training_cameras(nerf, cameras, views, resolution, fov)
     if box is None and not isinstance(nerf, Model):
         box = getattr(nerf, "box", u.box)
     options = {
@@ -96,12 +95,3 @@ def export(
     asked = _asked(nerf, box, march_step, batch)
     with reporting(progress) as report:
         _octobayes.export_surfaces(asked, u._field, path, np.ascontiguousarray(numbers), names, options, report)
-
-
-def _names(cameras: Any, views: Any, count: int) -> list[str]:
-    """The frames' names of a camera file, or numbers."""
-    if isinstance(cameras, (str, os.PathLike)):
-        names = _octobayes.read_cameras(os.fspath(cameras), "training", views, None, None)[1]
-        if len(names) == count:
-            return names
-    return [f"camera {i}" for i in range(count)]

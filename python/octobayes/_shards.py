@@ -87,10 +87,6 @@ def run(
     task: Task, executor: Executor, shards: int, report: Callable[[str, int, int], Any] | None
 ) -> tuple[_octobayes.Uncertainty, list[str]]:
     """Runs all shards, and merges them as they come. The first exception cancels what has not begun."""
-    if shards == 1:
-        # One shard is the run itself; there is nothing to merge.
-        field, texts = executor.submit(task, 0, 1).result()
-        return field._field, texts
     indices: dict[Future[Any], int] = {executor.submit(task, i, shards): i for i in range(shards)}
     tree, said, merged = Tree(shards), dict[str, None](), None
     pending = set(indices)

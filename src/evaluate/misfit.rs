@@ -6,14 +6,14 @@
 //!
 //! Letters: r² squared residual of a pixel's colour, mean over red, green and blue; φ trilinear weights.
 
-use glam::{DVec3, Vec3};
+use glam::Vec3;
 use rustc_hash::FxHashMap;
 
 use super::TrueView;
 use crate::Result;
 use crate::geometry::Lattice;
 use crate::monitor::Monitor;
-use crate::octree::trilinear;
+use crate::octree::corners;
 use crate::render::{Tracer, render_view};
 
 /// The weight of the mean over all pixels at every vertex, in pixels.
@@ -48,7 +48,8 @@ impl Misfit {
                 let residual = (pixel.color - image.colors[i]).length_squared() / 3.0;
                 (found.mean, pixels) = (found.mean + residual, pixels + 1.0);
                 let Some(u) = found.lattice.coordinates(position) else { continue };
-                for (point, share) in corners(&found.lattice, u) {
+                let (cell, offset) = found.lattice.cell(u);
+                for (point, share) in corners(cell, offset) {
                     let sums = found.sums.entry(point).or_default();
                     *sums = [sums[0] + share * residual, sums[1] + share];
                 }
@@ -66,23 +67,18 @@ impl Misfit {
             let [sum, count] = self.sums.get(&point).copied().unwrap_or_default();
             (sum + PRIOR * self.mean) / (count + PRIOR)
         };
-        let mean = self
-            .lattice
-            .coordinates(x)
-            .map_or(self.mean, |u| corners(&self.lattice, u).into_iter().map(|(point, share)| share * of(point)).sum());
+        let mean = self.lattice.coordinates(x).map_or(self.mean, |u| {
+            let (cell, offset) = self.lattice.cell(u);
+            corners(cell, offset).into_iter().map(|(point, share)| share * of(point)).sum()
+        });
         mean.sqrt()
     }
 }
 
-/// The corners of the cell around lattice coordinates, with their trilinear weights.
-fn corners(lattice: &Lattice, u: DVec3) -> [([u32; 3], f64); 8] {
-    let (cell, offset) = lattice.cell(u);
-    let weights = trilinear(offset);
-    std::array::from_fn(|c| (std::array::from_fn(|axis| cell[axis] + (c as u32 >> axis & 1)), weights[c]))
-}
-
 #[cfg(test)]
 mod tests {
+    use glam::DVec3;
+
     use super::*;
     use crate::field::{ClosedForm, RadianceField};
     use crate::geometry::Camera;

@@ -29,7 +29,9 @@ pub enum Norm {
 }
 
 impl Norm {
-    fn length(self, y: DVec3) -> f64 {
+    /// Length of `y` by this norm.
+    #[must_use]
+    pub fn length(self, y: DVec3) -> f64 {
         match self {
             Self::L2 => y.length(),
             Self::Linf => y.abs().max_element(),

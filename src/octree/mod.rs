@@ -85,6 +85,15 @@ pub fn trilinear(offset: DVec3) -> [f64; 8] {
     })
 }
 
+/// The corners of a finest-level cell with their trilinear weights at an offset in `[0, 1]`³, in the order of
+/// [`trilinear`].
+#[must_use]
+#[inline]
+pub fn corners(cell: [u32; 3], offset: DVec3) -> [([u32; 3], f64); 8] {
+    let weights = trilinear(offset);
+    std::array::from_fn(|c| (std::array::from_fn(|axis| cell[axis] + (c as u32 >> axis & 1)), weights[c]))
+}
+
 /// A complete, 2:1 balanced octree with its free vertices.
 ///
 /// ```

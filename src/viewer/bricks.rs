@@ -155,19 +155,20 @@ fn unbiased(grid: &Grid, pages: &Pages, bricks: &[Matter], rays: &[SeenRay]) -> 
         let code = |a: &f32| (FINE * (255.0 / FINE * absorbed(a).sqrt()).round()) as u8;
         bricks.par_iter().flat_map_iter(|brick| brick.alpha.iter().map(code)).collect()
     };
-    let mut best = (f64::INFINITY, 1.0, coded(1.0));
+    let mut best: Option<(f64, f64, Vec<u8>)> = None;
     for factor in FACTORS {
         let matter = coded(factor);
         let off = deeper(&Volume { grid, pages, matter: &matter }, rays);
-        if off.abs() < best.0 {
-            best = (off.abs(), factor, matter);
+        if best.as_ref().is_none_or(|(least, _, _)| off.abs() < *least) {
+            best = Some((off.abs(), factor, matter));
         }
         // More density only brings surfaces nearer.
         if off <= 0.0 {
             break;
         }
     }
-    (best.1, best.2)
+    let (_, factor, matter) = best.expect("factors to try");
+    (factor, matter)
 }
 
 /// False if the model has no density at the samples of a brick, nor in the cells of the occupancy grid around them.

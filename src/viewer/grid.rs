@@ -5,7 +5,7 @@
 
 use glam::{DVec3, Vec3};
 
-use crate::geometry::{Aabb, Domain, Lattice, Norm};
+use crate::geometry::{Aabb, Domain, Lattice};
 
 /// Cells along each axis of a brick. Its eight samples along each axis include those on its faces, which neighbours
 /// repeat: interpolation then never leaves a brick.
@@ -78,7 +78,7 @@ impl Grid {
         match &self.domain {
             Domain::Contracted { center, radius, norm } => {
                 let y = (x - DVec3::from(*center)) / *radius;
-                let r = if *norm == Norm::L2 { y.length() } else { y.abs().max_element() };
+                let r = norm.length(y);
                 let k = if r > 1.0 { (2.0 - 1.0 / r) / r } else { 1.0 };
                 (*radius * (k * y + 2.0)) / self.edge
             }
@@ -138,6 +138,7 @@ pub fn neighbours(i: usize) -> impl Iterator<Item = usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::Norm;
 
     #[test]
     fn a_field_is_held_by_multiples_of_its_cells() {

@@ -1,6 +1,6 @@
 //! The shader's way through the volume, on the CPU: `web/march.glsl` step by step.
 
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 
 use super::grid::{CELLS, Grid, SAMPLES, SIDE};
 use super::pack::Pages;
@@ -132,8 +132,7 @@ fn reach(grid: &Grid, p: DVec3) -> (f64, f64) {
     match &grid.domain {
         Domain::Contracted { center, radius, norm } => {
             let y = (p - DVec3::from(*center)) / *radius;
-            let r = if *norm == Norm::L2 { y.length() } else { y.abs().max_element() };
-            (r, *radius)
+            (norm.length(y), *radius)
         }
         _ => (0.0, 1.0),
     }
@@ -152,9 +151,9 @@ fn speed(grid: &Grid, p: DVec3, d: DVec3) -> f64 {
         Norm::L2 => y / r,
         Norm::Linf => {
             let axis = y.abs().max_position();
-            let mut unit = Vec3::ZERO;
-            unit[axis] = y[axis].signum() as f32;
-            unit.as_dvec3()
+            let mut unit = DVec3::ZERO;
+            unit[axis] = y[axis].signum();
+            unit
         }
     };
     ((k * d + slope * outwards.dot(d) * y).length() / grid.edge).max(1e-6 / grid.edge)

@@ -15,7 +15,7 @@ mod rows;
 #[cfg(test)]
 mod tests;
 
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 use rustc_hash::FxHashMap;
 
 pub use drawn::{DrawnPosterior, Draws};
@@ -24,7 +24,7 @@ use rows::Rows;
 
 use super::Posterior;
 use crate::geometry::Lattice;
-use crate::octree::trilinear;
+use crate::octree::corners;
 use crate::render::{DepthSample, RaySamples};
 
 /// The Jacobians of all rays, on the finest lattice.
@@ -71,7 +71,7 @@ impl Posterior for FullPosterior {
             for (_, samples) in batch.iter() {
                 ray.clear();
                 for i in samples {
-                    let Some(corners) = self.vertices.corners(batch.positions[i].as_dvec3()) else { continue };
+                    let Some(corners) = self.vertices.corners(batch.positions[i]) else { continue };
                     for (point, weight) in corners {
                         let j = ray.entry(point).or_default();
                         for (sum, &g) in j.iter_mut().zip(&batch.jacobians[i]) {
@@ -98,10 +98,9 @@ impl Posterior for FullPosterior {
 
 impl Vertices {
     /// The corners of the cell around a scene point, with their trilinear weights; `None` outside the box.
-    fn corners(&self, x: DVec3) -> Option<[([u32; 3], f64); 8]> {
-        let (cell, offset) = self.lattice.cell(self.lattice.coordinates(x.as_vec3())?);
-        let weights = trilinear(offset);
-        Some(std::array::from_fn(|c| (std::array::from_fn(|axis| cell[axis] + (c as u32 >> axis & 1)), weights[c])))
+    fn corners(&self, x: Vec3) -> Option<[([u32; 3], f64); 8]> {
+        let (cell, offset) = self.lattice.cell(self.lattice.coordinates(x)?);
+        Some(corners(cell, offset))
     }
 
     /// g_v of a ray's expected depth, for the vertices that training rays touched; and Σ |g|² over all others, where
@@ -110,7 +109,7 @@ impl Vertices {
         let mut gradients: FxHashMap<[u32; 3], DVec3> = FxHashMap::default();
         let mut untouched = 0.0;
         for DepthSample { position, gradient } in samples {
-            match self.corners(position.as_dvec3()) {
+            match self.corners(*position) {
                 Some(corners) => {
                     for (point, weight) in corners {
                         *gradients.entry(point).or_default() += weight * *gradient;

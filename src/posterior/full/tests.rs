@@ -1,12 +1,12 @@
 //! Against a dense inverse of its own, and against the blocks.
 
 use approx::assert_relative_eq;
-use glam::{DVec3, Vec3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
 use crate::geometry::Aabb;
+use crate::octree::trilinear;
 use crate::posterior::{Covariance, DataScale, DensePosterior, Posterior, Scale};
 use crate::render::{DepthVariance, RaySample};
 
