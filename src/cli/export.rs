@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use super::belongs::check_field;
+use super::belongs::{check_field, read_whole};
 use super::files::CommandFiles;
 use super::options::{CameraOptions, ModelOptions, RayOptions, Threshold, count, parse_positive};
 use super::progress::Bars;
@@ -106,7 +106,7 @@ impl Args {
             .cameras(self.cameras.cameras.as_deref())
             .output("--output", &self.output)
             .check()?;
-        let field = UncertaintyField::read(&self.field)?;
+        let field = read_whole(&self.field)?;
         match (kind, self.model.take()) {
             (Kind::Leaves, _) => write_leaves(&self.output, &field)?,
             (Kind::HyperTree, _) => {

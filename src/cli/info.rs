@@ -111,6 +111,9 @@ impl Args {
         }
         say!("{}\n{}", path.display(), report::protocol(&field))?;
         say!("field\n  {}{}", report::summary(&field.summary()), report::surfaces(&field))?;
+        if let Some(tile) = field.tile() {
+            say!("  tile {} of {}: all else is as if never seen", tile.index, tile.of)?;
+        }
         say!("  {}", histogram(&field))?;
         if let Some(stats) = stats {
             say!("  sound octree: {} leaves, {} hanging corners", stats.leaves(), stats.hanging_corners)?;

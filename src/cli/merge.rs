@@ -1,21 +1,22 @@
 //! `merge`: joins the parts of a run.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
 use super::files::CommandFiles;
 use super::options::check_field_name;
 use super::report;
-use crate::Result;
 use crate::rays::MissingShards;
-use crate::uncertainty::{UncertaintyField, merge, merge_with_error_bars};
+use crate::uncertainty::{TiledField, UncertaintyField, finish_tiles, merge_files, merge_with_error_bars};
+use crate::{Error, Result};
 
 /// Join fields of the same box, level and protocol that were computed from different rays
 ///
 /// The result is what one run over all the rays gives, up to the order of summation and the fields' tolerance. So
 /// any scheduler can split a job over machines. Shards keep what this needs; whole runs do with `--keep-sums`. If
-/// parts of a run are missing, a warning names them.
+/// shards of a run are missing, a warning names them. Tiles (`uncertainty --tile`) become one field of all of space;
+/// all of them are needed. One part at a time is in memory. Error bars of the parts are dropped.
 #[derive(clap::Args)]
 #[command(
     after_help = "Example: for i in 0 1 2 3; do octobayes uncertainty model.npz --cameras transforms.json --shard $i/4 -o part$i.oct; \
@@ -26,7 +27,8 @@ pub struct Args {
     #[arg(value_name = "FIELD.oct", required = true, num_args = 2..)]
     fields: Vec<PathBuf>,
 
-    /// Where to write the joined field
+    /// Where to write the joined field; for tiles also a folder that exists, in which they stay apart and can be
+    /// queried although they do not fit into memory together
     #[arg(short, long, value_name = "FIELD.oct")]
     output: PathBuf,
 
@@ -50,15 +52,19 @@ pub struct Args {
 impl Args {
     /// Runs the verb.
     pub fn run(self) -> Result<()> {
-        CommandFiles::default().inputs("FIELD", &self.fields).output("--output", &self.output).check()?;
-        check_field_name(&self.output)?;
-        let parts = self.fields.iter().map(|path| UncertaintyField::read(path)).collect::<Result<Vec<_>>>()?;
-        let field = if self.error_bars { merge_with_error_bars(&parts)? } else { merge(&parts)? };
-        if !self.error_bars && parts.iter().any(|part| part.error_bars().is_some()) {
-            eprintln!(
-                "note: the fields' own error bars are not those of the whole, which has none; --error-bars compares the fields"
-            );
+        let files = CommandFiles::default().inputs("FIELD", &self.fields);
+        if self.output.is_dir() {
+            files.check()?;
+            return self.finish_tiles();
         }
+        files.output("--output", &self.output).check()?;
+        check_field_name(&self.output)?;
+        let field = if self.error_bars {
+            let parts = self.fields.iter().map(|path| UncertaintyField::read(path));
+            merge_with_error_bars(&parts.collect::<Result<Vec<_>>>()?)?
+        } else {
+            merge_files(&self.fields)?
+        };
         let field = if self.keep_sums { field } else { field.for_queries() };
         let missing = MissingShards::beside(field.draws());
         field.write(&self.output)?;
@@ -72,5 +78,26 @@ impl Args {
             return say!("{value}");
         }
         say!("protocol\n{}\nfield\n  {}", report::protocol(&field), report::summary(&field.summary()))
+    }
+
+    /// Leaves the tiles apart.
+    fn finish_tiles(&self) -> Result<()> {
+        if self.keep_sums || self.error_bars {
+            let expected = "a file `.oct`, for --keep-sums and --error-bars";
+            return Err(Error::malformed(&self.output, "file name", expected, "a folder"));
+        }
+        // Finished tiles beside unfinished ones, under the same names, would replace them.
+        let folder = |path: &Path| path.canonicalize().ok();
+        let parent = |part: &Path| part.canonicalize().ok()?.parent().map(Path::to_path_buf);
+        if let Some(part) = self.fields.iter().find(|part| parent(part) == folder(&self.output)) {
+            let found = format!("the folder of {}", part.display());
+            return Err(Error::malformed(&self.output, "folder", "another than that of the parts", found));
+        }
+        finish_tiles(&self.fields, &self.output)?;
+        let tiles = TiledField::open(&self.output, 0)?;
+        if self.json {
+            return say!("{}", json!({ "tiles": tiles.tiles() }));
+        }
+        say!("{} tiles in {}, for `query`, `render`, `export` and `compare`", tiles.tiles(), self.output.display())
     }
 }

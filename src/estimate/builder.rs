@@ -66,7 +66,7 @@ impl FieldBuilder {
         let lattice = settings.lattice(domain)?;
         let posterior = match settings.grid {
             GridKind::Dense => AnyPosterior::Dense(DensePosterior::new(lattice)),
-            GridKind::Octree => AnyPosterior::Octree(OctreePosterior::new(lattice)),
+            GridKind::Octree => AnyPosterior::Octree(OctreePosterior::new(lattice).owning(settings.tile)),
         };
         let limits = MaxLevels::none(lattice.level());
         let wanted = if settings.criteria.uniform { every_cell(&lattice)? } else { Vec::new() };
@@ -87,7 +87,7 @@ impl FieldBuilder {
         if self.settings.grid == GridKind::Octree {
             self.limits = plan.limits.clone();
             self.rays_per_vertex = plan.rays_per_vertex;
-            self.posterior = AnyPosterior::Octree(OctreePosterior::limited(self.lattice, plan.limits.clone()));
+            self.posterior = self.empty_octree(plan.limits.clone());
             self.surface.clear();
             self.visits = None;
         }
@@ -140,8 +140,18 @@ impl FieldBuilder {
         let visible = batches.iter().flat_map(|batch| batch.positions.iter().zip(&batch.weights));
         let lattice = self.lattice;
         // Matter outside the domain has no U of its own.
-        let visible = visible.filter(|(x, weight)| **weight >= SURFACE_WEIGHT && lattice.coordinates(**x).is_some());
+        let tile = self.settings.tile;
+        let is_own = |x| {
+            let cell = lattice.coordinates(x).map(|u| lattice.cell(u).0);
+            cell.is_some_and(|cell| tile.is_none_or(|tile| tile.owns(lattice.level(), cell)))
+        };
+        let visible = visible.filter(|(x, weight)| **weight >= SURFACE_WEIGHT && is_own(**x));
         self.keep_surface(visible.map(|(x, _)| x.to_array()));
+    }
+
+    /// Sums on the leaves of `limits`, in the tile, if there is one.
+    fn empty_octree(&self, limits: MaxLevels) -> AnyPosterior {
+        AnyPosterior::Octree(OctreePosterior::limited(self.lattice, limits).owning(self.settings.tile))
     }
 
     /// Keeps as many of these points as there is room for.
@@ -164,7 +174,10 @@ impl FieldBuilder {
     /// If the file is not the complete state of a run with the same description.
     pub fn restore(&mut self, path: &Path, key: &RunKey) -> Result<RunProgress> {
         let state = state::load(path, key, &self.limits, self.settings.grid == GridKind::Dense)?;
-        self.posterior = state.posterior;
+        self.posterior = match state.posterior {
+            AnyPosterior::Octree(posterior) => AnyPosterior::Octree(posterior.owning(self.settings.tile)),
+            dense @ AnyPosterior::Dense(_) => dense,
+        };
         self.surface = state.surface;
         self.visits = state.visits;
         Ok(state.progress)
@@ -211,7 +224,7 @@ impl FieldBuilder {
     pub(super) fn emptied(&self) -> Self {
         let posterior = match self.settings.grid {
             GridKind::Dense => AnyPosterior::Dense(DensePosterior::new(self.lattice)),
-            GridKind::Octree => AnyPosterior::Octree(OctreePosterior::limited(self.lattice, self.limits.clone())),
+            GridKind::Octree => self.empty_octree(self.limits.clone()),
         };
         let (limits, wanted) = (self.limits.clone(), self.wanted.clone());
         Self { limits, wanted, posterior, surface: Vec::new(), visits: None, ..*self }
@@ -284,6 +297,7 @@ impl FieldBuilder {
             }
         };
         let field = if settings.keep_sums { field } else { field.for_queries() };
+        let visits = visits.map(|visits| visits.within(settings.tile));
         field.with_surface(surface).with_visits(visits)
     }
 }

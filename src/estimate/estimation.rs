@@ -204,6 +204,9 @@ impl<'a> Estimation<'a> {
             ));
         }
         match self.goal {
+            Goal::Groups(_) | Goal::MeanError(_) if self.grid.tile.is_some() => {
+                Err(Error::setting("tile", "a run of one set of rays", "error bars, or a run to a mean error"))
+            }
             Goal::Groups(_) if self.grid.memory.is_some() => {
                 Err(Error::setting("error bars", "no memory budget, which is for one set of sums", "a budget"))
             }

@@ -3,6 +3,7 @@
 use derive_setters::Setters;
 
 use crate::geometry::{Domain, Lattice};
+use crate::octree::Tile;
 use crate::posterior::{Covariance, Criteria, DensePosterior, Prior, Scale};
 use crate::{Error, Result};
 
@@ -49,6 +50,10 @@ pub struct GridSettings {
     pub memory: Option<u64>,
     /// Number of points on visible surfaces to keep for comparisons.
     pub surface_points: usize,
+    /// The part of space whose sums are kept; [`merge`](crate::uncertainty::merge) joins the tiles. `None` for all of
+    /// it.
+    #[setters(into)]
+    pub tile: Option<Tile>,
     /// Whether the field keeps its sums, for other covariances and merging. Without them an octree needs a third less
     /// memory to finish. A part of a run keeps them all the same.
     pub keep_sums: bool,
@@ -68,6 +73,7 @@ impl Default for GridSettings {
             criteria: Criteria::default(),
             memory: None,
             surface_points: 16_384,
+            tile: None,
             keep_sums: true,
         }
     }
@@ -117,6 +123,7 @@ impl GridSettings {
             let expected = format!("none: the scale of the training pixels has {:e}", data.lambda());
             return Err(Error::setting("lambda", expected, format!("{lambda:e}")));
         }
+        self.check_tile(&lattice)?;
         let lambda = self.prior_precision(&lattice);
         let prior = self.covariance.prior(lambda);
         if !(prior as f32).is_normal() {
@@ -124,5 +131,29 @@ impl GridSettings {
             return Err(Error::setting("lambda", "a prior deviation that f32 can hold", found));
         }
         Ok(lattice)
+    }
+
+    /// Refuses what a tile cannot have: it knows only its own part of space.
+    fn check_tile(&self, lattice: &Lattice) -> Result<()> {
+        let Some(tile) = self.tile else { return Ok(()) };
+        if !tile.is_valid() {
+            let expected = format!("I/N, N a power of two from 2 to {}, I from 0 to N - 1", Tile::MOST);
+            return Err(Error::setting("tile", expected, tile.to_string()));
+        }
+        if lattice.level() < tile.least_level() {
+            let expected = format!("a level from {} on for {} tiles", tile.least_level(), tile.of);
+            return Err(Error::setting("tile", expected, format!("level {}", lattice.level())));
+        }
+        let others = [
+            (self.grid == GridKind::Dense, "a dense grid"),
+            (self.memory.is_some(), "a memory budget, which each tile would meet with other leaves"),
+            (self.min_rays > 0.0, "pooling, which needs the sums of neighbours"),
+            (self.criteria.density, "criterion `density`, which refines where no ray passed"),
+            (self.criteria.uniform, "criterion `uniform`"),
+        ];
+        match others.into_iter().find(|(given, _)| *given) {
+            Some((_, found)) => Err(Error::setting("tile", "an octree refined by sensitivity, or by ray count", found)),
+            None => Ok(()),
+        }
     }
 }

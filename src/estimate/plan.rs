@@ -140,7 +140,7 @@ impl Planner {
         let scale = rays.rays as f64 / pilot.rays as f64;
         // All parts of a run expect the same.
         let own_scale = scale / shard.of as f64;
-        let vertices_unlimited = census.needs(own_scale, &MaxLevels::none(lattice.level())).vertices;
+        let vertices_unlimited = census.needs(own_scale, &MaxLevels::none(lattice.level()), settings.tile).vertices;
         let outside = match shard.of {
             1 => ((outside + lists + RESERVE) / GRAIN).ceil() * GRAIN,
             _ => OF_A_PART + stream.tracer.field.memory() as f64 + lists,
@@ -153,7 +153,7 @@ impl Planner {
             vertices_unlimited,
             scale,
             own_scale,
-            is_part: shard.of > 1,
+            is_part: shard.of > 1 || settings.tile.is_some(),
             outside,
             correction: 1.0,
             time: start.elapsed().mul_f64(own_scale),
@@ -176,7 +176,7 @@ impl Planner {
                 (self.lattice.dense_vertices() as f64, DensePosterior::required_memory(&self.lattice) as f64)
             }
             GridKind::Octree => {
-                let Needs { bricks, vertices } = self.census.needs(self.own_scale, &limits);
+                let Needs { bricks, vertices } = self.census.needs(self.own_scale, &limits, self.settings.tile);
                 (self.correction * vertices, self.correction * bricks * BRICK_BYTES)
             }
         };
@@ -268,7 +268,7 @@ impl Planner {
     /// Makes all further plans expect as much more, or less, as was found: the sums came to `summed` bytes after the
     /// fraction `done` of the rays of `plan`.
     pub(super) fn correct(&mut self, plan: &Plan, done: f64, summed: usize) {
-        let Needs { bricks, .. } = self.census.needs(done * self.own_scale, &plan.limits);
+        let Needs { bricks, .. } = self.census.needs(done * self.own_scale, &plan.limits, self.settings.tile);
         self.correction = summed.saturating_sub(SPARE_BYTES) as f64 / (bricks * BRICK_BYTES).max(1.0);
     }
 }

@@ -134,6 +134,7 @@ impl RaySettings {
             surface_points: grid.surface_points as u64,
             rays_per_vertex: builder.rays_per_vertex(),
             limits: crc32fast::hash(format!("{:?}", builder.limits().packed()).as_bytes()),
+            tile: grid.tile,
         }
     }
 
@@ -163,6 +164,7 @@ impl RaySettings {
             differentiation,
             cameras,
             pixel_offset: self.pixel_offset.unwrap_or_else(|| field.pixel_offset()),
+            reach: None,
             pixels: PixelSequence::new(self.pixels, self.seed, cameras.iter().map(|c| c.resolution).collect()),
         })
     }

@@ -3,6 +3,8 @@
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use glam::DVec3;
+
 use super::checkpoint::Saver;
 use super::estimation::{Estimation, Goal, Tap};
 use super::groups::{self, RayGroup};
@@ -13,7 +15,8 @@ use super::{
     Audit, FieldBuilder, GridKind, GridSettings, Plan, Planner, Provenance, RaySettings, SamplingError, Sight,
     StepCheck,
 };
-use crate::geometry::Lattice;
+use crate::geometry::{Aabb, Lattice};
+use crate::octree::Leaves;
 use crate::rays::{RayStream, RunProgress, Shard};
 use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
@@ -74,7 +77,26 @@ impl<'a> Run<'a> {
             }
             (run.limits.planner, run.limits.plan) = (Some(planner), Some(plan));
         }
+        // The pilot and all that is measured see all of space; the rays of the run need only reach the tile.
+        run.stream.reach = run.reach();
         Ok(run)
+    }
+
+    /// The box that every ray crosses which adds to the sums of the tile; `None` without a tile, or where rays are
+    /// curved on the lattice.
+    fn reach(&self) -> Option<Aabb> {
+        let bounds = self.lattice.domain().bounds()?;
+        // A sample adds to the corners of its leaf, and if one of them hangs, to those of the next larger leaf.
+        let leaf = match self.limits.plan.as_ref().map(|plan| &plan.limits) {
+            Some(limits) if !limits.is_unlimited() => 1 << (limits.finest() - limits.region_level()),
+            _ => 1,
+        };
+        // One cell more than that, for what f32 positions are rounded.
+        let beyond = f64::from(2 * leaf + 1);
+        let (low, high) = self.estimation.grid.tile?.extent(self.lattice.level());
+        let [low, high] = [low, high].map(|corner| DVec3::from(corner.map(f64::from)));
+        let scene = |u: DVec3| bounds.min() + u * self.lattice.edge();
+        Aabb::new(scene(low - beyond), scene(high + beyond)).ok()
     }
 
     /// Box and finest level.

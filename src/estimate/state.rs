@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::geometry::Lattice;
 use crate::io::container::{self, Format, Reader, Section};
-use crate::octree::MaxLevels;
+use crate::octree::{MaxLevels, Tile};
 use crate::posterior::{Brick, DensePosterior, OctreePosterior, VertexSums, Visits};
 use crate::rays::{Pixels, RunProgress, Shard};
 use crate::render::GradientMethod;
@@ -64,6 +64,9 @@ pub struct RunKey {
     pub rays_per_vertex: f64,
     /// Checksum of these limits.
     pub limits: u32,
+    /// The part of space whose sums are kept, if not all.
+    #[serde(default)]
+    pub tile: Option<Tile>,
 }
 
 #[derive(Serialize, Deserialize)]

@@ -230,6 +230,12 @@ impl Reader {
         Ok((content, start.sections(sections)?))
     }
 
+    /// Whether a section of this name follows and holds anything.
+    #[must_use]
+    pub fn has(&self, name: &str) -> bool {
+        self.sections.iter().any(|section| section.name == name && section.bytes > 0)
+    }
+
     /// Like [`Reader::section`], but nothing if no such section follows.
     ///
     /// # Errors

@@ -182,25 +182,39 @@ impl CellTree {
     }
 
     /// Calls `visit` for every leaf in Morton order.
-    pub fn for_each_leaf(&self, mut visit: impl FnMut(Cell)) {
-        let root = Cell { level: 0, index: [0; 3] };
-        self.descend(root, 0, self.root_split, &mut visit);
+    pub fn for_each_leaf(&self, visit: impl FnMut(Cell)) {
+        self.for_each_leaf_where(|_| true, visit);
     }
 
-    fn descend(&self, cell: Cell, node: usize, split: bool, visit: &mut impl FnMut(Cell)) {
+    /// Calls `visit` for every leaf that fulfils `condition`, in Morton order. A cell that does not fulfil it has no
+    /// such leaf.
+    pub fn for_each_leaf_where(&self, condition: impl Fn(Cell) -> bool, mut visit: impl FnMut(Cell)) {
+        let root = Cell { level: 0, index: [0; 3] };
+        self.descend(root, (0, self.root_split), &condition, &mut visit);
+    }
+
+    fn descend(
+        &self,
+        cell: Cell,
+        (node, split): (usize, bool),
+        condition: &impl Fn(Cell) -> bool,
+        visit: &mut impl FnMut(Cell),
+    ) {
+        if !condition(cell) {
+            return;
+        }
         if !split {
             return visit(cell);
         }
         if cell.level + 1 == self.finest {
-            (0..8).for_each(|c| visit(cell.child(c)));
-            return;
+            return (0..8).map(|c| cell.child(c)).filter(|leaf| condition(*leaf)).for_each(visit);
         }
         let mask = self.mask(node);
         let deeper = cell.level + 2 < self.finest;
         let mut next = if deeper { 1 + self.rank(node) } else { 0 };
         for c in 0..8 {
             let child_split = mask >> c & 1 == 1;
-            self.descend(cell.child(c), next, child_split, visit);
+            self.descend(cell.child(c), (next, child_split), condition, visit);
             next += usize::from(child_split);
         }
     }

@@ -19,6 +19,7 @@ mod max_levels;
 pub mod morton;
 mod nearby;
 mod set;
+mod tile;
 mod validate;
 mod vertices;
 
@@ -29,6 +30,7 @@ pub use leaves::{Leaves, Masters, coarseness, masters, mean_volume};
 pub use max_levels::MaxLevels;
 pub use nearby::Nearby;
 pub use set::MortonSet;
+pub use tile::Tile;
 pub use validate::{Defect, OctreeStats};
 
 use free::free_vertices;

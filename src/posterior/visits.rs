@@ -11,6 +11,7 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use crate::geometry::{Domain, Lattice};
+use crate::octree::Tile;
 use crate::render::{RaySamples, VisibleSegment};
 
 /// Steps per coarse cell along a contracted ray, which is curved on the grid.
@@ -59,11 +60,23 @@ impl Visits {
         let mut counts = vec![0; 1 << (3 * u32::from(lattice.level()))];
         let fine = self.lattice.level();
         for (i, &count) in self.counts.iter().enumerate() {
-            let cell = [2 * fine, fine, 0].map(|at| (i >> at) as u32 & ((1 << fine) - 1));
-            let most: &mut u32 = &mut counts[index(&lattice, cell.map(|i| i >> shift))];
+            let most: &mut u32 = &mut counts[index(&lattice, cell_at(fine, i).map(|i| i >> shift))];
             *most = count.max(*most);
         }
         Self { lattice, counts }
+    }
+
+    /// The visits to a tile; none elsewhere.
+    #[must_use]
+    pub fn within(mut self, tile: Option<Tile>) -> Self {
+        let Some(tile) = tile else { return self };
+        let level = self.lattice.level();
+        for (i, count) in self.counts.iter_mut().enumerate() {
+            if !tile.owns(level, cell_at(level, i)) {
+                *count = 0;
+            }
+        }
+        self
     }
 
     /// `[cells]`, x slowest, z fastest.
@@ -128,6 +141,11 @@ impl AddAssign<&Self> for Visits {
 /// Position of a cell in the array of counts.
 fn index(lattice: &Lattice, cell: [u32; 3]) -> usize {
     cell.into_iter().fold(0, |index, i| index << lattice.level() | i as usize)
+}
+
+/// The cell at a position in the array of counts of a grid of 2^`level` cells per axis.
+fn cell_at(level: u8, i: usize) -> [u32; 3] {
+    [2 * level, level, 0].map(|at| (i >> at) as u32 & ((1 << level) - 1))
 }
 
 /// Calls `visit` once for every cell that a line crosses in a box, in order (Amanatides & Woo 1987).

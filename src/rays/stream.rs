@@ -8,7 +8,7 @@ use super::pixels::{Pick, PixelSequence, Pixels};
 use super::progress::RunProgress;
 use super::seeds::Purpose;
 use super::shard::{BATCH, Draw, Shard};
-use crate::geometry::{Camera, Ray};
+use crate::geometry::{Aabb, Camera, Ray};
 use crate::monitor::{Monitor, check};
 use crate::render::{
     CompositingWeights, Differentiation, JacobianBuffers, RayGroup, RaySamples, RaysTogether, TraceBuffers, TracedRays,
@@ -53,14 +53,17 @@ pub struct RayStream<'a> {
     pub pixel_offset: f64,
     /// The pixels in their order.
     pub pixels: PixelSequence,
+    /// Rays that miss this box are drawn and counted, but neither traced nor passed on.
+    pub reach: Option<Aabb>,
 }
 
 impl<'a> RayStream<'a> {
-    /// The same stream with other pixels.
+    /// The same stream with other pixels, wherever they look.
     #[must_use]
     pub fn with_pixels(&self, kind: Pixels, seed: u64) -> RayStream<'a> {
         let resolutions = self.cameras.iter().map(|c| c.resolution).collect();
-        RayStream { tracer: self.tracer.clone(), pixels: PixelSequence::new(kind, seed, resolutions), ..*self }
+        let pixels = PixelSequence::new(kind, seed, resolutions);
+        RayStream { tracer: self.tracer.clone(), pixels, reach: None, ..*self }
     }
 
     /// The same stream with the pixels that its run draws for another purpose.
@@ -89,7 +92,7 @@ impl<'a> RayStream<'a> {
                 let (rays, jitter) = self.batch(batch, shard.rays_of(batch));
                 let (first, how) = (batch * BATCH, &self.differentiation);
                 let samples = self.tracer.jacobians(&rays, &jitter, first, how, buffers);
-                monitor.advance(rays.len() as u64);
+                monitor.advance(shard.rays_of(batch));
                 samples
             })
             .collect()
@@ -132,9 +135,10 @@ impl<'a> RayStream<'a> {
         picks.iter().map(ray).collect()
     }
 
-    /// Rays and jitter of one batch.
+    /// Rays and jitter of one batch, without the rays that reach nothing.
     fn batch(&self, batch: u64, count: u64) -> (Vec<Ray>, Vec<f64>) {
-        self.picked(batch, count).into_iter().unzip()
+        let picked = self.picked(batch, count).into_iter();
+        picked.filter(|(ray, _)| self.reach.is_none_or(|reach| reach.clip(ray).is_some())).unzip()
     }
 
     /// Draws the rays of `shard` and passes their samples to `sink`, in ray order, with the progress that

@@ -45,6 +45,7 @@ impl UncertaintyField {
             visits: self.visits.clone(),
             draws: self.draws.clone(),
             conformal: self.conformal,
+            tile: self.tile,
         }
     }
 }

@@ -26,10 +26,11 @@ mod legacy;
 
 use std::path::Path;
 
+use super::merge::Head;
 use super::{Conformal, ErrorBars, Protocol, RayCounts, StandardDeviations, Support, UncertaintyField, vertex_count};
 use crate::geometry::Lattice;
 use crate::io::container::{self, Format, Reader, Section};
-use crate::octree::{MaxLevels, Octree};
+use crate::octree::{MaxLevels, Octree, Tile};
 use crate::posterior::{FactoredSums, VertexSums, Visits};
 use crate::rays::Draw;
 use crate::{Error, Result};
@@ -48,6 +49,9 @@ struct Header {
     /// The calibrated interval of depth, if there is one.
     #[serde(default)]
     conformal: Option<Conformal>,
+    /// The part of space that the sums are of, if not all.
+    #[serde(default)]
+    tile: Option<Tile>,
 }
 
 #[derive(serde::Serialize, serde::Deserialize)]
@@ -124,17 +128,19 @@ impl UncertaintyField {
             }
         };
         let (protocol, draws) = (self.protocol.clone(), self.draws.clone());
-        let header = Header { protocol, lattice: self.lattice, kind, draws, conformal: self.conformal };
+        let (lattice, conformal, tile) = (self.lattice, self.conformal, self.tile);
+        let header = Header { protocol, lattice, kind, draws, conformal, tile };
         let sums = self.sums.as_deref().unwrap_or_default();
-        let exact = if self.is_part() { sums } else { &[] };
-        let factors = Factors(if self.is_part() { &[] } else { sums });
+        let is_exact = self.is_to_be_merged();
+        let exact = if is_exact { sums } else { &[] };
+        let factors = Factors(if is_exact { &[] } else { sums });
         let limits = self.limits.packed().unwrap_or_default();
         let errors = self.error_bars.as_ref().map(ErrorBars::words).unwrap_or_default();
         let (masks, surface) = (masks.as_slice(), self.surface.as_slice());
         let (limits, errors) = (limits.as_slice(), errors.as_slice());
         let counts = self.visits.as_ref().map_or(&[][..], Visits::counts);
-        let counted = if self.is_part() { counts } else { &[] };
-        let visits = if self.is_part() { RayCounts::default() } else { counts.iter().copied().collect() };
+        let counted = if is_exact { counts } else { &[] };
+        let visits = if is_exact { RayCounts::default() } else { counts.iter().copied().collect() };
         let visits = visits.0.as_slice();
         let (values, rays) = (self.deviations.0.as_slice(), self.rays.0.as_slice());
         container::write(
@@ -156,6 +162,20 @@ impl UncertaintyField {
         )
     }
 
+    /// Reads what the header of a file says. Unlike [`UncertaintyField::read`], this does not check it.
+    ///
+    /// # Errors
+    /// If the file is missing, or is not complete, or not a field of a known version.
+    pub(super) fn read_head(path: &Path) -> Result<Head> {
+        let name = path.display().to_string();
+        if container::version(path, FORMAT)? < FORMAT_VERSION {
+            return Self::read(path).map(|field| Head::of(name, &field));
+        }
+        let (Header { protocol, lattice, kind, draws, tile, .. }, file) = Reader::open::<Header>(path, FORMAT)?;
+        let has_sums = ["exact", "factors"].into_iter().any(|name| file.has(name));
+        Ok(Head { name, protocol, lattice, draws, tile, is_dense: matches!(kind, Kind::Dense), has_sums })
+    }
+
     /// Reads a field.
     ///
     /// # Errors
@@ -175,7 +195,11 @@ impl UncertaintyField {
             let expected = "a protocol that a run can have";
             return Err(Error::malformed(path, "header", expected, format!("{protocol:?}")));
         }
-        let is_part = protocol.is_part() || header.draws.iter().any(Draw::is_part);
+        let tile = header.tile;
+        if tile.is_some_and(|tile| !tile.is_valid() || lattice.level() < tile.least_level()) {
+            return Err(Error::malformed(path, "header, tile", "a part of the box", format!("{tile:?}")));
+        }
+        let is_part = tile.is_some() || protocol.is_part() || header.draws.iter().any(Draw::is_part);
         if has_exact_counts && !is_part {
             return Err(Error::malformed(path, "section `counted`", "counts of a part of a run", "a whole run's"));
         }
@@ -249,6 +273,7 @@ impl UncertaintyField {
             visits,
             draws,
             conformal,
+            tile,
         };
         Ok(field)
     }

@@ -26,6 +26,13 @@ fn comparable(limits: &MaxLevels, point: [u32; 3], mut sums: VertexSums) -> Vert
     sums
 }
 
+/// What queries need of a vertex: its deviation, and the code of its ray count.
+pub fn value(protocol: &Protocol, octree: &Octree, limits: &MaxLevels, point: [u32; 3], sums: VertexSums) -> (f32, u8) {
+    let lambda = protocol.prior.at(protocol.lambda, octree, point);
+    let sums = comparable(limits, point, sums);
+    (stored(protocol, &sums, lambda), ray_counts::encode(sums.rays))
+}
+
 /// What queries need of every vertex of `octree`, without a copy of the sums, and without pooling, which needs the sums
 /// of neighbours.
 pub fn values_without_sums(
@@ -34,11 +41,7 @@ pub fn values_without_sums(
     posterior: &OctreePosterior,
 ) -> (StandardDeviations, RayCounts) {
     let (mut deviations, mut rays) = (Vec::new(), Vec::new());
-    let value = |(point, sums): ([u32; 3], VertexSums)| {
-        let lambda = protocol.prior.at(protocol.lambda, octree, point);
-        let sums = comparable(posterior.limits(), point, sums);
-        (stored(protocol, &sums, lambda), ray_counts::encode(sums.rays))
-    };
+    let value = |(point, sums)| value(protocol, octree, posterior.limits(), point, sums);
     posterior.each_at(octree).map(value).unzip_into_vecs(&mut deviations, &mut rays);
     (StandardDeviations(deviations), RayCounts(rays))
 }

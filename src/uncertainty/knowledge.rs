@@ -41,7 +41,7 @@ impl UncertaintyField {
     /// of a run.
     #[must_use]
     pub fn with_visits(self, visits: Option<Visits>) -> Self {
-        let level = if self.is_part() { Visits::LEVEL } else { Visits::level_of(self.protocol.rays) };
+        let level = if self.is_to_be_merged() { Visits::LEVEL } else { Visits::level_of(self.protocol.rays) };
         Self { visits: visits.map(|visits| visits.coarsened(level)), ..self }
     }
 

@@ -3,6 +3,7 @@
 //! U(x) = Σ_v φ_v(x) σ_v is one standard deviation of the displacement at x that the training images would not
 //! notice. The field lives on a dense grid or on an octree. Both are queried, stored and compared in the same way.
 
+mod answers;
 mod batch;
 mod compare;
 mod conformal;
@@ -21,7 +22,9 @@ mod ray_counts;
 mod reread;
 mod standard_deviations;
 mod threshold;
+mod tiled;
 
+pub use answers::{Answer, Answers};
 pub use compare::{Comparison, Difference, Summary, compare};
 pub use conformal::Conformal;
 pub use depth::DepthPosterior;
@@ -29,17 +32,18 @@ pub use error_bars::{ErrorBars, ErrorSummary, Jackknife};
 pub use file::FORMAT_VERSION;
 pub use knowledge::Knowledge;
 pub use matrices::Matrices;
-pub use merge::{merge, merge_with_error_bars};
+pub use merge::{finish_tiles, merge, merge_files, merge_with_error_bars};
 pub use official::OfficialGrid;
 pub use protocol::{Origin, Protocol};
 pub use query::Estimate;
 pub use ray_counts::RayCounts;
 pub use standard_deviations::StandardDeviations;
 pub use threshold::ThresholdedField;
+pub use tiled::TiledField;
 
 use self::from_sums::{deviations_from_sums, values_without_sums};
 use crate::geometry::Lattice;
-use crate::octree::{Cell, MaxLevels, Octree, VertexId};
+use crate::octree::{Cell, MaxLevels, Octree, Tile, VertexId};
 use crate::posterior::{OctreePosterior, Refinement, VertexSums, Visits};
 use crate::rays::Draw;
 
@@ -82,6 +86,8 @@ pub struct UncertaintyField {
     draws: Vec<Draw>,
     /// An interval of depth that was calibrated for these deviations.
     conformal: Option<Conformal>,
+    /// The part of space whose vertices have sums, if not all. Elsewhere nothing is known.
+    tile: Option<Tile>,
 }
 
 impl UncertaintyField {
@@ -130,6 +136,7 @@ impl UncertaintyField {
             visits: None,
             draws,
             conformal: None,
+            tile: None,
         }
     }
 
@@ -140,7 +147,8 @@ impl UncertaintyField {
     /// the run is known only when all parts are present.
     #[must_use]
     pub fn from_octree(protocol: Protocol, lattice: Lattice, posterior: OctreePosterior, wanted: Vec<Cell>) -> Self {
-        let floor = if protocol.is_part() { Refinement::EVERYTHING } else { protocol.pooling().floor };
+        let is_part = protocol.is_part() || posterior.tile().is_some();
+        let floor = if is_part { Refinement::EVERYTHING } else { protocol.pooling().floor };
         Self::from_octree_above(floor, protocol, lattice, posterior, wanted)
     }
 
@@ -153,7 +161,7 @@ impl UncertaintyField {
         posterior: OctreePosterior,
         wanted: Vec<Cell>,
     ) -> Self {
-        if protocol.is_part() || protocol.pooling().is_on() {
+        if protocol.is_part() || protocol.pooling().is_on() || posterior.tile().is_some() {
             return Self::from_octree(protocol, lattice, posterior, wanted).for_queries();
         }
         let pooling = protocol.pooling();
@@ -172,12 +180,12 @@ impl UncertaintyField {
         posterior: OctreePosterior,
         wanted: Vec<Cell>,
     ) -> Self {
-        let limits = posterior.limits().clone();
+        let (limits, tile) = (posterior.limits().clone(), posterior.tile());
         let pooling = protocol.pooling();
         let floor = protocol.criteria.sensitivity.then_some(floor);
         let refinement = Refinement { floor, pooling, wanted };
         let (octree, sums) = posterior.into_octree(&refinement);
-        Self::on_leaves(protocol, lattice, Support::Octree(octree), limits, sums)
+        Self { tile, ..Self::on_leaves(protocol, lattice, Support::Octree(octree), limits, sums) }
     }
 
     /// The same field without its sums: a tenth of the memory, but the covariance is fixed.
@@ -195,10 +203,21 @@ impl UncertaintyField {
         if self.is_part() { self } else { self.without_sums() }
     }
 
-    /// Whether these rays are only a part of a run, whose other shards are missing.
+    /// Whether this is only a part of a run, whose other shards or tiles are missing.
     #[must_use]
     pub fn is_part(&self) -> bool {
-        self.protocol.is_part() || self.draws.iter().any(Draw::is_part)
+        self.tile.is_some() || self.protocol.is_part() || self.draws.iter().any(Draw::is_part)
+    }
+
+    /// Whether other shards or tiles are still to be added: its sums and counts are exact.
+    pub(crate) fn is_to_be_merged(&self) -> bool {
+        self.is_part() && self.sums.is_some()
+    }
+
+    /// The part of space that the sums are of, or that a finished tile answers for; `None` if all.
+    #[must_use]
+    pub fn tile(&self) -> Option<Tile> {
+        self.tile
     }
 
     /// The same field with the [checksum](crate::open::checksum) of the model that it was computed from.

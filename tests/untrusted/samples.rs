@@ -165,6 +165,7 @@ pub fn run_key(grid: GridKind) -> RunKey {
         surface_points: 100,
         rays_per_vertex: 0.0,
         limits: 0,
+        tile: None,
     }
 }
 

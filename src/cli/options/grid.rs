@@ -6,11 +6,13 @@ use clap::{Args, ValueEnum};
 use glam::DVec3;
 
 use super::numbers::count;
-use super::parse::{numbers, parse_box, parse_bytes, parse_non_negative, parse_positive};
+use super::parse::{numbers, parse_box, parse_bytes, parse_non_negative, parse_positive, parse_tile};
 use super::scale::{ScaleOptions, TrainingPixels};
+use crate::cli::belongs::read_whole;
 use crate::cli::report::{self, Cost};
 use crate::estimate::{GridKind, GridSettings};
 use crate::geometry::{Aabb, Domain, MAX_LEVEL, Norm};
+use crate::octree::Tile;
 use crate::posterior::{Covariance, Criterion, Prior};
 use crate::uncertainty::{OfficialGrid, UncertaintyField};
 use crate::{Error, Result};
@@ -117,6 +119,14 @@ pub struct GridOptions {
     #[arg(long, value_name = "RAYS", default_value_t = 0.0, value_parser = parse_non_negative)]
     pub min_rays: f64,
 
+    /// Sum in part I of N of space only (I from 0; N = 2, 4, 8, ...), where the whole does not fit into memory; `merge`
+    /// joins the parts to the same field
+    ///
+    /// Each tile needs all rays that reach it, so N tiles take longer than one run, and a tile's file is as large as
+    /// that of a shard.
+    #[arg(long, value_name = "I/N", value_parser = parse_tile, conflicts_with = "memory")]
+    pub tile: Option<Tile>,
+
     /// Keep the 3x3 matrices too: 28 bytes more a vertex. Other covariances, and `merge` with other seeds, need them
     #[arg(long)]
     pub keep_sums: bool,
@@ -150,6 +160,7 @@ impl GridOptions {
             prior: self.prior,
             min_rays: self.min_rays,
             surface_points: self.surface_points,
+            tile: self.tile,
             keep_sums: self.keep_sums,
         })
     }
@@ -223,7 +234,7 @@ impl OfficialOptions {
                 });
                 OfficialGrid { domain: Domain::Box(bounds), rays, lambda: None }.read(path)
             }
-            _ => UncertaintyField::read(path),
+            _ => read_whole(path),
         }
     }
 }

@@ -4,6 +4,7 @@ use glam::{DVec3, Vec3};
 
 use crate::dataset::Selection;
 use crate::geometry::{Aabb, Camera};
+use crate::octree::Tile;
 use crate::posterior::DataScale;
 
 /// Numbers separated by commas.
@@ -121,6 +122,13 @@ pub fn parse_positive(text: &str) -> Result<f64, String> {
         Ok(v) if v > 0.0 && v.is_finite() => Ok(v),
         _ => Err("expected a finite number above 0".into()),
     }
+}
+
+/// `I/N` with I < N, N a power of two.
+pub fn parse_tile(text: &str) -> Result<Tile, String> {
+    let numbers = text.split_once('/').and_then(|(i, n)| Some((i.parse().ok()?, n.parse().ok()?)));
+    let tile = numbers.and_then(|(index, of)| Tile::new(index, of));
+    tile.ok_or_else(|| format!("expected I/N with 0 <= I < N, N = 2, 4, 8, ... {}", Tile::MOST))
 }
 
 /// A probability that is neither impossible nor certain.

@@ -14,11 +14,15 @@ use super::options::OfficialOptions;
 use super::progress::Bars;
 use crate::dataset::PointReader;
 use crate::error::printable;
+use crate::io::memory::available;
 use crate::io::{AtomicFile, npy};
 use crate::monitor::check;
 use crate::posterior::Covariance;
-use crate::uncertainty::{Estimate, Knowledge, UncertaintyField};
+use crate::uncertainty::{Answer, Answers, Knowledge, TiledField, UncertaintyField};
 use crate::{Error, Result};
+
+/// Bytes that tiles may take where the system does not say what is free.
+const DEFAULT_ROOM: u64 = 2 << 30;
 
 /// Points that are answered together. More are no faster, and this many with their answers take 30 MB.
 const BATCH: usize = 1 << 18;
@@ -42,7 +46,9 @@ const BATCH: usize = 1 << 18;
     after_help = "Examples:\n  echo 0,0,0.5 | octobayes query lego.oct -\n  octobayes query lego.oct --ray 0,-3,0.5,0,1,0 --model lego.safetensors"
 )]
 pub struct Args {
-    /// The field: `.oct`, or the official code's `.npy`
+    /// The field: `.oct`, a folder of its tiles, or the official code's `.npy`
+    ///
+    /// Tiles are read when a point in them is asked for, and kept as long as half of the free memory holds them.
     field: PathBuf,
 
     /// Points: `.npy`, `.csv`, or `-`
@@ -98,6 +104,11 @@ impl Args {
             .inputs("--model", &self.rays.model)
             .outputs("--output", named(&self.output))
             .check()?;
+        if let (true, None, Some(points), Some(input)) = (self.field.is_dir(), self.covariance, &points, &input) {
+            let room = available().unwrap_or(DEFAULT_ROOM) / 2;
+            let field = TiledField::open(&self.field, room as usize)?;
+            return self.answer_points(&field, open(points, input)?, &output, bars);
+        }
         let mut field = self.official.read(&self.field)?;
         if let Some(covariance) = self.covariance {
             let had_error_bars = field.error_bars().is_some();
@@ -107,11 +118,14 @@ impl Args {
             }
         }
         let Some((points, input)) = points.zip(input) else { return self.answer_rays(&field, &output, bars) };
-        let mut points = open(&points, &input)?;
-        if output == Format::Npy {
-            return write_npy(&self.output, &field, &mut points, bars);
+        self.answer_points(&field, open(&points, &input)?, &output, bars)
+    }
+
+    fn answer_points(&self, field: &dyn Answers, mut points: PointReader, to: &Format, bars: &Bars) -> Result<()> {
+        if *to == Format::Npy {
+            return write_npy(&self.output, field, &mut points, bars);
         }
-        written(&self.output, &output, |out| write_csv(out, &field, &mut points, bars))
+        written(&self.output, to, |out| write_csv(out, field, &mut points, bars))
     }
 
     fn answer_rays(self, field: &UncertaintyField, output: &Format, bars: &Bars) -> Result<()> {
@@ -159,12 +173,13 @@ fn open(path: &Path, format: &Format) -> Result<PointReader<'static>> {
     Ok(points)
 }
 
-fn write_npy(path: &Path, field: &UncertaintyField, points: &mut PointReader, bars: &Bars) -> Result<()> {
-    let columns = if field.error_bars().is_some() { 3 } else { 2 };
+fn write_npy(path: &Path, field: &dyn Answers, points: &mut PointReader, bars: &Bars) -> Result<()> {
+    let columns = if field.has_error_bars() { 3 } else { 2 };
     // The number of rows stands at the start of the file, so that all must be read first.
-    let answers = field.query_all(&points.rest()?);
+    let answers = field.answers(&points.rest()?)?;
     check(bars)?;
-    let row = |a: &Estimate| [a.uncertainty, a.uncertainty.log10(), a.log10_error.unwrap_or(f64::NAN)];
+    let row =
+        |Answer { estimate: a, .. }: &Answer| [a.uncertainty, a.uncertainty.log10(), a.log10_error.unwrap_or(f64::NAN)];
     let values = answers.iter().flat_map(|a| row(a).into_iter().take(columns));
     npy::write(path, &[answers.len() as u64, columns as u64], values)
 }
@@ -172,11 +187,11 @@ fn write_npy(path: &Path, field: &UncertaintyField, points: &mut PointReader, ba
 /// Answers batch by batch. The inner error is that of `out`, the outer one that of the points.
 fn write_csv(
     out: &mut dyn Write,
-    field: &UncertaintyField,
+    field: &dyn Answers,
     points: &mut PointReader,
     bars: &Bars,
 ) -> Result<std::io::Result<()>> {
-    let with_errors = field.error_bars().is_some();
+    let with_errors = field.has_error_bars();
     let mut writer = csv::Writer::from_writer(out);
     let header = ["x", "y", "z", "uncertainty", "log10_uncertainty", "level", "inside", "rays", "visits", "seen"];
     if let Err(error) = writer.write_record(header.iter().chain(with_errors.then_some(&"log10_error"))) {
@@ -188,7 +203,8 @@ fn write_csv(
         if batch.is_empty() {
             return Ok(writer.flush());
         }
-        if let Err(error) = write_rows(&mut writer, field, &batch, with_errors) {
+        let answers = field.answers(&batch)?;
+        if let Err(error) = write_rows(&mut writer, &batch, &answers, with_errors) {
             return Ok(Err(error));
         }
     }
@@ -196,15 +212,15 @@ fn write_csv(
 
 fn write_rows<W: Write>(
     writer: &mut csv::Writer<W>,
-    field: &UncertaintyField,
     points: &[Vec3],
+    answers: &[Answer],
     with_errors: bool,
 ) -> std::io::Result<()> {
-    for (x, a) in points.iter().zip(field.query_all(points)) {
+    for (x, Answer { estimate: a, visits, knowledge }) in points.iter().zip(answers) {
         let numbers = [x.x.to_string(), x.y.to_string(), x.z.to_string(), a.uncertainty.to_string()];
         let rays = a.rays.map_or(String::new(), |rays| rays.to_string());
-        let visits = field.visits().map_or(String::new(), |visits| visits.at(*x).unwrap_or(0).to_string());
-        let seen = field.knowledge(*x, a.uncertainty).map_or("", Knowledge::name).to_string();
+        let visits = visits.map_or(String::new(), |visits| visits.to_string());
+        let seen = knowledge.map_or("", Knowledge::name).to_string();
         let inside = u8::from(a.inside).to_string();
         let rest = [a.uncertainty.log10().to_string(), a.level.to_string(), inside, rays, visits, seen];
         let error = with_errors.then(|| a.log10_error.map_or(String::new(), |error| error.to_string()));

@@ -15,7 +15,7 @@ use rustc_hash::FxHashMap;
 use super::pilot_counts::{Counts, PilotCounts};
 use crate::geometry::Lattice;
 use crate::io::mix;
-use crate::octree::{Leaves, MaxLevels, Wanted, morton};
+use crate::octree::{Leaves, MaxLevels, Tile, Wanted, morton};
 use crate::render::RaySamples;
 
 /// One ray in this many is asked for its split cells, which takes longer than its bricks.
@@ -236,18 +236,22 @@ impl Census {
         PilotCounts::new(self.lattice.level(), self.vertices.rays.iter().map(|(&code, &rays)| (code, rays)))
     }
 
-    /// What `scale` times the pilot's rays need on the leaves of `limits`.
+    /// What `scale` times the pilot's rays need on the leaves of `limits`, in a tile or everywhere.
     #[must_use]
-    pub fn needs(&self, scale: f64, limits: &MaxLevels) -> Needs {
+    pub fn needs(&self, scale: f64, limits: &MaxLevels, tile: Option<Tile>) -> Needs {
         let (finest, region) = (limits.finest(), limits.region_level());
         let last = self.lattice.cells_per_axis() - 1;
+        let is_owned = |point| tile.is_none_or(|tile| tile.owns(finest, point));
         let on_limit = |coarseness: u8, code: u64| {
             let vertex = morton::decode(code << 3).map(|i| (i << coarseness).min(last));
-            limits.level(limits.region_of(vertex)) + coarseness == finest
+            limits.level(limits.region_of(vertex)) + coarseness == finest && is_owned(vertex)
         };
         let bricks = (0..).zip(&self.bricks);
         let bricks = bricks.map(|(coarseness, sample)| sample.expected(scale, |code| on_limit(coarseness, code)));
-        let is_split = |level: u8, code: u64| level < region || level < limits.level(code >> (3 * (level - region)));
+        let is_split = |level: u8, code: u64| {
+            let is_on_limit = level < region || level < limits.level(code >> (3 * (level - region)));
+            is_on_limit && is_owned(morton::decode(code << (3 * (finest - level))))
+        };
         let split = (0..).zip(&self.split).map(|(level, sample)| {
             // A cell is split or it is not: all of them is the most there can be.
             let most = f64::from(3 * u32::from(level)).exp2();

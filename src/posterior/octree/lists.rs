@@ -25,6 +25,11 @@ impl Contributions {
         self.0[key.partition()].push(Contribution { key, sums });
     }
 
+    /// Keeps the contributions to some vertices.
+    pub fn retain(&mut self, condition: impl Fn(VertexKey) -> bool) {
+        self.0.iter_mut().for_each(|list| list.retain(|contribution| condition(contribution.key)));
+    }
+
     /// The list of one partition.
     pub fn partition(&self, s: usize) -> &[Contribution] {
         &self.0[s]

@@ -38,7 +38,7 @@ use walk::LeafWalk;
 
 use super::{Posterior, VertexSums};
 use crate::geometry::Lattice;
-use crate::octree::{Leaves, MaxLevels, coarseness};
+use crate::octree::{Leaves, MaxLevels, Tile, coarseness};
 use crate::render::RaySamples;
 
 /// Expected bytes of a brick, with what it takes to find it, and of chunks of bricks that are not yet full.
@@ -51,6 +51,8 @@ pub(crate) const CONTRIBUTION_BYTES: usize = size_of::<lists::Contribution>();
 pub struct OctreePosterior {
     lattice: Lattice,
     limits: MaxLevels,
+    /// The part of space whose vertices have sums; `None` for all of it.
+    tile: Option<Tile>,
     bricks: Bricks,
 }
 
@@ -68,7 +70,20 @@ impl OctreePosterior {
     #[must_use]
     pub fn limited(lattice: Lattice, limits: MaxLevels) -> Self {
         assert_eq!(limits.finest(), lattice.level(), "limits belong to the lattice's level");
-        Self { lattice, limits, bricks: Bricks::new() }
+        Self { lattice, limits, tile: None, bricks: Bricks::new() }
+    }
+
+    /// The same posterior, which from now on sums at the vertices of a tile only. These get what they would get without
+    /// a tile, bit for bit.
+    #[must_use]
+    pub fn owning(self, tile: Option<Tile>) -> Self {
+        Self { tile, ..self }
+    }
+
+    /// The part of space whose vertices have sums; `None` for all of it.
+    #[must_use]
+    pub fn tile(&self) -> Option<Tile> {
+        self.tile
     }
 
     /// The maximal level of leaves, by region.
@@ -92,7 +107,7 @@ impl OctreePosterior {
     /// `None` if a code lies outside the lattice or occurs twice.
     pub(crate) fn restore(lattice: Lattice, limits: MaxLevels, codes: &[u64], bricks: Vec<Brick>) -> Option<Self> {
         let bricks = Bricks::restore(lattice.cells_per_axis(), codes, bricks)?;
-        Some(Self { lattice, limits, bricks })
+        Some(Self { lattice, limits, tile: None, bricks })
     }
 
     /// Adds sums at a lattice point, as part of joining another run.
@@ -133,6 +148,9 @@ impl OctreePosterior {
             } else {
                 walk.ray(batch, samples, &mut all);
             }
+        }
+        if let Some(tile) = self.tile {
+            all.retain(|key| tile.owns(self.lattice.level(), key.point()));
         }
         all
     }

@@ -46,7 +46,7 @@ impl OctreePosterior {
     #[must_use]
     pub fn octree(&self, refinement: &Refinement) -> Octree {
         let finest = self.lattice.level();
-        let mut wanted = self.wanted_around_moved(refinement.floor);
+        let mut wanted = refinement.floor.map_or_else(|| Wanted::new(finest), |floor| self.wanted(floor));
         if refinement.pooling.is_on() {
             // A key is a point on the lattice of its own level, so sorted unique keys are unique points.
             let mut moved: Vec<VertexKey> = match refinement.floor {
@@ -82,10 +82,9 @@ impl OctreePosterior {
     }
 
     /// The leaves around every vertex with more information than `floor`.
-    fn wanted_around_moved(&self, floor: Option<f64>) -> Wanted {
-        let finest = self.lattice.level();
-        let none = || Wanted::new(finest);
-        let Some(floor) = floor else { return none() };
+    #[must_use]
+    pub fn wanted(&self, floor: f64) -> Wanted {
+        let none = || Wanted::new(self.lattice.level());
         let masks = self.bricks.par_masks(|sums| moves(sums, floor));
         let each = masks.fold(none, |mut wanted, (code, moved)| {
             if self.limits.is_unlimited() {

@@ -1,0 +1,90 @@
+//! Checks that parts belong to one run, or to runs that can be added.
+
+use super::parts::Head;
+use crate::rays::Draw;
+use crate::uncertainty::Protocol;
+use crate::{Error, Result};
+
+/// Refuses parts that differ in model, cameras or a setting that affects a sum, or of which two may count the same rays.
+pub fn check(heads: &[Head]) -> Result<()> {
+    let Some((first, rest)) = heads.split_first() else { return Ok(()) };
+    for (i, head) in rest.iter().enumerate() {
+        check_alike(first, head)?;
+        if let Some(other) = heads[..=i].iter().find(|other| may_share_rays(other, head)) {
+            let found = format!("{} and {}, which may have rays in common", other.name, head.name);
+            let expected = "different seeds, different shards of one run, or different sample files";
+            return Err(Error::setting("fields to merge", expected, found));
+        }
+    }
+    Ok(())
+}
+
+/// Whether two parts may count the same rays at the same vertices.
+fn may_share_rays(a: &Head, b: &Head) -> bool {
+    if a.tile != b.tile {
+        return false;
+    }
+    if a.draws.is_empty() || b.draws.is_empty() {
+        // The draws of samples files are unknown; only their origin can be compared.
+        let [a, b] = [&a.protocol, &b.protocol];
+        return a.source == b.source || a.origin.model.is_some() && a.origin == b.origin;
+    }
+    !Draw::are_disjoint(a.draws.iter().chain(&b.draws).copied())
+}
+
+/// Whether model and cameras are the same.
+///
+/// They are compared by checksum, whatever their paths. If a checksum is unknown, they are compared by name,
+/// provided that this crate drew the rays.
+fn have_one_origin(a: &Protocol, b: &Protocol) -> bool {
+    let same = |a: Option<u32>, b: Option<u32>| a.zip(b).map(|(a, b)| a == b);
+    let same = [same(a.origin.model, b.origin.model), same(a.origin.cameras, b.origin.cameras)];
+    match same {
+        [Some(model), Some(cameras)] => model && cameras,
+        _ => !same.contains(&Some(false)) && (a.march_step.is_none() || a.source == b.source),
+    }
+}
+
+/// Compares everything except rays, seed, shard and limits to refinement. The source is compared too if this crate drew
+/// the rays.
+fn check_alike(first: &Head, part: &Head) -> Result<()> {
+    let settings = |head: &Head| {
+        let p = &head.protocol;
+        let tiles = head.tile.map_or("all of space".into(), |tile| format!("one of {} tiles", tile.of));
+        [
+            ("box and level", format!("{:?}", head.lattice)),
+            ("grid", if head.is_dense { "dense" } else { "octree" }.to_string()),
+            ("part of space", tiles),
+            ("lambda", p.lambda.to_string()),
+            ("scale", format!("{:?}", p.scale)),
+            ("covariance", p.covariance.name().to_string()),
+            ("tolerance", p.tolerance.to_string()),
+            ("march step", format!("{:?}", p.march_step)),
+            ("gradient", format!("{:?}", p.gradient)),
+            ("difference step", format!("{:?}", p.difference_step)),
+            ("cutoff", format!("{:?}", p.cutoff)),
+            ("background", format!("{:?}", p.background)),
+            ("pixel offset", format!("{:?}", p.pixel_offset)),
+            ("pixels", format!("{:?}", p.pixels)),
+            ("prior", format!("{:?}", p.prior)),
+            ("min rays", p.min_rays.to_string()),
+            ("criteria", p.criteria.to_string()),
+        ]
+    };
+    if !have_one_origin(&first.protocol, &part.protocol) {
+        let name = |p: &Protocol| {
+            let sum = |sum: Option<u32>| sum.map_or("unknown".into(), |sum| format!("{sum:08x}"));
+            format!("{} (model {}, cameras {})", p.source, sum(p.origin.model), sum(p.origin.cameras))
+        };
+        let what = format!("model and cameras of {}", part.name);
+        let expected = format!("{}, as in {}", name(&first.protocol), first.name);
+        return Err(Error::setting(what, expected, name(&part.protocol)));
+    }
+    for ((name, expected), (_, found)) in settings(first).into_iter().zip(settings(part)) {
+        if expected != found {
+            let expected = format!("{expected}, as in {}", first.name);
+            return Err(Error::setting(format!("{name} of {}", part.name), expected, found));
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,152 @@
+//! Joins fields with the same box, level and protocol: of different rays, as if one run had drawn all of them, and of
+//! different tiles, as if one process had summed all of space.
+
+mod alike;
+mod parts;
+mod shards;
+mod tiles;
+
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+pub(super) use parts::Head;
+pub(super) use tiles::in_turn;
+
+use self::parts::Parts;
+use super::UncertaintyField;
+use crate::octree::Tile;
+use crate::posterior::VertexSums;
+use crate::rays::Draw;
+use crate::{Error, Result};
+
+/// Joins `parts` into the field of all their rays.
+///
+/// Information adds up. Shards of one run keep all of theirs. Joined, they have the vertices of a run over all rays, at
+/// any tolerance. The sums differ only by the order of f64 additions, a relative n ε for n rays at a vertex. The order
+/// of the parts does not matter, bit for bit. (Sums within n ε of the negligible limit may fall on either side. With
+/// criterion `density`, the shards' leaves stay, so there may be more vertices.)
+///
+/// Runs with other seeds left out what was negligible for their own R rays, where their octrees are coarse. The
+/// total stays negligible for the sum of the R, and nothing beyond that is left out here. log10 U is within the
+/// tolerance of the dense grid of all rays. Error bars of the parts are dropped, because the sums of their groups
+/// are no longer available ([`merge_with_error_bars`]).
+///
+/// Tiles give the field of the run without tiles, bit for bit, except that its points on surfaces are others. Shards of
+/// tiles are joined tile by tile. The result has no sums: together they would take the memory that tiles avoid. Rays
+/// that were dropped are counted in the tile that has the most of them.
+///
+/// # Errors
+/// If there are fewer than two parts, a part has no sums, parts differ in model, cameras or a setting that
+/// affects a sum, two of them may count the same rays, or some but not all tiles of a run are given.
+pub fn merge(parts: &[UncertaintyField]) -> Result<UncertaintyField> {
+    join(parts)
+}
+
+/// Same as [`merge`], of files. Only one of them is in memory at a time, beside what it is added to.
+///
+/// # Errors
+/// As [`merge`], or if a file cannot be read. Messages name the file.
+pub fn merge_files(parts: &[PathBuf]) -> Result<UncertaintyField> {
+    join(parts)
+}
+
+/// Makes of the files of all tiles of a run as many files that answer queries, in `folder`: `tile-000-of-008.oct` and so
+/// on, which [`TiledField`](super::TiledField) opens as one field. No more than the sums of one tile and the octree of
+/// the whole are ever in memory.
+///
+/// # Errors
+/// As [`merge_files`], if the files are not of tiles, or if a file cannot be written.
+pub fn finish_tiles(parts: &[PathBuf], folder: &Path) -> Result<()> {
+    let heads = parts.heads()?;
+    let groups = groups(&heads)?;
+    if groups.len() < 2 {
+        return Err(Error::setting("tiles to merge", "all tiles of a run", "fields of all of space, or of one tile"));
+    }
+    let tiles = || groups.iter().map(|shards| tile(parts, &heads, shards));
+    let survey = tiles::Survey::read(tiles())?;
+    for part in tiles() {
+        let field = survey.finish(&part?)?;
+        let Some(Tile { index, of }) = field.tile else { continue };
+        field.write(&folder.join(format!("tile-{index:03}-of-{of:03}.oct")))?;
+    }
+    Ok(())
+}
+
+/// The numbers of the parts that are added up, tile by tile.
+fn groups(heads: &[Head]) -> Result<Vec<Vec<usize>>> {
+    if heads.len() < 2 {
+        let found = if heads.is_empty() { "none" } else { "one" };
+        return Err(Error::setting("fields to merge", "two or more", found));
+    }
+    alike::check(heads)?;
+    let mut by_tile = BTreeMap::<Option<Tile>, Vec<usize>>::new();
+    for i in in_one_order(heads) {
+        by_tile.entry(heads[i].tile).or_default().push(i);
+    }
+    if by_tile.len() > 1 {
+        let heads = |group: &[usize]| group.iter().map(|&i| &heads[i]).collect();
+        let of = |(tile, group): (&Option<Tile>, &Vec<usize>)| Some(((*tile)?, heads(group)));
+        tiles::check(&by_tile.iter().filter_map(of).collect::<Vec<_>>())?;
+    }
+    Ok(by_tile.into_values().collect())
+}
+
+fn join(parts: &(impl Parts + ?Sized)) -> Result<UncertaintyField> {
+    let heads = parts.heads()?;
+    let groups = groups(&heads)?;
+    if let [all] = groups.as_slice() {
+        return shards::add(parts, &heads, all);
+    }
+    let tiles = || groups.iter().map(|shards| tile(parts, &heads, shards));
+    tiles::Survey::read(tiles())?.join(tiles())
+}
+
+/// One tile of all its shards.
+fn tile(parts: &(impl Parts + ?Sized), heads: &[Head], shards: &[usize]) -> Result<UncertaintyField> {
+    match shards {
+        [one] => parts.part(*one).map(Cow::into_owned),
+        shards => shards::add(parts, heads, shards),
+    }
+}
+
+/// Same as [`merge`], with error bars. The parts are the groups of rays that the jackknife compares, whether or
+/// not they have error bars themselves.
+///
+/// # Errors
+/// As [`merge`], if the parts are tiles, or if two parts are shards of one low-discrepancy sequence. They complement
+/// each other, so their differences would overstate the error.
+pub fn merge_with_error_bars(parts: &[UncertaintyField]) -> Result<UncertaintyField> {
+    if parts.iter().any(|part| part.tile.is_some()) {
+        return Err(Error::setting("fields to compare", "fields of all of space", "tiles"));
+    }
+    let merged = merge(parts)?;
+    for (i, part) in parts.iter().enumerate() {
+        let same = |other: &UncertaintyField| part.draws.iter().any(|a| other.draws.iter().any(|b| a.seed == b.seed));
+        if let Some(j) = parts[..i].iter().position(same) {
+            let found = format!("fields {} and {} of one seed", j + 1, i + 1);
+            return Err(Error::setting(
+                "fields to compare",
+                "different seeds: shards of one seed are not independent",
+                found,
+            ));
+        }
+    }
+    let parts: Vec<&UncertaintyField> = in_one_order(&parts.heads()?).into_iter().map(|i| &parts[i]).collect();
+    let groups: Vec<Vec<VertexSums>> = parts.iter().map(|part| shards::sums_at(&merged, part)).collect();
+    let rays: Vec<u64> = parts.iter().map(|part| part.protocol.rays).collect();
+    Ok(merged.with_error_bars(&groups, &rays))
+}
+
+/// The parts by seed and shard, so that what is joined does not depend on the order in which they are given, bit for
+/// bit: f64 additions do not commute over three summands.
+fn in_one_order(heads: &[Head]) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..heads.len()).collect();
+    let key = |draw: &Draw| (draw.seed, draw.shard.rays, draw.shard.of, draw.shard.index);
+    order.sort_by(|&a, &b| {
+        let [a, b] = [&heads[a], &heads[b]];
+        let by_draws = a.draws.iter().map(key).cmp(b.draws.iter().map(key));
+        by_draws.then_with(|| a.protocol.source.cmp(&b.protocol.source))
+    });
+    order
+}

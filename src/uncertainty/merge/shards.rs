@@ -1,0 +1,125 @@
+//! Adds up the sums of different rays.
+
+use super::parts::{Head, Parts};
+use crate::octree::{MaxLevels, VertexId};
+use crate::posterior::{DensePosterior, OctreePosterior, Refinement, VertexSums};
+use crate::rays::Draw;
+use crate::uncertainty::{Protocol, Support, UncertaintyField};
+use crate::{Error, Result};
+
+/// Adds the parts of these numbers, one after the other. They are of one tile, if of any.
+pub fn add(parts: &(impl Parts + ?Sized), heads: &[Head], order: &[usize]) -> Result<UncertaintyField> {
+    let of: Vec<&Head> = order.iter().map(|&i| &heads[i]).collect();
+    let draws = draws(&of);
+    let protocol = protocol(&of, &draws);
+    let first = of[0];
+    let (mut surface, mut most) = (Vec::new(), 0);
+    let mut visits = None;
+    let mut wanted = Vec::new();
+    let mut limits: Option<MaxLevels> = None;
+    let mut dense = first.is_dense.then(|| DensePosterior::new(first.lattice).into_sums());
+    let mut posterior = OctreePosterior::new(first.lattice);
+    for (n, &i) in order.iter().enumerate() {
+        let part = parts.part(i)?;
+        let kept = part.sums().ok_or_else(|| {
+            Error::setting("kept sums", "fields that keep their sums", format!("{}, which does not", heads[i].name))
+        })?;
+        if limits.as_ref().is_some_and(|limits| *limits != part.limits) {
+            let expected = format!("those of {}", first.name);
+            return Err(Error::setting(format!("limits to refinement of {}", heads[i].name), expected, "others"));
+        }
+        if limits.is_none() {
+            posterior = OctreePosterior::limited(first.lattice, part.limits.clone()).owning(first.tile);
+            limits = Some(part.limits.clone());
+        }
+        match (&part.support, &mut dense) {
+            (Support::Octree(octree), None) => {
+                // What was refined for reasons other than information stays refined.
+                if protocol.criteria.density || protocol.criteria.uniform {
+                    octree.cells().for_each_leaf(|leaf| wanted.push(leaf));
+                }
+                octree.vertex_positions().zip(kept).for_each(|(point, sums)| posterior.add_sums_at(point, sums));
+            }
+            (_, Some(sums)) => sums.iter_mut().zip(kept).for_each(|(sum, more)| *sum += more),
+            (Support::Dense, None) => unreachable!("the grids were compared"),
+        }
+        most = most.max(part.surface.len());
+        surface.extend_from_slice(&part.surface);
+        // If it is not known where the rays of one field passed, it is not known of the whole.
+        visits = match (n, visits, &part.visits) {
+            (0, _, visits) => visits.clone(),
+            (_, Some(mut sum), Some(more)) => {
+                sum += more;
+                Some(sum)
+            }
+            _ => None,
+        };
+    }
+    surface.truncate(most);
+    let field = match dense {
+        Some(sums) => UncertaintyField::new(protocol, first.lattice, Support::Dense, sums),
+        None => {
+            let floor = floor(&of, &draws);
+            UncertaintyField::from_octree_above(floor, protocol, first.lattice, posterior, wanted)
+        }
+    };
+    Ok(field.with_surface(surface).with_draws(draws).with_visits(visits))
+}
+
+/// The rays of all parts; unknown if those of one part are.
+pub fn draws(of: &[&Head]) -> Vec<Draw> {
+    if of.iter().any(|head| head.draws.is_empty()) {
+        return Vec::new();
+    }
+    Draw::joined(of.iter().flat_map(|head| &head.draws).copied())
+}
+
+/// The sums of `part` at the vertices of `whole`.
+pub fn sums_at(whole: &UncertaintyField, part: &UncertaintyField) -> Vec<VertexSums> {
+    let own = part.sums().unwrap_or_default();
+    match (&whole.support, &part.support) {
+        (Support::Octree(whole), Support::Octree(octree)) => {
+            let vertex = |point| octree.vertex(point).map_or(VertexSums::default(), |VertexId(v)| own[v as usize]);
+            whole.vertex_positions().map(vertex).collect()
+        }
+        _ => own.to_vec(),
+    }
+}
+
+/// The information that may still be left out where octrees are joined: together with what the parts left out,
+/// it is negligible for all rays.
+///
+/// Shards lack nothing, and nothing is left out as long as some shards are missing. A vertex that the octree of a
+/// whole run lacks may have lost what was negligible for the rays of that run. Every vertex considered here
+/// belongs to some part, whose sums are complete there.
+fn floor(of: &[&Head], draws: &[Draw]) -> f64 {
+    // What is negligible in a tile may still be a vertex because of a neighbour's leaves.
+    if of[0].tile.is_some() || draws.iter().any(Draw::is_part) {
+        return Refinement::EVERYTHING;
+    }
+    let of_shards = of.iter().flat_map(|head| &head.draws).filter(|draw| draw.is_part());
+    let complete = of_shards.fold(0_u64, |sum, draw| sum.saturating_add(draw.shard.own_rays()));
+    let runs = of.iter().map(|head| head.protocol.rays);
+    of[0].protocol.floor(if complete > 0 { complete } else { runs.min().unwrap_or(0) })
+}
+
+/// The protocol of the joined run of these draws. It is a whole run again if all its shards are present.
+pub fn protocol(of: &[&Head], draws: &[Draw]) -> Protocol {
+    let protocols = || of.iter().map(|head| &head.protocol);
+    let first = &of[0].protocol;
+    let one_seed = first.seed.filter(|_| protocols().all(|p| p.seed == first.seed));
+    let whole = match draws {
+        [draw] if one_seed == Some(draw.seed) => Some(draw.shard),
+        _ => None,
+    };
+    let mut sources: Vec<&str> = protocols().map(|p| p.source.as_str()).collect();
+    sources.dedup();
+    Protocol {
+        source: sources.join(" + "),
+        rays: protocols().fold(0, |sum, p| sum.saturating_add(p.rays)),
+        dropped: protocols().fold(0, |sum, p| sum.saturating_add(p.dropped)),
+        seed: one_seed,
+        shard: whole,
+        ..first.clone()
+    }
+}

@@ -1,0 +1,184 @@
+//! A field in a folder of finished tiles, of which as many are in memory as there is room for.
+
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use glam::Vec3;
+use lru::LruCache;
+
+use super::merge::Head;
+use super::merge::in_turn;
+use super::{Answer, Answers, Protocol, RayCounts, StandardDeviations, Support, UncertaintyField};
+use crate::geometry::Lattice;
+use crate::octree::{Cell, Octree, Tile, VertexId, Wanted};
+use crate::{Error, Result};
+
+/// A field whose tiles are read when a point in them is asked for.
+///
+/// Opening reads one header a tile. Points are answered tile by tile, so that a batch reads each tile at most once,
+/// whatever the order of its points.
+pub struct TiledField {
+    /// In the order of their numbers.
+    tiles: Vec<PathBuf>,
+    protocol: Protocol,
+    lattice: Lattice,
+    /// Bytes that loaded tiles may take; the tile at hand may take more.
+    room: usize,
+    loaded: Mutex<LruCache<usize, Arc<UncertaintyField>>>,
+}
+
+impl TiledField {
+    /// Opens the tiles that [`finish_tiles`](super::finish_tiles) wrote into `folder`. Loaded ones take up to `room`
+    /// bytes together.
+    ///
+    /// # Errors
+    /// If the folder cannot be read, or does not hold all finished tiles of one run and nothing else that ends in
+    /// `.oct`.
+    pub fn open(folder: &Path, room: usize) -> Result<Self> {
+        let entries = std::fs::read_dir(folder).map_err(Error::io(folder, "cannot read"))?;
+        let mut paths = Vec::new();
+        for entry in entries {
+            let path = entry.map_err(Error::io(folder, "cannot read"))?.path();
+            if path.extension().is_some_and(|extension| extension == "oct") {
+                paths.push(path);
+            }
+        }
+        let heads = paths.iter().map(|path| UncertaintyField::read_head(path)).collect::<Result<Vec<Head>>>()?;
+        let mut tiles: Vec<(Option<Tile>, &PathBuf, &Head)> =
+            heads.iter().zip(&paths).map(|(head, path)| (head.tile, path, head)).collect();
+        tiles.sort_by_key(|(tile, ..)| *tile);
+        let Some((first, _, head)) = tiles.first() else {
+            return Err(Error::malformed(folder, "files", "the finished tiles of a field", "no `.oct`"));
+        };
+        let of = first.map_or(1, |tile| tile.of);
+        let expected = (0..of).map(|index| Tile::new(index, of));
+        if !expected.eq(tiles.iter().map(|(tile, ..)| *tile)) {
+            let names =
+                |(tile, ..): &(Option<Tile>, &PathBuf, &Head)| tile.map_or("a whole field".into(), |t| t.to_string());
+            let found = tiles.iter().map(names).collect::<Vec<_>>().join(", ");
+            return Err(Error::malformed(folder, "files", format!("tiles 0 to {} of {of}", of - 1), found));
+        }
+        for (_, path, other) in &tiles {
+            if other.has_sums {
+                let expected = "a finished tile (`merge` finishes all tiles of a run)";
+                return Err(Error::malformed(path, "tile", expected, "the sums of one"));
+            }
+            if (&other.protocol, &other.lattice, &other.draws) != (&head.protocol, &head.lattice, &head.draws) {
+                return Err(Error::malformed(
+                    path,
+                    "tile",
+                    format!("one of the run of {}", head.name),
+                    "another run's",
+                ));
+            }
+        }
+        let (protocol, lattice) = (head.protocol.clone(), head.lattice);
+        let tiles = tiles.into_iter().map(|(_, path, _)| path.clone()).collect();
+        Ok(Self { tiles, protocol, lattice, room, loaded: Mutex::new(LruCache::unbounded()) })
+    }
+
+    /// Number of tiles.
+    #[must_use]
+    pub fn tiles(&self) -> usize {
+        self.tiles.len()
+    }
+
+    /// Box and finest level.
+    #[must_use]
+    pub fn lattice(&self) -> &Lattice {
+        &self.lattice
+    }
+
+    /// All tiles as one field in memory, bit for bit that of a run without tiles; for what needs more than answers at
+    /// points.
+    ///
+    /// # Errors
+    /// If a tile cannot be read.
+    pub fn joined(&self) -> Result<UncertaintyField> {
+        let finest = self.lattice.level();
+        let mut wanted = Wanted::new(finest);
+        let mut tiles = Vec::new();
+        for path in &self.tiles {
+            let field = UncertaintyField::read(path)?;
+            let (Support::Octree(octree), Some(tile)) = (&field.support, field.tile) else { continue };
+            let (low, high) = tile.extent(finest);
+            let meets = |cell: Cell| {
+                let (origin, edge) = cell.extent(finest);
+                (0..3).all(|axis| origin[axis] < high[axis] && origin[axis] + edge > low[axis])
+            };
+            octree.cells().for_each_leaf_where(meets, |leaf| wanted.cell(leaf));
+            tiles.push(field);
+        }
+        let octree = Octree::from_wanted(wanted);
+        let mut deviations = vec![f32::NAN; octree.vertex_count()];
+        let mut rays = vec![0; octree.vertex_count()];
+        for field in &tiles {
+            let (Support::Octree(own), Some(tile)) = (&field.support, field.tile) else { continue };
+            let owned = (0..).zip(own.vertex_positions()).filter(|(_, point)| tile.owns(finest, *point));
+            for (i, point) in owned {
+                if let Some(VertexId(v)) = octree.vertex(point) {
+                    (deviations[v as usize], rays[v as usize]) = (field.deviations.0[i], field.rays.0[i]);
+                }
+            }
+        }
+        if let Some(v) = deviations.iter().position(|deviation| deviation.is_nan()) {
+            let found = format!("vertex {v} in none of them");
+            return Err(Error::malformed(&self.tiles[0], "tiles", "leaves that fit at their seams", found));
+        }
+        let surfaces: Vec<Vec<[f32; 3]>> = tiles.iter_mut().map(|field| std::mem::take(&mut field.surface)).collect();
+        let UncertaintyField { limits, draws, visits, .. } = tiles.swap_remove(0);
+        let values = (StandardDeviations(deviations), RayCounts(rays));
+        let support = Support::Octree(octree);
+        let field = UncertaintyField::from_values(self.protocol.clone(), self.lattice, support, limits, values);
+        Ok(UncertaintyField { visits, ..field.with_draws(draws).with_surface(in_turn(&surfaces)) })
+    }
+
+    /// The number of the tile that owns a point; the first answers for what is outside the box.
+    fn tile_of(&self, x: Vec3) -> usize {
+        let cell = self.lattice.coordinates(x).map_or([0; 3], |u| self.lattice.cell(u).0);
+        let of = self.tiles.len() as u32;
+        let code = crate::octree::morton::encode(cell) >> (3 * u32::from(self.lattice.level()) - of.ilog2());
+        code as usize
+    }
+
+    /// A tile, from memory or from its file.
+    fn tile(&self, index: usize) -> Result<Arc<UncertaintyField>> {
+        // A panic elsewhere leaves the list sound: it is changed by single calls.
+        let mut loaded = self.loaded.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(tile) = loaded.get(&index) {
+            return Ok(Arc::clone(tile));
+        }
+        let tile = Arc::new(UncertaintyField::read(&self.tiles[index])?);
+        let taken = |field: &UncertaintyField| field.memory().iter().map(|(_, bytes)| bytes).sum::<usize>();
+        let mut all = taken(&tile) + loaded.iter().map(|(_, tile)| taken(tile)).sum::<usize>();
+        while all > self.room {
+            let Some((_, oldest)) = loaded.pop_lru() else { break };
+            all -= taken(&oldest);
+        }
+        loaded.put(index, Arc::clone(&tile));
+        Ok(tile)
+    }
+}
+
+impl Answers for TiledField {
+    fn protocol(&self) -> &Protocol {
+        &self.protocol
+    }
+
+    fn has_error_bars(&self) -> bool {
+        false
+    }
+
+    fn answers(&self, points: &[Vec3]) -> Result<Vec<Answer>> {
+        let mut order: Vec<(usize, usize)> = points.iter().map(|&x| self.tile_of(x)).zip(0..).collect();
+        order.sort_unstable();
+        let mut answers = Vec::with_capacity(points.len());
+        for of_tile in order.chunk_by(|a, b| a.0 == b.0) {
+            let own: Vec<Vec3> = of_tile.iter().map(|&(_, i)| points[i]).collect();
+            let found = self.tile(of_tile[0].0)?.answers(&own)?;
+            answers.extend(of_tile.iter().map(|(_, i)| *i).zip(found));
+        }
+        answers.sort_unstable_by_key(|(i, _)| *i);
+        Ok(answers.into_iter().map(|(_, answer)| answer).collect())
+    }
+}

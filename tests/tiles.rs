@@ -1,0 +1,259 @@
+//! Parts of space, each summed by itself, are the whole when joined: the same octree, the same numbers.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use glam::{DVec3, Vec3};
+use octobayes::Result;
+use octobayes::estimate::{Estimation, GridSettings, Outcome, RaySettings};
+use octobayes::field::ClosedForm;
+use octobayes::geometry::{Domain, Norm};
+use octobayes::octree::Tile;
+use octobayes::posterior::{Covariance, Criterion, Prior};
+use octobayes::uncertainty::{Answers, Support, TiledField, UncertaintyField, finish_tiles, merge, merge_files};
+
+/// What a run on the courtyard gives, with these settings on top of the test's own.
+fn run(grid: GridSettings, domain: Option<Domain>, shard: [u64; 2], tile: Option<Tile>) -> Outcome {
+    let (scene, cameras) = (ClosedForm::courtyard(), ClosedForm::half_circle(5, [64, 48]));
+    let estimation = Estimation::new(&scene, &cameras)
+        .rays(RaySettings::default().rays(24_000).occupancy(48))
+        .grid(grid.tile(tile).keep_sums(false))
+        .shard(shard[0], shard[1]);
+    domain.into_iter().fold(estimation, Estimation::domain).run().unwrap()
+}
+
+fn tiles(of: u32) -> impl Iterator<Item = Option<Tile>> {
+    (0..of).map(move |index| Tile::new(index, of))
+}
+
+/// The first difference between two fields that must be equal in all that queries see.
+fn difference(a: &UncertaintyField, b: &UncertaintyField) -> Option<&'static str> {
+    let bits = |field: &UncertaintyField| field.deviations().iter().map(f64::to_bits).collect::<Vec<_>>();
+    let parts = [
+        ("octree", a.support() == b.support()),
+        ("deviations", bits(a) == bits(b)),
+        ("ray counts", a.rays() == b.rays()),
+        ("visits", a.visits() == b.visits()),
+        ("limits", a.limits() == b.limits()),
+        ("draws", a.draws() == b.draws()),
+        ("protocol", a.protocol() == b.protocol()),
+        ("sums", a.sums().is_none() && b.sums().is_none()),
+    ];
+    parts.into_iter().find(|(_, same)| !same).map(|(name, _)| name)
+}
+
+fn vertices(field: &UncertaintyField) -> usize {
+    match field.support() {
+        Support::Octree(octree) => octree.vertex_count(),
+        Support::Dense => unreachable!("octrees only"),
+    }
+}
+
+#[test]
+fn tiles_joined_are_the_whole_bit_for_bit() {
+    let grid = || GridSettings::default().level(6).covariance(Covariance::Block);
+    let contracted = Domain::contracted([0.0, 0.0, 0.0].into(), 1.0, Norm::L2).unwrap();
+    let cases = [
+        ("plain", grid(), None, 8),
+        ("coarser than the cells of visits", grid(), None, 2),
+        ("many", grid().level(5), None, 64),
+        ("everything that moved", grid().tolerance(0.0), None, 4),
+        ("coarse leaves are negligible", grid().tolerance(0.3), None, 8),
+        (
+            "limits",
+            grid().level(7).criteria([Criterion::Sensitivity, Criterion::RayCount].into_iter().collect()),
+            None,
+            8,
+        ),
+        ("prior by volume", grid().prior(Prior::Volume), None, 8),
+        ("contracted", grid().level(5), Some(contracted), 8),
+    ];
+    for (name, grid, domain, of) in cases {
+        let whole = run(grid, domain, [0, 1], None);
+        let parts: Vec<Outcome> = tiles(of).map(|tile| run(grid, domain, [0, 1], tile)).collect();
+        let (samples, rays): (Vec<u64>, Vec<u64>) =
+            parts.iter().map(|part| (part.progress.samples, part.progress.rays)).unzip();
+        assert!(rays.iter().all(|rays| *rays == whole.progress.rays), "{name}: {rays:?}");
+        // Rays that miss a tile are not traced, but where they are curved on the lattice, or the largest leaf is as large
+        // as the tile.
+        let all = u64::from(of) * whole.progress.samples;
+        let is_reached_by_all = domain.is_some() || grid.criteria.ray_count;
+        let most = if is_reached_by_all { all } else { all * 9 / 10 };
+        let traced: u64 = samples.iter().sum();
+        assert!(traced >= whole.progress.samples && traced <= most, "{name}: {traced} of {}", whole.progress.samples);
+        let mut parts: Vec<UncertaintyField> = parts.into_iter().map(|part| part.field).collect();
+        // None has it all, so that joining them is no copy.
+        assert!(parts.iter().all(|part| vertices(part) < 9 * vertices(&whole.field) / 10 || of == 2), "{name}");
+        let joined = merge(&parts).unwrap();
+        assert_eq!(difference(&joined, &whole.field), None, "{name}");
+        assert!(!joined.surface().is_empty(), "{name}");
+        // In a folder, each tile answers by itself.
+        let folder = tempfile::tempdir().unwrap();
+        let paths = written(folder.path(), &parts);
+        let finished = folder.path().join("tiles");
+        std::fs::create_dir(&finished).unwrap();
+        finish_tiles(&paths, &finished).unwrap();
+        // Files round counts of visits.
+        let stored = folder.path().join("whole.oct");
+        whole.field.write(&stored).unwrap();
+        let stored = UncertaintyField::read(&stored).unwrap();
+        let tiled = TiledField::open(&finished, 0).unwrap();
+        assert_eq!((tiled.tiles(), difference(&tiled.joined().unwrap(), &stored)), (of as usize, None), "{name}");
+        let points = probes(&whole.field);
+        let (found, expected) = (tiled.answers(&points).unwrap(), stored.answers(&points).unwrap());
+        let wrong = (0..points.len()).find(|&i| found[i] != expected[i]);
+        assert!(wrong.is_none(), "{name}: {:?}", wrong.map(|i| (points[i], found[i], expected[i])));
+        parts.reverse();
+        assert_eq!(difference(&merge(&parts).unwrap(), &whole.field), None, "{name}, in another order");
+    }
+}
+
+/// Points everywhere, on lattice planes where seams may be, on surfaces, and outside.
+fn probes(field: &UncertaintyField) -> Vec<Vec3> {
+    let lattice = field.lattice();
+    let mut state = 7_u64;
+    let mut chance = || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 11) as f64 / (1_u64 << 53) as f64
+    };
+    let inside = |unit: [f64; 3]| lattice.domain().clamp(lattice.domain().to_scene(DVec3::from(unit)).as_vec3());
+    let mut points: Vec<Vec3> = Vec::new();
+    for i in 0..20_000 {
+        let mut unit = [chance(), chance(), chance()];
+        if i % 3 > 0 {
+            // Halves, quarters and eighths of the cube.
+            unit[i % 2] = (chance() * 8.0).round() / 8.0;
+        }
+        points.push(inside(unit));
+    }
+    points.extend(field.surface().iter().map(|&x| Vec3::from_array(x)));
+    points.extend([Vec3::splat(1e9), Vec3::NAN, inside([1.0; 3]), inside([0.0; 3])]);
+    points
+}
+
+/// Files of fields in a folder.
+fn written(folder: &Path, fields: &[UncertaintyField]) -> Vec<PathBuf> {
+    let write = |(i, field): (usize, &UncertaintyField)| {
+        let path = folder.join(format!("part{i}.oct"));
+        field.write(&path).unwrap();
+        path
+    };
+    fields.iter().enumerate().map(write).collect()
+}
+
+#[test]
+fn seams_are_where_refinement_crosses_them() {
+    // The test above would show nothing if no leaf beyond a seam mattered: an octree of each tile by itself, cut at the
+    // seams, is another.
+    let grid = GridSettings::default().level(6);
+    let whole = run(grid, None, [0, 1], None).field;
+    let Support::Octree(octree) = whole.support() else { unreachable!() };
+    let lonely = |tile: Tile| {
+        let part = run(grid, None, [0, 1], Some(tile)).field;
+        let (Support::Octree(own), Some(sums)) = (part.support(), part.sums()) else { unreachable!() };
+        let least = sums.iter().filter(|sums| sums.rays > 0).count();
+        assert!(least > 0);
+        // Vertices of the whole in this tile that the tile alone does not have.
+        octree.vertex_positions().filter(|point| tile.owns(6, *point) && own.vertex(*point).is_none()).count()
+    };
+    let beyond: usize = tiles(8).flatten().map(lonely).sum();
+    assert!(beyond > 10, "{beyond} vertices of tiles are due to other tiles");
+}
+
+#[test]
+fn shards_of_tiles_are_the_shards_of_the_whole() {
+    let grid = GridSettings::default().level(6);
+    let of_shards: Vec<UncertaintyField> = (0..3).map(|i| run(grid, None, [i, 3], None).field).collect();
+    let whole = merge(&of_shards).unwrap().for_queries();
+    let parts = (0..3).flat_map(|i| tiles(4).map(move |tile| run(grid, None, [i, 3], tile).field));
+    let parts: Vec<UncertaintyField> = parts.collect();
+    let joined = merge(&parts).unwrap();
+    assert_eq!(difference(&joined, &whole), None);
+    // Nothing is missing in silence: neither a shard of a tile nor a tile.
+    let message = |parts: &[UncertaintyField]| merge(parts).unwrap_err().to_string();
+    assert!(message(&parts[1..]).contains("all shards of tile 0/4"), "{}", message(&parts[1..]));
+    let no_tile = [&parts[1..4], &parts[5..8], &parts[9..]].concat();
+    assert!(message(&no_tile).contains("none of 0/4"), "{}", message(&no_tile));
+    // The shards of one tile are that tile.
+    let one = merge(&[parts[1].clone(), parts[5].clone(), parts[9].clone()]).unwrap();
+    assert_eq!((one.tile(), one.is_part()), (Tile::new(1, 4), true));
+}
+
+#[test]
+fn what_does_not_belong_together_is_named() -> Result<()> {
+    let folder = tempfile::tempdir().unwrap();
+    let grid = GridSettings::default().level(5);
+    let write = |name: &str, field: &UncertaintyField| {
+        let path = folder.path().join(name);
+        field.write(&path).map(|()| path)
+    };
+    let [a, b] = [0, 1].map(|index| run(grid, None, [0, 1], Tile::new(index, 2)).field);
+    let [a, b] = [write("a.oct", &a)?, write("b.oct", &b)?];
+    let whole = write("whole.oct", &run(grid.keep_sums(true), None, [0, 1], None).field)?;
+    let quarter = write("quarter.oct", &run(grid, None, [0, 1], Tile::new(1, 4)).field)?;
+    let deeper = write("deeper.oct", &run(grid.level(6), None, [0, 1], Tile::new(1, 2)).field)?;
+    for (other, why) in [
+        (&whole, "part of space of"),
+        (&quarter, "part of space of"),
+        (&deeper, "box and level of"),
+        (&a, "rays in common"),
+    ] {
+        let message = merge_files(&[a.clone(), other.clone()]).unwrap_err().to_string();
+        assert!(message.contains(why) && message.contains(&other.display().to_string()), "{message}");
+    }
+    // Files are what fields in memory are; the written field can be read like any other.
+    let joined = merge_files(&[b.clone(), a.clone()])?;
+    let path = write("joined.oct", &joined)?;
+    assert_eq!(difference(&UncertaintyField::read(&path)?, &UncertaintyField::read(&whole)?.for_queries()), None);
+
+    let octobayes = |args: &[&str]| Command::new(env!("CARGO_BIN_EXE_octobayes")).args(args).output().unwrap();
+    let text = |path: &Path| path.display().to_string();
+    let points = folder.path().join("points.csv");
+    std::fs::write(&points, "0,0,0.5\n").unwrap();
+    let refused = octobayes(&["query", &text(&a), &text(&points)]);
+    let found = String::from_utf8_lossy(&refused.stderr).to_string();
+    assert!(refused.status.code() == Some(2) && found.contains("tile 0/2"), "{found}");
+    // A folder of tiles answers as the whole does.
+    let tiles = folder.path().join("tiles");
+    std::fs::create_dir(&tiles).unwrap();
+    let merged = octobayes(&["merge", &text(&a), &text(&b), "-o", &text(&tiles)]);
+    assert!(merged.status.success(), "{}", String::from_utf8_lossy(&merged.stderr));
+    let [of_tiles, of_whole] = [&tiles, &whole].map(|field| octobayes(&["query", &text(field), &text(&points)]).stdout);
+    assert_eq!(String::from_utf8_lossy(&of_tiles), String::from_utf8_lossy(&of_whole));
+    let compared = octobayes(&["compare", &text(&tiles), &text(&whole), "--json"]);
+    let compared: serde_json::Value = serde_json::from_slice(&compared.stdout).unwrap();
+    assert_eq!(compared["in_box"]["max"], 0.0, "{compared}");
+    // Neither a tile that is missing nor one of another run goes unnoticed.
+    std::fs::copy(&quarter, tiles.join("quarter.oct")).unwrap();
+    let refused = octobayes(&["query", &text(&tiles), &text(&points)]);
+    let found = String::from_utf8_lossy(&refused.stderr).to_string();
+    assert!(refused.status.code() == Some(2) && found.contains("1/4"), "{found}");
+
+    let info = octobayes(&["info", &text(&a)]);
+    let found = String::from_utf8_lossy(&info.stdout).to_string();
+    assert!(info.status.success() && found.contains("tile 0 of 2"), "{found}");
+    Ok(())
+}
+
+#[test]
+fn settings_that_tiles_cannot_have_are_refused() {
+    let (scene, cameras) = (ClosedForm::courtyard(), ClosedForm::half_circle(2, [16, 16]));
+    let grid = || GridSettings::default().level(3).tile(Tile::new(0, 8));
+    let refused = |grid: GridSettings| {
+        let estimation = Estimation::new(&scene, &cameras).rays(RaySettings::default().rays(512).occupancy(16));
+        estimation.grid(grid).run().map(|_| ()).unwrap_err().to_string()
+    };
+    for (grid, why) in [
+        (grid().min_rays(4.0), "pooling"),
+        (grid().memory(1_u64 << 30), "memory budget"),
+        (grid().criteria([Criterion::Density].into_iter().collect()), "density"),
+        (grid().grid(octobayes::estimate::GridKind::Dense), "dense"),
+        (grid().level(1).tile(Tile::new(0, 64)), "a level from 2 on"),
+    ] {
+        assert!(refused(grid).contains(why), "{}", refused(grid));
+    }
+    let estimation =
+        || Estimation::new(&scene, &cameras).rays(RaySettings::default().rays(2048).occupancy(16)).grid(grid());
+    assert!(estimation().error_bars(2).run().is_err() && estimation().until_mean_error(0.1).run().is_err());
+    assert!(estimation().run().is_ok());
+}
