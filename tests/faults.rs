@@ -132,6 +132,8 @@ impl Desk {
         self.write("minus.oct", forge::file(Kind::Field, &forge::join(&parts)));
         self.good("uncertainty scene:ball --cameras cameras.json --level 4 --rays 1200 --occupancy 16 --shard 0/2 -o part0.oct");
         self.good("uncertainty scene:ball --cameras cameras.json --level 4 --rays 1200 --occupancy 16 --shard 1/2 -o part1.oct");
+        self.good("uncertainty scene:ball --cameras cameras.json --level 4 --rays 1200 --occupancy 16 --tile 0/4 -o tile0.oct");
+        self.good("uncertainty scene:ball --cameras cameras.json --level 4 --rays 1200 --occupancy 16 --tile 2/4 -o tile2.oct");
         self.write("newer.oct", [&bytes[..8], &99_u32.to_le_bytes(), &bytes[12..]].concat());
         let recipe = forge::recipe(Kind::Field, &bytes);
         let forged = |name: &str, change: &dyn Fn(&mut Vec<Vec<u8>>)| {

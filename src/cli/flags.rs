@@ -3,7 +3,7 @@
 use crate::Error;
 
 /// The library's name of a setting, and the flag that sets it.
-const FLAGS: [(&str, &str); 20] = [
+const FLAGS: [(&str, &str); 21] = [
     ("angle of view", "--fov"),
     ("checkpoint", "--checkpoint, --resume"),
     ("coordinates", "--coordinates"),
@@ -23,6 +23,7 @@ const FLAGS: [(&str, &str); 20] = [
     ("run to a mean error", "--rays auto"),
     ("scale", "--scale data"),
     ("shard", "--shard"),
+    ("tile", "--tile"),
     ("training views", "--views"),
 ];
 

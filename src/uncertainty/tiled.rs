@@ -50,12 +50,15 @@ impl TiledField {
         let Some((first, _, head)) = tiles.first() else {
             return Err(Error::malformed(folder, "files", "the finished tiles of a field", "no `.oct`"));
         };
+        if first.is_none() {
+            let path = Path::new(&head.name);
+            return Err(Error::malformed(path, "tile", "a finished tile", "a field of all of space"));
+        }
         let of = first.map_or(1, |tile| tile.of);
         let expected = (0..of).map(|index| Tile::new(index, of));
         if !expected.eq(tiles.iter().map(|(tile, ..)| *tile)) {
-            let names =
-                |(tile, ..): &(Option<Tile>, &PathBuf, &Head)| tile.map_or("a whole field".into(), |t| t.to_string());
-            let found = tiles.iter().map(names).collect::<Vec<_>>().join(", ");
+            let names = |(tile, ..): &(Option<Tile>, &PathBuf, &Head)| tile.map(|tile| tile.to_string());
+            let found = tiles.iter().filter_map(names).collect::<Vec<_>>().join(", ");
             return Err(Error::malformed(folder, "files", format!("tiles 0 to {} of {of}", of - 1), found));
         }
         for (_, path, other) in &tiles {
