@@ -8,9 +8,9 @@ use super::files::CommandFiles;
 use super::numbered::in_files;
 use super::options::check_field_name;
 use super::report;
+use crate::Result;
 use crate::rays::MissingShards;
 use crate::uncertainty::{UncertaintyField, merge, merge_with_error_bars};
-use crate::{Error, Result};
 
 /// Join fields of the same box, level and protocol that were computed from different rays
 ///
@@ -54,12 +54,9 @@ impl Args {
         CommandFiles::default().inputs("FIELD", &self.fields).output("--output", &self.output).check()?;
         check_field_name(&self.output)?;
         let parts = self.fields.iter().map(|path| UncertaintyField::read(path)).collect::<Result<Vec<_>>>()?;
-        if let Some(bare) = parts.iter().position(|part| part.sums().is_none()) {
-            let found = format!("{}, which does not", self.fields[bare].display());
-            return Err(Error::setting("kept sums", "fields that keep their sums", found));
-        }
         let field = if self.error_bars { merge_with_error_bars(&parts) } else { merge(&parts) };
-        let field = field.map_err(|error| in_files(error, &self.fields))?;
+        let bare = parts.iter().position(|part| part.sums().is_none());
+        let field = field.map_err(|error| in_files(error, &self.fields, bare))?;
         if !self.error_bars && parts.iter().any(|part| part.error_bars().is_some()) {
             eprintln!(
                 "note: the fields' own error bars are not those of the whole, which has none; --error-bars compares the fields"

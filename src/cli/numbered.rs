@@ -4,8 +4,9 @@ use std::path::PathBuf;
 
 use crate::Error;
 
-/// The error of a merge of `files`, with files in place of `field 1`, `field 2`, …
-pub fn in_files(error: Error, files: &[PathBuf]) -> Error {
+/// The error of a merge of `files`, with files in place of `field 1`, `field 2`, … The first of them that keeps no sums
+/// is `bare`.
+pub fn in_files(error: Error, files: &[PathBuf], bare: Option<usize>) -> Error {
     let Error::Setting { what, expected, found } = error else { return error };
     let name = |number: &str| {
         let index = number.parse::<usize>().ok()?.checked_sub(1)?;
@@ -22,10 +23,14 @@ pub fn in_files(error: Error, files: &[PathBuf]) -> Error {
         let (second, rest) = rest.split_at(end);
         Some(format!("{} and {}{rest}", name(first)?, name(second)?))
     };
+    let without_sums = |what: &str| {
+        let path = files.get(bare?)?.display();
+        (what == "kept sums").then(|| format!("{path}, which does not"))
+    };
     Error::Setting {
+        found: both(&found).or_else(|| without_sums(&what)).unwrap_or(found),
         what: named(&what, " of field ").unwrap_or(what),
         expected: named(&expected, ", as in field ").unwrap_or(expected),
-        found: both(&found).unwrap_or(found),
     }
 }
 
@@ -36,7 +41,7 @@ mod tests {
     #[test]
     fn numbers_become_files_and_quotations_stay() {
         let files = ["a.oct", "my parts/b.oct"].map(PathBuf::from);
-        let said = |what, expected, found| in_files(Error::setting(what, expected, found), &files).to_string();
+        let said = |what, expected, found| in_files(Error::setting(what, expected, found), &files, Some(1)).to_string();
         assert_eq!(
             said("model and cameras of field 2", "of field 2.npz, as in field 1", "of field 1"),
             "model and cameras of my parts/b.oct: expected of field 2.npz, as in a.oct, found of field 1"
@@ -44,6 +49,10 @@ mod tests {
         assert_eq!(
             said("fields to merge", "others", "fields 1 and 2, which may have rays in common"),
             "fields to merge: expected others, found a.oct and my parts/b.oct, which may have rays in common"
+        );
+        assert_eq!(
+            said("kept sums", "fields that keep their sums", "one that does not"),
+            "kept sums: expected fields that keep their sums, found my parts/b.oct, which does not"
         );
         assert_eq!(said("fields to merge", "two or more", "one"), "fields to merge: expected two or more, found one");
         assert_eq!(

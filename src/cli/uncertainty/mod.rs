@@ -163,9 +163,9 @@ impl Args {
     pub fn run(mut self, bars: &Bars) -> Result<()> {
         self.cameras.find(Part::Training);
         self.command_files().check()?;
-        self.grid.check_output()?;
         let inputs = self.read()?;
         self.command_files().images(&inputs.views).check()?;
+        self.grid.check_output()?;
         let mut dump = self.dump_samples.as_deref().map(SamplesWriter::create).transpose()?;
 
         let start = Instant::now();
