@@ -58,7 +58,8 @@ pub struct Args {
     field: Option<PathBuf>,
 
     /// CPUs of each job, which runs as many threads
-    #[arg(long, value_name = "N", requires = "slurm", default_value_t = 2, value_parser = clap::value_parser!(u16).range(1..))]
+    #[arg(long, value_name = "N", requires = "slurm", default_value_t = 2,
+          value_parser = clap::value_parser!(u16).range(1..))]
     cpus: u16,
 }
 
