@@ -251,9 +251,9 @@ fn merged_shards_are_the_whole_run() {
     let ball = RUN.replace("courtyard", "ball");
     good(folder, &format!("{ball} --keep-sums --grid dense --tolerance 0 --seed 8 -o ball.oct"));
     let stderr = String::from_utf8(run(folder, "merge part0.oct ball.oct -o x.oct").stderr).unwrap();
-    assert!(stderr.contains("model and cameras of field 2"), "{stderr}");
+    assert!(stderr.contains("model and cameras of ball.oct: expected "), "{stderr}");
     good(folder, &format!("{RUN} --keep-sums --grid dense --tolerance 0 --seed 9 --lambda 1e-3 -o other.oct"));
     let unlike = run(folder, "merge part0.oct other.oct -o x.oct");
     let stderr = String::from_utf8(unlike.stderr).unwrap();
-    assert!(unlike.status.code() == Some(2) && stderr.contains("lambda of field 2"), "{stderr}");
+    assert!(unlike.status.code() == Some(2) && stderr.contains("lambda of other.oct: expected "), "{stderr}");
 }

@@ -8,7 +8,7 @@ use super::files::CommandFiles;
 use super::options::check_field_name;
 use super::report;
 use crate::rays::MissingShards;
-use crate::uncertainty::{TiledField, UncertaintyField, finish_tiles, merge_files, merge_with_error_bars};
+use crate::uncertainty::{TiledField, finish_tiles, merge_files, merge_files_with_error_bars};
 use crate::{Error, Result};
 
 /// Join fields of the same box, level and protocol that were computed from different rays
@@ -59,12 +59,8 @@ impl Args {
         }
         files.output("--output", &self.output).check()?;
         check_field_name(&self.output)?;
-        let field = if self.error_bars {
-            let parts = self.fields.iter().map(|path| UncertaintyField::read(path));
-            merge_with_error_bars(&parts.collect::<Result<Vec<_>>>()?)?
-        } else {
-            merge_files(&self.fields)?
-        };
+        let merge = if self.error_bars { merge_files_with_error_bars } else { merge_files };
+        let field = merge(&self.fields)?;
         let field = if self.keep_sums { field } else { field.for_queries() };
         let missing = MissingShards::beside(field.draws());
         field.write(&self.output)?;

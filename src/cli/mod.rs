@@ -21,6 +21,7 @@ mod info;
 mod merge;
 mod options;
 mod panels;
+mod plan;
 mod progress;
 mod query;
 mod render;
@@ -58,6 +59,8 @@ enum Verb {
     Demo(demo::Args),
     // Boxed: it has the most options.
     Uncertainty(Box<uncertainty::Args>),
+    // Boxed: it has as many.
+    Plan(Box<plan::Args>),
     Accumulate(accumulate::Args),
     Query(query::Args),
     Compare(compare::Args),
@@ -106,6 +109,7 @@ fn run(verb: Verb) -> Result<()> {
     match verb {
         Verb::Demo(args) => args.run(bars),
         Verb::Uncertainty(args) => args.run(bars),
+        Verb::Plan(args) => args.run(bars),
         Verb::Accumulate(args) => args.run(bars),
         Verb::Query(args) => args.run(bars),
         Verb::Compare(args) => args.run(),

@@ -218,25 +218,31 @@ pub fn plan(plan: &Plan, grid: &GridSettings) {
         memory(plan.peak()),
         memory(plan.file)
     );
-    if plan.rays_per_vertex > 0.0 {
-        let shares: Vec<String> = plan
-            .given_up
-            .iter()
-            .enumerate()
-            .filter(|(_, share)| **share > 0.0)
-            .map(|(levels, share)| format!("{levels}: {:.1} %", 100.0 * share))
-            .collect();
-        // A larger leaf has the mean over a hat of twice the edge instead of the finest hat's value. H at surfaces
-        // grows about eightfold, which is divided out. What is left is the variation of U within the larger hat.
-        eprintln!(
-            "      leaves that have {:.1} rays a vertex or are {} levels coarser: {:.1} % of vertices given up;\n      levels given up by share of what \
-             rays touch: {}; log10 U is the larger leaf's there",
-            plan.rays_per_vertex,
-            plan.given_up.len() - 1,
-            100.0 * (1.0 - plan.vertices / plan.vertices_unlimited.max(1.0)),
-            shares.join(", ")
-        );
+    given_up(plan).into_iter().for_each(|text| eprintln!("{text}"));
+}
+
+/// What a plan gives up to stay within its limits, if it does.
+pub fn given_up(plan: &Plan) -> Option<String> {
+    if plan.rays_per_vertex <= 0.0 {
+        return None;
     }
+    let shares: Vec<String> = plan
+        .given_up
+        .iter()
+        .enumerate()
+        .filter(|(_, share)| **share > 0.0)
+        .map(|(levels, share)| format!("{levels}: {:.1} %", 100.0 * share))
+        .collect();
+    // A larger leaf has the mean over a hat of twice the edge instead of the finest hat's value. H at surfaces
+    // grows about eightfold, which is divided out. What is left is the variation of U within the larger hat.
+    Some(format!(
+        "      leaves that have {:.1} rays a vertex or are {} levels coarser: {:.1} % of vertices given up;\n      levels given up by share of what \
+         rays touch: {}; log10 U is the larger leaf's there",
+        plan.rays_per_vertex,
+        plan.given_up.len() - 1,
+        100.0 * (1.0 - plan.vertices / plan.vertices_unlimited.max(1.0)),
+        shares.join(", ")
+    ))
 }
 
 /// Warns on stderr if a finite-difference step is badly placed.

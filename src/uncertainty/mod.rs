@@ -32,7 +32,7 @@ pub use error_bars::{ErrorBars, ErrorSummary, Jackknife};
 pub use file::FORMAT_VERSION;
 pub use knowledge::Knowledge;
 pub use matrices::Matrices;
-pub use merge::{finish_tiles, merge, merge_files, merge_with_error_bars};
+pub use merge::{finish_tiles, merge, merge_files, merge_files_with_error_bars, merge_with_error_bars};
 pub use official::OfficialGrid;
 pub use protocol::{Origin, Protocol};
 pub use query::Estimate;

@@ -1,22 +1,23 @@
 //! `uncertainty`: from a model and its cameras to a field.
 
+mod inputs;
 mod sight;
 
-use std::path::{Path, PathBuf};
+pub use inputs::Inputs;
+
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use super::files::CommandFiles;
 use super::options::{
-    CameraOptions, DomainOptions, FrameOptions, GridOptions, ModelOptions, TrainingPixels, count, parse_interval,
-    parse_non_negative, parse_positive, warn_of_pixels,
+    CameraOptions, DomainOptions, FrameOptions, GridOptions, ModelOptions, count, parse_interval, parse_non_negative,
+    parse_positive,
 };
 use super::progress::Bars;
 use super::report::{self, Cost};
-use crate::dataset::{Part, Views};
+use crate::dataset::Part;
 use crate::estimate::{Checkpoint, Estimation, GridSettings, Outcome, Planner, RaySettings, Run};
-use crate::geometry::Camera;
 use crate::io::memory::{available, resident};
-use crate::posterior::Scale;
 use crate::rays::{Pixels, RunProgress, SamplesWriter};
 use crate::render::GradientMethod;
 use crate::{Error, Result};
@@ -32,16 +33,16 @@ use crate::{Error, Result};
     octobayes uncertainty lego.npz --cameras lego_train.json -o lego.oct --rays 409600")]
 pub struct Args {
     #[command(flatten)]
-    model: ModelOptions,
+    pub(super) model: ModelOptions,
 
     #[command(flatten)]
-    cameras: CameraOptions,
+    pub(super) cameras: CameraOptions,
 
     #[command(flatten)]
     frames: FrameOptions,
 
     #[command(flatten)]
-    grid: GridOptions,
+    pub(super) grid: GridOptions,
 
     /// Rays to draw, such as 400k or 1M (the paper uses 4096000), or `auto` for as many as bring the estimated mean
     /// error of log10 U within --tolerance
@@ -49,7 +50,7 @@ pub struct Args {
     /// `auto` doubles the rays, from 65536, until two halves of them agree. Most scenes need tens of millions for
     /// 0.05.
     #[arg(long, value_name = "N|auto", default_value = "4096000", value_parser = parse_rays)]
-    rays: Rays,
+    pub(super) rays: Rays,
 
     /// Most rays that `--rays auto` draws
     #[arg(long, value_name = "N", default_value_t = 32_768_000, value_parser = count::<u64>(1..))]
@@ -87,7 +88,7 @@ pub struct Args {
 
     /// Measure on a few rays what skipped samples and the derivatives cost, and print the error budget
     #[arg(long)]
-    audit: bool,
+    pub(super) audit: bool,
 
     /// Also store how far log10 U is from its limit for ever more rays, by comparing this many independent groups
     /// of rays [without a number: 8]
@@ -99,21 +100,21 @@ pub struct Args {
     /// then run `merge --error-bars`.
     #[arg(long, value_name = "GROUPS", num_args = 0..=1, default_missing_value = "8", value_parser = clap::value_parser!(u16).range(2..=64),
           conflicts_with_all = ["dump_samples", "shard", "memory"])]
-    error_bars: Option<u16>,
+    pub(super) error_bars: Option<u16>,
 
     /// Also write the ray samples with their Jacobians, in the format that `accumulate` reads
     // Under a memory budget a run may start again, and would write its first rays twice.
     #[arg(long, value_name = "SAMPLES.npz", conflicts_with = "memory")]
-    dump_samples: Option<PathBuf>,
+    pub(super) dump_samples: Option<PathBuf>,
 
     /// Draw only part I of N of the rays (I from 0); `merge` joins the parts
     // Ray indices of a shard are those of the whole run, beyond the `rays_total` of a file of its own.
     #[arg(long, value_name = "I/N", value_parser = parse_shard, conflicts_with = "dump_samples")]
-    shard: Option<[u64; 2]>,
+    pub(super) shard: Option<[u64; 2]>,
 
     /// Save the state of the run in this file, so that it survives Ctrl-C, kill -9 and power cuts
     #[arg(long, value_name = "FILE", conflicts_with = "dump_samples")]
-    checkpoint: Option<PathBuf>,
+    pub(super) checkpoint: Option<PathBuf>,
 
     /// Time between checkpoints, such as 90s, 5min or 1h30m
     #[arg(long, value_name = "TIME", default_value = "60s", value_parser = parse_interval)]
@@ -129,7 +130,7 @@ const LARGE_FILE: f64 = 5e7;
 
 /// How many rays to draw.
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Rays {
+pub enum Rays {
     Count(u64),
     Auto,
 }
@@ -151,15 +152,6 @@ fn parse_shard(text: &str) -> std::result::Result<[u64; 2], String> {
     }
 }
 
-/// A file's name and checksum. A built-in scene has only a name.
-fn identity(file: &str) -> Result<String> {
-    if file.starts_with("scene:") {
-        return Ok(file.into());
-    }
-    let bytes = std::fs::read(file).map_err(Error::io(Path::new(file), "cannot read"))?;
-    Ok(format!("{file} ({:08x})", crc32fast::hash(&bytes)))
-}
-
 fn warn_of_dropped(progress: &RunProgress) {
     if let Some(first) = progress.first_invalid {
         eprintln!("warning: {} rays dropped, the field is not finite; first at {first:?}", progress.dropped);
@@ -171,43 +163,13 @@ impl Args {
     pub fn run(mut self, bars: &Bars) -> Result<()> {
         self.cameras.find(Part::Training);
         self.command_files().check()?;
-        let files = self.files();
-        let field = self.model.open()?;
-        let views = self.cameras.training(&self.frames, &*field, &self.model.model)?;
-        self.command_files().images(&views).check()?;
+        let inputs = self.read()?;
+        self.command_files().images(&inputs.views).check()?;
         self.grid.check_output()?;
-        // Checked only now: if a file is at fault, the model's and cameras' readers explain it better.
-        let files = files?;
-        // The result names these files by their checksums, so they must not have changed meanwhile.
-        let now = self.files()?;
-        if let Some((before, now)) = files.iter().zip(&now).find(|(before, now)| before != now) {
-            return Err(Error::setting("an input file", format!("{before}, as before it was read"), now));
-        }
-        let domain = self.domain.domain(Some(field.natural_domain()))?;
-        let checksum = crate::open::checksum(&self.model.model, self.model.rays.coordinates)?;
         let mut dump = self.dump_samples.as_deref().map(SamplesWriter::create).transpose()?;
 
         let start = Instant::now();
-        let rays = self.model.rays.ray_settings(RaySettings {
-            rays: self.most_rays(),
-            pixels: self.pixels,
-            seed: self.seed,
-            gradient: self.gradient,
-            step: self.step,
-            cutoff: self.cutoff,
-            ..RaySettings::default()
-        });
-        let cameras = views.cameras();
-        let pixels = cameras.iter().map(Camera::pixels).sum();
-        let training = TrainingPixels { pixels: Some(pixels), noise: field.training_noise() };
-        let grid = self.grid.settings(&domain, training)?;
-        if matches!(grid.scale, Scale::Data(_)) {
-            warn_of_pixels(&views, pixels);
-        }
-        let source = self.source(&files, &cameras);
-        let estimation =
-            Estimation::new(&*field, &cameras).domain(domain).rays(rays).grid(grid).source(source).model(checksum);
-        let estimation = self.goal(estimation.monitor(bars), grid.tolerance)?;
+        let (estimation, grid) = self.estimation(&inputs, bars)?;
         let checkpoint = self.checkpoint();
         let estimation = checkpoint.iter().cloned().fold(estimation, Estimation::checkpoint);
         let estimation = match &mut dump {
@@ -251,26 +213,6 @@ impl Args {
         checkpoint.map_or(Ok(()), |checkpoint| checkpoint.remove(self.error_bars))
     }
 
-    /// Sets which rays are drawn, and when the run ends.
-    fn goal<'a>(&self, estimation: Estimation<'a>, tolerance: f64) -> Result<Estimation<'a>> {
-        let others = [
-            ("--shard", self.shard.is_some()),
-            ("--error-bars", self.error_bars.is_some()),
-            ("--dump-samples", self.dump_samples.is_some()),
-        ];
-        Ok(match (self.rays, self.shard, self.error_bars) {
-            (Rays::Auto, ..) => {
-                if let Some((name, _)) = others.into_iter().find(|(_, given)| *given) {
-                    return Err(Error::setting("--rays auto", "a run by itself, to its end", name));
-                }
-                estimation.until_mean_error(tolerance)
-            }
-            (_, Some([index, of]), _) => estimation.shard(index, of),
-            (.., Some(groups)) => estimation.error_bars(groups),
-            _ => estimation,
-        })
-    }
-
     /// Says on stderr what the run will need, if it is long, has limits or makes a large file. Refuses a run that needs
     /// more memory than there is.
     fn forecast(&self, run: &Run, grid: &GridSettings) -> Result<()> {
@@ -297,14 +239,6 @@ impl Args {
         Ok(())
     }
 
-    /// Rays of the run, or the most that it may draw.
-    fn most_rays(&self) -> u64 {
-        match self.rays {
-            Rays::Count(rays) => rays,
-            Rays::Auto => self.max_rays,
-        }
-    }
-
     /// What is read and written. A checkpoint is both by design.
     fn command_files(&self) -> CommandFiles {
         let files = CommandFiles::default()
@@ -319,30 +253,6 @@ impl Args {
                 .zip(states)
                 .fold(files, |files, (g, state)| files.output(format!("--checkpoint, group {g}"), state)),
         }
-    }
-
-    /// The model and the camera file, if there is one, with their checksums.
-    fn files(&self) -> Result<Vec<String>> {
-        let cameras = self.cameras.cameras.iter().flat_map(|path| Views::files(path));
-        let cameras = cameras.map(|file| file.to_string_lossy().into_owned());
-        [self.model.model.clone()].into_iter().chain(cameras).map(|file| identity(&file)).collect()
-    }
-
-    /// What the field was computed from, which identifies the run.
-    fn source(&self, files: &[String], cameras: &[Camera]) -> String {
-        let mut model = files[0].clone();
-        if let Some(coordinates) = self.model.rays.coordinates {
-            model = format!("{model} in {} coordinates", coordinates.name());
-        }
-        let seen_by = match &files[1..] {
-            [] => {
-                let [w, h] = cameras[0].resolution;
-                let fov = self.cameras.fov.map_or(String::new(), |fov| format!(", {fov} degrees"));
-                format!("its own {} cameras of {w} x {h}{fov}", cameras.len())
-            }
-            files => files.join(" and "),
-        };
-        format!("{model} seen by {seen_by}")
     }
 
     /// Where and how often to save, if at all.

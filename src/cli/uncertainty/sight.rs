@@ -6,7 +6,7 @@ use crate::{Error, Result};
 
 impl Args {
     /// Refuses a run in which nothing is seen. Warns of one in which little is seen.
-    pub(super) fn check_sight(&self, sight: &Sight) -> Result<()> {
+    pub fn check_sight(&self, sight: &Sight) -> Result<()> {
         if let Some(outside) = sight.cut_off().map(|share| 100.0 * share) {
             eprintln!("note: {outside:.1} % of what the rays meet lies outside --box: U is the prior there");
         }

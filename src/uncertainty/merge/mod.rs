@@ -117,24 +117,35 @@ fn tile(parts: &(impl Parts + ?Sized), heads: &[Head], shards: &[usize]) -> Resu
 /// As [`merge`], if the parts are tiles, or if two parts are shards of one low-discrepancy sequence. They complement
 /// each other, so their differences would overstate the error.
 pub fn merge_with_error_bars(parts: &[UncertaintyField]) -> Result<UncertaintyField> {
-    if parts.iter().any(|part| part.tile.is_some()) {
+    join_with_error_bars(parts)
+}
+
+/// Same as [`merge_with_error_bars`], of files. All of them are in memory. Messages name the file.
+///
+/// # Errors
+/// As [`merge_with_error_bars`], or if a file cannot be read.
+pub fn merge_files_with_error_bars(parts: &[PathBuf]) -> Result<UncertaintyField> {
+    join_with_error_bars(parts)
+}
+
+fn join_with_error_bars(parts: &(impl Parts + ?Sized)) -> Result<UncertaintyField> {
+    let heads = parts.heads()?;
+    if heads.iter().any(|head| head.tile.is_some()) {
         return Err(Error::setting("fields to compare", "fields of all of space", "tiles"));
     }
-    let merged = merge(parts)?;
-    for (i, part) in parts.iter().enumerate() {
-        let same = |other: &UncertaintyField| part.draws.iter().any(|a| other.draws.iter().any(|b| a.seed == b.seed));
-        if let Some(j) = parts[..i].iter().position(same) {
-            let found = format!("fields {} and {} of one seed", j + 1, i + 1);
-            return Err(Error::setting(
-                "fields to compare",
-                "different seeds: shards of one seed are not independent",
-                found,
-            ));
+    let merged = join(parts)?;
+    for (i, head) in heads.iter().enumerate() {
+        let is_of_seed = |other: &&Head| head.draws.iter().any(|a| other.draws.iter().any(|b| a.seed == b.seed));
+        if let Some(other) = heads[..i].iter().find(is_of_seed) {
+            let expected = "different seeds: shards of one seed are not independent";
+            let found = format!("{} and {} of one seed", other.name, head.name);
+            return Err(Error::setting("fields to compare", expected, found));
         }
     }
-    let parts: Vec<&UncertaintyField> = in_one_order(&parts.heads()?).into_iter().map(|i| &parts[i]).collect();
-    let groups: Vec<Vec<VertexSums>> = parts.iter().map(|part| shards::sums_at(&merged, part)).collect();
-    let rays: Vec<u64> = parts.iter().map(|part| part.protocol.rays).collect();
+    let order = in_one_order(&heads);
+    let sums = |&i: &usize| parts.part(i).map(|part| shards::sums_at(&merged, &part));
+    let groups = order.iter().map(sums).collect::<Result<Vec<Vec<VertexSums>>>>()?;
+    let rays: Vec<u64> = order.iter().map(|&i| heads[i].protocol.rays).collect();
     Ok(merged.with_error_bars(&groups, &rays))
 }
 
