@@ -31,7 +31,7 @@ use common::work::Work;
 const SHARED: (u64, [u8; 2]) = (4_096_000, [8, 10]);
 /// Rays, and level, of what is shared by space.
 const DEEP: (u64, u8) = (1_024_000, 13);
-const TILES: u32 = 32;
+const TILES: u32 = 64;
 const QUERIES: usize = 1 << 18;
 /// Number of shards, how many run at a time, and threads of each.
 const SPLITS: [(u64, usize, usize); 3] = [(1, 1, 2), (2, 2, 1), (8, 2, 1)];

@@ -45,8 +45,8 @@ impl Request {
     }
 }
 
-/// What the merge of `shards` parts is expected to need: one part at a time is in memory, beside the sums of the `whole`
-/// run, of which a field is made as at its end.
+/// What the merge of `shards` parts is expected to need: one part at a time is in memory, beside the sums of the
+/// `whole` run, of which a field is made as at its end.
 pub fn merge(shards: u64, part: &Forecast, whole: Forecast) -> Forecast {
     let parts = shards as f64 * part.file;
     let time = Duration::from_secs_f64(parts / MERGED_PER_SECOND);

@@ -5,7 +5,8 @@ use crate::rays::Draw;
 use crate::uncertainty::Protocol;
 use crate::{Error, Result};
 
-/// Refuses parts that differ in model, cameras or a setting that affects a sum, or of which two may count the same rays.
+/// Refuses parts that differ in model, cameras or a setting that affects a sum, or of which two may count the same
+/// rays.
 pub fn check(heads: &[Head]) -> Result<()> {
     let Some((first, rest)) = heads.split_first() else { return Ok(()) };
     for (i, head) in rest.iter().enumerate() {

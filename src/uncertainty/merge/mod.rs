@@ -51,9 +51,9 @@ pub fn merge_files(parts: &[PathBuf]) -> Result<UncertaintyField> {
     join(parts)
 }
 
-/// Makes of the files of all tiles of a run as many files that answer queries, in `folder`: `tile-000-of-008.oct` and so
-/// on, which [`TiledField`](super::TiledField) opens as one field. No more than the sums of one tile and the octree of
-/// the whole are ever in memory.
+/// Makes of the files of all tiles of a run as many files that answer queries, in `folder`: `tile-000-of-008.oct` and
+/// so on, which [`TiledField`](super::TiledField) opens as one field. No more than the sums of one tile and the octree
+/// of the whole are ever in memory.
 ///
 /// # Errors
 /// As [`merge_files`], if the files are not of tiles, or if a file cannot be written.
