@@ -125,7 +125,9 @@ impl Desk {
         self.write("altered.oct", altered(end - 9));
         self.write("header.oct", altered(30));
         self.good("uncertainty scene:ball --cameras cameras.json --level 4 --rays 600 --occupancy 16 --error-bars 4 -o bars.oct");
-        self.good("uncertainty scene:ball --cameras cameras.json --level 4 --rays 600 --occupancy 16 --seed 1 -o seed1.oct");
+        self.good(
+            "uncertainty scene:ball --cameras cameras.json --level 4 --rays 600 --occupancy 16 --seed 1 -o seed1.oct",
+        );
         let bars = forge::recipe(Kind::Field, &std::fs::read(self.path("bars.oct")).unwrap());
         let mut parts: Vec<Vec<u8>> = forge::split(&bars[1..]).into_iter().map(<[u8]>::to_vec).collect();
         // The sign of the last error.
