@@ -178,7 +178,7 @@ fn deviations_of_depth_are_calibrated_beside_those_of_the_weights() {
     );
     let command = EVALUATE.replace("m.oct", "data.oct --covariance block");
     let found: Value =
-        serde_json::from_str(&octobayes(desk.path(), &format!("{command} --json --reliability rel.svg"))).unwrap();
+        serde_json::from_str(&octobayes(desk.path(), &format!("{command} --json --plot both.svg"))).unwrap();
     let calibration = |part: &str, name: &str| {
         let entries = found[part].as_array().unwrap();
         entries.iter().find(|entry| entry["name"] == name).unwrap()["calibration"].clone()
@@ -193,7 +193,10 @@ fn deviations_of_depth_are_calibrated_beside_those_of_the_weights() {
     assert!(posterior.iter().zip(&weights).all(|(wide, narrow)| wide >= narrow), "{posterior:?} and {weights:?}");
     // A model of 120 steps: calibrated it is not, but neither all within nor all outside.
     assert!((0.3..0.999).contains(&posterior[1]), "{posterior:?}");
-    assert!(std::fs::read_to_string(desk.path().join("rel.svg")).unwrap().contains("depth deviation (AUCE 0."));
+    let both = std::fs::read_to_string(desk.path().join("both.svg")).unwrap();
+    for curve in ["depth deviation (AUCE 0.", "depth deviation (AUSE 0.", "oracle", "what it should be"] {
+        assert!(both.contains(curve), "{curve}");
+    }
     let text = octobayes(desk.path(), &command);
     assert!(text.contains("errors of depth within") && text.contains("deviation of the ray's weights"), "{text}");
     // The risk is the mean error left: at least the oracle's, and chance's is near the mean error.
@@ -209,7 +212,8 @@ fn deviations_of_depth_are_calibrated_beside_those_of_the_weights() {
         assert!(figure(control) >= least, "{control}: {risk}");
     }
     // In the paper's scale there is nothing to calibrate.
-    assert!(!octobayes(desk.path(), EVALUATE).contains("errors of depth within"));
+    assert!(!octobayes(desk.path(), &format!("{EVALUATE} --plot one.svg")).contains("errors of depth within"));
+    assert!(!std::fs::read_to_string(desk.path().join("one.svg")).unwrap().contains("AUCE"));
 
     // Pictures, and the channel.
     let render = |more: &str| {

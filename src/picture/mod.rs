@@ -6,4 +6,4 @@ mod plot;
 
 pub use animation::write_animation;
 pub use panel::{Bar, Panel, color_panel, draw_sheet, scalar_panel, stage_sheet, write_sheet};
-pub use plot::{Curve, stage_plot, write_plot};
+pub use plot::{Curve, Plot, stage_plots, write_plot};

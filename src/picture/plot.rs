@@ -8,6 +8,9 @@ use plotters::prelude::*;
 use crate::io::AtomicFile;
 use crate::{Error, Result};
 
+/// Width and height of a plot, pixels.
+const SIZE: [u32; 2] = [760, 480];
+
 /// One line of a plot.
 #[derive(Debug, Clone)]
 pub struct Curve {
@@ -19,50 +22,25 @@ pub struct Curve {
     pub reference: bool,
 }
 
-/// Writes curves over common axes as one plot, in a file that appears when it is committed.
+/// Curves over common axes.
+#[derive(Debug, Clone)]
+pub struct Plot {
+    /// Text above.
+    pub title: &'static str,
+    /// Text at the axes, x first.
+    pub axes: [&'static str; 2],
+    /// The lines.
+    pub curves: Vec<Curve>,
+}
+
+/// Writes plots side by side, in a file that appears when it is committed.
 ///
 /// # Errors
 /// If the file cannot be written.
-pub fn stage_plot(path: &Path, title: &str, axes: [&str; 2], curves: &[Curve]) -> Result<AtomicFile> {
-    let all = || curves.iter().flat_map(|c| &c.points).filter(|p| p.0.is_finite() && p.1.is_finite());
-    let range = |value: fn(&(f64, f64)) -> f64| {
-        let (low, high) = all().map(value).fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
-        if low < high { (low, high) } else { (low - 0.5, low + 0.5) }
-    };
-    let ((x0, x1), (y0, y1)) = (range(|p| p.0), range(|p| p.1));
-    let mut svg = String::new();
-    let mut draw = || -> std::result::Result<(), Box<dyn std::error::Error>> {
-        let root = SVGBackend::with_string(&mut svg, (760, 480)).into_drawing_area();
-        root.fill(&WHITE)?;
-        let mut chart = ChartBuilder::on(&root)
-            .caption(title, ("sans-serif", 18))
-            .margin(12)
-            .x_label_area_size(42)
-            .y_label_area_size(60)
-            .build_cartesian_2d(x0..x1, y0..y1 + 0.04 * (y1 - y0))?;
-        chart.configure_mesh().light_line_style(WHITE).x_desc(axes[0]).y_desc(axes[1]).draw()?;
-        for (i, curve) in curves.iter().enumerate() {
-            let (r, g, b) = if curve.reference { (120, 120, 120) } else { Palette99::pick(i).rgb() };
-            let color = RGBColor(r, g, b);
-            let style = color.stroke_width(if curve.reference { 1 } else { 2 });
-            chart
-                .draw_series(LineSeries::new(curve.points.iter().copied(), style))?
-                .label(&curve.name)
-                .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], style));
-        }
-        chart
-            .configure_series_labels()
-            .position(SeriesLabelPosition::LowerLeft)
-            .background_style(WHITE.mix(0.85))
-            .border_style(RGBColor(180, 180, 180))
-            .draw()?;
-        root.present()?;
-        Ok(())
-    };
-    draw().map_err(|e| Error::malformed(path, "plot", "drawable curves", e.to_string()))?;
-    let mut file = AtomicFile::create(path)?;
-    file.write_all(svg.as_bytes()).map_err(Error::io(path, "cannot write"))?;
-    Ok(file)
+pub fn stage_plots(path: &Path, plots: &[Plot]) -> Result<AtomicFile> {
+    stage(path, plots.len(), |areas| {
+        areas.iter().zip(plots).try_for_each(|(area, plot)| draw(area, plot.title, plot.axes, &plot.curves))
+    })
 }
 
 /// Writes curves over common axes as one plot.
@@ -70,5 +48,61 @@ pub fn stage_plot(path: &Path, title: &str, axes: [&str; 2], curves: &[Curve]) -
 /// # Errors
 /// If the file cannot be written.
 pub fn write_plot(path: &Path, title: &str, axes: [&str; 2], curves: &[Curve]) -> Result<()> {
-    stage_plot(path, title, axes, curves)?.commit()
+    stage(path, 1, |areas| draw(&areas[0], title, axes, curves))?.commit()
+}
+
+/// Part of a picture.
+type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
+type Drawn = std::result::Result<(), Box<dyn std::error::Error>>;
+
+/// A file of so many areas side by side, drawn on by `draw`.
+fn stage(path: &Path, columns: usize, draw: impl Fn(&[Area]) -> Drawn) -> Result<AtomicFile> {
+    let mut svg = String::new();
+    let size = (SIZE[0] * columns as u32, SIZE[1]);
+    let mut all = || -> Drawn {
+        let root = SVGBackend::with_string(&mut svg, size).into_drawing_area();
+        root.fill(&WHITE)?;
+        draw(&root.split_evenly((1, columns)))?;
+        root.present()?;
+        Ok(())
+    };
+    all().map_err(|e| Error::malformed(path, "plot", "drawable curves", e.to_string()))?;
+    let mut file = AtomicFile::create(path)?;
+    file.write_all(svg.as_bytes()).map_err(Error::io(path, "cannot write"))?;
+    Ok(file)
+}
+
+fn draw(area: &Area, title: &str, axes: [&str; 2], curves: &[Curve]) -> Drawn {
+    let all = || curves.iter().flat_map(|c| &c.points).filter(|p| p.0.is_finite() && p.1.is_finite());
+    let range = |value: fn(&(f64, f64)) -> f64| {
+        let (low, high) = all().map(value).fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
+        if low < high { (low, high) } else { (low - 0.5, low + 0.5) }
+    };
+    let ((x0, x1), (y0, y1)) = (range(|p| p.0), range(|p| p.1));
+    let mut chart = ChartBuilder::on(area)
+        .caption(title, ("sans-serif", 18))
+        .margin(12)
+        .x_label_area_size(42)
+        .y_label_area_size(60)
+        .build_cartesian_2d(x0..x1, y0..y1 + 0.04 * (y1 - y0))?;
+    chart.configure_mesh().light_line_style(WHITE).x_desc(axes[0]).y_desc(axes[1]).draw()?;
+    for (i, curve) in curves.iter().enumerate() {
+        let (r, g, b) = if curve.reference { (120, 120, 120) } else { Palette99::pick(i).rgb() };
+        let color = RGBColor(r, g, b);
+        let style = color.stroke_width(if curve.reference { 1 } else { 2 });
+        chart
+            .draw_series(LineSeries::new(curve.points.iter().copied(), style))?
+            .label(&curve.name)
+            .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], style));
+    }
+    // Curves that rise to the upper right leave room at the upper left, all others at the lower left.
+    let rises = curves.iter().all(|c| c.points.first().zip(c.points.last()).is_none_or(|(a, b)| a.1 <= b.1));
+    let place = if rises { SeriesLabelPosition::UpperLeft } else { SeriesLabelPosition::LowerLeft };
+    chart
+        .configure_series_labels()
+        .position(place)
+        .background_style(WHITE.mix(0.85))
+        .border_style(RGBColor(180, 180, 180))
+        .draw()?;
+    Ok(())
 }

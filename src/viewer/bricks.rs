@@ -7,6 +7,7 @@ use super::color::MeanColor;
 use super::fit::{Fit, deeper};
 use super::grid::{COARSE, Grid, SAMPLES, SIDE, neighbours, place, sample};
 use super::march::Volume;
+use super::opacity::fitted;
 use super::pack::Pages;
 use super::seen::{Marks, SeenRay};
 use crate::Result;
@@ -26,7 +27,7 @@ pub const AS_AT_POINT: u8 = 0;
 /// The code of the most rays. Few codes compress well; a few thousand rays are right within 15 %.
 pub const RAYS: f64 = 31.0;
 /// The share of a cell's edge by which the points lie apart over which density is averaged.
-const APART: f64 = 0.25;
+const APART: f64 = 0.2;
 /// Steps of the codes of log10 U: as it is seen, at a point, and at a point that is not seen. Few codes compress well.
 const STEPS: [u8; 3] = [1, 3, 9];
 /// Steps of the codes of matter: that is seen, and that is not.
@@ -114,8 +115,10 @@ pub fn bricks(grid: &Grid, source: &Source, monitor: &dyn Monitor) -> Result<(Pa
     let found: Vec<Matter> = found.into_iter().flatten().collect();
     let places: Vec<[u32; 3]> = found.iter().map(|brick| brick.index).collect();
     let pages = Pages::new(grid, &places);
-    let (density, matter) = unbiased(grid, &pages, &found, source.rays[0]);
-    let fit = Fit::new(&Volume { grid, pages: &pages, matter: &matter }, &places, source.rays[0]);
+    let behind = |x: Vec3| source.field.log10(x);
+    let (density, depths) = unbiased(grid, &pages, &found, source.rays[0]);
+    let matter = coded(&fitted(depths, (grid, &pages), &places, source.rays, behind));
+    let fit = Fit::new(&Volume { grid, pages: &pages, matter: &matter }, &places, source.rays, behind);
     let codes = Codes::of(&found, source.field, density);
     let coded = found
         .into_par_iter()
@@ -148,27 +151,33 @@ fn matter(grid: &Grid, index: [u32; 3], source: &Source, marks: &[Marks; 2]) -> 
     Some(Matter { index, alpha: alpha.into_iter().map(|a| a as f32).collect(), is_marked, color, found })
 }
 
-/// The factor of density with which the volume's surfaces are as deep as those that are seen, and codes of matter.
-fn unbiased(grid: &Grid, pages: &Pages, bricks: &[Matter], rays: &[SeenRay]) -> (f64, Vec<u8>) {
-    let coded = |factor: f64| -> Vec<u8> {
-        let absorbed = |a: &f32| (-(factor as f32 * (-*a).ln_1p()).exp_m1()).max(0.0);
-        let code = |a: &f32| (FINE * (255.0 / FINE * absorbed(a).sqrt()).round()) as u8;
-        bricks.par_iter().flat_map_iter(|brick| brick.alpha.iter().map(code)).collect()
+/// The factor of density with which the volume's surfaces are as deep as those that are seen, and optical depths along
+/// the edges of cells.
+fn unbiased(grid: &Grid, pages: &Pages, bricks: &[Matter], rays: &[SeenRay]) -> (f64, Vec<f32>) {
+    let depths = |factor: f64| -> Vec<f32> {
+        let depth = |a: &f32| -(factor as f32) * (-*a).ln_1p();
+        bricks.par_iter().flat_map_iter(|brick| brick.alpha.iter().map(depth)).collect()
     };
-    let mut best: Option<(f64, f64, Vec<u8>)> = None;
+    let mut best: Option<(f64, f64)> = None;
     for factor in FACTORS {
-        let matter = coded(factor);
+        let matter = coded(&depths(factor));
         let off = deeper(&Volume { grid, pages, matter: &matter }, rays);
-        if best.as_ref().is_none_or(|(least, _, _)| off.abs() < *least) {
-            best = Some((off.abs(), factor, matter));
+        if best.is_none_or(|(least, _)| off.abs() < least) {
+            best = Some((off.abs(), factor));
         }
         // More density only brings surfaces nearer.
         if off <= 0.0 {
             break;
         }
     }
-    let (_, factor, matter) = best.expect("factors to try");
-    (factor, matter)
+    let (_, factor) = best.expect("factors to try");
+    (factor, depths(factor))
+}
+
+/// Codes of matter with these optical depths along the edges of cells.
+pub fn coded(depths: &[f32]) -> Vec<u8> {
+    let absorbed = |depth: &f32| (-(-*depth).exp_m1()).max(0.0);
+    depths.par_iter().map(|depth| (FINE * (255.0 / FINE * absorbed(depth).sqrt()).round()) as u8).collect()
 }
 
 /// False if the model has no density at the samples of a brick, nor in the cells of the occupancy grid around them.

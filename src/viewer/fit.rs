@@ -7,6 +7,7 @@
 
 use std::collections::HashMap;
 
+use glam::Vec3;
 use rayon::prelude::*;
 
 use super::grid::{CELLS, SAMPLES, SIDE, place};
@@ -50,10 +51,16 @@ struct Paths {
 }
 
 impl Fit {
-    /// Fits to `rays`.
-    pub fn new(volume: &Volume, bricks: &[[u32; 3]], rays: &[SeenRay]) -> Self {
+    /// Fits to rays through what is whole and through what is cleaned, of which `log10` tells what was removed.
+    pub fn new(
+        volume: &Volume,
+        bricks: &[[u32; 3]],
+        rays: [&[SeenRay]; 2],
+        log10: impl Fn(Vec3) -> f64 + Sync,
+    ) -> Self {
+        let rays: Vec<&SeenRay> = rays.into_iter().flatten().collect();
         let part = rays.len().div_ceil(PARTS).max(1);
-        let mut paths: Vec<Paths> = rays.par_chunks(part).map(|rays| Paths::new(volume, rays)).collect();
+        let mut paths: Vec<Paths> = rays.par_chunks(part).map(|rays| Paths::new(volume, rays, &log10)).collect();
         let mut ids = first_of_faces(bricks);
         let mut is_met = vec![false; ids.len()];
         for step in paths.iter().flat_map(|paths| &paths.steps) {
@@ -119,15 +126,19 @@ impl Fit {
 }
 
 impl Paths {
-    fn new(volume: &Volume, rays: &[SeenRay]) -> Self {
+    fn new(volume: &Volume, rays: &[&SeenRay], log10: impl Fn(Vec3) -> f64) -> Self {
         let mut paths = Self { ends: vec![0], ..Self::default() };
         for ray in rays.iter().filter(|ray| ray.opacity >= FAINT && ray.log10.is_finite()) {
             let before = paths.steps.len();
-            let passed = volume.march(&ray.ray, |step| {
-                if step.weight >= SHORT {
-                    paths.steps.push(step);
-                }
-            });
+            let passed = volume.march(
+                &ray.ray,
+                |x| ray.keeps(x, &log10),
+                |step| {
+                    if step.weight >= SHORT {
+                        paths.steps.push(step);
+                    }
+                },
+            );
             if passed.transmittance > f64::from(1.0 - FAINT) || paths.steps.len() == before {
                 paths.steps.truncate(before);
                 continue;
@@ -148,7 +159,7 @@ pub fn deeper(volume: &Volume, rays: &[SeenRay]) -> f64 {
         .into_par_iter()
         .filter(|ray| ray.opacity > 0.5)
         .filter_map(|ray| {
-            let depth = volume.march(&ray.ray, |_| {}).depth;
+            let depth = volume.march(&ray.ray, |_| true, |_| {}).depth;
             (depth > 0.0).then_some((depth - ray.depth) / ray.depth)
         })
         .collect();
@@ -160,7 +171,7 @@ pub fn deeper(volume: &Volume, rays: &[SeenRay]) -> f64 {
 }
 
 /// For every sample of an atlas, the first sample at the same place: faces of bricks are repeated.
-fn first_of_faces(bricks: &[[u32; 3]]) -> Vec<u32> {
+pub fn first_of_faces(bricks: &[[u32; 3]]) -> Vec<u32> {
     let mut known: HashMap<[u32; 3], u32> = HashMap::new();
     let mut ids: Vec<u32> = (0..(bricks.len() * SAMPLES) as u32).collect();
     for (slot, index) in bricks.iter().enumerate() {
@@ -210,6 +221,7 @@ mod tests {
                     log10: along(target) as f32,
                     depth,
                     span: [depth; 2],
+                    most: f64::INFINITY,
                 }
             })
             .collect()
@@ -227,7 +239,7 @@ mod tests {
         let filled = |x: &DVec3| ((FACE - x.x) / grid.edge + 0.5).clamp(0.0, 1.0);
         let matter: Vec<u8> = positions.iter().map(|x| (255.0 * filled(x).sqrt()).round() as u8).collect();
         let volume = Volume { grid: &grid, pages: &pages, matter: &matter };
-        let fit = Fit::new(&volume, &bricks, &rays(60_000, 0.1));
+        let fit = Fit::new(&volume, &bricks, [&rays(60_000, 0.1), &[]], |_| 0.0);
 
         // Other rays, through both volumes: that of values at the samples, and the fitted one.
         let at_samples: Vec<f64> =
@@ -235,14 +247,18 @@ mod tests {
         let mut off = [Vec::new(), Vec::new()];
         for seen in rays(2000, 0.7) {
             let (mut sums, mut total) = ([0.0; 2], 0.0);
-            volume.march(&seen.ray, |step| {
-                for (i, share) in step.corners() {
-                    let weight = f64::from(step.weight * share);
-                    sums[0] += weight * at_samples[i];
-                    sums[1] += weight * fit.at(i).map_or(at_samples[i], |value| f64::from(value[0]));
-                }
-                total += f64::from(step.weight);
-            });
+            volume.march(
+                &seen.ray,
+                |_| true,
+                |step| {
+                    for (i, share) in step.corners() {
+                        let weight = f64::from(step.weight * share);
+                        sums[0] += weight * at_samples[i];
+                        sums[1] += weight * fit.at(i).map_or(at_samples[i], |value| f64::from(value[0]));
+                    }
+                    total += f64::from(step.weight);
+                },
+            );
             assert!(total > 0.99, "the wall is opaque: {total}");
             (0..2).for_each(|k| off[k].push((sums[k] / total - f64::from(seen.log10)).abs()));
         }

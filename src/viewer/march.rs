@@ -1,6 +1,6 @@
 //! The shader's way through the volume, on the CPU: `web/march.glsl` step by step.
 
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 
 use super::grid::{CELLS, Grid, SAMPLES, SIDE};
 use super::pack::Pages;
@@ -53,8 +53,8 @@ impl Step {
 }
 
 impl Volume<'_> {
-    /// Follows a ray.
-    pub fn march(&self, ray: &Ray, mut visit: impl FnMut(Step)) -> Passed {
+    /// Follows a ray. Matter is removed where it is not to be kept.
+    pub fn march(&self, ray: &Ray, keeps: impl Fn(Vec3) -> bool, mut visit: impl FnMut(Step)) -> Passed {
         let grid = self.grid;
         let is_folded = matches!(grid.domain, Domain::Contracted { .. });
         let (cells_per_brick, last) = (f64::from(CELLS), grid.bricks.map(|n| n - 1));
@@ -110,6 +110,10 @@ impl Volume<'_> {
             if is_long {
                 t -= advance;
                 is_long = false;
+                continue;
+            }
+            if !keeps(p.as_vec3()) {
+                t += advance;
                 continue;
             }
             let alpha = (f64::from(code) / 255.0).powi(2);

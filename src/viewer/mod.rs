@@ -9,6 +9,7 @@ mod color;
 mod fit;
 mod grid;
 mod march;
+mod opacity;
 mod pack;
 mod page;
 mod seen;

@@ -16,7 +16,7 @@ use crate::geometry::{Camera, Domain, Norm};
 use crate::io::AtomicFile;
 use crate::monitor::Monitor;
 use crate::render::Tracer;
-use crate::uncertainty::{ThresholdedField, UncertaintyField};
+use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
 
 /// The scripts, in the order in which they are read.
@@ -39,9 +39,9 @@ const BARS: usize = 48;
 const EYES: usize = 48;
 /// About how many rays the volume is fitted to, times the square of its cells along the longest edge, and at most; and
 /// the share of them that tells what the slider shows with so much of the visible surfaces left.
-const RAYS_SEEN: f64 = 16.0;
+const RAYS_SEEN: f64 = 12.0;
 const MOST_RAYS: f64 = 4e6;
-const RAYS_BEHIND: f64 = 0.15;
+const RAYS_BEHIND: f64 = 0.3;
 const BEHIND: [f64; 2] = [2.0 / 3.0, 1.0 / 3.0];
 /// Most cameras in the file.
 const CAMERAS: usize = 1000;
@@ -138,16 +138,14 @@ fn snapped(cells: u32, vertices: u32) -> u32 {
 
 /// What cameras see; and what they would see if the slider had removed a third or two of the visible surfaces.
 fn seen(view: &View, cameras: &[Camera], count: f64, monitor: &dyn Monitor) -> Result<(Vec<SeenRay>, Vec<SeenRay>)> {
-    let rays = look(view.tracer, view.field, cameras, view.offset, count, monitor)?;
+    let rays = look(view.tracer, (view.field, f64::INFINITY), cameras, view.offset, count, monitor)?;
     let mut of_surface: Vec<f64> = rays.iter().map(|ray| f64::from(ray.log10)).filter(|u| u.is_finite()).collect();
     of_surface.sort_unstable_by(f64::total_cmp);
     let mut behind = Vec::new();
     for share in BEHIND {
         let Some(&threshold) = of_surface.get((share * of_surface.len() as f64) as usize) else { continue };
-        let cleaned = ThresholdedField { field: view.model, uncertainty: view.field, threshold };
-        let tracer =
-            Tracer { field: &cleaned, marcher: view.tracer.marcher.clone(), background: view.tracer.background };
-        behind.extend(look(&tracer, view.field, cameras, view.offset, RAYS_BEHIND * count, monitor)?);
+        let count = RAYS_BEHIND * count;
+        behind.extend(look(view.tracer, (view.field, threshold), cameras, view.offset, count, monitor)?);
     }
     Ok((rays, behind))
 }

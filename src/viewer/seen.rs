@@ -8,7 +8,7 @@ use crate::Result;
 use crate::geometry::{Camera, Ray};
 use crate::monitor::{Monitor, check};
 use crate::render::{CompositingWeights, TraceBuffers, Tracer};
-use crate::uncertainty::UncertaintyField;
+use crate::uncertainty::{ThresholdedField, UncertaintyField};
 
 /// Most cameras that look.
 const CAMERAS: usize = 48;
@@ -32,6 +32,15 @@ pub struct SeenRay {
     pub depth: f64,
     /// Distances between which it loses light.
     pub span: [f64; 2],
+    /// log10 U above which there is no density.
+    pub most: f64,
+}
+
+impl SeenRay {
+    /// True if there is density at x, of which `log10` tells log10 U.
+    pub fn keeps(&self, x: Vec3, log10: impl Fn(Vec3) -> f64) -> bool {
+        self.most == f64::INFINITY || log10(x) <= self.most
+    }
 }
 
 /// Some of the cameras, spread over their order.
@@ -41,18 +50,24 @@ pub fn spread(cameras: &[Camera], most: usize) -> Vec<Camera> {
 }
 
 /// The rays of smaller images of some of the `cameras` that hit something, as `render` sees them: of about `count`
-/// pixels.
+/// pixels, without density where log10 U is above `most`.
 ///
 /// # Errors
 /// [`crate::Error::Interrupted`] only.
 pub fn look(
     tracer: &Tracer,
-    field: &UncertaintyField,
+    (field, most): (&UncertaintyField, f64),
     cameras: &[Camera],
     offset: f64,
     count: f64,
     monitor: &dyn Monitor,
 ) -> Result<Vec<SeenRay>> {
+    let cleaned = ThresholdedField { field: tracer.field, uncertainty: field, threshold: most };
+    let tracer = if most < f64::INFINITY {
+        &Tracer { field: &cleaned, marcher: tracer.marcher.clone(), background: tracer.background }
+    } else {
+        tracer
+    };
     let cameras = spread(cameras, CAMERAS);
     let pixels: u64 = cameras.iter().map(Camera::pixels).sum();
     let scale = (count / pixels.max(1) as f64).sqrt().min(1.0);
@@ -72,7 +87,7 @@ pub fn look(
         .map(|rays| {
             check(monitor)?;
             monitor.advance(rays.len() as u64);
-            Ok(see(tracer, field, rays))
+            Ok(see(tracer, field, most, rays))
         })
         .collect::<Result<_>>()?;
     monitor.end();
@@ -80,7 +95,7 @@ pub fn look(
 }
 
 /// What single rays hit.
-fn see(tracer: &Tracer, field: &UncertaintyField, rays: &[Ray]) -> Vec<SeenRay> {
+fn see(tracer: &Tracer, field: &UncertaintyField, most: f64, rays: &[Ray]) -> Vec<SeenRay> {
     let mut buffers = TraceBuffers::default();
     tracer.trace(rays, &vec![0.5; rays.len()], &mut buffers);
     let traced = &buffers.traced;
@@ -107,6 +122,7 @@ fn see(tracer: &Tracer, field: &UncertaintyField, rays: &[Ray]) -> Vec<SeenRay> 
             log10: (sum / total) as f32,
             depth: pixel.median_depth,
             span: [traced.t[hit().next()?.0], traced.t[hit().next_back()?.0]],
+            most,
         })
     };
     rays.iter().enumerate().filter_map(of_ray).collect()

@@ -87,6 +87,9 @@ class Page:
 class Scene:
     """A model, its field and its viewer."""
 
+    # The share of the pixels whose log10 U is to be within 0.1 of what `render` says, and the largest median error.
+    within, median = 0.95, 0.08
+
     def __init__(self, folder, model, options, arguments=""):
         self.folder, self.model = folder, model
         self.options = options

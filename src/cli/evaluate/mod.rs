@@ -98,14 +98,10 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     every: u32,
 
-    /// Write the sparsification curves (mean absolute error) as an SVG plot
+    /// Draw the sparsification curves (mean absolute error) as SVG. Beside them, for fields of `--scale data`, the
+    /// reliability of the deviations of depth: the share of errors within the interval that should hold each share
     #[arg(long, value_name = "PLOT.svg", requires = "depth")]
     plot: Option<PathBuf>,
-
-    /// Write the reliability curves of the deviations of depth as an SVG plot: the share of errors within the interval
-    /// that should hold each share. For fields of `--scale data`
-    #[arg(long, value_name = "PLOT.svg", requires = "depth")]
-    reliability: Option<PathBuf>,
 
     /// Write all sparsification curves as CSV
     #[arg(long, value_name = "CURVES.csv", requires = "depth")]
@@ -134,7 +130,6 @@ impl Args {
             .inputs("--ensemble", &self.ensemble)
             .cameras(Some(&self.cameras.cameras))
             .outputs("--plot", &self.plot)
-            .outputs("--reliability", &self.reliability)
             .outputs("--csv", &self.csv)
             .outputs("--clean-up", &self.clean_up);
         files.check()?;
@@ -189,10 +184,9 @@ impl Args {
         let evaluation =
             Evaluation { args: &self, evaluator: &evaluator, measures, views: &judged, ranked, calibrations, cleaned };
         let plot = self.plot.as_ref().map(|path| evaluation.plot(path)).transpose()?;
-        let reliability = self.reliability.as_ref().map(|path| evaluation.reliability(path)).transpose()?;
         let csv = self.csv.as_ref().map(|path| evaluation.csv(path)).transpose()?;
         // All are on the disk before the first gets its name, so that no half set is left.
-        let mut files: Vec<AtomicFile> = [sheet, plot, reliability, csv].into_iter().flatten().collect();
+        let mut files: Vec<AtomicFile> = [sheet, plot, csv].into_iter().flatten().collect();
         files.iter_mut().try_for_each(AtomicFile::sync)?;
         files.into_iter().try_for_each(AtomicFile::commit)?;
         evaluation.print()

@@ -9,7 +9,7 @@ use crate::cli::report;
 use crate::evaluate::{CleanUp, DepthError, EvaluatedView, Evaluator, Measure, Reading, Score};
 use crate::io::AtomicFile;
 use crate::metrics::{Calibration, ErrorKind, STEPS, Sparsification};
-use crate::picture::{Curve, stage_plot};
+use crate::picture::{Curve, Plot, stage_plots};
 use crate::{Error, Result};
 
 /// The results of an evaluation.
@@ -65,8 +65,15 @@ impl<'a> Evaluation<'a> {
         self.views.iter().map(|v| v.empty).sum()
     }
 
-    /// Plots the curves of mean absolute error, in scene units, in a file to be committed.
+    /// Draws how errors are ranked and, if there are deviations of depth, how reliable these are, in a file to be
+    /// committed.
     pub fn plot(&self, path: &Path) -> Result<AtomicFile> {
+        let plots: Vec<Plot> = [self.sparsification()].into_iter().chain(self.reliability()).collect();
+        stage_plots(path, &plots)
+    }
+
+    /// The curves of mean absolute error, in scene units.
+    fn sparsification(&self) -> Plot {
         let points = |s: &Sparsification, values: &[f64]| {
             s.removed.iter().zip(values).map(|(&r, &v)| (r, v * s.largest)).collect()
         };
@@ -83,7 +90,28 @@ impl<'a> Evaluation<'a> {
             curves.push(Curve { name: "oracle: largest errors removed first".into(), points: oracle, reference: true });
         }
         let axes = ["removed share of pixels", "mean absolute depth error"];
-        stage_plot(path, "Mean depth error left, scene units", axes, &curves)
+        Plot { title: "Mean depth error left, scene units", axes, curves }
+    }
+
+    /// The shares of errors within the intervals that should hold them; `None` without deviations from a field.
+    fn reliability(&self) -> Option<Plot> {
+        let is_of_field =
+            |(measure, ..): (Measure, String, &Calibration)| matches!(measure, Measure::DepthDeviation(_));
+        self.calibrated().any(is_of_field).then(|| {
+            let points = |curve: &[[f64; 2]]| curve.iter().map(|&[p, found]| (p, found)).collect();
+            let mut curves: Vec<Curve> = self
+                .calibrated()
+                .map(|(_, name, c)| Curve {
+                    name: format!("{name} (AUCE {:.3})", c.predictive().auce),
+                    points: points(&c.predictive().reliability),
+                    reference: false,
+                })
+                .collect();
+            let diagonal = vec![(0.0, 0.0), (1.0, 1.0)];
+            curves.push(Curve { name: "what it should be".into(), points: diagonal, reference: true });
+            let axes = ["share of errors that the interval should hold", "share that it holds"];
+            Plot { title: "Reliability of the deviation of depth", axes, curves }
+        })
     }
 
     /// The measures that are deviations of depth.
@@ -96,23 +124,6 @@ impl<'a> Evaluation<'a> {
             };
             Some((measure, name, found.as_ref()?))
         })
-    }
-
-    /// Plots the shares of errors within the intervals that should hold them, in a file to be committed.
-    pub fn reliability(&self, path: &Path) -> Result<AtomicFile> {
-        let points = |curve: &[[f64; 2]]| curve.iter().map(|&[p, found]| (p, found)).collect();
-        let mut curves: Vec<Curve> = self
-            .calibrated()
-            .map(|(_, name, c)| Curve {
-                name: format!("{name} (AUCE {:.3})", c.predictive().auce),
-                points: points(&c.predictive().reliability),
-                reference: false,
-            })
-            .collect();
-        let diagonal = vec![(0.0, 0.0), (1.0, 1.0)];
-        curves.push(Curve { name: "what it should be".into(), points: diagonal, reference: true });
-        let axes = ["share of errors that the interval should hold", "share that it holds"];
-        stage_plot(path, "Reliability of the deviation of depth", axes, &curves)
     }
 
     /// Writes one row per error kind and removed share, with values in scene units, in a file to be committed.

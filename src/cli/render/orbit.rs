@@ -6,12 +6,10 @@ use crate::geometry::{Camera, Domain};
 
 /// `count` cameras like `start`, turned in equal steps about the upright axis through what it looks at.
 ///
-/// Upright is what is up in most of `others`. What it looks at is the point of its optical axis next to the middle of
+/// Upright is what is level in `others`. What it looks at is the point of its optical axis next to the middle of
 /// `domain`.
 pub fn orbit(start: &Camera, others: &[Camera], domain: &Domain, count: u32) -> Vec<Camera> {
-    let up: DVec3 = others.iter().map(|camera| camera.axes.y_axis).sum();
-    // Cameras all around, upside down too, have none.
-    let up = if up.length() > 0.05 * others.len() as f64 { up.normalize() } else { start.axes.y_axis };
+    let up = upright(others).unwrap_or(start.axes.y_axis);
     let middle = match domain {
         Domain::Box(bounds) => 0.5 * (bounds.min() + bounds.max()),
         Domain::Contracted { center, .. } => DVec3::from(*center),
@@ -27,10 +25,44 @@ pub fn orbit(start: &Camera, others: &[Camera], domain: &Domain, count: u32) -> 
     (0..count).map(turned).collect()
 }
 
+/// What is up for cameras that are held level, however far they look down: at right angles to what is right in their
+/// images. `None` for cameras all around, upside down too.
+fn upright(cameras: &[Camera]) -> Option<DVec3> {
+    let mean = cameras.iter().map(|camera| camera.axes.y_axis).sum::<DVec3>() / cameras.len() as f64;
+    let agreeing = |normal: DVec3| if normal.dot(mean) < 0.0 { -normal } else { normal };
+    let right = |k: usize| cameras[k].axes.x_axis;
+    let pairs = (0..cameras.len()).flat_map(|i| (0..i).map(move |j| (i, j)));
+    let level: DVec3 = pairs.map(|(i, j)| agreeing(right(i).cross(right(j)))).sum();
+    let count = (cameras.len() * cameras.len().saturating_sub(1) / 2) as f64;
+    // Cameras side by side say too little of it.
+    let normal = if level.length() > 0.05 * count { level } else { mean };
+    (mean.length() > 0.05).then(|| normal.normalize())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::geometry::Aabb;
+
+    #[test]
+    fn cameras_on_one_side_that_look_down_are_level() {
+        let look = |azimuth: f64, height: f64| {
+            Camera::look_at(
+                DVec3::new(2.8 * azimuth.cos(), 2.8 * azimuth.sin(), height),
+                DVec3::ZERO,
+                DVec3::Z,
+                0.8,
+                [4; 2],
+            )
+        };
+        let arc: Vec<Camera> = (0..9).map(|k| look(0.25 * f64::from(k) - 1.0, 0.9 + 0.8 * f64::from(k % 2))).collect();
+        assert!((upright(&arc).unwrap() - DVec3::Z).length() < 1e-9);
+        // One alone, and two that look the same way, are upright by their images.
+        assert!((upright(&arc[..1]).unwrap() - arc[0].axes.y_axis).length() < 1e-9);
+        assert!((upright(&[arc[0], arc[0]]).unwrap() - arc[0].axes.y_axis).length() < 1e-9);
+        let turned = Camera { axes: arc[0].axes * DMat3::from_rotation_z(std::f64::consts::PI), ..arc[0] };
+        assert_eq!(upright(&[arc[0], turned]), None);
+    }
 
     #[test]
     fn it_starts_at_the_camera_and_stays_at_its_height() {
