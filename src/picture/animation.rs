@@ -12,7 +12,7 @@ use crate::{Error, Result};
 /// Time for which a frame is shown, milliseconds. Browsers slow down GIFs that are faster than 50 frames a second.
 const DELAY: u16 = 80;
 /// How thoroughly GIF's 256 colours are chosen, from 1, the slowest, to 30.
-const SPEED: i32 = 10;
+const SPEED: i32 = 1;
 
 /// Writes frames of one size as a picture that repeats for ever: `.gif`, or else PNG.
 ///

@@ -1,9 +1,9 @@
 //! Density fitted to what cameras see: rays through the volume lose as much light as those through the model.
 //!
 //! Averaged over a cell, a thin opaque layer is thick and foggy, and what the slider leaves of it is too transparent.
-//! So optical depths τ of rays through the volume, whole and cleaned, are compared with those that are seen. Every sample
-//! is multiplied by the geometric mean of the quotients of its rays, weighted by the light that they lose there (MART:
-//! multiplicative algebraic reconstruction).
+//! So optical depths τ of rays through the volume, whole and cleaned, are compared with those that are seen. Every
+//! sample is multiplied by the geometric mean of the quotients of its rays, weighted by the light that they lose there
+//! (MART: multiplicative algebraic reconstruction).
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -28,8 +28,8 @@ const LEAST: f32 = 0.02;
 /// Sums are kept in so many parts, whatever the number of threads, so that values do not depend on it.
 const PARTS: usize = 4;
 
-/// Optical depths along the edges of cells, `[bricks][SAMPLES]`, corrected by rays through what is whole and through what
-/// is cleaned, of which `log10` tells what was removed.
+/// Optical depths along the edges of cells, `[bricks][SAMPLES]`, corrected by rays through what is whole and through
+/// what is cleaned, of which `log10` tells what was removed.
 pub fn fitted(
     mut depths: Vec<f32>,
     (grid, pages): (&Grid, &Pages),
@@ -55,8 +55,8 @@ pub fn fitted(
     depths
 }
 
-/// Sums over the `rays` at every sample: of the logarithm of what τ is to be multiplied by, weighted by the light that is
-/// lost there, and of the light.
+/// Sums over the `rays` at every sample: of the logarithm of what τ is to be multiplied by, weighted by the light that
+/// is lost there, and of the light.
 fn sums(volume: &Volume, ids: &[u32], rays: &[&SeenRay], log10: impl Fn(Vec3) -> f64) -> Vec<[f32; 2]> {
     let mut sums = vec![[0.0; 2]; ids.len()];
     let mut steps = Vec::new();

@@ -6,8 +6,8 @@ use crate::geometry::{Camera, Domain};
 
 /// `count` cameras like `start`, turned in equal steps about the upright axis through what it looks at.
 ///
-/// Upright is what is level in `others`. What it looks at is the point of its optical axis next to the middle of
-/// `domain`.
+/// Upright is what is level in `others`. What it looks at is the point of its optical axis next to the
+/// upright axis through the middle of `domain`.
 pub fn orbit(start: &Camera, others: &[Camera], domain: &Domain, count: u32) -> Vec<Camera> {
     let up = upright(others).unwrap_or(start.axes.y_axis);
     let middle = match domain {
@@ -15,7 +15,10 @@ pub fn orbit(start: &Camera, others: &[Camera], domain: &Domain, count: u32) -> 
         Domain::Contracted { center, .. } => DVec3::from(*center),
     };
     let ahead = -start.axes.z_axis;
-    let distance = ahead.dot(middle - start.position).max(0.0);
+    // Seen from above, so that the turn is about the middle whatever height the camera looks at.
+    let level = ahead - ahead.dot(up) * up;
+    let (towards, length) = if level.length() > 0.05 { (level, level.length_squared()) } else { (ahead, 1.0) };
+    let distance = (towards.dot(middle - start.position) / length).max(0.0);
     let target = start.position + distance * ahead;
     let turned = |k: u32| {
         let turn = DQuat::from_axis_angle(up, std::f64::consts::TAU * f64::from(k) / f64::from(count));
@@ -81,5 +84,9 @@ mod tests {
             assert!((x - 20.0).abs() < 1e-9 && (y - 15.0).abs() < 1e-9, "it looks at the middle");
         }
         assert!((cameras[4].position - DVec3::new(-3.0, 2.0, 1.5)).length() < 1e-12);
+        // Looking below the middle, it still turns about the upright axis through it.
+        let low = Camera::look_at(eye, DVec3::new(0.0, 0.0, -0.5), DVec3::Z, 0.7, [40, 30]);
+        let other = orbit(&low, &ring, &Domain::Box(Aabb::centered_cube(1.0)), 2)[1];
+        assert!((other.position - DVec3::new(-3.0, 2.0, 1.5)).length() < 1e-12);
     }
 }
