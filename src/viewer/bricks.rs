@@ -235,7 +235,7 @@ impl Codes {
         (1.0 + (PRIOR - 1.0) * share).round() as u8
     }
 
-    fn code(&self, brick: Matter, matter: &[u8], fitted: impl Fn(usize) -> Option<[f32; 4]>) -> Brick {
+    fn code(&self, brick: Matter, matter: &[u8], fitted: impl Fn(usize) -> (Option<f32>, Option<[f32; 3]>)) -> Brick {
         let Matter { is_marked, mut color, found, .. } = brick;
         let (mut seen, mut log10) = (vec![AS_AT_POINT; SAMPLES], vec![AS_AT_POINT; SAMPLES]);
         let mut matter = matter.to_vec();
@@ -249,9 +249,12 @@ impl Codes {
             if !is_marked[i] {
                 matter[i] = rounded(matter[i], ROUGH);
             }
-            if let Some([u, red, green, blue]) = fitted(i) {
+            let (of_u, of_color) = fitted(i);
+            if let Some(u) = of_u {
                 seen[i] = log10_code(u, STEPS[0]);
-                color[i] = [red, green, blue].map(|v| (255.0 * v.clamp(0.0, 1.0)).round() as u8);
+            }
+            if let Some(channels) = of_color {
+                color[i] = channels.map(|v| (255.0 * v.clamp(0.0, 1.0)).round() as u8);
             }
         }
         let at_coarse = |i: &usize| place(*i).iter().all(|k| k % 2 == 0);

@@ -37,9 +37,11 @@ pub struct Fit {
     /// `[bricks][SAMPLES]`: place among the values, or [`NONE`].
     ids: Vec<u32>,
     values: Vec<Values>,
-    /// Light lost around each of them.
-    light: Vec<f32>,
+    /// Light lost around each of them: by rays that tell log10 U, and by those that tell colour.
+    light: Vec<Light>,
 }
+
+type Light = [f32; 2];
 
 /// Rays with what they lose at their steps.
 #[derive(Default)]
@@ -48,10 +50,13 @@ struct Paths {
     ends: Vec<usize>,
     steps: Vec<Step>,
     seen: Vec<Values>,
+    /// 1 for rays that tell log10 U, those through what is whole; else 0.
+    tells_u: Vec<f32>,
 }
 
 impl Fit {
-    /// Fits to rays through what is whole and through what is cleaned, of which `log10` tells what was removed.
+    /// Fits colour to rays through what is whole and through what is cleaned, of which `log10` tells what was removed;
+    /// and log10 U to the former, which is what the layers show.
     pub fn new(
         volume: &Volume,
         bricks: &[[u32; 3]],
@@ -76,16 +81,16 @@ impl Fit {
             .collect();
         ids.iter_mut().for_each(|id| *id = numbers[*id as usize]);
         paths.retain(|paths| !paths.seen.is_empty());
-        let mut fit = Self { ids, values: vec![[0.0; 4]; count as usize], light: vec![0.0; count as usize] };
+        let mut fit = Self { ids, values: vec![[0.0; 4]; count as usize], light: vec![[0.0; 2]; count as usize] };
         for round in 0..=CORRECTIONS {
-            let sums: Vec<(Vec<Values>, Vec<f32>)> = paths.par_iter().map(|paths| fit.left(paths)).collect();
-            let mut total = (vec![[0.0_f32; 4]; fit.values.len()], vec![0.0_f32; fit.values.len()]);
+            let sums: Vec<(Vec<Values>, Vec<Light>)> = paths.par_iter().map(|paths| fit.left(paths)).collect();
+            let mut total = (vec![[0.0_f32; 4]; fit.values.len()], vec![[0.0_f32; 2]; fit.values.len()]);
             for (sums, light) in sums {
                 total.0.iter_mut().zip(sums).for_each(|(all, part)| (0..4).for_each(|k| all[k] += part[k]));
-                total.1.iter_mut().zip(light).for_each(|(all, part)| *all += part);
+                total.1.iter_mut().zip(light).for_each(|(all, part)| (0..2).for_each(|k| all[k] += part[k]));
             }
             for (value, (sum, light)) in fit.values.iter_mut().zip(total.0.iter().zip(&total.1)) {
-                (0..4).for_each(|k| value[k] += if *light > 0.0 { sum[k] / light } else { 0.0 });
+                (0..4).for_each(|k| value[k] += sum[k] / light[k.min(1)].max(f32::MIN_POSITIVE));
             }
             if round == 0 {
                 fit.light = total.1;
@@ -94,16 +99,18 @@ impl Fit {
         fit
     }
 
-    /// Values at a sample of the atlas; `None` where hardly any ray came.
-    pub fn at(&self, sample: usize) -> Option<Values> {
+    /// log10 U and colour at a sample of the atlas; `None` where hardly any ray came that tells it.
+    pub fn at(&self, sample: usize) -> (Option<f32>, Option<[f32; 3]>) {
         let id = self.ids[sample] as usize;
-        self.light.get(id).is_some_and(|light| *light >= LEAST).then(|| self.values[id])
+        let Some([of_u, of_color]) = self.light.get(id) else { return (None, None) };
+        let [u, red, green, blue] = self.values[id];
+        ((*of_u >= LEAST).then_some(u), (*of_color >= LEAST).then_some([red, green, blue]))
     }
 
     /// Σ a r and Σ a of all samples.
-    fn left(&self, paths: &Paths) -> (Vec<Values>, Vec<f32>) {
-        let (mut sums, mut light) = (vec![[0.0_f32; 4]; self.values.len()], vec![0.0_f32; self.values.len()]);
-        for (range, seen) in paths.ends.windows(2).zip(&paths.seen) {
+    fn left(&self, paths: &Paths) -> (Vec<Values>, Vec<Light>) {
+        let (mut sums, mut light) = (vec![[0.0_f32; 4]; self.values.len()], vec![[0.0_f32; 2]; self.values.len()]);
+        for ((range, seen), tells_u) in paths.ends.windows(2).zip(&paths.seen).zip(&paths.tells_u) {
             let steps = &paths.steps[range[0]..range[1]];
             let total: f32 = steps.iter().map(|step| step.weight).sum();
             let mut left = *seen;
@@ -113,11 +120,13 @@ impl Fit {
                     (0..4).for_each(|k| left[k] -= step.weight * share * value[k] / total);
                 }
             }
+            left[0] *= tells_u;
             for step in steps {
                 for (i, share) in step.corners() {
-                    let id = self.ids[i] as usize;
-                    light[id] += step.weight * share;
-                    (0..4).for_each(|k| sums[id][k] += step.weight * share * left[k]);
+                    let (id, lost) = (self.ids[i] as usize, step.weight * share);
+                    light[id][0] += lost * tells_u;
+                    light[id][1] += lost;
+                    (0..4).for_each(|k| sums[id][k] += lost * left[k]);
                 }
             }
         }
@@ -145,6 +154,7 @@ impl Paths {
             }
             paths.ends.push(paths.steps.len());
             let color = ray.color / ray.opacity;
+            paths.tells_u.push(if ray.most == f64::INFINITY { 1.0 } else { 0.0 });
             paths.seen.push([ray.log10, color.x, color.y, color.z]);
         }
         paths
@@ -254,7 +264,7 @@ mod tests {
                     for (i, share) in step.corners() {
                         let weight = f64::from(step.weight * share);
                         sums[0] += weight * at_samples[i];
-                        sums[1] += weight * fit.at(i).map_or(at_samples[i], |value| f64::from(value[0]));
+                        sums[1] += weight * fit.at(i).0.map_or(at_samples[i], f64::from);
                     }
                     total += f64::from(step.weight);
                 },
