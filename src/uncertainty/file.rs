@@ -54,6 +54,33 @@ struct Header {
     tile: Option<Tile>,
 }
 
+impl Header {
+    /// Checks what constructors would: deserialisation bypasses them. Returns the lattice.
+    fn check(&self, path: &Path) -> Result<Lattice> {
+        let Self { protocol, draws, conformal, tile, .. } = self;
+        let lattice = self.lattice.domain().checked();
+        let lattice = lattice
+            .and_then(|domain| Lattice::from_domain(domain, self.lattice.level()))
+            .map_err(|e| Error::malformed(path, "header", "a valid domain and level", e.to_string()))?;
+        if !protocol.is_possible() {
+            let expected = "a protocol that a run can have";
+            return Err(Error::malformed(path, "header", expected, format!("{protocol:?}")));
+        }
+        if tile.is_some_and(|tile| !tile.is_valid() || lattice.level() < tile.least_level()) {
+            return Err(Error::malformed(path, "header, tile", "a part of the box", format!("{tile:?}")));
+        }
+        if !draws.iter().all(|draw| draw.shard.is_valid()) || !Draw::are_disjoint(draws.iter().copied()) {
+            let found = "an empty part, or two that may have rays in common";
+            return Err(Error::malformed(path, "header, draws", "parts of runs, each ray in one of them", found));
+        }
+        if let Some(conformal) = conformal.filter(|conformal| !conformal.is_possible()) {
+            let expected = "an interval that a calibration can give";
+            return Err(Error::malformed(path, "header, conformal", expected, format!("{conformal:?}")));
+        }
+        Ok(lattice)
+    }
+}
+
 #[derive(serde::Serialize, serde::Deserialize)]
 enum Kind {
     Dense,
@@ -162,7 +189,7 @@ impl UncertaintyField {
         )
     }
 
-    /// Reads what the header of a file says. Unlike [`UncertaintyField::read`], this does not check it.
+    /// Reads and checks what the header of a file says. What follows is read by [`UncertaintyField::read`] only.
     ///
     /// # Errors
     /// If the file is missing, or is not complete, or not a field of a known version.
@@ -171,7 +198,9 @@ impl UncertaintyField {
         if container::version(path, FORMAT)? < FORMAT_VERSION {
             return Self::read(path).map(|field| Head::of(name, &field));
         }
-        let (Header { protocol, lattice, kind, draws, tile, .. }, file) = Reader::open::<Header>(path, FORMAT)?;
+        let (header, file) = Reader::open::<Header>(path, FORMAT)?;
+        let lattice = header.check(path)?;
+        let Header { protocol, kind, draws, tile, .. } = header;
         let has_sums = ["exact", "factors"].into_iter().any(|name| file.has(name));
         Ok(Head { name, protocol, lattice, draws, tile, is_dense: matches!(kind, Kind::Dense), has_sums })
     }
@@ -185,20 +214,9 @@ impl UncertaintyField {
         let content = if is_old { legacy::read(path)? } else { Content::read(path)? };
         let Content { header, masks, deviations, rays, sums, surface, visits, has_exact_counts, limits, errors } =
             content;
-        // Deserialisation bypasses the checks of the constructors.
-        let lattice = header.lattice.domain().checked();
-        let lattice = lattice
-            .and_then(|domain| Lattice::from_domain(domain, header.lattice.level()))
-            .map_err(|e| Error::malformed(path, "header", "a valid domain and level", e.to_string()))?;
+        let lattice = header.check(path)?;
         let protocol = header.protocol;
-        if !protocol.is_possible() {
-            let expected = "a protocol that a run can have";
-            return Err(Error::malformed(path, "header", expected, format!("{protocol:?}")));
-        }
         let tile = header.tile;
-        if tile.is_some_and(|tile| !tile.is_valid() || lattice.level() < tile.least_level()) {
-            return Err(Error::malformed(path, "header, tile", "a part of the box", format!("{tile:?}")));
-        }
         let is_part = tile.is_some() || protocol.is_part() || header.draws.iter().any(Draw::is_part);
         if has_exact_counts && !is_part {
             return Err(Error::malformed(path, "section `counted`", "counts of a part of a run", "a whole run's"));
@@ -250,16 +268,7 @@ impl UncertaintyField {
         let error_bars = (!errors.is_empty()).then(|| ErrorBars::from_words(&errors, vertices)).transpose();
         let error_bars =
             error_bars.map_err(|(expected, found)| Error::malformed(path, "section `errors`", expected, found))?;
-        let draws = header.draws;
-        if !draws.iter().all(|draw| draw.shard.is_valid()) || !Draw::are_disjoint(draws.iter().copied()) {
-            let found = "an empty part, or two that may have rays in common";
-            return Err(Error::malformed(path, "header, draws", "parts of runs, each ray in one of them", found));
-        }
-        let conformal = header.conformal;
-        if let Some(conformal) = conformal.filter(|conformal| !conformal.is_possible()) {
-            let expected = "an interval that a calibration can give";
-            return Err(Error::malformed(path, "header, conformal", expected, format!("{conformal:?}")));
-        }
+        let (draws, conformal) = (header.draws, header.conformal);
         let field = Self {
             protocol,
             lattice,
