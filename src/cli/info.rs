@@ -3,13 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use glam::Vec3;
-use serde_json::json;
+use serde_json::{Value, json};
 
 use super::report;
+use crate::Result;
 use crate::error::printable;
 use crate::posterior::Covariance;
-use crate::uncertainty::UncertaintyField;
-use crate::{Error, Result};
+use crate::uncertainty::{Support, UncertaintyField};
 
 /// Show what a field or model file holds, and its memory by part
 #[derive(clap::Args)]
@@ -95,15 +95,15 @@ impl Args {
 
     fn field(&self, path: &Path) -> Result<()> {
         let field = UncertaintyField::read(path)?;
-        let stats = field
-            .validate()
-            .map_err(|defect| Error::malformed(path, "octree", "a sound octree", defect.to_string()))?;
         let memory = field.memory();
         if self.json {
             let mut value = report::protocol_json(&field);
             value["summary"] = json!(field.summary());
             value["surfaces"] = report::surfaces_json(&field);
-            value["octree"] = json!(stats);
+            value["octree"] = match field.support() {
+                Support::Octree(_) => json!({ "leaves_per_level": field.summary().leaves_per_level }),
+                Support::Dense => Value::Null,
+            };
             value["answers"] = answers(&field).iter().map(|a| (a.what.to_string(), json!(a.is_known))).collect();
             value["memory"] = memory.iter().map(|&(part, bytes)| (part.to_string(), json!(bytes))).collect();
             say!("{value}")?;
@@ -115,9 +115,6 @@ impl Args {
             say!("  tile {} of {}: all else is as if never seen", tile.index, tile.of)?;
         }
         say!("  {}", histogram(&field))?;
-        if let Some(stats) = stats {
-            say!("  sound octree: {} leaves, {} hanging corners", stats.leaves(), stats.hanging_corners)?;
-        }
         if let Some(visits) = field.visits() {
             say!("  {:.0} % of the space was never seen", 100.0 * visits.unseen_share())?;
         }

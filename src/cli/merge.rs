@@ -8,7 +8,7 @@ use super::files::CommandFiles;
 use super::options::check_field_name;
 use super::report;
 use crate::rays::MissingShards;
-use crate::uncertainty::{TiledField, finish_tiles, merge_files, merge_files_with_error_bars};
+use crate::uncertainty::{TiledField, UncertaintyField, finish_tiles, merge_files, merge_files_with_error_bars};
 use crate::{Error, Result};
 
 /// Join fields of the same box, level and protocol that were computed from different rays
@@ -61,6 +61,12 @@ impl Args {
         check_field_name(&self.output)?;
         let merge = if self.error_bars { merge_files_with_error_bars } else { merge_files };
         let field = merge(&self.fields)?;
+        let mut parts = self.fields.iter().map(|path| UncertaintyField::has_error_bars(path));
+        if !self.error_bars && parts.any(|has| matches!(has, Ok(true))) {
+            eprintln!(
+                "note: the fields' own error bars are not those of the whole, which has none; --error-bars compares the fields"
+            );
+        }
         let field = if self.keep_sums { field } else { field.for_queries() };
         let missing = MissingShards::beside(field.draws());
         field.write(&self.output)?;

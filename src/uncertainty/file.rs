@@ -202,7 +202,16 @@ impl UncertaintyField {
         let lattice = header.check(path)?;
         let Header { protocol, kind, draws, tile, .. } = header;
         let has_sums = ["exact", "factors"].into_iter().any(|name| file.has(name));
-        Ok(Head { name, protocol, lattice, draws, tile, is_dense: matches!(kind, Kind::Dense), has_sums })
+        let (is_dense, has_error_bars) = (matches!(kind, Kind::Dense), file.has("errors"));
+        Ok(Head { name, protocol, lattice, draws, tile, is_dense, has_sums, has_error_bars })
+    }
+
+    /// Whether a file holds error bars, by its header.
+    ///
+    /// # Errors
+    /// If the file is missing, or is not complete, or not a field of a known version.
+    pub fn has_error_bars(path: &Path) -> Result<bool> {
+        Self::read_head(path).map(|head| head.has_error_bars)
     }
 
     /// Reads a field.

@@ -21,6 +21,7 @@ pub struct Head {
     pub is_dense: bool,
     /// Whether it can be merged, and not only asked.
     pub has_sums: bool,
+    pub has_error_bars: bool,
 }
 
 impl Head {
@@ -33,6 +34,7 @@ impl Head {
             tile: field.tile,
             is_dense: matches!(field.support, Support::Dense),
             has_sums: field.sums.is_some(),
+            has_error_bars: field.error_bars.is_some(),
         }
     }
 }
