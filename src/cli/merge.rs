@@ -53,7 +53,7 @@ impl Args {
     /// Runs the verb.
     pub fn run(self) -> Result<()> {
         let files = CommandFiles::default().inputs("FIELD", &self.fields);
-        if self.output.is_dir() {
+        if self.output.is_dir() && self.output.extension().is_none_or(|extension| extension != "oct") {
             files.check()?;
             return self.finish_tiles();
         }
