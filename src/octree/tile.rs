@@ -50,22 +50,30 @@ impl Tile {
     #[must_use]
     #[inline]
     pub fn owns(self, finest: u8, point: [u32; 3]) -> bool {
-        let last = (1 << finest) - 1;
-        morton::encode(point.map(|i| i.min(last))) >> self.depth(finest) == u64::from(self.index)
+        Self::owner(self.of, finest, point) == self.index
     }
 
-    /// Bits of a Morton code that tell the cells of one tile apart.
-    fn depth(self, finest: u8) -> u32 {
-        3 * u32::from(finest) - self.of.ilog2()
+    /// The index of the one of `of` tiles that owns a point of the lattice with 2^`finest` cells per axis.
+    #[must_use]
+    #[inline]
+    pub fn owner(of: u32, finest: u8, point: [u32; 3]) -> u32 {
+        let last = (1 << finest) - 1;
+        (morton::encode(point.map(|i| i.min(last))) >> depth(of, finest)) as u32
     }
 
     /// Lower and upper corner on the lattice with 2^`finest` cells per axis.
     #[must_use]
     pub fn extent(self, finest: u8) -> ([u32; 3], [u32; 3]) {
-        let first = u64::from(self.index) << self.depth(finest);
-        let last = first | ((1 << self.depth(finest)) - 1);
+        let depth = depth(self.of, finest);
+        let first = u64::from(self.index) << depth;
+        let last = first | ((1 << depth) - 1);
         (morton::decode(first), morton::decode(last).map(|i| i + 1))
     }
+}
+
+/// Bits of a Morton code that tell the cells of one of `of` tiles apart.
+fn depth(of: u32, finest: u8) -> u32 {
+    3 * u32::from(finest) - of.ilog2()
 }
 
 impl std::fmt::Display for Tile {

@@ -66,8 +66,9 @@ impl Header {
             let expected = "a protocol that a run can have";
             return Err(Error::malformed(path, "header", expected, format!("{protocol:?}")));
         }
-        if tile.is_some_and(|tile| !tile.is_valid() || lattice.level() < tile.least_level()) {
-            return Err(Error::malformed(path, "header, tile", "a part of the box", format!("{tile:?}")));
+        let is_dense = matches!(self.kind, Kind::Dense);
+        if tile.is_some_and(|tile| is_dense || !tile.is_valid() || lattice.level() < tile.least_level()) {
+            return Err(Error::malformed(path, "header, tile", "a part of an octree's box", format!("{tile:?}")));
         }
         if !draws.iter().all(|draw| draw.shard.is_valid()) || !Draw::are_disjoint(draws.iter().copied()) {
             let found = "an empty part, or two that may have rays in common";

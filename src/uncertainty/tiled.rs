@@ -6,11 +6,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 use glam::Vec3;
 use lru::LruCache;
 
-use super::merge::Head;
-use super::merge::in_turn;
+use super::merge::{Head, in_turn};
 use super::{Answer, Answers, Protocol, RayCounts, StandardDeviations, Support, UncertaintyField};
 use crate::geometry::Lattice;
-use crate::octree::{Cell, Octree, Tile, VertexId, Wanted};
+use crate::octree::{Octree, Tile, VertexId, Wanted};
 use crate::{Error, Result};
 
 /// A field whose tiles are read when a point in them is asked for.
@@ -103,13 +102,13 @@ impl TiledField {
         let mut tiles = Vec::new();
         for path in &self.tiles {
             let field = UncertaintyField::read(path)?;
-            let (Support::Octree(octree), Some(tile)) = (&field.support, field.tile) else { continue };
-            let (low, high) = tile.extent(finest);
-            let meets = |cell: Cell| {
-                let (origin, edge) = cell.extent(finest);
-                (0..3).all(|axis| origin[axis] < high[axis] && origin[axis] + edge > low[axis])
-            };
-            octree.cells().for_each_leaf_where(meets, |leaf| wanted.cell(leaf));
+            // Beyond its seams a tile's leaves are coarser than the whole's, and want nothing that others do not.
+            if let Support::Octree(octree) = &field.support {
+                octree.cells().for_each_leaf(|leaf| wanted.cell(leaf));
+            }
+            if field.rays.is_empty() {
+                return Err(Error::malformed(path, "section `rays`", "ray counts", "none"));
+            }
             tiles.push(field);
         }
         let octree = Octree::from_wanted(wanted);
@@ -140,8 +139,7 @@ impl TiledField {
     fn tile_of(&self, x: Vec3) -> usize {
         let cell = self.lattice.coordinates(x).map_or([0; 3], |u| self.lattice.cell(u).0);
         let of = self.tiles.len() as u32;
-        let code = crate::octree::morton::encode(cell) >> (3 * u32::from(self.lattice.level()) - of.ilog2());
-        code as usize
+        Tile::owner(of, self.lattice.level(), cell) as usize
     }
 
     /// A tile, from memory or from its file.
