@@ -226,7 +226,9 @@ impl Planner {
         let is_safe = |plan: &Plan| budget >= least || plan.rays_per_vertex == wanted.rays_per_vertex;
         let aim = if self.is_part { AIM_OF_A_PART * budget } else { budget };
         self.within(aim).filter(is_safe).ok_or_else(|| {
-            let expected = format!("at least {:.0} MB, or a lower level, or fewer rays", least / 1e6);
+            // Enough for the next process, too, which may be just large enough to be rounded up to one grain more.
+            let enough = ((least + GRAIN) / 1e6).ceil();
+            let expected = format!("at least {enough} MB, or a lower level, or fewer rays");
             Error::setting("memory budget", expected, format!("{:.0} MB", budget / 1e6))
         })
     }
