@@ -6,11 +6,18 @@ use std::process::Command;
 use glam::{DVec3, Vec3};
 use octobayes::Result;
 use octobayes::estimate::{Estimation, GridSettings, Outcome, RaySettings};
-use octobayes::field::ClosedForm;
+use octobayes::export::{
+    MeshSettings, surfaces, write_hyper_tree, write_leaves, write_mesh, write_points, write_report,
+};
+use octobayes::field::{ClosedForm, RadianceField};
 use octobayes::geometry::{Domain, Norm};
+use octobayes::monitor::Silent;
 use octobayes::octree::Tile;
 use octobayes::posterior::{Covariance, Criterion, Prior};
-use octobayes::uncertainty::{Answers, Support, TiledField, UncertaintyField, finish_tiles, merge, merge_files};
+use octobayes::render::{Probe, RayAverage, render_view};
+use octobayes::uncertainty::{
+    Answers, Support, ThresholdedField, TiledField, UncertaintyField, compare, finish_tiles, merge, merge_files,
+};
 
 /// What a run on the courtyard gives, with these settings on top of the test's own.
 fn run(grid: GridSettings, domain: Option<Domain>, shard: [u64; 2], tile: Option<Tile>) -> Outcome {
@@ -139,6 +146,107 @@ fn written(folder: &Path, fields: &[UncertaintyField]) -> Vec<PathBuf> {
         path
     };
     fields.iter().enumerate().map(write).collect()
+}
+
+/// The folder of a run's finished tiles, opened with room for one of them at a time.
+fn opened_tiles(folder: &Path, of: u32) -> TiledField {
+    let grid = GridSettings::default().level(6);
+    let parts: Vec<UncertaintyField> = tiles(of).map(|tile| run(grid, None, [0, 1], tile).field).collect();
+    let finished = folder.join("tiles");
+    std::fs::create_dir(&finished).unwrap();
+    finish_tiles(&written(folder, &parts), &finished).unwrap();
+    TiledField::open(&finished, 0).unwrap()
+}
+
+#[test]
+fn whoever_asks_tiles_gets_what_the_joined_field_says() {
+    let folder = tempfile::tempdir().unwrap();
+    let tiled = opened_tiles(folder.path(), 8);
+    let joined = tiled.joined().unwrap();
+    let fields: [&dyn Answers; 2] = [&tiled, &joined];
+    let [found, expected] = fields.map(|field| field.summary().unwrap());
+    assert_eq!((found.vertices, &found.leaves_per_level), (expected.vertices, &expected.leaves_per_level));
+    // Vertices on seams are stored twice.
+    assert!(found.query_bytes > expected.query_bytes && found.query_bytes < 2 * expected.query_bytes, "{found:?}");
+    assert_eq!(fields[0].cells().unwrap(), fields[1].cells().unwrap());
+    assert_eq!(fields[0].surface().unwrap(), fields[1].surface().unwrap());
+    let quantiles = fields.map(|field| field.surface_quantiles([0.1, 0.9]).unwrap());
+    assert!(quantiles[0].is_some() && quantiles[0] == quantiles[1], "{quantiles:?}");
+    let same = compare(&tiled, &joined, 50_000, 0).unwrap();
+    for difference in [&same.in_box, &same.on_surfaces] {
+        assert_eq!(difference.as_ref().map(|d| (d.points > 1000, d.max)), Some((true, 0.0)));
+    }
+    // Pictures, and the clean-up in them. A threshold that removes some matter shows that tiles are asked there, too.
+    let [threshold] = joined.surface_quantiles([0.5]).unwrap();
+    let pictures = fields.map(|field| pictures(field, threshold));
+    assert!(pictures[0] == pictures[1] && pictures[0][0] != pictures[0][1]);
+}
+
+/// Bits of colour and of ray averages of log10 U in a picture of the courtyard, as it is and cleaned.
+fn pictures(field: &dyn Answers, threshold: f64) -> [Vec<[u64; 4]>; 2] {
+    let (scene, camera) = (ClosedForm::courtyard(), ClosedForm::half_circle(5, [48, 40])[1]);
+    let cleaned = ThresholdedField::new(&scene, field, threshold);
+    let averages = [RayAverage::WeightedMean, RayAverage::AtExpected, RayAverage::SpreadPerRay];
+    let models: [&dyn RadianceField; 2] = [&scene, &cleaned];
+    let pictures = models.map(|model| {
+        let tracer = RaySettings::default().occupancy(48).tracer(model, 0.0, &Silent).unwrap();
+        let view = render_view(&tracer, &camera, 0.5, &[Probe { field, averages: &averages }], &Silent).unwrap();
+        let [mean, expected, spread] = &view.log10_uncertainty[..] else { panic!("one image for each average") };
+        let pixel = |i: usize| [view.pixels[i].color.x, mean[i], expected[i], spread[i]].map(f64::to_bits);
+        (0..view.pixels.len()).map(pixel).collect()
+    });
+    cleaned.check().unwrap();
+    pictures
+}
+
+#[test]
+fn exports_of_tiles_are_those_of_the_joined_field() {
+    let folder = tempfile::tempdir().unwrap();
+    let tiled = opened_tiles(folder.path(), 4);
+    let joined = tiled.joined().unwrap();
+    let (scene, cameras) = (ClosedForm::courtyard(), ClosedForm::half_circle(3, [32, 24]));
+    let tracer = RaySettings::default().occupancy(48).tracer(&scene, 0.0, &Silent).unwrap();
+    let seen = surfaces(&tracer, &cameras, 0.5, 1_000, &Silent).unwrap();
+    let names = ["a", "b", "c"].map(String::from);
+    let settings = MeshSettings { resolution: 24, density: None };
+    let write = |name: &str, path: &Path, field: &dyn Answers| match name {
+        "npz" => write_leaves(path, field, None),
+        "htg" => write_hyper_tree(path, field),
+        "csv" => write_report(path, &seen, &names, field),
+        "mesh" => write_mesh(path, &scene, field, settings, &Silent).map(|_| ()),
+        _ => write_points(path, &seen, field, None),
+    };
+    for name in ["npz", "htg", "csv", "mesh", "points"] {
+        let [found, expected] = [&tiled as &dyn Answers, &joined].map(|field| {
+            let path = folder.path().join(name);
+            write(name, &path, field).unwrap();
+            std::fs::read(path).unwrap()
+        });
+        assert!(found == expected && found.len() > 500, "{name}: {} and {} bytes", found.len(), expected.len());
+    }
+}
+
+#[test]
+fn a_tile_that_is_gone_is_an_error_and_no_empty_space() {
+    let folder = tempfile::tempdir().unwrap();
+    let tiled = opened_tiles(folder.path(), 2);
+    let scene = ClosedForm::courtyard();
+    let cleaned = ThresholdedField::new(&scene, &tiled, 100.0);
+    for tile in std::fs::read_dir(folder.path().join("tiles")).unwrap() {
+        std::fs::remove_file(tile.unwrap().path()).unwrap();
+    }
+    assert!(tiled.estimates(&[Vec3::ZERO]).is_err() && tiled.cells().is_err());
+    let camera = &ClosedForm::half_circle(2, [8, 8])[0];
+    let render = |model: &dyn RadianceField, probes: &[Probe]| {
+        let tracer = RaySettings::default().occupancy(16).tracer(model, 0.0, &Silent).unwrap();
+        render_view(&tracer, camera, 0.5, probes, &Silent)
+    };
+    let probe = Probe { field: &tiled, averages: &[RayAverage::WeightedMean] };
+    assert!(render(&scene, &[probe]).is_err());
+    // A radiance field cannot say it itself.
+    assert!(cleaned.check().is_ok() && render(&cleaned, &[]).is_ok());
+    let message = cleaned.check().unwrap_err().to_string();
+    assert!(message.contains(".oct"), "{message}");
 }
 
 #[test]

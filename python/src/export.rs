@@ -24,8 +24,11 @@ use crate::work::{Engine, work};
 pub fn export_field(py: Python<'_>, field: &Bound<'_, Uncertainty>, path: PathBuf, kind: &str) -> PyResult<()> {
     let field = field.get().0.clone();
     py.detach(|| match kind {
-        "leaves" => write_leaves(&path, &field),
-        "hyper tree" => write_hyper_tree(&path, &field),
+        "leaves" => {
+            let matrices = field.sums().map(|_| field.matrices(field.protocol().covariance)).transpose()?;
+            write_leaves(&path, &*field, matrices.as_ref())
+        }
+        "hyper tree" => write_hyper_tree(&path, &*field),
         _ => field.write_official(&path),
     })
     .or_raise()
@@ -90,7 +93,7 @@ impl Job<'_> {
         model: &dyn RadianceField,
         uncertainty: &UncertaintyField,
     ) -> octobayes::Result<()> {
-        let cleaned = self.threshold.map(|threshold| ThresholdedField { field: model, uncertainty, threshold });
+        let cleaned = self.threshold.map(|threshold| ThresholdedField::new(model, uncertainty, threshold));
         let shown: &dyn RadianceField = cleaned.as_ref().map_or(model, |cleaned| cleaned);
         if let Kind::Mesh(settings) = self.kind {
             return write_mesh(&self.path, shown, uncertainty, settings, engine.monitor()).map(|_| ());
@@ -100,7 +103,11 @@ impl Job<'_> {
         let found = surfaces(&tracer, self.cameras, offset, self.pixels, engine.monitor())?;
         match self.kind {
             Kind::Report { names } => write_report(&self.path, &found, &names, uncertainty),
-            Kind::Points { ellipsoids } => write_points(&self.path, &found, uncertainty, ellipsoids),
+            Kind::Points { ellipsoids } => {
+                let covariance = uncertainty.protocol().covariance;
+                let matrices = ellipsoids.then(|| uncertainty.matrices(covariance)).transpose()?;
+                write_points(&self.path, &found, uncertainty, matrices.as_ref())
+            }
             Kind::Mesh(_) => Ok(()),
         }
     }

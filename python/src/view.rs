@@ -50,15 +50,10 @@ pub fn render<'py>(
     }
     let view = work(py, source.gate(nerf), progress, |engine| {
         source.with(engine, |model| {
-            let log10 = |x| field.as_ref().map_or(f64::NAN, |field| field.log10(x));
-            let rays = |x| field.as_ref().map_or(f64::NAN, |field| field.support_at(x));
-            let probes = [Probe { value: &log10, rays: Some(&rays), averages: &averages }];
-            let probes = if field.is_some() { &probes[..] } else { &[] };
-            let cleaned = field.as_deref().zip(threshold).map(|(uncertainty, threshold)| ThresholdedField {
-                field: model,
-                uncertainty,
-                threshold,
-            });
+            let probes = field.as_deref().map(|field| Probe { field, averages: &averages });
+            let probes = probes.as_slice();
+            let cleaned = field.as_deref().zip(threshold);
+            let cleaned = cleaned.map(|(field, threshold)| ThresholdedField::new(model, field, threshold));
             let shown: &dyn RadianceField = cleaned.as_ref().map_or(model, |cleaned| cleaned);
             let tracer = settings.tracer(shown, 0.0, engine.monitor())?;
             let offset = settings.pixel_offset.unwrap_or_else(|| model.pixel_offset());

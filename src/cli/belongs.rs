@@ -2,27 +2,13 @@
 
 use std::path::Path;
 
+use super::opened::OpenedField;
 use super::options::ModelOptions;
 use crate::field::RadianceField;
 use crate::geometry::Aabb;
 use crate::posterior::Scale;
-use crate::uncertainty::{Protocol, TiledField, UncertaintyField};
+use crate::uncertainty::{Protocol, UncertaintyField};
 use crate::{Error, Result};
-
-/// Reads a field, or all of a folder of tiles. Refuses a tile, which knows only a part of space.
-pub fn read_whole(path: &Path) -> Result<UncertaintyField> {
-    if path.is_dir() {
-        return TiledField::open(path, 0)?.joined();
-    }
-    let field = UncertaintyField::read(path)?;
-    match field.tile() {
-        Some(tile) => {
-            let what = format!("part of space of {}", path.display());
-            Err(Error::setting(what, "all of it", format!("tile {tile} (`merge` joins all tiles of a run)")))
-        }
-        None => Ok(field),
-    }
-}
 
 /// Reads a field of this model. Refuses one of another model, unless `force`, or of another box.
 pub fn read_field(
@@ -31,7 +17,7 @@ pub fn read_field(
     model: &dyn RadianceField,
     force: bool,
 ) -> Result<UncertaintyField> {
-    let field = read_whole(path)?;
+    let field = OpenedField::open(path)?.whole()?;
     check_field(path, &field, options, model, force)?;
     Ok(field)
 }

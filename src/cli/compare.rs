@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use serde_json::json;
 
 use super::belongs::check_fields;
+use super::opened::OpenedField;
 use super::options::{OfficialOptions, count};
 use super::report;
 use crate::Result;
@@ -47,27 +48,28 @@ pub struct Args {
 impl Args {
     /// Runs the verb.
     pub fn run(self) -> Result<()> {
-        let read = |path: &PathBuf| {
-            let field = self.official.read(path)?;
+        let read = |path: &PathBuf| -> Result<OpenedField> {
+            let field = self.official.open(path)?;
             match self.covariance {
-                Some(covariance) => field.with_covariance(covariance),
+                Some(covariance) => Ok(OpenedField::Whole(Box::new(field.whole()?.with_covariance(covariance)?))),
                 None => Ok(field),
             }
         };
-        let (a, b) = (read(&self.a)?, read(&self.b)?);
+        let opened = [read(&self.a)?, read(&self.b)?];
+        let [a, b] = [opened[0].facts(), opened[1].facts()];
         check_fields((&self.a, a.protocol()), (&self.b, b.protocol()), self.force)?;
         if a.protocol().covariance != b.protocol().covariance {
-            let names = [&a, &b].map(|f| f.protocol().covariance.name());
+            let names = [a, b].map(|f| f.protocol().covariance.name());
             eprintln!("warning: `{}` of one field is compared with `{}` of the other", names[0], names[1]);
         }
-        let result = crate::uncertainty::compare(&a, &b, self.points, self.seed)?;
+        let result = crate::uncertainty::compare(opened[0].space(), opened[1].space(), self.points, self.seed)?;
         if self.json {
             let mut value = json!(result);
-            value["protocols"] = json!([report::protocol_json(&a), report::protocol_json(&b)]);
+            value["protocols"] = json!([report::protocol_json(a), report::protocol_json(b)]);
             value["files"] = json!([self.a, self.b]);
             say!("{value}")?;
         } else {
-            for (name, (path, field)) in ["A", "B"].iter().zip([(&self.a, &a), (&self.b, &b)]) {
+            for (name, (path, field)) in ["A", "B"].iter().zip([(&self.a, a), (&self.b, b)]) {
                 say!("{name} {}\n{}", path.display(), report::protocol(field))?;
             }
             for (name, summary) in ["A", "B"].iter().zip(&result.fields) {

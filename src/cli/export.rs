@@ -2,8 +2,9 @@
 
 use std::path::PathBuf;
 
-use super::belongs::{check_field, read_whole};
+use super::belongs::check_field;
 use super::files::CommandFiles;
+use super::opened::OpenedField;
 use super::options::{CameraOptions, ModelOptions, RayOptions, Threshold, count, parse_positive};
 use super::progress::Bars;
 use crate::dataset::{Part, Views};
@@ -12,7 +13,7 @@ use crate::export::{
 };
 use crate::field::RadianceField;
 use crate::geometry::{Camera, Domain};
-use crate::uncertainty::{ThresholdedField, UncertaintyField};
+use crate::uncertainty::ThresholdedField;
 use crate::{Error, Result};
 
 /// Write a field for other tools: NumPy, ParaView, CloudCompare, MeshLab, Blender, spreadsheets
@@ -106,17 +107,21 @@ impl Args {
             .cameras(self.cameras.cameras.as_deref())
             .output("--output", &self.output)
             .check()?;
-        let field = read_whole(&self.field)?;
+        let field = OpenedField::open(&self.field)?;
+        let facts = field.facts();
         match (kind, self.model.take()) {
-            (Kind::Leaves, _) => write_leaves(&self.output, &field)?,
+            (Kind::Leaves, _) => {
+                let matrices = facts.sums().map(|_| facts.matrices(facts.protocol().covariance)).transpose()?;
+                write_leaves(&self.output, field.space(), matrices.as_ref())?;
+            }
             (Kind::HyperTree, _) => {
-                if let Domain::Contracted { radius, .. } = field.lattice().domain() {
+                if let Domain::Contracted { radius, .. } = facts.lattice().domain() {
                     eprintln!(
                         "note: a contracted domain is written as its cube: {radius} scene units around the centre are \
                          unchanged, the rest of space is folded around them"
                     );
                 }
-                write_hyper_tree(&self.output, &field)?;
+                write_hyper_tree(&self.output, field.space())?;
             }
             (_, Some(name)) => self.with_model(kind, name, &field, bars)?,
             (_, None) => {
@@ -154,28 +159,33 @@ impl Args {
     }
 
     /// Writes what needs the model.
-    fn with_model(&self, kind: Kind, name: String, field: &UncertaintyField, bars: &Bars) -> Result<()> {
+    fn with_model(&self, kind: Kind, name: String, field: &OpenedField, bars: &Bars) -> Result<()> {
         let options = ModelOptions { model: name, rays: self.rays };
         let model = options.open()?;
-        check_field(&self.field, field, &options, &*model, self.force)?;
-        let threshold = self.threshold.map(|threshold| threshold.log10(field)).transpose()?;
-        let cleaned = threshold.map(|threshold| ThresholdedField { field: &*model, uncertainty: field, threshold });
+        check_field(&self.field, field.facts(), &options, &*model, self.force)?;
+        let threshold = self.threshold.map(|threshold| threshold.log10(field.space())).transpose()?;
+        let cleaned = threshold.map(|threshold| ThresholdedField::new(&*model, field.space(), threshold));
+        let check = || cleaned.as_ref().map_or(Ok(()), ThresholdedField::check);
         let shown: &dyn RadianceField = cleaned.as_ref().map_or(&*model, |cleaned| cleaned);
         if kind == Kind::Mesh {
             let settings = MeshSettings { resolution: self.cells, density: self.density };
-            let [vertices, triangles] = write_mesh(&self.output, shown, field, settings, bars)?;
+            let [vertices, triangles] = write_mesh(&self.output, shown, field.space(), settings, bars)?;
+            check()?;
             eprintln!("note: {vertices} vertices, {triangles} triangles");
             return Ok(());
         }
         let views = self.cameras.read(&*model, &options.model)?;
         CommandFiles::default().images(&views).output("--output", &self.output).check()?;
         let found = self.surfaces(&options, shown, &views, bars)?;
+        check()?;
         if kind == Kind::Report {
             let names: Vec<String> = views.frames.into_iter().map(|frame| frame.name).collect();
-            return write_report(&self.output, &found, &names, field);
+            return write_report(&self.output, &found, &names, field.space());
         }
         eprintln!("note: {} points", found.positions.len());
-        write_points(&self.output, &found, field, self.ellipsoids)
+        let facts = field.facts();
+        let matrices = self.ellipsoids.then(|| facts.matrices(facts.protocol().covariance)).transpose()?;
+        write_points(&self.output, &found, field.space(), matrices.as_ref())
     }
 
     /// The surfaces that the cameras see.

@@ -19,6 +19,7 @@ mod files;
 mod flags;
 mod info;
 mod merge;
+mod opened;
 mod options;
 mod panels;
 mod plan;

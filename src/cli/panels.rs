@@ -1,10 +1,13 @@
 //! A rendered view as a row of labelled panels.
 
+use glam::Vec3;
+
+use crate::Result;
 use crate::geometry::Camera;
 use crate::metrics::quantile;
 use crate::picture::{Bar, Panel, color_panel, scalar_panel};
-use crate::render::RenderedView;
-use crate::uncertainty::{Conformal, Knowledge, UncertaintyField};
+use crate::render::{Pixel, RenderedView};
+use crate::uncertainty::{Answer, Answers, Conformal, Knowledge};
 
 /// Meaning of a small U, in two lines.
 const CONSTRAINED: [&str; 2] = ["well", "constrained"];
@@ -40,12 +43,7 @@ pub enum Unknown {
 
 /// Colour, median depth and log10 U of a view. log10 U is hatched where no training ray reached what is shown, and grey
 /// outside the field's domain.
-pub fn view_panels(
-    view: &RenderedView,
-    name: &str,
-    ranges: Ranges,
-    unknown: &dyn Fn(usize) -> Option<Unknown>,
-) -> Vec<Panel> {
+pub fn view_panels(view: &RenderedView, name: &str, ranges: Ranges, unknown: &[Option<Unknown>]) -> Vec<Panel> {
     let colors = view.pixels.iter().map(|p| p.color);
     let depths = view.pixels.iter().map(|p| if p.opacity > 0.5 { p.median_depth } else { f64::NAN });
     let depth_bar = Bar::new(ranges.depth, colorous::VIRIDIS);
@@ -63,7 +61,6 @@ pub fn view_panels(
         panels.push(scalar_panel(&title, view.resolution, shown, bar));
     }
     if let Some(log10) = view.log10_uncertainty.first() {
-        let unknown: Vec<Option<Unknown>> = (0..view.pixels.len()).map(unknown).collect();
         let is_shown = |i: usize| view.pixels[i].opacity > FAINT && unknown[i] != Some(Unknown::Outside);
         let shown = (0..).zip(log10).map(|(i, u)| if is_shown(i) { *u } else { f64::NAN });
         let bar = Bar::new(ranges.log10, colorous::INFERNO).meaning(CONSTRAINED, ranges.prior, "never seen");
@@ -91,22 +88,26 @@ pub fn error_range<'a>(views: impl IntoIterator<Item = &'a RenderedView>) -> [f6
     [0.0, if errors.is_empty() { 1.0 } else { quantile(&errors, 0.95) }]
 }
 
-/// Why U says nothing of what a pixel shows at its median depth; `None` if it does.
-pub fn unknown(
-    field: &UncertaintyField,
+/// Why U says nothing of what the pixels show at their median depths; `None` where it does.
+///
+/// # Errors
+/// If the field cannot be read.
+pub fn unknowns(
+    field: &dyn Answers,
     camera: &Camera,
     offset: f64,
     view: &RenderedView,
-    pixel: usize,
-) -> Option<Unknown> {
+) -> Result<Vec<Option<Unknown>>> {
     let width = view.resolution[0] as usize;
-    let [x, y] = [pixel % width, pixel / width].map(|i| i as f64 + offset);
-    let at = camera.ray(x, y).at(view.pixels[pixel].median_depth).as_vec3();
-    let found = field.query(at);
-    let opacity = view.pixels[pixel].opacity;
-    match field.knowledge(at, found.uncertainty) {
-        _ if !found.inside => (opacity > FAINT).then_some(Unknown::Outside),
-        Some(Knowledge::Unseen) if opacity > 0.5 => Some(Unknown::Unseen),
+    let point = |i: usize, pixel: &Pixel| {
+        let [x, y] = [i % width, i / width].map(|i| i as f64 + offset);
+        camera.ray(x, y).at(pixel.median_depth).as_vec3()
+    };
+    let points: Vec<Vec3> = view.pixels.iter().enumerate().map(|(i, pixel)| point(i, pixel)).collect();
+    let unknown = |(found, pixel): (Answer, &Pixel)| match found.knowledge {
+        _ if !found.estimate.inside => (pixel.opacity > FAINT).then_some(Unknown::Outside),
+        Some(Knowledge::Unseen) if pixel.opacity > 0.5 => Some(Unknown::Unseen),
         _ => None,
-    }
+    };
+    Ok(field.answers(&points)?.into_iter().zip(&view.pixels).map(unknown).collect())
 }

@@ -98,7 +98,7 @@ impl Args {
             frames: &views.frames,
             offset,
             surface: &surface,
-            range: bar_of(&field, self.range),
+            range: bar_of(&field, self.range)?,
             title: &title,
         };
         let Shown { cells, bytes, bricks, is_reduced } =

@@ -132,7 +132,7 @@ pub fn clean_up(
     let mut out = vec![(CleanUp::new(None, None, truths, &before), before)];
     for &share in thresholds {
         let threshold = share * SCALE + unit;
-        let after = render(&ThresholdedField { field: tracer.field, uncertainty, threshold })?;
+        let after = render(&ThresholdedField::new(tracer.field, uncertainty, threshold))?;
         let cleaned = CleanUp::new(Some(share), Some(threshold), truths, &after);
         out.push((CleanUp { surfaces: kept(threshold), ..cleaned }, after));
     }

@@ -1,6 +1,6 @@
 //! A rendered view beside the truth: depth errors and measures of uncertainty for the same pixels.
 
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -10,10 +10,10 @@ use crate::metrics::{Calibration, density_aware, ensemble_variance, psnr};
 use crate::monitor::{Monitor, check};
 use crate::posterior::Visits;
 use crate::render::{
-    DepthProbe, DepthVariance, Differentiation, FEWEST, Probe, RayAverage, RenderedView, Tracer, render_view,
-    render_view_with_depth,
+    DepthProbe, DepthVariance, Differentiation, FEWEST, Probe, Probed, ProbedField, RayAverage, RenderedView, Tracer,
+    render_view, render_view_with_depth,
 };
-use crate::uncertainty::DepthPosterior;
+use crate::uncertainty::{DepthPosterior, UncertaintyField};
 
 /// A field to evaluate, and everything that claims to know where it is wrong.
 pub struct Evaluator<'a> {
@@ -29,6 +29,22 @@ pub struct Evaluator<'a> {
     pub training: Option<&'a TrainingViews>,
     /// What training left unexplained, if the images are known.
     pub misfit: Option<&'a Misfit>,
+}
+
+/// Training rays as the scalar: those that support a field's answers, 0 without a field.
+struct Counts<'a>(Option<&'a UncertaintyField>);
+
+impl Counts<'_> {
+    fn at_point(&self, x: Vec3) -> f64 {
+        self.0.map_or(0.0, |field| field.support_at(x))
+    }
+}
+
+impl ProbedField for Counts<'_> {
+    fn at(&self, points: &[Vec3]) -> Result<Vec<Probed>> {
+        let Some(field) = self.0 else { return Ok(vec![Probed { value: 0.0, rays: 0.0 }; points.len()]) };
+        Ok(ProbedField::at(field, points)?.iter().map(|at| Probed { value: at.rays, ..*at }).collect())
+    }
 }
 
 /// Errors and measures at the pixels of one view that have a true depth.
@@ -116,14 +132,10 @@ impl<'a> Evaluator<'a> {
     /// # Errors
     /// [`crate::Error::Interrupted`] only.
     pub fn evaluate(&self, truth: &TrueView, seed: u64, monitor: &dyn Monitor) -> Result<EvaluatedView> {
-        let values: Vec<_> = self.readings.iter().map(|reading| |x| reading.field.log10(x)).collect();
-        let mut probes: Vec<Probe> = Vec::new();
-        let supports: Vec<_> = self.readings.iter().map(|reading| |x| reading.field.support_at(x)).collect();
-        for ((value, rays), reading) in values.iter().zip(&supports).zip(self.readings) {
-            probes.push(Probe { value, rays: Some(rays), averages: &reading.averages });
-        }
-        let rays = |x| self.counted().map_or(0.0, |reading| reading.field.support_at(x));
-        probes.push(Probe { value: &rays, rays: None, averages: &[RayAverage::WeightedMean] });
+        let of_reading = |reading: &'a Reading| Probe { field: &reading.field, averages: &reading.averages };
+        let mut probes: Vec<Probe> = self.readings.iter().map(of_reading).collect();
+        let counts = Counts(self.counted().map(|reading| &reading.field));
+        probes.push(Probe { field: &counts, averages: &[RayAverage::WeightedMean] });
         check(monitor)?;
         let posteriors: Vec<DepthPosterior> = self.posteriors().map(|(_, posterior)| posterior).collect();
         let variances: Vec<&dyn DepthVariance> = posteriors.iter().map(|posterior| posterior as _).collect();
@@ -135,7 +147,7 @@ impl<'a> Evaluator<'a> {
             }
             _ => render_view(&self.tracer, camera, offset, &probes, monitor)?,
         };
-        let counts = rendered.log10_uncertainty.pop().expect("the last probe");
+        let mean_counts = rendered.log10_uncertainty.pop().expect("the last probe");
         let mut members = Vec::new();
         for member in &self.members {
             check(monitor)?;
@@ -177,10 +189,12 @@ impl<'a> Evaluator<'a> {
                     Baseline::RayEntropy => each(&|i| rendered.pixels[i].termination_entropy),
                     Baseline::Transparency => each(&|i| 1.0 - rendered.pixels[i].opacity),
                     Baseline::SpreadPerRootRay => {
-                        each(&|i| spread(i) / rays(hit(i)).clamp(FEWEST, f64::INFINITY).sqrt())
+                        each(&|i| spread(i) / counts.at_point(hit(i)).clamp(FEWEST, f64::INFINITY).sqrt())
                     }
-                    Baseline::SpreadPerRay => each(&|i| spread(i) / rays(hit(i)).clamp(FEWEST, f64::INFINITY)),
-                    Baseline::RayCount => each(&|i| -counts[i]),
+                    Baseline::SpreadPerRay => {
+                        each(&|i| spread(i) / counts.at_point(hit(i)).clamp(FEWEST, f64::INFINITY))
+                    }
+                    Baseline::RayCount => each(&|i| -mean_counts[i]),
                     Baseline::Visits => {
                         let visits = |i| self.visited().and_then(|visits| visits.at(hit(i))).unwrap_or(0);
                         each(&|i| -f64::from(visits(i)))

@@ -2,30 +2,37 @@
 
 use glam::{DVec3, Vec3};
 
+use crate::Result;
 use crate::geometry::Lattice;
-use crate::octree::{Cell, morton};
-use crate::uncertainty::{Estimate, Support, UncertaintyField};
+use crate::octree::{Cell, CellTree, morton};
+use crate::uncertainty::{Answer, Answers};
 
 /// Cells that are asked about together: enough to keep all threads busy, a few megabytes.
 const CHUNK: usize = 1 << 16;
 
-/// The leaves of a field in Morton order. On a dense grid these are all cells of the lattice.
-pub fn leaves(field: &UncertaintyField) -> impl Iterator<Item = Cell> + '_ {
-    let level = field.lattice().level();
+/// The leaves of a lattice in Morton order. Without an octree these are all of its cells.
+pub fn leaves<'a>(lattice: &Lattice, cells: Option<&'a CellTree>) -> impl Iterator<Item = Cell> + use<'a> {
+    let level = lattice.level();
     let mut next = 0_u64;
     std::iter::from_fn(move || {
         if next >> (3 * level) > 0 {
             return None;
         }
         let finest = morton::decode(next);
-        let leaf = match field.support() {
-            Support::Dense => Cell { level, index: finest },
-            Support::Octree(octree) => octree.cells().leaf(finest),
-        };
+        let leaf = cells.map_or(Cell { level, index: finest }, |cells| cells.leaf(finest));
         // A leaf's finest cells are neighbours in this order.
         next += 1 << (3 * (level - leaf.level));
         Some(leaf)
     })
+}
+
+/// Whether a field knows how many rays support its answers, and where rays passed.
+pub fn knows(field: &dyn Answers) -> Result<[bool; 2]> {
+    let lattice = field.lattice();
+    let middle = lattice.position(DVec3::splat(0.5 * f64::from(lattice.cells_per_axis()))).as_vec3();
+    let answers = field.answers(&[middle])?;
+    let any = |has: fn(&Answer) -> bool| answers.iter().any(has);
+    Ok([any(|answer| answer.estimate.rays.is_some()), any(|answer| answer.visits.is_some())])
 }
 
 /// The split cells of every level above the finest, as Morton codes in order.
@@ -41,11 +48,9 @@ pub enum Splits {
 
 impl Splits {
     /// Of a field.
-    pub fn of(field: &UncertaintyField) -> Self {
-        match field.support() {
-            Support::Dense => Self::Dense { finest: field.lattice().level() },
-            Support::Octree(octree) => Self::Octree(octree.cells().split()),
-        }
+    pub fn of(field: &dyn Answers) -> Result<Self> {
+        let finest = field.lattice().level();
+        Ok(field.cells()?.map_or(Self::Dense { finest }, |cells| Self::Octree(cells.split())))
     }
 
     /// The split cells of a level.
@@ -110,15 +115,17 @@ fn middle(lattice: &Lattice, cell: Cell) -> DVec3 {
     DVec3::from(origin.map(f64::from)) + 0.5 * f64::from(edge)
 }
 
-/// The field at the centres of `cells`, asked chunk by chunk: the centre as it was asked about, and the answer.
-pub fn estimates<'a>(
-    field: &'a UncertaintyField,
+/// What the field answers at the centres of `cells`, asked chunk by chunk.
+pub fn at_centers<'a>(
+    field: &'a dyn Answers,
     cells: impl Iterator<Item = Cell> + 'a,
-) -> impl Iterator<Item = (Vec3, Estimate)> + 'a {
+) -> impl Iterator<Item = Result<Answer>> + 'a {
     in_chunks(cells, |cells| {
         let centers: Vec<Vec3> = cells.iter().map(|&cell| center(field.lattice(), cell).as_vec3()).collect();
-        let found = field.query_all(&centers);
-        centers.into_iter().zip(found).collect()
+        match field.answers(&centers) {
+            Ok(answers) => answers.into_iter().map(Ok).collect(),
+            Err(error) => vec![Err(error)],
+        }
     })
 }
 

@@ -7,12 +7,12 @@
 use std::io::Write;
 use std::path::Path;
 
-use super::cells::{Splits, estimates};
+use super::cells::{Splits, at_centers, knows};
 use super::leaves::code;
 use crate::geometry::{Domain, Lattice};
 use crate::io::AtomicFile;
 use crate::octree::Cell;
-use crate::uncertainty::UncertaintyField;
+use crate::uncertainty::Answers;
 use crate::{Error, Result};
 
 /// An array behind the XML.
@@ -35,9 +35,9 @@ struct Array {
 /// it.
 ///
 /// # Errors
-/// If the file cannot be written.
-pub fn write_hyper_tree(path: &Path, field: &UncertaintyField) -> Result<()> {
-    let splits = Splits::of(field);
+/// If the file cannot be written, or the field cannot be read.
+pub fn write_hyper_tree(path: &Path, field: &dyn Answers) -> Result<()> {
+    let splits = Splits::of(field)?;
     let per_level = splits.cells_per_level();
     let levels = per_level.len() as u64;
     let cells: u64 = per_level.iter().sum();
@@ -61,45 +61,44 @@ pub fn write_hyper_tree(path: &Path, field: &UncertaintyField) -> Result<()> {
     array("UInt32", "DepthPerTree", 1, 32);
     array("Float32", "log10_uncertainty", cells, 32);
     array("UInt8", "level", cells, 8);
-    if !field.rays().is_empty() {
+    let [knows_rays, knows_visits] = knows(field)?;
+    if knows_rays {
         array("Float32", "rays", cells, 32);
     }
-    if field.visits().is_some() {
+    if knows_visits {
         array("UInt8", "seen", cells, 8);
     }
 
     let mut file = AtomicFile::create(path)?;
     let all = || (0..per_level.len() as u8).flat_map(|level| splits.cells(level));
-    let at_centers = || estimates(field, all().map(|(cell, _)| cell));
-    let mut write = || -> std::io::Result<()> {
-        write_head(&mut file, &arrays)?;
-        for array in &arrays {
-            file.write_all(&array.bytes.to_le_bytes())?;
-            let mut put = |bytes: &[u8]| file.write_all(bytes);
-            match array.name {
-                "Descriptors" => write_bits(&mut file, all().take(described as usize).map(|(_, is_split)| is_split))?,
-                "NumberOfVerticesPerDepth" => per_level.iter().try_for_each(|n| put(&n.to_le_bytes()))?,
-                "TreeIds" => put(&0_u64.to_le_bytes())?,
-                "DepthPerTree" => put(&(levels as u32).to_le_bytes())?,
-                "log10_uncertainty" => {
-                    at_centers().try_for_each(|(_, found)| put(&(found.uncertainty.log10() as f32).to_le_bytes()))?;
-                }
-                "level" => all().try_for_each(|(Cell { level, .. }, _)| put(&[level]))?,
-                "rays" => {
-                    at_centers().try_for_each(|(_, found)| put(&(found.rays.unwrap_or(0.0) as f32).to_le_bytes()))?;
-                }
-                "seen" => {
-                    at_centers().try_for_each(|(x, found)| put(&[code(field.knowledge(x, found.uncertainty))]))?;
-                }
-                side => {
-                    let axis = ["XCoordinates", "YCoordinates", "ZCoordinates"].iter().position(|name| *name == side);
-                    sides[axis.expect("one of the arrays above")].iter().try_for_each(|v| put(&v.to_le_bytes()))?;
-                }
+    let failed = |e| Error::io(path, "cannot write")(e);
+    write_head(&mut file, &arrays).map_err(failed)?;
+    for array in &arrays {
+        let mut put = |bytes: &[u8]| file.write_all(bytes).map_err(failed);
+        put(&array.bytes.to_le_bytes())?;
+        let mut answers = at_centers(field, all().map(|(cell, _)| cell));
+        match array.name {
+            "Descriptors" => {
+                write_bits(&mut file, all().take(described as usize).map(|(_, is_split)| is_split)).map_err(failed)?;
+            }
+            "NumberOfVerticesPerDepth" => per_level.iter().try_for_each(|n| put(&n.to_le_bytes()))?,
+            "TreeIds" => put(&0_u64.to_le_bytes())?,
+            "DepthPerTree" => put(&(levels as u32).to_le_bytes())?,
+            "log10_uncertainty" => {
+                answers.try_for_each(|found| put(&(found?.estimate.uncertainty.log10() as f32).to_le_bytes()))?;
+            }
+            "level" => all().try_for_each(|(Cell { level, .. }, _)| put(&[level]))?,
+            "rays" => {
+                answers.try_for_each(|found| put(&(found?.estimate.rays.unwrap_or(0.0) as f32).to_le_bytes()))?;
+            }
+            "seen" => answers.try_for_each(|found| put(&[code(found?.knowledge)]))?,
+            side => {
+                let axis = ["XCoordinates", "YCoordinates", "ZCoordinates"].iter().position(|name| *name == side);
+                sides[axis.expect("one of the arrays above")].iter().try_for_each(|v| put(&v.to_le_bytes()))?;
             }
         }
-        file.write_all(b"\n  </AppendedData>\n</VTKFile>\n")
-    };
-    write().map_err(Error::io(path, "cannot write"))?;
+    }
+    file.write_all(b"\n  </AppendedData>\n</VTKFile>\n").map_err(failed)?;
     file.commit()
 }
 

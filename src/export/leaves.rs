@@ -3,45 +3,59 @@
 use std::path::Path;
 
 use glam::Vec3;
+use itertools::process_results;
 
-use super::cells::{center, edges, estimates, in_chunks, leaves};
+use super::cells::{at_centers, center, edges, in_chunks, knows, leaves};
 use crate::Result;
 use crate::io::npz::NpzWriter;
-use crate::uncertainty::{Knowledge, UncertaintyField};
+use crate::uncertainty::{Answer, Answers, Knowledge, Matrices};
 
-/// Writes one row per leaf, in Morton order. The arrays are those of the book's chapter on `export`; `rays`, `seen` and
-/// `covariance` are there if the field knows them.
+/// Writes one row per leaf, in Morton order. The arrays are those of the book's chapter on `export`; `rays` and `seen`
+/// are there if the field knows them, `covariance` if its matrices are given.
 ///
 /// # Errors
-/// If the file cannot be written.
-pub fn write_leaves(path: &Path, field: &UncertaintyField) -> Result<()> {
+/// If the file cannot be written, or the field cannot be read.
+pub fn write_leaves(path: &Path, field: &dyn Answers, matrices: Option<&Matrices>) -> Result<()> {
     let lattice = field.lattice();
-    let count = leaves(field).count() as u64;
+    let cells = field.cells()?;
+    let leaves = || leaves(lattice, cells.as_deref());
+    let count = leaves().count() as u64;
     let mut npz = NpzWriter::create(path)?;
-    npz.array("center", &[count, 3], leaves(field).flat_map(|cell| center(lattice, cell).to_array()))?;
-    npz.array("edge", &[count, 3], leaves(field).flat_map(|cell| edges(lattice, cell).to_array()))?;
-    npz.array("level", &[count], leaves(field).map(|cell| cell.level))?;
-    npz.array("index", &[count, 3], leaves(field).flat_map(|cell| cell.index))?;
-    let at_centers = || estimates(field, leaves(field));
-    npz.array("log10_uncertainty", &[count], at_centers().map(|(_, found)| found.uncertainty.log10() as f32))?;
-    if !field.rays().is_empty() {
-        npz.array("rays", &[count], at_centers().map(|(_, found)| found.rays.unwrap_or(0.0) as f32))?;
+    npz.array("center", &[count, 3], leaves().flat_map(|cell| center(lattice, cell).to_array()))?;
+    npz.array("edge", &[count, 3], leaves().flat_map(|cell| edges(lattice, cell).to_array()))?;
+    npz.array("level", &[count], leaves().map(|cell| cell.level))?;
+    npz.array("index", &[count, 3], leaves().flat_map(|cell| cell.index))?;
+    let [knows_rays, knows_visits] = knows(field)?;
+    let answers = || at_centers(field, leaves());
+    let log10 = |found: Answer| found.estimate.uncertainty.log10() as f32;
+    put(&mut npz, "log10_uncertainty", count, answers(), log10)?;
+    if knows_rays {
+        put(&mut npz, "rays", count, answers(), |found| found.estimate.rays.unwrap_or(0.0) as f32)?;
     }
-    if field.visits().is_some() {
-        let seen = at_centers().map(|(x, found)| code(field.knowledge(x, found.uncertainty)));
-        npz.array("seen", &[count], seen)?;
+    if knows_visits {
+        put(&mut npz, "seen", count, answers(), |found| code(found.knowledge))?;
     }
-    if field.sums().is_some() {
-        let matrices = field.matrices(field.protocol().covariance)?;
-        let covariances = in_chunks(leaves(field), |cells| {
+    if let Some(matrices) = matrices {
+        let covariances = in_chunks(leaves(), |cells| {
             let centers: Vec<Vec3> = cells.iter().map(|&cell| center(lattice, cell).as_vec3()).collect();
             matrices.at(&centers)
         });
         let full = |[xx, xy, xz, yy, yz, zz]: [f64; 6]| [xx, xy, xz, xy, yy, yz, xz, yz, zz].map(|v| v as f32);
         npz.array("covariance", &[count, 3, 3], covariances.flat_map(full))?;
     }
-    npz.array("prior_log10_uncertainty", &[], [field.prior().log10()])?;
+    npz.array("prior_log10_uncertainty", &[], [field.protocol().prior_deviation().log10()])?;
     npz.finish()
+}
+
+/// Writes one number of each answer.
+fn put<T: npyz::AutoSerialize + npyz::Serialize>(
+    npz: &mut NpzWriter,
+    name: &str,
+    count: u64,
+    answers: impl Iterator<Item = Result<Answer>>,
+    value: impl Fn(Answer) -> T,
+) -> Result<()> {
+    process_results(answers, |answers| npz.array(name, &[count], answers.map(value)))?
 }
 
 /// What is known of a place, as a number: 0 never seen, 1 free, 2 constrained.

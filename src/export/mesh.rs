@@ -11,7 +11,7 @@ use super::ply::{PlyWriter, SURFACE};
 use crate::field::{Radiance, RadianceField};
 use crate::geometry::Aabb;
 use crate::monitor::{Monitor, check};
-use crate::uncertainty::UncertaintyField;
+use crate::uncertainty::Answers;
 use crate::{Error, Result};
 
 /// How a surface is found.
@@ -80,11 +80,11 @@ impl Cubes {
 /// seen from outside, normals, and what `field` says. Returns the number of vertices and triangles.
 ///
 /// # Errors
-/// If the file cannot be written, if nothing is as dense, or [`Error::Interrupted`].
+/// If the file cannot be written, the field cannot be read, if nothing is as dense, or [`Error::Interrupted`].
 pub fn write_mesh(
     path: &Path,
     model: &dyn RadianceField,
-    field: &UncertaintyField,
+    field: &dyn Answers,
     settings: MeshSettings,
     monitor: &dyn Monitor,
 ) -> Result<[usize; 2]> {
@@ -114,7 +114,7 @@ pub fn write_mesh(
         let directions: Vec<Vec3> = normals.iter().map(|n| -*n).collect();
         model.evaluate(positions, &directions, out);
     });
-    let found = field.query_all(&positions);
+    let found = field.estimates(&positions)?;
 
     let triangles = net.indices.len() / 3;
     let elements =

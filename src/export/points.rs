@@ -12,7 +12,7 @@ use crate::Result;
 use crate::geometry::Camera;
 use crate::monitor::{Monitor, check};
 use crate::render::{Tracer, render_view};
-use crate::uncertainty::UncertaintyField;
+use crate::uncertainty::{Answers, Matrices};
 
 /// Points that are asked about together.
 const CHUNK: usize = 1 << 16;
@@ -105,27 +105,22 @@ const AXES: [(&str, &str); 9] = [
     ("float", "scalar_axis_3_z"),
 ];
 
-/// Writes the points with what the field says of them; with `ellipsoids` also the axes of the covariance there.
+/// Writes the points with what the field says of them, and the axes of the covariance there if its matrices are given.
 ///
 /// # Errors
-/// If the file cannot be written, or if the field keeps no sums, without which there are no axes.
-pub fn write_points(path: &Path, surfaces: &Surfaces, field: &UncertaintyField, ellipsoids: bool) -> Result<()> {
-    let matrices = ellipsoids.then(|| field.matrices(field.protocol().covariance)).transpose()?;
-    let axes = if ellipsoids { &AXES[..] } else { &[] };
+/// If the file cannot be written, or the field cannot be read.
+pub fn write_points(path: &Path, surfaces: &Surfaces, field: &dyn Answers, matrices: Option<&Matrices>) -> Result<()> {
+    let axes = if matrices.is_some() { &AXES[..] } else { &[] };
     let properties = [&SURFACE[..], &POINT, axes].concat();
     let comments = [format!("surfaces of training views; {}", field.protocol().scale.quantity())];
     let mut ply = PlyWriter::create(path, &comments, &[("vertex", surfaces.positions.len(), &properties)])?;
     for first in (0..surfaces.positions.len()).step_by(CHUNK) {
         let chunk = first..(first + CHUNK).min(surfaces.positions.len());
-        let found = field.query_all(&surfaces.positions[chunk.clone()]);
-        let matrices = matrices.as_ref().map(|matrices| matrices.at(&surfaces.positions[chunk.clone()]));
-        for (i, found) in chunk.zip(&found) {
-            let x = surfaces.positions[i];
-            ply.surface(x, surfaces.normals[i], surfaces.colors[i], found)?;
-            let seen = match field.visits() {
-                Some(_) => f32::from(code(field.knowledge(x, found.uncertainty))),
-                None => f32::NAN,
-            };
+        let answers = field.answers(&surfaces.positions[chunk.clone()])?;
+        let matrices = matrices.map(|matrices| matrices.at(&surfaces.positions[chunk.clone()]));
+        for (i, found) in chunk.zip(&answers) {
+            ply.surface(surfaces.positions[i], surfaces.normals[i], surfaces.colors[i], &found.estimate)?;
+            let seen = if found.visits.is_some() { f32::from(code(found.knowledge)) } else { f32::NAN };
             ply.floats([seen, surfaces.cameras[i] as f32])?;
             if let Some(matrices) = &matrices {
                 let axes = principal_axes(matrices[i % CHUNK]);

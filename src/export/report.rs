@@ -6,7 +6,7 @@ use std::path::Path;
 use super::points::Surfaces;
 use crate::io::AtomicFile;
 use crate::metrics::quantile;
-use crate::uncertainty::{Knowledge, UncertaintyField};
+use crate::uncertainty::{Answers, Knowledge};
 use crate::{Error, Result};
 
 /// Shares whose quantiles are reported.
@@ -25,19 +25,21 @@ struct Group {
 /// Writes one row for each camera, one for each region of the domain that has surfaces, and one for all.
 ///
 /// # Errors
-/// If the file cannot be written.
-pub fn write_report(path: &Path, surfaces: &Surfaces, names: &[String], field: &UncertaintyField) -> Result<()> {
+/// If the file cannot be written, or the field cannot be read.
+pub fn write_report(path: &Path, surfaces: &Surfaces, names: &[String], field: &dyn Answers) -> Result<()> {
     let mut cameras: Vec<Group> = names.iter().map(|_| Group::default()).collect();
     let mut regions: BTreeMap<[u8; 3], Group> = BTreeMap::new();
     let mut all = Group::default();
-    let found = field.query_all(&surfaces.positions);
-    for (i, found) in found.iter().enumerate() {
+    let answers = field.answers(&surfaces.positions)?;
+    // Without visits nobody knows what was seen.
+    let knows_visits = answers.iter().any(|found| found.visits.is_some());
+    for (i, found) in answers.iter().enumerate() {
         let x = surfaces.positions[i];
-        let is_unseen = field.knowledge(x, found.uncertainty) == Some(Knowledge::Unseen);
+        let (is_unseen, inside) = (found.knowledge == Some(Knowledge::Unseen), found.estimate.inside);
         let add = |group: &mut Group| {
-            group.sigma.push(found.uncertainty);
-            group.unseen += u64::from(is_unseen && found.inside);
-            group.outside += u64::from(!found.inside);
+            group.sigma.push(found.estimate.uncertainty);
+            group.unseen += u64::from(is_unseen && inside);
+            group.outside += u64::from(!inside);
         };
         add(&mut cameras[surfaces.cameras[i] as usize]);
         add(&mut all);
@@ -52,12 +54,10 @@ pub fn write_report(path: &Path, surfaces: &Surfaces, names: &[String], field: &
     let quantiles = SHARES.map(|share| format!("sigma_q{:02.0}", 100.0 * share));
     let head = ["kind", "name", "pixels", "surface_points", "never_seen", "outside"].map(String::from);
     table.write_record(head.iter().chain(&quantiles)).map_err(failed)?;
-    let knows_visits = field.visits().is_some();
     let mut row = |kind: &str, name: &str, pixels: Option<u64>, mut group: Group| {
         group.sigma.sort_unstable_by(f64::total_cmp);
         let n = group.sigma.len();
         let share = |part: u64| if n > 0 { format!("{:.6}", part as f64 / n as f64) } else { String::new() };
-        // Without visits nobody knows what was seen.
         let unseen = if knows_visits { share(group.unseen) } else { String::new() };
         let number = |v: f64| if v.is_nan() { String::new() } else { format!("{v:e}") };
         let fixed = [

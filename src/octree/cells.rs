@@ -219,6 +219,14 @@ impl CellTree {
         }
     }
 
+    /// Number of leaves of each level.
+    #[must_use]
+    pub fn leaves_per_level(&self) -> Vec<u64> {
+        let mut leaves = vec![0; usize::from(self.finest) + 1];
+        self.for_each_leaf(|leaf| leaves[usize::from(leaf.level)] += 1);
+        leaves
+    }
+
     /// Bytes on the heap, spare capacity included: the child masks, then their rank directory with padding.
     #[must_use]
     pub fn heap_bytes(&self) -> [usize; 2] {

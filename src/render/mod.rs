@@ -25,6 +25,8 @@ pub use occupancy::Occupancy;
 pub use samples::{RaySample, RaySamples, VisibleSegment};
 pub use together::{RayGroup, RaysTogether};
 pub use trace::{TraceBuffers, TracedRays, Tracer};
-pub use view::{FEWEST, Probe, RayAverage, RenderedView, render_rays, render_view, render_view_with_depth};
+pub use view::{
+    FEWEST, Probe, Probed, ProbedField, RayAverage, RenderedView, render_rays, render_view, render_view_with_depth,
+};
 
 use question::{Kind, Question};

@@ -63,13 +63,34 @@ const OFFICIAL_EMPTY: f64 = -3.0;
 /// What no ray supports counts as if half a ray did: known less well than by one ray, but not infinitely so.
 pub const FEWEST: f64 = 0.5;
 
-/// A scalar function of space, averaged along rays beside the colour; usually log10 U at a scene point.
+/// What a [`ProbedField`] says of a point.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Probed {
+    /// The scalar there.
+    pub value: f64,
+    /// Number of training rays around it, for [`RayAverage::SpreadPerRay`]; NaN if unknown.
+    pub rays: f64,
+}
+
+/// A scalar function of space; usually log10 U at a scene point.
+pub trait ProbedField: Sync {
+    /// About how many points it should be asked about at once.
+    fn batch(&self) -> usize {
+        1
+    }
+
+    /// The scalar at points.
+    ///
+    /// # Errors
+    /// If it has to be read first, and cannot be.
+    fn at(&self, points: &[Vec3]) -> Result<Vec<Probed>>;
+}
+
+/// A scalar function of space, averaged along rays beside the colour.
 #[derive(Clone, Copy)]
 pub struct Probe<'a> {
-    /// The scalar at a point.
-    pub value: &'a (dyn Fn(Vec3) -> f64 + Sync),
-    /// Number of training rays around a point, for [`RayAverage::SpreadPerRay`].
-    pub rays: Option<&'a (dyn Fn(Vec3) -> f64 + Sync)>,
+    /// The function.
+    pub field: &'a dyn ProbedField,
     /// Ray averages to compute: each gives one number per pixel.
     pub averages: &'a [RayAverage],
 }
@@ -109,7 +130,7 @@ fn channels(probes: &[Probe]) -> usize {
 /// Advances the monitor by one per row. The caller begins and ends the stage.
 ///
 /// # Errors
-/// [`crate::Error::Interrupted`] only.
+/// [`crate::Error::Interrupted`], and those of the probes.
 pub fn render_view(
     tracer: &Tracer,
     camera: &Camera,
@@ -123,7 +144,7 @@ pub fn render_view(
 /// Same as [`render_view`], with the variance of every pixel's expected depth.
 ///
 /// # Errors
-/// [`crate::Error::Interrupted`] only.
+/// [`crate::Error::Interrupted`], and those of the probes.
 pub fn render_view_with_depth(
     tracer: &Tracer,
     camera: &Camera,
@@ -145,7 +166,8 @@ fn render(
 ) -> Result<RenderedView> {
     let [width, height] = camera.resolution;
     // A field that wants many points at once gets several rows: a ray asks about a few points at a time.
-    let together = tracer.field.batch().div_ceil(POINTS_PER_RAY * width.max(1) as usize).max(1);
+    let batch = probes.iter().map(|probe| probe.field.batch()).fold(tracer.field.batch(), usize::max);
+    let together = batch.div_ceil(POINTS_PER_RAY * width.max(1) as usize).max(1);
     let rows: Vec<u32> = (0..height).collect();
     let rows: Vec<RenderedView> = rows
         .par_chunks(together)
@@ -153,7 +175,7 @@ fn render(
             check(monitor)?;
             let ray = |row: u32, x: u32| camera.ray(f64::from(x) + pixel_offset, f64::from(row) + pixel_offset);
             let rays: Vec<Ray> = rows.iter().flat_map(|&row| (0..width).map(move |x| ray(row, x))).collect();
-            let rendered = render_rays(tracer, &rays, probes, depth);
+            let rendered = render_rays(tracer, &rays, probes, depth)?;
             monitor.advance(rows.len() as u64);
             Ok(rendered)
         })
@@ -183,8 +205,15 @@ fn render(
 }
 
 /// Renders single rays, as an image of one row.
-#[must_use]
-pub fn render_rays(tracer: &Tracer, rays: &[Ray], probes: &[Probe], depth: Option<&DepthProbe>) -> RenderedView {
+///
+/// # Errors
+/// Those of the probes.
+pub fn render_rays(
+    tracer: &Tracer,
+    rays: &[Ray],
+    probes: &[Probe],
+    depth: Option<&DepthProbe>,
+) -> Result<RenderedView> {
     let background: DVec3 = tracer.background();
     let mut buffers = TraceBuffers::default();
     // The middle of every interval makes the image deterministic.
@@ -196,12 +225,12 @@ pub fn render_rays(tracer: &Tracer, rays: &[Ray], probes: &[Probe], depth: Optio
     let mut row = RenderedView {
         resolution: [rays.len() as u32, 1],
         pixels: Vec::with_capacity(rays.len()),
-        log10_uncertainty: vec![Vec::with_capacity(rays.len()); channels(probes)],
+        log10_uncertainty: Vec::with_capacity(channels(probes)),
         posterior_variance: depth.map_or_else(Vec::new, |depth| depth.ask(tracer, rays, traced, &quadrature)),
         depth_deviation: vec![Vec::with_capacity(rays.len()); depth.map_or(0, |depth| depth.variances.len())],
         dropped: traced.dropped,
     };
-    let mut values = Vec::new();
+    let mut weighted = Vec::with_capacity(rays.len());
     for (r, ray) in rays.iter().enumerate() {
         let mut samples = traced.samples(r);
         if colors[samples.clone()].iter().any(|color| !color.is_finite()) {
@@ -211,57 +240,80 @@ pub fn render_rays(tracer: &Tracer, rays: &[Ray], probes: &[Probe], depth: Optio
         }
         let pixel = quadrature.pixel(&samples, &colors, &traced.t, background);
         row.pixels.push(pixel);
-        let weights = &quadrature.weights[samples.clone()];
-        let averaged = WeightedRay {
-            weights,
+        let ray = WeightedRay {
+            weights: &quadrature.weights[samples.clone()],
+            positions: &traced.positions[samples.clone()],
             end_transmittance: quadrature.end_transmittance(&samples),
             at_expected: tracer.marcher.bounds.clamp(ray.at(pixel.expected_depth).as_vec3()),
             spread: (pixel.depth_variance + tracer.marcher.step.powi(2) / 12.0).sqrt(),
         };
         for (variances, out) in row.posterior_variance.iter().zip(&mut row.depth_deviation) {
-            out.push((variances[r] + averaged.spread.powi(2)).sqrt());
+            out.push((variances[r] + ray.spread.powi(2)).sqrt());
         }
-        let mut channel = 0;
-        for probe in probes {
-            values.clear();
-            if probe.averages.iter().any(|average| average.is_of_samples()) {
-                let hit = weights.iter().zip(&traced.positions[samples.clone()]);
-                values.extend(hit.map(|(w, x)| if *w > 0.0 { (probe.value)(*x) } else { 0.0 }));
-            }
-            for &average in probe.averages {
-                row.log10_uncertainty[channel].push(averaged.average(average, &values, probe));
-                channel += 1;
-            }
+        weighted.push(ray);
+    }
+    for probe in probes {
+        row.log10_uncertainty.extend(averages(&weighted, probe)?);
+    }
+    Ok(row)
+}
+
+/// `[ray averages of the probe][rays]`. The probe's field is asked for all rays at once.
+fn averages(rays: &[WeightedRay], probe: &Probe) -> Result<Vec<Vec<f64>>> {
+    let has = |is_of_samples| probe.averages.iter().any(|average| average.is_of_samples() == is_of_samples);
+    let at_samples = match has(true) {
+        true => probe.field.at(&rays.iter().flat_map(WeightedRay::hit).map(|(_, x)| x).collect::<Vec<Vec3>>())?,
+        false => Vec::new(),
+    };
+    let at_expected = match has(false) {
+        true => probe.field.at(&rays.iter().map(|ray| ray.at_expected).collect::<Vec<Vec3>>())?,
+        false => Vec::new(),
+    };
+    let mut out = vec![Vec::with_capacity(rays.len()); probe.averages.len()];
+    let mut rest = &at_samples[..];
+    for (r, ray) in rays.iter().enumerate() {
+        let (of_ray, others) = if rest.is_empty() { (rest, rest) } else { rest.split_at(ray.hit().count()) };
+        rest = others;
+        let at_expected = at_expected.get(r).copied().unwrap_or(UNASKED);
+        for (&average, out) in probe.averages.iter().zip(&mut out) {
+            out.push(ray.average(average, of_ray, at_expected));
         }
     }
-    row
+    Ok(out)
 }
+
+/// Of a point that no ray average needs.
+const UNASKED: Probed = Probed { value: f64::NAN, rays: f64::NAN };
 
 /// A ray along which scalars are averaged.
 struct WeightedRay<'a> {
+    /// Of its samples.
     weights: &'a [f64],
+    positions: &'a [Vec3],
     end_transmittance: f64,
     at_expected: Vec3,
     spread: f64,
 }
 
 impl WeightedRay<'_> {
-    /// Computes a ray average from `values` at the samples and from `probe` anywhere else.
-    ///
-    /// Where the weight is zero, `values` may be anything; they may be missing if the average needs none.
-    fn average(&self, average: RayAverage, values: &[f64], probe: &Probe) -> f64 {
+    /// Weights and positions of the samples that count.
+    fn hit(&self) -> impl Iterator<Item = (f64, Vec3)> + '_ {
+        self.weights.iter().copied().zip(self.positions.iter().copied()).filter(|(w, _)| *w > 0.0)
+    }
+
+    /// Computes a ray average from what is said of the samples that count and of the expected depth.
+    fn average(&self, average: RayAverage, at_samples: &[Probed], at_expected: Probed) -> f64 {
         let total: f64 = self.weights.iter().sum();
-        let hit = self.weights.iter().zip(values).filter(|(w, _)| **w > 0.0);
-        let sum: f64 = hit.map(|(w, u)| w * u).sum();
+        let sum: f64 = self.hit().zip(at_samples).map(|((w, _), at)| w * at.value).sum();
         match average {
             RayAverage::Official => sum + OFFICIAL_EMPTY * self.end_transmittance,
             _ if total <= 0.0 => f64::NAN,
             RayAverage::WeightedMean => sum / total,
-            RayAverage::AtExpected => (probe.value)(self.at_expected),
-            RayAverage::Spread => (probe.value)(self.at_expected) + self.spread.log10(),
+            RayAverage::AtExpected => at_expected.value,
+            RayAverage::Spread => at_expected.value + self.spread.log10(),
             RayAverage::SpreadPerRay => {
-                let rays = probe.rays.map_or(f64::NAN, |rays| rays(self.at_expected).clamp(FEWEST, f64::INFINITY));
-                (probe.value)(self.at_expected) + self.spread.log10() - 0.5 * rays.log10()
+                let rays = at_expected.rays.clamp(FEWEST, f64::INFINITY);
+                at_expected.value + self.spread.log10() - 0.5 * rays.log10()
             }
         }
     }
@@ -274,13 +326,10 @@ mod tests {
     #[test]
     fn blends_of_two_samples() {
         // U = 1 with weight 0.3, U = 100 with weight 0.1, one sample without weight; 0.6 of the ray hits nothing.
-        let weights = &[0.3, 0.0, 0.1];
-        let ray = WeightedRay { weights, end_transmittance: 0.6, at_expected: Vec3::X, spread: 0.1 };
-        let values = [0.0, 77.0, 2.0];
-        let at = |there: f64, elsewhere: f64| move |x: Vec3| if x == Vec3::X { there } else { elsewhere };
-        let (value, rays) = (at(1.5, 0.25), at(100.0, 1.0));
-        let probe = Probe { value: &value, rays: Some(&rays), averages: &[] };
-        let average = |average| ray.average(average, &values, &probe);
+        let (weights, positions) = (&[0.3, 0.0, 0.1], &[Vec3::X, Vec3::Y, Vec3::Z]);
+        let ray = WeightedRay { weights, positions, end_transmittance: 0.6, at_expected: Vec3::X, spread: 0.1 };
+        let probed = |value| Probed { value, rays: 100.0 };
+        let average = |average, at_expected| ray.average(average, &[probed(0.0), probed(2.0)], at_expected);
         let expected = [
             (RayAverage::WeightedMean, 0.2 / 0.4),
             (RayAverage::Official, 0.2 - 3.0 * 0.6),
@@ -289,28 +338,58 @@ mod tests {
             (RayAverage::SpreadPerRay, 1.5 - 1.0 - 1.0),
         ];
         for (name, expected) in expected {
-            assert!((average(name) - expected).abs() < 1e-12, "{name:?}: {} instead of {expected}", average(name));
+            let found = average(name, probed(1.5));
+            assert!((found - expected).abs() < 1e-12, "{name:?}: {found} instead of {expected}");
         }
         assert_eq!(expected.map(|(name, _)| name), RayAverage::ALL);
-        let (unseen, unknown) = (|_| 0.0, Probe { rays: None, ..probe });
-        let unseen = ray.average(RayAverage::SpreadPerRay, &values, &Probe { rays: Some(&unseen), ..probe });
+        let unseen = average(RayAverage::SpreadPerRay, Probed { value: 1.5, rays: 0.0 });
         assert!((unseen - 0.5 - 0.5 * 2_f64.log10()).abs() < 1e-12, "{unseen}");
-        assert!(ray.average(RayAverage::SpreadPerRay, &values, &unknown).is_nan());
-        let unknown = |_| f64::NAN;
-        let found = ray.average(RayAverage::SpreadPerRay, &values, &Probe { rays: Some(&unknown), ..probe });
-        assert!(found.is_nan(), "{found}");
+        assert!(average(RayAverage::SpreadPerRay, Probed { value: 1.5, rays: f64::NAN }).is_nan());
+        assert_eq!(ray.hit().collect::<Vec<_>>(), [(0.3, Vec3::X), (0.1, Vec3::Z)]);
     }
 
     #[test]
     fn a_ray_that_meets_nothing_has_no_value_but_the_official_one() {
-        let ray = WeightedRay { weights: &[0.0], end_transmittance: 1.0, at_expected: Vec3::ZERO, spread: 0.1 };
+        let (weights, positions) = (&[0.0], &[Vec3::X]);
+        let ray = WeightedRay { weights, positions, end_transmittance: 1.0, at_expected: Vec3::ZERO, spread: 0.1 };
         for average in RayAverage::ALL {
-            let five = |_| 5.0;
-            let found = ray.average(average, &[5.0], &Probe { value: &five, rays: Some(&five), averages: &[] });
+            let found = ray.average(average, &[], Probed { value: 5.0, rays: 5.0 });
             assert!(
                 if average == RayAverage::Official { found == -3.0 } else { found.is_nan() },
                 "{average:?}: {found}"
             );
         }
+    }
+
+    /// The scalar x, and how often it was asked.
+    #[derive(Default)]
+    struct Counting(std::sync::Mutex<Vec<usize>>);
+
+    impl ProbedField for Counting {
+        fn at(&self, points: &[Vec3]) -> Result<Vec<Probed>> {
+            self.0.lock().unwrap().push(points.len());
+            Ok(points.iter().map(|x| Probed { value: f64::from(x.x), rays: 1.0 }).collect())
+        }
+    }
+
+    #[test]
+    fn all_rays_are_asked_about_at_once_and_get_their_own_answers() {
+        let positions = [1.0, 2.0, 3.0, 4.0, 5.0].map(|x| Vec3::X * x);
+        let weights = [0.5, 0.0, 0.25, 0.75, 0.0];
+        let ray = |samples: std::ops::Range<usize>, x| WeightedRay {
+            weights: &weights[samples.clone()],
+            positions: &positions[samples],
+            end_transmittance: 0.0,
+            at_expected: Vec3::X * x,
+            spread: 1.0,
+        };
+        let rays = [ray(0..2, 7.0), ray(2..2, 0.0), ray(2..4, 8.0), ray(4..5, 0.0)];
+        let field = Counting::default();
+        let kinds = [RayAverage::WeightedMean, RayAverage::AtExpected];
+        let found = averages(&rays, &Probe { field: &field, averages: &kinds }).unwrap();
+        let known = |values: &[f64]| [values[0], values[2]];
+        assert_eq!(found.iter().map(|values| known(values)).collect::<Vec<_>>(), [[1.0, 3.75], [7.0, 8.0]]);
+        assert!(found.iter().all(|values| values[1].is_nan() && values[3].is_nan()), "{found:?}");
+        assert_eq!(*field.0.lock().unwrap(), [3, 4]);
     }
 }

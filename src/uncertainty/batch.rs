@@ -16,10 +16,10 @@ const TILE: usize = 1 << 18;
 
 /// Values at the corners of a leaf.
 pub(super) struct LeafValues {
-    deviations: [f64; 8],
+    pub(super) deviations: [f64; 8],
     /// Errors of log10 σ; `None` inside where unknown.
     errors: Option<[Option<f64>; 8]>,
-    rays: Option<[f64; 8]>,
+    pub(super) rays: Option<[f64; 8]>,
 }
 
 impl UncertaintyField {

@@ -5,7 +5,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
-use super::{Support, UncertaintyField};
+use super::{Answers, Support, UncertaintyField};
 use crate::metrics::quantile;
 use crate::octree::OctreeStats;
 use crate::{Error, Result};
@@ -64,11 +64,7 @@ impl UncertaintyField {
         let values = self.deviations.memory() + self.rays.memory();
         let (grid, leaves_per_level) = match &self.support {
             Support::Dense => ("dense", Vec::new()),
-            Support::Octree(octree) => {
-                let mut leaves = vec![0; usize::from(octree.finest()) + 1];
-                octree.cells().for_each_leaf(|leaf| leaves[usize::from(leaf.level)] += 1);
-                ("octree", leaves)
-            }
+            Support::Octree(octree) => ("octree", octree.cells().leaves_per_level()),
         };
         Summary {
             grid,
@@ -99,39 +95,46 @@ impl UncertaintyField {
 /// lie where its rays went, and there it would look better than it is.
 ///
 /// # Errors
-/// If the fields have different domains.
-pub fn compare(a: &UncertaintyField, b: &UncertaintyField, points: usize, seed: u64) -> Result<Comparison> {
+/// If the fields have different domains, or one of them cannot be read.
+pub fn compare(a: &dyn Answers, b: &dyn Answers, points: usize, seed: u64) -> Result<Comparison> {
     let domain = a.lattice().domain();
     if domain != b.lattice().domain() {
-        let text = |f: &UncertaintyField| f.lattice().domain().to_string();
+        let text = |f: &dyn Answers| f.lattice().domain().to_string();
         return Err(Error::setting("the fields' boxes", format!("the same box or contraction, {}", text(a)), text(b)));
     }
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut draw = || domain.clamp(domain.to_scene(DVec3::from(rng.random::<[f64; 3]>())).as_vec3());
     let in_box: Vec<Vec3> = (0..points).map(|_| draw()).collect();
-    let surface = if b.surface().is_empty() { a.surface() } else { b.surface() };
+    let of_b = b.surface()?;
+    let surface = if of_b.is_empty() { a.surface()? } else { of_b };
     let surface: Vec<Vec3> = surface.iter().take(points).map(|&x| Vec3::from_array(x)).collect();
     Ok(Comparison {
-        fields: [a.summary(), b.summary()],
-        in_box: difference(a, b, &in_box),
-        on_surfaces: difference(a, b, &surface),
+        fields: [a.summary()?, b.summary()?],
+        in_box: difference(a, b, &in_box)?,
+        on_surfaces: difference(a, b, &surface)?,
     })
 }
 
 /// The difference over `points`; `None` without points.
-fn difference(a: &UncertaintyField, b: &UncertaintyField, points: &[Vec3]) -> Option<Difference> {
-    let mut differences: Vec<f64> = points.par_iter().map(|&x| (a.log10(x) - b.log10(x)).abs()).collect();
-    let at = (0..points.len()).max_by(|&i, &j| differences[i].total_cmp(&differences[j]))?;
-    let (max, max_at) = (differences[at], points[at]);
+fn difference(a: &dyn Answers, b: &dyn Answers, points: &[Vec3]) -> Result<Option<Difference>> {
+    let log10 = |field: &dyn Answers| -> Result<Vec<f64>> {
+        Ok(field.estimates(points)?.iter().map(|found| found.uncertainty.log10()).collect())
+    };
+    let (of_a, of_b) = (log10(a)?, log10(b)?);
+    let mut differences: Vec<f64> = of_a.iter().zip(&of_b).map(|(a, b)| (a - b).abs()).collect();
+    let Some(at) = (0..points.len()).max_by(|&i, &j| differences[i].total_cmp(&differences[j])) else {
+        return Ok(None);
+    };
+    let max = differences[at];
     let mean = differences.iter().sum::<f64>() / points.len() as f64;
     differences.par_sort_unstable_by(f64::total_cmp);
-    Some(Difference {
+    Ok(Some(Difference {
         points: points.len(),
         mean,
         percentile_95: quantile(&differences, 0.95),
         percentile_99: quantile(&differences, 0.99),
         max,
-        max_at: max_at.to_array(),
-        log10_at_max: [a.log10(max_at), b.log10(max_at)],
-    })
+        max_at: points[at].to_array(),
+        log10_at_max: [of_a[at], of_b[at]],
+    }))
 }

@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 
-use super::{MOVED, UncertaintyField};
+use super::{Estimate, MOVED, UncertaintyField};
 use crate::metrics::quantile;
 use crate::posterior::Visits;
 
@@ -56,9 +56,7 @@ impl UncertaintyField {
     #[must_use]
     pub fn surface_quantiles<const N: usize>(&self, shares: [f64; N]) -> Option<[f64; N]> {
         let points: Vec<Vec3> = self.surface.iter().copied().map(Vec3::from_array).collect();
-        let mut log10: Vec<f64> = self.query_all(&points).iter().map(|found| found.uncertainty.log10()).collect();
-        log10.sort_by(f64::total_cmp);
-        (!log10.is_empty()).then(|| shares.map(|share| quantile(&log10, share)))
+        at_shares(&self.query_all(&points), shares)
     }
 
     /// How far log10 U lies below the prior's where there is as much information as lowers it by [`MOVED`] with the
@@ -86,4 +84,11 @@ impl UncertaintyField {
             Knowledge::Unseen
         })
     }
+}
+
+/// log10 U at these shares of estimates, from the most certain; `None` without any.
+pub(super) fn at_shares<const N: usize>(estimates: &[Estimate], shares: [f64; N]) -> Option<[f64; N]> {
+    let mut log10: Vec<f64> = estimates.iter().map(|found| found.uncertainty.log10()).collect();
+    log10.sort_by(f64::total_cmp);
+    (!log10.is_empty()).then(|| shares.map(|share| quantile(&log10, share)))
 }

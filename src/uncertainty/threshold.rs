@@ -1,24 +1,76 @@
 //! Clean-up: removes the density that is too uncertain from a field (the paper, Sec. 5.2).
 
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
 use glam::Vec3;
 
-use super::UncertaintyField;
+use super::Answers;
 use crate::field::{Radiance, RadianceField};
 use crate::geometry::Aabb;
+use crate::{Error, Result};
 
 /// A radiance field whose density is zero wherever log10 U exceeds a threshold.
 pub struct ThresholdedField<'a> {
-    /// The field to clean.
-    pub field: &'a dyn RadianceField,
-    /// Its uncertainty.
-    pub uncertainty: &'a UncertaintyField,
-    /// Largest log10 U that is kept.
-    pub threshold: f64,
+    field: &'a dyn RadianceField,
+    uncertainty: &'a dyn Answers,
+    threshold: f64,
+    /// Radiance fields cannot fail, but reading U may.
+    failure: Mutex<Option<Error>>,
 }
 
-impl ThresholdedField<'_> {
-    fn keeps(&self, x: Vec3) -> bool {
-        self.uncertainty.log10(x) <= self.threshold
+impl<'a> ThresholdedField<'a> {
+    /// `field` with the density where log10 U is at most `threshold`.
+    #[must_use]
+    pub fn new(field: &'a dyn RadianceField, uncertainty: &'a dyn Answers, threshold: f64) -> Self {
+        Self { field, uncertainty, threshold, failure: Mutex::new(None) }
+    }
+
+    /// The field before the clean-up.
+    #[must_use]
+    pub fn uncleaned(&self) -> &'a dyn RadianceField {
+        self.field
+    }
+
+    /// Its uncertainty.
+    #[must_use]
+    pub fn uncertainty(&self) -> &'a dyn Answers {
+        self.uncertainty
+    }
+
+    /// Largest log10 U that is kept.
+    #[must_use]
+    pub fn threshold(&self) -> f64 {
+        self.threshold
+    }
+
+    /// Whether all that was said so far is true: without an answer from the uncertainty, there was no density.
+    ///
+    /// # Errors
+    /// The first one of [`Answers::estimates`].
+    pub fn check(&self) -> Result<()> {
+        self.failure().take().map_or(Ok(()), Err)
+    }
+
+    fn failure(&self) -> MutexGuard<'_, Option<Error>> {
+        // A panic elsewhere leaves it sound: it is changed by single assignments.
+        self.failure.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Calls `remove` for the index of every point at which nothing is kept.
+    fn for_each_removed(&self, positions: &[Vec3], has_density: impl Fn(usize) -> bool, mut remove: impl FnMut(usize)) {
+        let dense: Vec<usize> = (0..positions.len()).filter(|&i| has_density(i)).collect();
+        let points: Vec<Vec3> = dense.iter().map(|&i| positions[i]).collect();
+        match self.uncertainty.estimates(&points) {
+            Ok(found) => {
+                let is_kept = |uncertainty: f64| uncertainty.log10() <= self.threshold;
+                let removed = dense.into_iter().zip(found).filter(|(_, found)| !is_kept(found.uncertainty));
+                removed.for_each(|(i, _)| remove(i));
+            }
+            Err(error) => {
+                self.failure().get_or_insert(error);
+                dense.into_iter().for_each(remove);
+            }
+        }
     }
 }
 
@@ -29,20 +81,14 @@ impl RadianceField for ThresholdedField<'_> {
 
     fn evaluate(&self, positions: &[Vec3], directions: &[Vec3], out: &mut [Radiance]) {
         self.field.evaluate(positions, directions, out);
-        for (out, &x) in out.iter_mut().zip(positions).filter(|(out, _)| out.density > 0.0) {
-            if !self.keeps(x) {
-                out.density = 0.0;
-            }
-        }
+        let densities: Vec<f32> = out.iter().map(|out| out.density).collect();
+        self.for_each_removed(positions, |i| densities[i] > 0.0, |i| out[i].density = 0.0);
     }
 
     fn densities(&self, positions: &[Vec3], out: &mut [f32]) {
         self.field.densities(positions, out);
-        for (out, &x) in out.iter_mut().zip(positions).filter(|(out, _)| **out > 0.0) {
-            if !self.keeps(x) {
-                *out = 0.0;
-            }
-        }
+        let dense: Vec<bool> = out.iter().map(|density| *density > 0.0).collect();
+        self.for_each_removed(positions, |i| dense[i], |i| out[i] = 0.0);
     }
 
     fn density_bound(&self, min: Vec3, max: Vec3) -> Option<f32> {
@@ -58,7 +104,7 @@ impl RadianceField for ThresholdedField<'_> {
     }
 
     fn batch(&self) -> usize {
-        self.field.batch()
+        self.field.batch().max(self.uncertainty.batch())
     }
 
     fn memory(&self) -> usize {

@@ -1,16 +1,22 @@
 //! A field in a folder of finished tiles, of which as many are in memory as there is room for.
 
+use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use glam::Vec3;
 use lru::LruCache;
+use rayon::prelude::*;
 
 use super::merge::{Head, in_turn};
-use super::{Answer, Answers, Protocol, RayCounts, StandardDeviations, Support, UncertaintyField};
+use super::{Answer, Answers, Estimate, Protocol, RayCounts, StandardDeviations, Summary, Support, UncertaintyField};
 use crate::geometry::Lattice;
-use crate::octree::{Octree, Tile, VertexId, Wanted};
+use crate::octree::{CellTree, Octree, Tile, VertexId, Wanted};
+use crate::render::{Probed, ProbedField};
 use crate::{Error, Result};
+
+/// So many points together reach most of the tiles that they can reach, and take some megabytes.
+const BATCH: usize = 1 << 18;
 
 /// A field whose tiles are read when a point in them is asked for.
 ///
@@ -85,12 +91,6 @@ impl TiledField {
         self.tiles.len()
     }
 
-    /// Box and finest level.
-    #[must_use]
-    pub fn lattice(&self) -> &Lattice {
-        &self.lattice
-    }
-
     /// All tiles as one field in memory, bit for bit that of a run without tiles; for what needs more than answers at
     /// points.
     ///
@@ -142,8 +142,11 @@ impl TiledField {
         Tile::owner(of, self.lattice.level(), cell) as usize
     }
 
-    /// A tile, from memory or from its file.
-    fn tile(&self, index: usize) -> Result<Arc<UncertaintyField>> {
+    /// A tile, from memory or from its file. What does not depend on the place is the same in all tiles.
+    ///
+    /// # Errors
+    /// If its file cannot be read.
+    pub fn tile(&self, index: usize) -> Result<Arc<UncertaintyField>> {
         // A panic elsewhere leaves the list sound: it is changed by single calls.
         let mut loaded = self.loaded.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(tile) = loaded.get(&index) {
@@ -159,6 +162,34 @@ impl TiledField {
         loaded.put(index, Arc::clone(&tile));
         Ok(tile)
     }
+
+    /// What tiles say of their points, in the order of the points.
+    fn ask<T>(
+        &self,
+        points: &[Vec3],
+        of_tile: impl Fn(&UncertaintyField, &[Vec3]) -> Result<Vec<T>>,
+    ) -> Result<Vec<T>> {
+        let mut order: Vec<(usize, usize)> = points.iter().map(|&x| self.tile_of(x)).zip(0..).collect();
+        order.sort_unstable();
+        let mut answers = Vec::with_capacity(points.len());
+        for group in order.chunk_by(|a, b| a.0 == b.0) {
+            let own: Vec<Vec3> = group.iter().map(|&(_, i)| points[i]).collect();
+            let found = of_tile(&*self.tile(group[0].0)?, &own)?;
+            answers.extend(group.iter().map(|(_, i)| *i).zip(found));
+        }
+        answers.sort_unstable_by_key(|(i, _)| *i);
+        Ok(answers.into_iter().map(|(_, answer)| answer).collect())
+    }
+}
+
+impl ProbedField for TiledField {
+    fn batch(&self) -> usize {
+        BATCH
+    }
+
+    fn at(&self, points: &[Vec3]) -> Result<Vec<Probed>> {
+        Ok(self.estimates(points)?.into_iter().map(Estimate::probed).collect())
+    }
 }
 
 impl Answers for TiledField {
@@ -166,20 +197,58 @@ impl Answers for TiledField {
         &self.protocol
     }
 
+    fn lattice(&self) -> &Lattice {
+        &self.lattice
+    }
+
     fn has_error_bars(&self) -> bool {
         false
     }
 
+    fn estimates(&self, points: &[Vec3]) -> Result<Vec<Estimate>> {
+        self.ask(points, Answers::estimates)
+    }
+
     fn answers(&self, points: &[Vec3]) -> Result<Vec<Answer>> {
-        let mut order: Vec<(usize, usize)> = points.iter().map(|&x| self.tile_of(x)).zip(0..).collect();
-        order.sort_unstable();
-        let mut answers = Vec::with_capacity(points.len());
-        for of_tile in order.chunk_by(|a, b| a.0 == b.0) {
-            let own: Vec<Vec3> = of_tile.iter().map(|&(_, i)| points[i]).collect();
-            let found = self.tile(of_tile[0].0)?.answers(&own)?;
-            answers.extend(of_tile.iter().map(|(_, i)| *i).zip(found));
+        self.ask(points, Answers::answers)
+    }
+
+    fn surface(&self) -> Result<Cow<'_, [[f32; 3]]>> {
+        let surfaces =
+            (0..self.tiles.len()).map(|i| Ok(self.tile(i)?.surface().to_vec())).collect::<Result<Vec<_>>>()?;
+        Ok(Cow::Owned(in_turn(&surfaces)))
+    }
+
+    /// Beyond its seams a tile's leaves are coarser than the whole's, and split nowhere else.
+    fn cells(&self) -> Result<Option<Cow<'_, CellTree>>> {
+        let finest = self.lattice.level();
+        let mut split = vec![Vec::new(); usize::from(finest)];
+        for i in 0..self.tiles.len() {
+            let Support::Octree(octree) = &self.tile(i)?.support else { continue };
+            for (all, own) in split.iter_mut().zip(octree.cells().split()) {
+                all.extend(own);
+            }
         }
-        answers.sort_unstable_by_key(|(i, _)| *i);
-        Ok(answers.into_iter().map(|(_, answer)| answer).collect())
+        for codes in &mut split {
+            codes.par_sort_unstable();
+            codes.dedup();
+        }
+        Ok(Some(Cow::Owned(CellTree::from_split(finest, &split))))
+    }
+
+    /// Bytes are those of all tiles, which share some vertices.
+    fn summary(&self) -> Result<Summary> {
+        let finest = self.lattice.level();
+        let (mut vertices, mut query_bytes, mut structure_bytes) = (0, 0, 0);
+        for i in 0..self.tiles.len() {
+            let field = self.tile(i)?;
+            let (Support::Octree(octree), Some(tile)) = (&field.support, field.tile) else { continue };
+            vertices += octree.vertex_positions().filter(|point| tile.owns(finest, *point)).count() as u64;
+            let own = UncertaintyField::summary(&field);
+            query_bytes += own.query_bytes;
+            structure_bytes += own.structure_bytes;
+        }
+        let leaves_per_level = self.cells()?.map_or_else(Vec::new, |cells| cells.leaves_per_level());
+        Ok(Summary { grid: "octree", level: finest, vertices, query_bytes, structure_bytes, leaves_per_level })
     }
 }

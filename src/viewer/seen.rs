@@ -62,7 +62,7 @@ pub fn look(
     count: f64,
     monitor: &dyn Monitor,
 ) -> Result<Vec<SeenRay>> {
-    let cleaned = ThresholdedField { field: tracer.field, uncertainty: field, threshold: most };
+    let cleaned = ThresholdedField::new(tracer.field, field, most);
     let tracer = if most < f64::INFINITY {
         &Tracer { field: &cleaned, marcher: tracer.marcher.clone(), background: tracer.background }
     } else {

@@ -10,7 +10,7 @@ use crate::field::RadianceField;
 use crate::geometry::{Camera, Ray};
 use crate::monitor::{Monitor, check};
 use crate::render::{CompositingWeights, TraceBuffers};
-use crate::uncertainty::{ThresholdedField, UncertaintyField};
+use crate::uncertainty::{Answers, Estimate, ThresholdedField};
 
 /// Side of the pictures that are looked at, pixels.
 const RESOLUTION: u32 = 60;
@@ -39,7 +39,7 @@ impl Matter {
     pub fn seen(
         field: &dyn RadianceField,
         cameras: &[Camera],
-        uncertainty: &UncertaintyField,
+        uncertainty: &dyn Answers,
         monitor: &dyn Monitor,
     ) -> Result<Self> {
         let settings = RaySettings::default().cutoff(1e-4).occupancy(OCCUPANCY);
@@ -61,8 +61,14 @@ impl Matter {
                 quadrature.set(&buffers.traced, tracer.marcher.step);
                 let weighted = quadrature.weights.iter().zip(&buffers.traced.positions);
                 let counted = weighted.filter(|(weight, _)| **weight >= LEAST_WEIGHT);
-                let log10 = |x: &Vec3| uncertainty.log10(*x);
-                Ok(counted.map(|(w, x)| Sample { weight: *w, position: *x, log10: log10(x) }).collect())
+                let (weights, positions): (Vec<f64>, Vec<Vec3>) = counted.map(|(w, x)| (*w, *x)).unzip();
+                let estimates = uncertainty.estimates(&positions)?;
+                let sample = |((weight, position), found): ((f64, Vec3), Estimate)| Sample {
+                    weight,
+                    position,
+                    log10: found.uncertainty.log10(),
+                };
+                Ok(weights.into_iter().zip(positions).zip(estimates).map(sample).collect())
             })
             .collect::<Result<_>>()?;
         Ok(Self(samples.into_iter().flatten().collect()))
@@ -107,7 +113,7 @@ impl Shares {
     /// # Errors
     /// [`crate::Error::Interrupted`] only.
     pub fn measure(model: &ThresholdedField, truth: &Truth, monitor: &dyn Monitor) -> Result<Self> {
-        let ThresholdedField { field, uncertainty, threshold } = *model;
+        let (field, uncertainty, threshold) = (model.uncleaned(), model.uncertainty(), model.threshold());
         let made_up = |sample: &Sample| !truth.has_matter_near(sample.position);
         let [seen, behind] =
             [&truth.held_out, &truth.behind].map(|cameras| Matter::seen(field, cameras, uncertainty, monitor));

@@ -15,7 +15,7 @@ use self::matter::{Matter, Shares};
 use self::scene::{DemoScene, TOLERANCE};
 use super::files::CommandFiles;
 use super::options::count;
-use super::panels::{Ranges, depth_range, error_range, unknown, view_panels};
+use super::panels::{Ranges, depth_range, error_range, unknowns, view_panels};
 use super::progress::Bars;
 use super::report;
 use crate::dataset::{Frame, write_transforms};
@@ -186,7 +186,7 @@ impl Args {
         let percentile = format!("the {:.0}th percentile of what cameras see", 100.0 * KEPT);
         say!("clean-up: no density where log10 U is above {threshold:.2}, {percentile}")?;
         let Some(truth) = &subject.truth else { return Ok(()) };
-        let model = ThresholdedField { field: subject.field.as_ref(), uncertainty, threshold };
+        let model = ThresholdedField::new(subject.field.as_ref(), uncertainty, threshold);
         let Shares { made_up_seen, made_up_behind, removed, kept } = Shares::measure(&model, truth, bars)?;
         let [seen, behind, removed, kept] = [made_up_seen, made_up_behind, removed, kept].map(|share| 100.0 * share);
         say!("by the truth, the scene that the pictures show")?;
@@ -221,10 +221,9 @@ impl Args {
     fn pictures(&self, subject: &DemoScene, uncertainty: &UncertaintyField, shown: Shown, bars: &Bars) -> Result<()> {
         let Shown { low, threshold } = shown;
         let (field, prior) = (subject.field.as_ref(), uncertainty.prior().log10());
-        let cleaned = ThresholdedField { field, uncertainty, threshold };
+        let cleaned = ThresholdedField::new(field, uncertainty, threshold);
         let truth = subject.truth.as_ref().map(|truth| &truth.scene as &dyn RadianceField);
-        let log10 = |x| uncertainty.log10(x);
-        let probes = [Probe { value: &log10, rays: None, averages: &[RayAverage::WeightedMean] }];
+        let probes = [Probe { field: uncertainty, averages: &[RayAverage::WeightedMean] }];
         let render = |field: &dyn RadianceField| -> Result<Vec<RenderedView>> {
             let tracer = RaySettings::default().cutoff(1e-4).tracer(field, 0.0, bars)?;
             let cameras = subject.views().map(|view| view.1);
@@ -244,7 +243,7 @@ impl Args {
         let rows: Vec<Vec<Panel>> = (0..views.len())
             .map(|i| {
                 let (name, camera) = subject.views()[i];
-                let unknown = |pixel| unknown(uncertainty, &camera, 0.5, &views[i], pixel);
+                let unknown = unknowns(uncertainty, &camera, 0.5, &views[i])?;
                 let mut row = view_panels(&views[i], name, ranges, &unknown);
                 if let Some(truths) = &truths {
                     row.remove(1);
@@ -252,9 +251,9 @@ impl Args {
                     row[1].title = "model".into();
                 }
                 row.push(colors(&format!("cleaned: log10 U <= {threshold:.2}"), &cleaned[i]));
-                row
+                Ok(row)
             })
-            .collect();
+            .collect::<Result<_>>()?;
         write_sheet(&self.out.join("demo.png"), &rows)
     }
 }

@@ -8,7 +8,7 @@ use glam::DVec3;
 use super::numbers::count;
 use super::parse::{numbers, parse_box, parse_bytes, parse_non_negative, parse_positive, parse_tile};
 use super::scale::{ScaleOptions, TrainingPixels};
-use crate::cli::belongs::read_whole;
+use crate::cli::opened::OpenedField;
 use crate::cli::report::{self, Cost};
 use crate::estimate::{GridKind, GridSettings};
 use crate::geometry::{Aabb, Domain, MAX_LEVEL, Norm};
@@ -216,8 +216,13 @@ pub struct OfficialOptions {
 }
 
 impl OfficialOptions {
-    /// Reads a field: `.oct`, or the official code's `.npy`.
+    /// Reads a field: `.oct`, a folder of tiles, or the official code's `.npy`.
     pub fn read(&self, path: &Path) -> Result<UncertaintyField> {
+        self.open(path)?.whole()
+    }
+
+    /// The same, but leaves tiles in their files.
+    pub fn open(&self, path: &Path) -> Result<OpenedField> {
         match path.extension().and_then(|e| e.to_str()) {
             Some("npy") => {
                 let bounds = self.bounds.ok_or_else(|| {
@@ -232,9 +237,10 @@ impl OfficialOptions {
                     );
                     rays
                 });
-                OfficialGrid { domain: Domain::Box(bounds), rays, lambda: None }.read(path)
+                let grid = OfficialGrid { domain: Domain::Box(bounds), rays, lambda: None };
+                Ok(OpenedField::Whole(Box::new(grid.read(path)?)))
             }
-            _ => read_whole(path),
+            _ => OpenedField::open(path),
         }
     }
 }

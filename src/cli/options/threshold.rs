@@ -1,7 +1,7 @@
 //! A threshold of log10 U, as a number or by its share of visible surfaces.
 
 use crate::render::RenderedView;
-use crate::uncertainty::UncertaintyField;
+use crate::uncertainty::Answers;
 use crate::{Error, Result};
 
 /// Share of the pixels that a share of visible surfaces may take without a word.
@@ -32,9 +32,9 @@ impl Threshold {
     /// log10 U of the threshold in a field. Says so on stderr if it had to be found.
     ///
     /// # Errors
-    /// If it is a share, and the field holds no points on visible surfaces.
-    pub fn log10(self, field: &UncertaintyField) -> Result<f64> {
-        let prior = field.prior().log10();
+    /// If it is a share, and the field holds no points on visible surfaces, or cannot be read.
+    pub fn log10(self, field: &dyn Answers) -> Result<f64> {
+        let prior = field.protocol().prior_deviation().log10();
         match self {
             Self::Log10(log10) => {
                 if log10 >= prior {
@@ -43,7 +43,7 @@ impl Threshold {
                 Ok(log10)
             }
             Self::Share(share) => {
-                let Some([log10]) = field.surface_quantiles([share]) else {
+                let Some([log10]) = field.surface_quantiles([share])? else {
                     let expected = "a field with points on visible surfaces, for a share";
                     return Err(Error::setting("--threshold", expected, "one without (see --surface-points)"));
                 };

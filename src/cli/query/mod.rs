@@ -14,15 +14,11 @@ use super::options::OfficialOptions;
 use super::progress::Bars;
 use crate::dataset::PointReader;
 use crate::error::printable;
-use crate::io::memory::available;
 use crate::io::{AtomicFile, npy};
 use crate::monitor::check;
 use crate::posterior::Covariance;
-use crate::uncertainty::{Answer, Answers, Knowledge, TiledField, UncertaintyField};
+use crate::uncertainty::{Answer, Answers, Knowledge, UncertaintyField};
 use crate::{Error, Result};
-
-/// Bytes that tiles may take where the system does not say what is free.
-const DEFAULT_ROOM: u64 = 2 << 30;
 
 /// Points that are answered together. More are no faster, and this many with their answers take 30 MB.
 const BATCH: usize = 1 << 18;
@@ -104,12 +100,11 @@ impl Args {
             .inputs("--model", &self.rays.model)
             .outputs("--output", named(&self.output))
             .check()?;
-        if let (true, None, Some(points), Some(input)) = (self.field.is_dir(), self.covariance, &points, &input) {
-            let room = available().unwrap_or(DEFAULT_ROOM) / 2;
-            let field = TiledField::open(&self.field, room as usize)?;
-            return self.answer_points(&field, open(points, input)?, &output, bars);
+        let field = self.official.open(&self.field)?;
+        if let (None, Some(points), Some(input)) = (self.covariance, &points, &input) {
+            return self.answer_points(field.space(), open(points, input)?, &output, bars);
         }
-        let mut field = self.official.read(&self.field)?;
+        let mut field = field.whole()?;
         if let Some(covariance) = self.covariance {
             let had_error_bars = field.error_bars().is_some();
             field = field.with_covariance(covariance)?;

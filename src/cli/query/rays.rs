@@ -70,12 +70,11 @@ impl RayQuery {
         let tracer = settings.tracer(&*model, 0.0, bars)?;
         // Fields in the paper's scale have no deviations of depth.
         let posterior = field.depth_posterior().ok();
-        let log10 = |x| field.log10(x);
-        let probes = [Probe { value: &log10, rays: None, averages: &[RayAverage::WeightedMean] }];
+        let probes = [Probe { field, averages: &[RayAverage::WeightedMean] }];
         let differentiation = settings.differentiation(&*model, field.lattice())?;
         let variances: Vec<&dyn DepthVariance> = posterior.iter().map(|p| p as _).collect();
         let depth = DepthProbe { differentiation, variances: &variances };
-        let view = render_rays(&tracer, &self.ray, &probes, Some(&depth));
+        let view = render_rays(&tracer, &self.ray, &probes, Some(&depth))?;
         let mut csv = csv::Writer::from_writer(out);
         let mut write = || -> csv::Result<()> {
             let mut head = vec!["x", "y", "z", "dx", "dy", "dz", "opacity", "median_depth", "expected_depth"];

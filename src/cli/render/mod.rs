@@ -10,8 +10,9 @@ use image::RgbImage;
 
 use self::orbit::orbit;
 use self::studio::Studio;
-use super::belongs::read_field;
+use super::belongs::check_field;
 use super::files::CommandFiles;
+use super::opened::OpenedField;
 use super::options::{CameraOptions, ModelOptions, Threshold, parse_frames, parse_positive, parse_range, scaled};
 use super::progress::Bars;
 use super::report;
@@ -23,7 +24,7 @@ use crate::monitor::Monitor;
 use crate::picture::{draw_sheet, write_animation, write_sheet};
 use crate::posterior::Covariance;
 use crate::render::{RayAverage, RenderedView};
-use crate::uncertainty::{ThresholdedField, UncertaintyField};
+use crate::uncertainty::{Answers, ThresholdedField, UncertaintyField};
 use crate::{Error, Result};
 
 /// Longer side of a picture if nobody asks for another, pixels. A photograph at its own size takes minutes.
@@ -117,9 +118,12 @@ impl Args {
             .outputs("--output", self.outputs());
         files.check()?;
         let model = self.model.open()?;
-        let mut field = read_field(&self.field, &self.model, &*model, self.force)?;
-        if let Some(covariance) = self.covariance {
-            field = field.with_covariance(covariance)?;
+        let mut field = OpenedField::open(&self.field)?;
+        check_field(&self.field, field.facts(), &self.model, &*model, self.force)?;
+        if self.covariance.is_some() || self.depth_error {
+            let whole = field.whole()?;
+            let whole = self.covariance.into_iter().try_fold(whole, UncertaintyField::with_covariance)?;
+            field = OpenedField::Whole(Box::new(whole));
         }
         let views = self.cameras.read(&*model, &self.model.model)?;
         files.images(&views).check()?;
@@ -127,15 +131,15 @@ impl Args {
         let wanted = self.frames.clone().unwrap_or(self.frame..self.frame + 1);
         let frames: Vec<&Frame> = wanted.clone().map(|k| views.frame(k)).collect::<Result<_>>()?;
         if self.depth_error {
-            field.depth_posterior()?;
+            field.facts().depth_posterior()?;
         }
 
-        Reading::check(&field, self.ray_average)?;
+        Reading::check(field.facts(), self.ray_average)?;
         let settings = self.model.image_settings();
-        let threshold = self.threshold.map(|threshold| threshold.log10(&field)).transpose()?;
-        let cleaned = threshold.map(|threshold| ThresholdedField { field: &*model, uncertainty: &field, threshold });
+        let threshold = self.threshold.map(|threshold| threshold.log10(field.space())).transpose()?;
+        let cleaned = threshold.map(|threshold| ThresholdedField::new(&*model, field.space(), threshold));
         let cleaned = match &cleaned {
-            Some(cleaned) => Some((settings.tracer(cleaned, 0.0, bars)?, cleaned.threshold)),
+            Some(cleaned) => Some((settings.tracer(cleaned, 0.0, bars)?, cleaned)),
             None => None,
         };
         let studio = Studio {
@@ -146,14 +150,14 @@ impl Args {
             offset: settings.pixel_offset.unwrap_or_else(|| model.pixel_offset()),
             average: self.ray_average,
             depth_error: self.depth_error,
-            log10: bar_of(&field, self.range),
+            log10: bar_of(field.space(), self.range)?,
             bars,
         };
         let pictures = if studio.cleaned.is_some() { 2 } else { 1 };
         let rows = |camera: &Camera| pictures * u64::from(camera.resolution[1]);
         if let Some(count) = self.orbit {
             let others: Vec<Camera> = views.frames.iter().map(|frame| frame.camera).collect();
-            let cameras = orbit(&self.sized(&frames[0].camera)?, &others, field.lattice().domain(), count);
+            let cameras = orbit(&self.sized(&frames[0].camera)?, &others, field.facts().lattice().domain(), count);
             bars.begin("rows", cameras.iter().map(rows).sum());
             let frames = cameras.iter().map(|camera| moment(&studio, camera)).collect::<Result<_>>()?;
             bars.end();
@@ -168,6 +172,7 @@ impl Args {
         }
         say!("{}", self.output.display())?;
         if self.verbose {
+            let field = field.whole()?;
             say!("protocol of the field\n{}{}", report::protocol(&field), report::surfaces(&field))?;
         }
         Ok(())
@@ -198,32 +203,32 @@ impl Args {
     /// Writes the picture of one camera.
     fn picture(&self, studio: &Studio, k: usize, camera: &Camera, path: &Path) -> Result<()> {
         let as_exr = path.extension().is_some_and(|e| e == "exr");
-        if let (true, Some(Threshold::Log10(_)), Some((tracer, _))) = (as_exr, self.threshold, &studio.cleaned) {
+        if let (true, Some(Threshold::Log10(_))) = (as_exr, self.threshold) {
             // An EXR holds the cleaned view only; what a share takes is told by both.
-            let view = studio.view(tracer, camera)?;
-            return write_exr(path, view.resolution, channels(&view, studio.field));
+            let view = studio.cleaned_view(camera)?.unwrap_or_default();
+            return write_exr(path, view.resolution, channels(&view, studio.field.facts()));
         }
         let views = studio.views(camera)?;
         if let (Some(threshold), (view, Some(cleaned))) = (self.threshold, &views) {
             threshold.note_pixels(view, cleaned);
         }
         if !as_exr {
-            return write_sheet(path, &studio.rows(&format!("frame {k}"), camera, &views));
+            return write_sheet(path, &studio.rows(&format!("frame {k}"), camera, &views)?);
         }
         let (view, cleaned) = views;
         let view = cleaned.unwrap_or(view);
-        write_exr(path, view.resolution, channels(&view, studio.field))
+        write_exr(path, view.resolution, channels(&view, studio.field.facts()))
     }
 }
 
 /// One picture of a moving one: colour, log10 U, and the colour of what is left by the clean-up.
 fn moment(studio: &Studio, camera: &Camera) -> Result<RgbImage> {
-    let mut rows = studio.rows("model", camera, &studio.views(camera)?).into_iter();
+    let mut rows = studio.rows("model", camera, &studio.views(camera)?)?.into_iter();
     let mut row = rows.next().unwrap_or_default();
     row.drain(1..row.len() - 1);
     // Titles that are the same in all pictures keep these of one size.
     if let Some(panel) = row.last_mut() {
-        panel.title = format!("{} (hatched: never seen)", studio.field.protocol().scale.quantity());
+        panel.title = format!("{} (hatched: never seen)", studio.field.facts().protocol().scale.quantity());
     }
     row.extend(rows.next().into_iter().flatten().next());
     Ok(draw_sheet(&[row]))
@@ -254,12 +259,13 @@ impl Args {
 
 /// Ends of the colour bar of log10 U: those that are asked for, or from the most certain percent of the visible
 /// surfaces to the prior.
-pub fn bar_of(field: &UncertaintyField, range: Option<[f64; 2]>) -> [f64; 2] {
-    range.unwrap_or_else(|| {
-        let prior = field.prior().log10();
-        let [low] = field.surface_quantiles([0.01]).unwrap_or([-3.0]);
-        [low.min(prior - 0.5), prior]
-    })
+pub fn bar_of(field: &dyn Answers, range: Option<[f64; 2]>) -> Result<[f64; 2]> {
+    if let Some(range) = range {
+        return Ok(range);
+    }
+    let prior = field.protocol().prior_deviation().log10();
+    let [low] = field.surface_quantiles([0.01])?.unwrap_or([-3.0]);
+    Ok([low.min(prior - 0.5), prior])
 }
 
 /// The channels of the EXR.

@@ -1,24 +1,25 @@
 //! A model with its uncertainty, ready for pictures.
 
 use crate::Result;
+use crate::cli::opened::OpenedField;
 use crate::cli::options::ModelOptions;
-use crate::cli::panels::{Ranges, depth_range, error_range, unknown, view_panels};
+use crate::cli::panels::{Ranges, depth_range, error_range, unknowns, view_panels};
 use crate::cli::progress::Bars;
 use crate::geometry::Camera;
 use crate::picture::Panel;
 use crate::render::{DepthProbe, Probe, RayAverage, RenderedView, Tracer, render_view, render_view_with_depth};
-use crate::uncertainty::UncertaintyField;
+use crate::uncertainty::ThresholdedField;
 
 /// What pictures are made of.
 pub struct Studio<'a> {
     /// The model's options.
     pub options: &'a ModelOptions,
     /// The uncertainty.
-    pub field: &'a UncertaintyField,
+    pub field: &'a OpenedField,
     /// The model.
     pub tracer: Tracer<'a>,
-    /// The model without what is uncertain, and the largest log10 U that is left.
-    pub cleaned: Option<(Tracer<'a>, f64)>,
+    /// The model without what is uncertain, as rays see it and by itself.
+    pub cleaned: Option<(Tracer<'a>, &'a ThresholdedField<'a>)>,
     /// Where in a pixel rays pass.
     pub offset: f64,
     /// How log10 U is averaged along a ray.
@@ -32,23 +33,28 @@ pub struct Studio<'a> {
 }
 
 impl Studio<'_> {
-    /// The view of a camera.
-    pub fn view(&self, tracer: &Tracer, camera: &Camera) -> Result<RenderedView> {
-        let log10 = |x| self.field.log10(x);
-        let rays = |x| self.field.support_at(x);
-        let probes = [Probe { value: &log10, rays: Some(&rays), averages: &[self.average] }];
+    fn view(&self, tracer: &Tracer, camera: &Camera) -> Result<RenderedView> {
+        let probes = [Probe { field: self.field.space(), averages: &[self.average] }];
         if !self.depth_error {
             return render_view(tracer, camera, self.offset, &probes, self.bars);
         }
-        let posterior = self.field.depth_posterior()?;
-        let differentiation = self.options.image_settings().differentiation(tracer.field, self.field.lattice())?;
+        let posterior = self.field.facts().depth_posterior()?;
+        let lattice = self.field.facts().lattice();
+        let differentiation = self.options.image_settings().differentiation(tracer.field, lattice)?;
         let depth = DepthProbe { differentiation, variances: &[&posterior] };
         render_view_with_depth(tracer, camera, self.offset, &probes, &depth, self.bars)
     }
 
+    /// The view of a camera without what is uncertain, if that is wanted.
+    pub fn cleaned_view(&self, camera: &Camera) -> Result<Option<RenderedView>> {
+        let Some((tracer, field)) = &self.cleaned else { return Ok(None) };
+        let view = self.view(tracer, camera)?;
+        field.check().map(|()| Some(view))
+    }
+
     /// The views of a camera: the model, and the model cleaned.
     pub fn views(&self, camera: &Camera) -> Result<(RenderedView, Option<RenderedView>)> {
-        let cleaned = self.cleaned.as_ref().map(|(tracer, _)| self.view(tracer, camera)).transpose()?;
+        let cleaned = self.cleaned_view(camera)?;
         Ok((self.view(&self.tracer, camera)?, cleaned))
     }
 
@@ -58,23 +64,25 @@ impl Studio<'_> {
         name: &str,
         camera: &Camera,
         (view, cleaned): &(RenderedView, Option<RenderedView>),
-    ) -> Vec<Vec<Panel>> {
+    ) -> Result<Vec<Vec<Panel>>> {
         let both = || [view].into_iter().chain(cleaned);
+        let facts = self.field.facts();
         let ranges = Ranges {
             depth: depth_range(both()),
             error: error_range(both()),
-            conformal: self.field.conformal().copied(),
+            conformal: facts.conformal().copied(),
             log10: self.log10,
-            prior: self.field.prior().log10(),
-            quantity: self.field.protocol().scale.quantity(),
+            prior: facts.prior().log10(),
+            quantity: facts.protocol().scale.quantity(),
         };
-        let panels = |name: &str, view: &RenderedView| {
-            view_panels(view, name, ranges, &|i| unknown(self.field, camera, self.offset, view, i))
+        let panels = |name: &str, view: &RenderedView| -> Result<Vec<Panel>> {
+            let unknowns = unknowns(self.field.space(), camera, self.offset, view)?;
+            Ok(view_panels(view, name, ranges, &unknowns))
         };
-        let mut rows = vec![panels(name, view)];
-        if let (Some(cleaned), Some((_, threshold))) = (cleaned, &self.cleaned) {
-            rows.push(panels(&format!("log10 U <= {threshold:.3}"), cleaned));
+        let mut rows = vec![panels(name, view)?];
+        if let (Some(cleaned), Some((_, field))) = (cleaned, &self.cleaned) {
+            rows.push(panels(&format!("log10 U <= {:.3}", field.threshold()), cleaned)?);
         }
-        rows
+        Ok(rows)
     }
 }
