@@ -5,9 +5,11 @@ use std::time::Instant;
 
 use glam::Vec3;
 use octobayes::estimate::GridKind;
-use octobayes::render::GradientMethod;
-use octobayes::uncertainty::UncertaintyField;
+use octobayes::monitor::Silent;
+use octobayes::render::{GradientMethod, Probe, Probed, ProbedField, RayAverage, render_view};
+use octobayes::uncertainty::{BakedField, Estimate, UncertaintyField};
 use octobayes::{Error, Result};
+use serde::{Deserialize, Serialize};
 
 use super::measure::{grid, run};
 use crate::common::clock::median;
@@ -19,11 +21,11 @@ use crate::common::work::Work;
 const POINTS: usize = 4_000_000;
 
 /// Nanoseconds per point, median of five.
-fn time(field: &UncertaintyField, points: &[Vec3]) -> f64 {
+fn time(points: &[Vec3], all: impl Fn(&[Vec3]) -> Vec<Estimate>) -> f64 {
     let times = (0..5)
         .map(|_| {
             let start = Instant::now();
-            std::hint::black_box(field.query_all(points));
+            std::hint::black_box(all(points));
             start.elapsed().as_secs_f64() * 1e9 / points.len() as f64
         })
         .collect();
@@ -31,18 +33,13 @@ fn time(field: &UncertaintyField, points: &[Vec3]) -> f64 {
 }
 
 /// The same for single queries on one core.
-fn latency(field: &UncertaintyField, points: &[Vec3]) -> f64 {
-    let some = &points[..200_000];
-    let times = (0..5)
-        .map(|_| {
-            let start = Instant::now();
-            some.iter().for_each(|&x| {
-                std::hint::black_box(field.query(x));
-            });
-            start.elapsed().as_secs_f64() * 1e9 / some.len() as f64
-        })
-        .collect();
-    median(times)
+fn latency(points: &[Vec3], one: impl Fn(Vec3) -> Estimate) -> f64 {
+    time(&points[..200_000], |points| {
+        points.iter().for_each(|&x| {
+            std::hint::black_box(one(x));
+        });
+        Vec::new()
+    })
 }
 
 /// Level of the field that is written and read.
@@ -55,31 +52,35 @@ pub fn queries(work: &Work, lego: &Scene) -> Result<(String, String)> {
         "level",
         "points",
         "octree, ns",
+        "baked, ns",
         "dense, ns",
         "dense : octree",
+        "dense : baked",
         "single: octree, ns",
+        "baked, ns",
         "dense, ns",
     ]);
+    let mut memory = Table::new(&["level", "octree, MB", "baked, MB", "dense, MB", "baking, s"]);
+    let mut pictures = Table::new(&["level", "none, s", "octree, point by point", "octree", "baked", "dense"]);
     let mut file = None;
     for level in [8, 9, FILE_LEVEL] {
         let row: LevelRow = work.row(("queries", level), || {
             let octree = run(lego, &rays, &grid(GridKind::Octree, level))?.field;
             let file = (level == FILE_LEVEL).then(|| files(&octree)).transpose()?;
-            Ok((of_level(lego, &octree), file))
+            Ok(LevelRow { file, ..of_level(lego, &octree)? })
         })?;
-        let (times, this) = row;
+        let LevelRow { queries: times, costs, pictures: seconds, file: this } = row;
         file = file.or(this);
-        for (name, [a, b, single, alone]) in ["anywhere in the box", "on surfaces"].iter().zip(times) {
-            table.row(&[
-                level.to_string(),
-                (*name).into(),
-                format!("{a:.1}"),
-                format!("{b:.1}"),
-                format!("{:.2}", b / a),
-                whole(single),
-                whole(alone),
-            ]);
+        pictures.row(&[&[level.to_string()][..], &seconds.map(|seconds| format!("{seconds:.2}"))].concat());
+        for (name, [octree, baked, dense, single @ ..]) in ["anywhere in the box", "on surfaces"].iter().zip(times) {
+            let batch = [octree, baked, dense].map(|ns| format!("{ns:.1}"));
+            let ratios = [dense / octree, dense / baked].map(|ratio| format!("{ratio:.2}"));
+            let single = single.map(whole);
+            table.row(&[&[level.to_string(), (*name).into()][..], &batch, &ratios, &single].concat());
         }
+        let [megabytes @ .., seconds] = costs;
+        let megabytes = megabytes.map(|bytes| format!("{:.1}", bytes / 1e6));
+        memory.row(&[&[level.to_string()][..], &megabytes, &[format!("{seconds:.2}")]].concat());
     }
     let [vertices, written, read] = file.unwrap_or_default();
     let words = format!(
@@ -90,20 +91,33 @@ pub fn queries(work: &Work, lego: &Scene) -> Result<(String, String)> {
         seeds(&[0]),
         whole(POINTS as f64),
     );
+    let [width, height] = lego.cameras[0].resolution;
     let body = format!(
-        "{}\nA field of level {FILE_LEVEL} with {} vertices, without sums: written in {written:.2} s, read in \
+        "{}\n{}\nOne picture of {width} x {height} pixels with the mean of log10 U along its rays, medians of 5:\n\n{}\nA \
+         field of level {FILE_LEVEL} with {} vertices, without sums: written in {written:.2} s, read in \
          {read:.2} s.",
         table.text(),
+        memory.text(),
+        pictures.text(),
         whole(vertices)
     );
     Ok((words, body))
 }
 
-/// Of points anywhere and on surfaces: nanoseconds of octree and dense grid, then of single queries; vertices and
-/// seconds of the file.
-type LevelRow = ([[f64; 4]; 2], Option<[f64; 3]>);
+/// What is measured at one level.
+#[derive(Default, Serialize, Deserialize)]
+struct LevelRow {
+    /// Of points anywhere and on surfaces: nanoseconds of octree, baked octree and dense grid, then of single queries.
+    queries: [[f64; 6]; 2],
+    /// Bytes of the three, and seconds of baking.
+    costs: [f64; 4],
+    /// Seconds of a picture without log10 U, and with it in four ways.
+    pictures: [f64; 5],
+    /// Vertices and seconds of the file.
+    file: Option<[f64; 3]>,
+}
 
-fn of_level(lego: &Scene, octree: &UncertaintyField) -> [[f64; 4]; 2] {
+fn of_level(lego: &Scene, octree: &UncertaintyField) -> Result<LevelRow> {
     let bounds = lego.field.bounds();
     let golden = [0.819_172_513_396_164_4, 0.671_043_606_703_789_2, 0.549_700_477_901_970_3];
     let at = |i: usize| glam::DVec3::from(golden.map(|g| (i as f64 * g).fract()));
@@ -115,8 +129,55 @@ fn of_level(lego: &Scene, octree: &UncertaintyField) -> [[f64; 4]; 2] {
         .map(|i| Vec3::from_array(seen[i * 7_919 % seen.len()]) + half * (2.0 * at(i).as_vec3() - 1.0))
         .collect();
     let dense = octree.on_dense_grid();
-    [&anywhere, &surfaces]
-        .map(|points| [time(octree, points), time(&dense, points), latency(octree, points), latency(&dense, points)])
+    let start = Instant::now();
+    let baked = BakedField::new(octree);
+    let seconds = start.elapsed().as_secs_f64();
+    let times = [&anywhere, &surfaces].map(|points| {
+        let batch = [
+            time(points, |points| octree.query_all(points)),
+            time(points, |points| baked.query_all(points)),
+            time(points, |points| dense.query_all(points)),
+        ];
+        let single = [
+            latency(points, |x| octree.query(x)),
+            latency(points, |x| baked.query(x)),
+            latency(points, |x| dense.query(x)),
+        ];
+        [batch[0], batch[1], batch[2], single[0], single[1], single[2]]
+    });
+    let bytes = [octree.query_memory(), octree.query_memory() + baked.memory(), dense.query_memory()];
+    let [a, b, c] = bytes.map(|bytes| bytes as f64);
+    let one_by_one = OneByOne(octree);
+    let asked: [Option<&dyn ProbedField>; 5] = [None, Some(&one_by_one), Some(octree), Some(&baked), Some(&dense)];
+    let mut pictures = [0.0; 5];
+    for (seconds, field) in pictures.iter_mut().zip(asked) {
+        *seconds = picture(lego, field)?;
+    }
+    Ok(LevelRow { queries: times, costs: [a, b, c, seconds], pictures, file: None })
+}
+
+/// Asked in the plain way, as pictures once did.
+struct OneByOne<'a>(&'a UncertaintyField);
+
+impl ProbedField for OneByOne<'_> {
+    fn at(&self, points: &[Vec3]) -> Result<Vec<Probed>> {
+        let probed = |x: &Vec3| Probed { value: self.0.log10(*x), rays: f64::NAN };
+        Ok(points.iter().map(probed).collect())
+    }
+}
+
+/// Seconds of a picture of a training camera with the mean of log10 U along its rays, median of five.
+fn picture(lego: &Scene, field: Option<&dyn ProbedField>) -> Result<f64> {
+    let tracer = lego.settings.tracer(&*lego.field, 0.0, &Silent)?;
+    let probes: Vec<Probe> =
+        field.map(|field| Probe { field, averages: &[RayAverage::WeightedMean] }).into_iter().collect();
+    let mut times = Vec::new();
+    for _ in 0..5 {
+        let start = Instant::now();
+        std::hint::black_box(render_view(&tracer, &lego.cameras[0], lego.field.pixel_offset(), &probes, &Silent)?);
+        times.push(start.elapsed().as_secs_f64());
+    }
+    Ok(median(times))
 }
 
 /// Writes and reads a field: its vertices, and seconds.

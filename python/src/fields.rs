@@ -33,7 +33,7 @@ pub fn compare(
     seed: u64,
 ) -> PyResult<String> {
     let (a, b) = (a.get().0.clone(), b.get().0.clone());
-    json(&py.detach(|| uncertainty::compare(&a, &b, points, seed)).or_raise()?)
+    json(&py.detach(|| uncertainty::compare(&*a, &*b, points, seed)).or_raise()?)
 }
 
 /// Joins fields of one box from different rays. Returns the field with its warnings.

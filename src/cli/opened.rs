@@ -15,7 +15,7 @@ pub enum OpenedField {
     /// In memory.
     Whole(Box<UncertaintyField>),
     /// In a folder, and one of its tiles.
-    Tiles(TiledField, Arc<UncertaintyField>),
+    Tiles(Box<TiledField>, Arc<UncertaintyField>),
 }
 
 impl OpenedField {
@@ -26,7 +26,7 @@ impl OpenedField {
             let room = available().unwrap_or(DEFAULT_ROOM) / 2;
             let tiles = TiledField::open(path, room as usize)?;
             let any = tiles.tile(0)?;
-            return Ok(Self::Tiles(tiles, any));
+            return Ok(Self::Tiles(Box::new(tiles), any));
         }
         let field = UncertaintyField::read(path)?;
         match field.tile() {
@@ -50,7 +50,7 @@ impl OpenedField {
     pub fn space(&self) -> &dyn Answers {
         match self {
             Self::Whole(field) => &**field,
-            Self::Tiles(tiles, _) => tiles,
+            Self::Tiles(tiles, _) => &**tiles,
         }
     }
 

@@ -4,6 +4,7 @@
 //! notice. The field lives on a dense grid or on an octree. Both are queried, stored and compared in the same way.
 
 mod answers;
+mod baked;
 mod batch;
 mod compare;
 mod conformal;
@@ -25,6 +26,7 @@ mod threshold;
 mod tiled;
 
 pub use answers::{Answer, Answers};
+pub use baked::BakedField;
 pub use compare::{Comparison, Difference, Summary, compare};
 pub use conformal::Conformal;
 pub use depth::DepthPosterior;
