@@ -7,7 +7,8 @@ use octobayes::geometry::{Aabb, Camera, Lattice};
 use octobayes::monitor::Silent;
 use octobayes::posterior::{Covariance, DataScale, Information};
 use octobayes::render::{
-    DepthProbe, Differences, Differentiation, Marcher, RenderedView, Tracer, render_view, render_view_with_depth,
+    DepthProbe, Differences, Differentiation, Marcher, RenderedView, Stencil, Tracer, render_view,
+    render_view_with_depth,
 };
 use octobayes::uncertainty::UncertaintyField;
 use rand::{RngExt, SeedableRng};
@@ -66,7 +67,7 @@ fn view_with_depth(tracer: &Tracer, camera: &Camera, field: &UncertaintyField) -
 fn view_with_step(tracer: &Tracer, camera: &Camera, field: &UncertaintyField, step: f64) -> RenderedView {
     let posterior = field.depth_posterior().unwrap();
     let step = step * field.lattice().edge();
-    let differences = Differences { step, domain: *field.lattice().domain() };
+    let differences = Differences { step, domain: *field.lattice().domain(), stencil: Stencil::Central };
     let differentiation = Differentiation { differences, analytic: None };
     let probe = DepthProbe { differentiation, variances: &[&posterior] };
     render_view_with_depth(tracer, camera, 0.5, &[], &probe, &Silent).unwrap()

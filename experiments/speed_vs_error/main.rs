@@ -28,6 +28,7 @@ fn main() -> Result<()> {
     let parts = [
         ("targets", Needs::Data),
         ("profile", Needs::Data),
+        ("differences", Needs::Data),
         ("ablation", Needs::Data),
         ("audit", Needs::Data),
         ("rays", Needs::Data),
@@ -40,6 +41,16 @@ fn main() -> Result<()> {
     let at_most = |scene: Scene, rays: u64| Scene { settings: scene.settings.rays(rays), ..scene };
     program.part("targets", |work| parts::targets(work, &at_most(lego()?, PAPER)))?;
     program.part("profile", |work| profile::profile(work, &lego()?, &Scene::lego_mlp(&Program::data()?)?))?;
+    program.part("differences", |work| {
+        let data = Program::data()?;
+        let scenes = [
+            Scene::lego(&data)?,
+            at_most(Scene::ignatius(&data)?, 204_800),
+            at_most(Scene::garden(&data)?, 20_480),
+            at_most(Scene::lego_mlp(&data)?, 8_192),
+        ];
+        parts::differences(work, &scenes)
+    })?;
     program.part("ablation", |work| parts::ablation(work, &lego()?))?;
     program.part("audit", |work| parts::audit(work, &lego()?))?;
     program.part("rays", |work| {

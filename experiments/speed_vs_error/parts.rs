@@ -28,7 +28,7 @@ const ERROR_COLUMNS: [&str; 6] = ["surfaces: mean", "95 %", "max", "box: mean", 
 pub fn targets(work: &Work, lego: &Scene) -> Result<(String, String)> {
     const TIMES_EACH: u64 = 5;
     let mut table = Table::new(&["derivatives", "s, median of 5", "least", "most", "rays / s"]);
-    for gradient in [GradientMethod::FiniteDifference, GradientMethod::Analytic] {
+    for gradient in [GradientMethod::FiniteDifference, GradientMethod::ForwardDifference, GradientMethod::Analytic] {
         let rays = lego.settings.gradient(gradient);
         let name = format!("{gradient:?}");
         let of = |time| work.row((&name, time), || Ok(run(lego, &rays, &grid(GridKind::Octree, 8))?.seconds));
@@ -81,6 +81,54 @@ pub fn ablation(work: &Work, lego: &Scene) -> Result<(String, String)> {
     }
     let described = describe(&lego.settings, &octree, &["gradient", "pixels", "cutoff", "grid", "min-rays"]);
     Ok((format!("{}. {described} {} {TIMES}. {ERRORS}.", lego.name, seeds(&SEEDS)), table.text().into()))
+}
+
+/// Central and forward differences against the models' own derivatives, with the same rays.
+pub fn differences(work: &Work, scenes: &[Scene]) -> Result<(String, String)> {
+    use GradientMethod::{Analytic, FiniteDifference, ForwardDifference};
+    let ways = [
+        ("the model's own", Analytic, None),
+        ("central, h = 1/512 (default)", FiniteDifference, None),
+        ("central, h = 1/2048", FiniteDifference, Some(1.0 / 2048.0)),
+        ("forward, h = 1/512", ForwardDifference, Some(1.0 / 512.0)),
+        ("forward, h = 1/2048 (default)", ForwardDifference, None),
+    ];
+    let head = ["scene", "rays", "differences", "s, median", "to the model's own"];
+    let mut table = Table::new(&[&head[..], &ERROR_COLUMNS].concat());
+    for scene in scenes {
+        let settings = scene.settings.gradient(Analytic);
+        let name = ("exact", scene.name, settings.rays);
+        let exact = work.field(name, || Ok(run(scene, &settings, &grid(GridKind::Octree, 8))?.field))?;
+        let mut first = f64::NAN;
+        for (name, gradient, step) in ways {
+            let settings = settings.gradient(gradient).step(step);
+            // Of one seed, like the exact field; three times for the time.
+            let of = |time: u64| {
+                work.row((scene.name, name, time), || {
+                    Row::new(&run(scene, &settings, &grid(GridKind::Octree, 8))?, Some(&exact))
+                })
+            };
+            let rows = Rows((0..3).map(of).collect::<Result<_>>()?);
+            let seconds = rows.seconds();
+            first = if gradient == Analytic { seconds } else { first };
+            let head = [
+                scene.name.to_string(),
+                whole(settings.rays as f64),
+                name.to_string(),
+                format!("{seconds:.2}"),
+                format!("{:.2}", seconds / first),
+            ];
+            let errors = [rows.0[0].surfaces, rows.0[0].space].concat();
+            table.row(&[&head[..], &errors.into_iter().map(|e| format!("{e:.4}")).collect::<Vec<_>>()].concat());
+        }
+    }
+    let described = describe(&scenes[0].settings, &grid(GridKind::Octree, 8), &["rays", "gradient", "step"]);
+    let words = format!(
+        "{described} {} {TIMES}, medians of 3. h in edges of the lattice. Errors are |Δ log10 U| against the same rays \
+         with the model's own derivatives.",
+        seeds(&[0])
+    );
+    Ok((words, table.text().into()))
 }
 
 /// What `--audit` measures, and what is promised.

@@ -95,9 +95,10 @@ impl Differentiable for Counted<'_> {
 /// Points per ray by kind, then µs of one core per ray: in all, in the field, in accumulation.
 type Measured = ([f64; 4], [f64; 3]);
 
-const WAYS: [(&str, Option<GradientMethod>); 3] = [
+const WAYS: [(&str, Option<GradientMethod>); 4] = [
     ("plain colour rendering", None),
     ("differences", Some(GradientMethod::FiniteDifference)),
+    ("forward differences", Some(GradientMethod::ForwardDifference)),
     ("own derivatives", Some(GradientMethod::Analytic)),
 ];
 

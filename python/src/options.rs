@@ -51,6 +51,7 @@ impl<'py> Options<'_, 'py> {
             ("finite-difference", GradientMethod::FiniteDifference),
             ("analytic", GradientMethod::Analytic),
             ("auto", GradientMethod::Auto),
+            ("forward-difference", GradientMethod::ForwardDifference),
         ];
         Ok(self
             .image(default)?

@@ -110,7 +110,7 @@ impl Args {
             return Ok(());
         }
         say!("{}\n{}", path.display(), report::protocol(&field))?;
-        say!("field\n  {}{}", report::summary(&field.summary()), report::surfaces(&field))?;
+        say!("field\n  {}{}", report::summary(&field.summary()), report::surfaces(&field)?)?;
         if let Some(tile) = field.tile() {
             say!("  tile {} of {}: all else is as if never seen", tile.index, tile.of)?;
         }

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use crate::io::memory::available;
-use crate::uncertainty::{Answers, TiledField, UncertaintyField};
+use crate::uncertainty::{Answers, BakedField, TiledField, UncertaintyField};
 use crate::{Error, Result};
 
 /// Bytes for tiles where the system does not say what is free.
@@ -52,6 +52,15 @@ impl OpenedField {
             Self::Whole(field) => &**field,
             Self::Tiles(tiles, _) => &**tiles,
         }
+    }
+
+    /// The field with the values of its leaves side by side, if it is in memory, a quarter of what is free has room
+    /// for them, and so many questions are to come that gathering them pays.
+    pub fn baked(&self, questions: u64) -> Option<BakedField<'_>> {
+        let Self::Whole(field) = self else { return None };
+        let pays = questions >= field.deviations().len() as u64;
+        let room = available().unwrap_or(DEFAULT_ROOM) / 4;
+        pays.then(|| BakedField::within(room as usize, field))
     }
 
     /// The field in memory.

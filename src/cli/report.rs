@@ -12,7 +12,7 @@ use crate::io::memory::peak;
 use crate::posterior::{DataScale, Prior, Scale};
 use crate::rays::Pixels;
 use crate::render::GradientMethod;
-use crate::uncertainty::{Comparison, Conformal, Difference, ErrorSummary, Summary, UncertaintyField};
+use crate::uncertainty::{Answers, Comparison, Conformal, Difference, ErrorSummary, Summary, UncertaintyField};
 use crate::{Error, Result};
 
 /// Prints a line to stdout. A reader that has seen enough (`| head`) is no failure.
@@ -100,8 +100,12 @@ pub fn protocol(field: &UncertaintyField) -> String {
     let limits = if field.limits().is_unlimited() { "" } else { ", limited" };
     line("refinement", format!("{}, tolerance {} in log10 U{limits}", p.criteria, p.tolerance));
     line("march step", known(p.march_step.map(|s| format!("{s:.6} scene units"))));
+    let stencil = match p.gradient {
+        Some(GradientMethod::ForwardDifference) => "forward to x + 2h",
+        _ => "central",
+    };
     let differences =
-        p.difference_step.map(|h| format!("central, h = [{:.6}, {:.6}, {:.6}] scene units", h[0], h[1], h[2]));
+        p.difference_step.map(|h| format!("{stencil}, h = [{:.6}, {:.6}, {:.6}] scene units", h[0], h[1], h[2]));
     let own = p.gradient.filter(|&g| g == GradientMethod::Analytic).map(|_| "none: the field's own derivatives".into());
     line("difference", known(differences.or(own)));
     line("cutoff", known(p.cutoff.map(|c| format!("{c:e}, not part of the tolerance (--audit)"))));
@@ -161,11 +165,17 @@ pub fn summary(s: &Summary) -> String {
 }
 
 /// Percentiles of log10 U over visible surfaces, by which thresholds are chosen; empty if there are no such points.
-pub fn surfaces(field: &UncertaintyField) -> String {
-    let Some(log10) = field.surface_quantiles(PERCENTS.map(|percent| 0.01 * percent)) else { return String::new() };
+///
+/// # Errors
+/// If the field cannot be read.
+pub fn surfaces(field: &dyn Answers) -> Result<String> {
+    let Some(log10) = field.surface_quantiles(PERCENTS.map(|percent| 0.01 * percent))? else {
+        return Ok(String::new());
+    };
     let listed: Vec<String> = PERCENTS.iter().zip(log10).map(|(p, log10)| format!("{log10:.2} ({p}%)")).collect();
     let quantity = field.protocol().scale.quantity();
-    format!("\n  {quantity} on visible surfaces: {}; prior {:.2}", listed.join(", "), field.prior().log10())
+    let prior = field.protocol().prior_deviation().log10();
+    Ok(format!("\n  {quantity} on visible surfaces: {}; prior {prior:.2}", listed.join(", ")))
 }
 
 /// The same as JSON.
@@ -340,7 +350,7 @@ pub fn finished(field: &UncertaintyField, cost: &Cost, as_json: bool) -> Result<
         say!("{value}")?;
     } else {
         say!("protocol\n{}\n  threads      {}", protocol(field), rayon::current_num_threads())?;
-        say!("field\n  {}{}", summary(&s), surfaces(field))?;
+        say!("field\n  {}{}", summary(&s), surfaces(field)?)?;
         let peak = peak().map_or(String::new(), |peak| format!(", {} the peak of the process", bytes(peak as usize)));
         say!("  {} while summing{peak}, {:.1} s", bytes(cost.sums_bytes), cost.elapsed.as_secs_f64())?;
     }

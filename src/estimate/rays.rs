@@ -9,11 +9,18 @@ use crate::field::RadianceField;
 use crate::geometry::{Aabb, Camera, Domain, Lattice};
 use crate::monitor::Monitor;
 use crate::rays::{PixelSequence, Pixels, RayStream, Shard};
-use crate::render::{Differences, Differentiation, GradientMethod, LONGEST_STEP, Marcher, Occupancy, Tracer};
+use crate::render::{Differences, Differentiation, GradientMethod, LONGEST_STEP, Marcher, Occupancy, Stencil, Tracer};
 use crate::{Error, Result};
 
 /// Finite-difference step in lattice edges, unless f32 positions need more.
-const DEFAULT_STEP: f64 = 1.0 / 512.0;
+///
+/// A forward difference is as far from its place as it is wide, so it is narrower (`experiments/speed_vs_error.md`).
+fn default_step(stencil: Stencil) -> f64 {
+    match stencil {
+        Stencil::Central => 1.0 / 512.0,
+        Stencil::Forward => 1.0 / 2048.0,
+    }
+}
 /// Shortest step that f32 positions allow, in multiples of their spacing.
 ///
 /// x ± h is then rounded by less than an eighth of h, and differences are divided by the rounded distance.
@@ -157,7 +164,7 @@ impl RaySettings {
             DVec3::from(std::array::from_fn(|axis| [bounds.min(), bounds.max()][usize::from(c >> axis & 1)][axis]))
         };
         let differences = &differentiation.differences;
-        let farthest = (0..8).map(|c| differences.at(corner(c).as_vec3())).fold(DVec3::ZERO, DVec3::max);
+        let farthest = (0..8).map(|c| differences.reach(corner(c).as_vec3())).fold(DVec3::ZERO, DVec3::max);
         let tracer = self.tracer(field, farthest.max_element(), monitor)?;
         Ok(RayStream {
             tracer,
@@ -187,16 +194,16 @@ impl RaySettings {
 
     /// The finite-difference steps for a lattice, over the box of a field.
     pub(super) fn differences(&self, lattice: &Lattice, bounds: &Aabb) -> Differences {
-        let (edge, domain) = (lattice.edge(), *lattice.domain());
+        let (edge, domain, stencil) = (lattice.edge(), *lattice.domain(), Stencil::of(self.gradient));
         let step = match self.step {
             Some(step) => step * edge,
             None => DVec3::from(std::array::from_fn(|axis| {
                 let (_, apart) = resolution(&domain, bounds, axis);
-                let (step, least) = (DEFAULT_STEP * edge[axis], LEAST_STEP * apart);
+                let (step, least) = (default_step(stencil) * edge[axis], LEAST_STEP * apart);
                 if least <= LONGEST_STEP * edge[axis] { step.max(least) } else { step }
             })),
         };
-        Differences { step, domain }
+        Differences { step, domain, stencil }
     }
 }
 

@@ -7,7 +7,7 @@ use crate::Result;
 use crate::geometry::Lattice;
 use crate::monitor::Monitor;
 use crate::rays::{Pixels, RayStream};
-use crate::render::{DifferenceErrors, Differences};
+use crate::render::{DifferenceErrors, Differences, Stencil};
 
 /// Number of points on visible surfaces. A mean over them is known to about 1 / √1024 of its spread.
 const POINTS: usize = 1024;
@@ -60,7 +60,7 @@ impl StepCheck {
         let seen = stream.with_pixels(Pixels::Sobol, seed).surface_points(usize::MAX, RAYS, monitor)?;
         let every = seen.len().div_ceil(POINTS).max(1);
         let points: Vec<Vec3> = seen.into_iter().step_by(every).map(Vec3::from_array).collect();
-        let edges = Differences { step: lattice.edge(), domain: *lattice.domain() };
+        let edges = Differences { step: lattice.edge(), domain: *lattice.domain(), stencil: Stencil::Central };
         let step = (stream.differentiation.differences.step / lattice.edge()).max_element();
         let steps = DifferenceErrors::steps(shortest_step(lattice, &field.bounds()), step);
         let errors = DifferenceErrors::measure(field, &points, &edges, &steps);

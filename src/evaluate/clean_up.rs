@@ -14,7 +14,10 @@ use crate::metrics::{psnr, ssim, ssimulacra2};
 use crate::monitor::{Monitor, check};
 use crate::posterior::Scale;
 use crate::render::{RenderedView, Tracer, render_view};
-use crate::uncertainty::{ThresholdedField, UncertaintyField};
+use crate::uncertainty::{BakedField, ThresholdedField, UncertaintyField};
+
+/// Bytes that the field may take to answer faster.
+const ROOM: usize = 256 << 20;
 
 /// log10 U at a share of 1, with U in longest edges of the domain.
 pub const SCALE: f64 = 6.0;
@@ -113,6 +116,7 @@ pub fn clean_up(
     monitor: &dyn Monitor,
 ) -> Result<Vec<(CleanUp, Vec<RenderedView>)>> {
     let unit = thresholds_start_at(uncertainty);
+    let baked = BakedField::within(ROOM, uncertainty);
     let surface: Vec<Vec3> = uncertainty.surface().iter().copied().map(Vec3::from_array).collect();
     let surface: Vec<f64> = uncertainty.query_all(&surface).iter().map(|found| found.uncertainty.log10()).collect();
     let kept = |threshold: f64| {
@@ -132,7 +136,7 @@ pub fn clean_up(
     let mut out = vec![(CleanUp::new(None, None, truths, &before), before)];
     for &share in thresholds {
         let threshold = share * SCALE + unit;
-        let after = render(&ThresholdedField::new(tracer.field, uncertainty, threshold))?;
+        let after = render(&ThresholdedField::new(tracer.field, &baked, threshold))?;
         let cleaned = CleanUp::new(Some(share), Some(threshold), truths, &after);
         out.push((CleanUp { surfaces: kept(threshold), ..cleaned }, after));
     }

@@ -13,7 +13,10 @@ use crate::render::{
     DepthProbe, DepthVariance, Differentiation, FEWEST, Probe, Probed, ProbedField, RayAverage, RenderedView, Tracer,
     render_view, render_view_with_depth,
 };
-use crate::uncertainty::{DepthPosterior, UncertaintyField};
+use crate::uncertainty::{BakedField, DepthPosterior, UncertaintyField};
+
+/// Bytes that a reading's field may take to answer faster.
+const ROOM: usize = 256 << 20;
 
 /// A field to evaluate, and everything that claims to know where it is wrong.
 pub struct Evaluator<'a> {
@@ -21,6 +24,8 @@ pub struct Evaluator<'a> {
     pub tracer: Tracer<'a>,
     /// Its uncertainty, read in several ways.
     pub readings: &'a [Reading],
+    /// The readings' fields, laid out for speed where that takes little memory.
+    pub baked: Vec<BakedField<'a>>,
     /// How the field is differentiated for the deviation of its depth; `None` leaves that out.
     pub differentiation: Option<Differentiation<'a>>,
     /// Other fields trained in the same way; may be empty.
@@ -71,7 +76,8 @@ impl<'a> Evaluator<'a> {
     /// Evaluates a field by these readings and by what its own rays tell.
     #[must_use]
     pub fn new(tracer: Tracer<'a>, readings: &'a [Reading]) -> Self {
-        Self { tracer, readings, differentiation: None, members: Vec::new(), training: None, misfit: None }
+        let baked = readings.iter().map(|reading| BakedField::within(ROOM, &reading.field)).collect();
+        Self { tracer, readings, baked, differentiation: None, members: Vec::new(), training: None, misfit: None }
     }
 
     /// All measures, in the order of [`EvaluatedView::measures`].
@@ -132,8 +138,9 @@ impl<'a> Evaluator<'a> {
     /// # Errors
     /// [`crate::Error::Interrupted`] only.
     pub fn evaluate(&self, truth: &TrueView, seed: u64, monitor: &dyn Monitor) -> Result<EvaluatedView> {
-        let of_reading = |reading: &'a Reading| Probe { field: &reading.field, averages: &reading.averages };
-        let mut probes: Vec<Probe> = self.readings.iter().map(of_reading).collect();
+        let probed = self.readings.iter().zip(&self.baked);
+        let mut probes: Vec<Probe> =
+            probed.map(|(reading, field)| Probe { field, averages: &reading.averages }).collect();
         let counts = Counts(self.counted().map(|reading| &reading.field));
         probes.push(Probe { field: &counts, averages: &[RayAverage::WeightedMean] });
         check(monitor)?;

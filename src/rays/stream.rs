@@ -312,6 +312,7 @@ mod tests {
         let rays = 100_000;
         for (gradient, is_cheap) in [
             (GradientMethod::FiniteDifference, false),
+            (GradientMethod::ForwardDifference, false),
             (GradientMethod::Analytic, false),
             (GradientMethod::Analytic, true),
         ] {

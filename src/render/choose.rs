@@ -111,7 +111,7 @@ impl Tracer<'_> {
                 let lurks = match traced.density_gradients.get(i) {
                     Some(gradient) => influence * f64::from(gradient.length()) > 0.0 || !gradient.is_finite(),
                     None => {
-                        let h = differentiation.differences.at(x);
+                        let h = differentiation.differences.reach(x);
                         let is_resolved = FAR_APART * h.max_element() <= self.marcher.step;
                         let near = if is_resolved { around(&traced.densities, &samples, i) } else { f32::INFINITY };
                         self.may_matter(influence, x, h, near)

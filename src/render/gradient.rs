@@ -1,4 +1,4 @@
-//! Derivatives of a field with respect to position: central differences, or the field's own.
+//! Derivatives of a field with respect to position: differences, central or forward, or the field's own.
 
 use glam::{DVec3, Vec3};
 
@@ -20,6 +20,8 @@ pub enum GradientMethod {
     Analytic,
     /// The field's own derivatives if it has them, else central differences
     Auto,
+    /// Forward differences: four points for a sample instead of seven, over a quarter of the distance
+    ForwardDifference,
 }
 
 impl GradientMethod {
@@ -29,7 +31,7 @@ impl GradientMethod {
     /// If analytic derivatives are required but the field has none.
     pub fn of(self, field: &dyn RadianceField) -> Result<Option<&dyn Differentiable>> {
         match (self, field.differentiable()) {
-            (Self::FiniteDifference, _) | (Self::Auto, None) => Ok(None),
+            (Self::FiniteDifference | Self::ForwardDifference, _) | (Self::Auto, None) => Ok(None),
             (Self::Analytic, None) => {
                 let expected = "finite-difference, or a field that differentiates itself";
                 Err(Error::setting(
@@ -43,13 +45,50 @@ impl GradientMethod {
     }
 }
 
-/// Step of the central differences.
+/// Where differences look, h being their step.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stencil {
+    /// At x ± h along each axis.
+    Central,
+    /// At x and x + 2h along each axis. These are central differences at x + h: noise and truncation are the same, the
+    /// place is off by h. All axes share the point at x.
+    Forward,
+}
+
+impl Stencil {
+    /// That of a method; analytic derivatives have none, and count as central differences.
+    #[must_use]
+    pub fn of(method: GradientMethod) -> Self {
+        if method == GradientMethod::ForwardDifference { Self::Forward } else { Self::Central }
+    }
+
+    /// How far it reaches along an axis, in steps.
+    #[must_use]
+    pub fn reach(self) -> f64 {
+        match self {
+            Self::Central => 1.0,
+            Self::Forward => 2.0,
+        }
+    }
+
+    /// Number of points without the sample itself.
+    fn others(self) -> usize {
+        match self {
+            Self::Central => 6,
+            Self::Forward => 3,
+        }
+    }
+}
+
+/// Step of the differences.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Differences {
-    /// Distance h to both sides along each axis, in scene units, where space is not contracted.
+    /// h along each axis, in scene units, where space is not contracted.
     pub step: DVec3,
     /// Domain of the lattice. Where space is contracted, h grows with the lattice's cells.
     pub domain: Domain,
+    /// Where they look.
+    pub stencil: Stencil,
 }
 
 impl Differences {
@@ -59,32 +98,52 @@ impl Differences {
         self.step * self.domain.stretch(x)
     }
 
-    /// x ± h along each axis, in the order +x, −x, +y, −y, +z, −z. Points are clipped to `bounds`, so that
-    /// differences at its border are one-sided.
-    fn around(&self, x: Vec3, bounds: &Aabb) -> [Vec3; 6] {
-        let step = self.at(x);
-        std::array::from_fn(|i| {
-            let (axis, sign) = (i / 2, if i % 2 == 0 { 1.0 } else { -1.0 });
-            let mut y = x.as_dvec3();
-            y[axis] += sign * step[axis];
-            let mut y = y.as_vec3();
-            y[axis] = bounds.clamp(y)[axis];
-            y
+    /// How far they reach along each axis at `x`, in scene units.
+    #[must_use]
+    pub fn reach(&self, x: Vec3) -> DVec3 {
+        self.stencil.reach() * self.at(x)
+    }
+
+    /// The points beside x, in the order of axes, central ones up, down. Points are clipped to `bounds`, so that
+    /// central differences at its border are one-sided; forward ones look back there.
+    fn around(&self, x: Vec3, bounds: &Aabb) -> impl Iterator<Item = Vec3> + use<> {
+        let (stencil, bounds, step) = (self.stencil, *bounds, self.at(x));
+        (0..stencil.others()).map(move |i| {
+            let moved = |axis: usize, by: f64| {
+                let mut y = x.as_dvec3();
+                y[axis] += by * step[axis];
+                y.as_vec3()
+            };
+            let clipped = |axis: usize, y: Vec3| {
+                let mut clipped = y;
+                clipped[axis] = bounds.clamp(y)[axis];
+                clipped
+            };
+            match stencil {
+                Stencil::Central => clipped(i / 2, moved(i / 2, if i % 2 == 0 { 1.0 } else { -1.0 })),
+                Stencil::Forward => {
+                    let ahead = moved(i, 2.0);
+                    if clipped(i, ahead) == ahead { ahead } else { clipped(i, moved(i, -2.0)) }
+                }
+            }
         })
     }
-}
 
-/// Derivatives along x, y, z from values `f` at the points of [`Differences::around`]. Divides by the true distance
-/// of the f32 positions.
-fn differences<T>(x: &[Vec3], f: impl Fn(usize) -> T) -> [T; 3]
-where
-    T: std::ops::Sub<Output = T> + std::ops::Div<f64, Output = T> + Default,
-{
-    std::array::from_fn(|axis| {
-        let (up, down) = (2 * axis, 2 * axis + 1);
-        let width = f64::from(x[up][axis]) - f64::from(x[down][axis]);
-        if width > 0.0 { (f(up) - f(down)) / width } else { T::default() }
-    })
+    /// Derivatives along x, y, z from values `f` at points `x`: those of [`Differences::around`], before them the
+    /// sample's own if differences are forward. Divides by the true distance of the f32 positions.
+    fn derivatives<T>(&self, x: &[Vec3], f: impl Fn(usize) -> T) -> [T; 3]
+    where
+        T: std::ops::Sub<Output = T> + std::ops::Div<f64, Output = T> + Default,
+    {
+        std::array::from_fn(|axis| {
+            let (up, down) = match self.stencil {
+                Stencil::Central => (2 * axis, 2 * axis + 1),
+                Stencil::Forward => (axis + 1, 0),
+            };
+            let width = f64::from(x[up][axis]) - f64::from(x[down][axis]);
+            if width == 0.0 { T::default() } else { (f(up) - f(down)) / width }
+        })
+    }
 }
 
 /// A method of differentiation with what it needs.
@@ -123,7 +182,11 @@ impl Differentiation<'_> {
     /// Finite differences or analytic.
     #[must_use]
     pub fn method(&self) -> GradientMethod {
-        if self.analytic.is_some() { GradientMethod::Analytic } else { GradientMethod::FiniteDifference }
+        match (self.analytic, self.differences.stencil) {
+            (Some(_), _) => GradientMethod::Analytic,
+            (None, Stencil::Central) => GradientMethod::FiniteDifference,
+            (None, Stencil::Forward) => GradientMethod::ForwardDifference,
+        }
     }
 
     /// h along x, y and z in scene units, if it affects the result.
@@ -150,7 +213,7 @@ impl Differentiation<'_> {
         for (&x, &direction) in positions.iter().zip(directions) {
             around.push(x);
             around.extend(self.differences.around(x, bounds));
-            along.extend([direction; 7]);
+            along.extend(std::iter::repeat_n(direction, 1 + self.differences.stencil.others()));
         }
         radiance.clear();
         radiance.resize(around.len(), Radiance::default());
@@ -188,13 +251,15 @@ impl Differentiation<'_> {
             return;
         }
         let GradientBuffers { positions: around, radiance, .. } = buffers;
-        out.extend(around.as_chunks::<7>().0.iter().zip(radiance.as_chunks::<7>().0).map(|(x, r)| {
-            let (x, [center, r @ ..]) = (&x[1..], r);
-            let finite = center.is_valid() && r.iter().all(Radiance::is_valid);
+        let Differences { stencil, .. } = self.differences;
+        let (together, skipped) = (1 + stencil.others(), usize::from(stencil == Stencil::Central));
+        out.extend(around.chunks_exact(together).zip(radiance.chunks_exact(together)).map(|(x, r)| {
+            let (color, finite) = (r[0].color, r.iter().all(Radiance::is_valid));
+            let (x, r) = (&x[skipped..], &r[skipped..]);
             finite.then(|| Jet {
-                color: center.color,
-                density_gradient: differences(x, |i| f64::from(r[i].density)).into(),
-                color_gradients: differences(x, |i| r[i].color.as_dvec3()),
+                color,
+                density_gradient: self.differences.derivatives(x, |i| f64::from(r[i].density)).into(),
+                color_gradients: self.differences.derivatives(x, |i| r[i].color.as_dvec3()),
             })
         }));
     }
@@ -213,7 +278,10 @@ impl Differentiation<'_> {
             gradients.resize(positions.len(), Vec3::ZERO);
             densities.resize(positions.len(), 0.0);
         } else {
-            around.extend(positions.iter().flat_map(|&x| self.differences.around(x, bounds)));
+            for &x in positions {
+                around.extend((self.differences.stencil == Stencil::Forward).then_some(x));
+                around.extend(self.differences.around(x, bounds));
+            }
             densities.resize(around.len(), 0.0);
         }
     }
@@ -240,9 +308,71 @@ impl Differentiation<'_> {
             out.extend(gradients.iter().map(|gradient| gradient.is_finite().then(|| gradient.as_dvec3())));
             return;
         }
-        out.extend(around.as_chunks::<6>().0.iter().zip(densities.as_chunks::<6>().0).map(|(x, densities)| {
+        let Differences { stencil, .. } = self.differences;
+        let together = stencil.others() + usize::from(stencil == Stencil::Forward);
+        out.extend(around.chunks_exact(together).zip(densities.chunks_exact(together)).map(|(x, densities)| {
             let finite = densities.iter().all(|&density| density >= 0.0 && density.is_finite());
-            finite.then(|| differences(x, |i| f64::from(densities[i])).into())
+            finite.then(|| self.differences.derivatives(x, |i| f64::from(densities[i])).into())
         }));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn of(stencil: Stencil) -> Differences {
+        let bounds = Aabb::centered_cube(1.0);
+        Differences { step: DVec3::new(0.01, 0.02, 0.03), domain: Domain::Box(bounds), stencil }
+    }
+
+    /// x, where forward differences begin, and the points beside it.
+    fn points(differences: &Differences, x: Vec3) -> Vec<Vec3> {
+        let first = (differences.stencil == Stencil::Forward).then_some(x);
+        first.into_iter().chain(differences.around(x, &Aabb::centered_cube(1.0))).collect()
+    }
+
+    #[test]
+    fn both_stencils_are_exact_for_quadratic_functions_at_their_middle() {
+        // f = g · x + ½ Σ q x²: its central difference is f′ at x, its forward one f′ at x + h.
+        let (g, q) = (DVec3::new(1.5, -2.0, 0.5), DVec3::new(3.0, 1.0, -4.0));
+        let f = |x: Vec3| g.dot(x.as_dvec3()) + 0.5 * q.dot(x.as_dvec3().powf(2.0));
+        // Inside; where forward differences look back; at a corner.
+        for x in [Vec3::new(0.2, -0.3, 0.1), Vec3::new(0.99, 0.0, 0.5), Vec3::ONE] {
+            for stencil in [Stencil::Central, Stencil::Forward] {
+                let differences = of(stencil);
+                let points = points(&differences, x);
+                let found = DVec3::from(differences.derivatives(&points, |i| f(points[i])));
+                let middle = DVec3::from(std::array::from_fn(|axis| {
+                    let (up, down) = match stencil {
+                        Stencil::Central => (2 * axis, 2 * axis + 1),
+                        Stencil::Forward => (axis + 1, 0),
+                    };
+                    0.5 * (f64::from(points[up][axis]) + f64::from(points[down][axis]))
+                }));
+                // Points are rounded to f32, and distances are the rounded ones: what is left is rounding in f64.
+                assert!((found - (g + q * middle)).abs().max_element() < 1e-12, "{stencil:?} at {x}: {found}");
+                let off = (middle - x.as_dvec3()).abs() / differences.step;
+                let expected = if stencil == Stencil::Forward { 1.0 } else { 0.0 };
+                assert!(x == Vec3::ONE || (off.y - expected).abs() < 1e-4, "{stencil:?}: {off}");
+                let reach = (points.iter().map(|y| (*y - x).abs()).fold(Vec3::ZERO, Vec3::max)).as_dvec3();
+                assert!((reach - differences.reach(x)).max_element() < 1e-6, "{stencil:?}: {reach}");
+                assert!(points.iter().all(|y| Aabb::centered_cube(1.0).contains(*y)));
+            }
+        }
+    }
+
+    #[test]
+    fn forward_differences_ask_fewer_points() {
+        let (bounds, positions) = (Aabb::centered_cube(1.0), [Vec3::ZERO, Vec3::splat(0.5)]);
+        let asked = |stencil| {
+            let how = Differentiation { differences: of(stencil), analytic: None };
+            let mut buffers = GradientBuffers::default();
+            how.ask_jets(&bounds, &positions, &positions, &mut buffers);
+            let jets = buffers.positions.len();
+            how.ask_density_gradients(&bounds, &positions, &mut buffers);
+            [jets, buffers.positions.len()]
+        };
+        assert_eq!((asked(Stencil::Central), asked(Stencil::Forward)), ([14, 12], [8, 8]));
     }
 }

@@ -263,12 +263,16 @@ mod tests {
     use crate::field::{ClosedForm, RadianceField};
     use crate::geometry::Domain;
     use crate::monitor::Silent;
-    use crate::render::{Differences, Marcher, Occupancy, TracedRays};
+    use crate::render::{Differences, Marcher, Occupancy, Stencil, TracedRays};
     use proptest::prelude::*;
 
     /// Jacobians by central differences over ±h.
     fn by_differences(tracer: &Tracer, rays: &[Ray], jitter: &[f64], first: u64, h: f64) -> RaySamples {
-        let differences = Differences { step: DVec3::splat(h), domain: Domain::Box(tracer.field.bounds()) };
+        let differences = Differences {
+            step: DVec3::splat(h),
+            domain: Domain::Box(tracer.field.bounds()),
+            stencil: Stencil::Central,
+        };
         let differentiation = Differentiation { differences, analytic: None };
         tracer.jacobians(rays, jitter, first, &differentiation, &mut JacobianBuffers::default())
     }
@@ -412,7 +416,11 @@ mod tests {
     fn composites_what_is_not_differentiated(marcher: Marcher) {
         let tracer = Tracer { field: &BumpBeforeFog, marcher, background: Vec3::ZERO };
         let ray = Ray::new(DVec3::new(-2.0, 0.1, 0.2), DVec3::X);
-        let differences = Differences { step: DVec3::splat(1e-3), domain: Domain::Box(BumpBeforeFog.bounds()) };
+        let differences = Differences {
+            step: DVec3::splat(1e-3),
+            domain: Domain::Box(BumpBeforeFog.bounds()),
+            stencil: Stencil::Central,
+        };
         let differentiation = Differentiation { differences, analytic: None };
         let jacobians =
             |tracer: &Tracer| tracer.jacobians(&[ray], &[0.5], 0, &differentiation, &mut JacobianBuffers::default());

@@ -17,7 +17,7 @@ mod view;
 
 pub use composite::{CompositingWeights, Pixel, depth_variance, termination_entropy};
 pub use depth::{DepthProbe, DepthSample, DepthVariance};
-pub use gradient::{Differences, Differentiation, GradientMethod};
+pub use gradient::{Differences, Differentiation, GradientMethod, Stencil};
 pub use jacobian::JacobianBuffers;
 pub use march::{Marcher, SampleDistances};
 pub use noise::{DifferenceError, DifferenceErrors, LONGEST_STEP, TABLE, noise_level};

@@ -148,7 +148,8 @@ impl DifferenceErrors {
             points.iter().enumerate().filter_map(|(i, &x)| Line::through(x, i % 3, lattice, &bounds)).collect();
         let noises = noises(field, &mut lines);
         let own = own_slopes(field, &lines);
-        let mut stencils: Vec<Vec<Option<Stencil>>> = steps.iter().map(|&step| stencils(field, &lines, step)).collect();
+        let mut stencils: Vec<Vec<Option<LineStencil>>> =
+            steps.iter().map(|&step| stencils(field, &lines, step)).collect();
         let slopes: Vec<f64> = match &own {
             Some(own) => own.clone(),
             None => (0..lines.len())
@@ -163,8 +164,9 @@ impl DifferenceErrors {
             (0..lines.len()).filter(|&p| slopes[p].is_finite() && slopes[p] != 0.0 && lines[p].density > 0.0).collect();
         // A step that leaves the box almost everywhere would pass for one without errors.
         let mut steps = steps.to_vec();
-        let fits =
-            |stencils: &Vec<Option<Stencil>>| 2 * used.iter().filter(|p| stencils[**p].is_some()).count() >= used.len();
+        let fits = |stencils: &Vec<Option<LineStencil>>| {
+            2 * used.iter().filter(|p| stencils[**p].is_some()).count() >= used.len()
+        };
         let keep: Vec<bool> = stencils.iter().map(fits).collect();
         let mut kept = keep.iter();
         steps.retain(|_| *kept.next().unwrap_or(&false));
@@ -243,12 +245,12 @@ struct Sums {
 
 impl Sums {
     /// Averages over stencils with their ε and ∂σ; `exact` if ∂σ is the field's own.
-    fn from_points(points: &[(Stencil, f64, f64)], exact: bool) -> Self {
+    fn from_points(points: &[(LineStencil, f64, f64)], exact: bool) -> Self {
         let scale: f64 = points.iter().map(|(_, _, slope)| slope.abs()).sum();
-        let error = |(stencil, _, slope): &(Stencil, f64, f64)| {
+        let error = |(stencil, _, slope): &(LineStencil, f64, f64)| {
             if exact { (stencil.central() - slope).abs() } else { (stencil.third() * stencil.truncation()).abs() }
         };
-        let sum = |of: &dyn Fn(&(Stencil, f64, f64)) -> f64| points.iter().map(of).sum::<f64>() / scale;
+        let sum = |of: &dyn Fn(&(LineStencil, f64, f64)) -> f64| points.iter().map(of).sum::<f64>() / scale;
         let truncation = sum(&error);
         // Variance of a ratio of means, to first order.
         let residuals = sum(&|point| (error(point) - truncation * point.2.abs()).powi(2)) / scale;
@@ -316,12 +318,12 @@ impl Line {
 
 /// Values of a function at −h, −h/3, h/3 and h.
 #[derive(Clone, Copy)]
-struct Stencil {
+struct LineStencil {
     values: [f64; 4],
     h: f64,
 }
 
-impl Stencil {
+impl LineStencil {
     /// f′ as a central difference over ±h.
     fn central(&self) -> f64 {
         (self.values[3] - self.values[0]) / (2.0 * self.h)
@@ -344,7 +346,7 @@ impl Stencil {
         (27.0 * (c - b) - (d - a)) / (16.0 * self.h)
     }
 
-    /// Estimated error of [`Stencil::slope`].
+    /// Estimated error of [`LineStencil::slope`].
     fn doubt(&self, noise: f64) -> f64 {
         (self.third() * self.truncation()).abs() + 2.0 * noise / self.h
     }
@@ -402,14 +404,14 @@ fn noises(field: &dyn RadianceField, lines: &mut [Line]) -> Vec<f64> {
 
 /// Values around every line's point, at distances that f32 positions hold exactly; `None` where the points leave
 /// the box or a value is not finite.
-fn stencils(field: &dyn RadianceField, lines: &[Line], step: f64) -> Vec<Option<Stencil>> {
+fn stencils(field: &dyn RadianceField, lines: &[Line], step: f64) -> Vec<Option<LineStencil>> {
     let bounds = field.bounds();
     let h = |line: &Line| ((step * line.edge / (3.0 * line.unit)).round().max(1.0)) * 3.0 * line.unit;
     let places = |line: &Line| [-1.0, -1.0 / 3.0, 1.0 / 3.0, 1.0].map(|k| line.at(k * h(line)));
     let values = densities(field, lines, places);
     let stencil = |(line, values): (&Line, &[f64; 4])| {
         let sound = values.iter().all(|v| v.is_finite()) && places(line).into_iter().all(|x| bounds.contains(x));
-        sound.then_some(Stencil { values: *values, h: h(line) })
+        sound.then_some(LineStencil { values: *values, h: h(line) })
     };
     lines.iter().zip(&values).map(stencil).collect()
 }

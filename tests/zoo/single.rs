@@ -5,7 +5,7 @@ use octobayes::field::closed_form::{Primitive, Shape, Texture};
 use octobayes::field::{Radiance, RadianceField};
 use octobayes::geometry::{Aabb, Camera, Domain, Ray};
 use octobayes::posterior::{Covariance, DensePosterior, Posterior, VertexSums, trace};
-use octobayes::render::{Differences, Differentiation, JacobianBuffers, Marcher, Tracer};
+use octobayes::render::{Differences, Differentiation, JacobianBuffers, Marcher, Stencil, Tracer};
 use octobayes::zoo::{self, CELL, HardScene, surfaces};
 
 use crate::compare::{Case, Run, cameras, error, lambda, nothing_left_out};
@@ -176,7 +176,11 @@ fn both_sides_of_a_thin_sheet_cancel_within_a_ray() {
     let ray = Ray::new(DVec3::new(2.0, 2.0 * edge, -3.0 * edge), -DVec3::X);
     let marcher = Marcher { step: edge / 256.0, bounds: field.bounds(), occupancy: None, cutoff: 0.0 };
     let tracer = Tracer { field: &field, marcher, background: Vec3::ONE };
-    let differences = Differences { step: DVec3::splat(edge / 512.0), domain: Domain::Box(field.bounds()) };
+    let differences = Differences {
+        step: DVec3::splat(edge / 512.0),
+        domain: Domain::Box(field.bounds()),
+        stencil: Stencil::Central,
+    };
     let how = Differentiation { differences, analytic: None };
     let samples = tracer.jacobians(&[ray], &[0.4], 0, &how, &mut JacobianBuffers::default());
     let lattice = octobayes::geometry::Lattice::new(field.bounds(), 5).unwrap();

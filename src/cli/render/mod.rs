@@ -135,36 +135,41 @@ impl Args {
         }
 
         Reading::check(field.facts(), self.ray_average)?;
+        let cameras: Vec<Camera> = match self.orbit {
+            Some(count) => {
+                let others: Vec<Camera> = views.frames.iter().map(|frame| frame.camera).collect();
+                orbit(&self.sized(&frames[0].camera)?, &others, field.facts().lattice().domain(), count)
+            }
+            None => frames.iter().map(|frame| self.sized(&frame.camera)).collect::<Result<_>>()?,
+        };
+        let pictures = if self.threshold.is_some() { 2 } else { 1 };
+        let baked = field.baked(pictures * cameras.iter().map(Camera::pixels).sum::<u64>());
+        let space: &dyn Answers = baked.as_ref().map_or(field.space(), |baked| baked);
         let settings = self.model.image_settings();
-        let threshold = self.threshold.map(|threshold| threshold.log10(field.space())).transpose()?;
-        let cleaned = threshold.map(|threshold| ThresholdedField::new(&*model, field.space(), threshold));
+        let threshold = self.threshold.map(|threshold| threshold.log10(space)).transpose()?;
+        let cleaned = threshold.map(|threshold| ThresholdedField::new(&*model, space, threshold));
         let cleaned = match &cleaned {
             Some(cleaned) => Some((settings.tracer(cleaned, 0.0, bars)?, cleaned)),
             None => None,
         };
         let studio = Studio {
             options: &self.model,
-            field: &field,
+            field: field.facts(),
+            space,
             tracer: settings.tracer(&*model, 0.0, bars)?,
             cleaned,
             offset: settings.pixel_offset.unwrap_or_else(|| model.pixel_offset()),
             average: self.ray_average,
             depth_error: self.depth_error,
-            log10: bar_of(field.space(), self.range)?,
+            log10: bar_of(space, self.range)?,
             bars,
         };
-        let pictures = if studio.cleaned.is_some() { 2 } else { 1 };
-        let rows = |camera: &Camera| pictures * u64::from(camera.resolution[1]);
-        if let Some(count) = self.orbit {
-            let others: Vec<Camera> = views.frames.iter().map(|frame| frame.camera).collect();
-            let cameras = orbit(&self.sized(&frames[0].camera)?, &others, field.facts().lattice().domain(), count);
-            bars.begin("rows", cameras.iter().map(rows).sum());
+        bars.begin("rows", cameras.iter().map(|camera| pictures * u64::from(camera.resolution[1])).sum());
+        if self.orbit.is_some() {
             let frames = cameras.iter().map(|camera| moment(&studio, camera)).collect::<Result<_>>()?;
             bars.end();
             write_animation(&self.output, frames)?;
         } else {
-            let cameras: Vec<Camera> = frames.iter().map(|frame| self.sized(&frame.camera)).collect::<Result<_>>()?;
-            bars.begin("rows", cameras.iter().map(rows).sum());
             for ((k, camera), path) in wanted.zip(&cameras).zip(self.outputs()) {
                 self.picture(&studio, k, camera, &path)?;
             }
@@ -172,8 +177,7 @@ impl Args {
         }
         say!("{}", self.output.display())?;
         if self.verbose {
-            let field = field.whole()?;
-            say!("protocol of the field\n{}{}", report::protocol(&field), report::surfaces(&field))?;
+            say!("protocol of the field\n{}{}", report::protocol(field.facts()), report::surfaces(space)?)?;
         }
         Ok(())
     }
@@ -206,7 +210,7 @@ impl Args {
         if let (true, Some(Threshold::Log10(_))) = (as_exr, self.threshold) {
             // An EXR holds the cleaned view only; what a share takes is told by both.
             let view = studio.cleaned_view(camera)?.unwrap_or_default();
-            return write_exr(path, view.resolution, channels(&view, studio.field.facts()));
+            return write_exr(path, view.resolution, channels(&view, studio.field));
         }
         let views = studio.views(camera)?;
         if let (Some(threshold), (view, Some(cleaned))) = (self.threshold, &views) {
@@ -217,7 +221,7 @@ impl Args {
         }
         let (view, cleaned) = views;
         let view = cleaned.unwrap_or(view);
-        write_exr(path, view.resolution, channels(&view, studio.field.facts()))
+        write_exr(path, view.resolution, channels(&view, studio.field))
     }
 }
 
@@ -228,7 +232,7 @@ fn moment(studio: &Studio, camera: &Camera) -> Result<RgbImage> {
     row.drain(1..row.len() - 1);
     // Titles that are the same in all pictures keep these of one size.
     if let Some(panel) = row.last_mut() {
-        panel.title = format!("{} (hatched: never seen)", studio.field.facts().protocol().scale.quantity());
+        panel.title = format!("{} (hatched: never seen)", studio.field.protocol().scale.quantity());
     }
     row.extend(rows.next().into_iter().flatten().next());
     Ok(draw_sheet(&[row]))

@@ -1,21 +1,22 @@
 //! A model with its uncertainty, ready for pictures.
 
 use crate::Result;
-use crate::cli::opened::OpenedField;
 use crate::cli::options::ModelOptions;
 use crate::cli::panels::{Ranges, depth_range, error_range, unknowns, view_panels};
 use crate::cli::progress::Bars;
 use crate::geometry::Camera;
 use crate::picture::Panel;
 use crate::render::{DepthProbe, Probe, RayAverage, RenderedView, Tracer, render_view, render_view_with_depth};
-use crate::uncertainty::ThresholdedField;
+use crate::uncertainty::{Answers, ThresholdedField, UncertaintyField};
 
 /// What pictures are made of.
 pub struct Studio<'a> {
     /// The model's options.
     pub options: &'a ModelOptions,
-    /// The uncertainty.
-    pub field: &'a OpenedField,
+    /// The uncertainty, or a part of it: what does not depend on the place.
+    pub field: &'a UncertaintyField,
+    /// What does.
+    pub space: &'a dyn Answers,
     /// The model.
     pub tracer: Tracer<'a>,
     /// The model without what is uncertain, as rays see it and by itself.
@@ -34,12 +35,12 @@ pub struct Studio<'a> {
 
 impl Studio<'_> {
     fn view(&self, tracer: &Tracer, camera: &Camera) -> Result<RenderedView> {
-        let probes = [Probe { field: self.field.space(), averages: &[self.average] }];
+        let probes = [Probe { field: self.space, averages: &[self.average] }];
         if !self.depth_error {
             return render_view(tracer, camera, self.offset, &probes, self.bars);
         }
-        let posterior = self.field.facts().depth_posterior()?;
-        let lattice = self.field.facts().lattice();
+        let posterior = self.field.depth_posterior()?;
+        let lattice = self.field.lattice();
         let differentiation = self.options.image_settings().differentiation(tracer.field, lattice)?;
         let depth = DepthProbe { differentiation, variances: &[&posterior] };
         render_view_with_depth(tracer, camera, self.offset, &probes, &depth, self.bars)
@@ -66,7 +67,7 @@ impl Studio<'_> {
         (view, cleaned): &(RenderedView, Option<RenderedView>),
     ) -> Result<Vec<Vec<Panel>>> {
         let both = || [view].into_iter().chain(cleaned);
-        let facts = self.field.facts();
+        let facts = self.field;
         let ranges = Ranges {
             depth: depth_range(both()),
             error: error_range(both()),
@@ -76,7 +77,7 @@ impl Studio<'_> {
             quantity: facts.protocol().scale.quantity(),
         };
         let panels = |name: &str, view: &RenderedView| -> Result<Vec<Panel>> {
-            let unknowns = unknowns(self.field.space(), camera, self.offset, view)?;
+            let unknowns = unknowns(self.space, camera, self.offset, view)?;
             Ok(view_panels(view, name, ranges, &unknowns))
         };
         let mut rows = vec![panels(name, view)?];

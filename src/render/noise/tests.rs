@@ -54,7 +54,11 @@ fn points(n: usize) -> Vec<Vec3> {
 }
 
 fn lattice() -> Differences {
-    Differences { step: DVec3::splat(2.0 / 256.0), domain: Domain::Box(Aabb::centered_cube(1.0)) }
+    Differences {
+        step: DVec3::splat(2.0 / 256.0),
+        domain: Domain::Box(Aabb::centered_cube(1.0)),
+        stencil: crate::render::Stencil::Central,
+    }
 }
 
 fn steps() -> Vec<f64> {
