@@ -16,8 +16,10 @@ use octobayes::octree::Tile;
 use octobayes::posterior::{Covariance, Criterion, Prior};
 use octobayes::render::{Probe, RayAverage, render_view};
 use octobayes::uncertainty::{
-    Answers, Support, ThresholdedField, TiledField, UncertaintyField, compare, finish_tiles, merge, merge_files,
+    Answers, Estimate, Support, ThresholdedField, TiledField, UncertaintyField, compare, finish_tiles, merge,
+    merge_files,
 };
+use rayon::prelude::*;
 
 /// What a run on the courtyard gives, with these settings on top of the test's own.
 fn run(grid: GridSettings, domain: Option<Domain>, shard: [u64; 2], tile: Option<Tile>) -> Outcome {
@@ -224,6 +226,20 @@ fn exports_of_tiles_are_those_of_the_joined_field() {
         });
         assert!(found == expected && found.len() > 500, "{name}: {} and {} bytes", found.len(), expected.len());
     }
+}
+
+#[test]
+fn many_threads_ask_tiles_at_the_same_time() {
+    let folder = tempfile::tempdir().unwrap();
+    let tiled = opened_tiles(folder.path(), 8);
+    let points = probes(&tiled.joined().unwrap());
+    let expected = tiled.estimates(&points).unwrap();
+    // Reading a tile works in parallel itself. While it waits for its parts, a thread may be given another question.
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(8).build().unwrap();
+    let all: Vec<Vec<Estimate>> =
+        pool.install(|| points.par_chunks(points.len() / 64).map(|points| tiled.estimates(points).unwrap()).collect());
+    let found = all.into_iter().flatten();
+    assert!(found.zip(&expected).all(|(found, expected)| found == *expected));
 }
 
 #[test]

@@ -236,13 +236,14 @@ def uncertainty(
     box: (low, high), corners in scene units; for a callable also where its density is zero outside. contract ('l2' or
     'linf') and inner (x, y, z, radius) cover all of space instead.
 
-    Other arguments have the command line's names, meanings and defaults (``octobayes uncertainty --help``): rays
-    (a number, or 'auto': until the mean error of log10 U is within ``tolerance``, at most ``max_rays``); gradient
-    ('finite-difference', 'analytic': the model's own derivatives, 'auto'); covariance ('diagonal', 'block', 'trace');
-    refine ('sensitivity', 'density', 'ray-count', or several); memory in bytes; step in edges of the finest lattice;
-    error_bars (number of groups); checkpoint_every in seconds; scale ('paper', or 'data': a standard deviation in scene
-    units, which needs the noise that training left, as ``noise``, ``psnr`` or recorded in the model, and cameras of the
-    size that the model was trained at). ``lambda_`` is ``--lambda``.
+    Other arguments have the command line's names, meanings and defaults (``octobayes uncertainty --help``): rays (a
+    number, or 'auto': until the mean error of log10 U is within ``tolerance``, at most ``max_rays``); gradient
+    ('finite-difference': central; 'forward-difference': four points a sample, not seven; 'analytic': the model's own
+    derivatives; 'auto': these if it has any); covariance ('diagonal', 'block', 'trace'); refine ('sensitivity',
+    'density', 'ray-count', or several); memory in bytes; step in edges of the finest lattice; error_bars (number of
+    groups); checkpoint_every in seconds; scale ('paper', or 'data': a standard deviation in scene units, which needs
+    the noise that training left, as ``noise``, ``psnr`` or recorded in the model, and cameras of the size that the
+    model was trained at). ``lambda_`` is ``--lambda``.
 
     executor: anything with the ``submit`` of ``concurrent.futures``, which runs the ``shards`` instead of this process:
     a ProcessPoolExecutor, dask.distributed's ``client.get_executor()``. nerf must be a model's file that the workers

@@ -191,7 +191,10 @@ WRONG = [
     ({"level": 7.5}, "level: expected a whole number, 1 to 16, found 7.5"),
     ({"rays": "many"}, "rays: expected a whole number, 1 or more, or 'auto', found many"),
     ({"rays": 0}, "rays: expected a whole number, 1 or more, found 0"),
-    ({"gradient": "exact"}, "gradient: expected 'finite-difference', 'analytic', 'auto', 'forward-difference', found 'exact'"),
+    (
+        {"gradient": "exact"},
+        "gradient: expected 'finite-difference', 'analytic', 'auto', 'forward-difference', found 'exact'",
+    ),
     ({"covariance": "normal"}, "covariance: expected 'diagonal', 'trace', 'block', found 'normal'"),
     ({"refine": ["density", "ages"]}, "refine: expected 'sensitivity', 'density', 'ray-count', found 'ages'"),
     ({"grid": "sparse"}, "grid: expected 'octree', 'dense', found 'sparse'"),

@@ -189,6 +189,9 @@ pub fn surfaces_json(field: &UncertaintyField) -> Value {
     })
 }
 
+/// A share of the time that is worth a word.
+const NOTABLE: f64 = 0.95;
+
 /// Percents of the visible surfaces of which log10 U is told.
 const PERCENTS: [f64; 5] = [1.0, 10.0, 50.0, 90.0, 99.0];
 
@@ -229,6 +232,16 @@ pub fn plan(plan: &Plan, grid: &GridSettings) {
         memory(plan.file)
     );
     given_up(plan).into_iter().for_each(|text| eprintln!("{text}"));
+}
+
+/// Says on stderr what the field's own derivatives would save, if they would.
+pub fn own_derivatives(ratio: f64) {
+    if ratio < NOTABLE {
+        eprintln!(
+            "note: the model knows its own derivatives; with --gradient auto its rays take about {:.0} % of the time",
+            100.0 * ratio
+        );
+    }
 }
 
 /// What a plan gives up to stay within its limits, if it does.

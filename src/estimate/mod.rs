@@ -8,6 +8,7 @@
 mod audit;
 mod builder;
 mod checkpoint;
+mod derivatives;
 mod estimation;
 mod framing;
 mod grid;

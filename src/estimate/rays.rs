@@ -41,8 +41,8 @@ pub struct RaySettings {
     pub seed: u64,
     /// Source of the field's derivatives.
     pub gradient: GradientMethod,
-    /// Finite-difference step in edges of the finest lattice. `None` for 1/512, or for what f32
-    /// positions need on very fine lattices.
+    /// Finite-difference step in edges of the finest lattice. `None` for 1/512, for 1/2048 with forward differences, or
+    /// for what f32 positions need on very fine lattices.
     ///
     /// Larger steps smooth the field's derivative and change log10 U; smaller ones are dominated by f32 rounding.
     /// The curves in `experiments/hard_cases.md` compare with exact derivatives at level 8. For the two trained

@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 use glam::DVec3;
 
 use super::checkpoint::Saver;
+use super::derivatives;
 use super::estimation::{Estimation, Goal, Tap};
 use super::groups::{self, RayGroup};
 use super::limits::{COMPARED_AT, Limits};
@@ -153,6 +154,15 @@ impl<'a> Run<'a> {
     /// [`Error::Interrupted`] only.
     pub fn check_step(&self) -> Result<Option<StepCheck>> {
         StepCheck::measure(&self.stream, &self.lattice, self.estimation.grid.tolerance, self.estimation.monitor)
+    }
+
+    /// The time of a few rays with the field's own derivatives, relative to that with the run's differences; `None` if
+    /// the run does not use differences, or the field has no derivatives.
+    ///
+    /// # Errors
+    /// As [`RayStream::run`].
+    pub fn time_with_own_derivatives(&self) -> Result<Option<f64>> {
+        derivatives::measure(&self.stream, self.rays(), self.estimation.monitor)
     }
 
     /// Measures the cost of the run's approximations on a few of its own rays.

@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use glam::Vec3;
 use lru::LruCache;
@@ -27,7 +27,7 @@ pub struct TiledField {
     tiles: Vec<PathBuf>,
     protocol: Protocol,
     lattice: Lattice,
-    /// Bytes that loaded tiles may take; the tile at hand may take more.
+    /// Bytes that loaded tiles may take; those at hand, one for each thread, may take more.
     room: usize,
     loaded: Mutex<LruCache<usize, Arc<UncertaintyField>>>,
 }
@@ -147,12 +147,16 @@ impl TiledField {
     /// # Errors
     /// If its file cannot be read.
     pub fn tile(&self, index: usize) -> Result<Arc<UncertaintyField>> {
-        // A panic elsewhere leaves the list sound: it is changed by single calls.
-        let mut loaded = self.loaded.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(tile) = self.loaded().get(&index) {
+            return Ok(Arc::clone(tile));
+        }
+        // Not under the lock: reading works in parallel, and a thread that waits for its parts may be given another
+        // question, which would wait for the lock that it holds. So threads may read a tile twice.
+        let tile = Arc::new(UncertaintyField::read(&self.tiles[index])?);
+        let mut loaded = self.loaded();
         if let Some(tile) = loaded.get(&index) {
             return Ok(Arc::clone(tile));
         }
-        let tile = Arc::new(UncertaintyField::read(&self.tiles[index])?);
         let taken = |field: &UncertaintyField| field.memory().iter().map(|(_, bytes)| bytes).sum::<usize>();
         let mut all = taken(&tile) + loaded.iter().map(|(_, tile)| taken(tile)).sum::<usize>();
         while all > self.room {
@@ -161,6 +165,11 @@ impl TiledField {
         }
         loaded.put(index, Arc::clone(&tile));
         Ok(tile)
+    }
+
+    fn loaded(&self) -> MutexGuard<'_, LruCache<usize, Arc<UncertaintyField>>> {
+        // A panic elsewhere leaves the list sound: it is changed by single calls.
+        self.loaded.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// What tiles say of their points, in the order of the points.

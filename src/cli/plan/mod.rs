@@ -80,6 +80,7 @@ impl Args {
         options.check_sight(&run.sight()?)?;
         run.check_step()?.iter().for_each(report::step);
         let (whole, plan) = Forecast::of(&run, start)?;
+        run.time_with_own_derivatives()?.iter().for_each(|&ratio| report::own_derivatives(ratio));
         drop(run);
         let script = self.jobs.map(|shards| self.script(shards, &inputs, whole, bars)).transpose()?;
         if let Some(script) = &script {

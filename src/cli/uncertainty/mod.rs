@@ -71,8 +71,8 @@ pub struct Args {
     #[arg(long, value_enum, default_value_t)]
     gradient: GradientMethod,
 
-    /// Finite-difference step to both sides, in edges of the finest lattice [default: 1/512, larger where f32
-    /// positions need it]
+    /// Finite-difference step h, in edges of the finest lattice [default: 1/512, or 1/2048 for forward differences,
+    /// which reach 2h to one side; larger where f32 positions need it]
     ///
     /// A few hundred points show how noisy the field is. A warning says if noise or truncation at this step moves
     /// log10 U by more than --tolerance, and by more than three times as much as at another step.
@@ -235,6 +235,7 @@ impl Args {
         }
         if grid.needs_plan() || run.rays() >= Planner::CHEAP * Planner::PILOT || plan.file > LARGE_FILE {
             report::plan(&plan, grid);
+            run.time_with_own_derivatives()?.iter().for_each(|&ratio| report::own_derivatives(ratio));
         }
         Ok(())
     }

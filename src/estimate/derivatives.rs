@@ -1,0 +1,65 @@
+//! What a model's own derivatives would save.
+
+use std::time::{Duration, Instant};
+
+use crate::Result;
+use crate::monitor::Monitor;
+use crate::rays::{Purpose, RayStream, RunProgress, Shard};
+use crate::render::{Differentiation, GradientMethod};
+
+/// One in so many of the run's rays is timed, and at most [`MOST`].
+const SHARE: u64 = 512;
+const MOST: u64 = 2048;
+/// Each way is timed so often, in turns; the least counts.
+const TURNS: usize = 2;
+
+/// The time of some rays with the field's own derivatives, relative to that with the differences of `stream`; `None` if
+/// it does not use differences, or the field has no derivatives.
+///
+/// # Errors
+/// As [`RayStream::run`].
+pub fn measure(stream: &RayStream, rays: u64, monitor: &dyn Monitor) -> Result<Option<f64>> {
+    let own = GradientMethod::Auto.of(stream.tracer.field)?;
+    if stream.differentiation.analytic.is_some() || own.is_none() {
+        return Ok(None);
+    }
+    let shard = Shard::whole((rays / SHARE).clamp(1, MOST));
+    let mut least = [Duration::MAX; 2];
+    for _ in 0..TURNS {
+        for (analytic, least) in [None, own].into_iter().zip(&mut least) {
+            let differentiation = Differentiation { analytic, ..stream.differentiation };
+            let stream = RayStream { differentiation, ..stream.for_purpose(Purpose::Pilot) };
+            let start = Instant::now();
+            stream.run(shard, RunProgress::default(), monitor, |_, _| Ok(()))?;
+            *least = start.elapsed().min(*least);
+        }
+    }
+    Ok(Some(least[1].as_secs_f64() / least[0].as_secs_f64()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimate::{GridSettings, RaySettings};
+    use crate::field::{ClosedForm, RadianceField, VoxelGrid};
+    use crate::geometry::Domain;
+    use crate::monitor::Silent;
+
+    #[test]
+    fn only_who_could_do_better_is_told() {
+        let (scene, cameras) = (ClosedForm::courtyard(), ClosedForm::half_circle(3, [48, 48]));
+        // Only the baked one knows its derivatives.
+        let baked = VoxelGrid::bake(&scene, [32; 3], glam::Vec3::Z);
+        let of = |field: &dyn RadianceField, gradient| {
+            let lattice = GridSettings::default().level(5).lattice(Domain::Box(field.bounds())).unwrap();
+            let rays = RaySettings::default().rays(100_000).occupancy(32).gradient(gradient);
+            let stream = rays.stream(field, &cameras, &lattice, &Silent).unwrap();
+            measure(&stream, rays.rays, &Silent).unwrap()
+        };
+        // Seven evaluations become one, of which some cost more. Whatever else runs, it is no hundred times less.
+        let ratio = of(&baked, GradientMethod::FiniteDifference).unwrap();
+        assert!((0.01..2.0).contains(&ratio), "{ratio}");
+        assert_eq!(of(&baked, GradientMethod::Analytic), None);
+        assert_eq!(of(&scene, GradientMethod::FiniteDifference), None);
+    }
+}
