@@ -165,6 +165,10 @@ impl Args {
         check_field(&self.field, field.facts(), &options, &*model, self.force)?;
         let threshold = self.threshold.map(|threshold| threshold.log10(field.space())).transpose()?;
         let cleaned = threshold.map(|threshold| ThresholdedField::new(&*model, field.space(), threshold));
+        if self.threshold.is_some() {
+            // Reads every tile once, before any work: what cannot be read would count as removed.
+            field.space().surface()?;
+        }
         let check = || cleaned.as_ref().map_or(Ok(()), ThresholdedField::check);
         let shown: &dyn RadianceField = cleaned.as_ref().map_or(&*model, |cleaned| cleaned);
         if kind == Kind::Mesh {

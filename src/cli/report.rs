@@ -278,9 +278,11 @@ pub fn step(check: &StepCheck) {
         } else {
             ""
         };
+        // Only central differences may be as wide as noise asks for.
+        let central = if check.is_forward { "--gradient finite-difference " } else { "" };
         eprintln!(
             "warning: with --step {} differences of the density are off by about {} (rounding and noise {}, \
-             truncation {}); with --step {:.2e} by {}{exact}",
+             truncation {}); with {central}--step {:.2e} by {}{exact}",
             check.step,
             percent(here.total()),
             percent(here.noise),

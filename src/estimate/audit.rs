@@ -49,8 +49,10 @@ impl Audit {
             (Some(_), _) => None,
             (None, Some(_)) => Some(RaySettings { gradient: GradientMethod::Analytic, ..*rays }),
             (None, None) => {
+                // Forward differences of half the width would share half of their error.
                 let edges = rays.differences(lattice, &field.bounds()).step / lattice.edge();
-                Some(RaySettings { step: Some(0.5 * edges.max_element()), ..*rays })
+                let (step, gradient) = (Some(0.5 * edges.max_element()), GradientMethod::FiniteDifference);
+                Some(RaySettings { step, gradient, ..*rays })
             }
         };
         let derivatives = better.map(|better| sums(better).map(|better| own.differs(&better, count))).transpose()?;

@@ -157,10 +157,11 @@ impl<'a> Run<'a> {
     }
 
     /// The time of a few rays with the field's own derivatives, relative to that with the run's differences; `None` if
-    /// the run does not use differences, or the field has no derivatives.
+    /// the run does not use differences, the field has no derivatives, or too many rays meet values that are not
+    /// finite.
     ///
     /// # Errors
-    /// As [`RayStream::run`].
+    /// [`Error::Interrupted`] only.
     pub fn time_with_own_derivatives(&self) -> Result<Option<f64>> {
         derivatives::measure(&self.stream, self.rays(), self.estimation.monitor)
     }

@@ -7,7 +7,7 @@ use crate::Result;
 use crate::geometry::Lattice;
 use crate::monitor::Monitor;
 use crate::rays::{Pixels, RayStream};
-use crate::render::{DifferenceErrors, Differences, Stencil};
+use crate::render::{DifferenceErrors, Differences, LONGEST_STEP, Stencil};
 
 /// Number of points on visible surfaces. A mean over them is known to about 1 / √1024 of its spread.
 const POINTS: usize = 1024;
@@ -23,8 +23,12 @@ pub struct StepCheck {
     pub step: f64,
     /// Errors with this step and with others.
     pub errors: DifferenceErrors,
-    /// Whether the step is unsuitable ([`DifferenceErrors::is_bad`]).
+    /// Whether the step is unsuitable ([`DifferenceErrors::is_bad`]), or so long that forward differences are of
+    /// another place: their middle is as far away as central ones of [`LONGEST_STEP`] reach.
     pub is_bad: bool,
+    /// Whether the run's differences are forward ones. The errors are those of central differences of the same width,
+    /// and do not count that the place is off by a step.
+    pub is_forward: bool,
     /// Whether the field can provide exact derivatives instead.
     pub knows_derivatives: bool,
 }
@@ -65,7 +69,10 @@ impl StepCheck {
         let steps = DifferenceErrors::steps(shortest_step(lattice, &field.bounds()), step);
         let errors = DifferenceErrors::measure(field, &points, &edges, &steps);
         let knows_derivatives = field.differentiable().is_some();
-        Ok(errors.map(|errors| Self { step, is_bad: errors.is_bad(step, tolerance), errors, knows_derivatives }))
+        let is_forward = stream.differentiation.differences.stencil == Stencil::Forward;
+        let is_far = is_forward && step > LONGEST_STEP;
+        let is_bad = |errors: &DifferenceErrors| is_far || errors.is_bad(step, tolerance);
+        Ok(errors.map(|errors| Self { step, is_bad: is_bad(&errors), is_forward, errors, knows_derivatives }))
     }
 }
 
@@ -194,6 +201,22 @@ mod tests {
         assert!(blind.is_bad && !blind.knows_derivatives, "{blind:?}");
         let proposed = error(blind.errors.best().step);
         assert!(proposed < 0.5 * before, "{proposed} instead of {before}");
+    }
+
+    #[test]
+    fn forward_differences_may_not_look_far_away() {
+        let (scene, cameras) = (ClosedForm::courtyard(), ClosedForm::half_circle(6, [64, 64]));
+        let lattice = grid().lattice(Domain::Box(scene.bounds())).unwrap();
+        let check = |gradient, step| {
+            let rays = RaySettings { rays: 2_000, occupancy: 32, gradient, step, ..RaySettings::default() };
+            let stream = rays.stream(&scene, &cameras, &lattice, &Silent).unwrap();
+            // Anything is within this tolerance.
+            StepCheck::measure(&stream, &lattice, 10.0, &Silent).unwrap().unwrap()
+        };
+        let bad = |gradient, step| check(gradient, step).is_bad;
+        let [central, forward] = [GradientMethod::FiniteDifference, GradientMethod::ForwardDifference];
+        assert!(bad(forward, Some(0.2)) && !bad(forward, None) && !bad(central, Some(0.2)));
+        assert!(check(forward, None).is_forward && 4.0 * check(forward, None).step == check(central, None).step);
     }
 
     #[test]

@@ -46,10 +46,13 @@ pub struct LeafTable {
 }
 
 impl LeafTable {
+    /// Largest number of leaves.
+    pub const MOST: u64 = (1 << 30) - 1;
+
     /// Numbers the leaves, level by level from the coarsest, in Morton order.
     ///
     /// # Panics
-    /// If there are 2^30 leaves or more.
+    /// If there are more than [`LeafTable::MOST`].
     #[must_use]
     pub fn new(cells: &CellTree) -> Self {
         let (finest, split) = (cells.finest(), cells.split());

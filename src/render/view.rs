@@ -74,9 +74,9 @@ pub struct Probed {
 
 /// A scalar function of space; usually log10 U at a scene point.
 pub trait ProbedField: Sync {
-    /// About how many points it should be asked about at once.
+    /// About how many points it should be asked about at once; 0 if that does not matter.
     fn batch(&self) -> usize {
-        1
+        0
     }
 
     /// The scalar at points.

@@ -43,10 +43,11 @@ impl<'a> ThresholdedField<'a> {
         self.threshold
     }
 
-    /// Whether all that was said so far is true: without an answer from the uncertainty, there was no density.
+    /// Whether all that was said since the last call is true: without an answer from the uncertainty, there was no
+    /// density.
     ///
     /// # Errors
-    /// The first one of [`Answers::estimates`].
+    /// The first one of [`Answers::estimates`], once.
     pub fn check(&self) -> Result<()> {
         self.failure().take().map_or(Ok(()), Err)
     }

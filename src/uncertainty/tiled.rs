@@ -15,8 +15,8 @@ use crate::octree::{CellTree, Octree, Tile, VertexId, Wanted};
 use crate::render::{Probed, ProbedField};
 use crate::{Error, Result};
 
-/// So many points together reach most of the tiles that they can reach, and take some megabytes.
-const BATCH: usize = 1 << 18;
+/// So many points together ask each tile that they reach for many of them; the rays behind them take some 100 MB.
+const BATCH: usize = 1 << 16;
 
 /// A field whose tiles are read when a point in them is asked for.
 ///
