@@ -246,7 +246,7 @@ fn compute(scene: &Scene, plan: &Plan, work: &Path, folder: &Path) -> Result<Sce
 
     eprintln!("  clean-up");
     let some: Vec<TrueView> = spread(&truths, plan.cleaned_views).into_iter().cloned().collect();
-    let cleaned = clean_up(&evaluator.tracer, &readings[0].field, &some, &THRESHOLDS, &Silent)?;
+    let cleaned = clean_up(&evaluator.tracer, &evaluator.baked[0], &some, &THRESHOLDS, &Silent)?;
     if scene.data.may_be_pictured() {
         picture::cleaned(&folder.join("clean-up.png"), scene.data, &some, &cleaned)?;
     }

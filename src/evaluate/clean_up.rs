@@ -14,10 +14,7 @@ use crate::metrics::{psnr, ssim, ssimulacra2};
 use crate::monitor::{Monitor, check};
 use crate::posterior::Scale;
 use crate::render::{RenderedView, Tracer, render_view};
-use crate::uncertainty::{BakedField, ThresholdedField, UncertaintyField};
-
-/// Bytes that the field may take to answer faster.
-const ROOM: usize = 256 << 20;
+use crate::uncertainty::{Answers, ThresholdedField};
 
 /// log10 U at a share of 1, with U in longest edges of the domain.
 pub const SCALE: f64 = 6.0;
@@ -89,13 +86,13 @@ impl CleanUp {
 /// log10 U at a share of 0: that of the domain's longest edge, on the paper's scale.
 ///
 /// On the scale of the training pixels, the prior lies as many decades above it as on the paper's with the default λ.
-fn thresholds_start_at(uncertainty: &UncertaintyField) -> f64 {
+fn thresholds_start_at(uncertainty: &dyn Answers) -> f64 {
     let lattice = uncertainty.lattice();
     let edge = lattice.domain().size().max_element().log10();
     match uncertainty.protocol().scale {
         Scale::Data(_) => {
             let paper = uncertainty.protocol().covariance.prior(lattice.default_lambda());
-            edge + (uncertainty.prior() / paper).log10()
+            edge + (uncertainty.protocol().prior_deviation() / paper).log10()
         }
         _ => edge,
     }
@@ -107,18 +104,17 @@ fn thresholds_start_at(uncertainty: &UncertaintyField) -> f64 {
 /// Advances the monitor by one per row of each image. The caller begins and ends the stage.
 ///
 /// # Errors
-/// [`crate::Error::Interrupted`] only.
+/// [`crate::Error::Interrupted`], and if the uncertainty cannot be read.
 pub fn clean_up(
     tracer: &Tracer,
-    uncertainty: &UncertaintyField,
+    uncertainty: &dyn Answers,
     truths: &[TrueView],
     thresholds: &[f64],
     monitor: &dyn Monitor,
 ) -> Result<Vec<(CleanUp, Vec<RenderedView>)>> {
     let unit = thresholds_start_at(uncertainty);
-    let baked = BakedField::within(ROOM, uncertainty);
-    let surface: Vec<Vec3> = uncertainty.surface().iter().copied().map(Vec3::from_array).collect();
-    let surface: Vec<f64> = uncertainty.query_all(&surface).iter().map(|found| found.uncertainty.log10()).collect();
+    let surface: Vec<Vec3> = uncertainty.surface()?.iter().copied().map(Vec3::from_array).collect();
+    let surface: Vec<f64> = uncertainty.estimates(&surface)?.iter().map(|found| found.uncertainty.log10()).collect();
     let kept = |threshold: f64| {
         let kept = surface.iter().filter(|log10| **log10 <= threshold).count();
         (!surface.is_empty()).then(|| kept as f64 / surface.len() as f64)
@@ -136,7 +132,9 @@ pub fn clean_up(
     let mut out = vec![(CleanUp::new(None, None, truths, &before), before)];
     for &share in thresholds {
         let threshold = share * SCALE + unit;
-        let after = render(&ThresholdedField::new(tracer.field, &baked, threshold))?;
+        let field = ThresholdedField::new(tracer.field, uncertainty, threshold);
+        let after = render(&field)?;
+        field.check()?;
         let cleaned = CleanUp::new(Some(share), Some(threshold), truths, &after);
         out.push((CleanUp { surfaces: kept(threshold), ..cleaned }, after));
     }

@@ -242,7 +242,7 @@ impl Args {
         let Some(path) = &self.clean_up else { return Ok(None) };
         let rows: u64 = truths.iter().map(|truth| u64::from(truth.camera.resolution[1])).sum();
         bars.begin("rows, cleaned", rows * (1 + THRESHOLDS.len() as u64));
-        let cleaned = clean_up(&evaluator.tracer, &evaluator.readings[0].field, truths, &THRESHOLDS, bars)?;
+        let cleaned = clean_up(&evaluator.tracer, &evaluator.baked[0], truths, &THRESHOLDS, bars)?;
         bars.end();
         let sheet = sheet::stage(path, truths, &cleaned)?;
         Ok(Some((cleaned.into_iter().map(|(cleaned, _)| cleaned).collect(), sheet)))

@@ -40,8 +40,7 @@ impl Studio<'_> {
             return render_view(tracer, camera, self.offset, &probes, self.bars);
         }
         let posterior = self.field.depth_posterior()?;
-        let lattice = self.field.lattice();
-        let differentiation = self.options.image_settings().differentiation(tracer.field, lattice)?;
+        let differentiation = self.options.image_settings().differentiation(tracer.field, self.field.lattice())?;
         let depth = DepthProbe { differentiation, variances: &[&posterior] };
         render_view_with_depth(tracer, camera, self.offset, &probes, &depth, self.bars)
     }
@@ -67,14 +66,13 @@ impl Studio<'_> {
         (view, cleaned): &(RenderedView, Option<RenderedView>),
     ) -> Result<Vec<Vec<Panel>>> {
         let both = || [view].into_iter().chain(cleaned);
-        let facts = self.field;
         let ranges = Ranges {
             depth: depth_range(both()),
             error: error_range(both()),
-            conformal: facts.conformal().copied(),
+            conformal: self.field.conformal().copied(),
             log10: self.log10,
-            prior: facts.prior().log10(),
-            quantity: facts.protocol().scale.quantity(),
+            prior: self.field.prior().log10(),
+            quantity: self.field.protocol().scale.quantity(),
         };
         let panels = |name: &str, view: &RenderedView| -> Result<Vec<Panel>> {
             let unknowns = unknowns(self.space, camera, self.offset, view)?;
