@@ -64,6 +64,9 @@ const TESTING: [((&str, Up), Seen); 8] = [
     (SPOT, SIDE_ONLY),
 ];
 
+/// Scenes that pictures are made of: those of meshes whose terms allow it.
+const PICTURED: [((&str, Up), Seen); 3] = [(SPOT, HALF), (BUNNY, HALF), (ARMADILLO, HALF)];
+
 fn scenes(cases: &[((&'static str, Up), Seen)], steps: u64) -> Vec<Scene> {
     cases.iter().map(|&((mesh, up), seen)| Scene { mesh, up, seen, steps }).collect()
 }
@@ -74,6 +77,7 @@ fn main() -> Result<()> {
         &[
             ("built-in", Needs::Nothing),
             ("pictures", Needs::Nothing),
+            ("views", Needs::Data),
             ("meshes", Needs::Data),
             ("ensembles", Needs::Data),
             ("strong", Needs::Data),
@@ -87,7 +91,11 @@ fn main() -> Result<()> {
     })?;
     program.part("pictures", |_| {
         let scene = scenes(&[(KNOT, FEW)], STRONG)[0];
-        Ok((settings(STRONG, &SEEDS[..1]), pictures::draw(&scene)?))
+        Ok((settings(STRONG, &SEEDS[..1]), pictures::for_the_book(&scene)?))
+    })?;
+    program.part("views", |_| {
+        let scenes = scenes(&PICTURED, STEPS);
+        Ok((settings(STEPS, &SEEDS[..1]), pictures::for_the_report(&scenes)?))
     })?;
     program.part("meshes", |work| {
         let scenes = scenes(&[&CHOOSING[..], &TESTING].concat(), STEPS);

@@ -3,12 +3,12 @@
 use std::path::Path;
 
 use octobayes::Result;
-use octobayes::evaluate::{CleanUp, EvaluatedView, Score, TrueView};
-use octobayes::internal::{Bar, Curve, Panel, color_panel, scalar_panel, write_plot, write_sheet};
+use octobayes::evaluate::{CleanUp, Score, TrueView};
+use octobayes::internal::{Curve, Panel, color_panel, write_plot, write_sheet};
 use octobayes::render::RenderedView;
 
 use crate::plan::Data;
-use crate::scene::{Entry, Kind, ranks};
+use crate::scene::{Entry, Kind};
 
 /// Width that small pictures are enlarged to, about.
 const WIDTH: u32 = 140;
@@ -88,38 +88,6 @@ pub fn curves(path: &Path, scene: &str, entries: &[Entry], scores: &[Score]) -> 
 fn true_image(data: Data, truth: &TrueView) -> Vec<Panel> {
     let panel = || color_panel("true image", truth.camera.resolution, truth.colors.iter().copied());
     data.has_own_images().then(panel).into_iter().collect()
-}
-
-/// One view as in the paper's Figure 5: that of median mean error. Ranks are percentiles among the judged pixels of the
-/// view.
-pub fn row(path: &Path, data: Data, truths: &[TrueView], views: &[EvaluatedView], entries: &[Entry]) -> Result<()> {
-    let mean = |v: &EvaluatedView| v.absolute_error.iter().sum::<f64>() / v.absolute_error.len().max(1) as f64;
-    let mut order: Vec<usize> = (0..views.len()).filter(|&v| !views[v].pixels.is_empty()).collect();
-    order.sort_by(|&a, &b| mean(&views[a]).total_cmp(&mean(&views[b])));
-    let v = order[order.len() / 2];
-    let (truth, view) = (&truths[v], &views[v]);
-    let size = view.rendered.resolution;
-    let depth: Vec<f64> =
-        view.rendered.pixels.iter().map(|p| if p.opacity > 0.5 { p.median_depth } else { f64::NAN }).collect();
-    let known = depth.iter().copied().filter(|d| !d.is_nan());
-    let (low, high) = known.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), d| (l.min(d), h.max(d)));
-    let bar = Bar::new;
-    let rank = |title: &str, values: &[f64]| {
-        scalar_panel(title, size, ranks(view, values), bar([0.0, 1.0], colorous::INFERNO))
-    };
-    let mut row = true_image(data, truth);
-    row.extend([
-        color_panel("model", size, view.rendered.pixels.iter().map(|p| p.color)),
-        scalar_panel("median depth", size, depth, bar([low, high], colorous::VIRIDIS)),
-        rank("error, rank", &view.absolute_error),
-    ]);
-    let measure =
-        |entry: &Entry| entries.iter().position(|e| e == entry).map(|m| rank(&title(entry), &view.measures[m]));
-    let default = entries.iter().find(|e| is(e, DEFAULT));
-    let found = entries.iter().find(|e| is(e, FOUND));
-    let ensemble = entries.iter().find(|e| e.kind == Kind::Ensemble);
-    row.extend([default, found, best_baseline(entries), ensemble].into_iter().flatten().filter_map(measure));
-    write_sheet(path, &[row.into_iter().map(enlarged).collect()])
 }
 
 /// Before and after the clean-up, one row a view.

@@ -375,7 +375,7 @@ fn pictures(plan: &Plan, folder: &str, done: &[SceneResult]) -> String {
         let (name, slug) = (&r.name, &r.slug);
         let mut line = format!("\n**{name}** ([sparsification]({folder}/{slug}.svg)");
         line += &if scene.data.may_be_pictured() {
-            format!(", [clean-up]({folder}/{slug}-clean-up.png))\n\n![{name}]({folder}/{slug}.png)\n")
+            format!(", [clean-up]({folder}/{slug}-clean-up.png))\n")
         } else {
             ")\n".into()
         };
@@ -390,7 +390,7 @@ pub fn write(plan: &Plan, results: &[Dated<SceneResult>], left: &[String], work:
     let reports = folder();
     let pictured = reports.join("few_views");
     for r in &done {
-        for (from, to) in [("row.png", ".png"), ("sparsification.svg", ".svg"), ("clean-up.png", "-clean-up.png")] {
+        for (from, to) in [("sparsification.svg", ".svg"), ("clean-up.png", "-clean-up.png")] {
             let (from, to) = (work.join(&r.slug).join(from), pictured.join(format!("{}{to}", r.slug)));
             if from.exists() {
                 std::fs::copy(&from, &to).map_err(Error::io(&from, "cannot copy"))?;

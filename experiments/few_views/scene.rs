@@ -5,11 +5,9 @@ use std::path::Path;
 use glam::DVec3;
 use octobayes::Result;
 use octobayes::estimate::RaySettings;
-use octobayes::evaluate::{
-    CleanUp, DepthError, EvaluatedView, Evaluator, Measure, Reading, Score, THRESHOLDS, TrueView, clean_up,
-};
+use octobayes::evaluate::{CleanUp, DepthError, Evaluator, Measure, Reading, Score, THRESHOLDS, TrueView, clean_up};
 use octobayes::field::RadianceField;
-use octobayes::metrics::{ErrorKind, percentiles};
+use octobayes::metrics::ErrorKind;
 use octobayes::monitor::Silent;
 use octobayes::render::{RayAverage, Tracer};
 use octobayes::uncertainty::UncertaintyField;
@@ -240,9 +238,6 @@ fn compute(scene: &Scene, plan: &Plan, work: &Path, folder: &Path) -> Result<Sce
         })
         .collect();
     picture::curves(&folder.join("sparsification.svg"), scene.name, &entries, &scores)?;
-    if scene.data.may_be_pictured() {
-        picture::row(&folder.join("row.png"), scene.data, &truths, &views, &entries)?;
-    }
 
     eprintln!("  clean-up");
     let some: Vec<TrueView> = spread(&truths, plan.cleaned_views).into_iter().cloned().collect();
@@ -281,13 +276,4 @@ fn costs(tracer: &Tracer, reading: &Reading, truths: &[TrueView]) -> Result<[Tim
     };
     let (plain, with) = (time(&[])?, time(&one)?);
     Ok([plain, Time { cpu: (with.cpu - plain.cpu).max(0.0), wall: (with.wall - plain.wall).max(0.0) }])
-}
-
-/// Percentiles over the judged pixels of a view, as an image; NaN elsewhere.
-pub fn ranks(view: &EvaluatedView, values: &[f64]) -> Vec<f64> {
-    let mut image = vec![f64::NAN; view.rendered.pixels.len()];
-    for (&i, p) in view.pixels.iter().zip(percentiles(values)) {
-        image[i] = p;
-    }
-    image
 }

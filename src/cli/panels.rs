@@ -55,7 +55,7 @@ pub fn view_panels(view: &RenderedView, name: &str, ranges: Ranges, unknown: &[O
         let shown = deviation.iter().zip(&view.pixels).map(|(s, p)| if p.opacity > 0.5 { *s } else { f64::NAN });
         let bar = Bar::new(ranges.error, colorous::CIVIDIS);
         let title = match ranges.conformal {
-            Some(c) => format!("deviation of depth ({:.0} % of errors below {:.2} x)", 100.0 * c.probability, c.factor),
+            Some(c) => format!("deviation of depth ({:.0} % of errors below {:.2} ×)", 100.0 * c.probability, c.factor),
             None => "deviation of depth (scene units)".into(),
         };
         panels.push(scalar_panel(&title, view.resolution, shown, bar));

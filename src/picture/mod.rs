@@ -1,6 +1,7 @@
 //! Pictures: labelled panels as PNG, moving ones, and plots as SVG for readers, EXR for tools.
 
 mod animation;
+mod lettering;
 mod panel;
 mod plot;
 

@@ -85,6 +85,12 @@ impl<'a> BakedField<'a> {
         self.estimate(corners, found)
     }
 
+    /// log10 U at one scene point.
+    #[must_use]
+    pub fn log10(&self, x: Vec3) -> f64 {
+        self.query(x).uncertainty.log10()
+    }
+
     /// U at many scene points, in parallel.
     #[must_use]
     pub fn query_all(&self, points: &[Vec3]) -> Vec<Estimate> {

@@ -14,7 +14,7 @@ use crate::Result;
 use crate::field::RadianceField;
 use crate::monitor::{Monitor, check};
 use crate::render::Occupancy;
-use crate::uncertainty::{Knowledge, UncertaintyField};
+use crate::uncertainty::{BakedField, Knowledge, UncertaintyField};
 
 /// Matter that absorbs less than this along the edge of a cell is left out, if a whole brick holds no more.
 const LEAST: f64 = 2e-4;
@@ -69,6 +69,8 @@ pub struct Codes {
 pub struct Source<'a> {
     pub model: &'a dyn RadianceField,
     pub field: &'a UncertaintyField,
+    /// The same, baked.
+    pub baked: &'a BakedField<'a>,
     /// Tells where the model may have density.
     pub occupancy: &'a Occupancy,
     /// Positions of cameras, over whose directions colours are averaged.
@@ -115,7 +117,7 @@ pub fn bricks(grid: &Grid, source: &Source, monitor: &dyn Monitor) -> Result<(Pa
     let found: Vec<Matter> = found.into_iter().flatten().collect();
     let places: Vec<[u32; 3]> = found.iter().map(|brick| brick.index).collect();
     let pages = Pages::new(grid, &places);
-    let behind = |x: Vec3| source.field.log10(x);
+    let behind = |x: Vec3| source.baked.log10(x);
     let (density, depths) = unbiased(grid, &pages, &found, source.rays[0]);
     let matter = coded(&fitted(depths, (grid, &pages), &places, source.rays, behind));
     let fit = Fit::new(&Volume { grid, pages: &pages, matter: &matter }, &places, source.rays, behind);
@@ -143,7 +145,7 @@ fn matter(grid: &Grid, index: [u32; 3], source: &Source, marks: &[Marks; 2]) -> 
     let color = MeanColor { model: source.model, eyes: source.eyes }.of_brick(&positions, &alpha, &is_marked);
     let is_asked = |i: usize| alpha[i] > 0.0 || neighbours(i).any(|j| alpha[j] > 0.0);
     let known = |x: Vec3| {
-        let found = source.field.query(x);
+        let found = source.baked.query(x);
         let is_unseen = source.field.knowledge(x, found.uncertainty) == Some(Knowledge::Unseen);
         Known { log10: found.uncertainty.log10() as f32, rays: found.rays.unwrap_or(0.0) as f32, is_unseen }
     };

@@ -16,7 +16,7 @@ use crate::geometry::{Camera, Domain, Norm};
 use crate::io::AtomicFile;
 use crate::monitor::Monitor;
 use crate::render::Tracer;
-use crate::uncertainty::UncertaintyField;
+use crate::uncertainty::{BakedField, UncertaintyField};
 use crate::{Error, Result};
 
 /// The scripts, in the order in which they are read.
@@ -43,6 +43,8 @@ const RAYS_SEEN: f64 = 12.0;
 const MOST_RAYS: f64 = 4e6;
 const RAYS_BEHIND: f64 = 0.3;
 const BEHIND: [f64; 2] = [2.0 / 3.0, 1.0 / 3.0];
+/// Most memory for the values at the corners of the field's leaves, bytes: rays ask for U millions of times.
+const ROOM: usize = 512 << 20;
 /// Most cameras in the file.
 const CAMERAS: usize = 1000;
 
@@ -101,8 +103,9 @@ pub fn write_view(path: &Path, view: &View, cells: u32, budget: usize, monitor: 
     let occupancy = view.tracer.marcher.occupancy.as_ref().expect("pictures are rendered with occupancy");
     let eyes: Vec<Vec3> = spread(&cameras, EYES).iter().map(|camera| camera.position.as_vec3()).collect();
     let count = (RAYS_SEEN * f64::from(cells).powi(2)).min(MOST_RAYS);
-    let (rays, behind) = seen(view, &cameras, count, monitor)?;
-    let source = Source { model: view.model, field: view.field, occupancy, eyes: &eyes, rays: [&rays, &behind] };
+    let baked = &BakedField::within(ROOM, view.field);
+    let (rays, behind) = seen(view, baked, &cameras, count, monitor)?;
+    let source = Source { model: view.model, field: view.field, baked, occupancy, eyes: &eyes, rays: [&rays, &behind] };
     loop {
         let grid = Grid::new(view.model.bounds(), view.field.lattice().domain(), now);
         let (pages, found, codes) = bricks(&grid, &source, monitor)?;
@@ -137,15 +140,21 @@ fn snapped(cells: u32, vertices: u32) -> u32 {
 }
 
 /// What cameras see; and what they would see if the slider had removed a third or two of the visible surfaces.
-fn seen(view: &View, cameras: &[Camera], count: f64, monitor: &dyn Monitor) -> Result<(Vec<SeenRay>, Vec<SeenRay>)> {
-    let rays = look(view.tracer, (view.field, f64::INFINITY), cameras, view.offset, count, monitor)?;
+fn seen(
+    view: &View,
+    field: &BakedField,
+    cameras: &[Camera],
+    count: f64,
+    monitor: &dyn Monitor,
+) -> Result<(Vec<SeenRay>, Vec<SeenRay>)> {
+    let rays = look(view.tracer, (field, f64::INFINITY), cameras, view.offset, count, monitor)?;
     let mut of_surface: Vec<f64> = rays.iter().map(|ray| f64::from(ray.log10)).filter(|u| u.is_finite()).collect();
     of_surface.sort_unstable_by(f64::total_cmp);
     let mut behind = Vec::new();
     for share in BEHIND {
         let Some(&threshold) = of_surface.get((share * of_surface.len() as f64) as usize) else { continue };
         let count = RAYS_BEHIND * count;
-        behind.extend(look(view.tracer, (view.field, threshold), cameras, view.offset, count, monitor)?);
+        behind.extend(look(view.tracer, (field, threshold), cameras, view.offset, count, monitor)?);
     }
     Ok((rays, behind))
 }

@@ -8,7 +8,7 @@ use crate::Result;
 use crate::geometry::{Camera, Ray};
 use crate::monitor::{Monitor, check};
 use crate::render::{CompositingWeights, TraceBuffers, Tracer};
-use crate::uncertainty::{ThresholdedField, UncertaintyField};
+use crate::uncertainty::{BakedField, ThresholdedField};
 
 /// Most cameras that look.
 const CAMERAS: usize = 48;
@@ -56,7 +56,7 @@ pub fn spread(cameras: &[Camera], most: usize) -> Vec<Camera> {
 /// [`crate::Error::Interrupted`] only.
 pub fn look(
     tracer: &Tracer,
-    (field, most): (&UncertaintyField, f64),
+    (field, most): (&BakedField, f64),
     cameras: &[Camera],
     offset: f64,
     count: f64,
@@ -95,7 +95,7 @@ pub fn look(
 }
 
 /// What single rays hit.
-fn see(tracer: &Tracer, field: &UncertaintyField, most: f64, rays: &[Ray]) -> Vec<SeenRay> {
+fn see(tracer: &Tracer, field: &BakedField, most: f64, rays: &[Ray]) -> Vec<SeenRay> {
     let mut buffers = TraceBuffers::default();
     tracer.trace(rays, &vec![0.5; rays.len()], &mut buffers);
     let traced = &buffers.traced;

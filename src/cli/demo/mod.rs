@@ -250,7 +250,7 @@ impl Args {
                     row.insert(0, colors(&format!("{}: truth", subject.views()[i].0), &truths[i]));
                     row[1].title = "model".into();
                 }
-                row.push(colors(&format!("cleaned: log10 U <= {threshold:.2}"), &cleaned[i]));
+                row.push(colors(&format!("cleaned: log10 U ≤ {threshold:.2}"), &cleaned[i]));
                 Ok(row)
             })
             .collect::<Result<_>>()?;

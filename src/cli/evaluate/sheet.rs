@@ -39,7 +39,7 @@ pub fn stage(path: &Path, truths: &[TrueView], cleaned: &[(CleanUp, Vec<Rendered
             )];
             row.extend(shown(cleaned).into_iter().map(|k| {
                 let (cleaned, views) = &cleaned[k];
-                let name = cleaned.log10.map_or("as it is".into(), |u| format!("log10 U <= {u:.2}"));
+                let name = cleaned.log10.map_or("as it is".into(), |u| format!("log10 U ≤ {u:.2}"));
                 color_panel(&name, views[v].resolution, views[v].pixels.iter().map(|p| p.color))
             }));
             row

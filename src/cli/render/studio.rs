@@ -80,7 +80,7 @@ impl Studio<'_> {
         };
         let mut rows = vec![panels(name, view)?];
         if let (Some(cleaned), Some((_, field))) = (cleaned, &self.cleaned) {
-            rows.push(panels(&format!("log10 U <= {:.3}", field.threshold()), cleaned)?);
+            rows.push(panels(&format!("log10 U ≤ {:.3}", field.threshold()), cleaned)?);
         }
         Ok(rows)
     }
