@@ -124,7 +124,7 @@ fn by_blocks(field: &UncertaintyField) -> Vec<f64> {
         let volume = (edge * edge * edge) as f64;
         for (i, settled) in settled.iter_mut().enumerate().filter(|(_, settled)| settled.is_none()) {
             let sum = sums[block(i)];
-            *settled = (sum.rays >= 4).then(|| VertexSums { information: sum.information.map(|s| s / volume), ..sum });
+            *settled = (sum.rays >= 4).then(|| VertexSums::new(sum.information.map(|s| s / volume), sum.rays));
         }
     }
     let read = |sums: VertexSums| Covariance::Diagonal.deviation(&sums, protocol.rays, protocol.lambda).log10();

@@ -282,9 +282,9 @@ fn contents_that_no_run_writes_are_refused() {
         // Error bars that are negative, and error bars of one group.
         (Kind::Field, 6, 10, &|errors| errors[3] = 0x80, "errors"),
         (Kind::Field, 6, 10, &|errors| errors[..2].copy_from_slice(&[1, 0]), "errors"),
-        // Codes of bricks: so coarse that a shift by their levels overflows, then coarse and outside.
-        (Kind::Checkpoint, 0, 1, &|codes| codes[..8].copy_from_slice(&(40_u64 << 51).to_le_bytes()), "sums"),
-        (Kind::Checkpoint, 0, 1, &|codes| codes[..8].copy_from_slice(&(3_u64 << 51 | 1).to_le_bytes()), "sums"),
+        // Keys of vertices: so coarse that a shift by their levels overflows, then coarse and outside.
+        (Kind::Checkpoint, 0, 1, &|keys| keys[..8].copy_from_slice(&(40_u64 << 57).to_le_bytes()), "sums"),
+        (Kind::Checkpoint, 0, 1, &|keys| keys[..8].copy_from_slice(&(3_u64 << 57 | 8).to_le_bytes()), "sums"),
         // More points than the run keeps, and a point that is not finite.
         (Kind::Checkpoint, 0, 3, &|surface| surface.resize(12 * 101, 0), "surface"),
         (Kind::Checkpoint, 0, 3, &|surface| surface[..4].fill(0xff), "surface"),

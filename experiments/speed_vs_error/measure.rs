@@ -21,7 +21,8 @@ const MOST: u64 = 20 * 1_024_000;
 
 /// Grid of `level` with surface points to compare at.
 pub fn grid(kind: GridKind, level: u8) -> GridSettings {
-    GridSettings::default().grid(kind).level(level).surface_points(POINTS)
+    // Without sums in the field, as `octobayes uncertainty` runs.
+    GridSettings::default().grid(kind).level(level).surface_points(POINTS).keep_sums(false)
 }
 
 /// A finished run.

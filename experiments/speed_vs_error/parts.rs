@@ -211,6 +211,7 @@ pub fn levels(work: &Work, lego: &Scene) -> Result<(String, String)> {
         "level",
         "leaves",
         "s, median",
+        "to level 8",
         "µs / ray",
         "vertices",
         "bytes for queries",
@@ -221,14 +222,19 @@ pub fn levels(work: &Work, lego: &Scene) -> Result<(String, String)> {
     let criteria = [Criterion::Sensitivity, Criterion::RayCount].into_iter().collect();
     let limited =
         (8..=12).map(|level| (grid(GridKind::Octree, level).criteria(criteria), "`--refine sensitivity,ray-count`"));
+    let mut measured = Vec::new();
     for (grid, leaves) in free.chain(limited) {
         let name = format!("level {}, {leaves}", grid.level);
-        let rows = rows(work, &name, &rays, |rays| Row::new(&run(lego, &rays, &grid)?, None))?;
+        measured.push((grid, leaves, rows(work, &name, &rays, |rays| Row::new(&run(lego, &rays, &grid)?, None))?));
+    }
+    let level_8 = measured.iter().find(|(grid, ..)| grid.level == 8).map_or(f64::NAN, |(.., rows)| rows.seconds());
+    for (grid, leaves, rows) in measured {
         let dense = 4 * grid.lattice(octobayes::geometry::Domain::Box(lego.field.bounds()))?.dense_vertices();
         table.row(&[
             grid.level.to_string(),
             leaves.into(),
             format!("{:.2}", rows.seconds()),
+            format!("{:.1}", rows.seconds() / level_8),
             format!("{:.1}", rows.seconds() * 1e6 / rays.rays as f64),
             whole(rows.mean(|row| row.vertices)),
             whole(rows.mean(|row| row.bytes)),

@@ -4,7 +4,7 @@
 //!
 //! - *outside*: program, model, cameras, occupancy grid, rays under way and their contributions. The operating system
 //!   says how much that is during the pilot, which draws rays as the run does.
-//! - *summing*: bricks of sums, by the pilot's [`Census`].
+//! - *summing*: sums of vertices, by the pilot's [`Census`].
 //! - *finishing*: the field, made while the sums are still there.
 
 use std::time::{Duration, Instant};
@@ -15,7 +15,7 @@ use crate::io::memory;
 use crate::monitor::Monitor;
 use crate::octree::MaxLevels;
 use crate::posterior::{
-    BRICK_BYTES, CONTRIBUTION_BYTES, Census, DensePosterior, FactoredSums, Needs, PilotCounts, SPARE_BYTES, VertexSums,
+    CONTRIBUTION_BYTES, Census, DensePosterior, FactoredSums, Needs, PilotCounts, SPARE_BYTES, VertexSums,
 };
 use crate::rays::{Purpose, RayStream, RunProgress, Shard};
 use crate::{Error, Result};
@@ -127,7 +127,7 @@ impl Planner {
         let start = Instant::now();
         // Limits by ray count alone are exact.
         let is_exact = settings.memory.is_none() && settings.rays_per_vertex() > 0.0;
-        let mut census = Census::new(lattice, if is_exact { usize::MAX } else { FEW });
+        let mut census = Census::new(lattice, if is_exact { usize::MAX } else { FEW }, settings.needs_plan());
         let mut outside = 0.0_f64;
         let stream = stream.for_purpose(Purpose::Pilot);
         stream.run(pilot, RunProgress::default(), monitor, |batches, _| {
@@ -176,8 +176,8 @@ impl Planner {
                 (self.lattice.dense_vertices() as f64, DensePosterior::required_memory(&self.lattice) as f64)
             }
             GridKind::Octree => {
-                let Needs { bricks, vertices } = self.census.needs(self.own_scale, &limits, self.settings.tile);
-                (self.correction * vertices, self.correction * bricks * BRICK_BYTES)
+                let Needs { summing, vertices } = self.census.needs(self.own_scale, &limits, self.settings.tile);
+                (self.correction * vertices, self.correction * summing)
             }
         };
         let [structure, stored] = if self.settings.grid == GridKind::Dense { [0.0; 2] } else { STRUCTURE };
@@ -270,8 +270,8 @@ impl Planner {
     /// Makes all further plans expect as much more, or less, as was found: the sums came to `summed` bytes after the
     /// fraction `done` of the rays of `plan`.
     pub(super) fn correct(&mut self, plan: &Plan, done: f64, summed: usize) {
-        let Needs { bricks, .. } = self.census.needs(done * self.own_scale, &plan.limits, self.settings.tile);
-        self.correction = summed.saturating_sub(SPARE_BYTES) as f64 / (bricks * BRICK_BYTES).max(1.0);
+        let Needs { summing, .. } = self.census.needs(done * self.own_scale, &plan.limits, self.settings.tile);
+        self.correction = summed.saturating_sub(SPARE_BYTES) as f64 / summing.max(1.0);
     }
 }
 

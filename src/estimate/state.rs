@@ -1,7 +1,7 @@
 //! The state of a posterior in a file, so that a run survives Ctrl-C, `kill -9` and power cuts.
 //!
-//! A container file with the sections `codes` (u64, of bricks; empty for a dense grid), `sums` ([`VertexSums`], 8
-//! per code, or one per lattice point of a dense grid), `surface` and `visits`. Sums are kept bit for bit, and the run
+//! A container file with the sections `keys` (u64, of vertices; empty for a dense grid), `sums` ([`VertexSums`], one
+//! per key, or per lattice point of a dense grid), `surface` and `visits`. Sums are kept bit for bit, and the run
 //! continues after the last counted ray. A resumed run therefore ends with the bits of an uninterrupted one. A
 //! run accepts only a state with its own description.
 
@@ -12,18 +12,18 @@ use serde::{Deserialize, Serialize};
 use crate::geometry::Lattice;
 use crate::io::container::{self, Format, Reader, Section};
 use crate::octree::{MaxLevels, Tile};
-use crate::posterior::{Brick, DensePosterior, OctreePosterior, VertexSums, Visits};
+use crate::posterior::{DensePosterior, OctreePosterior, VertexSums, Visits};
 use crate::rays::{Pixels, RunProgress, Shard};
 use crate::render::GradientMethod;
 use crate::{Error, Result};
 
-const FORMAT: Format = (b"OCTOCHK\n", 4);
+const FORMAT: Format = (b"OCTOCHK\n", 5);
 
 /// A posterior of either kind.
 pub enum AnyPosterior {
     /// The paper's grid.
     Dense(DensePosterior),
-    /// The octree's bricks.
+    /// The octree's sums.
     Octree(OctreePosterior),
 }
 
@@ -88,12 +88,12 @@ pub struct State {
     pub visits: Option<Visits>,
 }
 
-/// The bricks of all shards as one section.
-struct Bricks<'a>(&'a OctreePosterior);
+/// The sums of all partitions as one section.
+struct Sums<'a>(&'a OctreePosterior);
 
-impl Section for Bricks<'_> {
+impl Section for Sums<'_> {
     fn visit(&self, visit: &mut dyn FnMut(&[u8]) -> std::io::Result<()>) -> std::io::Result<()> {
-        self.0.slices().try_for_each(|bricks| bricks.visit(visit))
+        self.0.slices().try_for_each(|sums| sums.visit(visit))
     }
 }
 
@@ -111,16 +111,16 @@ pub fn save(
 ) -> Result<()> {
     let header = |dense| Header { key: key.clone(), progress, dense };
     let visits = visits.map_or(&[][..], Visits::counts);
-    let write = |dense, codes: &[u64], sums: &dyn Section| {
+    let write = |dense, keys: &[u64], sums: &dyn Section| {
         let sections: [(&str, &dyn Section); 4] =
-            [("codes", &codes), ("sums", sums), ("surface", &surface), ("visits", &visits)];
+            [("keys", &keys), ("sums", sums), ("surface", &surface), ("visits", &visits)];
         container::write(path, FORMAT, &header(dense), &sections)
     };
     match posterior {
         AnyPosterior::Dense(posterior) => write(true, &[], &posterior.sums()),
         AnyPosterior::Octree(posterior) => {
-            let codes: Vec<u64> = posterior.brick_codes().collect();
-            write(false, &codes, &Bricks(posterior))
+            let keys: Vec<u64> = posterior.keys().collect();
+            write(false, &keys, &Sums(posterior))
         }
     }
 }
@@ -157,19 +157,19 @@ pub fn load(path: &Path, key: &RunKey, limits: &MaxLevels, dense: bool) -> Resul
         let name = |dense| if dense { "dense" } else { "octree" };
         return Err(Error::malformed(path, "run, grid", name(dense), name(header.dense)));
     }
-    let codes = file.section::<u64>("codes")?;
+    let keys = file.section::<u64>("keys")?;
     let posterior = if dense {
         DensePosterior::from_sums(key.lattice, file.section::<VertexSums>("sums")?).map(AnyPosterior::Dense)
     } else {
-        let bricks = file.section::<Brick>("sums")?;
-        let same = codes.len() == bricks.len();
-        same.then(|| OctreePosterior::restore(key.lattice, limits.clone(), &codes, bricks))
+        let sums = file.section::<VertexSums>("sums")?;
+        let same = keys.len() == sums.len();
+        same.then(|| OctreePosterior::restore(key.lattice, limits.clone(), &keys, sums))
             .flatten()
             .map(AnyPosterior::Octree)
     };
     let sums_are_finite = match &posterior {
         Some(AnyPosterior::Dense(posterior)) => posterior.sums().iter().all(VertexSums::is_valid),
-        Some(AnyPosterior::Octree(posterior)) => posterior.slices().flatten().flatten().all(VertexSums::is_valid),
+        Some(AnyPosterior::Octree(posterior)) => posterior.slices().flatten().all(VertexSums::is_valid),
         None => false,
     };
     let posterior = posterior.filter(|_| sums_are_finite && key.shard.admits(&header.progress));
@@ -178,7 +178,7 @@ pub fn load(path: &Path, key: &RunKey, limits: &MaxLevels, dense: bool) -> Resul
             path,
             "section `sums`",
             "the sums of an unfinished run",
-            "codes, counts or sums that no such run gives",
+            "keys, counts or sums that no such run gives",
         )
     })?;
     let surface = file.section::<[f32; 3]>("surface")?;

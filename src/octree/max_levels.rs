@@ -11,7 +11,7 @@ use rustc_hash::FxHashMap;
 use super::{Cell, Leaves, morton};
 
 /// Levels between a region and the finest cells in it.
-const DEPTH: u8 = 5;
+pub const DEPTH: u8 = 5;
 
 /// The level of leaves in every region.
 #[derive(Debug, Clone, PartialEq, Eq)]

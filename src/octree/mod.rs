@@ -29,7 +29,7 @@ pub use cells::{Cell, CellTree};
 pub use cursor::Cursor;
 pub use leaf_table::LeafTable;
 pub use leaves::{Leaves, Masters, coarseness, masters, mean_volume};
-pub use max_levels::MaxLevels;
+pub use max_levels::{DEPTH, MaxLevels};
 pub use nearby::Nearby;
 pub use set::MortonSet;
 pub use tile::Tile;

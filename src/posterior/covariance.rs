@@ -197,7 +197,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn seen(information: Information) -> VertexSums {
-        VertexSums { information, rays: 1 }
+        VertexSums::new(information, 1)
     }
 
     fn information() -> impl Strategy<Value = Information> {

@@ -111,7 +111,7 @@ mod tests {
     #[test]
     fn a_full_count_of_rays_stays_full() {
         let lattice = Lattice::new(Aabb::centered_cube(1.0), 1).unwrap();
-        let full = VertexSums { rays: u32::MAX, ..VertexSums::default() };
+        let full = VertexSums::new([0.0; 6], u32::MAX);
         let mut posterior = DensePosterior::from_sums(lattice, vec![full; 27]).unwrap();
         let mut ray = RaySamples::default();
         ray.push(0, RaySample { position: Vec3::splat(0.3), jacobian: [1.0; 9], weight: 1.0 });

@@ -97,7 +97,7 @@ impl FactoredSums {
                 information[index(order[i], order[k])] = a.iter().zip(b).map(|(a, b)| a * b).sum();
             }
         }
-        VertexSums { information, rays: self.rays }
+        VertexSums::new(information, self.rays)
     }
 }
 
@@ -128,7 +128,7 @@ mod tests {
             rows in proptest::collection::vec((proptest::array::uniform3(-1.0..1.0_f64), -14..6_i32), 0..5),
             turned in proptest::bool::ANY, rays in 1_u32..,
         ) {
-            let mut sums = VertexSums { rays, ..VertexSums::default() };
+            let mut sums = VertexSums::new([0.0; 6], rays);
             for (row, decade) in &rows {
                 // Rows along an axis but for a little, so that pivots differ by decades.
                 let g = if turned { *row } else { [row[0], 1e-3 * row[1], 1e-7 * row[2]] };
@@ -162,7 +162,7 @@ mod tests {
     #[test]
     fn pivots_may_come_in_any_order() {
         for order in ORDERS {
-            let mut sums = VertexSums { rays: 3, ..VertexSums::default() };
+            let mut sums = VertexSums::new([0.0; 6], 3);
             for (k, axis) in order.into_iter().enumerate() {
                 sums.information[index(axis, axis)] = 4.0_f64.powi(-(k as i32));
             }

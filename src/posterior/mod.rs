@@ -28,8 +28,8 @@ pub use dense::DensePosterior;
 pub use factor::FactoredSums;
 #[cfg(feature = "correlations")]
 pub use full::{DrawnPosterior, Draws, ExactPosterior, FullPosterior};
-pub(crate) use octree::{BRICK_BYTES, CONTRIBUTION_BYTES, SPARE_BYTES};
-pub use octree::{Brick, Census, Needs, OctreePosterior, PilotCounts, Refinement};
+pub(crate) use octree::{CONTRIBUTION_BYTES, SPARE_BYTES, TOGETHER};
+pub use octree::{Census, Needs, OctreePosterior, PilotCounts, Refinement};
 pub use pooling::Pooling;
 pub use prior::Prior;
 pub use scale::{DataScale, Scale};

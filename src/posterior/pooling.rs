@@ -54,7 +54,7 @@ impl Pooling {
         let cubes = [f64::from(most), 0.5 * self.min_rays].map(|n| n * n * n);
         let share = cubes[0] / (cubes[0] + cubes[1]);
         let mix = |own: f64, sum: f64| share * own + (1.0 - share) * sum / total;
-        VertexSums { information: std::array::from_fn(|k| mix(own.information[k], information[k])), rays: own.rays }
+        VertexSums::new(std::array::from_fn(|k| mix(own.information[k], information[k])), own.rays)
     }
 }
 
@@ -65,7 +65,7 @@ mod tests {
     const POOLING: Pooling = Pooling { min_rays: 4.0, floor: 0.5 };
 
     fn seen(xx: f64, rays: u32) -> VertexSums {
-        VertexSums { information: [xx, 0.0, 0.0, 0.0, 0.0, 0.0], rays }
+        VertexSums::new([xx, 0.0, 0.0, 0.0, 0.0, 0.0], rays)
     }
 
     /// Pools at `center` of a lattice on which only `points` were seen.

@@ -155,7 +155,7 @@ mod tests {
         let trace = (0..3).map(|i| covariance.col(i)[i]).sum::<f64>();
         let diagonal = (0..3).map(|i| 1.0 / precision.col(i)[i]).sum::<f64>();
         let of = |covariance: Covariance| {
-            let sums = VertexSums { information, rays: 7 };
+            let sums = VertexSums::new(information, 7);
             Scale::Data(data).factor(covariance) * covariance.deviation(&sums, rays, data.lambda())
         };
         assert_relative_eq!(of(Covariance::Block), trace.sqrt(), max_relative = 1e-12);

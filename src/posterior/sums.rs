@@ -2,6 +2,8 @@
 
 use std::ops::AddAssign;
 
+use bytemuck::{Pod, Zeroable};
+
 use crate::io::container::Item;
 
 /// S = Σ_r JᵀJ of one vertex, summed over rays and colour channels: xx, xy, xz, yy, yz, zz, in 1 / scene unit².
@@ -14,15 +16,25 @@ pub fn trace(s: &Information) -> f64 {
 }
 
 /// Sums over the rays that touched a vertex; 56 bytes.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable)]
+#[repr(C)]
 pub struct VertexSums {
     /// S.
     pub information: Information,
     /// Number of rays with a sample in one of the vertex's cells.
     pub rays: u32,
+    /// Fills the last bytes, so that sums can lie in memory that is mapped.
+    unused: u32,
 }
 
 impl VertexSums {
+    /// Sums over so many rays.
+    #[must_use]
+    #[inline]
+    pub fn new(information: Information, rays: u32) -> Self {
+        Self { information, rays, unused: 0 }
+    }
+
     /// Checks whether rays can have produced these sums.
     ///
     /// All numbers are finite, the diagonal of the information is not negative, and its other entries are not
@@ -62,6 +74,6 @@ impl Item for VertexSums {
 
     fn take(bytes: &[u8]) -> Self {
         let (information, rays) = bytes.split_at(Information::SIZE);
-        Self { information: Item::take(information), rays: Item::take(rays) }
+        Self::new(Item::take(information), Item::take(rays))
     }
 }

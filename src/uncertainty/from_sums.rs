@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use super::{Protocol, RayCounts, StandardDeviations, Support, ray_counts};
 use crate::geometry::Lattice;
 use crate::octree::{MaxLevels, Octree, VertexId, mean_volume};
-use crate::posterior::{OctreePosterior, Pooling, Prior, VertexSums};
+use crate::posterior::{OctreePosterior, Pooling, Prior, TOGETHER, VertexSums};
 
 /// σ of one vertex from its own or pooled sums, as the field stores it.
 fn stored(protocol: &Protocol, sums: &VertexSums, lambda: f64) -> f32 {
@@ -40,9 +40,14 @@ pub fn values_without_sums(
     octree: &Octree,
     posterior: &OctreePosterior,
 ) -> (StandardDeviations, RayCounts) {
-    let (mut deviations, mut rays) = (Vec::new(), Vec::new());
-    let value = |(point, sums)| value(protocol, octree, posterior.limits(), point, sums);
-    posterior.each_at(octree).map(value).unzip_into_vecs(&mut deviations, &mut rays);
+    let count = octree.vertex_count();
+    let (mut deviations, mut rays) = (vec![0.0; count], vec![0; count]);
+    let values = deviations.par_chunks_mut(TOGETHER).zip(rays.par_chunks_mut(TOGETHER));
+    posterior.groups_at(octree).zip(values).for_each(|(group, (deviations, rays))| {
+        for ((point, sums), (deviation, count)) in group.into_iter().zip(deviations.iter_mut().zip(rays)) {
+            (*deviation, *count) = value(protocol, octree, posterior.limits(), point, sums);
+        }
+    });
     (StandardDeviations(deviations), RayCounts(rays))
 }
 

@@ -49,7 +49,7 @@ impl OfficialGrid {
         for_each_vertex(lattice.cells_per_axis(), |_, index| {
             // Only the trace is known, so an isotropic matrix with this trace stands in.
             let third = f64::from(array.data[index]) / 3.0;
-            sums.push(VertexSums { information: [third, 0.0, 0.0, third, 0.0, third], ..VertexSums::default() });
+            sums.push(VertexSums::new([third, 0.0, 0.0, third, 0.0, third], 0));
         });
         let source = format!("official grid {}", path.display());
         let lambda = self.lambda.unwrap_or_else(|| lattice.default_lambda());

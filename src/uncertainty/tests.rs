@@ -86,10 +86,7 @@ fn with_bars(field: UncertaintyField) -> UncertaintyField {
     let group = |g: usize| {
         let part = |(v, e): (usize, &VertexSums)| {
             let share = share(v, g);
-            VertexSums {
-                information: e.information.map(|s| share * s),
-                rays: u32::from(share > 0.0) * rays_of_a_group(v, e),
-            }
+            VertexSums::new(e.information.map(|s| share * s), u32::from(share > 0.0) * rays_of_a_group(v, e))
         };
         sums.iter().enumerate().map(part).collect()
     };
@@ -112,9 +109,8 @@ fn error_bars_are_those_of_fields_without_each_group() {
                 };
                 // Each of the other groups that saw a vertex counts its rays.
                 let rays = |v: usize| if v.is_multiple_of(5) { u32::from(g != 0) } else { 2 };
-                let part = |(v, e): (usize, &VertexSums)| VertexSums {
-                    information: e.information.map(|s| kept(v) * s),
-                    rays: rays(v) * rays_of_a_group(v, e),
+                let part = |(v, e): (usize, &VertexSums)| {
+                    VertexSums::new(e.information.map(|s| kept(v) * s), rays(v) * rays_of_a_group(v, e))
                 };
                 let protocol = Protocol { rays: [12, 13, 15][g], ..field.protocol.clone() };
                 let sums = sums.iter().enumerate().map(part).collect();

@@ -14,7 +14,7 @@ use super::{Kind, torch};
 /// Sections of containers, in the order of their parts.
 const FIELD: [&str; 10] =
     ["masks", "deviations", "rays", "factors", "exact", "surface", "visits", "counted", "limits", "errors"];
-const CHECKPOINT: [&str; 4] = ["codes", "sums", "surface", "visits"];
+const CHECKPOINT: [&str; 4] = ["keys", "sums", "surface", "visits"];
 
 /// Arrays that archives may have, in the order of their parts.
 const SAMPLES: [&str; 5] = ["positions", "jacobian", "ray", "rays_total", "weight"];
@@ -33,7 +33,7 @@ pub fn file(kind: Kind, recipe: &[u8]) -> Vec<u8> {
     let part = |i: usize| parts.get(i).copied().unwrap_or_default();
     match kind {
         Kind::Field => container(b"OCTOBAY\n", 3, &FIELD, &parts),
-        Kind::Checkpoint => container(b"OCTOCHK\n", 4, &CHECKPOINT, &parts),
+        Kind::Checkpoint => container(b"OCTOCHK\n", 5, &CHECKPOINT, &parts),
         Kind::Samples => archive(&SAMPLES, &parts),
         Kind::Voxels => archive(&VOXELS, &parts),
         Kind::Safetensors => {

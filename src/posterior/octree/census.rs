@@ -13,9 +13,11 @@ use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
 use super::pilot_counts::{Counts, PilotCounts};
+use super::sparse::BRICK_BYTES;
 use crate::geometry::Lattice;
 use crate::io::mix;
 use crate::octree::{Leaves, MaxLevels, Tile, Wanted, morton};
+use crate::posterior::VertexSums;
 use crate::render::RaySamples;
 
 /// One ray in this many is asked for its split cells, which takes longer than its bricks.
@@ -64,7 +66,7 @@ impl Caught {
         if self.counts.distinct == 0.0 {
             return 0.0;
         }
-        let alike = self.counts.vertices(s, 0);
+        let alike = self.counts.vertices(s);
         let [f1, f2, f3] = self.few;
         let theta = 3.0 * f3 / f2 - 2.0 * f2 / f1;
         if f2 < Self::LEAST[0] || f3 < Self::LEAST[1] || theta <= 0.0 {
@@ -123,7 +125,8 @@ impl Sample {
 
 /// What single rays touched: lists of codes, each code once per ray.
 struct Touched {
-    vertices: Vec<u64>,
+    /// By coarseness.
+    vertices: Vec<Vec<u64>>,
     /// By coarseness.
     bricks: Vec<Vec<u64>>,
     /// By level.
@@ -133,8 +136,8 @@ struct Touched {
 /// What a run will touch.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Needs {
-    /// Number of bricks of sums.
-    pub bricks: f64,
+    /// Bytes of sums.
+    pub summing: f64,
     /// Number of vertices of the finished octree.
     pub vertices: f64,
 }
@@ -143,8 +146,8 @@ pub struct Needs {
 #[derive(Debug, Clone)]
 pub struct Census {
     lattice: Lattice,
-    /// Of the finest lattice.
-    vertices: Sample,
+    /// By coarseness of the leaves; of the finest alone if there will be no limits.
+    vertices: Vec<Sample>,
     /// By coarseness of the leaves.
     bricks: Vec<Sample>,
     /// By level of the cell.
@@ -154,14 +157,15 @@ pub struct Census {
 }
 
 impl Census {
-    /// Counts nothing yet. Every sample has at most `most` species.
+    /// Counts nothing yet. Every sample has at most `most` species. Coarser leaves than the finest are looked at if
+    /// there may be limits.
     #[must_use]
-    pub fn new(lattice: Lattice, most: usize) -> Self {
+    pub fn new(lattice: Lattice, most: usize, has_limits: bool) -> Self {
         let finest = lattice.level();
-        let depth = finest - MaxLevels::none(finest).region_level();
+        let depth = if has_limits { finest - MaxLevels::none(finest).region_level() } else { 0 };
         Self {
             lattice,
-            vertices: Sample::new(most),
+            vertices: vec![Sample::new(most); usize::from(depth) + 1],
             bricks: vec![Sample::new(most); usize::from(depth) + 1],
             split: vec![Sample::new(most); usize::from(finest)],
             longest: 0,
@@ -173,9 +177,9 @@ impl Census {
         for some in batches.chunks(rayon::current_num_threads()) {
             let touched: Vec<Touched> = some.par_iter().map(|batch| self.touched(batch)).collect();
             for Touched { vertices, bricks, split } in touched {
-                self.longest = self.longest.max(vertices.len());
-                vertices.into_iter().for_each(|code| self.vertices.add(code));
-                let lists = self.bricks.iter_mut().zip(bricks).chain(self.split.iter_mut().zip(split));
+                self.longest = self.longest.max(vertices[0].len());
+                let by_coarseness = self.vertices.iter_mut().zip(vertices).chain(self.bricks.iter_mut().zip(bricks));
+                let lists = by_coarseness.chain(self.split.iter_mut().zip(split));
                 lists.for_each(|(sample, codes)| codes.into_iter().for_each(|code| sample.add(code)));
             }
         }
@@ -189,7 +193,7 @@ impl Census {
 
     fn touched(&self, batch: &RaySamples) -> Touched {
         let mut touched = Touched {
-            vertices: Vec::new(),
+            vertices: vec![Vec::new(); self.vertices.len()],
             bricks: vec![Vec::new(); self.bricks.len()],
             split: vec![Vec::new(); self.split.len()],
         };
@@ -197,17 +201,16 @@ impl Census {
             let located = batch.positions[samples].iter().filter_map(|&x| self.lattice.coordinates(x));
             let mut cells: Vec<u64> = located.map(|u| morton::encode(self.lattice.cell(u).0)).collect();
             cells.sort_unstable();
-            for (coarseness, bricks) in touched.bricks.iter_mut().enumerate() {
+            let lists = touched.vertices.iter_mut().zip(&mut touched.bricks);
+            for (coarseness, (all, bricks)) in lists.enumerate() {
                 cells.dedup();
                 let mut vertices: Vec<u64> = cells.iter().flat_map(|&cell| corners(cell)).collect();
                 vertices.sort_unstable();
                 vertices.dedup();
-                if coarseness == 0 {
-                    if is_asked_for_cells(ray) {
-                        self.split_for(&vertices, &mut touched.split);
-                    }
-                    touched.vertices.extend(&vertices);
+                if coarseness == 0 && is_asked_for_cells(ray) {
+                    self.split_for(&vertices, &mut touched.split);
                 }
+                all.extend(&vertices);
                 vertices.iter_mut().for_each(|code| *code >>= 3);
                 vertices.dedup();
                 bricks.extend(vertices);
@@ -233,7 +236,11 @@ impl Census {
     /// The counts by region, from which limits are made.
     #[must_use]
     pub fn counts(&self) -> PilotCounts {
-        PilotCounts::new(self.lattice.level(), self.vertices.rays.iter().map(|(&code, &rays)| (code, rays)))
+        let each = self.vertices.iter().map(|sample| {
+            let rays = sample.rays.iter().map(|(&code, &rays)| (code, rays));
+            (rays, f64::from(sample.zeros).exp2())
+        });
+        PilotCounts::new(self.lattice.level(), each)
     }
 
     /// What `scale` times the pilot's rays need on the leaves of `limits`, in a tile or everywhere.
@@ -243,11 +250,14 @@ impl Census {
         let last = self.lattice.cells_per_axis() - 1;
         let is_owned = |point| tile.is_none_or(|tile| tile.owns(finest, point));
         let on_limit = |coarseness: u8, code: u64| {
-            let vertex = morton::decode(code << 3).map(|i| (i << coarseness).min(last));
+            let vertex = morton::decode(code).map(|i| (i << coarseness).min(last));
             limits.level(limits.region_of(vertex)) + coarseness == finest && is_owned(vertex)
         };
         let bricks = (0..).zip(&self.bricks);
-        let bricks = bricks.map(|(coarseness, sample)| sample.expected(scale, |code| on_limit(coarseness, code)));
+        let bricks = bricks.map(|(coarseness, sample)| sample.expected(scale, |code| on_limit(coarseness, code << 3)));
+        let touched = (0..).zip(&self.vertices);
+        let touched = touched.map(|(coarseness, sample)| sample.expected(scale, |code| on_limit(coarseness, code)));
+        let summing = size_of::<VertexSums>() as f64 * touched.sum::<f64>() + BRICK_BYTES * bricks.sum::<f64>();
         let is_split = |level: u8, code: u64| {
             let is_on_limit = level < region || level < limits.level(code >> (3 * (level - region)));
             is_on_limit && is_owned(morton::decode(code << (3 * (finest - level))))
@@ -258,13 +268,13 @@ impl Census {
             sample.expected(scale * OF_CELLS as f64, |code| is_split(level, code)).min(most)
         });
         let leaves = 1.0 + 7.0 * split.sum::<f64>();
-        Needs { bricks: bricks.sum(), vertices: VERTICES_PER_LEAF * leaves }
+        Needs { summing, vertices: VERTICES_PER_LEAF * leaves }
     }
 
     /// Bytes on the heap.
     #[must_use]
     pub fn memory(&self) -> usize {
-        let samples = self.bricks.iter().chain(&self.split).chain([&self.vertices]);
+        let samples = self.bricks.iter().chain(&self.split).chain(&self.vertices);
         samples.map(|sample| sample.rays.capacity() * 8 / 7 * (1 + size_of::<(u64, u32)>())).sum()
     }
 }

@@ -1,4 +1,4 @@
-//! Names of vertices, bricks and blocks: where their sums are found.
+//! Names of vertices and of blocks: where their sums are found.
 //!
 //! The bits of a vertex's key, from the lowest: its number in its brick (3), the brick's number in its block (3), the
 //! rest of the Morton code of its point on the lattice of its own level, and from bit 57 on how much coarser than the
@@ -15,10 +15,6 @@ const COARSENESS_SHIFT: u32 = 57;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct VertexKey(u64);
 
-/// An aligned 2³ brick of vertices.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct BrickCode(u64);
-
 /// An aligned 2³ block of bricks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct BlockCode(u64);
@@ -31,6 +27,24 @@ impl VertexKey {
     #[inline]
     pub fn new(point: [u32; 3], coarseness: u8) -> Self {
         Self(u64::from(coarseness) << COARSENESS_SHIFT | morton::encode(point.map(|i| i >> coarseness)))
+    }
+
+    /// A key as [`VertexKey::bits`] gave it, or as an untrusted file says.
+    pub fn from_bits(bits: u64) -> Self {
+        Self(bits)
+    }
+
+    /// For files.
+    pub fn bits(self) -> u64 {
+        self.0
+    }
+
+    /// Whether its point lies on a lattice with `cells` per axis.
+    pub fn is_within(self, cells: u32) -> bool {
+        // Each level of coarseness halves the lattice until one cell remains.
+        let coarseness = self.coarseness();
+        coarseness <= u64::from(cells.ilog2())
+            && morton::decode(self.0 & ((1 << COARSENESS_SHIFT) - 1)).iter().all(|&i| i <= cells >> coarseness)
     }
 
     /// The vertex of the finest leaves at the point with this Morton code.
@@ -55,10 +69,10 @@ impl VertexKey {
         (self.0 & 7) as usize
     }
 
-    /// The brick that holds it.
+    /// The number of its brick in its block, 0 to 7.
     #[inline]
-    pub fn brick(self) -> BrickCode {
-        BrickCode(self.0 >> 3)
+    pub fn brick_in_block(self) -> usize {
+        (self.0 >> 3 & 7) as usize
     }
 
     /// The block that holds its brick.
@@ -70,61 +84,12 @@ impl VertexKey {
     /// The partition that owns it.
     #[inline]
     pub fn partition(self) -> usize {
-        self.brick().partition()
-    }
-}
-
-impl BrickCode {
-    /// A code as [`BrickCode::bits`] gave it, or as an untrusted file says.
-    pub fn from_bits(bits: u64) -> Self {
-        Self(bits)
-    }
-
-    /// For files.
-    pub fn bits(self) -> u64 {
-        self.0
-    }
-
-    /// Its number in its block, 0 to 7.
-    #[inline]
-    pub fn in_block(self) -> usize {
-        (self.0 & 7) as usize
-    }
-
-    /// The block that holds it.
-    #[inline]
-    pub fn block(self) -> BlockCode {
-        BlockCode(self.0 >> 3)
-    }
-
-    /// One of its eight vertices.
-    pub fn vertex(self, in_brick: usize) -> VertexKey {
-        VertexKey(self.0 << 3 | in_brick as u64)
-    }
-
-    /// The partition that owns it.
-    #[inline]
-    pub fn partition(self) -> usize {
         // Fibonacci hashing of the block's code (Knuth, TAOCP 3, 6.4).
-        (self.block().0.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> (64 - SHARD_BITS)) as usize
-    }
-
-    /// Whether its first vertex lies on a lattice with `cells` per axis.
-    pub fn is_within(self, cells: u32) -> bool {
-        // Each level of coarseness halves the lattice until one cell remains.
-        let coarseness = self.0 >> (COARSENESS_SHIFT - 3);
-        if coarseness > u64::from(cells.ilog2()) {
-            return false;
-        }
-        let first = morton::decode(self.0 << 3 & ((1 << COARSENESS_SHIFT) - 1));
-        first.iter().all(|&i| i <= cells >> coarseness)
+        ((self.0 >> 6).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> (64 - SHARD_BITS)) as usize
     }
 }
 
 impl BlockCode {
-    /// No block has this code.
-    pub const NONE: Self = Self(u64::MAX);
-
     /// The bits: of finest vertices, those of a Morton code without its lowest six.
     pub fn bits(self) -> u64 {
         self.0
@@ -147,11 +112,9 @@ mod tests {
             let at = index.map(|i| i << coarseness);
             let key = VertexKey::new(at, coarseness);
             prop_assert_eq!((key.point(), key.coarseness()), (at, u64::from(coarseness)));
-            let brick = key.brick();
-            prop_assert_eq!(brick.vertex(key.in_brick()), key);
-            prop_assert_eq!(key.block().vertex((8 * brick.in_block() + key.in_brick()) as u64), key);
-            prop_assert_eq!((BrickCode::from_bits(brick.bits()), brick.block()), (brick, key.block()));
-            prop_assert!(brick.is_within(1 << 16) && brick.partition() < PARTITIONS);
+            prop_assert_eq!(key.block().vertex((8 * key.brick_in_block() + key.in_brick()) as u64), key);
+            prop_assert_eq!(VertexKey::from_bits(key.bits()), key);
+            prop_assert!(key.is_within(1 << 16) && key.partition() < PARTITIONS);
         }
     }
 }

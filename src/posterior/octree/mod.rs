@@ -1,7 +1,7 @@
 //! The octree posterior: sums information only where rays are sensitive, in one pass and without an initial guess.
 //!
 //! Rays are summed on leaves as fine as [`MaxLevels`] allows. That is the finest lattice, unless rays or memory
-//! cannot support it in some region. Only the [bricks] of vertices touched by a sensitive sample exist. At the
+//! cannot support it in some region. Only vertices touched by a sensitive sample have sums ([sparse]). At the
 //! end the octree is refined around every vertex that moved from the prior by more than the tolerance. Everywhere
 //! else the field equals the prior to within the tolerance, and leaves stay as coarse as 2:1 balance permits.
 //! Nothing is ever accumulated at a vertex that later needs splitting, so the outcome does not depend on the
@@ -14,26 +14,27 @@
 //! list per partition. Then the partitions add their lists in parallel, each in ray order. Every sum therefore receives
 //! its contributions in ray order, whatever the number of threads.
 
-mod bricks;
 mod census;
 mod key;
 mod lists;
 mod pilot_counts;
 mod refine;
+mod sparse;
 mod squares;
+mod sums_list;
 mod walk;
 
-pub use bricks::Brick;
 pub use census::{Census, Needs};
 pub use pilot_counts::PilotCounts;
 pub use refine::Refinement;
+pub(crate) use refine::TOGETHER;
 
 use std::ops::AddAssign;
 
-use bricks::Bricks;
 use key::VertexKey;
 use lists::Contributions;
 use rayon::prelude::*;
+use sparse::SparseSums;
 use walk::LeafWalk;
 
 use super::{Posterior, VertexSums};
@@ -41,8 +42,8 @@ use crate::geometry::Lattice;
 use crate::octree::{Leaves, MaxLevels, Tile, coarseness};
 use crate::render::RaySamples;
 
-/// Expected bytes of a brick, with what it takes to find it, and of chunks of bricks that are not yet full.
-pub(crate) use bricks::{BRICK_BYTES, SPARE_BYTES};
+/// Expected bytes of chunks of sums that are not yet full.
+pub(crate) use sparse::SPARE_BYTES;
 /// Bytes of one ray's contribution to one vertex, before it is summed.
 pub(crate) const CONTRIBUTION_BYTES: usize = size_of::<lists::Contribution>();
 
@@ -53,7 +54,7 @@ pub struct OctreePosterior {
     limits: MaxLevels,
     /// The part of space whose vertices have sums; `None` for all of it.
     tile: Option<Tile>,
-    bricks: Bricks,
+    sums: SparseSums,
 }
 
 impl OctreePosterior {
@@ -70,7 +71,7 @@ impl OctreePosterior {
     #[must_use]
     pub fn limited(lattice: Lattice, limits: MaxLevels) -> Self {
         assert_eq!(limits.finest(), lattice.level(), "limits belong to the lattice's level");
-        Self { lattice, limits, tile: None, bricks: Bricks::new() }
+        Self { lattice, limits, tile: None, sums: SparseSums::new() }
     }
 
     /// The same posterior, which from now on sums at the vertices of a tile only. These get what they would get without
@@ -92,39 +93,39 @@ impl OctreePosterior {
         &self.limits
     }
 
-    /// Brick codes, in the order in which [`OctreePosterior::slices`] returns their sums.
-    pub(crate) fn brick_codes(&self) -> impl Iterator<Item = u64> + '_ {
-        self.bricks.codes()
+    /// Keys of vertices, in the order in which [`OctreePosterior::slices`] returns their sums.
+    pub(crate) fn keys(&self) -> impl Iterator<Item = u64> + '_ {
+        self.sums.keys().map(VertexKey::bits)
     }
 
     /// The sums, slice by slice.
-    pub(crate) fn slices(&self) -> impl Iterator<Item = &[Brick]> {
-        self.bricks.slices()
+    pub(crate) fn slices(&self) -> impl Iterator<Item = &[VertexSums]> {
+        self.sums.slices()
     }
 
-    /// Restores what [`OctreePosterior::brick_codes`] and [`OctreePosterior::slices`] returned, in the same order.
+    /// Restores what [`OctreePosterior::keys`] and [`OctreePosterior::slices`] returned, in the same order.
     ///
-    /// `None` if a code lies outside the lattice or occurs twice.
-    pub(crate) fn restore(lattice: Lattice, limits: MaxLevels, codes: &[u64], bricks: Vec<Brick>) -> Option<Self> {
-        let bricks = Bricks::restore(lattice.cells_per_axis(), codes, bricks)?;
-        Some(Self { lattice, limits, tile: None, bricks })
+    /// `None` if a key lies outside the lattice or occurs twice.
+    pub(crate) fn restore(lattice: Lattice, limits: MaxLevels, keys: &[u64], sums: Vec<VertexSums>) -> Option<Self> {
+        let sums = SparseSums::restore(lattice.cells_per_axis(), keys, sums)?;
+        Some(Self { lattice, limits, tile: None, sums })
     }
 
     /// Adds sums at a lattice point, as part of joining another run.
     pub fn add_sums_at(&mut self, point: [u32; 3], sums: &VertexSums) {
-        self.bricks.add_one(VertexKey::new(point, self.coarseness(point)), sums);
+        self.sums.add_one(VertexKey::new(point, self.coarseness(point)), sums);
     }
 
     /// The sums so far at a lattice point.
     #[must_use]
     pub fn sums(&self, point: [u32; 3]) -> VertexSums {
-        self.bricks.get(VertexKey::new(point, self.coarseness(point))).copied().unwrap_or_default()
+        self.sums.get(VertexKey::new(point, self.coarseness(point))).copied().unwrap_or_default()
     }
 
     /// Every vertex that a ray touched, with its lattice point.
     #[must_use = "iterators are lazy"]
     pub fn touched(&self) -> impl ParallelIterator<Item = ([u32; 3], &VertexSums)> {
-        self.bricks.par_iter().filter(|(_, e)| e.rays > 0).map(|(key, e)| (key.point(), e))
+        self.sums.par_iter().filter(|(_, e)| e.rays > 0).map(|(key, e)| (key.point(), e))
     }
 
     /// Number of levels between the finest level and the finest leaf that has `point` as a corner.
@@ -159,7 +160,7 @@ impl OctreePosterior {
 impl AddAssign<&Self> for OctreePosterior {
     /// Adds the sums over other rays on the same leaves, vertex by vertex.
     fn add_assign(&mut self, other: &Self) {
-        self.bricks += &other.bricks;
+        self.sums += &other.sums;
     }
 }
 
@@ -168,12 +169,12 @@ impl Posterior for OctreePosterior {
         // A list is several times as large as its batch, so there are only as many as keep the threads busy.
         for some in batches.chunks(rayon::current_num_threads()) {
             let lists: Vec<_> = some.par_iter().map(|batch| self.contributions(batch)).collect();
-            self.bricks.add(&lists);
+            self.sums.add(&lists);
         }
     }
 
     fn memory(&self) -> usize {
-        self.bricks.memory()
+        self.sums.memory()
     }
 }
 

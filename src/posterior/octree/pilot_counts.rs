@@ -1,15 +1,22 @@
 //! Extrapolates from a few rays to many: how many vertices a run will touch, and how many rays each will get.
 //!
-//! Letters, for one region and P pilot rays on the finest lattice: `t` touches (one ray at one vertex), `d`
-//! distinct vertices, `f1` and `f2` those touched once and twice. Chao's lower bound (Chao 1984), an estimator of
-//! unseen species, gives the number of vertices that can be touched at all: V = d + f1 (f1 − 1) / (2 (f2 + 1)). R
-//! rays touch V (1 − exp(−t R / (P V))) of them. Leaves that are k levels coarser have V / 4ᵏ vertices, as
-//! surfaces do, and t / 2ᵏ touches, because a ray crosses fewer of them.
+//! Letters, for the vertices of one region on leaves of one size, and P pilot rays: `t` touches (one ray at one
+//! vertex), `d` distinct vertices, `f1` and `f2` those touched once and twice. Chao's lower bound (Chao 1984), an
+//! estimator of unseen species, gives the number of vertices that can be touched at all: V = d + f1 (f1 − 1) /
+//! (2 (f2 + 1)). R rays touch V (1 − exp(−t R / (P V))) of them.
+//!
+//! The bound says little where hardly a vertex was touched twice: where leaves are much finer than the pilot's rays lie
+//! apart. There the next coarser leaves say more, and surfaces have a quarter of the vertices on them.
 
 use rustc_hash::FxHashMap;
 
 use crate::io::mix;
-use crate::octree::{MaxLevels, cells_around, morton};
+use crate::octree::{DEPTH, MaxLevels, cells_around, morton};
+
+/// Coverage, the share of touches at vertices that another ray touches, from which V is believed.
+const COVERED: f64 = 0.5;
+/// Sizes of leaves: as fine as the lattice, and coarser by up to [`DEPTH`] levels.
+const SIZES: usize = DEPTH as usize + 1;
 
 /// Counts in one region.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -35,41 +42,78 @@ impl Counts {
         self
     }
 
-    /// The vertices that rays can touch, and the touches by `scale` times the pilot's rays, on leaves
-    /// that are `coarser` levels coarser.
-    fn expected(&self, scale: f64, coarser: u8) -> (f64, f64) {
-        let all = self.distinct + self.once * (self.once - 1.0) / (2.0 * (self.twice + 1.0));
-        let halves = f64::from(coarser);
-        (all * (-2.0 * halves).exp2(), self.touches * scale * (-halves).exp2())
+    /// The vertices that rays can touch, V.
+    fn all(&self) -> f64 {
+        self.distinct + self.once * (self.once - 1.0) / (2.0 * (self.twice + 1.0))
+    }
+
+    /// Good and Turing's estimate of the share of touches at vertices that were touched before.
+    fn coverage(&self) -> f64 {
+        1.0 - self.once / self.touches.max(1.0)
     }
 
     /// Number of vertices that `scale` times the pilot's rays touch.
-    pub fn vertices(&self, scale: f64, coarser: u8) -> f64 {
-        let (all, touches) = self.expected(scale, coarser);
-        -all * (-touches / all).exp_m1()
+    pub fn vertices(&self, scale: f64) -> f64 {
+        let all = self.all();
+        -all * (-self.touches * scale / all).exp_m1()
     }
 }
 
-/// Counts by region.
+/// What is known of one region.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Evidence {
+    /// On the finest leaves.
+    touches: f64,
+    /// Rays of the pilot per vertex that rays can touch, by the leaves' coarseness.
+    rays_per_vertex: [f32; SIZES],
+}
+
+impl Evidence {
+    /// From counts by coarseness, each of which stands for so many.
+    fn new(counts: &[Counts; SIZES], weights: &[f64; SIZES]) -> Self {
+        let mut rays_per_vertex = [0.0; SIZES];
+        let mut coarser: Option<f64> = None;
+        for size in (0..SIZES).rev() {
+            let counted = &counts[size];
+            if counted.distinct == 0.0 {
+                continue;
+            }
+            let all = weights[size] * counted.all();
+            let all = coarser.filter(|_| counted.coverage() < COVERED).map_or(all, |coarser| all.max(4.0 * coarser));
+            rays_per_vertex[size] = (weights[size] * counted.touches / all) as f32;
+            coarser = Some(all);
+        }
+        Self { touches: weights[0] * counts[0].touches, rays_per_vertex }
+    }
+}
+
+/// What the rays of a pilot tell of every region.
 #[derive(Debug, Clone)]
 pub struct PilotCounts {
     finest: u8,
-    counts: FxHashMap<u64, Counts>,
+    regions: FxHashMap<u64, Evidence>,
 }
 
 impl PilotCounts {
-    /// Sorts vertices of the finest lattice, Morton codes with their numbers of rays, by region.
+    /// Sorts vertices by region. `touched` holds, from the finest leaves to the coarsest, the vertices of their
+    /// lattices, Morton codes with their numbers of rays, and how many vertices each of them stands for.
     #[must_use]
-    pub fn new(finest: u8, touched: impl IntoIterator<Item = (u64, u32)>) -> Self {
+    pub fn new<T: IntoIterator<Item = (u64, u32)>>(finest: u8, touched: impl IntoIterator<Item = (T, f64)>) -> Self {
         let limits = MaxLevels::none(finest);
-        let mut counts = FxHashMap::<u64, Counts>::default();
-        for (vertex, rays) in touched {
-            let cell = cells_around(morton::decode(vertex), finest).next().unwrap_or_default();
-            // These are sums of integers, so their order does not matter.
-            let entry = counts.entry(limits.region_of(cell)).or_default();
-            *entry = entry.add(Counts::of(rays));
+        let mut counts = FxHashMap::<u64, [Counts; SIZES]>::default();
+        let mut weights = [1.0; SIZES];
+        for (size, (touched, weight)) in touched.into_iter().enumerate() {
+            weights[size] = weight;
+            for (vertex, rays) in touched {
+                let point = morton::decode(vertex).map(|i| i << size);
+                let cell = cells_around(point, finest).next().unwrap_or_default();
+                // These are sums of integers, so their order does not matter.
+                let entry = &mut counts.entry(limits.region_of(cell)).or_default()[size];
+                *entry = entry.add(Counts::of(rays));
+            }
         }
-        Self { finest, counts }
+        let regions = counts.iter().map(|(&region, counts)| (region, Evidence::new(counts, &weights))).collect();
+        Self { finest, regions }
     }
 
     /// The finest limits with which `scale` times the pilot's rays give at least `min_rays` rays per vertex, by region.
@@ -90,12 +134,11 @@ impl PilotCounts {
 
     fn limits_where(&self, scale: f64, min_rays: impl Fn(u64) -> f64) -> MaxLevels {
         let least = MaxLevels::none(self.finest).region_level();
-        let wanted = self.counts.iter().map(|(&region, counts)| {
-            let coarser = (0..=self.finest - least).find(|&coarser| {
-                let (all, touches) = counts.expected(scale, coarser);
-                touches >= min_rays(region) * all
-            });
-            (region, coarser.map_or(least, |coarser| self.finest - coarser))
+        let wanted = self.regions.iter().map(|(&region, evidence)| {
+            let min_rays = min_rays(region);
+            let is_enough =
+                |coarser: &u8| scale * f64::from(evidence.rays_per_vertex[usize::from(*coarser)]) >= min_rays;
+            (region, (0..=self.finest - least).find(is_enough).map_or(least, |coarser| self.finest - coarser))
         });
         MaxLevels::balanced(self.finest, wanted)
     }
@@ -105,9 +148,9 @@ impl PilotCounts {
     pub fn shares(&self, limits: &MaxLevels) -> Vec<f64> {
         let mut shares = vec![0.0; usize::from(self.finest - limits.region_level()) + 1];
         let mut total = 0.0;
-        for (&region, counts) in &self.counts {
-            shares[usize::from(self.finest - limits.level(region))] += counts.touches;
-            total += counts.touches;
+        for (&region, evidence) in &self.regions {
+            shares[usize::from(self.finest - limits.level(region))] += evidence.touches;
+            total += evidence.touches;
         }
         // Integers below 2⁵³ add exactly in any order.
         shares.iter_mut().for_each(|share| *share /= f64::max(total, 1.0));
@@ -137,24 +180,51 @@ mod tests {
         let pilot = counts(1000, 10_000);
         assert!(pilot.distinct < 1000.0);
         for scale in [1_u64, 10, 100] {
-            let found = pilot.vertices(scale as f64, 0);
+            let found = pilot.vertices(scale as f64);
             let truth = counts(1000 * scale, 10_000).distinct;
             assert!((found / truth - 1.0).abs() < 0.15, "scale {scale}: {found} expected, {truth} touched");
         }
     }
 
+    /// Rays that meet a surface of side² vertices on the finest leaves of one region, at random; each touches one
+    /// vertex on leaves of any size.
+    fn on_a_surface(finest: u8, rays: u32) -> PilotCounts {
+        let side = 1_u32 << DEPTH;
+        let mut state = 1_u64;
+        let mut next = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 33) as u32 % side
+        };
+        let points: Vec<[u32; 3]> = (0..rays).map(|_| [next() + 1, next() + 1, 5]).collect();
+        let touched = (0..SIZES as u32).map(|size| {
+            let mut all = FxHashMap::<u64, u32>::default();
+            for point in &points {
+                *all.entry(morton::encode(point.map(|i| (i - 1) >> size))).or_default() += 1;
+            }
+            (all, 1.0)
+        });
+        PilotCounts::new(finest, touched)
+    }
+
     #[test]
     fn limits_are_as_fine_as_rays_support() {
-        let survey = PilotCounts { finest: 8, counts: [(0, counts(4000, 1000))].into_iter().collect() };
-        let level = |scale, min_rays| survey.limits(scale, min_rays).level(0);
-        // About four rays per vertex, which each coarser level doubles.
-        assert_eq!((level(1.0, 3.0), level(1.0, 6.0), level(1.0, 12.0), level(1.0, 1e9)), (8, 7, 6, 3));
-        assert_eq!(level(4.0, 12.0), 8, "four times the rays");
-        let [fine, coarse] = [0, 1].map(|coarser| survey.counts[&0].vertices(1.0, coarser));
-        assert!(
-            (3.0..4.1).contains(&(fine / coarse)),
-            "a quarter of the vertices, a little better filled: {fine}, {coarse}"
-        );
-        assert_eq!(survey.shares(&survey.limits(1.0, 6.0)), [0.0, 1.0, 0.0, 0.0, 0.0, 0.0]);
+        // 4096 rays on 1024 vertices: four each, and four times as many on every coarser size.
+        let pilot = on_a_surface(8, 4096);
+        let level = |scale, min_rays| pilot.limits(scale, min_rays).level(0);
+        assert_eq!((level(1.0, 3.0), level(1.0, 6.0), level(1.0, 24.0), level(1.0, 1e9)), (8, 7, 6, 3));
+        assert_eq!(level(8.0, 24.0), 8, "eight times the rays");
+        assert_eq!(pilot.shares(&pilot.limits(1.0, 6.0)), [0.0, 1.0, 0.0, 0.0, 0.0, 0.0]);
+    }
+
+    #[test]
+    fn where_no_vertex_is_touched_twice_coarser_leaves_say_how_many_there_are() {
+        // The run has a thousand rays on 1024 vertices, a pilot a handful of them. By Chao's bound alone, whatever
+        // three rays touched once would be all there is, and would get hundreds of rays each.
+        for rays in [3, 8, 30, 300, 1000] {
+            let pilot = on_a_surface(12, rays);
+            let level = |min_rays| pilot.limits(1000.0 / f64::from(rays), min_rays).level(0);
+            assert!((10..=11).contains(&level(4.0)), "{rays} rays of the pilot: level {}", level(4.0));
+            assert!(level(64.0) <= 9, "{rays} rays of the pilot: level {}", level(64.0));
+        }
     }
 }

@@ -7,6 +7,9 @@ use super::key::VertexKey;
 use crate::octree::{Cell, Leaves, Octree, Wanted, around, cells_around};
 use crate::posterior::{Pooling, VertexSums, trace};
 
+/// Vertices whose sums are gathered together.
+pub const TOGETHER: usize = 64;
+
 /// Whether a ray touched the vertex and its information exceeds `floor`.
 fn moves(sums: &VertexSums, floor: f64) -> bool {
     sums.rays > 0 && trace(&sums.information) > floor
@@ -50,7 +53,7 @@ impl OctreePosterior {
         if refinement.pooling.is_on() {
             // A key is a point on the lattice of its own level, so sorted unique keys are unique points.
             let mut moved: Vec<VertexKey> = match refinement.floor {
-                Some(floor) => self.bricks.par_iter().filter(|(_, e)| moves(e, floor)).map(|(key, _)| key).collect(),
+                Some(floor) => self.sums.par_iter().filter(|(_, e)| moves(e, floor)).map(|(key, _)| key).collect(),
                 None => Vec::new(),
             };
             moved.par_sort_unstable();
@@ -69,15 +72,27 @@ impl OctreePosterior {
     /// The sums at the vertices of an octree, in the order of their ids.
     #[must_use]
     pub fn sums_at(&self, octree: &Octree) -> Vec<VertexSums> {
-        self.each_at(octree).map(|(_, sums)| sums).collect()
+        let mut all = vec![VertexSums::default(); octree.vertex_count()];
+        let groups = self.groups_at(octree).zip(all.par_chunks_mut(TOGETHER));
+        groups.for_each(|(group, all)| all.iter_mut().zip(group).for_each(|(to, (_, sums))| *to = sums));
+        all
     }
 
-    /// The vertices of an octree with their sums, in the order of their ids. Nothing is copied.
-    pub(crate) fn each_at(&self, octree: &Octree) -> impl IndexedParallelIterator<Item = ([u32; 3], VertexSums)> {
-        let points = octree.par_vertex_positions();
-        points.map_init(
-            || self.bricks.reader(),
-            |reader, point| (point, reader.get(VertexKey::new(point, self.coarseness(point)))),
+    /// The vertices of an octree with their sums, in the order of their ids, in groups of [`TOGETHER`].
+    pub(crate) fn groups_at(
+        &self,
+        octree: &Octree,
+    ) -> impl IndexedParallelIterator<Item = Vec<([u32; 3], VertexSums)>> {
+        let groups = octree.par_vertex_positions().chunks(TOGETHER);
+        groups.map_init(
+            || self.sums.reader(),
+            |reader, points| {
+                // All of them are found before the sums of any are read, so that their cache misses overlap.
+                let found: Vec<_> =
+                    points.iter().map(|&point| reader.find(VertexKey::new(point, self.coarseness(point)))).collect();
+                let sums = found.into_iter().map(|sums| sums.copied().unwrap_or_default());
+                points.into_iter().zip(sums).collect()
+            },
         )
     }
 
@@ -85,7 +100,7 @@ impl OctreePosterior {
     #[must_use]
     pub fn wanted(&self, floor: f64) -> Wanted {
         let none = || Wanted::new(self.lattice.level());
-        let masks = self.bricks.par_masks(|sums| moves(sums, floor));
+        let masks = self.sums.par_masks(|sums| moves(sums, floor));
         let each = masks.fold(none, |mut wanted, (code, moved)| {
             if self.limits.is_unlimited() {
                 wanted.around_points(code.bits(), moved);
@@ -122,7 +137,7 @@ impl OctreePosterior {
         beside.par_sort_unstable();
         beside.dedup();
         let floor = refinement.pooling.floor;
-        let at = |point| self.bricks.get(VertexKey::new(point, 0)).copied();
+        let at = |point| self.sums.get(VertexKey::new(point, 0)).copied();
         let is_moved = |key: &VertexKey| {
             let pooled = refinement.pooling.pooled(key.point(), last, at);
             trace(&pooled.information) > floor

@@ -42,7 +42,7 @@ impl VertexJacobian {
     /// The contribution of this ray to the vertex: JᵀJ and one ray.
     #[inline(always)]
     pub fn squared(&self) -> VertexSums {
-        VertexSums { information: gram(&self.0), rays: 1 }
+        VertexSums::new(gram(&self.0), 1)
     }
 }
 

@@ -77,7 +77,7 @@ enum OldCovariance {
 type OldSums = [u8; 64];
 
 fn sums(old: &OldSums) -> VertexSums {
-    VertexSums { information: Item::take(old), rays: Item::take(&old[60..]) }
+    VertexSums::new(Item::take(old), Item::take(&old[60..]))
 }
 
 impl OldProtocol {

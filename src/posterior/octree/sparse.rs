@@ -1,0 +1,310 @@
+//! Sums at sparse lattice points.
+//!
+//! A vertex is keyed by its point on the lattice of its own level: `key` = coarseness · 2⁵⁷ + Morton code of
+//! (point / 2^coarseness). Coarseness 0 is the finest lattice. The eight keys that differ only in their low three bits
+//! form an aligned 2³ *brick*, which knows where the sums of its vertices are. A vertex has sums once a ray has
+//! touched it. (Bricks that held the sums of all their vertices took twice the memory where rays are sparse for the
+//! lattice.) Eight bricks form a *block*, which is found by hashing. (A table of bricks does not fit into the caches.)
+//! A hash also distributes blocks over partitions, and each partition is owned by one thread at a time.
+
+use std::hint::black_box;
+use std::ops::AddAssign;
+
+use rayon::prelude::*;
+use rustc_hash::FxHashMap;
+
+use super::key::{BlockCode, PARTITIONS, VertexKey};
+use super::lists::{Contribution, Contributions};
+use super::sums_list::SumsList;
+use crate::posterior::VertexSums;
+
+pub use super::sums_list::SPARE;
+
+/// Where the eight parts of something are in a list of its partition: a block's bricks, or the sums of a brick's
+/// vertices.
+#[derive(Debug, Clone, Copy)]
+struct Slots([u32; 8]);
+
+impl Slots {
+    /// Marks a part that does not exist.
+    const NONE: u32 = u32::MAX;
+    const EMPTY: Self = Self([Self::NONE; 8]);
+
+    /// The parts that exist: number, slot.
+    fn parts(self) -> impl Iterator<Item = (usize, u32)> {
+        self.0.into_iter().enumerate().filter(|(_, slot)| *slot != Self::NONE)
+    }
+
+    /// The slot of a part, which `make` makes if it does not exist.
+    #[inline]
+    fn slot(&mut self, part: usize, make: impl FnOnce() -> u32) -> u32 {
+        let slot = &mut self.0[part];
+        if *slot == Self::NONE {
+            *slot = make();
+        }
+        *slot
+    }
+}
+
+/// Expected bytes of a brick: itself, in a list that doubles when it is full, and its part of the table of blocks,
+/// which have two to four bricks.
+pub const BRICK_BYTES: f64 = (size_of::<Slots>() + 11 + 20) as f64;
+
+/// Expected bytes of chunks of sums that are not yet full: half a chunk in every partition.
+pub const SPARE_BYTES: usize = PARTITIONS * SPARE;
+
+/// Number of contributions whose slots are looked up before the first of them is added.
+const AHEAD: usize = 32;
+
+/// The blocks that hash to one partition.
+#[derive(Debug, Clone, Default)]
+struct Partition {
+    blocks: FxHashMap<BlockCode, Slots>,
+    bricks: Vec<Slots>,
+    /// In the order in which rays first touched their vertices.
+    sums: SumsList,
+}
+
+impl Partition {
+    /// Adds contributions in order. Neighbours in the list are usually neighbours in space.
+    fn add(&mut self, contributions: &[Contribution]) {
+        let mut slots = [0; AHEAD];
+        for some in contributions.chunks(AHEAD) {
+            let slots = &mut slots[..some.len()];
+            let mut next = slots.iter_mut();
+            for run in some.chunk_by(|a, b| a.key.block() == b.key.block()) {
+                let block = self.blocks.entry(run[0].key.block()).or_insert(Slots::EMPTY);
+                for (c, slot) in run.iter().zip(&mut next) {
+                    *slot = block.slot(c.key.brick_in_block(), || empty(&mut self.bricks));
+                }
+            }
+            // Touches all of them first, here and below, so that their cache misses overlap.
+            black_box(slots.iter().fold(0, |any, &slot| any | self.bricks[slot as usize].0[0]));
+            for (c, slot) in some.iter().zip(&mut *slots) {
+                *slot = self.bricks[*slot as usize].slot(c.key.in_brick(), || self.sums.push());
+            }
+            black_box(slots.iter().fold(0, |any, &slot| any | self.sums.get(slot).rays));
+            for (c, &slot) in some.iter().zip(&*slots) {
+                *self.sums.get_mut(slot) += &c.sums;
+            }
+        }
+    }
+
+    /// The sums of a vertex, made if they are new.
+    fn vertex(&mut self, key: VertexKey) -> &mut VertexSums {
+        let block = self.blocks.entry(key.block()).or_insert(Slots::EMPTY);
+        let brick = block.slot(key.brick_in_block(), || empty(&mut self.bricks));
+        let slot = self.bricks[brick as usize].slot(key.in_brick(), || self.sums.push());
+        self.sums.get_mut(slot)
+    }
+
+    /// The vertices of a block: number in it, slot of their sums.
+    fn members(&self, block: Slots) -> impl Iterator<Item = (usize, u32)> {
+        block.parts().flat_map(|(b, brick)| self.bricks[brick as usize].parts().map(move |(i, slot)| (8 * b + i, slot)))
+    }
+
+    /// All vertices with the slots of their sums, block by block.
+    fn slots(&self) -> impl Iterator<Item = (VertexKey, u32)> {
+        let blocks = self.blocks.iter();
+        blocks.flat_map(|(&code, &block)| self.members(block).map(move |(i, slot)| (code.vertex(i as u64), slot)))
+    }
+
+    /// All vertices with their sums, block by block.
+    fn iter(&self) -> impl Iterator<Item = (VertexKey, &VertexSums)> {
+        self.slots().map(|(key, slot)| (key, self.sums.get(slot)))
+    }
+
+    /// The keys of all vertices, in the order of their sums.
+    fn keys(&self) -> Vec<VertexKey> {
+        let mut keys = vec![VertexKey::NONE; self.sums.len()];
+        self.slots().for_each(|(key, slot)| keys[slot as usize] = key);
+        keys
+    }
+
+    fn memory(&self) -> usize {
+        // hashbrown has one control byte and one pair per bucket; one bucket in eight stays empty.
+        self.sums.memory()
+            + self.bricks.capacity() * size_of::<Slots>()
+            + self.blocks.capacity() * 8 / 7 * (1 + size_of::<(BlockCode, Slots)>())
+    }
+}
+
+/// Appends a brick without vertices and returns its slot.
+fn empty(bricks: &mut Vec<Slots>) -> u32 {
+    bricks.push(Slots::EMPTY);
+    (bricks.len() - 1) as u32
+}
+
+/// The sums at all vertices that rays touched.
+#[derive(Debug, Clone)]
+pub struct SparseSums {
+    partitions: Vec<Partition>,
+}
+
+impl SparseSums {
+    pub fn new() -> Self {
+        Self { partitions: vec![Partition::default(); PARTITIONS] }
+    }
+
+    /// Adds lists of contributions, in order.
+    pub fn add(&mut self, lists: &[Contributions]) {
+        self.partitions.par_iter_mut().enumerate().for_each(|(s, partition)| {
+            lists.iter().for_each(|list| partition.add(list.partition(s)));
+        });
+    }
+
+    /// Adds `sums` to one vertex.
+    pub fn add_one(&mut self, key: VertexKey, sums: &VertexSums) {
+        *self.partitions[key.partition()].vertex(key) += sums;
+    }
+
+    /// The sums at a vertex, if a ray touched it.
+    pub fn get(&self, key: VertexKey) -> Option<&VertexSums> {
+        self.reader().find(key)
+    }
+
+    /// A reader for looking up neighbouring vertices.
+    pub fn reader(&self) -> Reader<'_> {
+        Reader { sums: self, code: None, block: Slots::EMPTY, partition: &self.partitions[0] }
+    }
+
+    /// For every block, its code and a mask of the vertices whose sums satisfy `condition`; in parallel.
+    pub fn par_masks(
+        &self,
+        condition: impl Fn(&VertexSums) -> bool + Send + Sync,
+    ) -> impl ParallelIterator<Item = (BlockCode, u64)> {
+        self.partitions.par_iter().flat_map_iter(move |partition| {
+            // The sums in the order of memory, blocks in that of their table.
+            let fulfils: Vec<bool> = partition.sums.slices().flatten().map(&condition).collect();
+            partition.blocks.iter().map(move |(&code, &block)| {
+                let fulfilling = partition.members(block).filter(|(_, slot)| fulfils[*slot as usize]);
+                (code, fulfilling.fold(0, |mask, (i, _)| mask | 1 << i))
+            })
+        })
+    }
+
+    /// All vertices with their keys, in parallel.
+    pub fn par_iter(&self) -> impl ParallelIterator<Item = (VertexKey, &VertexSums)> {
+        self.partitions.par_iter().flat_map_iter(Partition::iter)
+    }
+
+    /// Keys of vertices, in the order in which [`SparseSums::slices`] returns their sums.
+    pub fn keys(&self) -> impl Iterator<Item = VertexKey> + '_ {
+        self.partitions.iter().flat_map(Partition::keys)
+    }
+
+    /// The sums, slice by slice.
+    pub fn slices(&self) -> impl Iterator<Item = &[VertexSums]> {
+        self.partitions.iter().flat_map(|partition| partition.sums.slices())
+    }
+
+    /// Restores what [`SparseSums::keys`] and [`SparseSums::slices`] returned, in the same order.
+    ///
+    /// `None` if a key occurs twice or lies outside the lattice with `cells` per axis.
+    pub fn restore(cells: u32, keys: &[u64], sums: Vec<VertexSums>) -> Option<Self> {
+        let mut restored = Self::new();
+        for (&key, sums) in keys.iter().zip(sums) {
+            let key = VertexKey::from_bits(key);
+            if !key.is_within(cells) {
+                return None;
+            }
+            let partition = &mut restored.partitions[key.partition()];
+            let before = partition.sums.len();
+            *partition.vertex(key) = sums;
+            if partition.sums.len() == before {
+                return None;
+            }
+        }
+        Some(restored)
+    }
+
+    /// Bytes on the heap.
+    pub fn memory(&self) -> usize {
+        self.partitions.iter().map(Partition::memory).sum()
+    }
+}
+
+/// A reader that looks up each block once for consecutive vertices in it.
+pub struct Reader<'a> {
+    sums: &'a SparseSums,
+    /// Code of the block that was looked up last.
+    code: Option<BlockCode>,
+    block: Slots,
+    partition: &'a Partition,
+}
+
+impl<'a> Reader<'a> {
+    /// The sums at a vertex, if a ray touched it.
+    pub fn find(&mut self, key: VertexKey) -> Option<&'a VertexSums> {
+        if self.code != Some(key.block()) {
+            self.partition = &self.sums.partitions[key.partition()];
+            self.code = Some(key.block());
+            self.block = self.partition.blocks.get(&key.block()).copied().unwrap_or(Slots::EMPTY);
+        }
+        let brick = self.partition.bricks.get(self.block.0[key.brick_in_block()] as usize)?;
+        let slot = brick.0[key.in_brick()];
+        (slot != Slots::NONE).then(|| self.partition.sums.get(slot))
+    }
+}
+
+impl AddAssign<&Self> for SparseSums {
+    /// Adds all sums of `other`.
+    fn add_assign(&mut self, other: &Self) {
+        self.partitions.par_iter_mut().zip(&other.partitions).for_each(|(partition, other)| {
+            for (key, sums) in other.iter() {
+                *partition.vertex(key) += sums;
+            }
+        });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use super::*;
+
+    #[test]
+    fn sums_of_many_chunks_are_those_of_a_map() {
+        // Half a million additions in runs of neighbours, to some 200,000 vertices. Each partition needs several
+        // chunks, all of them allocated on the way.
+        let (mut sparse, mut map) = (SparseSums::new(), BTreeMap::<VertexKey, VertexSums>::new());
+        let mut state = 1_u64;
+        for _ in 0..5 {
+            let lists: Vec<Contributions> = (0..4)
+                .map(|_| {
+                    let mut list = Contributions::new(0);
+                    for _ in 0..2500 {
+                        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                        for i in 0..10 {
+                            let key = VertexKey::from_bits((state >> 40) % (1 << 18) + 3 * i);
+                            let value = (state >> 11) as f64 / (1_u64 << 53) as f64 + i as f64;
+                            let sums = VertexSums::new([value; 6], 1);
+                            *map.entry(key).or_default() += &sums;
+                            list.push(key, sums);
+                        }
+                    }
+                    list
+                })
+                .collect();
+            sparse.add(&lists);
+        }
+        assert!(sparse.slices().count() > 2 * PARTITIONS);
+        let found: BTreeMap<VertexKey, VertexSums> = sparse.par_iter().map(|(key, e)| (key, *e)).collect();
+        assert_eq!(found, map);
+        let mut reader = sparse.reader();
+        for key in (0..1 << 18).map(VertexKey::from_bits) {
+            assert_eq!(reader.find(key), map.get(&key));
+            assert_eq!(sparse.get(key), map.get(&key));
+        }
+        // Save and restore.
+        let keys: Vec<u64> = sparse.keys().map(VertexKey::bits).collect();
+        let sums = || sparse.slices().flatten().copied().collect::<Vec<_>>();
+        let restored = SparseSums::restore(1 << 7, &keys, sums()).unwrap();
+        assert!(restored.keys().map(VertexKey::bits).eq(keys.iter().copied()));
+        assert!(restored.slices().eq(sparse.slices()));
+        let twice = [&keys[..1], &keys[..]].concat();
+        assert!(SparseSums::restore(1 << 7, &twice, [&sums()[..1], &sums()].concat()).is_none());
+        assert!(SparseSums::restore(1 << 3, &keys, sums()).is_none(), "outside");
+    }
+}
