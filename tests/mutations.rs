@@ -248,7 +248,7 @@ fn contents_that_no_run_writes_are_refused() {
     let lambda = format!("\"lambda\":{}", serde_json::json!(samples::fields()[0].protocol().lambda));
     // Kind, sample, part, change, what the message names.
     type Change<'a> = &'a dyn Fn(&mut Vec<u8>);
-    let cases: [(Kind, usize, usize, Change, &str); 16] = [
+    let cases: [(Kind, usize, usize, Change, &str); 17] = [
         // A prior that is infinite.
         (
             Kind::Field,
@@ -285,6 +285,8 @@ fn contents_that_no_run_writes_are_refused() {
         // Keys of vertices: so coarse that a shift by their levels overflows, then coarse and outside.
         (Kind::Checkpoint, 0, 1, &|keys| keys[..8].copy_from_slice(&(40_u64 << 57).to_le_bytes()), "sums"),
         (Kind::Checkpoint, 0, 1, &|keys| keys[..8].copy_from_slice(&(3_u64 << 57 | 8).to_le_bytes()), "sums"),
+        // A key of a vertex on leaves that the run does not have.
+        (Kind::Checkpoint, 0, 1, &|keys| keys[..8].copy_from_slice(&(1_u64 << 57).to_le_bytes()), "sums"),
         // More points than the run keeps, and a point that is not finite.
         (Kind::Checkpoint, 0, 3, &|surface| surface.resize(12 * 101, 0), "surface"),
         (Kind::Checkpoint, 0, 3, &|surface| surface[..4].fill(0xff), "surface"),

@@ -87,7 +87,8 @@ fn judge(scene: &Scene) -> Result<Judged> {
     }
     let calibration = evaluator.calibration(&views, deviation);
     let calibration = calibration.ok_or_else(|| Error::malformed(&data.folder, "views", "errors of depth", "none"))?;
-    let mut views: Vec<(TrueView, EvaluatedView)> = truths.into_iter().zip(views).collect();
+    let has_depth = |(_, view): &(TrueView, EvaluatedView)| !view.absolute_error.is_empty();
+    let mut views: Vec<(TrueView, EvaluatedView)> = truths.into_iter().zip(views).filter(has_depth).collect();
     let mean = |view: &EvaluatedView| view.absolute_error.iter().sum::<f64>() / view.absolute_error.len() as f64;
     views.sort_by(|(_, a), (_, b)| mean(a).total_cmp(&mean(b)));
     Ok(Judged { views, deviation, reliability: calibration.predictive().clone() })

@@ -29,7 +29,7 @@ const STRUCTURE: [f64; 2] = [1.0, 0.2];
 const BUILDING: f64 = 4.0;
 /// Bytes of a part's sums in the file.
 const EXACT: f64 = (6 * size_of::<f64>() + size_of::<u32>()) as f64;
-/// Bytes that every process needs beyond what the pilot shows: visits, chunks of bricks that are not full.
+/// Bytes that every process needs beyond what the pilot shows: visits, chunks of sums that are not full.
 const RESERVE: f64 = 6e6;
 /// What the process holds is rounded up to multiples of this, so that runs on equal machines usually make the same plan
 /// although no two processes are of exactly the same size.

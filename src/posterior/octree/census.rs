@@ -1,6 +1,6 @@
 //! Counts what a pilot's rays touch, without sums, and says from that how much a run will touch.
 //!
-//! Bricks of sums and split cells of the octree are *species*, rays are catches ([`Caught`] has the estimator). Bricks
+//! Vertices, bricks and split cells of the octree are *species*, rays are catches ([`Caught`] has the estimator). They
 //! are counted on the leaves of every coarseness that limits may ask for, because a coarse leaf is touched by more rays
 //! than its part of the finest ones. Cells are counted level by level, as if every ray had an octree of its own. The
 //! octree of all rays splits what the octree of any ray splits, because balance is a rule from one cell to its
@@ -244,9 +244,14 @@ impl Census {
     }
 
     /// What `scale` times the pilot's rays need on the leaves of `limits`, in a tile or everywhere.
+    ///
+    /// # Panics
+    /// If there are limits, and the census was made for runs without.
     #[must_use]
     pub fn needs(&self, scale: f64, limits: &MaxLevels, tile: Option<Tile>) -> Needs {
         let (finest, region) = (limits.finest(), limits.region_level());
+        let knows_coarser = self.vertices.len() > usize::from(finest - region);
+        assert!(limits.is_unlimited() || knows_coarser, "a census for runs without limits");
         let last = self.lattice.cells_per_axis() - 1;
         let is_owned = |point| tile.is_none_or(|tile| tile.owns(finest, point));
         let on_limit = |coarseness: u8, code: u64| {

@@ -42,12 +42,12 @@ use crate::geometry::Lattice;
 use crate::octree::{Leaves, MaxLevels, Tile, coarseness};
 use crate::render::RaySamples;
 
-/// Expected bytes of chunks of sums that are not yet full.
+/// Expected bytes of chunks of few sums that are not yet full.
 pub(crate) use sparse::SPARE_BYTES;
 /// Bytes of one ray's contribution to one vertex, before it is summed.
 pub(crate) const CONTRIBUTION_BYTES: usize = size_of::<lists::Contribution>();
 
-/// Information summed in sparse bricks.
+/// Information summed at sparse vertices.
 #[derive(Debug, Clone)]
 pub struct OctreePosterior {
     lattice: Lattice,
@@ -105,10 +105,15 @@ impl OctreePosterior {
 
     /// Restores what [`OctreePosterior::keys`] and [`OctreePosterior::slices`] returned, in the same order.
     ///
-    /// `None` if a key lies outside the lattice or occurs twice.
+    /// `None` if a key lies outside the lattice, is not that of a vertex on the leaves of `limits`, or occurs twice.
     pub(crate) fn restore(lattice: Lattice, limits: MaxLevels, keys: &[u64], sums: Vec<VertexSums>) -> Option<Self> {
         let sums = SparseSums::restore(lattice.cells_per_axis(), keys, sums)?;
-        Some(Self { lattice, limits, tile: None, sums })
+        let restored = Self { lattice, limits, tile: None, sums };
+        let is_found = |&key: &u64| {
+            let key = VertexKey::from_bits(key);
+            u64::from(restored.coarseness(key.point())) == key.coarseness()
+        };
+        keys.par_iter().all(is_found).then_some(restored)
     }
 
     /// Adds sums at a lattice point, as part of joining another run.

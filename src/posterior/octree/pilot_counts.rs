@@ -102,7 +102,7 @@ impl PilotCounts {
         let limits = MaxLevels::none(finest);
         let mut counts = FxHashMap::<u64, [Counts; SIZES]>::default();
         let mut weights = [1.0; SIZES];
-        for (size, (touched, weight)) in touched.into_iter().enumerate() {
+        for (size, (touched, weight)) in touched.into_iter().take(SIZES).enumerate() {
             weights[size] = weight;
             for (vertex, rays) in touched {
                 let point = morton::decode(vertex).map(|i| i << size);

@@ -50,7 +50,8 @@ impl Slots {
 /// which have two to four bricks.
 pub const BRICK_BYTES: f64 = (size_of::<Slots>() + 11 + 20) as f64;
 
-/// Expected bytes of chunks of sums that are not yet full: half a chunk in every partition.
+/// Expected bytes of chunks that are not yet full, where sums are few: half a chunk in every partition. (Of many sums,
+/// it is half a page of 2 MiB.)
 pub const SPARE_BYTES: usize = PARTITIONS * SPARE;
 
 /// Number of contributions whose slots are looked up before the first of them is added.

@@ -16,14 +16,14 @@ const MAPPED: usize = 1 << 18;
 /// Bytes of a large page.
 const PAGE: usize = 2 << 20;
 
-/// Expected bytes of a list's last chunk that are not used.
+/// Expected bytes of the last chunk of a short list that are not used.
 pub const SPARE: usize = CHUNK * size_of::<VertexSums>() / 2;
 
 /// Sums, one after the other.
 ///
 /// The first come from the heap, chunk by chunk. Those beyond lie in mappings of their own, for which the system is
 /// asked for pages of 2 MiB: sums are touched in no order, and of many at fine levels clearing small pages and finding
-/// them took a quarter of a run. What was never touched takes no memory.
+/// them took a quarter of a run. What was never touched takes no memory (on Linux).
 #[derive(Debug, Default)]
 pub struct SumsList {
     chunks: Vec<Box<[VertexSums; CHUNK]>>,
@@ -91,8 +91,14 @@ impl SumsList {
 
 impl Clone for SumsList {
     fn clone(&self) -> Self {
-        let mut mapped: Vec<MmapMut> = self.mapped.iter().map(|_| mapping()).collect();
-        mapped.iter_mut().zip(&self.mapped).for_each(|(to, from)| to.copy_from_slice(from));
+        let mut left = self.len.saturating_sub(SMALL);
+        let copy = |from: &MmapMut| {
+            let (mut to, here) = (mapping(), left.min(MAPPED) * size_of::<VertexSums>());
+            left -= left.min(MAPPED);
+            to[..here].copy_from_slice(&from[..here]);
+            to
+        };
+        let mapped = self.mapped.iter().map(copy).collect();
         Self { chunks: self.chunks.clone(), mapped, len: self.len }
     }
 }
