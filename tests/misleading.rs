@@ -3,11 +3,12 @@
 use std::path::Path;
 use std::process::Command;
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use octobayes::dataset::write_transforms;
 use octobayes::field::ClosedForm;
 use octobayes::geometry::Camera;
 use octobayes::internal::npz::NpzWriter;
+use octobayes::internal::{color_panel, draw_sheet};
 use octobayes::uncertainty::UncertaintyField;
 
 /// Exit code, stdout and stderr.
@@ -157,13 +158,14 @@ fn matter_outside_the_box_is_told_and_not_counted() {
     assert!(field.surface().len() > 100 && field.surface().iter().all(inside));
 
     // Hatched pixels have a colour of their own, of which letters have single pixels; outside the box there are none.
-    let hatched = |field: &str| {
-        said(desk.path(), &format!("render ball.npz {field} --cameras cameras.json --occupancy 32 -o x.png"));
-        let picture = image::open(desk.path().join("x.png")).unwrap().to_rgb8();
+    let hatched = |picture: &image::RgbImage| {
         let is_hatched = |row: &[u8]| row.chunks_exact(12).filter(|four| four.iter().all(|v| *v == 150)).count();
         picture.chunks_exact(3 * picture.width() as usize).map(is_hatched).sum::<usize>()
     };
-    assert_eq!(hatched("x.oct"), 0);
+    said(desk.path(), "render ball.npz x.oct --cameras cameras.json --occupancy 32 -o x.png");
+    let panel = color_panel("hatched", [32; 2], vec![DVec3::ONE; 32 * 32]).hatched(|_| true);
+    assert!(hatched(&draw_sheet(&[vec![panel]])) > 100, "what is hatched is found");
+    assert_eq!(hatched(&image::open(desk.path().join("x.png")).unwrap().to_rgb8()), 0);
 }
 
 /// Cameras of data sets in folders: one rule for all verbs.

@@ -55,8 +55,7 @@ pub fn for_the_report(scenes: &[Scene]) -> Result<String> {
         let (truth, _) = judged.median();
         let mut row = vec![color_panel("true image", truth.camera.resolution, truth.colors.iter().copied())];
         row.extend(judged.panels());
-        let name: String = scene.name().chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '-' }).collect();
-        let file = format!("depth/{}.png", name.replace("--", "-").trim_end_matches('-'));
+        let file = format!("depth/{}.png", scene.name().replace(", ", "-").replace(' ', "-").replace('°', ""));
         write_sheet(&folder().join(&file), &[row])?;
         text += &format!("{}\n![{}]({file})\n\n", judged.words(scene), scene.name());
     }

@@ -15,9 +15,9 @@ fn stored(protocol: &Protocol, sums: &VertexSums, lambda: f64) -> f32 {
 /// The sums at a lattice point, comparable with those of the finest lattice: divided by the volume of the leaves around
 /// it, in finest cells.
 ///
-/// The hat function of a leaf k levels coarser is crossed by 4ᵏ times as many rays. Along each of them 2ᵏ times as many
-/// samples add to J; as far as these differ in sign, their square grows by another factor of 2ᵏ. Both depend on the
-/// scene; `experiments/coarse_leaves.md` has what U shifts by.
+/// The hat function of a leaf k levels coarser is crossed by 4ᵏ times as many rays. Along each of them 2ᵏ times as
+/// many samples add to J; as far as these differ in sign, their square grows by another factor of 2ᵏ. Both depend on
+/// the scene; `experiments/coarse_leaves.md` has what U shifts by.
 fn comparable(limits: &MaxLevels, point: [u32; 3], mut sums: VertexSums) -> VertexSums {
     if !limits.is_unlimited() {
         let volume = mean_volume(limits, point);

@@ -36,9 +36,9 @@ const VERTICES_PER_LEAF: f64 = 0.8;
 /// d + N ((1 + β)^−r − (1 + β s)^−r),  N = f1 (1 + β)^(r+1) / (r β)
 /// ```
 ///
-/// species. Rates are far apart where cameras are: what is distant is rarely hit. Rates that are all alike, r → ∞, give
-/// Chao's lower bound V = d + f1 (f1 − 1) / (2 (f2 + 1)), of which the run finds V (1 − exp(−t s / V)). The larger
-/// number counts.
+/// species. Rates are far apart where cameras are: what is distant is rarely hit. Rates that are all alike, r → ∞,
+/// give Chao's lower bound V = d + f1 (f1 − 1) / (2 (f2 + 1)), of which the run finds V (1 − exp(−t s / V)). The
+/// larger number counts.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 struct Caught {
     counts: Counts,

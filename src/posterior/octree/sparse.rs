@@ -15,10 +15,8 @@ use rustc_hash::FxHashMap;
 
 use super::key::{BlockCode, PARTITIONS, VertexKey};
 use super::lists::{Contribution, Contributions};
-use super::sums_list::SumsList;
+use super::sums_list::{SPARE, SumsList};
 use crate::posterior::VertexSums;
-
-pub use super::sums_list::SPARE;
 
 /// Where the eight parts of something are in a list of its partition: a block's bricks, or the sums of a brick's
 /// vertices.
