@@ -1,8 +1,8 @@
 //! Question: what error does a user buy with what time and memory?
 //!
 //! Time and |Δ log10 U| of the dense grid with the paper's random rays and of the octree with each feature switched on
-//! one after the other; over rays, levels and scenes; the profile of a run; queries; files. Errors are against a dense
-//! grid of twenty times as many random rays with exact derivatives ([`measure::reference`]). Writes the blocks of
+//! one after the other; over rays, levels and scenes; the profile of a run; queries; files; bytes of sums. Errors are
+//! against a dense grid of more random rays with exact derivatives ([`measure::reference`]). Writes the blocks of
 //! `experiments/speed_vs_error.md` and its plots.
 
 #[path = "../common/mod.rs"]
@@ -11,6 +11,7 @@ mod measure;
 mod parts;
 mod profile;
 mod queries;
+mod sums;
 
 use octobayes::Result;
 
@@ -20,6 +21,8 @@ use common::scenes::Scene;
 
 /// Rays of the paper's workload.
 const PAPER: u64 = 4_096_000;
+/// Rays of the reference that lego is compared with.
+pub const LEGO_TRUTH: u64 = 5 * PAPER;
 /// Of the test views one in so many for the depth ranking, and of their pixels along x and y.
 const EVERY: usize = 5;
 const STRIDE: u32 = 2;
@@ -35,6 +38,7 @@ fn main() -> Result<()> {
         ("scenes", Needs::Data),
         ("levels", Needs::Data),
         ("queries", Needs::Data),
+        ("sums", Needs::Data),
     ];
     let program = Program::start("speed_vs_error", &parts)?;
     let lego = || Scene::lego(&Program::data()?);
@@ -55,12 +59,19 @@ fn main() -> Result<()> {
     program.part("audit", |work| parts::audit(work, &lego()?))?;
     program.part("rays", |work| {
         let truth = Truth::lego(&Program::data()?, EVERY, STRIDE)?;
-        parts::rays(work, &[at_most(lego()?, PAPER)], Some(&truth))
+        parts::rays(work, &[(lego()?, u64::MAX, LEGO_TRUTH)], Some(&truth))
     })?;
     program.part("scenes", |work| {
         let data = Program::data()?;
-        parts::rays(work, &[Scene::ignatius(&data)?, Scene::garden(&data)?, Scene::city()?], None)
+        let scenes = [
+            (Scene::ignatius(&data)?, PAPER / 4, PAPER),
+            // A ray meets matter nearly everywhere: it takes ten times as long as one of lego.
+            (Scene::garden(&data)?, PAPER / 10, PAPER / 2),
+            (Scene::city()?, PAPER / 4, PAPER),
+        ];
+        parts::rays(work, &scenes, None)
     })?;
     program.part("levels", |work| parts::levels(work, &lego()?))?;
-    program.part("queries", |work| queries::queries(work, &lego()?))
+    program.part("queries", |work| queries::queries(work, &lego()?))?;
+    program.part("sums", |work| sums::sums(work, &lego()?))
 }

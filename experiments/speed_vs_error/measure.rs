@@ -16,8 +16,6 @@ use crate::common::work::Work;
 pub const SEEDS: [u64; 3] = [0, 1, 2];
 /// Points of a comparison: of the box, and on visible surfaces.
 const POINTS: usize = 200_000;
-/// Most rays of a reference: twenty times as many as all rows but the longest of lego have.
-const MOST: u64 = 20 * 1_024_000;
 
 /// Grid of `level` with surface points to compare at.
 pub fn grid(kind: GridKind, level: u8) -> GridSettings {
@@ -44,7 +42,6 @@ pub fn run(scene: &Scene, rays: &RaySettings, grid: &GridSettings) -> Result<Run
 /// What an error is measured against: the dense grid of level 8 with so many random rays of another seed, exact
 /// derivatives if the field has them, hardly a sample left out.
 pub fn reference(work: &Work, scene: &Scene, rays: u64) -> Result<UncertaintyField> {
-    let rays = rays.min(MOST);
     let settings = scene.settings.rays(rays).gradient(GradientMethod::Auto).pixels(Pixels::Random);
     let settings = settings.seed(7_777).cutoff(1e-8);
     work.field(("reference", scene.name, rays), || Ok(run(scene, &settings, &grid(GridKind::Dense, 8))?.field))

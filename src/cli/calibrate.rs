@@ -91,7 +91,10 @@ impl Args {
         let frames = self.cameras.held_out(&self.frames, &*model)?;
         let maps = self.maps.files(self.depth.clone())?;
         let images = frames.iter().map(|frame| &frame.image);
-        files.inputs("an image of --cameras", images).inputs("--depth", frames.iter().map(|f| maps.path(f))).check()?;
+        files
+            .inputs("an image of --cameras", images)
+            .inputs("--depth", frames.iter().map(|f| maps.path(&f.name)))
+            .check()?;
 
         let settings = self.model.image_settings();
         let differentiation = Some(settings.differentiation(&*model, field.lattice())?);

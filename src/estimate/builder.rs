@@ -7,7 +7,7 @@ use std::path::Path;
 use rayon::prelude::*;
 
 use super::state::{self, AnyPosterior, RunKey};
-use super::{GridKind, GridSettings, Plan};
+use super::{GridKind, GridSettings, Plan, Summed};
 use crate::geometry::{Camera, Domain, Lattice};
 use crate::octree::{Cell, MaxLevels, morton};
 use crate::posterior::{DensePosterior, OctreePosterior, Posterior, VertexSums, Visits};
@@ -190,6 +190,15 @@ impl FieldBuilder {
             AnyPosterior::Dense(posterior) => posterior.memory(),
             AnyPosterior::Octree(posterior) => posterior.memory(),
         }
+    }
+
+    /// The same, apart from what is taken and not used.
+    pub(super) fn summed(&self) -> Summed {
+        let spare = match &self.posterior {
+            AnyPosterior::Dense(_) => 0,
+            AnyPosterior::Octree(posterior) => posterior.spare(),
+        };
+        Summed { used: self.memory() - spare, spare }
     }
 
     /// The limits of the leaves on which rays are summed.

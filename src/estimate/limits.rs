@@ -1,6 +1,6 @@
 //! The limits of a run's memory: its plan, and what becomes of it when the first rays took more or less.
 
-use super::{Plan, Planner};
+use super::{Plan, Planner, Summed};
 
 /// Limits to the memory of a run.
 #[derive(Default)]
@@ -21,7 +21,7 @@ pub(super) const COMPARED_AT: f64 = 1.0 / 16.0;
 /// The fraction of the budget that a run without all its refinement should come to.
 const WELL_USED: f64 = 0.7;
 /// The fraction of the budget that a second plan aims at, so that there is no third.
-const AIM: f64 = 0.95;
+const AIM: f64 = 0.9;
 /// The factor by which every further plan after an exceeded budget aims lower than the one before.
 const LOWER: f64 = 0.8;
 
@@ -45,8 +45,8 @@ impl Limits {
         self.plan = Some(plan);
     }
 
-    /// Whether a run whose sums came to `summed` bytes would exceed the budget if it were finished now.
-    pub(super) fn is_exceeded(&self, summed: usize) -> bool {
+    /// Whether a run whose sums came to `summed` would exceed the budget if it were finished now.
+    pub(super) fn is_exceeded(&self, summed: Summed) -> bool {
         self.budget.zip(self.plan.as_ref()).is_some_and(|(budget, plan)| plan.peak_of(summed) > budget as f64)
     }
 
@@ -55,9 +55,9 @@ impl Limits {
         self.budget.is_some() && !self.is_compared && done >= COMPARED_AT
     }
 
-    /// A better plan, if there is one, for a run whose sums came to `summed` bytes after the fraction `done` of its
+    /// A better plan, if there is one, for a run whose sums came to `summed` after the fraction `done` of its
     /// rays. Another plan is only better than one within the budget if that leaves much of it unused.
-    pub(super) fn better(&mut self, done: f64, summed: usize) -> Option<Plan> {
+    pub(super) fn better(&mut self, done: f64, summed: Summed) -> Option<Plan> {
         let (planner, plan, budget) = (self.planner.as_mut()?, self.plan.as_ref()?, self.budget? as f64);
         self.is_compared = true;
         planner.correct(plan, done, summed);
@@ -68,7 +68,7 @@ impl Limits {
     }
 
     /// A coarser plan, if there is one, for a run that exceeded its budget after the fraction `done` of its rays.
-    pub(super) fn coarser(&mut self, done: f64, summed: usize) -> Option<Plan> {
+    pub(super) fn coarser(&mut self, done: f64, summed: Summed) -> Option<Plan> {
         let (planner, plan, budget) = (self.planner.as_mut()?, self.plan.as_ref()?, self.budget? as f64);
         // Where leaves fill up early, the sums of the first rays foretell too little: every further plan aims lower.
         self.overflows += 1;

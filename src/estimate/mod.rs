@@ -29,7 +29,7 @@ pub use estimation::Estimation;
 pub use framing::Framing;
 pub use grid::{GridKind, GridSettings};
 pub use mean_error::SamplingError;
-pub use plan::{Plan, Planner};
+pub use plan::{Plan, Planner, Summed};
 pub use rays::RaySettings;
 pub use run::{Outcome, Run};
 pub use sight::Sight;

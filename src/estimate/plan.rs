@@ -15,7 +15,7 @@ use crate::io::memory;
 use crate::monitor::Monitor;
 use crate::octree::MaxLevels;
 use crate::posterior::{
-    CONTRIBUTION_BYTES, Census, DensePosterior, FactoredSums, Needs, PilotCounts, SPARE_BYTES, VertexSums,
+    AT_ONCE, CONTRIBUTION_BYTES, Census, DensePosterior, FactoredSums, Needs, PilotCounts, VertexSums, spare_bytes,
 };
 use crate::rays::{Purpose, RayStream, RunProgress, Shard};
 use crate::{Error, Result};
@@ -29,8 +29,8 @@ const STRUCTURE: [f64; 2] = [1.0, 0.2];
 const BUILDING: f64 = 4.0;
 /// Bytes of a part's sums in the file.
 const EXACT: f64 = (6 * size_of::<f64>() + size_of::<u32>()) as f64;
-/// Bytes that every process needs beyond what the pilot shows: visits, chunks of sums that are not full.
-const RESERVE: f64 = 6e6;
+/// Bytes that every process needs beyond what the pilot shows, such as for visits.
+const RESERVE: f64 = 4e6;
 /// What the process holds is rounded up to multiples of this, so that runs on equal machines usually make the same plan
 /// although no two processes are of exactly the same size.
 const GRAIN: f64 = 16e6;
@@ -60,6 +60,8 @@ pub struct Plan {
     pub summing: f64,
     /// Expected size of what is added to the sums to finish the field, bytes.
     pub finishing: f64,
+    /// Expected room beside the sums that is taken and not used, bytes.
+    pub spare: f64,
     /// What the process holds beside sums and field, bytes.
     pub outside: f64,
     /// Expected size of the field's file, bytes.
@@ -74,16 +76,23 @@ impl Plan {
     /// Expected peak memory of the process, bytes.
     #[must_use]
     pub fn peak(&self) -> f64 {
-        self.outside + self.summing + self.finishing
+        self.outside + self.spare + self.summing + self.finishing
     }
 
-    /// Expected peak memory of the process if its sums come to `summed` bytes.
+    /// Expected peak memory of the process if its sums come to so much.
     #[must_use]
-    pub fn peak_of(&self, summed: usize) -> f64 {
-        // The reserve outside holds spare room already.
-        let summed = summed.saturating_sub(SPARE_BYTES) as f64;
-        self.outside + summed * (1.0 + self.finishing / self.summing.max(1.0))
+    pub fn peak_of(&self, Summed { used, spare }: Summed) -> f64 {
+        self.outside + spare as f64 + used as f64 * (1.0 + self.finishing / self.summing.max(1.0))
     }
+}
+
+/// What sums take, bytes.
+#[derive(Debug, Clone, Copy)]
+pub struct Summed {
+    /// Sums, and what finds them.
+    pub used: usize,
+    /// Taken and not used.
+    pub spare: usize,
 }
 
 /// A pilot run, from which plans are made.
@@ -136,7 +145,8 @@ impl Planner {
             census.add(batches);
             Ok(())
         })?;
-        let lists = LISTS * (rayon::current_num_threads() * census.longest_batch() * CONTRIBUTION_BYTES) as f64;
+        let lists =
+            LISTS * (AT_ONCE * rayon::current_num_threads() * census.longest_batch() * CONTRIBUTION_BYTES) as f64;
         let scale = rays.rays as f64 / pilot.rays as f64;
         // All parts of a run expect the same.
         let own_scale = scale / shard.of as f64;
@@ -171,13 +181,14 @@ impl Planner {
         } else {
             MaxLevels::none(self.lattice.level())
         };
-        let (vertices, summing) = match self.settings.grid {
+        let (vertices, summing, spare) = match self.settings.grid {
             GridKind::Dense => {
-                (self.lattice.dense_vertices() as f64, DensePosterior::required_memory(&self.lattice) as f64)
+                (self.lattice.dense_vertices() as f64, DensePosterior::required_memory(&self.lattice) as f64, 0)
             }
             GridKind::Octree => {
-                let Needs { summing, vertices } = self.census.needs(self.own_scale, &limits, self.settings.tile);
-                (self.correction * vertices, self.correction * summing)
+                let Needs { summing, sums, vertices } = self.census.needs(self.own_scale, &limits, self.settings.tile);
+                let [vertices, summing, sums] = [vertices, summing, sums].map(|expected| self.correction * expected);
+                (vertices, summing, spare_bytes(sums as usize))
             }
         };
         let [structure, stored] = if self.settings.grid == GridKind::Dense { [0.0; 2] } else { STRUCTURE };
@@ -190,7 +201,7 @@ impl Planner {
             (false, false) => 0.0,
         };
         let given_up = self.counts.shares(&limits);
-        // They are made in a table twice as large.
+        // Limits are made in a table twice as large.
         let outside = self.outside + 3.0 * limits.heap_bytes() as f64;
         Plan {
             limits,
@@ -199,6 +210,7 @@ impl Planner {
             vertices_unlimited: self.correction * self.vertices_unlimited,
             summing,
             finishing: vertices * (VALUES + structure + f64::max(building, gathered as f64)),
+            spare: spare as f64,
             outside,
             file: vertices * (VALUES + stored + in_file) + 12.0 * self.settings.surface_points as f64,
             time: self.time,
@@ -220,7 +232,7 @@ impl Planner {
             GridKind::Octree => {
                 // On the coarsest leaves nothing is left to give up if the plan is wrong.
                 let coarsest = self.coarsest();
-                coarsest.outside + 2.0 * (coarsest.summing + coarsest.finishing)
+                coarsest.outside + coarsest.spare + 2.0 * (coarsest.summing + coarsest.finishing)
             }
         };
         let is_safe = |plan: &Plan| budget >= least || plan.rays_per_vertex == wanted.rays_per_vertex;
@@ -267,11 +279,11 @@ impl Planner {
         self.outside = 0.0;
     }
 
-    /// Makes all further plans expect as much more, or less, as was found: the sums came to `summed` bytes after the
-    /// fraction `done` of the rays of `plan`.
-    pub(super) fn correct(&mut self, plan: &Plan, done: f64, summed: usize) {
+    /// Makes all further plans expect as much more, or less, as was found: the sums came to `summed` after the fraction
+    /// `done` of the rays of `plan`.
+    pub(super) fn correct(&mut self, plan: &Plan, done: f64, summed: Summed) {
         let Needs { summing, .. } = self.census.needs(done * self.own_scale, &plan.limits, self.settings.tile);
-        self.correction = summed.saturating_sub(SPARE_BYTES) as f64 / summing.max(1.0);
+        self.correction = summed.used as f64 / summing.max(1.0);
     }
 }
 

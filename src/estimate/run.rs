@@ -352,7 +352,7 @@ fn draw(
             let start = Instant::now();
             builder.add(batches);
             summing += start.elapsed();
-            let (done, summed) = (so_far.rays as f64 / all, builder.memory());
+            let (done, summed) = (so_far.rays as f64 / all, builder.summed());
             if limits.is_exceeded(summed) {
                 (is_over, next) = (true, limits.coarser(done, summed));
             } else if limits.is_due(done) {

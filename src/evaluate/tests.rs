@@ -75,6 +75,40 @@ fn truth(ball: &ClosedForm, camera: &Camera) -> TrueView {
 }
 
 #[test]
+fn what_no_training_camera_saw_is_told_and_detected() {
+    let ball = ClosedForm::ball();
+    let field = uncertainty(&ball);
+    let readings = [Reading { name: "U".into(), field, averages: vec![RayAverage::AtExpected] }];
+    let training = TrainingViews::render(&tracer(&ball), &cameras(), 0.5, &Silent).unwrap();
+    // From the side and from behind, where the half circle of cameras does not reach.
+    let from = |eye: DVec3| Camera::look_at(eye, DVec3::ZERO, DVec3::Z, 0.7, [24, 24]);
+    let views = [DVec3::new(-3.0, 0.0, -0.5), DVec3::new(0.0, 3.0, 0.5)].map(from);
+    let without = Evaluator::new(tracer(&ball), &readings);
+    let evaluator = Evaluator { truly_seen: Some(&training), ..Evaluator::new(tracer(&ball), &readings) };
+    let (mut evaluated, mut expected) = (Vec::new(), Vec::new());
+    for camera in &views {
+        let truth = truth(&ball, camera);
+        let view = evaluator.evaluate(&truth, 0, &Silent).unwrap();
+        for &i in &view.pixels {
+            let [x, y] = [i % 24, i / 24].map(|n| n as f64 + 0.5);
+            let surface = camera.ray(x, y).at(truth.distance[i].unwrap());
+            expected.push(training.sighting(surface, camera.position).views == 0);
+        }
+        assert!(without.evaluate(&truth, 0, &Silent).unwrap().never_seen.is_empty());
+        evaluated.push(view);
+    }
+    let found: Vec<bool> = evaluated.iter().flat_map(|view| &view.never_seen).copied().collect();
+    assert_eq!(found, expected);
+    let unseen = found.iter().filter(|unseen| **unseen).count();
+    assert!(unseen > 20 && found.len() - unseen > 20, "{unseen} of {}", found.len());
+    // The first measure is U at the surface, the last is chance.
+    let last = evaluator.measures().len() - 1;
+    let [of_u, of_chance] = [0, last].map(|m| Evaluator::detection(&evaluated, m).unwrap());
+    assert_eq!(of_u.positives, unseen as f64 / found.len() as f64);
+    assert!(of_u.auroc > 0.8 && (0.3..0.7).contains(&of_chance.auroc), "{of_u:?}, {of_chance:?}");
+}
+
+#[test]
 fn every_measure_is_of_the_same_pixels() {
     let ball = ClosedForm::ball();
     let field = uncertainty(&ball);

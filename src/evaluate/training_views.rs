@@ -1,14 +1,18 @@
-//! Which training cameras see a point of the model, and from how different a direction.
+//! Which training cameras see a point, and from how different a direction.
 //!
-//! A control that needs no Hessian: a place that many cameras see from near is known.
+//! By the depth that the model shows them, this is a control that needs no Hessian: a place that many cameras see from
+//! near is known. By true depth, it is the truth about what was never seen.
 
 use std::f64::consts::PI;
 
 use glam::DVec3;
+use rayon::prelude::*;
 
+use super::DepthFiles;
 use crate::Result;
-use crate::geometry::Camera;
-use crate::monitor::Monitor;
+use crate::dataset::DepthMap;
+use crate::geometry::{Camera, NamedCamera};
+use crate::monitor::{Monitor, check};
 use crate::render::{Tracer, render_view};
 
 /// Pixels along the longer side of a camera's depth map.
@@ -18,7 +22,7 @@ const PIXELS: f64 = 2.0;
 /// … and this many marching steps.
 const STEPS: f64 = 3.0;
 
-/// The training cameras, each with the depth to which it sees into the model.
+/// The training cameras, each with the depth to which it sees.
 #[derive(Debug, Clone)]
 pub struct TrainingViews {
     views: Vec<SeenDepth>,
@@ -29,8 +33,8 @@ pub struct TrainingViews {
 #[derive(Debug, Clone)]
 struct SeenDepth {
     camera: Camera,
-    /// `[height · width]`: median depth, scene units; infinite where the model shows nothing.
-    depths: Vec<f64>,
+    /// `[height · width]`: depth, scene units; infinite where nothing is seen.
+    depths: Vec<f32>,
 }
 
 /// What the training cameras know of a point.
@@ -53,12 +57,45 @@ impl TrainingViews {
             let camera = small(camera);
             let rendered = render_view(tracer, &camera, pixel_offset, &[], monitor)?;
             let depth = |pixel: &crate::render::Pixel| {
-                if pixel.opacity > 0.5 { pixel.median_depth } else { f64::INFINITY }
+                if pixel.opacity > 0.5 { pixel.median_depth as f32 } else { f32::INFINITY }
             };
             Ok(SeenDepth { camera, depths: rendered.pixels.iter().map(depth).collect() })
         };
         let views = cameras.iter().map(view).collect::<Result<_>>()?;
         Ok(Self { views, slack: STEPS * tracer.marcher.step })
+    }
+
+    /// The depth that each camera truly saw. Where a map knows no depth, its camera saw to infinity. Advances the monitor
+    /// by one per camera.
+    ///
+    /// # Errors
+    /// If a map is missing or damaged, or its size differs from its camera's; [`crate::Error::Interrupted`].
+    pub fn from_depth_maps(
+        cameras: &[NamedCamera],
+        files: &DepthFiles,
+        pixel_offset: f64,
+        monitor: &dyn Monitor,
+    ) -> Result<Self> {
+        let view = |NamedCamera { name, camera }: &NamedCamera| {
+            check(monitor)?;
+            let map = DepthMap::read(&files.path(name), files.encoding, camera, pixel_offset)?;
+            let depths = map.distance.into_iter().map(|depth| depth.map_or(f32::INFINITY, |d| d as f32)).collect();
+            monitor.advance(1);
+            Ok(SeenDepth { camera: *camera, depths })
+        };
+        Ok(Self { views: cameras.par_iter().map(view).collect::<Result<_>>()?, slack: 0.0 })
+    }
+
+    /// Number of cameras.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.views.len()
+    }
+
+    /// Whether there are no cameras.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.views.is_empty()
     }
 
     /// Rows that [`TrainingViews::render`] renders.
@@ -94,7 +131,7 @@ impl SeenDepth {
         }
         let distance = x.distance(self.camera.position);
         let behind = PIXELS * distance / self.camera.focal[0].min(self.camera.focal[1]) + slack;
-        distance <= self.depths[row as usize * self.camera.resolution[0] as usize + column as usize] + behind
+        distance <= f64::from(self.depths[row as usize * self.camera.resolution[0] as usize + column as usize]) + behind
     }
 }
 
@@ -103,6 +140,8 @@ mod tests {
     use glam::Vec3;
 
     use super::*;
+    #[cfg(feature = "synth")]
+    use crate::dataset::{DepthEncoding, DepthKind};
     use crate::field::{ClosedForm, RadianceField};
     use crate::monitor::Silent;
     use crate::render::Marcher;
@@ -133,5 +172,51 @@ mod tests {
         assert_eq!(views.sighting(DVec3::new(8.0, 0.0, 0.0), DVec3::ZERO).views, 0);
         // Air in front of the ball, in the picture of one camera only.
         assert_eq!(views.sighting(DVec3::new(1.4, 0.0, 0.0), DVec3::ZERO).views, 1);
+    }
+
+    #[test]
+    #[cfg(feature = "synth")]
+    fn by_true_depth_a_ball_is_seen_where_it_faces_a_camera() {
+        const RADIUS: f64 = 1.0;
+        let from = |eye: DVec3| Camera::look_at(eye, DVec3::ZERO, DVec3::Z, 0.9, [400; 2]);
+        let cameras = [DVec3::new(3.0, 0.0, 0.5), DVec3::new(-1.0, 3.0, 0.2)].map(from);
+        let folder = tempfile::tempdir().unwrap();
+        let mut named = Vec::new();
+        for (i, camera) in cameras.iter().enumerate() {
+            let depth = |pixel: usize| {
+                let ray = camera.ray((pixel % 400) as f64 + 0.5, (pixel / 400) as f64 + 0.5);
+                let (b, c) = (ray.origin.dot(ray.direction), ray.origin.length_squared() - RADIUS * RADIUS);
+                let root = b * b - c;
+                if root > 0.0 { (-b - root.sqrt()) as f32 } else { 0.0 }
+            };
+            let depths = (0..400 * 400).map(depth).collect();
+            let path = folder.path().join(format!("r_{i}.exr"));
+            crate::io::write_exr(&path, [400; 2], vec![("depth.Z", depths)]).unwrap();
+            named.push(NamedCamera { name: format!("images/r_{i}.png"), camera: *camera });
+        }
+        let encoding = DepthEncoding::of_maps("{}.exr", None, DepthKind::Euclidean).unwrap();
+        let files = DepthFiles { folder: folder.path().into(), pattern: "{}.exr".into(), encoding };
+        let views = TrainingViews::from_depth_maps(&named, &files, 0.5, &Silent).unwrap();
+        assert_eq!((views.len(), views.is_empty()), (2, false));
+        let (mut seen, mut hidden) = (0, 0);
+        for i in 0..4000 {
+            // A spiral over the ball.
+            let z = 1.0 - 2.0 * (f64::from(i) + 0.5) / 4000.0;
+            let (sin, cos) = (2.399_963_229_728_653 * f64::from(i)).sin_cos();
+            let normal = DVec3::new((1.0 - z * z).sqrt() * cos, (1.0 - z * z).sqrt() * sin, z);
+            let facing = cameras.map(|camera| normal.dot((camera.position - RADIUS * normal).normalize()));
+            // A point is at most √½ of a pixel's width from the middle of its pixel, and the surface there two widths
+            // nearer only if its slope exceeds 2.8: where the cosine is below 0.34.
+            if facing.iter().any(|cos| cos.abs() < 0.34) {
+                continue;
+            }
+            let expected = facing.iter().filter(|cos| **cos > 0.0).count();
+            assert_eq!(views.sighting(RADIUS * normal, DVec3::ZERO).views, expected, "at {normal}");
+            (seen, hidden) = (seen + usize::from(expected > 0), hidden + usize::from(expected == 0));
+        }
+        assert!(seen > 1000 && hidden > 500, "{seen} seen, {hidden} not");
+        named[1].name = "images/r_9.png".into();
+        let missing = TrainingViews::from_depth_maps(&named, &files, 0.5, &Silent).unwrap_err().to_string();
+        assert!(missing.contains("r_9.exr"), "{missing}");
     }
 }

@@ -20,10 +20,10 @@ pub struct DepthFiles {
 }
 
 impl DepthFiles {
-    /// Path of a frame's depth map.
+    /// Path of the depth map of a frame with this `file_path`.
     #[must_use]
-    pub fn path(&self, frame: &Frame) -> PathBuf {
-        let stem = Path::new(&frame.name).file_name().unwrap_or_default().to_string_lossy();
+    pub fn path(&self, name: &str) -> PathBuf {
+        let stem = Path::new(name).file_name().unwrap_or_default().to_string_lossy();
         let stem = [".png", ".jpg", ".jpeg"].iter().fold(&*stem, |s, e| s.trim_end_matches(e));
         self.folder.join(self.pattern.replace("{}", stem))
     }
@@ -61,7 +61,8 @@ impl TrueView {
     ) -> Result<Self> {
         let image = PosedImage::read(&frame.image, frame.camera.resolution)?;
         let read = |depth: &DepthFiles| {
-            DepthMap::read(&depth.path(frame), depth.encoding, &frame.camera, pixel_offset).map(|map| map.distance)
+            DepthMap::read(&depth.path(&frame.name), depth.encoding, &frame.camera, pixel_offset)
+                .map(|map| map.distance)
         };
         let truth = depth.map(read).transpose()?;
         let camera = frame.camera.strided(stride, pixel_offset);

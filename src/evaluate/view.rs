@@ -6,7 +6,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::{Baseline, Measure, Misfit, Reading, Sighting, TrainingViews, TrueView};
 use crate::Result;
-use crate::metrics::{Calibration, density_aware, ensemble_variance, psnr};
+use crate::metrics::{Calibration, Detection, density_aware, ensemble_variance, psnr};
 use crate::monitor::{Monitor, check};
 use crate::posterior::Visits;
 use crate::render::{
@@ -34,6 +34,8 @@ pub struct Evaluator<'a> {
     pub training: Option<&'a TrainingViews>,
     /// What training left unexplained, if the images are known.
     pub misfit: Option<&'a Misfit>,
+    /// What those cameras truly saw, if that is known.
+    pub truly_seen: Option<&'a TrainingViews>,
 }
 
 /// Training rays as the scalar: those that support a field's answers, 0 without a field.
@@ -65,6 +67,8 @@ pub struct EvaluatedView {
     pub absolute_error: Vec<f64>,
     /// `[measures][n]`: larger means more uncertain.
     pub measures: Vec<Vec<f64>>,
+    /// `[n]`: whether no training camera saw the true surface; empty if that is not known.
+    pub never_seen: Vec<bool>,
     /// Pixels with a true depth where the field shows nothing. They are left out,
     /// because there is no depth to compare.
     pub empty: usize,
@@ -77,7 +81,16 @@ impl<'a> Evaluator<'a> {
     #[must_use]
     pub fn new(tracer: Tracer<'a>, readings: &'a [Reading]) -> Self {
         let baked = readings.iter().map(|reading| BakedField::within(ROOM, &reading.field)).collect();
-        Self { tracer, readings, baked, differentiation: None, members: Vec::new(), training: None, misfit: None }
+        Self {
+            tracer,
+            readings,
+            baked,
+            differentiation: None,
+            members: Vec::new(),
+            training: None,
+            misfit: None,
+            truly_seen: None,
+        }
     }
 
     /// All measures, in the order of [`EvaluatedView::measures`].
@@ -166,11 +179,17 @@ impl<'a> Evaluator<'a> {
         let (seen, empty): (Vec<_>, Vec<_>) = with_truth.partition(|(i, _)| shown(*i));
         let pixels: Vec<usize> = seen.iter().map(|(i, _)| *i).collect();
         let width = camera.resolution[0] as usize;
-        let hit = |i: usize| {
+        let at = |i: usize, depth: f64| {
             let [x, y] = [i % width, i / width].map(|n| n as f64 + offset);
-            let x = camera.ray(x, y).at(rendered.pixels[i].expected_depth);
+            camera.ray(x, y).at(depth)
+        };
+        let hit = |i: usize| {
+            let x = at(i, rendered.pixels[i].expected_depth);
             self.tracer.marcher.bounds.clamp(x.as_vec3())
         };
+        let is_unseen = |views: &TrainingViews, i: usize, d: f64| views.sighting(at(i, d), camera.position).views == 0;
+        let never_seen: Vec<bool> =
+            self.truly_seen.iter().flat_map(|views| seen.iter().map(|&(i, d)| is_unseen(views, i, d))).collect();
         let sighting = |training: &TrainingViews, i: usize| training.sighting(hit(i).as_dvec3(), camera.position);
         let sightings: Vec<Sighting> =
             self.training.iter().flat_map(|training| pixels.iter().map(|&i| sighting(training, i))).collect();
@@ -230,9 +249,20 @@ impl<'a> Evaluator<'a> {
             absolute_error: seen.iter().map(|(i, d)| (rendered.pixels[*i].median_depth - d).abs()).collect(),
             pixels,
             measures,
+            never_seen,
             empty: empty.len(),
             rendered,
         })
+    }
+
+    /// How well the measure of index `m` tells the pixels that no training camera saw, over all views.
+    ///
+    /// `None` if that is not known, or if all pixels or none were seen.
+    #[must_use]
+    pub fn detection(views: &[EvaluatedView], m: usize) -> Option<Detection> {
+        let never_seen: Vec<bool> = views.iter().flat_map(|view| &view.never_seen).copied().collect();
+        let measure: Vec<f64> = views.iter().flat_map(|view| &view.measures[m]).copied().collect();
+        if never_seen.is_empty() { None } else { Detection::new(&measure, &never_seen) }
     }
 
     /// Calibration over the pixels of all views, if the measure of index `m` is a standard deviation of depth.

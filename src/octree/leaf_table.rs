@@ -102,7 +102,7 @@ impl LeafTable {
 
     /// The leaf around a finest cell, and its number.
     #[must_use]
-    #[inline]
+    #[inline(always)]
     pub fn find(&self, cell: [u32; 3]) -> (Cell, usize) {
         let [x, y, z] = cell.map(|i| (i >> (self.finest - self.jump)) as usize);
         let mut step = self.table[x + (y << self.jump) + (z << (2 * self.jump))];

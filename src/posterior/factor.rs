@@ -85,12 +85,19 @@ impl FactoredSums {
         [0, 2, 5].into_iter().enumerate().map(|(bit, i)| usize::from(self.entries[i].is_sign_negative()) << bit).sum()
     }
 
+    /// The order of the axes, and entries 00, 10, 11, 20, 21, 22 of L: those of a column are at most its first.
+    #[must_use]
+    pub fn factor(&self) -> Option<([usize; 3], [f32; 6])> {
+        let [l00, l10, l11, l20, l21, l22] = self.entries;
+        Some((*ORDERS.get(self.order())?, [l00.abs(), l10, l11.abs(), l20, l21, l22.abs()]))
+    }
+
     /// The sums, with f32 precision; zero if the factor is not [valid](FactoredSums::is_valid).
     #[must_use]
     pub fn sums(&self) -> VertexSums {
-        let Some(order) = ORDERS.get(self.order()) else { return VertexSums::default() };
-        let [l00, l10, l11, l20, l21, l22] = self.entries.map(f64::from);
-        let rows = [[l00.abs(), 0.0, 0.0], [l10, l11.abs(), 0.0], [l20, l21, l22.abs()]];
+        let Some((order, entries)) = self.factor() else { return VertexSums::default() };
+        let [l00, l10, l11, l20, l21, l22] = entries.map(f64::from);
+        let rows = [[l00, 0.0, 0.0], [l10, l11, 0.0], [l20, l21, l22]];
         let mut information: Information = [0.0; 6];
         for (i, a) in rows.iter().enumerate() {
             for (k, b) in rows.iter().enumerate().take(i + 1) {

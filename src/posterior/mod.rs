@@ -28,7 +28,7 @@ pub use dense::DensePosterior;
 pub use factor::FactoredSums;
 #[cfg(feature = "correlations")]
 pub use full::{DrawnPosterior, Draws, ExactPosterior, FullPosterior};
-pub(crate) use octree::{CONTRIBUTION_BYTES, SPARE_BYTES, TOGETHER};
+pub(crate) use octree::{AT_ONCE, CONTRIBUTION_BYTES, TOGETHER, spare_bytes};
 pub use octree::{Census, Needs, OctreePosterior, PilotCounts, Refinement};
 pub use pooling::Pooling;
 pub use prior::Prior;

@@ -5,6 +5,8 @@
 //! cache.
 
 use std::borrow::Cow;
+use std::hint::black_box;
+use std::ops::Range;
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -17,6 +19,9 @@ use crate::render::{Probed, ProbedField};
 
 /// Points whose leaves are found before the values of any are read, so that the memory works on many at a time.
 const TOGETHER: usize = 32;
+
+/// The number of the leaf around a point, its level, and the weights of its corners.
+type Found = (usize, u8, [f64; 8]);
 
 /// What a leaf knows, in one line of the cache.
 #[derive(Debug, Clone, Copy)]
@@ -95,23 +100,26 @@ impl<'a> BakedField<'a> {
     #[must_use]
     pub fn query_all(&self, points: &[Vec3]) -> Vec<Estimate> {
         let Some((table, corners)) = &self.baked else { return self.field.query_all(points) };
-        let mut estimates = vec![self.field.outside(); points.len()];
-        let groups = points.par_chunks(TOGETHER).zip(estimates.par_chunks_mut(TOGETHER)).with_min_len(TOGETHER);
-        groups.for_each(|(points, estimates)| {
-            let mut found = [None; TOGETHER];
-            for (found, &x) in found.iter_mut().zip(points) {
-                *found = self.leaf(table, x);
+        // The points that come next, and their leaves.
+        let none = || (0..0, [None; TOGETHER]);
+        let one = |(ahead, found): &mut (Range<usize>, [Option<Found>; TOGETHER]), i: usize| {
+            if !ahead.contains(&i) {
+                *ahead = i..i + TOGETHER;
+                for (found, &x) in found.iter_mut().zip(&points[i..]) {
+                    *found = self.leaf(table, x);
+                }
+                // Touches all lines first, so that their cache misses overlap.
+                let numbers = found.iter().flatten().map(|found| found.0);
+                black_box(numbers.fold(0, |any, number| any | corners[number].deviations[0].to_bits()));
             }
-            for (estimate, found) in estimates.iter_mut().zip(found) {
-                *estimate = self.estimate(corners, found);
-            }
-        });
-        estimates
+            self.estimate(corners, found[i - ahead.start])
+        };
+        (0..points.len()).into_par_iter().with_min_len(32 * TOGETHER).map_init(none, one).collect()
     }
 
     /// The number of the leaf around a point, its level, and the weights of its corners; `None` outside.
-    #[inline]
-    fn leaf(&self, table: &LeafTable, x: Vec3) -> Option<(usize, u8, [f64; 8])> {
+    #[inline(always)]
+    fn leaf(&self, table: &LeafTable, x: Vec3) -> Option<Found> {
         let lattice = &self.field.lattice;
         let u = lattice.coordinates(x)?;
         let (leaf, number) = table.find(lattice.cell(u).0);
@@ -120,8 +128,8 @@ impl<'a> BakedField<'a> {
         Some((number, leaf.level, trilinear(offset)))
     }
 
-    #[inline]
-    fn estimate(&self, corners: &[Corners], found: Option<(usize, u8, [f64; 8])>) -> Estimate {
+    #[inline(always)]
+    fn estimate(&self, corners: &[Corners], found: Option<Found>) -> Estimate {
         let Some((number, level, weights)) = found else { return self.field.outside() };
         let Corners { deviations, rays } = &corners[number];
         let uncertainty = self.field.protocol.covariance.interpolate(&deviations.map(f64::from), &weights);
@@ -211,6 +219,12 @@ mod tests {
                 assert_eq!((a.visits, a.knowledge, baked.query(*x)), (b.visits, b.knowledge, found), "{x}");
             }
             assert!(found.iter().filter(|answer| !answer.estimate.inside).count() > 1000);
+            for few in [0, 1, TOGETHER - 1, TOGETHER, TOGETHER + 1] {
+                assert_eq!(
+                    baked.query_all(&points[..few]),
+                    found[..few].iter().map(|a| a.estimate).collect::<Vec<_>>()
+                );
+            }
             assert_eq!(baked.memory() > 64 * 100, kind == GridKind::Octree);
             let [enough, short] = [baked.memory(), 64 * 100];
             assert_eq!([enough, short].map(|room| BakedField::within(room, &field).memory()), [enough, 0]);

@@ -26,20 +26,18 @@ impl UncertaintyField {
     /// Estimates at many points, in parallel: the same as those of [`UncertaintyField::query`], several times faster.
     #[must_use]
     pub fn query_all(&self, points: &[Vec3]) -> Vec<Estimate> {
-        let mut estimates = vec![self.outside(); points.len()];
         match &self.support {
-            Support::Dense => {
-                let pairs = points.par_iter().zip(&mut estimates).with_min_len(1024);
-                pairs.for_each(|(&x, estimate)| *estimate = self.query(x));
-            }
+            Support::Dense => points.par_iter().with_min_len(1024).map(|&x| self.query(x)).collect(),
             Support::Octree(octree) => {
+                // By all threads: the first touch of so much memory takes its time.
+                let mut estimates: Vec<_> = points.par_iter().with_min_len(1024).map(|_| self.outside()).collect();
                 // Even a few points are distributed over the threads.
                 let tile = points.len().div_ceil(rayon::current_num_threads()).clamp(1, TILE);
                 let tiles = points.par_chunks(tile).zip(estimates.par_chunks_mut(tile));
                 tiles.for_each(|(points, estimates)| self.query_tile(octree, points, estimates));
+                estimates
             }
         }
-        estimates
     }
 
     /// Overwrites the estimates of the points inside the box.

@@ -14,7 +14,8 @@ use super::options::{CameraFile, DepthOptions, FrameOptions, ModelOptions};
 use super::progress::Bars;
 use crate::dataset::Frame;
 use crate::evaluate::{
-    CleanUp, DepthError, EvaluatedView, Evaluator, Reading, Score, THRESHOLDS, TrainingViews, TrueView, clean_up,
+    CleanUp, DepthError, DepthFiles, EvaluatedView, Evaluator, Reading, Score, THRESHOLDS, TrainingViews, TrueView,
+    clean_up,
 };
 use crate::field::RadianceField;
 use crate::geometry::{Aabb, Camera, Domain};
@@ -65,6 +66,12 @@ pub struct Args {
 
     #[command(flatten)]
     maps: DepthOptions,
+
+    /// Folder of true depth maps of the training views, which the model must know, with names and values like those of
+    /// --depth. Tells which pixels show what no training view saw, and how well every measure detects them (AUROC, and
+    /// AUPR). Where a map knows no depth, its view counts as seeing all that is there
+    #[arg(long, value_name = "DIR", requires = "depth")]
+    training_depth: Option<PathBuf>,
 
     /// Covariances to evaluate, separated by commas [default: all if a field keeps its sums, else its own]
     #[arg(long, value_enum, value_delimiter = ',')]
@@ -139,11 +146,19 @@ impl Args {
         let judged = self.cameras.held_out(&self.frames, &*model)?;
         let depth_files = self.depth.clone().map(|folder| self.maps.files(folder)).transpose()?;
         let images = judged.iter().map(|frame| &frame.image);
-        let maps = judged.iter().flat_map(|frame| depth_files.iter().map(|files| files.path(frame)));
-        files.inputs("an image of --cameras", images).inputs("--depth", maps).check()?;
+        let maps = judged.iter().flat_map(|frame| depth_files.iter().map(|files| files.path(&frame.name)));
+        let training_files = self.training_depth.clone().map(|folder| self.maps.files(folder)).transpose()?;
+        let training_maps = |files: &DepthFiles| model.training_cameras().iter().map(|c| files.path(&c.name)).collect();
+        let training_maps: Vec<PathBuf> = training_files.as_ref().map_or_else(Vec::new, training_maps);
+        files
+            .inputs("an image of --cameras", images)
+            .inputs("--depth", maps)
+            .inputs("--training-depth", training_maps)
+            .check()?;
         let frames: Vec<&Frame> = judged.iter().step_by(self.every as usize).collect();
         let settings = self.model.image_settings();
         let offset = settings.pixel_offset.unwrap_or_else(|| model.pixel_offset());
+        let truly_seen = training_files.map(|files| truly_seen(&files, &*model, offset, bars)).transpose()?;
         let tracer = settings.tracer(&*model, 0.0, bars)?;
         let training = self.training_views(&tracer, offset, bars)?;
         let differentiation =
@@ -152,6 +167,7 @@ impl Args {
             differentiation,
             members: members.iter().map(|member| settings.tracer(&**member, 0.0, bars)).collect::<Result<_>>()?,
             training: training.as_ref(),
+            truly_seen: truly_seen.as_ref(),
             ..Evaluator::new(tracer, &readings)
         };
 
@@ -181,8 +197,17 @@ impl Args {
             Some(_) => (0..measures.len()).map(|m| evaluator.calibration(&judged, m)).collect(),
             None => Vec::new(),
         };
-        let evaluation =
-            Evaluation { args: &self, evaluator: &evaluator, measures, views: &judged, ranked, calibrations, cleaned };
+        let detections = (0..measures.len()).map(|m| Evaluator::detection(&judged, m)).collect();
+        let evaluation = Evaluation {
+            args: &self,
+            evaluator: &evaluator,
+            measures,
+            views: &judged,
+            ranked,
+            calibrations,
+            detections,
+            cleaned,
+        };
         let plot = self.plot.as_ref().map(|path| evaluation.plot(path)).transpose()?;
         let csv = self.csv.as_ref().map(|path| evaluation.csv(path)).transpose()?;
         // All are on the disk before the first gets its name, so that no half set is left.
@@ -247,6 +272,19 @@ impl Args {
         let sheet = sheet::stage(path, truths, &cleaned)?;
         Ok(Some((cleaned.into_iter().map(|(cleaned, _)| cleaned).collect(), sheet)))
     }
+}
+
+/// What the cameras truly saw that the model was trained on.
+fn truly_seen(files: &DepthFiles, model: &dyn RadianceField, offset: f64, bars: &Bars) -> Result<TrainingViews> {
+    let cameras = model.training_cameras();
+    if cameras.is_empty() {
+        let expected = "a model that knows its training cameras, such as those of `train`";
+        return Err(Error::setting("--training-depth", expected, model.describe()));
+    }
+    bars.begin("training depth maps", cameras.len() as u64);
+    let seen = TrainingViews::from_depth_maps(cameras, files, offset, bars)?;
+    bars.end();
+    Ok(seen)
 }
 
 /// Scores every measure against the depth error, and says how large that error is.

@@ -4,7 +4,7 @@ use super::table::Evaluation;
 use crate::Result;
 use crate::cli::report;
 use crate::evaluate::{DepthError, Measure, Score};
-use crate::metrics::PROBABILITIES;
+use crate::metrics::{Detection, PROBABILITIES};
 
 /// How a ranking of errors is told.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum)]
@@ -57,6 +57,7 @@ impl Evaluation<'_> {
             let [r, s] = [score.rank_correlation, score.rank_correlation_per_view];
             say!("  {name:<width$} {}   | {r:>6.3} {s:>6.3}", self.figures(score))?;
         }
+        self.print_detection(width)?;
         self.print_calibration(width)
     }
 
@@ -89,6 +90,25 @@ impl Evaluation<'_> {
                 format!("{mae:>9.5} {rmse:>9.5}")
             }
         }
+    }
+
+    /// Only if it is known which pixels show what no training view saw.
+    fn print_detection(&self, width: usize) -> Result<()> {
+        let Some(views) = self.evaluator.truly_seen else { return Ok(()) };
+        let pixels: Vec<bool> = self.views.iter().flat_map(|view| &view.never_seen).copied().collect();
+        let unseen = pixels.iter().filter(|unseen| **unseen).count();
+        let share = 100.0 * unseen as f64 / pixels.len().max(1) as f64;
+        let head = format!("never seen by {} training views: {share:.1} % of the pixels", views.len());
+        if unseen == 0 || unseen == pixels.len() {
+            return say!("{head}; there is nothing to detect");
+        }
+        say!("{head:<width$}    AUROC    AUPR (chance: 0.5, {:.3})", share / 100.0, width = width + 2)?;
+        for ((_, name, _), detection) in self.named().zip(&self.detections) {
+            if let Some(Detection { auroc, aupr, .. }) = detection {
+                say!("  {name:<width$} {auroc:>8.3} {aupr:>7.3}")?;
+            }
+        }
+        Ok(())
     }
 
     /// Only if a field gives deviations in scene units: the ray's weights alone are there to be compared with.

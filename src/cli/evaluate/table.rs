@@ -8,7 +8,7 @@ use super::Args;
 use crate::cli::report;
 use crate::evaluate::{CleanUp, DepthError, EvaluatedView, Evaluator, Measure, Reading, Score};
 use crate::io::AtomicFile;
-use crate::metrics::{Calibration, ErrorKind, STEPS, Sparsification};
+use crate::metrics::{Calibration, Detection, ErrorKind, STEPS, Sparsification};
 use crate::picture::{Curve, Plot, stage_plots};
 use crate::{Error, Result};
 
@@ -22,6 +22,8 @@ pub struct Evaluation<'a> {
     pub ranked: Option<(Vec<Score>, DepthError)>,
     /// One per measure with true depth; `None` for measures that are no deviations of depth.
     pub calibrations: Vec<Option<Calibration>>,
+    /// One per measure; `None` unless it is known what was never seen.
+    pub detections: Vec<Option<Detection>>,
     /// Empty unless asked for.
     pub cleaned: Vec<CleanUp>,
 }
@@ -167,6 +169,9 @@ impl<'a> Evaluation<'a> {
             if let Some(calibration) = &self.calibrations[m] {
                 entry["calibration"] = json!(calibration);
             }
+            if let Some(detection) = &self.detections[m] {
+                entry["never_seen"] = json!(detection);
+            }
             match measure {
                 Measure::DepthDeviation(r) => {
                     entry["field"] = report::protocol_json(&self.evaluator.readings[r].field);
@@ -182,7 +187,8 @@ impl<'a> Evaluation<'a> {
         }
         let args = self.args;
         json!({
-            "model": args.model.model, "cameras": args.cameras.cameras, "depth": args.depth, "ensemble": args.ensemble,
+            "model": args.model.model, "cameras": args.cameras.cameras, "depth": args.depth,
+            "training_depth": args.training_depth, "ensemble": args.ensemble,
             "depth_kind": if args.maps.z_depth { "z" } else { "euclidean" }, "stride": args.stride,
             "mask": "alpha 255 and known depth", "alignment": "none",
             "background": args.model.rays.background.to_array(),

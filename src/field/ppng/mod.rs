@@ -108,7 +108,19 @@ fn hidden_block<const N: usize, const ROWS: usize>(
     network.hidden(&block.features, ROWS * count, &mut block.hidden);
 }
 
-/// σ (1 / file unit, without the window) of the block's points, after [`hidden_block`].
+/// Fills h₀ alone in `hidden`, as [`hidden_block`] does.
+#[multiversion(targets("x86_64+avx2+fma"))]
+fn log_density_block<const N: usize, const ROWS: usize>(
+    encoding: &Encoding,
+    network: &Network,
+    block: &mut PointBlock<N>,
+    count: usize,
+) {
+    encoding.encode::<N, ROWS>(&block.centered, count, &mut block.features);
+    network.log_density(&block.features, ROWS * count, &mut block.hidden);
+}
+
+/// σ (1 / file unit, without the window) of the block's points, after [`log_density_block`] or [`hidden_block`].
 #[multiversion(targets("x86_64+avx2+fma"))]
 fn density_block<const N: usize>(block: &PointBlock<N>) -> [f32; N] {
     let rows = BLOCK / N;
@@ -190,7 +202,7 @@ impl RadianceField for Ppng {
         let scale = self.coordinates.scale() as f32;
         out.fill(0.0);
         self.gather::<BLOCK>(positions, |block, owners| {
-            hidden_block::<BLOCK, 1>(&self.encoding, &self.network, block, owners.len());
+            log_density_block::<BLOCK, 1>(&self.encoding, &self.network, block, owners.len());
             for (p, (&owner, density)) in owners.iter().zip(density_block(block)).enumerate() {
                 out[owner] = scale * block.windows[p] * density;
             }
@@ -264,7 +276,7 @@ impl Differentiable for Ppng {
         densities.fill(0.0);
         gradients.fill(Vec3::ZERO);
         self.gather::<JETS>(positions, |block, owners| {
-            hidden_block::<JETS, JET>(&self.encoding, &self.network, block, owners.len());
+            log_density_block::<JETS, JET>(&self.encoding, &self.network, block, owners.len());
             for (p, (&owner, density)) in owners.iter().zip(density_block(block)).enumerate() {
                 densities[owner] = scale * block.windows[p] * density;
                 gradients[owner] = self.density_gradient(block, density, p);

@@ -26,6 +26,8 @@ pub const OUTPUTS: usize = 4;
 pub const LOG_DENSITY_LIMIT: f32 = 11.0;
 /// Number of points whose sums are kept in registers together. Each weight is then loaded once for all of them.
 const TILE: usize = 4;
+/// Number of rows that are summed side by side, to hide the latency of each row's chain of additions.
+const CHAINS: usize = 8;
 
 /// Weights of the two networks.
 #[derive(Debug, Clone)]
@@ -58,6 +60,22 @@ impl Network {
                 add_input(&mut sums, &self.density[i], |p| features[first + p][i]);
             }
             hidden[first..first + TILE].copy_from_slice(&sums);
+        }
+    }
+
+    /// h₀ of the first `count` rows, all that a density needs: as [`Network::hidden`] computes it, bit for bit.
+    #[inline(always)]
+    pub fn log_density(&self, features: &[[f32; WIDTH]; BLOCK], count: usize, hidden: &mut [[f32; HIDDEN]; BLOCK]) {
+        for first in (0..count).step_by(CHAINS) {
+            let mut sums = [0.0; CHAINS];
+            for i in 0..WIDTH {
+                for p in 0..CHAINS {
+                    sums[p] = self.density[i][0].mul_add(features[first + p][i], sums[p]);
+                }
+            }
+            for p in 0..CHAINS {
+                hidden[first + p][0] = sums[p];
+            }
         }
     }
 

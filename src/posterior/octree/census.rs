@@ -136,8 +136,10 @@ struct Touched {
 /// What a run will touch.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Needs {
-    /// Bytes of sums.
+    /// Bytes of sums, and of the bricks that find them.
     pub summing: f64,
+    /// Of these, the bytes of sums.
+    pub sums: f64,
     /// Number of vertices of the finished octree.
     pub vertices: f64,
 }
@@ -262,7 +264,8 @@ impl Census {
         let bricks = bricks.map(|(coarseness, sample)| sample.expected(scale, |code| on_limit(coarseness, code << 3)));
         let touched = (0..).zip(&self.vertices);
         let touched = touched.map(|(coarseness, sample)| sample.expected(scale, |code| on_limit(coarseness, code)));
-        let summing = size_of::<VertexSums>() as f64 * touched.sum::<f64>() + BRICK_BYTES * bricks.sum::<f64>();
+        let sums = size_of::<VertexSums>() as f64 * touched.sum::<f64>();
+        let summing = sums + BRICK_BYTES * bricks.sum::<f64>();
         let is_split = |level: u8, code: u64| {
             let is_on_limit = level < region || level < limits.level(code >> (3 * (level - region)));
             is_on_limit && is_owned(morton::decode(code << (3 * (finest - level))))
@@ -273,7 +276,7 @@ impl Census {
             sample.expected(scale * OF_CELLS as f64, |code| is_split(level, code)).min(most)
         });
         let leaves = 1.0 + 7.0 * split.sum::<f64>();
-        Needs { summing, vertices: VERTICES_PER_LEAF * leaves }
+        Needs { summing, sums, vertices: VERTICES_PER_LEAF * leaves }
     }
 
     /// Bytes on the heap.

@@ -42,10 +42,12 @@ use crate::geometry::Lattice;
 use crate::octree::{Leaves, MaxLevels, Tile, coarseness};
 use crate::render::RaySamples;
 
-/// Expected bytes of chunks of few sums that are not yet full.
-pub(crate) use sparse::SPARE_BYTES;
+pub(crate) use sparse::spare_bytes;
 /// Bytes of one ray's contribution to one vertex, before it is summed.
 pub(crate) const CONTRIBUTION_BYTES: usize = size_of::<lists::Contribution>();
+
+/// Lists of contributions that each thread has at once.
+pub(crate) const AT_ONCE: usize = 2;
 
 /// Information summed at sparse vertices.
 #[derive(Debug, Clone)]
@@ -133,6 +135,11 @@ impl OctreePosterior {
         self.sums.par_iter().filter(|(_, e)| e.rays > 0).map(|(key, e)| (key.point(), e))
     }
 
+    /// Of [`Posterior::memory`], the bytes that no sums use yet.
+    pub(crate) fn spare(&self) -> usize {
+        self.sums.spare()
+    }
+
     /// Number of levels between the finest level and the finest leaf that has `point` as a corner.
     ///
     /// A point that is not a corner of a leaf of that level has no sums under any key.
@@ -171,8 +178,9 @@ impl AddAssign<&Self> for OctreePosterior {
 
 impl Posterior for OctreePosterior {
     fn add(&mut self, batches: &[RaySamples]) {
-        // A list is several times as large as its batch, so there are only as many as keep the threads busy.
-        for some in batches.chunks(rayon::current_num_threads()) {
+        // A list is several times as large as its batch, so there are only as many as keep the threads busy: threads
+        // wait for each other after these.
+        for some in batches.chunks(AT_ONCE * rayon::current_num_threads()) {
             let lists: Vec<_> = some.par_iter().map(|batch| self.contributions(batch)).collect();
             self.sums.add(&lists);
         }

@@ -15,7 +15,7 @@ use rustc_hash::FxHashMap;
 
 use super::key::{BlockCode, PARTITIONS, VertexKey};
 use super::lists::{Contribution, Contributions};
-use super::sums_list::{SPARE, SumsList};
+use super::sums_list::{SumsList, expected_spare};
 use crate::posterior::VertexSums;
 
 /// Where the eight parts of something are in a list of its partition: a block's bricks, or the sums of a brick's
@@ -48,9 +48,10 @@ impl Slots {
 /// which have two to four bricks.
 pub const BRICK_BYTES: f64 = (size_of::<Slots>() + 11 + 20) as f64;
 
-/// Expected bytes of chunks that are not yet full, where sums are few: half a chunk in every partition. (Of many sums,
-/// it is half a page of 2 MiB.)
-pub const SPARE_BYTES: usize = PARTITIONS * SPARE;
+/// Expected bytes that are not used beside sums of `bytes` bytes, in chunks and pages that are not yet full: half of one in every partition.
+pub fn spare_bytes(bytes: usize) -> usize {
+    PARTITIONS * expected_spare(bytes / PARTITIONS)
+}
 
 /// Number of contributions whose slots are looked up before the first of them is added.
 const AHEAD: usize = 32;
@@ -220,6 +221,11 @@ impl SparseSums {
     /// Bytes on the heap.
     pub fn memory(&self) -> usize {
         self.partitions.iter().map(Partition::memory).sum()
+    }
+
+    /// Of these, the bytes that no sums use yet.
+    pub fn spare(&self) -> usize {
+        self.partitions.iter().map(|partition| partition.sums.spare()).sum()
     }
 }
 
