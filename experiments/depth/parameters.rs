@@ -1,11 +1,12 @@
 //! Uncertainty from a posterior over the model's own parameters, by the Gauss-Newton matrix of the training pixels.
 //!
-//! H = Σ over training pixels and colour channels of (∂C/∂θ)(∂C/∂θ)ᵀ, from a sample of the pixels, plus λ. The measure of
-//! a pixel is tr(J H⁻¹ Jᵀ), where J has the derivatives of its three colour channels, or that of its expected depth.
+//! H = Σ over training pixels and colour channels of (∂C/∂θ)(∂C/∂θ)ᵀ, from a sample of the pixels, plus λ. The measure
+//! of a pixel is tr(J H⁻¹ Jᵀ), where J has the derivatives of its three colour channels, or that of its expected depth.
 //!
 //! - FisherRF (Jiang, Lei, Daniilidis, ECCV 2024): all parameters, the diagonal of H only, λ of the authors' program.
-//! - Last-layer Laplace (Daxberger et al., NeurIPS 2021): the last layers of both networks, all of H. With colours of the
-//!   noise that training left and a prior of variance 1 for each weight, λ is the noise's square.
+//!   They chose it for Gaussians, so depth is measured with the λ of the other method, too.
+//! - Last-layer Laplace (Daxberger et al., NeurIPS 2021): the last layers of both networks, all of H. With colours of
+//!   the noise that training left and a prior of variance 1 for each weight, λ is the noise's square.
 
 use std::ops::Range;
 
@@ -32,8 +33,9 @@ const JITTER: f64 = 0.5;
 const COLOR: Range<usize> = 0..3;
 const DEPTH: usize = 3;
 
-/// Derivatives by a feature's entry or by a weight count in the diagonal by their squares.
+/// The diagonal of H without λ.
 struct Diagonal {
+    /// `[entries][features]`.
     entries: Vec<[f64; 4]>,
     weights: Vec<f64>,
 }
@@ -55,8 +57,8 @@ impl Diagonal {
     }
 
     /// Σ d² / (H + λ) of one output.
-    fn variance(&self, pixel: &PixelGradient, output: usize) -> f64 {
-        let term = |(sum, d): (&f64, &f32)| f64::from(*d).powi(2) / (sum + LAMBDA);
+    fn variance(&self, pixel: &PixelGradient, output: usize, lambda: f64) -> f64 {
+        let term = |(sum, d): (&f64, &f32)| f64::from(*d).powi(2) / (sum + lambda);
         let of_entry = |(entry, derivatives): &(u32, [[f32; 4]; OUTPUTS])| -> f64 {
             self.entries[*entry as usize].iter().zip(&derivatives[output]).map(term).sum()
         };
@@ -80,12 +82,19 @@ pub struct ParameterPosteriors<'a> {
     pixels: PixelGradients<'a>,
     diagonal: Diagonal,
     last: Llt<f64>,
+    /// The square of the training noise.
+    lambda: f64,
 }
 
 impl<'a> ParameterPosteriors<'a> {
     /// Names of the measures, in the order of [`ParameterPosteriors::of`].
-    pub const NAMES: [&'static str; 4] =
-        ["FisherRF (parameters)", "FisherRF (parameters), depth", "last-layer Laplace", "last-layer Laplace, depth"];
+    pub const NAMES: [&'static str; 5] = [
+        "FisherRF (parameters)",
+        "FisherRF (parameters), depth",
+        "FisherRF (parameters), depth, λ of the noise",
+        "last-layer Laplace",
+        "last-layer Laplace, depth",
+    ];
 
     /// Sums over pixels of the training cameras. `noise` is that of colours from 0 to 1.
     pub fn fit(field: &'a HashGrid, cameras: &[Camera], pixel_offset: f64, noise: f64) -> Result<Self> {
@@ -109,35 +118,39 @@ impl<'a> ParameterPosteriors<'a> {
             let columns = last_layers(&found, COLOR);
             precision += faer::Scale(share) * (&columns * columns.transpose());
         }
+        let lambda = noise.powi(2);
         for i in 0..width {
-            precision[(i, i)] += noise.powi(2);
+            precision[(i, i)] += lambda;
         }
         let last = precision
             .llt(Side::Lower)
             .map_err(|_| Error::setting("noise", "one that keeps H positive definite", noise.to_string()))?;
-        Ok(Self { pixels, diagonal, last })
+        Ok(Self { pixels, diagonal, last, lambda })
     }
 
     /// The measures of the pixels of a held-out view.
-    pub fn of(&self, truth: &TrueView, view: &EvaluatedView) -> [Vec<f64>; 4] {
+    pub fn of(&self, truth: &TrueView, view: &EvaluatedView) -> [Vec<f64>; 5] {
         let width = truth.camera.resolution[0] as usize;
-        let mut measures: [Vec<f64>; 4] = Default::default();
+        let mut measures: [Vec<f64>; 5] = Default::default();
         for pixels in view.pixels.chunks(BATCH) {
             let differentiated = pixels.par_iter().map(|i| {
                 let [x, y] = [i % width, i / width].map(|n| n as f64 + truth.pixel_offset);
                 self.pixels.of(&truth.camera.ray(x, y), JITTER)
             });
             let found: Vec<PixelGradient> = differentiated.collect();
-            let color = |pixel: &PixelGradient| COLOR.map(|output| self.diagonal.variance(pixel, output)).sum::<f64>();
-            measures[0].extend(found.iter().map(color));
-            measures[1].extend(found.iter().map(|pixel| self.diagonal.variance(pixel, DEPTH)));
+            for pixel in &found {
+                let variance = |output, lambda| self.diagonal.variance(pixel, output, lambda);
+                measures[0].push(COLOR.map(|output| variance(output, LAMBDA)).sum());
+                measures[1].push(variance(DEPTH, LAMBDA));
+                measures[2].push(variance(DEPTH, self.lambda));
+            }
             // tr(J H⁻¹ Jᵀ) is the sum of squares of L⁻¹ Jᵀ with H = L Lᵀ.
             let mut columns = last_layers(&found, 0..OUTPUTS);
             self.last.L().solve_lower_triangular_in_place(columns.as_mut());
             let variance = |column: usize| columns.col_as_slice(column).iter().map(|v| v * v).sum::<f64>();
             for p in 0..found.len() {
-                measures[2].push(COLOR.map(|output| variance(OUTPUTS * p + output)).sum());
-                measures[3].push(variance(OUTPUTS * p + DEPTH));
+                measures[3].push(COLOR.map(|output| variance(OUTPUTS * p + output)).sum());
+                measures[4].push(variance(OUTPUTS * p + DEPTH));
             }
         }
         measures

@@ -53,8 +53,9 @@ pub fn end_transmittance(weights: &[[f32; 2]]) -> f32 {
     weights.last().map_or(1.0, |[_, after]| *after)
 }
 
-/// Fills ∂L/∂σ_i for a function L of the `weights` of [`composite`], from `end` = T_end a_end and a_i, for which it asks
-/// from the last sample to the first.
+/// Fills ∂L/∂σ_i for a function L of the `weights` of [`composite`], from `end` = T_end a_end and a_i.
+///
+/// `a` is called from the last sample to the first.
 pub fn density_gradients(
     samples: &[RaySample],
     weights: &[[f32; 2]],

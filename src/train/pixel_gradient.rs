@@ -158,10 +158,11 @@ mod tests {
     /// How far values and derivatives of a ray with so many samples may lie apart, relative to 1 or to the largest
     /// derivative of the output by the same layer or level.
     ///
-    /// A derivative by density or colour of a sample goes through five sums of at most 32 products and is summed over the
-    /// ray: at most 160 + n roundings of f32, 6e-8 each, of the sum of absolute terms. Where terms cancel, that sum is up
-    /// to some ten times the largest derivative. The differences in f64 err by 1e-10 for their step's square and 1e-11 for
-    /// rounding, which is less than a tenth of it even if the third derivative is 1e4 times the scale.
+    /// A derivative by density or colour of one of n samples goes through five sums of at most 32 products and is
+    /// summed over the ray: at most 160 + n roundings of f32, 6e-8 each, of the sum of absolute terms. Where terms
+    /// cancel, that sum is up to some ten times the largest derivative. The differences in f64 err by 1e-10 for their
+    /// step's square and 1e-11 for rounding: less than a tenth of it, even if the third derivative is 1e4 times the
+    /// scale.
     fn tolerance(samples: usize) -> f64 {
         10.0 * 6e-8 * (160 + samples) as f64
     }
