@@ -125,6 +125,8 @@ pub mod internal {
     pub use crate::io::{AtomicFile, memory, npy, npz};
     #[cfg(feature = "cli")]
     pub use crate::picture::*;
+    #[cfg(feature = "train")]
+    pub use crate::train::pixel_gradient::{OUTPUTS, PixelGradient, PixelGradients};
 }
 
 /// The Rust of README and book is compiled and run like all documentation.

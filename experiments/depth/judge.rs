@@ -22,6 +22,7 @@ use serde::{Deserialize, Serialize};
 use crate::candidates::candidates;
 use crate::common::clock::Clock;
 use crate::common::table::mean;
+use crate::parameters::ParameterPosteriors;
 use crate::regression::Regression;
 use crate::scene::{Data, Model, Scene};
 use crate::warp::Warp;
@@ -148,6 +149,8 @@ fn judge(data: &Data, model: &Model, others: &[Model], fields: Vec<UncertaintyFi
     let lattice = Lattice::new(field.bounds(), MISFIT_LEVEL)?;
     let misfit = Misfit::new(&tracer, &data.for_misfit(pixel_offset), lattice, &Silent)?;
     let warp = Warp::render(&tracer, &data.cameras, pixel_offset)?;
+    let noise = DataScale::noise_of(model.psnr);
+    let parameters = ParameterPosteriors::fit(field, &data.cameras, pixel_offset, noise)?;
     let readings = readings(fields)?;
     let mut evaluator =
         Evaluator { training: Some(&training), misfit: Some(&misfit), ..Evaluator::new(tracer, &readings) };
@@ -160,7 +163,8 @@ fn judge(data: &Data, model: &Model, others: &[Model], fields: Vec<UncertaintyFi
     let depth = truth_files(&data.folder);
     let frames: Vec<Frame> = Views::read(&data.folder.join("transforms_test.json"), None)?.frames;
     let (mut views, mut unseen) = (Vec::new(), Vec::new());
-    let mut beside = BESIDE.map(|name| (name.to_owned(), Vec::new()));
+    let names = BESIDE.iter().chain(&ParameterPosteriors::NAMES);
+    let mut beside: Vec<(String, Vec<f64>)> = names.map(|name| ((*name).to_owned(), Vec::new())).collect();
     for (seed, frame) in (0..).zip(&frames) {
         let truth = TrueView::read(frame, Some(&depth), DVec3::ONE, pixel_offset, STRIDE)?;
         let view = evaluator.evaluate(&truth, seed, &Silent)?;
@@ -178,9 +182,12 @@ fn judge(data: &Data, model: &Model, others: &[Model], fields: Vec<UncertaintyFi
             beside[1].1.push(warped.color);
         }
         beside[2].1.extend(regression.of(&evaluator, &view));
+        for ((_, all), values) in beside[BESIDE.len()..].iter_mut().zip(parameters.of(&truth, &view)) {
+            all.extend(values);
+        }
         views.push(view);
     }
-    row(&evaluator, &views, beside.into(), &unseen)
+    row(&evaluator, &views, beside, &unseen)
         .ok_or_else(|| Error::malformed(&data.folder, "views", "errors of depth, and finite deviations", "none"))
 }
 

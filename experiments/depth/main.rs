@@ -11,6 +11,7 @@ mod candidates;
 mod correlations;
 mod joint;
 mod judge;
+mod parameters;
 mod pictures;
 mod regression;
 mod scene;

@@ -36,6 +36,41 @@ pub struct RayLoss {
     pub squared_error: f64,
 }
 
+/// `[w_i, T_{i+1}]` of the samples of a ray.
+pub fn composite(samples: &[RaySample]) -> Vec<[f32; 2]> {
+    let mut transmittance = 1.0_f32;
+    let weigh = |sample: &RaySample| {
+        let optical_depth = sample.sigma * sample.delta;
+        let weight = transmittance * -(-optical_depth).exp_m1();
+        transmittance *= (-optical_depth).exp();
+        [weight, transmittance]
+    };
+    samples.iter().map(weigh).collect()
+}
+
+/// T_end of a ray with the weights of [`composite`].
+pub fn end_transmittance(weights: &[[f32; 2]]) -> f32 {
+    weights.last().map_or(1.0, |[_, after]| *after)
+}
+
+/// Fills ∂L/∂σ_i for a function L of the `weights` of [`composite`], from `end` = T_end a_end and a_i.
+///
+/// `a` is called from the last sample to the first.
+pub fn density_gradients(
+    samples: &[RaySample],
+    weights: &[[f32; 2]],
+    end: f32,
+    mut a: impl FnMut(usize) -> f32,
+    gradients: &mut [SampleGradient],
+) {
+    let mut behind = end;
+    for (i, (sample, [weight, after])) in samples.iter().zip(weights).enumerate().rev() {
+        let a = a(i);
+        gradients[i].sigma = sample.delta * (after * a - behind);
+        behind += weight * a;
+    }
+}
+
 /// Computes the loss of a ray with true colour `target` over `background`, and writes its derivatives to `gradients`
 /// (`[samples]`).
 ///
@@ -48,21 +83,15 @@ pub fn ray_loss(
     distortion: f32,
     gradients: &mut Vec<SampleGradient>,
 ) -> RayLoss {
-    gradients.clear();
-    gradients.resize(samples.len(), SampleGradient::default());
-    let (mut transmittance, mut color) = (1.0_f32, Vec3::ZERO);
-    // (w, T_{i+1}) of each sample, for the way back.
-    let mut weights = Vec::with_capacity(samples.len());
+    let weights = composite(samples);
+    let mut color = Vec3::ZERO;
     let (mut total, mut first_moment) = (0.0_f32, 0.0_f32);
-    for sample in samples {
-        let optical_depth = sample.sigma * sample.delta;
-        let weight = transmittance * -(-optical_depth).exp_m1();
-        transmittance *= (-optical_depth).exp();
+    for (sample, [weight, _]) in samples.iter().zip(&weights) {
         color += weight * sample.color;
         total += weight;
         first_moment += weight * sample.s;
-        weights.push((weight, transmittance));
     }
+    let transmittance = end_transmittance(&weights);
     color += transmittance * background;
 
     let error = color - target;
@@ -73,21 +102,22 @@ pub fn ray_loss(
         squared_error: f64::from(error.length_squared()),
     };
 
-    // Backwards, with the colour behind, and with Σ w and Σ w s behind, from which |s_i − s_j| is summed over pairs.
-    let mut behind = transmittance * d_color.dot(background);
+    gradients.clear();
+    let of_color = |[weight, _]: &[f32; 2]| SampleGradient { sigma: 0.0, color: weight * d_color };
+    gradients.extend(weights.iter().map(of_color));
+    // Σ w and Σ w s behind a sample, from which |s_i − s_j| is summed over pairs.
     let (mut total_behind, mut moment_behind) = (0.0_f32, 0.0_f32);
-    for (i, sample) in samples.iter().enumerate().rev() {
-        let (weight, after) = weights[i];
+    let d_weight = |i: usize| {
+        let (sample, [weight, _]) = (&samples[i], weights[i]);
         let (total_before, moment_before) =
             (total - total_behind - weight, first_moment - moment_behind - weight * sample.s);
         let spread = sample.s * total_before - moment_before + moment_behind - sample.s * total_behind;
-        let d_weight = d_color.dot(sample.color) + distortion * (2.0 * spread + 2.0 / 3.0 * weight * sample.delta);
         result.loss += f64::from(distortion) * f64::from(weight * (spread + weight * sample.delta / 3.0));
-        gradients[i] = SampleGradient { sigma: sample.delta * (after * d_weight - behind), color: weight * d_color };
-        behind += weight * d_weight;
         total_behind += weight;
         moment_behind += weight * sample.s;
-    }
+        d_color.dot(sample.color) + distortion * (2.0 * spread + 2.0 / 3.0 * weight * sample.delta)
+    };
+    density_gradients(samples, &weights, transmittance * d_color.dot(background), d_weight, gradients);
     result
 }
 

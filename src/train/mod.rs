@@ -10,9 +10,11 @@ mod batch;
 mod loss;
 mod march;
 mod occupancy;
+pub(crate) mod pixel_gradient;
 mod quality;
 mod run;
 mod state;
+mod tape;
 mod trainer;
 mod views;
 

@@ -161,6 +161,19 @@ impl Encoding {
         }
     }
 
+    /// The entries that the features of a point are made of, as indices in the table of all levels, with their weights:
+    /// `[levels][corners]`.
+    pub fn entries_of(&self, u: [f32; 3]) -> [[(u32, f32); 8]; N_LEVELS] {
+        let mut first = 0;
+        self.levels.map(|level| {
+            let place = level.place(u);
+            let weights = weights(place.t);
+            let entries = std::array::from_fn(|c| (first + place.index[c], weights[c]));
+            first += level.size as u32;
+            entries
+        })
+    }
+
     /// Fills `slopes` with ∂f/∂u at positions `u`, `[n][axis]`. Cells are held fixed, because trilinear
     /// features have kinks at faces.
     #[inline(always)]

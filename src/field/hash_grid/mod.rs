@@ -199,6 +199,16 @@ impl HashGrid {
         &self.space
     }
 
+    /// Features and weights.
+    pub(crate) fn parameters(&self) -> &Parameters {
+        &self.parameters
+    }
+
+    /// The window at a position in the unit cube.
+    pub(crate) fn window_at(&self, u: [f32; 3]) -> f32 {
+        self.window.at(Vec3::from_array(u) - 0.5)
+    }
+
     /// Occupied cells of the occupancy grid, `[n³]`, x fastest.
     pub(crate) fn occupied(&self) -> &[bool] {
         &self.occupied
@@ -219,7 +229,7 @@ impl HashGrid {
     /// The window at u (0 outside the bounds) and u.
     fn place(&self, x: Vec3) -> (f32, [f32; 3]) {
         // Outside, the density is zero and the colour does not matter: that of the centre will do.
-        self.space.unit(x).map_or((0.0, [0.5; 3]), |u| (self.window.at(Vec3::from_array(u) - 0.5), u))
+        self.space.unit(x).map_or((0.0, [0.5; 3]), |u| (self.window_at(u), u))
     }
 
     /// Radiance of point `p` of a block, after its passes.
@@ -356,4 +366,4 @@ pub(crate) mod slow;
 #[cfg(test)]
 mod tests;
 #[cfg(test)]
-pub(crate) use tests::random_parameters;
+pub(crate) use tests::{CONFIG as SMALL, random_parameters};

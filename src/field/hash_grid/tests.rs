@@ -7,7 +7,7 @@ use super::*;
 use crate::field::RadianceJet;
 use crate::geometry::Norm;
 
-const CONFIG: HashGridConfig =
+pub(crate) const CONFIG: HashGridConfig =
     HashGridConfig { log2_hashmap_size: 9, base_resolution: 3, per_level_scale: 1.5, occupancy: 8 };
 
 /// Weights that make every layer matter: densities around 1, hidden units on both sides of 0.
