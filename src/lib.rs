@@ -126,7 +126,7 @@ pub mod internal {
     #[cfg(feature = "cli")]
     pub use crate::picture::*;
     #[cfg(feature = "train")]
-    pub use crate::train::pixel_gradient::{OUTPUTS, PixelGradient, PixelGradients};
+    pub use crate::train::pixel_gradient::{OUTPUTS as PIXEL_OUTPUTS, PixelGradient, PixelGradients};
 }
 
 /// The Rust of README and book is compiled and run like all documentation.

@@ -88,7 +88,8 @@ fn main() -> Result<()> {
     program.part("built-in", |work| {
         let scenes = scenes(&[(KNOT, FEW), (KNOT, HALF)], STEPS);
         let rows = study(work, &scenes, &SEEDS, 1)?;
-        Ok((settings(STEPS, &SEEDS), tables::coverage(&scenes, &rows)))
+        let text = [tables::coverage(&scenes, &rows), tables::beside(&rows, Baseline::RayVariance.name())];
+        Ok((settings(STEPS, &SEEDS), text.join("\n")))
     })?;
     program.part("pictures", |_| {
         let scene = scenes(&[(KNOT, FEW)], STRONG)[0];

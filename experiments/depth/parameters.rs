@@ -16,7 +16,7 @@ use glam::Vec3;
 use octobayes::evaluate::{EvaluatedView, TrueView};
 use octobayes::field::HashGrid;
 use octobayes::geometry::Camera;
-use octobayes::internal::{OUTPUTS, PixelGradient, PixelGradients};
+use octobayes::internal::{PIXEL_OUTPUTS as OUTPUTS, PixelGradient, PixelGradients};
 use octobayes::rays::{PixelSequence, Pixels};
 use octobayes::{Error, Result};
 use rayon::prelude::*;

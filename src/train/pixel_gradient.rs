@@ -20,6 +20,9 @@ use crate::geometry::Ray;
 /// What is differentiated: red, green, blue, expected depth.
 pub const OUTPUTS: usize = 4;
 
+/// The least Σ w of a ray that has a depth.
+const LEAST: f32 = 1e-20;
+
 /// The features and weights of a hash grid as parameters of its pixels.
 pub struct PixelGradients<'a> {
     field: &'a HashGrid,
@@ -123,7 +126,9 @@ fn pixel(samples: &[RaySample], background: Vec3) -> ([f32; OUTPUTS], [Vec<Sampl
         total += weight;
         moment += weight * sample.s;
     }
-    let depth = if total > 0.0 { moment / total } else { 0.0 };
+    // Divided by less, derivatives would not be finite.
+    let is_hit = total > LEAST;
+    let depth = if is_hit { moment / total } else { 0.0 };
     let gradients = std::array::from_fn(|output| {
         let axis = Vec3::AXES.get(output);
         let of_color = |[weight, _]: &[f32; 2]| axis.map_or(Vec3::ZERO, |axis| weight * axis);
@@ -132,7 +137,7 @@ fn pixel(samples: &[RaySample], background: Vec3) -> ([f32; OUTPUTS], [Vec<Sampl
         let end = axis.map_or(0.0, |axis| transmittance * background.dot(*axis));
         let a = |i: usize| match axis {
             Some(axis) => samples[i].color.dot(*axis),
-            None if total > 0.0 => (samples[i].s - depth) / total,
+            None if is_hit => (samples[i].s - depth) / total,
             None => 0.0,
         };
         density_gradients(samples, &weights, end, a, &mut gradients);
@@ -290,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn last_layers_are_where_their_derivatives_are() {
+    fn last_layers_have_their_places() {
         let [density, color] = PixelGradients::last_layers();
         assert_eq!([density.len(), color.len()], [32 * 16, 32 * 4]);
         assert_eq!((density.start, color.end), (32 * 32, PixelGradients::weights()));
