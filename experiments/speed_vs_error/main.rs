@@ -66,7 +66,7 @@ fn main() -> Result<()> {
         let scenes = [
             (Scene::ignatius(&data)?, PAPER / 4, PAPER),
             // A ray meets matter nearly everywhere: it takes ten times as long as one of lego.
-            (Scene::garden(&data)?, PAPER / 10, PAPER / 2),
+            (Scene::garden(&data)?, PAPER / 40, PAPER / 4),
             (Scene::city()?, PAPER / 4, PAPER),
         ];
         parts::rays(work, &scenes, None)

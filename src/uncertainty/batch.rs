@@ -30,7 +30,7 @@ impl UncertaintyField {
             Support::Dense => points.par_iter().with_min_len(1024).map(|&x| self.query(x)).collect(),
             Support::Octree(octree) => {
                 // By all threads: the first touch of so much memory takes its time.
-                let mut estimates: Vec<_> = points.par_iter().with_min_len(1024).map(|_| self.outside()).collect();
+                let mut estimates: Vec<_> = rayon::iter::repeat_n(self.outside(), points.len()).collect();
                 // Even a few points are distributed over the threads.
                 let tile = points.len().div_ceil(rayon::current_num_threads()).clamp(1, TILE);
                 let tiles = points.par_chunks(tile).zip(estimates.par_chunks_mut(tile));
