@@ -30,7 +30,7 @@ struct Range {
 
 impl Range {
     fn of(factors: &[FactoredSums]) -> Self {
-        let diagonals = factors.iter().filter_map(|f| f.factor()).flat_map(|(_, l)| [l[0], l[2], l[5]]);
+        let diagonals = factors.iter().filter_map(FactoredSums::factor).flat_map(|(_, l)| [l[0], l[2], l[5]]);
         let logs = diagonals.filter(|l| *l > 0.0).map(|l| f64::from(l).log2());
         let (least, most) = logs.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), l| (a.min(l), b.max(l)));
         Self { least, most }
