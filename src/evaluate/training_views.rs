@@ -65,8 +65,9 @@ impl TrainingViews {
         Ok(Self { views, slack: STEPS * tracer.marcher.step })
     }
 
-    /// The depth that each camera truly saw. Where a map knows no depth, its camera saw to infinity. Advances the monitor
-    /// by one per camera.
+    /// The depth that each camera truly saw. Where a map knows no depth, its camera saw to infinity.
+    ///
+    /// Advances the monitor by one per camera.
     ///
     /// # Errors
     /// If a map is missing or damaged, or its size differs from its camera's; [`crate::Error::Interrupted`].

@@ -48,8 +48,8 @@ impl Slots {
 /// which have two to four bricks.
 pub const BRICK_BYTES: f64 = (size_of::<Slots>() + 11 + 20) as f64;
 
-/// Expected bytes that are not used beside sums of `bytes` bytes, in chunks and pages that are not yet full: half of one
-/// in every partition.
+/// Expected bytes that are not used beside sums of `bytes` bytes, in chunks and pages that are not yet full: half of
+/// one in every partition.
 pub fn spare_bytes(bytes: usize) -> usize {
     PARTITIONS * expected_spare(bytes / PARTITIONS)
 }
