@@ -16,7 +16,7 @@ const MAPPED: usize = 1 << 18;
 /// Bytes of a large page.
 const PAGE: usize = 2 << 20;
 
-/// Expected bytes that are not used at the end of a list with sums of `bytes` bytes: half a chunk, or half a large page.
+/// Expected bytes that are unused at the end of a list with sums of `bytes` bytes: half a chunk, or half a large page.
 pub fn expected_spare(bytes: usize) -> usize {
     if bytes > SMALL * size_of::<VertexSums>() { PAGE / 2 } else { CHUNK * size_of::<VertexSums>() / 2 }
 }
