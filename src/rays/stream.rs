@@ -17,7 +17,7 @@ use crate::render::{
 use crate::{Error, Result};
 
 /// Number of batches passed to the posterior together.
-const GROUP: u64 = 32;
+const GROUP: u64 = 16;
 /// Largest fraction of rays that may be dropped because the field was not finite. Beyond it, a run fails.
 pub const MAX_DROPPED_SHARE: f64 = 0.01;
 
