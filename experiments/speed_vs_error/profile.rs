@@ -86,10 +86,6 @@ impl Differentiable for Counted<'_> {
     fn density_jets(&self, positions: &[Vec3], densities: &mut [f32], gradients: &mut [Vec3]) {
         self.count(2, positions.len(), || self.own().density_jets(positions, densities, gradients));
     }
-
-    fn is_cheap(&self) -> bool {
-        self.own().is_cheap()
-    }
 }
 
 /// Points per ray by kind, then µs of one core per ray: in all, in the field, in accumulation.

@@ -68,11 +68,6 @@ pub trait Differentiable: Send + Sync {
             (*density, *gradient) = (jet.value.density, jet.density_gradient);
         }
     }
-
-    /// True if ∇σ costs so little more than σ that it should be computed at every sample of a ray.
-    fn is_cheap(&self) -> bool {
-        false
-    }
 }
 
 /// What the user must add to a field that knows its training poses but not the lens.

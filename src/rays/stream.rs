@@ -258,7 +258,6 @@ mod tests {
     struct Wide {
         scene: VoxelGrid,
         batch: usize,
-        is_cheap: bool,
         /// Points of every call from the thread of the run.
         calls: Mutex<Vec<usize>>,
     }
@@ -301,23 +300,16 @@ mod tests {
             self.note(positions.len());
             self.scene.differentiable().unwrap().jets(positions, directions, out);
         }
-        fn is_cheap(&self) -> bool {
-            self.is_cheap
-        }
     }
 
     #[test]
     fn rays_that_ask_together_get_what_they_get_apart() {
         let cameras = ClosedForm::half_circle(5, [64, 48]);
         let rays = 100_000;
-        for (gradient, is_cheap) in [
-            (GradientMethod::FiniteDifference, false),
-            (GradientMethod::ForwardDifference, false),
-            (GradientMethod::Analytic, false),
-            (GradientMethod::Analytic, true),
-        ] {
+        for gradient in [GradientMethod::FiniteDifference, GradientMethod::ForwardDifference, GradientMethod::Analytic]
+        {
             let draw = |batch: usize, shard: Shard, from: u64| {
-                let field = Wide { scene: scene(), batch, is_cheap, calls: Mutex::default() };
+                let field = Wide { scene: scene(), batch, calls: Mutex::default() };
                 let lattice = GridSettings::default().level(6).lattice(Domain::Box(field.bounds())).unwrap();
                 let settings = RaySettings::default().rays(rays).gradient(gradient).occupancy(32);
                 let stream = settings.stream(&field, &cameras, &lattice, &Silent).unwrap();
@@ -363,7 +355,7 @@ mod tests {
         }
         let cameras = ClosedForm::half_circle(5, [64, 48]);
         for batch in [0, 1 << 12] {
-            let field = Wide { scene: scene(), batch, is_cheap: false, calls: Mutex::default() };
+            let field = Wide { scene: scene(), batch, calls: Mutex::default() };
             let lattice = GridSettings::default().level(6).lattice(Domain::Box(field.bounds())).unwrap();
             let settings = RaySettings::default().occupancy(32);
             let stream = settings.stream(&field, &cameras, &lattice, &Silent).unwrap();

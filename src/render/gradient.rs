@@ -264,11 +264,6 @@ impl Differentiation<'_> {
         }));
     }
 
-    /// The field's own derivatives, if ∇σ is best evaluated together with σ.
-    pub(super) fn along_rays(&self) -> Option<&dyn Differentiable> {
-        self.analytic.filter(|field| field.is_cheap())
-    }
-
     /// Prepares the question for ∇σ of a field at `positions`.
     pub(super) fn ask_density_gradients(&self, bounds: &Aabb, positions: &[Vec3], buffers: &mut GradientBuffers) {
         let GradientBuffers { positions: around, densities, gradients, .. } = buffers;

@@ -113,7 +113,7 @@ impl Tracer<'_> {
             Stage::Jets => self.read_jets(differentiation, buffers),
             Stage::DensityGradients => {
                 differentiation.read_density_gradients(&buffers.gradient, &mut buffers.density_gradients);
-                self.weigh_lurking(buffers);
+                self.weigh_lurking(differentiation, buffers);
             }
             Stage::Colors => Self::read_colors(buffers),
             Stage::Done => {}
@@ -122,9 +122,8 @@ impl Tracer<'_> {
 
     /// Takes the next samples along the rays, or, where these have ended, those that matter.
     fn trace_on(&self, rays: &[Ray], differentiation: &Differentiation, buffers: &mut JacobianBuffers) {
-        let with_gradients = differentiation.along_rays().is_some();
         buffers.stage = Stage::Tracing;
-        if self.next_round(rays, with_gradients, &mut buffers.trace) {
+        if self.next_round(rays, &mut buffers.trace) {
             return;
         }
         buffers.trace.gather();
@@ -144,9 +143,8 @@ impl Tracer<'_> {
 
     /// Takes in the jets of the visible samples, and prepares for ∇σ of the lurking ones.
     fn read_jets(&self, differentiation: &Differentiation, buffers: &mut JacobianBuffers) {
-        let JacobianBuffers {
-            trace, visible, lurking, gradient, jets, density_gradients, colors, invalid, stage, ..
-        } = &mut *buffers;
+        let JacobianBuffers { visible, lurking, gradient, jets, density_gradients, colors, invalid, stage, .. } =
+            &mut *buffers;
         differentiation.read_jets(gradient, jets);
         for (i, jet) in jets.iter().enumerate() {
             match jet {
@@ -156,15 +154,9 @@ impl Tracer<'_> {
                 }
             }
         }
-        let known = &trace.traced.density_gradients;
-        if !known.is_empty() {
-            let known = lurking.samples.iter().map(|&i| known[i as usize]);
+        if lurking.positions.is_empty() {
             density_gradients.clear();
-            density_gradients.extend(known.map(|g| g.is_finite().then(|| g.as_dvec3())));
-            self.weigh_lurking(buffers);
-        } else if lurking.positions.is_empty() {
-            density_gradients.clear();
-            self.weigh_lurking(buffers);
+            self.weigh_lurking(differentiation, buffers);
         } else {
             differentiation.ask_density_gradients(&self.field.bounds(), &lurking.positions, gradient);
             *stage = Stage::DensityGradients;
@@ -172,7 +164,7 @@ impl Tracer<'_> {
     }
 
     /// Keeps the lurking samples that can change their pixel, and prepares for the colours of all that need no more.
-    fn weigh_lurking(&self, buffers: &mut JacobianBuffers) {
+    fn weigh_lurking(&self, differentiation: &Differentiation, buffers: &mut JacobianBuffers) {
         let JacobianBuffers { quadrature, lurking, faint, density_gradients, invalid, radiance, stage, .. } =
             &mut *buffers;
         // The few that can change their pixel move to the front; of the others, some are faint.
@@ -183,7 +175,8 @@ impl Tracer<'_> {
                 invalid[ray as usize].get_or_insert(sample);
                 continue;
             };
-            if self.influence(quadrature.behind[sample as usize]) * gradient.length() > 0.0 {
+            let influence = self.influence(quadrature.behind[sample as usize]);
+            if self.matters(influence, lurking.positions[i], gradient, differentiation) {
                 (lurking.samples[kept], lurking.rays[kept]) = (sample, ray);
                 (lurking.positions[kept], lurking.directions[kept]) = (lurking.positions[i], lurking.directions[i]);
                 density_gradients[kept] = Some(gradient);

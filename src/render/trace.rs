@@ -5,7 +5,7 @@
 use glam::{DVec3, Vec3};
 
 use super::{Marcher, Question, SampleDistances};
-use crate::field::{Differentiable, RadianceField};
+use crate::field::RadianceField;
 use crate::geometry::Ray;
 
 /// Samples taken per ray between two checks of its transmittance.
@@ -36,8 +36,6 @@ pub struct TracedRays {
     pub positions: Vec<Vec3>,
     /// `[n]`: σ, 1 / scene unit.
     pub densities: Vec<f32>,
-    /// `[n]`: ∇σ, 1 / scene unit²; empty if it was not requested.
-    pub density_gradients: Vec<Vec3>,
     /// Number of rays dropped because the field returned a density that was negative or
     /// not finite. They own no samples.
     pub dropped: u64,
@@ -79,8 +77,6 @@ struct Samples {
     t: Vec<f64>,
     positions: Vec<Vec3>,
     densities: Vec<f32>,
-    /// Empty if not requested.
-    density_gradients: Vec<Vec3>,
 }
 
 impl Samples {
@@ -89,7 +85,6 @@ impl Samples {
         self.t.clear();
         self.positions.clear();
         self.densities.clear();
-        self.density_gradients.clear();
     }
 }
 
@@ -114,20 +109,9 @@ impl<'a> Tracer<'a> {
     /// Samples `rays` into `buffers.traced`, each shifted by its `jitter` in `[0, 1)` steps. A ray ends when its
     /// transmittance falls below the marcher's cutoff.
     pub fn trace<'b>(&'b self, rays: &[Ray], jitter: &[f64], buffers: &mut TraceBuffers<'b>) {
-        self.trace_with(rays, jitter, None, buffers);
-    }
-
-    /// Traces like [`Tracer::trace`]; also returns ∇σ of every sample if `gradients` is given.
-    pub(super) fn trace_with<'b>(
-        &'b self,
-        rays: &[Ray],
-        jitter: &[f64],
-        gradients: Option<&dyn Differentiable>,
-        buffers: &mut TraceBuffers<'b>,
-    ) {
         self.start(rays, jitter, buffers);
-        while self.next_round(rays, gradients.is_some(), buffers) {
-            buffers.question().answer(self.field, gradients);
+        while self.next_round(rays, buffers) {
+            buffers.question().answer(self.field, None);
             self.absorb(buffers);
         }
         buffers.gather();
@@ -147,8 +131,8 @@ impl<'a> Tracer<'a> {
         samples.clear();
     }
 
-    /// Places the next samples of all rays that go on; false if none does. With `gradients`, ∇σ is wanted too.
-    pub(super) fn next_round(&self, rays: &[Ray], gradients: bool, buffers: &mut TraceBuffers) -> bool {
+    /// Places the next samples of all rays that go on; false if none does.
+    pub(super) fn next_round(&self, rays: &[Ray], buffers: &mut TraceBuffers) -> bool {
         let TraceBuffers { paths, samples, round, .. } = buffers;
         let longest = if self.marcher.cutoff > 0.0 { -self.marcher.cutoff.ln() } else { f64::INFINITY };
         // Samples of round k follow those of round k - 1.
@@ -164,9 +148,6 @@ impl<'a> Tracer<'a> {
             }
         }
         samples.densities.resize(samples.owners.len(), 0.0);
-        if gradients {
-            samples.density_gradients.resize(samples.owners.len(), Vec3::ZERO);
-        }
         samples.owners.len() > *round
     }
 
@@ -186,12 +167,7 @@ impl TraceBuffers<'_> {
     /// What the round asks of the field.
     pub(super) fn question(&mut self) -> Question<'_> {
         let (samples, first) = (&mut self.samples, self.round);
-        let (positions, densities) = (&samples.positions[first..], &mut samples.densities[first..]);
-        if samples.density_gradients.is_empty() {
-            Question::Densities { positions, out: densities }
-        } else {
-            Question::DensityJets { positions, densities, gradients: &mut samples.density_gradients[first..] }
-        }
+        Question::Densities { positions: &samples.positions[first..], out: &mut samples.densities[first..] }
     }
 
     /// Sorts the samples by ray into `traced`.
@@ -219,10 +195,6 @@ fn gather(paths: &[Path], samples: &Samples, traced: &mut TracedRays) {
     traced.positions.resize(total, Vec3::ZERO);
     traced.densities.clear();
     traced.densities.resize(total, 0.0);
-    traced.density_gradients.clear();
-    if !samples.density_gradients.is_empty() {
-        traced.density_gradients.resize(total, Vec3::ZERO);
-    }
     // offsets[r] moves to the end of ray r while its samples arrive. Then the list is shifted back by one.
     for (i, &owner) in samples.owners.iter().enumerate() {
         let owner = owner as usize;
@@ -234,9 +206,6 @@ fn gather(paths: &[Path], samples: &Samples, traced: &mut TracedRays) {
         traced.t[at] = samples.t[i];
         traced.positions[at] = samples.positions[i];
         traced.densities[at] = samples.densities[i];
-        if let Some(gradient) = samples.density_gradients.get(i) {
-            traced.density_gradients[at] = *gradient;
-        }
     }
     traced.offsets.rotate_right(1);
     traced.offsets[0] = 0;

@@ -283,10 +283,6 @@ impl Differentiable for Ppng {
             }
         });
     }
-
-    fn is_cheap(&self) -> bool {
-        true
-    }
 }
 
 impl Ppng {
