@@ -100,8 +100,8 @@ pub struct Spent {
 }
 
 /// The uncertainties at some levels, each with λ = its factor times the default. All are gathered from the same ray
-/// samples, which do not depend on the level as long as the field differentiates itself and no level leaves out what
-/// another needs.
+/// samples: those of one level's finite-difference step, on which only samples of hardly any weight depend if the field
+/// differentiates itself.
 pub fn uncertainties(
     plan: &Plan,
     wanted: &[(u8, f64)],

@@ -5,20 +5,19 @@
 //! | | density | ∇σ | colour | ∇c |
 //! |---|---|---|---|---|
 //! | *visible*: w > cutoff | x | x | x | x |
-//! | *lurking*: w ≤ cutoff, but visible matter may lie within h: √3 δ T σ̂ > cutoff | x | x | if ∇σ matters | |
+//! | *lurking*: w ≤ cutoff, but visible matter may lie within h: √3 δ T σ̂ > cutoff | x | x | if ∇σ ≠ 0 | |
 //! | *faint*: 0 < w ≤ cutoff, no visible matter near | x | | x | |
 //! | all others, behind surfaces or in empty space | x | | | |
 //!
 //! Faint samples have no derivatives but are composited: they are part of the colour behind others, which enters
 //! ∂C/∂σ.
 //!
-//! The two criteria bound what is left out. w > cutoff bounds the contribution of ∇c (|∇c| ≤ 1/2h), the criterion
-//! for lurking samples that of ∇σ (|∇σ| ≤ σ̂/2h). Here |∂C/∂σ| ≤ √3 δ T because colours lie in [0, 1], and σ̂ is
-//! the density bound of the occupancy grid. A sample in the empty space before a surface has w = 0 but may see the
-//! surface within h: it is lurking. Cutoff 0 leaves out only exact zeros.
+//! The two criteria bound what differences leave out. w > cutoff bounds the contribution of ∇c (|∇c| ≤ 1/2h), the
+//! criterion for lurking samples that of ∇σ (|∇σ| ≤ σ̂/2h). Here |∂C/∂σ| ≤ √3 δ T because colours lie in [0, 1], and
+//! σ̂ is the density bound of the occupancy grid. A sample in the empty space before a surface has w = 0 but may see
+//! the surface within h: it is lurking. Cutoff 0 leaves out only exact zeros.
 //!
-//! The field's own ∇σ says more of a lurking sample than σ̂ does: √3 δ T 2h |∂σ/∂x| > cutoff along an axis, the same
-//! bound without the estimate, decides whether it keeps its derivative.
+//! A field's own derivatives are taken at the same samples, so that h has a say in which they are.
 //!
 //! σ̂ is also taken to be at most a hundred times the density at the sample and its neighbours on the ray, if these
 //! are at least eight h away: sampling a field at that distance presumes that it is resolved. A sudden step in
@@ -120,16 +119,6 @@ impl Tracer<'_> {
         }
     }
 
-    /// Returns true if a lurking sample at `x`, where ∇σ is `gradient`, changes its pixel.
-    pub(super) fn matters(&self, influence: f64, x: Vec3, gradient: DVec3, how: &Differentiation) -> bool {
-        if how.analytic.is_none() {
-            // σ̂ was bounded before the differences were taken, and many of them are 0.
-            return influence * gradient.length() > 0.0;
-        }
-        let change = 2.0 * how.differences.at(x) * gradient;
-        influence * change.abs().max_element() > self.marcher.cutoff
-    }
-
     /// Returns true if matter within `h` of a sample at `x` could change its pixel.
     ///
     /// `near` is the largest density that the ray meets at the sample, the one before and the one behind it.
@@ -151,51 +140,5 @@ impl Tracer<'_> {
         // A field that bounds only part of its density is not asked at every sample: it would mostly be in vain.
         self.marcher.occupancy.as_ref().is_some_and(Occupancy::is_certain)
             && within(x.as_dvec3()).is_some_and(|bound| influence * f64::from(bound) > cutoff)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::field::{ClosedForm, RadianceField, VoxelGrid};
-    use crate::geometry::Domain;
-    use crate::render::{Differences, Marcher, Stencil};
-
-    #[test]
-    fn what_own_derivatives_leave_out_is_within_its_bound() {
-        let field = VoxelGrid::bake(&ClosedForm::courtyard(), [32; 3], Vec3::Z);
-        // The voxels' σ ≤ 120 makes √3 δ σ ≤ 0.84: behind the end of a ray, where T ≤ cutoff, the bound holds, too.
-        let (step, h, cutoff) = (0.004, 1e-3, 1e-4);
-        let differences =
-            Differences { step: DVec3::splat(h), domain: Domain::Box(field.bounds()), stencil: Stencil::Central };
-        let how = Differentiation { differences, analytic: field.differentiable() };
-        let rays: Vec<Ray> = (0..40)
-            .map(|i| 0.04 * f64::from(i) - 0.8)
-            .map(|y| Ray::new(DVec3::new(-2.5, y, 0.6), DVec3::new(1.0, -0.2 * y, -0.3)))
-            .collect();
-        let jitter = vec![0.5; rays.len()];
-        let jacobians = |cutoff: f64| {
-            let marcher = Marcher { step, bounds: field.bounds(), occupancy: None, cutoff };
-            let tracer = Tracer { field: &field, marcher, background: Vec3::ONE };
-            tracer.jacobians(&rays, &jitter, 0, &how, &mut JacobianBuffers::default())
-        };
-        let (all, kept) = (jacobians(0.0), jacobians(cutoff));
-        // Largest column of a Jacobian, in multiples of cutoff / 2h.
-        let size = |jacobian: &[f32; 9]| {
-            let column = |axis: usize| Vec3::from_array([0, 3, 6].map(|channel| jacobian[channel + axis])).length();
-            f64::from((0..3).map(column).fold(0.0, f32::max)) / (0.5 * cutoff / h)
-        };
-        let is_kept = |x: &Vec3| kept.positions.contains(x);
-        let left_out: Vec<f64> =
-            all.positions.iter().zip(&all.jacobians).filter(|(x, _)| !is_kept(x)).map(|(_, j)| size(j)).collect();
-        // ∇σ adds 1 at most, where black is before white, and about half of that where the courtyard's colours are;
-        // ∇c, w |∂c/∂x| with w ≤ cutoff and |∂c/∂x| of at most √3 in a voxel of 2/32, adds little.
-        let worst = left_out.iter().copied().fold(0.0, f64::max);
-        let of_color = 2.0 * h * 3_f64.sqrt() / (2.0 / 32.0);
-        assert!((0.3..1.0 + of_color).contains(&worst), "{worst}");
-        assert!(left_out.len() > all.positions.len() / 10, "{} of {}", left_out.len(), all.positions.len());
-        // Little of what is kept is below the bound: dark samples, whose colour makes them change less than they might.
-        let small = kept.jacobians.iter().filter(|j| size(j) < 0.1).count();
-        assert!(kept.positions.len() > 500 && small < kept.positions.len() / 5, "{small} of {}", kept.positions.len());
     }
 }

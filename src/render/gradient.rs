@@ -189,7 +189,7 @@ impl Differentiation<'_> {
         }
     }
 
-    /// h along x, y and z in scene units, if it affects the result.
+    /// h along x, y and z in scene units, if derivatives are differences.
     #[must_use]
     pub fn difference_step(&self) -> Option<[f64; 3]> {
         self.analytic.is_none().then(|| self.differences.step.to_array())

@@ -113,7 +113,7 @@ impl Tracer<'_> {
             Stage::Jets => self.read_jets(differentiation, buffers),
             Stage::DensityGradients => {
                 differentiation.read_density_gradients(&buffers.gradient, &mut buffers.density_gradients);
-                self.weigh_lurking(differentiation, buffers);
+                self.weigh_lurking(buffers);
             }
             Stage::Colors => Self::read_colors(buffers),
             Stage::Done => {}
@@ -156,7 +156,7 @@ impl Tracer<'_> {
         }
         if lurking.positions.is_empty() {
             density_gradients.clear();
-            self.weigh_lurking(differentiation, buffers);
+            self.weigh_lurking(buffers);
         } else {
             differentiation.ask_density_gradients(&self.field.bounds(), &lurking.positions, gradient);
             *stage = Stage::DensityGradients;
@@ -164,7 +164,7 @@ impl Tracer<'_> {
     }
 
     /// Keeps the lurking samples that can change their pixel, and prepares for the colours of all that need no more.
-    fn weigh_lurking(&self, differentiation: &Differentiation, buffers: &mut JacobianBuffers) {
+    fn weigh_lurking(&self, buffers: &mut JacobianBuffers) {
         let JacobianBuffers { quadrature, lurking, faint, density_gradients, invalid, radiance, stage, .. } =
             &mut *buffers;
         // The few that can change their pixel move to the front; of the others, some are faint.
@@ -175,8 +175,7 @@ impl Tracer<'_> {
                 invalid[ray as usize].get_or_insert(sample);
                 continue;
             };
-            let influence = self.influence(quadrature.behind[sample as usize]);
-            if self.matters(influence, lurking.positions[i], gradient, differentiation) {
+            if self.influence(quadrature.behind[sample as usize]) * gradient.length() > 0.0 {
                 (lurking.samples[kept], lurking.rays[kept]) = (sample, ray);
                 (lurking.positions[kept], lurking.directions[kept]) = (lurking.positions[i], lurking.directions[i]);
                 density_gradients[kept] = Some(gradient);
