@@ -101,7 +101,7 @@ pub fn measure(scene: &Scene, level: u8) -> Result<Row> {
     let (whole, iterations) = if full.vertices() <= FullPosterior::MOST_VERTICES {
         (Full::Exact(full.exact(drawn, scale)?), None)
     } else {
-        let found = full.draw(drawn, scale, DRAWS)?;
+        let found = full.draw(drawn, scale, DRAWS, &Silent)?;
         let iterations = found.iterations;
         (Full::Drawn(found), Some(iterations))
     };

@@ -12,7 +12,9 @@ use crate::io::memory::peak;
 use crate::posterior::{DataScale, Prior, Scale};
 use crate::rays::Pixels;
 use crate::render::GradientMethod;
-use crate::uncertainty::{Answers, Comparison, Conformal, Difference, ErrorSummary, Summary, UncertaintyField};
+use crate::uncertainty::{
+    Answers, Comparison, Conformal, Correlations, Difference, ErrorSummary, Summary, UncertaintyField,
+};
 use crate::{Error, Result};
 
 /// Prints a line to stdout. A reader that has seen enough (`| head`) is no failure.
@@ -112,6 +114,9 @@ pub fn protocol(field: &UncertaintyField) -> String {
     line("background", known(p.background.map(|b| format!("{b:?}"))));
     line("pixel offset", known(p.pixel_offset.map(|o| o.to_string())));
     line("interval", field.conformal().map_or("none: not calibrated".into(), interval));
+    if let Some(correlations) = field.correlations() {
+        line("correlations", format!("{} draws of all displacements together", correlations.draws()));
+    }
     line("error bars", field.error_summary().map_or("none".into(), |e| error_bars(&e)));
     out.trim_end().to_string()
 }
@@ -146,6 +151,7 @@ pub fn protocol_json(field: &UncertaintyField) -> Value {
         "draws": field.draws(),
         "limited": !field.limits().is_unlimited(),
         "error_bars": field.error_summary(),
+        "correlations": field.correlations().map(Correlations::draws),
     })
 }
 

@@ -44,6 +44,7 @@ impl UncertaintyField {
             surface: self.surface.clone(),
             visits: self.visits.clone(),
             draws: self.draws.clone(),
+            correlations: None,
             conformal: self.conformal,
             tile: self.tile,
         }

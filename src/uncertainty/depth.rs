@@ -2,12 +2,13 @@
 //!
 //! Letters: g_v = Σ_i φ_v(x_i) ∂d/∂x_i, the gradient of a ray's expected depth with respect to the displacement of
 //! vertex v; C_v the covariance of that displacement. Displacements of different vertices are independent in this
-//! posterior, so to first order Var(d) = Σ_v g_vᵀ C_v g_v.
+//! posterior, so to first order Var(d) = Σ_v g_vᵀ C_v g_v. If a field has [draws](super::Correlations) u of all
+//! displacements together, Var(d) is the mean of (Σ_v g_v · u_v)² over them.
 
 use glam::DVec3;
 use rustc_hash::FxHashMap;
 
-use super::{Support, UncertaintyField};
+use super::{Correlations, Support, UncertaintyField};
 use crate::octree::{Leaves, VertexId, masters, trilinear};
 use crate::posterior::{Scale, VertexSums};
 use crate::render::{DepthSample, DepthVariance};
@@ -24,7 +25,8 @@ pub struct DepthPosterior<'a> {
 impl UncertaintyField {
     /// The posterior that gives depths their variance.
     ///
-    /// With kept sums C_v is the whole matrix that the field's covariance gives ([`Covariance::matrix`]). Without, only
+    /// With [correlations](UncertaintyField::correlations) vertices move together. Else, with kept sums, C_v is the
+    /// whole matrix that the field's covariance gives ([`Covariance::matrix`]). Without, only
     /// its trace is known, σ_v², and C_v is taken for the same in all directions.
     ///
     /// [`Covariance::matrix`]: crate::posterior::Covariance::matrix
@@ -70,12 +72,33 @@ impl DepthVariance for DepthPosterior<'_> {
                 }
             }
         }
-        let inside: f64 = gradients.into_iter().map(|(point, gradient)| self.of_vertex(point, gradient)).sum();
+        let gradients = gradients.into_iter();
+        let inside: f64 = match &self.field.correlations {
+            Some(correlations) => self.together(correlations, gradients),
+            None => gradients.map(|(point, gradient)| self.of_vertex(point, gradient)).sum(),
+        };
         inside + self.field.prior().powi(2) / 3.0 * outside
     }
 }
 
 impl DepthPosterior<'_> {
+    /// Mean of (Σ_v g_v · u_v)² over the draws.
+    fn together(&self, correlations: &Correlations, gradients: impl Iterator<Item = ([u32; 3], DVec3)>) -> f64 {
+        let UncertaintyField { lattice, support, .. } = self.field;
+        let mut moved = vec![0.0; correlations.draws()];
+        let mut held_by_prior = 0.0;
+        for (point, g) in gradients {
+            let vertex = match support {
+                Support::Dense => Some(lattice.dense_index(point)),
+                Support::Octree(octree) => octree.vertex(point).map(|VertexId(v)| v as usize),
+            };
+            if !vertex.is_some_and(|v| correlations.add(v, g, &mut moved)) {
+                held_by_prior += g.length_squared();
+            }
+        }
+        moved.iter().map(|d| d * d).sum::<f64>() / moved.len() as f64 + self.field.prior().powi(2) / 3.0 * held_by_prior
+    }
+
     /// gᵀ C_v g of the vertex at a lattice point.
     fn of_vertex(&self, point: [u32; 3], g: DVec3) -> f64 {
         let UncertaintyField { protocol, lattice, support, sums, deviations, .. } = self.field;

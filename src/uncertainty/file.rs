@@ -14,6 +14,7 @@
 //! counted      u32        instead of `visits`: the counts themselves
 //! limits       u64        the regions' level, then region · 256 + limit; empty if nothing is limited
 //! errors       u16        number of groups, then bits of f16: errors of log10 σ_v, NaN where not known; or empty
+//! correlations f32        by vertex, x, y and z: displacements in each draw of all of them together; or empty
 //! ```
 //!
 //! A shard keeps exact sums and counts, so that shards merge to the sums of one run. A whole run that keeps its sums
@@ -27,7 +28,10 @@ mod legacy;
 use std::path::Path;
 
 use super::merge::Head;
-use super::{Conformal, ErrorBars, Protocol, RayCounts, StandardDeviations, Support, UncertaintyField, vertex_count};
+use super::{
+    Conformal, Correlations, ErrorBars, Protocol, RayCounts, StandardDeviations, Support, UncertaintyField,
+    vertex_count,
+};
 use crate::geometry::Lattice;
 use crate::io::container::{self, Format, Reader, Section};
 use crate::octree::{MaxLevels, Octree, Tile};
@@ -116,6 +120,7 @@ struct Content {
     has_exact_counts: bool,
     limits: Vec<u64>,
     errors: Vec<u16>,
+    correlations: Vec<f32>,
 }
 
 impl Content {
@@ -137,8 +142,21 @@ impl Content {
         let has_exact_counts = !counted.is_empty();
         let visits =
             if has_exact_counts { counted } else { visits.iter().map(|n| n.min(u32::MAX.into()) as u32).collect() };
-        let (limits, errors) = (file.optional("limits")?, file.optional("errors")?);
-        Ok(Self { header, masks, deviations, rays, sums, surface, visits, has_exact_counts, limits, errors })
+        let (limits, errors, correlations) =
+            (file.optional("limits")?, file.optional("errors")?, file.optional("correlations")?);
+        Ok(Self {
+            header,
+            masks,
+            deviations,
+            rays,
+            sums,
+            surface,
+            visits,
+            has_exact_counts,
+            limits,
+            errors,
+            correlations,
+        })
     }
 }
 
@@ -166,6 +184,7 @@ impl UncertaintyField {
         let errors = self.error_bars.as_ref().map(ErrorBars::words).unwrap_or_default();
         let (masks, surface) = (masks.as_slice(), self.surface.as_slice());
         let (limits, errors) = (limits.as_slice(), errors.as_slice());
+        let correlations = self.correlations.as_ref().map_or(&[][..], Correlations::displacements);
         let counts = self.visits.as_ref().map_or(&[][..], Visits::counts);
         let counted = if is_exact { counts } else { &[] };
         let visits = if is_exact { RayCounts::default() } else { counts.iter().copied().collect() };
@@ -186,6 +205,7 @@ impl UncertaintyField {
                 ("counted", &counted),
                 ("limits", &limits),
                 ("errors", &errors),
+                ("correlations", &correlations),
             ],
         )
     }
@@ -222,8 +242,19 @@ impl UncertaintyField {
     pub fn read(path: &Path) -> Result<Self> {
         let is_old = container::version(path, FORMAT)? < FORMAT_VERSION;
         let content = if is_old { legacy::read(path)? } else { Content::read(path)? };
-        let Content { header, masks, deviations, rays, sums, surface, visits, has_exact_counts, limits, errors } =
-            content;
+        let Content {
+            header,
+            masks,
+            deviations,
+            rays,
+            sums,
+            surface,
+            visits,
+            has_exact_counts,
+            limits,
+            errors,
+            correlations,
+        } = content;
         let lattice = header.check(path)?;
         let protocol = header.protocol;
         let tile = header.tile;
@@ -278,6 +309,14 @@ impl UncertaintyField {
         let error_bars = (!errors.is_empty()).then(|| ErrorBars::from_words(&errors, vertices)).transpose();
         let error_bars =
             error_bars.map_err(|(expected, found)| Error::malformed(path, "section `errors`", expected, found))?;
+        let correlations =
+            (!correlations.is_empty()).then(|| Correlations::from_file(correlations, vertices)).transpose();
+        let correlations = correlations
+            .map_err(|(expected, found)| Error::malformed(path, "section `correlations`", expected, found))?;
+        if correlations.is_some() && (is_part || !limits.is_unlimited()) {
+            let expected = "none in a part of a run, or with limited leaves";
+            return Err(Error::malformed(path, "section `correlations`", expected, "some"));
+        }
         let (draws, conformal) = (header.draws, header.conformal);
         let field = Self {
             protocol,
@@ -291,6 +330,7 @@ impl UncertaintyField {
             surface,
             visits,
             draws,
+            correlations,
             conformal,
             tile,
         };

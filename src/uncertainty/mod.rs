@@ -8,6 +8,7 @@ mod baked;
 mod batch;
 mod compare;
 mod conformal;
+mod correlations;
 mod densify;
 mod depth;
 mod error_bars;
@@ -29,6 +30,7 @@ pub use answers::{Answer, Answers};
 pub use baked::BakedField;
 pub use compare::{Comparison, Difference, Summary, compare};
 pub use conformal::Conformal;
+pub use correlations::Correlations;
 pub use depth::DepthPosterior;
 pub use error_bars::{ErrorBars, ErrorSummary, Jackknife};
 pub use file::FORMAT_VERSION;
@@ -86,6 +88,8 @@ pub struct UncertaintyField {
     visits: Option<Visits>,
     /// The rays that were summed; empty if unknown.
     draws: Vec<Draw>,
+    /// Displacements drawn together, if neighbours are not taken for independent in errors of depth.
+    correlations: Option<Correlations>,
     /// An interval of depth that was calibrated for these deviations.
     conformal: Option<Conformal>,
     /// The part of space whose vertices have sums, if not all. Elsewhere nothing is known.
@@ -137,6 +141,7 @@ impl UncertaintyField {
             surface: Vec::new(),
             visits: None,
             draws,
+            correlations: None,
             conformal: None,
             tile: None,
         }
@@ -194,7 +199,7 @@ impl UncertaintyField {
     #[must_use]
     pub fn without_sums(self) -> Self {
         // Without the matrices deviations of depth are others, so an interval for those would be wrong.
-        let conformal = self.conformal.filter(|_| self.sums.is_none());
+        let conformal = self.conformal.filter(|_| self.sums.is_none() || self.correlations.is_some());
         Self { sums: None, conformal, ..self }
     }
 
@@ -341,6 +346,9 @@ impl UncertaintyField {
         }
         if let Some(error_bars) = &self.error_bars {
             parts.push(("error bars", error_bars.memory()));
+        }
+        if let Some(correlations) = &self.correlations {
+            parts.push(("correlations", correlations.memory()));
         }
         if let Support::Octree(octree) = &self.support {
             parts.extend(octree.memory());

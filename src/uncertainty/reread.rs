@@ -1,6 +1,6 @@
 //! Other readings of the same sums: another covariance, prior, scale or pooling.
 //!
-//! Error bars and a calibrated interval hold for one reading only, and go.
+//! Error bars and a calibrated interval hold for one reading only, and go. Correlations hold for one prior.
 
 use super::from_sums::deviations_from_sums;
 use super::{Support, UncertaintyField};
@@ -57,7 +57,7 @@ impl UncertaintyField {
         };
         self.protocol.lambda = lambda;
         self.protocol.scale = scale;
-        (self.error_bars, self.conformal) = (None, None);
+        (self.error_bars, self.correlations, self.conformal) = (None, None, None);
         self.deviations = deviations_from_sums(&self.protocol, &self.lattice, &self.support, &self.limits, sums);
         Ok(self)
     }
@@ -72,7 +72,7 @@ impl UncertaintyField {
             (Support::Dense, Some(sums)) => {
                 self.protocol.min_rays = min_rays;
                 self.protocol.tolerance = tolerance;
-                (self.error_bars, self.conformal) = (None, None);
+                (self.error_bars, self.correlations, self.conformal) = (None, None, None);
                 self.deviations =
                     deviations_from_sums(&self.protocol, &self.lattice, &self.support, &self.limits, sums);
                 Ok(self)

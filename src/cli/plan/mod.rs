@@ -117,6 +117,7 @@ impl Args {
             ("--checkpoint", options.checkpoint.is_some(), "every shard has a checkpoint of its own"),
             ("--dump-samples", options.dump_samples.is_some(), "shards write no samples"),
             ("--error-bars", options.error_bars.is_some(), "shards of one seed are not independent"),
+            ("--correlations", options.correlations.is_some(), "draws need all rays in one place"),
             ("--shard", options.shard.is_some(), "every job is a shard"),
         ];
         match meaningless.into_iter().find(|(_, is_given, _)| self.slurm && *is_given) {

@@ -25,6 +25,13 @@ pub struct Inputs {
     pub files: Vec<String>,
 }
 
+impl Inputs {
+    /// The part of space that the field covers.
+    pub fn domain(&self) -> Domain {
+        self.domain
+    }
+}
+
 /// A file's name and checksum. A built-in scene has only a name.
 fn identity(file: &str) -> Result<String> {
     if file.starts_with("scene:") {

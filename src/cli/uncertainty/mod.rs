@@ -1,5 +1,6 @@
 //! `uncertainty`: from a model and its cameras to a field.
 
+mod correlations;
 mod inputs;
 mod sight;
 
@@ -8,6 +9,7 @@ pub use inputs::Inputs;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
+use self::correlations::Together;
 use super::files::CommandFiles;
 use super::options::{
     CameraOptions, DomainOptions, FrameOptions, GridOptions, ModelOptions, count, parse_interval, parse_non_negative,
@@ -102,6 +104,16 @@ pub struct Args {
           conflicts_with_all = ["dump_samples", "shard", "memory"])]
     pub(super) error_bars: Option<u16>,
 
+    /// Also draw displacements of all vertices together, this many times, so that deviations of depth know that
+    /// neighbours move together [without a number: 32]
+    ///
+    /// For --level 6 and less and some 100k rays: every row of the Jacobian is kept, and solving takes minutes. At
+    /// level 6 depth errors rank better, and their deviations hold more of them (experiments/depth.md); U stays as it
+    /// is. Variances have a relative error of sqrt(2/DRAWS), a vertex takes 12 DRAWS bytes. Needs --scale data.
+    #[arg(long, value_name = "DRAWS", num_args = 0..=1, default_missing_value = "32", value_parser = clap::value_parser!(u16).range(2..=1024),
+          conflicts_with_all = ["error_bars", "dump_samples", "shard", "tile", "memory", "checkpoint"])]
+    pub(super) correlations: Option<u16>,
+
     /// Also write the ray samples with their Jacobians, in the format that `accumulate` reads
     // Under a memory budget a run may start again, and would write its first rays twice.
     #[arg(long, value_name = "SAMPLES.npz", conflicts_with = "memory")]
@@ -172,9 +184,11 @@ impl Args {
         let (estimation, grid) = self.estimation(&inputs, bars)?;
         let checkpoint = self.checkpoint();
         let estimation = checkpoint.iter().cloned().fold(estimation, Estimation::checkpoint);
-        let estimation = match &mut dump {
-            Some(dump) => estimation.tap(|batches| dump.add(batches)),
-            None => estimation,
+        let mut together = Together::new(&self, &grid, inputs.domain())?;
+        let estimation = match (&mut dump, &mut together) {
+            (Some(dump), _) => estimation.tap(|batches| dump.add(batches)),
+            (None, Some(together)) => estimation.tap(|batches| together.add(batches)),
+            (None, None) => estimation,
         };
 
         let run = estimation.prepare()?;
@@ -209,6 +223,10 @@ impl Args {
         if let Some(dump) = dump {
             dump.finish(progress.rays)?;
         }
+        let field = match together {
+            Some(together) => together.join(field, progress.rays, bars)?,
+            None => field,
+        };
         self.grid.write(&field, &Cost { elapsed: start.elapsed(), sums_bytes, step })?;
         checkpoint.map_or(Ok(()), |checkpoint| checkpoint.remove(self.error_bars))
     }

@@ -15,6 +15,8 @@ use rand_chacha::ChaCha8Rng;
 
 use super::rows::{Columns, Rows};
 use super::{FullPosterior, Vertices};
+use crate::geometry::Lattice;
+use crate::monitor::{Monitor, check};
 use crate::posterior::DataScale;
 use crate::render::{DepthSample, DepthVariance};
 use crate::{Error, Result};
@@ -39,8 +41,8 @@ pub struct DrawnPosterior {
     /// `[3 vertices][draws]`, scene units.
     displacements: Vec<f64>,
     draws: usize,
-    /// τ².
-    prior: f64,
+    /// τ, scene units.
+    prior_deviation: f64,
     /// Iterations that were needed.
     pub iterations: usize,
 }
@@ -49,8 +51,8 @@ impl FullPosterior {
     /// Draws displacements, if `rays` rays were drawn in all.
     ///
     /// # Errors
-    /// If conjugate gradients do not reach the residual.
-    pub fn draw(&self, rays: u64, scale: DataScale, draws: Draws) -> Result<DrawnPosterior> {
+    /// If conjugate gradients do not reach the residual, or the work was interrupted.
+    pub fn draw(&self, rays: u64, scale: DataScale, draws: Draws, monitor: &dyn Monitor) -> Result<DrawnPosterior> {
         let (n, width) = (3 * self.vertices(), draws.number);
         let (share, prior) = (scale.share_of_a_ray(rays), scale.prior_deviation.powi(2));
         let columns = self.rows.columns(self.vertices());
@@ -63,23 +65,26 @@ impl FullPosterior {
         }
         let inverse = |s: DMat3| (s * share + DMat3::from_diagonal(DVec3::splat(1.0 / prior))).inverse();
         let blocks = Blocks(self.rows.blocks(&columns).into_iter().map(inverse).collect());
-        let precision = Precision { rows: &self.rows, columns: &columns, share, prior };
+        let precision = Precision { rows: &self.rows, columns: &columns, share, prior, monitor };
         let b = Mat::from_fn(n, width, |i, d| right[i * width + d]);
         let mut found = Mat::zeros(n, width);
         let mut settings = faer::matrix_free::conjugate_gradient::CgParams::default();
         (settings.rel_tolerance, settings.max_iters) = (draws.residual, draws.iterations);
         let scratch =
             faer::matrix_free::conjugate_gradient::conjugate_gradient_scratch(&blocks, &precision, width, Par::Seq);
+        monitor.begin("iterations at most", draws.iterations as u64);
         let done = faer::matrix_free::conjugate_gradient::conjugate_gradient(
             found.as_mut(),
             &blocks,
             &precision,
             b.as_ref(),
             settings,
-            |_| {},
+            |_| monitor.advance(1),
             Par::Seq,
             MemStack::new(&mut MemBuffer::new(scratch)),
         );
+        monitor.end();
+        check(monitor)?;
         let done = done.map_err(|e| {
             Error::setting("iterations", format!("as many as reach a residual of {}", draws.residual), format!("{e:?}"))
         })?;
@@ -87,13 +92,40 @@ impl FullPosterior {
             vertices: self.vertices.clone(),
             displacements: (0..n).flat_map(|i| (0..width).map(move |d| (i, d))).map(|at| found[at]).collect(),
             draws: width,
-            prior,
+            prior_deviation: scale.prior_deviation,
             iterations: done.iter_count,
         })
     }
 }
 
 impl DrawnPosterior {
+    /// Number of draws.
+    #[must_use]
+    pub fn draws(&self) -> usize {
+        self.draws
+    }
+
+    /// Box and level.
+    #[must_use]
+    pub fn lattice(&self) -> &Lattice {
+        &self.vertices.lattice
+    }
+
+    /// τ, scene units.
+    #[must_use]
+    pub fn prior_deviation(&self) -> f64 {
+        self.prior_deviation
+    }
+
+    /// Lattice points that rays touched, and `[3][draws]` their displacements, scene units.
+    pub fn displacements(&self) -> impl Iterator<Item = ([u32; 3], &[f64])> {
+        let width = 3 * self.draws;
+        self.vertices
+            .numbers
+            .iter()
+            .map(move |(&point, &v)| (point, &self.displacements[width * v as usize..][..width]))
+    }
+
     /// σ of the displacement of a lattice point, scene units.
     #[must_use]
     pub fn deviation(&self, point: [u32; 3]) -> f64 {
@@ -102,7 +134,7 @@ impl DrawnPosterior {
                 let own = &self.displacements[3 * v as usize * self.draws..][..3 * self.draws];
                 (own.iter().map(|u| u * u).sum::<f64>() / self.draws as f64).sqrt()
             }
-            None => (3.0 * self.prior).sqrt(),
+            None => 3_f64.sqrt() * self.prior_deviation,
         }
     }
 }
@@ -118,7 +150,7 @@ impl DepthVariance for DrawnPosterior {
                 moved.iter_mut().zip(u).for_each(|(moved, u)| *moved += g * u);
             }
         }
-        moved.iter().map(|d| d * d).sum::<f64>() / self.draws as f64 + self.prior * untouched
+        moved.iter().map(|d| d * d).sum::<f64>() / self.draws as f64 + self.prior_deviation.powi(2) * untouched
     }
 }
 
@@ -128,6 +160,7 @@ struct Precision<'a> {
     columns: &'a Columns,
     share: f64,
     prior: f64,
+    monitor: &'a dyn Monitor,
 }
 
 /// The inverses of the blocks on the diagonal of P: the preconditioner.
@@ -159,6 +192,10 @@ impl LinOp<f64> for Precision<'_> {
     }
 
     fn apply(&self, mut out: MatMut<f64>, x: MatRef<f64>, _: Par, _: &mut MemStack) {
+        if self.monitor.interrupted() {
+            // Nothing comes of it, so that what is left takes no time. The result is thrown away.
+            return out.fill(0.0);
+        }
         let width = x.ncols();
         let mut by_unknown = vec![0.0; x.nrows() * width];
         for d in 0..width {

@@ -6,6 +6,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::*;
 use crate::geometry::Aabb;
+use crate::monitor::Silent;
 use crate::octree::trilinear;
 use crate::posterior::{Covariance, DataScale, DensePosterior, Posterior, Scale};
 use crate::render::{DepthVariance, RaySample};
@@ -163,7 +164,7 @@ fn draws_have_the_covariance_of_the_inverse() {
     let full = full(&samples);
     let exact = full.exact(RAYS, scale()).unwrap();
     let draws = Draws { number: 4000, seed: 3, residual: 1e-8, iterations: 500 };
-    let drawn = full.draw(RAYS, scale(), draws).unwrap();
+    let drawn = full.draw(RAYS, scale(), draws, &Silent).unwrap();
     // Five standard deviations of a variance from so many draws.
     let limit = 5.0 * (2.0 / draws.number as f64).sqrt();
     for point in points() {
@@ -176,9 +177,9 @@ fn draws_have_the_covariance_of_the_inverse() {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
     let few = Draws { number: 2, ..draws };
     // More draws than unknowns span the whole space at once; two have to search it.
-    let iterations = |draws| full.draw(RAYS, scale(), draws).unwrap().iterations;
+    let iterations = |draws| full.draw(RAYS, scale(), draws, &Silent).unwrap().iterations;
     assert!(drawn.iterations == 1 && (4..=200).contains(&iterations(few)), "{}", iterations(few));
-    let variance = |draws| full.draw(RAYS, scale(), draws).unwrap().variance(&depth());
+    let variance = |draws| full.draw(RAYS, scale(), draws, &Silent).unwrap().variance(&depth());
     assert_eq!(variance(few).to_bits(), pool.install(|| variance(few)).to_bits());
     assert!(variance(few) != variance(Draws { seed: 4, ..few }));
 }
@@ -211,6 +212,6 @@ fn without_correlations_it_is_the_blocks() {
 fn what_cannot_be_done_is_said() {
     let full = full(&samples(9, false));
     let short = Draws { number: 2, seed: 0, residual: 1e-12, iterations: 1 };
-    let said = full.draw(RAYS, scale(), short).unwrap_err().to_string();
+    let said = full.draw(RAYS, scale(), short, &Silent).unwrap_err().to_string();
     assert!(said.contains("iterations") && said.contains("NoConvergence"), "{said}");
 }

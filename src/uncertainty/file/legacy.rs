@@ -153,5 +153,6 @@ pub(super) fn read(path: &Path) -> Result<Content> {
         has_exact_counts: false,
         limits,
         errors,
+        correlations: Vec::new(),
     })
 }
