@@ -5,10 +5,11 @@
 
 use glam::DVec3;
 
-use super::{Support, UncertaintyField};
+use super::UncertaintyField;
+#[cfg(feature = "correlations")]
 use crate::octree::VertexId;
+#[cfg(feature = "correlations")]
 use crate::posterior::{DrawnPosterior, Scale};
-use crate::{Error, Result};
 
 /// Draws of the displacements of all vertices from their common posterior.
 #[derive(Debug, Clone, PartialEq)]
@@ -24,7 +25,7 @@ impl Correlations {
     const DRAWS: std::ops::RangeInclusive<usize> = 2..=1024;
 
     /// Checks displacements read from a file; otherwise says what was expected and found.
-    pub(super) fn from_file(displacements: Vec<f32>, vertices: u64) -> std::result::Result<Self, (String, String)> {
+    pub(super) fn from_file(displacements: Vec<f32>, vertices: u64) -> Result<Self, (String, String)> {
         let (n, each) = (displacements.len(), usize::try_from(3 * vertices).unwrap_or(usize::MAX));
         let draws = n / each.max(1);
         if each.checked_mul(draws) != Some(n) || !Self::DRAWS.contains(&draws) {
@@ -71,8 +72,9 @@ impl UncertaintyField {
     /// # Errors
     /// If the field is not in the scale of its data with the prior of the draws, has another lattice, is a part of a
     /// run, or has leaves that are limited.
-    pub fn with_correlations(self, drawn: &DrawnPosterior) -> Result<Self> {
-        let wrong = |expected: &str, found: &str| Err(Error::setting("correlations", expected, found));
+    #[cfg(feature = "correlations")]
+    pub fn with_correlations(self, drawn: &DrawnPosterior) -> crate::Result<Self> {
+        let wrong = |expected: &str, found: &str| Err(crate::Error::setting("correlations", expected, found));
         match self.protocol.scale {
             Scale::Data(scale) if scale.prior_deviation == drawn.prior_deviation() => {}
             _ => return wrong("a field in the scale of its data, with the prior of the draws", "another"),
@@ -87,8 +89,8 @@ impl UncertaintyField {
         let mut displacements = vec![0.0; 3 * draws * self.deviations.len()];
         for (point, own) in drawn.displacements() {
             let vertex = match &self.support {
-                Support::Dense => Some(self.lattice.dense_index(point)),
-                Support::Octree(octree) => octree.vertex(point).map(|VertexId(v)| v as usize),
+                super::Support::Dense => Some(self.lattice.dense_index(point)),
+                super::Support::Octree(octree) => octree.vertex(point).map(|VertexId(v)| v as usize),
             };
             // An octree has no vertex where the information is negligible.
             let Some(v) = vertex else { continue };
@@ -104,7 +106,7 @@ impl UncertaintyField {
     }
 }
 
-#[cfg(test)]
+#[cfg(all(test, feature = "correlations"))]
 mod tests {
     use super::*;
     use crate::estimate::{Estimation, GridKind, GridSettings, RaySettings};
