@@ -7,8 +7,6 @@ use glam::DVec3;
 
 use super::UncertaintyField;
 #[cfg(feature = "correlations")]
-use crate::octree::VertexId;
-#[cfg(feature = "correlations")]
 use crate::posterior::{DrawnPosterior, Scale};
 
 /// Draws of the displacements of all vertices from their common posterior.
@@ -88,12 +86,7 @@ impl UncertaintyField {
         let draws = drawn.draws();
         let mut displacements = vec![0.0; 3 * draws * self.deviations.len()];
         for (point, own) in drawn.displacements() {
-            let vertex = match &self.support {
-                super::Support::Dense => Some(self.lattice.dense_index(point)),
-                super::Support::Octree(octree) => octree.vertex(point).map(|VertexId(v)| v as usize),
-            };
-            // An octree has no vertex where the information is negligible.
-            let Some(v) = vertex else { continue };
+            let Some(v) = self.vertex_at(point) else { continue };
             displacements[3 * draws * v..].iter_mut().zip(own).for_each(|(to, &from)| *to = from as f32);
         }
         Ok(Self { correlations: Some(Correlations { draws, displacements }), conformal: None, ..self })

@@ -9,7 +9,7 @@ use glam::DVec3;
 use rustc_hash::FxHashMap;
 
 use super::{Correlations, Support, UncertaintyField};
-use crate::octree::{Leaves, VertexId, masters, trilinear};
+use crate::octree::{Leaves, masters, trilinear};
 use crate::posterior::{Scale, VertexSums};
 use crate::render::{DepthSample, DepthVariance};
 use crate::{Error, Result};
@@ -84,15 +84,10 @@ impl DepthVariance for DepthPosterior<'_> {
 impl DepthPosterior<'_> {
     /// Mean of (Σ_v g_v · u_v)² over the draws.
     fn together(&self, correlations: &Correlations, gradients: impl Iterator<Item = ([u32; 3], DVec3)>) -> f64 {
-        let UncertaintyField { lattice, support, .. } = self.field;
         let mut moved = vec![0.0; correlations.draws()];
         let mut held_by_prior = 0.0;
         for (point, g) in gradients {
-            let vertex = match support {
-                Support::Dense => Some(lattice.dense_index(point)),
-                Support::Octree(octree) => octree.vertex(point).map(|VertexId(v)| v as usize),
-            };
-            if !vertex.is_some_and(|v| correlations.add(v, g, &mut moved)) {
+            if !self.field.vertex_at(point).is_some_and(|v| correlations.add(v, g, &mut moved)) {
                 held_by_prior += g.length_squared();
             }
         }
@@ -101,15 +96,12 @@ impl DepthPosterior<'_> {
 
     /// gᵀ C_v g of the vertex at a lattice point.
     fn of_vertex(&self, point: [u32; 3], g: DVec3) -> f64 {
-        let UncertaintyField { protocol, lattice, support, sums, deviations, .. } = self.field;
-        let (vertex, lambda) = match support {
-            Support::Dense => (Some(lattice.dense_index(point)), protocol.lambda),
-            Support::Octree(octree) => {
-                let lambda = protocol.prior.at(protocol.lambda, octree, point);
-                (octree.vertex(point).map(|VertexId(v)| v as usize), lambda)
-            }
+        let UncertaintyField { protocol, support, sums, deviations, .. } = self.field;
+        let lambda = match support {
+            Support::Dense => protocol.lambda,
+            Support::Octree(octree) => protocol.prior.at(protocol.lambda, octree, point),
         };
-        // An octree has no vertex where the information is negligible.
+        let vertex = self.field.vertex_at(point);
         let isotropic = |deviation: f64| deviation * deviation / 3.0 * g.length_squared();
         match (sums, vertex) {
             (Some(sums), _) => {

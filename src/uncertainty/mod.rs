@@ -330,11 +330,15 @@ impl UncertaintyField {
     #[must_use]
     pub fn trace_at(&self, point: [u32; 3]) -> Option<f64> {
         let sums = self.sums.as_ref()?;
-        let vertex = match &self.support {
+        Some(self.vertex_at(point).map_or(0.0, |v| crate::posterior::trace(&sums[v].information)))
+    }
+
+    /// The vertex at a lattice point. An octree has none where the information is negligible.
+    fn vertex_at(&self, point: [u32; 3]) -> Option<usize> {
+        match &self.support {
             Support::Dense => Some(self.lattice.dense_index(point)),
             Support::Octree(octree) => octree.vertex(point).map(|VertexId(v)| v as usize),
-        };
-        Some(vertex.map_or(0.0, |v| crate::posterior::trace(&sums[v].information)))
+        }
     }
 
     /// Bytes on the heap by part, spare capacity included.

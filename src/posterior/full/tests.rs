@@ -215,3 +215,22 @@ fn what_cannot_be_done_is_said() {
     let said = full.draw(RAYS, scale(), short, &Silent).unwrap_err().to_string();
     assert!(said.contains("iterations") && said.contains("NoConvergence"), "{said}");
 }
+
+#[test]
+fn whoever_stops_it_is_not_kept_waiting() {
+    /// Has been asked to stop.
+    struct Stopped;
+    impl crate::monitor::Monitor for Stopped {
+        fn begin(&self, _: &str, _: u64) {}
+        fn advance(&self, _: u64) {}
+        fn end(&self) {}
+        fn interrupted(&self) -> bool {
+            true
+        }
+    }
+    for number in [2, 32] {
+        let draws = Draws { number, seed: 0, residual: 1e-2, iterations: 2000 };
+        let stopped = full(&samples(9, false)).draw(RAYS, scale(), draws, &Stopped);
+        assert!(matches!(stopped, Err(crate::Error::Interrupted)));
+    }
+}
