@@ -99,7 +99,8 @@ impl UncertaintyField {
     }
 }
 
-#[cfg(all(test, feature = "correlations"))]
+#[cfg(test)]
+#[cfg(feature = "correlations")]
 mod tests {
     use super::*;
     use crate::estimate::{Estimation, GridKind, GridSettings, RaySettings};
