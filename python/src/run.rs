@@ -197,7 +197,7 @@ impl Job {
         }
         let Outcome { field, progress, is_replanned, .. } = run.finish()?;
         if is_replanned {
-            warnings.push("the first rays took more or less memory than planned; the run started again".into());
+            warnings.push("the rays took more or less memory than planned; the run started again".into());
         }
         if let Some(first) = progress.first_invalid {
             let dropped = progress.dropped;

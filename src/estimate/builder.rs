@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use super::state::{self, AnyPosterior, RunKey};
 use super::{GridKind, GridSettings, Plan, Summed};
 use crate::geometry::{Camera, Domain, Lattice};
-use crate::octree::{Cell, MaxLevels, morton};
+use crate::octree::{Cell, MaxLevels, Octree, morton};
 use crate::posterior::{DensePosterior, OctreePosterior, Posterior, VertexSums, Visits};
 use crate::rays::{RayStream, RunProgress, SURFACE_WEIGHT, Shard};
 use crate::render::RaySamples;
@@ -198,7 +198,7 @@ impl FieldBuilder {
             AnyPosterior::Dense(_) => 0,
             AnyPosterior::Octree(posterior) => posterior.spare(),
         };
-        Summed { used: self.memory() - spare, spare }
+        Summed { used: self.memory() - spare, spare, vertices: None }
     }
 
     /// The limits of the leaves on which rays are summed.
@@ -261,12 +261,10 @@ impl FieldBuilder {
         }
     }
 
-    /// Computes the field from the rays so far.
-    #[must_use]
-    pub fn finish(self, provenance: &Provenance) -> UncertaintyField {
-        let Self { settings, lattice, posterior, surface, wanted, visits, .. } = self;
-        let stream = provenance.stream;
-        let protocol = Protocol {
+    /// How the rays so far were drawn and summed.
+    fn protocol(&self, provenance: &Provenance) -> Protocol {
+        let (settings, stream) = (&self.settings, provenance.stream);
+        Protocol {
             version: env!("CARGO_PKG_VERSION").into(),
             source: provenance.source.clone(),
             origin: Origin { model: None, cameras: stream.map(|s| Camera::checksum(s.cameras)) },
@@ -275,7 +273,7 @@ impl FieldBuilder {
             pixels: stream.map(|s| s.pixels.kind()),
             seed: stream.map(|s| s.pixels.seed()),
             shard: provenance.shard,
-            lambda: settings.prior_precision(&lattice),
+            lambda: settings.prior_precision(&self.lattice),
             scale: settings.scale,
             prior: settings.prior,
             min_rays: settings.min_rays,
@@ -293,17 +291,40 @@ impl FieldBuilder {
             cutoff: stream.map(|s| s.tracer.marcher.cutoff),
             background: stream.map(|s| s.tracer.background.to_array()),
             pixel_offset: stream.map(|s| s.pixel_offset),
-        };
-        let field = match posterior {
-            AnyPosterior::Dense(posterior) => {
+        }
+    }
+
+    /// The octree of the field that the rays so far would give; none on a dense grid.
+    pub(super) fn octree(&mut self, provenance: &Provenance) -> Option<Octree> {
+        let protocol = self.protocol(provenance);
+        let AnyPosterior::Octree(posterior) = &self.posterior else { return None };
+        // There may be gigabytes of wanted cells.
+        let refinement = protocol.refinement(posterior, std::mem::take(&mut self.wanted));
+        let octree = posterior.octree(&refinement);
+        self.wanted = refinement.wanted;
+        Some(octree)
+    }
+
+    /// Computes the field from the rays so far.
+    #[must_use]
+    pub fn finish(mut self, provenance: &Provenance) -> UncertaintyField {
+        let octree = self.octree(provenance);
+        self.finish_on(octree, provenance)
+    }
+
+    /// [`FieldBuilder::finish`] with the [octree](FieldBuilder::octree) that was made for it.
+    pub(super) fn finish_on(self, octree: Option<Octree>, provenance: &Provenance) -> UncertaintyField {
+        let protocol = self.protocol(provenance);
+        let Self { settings, lattice, posterior, surface, visits, wanted, .. } = self;
+        drop(wanted);
+        let field = match (posterior, octree) {
+            (AnyPosterior::Dense(posterior), _) => {
                 UncertaintyField::new(protocol, lattice, Support::Dense, posterior.into_sums())
             }
-            AnyPosterior::Octree(posterior) if settings.keep_sums => {
-                UncertaintyField::from_octree(protocol, lattice, posterior, wanted)
+            (AnyPosterior::Octree(posterior), Some(octree)) => {
+                UncertaintyField::on_octree(protocol, lattice, posterior, octree, settings.keep_sums)
             }
-            AnyPosterior::Octree(posterior) => {
-                UncertaintyField::from_octree_for_queries(protocol, lattice, posterior, wanted)
-            }
+            (AnyPosterior::Octree(_), None) => unreachable!("an octree was made of an octree's sums"),
         };
         let field = if settings.keep_sums { field } else { field.for_queries() };
         let visits = visits.map(|visits| visits.within(settings.tile));

@@ -81,18 +81,32 @@ impl Plan {
 
     /// Expected peak memory of the process if its sums come to so much.
     #[must_use]
-    pub fn peak_of(&self, Summed { used, spare }: Summed) -> f64 {
-        self.outside + spare as f64 + used as f64 * (1.0 + self.finishing / self.summing.max(1.0))
+    pub fn peak_of(&self, Summed { used, spare, vertices }: Summed) -> f64 {
+        let used = used as f64;
+        let finishing = match vertices {
+            Some(count) => count as f64 * self.finishing / self.vertices.max(1.0),
+            None => used * self.finishing / self.summing.max(1.0),
+        };
+        self.outside + spare as f64 + used + finishing
     }
 }
 
-/// What sums take, bytes.
+/// What sums came to.
 #[derive(Debug, Clone, Copy)]
 pub struct Summed {
-    /// Sums, and what finds them.
+    /// Sums, and what finds them, bytes.
     pub used: usize,
-    /// Taken and not used.
+    /// Taken and not used, bytes.
     pub spare: usize,
+    /// Vertices of the field that would be made of them, if they were counted.
+    pub vertices: Option<usize>,
+}
+
+/// What was found, per unit that was expected.
+#[derive(Debug, Clone, Copy)]
+struct Correction {
+    sums: f64,
+    vertices: f64,
 }
 
 /// A pilot run, from which plans are made.
@@ -108,8 +122,8 @@ pub struct Planner {
     own_scale: f64,
     is_part: bool,
     outside: f64,
-    /// What the sums of earlier attempts took, per byte that was expected.
-    correction: f64,
+    /// What earlier attempts took.
+    correction: Correction,
     time: Duration,
 }
 
@@ -165,7 +179,7 @@ impl Planner {
             own_scale,
             is_part: shard.of > 1 || settings.tile.is_some(),
             outside,
-            correction: 1.0,
+            correction: Correction { sums: 1.0, vertices: 1.0 },
             time: start.elapsed().mul_f64(own_scale),
         })
     }
@@ -187,8 +201,8 @@ impl Planner {
             }
             GridKind::Octree => {
                 let Needs { summing, sums, vertices } = self.census.needs(self.own_scale, &limits, self.settings.tile);
-                let [vertices, summing, sums] = [vertices, summing, sums].map(|expected| self.correction * expected);
-                (vertices, summing, spare_bytes(sums as usize))
+                let Correction { sums: of_sums, vertices: of_vertices } = self.correction;
+                (of_vertices * vertices, of_sums * summing, spare_bytes((of_sums * sums) as usize))
             }
         };
         let [structure, stored] = if self.settings.grid == GridKind::Dense { [0.0; 2] } else { STRUCTURE };
@@ -207,7 +221,7 @@ impl Planner {
             limits,
             rays_per_vertex,
             vertices,
-            vertices_unlimited: self.correction * self.vertices_unlimited,
+            vertices_unlimited: self.correction.vertices * self.vertices_unlimited,
             summing,
             finishing: vertices * (VALUES + structure + f64::max(building, gathered as f64)),
             spare: spare as f64,
@@ -282,8 +296,12 @@ impl Planner {
     /// Makes all further plans expect as much more, or less, as was found: the sums came to `summed` after the fraction
     /// `done` of the rays of `plan`.
     pub(super) fn correct(&mut self, plan: &Plan, done: f64, summed: Summed) {
-        let Needs { summing, .. } = self.census.needs(done * self.own_scale, &plan.limits, self.settings.tile);
-        self.correction = summed.used as f64 / summing.max(1.0);
+        let Needs { summing, vertices, .. } =
+            self.census.needs(done * self.own_scale, &plan.limits, self.settings.tile);
+        let sums = summed.used as f64 / summing.max(1.0);
+        // Where nobody counted, there are as many more vertices as sums.
+        let counted = summed.vertices.map(|count| count as f64 / vertices.max(1.0));
+        self.correction = Correction { sums, vertices: counted.unwrap_or(sums) };
     }
 }
 

@@ -14,10 +14,10 @@ use super::mean_error;
 use super::state;
 use super::{
     Audit, FieldBuilder, GridKind, GridSettings, Plan, Planner, Provenance, RaySettings, SamplingError, Sight,
-    StepCheck,
+    StepCheck, Summed,
 };
 use crate::geometry::{Aabb, Lattice};
-use crate::octree::Leaves;
+use crate::octree::{Leaves, Octree};
 use crate::rays::{RayStream, RunProgress, Shard};
 use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
@@ -36,7 +36,7 @@ pub struct Outcome {
     pub summing: Duration,
     /// The plan that the run ended with, if something limited it.
     pub plan: Option<Plan>,
-    /// Whether the first rays took more or less memory than planned, so that the run started over with another plan.
+    /// Whether the rays took more or less memory than planned, so that the run started over with another plan.
     pub is_replanned: bool,
     /// Estimated error of log10 U, if the run was to reach a mean error.
     pub sampling_error: Option<SamplingError>,
@@ -56,6 +56,15 @@ struct Part<'r> {
     shard: Shard,
     seed: u64,
     file: Option<&'r Path>,
+}
+
+/// What was drawn.
+struct Drawn {
+    progress: RunProgress,
+    /// Time spent on summing.
+    summing: Duration,
+    /// The octree of the field, if it was made to see whether the field fits the budget.
+    octree: Option<Octree>,
 }
 
 impl<'a> Run<'a> {
@@ -222,7 +231,7 @@ impl<'a> Run<'a> {
             self.estimation.tap.as_mut().map_or(Ok(()), |tap| tap(batches))
         })?;
         let outcome =
-            |(builder, summing): (FieldBuilder, Duration)| self.outcome(builder, progress, summing, Some(shard));
+            |(builder, summing)| self.outcome(builder, Drawn { progress, summing, octree: None }, Some(shard));
         Ok(builders.into_iter().map(outcome).collect())
     }
 
@@ -232,8 +241,8 @@ impl<'a> Run<'a> {
         builder.want_density(&self.stream)?;
         let files = self.files();
         let part = Part { stream: &self.stream, shard, seed, file: files[0].as_deref() };
-        let (progress, summing) = draw(&mut self.estimation, &mut self.limits, &part, &mut builder)?;
-        Ok(self.outcome(builder, progress, summing, Some(shard)))
+        let drawn = draw(&mut self.estimation, &mut self.limits, &part, &mut builder)?;
+        Ok(self.outcome(builder, drawn, Some(shard)))
     }
 
     fn finish_groups(mut self, count: u16) -> Result<Outcome> {
@@ -243,9 +252,9 @@ impl<'a> Run<'a> {
         for (group, file) in groups.iter().zip(&files) {
             let mut builder = self.builder()?;
             let part = Part { stream: &group.stream, shard: group.shard, seed: group.seed, file: file.as_deref() };
-            let (drawn, time) = draw(&mut self.estimation, &mut self.limits, &part, &mut builder)?;
-            progress.push(drawn);
-            summing += time;
+            let drawn = draw(&mut self.estimation, &mut self.limits, &part, &mut builder)?;
+            progress.push(drawn.progress);
+            summing += drawn.summing;
             builders.push(builder);
         }
         let sums_bytes = builders.iter().map(FieldBuilder::memory).sum();
@@ -268,7 +277,7 @@ impl<'a> Run<'a> {
         whole += &other;
         whole.want_density(&self.stream)?;
         // Two sequences of pixels do not form a shard that others could be added to.
-        let outcome = self.outcome(whole, progress, start.elapsed(), None);
+        let outcome = self.outcome(whole, Drawn { progress, summing: start.elapsed(), octree: None }, None);
         let field = outcome.field.with_draws(draws);
         Ok(Outcome { field, sums_bytes, sampling_error: Some(error), ..outcome })
     }
@@ -295,16 +304,13 @@ impl<'a> Run<'a> {
         Provenance { source: self.estimation.source.clone(), progress, shard, stream: Some(&self.stream) }
     }
 
-    fn outcome(
-        &self,
-        builder: FieldBuilder,
-        progress: RunProgress,
-        summing: Duration,
-        shard: Option<Shard>,
-    ) -> Outcome {
+    fn outcome(&self, mut builder: FieldBuilder, drawn: Drawn, shard: Option<Shard>) -> Outcome {
+        let Drawn { progress, summing, octree } = drawn;
         let sums_bytes = builder.memory();
         let start = Instant::now();
-        let field = builder.finish(&self.provenance(progress, shard));
+        let provenance = self.provenance(progress, shard);
+        let octree = octree.or_else(|| builder.octree(&provenance));
+        let field = builder.finish_on(octree, &provenance);
         Outcome { sums_bytes, ..self.outcome_of(field, progress, summing + start.elapsed()) }
     }
 
@@ -323,17 +329,12 @@ impl<'a> Run<'a> {
     }
 }
 
-/// Draws the rays of `part` into `builder`, starting after its checkpoint. Returns the progress
-/// and the time spent on summing.
+/// Draws the rays of `part` into `builder`, starting after its checkpoint.
 ///
-/// If the budget is exhausted in spite of the plan, or if the first rays show that half of it would remain unused, the
-/// part starts over with a better plan. The outcome is that of a run with this plan from the start.
-fn draw(
-    estimation: &mut Estimation,
-    limits: &mut Limits,
-    part: &Part,
-    builder: &mut FieldBuilder,
-) -> Result<(RunProgress, Duration)> {
+/// If the budget is exhausted in spite of the plan, or would be by the field, or if the first rays show that much of it
+/// would remain unused, the part starts over with a better plan. The outcome is that of a run with this plan from the
+/// start.
+fn draw(estimation: &mut Estimation, limits: &mut Limits, part: &Part, builder: &mut FieldBuilder) -> Result<Drawn> {
     let is_group = estimation.groups().is_some();
     let key_source = estimation.key_source();
     let Estimation { rays, grid, monitor, checkpoint, tap, .. } = estimation;
@@ -366,12 +367,25 @@ fn draw(
             saver.save_if_due(builder, || key(builder), progress)?;
             tap.as_mut().map_or(Ok(()), |tap: &mut Tap| tap(batches))
         });
+        let mut made = None;
+        if let Ok(progress) = result
+            && limits.budget.is_some()
+        {
+            // How many vertices there will be is a rougher forecast than what sums take.
+            let (shard, stream) = (Some(part.shard), Some(part.stream));
+            made = builder.octree(&Provenance { source: String::new(), progress, shard, stream });
+            let vertices = made.as_ref().map(Octree::vertex_count);
+            let summed = Summed { vertices, ..builder.summed() };
+            if limits.is_exceeded(summed) {
+                (is_over, next) = (true, limits.coarser(1.0, summed));
+            }
+        }
         if !is_over && next.is_none() {
             // A completed group is not drawn again if a later one is interrupted.
             if matches!(result, Err(Error::Interrupted)) || is_group && result.is_ok() {
                 saver.save(builder, || key(builder), progress)?;
             }
-            return result.map(|progress| (progress, summing));
+            return result.map(|progress| Drawn { progress, summing, octree: made });
         }
         let Some(next) = next else {
             let found = format!("{} MB, used up on the coarsest leaves", limits.budget.unwrap_or(0) / 1_000_000);

@@ -203,6 +203,32 @@ fn a_run_that_starts_again_ends_as_if_it_had_been_planned_so() {
     assert!(!planned.is_replanned && planned.field == again.field);
 }
 
+/// A plan that expects a third of the field's vertices. Its sums stay within the budget, and the field would not: that
+/// must be seen before the field is made.
+#[test]
+fn a_field_of_more_vertices_than_planned_is_not_made() {
+    let field = ClosedForm::courtyard();
+    let cameras = ClosedForm::half_circle(6, [64, 64]);
+    let criteria = [crate::posterior::Criterion::RayCount].into_iter().collect();
+    let grid = GridSettings { level: 8, criteria, min_rays: 0.25, surface_points: 0, ..GridSettings::default() };
+    let prepared = || Estimation::new(&field, &cameras).rays(settings(20_000)).grid(grid).prepare().unwrap();
+    let (plain, plan) = (prepared().finish().unwrap(), prepared().forecast().unwrap());
+    let per_vertex = plan.finishing / plan.vertices;
+    let peak = |outcome: &Outcome| outcome.sums_bytes as f64 + per_vertex * outcome.field.deviations().len() as f64;
+    let half = 0.5 * (peak(&plain) - plain.sums_bytes as f64);
+    let budget = plain.sums_bytes as f64 + half;
+    let wrong = Plan { vertices: plan.vertices / 3.0, finishing: plan.finishing / 3.0, outside: 0.0, ..plan };
+    // By its sums alone, nothing seems to be wrong to the end.
+    assert!(wrong.peak_of(Summed { used: plain.sums_bytes, spare: 0, vertices: None }) < budget);
+    let mut run = prepared();
+    run.limits.set_plan(wrong);
+    run.limits.bound_without_process(budget as u64);
+    let found = run.finish().unwrap();
+    assert!(found.is_replanned && peak(&found) <= budget, "{} of {budget} bytes", peak(&found));
+    // The budget is used, too.
+    assert!(peak(&found) > 0.3 * budget, "{} of {budget} bytes", peak(&found));
+}
+
 /// Compares the error bars with the error measured against twenty times the rays.
 #[test]
 fn error_bars_are_as_large_as_the_errors() {

@@ -48,7 +48,7 @@ pub use tiled::TiledField;
 use self::from_sums::{deviations_from_sums, values_without_sums};
 use crate::geometry::Lattice;
 use crate::octree::{Cell, MaxLevels, Octree, Tile, VertexId};
-use crate::posterior::{OctreePosterior, Refinement, VertexSums, Visits};
+use crate::posterior::{OctreePosterior, VertexSums, Visits};
 use crate::rays::Draw;
 
 /// A vertex counts as moved if log10 U lies more than this many decades below the prior's.
@@ -154,45 +154,27 @@ impl UncertaintyField {
     /// the run is known only when all parts are present.
     #[must_use]
     pub fn from_octree(protocol: Protocol, lattice: Lattice, posterior: OctreePosterior, wanted: Vec<Cell>) -> Self {
-        let is_part = protocol.is_part() || posterior.tile().is_some();
-        let floor = if is_part { Refinement::EVERYTHING } else { protocol.pooling().floor };
-        Self::from_octree_above(floor, protocol, lattice, posterior, wanted)
+        let octree = posterior.octree(&protocol.refinement(&posterior, wanted));
+        Self::on_octree(protocol, lattice, posterior, octree, true)
     }
 
-    /// Same as [`UncertaintyField::from_octree`], then [`UncertaintyField::for_queries`], in less memory: the sums are
-    /// not gathered a second time.
-    #[must_use]
-    pub fn from_octree_for_queries(
+    /// The field on an octree that was made of the sums. Sums that are neither to be kept nor needed for others are not
+    /// gathered a second time, which takes less memory.
+    pub(crate) fn on_octree(
         protocol: Protocol,
         lattice: Lattice,
         posterior: OctreePosterior,
-        wanted: Vec<Cell>,
-    ) -> Self {
-        if protocol.is_part() || protocol.pooling().is_on() || posterior.tile().is_some() {
-            return Self::from_octree(protocol, lattice, posterior, wanted).for_queries();
-        }
-        let pooling = protocol.pooling();
-        let floor = protocol.criteria.sensitivity.then_some(pooling.floor);
-        let octree = posterior.octree(&Refinement { floor, pooling, wanted });
-        let values = values_without_sums(&protocol, &octree, &posterior);
-        let limits = posterior.limits().clone();
-        Self::from_values(protocol, lattice, Support::Octree(octree), limits, values)
-    }
-
-    /// Same as [`UncertaintyField::from_octree`], refined around vertices with more information than `floor`.
-    fn from_octree_above(
-        floor: f64,
-        protocol: Protocol,
-        lattice: Lattice,
-        posterior: OctreePosterior,
-        wanted: Vec<Cell>,
+        octree: Octree,
+        keep_sums: bool,
     ) -> Self {
         let (limits, tile) = (posterior.limits().clone(), posterior.tile());
-        let pooling = protocol.pooling();
-        let floor = protocol.criteria.sensitivity.then_some(floor);
-        let refinement = Refinement { floor, pooling, wanted };
-        let (octree, sums) = posterior.into_octree(&refinement);
-        Self { tile, ..Self::on_leaves(protocol, lattice, Support::Octree(octree), limits, sums) }
+        if keep_sums || protocol.is_part() || protocol.pooling().is_on() || tile.is_some() {
+            let sums = posterior.sums_at(&octree);
+            drop(posterior);
+            return Self { tile, ..Self::on_leaves(protocol, lattice, Support::Octree(octree), limits, sums) };
+        }
+        let values = values_without_sums(&protocol, &octree, &posterior);
+        Self::from_values(protocol, lattice, Support::Octree(octree), limits, values)
     }
 
     /// The same field without its sums: a tenth of the memory, but the covariance is fixed.

@@ -1,6 +1,9 @@
 //! The protocol of a field: everything that its numbers depend on.
 
-use crate::posterior::{Covariance, Criteria, Pooling, Prior, Scale, VertexSums, negligible_information};
+use crate::octree::Cell;
+use crate::posterior::{
+    Covariance, Criteria, OctreePosterior, Pooling, Prior, Refinement, Scale, VertexSums, negligible_information,
+};
 use crate::rays::{Draw, Pixels, Shard};
 use crate::render::GradientMethod;
 
@@ -97,6 +100,17 @@ impl Protocol {
     #[must_use]
     pub fn pooling(&self) -> Pooling {
         Pooling { min_rays: self.min_rays, floor: self.floor(self.rays) }
+    }
+
+    /// Where the octree of these sums is refined, and for `wanted`. A part of a run is refined wherever a ray passed.
+    pub(crate) fn refinement(&self, posterior: &OctreePosterior, wanted: Vec<Cell>) -> Refinement {
+        let is_part = self.is_part() || posterior.tile().is_some();
+        self.refinement_above(if is_part { Refinement::EVERYTHING } else { self.pooling().floor }, wanted)
+    }
+
+    /// The same around vertices with more information than `floor`.
+    pub(super) fn refinement_above(&self, floor: f64, wanted: Vec<Cell>) -> Refinement {
+        Refinement { floor: self.criteria.sensitivity.then_some(floor), pooling: self.pooling(), wanted }
     }
 
     /// Information (tr S) from `rays` rays that is negligible compared with the prior.

@@ -53,14 +53,7 @@ impl Together {
     pub fn add(&mut self, batches: &[RaySamples]) -> Result<()> {
         self.full.add(batches);
         let needed = BESIDE_ROWS * self.full.memory() as f64;
-        match available().map(|left| left as f64).filter(|left| needed > *left) {
-            Some(left) => {
-                let expected =
-                    format!("{} for rows so far; fewer --rays or a lower --level", report::bytes(needed as usize));
-                Err(Error::setting("--correlations", expected, format!("{} free", report::bytes(left as usize))))
-            }
-            None => Ok(()),
-        }
+        check(needed as u64, available())
     }
 
     /// The field with draws from the posterior of `rays` rays.
@@ -69,5 +62,26 @@ impl Together {
     /// If the draws are not found, or the work was interrupted.
     pub fn join(self, field: UncertaintyField, rays: u64, bars: &Bars) -> Result<UncertaintyField> {
         field.with_correlations(&self.full.draw(rays, self.scale, self.draws, bars)?)
+    }
+}
+
+/// Whether what solving needs so far is free, bytes; what is free may be unknown.
+fn check(needed: u64, left: Option<u64>) -> Result<()> {
+    let Some(left) = left.filter(|left| needed > *left) else { return Ok(()) };
+    let [needed, left] = [needed, left].map(|bytes| report::bytes(bytes as usize));
+    let expected = format!("{needed} for rows so far; fewer --rays or a lower --level");
+    Err(Error::setting("--correlations", expected, format!("{left} free")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn more_memory_than_there_is_is_said() {
+        let error = check(3_000_000_001, Some(3_000_000_000)).unwrap_err().to_string();
+        assert!(error.contains("--correlations") && error.contains("fewer --rays"), "{error}");
+        assert!(error.contains("3.00 GB for rows") && error.contains("3.00 GB free"), "{error}");
+        assert!(check(3_000_000_000, Some(3_000_000_000)).is_ok() && check(u64::MAX, None).is_ok());
     }
 }

@@ -214,9 +214,7 @@ impl Args {
             report::sampling_error(error, progress.rays, grid.tolerance);
         }
         if let Some(plan) = plan.filter(|_| is_replanned) {
-            eprintln!(
-                "note: the first rays took more or less memory than planned; the run started again with this plan:"
-            );
+            eprintln!("note: the rays took more or less memory than planned; the run started again with this plan:");
             report::plan(&plan, &grid);
         }
         warn_of_dropped(&progress);

@@ -59,8 +59,8 @@ pub fn add(parts: &(impl Parts + ?Sized), heads: &[Head], order: &[usize]) -> Re
     let field = match dense {
         Some(sums) => UncertaintyField::new(protocol, first.lattice, Support::Dense, sums),
         None => {
-            let floor = floor(&of, &draws);
-            UncertaintyField::from_octree_above(floor, protocol, first.lattice, posterior, wanted)
+            let octree = posterior.octree(&protocol.refinement_above(floor(&of, &draws), wanted));
+            UncertaintyField::on_octree(protocol, first.lattice, posterior, octree, true)
         }
     };
     Ok(field.with_surface(surface).with_draws(draws).with_visits(visits))
