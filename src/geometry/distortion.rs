@@ -24,6 +24,18 @@ impl Distortion {
         [x + dx, y + dy]
     }
 
+    /// Derivatives of [`Distortion::distort`]: ∂x'/∂x, ∂y'/∂y, and ∂x'/∂y, which is ∂y'/∂x.
+    fn derivatives(&self, [x, y]: [f64; 2]) -> [f64; 3] {
+        let r2 = x * x + y * y;
+        let ([k1, k2], [p1, p2]) = (self.k, self.p);
+        let radial = r2 * (k1 + k2 * r2);
+        // d(radial)/dx = 2x · slope.
+        let slope = k1 + 2.0 * k2 * r2;
+        let xx = 1.0 + radial + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x;
+        let yy = 1.0 + radial + 2.0 * y * y * slope + 2.0 * p2 * x + 6.0 * p1 * y;
+        [xx, yy, 2.0 * x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y]
+    }
+
     /// The ideal point that the lens puts at `seen`, by Newton's method.
     ///
     /// If the coefficients fold the image over there, this is the nearest point found.
@@ -36,15 +48,7 @@ impl Distortion {
         for _ in 0..20 {
             let at = self.distort([x, y]);
             let (ex, ey) = (at[0] - seen[0], at[1] - seen[1]);
-            let r2 = x * x + y * y;
-            let [k1, k2] = self.k;
-            let [p1, p2] = self.p;
-            let radial = r2 * (k1 + k2 * r2);
-            // d(radial)/dx = 2x · slope.
-            let slope = k1 + 2.0 * k2 * r2;
-            let xx = 1.0 + radial + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x;
-            let yy = 1.0 + radial + 2.0 * y * y * slope + 2.0 * p2 * x + 6.0 * p1 * y;
-            let xy = 2.0 * x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y;
+            let [xx, yy, xy] = self.derivatives([x, y]);
             let determinant = xx * yy - xy * xy;
             let (nx, ny) = (x - (yy * ex - xy * ey) / determinant, y - (xx * ey - xy * ex) / determinant);
             // Absurd coefficients must not turn a ray into NaN: keep the last finite point.
@@ -64,10 +68,28 @@ mod tests {
 
     proptest! {
         #[test]
-        fn undistort_is_the_inverse(x in -0.8..0.8_f64, y in -0.8..0.8_f64, k in [-0.1..0.1_f64, -0.1..0.1], p in [-1e-2..1e-2_f64, -1e-2..1e-2]) {
+        fn undistort_is_the_inverse(
+            x in -0.8..0.8_f64,
+            y in -0.8..0.8_f64,
+            k in [-0.1..0.1_f64, -0.1..0.1],
+            p in [-1e-2..1e-2_f64, -1e-2..1e-2],
+        ) {
             let lens = Distortion { k, p };
+            // Beyond the fold a point nearer to the centre has the same image.
+            let [xx, yy, xy] = lens.derivatives([x, y]);
+            prop_assume!(xx * yy - xy * xy > 0.05);
             let found = lens.undistort(lens.distort([x, y]));
             prop_assert!((found[0] - x).abs().max((found[1] - y).abs()) < 1e-12, "{:?} for {:?}", found, [x, y]);
         }
+    }
+
+    #[test]
+    fn beyond_the_fold_the_inner_point_is_found() {
+        let lens = Distortion { k: [-0.085, -0.092], p: [0.0, 0.0066] };
+        let outer = [-0.7654, 0.7882];
+        let inner = lens.undistort(lens.distort(outer));
+        let [there, here] = [lens.distort(outer), lens.distort(inner)];
+        assert!((there[0] - here[0]).abs().max((there[1] - here[1]).abs()) < 1e-12, "{there:?} and {here:?}");
+        assert!(inner[0].hypot(inner[1]) < outer[0].hypot(outer[1]) - 1e-3, "{inner:?}");
     }
 }
