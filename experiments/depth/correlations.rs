@@ -3,9 +3,7 @@
 use std::path::Path;
 
 use glam::DVec3;
-use octobayes::dataset::Views;
 use octobayes::estimate::{Estimation, RaySettings};
-use octobayes::evaluate::TrueView;
 use octobayes::field::RadianceField;
 use octobayes::metrics::{Calibration, ErrorKind, PROBABILITIES, quantile, sparsification};
 use octobayes::monitor::Silent;
@@ -17,7 +15,7 @@ use serde::{Deserialize, Serialize};
 use crate::common::clock::Clock;
 use crate::common::settings::describe;
 use crate::common::table::{Table, mean, whole};
-use crate::judge::{grid, rays, truth_files};
+use crate::judge::{grid, rays};
 use crate::scene::Scene;
 
 pub const LEVELS: [u8; 3] = [4, 5, 6];
@@ -144,9 +142,8 @@ fn depths(
     let probe =
         DepthProbe { differentiation: settings.differentiation(model, field.lattice())?, variances: posteriors };
     let mut found = Depths::default();
-    for frame in Views::read(&data.folder.join("transforms_test.json"), None)?.frames {
-        let offset = model.pixel_offset();
-        let truth = TrueView::read(&frame, Some(&truth_files(&data.folder)), DVec3::ONE, offset, STRIDE)?;
+    let offset = model.pixel_offset();
+    for truth in data.held_out(offset, STRIDE)? {
         let view = render_view_with_depth(&tracer, &truth.camera, offset, &[], &probe, &Silent)?;
         for (i, pixel) in view.pixels.iter().enumerate().filter(|(_, pixel)| pixel.opacity > 0.0) {
             let Some(distance) = truth.distance[i] else { continue };

@@ -7,7 +7,7 @@ use crate::judge::{Kept, Row};
 /// Values of a² that are tried.
 const FACTORS: [f64; 6] = [0.5, 1.0, 2.0, 4.0, 7.0, 10.0];
 /// Values of c that are tried, scene units for a residual of one.
-const LENGTHS: [f64; 9] = [0.0, 0.005, 0.01, 0.02, 0.03, 0.05, 0.07, 0.1, 0.15];
+const LENGTHS: [f64; 10] = [0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 0.7, 1.0];
 
 /// Constants of the joint variance.
 #[derive(Clone, Copy, PartialEq, Debug)]
@@ -31,14 +31,25 @@ impl Joint {
         Calibration::new(&errors, &deviations).expect("finite deviations above zero")
     }
 
-    fn nll(self, row: &Row) -> f64 {
-        self.calibration(row).of(ErrorDensity::PREDICTIVE).nll
+    /// All constants that are tried.
+    fn all() -> impl Iterator<Item = Self> {
+        FACTORS.into_iter().flat_map(|factor| LENGTHS.into_iter().map(move |length| Self { factor, length }))
     }
 }
 
-/// The constants of least mean negative log likelihood over some models.
-pub fn fit(rows: &[&Row]) -> Joint {
-    let all = FACTORS.into_iter().flat_map(|factor| LENGTHS.into_iter().map(move |length| Joint { factor, length }));
-    let scored = all.map(|joint| (joint, rows.iter().map(|row| joint.nll(row)).sum::<f64>()));
-    scored.min_by(|a, b| a.1.total_cmp(&b.1)).expect("constants to try").0
+/// The mean negative log likelihood of a model's errors, by all constants.
+pub struct Fit(Vec<f64>);
+
+impl Fit {
+    pub fn new(row: &Row) -> Self {
+        Self(Joint::all().map(|joint| joint.calibration(row).of(ErrorDensity::PREDICTIVE).nll).collect())
+    }
+
+    /// The constants of least mean over some models.
+    pub fn best<'a>(fits: impl Iterator<Item = &'a Self>) -> Joint {
+        let mut sums = vec![0.0; FACTORS.len() * LENGTHS.len()];
+        fits.for_each(|fit| sums.iter_mut().zip(&fit.0).for_each(|(sum, nll)| *sum += nll));
+        let scored = Joint::all().zip(sums);
+        scored.min_by(|a, b| a.1.total_cmp(&b.1)).expect("constants to try").0
+    }
 }

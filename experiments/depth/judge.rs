@@ -2,19 +2,14 @@
 
 use std::path::Path;
 
-use glam::DVec3;
-use octobayes::dataset::{DepthEncoding, DepthKind, Frame, Views};
 use octobayes::estimate::{Estimation, GridSettings, RaySettings};
-use octobayes::evaluate::{
-    Baseline, DepthError, DepthFiles, EvaluatedView, Evaluator, Measure, Misfit, Reading, TrainingViews, TrueView,
-};
+use octobayes::evaluate::{Baseline, DepthError, EvaluatedView, Evaluator, Measure, Misfit, Reading, TrainingViews};
 use octobayes::field::RadianceField;
-use octobayes::geometry::Lattice;
+use octobayes::geometry::{Domain, Lattice};
 use octobayes::metrics::{Calibration, Detection, ErrorDensity, ErrorKind, PROBABILITIES, sparsification, spearman};
 use octobayes::monitor::Silent;
 use octobayes::posterior::{Covariance, DataScale, Scale};
 use octobayes::render::{GradientMethod, RayAverage};
-use octobayes::synth::DEPTH_PNG_SCALE;
 use octobayes::uncertainty::UncertaintyField;
 use octobayes::{Error, Result};
 use serde::{Deserialize, Serialize};
@@ -106,22 +101,36 @@ pub fn measure(scene: &Scene, seed: u64, ensemble: u64) -> Result<Row> {
     // No seed of another row.
     let others = (1..ensemble).map(|i| scene.train(&data, 1000 + 100 * seed + i)).collect::<Result<Vec<_>>>()?;
     let others_trained = clock.elapsed().cpu;
-    let of_data = DataScale::from_cameras(&data.cameras, DataScale::noise_of(model.psnr), &data.domain)?;
+    let (fields, summed) = uncertainties(&data, &model.field, model.psnr, rays().seed(seed))?;
+    let clock = Clock::start();
+    let (offset, noise) = (model.field.pixel_offset(), DataScale::noise_of(model.psnr));
+    let parameters = ParameterPosteriors::fit(&model.field, &data.cameras, offset, noise)?;
+    let mut row = judge(&data, &model.field, Some(&parameters), &others, fields)?;
+    row.seconds = [trained, summed, clock.elapsed().cpu, others_trained];
+    Ok(row)
+}
+
+/// The uncertainty of a model of that PSNR on its training images, at all levels, and the processor seconds of the
+/// first.
+pub fn uncertainties(
+    data: &Data,
+    field: &dyn RadianceField,
+    psnr: f64,
+    rays: RaySettings,
+) -> Result<(Vec<UncertaintyField>, f64)> {
+    let domain = Domain::Box(field.bounds());
+    let of_data = DataScale::from_cameras(&data.cameras, DataScale::noise_of(psnr), &domain)?;
     let mut fields = Vec::new();
     let mut summed = 0.0;
     for level in LEVELS {
         let clock = Clock::start();
         let grid = grid().level(level).scale(Scale::Data(of_data));
-        let estimation = Estimation::new(&model.field, &data.cameras).rays(rays().seed(seed)).grid(grid);
-        fields.push(estimation.run()?.field);
+        fields.push(Estimation::new(field, &data.cameras).rays(rays).grid(grid).run()?.field);
         if level == LEVELS[0] {
             summed = clock.elapsed().cpu;
         }
     }
-    let clock = Clock::start();
-    let mut row = judge(&data, &model, &others, fields)?;
-    row.seconds = [trained, summed, clock.elapsed().cpu, others_trained];
-    Ok(row)
+    Ok((fields, summed))
 }
 
 /// The readings of the levels by `block`, and the first by `diagonal`.
@@ -139,41 +148,44 @@ fn averages() -> Vec<RayAverage> {
     vec![RayAverage::Spread, RayAverage::AtExpected]
 }
 
-fn judge(data: &Data, model: &Model, others: &[Model], fields: Vec<UncertaintyField>) -> Result<Row> {
+/// Judges a model beside the others of its ensemble, if there are any, and posteriors over its parameters, if they are
+/// known.
+pub fn judge(
+    data: &Data,
+    field: &dyn RadianceField,
+    parameters: Option<&ParameterPosteriors>,
+    others: &[Model],
+    fields: Vec<UncertaintyField>,
+) -> Result<Row> {
     let settings = RaySettings::for_images();
-    let field = &model.field;
     let pixel_offset = field.pixel_offset();
     let differentiation = settings.differentiation(field, fields[0].lattice())?;
     let tracer = settings.tracer(field, 0.0, &Silent)?;
-    let training = TrainingViews::render(&tracer, &data.cameras, pixel_offset, &Silent)?;
+    let cameras = data.strided_cameras(pixel_offset);
+    let training = TrainingViews::render(&tracer, &cameras, pixel_offset, &Silent)?;
     let lattice = Lattice::new(field.bounds(), MISFIT_LEVEL)?;
     let misfit = Misfit::new(&tracer, &data.for_misfit(pixel_offset), lattice, &Silent)?;
-    let warp = Warp::render(&tracer, &data.cameras, pixel_offset)?;
-    let noise = DataScale::noise_of(model.psnr);
-    let parameters = ParameterPosteriors::fit(field, &data.cameras, pixel_offset, noise)?;
+    let warp = Warp::render(&tracer, &cameras, pixel_offset)?;
     let readings = readings(fields)?;
     let mut evaluator =
         Evaluator { training: Some(&training), misfit: Some(&misfit), ..Evaluator::new(tracer, &readings) };
     let regression = Regression::fit(&evaluator, &data.for_regression(pixel_offset))?;
     evaluator.differentiation = Some(differentiation);
     if !others.is_empty() {
-        let members = others.iter().map(|other| &other.field).chain([field]);
+        let members = others.iter().map(|other| &other.field as &dyn RadianceField).chain([field]);
         evaluator.members = members.map(|field| settings.tracer(field, 0.0, &Silent)).collect::<Result<_>>()?;
     }
-    let depth = truth_files(&data.folder);
-    let frames: Vec<Frame> = Views::read(&data.folder.join("transforms_test.json"), None)?.frames;
     let (mut views, mut unseen) = (Vec::new(), Vec::new());
-    let names = BESIDE.iter().chain(&ParameterPosteriors::NAMES);
+    let names = BESIDE.iter().chain(parameters.iter().flat_map(|_| &ParameterPosteriors::NAMES));
     let mut beside: Vec<(String, Vec<f64>)> = names.map(|name| ((*name).to_owned(), Vec::new())).collect();
-    for (seed, frame) in (0..).zip(&frames) {
-        let truth = TrueView::read(frame, Some(&depth), DVec3::ONE, pixel_offset, STRIDE)?;
+    for (seed, truth) in (0..).zip(data.held_out(pixel_offset, STRIDE)?) {
         let view = evaluator.evaluate(&truth, seed, &Silent)?;
         let width = truth.camera.resolution[0] as usize;
         let at = |i: usize, t: f64| {
             let [x, y] = [i % width, i / width].map(|n| n as f64 + pixel_offset);
             truth.camera.ray(x, y).at(t)
         };
-        let never_seen = |&i: &usize| truth.distance[i].is_some_and(|t| !data.was_seen(at(i, t)));
+        let never_seen = |&i: &usize| truth.distance[i].is_some_and(|t| data.is_unseen(at(i, t)));
         unseen.extend(view.pixels.iter().map(never_seen));
         for &i in &view.pixels {
             let pixel = &view.rendered.pixels[i];
@@ -182,26 +194,25 @@ fn judge(data: &Data, model: &Model, others: &[Model], fields: Vec<UncertaintyFi
             beside[1].1.push(warped.color);
         }
         beside[2].1.extend(regression.of(&evaluator, &view));
-        for ((_, all), values) in beside[BESIDE.len()..].iter_mut().zip(parameters.of(&truth, &view)) {
-            all.extend(values);
+        if let Some(parameters) = parameters {
+            for ((_, all), values) in beside[BESIDE.len()..].iter_mut().zip(parameters.of(&truth, &view)) {
+                all.extend(values);
+            }
         }
         views.push(view);
     }
-    row(&evaluator, &views, beside, &unseen)
+    // Maps with steps tell the depth to within a step, all values of which are as likely.
+    row(&evaluator, &views, beside, &unseen, data.depth_step.powi(2) / 12.0)
         .ok_or_else(|| Error::malformed(&data.folder, "views", "errors of depth, and finite deviations", "none"))
 }
 
-/// Where a data set has its depth maps.
-pub fn truth_files(folder: &Path) -> DepthFiles {
-    let encoding = DepthEncoding { offset: 0.0, scale: DEPTH_PNG_SCALE, kind: DepthKind::Euclidean };
-    DepthFiles { folder: folder.join("depth"), pattern: "{}.png".into(), encoding }
-}
-
+/// `truth` is the variance of the depth maps themselves, squared scene units.
 fn row(
     evaluator: &Evaluator,
     views: &[EvaluatedView],
     beside: Vec<(String, Vec<f64>)>,
     unseen: &[bool],
+    truth: f64,
 ) -> Option<Row> {
     let measures = evaluator.measures();
     let index = |measure| measures.iter().position(|found| *found == measure);
@@ -226,8 +237,11 @@ fn row(
         posterior: posterior[i] as f32,
         misfit: misfit[i] as f32,
     };
-    let full = Calibration::new(&errors, &deviation)?;
-    let alone = Calibration::new(&errors, &weights.iter().map(|w| w.sqrt()).collect::<Vec<_>>())?;
+    let calibration = |variances: &mut dyn Iterator<Item = f64>| {
+        Calibration::new(&errors, &variances.map(|v| (v + truth).sqrt()).collect::<Vec<_>>())
+    };
+    let full = calibration(&mut deviation.iter().map(|d| d * d))?;
+    let alone = calibration(&mut weights.iter().copied())?;
     let bar = |calibration: &Calibration, density| {
         let found = calibration.of(density);
         let nll = [found.nll, found.nll_best_scale];

@@ -1,8 +1,9 @@
 //! Questions: do depth errors lie within the deviations that a field of the data's scale gives them? What ranks them
 //! best? What tells surfaces that no training view saw?
 //!
-//! Hash grids trained on few or one-sided views of meshes that are ray-traced here, with exact depth, judged on
-//! held-out views all around. Writes the blocks of `experiments/depth.md`.
+//! Hash grids trained on few or one-sided views of meshes that are ray-traced here, with exact depth, and of lego, and
+//! models of lego that others trained, judged on held-out views all around. Writes the blocks of
+//! `experiments/depth.md`.
 
 #[path = "../common/mod.rs"]
 mod common;
@@ -13,6 +14,7 @@ mod joint;
 mod judge;
 mod parameters;
 mod pictures;
+mod pretrained;
 mod regression;
 mod scene;
 mod tables;
@@ -28,12 +30,10 @@ use common::work::Work;
 use judge::{LEVELS, Row, STRIDE, grid, measure, rays};
 use scene::{SIDE, Scene, Seen, TEST_VIEWS};
 
-const SEEDS: [u64; 2] = [0, 1];
+const SEEDS: [u64; 3] = [0, 1, 2];
 /// Steps of training, and those of models of greater strength.
 const STEPS: u64 = 1000;
 const STRONG: u64 = 6000;
-/// Scenes without a say that ensembles are trained on: the first so many.
-const WITH_ENSEMBLES: usize = 3;
 /// Models of an ensemble, the judged one among them.
 const ENSEMBLE: u64 = 10;
 
@@ -49,12 +49,13 @@ const BUNNY: (&str, Up) = ("stanford-bunny", Up::Y);
 const ARMADILLO: (&str, Up) = ("armadillo", Up::Y);
 const NEFERTITI: (&str, Up) = ("nefertiti", Up::Z);
 const KNOT: (&str, Up) = ("knot", Up::Z);
+const LEGO: (&str, Up) = ("lego", Up::Z);
 
 /// Scenes by which anything was chosen: the density of errors, and the default for ranking.
 const CHOOSING: [((&str, Up), Seen); 6] =
     [(SPOT, FEW), (SPOT, HALF), (ARMADILLO, FEW), (BUNNY, HALF), (NEFERTITI, FEW), (BUNNY, HOLE)];
 /// Scenes by which nothing was chosen.
-const TESTING: [((&str, Up), Seen); 8] = [
+const TESTING: [((&str, Up), Seen); 10] = [
     (BUNNY, FEW),
     (ARMADILLO, HALF),
     (NEFERTITI, HALF),
@@ -63,7 +64,11 @@ const TESTING: [((&str, Up), Seen); 8] = [
     (NEFERTITI, HOLE),
     (BUNNY, SIDE_ONLY),
     (SPOT, SIDE_ONLY),
+    (ARMADILLO, SIDE_ONLY),
+    (NEFERTITI, SIDE_ONLY),
 ];
+/// Lego has its own block: its depth maps have steps wider than many errors.
+const OF_LEGO: [((&str, Up), Seen); 4] = [(LEGO, FEW), (LEGO, HALF), (LEGO, HOLE), (LEGO, SIDE_ONLY)];
 
 /// Scenes that pictures are made of: those of meshes whose terms allow it.
 const PICTURED: [((&str, Up), Seen); 3] = [(SPOT, HALF), (BUNNY, HALF), (ARMADILLO, HALF)];
@@ -82,30 +87,35 @@ fn main() -> Result<()> {
             ("meshes", Needs::Data),
             ("ensembles", Needs::Data),
             ("strong", Needs::Data),
+            ("lego", Needs::Data),
+            ("pretrained", Needs::Data),
             ("correlations", Needs::Data),
         ],
     )?;
     program.part("built-in", |work| {
         let scenes = scenes(&[(KNOT, FEW), (KNOT, HALF)], STEPS);
         let rows = study(work, &scenes, &SEEDS, 1)?;
-        let text = [tables::coverage(&scenes, &rows), tables::beside(&rows, Baseline::RayVariance.name())];
+        let text = [
+            tables::coverage(&names(&scenes), &rows),
+            tables::beside(&rows, &meshes(&scenes), Baseline::RayVariance.name()),
+        ];
         Ok((settings(STEPS, &SEEDS), text.join("\n")))
     })?;
     program.part("pictures", |_| {
         let scene = scenes(&[(KNOT, FEW)], STRONG)[0];
-        Ok((settings(STRONG, &SEEDS[..1]), pictures::for_the_book(&scene)?))
+        Ok((settings_with(SIDE, 1, STRONG, &SEEDS[..1]), pictures::for_the_book(&scene)?))
     })?;
     program.part("views", |_| {
         let scenes = scenes(&PICTURED, STEPS);
-        Ok((settings(STEPS, &SEEDS[..1]), pictures::for_the_report(&scenes)?))
+        Ok((settings_with(SIDE, 1, STEPS, &SEEDS[..1]), pictures::for_the_report(&scenes)?))
     })?;
     program.part("meshes", |work| {
         let scenes = scenes(&[&CHOOSING[..], &TESTING].concat(), STEPS);
         let rows = study(work, &scenes, &SEEDS, 1)?;
         let (choosing, testing) = rows.split_at(CHOOSING.len());
         let text = [
-            tables::coverage(&scenes, &rows),
-            tables::ranking(choosing, testing),
+            tables::coverage(&names(&scenes), &rows),
+            tables::ranking(choosing, testing, &meshes(&scenes[CHOOSING.len()..])),
             tables::never_seen(testing),
             tables::joint(&scenes, &rows),
             tables::costs(&rows),
@@ -113,21 +123,35 @@ fn main() -> Result<()> {
         Ok((settings(STEPS, &SEEDS), text.join("\n")))
     })?;
     program.part("ensembles", |work| {
-        let scenes = scenes(&TESTING[..WITH_ENSEMBLES], STEPS);
+        let scenes = scenes(&TESTING, STEPS);
         let rows = study(work, &scenes, &SEEDS[..1], ENSEMBLE)?;
-        let text = [tables::beside(&rows, Baseline::EnsembleVariance.name()), tables::costs(&rows)];
+        let text = [tables::beside(&rows, &meshes(&scenes), Baseline::EnsembleVariance.name()), tables::costs(&rows)];
         Ok((settings(STEPS, &SEEDS[..1]), text.join("\n")))
     })?;
     program.part("strong", |work| {
         let scenes = scenes(&TESTING, STRONG);
         let rows = study(work, &scenes, &SEEDS[..1], 1)?;
         let text = [
-            tables::coverage(&scenes, &rows),
-            tables::beside(&rows, &format!("block {}, spread / sqrt(rays)", LEVELS[1])),
+            tables::coverage(&names(&scenes), &rows),
+            tables::beside(&rows, &meshes(&scenes), &default_ranking()),
             tables::never_seen(&rows),
             tables::costs(&rows),
         ];
         Ok((settings(STRONG, &SEEDS[..1]), text.join("\n")))
+    })?;
+    program.part("lego", |work| {
+        let scenes = scenes(&OF_LEGO, STEPS);
+        let rows = study(work, &scenes, &SEEDS, 1)?;
+        let ranking = tables::beside(&rows, &meshes(&scenes), &default_ranking());
+        let text = [tables::coverage(&names(&scenes), &rows), ranking];
+        Ok((settings_with(2 * SIDE, 2 * STRIDE, STEPS, &SEEDS), text.join("\n")))
+    })?;
+    program.part("pretrained", |work| {
+        let row = |name: &&str| Ok(vec![work.row(name, || pretrained::measure(name))?]);
+        let rows = pretrained::NAMES.iter().map(row).collect::<Result<Vec<_>>>()?;
+        let names = pretrained::NAMES.map(str::to_owned);
+        let ranking = tables::beside(&rows, &["lego"; pretrained::NAMES.len()], &default_ranking());
+        Ok((pretrained::settings(), [tables::coverage(&names, &rows), ranking, tables::costs(&rows)].join("\n")))
     })?;
     program.part("correlations", |work| {
         let mut rows = Vec::new();
@@ -156,10 +180,32 @@ fn study(work: &Work, scenes: &[Scene], seeds: &[u64], ensemble: u64) -> Result<
     Ok(all)
 }
 
+fn names(scenes: &[Scene]) -> Vec<String> {
+    scenes.iter().map(Scene::name).collect()
+}
+
+fn meshes(scenes: &[Scene]) -> Vec<&'static str> {
+    scenes.iter().map(|scene| scene.mesh).collect()
+}
+
+/// The measure that rendering ranks pixels by, unless told otherwise.
+fn default_ranking() -> String {
+    format!("block {}, spread / sqrt(rays)", LEVELS[1])
+}
+
 fn settings(steps: u64, of: &[u64]) -> String {
+    settings_with(SIDE, STRIDE, steps, of)
+}
+
+/// Which pixels of a view are compared, in words.
+#[must_use]
+pub fn compared(every: u32) -> String {
+    if every == 1 { "all pixels".into() } else { format!("one pixel in {every} along x and y") }
+}
+
+/// `every`: of the pixels of the held-out views, one in so many counts along x and y.
+fn settings_with(side: u32, every: u32, steps: u64, of: &[u64]) -> String {
     let described = describe(&rays(), &grid(), &[]);
-    format!(
-        "{SIDE} × {SIDE} pixels, {steps} steps; every {STRIDE}nd pixel of {TEST_VIEWS} held-out views. {described} {}",
-        seeds(of)
-    )
+    let (of, pixels) = (seeds(of), compared(every));
+    format!("{side} × {side} pixels, {steps} steps; {pixels} of {TEST_VIEWS} held-out views. {described} {of}")
 }

@@ -2,8 +2,6 @@
 
 use std::path::Path;
 
-use glam::DVec3;
-use octobayes::dataset::Views;
 use octobayes::estimate::{Estimation, RaySettings};
 use octobayes::evaluate::{EvaluatedView, Evaluator, Measure, Reading, TrueView};
 use octobayes::field::RadianceField;
@@ -14,7 +12,7 @@ use octobayes::posterior::{DataScale, Scale};
 use octobayes::{Error, Result};
 
 use crate::common::program::folder;
-use crate::judge::{grid, rays, truth_files};
+use crate::judge::{grid, rays};
 use crate::scene::Scene;
 
 /// Of the errors and deviations that the colour bar spans.
@@ -78,9 +76,7 @@ fn judge(scene: &Scene) -> Result<Judged> {
     };
     let deviation = evaluator.measures().iter().position(|m| *m == Measure::DepthDeviation(0)).expect("its deviation");
     let (mut truths, mut views) = (Vec::new(), Vec::new());
-    for frame in Views::read(&data.folder.join("transforms_test.json"), None)?.frames {
-        let offset = model.field.pixel_offset();
-        let truth = TrueView::read(&frame, Some(&truth_files(&data.folder)), DVec3::ONE, offset, 1)?;
+    for truth in data.held_out(model.field.pixel_offset(), 1)? {
         views.push(evaluator.evaluate(&truth, 0, &Silent)?);
         truths.push(truth);
     }

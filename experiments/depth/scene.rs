@@ -1,14 +1,14 @@
-//! A mesh, what a model saw of it, and the model.
+//! A mesh or lego, what a model saw of it, and the model.
 
 use std::path::{Path, PathBuf};
 
 use glam::{DVec3, Vec3};
-use octobayes::dataset::Views;
-use octobayes::evaluate::TrueView;
+use octobayes::dataset::{DepthEncoding, DepthKind, Views};
+use octobayes::evaluate::{DepthFiles, TrueView};
 use octobayes::field::HashGrid;
 use octobayes::geometry::{Camera, Domain, Ray};
 use octobayes::monitor::Silent;
-use octobayes::synth::{DatasetSettings, Mesh, MeshScene, Up, write_dataset};
+use octobayes::synth::{DEPTH_PNG_SCALE, DatasetSettings, Mesh, MeshScene, Up, write_dataset};
 use octobayes::train::{DatasetFiles, Selection, Shot, TrainSettings, Trainer, quality};
 use octobayes::{Error, Result};
 use serde::Serialize;
@@ -16,8 +16,10 @@ use serde::Serialize;
 use crate::common::knot::knot;
 use crate::common::program::Program;
 
-/// Side of the images, pixels.
+/// Side of the images of meshes, pixels.
 pub const SIDE: u32 = 200;
+/// Of lego's images, which have 400 pixels a side, every so many pixels count where all of a mesh's would.
+const LEGO_STRIDE: u32 = 2;
 /// Views around a mesh, of which a scene takes some.
 const VIEWS: u32 = 40;
 /// Held-out views all around.
@@ -40,7 +42,7 @@ pub enum Seen {
     Arc(f64, f64),
 }
 
-/// A mesh, which way up it stands, what was seen of it, and how long models of it are trained.
+/// A mesh or lego, which way up it stands, what was seen of it, and how long models of it are trained.
 #[derive(Clone, Copy)]
 pub struct Scene {
     pub mesh: &'static str,
@@ -85,16 +87,18 @@ impl Scene {
         Ok(Selection::Indices((0..frames.len()).filter(|&i| inside(&frames[i].camera)).collect()))
     }
 
-    /// Makes the images of the scene, below `folder`.
+    /// Reads lego's images, or makes those of a mesh, below `folder`.
     pub fn data(&self, folder: &Path) -> Result<Data> {
+        if self.mesh == "lego" {
+            return Data::lego(&self.selection(&lego()?)?, LEGO_STRIDE);
+        }
         let folder = folder.join("images");
         let file = self.images(&folder)?;
-        let mut files = DatasetFiles::read(&folder)?;
-        files.select(&self.selection(&folder)?, None)?;
-        let [shots, _] = files.load(&Silent)?;
         let mesh = MeshScene::new(Mesh::read(&file)?.placed(self.up).0);
-        let cameras = shots.iter().map(|shot| shot.camera).collect();
-        Ok(Data { domain: Domain::Box(files.bounds), shots, cameras, mesh, folder })
+        let encoding = DepthEncoding { offset: 0.0, scale: DEPTH_PNG_SCALE, kind: DepthKind::Euclidean };
+        let depth = DepthFiles { folder: folder.join("depth"), pattern: "{}.png".into(), encoding };
+        let data = Data::read(folder.clone(), &self.selection(&folder)?, depth, u16::MAX.into(), 1)?;
+        Ok(Data { mesh: Some(mesh), ..data })
     }
 
     /// Trains a model of the scene.
@@ -115,9 +119,16 @@ pub struct Data {
     shots: Vec<Shot>,
     /// Of the training images.
     pub cameras: Vec<Camera>,
-    mesh: MeshScene,
+    /// If the truth about visibility is known.
+    mesh: Option<MeshScene>,
     /// The data set.
     pub folder: PathBuf,
+    /// True depth of the held-out views.
+    depth: DepthFiles,
+    /// Distance between the values that a depth map can hold, scene units.
+    pub depth_step: f64,
+    /// Every so many pixels count where all pixels of a mesh's images would, along x and y.
+    stride: u32,
 }
 
 /// A trained model.
@@ -128,28 +139,70 @@ pub struct Model {
 }
 
 impl Data {
+    /// A selection of a data set's training images. `levels`: steps of its depth maps from black to white.
+    fn read(folder: PathBuf, selection: &Selection, depth: DepthFiles, levels: f64, stride: u32) -> Result<Self> {
+        let mut files = DatasetFiles::read(&folder)?;
+        files.select(selection, None)?;
+        let [shots, _] = files.load(&Silent)?;
+        let cameras = shots.iter().map(|shot| shot.camera).collect();
+        let (domain, depth_step) = (Domain::Box(files.bounds), depth.encoding.scale.abs() / levels);
+        Ok(Self { domain, shots, cameras, mesh: None, folder, depth, depth_step, stride })
+    }
+
+    /// Lego. Its depth maps have eight bits over eight scene units.
+    pub fn lego(selection: &Selection, stride: u32) -> Result<Self> {
+        let folder = lego()?;
+        let encoding = DepthEncoding { offset: 8.0, scale: -8.0, kind: DepthKind::Euclidean };
+        let depth = DepthFiles { folder: folder.join("test"), pattern: "{}_depth_0001.png".into(), encoding };
+        Self::read(folder, selection, depth, u8::MAX.into(), stride)
+    }
+
+    /// Every so many pixels of the held-out views, along x and y.
+    pub fn held_out(&self, pixel_offset: f64, stride: u32) -> Result<Vec<TrueView>> {
+        let frames = Views::read(&self.folder.join("transforms_test.json"), None)?.frames;
+        let every = frames.len().div_ceil(TEST_VIEWS as usize).max(1);
+        let stride = stride * self.stride;
+        let read = |frame| TrueView::read(frame, Some(&self.depth), DVec3::ONE, pixel_offset, stride);
+        frames.iter().step_by(every).map(read).collect()
+    }
+
+    /// The training cameras, as everything but training and rays looks through them.
+    pub fn strided_cameras(&self, pixel_offset: f64) -> Vec<Camera> {
+        self.cameras.iter().map(|camera| camera.strided(self.stride, pixel_offset)).collect()
+    }
+
     /// The training images, as the misfit looks at them.
     pub fn for_misfit(&self, pixel_offset: f64) -> Vec<TrueView> {
-        self.shots.iter().map(|shot| image(shot, pixel_offset, MISFIT_STRIDE, None)).collect()
+        self.images(pixel_offset, MISFIT_STRIDE, None)
     }
 
     /// The training images, as a regression looks at them: every pixel has a depth, which means nothing.
     pub fn for_regression(&self, pixel_offset: f64) -> Vec<TrueView> {
-        self.shots.iter().map(|shot| image(shot, pixel_offset, REGRESSION_STRIDE, Some(0.0))).collect()
+        self.images(pixel_offset, REGRESSION_STRIDE, Some(0.0))
     }
 
-    /// Whether a training camera saw this point of the true surface.
-    pub fn was_seen(&self, x: DVec3) -> bool {
-        self.cameras.iter().any(|camera| {
+    fn images(&self, pixel_offset: f64, stride: u32, depth: Option<f64>) -> Vec<TrueView> {
+        self.shots.iter().map(|shot| image(shot, pixel_offset, stride * self.stride, depth)).collect()
+    }
+
+    /// Whether it is known that no training camera saw this point of the true surface.
+    pub fn is_unseen(&self, x: DVec3) -> bool {
+        let is_seen = |mesh: &MeshScene, camera: &Camera| {
             let Some(([column, row], _)) = camera.project(x) else { return false };
             let [width, height] = camera.resolution.map(f64::from);
             let distance = x.distance(camera.position);
             let ray = Ray::new(camera.position, x - camera.position);
             (0.0..width).contains(&column)
                 && (0.0..height).contains(&row)
-                && self.mesh.nearest(&ray).is_none_or(|hit| hit.t > distance - NEAR)
-        })
+                && mesh.nearest(&ray).is_none_or(|hit| hit.t > distance - NEAR)
+        };
+        self.mesh.as_ref().is_some_and(|mesh| !self.cameras.iter().any(|camera| is_seen(mesh, camera)))
     }
+}
+
+/// The folder of lego's images.
+fn lego() -> Result<PathBuf> {
+    Ok(Program::data()?.join("nerf-lego-400"))
 }
 
 /// Every so many pixels of a training image, along x and y, with this depth.

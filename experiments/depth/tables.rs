@@ -1,9 +1,11 @@
 //! The tables of the report.
 
+use std::collections::BTreeMap;
+
 use octobayes::metrics::{ErrorDensity, PROBABILITIES};
 
 use crate::common::table::{Table, deviation, mean, spread};
-use crate::joint::{Joint, fit};
+use crate::joint::{Fit, Joint};
 use crate::judge::{Row, Scored};
 use crate::scene::Scene;
 
@@ -13,7 +15,7 @@ fn of(rows: &[&Row], value: impl Fn(&Row) -> f64) -> Vec<f64> {
 }
 
 /// Coverage of the intervals, by scene and over all.
-pub fn coverage(scenes: &[Scene], rows: &[Vec<Row>]) -> String {
+pub fn coverage(names: &[String], rows: &[Vec<Row>]) -> String {
     let mut table = Table::new(&[
         "scene",
         "PSNR, dB",
@@ -43,8 +45,8 @@ pub fn coverage(scenes: &[Scene], rows: &[Vec<Row>]) -> String {
             table.row(&cells);
         }
     };
-    for (scene, rows) in scenes.iter().zip(rows) {
-        add(&scene.name(), &rows.iter().collect::<Vec<_>>());
+    for (name, rows) in names.iter().zip(rows) {
+        add(name, &rows.iter().collect::<Vec<_>>());
     }
     add("all", &rows.iter().flatten().collect::<Vec<_>>());
     format!("### Coverage\n\n{}", table.text())
@@ -55,8 +57,8 @@ fn by_scene(rows: &[Vec<Row>], m: usize, value: impl Fn(&Scored) -> f64) -> Vec<
     rows.iter().map(|rows| mean(&rows.iter().map(|row| value(&row.scored[m])).collect::<Vec<_>>())).collect()
 }
 
-/// Every measure on the scenes by which the default was chosen, and on the others.
-pub fn ranking(choosing: &[Vec<Row>], testing: &[Vec<Row>]) -> String {
+/// Every measure on the scenes by which the default was chosen, and on the others, which are of these `meshes`.
+pub fn ranking(choosing: &[Vec<Row>], testing: &[Vec<Row>], meshes: &[&str]) -> String {
     let mut table = Table::new(&[
         "measure",
         "chosen on: MAE",
@@ -78,7 +80,7 @@ pub fn ranking(choosing: &[Vec<Row>], testing: &[Vec<Row>]) -> String {
         // The best of the chosen ones against this, pair by pair of the scenes tested on.
         let paired = |value: &dyn Fn(&Scored) -> f64| {
             let pairs = by_scene(testing, m, value).into_iter().zip(by_scene(testing, best, value));
-            interval(&pairs.map(|(other, best)| other - best).collect::<Vec<_>>())
+            interval(meshes, &pairs.map(|(other, best)| other - best).collect::<Vec<_>>())
         };
         table.row(&[
             testing[0][0].scored[m].name.clone(),
@@ -95,8 +97,8 @@ pub fn ranking(choosing: &[Vec<Row>], testing: &[Vec<Row>]) -> String {
     format!("### Ranking\n\n{}", table.text())
 }
 
-/// Every measure on these scenes, and each beside the one of this name.
-pub fn beside(rows: &[Vec<Row>], reference: &str) -> String {
+/// Every measure on scenes of these `meshes`, and each beside the one of this name.
+pub fn beside(rows: &[Vec<Row>], meshes: &[&str], reference: &str) -> String {
     let [mae, rmse] = ["MAE", "RMSE"].map(|kind| format!("less than {reference} ({kind})"));
     let mut table = Table::new(&["measure", "MAE", "RMSE", "rank correlation", "mean over views", &mae, &rmse]);
     let scored = &rows[0][0].scored;
@@ -108,7 +110,7 @@ pub fn beside(rows: &[Vec<Row>], reference: &str) -> String {
         let of = |value: &dyn Fn(&Scored) -> f64| format!("{:.3}", mean(&by_scene(rows, m, value)));
         let paired = |value: &dyn Fn(&Scored) -> f64| {
             let pairs = by_scene(rows, m, value).into_iter().zip(by_scene(rows, reference, value));
-            interval(&pairs.map(|(other, reference)| other - reference).collect::<Vec<_>>())
+            interval(meshes, &pairs.map(|(other, reference)| other - reference).collect::<Vec<_>>())
         };
         table.row(&[
             scored[m].name.clone(),
@@ -123,13 +125,19 @@ pub fn beside(rows: &[Vec<Row>], reference: &str) -> String {
     format!("### Ranking\n\n{}", table.text())
 }
 
-/// Mean of paired differences, and the interval that holds the mean of scenes like these with 95 %.
-fn interval(differences: &[f64]) -> String {
-    /// Two-sided quantiles of Student's t at 95 %, for 1, 2, … degrees of freedom.
-    const T: [f64; 15] = [12.71, 4.30, 3.18, 2.78, 2.57, 2.45, 2.36, 2.31, 2.26, 2.23, 2.20, 2.18, 2.16, 2.14, 2.13];
-    let n = differences.len();
-    let t = T[(n.max(2) - 2).min(T.len() - 1)];
-    let (middle, half) = (mean(differences), t * deviation(differences) / (n as f64).sqrt());
+/// Mean of paired differences, and the interval that holds the mean over meshes like these with 95 %; none for one
+/// mesh. Views of one mesh are no independent scenes: what is compared are means over them.
+fn interval(meshes: &[&str], differences: &[f64]) -> String {
+    /// Two-sided quantiles of Student's t at 95 %, for 1, 2, 3 and 4 degrees of freedom.
+    const T: [f64; 4] = [12.71, 4.30, 3.18, 2.78];
+    let mut by_mesh: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
+    for (mesh, difference) in meshes.iter().zip(differences) {
+        by_mesh.entry(mesh).or_default().push(*difference);
+    }
+    let means: Vec<f64> = by_mesh.values().map(|differences| mean(differences)).collect();
+    let middle = mean(&means);
+    let Some(t) = means.len().checked_sub(2).map(|freedom| T[freedom]) else { return format!("{middle:+.3}") };
+    let half = t * deviation(&means) / (means.len() as f64).sqrt();
     format!("{middle:+.3} ({:+.3} to {:+.3})", middle - half, middle + half)
 }
 
@@ -165,11 +173,12 @@ pub fn never_seen(rows: &[Vec<Row>]) -> String {
 pub fn joint(scenes: &[Scene], rows: &[Vec<Row>]) -> String {
     let mut table =
         Table::new(&["scene", "a²", "c", "50 %", "68 %", "90 %", "95 %", "NLL", "a = 1, c = 0", "best scale"]);
+    let fits: Vec<Vec<Fit>> = rows.iter().map(|rows| rows.iter().map(Fit::new).collect()).collect();
     let mut all: Vec<[f64; 7]> = Vec::new();
     for (scene, own) in scenes.iter().zip(rows) {
         // Not only this view of the mesh: every model of it is left out.
-        let others = scenes.iter().zip(rows).filter(|(other, _)| other.mesh != scene.mesh);
-        let fitted = fit(&others.flat_map(|(_, rows)| rows).collect::<Vec<_>>());
+        let others = scenes.iter().zip(&fits).filter(|(other, _)| other.mesh != scene.mesh);
+        let fitted = Fit::best(others.flat_map(|(_, fits)| fits));
         let of = |joint: Joint| own.iter().map(move |row| joint.calibration(row));
         let found: Vec<[f64; 7]> = of(fitted)
             .zip(of(Joint { factor: 1.0, length: 0.0 }))
