@@ -19,15 +19,16 @@ pub struct Joint {
 }
 
 impl Joint {
-    fn deviation(self, pixel: &Kept) -> f64 {
+    fn variance(self, pixel: &Kept) -> f64 {
         let [posterior, weights, misfit] = [pixel.posterior, pixel.weights, pixel.misfit].map(f64::from);
-        (self.factor * posterior + weights + (self.length * misfit).powi(2)).sqrt()
+        self.factor * posterior + weights + (self.length * misfit).powi(2)
     }
 
-    /// How well the kept pixels of a model are calibrated by these constants.
-    pub fn calibration(self, row: &Row) -> Calibration {
+    /// How well the kept pixels of a model are calibrated by these constants. `truth` is the variance of the depth maps
+    /// themselves, squared scene units.
+    pub fn calibration(self, row: &Row, truth: f64) -> Calibration {
         let errors: Vec<f64> = row.kept.iter().map(|pixel| f64::from(pixel.error)).collect();
-        let deviations: Vec<f64> = row.kept.iter().map(|pixel| self.deviation(pixel)).collect();
+        let deviations: Vec<f64> = row.kept.iter().map(|pixel| (self.variance(pixel) + truth).sqrt()).collect();
         Calibration::new(&errors, &deviations).expect("finite deviations above zero")
     }
 
@@ -42,7 +43,7 @@ pub struct Fit(Vec<f64>);
 
 impl Fit {
     pub fn new(row: &Row) -> Self {
-        Self(Joint::all().map(|joint| joint.calibration(row).of(ErrorDensity::PREDICTIVE).nll).collect())
+        Self(Joint::all().map(|joint| joint.calibration(row, 0.0).of(ErrorDensity::PREDICTIVE).nll).collect())
     }
 
     /// The constants of least mean over some models.

@@ -118,6 +118,7 @@ fn main() -> Result<()> {
             tables::ranking(choosing, testing, &meshes(&scenes[CHOOSING.len()..])),
             tables::never_seen(testing),
             tables::joint(&scenes, &rows),
+            tables::lengths(&rows, 0.0),
             tables::costs(&rows),
         ];
         Ok((settings(STEPS, &SEEDS), text.join("\n")))
@@ -143,7 +144,8 @@ fn main() -> Result<()> {
         let scenes = scenes(&OF_LEGO, STEPS);
         let rows = study(work, &scenes, &SEEDS, 1)?;
         let ranking = tables::beside(&rows, &meshes(&scenes), &default_ranking());
-        let text = [tables::coverage(&names(&scenes), &rows), ranking];
+        let truth = scene::LEGO_STEP.powi(2) / 12.0;
+        let text = [tables::coverage(&names(&scenes), &rows), ranking, tables::lengths(&rows, truth)];
         Ok((settings_with(2 * SIDE, 2 * STRIDE, STEPS, &SEEDS), text.join("\n")))
     })?;
     program.part("pretrained", |work| {

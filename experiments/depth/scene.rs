@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use glam::{DVec3, Vec3};
-use octobayes::dataset::{DepthEncoding, DepthKind, Views};
+use octobayes::dataset::{DepthEncoding, DepthKind, Frame, Views};
 use octobayes::evaluate::{DepthFiles, TrueView};
 use octobayes::field::HashGrid;
 use octobayes::geometry::{Camera, Domain, Ray};
@@ -30,6 +30,10 @@ const PIXELS: usize = 20_000;
 const MISFIT_STRIDE: u32 = 2;
 /// Every so many pixels of the training images count for the regression, along x and y.
 const REGRESSION_STRIDE: u32 = 4;
+/// Distance between the values of lego's depth maps, scene units.
+pub const LEGO_STEP: f64 = 8.0 / 255.0;
+/// Neighbouring depths that differ by more steps of the map than this straddle an edge.
+const EDGE: f64 = 2.5;
 /// A camera sees a point if nothing stands this much nearer on the way, scene units.
 const NEAR: f64 = 1e-3;
 
@@ -127,6 +131,8 @@ pub struct Data {
     depth: DepthFiles,
     /// Distance between the values that a depth map can hold, scene units.
     pub depth_step: f64,
+    /// Pixels whose neighbours' depth differs by more than this have none, scene units: the maps are means over them.
+    edge: Option<f64>,
     /// Every so many pixels count where all pixels of a mesh's images would, along x and y.
     stride: u32,
 }
@@ -146,15 +152,16 @@ impl Data {
         let [shots, _] = files.load(&Silent)?;
         let cameras = shots.iter().map(|shot| shot.camera).collect();
         let (domain, depth_step) = (Domain::Box(files.bounds), depth.encoding.scale.abs() / levels);
-        Ok(Self { domain, shots, cameras, mesh: None, folder, depth, depth_step, stride })
+        Ok(Self { domain, shots, cameras, mesh: None, folder, depth, depth_step, edge: None, stride })
     }
 
-    /// Lego. Its depth maps have eight bits over eight scene units.
+    /// Lego. Its depth maps have eight bits over eight scene units, and are means over four pixels of larger ones.
     pub fn lego(selection: &Selection, stride: u32) -> Result<Self> {
         let folder = lego()?;
         let encoding = DepthEncoding { offset: 8.0, scale: -8.0, kind: DepthKind::Euclidean };
         let depth = DepthFiles { folder: folder.join("test"), pattern: "{}_depth_0001.png".into(), encoding };
-        Self::read(folder, selection, depth, u8::MAX.into(), stride)
+        let data = Self::read(folder, selection, depth, u8::MAX.into(), stride)?;
+        Ok(Self { edge: Some(EDGE * data.depth_step), ..data })
     }
 
     /// Every so many pixels of the held-out views, along x and y.
@@ -162,7 +169,19 @@ impl Data {
         let frames = Views::read(&self.folder.join("transforms_test.json"), None)?.frames;
         let every = frames.len().div_ceil(TEST_VIEWS as usize).max(1);
         let stride = stride * self.stride;
-        let read = |frame| TrueView::read(frame, Some(&self.depth), DVec3::ONE, pixel_offset, stride);
+        let read = |frame: &Frame| {
+            let read = |stride| TrueView::read(frame, Some(&self.depth), DVec3::ONE, pixel_offset, stride);
+            let mut view = read(stride)?;
+            if let Some(edge) = self.edge {
+                let whole = read(1)?;
+                let [width, _] = view.camera.resolution;
+                for (i, distance) in (0..).zip(&mut view.distance) {
+                    *distance =
+                        distance.filter(|_| !is_beside_edge(&whole, [i % width, i / width].map(|n| n * stride), edge));
+                }
+            }
+            Ok(view)
+        };
         frames.iter().step_by(every).map(read).collect()
     }
 
@@ -198,6 +217,17 @@ impl Data {
         };
         self.mesh.as_ref().is_some_and(|mesh| !self.cameras.iter().any(|camera| is_seen(mesh, camera)))
     }
+}
+
+/// Whether a pixel of a view has neighbours of unknown depth, or of depths farther apart than `edge`.
+fn is_beside_edge(view: &TrueView, [x, y]: [u32; 2], edge: f64) -> bool {
+    let [width, height] = view.camera.resolution;
+    let around = |n: u32, most: u32| n.saturating_sub(1)..=(n + 1).min(most - 1);
+    let pixels = around(y, height).flat_map(|row| around(x, width).map(move |column| row * width + column));
+    let depths: Option<Vec<f64>> = pixels.map(|i| view.distance[i as usize]).collect();
+    let Some(depths) = depths else { return true };
+    let [low, high] = [f64::min, f64::max].map(|either| depths.iter().copied().reduce(either).unwrap_or(0.0));
+    high - low > edge
 }
 
 /// The folder of lego's images.

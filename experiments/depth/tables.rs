@@ -179,7 +179,7 @@ pub fn joint(scenes: &[Scene], rows: &[Vec<Row>]) -> String {
         // Not only this view of the mesh: every model of it is left out.
         let others = scenes.iter().zip(&fits).filter(|(other, _)| other.mesh != scene.mesh);
         let fitted = Fit::best(others.flat_map(|(_, fits)| fits));
-        let of = |joint: Joint| own.iter().map(move |row| joint.calibration(row));
+        let of = |joint: Joint| own.iter().map(move |row| joint.calibration(row, 0.0));
         let found: Vec<[f64; 7]> = of(fitted)
             .zip(of(Joint { factor: 1.0, length: 0.0 }))
             .map(|(joint, plain)| {
@@ -199,6 +199,33 @@ pub fn joint(scenes: &[Scene], rows: &[Vec<Row>]) -> String {
     cells.extend(numbers(&means));
     table.row(&cells);
     format!("### With the misfit of the training images\n\n{}", table.text())
+}
+
+/// The joint variance with a² = 1 and several c: means over scenes, and the shares on the scenes that hold least and most.
+/// `truth` is the variance of the depth maps themselves, squared scene units.
+pub fn lengths(rows: &[Vec<Row>], truth: f64) -> String {
+    let mut table = Table::new(&["c", "50 %", "68 %", "90 %", "95 %", "NLL"]);
+    for length in [0.0, 0.05, 0.1, 0.15, 0.2, 0.3] {
+        let of = |row: &Row| {
+            let calibration = Joint { factor: 1.0, length }.calibration(row, truth);
+            let found = calibration.of(ErrorDensity::PREDICTIVE);
+            let [a, b, c, d] = found.coverage.map(|[_, share]| 100.0 * share);
+            [a, b, c, d, found.nll]
+        };
+        let scenes: Vec<Vec<[f64; 5]>> = rows.iter().map(|rows| rows.iter().map(of).collect()).collect();
+        let column = |k: usize| -> Vec<f64> {
+            scenes.iter().map(|rows| mean(&rows.iter().map(|row| row[k]).collect::<Vec<_>>())).collect()
+        };
+        let mut cells = vec![format!("{length}")];
+        cells.extend((0..4).map(|k| {
+            let found = column(k);
+            let [low, high] = [f64::min, f64::max].map(|either| found.iter().copied().reduce(either).unwrap_or(0.0));
+            format!("{:.1} ({low:.1} to {high:.1})", mean(&found))
+        }));
+        cells.push(format!("{:.3}", mean(&column(4))));
+        table.row(&cells);
+    }
+    format!("### By the weight of the misfit\n\n{}", table.text())
 }
 
 fn numbers(row: &[f64; 7]) -> impl Iterator<Item = String> {
