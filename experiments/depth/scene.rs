@@ -101,7 +101,8 @@ impl Scene {
         let mesh = MeshScene::new(Mesh::read(&file)?.placed(self.up).0);
         let encoding = DepthEncoding { offset: 0.0, scale: DEPTH_PNG_SCALE, kind: DepthKind::Euclidean };
         let depth = DepthFiles { folder: folder.join("depth"), pattern: "{}.png".into(), encoding };
-        let data = Data::read(folder.clone(), &self.selection(&folder)?, depth, u16::MAX.into(), 1)?;
+        let step = DEPTH_PNG_SCALE / f64::from(u16::MAX);
+        let data = Data::read(folder.clone(), &self.selection(&folder)?, depth, step, 1)?;
         Ok(Data { mesh: Some(mesh), ..data })
     }
 
@@ -145,13 +146,13 @@ pub struct Model {
 }
 
 impl Data {
-    /// A selection of a data set's training images. `levels`: steps of its depth maps from black to white.
-    fn read(folder: PathBuf, selection: &Selection, depth: DepthFiles, levels: f64, stride: u32) -> Result<Self> {
+    /// A selection of a data set's training images.
+    fn read(folder: PathBuf, selection: &Selection, depth: DepthFiles, depth_step: f64, stride: u32) -> Result<Self> {
         let mut files = DatasetFiles::read(&folder)?;
         files.select(selection, None)?;
         let [shots, _] = files.load(&Silent)?;
         let cameras = shots.iter().map(|shot| shot.camera).collect();
-        let (domain, depth_step) = (Domain::Box(files.bounds), depth.encoding.scale.abs() / levels);
+        let domain = Domain::Box(files.bounds);
         Ok(Self { domain, shots, cameras, mesh: None, folder, depth, depth_step, edge: None, stride })
     }
 
@@ -160,8 +161,8 @@ impl Data {
         let folder = lego()?;
         let encoding = DepthEncoding { offset: 8.0, scale: -8.0, kind: DepthKind::Euclidean };
         let depth = DepthFiles { folder: folder.join("test"), pattern: "{}_depth_0001.png".into(), encoding };
-        let data = Self::read(folder, selection, depth, u8::MAX.into(), stride)?;
-        Ok(Self { edge: Some(EDGE * data.depth_step), ..data })
+        let data = Self::read(folder, selection, depth, LEGO_STEP, stride)?;
+        Ok(Self { edge: Some(EDGE * LEGO_STEP), ..data })
     }
 
     /// Every so many pixels of the held-out views, along x and y.

@@ -307,13 +307,13 @@ impl FieldBuilder {
 
     /// Computes the field from the rays so far.
     #[must_use]
-    pub fn finish(mut self, provenance: &Provenance) -> UncertaintyField {
-        let octree = self.octree(provenance);
-        self.finish_on(octree, provenance)
+    pub fn finish(self, provenance: &Provenance) -> UncertaintyField {
+        self.finish_on(None, provenance)
     }
 
-    /// [`FieldBuilder::finish`] with the [octree](FieldBuilder::octree) that was made for it.
-    pub(super) fn finish_on(self, octree: Option<Octree>, provenance: &Provenance) -> UncertaintyField {
+    /// [`FieldBuilder::finish`] with the [octree](FieldBuilder::octree) that was `made` for it, if it was.
+    pub(super) fn finish_on(mut self, made: Option<Octree>, provenance: &Provenance) -> UncertaintyField {
+        let octree = made.or_else(|| self.octree(provenance));
         let protocol = self.protocol(provenance);
         let Self { settings, lattice, posterior, surface, visits, wanted, .. } = self;
         drop(wanted);

@@ -1,4 +1,4 @@
-//! The limits of a run's memory: its plan, and what becomes of it when the first rays took more or less.
+//! The limits of a run's memory: its plan, and what becomes of it when rays or field take more or less.
 
 use super::{Plan, Planner, Summed};
 

@@ -304,13 +304,11 @@ impl<'a> Run<'a> {
         Provenance { source: self.estimation.source.clone(), progress, shard, stream: Some(&self.stream) }
     }
 
-    fn outcome(&self, mut builder: FieldBuilder, drawn: Drawn, shard: Option<Shard>) -> Outcome {
+    fn outcome(&self, builder: FieldBuilder, drawn: Drawn, shard: Option<Shard>) -> Outcome {
         let Drawn { progress, summing, octree } = drawn;
         let sums_bytes = builder.memory();
         let start = Instant::now();
-        let provenance = self.provenance(progress, shard);
-        let octree = octree.or_else(|| builder.octree(&provenance));
-        let field = builder.finish_on(octree, &provenance);
+        let field = builder.finish_on(octree, &self.provenance(progress, shard));
         Outcome { sums_bytes, ..self.outcome_of(field, progress, summing + start.elapsed()) }
     }
 

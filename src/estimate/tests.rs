@@ -181,23 +181,27 @@ fn the_finest_level_of_all_works_and_says_the_same_as_a_scan_of_its_samples() {
     assert!(seen.count() > 40, "of {}", found.surface().len());
 }
 
+/// A run with a plan, which its rays limit, and without a budget.
+fn limited_by_rays<'a>(field: &'a ClosedForm, cameras: &'a [Camera]) -> Run<'a> {
+    let criteria = [crate::posterior::Criterion::RayCount].into_iter().collect();
+    let grid = GridSettings { level: 8, criteria, min_rays: 0.25, surface_points: 0, ..GridSettings::default() };
+    Estimation::new(field, cameras).rays(settings(20_000)).grid(grid).prepare().unwrap()
+}
+
 /// A budget that the plan meets and the run exceeds. The outcome must be that of a run with the
 /// coarser plan from its first ray.
 #[test]
 fn a_run_that_starts_again_ends_as_if_it_had_been_planned_so() {
-    let field = ClosedForm::courtyard();
-    let cameras = ClosedForm::half_circle(6, [64, 64]);
-    let criteria = [crate::posterior::Criterion::RayCount].into_iter().collect();
-    let grid = GridSettings { level: 8, criteria, min_rays: 0.25, surface_points: 0, ..GridSettings::default() };
-    let estimation = |grid| Estimation::new(&field, &cameras).rays(settings(20_000)).grid(grid);
+    let (field, cameras) = (ClosedForm::courtyard(), ClosedForm::half_circle(6, [64, 64]));
+    let prepared = || limited_by_rays(&field, &cameras);
     // Planned without a budget, then run with one that the sums exceed.
-    let mut run = estimation(grid).prepare().unwrap();
+    let mut run = prepared();
     run.limits.bound_without_process(40_000_000);
     let again = run.finish().unwrap();
     assert!(again.is_replanned && again.progress.rays == 20_000);
     let plan = again.plan.unwrap();
     assert!(plan.rays_per_vertex > 0.25 && again.sums_bytes <= 40_000_000);
-    let mut planned = estimation(grid).prepare().unwrap();
+    let mut planned = prepared();
     planned.limits.set_plan(plan);
     let planned = planned.finish().unwrap();
     assert!(!planned.is_replanned && planned.field == again.field);
@@ -207,11 +211,8 @@ fn a_run_that_starts_again_ends_as_if_it_had_been_planned_so() {
 /// must be seen before the field is made.
 #[test]
 fn a_field_of_more_vertices_than_planned_is_not_made() {
-    let field = ClosedForm::courtyard();
-    let cameras = ClosedForm::half_circle(6, [64, 64]);
-    let criteria = [crate::posterior::Criterion::RayCount].into_iter().collect();
-    let grid = GridSettings { level: 8, criteria, min_rays: 0.25, surface_points: 0, ..GridSettings::default() };
-    let prepared = || Estimation::new(&field, &cameras).rays(settings(20_000)).grid(grid).prepare().unwrap();
+    let (field, cameras) = (ClosedForm::courtyard(), ClosedForm::half_circle(6, [64, 64]));
+    let prepared = || limited_by_rays(&field, &cameras);
     let (plain, plan) = (prepared().finish().unwrap(), prepared().forecast().unwrap());
     let per_vertex = plan.finishing / plan.vertices;
     let peak = |outcome: &Outcome| outcome.sums_bytes as f64 + per_vertex * outcome.field.deviations().len() as f64;

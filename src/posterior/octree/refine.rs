@@ -32,20 +32,12 @@ impl Refinement {
 }
 
 impl OctreePosterior {
-    /// Builds the octree, and returns it with the sums at its vertices in the order of their ids.
+    /// Builds the octree.
     ///
     /// Around every vertex selected by `refinement`, its leaves are as fine as those of the sums. A floor of 0
     /// keeps every vertex that any ray moved. At vertices surrounded by leaves at their own limit, the sums are
     /// exact; on the finest lattice they equal those of the dense grid. At all other vertices the information is
     /// negligible with respect to the floor.
-    #[must_use]
-    pub fn into_octree(self, refinement: &Refinement) -> (Octree, Vec<VertexSums>) {
-        let octree = self.octree(refinement);
-        let sums = self.sums_at(&octree);
-        (octree, sums)
-    }
-
-    /// The octree of [`OctreePosterior::into_octree`] alone.
     #[must_use]
     pub fn octree(&self, refinement: &Refinement) -> Octree {
         let finest = self.lattice.level();

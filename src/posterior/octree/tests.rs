@@ -40,6 +40,13 @@ fn lattice(level: u8) -> Lattice {
     Lattice::new(Aabb::centered_cube(1.0), level).unwrap()
 }
 
+/// The octree, and the sums at its vertices in the order of their ids.
+fn with_sums(posterior: &OctreePosterior, refinement: &Refinement) -> (Octree, Vec<VertexSums>) {
+    let octree = posterior.octree(refinement);
+    let sums = posterior.sums_at(&octree);
+    (octree, sums)
+}
+
 fn refinement(floor: f64) -> Refinement {
     Refinement { floor: Some(floor), pooling: Pooling { min_rays: 0.0, floor }, wanted: Vec::new() }
 }
@@ -95,7 +102,7 @@ proptest! {
         let mut octree = OctreePosterior::new(lattice(level));
         dense.add(std::slice::from_ref(&samples));
         octree.add(&[samples]);
-        let (octree, sums) = octree.into_octree(&refinement(negligible_information(tolerance, rays, lambda)));
+        let (octree, sums) = with_sums(&octree, &refinement(negligible_information(tolerance, rays, lambda)));
         prop_assert!(octree.validate().is_ok());
         prop_assert_eq!(sums.len(), octree.vertex_count());
 
@@ -172,7 +179,7 @@ proptest! {
         let total: u64 = posterior.touched().map(|(_, e)| u64::from(e.rays)).sum();
         prop_assert_eq!(seen, total);
         // Next to leaves coarser than the limits, nothing is lost.
-        let (coarse, sums) = posterior.into_octree(&refinement(0.0));
+        let (coarse, sums) = with_sums(&posterior, &refinement(0.0));
         for (point, sum) in coarse.vertex_positions().zip(&sums) {
             let as_limited = |cell| coarse.cells().leaf(cell) == limits.leaf(cell);
             prop_assert!(cells_around(point, 6).all(as_limited) || trace(&sum.information) == 0.0, "{:?}", point);
@@ -194,8 +201,7 @@ proptest! {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             let mut posterior = OctreePosterior::new(lattice(4));
             pool.install(|| posterior.add(batches));
-            let (octree, sums) = pool.install(|| posterior.into_octree(&refinement(negligible_information(0.01, 500, 1e-6))));
-            (octree, sums)
+            pool.install(|| with_sums(&posterior, &refinement(negligible_information(0.01, 500, 1e-6))))
         };
         prop_assert_eq!(run(&[samples], 1), run(&parts, 2));
     }
