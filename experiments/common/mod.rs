@@ -13,6 +13,7 @@
 
 pub mod clock;
 pub mod index;
+pub mod kitchen;
 pub mod knot;
 pub mod program;
 pub mod ranking;

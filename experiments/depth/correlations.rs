@@ -8,7 +8,8 @@ use octobayes::field::RadianceField;
 use octobayes::metrics::{Calibration, ErrorKind, PROBABILITIES, quantile, sparsification};
 use octobayes::monitor::Silent;
 use octobayes::posterior::{Covariance, DataScale, Draws, FullPosterior, Posterior, Scale};
-use octobayes::render::{DepthProbe, DepthVariance, render_view_with_depth};
+use octobayes::render::{DepthProbe, DepthVariance, Probe, RayAverage, render_view_with_depth};
+use octobayes::uncertainty::UncertaintyField;
 use octobayes::{Error, Result};
 use serde::{Deserialize, Serialize};
 
@@ -16,7 +17,7 @@ use crate::common::clock::Clock;
 use crate::common::settings::describe;
 use crate::common::table::{Table, mean, whole};
 use crate::judge::{grid, rays};
-use crate::scene::Scene;
+use crate::scene::{Data, Scene};
 
 pub const LEVELS: [u8; 3] = [4, 5, 6];
 /// Every row of J is kept.
@@ -32,6 +33,8 @@ struct Judged {
     /// AUSE of √Var by MAE and RMSE, and of √(Var + s²).
     alone: [f64; 2],
     whole: [f64; 2],
+    /// AUSE of the geometric mean of √Var and the blocks' U s.
+    mixed: [f64; 2],
     /// Shares of errors within the intervals of √(Var + s²).
     held: [f64; PROBABILITIES.len()],
     nll: f64,
@@ -50,6 +53,8 @@ pub struct Row {
     /// Iterations of conjugate gradients; none if the inverse was exact.
     iterations: Option<usize>,
     judged: Vec<Judged>,
+    /// AUSE of the blocks' U s by MAE and RMSE.
+    spread: [f64; 2],
     /// Processor seconds of the rays, and of the full posterior.
     seconds: [f64; 2],
 }
@@ -107,7 +112,7 @@ pub fn measure(scene: &Scene, level: u8) -> Result<Row> {
     let diagonal = field.clone().with_covariance(Covariance::Diagonal)?;
     let posteriors = [diagonal.depth_posterior()?, field.depth_posterior()?];
     let variances: [&dyn DepthVariance; 3] = [&posteriors[0], &posteriors[1], whole.variance()];
-    let Depths { errors, variances, deviations } = depths(&data, &model.field, &field, &variances)?;
+    let depths = Depths::of(&data, &model.field, &field, &variances)?;
     let points = full.points();
     let of_full: Vec<f64> = points.iter().map(|&point| whole.deviation(point).log10()).collect();
     let lost = |own: &dyn Fn(usize) -> f64| {
@@ -117,10 +122,12 @@ pub fn measure(scene: &Scene, level: u8) -> Result<Row> {
     };
     let at = |i: usize| lattice.position(DVec3::from(points[i].map(f64::from))).as_vec3();
     let lost = [lost(&|i| diagonal.log10(at(i))), lost(&|i| field.log10(at(i))), [0.0; 3]];
-    let judged = (0..NAMES.len()).map(|p| judge(&errors, &variances[p], &deviations[p], lost[p]));
-    let judged = judged.collect::<Option<Vec<_>>>();
-    let judged = judged.ok_or_else(|| Error::malformed(&data.folder, "views", "errors of depth", "none"))?;
-    Ok(Row { scene: scene.name(), level, vertices: full.vertices(), iterations, judged, seconds })
+    let judged: Option<Vec<_>> = (0..NAMES.len()).map(|p| depths.judge(p, lost[p])).collect();
+    let (spread, vertices) = (depths.areas(&depths.spread), full.vertices());
+    let (Some(judged), Some(spread)) = (judged, spread) else {
+        return Err(Error::malformed(&data.folder, "views", "errors of depth", "none"));
+    };
+    Ok(Row { scene: scene.name(), level, vertices, iterations, judged, spread, seconds })
 }
 
 /// Of the pixels that show matter: errors of depth, and by each posterior Var and √(Var + s²).
@@ -129,52 +136,65 @@ struct Depths {
     errors: Vec<f64>,
     variances: [Vec<f64>; NAMES.len()],
     deviations: [Vec<f64>; NAMES.len()],
+    /// log10 of the blocks' U s.
+    spread: Vec<f64>,
 }
 
-fn depths(
-    data: &crate::scene::Data,
-    model: &dyn RadianceField,
-    field: &octobayes::uncertainty::UncertaintyField,
-    posteriors: &[&dyn DepthVariance; 3],
-) -> Result<Depths> {
-    let settings = RaySettings::for_images();
-    let tracer = settings.tracer(model, 0.0, &Silent)?;
-    let probe =
-        DepthProbe { differentiation: settings.differentiation(model, field.lattice())?, variances: posteriors };
-    let mut found = Depths::default();
-    let offset = model.pixel_offset();
-    for truth in data.held_out(offset, STRIDE)? {
-        let view = render_view_with_depth(&tracer, &truth.camera, offset, &[], &probe, &Silent)?;
-        for (i, pixel) in view.pixels.iter().enumerate().filter(|(_, pixel)| pixel.opacity > 0.0) {
-            let Some(distance) = truth.distance[i] else { continue };
-            if view.posterior_variance.iter().any(|variance| variance[i].is_nan()) {
-                continue;
-            }
-            found.errors.push((pixel.median_depth - distance).abs());
-            for p in 0..NAMES.len() {
-                found.variances[p].push(view.posterior_variance[p][i]);
-                found.deviations[p].push(view.depth_deviation[p][i]);
+impl Depths {
+    fn of(
+        data: &Data,
+        model: &dyn RadianceField,
+        field: &UncertaintyField,
+        posteriors: &[&dyn DepthVariance; NAMES.len()],
+    ) -> Result<Self> {
+        let settings = RaySettings::for_images();
+        let tracer = settings.tracer(model, 0.0, &Silent)?;
+        let spread = [Probe { field, averages: &[RayAverage::Spread] }];
+        let probe =
+            DepthProbe { differentiation: settings.differentiation(model, field.lattice())?, variances: posteriors };
+        let mut found = Self::default();
+        let offset = model.pixel_offset();
+        for truth in data.held_out(offset, STRIDE)? {
+            let view = render_view_with_depth(&tracer, &truth.camera, offset, &spread, &probe, &Silent)?;
+            for (i, pixel) in view.pixels.iter().enumerate().filter(|(_, pixel)| pixel.opacity > 0.0) {
+                let Some(distance) = truth.distance[i] else { continue };
+                if view.posterior_variance.iter().any(|variance| variance[i].is_nan()) {
+                    continue;
+                }
+                found.errors.push((pixel.median_depth - distance).abs());
+                found.spread.push(view.log10_uncertainty[0][i]);
+                for p in 0..NAMES.len() {
+                    found.variances[p].push(view.posterior_variance[p][i]);
+                    found.deviations[p].push(view.depth_deviation[p][i]);
+                }
             }
         }
+        Ok(found)
     }
-    Ok(found)
-}
 
-fn judge(errors: &[f64], variances: &[f64], deviations: &[f64], lost: [f64; 3]) -> Option<Judged> {
-    let area = |values: &[f64], kind| sparsification(values, errors, kind).map(|found| found.area);
-    let both = |values| Some([area(values, ErrorKind::Mae)?, area(values, ErrorKind::Rmse)?]);
-    let calibration = Calibration::new(errors, deviations)?;
-    let predictive = calibration.predictive();
-    let mut sorted = variances.to_vec();
-    sorted.sort_unstable_by(f64::total_cmp);
-    Some(Judged {
-        alone: both(variances)?,
-        whole: both(deviations)?,
-        held: predictive.coverage.map(|[_, share]| share),
-        nll: predictive.nll,
-        lost,
-        deviation: quantile(&sorted, 0.5).sqrt(),
-    })
+    /// AUSE of a measure by MAE and RMSE.
+    fn areas(&self, values: &[f64]) -> Option<[f64; 2]> {
+        let area = |kind| sparsification(values, &self.errors, kind).map(|found| found.area);
+        Some([area(ErrorKind::Mae)?, area(ErrorKind::Rmse)?])
+    }
+
+    fn judge(&self, p: usize, lost: [f64; 3]) -> Option<Judged> {
+        let variances = &self.variances[p];
+        let calibration = Calibration::new(&self.errors, &self.deviations[p])?;
+        let predictive = calibration.predictive();
+        let mixed = variances.iter().zip(&self.spread).map(|(variance, spread)| 0.5 * variance.log10() + spread);
+        let mut sorted = variances.clone();
+        sorted.sort_unstable_by(f64::total_cmp);
+        Some(Judged {
+            alone: self.areas(variances)?,
+            whole: self.areas(&self.deviations[p])?,
+            mixed: self.areas(&mixed.collect::<Vec<_>>())?,
+            held: predictive.coverage.map(|[_, share]| share),
+            nll: predictive.nll,
+            lost,
+            deviation: quantile(&sorted, 0.5).sqrt(),
+        })
+    }
 }
 
 pub fn settings() -> String {
@@ -186,6 +206,7 @@ pub fn settings() -> String {
 }
 
 pub fn table(rows: &[Row]) -> String {
+    let area = |area: &f64| format!("{area:.3}");
     let mut table = Table::new(&[
         "scene",
         "level",
@@ -196,6 +217,10 @@ pub fn table(rows: &[Row]) -> String {
         "AUSE of √Var: MAE",
         "RMSE",
         "of √(Var + s²): MAE",
+        "RMSE",
+        "of its geometric mean with U s: MAE",
+        "RMSE",
+        "of U s: MAE",
         "RMSE",
         "68 %",
         "90 %",
@@ -217,7 +242,8 @@ pub fn table(rows: &[Row]) -> String {
             let mut cells =
                 vec![first(row.scene.clone()), first(row.level.to_string()), first(whole(row.vertices as f64))];
             cells.extend([how, lost, format!("{:.4}", judged.deviation)]);
-            cells.extend(judged.alone.iter().chain(&judged.whole).map(|area| format!("{area:.3}")));
+            cells.extend([judged.alone, judged.whole, judged.mixed].as_flattened().iter().map(area));
+            cells.extend(row.spread.iter().map(|spread| first(area(spread))));
             cells.extend(judged.held[1..].iter().map(|held| format!("{:.1}", 100.0 * held)));
             cells.push(format!("{:.2}", judged.nll));
             cells.extend(row.seconds.map(|seconds| first(format!("{seconds:.0}"))));
@@ -234,11 +260,12 @@ pub fn table(rows: &[Row]) -> String {
             cells.extend([
                 if p == 2 { String::new() } else { format!("{:.2}", of(&|j| j.lost[0])) },
                 format!("{:.4}", of(&|j| j.deviation)),
-                format!("{:.3}", of(&|j| j.alone[0])),
-                format!("{:.3}", of(&|j| j.alone[1])),
-                format!("{:.3}", of(&|j| j.whole[0])),
-                format!("{:.3}", of(&|j| j.whole[1])),
             ]);
+            for of_kind in [|j: &Judged| j.alone, |j: &Judged| j.whole, |j: &Judged| j.mixed] {
+                cells.extend((0..2).map(|k| area(&of(&|j| of_kind(j)[k]))));
+            }
+            let here = || rows.iter().filter(|row| row.level == level);
+            cells.extend((0..2).map(|k| first(area(&mean(&here().map(|row| row.spread[k]).collect::<Vec<_>>())))));
             cells.extend((1..PROBABILITIES.len()).map(|k| format!("{:.1}", 100.0 * of(&|j| j.held[k]))));
             cells.extend([format!("{:.2}", of(&|j| j.nll)), String::new(), String::new()]);
             table.row(&cells);

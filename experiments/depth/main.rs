@@ -2,7 +2,7 @@
 //! best? What tells surfaces that no training view saw?
 //!
 //! Hash grids trained on few or one-sided views of meshes that are ray-traced here, with exact depth, and of lego, and
-//! models of lego that others trained, judged on held-out views all around. Writes the blocks of
+//! models of lego that others trained, and of photographs of a kitchen, judged on held-out views. Writes the blocks of
 //! `experiments/depth.md`.
 
 #[path = "../common/mod.rs"]
@@ -50,6 +50,7 @@ const ARMADILLO: (&str, Up) = ("armadillo", Up::Y);
 const NEFERTITI: (&str, Up) = ("nefertiti", Up::Z);
 const KNOT: (&str, Up) = ("knot", Up::Z);
 const LEGO: (&str, Up) = ("lego", Up::Z);
+const KITCHEN: (&str, Up) = ("kitchen", Up::Z);
 
 /// Scenes by which anything was chosen: the density of errors, and the default for ranking.
 const CHOOSING: [((&str, Up), Seen); 6] =
@@ -69,6 +70,8 @@ const TESTING: [((&str, Up), Seen); 10] = [
 ];
 /// Lego has its own block: its depth maps have steps wider than many errors.
 const OF_LEGO: [((&str, Up), Seen); 4] = [(LEGO, FEW), (LEGO, HALF), (LEGO, HOLE), (LEGO, SIDE_ONLY)];
+/// Photographs, with the depth of a sensor.
+const OF_A_KITCHEN: [((&str, Up), Seen); 1] = [(KITCHEN, Seen::Few(15))];
 
 /// Scenes that pictures are made of: those of meshes whose terms allow it.
 const PICTURED: [((&str, Up), Seen); 3] = [(SPOT, HALF), (BUNNY, HALF), (ARMADILLO, HALF)];
@@ -88,6 +91,7 @@ fn main() -> Result<()> {
             ("ensembles", Needs::Data),
             ("strong", Needs::Data),
             ("lego", Needs::Data),
+            ("kitchen", Needs::Data),
             ("pretrained", Needs::Data),
             ("correlations", Needs::Data),
         ],
@@ -147,6 +151,15 @@ fn main() -> Result<()> {
         let truth = scene::LEGO_STEP.powi(2) / 12.0;
         let text = [tables::coverage(&names(&scenes), &rows), ranking, tables::lengths(&rows, truth)];
         Ok((settings_with(2 * SIDE, 2 * STRIDE, STEPS, &SEEDS), text.join("\n")))
+    })?;
+    program.part("kitchen", |work| {
+        let scenes = scenes(&OF_A_KITCHEN, STEPS);
+        let rows = study(work, &scenes, &SEEDS, 1)?;
+        let ranking = tables::beside(&rows, &meshes(&scenes), &default_ranking());
+        let (text, described) = ([tables::coverage(&names(&scenes), &rows), ranking], describe(&rays(), &grid(), &[]));
+        let (of, pixels) = (seeds(&SEEDS), compared(STRIDE));
+        let settings = format!("320 × 240 pixels, {STEPS} steps; {pixels} of the 10 held-out views. {described} {of}");
+        Ok((settings, text.join("\n")))
     })?;
     program.part("pretrained", |work| {
         let row = |name: &&str| Ok(vec![work.row(name, || pretrained::measure(name))?]);

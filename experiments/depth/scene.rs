@@ -13,6 +13,7 @@ use octobayes::train::{DatasetFiles, Selection, Shot, TrainSettings, Trainer, qu
 use octobayes::{Error, Result};
 use serde::Serialize;
 
+use crate::common::kitchen::kitchen;
 use crate::common::knot::knot;
 use crate::common::program::Program;
 
@@ -97,6 +98,10 @@ impl Scene {
             return Data::lego(&self.selection(&lego()?)?, LEGO_STRIDE);
         }
         let folder = folder.join("images");
+        if self.mesh == "kitchen" {
+            let depth = kitchen(&folder)?;
+            return Data::read(folder.clone(), &self.selection(&folder)?, depth, u16::MAX.into(), 1);
+        }
         let file = self.images(&folder)?;
         let mesh = MeshScene::new(Mesh::read(&file)?.placed(self.up).0);
         let encoding = DepthEncoding { offset: 0.0, scale: DEPTH_PNG_SCALE, kind: DepthKind::Euclidean };
