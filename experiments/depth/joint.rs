@@ -1,6 +1,6 @@
 //! One variance for displacements and misfit: σ² = a² Var + s² + (c · misfit)², with constants of other scenes.
 
-use octobayes::metrics::{Calibration, ErrorDensity};
+use octobayes::metrics::{Calibration, ErrorDensity, ErrorKind, sparsification};
 
 use crate::judge::{Kept, Row};
 
@@ -30,6 +30,14 @@ impl Joint {
         let errors: Vec<f64> = row.kept.iter().map(|pixel| f64::from(pixel.error)).collect();
         let deviations: Vec<f64> = row.kept.iter().map(|pixel| (self.variance(pixel) + truth).sqrt()).collect();
         Calibration::new(&errors, &deviations).expect("finite deviations above zero")
+    }
+
+    /// AUSE of the deviation over the kept pixels of a model, by mean absolute and by root mean square error.
+    pub fn ranking(self, row: &Row) -> [f64; 2] {
+        let errors: Vec<f64> = row.kept.iter().map(|pixel| f64::from(pixel.error)).collect();
+        let variances: Vec<f64> = row.kept.iter().map(|pixel| self.variance(pixel)).collect();
+        let area = |kind| sparsification(&variances, &errors, kind).map_or(f64::NAN, |found| found.area);
+        [ErrorKind::Mae, ErrorKind::Rmse].map(area)
     }
 
     /// All constants that are tried.

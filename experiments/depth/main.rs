@@ -36,6 +36,8 @@ const STEPS: u64 = 1000;
 const STRONG: u64 = 6000;
 /// Models of an ensemble, the judged one among them.
 const ENSEMBLE: u64 = 10;
+/// Longest edge of the boxes of meshes and lego, scene units.
+const EDGE: f64 = 3.0;
 
 const HALF: Seen = Seen::Arc(90.0, 270.0);
 /// All around but for a hole of 75°.
@@ -70,6 +72,9 @@ const TESTING: [((&str, Up), Seen); 10] = [
 ];
 /// Lego has its own block: its depth maps have steps wider than many errors.
 const OF_LEGO: [((&str, Up), Seen); 4] = [(LEGO, FEW), (LEGO, HALF), (LEGO, HOLE), (LEGO, SIDE_ONLY)];
+/// Lego from few to all of its views.
+const LEGO_BY_VIEWS: [((&str, Up), Seen); 4] =
+    [(LEGO, Seen::Few(5)), (LEGO, Seen::Few(10)), (LEGO, Seen::Few(20)), (LEGO, Seen::Few(100))];
 /// Photographs, with the depth of a sensor.
 const OF_A_KITCHEN: [((&str, Up), Seen); 1] = [(KITCHEN, Seen::Few(15))];
 
@@ -91,6 +96,7 @@ fn main() -> Result<()> {
             ("ensembles", Needs::Data),
             ("strong", Needs::Data),
             ("lego", Needs::Data),
+            ("lego-by-views", Needs::Data),
             ("kitchen", Needs::Data),
             ("pretrained", Needs::Data),
             ("correlations", Needs::Data),
@@ -102,6 +108,7 @@ fn main() -> Result<()> {
         let text = [
             tables::coverage(&names(&scenes), &rows),
             tables::beside(&rows, &meshes(&scenes), Baseline::RayVariance.name()),
+            tables::lengths(&rows, EDGE, 0.0),
         ];
         Ok((settings(STEPS, &SEEDS), text.join("\n")))
     })?;
@@ -122,7 +129,7 @@ fn main() -> Result<()> {
             tables::ranking(choosing, testing, &meshes(&scenes[CHOOSING.len()..])),
             tables::never_seen(testing),
             tables::joint(&scenes, &rows),
-            tables::lengths(&rows, 0.0),
+            tables::lengths(&rows, EDGE, 0.0),
             tables::costs(&rows),
         ];
         Ok((settings(STEPS, &SEEDS), text.join("\n")))
@@ -140,24 +147,20 @@ fn main() -> Result<()> {
             tables::coverage(&names(&scenes), &rows),
             tables::beside(&rows, &meshes(&scenes), &default_ranking()),
             tables::never_seen(&rows),
+            tables::lengths(&rows, EDGE, 0.0),
             tables::costs(&rows),
         ];
         Ok((settings(STRONG, &SEEDS[..1]), text.join("\n")))
     })?;
-    program.part("lego", |work| {
-        let scenes = scenes(&OF_LEGO, STEPS);
-        let rows = study(work, &scenes, &SEEDS, 1)?;
-        let ranking = tables::beside(&rows, &meshes(&scenes), &default_ranking());
-        let truth = scene::LEGO_STEP.powi(2) / 12.0;
-        let text = [tables::coverage(&names(&scenes), &rows), ranking, tables::lengths(&rows, truth)];
-        Ok((settings_with(2 * SIDE, 2 * STRIDE, STEPS, &SEEDS), text.join("\n")))
-    })?;
+    program.part("lego", |work| of_lego(work, &OF_LEGO, &SEEDS))?;
+    program.part("lego-by-views", |work| of_lego(work, &LEGO_BY_VIEWS, &SEEDS[..1]))?;
     program.part("kitchen", |work| {
         let scenes = scenes(&OF_A_KITCHEN, STEPS);
         let rows = study(work, &scenes, &SEEDS, 1)?;
+        let edge = scene::edge_of_kitchen()?;
         let ranking = tables::beside(&rows, &meshes(&scenes), &default_ranking());
-        let (text, described) = ([tables::coverage(&names(&scenes), &rows), ranking], describe(&rays(), &grid(), &[]));
-        let (of, pixels) = (seeds(&SEEDS), compared(STRIDE));
+        let text = [tables::coverage(&names(&scenes), &rows), ranking, tables::lengths(&rows, edge, 0.0)];
+        let (described, of, pixels) = (describe(&rays(), &grid(), &[]), seeds(&SEEDS), compared(STRIDE));
         let settings = format!("320 × 240 pixels, {STEPS} steps; {pixels} of the 10 held-out views. {described} {of}");
         Ok((settings, text.join("\n")))
     })?;
@@ -165,8 +168,13 @@ fn main() -> Result<()> {
         let row = |name: &&str| Ok(vec![work.row(name, || pretrained::measure(name))?]);
         let rows = pretrained::NAMES.iter().map(row).collect::<Result<Vec<_>>>()?;
         let names = pretrained::NAMES.map(str::to_owned);
-        let ranking = tables::beside(&rows, &["lego"; pretrained::NAMES.len()], &default_ranking());
-        Ok((pretrained::settings(), [tables::coverage(&names, &rows), ranking, tables::costs(&rows)].join("\n")))
+        let text = [
+            tables::coverage(&names, &rows),
+            tables::beside(&rows, &["lego"; pretrained::NAMES.len()], &default_ranking()),
+            tables::lengths(&rows, EDGE, scene::LEGO_STEP.powi(2) / 12.0),
+            tables::costs(&rows),
+        ];
+        Ok((pretrained::settings(), text.join("\n")))
     })?;
     program.part("correlations", |work| {
         let mut rows = Vec::new();
@@ -181,6 +189,16 @@ fn main() -> Result<()> {
 
 /// Scenes on which the price of leaving correlations out is measured.
 const CORRELATED: [((&str, Up), Seen); 4] = [(BUNNY, FEW), (ARMADILLO, HALF), (SPOT, HOLE), (NEFERTITI, HOLE)];
+
+/// Coverage and ranking on lego, whose images have twice the side of the meshes'.
+fn of_lego(work: &Work, cases: &[((&'static str, Up), Seen)], of: &[u64]) -> Result<(String, String)> {
+    let scenes = scenes(cases, STEPS);
+    let rows = study(work, &scenes, of, 1)?;
+    let ranking = tables::beside(&rows, &meshes(&scenes), &default_ranking());
+    let truth = scene::LEGO_STEP.powi(2) / 12.0;
+    let text = [tables::coverage(&names(&scenes), &rows), ranking, tables::lengths(&rows, EDGE, truth)];
+    Ok((settings_with(2 * SIDE, 2 * STRIDE, STEPS, of), text.join("\n")))
+}
 
 /// All rows of each scene, each beside an ensemble of so many if it is more than one.
 fn study(work: &Work, scenes: &[Scene], seeds: &[u64], ensemble: u64) -> Result<Vec<Vec<Row>>> {

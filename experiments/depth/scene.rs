@@ -100,7 +100,8 @@ impl Scene {
         let folder = folder.join("images");
         if self.mesh == "kitchen" {
             let depth = kitchen(&folder)?;
-            return Data::read(folder.clone(), &self.selection(&folder)?, depth, u16::MAX.into(), 1);
+            let step = depth.encoding.scale / f64::from(u16::MAX);
+            return Data::read(folder.clone(), &self.selection(&folder)?, depth, step, 1);
         }
         let file = self.images(&folder)?;
         let mesh = MeshScene::new(Mesh::read(&file)?.placed(self.up).0);
@@ -234,6 +235,14 @@ fn is_beside_edge(view: &TrueView, [x, y]: [u32; 2], edge: f64) -> bool {
     let Some(depths) = depths else { return true };
     let [low, high] = [f64::min, f64::max].map(|either| depths.iter().copied().reduce(either).unwrap_or(0.0));
     high - low > edge
+}
+
+/// Longest edge of the kitchen's box, metres.
+pub fn edge_of_kitchen() -> Result<f64> {
+    let folder = tempfile::tempdir().map_err(Error::io(Path::new("a temporary folder"), "cannot create"))?;
+    let images = folder.path().join("images");
+    kitchen(&images)?;
+    DatasetFiles::read(&images).map(|files| files.bounds.longest_edge())
 }
 
 /// The folder of lego's images.

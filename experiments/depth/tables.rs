@@ -202,27 +202,29 @@ pub fn joint(scenes: &[Scene], rows: &[Vec<Row>]) -> String {
 }
 
 /// The joint variance with a² = 1 and several c: means over scenes, and the shares on the scenes that hold least and most.
-/// `truth` is the variance of the depth maps themselves, squared scene units.
-pub fn lengths(rows: &[Vec<Row>], truth: f64) -> String {
-    let mut table = Table::new(&["c", "50 %", "68 %", "90 %", "95 %", "NLL"]);
-    for length in [0.0, 0.05, 0.1, 0.15, 0.2, 0.3] {
+/// `edge` is that of the scenes' boxes, scene units; `truth` the variance of the depth maps themselves, its square.
+pub fn lengths(rows: &[Vec<Row>], edge: f64, truth: f64) -> String {
+    let mut table = Table::new(&["c / edge", "50 %", "68 %", "90 %", "95 %", "NLL", "AUSE: MAE", "RMSE"]);
+    for [name, share] in [["0", ""], ["1/60", "60"], ["1/30", "30"], ["1/20", "20"], ["1/15", "15"], ["1/10", "10"]] {
+        let joint = Joint { factor: 1.0, length: share.parse::<f64>().map_or(0.0, |share| edge / share) };
         let of = |row: &Row| {
-            let calibration = Joint { factor: 1.0, length }.calibration(row, truth);
+            let calibration = joint.calibration(row, truth);
             let found = calibration.of(ErrorDensity::PREDICTIVE);
             let [a, b, c, d] = found.coverage.map(|[_, share]| 100.0 * share);
-            [a, b, c, d, found.nll]
+            let [mae, rmse] = joint.ranking(row);
+            [a, b, c, d, found.nll, mae, rmse]
         };
-        let scenes: Vec<Vec<[f64; 5]>> = rows.iter().map(|rows| rows.iter().map(of).collect()).collect();
+        let scenes: Vec<Vec<[f64; 7]>> = rows.iter().map(|rows| rows.iter().map(of).collect()).collect();
         let column = |k: usize| -> Vec<f64> {
             scenes.iter().map(|rows| mean(&rows.iter().map(|row| row[k]).collect::<Vec<_>>())).collect()
         };
-        let mut cells = vec![format!("{length}")];
+        let mut cells = vec![name.to_owned()];
         cells.extend((0..4).map(|k| {
             let found = column(k);
             let [low, high] = [f64::min, f64::max].map(|either| found.iter().copied().reduce(either).unwrap_or(0.0));
             format!("{:.1} ({low:.1} to {high:.1})", mean(&found))
         }));
-        cells.push(format!("{:.3}", mean(&column(4))));
+        cells.extend((4..7).map(|k| format!("{:.3}", mean(&column(k)))));
         table.row(&cells);
     }
     format!("### By the weight of the misfit\n\n{}", table.text())
