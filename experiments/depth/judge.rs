@@ -3,9 +3,11 @@
 use std::path::Path;
 
 use octobayes::estimate::{Estimation, GridSettings, RaySettings};
-use octobayes::evaluate::{Baseline, DepthError, EvaluatedView, Evaluator, Measure, Misfit, Reading, TrainingViews};
+use octobayes::evaluate::{
+    Baseline, DepthError, EvaluatedView, Evaluator, Measure, Reading, TrainingViews, measure_misfit,
+};
 use octobayes::field::RadianceField;
-use octobayes::geometry::{Domain, Lattice};
+use octobayes::geometry::Domain;
 use octobayes::metrics::{Calibration, Detection, ErrorDensity, ErrorKind, PROBABILITIES, sparsification, spearman};
 use octobayes::monitor::Silent;
 use octobayes::posterior::{Covariance, DataScale, Scale};
@@ -24,8 +26,6 @@ use crate::warp::Warp;
 
 /// Levels of the readings; the deviation of depth is that of the first.
 pub const LEVELS: [u8; 3] = [7, 6, 5];
-/// Level of the vertices that residuals of training images are spread to.
-const MISFIT_LEVEL: u8 = 6;
 /// Every so many pixels of a held-out view are compared, along x and y.
 pub const STRIDE: u32 = 2;
 /// About so many pixels are kept of each model, for fits over scenes.
@@ -163,8 +163,7 @@ pub fn judge(
     let tracer = settings.tracer(field, 0.0, &Silent)?;
     let cameras = data.strided_cameras(pixel_offset);
     let training = TrainingViews::render(&tracer, &cameras, pixel_offset, &Silent)?;
-    let lattice = Lattice::new(field.bounds(), MISFIT_LEVEL)?;
-    let misfit = Misfit::new(&tracer, &data.for_misfit(pixel_offset), lattice, &Silent)?;
+    let misfit = measure_misfit(&tracer, &data.for_misfit(pixel_offset), fields[0].lattice(), &Silent)?;
     let warp = Warp::render(&tracer, &cameras, pixel_offset)?;
     let readings = readings(fields)?;
     let mut evaluator =

@@ -13,7 +13,7 @@ use crate::posterior::{DataScale, Prior, Scale};
 use crate::rays::Pixels;
 use crate::render::GradientMethod;
 use crate::uncertainty::{
-    Answers, Comparison, Conformal, Correlations, Difference, ErrorSummary, Summary, UncertaintyField,
+    Answers, Comparison, Conformal, Correlations, Difference, ErrorSummary, Misfit, Summary, UncertaintyField,
 };
 use crate::{Error, Result};
 
@@ -117,6 +117,9 @@ pub fn protocol(field: &UncertaintyField) -> String {
     if let Some(correlations) = field.correlations() {
         line("correlations", format!("{} draws of all displacements together", correlations.draws()));
     }
+    if let Some(misfit) = field.misfit() {
+        line("misfit", self::misfit(misfit));
+    }
     line("error bars", field.error_summary().map_or("none".into(), |e| error_bars(&e)));
     out.trim_end().to_string()
 }
@@ -127,6 +130,16 @@ pub fn interval(c: &Conformal) -> String {
     format!(
         "{:.0} % of depth errors below {factor:.3} deviations, by {pixels} pixels of {views} views",
         100.0 * probability
+    )
+}
+
+/// What training left unexplained in one line.
+fn misfit(m: &Misfit) -> String {
+    format!(
+        "training images are off by {:.4} of their range (root mean square), known on cells of level {}; deviations of \
+         depth count it",
+        m.mean(),
+        m.level()
     )
 }
 
@@ -152,6 +165,7 @@ pub fn protocol_json(field: &UncertaintyField) -> Value {
         "limited": !field.limits().is_unlimited(),
         "error_bars": field.error_summary(),
         "correlations": field.correlations().map(Correlations::draws),
+        "misfit": field.misfit().map(|misfit| json!({ "root_mean_square": misfit.mean(), "level": misfit.level() })),
     })
 }
 

@@ -13,4 +13,4 @@ pub use frames::{FrameSplit, Part, Selection, camera_file, test_partner};
 pub use hemisphere::Hemisphere;
 pub use image::PosedImage;
 pub use points::PointReader;
-pub use transforms::{Frame, ResolutionSource, Views, rigid_pose, write_transforms};
+pub use transforms::{Frame, ResolutionSource, Views, image_path, rigid_pose, write_transforms};

@@ -321,7 +321,10 @@ impl Views {
     }
 }
 
-fn image_path(folder: &Path, file_path: &str) -> PathBuf {
+/// The image of a frame named `file_path` in a camera file of `folder`: `.png` is added unless the name ends in a known
+/// extension.
+#[must_use]
+pub fn image_path(folder: &Path, file_path: &str) -> PathBuf {
     let path = folder.join(file_path);
     let known = path
         .extension()

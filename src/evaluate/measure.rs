@@ -89,7 +89,7 @@ pub enum Baseline {
     TrainingViews,
     /// The angle to the nearest training camera that sees it, radians; π if none does.
     TrainingAngle,
-    /// [`Misfit`](super::Misfit) at the expected depth.
+    /// [`Misfit`](crate::uncertainty::Misfit) at the expected depth.
     Misfit,
     /// A random number per pixel.
     Random,

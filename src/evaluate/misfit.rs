@@ -1,83 +1,37 @@
-//! What training left unexplained, and where: residuals of the training images on the vertices of a lattice.
-//!
-//! The Laplace approximation knows how far matter could be moved without a training image noticing. It does not know
-//! where the model fails to show what the images show: noise of the images, and what the model cannot represent
-//! (Goli et al. 2024, section 6, "aleatoric").
-//!
-//! Letters: r² squared residual of a pixel's colour, mean over red, green and blue; φ trilinear weights.
-
-use glam::Vec3;
-use rustc_hash::FxHashMap;
+//! Compares a model with its training images.
 
 use super::TrueView;
 use crate::Result;
 use crate::geometry::Lattice;
 use crate::monitor::Monitor;
-use crate::octree::corners;
 use crate::render::{Tracer, render_view};
+use crate::uncertainty::{Misfit, MisfitSums};
 
-/// The weight of the mean over all pixels at every vertex, in pixels.
-const PRIOR: f64 = 1.0;
-
-/// Residuals of the training images around each point.
-#[derive(Debug, Clone)]
-pub struct Misfit {
-    lattice: Lattice,
-    /// Σ φ r² and Σ φ over the pixels that show a vertex' surroundings, by lattice point.
-    sums: FxHashMap<[u32; 3], [f64; 2]>,
-    /// Mean r² over the pixels of all images that show matter.
-    mean: f64,
-}
-
-impl Misfit {
-    /// Compares the model with its training images. A pixel's residual lies at its expected depth. Advances the monitor
-    /// by one per row.
-    ///
-    /// # Errors
-    /// [`crate::Error::Interrupted`] only.
-    pub fn new(tracer: &Tracer, images: &[TrueView], lattice: Lattice, monitor: &dyn Monitor) -> Result<Self> {
-        let mut found = Self { lattice, sums: FxHashMap::default(), mean: 0.0 };
-        let mut pixels = 0.0_f64;
-        for image in images {
-            let view = render_view(tracer, &image.camera, image.pixel_offset, &[], monitor)?;
-            let width = image.camera.resolution[0] as usize;
-            // In the order of the pixels, so that the sums do not depend on the number of threads.
-            for (i, pixel) in view.pixels.iter().enumerate().filter(|(_, pixel)| pixel.opacity > 0.5) {
-                let [x, y] = [i % width, i / width].map(|n| n as f64 + image.pixel_offset);
-                let position = image.camera.ray(x, y).at(pixel.expected_depth).as_vec3();
-                let residual = (pixel.color - image.colors[i]).length_squared() / 3.0;
-                (found.mean, pixels) = (found.mean + residual, pixels + 1.0);
-                let Some(u) = found.lattice.coordinates(position) else { continue };
-                let (cell, offset) = found.lattice.cell(u);
-                for (point, share) in corners(cell, offset) {
-                    let sums = found.sums.entry(point).or_default();
-                    *sums = [sums[0] + share * residual, sums[1] + share];
-                }
-            }
+/// What training left unexplained in these images, for fields on a lattice.
+///
+/// A pixel's residual lies at its expected depth; pixels that show no matter have none. Advances the monitor by one per
+/// row.
+///
+/// # Errors
+/// [`crate::Error::Interrupted`] only.
+pub fn measure_misfit(tracer: &Tracer, images: &[TrueView], of: &Lattice, monitor: &dyn Monitor) -> Result<Misfit> {
+    let mut sums = MisfitSums::new(of);
+    for image in images {
+        let view = render_view(tracer, &image.camera, image.pixel_offset, &[], monitor)?;
+        let width = image.camera.resolution[0] as usize;
+        // In the order of the pixels, so that the sums do not depend on the number of threads.
+        for (i, pixel) in view.pixels.iter().enumerate().filter(|(_, pixel)| pixel.opacity > 0.5) {
+            let [x, y] = [i % width, i / width].map(|n| n as f64 + image.pixel_offset);
+            let position = image.camera.ray(x, y).at(pixel.expected_depth).as_vec3();
+            sums.add(position, (pixel.color - image.colors[i]).length_squared() / 3.0);
         }
-        found.mean /= pixels.max(1.0);
-        Ok(found)
     }
-
-    /// Root mean square residual around a scene point, in colours from 0 to 1. Where no training image shows matter it
-    /// is that of all pixels.
-    #[must_use]
-    pub fn at(&self, x: Vec3) -> f64 {
-        let of = |point: [u32; 3]| {
-            let [sum, count] = self.sums.get(&point).copied().unwrap_or_default();
-            (sum + PRIOR * self.mean) / (count + PRIOR)
-        };
-        let mean = self.lattice.coordinates(x).map_or(self.mean, |u| {
-            let (cell, offset) = self.lattice.cell(u);
-            corners(cell, offset).into_iter().map(|(point, share)| share * of(point)).sum()
-        });
-        mean.sqrt()
-    }
+    Ok(sums.finish())
 }
 
 #[cfg(test)]
 mod tests {
-    use glam::DVec3;
+    use glam::{DVec3, Vec3};
 
     use super::*;
     use crate::field::{ClosedForm, RadianceField};
@@ -104,7 +58,7 @@ mod tests {
             distance: vec![None; 64 * 64],
         };
         let lattice = Lattice::new(ball.bounds(), 4).unwrap();
-        let misfit = Misfit::new(&tracer, &[truth], lattice, &Silent).unwrap();
+        let misfit = measure_misfit(&tracer, &[truth], &lattice, &Silent).unwrap();
         let at = |x: f64, y: f64| {
             let pixel = &view.pixels[y as usize * 64 + x as usize];
             misfit.at(camera.ray(x + 0.5, y + 0.5).at(pixel.expected_depth).as_vec3())

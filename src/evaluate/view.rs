@@ -4,7 +4,7 @@ use glam::{DVec3, Vec3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::{Baseline, Measure, Misfit, Reading, Sighting, TrainingViews, TrueView};
+use super::{Baseline, Measure, Reading, Sighting, TrainingViews, TrueView};
 use crate::Result;
 use crate::metrics::{Calibration, Detection, density_aware, ensemble_variance, psnr};
 use crate::monitor::{Monitor, check};
@@ -13,7 +13,7 @@ use crate::render::{
     DepthProbe, DepthVariance, Differentiation, FEWEST, Probe, Probed, ProbedField, RayAverage, RenderedView, Tracer,
     render_view, render_view_with_depth,
 };
-use crate::uncertainty::{BakedField, DepthPosterior, UncertaintyField};
+use crate::uncertainty::{BakedField, DepthPosterior, Misfit, UncertaintyField};
 
 /// Bytes that a reading's field may take to answer faster.
 const ROOM: usize = 256 << 20;

@@ -73,11 +73,17 @@ impl DataScale {
     /// The default of τ over `domain`, scene units.
     #[must_use]
     pub fn default_prior_deviation(domain: &Domain) -> f64 {
+        Self::PRIOR_SHARE * Self::longest_edge(domain)
+    }
+
+    /// Longest edge of the part of space that is not contracted, scene units.
+    #[must_use]
+    pub fn longest_edge(domain: &Domain) -> f64 {
         let size = match domain {
             Domain::Box(bounds) => bounds.size(),
             Domain::Contracted { radius, .. } => DVec3::splat(2.0 * radius),
         };
-        Self::PRIOR_SHARE * size.max_element()
+        size.max_element()
     }
 
     /// The noise that belongs to a PSNR in dB.

@@ -23,6 +23,11 @@ pub struct DepthSample {
 pub trait DepthVariance: Sync {
     /// Variance of a ray's expected depth from the samples that move it, squared scene units.
     fn variance(&self, samples: &[DepthSample]) -> f64;
+
+    /// Variance of the depth of matter at a scene point that moving matter does not explain, squared scene units.
+    fn unexplained(&self, _x: Vec3) -> f64 {
+        0.0
+    }
 }
 
 /// Asks for variances of the expected depth of every pixel, beside its image.

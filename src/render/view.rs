@@ -108,8 +108,11 @@ pub struct RenderedView {
     /// `[variances of the depth probe][height · width]`: the variance of the expected depth under a posterior of
     /// displacements, squared scene units; NaN where nothing was hit.
     pub posterior_variance: Vec<Vec<f64>>,
-    /// The same with what the ray's weights leave open: √(Var + s²), where s² is their variance + δ²/12. A standard
-    /// deviation of depth, scene units.
+    /// The same with what the ray's weights leave open, and what moving matter does not explain: √(Var + s² + e²), where
+    /// s² is the variance of the weights + δ²/12, and e² is [`DepthVariance::unexplained`] at the expected depth. A
+    /// standard deviation of depth, scene units.
+    ///
+    /// [`DepthVariance::unexplained`]: super::DepthVariance::unexplained
     pub depth_deviation: Vec<Vec<f64>>,
     /// Number of rays dropped because the field was not finite; they show the background.
     pub dropped: u64,
@@ -230,6 +233,7 @@ pub fn render_rays(
         depth_deviation: vec![Vec::with_capacity(rays.len()); depth.map_or(0, |depth| depth.variances.len())],
         dropped: traced.dropped,
     };
+    let of_depth = depth.map_or(&[][..], |depth| depth.variances);
     let mut weighted = Vec::with_capacity(rays.len());
     for (r, ray) in rays.iter().enumerate() {
         let mut samples = traced.samples(r);
@@ -247,8 +251,10 @@ pub fn render_rays(
             at_expected: tracer.marcher.bounds.clamp(ray.at(pixel.expected_depth).as_vec3()),
             spread: (pixel.depth_variance + tracer.marcher.step.powi(2) / 12.0).sqrt(),
         };
-        for (variances, out) in row.posterior_variance.iter().zip(&mut row.depth_deviation) {
-            out.push((variances[r] + ray.spread.powi(2)).sqrt());
+        for ((variances, out), variance) in row.posterior_variance.iter().zip(&mut row.depth_deviation).zip(of_depth) {
+            // No depth, no place to ask about.
+            let unexplained = if variances[r].is_nan() { f64::NAN } else { variance.unexplained(ray.at_expected) };
+            out.push((variances[r] + ray.spread.powi(2) + unexplained).sqrt());
         }
         weighted.push(ray);
     }

@@ -45,6 +45,7 @@ impl UncertaintyField {
             visits: self.visits.clone(),
             draws: self.draws.clone(),
             correlations: None,
+            misfit: self.misfit.clone(),
             conformal: self.conformal,
             tile: self.tile,
         }

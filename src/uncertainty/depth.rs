@@ -3,9 +3,10 @@
 //! Letters: g_v = Σ_i φ_v(x_i) ∂d/∂x_i, the gradient of a ray's expected depth with respect to the displacement of
 //! vertex v; C_v the covariance of that displacement. Displacements of different vertices are independent in this
 //! posterior, so to first order Var(d) = Σ_v g_vᵀ C_v g_v. If a field has [draws](super::Correlations) u of all
-//! displacements together, Var(d) is the mean of (Σ_v g_v · u_v)² over them.
+//! displacements together, Var(d) is the mean of (Σ_v g_v · u_v)² over them. What training left unexplained
+//! ([`Misfit`](super::Misfit)) is no displacement and stands beside it.
 
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 use rustc_hash::FxHashMap;
 
 use super::{Correlations, Support, UncertaintyField};
@@ -78,6 +79,10 @@ impl DepthVariance for DepthPosterior<'_> {
             None => gradients.map(|(point, gradient)| self.of_vertex(point, gradient)).sum(),
         };
         inside + self.field.prior().powi(2) / 3.0 * outside
+    }
+
+    fn unexplained(&self, x: Vec3) -> f64 {
+        self.field.misfit.as_ref().map_or(0.0, |misfit| misfit.depth_deviation(x).powi(2))
     }
 }
 

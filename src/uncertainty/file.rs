@@ -15,6 +15,8 @@
 //! limits       u64        the regions' level, then region · 256 + limit; empty if nothing is limited
 //! errors       u16        number of groups, then bits of f16: errors of log10 σ_v, NaN where not known; or empty
 //! correlations f32        by vertex, x, y and z: displacements in each draw of all of them together; or empty
+//! misfit vertices u64     Morton codes of points of the misfit's lattice, ascending; or empty
+//! misfit       f32        mean square residual of training images around each of them
 //! ```
 //!
 //! A shard keeps exact sums and counts, so that shards merge to the sums of one run. A whole run that keeps its sums
@@ -28,8 +30,9 @@ mod legacy;
 use std::path::Path;
 
 use super::merge::Head;
+use super::misfit;
 use super::{
-    Conformal, Correlations, ErrorBars, Protocol, RayCounts, StandardDeviations, Support, UncertaintyField,
+    Conformal, Correlations, ErrorBars, Misfit, Protocol, RayCounts, StandardDeviations, Support, UncertaintyField,
     vertex_count,
 };
 use crate::geometry::Lattice;
@@ -50,6 +53,9 @@ struct Header {
     kind: Kind,
     /// The rays that were summed, by sequence of pixels; empty if unknown.
     draws: Vec<Draw>,
+    /// What training left unexplained, if that is known: its sections may be empty.
+    #[serde(default)]
+    misfit: Option<misfit::Head>,
     /// The calibrated interval of depth, if there is one.
     #[serde(default)]
     conformal: Option<Conformal>,
@@ -121,6 +127,8 @@ struct Content {
     limits: Vec<u64>,
     errors: Vec<u16>,
     correlations: Vec<f32>,
+    /// Vertices of the misfit, and their residuals.
+    misfit: (Vec<u64>, Vec<f32>),
 }
 
 impl Content {
@@ -144,6 +152,7 @@ impl Content {
             if has_exact_counts { counted } else { visits.iter().map(|n| n.min(u32::MAX.into()) as u32).collect() };
         let (limits, errors, correlations) =
             (file.optional("limits")?, file.optional("errors")?, file.optional("correlations")?);
+        let misfit = (file.optional("misfit vertices")?, file.optional("misfit")?);
         Ok(Self {
             header,
             masks,
@@ -156,6 +165,7 @@ impl Content {
             limits,
             errors,
             correlations,
+            misfit,
         })
     }
 }
@@ -175,7 +185,9 @@ impl UncertaintyField {
         };
         let (protocol, draws) = (self.protocol.clone(), self.draws.clone());
         let (lattice, conformal, tile) = (self.lattice, self.conformal, self.tile);
-        let header = Header { protocol, lattice, kind, draws, conformal, tile };
+        let misfit = self.misfit.as_ref().map(Misfit::head);
+        let header = Header { protocol, lattice, kind, draws, misfit, conformal, tile };
+        let (misfit_vertices, misfit) = self.misfit.as_ref().map_or_else(Default::default, Misfit::vertices);
         let sums = self.sums.as_deref().unwrap_or_default();
         let is_exact = self.is_to_be_merged();
         let exact = if is_exact { sums } else { &[] };
@@ -206,6 +218,8 @@ impl UncertaintyField {
                 ("limits", &limits),
                 ("errors", &errors),
                 ("correlations", &correlations),
+                ("misfit vertices", &misfit_vertices),
+                ("misfit", &misfit),
             ],
         )
     }
@@ -254,6 +268,7 @@ impl UncertaintyField {
             limits,
             errors,
             correlations,
+            misfit,
         } = content;
         let lattice = header.check(path)?;
         let protocol = header.protocol;
@@ -317,6 +332,13 @@ impl UncertaintyField {
             let expected = "none in a part of a run, or with limited leaves";
             return Err(Error::malformed(path, "section `correlations`", expected, "some"));
         }
+        let misfit = match header.misfit {
+            None => None,
+            Some(head) => Some(
+                Misfit::from_file(&lattice, head, misfit)
+                    .map_err(|(expected, found)| Error::malformed(path, "section `misfit`", expected, found))?,
+            ),
+        };
         let (draws, conformal) = (header.draws, header.conformal);
         let field = Self {
             protocol,
@@ -331,6 +353,7 @@ impl UncertaintyField {
             visits,
             draws,
             correlations,
+            misfit,
             conformal,
             tile,
         };

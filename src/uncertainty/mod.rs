@@ -17,6 +17,7 @@ mod from_sums;
 mod knowledge;
 mod matrices;
 mod merge;
+mod misfit;
 mod official;
 mod protocol;
 mod query;
@@ -37,6 +38,7 @@ pub use file::FORMAT_VERSION;
 pub use knowledge::Knowledge;
 pub use matrices::Matrices;
 pub use merge::{finish_tiles, merge, merge_files, merge_files_with_error_bars, merge_with_error_bars};
+pub use misfit::{Misfit, MisfitSums};
 pub use official::OfficialGrid;
 pub use protocol::{Origin, Protocol};
 pub use query::Estimate;
@@ -90,6 +92,8 @@ pub struct UncertaintyField {
     draws: Vec<Draw>,
     /// Displacements drawn together, if neighbours are not taken for independent in errors of depth.
     correlations: Option<Correlations>,
+    /// What training left unexplained, if deviations of depth count it.
+    misfit: Option<Misfit>,
     /// An interval of depth that was calibrated for these deviations.
     conformal: Option<Conformal>,
     /// The part of space whose vertices have sums, if not all. Elsewhere nothing is known.
@@ -142,6 +146,7 @@ impl UncertaintyField {
             visits: None,
             draws,
             correlations: None,
+            misfit: None,
             conformal: None,
             tile: None,
         }
@@ -335,6 +340,9 @@ impl UncertaintyField {
         }
         if let Some(correlations) = &self.correlations {
             parts.push(("correlations", correlations.memory()));
+        }
+        if let Some(misfit) = &self.misfit {
+            parts.push(("misfit", misfit.memory()));
         }
         if let Support::Octree(octree) = &self.support {
             parts.extend(octree.memory());

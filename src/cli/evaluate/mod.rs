@@ -167,6 +167,7 @@ impl Args {
             differentiation,
             members: members.iter().map(|member| settings.tracer(&**member, 0.0, bars)).collect::<Result<_>>()?,
             training: training.as_ref(),
+            misfit: readings.iter().find_map(|reading| reading.field.misfit()),
             truly_seen: truly_seen.as_ref(),
             ..Evaluator::new(tracer, &readings)
         };

@@ -14,7 +14,7 @@ use crate::{Error, Result};
 
 /// The model, its training cameras, and what identifies them.
 pub struct Inputs {
-    field: Box<dyn RadianceField>,
+    pub field: Box<dyn RadianceField>,
     /// The training frames.
     pub views: Views,
     cameras: Vec<Camera>,

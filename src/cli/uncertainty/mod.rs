@@ -1,6 +1,7 @@
 //! `uncertainty`: from a model and its cameras to a field.
 
 mod correlations;
+mod images;
 mod inputs;
 mod sight;
 
@@ -10,6 +11,7 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use self::correlations::Together;
+use self::images::TrainingImages;
 use super::files::CommandFiles;
 use super::options::{
     CameraOptions, DomainOptions, FrameOptions, GridOptions, ModelOptions, count, parse_interval, parse_non_negative,
@@ -114,6 +116,16 @@ pub struct Args {
           conflicts_with_all = ["error_bars", "dump_samples", "shard", "tile", "memory", "checkpoint"])]
     pub(super) correlations: Option<u16>,
 
+    /// Also compare the model with its training images in this folder, so that deviations of depth count what it
+    /// cannot show
+    ///
+    /// The names of the training images start from DIR: it is the data set that the model was trained on, or the
+    /// folder of the camera file. Residuals of the images are stored around each part of space, and the deviation of
+    /// depth becomes sqrt(Var + s^2 + (c residual)^2), where c is a 20th of the box's longest edge for all scenes. U
+    /// stays as it is. Needs --scale data.
+    #[arg(long, value_name = "DIR", conflicts_with = "tile")]
+    pub(super) images: Option<PathBuf>,
+
     /// Also write the ray samples with their Jacobians, in the format that `accumulate` reads
     // Under a memory budget a run may start again, and would write its first rays twice.
     #[arg(long, value_name = "SAMPLES.npz", conflicts_with = "memory")]
@@ -176,7 +188,9 @@ impl Args {
         self.cameras.find(Part::Training);
         self.command_files().check()?;
         let inputs = self.read()?;
-        self.command_files().images(&inputs.views).check()?;
+        let images = TrainingImages::find(&self, &inputs)?;
+        let files = self.command_files().images(&inputs.views);
+        images.iter().fold(files, |files, images| images.add_to(files)).check()?;
         self.grid.check_output()?;
         let mut dump = self.dump_samples.as_deref().map(SamplesWriter::create).transpose()?;
 
@@ -191,6 +205,8 @@ impl Args {
             (None, None) => estimation,
         };
 
+        // Before the rays, so that a wrong image ends the work at once.
+        let misfit = images.map(|images| images.misfit(&self, &inputs, &grid, bars)).transpose()?;
         let run = estimation.prepare()?;
         self.check_sight(&run.sight()?)?;
         let step = run.check_step()?;
@@ -223,6 +239,10 @@ impl Args {
         }
         let field = match together {
             Some(together) => together.join(field, progress.rays, bars)?,
+            None => field,
+        };
+        let field = match misfit {
+            Some(misfit) => field.with_misfit(misfit)?,
             None => field,
         };
         self.grid.write(&field, &Cost { elapsed: start.elapsed(), sums_bytes, step })?;

@@ -140,7 +140,7 @@ pub(super) fn read(path: &Path) -> Result<Content> {
         }
     };
     let rays: RayCounts = sums.iter().map(|sums| sums.rays).collect();
-    let header = Header { protocol, lattice, kind, draws, conformal: None, tile: None };
+    let header = Header { protocol, lattice, kind, draws, misfit: None, conformal: None, tile: None };
     let (limits, errors) = (file.section("limits")?, file.section("errors")?);
     Ok(Content {
         header,
@@ -154,5 +154,6 @@ pub(super) fn read(path: &Path) -> Result<Content> {
         limits,
         errors,
         correlations: Vec::new(),
+        misfit: (Vec::new(), Vec::new()),
     })
 }

@@ -15,6 +15,7 @@ pub fn add(parts: &(impl Parts + ?Sized), heads: &[Head], order: &[usize]) -> Re
     let first = of[0];
     let (mut surface, mut most) = (Vec::new(), 0);
     let mut visits = None;
+    let mut misfit = None;
     let mut wanted = Vec::new();
     let mut limits: Option<MaxLevels> = None;
     let mut dense = first.is_dense.then(|| DensePosterior::new(first.lattice).into_sums());
@@ -54,6 +55,8 @@ pub fn add(parts: &(impl Parts + ?Sized), heads: &[Head], order: &[usize]) -> Re
             }
             _ => None,
         };
+        // Of one model and the same images it is the same.
+        misfit = if n == 0 { part.misfit.clone() } else { misfit.filter(|first| part.misfit.as_ref() == Some(first)) };
     }
     surface.truncate(most);
     let field = match dense {
@@ -63,6 +66,7 @@ pub fn add(parts: &(impl Parts + ?Sized), heads: &[Head], order: &[usize]) -> Re
             UncertaintyField::on_octree(protocol, first.lattice, posterior, octree, true)
         }
     };
+    let field = UncertaintyField { misfit, ..field };
     Ok(field.with_surface(surface).with_draws(draws).with_visits(visits))
 }
 
