@@ -7,7 +7,7 @@ use octobayes::dataset::Views;
 use octobayes::field::{ClosedForm, RadianceField};
 use octobayes::monitor::Silent;
 use octobayes::render::{Marcher, Tracer, render_view};
-use octobayes::uncertainty::{Misfit, UncertaintyField};
+use octobayes::uncertainty::{Conformal, Misfit, UncertaintyField};
 
 const SIDE: u32 = 48;
 /// What the images are off by in one channel, of 255.
@@ -69,7 +69,7 @@ fn deviations_of_depth_count_what_images_show_and_the_model_does_not() {
     assert!((misfit.mean() / m - 1.0).abs() < 0.5 / OFF, "{} and {m}", misfit.mean());
     assert_eq!(misfit.level(), 4);
     let info = good(folder, "info joined.oct");
-    assert!(info.contains("training images are off by 0.045"), "{info}");
+    assert!(info.contains("is off its training images by 0.045"), "{info}");
     let json: serde_json::Value = serde_json::from_str(&good(folder, "info joined.oct --json")).unwrap();
     assert_eq!(json["misfit"]["root_mean_square"].as_f64(), Some(misfit.mean()));
 
@@ -91,9 +91,39 @@ fn deviations_of_depth_count_what_images_show_and_the_model_does_not() {
     assert!(read("other.oct").misfit() == Some(misfit));
     good(folder, "merge joined.oct other.oct --keep-sums -o both.oct");
     assert!(read("both.oct").misfit() == Some(misfit) && joined.clone().without_sums().misfit() == Some(misfit));
-    // Of fields one of which does not know it, nobody does.
+    // One that knows it is enough.
     good(folder, "merge plain.oct other.oct -o some.oct");
-    assert!(read("some.oct").misfit().is_none());
+    assert!(read("some.oct").misfit() == Some(misfit));
+}
+
+#[test]
+fn it_stays_with_what_it_holds_for() {
+    let folder = views();
+    let folder = folder.path();
+    // Below a folder of their own, as COLMAP's are.
+    std::fs::create_dir(folder.join("set")).unwrap();
+    std::fs::rename(folder.join("pictures"), folder.join("set/images")).unwrap();
+    good(folder, &format!("{RUN} {DATA} --images set -o joined.oct"));
+    let joined = UncertaintyField::read(&folder.join("joined.oct")).unwrap();
+    let misfit = joined.misfit().unwrap().clone();
+    // An interval was of other deviations.
+    let conformal = Conformal { probability: 0.9, factor: 1.5, pixels: 100, views: 2 };
+    let calibrated = joined.clone().with_conformal(conformal);
+    assert!(calibrated.conformal().is_some());
+    assert!(calibrated.with_misfit(misfit.clone()).unwrap().conformal().is_none());
+    // The scale of the paper has no lengths.
+    let lambda = joined.protocol().lambda;
+    let paper = joined.clone().with_lambda(2.0 * lambda).unwrap();
+    assert!(paper.misfit().is_none());
+    assert!(paper.with_misfit(misfit.clone()).unwrap_err().to_string().contains("the scale of its data"));
+    // Another lattice, and a part of space.
+    good(folder, &format!("{} {DATA} -o fine.oct", RUN.replace("--level 4", "--level 5")));
+    good(folder, &format!("{RUN} {DATA} --tile 0/8 -o tile.oct"));
+    for (name, expected) in [("fine.oct", "on the field's lattice"), ("tile.oct", "of all of space")] {
+        let field = UncertaintyField::read(&folder.join(name)).unwrap();
+        let said = field.with_misfit(misfit.clone()).unwrap_err().to_string();
+        assert!(said.contains(expected), "{name}: {said}");
+    }
 }
 
 #[test]
@@ -101,7 +131,11 @@ fn what_it_needs_is_said() {
     let folder = views();
     for (more, code, expected) in [
         ("--images pictures", 2, "--images: expected --scale data"),
-        (&*format!("{DATA} --images ."), 2, "the folder from which the names of the training images start, found no"),
+        (
+            &*format!("{DATA} --images ."),
+            2,
+            "the folder from which the names of the training images start, found neither ././a.png nor",
+        ),
         (&*format!("{DATA} --images pictures --tile 0/8"), 2, "cannot be used with"),
     ] {
         let output = run(folder.path(), &format!("{RUN} {more} -o x.oct"));

@@ -163,7 +163,8 @@ pub fn judge(
     let tracer = settings.tracer(field, 0.0, &Silent)?;
     let cameras = data.strided_cameras(pixel_offset);
     let training = TrainingViews::render(&tracer, &cameras, pixel_offset, &Silent)?;
-    let misfit = measure_misfit(&tracer, &data.for_misfit(pixel_offset), fields[0].lattice(), &Silent)?;
+    let images = data.for_misfit(pixel_offset).into_iter().map(Ok);
+    let misfit = measure_misfit(&tracer, images, fields[0].lattice(), &Silent)?;
     let warp = Warp::render(&tracer, &cameras, pixel_offset)?;
     let readings = readings(fields)?;
     let mut evaluator =

@@ -108,7 +108,7 @@ fn main() -> Result<()> {
         let text = [
             tables::coverage(&names(&scenes), &rows),
             tables::beside(&rows, &meshes(&scenes), Baseline::RayVariance.name()),
-            tables::lengths(&rows, EDGE, 0.0),
+            tables::lengths("", &rows, EDGE, 0.0),
         ];
         Ok((settings(STEPS, &SEEDS), text.join("\n")))
     })?;
@@ -129,7 +129,8 @@ fn main() -> Result<()> {
             tables::ranking(choosing, testing, &meshes(&scenes[CHOOSING.len()..])),
             tables::never_seen(testing),
             tables::joint(&scenes, &rows),
-            tables::lengths(&rows, EDGE, 0.0),
+            tables::lengths(", scenes that choose", choosing, EDGE, 0.0),
+            tables::lengths(", scenes that have no say", testing, EDGE, 0.0),
             tables::costs(&rows),
         ];
         Ok((settings(STEPS, &SEEDS), text.join("\n")))
@@ -147,7 +148,7 @@ fn main() -> Result<()> {
             tables::coverage(&names(&scenes), &rows),
             tables::beside(&rows, &meshes(&scenes), &default_ranking()),
             tables::never_seen(&rows),
-            tables::lengths(&rows, EDGE, 0.0),
+            tables::lengths("", &rows, EDGE, 0.0),
             tables::costs(&rows),
         ];
         Ok((settings(STRONG, &SEEDS[..1]), text.join("\n")))
@@ -159,7 +160,7 @@ fn main() -> Result<()> {
         let rows = study(work, &scenes, &SEEDS[..1], 1)?;
         let edge = scene::edge_of_kitchen()?;
         let ranking = tables::beside(&rows, &meshes(&scenes), &default_ranking());
-        let text = [tables::coverage(&names(&scenes), &rows), ranking, tables::lengths(&rows, edge, 0.0)];
+        let text = [tables::coverage(&names(&scenes), &rows), ranking, tables::lengths("", &rows, edge, 0.0)];
         let (described, of, pixels) = (describe(&rays(), &grid(), &[]), seeds(&SEEDS[..1]), compared(STRIDE));
         let settings = format!("320 × 240 pixels, {STEPS} steps; {pixels} of the 10 held-out views. {described} {of}");
         Ok((settings, text.join("\n")))
@@ -171,7 +172,7 @@ fn main() -> Result<()> {
         let text = [
             tables::coverage(&names, &rows),
             tables::beside(&rows, &["lego"; pretrained::NAMES.len()], &default_ranking()),
-            tables::lengths(&rows, EDGE, scene::LEGO_STEP.powi(2) / 12.0),
+            tables::lengths("", &rows, EDGE, scene::LEGO_STEP.powi(2) / 12.0),
             tables::costs(&rows),
         ];
         Ok((pretrained::settings(), text.join("\n")))
@@ -196,7 +197,7 @@ fn of_lego(work: &Work, cases: &[((&'static str, Up), Seen)], of: &[u64]) -> Res
     let rows = study(work, &scenes, of, 1)?;
     let ranking = tables::beside(&rows, &meshes(&scenes), &default_ranking());
     let truth = scene::LEGO_STEP.powi(2) / 12.0;
-    let text = [tables::coverage(&names(&scenes), &rows), ranking, tables::lengths(&rows, EDGE, truth)];
+    let text = [tables::coverage(&names(&scenes), &rows), ranking, tables::lengths("", &rows, EDGE, truth)];
     Ok((settings_with(2 * SIDE, 2 * STRIDE, STEPS, of), text.join("\n")))
 }
 

@@ -202,8 +202,9 @@ pub fn joint(scenes: &[Scene], rows: &[Vec<Row>]) -> String {
 }
 
 /// The joint variance with a² = 1 and several c: means over scenes, and the shares on the scenes that hold least and most.
-/// `edge` is that of the scenes' boxes, scene units; `truth` the variance of the depth maps themselves, its square.
-pub fn lengths(rows: &[Vec<Row>], edge: f64, truth: f64) -> String {
+/// `of` says which scenes these are; `edge` is that of their boxes, scene units; `truth` the variance of the depth maps
+/// themselves, its square.
+pub fn lengths(of: &str, rows: &[Vec<Row>], edge: f64, truth: f64) -> String {
     let mut table = Table::new(&["c / edge", "50 %", "68 %", "90 %", "95 %", "NLL", "AUSE: MAE", "RMSE"]);
     for [name, share] in [["0", ""], ["1/60", "60"], ["1/30", "30"], ["1/20", "20"], ["1/15", "15"], ["1/10", "10"]] {
         let joint = Joint { factor: 1.0, length: share.parse::<f64>().map_or(0.0, |share| edge / share) };
@@ -227,7 +228,7 @@ pub fn lengths(rows: &[Vec<Row>], edge: f64, truth: f64) -> String {
         cells.extend((4..7).map(|k| format!("{:.3}", mean(&column(k)))));
         table.row(&cells);
     }
-    format!("### By the weight of the misfit\n\n{}", table.text())
+    format!("### By the weight of the misfit{of}\n\n{}", table.text())
 }
 
 fn numbers(row: &[f64; 7]) -> impl Iterator<Item = String> {

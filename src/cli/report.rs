@@ -136,8 +136,8 @@ pub fn interval(c: &Conformal) -> String {
 /// What training left unexplained in one line.
 fn misfit(m: &Misfit) -> String {
     format!(
-        "training images are off by {:.4} of their range (root mean square), known on cells of level {}; deviations of \
-         depth count it",
+        "where it shows matter, the model is off its training images by {:.4} of their range (root mean square); \
+         kept on level {}, counted by deviations of depth",
         m.mean(),
         m.level()
     )

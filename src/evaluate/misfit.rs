@@ -9,20 +9,26 @@ use crate::uncertainty::{Misfit, MisfitSums};
 
 /// What training left unexplained in these images, for fields on a lattice.
 ///
-/// A pixel's residual lies at its expected depth; pixels that show no matter have none. Advances the monitor by one per
-/// row.
+/// A pixel's residual lies at its expected depth; pixels that show no matter have none. Images are taken one by one.
+/// Advances the monitor by one per row.
 ///
 /// # Errors
-/// [`crate::Error::Interrupted`] only.
-pub fn measure_misfit(tracer: &Tracer, images: &[TrueView], of: &Lattice, monitor: &dyn Monitor) -> Result<Misfit> {
+/// Those of the images, and [`crate::Error::Interrupted`].
+pub fn measure_misfit(
+    tracer: &Tracer,
+    images: impl IntoIterator<Item = Result<TrueView>>,
+    of: &Lattice,
+    monitor: &dyn Monitor,
+) -> Result<Misfit> {
     let mut sums = MisfitSums::new(of);
     for image in images {
+        let image = image?;
         let view = render_view(tracer, &image.camera, image.pixel_offset, &[], monitor)?;
         let width = image.camera.resolution[0] as usize;
         // In the order of the pixels, so that the sums do not depend on the number of threads.
         for (i, pixel) in view.pixels.iter().enumerate().filter(|(_, pixel)| pixel.opacity > 0.5) {
             let [x, y] = [i % width, i / width].map(|n| n as f64 + image.pixel_offset);
-            let position = image.camera.ray(x, y).at(pixel.expected_depth).as_vec3();
+            let position = tracer.marcher.bounds.clamp(image.camera.ray(x, y).at(pixel.expected_depth).as_vec3());
             sums.add(position, (pixel.color - image.colors[i]).length_squared() / 3.0);
         }
     }
@@ -58,7 +64,7 @@ mod tests {
             distance: vec![None; 64 * 64],
         };
         let lattice = Lattice::new(ball.bounds(), 4).unwrap();
-        let misfit = measure_misfit(&tracer, &[truth], &lattice, &Silent).unwrap();
+        let misfit = measure_misfit(&tracer, [Ok(truth)], &lattice, &Silent).unwrap();
         let at = |x: f64, y: f64| {
             let pixel = &view.pixels[y as usize * 64 + x as usize];
             misfit.at(camera.ray(x + 0.5, y + 0.5).at(pixel.expected_depth).as_vec3())

@@ -32,7 +32,7 @@ pub struct Evaluator<'a> {
     pub members: Vec<Tracer<'a>>,
     /// The cameras that the field was trained on, if they are known.
     pub training: Option<&'a TrainingViews>,
-    /// What training left unexplained, if the images are known.
+    /// What training left unexplained: that of the first reading that knows it, unless told otherwise.
     pub misfit: Option<&'a Misfit>,
     /// What those cameras truly saw, if that is known.
     pub truly_seen: Option<&'a TrainingViews>,
@@ -88,7 +88,7 @@ impl<'a> Evaluator<'a> {
             differentiation: None,
             members: Vec::new(),
             training: None,
-            misfit: None,
+            misfit: readings.iter().find_map(|reading| reading.field.misfit()),
             truly_seen: None,
         }
     }

@@ -6,7 +6,8 @@ use rayon::prelude::*;
 use super::{RayCounts, StandardDeviations, Support, UncertaintyField};
 
 impl UncertaintyField {
-    /// The same U at every vertex of the finest lattice, without sums or error bars: 4 (M + 1)³ bytes.
+    /// The same U at every vertex of the finest lattice: 4 (M + 1)³ bytes. Sums, error bars and correlations go, and a
+    /// calibrated interval, which was of other deviations.
     #[must_use]
     pub fn on_dense_grid(&self) -> Self {
         let n = self.lattice.cells_per_axis() as usize + 1;
@@ -46,7 +47,7 @@ impl UncertaintyField {
             draws: self.draws.clone(),
             correlations: None,
             misfit: self.misfit.clone(),
-            conformal: self.conformal,
+            conformal: None,
             tile: self.tile,
         }
     }

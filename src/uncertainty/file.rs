@@ -38,7 +38,7 @@ use super::{
 use crate::geometry::Lattice;
 use crate::io::container::{self, Format, Reader, Section};
 use crate::octree::{MaxLevels, Octree, Tile};
-use crate::posterior::{FactoredSums, VertexSums, Visits};
+use crate::posterior::{FactoredSums, Scale, VertexSums, Visits};
 use crate::rays::Draw;
 use crate::{Error, Result};
 
@@ -333,7 +333,14 @@ impl UncertaintyField {
             return Err(Error::malformed(path, "section `correlations`", expected, "some"));
         }
         let misfit = match header.misfit {
-            None => None,
+            None if misfit.0.is_empty() && misfit.1.is_empty() => None,
+            None => {
+                return Err(Error::malformed(path, "section `misfit`", "none, as the header has no misfit", "some"));
+            }
+            Some(_) if tile.is_some() || protocol.scale == Scale::Paper => {
+                let expected = "none in a tile, or where depths have no deviations";
+                return Err(Error::malformed(path, "header, misfit", expected, "one"));
+            }
             Some(head) => Some(
                 Misfit::from_file(&lattice, head, misfit)
                     .map_err(|(expected, found)| Error::malformed(path, "section `misfit`", expected, found))?,

@@ -33,7 +33,7 @@ pub struct Misfit {
 }
 
 impl Misfit {
-    /// Finest level of the lattice. Cells should hold many pixels; a 64th of the box was tried (`experiments/depth.md`).
+    /// Finest level of the lattice: its cells should hold many pixels.
     pub const LEVEL: u8 = 6;
 
     /// c as a share of the longest edge of the part of space that is not contracted: an image that is off by a tenth of
@@ -178,14 +178,17 @@ impl UncertaintyField {
     /// The same field with what training left unexplained, without a calibrated interval: that was of other deviations.
     ///
     /// # Errors
-    /// If the field is not in the scale of its data, or of another box.
+    /// If the field is not in the scale of its data, is a tile, or is on another lattice than that of the residuals.
     pub fn with_misfit(self, misfit: Misfit) -> Result<Self> {
         let wrong = |expected: &str, found: &str| Err(Error::setting("misfit", expected, found));
         let Scale::Data(_) = self.protocol.scale else {
             return wrong("a field in the scale of its data, whose depths have deviations", "the paper's scale");
         };
-        if misfit.lattice.domain() != self.lattice.domain() {
-            return wrong("residuals in the field's box", "another");
+        if misfit.lattice != self.lattice.coarsened(Misfit::LEVEL) {
+            return wrong("residuals on the field's lattice", "another");
+        }
+        if self.tile.is_some() {
+            return wrong("a field of all of space", "a tile");
         }
         Ok(Self { misfit: Some(misfit), conformal: None, ..self })
     }

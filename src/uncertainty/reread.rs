@@ -1,6 +1,7 @@
 //! Other readings of the same sums: another covariance, prior, scale or pooling.
 //!
-//! Error bars and a calibrated interval hold for one reading only, and go. Correlations hold for one prior.
+//! Error bars and a calibrated interval hold for one reading only, and go. Correlations hold for one prior, and the
+//! misfit for depths that have deviations.
 
 use super::from_sums::deviations_from_sums;
 use super::{Support, UncertaintyField};
@@ -58,6 +59,7 @@ impl UncertaintyField {
         self.protocol.lambda = lambda;
         self.protocol.scale = scale;
         (self.error_bars, self.correlations, self.conformal) = (None, None, None);
+        self.misfit = self.misfit.filter(|_| matches!(scale, Scale::Data(_)));
         self.deviations = deviations_from_sums(&self.protocol, &self.lattice, &self.support, &self.limits, sums);
         Ok(self)
     }

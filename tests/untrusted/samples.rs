@@ -12,10 +12,10 @@ use octobayes::estimate::{Estimation, FieldBuilder, GridKind, GridSettings, Prov
 use octobayes::field::{ClosedForm, VoxelGrid};
 use octobayes::geometry::{Aabb, Camera, Domain, Norm};
 use octobayes::internal::{npy, write_exr};
-use octobayes::posterior::{Covariance, Criteria, Criterion, Prior, VertexSums};
+use octobayes::posterior::{Covariance, Criteria, Criterion, DataScale, Prior, Scale, VertexSums};
 use octobayes::rays::{Pixels, RunProgress, SamplesWriter, Shard};
 use octobayes::render::{GradientMethod, RaySample, RaySamples};
-use octobayes::uncertainty::UncertaintyField;
+use octobayes::uncertainty::{MisfitSums, UncertaintyField};
 use safetensors::tensor::{Dtype, TensorView};
 
 use super::{Kind, forge, torch};
@@ -109,7 +109,8 @@ fn progress() -> RunProgress {
     RunProgress { batches: 1, rays: 5, samples: 12, ..RunProgress::default() }
 }
 
-/// Fields on octree and dense grid: with and without sums, of contracted space, with limited leaves, of a shard.
+/// Fields on octree and dense grid: with and without sums, with what images leave, of contracted space, with limited
+/// leaves, of a shard.
 pub fn fields() -> Vec<UncertaintyField> {
     let cube = Domain::Box(Aabb::centered_cube(1.0));
     let space = Domain::contracted(DVec3::new(0.1, 0.2, 0.3), 0.5, Norm::L2).unwrap();
@@ -131,6 +132,13 @@ pub fn fields() -> Vec<UncertaintyField> {
         let other = half.iter().enumerate().map(|(v, e)| if v % 3 == 0 { *e } else { VertexSums::default() }).collect();
         field.with_error_bars(&[half, other], &[3, 2])
     };
+    let images_known = |settings: GridSettings| {
+        let scale = Scale::Data(DataScale::new(100, 0.1, 0.05).unwrap());
+        let field = field(settings.scale(scale), cube);
+        let mut sums = MisfitSums::new(field.lattice());
+        (0..20).for_each(|i| sums.add(Vec3::splat(0.1 * i as f32 - 1.0), 0.01 * f64::from(i % 3)));
+        field.with_misfit(sums.finish()).unwrap()
+    };
     vec![
         field(small, cube),
         field(small.level(1), cube).without_sums(),
@@ -141,6 +149,7 @@ pub fn fields() -> Vec<UncertaintyField> {
         bars(field(small, cube)),
         bars(field(small.grid(GridKind::Dense).level(1), cube)).without_sums(),
         drawn(small, cube, Shard::new(2_000, 0, 2)),
+        images_known(small),
     ]
 }
 

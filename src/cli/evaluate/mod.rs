@@ -35,7 +35,8 @@ use crate::{Error, Result};
 /// Several fields, covariances and ray averages share the rendering. The same pixels are ranked by what any field gives
 /// for nothing: the variance and the entropy of the ray's weights, the weights' deviation over the number of training
 /// rays, 1 - opacity, the rays and visits themselves, and chance; and, if the model knows its training cameras, by how
-/// many of them see the place, and from how near an angle. With --ensemble they are also ranked by the disagreement of
+/// many of them see the place, and from how near an angle. A field that knows its misfit (`uncertainty --images`) adds
+/// that. With --ensemble they are also ranked by the disagreement of
 /// several models.
 ///
 /// Depth is compared where the true depth is known and the image is fully opaque (alpha 255; images without alpha
@@ -167,7 +168,6 @@ impl Args {
             differentiation,
             members: members.iter().map(|member| settings.tracer(&**member, 0.0, bars)).collect::<Result<_>>()?,
             training: training.as_ref(),
-            misfit: readings.iter().find_map(|reading| reading.field.misfit()),
             truly_seen: truly_seen.as_ref(),
             ..Evaluator::new(tracer, &readings)
         };

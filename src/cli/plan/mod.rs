@@ -118,6 +118,11 @@ impl Args {
             ("--dump-samples", options.dump_samples.is_some(), "shards write no samples"),
             ("--error-bars", options.error_bars.is_some(), "shards of one seed are not independent"),
             ("--correlations", options.correlations.is_some(), "draws need all rays in one place"),
+            (
+                "--images",
+                options.images.is_some(),
+                "every job would compare them all; merge the whole with one more run that has them",
+            ),
             ("--shard", options.shard.is_some(), "every job is a shard"),
         ];
         match meaningless.into_iter().find(|(_, is_given, _)| self.slurm && *is_given) {

@@ -120,9 +120,11 @@ pub struct Args {
     /// cannot show
     ///
     /// The names of the training images start from DIR: it is the data set that the model was trained on, or the
-    /// folder of the camera file. Residuals of the images are stored around each part of space, and the deviation of
-    /// depth becomes sqrt(Var + s^2 + (c residual)^2), where c is a 20th of the box's longest edge for all scenes. U
-    /// stays as it is. Needs --scale data.
+    /// folder of the camera file. They have the size of the cameras' pictures. Their residuals are kept at the points
+    /// of a lattice of at most 64 cells a side, and the deviation of depth becomes
+    /// sqrt(Var + s^2 + (c residual)^2), where c is a 20th of the longest edge of the field's box, for all scenes (in
+    /// contracted space, of the part that is not). U stays as it is. Of fields to merge, one that has them is enough.
+    /// Needs --scale data.
     #[arg(long, value_name = "DIR", conflicts_with = "tile")]
     pub(super) images: Option<PathBuf>,
 
@@ -188,14 +190,14 @@ impl Args {
         self.cameras.find(Part::Training);
         self.command_files().check()?;
         let inputs = self.read()?;
-        let images = TrainingImages::find(&self, &inputs)?;
+        let start = Instant::now();
+        let (estimation, grid) = self.estimation(&inputs, bars)?;
+        let images = TrainingImages::find(&self, &inputs, &grid)?;
         let files = self.command_files().images(&inputs.views);
         images.iter().fold(files, |files, images| images.add_to(files)).check()?;
         self.grid.check_output()?;
         let mut dump = self.dump_samples.as_deref().map(SamplesWriter::create).transpose()?;
 
-        let start = Instant::now();
-        let (estimation, grid) = self.estimation(&inputs, bars)?;
         let checkpoint = self.checkpoint();
         let estimation = checkpoint.iter().cloned().fold(estimation, Estimation::checkpoint);
         let mut together = Together::new(&self, &grid, inputs.domain())?;

@@ -55,8 +55,8 @@ pub fn add(parts: &(impl Parts + ?Sized), heads: &[Head], order: &[usize]) -> Re
             }
             _ => None,
         };
-        // Of one model and the same images it is the same.
-        misfit = if n == 0 { part.misfit.clone() } else { misfit.filter(|first| part.misfit.as_ref() == Some(first)) };
+        // It is the model's, whatever the rays, and one part that knows it is enough.
+        misfit = misfit.or_else(|| part.misfit.clone());
     }
     surface.truncate(most);
     let field = match dense {
