@@ -108,9 +108,9 @@ pub struct RenderedView {
     /// `[variances of the depth probe][height · width]`: the variance of the expected depth under a posterior of
     /// displacements, squared scene units; NaN where nothing was hit.
     pub posterior_variance: Vec<Vec<f64>>,
-    /// The same with what the ray's weights leave open, and what moving matter does not explain: √(Var + s² + e²).
-    /// s² is the variance of the weights + δ²/12, e² is [`DepthVariance::unexplained`] at the expected depth. A standard
-    /// deviation of depth, scene units.
+    /// The same with what the ray's weights leave open, and what moving matter does not explain: √(Var + s² + e²). Here
+    /// s² is the variance of the weights + δ²/12, and e² is [`DepthVariance::unexplained`] at the expected depth. A
+    /// standard deviation of depth, scene units.
     ///
     /// [`DepthVariance::unexplained`]: super::DepthVariance::unexplained
     pub depth_deviation: Vec<Vec<f64>>,
