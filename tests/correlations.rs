@@ -1,19 +1,9 @@
 //! `uncertainty --correlations`, from the command line.
 
-use std::path::Path;
-use std::process::{Command, Output};
+mod program;
 
 use octobayes::uncertainty::UncertaintyField;
-
-fn run(folder: &Path, args: &str) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_octobayes")).current_dir(folder).args(args.split(' ')).output().unwrap()
-}
-
-fn good(folder: &Path, args: &str) -> String {
-    let output = run(folder, args);
-    assert!(output.status.success(), "{args}: {}", String::from_utf8_lossy(&output.stderr));
-    String::from_utf8(output.stdout).unwrap()
-}
+use program::{good, run};
 
 const RUN: &str = "uncertainty scene:courtyard --level 4 --rays 4000 --resolution 48 --occupancy 32";
 

@@ -1,27 +1,17 @@
 //! `uncertainty --images`, from the command line.
 
-use std::path::Path;
-use std::process::{Command, Output};
+mod program;
 
 use octobayes::dataset::Views;
 use octobayes::field::{ClosedForm, RadianceField};
 use octobayes::monitor::Silent;
 use octobayes::render::{Marcher, Tracer, render_view};
 use octobayes::uncertainty::{Conformal, Misfit, UncertaintyField};
+use program::{good, run};
 
 const SIDE: u32 = 48;
 /// What the images are off by in one channel, of 255.
 const OFF: f64 = 20.0;
-
-fn run(folder: &Path, args: &str) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_octobayes")).current_dir(folder).args(args.split(' ')).output().unwrap()
-}
-
-fn good(folder: &Path, args: &str) -> String {
-    let output = run(folder, args);
-    assert!(output.status.success(), "{args}: {}", String::from_utf8_lossy(&output.stderr));
-    String::from_utf8(output.stdout).unwrap()
-}
 
 const RUN: &str = "uncertainty scene:ball --cameras cameras.json --level 4 --rays 4000 --resolution 48 --occupancy 32";
 const DATA: &str = "--scale data --psnr 30 --covariance block --keep-sums";
@@ -84,7 +74,7 @@ fn deviations_of_depth_count_what_images_show_and_the_model_does_not() {
     let (before, after) = (deviation("plain.oct"), deviation("joined.oct"));
     let added = (after * after - before * before).sqrt();
     let expected = Misfit::LENGTH_SHARE * edge * m;
-    assert!((added / expected - 1.0).abs() < 1.0 / OFF, "{added} and {expected}");
+    assert!((added / expected - 1.0).abs() < 0.5 / OFF, "{added} and {expected}");
 
     // Without the matrices, by one thread, of two seeds: it stays what it is.
     good(folder, &format!("{RUN} {DATA} --images pictures --threads 1 --seed 7 -o other.oct"));

@@ -1,22 +1,12 @@
 //! `--scale data`: deviations in scene units, from the command line.
 
-use std::path::Path;
-use std::process::{Command, Output};
+mod program;
 
 use octobayes::field::ClosedForm;
 use octobayes::geometry::Camera;
 use octobayes::posterior::Scale;
 use octobayes::uncertainty::{Knowledge, UncertaintyField};
-
-fn run(folder: &Path, args: &str) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_octobayes")).current_dir(folder).args(args.split(' ')).output().unwrap()
-}
-
-fn good(folder: &Path, args: &str) -> String {
-    let output = run(folder, args);
-    assert!(output.status.success(), "{args}: {}", String::from_utf8_lossy(&output.stderr));
-    String::from_utf8(output.stdout).unwrap()
-}
+use program::{good, run};
 
 const RUN: &str = "uncertainty scene:ball --cameras transforms.json --level 5 --rays 4000 --occupancy 32";
 

@@ -206,8 +206,8 @@ pub fn joint(scenes: &[Scene], rows: &[Vec<Row>]) -> String {
 /// themselves, its square.
 pub fn lengths(of: &str, rows: &[Vec<Row>], edge: f64, truth: f64) -> String {
     let mut table = Table::new(&["c / edge", "50 %", "68 %", "90 %", "95 %", "NLL", "AUSE: MAE", "RMSE"]);
-    for [name, share] in [["0", ""], ["1/60", "60"], ["1/30", "30"], ["1/20", "20"], ["1/15", "15"], ["1/10", "10"]] {
-        let joint = Joint { factor: 1.0, length: share.parse::<f64>().map_or(0.0, |share| edge / share) };
+    for parts in [None, Some(60), Some(30), Some(20), Some(15), Some(10)] {
+        let joint = Joint { factor: 1.0, length: parts.map_or(0.0, |parts| edge / f64::from(parts)) };
         let of = |row: &Row| {
             let calibration = joint.calibration(row, truth);
             let found = calibration.of(ErrorDensity::PREDICTIVE);
@@ -219,7 +219,7 @@ pub fn lengths(of: &str, rows: &[Vec<Row>], edge: f64, truth: f64) -> String {
         let column = |k: usize| -> Vec<f64> {
             scenes.iter().map(|rows| mean(&rows.iter().map(|row| row[k]).collect::<Vec<_>>())).collect()
         };
-        let mut cells = vec![name.to_owned()];
+        let mut cells = vec![parts.map_or("0".to_owned(), |parts| format!("1/{parts}"))];
         cells.extend((0..4).map(|k| {
             let found = column(k);
             let [low, high] = [f64::min, f64::max].map(|either| found.iter().copied().reduce(either).unwrap_or(0.0));

@@ -9,6 +9,7 @@ mod march;
 mod noise;
 mod occupancy;
 mod question;
+mod ray_average;
 mod samples;
 mod shade;
 mod together;
@@ -22,11 +23,10 @@ pub use jacobian::JacobianBuffers;
 pub use march::{Marcher, SampleDistances};
 pub use noise::{DifferenceError, DifferenceErrors, LONGEST_STEP, TABLE, noise_level};
 pub use occupancy::Occupancy;
+pub use ray_average::RayAverage;
 pub use samples::{RaySample, RaySamples, VisibleSegment};
 pub use together::{RayGroup, RaysTogether};
 pub use trace::{TraceBuffers, TracedRays, Tracer};
-pub use view::{
-    FEWEST, Probe, Probed, ProbedField, RayAverage, RenderedView, render_rays, render_view, render_view_with_depth,
-};
+pub use view::{FEWEST, Probe, Probed, ProbedField, RenderedView, render_rays, render_view, render_view_with_depth};
 
 use question::{Kind, Question};

@@ -4,58 +4,10 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::trace::TraceBuffers;
-use super::{CompositingWeights, DepthProbe, Pixel, Tracer};
+use super::{CompositingWeights, DepthProbe, Pixel, RayAverage, Tracer};
 use crate::Result;
 use crate::geometry::{Camera, Ray};
 use crate::monitor::{Monitor, check};
-
-/// Ray average: how log10 U at the samples of a ray becomes one number per pixel.
-///
-/// Letters: w weights of the samples, u = log10 U at the samples, t their distances, δ the distance between samples.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "kebab-case")]
-#[non_exhaustive]
-pub enum RayAverage {
-    /// Σ w u / Σ w: the mean over what the ray meets.
-    #[default]
-    WeightedMean,
-    /// Σ w u − 3 T_end, as in the official code, which counts empty space as certain.
-    Official,
-    /// u at the expected depth Σ w t / Σ w, which may lie between two surfaces.
-    AtExpected,
-    /// u at the expected depth + log10 s, where s² = Var t + δ²/12 is the variance of the ray's weights.
-    ///
-    /// How loosely matter is held there, times how widely it is spread along the ray; scene units squared. It is
-    /// meant for ranking pixels by their depth error.
-    Spread,
-    /// [`RayAverage::Spread`] − ½ log10 n, where n is the number of training rays of the vertices around the expected
-    /// depth, at least ½. NaN if the number is not known.
-    ///
-    /// What few rays support is known less well than its U says. It ranks depth errors best (`experiments/depth.md`).
-    SpreadPerRay,
-}
-
-impl RayAverage {
-    /// All ray averages.
-    pub const ALL: [Self; 5] = [Self::WeightedMean, Self::Official, Self::AtExpected, Self::Spread, Self::SpreadPerRay];
-
-    /// Name on the command line and in reports.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::WeightedMean => "weighted-mean",
-            Self::Official => "official",
-            Self::AtExpected => "at-expected",
-            Self::Spread => "spread",
-            Self::SpreadPerRay => "spread-per-ray",
-        }
-    }
-
-    /// Returns true if it needs u at every sample.
-    fn is_of_samples(self) -> bool {
-        !matches!(self, Self::AtExpected | Self::Spread | Self::SpreadPerRay)
-    }
-}
 
 /// log10 U that the official code assigns to the part of a ray that hits nothing.
 const OFFICIAL_EMPTY: f64 = -3.0;

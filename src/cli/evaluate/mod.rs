@@ -36,8 +36,7 @@ use crate::{Error, Result};
 /// for nothing: the variance and the entropy of the ray's weights, the weights' deviation over the number of training
 /// rays, 1 - opacity, the rays and visits themselves, and chance; and, if the model knows its training cameras, by how
 /// many of them see the place, and from how near an angle. A field that knows its misfit (`uncertainty --images`) adds
-/// that. With --ensemble they are also ranked by the disagreement of
-/// several models.
+/// that. With --ensemble they are also ranked by the disagreement of several models.
 ///
 /// Depth is compared where the true depth is known and the image is fully opaque (alpha 255; images without alpha
 /// are opaque everywhere).

@@ -14,6 +14,7 @@ use crate::{Error, Result};
 
 /// The model, its training cameras, and what identifies them.
 pub struct Inputs {
+    /// The model.
     pub field: Box<dyn RadianceField>,
     /// The training frames.
     pub views: Views,
