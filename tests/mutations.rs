@@ -248,7 +248,7 @@ fn contents_that_no_run_writes_are_refused() {
     let lambda = format!("\"lambda\":{}", serde_json::json!(samples::fields()[0].protocol().lambda));
     // Kind, sample, part, change, what the message names.
     type Change<'a> = &'a dyn Fn(&mut Vec<u8>);
-    let cases: [(Kind, usize, usize, Change, &str); 17] = [
+    let cases: [(Kind, usize, usize, Change, &str); 24] = [
         // A prior that is infinite.
         (
             Kind::Field,
@@ -282,6 +282,26 @@ fn contents_that_no_run_writes_are_refused() {
         // Error bars that are negative, and error bars of one group.
         (Kind::Field, 6, 10, &|errors| errors[3] = 0x80, "errors"),
         (Kind::Field, 6, 10, &|errors| errors[..2].copy_from_slice(&[1, 0]), "errors"),
+        // Residuals that are not finite, and of a vertex that is not there.
+        (Kind::Field, 9, 13, &|misfit| misfit[..4].fill(0xff), "misfit"),
+        (Kind::Field, 9, 13, &|misfit| misfit.truncate(4), "misfit"),
+        // On coarser levels: U that is none, a cell that is no cell, sums that the others have; an infinite prior.
+        (Kind::Field, 10, 15, &|deviations| deviations[..4].fill(0xff), "`deviations 1`, entry 0"),
+        (Kind::Field, 10, 14, &|masks| masks.push(1), "`masks 1`"),
+        (Kind::Field, 10, 19, &Vec::clear, "`factors 2`"),
+        (Kind::Field, 10, 16, &|factors| factors[..4].fill(0xff), "`factors 1`, entry 0"),
+        (
+            Kind::Field,
+            10,
+            0,
+            &|header| {
+                let text = String::from_utf8(header.clone()).unwrap();
+                let (own, coarser) = text.split_once("\"coarser\":").unwrap();
+                let coarser = coarser.replacen("\"lambda\":", "\"lambda\":-", 1);
+                *header = [own, &coarser].join("\"coarser\":").into_bytes();
+            },
+            "coarser levels",
+        ),
         // Keys of vertices: so coarse that a shift by their levels overflows, then coarse and outside.
         (Kind::Checkpoint, 0, 1, &|keys| keys[..8].copy_from_slice(&(40_u64 << 57).to_le_bytes()), "sums"),
         (Kind::Checkpoint, 0, 1, &|keys| keys[..8].copy_from_slice(&(3_u64 << 57 | 8).to_le_bytes()), "sums"),

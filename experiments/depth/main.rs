@@ -12,6 +12,7 @@ mod candidates;
 mod correlations;
 mod joint;
 mod judge;
+mod levels;
 mod parameters;
 mod pictures;
 mod pretrained;
@@ -95,6 +96,7 @@ fn main() -> Result<()> {
             ("meshes", Needs::Data),
             ("ensembles", Needs::Data),
             ("strong", Needs::Data),
+            ("levels", Needs::Data),
             ("lego", Needs::Data),
             ("lego-by-views", Needs::Data),
             ("kitchen", Needs::Data),
@@ -143,7 +145,7 @@ fn main() -> Result<()> {
     })?;
     program.part("strong", |work| {
         let scenes = scenes(&TESTING, STRONG);
-        let rows = study(work, &scenes, &SEEDS[..1], 1)?;
+        let rows = study(work, &scenes, &SEEDS, 1)?;
         let text = [
             tables::coverage(&names(&scenes), &rows),
             tables::beside(&rows, &meshes(&scenes), &default_ranking()),
@@ -151,7 +153,13 @@ fn main() -> Result<()> {
             tables::lengths("", &rows, EDGE, 0.0),
             tables::costs(&rows),
         ];
-        Ok((settings(STRONG, &SEEDS[..1]), text.join("\n")))
+        Ok((settings(STRONG, &SEEDS), text.join("\n")))
+    })?;
+    program.part("levels", |work| {
+        let scenes = scenes(&PRICED, STEPS);
+        let rows = scenes.iter().map(|scene| work.row(scene.name(), || levels::measure(scene)));
+        let rows = rows.collect::<Result<Vec<_>>>()?.concat();
+        Ok((levels::settings(), levels::table(&rows)))
     })?;
     program.part("lego", |work| of_lego(work, &OF_LEGO, &SEEDS))?;
     program.part("lego-by-views", |work| of_lego(work, &LEGO_BY_VIEWS, &SEEDS[..1]))?;
@@ -179,7 +187,7 @@ fn main() -> Result<()> {
     })?;
     program.part("correlations", |work| {
         let mut rows = Vec::new();
-        for scene in scenes(&CORRELATED, STEPS) {
+        for scene in scenes(&PRICED, STEPS) {
             for level in correlations::LEVELS {
                 rows.push(work.row((scene.name(), level), || correlations::measure(&scene, level))?);
             }
@@ -188,8 +196,8 @@ fn main() -> Result<()> {
     })
 }
 
-/// Scenes on which the price of leaving correlations out is measured.
-const CORRELATED: [((&str, Up), Seen); 4] = [(BUNNY, FEW), (ARMADILLO, HALF), (SPOT, HOLE), (NEFERTITI, HOLE)];
+/// Scenes on which the prices of levels and of correlations are measured.
+const PRICED: [((&str, Up), Seen); 4] = [(BUNNY, FEW), (ARMADILLO, HALF), (SPOT, HOLE), (NEFERTITI, HOLE)];
 
 /// Coverage and ranking on lego, whose images have twice the side of the meshes'.
 fn of_lego(work: &Work, cases: &[((&'static str, Up), Seen)], of: &[u64]) -> Result<(String, String)> {

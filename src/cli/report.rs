@@ -117,6 +117,10 @@ pub fn protocol(field: &UncertaintyField) -> String {
     if let Some(correlations) = field.correlations() {
         line("correlations", format!("{} draws of all displacements together", correlations.draws()));
     }
+    if !field.coarser().is_empty() {
+        let levels: Vec<String> = field.coarser().iter().map(|field| field.lattice().level().to_string()).collect();
+        line("coarser levels", format!("{}, read by `spread` and `spread-per-ray`", levels.join(", ")));
+    }
     if let Some(misfit) = field.misfit() {
         line("misfit", self::misfit(misfit));
     }
@@ -165,6 +169,7 @@ pub fn protocol_json(field: &UncertaintyField) -> Value {
         "limited": !field.limits().is_unlimited(),
         "error_bars": field.error_summary(),
         "correlations": field.correlations().map(Correlations::draws),
+        "coarser_levels": field.coarser().len(),
         "misfit": field.misfit().map(|misfit| json!({ "root_mean_square": misfit.mean(), "level": misfit.level() })),
     })
 }

@@ -7,6 +7,7 @@ use crate::geometry::{Camera, Domain};
 use crate::monitor::{Monitor, Silent};
 use crate::rays::Shard;
 use crate::render::RaySamples;
+use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
 
 /// The rays that a run draws, and when it ends.
@@ -57,6 +58,8 @@ pub struct Estimation<'a> {
     pub(super) grid: GridSettings,
     pub(super) goal: Goal,
     pub(super) checkpoint: Option<Checkpoint>,
+    /// Levels below the grid's own that are summed from the same rays.
+    pub(super) coarser_levels: u8,
     pub(super) source: String,
     /// Checksum of the model's content, if known.
     pub(super) model: Option<u32>,
@@ -75,6 +78,7 @@ impl<'a> Estimation<'a> {
             grid: GridSettings::default(),
             goal: Goal::Shard { index: 0, of: 1 },
             checkpoint: None,
+            coarser_levels: 0,
             source: field.describe(),
             model: None,
             monitor: &Silent,
@@ -119,6 +123,17 @@ impl<'a> Estimation<'a> {
     /// Saves the run's state in a file, from which it can be resumed.
     pub fn checkpoint(self, checkpoint: Checkpoint) -> Self {
         Self { checkpoint: Some(checkpoint), ..self }
+    }
+
+    /// Also sums the rays on so many levels below the grid's own, at most [`MOST_COARSER`], so that
+    /// [`RayAverage::Spread`] and [`RayAverage::SpreadPerRay`] read the mean of log10 U over all of them. On surfaces
+    /// every level takes a quarter of the memory of the one before.
+    ///
+    /// [`MOST_COARSER`]: crate::uncertainty::UncertaintyField::MOST_COARSER
+    /// [`RayAverage::Spread`]: crate::render::RayAverage::Spread
+    /// [`RayAverage::SpreadPerRay`]: crate::render::RayAverage::SpreadPerRay
+    pub fn coarser_levels(self, coarser_levels: u8) -> Self {
+        Self { coarser_levels, ..self }
     }
 
     /// Sets a human-readable name of model and cameras for the result. The default is the field's description.
@@ -203,6 +218,7 @@ impl<'a> Estimation<'a> {
                 "one of them",
             ));
         }
+        self.check_levels()?;
         match self.goal {
             Goal::Groups(_) | Goal::MeanError(_) if self.grid.tile.is_some() => {
                 Err(Error::setting("tile", "a run of one set of rays", "error bars, or a run to a mean error"))
@@ -220,5 +236,22 @@ impl<'a> Estimation<'a> {
             _ => Ok(()),
         }?;
         self.checkpoint.as_ref().map_or(Ok(()), |checkpoint| checkpoint.check(&checkpoint.files(self.groups())))
+    }
+
+    /// Rejects coarser levels that there cannot be.
+    fn check_levels(&self) -> Result<()> {
+        let (coarser, level) = (self.coarser_levels, self.grid.level);
+        let most = (UncertaintyField::MOST_COARSER as u8).min(level.saturating_sub(1));
+        if coarser > most {
+            let expected = format!("at most {most} below level {level}");
+            return Err(Error::setting("coarser levels", expected, coarser.to_string()));
+        }
+        let is_simple = self.goal == (Goal::Shard { index: 0, of: 1 }) && !self.grid.needs_plan();
+        if coarser > 0 && !(is_simple && self.checkpoint.is_none() && self.grid.tile.is_none()) {
+            let expected = "a run of a number of rays in one group, without a checkpoint, tile, memory budget or criterion \
+                            `ray-count`";
+            return Err(Error::setting("coarser levels", expected, "another"));
+        }
+        Ok(())
     }
 }

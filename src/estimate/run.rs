@@ -22,6 +22,10 @@ use crate::rays::{RayStream, RunProgress, Shard};
 use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
 
+/// Vertices of a level relative to those of the next finer one: a quarter on surfaces, more where rays are few.
+/// Measured: 0.14 (courtyard) to 0.34 (city), level 9, a million rays.
+const COARSER: f64 = 1.0 / 3.0;
+
 /// A finished run.
 #[derive(Debug, Clone)]
 pub struct Outcome {
@@ -139,7 +143,9 @@ impl<'a> Run<'a> {
         };
         // Every group has its own sums, and finishing needs one more.
         let sums = self.estimation.groups().map_or(1.0, |groups| f64::from(groups) + 1.0);
-        (plan.summing, plan.finishing) = (sums * plan.summing, sums * plan.finishing);
+        let levels: f64 = (0..=self.estimation.coarser_levels).map(|below| COARSER.powi(below.into())).sum();
+        (plan.summing, plan.finishing) = (sums * levels * plan.summing, sums * levels * plan.finishing);
+        plan.file *= levels;
         Ok(plan)
     }
 
@@ -193,6 +199,7 @@ impl<'a> Run<'a> {
     /// checkpoint cannot be read or written, a [tap](Estimation::tap) fails, or the work was interrupted.
     pub fn finish(self) -> Result<Outcome> {
         match self.estimation.goal {
+            Goal::Shard { .. } if self.estimation.coarser_levels > 0 => self.finish_levels(),
             Goal::Shard { .. } => self.finish_shard(),
             Goal::Groups(groups) => self.finish_groups(groups),
             Goal::MeanError(decades) => self.finish_mean_error(decades),
@@ -233,6 +240,20 @@ impl<'a> Run<'a> {
         let outcome =
             |(builder, summing)| self.outcome(builder, Drawn { progress, summing, octree: None }, Some(shard));
         Ok(builders.into_iter().map(outcome).collect())
+    }
+
+    /// Sums the same rays on the grid and on coarser ones.
+    fn finish_levels(self) -> Result<Outcome> {
+        let own = self.estimation.grid;
+        // Surfaces are those of the rays, whatever the level.
+        let coarser = |below| GridSettings { level: own.level - below, surface_points: 0, ..own };
+        let grids: Vec<_> = std::iter::once(own).chain((1..=self.estimation.coarser_levels).map(coarser)).collect();
+        let mut outcomes = self.finish_on(&grids)?;
+        let sums_bytes = outcomes.iter().map(|outcome| outcome.sums_bytes).sum();
+        let summing = outcomes.iter().map(|outcome| outcome.summing).sum();
+        let own = outcomes.remove(0);
+        let field = own.field.with_coarser(outcomes.into_iter().map(|outcome| outcome.field).collect())?;
+        Ok(Outcome { field, sums_bytes, summing, ..own })
     }
 
     fn finish_shard(mut self) -> Result<Outcome> {

@@ -89,6 +89,12 @@ pub trait Section {
     fn visit(&self, visit: &mut dyn FnMut(&[u8]) -> std::io::Result<()>) -> std::io::Result<()>;
 }
 
+impl<T: Item> Section for Vec<T> {
+    fn visit(&self, visit: &mut dyn FnMut(&[u8]) -> std::io::Result<()>) -> std::io::Result<()> {
+        self.as_slice().visit(visit)
+    }
+}
+
 impl<T: Item> Section for &[T] {
     fn visit(&self, visit: &mut dyn FnMut(&[u8]) -> std::io::Result<()>) -> std::io::Result<()> {
         pieces(self, visit)

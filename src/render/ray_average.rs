@@ -17,13 +17,25 @@ pub enum RayAverage {
     /// u at the expected depth + log10 s, where s² = Var t + δ²/12 is the variance of the ray's weights.
     ///
     /// How loosely matter is held there, times how widely it is spread along the ray; scene units squared. It is
-    /// meant for ranking pixels by their depth error.
+    /// meant for ranking pixels by their depth error. Of a field that has coarser levels, u is the mean over all of
+    /// them.
     Spread,
     /// [`RayAverage::Spread`] − ½ log10 n, where n is the number of training rays of the vertices around the expected
     /// depth, at least ½. NaN if the number is not known.
     ///
     /// What few rays support is known less well than its U says. It ranks depth errors best (`experiments/depth.md`).
     SpreadPerRay,
+}
+
+/// What a ray average asks a field about.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Asked {
+    /// Every sample that counts.
+    Samples,
+    /// The expected depth.
+    Expected,
+    /// The same, over all levels that the field has.
+    OverLevels,
 }
 
 impl RayAverage {
@@ -42,8 +54,12 @@ impl RayAverage {
         }
     }
 
-    /// Returns true if it needs u at every sample.
-    pub(super) fn is_of_samples(self) -> bool {
-        !matches!(self, Self::AtExpected | Self::Spread | Self::SpreadPerRay)
+    /// What it asks a field about.
+    pub(super) fn asks(self) -> Asked {
+        match self {
+            Self::WeightedMean | Self::Official => Asked::Samples,
+            Self::AtExpected => Asked::Expected,
+            Self::Spread | Self::SpreadPerRay => Asked::OverLevels,
+        }
     }
 }

@@ -3,6 +3,7 @@
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
+use super::ray_average::Asked;
 use super::trace::TraceBuffers;
 use super::{CompositingWeights, DepthProbe, Pixel, RayAverage, Tracer};
 use crate::Result;
@@ -36,6 +37,15 @@ pub trait ProbedField: Sync {
     /// # Errors
     /// If it has to be read first, and cannot be.
     fn at(&self, points: &[Vec3]) -> Result<Vec<Probed>>;
+
+    /// The scalar by which [`RayAverage::Spread`] and [`RayAverage::SpreadPerRay`] rank: that at the points, or its
+    /// mean over several levels.
+    ///
+    /// # Errors
+    /// As [`ProbedField::at`].
+    fn over_levels(&self, points: &[Vec3]) -> Result<Vec<Probed>> {
+        self.at(points)
+    }
 }
 
 /// A scalar function of space, averaged along rays beside the colour.
@@ -218,23 +228,22 @@ pub fn render_rays(
 
 /// `[ray averages of the probe][rays]`. The probe's field is asked for all rays at once.
 fn averages(rays: &[WeightedRay], probe: &Probe) -> Result<Vec<Vec<f64>>> {
-    let has = |is_of_samples| probe.averages.iter().any(|average| average.is_of_samples() == is_of_samples);
-    let at_samples = match has(true) {
+    let needs = |asked| probe.averages.iter().any(|average| average.asks() == asked);
+    let at_samples = match needs(Asked::Samples) {
         true => probe.field.at(&rays.iter().flat_map(WeightedRay::hit).map(|(_, x)| x).collect::<Vec<Vec3>>())?,
         false => Vec::new(),
     };
-    let at_expected = match has(false) {
-        true => probe.field.at(&rays.iter().map(|ray| ray.at_expected).collect::<Vec<Vec3>>())?,
-        false => Vec::new(),
-    };
+    let expected = || rays.iter().map(|ray| ray.at_expected).collect::<Vec<Vec3>>();
+    let at_expected = if needs(Asked::Expected) { probe.field.at(&expected())? } else { Vec::new() };
+    let over_levels = if needs(Asked::OverLevels) { probe.field.over_levels(&expected())? } else { Vec::new() };
     let mut out = vec![Vec::with_capacity(rays.len()); probe.averages.len()];
     let mut rest = &at_samples[..];
     for (r, ray) in rays.iter().enumerate() {
         let (of_ray, others) = if rest.is_empty() { (rest, rest) } else { rest.split_at(ray.hit().count()) };
         rest = others;
-        let at_expected = at_expected.get(r).copied().unwrap_or(UNASKED);
         for (&average, out) in probe.averages.iter().zip(&mut out) {
-            out.push(ray.average(average, of_ray, at_expected));
+            let of_depth = if average.asks() == Asked::OverLevels { &over_levels } else { &at_expected };
+            out.push(ray.average(average, of_ray, of_depth.get(r).copied().unwrap_or(UNASKED)));
         }
     }
     Ok(out)
@@ -328,6 +337,11 @@ mod tests {
             self.0.lock().unwrap().push(points.len());
             Ok(points.iter().map(|x| Probed { value: f64::from(x.x), rays: 1.0 }).collect())
         }
+
+        fn over_levels(&self, points: &[Vec3]) -> Result<Vec<Probed>> {
+            let found = self.at(points)?;
+            Ok(found.iter().map(|probed| Probed { value: probed.value + 100.0, ..*probed }).collect())
+        }
     }
 
     #[test]
@@ -349,5 +363,11 @@ mod tests {
         assert_eq!(found.iter().map(|values| known(values)).collect::<Vec<_>>(), [[1.0, 3.75], [7.0, 8.0]]);
         assert!(found.iter().all(|values| values[1].is_nan() && values[3].is_nan()), "{found:?}");
         assert_eq!(*field.0.lock().unwrap(), [3, 4]);
+        // What ranks reads all levels, and only that.
+        let kinds = [RayAverage::Spread, RayAverage::AtExpected, RayAverage::SpreadPerRay];
+        let found = averages(&rays, &Probe { field: &field, averages: &kinds }).unwrap();
+        let known: Vec<_> = found.iter().map(|values| known(values)).collect();
+        assert_eq!(known, [[107.0, 108.0], [7.0, 8.0], [107.0, 108.0]]);
+        assert_eq!(field.0.lock().unwrap()[2..], [4, 4]);
     }
 }

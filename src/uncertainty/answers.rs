@@ -122,6 +122,10 @@ impl ProbedField for UncertaintyField {
     fn at(&self, points: &[Vec3]) -> Result<Vec<Probed>> {
         Ok(self.estimates(points)?.into_iter().map(Estimate::probed).collect())
     }
+
+    fn over_levels(&self, points: &[Vec3]) -> Result<Vec<Probed>> {
+        self.mean_over_levels(points, self.at(points)?)
+    }
 }
 
 impl UncertaintyField {

@@ -142,6 +142,10 @@ impl ProbedField for BakedField<'_> {
     fn at(&self, points: &[Vec3]) -> Result<Vec<Probed>> {
         Ok(self.query_all(points).into_iter().map(Estimate::probed).collect())
     }
+
+    fn over_levels(&self, points: &[Vec3]) -> Result<Vec<Probed>> {
+        self.field.mean_over_levels(points, self.at(points)?)
+    }
 }
 
 impl Answers for BakedField<'_> {

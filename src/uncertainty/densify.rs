@@ -7,7 +7,7 @@ use super::{RayCounts, StandardDeviations, Support, UncertaintyField};
 
 impl UncertaintyField {
     /// The same U at every vertex of the finest lattice: 4 (M + 1)³ bytes. Sums, error bars and correlations go, and a
-    /// calibrated interval, which was of other deviations.
+    /// calibrated interval, which was of other deviations. Coarser levels stay octrees.
     #[must_use]
     pub fn on_dense_grid(&self) -> Self {
         let n = self.lattice.cells_per_axis() as usize + 1;
@@ -47,6 +47,7 @@ impl UncertaintyField {
             draws: self.draws.clone(),
             correlations: None,
             misfit: self.misfit.clone(),
+            coarser: self.coarser.iter().map(|field| field.clone().without_sums()).collect(),
             conformal: None,
             tile: self.tile,
         }

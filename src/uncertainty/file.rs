@@ -17,6 +17,7 @@
 //! correlations f32        by vertex, x, y and z: displacements in each draw of all of them together; or empty
 //! misfit vertices u64     Morton codes of points of the misfit's lattice, ascending; or empty
 //! misfit       f32        mean square residual of training images around each of them
+//! masks 1, deviations 1, factors 1    the same as without the number, on the next coarser level; then 2, 3, …
 //! ```
 //!
 //! A shard keeps exact sums and counts, so that shards merge to the sums of one run. A whole run that keeps its sums
@@ -26,19 +27,18 @@
 //! [read](legacy) too.
 
 mod legacy;
+mod vertices;
 
 use std::path::Path;
 
+use self::vertices::{Coarser, Factors, Vertices, Written};
 use super::merge::Head;
 use super::misfit;
-use super::{
-    Conformal, Correlations, ErrorBars, Misfit, Protocol, RayCounts, StandardDeviations, Support, UncertaintyField,
-    vertex_count,
-};
+use super::{Conformal, Correlations, ErrorBars, Misfit, Protocol, RayCounts, Support, UncertaintyField, vertex_count};
 use crate::geometry::Lattice;
 use crate::io::container::{self, Format, Reader, Section};
-use crate::octree::{MaxLevels, Octree, Tile};
-use crate::posterior::{FactoredSums, Scale, VertexSums, Visits};
+use crate::octree::{MaxLevels, Tile};
+use crate::posterior::{Scale, Visits};
 use crate::rays::Draw;
 use crate::{Error, Result};
 
@@ -56,6 +56,9 @@ struct Header {
     /// What training left unexplained, if that is known: its sections may be empty.
     #[serde(default)]
     misfit: Option<misfit::Head>,
+    /// Coarser levels of the same rays, finest first; usually none.
+    #[serde(default)]
+    coarser: Vec<Coarser>,
     /// The calibrated interval of depth, if there is one.
     #[serde(default)]
     conformal: Option<Conformal>,
@@ -67,7 +70,7 @@ struct Header {
 impl Header {
     /// Checks what constructors would: deserialisation bypasses them. Returns the lattice.
     fn check(&self, path: &Path) -> Result<Lattice> {
-        let Self { protocol, draws, conformal, tile, .. } = self;
+        let Self { protocol, draws, coarser, conformal, tile, .. } = self;
         let lattice = self.lattice.domain().checked();
         let lattice = lattice
             .and_then(|domain| Lattice::from_domain(domain, self.lattice.level()))
@@ -84,6 +87,12 @@ impl Header {
             let found = "an empty part, or two that may have rays in common";
             return Err(Error::malformed(path, "header, draws", "parts of runs, each ray in one of them", found));
         }
+        let are_possible = |protocol: &Protocol, lambda| Protocol { lambda, ..protocol.clone() }.is_possible();
+        let most = UncertaintyField::MOST_COARSER.min(usize::from(lattice.level()) - 1);
+        if coarser.len() > most || !coarser.iter().all(|coarser| are_possible(protocol, coarser.lambda)) {
+            let (expected, found) = (format!("up to {most} with possible priors"), coarser.len().to_string());
+            return Err(Error::malformed(path, "header, coarser levels", expected, found));
+        }
         if let Some(conformal) = conformal.filter(|conformal| !conformal.is_possible()) {
             let expected = "an interval that a calibration can give";
             return Err(Error::malformed(path, "header, conformal", expected, format!("{conformal:?}")));
@@ -98,27 +107,24 @@ enum Kind {
     Octree { root_split: bool },
 }
 
-/// Sums, written as their factors. These are computed on the way: all of them would take half as much again as the
-/// sums.
-struct Factors<'a>(&'a [VertexSums]);
-
-impl Section for Factors<'_> {
-    fn visit(&self, visit: &mut dyn FnMut(&[u8]) -> std::io::Result<()>) -> std::io::Result<()> {
-        self.0.chunks(1 << 14).try_for_each(|sums| {
-            let factors: Vec<FactoredSums> = sums.iter().map(Into::into).collect();
-            factors.as_slice().visit(visit)
-        })
+impl Kind {
+    /// What the header says of the vertices, and the masks of their cells.
+    fn and_masks(support: &Support) -> (Self, Vec<u8>) {
+        match support {
+            Support::Dense => (Self::Dense, Vec::new()),
+            Support::Octree(octree) => {
+                let (root_split, masks) = octree.cells().raw();
+                (Self::Octree { root_split }, masks)
+            }
+        }
     }
 }
 
 /// What a file holds, before it is checked.
 struct Content {
     header: Header,
-    masks: Vec<u8>,
-    deviations: Vec<f32>,
+    vertices: Vertices,
     rays: RayCounts,
-    /// Empty if they were not kept.
-    sums: Vec<VertexSums>,
     surface: Vec<[f32; 3]>,
     /// Ray counts by cell of the coarse grid; empty if unknown.
     visits: Vec<u32>,
@@ -129,6 +135,8 @@ struct Content {
     correlations: Vec<f32>,
     /// Vertices of the misfit, and their residuals.
     misfit: (Vec<u64>, Vec<f32>),
+    /// Of coarser levels, finest first.
+    coarser: Vec<Vertices>,
 }
 
 impl Content {
@@ -137,13 +145,10 @@ impl Content {
         let masks = file.section("masks")?;
         let deviations = file.section("deviations")?;
         let rays = RayCounts(file.optional("rays")?);
-        let factors = file.optional::<FactoredSums>("factors")?;
-        if let Some(i) = factors.iter().position(|factor| !factor.is_valid()) {
-            let found = format!("{:?}", factors[i]);
-            return Err(Error::malformed(path, format!("section `factors`, entry {i}"), "a Cholesky factor", found));
-        }
+        let factors = vertices::read_factors(path, &mut file, "factors")?;
         let exact = file.optional("exact")?;
-        let sums = if exact.is_empty() { factors.iter().map(FactoredSums::sums).collect() } else { exact };
+        let sums = if exact.is_empty() { factors } else { exact };
+        let vertices = Vertices { masks, deviations, sums };
         let surface = file.optional("surface")?;
         let visits = RayCounts(file.optional("visits")?);
         let counted = file.optional("counted")?;
@@ -153,12 +158,12 @@ impl Content {
         let (limits, errors, correlations) =
             (file.optional("limits")?, file.optional("errors")?, file.optional("correlations")?);
         let misfit = (file.optional("misfit vertices")?, file.optional("misfit")?);
+        let coarser = (1..=header.coarser.len()).map(|below| Vertices::of_coarser(path, &mut file, below));
+        let coarser = coarser.collect::<Result<_>>()?;
         Ok(Self {
             header,
-            masks,
-            deviations,
+            vertices,
             rays,
-            sums,
             surface,
             visits,
             has_exact_counts,
@@ -166,6 +171,7 @@ impl Content {
             errors,
             correlations,
             misfit,
+            coarser,
         })
     }
 }
@@ -176,17 +182,12 @@ impl UncertaintyField {
     /// # Errors
     /// If the folder is not writable or the disk is full.
     pub fn write(&self, path: &Path) -> Result<()> {
-        let (kind, masks) = match &self.support {
-            Support::Dense => (Kind::Dense, Vec::new()),
-            Support::Octree(octree) => {
-                let (root_split, masks) = octree.cells().raw();
-                (Kind::Octree { root_split }, masks)
-            }
-        };
+        let (kind, masks) = Kind::and_masks(&self.support);
         let (protocol, draws) = (self.protocol.clone(), self.draws.clone());
         let (lattice, conformal, tile) = (self.lattice, self.conformal, self.tile);
         let misfit = self.misfit.as_ref().map(Misfit::head);
-        let header = Header { protocol, lattice, kind, draws, misfit, conformal, tile };
+        let coarser = self.coarser.iter().map(Coarser::of).collect();
+        let header = Header { protocol, lattice, kind, draws, misfit, coarser, conformal, tile };
         let (misfit_vertices, misfit) = self.misfit.as_ref().map_or_else(Default::default, Misfit::vertices);
         let sums = self.sums.as_deref().unwrap_or_default();
         let is_exact = self.is_to_be_merged();
@@ -194,34 +195,29 @@ impl UncertaintyField {
         let factors = Factors(if is_exact { &[] } else { sums });
         let limits = self.limits.packed().unwrap_or_default();
         let errors = self.error_bars.as_ref().map(ErrorBars::words).unwrap_or_default();
-        let (masks, surface) = (masks.as_slice(), self.surface.as_slice());
-        let (limits, errors) = (limits.as_slice(), errors.as_slice());
         let correlations = self.correlations.as_ref().map_or(&[][..], Correlations::displacements);
         let counts = self.visits.as_ref().map_or(&[][..], Visits::counts);
         let counted = if is_exact { counts } else { &[] };
         let visits = if is_exact { RayCounts::default() } else { counts.iter().copied().collect() };
-        let visits = visits.0.as_slice();
-        let (values, rays) = (self.deviations.0.as_slice(), self.rays.0.as_slice());
-        container::write(
-            path,
-            FORMAT,
-            &header,
-            &[
-                ("masks", &masks),
-                ("deviations", &values),
-                ("rays", &rays),
-                ("factors", &factors),
-                ("exact", &exact),
-                ("surface", &surface),
-                ("visits", &visits),
-                ("counted", &counted),
-                ("limits", &limits),
-                ("errors", &errors),
-                ("correlations", &correlations),
-                ("misfit vertices", &misfit_vertices),
-                ("misfit", &misfit),
-            ],
-        )
+        let levels: Vec<_> =
+            (1..).zip(&self.coarser).map(|(i, field)| (vertices::names(i), Written::new(field))).collect();
+        let mut sections: Vec<(&str, &dyn Section)> = vec![
+            ("masks", &masks),
+            ("deviations", &self.deviations.0),
+            ("rays", &self.rays.0),
+            ("factors", &factors),
+            ("exact", &exact),
+            ("surface", &self.surface),
+            ("visits", &visits.0),
+            ("counted", &counted),
+            ("limits", &limits),
+            ("errors", &errors),
+            ("correlations", &correlations),
+            ("misfit vertices", &misfit_vertices),
+            ("misfit", &misfit),
+        ];
+        sections.extend(levels.iter().flat_map(|(names, level)| level.sections(names)));
+        container::write(path, FORMAT, &header, &sections)
     }
 
     /// Reads and checks what the header of a file says. What follows is read by [`UncertaintyField::read`] only.
@@ -258,10 +254,8 @@ impl UncertaintyField {
         let content = if is_old { legacy::read(path)? } else { Content::read(path)? };
         let Content {
             header,
-            masks,
-            deviations,
+            vertices,
             rays,
-            sums,
             surface,
             visits,
             has_exact_counts,
@@ -269,11 +263,16 @@ impl UncertaintyField {
             errors,
             correlations,
             misfit,
+            coarser,
         } = content;
         let lattice = header.check(path)?;
         let protocol = header.protocol;
         let tile = header.tile;
         let is_part = tile.is_some() || protocol.is_part() || header.draws.iter().any(Draw::is_part);
+        if !header.coarser.is_empty() && (is_part || !limits.is_empty()) {
+            let expected = "none in a part of a run, or with limited leaves";
+            return Err(Error::malformed(path, "header, coarser levels", expected, "some"));
+        }
         if has_exact_counts && !is_part {
             return Err(Error::malformed(path, "section `counted`", "counts of a part of a run", "a whole run's"));
         }
@@ -298,29 +297,12 @@ impl UncertaintyField {
                 )
             })?),
         };
-        let support =
-            match header.kind {
-                Kind::Dense => Support::Dense,
-                Kind::Octree { root_split } => Octree::from_raw(lattice.level(), root_split, &masks)
-                    .map(Support::Octree)
-                    .map_err(|problem| Error::malformed(path, "section `masks`", "a balanced octree", problem))?,
-            };
+        let (support, deviations, sums) = vertices.check(path, &lattice, &header.kind, "")?;
         let vertices = vertex_count(&lattice, &support);
-        for (name, count) in [("deviations", deviations.len()), ("rays", rays.len()), ("sums", sums.len())] {
-            if count as u64 != vertices && (name == "deviations" || count != 0) {
-                let expected = format!("{vertices} entries, one per vertex");
-                return Err(Error::malformed(path, format!("section `{name}`"), expected, count.to_string()));
-            }
+        if !rays.is_empty() && rays.len() as u64 != vertices {
+            let expected = format!("{vertices} entries, one per vertex");
+            return Err(Error::malformed(path, "section `rays`", expected, rays.len().to_string()));
         }
-        if let Some(i) = deviations.iter().position(|d| !(*d > 0.0 && d.is_finite())) {
-            let found = deviations[i].to_string();
-            return Err(Error::malformed(path, format!("section `deviations`, entry {i}"), "a positive number", found));
-        }
-        if let Some(i) = sums.iter().position(|e| !e.is_valid()) {
-            let found = format!("{:?}", sums[i]);
-            return Err(Error::malformed(path, format!("section `sums`, entry {i}"), "sums that rays can give", found));
-        }
-        let (deviations, sums) = (StandardDeviations(deviations), (!sums.is_empty()).then_some(sums));
         let error_bars = (!errors.is_empty()).then(|| ErrorBars::from_words(&errors, vertices)).transpose();
         let error_bars =
             error_bars.map_err(|(expected, found)| Error::malformed(path, "section `errors`", expected, found))?;
@@ -361,9 +343,13 @@ impl UncertaintyField {
             draws,
             correlations,
             misfit,
+            coarser: Vec::new(),
             conformal,
             tile,
         };
-        Ok(field)
+        let coarser = (1..).zip(coarser).zip(header.coarser);
+        let coarser = coarser.map(|((below, vertices), head)| vertices.into_coarser(path, &field, below, head));
+        let coarser = coarser.collect::<Result<_>>()?;
+        Ok(Self { coarser, ..field })
     }
 }

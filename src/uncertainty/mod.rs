@@ -6,6 +6,7 @@
 mod answers;
 mod baked;
 mod batch;
+mod coarser;
 mod compare;
 mod conformal;
 mod correlations;
@@ -94,6 +95,8 @@ pub struct UncertaintyField {
     correlations: Option<Correlations>,
     /// What training left unexplained, if deviations of depth count it.
     misfit: Option<Misfit>,
+    /// The same rays on coarser lattices, finest first; usually none.
+    coarser: Vec<Self>,
     /// An interval of depth that was calibrated for these deviations.
     conformal: Option<Conformal>,
     /// The part of space whose vertices have sums, if not all. Elsewhere nothing is known.
@@ -147,6 +150,7 @@ impl UncertaintyField {
             draws,
             correlations: None,
             misfit: None,
+            coarser: Vec::new(),
             conformal: None,
             tile: None,
         }
@@ -187,7 +191,8 @@ impl UncertaintyField {
     pub fn without_sums(self) -> Self {
         // Without the matrices deviations of depth are others, so an interval for those would be wrong.
         let conformal = self.conformal.filter(|_| self.sums.is_none() || self.correlations.is_some());
-        Self { sums: None, conformal, ..self }
+        let coarser = self.coarser.into_iter().map(Self::without_sums).collect();
+        Self { sums: None, coarser, conformal, ..self }
     }
 
     /// The same field without what queries do not need. A part of a run keeps its sums: it is of no use without
@@ -344,6 +349,10 @@ impl UncertaintyField {
         if let Some(misfit) = &self.misfit {
             parts.push(("misfit", misfit.memory()));
         }
+        if !self.coarser.is_empty() {
+            let of_coarser = self.coarser.iter().flat_map(Self::memory).map(|part| part.1).sum();
+            parts.push(("coarser levels", of_coarser));
+        }
         if let Support::Octree(octree) = &self.support {
             parts.extend(octree.memory());
         }
@@ -354,14 +363,15 @@ impl UncertaintyField {
         parts
     }
 
-    /// Bytes needed for queries: deviation and ray count of every vertex, and the structure.
+    /// Bytes needed for queries: deviation and ray count of every vertex, and the structure; coarser levels included.
     #[must_use]
     pub fn query_memory(&self) -> usize {
         let structure: usize = match &self.support {
             Support::Dense => 0,
             Support::Octree(octree) => octree.memory().iter().map(|part| part.1).sum(),
         };
-        self.deviations.memory() + self.rays.memory() + structure
+        let coarser: usize = self.coarser.iter().map(Self::query_memory).sum();
+        self.deviations.memory() + self.rays.memory() + structure + coarser
     }
 }
 

@@ -1,7 +1,7 @@
 //! Other readings of the same sums: another covariance, prior, scale or pooling.
 //!
-//! Error bars and a calibrated interval hold for one reading only, and go. Correlations hold for one prior, and the
-//! misfit for depths that have deviations.
+//! Error bars and a calibrated interval hold for one reading only, and go. Correlations and coarser levels hold for one
+//! prior, and the misfit for depths that have deviations.
 
 use super::from_sums::deviations_from_sums;
 use super::{Support, UncertaintyField};
@@ -27,6 +27,8 @@ impl UncertaintyField {
             self.protocol.covariance = covariance;
             self.deviations = deviations_from_sums(&self.protocol, &self.lattice, &self.support, &self.limits, sums);
             (self.error_bars, self.conformal) = (None, None);
+            let coarser = self.coarser.into_iter().map(|field| field.with_covariance(covariance));
+            self.coarser = coarser.collect::<Result<_>>()?;
         }
         Ok(self)
     }
@@ -59,6 +61,7 @@ impl UncertaintyField {
         self.protocol.lambda = lambda;
         self.protocol.scale = scale;
         (self.error_bars, self.correlations, self.conformal) = (None, None, None);
+        self.coarser.clear();
         self.misfit = self.misfit.filter(|_| matches!(scale, Scale::Data(_)));
         self.deviations = deviations_from_sums(&self.protocol, &self.lattice, &self.support, &self.limits, sums);
         Ok(self)
@@ -75,6 +78,7 @@ impl UncertaintyField {
                 self.protocol.min_rays = min_rays;
                 self.protocol.tolerance = tolerance;
                 (self.error_bars, self.correlations, self.conformal) = (None, None, None);
+                self.coarser.clear();
                 self.deviations =
                     deviations_from_sums(&self.protocol, &self.lattice, &self.support, &self.limits, sums);
                 Ok(self)

@@ -12,8 +12,27 @@ use std::io::{Cursor, Read, Write};
 use super::{Kind, torch};
 
 /// Sections of containers, in the order of their parts.
-const FIELD: [&str; 10] =
-    ["masks", "deviations", "rays", "factors", "exact", "surface", "visits", "counted", "limits", "errors"];
+const FIELD: [&str; 19] = [
+    "masks",
+    "deviations",
+    "rays",
+    "factors",
+    "exact",
+    "surface",
+    "visits",
+    "counted",
+    "limits",
+    "errors",
+    "correlations",
+    "misfit vertices",
+    "misfit",
+    "masks 1",
+    "deviations 1",
+    "factors 1",
+    "masks 2",
+    "deviations 2",
+    "factors 2",
+];
 const CHECKPOINT: [&str; 4] = ["keys", "sums", "surface", "visits"];
 
 /// Arrays that archives may have, in the order of their parts.

@@ -121,6 +121,7 @@ fn field_is_sound(field: &UncertaintyField, path: &Path) {
             assert!(found >= 0.0 && found.is_finite(), "a deviation of {found} at {x}");
         }
     }
+    field.coarser().iter().for_each(|coarser| field_is_sound(coarser, path));
     for covariance in Covariance::ALL {
         let Ok(field) = field.clone().with_covariance(covariance) else { continue };
         for (x, estimate) in points_around(cube).into_iter().map(|x| (x, field.query(x))) {

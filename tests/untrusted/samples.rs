@@ -139,6 +139,10 @@ pub fn fields() -> Vec<UncertaintyField> {
         (0..20).for_each(|i| sums.add(Vec3::splat(0.1 * i as f32 - 1.0), 0.01 * f64::from(i % 3)));
         field.with_misfit(sums.finish()).unwrap()
     };
+    let levels = |settings: GridSettings| {
+        let [two, one] = [2, 1].map(|level| field(settings.level(level), cube));
+        field(settings.level(3), cube).with_coarser(vec![two, one]).unwrap()
+    };
     vec![
         field(small, cube),
         field(small.level(1), cube).without_sums(),
@@ -150,6 +154,7 @@ pub fn fields() -> Vec<UncertaintyField> {
         bars(field(small.grid(GridKind::Dense).level(1), cube)).without_sums(),
         drawn(small, cube, Shard::new(2_000, 0, 2)),
         images_known(small),
+        levels(small),
     ]
 }
 

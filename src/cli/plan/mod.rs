@@ -118,6 +118,7 @@ impl Args {
             ("--dump-samples", options.dump_samples.is_some(), "shards write no samples"),
             ("--error-bars", options.error_bars.is_some(), "shards of one seed are not independent"),
             ("--correlations", options.correlations.is_some(), "draws need all rays in one place"),
+            ("--coarser-levels", options.coarser_levels.is_some(), "a merge would lose them"),
             (
                 "--images",
                 options.images.is_some(),

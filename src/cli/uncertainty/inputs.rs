@@ -81,6 +81,7 @@ impl Args {
         }
         let estimation = Estimation::new(&**field, cameras).domain(*domain).rays(rays).grid(grid);
         let estimation = estimation.source(self.source(files, cameras)).model(*checksum).monitor(bars);
+        let estimation = estimation.coarser_levels(self.coarser_levels.unwrap_or(0));
         Ok((self.goal(estimation, grid.tolerance)?, grid))
     }
 

@@ -24,6 +24,7 @@ use crate::estimate::{Checkpoint, Estimation, GridSettings, Outcome, Planner, Ra
 use crate::io::memory::{available, resident};
 use crate::rays::{Pixels, RunProgress, SamplesWriter};
 use crate::render::GradientMethod;
+use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
 
 /// Compute the uncertainty of a trained field from its training cameras
@@ -127,6 +128,16 @@ pub struct Args {
     /// Needs --scale data.
     #[arg(long, value_name = "DIR", conflicts_with = "tile")]
     pub(super) images: Option<PathBuf>,
+
+    /// Also sum the same rays on this many coarser levels, so that no level has to be chosen for ranking pixels
+    /// [without a number: 2]
+    ///
+    /// `spread` and `spread-per-ray`, by which `evaluate` ranks, then read the mean of log10 U over all levels, which
+    /// ranks depth errors a little better than any of them (experiments/depth.md). U and deviations of depth stay as
+    /// they are. Fields that are merged lose their coarser levels.
+    #[arg(long, value_name = "N", num_args = 0..=1, default_missing_value = "2", value_parser = clap::value_parser!(u8).range(1..=UncertaintyField::MOST_COARSER as i64),
+          conflicts_with_all = ["error_bars", "shard", "tile", "memory", "checkpoint"])]
+    pub(super) coarser_levels: Option<u8>,
 
     /// Also write the ray samples with their Jacobians, in the format that `accumulate` reads
     // Under a memory budget a run may start again, and would write its first rays twice.

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use half::f16;
 
-use super::{Content, FORMAT, Header, Kind};
+use super::{Content, FORMAT, Header, Kind, Vertices};
 use crate::geometry::Lattice;
 use crate::io::container::Item;
 use crate::io::legacy;
@@ -140,14 +140,13 @@ pub(super) fn read(path: &Path) -> Result<Content> {
         }
     };
     let rays: RayCounts = sums.iter().map(|sums| sums.rays).collect();
-    let header = Header { protocol, lattice, kind, draws, misfit: None, conformal: None, tile: None };
+    let header =
+        Header { protocol, lattice, kind, draws, misfit: None, coarser: Vec::new(), conformal: None, tile: None };
     let (limits, errors) = (file.section("limits")?, file.section("errors")?);
     Ok(Content {
         header,
-        masks,
-        deviations,
+        vertices: Vertices { masks, deviations, sums },
         rays,
-        sums,
         surface,
         visits: Vec::new(),
         has_exact_counts: false,
@@ -155,5 +154,6 @@ pub(super) fn read(path: &Path) -> Result<Content> {
         errors,
         correlations: Vec::new(),
         misfit: (Vec::new(), Vec::new()),
+        coarser: Vec::new(),
     })
 }

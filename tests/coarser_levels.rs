@@ -1,0 +1,67 @@
+//! `uncertainty --coarser-levels`, from the command line.
+
+mod program;
+
+use octobayes::uncertainty::UncertaintyField;
+use program::{good, run};
+
+const RUN: &str = "uncertainty scene:courtyard --level 6 --rays 4000 --resolution 48 --occupancy 32";
+
+#[test]
+fn u_stays_and_rankings_read_all_levels() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    good(folder, &format!("{RUN} -o alone.oct"));
+    good(folder, &format!("{RUN} --coarser-levels -o levels.oct"));
+    let read = |name: &str| UncertaintyField::read(&folder.join(name)).unwrap();
+    let (alone, levels) = (read("alone.oct"), read("levels.oct"));
+    assert!(alone.deviations() == levels.deviations() && alone.coarser().is_empty());
+    let of = |field: &UncertaintyField| field.coarser().iter().map(|f| f.lattice().level()).collect::<Vec<_>>();
+    assert_eq!(of(&levels), [5, 4]);
+    let info = good(folder, "info levels.oct");
+    assert!(info.contains("coarser levels 5, 4, read by `spread` and `spread-per-ray`"), "{info}");
+    assert!(!good(folder, "info alone.oct").contains("coarser levels"));
+    let json = |name| serde_json::from_str::<serde_json::Value>(&good(folder, &format!("info {name} --json"))).unwrap();
+    assert_eq!([json("alone.oct"), json("levels.oct")].map(|info| info["coarser_levels"].clone()), [0, 2]);
+
+    // Of the uncertainty at a point nothing changes, of its ranking much.
+    std::fs::write(folder.join("points.csv"), "0.3,-0.4,0.02\n").unwrap();
+    let query = |name| good(folder, &format!("query {name} points.csv"));
+    assert_eq!(query("alone.oct"), query("levels.oct"));
+    for (average, same) in
+        [("weighted-mean", true), ("at-expected", true), ("spread", false), ("spread-per-ray", false)]
+    {
+        let picture = |name: &str| {
+            let camera = "--resolution 24 --frame 1";
+            good(folder, &format!("render scene:courtyard {name} {camera} --ray-average {average} -o x.exr"));
+            std::fs::read(folder.join("x.exr")).unwrap()
+        };
+        assert_eq!(picture("alone.oct") == picture("levels.oct"), same, "{average}");
+    }
+
+    good(folder, &format!("{RUN} --coarser-levels 2 --threads 1 -o again.oct"));
+    assert!(read("again.oct") == levels);
+}
+
+#[test]
+fn what_they_need_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    for (more, code, expected) in [
+        ("--coarser-levels 5", 2, "5 is not in 1..=4"),
+        ("--coarser-levels 2 --checkpoint x.chk", 2, "cannot be used with"),
+        ("--coarser-levels 2 --refine ray-count", 2, "coarser levels: expected a run of a number of rays"),
+        ("--coarser-levels 2 --rays auto", 2, "coarser levels: expected a run of a number of rays"),
+        ("--coarser-levels 2 --level 2", 2, "coarser levels: expected at most 1 below level 2, found 2"),
+    ] {
+        let mut base = RUN.to_owned();
+        for option in ["--rays 4000", "--level 6"] {
+            let name = option.split(' ').next().unwrap();
+            if more.contains(&format!("{name} ")) {
+                base = base.replace(&format!(" {option}"), "");
+            }
+        }
+        let output = run(folder.path(), &format!("{base} -o x.oct {more}"));
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.code() == Some(code) && said.contains(expected), "{more}: {said}");
+    }
+}
