@@ -44,6 +44,26 @@ fn u_stays_and_rankings_read_all_levels() {
 }
 
 #[test]
+fn they_go_with_correlations_and_not_through_a_merge() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let run = RUN.replace("--level 6", "--level 4") + " --coarser-levels 1 --keep-sums";
+    let read = |name: &str| UncertaintyField::read(&folder.join(name)).unwrap();
+    let data = "--scale data --psnr 30 --covariance block";
+    good(folder, &format!("{run} {data} --correlations 8 -o both.oct"));
+    good(folder, &format!("{} {data} --correlations 8 -o one.oct", run.replace("--coarser-levels 1 ", "")));
+    let (both, one) = (read("both.oct"), read("one.oct"));
+    assert!(both.correlations().is_some() && both.correlations() == one.correlations());
+    assert_eq!([both.coarser().len(), one.coarser().len()], [1, 0]);
+
+    for seed in [1, 2] {
+        good(folder, &format!("{run} --seed {seed} -o {seed}.oct"));
+    }
+    good(folder, "merge 1.oct 2.oct -o merged.oct");
+    assert!(read("merged.oct").coarser().is_empty() && !read("1.oct").coarser().is_empty());
+}
+
+#[test]
 fn what_they_need_is_said() {
     let folder = tempfile::tempdir().unwrap();
     for (more, code, expected) in [

@@ -248,7 +248,12 @@ fn contents_that_no_run_writes_are_refused() {
     let lambda = format!("\"lambda\":{}", serde_json::json!(samples::fields()[0].protocol().lambda));
     // Kind, sample, part, change, what the message names.
     type Change<'a> = &'a dyn Fn(&mut Vec<u8>);
-    let cases: [(Kind, usize, usize, Change, &str); 24] = [
+    let coarser: Change = &|header| {
+        let text = String::from_utf8(header.clone()).unwrap();
+        let some = "\"coarser\":[{\"kind\":\"Dense\",\"lambda\":0.001}]";
+        *header = text.replacen("\"coarser\":[]", some, 1).into_bytes();
+    };
+    let cases: [(Kind, usize, usize, Change, &str); 27] = [
         // A prior that is infinite.
         (
             Kind::Field,
@@ -302,6 +307,10 @@ fn contents_that_no_run_writes_are_refused() {
             },
             "coarser levels",
         ),
+        // Coarser levels below level 1, beside limited leaves, and of a part of a run.
+        (Kind::Field, 1, 0, coarser, "coarser levels: expected at most 0"),
+        (Kind::Field, 5, 0, coarser, "coarser levels: expected none in a part of a run, or with limited leaves"),
+        (Kind::Field, 8, 0, coarser, "coarser levels: expected none in a part of a run, or with limited leaves"),
         // Keys of vertices: so coarse that a shift by their levels overflows, then coarse and outside.
         (Kind::Checkpoint, 0, 1, &|keys| keys[..8].copy_from_slice(&(40_u64 << 57).to_le_bytes()), "sums"),
         (Kind::Checkpoint, 0, 1, &|keys| keys[..8].copy_from_slice(&(3_u64 << 57 | 8).to_le_bytes()), "sums"),

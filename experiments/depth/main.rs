@@ -158,8 +158,7 @@ fn main() -> Result<()> {
     program.part("levels", |work| {
         let scenes = scenes(&PRICED, STEPS);
         let rows = scenes.iter().map(|scene| work.row(scene.name(), || levels::measure(scene)));
-        let rows = rows.collect::<Result<Vec<_>>>()?.concat();
-        Ok((levels::settings(), levels::table(&rows)))
+        Ok((levels::settings(), levels::table(&rows.collect::<Result<Vec<_>>>()?)))
     })?;
     program.part("lego", |work| of_lego(work, &OF_LEGO, &SEEDS))?;
     program.part("lego-by-views", |work| of_lego(work, &LEGO_BY_VIEWS, &SEEDS[..1]))?;

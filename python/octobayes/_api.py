@@ -200,6 +200,7 @@ def uncertainty(
     step: float | None = None,
     cutoff: float = 1e-6,
     error_bars: int | None = None,
+    coarser_levels: int = 0,
     shard: str | tuple[int, int] | None = None,
     executor: Executor | None = None,
     shards: int | None = None,
@@ -241,9 +242,9 @@ def uncertainty(
     ('finite-difference': central; 'forward-difference': four points a sample, not seven; 'analytic': the model's own
     derivatives; 'auto': these if it has any); covariance ('diagonal', 'block', 'trace'); refine ('sensitivity',
     'density', 'ray-count', or several); memory in bytes; step in edges of the finest lattice; error_bars (number of
-    groups); checkpoint_every in seconds; scale ('paper', or 'data': a standard deviation in scene units, which needs
-    the noise that training left, as ``noise``, ``psnr`` or recorded in the model, and cameras of the size that the
-    model was trained at). ``lambda_`` is ``--lambda``.
+    groups); coarser_levels (how many, for ranking pixels); checkpoint_every in seconds; scale ('paper', or 'data': a
+    standard deviation in scene units, which needs the noise that training left, as ``noise``, ``psnr`` or recorded in
+    the model, and cameras of the size that the model was trained at). ``lambda_`` is ``--lambda``.
 
     executor: anything with the ``submit`` of ``concurrent.futures``, which runs the ``shards`` instead of this process:
     a ProcessPoolExecutor, dask.distributed's ``client.get_executor()``. nerf must be a model's file that the workers
@@ -277,7 +278,7 @@ def uncertainty(
         raise wrong("shards", "an executor beside them (one shard alone: shard=)", shards)
     if executor is not None:
         own = {"shard": shard, "checkpoint": checkpoint, "dump_samples": dump_samples, "error_bars": error_bars}
-        shards = _shards.checked(executor, shards, own)
+        shards = _shards.checked(executor, shards, own | {"coarser_levels": coarser_levels or None})
         if auto or memory is not None:
             raise wrong("executor", "a number of rays, and no limit of memory, which is each shard's own", "another")
     options = {
@@ -296,6 +297,7 @@ def uncertainty(
         "step": None if step is None else real("step", step, above=0),
         "cutoff": real("cutoff", cutoff, low=0),
         "error_bars": None if error_bars is None else whole("error_bars", error_bars, 2, 64),
+        "coarser_levels": whole("coarser_levels", coarser_levels, 0, 4),
         "shard": _shard(shard),
         "checkpoint": None if checkpoint is None else as_path("checkpoint", checkpoint),
         "checkpoint_every": real("checkpoint_every", checkpoint_every, low=0),

@@ -83,6 +83,7 @@ struct Job {
     goal: Goal,
     checkpoint: Option<Checkpoint>,
     error_bars: Option<u16>,
+    coarser_levels: u8,
     dump: Option<PathBuf>,
     source: String,
     checksum: Option<u32>,
@@ -120,6 +121,7 @@ pub fn uncertainty(
         goal,
         checkpoint: checkpoint.map(|path| Checkpoint::new(path).every(every).resume(resume)),
         error_bars,
+        coarser_levels: options.or("coarser_levels", 0)?,
         dump: options.get("dump_samples")?,
         source: options.or("source", String::new())?,
         checksum: nerf.cast::<Model>().ok().map(|model| model.get().checksum),
@@ -167,6 +169,7 @@ impl Job {
             .domain(domain)
             .rays(self.rays)
             .grid(self.grid.scale(scale))
+            .coarser_levels(self.coarser_levels)
             .source(self.source)
             .monitor(engine.monitor());
         let estimation = self.checksum.into_iter().fold(estimation, Estimation::model);

@@ -209,6 +209,8 @@ WRONG = [
     ({"contract": "l2"}, "contract, inner: expected both or neither"),
     ({"rays": "auto", "shard": "0/2"}, "rays='auto': expected a run by itself"),
     ({"error_bars": 1}, "error_bars: expected a whole number, 2 to 64, found 1"),
+    ({"coarser_levels": 5}, "coarser_levels: expected a whole number, 0 to 4, found 5"),
+    ({"coarser_levels": 1, "shard": "0/2"}, "coarser levels: expected a run of a number of rays in one group"),
     ({"batch": 0}, "batch: expected a whole number, 1 or more, found 0"),
     ({"progress": 3}, r"progress: expected a callable \(stage, done, total\), True, False or None, found 3"),
     ({"cameras": []}, "cameras: expected at least one, found none"),

@@ -16,7 +16,7 @@ use crate::{Error, Result};
 /// The result is what one run over all the rays gives, up to the order of summation and the fields' tolerance. So
 /// any scheduler can split a job over machines. Shards keep what this needs; whole runs do with `--keep-sums`. If
 /// shards of a run are missing, a warning names them. Tiles (`uncertainty --tile`) become one field of all of space;
-/// all of them are needed. One part at a time is in memory. Error bars of the parts are dropped.
+/// all of them are needed. One part at a time is in memory. Error bars and coarser levels of the parts are dropped.
 #[derive(clap::Args)]
 #[command(
     after_help = "Example: for i in 0 1 2 3; do octobayes uncertainty model.npz --cameras transforms.json --shard $i/4 -o part$i.oct; \

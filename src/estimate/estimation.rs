@@ -126,8 +126,8 @@ impl<'a> Estimation<'a> {
     }
 
     /// Also sums the rays on so many levels below the grid's own, at most [`MOST_COARSER`], so that
-    /// [`RayAverage::Spread`] and [`RayAverage::SpreadPerRay`] read the mean of log10 U over all of them. On surfaces
-    /// every level takes a quarter of the memory of the one before.
+    /// [`RayAverage::Spread`] and [`RayAverage::SpreadPerRay`] read the mean of log10 U over all of them. A level
+    /// has at most half as many vertices as the one before, on surfaces a quarter.
     ///
     /// [`MOST_COARSER`]: crate::uncertainty::UncertaintyField::MOST_COARSER
     /// [`RayAverage::Spread`]: crate::render::RayAverage::Spread

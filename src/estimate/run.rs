@@ -22,9 +22,9 @@ use crate::rays::{RayStream, RunProgress, Shard};
 use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
 
-/// Vertices of a level relative to those of the next finer one: a quarter on surfaces, more where rays are few.
-/// Measured: 0.14 (courtyard) to 0.34 (city), level 9, a million rays.
-const COARSER: f64 = 1.0 / 3.0;
+/// The most vertices of a level relative to those of the next finer one: half, where rays are so few that they touch
+/// vertices along lines. On surfaces it is a quarter, in fog an eighth.
+const COARSER: f64 = 0.5;
 
 /// A finished run.
 #[derive(Debug, Clone)]
@@ -144,7 +144,8 @@ impl<'a> Run<'a> {
         // Every group has its own sums, and finishing needs one more.
         let sums = self.estimation.groups().map_or(1.0, |groups| f64::from(groups) + 1.0);
         let levels: f64 = (0..=self.estimation.coarser_levels).map(|below| COARSER.powi(below.into())).sum();
-        (plan.summing, plan.finishing) = (sums * levels * plan.summing, sums * levels * plan.finishing);
+        let parts = sums * levels;
+        (plan.summing, plan.spare, plan.finishing) = (parts * plan.summing, parts * plan.spare, parts * plan.finishing);
         plan.file *= levels;
         Ok(plan)
     }
@@ -213,18 +214,22 @@ impl<'a> Run<'a> {
     ///
     /// # Errors
     /// As [`Run::finish`], or if the run's goal is not all rays in one group, or a grid needs a plan.
-    pub fn finish_on(mut self, grids: &[GridSettings]) -> Result<Vec<Outcome>> {
-        let Estimation { domain, goal, checkpoint, .. } = &self.estimation;
-        if !matches!(goal, Goal::Shard { .. }) || checkpoint.is_some() || grids.iter().any(GridSettings::needs_plan) {
-            return Err(Error::setting(
-                "several grids",
-                "all rays, on grids without limits, without a checkpoint",
-                "others",
-            ));
+    pub fn finish_on(self, grids: &[GridSettings]) -> Result<Vec<Outcome>> {
+        let Estimation { goal, checkpoint, coarser_levels, .. } = &self.estimation;
+        let is_limited = checkpoint.is_some() || grids.iter().any(GridSettings::needs_plan);
+        if !matches!(goal, Goal::Shard { .. }) || is_limited || *coarser_levels > 0 {
+            let expected = "all rays, on grids without limits, without a checkpoint or coarser levels";
+            return Err(Error::setting("several grids", expected, "others"));
         }
+        self.sum_on(grids)
+    }
+
+    /// Draws the rays once and sums them on each of `grids`.
+    fn sum_on(mut self, grids: &[GridSettings]) -> Result<Vec<Outcome>> {
+        let domain = self.estimation.domain;
         let mut builders = Vec::new();
         for grid in grids {
-            let mut builder = FieldBuilder::new(*grid, *domain)?;
+            let mut builder = FieldBuilder::new(*grid, domain)?;
             builder.want_density(&self.stream)?;
             builders.push((builder, Duration::ZERO));
         }
@@ -248,7 +253,7 @@ impl<'a> Run<'a> {
         // Surfaces are those of the rays, whatever the level.
         let coarser = |below| GridSettings { level: own.level - below, surface_points: 0, ..own };
         let grids: Vec<_> = std::iter::once(own).chain((1..=self.estimation.coarser_levels).map(coarser)).collect();
-        let mut outcomes = self.finish_on(&grids)?;
+        let mut outcomes = self.sum_on(&grids)?;
         let sums_bytes = outcomes.iter().map(|outcome| outcome.sums_bytes).sum();
         let summing = outcomes.iter().map(|outcome| outcome.summing).sum();
         let own = outcomes.remove(0);

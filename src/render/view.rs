@@ -38,13 +38,13 @@ pub trait ProbedField: Sync {
     /// If it has to be read first, and cannot be.
     fn at(&self, points: &[Vec3]) -> Result<Vec<Probed>>;
 
-    /// The scalar by which [`RayAverage::Spread`] and [`RayAverage::SpreadPerRay`] rank: that at the points, or its
+    /// What [`RayAverage::Spread`] and [`RayAverage::SpreadPerRay`] rank by: what the field says `at` the points, or the
     /// mean over several levels.
     ///
     /// # Errors
     /// As [`ProbedField::at`].
-    fn over_levels(&self, points: &[Vec3]) -> Result<Vec<Probed>> {
-        self.at(points)
+    fn over_levels(&self, _points: &[Vec3], at: &[Probed]) -> Result<Vec<Probed>> {
+        Ok(at.to_vec())
     }
 }
 
@@ -233,9 +233,12 @@ fn averages(rays: &[WeightedRay], probe: &Probe) -> Result<Vec<Vec<f64>>> {
         true => probe.field.at(&rays.iter().flat_map(WeightedRay::hit).map(|(_, x)| x).collect::<Vec<Vec3>>())?,
         false => Vec::new(),
     };
-    let expected = || rays.iter().map(|ray| ray.at_expected).collect::<Vec<Vec3>>();
-    let at_expected = if needs(Asked::Expected) { probe.field.at(&expected())? } else { Vec::new() };
-    let over_levels = if needs(Asked::OverLevels) { probe.field.over_levels(&expected())? } else { Vec::new() };
+    let (mut at_expected, mut over_levels) = (Vec::new(), Vec::new());
+    if needs(Asked::Expected) || needs(Asked::OverLevels) {
+        let points: Vec<Vec3> = rays.iter().map(|ray| ray.at_expected).collect();
+        at_expected = probe.field.at(&points)?;
+        over_levels = probe.field.over_levels(&points, &at_expected)?;
+    }
     let mut out = vec![Vec::with_capacity(rays.len()); probe.averages.len()];
     let mut rest = &at_samples[..];
     for (r, ray) in rays.iter().enumerate() {
@@ -338,9 +341,8 @@ mod tests {
             Ok(points.iter().map(|x| Probed { value: f64::from(x.x), rays: 1.0 }).collect())
         }
 
-        fn over_levels(&self, points: &[Vec3]) -> Result<Vec<Probed>> {
-            let found = self.at(points)?;
-            Ok(found.iter().map(|probed| Probed { value: probed.value + 100.0, ..*probed }).collect())
+        fn over_levels(&self, _: &[Vec3], at: &[Probed]) -> Result<Vec<Probed>> {
+            Ok(at.iter().map(|probed| Probed { value: probed.value + 100.0, ..*probed }).collect())
         }
     }
 
@@ -368,6 +370,6 @@ mod tests {
         let found = averages(&rays, &Probe { field: &field, averages: &kinds }).unwrap();
         let known: Vec<_> = found.iter().map(|values| known(values)).collect();
         assert_eq!(known, [[107.0, 108.0], [7.0, 8.0], [107.0, 108.0]]);
-        assert_eq!(field.0.lock().unwrap()[2..], [4, 4]);
+        assert_eq!(field.0.lock().unwrap()[2..], [4]);
     }
 }

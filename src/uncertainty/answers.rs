@@ -123,8 +123,8 @@ impl ProbedField for UncertaintyField {
         Ok(self.estimates(points)?.into_iter().map(Estimate::probed).collect())
     }
 
-    fn over_levels(&self, points: &[Vec3]) -> Result<Vec<Probed>> {
-        self.mean_over_levels(points, self.at(points)?)
+    fn over_levels(&self, points: &[Vec3], at: &[Probed]) -> Result<Vec<Probed>> {
+        self.mean_over_levels(points, at)
     }
 }
 

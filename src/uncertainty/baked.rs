@@ -143,8 +143,8 @@ impl ProbedField for BakedField<'_> {
         Ok(self.query_all(points).into_iter().map(Estimate::probed).collect())
     }
 
-    fn over_levels(&self, points: &[Vec3]) -> Result<Vec<Probed>> {
-        self.field.mean_over_levels(points, self.at(points)?)
+    fn over_levels(&self, points: &[Vec3], at: &[Probed]) -> Result<Vec<Probed>> {
+        self.field.mean_over_levels(points, at)
     }
 }
 

@@ -19,7 +19,7 @@ pub struct Summary {
     pub level: u8,
     /// Number of vertices that carry values.
     pub vertices: u64,
-    /// Bytes needed for queries: the structure, and deviation and ray count of every vertex.
+    /// Bytes needed for queries: the structure, deviation and ray count of every vertex, and coarser levels.
     pub query_bytes: usize,
     /// Bytes of the structure alone.
     pub structure_bytes: usize,
@@ -61,7 +61,6 @@ impl UncertaintyField {
     /// Size and structure of the field.
     #[must_use]
     pub fn summary(&self) -> Summary {
-        let values = self.deviations.memory() + self.rays.memory();
         let (grid, leaves_per_level) = match &self.support {
             Support::Dense => ("dense", Vec::new()),
             Support::Octree(octree) => ("octree", octree.cells().leaves_per_level()),
@@ -71,7 +70,7 @@ impl UncertaintyField {
             level: self.lattice.level(),
             vertices: self.deviations.len() as u64,
             query_bytes: self.query_memory(),
-            structure_bytes: self.query_memory() - values,
+            structure_bytes: self.structure_memory(),
             leaves_per_level,
         }
     }

@@ -87,11 +87,15 @@ impl Header {
             let found = "an empty part, or two that may have rays in common";
             return Err(Error::malformed(path, "header, draws", "parts of runs, each ray in one of them", found));
         }
-        let are_possible = |protocol: &Protocol, lambda| Protocol { lambda, ..protocol.clone() }.is_possible();
+        let is_possible = |lambda| Protocol { lambda, ..protocol.clone() }.is_possible();
         let most = UncertaintyField::MOST_COARSER.min(usize::from(lattice.level()) - 1);
-        if coarser.len() > most || !coarser.iter().all(|coarser| are_possible(protocol, coarser.lambda)) {
-            let (expected, found) = (format!("up to {most} with possible priors"), coarser.len().to_string());
+        if coarser.len() > most {
+            let (expected, found) = (format!("at most {most}"), coarser.len().to_string());
             return Err(Error::malformed(path, "header, coarser levels", expected, found));
+        }
+        if let Some(coarser) = coarser.iter().find(|coarser| !is_possible(coarser.lambda)) {
+            let expected = "priors that a run can have";
+            return Err(Error::malformed(path, "header, coarser levels", expected, coarser.lambda.to_string()));
         }
         if let Some(conformal) = conformal.filter(|conformal| !conformal.is_possible()) {
             let expected = "an interval that a calibration can give";

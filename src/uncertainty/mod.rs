@@ -223,6 +223,7 @@ impl UncertaintyField {
     #[must_use]
     pub fn with_model(mut self, checksum: u32) -> Self {
         self.protocol.origin.model = Some(checksum);
+        self.coarser = self.coarser.into_iter().map(|field| field.with_model(checksum)).collect();
         self
     }
 
@@ -232,14 +233,15 @@ impl UncertaintyField {
         Self { surface, ..self }
     }
 
-    /// The same field with the rays of several draws. A protocol alone names only one.
+    /// The same field with the rays of several draws. A protocol alone names only one. Coarser levels go: they are of
+    /// the rays that it had.
     ///
     /// # Panics
     /// If two of them may have rays in common.
     #[must_use]
     pub fn with_draws(self, draws: Vec<Draw>) -> Self {
         assert!(Draw::are_disjoint(draws.iter().copied()), "a ray is counted once");
-        Self { draws, ..self }
+        Self { draws, coarser: Vec::new(), ..self }
     }
 
     /// The rays that were summed, by sequence of pixels.
@@ -366,12 +368,16 @@ impl UncertaintyField {
     /// Bytes needed for queries: deviation and ray count of every vertex, and the structure; coarser levels included.
     #[must_use]
     pub fn query_memory(&self) -> usize {
-        let structure: usize = match &self.support {
+        let coarser: usize = self.coarser.iter().map(Self::query_memory).sum();
+        self.deviations.memory() + self.rays.memory() + self.structure_memory() + coarser
+    }
+
+    /// Bytes of the octree alone.
+    fn structure_memory(&self) -> usize {
+        match &self.support {
             Support::Dense => 0,
             Support::Octree(octree) => octree.memory().iter().map(|part| part.1).sum(),
-        };
-        let coarser: usize = self.coarser.iter().map(Self::query_memory).sum();
-        self.deviations.memory() + self.rays.memory() + structure + coarser
+        }
     }
 }
 

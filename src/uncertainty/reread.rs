@@ -1,7 +1,7 @@
 //! Other readings of the same sums: another covariance, prior, scale or pooling.
 //!
 //! Error bars and a calibrated interval hold for one reading only, and go. Correlations and coarser levels hold for one
-//! prior, and the misfit for depths that have deviations.
+//! prior and pooling, and the misfit for depths that have deviations.
 
 use super::from_sums::deviations_from_sums;
 use super::{Support, UncertaintyField};
@@ -35,7 +35,7 @@ impl UncertaintyField {
 
     /// The same field with another prior precision λ, 1 / scene unit², without error bars.
     ///
-    /// The scale becomes the paper's.
+    /// The scale becomes the paper's. Coarser levels go.
     ///
     /// # Errors
     /// If the sums were not kept, or λ is not a finite number above 0. On an octree λ also must not fall below
@@ -44,7 +44,7 @@ impl UncertaintyField {
         self.with_prior(lambda, Scale::Paper)
     }
 
-    /// The same field in the scale of its training pixels, without error bars.
+    /// The same field in the scale of its training pixels, without error bars and coarser levels.
     ///
     /// # Errors
     /// As [`UncertaintyField::with_lambda`].
@@ -67,7 +67,7 @@ impl UncertaintyField {
         Ok(self)
     }
 
-    /// The same dense field with other pooling, without error bars. `tolerance` determines which vertices count
+    /// The same dense field with other pooling, without error bars and coarser levels. `tolerance` determines which vertices count
     /// as moved.
     ///
     /// # Errors

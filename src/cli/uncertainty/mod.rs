@@ -133,8 +133,8 @@ pub struct Args {
     /// [without a number: 2]
     ///
     /// `spread` and `spread-per-ray`, by which `evaluate` ranks, then read the mean of log10 U over all levels, which
-    /// ranks depth errors a little better than any of them (experiments/depth.md). U and deviations of depth stay as
-    /// they are. Fields that are merged lose their coarser levels.
+    /// ranks depth errors about as well as the best of them does (experiments/depth.md). U and deviations of depth stay
+    /// as they are. Fields that are merged lose their coarser levels.
     #[arg(long, value_name = "N", num_args = 0..=1, default_missing_value = "2", value_parser = clap::value_parser!(u8).range(1..=UncertaintyField::MOST_COARSER as i64),
           conflicts_with_all = ["error_bars", "shard", "tile", "memory", "checkpoint"])]
     pub(super) coarser_levels: Option<u8>,

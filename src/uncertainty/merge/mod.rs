@@ -30,7 +30,7 @@ use crate::{Error, Result};
 /// Runs with other seeds left out what was negligible for their own R rays, where their octrees are coarse. The
 /// total stays negligible for the sum of the R, and nothing beyond that is left out here. log10 U is within the
 /// tolerance of the dense grid of all rays. Error bars of the parts are dropped, because the sums of their groups
-/// are no longer available ([`merge_with_error_bars`]).
+/// are no longer available ([`merge_with_error_bars`]), and coarser levels.
 ///
 /// Tiles give the field of the run without tiles, bit for bit, except that its points on surfaces are others. Shards of
 /// tiles are joined tile by tile. The result has no sums: together they would take the memory that tiles avoid. Rays
