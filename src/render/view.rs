@@ -38,8 +38,8 @@ pub trait ProbedField: Sync {
     /// If it has to be read first, and cannot be.
     fn at(&self, points: &[Vec3]) -> Result<Vec<Probed>>;
 
-    /// What [`RayAverage::Spread`] and [`RayAverage::SpreadPerRay`] rank by: what the field says `at` the points, or the
-    /// mean over several levels.
+    /// What [`RayAverage::Spread`] and [`RayAverage::SpreadPerRay`] rank by: what the field says `at` the points, or
+    /// the mean over several levels.
     ///
     /// # Errors
     /// As [`ProbedField::at`].

@@ -1,7 +1,7 @@
 //! U on coarser lattices, summed from the same rays.
 //!
-//! A finer level tells more places apart and knows less of each. The mean of log10 U over a few levels ranks depth errors
-//! about as well as the best of them does, so that none has to be chosen (`experiments/depth.md`).
+//! A finer level tells more places apart and knows less of each. The mean of log10 U over a few levels ranks depth
+//! errors about as well as the best of them does, so that none has to be chosen (`experiments/depth.md`).
 
 use glam::Vec3;
 

@@ -67,8 +67,8 @@ impl UncertaintyField {
         Ok(self)
     }
 
-    /// The same dense field with other pooling, without error bars and coarser levels. `tolerance` determines which vertices count
-    /// as moved.
+    /// The same dense field with other pooling, without error bars and coarser levels. `tolerance` determines which
+    /// vertices count as moved.
     ///
     /// # Errors
     /// If the field is an octree, which holds only what its own pooling needs, or the sums were not kept.
