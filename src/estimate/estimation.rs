@@ -241,7 +241,7 @@ impl<'a> Estimation<'a> {
     /// Rejects coarser levels that there cannot be.
     fn check_levels(&self) -> Result<()> {
         let (coarser, level) = (self.coarser_levels, self.grid.level);
-        let most = (UncertaintyField::MOST_COARSER as u8).min(level.saturating_sub(1));
+        let most = UncertaintyField::most_coarser(level);
         if coarser > most {
             let expected = format!("at most {most} below level {level}");
             return Err(Error::setting("coarser levels", expected, coarser.to_string()));

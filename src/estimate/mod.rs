@@ -18,6 +18,7 @@ mod mean_error;
 mod plan;
 mod rays;
 mod run;
+mod several;
 mod sight;
 pub mod state;
 mod step;

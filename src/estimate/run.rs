@@ -13,8 +13,7 @@ use super::limits::{COMPARED_AT, Limits};
 use super::mean_error;
 use super::state;
 use super::{
-    Audit, FieldBuilder, GridKind, GridSettings, Plan, Planner, Provenance, RaySettings, SamplingError, Sight,
-    StepCheck, Summed,
+    Audit, FieldBuilder, GridKind, Plan, Planner, Provenance, RaySettings, SamplingError, Sight, StepCheck, Summed,
 };
 use crate::geometry::{Aabb, Lattice};
 use crate::octree::{Leaves, Octree};
@@ -48,9 +47,9 @@ pub struct Outcome {
 
 /// A prepared run before its first ray; see [`Estimation::prepare`].
 pub struct Run<'a> {
-    estimation: Estimation<'a>,
+    pub(super) estimation: Estimation<'a>,
     lattice: Lattice,
-    stream: RayStream<'a>,
+    pub(super) stream: RayStream<'a>,
     pub(super) limits: Limits,
 }
 
@@ -63,12 +62,12 @@ struct Part<'r> {
 }
 
 /// What was drawn.
-struct Drawn {
-    progress: RunProgress,
+pub(super) struct Drawn {
+    pub(super) progress: RunProgress,
     /// Time spent on summing.
-    summing: Duration,
+    pub(super) summing: Duration,
     /// The octree of the field, if it was made to see whether the field fits the budget.
-    octree: Option<Octree>,
+    pub(super) octree: Option<Octree>,
 }
 
 impl<'a> Run<'a> {
@@ -207,60 +206,6 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// Draws the rays once and computes a field on each of `grids` from them, for exact comparisons between
-    /// grids, levels and covariances.
-    ///
-    /// All fields cover the run's domain. The run's own grid determines how rays are differentiated.
-    ///
-    /// # Errors
-    /// As [`Run::finish`], or if the run's goal is not all rays in one group, or a grid needs a plan.
-    pub fn finish_on(self, grids: &[GridSettings]) -> Result<Vec<Outcome>> {
-        let Estimation { goal, checkpoint, coarser_levels, .. } = &self.estimation;
-        let is_limited = checkpoint.is_some() || grids.iter().any(GridSettings::needs_plan);
-        if !matches!(goal, Goal::Shard { .. }) || is_limited || *coarser_levels > 0 {
-            let expected = "all rays, on grids without limits, without a checkpoint or coarser levels";
-            return Err(Error::setting("several grids", expected, "others"));
-        }
-        self.sum_on(grids)
-    }
-
-    /// Draws the rays once and sums them on each of `grids`.
-    fn sum_on(mut self, grids: &[GridSettings]) -> Result<Vec<Outcome>> {
-        let domain = self.estimation.domain;
-        let mut builders = Vec::new();
-        for grid in grids {
-            let mut builder = FieldBuilder::new(*grid, domain)?;
-            builder.want_density(&self.stream)?;
-            builders.push((builder, Duration::ZERO));
-        }
-        let shard = self.estimation.own_shard();
-        let progress = self.stream.run(shard, RunProgress::default(), self.estimation.monitor, |batches, _| {
-            for (builder, summing) in &mut builders {
-                let start = Instant::now();
-                builder.add(batches);
-                *summing += start.elapsed();
-            }
-            self.estimation.tap.as_mut().map_or(Ok(()), |tap| tap(batches))
-        })?;
-        let outcome =
-            |(builder, summing)| self.outcome(builder, Drawn { progress, summing, octree: None }, Some(shard));
-        Ok(builders.into_iter().map(outcome).collect())
-    }
-
-    /// Sums the same rays on the grid and on coarser ones.
-    fn finish_levels(self) -> Result<Outcome> {
-        let own = self.estimation.grid;
-        // Surfaces are those of the rays, whatever the level.
-        let coarser = |below| GridSettings { level: own.level - below, surface_points: 0, ..own };
-        let grids: Vec<_> = std::iter::once(own).chain((1..=self.estimation.coarser_levels).map(coarser)).collect();
-        let mut outcomes = self.sum_on(&grids)?;
-        let sums_bytes = outcomes.iter().map(|outcome| outcome.sums_bytes).sum();
-        let summing = outcomes.iter().map(|outcome| outcome.summing).sum();
-        let own = outcomes.remove(0);
-        let field = own.field.with_coarser(outcomes.into_iter().map(|outcome| outcome.field).collect())?;
-        Ok(Outcome { field, sums_bytes, summing, ..own })
-    }
-
     fn finish_shard(mut self) -> Result<Outcome> {
         let (shard, seed) = (self.estimation.own_shard(), self.estimation.rays.seed);
         let mut builder = self.builder()?;
@@ -330,7 +275,7 @@ impl<'a> Run<'a> {
         Provenance { source: self.estimation.source.clone(), progress, shard, stream: Some(&self.stream) }
     }
 
-    fn outcome(&self, builder: FieldBuilder, drawn: Drawn, shard: Option<Shard>) -> Outcome {
+    pub(super) fn outcome(&self, builder: FieldBuilder, drawn: Drawn, shard: Option<Shard>) -> Outcome {
         let Drawn { progress, summing, octree } = drawn;
         let sums_bytes = builder.memory();
         let start = Instant::now();

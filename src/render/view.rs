@@ -237,7 +237,9 @@ fn averages(rays: &[WeightedRay], probe: &Probe) -> Result<Vec<Vec<f64>>> {
     if needs(Asked::Expected) || needs(Asked::OverLevels) {
         let points: Vec<Vec3> = rays.iter().map(|ray| ray.at_expected).collect();
         at_expected = probe.field.at(&points)?;
-        over_levels = probe.field.over_levels(&points, &at_expected)?;
+        if needs(Asked::OverLevels) {
+            over_levels = probe.field.over_levels(&points, &at_expected)?;
+        }
     }
     let mut out = vec![Vec::with_capacity(rays.len()); probe.averages.len()];
     let mut rest = &at_samples[..];

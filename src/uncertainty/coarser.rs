@@ -13,6 +13,11 @@ impl UncertaintyField {
     /// The most coarser levels that a field may have.
     pub const MOST_COARSER: usize = 4;
 
+    /// The most coarser levels below this one.
+    pub(crate) fn most_coarser(level: u8) -> u8 {
+        (Self::MOST_COARSER as u8).min(level.saturating_sub(1))
+    }
+
     /// The same field with fields of the same rays on the next coarser levels, one after the other.
     ///
     /// [`RayAverage::Spread`] and [`RayAverage::SpreadPerRay`] then read the mean of log10 U over all these levels; U

@@ -88,8 +88,8 @@ impl Header {
             return Err(Error::malformed(path, "header, draws", "parts of runs, each ray in one of them", found));
         }
         let is_possible = |lambda| Protocol { lambda, ..protocol.clone() }.is_possible();
-        let most = UncertaintyField::MOST_COARSER.min(usize::from(lattice.level()) - 1);
-        if coarser.len() > most {
+        let most = UncertaintyField::most_coarser(lattice.level());
+        if coarser.len() > usize::from(most) {
             let (expected, found) = (format!("at most {most}"), coarser.len().to_string());
             return Err(Error::malformed(path, "header, coarser levels", expected, found));
         }
@@ -190,7 +190,7 @@ impl UncertaintyField {
         let (protocol, draws) = (self.protocol.clone(), self.draws.clone());
         let (lattice, conformal, tile) = (self.lattice, self.conformal, self.tile);
         let misfit = self.misfit.as_ref().map(Misfit::head);
-        let coarser = self.coarser.iter().map(Coarser::of).collect();
+        let (coarser, levels): (_, Vec<Written>) = self.coarser.iter().map(Written::new).unzip();
         let header = Header { protocol, lattice, kind, draws, misfit, coarser, conformal, tile };
         let (misfit_vertices, misfit) = self.misfit.as_ref().map_or_else(Default::default, Misfit::vertices);
         let sums = self.sums.as_deref().unwrap_or_default();
@@ -203,8 +203,7 @@ impl UncertaintyField {
         let counts = self.visits.as_ref().map_or(&[][..], Visits::counts);
         let counted = if is_exact { counts } else { &[] };
         let visits = if is_exact { RayCounts::default() } else { counts.iter().copied().collect() };
-        let levels: Vec<_> =
-            (1..).zip(&self.coarser).map(|(i, field)| (vertices::names(i), Written::new(field))).collect();
+        let names: Vec<[String; 3]> = (1..=levels.len()).map(vertices::names).collect();
         let mut sections: Vec<(&str, &dyn Section)> = vec![
             ("masks", &masks),
             ("deviations", &self.deviations.0),
@@ -220,7 +219,7 @@ impl UncertaintyField {
             ("misfit vertices", &misfit_vertices),
             ("misfit", &misfit),
         ];
-        sections.extend(levels.iter().flat_map(|(names, level)| level.sections(names)));
+        sections.extend(levels.iter().zip(&names).flat_map(|(level, names)| level.sections(names)));
         container::write(path, FORMAT, &header, &sections)
     }
 

@@ -18,12 +18,6 @@ pub(super) struct Coarser {
     pub(super) lambda: f64,
 }
 
-impl Coarser {
-    pub(super) fn of(field: &UncertaintyField) -> Self {
-        Self { kind: Kind::and_masks(&field.support).0, lambda: field.protocol.lambda }
-    }
-}
-
 /// Sums, written as their factors. These are computed on the way: all of them would take half as much again as the
 /// sums.
 pub(super) struct Factors<'a>(pub(super) &'a [VertexSums]);
@@ -45,9 +39,11 @@ pub(super) struct Written<'a> {
 }
 
 impl<'a> Written<'a> {
-    pub(super) fn new(field: &'a UncertaintyField) -> Self {
+    /// What the header says of a coarser level, and its sections.
+    pub(super) fn new(field: &'a UncertaintyField) -> (Coarser, Self) {
+        let (kind, masks) = Kind::and_masks(&field.support);
         let factors = Factors(field.sums.as_deref().unwrap_or_default());
-        Self { masks: Kind::and_masks(&field.support).1, values: &field.deviations.0, factors }
+        (Coarser { kind, lambda: field.protocol.lambda }, Self { masks, values: &field.deviations.0, factors })
     }
 
     /// The sections, as long as their `names` live.
