@@ -1,5 +1,7 @@
 //! A regression of residuals on coverage, fitted on training views only, in the manner of PRIMU and U-3DGS.
 
+use faer::linalg::solvers::Solve;
+use faer::{Mat, Side};
 use glam::DVec3;
 use octobayes::Result;
 use octobayes::evaluate::{Baseline, EvaluatedView, Evaluator, Measure, TrueView};
@@ -46,21 +48,23 @@ impl Regression {
         let mut deviation: [f64; WIDTH] = std::array::from_fn(|k| spread(k).max(1e-9));
         (mean[WIDTH - 1], deviation[WIDTH - 1]) = (0.0, 1.0);
         let mut fitted = Self { mean, deviation, coefficients: [0.0; WIDTH] };
-        let mut normal = [[0.0; WIDTH]; WIDTH];
-        let mut right = [0.0; WIDTH];
+        let mut normal = Mat::<f64>::zeros(WIDTH, WIDTH);
+        let mut right = Mat::<f64>::zeros(WIDTH, 1);
         for (row, residual) in rows.iter().zip(&residuals) {
             let row = fitted.standard(row);
             for i in 0..WIDTH {
-                right[i] += row[i] * residual;
+                right[(i, 0)] += row[i] * residual;
                 for j in 0..WIDTH {
-                    normal[i][j] += row[i] * row[j];
+                    normal[(i, j)] += row[i] * row[j];
                 }
             }
         }
-        for (i, row) in normal.iter_mut().enumerate().take(WIDTH - 1) {
-            row[i] += RIDGE;
+        for i in 0..WIDTH - 1 {
+            normal[(i, i)] += RIDGE;
         }
-        fitted.coefficients = solve(normal, right);
+        let factors = normal.llt(Side::Lower).expect("a ridge and a pixel make it positive definite");
+        let solution = factors.solve(&right);
+        fitted.coefficients = std::array::from_fn(|i| solution[(i, 0)]);
         Ok(fitted)
     }
 
@@ -95,21 +99,4 @@ fn features<'a>(evaluator: &Evaluator, view: &'a EvaluatedView) -> impl Iterator
             }
         })
     })
-}
-
-/// x of A x = b for a symmetric positive definite A: Cholesky's factors.
-fn solve(mut a: [[f64; WIDTH]; WIDTH], mut b: [f64; WIDTH]) -> [f64; WIDTH] {
-    for i in 0..WIDTH {
-        for j in 0..=i {
-            let known: f64 = (0..j).map(|k| a[i][k] * a[j][k]).sum();
-            a[i][j] = if i == j { (a[i][i] - known).sqrt() } else { (a[i][j] - known) / a[j][j] };
-        }
-    }
-    for i in 0..WIDTH {
-        b[i] = (b[i] - (0..i).map(|k| a[i][k] * b[k]).sum::<f64>()) / a[i][i];
-    }
-    for i in (0..WIDTH).rev() {
-        b[i] = (b[i] - (i + 1..WIDTH).map(|k| a[k][i] * b[k]).sum::<f64>()) / a[i][i];
-    }
-    b
 }

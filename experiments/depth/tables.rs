@@ -201,9 +201,9 @@ pub fn joint(scenes: &[Scene], rows: &[Vec<Row>]) -> String {
     format!("### With the misfit of the training images\n\n{}", table.text())
 }
 
-/// The joint variance with a² = 1 and several c: means over scenes, and the shares on the scenes that hold least and most.
-/// `of` says which scenes these are; `edge` is that of their boxes, scene units; `truth` the variance of the depth maps
-/// themselves, its square.
+/// The joint variance with a² = 1 and several c: means over scenes, and the shares on the scenes that hold least and
+/// most. `of` says which scenes these are; `edge` is that of their boxes, scene units; `truth` the variance of the
+/// depth maps themselves, its square.
 pub fn lengths(of: &str, rows: &[Vec<Row>], edge: f64, truth: f64) -> String {
     let mut table = Table::new(&["c / edge", "50 %", "68 %", "90 %", "95 %", "NLL", "AUSE: MAE", "RMSE"]);
     for parts in [None, Some(60), Some(30), Some(20), Some(15), Some(10)] {
