@@ -1,4 +1,7 @@
-"""Checks relative links and anchors of all Markdown files of the repository. Prints what is broken; exit code 1 if anything is."""
+"""Checks relative links and anchors of all Markdown files of the repository.
+
+Prints what is broken; exit code 1 if anything is.
+"""
 import os
 import re
 import subprocess

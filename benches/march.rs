@@ -1,5 +1,6 @@
-//! Placing samples along rays through empty space, from the courtyard to a city, and what the occupancy grid for it costs: with its
-//! pyramid (what the program does), with every candidate looked up, and with a bounding volume hierarchy of the occupied cells (obvhs).
+//! Placing samples along rays through empty space, from the courtyard to a city, and what the occupancy grid for it
+//! costs: with its pyramid (what the program does), with every candidate looked up, and with a bounding volume
+//! hierarchy of the occupied cells (obvhs).
 
 use std::hint::black_box;
 

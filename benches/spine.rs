@@ -1,5 +1,5 @@
-//! One bench per job a user would name, on the built-in courtyard at level 7; the dense grid beside the octree where both do
-//! the job, so that ratios come from one run.
+//! One bench per job a user would name, on the built-in courtyard at level 7; the dense grid beside the octree where
+//! both do the job, so that ratios come from one run.
 
 use std::hint::black_box;
 

@@ -36,8 +36,8 @@ fn sources(folder: &Path) -> Vec<PathBuf> {
     files
 }
 
-/// The code without comments and without what is compiled for tests only, line by line. Second, the names of modules that are compiled
-/// for tests only.
+/// The code without comments and without what is compiled for tests only, line by line. Second, the names of modules
+/// that are compiled for tests only.
 fn production(text: &str) -> (Vec<String>, Vec<String>) {
     let lines: Vec<&str> = text.lines().collect();
     let (mut code, mut test_modules) = (Vec::new(), Vec::new());
@@ -71,7 +71,8 @@ fn production(text: &str) -> (Vec<String>, Vec<String>) {
     (code, test_modules)
 }
 
-/// The first names of what follows a path prefix: of `a::b` it is `a`, of `{a, b::{c, d}, e}` they are `a`, `b` and `e`.
+/// The first names of what follows a path prefix: of `a::b` it is `a`, of `{a, b::{c, d}, e}` they are `a`, `b` and
+/// `e`.
 fn first_names(rest: &str) -> Vec<String> {
     let name = |text: &str| -> String { text.chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect() };
     let Some(group) = rest.strip_prefix('{') else { return vec![name(rest)] };

@@ -1,7 +1,8 @@
 //! The commands of README and book, run as they are written.
 //!
-//! Blocks fenced as `sh` run from top to bottom, each page in an empty folder of its own, so that later commands find what earlier ones
-//! wrote. Blocks of `sh,data` need the data of `$OCTOBAYES_DATA` and run in an ignored test. Blocks of `text` are not run.
+//! Blocks fenced as `sh` run from top to bottom, each page in an empty folder of its own, so that later commands find
+//! what earlier ones wrote. Blocks of `sh,data` need the data of `$OCTOBAYES_DATA` and run in an ignored test. Blocks
+//! of `text` are not run.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;

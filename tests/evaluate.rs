@@ -236,8 +236,8 @@ fn deviations_of_depth_are_calibrated_beside_those_of_the_weights() {
     assert!(refused.status.code() == Some(2) && said.contains("--scale data: expected a field in the scale"), "{said}");
 }
 
-/// The interval that calibration gives holds what it should on the views that it was made on, to one pixel; it goes with
-/// the file, and into every answer about depth.
+/// The interval that calibration gives holds what it should on the views that it was made on, to one pixel; it goes
+/// with the file, and into every answer about depth.
 #[test]
 fn a_calibrated_interval_holds_its_share_and_goes_with_the_field() {
     let desk = desk();

@@ -83,8 +83,8 @@ fn tiles_joined_are_the_whole_bit_for_bit() {
         let (samples, rays): (Vec<u64>, Vec<u64>) =
             parts.iter().map(|part| (part.progress.samples, part.progress.rays)).unzip();
         assert!(rays.iter().all(|rays| *rays == whole.progress.rays), "{name}: {rays:?}");
-        // Rays that miss a tile are not traced, but where they are curved on the lattice, or the largest leaf is as large
-        // as the tile.
+        // Rays that miss a tile are not traced, but where they are curved on the lattice, or the largest leaf is as
+        // large as the tile.
         let all = u64::from(of) * whole.progress.samples;
         let is_reached_by_all = domain.is_some() || grid.criteria.ray_count;
         let most = if is_reached_by_all { all } else { all * 9 / 10 };

@@ -1,7 +1,7 @@
 //! Question: what does it gain to remove uncertain density from models that saw too little?
 //!
-//! Models of few views, or of the half of the views on one side, are cleaned up by the paper's thresholds of log10 U, and
-//! held-out views of them are compared with the images.
+//! Models of few views, or of the half of the views on one side, are cleaned up by the paper's thresholds of log10 U,
+//! and held-out views of them are compared with the images.
 //!
 //!     cargo run --release --example clean_up -- [PART ...] [--work DIR] [--fresh]
 //!

@@ -21,8 +21,8 @@ async function readFile() {
 }
 
 /**
- * The planes of all bricks, as texels of an atlas: red, green, blue, matter; and codes of log10 U, as it is seen and at the
- * point. Numbers of rays stay as they are, `[bricks][64]`.
+ * The planes of all bricks, as texels of an atlas: red, green, blue, matter; and codes of log10 U, as it is seen and at
+ * the point. Numbers of rays stay as they are, `[bricks][64]`.
  */
 function atlas([width, height, depth], planes) {
   const bricks = planes.length / (6 * 512 + 64);

@@ -186,7 +186,9 @@ function listen(viewer) {
     '+': () => viewer.camera.zoom(0.9), '-': () => viewer.camera.zoom(1 / 0.9),
   };
   const jumps = {
-    n: () => viewer.jump(viewer.current + 1), p: () => viewer.jump(viewer.current - 1), r: () => viewer.jump(viewer.current),
+    n: () => viewer.jump(viewer.current + 1),
+    p: () => viewer.jump(viewer.current - 1),
+    r: () => viewer.jump(viewer.current),
     f: () => byId('frusta').click(),
   };
   window.addEventListener('keydown', (event) => {
@@ -230,7 +232,9 @@ function introduce({ title, cells, codes, range, cameras }) {
 async function start() {
   const status = document.getElementById('status');
   try {
-    if (typeof DecompressionStream === 'undefined') throw new Error('This browser cannot unpack the volume (DecompressionStream).');
+    if (typeof DecompressionStream === 'undefined') {
+      throw new Error('This browser cannot unpack the volume (DecompressionStream).');
+    }
     const file = await readFile();
     introduce(file.about);
     const viewer = new Viewer(file);

@@ -10,7 +10,8 @@ function drawFrusta(canvas, camera, cameras, current, place, length) {
       return add(other.position, scale(times(other.axes, seen), length));
     };
     const [w, h] = other.resolution;
-    const points = [other.position, corner(0, 0), corner(w, 0), corner(w, h), corner(0, h)].map((x) => camera.project(x));
+    const corners = [corner(0, 0), corner(w, 0), corner(w, h), corner(0, h)];
+    const points = [other.position, ...corners].map((x) => camera.project(x));
     if (points.some((p) => p === null)) return;
     const [eye, ...image] = points.map(place);
     pen.strokeStyle = k === current ? '#ff8000' : 'rgba(20, 90, 160, 0.55)';

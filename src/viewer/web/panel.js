@@ -38,7 +38,8 @@ function drawHistogram(about, threshold) {
   pen.fillRect(x, 0, canvas.width - x, canvas.height);
   pen.fillStyle = '#d40000';
   pen.fillRect(Math.min(x, canvas.width - 2), 0, 2, canvas.height);
-  const kept = bars.reduce((sum, n, i) => sum + (low + ((i + 0.5) / bars.length) * (high - low) <= threshold ? n : 0), 0);
+  const middle = (i) => low + ((i + 0.5) / bars.length) * (high - low);
+  const kept = bars.reduce((sum, n, i) => sum + (middle(i) <= threshold ? n : 0), 0);
   const all = bars.reduce((sum, n) => sum + n, 0);
   const share = all > 0 ? `${((100 * kept) / all).toFixed(1)} % of visible surfaces stay` : '';
   document.getElementById('threshold-words').textContent =
@@ -55,7 +56,8 @@ function describe(about, found) {
   if (found.log10U !== undefined) {
     const length = about.isLength ? `U ${words(10 ** found.log10U)} scene units` : `U ${words(10 ** found.log10U)}`;
     lines.push(`log10 U ${found.log10U.toFixed(2)} (${length}), larger = less certain`);
-    lines.push(found.isUnseen ? 'no training ray came here: U is the prior’s' : `prior, "never seen": ${about.codes.prior.toFixed(2)}`);
+    const prior = `prior, "never seen": ${about.codes.prior.toFixed(2)}`;
+    lines.push(found.isUnseen ? 'no training ray came here: U is the prior’s' : prior);
     lines.push(`density ${words(found.density)} per scene unit`);
     if (about.knowsRays) lines.push(`training rays behind U: about ${words(Math.round(found.rays))}`);
   }

@@ -6,7 +6,8 @@ void main() { gl_Position = vec4(vec2(gl_VertexID == 1 ? 3 : -1, gl_VertexID == 
 class Renderer {
   constructor(canvas, volume) {
     // Screenshots are taken after drawing.
-    const gl = canvas.getContext('webgl2', { antialias: false, preserveDrawingBuffer: true, powerPreference: 'high-performance' });
+    const wanted = { antialias: false, preserveDrawingBuffer: true, powerPreference: 'high-performance' };
+    const gl = canvas.getContext('webgl2', wanted);
     if (!gl) throw new Error('This browser offers no WebGL2, which draws the volume.');
     Object.assign(this, { gl, canvas, volume });
     const march = document.getElementById('march').textContent;
@@ -28,7 +29,8 @@ class Renderer {
     gl.linkProgram(program);
     if (!gl.getProgramParameter(program, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(program));
     const places = new Map();
-    return { program, place: (name) => places.get(name) ?? places.set(name, gl.getUniformLocation(program, name)).get(name) };
+    const place = (name) => places.get(name) ?? places.set(name, gl.getUniformLocation(program, name)).get(name);
+    return { program, place };
   }
 
   upload() {
@@ -36,14 +38,19 @@ class Renderer {
     const { atlas, grid, maps } = volume.about;
     const side = 8 * Math.max(...atlas);
     const most = gl.getParameter(gl.MAX_3D_TEXTURE_SIZE);
-    if (side > most) throw new Error(`This device holds 3D textures of ${most} texels a side; the volume needs ${side}. Write it with a smaller --size.`);
+    if (side > most) {
+      const found = `This device holds 3D textures of ${most} texels a side; the volume needs ${side}.`;
+      throw new Error(`${found} Write it with a smaller --size.`);
+    }
     gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
     const volumeTexture = (unit, inner, outer, size, bytes, filter, type = gl.UNSIGNED_BYTE) => {
       gl.activeTexture(gl.TEXTURE0 + unit);
       gl.bindTexture(gl.TEXTURE_3D, gl.createTexture());
       gl.texImage3D(gl.TEXTURE_3D, 0, inner, ...size, 0, outer, type, bytes);
       for (const name of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_3D, name, filter);
-      for (const name of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T, gl.TEXTURE_WRAP_R]) gl.texParameteri(gl.TEXTURE_3D, name, gl.CLAMP_TO_EDGE);
+      for (const name of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T, gl.TEXTURE_WRAP_R]) {
+        gl.texParameteri(gl.TEXTURE_3D, name, gl.CLAMP_TO_EDGE);
+      }
     };
     const texels = atlas.map((n) => 8 * n);
     volumeTexture(0, gl.RGBA8UI, gl.RGBA_INTEGER, grid.bricks, volume.pages, gl.NEAREST);

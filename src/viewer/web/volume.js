@@ -60,7 +60,10 @@ class Volume {
     return holdsField ? 10 ** beyond : 1 + beyond / (2 * (codes.prior - codes.low));
   }
 
-  /** Texels of log10 U as it is seen, codes, and of shares at points, in 32768 parts and half as many again where no ray came. */
+  /**
+   * Texels of log10 U as it is seen, codes, and of shares at points, in 32768 parts and half as many again where no ray
+   * came.
+   */
   halves() {
     const { knowledge } = this;
     const codes = Uint16Array.from({ length: 256 }, (_, code) => half(code));
@@ -69,7 +72,7 @@ class Volume {
     return Uint16Array.from(knowledge, (code, i) => (i % 2 === 0 ? codes[code] : shares[code]));
   }
 
-  /** What is stored at a scene point: log10 U, density, rays, and whether it was seen; null where there is no matter. */
+  /** What is stored at a scene point: log10 U, density, rays and whether it was seen; null where there is no matter. */
   read(x) {
     const { grid, codes, atlas } = this.about;
     const g = this.lattice(x);
