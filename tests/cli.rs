@@ -193,7 +193,8 @@ fn bad_input_gets_one_line_exit_code_2_and_no_output() {
             vec!["r_0.png"],
         ),
         (
-            "evaluate scene:courtyard field.oct --cameras transforms.json --depth . --depth-encoding=0,1 --ensemble scene:courtyard scene:city"
+            "evaluate scene:courtyard field.oct --cameras transforms.json --depth . --depth-encoding=0,1 \
+             --ensemble scene:courtyard scene:city"
                 .into(),
             vec!["scene:city", "box"],
         ),
@@ -228,7 +229,10 @@ fn an_absurd_lens_does_not_panic() {
 #[test]
 fn a_field_of_another_box_is_refused() {
     let desk = Desk::with_field();
-    desk.good("uncertainty scene:courtyard --cameras transforms.json --level 4 --rays 2000 --occupancy 32 --box=-0.5,-0.5,-0.5,0.5,0.5,0.5 -o small.oct");
+    desk.good(
+        "uncertainty scene:courtyard --cameras transforms.json --level 4 --rays 2000 --occupancy 32 \
+         --box=-0.5,-0.5,-0.5,0.5,0.5,0.5 -o small.oct",
+    );
     let output = desk.run("compare field.oct small.oct");
     let stderr = String::from_utf8(output.stderr).unwrap();
     assert!(output.status.code() == Some(2) && stderr.contains("same box") && stderr.contains("0.5"), "{stderr}");
@@ -269,7 +273,8 @@ fn a_full_disk_is_reported_and_leaves_no_field() {
 fn ctrl_c_leaves_no_file_and_exits_with_130() {
     let desk = Desk::new();
     let before = desk.files();
-    let args = "uncertainty scene:courtyard --cameras transforms.json --level 8 --rays 100000000 -o long.oct --dump-samples long.npz";
+    let args = "uncertainty scene:courtyard --cameras transforms.json --level 8 --rays 100000000 -o long.oct \
+                --dump-samples long.npz";
     let mut child = desk.command(args).stderr(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
     // The temporary files exist before any ray is drawn.
     let started = std::time::Instant::now();
@@ -558,7 +563,10 @@ fn json_is_one_object_and_states_the_protocol() {
 #[test]
 fn pictures_and_official_grids_are_written() {
     let desk = Desk::with_field();
-    desk.good("render scene:courtyard field.oct --cameras transforms.json --frame 1 -o view.png --threshold 3.5 --occupancy 32");
+    desk.good(
+        "render scene:courtyard field.oct --cameras transforms.json --frame 1 -o view.png --threshold 3.5 \
+         --occupancy 32",
+    );
     desk.good("render scene:courtyard field.oct --cameras transforms.json --frame 1 -o view.exr --occupancy 32");
     let image = image::open(desk.path("view.png")).unwrap();
     assert!(image.width() > 3 * 32 && image.height() > 2 * 32);

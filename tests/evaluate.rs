@@ -30,17 +30,19 @@ fn desk() -> tempfile::TempDir {
     octobayes(folder.path(), "synth mesh.obj -o set --views 6 --test-views 2 --resolution 24 --samples-per-pixel 4");
     octobayes(
         folder.path(),
-        "train set -o m.safetensors --steps 120 --members 2 --samples-per-step 4096 --log2-hashmap-size 12 --test-pixels 1",
+        "train set -o m.safetensors --steps 120 --members 2 --samples-per-step 4096 \
+         --log2-hashmap-size 12 --test-pixels 1",
     );
     octobayes(
         folder.path(),
-        "uncertainty m-0.safetensors --cameras set/transforms_train.json --level 5 --rays 3000 --gradient auto --keep-sums -o m.oct",
+        "uncertainty m-0.safetensors --cameras set/transforms_train.json --level 5 --rays 3000 --gradient auto \
+         --keep-sums -o m.oct",
     );
     folder
 }
 
-const EVALUATE: &str = "evaluate m-0.safetensors m.oct --cameras set/transforms_test.json --depth set/depth --depth-pattern {}.png \
-    --depth-encoding 0,6.5535 --ensemble m-0.safetensors m-1.safetensors";
+const EVALUATE: &str = "evaluate m-0.safetensors m.oct --cameras set/transforms_test.json --depth set/depth \
+    --depth-pattern {}.png --depth-encoding 0,6.5535 --ensemble m-0.safetensors m-1.safetensors";
 
 #[test]
 fn depths_in_other_units_are_noticed() {

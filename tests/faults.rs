@@ -124,7 +124,10 @@ impl Desk {
         self.write("long.oct", [&bytes[..], b"x"].concat());
         self.write("altered.oct", altered(end - 9));
         self.write("header.oct", altered(30));
-        self.good("uncertainty scene:ball --cameras cameras.json --level 4 --rays 600 --occupancy 16 --error-bars 4 -o bars.oct");
+        self.good(
+            "uncertainty scene:ball --cameras cameras.json --level 4 --rays 600 --occupancy 16 --error-bars 4 \
+             -o bars.oct",
+        );
         self.good(
             "uncertainty scene:ball --cameras cameras.json --level 4 --rays 600 --occupancy 16 --seed 1 -o seed1.oct",
         );
@@ -133,10 +136,11 @@ impl Desk {
         // The sign of the last error.
         parts[10].last_mut().into_iter().for_each(|byte| *byte |= 0x80);
         self.write("minus.oct", forge::file(Kind::Field, &forge::join(&parts)));
-        self.good("uncertainty scene:ball --cameras cameras.json --level 4 --rays 1200 --occupancy 16 --shard 0/2 -o part0.oct");
-        self.good("uncertainty scene:ball --cameras cameras.json --level 4 --rays 1200 --occupancy 16 --shard 1/2 -o part1.oct");
-        self.good("uncertainty scene:ball --cameras cameras.json --level 4 --rays 1200 --occupancy 16 --tile 0/4 -o tile0.oct");
-        self.good("uncertainty scene:ball --cameras cameras.json --level 4 --rays 1200 --occupancy 16 --tile 2/4 -o tile2.oct");
+        let runs = [("shard 0/2", "part0"), ("shard 1/2", "part1"), ("tile 0/4", "tile0"), ("tile 2/4", "tile2")];
+        for (part, file) in runs {
+            let run = "uncertainty scene:ball --cameras cameras.json --level 4 --rays 1200 --occupancy 16";
+            self.good(&format!("{run} --{part} -o {file}.oct"));
+        }
         self.write("newer.oct", [&bytes[..8], &99_u32.to_le_bytes(), &bytes[12..]].concat());
         let recipe = forge::recipe(Kind::Field, &bytes);
         let forged = |name: &str, change: &dyn Fn(&mut Vec<Vec<u8>>)| {

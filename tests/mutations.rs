@@ -199,26 +199,32 @@ fn small_files_that_claim_much_are_refused_without_the_memory() {
         ),
         (
             Kind::Samples,
-            forge::file(Kind::Samples, &members(&[array("1000000000000, 3", "<f4"), array("1000000000000, 3, 3", "<f4")])),
+            forge::file(
+                Kind::Samples,
+                &members(&[array("1000000000000, 3", "<f4"), array("1000000000000, 3, 3", "<f4")]),
+            ),
         ),
         (Kind::Field, huge_header),
         (Kind::Ppng, cbor(&|e| assert!(e.map(1).unwrap().str("poses").unwrap().array(trillion).is_ok()))),
         (Kind::Ppng, cbor(&|e| assert!(e.map(u64::MAX).unwrap().str("freqs").unwrap().array(u64::MAX).is_ok()))),
         (Kind::Ppng, [&[0xa1, 0x6a][..], b"qff_buffer", &[0x5b], &trillion.to_be_bytes()].concat()),
         (Kind::Safetensors, [&trillion.to_le_bytes()[..], b"{}"].concat()),
-        (
-            Kind::Safetensors,
-            {
-                let text = br#"{"fine.layer1.weight":{"dtype":"F32","shape":[1000000,1000000],"data_offsets":[0,4000000000000]}}"#;
-                [&(text.len() as u64).to_le_bytes()[..], text].concat()
-            },
-        ),
+        (Kind::Safetensors, {
+            let text = concat!(
+                r#"{"fine.layer1.weight":{"dtype":"F32","shape":[1000000,1000000],"#,
+                r#""data_offsets":[0,4000000000000]}}"#,
+            );
+            [&(text.len() as u64).to_le_bytes()[..], text.as_bytes()].concat()
+        }),
         (Kind::Image, png(1_000_000)),
         (Kind::Image, png(16_384)),
         (
             Kind::Transforms,
-            br#"{"fl_x": 1e6, "w": 1000000, "h": 1000000, "frames": [{"transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,0]]}]}"#
-                .to_vec(),
+            concat!(
+                r#"{"fl_x": 1e6, "w": 1000000, "h": 1000000, "#,
+                r#""frames": [{"transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,0]]}]}"#,
+            )
+            .into(),
         ),
     ];
     for (kind, magic) in [(Kind::Field, b"OCTOBAY\n"), (Kind::Checkpoint, b"OCTOCHK\n")] {

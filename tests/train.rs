@@ -96,7 +96,10 @@ fn a_model_is_trained_and_the_other_verbs_read_it() {
 
     let [info, _] = desk.good("info a.safetensors");
     assert!(info.contains("hash grid"), "{info}");
-    desk.good("uncertainty a.safetensors --cameras transforms_train.json --rays 3000 --level 5 --background black --occupancy 32 -o a.oct");
+    desk.good(
+        "uncertainty a.safetensors --cameras transforms_train.json --rays 3000 --level 5 --background black \
+         --occupancy 32 -o a.oct",
+    );
     // The model knows the noise that training left: somewhat below that of held-out images.
     desk.good(
         "uncertainty a.safetensors --rays 3000 --level 5 --background black --occupancy 32 --scale data -o scaled.oct",

@@ -43,8 +43,8 @@ pub fn table(rows: &[Row]) -> String {
     }
     let largest = gains.iter().copied().fold(0.0, f64::max);
     format!(
-        "{} of {} scenes gain PSNR at a coverage of {LEAST_COVERAGE} and more, by up to {largest:.2} dB. PSNR, dB / SSIM \
-         / SSIMULACRA 2 / coverage:\n\n{}",
+        "{} of {} scenes gain PSNR at a coverage of {LEAST_COVERAGE} and more, by up to {largest:.2} dB. \
+         PSNR, dB / SSIM / SSIMULACRA 2 / coverage:\n\n{}",
         gains.len(),
         rows.len(),
         table.text()

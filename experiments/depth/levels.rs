@@ -71,8 +71,8 @@ pub fn measure(scene: &Scene) -> Result<Vec<Row>> {
 pub fn settings() -> String {
     let (pixels, described) = (compared(STRIDE), describe(&rays(), &grid(), &["level"]));
     format!(
-        "{SIDE} × {SIDE} pixels, {STEPS} steps; {pixels} of {TEST_VIEWS} held-out views. {described} Scale of the data. \
-         Seed 0."
+        "{SIDE} × {SIDE} pixels, {STEPS} steps; {pixels} of {TEST_VIEWS} held-out views. {described} Scale of the \
+         data. Seed 0."
     )
 }
 

@@ -18,8 +18,8 @@ use crate::common::table::{Table, spread, spread_e, whole};
 use crate::common::work::Work;
 
 const TIMES: &str = "Times are wall times of everything between the open model and the finished field";
-const ERRORS: &str = "Errors are |Δ log10 U| against a dense grid of 20,480,000 random rays of another seed, with exact \
-                      derivatives and cutoff 1e-8";
+const ERRORS: &str = "Errors are |Δ log10 U| against a dense grid of 20,480,000 random rays of another seed, with \
+                      exact derivatives and cutoff 1e-8";
 /// The columns that [`Rows::errors`] fills.
 const ERROR_COLUMNS: [&str; 6] = ["surfaces: mean", "95 %", "max", "box: mean", "95 %", "max"];
 

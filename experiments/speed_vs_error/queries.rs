@@ -93,9 +93,9 @@ pub fn queries(work: &Work, lego: &Scene) -> Result<(String, String)> {
     );
     let [width, height] = lego.cameras[0].resolution;
     let body = format!(
-        "{}\n{}\nOne picture of {width} x {height} pixels with the mean of log10 U along its rays, medians of 5:\n\n{}\nA \
-         field of level {FILE_LEVEL} with {} vertices, without sums: written in {written:.2} s, read in \
-         {read:.2} s.",
+        "{}\n{}\n\
+         One picture of {width} x {height} pixels with the mean of log10 U along its rays, medians of 5:\n\n{}\n\
+         A field of level {FILE_LEVEL} with {} vertices, without sums: written in {written:.2} s, read in {read:.2} s.",
         table.text(),
         memory.text(),
         pictures.text(),

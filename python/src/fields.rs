@@ -130,7 +130,8 @@ fn batched(
     for (i, ((&ray, (position, &jacobian)), &weight)) in rays.iter().zip(values).zip(weights).enumerate() {
         if ray < previous || ray >= total {
             return Err(PyValueError::new_err(format!(
-                "samples['ray'][{i}]: expected from {previous} (non-decreasing) to below rays_total = {total}, found {ray}"
+                "samples['ray'][{i}]: expected from {previous} (non-decreasing) to below \
+                 rays_total = {total}, found {ray}"
             )));
         }
         let last = batches.len() - 1;

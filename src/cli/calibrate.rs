@@ -25,8 +25,8 @@ use crate::{Error, Result};
 /// show how far a single view may be off.
 #[derive(clap::Args)]
 #[command(
-    after_help = "Example: octobayes calibrate bunny.safetensors bunny.oct --cameras bunny/transforms_test.json --depth bunny/depth \
-    --depth-pattern {}.png --depth-encoding 0,6.5535 --every 2 -o calibrated.oct"
+    after_help = "Example: octobayes calibrate bunny.safetensors bunny.oct --cameras bunny/transforms_test.json \
+    --depth bunny/depth --depth-pattern {}.png --depth-encoding 0,6.5535 --every 2 -o calibrated.oct"
 )]
 pub struct Args {
     #[command(flatten)]
@@ -133,7 +133,8 @@ impl Args {
             return say!(
                 "{}",
                 json!({
-                    "output": self.output, "conformal": conformal, "predicted_factor": predicted, "views_left_out": left_out,
+                    "output": self.output, "conformal": conformal,
+                    "predicted_factor": predicted, "views_left_out": left_out,
                 })
             );
         }

@@ -69,7 +69,13 @@ pub struct Args {
     mesh: bool,
 
     /// Cells of the mesh along the longest edge of the model's box
-    #[arg(long, value_name = "N", default_value_t = 192, value_parser = clap::value_parser!(u32).range(8..=640), requires = "mesh")]
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = 192,
+        value_parser = clap::value_parser!(u32).range(8..=640),
+        requires = "mesh",
+    )]
     cells: u32,
 
     /// Density on the surface of the mesh, 1 / scene unit [default: what absorbs half of the light along a cell's edge]

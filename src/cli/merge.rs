@@ -19,8 +19,8 @@ use crate::{Error, Result};
 /// all of them are needed. One part at a time is in memory. Error bars and coarser levels of the parts are dropped.
 #[derive(clap::Args)]
 #[command(
-    after_help = "Example: for i in 0 1 2 3; do octobayes uncertainty model.npz --cameras transforms.json --shard $i/4 -o part$i.oct; \
-    done; octobayes merge part?.oct -o field.oct"
+    after_help = "Example: for i in 0 1 2 3; do octobayes uncertainty model.npz --cameras transforms.json --shard $i/4 \
+    -o part$i.oct; done; octobayes merge part?.oct -o field.oct"
 )]
 pub struct Args {
     /// Fields to join
@@ -64,7 +64,8 @@ impl Args {
         let mut parts = self.fields.iter().map(|path| UncertaintyField::has_error_bars(path));
         if !self.error_bars && parts.any(|has| matches!(has, Ok(true))) {
             eprintln!(
-                "note: the fields' own error bars are not those of the whole, which has none; --error-bars compares the fields"
+                "note: the fields' own error bars are not those of the whole, which has none; \
+                 --error-bars compares the fields"
             );
         }
         let field = if self.keep_sums { field } else { field.for_queries() };

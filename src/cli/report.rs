@@ -91,8 +91,8 @@ pub fn protocol(field: &UncertaintyField) -> String {
         "scale",
         match p.scale {
             Scale::Data(DataScale { pixels, noise, prior_deviation }) => format!(
-                "data: a deviation in scene units, from {pixels} pixels of noise {noise:.4}; prior {prior_deviation:.4} \
-                 along each axis"
+                "data: a deviation in scene units, from {pixels} pixels of noise {noise:.4}; prior \
+                 {prior_deviation:.4} along each axis"
             ),
             _ => "paper: one ray of noise 1/2; for ranking, not a length (--scale data)".into(),
         },
@@ -151,8 +151,8 @@ fn misfit(m: &Misfit) -> String {
 fn error_bars(e: &ErrorSummary) -> String {
     let share = 100.0 * e.known as f64 / e.moved.max(1) as f64;
     format!(
-        "{} groups of rays: log10 U of moved vertices is off by {:.3} (root mean square), half of them by less than {:.3}; \
-         known at {share:.0} %",
+        "{} groups of rays: log10 U of moved vertices is off by {:.3} (root mean square), half of them by less than \
+         {:.3}; known at {share:.0} %",
         e.groups, e.root_mean_square, e.median
     )
 }
@@ -162,7 +162,9 @@ pub fn protocol_json(field: &UncertaintyField) -> Value {
     json!({
         "protocol": field.protocol(),
         "origin": field.protocol().origin,
-        "box": field.lattice().domain().bounds().map(|b| json!({ "min": b.min().to_array(), "max": b.max().to_array() })),
+        "box": field.lattice().domain().bounds().map(|b| json!({
+            "min": b.min().to_array(), "max": b.max().to_array(),
+        })),
         "domain": field.lattice().domain(),
         "level": field.lattice().level(),
         "draws": field.draws(),
@@ -284,8 +286,8 @@ pub fn given_up(plan: &Plan) -> Option<String> {
     // A larger leaf has the mean over a hat of twice the edge instead of the finest hat's value. H at surfaces
     // grows about eightfold, which is divided out. What is left is the variation of U within the larger hat.
     Some(format!(
-        "      leaves that have {:.1} rays a vertex or are {} levels coarser: {:.1} % of vertices given up;\n      levels given up by share of what \
-         rays touch: {}; log10 U is the larger leaf's there",
+        "      leaves that have {:.1} rays a vertex or are {} levels coarser: {:.1} % of vertices given up;\n      \
+         levels given up by share of what rays touch: {}; log10 U is the larger leaf's there",
         plan.rays_per_vertex,
         plan.given_up.len() - 1,
         100.0 * (1.0 - plan.vertices / plan.vertices_unlimited.max(1.0)),
@@ -367,8 +369,8 @@ pub fn sampling_error(error: &SamplingError, rays: u64, wanted: f64) {
     }
     let within = if *mean <= wanted { "within" } else { "not within" };
     eprintln!(
-        "note: {rays} rays; log10 U is off by {mean:.3} in the mean, 95 % by at most {percentile_95:.3} (two halves, {vertices} vertices that rays \
-         moved): {within} {wanted}"
+        "note: {rays} rays; log10 U is off by {mean:.3} in the mean, 95 % by at most {percentile_95:.3} (two halves, \
+         {vertices} vertices that rays moved): {within} {wanted}"
     );
 }
 

@@ -19,7 +19,8 @@ use crate::synth::{DatasetSettings, Up, write_dataset};
 /// folder appears once it is complete.
 #[derive(clap::Args)]
 #[command(after_help = "Example: octobayes synth bunny.obj -o bunny --views 60 --hemisphere left\n\
-    then: octobayes evaluate MODEL FIELD.oct --cameras bunny/transforms_test.json --depth bunny/depth --depth-pattern {}.exr")]
+    then: octobayes evaluate MODEL FIELD.oct --cameras bunny/transforms_test.json --depth bunny/depth \
+    --depth-pattern {}.exr")]
 pub struct Args {
     /// Triangle mesh (Wavefront OBJ); only positions and faces are read
     #[arg(value_name = "MESH.obj")]

@@ -437,9 +437,8 @@ mod tests {
     #[test]
     fn perspective_cameras_of_any_name_are_read_with_their_distortion() {
         for name in PERSPECTIVE.into_iter().chain(["opencv"]) {
-            let json = format!(
-                r#"{{"fl_x": 50, "k1": 0.1, "camera_model": "{name}", "frames": [{{"camera_model": "{name}", {POSE}}}]}}"#
-            );
+            let model = format!(r#""camera_model": "{name}""#);
+            let json = format!(r#"{{"fl_x": 50, "k1": 0.1, {model}, "frames": [{{{model}, {POSE}}}]}}"#);
             assert_eq!(read(&json).expect(name).frames[0].camera.distortion.k, [0.1, 0.0]);
         }
         // A frame's own lens takes precedence over the file's.

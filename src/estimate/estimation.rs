@@ -248,8 +248,8 @@ impl<'a> Estimation<'a> {
         }
         let is_simple = self.goal == (Goal::Shard { index: 0, of: 1 }) && !self.grid.needs_plan();
         if coarser > 0 && !(is_simple && self.checkpoint.is_none() && self.grid.tile.is_none()) {
-            let expected = "a run of a number of rays in one group, without a checkpoint, tile, memory budget or criterion \
-                            `ray-count`";
+            let expected = "a run of a number of rays in one group, without a checkpoint, tile, memory budget \
+                            or criterion `ray-count`";
             return Err(Error::setting("coarser levels", expected, "another"));
         }
         Ok(())

@@ -233,7 +233,8 @@ fn check_resolution(differences: &Differences, bounds: &Aabb) -> Result<()> {
         let ((farthest, apart), h) = (resolution(&differences.domain, bounds, axis), differences.step[axis]);
         if h < apart {
             let expected = format!(
-                "at least {apart:e} scene units, what f32 positions are apart at {farthest:e}, or a scene nearer to the origin"
+                "at least {apart:e} scene units, what f32 positions are apart at {farthest:e}, or a \
+                 scene nearer to the origin"
             );
             return Err(Error::setting("finite-difference step", expected, format!("{h:e}")));
         }

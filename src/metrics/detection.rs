@@ -74,7 +74,9 @@ mod tests {
         fn as_counted_pair_by_pair(pixels in proptest::collection::vec((0..5_i32, any::<bool>()), 2..60)) {
             let (score, positive): (Vec<f64>, Vec<bool>) = pixels.iter().map(|&(s, p)| (f64::from(s), p)).unzip();
             let of = |kind: bool| score.iter().zip(&positive).filter(move |(_, p)| **p == kind).map(|(s, _)| *s);
-            let pairs = of(true).flat_map(|p| of(false).map(move |n| if p > n { 1.0 } else if p == n { 0.5 } else { 0.0 }));
+            let pairs = of(true).flat_map(|p| {
+                of(false).map(move |n| if p > n { 1.0 } else if p == n { 0.5 } else { 0.0 })
+            });
             let pairs: Vec<f64> = pairs.collect();
             let found = Detection::new(&score, &positive);
             prop_assert_eq!(found.is_some(), !pairs.is_empty());

@@ -120,7 +120,9 @@ mod tests {
 
     proptest! {
         #[test]
-        fn bricks_at_once_give_what_the_rule_gives((finest, cells) in (1_u8..=6).prop_flat_map(|f| (Just(f), cells(f)))) {
+        fn bricks_at_once_give_what_the_rule_gives(
+            (finest, cells) in (1_u8..=6).prop_flat_map(|f| (Just(f), cells(f))),
+        ) {
             let mut halves = [Wanted::new(finest), Wanted::new(finest)];
             cells.iter().enumerate().for_each(|(i, &cell)| halves[i % 2].cell(cell));
             let [a, b] = halves;
@@ -128,7 +130,10 @@ mod tests {
         }
 
         #[test]
-        fn cells_around_points_are_those_cells(finest in 1_u8..=5, points in proptest::collection::vec(proptest::array::uniform3(0_u32..=32), 1..9)) {
+        fn cells_around_points_are_those_cells(
+            finest in 1_u8..=5,
+            points in proptest::collection::vec(proptest::array::uniform3(0_u32..=32), 1..9),
+        ) {
             let points: Vec<[u32; 3]> = points.into_iter().map(|p| p.map(|i| i.min(1 << finest))).collect();
             let (mut together, mut each) = (Wanted::new(finest), Wanted::new(finest));
             for &point in &points {

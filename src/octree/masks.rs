@@ -143,7 +143,9 @@ mod tests {
         #[test]
         fn what_members_reach_is_what_each_of_them_reaches(mask: u64, brick in proptest::array::uniform3(0_u32..4)) {
             // 16 cells or points per axis become 8 when halved. Some bricks lie at the faces.
-            let members = || (0..64_u64).filter(|m| mask >> m & 1 == 1).map(|m| morton::decode(morton::encode(brick) << 6 | m));
+            let members = || {
+                (0..64_u64).filter(|m| mask >> m & 1 == 1).map(|m| morton::decode(morton::encode(brick) << 6 | m))
+            };
             for (reach, from, to) in [(&PARENTS_OF_NEIGHBORS, -1..=1_i64, 16), (&PARENTS_AROUND_POINT, -1..=0, 16)] {
                 let mut expected = BTreeSet::new();
                 for member in members() {

@@ -164,19 +164,24 @@ mod tests {
                 // Least: a limit is either wanted here or forced by a finer neighbour.
                 let level = limits.level(code);
                 let forced = neighbors(code, limits.region_level()).any(|n| limits.level(n) > level);
-                prop_assert!(level == limits.region_level() || forced || wanted.iter().any(|&(c, l)| c == code && l.min(finest) == level));
+                let is_wanted = wanted.iter().any(|&(c, l)| c == code && l.min(finest) == level);
+                prop_assert!(level == limits.region_level() || forced || is_wanted);
             }
             prop_assert_eq!(MaxLevels::from_packed(finest, &limits.packed().unwrap()), Some(limits));
         }
 
         #[test]
-        fn leaves_tile_the_cube(wanted in proptest::collection::vec((0_u64..8, 1_u8..=6), 0..6), cell in proptest::array::uniform3(0_u32..64)) {
+        fn leaves_tile_the_cube(
+            wanted in proptest::collection::vec((0_u64..8, 1_u8..=6), 0..6),
+            cell in proptest::array::uniform3(0_u32..64),
+        ) {
             let limits = MaxLevels::balanced(6, wanted);
             let leaf = limits.leaf(cell);
             let (origin, edge) = leaf.extent(6);
-            prop_assert!((0..3).all(|a| (origin[a]..origin[a] + edge).contains(&cell[a])));
+            let in_leaf = |c: &[u32; 3]| (0..3).all(|a| (origin[a]..origin[a] + edge).contains(&c[a]));
+            prop_assert!(in_leaf(&cell));
             // Every cell of the leaf finds the same leaf.
-            for corner in cells_around(origin.map(|i| i + 1), 6).filter(|c| (0..3).all(|a| (origin[a]..origin[a] + edge).contains(&c[a]))) {
+            for corner in cells_around(origin.map(|i| i + 1), 6).filter(in_leaf) {
                 prop_assert_eq!(limits.leaf(corner), leaf);
             }
         }

@@ -77,7 +77,8 @@ mod tests {
     proptest! {
         #[test]
         fn leaves_and_vertices_near_a_region_are_those_of_the_limits(
-            wanted in proptest::collection::vec((0_u64..64, 2_u8..=7), 0..8), cells in proptest::collection::vec(proptest::array::uniform3(0_u32..128), 20),
+            wanted in proptest::collection::vec((0_u64..64, 2_u8..=7), 0..8),
+            cells in proptest::collection::vec(proptest::array::uniform3(0_u32..128), 20),
         ) {
             // 4³ regions of 32³ finest cells.
             let limits = MaxLevels::balanced(7, wanted);

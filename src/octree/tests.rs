@@ -19,6 +19,13 @@ fn points(finest: u8) -> impl Strategy<Value = DVec3> {
     [coordinate.clone(), coordinate.clone(), coordinate].prop_map(DVec3::from)
 }
 
+fn octrees_and_points() -> impl Strategy<Value = (Octree, DVec3)> {
+    octrees().prop_flat_map(|octree| {
+        let finest = octree.finest();
+        (Just(octree), points(finest))
+    })
+}
+
 fn leaves(octree: &Octree) -> Vec<Cell> {
     let mut leaves = Vec::new();
     octree.cells().for_each_leaf(|leaf| leaves.push(leaf));
@@ -71,7 +78,8 @@ proptest! {
         let free: BTreeSet<[u32; 3]> = corners.filter(|&point| hanging_on(octree.cells(), point).is_none()).collect();
         prop_assert_eq!(octree.vertex_count(), free.len());
         prop_assert_eq!(octree.vertex_positions().collect::<BTreeSet<_>>(), free);
-        let (serial, parallel): (Vec<_>, Vec<_>) = (octree.vertex_positions().collect(), octree.par_vertex_positions().collect());
+        let serial: Vec<_> = octree.vertex_positions().collect();
+        let parallel: Vec<_> = octree.par_vertex_positions().collect();
         prop_assert_eq!(serial, parallel);
         for point in octree.vertex_positions() {
             let levels = cells_around(point, finest).map(|cell| octree.cells().leaf(cell).level);
@@ -81,7 +89,10 @@ proptest! {
     }
 
     #[test]
-    fn corners_found_together_are_those_found_one_by_one(octree in octrees(), u in proptest::array::uniform3(0.0..=1.0_f64)) {
+    fn corners_found_together_are_those_found_one_by_one(
+        octree in octrees(),
+        u in proptest::array::uniform3(0.0..=1.0_f64),
+    ) {
         let located = octree.locate(DVec3::from(u) * f64::from(1_u32 << octree.finest()));
         let (origin, edge) = located.leaf.extent(octree.finest());
         for (c, corner) in (0_u32..).zip(located.corners) {
@@ -91,7 +102,7 @@ proptest! {
     }
 
     #[test]
-    fn locate_agrees_with_a_scan_over_leaves((octree, u) in octrees().prop_flat_map(|o| { let f = o.finest(); (Just(o), points(f)) })) {
+    fn locate_agrees_with_a_scan_over_leaves((octree, u) in octrees_and_points()) {
         let m = f64::from(1_u32 << octree.finest());
         let inside = |leaf: &Cell| {
             let (origin, edge) = leaf.extent(octree.finest());
@@ -105,7 +116,7 @@ proptest! {
     }
 
     #[test]
-    fn interpolation_reproduces_linear_functions((octree, u) in octrees().prop_flat_map(|o| { let f = o.finest(); (Just(o), points(f)) })) {
+    fn interpolation_reproduces_linear_functions((octree, u) in octrees_and_points()) {
         // Hanging corners are means of the ends of their edge or face, so linear functions pass through unharmed.
         let linear = |p: DVec3| 1.0 + 2.0 * p.x - 3.0 * p.y + 0.5 * p.z;
         let values: Vec<f64> = octree.vertex_positions().map(|p| linear(DVec3::from(p.map(f64::from)))).collect();
@@ -114,7 +125,7 @@ proptest! {
     }
 
     #[test]
-    fn interpolation_is_continuous_across_every_contact((octree, u) in octrees().prop_flat_map(|o| { let f = o.finest(); (Just(o), points(f)) })) {
+    fn interpolation_is_continuous_across_every_contact((octree, u) in octrees_and_points()) {
         let values = values(&octree);
         let here = interpolate(&octree, &values, u);
         let m = f64::from(1_u32 << octree.finest());
@@ -135,7 +146,11 @@ proptest! {
     }
 
     #[test]
-    fn arbitrary_masks_never_panic(finest in 1_u8..=4, root_split: bool, masks in proptest::collection::vec(any::<u8>(), 0..40)) {
+    fn arbitrary_masks_never_panic(
+        finest in 1_u8..=4,
+        root_split: bool,
+        masks in proptest::collection::vec(any::<u8>(), 0..40),
+    ) {
         if let Ok(octree) = Octree::from_raw(finest, root_split, &masks) {
             prop_assert!(octree.validate().is_ok());
         }

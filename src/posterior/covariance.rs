@@ -266,10 +266,16 @@ mod tests {
                 let scaled = s.map(|v| v * limit / t);
                 for covariance in Covariance::ALL {
                     let change = (covariance.prior(lambda) / covariance.deviation(&seen(scaled), rays, lambda)).log10();
-                    prop_assert!((-1e-12..=tolerance * (1.0 + 1e-9)).contains(&change), "{:?} moves by {}", covariance, change);
+                    prop_assert!(
+                        (-1e-12..=tolerance * (1.0 + 1e-9)).contains(&change),
+                        "{:?} moves by {}",
+                        covariance,
+                        change
+                    );
                 }
                 // Two-sided: `trace` reaches the bound.
-                let change = (Covariance::Trace.prior(lambda) / Covariance::Trace.deviation(&seen(scaled), rays, lambda)).log10();
+                let deviation = Covariance::Trace.deviation(&seen(scaled), rays, lambda);
+                let change = (Covariance::Trace.prior(lambda) / deviation).log10();
                 prop_assert!((change - tolerance).abs() < 1e-9);
             }
         }
@@ -285,8 +291,8 @@ mod tests {
             let det = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz);
             let condition = (trace(&s) + floor) / floor;
             if condition < 1e5 {
-                let limit = 1e-14 * condition * condition;
-                prop_assert!((found * det / minors - 1.0).abs() < limit.max(1e-12), "{} against {}", found, minors / det);
+                let limit = (1e-14 * condition * condition).max(1e-12);
+                prop_assert!((found * det / minors - 1.0).abs() < limit, "{} against {}", found, minors / det);
             }
             prop_assert!(found > 0.0 && found <= 3.0 / floor * (1.0 + 1e-12));
         }

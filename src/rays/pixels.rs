@@ -149,7 +149,10 @@ mod tests {
 
     proptest! {
         #[test]
-        fn every_camera_has_its_share_of_rays(sides in proptest::collection::vec(1_u32..40, 1..6), rays in 1_u64..5000) {
+        fn every_camera_has_its_share_of_rays(
+            sides in proptest::collection::vec(1_u32..40, 1..6),
+            rays in 1_u64..5000,
+        ) {
             let resolutions: Vec<[u32; 2]> = sides.iter().map(|&s| [s, 7]).collect();
             let picks = sequence(Pixels::Sobol, &resolutions).picks(0, rays);
             let total: f64 = sides.iter().map(|&s| f64::from(s)).sum();

@@ -162,7 +162,8 @@ mod tests {
                 let shard = Shard::new(rays, index, of);
                 batches.extend((0..shard.batches()).map(|n| shard.batch(n)));
                 drawn += shard.own_rays();
-                prop_assert_eq!(shard.own_rays(), (0..shard.batches()).map(|n| shard.rays_of(shard.batch(n))).sum::<u64>());
+                let of_batches = (0..shard.batches()).map(|n| shard.rays_of(shard.batch(n)));
+                prop_assert_eq!(shard.own_rays(), of_batches.sum::<u64>());
             }
             batches.sort_unstable();
             prop_assert_eq!(drawn, rays);

@@ -220,7 +220,10 @@ mod tests {
                 let width = f64::from(up[i]) - f64::from(down[i]);
                 let numeric = (color_at(&up) - color_at(&down)) / width;
                 let one_sided = f64::from(down[i] == 0.0);
-                let limit = 2.0 * delta * (width * delta).powi(2) + one_sided * width * delta * delta + 1e-13 / width + 1e-15;
+                let limit = 2.0 * delta * (width * delta).powi(2)
+                    + one_sided * width * delta * delta
+                    + 1e-13 / width
+                    + 1e-15;
                 prop_assert!((numeric - analytic[i]).abs().max_element() <= limit,
                     "sample {}: {} against {}, limit {}", i, numeric, analytic[i], limit);
             }
@@ -260,7 +263,8 @@ mod tests {
                 let numeric = (depth_at(&up) - depth_at(&down)) / (up[i] - down[i]);
                 let length = t.last().unwrap() - 2.0;
                 let one_sided = if down[i] == 0.0 { 2.0 * h * delta / pixel.opacity } else { 0.0 };
-                let limit = (delta / pixel.opacity) * length * (1e-6 + one_sided) + 1e-14 * (1.0 + length) / (h * pixel.opacity);
+                let limit = (delta / pixel.opacity) * length * (1e-6 + one_sided)
+                    + 1e-14 * (1.0 + length) / (h * pixel.opacity);
                 prop_assert!((numeric - analytic[i]).abs() <= limit, "sample {}: {} against {}, limit {}",
                     i, numeric, analytic[i], limit);
             }

@@ -288,7 +288,11 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(48))]
         #[test]
-        fn jacobian_is_the_whole_rays_response_to_moving_one_sample(y in -0.3..0.3_f64, z in -0.3..0.3_f64, jitter in 0.0..1.0_f64) {
+        fn jacobian_is_the_whole_rays_response_to_moving_one_sample(
+            y in -0.3..0.3_f64,
+            z in -0.3..0.3_f64,
+            jitter in 0.0..1.0_f64,
+        ) {
             let field = ClosedForm::ball();
             let marcher = Marcher { step: 0.01, bounds: field.bounds(), occupancy: None, cutoff: 0.0 };
             let tracer = Tracer { field: &field, marcher, background: Vec3::ONE };
@@ -315,7 +319,14 @@ mod tests {
                         // largest), |∇c| = 2.25 and δ = 0.01, C'' σ' σ'' h² / 2 = δ² · 1.3e8 · h² / 2 = 4e-4
                         // and δ σ'' |∇c| h² / 2 = 5e-5.
                         let limit = 0.001 * f64::from(scale) + 6e-4;
-                        prop_assert!((brute - found).abs() <= limit, "axis {} channel {}: {} against {}", axis, channel, found, brute);
+                        prop_assert!(
+                            (brute - found).abs() <= limit,
+                            "axis {} channel {}: {} against {}",
+                            axis,
+                            channel,
+                            found,
+                            brute
+                        );
                     }
                 }
             }

@@ -220,8 +220,8 @@ mod tests {
     #[test]
     fn only_positions_and_triangles_count() {
         let mesh = read(
-            b"# \xff\nmtllib none.mtl\no a\nv 0 0 0\nv 1 0 0 0.5 0.5 0.5\nv 0 2 0\nvt damaged\ng\xc2\xa0\xc3\xa9\nusemtl m\n\
-              f 1/1/9 2/2 3//6148914691236517206\ng b\nv 5 5 5\nf -2 -3 -4\n",
+            b"# \xff\nmtllib none.mtl\no a\nv 0 0 0\nv 1 0 0 0.5 0.5 0.5\nv 0 2 0\nvt damaged\n\
+              g\xc2\xa0\xc3\xa9\nusemtl m\nf 1/1/9 2/2 3//6148914691236517206\ng b\nv 5 5 5\nf -2 -3 -4\n",
         )
         .unwrap();
         assert_eq!(mesh.faces(), &[[0, 1, 2], [2, 1, 0]]);

@@ -216,7 +216,8 @@ pub fn write_dataset(mesh_path: &Path, target: &Path, settings: &DatasetSettings
             png_scale: DEPTH_PNG_SCALE,
         },
         light: LightRecord {
-            model: "Lambertian; sun with traced shadows; sky with occlusion traced at vertices and interpolated; sRGB-encoded",
+            model: "Lambertian; sun with traced shadows; sky with occlusion traced at vertices and \
+                    interpolated; sRGB-encoded",
             sun_direction: SUN.normalize().to_array(),
             sun_color: SUN_COLOR.to_array(),
             sky_color: SKY_COLOR.to_array(),
@@ -304,15 +305,18 @@ fn readme(mesh: &str, settings: &DatasetSettings) -> String {
     format!(
         "# `{mesh}`, ray-traced\n\n\
         Made by `octobayes synth`; every parameter is in `dataset.json`. Terms of use of the mesh apply.\n\n\
-        - `transforms_train.json` ({views} cameras, {half}), `transforms_test.json` ({test_views}, all around): intrinsics in pixels,\n\
-        \x20 `transform_matrix` camera-to-world, OpenGL axes (x right, y up, looking along -z). Pixel (i, j) has its centre at\n\
-        \x20 (i + 0.5, j + 0.5). World: z up, front -y. Everything lies in [-1, 1]^3 (`aabb`). Seed {seed}.\n\
-        - `images/*.png`: {w} x {h}, 8-bit RGBA, sRGB, straight alpha = share of {n} x {n} jittered samples that hit geometry.\n\
-        - `depth/*.exr`: 32-bit float channel `depth.Z`, Euclidean distance from the camera of the ray through the pixel's\n\
-        \x20 centre, scene units; 0 where it hits nothing.\n\
+        - `transforms_train.json` ({views} cameras, {half}), `transforms_test.json` ({test_views}, all around):\n\
+        \x20 intrinsics in pixels, `transform_matrix` camera-to-world, OpenGL axes (x right, y up, looking along -z).\n\
+        \x20 Pixel (i, j) has its centre at (i + 0.5, j + 0.5). World: z up, front -y. Everything lies in [-1, 1]^3\n\
+        \x20 (`aabb`). Seed {seed}.\n\
+        - `images/*.png`: {w} x {h}, 8-bit RGBA, sRGB, straight alpha = share of {n} x {n} jittered samples that hit\n\
+        \x20 geometry.\n\
+        - `depth/*.exr`: 32-bit float channel `depth.Z`, Euclidean distance from the camera of the ray through the\n\
+        \x20 pixel's centre, scene units; 0 where it hits nothing.\n\
         - `depth/*.png`: the same in 16 bits, distance = {DEPTH_PNG_SCALE} * value / 65535, for\n\
         \x20 `octobayes evaluate --depth depth --depth-pattern {{}}.png --depth-encoding 0,{DEPTH_PNG_SCALE}`.\n\n\
-        Radiance depends on position alone: Lambertian surfaces, a sun with traced shadows, sky light with occlusion traced at\n\
-        vertices and interpolated. Smooth normals and texture change colour only; depth is that of the flat triangles.\n"
+        Radiance depends on position alone: Lambertian surfaces, a sun with traced shadows, sky light with occlusion\n\
+        traced at vertices and interpolated. Smooth normals and texture change colour only; depth is that of the flat\n\
+        triangles.\n"
     )
 }

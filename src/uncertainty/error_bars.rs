@@ -265,7 +265,10 @@ mod tests {
         }
 
         #[test]
-        fn words_come_back(errors in proptest::collection::vec(proptest::option::of(0.0..6.0_f64), 0..50), groups in 2..=64_u16) {
+        fn words_come_back(
+            errors in proptest::collection::vec(proptest::option::of(0.0..6.0_f64), 0..50),
+            groups in 2..=64_u16,
+        ) {
             let bits = |e: &Option<f64>| e.map_or(UNKNOWN, |e| f16::from_f64(e).to_bits());
             let bars = ErrorBars { groups, errors: errors.iter().map(bits).collect() };
             let read = ErrorBars::from_words(&bars.words(), errors.len() as u64).unwrap();

@@ -191,21 +191,32 @@ fn error_bars_stay_where_they_are_true() {
 
 proptest! {
     #[test]
-    fn pooled_fields_agree_too_and_are_pooled(x in -1.0..=1.0_f32, y in -1.0..=1.0_f32, z in -1.0..=1.0_f32, min_rays in 0.5..16.0_f64) {
-        static PLAIN: std::sync::LazyLock<[UncertaintyField; 2]> = std::sync::LazyLock::new(|| fields(Covariance::Block, 1.0));
+    fn pooled_fields_agree_too_and_are_pooled(
+        x in -1.0..=1.0_f32,
+        y in -1.0..=1.0_f32,
+        z in -1.0..=1.0_f32,
+        min_rays in 0.5..16.0_f64,
+    ) {
+        static PLAIN: std::sync::LazyLock<[UncertaintyField; 2]> =
+            std::sync::LazyLock::new(|| fields(Covariance::Block, 1.0));
         let x = Vec3::new(x, y, z);
         // Octrees of a few thousand vertices; the requested number selects one of three.
         let index = (min_rays / 16.0 * 3.0) as usize;
         static POOLED: std::sync::LazyLock<[[UncertaintyField; 2]; 3]> =
             std::sync::LazyLock::new(|| [2.0, 4.0, 12.0].map(|m| pooled_fields(Covariance::Block, 1.0, m)));
         let [dense, octree] = &POOLED[index];
-        prop_assert!((dense.log10(x) - octree.log10(x)).abs() <= 0.01 + 1e-6, "{} and {}", dense.log10(x), octree.log10(x));
+        let (a, b) = (dense.log10(x), octree.log10(x));
+        prop_assert!((a - b).abs() <= 0.01 + 1e-6, "{} and {}", a, b);
         prop_assert!(octree.validate().is_ok());
         prop_assert_ne!(PLAIN[0].deviations(), dense.deviations());
     }
 
     #[test]
-    fn octree_and_dense_agree_within_the_tolerance_everywhere(x in -1.0..=1.0_f32, y in -1.0..=1.0_f32, z in -1.0..=1.0_f32) {
+    fn octree_and_dense_agree_within_the_tolerance_everywhere(
+        x in -1.0..=1.0_f32,
+        y in -1.0..=1.0_f32,
+        z in -1.0..=1.0_f32,
+    ) {
         thread_local!(static FIELDS: [[UncertaintyField; 2]; 2] =
             [fields(Covariance::Diagonal, 1.0), fields(Covariance::Block, 1.0)]);
         FIELDS.with(|fields| {

@@ -20,8 +20,8 @@ fn face_density() -> HardScene {
     let block = Primitive { shape, peak: 6.0, softness: 0.0, texture: waves(6.0) };
     HardScene {
         name: "face-density",
-        about: "The box is full to the brim: density ends at its faces. They are no surfaces, as nothing beyond is known: derivatives look inwards only, and \
-                the density, which is constant, pins nothing; texture does.",
+        about: "The box is full to the brim: density ends at its faces. They are no surfaces, as nothing beyond is \
+                known: derivatives look inwards only, and the density, which is constant, pins nothing; texture does.",
         field: Specimen::new(one("face-density", block), Treatment::Exact, ring()),
         level: 5,
         verdict: Verdict::Handled,
@@ -87,8 +87,8 @@ fn moved(
 }
 
 fn tiny() -> crate::Result<HardScene> {
-    let about = "A ball in micrometres: lengths are a millionth, densities a million times the usual. U is a millionth, too: the prior is tied to the \
-                 box.";
+    let about = "A ball in micrometres: lengths are a millionth, densities a million times the usual. U is a \
+                 millionth, too: the prior is tied to the box.";
     moved("tiny", about, (1e-6, DVec3::ZERO), Verdict::Handled)
 }
 
@@ -97,7 +97,8 @@ fn huge() -> crate::Result<HardScene> {
 }
 
 fn shifted() -> crate::Result<HardScene> {
-    let about = "The ball 100,000 units from the origin: f32 positions there are 1/128 apart, an eighth of a cell, and 16 times the step of the finite \
-                 differences, which would see no difference at all. Move the scene to the origin.";
+    let about = "The ball 100,000 units from the origin: f32 positions there are 1/128 apart, an eighth of a \
+                 cell, and 16 times the step of the finite differences, which would see no difference at all. \
+                 Move the scene to the origin.";
     moved("shifted", about, (1.0, DVec3::new(1e5, -1e5, 1e5)), Verdict::Refused)
 }

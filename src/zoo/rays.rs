@@ -27,7 +27,8 @@ fn lattice_line() -> HardScene {
     });
     HardScene {
         name: "ray-lattice-line",
-        about: "Rays exactly on lattice lines: samples lie on cells' edges, where three of four vertices around have weight 0. They are not moved.",
+        about: "Rays exactly on lattice lines: samples lie on cells' edges, where three of four vertices around have \
+                weight 0. They are not moved.",
         field: specimen("ray-lattice-line", rays.collect()),
         level: 5,
         verdict: Verdict::Handled,
@@ -50,7 +51,8 @@ fn lattice_vertex() -> HardScene {
     });
     HardScene {
         name: "ray-lattice-vertex",
-        about: "Rays along space diagonals through lattice vertices: rounding decides in which cell a sample falls, and must not matter.",
+        about: "Rays along space diagonals through lattice vertices: rounding decides in which cell a sample falls, \
+                and must not matter.",
         field: specimen("ray-lattice-vertex", rays.collect()),
         level: 5,
         verdict: Verdict::Handled,
@@ -68,7 +70,8 @@ fn in_face() -> HardScene {
     });
     HardScene {
         name: "ray-in-face",
-        about: "Rays that run in the box's faces and in lattice planes: faces belong to the box, and derivatives there look inwards only.",
+        about: "Rays that run in the box's faces and in lattice planes: faces belong to the box, and derivatives there \
+                look inwards only.",
         field: specimen("ray-in-face", rays.collect()),
         level: 5,
         verdict: Verdict::Handled,
@@ -97,7 +100,8 @@ fn grazing() -> HardScene {
     ];
     HardScene {
         name: "ray-grazing",
-        about: "Rays along the box's edges, past them by a billionth, and through its corners: those along an edge count, the others see nothing.",
+        about: "Rays along the box's edges, past them by a billionth, and through its corners: those along an edge \
+                count, the others see nothing.",
         field: specimen("ray-grazing", rays),
         level: 5,
         verdict: Verdict::Handled,

@@ -46,8 +46,8 @@ pub fn checks(edge: f32) -> Texture {
 fn wall_axis() -> HardScene {
     HardScene {
         name: "wall-axis",
-        about: "A textureless wall that faces an axis: nothing tells how far it slides along itself, so that two of three priors stay, in \
-                every reading.",
+        about: "A textureless wall that faces an axis: nothing tells how far it slides along itself, so that two of \
+                three priors stay, in every reading.",
         field: Specimen::new(one("wall-axis", wall(Vec3::X, PLAIN)), Treatment::Exact, ring()),
         level: 5,
         verdict: Verdict::Handled,
@@ -62,8 +62,8 @@ fn wall_axis() -> HardScene {
 fn wall_diagonal() -> HardScene {
     HardScene {
         name: "wall-diagonal",
-        about: "The same wall, facing (1, 1, 1): `block` says what it said before, but `diagonal` (the paper's) now takes the wall for pinned \
-                in all directions, decades below.",
+        about: "The same wall, facing (1, 1, 1): `block` says what it said before, but `diagonal` (the paper's) now \
+                takes the wall for pinned in all directions, decades below.",
         field: Specimen::new(one("wall-diagonal", wall(Vec3::ONE, PLAIN)), Treatment::Exact, ring()),
         level: 5,
         verdict: Verdict::Limit,
@@ -92,8 +92,9 @@ fn checker_fine() -> HardScene {
     let field = one("checker-fine", wall(Vec3::X, checks(0.25 * CELL)));
     HardScene {
         name: "checker-fine",
-        about: "A wall of checks a quarter of a cell wide: U is small, as a small shift is noticed at once; that a shift by two checks looks the \
-                same again is beyond a Laplace approximation. A vertex moves many checks together.",
+        about: "A wall of checks a quarter of a cell wide: U is small, as a small shift is noticed at once; \
+                that a shift by two checks looks the same again is beyond a Laplace approximation. A vertex \
+                moves many checks together.",
         field: Specimen::new(field, Treatment::Exact, ring()),
         level: 5,
         verdict: Verdict::Limit,
@@ -107,8 +108,9 @@ fn opaque_step() -> HardScene {
     let square = Shape::Box { center: Vec3::new(0.1, -0.45, -0.1), half: Vec3::new(0.3, 0.25, 0.4) };
     HardScene {
         name: "opaque-step",
-        about: "Density from 0 to 10,000 within a five hundredth of a cell: its derivative is a spike that few samples meet. Where one does, U is far too small, \
-                elsewhere it is the prior; how many do depends on the step of the finite differences, which blurs the spike. It is chance.",
+        about: "Density from 0 to 10,000 within a five hundredth of a cell: its derivative is a spike that few samples \
+                meet. Where one does, U is far too small, elsewhere it is the prior; how many do depends on the step \
+                of the finite differences, which blurs the spike. It is chance.",
         field: Specimen::new(several("opaque-step", vec![solid(round), solid(square)]), Treatment::Exact, ring()),
         level: 5,
         verdict: Verdict::Limit,
@@ -127,8 +129,9 @@ fn thin_sheet() -> HardScene {
     field = field.with_step(f64::from(CELL) / 32.0);
     HardScene {
         name: "thin-sheet",
-        about: "A sheet an eighth of a cell thick between two lattice planes: its two sides pull at the same vertices and nearly cancel within a \
-                ray, which is why Jacobians are summed over the ray before they are squared.",
+        about: "A sheet an eighth of a cell thick between two lattice planes: its two sides pull at the same \
+                vertices and nearly cancel within a ray, which is why Jacobians are summed over the ray \
+                before they are squared.",
         field: Specimen::new(field, Treatment::Exact, ring()),
         level: 5,
         verdict: Verdict::Handled,
@@ -145,8 +148,9 @@ fn fog() -> HardScene {
     let fog = Primitive { shape, peak: 0.5, softness: 0.0, texture: Texture::Plain(Vec3::new(0.7, 0.6, 0.8)) };
     HardScene {
         name: "fog",
-        about: "Thin fog and nothing else: every part of it can be moved far before a pixel changes, so that U is large everywhere; but images \
-                say a little about all of it, and the prior is weak enough to be moved by that.",
+        about: "Thin fog and nothing else: every part of it can be moved far before a pixel changes, so \
+                that U is large everywhere; but images say a little about all of it, and the prior is weak \
+                enough to be moved by that.",
         field: Specimen::new(one("fog", fog), Treatment::Exact, ring()),
         level: 5,
         verdict: Verdict::Handled,
@@ -158,8 +162,8 @@ fn saturated() -> HardScene {
     let field = one("saturated", wall(Vec3::X, waves(9.0)));
     HardScene {
         name: "saturated",
-        about: "A textured wall whose colours lie where the sigmoid is flat: the texture is there in the network and gone in the picture, so that the wall \
-                counts as textureless.",
+        about: "A textured wall whose colours lie where the sigmoid is flat: the texture is there in the network and \
+                gone in the picture, so that the wall counts as textureless.",
         field: Specimen::new(field, Treatment::Saturated, ring()),
         level: 5,
         verdict: Verdict::Handled,

@@ -16,8 +16,8 @@ pub fn all() -> Vec<HardScene> {
 fn aligned() -> HardScene {
     HardScene {
         name: "lattice-aligned",
-        about: "A piecewise trilinear field (as a hash grid is) whose cells are the lattice's: its gradient jumps exactly at the vertices. A difference \
-                across a kink is the mean of both sides.",
+        about: "A piecewise trilinear field (as a hash grid is) whose cells are the lattice's: its gradient jumps \
+                exactly at the vertices. A difference across a kink is the mean of both sides.",
         field: Specimen::new(one("lattice-aligned", ball()), Treatment::Grid { points: 33 }, ring()),
         level: 5,
         verdict: Verdict::Handled,
@@ -39,8 +39,9 @@ fn misaligned() -> HardScene {
 fn half_precision() -> HardScene {
     HardScene {
         name: "half-precision",
-        about: "A field that returns f16: a staircase, whose differences over a 256th of a cell are 0 on a tread and far too large at a riser. U \
-                is too small where the field is flatter than its noise; a larger --step helps.",
+        about: "A field that returns f16: a staircase, whose differences over a 256th of a cell are 0 on a \
+                tread and far too large at a riser. U is too small where the field is flatter than its \
+                noise; a larger --step helps.",
         field: Specimen::new(one("half-precision", ball()), Treatment::Half, ring()),
         level: 5,
         verdict: Verdict::Limit,
@@ -98,7 +99,8 @@ fn fault_everywhere() -> HardScene {
     let treatment = Treatment::Fault { density: f32::NAN, center: Vec3::new(0.3, 0.3, 0.26), radius: 0.5 };
     HardScene {
         name: "fault-everywhere",
-        about: "NaN over half of the ball: what is left would be no answer, so that the run ends with an error which names the first position.",
+        about: "NaN over half of the ball: what is left would be no answer, so that the run ends with an error which \
+                names the first position.",
         field: Specimen::new(one("fault-everywhere", ball()), treatment, ring()),
         level: 5,
         verdict: Verdict::Refused,

@@ -20,8 +20,9 @@ fn one_camera() -> HardScene {
     let rig = seen_from(vec![(EYE, DVec3::ZERO)]);
     HardScene {
         name: "one-camera",
-        about: "A textured ball seen by one camera: its front is pinned across the line of sight; along it, moving matter changes a pixel only by \
-                what its own colour and density vary, which one picture cannot tell from anything else.",
+        about: "A textured ball seen by one camera: its front is pinned across the line of sight; along it, moving \
+                matter changes a pixel only by what its own colour and density vary, which one picture cannot tell \
+                from anything else.",
         field: Specimen::new(one("one-camera", ball()), Treatment::Exact, rig),
         level: 5,
         verdict: Verdict::Limit,
@@ -35,8 +36,8 @@ fn two_cameras() -> HardScene {
     let rig = seen_from(vec![(EYE, DVec3::ZERO), (turn * EYE, DVec3::ZERO)]);
     HardScene {
         name: "two-cameras",
-        about: "The same ball seen by two cameras two degrees apart: a Laplace approximation takes them for twice the pictures of one, not for a \
-                stereo pair.",
+        about: "The same ball seen by two cameras two degrees apart: a Laplace approximation takes them for twice the \
+                pictures of one, not for a stereo pair.",
         field: Specimen::new(one("two-cameras", ball()), Treatment::Exact, rig),
         level: 5,
         verdict: Verdict::Limit,

@@ -40,13 +40,12 @@ pub fn of(kind: Kind) -> Vec<Vec<u8>> {
         Kind::Safetensors => vec![safetensors()],
         Kind::Torch => vec![torch::archive(&torch::pickle(false)), torch::stream()],
         Kind::Mesh => vec![
-            b"# a tetrahedron\no t\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1/1 2/1 4/1\nf -4//1 -2//1 -1//1\nf 2 3 4\n".to_vec(),
+            b"# a tetrahedron\no t\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n\
+              f 1 2 3\nf 1/1 2/1 4/1\nf -4//1 -2//1 -1//1\nf 2 3 4\n"
+                .to_vec(),
             b"v 0 0 0 1 0 0\nv 1e3 0 0\nv 0 2.5 -1\ng a b\nf 1/1/1 2/2/2 3/3/3\n".to_vec(),
         ],
-        Kind::Csv => vec![
-            b"name,x,y,z\n,0.5,0.25,-1\nmore,1e-3, 2 ,3\n".to_vec(),
-            b"1,2,3\r\n\"4\",5,6\r\n".to_vec(),
-        ],
+        Kind::Csv => vec![b"name,x,y,z\n,0.5,0.25,-1\nmore,1e-3, 2 ,3\n".to_vec(), b"1,2,3\r\n\"4\",5,6\r\n".to_vec()],
         Kind::Image => images(),
         Kind::Exr => exr(),
         Kind::Colmap => colmap(),

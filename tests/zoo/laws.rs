@@ -71,7 +71,10 @@ proptest! {
     }
 
     #[test]
-    fn a_shifted_scene_is_as_good_as_f32_positions_or_refused(decade in 0.0..5.0_f64, way in [-1.0..1.0_f64, -1.0..1.0, -1.0..1.0]) {
+    fn a_shifted_scene_is_as_good_as_f32_positions_or_refused(
+        decade in 0.0..5.0_f64,
+        way in [-1.0..1.0_f64, -1.0..1.0, -1.0..1.0],
+    ) {
         let shift = 10_f64.powf(decade) * DVec3::from(way).normalize_or(DVec3::X);
         let ball = boxes::moved_ball(1.0, shift).unwrap();
         let bounds = ball.bounds();

@@ -141,7 +141,8 @@ impl Args {
         let model = self.model_name();
         let file = if self.scene.is_none() { format!(", {MODEL}") } else { String::new() };
         say!(
-            "written to {out}: view.html (open it in a browser first), demo.png, field.oct, dense.oct{file}, transforms.json"
+            "written to {out}: view.html (open it in a browser first), demo.png, field.oct, \
+             dense.oct{file}, transforms.json"
         )?;
         say!("now try, for example")?;
         say!("  octobayes info {out}/field.oct")?;

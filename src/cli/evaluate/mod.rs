@@ -41,11 +41,12 @@ use crate::{Error, Result};
 /// Depth is compared where the true depth is known and the image is fully opaque (alpha 255; images without alpha
 /// are opaque everywhere).
 #[derive(clap::Args)]
-#[command(
-    after_help = "Examples:\n  octobayes evaluate lego.safetensors lego.oct --cameras transforms_test.json --depth test \
-    --depth-encoding 8,-8 --plot ause.svg --csv ause.csv\n  octobayes evaluate m-0.safetensors m.oct --ensemble m-0.safetensors m-1.safetensors m-2.safetensors \
-    --cameras bunny/transforms_test.json --depth bunny/depth --depth-pattern {}.png --depth-encoding 0,6.5535 --clean-up sheet.png"
-)]
+#[command(after_help = "Examples:\n  \
+    octobayes evaluate lego.safetensors lego.oct --cameras transforms_test.json --depth test \
+    --depth-encoding 8,-8 --plot ause.svg --csv ause.csv\n  \
+    octobayes evaluate m-0.safetensors m.oct --ensemble m-0.safetensors m-1.safetensors m-2.safetensors \
+    --cameras bunny/transforms_test.json --depth bunny/depth --depth-pattern {}.png \
+    --depth-encoding 0,6.5535 --clean-up sheet.png")]
 pub struct Args {
     #[command(flatten)]
     model: ModelOptions,

@@ -127,7 +127,8 @@ impl Evaluation<'_> {
             let [gauss, laplace, student] = c.densities.each_ref().map(|of| of.nll);
             let [g, l, s] = c.densities.each_ref().map(|of| of.nll_best_scale);
             say!(
-                "  {name:<width$}{held} {:>7.3} {:>10.2} {gauss:>18.2} {laplace:>8.2} {student:>8.2}   ({g:.2}, {l:.2}, {s:.2})",
+                "  {name:<width$}{held} {:>7.3} {:>10.2} {gauss:>18.2} {laplace:>8.2} {student:>8.2}   \
+                 ({g:.2}, {l:.2}, {s:.2})",
                 c.predictive().auce,
                 c.mean_ratio
             )?;

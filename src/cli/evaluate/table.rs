@@ -186,13 +186,14 @@ impl<'a> Evaluation<'a> {
             }
         }
         let args = self.args;
+        let views = self.views.iter().map(|v| json!({ "name": v.name, "psnr": v.psnr, "pixels": v.pixels.len() }));
         json!({
             "model": args.model.model, "cameras": args.cameras.cameras, "depth": args.depth,
             "training_depth": args.training_depth, "ensemble": args.ensemble,
             "depth_kind": if args.maps.z_depth { "z" } else { "euclidean" }, "stride": args.stride,
             "mask": "alpha 255 and known depth", "alignment": "none",
             "background": args.model.rays.background.to_array(),
-            "views": self.views.iter().map(|v| json!({ "name": v.name, "psnr": v.psnr, "pixels": v.pixels.len() })).collect::<Vec<_>>(),
+            "views": views.collect::<Vec<_>>(),
             "pixels": self.depth().map_or(0, |depth| depth.pixels), "pixels_without_depth": self.empty(),
             "psnr": self.psnr(),
             "depth_error": self.depth().map(|depth| json!({

@@ -40,7 +40,13 @@ const FEW_RAYS: u64 = 4;
 pub struct DomainOptions {
     /// Box of the field: x0,y0,z0,x1,y1,z1 in scene units [default: the space that the model covers, which may be
     /// contracted]
-    #[arg(long = "box", value_name = "BOX", value_parser = parse_box, allow_hyphen_values = true, conflicts_with = "contract")]
+    #[arg(
+        long = "box",
+        value_name = "BOX",
+        value_parser = parse_box,
+        allow_hyphen_values = true,
+        conflicts_with = "contract",
+    )]
     pub bounds: Option<Aabb>,
 
     /// Cover all of space, contracted outside --inner as in mip-NeRF 360; for unbounded scenes
@@ -185,8 +191,8 @@ impl GridOptions {
     pub fn write(&self, field: &UncertaintyField, cost: &Cost) -> Result<()> {
         if let Some(median) = field.median_rays().filter(|&median| median < FEW_RAYS && self.min_rays == 0.0) {
             eprintln!(
-                "note: half of the vertices that moved are supported by {median} rays or fewer; --min-rays 4 shares what their \
-                 neighbours saw, more --rays is better"
+                "note: half of the vertices that moved are supported by {median} rays or fewer; --min-rays 4 shares \
+                 what their neighbours saw, more --rays is better"
             );
         }
         field.write(&self.output)?;

@@ -97,7 +97,12 @@ pub struct RayOptions {
     pub pixel_offset: Option<f64>,
 
     /// Cells per axis of the occupancy grid that lets rays skip empty space
-    #[arg(long, value_name = "N", default_value_t = Occupancy::DEFAULT_RESOLUTION as u16, value_parser = clap::value_parser!(u16).range(4..=512))]
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = Occupancy::DEFAULT_RESOLUTION as u16,
+        value_parser = clap::value_parser!(u16).range(4..=512),
+    )]
     pub occupancy: u16,
 }
 

@@ -24,7 +24,13 @@ pub struct ScaleOptions {
 
     /// For --scale data: root mean square error of the training pixels' colours, which lie in 0..1 [default: what the
     /// model records, if `train` made it]
-    #[arg(long, value_name = "RMSE", value_parser = parse_noise, allow_negative_numbers = true, conflicts_with = "psnr")]
+    #[arg(
+        long,
+        value_name = "RMSE",
+        value_parser = parse_noise,
+        allow_negative_numbers = true,
+        conflicts_with = "psnr",
+    )]
     noise: Option<f64>,
 
     /// The same as PSNR of the training images, dB

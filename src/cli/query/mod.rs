@@ -38,9 +38,8 @@ const BATCH: usize = 1 << 18;
 /// A field with error bars adds a column, `log10_error`: the root mean square error of log10 U, in decades. Where
 /// too few rays passed to know it, it is empty in `.csv` and NaN in `.npy`.
 #[derive(clap::Args)]
-#[command(
-    after_help = "Examples:\n  echo 0,0,0.5 | octobayes query lego.oct -\n  octobayes query lego.oct --ray 0,-3,0.5,0,1,0 --model lego.safetensors"
-)]
+#[command(after_help = "Examples:\n  echo 0,0,0.5 | octobayes query lego.oct -\n  \
+    octobayes query lego.oct --ray 0,-3,0.5,0,1,0 --model lego.safetensors")]
 pub struct Args {
     /// The field: `.oct`, a folder of its tiles, or the official code's `.npy`
     ///

@@ -22,7 +22,13 @@ pub struct RayQuery {
     /// times. OUT is CSV: origin, unit direction, opacity, median_depth (distance to the surface), expected_depth,
     /// depth_error (one standard deviation of depth, scene units; for fields of `--scale data`),
     /// log10_uncertainty (mean over what the ray hits) and, if the field is calibrated, depth_interval (half width)
-    #[arg(long, value_name = "X,Y,Z,DX,DY,DZ", allow_hyphen_values = true, value_parser = parse_ray, requires = "model")]
+    #[arg(
+        long,
+        value_name = "X,Y,Z,DX,DY,DZ",
+        allow_hyphen_values = true,
+        value_parser = parse_ray,
+        requires = "model",
+    )]
     pub ray: Vec<Ray>,
 
     /// The model that the rays of --ray pass through

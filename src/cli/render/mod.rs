@@ -37,9 +37,8 @@ const PREVIEW: u32 = 800;
 /// with --depth-error, depth_error.Z (one standard deviation, scene units) and, if the field is calibrated,
 /// depth_interval.Z (half width of the interval).
 #[derive(clap::Args)]
-#[command(
-    after_help = "Example: octobayes render lego.safetensors lego.oct --cameras transforms_test.json --frame 0 -o view.png"
-)]
+#[command(after_help = "Example: octobayes render lego.safetensors lego.oct --cameras transforms_test.json --frame 0 \
+    -o view.png")]
 pub struct Args {
     #[command(flatten)]
     model: ModelOptions,
@@ -66,7 +65,12 @@ pub struct Args {
 
     /// A picture that moves, `.gif` or `.png`: N views on a circle that starts at the frame. Colour and log10 U, and
     /// with --threshold the colour of what is left
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=720), conflicts_with_all = ["frames", "depth_error"])]
+    #[arg(
+        long,
+        value_name = "N",
+        value_parser = clap::value_parser!(u32).range(2..=720),
+        conflicts_with_all = ["frames", "depth_error"],
+    )]
     orbit: Option<u32>,
 
     /// Picture to write, `.png` or `.exr`

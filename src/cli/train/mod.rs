@@ -97,7 +97,13 @@ pub struct Args {
 
     /// Box of the scene: x0,y0,z0,x1,y1,z1 in scene units; nothing is modelled outside [default: `aabb` of the
     /// camera file, else instant-ngp's cube of edge 3.03 around the origin, times `aabb_scale`]
-    #[arg(long = "box", value_name = "BOX", value_parser = parse_box, allow_hyphen_values = true, conflicts_with = "contract")]
+    #[arg(
+        long = "box",
+        value_name = "BOX",
+        value_parser = parse_box,
+        allow_hyphen_values = true,
+        conflicts_with = "contract",
+    )]
     bounds: Option<Aabb>,
 
     /// Contract space outside --inner as in mip-NeRF 360, for unbounded scenes; modelled up to 8 radii away
@@ -110,19 +116,39 @@ pub struct Args {
     inner: Option<[f64; 4]>,
 
     /// Table entries per level, as a power of two; larger tables hold more detail and are slower
-    #[arg(long, value_name = "LOG2", default_value_t = HashGridConfig::default().log2_hashmap_size, value_parser = clap::value_parser!(u32).range(8..=22))]
+    #[arg(
+        long,
+        value_name = "LOG2",
+        default_value_t = HashGridConfig::default().log2_hashmap_size,
+        value_parser = clap::value_parser!(u32).range(8..=22),
+    )]
     log2_hashmap_size: u32,
 
     /// Approximate number of samples per step
-    #[arg(long, value_name = "N", default_value_t = TrainSettings::default().samples_per_step, value_parser = count::<u64>(1024..=16_777_216))]
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = TrainSettings::default().samples_per_step,
+        value_parser = count::<u64>(1024..=16_777_216),
+    )]
     samples_per_step: u64,
 
     /// Initial learning rate of Adam; it decays over the run
-    #[arg(long, value_name = "RATE", default_value_t = TrainSettings::default().learning_rate, value_parser = parse_rate)]
+    #[arg(
+        long,
+        value_name = "RATE",
+        default_value_t = TrainSettings::default().learning_rate,
+        value_parser = parse_rate,
+    )]
     learning_rate: f32,
 
     /// Factor of the distortion loss (mip-NeRF 360), which removes fog and floaters; 0 turns it off
-    #[arg(long, value_name = "FACTOR", default_value_t = f64::from(TrainSettings::default().distortion), value_parser = parse_non_negative)]
+    #[arg(
+        long,
+        value_name = "FACTOR",
+        default_value_t = f64::from(TrainSettings::default().distortion),
+        value_parser = parse_non_negative,
+    )]
     distortion: f64,
 
     /// Pixels of held-out images compared at the end, over all images together

@@ -88,7 +88,12 @@ pub struct Args {
     /// 0 skips none
     ///
     /// Rays end at this transmittance. The effect on log10 U is not part of --tolerance; --audit measures it.
-    #[arg(long, value_name = "WEIGHT", default_value_t = RaySettings::default().cutoff, value_parser = parse_non_negative)]
+    #[arg(
+        long,
+        value_name = "WEIGHT",
+        default_value_t = RaySettings::default().cutoff,
+        value_parser = parse_non_negative,
+    )]
     cutoff: f64,
 
     /// Measure on a few rays what skipped samples and the derivatives cost, and print the error budget
@@ -103,8 +108,14 @@ pub struct Args {
     /// four rays saw anything, the error is unknown and left empty. Summing takes GROUPS + 1 times the memory. With
     /// --checkpoint every group has its own file, FILE.0, FILE.1, … On several machines, give each another --seed,
     /// then run `merge --error-bars`.
-    #[arg(long, value_name = "GROUPS", num_args = 0..=1, default_missing_value = "8", value_parser = clap::value_parser!(u16).range(2..=64),
-          conflicts_with_all = ["dump_samples", "shard", "memory"])]
+    #[arg(
+        long,
+        value_name = "GROUPS",
+        num_args = 0..=1,
+        default_missing_value = "8",
+        value_parser = clap::value_parser!(u16).range(2..=64),
+        conflicts_with_all = ["dump_samples", "shard", "memory"],
+    )]
     pub(super) error_bars: Option<u16>,
 
     /// Also draw displacements of all vertices together, this many times, so that deviations of depth know that
@@ -113,8 +124,14 @@ pub struct Args {
     /// For --level 6 and less and some 100k rays: every row of the Jacobian is kept, and solving takes minutes. At
     /// level 6 depth errors rank better, and their deviations hold more of them (experiments/depth.md); U stays as it
     /// is. Variances have a relative error of sqrt(2/DRAWS), a vertex takes 12 DRAWS bytes. Needs --scale data.
-    #[arg(long, value_name = "DRAWS", num_args = 0..=1, default_missing_value = "32", value_parser = clap::value_parser!(u16).range(2..=1024),
-          conflicts_with_all = ["error_bars", "dump_samples", "shard", "tile", "memory", "checkpoint"])]
+    #[arg(
+        long,
+        value_name = "DRAWS",
+        num_args = 0..=1,
+        default_missing_value = "32",
+        value_parser = clap::value_parser!(u16).range(2..=1024),
+        conflicts_with_all = ["error_bars", "dump_samples", "shard", "tile", "memory", "checkpoint"],
+    )]
     pub(super) correlations: Option<u16>,
 
     /// Also compare the model with its training images in this folder, so that deviations of depth count what it
@@ -135,8 +152,14 @@ pub struct Args {
     /// `spread` and `spread-per-ray`, by which `evaluate` ranks, then read the mean of log10 U over all levels, which
     /// ranks depth errors about as well as the best of them does (experiments/depth.md). U and deviations of depth stay
     /// as they are. Fields that are merged lose their coarser levels.
-    #[arg(long, value_name = "N", num_args = 0..=1, default_missing_value = "2", value_parser = clap::value_parser!(u8).range(1..=UncertaintyField::MOST_COARSER as i64),
-          conflicts_with_all = ["error_bars", "shard", "tile", "memory", "checkpoint"])]
+    #[arg(
+        long,
+        value_name = "N",
+        num_args = 0..=1,
+        default_missing_value = "2",
+        value_parser = clap::value_parser!(u8).range(1..=UncertaintyField::MOST_COARSER as i64),
+        conflicts_with_all = ["error_bars", "shard", "tile", "memory", "checkpoint"],
+    )]
     pub(super) coarser_levels: Option<u8>,
 
     /// Also write the ray samples with their Jacobians, in the format that `accumulate` reads

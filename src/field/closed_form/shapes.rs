@@ -206,8 +206,12 @@ mod tests {
 
         #[test]
         fn bound_is_never_below_the_density(
-            p in primitive(), toward in vector(-1.0, 1.0), depth in -1.0..1.0_f32,
-            low in vector(0.0, 1.0), size in prop_oneof![Just(0.0_f32), 1e-3..0.1_f32, 0.1..100.0_f32], inside in vector(0.0, 1.0),
+            p in primitive(),
+            toward in vector(-1.0, 1.0),
+            depth in -1.0..1.0_f32,
+            low in vector(0.0, 1.0),
+            size in prop_oneof![Just(0.0_f32), 1e-3..0.1_f32, 0.1..100.0_f32],
+            inside in vector(0.0, 1.0),
         ) {
             // A box around a point of the transition, and a second point of that box.
             let x = near_surface(&p, toward, depth);

@@ -351,7 +351,8 @@ impl RadianceField for HashGrid {
     fn describe(&self) -> String {
         let resolutions = self.config.resolutions();
         format!(
-            "hash grid, {N_LEVELS} levels of {N_FEATURES_PER_LEVEL} features from {} to {} cells, 2^{} entries, {} f32 parameters",
+            "hash grid, {N_LEVELS} levels of {N_FEATURES_PER_LEVEL} features from {} to {} cells, \
+             2^{} entries, {} f32 parameters",
             resolutions[0],
             resolutions[N_LEVELS - 1],
             self.config.log2_hashmap_size,

@@ -455,7 +455,10 @@ fn files_cut_anywhere_are_refused() {
 proptest! {
     /// A damaged file is refused or, if its numbers stay plausible, evaluated. Nothing panics.
     #[test]
-    fn altered_bytes_never_panic(changes in prop::collection::vec((0.0..1.0_f64, any::<u8>()), 1..6), header in any::<bool>()) {
+    fn altered_bytes_never_panic(
+        changes in prop::collection::vec((0.0..1.0_f64, any::<u8>()), 1..6),
+        header in any::<bool>(),
+    ) {
         let mut bytes = Model::random(1, 4, 1, 1).bytes();
         // The numbers of the tables fill most of the file. Its structure is in the first bytes.
         let reach = if header { 260 } else { bytes.len() };

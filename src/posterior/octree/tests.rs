@@ -96,7 +96,10 @@ proptest! {
     }
 
     #[test]
-    fn octree_deviates_from_dense_by_no_more_than_the_tolerance(samples in ray_samples(), tolerance in prop_oneof![Just(0.0), 1e-3..0.1_f64]) {
+    fn octree_deviates_from_dense_by_no_more_than_the_tolerance(
+        samples in ray_samples(),
+        tolerance in prop_oneof![Just(0.0), 1e-3..0.1_f64],
+    ) {
         let (level, rays, lambda) = (4, 500, 1e-6);
         let mut dense = DensePosterior::new(lattice(level));
         let mut octree = OctreePosterior::new(lattice(level));
@@ -121,7 +124,12 @@ proptest! {
                 // Every vertex that moved by more than the tolerance is stored, and its eight finest cells make
                 // it exact.
                 if moved > tolerance + 1e-12 {
-                    prop_assert!(stored.contains(&point) && octree.is_surrounded_by_finest(point), "{:?} moved {}", point, moved);
+                    prop_assert!(
+                        stored.contains(&point) && octree.is_surrounded_by_finest(point),
+                        "{:?} moved {}",
+                        point,
+                        moved
+                    );
                 }
             }
         }
@@ -172,7 +180,13 @@ proptest! {
             }
             let scale = trace(&found.information).max(trace(&expected));
             for k in 0..6 {
-                prop_assert!((found.information[k] - expected[k]).abs() <= 1e-13 * scale, "{:?}: {:?} against {:?}", point, found, expected);
+                prop_assert!(
+                    (found.information[k] - expected[k]).abs() <= 1e-13 * scale,
+                    "{:?}: {:?} against {:?}",
+                    point,
+                    found,
+                    expected
+                );
             }
         }
         // No sums lie at points that are not vertices.

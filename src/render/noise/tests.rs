@@ -126,8 +126,15 @@ fn smooth_fields_are_left_in_peace_and_bad_steps_are_not() {
 
 proptest! {
     #[test]
-    fn tables_of_noise_on_a_line_say_how_much(offset in 1.0..10.0_f64, slope in -1e-3..1e-3_f64, seed in 0..1_000_000_u32) {
-        let value = |i: usize, n: f64| offset + slope * i as f64 * 0.1 + n * 12.0_f64.sqrt() * (hash(Vec3::new(seed as f32, i as f32, 3.0)) - 0.5);
+    fn tables_of_noise_on_a_line_say_how_much(
+        offset in 1.0..10.0_f64,
+        slope in -1e-3..1e-3_f64,
+        seed in 0..1_000_000_u32,
+    ) {
+        let value = |i: usize, n: f64| {
+            let noise = hash(Vec3::new(seed as f32, i as f32, 3.0)) - 0.5;
+            offset + slope * i as f64 * 0.1 + n * 12.0_f64.sqrt() * noise
+        };
         let found = noise_level(&std::array::from_fn(|i| value(i, 1e-3)));
         // With nine values a single table may be off by a factor. The median of many is not
         // (`planted_noise_is_found`).
