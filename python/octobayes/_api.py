@@ -201,6 +201,7 @@ def uncertainty(
     cutoff: float = 1e-6,
     error_bars: int | None = None,
     coarser_levels: int = 0,
+    images: Any = None,
     shard: str | tuple[int, int] | None = None,
     executor: Executor | None = None,
     shards: int | None = None,
@@ -246,6 +247,9 @@ def uncertainty(
     standard deviation in scene units, which needs the noise that training left, as ``noise``, ``psnr`` or recorded in
     the model, and cameras of the size that the model was trained at). ``lambda_`` is ``--lambda``.
 
+    images: the training images, with which the model is compared, so that deviations of depth count what it does not
+    show of them (``scale='data'``): the folder from which the cameras' names start, or a list of files, one per camera.
+
     executor: anything with the ``submit`` of ``concurrent.futures``, which runs the ``shards`` instead of this process:
     a ProcessPoolExecutor, dask.distributed's ``client.get_executor()``. nerf must be a model's file that the workers
     see, too, or a callable that they can unpickle. The shards are merged here as they come; the result is that of one
@@ -273,12 +277,12 @@ def uncertainty(
     own_box = getattr(nerf, "box", None)
     if not isinstance(nerf, Model) and domain["box"] is None and own_box is not None:
         domain["box"] = as_box("nerf.box", own_box)
-    numbers, _, seen_by = _training_cameras(nerf, cameras, views, resolution, fov)
+    numbers, frames, seen_by = _training_cameras(nerf, cameras, views, resolution, fov)
     if executor is None and shards is not None:
         raise wrong("shards", "an executor beside them (one shard alone: shard=)", shards)
     if executor is not None:
         own = {"shard": shard, "checkpoint": checkpoint, "dump_samples": dump_samples, "error_bars": error_bars}
-        shards = _shards.checked(executor, shards, own | {"coarser_levels": coarser_levels or None})
+        shards = _shards.checked(executor, shards, own | {"coarser_levels": coarser_levels or None, "images": images})
         if auto or memory is not None:
             raise wrong("executor", "a number of rays, and no limit of memory, which is each shard's own", "another")
     options = {
@@ -298,6 +302,7 @@ def uncertainty(
         "cutoff": real("cutoff", cutoff, low=0),
         "error_bars": None if error_bars is None else whole("error_bars", error_bars, 2, 64),
         "coarser_levels": whole("coarser_levels", coarser_levels, 0, 4),
+        **_images(images, frames, scale),
         "shard": _shard(shard),
         "checkpoint": None if checkpoint is None else as_path("checkpoint", checkpoint),
         "checkpoint_every": real("checkpoint_every", checkpoint_every, low=0),
@@ -317,6 +322,22 @@ def uncertainty(
         field, texts = _octobayes.uncertainty(asked, numbers, options, report)
     _warn(texts)
     return Uncertainty(field)
+
+
+def _images(images: Any, frames: list[str], scale: str) -> dict[str, Any]:
+    """Where the training images are, if they are asked for: a folder and the frames' names, or files."""
+    if images is None:
+        return {}
+    if scale == "paper":
+        raise wrong("images", "scale='data' beside it, in which depths have deviations", "scale='paper'")
+    if isinstance(images, (str, os.PathLike)):
+        return {"images": as_path("images", images), "frames": frames}
+    if not isinstance(images, Sequence):
+        raise wrong("images", f"a folder, or a list of {len(frames)} files", images)
+    files = [as_path(f"images[{i}]", file) for i, file in enumerate(images)]
+    if len(files) != len(frames):
+        raise wrong("images", f"a file for each of {len(frames)} cameras", f"{len(files)} files")
+    return {"image_files": files, "frames": frames}
 
 
 def _scale_options(

@@ -116,7 +116,11 @@ def rows(
     numbers = np.stack([one(f"cameras[{i}]", camera) for i, camera in enumerate(given)])
     if width is not None:
         numbers = resized(numbers, width, height)
-    return numbers, named(len(numbers)), f"{len(numbers)} cameras"
+    names = [
+        os.fspath(camera.get("file_path") or camera.get("name") or name)
+        for camera, name in zip(given, named(len(given)))
+    ]
+    return numbers, names, f"{len(numbers)} cameras"
 
 
 def named(count: int) -> list[str]:

@@ -21,7 +21,7 @@ from ._model import Model
 from ._uncertainty import Uncertainty
 
 # Arguments that belong to one process.
-ALONE = ("shard", "checkpoint", "dump_samples", "error_bars", "coarser_levels")
+ALONE = ("shard", "checkpoint", "dump_samples", "error_bars", "coarser_levels", "images")
 
 
 @dataclass(frozen=True)

@@ -6,13 +6,15 @@ use std::time::Duration;
 
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
 use octobayes::Error;
-use octobayes::dataset::{FrameSplit, Part, ResolutionSource, Selection, Views};
-use octobayes::estimate::{Checkpoint, Estimation, GridSettings, Outcome, RaySettings, Sight};
+use octobayes::dataset::{Frame, FrameSplit, Part, ResolutionSource, Selection, Views};
+use octobayes::estimate::{Checkpoint, Estimation, GridSettings, Outcome, RaySettings, Run, Sight};
+use octobayes::evaluate::TrainingImages;
 use octobayes::field::RadianceField;
 use octobayes::geometry::{Camera, Domain};
+use octobayes::monitor::Monitor;
 use octobayes::posterior::{DataScale, Scale};
 use octobayes::rays::SamplesWriter;
-use octobayes::uncertainty::UncertaintyField;
+use octobayes::uncertainty::{Misfit, UncertaintyField};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -84,6 +86,7 @@ struct Job {
     checkpoint: Option<Checkpoint>,
     error_bars: Option<u16>,
     coarser_levels: u8,
+    images: Option<Images>,
     dump: Option<PathBuf>,
     source: String,
     checksum: Option<u32>,
@@ -122,6 +125,7 @@ pub fn uncertainty(
         checkpoint: checkpoint.map(|path| Checkpoint::new(path).every(every).resume(resume)),
         error_bars,
         coarser_levels: options.or("coarser_levels", 0)?,
+        images: Images::new(&options, &cameras)?,
         dump: options.get("dump_samples")?,
         source: options.or("source", String::new())?,
         checksum: nerf.cast::<Model>().ok().map(|model| model.get().checksum),
@@ -129,6 +133,38 @@ pub fn uncertainty(
     let (field, warnings) =
         work(py, source.gate(nerf), progress, |engine| source.with(engine, |field| job.run(engine, field, &cameras)))?;
     Ok((Uncertainty(Arc::new(field)), warnings))
+}
+
+/// The training images, and how the model is rendered beside them.
+struct Images {
+    images: TrainingImages,
+    settings: RaySettings,
+}
+
+impl Images {
+    /// In a folder, or as files, if they were given.
+    fn new(options: &Options, cameras: &[Camera]) -> PyResult<Option<Self>> {
+        let names: Vec<String> = options.or("frames", Vec::new())?;
+        let files: Option<Vec<PathBuf>> = options.get("image_files")?;
+        let frame = |(i, name): (usize, String)| {
+            let image = files.as_ref().map_or_else(PathBuf::new, |files| files[i].clone());
+            Frame { camera: cameras[i], name, image }
+        };
+        let frames: Vec<Frame> = names.into_iter().enumerate().map(frame).collect();
+        let images = match options.get::<PathBuf>("images")? {
+            Some(folder) => TrainingImages::find(&folder, &frames).or_raise()?,
+            None if files.is_some() => TrainingImages::new(frames),
+            None => return Ok(None),
+        };
+        Ok(Some(Self { images, settings: options.image(RaySettings::for_images())? }))
+    }
+
+    /// Compares the model with them.
+    fn misfit(&self, field: &dyn RadianceField, run: &Run, monitor: &dyn Monitor) -> octobayes::Result<Misfit> {
+        let tracer = self.settings.tracer(field, 0.0, monitor)?;
+        let offset = self.settings.pixel_offset.unwrap_or_else(|| field.pixel_offset());
+        self.images.misfit(&tracer, offset, run.lattice(), monitor)
+    }
 }
 
 /// What a scale in scene units is made from, beside the cameras.
@@ -198,6 +234,8 @@ impl Job {
                 1.0 / check.step
             ));
         }
+        // Before the rays, so that a wrong image ends the work at once.
+        let misfit = self.images.map(|images| images.misfit(field, &run, engine.monitor())).transpose()?;
         let Outcome { field, progress, is_replanned, .. } = run.finish()?;
         if is_replanned {
             warnings.push("the rays took more or less memory than planned; the run started again".into());
@@ -209,6 +247,10 @@ impl Job {
         if let Some(dump) = dump {
             dump.finish(progress.rays)?;
         }
+        let field = match misfit {
+            Some(misfit) => field.with_misfit(misfit)?,
+            None => field,
+        };
         // Whoever holds the result has nothing to resume.
         self.checkpoint.map_or(Ok(()), |checkpoint| checkpoint.remove(self.error_bars))?;
         Ok((field, warnings))

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
 import numpy as np
 import pytest
 from conftest import SMALL
@@ -36,6 +41,79 @@ def test_depth_has_an_error_beside_it(metric, courtyard, cameras, field):
     assert np.median(np.abs(np.log(again["depth_error"][same] / error[same]))) < 0.05
     with pytest.raises(ValueError, match="in the scale of its data"):
         ob.render(courtyard, field, cameras[0], depth_error=True, progress=False)
+
+
+#: What the images are off by in one channel, of 255.
+OFF = 20
+
+
+def write_png(path: Path, colors: np.ndarray) -> None:
+    """Writes 8-bit RGB ``[H, W, 3]``."""
+    height, width, _ = colors.shape
+    rows = b"".join(b"\0" + row.tobytes() for row in colors)
+    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    chunks = [(b"IHDR", header), (b"IDAT", zlib.compress(rows)), (b"IEND", b"")]
+    parts = [struct.pack(">I", len(data)) + kind + data for kind, data in chunks]
+    sums = [struct.pack(">I", zlib.crc32(kind + data)) for kind, data in chunks]
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(part + crc for part, crc in zip(parts, sums)))
+
+
+@pytest.fixture(scope="module")
+def images(courtyard, cameras, tmp_path_factory) -> list[Path]:
+    """Training images whose red is not what the model shows."""
+    folder = tmp_path_factory.mktemp("images")
+    files = [folder / f"{i}.png" for i in range(len(cameras))]
+    for camera, file in zip(cameras, files):
+        color = 255 * ob.render(courtyard, None, camera, progress=False)["color"]
+        # Where it stays within the range.
+        color[..., 0] += np.where(color[..., 0] < 128, OFF, -OFF)
+        write_png(file, np.round(color).astype(np.uint8))
+    return files
+
+
+def test_deviations_count_what_images_show_and_the_model_does_not(metric, courtyard, cameras, images):
+    settings = {"scale": "data", "psnr": 30, "covariance": "block", "keep_sums": True, **SMALL}
+    joined = ob.uncertainty(courtyard, cameras, images=images, **settings)
+    x = np.float32([[0.0, 0.0, -0.5], [0.3, 0.2, 0.1]])
+    np.testing.assert_array_equal(joined.query(x), metric.query(x))
+    before, after = (
+        ob.render(courtyard, u, cameras[0], depth_error=True, progress=False)["depth_error"] for u in (metric, joined)
+    )
+    # One channel of three is off by as much everywhere, to half a step of the images; a 20th of the box's edge of 2.
+    expected = 0.1 * OFF / 255 / 3**0.5
+    # Elsewhere what was there hides it from f32.
+    small = before < 0.1
+    added = np.sqrt(after[small].astype(float) ** 2 - before[small].astype(float) ** 2)
+    assert small.sum() > 500 and (np.abs(added / expected - 1) < 0.5 / OFF + 1e-3).all()
+
+    # By name, in a folder; of a callable; through a file.
+    named = [{**camera, "file_path": f"./{i}"} for i, camera in enumerate(cameras)]
+    again = ob.uncertainty(courtyard, named, images=images[0].parent, **settings)
+    view = ob.render(courtyard, again, cameras[0], depth_error=True, progress=False)
+    np.testing.assert_array_equal(view["depth_error"], after)
+    called = ob.uncertainty(
+        lambda x, d: courtyard(x, d), named, box=courtyard.box, march_step=courtyard.step, images=images, **settings
+    )
+    called.save(images[0].parent / "field.oct")
+    called = ob.load(images[0].parent / "field.oct")
+    view = ob.render(courtyard, called, cameras[0], depth_error=True, progress=False)
+    np.testing.assert_allclose(np.nanmedian(view["depth_error"]), np.nanmedian(after), rtol=0.02)
+
+
+def test_images_that_are_not_there_get_a_sentence(courtyard, cameras, images):
+    settings = {"scale": "data", "psnr": 30, **SMALL}
+    with pytest.raises(ValueError, match="images: expected scale='data' beside it"):
+        ob.uncertainty(courtyard, cameras, images=images, **SMALL)
+    with pytest.raises(ValueError, match=f"images: expected a file for each of {len(cameras)} cameras, found 1 files"):
+        ob.uncertainty(courtyard, cameras, images=images[:1], **settings)
+    with pytest.raises(ValueError, match="images: expected a folder, or a list of .* files, found 3"):
+        ob.uncertainty(courtyard, cameras, images=3, **settings)
+    with pytest.raises(ValueError, match="images: expected the folder from which the names .* found neither"):
+        ob.uncertainty(courtyard, cameras, images=images[0].parent, **settings)
+    with pytest.raises(OSError, match="missing.png"):
+        ob.uncertainty(courtyard, cameras, images=["missing.png"] * len(cameras), **settings)
+    with ThreadPoolExecutor() as pool, pytest.raises(ValueError, match="images: expected None with an executor"):
+        ob.uncertainty(courtyard, cameras, images=images, executor=pool, shards=2, **settings)
 
 
 @pytest.mark.parametrize(

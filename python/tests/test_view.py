@@ -156,12 +156,14 @@ def test_u_ranks_the_error_of_depth_better_than_chance(courtyard, cameras, field
         )
 
 
-def test_the_readmes_example_runs(capsys):
+def test_the_readmes_examples_run(capsys):
     text = (Path(__file__).parent.parent / "README.md").read_text()
     blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
-    example = next(block for block in blocks if "def nerf" in block)
-    exec(compile(example, "README.md", "exec"), {})
-    assert "in front" in capsys.readouterr().out
+    names: dict[str, object] = {}
+    for word, said in (("def nerf", "in front"), ("depth_error=True", "give or take")):
+        example = next(block for block in blocks if word in block)
+        exec(compile(example, "README.md", "exec"), names)
+        assert said in capsys.readouterr().out
 
 
 @pytest.mark.data

@@ -1,11 +1,69 @@
 //! Compares a model with its training images.
 
+use std::path::{Path, PathBuf};
+
 use super::TrueView;
-use crate::Result;
+use crate::dataset::{Frame, image_path};
 use crate::geometry::Lattice;
 use crate::monitor::Monitor;
 use crate::render::{Tracer, render_view};
 use crate::uncertainty::{Misfit, MisfitSums};
+use crate::{Error, Result};
+
+/// About as many pixels of all training images together are rendered.
+const PIXELS: u64 = 1 << 18;
+
+/// Training frames with their images.
+#[derive(Debug, Clone)]
+pub struct TrainingImages(Vec<Frame>);
+
+impl TrainingImages {
+    /// Frames whose images are where they say.
+    #[must_use]
+    pub fn new(frames: Vec<Frame>) -> Self {
+        Self(frames)
+    }
+
+    /// Finds the images of frames below a folder, by their names.
+    ///
+    /// # Errors
+    /// If an image is missing.
+    pub fn find(folder: &Path, frames: &[Frame]) -> Result<Self> {
+        let find = |frame: &Frame| {
+            // COLMAP's names start from the folder of the images, those of a transforms.json from its own.
+            let places = [folder, &folder.join("images")].map(|folder| image_path(folder, &frame.name));
+            let image = places.iter().find(|path| path.is_file()).cloned().ok_or_else(|| {
+                let expected = "the folder from which the names of the training images start";
+                let [place, other] = &places;
+                Error::setting("images", expected, format!("neither {} nor {}", place.display(), other.display()))
+            })?;
+            Ok(Frame { image, ..frame.clone() })
+        };
+        frames.iter().map(find).collect::<Result<_>>().map(Self)
+    }
+
+    /// The images' paths, in the order of the frames.
+    pub fn paths(&self) -> impl Iterator<Item = &PathBuf> {
+        self.0.iter().map(|frame| &frame.image)
+    }
+
+    /// Compares the model behind a tracer with the images over its background, for fields on a lattice. About 260,000
+    /// pixels of all images together are looked at, each at `pixel_offset`. A stage of its own for the monitor.
+    ///
+    /// # Errors
+    /// If an image cannot be read, or if the work was interrupted.
+    pub fn misfit(&self, tracer: &Tracer, pixel_offset: f64, of: &Lattice, monitor: &dyn Monitor) -> Result<Misfit> {
+        let pixels: u64 = self.0.iter().map(|frame| frame.camera.pixels()).sum();
+        let stride = (pixels as f64 / PIXELS as f64).sqrt().ceil().max(1.0) as u32;
+        let background = tracer.background.as_dvec3();
+        let images = self.0.iter().map(|frame| TrueView::read(frame, None, background, pixel_offset, stride));
+        let rows = |frame: &Frame| u64::from(frame.camera.resolution[1].div_ceil(stride));
+        monitor.begin("rows of training images", self.0.iter().map(rows).sum());
+        let misfit = measure_misfit(tracer, images, of, monitor)?;
+        monitor.end();
+        Ok(misfit)
+    }
+}
 
 /// What training left unexplained in these images, for fields on a lattice.
 ///

@@ -17,7 +17,7 @@ mod view;
 pub use clean_up::{CleanUp, SCALE, THRESHOLDS, clean_up};
 pub use interval::Interval;
 pub use measure::{Baseline, Measure, Reading};
-pub use misfit::measure_misfit;
+pub use misfit::{TrainingImages, measure_misfit};
 pub use score::{DepthError, Score};
 pub use training_views::{Sighting, TrainingViews};
 pub use truth::{DepthFiles, TrueView};

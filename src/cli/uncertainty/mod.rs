@@ -11,7 +11,6 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use self::correlations::Together;
-use self::images::TrainingImages;
 use super::files::CommandFiles;
 use super::options::{
     CameraOptions, DomainOptions, FrameOptions, GridOptions, ModelOptions, count, parse_interval, parse_non_negative,
@@ -21,6 +20,7 @@ use super::progress::Bars;
 use super::report::{self, Cost};
 use crate::dataset::Part;
 use crate::estimate::{Checkpoint, Estimation, GridSettings, Outcome, Planner, RaySettings, Run};
+use crate::evaluate::TrainingImages;
 use crate::io::memory::{available, resident};
 use crate::rays::{Pixels, RunProgress, SamplesWriter};
 use crate::render::GradientMethod;
@@ -226,9 +226,9 @@ impl Args {
         let inputs = self.read()?;
         let start = Instant::now();
         let (estimation, grid) = self.estimation(&inputs, bars)?;
-        let images = TrainingImages::find(&self, &inputs, &grid)?;
+        let images = images::find(&self, &inputs, &grid)?;
         let files = self.command_files().images(&inputs.views);
-        images.iter().fold(files, |files, images| images.add_to(files)).check()?;
+        files.inputs("an image of --images", images.iter().flat_map(TrainingImages::paths)).check()?;
         self.grid.check_output()?;
         let mut dump = self.dump_samples.as_deref().map(SamplesWriter::create).transpose()?;
 
@@ -242,7 +242,7 @@ impl Args {
         };
 
         // Before the rays, so that a wrong image ends the work at once.
-        let misfit = images.map(|images| images.misfit(&self, &inputs, &grid, bars)).transpose()?;
+        let misfit = images.map(|images| images::misfit(&images, &self, &inputs, &grid, bars)).transpose()?;
         let run = estimation.prepare()?;
         self.check_sight(&run.sight()?)?;
         let step = run.check_step()?;
