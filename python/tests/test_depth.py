@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import struct
-import zlib
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import SMALL
+from conftest import SMALL, png
 
 import octobayes as ob
 
@@ -47,17 +45,6 @@ def test_depth_has_an_error_beside_it(metric, courtyard, cameras, field):
 OFF = 20
 
 
-def write_png(path: Path, colors: np.ndarray) -> None:
-    """Writes 8-bit RGB ``[H, W, 3]``."""
-    height, width, _ = colors.shape
-    rows = b"".join(b"\0" + row.tobytes() for row in colors)
-    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
-    chunks = [(b"IHDR", header), (b"IDAT", zlib.compress(rows)), (b"IEND", b"")]
-    parts = [struct.pack(">I", len(data)) + kind + data for kind, data in chunks]
-    sums = [struct.pack(">I", zlib.crc32(kind + data)) for kind, data in chunks]
-    path.write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(part + crc for part, crc in zip(parts, sums)))
-
-
 @pytest.fixture(scope="module")
 def images(courtyard, cameras, tmp_path_factory) -> list[Path]:
     """Training images whose red is not what the model shows."""
@@ -67,7 +54,7 @@ def images(courtyard, cameras, tmp_path_factory) -> list[Path]:
         color = 255 * ob.render(courtyard, None, camera, progress=False)["color"]
         # Where it stays within the range.
         color[..., 0] += np.where(color[..., 0] < 128, OFF, -OFF)
-        write_png(file, np.round(color).astype(np.uint8))
+        png(file, np.round(np.dstack([color, np.full(color.shape[:2], 255)])))
     return files
 
 

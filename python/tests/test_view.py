@@ -2,13 +2,11 @@
 
 import json
 import re
-import struct
-import zlib
 from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import SMALL, in_python
+from conftest import SMALL, exr, in_python, png
 
 import octobayes as ob
 
@@ -82,22 +80,6 @@ def test_wrong_arguments_get_a_sentence(changes, sentence, courtyard, cameras, f
         ob.render(courtyard, arguments.pop("u"), arguments.pop("camera"), **arguments)
 
 
-def png(path: Path, pixels: np.ndarray) -> None:
-    """Writes RGBA of 8 bits, or grey of 16."""
-    height, width = pixels.shape[:2]
-    depth, kind = (8, 6) if pixels.ndim == 3 else (16, 0)
-    rows = pixels.astype(np.uint8 if pixels.ndim == 3 else ">u2").reshape(height, -1)
-    raw = b"".join(b"\0" + row.tobytes() for row in rows)
-
-    def chunk(name: bytes, content: bytes) -> bytes:
-        return struct.pack(">I", len(content)) + name + content + struct.pack(">I", zlib.crc32(name + content))
-
-    header = struct.pack(">IIBBBBB", width, height, depth, kind, 0, 0, 0)
-    path.write_bytes(
-        b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(raw)) + chunk(b"IEND", b"")
-    )
-
-
 def test_u_ranks_the_error_of_depth_better_than_chance(courtyard, cameras, field, tmp_path):
     # The truth is the scene; the model has grown where no camera looked: on the far side.
     frames = []
@@ -140,6 +122,13 @@ def test_u_ranks_the_error_of_depth_better_than_chance(courtyard, cameras, field
     deviation = next(entry for entry in result["readings"] if entry["name"] == "m block, depth deviation")
     shares = [found for _, found in deviation["calibration"]["densities"][2]["coverage"]]
     assert shares == sorted(shares) and 0 < shares[0] < 1, shares
+    # The same maps in scene units: what was between two of 65535 steps of 10 is no longer lost.
+    for i, frame in enumerate(frames):
+        camera = {**cameras[0], "pose": frame["transform_matrix"]}
+        exr(tmp_path / f"r_{i}_depth.exr", ob.render(courtyard, None, camera, progress=False)["depth"])
+    exact = ob.evaluate(grown, {"m": metric}, test, covariance="block", **{**files, "depth_pattern": "{}_depth.exr"})
+    assert exact["pixels"] == result["pixels"]
+    assert exact["depth_error"]["mean"] == pytest.approx(result["depth_error"]["mean"], abs=10 / 65535)
     with pytest.raises(ValueError, match="depth encoding: expected offset and scale of the depth maps"):
         ob.evaluate(grown, metric, test, **files)
     with pytest.raises(ValueError, match="depth encoding: expected none"):

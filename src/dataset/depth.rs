@@ -108,7 +108,7 @@ fn is_exact(name: &Path) -> bool {
 }
 
 /// The depths of an EXR; `None` for any other file.
-#[cfg(feature = "synth")]
+#[cfg(feature = "exr")]
 fn exact(path: &Path, resolution: [u32; 2]) -> Result<Option<Vec<Option<f64>>>> {
     if !is_exact(path) {
         return Ok(None);
@@ -117,10 +117,14 @@ fn exact(path: &Path, resolution: [u32; 2]) -> Result<Option<Vec<Option<f64>>>> 
     Ok(Some(depths.map(|depth| (depth > 0.0 && depth.is_finite()).then_some(depth)).collect()))
 }
 
-/// Without the feature that writes EXR there is none to read.
-#[cfg(not(feature = "synth"))]
-fn exact(_: &Path, _: [u32; 2]) -> Result<Option<Vec<Option<f64>>>> {
-    Ok(None)
+/// Without the feature that reads EXR there is none.
+#[cfg(not(feature = "exr"))]
+fn exact(path: &Path, _: [u32; 2]) -> Result<Option<Vec<Option<f64>>>> {
+    if !is_exact(path) {
+        return Ok(None);
+    }
+    let expected = "a PNG or JPEG, as the feature `exr` is off";
+    Err(Error::malformed(path, "depth map", expected, "an EXR image".to_string()))
 }
 
 /// The depths of a PNG.

@@ -7,7 +7,7 @@
 mod atomic;
 pub mod container;
 mod element;
-#[cfg(feature = "synth")]
+#[cfg(feature = "exr")]
 mod exr;
 pub mod legacy;
 pub mod memory;
@@ -20,7 +20,7 @@ mod text;
 
 pub use atomic::AtomicFile;
 pub use element::{Element, Index, Real};
-#[cfg(feature = "synth")]
+#[cfg(feature = "exr")]
 pub use exr::{read_exr_depth, write_exr};
 pub use mix::mix;
 pub use place::{Identity, destination, folder_of};
