@@ -14,7 +14,7 @@ Arrays are NumPy's; anything with ``__array__`` or DLPack is accepted. Lengths a
 from __future__ import annotations
 
 from . import nerfstudio
-from ._api import accumulate, compare, evaluate, load, merge, open_model, render, uncertainty
+from ._api import accumulate, calibrate, compare, evaluate, load, merge, open_model, render, uncertainty
 from ._autodiff import jax_field, torch_field
 from ._export import export
 from ._model import Model
@@ -26,6 +26,7 @@ __all__ = [
     "Uncertainty",
     "__version__",
     "accumulate",
+    "calibrate",
     "compare",
     "evaluate",
     "export",

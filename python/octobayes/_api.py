@@ -498,7 +498,8 @@ def render(
 
     Returns float32 arrays: 'color' ``[H, W, 3]``, 'depth' ``[H, W]`` (median distance from the camera, scene units;
     0 where nothing is), 'opacity' ``[H, W]``, with u 'log10_uncertainty' ``[H, W]`` (NaN where nothing is), and with
-    depth_error 'depth_error' ``[H, W]`` (scene units; NaN where nothing is).
+    depth_error 'depth_error' ``[H, W]`` (scene units; NaN where nothing is) and, if u is calibrated, 'depth_interval'
+    ``[H, W]`` (half width of the interval, scene units).
     Raises as :func:`uncertainty` does.
     """
     nerf = _opened(nerf, coordinates)
@@ -583,23 +584,11 @@ def evaluate(
     nerf = _opened(nerf, coordinates)
     named = u if isinstance(u, Mapping) else {"u": u}
     fields = {str(name): _field(f"u[{name!r}]", field) for name, field in named.items()}
-    width, height = as_size(resolution)
-    if width is not None and height is None:
-        raise wrong("resolution", "(width, height)", resolution)
     options = {
         **_image_options(nerf, background, march_step, pixel_offset, occupancy),
+        **_held_out_options(cameras, depth, depth_encoding, depth_pattern, z_depth, stride, every, resolution),
         "ray_average": None if ray_average is None else names("ray_average", ray_average),
         "covariance": None if covariance is None else names("covariance", covariance),
-        "cameras": as_path("cameras", cameras),
-        "depth": as_path("depth", depth),
-        "depth_encoding": None
-        if depth_encoding is None
-        else floats("depth_encoding", depth_encoding, (2,), np.float64).tolist(),
-        "depth_pattern": depth_pattern,
-        "z_depth": bool(z_depth),
-        "stride": whole("stride", stride, 1),
-        "every": whole("every", every, 1),
-        "resolution": None if width is None else [width, height],
     }
     if box is None and not isinstance(nerf, Model):
         box = getattr(nerf, "box", next(iter(fields.values())).box)
@@ -607,3 +596,83 @@ def evaluate(
     given = [(name, field._field) for name, field in fields.items()]
     with reporting(progress) as report:
         return json.loads(_octobayes.evaluate(asked, given, options, report))
+
+
+def calibrate(
+    nerf: Nerf,
+    u: Uncertainty | str,
+    cameras: str | os.PathLike[str],
+    *,
+    depth: str | os.PathLike[str],
+    depth_encoding: tuple[float, float] | None = None,
+    depth_pattern: str = "{}_depth_0001.png",
+    z_depth: bool = False,
+    probability: float = 0.9,
+    stride: int = 2,
+    every: int = 1,
+    box: Any = None,
+    background: Any = None,
+    march_step: float | None = None,
+    pixel_offset: float | None = None,
+    occupancy: int = 128,
+    coordinates: str | None = None,
+    resolution: tuple[int, int] | None = None,
+    batch: int = 1 << 16,
+    progress: Progress | bool | None = None,
+) -> tuple[Uncertainty, dict[str, Any]]:
+    """An interval of depth that holds by counting, from held-out views of known depth.
+
+    Errors of depth are divided by their deviations; the quantile of these ratios that holds the share ``probability``
+    of further ones (split conformal prediction) goes with the field, and into ``render``'s 'depth_interval'. u must be
+    one of ``scale='data'``. The other arguments are those of :func:`evaluate`.
+
+    It promises that share of pixels that are drawn like these: this scene, this model, views chosen as these were. It
+    promises nothing of other scenes, of views from other sides or of a single pixel.
+
+    Returns the calibrated field, and a dictionary: 'conformal' (as :attr:`Uncertainty.conformal`), 'predicted_factor'
+    (what it would be without), 'views_left_out' (least, median and largest share that a view's errors have in the
+    interval of all others). Raises as :func:`uncertainty` does.
+    """
+    nerf = _opened(nerf, coordinates)
+    u = _field("u", u)
+    options = {
+        **_image_options(nerf, background, march_step, pixel_offset, occupancy),
+        **_held_out_options(cameras, depth, depth_encoding, depth_pattern, z_depth, stride, every, resolution),
+        "probability": real("probability", probability, above=0),
+    }
+    if not options["probability"] < 1:
+        raise wrong("probability", "a share between 0 and 1", probability)
+    if box is None and not isinstance(nerf, Model):
+        box = getattr(nerf, "box", u.box)
+    asked = _asked(nerf, box, march_step, batch)
+    with reporting(progress) as report:
+        field, said = _octobayes.calibrate(asked, u._field, options, report)
+    return Uncertainty(field), json.loads(said)
+
+
+def _held_out_options(
+    cameras: Any,
+    depth: Any,
+    depth_encoding: Any,
+    depth_pattern: str,
+    z_depth: bool,
+    stride: int,
+    every: int,
+    resolution: Any,
+) -> dict[str, Any]:
+    """Where held-out views and their depth are."""
+    width, height = as_size(resolution)
+    if width is not None and height is None:
+        raise wrong("resolution", "(width, height)", resolution)
+    if depth_encoding is not None:
+        depth_encoding = floats("depth_encoding", depth_encoding, (2,), np.float64).tolist()
+    return {
+        "cameras": as_path("cameras", cameras),
+        "depth": as_path("depth", depth),
+        "depth_encoding": depth_encoding,
+        "depth_pattern": depth_pattern,
+        "z_depth": bool(z_depth),
+        "stride": whole("stride", stride, 1),
+        "every": whole("every", every, 1),
+        "resolution": None if width is None else [width, height],
+    }

@@ -56,6 +56,8 @@ class Uncertainty:
         """JSON."""
     def summary(self) -> str:
         """JSON."""
+    def conformal(self) -> str | None:
+        """JSON."""
     @property
     def visits(self) -> NDArray[np.uint32] | None:
         """[M, M, M]."""
@@ -108,9 +110,14 @@ def export_surfaces(
 def render(
     nerf: Any, uncertainty: Uncertainty | None, rows: Doubles, options: dict[str, Any], progress: Progress | None
 ) -> dict[str, Floats]:
-    """color [H, W, 3], depth, opacity, log10_uncertainty [H, W]."""
+    """color [H, W, 3], depth, opacity, log10_uncertainty, depth_error, depth_interval [H, W]."""
 
 def evaluate(
     nerf: Any, fields: Sequence[tuple[str, Uncertainty]], options: dict[str, Any], progress: Progress | None
 ) -> str:
     """JSON."""
+
+def calibrate(
+    nerf: Any, uncertainty: Uncertainty, options: dict[str, Any], progress: Progress | None
+) -> tuple[Uncertainty, str]:
+    """The calibrated field, and JSON."""

@@ -158,6 +158,15 @@ class Uncertainty:
         return self._field.has_error_bars
 
     @property
+    def conformal(self) -> dict[str, Any] | None:
+        """The interval of depth of :func:`octobayes.calibrate`; ``None`` if there is none.
+
+        'probability' that it holds, 'factor' (its half width in deviations), 'pixels' and 'views' it was made on.
+        """
+        found = self._field.conformal()
+        return None if found is None else json.loads(found)
+
+    @property
     def is_part(self) -> bool:
         """Whether these are only some of the rays of a run; :func:`octobayes.merge` joins parts."""
         return self._field.is_part

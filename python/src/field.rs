@@ -170,6 +170,11 @@ impl Uncertainty {
         self.0.error_bars().is_some()
     }
 
+    /// The calibrated interval of depth; JSON, or none.
+    fn conformal(&self) -> Option<String> {
+        self.0.conformal().map(|conformal| serde_json::json!(conformal).to_string())
+    }
+
     /// True if these are only some of the rays of a run.
     #[getter]
     fn is_part(&self) -> bool {

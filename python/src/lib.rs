@@ -7,6 +7,7 @@ mod errors;
 mod export;
 mod field;
 mod fields;
+mod judge;
 mod model;
 mod options;
 mod run;
@@ -30,6 +31,7 @@ fn _octobayes(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(export::export_field, module)?)?;
     module.add_function(wrap_pyfunction!(export::export_surfaces, module)?)?;
     module.add_function(wrap_pyfunction!(view::render, module)?)?;
-    module.add_function(wrap_pyfunction!(view::evaluate, module)?)?;
+    module.add_function(wrap_pyfunction!(judge::evaluate, module)?)?;
+    module.add_function(wrap_pyfunction!(judge::calibrate, module)?)?;
     Ok(())
 }

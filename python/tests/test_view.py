@@ -80,6 +80,36 @@ def test_wrong_arguments_get_a_sentence(changes, sentence, courtyard, cameras, f
         ob.render(courtyard, arguments.pop("u"), arguments.pop("camera"), **arguments)
 
 
+def check_calibration(nerf, metric, test, files, frames, camera, folder):
+    """The interval holds by counting on the views that it was made on, and goes with the field."""
+    calibrated, said = ob.calibrate(nerf, metric, test, probability=0.8, stride=1, **files)
+    found = calibrated.conformal
+    assert metric.conformal is None and found == said["conformal"] and found["probability"] == 0.8
+    # Student's t with five degrees of freedom, whose variance is 5/3.
+    assert said["predicted_factor"] == pytest.approx(1.4759 / (5 / 3) ** 0.5, abs=1e-4) and found["views"] == 4
+    assert said["views_left_out"] == sorted(said["views_left_out"])
+    ratios, pixels = [], 0
+    for frame in frames:
+        posed = {**camera, "pose": frame["transform_matrix"]}
+        truth = ob.render(ob.open_model("scene:courtyard"), None, posed, progress=False)
+        view = ob.render(nerf, calibrated, posed, depth_error=True, progress=False)
+        np.testing.assert_allclose(view["depth_interval"], found["factor"] * view["depth_error"], rtol=1e-6)
+        known = (truth["opacity"] > 0.99) & (view["opacity"] > 0)
+        # Where nothing has grown, maps of 16 bits are what is wrong, by far more than f32.
+        depth = (truth["depth"] / 10 * 65535).astype(np.uint16) * (10 / 65535)
+        ratios.append((np.abs(view["depth"] - depth) / view["depth_interval"])[known])
+        pixels += known.sum()
+    assert found["pixels"] == pixels
+    # To one pixel, and those on the edge to f32.
+    share = (np.concatenate(ratios) <= 1).mean()
+    assert 0.8 - 2e-3 <= share <= 0.8 + 2e-3, share
+    calibrated.save(folder / "calibrated.oct")
+    assert ob.load(folder / "calibrated.oct").conformal == found
+    for wrong in (0, 1, 1.5):
+        with pytest.raises(ValueError, match="probability: expected"):
+            ob.calibrate(nerf, metric, test, probability=wrong, **files)
+
+
 def test_u_ranks_the_error_of_depth_better_than_chance(courtyard, cameras, field, tmp_path):
     # The truth is the scene; the model has grown where no camera looked: on the far side.
     frames = []
@@ -129,6 +159,7 @@ def test_u_ranks_the_error_of_depth_better_than_chance(courtyard, cameras, field
     exact = ob.evaluate(grown, {"m": metric}, test, covariance="block", **{**files, "depth_pattern": "{}_depth.exr"})
     assert exact["pixels"] == result["pixels"]
     assert exact["depth_error"]["mean"] == pytest.approx(result["depth_error"]["mean"], abs=10 / 65535)
+    check_calibration(grown, metric, test, {**files, "depth_encoding": (0, 10)}, frames, cameras[0], tmp_path)
     with pytest.raises(ValueError, match="depth encoding: expected offset and scale of the depth maps"):
         ob.evaluate(grown, metric, test, **files)
     with pytest.raises(ValueError, match="depth encoding: expected none"):
