@@ -88,11 +88,13 @@ def _source(nerf: Any) -> str:
     return f"the Python callable {name}"
 
 
-def _asked(nerf: Any, box: Any, march_step: float | None, batch: int) -> Any:
-    """What the Rust part asks: its own model, or the gate of a callable."""
+def _asked(nerf: Any, box: Any, march_step: float | None, batch: int, u: Uncertainty | None = None) -> Any:
+    """What the Rust part asks: its own model, or the gate of a callable, by default in the box of ``u``."""
     batch = whole("batch", batch, 1)
     if isinstance(nerf, Model):
         return nerf._model
+    if box is None and u is not None:
+        box = getattr(nerf, "box", u.box)
     return Gate(nerf, box=box, step=march_step, batch=batch, description=_source(nerf))
 
 
@@ -337,7 +339,7 @@ def _images(images: Any, frames: list[str], scale: str) -> dict[str, Any]:
     files = [as_path(f"images[{i}]", file) for i, file in enumerate(images)]
     if len(files) != len(frames):
         raise wrong("images", f"a file for each of {len(frames)} cameras", f"{len(files)} files")
-    return {"image_files": files, "frames": frames}
+    return {"frames": files}
 
 
 def _scale_options(
@@ -514,8 +516,6 @@ def render(
         raise wrong("camera", "one camera", f"{len(numbers)} cameras")
     if threshold is not None:
         threshold = _threshold(threshold, u)
-    if box is None and u is not None and not isinstance(nerf, Model):
-        box = getattr(nerf, "box", u.box)
     if depth_error and u is None:
         raise wrong("depth_error", "an uncertainty beside it", "none")
     options = {
@@ -524,7 +524,7 @@ def render(
         "threshold": threshold,
         "depth_error": bool(depth_error),
     }
-    asked = _asked(nerf, box, march_step, batch)
+    asked = _asked(nerf, box, march_step, batch, u)
     field = None if u is None else u._field
     with reporting(progress) as report:
         return _octobayes.render(asked, field, np.ascontiguousarray(numbers), options, report)
@@ -590,9 +590,7 @@ def evaluate(
         "ray_average": None if ray_average is None else names("ray_average", ray_average),
         "covariance": None if covariance is None else names("covariance", covariance),
     }
-    if box is None and not isinstance(nerf, Model):
-        box = getattr(nerf, "box", next(iter(fields.values())).box)
-    asked = _asked(nerf, box, march_step, batch)
+    asked = _asked(nerf, box, march_step, batch, next(iter(fields.values()), None))
     given = [(name, field._field) for name, field in fields.items()]
     with reporting(progress) as report:
         return json.loads(_octobayes.evaluate(asked, given, options, report))
@@ -642,9 +640,7 @@ def calibrate(
     }
     if not options["probability"] < 1:
         raise wrong("probability", "a share between 0 and 1", probability)
-    if box is None and not isinstance(nerf, Model):
-        box = getattr(nerf, "box", u.box)
-    asked = _asked(nerf, box, march_step, batch)
+    asked = _asked(nerf, box, march_step, batch, u)
     with reporting(progress) as report:
         field, said = _octobayes.calibrate(asked, u._field, options, report)
     return Uncertainty(field), json.loads(said)

@@ -11,7 +11,6 @@ from . import _octobayes
 from ._api import Nerf, _asked, _field, _image_options, _opened, _threshold, _training_cameras
 from ._arguments import path as as_path
 from ._arguments import real, whole, wrong
-from ._model import Model
 from ._progress import Progress, reporting
 from ._uncertainty import Uncertainty
 
@@ -81,8 +80,6 @@ def export(
         numbers, names = np.empty((0, 26)), []
     else:
         numbers, names, _ = _training_cameras(nerf, cameras, views, resolution, fov)
-    if box is None and not isinstance(nerf, Model):
-        box = getattr(nerf, "box", u.box)
     options = {
         **_image_options(nerf, background, march_step, pixel_offset, occupancy),
         "kind": "mesh" if mesh else SURFACES[extension],
@@ -92,6 +89,6 @@ def export(
         "cells": whole("cells", cells, 8, 640),
         "density": None if density is None else real("density", density, above=0),
     }
-    asked = _asked(nerf, box, march_step, batch)
+    asked = _asked(nerf, box, march_step, batch, u)
     with reporting(progress) as report:
         _octobayes.export_surfaces(asked, u._field, path, np.ascontiguousarray(numbers), names, options, report)

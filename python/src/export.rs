@@ -99,7 +99,7 @@ impl Job<'_> {
             return write_mesh(&self.path, shown, uncertainty, settings, engine.monitor()).map(|_| ());
         }
         let tracer = self.settings.tracer(shown, 0.0, engine.monitor())?;
-        let offset = self.settings.pixel_offset.unwrap_or_else(|| shown.pixel_offset());
+        let offset = self.settings.offset_for(shown);
         let found = surfaces(&tracer, self.cameras, offset, self.pixels, engine.monitor())?;
         match self.kind {
             Kind::Report { names } => write_report(&self.path, &found, &names, uncertainty),

@@ -67,7 +67,7 @@ impl HeldOut {
         let differentiation = lattice.map(|lattice| settings.differentiation(model, lattice)).transpose()?;
         let tracer = settings.tracer(model, 0.0, monitor)?;
         let evaluator = Evaluator { differentiation, ..Evaluator::new(tracer, readings) };
-        let offset = settings.pixel_offset.unwrap_or_else(|| model.pixel_offset());
+        let offset = settings.offset_for(model);
         let background = settings.background.as_dvec3();
         let frames: Vec<_> = frames.iter().step_by(self.every).collect();
         monitor.begin("rows", frames.iter().map(|f| u64::from(f.camera.resolution[1].div_ceil(self.stride))).sum());

@@ -142,19 +142,14 @@ struct Images {
 }
 
 impl Images {
-    /// In a folder, or as files, if they were given.
+    /// If they were given: `frames` are names in the folder `images`, or files.
     fn new(options: &Options, cameras: &[Camera]) -> PyResult<Option<Self>> {
-        let names: Vec<String> = options.or("frames", Vec::new())?;
-        let files: Option<Vec<PathBuf>> = options.get("image_files")?;
-        let frame = |(i, name): (usize, String)| {
-            let image = files.as_ref().map_or_else(PathBuf::new, |files| files[i].clone());
-            Frame { camera: cameras[i], name, image }
-        };
-        let frames: Vec<Frame> = names.into_iter().enumerate().map(frame).collect();
+        let Some(names) = options.get::<Vec<String>>("frames")? else { return Ok(None) };
+        let frame = |(name, &camera): (String, &Camera)| Frame { camera, image: PathBuf::from(&name), name };
+        let frames: Vec<Frame> = names.into_iter().zip(cameras).map(frame).collect();
         let images = match options.get::<PathBuf>("images")? {
             Some(folder) => TrainingImages::find(&folder, &frames).or_raise()?,
-            None if files.is_some() => TrainingImages::new(frames),
-            None => return Ok(None),
+            None => TrainingImages::new(frames),
         };
         Ok(Some(Self { images, settings: options.image(RaySettings::for_images())? }))
     }
@@ -162,7 +157,7 @@ impl Images {
     /// Compares the model with them.
     fn misfit(&self, field: &dyn RadianceField, run: &Run, monitor: &dyn Monitor) -> octobayes::Result<Misfit> {
         let tracer = self.settings.tracer(field, 0.0, monitor)?;
-        let offset = self.settings.pixel_offset.unwrap_or_else(|| field.pixel_offset());
+        let offset = self.settings.offset_for(field);
         self.images.misfit(&tracer, offset, run.lattice(), monitor)
     }
 }

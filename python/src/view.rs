@@ -49,7 +49,7 @@ pub fn render<'py>(
             let cleaned = cleaned.map(|(field, threshold)| ThresholdedField::new(model, field, threshold));
             let shown: &dyn RadianceField = cleaned.as_ref().map_or(model, |cleaned| cleaned);
             let tracer = settings.tracer(shown, 0.0, engine.monitor())?;
-            let offset = settings.pixel_offset.unwrap_or_else(|| model.pixel_offset());
+            let offset = settings.offset_for(model);
             engine.monitor().begin("rows", u64::from(camera.resolution[1]));
             let Some(field) = field.as_deref().filter(|_| depth_error) else {
                 return render_view(&tracer, &camera, offset, probes, engine.monitor());

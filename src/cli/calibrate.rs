@@ -101,7 +101,7 @@ impl Args {
         let readings = [Reading { name: "field".into(), field, averages: Vec::new() }];
         let evaluator =
             Evaluator { differentiation, ..Evaluator::new(settings.tracer(&*model, 0.0, bars)?, &readings) };
-        let offset = settings.pixel_offset.unwrap_or_else(|| model.pixel_offset());
+        let offset = settings.offset_for(&*model);
         let frames: Vec<_> = frames.iter().step_by(self.every as usize).collect();
         bars.begin("rows", frames.iter().map(|f| u64::from(f.camera.resolution[1].div_ceil(self.stride))).sum());
         let (mut views, mut otherwise) = (Vec::new(), Vec::new());

@@ -207,7 +207,7 @@ impl Args {
         bars: &Bars,
     ) -> Result<Surfaces> {
         let settings = options.image_settings();
-        let offset = settings.pixel_offset.unwrap_or_else(|| shown.pixel_offset());
+        let offset = settings.offset_for(shown);
         let tracer = settings.tracer(shown, 0.0, bars)?;
         let cameras: Vec<Camera> = views.frames.iter().map(|frame| frame.camera).collect();
         surfaces(&tracer, &cameras, offset, self.pixels, bars)

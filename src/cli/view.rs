@@ -80,7 +80,7 @@ impl Args {
         files.images(&views).check()?;
 
         let settings = self.model.image_settings();
-        let offset = settings.pixel_offset.unwrap_or_else(|| model.pixel_offset());
+        let offset = settings.offset_for(&*model);
         let tracer = settings.tracer(&*model, 0.0, bars)?;
         let surface: Vec<Vec3> = if field.surface().is_empty() {
             let cameras: Vec<Camera> = views.frames.iter().map(|frame| frame.camera).collect();

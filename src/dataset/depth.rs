@@ -89,10 +89,7 @@ impl DepthMap {
     /// If the file is missing or damaged, or its size differs from the camera's.
     pub fn read(path: &Path, encoding: DepthEncoding, camera: &Camera, pixel_offset: f64) -> Result<Self> {
         let resolution = camera.resolution;
-        let depths = match exact(path, resolution)? {
-            Some(depths) => depths,
-            None => steps(path, encoding, resolution)?,
-        };
+        let depths = if is_exact(path) { exact(path, resolution)? } else { steps(path, encoding, resolution)? };
         let width = resolution[0] as usize;
         let distance = depths.into_iter().enumerate().map(|(i, depth)| {
             let [x, y] = [i % width, i / width].map(|n| n as f64 + pixel_offset);
@@ -107,24 +104,16 @@ fn is_exact(name: &Path) -> bool {
     name.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("exr"))
 }
 
-/// The depths of an EXR; `None` for any other file.
+/// The depths of an EXR.
 #[cfg(feature = "exr")]
-fn exact(path: &Path, resolution: [u32; 2]) -> Result<Option<Vec<Option<f64>>>> {
-    if !is_exact(path) {
-        return Ok(None);
-    }
+fn exact(path: &Path, resolution: [u32; 2]) -> Result<Vec<Option<f64>>> {
     let depths = crate::io::read_exr_depth(path, resolution)?.into_iter().map(f64::from);
-    Ok(Some(depths.map(|depth| (depth > 0.0 && depth.is_finite()).then_some(depth)).collect()))
+    Ok(depths.map(|depth| (depth > 0.0 && depth.is_finite()).then_some(depth)).collect())
 }
 
-/// Without the feature that reads EXR there is none.
 #[cfg(not(feature = "exr"))]
-fn exact(path: &Path, _: [u32; 2]) -> Result<Option<Vec<Option<f64>>>> {
-    if !is_exact(path) {
-        return Ok(None);
-    }
-    let expected = "a PNG or JPEG, as the feature `exr` is off";
-    Err(Error::malformed(path, "depth map", expected, "an EXR image".to_string()))
+fn exact(path: &Path, _: [u32; 2]) -> Result<Vec<Option<f64>>> {
+    Err(Error::malformed(path, "depth map", "a PNG or JPEG, as the feature `exr` is off", "an EXR image"))
 }
 
 /// The depths of a PNG.
@@ -143,6 +132,18 @@ fn steps(path: &Path, encoding: DepthEncoding, resolution: [u32; 2]) -> Result<V
 mod tests {
     use super::*;
     use glam::DVec3;
+
+    #[cfg(not(feature = "exr"))]
+    #[test]
+    fn without_its_feature_exr_is_refused() {
+        let camera = Camera::look_at(DVec3::new(0.0, -4.0, 0.0), DVec3::ZERO, DVec3::Z, 0.7, [4, 4]);
+        let encoding = DepthEncoding { offset: 0.0, scale: 1.0, kind: DepthKind::Euclidean };
+        let said = DepthMap::read(Path::new("depth.EXR"), encoding, &camera, 0.5).unwrap_err().to_string();
+        assert_eq!(
+            said,
+            "depth.EXR: depth map: expected a PNG or JPEG, as the feature `exr` is off, found an EXR image"
+        );
+    }
 
     #[test]
     fn z_depth_becomes_distance_and_zero_is_unknown() {

@@ -112,6 +112,12 @@ impl RaySettings {
         Self { cutoff: 1e-4, gradient: GradientMethod::Auto, ..Self::default() }
     }
 
+    /// Position in a pixel that its ray passes through, 0 to 1 along x and y: the field's own, if none is set.
+    #[must_use]
+    pub fn offset_for(&self, field: &dyn RadianceField) -> f64 {
+        self.pixel_offset.unwrap_or_else(|| field.pixel_offset())
+    }
+
     /// The description of a run of `shard` of these rays into `builder`, which a resumed run must match. `source`
     /// names the model, whatever its path.
     #[must_use]
@@ -170,7 +176,7 @@ impl RaySettings {
             tracer,
             differentiation,
             cameras,
-            pixel_offset: self.pixel_offset.unwrap_or_else(|| field.pixel_offset()),
+            pixel_offset: self.offset_for(field),
             reach: None,
             pixels: PixelSequence::new(self.pixels, self.seed, cameras.iter().map(|c| c.resolution).collect()),
         })

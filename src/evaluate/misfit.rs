@@ -35,7 +35,8 @@ impl TrainingImages {
             let image = places.iter().find(|path| path.is_file()).cloned().ok_or_else(|| {
                 let expected = "the folder from which the names of the training images start";
                 let [place, other] = &places;
-                Error::setting("images", expected, format!("neither {} nor {}", place.display(), other.display()))
+                let found = format!("neither {} nor {}", place.display(), other.display());
+                Error::malformed(folder, "training images", expected, found)
             })?;
             Ok(Frame { image, ..frame.clone() })
         };

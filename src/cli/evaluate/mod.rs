@@ -158,7 +158,7 @@ impl Args {
             .check()?;
         let frames: Vec<&Frame> = judged.iter().step_by(self.every as usize).collect();
         let settings = self.model.image_settings();
-        let offset = settings.pixel_offset.unwrap_or_else(|| model.pixel_offset());
+        let offset = settings.offset_for(&*model);
         let truly_seen = training_files.map(|files| truly_seen(&files, &*model, offset, bars)).transpose()?;
         let tracer = settings.tracer(&*model, 0.0, bars)?;
         let training = self.training_views(&tracer, offset, bars)?;

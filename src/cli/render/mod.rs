@@ -162,7 +162,7 @@ impl Args {
             space,
             tracer: settings.tracer(&*model, 0.0, bars)?,
             cleaned,
-            offset: settings.pixel_offset.unwrap_or_else(|| model.pixel_offset()),
+            offset: settings.offset_for(&*model),
             average: self.ray_average,
             depth_error: self.depth_error,
             log10: bar_of(space, self.range)?,

@@ -4,6 +4,7 @@ use super::{Args, Inputs};
 use crate::cli::progress::Bars;
 use crate::estimate::GridSettings;
 use crate::evaluate::TrainingImages;
+use crate::geometry::Lattice;
 use crate::posterior::Scale;
 use crate::uncertainty::Misfit;
 use crate::{Error, Result};
@@ -25,15 +26,8 @@ pub fn find(args: &Args, inputs: &Inputs, grid: &GridSettings) -> Result<Option<
 ///
 /// # Errors
 /// If an image cannot be read, or if the work was interrupted.
-pub fn misfit(
-    images: &TrainingImages,
-    args: &Args,
-    inputs: &Inputs,
-    grid: &GridSettings,
-    bars: &Bars,
-) -> Result<Misfit> {
+pub fn misfit(images: &TrainingImages, args: &Args, inputs: &Inputs, lattice: &Lattice, bars: &Bars) -> Result<Misfit> {
     let settings = args.model.image_settings();
     let tracer = settings.tracer(&*inputs.field, 0.0, bars)?;
-    let offset = settings.pixel_offset.unwrap_or_else(|| inputs.field.pixel_offset());
-    images.misfit(&tracer, offset, &grid.lattice(inputs.domain())?, bars)
+    images.misfit(&tracer, settings.offset_for(&*inputs.field), lattice, bars)
 }

@@ -241,8 +241,6 @@ impl Args {
             (None, None) => estimation,
         };
 
-        // Before the rays, so that a wrong image ends the work at once.
-        let misfit = images.map(|images| images::misfit(&images, &self, &inputs, &grid, bars)).transpose()?;
         let run = estimation.prepare()?;
         self.check_sight(&run.sight()?)?;
         let step = run.check_step()?;
@@ -251,6 +249,8 @@ impl Args {
             report::audit(&run.audit()?, &grid);
         }
         self.forecast(&run, &grid)?;
+        // Before the rays, so that a wrong image ends the work at once.
+        let misfit = images.map(|images| images::misfit(&images, &self, &inputs, run.lattice(), bars)).transpose()?;
         let rays = run.rays();
         let Outcome { field, progress, sums_bytes, plan, is_replanned, sampling_error, .. } =
             run.finish().inspect_err(|error| {
