@@ -145,7 +145,7 @@ impl Images {
     /// If they were given: `frames` are names in the folder `images`, or files.
     fn new(options: &Options, cameras: &[Camera]) -> PyResult<Option<Self>> {
         let Some(names) = options.get::<Vec<String>>("frames")? else { return Ok(None) };
-        let frame = |(name, &camera): (String, &Camera)| Frame { camera, image: PathBuf::from(&name), name };
+        let frame = |(name, &camera): (String, &Camera)| Frame::new(camera, name.clone(), name);
         let frames: Vec<Frame> = names.into_iter().zip(cameras).map(frame).collect();
         let images = match options.get::<PathBuf>("images")? {
             Some(folder) => TrainingImages::find(&folder, &frames).or_raise()?,

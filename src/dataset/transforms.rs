@@ -24,6 +24,18 @@ pub struct Frame {
     pub name: String,
     /// Path of the image, with `.png` added unless it ends in a known extension; the image need not exist.
     pub image: PathBuf,
+    /// The depth map that the camera file names for this frame (`depth_file_path`).
+    pub depth: Option<PathBuf>,
+    /// The mask that the camera file names for this frame (`mask_path`): black pixels were not trained on.
+    pub mask: Option<PathBuf>,
+}
+
+impl Frame {
+    /// A camera and its image, without depth map or mask.
+    #[must_use]
+    pub fn new(camera: Camera, name: impl Into<String>, image: impl Into<PathBuf>) -> Self {
+        Self { camera, name: name.into(), image: image.into(), depth: None, mask: None }
+    }
 }
 
 /// Origin of the image size.
@@ -292,7 +304,7 @@ impl Views {
                 Error::malformed(path, place("lens"), "a perspective lens with OpenCV's k1, k2, p1, p2", found)
             })?;
             let camera = Camera { position, axes, focal, center, resolution, distortion };
-            frames.push(Frame { camera, name: raw.file_path, image: image.clone() });
+            frames.push(Frame::new(camera, raw.file_path, image));
         }
         Ok(Self { path: path.to_path_buf(), frames, resolution_source: source })
     }

@@ -255,7 +255,7 @@ mod tests {
         let run = Estimation::new(&ball, &cameras).rays(rays).grid(GridSettings::default().level(5));
         let field = run.run()?.field;
         let tracer = rays.tracer(&ball, 0.0, &Silent)?;
-        let frame = |camera| Frame { camera, name: "</script><b>".into(), image: std::path::PathBuf::new() };
+        let frame = |camera| Frame::new(camera, "</script><b>", "");
         let frames: Vec<Frame> = cameras.into_iter().map(frame).collect();
         let surface: Vec<Vec3> = field.surface().iter().copied().map(Vec3::from_array).collect();
         let view = View {

@@ -201,8 +201,7 @@ impl Args {
     fn viewer(&self, subject: &DemoScene, field: &UncertaintyField, shown: Shown, bars: &Bars) -> Result<()> {
         let model = subject.field.as_ref();
         let tracer = RaySettings::for_images().tracer(model, 0.0, bars)?;
-        let frame =
-            |(name, camera): &(String, Camera)| Frame { camera: *camera, name: name.clone(), image: PathBuf::new() };
+        let frame = |(name, camera): &(String, Camera)| Frame::new(*camera, name, "");
         let frames: Vec<Frame> = subject.cameras.iter().map(frame).collect();
         let surface: Vec<Vec3> = field.surface().iter().copied().map(Vec3::from_array).collect();
         let view = View {

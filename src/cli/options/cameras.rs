@@ -125,7 +125,7 @@ impl CameraOptions {
         let names = model.training_cameras();
         let name_of = |i: usize| names.get(i).map_or_else(|| format!("pose {i}"), |named| named.name.clone());
         let sized = |camera| self.resolution.map_or(camera, |resolution| resolution.apply(&camera));
-        let frame = |(i, camera)| Frame { camera: sized(camera), name: name_of(i), image: PathBuf::new() };
+        let frame = |(i, camera)| Frame::new(sized(camera), name_of(i), "");
         Ok(Views {
             path: PathBuf::from(name),
             frames: cameras.into_iter().enumerate().map(frame).collect(),

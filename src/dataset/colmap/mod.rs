@@ -179,7 +179,7 @@ impl ModelFiles {
                 Complaint::new(at("pose"), expected, found).in_file(&self.images)
             })?;
             let file = folder.join(&image.name);
-            Ok(Frame { camera: Camera { position, axes, ..camera }, name: image.name, image: file })
+            Ok(Frame::new(Camera { position, axes, ..camera }, image.name, file))
         };
         let frames = images.into_iter().map(frame).collect::<Result<_>>()?;
         let resolution_source = requested.map_or(ResolutionSource::File, |_| ResolutionSource::Requested);
