@@ -23,7 +23,7 @@ fn shots(scene: &ClosedForm) -> Vec<Shot> {
             [r, g, b, 255]
         };
         let image = PosedImage::new(camera.resolution, view.pixels.iter().map(pixel).collect());
-        Shot { name: String::new(), camera, image }
+        Shot { name: String::new(), camera, image, mask: None }
     };
     ClosedForm::half_circle(8, [64; 2]).into_iter().map(shot).collect()
 }

@@ -260,7 +260,24 @@ impl Desk {
         let angle = "\"camera_angle_x\": 0.7";
         self.write("broken.json", "{\"frames\": [\n");
         self.write("no_frames.json", "{\"camera_angle_x\": 0.7, \"frames\": []}");
-        self.write("no_focal.json", frame("\"w\": 16", pose));
+        self.write("no_focal.json", frame("\"w\": 16, \"h\": 16", pose));
+        self.write("no_size.json", frame("\"fl_x\": 20", pose));
+        let size = "\"w\": 16, \"h\": 16";
+        self.write("two_lengths.json", frame(&format!("\"fl_x\": 20, {angle}, {size}"), pose));
+        self.write("folded.json", frame(&format!("{angle}, \"k1\": -5"), pose));
+        self.write("k3.json", frame(&format!("{angle}, \"k3\": 0.1"), pose));
+        self.write("mitsuba.json", frame(&format!("{angle}, \"from_mitsuba\": true"), pose));
+        self.write("listed.json", frame(&format!("{angle}, \"train_filenames\": [\"b\"]"), pose));
+        self.write("equirectangular.json", frame(&format!("{angle}, \"equirectangular\": true"), pose));
+        self.write("splats.json", "[{\"img_name\": \"a\", \"position\": [0, 0, 0], \"rotation\": []}]");
+        self.write("camera_path.json", "{\"camera_path\": [], \"fps\": 24}");
+        for (model, images) in [("0", 1), ("1", 2)] {
+            let folder = format!("project/sparse/{model}");
+            std::fs::create_dir_all(self.path(&folder)).unwrap();
+            self.write(&format!("{folder}/cameras.txt"), "1 PINHOLE 16 16 20 20 8 8\n");
+            let image = |i| format!("{i} 1 0 0 0 0 0 3 1 {i}.png\n\n");
+            self.write(&format!("{folder}/images.txt"), (0..images).map(image).collect::<String>());
+        }
         self.write("degrees.json", frame("\"camera_angle_x\": 40", pose));
         self.write("singular.json", frame(angle, "[[0,0,0,1],[0,0,0,2],[0,0,0,3],[0,0,0,1]]"));
         self.write("sheared.json", frame(angle, "[[1,0,0,0],[0.5,1,0,0],[0,0,1,3],[0,0,0,1]]"));

@@ -2,18 +2,23 @@
 //! one rule for all verbs.
 //!
 //! Frames without an image are ignored. If no frame has an image, the file only lists cameras, and all of them count.
-//! Otherwise every eighth frame is held out, unless the file's name decides: `transforms_train.json` beside a
-//! `transforms_test.json` is all for training, `transforms_test.json` and `transforms_val.json` are all held out.
+//! What the file says that frames are for decides; or else its name: `transforms_train.json` beside a
+//! `transforms_test.json` is all for training, `transforms_test.json` and `transforms_val.json` are all held out. If
+//! neither does, every eighth frame is held out.
+//!
+//! Frames have the numbers of their file, whichever of them are used.
 
 use std::path::{Path, PathBuf};
 
-use super::{Frame, Views};
+use super::views::{Frame, Purpose, Views};
 use crate::error::printable;
 use crate::{Error, Result};
 
 /// Missing images that are named.
 const NAMED: usize = 6;
-/// One image in this many is held out, unless the name of the file decides.
+/// Runs of frames whose numbers are listed.
+const RUNS: usize = 20;
+/// One image in this many is held out, unless the file or its name decides.
 const HOLD_OUT: usize = 8;
 
 /// Purpose of frames.
@@ -36,7 +41,7 @@ pub enum Selection {
     BothParts,
     /// This many frames, spread evenly over the order of the camera file.
     Count(usize),
-    /// The frames of these indices, from 0, in the order of the camera file.
+    /// The frames of these numbers, from 0, in the order of the camera file, whatever part they belong to.
     Indices(Vec<usize>),
 }
 
@@ -46,10 +51,12 @@ pub struct FrameSplit {
     path: PathBuf,
     /// Number of frames in the file.
     total: usize,
-    /// The usable frames, each with true if it is held out; in the file's order.
-    frames: Vec<(Frame, bool)>,
-    /// Missing images, if any other exists.
-    missing: Vec<PathBuf>,
+    /// The usable frames and what each is for, in the file's order.
+    frames: Vec<(Frame, Purpose)>,
+    /// True if the file says what its frames are for.
+    is_stated: bool,
+    /// Frames without an image, if any other has one.
+    missing: Vec<Frame>,
     has_images: bool,
 }
 
@@ -62,16 +69,23 @@ impl FrameSplit {
         let (mut usable, others): (Vec<Frame>, Vec<Frame>) = frames.into_iter().partition(|frame| frame.image.exists());
         let (has_images, mut missing) = (!usable.is_empty(), Vec::new());
         if has_images {
-            missing = others.into_iter().map(|frame| frame.image).collect();
+            missing = others;
         } else {
             usable = others;
         }
+        let is_stated = usable.iter().any(|frame| frame.purpose.is_some());
         let all_held_out = is_held_out_by_name(&path);
         let is_split = has_images && test_partner(&path).is_none() && !all_held_out;
-        // Starts in the middle of the first eight, so that a single image is for training.
-        let is_held_out = |i: usize| all_held_out || is_split && i % HOLD_OUT == HOLD_OUT / 2 - 1;
-        let frames = usable.into_iter().enumerate().map(|(i, frame)| (frame, is_held_out(i))).collect();
-        Self { path, total, frames, missing, has_images }
+        let purpose = |(i, frame): (usize, &Frame)| match frame.purpose {
+            _ if all_held_out => Purpose::HeldOut,
+            Some(purpose) => purpose,
+            None if is_stated => Purpose::Unused,
+            // Starts in the middle of the first eight, so that a single image is for training.
+            None if is_split && i % HOLD_OUT == HOLD_OUT / 2 - 1 => Purpose::HeldOut,
+            None => Purpose::Training,
+        };
+        let purposes: Vec<Purpose> = usable.iter().enumerate().map(purpose).collect();
+        Self { path, total, frames: usable.into_iter().zip(purposes).collect(), is_stated, missing, has_images }
     }
 
     /// Returns true if any frame has an image.
@@ -80,28 +94,22 @@ impl FrameSplit {
         self.has_images
     }
 
-    /// Missing images, if any other exists.
+    /// Number of frames without an image, if any other has one.
     #[must_use]
-    pub fn missing(&self) -> &[PathBuf] {
-        &self.missing
+    pub fn missing(&self) -> usize {
+        self.missing.len()
     }
 
-    /// Selects frames of a part for which `keep` holds, in the file's order. Indices count before `keep`
-    /// applies, a count after it.
+    /// Selects frames of a part for which `keep` holds, in the file's order. A count counts those for which it holds.
     ///
     /// # Errors
-    /// If there are no such frames.
+    /// If there are no such frames, or if one of them has no image.
     pub fn select(&self, part: Part, selection: &Selection, keep: impl Fn(&Frame) -> bool) -> Result<Vec<Frame>> {
-        let mut frames = self.part(part, *selection == Selection::BothParts);
-        let n = frames.len();
-        if let Selection::Indices(indices) = selection {
-            if let Some(i) = indices.iter().find(|i| **i >= n) {
-                let expected = format!("indices of images from 0 to {}", n.saturating_sub(1));
-                return Err(Error::setting("training views", expected, i.to_string()));
-            }
-            let mut index = 0..n;
-            frames.retain(|_| index.next().is_some_and(|i| indices.contains(&i)));
-        }
+        let mut frames = match selection {
+            Selection::Indices(indices) => self.numbered(indices)?,
+            Selection::BothParts => self.frames.iter().map(|(frame, _)| frame).collect(),
+            _ => self.part(part),
+        };
         frames.retain(|frame| keep(frame));
         let n = frames.len();
         if let Selection::Count(count) = selection {
@@ -115,13 +123,32 @@ impl FrameSplit {
         Ok(frames.into_iter().cloned().collect())
     }
 
-    fn part(&self, part: Part, both: bool) -> Vec<&Frame> {
-        let of = |held_out: bool| -> Vec<&Frame> {
-            self.frames.iter().filter(|(_, is)| both || *is == held_out).map(|(frame, _)| frame).collect()
+    /// The frames of these numbers.
+    fn numbered(&self, indices: &[usize]) -> Result<Vec<&Frame>> {
+        if let Some(i) = indices.iter().find(|i| **i >= self.total) {
+            let expected = format!("numbers of frames from 0 to {}", self.total - 1);
+            return Err(Error::setting("views", expected, i.to_string()));
+        }
+        if let Some(frame) = self.missing.iter().find(|frame| indices.contains(&frame.index)) {
+            let expected = "frames with an image, as others have one";
+            return Err(Error::setting(
+                "views",
+                expected,
+                format!("frame {} (no {})", frame.index, frame.image.display()),
+            ));
+        }
+        let frames = self.frames.iter().map(|(frame, _)| frame);
+        Ok(frames.filter(|frame| indices.contains(&frame.index)).collect())
+    }
+
+    fn part(&self, part: Part) -> Vec<&Frame> {
+        let of = |wanted: Purpose| -> Vec<&Frame> {
+            self.frames.iter().filter(|(_, purpose)| *purpose == wanted).map(|(frame, _)| frame).collect()
         };
-        let frames = of(part == Part::HeldOut);
+        let [own, other] = part.purposes();
+        let frames = of(own);
         // A file with one part serves as either.
-        if frames.is_empty() { of(part != Part::HeldOut) } else { frames }
+        if frames.is_empty() { of(other) } else { frames }
     }
 
     /// Describes in a sentence how many frames are `used` as this part, and why the others are not.
@@ -130,33 +157,68 @@ impl FrameSplit {
         let mut others = Vec::new();
         if let Some(first) = self.missing.first() {
             let has = if self.missing.len() == 1 { "has" } else { "have" };
-            let name = |path: &PathBuf| path.file_name().map(|name| name.to_string_lossy().into_owned());
-            let mut names = vec![first.display().to_string()];
+            let name = |frame: &Frame| frame.image.file_name().map(|name| name.to_string_lossy().into_owned());
+            let mut names = vec![first.image.display().to_string()];
             names.extend(self.missing[1..].iter().take(NAMED - 1).filter_map(name));
             let more = self.missing.len().saturating_sub(NAMED);
             let more = if more > 0 { format!(" and {more} more") } else { String::new() };
             others.push(format!("{} {has} no image ({}{more})", self.missing.len(), printable(&names.join(", "))));
         }
-        let is_other = |is_held_out: bool| is_held_out != (part == Part::HeldOut);
+        let [own, other] = part.purposes();
         // A file with one part serves as either.
-        let has_both = self.frames.iter().any(|(_, is)| !is_other(*is));
-        let is_left = |(frame, is): &&(Frame, bool)| has_both && is_other(*is) && !used.contains(frame);
-        let other_part = self.frames.iter().filter(is_left).count();
+        let has_both = self.frames.iter().any(|(_, purpose)| *purpose == own);
+        let left = |wanted: Purpose| {
+            let is_left = |(frame, purpose): &&(Frame, Purpose)| *purpose == wanted && !used.contains(frame);
+            self.frames.iter().filter(is_left).count()
+        };
+        let other_part = if has_both { left(other) } else { 0 };
         if other_part > 0 {
-            let (is, for_what) = match part {
-                Part::Training => (if other_part == 1 { "is" } else { "are" }, "held out, every eighth"),
-                Part::HeldOut => (if other_part == 1 { "is" } else { "are" }, "for training"),
+            let is = if other_part == 1 { "is" } else { "are" };
+            let for_what = match (part, self.is_stated) {
+                (Part::Training, true) => "held out, as the file says",
+                (Part::Training, false) => "held out, every eighth",
+                (Part::HeldOut, _) => "for training",
             };
             others.push(format!("{other_part} {is} {for_what} (views `all` takes both)"));
         }
+        let unused = left(Purpose::Unused);
+        if unused > 0 {
+            others.push(format!("{unused} {} in neither part", if unused == 1 { "is" } else { "are" }));
+        }
+        let other_part = other_part + unused;
         let rest = self.frames.len().saturating_sub(other_part + used.len());
         if rest > 0 {
-            others.push(format!("{rest} not chosen"));
+            others.push(format!("{rest} not chosen; used are {}", numbers(used)));
         }
         let others = if others.is_empty() { String::new() } else { format!(": {}", others.join(", ")) };
         let cameras = if used.len() == 1 { "camera" } else { "cameras" };
         format!("{} {cameras} of {} frames of {}{others}", used.len(), self.total, self.path.display())
     }
+}
+
+impl Part {
+    /// What frames of this part are for, and those of the other.
+    fn purposes(self) -> [Purpose; 2] {
+        match self {
+            Self::Training => [Purpose::Training, Purpose::HeldOut],
+            Self::HeldOut => [Purpose::HeldOut, Purpose::Training],
+        }
+    }
+}
+
+/// The numbers of frames in words, such as `frames 0, 2-4, 9`.
+fn numbers(frames: &[Frame]) -> String {
+    let mut runs: Vec<[usize; 2]> = Vec::new();
+    for frame in frames {
+        match runs.last_mut().filter(|run| run[1] + 1 == frame.index) {
+            Some(run) => run[1] = frame.index,
+            None => runs.push([frame.index; 2]),
+        }
+    }
+    let run = |[first, last]: &[usize; 2]| if first == last { first.to_string() } else { format!("{first}-{last}") };
+    let more = if runs.len() > RUNS { ", …" } else { "" };
+    let listed: Vec<String> = runs.iter().take(RUNS).map(run).collect();
+    format!("{} {}{more}", if frames.len() == 1 { "frame" } else { "frames" }, listed.join(", "))
 }
 
 fn has_name(path: &Path, names: &[&str]) -> bool {
@@ -223,19 +285,54 @@ mod tests {
         assert_eq!(select(Part::Training, &Selection::BothParts).len(), 18);
         let three = select(Part::Training, &Selection::Count(3));
         assert_eq!(names(&three), [2, 8, 13].map(|i| names(&training)[i]));
-        assert_eq!(names(&select(Part::Training, &Selection::Indices(vec![0, 3]))), ["r_0", "r_6"]);
+        // Numbers are those of the file, whatever part a frame belongs to.
+        for part in [Part::Training, Part::HeldOut] {
+            assert_eq!(names(&select(part, &Selection::Indices(vec![0, 3, 4]))), ["r_0", "r_3", "r_4"]);
+        }
+        let refused = |i| split.select(Part::Training, &Selection::Indices(vec![i]), |_| true).unwrap_err().to_string();
+        assert!(refused(5).contains("frame 5 (no ") && refused(20).contains("from 0 to 19, found 20"));
         assert!(split.select(Part::Training, &Selection::Count(17), |_| true).is_err());
-        assert!(split.select(Part::Training, &Selection::Indices(vec![16]), |_| true).is_err());
 
         let path = folder.path().display();
         let start = format!("of 20 frames of {path}/transforms.json: 2 have no image ({path}/r_1.png, r_5.png)");
         let held = "2 are held out, every eighth (views `all` takes both)";
         assert_eq!(split.describe(Part::Training, &training), format!("16 cameras {start}, {held}"));
-        assert_eq!(split.describe(Part::Training, &three), format!("3 cameras {start}, {held}, 13 not chosen"));
+        assert_eq!(
+            split.describe(Part::Training, &three),
+            format!("3 cameras {start}, {held}, 13 not chosen; used are frames 3, 11, 17")
+        );
         let both = select(Part::Training, &Selection::BothParts);
         assert_eq!(split.describe(Part::Training, &both), format!("18 cameras {start}"));
         let judged = split.describe(Part::HeldOut, &held_out);
         assert_eq!(judged, format!("2 cameras {start}, 16 are for training (views `all` takes both)"));
+    }
+
+    #[test]
+    fn what_the_file_says_of_its_frames_decides() {
+        let all: Vec<usize> = (0..20).collect();
+        let (folder, _) = split("transforms.json", &all);
+        let path = folder.path().join("transforms.json");
+        let mut file: serde_json::Value = serde_json::from_str(&std::fs::read_to_string(&path).unwrap()).unwrap();
+        let list = |range: std::ops::Range<usize>| -> Vec<serde_json::Value> {
+            range.map(|i| format!("r_{i}").into()).collect()
+        };
+        file["train_filenames"] = list(0..8).into();
+        file["test_filenames"] = list(8..11).into();
+        std::fs::write(&path, file.to_string()).unwrap();
+        let split = FrameSplit::new(Views::read(&path, Some([8, 8])).unwrap());
+        let select = |part, selection: &Selection| split.select(part, selection, |_| true).unwrap();
+        let [training, held_out] = [Part::Training, Part::HeldOut].map(|part| select(part, &Selection::All));
+        assert_eq!((training.len(), names(&held_out)), (8, vec!["r_8", "r_9", "r_10"]));
+        assert_eq!(
+            split.describe(Part::Training, &training),
+            format!(
+                "8 cameras of 20 frames of {}: 3 are held out, as the file says (views `all` takes both), 9 are in \
+                 neither part",
+                path.display()
+            )
+        );
+        assert_eq!(select(Part::Training, &Selection::BothParts).len(), 20);
+        assert_eq!(names(&select(Part::Training, &Selection::Indices(vec![15]))), ["r_15"]);
     }
 
     #[test]
@@ -268,7 +365,7 @@ mod tests {
         }
         // Without any image it is a file of cameras.
         let (_folder, split) = split("transforms.json", &[]);
-        assert!(!split.has_images() && split.missing().is_empty());
+        assert!(!split.has_images() && split.missing() == 0);
         assert_eq!(split.select(Part::Training, &Selection::All, |_| true).unwrap().len(), 20);
     }
 }

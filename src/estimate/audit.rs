@@ -31,7 +31,7 @@ impl Audit {
 
     /// Audits a run whose rays are those of `stream`, on `lattice`.
     pub(super) fn measure(run: &Estimation, stream: &RayStream, lattice: &Lattice) -> Result<Self> {
-        let Estimation { field, cameras, domain, rays, monitor, .. } = run;
+        let Estimation { field, domain, rays, monitor, .. } = run;
         let count = rays.rays.min(Self::RAYS);
         let grid = GridSettings { surface_points: 0, memory: None, ..run.grid };
         let sums_of = |stream: &RayStream| {
@@ -42,7 +42,7 @@ impl Audit {
             })?;
             Ok(builder)
         };
-        let sums = |rays: RaySettings| sums_of(&rays.stream(*field, cameras, lattice, *monitor)?);
+        let sums = |rays: RaySettings| sums_of(&run.stream(&rays, lattice)?);
         let own = sums_of(stream)?;
         let cutoff = own.differs(&sums(RaySettings { cutoff: 0.0, ..*rays })?, count);
         let better = match (rays.gradient.of(*field)?, field.differentiable()) {

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::state::{self, AnyPosterior, RunKey};
 use super::{GridKind, GridSettings, Plan, Summed};
-use crate::geometry::{Camera, Domain, Lattice};
+use crate::geometry::{Domain, Lattice};
 use crate::octree::{Cell, MaxLevels, Octree, morton};
 use crate::posterior::{DensePosterior, OctreePosterior, Posterior, VertexSums, Visits};
 use crate::rays::{RayStream, RunProgress, SURFACE_WEIGHT, Shard};
@@ -267,7 +267,7 @@ impl FieldBuilder {
         Protocol {
             version: env!("CARGO_PKG_VERSION").into(),
             source: provenance.source.clone(),
-            origin: Origin { model: None, cameras: stream.map(|s| Camera::checksum(s.cameras)) },
+            origin: Origin { model: None, cameras: stream.map(RayStream::cameras_checksum) },
             rays: provenance.progress.rays,
             dropped: provenance.progress.dropped,
             pixels: stream.map(|s| s.pixels.kind()),

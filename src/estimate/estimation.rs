@@ -3,9 +3,9 @@
 use super::run::Run;
 use super::{Checkpoint, GridSettings, Outcome, RaySettings};
 use crate::field::RadianceField;
-use crate::geometry::{Camera, Domain};
+use crate::geometry::{Camera, Domain, Lattice, Mask};
 use crate::monitor::{Monitor, Silent};
-use crate::rays::Shard;
+use crate::rays::{RayStream, Shard};
 use crate::render::RaySamples;
 use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
@@ -53,6 +53,7 @@ pub(super) type Tap<'a> = Box<dyn FnMut(&[RaySamples]) -> Result<()> + 'a>;
 pub struct Estimation<'a> {
     pub(super) field: &'a dyn RadianceField,
     pub(super) cameras: &'a [Camera],
+    pub(super) masks: &'a [Option<Mask>],
     pub(super) domain: Domain,
     pub(super) rays: RaySettings,
     pub(super) grid: GridSettings,
@@ -73,6 +74,7 @@ impl<'a> Estimation<'a> {
         Self {
             field,
             cameras,
+            masks: &[],
             domain: Domain::Box(field.bounds()),
             rays: RaySettings::default(),
             grid: GridSettings::default(),
@@ -84,6 +86,11 @@ impl<'a> Estimation<'a> {
             monitor: &Silent,
             tap: None,
         }
+    }
+
+    /// Sets which pixels the model was trained on, by a mask or none for each camera. Rays pass only through these.
+    pub fn masks(self, masks: &'a [Option<Mask>]) -> Self {
+        Self { masks, ..self }
     }
 
     /// Sets the region that the field covers: another box, or all of space, contracted.
@@ -174,6 +181,11 @@ impl<'a> Estimation<'a> {
     /// As [`Estimation::prepare`] and [`Run::finish`].
     pub fn run(self) -> Result<Outcome> {
         self.prepare()?.finish()
+    }
+
+    /// The stream of training rays by these settings, differentiated for `lattice`.
+    pub(super) fn stream(&self, rays: &RaySettings, lattice: &Lattice) -> Result<RayStream<'a>> {
+        rays.stream(self.field, self.cameras, lattice, self.monitor)?.with_masks(self.masks)
     }
 
     /// The rays of the goal, if it draws one fixed set of them.

@@ -132,7 +132,7 @@ impl RaySettings {
         RunKey {
             version: env!("CARGO_PKG_VERSION").into(),
             source,
-            cameras: Camera::checksum(stream.cameras),
+            cameras: stream.cameras_checksum(),
             lattice: *builder.lattice(),
             shard,
             pixels: self.pixels,

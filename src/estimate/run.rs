@@ -72,9 +72,9 @@ pub(super) struct Drawn {
 
 impl<'a> Run<'a> {
     pub(super) fn new(estimation: Estimation<'a>) -> Result<Self> {
-        let Estimation { field, cameras, domain, rays, grid, monitor, .. } = &estimation;
+        let Estimation { domain, rays, grid, .. } = &estimation;
         let lattice = grid.lattice(*domain)?;
-        let stream = rays.stream(*field, cameras, &lattice, *monitor)?;
+        let stream = estimation.stream(rays, &lattice)?;
         let limits = Limits::within(grid.memory);
         let mut run = Self { estimation, lattice, stream, limits };
         if run.estimation.grid.needs_plan() {

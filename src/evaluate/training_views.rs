@@ -77,7 +77,7 @@ impl TrainingViews {
         pixel_offset: f64,
         monitor: &dyn Monitor,
     ) -> Result<Self> {
-        let view = |NamedCamera { name, camera }: &NamedCamera| {
+        let view = |NamedCamera { name, camera, .. }: &NamedCamera| {
             check(monitor)?;
             let map = DepthMap::read(&files.path(name), files.encoding, camera, pixel_offset)?;
             let depths = map.distance.into_iter().map(|depth| depth.map_or(f32::INFINITY, |d| d as f32)).collect();
@@ -193,7 +193,7 @@ mod tests {
             let depths = (0..400 * 400).map(depth).collect();
             let path = folder.path().join(format!("r_{i}.exr"));
             crate::io::write_exr(&path, [400; 2], vec![("depth.Z", depths)]).unwrap();
-            named.push(NamedCamera { name: format!("images/r_{i}.png"), camera: *camera });
+            named.push(NamedCamera::new(format!("images/r_{i}.png"), *camera));
         }
         let encoding = DepthEncoding::of_maps("{}.exr", None, DepthKind::Euclidean).unwrap();
         let files = DepthFiles { folder: folder.path().into(), pattern: "{}.exr".into(), encoding };

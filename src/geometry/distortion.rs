@@ -59,6 +59,22 @@ impl Distortion {
         }
         [x, y]
     }
+
+    /// Returns true if the lens puts an ideal point at `seen`, and does not fold the image over on the way to it from
+    /// the centre.
+    #[must_use]
+    pub fn is_invertible(&self, seen: [f64; 2]) -> bool {
+        const STEPS: u32 = 16;
+        let ideal = self.undistort(seen);
+        let back = self.distort(ideal);
+        let scale = 1.0 + seen[0].abs().max(seen[1].abs());
+        let is_reached = (0..2).all(|k| (back[k] - seen[k]).abs() < 1e-9 * scale);
+        let keeps_its_side = (1..=STEPS).all(|step| {
+            let [xx, yy, xy] = self.derivatives(ideal.map(|v| v * f64::from(step) / f64::from(STEPS)));
+            xx > 0.0 && xx * yy - xy * xy > 0.0
+        });
+        is_reached && keeps_its_side
+    }
 }
 
 #[cfg(test)]

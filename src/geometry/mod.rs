@@ -8,6 +8,7 @@ mod camera;
 mod distortion;
 mod domain;
 mod lattice;
+mod mask;
 mod named;
 mod ray;
 
@@ -17,5 +18,6 @@ pub(crate) use camera::{MAX_PIXELS, MAX_REACH, MAX_SIDE, MAX_SKEW, skew};
 pub use distortion::Distortion;
 pub use domain::{Domain, Norm};
 pub use lattice::{Lattice, MAX_LEVEL};
+pub use mask::Mask;
 pub use named::NamedCamera;
 pub use ray::Ray;

@@ -15,6 +15,16 @@ pub struct NamedCamera {
     pub name: String,
     /// Pose and intrinsics.
     pub camera: Camera,
+    /// True if some of its pixels were masked in training. The mask itself is not stored.
+    pub is_masked: bool,
+}
+
+impl NamedCamera {
+    /// A camera without a mask.
+    #[must_use]
+    pub fn new(name: impl Into<String>, camera: Camera) -> Self {
+        Self { name: name.into(), camera, is_masked: false }
+    }
 }
 
 #[derive(Serialize, Deserialize)]
@@ -28,13 +38,15 @@ struct Stored {
     resolution: [u32; 2],
     k: [f64; 2],
     p: [f64; 2],
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    masked: bool,
 }
 
 impl From<NamedCamera> for Stored {
-    fn from(NamedCamera { name, camera }: NamedCamera) -> Self {
+    fn from(NamedCamera { name, camera, is_masked: masked }: NamedCamera) -> Self {
         let Camera { position, axes, focal, center, resolution, distortion: Distortion { k, p } } = camera;
         let (position, axes) = (position.to_array(), axes.to_cols_array_2d());
-        Self { name, position, axes, focal, center, resolution, k, p }
+        Self { name, position, axes, focal, center, resolution, k, p, masked }
     }
 }
 
@@ -42,11 +54,11 @@ impl TryFrom<Stored> for NamedCamera {
     type Error = String;
 
     fn try_from(stored: Stored) -> Result<Self, String> {
-        let Stored { name, position, axes, focal, center, resolution, k, p } = stored;
+        let Stored { name, position, axes, focal, center, resolution, k, p, masked } = stored;
         let (position, axes) = (DVec3::from(position), DMat3::from_cols_array_2d(&axes));
         let camera = Camera { position, axes, focal, center, resolution, distortion: Distortion { k, p } };
         match camera.defect() {
-            None => Ok(Self { name, camera }),
+            None => Ok(Self { name, camera, is_masked: masked }),
             Some(defect) => Err(format!("camera `{name}` has {defect}")),
         }
     }
@@ -61,7 +73,7 @@ mod tests {
     fn named() -> NamedCamera {
         let mut camera = Camera::look_at(DVec3::new(3.0, -2.0, 1.0 / 3.0), DVec3::ZERO, DVec3::Z, 0.7, [40, 30]);
         camera.distortion = Distortion { k: [0.1, -1.0 / 7.0], p: [1e-3, 2e-3] };
-        NamedCamera { name: "r_0".into(), camera }
+        NamedCamera { is_masked: true, ..NamedCamera::new("r_0", camera) }
     }
 
     #[test]

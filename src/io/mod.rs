@@ -24,4 +24,4 @@ pub use element::{Element, Index, Real};
 pub use exr::{read_exr_depth, write_exr};
 pub use mix::mix;
 pub use place::{Identity, destination, folder_of};
-pub use text::read_text;
+pub use text::{read_text, text_of};

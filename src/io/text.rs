@@ -9,7 +9,18 @@ use crate::{Error, Result};
 /// # Errors
 /// If the file is missing or is not UTF-8.
 pub fn read_text(path: &Path) -> Result<String> {
-    let mut text = std::fs::read_to_string(path).map_err(Error::io(path, "cannot read"))?;
+    text_of(path, std::fs::read(path).map_err(Error::io(path, "cannot read"))?)
+}
+
+/// The text of a file with these bytes, without its byte order mark.
+///
+/// # Errors
+/// If it is not UTF-8.
+pub fn text_of(path: &Path, bytes: Vec<u8>) -> Result<String> {
+    let mut text = String::from_utf8(bytes).map_err(|e| {
+        let at = e.utf8_error().valid_up_to();
+        Error::malformed(path, format!("byte {at}"), "text in UTF-8", format!("{:#04x}", e.as_bytes()[at]))
+    })?;
     if text.starts_with('\u{feff}') {
         text.drain(..'\u{feff}'.len_utf8());
     }

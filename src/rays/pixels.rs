@@ -6,6 +6,7 @@
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use crate::geometry::Mask;
 use crate::io::mix;
 
 /// The method of choosing pixels.
@@ -38,13 +39,15 @@ pub struct Pick {
     pub jitter: f64,
 }
 
-/// Chooses pixels of cameras with given resolutions, each pixel equally often.
+/// Chooses pixels of cameras with given resolutions, each pixel that counts equally often.
 #[derive(Debug, Clone)]
 pub struct PixelSequence {
     kind: Pixels,
     seed: u64,
     /// Width and height of every camera, pixels.
     resolutions: Vec<[u32; 2]>,
+    /// The mask of every camera; empty if no camera has one.
+    masks: Vec<Option<Mask>>,
     /// One round of turns: the camera, and the number of its earlier turns in the round.
     round: Vec<(u32, u32)>,
     /// Number of turns of each camera per round.
@@ -55,7 +58,23 @@ impl PixelSequence {
     /// Creates a sequence over images of the given resolutions, `[width, height]` in pixels.
     #[must_use]
     pub fn new(kind: Pixels, seed: u64, resolutions: Vec<[u32; 2]>) -> Self {
-        let sizes: Vec<u64> = resolutions.iter().map(|[w, h]| u64::from(*w) * u64::from(*h)).collect();
+        Self::masked(kind, seed, resolutions, Vec::new())
+    }
+
+    /// Creates a sequence over the pixels that masks keep: one mask or none for every image, or no list at all.
+    ///
+    /// # Panics
+    /// If the masks are not those of the images, or if none keeps a pixel.
+    #[must_use]
+    pub fn masked(kind: Pixels, seed: u64, resolutions: Vec<[u32; 2]>, masks: Vec<Option<Mask>>) -> Self {
+        let mask = |camera: usize| masks.get(camera).and_then(Option::as_ref);
+        let fits = |camera: usize| mask(camera).is_none_or(|mask| mask.resolution() == resolutions[camera]);
+        assert!(masks.is_empty() || masks.len() == resolutions.len(), "{} masks", masks.len());
+        assert!((0..resolutions.len()).all(fits), "masks of other sizes than {resolutions:?}");
+        let whole = |[w, h]: [u32; 2]| u64::from(w) * u64::from(h);
+        let sizes = (0..resolutions.len()).map(|c| mask(c).map_or_else(|| whole(resolutions[c]), Mask::pixels));
+        let sizes: Vec<u64> = sizes.collect();
+        assert!(sizes.iter().any(|&size| size > 0) || sizes.is_empty(), "masks that keep no pixel");
         let turns = turns(&sizes);
         // Turn t of a camera with m turns is due at (t + ½) / m of the round, which spreads turns evenly.
         let mut due: Vec<(f64, u32, u32)> = turns
@@ -65,7 +84,29 @@ impl PixelSequence {
             .collect();
         due.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         let round = due.into_iter().map(|(_, camera, turn)| (camera, turn)).collect();
-        Self { kind, seed, resolutions, round, turns }
+        Self { kind, seed, resolutions, masks, round, turns }
+    }
+
+    /// A sequence over the same pixels in another order.
+    #[must_use]
+    pub fn reordered(&self, kind: Pixels, seed: u64) -> Self {
+        Self { kind, seed, ..self.clone() }
+    }
+
+    /// The masks of the images, one or none for each; empty if there are none at all.
+    #[must_use]
+    pub fn masks(&self) -> &[Option<Mask>] {
+        &self.masks
+    }
+
+    fn mask(&self, camera: usize) -> Option<&Mask> {
+        self.masks.get(camera)?.as_ref()
+    }
+
+    /// Number of the camera's pixels that count.
+    fn size(&self, camera: usize) -> u64 {
+        let [w, h] = self.resolutions[camera].map(u64::from);
+        self.mask(camera).map_or(w * h, Mask::pixels)
     }
 
     /// The method of choosing pixels.
@@ -94,18 +135,18 @@ impl PixelSequence {
     }
 
     fn random(&self, rng: &mut ChaCha8Rng) -> Pick {
-        let size = |camera: usize| u64::from(self.resolutions[camera][0]) * u64::from(self.resolutions[camera][1]);
-        let total: u64 = (0..self.resolutions.len()).map(size).sum();
-        let mut pixel = rng.random_range(0..total);
+        let total: u64 = (0..self.resolutions.len()).map(|camera| self.size(camera)).sum();
+        let mut n = rng.random_range(0..total);
         let mut camera = 0;
-        while pixel >= size(camera) {
-            pixel -= size(camera);
+        while n >= self.size(camera) {
+            n -= self.size(camera);
             camera += 1;
         }
         let width = u64::from(self.resolutions[camera][0]);
+        let pixel = self.mask(camera).map_or_else(|| [(n % width) as u32, (n / width) as u32], |mask| mask.nth(n));
         // The upper 53 bits as a binary fraction in [0, 1).
         let jitter = (rng.next_u64() >> 11) as f64 * 2.0_f64.powi(-53);
-        Pick { camera, pixel: [(pixel % width) as u32, (pixel / width) as u32], jitter }
+        Pick { camera, pixel, jitter }
     }
 
     /// An Owen-scrambled Sobol point in (column, row, jitter), with another scramble for every camera (Burley 2020).
@@ -115,8 +156,11 @@ impl PixelSequence {
         let n = k / length * self.turns[camera as usize] + u64::from(turn);
         let scramble = mix(mix(mix(self.seed) ^ u64::from(camera)) ^ (n / SEQUENCE)) as u32;
         let [x, y, jitter, _] = sobol_burley::sample_4d((n % SEQUENCE) as u32, 0, scramble);
-        let [w, h] = self.resolutions[camera as usize];
-        let pixel = [(x, w), (y, h)].map(|(x, w)| ((f64::from(x) * f64::from(w)) as u32).min(w - 1));
+        let ([w, h], place) = (self.resolutions[camera as usize], [x, y].map(f64::from));
+        let pixel = match self.mask(camera as usize) {
+            Some(mask) => mask.at(place),
+            None => [0, 1].map(|k| ((place[k] * f64::from([w, h][k])) as u32).min([w, h][k] - 1)),
+        };
         Pick { camera: camera as usize, pixel, jitter: f64::from(jitter) }
     }
 }
@@ -131,7 +175,7 @@ fn turns(sizes: &[u64]) -> Vec<u64> {
     }
     let total: f64 = sizes.iter().map(|&s| s as f64).sum();
     let length = LONGEST_ROUND.max(4 * sizes.len() as u64) as f64;
-    sizes.iter().map(|&s| ((s as f64 / total * length).round() as u64).max(1)).collect()
+    sizes.iter().map(|&s| ((s as f64 / total * length).round() as u64).max(u64::from(s > 0))).collect()
 }
 
 fn gcd(a: u64, b: u64) -> u64 {
@@ -205,6 +249,38 @@ mod tests {
                 counts[(p.pixel[0] / 4 * 16 + p.pixel[1] / 4) as usize] += 1;
             }
             assert_eq!(counts, [4; 256], "camera {camera}");
+        }
+    }
+
+    #[test]
+    fn every_pixel_that_masks_keep_is_drawn_equally_often_and_no_other() {
+        // A mask of 30 pixels, one of none, and a whole image of 60.
+        let kept = |column: u32, row: u32| (column + row) % 2 == 0;
+        let masks = vec![Some(Mask::new([10, 6], kept)), Some(Mask::new([9, 9], |_, _| false)), None];
+        let resolutions = vec![[10, 6], [9, 9], [12, 5]];
+        for kind in [Pixels::Sobol, Pixels::Random] {
+            let sequence = PixelSequence::masked(kind, 3, resolutions.clone(), masks.clone());
+            let mut counts = std::collections::BTreeMap::new();
+            let rays = 90 * 1000;
+            for pick in sequence.picks(0, rays) {
+                *counts.entry((pick.camera, pick.pixel)).or_insert(0_u32) += 1;
+            }
+            let [first, second, third] = [0, 1, 2].map(|c| counts.keys().filter(|(camera, _)| *camera == c).count());
+            assert_eq!([first, second, third], [30, 0, 60], "{kind:?}");
+            assert!(counts.keys().all(|(camera, [x, y])| *camera == 2 || kept(*x, *y)), "{kind:?}");
+            // A thousand rays a pixel: five deviations of a random count. A low-discrepancy sequence does better.
+            let worst = counts.values().map(|n| n.abs_diff(1000)).max().unwrap();
+            assert!(worst < if kind == Pixels::Sobol { 20 } else { 160 }, "{kind:?}: {worst}");
+        }
+    }
+
+    #[test]
+    fn masks_that_keep_all_change_no_ray() {
+        let resolutions = vec![[40, 30], [21, 17]];
+        let whole: Vec<Option<Mask>> = resolutions.iter().map(|&r| Some(Mask::new(r, |_, _| true))).collect();
+        for kind in [Pixels::Sobol, Pixels::Random] {
+            let masked = PixelSequence::masked(kind, 3, resolutions.clone(), whole.clone());
+            assert_eq!(masked.picks(0, 5000), sequence(kind, &resolutions).picks(0, 5000), "{kind:?}");
         }
     }
 

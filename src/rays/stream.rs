@@ -8,7 +8,7 @@ use super::pixels::{Pick, PixelSequence, Pixels};
 use super::progress::RunProgress;
 use super::seeds::Purpose;
 use super::shard::{BATCH, Draw, Shard};
-use crate::geometry::{Aabb, Camera, Ray};
+use crate::geometry::{Aabb, Camera, Mask, Ray};
 use crate::monitor::{Monitor, check};
 use crate::render::{
     CompositingWeights, Differentiation, JacobianBuffers, RayGroup, RaySamples, RaysTogether, TraceBuffers, TracedRays,
@@ -61,9 +61,45 @@ impl<'a> RayStream<'a> {
     /// The same stream with other pixels, wherever they look.
     #[must_use]
     pub fn with_pixels(&self, kind: Pixels, seed: u64) -> RayStream<'a> {
-        let resolutions = self.cameras.iter().map(|c| c.resolution).collect();
-        let pixels = PixelSequence::new(kind, seed, resolutions);
+        let pixels = self.pixels.reordered(kind, seed);
         RayStream { tracer: self.tracer.clone(), pixels, reach: None, ..*self }
+    }
+
+    /// The same stream over the pixels that masks keep, one or none for each camera.
+    ///
+    /// # Errors
+    /// If the masks are not those of the cameras, or if they keep no pixel.
+    pub fn with_masks(self, masks: &[Option<Mask>]) -> Result<Self> {
+        if masks.iter().all(Option::is_none) {
+            return Ok(self);
+        }
+        let resolutions: Vec<[u32; 2]> = self.cameras.iter().map(|camera| camera.resolution).collect();
+        let sizes: Vec<Option<[u32; 2]>> = masks.iter().map(|mask| mask.as_ref().map(Mask::resolution)).collect();
+        let fits = |(size, of): (&Option<[u32; 2]>, &[u32; 2])| size.is_none_or(|size| size == *of);
+        if sizes.len() != resolutions.len() || !sizes.iter().zip(&resolutions).all(fits) {
+            let expected = format!("a mask or none for each camera, of its size: {resolutions:?}");
+            return Err(Error::setting("masks", expected, format!("{sizes:?}")));
+        }
+        if masks.iter().flatten().all(|mask| mask.pixels() == 0) && masks.iter().all(Option::is_some) {
+            return Err(Error::setting("masks", "pixels that were trained on", "masks that keep none"));
+        }
+        let pixels = PixelSequence::masked(self.pixels.kind(), self.pixels.seed(), resolutions, masks.to_vec());
+        Ok(Self { pixels, ..self })
+    }
+
+    /// Checksum of everything that the rays depend on: the cameras, and their masks if they have any.
+    #[must_use]
+    pub fn cameras_checksum(&self) -> u32 {
+        let cameras = Camera::checksum(self.cameras);
+        let masks = self.pixels.masks();
+        if masks.is_empty() {
+            return cameras;
+        }
+        let mut hasher = crc32fast::Hasher::new_with_initial(cameras);
+        for mask in masks {
+            hasher.update(&mask.as_ref().map_or(0, |mask| 1 | u64::from(mask.checksum()) << 1).to_le_bytes());
+        }
+        hasher.finalize()
     }
 
     /// The same stream with the pixels that its run draws for another purpose.

@@ -45,13 +45,20 @@ pub fn quality(field: &HashGrid, shots: &[Shot], background: Vec3, pixels: usize
             let [width, height] = shot.camera.resolution;
             let rows: Vec<u32> = (0..height).step_by(stride as usize).collect();
             let columns: Vec<u32> = (0..width).step_by(stride as usize).collect();
-            let truth = rows.iter().flat_map(|y| columns.iter().map(move |x| (y * width + x) as usize));
-            let truth: Vec<DVec3> = truth.map(|i| shot.image.over(i, background.as_dvec3())).collect();
+            let pixels = rows.iter().flat_map(|y| columns.iter().map(move |x| (y * width + x) as usize));
             let found: Vec<DVec3> =
                 rows.par_iter().flat_map_iter(|&y| row(field, &grid, shot, y, &columns, background)).collect();
+            let kept = pixels.zip(found).filter(|(i, _)| shot.keeps(*i));
+            let (truth, found): (Vec<DVec3>, Vec<DVec3>) =
+                kept.map(|(i, color)| (shot.image.over(i, background.as_dvec3()), color)).unzip();
             (psnr(&found, &truth), found.len())
         })
+        // An image that is masked altogether has no quality.
+        .filter(|(_, pixels)| *pixels > 0)
         .collect();
+    if views.is_empty() {
+        return None;
+    }
     Some(Quality {
         psnr: views.iter().map(|view| view.0).sum::<f64>() / views.len() as f64,
         views: views.len(),
@@ -67,7 +74,11 @@ pub fn one_color(shots: &[Shot], background: Vec3, pixels: usize) -> Option<Qual
     let background = background.as_dvec3();
     let truths: Vec<Vec<DVec3>> = shots
         .iter()
-        .map(|shot| (0..shot.image.len()).step_by(every).map(|i| shot.image.over(i, background)).collect())
+        .map(|shot| {
+            let kept = (0..shot.image.len()).step_by(every).filter(|&i| shot.keeps(i));
+            kept.map(|i| shot.image.over(i, background)).collect::<Vec<DVec3>>()
+        })
+        .filter(|truth| !truth.is_empty())
         .collect();
     let compared: usize = truths.iter().map(Vec::len).sum();
     if compared == 0 {
@@ -75,7 +86,7 @@ pub fn one_color(shots: &[Shot], background: Vec3, pixels: usize) -> Option<Qual
     }
     let mean = truths.iter().flatten().sum::<DVec3>() / compared as f64;
     let psnrs = truths.iter().map(|truth| psnr(&vec![mean; truth.len()], truth));
-    Some(Quality { psnr: psnrs.sum::<f64>() / shots.len() as f64, views: shots.len(), pixels: compared })
+    Some(Quality { psnr: psnrs.sum::<f64>() / truths.len() as f64, views: truths.len(), pixels: compared })
 }
 
 /// Colours of the pixels of a row at these columns.

@@ -29,7 +29,7 @@ fn shots(scene: &ClosedForm, cameras: &[Camera]) -> Vec<Shot> {
                 [byte(color.x), byte(color.y), byte(color.z), byte(p.opacity)]
             };
             let image = PosedImage::new(camera.resolution, view.pixels.iter().map(pixel).collect());
-            Shot { name: format!("r_{i}"), camera, image }
+            Shot { name: format!("r_{i}"), camera, image, mask: None }
         })
         .collect()
 }

@@ -90,10 +90,11 @@ impl<'a> Trainer<'a> {
             settings,
             space,
             shots,
-            pixels: PixelSequence::new(
+            pixels: PixelSequence::masked(
                 Pixels::Sobol,
                 settings.seed,
                 cameras.iter().map(|camera| camera.resolution).collect(),
+                shots.iter().map(|shot| shot.mask.clone()).collect(),
             ),
             parameters: Parameters { encoding: Encoding::new(&config, table), network },
             table_moments: Moments { mean: zero(), square: zero() },

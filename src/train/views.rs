@@ -5,8 +5,10 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 
 use crate::dataset::Hemisphere;
-use crate::dataset::{Frame, FrameSplit, Part, PosedImage, Selection, Views, camera_file, test_partner};
-use crate::geometry::{Aabb, Camera, NamedCamera};
+use crate::dataset::{
+    Frame, FrameSplit, Part, PosedImage, Selection, Views, camera_file, check_masks, read_masks, test_partner,
+};
+use crate::geometry::{Aabb, Camera, Mask, NamedCamera};
 use crate::monitor::{Monitor, check};
 use crate::{Error, Result};
 
@@ -22,13 +24,22 @@ pub struct Shot {
     pub camera: Camera,
     /// The picture, at the camera's resolution.
     pub image: PosedImage,
+    /// The pixels to train on, if not all.
+    pub mask: Option<Mask>,
 }
 
 impl Shot {
     /// The camera with its name, without the picture.
     #[must_use]
     pub fn named_camera(&self) -> NamedCamera {
-        NamedCamera { name: self.name.clone(), camera: self.camera }
+        NamedCamera { name: self.name.clone(), camera: self.camera, is_masked: self.mask.is_some() }
+    }
+
+    /// Returns true if pixel `i` is not masked.
+    #[must_use]
+    pub fn keeps(&self, i: usize) -> bool {
+        let width = self.camera.resolution[0] as usize;
+        self.mask.as_ref().is_none_or(|mask| mask.keeps((i % width) as u32, (i / width) as u32))
     }
 }
 
@@ -79,7 +90,7 @@ impl DatasetFiles {
             // A file of one part has nothing to spare.
             None => split.select(Part::HeldOut, all, |frame| !train.contains(frame))?,
         };
-        let (bounds, missing) = (scene_box(&path)?, split.missing().len());
+        let (bounds, missing) = (scene_box(&path)?, split.missing());
         Ok(Self { path, split, train, held_out, missing, bounds })
     }
 
@@ -133,17 +144,18 @@ impl DatasetFiles {
     pub fn load(&self, monitor: &dyn Monitor) -> Result<[Vec<Shot>; 2]> {
         monitor.begin("images", (self.train.len() + self.held_out.len()) as u64);
         let load = |frames: &[Frame]| {
-            frames
-                .iter()
-                .map(|frame| {
-                    check(monitor)?;
-                    let image = PosedImage::read(&frame.image, frame.camera.resolution)?;
-                    monitor.advance(1);
-                    Ok(Shot { name: frame.name.clone(), camera: frame.camera, image })
-                })
-                .collect::<Result<Vec<_>>>()
+            let masks = read_masks(frames)?;
+            let shot = |(frame, mask): (&Frame, Option<Mask>)| {
+                check(monitor)?;
+                let image = PosedImage::read(&frame.image, frame.camera.resolution)?;
+                monitor.advance(1);
+                Ok(Shot { name: frame.name.clone(), camera: frame.camera, image, mask })
+            };
+            frames.iter().zip(masks).map(shot).collect::<Result<Vec<_>>>()
         };
         let shots = [load(&self.train)?, load(&self.held_out)?];
+        let masks: Vec<Option<Mask>> = shots[0].iter().map(|shot| shot.mask.clone()).collect();
+        check_masks(&self.path, &masks)?;
         monitor.end();
         Ok(shots)
     }

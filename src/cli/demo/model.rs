@@ -80,7 +80,7 @@ fn shots(scene: &dyn RadianceField, cameras: &[Camera], bars: &dyn Monitor) -> R
             [x, y, z, pixel.opacity].map(byte)
         });
         let image = PosedImage::new(camera.resolution, pixels.collect());
-        Ok(Shot { name: format!("train/r_{i}"), camera: *camera, image })
+        Ok(Shot { name: format!("train/r_{i}"), camera: *camera, image, mask: None })
     };
     cameras.iter().enumerate().map(shot).collect()
 }

@@ -7,6 +7,7 @@ use clap::Args;
 
 use super::parse::{Resolution, parse_fov, parse_resolution, parse_views};
 use crate::dataset::{Frame, FrameSplit, Part, ResolutionSource, Selection, Views, camera_file};
+use crate::error::printable;
 use crate::field::{Intrinsics, RadianceField};
 use crate::{Error, Result};
 
@@ -28,10 +29,10 @@ pub struct CameraFile {
 /// Which frames of a camera file to use.
 #[derive(Args)]
 pub struct FrameOptions {
-    /// Frames of the camera file: how many, spread over its order; or their indices from 0, such as 0,7,31 (`7,`
-    /// for one); or `all`. Frames without an image are left out, unless there are no images at all. In a
-    /// transforms.json with images every eighth frame is held out, as in `train` [default: all training frames; in
-    /// `evaluate`, all held-out frames]
+    /// Frames of the camera file: how many, spread over its order; or their numbers in the file from 0, as in `render
+    /// --frame`, such as 0,7,31 (`7,` for one); or `all`. Frames without an image are left out, unless there are no
+    /// images at all. If the file does not list its training frames, every eighth frame with an image is held out, as in
+    /// `train` [default: all training frames; in `evaluate`, all held-out frames]
     #[arg(long, value_name = "N|I,J,...|all", value_parser = parse_views, requires = "cameras")]
     pub views: Option<Selection>,
 }
@@ -68,6 +69,9 @@ impl CameraFile {
     /// Reads the file. Says so if it has to assume the image size.
     pub fn read(&self) -> Result<Views> {
         let mut views = Views::read(&self.cameras, self.resolution.and_then(Resolution::size))?;
+        for note in &views.notes {
+            eprintln!("note: {}: {}", self.cameras.display(), printable(note));
+        }
         if let Some(resolution) = self.resolution {
             views.frames.iter_mut().for_each(|frame| frame.camera = resolution.apply(&frame.camera));
             views.resolution_source = ResolutionSource::Requested;
@@ -125,7 +129,7 @@ impl CameraOptions {
         let names = model.training_cameras();
         let name_of = |i: usize| names.get(i).map_or_else(|| format!("pose {i}"), |named| named.name.clone());
         let sized = |camera| self.resolution.map_or(camera, |resolution| resolution.apply(&camera));
-        let frame = |(i, camera)| Frame::new(sized(camera), name_of(i), "");
+        let frame = |(index, camera)| Frame { index, ..Frame::new(sized(camera), name_of(index), "") };
         Ok(Views {
             path: PathBuf::from(name),
             frames: cameras.into_iter().enumerate().map(frame).collect(),
@@ -134,6 +138,7 @@ impl CameraOptions {
                 [_, ..] if self.resolution.is_none() => ResolutionSource::File,
                 _ => ResolutionSource::Assumed,
             },
+            notes: Vec::new(),
         })
     }
 
@@ -143,6 +148,11 @@ impl CameraOptions {
         let views = self.read(model, name)?;
         if self.cameras.is_none() {
             let whose = if model.training_cameras().is_empty() { "the model's own" } else { "stored in the model" };
+            let masked = model.training_cameras().iter().filter(|named| named.is_masked).count();
+            if masked > 0 {
+                let expected = "the data set that the model was trained on: its masks are not stored in the model";
+                return Err(Error::setting("--cameras", expected, format!("{masked} cameras with masks")));
+            }
             eprintln!("note: {} cameras ({whose})", views.frames.len());
             return Ok(views);
         }
@@ -159,7 +169,7 @@ impl CameraOptions {
                 frames.len()
             );
         }
-        Ok(Views { path, frames, resolution_source })
+        Ok(Views { path, frames, resolution_source, notes: Vec::new() })
     }
 }
 

@@ -5,10 +5,10 @@ use std::path::Path;
 use super::{Args, Rays};
 use crate::cli::options::{TrainingPixels, warn_of_pixels};
 use crate::cli::progress::Bars;
-use crate::dataset::Views;
+use crate::dataset::{Views, check_masks, kept_pixels, read_masks};
 use crate::estimate::{Estimation, GridSettings, RaySettings};
 use crate::field::RadianceField;
-use crate::geometry::{Camera, Domain};
+use crate::geometry::{Camera, Domain, Mask};
 use crate::posterior::Scale;
 use crate::{Error, Result};
 
@@ -19,6 +19,8 @@ pub struct Inputs {
     /// The training frames.
     pub views: Views,
     cameras: Vec<Camera>,
+    /// Which pixels of each camera the model was trained on, if not all.
+    masks: Vec<Option<Mask>>,
     domain: Domain,
     /// Checksum of the model's content.
     checksum: u32,
@@ -31,6 +33,20 @@ impl Inputs {
     pub fn domain(&self) -> Domain {
         self.domain
     }
+}
+
+/// Reads the masks of the frames. Says on stderr what they leave out.
+fn masks(views: &Views) -> Result<Vec<Option<Mask>>> {
+    let masks = read_masks(&views.frames)?;
+    check_masks(&views.path, &masks)?;
+    let masked = masks.iter().flatten().count();
+    if masked > 0 {
+        let cameras = views.cameras();
+        let all: u64 = cameras.iter().map(Camera::pixels).sum();
+        let left_out = 100.0 * (1.0 - kept_pixels(&cameras, &masks) as f64 / all as f64);
+        eprintln!("note: masks of {masked} of {} frames leave out {left_out:.1} % of the pixels", cameras.len());
+    }
+    Ok(masks)
 }
 
 /// A file's name and checksum. A built-in scene has only a name.
@@ -57,13 +73,13 @@ impl Args {
         }
         let domain = self.domain.domain(Some(field.natural_domain()))?;
         let checksum = crate::open::checksum(&self.model.model, self.model.rays.coordinates)?;
-        let cameras = views.cameras();
-        Ok(Inputs { field, views, cameras, domain, checksum, files })
+        let (cameras, masks) = (views.cameras(), masks(&views)?);
+        Ok(Inputs { field, views, cameras, masks, domain, checksum, files })
     }
 
     /// The run over what was read, without checkpoint.
     pub fn estimation<'a>(&self, inputs: &'a Inputs, bars: &'a Bars) -> Result<(Estimation<'a>, GridSettings)> {
-        let Inputs { field, views, cameras, domain, checksum, files } = inputs;
+        let Inputs { field, views, cameras, masks, domain, checksum, files } = inputs;
         let rays = self.model.rays.ray_settings(RaySettings {
             rays: self.most_rays(),
             pixels: self.pixels,
@@ -73,13 +89,13 @@ impl Args {
             cutoff: self.cutoff,
             ..RaySettings::default()
         });
-        let pixels = cameras.iter().map(Camera::pixels).sum();
+        let pixels = kept_pixels(cameras, masks);
         let training = TrainingPixels { pixels: Some(pixels), noise: field.training_noise() };
         let grid = self.grid.settings(domain, training)?;
         if matches!(grid.scale, Scale::Data(_)) {
             warn_of_pixels(views, pixels);
         }
-        let estimation = Estimation::new(&**field, cameras).domain(*domain).rays(rays).grid(grid);
+        let estimation = Estimation::new(&**field, cameras).masks(masks).domain(*domain).rays(rays).grid(grid);
         let estimation = estimation.source(self.source(files, cameras)).model(*checksum).monitor(bars);
         let estimation = estimation.coarser_levels(self.coarser_levels.unwrap_or(0));
         Ok((self.goal(estimation, grid.tolerance)?, grid))

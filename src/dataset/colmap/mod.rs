@@ -15,62 +15,71 @@ use std::path::{Path, PathBuf};
 
 use glam::{DMat3, DQuat, DVec3};
 
-use super::transforms::{Intrinsics, SIZES};
-use super::{Frame, ResolutionSource, Views};
+use super::intrinsics::{Fault, Intrinsics};
+use super::split::Lists;
+use super::transforms::{SIZES, size};
+use super::views::{Frame, ResolutionSource, Views};
+use crate::dataset::pictures::{MaskFile, image_path};
 use crate::geometry::Camera;
 use crate::{Error, Result};
 
-/// Kinds of lenses, by COLMAP's numbers.
-const MODELS: [&str; 12] = [
-    "SIMPLE_PINHOLE",
-    "PINHOLE",
-    "SIMPLE_RADIAL",
-    "RADIAL",
-    "OPENCV",
-    "OPENCV_FISHEYE",
-    "FULL_OPENCV",
-    "FOV",
-    "SIMPLE_RADIAL_FISHEYE",
-    "RADIAL_FISHEYE",
-    "THIN_PRISM_FISHEYE",
-    "RAD_TAN_THIN_PRISM_FISHEYE",
+/// Kinds of lenses by COLMAP's numbers (colmap/src/colmap/sensor/models.h), with their numbers of parameters.
+const MODELS: [(&str, usize); 18] = [
+    ("SIMPLE_PINHOLE", 3),
+    ("PINHOLE", 4),
+    ("SIMPLE_RADIAL", 4),
+    ("RADIAL", 5),
+    ("OPENCV", 8),
+    ("OPENCV_FISHEYE", 8),
+    ("FULL_OPENCV", 12),
+    ("FOV", 5),
+    ("SIMPLE_RADIAL_FISHEYE", 4),
+    ("RADIAL_FISHEYE", 5),
+    ("THIN_PRISM_FISHEYE", 12),
+    ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+    ("SIMPLE_DIVISION", 4),
+    ("DIVISION", 5),
+    ("SIMPLE_FISHEYE", 3),
+    ("FISHEYE", 4),
+    ("EUCM", 6),
+    ("EQUIRECTANGULAR", 2),
 ];
 
-/// Number of parameters of the kinds that are read, the first of [`MODELS`].
-const PARAMETERS: [usize; 5] = [3, 4, 4, 5, 8];
+/// Number of kinds that are read, the first of [`MODELS`].
+const READ: usize = 5;
 
-/// Where a model's files may lie in the folder of a project.
-const FOLDERS: [&str; 6] = ["", "0", "sparse/0", "sparse", "colmap/sparse/0", "colmap/sparse"];
+/// Folders of a project in which a model, or numbered folders with models, may lie.
+const FOLDERS: [&str; 4] = ["", "sparse", "colmap", "colmap/sparse"];
 
-/// A kind of lens that is read: an index into [`PARAMETERS`].
+/// A kind of lens: an index into [`MODELS`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Lens(usize);
 
 impl Lens {
     /// The kind of this name; the error says what is expected.
     fn named(name: &str) -> std::result::Result<Self, Complaint> {
-        let index = MODELS[..PARAMETERS.len()].iter().position(|known| *known == name);
+        let index = MODELS.iter().position(|(known, _)| *known == name);
         index.map(Self).ok_or_else(|| Self::unknown(name.to_string()))
     }
 
     /// The kind of COLMAP's number.
     fn numbered(number: i32) -> std::result::Result<Self, Complaint> {
-        match usize::try_from(number).ok().filter(|&n| n < PARAMETERS.len()) {
-            Some(index) => Ok(Self(index)),
-            None => {
-                let name = usize::try_from(number).ok().and_then(|n| MODELS.get(n));
-                Err(Self::unknown(name.map_or_else(|| number.to_string(), ToString::to_string)))
-            }
-        }
+        let index = usize::try_from(number).ok().filter(|&n| n < MODELS.len());
+        index.map(Self).ok_or_else(|| Self::unknown(number.to_string()))
     }
 
     fn unknown(found: String) -> Complaint {
-        let known = MODELS[..PARAMETERS.len()].join(", ");
-        Complaint { place: "camera model".into(), expected: format!("a perspective camera ({known})"), found }
+        let known: Vec<&str> = MODELS[..READ].iter().map(|(name, _)| *name).collect();
+        let expected = format!("a perspective camera ({})", known.join(", "));
+        Complaint { place: "camera model".into(), expected, found }
+    }
+
+    fn name(self) -> &'static str {
+        MODELS[self.0].0
     }
 
     fn parameters(self) -> usize {
-        PARAMETERS[self.0]
+        MODELS[self.0].1
     }
 }
 
@@ -123,24 +132,75 @@ pub struct ModelFiles {
 }
 
 impl ModelFiles {
-    /// The model that `path` means: one of its files, its folder, or the folder of a project with `sparse/0` in it.
+    /// The model that `path` means: one of its files, its folder, or the folder of a project with models in it.
     ///
     /// `None` if it is no such thing.
+    ///
+    /// # Errors
+    /// If there are several models. Their cameras are not in one coordinate system.
+    pub fn find(path: &Path) -> Result<Option<Self>> {
+        let mut models = Self::all(path);
+        let counted: Vec<_> = models.iter().map(|model| model.images().map(|images| images.len()).ok()).collect();
+        // Binary and text of one model: COLMAP prefers the binary.
+        let is_same = |[a, b]: [&Self; 2]| a.images.parent() == b.images.parent();
+        if models.len() < 2 || models.len() == 2 && is_same([&models[0], &models[1]]) && counted[0] == counted[1] {
+            return Ok((!models.is_empty()).then(|| models.swap_remove(0)));
+        }
+        let describe = |(model, count): (&Self, &Option<usize>)| {
+            let file = model.images.strip_prefix(path).unwrap_or(&model.images).display();
+            count.map_or_else(|| format!("{file}, which cannot be read"), |count| format!("{file} with {count} images"))
+        };
+        let found: Vec<String> = models.iter().zip(&counted).map(describe).collect();
+        let expected = "one COLMAP model; name the folder or the file of the one that the model was trained on";
+        Err(Error::malformed(path, "cameras", expected, found.join("; ")))
+    }
+
+    /// All models that `path` may mean; binary files come before text files.
     #[must_use]
-    pub fn find(path: &Path) -> Option<Self> {
+    pub fn all(path: &Path) -> Vec<Self> {
         let of = |folder: &Path, extension: &str| {
             let [cameras, images] = ["cameras", "images"].map(|name| folder.join(name).with_extension(extension));
             let is_there = cameras.is_file() && images.is_file();
             is_there.then_some(Self { cameras, images, is_binary: extension == "bin" })
         };
+        let both = |folder: &Path| ["bin", "txt"].iter().filter_map(|extension| of(folder, extension)).collect();
         if path.is_dir() {
-            let both = |folder: PathBuf| ["bin", "txt"].iter().find_map(|extension| of(&folder, extension));
-            return FOLDERS.iter().find_map(|folder| both(path.join(folder)));
+            let own: Vec<Self> = both(path);
+            if !own.is_empty() {
+                return own;
+            }
+            let below = FOLDERS.iter().flat_map(|folder| {
+                let folder = path.join(folder);
+                let numbered = numbered_folders(&folder);
+                [folder].into_iter().chain(numbered)
+            });
+            return below.flat_map(|folder| both(&folder)).collect();
         }
-        let stem = path.file_stem()?.to_str()?;
-        let extension = path.extension()?.to_str()?;
-        let is_part = ["cameras", "images"].contains(&stem) && ["bin", "txt"].contains(&extension);
-        is_part.then(|| of(path.parent()?, extension)).flatten()
+        let (stem, extension) = (path.file_stem().and_then(|s| s.to_str()), path.extension().and_then(|e| e.to_str()));
+        let (Some("cameras" | "images"), Some(extension @ ("bin" | "txt"))) = (stem, extension) else {
+            return Vec::new();
+        };
+        path.parent().and_then(|folder| of(folder, extension)).into_iter().collect()
+    }
+
+    fn images(&self) -> Result<Vec<RawImage>> {
+        let path = &self.images;
+        let images = if self.is_binary {
+            binary::images(&std::fs::read(path).map_err(Error::io(path, "cannot read"))?)
+        } else {
+            text::images(&crate::io::read_text(path)?)
+        };
+        images.map_err(|e| e.in_file(path))
+    }
+
+    fn cameras(&self) -> Result<HashMap<u32, RawCamera>> {
+        let path = &self.cameras;
+        let cameras = if self.is_binary {
+            binary::cameras(&std::fs::read(path).map_err(Error::io(path, "cannot read"))?)
+        } else {
+            text::cameras(&crate::io::read_text(path)?)
+        };
+        cameras.map_err(|e| e.in_file(path))
     }
 
     /// Reads the cameras. Images are sorted by name.
@@ -148,17 +208,10 @@ impl ModelFiles {
     /// The image size is the `requested` one, else the camera's. `path` is what the user named.
     ///
     /// # Errors
-    /// If a file cannot be read or ends early, if a lens is not perspective, or if a camera or a pose makes no
-    /// sense.
+    /// If a file cannot be read or ends early, if the lens of an image is not perspective, or if a camera or a pose
+    /// makes no sense.
     pub fn read(&self, path: &Path, requested: Option<[u32; 2]>) -> Result<Views> {
-        let bytes = |path: &Path| std::fs::read(path).map_err(Error::io(path, "cannot read"));
-        let (cameras, mut images) = if self.is_binary {
-            let cameras = binary::cameras(&bytes(&self.cameras)?).map_err(|e| e.in_file(&self.cameras))?;
-            (cameras, binary::images(&bytes(&self.images)?).map_err(|e| e.in_file(&self.images))?)
-        } else {
-            let cameras = text::cameras(&crate::io::read_text(&self.cameras)?).map_err(|e| e.in_file(&self.cameras))?;
-            (cameras, text::images(&crate::io::read_text(&self.images)?).map_err(|e| e.in_file(&self.images))?)
-        };
+        let (cameras, mut images) = (self.cameras()?, self.images()?);
         if images.is_empty() {
             return Err(Error::malformed(&self.images, "images", "at least one image", "none"));
         }
@@ -178,12 +231,19 @@ impl ModelFiles {
                 let expected = "a rotation (quaternion of length 1) and a finite translation";
                 Complaint::new(at("pose"), expected, found).in_file(&self.images)
             })?;
-            let file = folder.join(&image.name);
-            Ok(Frame::new(Camera { position, axes, ..camera }, image.name, file))
+            let [w, h] = raw.size.map(|side| side as u32);
+            let file = image_path(&folder, &image.name);
+            Ok(Frame {
+                size: [w, h],
+                mask: MaskFile::beside(&file),
+                ..Frame::new(Camera { position, axes, ..camera }, image.name, file)
+            })
         };
-        let frames = images.into_iter().map(frame).collect::<Result<_>>()?;
+        let mut frames = images.into_iter().map(frame).collect::<Result<Vec<Frame>>>()?;
+        frames.iter_mut().enumerate().for_each(|(i, frame)| frame.index = i);
+        lists_beside(&folder)?.apply(path, Path::new(""), &mut frames)?;
         let resolution_source = requested.map_or(ResolutionSource::File, |_| ResolutionSource::Requested);
-        Ok(Views { path: path.to_path_buf(), frames, resolution_source })
+        Ok(Views { path: path.to_path_buf(), frames, resolution_source, notes: Vec::new() })
     }
 
     /// The folder that holds the pictures: `images` beside the model or further up, or else the model's own.
@@ -196,21 +256,40 @@ impl ModelFiles {
             candidates.push(up.join("images"));
         }
         candidates.push(own.to_path_buf());
-        let holds = |folder: &&PathBuf| images.iter().any(|image| folder.join(&image.name).is_file());
+        let holds = |folder: &&PathBuf| images.iter().any(|image| image_path(folder, &image.name).is_file());
         candidates.iter().find(holds).unwrap_or(&candidates[0]).clone()
     }
+}
+
+/// The folders in a folder whose names are numbers, in their order.
+fn numbered_folders(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let number = |path: &Path| path.file_name()?.to_str()?.parse::<u32>().ok();
+    let mut folders: Vec<(u32, PathBuf)> =
+        entries.map(|entry| entry.path()).filter_map(|path| Some((number(&path)?, path))).collect();
+    folders.sort();
+    folders.into_iter().map(|(_, path)| path).collect()
+}
+
+/// nerfstudio's lists of training and test images, beside the folder of the pictures.
+fn lists_beside(pictures: &Path) -> Result<Lists> {
+    let read = |name: &str| {
+        let path = pictures.with_file_name(name);
+        let lines = |text: String| text.lines().map(str::trim).filter(|l| !l.is_empty()).map(str::to_string).collect();
+        path.is_file().then(|| crate::io::read_text(&path).map(lines)).transpose()
+    };
+    Ok(Lists { training: read("train_list.txt")?, held_out: read("test_list.txt")?, ..Lists::default() })
 }
 
 /// A camera without its pose.
 fn lens(raw: &RawCamera, requested: Option<[u32; 2]>) -> Parsed<Camera> {
     let [w, h] = raw.size.map(|n| n as f64);
-    let intrinsics = Intrinsics { w: Some(w), h: Some(h), ..Intrinsics::default() };
     let one = |f: f64, cx: f64, cy: f64| Intrinsics {
         fl_x: Some(f),
         fl_y: Some(f),
         cx: Some(cx),
         cy: Some(cy),
-        ..intrinsics
+        ..Intrinsics::default()
     };
     let intrinsics = match (raw.lens.0, raw.parameters.as_slice()) {
         (0, &[f, cx, cy]) => one(f, cx, cy),
@@ -221,21 +300,23 @@ fn lens(raw: &RawCamera, requested: Option<[u32; 2]>) -> Parsed<Camera> {
             let lens = Intrinsics { k1: Some(k1), k2: Some(k2), p1: Some(p1), p2: Some(p2), ..one(fx, cx, cy) };
             Intrinsics { fl_y: Some(fy), ..lens }
         }
-        (lens, parameters) => {
-            let expected = format!("{} numbers for {}", PARAMETERS[lens], MODELS[lens]);
-            return Err(Complaint::new("parameters", expected, parameters.len().to_string()));
+        _ => {
+            let unknown = Lens::unknown(raw.lens.name().to_string());
+            return Err(Complaint { place: "model".into(), ..unknown });
         }
     };
-    let stated = intrinsics.resolution().unwrap_or_else(|| Err("none".into()));
-    let stated = stated.map_err(|found| Complaint::new("image size", SIZES, found))?;
-    let resolution = requested.unwrap_or(stated);
-    let (focal, center) = intrinsics.project(resolution).map_err(|found| {
-        Complaint::new("parameters", "positive focal lengths and a principal point near the image", found)
+    let resolution = size(w, h, requested.is_some()).map_err(|found| Complaint::new("image size", SIZES, found))?;
+    let wrong = |Fault { expected, found, .. }: Fault| Complaint::new("parameters", expected, found);
+    let (focal, center) = intrinsics.project(resolution).map_err(|fault| {
+        let expected = "positive focal lengths and a principal point near the image".into();
+        wrong(Fault { expected, ..fault })
     })?;
-    let distortion = intrinsics
-        .distortion()
-        .map_err(|found| Complaint::new("parameters", "finite coefficients of distortion", found))?;
-    Ok(Camera { position: DVec3::ZERO, axes: DMat3::IDENTITY, focal, center, resolution, distortion })
+    let distortion = intrinsics.distortion().map_err(wrong)?;
+    let camera = Camera { position: DVec3::ZERO, axes: DMat3::IDENTITY, focal, center, resolution, distortion };
+    if let Some(found) = camera.folds_over() {
+        return Err(Complaint::new("parameters", "a lens that leaves every pixel its ray", found));
+    }
+    Ok(requested.map_or(camera, |requested| camera.resized(requested)))
 }
 
 /// Position and axes, camera-to-world with OpenGL's axes; the error says what was found.

@@ -4,16 +4,16 @@ use glam::DVec3;
 use proptest::prelude::*;
 
 use super::*;
-use crate::dataset::write_transforms;
+use crate::dataset::{Purpose, write_transforms};
 use crate::geometry::Distortion;
 
 /// Cameras that look at the origin from odd places, each with a lens of its own kind.
 fn cameras() -> Vec<(String, Camera, Lens)> {
-    (0..7)
+    (0..7_u8)
         .map(|i| {
-            let (angle, kind) = (0.9 * f64::from(i) + 0.1, i as usize % PARAMETERS.len());
+            let (angle, kind) = (0.9 * f64::from(i) + 0.1, i as usize % READ);
             let position = 4.0 * DVec3::new(angle.cos(), angle.sin(), 0.3 * angle.cos() - 0.2);
-            let mut camera = Camera::look_at(position, DVec3::splat(0.1), DVec3::Z, 0.7, [60 + i as u32, 40]);
+            let mut camera = Camera::look_at(position, DVec3::splat(0.1), DVec3::Z, 0.7, [60 + u32::from(i), 40]);
             camera.center = [29.25 + 0.1 * f64::from(i), 20.125];
             let [k1, k2, p1, p2] = [0.05, -0.01, 2e-3, -1e-3];
             camera.distortion = match kind {
@@ -59,7 +59,7 @@ fn as_text(cameras: &[(String, Camera, Lens)]) -> [String; 2] {
     for (i, (name, camera, lens)) in cameras.iter().enumerate() {
         let numbers = |values: &[f64]| values.iter().map(f64::to_string).collect::<Vec<_>>().join(" ");
         let [w, h] = camera.resolution;
-        writeln!(lenses, "{} {} {w} {h} {}", i + 5, MODELS[lens.0], numbers(&parameters(camera, *lens))).unwrap();
+        writeln!(lenses, "{} {} {w} {h} {}", i + 5, lens.name(), numbers(&parameters(camera, *lens))).unwrap();
         writeln!(images, "{} {} {} {name}", i + 1, numbers(&world_to_camera(camera)), i + 5).unwrap();
         // Pictures without points have an empty line.
         writeln!(images, "{}", ["", "1.5 2.5 -1 7 8.25 4711"][i % 2]).unwrap();
@@ -153,14 +153,22 @@ fn what_is_wrong_is_said() {
         Views::read(folder.path(), None).unwrap_err().to_string()
     };
     let perspective = "expected a perspective camera (SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV)";
-    for name in &MODELS[PARAMETERS.len()..] {
-        let error = refused(&lenses.replace("SIMPLE_PINHOLE", name), &images);
+    for (name, parameters) in &MODELS[READ..] {
+        let other = format!("5 {name} 60 40{}\n", " 0.5".repeat(*parameters));
+        let error = refused(&other, &images);
         let expected = format!("cameras.txt: camera 5, model: {perspective}, found {name}");
         assert!(error.ends_with(&expected), "{error}");
+        // It does no harm if no image was taken by it.
+        let both = format!("{lenses}{}", other.replacen('5', "6", 1));
+        write(folder.path(), "txt", [both.as_bytes(), images.as_bytes()]);
+        assert_eq!(Views::read(folder.path(), None).unwrap().frames.len(), 1, "{name}");
     }
+    let error = refused(&lenses.replace("SIMPLE_PINHOLE", "PINHOLES"), &images);
+    assert!(error.ends_with("found PINHOLES"), "{error}");
     let cases = [
         (lenses.replace(" 60 40 ", " 60 "), images.clone(), "cameras.txt: line 3"),
         (lenses.replace(" 60 40 ", " 0 40 "), images.clone(), "cameras.txt: camera 5, image size"),
+        (lenses.replace(" 60 40 ", " 14204 10652 "), images.clone(), "image size: expected sides from 1 to 65536"),
         (lenses.replace(" 60 40 ", " 60 40 -"), images.clone(), "cameras.txt: camera 5, parameters"),
         (format!("{lenses}{lenses}"), images.clone(), "camera 5: expected a number of its own"),
         (lenses.replacen("\n5 ", "\n6 ", 1), images.clone(), "image `picture 0.png`, camera: expected a camera"),
@@ -174,16 +182,86 @@ fn what_is_wrong_is_said() {
         assert!(error.contains(expected), "{expected}: {error}");
     }
     let [lenses, images] = as_binary(&cameras());
-    let mut fisheye = lenses.clone();
-    fisheye[12] = 5;
-    let Err(complaint) = binary::cameras(&fisheye) else { panic!("a fisheye lens") };
-    assert_eq!((complaint.place.as_str(), complaint.found.as_str()), ("camera 5, model", "OPENCV_FISHEYE"));
+    // A number that COLMAP does not have.
+    let mut unknown = lenses.clone();
+    unknown[12] = 99;
+    let Err(complaint) = binary::cameras(&unknown) else { panic!("an unknown lens") };
+    assert_eq!((complaint.place.as_str(), complaint.found.as_str()), ("camera 5, model", "99"));
     // Numbers that promise more than there is.
     let mut many = images.clone();
     many[..8].fill(0xff);
     let Err(complaint) = binary::images(&many) else { panic!("too many images") };
     assert!(complaint.found.contains("end of the file"), "{}", complaint.found);
     assert!(binary::images(&[&images[..], &[0]].concat()).is_err());
+}
+
+#[test]
+fn a_large_sensor_is_read_at_a_smaller_size() {
+    let folder = tempfile::tempdir().unwrap();
+    let [_, images] = as_text(&cameras()[..1]);
+    write(folder.path(), "txt", [b"5 SIMPLE_PINHOLE 14204 10652 12000 7102 5326\n", images.as_bytes()]);
+    let camera = Views::read(folder.path(), Some([1420, 1065])).unwrap().frames[0].camera;
+    assert!((camera.focal[0] - 12000.0 * 1420.0 / 14204.0).abs() < 1e-9, "{camera:?}");
+    assert_eq!((camera.center, camera.resolution), ([710.0, 532.5], [1420, 1065]));
+}
+
+#[test]
+fn the_role_of_a_line_does_not_depend_on_how_many_words_it_has() {
+    // Names with two spaces make lines of twelve words, as many as four points have.
+    let cameras: Vec<_> = cameras().into_iter().map(|(name, c, lens)| (format!("my own  {name}"), c, lens)).collect();
+    let [lenses, images] = as_text(&cameras);
+    let folder = tempfile::tempdir().unwrap();
+    let is_image = |line: &&str| line.contains("my own");
+    let without_points: String = images.lines().filter(is_image).map(|line| format!("{line}\n")).collect();
+    for (images, ending) in [(&images, "\n"), (&without_points, "\n"), (&without_points, "\r\n")] {
+        let images = images.replace('\n', ending);
+        write(folder.path(), "txt", [lenses.as_bytes(), images.as_bytes()]);
+        let frames = Views::read(folder.path(), None).unwrap().frames;
+        let names: Vec<&str> = frames.iter().map(|frame| frame.name.as_str()).collect();
+        assert_eq!(names, cameras.iter().map(|(name, ..)| name.as_str()).collect::<Vec<_>>());
+        assert!(frames.iter().enumerate().all(|(i, frame)| frame.index == i));
+    }
+}
+
+#[test]
+fn several_models_are_refused_with_the_number_of_their_images() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let put = |name: &str, count: usize| {
+        let [lenses, images] = as_binary(&cameras()[..count]);
+        write(&path(name), "bin", [&lenses, &images]);
+    };
+    put("sparse/0", 2);
+    assert_eq!(Views::read(folder.path(), None).unwrap().frames.len(), 2);
+    put("sparse/1", 5);
+    let error = Views::read(folder.path(), None).unwrap_err().to_string();
+    assert!(error.contains("sparse/0/images.bin with 2 images; sparse/1/images.bin with 5 images"), "{error}");
+    assert_eq!(Views::files(folder.path()).len(), 4);
+    for (name, count) in [("sparse/1", 5), ("sparse/0/cameras.bin", 2)] {
+        assert_eq!(Views::read(&path(name), None).unwrap().frames.len(), count, "{name}");
+    }
+    // Text beside binary is one model, unless it has other images.
+    let [lenses, images] = as_text(&cameras()[..5]);
+    write(&path("sparse/1"), "txt", [lenses.as_bytes(), images.as_bytes()]);
+    assert_eq!(Views::read(&path("sparse/1"), None).unwrap().frames.len(), 5);
+    let [lenses, images] = as_text(&cameras()[..4]);
+    write(&path("sparse/1"), "txt", [lenses.as_bytes(), images.as_bytes()]);
+    let error = Views::read(&path("sparse/1"), None).unwrap_err().to_string();
+    assert!(error.contains("images.bin with 5 images; images.txt with 4 images"), "{error}");
+}
+
+#[test]
+fn lists_of_training_images_beside_the_pictures_count() {
+    let folder = tempfile::tempdir().unwrap();
+    let [lenses, images] = as_binary(&cameras());
+    write(&folder.path().join("sparse/0"), "bin", [&lenses, &images]);
+    std::fs::create_dir(folder.path().join("images")).unwrap();
+    std::fs::write(folder.path().join("images/picture 3.png"), "").unwrap();
+    std::fs::write(folder.path().join("train_list.txt"), "picture 0.png\npicture 4.png\n").unwrap();
+    let frames = Views::read(folder.path(), None).unwrap().frames;
+    let training: Vec<usize> =
+        frames.iter().filter(|frame| frame.purpose == Some(Purpose::Training)).map(|frame| frame.index).collect();
+    assert_eq!(training, [0, 4]);
 }
 
 /// Everything that is read from mutated files is finite, and nothing panics.

@@ -68,10 +68,10 @@ pub fn cameras(text: &str) -> Parsed<HashMap<u32, RawCamera>> {
 }
 
 /// Reads `images.txt`: for each a line `IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME`, and a line of points, which
-/// may be empty.
+/// may be empty or, in files by hand, missing.
 pub fn images(text: &str) -> Parsed<Vec<RawImage>> {
     let mut images = Vec::new();
-    let mut lines = (1..).zip(text.lines()).filter(|(_, line)| !is_comment(line));
+    let mut lines = (1..).zip(text.lines()).filter(|(_, line)| !is_comment(line)).peekable();
     while let Some((number, line)) = lines.next() {
         if line.trim().is_empty() {
             continue;
@@ -80,16 +80,37 @@ pub fn images(text: &str) -> Parsed<Vec<RawImage>> {
         words.number::<u32>("the number of an image")?;
         let [w, x, y, z, a, b, c] = words.numbers("a quaternion and a translation")?;
         let camera = words.number("the number of a camera")?;
-        let first = words.word("the name of an image")?;
-        let name = words.words.fold(first.to_string(), |name, word| name + " " + word);
+        words.word("the name of an image")?;
+        let name = after(line.trim(), 9).to_string();
         images.push(RawImage { quaternion: [w, x, y, z], translation: [a, b, c], camera, name });
-        // The points: x, y and a number for each.
-        if let Some((number, points)) = lines.next()
-            && points.split_whitespace().count() % 3 != 0
-        {
-            let expected = "the points of an image, three numbers each, or an empty line";
-            return Err(Words::new(points, number).complaint(expected, points));
+        match lines.peek() {
+            Some((_, line)) if is_points(line) => _ = lines.next(),
+            Some((_, line)) if is_image(line) => {}
+            Some((number, line)) => {
+                let expected = "the points of an image, three numbers each, or an empty line";
+                return Err(Words::new(line, *number).complaint(expected, *line));
+            }
+            None => {}
         }
     }
     Ok(images)
+}
+
+/// A line of points: x, y and a whole number for each, or nothing.
+fn is_points(line: &str) -> bool {
+    let words: Vec<&str> = line.split_whitespace().collect();
+    let is_point = |point: &[&str]| matches!(point, [x, y, number] if [x, y].iter().all(|v| v.parse::<f64>().is_ok()) && number.parse::<i64>().is_ok());
+    words.chunks(3).all(is_point)
+}
+
+/// A line of an image: its number, seven numbers, the number of a camera, and a name.
+fn is_image(line: &str) -> bool {
+    let words: Vec<&str> = line.split_whitespace().collect();
+    let is_whole = |i: usize| words[i].parse::<u32>().is_ok();
+    words.len() > 9 && is_whole(0) && is_whole(8) && words[1..8].iter().all(|word| word.parse::<f64>().is_ok())
+}
+
+/// What follows a number of words, with the spaces within it.
+fn after(line: &str, words: usize) -> &str {
+    (0..words).fold(line, |rest, _| rest.split_once(char::is_whitespace).map_or("", |(_, rest)| rest.trim_start()))
 }

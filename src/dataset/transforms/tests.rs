@@ -1,5 +1,8 @@
+use std::path::PathBuf;
+
 use super::*;
 use crate::field::ClosedForm;
+use crate::geometry::Distortion;
 
 fn read(json: &str) -> Result<Views> {
     let folder = tempfile::tempdir().unwrap();
@@ -43,13 +46,107 @@ fn frames_override_the_file() {
 fn perspective_cameras_of_any_name_are_read_with_their_distortion() {
     for name in PERSPECTIVE.into_iter().chain(["opencv"]) {
         let model = format!(r#""camera_model": "{name}""#);
-        let json = format!(r#"{{"fl_x": 50, "k1": 0.1, {model}, "frames": [{{{model}, {POSE}}}]}}"#);
+        let json = format!(r#"{{"fl_x": 50, "w": 40, "h": 40, "k1": 0.1, {model}, "frames": [{{{model}, {POSE}}}]}}"#);
         assert_eq!(read(&json).expect(name).frames[0].camera.distortion.k, [0.1, 0.0]);
     }
     // A frame's own lens takes precedence over the file's.
-    let json =
-        format!(r#"{{"fl_x": 50, "camera_model": "FISHEYE624", "frames": [{{"camera_model": "PINHOLE", {POSE}}}]}}"#);
+    let json = format!(
+        r#"{{"camera_angle_x": 1, "camera_model": "FISHEYE624", "frames": [{{"camera_model": "PINHOLE", {POSE}}}]}}"#
+    );
     assert!(read(&json).is_ok());
+}
+
+/// A folder with a camera file and pictures of given sizes.
+fn folder(json: &str, pictures: &[(&str, [u32; 2])]) -> (tempfile::TempDir, PathBuf) {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, [w, h]) in pictures {
+        image::GrayImage::new(*w, *h).save(folder.path().join(name)).unwrap();
+    }
+    let path = folder.path().join("transforms.json");
+    std::fs::write(&path, json).unwrap();
+    (folder, path)
+}
+
+#[test]
+fn pixels_refer_to_the_picture_of_their_frame_at_any_size() {
+    let json = format!(
+        r#"{{"fl_x": 100, "cx": 52, "frames": [{{"file_path": "a.png", {POSE}}}, {{"file_path": "b.png", {POSE}}}]}}"#
+    );
+    let (_folder, path) = folder(&json, &[("a.png", [100, 80]), ("b.png", [50, 40])]);
+    let views = Views::read(&path, None).unwrap();
+    assert_eq!(views.resolution_source, ResolutionSource::Image);
+    assert_eq!(views.frames.iter().map(|f| f.size).collect::<Vec<_>>(), [[100, 80], [50, 40]]);
+    for (requested, scales) in [([50, 40], [0.5, 1.0]), ([200, 160], [2.0, 4.0])] {
+        let frames = Views::read(&path, Some(requested)).unwrap().frames;
+        for (frame, scale) in frames.iter().zip(scales) {
+            let camera = frame.camera;
+            assert_eq!((camera.focal, camera.center[0]), ([100.0 * scale; 2], 52.0 * scale), "{requested:?}");
+        }
+    }
+    // Without pictures nobody knows; an angle holds for any size.
+    let (_folder, path) = folder(&json, &[]);
+    for requested in [None, Some([50, 40])] {
+        let error = Views::read(&path, requested).unwrap_err().to_string();
+        assert!(error.contains("frame 0 (`a.png`), `fl_x`: expected `w` and `h`, the size"), "{error}");
+    }
+    let angle = json.replace(r#""fl_x": 100, "cx": 52"#, r#""camera_angle_x": 1"#);
+    let (_folder, path) = folder(&angle, &[]);
+    assert_eq!(Views::read(&path, Some([50, 40])).unwrap().frames[0].camera.resolution, [50, 40]);
+    assert_eq!(Views::read(&path, None).unwrap().resolution_source, ResolutionSource::Assumed);
+    // Blender rounds shares of its resolution down.
+    let shares = read(&format!(r#"{{"fl_x": 100, "w": 33.6, "h": 20.2, "frames": [{{{POSE}}}]}}"#)).unwrap();
+    assert_eq!(shares.frames[0].camera.resolution, [33, 20]);
+}
+
+#[test]
+fn a_list_of_coefficients_bends_rays_as_single_keys_do() {
+    let lens = |keys: &str| {
+        let json = format!(r#"{{"fl_x": 60, "w": 100, "h": 80, {keys}, "frames": [{{{POSE}}}]}}"#);
+        read(&json).unwrap().frames[0].camera
+    };
+    let list = lens(r#""distortion_params": [0.1, -0.02, 0.0, 0.0, 0.003, -0.004]"#);
+    assert_eq!(list, lens(r#""k1": 0.1, "k2": -0.02, "p1": 0.003, "p2": -0.004"#));
+    assert_eq!(list.distortion, Distortion { k: [0.1, -0.02], p: [0.003, -0.004] });
+}
+
+#[test]
+fn the_first_of_two_poses_counts_if_the_camera_rests() {
+    let start = POSE.replace("transform_matrix", "transform_matrix_start").replace("[1,0,0,1]", "[1,0,0,7]");
+    let end = start.replace("_start", "_end");
+    let frame = |keys: &str| read(&format!(r#"{{"camera_angle_x": 1, "frames": [{{{POSE}, {start}{keys}}}]}}"#));
+    assert_eq!(frame("").unwrap().frames[0].camera.position.x, 7.0);
+    assert_eq!(frame(&format!(", {end}")).unwrap().frames[0].camera.position.x, 7.0);
+    let moved = end.replace("[1,0,0,7]", "[1,0,0,8]");
+    assert!(frame(&format!(", {moved}")).unwrap_err().to_string().contains("`transform_matrix_end`"));
+}
+
+#[test]
+fn what_a_frame_brings_along_is_kept() {
+    let json = format!(
+        r#"{{"camera_angle_x": 1, "frames": [{{"file_path": "a.png", "mask_path": "m\\a.png",
+            "depth_file_path": "d/a.png", "time": 0, {POSE}}}, {{"file_path": "b.png", "time": 1, {POSE}}}]}}"#
+    );
+    let (folder, path) = folder(&json, &[("dynamic_mask_b.png", [4, 4])]);
+    let views = Views::read(&path, None).unwrap();
+    let below = |name: &str| folder.path().join(name);
+    assert_eq!(views.frames[0].mask, Some(MaskFile::Kept(below("m/a.png"))));
+    assert_eq!(views.frames[1].mask, Some(MaskFile::LeftOut(below("dynamic_mask_b.png"))));
+    assert_eq!([&views.frames[0], &views.frames[1]].map(|f| f.depth.clone()), [Some(below("d/a.png")), None]);
+    assert_eq!(views.notes, ["frames differ in `time`; the scene is taken to stand still"]);
+    std::fs::write(&path, json.replace("{\"camera", "{\"has_mask\": false, \"camera")).unwrap();
+    assert_eq!(Views::read(&path, None).unwrap().frames[0].mask, None);
+    std::fs::write(below("rays_a.dat"), b"").unwrap();
+    assert!(Views::read(&path, None).unwrap_err().to_string().contains("rays_a.dat: rays of a frame"));
+}
+
+#[test]
+fn a_frame_that_contradicts_its_file_is_told() {
+    let json =
+        |fl: f64| format!(r#"{{"fl_x": 60, "w": 100, "h": 80, "frames": [{{{POSE}}}, {{"fl_x": {fl}, {POSE}}}]}}"#);
+    assert_eq!(read(&json(60.01)).unwrap().notes, [""; 0]);
+    let views = read(&json(66.0)).unwrap();
+    assert_eq!(views.frames[1].camera.focal, [66.0; 2]);
+    assert!(views.notes[0].starts_with("frame 1 states a focal length other than the file's"), "{:?}", views.notes);
 }
 
 #[test]
@@ -64,26 +161,55 @@ fn what_is_wrong_is_said() {
             "no rotation",
         ),
         (r#"{"camera_angle_x": 1, "frames": [{"transform_matrix": [[1,0,0],[0,1,0],[0,0,1]]}]}"#, "rows of"),
-        (&format!("{{\"fl_x\": -5, \"frames\": [{{{POSE}}}]}}"), "positive"),
+        (&format!("{{\"fl_x\": -5, \"w\": 4, \"h\": 4, \"frames\": [{{{POSE}}}]}}"), "positive"),
         (
             r#"{"camera_angle_x": 1, "frames": [{"transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[1,2,3,1]]}]}"#,
             "[1.0, 2.0, 3.0, 1.0]",
         ),
         (&format!("{{\"camera_angle_x\": 40, \"frames\": [{{{POSE}}}]}}"), "radians"),
-        (&format!("{{\"fl_x\": 9, \"camera_angle_y\": -0.5, \"frames\": [{{{POSE}}}]}}"), "radians"),
-        (&format!("{{\"fl_x\": 5, \"is_fisheye\": true, \"frames\": [{{{POSE}}}]}}"), "fisheye"),
         (
-            &format!("{{\"fl_x\": 5, \"camera_model\": \"EQUIRECTANGULAR\", \"frames\": [{{{POSE}}}]}}"),
+            &format!("{{\"fl_x\": 9, \"w\": 4, \"h\": 4, \"camera_angle_y\": -0.5, \"frames\": [{{{POSE}}}]}}"),
+            "radians",
+        ),
+        (&format!("{{\"camera_angle_x\": 1, \"is_fisheye\": true, \"frames\": [{{{POSE}}}]}}"), "`is_fisheye`"),
+        (
+            &format!("{{\"camera_angle_x\": 1, \"camera_model\": \"EQUIRECTANGULAR\", \"frames\": [{{{POSE}}}]}}"),
             "frame 0 (``), `camera_model`: expected a perspective camera",
         ),
         (
-            &format!("{{\"fl_x\": 5, \"frames\": [{{{POSE}}}, {{\"camera_model\": \"OPENCV_FISHEYE\", {POSE}}}]}}"),
+            &format!(
+                "{{\"camera_angle_x\": 1, \"frames\": [{{{POSE}}}, {{\"camera_model\": \"OPENCV_FISHEYE\", {POSE}}}]}}"
+            ),
             "frame 1 (``), `camera_model`: expected a perspective camera (PINHOLE, SIMPLE_PINHOLE, OPENCV, RADIAL, \
              SIMPLE_RADIAL), found `OPENCV_FISHEYE`",
         ),
-        (&format!("{{\"fl_x\": 5, \"ftheta_p0\": 0.1, \"frames\": [{{{POSE}}}]}}"), "found `ftheta_p0`"),
-        (&format!("{{\"fl_x\": 5, \"frames\": [{{\"latlong\": true, {POSE}}}]}}"), "found `latlong`"),
-        (&format!("{{\"fl_x\": 5, \"w\": 0, \"h\": 3, \"frames\": [{{{POSE}}}]}}"), "whole numbers"),
+        (&format!("{{\"camera_angle_x\": 1, \"ftheta_p0\": 0.1, \"frames\": [{{{POSE}}}]}}"), "found `ftheta_p0`"),
+        (&format!("{{\"camera_angle_x\": 1, \"frames\": [{{\"latlong\": true, {POSE}}}]}}"), "found `latlong`"),
+        (&format!("{{\"camera_angle_x\": 1, \"w\": 0, \"h\": 3, \"frames\": [{{{POSE}}}]}}"), "found 0 x 3"),
+        (&format!("{{\"fl_x\": 5, \"w\": 8, \"frames\": [{{{POSE}}}]}}"), "`w` 8 without `h`"),
+        (
+            &format!("{{\"camera_angle_x\": 1, \"equirectangular\": true, \"frames\": [{{{POSE}}}]}}"),
+            "`equirectangular`",
+        ),
+        (&format!("{{\"camera_angle_x\": 1, \"orthographic\": false, \"frames\": [{{{POSE}}}]}}"), "`orthographic`"),
+        (
+            &format!("{{\"camera_angle_x\": 1, \"rolling_shutter\": [0, 0, 1], \"frames\": [{{{POSE}}}]}}"),
+            "`rolling_sh",
+        ),
+        (&format!("{{\"camera_angle_x\": 1, \"from_na\": true, \"frames\": [{{{POSE}}}]}}"), "axes of NeuS2"),
+        (&format!("{{\"camera_angle_x\": 1, \"from_mitsuba\": 1, \"frames\": [{{{POSE}}}]}}"), "axes of Mitsuba"),
+        (
+            &format!("{{\"camera_angle_x\": 1, \"sharpness_discard_threshold\": 0.5, \"frames\": [{{{POSE}}}]}}"),
+            "frames that instant-ngp drops",
+        ),
+        (
+            &format!("{{\"camera_angle_x\": 1, \"k1\": -5, \"frames\": [{{{POSE}}}]}}"),
+            "expected a lens that leaves every pixel its ray, found k1 -5",
+        ),
+        (&format!("{{\"camera_angle_x\": 1, \"k3\": 0.1, \"frames\": [{{{POSE}}}]}}"), "found k3 0.1"),
+        ("[{\"file_path\": \"a\", \"transform\": []}]", "found poses exported by `ns-export cameras`"),
+        ("{\"frames\": 3}", "line 1"),
+        ("3", "as an object with a list `frames`"),
     ];
     for (json, expected) in cases {
         let error = read(json).expect_err(json).to_string();

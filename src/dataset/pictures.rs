@@ -1,0 +1,212 @@
+//! Where the picture of a frame is, and which of its pixels count.
+
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+
+use image::DynamicImage;
+use rayon::prelude::*;
+
+use super::Frame;
+use super::image::decode;
+use crate::geometry::{Camera, Mask};
+use crate::{Error, Result};
+
+/// Extensions of pictures, in the order in which they are tried.
+const EXTENSIONS: [&str; 6] = ["png", "jpg", "jpeg", "PNG", "JPG", "JPEG"];
+
+/// The picture of a frame named `file_path` in a camera file of `folder`.
+///
+/// Names from Windows, names without an extension and names whose extension is written in the other case are found as
+/// instant-ngp finds them. Where there is none of these, this is the name with `.png` added unless it ends in a known
+/// extension.
+#[must_use]
+pub fn image_path(folder: &Path, file_path: &str) -> PathBuf {
+    let turned = file_path.replace('\\', "/");
+    let names = if turned == file_path { vec![file_path] } else { vec![file_path, &turned] };
+    let candidates = names.iter().flat_map(|name| spellings(&folder.join(name)));
+    let found = candidates.into_iter().find(|path| path.is_file());
+    found.unwrap_or_else(|| {
+        let path = folder.join(&turned);
+        if has_known_extension(&path) { path } else { with_suffix(&path, "png") }
+    })
+}
+
+fn has_known_extension(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| EXTENSIONS.iter().any(|known| extension.eq_ignore_ascii_case(known)))
+}
+
+/// The path as it is, and with every known extension.
+fn spellings(path: &Path) -> Vec<PathBuf> {
+    let mut spellings = vec![path.to_path_buf()];
+    // `r_0.5` is a name without an extension.
+    let is_known = has_known_extension(path);
+    let with = |extension: &&str| if is_known { path.with_extension(extension) } else { with_suffix(path, extension) };
+    spellings.extend(EXTENSIONS.iter().map(with));
+    spellings
+}
+
+/// The path with a dot and an extension at its end, also if it is not UTF-8.
+fn with_suffix(path: &Path, extension: &str) -> PathBuf {
+    let mut name = OsString::from(path);
+    name.push(".");
+    name.push(extension);
+    PathBuf::from(name)
+}
+
+/// A picture that says which pixels of another one count.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum MaskFile {
+    /// `mask_path` of nerfstudio: pixels that are not black were trained on.
+    Kept(PathBuf),
+    /// `dynamic_mask_NAME.png` of instant-ngp: pixels that are not black were left out.
+    LeftOut(PathBuf),
+}
+
+impl MaskFile {
+    /// The file.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        match self {
+            Self::Kept(path) | Self::LeftOut(path) => path,
+        }
+    }
+
+    /// instant-ngp's mask of a picture, if it is there.
+    #[must_use]
+    pub fn beside(image: &Path) -> Option<Self> {
+        let mut name = OsString::from("dynamic_mask_");
+        name.push(image.file_stem()?);
+        name.push(".png");
+        let path = image.with_file_name(name);
+        path.is_file().then_some(Self::LeftOut(path))
+    }
+
+    /// Reads the mask of a picture of `size` pixels.
+    fn read(&self, size: [u32; 2]) -> Result<Mask> {
+        // Black is zero in every channel but alpha; instant-ngp looks at the first only, nerfstudio has one only.
+        let image = decode(self.path(), "mask", size)?;
+        let is_black: Vec<bool> = match &image {
+            DynamicImage::ImageLuma16(image) => image.pixels().map(|p| p.0[0] == 0).collect(),
+            DynamicImage::ImageRgb16(image) => image.pixels().map(|p| p.0 == [0; 3]).collect(),
+            other => other.to_rgba8().pixels().map(|p| p.0[..3] == [0; 3]).collect(),
+        };
+        let keeps_black = matches!(self, Self::LeftOut(_));
+        let at = |column: u32, row: u32| row as usize * size[0] as usize + column as usize;
+        Ok(Mask::new(size, |column, row| is_black[at(column, row)] == keeps_black))
+    }
+}
+
+/// Reads the masks of frames, at the size of their cameras; none for frames without one.
+///
+/// # Errors
+/// If a mask is missing, damaged, or of another size than its picture.
+pub fn read_masks(frames: &[Frame]) -> Result<Vec<Option<Mask>>> {
+    let read = |frame: &Frame| {
+        let Some(file) = &frame.mask else { return Ok(None) };
+        Ok(Some(file.read(frame.size)?.resized(frame.camera.resolution)))
+    };
+    frames.par_iter().map(read).collect()
+}
+
+/// The number of pixels of cameras that their masks keep; `masks` has one or none for each, or is empty.
+#[must_use]
+pub fn kept_pixels(cameras: &[Camera], masks: &[Option<Mask>]) -> u64 {
+    let kept = |(i, camera): (usize, &Camera)| {
+        masks.get(i).and_then(Option::as_ref).map_or_else(|| camera.pixels(), Mask::pixels)
+    };
+    cameras.iter().enumerate().map(kept).sum()
+}
+
+/// Refuses frames whose masks keep nothing at all.
+///
+/// # Errors
+/// If every frame has a mask, and all of them are black.
+pub fn check_masks(path: &Path, masks: &[Option<Mask>]) -> Result<()> {
+    if !masks.is_empty() && masks.iter().all(|mask| mask.as_ref().is_some_and(|mask| mask.pixels() == 0)) {
+        return Err(Error::malformed(path, "masks", "pixels that were trained on", "masks that keep none"));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+
+    #[test]
+    fn pictures_are_found_however_their_names_are_written() {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::create_dir(folder.path().join("images")).unwrap();
+        for name in ["00.jpg", "01.JPG", "02.png", "r_0.5.png", "odd", "é.png"] {
+            std::fs::write(folder.path().join("images").join(name), b"").unwrap();
+        }
+        for (name, found) in [
+            ("images/00.jpg", "images/00.jpg"),
+            ("images\\00.jpg", "images/00.jpg"),
+            (".\\images\\00", "images/00.jpg"),
+            ("images/00", "images/00.jpg"),
+            ("images/00.JPG", "images/00.jpg"),
+            ("images/00.jpeg", "images/00.jpg"),
+            ("images/01.jpg", "images/01.JPG"),
+            ("images/01", "images/01.JPG"),
+            ("images/r_0.5", "images/r_0.5.png"),
+            ("images/odd", "images/odd"),
+            ("images/é", "images/é.png"),
+            // Not there.
+            ("images/03", "images/03.png"),
+            ("images\\03.jpg", "images/03.jpg"),
+        ] {
+            let path = image_path(folder.path(), name);
+            let expected: PathBuf = folder.path().join(found).components().collect();
+            assert_eq!(path.components().collect::<PathBuf>(), expected, "{name}");
+        }
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn pictures_are_found_in_folders_that_are_not_utf8() {
+        use std::os::unix::ffi::OsStrExt;
+        let folder = tempfile::tempdir().unwrap();
+        let odd = folder.path().join(std::ffi::OsStr::from_bytes(b"a\xffb"));
+        std::fs::create_dir(&odd).unwrap();
+        std::fs::write(odd.join("00.png"), b"").unwrap();
+        assert_eq!(image_path(&odd, "00"), odd.join("00.png"));
+        assert_eq!(image_path(&odd, "01"), odd.join("01.png"));
+    }
+
+    #[test]
+    fn masks_of_both_kinds_keep_what_was_trained_on() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("dynamic_mask_00.png");
+        // White in the left half, but for one grey pixel and one almost black.
+        let shade = |x: u32, y: u32| {
+            if [x, y] == [3, 1] {
+                1
+            } else if x < 2 {
+                255
+            } else {
+                0
+            }
+        };
+        image::GrayImage::from_fn(4, 2, |x, y| image::Luma([shade(x, y)])).save(&path).unwrap();
+        let camera = Camera::look_at(DVec3::X, DVec3::ZERO, DVec3::Z, 0.7, [4, 2]);
+        let kept = |mask: MaskFile, camera: Camera| {
+            let frame = Frame { mask: Some(mask), size: [4, 2], ..Frame::new(camera, "00", "") };
+            let mask = read_masks(&[frame]).unwrap().remove(0).unwrap();
+            let [w, h] = camera.resolution;
+            assert_eq!(mask.resolution(), camera.resolution);
+            (0..h).map(|y| (0..w).map(|x| if mask.keeps(x, y) { '#' } else { '.' }).collect()).collect::<Vec<String>>()
+        };
+        assert_eq!(kept(MaskFile::Kept(path.clone()), camera), ["##..", "##.#"]);
+        let beside = MaskFile::beside(&folder.path().join("00.jpg")).unwrap();
+        assert_eq!(beside, MaskFile::LeftOut(path.clone()));
+        assert_eq!(kept(beside, camera), ["..##", "..#."]);
+        assert_eq!(kept(MaskFile::Kept(path.clone()), camera.resized([2, 2])), ["#.", "##"]);
+        assert_eq!(MaskFile::beside(&folder.path().join("01.jpg")), None);
+
+        let frame = Frame { mask: Some(MaskFile::Kept(path)), size: [8, 4], ..Frame::new(camera, "00", "") };
+        let error = read_masks(&[frame]).unwrap_err().to_string();
+        assert!(error.contains("mask: expected 8 x 4 pixels, found 4 x 2 pixels"), "{error}");
+    }
+}
