@@ -44,7 +44,7 @@ fn masks(views: &Views) -> Result<Vec<Option<Mask>>> {
         let cameras = views.cameras();
         let all: u64 = cameras.iter().map(Camera::pixels).sum();
         let left_out = 100.0 * (1.0 - kept_pixels(&cameras, &masks) as f64 / all as f64);
-        eprintln!("note: masks of {masked} of {} frames leave out {left_out:.1} % of the pixels", cameras.len());
+        announce!("note: masks of {masked} of {} frames leave out {left_out:.1} % of the pixels", cameras.len());
     }
     Ok(masks)
 }
