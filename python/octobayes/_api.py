@@ -235,7 +235,7 @@ def uncertainty(
     cameras: those that the model was trained on. A file (transforms.json, or a COLMAP model), a list of dictionaries,
     or one dictionary of arrays: ``pose`` (4x4, camera-to-world, OpenGL axes), ``focal`` (pixels; one or two) or ``fov``
     (degrees), ``size`` (width, height), optional ``center``, ``k1``, ``k2``, ``p1``, ``p2``. ``None`` takes the model's
-    own. ``views`` (a number, indices or 'all') and ``resolution`` choose frames of a file and image sizes.
+    own. ``views`` (how many, or frames by their numbers in the file from 0, or 'all') and ``resolution`` choose frames of a file and image sizes.
 
     box: (low, high), corners in scene units; for a callable also where its density is zero outside. contract ('l2' or
     'linf') and inner (x, y, z, radius) cover all of space instead.

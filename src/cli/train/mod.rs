@@ -34,8 +34,8 @@ const LOOK_PIXELS: usize = 20_000;
 ///
 /// DATASET is a folder or a camera file, as `octobayes synth`, NeRF-synthetic, instant-ngp, nerfstudio and COLMAP
 /// (images and sparse/0) write them. Beside a transforms_train.json, transforms_test.json is held out for measuring.
-/// Of a transforms.json or a COLMAP model every eighth image is held out. `uncertainty`, `render`, `evaluate` and
-/// `info` read the model.
+/// If the files do not list their training images, every eighth image is held out. `uncertainty`, `render`,
+/// `evaluate` and `info` read the model.
 ///
 /// With --steps the result is the same bit for bit on any number of threads. With --time it depends on how many
 /// steps fit, hence on the machine.
@@ -54,9 +54,9 @@ pub struct Args {
     #[arg(short, long, value_name = "MODEL.safetensors")]
     output: PathBuf,
 
-    /// Training images: how many, spread over the file's order; or their indices from 0, such as 0,7,31 (`7,` for
-    /// one); or `all`, including those held out. Frames without an image are left out [default: all that are not
-    /// held out]
+    /// Training images: how many, spread over the file's order; or their numbers in the file from 0, such as 0,7,31
+    /// (`7,` for one); or `all`, including those held out. Frames without an image are left out [default: all that are
+    /// not held out]
     #[arg(long, value_name = "N|I,J,...|all", value_parser = parse_views)]
     views: Option<Selection>,
 

@@ -99,8 +99,11 @@ pub fn images(text: &str) -> Parsed<Vec<RawImage>> {
 /// A line of points: x, y and a whole number for each, or nothing.
 fn is_points(line: &str) -> bool {
     let words: Vec<&str> = line.split_whitespace().collect();
-    let is_point = |point: &[&str]| matches!(point, [x, y, number] if [x, y].iter().all(|v| v.parse::<f64>().is_ok()) && number.parse::<i64>().is_ok());
-    words.chunks(3).all(is_point)
+    let are_numbers = |words: &[&str]| words.iter().all(|word| word.parse::<f64>().is_ok());
+    words.chunks(3).all(|point| match point {
+        [x, y, number] => are_numbers(&[x, y]) && number.parse::<i64>().is_ok(),
+        _ => false,
+    })
 }
 
 /// A line of an image: its number, seven numbers, the number of a camera, and a name.
