@@ -82,6 +82,8 @@
 // Without the `cli` feature, code that only the command line or the trainer uses may be dead. Allowing that here is
 // better than a gate at every function.
 #![cfg_attr(not(feature = "cli"), allow(dead_code, unused_imports))]
+// Both macros panic if the stream cannot be written: `say!` and `announce!` of the command line do not.
+#![cfg_attr(not(test), warn(clippy::print_stderr, clippy::print_stdout))]
 
 #[cfg(feature = "cli")]
 mod cli;

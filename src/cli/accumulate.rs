@@ -46,7 +46,7 @@ impl Args {
             return Err(Error::malformed(&self.samples, "array `positions`", expected, found));
         }
         if 2 * inside < all {
-            eprintln!("warning: {found} lie in the box; likely causes: --box, units, or axes");
+            announce!("warning: {found} lie in the box; likely causes: --box, units, or axes");
         }
         Ok(())
     }

@@ -56,7 +56,7 @@ fn check_box(name: &str, model: &Aabb, field: &UncertaintyField) -> Result<()> {
 /// Refuses a field that was computed for another model; with `force` only warns. Says so on stderr if it names none.
 fn check_model(model: &ModelOptions, path: &Path, field: &UncertaintyField, force: bool) -> Result<()> {
     let Some(expected) = field.protocol().origin.model else {
-        eprintln!("note: {} does not say which model it was computed from", path.display());
+        announce!("note: {} does not say which model it was computed from", path.display());
         return Ok(());
     };
     let found = crate::open::checksum(&model.model, model.rays.coordinates)?;
@@ -68,7 +68,7 @@ fn check_model(model: &ModelOptions, path: &Path, field: &UncertaintyField, forc
     let found = format!("checksum {found:08x} of `{}`", model.model);
     if force {
         let mismatch = Error::setting(what, expected, found);
-        eprintln!("warning: {mismatch}");
+        announce!("warning: {mismatch}");
         Ok(())
     } else {
         Err(Error::setting(what, expected, format!("{found}, another model or other --coordinates (--force insists)")))
@@ -90,10 +90,10 @@ pub fn check_fields(a: (&Path, &Protocol), b: (&Path, &Protocol), force: bool) -
         if !force {
             return Err(Error::setting(what, expected, format!("{found} (--force insists)")));
         }
-        eprintln!("warning: {}", Error::setting(what, expected, found));
+        announce!("warning: {}", Error::setting(what, expected, found));
     }
     if first.origin.cameras.zip(second.origin.cameras).is_some_and(|(a, b)| a != b) {
-        eprintln!("note: the two fields were seen by different cameras");
+        announce!("note: the two fields were seen by different cameras");
     }
     Ok(())
 }

@@ -60,7 +60,7 @@ impl Args {
         check_fields((&self.a, a.protocol()), (&self.b, b.protocol()), self.force)?;
         if a.protocol().covariance != b.protocol().covariance {
             let names = [a, b].map(|f| f.protocol().covariance.name());
-            eprintln!("warning: `{}` of one field is compared with `{}` of the other", names[0], names[1]);
+            announce!("warning: `{}` of one field is compared with `{}` of the other", names[0], names[1]);
         }
         let result = crate::uncertainty::compare(opened[0].space(), opened[1].space(), self.points, self.seed)?;
         if self.json {

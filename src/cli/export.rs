@@ -122,7 +122,7 @@ impl Args {
             }
             (Kind::HyperTree, _) => {
                 if let Domain::Contracted { radius, .. } = facts.lattice().domain() {
-                    eprintln!(
+                    announce!(
                         "note: a contracted domain is written as its cube: {radius} scene units around the centre are \
                          unchanged, the rest of space is folded around them"
                     );
@@ -181,7 +181,7 @@ impl Args {
             let settings = MeshSettings { resolution: self.cells, density: self.density };
             let [vertices, triangles] = write_mesh(&self.output, shown, field.space(), settings, bars)?;
             check()?;
-            eprintln!("note: {vertices} vertices, {triangles} triangles");
+            announce!("note: {vertices} vertices, {triangles} triangles");
             return Ok(());
         }
         let views = self.cameras.read(&*model, &options.model)?;
@@ -192,7 +192,7 @@ impl Args {
             let names: Vec<String> = views.frames.into_iter().map(|frame| frame.name).collect();
             return write_report(&self.output, &found, &names, field.space());
         }
-        eprintln!("note: {} points", found.positions.len());
+        announce!("note: {} points", found.positions.len());
         let facts = field.facts();
         let matrices = self.ellipsoids.then(|| facts.matrices(facts.protocol().covariance)).transpose()?;
         write_points(&self.output, &found, field.space(), matrices.as_ref())

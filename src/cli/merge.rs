@@ -63,7 +63,7 @@ impl Args {
         let field = merge(&self.fields)?;
         let mut parts = self.fields.iter().map(|path| UncertaintyField::has_error_bars(path));
         if !self.error_bars && parts.any(|has| matches!(has, Ok(true))) {
-            eprintln!(
+            announce!(
                 "note: the fields' own error bars are not those of the whole, which has none; \
                  --error-bars compares the fields"
             );
@@ -72,7 +72,7 @@ impl Args {
         let missing = MissingShards::beside(field.draws());
         field.write(&self.output)?;
         for run in &missing {
-            eprintln!("warning: the run over {} rays is not complete: {run} missing", run.rays);
+            announce!("warning: the run over {} rays is not complete: {run} missing", run.rays);
         }
         if self.json {
             let mut value = report::protocol_json(&field);

@@ -3,7 +3,12 @@
 
 /// Prints one or more lines to stdout: `say!(…)?`.
 macro_rules! say {
-    ($($arg:tt)*) => { crate::cli::report::print(format_args!($($arg)*)) };
+    ($($arg:tt)*) => { crate::cli::streams::say(format_args!($($arg)*)) };
+}
+
+/// Prints one or more lines to stderr, or drops them if stderr cannot be written.
+macro_rules! announce {
+    ($($arg:tt)*) => { crate::cli::streams::announce(format_args!($($arg)*)) };
 }
 
 mod accumulate;
@@ -27,6 +32,7 @@ mod progress;
 mod query;
 mod render;
 mod report;
+mod streams;
 mod synth;
 mod train;
 mod uncertainty;
@@ -82,20 +88,32 @@ enum Verb {
 /// Runs the command line of this process.
 #[must_use]
 pub fn main() -> ExitCode {
-    let cli = Cli::parse();
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(error) => return usage(&error),
+    };
     if let Some(threads) = cli.threads {
         // Fails only if a pool exists already, and none does here.
         let _ = rayon::ThreadPoolBuilder::new().num_threads(usize::from(threads)).build_global();
     }
-    match run(cli.verb) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            let goes_on = if matches!(error, Error::Stopped { .. }) { "; --resume goes on" } else { "" };
-            let code = error.exit_code();
-            eprintln!("error: {}{goes_on}", flags::in_flags(error));
-            ExitCode::from(code)
-        }
+    ended(run(cli.verb))
+}
+
+/// Help goes to stdout, a wrong command line to stderr.
+fn usage(error: &clap::Error) -> ExitCode {
+    match (error.print(), error.use_stderr()) {
+        (printed, false) => ended(streams::arrived(printed)),
+        (_, true) => ExitCode::from(2),
     }
+}
+
+/// The exit code of what a verb came to. Says on stderr why it failed.
+fn ended(result: Result<()>) -> ExitCode {
+    let Err(error) = result else { return ExitCode::SUCCESS };
+    let goes_on = if matches!(error, Error::Stopped { .. }) { "; --resume goes on" } else { "" };
+    let code = error.exit_code();
+    announce!("error: {}{goes_on}", flags::in_flags(error));
+    ExitCode::from(code)
 }
 
 fn run(verb: Verb) -> Result<()> {

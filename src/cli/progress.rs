@@ -63,7 +63,7 @@ impl Bars {
         if let Some(lines) = &mut shown.lines {
             lines.printed(Instant::now());
         }
-        shown.bar.suspend(|| eprintln!("{text}"));
+        shown.bar.suspend(|| announce!("{text}"));
     }
 
     fn shown(&self) -> MutexGuard<'_, Shown> {
@@ -98,7 +98,7 @@ impl Monitor for Bars {
     fn advance(&self, units: u64) {
         let mut shown = self.shown();
         match &mut shown.lines {
-            Some(lines) => lines.advance(units, Instant::now()).iter().for_each(|line| eprintln!("{line}")),
+            Some(lines) => lines.advance(units, Instant::now()).iter().for_each(|line| announce!("{line}")),
             None => shown.bar.inc(units),
         }
     }

@@ -1,11 +1,10 @@
 //! What runs print: protocol and results, human-readable or as JSON.
 
-use std::io::Write;
-use std::path::Path;
 use std::time::Duration;
 
 use serde_json::{Value, json};
 
+use crate::Result;
 use crate::error::printable;
 use crate::estimate::{Audit, GridKind, GridSettings, Plan, SamplingError, StepCheck};
 use crate::io::memory::peak;
@@ -15,18 +14,6 @@ use crate::render::GradientMethod;
 use crate::uncertainty::{
     Answers, Comparison, Conformal, Correlations, Difference, ErrorSummary, Misfit, Summary, UncertaintyField,
 };
-use crate::{Error, Result};
-
-/// Prints a line to stdout. A reader that has seen enough (`| head`) is no failure.
-///
-/// # Errors
-/// If stdout cannot be written for another reason, such as a full disk.
-pub fn print(text: std::fmt::Arguments) -> Result<()> {
-    match writeln!(std::io::stdout(), "{text}") {
-        Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => Err(Error::io(Path::new("stdout"), "cannot write")(e)),
-        _ => Ok(()),
-    }
-}
 
 /// A number of bytes, human-readable.
 pub fn bytes(n: usize) -> String {
@@ -251,20 +238,20 @@ pub fn comparison(c: &Comparison) -> String {
 pub fn plan(plan: &Plan, grid: &GridSettings) {
     let memory = |b: f64| bytes(b as usize);
     let time = plan.time.as_secs_f64();
-    eprintln!(
+    announce!(
         "plan: level {}, about {:.2e} vertices, {} the peak of the process, a file of {}, {time:.0} s",
         grid.level,
         plan.vertices,
         memory(plan.peak()),
         memory(plan.file)
     );
-    given_up(plan).into_iter().for_each(|text| eprintln!("{text}"));
+    given_up(plan).into_iter().for_each(|text| announce!("{text}"));
 }
 
 /// Says on stderr what the field's own derivatives would save, if they would.
 pub fn own_derivatives(ratio: f64) {
     if ratio < NOTABLE {
-        eprintln!(
+        announce!(
             "note: the model knows its own derivatives; with --gradient auto its rays take about {:.0} % of the time",
             100.0 * ratio
         );
@@ -307,7 +294,7 @@ pub fn step(check: &StepCheck) {
         };
         // Only central differences may be as wide as noise asks for.
         let central = if check.is_forward { "--gradient finite-difference " } else { "" };
-        eprintln!(
+        announce!(
             "warning: with --step {} differences of the density are off by about {} (rounding and noise {}, \
              truncation {}); with {central}--step {:.2e} by {}{exact}",
             check.step,
@@ -341,20 +328,20 @@ fn step_json(check: &StepCheck) -> Value {
 /// Says on stderr what a run's approximations cost.
 pub fn audit(audit: &Audit, grid: &GridSettings) {
     let row = |name: &str, e: &SamplingError| {
-        eprintln!("  {name:<44} {:.1e} in the mean, 95 % within {:.1e}", e.mean, e.percentile_95);
+        announce!("  {name:<44} {:.1e} in the mean, 95 % within {:.1e}", e.mean, e.percentile_95);
     };
-    eprintln!("error budget in log10 U:");
+    announce!("error budget in log10 U:");
     match grid.grid {
-        GridKind::Dense => eprintln!("  {:<44} none", "coarser leaves"),
-        GridKind::Octree => eprintln!("  {:<44} at most {:.1e}, certain", "coarser leaves", grid.tolerance),
+        GridKind::Dense => announce!("  {:<44} none", "coarser leaves"),
+        GridKind::Octree => announce!("  {:<44} at most {:.1e}, certain", "coarser leaves", grid.tolerance),
     }
     row("cutoff", &audit.cutoff);
     match &audit.derivatives {
         Some(error) => row("finite differences", error),
-        None => eprintln!("  {:<44} the field's own, exact", "derivatives"),
+        None => announce!("  {:<44} the field's own, exact", "derivatives"),
     }
     let n = audit.cutoff.vertices;
-    eprintln!(
+    announce!(
         "  (measured on {} rays, {n} vertices that they moved; for the rays' own error: --rays auto)",
         audit.rays
     );
@@ -364,11 +351,11 @@ pub fn audit(audit: &Audit, grid: &GridSettings) {
 pub fn sampling_error(error: &SamplingError, rays: u64, wanted: f64) {
     let SamplingError { vertices, mean, percentile_95 } = error;
     if *vertices == 0 {
-        eprintln!("note: {rays} rays; no ray constrains anything");
+        announce!("note: {rays} rays; no ray constrains anything");
         return;
     }
     let within = if *mean <= wanted { "within" } else { "not within" };
-    eprintln!(
+    announce!(
         "note: {rays} rays; log10 U is off by {mean:.3} in the mean, 95 % by at most {percentile_95:.3} (two halves, \
          {vertices} vertices that rays moved): {within} {wanted}"
     );

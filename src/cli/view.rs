@@ -104,7 +104,7 @@ impl Args {
         let Shown { cells, bytes, bricks, is_reduced } =
             write_view(&self.output, &view, self.cells, self.size as usize, bars)?;
         if is_reduced {
-            eprintln!("note: {cells} instead of {} cells along the longest edge, to fit into --size", self.cells);
+            announce!("note: {cells} instead of {} cells along the longest edge, to fit into --size", self.cells);
         }
         let bytes = report::bytes(bytes);
         say!("{}: {bytes}, {cells} cells along the longest edge, {bricks} bricks with matter", self.output.display())

@@ -321,7 +321,7 @@ fn check_depth(folder: &Path, depth: &DepthError, model: &dyn RadianceField) -> 
         return Err(Error::malformed(folder, "depth maps", expected, found));
     }
     if depth.median > 0.1 * size {
-        eprintln!("warning: {found}, and the model is {size:.4} across; {causes}");
+        announce!("warning: {found}, and the model is {size:.4} across; {causes}");
     }
     Ok(())
 }

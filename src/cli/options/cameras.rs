@@ -41,7 +41,7 @@ impl FrameOptions {
     fn select(&self, part: Part, views: Views) -> Result<Vec<Frame>> {
         let split = FrameSplit::new(views);
         let frames = split.select(part, &self.views.clone().unwrap_or_default(), |_| true)?;
-        eprintln!("note: {}", split.describe(part, &frames));
+        announce!("note: {}", split.describe(part, &frames));
         Ok(frames)
     }
 }
@@ -58,7 +58,7 @@ impl CameraFile {
         let known = matched(&frames, model).iter().flatten().count();
         if known > 0 {
             let n = frames.len();
-            eprintln!(
+            announce!(
                 "warning: the model was trained on {known} of these {n} frames: it knows them better than others"
             );
         }
@@ -75,7 +75,7 @@ impl CameraFile {
         if views.resolution_source == ResolutionSource::Assumed {
             let [w, h] = views.frames[0].camera.resolution;
             let path = self.cameras.display();
-            eprintln!(
+            announce!(
                 "note: {path} states no image size and its images are not there: assuming {w} x {h} (--resolution)"
             );
         }
@@ -143,7 +143,7 @@ impl CameraOptions {
         let views = self.read(model, name)?;
         if self.cameras.is_none() {
             let whose = if model.training_cameras().is_empty() { "the model's own" } else { "stored in the model" };
-            eprintln!("note: {} cameras ({whose})", views.frames.len());
+            announce!("note: {} cameras ({whose})", views.frames.len());
             return Ok(views);
         }
         let (path, resolution_source) = (views.path.clone(), views.resolution_source);
@@ -153,7 +153,7 @@ impl CameraOptions {
         let known: BTreeSet<usize> = matches.iter().flatten().copied().collect();
         let (others, absent) = (matches.iter().filter(|m| m.is_none()).count(), stored - known.len());
         if stored > 0 && others + absent > 0 {
-            eprintln!(
+            announce!(
                 "warning: these are not the cameras that the model was trained on: {others} of these {} are others, \
                  {absent} of its {stored} are not among these; without --cameras those stored in the model are used",
                 frames.len()
@@ -168,7 +168,7 @@ impl CameraOptions {
 pub fn warn_of_pixels(views: &Views, pixels: u64) {
     if views.resolution_source == ResolutionSource::Assumed {
         let [w, h] = views.frames[0].camera.resolution;
-        eprintln!(
+        announce!(
             "warning: --scale data counts {pixels} training pixels, of images of {w} x {h} that neither model nor \
              cameras vouch for; with sides k times as long, U of what images constrain would be k times as small"
         );

@@ -50,7 +50,7 @@ impl DepthOptions {
                 DepthKind::Z => ("distance from the camera", "without --z-depth"),
                 _ => ("depth along the viewing axis", "with --z-depth"),
             };
-            eprintln!(
+            announce!(
                 "note: half of the depths are off by more than {found:.4} scene units; if the maps hold {kind} \
                  ({flag}), by more than {other:.4}"
             );

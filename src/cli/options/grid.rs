@@ -65,7 +65,7 @@ impl DomainOptions {
             (Some(norm), Some([x, y, z, radius]), _) => Domain::contracted(DVec3::new(x, y, z), radius, norm),
             (.., Some(domain)) => {
                 if matches!(domain, Domain::Contracted { .. }) {
-                    eprintln!("note: the field covers what the model does, {domain} (--box for a box)");
+                    announce!("note: the field covers what the model does, {domain} (--box for a box)");
                 }
                 Ok(domain)
             }
@@ -190,7 +190,7 @@ impl GridOptions {
     /// Writes a finished field and reports it.
     pub fn write(&self, field: &UncertaintyField, cost: &Cost) -> Result<()> {
         if let Some(median) = field.median_rays().filter(|&median| median < FEW_RAYS && self.min_rays == 0.0) {
-            eprintln!(
+            announce!(
                 "note: half of the vertices that moved are supported by {median} rays or fewer; --min-rays 4 shares \
                  what their neighbours saw, more --rays is better"
             );
@@ -237,7 +237,7 @@ impl OfficialOptions {
                 })?;
                 let rays = self.rays.unwrap_or_else(|| {
                     let rays = OfficialGrid::DEFAULT_RAYS;
-                    eprintln!(
+                    announce!(
                         "note: {} is taken for sums of {rays} rays, the official default; --rays",
                         path.display()
                     );

@@ -38,7 +38,7 @@ impl Threshold {
         match self {
             Self::Log10(log10) => {
                 if log10 >= prior {
-                    eprintln!("warning: no density lies above the threshold: the field's prior is {prior:.3}");
+                    announce!("warning: no density lies above the threshold: the field's prior is {prior:.3}");
                 }
                 Ok(log10)
             }
@@ -47,7 +47,7 @@ impl Threshold {
                     let expected = "a field with points on visible surfaces, for a share";
                     return Err(Error::setting("--threshold", expected, "one without (see --surface-points)"));
                 };
-                eprintln!("note: log10 U is at most {log10:.3} on {}% of the visible surfaces", 100.0 * share);
+                announce!("note: log10 U is at most {log10:.3} on {}% of the visible surfaces", 100.0 * share);
                 Ok(log10)
             }
         }
@@ -58,7 +58,7 @@ impl Threshold {
         let Self::Share(kept) = self else { return };
         let Some(removed) = removed_share(view, cleaned) else { return };
         if removed > FEW_PIXELS.max(MANY_TIMES * (1.0 - kept)) {
-            eprintln!(
+            announce!(
                 "note: the clean-up removes {:.1} % of the pixels that show matter in this view, although {}% of the \
                  visible surfaces stay: these pixels show fog, a side that no training ray saw, or what lies outside \
                  the field's box",

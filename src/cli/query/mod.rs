@@ -12,6 +12,7 @@ use self::rays::RayQuery;
 use super::files::CommandFiles;
 use super::options::OfficialOptions;
 use super::progress::Bars;
+use super::streams;
 use crate::dataset::PointReader;
 use crate::error::printable;
 use crate::io::{AtomicFile, npy};
@@ -108,7 +109,7 @@ impl Args {
             let had_error_bars = field.error_bars().is_some();
             field = field.with_covariance(covariance)?;
             if had_error_bars && field.error_bars().is_none() {
-                eprintln!("note: the field's error bars are not those of `{}`: no log10_error", covariance.name());
+                announce!("note: the field's error bars are not those of `{}`: no log10_error", covariance.name());
             }
         }
         let Some((points, input)) = points.zip(input) else { return self.answer_rays(&field, &output, bars) };
@@ -143,11 +144,7 @@ fn written(
         write(&mut file)?.map_err(Error::io(path, "cannot write"))?;
         return file.commit();
     }
-    match write(&mut std::io::stdout().lock())? {
-        // A reader that has seen enough (`| head`) is no failure.
-        Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => Err(Error::io(Path::new("stdout"), "cannot write")(e)),
-        _ => Ok(()),
-    }
+    streams::arrived(write(&mut std::io::stdout().lock())?)
 }
 
 /// Starts reading the points. Says on stderr which columns are not read.
@@ -162,7 +159,7 @@ fn open(path: &Path, format: &Format) -> Result<PointReader<'static>> {
     };
     if !points.ignored().is_empty() {
         let others = printable(&points.ignored().join(", "));
-        eprintln!("note: columns x, y and z of {} are read, others are not: {others}", path.display());
+        announce!("note: columns x, y and z of {} are read, others are not: {others}", path.display());
     }
     Ok(points)
 }
@@ -189,7 +186,7 @@ fn write_csv(
     let mut writer = csv::Writer::from_writer(out);
     let header = ["x", "y", "z", "uncertainty", "log10_uncertainty", "level", "inside", "rays", "visits", "seen"];
     if let Err(error) = writer.write_record(header.iter().chain(with_errors.then_some(&"log10_error"))) {
-        return Ok(Err(error.into()));
+        return Ok(Err(streams::of_csv(error)));
     }
     loop {
         check(bars)?;
@@ -218,7 +215,7 @@ fn write_rows<W: Write>(
         let inside = u8::from(a.inside).to_string();
         let rest = [a.uncertainty.log10().to_string(), a.level.to_string(), inside, rays, visits, seen];
         let error = with_errors.then(|| a.log10_error.map_or(String::new(), |error| error.to_string()));
-        writer.write_record(numbers.iter().chain(&rest).chain(&error))?;
+        writer.write_record(numbers.iter().chain(&rest).chain(&error)).map_err(streams::of_csv)?;
     }
     writer.flush()
 }

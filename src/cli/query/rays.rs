@@ -10,6 +10,7 @@ use crate::Result;
 use crate::cli::belongs::check_field;
 use crate::cli::options::{ModelOptions, RayOptions, numbers};
 use crate::cli::progress::Bars;
+use crate::cli::streams;
 use crate::field::Coordinates;
 use crate::geometry::Ray;
 use crate::render::{DepthProbe, DepthVariance, Occupancy, Probe, RayAverage, render_rays};
@@ -101,7 +102,7 @@ impl RayQuery {
             csv.flush()?;
             Ok(())
         };
-        Ok(write().map_err(std::io::Error::from))
+        Ok(write().map_err(streams::of_csv))
     }
 }
 

@@ -259,7 +259,7 @@ impl Args {
             return Err(Error::setting("--scale", format!("at most {MAX_PIXELS:e} pixels"), format!("{w} x {h}")));
         }
         if self.scale.is_none() {
-            eprintln!("note: a preview of {w} x {h} pixels; --scale 1 renders all {full_w} x {full_h}");
+            announce!("note: a preview of {w} x {h} pixels; --scale 1 renders all {full_w} x {full_h}");
         }
         Ok(shown)
     }

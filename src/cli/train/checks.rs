@@ -32,7 +32,7 @@ pub(super) fn check_framing(train: &[Shot], domain: &Domain) -> Result<()> {
         let expected = format!("rays that meet the box (--box); likely causes: {causes}");
         return Err(Error::setting("cameras", expected, format!("none: {measured}")));
     }
-    eprintln!("warning: the cameras see little of the space to be trained: {measured}; likely causes: {causes}");
+    announce!("warning: the cameras see little of the space to be trained: {measured}; likely causes: {causes}");
     Ok(())
 }
 
@@ -45,7 +45,7 @@ fn note_contracted_cameras(cameras: &[Camera], domain: &Domain) {
             .fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(l, h), c| (l.min(c.position), h.max(c.position)));
         let [x, y, z] = (0.5 * (low + high)).to_array();
         let radius = 0.5 * (high - low).length();
-        eprintln!(
+        announce!(
             "note: {outside} of {} cameras stand where space is contracted; --inner {x:.3},{y:.3},{z:.3},{radius:.3} \
              would hold them all",
             cameras.len()
@@ -61,7 +61,7 @@ pub(super) fn warn_of_one_color(field: &HashGrid, shots: [&[Shot]; 2], backgroun
         // A single colour shows images of one colour exactly.
         if constant.psnr.is_finite() && shown.psnr < constant.psnr + ONE_COLOR_MARGIN {
             let (shown, constant) = (shown.psnr, constant.psnr);
-            eprintln!(
+            announce!(
                 "warning: {what} images are shown with {shown:.1} dB, one colour for all gives {constant:.1} dB; \
                  likely causes: camera axes, units or --box, or too few steps or views"
             );

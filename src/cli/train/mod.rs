@@ -197,7 +197,7 @@ impl Args {
         let mut files = DatasetFiles::read(&self.dataset)?;
         self.command_files(&files.path).input("DATASET", files.path.with_file_name("transforms_test.json")).check()?;
         files.select(&self.views.clone().unwrap_or_default(), self.hemisphere)?;
-        eprintln!("note: {}", files.describe());
+        announce!("note: {}", files.describe());
         let domain = self.domain(&files)?;
         let members = (0..self.members).map(|k| self.member(k, &files)).collect::<Result<Vec<_>>>()?;
         let [train, held_out] = files.load(bars)?;
@@ -206,7 +206,7 @@ impl Args {
         for member in &members {
             if self.resume && member.path.exists() && !member.state.path.exists() {
                 check_finished(member)?;
-                eprintln!("note: {} is finished", member.path.display());
+                announce!("note: {} is finished", member.path.display());
                 continue;
             }
             models.push(self.train(member, domain, &train, &held_out, bars)?);
@@ -299,7 +299,7 @@ impl Args {
         let mut before = 0.0;
         if member.state.path.exists() {
             before = trainer.restore(&member.state.path, &member.state.key)?;
-            eprintln!("note: going on after {} steps", trainer.steps());
+            announce!("note: going on after {} steps", trainer.steps());
         }
         let run =
             Run { budget: self.budget(), held_out, pixels: LOOK_PIXELS, looks: 10, state: Some(member.state.clone()) };

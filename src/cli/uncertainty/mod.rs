@@ -214,7 +214,7 @@ fn parse_shard(text: &str) -> std::result::Result<[u64; 2], String> {
 
 fn warn_of_dropped(progress: &RunProgress) {
     if let Some(first) = progress.first_invalid {
-        eprintln!("warning: {} rays dropped, the field is not finite; first at {first:?}", progress.dropped);
+        announce!("warning: {} rays dropped, the field is not finite; first at {first:?}", progress.dropped);
     }
 }
 
@@ -259,14 +259,14 @@ impl Args {
                         self.checkpoint.iter().next().map_or("".into(), |p| p.display().to_string()),
                         checkpoint.rays(self.error_bars),
                     );
-                    eprintln!("note: {path} holds {drawn} of {rays} rays; --resume goes on");
+                    announce!("note: {path} holds {drawn} of {rays} rays; --resume goes on");
                 }
             })?;
         if let Some(error) = &sampling_error {
             report::sampling_error(error, progress.rays, grid.tolerance);
         }
         if let Some(plan) = plan.filter(|_| is_replanned) {
-            eprintln!("note: the rays took more or less memory than planned; the run started again with this plan:");
+            announce!("note: the rays took more or less memory than planned; the run started again with this plan:");
             report::plan(&plan, &grid);
         }
         warn_of_dropped(&progress);

@@ -8,7 +8,7 @@ impl Args {
     /// Refuses a run in which nothing is seen. Warns of one in which little is seen.
     pub fn check_sight(&self, sight: &Sight) -> Result<()> {
         if let Some(outside) = sight.cut_off().map(|share| 100.0 * share) {
-            eprintln!("note: {outside:.1} % of what the rays meet lies outside --box: U is the prior there");
+            announce!("note: {outside:.1} % of what the rays meet lies outside --box: U is the prior there");
         }
         let Some(mut causes) = sight.causes() else { return Ok(()) };
         // These models have two kinds of coordinates. If rays meet matter, but outside the domain, they are right.
@@ -23,7 +23,7 @@ impl Args {
             let expected = format!("rays that meet matter in the field's domain; likely causes: {causes}");
             return Err(Error::setting("cameras", expected, format!("none: {measured}")));
         }
-        eprintln!("warning: the cameras see little of the model: {measured}; likely causes: {causes}");
+        announce!("warning: the cameras see little of the model: {measured}; likely causes: {causes}");
         Ok(())
     }
 }
