@@ -151,7 +151,7 @@ impl ModelFiles {
     /// If a file cannot be read or ends early, if a lens is not perspective, or if a camera or a pose makes no
     /// sense.
     pub fn read(&self, path: &Path, requested: Option<[u32; 2]>) -> Result<Views> {
-        let bytes = |path: &Path| std::fs::read(path).map_err(Error::io(path, "cannot read"));
+        let bytes = |path: &Path| crate::io::read(path);
         let (cameras, mut images) = if self.is_binary {
             let cameras = binary::cameras(&bytes(&self.cameras)?).map_err(|e| e.in_file(&self.cameras))?;
             (cameras, binary::images(&bytes(&self.images)?).map_err(|e| e.in_file(&self.images))?)
