@@ -62,6 +62,12 @@ pub enum Error {
         /// Training steps so far.
         steps: u64,
     },
+    /// Ctrl-C; the work stopped between two of its results, and the first ones are there.
+    #[error("interrupted; {finished}")]
+    InterruptedAfter {
+        /// What is there.
+        finished: String,
+    },
     /// Ctrl-C; the work stopped between two batches and removed its temporary files.
     #[error("interrupted; no output was written")]
     Interrupted,
@@ -76,7 +82,7 @@ impl Error {
     #[must_use]
     pub const fn exit_code(&self) -> u8 {
         match self {
-            Self::Interrupted | Self::Stopped { .. } => 130,
+            Self::Interrupted | Self::InterruptedAfter { .. } | Self::Stopped { .. } => 130,
             _ => 2,
         }
     }

@@ -72,7 +72,7 @@ pub fn checksum(model: &str, coordinates: Option<Coordinates>) -> Result<u32> {
     }
     let path = Path::new(model);
     let mut hasher = crc32fast::Hasher::new();
-    hasher.update(&std::fs::read(path).map_err(Error::io(path, "cannot read"))?);
+    hasher.update(&crate::io::read(path)?);
     if path.extension().is_some_and(|extension| extension == "ppng") {
         hasher.update(coordinates.unwrap_or_default().name().as_bytes());
     }

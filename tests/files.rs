@@ -221,3 +221,72 @@ fn the_folder_of_a_checkpoint_is_looked_at_before_any_work() {
     desk.good(&format!("{RUN} -o x.oct --checkpoint x --error-bars 2"));
     assert!(desk.path("x.oct").exists() && !desk.path("x.0").exists() && !desk.path("x.1").exists());
 }
+
+/// A folder of tiles is as many inputs. A field that joins them would make the folder one that nobody can read.
+#[test]
+fn tiles_of_a_folder_that_is_read_are_inputs_and_stay_among_themselves() {
+    let desk = Desk::new();
+    let run = RUN.replace(" --keep-sums", " --scale data --psnr 20");
+    for tile in 0..2 {
+        desk.good(&format!("{run} --tile {tile}/2 -o tile{tile}.oct"));
+    }
+    // The folder need not exist.
+    desk.good("merge tile0.oct tile1.oct -o new/tiles");
+    desk.good("query new/tiles 0,0,0");
+    symlink("new/tiles", desk.path("linked")).unwrap();
+    let contents = || {
+        let paths = std::fs::read_dir(desk.path("new/tiles")).unwrap().map(|entry| entry.unwrap().path());
+        paths.map(|path| (path.clone(), std::fs::read(&path).unwrap())).collect::<BTreeMap<_, _>>()
+    };
+    let before = contents();
+    assert_eq!(before.len(), 2);
+    let views = "--cameras cameras.json --depth . --depth-encoding 0,6 --occupancy 16 --views all";
+    for (from, to) in [("new/tiles", "new/tiles"), ("linked", "new/tiles"), ("new/tiles", "linked")] {
+        let [calibrate, evaluate] = ["calibrate", "evaluate"].map(|verb| format!("{verb} model.npz {from} {views}"));
+        for (args, is_tile) in [
+            (format!("{calibrate} -o {to}/tile-000-of-002.oct"), true),
+            (format!("{evaluate} --csv {to}/tile-000-of-002.oct"), true),
+            (format!("{evaluate} --plot {to}/tile-001-of-002.oct"), true),
+            (format!("{evaluate} --clean-up {to}/tile-001-of-002.oct"), true),
+            (format!("convert {from} {to}/tile-001-of-002.oct"), true),
+            (format!("convert {from} {to}/other.oct"), false),
+            (format!("calibrate model.npz {from} {views} -o {to}/other.oct"), false),
+        ] {
+            let (code, stderr) = desk.run(&args);
+            assert_eq!(code, Some(2), "{args}: {stderr}");
+            let expected = if is_tile { "the same file as" } else { "a file in another folder than the tiles" };
+            assert!(stderr.contains(expected), "{args}: {stderr}");
+            assert!(contents() == before, "{args} touched the tiles");
+        }
+    }
+    // Files that are no fields may lie beside them.
+    desk.good("query new/tiles 0,0,0 -o new/tiles/answers.csv");
+    desk.good("query new/tiles 0,0,0 -o new/tiles/answers.csv");
+    desk.good("convert new/tiles new/whole.oct");
+    let (code, stderr) = desk.run("merge field.oct part0.oct -o joined");
+    assert!(code == Some(2) && stderr.contains("joined: file name: expected `.oct`"), "{stderr}");
+    assert!(!desk.path("joined").exists());
+}
+
+/// The demo replaces what an earlier one wrote, and nothing else.
+#[test]
+fn the_demo_replaces_its_own_files_only() {
+    let desk = Desk::new();
+    let demo = "demo --scene ball --level 4 --rays 1000 --out";
+    std::fs::create_dir(desk.path("set")).unwrap();
+    std::fs::copy(desk.path("cameras.json"), desk.path("set/transforms.json")).unwrap();
+    let (code, stderr) = desk.run(&format!("{demo} set"));
+    assert_eq!(code, Some(2), "{stderr}");
+    assert!(stderr.contains("set/transforms.json: file in --out: expected nothing, or a file that `demo`"), "{stderr}");
+    assert_eq!(std::fs::read_dir(desk.path("set")).unwrap().count(), 1);
+    for _ in 0..2 {
+        desk.good(&format!("{demo} new"));
+    }
+    std::fs::copy(desk.path("cameras.json"), desk.path("new/transforms.json")).unwrap();
+    let (code, stderr) = desk.run(&format!("{demo} new"));
+    assert!(code == Some(2) && stderr.contains("new/transforms.json: file in --out"), "{stderr}");
+    assert_eq!(
+        std::fs::read(desk.path("cameras.json")).unwrap(),
+        std::fs::read(desk.path("new/transforms.json")).unwrap()
+    );
+}

@@ -57,7 +57,7 @@ fn a_full_disk_leaves_what_was_there_and_nothing_else() {
         .unwrap();
     std::fs::write(folder.join("points.csv"), "0.1,0.2,0.3\n".repeat(300)).unwrap();
     good(folder, &format!("{RUN} --level 4 -o sampled.oct --dump-samples samples.npz"));
-    let targets = ["x.oct", "x.npy", "x.csv", "x.png", "x.exr", "x.npz", "x.chk"];
+    let targets = ["x.oct", "x.npy", "x.csv", "x.png", "x.exr", "x.npz", "x.htg", "x.ply", "x.chk"];
     let view = "render scene:ball old.oct --cameras cameras.json --frame 0 --occupancy 16";
     let commands = [
         format!("{RUN} --level 4 -o x.oct"),
@@ -70,6 +70,9 @@ fn a_full_disk_leaves_what_was_there_and_nothing_else() {
         "query old.oct points.csv -o x.npy".into(),
         format!("{view} -o x.png"),
         format!("{view} -o x.exr"),
+        "export old.oct -o x.npz".into(),
+        "export old.oct -o x.htg".into(),
+        "export scene:ball old.oct --cameras cameras.json --occupancy 16 -o x.ply".into(),
         "synth mesh.obj -o dataset --views 1 --test-views 1 --resolution 64".into(),
     ];
     for target in targets {
@@ -86,11 +89,40 @@ fn a_full_disk_leaves_what_was_there_and_nothing_else() {
         assert_eq!(output.status.code(), Some(2), "{args}: {stderr}");
         assert!(stderr.contains("cannot write") && stderr.contains("os error 27"), "{args}: {stderr}");
         assert!(!stderr.contains("panicked"), "{args}: {stderr}");
+        // One line, and nothing before it on that line.
+        let errors = stderr.lines().filter(|line| line.starts_with("error: ")).count();
+        assert!(errors == 1 && stderr.matches("os error 27").count() == 1, "{args}: {stderr}");
         assert_eq!(files(folder), before, "{args} left something behind");
         for target in targets.iter().map(|target| folder.join(target)).filter(|path| path.exists()) {
             assert_eq!(std::fs::read(&target).unwrap(), b"precious", "{args}: {} was touched", target.display());
         }
     }
+}
+
+/// Frames that are there stay, and the message says so.
+#[test]
+fn an_interrupted_sequence_says_which_frames_are_there() {
+    let folder = desk();
+    let folder = folder.path();
+    let cameras = ClosedForm::half_circle(60, [160, 160]).into_iter().enumerate();
+    let named: Vec<_> = cameras.map(|(i, camera)| (format!("r_{i}"), camera)).collect();
+    write_transforms(&folder.join("many.json"), &named).unwrap();
+    let args = "render scene:ball old.oct --cameras many.json --frames 0..60 -o frames";
+    let mut command = Command::new(PROGRAM);
+    let child = command.args(args.split(' ')).current_dir(folder).stdout(Stdio::null()).stderr(Stdio::piped());
+    let child = child.spawn().unwrap();
+    let started = std::time::Instant::now();
+    while !folder.join("frames/frame_0001.png").exists() {
+        assert!(started.elapsed().as_secs() < 120, "no frame came");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    let output = child.wait_with_output().unwrap();
+    let stderr = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(130), "{stderr}");
+    let there = files(&folder.join("frames")).len();
+    assert!((2..60).contains(&there), "{there}: the test must interrupt real progress");
+    assert!(stderr.contains(&format!("error: interrupted; frames holds {there} of 60 frames")), "{stderr}");
 }
 
 /// `/dev/full` accepts nothing.

@@ -18,7 +18,9 @@ pub fn to_python(error: &Error) -> PyErr {
             _ => PyOSError::new_err(text),
         },
         Error::NonFinite { .. } => PyFloatingPointError::new_err(text),
-        Error::Interrupted | Error::Stopped { .. } => PyKeyboardInterrupt::new_err(text),
+        Error::Interrupted | Error::InterruptedAfter { .. } | Error::Stopped { .. } => {
+            PyKeyboardInterrupt::new_err(text)
+        }
         _ => PyValueError::new_err(text),
     }
 }

@@ -133,7 +133,7 @@ impl Args {
             return say!(
                 "{}",
                 json!({
-                    "output": self.output, "conformal": conformal,
+                    "output": self.output.to_string_lossy(), "conformal": conformal,
                     "predicted_factor": predicted, "views_left_out": left_out,
                 })
             );

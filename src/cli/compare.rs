@@ -6,7 +6,7 @@ use serde_json::json;
 
 use super::belongs::check_fields;
 use super::opened::OpenedField;
-use super::options::{OfficialOptions, count};
+use super::options::{MOST_KEPT, OfficialOptions, count};
 use super::report;
 use crate::Result;
 use crate::posterior::Covariance;
@@ -22,7 +22,7 @@ pub struct Args {
     b: PathBuf,
 
     /// Random points in the box, and at most as many on surfaces
-    #[arg(long, value_name = "N", default_value_t = 1_000_000, value_parser = count::<usize>(..))]
+    #[arg(long, value_name = "N", default_value_t = 1_000_000, value_parser = count::<usize>(..=MOST_KEPT))]
     points: usize,
 
     /// Seed of the points
@@ -66,7 +66,7 @@ impl Args {
         if self.json {
             let mut value = json!(result);
             value["protocols"] = json!([report::protocol_json(a), report::protocol_json(b)]);
-            value["files"] = json!([self.a, self.b]);
+            value["files"] = json!([&self.a, &self.b].map(|path| path.to_string_lossy()));
             say!("{value}")?;
         } else {
             for (name, (path, field)) in ["A", "B"].iter().zip([(&self.a, a), (&self.b, b)]) {

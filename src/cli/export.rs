@@ -1,11 +1,11 @@
 //! `export`: files for other people's tools.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use super::belongs::check_field;
 use super::files::CommandFiles;
 use super::opened::OpenedField;
-use super::options::{CameraOptions, ModelOptions, RayOptions, Threshold, count, parse_positive};
+use super::options::{CameraOptions, MOST_KEPT, ModelOptions, RayOptions, Threshold, UTF_8, count, parse_positive};
 use super::progress::Bars;
 use crate::dataset::{Part, Views};
 use crate::export::{
@@ -33,18 +33,15 @@ use crate::{Error, Result};
 #[derive(clap::Args)]
 #[command(
     verbatim_doc_comment,
+    override_usage = "octobayes export [OPTIONS] --output <FILE> [MODEL] <FIELD.oct>",
     after_help = "Examples:\n  \
     octobayes export lego.oct -o lego.htg\n  \
-    octobayes export lego.oct lego.safetensors --mesh --threshold 99% -o lego.ply"
+    octobayes export lego.safetensors lego.oct --mesh --threshold 99% -o lego.ply"
 )]
 pub struct Args {
-    /// The field
-    #[arg(value_name = "FIELD.oct")]
-    field: PathBuf,
-
-    /// The model that it was computed from, for `.ply` and `.csv`
-    #[arg(value_name = "MODEL")]
-    model: Option<String>,
+    /// The field; before it, for `.ply` and `.csv`, the model that it was computed from
+    #[arg(value_names = ["MODEL", "FIELD.oct"], num_args = 1..=2, required = true)]
+    names: Vec<PathBuf>,
 
     /// File to write: `.npz`, `.htg`, `.ply` or `.csv`
     #[arg(short, long, value_name = "FILE")]
@@ -57,7 +54,7 @@ pub struct Args {
     rays: RayOptions,
 
     /// Pixels to look at, spread over all cameras, for points and report
-    #[arg(long, value_name = "N", default_value_t = 400_000, value_parser = count::<u64>(1..))]
+    #[arg(long, value_name = "N", default_value_t = 400_000, value_parser = count::<u64>(1..=MOST_KEPT))]
     pixels: u64,
 
     /// Add the axes of the covariance at every point, as long as one standard deviation; the field must keep its sums
@@ -106,16 +103,17 @@ impl Args {
     /// Runs the verb.
     pub fn run(mut self, bars: &Bars) -> Result<()> {
         let kind = self.kind()?;
+        let (model, path) = self.model_and_field()?;
         self.cameras.find(Part::Training);
         CommandFiles::default()
-            .input("FIELD", &self.field)
-            .inputs("MODEL", &self.model)
+            .input("FIELD", &path)
+            .inputs("MODEL", &model)
             .cameras(self.cameras.cameras.as_deref())
             .output("--output", &self.output)
             .check()?;
-        let field = OpenedField::open(&self.field)?;
+        let field = OpenedField::open(&path)?;
         let facts = field.facts();
-        match (kind, self.model.take()) {
+        match (kind, model) {
             (Kind::Leaves, _) => {
                 let matrices = facts.sums().map(|_| facts.matrices(facts.protocol().covariance)).transpose()?;
                 write_leaves(&self.output, field.space(), matrices.as_ref())?;
@@ -129,13 +127,29 @@ impl Args {
                 }
                 write_hyper_tree(&self.output, field.space())?;
             }
-            (_, Some(name)) => self.with_model(kind, name, &field, bars)?,
+            (_, Some(model)) => self.with_model(kind, model, &path, &field, bars)?,
             (_, None) => {
                 let expected = "a model beside the field, for surfaces";
                 return Err(Error::setting("MODEL", expected, "none"));
             }
         }
         say!("{}", self.output.display())
+    }
+
+    /// The model, if there is one, and the field.
+    fn model_and_field(&self) -> Result<(Option<String>, PathBuf)> {
+        match &self.names[..] {
+            [model, field] => {
+                let is_field = |path: &Path| path.extension().is_some_and(|e| e == "oct") || path.is_dir();
+                if is_field(model) && !is_field(field) {
+                    let expected = "the model before the field: `export MODEL FIELD.oct`";
+                    return Err(Error::setting("MODEL", expected, model.display().to_string()));
+                }
+                let refused = || Error::setting("MODEL", UTF_8, model.display().to_string());
+                Ok((Some(model.to_str().ok_or_else(refused)?.into()), field.clone()))
+            }
+            names => Ok((None, names.iter().collect())),
+        }
     }
 
     /// What the options ask for.
@@ -165,10 +179,10 @@ impl Args {
     }
 
     /// Writes what needs the model.
-    fn with_model(&self, kind: Kind, name: String, field: &OpenedField, bars: &Bars) -> Result<()> {
-        let options = ModelOptions { model: name, rays: self.rays };
+    fn with_model(&self, kind: Kind, model: String, path: &Path, field: &OpenedField, bars: &Bars) -> Result<()> {
+        let options = ModelOptions { model, rays: self.rays };
         let model = options.open()?;
-        check_field(&self.field, field.facts(), &options, &*model, self.force)?;
+        check_field(path, field.facts(), &options, &*model, self.force)?;
         let threshold = self.threshold.map(|threshold| threshold.log10(field.space())).transpose()?;
         let cleaned = threshold.map(|threshold| ThresholdedField::new(&*model, field.space(), threshold));
         if self.threshold.is_some() {

@@ -4,7 +4,8 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use crate::dataset::Views;
-use crate::io::{AtomicFile, Identity};
+use crate::io::{AtomicFile, Identity, folder_of};
+use crate::uncertainty::TiledField;
 use crate::{Error, Result};
 
 /// All files that a command reads and writes, by the names of their options.
@@ -17,7 +18,7 @@ pub struct CommandFiles {
 }
 
 impl CommandFiles {
-    /// Adds a file or folder to read.
+    /// Adds a file to read, or a folder: of tiles, all are read.
     pub fn input(mut self, option: &str, path: impl AsRef<Path>) -> Self {
         self.inputs.push((option.into(), path.as_ref().into()));
         self
@@ -50,20 +51,31 @@ impl CommandFiles {
         paths.into_iter().fold(self, |files, path| files.output(option, path))
     }
 
-    /// Checks that every output can be written, and that it is a different file from all others. Removes what
-    /// killed runs left of the outputs.
+    /// Checks that every output can be written, that it is a different file from all others, and that it does not
+    /// join the tiles of a folder that is read. Removes what killed runs left of the outputs.
     ///
     /// # Errors
-    /// If the folder of an output does not exist or cannot be written, if an output is no regular file, or if it
-    /// is the same as another file of the command.
+    /// If the folder of an output does not exist or cannot be written, if an output is no regular file, if it is the
+    /// same as another file of the command, or would pass for a tile.
     pub fn check(&self) -> Result<()> {
+        let folders: Vec<&(String, PathBuf)> = self.inputs.iter().filter(|(_, path)| path.is_dir()).collect();
+        let mut tiles = Vec::new();
+        for (option, folder) in folders {
+            tiles.extend(TiledField::files(folder)?.into_iter().map(|path| (option.clone(), path)));
+        }
         let mut others: HashMap<Identity, &(String, PathBuf)> = HashMap::new();
-        others.extend(self.inputs.iter().map(|input| (Identity::new(&input.1), input)));
+        others.extend(self.inputs.iter().chain(&tiles).map(|input| (Identity::new(&input.1), input)));
         for output in &self.outputs {
             let (option, path) = output;
             if let Some((other, name)) = others.insert(Identity::new(path), output) {
                 let found = format!("{}, the same file as {} of {other}", path.display(), name.display());
                 return Err(Error::setting(option, "a file of its own", found));
+            }
+            let place = |path: &Path| Identity::new(folder_of(path));
+            let is_field = path.extension().is_some_and(|extension| extension == "oct");
+            if let Some((_, tile)) = tiles.iter().find(|(_, tile)| is_field && place(tile) == place(path)) {
+                let expected = format!("a file in another folder than the tiles of {}", folder_of(tile).display());
+                return Err(Error::setting(option, expected, path.display().to_string()));
             }
             AtomicFile::clear_leftovers(path);
             drop(AtomicFile::create(path)?);

@@ -3,11 +3,12 @@
 use crate::Error;
 
 /// The library's name of a setting, and the flag that sets it.
-const FLAGS: [(&str, &str); 21] = [
+const FLAGS: [(&str, &str); 25] = [
     ("angle of view", "--fov"),
     ("checkpoint", "--checkpoint, --resume"),
     ("coordinates", "--coordinates"),
     ("criterion `density`", "--refine density"),
+    ("cutoff", "--cutoff"),
     ("dense grid", "--grid dense"),
     ("depth encoding", "--depth-encoding"),
     ("error bars", "--error-bars"),
@@ -18,8 +19,11 @@ const FLAGS: [(&str, &str); 21] = [
     ("lambda", "--lambda"),
     ("march step", "--march-step"),
     ("memory budget", "--memory"),
+    ("pixel offset", "--pixel-offset"),
+    ("points", "--points"),
     ("probability", "--probability"),
     ("ray average", "--ray-average"),
+    ("resolution", "--resolution"),
     ("run to a mean error", "--rays auto"),
     ("scale", "--scale data"),
     ("shard", "--shard"),

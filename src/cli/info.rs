@@ -5,11 +5,12 @@ use std::path::{Path, PathBuf};
 use glam::Vec3;
 use serde_json::{Value, json};
 
+use super::options::UTF_8;
 use super::report;
-use crate::Result;
 use crate::error::printable;
 use crate::posterior::Covariance;
 use crate::uncertainty::{Support, UncertaintyField};
+use crate::{Error, Result};
 
 /// Show what a field or model file holds, and its memory by part
 #[derive(clap::Args)]
@@ -135,8 +136,8 @@ impl Args {
     }
 
     fn model(&self) -> Result<()> {
-        let name = self.file.to_string_lossy();
-        let field = crate::open::open(&name)?;
+        let refused = || Error::setting("FILE", UTF_8, self.file.display().to_string());
+        let field = crate::open::open(self.file.to_str().ok_or_else(refused)?)?;
         let bounds = field.bounds();
         let cameras = field.training_cameras();
         if self.json {
@@ -151,7 +152,7 @@ impl Args {
             });
             say!("{value}")?;
         } else {
-            say!("{name}\n  {}", field.describe())?;
+            say!("{}\n  {}", self.file.display(), field.describe())?;
             say!("  box          {} to {}", bounds.min(), bounds.max())?;
             if let Some((first, last)) = cameras.first().zip(cameras.last()) {
                 let [first, last] = [first, last].map(|camera| printable(&camera.name));

@@ -27,8 +27,8 @@ pub struct Args {
     #[arg(value_name = "FIELD.oct", required = true, num_args = 2..)]
     fields: Vec<PathBuf>,
 
-    /// Where to write the joined field; for tiles also a folder that exists, in which they stay apart and can be
-    /// queried although they do not fit into memory together
+    /// Where to write the joined field; for tiles also a folder, in which they stay apart and can be queried although
+    /// they do not fit into memory together
     #[arg(short, long, value_name = "FIELD.oct")]
     output: PathBuf,
 
@@ -53,9 +53,17 @@ impl Args {
     /// Runs the verb.
     pub fn run(self) -> Result<()> {
         let files = CommandFiles::default().inputs("FIELD", &self.fields);
-        if self.output.is_dir() && self.output.extension().is_none_or(|extension| extension != "oct") {
+        let extension = self.output.extension();
+        if self.output.is_dir() && extension.is_none_or(|extension| extension != "oct") {
             files.check()?;
             return self.finish_tiles();
+        }
+        // A name without an extension means a folder, if there are tiles to put into it.
+        if extension.is_none() && !self.output.exists() && TiledField::is_tile(&self.fields[0])? {
+            files.check()?;
+            std::fs::create_dir_all(&self.output).map_err(Error::io(&self.output, "cannot create the folder"))?;
+            // Goes if nothing was put into it.
+            return self.finish_tiles().inspect_err(|_| std::fs::remove_dir(&self.output).unwrap_or_default());
         }
         files.output("--output", &self.output).check()?;
         check_field_name(&self.output)?;

@@ -57,9 +57,12 @@ struct Cli {
     verb: Verb,
 
     /// Number of threads; results do not depend on it [default: all cores]
-    #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=MOST_THREADS))]
     threads: Option<u16>,
 }
+
+/// Most threads, and CPUs of a job. Each has buffers of its own.
+const MOST_THREADS: i64 = 1024;
 
 #[derive(Subcommand)]
 enum Verb {
@@ -93,8 +96,11 @@ pub fn main() -> ExitCode {
         Err(error) => return usage(&error),
     };
     if let Some(threads) = cli.threads {
-        // Fails only if a pool exists already, and none does here.
-        let _ = rayon::ThreadPoolBuilder::new().num_threads(usize::from(threads)).build_global();
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(usize::from(threads));
+        // No pool exists yet: the system refuses so many.
+        if let Err(error) = pool.build_global() {
+            return ended(Err(Error::setting("--threads", "as many as can start", format!("{threads}: {error}"))));
+        }
     }
     ended(run(cli.verb))
 }

@@ -286,7 +286,8 @@ pub fn given_up(plan: &Plan) -> Option<String> {
 pub fn step(check: &StepCheck) {
     if check.is_bad {
         let (here, best) = (check.errors.at(check.step), check.errors.best());
-        let percent = |v: f64| format!("{:.2} %", 100.0 * v);
+        // Errors relative to the derivative itself: beyond it, their size means nothing.
+        let percent = |v: f64| if v <= 1.0 { format!("{:.2} %", 100.0 * v) } else { "more than 100 %".into() };
         let exact = if check.knows_derivatives {
             "; --gradient auto uses the field's own derivatives, which are exact"
         } else {
@@ -295,7 +296,7 @@ pub fn step(check: &StepCheck) {
         // Only central differences may be as wide as noise asks for.
         let central = if check.is_forward { "--gradient finite-difference " } else { "" };
         announce!(
-            "warning: with --step {} differences of the density are off by about {} (rounding and noise {}, \
+            "warning: with --step {} differences of the density are off by {} (rounding and noise {}, \
              truncation {}); with {central}--step {:.2e} by {}{exact}",
             check.step,
             percent(here.total()),

@@ -17,6 +17,7 @@ pub(super) fn decode(path: &Path, what: &str, resolution: [u32; 2]) -> Result<Dy
         ImageError::IoError(e) if e.raw_os_error().is_some() => Error::io(path, "cannot read")(e),
         e => Error::malformed(path, what, "a PNG or JPEG", e.to_string()),
     };
+    crate::io::refuse_pipe(path)?;
     let file = ImageReader::open(path).map_err(Error::io(path, "cannot open"))?;
     // The content decides: a JPEG named like a PNG is still a JPEG.
     let file = file.with_guessed_format().map_err(Error::io(path, "cannot read"))?;

@@ -177,7 +177,7 @@ pub(super) fn read(path: &Path, requested: Option<[u32; 2]>) -> Result<Views> {
 
 /// Parses the JSON of a camera file with at least one frame. The message names other kinds of files that it knows.
 fn parse(path: &Path) -> Result<RawFile> {
-    let bytes = std::fs::read(path).map_err(Error::io(path, "cannot read"))?;
+    let bytes = crate::io::read(path)?;
     let other = |(kind, instead): (&str, &str)| {
         Error::malformed(path, "cameras", format!("a transforms.json or a COLMAP model; {instead}"), kind)
     };

@@ -91,14 +91,22 @@ impl RaySettings {
     /// A tracer through `field`, whose occupancy grid is valid within the distance `reach`, scene units.
     ///
     /// # Errors
-    /// If the step is too small for the field's box, or [`Error::Interrupted`].
+    /// If the step is too small or too large for the field's box, a number makes no sense, or [`Error::Interrupted`].
     pub fn tracer<'a>(&self, field: &'a dyn RadianceField, reach: f64, monitor: &dyn Monitor) -> Result<Tracer<'a>> {
+        let shares = [("pixel offset", self.pixel_offset.unwrap_or(0.0)), ("cutoff", self.cutoff)];
+        if let Some((what, value)) = shares.into_iter().find(|(_, value)| !(0.0..=1.0).contains(value)) {
+            return Err(Error::setting(what, "a number from 0 to 1", format!("{value:e}")));
+        }
         let occupancy =
             if self.cutoff > 0.0 { Some(Occupancy::build(field, self.occupancy, reach, monitor)?) } else { None };
         let step = self.march_step.unwrap_or_else(|| field.suggested_step());
         let steps = field.bounds().size().length() / step;
-        if steps.is_nan() || steps > MAX_STEPS {
-            let expected = format!("at most {MAX_STEPS} steps across the field's box");
+        if !(1.0..=MAX_STEPS).contains(&steps) {
+            let expected = match steps {
+                // Samples further apart than the box is wide see nothing of what is in it.
+                ..1.0 => "at least one step across the field's box".into(),
+                _ => format!("at most {MAX_STEPS} steps across the field's box"),
+            };
             return Err(Error::setting("march step", expected, format!("{step:e} scene units, {steps:.0} steps")));
         }
         let marcher = Marcher { step, bounds: field.bounds(), occupancy, cutoff: self.cutoff };
@@ -187,9 +195,14 @@ impl RaySettings {
     /// How `field` is differentiated for `lattice`.
     ///
     /// # Errors
-    /// If the field does not provide the requested derivatives, or if the spacing of f32 positions exceeds the
-    /// finite-difference step.
+    /// If the field does not provide the requested derivatives, if the finite-difference step is longer than an edge,
+    /// or if the spacing of f32 positions exceeds it.
     pub fn differentiation<'a>(&self, field: &'a dyn RadianceField, lattice: &Lattice) -> Result<Differentiation<'a>> {
+        if let Some(step) = self.step.filter(|&step| !(step > 0.0 && step <= 1.0)) {
+            // A longer step reaches over the neighbouring vertices: it is no derivative of this one's displacement.
+            let expected = "above 0, and at most one edge of the finest lattice";
+            return Err(Error::setting("finite-difference step", expected, format!("{step:e} edges")));
+        }
         let differences = self.differences(lattice, &field.bounds());
         let analytic = self.gradient.of(field)?;
         if analytic.is_none() {

@@ -20,8 +20,8 @@ use self::file::File;
 pub use self::file::is_checkpoint;
 use super::elementary::sin_cos;
 use super::{Differentiable, Radiance, RadianceField, RadianceJet};
+use crate::Result;
 use crate::geometry::Aabb;
-use crate::{Error, Result};
 
 /// Octaves of the positional encoding for positions and directions.
 const OCTAVES: [usize; 2] = [10, 4];
@@ -131,11 +131,7 @@ impl NerfMlp {
     /// If the file cannot be read, a tensor is missing or of another shape or type, or a weight is not finite.
     pub fn read(path: &Path) -> Result<Self> {
         // A checkpoint has the state of its optimiser, too, which nobody needs in memory.
-        let bytes = if is_checkpoint(path) {
-            Vec::new()
-        } else {
-            std::fs::read(path).map_err(Error::io(path, "cannot read"))?
-        };
+        let bytes = if is_checkpoint(path) { Vec::new() } else { crate::io::read(path)? };
         let file = File::open(path, &bytes)?;
         let linear = |name: &str, outputs, inputs| {
             let weight = file.tensor(path, name, "weight", &[outputs, inputs])?;

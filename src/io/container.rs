@@ -162,7 +162,7 @@ pub(super) struct Start {
 impl Start {
     /// Opens a file of `format` or of an older version, and reads its header's bytes.
     pub fn open(path: &Path, format: Format) -> Result<Self> {
-        let file = File::open(path).map_err(Error::io(path, "cannot open"))?;
+        let file = super::open(path)?;
         let length = file.metadata().map_err(Error::io(path, "cannot read"))?.len();
         let mut file = BufReader::with_capacity(1 << 16, file);
         let magic = String::from_utf8_lossy(format.0).trim().to_string();

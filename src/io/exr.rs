@@ -42,7 +42,7 @@ pub fn write_exr(path: &Path, [width, height]: [u32; 2], channels: Vec<(&str, Ve
 /// If the file is missing or damaged, its size differs, or no channel or several could be meant.
 pub fn read_exr_depth(path: &Path, resolution: [u32; 2]) -> Result<Vec<f32>> {
     let damaged = |e: exr::error::Error| Error::malformed(path, "depth map", "an EXR image", e.to_string());
-    let file = std::fs::File::open(path).map_err(Error::io(path, "cannot open"))?;
+    let file = super::open(path)?;
     let meta = MetaData::read_from_buffered(std::io::BufReader::new(file), false).map_err(damaged)?;
     let [w, h] = resolution.map(|side| side as usize);
     if let Some(other) = meta.headers.iter().map(|header| header.layer_size).find(|size| *size != Vec2(w, h)) {

@@ -16,6 +16,7 @@ pub mod npy;
 pub mod npz;
 pub mod part;
 mod place;
+mod source;
 mod text;
 
 pub use atomic::AtomicFile;
@@ -24,4 +25,5 @@ pub use element::{Element, Index, Real};
 pub use exr::{read_exr_depth, write_exr};
 pub use mix::mix;
 pub use place::{Identity, destination, folder_of};
+pub use source::{open, read, refuse_pipe};
 pub use text::{read_text, text_of};

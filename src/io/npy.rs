@@ -203,7 +203,7 @@ pub fn read_reals(path: &Path) -> Result<Array<f32>> {
 /// # Errors
 /// If the file is missing or is not a C-order array of `T`.
 pub fn stream<T: Element>(path: &Path) -> Result<ArrayStream<T, BufReader<File>>> {
-    let file = File::open(path).map_err(Error::io(path, "cannot open"))?;
+    let file = super::open(path)?;
     let available = file.metadata().map_err(Error::io(path, "cannot read"))?.len();
     ArrayStream::new(BufReader::new(file), available, path, "data")
 }

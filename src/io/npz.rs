@@ -1,7 +1,7 @@
 //! NumPy `.npz` archives: a zip file with `.npy` members.
 
 use std::fs::File;
-use std::io::{BufReader, Write};
+use std::io::{self, BufReader, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use npyz::{AutoSerialize, Serialize};
@@ -25,7 +25,7 @@ impl NpzReader {
     /// # Errors
     /// If the file is missing or is no zip archive.
     pub fn open(path: &Path) -> Result<Self> {
-        let file = File::open(path).map_err(Error::io(path, "cannot open"))?;
+        let file = super::open(path)?;
         let archive = ZipArchive::new(BufReader::new(file))
             .map_err(|e| Error::malformed(path, "archive", "an `.npz` (zip) file", e.to_string()))?;
         Ok(Self { archive, path: path.to_path_buf() })
@@ -73,9 +73,60 @@ impl NpzReader {
     }
 }
 
+/// The file of an archive. Once a write has failed it takes all others without keeping them: a [`ZipWriter`] that is
+/// dropped completes its archive, and prints to stderr if it cannot.
+struct Target {
+    file: AtomicFile,
+    /// The first failure, and how far writing would have come.
+    failed: Option<(io::ErrorKind, u64)>,
+}
+
+impl Target {
+    /// Notes a failure.
+    fn noted<T>(&mut self, written: io::Result<T>) -> io::Result<T> {
+        written.inspect_err(|error| match error.kind() {
+            // Whoever writes tries again.
+            io::ErrorKind::Interrupted => {}
+            kind => self.failed = Some((kind, 0)),
+        })
+    }
+}
+
+impl Write for Target {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        if let Some((_, position)) = &mut self.failed {
+            *position += bytes.len() as u64;
+            return Ok(bytes.len());
+        }
+        let written = self.file.write(bytes);
+        self.noted(written)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        if self.failed.is_some() {
+            return Ok(());
+        }
+        let written = self.file.flush();
+        self.noted(written)
+    }
+}
+
+impl Seek for Target {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        if let Some((_, position)) = &mut self.failed {
+            if let SeekFrom::Start(start) = to {
+                *position = start;
+            }
+            return Ok(*position);
+        }
+        let found = self.file.seek(to);
+        self.noted(found)
+    }
+}
+
 /// An archive being written. It appears under its name with [`NpzWriter::finish`].
 pub struct NpzWriter {
-    zip: ZipWriter<AtomicFile>,
+    zip: ZipWriter<Target>,
     path: PathBuf,
 }
 
@@ -85,7 +136,8 @@ impl NpzWriter {
     /// # Errors
     /// If the folder cannot be written.
     pub fn create(path: &Path) -> Result<Self> {
-        Ok(Self { zip: ZipWriter::new(AtomicFile::create(path)?), path: path.to_path_buf() })
+        let target = Target { file: AtomicFile::create(path)?, failed: None };
+        Ok(Self { zip: ZipWriter::new(target), path: path.to_path_buf() })
     }
 
     /// Starts the member `NAME.npy`, stored uncompressed as `numpy.savez` does, and returns the stream for its bytes.
@@ -120,6 +172,10 @@ impl NpzWriter {
     /// If writing fails.
     pub fn finish(self) -> Result<()> {
         let Self { zip, path } = self;
-        zip.finish().map_err(|e| Error::io(&path, "cannot write")(e.into()))?.commit()
+        let Target { file, failed } = zip.finish().map_err(|e| Error::io(&path, "cannot write")(e.into()))?;
+        match failed {
+            Some((kind, _)) => Err(Error::io(&path, "cannot write")(kind.into())),
+            None => file.commit(),
+        }
     }
 }

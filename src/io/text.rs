@@ -9,7 +9,7 @@ use crate::{Error, Result};
 /// # Errors
 /// If the file is missing or is not UTF-8.
 pub fn read_text(path: &Path) -> Result<String> {
-    text_of(path, std::fs::read(path).map_err(Error::io(path, "cannot read"))?)
+    text_of(path, super::read(path)?)
 }
 
 /// The text of a file with these bytes, without its byte order mark.

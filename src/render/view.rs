@@ -6,9 +6,9 @@ use rayon::prelude::*;
 use super::ray_average::Asked;
 use super::trace::TraceBuffers;
 use super::{CompositingWeights, DepthProbe, Pixel, RayAverage, Tracer};
-use crate::Result;
-use crate::geometry::{Camera, Ray};
+use crate::geometry::{Camera, MAX_PIXELS, Ray};
 use crate::monitor::{Monitor, check};
+use crate::{Error, Result};
 
 /// log10 U that the official code assigns to the part of a ray that hits nothing.
 const OFFICIAL_EMPTY: f64 = -3.0;
@@ -130,6 +130,10 @@ fn render(
     monitor: &dyn Monitor,
 ) -> Result<RenderedView> {
     let [width, height] = camera.resolution;
+    if camera.pixels() as f64 > MAX_PIXELS {
+        let expected = format!("an image of at most {MAX_PIXELS:e} pixels");
+        return Err(Error::setting("resolution", expected, format!("{width} x {height}")));
+    }
     // A field that wants many points at once gets several rows: a ray asks about a few points at a time.
     let batch = probes.iter().map(|probe| probe.field.batch()).fold(tracer.field.batch(), usize::max);
     let together = batch.div_ceil(POINTS_PER_RAY * width.max(1) as usize).max(1);

@@ -96,7 +96,7 @@ impl Mesh {
     /// # Errors
     /// If the file cannot be read, or its faces are not a mesh of triangles as [`Mesh::new`] requires.
     pub fn read(path: &Path) -> Result<Self> {
-        let bytes = std::fs::read(path).map_err(Error::io(path, "cannot read"))?;
+        let bytes = crate::io::read(path)?;
         // Only positions and faces reach the parser: anything else does not matter here, even if it is damaged or
         // in a dialect. Other lines become empty, so that line numbers hold.
         let text: Vec<u8> = String::from_utf8_lossy(&bytes)

@@ -213,7 +213,7 @@ impl Description {
     pub fn checksum(path: &Path) -> Result<u32> {
         let mut checksum = crc32fast::Hasher::new();
         for file in Views::files(path) {
-            checksum.update(&std::fs::read(&file).map_err(crate::Error::io(&file, "cannot read"))?);
+            checksum.update(&crate::io::read(&file)?);
         }
         Ok(checksum.finalize())
     }

@@ -87,6 +87,9 @@ impl UncertaintyField {
     }
 }
 
+/// Most points of a comparison; they and what both fields say of them take some 10 GB.
+const MOST_COMPARED: usize = 100_000_000;
+
 /// Compares `a` with the reference `b`.
 ///
 /// log10 U is compared at `points` random points, uniform in the lattice's cube (drawn with `seed`), and at no
@@ -94,8 +97,11 @@ impl UncertaintyField {
 /// lie where its rays went, and there it would look better than it is.
 ///
 /// # Errors
-/// If the fields have different domains, or one of them cannot be read.
+/// If the fields have different domains, one of them cannot be read, or there are more than 100 million points.
 pub fn compare(a: &dyn Answers, b: &dyn Answers, points: usize, seed: u64) -> Result<Comparison> {
+    if points > MOST_COMPARED {
+        return Err(Error::setting("points", format!("at most {MOST_COMPARED}"), points.to_string()));
+    }
     let domain = a.lattice().domain();
     if domain != b.lattice().domain() {
         let text = |f: &dyn Answers| f.lattice().domain().to_string();

@@ -40,14 +40,7 @@ impl TiledField {
     /// If the folder cannot be read, or does not hold all finished tiles of one run and nothing else that ends in
     /// `.oct`.
     pub fn open(folder: &Path, room: usize) -> Result<Self> {
-        let entries = std::fs::read_dir(folder).map_err(Error::io(folder, "cannot read"))?;
-        let mut paths = Vec::new();
-        for entry in entries {
-            let path = entry.map_err(Error::io(folder, "cannot read"))?.path();
-            if path.extension().is_some_and(|extension| extension == "oct") {
-                paths.push(path);
-            }
-        }
+        let paths = Self::files(folder)?;
         let heads = paths.iter().map(|path| UncertaintyField::read_head(path)).collect::<Result<Vec<Head>>>()?;
         let mut tiles: Vec<(Option<Tile>, &PathBuf, &Head)> =
             heads.iter().zip(&paths).map(|(head, path)| (head.tile, path, head)).collect();
@@ -83,6 +76,25 @@ impl TiledField {
         let (protocol, lattice) = (head.protocol.clone(), head.lattice);
         let tiles = tiles.into_iter().map(|(_, path, _)| path.clone()).collect();
         Ok(Self { tiles, protocol, lattice, room, loaded: Mutex::new(LruCache::unbounded()) })
+    }
+
+    /// The files in `folder` that opening it reads.
+    ///
+    /// # Errors
+    /// If the folder cannot be read.
+    pub(crate) fn files(folder: &Path) -> Result<Vec<PathBuf>> {
+        let entries = std::fs::read_dir(folder).map_err(Error::io(folder, "cannot read"))?;
+        let paths = entries.map(|entry| Ok(entry.map_err(Error::io(folder, "cannot read"))?.path()));
+        let is_tile = |path: &PathBuf| path.extension().is_some_and(|extension| extension == "oct");
+        paths.filter(|path| path.as_ref().map_or(true, is_tile)).collect()
+    }
+
+    /// Whether a file holds a tile, finished or not.
+    ///
+    /// # Errors
+    /// If its header cannot be read.
+    pub(crate) fn is_tile(path: &Path) -> Result<bool> {
+        UncertaintyField::read_head(path).map(|head| head.tile.is_some())
     }
 
     /// Number of tiles.

@@ -6,7 +6,7 @@ import numpy as np
 import trimesh
 from plyfile import PlyData
 
-BALL = "ball.oct scene:ball --resolution 48 --occupancy 48"
+BALL = "scene:ball ball.oct --resolution 48 --occupancy 48"
 RADIUS = 0.5
 
 

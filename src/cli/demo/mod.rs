@@ -1,5 +1,6 @@
 //! `demo`: the whole pipeline, for users who have no model yet.
 
+mod made;
 mod matter;
 mod model;
 mod scene;
@@ -11,10 +12,11 @@ use std::time::{Duration, Instant};
 
 use glam::Vec3;
 
+use self::made::{LIST, Made};
 use self::matter::{Matter, Shares};
 use self::scene::{DemoScene, TOLERANCE};
 use super::files::CommandFiles;
-use super::options::count;
+use super::options::{MOST, UTF_8, count};
 use super::panels::{Ranges, depth_range, error_range, unknowns, view_panels};
 use super::progress::Bars;
 use super::report;
@@ -53,6 +55,8 @@ const LEAST_BAR: f64 = 1.0;
 ///
 /// With --scene, uses a built-in scene instead of a trained model. Some scenes are hard, each in one way: for
 /// these it prints what to expect beside what was measured.
+///
+/// Replaces files of an earlier demo, which demo.json in the folder lists, and no others.
 #[derive(clap::Args)]
 pub struct Args {
     /// Folder for the results
@@ -69,7 +73,7 @@ pub struct Args {
     level: Option<u8>,
 
     /// Rays
-    #[arg(long, default_value_t = 200_000, value_parser = count::<u64>(1000..))]
+    #[arg(long, default_value_t = 200_000, value_parser = count::<u64>(1000..=MOST))]
     rays: u64,
 }
 
@@ -79,11 +83,23 @@ impl Args {
         if self.scene.as_deref() == Some("list") {
             return say!("{}", scene::list());
         }
+        if self.out.to_str().is_none() {
+            return Err(Error::setting("--out", UTF_8, self.out.display().to_string()));
+        }
         let named = self.scene.as_deref().map(scene::subject).transpose()?;
         std::fs::create_dir_all(&self.out).map_err(Error::io(&self.out, "cannot create the folder"))?;
         let model = self.scene.is_none().then_some(MODEL);
         let results = ["view.html", "demo.png", "field.oct", "dense.oct", "transforms.json"].into_iter().chain(model);
-        CommandFiles::default().outputs("a file in --out", results.map(|name| self.out.join(name))).check()?;
+        let files = results.clone().chain([LIST]).map(|name| self.out.join(name));
+        CommandFiles::default().outputs("a file in --out", files).check()?;
+        let made = Made::claim(&self.out, results)?;
+        self.results(named, bars).map_err(|error| made.after(error))?;
+        made.finish()?;
+        self.suggest()
+    }
+
+    /// Writes all results, and prints what they are.
+    fn results(&self, named: Option<DemoScene>, bars: &Bars) -> Result<()> {
         let subject = match named {
             Some(subject) => subject,
             None => self.trained(bars)?,
@@ -111,8 +127,7 @@ impl Args {
         for (field, name) in [(octree, "field.oct"), (dense, "dense.oct")] {
             field.clone().for_queries().with_model(checksum).write(&self.out.join(name))?;
         }
-        write_transforms(&self.out.join("transforms.json"), &subject.cameras)?;
-        self.suggest()
+        write_transforms(&self.out.join("transforms.json"), &subject.cameras)
     }
 
     /// Trains the model and writes its file.

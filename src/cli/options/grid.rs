@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 use glam::DVec3;
 
-use super::numbers::count;
+use super::numbers::{MOST, MOST_KEPT, count};
 use super::parse::{numbers, parse_box, parse_bytes, parse_non_negative, parse_positive, parse_tile};
 use super::scale::{ScaleOptions, TrainingPixels};
 use crate::cli::opened::OpenedField;
@@ -138,7 +138,7 @@ pub struct GridOptions {
     pub keep_sums: bool,
 
     /// Points on visible surfaces to keep in the file, for `compare`
-    #[arg(long, value_name = "N", default_value_t = 16_384, value_parser = count::<usize>(..))]
+    #[arg(long, value_name = "N", default_value_t = 16_384, value_parser = count::<usize>(..=MOST_KEPT))]
     pub surface_points: usize,
 
     /// Print one JSON object
@@ -174,6 +174,10 @@ impl GridOptions {
     fn level_over(&self, domain: &Domain) -> Result<u8> {
         let Some(size) = self.cell_size else { return Ok(self.level) };
         let longest = domain.size().max_element();
+        if size >= longest {
+            let expected = format!("less than {longest:e}, the longest edge of this domain");
+            return Err(Error::setting("--cell-size", expected, format!("{size:e}")));
+        }
         let level = (longest / size).log2().ceil().max(1.0);
         if level <= f64::from(MAX_LEVEL) {
             Ok(level as u8)
@@ -217,7 +221,7 @@ pub struct OfficialOptions {
     pub bounds: Option<Aabb>,
 
     /// Number of rays summed in the official code's `.npy` grids [default: 4096000]
-    #[arg(long, value_parser = count::<u64>(1..))]
+    #[arg(long, value_parser = count::<u64>(1..=MOST))]
     pub rays: Option<u64>,
 }
 

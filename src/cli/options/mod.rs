@@ -11,10 +11,10 @@ mod threshold;
 pub use cameras::{CameraFile, CameraOptions, FrameOptions, warn_of_pixels};
 pub use depth::DepthOptions;
 pub use grid::{DomainOptions, GridOptions, OfficialOptions, check_field_name};
-pub use numbers::{count, parse_interval, parse_time};
+pub use numbers::{MOST, MOST_KEPT, count, parse_interval, parse_time};
 pub use parse::{
-    Resolution, numbers, parse_background, parse_box, parse_bytes, parse_frames, parse_non_negative, parse_pair,
-    parse_positive, parse_probability, parse_range, parse_resolution, parse_views, scaled,
+    Resolution, UTF_8, model_name, numbers, parse_background, parse_box, parse_bytes, parse_frames, parse_non_negative,
+    parse_pair, parse_positive, parse_probability, parse_range, parse_resolution, parse_share, parse_views, scaled,
 };
 pub use scale::TrainingPixels;
 pub use threshold::Threshold;
@@ -68,7 +68,7 @@ impl ValueEnum for RayAverage {
 pub struct ModelOptions {
     /// The trained model: a `.safetensors` hash grid (of `octobayes train`) or MLP NeRF, a `.ppng` Plenoptic PNG,
     /// an `.npz` voxel grid (density, color, box), or `scene:NAME` for a built-in scene
-    #[arg(value_name = "MODEL")]
+    #[arg(value_name = "MODEL", value_parser = model_name())]
     pub model: String,
 
     #[command(flatten)]
@@ -93,7 +93,7 @@ pub struct RayOptions {
 
     /// Where rays pass through a pixel: 0.5 for its centre, 0 for its upper left corner [default: as the model
     /// was trained]
-    #[arg(long, value_name = "OFFSET", value_parser = parse_non_negative)]
+    #[arg(long, value_name = "OFFSET", value_parser = parse_share)]
     pub pixel_offset: Option<f64>,
 
     /// Cells per axis of the occupancy grid that lets rays skip empty space

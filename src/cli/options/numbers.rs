@@ -68,6 +68,13 @@ fn digits(text: &str) -> Option<String> {
     is_sound.then(|| parts().collect())
 }
 
+/// Most that a command line may ask for of what takes time and not memory, such as rays: sums of so many stay exact.
+pub const MOST: u64 = 1_000_000_000_000_000;
+/// Most that it may ask for of what is kept in memory, such as points.
+pub const MOST_KEPT: u64 = 100_000_000;
+/// Longest time, ten years, far from where clocks overflow.
+const LONGEST: Duration = Duration::from_secs(10 * 365 * 86_400);
+
 /// What [`parse_time`] and [`parse_interval`] take, in words.
 const TIMES: &str = "such as 90s, 5min, 1.5h or 1h30m; a number alone is seconds";
 
@@ -105,7 +112,7 @@ fn time(text: &str) -> Option<Duration> {
         rest = behind.trim_start();
         is_first = false;
         if rest.is_empty() {
-            return Duration::try_from_secs_f64(seconds).ok();
+            return Duration::try_from_secs_f64(seconds).ok().filter(|time| *time <= LONGEST);
         }
     }
 }
@@ -185,7 +192,9 @@ mod tests {
             assert_eq!(parse_time(text), Ok(Duration::from_secs_f64(seconds)), "{text}");
             assert_eq!(parse_time(text), parse_interval(text));
         }
-        for text in ["", "-1s", "m", "3x", "1h30", "30 1h", "1e30h", "99999999999999999999h", "1..2s", "s1", "5 é"] {
+        for text in
+            ["", "-1s", "m", "3x", "1h30", "30 1h", "1e30h", "99999999999999999999h", "3651d", "1..2s", "s1", "5 é"]
+        {
             assert!(parse_time(text).unwrap_err().contains("1h30m"), "{text}");
             assert!(parse_interval(text).is_err(), "{text}");
         }

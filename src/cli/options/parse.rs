@@ -1,11 +1,29 @@
 //! Parsers of option values.
 
+use clap::builder::{OsStringValueParser, TypedValueParser};
 use glam::{DVec3, Vec3};
 
 use crate::dataset::Selection;
-use crate::geometry::{Aabb, Camera};
+use crate::geometry::{Aabb, Camera, MAX_PIXELS};
 use crate::octree::Tile;
 use crate::posterior::DataScale;
+
+/// Largest coordinate, and other number of a list, that a command line may have: f32 positions are 64 apart there.
+const FARTHEST: f64 = 1e9;
+/// Shortest edge of a box.
+const SHORTEST: f64 = 1e-9;
+/// Numbers that a command line may have apart from 0: their squares and inverses are numbers, too, and f32 holds them.
+const RANGE: std::ops::RangeInclusive<f64> = 1e-30..=1e30;
+/// Angles of view, degrees. Outside, rays are parallel or longer than any number.
+const ANGLES: std::ops::RangeInclusive<f64> = 1e-3..=179.9;
+
+/// What the name of a model is, which stands in messages and files.
+pub const UTF_8: &str = "a path in UTF-8 (rename the file, or make a link to it)";
+
+/// The name of a model.
+pub fn model_name() -> impl TypedValueParser<Value = String> {
+    OsStringValueParser::new().try_map(|name| name.into_string().map_err(|_| format!("expected {UTF_8}")))
+}
 
 /// Numbers separated by commas.
 pub fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
@@ -13,8 +31,8 @@ pub fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
         .split(',')
         .map(|part| part.trim().parse::<f64>().map_err(|_| format!("`{part}` is not a number")))
         .collect::<Result<_, _>>()?;
-    if parts.iter().any(|v| !v.is_finite()) {
-        return Err("numbers must be finite".into());
+    if parts.iter().any(|v| v.is_nan() || v.abs() > FARTHEST) {
+        return Err(format!("numbers must be finite, from -{FARTHEST:e} to {FARTHEST:e}"));
     }
     <[f64; N]>::try_from(parts)
         .map_err(|parts| format!("expected {N} numbers separated by commas, found {}", parts.len()))
@@ -23,7 +41,11 @@ pub fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
 /// `x0,y0,z0,x1,y1,z1`.
 pub fn parse_box(text: &str) -> Result<Aabb, String> {
     let [x0, y0, z0, x1, y1, z1] = numbers::<6>(text)?;
-    Aabb::new(DVec3::new(x0, y0, z0), DVec3::new(x1, y1, z1)).map_err(|e| e.to_string())
+    let bounds = Aabb::new(DVec3::new(x0, y0, z0), DVec3::new(x1, y1, z1)).map_err(|e| e.to_string())?;
+    if bounds.size().min_element() < SHORTEST {
+        return Err(format!("edges must be {SHORTEST:e} or longer"));
+    }
+    Ok(bounds)
 }
 
 /// `offset,scale`.
@@ -111,7 +133,15 @@ pub fn parse_resolution(text: &str) -> Result<Resolution, String> {
         _ => Err(format!("`{text}` is not a whole number of pixels from 1 to 65536")),
     };
     match text.split_once('x') {
-        Some((w, h)) => Ok(Resolution::Size([side(w)?, side(h)?])),
+        Some((w, h)) => {
+            let size = [side(w)?, side(h)?];
+            let pixels = f64::from(size[0]) * f64::from(size[1]);
+            if pixels <= MAX_PIXELS {
+                Ok(Resolution::Size(size))
+            } else {
+                Err(format!("at most {MAX_PIXELS:e} pixels"))
+            }
+        }
         None => Ok(Resolution::Width(side(text)?)),
     }
 }
@@ -119,8 +149,16 @@ pub fn parse_resolution(text: &str) -> Result<Resolution, String> {
 /// A finite number above 0.
 pub fn parse_positive(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
-        Ok(v) if v > 0.0 && v.is_finite() => Ok(v),
-        _ => Err("expected a finite number above 0".into()),
+        Ok(v) if RANGE.contains(&v) => Ok(v),
+        _ => Err(format!("expected a finite number above 0, from {:e} to {:e}", RANGE.start(), RANGE.end())),
+    }
+}
+
+/// A share, such as a weight: 0 to 1.
+pub fn parse_share(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(v) if (0.0..=1.0).contains(&v) => Ok(v),
+        _ => Err("expected a number from 0 to 1".into()),
     }
 }
 
@@ -167,16 +205,16 @@ pub fn parse_psnr(text: &str) -> Result<f64, String> {
 /// A finite number, 0 or more.
 pub fn parse_non_negative(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
-        Ok(v) if v >= 0.0 && v.is_finite() => Ok(v),
-        _ => Err("expected a finite number, 0 or more".into()),
+        Ok(v) if v == 0.0 || RANGE.contains(&v) => Ok(v),
+        _ => Err(format!("expected a finite number, 0 or more: 0, or from {:e} to {:e}", RANGE.start(), RANGE.end())),
     }
 }
 
 /// An angle of view in degrees.
 pub fn parse_fov(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
-        Ok(v) if v > 0.0 && v < 180.0 => Ok(v),
-        _ => Err("expected an angle above 0 and below 180 degrees".into()),
+        Ok(v) if ANGLES.contains(&v) => Ok(v),
+        _ => Err(format!("expected an angle from {} to {} degrees", ANGLES.start(), ANGLES.end())),
     }
 }
 
@@ -229,19 +267,28 @@ mod tests {
         assert!(parse_box("-1,-1,-1,1,1,1").is_ok());
         assert!(parse_box("1,1,1,-1,-1,-1").unwrap_err().contains("min < max"));
         assert!(parse_box("1,2,3").unwrap_err().contains("6 numbers"));
+        assert!(parse_box("-1e9,-1,-1,1e9,1,1").is_ok() && parse_box("-1,-1,-1,1.1e9,1,1").is_err());
+        assert!(parse_box("0,0,0,1e-9,1,1").is_ok() && parse_box("0,0,0,9e-10,1,1").is_err());
         assert_eq!(parse_background("0,0.5,1"), Ok(Vec3::new(0.0, 0.5, 1.0)));
         assert!(parse_background("0,0.5,2").is_err() && parse_background("red").is_err());
         assert_eq!(parse_resolution("80x60"), Ok(Resolution::Size([80, 60])));
         assert_eq!(parse_resolution("80"), Ok(Resolution::Width(80)));
         assert!(parse_resolution("0").is_err() && parse_resolution("8x").is_err());
+        assert!(parse_resolution("10000x10000").is_ok() && parse_resolution("10000x10001").is_err());
         assert_eq!(parse_views("10"), Ok(Selection::Count(10)));
         assert_eq!(parse_views("7,0,31,7"), Ok(Selection::Indices(vec![0, 7, 31])));
         assert_eq!(parse_views("7,"), Ok(Selection::Indices(vec![7])));
         assert_eq!(parse_views("all"), Ok(Selection::BothParts));
         assert!(["0", "", "-1", "1,x", ","].iter().all(|text| parse_views(text).is_err()));
-        assert!(parse_fov("60").is_ok() && parse_fov("180").is_err() && parse_fov("nan").is_err());
+        assert!(parse_fov("60").is_ok() && ["179.91", "9e-4", "nan"].iter().all(|text| parse_fov(text).is_err()));
         assert_eq!((parse_bytes("2GiB"), parse_bytes("1.5 kB"), parse_bytes("7")), (Ok(2 << 30), Ok(1500), Ok(7)));
         assert!(parse_bytes("2 lines").is_err() && parse_bytes("0").is_err() && parse_bytes("1e30").is_err());
         assert!(parse_positive("-1").is_err() && parse_positive("nan").is_err() && parse_non_negative("0").is_ok());
+        for parse in [parse_positive, parse_non_negative] {
+            assert!(parse("1e30").is_ok() && parse("1e-30").is_ok());
+            assert!(["1.1e30", "9e-31", "-1", "inf", "nan", ""].iter().all(|text| parse(text).is_err()));
+        }
+        assert!(["0", "1"].iter().all(|text| parse_share(text).is_ok()));
+        assert!(["-1e-9", "1.1", "nan", ""].iter().all(|text| parse_share(text).is_err()));
     }
 }

@@ -13,6 +13,7 @@ use serde_json::json;
 use self::forecast::Forecast;
 use self::slurm::Script;
 use self::words::Words;
+use super::MOST_THREADS;
 use super::files::CommandFiles;
 use super::options::check_field_name;
 use super::progress::Bars;
@@ -59,7 +60,7 @@ pub struct Args {
 
     /// CPUs of each job, which runs as many threads
     #[arg(long, value_name = "N", requires = "slurm", default_value_t = 2,
-          value_parser = clap::value_parser!(u16).range(1..))]
+          value_parser = clap::value_parser!(u16).range(1..=MOST_THREADS))]
     cpus: u16,
 }
 

@@ -90,8 +90,8 @@ impl Script {
             "cpus": self.cpus,
             "shard": shard,
             "merge": merge,
-            "parts": self.parts,
-            "field": self.field,
+            "parts": self.parts.to_string_lossy(),
+            "field": self.field.to_string_lossy(),
         })
     }
 

@@ -15,7 +15,7 @@ use super::progress::Bars;
 use super::streams;
 use crate::dataset::PointReader;
 use crate::error::printable;
-use crate::io::{AtomicFile, npy};
+use crate::io::{AtomicFile, npy, refuse_pipe};
 use crate::monitor::check;
 use crate::posterior::Covariance;
 use crate::uncertainty::{Answer, Answers, Knowledge, UncertaintyField};
@@ -26,10 +26,11 @@ const BATCH: usize = 1 << 18;
 
 /// Query the uncertainty at points, or the depth of rays and its deviation
 ///
-/// POINTS is `.npy` (N x 3, numbers of any type) or `.csv`, in scene units. If the first row of a `.csv` names its
-/// columns, those named x, y and z are read, in any order; without names there are exactly three. OUT is `.npy`
-/// (f64, N x 2: uncertainty, log10 uncertainty) or `.csv` (x,y,z,uncertainty,log10_uncertainty,level,inside,rays,
-/// visits,seen). `-` is CSV on stdin or stdout. Points outside the box get the prior and inside = 0.
+/// POINTS are points x,y,z in scene units, or one file of them: `.npy` (N x 3, numbers of any type) or `.csv`. If the
+/// first row of a `.csv` names its columns, those named x, y and z are read, in any order; without names there are
+/// exactly three. OUT is `.npy` (f64, N x 2: uncertainty, log10 uncertainty) or `.csv` (x,y,z,uncertainty,
+/// log10_uncertainty,level,inside,rays,visits,seen). `-` is CSV on stdin or stdout. Points outside the box get the
+/// prior and inside = 0.
 ///
 /// `visits` counts the training rays that reached the space around a point with half of their light; `seen` is
 /// `constrained` (moving the point changes training pixels), `free` (rays passed and met nothing) or `unseen`.
@@ -39,7 +40,8 @@ const BATCH: usize = 1 << 18;
 /// A field with error bars adds a column, `log10_error`: the root mean square error of log10 U, in decades. Where
 /// too few rays passed to know it, it is empty in `.csv` and NaN in `.npy`.
 #[derive(clap::Args)]
-#[command(after_help = "Examples:\n  echo 0,0,0.5 | octobayes query lego.oct -\n  \
+#[command(after_help = "Examples:\n  octobayes query lego.oct 0,0,0.5 -0.2,0,0.5\n  \
+    octobayes query lego.oct points.csv -o answers.csv\n  \
     octobayes query lego.oct --ray 0,-3,0.5,0,1,0 --model lego.safetensors")]
 pub struct Args {
     /// The field: `.oct`, a folder of its tiles, or the official code's `.npy`
@@ -47,9 +49,10 @@ pub struct Args {
     /// Tiles are read when a point in them is asked for, and kept as long as half of the free memory holds them.
     field: PathBuf,
 
-    /// Points: `.npy`, `.csv`, or `-`
-    #[arg(required_unless_present = "ray", conflicts_with = "ray")]
-    points: Option<PathBuf>,
+    /// Points x,y,z; or one file of points: `.npy`, `.csv`, or `-`
+    // A point may begin with a minus.
+    #[arg(required_unless_present = "ray", conflicts_with = "ray", allow_hyphen_values = true)]
+    points: Vec<PathBuf>,
 
     #[command(flatten)]
     rays: RayQuery,
@@ -74,6 +77,40 @@ enum Format {
     Stream,
 }
 
+/// Where points come from.
+enum Source {
+    File(PathBuf, Format),
+    /// The command line, as rows of CSV.
+    Typed(String),
+}
+
+impl Source {
+    /// What POINTS mean; `None` if there are none.
+    fn of(points: &[PathBuf]) -> Result<Option<Self>> {
+        let numbers = |text: &str| text.contains(',') && text.split(',').all(|n| n.trim().parse::<f64>().is_ok());
+        let typed = |point: &PathBuf| point.to_str().filter(|text| numbers(text)).map(str::to_string);
+        match points {
+            [] => Ok(None),
+            [file] if typed(file).is_none() => Ok(Some(Self::File(file.clone(), format(file)?))),
+            several => match several.iter().find(|point| typed(point).is_none()) {
+                Some(other) => {
+                    let expected = "one file, or points as x,y,z without spaces, such as 0,0,0.5";
+                    Err(Error::setting("POINTS", expected, format!("{} among others", other.display())))
+                }
+                None => Ok(Some(Self::Typed(several.iter().filter_map(typed).collect::<Vec<_>>().join("\n")))),
+            },
+        }
+    }
+
+    /// The file, if it is one.
+    fn file(&self) -> Option<&Path> {
+        match self {
+            Self::File(path, Format::Npy | Format::Csv) => Some(path),
+            _ => None,
+        }
+    }
+}
+
 fn format(path: &Path) -> Result<Format> {
     match (path.to_str(), path.extension().and_then(|e| e.to_str())) {
         (Some("-"), _) => Ok(Format::Stream),
@@ -86,23 +123,26 @@ fn format(path: &Path) -> Result<Format> {
 impl Args {
     /// Runs the verb.
     pub fn run(mut self, bars: &Bars) -> Result<()> {
-        let points = self.points.take();
-        let input = points.as_deref().map(format).transpose()?;
+        let source = Source::of(&std::mem::take(&mut self.points))?;
         let output = format(&self.output)?;
-        // Whoever waits for stdin cannot look whether to stop, and ends at once.
-        if input != Some(Format::Stream) {
+        // Whoever waits for stdin or a pipe cannot look whether to stop, and ends at once.
+        let waits = match &source {
+            Some(Source::File(path, format)) => *format == Format::Stream || refuse_pipe(path).is_err(),
+            _ => false,
+        };
+        if !waits {
             bars.listen();
         }
         let named = |path: &Path| (path != Path::new("-")).then(|| path.to_path_buf());
         CommandFiles::default()
             .input("FIELD", &self.field)
-            .inputs("POINTS", points.as_deref().and_then(named))
+            .inputs("POINTS", source.as_ref().and_then(Source::file))
             .inputs("--model", &self.rays.model)
             .outputs("--output", named(&self.output))
             .check()?;
         let field = self.official.open(&self.field)?;
-        if let (None, Some(points), Some(input)) = (self.covariance, &points, &input) {
-            return self.answer_points(field.space(), open(points, input)?, &output, bars);
+        if let (None, Some(source)) = (self.covariance, &source) {
+            return self.answer_points(field.space(), open(source)?, &output, bars);
         }
         let mut field = field.whole()?;
         if let Some(covariance) = self.covariance {
@@ -112,8 +152,8 @@ impl Args {
                 announce!("note: the field's error bars are not those of `{}`: no log10_error", covariance.name());
             }
         }
-        let Some((points, input)) = points.zip(input) else { return self.answer_rays(&field, &output, bars) };
-        self.answer_points(&field, open(&points, &input)?, &output, bars)
+        let Some(source) = source else { return self.answer_rays(&field, &output, bars) };
+        self.answer_points(&field, open(&source)?, &output, bars)
     }
 
     fn answer_points(&self, field: &dyn Answers, mut points: PointReader, to: &Format, bars: &Bars) -> Result<()> {
@@ -144,18 +184,25 @@ fn written(
         write(&mut file)?.map_err(Error::io(path, "cannot write"))?;
         return file.commit();
     }
-    streams::arrived(write(&mut std::io::stdout().lock())?)
+    let written = write(&mut std::io::stdout().lock()).map_err(|error| match error {
+        Error::Interrupted => Error::InterruptedAfter { finished: "more answers were to come".into() },
+        other => other,
+    });
+    streams::arrived(written?)
 }
 
 /// Starts reading the points. Says on stderr which columns are not read.
-fn open(path: &Path, format: &Format) -> Result<PointReader<'static>> {
-    let points = match format {
-        Format::Npy => PointReader::npy(path)?,
-        Format::Csv => {
+fn open(source: &Source) -> Result<PointReader<'_>> {
+    let (points, path) = match source {
+        Source::File(path, Format::Npy) => (PointReader::npy(path)?, path.as_path()),
+        Source::File(path, Format::Csv) => {
             let file = File::open(path).map_err(Error::io(path, "cannot open"))?;
-            PointReader::csv(BufReader::new(file), path)?
+            (PointReader::csv(BufReader::new(file), path)?, path.as_path())
         }
-        Format::Stream => PointReader::csv(std::io::stdin().lock(), Path::new("stdin"))?,
+        Source::File(_, Format::Stream) => {
+            (PointReader::csv(std::io::stdin().lock(), Path::new("stdin"))?, Path::new("stdin"))
+        }
+        Source::Typed(rows) => (PointReader::csv(rows.as_bytes(), Path::new("POINTS"))?, Path::new("POINTS")),
     };
     if !points.ignored().is_empty() {
         let others = printable(&points.ignored().join(", "));

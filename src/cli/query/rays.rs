@@ -8,7 +8,7 @@ use glam::{DVec3, Vec3};
 
 use crate::Result;
 use crate::cli::belongs::check_field;
-use crate::cli::options::{ModelOptions, RayOptions, numbers};
+use crate::cli::options::{ModelOptions, RayOptions, model_name, numbers};
 use crate::cli::progress::Bars;
 use crate::cli::streams;
 use crate::field::Coordinates;
@@ -33,7 +33,7 @@ pub struct RayQuery {
     pub ray: Vec<Ray>,
 
     /// The model that the rays of --ray pass through
-    #[arg(long, value_name = "MODEL", requires = "ray")]
+    #[arg(long, value_name = "MODEL", value_parser = model_name(), requires = "ray")]
     pub model: Option<String>,
 
     /// Scene units and axes of a `.ppng` model [default: ngp]

@@ -13,7 +13,9 @@ use self::studio::Studio;
 use super::belongs::check_field;
 use super::files::CommandFiles;
 use super::opened::OpenedField;
-use super::options::{CameraOptions, ModelOptions, Threshold, parse_frames, parse_positive, parse_range, scaled};
+use super::options::{
+    CameraOptions, MOST_KEPT, ModelOptions, Threshold, count, parse_frames, parse_positive, parse_range, scaled,
+};
 use super::progress::Bars;
 use super::report;
 use crate::dataset::{Frame, Part};
@@ -51,7 +53,7 @@ pub struct Args {
     cameras: CameraOptions,
 
     /// Frame of the camera file, or camera of the model, counted from 0
-    #[arg(long, value_name = "K", default_value_t = 0)]
+    #[arg(long, value_name = "K", default_value_t = 0, value_parser = count::<usize>(..=MOST_KEPT))]
     frame: usize,
 
     /// Size of the picture relative to the camera's image; 1 for its full size [default: 1, or less for a preview
@@ -174,8 +176,14 @@ impl Args {
             bars.end();
             write_animation(&self.output, frames)?;
         } else {
-            for ((k, camera), path) in wanted.zip(&cameras).zip(self.outputs()) {
-                self.picture(&studio, k, camera, &path)?;
+            let all = cameras.len();
+            for (done, ((k, camera), path)) in wanted.zip(&cameras).zip(self.outputs()).enumerate() {
+                self.picture(&studio, k, camera, &path).map_err(|error| match error {
+                    Error::Interrupted if done > 0 => Error::InterruptedAfter {
+                        finished: format!("{} holds {done} of {all} frames", self.output.display()),
+                    },
+                    other => other,
+                })?;
             }
             bars.end();
         }

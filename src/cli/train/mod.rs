@@ -160,9 +160,10 @@ pub struct Args {
     json: bool,
 }
 
-/// A finite number above 0, as f32.
+/// A learning rate, as f32. From 1 on, steps are larger than the weights.
 fn parse_rate(text: &str) -> std::result::Result<f32, String> {
-    parse_positive(text).map(|rate| rate as f32)
+    let rate = parse_positive(text).ok().filter(|rate| *rate < 1.0);
+    rate.map(|rate| rate as f32).ok_or_else(|| "expected a number above 0 and below 1".into())
 }
 
 /// `random` or a colour.
@@ -244,8 +245,9 @@ impl Args {
         if self.members == 1 {
             return self.output.clone();
         }
-        let stem = self.output.file_stem().unwrap_or_default().to_string_lossy();
-        self.output.with_file_name(format!("{stem}-{k}.safetensors"))
+        let mut name = self.output.file_stem().unwrap_or_default().to_os_string();
+        name.push(format!("-{k}.safetensors"));
+        self.output.with_file_name(name)
     }
 
     /// The k-th model. Refuses to overwrite the state of an unfinished run.
@@ -366,7 +368,7 @@ impl Args {
             }
         }
         Ok(json!({
-            "model": member.path, "images": images, "steps": steps, "rays": rays, "seconds": elapsed,
+            "model": member.path.to_string_lossy(), "images": images, "steps": steps, "rays": rays, "seconds": elapsed,
             "seed": member.settings.seed, "held_out": quality, "background": background.to_array(),
         }))
     }

@@ -39,8 +39,8 @@ impl Together {
         if args.rays == Rays::Auto {
             return wrong("a number of rays, every row of which is kept", "--rays auto");
         }
-        if grid.needs_plan() {
-            return wrong("leaves as fine as the level", "--refine ray-count or density");
+        if grid.rays_per_vertex() > 0.0 {
+            return wrong("leaves as fine as the level", "--refine ray-count");
         }
         let draws = Draws { number: number.into(), seed: args.seed, residual: RESIDUAL, iterations: ITERATIONS };
         Ok(Some(Self { full: FullPosterior::new(grid.lattice(domain)?), scale, draws }))

@@ -1,6 +1,6 @@
 //! What a run reads, and what it is of it.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::{Args, Rays};
 use crate::cli::options::{TrainingPixels, warn_of_pixels};
@@ -50,12 +50,12 @@ fn masks(views: &Views) -> Result<Vec<Option<Mask>>> {
 }
 
 /// A file's name and checksum. A built-in scene has only a name.
-fn identity(file: &str) -> Result<String> {
-    if file.starts_with("scene:") {
-        return Ok(file.into());
+fn identity(file: &Path) -> Result<String> {
+    let name = file.to_string_lossy();
+    if name.starts_with("scene:") {
+        return Ok(name.into());
     }
-    let bytes = std::fs::read(file).map_err(Error::io(Path::new(file), "cannot read"))?;
-    Ok(format!("{file} ({:08x})", crc32fast::hash(&bytes)))
+    Ok(format!("{name} ({:08x})", crc32fast::hash(&crate::io::read(file)?)))
 }
 
 impl Args {
@@ -132,8 +132,7 @@ impl Args {
     /// The model and the camera file, if there is one, with their checksums.
     fn files(&self) -> Result<Vec<String>> {
         let cameras = self.cameras.cameras.iter().flat_map(|path| Views::files(path));
-        let cameras = cameras.map(|file| file.to_string_lossy().into_owned());
-        [self.model.model.clone()].into_iter().chain(cameras).map(|file| identity(&file)).collect()
+        [PathBuf::from(&self.model.model)].into_iter().chain(cameras).map(|file| identity(&file)).collect()
     }
 
     /// What the field was computed from, which identifies the run.

@@ -13,8 +13,8 @@ use std::time::{Duration, Instant};
 use self::correlations::Together;
 use super::files::CommandFiles;
 use super::options::{
-    CameraOptions, DomainOptions, FrameOptions, GridOptions, ModelOptions, count, parse_interval, parse_non_negative,
-    parse_positive,
+    CameraOptions, DomainOptions, FrameOptions, GridOptions, MOST, ModelOptions, count, parse_interval, parse_positive,
+    parse_share,
 };
 use super::progress::Bars;
 use super::report::{self, Cost};
@@ -58,7 +58,7 @@ pub struct Args {
     pub(super) rays: Rays,
 
     /// Most rays that `--rays auto` draws
-    #[arg(long, value_name = "N", default_value_t = 32_768_000, value_parser = count::<u64>(1..))]
+    #[arg(long, value_name = "N", default_value_t = 32_768_000, value_parser = count::<u64>(1..=MOST))]
     max_rays: u64,
 
     /// How pixels are chosen
@@ -92,7 +92,7 @@ pub struct Args {
         long,
         value_name = "WEIGHT",
         default_value_t = RaySettings::default().cutoff,
-        value_parser = parse_non_negative,
+        value_parser = parse_share,
     )]
     cutoff: f64,
 
@@ -200,15 +200,18 @@ fn parse_rays(text: &str) -> std::result::Result<Rays, String> {
     if text == "auto" {
         return Ok(Rays::Auto);
     }
-    count(1..)(text).map(Rays::Count).map_err(|expected| format!("{expected}; or `auto`"))
+    count(1..=MOST)(text).map(Rays::Count).map_err(|expected| format!("{expected}; or `auto`"))
 }
+
+/// Most shards of a run.
+const MOST_SHARDS: u64 = 1 << 20;
 
 /// `I/N` with I < N.
 fn parse_shard(text: &str) -> std::result::Result<[u64; 2], String> {
     let parts = text.split_once('/').and_then(|(i, n)| Some([i.parse().ok()?, n.parse().ok()?]));
     match parts {
-        Some([i, n]) if i < n => Ok([i, n]),
-        _ => Err("expected I/N with 0 <= I < N, as 0/4".into()),
+        Some([i, n]) if i < n && n <= MOST_SHARDS => Ok([i, n]),
+        _ => Err(format!("expected I/N with 0 <= I < N <= {MOST_SHARDS}, as 0/4")),
     }
 }
 

@@ -186,7 +186,7 @@ impl ModelFiles {
     fn images(&self) -> Result<Vec<RawImage>> {
         let path = &self.images;
         let images = if self.is_binary {
-            binary::images(&std::fs::read(path).map_err(Error::io(path, "cannot read"))?)
+            binary::images(&crate::io::read(path)?)
         } else {
             text::images(&crate::io::read_text(path)?)
         };
@@ -196,7 +196,7 @@ impl ModelFiles {
     fn cameras(&self) -> Result<HashMap<u32, RawCamera>> {
         let path = &self.cameras;
         let cameras = if self.is_binary {
-            binary::cameras(&std::fs::read(path).map_err(Error::io(path, "cannot read"))?)
+            binary::cameras(&crate::io::read(path)?)
         } else {
             text::cameras(&crate::io::read_text(path)?)
         };

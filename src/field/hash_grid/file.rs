@@ -60,7 +60,7 @@ impl HashGrid {
     /// # Errors
     /// If the file cannot be read.
     pub fn is_in(path: &Path) -> Result<bool> {
-        let content = std::fs::read(path).map_err(Error::io(path, "cannot read"))?;
+        let content = crate::io::read(path)?;
         let metadata = SafeTensors::read_metadata(&content).ok().and_then(|(_, header)| header.metadata().clone());
         Ok(metadata.is_some_and(|entries| entries.contains_key(KEY)))
     }
@@ -117,7 +117,7 @@ impl HashGrid {
     /// # Errors
     /// If the file cannot be read, is damaged, has another version or architecture, or a weight is not finite.
     pub fn read(path: &Path) -> Result<Self> {
-        let content = std::fs::read(path).map_err(Error::io(path, "cannot read"))?;
+        let content = crate::io::read(path)?;
         let damaged =
             |e: safetensors::SafeTensorError| Error::malformed(path, "header", "a safetensors file", e.to_string());
         let (_, metadata) = SafeTensors::read_metadata(&content).map_err(damaged)?;

@@ -36,6 +36,7 @@ impl<'a> File<'a> {
     /// Reads the names, types and shapes. `bytes` are those of the file, but for a checkpoint, which is opened here.
     pub(super) fn open(path: &Path, bytes: &'a [u8]) -> Result<Self> {
         if is_checkpoint(path) {
+            crate::io::refuse_pipe(path)?;
             let wrong = |e: pytorch_reader::PytorchError| match e {
                 pytorch_reader::PytorchError::Io(e) if e.raw_os_error().is_some() => Error::io(path, "cannot read")(e),
                 e => Error::malformed(path, "content", "a checkpoint of PyTorch", one_line(&e.to_string())),

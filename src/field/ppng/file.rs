@@ -70,7 +70,7 @@ const BYTES: [&str; 4] = ["qff_buffer", "qff_density_layer_0", "qff_color_layer_
 impl File {
     /// Reads and checks a file.
     pub fn read(path: &Path) -> Result<Self> {
-        Self::parse(path, &std::fs::read(path).map_err(Error::io(path, "cannot read"))?)
+        Self::parse(path, &crate::io::read(path)?)
     }
 
     /// Checks the bytes of a file; `path` is for messages only.
