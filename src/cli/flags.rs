@@ -3,12 +3,13 @@
 use crate::Error;
 
 /// The library's name of a setting, and the flag that sets it.
-const FLAGS: [(&str, &str); 21] = [
+const FLAGS: [(&str, &str); 22] = [
     ("angle of view", "--fov"),
     ("checkpoint", "--checkpoint, --resume"),
     ("coordinates", "--coordinates"),
     ("criterion `density`", "--refine density"),
     ("dense grid", "--grid dense"),
+    ("depth", "--depth"),
     ("depth encoding", "--depth-encoding"),
     ("error bars", "--error-bars"),
     ("finite-difference step", "--step"),

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::TrueView;
+use super::depth_files::each_has_its_own;
 use crate::dataset::{Frame, image_path};
 use crate::geometry::Lattice;
 use crate::monitor::Monitor;
@@ -19,15 +20,23 @@ pub struct TrainingImages(Vec<Frame>);
 
 impl TrainingImages {
     /// Frames whose images are where they say.
-    #[must_use]
-    pub fn new(frames: Vec<Frame>) -> Self {
-        Self(frames)
+    ///
+    /// # Errors
+    /// If two frames have one image.
+    pub fn new(frames: Vec<Frame>) -> Result<Self> {
+        Self::of(Path::new("cameras"), frames)
+    }
+
+    fn of(source: &Path, frames: Vec<Frame>) -> Result<Self> {
+        let images = frames.iter().map(|frame| (&*frame.name, frame.image.as_path()));
+        each_has_its_own(source, "training images", images, |_| true)?;
+        Ok(Self(frames))
     }
 
     /// Finds the images of frames below a folder, by their names.
     ///
     /// # Errors
-    /// If an image is missing.
+    /// If an image is missing, or if two frames have one.
     pub fn find(folder: &Path, frames: &[Frame]) -> Result<Self> {
         let find = |frame: &Frame| {
             // COLMAP's names start from the folder of the images, those of a transforms.json from its own.
@@ -40,7 +49,7 @@ impl TrainingImages {
             })?;
             Ok(Frame { image, ..frame.clone() })
         };
-        frames.iter().map(find).collect::<Result<_>>().map(Self)
+        Self::of(folder, frames.iter().map(find).collect::<Result<_>>()?)
     }
 
     /// The images' paths, in the order of the frames.
@@ -99,6 +108,7 @@ mod tests {
     use glam::{DVec3, Vec3};
 
     use super::*;
+    use crate::dataset::DepthReadings;
     use crate::field::{ClosedForm, RadianceField};
     use crate::geometry::Camera;
     use crate::monitor::Silent;
@@ -121,6 +131,7 @@ mod tests {
             colors,
             covered: vec![true; 64 * 64],
             distance: vec![None; 64 * 64],
+            readings: DepthReadings::default(),
         };
         let lattice = Lattice::new(ball.bounds(), 4).unwrap();
         let misfit = measure_misfit(&tracer, [Ok(truth)], &lattice, &Silent).unwrap();

@@ -3,6 +3,7 @@
 use glam::{DVec3, Vec3};
 
 use super::*;
+use crate::dataset::DepthReadings;
 use crate::estimate::{Estimation, GridSettings, RaySettings};
 use crate::field::{ClosedForm, Radiance, RadianceField};
 use crate::geometry::{Aabb, Camera};
@@ -71,6 +72,7 @@ fn truth(ball: &ClosedForm, camera: &Camera) -> TrueView {
         colors: view.pixels.iter().map(|p| p.color).collect(),
         covered: (0..n).map(seen).collect(),
         distance: (0..n).map(|i| seen(i).then(|| view.pixels[i].median_depth - 0.01 * (i % width) as f64)).collect(),
+        readings: DepthReadings::default(),
     }
 }
 
