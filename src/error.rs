@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 #[non_exhaustive]
 pub enum Error {
     /// The operating system refused: missing file, full disk, read-only folder.
-    #[error("{path}: {action}: {source}", path = path.display())]
+    #[error("{path}: {action}: {source}", path = shown(path))]
     Io {
         /// The file or folder.
         path: PathBuf,
@@ -18,7 +18,7 @@ pub enum Error {
         source: io::Error,
     },
     /// A file's content does not follow its format.
-    #[error("{path}: {place}: expected {expected}, found {found}", path = path.display())]
+    #[error("{path}: {place}: expected {expected}, found {found}", path = shown(path))]
     Malformed {
         /// The file.
         path: PathBuf,
@@ -55,7 +55,7 @@ pub enum Error {
         first: [f32; 3],
     },
     /// Ctrl-C during training; the model so far was written.
-    #[error("interrupted; {path} holds the model after {steps} steps", path = path.display())]
+    #[error("interrupted; {path} holds the model after {steps} steps", path = shown(path))]
     Stopped {
         /// The model's file.
         path: PathBuf,
@@ -118,18 +118,33 @@ impl Error {
 /// Longest text quoted in a message, characters.
 const LONGEST: usize = 300;
 
+/// Longest path that systems open, bytes: longer ones are cut.
+const LONGEST_PATH: usize = 4096;
+
 /// Makes a text that may quote an untrusted file fit for one line on a terminal.
 ///
 /// Control characters, which could clear the screen, are escaped. Texts longer than [`LONGEST`] are cut.
 pub(crate) fn printable(text: &str) -> String {
-    let mut out = String::with_capacity(text.len().min(4 * LONGEST));
+    cut_printable(text, LONGEST)
+}
+
+/// The same for a path, which may come from a camera file. It is whole, so that it can be found.
+fn shown(path: &Path) -> String {
+    cut_printable(&path.display().to_string(), LONGEST_PATH)
+}
+
+fn cut_printable(text: &str, longest: usize) -> String {
+    let mut out = String::with_capacity(text.len().min(4 * longest));
     for (n, c) in text.chars().enumerate() {
         match c {
-            _ if n == LONGEST => {
+            _ if n == longest => {
                 out.push('…');
                 break;
             }
-            c if c.is_control() => out.extend(c.escape_default()),
+            // The others turn the direction of writing, or end a line.
+            c if c.is_control() || matches!(c, '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}') => {
+                out.extend(c.escape_default());
+            }
             c => out.push(c),
         }
     }
@@ -146,5 +161,23 @@ mod tests {
         let error = Error::malformed(Path::new("f"), text.as_str(), "b", text.as_str()).to_string();
         assert!(error.starts_with("f: a\\n\\u{1b}[2Jéxxx") && error.ends_with("x…"), "{error}");
         assert!(error.chars().count() < 2 * LONGEST + 50 && !error.contains('\n'), "{error}");
+    }
+
+    #[test]
+    fn paths_are_one_line_too() {
+        let path = format!("a\n\u{1b}[2J\u{9b}m\u{202e}é/{}.png", "x".repeat(1000));
+        let missing = || io::Error::from(io::ErrorKind::NotFound);
+        for error in [
+            Error::malformed(Path::new(&path), "b", "c", "d"),
+            Error::io(Path::new(&path), "cannot open")(missing()),
+            Error::Stopped { path: path.clone().into(), steps: 1 },
+        ] {
+            let error = error.to_string();
+            let expected = format!("a\\n\\u{{1b}}[2J\\u{{9b}}m\\u{{202e}}é/{}.png", "x".repeat(1000));
+            assert!(error.contains(&expected), "{error}");
+        }
+        let endless = "x".repeat(10 * LONGEST_PATH);
+        let error = Error::io(Path::new(&endless), "cannot open")(missing()).to_string();
+        assert!(error.chars().count() < LONGEST_PATH + 100, "{}", error.len());
     }
 }

@@ -333,6 +333,23 @@ impl Desk {
         let bytes = std::fs::read(self.path("r_0_short.png")).unwrap();
         self.write("r_0_short.png", &bytes[..bytes.len() / 2]);
         self.write("r_0_text.png", "this is no image");
+
+        // Opaque pictures, and depth of a tenth of white.
+        let cameras = |name: &str, names: [&str; 2]| {
+            let named = names.into_iter().zip(ClosedForm::half_circle(2, [16, 16]));
+            let named: Vec<_> = named.map(|(name, camera)| (name.to_string(), camera)).collect();
+            write_transforms(&self.path(name), &named).unwrap();
+        };
+        cameras("opaque.json", ["o_0", "o_1"]);
+        cameras("twice.json", ["front/o_0", "back/o_0"]);
+        cameras("same.json", ["o_0", "./o_0"]);
+        for name in ["o_0", "o_1"] {
+            image::RgbImage::new(16, 16).save(self.path(&format!("{name}.png"))).unwrap();
+            let far = image::ImageBuffer::from_pixel(16, 16, image::Luma([6554_u16]));
+            far.save(self.path(&format!("{name}_far.png"))).unwrap();
+        }
+        let metric = "--scale data --psnr 30 --level 4 --rays 600 --occupancy 16 -o metric.oct";
+        self.good(&format!("uncertainty scene:ball --cameras cameras.json {metric}"));
     }
 
     fn checkpoints(&self) {

@@ -108,8 +108,8 @@ fn depth_is_that_of_the_sphere_and_the_ground() {
                 let t = f64::from(found);
                 match steps.distance[k] {
                     // Half a step of 1e-4, and the rounding to f32.
-                    Some(step) => assert!((step - t).abs() <= 0.5e-4 + 1e-6 && found > 0.0),
-                    None => assert_eq!(found, 0.0),
+                    Ok(step) => assert!((step - t).abs() <= 0.5e-4 + 1e-6 && found > 0.0),
+                    Err(_) => assert_eq!(found, 0.0),
                 }
                 if found > 0.0 {
                     // The hit point projects to the centre of its pixel: f32 rounding is along the ray.

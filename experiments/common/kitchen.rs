@@ -5,7 +5,7 @@ use std::path::Path;
 use glam::{DMat3, DVec3};
 use image::imageops::FilterType;
 use image::{ImageBuffer, ImageReader, Luma};
-use octobayes::dataset::{DepthEncoding, DepthKind};
+use octobayes::dataset::DepthKind;
 use octobayes::evaluate::DepthFiles;
 use octobayes::geometry::{Camera, Distortion};
 use octobayes::{Error, Result};
@@ -17,8 +17,8 @@ pub fn kitchen(folder: &Path) -> Result<DepthFiles> {
     if !folder.exists() {
         convert(&Program::data()?.join("rgbd-7scenes-kitchen"), folder)?;
     }
-    let encoding = DepthEncoding { offset: 0.0, scale: MILLIMETRES, kind: DepthKind::Z };
-    Ok(DepthFiles { folder: folder.join("depth"), pattern: "{}.png".into(), encoding })
+    let (folder, pattern) = (Some(folder.join("depth")), "{}.png".into());
+    Ok(DepthFiles { folder, pattern, scale: Some([0.0, MILLIMETRES]), kind: DepthKind::Z })
 }
 
 /// Depth of white, metres: the sensor's unit is a millimetre.

@@ -4,13 +4,19 @@ use std::path::Path;
 
 use glam::DVec3;
 use octobayes::Result;
-use octobayes::dataset::{DepthEncoding, DepthKind, Views};
-use octobayes::evaluate::{DepthError, DepthFiles, EvaluatedView, Evaluator, Measure, Reading, Score, TrueView};
+use octobayes::dataset::{DepthKind, Views};
+use octobayes::evaluate::{
+    DepthError, DepthFiles, DepthMeaning, EvaluatedView, Evaluator, Measure, Reading, Score, TrueView,
+};
+use octobayes::geometry::Aabb;
 use octobayes::metrics::ErrorKind;
 use octobayes::monitor::Silent;
 use serde::{Deserialize, Serialize};
 
 use super::scenes::Scene;
+
+/// Half edge of a box around lego, scene units.
+const LEGO: f64 = 1.5;
 
 /// Test views with true depth.
 pub struct Truth {
@@ -44,9 +50,11 @@ impl Truth {
     pub fn lego(data: &Path, every: usize, stride: u32) -> Result<Self> {
         let folder = data.join("nerf-lego-400");
         let views = Views::read(&folder.join("transforms_test.json"), Some([400, 400]))?;
-        let encoding = DepthEncoding { offset: 8.0, scale: -8.0, kind: DepthKind::Euclidean };
-        let depth = DepthFiles { folder: folder.join("test"), pattern: "{}_depth_0001.png".into(), encoding };
-        let frames = views.frames.iter().step_by(every);
+        let (maps, pattern) = (Some(folder.join("test")), "{}_depth_0001.png".into());
+        let depth = DepthFiles { folder: maps, pattern, scale: Some([8.0, -8.0]), kind: DepthKind::Euclidean };
+        let found = depth.find(&views.path, &views.frames, &views.frames)?;
+        let depth = DepthMeaning { encoding: found.encoding, bounds: Aabb::centered_cube(LEGO) };
+        let frames = found.frames.iter().step_by(every);
         let views =
             frames.map(|frame| TrueView::read(frame, Some(&depth), DVec3::ONE, 0.5, stride)).collect::<Result<_>>()?;
         Ok(Self { views })

@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use glam::{DVec3, Vec3};
-use octobayes::dataset::{DepthEncoding, DepthKind, Frame, Views};
-use octobayes::evaluate::{DepthFiles, TrueView};
+use octobayes::dataset::{DepthKind, DepthReadings, Frame, Views};
+use octobayes::evaluate::{DepthFiles, DepthMeaning, TrueView};
 use octobayes::field::HashGrid;
 use octobayes::geometry::{Camera, Domain, Ray};
 use octobayes::monitor::Silent;
@@ -100,13 +100,14 @@ impl Scene {
         let folder = folder.join("images");
         if self.mesh == "kitchen" {
             let depth = kitchen(&folder)?;
-            let step = depth.encoding.scale / f64::from(u16::MAX);
+            let step = depth.scale.map_or(0.0, |[_, scale]| scale) / f64::from(u16::MAX);
             return Data::read(folder.clone(), &self.selection(&folder)?, depth, step, 1);
         }
         let file = self.images(&folder)?;
         let mesh = MeshScene::new(Mesh::read(&file)?.placed(self.up).0);
-        let encoding = DepthEncoding { offset: 0.0, scale: DEPTH_PNG_SCALE, kind: DepthKind::Euclidean };
-        let depth = DepthFiles { folder: folder.join("depth"), pattern: "{}.png".into(), encoding };
+        let (maps, pattern) = (Some(folder.join("depth")), "{}.png".into());
+        let depth =
+            DepthFiles { folder: maps, pattern, scale: Some([0.0, DEPTH_PNG_SCALE]), kind: DepthKind::Euclidean };
         let step = DEPTH_PNG_SCALE / f64::from(u16::MAX);
         let data = Data::read(folder.clone(), &self.selection(&folder)?, depth, step, 1)?;
         Ok(Data { mesh: Some(mesh), ..data })
@@ -165,19 +166,24 @@ impl Data {
     /// Lego. Its depth maps have eight bits over eight scene units, and are means over four pixels of larger ones.
     pub fn lego(selection: &Selection, stride: u32) -> Result<Self> {
         let folder = lego()?;
-        let encoding = DepthEncoding { offset: 8.0, scale: -8.0, kind: DepthKind::Euclidean };
-        let depth = DepthFiles { folder: folder.join("test"), pattern: "{}_depth_0001.png".into(), encoding };
+        let (maps, pattern) = (Some(folder.join("test")), "{}_depth_0001.png".into());
+        let depth = DepthFiles { folder: maps, pattern, scale: Some([8.0, -8.0]), kind: DepthKind::Euclidean };
         let data = Self::read(folder, selection, depth, LEGO_STEP, stride)?;
         Ok(Self { edge: Some(EDGE * LEGO_STEP), ..data })
     }
 
     /// Every so many pixels of the held-out views, along x and y.
     pub fn held_out(&self, pixel_offset: f64, stride: u32) -> Result<Vec<TrueView>> {
-        let frames = Views::read(&self.folder.join("transforms_test.json"), None)?.frames;
+        let views = Views::read(&self.folder.join("transforms_test.json"), None)?;
+        let found = self.depth.find(&views.path, &views.frames, &views.frames)?;
+        let (frames, encoding) = (found.frames, found.encoding);
+        let all_of_space = || Error::setting("domain", "a box", "all of space");
+        let bounds = *self.domain.bounds().ok_or_else(all_of_space)?;
+        let depth = DepthMeaning { encoding, bounds };
         let every = frames.len().div_ceil(TEST_VIEWS as usize).max(1);
         let stride = stride * self.stride;
         let read = |frame: &Frame| {
-            let read = |stride| TrueView::read(frame, Some(&self.depth), DVec3::ONE, pixel_offset, stride);
+            let read = |stride| TrueView::read(frame, Some(&depth), DVec3::ONE, pixel_offset, stride);
             let mut view = read(stride)?;
             if let Some(edge) = self.edge {
                 let whole = read(1)?;
@@ -257,6 +263,7 @@ fn image(shot: &Shot, pixel_offset: f64, stride: u32, depth: Option<f64>) -> Tru
     let full = |row: u32, column: u32| ((row * shot.camera.resolution[0] + column) * stride) as usize;
     let pixels = (0..height).flat_map(|row| (0..width).map(move |column| full(row, column)));
     let colors: Vec<DVec3> = pixels.map(|i| shot.image.over(i, DVec3::ONE)).collect();
-    let (covered, distance) = (vec![true; colors.len()], vec![depth; colors.len()]);
-    TrueView { name: shot.name.clone(), camera, pixel_offset, colors, covered, distance }
+    let (kept, covered, distance) = (vec![true; colors.len()], vec![true; colors.len()], vec![depth; colors.len()]);
+    let readings = DepthReadings::default();
+    TrueView { name: shot.name.clone(), camera, pixel_offset, colors, kept, covered, distance, readings }
 }

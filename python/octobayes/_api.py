@@ -552,7 +552,7 @@ def evaluate(
     u: Uncertainty | str | Mapping[str, Uncertainty | str],
     cameras: str | os.PathLike[str],
     *,
-    depth: str | os.PathLike[str],
+    depth: str | os.PathLike[str] | None = None,
     depth_encoding: tuple[float, float] | None = None,
     depth_pattern: str = "{}_depth_0001.png",
     z_depth: bool = False,
@@ -573,13 +573,20 @@ def evaluate(
     """Whether U ranks the depth error of held-out views: AUSE beside measures that need no Hessian.
 
     u: one field, or several by name. cameras: a camera file with images. depth: folder of depth maps, named by
-    ``depth_pattern`` ({} is the frame's name); depth = offset + scale * p for ``depth_encoding`` (offset, scale), p
-    from 0 to 1, or scene units in .exr, which have no encoding. ray_average: ``spread-per-ray`` unless told otherwise.
-    The other arguments are the command line's (``octobayes evaluate --help``).
+    ``depth_pattern`` ({} is the frame's name without extension) and looked for below the directories of the frame's
+    name, then in the folder itself; without it the maps are those that the camera file names (``depth_file_path``).
+    depth = offset + scale * p for ``depth_encoding`` (offset, scale), p from 0 to 1, or scene units in .exr, which have
+    no encoding. ray_average: ``spread-per-ray`` unless told otherwise. The other arguments are the command line's
+    (``octobayes evaluate --help``).
+
+    Values that are no measurements (0, the largest value of a PNG, NaN, infinity, 1e10 of Blender, or depths far behind
+    the model's box) are left out. A ``RuntimeWarning`` says how many and why, and whether depths are unlikely; a
+    ``ValueError`` says so if nearly none is left, or if half of them are off by more than the box is wide.
 
     Returns a dictionary: 'readings' and 'baselines' (name, 'ause_pooled' and 'ause_mean_over_views' by error kind, and
-    'calibration' of standard deviations of depth, which fields of scale='data' give), 'depth_error', 'psnr', 'views',
-    'pixels'. Raises as :func:`uncertainty` does.
+    'calibration' of standard deviations of depth, which fields of scale='data' give), 'depth_error', 'depth_readings'
+    (pixels of the maps: 'measured', and the others by reason), 'psnr', 'views', 'pixels'. Raises as
+    :func:`uncertainty` does.
     """
     nerf = _opened(nerf, coordinates)
     named = u if isinstance(u, Mapping) else {"u": u}
@@ -593,7 +600,9 @@ def evaluate(
     asked = _asked(nerf, box, march_step, batch, next(iter(fields.values()), None))
     given = [(name, field._field) for name, field in fields.items()]
     with reporting(progress) as report:
-        return json.loads(_octobayes.evaluate(asked, given, options, report))
+        said, notes = _octobayes.evaluate(asked, given, options, report)
+    _warn(notes)
+    return json.loads(said)
 
 
 def calibrate(
@@ -601,10 +610,11 @@ def calibrate(
     u: Uncertainty | str,
     cameras: str | os.PathLike[str],
     *,
-    depth: str | os.PathLike[str],
+    depth: str | os.PathLike[str] | None = None,
     depth_encoding: tuple[float, float] | None = None,
     depth_pattern: str = "{}_depth_0001.png",
     z_depth: bool = False,
+    covariance: str | None = None,
     probability: float = 0.9,
     stride: int = 2,
     every: int = 1,
@@ -622,14 +632,15 @@ def calibrate(
 
     Errors of depth are divided by their deviations; the quantile of these ratios that holds the share ``probability``
     of further ones (split conformal prediction) goes with the field, and into ``render``'s 'depth_interval'. u must be
-    one of ``scale='data'``. The other arguments are those of :func:`evaluate`.
+    one of ``scale='data'``. covariance: the one by which depths have their deviations, and that the calibrated field
+    has; the field's own unless told otherwise. The other arguments are those of :func:`evaluate`.
 
     It promises that share of pixels that are drawn like these: this scene, this model, views chosen as these were. It
     promises nothing of other scenes, of views from other sides or of a single pixel.
 
     Returns the calibrated field, and a dictionary: 'conformal' (as :attr:`Uncertainty.conformal`), 'predicted_factor'
     (what it would be without), 'views_left_out' (least, median and largest share that a view's errors have in the
-    interval of all others). Raises as :func:`uncertainty` does.
+    interval of all others), 'depth_readings' (as of :func:`evaluate`). Warns and raises as :func:`evaluate` does.
     """
     nerf = _opened(nerf, coordinates)
     u = _field("u", u)
@@ -637,12 +648,14 @@ def calibrate(
         **_image_options(nerf, background, march_step, pixel_offset, occupancy),
         **_held_out_options(cameras, depth, depth_encoding, depth_pattern, z_depth, stride, every, resolution),
         "probability": real("probability", probability, above=0),
+        "covariance": covariance,
     }
     if not options["probability"] < 1:
         raise wrong("probability", "a share between 0 and 1", probability)
     asked = _asked(nerf, box, march_step, batch, u)
     with reporting(progress) as report:
-        field, said = _octobayes.calibrate(asked, u._field, options, report)
+        field, said, notes = _octobayes.calibrate(asked, u._field, options, report)
+    _warn(notes)
     return Uncertainty(field), json.loads(said)
 
 
@@ -664,7 +677,7 @@ def _held_out_options(
         depth_encoding = floats("depth_encoding", depth_encoding, (2,), np.float64).tolist()
     return {
         "cameras": as_path("cameras", cameras),
-        "depth": as_path("depth", depth),
+        "depth": None if depth is None else as_path("depth", depth),
         "depth_encoding": depth_encoding,
         "depth_pattern": depth_pattern,
         "z_depth": bool(z_depth),

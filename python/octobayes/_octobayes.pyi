@@ -114,10 +114,10 @@ def render(
 
 def evaluate(
     nerf: Any, fields: Sequence[tuple[str, Uncertainty]], options: dict[str, Any], progress: Progress | None
-) -> str:
-    """JSON."""
+) -> tuple[str, list[str]]:
+    """JSON, and what ought to be known of the depth maps."""
 
 def calibrate(
     nerf: Any, uncertainty: Uncertainty, options: dict[str, Any], progress: Progress | None
-) -> tuple[Uncertainty, str]:
-    """The calibrated field, and JSON."""
+) -> tuple[Uncertainty, str, list[str]]:
+    """The calibrated field, JSON, and what ought to be known of the depth maps."""

@@ -3,15 +3,13 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use octobayes::Error;
-use octobayes::dataset::{DepthEncoding, DepthKind, FrameSplit, Part, Selection, Views};
+use octobayes::dataset::{DepthKind, Frame, FrameSplit, Part, Selection, Views};
 use octobayes::estimate::RaySettings;
 use octobayes::evaluate::{
-    DepthError, DepthFiles, EvaluatedView, Evaluator, Interval, Measure, Reading, Score, TrueView,
+    DepthError, DepthFiles, DepthMeaning, EvaluatedView, Evaluator, HeldOut, Interval, Judged, Measure, Reading, Score,
 };
 use octobayes::field::RadianceField;
 use octobayes::metrics::{ErrorKind, STEPS};
-use octobayes::render::RenderedView;
 use octobayes::uncertainty::UncertaintyField;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -26,7 +24,7 @@ use crate::view::image_settings;
 use crate::work::{Engine, work};
 
 /// Views of known depth, and how the model is rendered beside them.
-struct HeldOut {
+struct Asked {
     cameras: PathBuf,
     depth: DepthFiles,
     size: Option<[u32; 2]>,
@@ -35,16 +33,15 @@ struct HeldOut {
     settings: RaySettings,
 }
 
-impl HeldOut {
+impl Asked {
     fn new(options: &Options) -> PyResult<Self> {
         let needed = |name: &str| PyValueError::new_err(format!("{name}: expected a value, found none"));
         let kind = if options.or("z_depth", false)? { DepthKind::Z } else { DepthKind::Euclidean };
         let pattern = options.or("depth_pattern", "{}_depth_0001.png".to_string())?;
-        let encoding = DepthEncoding::of_maps(&pattern, options.get("depth_encoding")?, kind).or_raise()?;
-        let folder = options.get("depth")?.ok_or_else(|| needed("depth"))?;
+        let (folder, scale) = (options.get("depth")?, options.get("depth_encoding")?);
         Ok(Self {
             cameras: options.get("cameras")?.ok_or_else(|| needed("cameras"))?,
-            depth: DepthFiles { folder, pattern, encoding },
+            depth: DepthFiles { folder, pattern, scale, kind },
             size: options.get("resolution")?,
             stride: options.or("stride", 1)?,
             every: options.or("every", 1)?,
@@ -52,42 +49,41 @@ impl HeldOut {
         })
     }
 
-    /// Calls `judge` with the views as the model shows them and measures of its doubt.
+    /// Calls `judge` with the views as the model shows them and measures of its doubt, and the error of depth. Second,
+    /// what ought to be known of the depth maps.
     fn with<T>(
         &self,
         engine: &Engine,
         model: &dyn RadianceField,
         readings: &[Reading],
-        judge: impl FnOnce(&Evaluator, &[EvaluatedView]) -> octobayes::Result<T>,
-    ) -> octobayes::Result<T> {
+        judge: impl FnOnce(&Evaluator, &Judged, &DepthError) -> octobayes::Result<T>,
+    ) -> octobayes::Result<(T, Vec<String>)> {
         let (settings, monitor) = (&self.settings, engine.monitor());
         let views = Views::read(&self.cameras, self.size)?;
+        let all = views.frames.clone();
         let frames = FrameSplit::new(views).select(Part::HeldOut, &Selection::All, |_| true)?;
+        let frames: Vec<Frame> = frames.into_iter().step_by(self.every).collect();
+        let found = self.depth.find(&self.cameras, &frames, &all)?;
         let lattice = readings.first().map(|reading| reading.field.lattice());
         let differentiation = lattice.map(|lattice| settings.differentiation(model, lattice)).transpose()?;
         let tracer = settings.tracer(model, 0.0, monitor)?;
         let evaluator = Evaluator { differentiation, ..Evaluator::new(tracer, readings) };
-        let offset = settings.offset_for(model);
-        let background = settings.background.as_dvec3();
-        let frames: Vec<_> = frames.iter().step_by(self.every).collect();
-        monitor.begin("rows", frames.iter().map(|f| u64::from(f.camera.resolution[1].div_ceil(self.stride))).sum());
-        let mut views = Vec::new();
-        for (seed, frame) in (0..).zip(frames) {
-            let truth = TrueView::read(frame, Some(&self.depth), background, offset, self.stride)?;
-            let view = evaluator.evaluate(&truth, seed, monitor)?;
-            views.push(EvaluatedView { rendered: RenderedView::default(), ..view });
-        }
-        judge(&evaluator, &views)
-    }
-
-    fn too_few(&self, expected: String, views: &[EvaluatedView]) -> Error {
-        let pixels: usize = views.iter().map(|view| view.pixels.len()).sum();
-        let found = format!("{pixels} pixels of {} views", views.len());
-        Error::malformed(&self.depth.folder, "depth maps", expected, found)
+        let held_out = HeldOut {
+            frames: &found.frames,
+            depth: Some(DepthMeaning { encoding: found.encoding, bounds: model.bounds() }),
+            background: settings.background.as_dvec3(),
+            pixel_offset: settings.offset_for(model),
+            stride: self.stride,
+        };
+        let judged = held_out.evaluate(&evaluator, &found.source, monitor, drop)?;
+        let (depth, notes) = judged.depth(model)?;
+        // A warning in Python is one already.
+        let bare = |note: String| note.split_once(": ").map_or(note.clone(), |(_, text)| text.into());
+        Ok((judge(&evaluator, &judged, &depth)?, notes.into_iter().map(bare).collect()))
     }
 }
 
-/// Ranks the depth error of held-out views; JSON.
+/// Ranks the depth error of held-out views; JSON. Second, what ought to be known of the depth maps.
 #[pyfunction]
 pub fn evaluate(
     py: Python<'_>,
@@ -95,7 +91,7 @@ pub fn evaluate(
     fields: Vec<(String, Bound<'_, Uncertainty>)>,
     options: &Bound<'_, PyDict>,
     progress: Option<&Bound<'_, PyAny>>,
-) -> PyResult<String> {
+) -> PyResult<(String, Vec<String>)> {
     let (source, options) = (Source::new(nerf)?, Options(options));
     let averages = options.ray_averages()?;
     let fields: Vec<_> = fields.into_iter().map(|(name, field)| (name, field.get().0.clone())).collect();
@@ -105,20 +101,20 @@ pub fn evaluate(
     };
     let readings: Vec<Vec<Reading>> = fields.iter().map(read).collect::<octobayes::Result<_>>().or_raise()?;
     let readings = readings.concat();
-    let held_out = HeldOut::new(&options)?;
-    let result = work(py, source.gate(nerf), progress, |engine| {
+    let asked = Asked::new(&options)?;
+    let (result, notes) = work(py, source.gate(nerf), progress, |engine| {
         source.with(engine, |model| {
-            held_out.with(engine, model, &readings, |evaluator, views| {
-                scores(evaluator, views).ok_or_else(|| {
-                    held_out.too_few(format!("at least {STEPS} pixels with depth and some error"), views)
-                })
+            asked.with(engine, model, &readings, |evaluator, judged, depth| {
+                let few = || judged.too_few(&format!("at least {STEPS} pixels with depth and some error"));
+                scores(evaluator, judged, depth).ok_or_else(few)
             })
         })
     })?;
-    Ok(result.to_string())
+    Ok((result.to_string(), notes))
 }
 
-/// The field with an interval of depth that holds a share of the errors of held-out views, and what it is; JSON.
+/// The field with an interval of depth that holds a share of the errors of held-out views, and what it is; JSON. Third,
+/// what ought to be known of the depth maps.
 #[pyfunction]
 pub fn calibrate(
     py: Python<'_>,
@@ -126,30 +122,36 @@ pub fn calibrate(
     uncertainty: &Bound<'_, Uncertainty>,
     options: &Bound<'_, PyDict>,
     progress: Option<&Bound<'_, PyAny>>,
-) -> PyResult<(Uncertainty, String)> {
+) -> PyResult<(Uncertainty, String, Vec<String>)> {
     let (source, options) = (Source::new(nerf)?, Options(options));
-    let field = UncertaintyField::clone(&uncertainty.get().0);
+    let mut field = UncertaintyField::clone(&uncertainty.get().0);
+    if let Some(covariance) = options.covariance()? {
+        field = field.with_covariance(covariance).or_raise()?;
+    }
     field.depth_posterior().or_raise()?;
     let readings = [Reading { name: "field".into(), field, averages: Vec::new() }];
-    let held_out = HeldOut::new(&options)?;
+    let asked = Asked::new(&options)?;
     let probability = options.or("probability", 0.9)?;
-    let Interval { conformal, predicted, left_out } = work(py, source.gate(nerf), progress, |engine| {
+    let ((interval, counts), notes) = work(py, source.gate(nerf), progress, |engine| {
         source.with(engine, |model| {
-            held_out.with(engine, model, &readings, |evaluator, views| {
-                Interval::calibrate(evaluator, views, probability).ok_or_else(|| {
-                    held_out.too_few(format!("more pixels of known depth, to hold {probability}"), views)
-                })
+            asked.with(engine, model, &readings, |evaluator, judged, _| {
+                let few = || judged.too_few(&format!("more pixels of known depth, to hold {probability}"));
+                let interval = Interval::calibrate(evaluator, &judged.views, probability).ok_or_else(few)?;
+                Ok((interval, judged.readings))
             })
         })
     })?;
-    let said = json!({ "conformal": conformal, "predicted_factor": predicted, "views_left_out": left_out });
+    let Interval { conformal, predicted, left_out } = interval;
+    let said = json!({
+        "conformal": conformal, "predicted_factor": predicted, "views_left_out": left_out, "depth_readings": counts,
+    });
     let [reading] = readings;
-    Ok((Uncertainty(Arc::new(reading.field.with_conformal(conformal))), said.to_string()))
+    Ok((Uncertainty(Arc::new(reading.field.with_conformal(conformal))), said.to_string(), notes))
 }
 
 /// Names and figures as the command line's `evaluate --json` has them; `None` if there is nothing to rank.
-fn scores(evaluator: &Evaluator, views: &[EvaluatedView]) -> Option<serde_json::Value> {
-    let depth = DepthError::new(views)?;
+fn scores(evaluator: &Evaluator, judged: &Judged, depth: &DepthError) -> Option<serde_json::Value> {
+    let views = &judged.views[..];
     let by_kind = |values: &dyn Fn(usize) -> f64| -> serde_json::Value {
         ErrorKind::ALL
             .iter()
@@ -182,6 +184,7 @@ fn scores(evaluator: &Evaluator, views: &[EvaluatedView]) -> Option<serde_json::
     Some(json!({
         "views": views.iter().map(each).collect::<Vec<_>>(),
         "pixels": depth.pixels,
+        "depth_readings": judged.readings,
         "pixels_without_depth": views.iter().map(|view| view.empty).sum::<usize>(),
         "psnr": mean(&|view| view.psnr),
         "depth_error": { "median": depth.median, "mean": depth.mean, "percentile_95": depth.percentile_95 },

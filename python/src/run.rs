@@ -149,7 +149,7 @@ impl Images {
         let frames: Vec<Frame> = names.into_iter().zip(cameras).map(frame).collect();
         let images = match options.get::<PathBuf>("images")? {
             Some(folder) => TrainingImages::find(&folder, &frames).or_raise()?,
-            None => TrainingImages::new(frames),
+            None => TrainingImages::new(frames).or_raise()?,
         };
         Ok(Some(Self { images, settings: options.image(RaySettings::for_images())? }))
     }

@@ -8,10 +8,10 @@ use super::belongs::read_field;
 use super::files::CommandFiles;
 use super::options::{CameraFile, DepthOptions, FrameOptions, ModelOptions, check_field_name, parse_probability};
 use super::progress::Bars;
-use crate::evaluate::{DepthError, EvaluatedView, Evaluator, Interval, Reading, TrueView};
-use crate::monitor::Monitor;
-use crate::render::RenderedView;
-use crate::{Error, Result};
+use crate::Result;
+use crate::dataset::{DepthReadings, Frame};
+use crate::evaluate::{DepthMeaning, Evaluator, HeldOut, Interval, Reading};
+use crate::posterior::Covariance;
 
 /// Calibrate the deviation of depth on held-out views of known depth
 ///
@@ -42,12 +42,16 @@ pub struct Args {
     #[command(flatten)]
     frames: FrameOptions,
 
-    /// Folder of true depth maps
+    /// Folder of true depth maps [default: those that the camera file names, `depth_file_path`]
     #[arg(long, value_name = "DIR")]
-    depth: PathBuf,
+    depth: Option<PathBuf>,
 
     #[command(flatten)]
     maps: DepthOptions,
+
+    /// Covariance by which depths have their deviations, and that the calibrated field has [default: the field's own]
+    #[arg(long, value_enum)]
+    covariance: Option<Covariance>,
 
     /// Share of errors that the interval is to hold
     #[arg(long, value_name = "P", default_value = "0.9", value_parser = parse_probability)]
@@ -87,47 +91,40 @@ impl Args {
         files.check()?;
         let model = self.model.open()?;
         let field = read_field(&self.field, &self.model, &*model, self.force)?;
+        let field = match self.covariance {
+            Some(covariance) => field.with_covariance(covariance)?,
+            None => field,
+        };
         field.depth_posterior()?;
-        let frames = self.cameras.held_out(&self.frames, &*model)?;
-        let maps = self.maps.files(self.depth.clone())?;
-        let images = frames.iter().map(|frame| &frame.image);
-        files
-            .inputs("an image of --cameras", images)
-            .inputs("--depth", frames.iter().map(|f| maps.path(&f.name)))
-            .check()?;
+        let judged = self.cameras.held_out(&self.frames, &*model)?;
+        let frames: Vec<Frame> = judged.iter().step_by(self.every as usize).cloned().collect();
+        let found = self.maps.find(self.depth.as_deref(), &self.cameras, &frames)?;
+        let images = judged.iter().map(|frame| &frame.image);
+        files.inputs("an image of --cameras", images).inputs("--depth", &found.files).check()?;
 
         let settings = self.model.image_settings();
         let differentiation = Some(settings.differentiation(&*model, field.lattice())?);
         let readings = [Reading { name: "field".into(), field, averages: Vec::new() }];
         let evaluator =
             Evaluator { differentiation, ..Evaluator::new(settings.tracer(&*model, 0.0, bars)?, &readings) };
-        let offset = settings.offset_for(&*model);
-        let frames: Vec<_> = frames.iter().step_by(self.every as usize).collect();
-        bars.begin("rows", frames.iter().map(|f| u64::from(f.camera.resolution[1].div_ceil(self.stride))).sum());
-        let (mut views, mut otherwise) = (Vec::new(), Vec::new());
-        for (seed, frame) in (0..).zip(frames) {
-            let truth = TrueView::read(frame, Some(&maps), self.model.rays.background.as_dvec3(), offset, self.stride)?;
-            let view = evaluator.evaluate(&truth, seed, bars)?;
-            let other = truth.distance_if_not(self.maps.kind());
-            let error = |&i: &usize| Some((view.rendered.pixels[i].median_depth - other[i]?).abs());
-            otherwise.extend(view.pixels.iter().filter_map(error));
-            views.push(EvaluatedView { rendered: RenderedView::default(), ..view });
-        }
-        bars.end();
-        if let Some(depth) = DepthError::new(&views) {
-            self.maps.note_kind(&depth, otherwise);
-        }
-        let interval = Interval::calibrate(&evaluator, &views, self.probability).ok_or_else(|| {
-            let pixels: usize = views.iter().map(|view| view.absolute_error.len()).sum();
-            let expected = format!("more pixels of known depth, to hold {}", self.probability);
-            Error::malformed(&self.depth, "depth maps", expected, format!("{pixels} pixels of {} views", views.len()))
-        })?;
+        let held_out = HeldOut {
+            frames: &found.frames,
+            depth: Some(DepthMeaning { encoding: found.encoding, bounds: model.bounds() }),
+            background: self.model.rays.background.as_dvec3(),
+            pixel_offset: settings.offset_for(&*model),
+            stride: self.stride,
+        };
+        let judged = held_out.evaluate(&evaluator, &found.source, bars, drop)?;
+        let (_, notes) = judged.depth(&*model)?;
+        notes.iter().for_each(|note| announce!("{note}"));
+        let few = || judged.too_few(&format!("more pixels of known depth, to hold {}", self.probability));
+        let interval = Interval::calibrate(&evaluator, &judged.views, self.probability).ok_or_else(few)?;
         let [reading] = readings;
         reading.field.with_conformal(interval.conformal).write(&self.output)?;
-        self.print(&interval)
+        self.print(&interval, judged.readings)
     }
 
-    fn print(&self, interval: &Interval) -> Result<()> {
+    fn print(&self, interval: &Interval, readings: DepthReadings) -> Result<()> {
         let Interval { conformal, predicted, left_out } = interval;
         if self.json {
             return say!(
@@ -135,6 +132,7 @@ impl Args {
                 json!({
                     "output": self.output.to_string_lossy(), "conformal": conformal,
                     "predicted_factor": predicted, "views_left_out": left_out,
+                    "depth_readings": readings,
                 })
             );
         }

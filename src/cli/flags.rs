@@ -3,13 +3,14 @@
 use crate::Error;
 
 /// The library's name of a setting, and the flag that sets it.
-const FLAGS: [(&str, &str); 25] = [
+const FLAGS: [(&str, &str); 26] = [
     ("angle of view", "--fov"),
     ("checkpoint", "--checkpoint, --resume"),
     ("coordinates", "--coordinates"),
     ("criterion `density`", "--refine density"),
     ("cutoff", "--cutoff"),
     ("dense grid", "--grid dense"),
+    ("depth", "--depth"),
     ("depth encoding", "--depth-encoding"),
     ("error bars", "--error-bars"),
     ("finite-difference step", "--step"),

@@ -2,9 +2,20 @@
 
 use std::path::Path;
 
+use glam::DVec3;
+
+use super::Unmeasured;
 use super::image::decode;
-use crate::geometry::Camera;
+use crate::geometry::{Aabb, Camera};
 use crate::{Error, Result};
+
+/// Values of this size and above mean "no surface": Blender's Cycles writes 1e10, other programs the largest f32.
+const NO_SURFACE: f32 = 1e10;
+/// Largest f16, which larger numbers become.
+const LARGEST_F16: f32 = 65504.0;
+
+/// What a pixel of a depth map holds: a depth, or why it is none.
+type Reading = std::result::Result<f64, Unmeasured>;
 
 /// Quantity that a depth map measures.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
@@ -41,7 +52,7 @@ impl DepthKind {
 /// Encoding of a depth map: depth = offset + scale · p in scene units, with p = value / largest
 /// value of the integer type.
 ///
-/// Value 0 means "unknown".
+/// Value 0 means "unknown", and the largest value "this far or farther".
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct DepthEncoding {
     /// Depth at p = 0.
@@ -53,17 +64,19 @@ pub struct DepthEncoding {
 }
 
 impl DepthEncoding {
-    /// The encoding of depth maps whose names follow `pattern`, from an offset and scale for those that need one.
+    /// The encoding of depth maps of this name or pattern of names, from an offset and scale for those that need one.
     ///
     /// # Errors
     /// If maps in .exr, which are in scene units, are given an offset and scale, or others none.
-    pub fn of_maps(pattern: &str, given: Option<[f64; 2]>, kind: DepthKind) -> Result<Self> {
+    pub fn of_maps(name: &Path, given: Option<[f64; 2]>, kind: DepthKind) -> Result<Self> {
         let refused = |expected: &str, found: String| Err(Error::setting("depth encoding", expected, found));
-        match (given, is_exact(Path::new(pattern))) {
+        match (given, is_exact(name)) {
             (Some([offset, scale]), false) => Ok(Self { offset, scale, kind }),
             (None, true) => Ok(Self { offset: 0.0, scale: 1.0, kind }),
             (None, false) => {
-                refused("offset and scale of the depth maps (those in .exr are in scene units)", "none".into())
+                let expected = "offset and scale of the depth maps (those in .exr are in scene units), such as 0,65.535 \
+                    for 16 bits in millimetres of scenes in metres";
+                refused(expected, "none".into())
             }
             (Some([offset, scale]), true) => {
                 refused("none, as depth maps in .exr are in scene units", format!("{offset},{scale}"))
@@ -77,13 +90,14 @@ impl DepthEncoding {
 pub struct DepthMap {
     /// Width and height in pixels.
     pub resolution: [u32; 2],
-    /// `[height · width]`: Euclidean distance in scene units; `None` if unknown.
-    pub distance: Vec<Option<f64>>,
+    /// `[height · width]`: Euclidean distance in scene units, above 0 and finite; or why there is none.
+    pub distance: Vec<std::result::Result<f64, Unmeasured>>,
 }
 
 impl DepthMap {
     /// Reads an 8- or 16-bit PNG (of a colour image, the first channel), or the depth channel of an EXR, which is in
-    /// scene units whatever the encoding's offset and scale. There, unknown depths are 0, or not finite.
+    /// scene units whatever the encoding's offset and scale. Values that are known to mean "unknown" or "no surface" are
+    /// no distances.
     ///
     /// # Errors
     /// If the file is missing or damaged, or its size differs from the camera's.
@@ -93,9 +107,24 @@ impl DepthMap {
         let width = resolution[0] as usize;
         let distance = depths.into_iter().enumerate().map(|(i, depth)| {
             let [x, y] = [i % width, i / width].map(|n| n as f64 + pixel_offset);
-            Some(depth? * encoding.kind.stretch(camera, x, y))
+            in_front(depth? * encoding.kind.stretch(camera, x, y))
         });
         Ok(Self { resolution, distance: distance.collect() })
+    }
+
+    /// Marks distances beyond the reach of a model that is empty outside `bounds`: behind the corner that is farthest
+    /// from the camera by more than the diagonal of the box.
+    ///
+    /// A model cannot be wrong by more than its box is wide, so such a distance has another unit, belongs to something
+    /// outside of the scene, or stands for "no surface" in a program of its own custom.
+    #[must_use]
+    pub fn within(mut self, bounds: &Aabb, camera: &Camera) -> Self {
+        let [low, high] = [bounds.min(), bounds.max()].map(|corner| (corner - camera.position).abs());
+        let reach = DVec3::max(low, high).length() + bounds.size().length();
+        for distance in &mut self.distance {
+            *distance = distance.and_then(|d| if d > reach { Err(Unmeasured::Beyond) } else { Ok(d) });
+        }
+        self
     }
 }
 
@@ -104,20 +133,34 @@ fn is_exact(name: &Path) -> bool {
     name.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("exr"))
 }
 
+/// A distance, if it is one.
+fn in_front(distance: f64) -> Reading {
+    match distance {
+        0.0 => Err(Unmeasured::Zero),
+        d if !d.is_finite() => Err(Unmeasured::NotFinite),
+        d if d < 0.0 => Err(Unmeasured::Negative),
+        d => Ok(d),
+    }
+}
+
 /// The depths of an EXR.
 #[cfg(feature = "exr")]
-fn exact(path: &Path, resolution: [u32; 2]) -> Result<Vec<Option<f64>>> {
-    let depths = crate::io::read_exr_depth(path, resolution)?.into_iter().map(f64::from);
-    Ok(depths.map(|depth| (depth > 0.0 && depth.is_finite()).then_some(depth)).collect())
+fn exact(path: &Path, resolution: [u32; 2]) -> Result<Vec<Reading>> {
+    let is_depth = |depth: f32| depth < NO_SURFACE && depth != LARGEST_F16;
+    let reading = |depth: f32| match in_front(f64::from(depth)) {
+        Ok(_) if !is_depth(depth) => Err(Unmeasured::Largest),
+        reading => reading,
+    };
+    Ok(crate::io::read_exr_depth(path, resolution)?.into_iter().map(reading).collect())
 }
 
 #[cfg(not(feature = "exr"))]
-fn exact(path: &Path, _: [u32; 2]) -> Result<Vec<Option<f64>>> {
+fn exact(path: &Path, _: [u32; 2]) -> Result<Vec<Reading>> {
     Err(Error::malformed(path, "depth map", "a PNG or JPEG, as the feature `exr` is off", "an EXR image"))
 }
 
 /// The depths of a PNG.
-fn steps(path: &Path, encoding: DepthEncoding, resolution: [u32; 2]) -> Result<Vec<Option<f64>>> {
+fn steps(path: &Path, encoding: DepthEncoding, resolution: [u32; 2]) -> Result<Vec<Reading>> {
     let raw: Vec<f64> = match &decode(path, "depth map", resolution)? {
         image::DynamicImage::ImageLuma16(i) => i.pixels().map(|p| f64::from(p.0[0]) / 65535.0).collect(),
         image::DynamicImage::ImageLumaA16(i) => i.pixels().map(|p| f64::from(p.0[0]) / 65535.0).collect(),
@@ -125,7 +168,12 @@ fn steps(path: &Path, encoding: DepthEncoding, resolution: [u32; 2]) -> Result<V
         image::DynamicImage::ImageRgba16(i) => i.pixels().map(|p| f64::from(p.0[0]) / 65535.0).collect(),
         other => other.to_rgba8().pixels().map(|p| f64::from(p.0[0]) / 255.0).collect(),
     };
-    Ok(raw.into_iter().map(|p| (p > 0.0).then_some(encoding.offset + encoding.scale * p)).collect())
+    let reading = |p: f64| match p {
+        0.0 => Err(Unmeasured::Zero),
+        1.0 => Err(Unmeasured::Largest),
+        p => Ok(encoding.offset + encoding.scale * p),
+    };
+    Ok(raw.into_iter().map(reading).collect())
 }
 
 #[cfg(test)]
@@ -155,9 +203,50 @@ mod tests {
         let camera = Camera::look_at(DVec3::new(0.0, -4.0, 0.0), DVec3::ZERO, DVec3::Z, 0.7, [4, 4]);
         let encoding = DepthEncoding { offset: 0.0, scale: 65.535, kind: DepthKind::Z };
         let map = DepthMap::read(&path, encoding, &camera, 0.5).unwrap();
-        assert_eq!(map.distance[0], None);
+        assert_eq!(map.distance[0], Err(Unmeasured::Zero));
         // The point at that distance along the pixel's ray has z-depth 32.768.
         let point = camera.ray(3.5, 1.5).at(map.distance[7].unwrap());
         assert!((camera.project(point).unwrap().1 - 32.768).abs() < 1e-9);
+    }
+
+    #[test]
+    fn what_lies_far_behind_the_box_is_no_measurement() {
+        let camera = Camera::look_at(DVec3::new(0.0, -4.0, 0.0), DVec3::ZERO, DVec3::Z, 0.7, [4, 1]);
+        // The farthest corners are at (±1, 1, ±1), and the diagonal is √12.
+        let reach = 27_f64.sqrt() + 12_f64.sqrt();
+        let distance = vec![Ok(0.1), Ok(reach - 1e-9), Ok(reach + 1e-9), Err(Unmeasured::Zero)];
+        let map = DepthMap { resolution: [4, 1], distance }.within(&Aabb::centered_cube(1.0), &camera);
+        let expected = [Ok(0.1), Ok(reach - 1e-9), Err(Unmeasured::Beyond), Err(Unmeasured::Zero)];
+        assert_eq!(map.distance, expected);
+    }
+
+    #[test]
+    fn the_ends_of_every_kind_of_png_are_no_measurements() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("depth.png");
+        let camera = Camera::look_at(DVec3::new(0.0, -4.0, 0.0), DVec3::ZERO, DVec3::Z, 0.7, [4, 1]);
+        // The first channel counts, whatever the others hold.
+        let eight = |x: u32| [0_u8, 51, 254, 255][x as usize];
+        let sixteen = |x: u32| [0_u16, 13107, 65534, 65535][x as usize];
+        let images: [image::DynamicImage; 6] = [
+            image::ImageBuffer::from_fn(4, 1, |x, _| image::Luma([eight(x)])).into(),
+            image::ImageBuffer::from_fn(4, 1, |x, _| image::Rgb([eight(x), 9, 9])).into(),
+            image::ImageBuffer::from_fn(4, 1, |x, _| image::Rgba([eight(x), 9, 9, 0])).into(),
+            image::ImageBuffer::from_fn(4, 1, |x, _| image::Luma([sixteen(x)])).into(),
+            image::ImageBuffer::from_fn(4, 1, |x, _| image::LumaA([sixteen(x), 9])).into(),
+            image::ImageBuffer::from_fn(4, 1, |x, _| image::Rgb([sixteen(x), 9, 9])).into(),
+        ];
+        for image in images {
+            image.save(&path).unwrap();
+            let read = |offset: f64, scale: f64| {
+                let encoding = DepthEncoding { offset, scale, kind: DepthKind::Euclidean };
+                DepthMap::read(&path, encoding, &camera, 0.5).unwrap().distance
+            };
+            let [zero, fifth, high, most] = read(0.0, 10.0)[..] else { panic!("4 pixels") };
+            assert_eq!([zero, most], [Err(Unmeasured::Zero), Err(Unmeasured::Largest)], "{:?}", image.color());
+            assert!((fifth.unwrap() - 2.0).abs() < 1e-12 && (9.9..10.0).contains(&high.unwrap()));
+            // Behind the camera.
+            assert_eq!(read(-3.0, 10.0)[1], Err(Unmeasured::Negative), "{:?}", image.color());
+        }
     }
 }

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::TrueView;
+use super::depth_files::each_has_its_own;
 use crate::dataset::{Frame, image_path};
 use crate::geometry::Lattice;
 use crate::monitor::Monitor;
@@ -19,15 +20,23 @@ pub struct TrainingImages(Vec<Frame>);
 
 impl TrainingImages {
     /// Frames whose images are where they say.
-    #[must_use]
-    pub fn new(frames: Vec<Frame>) -> Self {
-        Self(frames)
+    ///
+    /// # Errors
+    /// If two frames have one image.
+    pub fn new(frames: Vec<Frame>) -> Result<Self> {
+        Self::of(Path::new("cameras"), frames)
+    }
+
+    fn of(source: &Path, frames: Vec<Frame>) -> Result<Self> {
+        let images = frames.iter().map(|frame| (&*frame.name, frame.image.as_path()));
+        each_has_its_own(source, "training images", images, |_| true)?;
+        Ok(Self(frames))
     }
 
     /// Finds the images of frames below a folder, by their names.
     ///
     /// # Errors
-    /// If an image is missing.
+    /// If an image is missing, or if two frames have one.
     pub fn find(folder: &Path, frames: &[Frame]) -> Result<Self> {
         let find = |frame: &Frame| {
             // COLMAP's names start from the folder of the images, those of a transforms.json from its own.
@@ -40,7 +49,7 @@ impl TrainingImages {
             })?;
             Ok(Frame { image, ..frame.clone() })
         };
-        frames.iter().map(find).collect::<Result<_>>().map(Self)
+        Self::of(folder, frames.iter().map(find).collect::<Result<_>>()?)
     }
 
     /// The images' paths, in the order of the frames.
@@ -68,7 +77,7 @@ impl TrainingImages {
 
 /// What training left unexplained in these images, for fields on a lattice.
 ///
-/// A pixel's residual lies at its expected depth; pixels that show no matter have none. Images are taken one by one.
+/// A pixel's residual lies at its expected depth; pixels that show no matter, and masked ones, have none. Images are taken one by one.
 /// Advances the monitor by one per row.
 ///
 /// # Errors
@@ -85,7 +94,7 @@ pub fn measure_misfit(
         let view = render_view(tracer, &image.camera, image.pixel_offset, &[], monitor)?;
         let width = image.camera.resolution[0] as usize;
         // In the order of the pixels, so that the sums do not depend on the number of threads.
-        for (i, pixel) in view.pixels.iter().enumerate().filter(|(_, pixel)| pixel.opacity > 0.5) {
+        for (i, pixel) in view.pixels.iter().enumerate().filter(|(i, pixel)| pixel.opacity > 0.5 && image.kept[*i]) {
             let [x, y] = [i % width, i / width].map(|n| n as f64 + image.pixel_offset);
             let position = tracer.marcher.bounds.clamp(image.camera.ray(x, y).at(pixel.expected_depth).as_vec3());
             sums.add(position, (pixel.color - image.colors[i]).length_squared() / 3.0);
@@ -99,6 +108,7 @@ mod tests {
     use glam::{DVec3, Vec3};
 
     use super::*;
+    use crate::dataset::DepthReadings;
     use crate::field::{ClosedForm, RadianceField};
     use crate::geometry::Camera;
     use crate::monitor::Silent;
@@ -119,8 +129,10 @@ mod tests {
             camera,
             pixel_offset: 0.5,
             colors,
+            kept: vec![true; 64 * 64],
             covered: vec![true; 64 * 64],
             distance: vec![None; 64 * 64],
+            readings: DepthReadings::default(),
         };
         let lattice = Lattice::new(ball.bounds(), 4).unwrap();
         let misfit = measure_misfit(&tracer, [Ok(truth)], &lattice, &Silent).unwrap();

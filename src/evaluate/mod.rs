@@ -2,10 +2,12 @@
 //!
 //! All measures are compared on the same pixels. In the order in which data flows: a [`TrueView`] is what a
 //! camera should see. [`Evaluator`] renders it and gives every pixel its depth error and all [`Measure`]s of
-//! uncertainty. [`Score`] says how well each measure ranks the error. [`clean_up()`] removes what is too
+//! uncertainty; [`HeldOut`] does so for all frames. [`Score`] says how well each measure ranks the error. [`clean_up()`] removes what is too
 //! uncertain and compares the images.
 
 mod clean_up;
+mod depth_files;
+mod held_out;
 mod interval;
 mod measure;
 mod misfit;
@@ -15,12 +17,14 @@ mod truth;
 mod view;
 
 pub use clean_up::{CleanUp, SCALE, THRESHOLDS, clean_up};
+pub use depth_files::{DepthFiles, FramesWithDepth};
+pub use held_out::{HeldOut, Judged};
 pub use interval::Interval;
 pub use measure::{Baseline, Measure, Reading};
 pub use misfit::{TrainingImages, measure_misfit};
 pub use score::{DepthError, Score};
 pub use training_views::{Sighting, TrainingViews};
-pub use truth::{DepthFiles, TrueView};
+pub use truth::{DepthMeaning, TrueView};
 pub use view::{EvaluatedView, Evaluator};
 
 #[cfg(test)]

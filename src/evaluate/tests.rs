@@ -3,6 +3,7 @@
 use glam::{DVec3, Vec3};
 
 use super::*;
+use crate::dataset::DepthReadings;
 use crate::estimate::{Estimation, GridSettings, RaySettings};
 use crate::field::{ClosedForm, Radiance, RadianceField};
 use crate::geometry::{Aabb, Camera};
@@ -69,8 +70,10 @@ fn truth(ball: &ClosedForm, camera: &Camera) -> TrueView {
         camera: *camera,
         pixel_offset: 0.5,
         colors: view.pixels.iter().map(|p| p.color).collect(),
+        kept: vec![true; n],
         covered: (0..n).map(seen).collect(),
         distance: (0..n).map(|i| seen(i).then(|| view.pixels[i].median_depth - 0.01 * (i % width) as f64)).collect(),
+        readings: DepthReadings::default(),
     }
 }
 

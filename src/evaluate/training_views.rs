@@ -8,10 +8,10 @@ use std::f64::consts::PI;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::DepthFiles;
+use super::DepthMeaning;
 use crate::Result;
-use crate::dataset::DepthMap;
-use crate::geometry::{Camera, NamedCamera};
+use crate::dataset::{DepthReadings, Frame};
+use crate::geometry::Camera;
 use crate::monitor::{Monitor, check};
 use crate::render::{Tracer, render_view};
 
@@ -65,26 +65,32 @@ impl TrainingViews {
         Ok(Self { views, slack: STEPS * tracer.marcher.step })
     }
 
-    /// The depth that each camera truly saw. Where a map knows no depth, its camera saw to infinity.
+    /// The depth that the cameras of frames with depth maps truly saw, and what the maps hold. Where a map holds no
+    /// measurement, its camera saw to infinity.
     ///
     /// Advances the monitor by one per camera.
     ///
     /// # Errors
     /// If a map is missing or damaged, or its size differs from its camera's; [`crate::Error::Interrupted`].
     pub fn from_depth_maps(
-        cameras: &[NamedCamera],
-        files: &DepthFiles,
+        frames: &[Frame],
+        depth: &DepthMeaning,
         pixel_offset: f64,
         monitor: &dyn Monitor,
-    ) -> Result<Self> {
-        let view = |NamedCamera { name, camera, .. }: &NamedCamera| {
+    ) -> Result<(Self, DepthReadings)> {
+        let view = |frame: &Frame| {
             check(monitor)?;
-            let map = DepthMap::read(&files.path(name), files.encoding, camera, pixel_offset)?;
-            let depths = map.distance.into_iter().map(|depth| depth.map_or(f32::INFINITY, |d| d as f32)).collect();
+            let distance = depth.read(frame, pixel_offset)?.distance;
+            let mut readings = DepthReadings::default();
+            distance.iter().for_each(|distance| readings.count(*distance));
+            let depths = distance.into_iter().map(|d| d.map_or(f32::INFINITY, |d| d as f32)).collect();
             monitor.advance(1);
-            Ok(SeenDepth { camera: *camera, depths })
+            Ok((SeenDepth { camera: frame.camera, depths }, readings))
         };
-        Ok(Self { views: cameras.par_iter().map(view).collect::<Result<_>>()?, slack: 0.0 })
+        let found: Vec<(SeenDepth, DepthReadings)> = frames.par_iter().map(view).collect::<Result<_>>()?;
+        let mut readings = DepthReadings::default();
+        found.iter().for_each(|(_, of_view)| readings += *of_view);
+        Ok((Self { views: found.into_iter().map(|(view, _)| view).collect(), slack: 0.0 }, readings))
     }
 
     /// Number of cameras.
@@ -142,7 +148,9 @@ mod tests {
 
     use super::*;
     #[cfg(feature = "synth")]
-    use crate::dataset::{DepthEncoding, DepthKind};
+    use crate::dataset::DepthKind;
+    #[cfg(feature = "synth")]
+    use crate::evaluate::{DepthFiles, FramesWithDepth};
     use crate::field::{ClosedForm, RadianceField};
     use crate::monitor::Silent;
     use crate::render::Marcher;
@@ -182,23 +190,42 @@ mod tests {
         let from = |eye: DVec3| Camera::look_at(eye, DVec3::ZERO, DVec3::Z, 0.9, [400; 2]);
         let cameras = [DVec3::new(3.0, 0.0, 0.5), DVec3::new(-1.0, 3.0, 0.2)].map(from);
         let folder = tempfile::tempdir().unwrap();
-        let mut named = Vec::new();
-        for (i, camera) in cameras.iter().enumerate() {
-            let depth = |pixel: usize| {
-                let ray = camera.ray((pixel % 400) as f64 + 0.5, (pixel / 400) as f64 + 0.5);
-                let (b, c) = (ray.origin.dot(ray.direction), ray.origin.length_squared() - RADIUS * RADIUS);
-                let root = b * b - c;
-                if root > 0.0 { (-b - root.sqrt()) as f32 } else { 0.0 }
-            };
-            let depths = (0..400 * 400).map(depth).collect();
-            let path = folder.path().join(format!("r_{i}.exr"));
-            crate::io::write_exr(&path, [400; 2], vec![("depth.Z", depths)]).unwrap();
-            named.push(NamedCamera::new(format!("images/r_{i}.png"), *camera));
-        }
-        let encoding = DepthEncoding::of_maps("{}.exr", None, DepthKind::Euclidean).unwrap();
-        let files = DepthFiles { folder: folder.path().into(), pattern: "{}.exr".into(), encoding };
-        let views = TrainingViews::from_depth_maps(&named, &files, 0.5, &Silent).unwrap();
+        let name = |i: usize| format!("images/r_{i}.png");
+        let mut frames: Vec<Frame> = (0..).zip(&cameras).map(|(i, camera)| Frame::new(*camera, name(i), "")).collect();
+        let files = DepthFiles {
+            folder: Some(folder.path().into()),
+            pattern: "{}.exr".into(),
+            scale: None,
+            kind: DepthKind::Euclidean,
+        };
+        // What programs write where there is no surface, and a far plane.
+        let read = |nothing: f32| {
+            let mut missed = 0;
+            for (i, camera) in cameras.iter().enumerate() {
+                let mut depth = |pixel: usize| {
+                    let ray = camera.ray((pixel % 400) as f64 + 0.5, (pixel / 400) as f64 + 0.5);
+                    let (b, c) = (ray.origin.dot(ray.direction), ray.origin.length_squared() - RADIUS * RADIUS);
+                    let root = b * b - c;
+                    missed += u64::from(root <= 0.0);
+                    if root > 0.0 { (-b - root.sqrt()) as f32 } else { nothing }
+                };
+                let depths = (0..400 * 400).map(&mut depth).collect();
+                let path = folder.path().join(format!("r_{i}.exr"));
+                crate::io::write_exr(&path, [400; 2], vec![("depth.Z", depths)]).unwrap();
+            }
+            let FramesWithDepth { frames, encoding, .. } = files.find(folder.path(), &frames, &frames).unwrap();
+            let depth = DepthMeaning { encoding, bounds: crate::geometry::Aabb::centered_cube(RADIUS) };
+            let (views, readings) = TrainingViews::from_depth_maps(&frames, &depth, 0.5, &Silent).unwrap();
+            assert_eq!((readings.measured, readings.total()), (320_000 - missed, 320_000), "{nothing}");
+            views
+        };
+        let views = read(0.0);
         assert_eq!((views.len(), views.is_empty()), (2, false));
+        for nothing in [1e10, 65504.0, f32::MAX, f32::INFINITY, f32::NAN, -1.0, 1000.0] {
+            for (view, expected) in read(nothing).views.iter().zip(&views.views) {
+                assert!(view.depths == expected.depths, "{nothing}");
+            }
+        }
         let (mut seen, mut hidden) = (0, 0);
         for i in 0..4000 {
             // A spiral over the ball.
@@ -216,8 +243,8 @@ mod tests {
             (seen, hidden) = (seen + usize::from(expected > 0), hidden + usize::from(expected == 0));
         }
         assert!(seen > 1000 && hidden > 500, "{seen} seen, {hidden} not");
-        named[1].name = "images/r_9.png".into();
-        let missing = TrainingViews::from_depth_maps(&named, &files, 0.5, &Silent).unwrap_err().to_string();
-        assert!(missing.contains("r_9.exr"), "{missing}");
+        frames[1].name = "images/r_9.png".into();
+        let missing = files.find(folder.path(), &frames, &frames).unwrap_err().to_string();
+        assert!(missing.ends_with("none of images/r_9.exr, r_9.exr"), "{missing}");
     }
 }

@@ -1,31 +1,30 @@
 //! What a held-out camera should see.
 
-use std::path::{Path, PathBuf};
-
 use glam::DVec3;
 
-use crate::Result;
-use crate::dataset::{DepthEncoding, DepthKind, DepthMap, Frame, PosedImage};
-use crate::geometry::Camera;
+use crate::dataset::{DepthEncoding, DepthKind, DepthMap, DepthReadings, Frame, PosedImage, read_masks};
+use crate::geometry::{Aabb, Camera};
+use crate::{Error, Result};
 
-/// Location of true depth maps.
-#[derive(Debug, Clone)]
-pub struct DepthFiles {
-    /// Folder of the maps.
-    pub folder: PathBuf,
-    /// File name; `{}` is the frame's file name without extension.
-    pub pattern: String,
+/// How depth maps are read.
+#[derive(Debug, Clone, Copy)]
+pub struct DepthMeaning {
     /// Meaning of their values.
     pub encoding: DepthEncoding,
+    /// The model's box: what lies far behind it is no depth of the scene ([`DepthMap::within`]).
+    pub bounds: Aabb,
 }
 
-impl DepthFiles {
-    /// Path of the depth map of a frame with this `file_path`.
-    #[must_use]
-    pub fn path(&self, name: &str) -> PathBuf {
-        let stem = Path::new(name).file_name().unwrap_or_default().to_string_lossy();
-        let stem = [".png", ".jpg", ".jpeg"].iter().fold(&*stem, |s, e| s.trim_end_matches(e));
-        self.folder.join(self.pattern.replace("{}", stem))
+impl DepthMeaning {
+    /// Reads the depth map of a frame.
+    ///
+    /// # Errors
+    /// If the frame has none, if the map is missing or damaged, or if its size differs from the camera's.
+    pub fn read(&self, frame: &Frame, pixel_offset: f64) -> Result<DepthMap> {
+        let none = || Error::setting(format!("depth map of frame `{}`", frame.name), "a file", "none");
+        let path = frame.depth.as_ref().ok_or_else(none)?;
+        let map = DepthMap::read(path, self.encoding, &frame.camera, pixel_offset)?;
+        Ok(map.within(&self.bounds, &frame.camera))
     }
 }
 
@@ -40,42 +39,56 @@ pub struct TrueView {
     pub pixel_offset: f64,
     /// `[height · width]`: colour over the background, in [0, 1].
     pub colors: Vec<DVec3>,
-    /// `[height · width]`: true if more than half of the pixel shows matter (alpha above ½).
+    /// `[height · width]`: true if the pixel is not masked.
+    pub kept: Vec<bool>,
+    /// `[height · width]`: true if more than half of the pixel shows matter (alpha above ½) and it is not masked.
     pub covered: Vec<bool>,
-    /// `[height · width]`: distance from the camera in scene units, where it is known and
-    /// the pixel is opaque (alpha 255).
+    /// `[height · width]`: distance from the camera in scene units, where it is known and the pixel is opaque (alpha
+    /// 255) and not masked.
     pub distance: Vec<Option<f64>>,
+    /// What the depth map holds at these pixels.
+    pub readings: DepthReadings,
 }
 
 impl TrueView {
-    /// Reads every `stride`-th pixel along x and y of a frame's image and, if there are any, its depth map.
+    /// Reads every `stride`-th pixel along x and y of a frame's image and, with `depth`, of its depth map.
     ///
     /// # Errors
     /// If a file is missing or damaged, or its size differs from the camera's.
     pub fn read(
         frame: &Frame,
-        depth: Option<&DepthFiles>,
+        depth: Option<&DepthMeaning>,
         background: DVec3,
         pixel_offset: f64,
         stride: u32,
     ) -> Result<Self> {
         let image = PosedImage::read(&frame.image, frame.camera.resolution)?;
-        let read = |depth: &DepthFiles| {
-            DepthMap::read(&depth.path(&frame.name), depth.encoding, &frame.camera, pixel_offset)
-                .map(|map| map.distance)
-        };
-        let truth = depth.map(read).transpose()?;
+        let mask = read_masks(std::slice::from_ref(frame))?.swap_remove(0);
+        let truth = depth.map(|depth| depth.read(frame, pixel_offset)).transpose()?;
         let camera = frame.camera.strided(stride, pixel_offset);
         let [width, height] = camera.resolution;
         let full = |row: u32, column: u32| (row * stride * frame.camera.resolution[0] + column * stride) as usize;
         let pixels: Vec<usize> = (0..height).flat_map(|row| (0..width).map(move |c| full(row, c))).collect();
+        let full_width = frame.camera.resolution[0] as usize;
+        let keeps = |i: usize| {
+            mask.as_ref().is_none_or(|mask| mask.keeps((i % full_width) as u32, (i / full_width) as u32))
+        };
+        let mut readings = DepthReadings::default();
+        let measured = |&i: &usize| {
+            let reading = truth.as_ref().filter(|_| image.is_opaque(i) && keeps(i))?.distance[i];
+            readings.count(reading);
+            reading.ok()
+        };
+        let distance = pixels.iter().map(measured).collect();
         Ok(Self {
             name: frame.name.clone(),
             camera,
             pixel_offset,
             colors: pixels.iter().map(|&i| image.over(i, background)).collect(),
-            covered: pixels.iter().map(|&i| image.alpha(i) > 0.5).collect(),
-            distance: pixels.iter().map(|&i| truth.as_ref()?[i].filter(|_| image.is_opaque(i))).collect(),
+            kept: pixels.iter().map(|&i| keeps(i)).collect(),
+            covered: pixels.iter().map(|&i| image.alpha(i) > 0.5 && keeps(i)).collect(),
+            distance,
+            readings,
         })
     }
 

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use super::points::Surfaces;
-use crate::io::AtomicFile;
+use crate::io::{AtomicFile, cell};
 use crate::metrics::quantile;
 use crate::uncertainty::{Answers, Knowledge};
 use crate::{Error, Result};
@@ -62,7 +62,7 @@ pub fn write_report(path: &Path, surfaces: &Surfaces, names: &[String], field: &
         let number = |v: f64| if v.is_nan() { String::new() } else { format!("{v:e}") };
         let fixed = [
             kind.to_string(),
-            name.to_string(),
+            cell(name.to_string()),
             pixels.map_or_else(String::new, |n| n.to_string()),
             n.to_string(),
             unseen,

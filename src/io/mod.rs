@@ -5,6 +5,7 @@
 //! anything.
 
 mod atomic;
+mod cell;
 pub mod container;
 mod element;
 #[cfg(feature = "exr")]
@@ -20,6 +21,7 @@ mod source;
 mod text;
 
 pub use atomic::AtomicFile;
+pub use cell::cell;
 pub use element::{Element, Index, Real};
 #[cfg(feature = "exr")]
 pub use exr::{read_exr_depth, write_exr};

@@ -14,16 +14,16 @@ use super::options::{CameraFile, DepthOptions, FrameOptions, ModelOptions};
 use super::progress::Bars;
 use crate::dataset::Frame;
 use crate::evaluate::{
-    CleanUp, DepthError, DepthFiles, EvaluatedView, Evaluator, Reading, Score, THRESHOLDS, TrainingViews, TrueView,
-    clean_up,
+    CleanUp, DepthError, DepthMeaning, Evaluator, FramesWithDepth, HeldOut, Judged, Reading, Score, THRESHOLDS,
+    TrainingViews, TrueView, clean_up,
 };
 use crate::field::RadianceField;
-use crate::geometry::{Aabb, Camera, Domain};
+use crate::geometry::{Aabb, Camera};
 use crate::io::AtomicFile;
 use crate::metrics::STEPS;
 use crate::monitor::Monitor;
 use crate::posterior::Covariance;
-use crate::render::{RayAverage, RenderedView, Tracer};
+use crate::render::{RayAverage, Tracer};
 use crate::{Error, Result};
 
 /// Evaluate fields against true depth: AUSE beside measures that need no Hessian, depth error, PSNR, clean-up
@@ -61,8 +61,9 @@ pub struct Args {
     #[command(flatten)]
     frames: FrameOptions,
 
-    /// Folder of true depth maps. Only --clean-up does without
-    #[arg(long, value_name = "DIR", required_unless_present = "clean_up")]
+    /// Folder of true depth maps [default: those that the camera file names, `depth_file_path`]. Only --clean-up does
+    /// without
+    #[arg(long, value_name = "DIR")]
     depth: Option<PathBuf>,
 
     #[command(flatten)]
@@ -71,7 +72,7 @@ pub struct Args {
     /// Folder of true depth maps of the training views, which the model must know, with names and values like those of
     /// --depth. Tells which pixels show what no training view saw, and how well every measure detects them (AUROC, and
     /// AUPR). Where a map knows no depth, its view counts as seeing all that is there
-    #[arg(long, value_name = "DIR", requires = "depth")]
+    #[arg(long, value_name = "DIR")]
     training_depth: Option<PathBuf>,
 
     /// Covariances to evaluate, separated by commas [default: all if a field keeps its sums, else its own]
@@ -90,7 +91,7 @@ pub struct Args {
 
     /// Two or more models trained like MODEL with other seeds; MODEL may be among them. Evaluates the variance of
     /// their depth, and the density-aware ensemble (Sünderhauf et al. 2023)
-    #[arg(long, value_name = "MODEL", num_args = 2.., requires = "depth")]
+    #[arg(long, value_name = "MODEL", num_args = 2..)]
     ensemble: Vec<String>,
 
     /// Remove density above ten thresholds of log10 U (the first field's first covariance), report how images
@@ -108,11 +109,11 @@ pub struct Args {
 
     /// Draw the sparsification curves (mean absolute error) as SVG. Beside them, for fields of `--scale data`, the
     /// reliability of the deviations of depth: the share of errors within the interval that should hold each share
-    #[arg(long, value_name = "PLOT.svg", requires = "depth")]
+    #[arg(long, value_name = "PLOT.svg")]
     plot: Option<PathBuf>,
 
     /// Write all sparsification curves as CSV
-    #[arg(long, value_name = "CURVES.csv", requires = "depth")]
+    #[arg(long, value_name = "CURVES.csv")]
     csv: Option<PathBuf>,
 
     /// Use the field even if it was computed for another model
@@ -145,23 +146,21 @@ impl Args {
         let readings = self.readings(&*model)?;
         let members = self.ensemble.iter().map(|name| self.member(name, &*model)).collect::<Result<Vec<_>>>()?;
         let judged = self.cameras.held_out(&self.frames, &*model)?;
-        let depth_files = self.depth.clone().map(|folder| self.maps.files(folder)).transpose()?;
-        let images = judged.iter().map(|frame| &frame.image);
-        let maps = judged.iter().flat_map(|frame| depth_files.iter().map(|files| files.path(&frame.name)));
-        let training_files = self.training_depth.clone().map(|folder| self.maps.files(folder)).transpose()?;
-        let training_maps = |files: &DepthFiles| model.training_cameras().iter().map(|c| files.path(&c.name)).collect();
-        let training_maps: Vec<PathBuf> = training_files.as_ref().map_or_else(Vec::new, training_maps);
+        let frames: Vec<Frame> = judged.iter().step_by(self.every as usize).cloned().collect();
+        let is_judged = self.judges_depth(&frames);
+        let found = is_judged.then(|| self.maps.find(self.depth.as_deref(), &self.cameras, &frames)).transpose()?;
+        let training_maps =
+            self.training_depth.as_ref().map(|folder| self.training_maps(folder, &*model)).transpose()?;
         files
-            .inputs("an image of --cameras", images)
-            .inputs("--depth", maps)
-            .inputs("--training-depth", training_maps)
+            .inputs("an image of --cameras", judged.iter().map(|frame| &frame.image))
+            .inputs("--depth", found.iter().flat_map(|found| &found.files))
+            .inputs("--training-depth", training_maps.iter().flat_map(|found| &found.files))
             .check()?;
-        let frames: Vec<&Frame> = judged.iter().step_by(self.every as usize).collect();
         let settings = self.model.image_settings();
         let offset = settings.offset_for(&*model);
-        let truly_seen = training_files.map(|files| truly_seen(&files, &*model, offset, bars)).transpose()?;
+        let truly_seen = training_maps.map(|found| truly_seen(&found, &*model, offset, bars)).transpose()?;
         let tracer = settings.tracer(&*model, 0.0, bars)?;
-        let training = self.training_views(&tracer, offset, bars)?;
+        let training = if is_judged { training_views(&tracer, offset, bars)? } else { None };
         let differentiation =
             readings.first().map(|r| settings.differentiation(&*model, r.field.lattice())).transpose()?;
         let evaluator = Evaluator {
@@ -172,38 +171,34 @@ impl Args {
             ..Evaluator::new(tracer, &readings)
         };
 
-        let rows = frames.iter().map(|f| u64::from(f.camera.resolution[1].div_ceil(self.stride))).sum::<u64>();
-        bars.begin("rows", rows * (1 + members.len() as u64));
-        let (mut truths, mut judged, mut otherwise) = (Vec::new(), Vec::new(), Vec::new());
-        for (seed, frame) in (0..).zip(frames) {
-            let background = self.model.rays.background.as_dvec3();
-            let truth = TrueView::read(frame, depth_files.as_ref(), background, offset, self.stride)?;
-            let view = evaluator.evaluate(&truth, seed, bars)?;
-            let other = truth.distance_if_not(self.maps.kind());
-            let error = |&i: &usize| Some((view.rendered.pixels[i].median_depth - other[i]?).abs());
-            otherwise.extend(view.pixels.iter().filter_map(error));
-            // Whole images are large, and only the clean-up needs the true ones again.
-            judged.push(EvaluatedView { rendered: RenderedView::default(), ..view });
-            truths.extend(self.clean_up.is_some().then_some(truth));
-        }
-        bars.end();
+        let source = found.as_ref().map_or_else(PathBuf::new, |found| found.source.clone());
+        let held_out = HeldOut {
+            frames: found.as_ref().map_or(&frames, |found| &found.frames),
+            depth: found.as_ref().map(|f| DepthMeaning { encoding: f.encoding, bounds: model.bounds() }),
+            background: self.model.rays.background.as_dvec3(),
+            pixel_offset: offset,
+            stride: self.stride,
+        };
+        // Whole images are large, and only the clean-up needs the true ones again.
+        let mut truths = Vec::new();
+        let keep = |truth| truths.extend(self.clean_up.is_some().then_some(truth));
+        let judged = held_out.evaluate(&evaluator, &source, bars, keep)?;
         let measures = evaluator.measures();
-        let ranked = self.depth.as_ref().map(|folder| rank(folder, &judged, measures.len(), &*model)).transpose()?;
-        if let Some((_, depth)) = &ranked {
-            self.maps.note_kind(depth, otherwise);
-        }
+        let ranked = is_judged.then(|| rank(&judged, measures.len(), &*model)).transpose()?;
         let (cleaned, sheet) = self.clean_up(&evaluator, &truths, bars)?.unzip();
         let cleaned = cleaned.unwrap_or_default();
         let calibrations = match &ranked {
-            Some(_) => (0..measures.len()).map(|m| evaluator.calibration(&judged, m)).collect(),
+            Some(_) => (0..measures.len()).map(|m| evaluator.calibration(&judged.views, m)).collect(),
             None => Vec::new(),
         };
-        let detections = (0..measures.len()).map(|m| Evaluator::detection(&judged, m)).collect();
+        let detections = (0..measures.len()).map(|m| Evaluator::detection(&judged.views, m)).collect();
         let evaluation = Evaluation {
             args: &self,
             evaluator: &evaluator,
             measures,
-            views: &judged,
+            views: &judged.views,
+            source: &source,
+            readings: is_judged.then_some(judged.readings),
             ranked,
             calibrations,
             detections,
@@ -218,16 +213,30 @@ impl Args {
         evaluation.print()
     }
 
-    /// What the cameras see that the model was trained on, if it knows them.
-    fn training_views(&self, tracer: &Tracer, offset: f64, bars: &Bars) -> Result<Option<TrainingViews>> {
-        let cameras: Vec<Camera> = tracer.field.training_cameras().iter().map(|named| named.camera).collect();
-        if cameras.is_empty() || self.depth.is_none() {
-            return Ok(None);
+    /// Whether depth is judged: always, unless the clean-up alone is asked for. Says so if there would be maps.
+    fn judges_depth(&self, frames: &[Frame]) -> bool {
+        let needs_it = [self.depth.is_some(), self.training_depth.is_some(), self.plot.is_some(), self.csv.is_some()];
+        if self.clean_up.is_none() || needs_it.contains(&true) || !self.ensemble.is_empty() || self.maps.are_given() {
+            return true;
         }
-        bars.begin("rows of training views", TrainingViews::rows(&cameras));
-        let views = TrainingViews::render(tracer, &cameras, offset, bars)?;
-        bars.end();
-        Ok(Some(views))
+        if frames.iter().any(|frame| frame.depth.is_some()) {
+            announce!(
+                "note: the depth maps that the camera file names are not evaluated: --clean-up alone does without \
+                 (--depth-encoding, --z-depth or --plot use them)"
+            );
+        }
+        false
+    }
+
+    /// The frames that the model was trained on, with their depth maps.
+    fn training_maps(&self, folder: &Path, model: &dyn RadianceField) -> Result<FramesWithDepth> {
+        let cameras = model.training_cameras();
+        if cameras.is_empty() {
+            let expected = "a model that knows its training cameras, such as those of `train`";
+            return Err(Error::setting("--training-depth", expected, model.describe()));
+        }
+        let frames: Vec<Frame> = cameras.iter().map(|named| Frame::new(named.camera, &named.name, "")).collect();
+        self.maps.files(Some(folder.into())).find(folder, &frames, &frames)
     }
 
     fn readings(&self, model: &dyn RadianceField) -> Result<Vec<Reading>> {
@@ -275,53 +284,39 @@ impl Args {
     }
 }
 
-/// What the cameras truly saw that the model was trained on.
-fn truly_seen(files: &DepthFiles, model: &dyn RadianceField, offset: f64, bars: &Bars) -> Result<TrainingViews> {
-    let cameras = model.training_cameras();
+/// What the cameras see that the model was trained on, if it knows them.
+fn training_views(tracer: &Tracer, offset: f64, bars: &Bars) -> Result<Option<TrainingViews>> {
+    let cameras: Vec<Camera> = tracer.field.training_cameras().iter().map(|named| named.camera).collect();
     if cameras.is_empty() {
-        let expected = "a model that knows its training cameras, such as those of `train`";
-        return Err(Error::setting("--training-depth", expected, model.describe()));
+        return Ok(None);
     }
-    bars.begin("training depth maps", cameras.len() as u64);
-    let seen = TrainingViews::from_depth_maps(cameras, files, offset, bars)?;
+    bars.begin("rows of training views", TrainingViews::rows(&cameras));
+    let views = TrainingViews::render(tracer, &cameras, offset, bars)?;
     bars.end();
+    Ok(Some(views))
+}
+
+/// What the cameras truly saw that the model was trained on. Says what their depth maps lack.
+fn truly_seen(maps: &FramesWithDepth, model: &dyn RadianceField, offset: f64, bars: &Bars) -> Result<TrainingViews> {
+    let depth = DepthMeaning { encoding: maps.encoding, bounds: model.bounds() };
+    bars.begin("training depth maps", maps.frames.len() as u64);
+    let (seen, readings) = TrainingViews::from_depth_maps(&maps.frames, &depth, offset, bars)?;
+    bars.end();
+    if readings.are_nearly_all_unmeasured() {
+        let expected = "depths of what the model shows in at least 1 % of the pixels (--depth-encoding)";
+        return Err(Error::malformed(&maps.source, "depth maps of training views", expected, readings.to_string()));
+    }
+    if readings.measured < readings.total() {
+        announce!("note: training views: {readings}; such pixels count as seeing all that is there");
+    }
     Ok(seen)
 }
 
-/// Scores every measure against the depth error, and says how large that error is.
-fn rank(
-    folder: &Path,
-    views: &[EvaluatedView],
-    measures: usize,
-    model: &dyn RadianceField,
-) -> Result<(Vec<Score>, DepthError)> {
-    let scores: Option<Vec<Score>> = (0..measures).map(|m| Score::new(views, m)).collect();
-    let (scores, depth) = scores.zip(DepthError::new(views)).ok_or_else(|| {
-        let found = views.iter().map(|view| view.pixels.len()).sum::<usize>().to_string();
-        let expected = format!("at least {STEPS} pixels with depth and some error");
-        Error::malformed(folder, "depth maps", expected, found)
-    })?;
-    check_depth(folder, &depth, model)?;
-    Ok((scores, depth))
-}
-
-/// Refuses depths that no error of a model explains. Warns of those that hardly any does.
-///
-/// Models trained from five views are off by a hundredth of their box in the median, a wrong encoding by the
-/// distance of the cameras.
-fn check_depth(folder: &Path, depth: &DepthError, model: &dyn RadianceField) -> Result<()> {
-    let (size, is_bounded) = match model.natural_domain() {
-        Domain::Box(bounds) => (bounds.longest_edge(), true),
-        Domain::Contracted { radius, .. } => (2.0 * radius, false),
-    };
-    let causes = "likely causes: --depth-encoding, --z-depth, or units of the cameras";
-    let found = format!("half of the depths are off by more than {:.4} scene units", depth.median);
-    if is_bounded && depth.median > size {
-        let expected = format!("depths within the model's box, {size:.4} across; {causes}");
-        return Err(Error::malformed(folder, "depth maps", expected, found));
-    }
-    if depth.median > 0.1 * size {
-        announce!("warning: {found}, and the model is {size:.4} across; {causes}");
-    }
-    Ok(())
+/// Scores every measure against the depth error, and says how large that error is. Says what is odd about the maps.
+fn rank(judged: &Judged, measures: usize, model: &dyn RadianceField) -> Result<(Vec<Score>, DepthError)> {
+    let (depth, notes) = judged.depth(model)?;
+    notes.iter().for_each(|note| announce!("{note}"));
+    let scores: Option<Vec<Score>> = (0..measures).map(|m| Score::new(&judged.views, m)).collect();
+    let few = || judged.too_few(&format!("at least {STEPS} pixels with depth and some error"));
+    Ok((scores.ok_or_else(few)?, depth))
 }

@@ -19,7 +19,7 @@ pub enum Ranking {
 
 impl Evaluation<'_> {
     pub(super) fn print_ranking(&self, depth: &DepthError) -> Result<()> {
-        let (args, folder) = (self.args, self.args.depth.iter().next().map_or("".into(), |d| d.display().to_string()));
+        let (args, folder) = (self.args, self.source.display());
         let kind = if args.maps.z_depth { "along the viewing axis" } else { "Euclidean" };
         say!("  depth        median of the ray's weights, against {kind} depth of {folder}")?;
         let empty = self.empty();

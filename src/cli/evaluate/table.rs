@@ -6,8 +6,9 @@ use serde_json::json;
 
 use super::Args;
 use crate::cli::report;
+use crate::dataset::DepthReadings;
 use crate::evaluate::{CleanUp, DepthError, EvaluatedView, Evaluator, Measure, Reading, Score};
-use crate::io::AtomicFile;
+use crate::io::{AtomicFile, cell};
 use crate::metrics::{Calibration, Detection, ErrorKind, STEPS, Sparsification};
 use crate::picture::{Curve, Plot, stage_plots};
 use crate::{Error, Result};
@@ -18,6 +19,10 @@ pub struct Evaluation<'a> {
     pub evaluator: &'a Evaluator<'a>,
     pub measures: Vec<Measure>,
     pub views: &'a [EvaluatedView],
+    /// Where the depth maps come from.
+    pub source: &'a Path,
+    /// What they hold; `None` without true depth.
+    pub readings: Option<DepthReadings>,
     /// A score per measure, and the error of depth; `None` without true depth.
     pub ranked: Option<(Vec<Score>, DepthError)>,
     /// One per measure with true depth; `None` for measures that are no deviations of depth.
@@ -31,6 +36,12 @@ pub struct Evaluation<'a> {
 /// The name of an error kind in files.
 fn kind_name(kind: ErrorKind) -> String {
     format!("{kind:?}").to_lowercase()
+}
+
+/// JSON without control characters. Those that JSON lets stand in a name are obeyed by some terminals.
+fn escaped(json: &serde_json::Value) -> String {
+    let escape = |c: char| if c.is_control() { format!("\\u{:04x}", u32::from(c)) } else { c.to_string() };
+    json.to_string().chars().map(escape).collect()
 }
 
 /// Which pixels are used, in words.
@@ -133,7 +144,7 @@ impl<'a> Evaluation<'a> {
         let mut file = AtomicFile::create(path)?;
         let mut write = || -> csv::Result<()> {
             let mut csv = csv::Writer::from_writer(&mut file);
-            let names: Vec<String> = self.named().map(|(_, name, _)| name).collect();
+            let names: Vec<String> = self.named().map(|(_, name, _)| cell(name)).collect();
             csv.write_record(["error", "removed", "oracle"].into_iter().chain(names.iter().map(|n| &**n)))?;
             for (e, &kind) in ErrorKind::ALL.iter().enumerate() {
                 for k in 0..STEPS {
@@ -188,14 +199,14 @@ impl<'a> Evaluation<'a> {
         let args = self.args;
         let views = self.views.iter().map(|v| json!({ "name": v.name, "psnr": v.psnr, "pixels": v.pixels.len() }));
         json!({
-            "model": args.model.model, "cameras": args.cameras.cameras, "depth": args.depth,
+            "model": args.model.model, "cameras": args.cameras.cameras, "depth": self.ranked.as_ref().map(|_| self.source),
             "training_depth": args.training_depth, "ensemble": args.ensemble,
             "depth_kind": if args.maps.z_depth { "z" } else { "euclidean" }, "stride": args.stride,
             "mask": "alpha 255 and known depth", "alignment": "none",
             "background": args.model.rays.background.to_array(),
             "views": views.collect::<Vec<_>>(),
             "pixels": self.depth().map_or(0, |depth| depth.pixels), "pixels_without_depth": self.empty(),
-            "psnr": self.psnr(),
+            "depth_readings": self.readings, "psnr": self.psnr(),
             "depth_error": self.depth().map(|depth| json!({
                 "median": depth.median, "mean": depth.mean, "percentile_95": depth.percentile_95,
             })),
@@ -211,7 +222,7 @@ impl<'a> Evaluation<'a> {
     pub fn print(&self) -> Result<()> {
         let args = self.args;
         if args.json {
-            return say!("{}", self.json());
+            return say!("{}", escaped(&self.json()));
         }
         for reading in self.evaluator.readings.iter().filter(|_| args.verbose) {
             say!("{}\n{}", reading.name, report::protocol(&reading.field))?;

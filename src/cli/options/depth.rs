@@ -1,25 +1,26 @@
 //! How true depth maps are stored.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 
-use super::parse_pair;
+use super::{CameraFile, Resolution, parse_pair};
 use crate::Result;
-use crate::dataset::{DepthEncoding, DepthKind};
-use crate::evaluate::{DepthError, DepthFiles};
-use crate::metrics::quantile;
+use crate::dataset::{DepthKind, Frame, Views};
+use crate::evaluate::{DepthFiles, FramesWithDepth};
 
 /// Names and values of depth maps. The folder is an option `depth` of the verb.
 #[derive(Args)]
 pub struct DepthOptions {
-    /// File name of a frame's depth map; {} stands for the frame's file name without extension
+    /// File name of a frame's depth map; {} stands for the frame's file name without extension. It is looked for below
+    /// the directories of the frame's name, with and without a leading `images`, and at last in the folder itself
     #[arg(long, value_name = "PATTERN", default_value = "{}_depth_0001.png")]
     depth_pattern: String,
 
-    /// For PNG: depth in scene units = OFFSET + SCALE * p, p in [0, 1] from black to white; p = 0 means unknown.
-    /// Maps in .exr (their only channel, or the one named Z or depth) hold scene units, and 0 where depth is unknown
-    #[arg(long, value_name = "OFFSET,SCALE", value_parser = parse_pair, allow_hyphen_values = true, requires = "depth")]
+    /// For PNG: depth in scene units = OFFSET + SCALE * p, p in [0, 1] from black to white; p = 0 means unknown, p = 1
+    /// this far or farther. Millimetres in 16 bits, of a scene in metres: 0,65.535. Maps in .exr (their only channel, or
+    /// the one named Z or depth) hold scene units, and 0 where depth is unknown
+    #[arg(long, value_name = "OFFSET,SCALE", value_parser = parse_pair, allow_hyphen_values = true)]
     depth_encoding: Option<[f64; 2]>,
 
     /// Depth maps hold depth along the viewing axis, not distance from the camera
@@ -28,32 +29,20 @@ pub struct DepthOptions {
 }
 
 impl DepthOptions {
-    /// Which depth the maps hold.
-    pub fn kind(&self) -> DepthKind {
-        if self.z_depth { DepthKind::Z } else { DepthKind::Euclidean }
+    /// Whether an option says what depth maps hold.
+    pub fn are_given(&self) -> bool {
+        self.depth_encoding.is_some() || self.z_depth
     }
 
-    /// The maps in `folder`.
-    pub fn files(&self, folder: PathBuf) -> Result<DepthFiles> {
-        let pattern = self.depth_pattern.clone();
-        let encoding = DepthEncoding::of_maps(&pattern, self.depth_encoding, self.kind())?;
-        Ok(DepthFiles { folder, pattern, encoding })
+    /// The maps in `folder`, or those that the camera file names.
+    pub fn files(&self, folder: Option<PathBuf>) -> DepthFiles {
+        let kind = if self.z_depth { DepthKind::Z } else { DepthKind::Euclidean };
+        DepthFiles { folder, pattern: self.depth_pattern.clone(), scale: self.depth_encoding, kind }
     }
 
-    /// Says on stderr if the depth maps fit much better when read as the other kind of depth; `otherwise` are the
-    /// errors then.
-    pub fn note_kind(&self, depth: &DepthError, mut otherwise: Vec<f64>) {
-        otherwise.sort_unstable_by(f64::total_cmp);
-        let (found, other) = (depth.median, quantile(&otherwise, 0.5));
-        if other < 0.5 * found {
-            let (kind, flag) = match self.kind() {
-                DepthKind::Z => ("distance from the camera", "without --z-depth"),
-                _ => ("depth along the viewing axis", "with --z-depth"),
-            };
-            announce!(
-                "note: half of the depths are off by more than {found:.4} scene units; if the maps hold {kind} \
-                 ({flag}), by more than {other:.4}"
-            );
-        }
+    /// Some frames of a camera file with their maps in `folder`, or those that the file names.
+    pub fn find(&self, folder: Option<&Path>, cameras: &CameraFile, frames: &[Frame]) -> Result<FramesWithDepth> {
+        let all = Views::read(&cameras.cameras, cameras.resolution.and_then(Resolution::size))?;
+        self.files(folder.map(Into::into)).find(&cameras.cameras, frames, &all.frames)
     }
 }
