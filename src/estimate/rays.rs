@@ -3,7 +3,7 @@
 use derive_setters::Setters;
 use glam::{DVec3, Vec3};
 
-use super::{FieldBuilder, GridSettings};
+use super::{FieldBuilder, GridSettings, PositionCheck};
 use crate::estimate::state::RunKey;
 use crate::field::RadianceField;
 use crate::geometry::{Aabb, Camera, Domain, Lattice};
@@ -188,12 +188,13 @@ impl RaySettings {
     ///
     /// # Errors
     /// If the field does not provide the requested derivatives, or if the spacing of f32 positions exceeds the
-    /// finite-difference step.
+    /// finite-difference step or, without one, an edge of the lattice.
     pub fn differentiation<'a>(&self, field: &'a dyn RadianceField, lattice: &Lattice) -> Result<Differentiation<'a>> {
         let differences = self.differences(lattice, &field.bounds());
         let analytic = self.gradient.of(field)?;
-        if analytic.is_none() {
-            check_resolution(&differences, &field.bounds())?;
+        match analytic {
+            None => check_resolution(&differences, &field.bounds())?,
+            Some(_) => check_positions(lattice, &field.bounds())?,
         }
         Ok(Differentiation { differences, analytic })
     }
@@ -220,7 +221,7 @@ pub(super) fn shortest_step(lattice: &Lattice, bounds: &Aabb) -> f64 {
 }
 
 /// The coordinate of a box that is farthest from the origin, and the spacing of f32 numbers there.
-fn resolution(domain: &Domain, bounds: &Aabb, axis: usize) -> (f32, f64) {
+pub(super) fn resolution(domain: &Domain, bounds: &Aabb, axis: usize) -> (f32, f64) {
     // Outside a contraction's ball h grows faster than the spacing of positions, so the worst place is in the ball.
     let (low, high) = match domain {
         Domain::Box(_) => (bounds.min()[axis], bounds.max()[axis]),
@@ -246,4 +247,17 @@ fn check_resolution(differences: &Differences, bounds: &Aabb) -> Result<()> {
         }
     }
     Ok(())
+}
+
+/// Rejects lattices whose edges are below the spacing of f32 positions: samples would miss the cells that they are in.
+fn check_positions(lattice: &Lattice, bounds: &Aabb) -> Result<()> {
+    let PositionCheck { farthest, apart, edges, .. } = PositionCheck::of_box(lattice, bounds);
+    if edges < 1.0 {
+        return Ok(());
+    }
+    let expected = format!(
+        "at least {apart:e} scene units, what f32 positions are apart at {farthest:e}, or a scene \
+                            nearer to the origin"
+    );
+    Err(Error::setting("cells of the finest level", expected, format!("{:e}", apart / edges)))
 }

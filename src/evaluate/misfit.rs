@@ -43,6 +43,12 @@ impl TrainingImages {
         frames.iter().map(find).collect::<Result<_>>().map(Self)
     }
 
+    /// The frames, each with its image.
+    #[must_use]
+    pub fn frames(&self) -> &[Frame] {
+        &self.0
+    }
+
     /// The images' paths, in the order of the frames.
     pub fn paths(&self) -> impl Iterator<Item = &PathBuf> {
         self.0.iter().map(|frame| &frame.image)

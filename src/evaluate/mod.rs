@@ -6,6 +6,7 @@
 //! uncertain and compares the images.
 
 mod clean_up;
+mod image_check;
 mod interval;
 mod measure;
 mod misfit;
@@ -15,6 +16,7 @@ mod truth;
 mod view;
 
 pub use clean_up::{CleanUp, SCALE, THRESHOLDS, clean_up};
+pub use image_check::{ImageCheck, check_images};
 pub use interval::Interval;
 pub use measure::{Baseline, Measure, Reading};
 pub use misfit::{TrainingImages, measure_misfit};

@@ -9,6 +9,7 @@ mod distortion;
 mod domain;
 mod lattice;
 mod named;
+mod poses;
 mod ray;
 
 pub use aabb::Aabb;
@@ -18,4 +19,5 @@ pub use distortion::Distortion;
 pub use domain::{Domain, Norm};
 pub use lattice::{Lattice, MAX_LEVEL};
 pub use named::NamedCamera;
+pub use poses::{inverted, opencv};
 pub use ray::Ray;
