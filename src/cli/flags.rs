@@ -3,7 +3,7 @@
 use crate::Error;
 
 /// The library's name of a setting, and the flag that sets it.
-const FLAGS: [(&str, &str); 21] = [
+const FLAGS: [(&str, &str); 22] = [
     ("angle of view", "--fov"),
     ("checkpoint", "--checkpoint, --resume"),
     ("coordinates", "--coordinates"),
@@ -16,6 +16,7 @@ const FLAGS: [(&str, &str); 21] = [
     ("half of the scene", "--hemisphere"),
     ("kept sums", "--keep-sums"),
     ("lambda", "--lambda"),
+    ("learning rate", "--learning-rate"),
     ("march step", "--march-step"),
     ("memory budget", "--memory"),
     ("probability", "--probability"),
