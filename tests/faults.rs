@@ -231,6 +231,13 @@ impl Desk {
         other[at..at + 21].copy_from_slice(b"pipeline._model.field");
         self.write("step-000029999.ckpt", other);
 
+        // A million units from the origin, where f32 numbers are a sixteenth apart.
+        let mut far = NpzWriter::create(&self.path("far_voxels.npz")).unwrap();
+        far.array("box", &[2, 3], [1e6 - 1.0, 1e6 - 1.0, 1e6 - 1.0, 1e6 + 1.0, 1e6 + 1.0, 1e6 + 1.0]).unwrap();
+        far.array("density", &[2, 2, 2], [1.0_f32; 8]).unwrap();
+        far.array("color", &[2, 2, 2, 3], [0.5_f32; 24]).unwrap();
+        far.finish().unwrap();
+
         let ppng = samples::of(Kind::Ppng).remove(0);
         self.write("good.ppng", &ppng);
         self.write("short.ppng", &ppng[..ppng.len() - 1]);
@@ -289,6 +296,8 @@ impl Desk {
         std::fs::create_dir(self.path("colmap")).unwrap();
         self.write("colmap/cameras.txt", "1 FULL_OPENCV 16 16 20 20 8 8 0 0 0 0 0 0 0 0\n");
         self.write("colmap/images.txt", "1 1 0 0 0 0 0 3 1 a.png\n\n");
+        let foreign = std::fs::read_to_string(self.path("cameras.json")).unwrap().replace("r_", "foreign_");
+        self.write("foreign.json", foreign);
         self.write("huge.json", frame("\"fl_x\": 9e4, \"w\": 65536, \"h\": 65536", pose));
     }
 
@@ -326,6 +335,8 @@ impl Desk {
 
     fn images(&self) {
         let save = |name: &str, side: u32| image::RgbaImage::new(side, side).save(self.path(name)).unwrap();
+        let black = image::RgbImage::new(16, 16);
+        (0..2).for_each(|i| black.save(self.path(&format!("foreign_{i}.png"))).unwrap());
         save("r_0.png", 16);
         save("r_1.png", 16);
         save("r_0_small.png", 8);

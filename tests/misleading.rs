@@ -60,6 +60,116 @@ fn length(x: [f32; 3]) -> f32 {
 
 const RUN: &str = "--cameras cameras.json --level 5 --rays 4000 --occupancy 32";
 
+/// A voxel grid over a cube of edge 2 around (offset, offset, offset), and cameras around it.
+fn far_ball(folder: &Path, offset: f64) {
+    const N: u64 = 32;
+    let at = |i: u64| -1.0 + 2.0 * i as f32 / (N - 1) as f32;
+    let place = |i: u64| [at(i / (N * N)), at(i / N % N), at(i % N)];
+    let density = |i: u64| 60.0 / (1.0 + (40.0 * (length(place(i)) - 0.5)).exp());
+    let mut npz = NpzWriter::create(&folder.join("far.npz")).unwrap();
+    let corners = [-1.0, 1.0].map(|side| [offset + side; 3]);
+    npz.array("box", &[2, 3], corners.as_flattened().iter().copied()).unwrap();
+    npz.array("density", &[N, N, N], (0..N * N * N).map(density)).unwrap();
+    let stripes = |i: u64| place(i).map(|x| 0.5 + 0.4 * (9.0 * x).sin());
+    npz.array("color", &[N, N, N, 3], (0..N * N * N).flat_map(stripes)).unwrap();
+    npz.finish().unwrap();
+    let moved = |(name, camera): (String, Camera)| (name, Camera { position: camera.position + offset, ..camera });
+    let cameras: Vec<_> = named(6).into_iter().map(moved).collect();
+    write_transforms(&folder.join("far.json"), &cameras).unwrap();
+}
+
+/// Fields speak f32. An early version warned at 100 and 1,000 units from the origin, was silent at 10,000, where it was
+/// most wrong, and refused 100,000; with a model's own derivatives it never said anything.
+#[test]
+fn a_scene_far_from_the_origin_is_right_or_told_or_refused() {
+    let desk = desk();
+    let mut outcomes = Vec::new();
+    for gradient in ["finite-difference", "forward-difference", "analytic"] {
+        for level in [4, 6, 8] {
+            let mut at_origin = Vec::new();
+            for offset in [0.0, 10.0, 100.0, 1e3, 1e4, 1e5] {
+                far_ball(desk.path(), offset);
+                let args = format!("--level {level} --rays 6000 --occupancy 32 --gradient {gradient} -o far.oct");
+                let (code, _, said) = run(desk.path(), &format!("uncertainty far.npz --cameras far.json {args}"));
+                if code == Some(2) && said.contains("nearer to the origin") {
+                    outcomes.push(format!("{gradient} {level} {offset}: refused"));
+                    continue;
+                }
+                assert_eq!(code, Some(0), "{said}");
+                let field = UncertaintyField::read(&desk.path().join("far.oct")).unwrap();
+                // Points of the surface, and a grid around it.
+                let points = (0..17 * 17 * 17).map(|i| [i / 289, i / 17 % 17, i % 17].map(|k| 0.1 * k as f64 - 0.8));
+                let log10 = points.map(|x| field.log10((DVec3::from(x) + offset).as_vec3()));
+                if offset == 0.0 {
+                    at_origin = log10.collect();
+                    assert!(!said.contains("warning"), "{gradient} {level}: {said}");
+                    continue;
+                }
+                let prior = field.prior().log10();
+                let pairs = at_origin.iter().zip(log10).filter(|(before, _)| **before < prior - 0.3);
+                let changes: Vec<f64> = pairs.map(|(before, after)| (before - after).abs()).collect();
+                let mean = changes.iter().sum::<f64>() / changes.len() as f64;
+                let is_told = said.contains("warning: ");
+                outcomes.push(format!("{gradient} {level} {offset}: off by {mean:.4}, told {is_told}"));
+                assert!(changes.len() > 20 && (mean < 0.01 || is_told), "{}", outcomes.join("\n"));
+                assert!(offset > 50.0 || mean < 1e-3, "{}", outcomes.join("\n"));
+            }
+        }
+    }
+    // It is not that all is told or refused.
+    assert!(outcomes.iter().any(|outcome| outcome.contains("told false")), "{}", outcomes.join("\n"));
+    for offset in ["10000:", "100000:"] {
+        let quiet =
+            |outcome: &&String| outcome.contains(offset) && outcome.contains("8 1") && outcome.contains("false");
+        assert_eq!(outcomes.iter().find(quiet), None, "{}", outcomes.join("\n"));
+    }
+    println!("{}", outcomes.join("\n"));
+}
+
+/// 0.99 is no share: without a percent sign it is log10 U, and lies below that of nearly everything.
+#[test]
+fn a_threshold_that_leaves_nothing_is_told_with_the_share_that_was_meant() {
+    let desk = desk();
+    voxels(&desk.path().join("ball.npz"), |x| if length(x) < 0.5 { 80.0 } else { 0.0 });
+    let of_ball = |more: &str| said(desk.path(), &format!("uncertainty ball.npz {RUN} {more} -o x.oct"));
+    of_ball("");
+    let view = "--cameras cameras.json --occupancy 32";
+    let warned = |verb: &str, threshold: &str| {
+        let told = said(desk.path(), &verb.replace("THRESHOLD", &format!("--threshold={threshold}")));
+        told.lines().filter(|line| line.starts_with("warning: ")).map(str::to_owned).collect::<Vec<_>>()
+    };
+    let field = UncertaintyField::read(&desk.path().join("x.oct")).unwrap();
+    let [median, usual] = field.surface_quantiles([0.5, 0.99]).unwrap();
+    let below = field.surface_quantiles([0.0]).unwrap()[0] - 0.5;
+    let verbs = [
+        format!("render ball.npz x.oct {view} THRESHOLD -o x.png"),
+        format!("render ball.npz x.oct {view} THRESHOLD -o x.exr"),
+        format!("render ball.npz x.oct {view} THRESHOLD --frames 0..2 -o frames"),
+        format!("render ball.npz x.oct {view} THRESHOLD --orbit 2 -o x.gif"),
+        format!("export x.oct ball.npz {view} THRESHOLD -o x.ply"),
+        "export x.oct ball.npz --occupancy 32 THRESHOLD --mesh --density 20 --cells 16 -o mesh.ply".into(),
+        format!("export x.oct ball.npz {view} THRESHOLD -o x.csv"),
+    ];
+    for verb in &verbs {
+        // 0.99 may itself be above some of log10 U here, but `below` is above none.
+        let warnings = warned(verb, &below.to_string());
+        assert!(
+            warnings.len() == 1 && warnings[0].contains("on 100 % of the visible surfaces"),
+            "{verb}: {warnings:?}"
+        );
+        assert!(warnings[0].contains(&format!("99%, the threshold is log10 U = {usual:.3}")), "{verb}: {warnings:?}");
+        for good in [median.to_string(), "99%".into()] {
+            assert_eq!(warned(verb, &good), Vec::<String>::new(), "{verb} {good}");
+        }
+    }
+    // Without points on surfaces, pixels tell.
+    of_ball("--surface-points 0");
+    for verb in &verbs[..2] {
+        let warnings = warned(verb, &below.to_string());
+        assert!(warnings.len() == 1 && warnings[0].contains("removes 100.0 % of the pixels"), "{verb}: {warnings:?}");
+    }
+}
+
 /// A share is one of surface points. In fog it takes many more pixels.
 #[test]
 fn a_share_that_takes_many_pixels_says_how_many() {

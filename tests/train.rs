@@ -96,6 +96,13 @@ fn a_model_is_trained_and_the_other_verbs_read_it() {
 
     let [info, _] = desk.good("info a.safetensors");
     assert!(info.contains("hash grid"), "{info}");
+    // A model that has learnt nothing is a poor one; its cameras are right, and need no --force.
+    desk.good(&format!("train . -o poor.safetensors --steps 1 {SMALL}"));
+    let [_, stderr] = desk.good(
+        "uncertainty poor.safetensors --cameras transforms_train.json --rays 3000 --level 5 --background white \
+         --occupancy 32 -o poor.oct",
+    );
+    assert!(stderr.contains("hardly shows the images") && stderr.contains("hardly trained"), "{stderr}");
     desk.good(
         "uncertainty a.safetensors --cameras transforms_train.json --rays 3000 --level 5 --background black \
          --occupancy 32 -o a.oct",
@@ -107,6 +114,44 @@ fn a_model_is_trained_and_the_other_verbs_read_it() {
     let noise = field.training_noise().unwrap();
     assert!(noise < 10_f64.powf(-psnr / 20.0) && noise > 0.3 * 10_f64.powf(-psnr / 20.0), "{noise}");
     desk.good("render a.safetensors a.oct --cameras transforms_test.json --background black --occupancy 32 -o a.png");
+}
+
+/// NaN in a model passes for a model until something is rendered.
+#[test]
+fn a_run_that_diverges_writes_no_model() {
+    let desk = Desk::new();
+    for rate in ["1e10", "1e30"] {
+        let args = format!("train . -o x.safetensors --steps 300 {SMALL} --learning-rate {rate} --save-every 0.01");
+        let output = desk.run(&args);
+        let stderr = String::from_utf8(output.stderr).unwrap();
+        let said = stderr.lines().last().unwrap();
+        assert!(output.status.code() == Some(2) && said.starts_with("error: --learning-rate: expected"), "{stderr}");
+        assert!(said.contains("finite") && said.contains("at step ") && said.contains("0.02"), "{said}");
+        assert!(!desk.path("x.safetensors").exists() && !desk.path("x.state").exists(), "{rate}");
+    }
+}
+
+/// A model that has hardly begun to learn is fog, and comparing it with images takes long.
+#[test]
+fn a_run_limited_by_time_keeps_to_it_until_its_end() {
+    let desk = Desk::new();
+    for i in 0..15 {
+        image::RgbImage::from_pixel(400, 400, image::Rgb([90; 3])).save(desk.path(&format!("r_{i}.png"))).unwrap();
+    }
+    for part in ["train", "test"] {
+        let path = desk.path(&format!("transforms_{part}.json"));
+        let frames = octobayes::dataset::Views::read(&path, None).unwrap().frames;
+        let resized = frames.into_iter().map(|frame| (frame.name, frame.camera.resized([400; 2]))).collect::<Vec<_>>();
+        write_transforms(&path, &resized).unwrap();
+    }
+    let start = std::time::Instant::now();
+    let fog = "--contract linf --inner 0,0,0,0.2 --log2-hashmap-size 12 --samples-per-step 1024";
+    let [stdout, stderr] = desk.good(&format!("train . -o x.safetensors --time 1 {fog} --json"));
+    let elapsed = start.elapsed().as_secs_f64();
+    let pixels = serde_json::from_str::<Value>(&stdout).unwrap()["models"][0]["held_out"]["pixels"].as_u64().unwrap();
+    // 200,000 pixels of fog take minutes. A second of training, two for each comparison, and the rest is the machine's.
+    assert!(elapsed < 25.0 && (200..200_000).contains(&pixels), "{elapsed:.1} s, {pixels} pixels");
+    assert!(stderr.contains("now the model is compared with its images, for at most about 4 s"), "{stderr}");
 }
 
 #[test]

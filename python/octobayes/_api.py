@@ -15,7 +15,7 @@ from . import _octobayes, _shards
 from ._arguments import array, color, floats, names, real, whole, wrong
 from ._arguments import box as as_box
 from ._arguments import path as as_path
-from ._cameras import named, resized
+from ._cameras import Beside, named, resized
 from ._cameras import rows as camera_rows
 from ._cameras import size as as_size
 from ._gate import Gate
@@ -219,6 +219,7 @@ def uncertainty(
     views: Any = None,
     resolution: Any = None,
     fov: float | None = None,
+    force: bool = False,
     batch: int = 1 << 16,
     progress: Progress | bool | None = None,
 ) -> Uncertainty:
@@ -235,7 +236,9 @@ def uncertainty(
     cameras: those that the model was trained on. A file (transforms.json, or a COLMAP model), a list of dictionaries,
     or one dictionary of arrays: ``pose`` (4x4, camera-to-world, OpenGL axes), ``focal`` (pixels; one or two) or ``fov``
     (degrees), ``size`` (width, height), optional ``center``, ``k1``, ``k2``, ``p1``, ``p2``. ``None`` takes the model's
-    own. ``views`` (how many, or frames by their numbers in the file from 0, or 'all') and ``resolution`` choose frames of a file and image sizes.
+    own. ``views`` (how many, or frames by their numbers in the file from 0, or 'all') and ``resolution`` choose frames
+    of a file and image sizes. Where images lie beside a file's cameras, a few hundred of their pixels are compared with
+    the model first: a RuntimeWarning if it shows them poorly, ValueError if not at all, unless ``force``.
 
     box: (low, high), corners in scene units; for a callable also where its density is zero outside. contract ('l2' or
     'linf') and inner (x, y, z, radius) cover all of space instead.
@@ -279,7 +282,7 @@ def uncertainty(
     own_box = getattr(nerf, "box", None)
     if not isinstance(nerf, Model) and domain["box"] is None and own_box is not None:
         domain["box"] = as_box("nerf.box", own_box)
-    numbers, frames, seen_by = _training_cameras(nerf, cameras, views, resolution, fov)
+    numbers, frames, seen_by, beside = _training_cameras(nerf, cameras, views, resolution, fov)
     if executor is None and shards is not None:
         raise wrong("shards", "an executor beside them (one shard alone: shard=)", shards)
     if executor is not None:
@@ -305,6 +308,8 @@ def uncertainty(
         "error_bars": None if error_bars is None else whole("error_bars", error_bars, 2, 64),
         "coarser_levels": whole("coarser_levels", coarser_levels, 0, 4),
         **_images(images, frames, scale),
+        "beside": beside,
+        "force": bool(force),
         "shard": _shard(shard),
         "checkpoint": None if checkpoint is None else as_path("checkpoint", checkpoint),
         "checkpoint_every": real("checkpoint_every", checkpoint_every, low=0),
@@ -361,10 +366,10 @@ def _scale_options(
 
 def _training_cameras(
     nerf: Any, cameras: Any, views: Any, resolution: Any, fov: float | None
-) -> tuple[Any, list[str], str]:
-    """Numbers of the cameras that the model was trained on, their names, and what they are."""
+) -> tuple[Any, list[str], str, list[Beside]]:
+    """Numbers of the cameras that the model was trained on, their names, what they are, and a file's images."""
     if cameras is None and isinstance(nerf, Model):
-        return _own_cameras(nerf, resolution, fov)
+        return *_own_cameras(nerf, resolution, fov), []
     if fov is not None:
         raise wrong("fov", "None with cameras, which have their own", fov)
     if cameras is None:
@@ -372,9 +377,9 @@ def _training_cameras(
         cameras = cameras() if callable(cameras) else cameras
     if cameras is None:
         raise wrong("cameras", "a camera file or cameras, as this model brings none", "none")
-    numbers, names, note = camera_rows(cameras, "training", views, resolution)
+    numbers, names, note, beside = camera_rows(cameras, "training", views, resolution)
     is_file = isinstance(cameras, (str, os.PathLike))
-    return numbers, names, f"{len(numbers)} cameras of {os.fspath(cameras)}" if is_file else note
+    return numbers, names, f"{len(numbers)} cameras of {os.fspath(cameras)}" if is_file else note, beside
 
 
 def _own_cameras(model: Model, resolution: Any, fov: float | None) -> tuple[Any, list[str], str]:
@@ -507,11 +512,11 @@ def render(
     nerf = _opened(nerf, coordinates)
     u = None if u is None else _field("u", u)
     if isinstance(camera, (str, os.PathLike)):
-        numbers, _, _ = camera_rows(camera, "every frame", None, resolution)
+        numbers, *_ = camera_rows(camera, "every frame", None, resolution)
         numbers = numbers[whole("frame", frame, 0, len(numbers) - 1)][None]
     else:
         listed = [camera] if isinstance(camera, Mapping) else camera
-        numbers, _, _ = camera_rows(listed, resolution=resolution)
+        numbers, *_ = camera_rows(listed, resolution=resolution)
     if len(numbers) != 1:
         raise wrong("camera", "one camera", f"{len(numbers)} cameras")
     if threshold is not None:
@@ -534,7 +539,10 @@ def _threshold(threshold: float | str, u: Uncertainty | None) -> float:
     if u is None:
         raise wrong("threshold", "an uncertainty to cut by", "none")
     if not isinstance(threshold, str):
-        return real("threshold", threshold)
+        log10 = real("threshold", threshold)
+        text = u._field.threshold_warning(log10)
+        _warn([] if text is None else [f"threshold: {text}"])
+        return log10
     try:
         share = 0.01 * float(threshold.removesuffix("%"))
     except ValueError as error:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,9 @@ from ._arguments import array, floats, whole, wrong
 
 #: Pose (row by row), focal lengths, principal point, image size, k1, k2, p1, p2.
 NUMBERS = 26
+
+#: Paths of a camera's image, which need not exist, and of its mask.
+Beside = tuple[Path, Path | None]
 
 EXPECTED = (
     "a camera file, or cameras as dictionaries: pose (4x4, camera-to-world, OpenGL axes), focal (pixels) or fov "
@@ -95,8 +99,8 @@ def _split(cameras: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
 
 def rows(
     cameras: Any, part: str = "training", views: Any = None, resolution: Any = None
-) -> tuple[NDArray[np.float64], list[str], str]:
-    """Numbers of cameras ``[C, 26]``, their names, and how they were chosen in words."""
+) -> tuple[NDArray[np.float64], list[str], str, list[Beside]]:
+    """Numbers of cameras ``[C, 26]``, their names, how they were chosen in words, and a file's images with masks."""
     width, height = size(resolution)
     if isinstance(cameras, (str, os.PathLike)):
         if not (views is None or views == "all"):
@@ -120,7 +124,7 @@ def rows(
         os.fspath(camera.get("file_path") or camera.get("name") or name)
         for camera, name in zip(given, named(len(given)))
     ]
-    return numbers, names, f"{len(numbers)} cameras"
+    return numbers, names, f"{len(numbers)} cameras", []
 
 
 def named(count: int) -> list[str]:

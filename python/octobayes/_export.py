@@ -79,7 +79,7 @@ def export(
     if mesh:
         numbers, names = np.empty((0, 26)), []
     else:
-        numbers, names, _ = _training_cameras(nerf, cameras, views, resolution, fov)
+        numbers, names, *_ = _training_cameras(nerf, cameras, views, resolution, fov)
     options = {
         **_image_options(nerf, background, march_step, pixel_offset, occupancy),
         "kind": "mesh" if mesh else SURFACES[extension],

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -52,6 +53,7 @@ class Uncertainty:
     def save(self, path: str | os.PathLike[str]) -> None: ...
     def for_queries(self) -> Uncertainty: ...
     def surface_quantile(self, share: float) -> float | None: ...
+    def threshold_warning(self, log10: float) -> str | None: ...
     def protocol(self) -> str:
         """JSON."""
     def summary(self) -> str:
@@ -86,8 +88,8 @@ def uncertainty(
 
 def read_cameras(
     path: str | os.PathLike[str], part: str, views: Any = None, width: int | None = None, height: int | None = None
-) -> tuple[Doubles, list[str], str]:
-    """Cameras [C, 26], names and a note."""
+) -> tuple[Doubles, list[str], str, list[tuple[Path, Path | None]]]:
+    """Cameras [C, 26], names, a note, and images (which need not exist) with their masks."""
 
 def load(path: str | os.PathLike[str], options: dict[str, Any], rays: int | None = None) -> Uncertainty: ...
 def compare(a: Uncertainty, b: Uncertainty, points: int, seed: int) -> str:

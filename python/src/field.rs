@@ -6,7 +6,7 @@ use std::sync::Arc;
 use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2};
 use octobayes::geometry::Domain;
 use octobayes::posterior::Covariance;
-use octobayes::uncertainty::{Knowledge, OfficialGrid, UncertaintyField};
+use octobayes::uncertainty::{Knowledge, OfficialGrid, UncertaintyField, threshold_warning};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -131,6 +131,11 @@ impl Uncertainty {
     /// log10 U that the most certain `share` of visible surfaces does not exceed; `None` without such points.
     fn surface_quantile(&self, py: Python<'_>, share: f64) -> Option<f64> {
         py.detach(|| self.0.surface_quantiles([share])).map(|[log10]| log10)
+    }
+
+    /// What is to be said of a threshold that leaves hardly any visible surface.
+    fn threshold_warning(&self, py: Python<'_>, log10: f64) -> PyResult<Option<String>> {
+        py.detach(|| threshold_warning(&*self.0, log10)).or_raise()
     }
 
     /// U where nothing was seen, scene units.

@@ -8,7 +8,7 @@ use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
 use octobayes::Error;
 use octobayes::dataset::{Frame, FrameSplit, Part, ResolutionSource, Selection, Views};
 use octobayes::estimate::{Checkpoint, Estimation, GridSettings, Outcome, RaySettings, Run, Sight};
-use octobayes::evaluate::TrainingImages;
+use octobayes::evaluate::{TrainingImages, check_images};
 use octobayes::field::RadianceField;
 use octobayes::geometry::{Camera, Domain};
 use octobayes::monitor::Monitor;
@@ -87,6 +87,10 @@ struct Job {
     error_bars: Option<u16>,
     coarser_levels: u8,
     images: Option<Images>,
+    /// The cameras with the images beside them, if they come from a file.
+    frames: Vec<Frame>,
+    /// Whether cameras are taken whose images the model does not show.
+    force: bool,
     dump: Option<PathBuf>,
     source: String,
     checksum: Option<u32>,
@@ -126,6 +130,8 @@ pub fn uncertainty(
         error_bars,
         coarser_levels: options.or("coarser_levels", 0)?,
         images: Images::new(&options, &cameras)?,
+        frames: beside(&options, &cameras)?,
+        force: options.or("force", false)?,
         dump: options.get("dump_samples")?,
         source: options.or("source", String::new())?,
         checksum: nerf.cast::<Model>().ok().map(|model| model.get().checksum),
@@ -133,6 +139,13 @@ pub fn uncertainty(
     let (field, warnings) =
         work(py, source.gate(nerf), progress, |engine| source.with(engine, |field| job.run(engine, field, &cameras)))?;
     Ok((Uncertainty(Arc::new(field)), warnings))
+}
+
+/// The cameras of a file with the images beside them; none if they come from elsewhere.
+fn beside(options: &Options, cameras: &[Camera]) -> PyResult<Vec<Frame>> {
+    let beside = options.or("beside", Vec::<Beside>::new())?;
+    let frame = |(&camera, (image, mask)): (&Camera, Beside)| Frame { mask, ..Frame::new(camera, "", image) };
+    Ok(cameras.iter().zip(beside).map(frame).collect())
 }
 
 /// The training images, and how the model is rendered beside them.
@@ -218,9 +231,18 @@ impl Job {
         let run = estimation.prepare()?;
         let sight = run.sight()?;
         warnings.extend(looked_at(&sight)?);
+        let frames = self.images.as_ref().map_or(&*self.frames, |images| images.images.frames());
+        let stream = run.stream();
+        if let Some(found) = check_images(&stream.tracer, frames, stream.pixel_offset, engine.monitor())? {
+            if !self.force {
+                found.refuse()?;
+            }
+            warnings.extend(found.warnings());
+        }
         if let Some(outside) = sight.cut_off().map(|share| 100.0 * share) {
             warnings.push(format!("{outside:.1} % of what the rays meet lies outside the box: U is the prior there"));
         }
+        warnings.extend(run.check_positions()?.warning());
         if let Some(check) = run.check_step()?.filter(|check| check.is_bad) {
             let best = check.errors.best().step;
             warnings.push(format!(
@@ -263,8 +285,11 @@ fn looked_at(sight: &Sight) -> octobayes::Result<Option<String>> {
     Ok(Some(format!("the cameras see little of the model: {measured}; likely causes: {causes}")))
 }
 
-/// Rows of numbers, the frames' names and a note.
-type CameraFile<'py> = (Bound<'py, PyArray2<f64>>, Vec<String>, String);
+/// Paths of a camera's image, which need not exist, and of its mask, if it has one.
+type Beside = (PathBuf, Option<PathBuf>);
+
+/// Rows of numbers, the frames' names, a note, and what lies beside the cameras.
+type CameraFile<'py> = (Bound<'py, PyArray2<f64>>, Vec<String>, String, Vec<Beside>);
 
 /// Reads the cameras of a file. `views` is "all", a number of frames or their indices; `part` is
 /// "training", "held out" or "every frame".
@@ -291,9 +316,9 @@ pub fn read_cameras<'py>(
         },
     };
     let (frames, note) = py.detach(|| read(&path, part, &selection, width, height)).or_raise()?;
-    let all: Vec<Camera> = frames.iter().map(|frame| frame.0).collect();
-    let names = frames.into_iter().map(|frame| frame.1).collect();
-    Ok((PyArray1::from_vec(py, numbers(&all)).reshape([all.len(), NUMBERS])?, names, note))
+    let all: Vec<Camera> = frames.iter().map(|frame| frame.camera).collect();
+    let (names, beside) = frames.into_iter().map(|frame| (frame.name, (frame.image, frame.mask))).unzip();
+    Ok((PyArray1::from_vec(py, numbers(&all)).reshape([all.len(), NUMBERS])?, names, note, beside))
 }
 
 fn read(
@@ -302,7 +327,7 @@ fn read(
     selection: &Selection,
     width: Option<u32>,
     height: Option<u32>,
-) -> octobayes::Result<(Vec<(Camera, String)>, String)> {
+) -> octobayes::Result<(Vec<Frame>, String)> {
     let mut views = Views::read(path, width.zip(height).map(Into::into))?;
     if let (Some(width), None) = (width, height) {
         for frame in &mut views.frames {
@@ -328,5 +353,5 @@ fn read(
             (frames, note)
         }
     };
-    Ok((frames.into_iter().map(|frame| (frame.camera, frame.name)).collect(), note + &assumed))
+    Ok((frames, note + &assumed))
 }

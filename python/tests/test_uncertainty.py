@@ -5,7 +5,7 @@ import threading
 
 import numpy as np
 import pytest
-from conftest import SMALL, in_python
+from conftest import SMALL, in_python, png
 from test_model import voxels
 
 import octobayes as ob
@@ -270,3 +270,30 @@ def test_answers_may_have_other_types_and_layouts(courtyard, cameras, points):
 
     a, b = (ob.uncertainty(f, cameras, box=courtyard.box, **SMALL) for f in (plain, other))
     assert np.array_equal(a.query(points), b.query(points))
+
+
+def beside(folder, cameras, pictures):
+    """A transforms.json of these cameras with pictures ``[H, W, 3]`` in [0, 1] beside it."""
+    frames = []
+    for i, (camera, picture) in enumerate(zip(cameras, pictures)):
+        png(folder / f"r_{i}.png", np.round(255 * np.dstack([picture, np.ones(picture.shape[:2])])))
+        (fl_x, fl_y), (w, h), (cx, cy) = camera["focal"], camera["size"], camera["center"]
+        matrix = np.asarray(camera["pose"]).tolist()
+        intrinsics = {"fl_x": fl_x, "fl_y": fl_y, "cx": cx, "cy": cy, "w": int(w), "h": int(h)}
+        frames.append({"file_path": f"r_{i}", "transform_matrix": matrix, **intrinsics})
+    path = folder / "transforms_test.json"
+    path.write_text(json.dumps({"frames": frames}))
+    return str(path)
+
+
+def test_images_beside_a_camera_file_are_compared_with_the_model(courtyard, cameras, tmp_path, recwarn):
+    shown = [ob.render(courtyard, None, camera, progress=False)["color"].clip(0, 1) for camera in cameras[:4]]
+    run = {"level": 4, "rays": 1024, "occupancy": 32, "progress": False}
+    path = beside(tmp_path, cameras, shown)
+    ob.uncertainty(courtyard, path, **run)
+    assert [str(w.message) for w in recwarn] == []
+    beside(tmp_path, cameras, [np.zeros_like(picture) for picture in shown])
+    with pytest.raises(ValueError, match="images beside the cameras: expected .*at least 8 dB.*force"):
+        ob.uncertainty(courtyard, path, **run)
+    with pytest.warns(RuntimeWarning, match="hardly shows the images beside the cameras"):
+        ob.uncertainty(courtyard, path, force=True, **run)

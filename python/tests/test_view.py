@@ -55,6 +55,16 @@ def test_a_threshold_removes_what_is_uncertain(courtyard, cameras, field):
     assert "log10_uncertainty" not in ob.render(courtyard, None, cameras[0], progress=False)
 
 
+def test_a_threshold_that_leaves_nothing_is_told(courtyard, cameras, field, tmp_path):
+    below = field.surface_quantile(0) - 0.5
+    told = r"threshold: log10 U is above .* on 100 % of the visible surfaces.*; as a share, 99%"
+    with pytest.warns(RuntimeWarning, match=told):
+        view = ob.render(courtyard, field, cameras[0], threshold=below, progress=False)
+    assert view["opacity"].max() < 0.5
+    with pytest.warns(RuntimeWarning, match=told):
+        ob.export(field, str(tmp_path / "x.ply"), courtyard, cameras, threshold=below, progress=False)
+
+
 def test_what_ranks_reads_coarser_levels(courtyard, cameras, points):
     u, levels = (ob.uncertainty(courtyard, cameras, coarser_levels=n, **SMALL) for n in (0, 2))
     np.testing.assert_array_equal(u.log10(points), levels.log10(points))

@@ -3,7 +3,7 @@
 use crate::Error;
 
 /// The library's name of a setting, and the flag that sets it.
-const FLAGS: [(&str, &str); 26] = [
+const FLAGS: [(&str, &str); 27] = [
     ("angle of view", "--fov"),
     ("checkpoint", "--checkpoint, --resume"),
     ("coordinates", "--coordinates"),
@@ -18,6 +18,7 @@ const FLAGS: [(&str, &str); 26] = [
     ("half of the scene", "--hemisphere"),
     ("kept sums", "--keep-sums"),
     ("lambda", "--lambda"),
+    ("learning rate", "--learning-rate"),
     ("march step", "--march-step"),
     ("memory budget", "--memory"),
     ("pixel offset", "--pixel-offset"),

@@ -1,8 +1,6 @@
 //! How cameras stand towards a box, by geometry alone.
 
-use glam::DMat3;
-
-use crate::geometry::{Aabb, Camera, Ray};
+use crate::geometry::{Aabb, Camera, Ray, inverted, opencv};
 
 /// Approximate number of rays, a thousandth of a default run's. The standard error of a fraction is at most 0.008, so
 /// it is known to within 0.016 (two standard errors, at ½).
@@ -58,15 +56,6 @@ pub(super) fn views(cameras: &[Camera], count: usize, pixel_offset: f64) -> Vec<
     (0..used).map(view).collect()
 }
 
-/// OpenCV's axes in place of OpenGL's, in a camera's own: y and z turn round.
-const OPENCV: DMat3 = DMat3::from_diagonal(glam::DVec3::new(1.0, -1.0, -1.0));
-
-/// The camera that was meant if its pose is world-to-camera, with OpenGL's axes and with OpenCV's.
-pub(super) fn inverted(camera: &Camera) -> [Camera; 2] {
-    let to_world = camera.axes.transpose();
-    [to_world, to_world * OPENCV].map(|axes| Camera { position: -(to_world * camera.position), axes, ..*camera })
-}
-
 impl Framing {
     /// Measures how `cameras` relate to `bounds`.
     #[must_use]
@@ -87,7 +76,7 @@ impl Framing {
             };
             let met = share(camera);
             let [gl, cv] = inverted(camera).map(|other| share(&other));
-            let turned = share(&Camera { axes: camera.axes * OPENCV, ..*camera });
+            let turned = share(&opencv(camera));
             let distance = (camera.position - middle).length() / (0.5 * bounds.size().length());
             let of_view = [met, f64::from(u8::from(met == 0.0)), turned, gl, cv, distance];
             sums.iter_mut().zip(of_view).for_each(|(sum, value)| *sum += value);

@@ -3,7 +3,7 @@
 use derive_setters::Setters;
 use glam::{DVec3, Vec3};
 
-use super::{FieldBuilder, GridSettings};
+use super::{FieldBuilder, GridSettings, PositionCheck};
 use crate::estimate::state::RunKey;
 use crate::field::RadianceField;
 use crate::geometry::{Aabb, Camera, Domain, Lattice};
@@ -196,7 +196,7 @@ impl RaySettings {
     ///
     /// # Errors
     /// If the field does not provide the requested derivatives, if the finite-difference step is longer than an edge,
-    /// or if the spacing of f32 positions exceeds it.
+    /// or if the spacing of f32 positions exceeds the step or, without one, an edge of the lattice.
     pub fn differentiation<'a>(&self, field: &'a dyn RadianceField, lattice: &Lattice) -> Result<Differentiation<'a>> {
         if let Some(step) = self.step.filter(|&step| !(step > 0.0 && step <= 1.0)) {
             // A longer step reaches over the neighbouring vertices: it is no derivative of this one's displacement.
@@ -205,8 +205,9 @@ impl RaySettings {
         }
         let differences = self.differences(lattice, &field.bounds());
         let analytic = self.gradient.of(field)?;
-        if analytic.is_none() {
-            check_resolution(&differences, &field.bounds())?;
+        match analytic {
+            None => check_resolution(&differences, &field.bounds())?,
+            Some(_) => check_positions(lattice, &field.bounds())?,
         }
         Ok(Differentiation { differences, analytic })
     }
@@ -233,7 +234,7 @@ pub(super) fn shortest_step(lattice: &Lattice, bounds: &Aabb) -> f64 {
 }
 
 /// The coordinate of a box that is farthest from the origin, and the spacing of f32 numbers there.
-fn resolution(domain: &Domain, bounds: &Aabb, axis: usize) -> (f32, f64) {
+pub(super) fn resolution(domain: &Domain, bounds: &Aabb, axis: usize) -> (f32, f64) {
     // Outside a contraction's ball h grows faster than the spacing of positions, so the worst place is in the ball.
     let (low, high) = match domain {
         Domain::Box(_) => (bounds.min()[axis], bounds.max()[axis]),
@@ -259,4 +260,17 @@ fn check_resolution(differences: &Differences, bounds: &Aabb) -> Result<()> {
         }
     }
     Ok(())
+}
+
+/// Rejects lattices whose edges are below the spacing of f32 positions: samples would miss the cells that they are in.
+fn check_positions(lattice: &Lattice, bounds: &Aabb) -> Result<()> {
+    let PositionCheck { farthest, apart, edges, .. } = PositionCheck::of_box(lattice, bounds);
+    if edges < 1.0 {
+        return Ok(());
+    }
+    let expected = format!(
+        "at least {apart:e} scene units, what f32 positions are apart at {farthest:e}, or a scene \
+                            nearer to the origin"
+    );
+    Err(Error::setting("cells of the finest level", expected, format!("{:e}", apart / edges)))
 }

@@ -13,7 +13,8 @@ use super::limits::{COMPARED_AT, Limits};
 use super::mean_error;
 use super::state;
 use super::{
-    Audit, FieldBuilder, GridKind, Plan, Planner, Provenance, RaySettings, SamplingError, Sight, StepCheck, Summed,
+    Audit, FieldBuilder, GridKind, Plan, Planner, PositionCheck, Provenance, RaySettings, SamplingError, Sight,
+    StepCheck, Summed,
 };
 use crate::geometry::{Aabb, Lattice};
 use crate::octree::{Leaves, Octree};
@@ -169,6 +170,14 @@ impl<'a> Run<'a> {
     /// [`Error::Interrupted`] only.
     pub fn check_step(&self) -> Result<Option<StepCheck>> {
         StepCheck::measure(&self.stream, &self.lattice, self.estimation.grid.tolerance, self.estimation.monitor)
+    }
+
+    /// Checks whether f32 holds positions finely enough.
+    ///
+    /// # Errors
+    /// [`Error::Interrupted`] only.
+    pub fn check_positions(&self) -> Result<PositionCheck> {
+        PositionCheck::measure(&self.stream, &self.lattice, self.estimation.grid.tolerance, self.estimation.monitor)
     }
 
     /// The time of a few rays with the field's own derivatives, relative to that with the run's differences; `None` if

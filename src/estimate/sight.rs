@@ -5,9 +5,9 @@
 
 use rayon::prelude::*;
 
-use super::framing::{Framing, LITTLE, MANY, RAYS, View, WORLD_TO_CAMERA, inverted, views};
+use super::framing::{Framing, LITTLE, MANY, RAYS, View, WORLD_TO_CAMERA, views};
 use crate::Result;
-use crate::geometry::{Camera, Domain, Ray};
+use crate::geometry::{Camera, Domain, Ray, inverted};
 use crate::monitor::{Monitor, check};
 use crate::rays::{RayStream, SURFACE_WEIGHT};
 use crate::render::{CompositingWeights, TraceBuffers};

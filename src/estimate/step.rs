@@ -14,7 +14,14 @@ const POINTS: usize = 1024;
 /// Number of rays used to find them: four batches.
 const RAYS: u64 = 2048;
 /// Seed of these rays. It does not depend on the run's, so the same model and cameras always get the same answer.
-const SEED: u64 = 0x57e9;
+pub(super) const SEED: u64 = 0x57e9;
+
+/// About [`POINTS`] points on surfaces that the cameras of `stream` see. They do not depend on the stream's pixels.
+pub(super) fn surface_points(stream: &RayStream, seed: u64, monitor: &dyn Monitor) -> Result<Vec<Vec3>> {
+    let seen = stream.with_pixels(Pixels::Sobol, seed).surface_points(usize::MAX, RAYS, monitor)?;
+    let every = seen.len().div_ceil(POINTS).max(1);
+    Ok(seen.into_iter().step_by(every).map(Vec3::from_array).collect())
+}
 
 /// A step, and the errors of central differences with this step and with others.
 #[derive(Debug, Clone, PartialEq)]
@@ -61,9 +68,7 @@ impl StepCheck {
             return Ok(None);
         }
         let field = stream.tracer.field;
-        let seen = stream.with_pixels(Pixels::Sobol, seed).surface_points(usize::MAX, RAYS, monitor)?;
-        let every = seen.len().div_ceil(POINTS).max(1);
-        let points: Vec<Vec3> = seen.into_iter().step_by(every).map(Vec3::from_array).collect();
+        let points = surface_points(stream, seed, monitor)?;
         let edges = Differences { step: lattice.edge(), domain: *lattice.domain(), stencil: Stencil::Central };
         let step = (stream.differentiation.differences.step / lattice.edge()).max_element();
         let steps = DifferenceErrors::steps(shortest_step(lattice, &field.bounds()), step);

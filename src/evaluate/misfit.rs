@@ -52,6 +52,12 @@ impl TrainingImages {
         Self::of(folder, frames.iter().map(find).collect::<Result<_>>()?)
     }
 
+    /// The frames, each with its image.
+    #[must_use]
+    pub fn frames(&self) -> &[Frame] {
+        &self.0
+    }
+
     /// The images' paths, in the order of the frames.
     pub fn paths(&self) -> impl Iterator<Item = &PathBuf> {
         self.0.iter().map(|frame| &frame.image)

@@ -8,6 +8,7 @@
 mod clean_up;
 mod depth_files;
 mod held_out;
+mod image_check;
 mod interval;
 mod measure;
 mod misfit;
@@ -19,6 +20,7 @@ mod view;
 pub use clean_up::{CleanUp, SCALE, THRESHOLDS, clean_up};
 pub use depth_files::{DepthFiles, FramesWithDepth};
 pub use held_out::{HeldOut, Judged};
+pub use image_check::{ImageCheck, check_images};
 pub use interval::Interval;
 pub use measure::{Baseline, Measure, Reading};
 pub use misfit::{TrainingImages, measure_misfit};

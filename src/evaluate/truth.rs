@@ -70,9 +70,8 @@ impl TrueView {
         let full = |row: u32, column: u32| (row * stride * frame.camera.resolution[0] + column * stride) as usize;
         let pixels: Vec<usize> = (0..height).flat_map(|row| (0..width).map(move |c| full(row, c))).collect();
         let full_width = frame.camera.resolution[0] as usize;
-        let keeps = |i: usize| {
-            mask.as_ref().is_none_or(|mask| mask.keeps((i % full_width) as u32, (i / full_width) as u32))
-        };
+        let keeps =
+            |i: usize| mask.as_ref().is_none_or(|mask| mask.keeps((i % full_width) as u32, (i / full_width) as u32));
         let mut readings = DepthReadings::default();
         let measured = |&i: &usize| {
             let reading = truth.as_ref().filter(|_| image.is_opaque(i) && keeps(i))?.distance[i];

@@ -10,6 +10,7 @@ mod domain;
 mod lattice;
 mod mask;
 mod named;
+mod poses;
 mod ray;
 
 pub use aabb::Aabb;
@@ -20,4 +21,5 @@ pub use domain::{Domain, Norm};
 pub use lattice::{Lattice, MAX_LEVEL};
 pub use mask::Mask;
 pub use named::NamedCamera;
+pub use poses::{inverted, opencv};
 pub use ray::Ray;

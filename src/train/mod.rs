@@ -19,7 +19,7 @@ mod trainer;
 mod views;
 
 pub use crate::dataset::Selection;
-pub use quality::{Quality, one_color, quality};
+pub use quality::{Quality, one_color, quality, quality_within};
 pub use run::{Budget, Description, Finished, Progress, Run, StateFile};
 pub use trainer::{StepReport, Trainer};
 pub use views::{DatasetFiles, Shot};

@@ -1,5 +1,7 @@
 //! Quality of a field on images that it was not trained on.
 
+use std::time::{Duration, Instant};
+
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -64,6 +66,36 @@ pub fn quality(field: &HashGrid, shots: &[Shot], background: Vec3, pixels: usize
         views: views.len(),
         pixels: views.iter().map(|view| view.1).sum(),
     })
+}
+
+/// Pixels of a first comparison, which tells how long others take.
+const FIRST: usize = 256;
+
+/// Like [`quality`], on as many of the `pixels` as are compared within `allowance`, but on a few hundred at least: a
+/// model that has hardly begun to learn is fog, whose rays take a hundred times as long.
+#[must_use]
+pub fn quality_within(
+    field: &HashGrid,
+    shots: &[Shot],
+    background: Vec3,
+    pixels: usize,
+    allowance: Duration,
+) -> Option<Quality> {
+    let start = Instant::now();
+    let mut count = pixels.min(FIRST);
+    loop {
+        let begun = Instant::now();
+        let found = quality(field, shots, background, count)?;
+        let each = begun.elapsed().as_secs_f64() / found.pixels.max(1) as f64;
+        let left = allowance.saturating_sub(start.elapsed()).as_secs_f64();
+        // Half of what seems to fit, and not too many at once: the first few may have been quick ones.
+        let fitting = (0.5 * left / each.max(1e-9)) as usize;
+        let next = fitting.min(16 * count).min(pixels);
+        if count >= pixels || next < 2 * count {
+            return Some(found);
+        }
+        count = next;
+    }
 }
 
 /// Like [`quality`], for the best single colour for all `shots`: what a model reaches that has learnt nothing.

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use glam::Vec3;
 use serde::Serialize;
 
-use super::{Background, Quality, Selection, Shot, Trainer, quality};
+use super::{Background, Quality, Selection, Shot, Trainer, quality, quality_within};
 use crate::Result;
 use crate::dataset::{Hemisphere, Views};
 use crate::geometry::Domain;
@@ -24,6 +24,8 @@ pub enum Budget {
 
 /// Steps between two reports of the loss. The clock and Ctrl-C are checked at every step.
 const REPORT: u64 = 16;
+/// Share of the training time that a run limited by time may spend on looking at held-out images.
+const LOOKING: f64 = 0.1;
 
 /// Progress of a run while it is going on.
 #[derive(Debug, Clone, PartialEq)]
@@ -80,7 +82,7 @@ impl Run<'_> {
     /// Trains until the budget is spent or the user interrupts. `elapsed` seconds of it are already spent.
     ///
     /// # Errors
-    /// If the state cannot be saved.
+    /// If loss or parameters are not finite any more, or if the state cannot be saved.
     pub fn train(
         &self,
         trainer: &mut Trainer,
@@ -92,6 +94,8 @@ impl Run<'_> {
         let mut clock = Clock { before: elapsed, start: Instant::now(), paused: 0.0 };
         let mut saved = Instant::now();
         let (mut loss, mut error, mut count) = (0.0, 0.0, 0_u64);
+        // Seconds spent on looking at held-out images.
+        let mut looked = 0.0;
         let first_share = self.share(trainer, elapsed);
         let mut next_look = (first_share * f64::from(self.looks)).floor() + 1.0;
         let interrupted = loop {
@@ -100,6 +104,7 @@ impl Run<'_> {
                 break share < 1.0;
             }
             let step = trainer.step(share);
+            trainer.check_step(&step)?;
             loss += step.loss;
             error += step.squared_error;
             count += 1;
@@ -110,8 +115,8 @@ impl Run<'_> {
                 let mut held_out = None;
                 if due {
                     next_look = (share * f64::from(self.looks)).floor() + 1.0;
-                    let field = trainer.field(serde_json::Value::Null);
-                    held_out = quality(&field, self.held_out, background, self.pixels);
+                    held_out = self.look(trainer, background, LOOKING * clock.elapsed_until(pause) - looked);
+                    looked += pause.elapsed().as_secs_f64();
                 }
                 let left = clock.elapsed_until(pause) - elapsed;
                 let left = match self.budget {
@@ -131,15 +136,29 @@ impl Run<'_> {
                 clock.paused += pause.elapsed().as_secs_f64();
             }
             if let Some(state) = self.state.as_ref().filter(|state| saved.elapsed() >= state.every) {
+                trainer.check()?;
                 trainer.save(&state.path, &state.key, clock.elapsed())?;
                 saved = Instant::now();
             }
         };
         let elapsed = clock.elapsed();
+        trainer.check()?;
         if let Some(state) = self.state.as_ref().filter(|_| interrupted) {
             trainer.save(&state.path, &state.key, elapsed)?;
         }
         Ok(Finished { elapsed, interrupted })
+    }
+
+    /// Quality on held-out images. A run that is limited by time looks no longer than `seconds`, or not at all.
+    fn look(&self, trainer: &Trainer, background: Vec3, seconds: f64) -> Option<Quality> {
+        let field = || trainer.field(serde_json::Value::Null);
+        match self.budget {
+            Budget::Steps(_) => quality(&field(), self.held_out, background, self.pixels),
+            Budget::Time(_) => {
+                let allowance = Duration::try_from_secs_f64(seconds).ok()?;
+                quality_within(&field(), self.held_out, background, self.pixels, allowance)
+            }
+        }
     }
 
     fn share(&self, trainer: &Trainer, elapsed: f64) -> f64 {

@@ -8,13 +8,13 @@ use super::adam::Adam;
 use super::batch::{GROUP, GroupGradient, Scene, group};
 use super::occupancy::{INTERVAL, OccupancyGrid};
 use super::{Shot, TrainSettings};
-use crate::Result;
 use crate::field::HashGrid;
 use crate::field::hash_grid::{
     Encoding, Entry, N_FEATURES_PER_LEVEL, N_LEVELS, Network, Parameters, Space, Transposed,
 };
 use crate::geometry::{Camera, Domain};
 use crate::rays::{PixelSequence, Pixels};
+use crate::{Error, Result};
 
 /// Range of the initial features.
 const FEATURE_RANGE: f32 = 1e-4;
@@ -117,6 +117,36 @@ impl<'a> Trainer<'a> {
     #[must_use]
     pub fn rays(&self) -> u64 {
         self.rays
+    }
+
+    /// Refuses a step whose loss is not finite, or that left weights of the networks that are not. Both are needed:
+    /// where density is not a number nothing is occupied, and the loss is that of empty space.
+    ///
+    /// # Errors
+    /// If that is so.
+    pub(super) fn check_step(&self, step: &StepReport) -> Result<()> {
+        if !step.loss.is_finite() {
+            return Err(self.diverged(&format!("the loss is {}", step.loss)));
+        }
+        let is_finite = self.parameters.network.layers().iter().all(|layer| layer.iter().all(|v| v.is_finite()));
+        if is_finite { Ok(()) } else { Err(self.diverged("weights of the networks are not finite")) }
+    }
+
+    /// Refuses features of the grid that are not finite.
+    ///
+    /// # Errors
+    /// If some are not.
+    pub(super) fn check(&self) -> Result<()> {
+        let is_finite = self.parameters.encoding.table.iter().flatten().all(|v| v.is_finite());
+        if is_finite { Ok(()) } else { Err(self.diverged("features of the grid are not finite")) }
+    }
+
+    /// What to say of a run whose loss or parameters are no longer finite.
+    pub(super) fn diverged(&self, what: &str) -> Error {
+        let TrainSettings { learning_rate, .. } = TrainSettings::default();
+        let expected = format!("a rate at which loss and parameters stay finite, such as the default {learning_rate}");
+        let found = format!("{}, with which {what} at step {}", self.settings.learning_rate, self.steps);
+        Error::setting("learning rate", expected, found)
     }
 
     /// Returns the field in its present state, with `training` as its description.

@@ -45,7 +45,7 @@ pub use protocol::{Origin, Protocol};
 pub use query::Estimate;
 pub use ray_counts::RayCounts;
 pub use standard_deviations::StandardDeviations;
-pub use threshold::ThresholdedField;
+pub use threshold::{NEARLY_ALL, ThresholdedField, threshold_warning};
 pub use tiled::TiledField;
 
 use self::from_sums::{deviations_from_sums, values_without_sums};

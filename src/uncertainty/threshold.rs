@@ -9,6 +9,32 @@ use crate::field::{Radiance, RadianceField};
 use crate::geometry::Aabb;
 use crate::{Error, Result};
 
+/// Share of what is visible that a clean-up may remove without a word: who asks for one wants to see what is left.
+pub const NEARLY_ALL: f64 = 0.9;
+/// The share of visible surfaces that a threshold of 1 may have meant, and any other that removes nearly all.
+const USUAL: f64 = 0.99;
+
+/// What is to be said of a threshold of log10 U, if nearly all points on visible surfaces lie above it: it may have
+/// been meant as a share of them. `None` if they do not, or if the field holds no such points.
+///
+/// # Errors
+/// If a part of the field cannot be read.
+pub fn threshold_warning(field: &dyn Answers, log10: f64) -> Result<Option<String>> {
+    let share = if log10 > 0.0 && log10 < 1.0 { log10 } else { USUAL };
+    let Some([usual]) = field.surface_quantiles([share])? else { return Ok(None) };
+    let points: Vec<Vec3> = field.surface()?.iter().copied().map(Vec3::from_array).collect();
+    let above = field.estimates(&points)?.iter().filter(|found| found.uncertainty.log10() > log10).count();
+    let removed = above as f64 / points.len() as f64;
+    Ok((removed >= NEARLY_ALL).then(|| {
+        let percents = [100.0 * removed, 100.0 * share].map(|percent| (100.0 * percent).round() / 100.0);
+        let [removed, share] = percents;
+        format!(
+            "log10 U is above {log10} on {removed} % of the visible surfaces, where density is removed; as a share, \
+             {share}%, the threshold is log10 U = {usual:.3}"
+        )
+    }))
+}
+
 /// A radiance field whose density is zero wherever log10 U exceeds a threshold.
 pub struct ThresholdedField<'a> {
     field: &'a dyn RadianceField,

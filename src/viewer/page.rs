@@ -35,6 +35,8 @@ const STYLE: &str = include_str!("web/style.css");
 const SHADER: &str = include_str!("web/march.glsl");
 /// Bars of the histogram.
 const BARS: usize = 48;
+/// Most values of log10 U on visible surfaces in the file.
+const QUANTILES: usize = 1000;
 /// Cameras over whose directions colours are averaged.
 const EYES: usize = 48;
 /// About how many rays the volume is fitted to, times the square of its cells along the longest edge, and at most; and
@@ -207,6 +209,9 @@ fn about(view: &View, grid: &Grid, pages: &Pages, codes: Codes, cells: u32) -> V
             "isDistorted": distortion != crate::geometry::Distortion::default(),
         })
     };
+    let found = view.field.query_all(view.surface);
+    let mut known: Vec<f64> = found.iter().map(|found| found.uncertainty.log10()).collect();
+    known.sort_unstable_by(f64::total_cmp);
     json!({
         "title": view.title,
         "cells": cells,
@@ -222,7 +227,8 @@ fn about(view: &View, grid: &Grid, pages: &Pages, codes: Codes, cells: u32) -> V
         "quantity": field.protocol().scale.quantity(),
         "isLength": matches!(field.protocol().scale, crate::posterior::Scale::Data(_)),
         "range": view.range,
-        "histogram": histogram(view, codes),
+        "histogram": histogram(&known, view.range[0], codes),
+        "surfaces": quantiles(&known),
         "background": view.tracer.background.to_array(),
         "pixelOffset": view.offset,
         "maps": { "uncertainty": map(colorous::INFERNO), "depth": map(colorous::VIRIDIS) },
@@ -231,13 +237,21 @@ fn about(view: &View, grid: &Grid, pages: &Pages, codes: Codes, cells: u32) -> V
 }
 
 /// Numbers of surface points by log10 U, from the lower end of the colour bar to the prior.
-fn histogram(view: &View, codes: Codes) -> Vec<u64> {
+fn histogram(known: &[f64], low: f64, codes: Codes) -> Vec<u64> {
     let mut bars = vec![0; BARS];
-    for found in view.field.query_all(view.surface) {
-        let share = (found.uncertainty.log10() - view.range[0]) / (codes.prior - view.range[0]);
+    for log10 in known {
+        let share = (log10 - low) / (codes.prior - low);
         bars[((share * BARS as f64).max(0.0) as usize).min(BARS - 1)] += 1;
     }
     bars
+}
+
+/// At most [`QUANTILES`] of the sorted numbers, evenly spread over their ranks: shares of them are right within a
+/// thousandth.
+fn quantiles(known: &[f64]) -> Vec<f64> {
+    let count = known.len().min(QUANTILES);
+    let rounded = |log10: f64| (1e4 * log10).round() / 1e4;
+    (0..count).map(|k| rounded(known[(2 * k + 1) * known.len() / (2 * count)])).collect()
 }
 
 #[cfg(test)]
@@ -284,6 +298,21 @@ mod tests {
         // The scripts alone are larger.
         let error = written(64, 10_000, "ball").unwrap_err().to_string();
         assert!(error.contains("--size") && error.contains("32 cells"), "{error}");
+    }
+
+    #[test]
+    fn shares_of_surfaces_are_counted_not_read_off_bars() {
+        let known: Vec<f64> = (0..5003).map(|i| f64::from(i) / 5002.0).collect();
+        let kept = quantiles(&known);
+        assert_eq!(kept.len(), QUANTILES);
+        for threshold in [0.0, 0.1234, 0.5, 0.99, 1.0] {
+            let share = |of: &[f64]| of.iter().filter(|log10| **log10 <= threshold).count() as f64 / of.len() as f64;
+            assert!((share(&kept) - share(&known)).abs() <= 1e-3, "{threshold}: {} {}", share(&kept), share(&known));
+        }
+        // A point at the prior is above every threshold below it, though its bar's middle is not.
+        let prior = 2.4082;
+        assert_eq!(quantiles(&[1.0, prior]), [1.0, prior]);
+        assert!(quantiles(&[]).is_empty());
     }
 
     #[test]

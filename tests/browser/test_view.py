@@ -118,6 +118,31 @@ def test_the_slider_removes_what_render_removes(scene, page):
     page.threshold(99)
 
 
+def test_the_slider_s_last_position_removes_nothing_and_the_one_before_says_what_goes(scene, page):
+    from selenium.webdriver.common.by import By
+    from selenium.webdriver.common.keys import Keys
+
+    words = lambda name: page.do("v.draw(); return document.getElementById(arguments[0]).textContent", name)
+    slider = page.driver.find_element(By.ID, "threshold")
+    prior = page.do("return v.about.codes.prior")
+    page.threshold(99)
+    whole = page.numbers()[..., 0]
+    slider.send_keys(Keys.END)
+    assert words("threshold-words") == "nothing is removed" and words("unseen-words") == ""
+    assert np.array_equal(page.numbers()[..., 0], whole)
+    slider.send_keys(Keys.ARROW_LEFT)
+    threshold = page.do("return v.shown.threshold")
+    assert prior - 0.02 < threshold < prior
+    surfaces = np.array(page.do("return v.about.surfaces"))
+    share = 100 * (surfaces <= threshold).mean()
+    assert f"{share:.1f} % of visible surfaces stay" in words("threshold-words")
+    assert "never seen" in words("unseen-words")
+    slider.send_keys(Keys.ARROW_RIGHT)
+    assert words("threshold-words") == "nothing is removed"
+    assert np.array_equal(page.numbers()[..., 0], whole)
+    page.threshold(99)
+
+
 def test_the_pointer_reads_what_query_says(scene, page):
     page.threshold(99)
     width, height = page.size

@@ -1,7 +1,7 @@
 //! A threshold of log10 U, as a number or by its share of visible surfaces.
 
 use crate::render::RenderedView;
-use crate::uncertainty::Answers;
+use crate::uncertainty::{Answers, NEARLY_ALL, threshold_warning};
 use crate::{Error, Result};
 
 /// Share of the pixels that a share of visible surfaces may take without a word.
@@ -29,7 +29,8 @@ impl Threshold {
         }
     }
 
-    /// log10 U of the threshold in a field. Says so on stderr if it had to be found.
+    /// log10 U of the threshold in a field. Says so on stderr if it had to be found, and warns if it leaves hardly any
+    /// visible surface.
     ///
     /// # Errors
     /// If it is a share, and the field holds no points on visible surfaces, or cannot be read.
@@ -40,6 +41,7 @@ impl Threshold {
                 if log10 >= prior {
                     announce!("warning: no density lies above the threshold: the field's prior is {prior:.3}");
                 }
+                threshold_warning(field, log10)?.iter().for_each(|text| announce!("warning: --threshold: {text}"));
                 Ok(log10)
             }
             Self::Share(share) => {
@@ -53,19 +55,28 @@ impl Threshold {
         }
     }
 
-    /// Says on stderr if a share of visible surfaces takes many more of a view's pixels than it seems to.
-    pub fn note_pixels(self, view: &RenderedView, cleaned: &RenderedView) {
-        let Self::Share(kept) = self else { return };
-        let Some(removed) = removed_share(view, cleaned) else { return };
-        if removed > FEW_PIXELS.max(MANY_TIMES * (1.0 - kept)) {
-            announce!(
-                "note: the clean-up removes {:.1} % of the pixels that show matter in this view, although {}% of the \
-                 visible surfaces stay: these pixels show fog, a side that no training ray saw, or what lies outside \
-                 the field's box",
-                100.0 * removed,
+    /// Says on stderr if the threshold takes many more of a view's pixels than it seems to: a share many times its own,
+    /// a number nearly all, of which `field` did not warn.
+    ///
+    /// # Errors
+    /// If a part of the field cannot be read.
+    pub fn note_pixels(self, view: &RenderedView, cleaned: &RenderedView, field: &dyn Answers) -> Result<()> {
+        let Some(removed) = removed_share(view, cleaned) else { return Ok(()) };
+        let percent = 100.0 * removed;
+        match self {
+            Self::Share(kept) if removed > FEW_PIXELS.max(MANY_TIMES * (1.0 - kept)) => announce!(
+                "note: the clean-up removes {percent:.1} % of the pixels that show matter in this view, although {}% \
+                 of the visible surfaces stay: these pixels show fog, a side that no training ray saw, or what lies \
+                 outside the field's box",
                 100.0 * kept
-            );
+            ),
+            Self::Log10(log10) if removed >= NEARLY_ALL && threshold_warning(field, log10)?.is_none() => announce!(
+                "warning: the clean-up removes {percent:.1} % of the pixels that show matter in this view: log10 U is \
+                 above {log10} there (a share of visible surfaces has a percent sign: --threshold 99%)"
+            ),
+            _ => {}
         }
+        Ok(())
     }
 }
 

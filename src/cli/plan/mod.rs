@@ -79,6 +79,8 @@ impl Args {
         let (estimation, grid) = options.estimation(&inputs, bars)?;
         let run = estimation.prepare()?;
         options.check_sight(&run.sight()?)?;
+        options.check_images(&run, &inputs.views.frames, bars)?;
+        run.check_positions()?.warning().iter().for_each(|text| announce!("warning: {text}"));
         run.check_step()?.iter().for_each(report::step);
         let (whole, plan) = Forecast::of(&run, start)?;
         run.time_with_own_derivatives()?.iter().for_each(|&ratio| report::own_derivatives(ratio));

@@ -172,7 +172,7 @@ impl Args {
         };
         bars.begin("rows", cameras.iter().map(|camera| pictures * u64::from(camera.resolution[1])).sum());
         if self.orbit.is_some() {
-            let frames = cameras.iter().map(|camera| moment(&studio, camera)).collect::<Result<_>>()?;
+            let frames = (0..cameras.len()).map(|k| self.moment(&studio, k, &cameras[k])).collect::<Result<_>>()?;
             bars.end();
             write_animation(&self.output, frames)?;
         } else {
@@ -220,14 +220,15 @@ impl Args {
     fn picture(&self, studio: &Studio, k: usize, camera: &Camera, path: &Path) -> Result<()> {
         let as_exr = path.extension().is_some_and(|e| e == "exr");
         if let (true, Some(Threshold::Log10(_))) = (as_exr, self.threshold) {
-            // An EXR holds the cleaned view only; what a share takes is told by both.
+            // An EXR holds the cleaned view only; what a threshold takes is told by both.
             let view = studio.cleaned_view(camera)?.unwrap_or_default();
+            if view.pixels.iter().all(|pixel| pixel.opacity <= 0.5) {
+                self.note_pixels(studio, &(studio.whole_view(camera)?, Some(view.clone())))?;
+            }
             return write_exr(path, view.resolution, channels(&view, studio.field));
         }
         let views = studio.views(camera)?;
-        if let (Some(threshold), (view, Some(cleaned))) = (self.threshold, &views) {
-            threshold.note_pixels(view, cleaned);
-        }
+        self.note_pixels(studio, &views)?;
         if !as_exr {
             return write_sheet(path, &studio.rows(&format!("frame {k}"), camera, &views)?);
         }
@@ -237,20 +238,32 @@ impl Args {
     }
 }
 
-/// One picture of a moving one: colour, log10 U, and the colour of what is left by the clean-up.
-fn moment(studio: &Studio, camera: &Camera) -> Result<RgbImage> {
-    let mut rows = studio.rows("model", camera, &studio.views(camera)?)?.into_iter();
-    let mut row = rows.next().unwrap_or_default();
-    row.drain(1..row.len() - 1);
-    // Titles that are the same in all pictures keep these of one size.
-    if let Some(panel) = row.last_mut() {
-        panel.title = format!("{} (hatched: never seen)", studio.field.protocol().scale.quantity());
-    }
-    row.extend(rows.next().into_iter().flatten().next());
-    Ok(draw_sheet(&[row]))
-}
-
 impl Args {
+    /// Says on stderr if the clean-up takes many more of a view's pixels than it seems to.
+    fn note_pixels(&self, studio: &Studio, views: &(RenderedView, Option<RenderedView>)) -> Result<()> {
+        match (self.threshold, views) {
+            (Some(threshold), (view, Some(cleaned))) => threshold.note_pixels(view, cleaned, studio.space),
+            _ => Ok(()),
+        }
+    }
+
+    /// Picture `k` of a moving one: colour, log10 U, and the colour of what is left by the clean-up.
+    fn moment(&self, studio: &Studio, k: usize, camera: &Camera) -> Result<RgbImage> {
+        let views = studio.views(camera)?;
+        if k == 0 {
+            self.note_pixels(studio, &views)?;
+        }
+        let mut rows = studio.rows("model", camera, &views)?.into_iter();
+        let mut row = rows.next().unwrap_or_default();
+        row.drain(1..row.len() - 1);
+        // Titles that are the same in all pictures keep these of one size.
+        if let Some(panel) = row.last_mut() {
+            panel.title = format!("{} (hatched: never seen)", studio.field.protocol().scale.quantity());
+        }
+        row.extend(rows.next().into_iter().flatten().next());
+        Ok(draw_sheet(&[row]))
+    }
+
     /// The camera at the size of the picture. Says so on stderr if that is a preview.
     fn sized(&self, camera: &Camera) -> Result<Camera> {
         let longest = camera.resolution.into_iter().max().unwrap_or(1);

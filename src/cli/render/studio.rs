@@ -52,10 +52,15 @@ impl Studio<'_> {
         field.check().map(|()| Some(view))
     }
 
+    /// The view of a camera.
+    pub fn whole_view(&self, camera: &Camera) -> Result<RenderedView> {
+        self.view(&self.tracer, camera)
+    }
+
     /// The views of a camera: the model, and the model cleaned.
     pub fn views(&self, camera: &Camera) -> Result<(RenderedView, Option<RenderedView>)> {
         let cleaned = self.cleaned_view(camera)?;
-        Ok((self.view(&self.tracer, camera)?, cleaned))
+        Ok((self.whole_view(camera)?, cleaned))
     }
 
     /// Labelled panels of both, one row each.

@@ -6,7 +6,7 @@ use super::{LOOK_PIXELS, Member};
 use crate::estimate::Framing;
 use crate::field::HashGrid;
 use crate::geometry::{Aabb, Camera, Domain};
-use crate::train::{Shot, one_color, quality};
+use crate::train::{Quality, Shot, one_color};
 use crate::{Error, Result};
 
 /// A model has learnt nothing if it is less than this many dB better than one colour for all images. At 1 dB a
@@ -53,10 +53,10 @@ fn note_contracted_cameras(cameras: &[Camera], domain: &Domain) {
     }
 }
 
-/// Warns if a model shows images hardly better than a single colour would.
-pub(super) fn warn_of_one_color(field: &HashGrid, shots: [&[Shot]; 2], background: Vec3) {
-    for (what, shots) in ["training", "held-out"].into_iter().zip(shots) {
-        let Some(shown) = quality(field, shots, background, LOOK_PIXELS) else { continue };
+/// Warns if a model shows images hardly better than a single colour would: images by name, and how well it shows them.
+pub(super) fn warn_of_one_color(images: [(&str, &[Shot], Option<Quality>); 2], background: Vec3) {
+    for (what, shots, shown) in images {
+        let Some(shown) = shown else { continue };
         let Some(constant) = one_color(shots, background, LOOK_PIXELS) else { continue };
         // A single colour shows images of one colour exactly.
         if constant.psnr.is_finite() && shown.psnr < constant.psnr + ONE_COLOR_MARGIN {

@@ -22,12 +22,10 @@ use crate::monitor::Monitor;
 use crate::posterior::DataScale;
 use crate::train::{
     Background, Budget, DatasetFiles, Description, Finished, Quality, Run, Selection, Shot, StateFile, TrainSettings,
-    Trainer, quality,
+    Trainer, quality, quality_within,
 };
 use crate::{Error, Result};
 
-/// Units of the progress bar.
-const PARTS: u64 = 1000;
 /// Pixels of held-out images that are compared during training.
 const LOOK_PIXELS: usize = 20_000;
 /// Train a model on posed images: a multiresolution hash grid (instant-ngp's design), on the CPU
@@ -42,7 +40,7 @@ const LOOK_PIXELS: usize = 20_000;
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  octobayes train nerf_synthetic/lego -o lego.safetensors --time 10m\n  \
     octobayes train lego -o few.safetensors --views 10 --steps 3000 --seed 1\n  \
-    octobayes train fox -o fox.safetensors --contract linf --time 5m\n  \
+    octobayes train fox -o fox.safetensors --contract linf --inner 2.5,-2,0,3.6 --time 5m\n  \
     octobayes train lego -o member.safetensors --views 10 --steps 3000 --members 10      # member-0 ... member-9\n\
     then: octobayes uncertainty lego.safetensors -o lego.oct      # the model knows its cameras")]
 pub struct Args {
@@ -69,8 +67,8 @@ pub struct Args {
     #[arg(long, value_name = "N", value_parser = count::<u64>(1..), conflicts_with = "time")]
     steps: Option<u64>,
 
-    /// Time of training itself, such as 90s, 5min or 1h30m; loading images and the measurement at the end take more.
-    /// How many steps fit depends on the machine [default: 3m]
+    /// Time of training, such as 90s, 5min or 1h30m; before it images are loaded, and comparing the model with them
+    /// takes up to three tenths of it, or 4 s, more. How many steps fit depends on the machine [default: 3m]
     #[arg(long, value_name = "TIME", value_parser = parse_time)]
     time: Option<Duration>,
 
@@ -151,7 +149,8 @@ pub struct Args {
     )]
     distortion: f64,
 
-    /// Pixels of held-out images compared at the end, over all images together
+    /// Pixels of held-out images compared at the end, over all images together; with --time fewer, if these take too
+    /// long
     #[arg(long, value_name = "N", default_value_t = 200_000, value_parser = count::<usize>(..))]
     test_pixels: usize,
 
@@ -172,6 +171,11 @@ fn parse_training_background(text: &str) -> std::result::Result<Background, Stri
         return Ok(Background::Random);
     }
     parse_background(text).map(|color| Background::Fixed(color.to_array()))
+}
+
+/// Time for comparing the model with training images, and for held-out images, after so much training.
+fn measuring(time: Duration) -> Duration {
+    time.mul_f64(0.1).max(Duration::from_secs(2))
 }
 
 /// Where the state of a model's run is kept.
@@ -305,29 +309,45 @@ impl Args {
         }
         let run =
             Run { budget: self.budget(), held_out, pixels: LOOK_PIXELS, looks: 10, state: Some(member.state.clone()) };
-        bars.begin("training", PARTS);
+        let (unit, all, before_units) = match run.budget {
+            Budget::Time(time) => ("seconds of training", time.as_secs_f64(), before),
+            Budget::Steps(steps) => ("training steps", steps as f64, trainer.steps() as f64),
+        };
+        bars.begin(unit, (all - before_units).ceil().max(1.0) as u64);
         let mut done = 0;
         let finished = run.train(&mut trainer, before, bars, |progress| {
-            let now = (progress.share * PARTS as f64) as u64;
+            let now = (progress.share * all - before_units).max(0.0) as u64;
+            // The message first: the line that `advance` may print shows it.
+            let (loss, psnr, left) = (progress.loss, progress.train_psnr, progress.left.max(0.0));
+            bars.message(format!("step {}, loss {loss:.5}, {psnr:.1} dB", progress.steps));
             bars.advance(now.saturating_sub(done));
             done = done.max(now);
-            let (loss, psnr, left) = (progress.loss, progress.train_psnr, progress.left.max(0.0));
-            bars.message(format!("step {}, loss {loss:.5}, {psnr:.1} dB, {left:.0} s", progress.steps));
             if let Some(Quality { psnr, views, .. }) = progress.held_out {
                 let steps = progress.steps;
                 bars.line(&format!(
                     "step {steps}: loss {loss:.5}, PSNR {psnr:.2} dB on {views} held-out images, {left:.0} s left"
                 ));
             }
-        })?;
+        });
         bars.end();
+        // A run that has diverged would do so again.
+        if let Err(Error::Setting { .. }) = finished {
+            let _ = std::fs::remove_file(&member.state.path);
+        }
+        let finished = finished?;
         let mut training = member.description.clone();
         training["steps"] = trainer.steps().into();
         training["rays"] = trainer.rays().into();
         let background = member.settings.background.for_images();
         let field = trainer.field(json!(null));
+        let measure = |field: &HashGrid, shots, pixels| match run.budget {
+            Budget::Time(time) => quality_within(field, shots, background, pixels, measuring(time)),
+            _ => quality(field, shots, background, pixels),
+        };
+        self.announce(finished.elapsed, bars);
         // What the images leave open of the model's colours, by which `uncertainty --scale data` weighs them.
-        let noise = quality(&field, train, background, LOOK_PIXELS).map(|shown| DataScale::noise_of(shown.psnr));
+        let shown = measure(&field, train, LOOK_PIXELS);
+        let noise = shown.as_ref().map(|shown| DataScale::noise_of(shown.psnr));
         training["training_noise"] = json!(noise.filter(|noise| *noise > 0.0));
         let field = field.with_training(training);
         field.write(&member.path)?;
@@ -337,9 +357,18 @@ impl Args {
         if member.state.path.exists() {
             std::fs::remove_file(&member.state.path).map_err(Error::io(&member.state.path, "cannot remove"))?;
         }
-        let quality = quality(&field, held_out, background, self.test_pixels);
-        warn_of_one_color(&field, [train, held_out], background);
+        let quality = measure(&field, held_out, self.test_pixels);
+        warn_of_one_color([("training", train, shown), ("held-out", held_out, quality.clone())], background);
         self.report(member, &trainer, &field, finished, train.len(), quality.as_ref(), background)
+    }
+
+    /// Says on stderr that training is over, and what follows.
+    fn announce(&self, elapsed: f64, bars: &Bars) {
+        let most = match self.budget() {
+            Budget::Time(time) => format!(", for at most about {:.0} s", 2.0 * measuring(time).as_secs_f64()),
+            _ => String::new(),
+        };
+        bars.line(&format!("note: trained for {elapsed:.1} s; now the model is compared with its images{most}"));
     }
 
     #[allow(clippy::too_many_arguments, reason = "the lines of a report")]

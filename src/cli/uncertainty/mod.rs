@@ -183,6 +183,14 @@ pub struct Args {
     /// Continue from the checkpoint, if there is one
     #[arg(long, requires = "checkpoint")]
     resume: bool,
+
+    /// Use the cameras even if the model does not show the images that lie beside them
+    ///
+    /// Before the run, a few hundred pixels of at most 8 of these images are compared with the model: below 15 dB a
+    /// warning names likely causes, such as cameras of another scene or another background; below 8 dB the cameras are
+    /// refused.
+    #[arg(long)]
+    force: bool,
 }
 
 /// A file of this many bytes is announced before the run.
@@ -246,6 +254,8 @@ impl Args {
 
         let run = estimation.prepare()?;
         self.check_sight(&run.sight()?)?;
+        self.check_images(&run, images.as_ref().map_or(&inputs.views.frames, TrainingImages::frames), bars)?;
+        run.check_positions()?.warning().iter().for_each(|text| announce!("warning: {text}"));
         let step = run.check_step()?;
         step.iter().for_each(report::step);
         if self.audit {

@@ -1,7 +1,10 @@
-//! Checks whether the cameras see anything of the model.
+//! Checks whether the cameras see anything of the model, and whether it shows the images beside them.
 
 use super::Args;
-use crate::estimate::Sight;
+use crate::dataset::Frame;
+use crate::estimate::{Run, Sight};
+use crate::evaluate::check_images;
+use crate::monitor::Monitor;
 use crate::{Error, Result};
 
 impl Args {
@@ -24,6 +27,18 @@ impl Args {
             return Err(Error::setting("cameras", expected, format!("none: {measured}")));
         }
         announce!("warning: the cameras see little of the model: {measured}; likely causes: {causes}");
+        Ok(())
+    }
+
+    /// Compares the model with the images of `frames` that are there. Refuses cameras whose images it does not show at
+    /// all, unless forced. Warns if it shows them poorly.
+    pub fn check_images(&self, run: &Run, frames: &[Frame], monitor: &dyn Monitor) -> Result<()> {
+        let stream = run.stream();
+        let Some(found) = check_images(&stream.tracer, frames, stream.pixel_offset, monitor)? else { return Ok(()) };
+        if !self.force {
+            found.refuse()?;
+        }
+        found.warnings().iter().for_each(|text| announce!("warning: {text}"));
         Ok(())
     }
 }

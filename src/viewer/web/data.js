@@ -22,12 +22,14 @@ async function readFile() {
 
 /**
  * The planes of all bricks, as texels of an atlas: red, green, blue, matter; and codes of log10 U, as it is seen and at
- * the point. Numbers of rays stay as they are, `[bricks][64]`.
+ * the point. Numbers of rays stay as they are, `[bricks][64]`. `matterByCode` is what matter absorbs, summed by its
+ * code of log10 U at the point.
  */
 function atlas([width, height, depth], planes) {
   const bricks = planes.length / (6 * 512 + 64);
   const matter = new Uint8Array(width * height * depth * 512 * 4);
   const knowledge = new Uint8Array(width * height * depth * 512 * 2);
+  const matterByCode = new Array(256).fill(0);
   const plane = (k, from) => planes[k * bricks * 512 + from];
   for (let brick = 0; brick < bricks; brick++) {
     const x0 = 8 * (brick % width);
@@ -46,7 +48,8 @@ function atlas([width, height, depth], planes) {
       // What no camera sees is shown as it is at the point.
       knowledge[2 * texel] = plane(4, from) || Math.min(plane(5, from), 254);
       knowledge[2 * texel + 1] = plane(5, from);
+      matterByCode[plane(5, from)] += plane(3, from) ** 2;
     }
   }
-  return { matter, knowledge, rays: planes.subarray(6 * 512 * bricks) };
+  return { matter, knowledge, matterByCode, rays: planes.subarray(6 * 512 * bricks) };
 }

@@ -109,6 +109,7 @@ class Viewer {
     if (this.frusta) this.drawFrusta(width, height);
     drawLegend(this.about, this.shown.layer, this.shown.depths);
     drawHistogram(this.about, this.shown.threshold);
+    sayRemoved(this.about, this.volume.matterByCode, this.shown.threshold);
     return took;
   }
 
@@ -208,7 +209,8 @@ function listen(viewer) {
   LAYERS.forEach((name) => byId(`layer-${name}`).addEventListener('change', () => viewer.layer(name)));
   const slider = byId('threshold');
   slider.addEventListener('input', () => {
-    viewer.shown.threshold = Number(slider.value);
+    // The last position removes nothing, however it was rounded.
+    viewer.shown.threshold = slider.value === slider.max ? viewer.about.codes.prior : Number(slider.value);
     moved();
   });
   byId('frusta').addEventListener('change', (event) => {
@@ -225,8 +227,11 @@ function introduce({ title, cells, codes, range, cameras }) {
   document.getElementById('title').textContent = title;
   document.getElementById('volume').textContent = `${cells} cells along the longest edge, ${cameras.length} cameras`;
   const slider = document.getElementById('threshold');
-  Object.assign(slider, { min: range[0], max: codes.prior, step: 0.01 });
-  slider.value = codes.prior;
+  // Ends with two digits are whole steps apart. The last one removes nothing; the one before it is below the prior.
+  const max = Math.ceil(100 * codes.prior - 0.05);
+  const min = Math.min(Math.floor(100 * range[0]), max - 1);
+  Object.assign(slider, { min: (min / 100).toFixed(2), max: (max / 100).toFixed(2), step: '0.01' });
+  slider.value = slider.max;
 }
 
 async function start() {

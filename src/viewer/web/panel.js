@@ -38,12 +38,26 @@ function drawHistogram(about, threshold) {
   pen.fillRect(x, 0, canvas.width - x, canvas.height);
   pen.fillStyle = '#d40000';
   pen.fillRect(Math.min(x, canvas.width - 2), 0, 2, canvas.height);
-  const middle = (i) => low + ((i + 0.5) / bars.length) * (high - low);
-  const kept = bars.reduce((sum, n, i) => sum + (middle(i) <= threshold ? n : 0), 0);
-  const all = bars.reduce((sum, n) => sum + n, 0);
-  const share = all > 0 ? `${((100 * kept) / all).toFixed(1)} % of visible surfaces stay` : '';
-  document.getElementById('threshold-words').textContent =
-    threshold >= high ? 'nothing is removed' : `log10 U ≤ ${threshold.toFixed(2)}: ${share}`;
+}
+
+/** Says what the threshold removes of visible surfaces, and of what was never seen. */
+function sayRemoved(about, matterByCode, threshold) {
+  const { codes, surfaces } = about;
+  const say = (id, text) => (document.getElementById(id).textContent = text);
+  if (threshold >= codes.prior) {
+    say('threshold-words', 'nothing is removed');
+    say('unseen-words', '');
+    return;
+  }
+  const percent = (part, all) => `${((100 * part) / all).toFixed(1)} %`;
+  const kept = surfaces.filter((log10U) => log10U <= threshold).length;
+  const share = surfaces.length > 0 ? `${percent(kept, surfaces.length)} of visible surfaces stay` : '';
+  say('threshold-words', `log10 U ≤ ${threshold.toFixed(2)}: ${share}`);
+  const last = 1 + ((codes.last - 1) * (threshold - codes.low)) / (codes.prior - codes.low);
+  const sum = (from) => matterByCode.reduce((sum, weight, code) => sum + (code >= from ? weight : 0), 0);
+  const [all, gone, unseen] = [sum(0), sum(Math.floor(last) + 1), sum(codes.last)];
+  const never = `${percent(unseen, all)} has the prior’s U (“never seen”) and goes at any threshold`;
+  say('unseen-words', all > 0 ? `Of all matter, seen or hidden, ${percent(gone, all)} goes. ${never}.` : '');
 }
 
 /** Says what is under the pointer. */

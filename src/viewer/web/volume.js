@@ -1,8 +1,8 @@
 // The volume on the CPU: what it says at a point, as the shader reads it.
 
 class Volume {
-  constructor({ about, pages, matter, knowledge, rays }) {
-    Object.assign(this, { about, pages, matter, knowledge, rays });
+  constructor({ about, pages, matter, knowledge, matterByCode, rays }) {
+    Object.assign(this, { about, pages, matter, knowledge, matterByCode, rays });
     const { min, max } = about.bounds;
     const size = sub(max, min);
     // The shader's units: see march.glsl.

@@ -1,0 +1,380 @@
+//! Whether a model shows the images that lie beside its cameras: cameras of another scene, or poses in other axes, give
+//! a field that looks as good as any.
+
+use std::path::Path;
+
+use glam::{DVec3, Vec3};
+use image::ImageReader;
+use rayon::prelude::*;
+
+use crate::dataset::{Frame, PosedImage};
+use crate::geometry::{Camera, MAX_PIXELS, Ray, inverted, opencv};
+use crate::metrics::psnr;
+use crate::monitor::{Monitor, check};
+use crate::render::{Tracer, render_rays};
+use crate::{Error, Result};
+
+/// Most images that are read, spread over the cameras: one of 12 megapixels takes a tenth of a second.
+const IMAGES: usize = 8;
+/// Pixels of each that are rendered. The mean squared error of 512 pixels is known to about a tenth, 0.5 dB.
+const PIXELS: usize = 64;
+/// A model that shows its images worse is worth a warning, dB. Models trained to the end have 20 and more, and a plain
+/// colour for all images often has 10.
+const FAIR: f64 = 15.0;
+/// A model that shows its images worse does not show them at all, dB. Two unrelated images have about 8: the root mean
+/// square difference of two values drawn from [0, 1] is 0.41.
+const NOTHING: f64 = 8.0;
+/// What another background or other poses must gain to be named, dB: half of the squared error.
+const MORE: f64 = 3.0;
+
+/// The backgrounds that are tried beside the tracer's.
+const BACKGROUNDS: [(&str, Vec3); 2] = [("white", Vec3::ONE), ("black", Vec3::ZERO)];
+
+/// How well a model shows the images that lie beside its cameras.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ImageCheck {
+    /// Number of images that were compared.
+    pub images: usize,
+    /// Number of their pixels that were rendered.
+    pub pixels: usize,
+    /// PSNR over these pixels, dB.
+    pub psnr: f64,
+    /// The background that shows the images best, white or black, and its PSNR, if it gains much.
+    pub background: Option<(&'static str, f64)>,
+    /// The reading of the poses that shows the images best, and its PSNR, if it gains much.
+    pub poses: Option<(&'static str, f64)>,
+    /// Sizes of the first camera and its image whose sides have different ratios, pixels.
+    pub shapes: Option<[[u32; 2]; 2]>,
+    /// Number of images that cannot be compared, and why the first of them cannot.
+    pub unread: Option<(usize, String)>,
+    /// Whether the model was trained on these very cameras: then it can only be a poor model.
+    pub is_trained_on: bool,
+}
+
+/// Some pixels of an image, and the camera that took it.
+struct Shown {
+    camera: Camera,
+    image: PosedImage,
+    /// Image points, pixels of the camera; and the same pixels in the image.
+    points: Vec<[f64; 2]>,
+    pixels: Vec<usize>,
+}
+
+/// What a tracer renders without what lies behind: colour, and the share of the background that passes.
+type Rendered = Vec<(DVec3, f64)>;
+
+/// Compares some pixels of the images that lie beside `frames` with what the tracer renders there. `None` without
+/// images. Images of another size than their camera's are compared at the same place relative to their sides; pixels
+/// that a mask blackens are left out.
+///
+/// The same pixels every time, whatever the number of threads.
+///
+/// # Errors
+/// [`Error::Interrupted`] only: images that cannot be read are counted.
+pub fn check_images(
+    tracer: &Tracer,
+    frames: &[Frame],
+    pixel_offset: f64,
+    monitor: &dyn Monitor,
+) -> Result<Option<ImageCheck>> {
+    let beside: Vec<&Frame> = frames.iter().filter(|frame| frame.image.is_file()).collect();
+    let used = beside.len().min(IMAGES);
+    let chosen: Vec<&Frame> = (0..used).map(|i| beside[(2 * i + 1) * beside.len() / (2 * used)]).collect();
+    let read = |frame: &&Frame| check(monitor).map(|()| Shown::read(frame, pixel_offset));
+    let read: Vec<Result<Shown>> = chosen.par_iter().map(read).collect::<Result<_>>()?;
+    let why: Vec<String> = read.iter().filter_map(|read| read.as_ref().err()).map(ToString::to_string).collect();
+    let unread = why.first().map(|first| (why.len(), first.clone()));
+    let shown: Vec<Shown> = read.into_iter().filter_map(Result::ok).filter(|shown| !shown.pixels.is_empty()).collect();
+    let pixels: usize = shown.iter().map(|shown| shown.pixels.len()).sum();
+    let stored = tracer.field.training_cameras();
+    let length = tracer.field.bounds().longest_edge();
+    let is_stored = |frame: &&Frame| stored.iter().any(|known| known.camera.is_like(&frame.camera, length));
+    let mut found = ImageCheck {
+        images: shown.len(),
+        pixels,
+        psnr: f64::NAN,
+        background: None,
+        poses: None,
+        shapes: shown.iter().find_map(Shown::shapes),
+        unread,
+        is_trained_on: chosen.iter().all(is_stored),
+    };
+    if pixels == 0 {
+        return Ok(found.unread.is_some().then_some(found));
+    }
+
+    let rendered = render(tracer, &shown, |camera| *camera, monitor)?;
+    let background = tracer.background();
+    found.psnr = psnr_over(&shown, &rendered, background);
+    let best = |found: &mut dyn Iterator<Item = (&'static str, f64)>| found.max_by(|a, b| a.1.total_cmp(&b.1));
+    let gains = |(_, other): &(&str, f64)| *other >= (found.psnr + MORE).max(FAIR);
+    let others = BACKGROUNDS.iter().map(|(name, color)| (*name, psnr_over(&shown, &rendered, color.as_dvec3())));
+    found.background = best(&mut others.into_iter()).filter(gains);
+    if found.psnr < FAIR && found.background.is_none() {
+        let readings: [(&str, fn(&Camera) -> Camera); 3] = [
+            ("OpenCV axes (y down, looking along +z) in place of OpenGL's", opencv),
+            ("world-to-camera matrices in place of camera-to-world", |camera| inverted(camera)[0]),
+            ("world-to-camera matrices with OpenCV axes", |camera| inverted(camera)[1]),
+        ];
+        let mut others = Vec::new();
+        for (name, reading) in readings {
+            others.push((name, psnr_over(&shown, &render(tracer, &shown, reading, monitor)?, background)));
+        }
+        found.poses = best(&mut others.into_iter()).filter(gains);
+    }
+    Ok(Some(found))
+}
+
+impl Shown {
+    fn read(frame: &Frame, pixel_offset: f64) -> Result<Self> {
+        let camera = frame.camera;
+        let image = PosedImage::read(&frame.image, size(&frame.image)?)?;
+        let mask = frame.mask.as_ref().map(|mask| PosedImage::read(mask, size(mask)?)).transpose()?;
+        let place = |i: usize| -> [f64; 2] {
+            // R₂ (Roberts, 2018), as `Framing` places its rays.
+            let share = |of: f64, sides: u32| {
+                ((0.5 + (i + 1) as f64 * of).fract() * f64::from(sides)).floor().min(f64::from(sides - 1))
+            };
+            [share(0.754_877_666_246_693, camera.resolution[0]), share(0.569_840_290_998_053_3, camera.resolution[1])]
+        };
+        // Pixel of an image of another size whose ray passes nearest.
+        let index = |[x, y]: [f64; 2], image: &PosedImage| {
+            let [column, row] = [(x, 0), (y, 1)].map(|(at, axis)| {
+                let [of, sides] = [camera.resolution, image.resolution].map(|sides| f64::from(sides[axis]));
+                ((at + pixel_offset) * sides / of - pixel_offset).round().clamp(0.0, sides - 1.0) as usize
+            });
+            row * image.resolution[0] as usize + column
+        };
+        let is_kept = |at: &[f64; 2]| {
+            mask.as_ref().is_none_or(|mask| mask.over(index(*at, mask), DVec3::ZERO).max_element() >= 0.5)
+        };
+        let points: Vec<[f64; 2]> = (0..PIXELS).map(place).filter(is_kept).collect();
+        let pixels = points.iter().map(|at| index(*at, &image)).collect();
+        let points = points.into_iter().map(|at| at.map(|at| at + pixel_offset)).collect();
+        Ok(Self { camera, image, points, pixels })
+    }
+
+    /// Sizes of camera and image, if one is not the other resized: their ratios differ by more than rounding explains.
+    fn shapes(&self) -> Option<[[u32; 2]; 2]> {
+        let sizes = [self.camera.resolution, self.image.resolution];
+        let [[w, h], [image_w, image_h]] = sizes.map(|size| size.map(f64::from));
+        let apart = (w * image_h / (h * image_w)).ln().abs();
+        (apart > 1.0 / w.min(h).min(image_w).min(image_h) + 0.005).then_some(sizes)
+    }
+}
+
+/// Width and height of an image, from its first bytes.
+fn size(path: &Path) -> Result<[u32; 2]> {
+    let cannot = |what: &'static str| Error::io(path, what);
+    let reader = ImageReader::open(path).map_err(cannot("cannot open"))?;
+    let reader = reader.with_guessed_format().map_err(cannot("cannot read"))?;
+    let wrong = |found: String| Error::malformed(path, "image", "a PNG or JPEG", found);
+    let (w, h) = reader.into_dimensions().map_err(|e| wrong(e.to_string()))?;
+    if f64::from(w) * f64::from(h) > MAX_PIXELS {
+        return Err(wrong(format!("{w} x {h} pixels")));
+    }
+    Ok([w, h])
+}
+
+/// What the tracer renders at the images' pixels, if other cameras took them.
+fn render(
+    tracer: &Tracer,
+    shown: &[Shown],
+    taken_by: impl Fn(&Camera) -> Camera + Sync,
+    monitor: &dyn Monitor,
+) -> Result<Rendered> {
+    // A field that wants many points at once gets all images as one.
+    let each = if tracer.field.batch() > 0 { shown.len() } else { 1 };
+    let background = tracer.background();
+    let rendered = shown.par_chunks(each.max(1)).map(|shown| {
+        check(monitor)?;
+        let of_image = |shown: &Shown| -> Vec<Ray> {
+            let camera = taken_by(&shown.camera);
+            shown.points.iter().map(|&[x, y]| camera.ray(x, y)).collect()
+        };
+        let rays: Vec<Ray> = shown.iter().flat_map(of_image).collect();
+        let view = render_rays(tracer, &rays, &[], None)?;
+        let alone = view.pixels.iter().map(|pixel| {
+            let passed = 1.0 - pixel.opacity;
+            (pixel.color - passed * background, passed)
+        });
+        Ok(alone.collect())
+    });
+    Ok(rendered.collect::<Result<Vec<Rendered>>>()?.concat())
+}
+
+/// PSNR of what was rendered, with both model and images over a background.
+fn psnr_over(shown: &[Shown], rendered: &[(DVec3, f64)], background: DVec3) -> f64 {
+    let truth: Vec<DVec3> =
+        shown.iter().flat_map(|shown| shown.pixels.iter().map(|&i| shown.image.over(i, background))).collect();
+    let found: Vec<DVec3> = rendered.iter().map(|(color, passed)| *color + *passed * background).collect();
+    psnr(&found, &truth)
+}
+
+impl ImageCheck {
+    /// Whether the model shows nothing of the images.
+    #[must_use]
+    pub fn is_nothing(&self) -> bool {
+        self.psnr < NOTHING
+    }
+
+    /// Whether the model shows the images worse than a trained one should.
+    #[must_use]
+    pub fn is_poor(&self) -> bool {
+        self.psnr < FAIR
+    }
+
+    /// Describes what was measured.
+    #[must_use]
+    pub fn measured(&self) -> String {
+        let Self { images, pixels, psnr, .. } = self;
+        let images = if *images == 1 { "1 image".into() } else { format!("{images} images") };
+        format!("{psnr:.1} dB over {pixels} pixels of {images}")
+    }
+
+    /// The likely causes, if the images are poorly shown.
+    #[must_use]
+    pub fn causes(&self) -> String {
+        if let Some((name, psnr)) = self.background {
+            return format!("another background than the images' (with {name}: {psnr:.1} dB)");
+        }
+        if let Some((name, psnr)) = self.poses {
+            return format!("{name} (read so: {psnr:.1} dB)");
+        }
+        let mut causes = Vec::new();
+        if let Some([[w, h], [image_w, image_h]]) = self.shapes {
+            causes.push(format!("images of {image_w} x {image_h} pixels for cameras of {w} x {h}"));
+        }
+        if self.is_trained_on {
+            causes.push("a model that was hardly trained".into());
+        } else {
+            causes.push("cameras or images of another scene".into());
+            causes.push("other axes, units or background than the model's".into());
+        }
+        causes.join(", or ")
+    }
+
+    /// What is to be said: that the images are poorly shown, that another background shows them much better, that some
+    /// cannot be compared.
+    #[must_use]
+    pub fn warnings(&self) -> Vec<String> {
+        let mut warnings = Vec::new();
+        if let Some((count, why)) = &self.unread {
+            let images = if *count == 1 { "1 image".into() } else { format!("{count} images") };
+            warnings.push(format!("the model is not compared with {images} beside the cameras: {why}"));
+        }
+        let (measured, causes) = (self.measured(), self.causes());
+        if self.is_poor() {
+            warnings.push(format!(
+                "the model hardly shows the images beside the cameras: {measured}, {FAIR:.0} dB would be fair; likely \
+                 causes: {causes}"
+            ));
+        } else if self.background.is_some() {
+            warnings
+                .push(format!("the model shows the images beside the cameras with {measured}; likely cause: {causes}"));
+        }
+        warnings
+    }
+
+    /// Refuses cameras whose images the model does not show at all, unless it was trained on these very cameras.
+    ///
+    /// # Errors
+    /// If that is so.
+    pub fn refuse(&self) -> Result<()> {
+        if !self.is_nothing() || self.is_trained_on {
+            return Ok(());
+        }
+        let expected =
+            format!("images that the model shows with at least {NOTHING:.0} dB; likely causes: {}", self.causes());
+        Err(Error::setting("images beside the cameras", expected, format!("{} (--force insists)", self.measured())))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::field::{ClosedForm, RadianceField};
+    use crate::monitor::Silent;
+    use crate::render::{Marcher, render_view};
+
+    /// Frames whose images are what `scene` shows from `cameras`, over white.
+    fn frames(folder: &Path, scene: &ClosedForm, cameras: &[Camera]) -> Vec<Frame> {
+        let tracer = tracer(scene);
+        let write = |(i, camera): (usize, &Camera)| {
+            let view = render_view(&tracer, camera, 0.5, &[], &Silent).unwrap();
+            let [w, h] = camera.resolution;
+            let pixel = |x: u32, y: u32| view.pixels[(y * w + x) as usize].color;
+            let image = image::RgbImage::from_fn(w, h, |x, y| {
+                image::Rgb(pixel(x, y).to_array().map(|v| (255.0 * v).round() as u8))
+            });
+            let path = folder.join(format!("{i}.png"));
+            image.save(&path).unwrap();
+            Frame::new(*camera, i.to_string(), path)
+        };
+        cameras.iter().enumerate().map(write).collect()
+    }
+
+    fn tracer(scene: &ClosedForm) -> Tracer<'_> {
+        let marcher = Marcher { step: 0.02, bounds: scene.bounds(), occupancy: None, cutoff: 0.0 };
+        Tracer { field: scene, marcher, background: Vec3::ONE }
+    }
+
+    fn found(scene: &ClosedForm, frames: &[Frame]) -> ImageCheck {
+        check_images(&tracer(scene), frames, 0.5, &Silent).unwrap().unwrap()
+    }
+
+    #[test]
+    fn other_readings_of_poses_are_named_if_they_show_the_images() {
+        let (folder, scene) = (tempfile::tempdir().unwrap(), ClosedForm::courtyard());
+        let right = frames(folder.path(), &scene, &ClosedForm::half_circle(4, [32; 2]));
+        let check = found(&scene, &right);
+        // Rounding to 8 bits alone is 59 dB.
+        assert!((58.0..60.5).contains(&check.psnr) && check.pixels == 256 && check.warnings().is_empty(), "{check:?}");
+        let read_as = |reading: &dyn Fn(&Camera) -> Camera| -> ImageCheck {
+            let frame = |frame: &Frame| Frame { camera: reading(&frame.camera), ..frame.clone() };
+            found(&scene, &right.iter().map(frame).collect::<Vec<_>>())
+        };
+        // Each reading undoes itself, but for axes that are turned in the world.
+        for (reading, name) in [
+            (&opencv as &dyn Fn(&Camera) -> Camera, "OpenCV axes"),
+            (&|camera: &Camera| inverted(camera)[0], "world-to-camera matrices in place"),
+            (&|camera: &Camera| inverted(&opencv(camera))[0], "world-to-camera matrices with OpenCV"),
+        ] {
+            let check = read_as(reading);
+            assert!(
+                check.is_poor() && check.poses.is_some_and(|(told, _)| told.starts_with(name)),
+                "{name}: {check:?}"
+            );
+            assert!(check.warnings()[0].contains(name), "{check:?}");
+        }
+    }
+
+    #[test]
+    fn masked_pixels_and_other_shapes() {
+        let (folder, scene) = (tempfile::tempdir().unwrap(), ClosedForm::courtyard());
+        let cameras = ClosedForm::half_circle(2, [32; 2]);
+        let mut frames = frames(folder.path(), &scene, &cameras);
+        // The left half of the images is black, and masks say so at half their size.
+        for (i, frame) in frames.iter_mut().enumerate() {
+            let mut image = image::open(&frame.image).unwrap().to_rgb8();
+            image.enumerate_pixels_mut().filter(|(x, ..)| *x < 16).for_each(|(.., pixel)| *pixel = image::Rgb([0; 3]));
+            image.save(&frame.image).unwrap();
+            let mask = folder.path().join(format!("mask_{i}.png"));
+            image::GrayImage::from_fn(16, 16, |x, _| image::Luma([if x < 8 { 0 } else { 255 }])).save(&mask).unwrap();
+            frame.mask = Some(mask);
+        }
+        let check = found(&scene, &frames);
+        assert!(check.psnr > 50.0 && (48..80).contains(&check.pixels), "{check:?}");
+        frames.iter_mut().for_each(|frame| frame.mask = None);
+        assert!(found(&scene, &frames).is_poor());
+        // Cameras that cut off what their images show.
+        for frame in &mut frames {
+            frame.camera.resolution = [32, 16];
+        }
+        let check = found(&scene, &frames);
+        assert!(check.shapes == Some([[32, 16], [32, 32]]) && check.causes().contains("32 x 32 pixels"), "{check:?}");
+        // Without images there is nothing to say.
+        frames.iter_mut().for_each(|frame| frame.image = "none.png".into());
+        assert_eq!(check_images(&tracer(&scene), &frames, 0.5, &Silent).unwrap(), None);
+    }
+}
