@@ -574,8 +574,8 @@ def evaluate(
 
     u: one field, or several by name. cameras: a camera file with images. depth: folder of depth maps, named by
     ``depth_pattern`` ({} is the frame's name); depth = offset + scale * p for ``depth_encoding`` (offset, scale), p
-    from 0 to 1, or scene units in .exr, which have no encoding. ray_average: ``u-spread-per-root-ray`` unless told otherwise.
-    The other arguments are the command line's (``octobayes evaluate --help``).
+    from 0 to 1, or scene units in .exr, which have no encoding. ray_average: ``u-spread-per-root-ray`` unless told
+    otherwise. The other arguments are the command line's (``octobayes evaluate --help``).
 
     Returns a dictionary: 'readings' and 'baselines' (name, 'ause_pooled' and 'ause_mean_over_views' by error kind, and
     'calibration' of standard deviations of depth, which fields of scale='data' give), 'depth_error', 'psnr', 'views',
