@@ -20,7 +20,7 @@ use common::table::{Table, spread, whole, whole_spread};
 use common::work::Work;
 
 const COVARIANCES: [Covariance; 3] = [Covariance::Diagonal, Covariance::Trace, Covariance::Block];
-const AVERAGES: [RayAverage; 2] = [RayAverage::WeightedMean, RayAverage::Spread];
+const AVERAGES: [RayAverage; 2] = [RayAverage::WeightedMean, RayAverage::USpread];
 const LEVELS: [u8; 4] = [6, 7, 8, 9];
 const SEEDS: [u64; 3] = [0, 1, 2];
 /// Of the test views one in so many, and of their pixels along x and y.

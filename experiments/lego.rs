@@ -190,7 +190,7 @@ fn times(work: &Work, scene: &Scene) -> Result<(String, String)> {
 
 fn ranking(work: &Work, scene: &Scene) -> Result<(String, String)> {
     let truth = Truth::lego(&Program::data()?, 1, STRIDE)?;
-    let averages = vec![RayAverage::WeightedMean, RayAverage::Spread];
+    let averages = vec![RayAverage::WeightedMean, RayAverage::USpread];
     let ranking: Ranking = work.row(("ranking", STRIDE, SEEDS), || {
         let mut readings = Vec::new();
         let [octree, _, dense] = grids(scene);

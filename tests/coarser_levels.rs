@@ -19,7 +19,7 @@ fn u_stays_and_rankings_read_all_levels() {
     let of = |field: &UncertaintyField| field.coarser().iter().map(|f| f.lattice().level()).collect::<Vec<_>>();
     assert_eq!(of(&levels), [5, 4]);
     let info = good(folder, "info levels.oct");
-    assert!(info.contains("coarser levels 5, 4, read by `spread` and `spread-per-ray`"), "{info}");
+    assert!(info.contains("coarser levels 5, 4, read by `u-spread` and `u-spread-per-root-ray`"), "{info}");
     assert!(!good(folder, "info alone.oct").contains("coarser levels"));
     let json = |name| serde_json::from_str::<serde_json::Value>(&good(folder, &format!("info {name} --json"))).unwrap();
     assert_eq!([json("alone.oct"), json("levels.oct")].map(|info| info["coarser_levels"].clone()), [0, 2]);
@@ -29,7 +29,7 @@ fn u_stays_and_rankings_read_all_levels() {
     let query = |name| good(folder, &format!("query {name} points.csv"));
     assert_eq!(query("alone.oct"), query("levels.oct"));
     for (average, same) in
-        [("weighted-mean", true), ("at-expected", true), ("spread", false), ("spread-per-ray", false)]
+        [("weighted-mean", true), ("at-expected", true), ("u-spread", false), ("u-spread-per-root-ray", false)]
     {
         let picture = |name: &str| {
             let camera = "--resolution 24 --frame 1";

@@ -90,7 +90,7 @@ fn a_disk_that_is_full_at_the_last_file_leaves_no_half_set() {
     let desk = desk();
     let names = ["sheet.png", "plot.svg", "curves.csv"];
     let outputs =
-        "--clean-up sheet.png --plot plot.svg --csv curves.csv --ray-average spread,weighted-mean,at-expected";
+        "--clean-up sheet.png --plot plot.svg --csv curves.csv --ray-average u-spread,weighted-mean,at-expected";
     octobayes(desk.path(), &format!("{EVALUATE} {outputs}"));
     let sizes = names.map(|name| std::fs::metadata(desk.path().join(name)).unwrap().len());
     for name in names {
@@ -128,8 +128,8 @@ fn all_measures_and_the_clean_up_are_in_the_tables() {
     assert_eq!(names("readings"), expected);
     let baselines = [
         "ray-weight variance",
-        "weights' deviation / sqrt(rays)",
-        "weights' deviation / rays",
+        "weights' spread / sqrt(rays)",
+        "weights' spread / rays",
         "ray entropy",
         "1 - opacity",
         "ray count",
@@ -210,7 +210,7 @@ fn deviations_of_depth_are_calibrated_beside_those_of_the_weights() {
     let mean = found["depth_error"]["mean"].as_f64().unwrap();
     let (least, chance) = (figure("the least possible"), figure("random"));
     assert!(least < figure("ray-weight variance") && (chance / mean - 1.0).abs() < 0.3, "{risk}");
-    for control in ["weights' deviation / rays", "visits", "training views that see it", "angle to a training view"] {
+    for control in ["weights' spread / rays", "visits", "training views that see it", "angle to a training view"] {
         assert!(figure(control) >= least, "{control}: {risk}");
     }
     // In the paper's scale there is nothing to calibrate.

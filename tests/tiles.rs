@@ -188,7 +188,7 @@ fn whoever_asks_tiles_gets_what_the_joined_field_says() {
 fn pictures(field: &dyn Answers, threshold: f64) -> [Vec<[u64; 4]>; 2] {
     let (scene, camera) = (ClosedForm::courtyard(), ClosedForm::half_circle(5, [48, 40])[1]);
     let cleaned = ThresholdedField::new(&scene, field, threshold);
-    let averages = [RayAverage::WeightedMean, RayAverage::AtExpected, RayAverage::SpreadPerRay];
+    let averages = [RayAverage::WeightedMean, RayAverage::AtExpected, RayAverage::USpreadPerRootRay];
     let models: [&dyn RadianceField; 2] = [&scene, &cleaned];
     let pictures = models.map(|model| {
         let tracer = RaySettings::default().occupancy(48).tracer(model, 0.0, &Silent).unwrap();

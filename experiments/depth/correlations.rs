@@ -149,7 +149,7 @@ impl Depths {
     ) -> Result<Self> {
         let settings = RaySettings::for_images();
         let tracer = settings.tracer(model, 0.0, &Silent)?;
-        let spread = [Probe { field, averages: &[RayAverage::Spread] }];
+        let spread = [Probe { field, averages: &[RayAverage::USpread] }];
         let probe =
             DepthProbe { differentiation: settings.differentiation(model, field.lattice())?, variances: posteriors };
         let mut found = Self::default();

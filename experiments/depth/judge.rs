@@ -74,6 +74,8 @@ pub struct Row {
     pub psnr: f64,
     /// Median error of depth, scene units.
     pub error: f64,
+    /// Longest edge of the field's box, scene units.
+    pub edge: f64,
     /// By [`ErrorDensity::PREDICTIVE`] and as if errors were normal; then the ray's weights alone, by the former.
     pub bars: [Bar; 3],
     pub scored: Vec<Scored>,
@@ -145,7 +147,7 @@ fn readings(fields: Vec<UncertaintyField>) -> Result<Vec<Reading>> {
 }
 
 fn averages() -> Vec<RayAverage> {
-    vec![RayAverage::Spread, RayAverage::AtExpected]
+    vec![RayAverage::USpread, RayAverage::AtExpected]
 }
 
 /// Judges a model beside the others of its ensemble, if there are any, and posteriors over its parameters, if they are
@@ -165,6 +167,7 @@ pub fn judge(
     let training = TrainingViews::render(&tracer, &cameras, pixel_offset, &Silent)?;
     let images = data.for_misfit(pixel_offset).into_iter().map(Ok);
     let misfit = measure_misfit(&tracer, images, fields[0].lattice(), &Silent)?;
+    let edge = DataScale::longest_edge(fields[0].lattice().domain());
     let warp = Warp::render(&tracer, &cameras, pixel_offset)?;
     let readings = readings(fields)?;
     let mut evaluator =
@@ -203,6 +206,7 @@ pub fn judge(
     }
     // Maps with steps tell the depth to within a step, all values of which are as likely.
     row(&evaluator, &views, beside, &unseen, data.depth_step.powi(2) / 12.0)
+        .map(|row| Row { edge, ..row })
         .ok_or_else(|| Error::malformed(&data.folder, "views", "errors of depth, and finite deviations", "none"))
 }
 
@@ -250,6 +254,7 @@ fn row(
     Some(Row {
         psnr: mean(&views.iter().map(|view| view.psnr).collect::<Vec<_>>()),
         error: DepthError::new(views)?.median,
+        edge: 0.0,
         bars: [
             bar(&full, ErrorDensity::PREDICTIVE),
             bar(&full, ErrorDensity::Gauss),

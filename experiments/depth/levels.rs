@@ -27,7 +27,7 @@ const RUNS: [(u8, u8); 8] = [(8, 0), (7, 0), (6, 0), (5, 0), (4, 0), (8, 2), (7,
 #[derive(Clone, Serialize, Deserialize)]
 pub struct Row {
     scene: String,
-    /// AUSE of `spread-per-ray` by MAE and RMSE.
+    /// AUSE of `u-spread-per-root-ray` by MAE and RMSE.
     ranking: [f64; 2],
     /// Processor seconds of the run.
     seconds: f64,
@@ -54,7 +54,7 @@ pub fn measure(scene: &Scene) -> Result<Vec<Row>> {
         field.write(&path)?;
         let file = path.metadata().map_err(Error::io(&path, "cannot read"))?.len() as f64;
         rows.push(Row { scene: scene.name(), ranking: [0.0; 2], seconds, sums: sums_bytes as f64, file });
-        readings.push(Reading { name: String::new(), field, averages: vec![RayAverage::SpreadPerRay] });
+        readings.push(Reading { name: String::new(), field, averages: vec![RayAverage::USpreadPerRootRay] });
     }
     let tracer = RaySettings::for_images().tracer(field, 0.0, &Silent)?;
     let evaluator = Evaluator::new(tracer, &readings);

@@ -23,6 +23,7 @@ mod warp;
 
 use octobayes::Result;
 use octobayes::evaluate::Baseline;
+use octobayes::render::RayAverage;
 use octobayes::synth::Up;
 
 use common::program::{Needs, Program};
@@ -37,8 +38,6 @@ const STEPS: u64 = 1000;
 const STRONG: u64 = 6000;
 /// Models of an ensemble, the judged one among them.
 const ENSEMBLE: u64 = 10;
-/// Longest edge of the boxes of meshes and lego, scene units.
-const EDGE: f64 = 3.0;
 
 const HALF: Seen = Seen::Arc(90.0, 270.0);
 /// All around but for a hole of 75°.
@@ -110,7 +109,7 @@ fn main() -> Result<()> {
         let text = [
             tables::coverage(&names(&scenes), &rows),
             tables::beside(&rows, &meshes(&scenes), Baseline::RayVariance.name()),
-            tables::lengths("", &rows, EDGE, 0.0),
+            tables::lengths("", &rows, 0.0),
         ];
         Ok((settings(STEPS, &SEEDS), text.join("\n")))
     })?;
@@ -131,8 +130,8 @@ fn main() -> Result<()> {
             tables::ranking(choosing, testing, &meshes(&scenes[CHOOSING.len()..])),
             tables::never_seen(testing),
             tables::joint(&scenes, &rows),
-            tables::lengths(", scenes that choose", choosing, EDGE, 0.0),
-            tables::lengths(", scenes that have no say", testing, EDGE, 0.0),
+            tables::lengths(", scenes that choose", choosing, 0.0),
+            tables::lengths(", scenes that have no say", testing, 0.0),
             tables::costs(&rows),
         ];
         Ok((settings(STEPS, &SEEDS), text.join("\n")))
@@ -150,7 +149,7 @@ fn main() -> Result<()> {
             tables::coverage(&names(&scenes), &rows),
             tables::beside(&rows, &meshes(&scenes), &default_ranking()),
             tables::never_seen(&rows),
-            tables::lengths("", &rows, EDGE, 0.0),
+            tables::lengths("", &rows, 0.0),
             tables::costs(&rows),
         ];
         Ok((settings(STRONG, &SEEDS), text.join("\n")))
@@ -165,9 +164,8 @@ fn main() -> Result<()> {
     program.part("kitchen", |work| {
         let scenes = scenes(&OF_A_KITCHEN, STEPS);
         let rows = study(work, &scenes, &SEEDS, 1)?;
-        let edge = scene::edge_of_kitchen()?;
         let ranking = tables::beside(&rows, &meshes(&scenes), &default_ranking());
-        let text = [tables::coverage(&names(&scenes), &rows), ranking, tables::lengths("", &rows, edge, 0.0)];
+        let text = [tables::coverage(&names(&scenes), &rows), ranking, tables::lengths("", &rows, 0.0)];
         let (described, of, pixels) = (describe(&rays(), &grid(), &[]), seeds(&SEEDS), compared(STRIDE));
         let settings = format!("320 × 240 pixels, {STEPS} steps; {pixels} of the 10 held-out views. {described} {of}");
         Ok((settings, text.join("\n")))
@@ -179,7 +177,7 @@ fn main() -> Result<()> {
         let text = [
             tables::coverage(&names, &rows),
             tables::beside(&rows, &["lego"; pretrained::NAMES.len()], &default_ranking()),
-            tables::lengths("", &rows, EDGE, scene::LEGO_STEP.powi(2) / 12.0),
+            tables::lengths("", &rows, scene::LEGO_STEP.powi(2) / 12.0),
             tables::costs(&rows),
         ];
         Ok((pretrained::settings(), text.join("\n")))
@@ -204,7 +202,7 @@ fn of_lego(work: &Work, cases: &[((&'static str, Up), Seen)]) -> Result<(String,
     let rows = study(work, &scenes, &SEEDS, 1)?;
     let ranking = tables::beside(&rows, &meshes(&scenes), &default_ranking());
     let truth = scene::LEGO_STEP.powi(2) / 12.0;
-    let text = [tables::coverage(&names(&scenes), &rows), ranking, tables::lengths("", &rows, EDGE, truth)];
+    let text = [tables::coverage(&names(&scenes), &rows), ranking, tables::lengths("", &rows, truth)];
     Ok((settings_with(2 * SIDE, 2 * STRIDE, STEPS, &SEEDS), text.join("\n")))
 }
 
@@ -231,7 +229,7 @@ fn meshes(scenes: &[Scene]) -> Vec<&'static str> {
 
 /// The measure that rendering ranks pixels by, unless told otherwise.
 fn default_ranking() -> String {
-    format!("block {}, spread / sqrt(rays)", LEVELS[1])
+    format!("block {}, {}", LEVELS[1], RayAverage::USpreadPerRootRay.name())
 }
 
 fn settings(steps: u64, of: &[u64]) -> String {

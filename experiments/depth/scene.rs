@@ -243,14 +243,6 @@ fn is_beside_edge(view: &TrueView, [x, y]: [u32; 2], edge: f64) -> bool {
     high - low > edge
 }
 
-/// Longest edge of the kitchen's box, metres.
-pub fn edge_of_kitchen() -> Result<f64> {
-    let folder = tempfile::tempdir().map_err(Error::io(Path::new("a temporary folder"), "cannot create"))?;
-    let images = folder.path().join("images");
-    kitchen(&images)?;
-    DatasetFiles::read(&images).map(|files| files.bounds.longest_edge())
-}
-
 /// The folder of lego's images.
 fn lego() -> Result<PathBuf> {
     Ok(Program::data()?.join("nerf-lego-400"))

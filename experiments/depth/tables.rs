@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use octobayes::metrics::{ErrorDensity, PROBABILITIES};
+use octobayes::uncertainty::Misfit;
 
 use crate::common::table::{Table, deviation, mean, spread};
 use crate::joint::{Fit, Joint};
@@ -201,14 +202,17 @@ pub fn joint(scenes: &[Scene], rows: &[Vec<Row>]) -> String {
     format!("### With the misfit of the training images\n\n{}", table.text())
 }
 
+/// Values of c that are tried, as shares of the longest edge of the field's box.
+const SHARES: [[u32; 2]; 9] = [[0, 1], [1, 60], [1, 40], [1, 30], [1, 20], [1, 15], [3, 40], [1, 10], [3, 20]];
+
 /// The joint variance with a² = 1 and several c: means over scenes, and the shares on the scenes that hold least and
-/// most. `of` says which scenes these are; `edge` is that of their boxes, scene units; `truth` the variance of the
-/// depth maps themselves, its square.
-pub fn lengths(of: &str, rows: &[Vec<Row>], edge: f64, truth: f64) -> String {
+/// most. `of` says which scenes these are; `truth` is the variance of the depth maps themselves, squared scene units.
+pub fn lengths(of: &str, rows: &[Vec<Row>], truth: f64) -> String {
     let mut table = Table::new(&["c / edge", "50 %", "68 %", "90 %", "95 %", "NLL", "AUSE: MAE", "RMSE"]);
-    for parts in [None, Some(60), Some(30), Some(20), Some(15), Some(10)] {
-        let joint = Joint { factor: 1.0, length: parts.map_or(0.0, |parts| edge / f64::from(parts)) };
+    for [over, under] in SHARES {
+        let share = f64::from(over) / f64::from(under);
         let of = |row: &Row| {
+            let joint = Joint { factor: 1.0, length: share * row.edge };
             let calibration = joint.calibration(row, truth);
             let found = calibration.of(ErrorDensity::PREDICTIVE);
             let [a, b, c, d] = found.coverage.map(|[_, share]| 100.0 * share);
@@ -219,7 +223,8 @@ pub fn lengths(of: &str, rows: &[Vec<Row>], edge: f64, truth: f64) -> String {
         let column = |k: usize| -> Vec<f64> {
             scenes.iter().map(|rows| mean(&rows.iter().map(|row| row[k]).collect::<Vec<_>>())).collect()
         };
-        let mut cells = vec![parts.map_or("0".to_owned(), |parts| format!("1/{parts}"))];
+        let default = if (share - Misfit::LENGTH_SHARE).abs() < 1e-9 { " (`--images`)" } else { "" };
+        let mut cells = vec![if over == 0 { "0".into() } else { format!("{over}/{under}{default}") }];
         cells.extend((0..4).map(|k| {
             let found = column(k);
             let [low, high] = [f64::min, f64::max].map(|either| found.iter().copied().reduce(either).unwrap_or(0.0));
@@ -228,7 +233,9 @@ pub fn lengths(of: &str, rows: &[Vec<Row>], edge: f64, truth: f64) -> String {
         cells.extend((4..7).map(|k| format!("{:.3}", mean(&column(k)))));
         table.row(&cells);
     }
-    format!("### By the weight of the misfit{of}\n\n{}", table.text())
+    let edges: Vec<f64> = rows.iter().flatten().map(|row| row.edge).collect();
+    let edges = format!("Longest edge of the boxes: {:.2} scene units.", mean(&edges));
+    format!("### By the weight of the misfit{of}\n\n{edges}\n\n{}", table.text())
 }
 
 fn numbers(row: &[f64; 7]) -> impl Iterator<Item = String> {

@@ -209,7 +209,7 @@ const REPEATED: u64 = 102_400;
 /// Scenes come with their most rays, and with those of their reference.
 pub fn rays(work: &Work, scenes: &[(Scene, u64, u64)], truth: Option<&Truth>) -> Result<(String, String)> {
     let head = ["scene", "rays", "method", "s, median", "bytes for queries"];
-    let mut table = Table::new(&[&head[..], &ERROR_COLUMNS, &["AUSE (MAE), `spread`"]].concat());
+    let mut table = Table::new(&[&head[..], &ERROR_COLUMNS, &["AUSE (MAE), `u-spread`"]].concat());
     for (scene, most, of_reference) in scenes {
         let reference = reference(work, scene, *of_reference)?;
         let mut curves: Vec<Curve> =
@@ -260,7 +260,7 @@ pub fn rays(work: &Work, scenes: &[(Scene, u64, u64)], truth: Option<&Truth>) ->
 }
 
 fn ause(scene: &Scene, truth: &Truth, run: Run) -> Result<f64> {
-    let reading = Reading { name: "U".into(), field: run.field, averages: vec![RayAverage::Spread] };
+    let reading = Reading { name: "U".into(), field: run.field, averages: vec![RayAverage::USpread] };
     Ok(truth.rank(scene, &[reading])?.ranks[0].mae)
 }
 

@@ -584,8 +584,8 @@ def evaluate(
     ``depth_pattern`` ({} is the frame's name without extension) and looked for below the directories of the frame's
     name, then in the folder itself; without it the maps are those that the camera file names (``depth_file_path``).
     depth = offset + scale * p for ``depth_encoding`` (offset, scale), p from 0 to 1, or scene units in .exr, which have
-    no encoding. ray_average: ``spread-per-ray`` unless told otherwise. The other arguments are the command line's
-    (``octobayes evaluate --help``).
+    no encoding. ray_average: ``u-spread-per-root-ray`` unless told otherwise. The other arguments are the command
+    line's (``octobayes evaluate --help``).
 
     Values that are no measurements (0, the largest value of a PNG, NaN, infinity, 1e10 of Blender, or depths far behind
     the model's box) are left out. A ``RuntimeWarning`` says how many and why, and whether depths are unlikely; a

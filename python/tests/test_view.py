@@ -68,7 +68,7 @@ def test_a_threshold_that_leaves_nothing_is_told(courtyard, cameras, field, tmp_
 def test_what_ranks_reads_coarser_levels(courtyard, cameras, points):
     u, levels = (ob.uncertainty(courtyard, cameras, coarser_levels=n, **SMALL) for n in (0, 2))
     np.testing.assert_array_equal(u.log10(points), levels.log10(points))
-    for average, is_same in (("weighted-mean", True), ("spread-per-ray", False)):
+    for average, is_same in (("weighted-mean", True), ("u-spread-per-root-ray", False)):
         views = [ob.render(courtyard, field, cameras[0], ray_average=average, progress=False) for field in (u, levels)]
         a, b = (view["log10_uncertainty"] for view in views)
         assert np.array_equal(a, b, equal_nan=True) == is_same, average

@@ -106,7 +106,7 @@ pub fn protocol(field: &UncertaintyField) -> String {
     }
     if !field.coarser().is_empty() {
         let levels: Vec<String> = field.coarser().iter().map(|field| field.lattice().level().to_string()).collect();
-        line("coarser levels", format!("{}, read by `spread` and `spread-per-ray`", levels.join(", ")));
+        line("coarser levels", format!("{}, read by `u-spread` and `u-spread-per-root-ray`", levels.join(", ")));
     }
     if let Some(misfit) = field.misfit() {
         line("misfit", self::misfit(misfit));

@@ -133,12 +133,12 @@ impl<'a> Estimation<'a> {
     }
 
     /// Also sums the rays on so many levels below the grid's own, at most [`MOST_COARSER`], so that
-    /// [`RayAverage::Spread`] and [`RayAverage::SpreadPerRay`] read the mean of log10 U over all of them. A level
+    /// [`RayAverage::USpread`] and [`RayAverage::USpreadPerRootRay`] read the mean of log10 U over all of them. A level
     /// has at most half as many vertices as the one before, on surfaces a quarter.
     ///
     /// [`MOST_COARSER`]: crate::uncertainty::UncertaintyField::MOST_COARSER
-    /// [`RayAverage::Spread`]: crate::render::RayAverage::Spread
-    /// [`RayAverage::SpreadPerRay`]: crate::render::RayAverage::SpreadPerRay
+    /// [`RayAverage::USpread`]: crate::render::RayAverage::USpread
+    /// [`RayAverage::USpreadPerRootRay`]: crate::render::RayAverage::USpreadPerRootRay
     pub fn coarser_levels(self, coarser_levels: u8) -> Self {
         Self { coarser_levels, ..self }
     }

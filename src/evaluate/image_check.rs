@@ -7,7 +7,7 @@ use glam::{DVec3, Vec3};
 use image::ImageReader;
 use rayon::prelude::*;
 
-use crate::dataset::{Frame, PosedImage};
+use crate::dataset::{Frame, PosedImage, read_masks};
 use crate::geometry::{Camera, MAX_PIXELS, Ray, inverted, opencv};
 use crate::metrics::psnr;
 use crate::monitor::{Monitor, check};
@@ -129,7 +129,7 @@ impl Shown {
     fn read(frame: &Frame, pixel_offset: f64) -> Result<Self> {
         let camera = frame.camera;
         let image = PosedImage::read(&frame.image, size(&frame.image)?)?;
-        let mask = frame.mask.as_ref().map(|mask| PosedImage::read(mask, size(mask)?)).transpose()?;
+        let mask = read_masks(std::slice::from_ref(frame))?.swap_remove(0);
         let place = |i: usize| -> [f64; 2] {
             // R₂ (Roberts, 2018), as `Framing` places its rays.
             let share = |of: f64, sides: u32| {
@@ -145,9 +145,7 @@ impl Shown {
             });
             row * image.resolution[0] as usize + column
         };
-        let is_kept = |at: &[f64; 2]| {
-            mask.as_ref().is_none_or(|mask| mask.over(index(*at, mask), DVec3::ZERO).max_element() >= 0.5)
-        };
+        let is_kept = |[x, y]: &[f64; 2]| mask.as_ref().is_none_or(|mask| mask.keeps(*x as u32, *y as u32));
         let points: Vec<[f64; 2]> = (0..PIXELS).map(place).filter(is_kept).collect();
         let pixels = points.iter().map(|at| index(*at, &image)).collect();
         let points = points.into_iter().map(|at| at.map(|at| at + pixel_offset)).collect();

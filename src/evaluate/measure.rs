@@ -45,17 +45,17 @@ impl Reading {
     /// The average that ranks depth errors best of those that `field` can be read by (`experiments/depth.md`).
     #[must_use]
     pub fn best_average(field: &UncertaintyField) -> RayAverage {
-        if field.rays().is_empty() { RayAverage::Spread } else { RayAverage::SpreadPerRay }
+        if field.rays().is_empty() { RayAverage::USpread } else { RayAverage::USpreadPerRootRay }
     }
 
     /// Whether `field` can be averaged like this.
     ///
     /// # Errors
-    /// If it does not know its ray counts, which [`RayAverage::SpreadPerRay`] needs.
+    /// If it does not know its ray counts, which [`RayAverage::USpreadPerRootRay`] needs.
     pub fn check(field: &UncertaintyField, average: RayAverage) -> Result<()> {
-        if average == RayAverage::SpreadPerRay && field.rays().is_empty() {
-            let expected = "`spread` or another that needs no ray counts, which this field does not know";
-            return Err(Error::setting("ray average", expected, "`spread-per-ray`"));
+        if average == RayAverage::USpreadPerRootRay && field.rays().is_empty() {
+            let expected = "`u-spread` or another that needs no ray counts, which this field does not know";
+            return Err(Error::setting("ray average", expected, "`u-spread-per-root-ray`"));
         }
         Ok(())
     }
@@ -63,8 +63,8 @@ impl Reading {
 
 /// Measures without a Hessian, which an uncertainty field has to beat.
 ///
-/// Letters: s² variance of the ray's weights + δ²/12, where δ is the marching step; n number of training rays of the
-/// field's vertices around the expected depth.
+/// Letters: s the spread of the ray's weights, s² = their variance + δ²/12, where δ is the marching step; n number of
+/// training rays of the field's vertices around the expected depth.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
@@ -72,9 +72,9 @@ pub enum Baseline {
     /// [`crate::render::depth_variance`] of the ray's weights.
     RayVariance,
     /// s / √n.
-    SpreadPerRootRay,
+    WeightsSpreadPerRootRay,
     /// s / n.
-    SpreadPerRay,
+    WeightsSpreadPerRay,
     /// [`crate::render::termination_entropy`] of the ray's weights.
     RayEntropy,
     /// 1 − opacity.
@@ -106,8 +106,8 @@ impl Baseline {
     pub fn name(self) -> &'static str {
         match self {
             Self::RayVariance => "ray-weight variance",
-            Self::SpreadPerRootRay => "weights' deviation / sqrt(rays)",
-            Self::SpreadPerRay => "weights' deviation / rays",
+            Self::WeightsSpreadPerRootRay => "weights' spread / sqrt(rays)",
+            Self::WeightsSpreadPerRay => "weights' spread / rays",
             Self::RayEntropy => "ray entropy",
             Self::Transparency => "1 - opacity",
             Self::RayCount => "ray count",

@@ -120,7 +120,7 @@ fn every_measure_is_of_the_same_pixels() {
         .map(|&c| Reading {
             name: c.name().into(),
             field: field.clone().with_covariance(c).unwrap(),
-            averages: vec![RayAverage::WeightedMean, RayAverage::AtExpected, RayAverage::Spread],
+            averages: vec![RayAverage::WeightedMean, RayAverage::AtExpected, RayAverage::USpread],
         })
         .collect();
     let nothing = Nothing(ball.bounds());
@@ -154,7 +154,7 @@ fn every_measure_is_of_the_same_pixels() {
         for (r, reading) in readings.iter().enumerate() {
             let (name, log10) = (&reading.name, |x| reading.field.log10(x));
             assert_eq!(of(Measure::Reading(r, RayAverage::AtExpected))[k], log10(expected), "{name}");
-            assert_eq!(of(Measure::Reading(r, RayAverage::Spread))[k], log10(expected) + deviation.log10(), "{name}");
+            assert_eq!(of(Measure::Reading(r, RayAverage::USpread))[k], log10(expected) + deviation.log10(), "{name}");
         }
     }
     // Fewer rays mean more uncertainty. Counts are those of the field, between none and all.

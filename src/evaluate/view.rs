@@ -100,7 +100,7 @@ impl<'a> Evaluator<'a> {
         let readings = readings.flat_map(|(i, r)| r.averages.iter().map(move |&average| Measure::Reading(i, average)));
         let mut baselines = vec![Baseline::RayVariance];
         if self.counted().is_some() {
-            baselines.extend([Baseline::SpreadPerRootRay, Baseline::SpreadPerRay]);
+            baselines.extend([Baseline::WeightsSpreadPerRootRay, Baseline::WeightsSpreadPerRay]);
         }
         baselines.extend([Baseline::RayEntropy, Baseline::Transparency]);
         baselines.extend(self.counted().map(|_| Baseline::RayCount));
@@ -214,10 +214,10 @@ impl<'a> Evaluator<'a> {
                     Baseline::RayVariance => each(&|i| rendered.pixels[i].depth_variance),
                     Baseline::RayEntropy => each(&|i| rendered.pixels[i].termination_entropy),
                     Baseline::Transparency => each(&|i| 1.0 - rendered.pixels[i].opacity),
-                    Baseline::SpreadPerRootRay => {
+                    Baseline::WeightsSpreadPerRootRay => {
                         each(&|i| spread(i) / counts.at_point(hit(i)).clamp(FEWEST, f64::INFINITY).sqrt())
                     }
-                    Baseline::SpreadPerRay => {
+                    Baseline::WeightsSpreadPerRay => {
                         each(&|i| spread(i) / counts.at_point(hit(i)).clamp(FEWEST, f64::INFINITY))
                     }
                     Baseline::RayCount => each(&|i| -mean_counts[i]),

@@ -14,17 +14,17 @@ pub enum RayAverage {
     Official,
     /// u at the expected depth Σ w t / Σ w, which may lie between two surfaces.
     AtExpected,
-    /// u at the expected depth + log10 s, where s² = Var t + δ²/12 is the variance of the ray's weights.
+    /// log10 (U s): u at the expected depth + log10 s. s is the spread of the ray's weights, s² = Var t + δ²/12.
     ///
     /// How loosely matter is held there, times how widely it is spread along the ray; scene units squared. It is
     /// meant for ranking pixels by their depth error. Of a field that has coarser levels, u is the mean over all of
     /// them.
-    Spread,
-    /// [`RayAverage::Spread`] − ½ log10 n, where n is the number of training rays of the vertices around the expected
-    /// depth, at least ½. NaN if the number is not known.
+    USpread,
+    /// log10 (U s / √n): [`RayAverage::USpread`] − ½ log10 n, where n is the number of training rays of the vertices
+    /// around the expected depth, at least ½. NaN if the number is not known.
     ///
     /// What few rays support is known less well than its U says. It ranks depth errors best (`experiments/depth.md`).
-    SpreadPerRay,
+    USpreadPerRootRay,
 }
 
 /// What a ray average asks a field about.
@@ -40,7 +40,8 @@ pub(super) enum Asked {
 
 impl RayAverage {
     /// All ray averages.
-    pub const ALL: [Self; 5] = [Self::WeightedMean, Self::Official, Self::AtExpected, Self::Spread, Self::SpreadPerRay];
+    pub const ALL: [Self; 5] =
+        [Self::WeightedMean, Self::Official, Self::AtExpected, Self::USpread, Self::USpreadPerRootRay];
 
     /// Name on the command line and in reports.
     #[must_use]
@@ -49,8 +50,8 @@ impl RayAverage {
             Self::WeightedMean => "weighted-mean",
             Self::Official => "official",
             Self::AtExpected => "at-expected",
-            Self::Spread => "spread",
-            Self::SpreadPerRay => "spread-per-ray",
+            Self::USpread => "u-spread",
+            Self::USpreadPerRootRay => "u-spread-per-root-ray",
         }
     }
 
@@ -59,7 +60,7 @@ impl RayAverage {
         match self {
             Self::WeightedMean | Self::Official => Asked::Samples,
             Self::AtExpected => Asked::Expected,
-            Self::Spread | Self::SpreadPerRay => Asked::OverLevels,
+            Self::USpread | Self::USpreadPerRootRay => Asked::OverLevels,
         }
     }
 }

@@ -21,7 +21,7 @@ pub const FEWEST: f64 = 0.5;
 pub struct Probed {
     /// The scalar there.
     pub value: f64,
-    /// Number of training rays around it, for [`RayAverage::SpreadPerRay`]; NaN if unknown.
+    /// Number of training rays around it, for [`RayAverage::USpreadPerRootRay`]; NaN if unknown.
     pub rays: f64,
 }
 
@@ -38,8 +38,8 @@ pub trait ProbedField: Sync {
     /// If it has to be read first, and cannot be.
     fn at(&self, points: &[Vec3]) -> Result<Vec<Probed>>;
 
-    /// What [`RayAverage::Spread`] and [`RayAverage::SpreadPerRay`] rank by: what the field says `at` the points, or
-    /// the mean over several levels.
+    /// What [`RayAverage::USpread`] and [`RayAverage::USpreadPerRootRay`] rank by: what the field says `at` the points,
+    /// or the mean over several levels.
     ///
     /// # Errors
     /// As [`ProbedField::at`].
@@ -286,8 +286,8 @@ impl WeightedRay<'_> {
             _ if total <= 0.0 => f64::NAN,
             RayAverage::WeightedMean => sum / total,
             RayAverage::AtExpected => at_expected.value,
-            RayAverage::Spread => at_expected.value + self.spread.log10(),
-            RayAverage::SpreadPerRay => {
+            RayAverage::USpread => at_expected.value + self.spread.log10(),
+            RayAverage::USpreadPerRootRay => {
                 let rays = at_expected.rays.clamp(FEWEST, f64::INFINITY);
                 at_expected.value + self.spread.log10() - 0.5 * rays.log10()
             }
@@ -310,17 +310,17 @@ mod tests {
             (RayAverage::WeightedMean, 0.2 / 0.4),
             (RayAverage::Official, 0.2 - 3.0 * 0.6),
             (RayAverage::AtExpected, 1.5),
-            (RayAverage::Spread, 1.5 - 1.0),
-            (RayAverage::SpreadPerRay, 1.5 - 1.0 - 1.0),
+            (RayAverage::USpread, 1.5 - 1.0),
+            (RayAverage::USpreadPerRootRay, 1.5 - 1.0 - 1.0),
         ];
         for (name, expected) in expected {
             let found = average(name, probed(1.5));
             assert!((found - expected).abs() < 1e-12, "{name:?}: {found} instead of {expected}");
         }
         assert_eq!(expected.map(|(name, _)| name), RayAverage::ALL);
-        let unseen = average(RayAverage::SpreadPerRay, Probed { value: 1.5, rays: 0.0 });
+        let unseen = average(RayAverage::USpreadPerRootRay, Probed { value: 1.5, rays: 0.0 });
         assert!((unseen - 0.5 - 0.5 * 2_f64.log10()).abs() < 1e-12, "{unseen}");
-        assert!(average(RayAverage::SpreadPerRay, Probed { value: 1.5, rays: f64::NAN }).is_nan());
+        assert!(average(RayAverage::USpreadPerRootRay, Probed { value: 1.5, rays: f64::NAN }).is_nan());
         assert_eq!(ray.hit().collect::<Vec<_>>(), [(0.3, Vec3::X), (0.1, Vec3::Z)]);
     }
 
@@ -372,7 +372,7 @@ mod tests {
         assert!(found.iter().all(|values| values[1].is_nan() && values[3].is_nan()), "{found:?}");
         assert_eq!(*field.0.lock().unwrap(), [3, 4]);
         // What ranks reads all levels, and only that.
-        let kinds = [RayAverage::Spread, RayAverage::AtExpected, RayAverage::SpreadPerRay];
+        let kinds = [RayAverage::USpread, RayAverage::AtExpected, RayAverage::USpreadPerRootRay];
         let found = averages(&rays, &Probe { field: &field, averages: &kinds }).unwrap();
         let known: Vec<_> = found.iter().map(|values| known(values)).collect();
         assert_eq!(known, [[107.0, 108.0], [7.0, 8.0], [107.0, 108.0]]);

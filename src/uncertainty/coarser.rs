@@ -20,11 +20,11 @@ impl UncertaintyField {
 
     /// The same field with fields of the same rays on the next coarser levels, one after the other.
     ///
-    /// [`RayAverage::Spread`] and [`RayAverage::SpreadPerRay`] then read the mean of log10 U over all these levels; U
-    /// stays as it is. Of the coarser fields only their U and, if they have them, their sums are kept.
+    /// [`RayAverage::USpread`] and [`RayAverage::USpreadPerRootRay`] then read the mean of log10 U over all these
+    /// levels; U stays as it is. Of the coarser fields only their U and, if they have them, their sums are kept.
     ///
-    /// [`RayAverage::Spread`]: crate::render::RayAverage::Spread
-    /// [`RayAverage::SpreadPerRay`]: crate::render::RayAverage::SpreadPerRay
+    /// [`RayAverage::USpread`]: crate::render::RayAverage::USpread
+    /// [`RayAverage::USpreadPerRootRay`]: crate::render::RayAverage::USpreadPerRootRay
     ///
     /// # Errors
     /// If there are more than [`MOST_COARSER`](Self::MOST_COARSER), if one is not of the next coarser level of the same

@@ -24,6 +24,8 @@ const PRIOR: f64 = 1.0;
 #[derive(Debug, Clone, PartialEq)]
 pub struct Misfit {
     lattice: Lattice,
+    /// c as a share of the longest edge.
+    length_share: f64,
     /// Mean r² over the pixels of all images that show matter.
     mean: f32,
     /// Vertices that some pixel showed, by the Morton code of their lattice point, ascending.
@@ -37,8 +39,12 @@ impl Misfit {
     pub const LEVEL: u8 = 6;
 
     /// c as a share of the longest edge of the part of space that is not contracted: an image that is off by a tenth of
-    /// its range leaves depth uncertain by a 200th of the edge. One constant for all scenes (`experiments/depth.md`).
-    pub const LENGTH_SHARE: f64 = 1.0 / 20.0;
+    /// its range leaves depth uncertain by a 100th of the edge. One constant for all scenes, chosen by likelihood
+    /// (`experiments/depth.md`): with a 20th, the intervals of well-trained models and of few views are narrower than
+    /// they should be; with 3/20, likelihood falls on all meshes.
+    ///
+    /// A field that was written with another share keeps that.
+    pub const LENGTH_SHARE: f64 = 1.0 / 10.0;
 
     /// Level of the lattice.
     #[must_use]
@@ -67,15 +73,21 @@ impl Misfit {
         mean.sqrt()
     }
 
+    /// c, scene units.
+    #[must_use]
+    pub fn length(&self) -> f64 {
+        self.length_share * DataScale::longest_edge(self.lattice.domain())
+    }
+
     /// c m: the deviation of the depth of matter at a scene point that residuals there stand for, scene units.
     #[must_use]
     pub fn depth_deviation(&self, x: Vec3) -> f64 {
-        Self::LENGTH_SHARE * DataScale::longest_edge(self.lattice.domain()) * self.at(x)
+        self.length() * self.at(x)
     }
 
     /// What a file's header says of it.
     pub(super) fn head(&self) -> Head {
-        Head { level: self.lattice.level(), mean: self.mean }
+        Head { level: self.lattice.level(), mean: self.mean, length_share: self.length_share }
     }
 
     /// As in a file: the Morton codes of the vertices, and their residuals.
@@ -86,7 +98,7 @@ impl Misfit {
     /// Checks what a file holds; otherwise says what was expected and found.
     pub(super) fn from_file(
         of_field: &Lattice,
-        Head { level, mean }: Head,
+        Head { level, mean, length_share }: Head,
         (points, squares): (Vec<u64>, Vec<f32>),
     ) -> std::result::Result<Self, (String, String)> {
         let lattice = of_field.coarsened(Self::LEVEL);
@@ -111,7 +123,10 @@ impl Misfit {
         if let Some(square) = squares.iter().chain([&mean]).find(|square| !is_possible(square)) {
             return Err(("squares of residuals".into(), square.to_string()));
         }
-        Ok(Self { lattice, mean, points, squares })
+        if !(length_share >= 0.0 && length_share.is_finite()) {
+            return Err(("a share of the longest edge, 0 or more".into(), length_share.to_string()));
+        }
+        Ok(Self { lattice, length_share, mean, points, squares })
     }
 
     pub(super) fn memory(&self) -> usize {
@@ -124,6 +139,13 @@ impl Misfit {
 pub(super) struct Head {
     level: u8,
     mean: f32,
+    /// Files without it were written when it was a 20th.
+    #[serde(default = "a_twentieth")]
+    length_share: f64,
+}
+
+fn a_twentieth() -> f64 {
+    1.0 / 20.0
 }
 
 /// Sums from which a [`Misfit`] is made, pixel by pixel. They do not depend on anything but the order of the pixels.
@@ -164,7 +186,7 @@ impl MisfitSums {
             self.sums.into_iter().map(|(point, sums)| (morton::encode(point), square(sums))).collect();
         found.sort_unstable_by_key(|(code, _)| *code);
         let (points, squares) = found.into_iter().unzip();
-        Misfit { lattice: self.lattice, mean: mean as f32, points, squares }
+        Misfit { lattice: self.lattice, length_share: Misfit::LENGTH_SHARE, mean: mean as f32, points, squares }
     }
 }
 
@@ -235,6 +257,7 @@ mod tests {
             // The box has an edge of 3.
             let length = 3.0 * Misfit::LENGTH_SHARE;
             assert!((found.depth_deviation(Vec3::ZERO) / found.at(Vec3::ZERO) - length).abs() < 1e-12);
+            assert!((found.length() - length).abs() < 1e-15);
         }
         let nothing = MisfitSums::new(&lattice(4)).finish();
         assert_eq!((nothing.mean(), nothing.at(Vec3::ZERO)), (0.0, 0.0));
@@ -255,10 +278,19 @@ mod tests {
             points[i] = code;
             points
         };
+        // A share of its own, or the one of files that do not state it.
+        let own = read(Head { length_share: 0.3, ..head }, &points, &squares).unwrap();
+        assert!((own.length() - 0.9).abs() < 1e-12, "{}", own.length());
+        let mut old = serde_json::to_value(head).unwrap();
+        old.as_object_mut().unwrap().remove("length_share").expect("it is written");
+        let old = read(serde_json::from_value(old).unwrap(), &points, &squares).unwrap();
+        assert!((old.length() - 0.15).abs() < 1e-12, "{}", old.length());
         let with_square = |square: f32| [&squares[1..], &[square]].concat();
         for (head, points, squares, expected) in [
             (Head { level: 5, ..head }, points.clone(), squares.clone(), "level 6"),
             (Head { mean: f32::NAN, ..head }, points.clone(), squares.clone(), "squares of residuals"),
+            (Head { length_share: -0.1, ..head }, points.clone(), squares.clone(), "a share of the longest edge"),
+            (Head { length_share: f64::NAN, ..head }, points.clone(), squares.clone(), "a share of the longest edge"),
             (head, points.clone(), squares[1..].to_vec(), "a residual for each"),
             (head, with(0, points[1]), squares.clone(), "vertices in ascending order"),
             (head, with(n - 1, morton::encode([65, 0, 0])), squares.clone(), "lattice points"),

@@ -33,7 +33,7 @@ use crate::{Error, Result};
 /// common maximum, trapezoid rule. Only the order of pixels counts, so nothing is normalised per image.
 ///
 /// Several fields, covariances and ray averages share the rendering. The same pixels are ranked by what any field gives
-/// for nothing: the variance and the entropy of the ray's weights, the weights' deviation over the number of training
+/// for nothing: the variance and the entropy of the ray's weights, the weights' spread over the number of training
 /// rays, 1 - opacity, the rays and visits themselves, and chance; and, if the model knows its training cameras, by how
 /// many of them see the place, and from how near an angle. A field that knows its misfit (`uncertainty --images`) adds
 /// that. With --ensemble they are also ranked by the disagreement of several models.
@@ -80,8 +80,8 @@ pub struct Args {
     covariance: Vec<Covariance>,
 
     /// How log10 U is averaged along a ray; several, separated by commas, are compared side by side [default:
-    /// `spread-per-ray`, which ranked depth errors best (experiments/depth.md), or `spread` for a field that does not
-    /// know its ray counts]
+    /// `u-spread-per-root-ray`, which ranked depth errors best (experiments/depth.md), or `u-spread` for a field that
+    /// does not know its ray counts]
     #[arg(long, value_enum, value_delimiter = ',')]
     ray_average: Vec<RayAverage>,
 

@@ -51,12 +51,13 @@ impl ValueEnum for RayAverage {
             Self::WeightedMean => "mean of log10 U over what the ray hits",
             Self::Official => "the official code's: -3 for the part that hits nothing",
             Self::AtExpected => "log10 U at the expected depth",
-            Self::Spread => {
-                "log10 (U at the expected depth times the deviation of the ray's weights, with delta^2/12 added to \
-                 their variance for the length delta of a sample)"
+            Self::USpread => {
+                "log10 (U s) at the expected depth, where s is the spread of the ray's weights: s^2 is their variance \
+                 + delta^2/12 for the length delta of a sample"
             }
-            Self::SpreadPerRay => {
-                "`spread` over the root of the number of training rays around the expected depth: for ranking pixels"
+            Self::USpreadPerRootRay => {
+                "log10 (U s / sqrt(n)), where n is the number of training rays around the expected depth: for ranking \
+                 pixels"
             }
         };
         Some(clap::builder::PossibleValue::new(self.name()).help(help))

@@ -140,7 +140,7 @@ pub struct Args {
     /// The names of the training images start from DIR: it is the data set that the model was trained on, or the
     /// folder of the camera file. They have the size of the cameras' pictures. Their residuals are kept at the points
     /// of a lattice of at most 64 cells a side, and the deviation of depth becomes
-    /// sqrt(Var + s^2 + (c residual)^2), where c is a 20th of the longest edge of the field's box, for all scenes (in
+    /// sqrt(Var + s^2 + (c residual)^2), where c is a 10th of the longest edge of the field's box, for all scenes (in
     /// contracted space, of the part that is not). U stays as it is. Of fields to merge, one that has them is enough.
     /// Needs --scale data.
     #[arg(long, value_name = "DIR", conflicts_with = "tile")]
@@ -149,9 +149,9 @@ pub struct Args {
     /// Also sum the same rays on this many coarser levels, so that no level has to be chosen for ranking pixels
     /// [without a number: 2]
     ///
-    /// `spread` and `spread-per-ray`, by which `evaluate` ranks, then read the mean of log10 U over all levels, which
-    /// ranks depth errors about as well as the best of them does (experiments/depth.md). U and deviations of depth stay
-    /// as they are. Fields that are merged lose their coarser levels.
+    /// `u-spread` and `u-spread-per-root-ray`, by which `evaluate` ranks, then read the mean of log10 U over all
+    /// levels, which ranks depth errors about as well as the best of them does (experiments/depth.md). U and deviations
+    /// of depth stay as they are. Fields that are merged lose their coarser levels.
     #[arg(
         long,
         value_name = "N",
@@ -163,6 +163,8 @@ pub struct Args {
     pub(super) coarser_levels: Option<u8>,
 
     /// Also write the ray samples with their Jacobians, in the format that `accumulate` reads
+    ///
+    /// Samples whose Jacobian is zero are left out, so that weights do not add up to the opacity.
     // Under a memory budget a run may start again, and would write its first rays twice.
     #[arg(long, value_name = "SAMPLES.npz", conflicts_with = "memory")]
     pub(super) dump_samples: Option<PathBuf>,

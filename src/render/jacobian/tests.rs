@@ -149,6 +149,52 @@ impl RadianceField for BumpBeforeFog {
     }
 }
 
+/// A slab of uniform density and colour between ramps, within 0.5 of the middle along x.
+struct Slab;
+
+impl RadianceField for Slab {
+    fn bounds(&self) -> crate::geometry::Aabb {
+        crate::geometry::Aabb::centered_cube(1.0)
+    }
+    fn evaluate(&self, positions: &[Vec3], _: &[Vec3], out: &mut [Radiance]) {
+        for (x, out) in positions.iter().zip(out) {
+            let density = 2.0 * ((0.5 - x.x.abs()) / 0.1).clamp(0.0, 1.0);
+            *out = Radiance { density, color: Vec3::splat(0.5) };
+        }
+    }
+    fn suggested_step(&self) -> f64 {
+        0.01
+    }
+    fn memory(&self) -> usize {
+        0
+    }
+    fn describe(&self) -> String {
+        "a slab".into()
+    }
+}
+
+/// What files of samples hold: `docs/src/formats.md` says which are missing, and that weights do not add up.
+#[test]
+fn samples_without_a_jacobian_are_left_out() {
+    let marcher = Marcher { step: 0.01, bounds: Slab.bounds(), occupancy: None, cutoff: 1e-6 };
+    let tracer = Tracer { field: &Slab, marcher, background: Vec3::ZERO };
+    let ray = Ray::new(DVec3::new(-2.0, 0.1, 0.2), DVec3::X);
+    let differences =
+        Differences { step: DVec3::splat(1e-3), domain: Domain::Box(Slab.bounds()), stencil: Stencil::Central };
+    let differentiation = Differentiation { differences, analytic: None };
+    let found = tracer.jacobians(&[ray], &[0.5], 0, &differentiation, &mut JacobianBuffers::default());
+    assert!(found.jacobians.iter().all(|jacobian| jacobian.iter().any(|entry| *entry != 0.0)));
+    // Of the 80 samples of the slab between the ramps none, to within the step of the differences; of the two ramps'
+    // 20 nearly all.
+    assert!(found.positions.iter().all(|x| (0.399..0.502).contains(&x.x.abs())), "{:?}", found.positions);
+    assert!((18..=24).contains(&found.positions.len()), "{}", found.positions.len());
+    // Optical depth 0.1 in each ramp and 1.6 between: the ramps' weights, and the ray's opacity.
+    let weights: f64 = found.weights.iter().map(|w| f64::from(*w)).sum();
+    let ramps = (1.0 - f64::exp(-0.1)) * (1.0 + f64::exp(-1.7));
+    assert!((weights - ramps).abs() < 0.01, "{weights} and {ramps}");
+    assert!(weights < 1.0 - f64::exp(-1.8) - 0.5, "less than the opacity");
+}
+
 /// With and without an occupancy grid, whose bound of the density is one more reason to leave the fog's samples
 /// out.
 #[test]

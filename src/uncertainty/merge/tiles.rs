@@ -115,8 +115,8 @@ impl Survey {
         field.with_draws(self.draws.clone()).with_visits(self.visits.clone())
     }
 
-    /// One field of all tiles, which are read a second time. It takes six bytes a vertex, its octree included; beside
-    /// it are the sums of one tile at a time.
+    /// One field of all tiles, which are read a second time. It takes 5.4 to 5.8 bytes a vertex, its octree included;
+    /// beside it are the sums of one tile at a time.
     pub fn join(self, tiles: impl IntoIterator<Item = Result<UncertaintyField>>) -> Result<UncertaintyField> {
         let points = self.octree.par_vertex_positions();
         let (mut deviations, mut rays) = (Vec::new(), Vec::new());
