@@ -291,6 +291,7 @@ impl ImageCheck {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::dataset::MaskFile;
     use crate::field::{ClosedForm, RadianceField};
     use crate::monitor::Silent;
     use crate::render::{Marcher, render_view};
@@ -352,14 +353,14 @@ mod tests {
         let (folder, scene) = (tempfile::tempdir().unwrap(), ClosedForm::courtyard());
         let cameras = ClosedForm::half_circle(2, [32; 2]);
         let mut frames = frames(folder.path(), &scene, &cameras);
-        // The left half of the images is black, and masks say so at half their size.
+        // The left half of the images is black, and masks say so.
         for (i, frame) in frames.iter_mut().enumerate() {
             let mut image = image::open(&frame.image).unwrap().to_rgb8();
             image.enumerate_pixels_mut().filter(|(x, ..)| *x < 16).for_each(|(.., pixel)| *pixel = image::Rgb([0; 3]));
             image.save(&frame.image).unwrap();
             let mask = folder.path().join(format!("mask_{i}.png"));
-            image::GrayImage::from_fn(16, 16, |x, _| image::Luma([if x < 8 { 0 } else { 255 }])).save(&mask).unwrap();
-            frame.mask = Some(mask);
+            image::GrayImage::from_fn(32, 32, |x, _| image::Luma([if x < 16 { 0 } else { 255 }])).save(&mask).unwrap();
+            frame.mask = Some(MaskFile::Kept(mask));
         }
         let check = found(&scene, &frames);
         assert!(check.psnr > 50.0 && (48..80).contains(&check.pixels), "{check:?}");
