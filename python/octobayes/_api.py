@@ -377,9 +377,7 @@ def _training_cameras(
         cameras = cameras() if callable(cameras) else cameras
     if cameras is None:
         raise wrong("cameras", "a camera file or cameras, as this model brings none", "none")
-    numbers, names, note, beside = camera_rows(cameras, "training", views, resolution)
-    is_file = isinstance(cameras, (str, os.PathLike))
-    return numbers, names, f"{len(numbers)} cameras of {os.fspath(cameras)}" if is_file else note, beside
+    return camera_rows(cameras, "training", views, resolution)
 
 
 def _own_cameras(model: Model, resolution: Any, fov: float | None) -> tuple[Any, list[str], str]:

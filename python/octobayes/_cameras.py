@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,8 +18,8 @@ from ._arguments import array, floats, whole, wrong
 #: Pose (row by row), focal lengths, principal point, image size, k1, k2, p1, p2.
 NUMBERS = 26
 
-#: Paths of a camera's image, which need not exist, and of its mask.
-Beside = tuple[Path, Path | None]
+#: Path of a camera's image, which need not exist; path of its mask, and whether that keeps what is not black; their size.
+Beside = tuple[Path, "tuple[Path, bool] | None", list[int]]
 
 EXPECTED = (
     "a camera file, or cameras as dictionaries: pose (4x4, camera-to-world, OpenGL axes), focal (pixels) or fov "
@@ -105,7 +106,10 @@ def rows(
     if isinstance(cameras, (str, os.PathLike)):
         if not (views is None or views == "all"):
             views = whole("views", views, 1) if np.ndim(views) == 0 else [whole("views", i, 0) for i in views]
-        return _octobayes.read_cameras(os.fspath(cameras), part, views, width, height)
+        numbers, names, notes, beside = _octobayes.read_cameras(os.fspath(cameras), part, views, width, height)
+        for note in notes:
+            warnings.warn(note, RuntimeWarning, stacklevel=4)
+        return numbers, names, f"{len(numbers)} cameras of {os.fspath(cameras)}", beside
     if views is not None:
         raise wrong("views", "None with cameras that are not a file", views)
     if isinstance(cameras, Mapping):

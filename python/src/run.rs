@@ -6,11 +6,13 @@ use std::time::Duration;
 
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
 use octobayes::Error;
-use octobayes::dataset::{Frame, FrameSplit, Part, ResolutionSource, Selection, Views};
+use octobayes::dataset::{
+    Frame, FrameSplit, MaskFile, Part, ResolutionSource, Selection, Views, check_masks, kept_pixels, read_masks,
+};
 use octobayes::estimate::{Checkpoint, Estimation, GridSettings, Outcome, RaySettings, Run, Sight};
 use octobayes::evaluate::{TrainingImages, check_images};
 use octobayes::field::RadianceField;
-use octobayes::geometry::{Camera, Domain};
+use octobayes::geometry::{Camera, Domain, Mask};
 use octobayes::monitor::Monitor;
 use octobayes::posterior::{DataScale, Scale};
 use octobayes::rays::SamplesWriter;
@@ -89,6 +91,8 @@ struct Job {
     images: Option<Images>,
     /// The cameras with the images beside them, if they come from a file.
     frames: Vec<Frame>,
+    /// Which pixels of each camera the model was trained on, if not all.
+    masks: Vec<Option<Mask>>,
     /// Whether cameras are taken whose images the model does not show.
     force: bool,
     dump: Option<PathBuf>,
@@ -120,6 +124,7 @@ pub fn uncertainty(
     let every = Duration::from_secs_f64(options.or("checkpoint_every", 60.0)?);
     let resume = options.or("resume", false)?;
     let checkpoint = options.get::<PathBuf>("checkpoint")?;
+    let frames = beside(&options, &cameras)?;
     let job = Job {
         domain,
         rays: options.rays()?,
@@ -130,7 +135,8 @@ pub fn uncertainty(
         error_bars,
         coarser_levels: options.or("coarser_levels", 0)?,
         images: Images::new(&options, &cameras)?,
-        frames: beside(&options, &cameras)?,
+        masks: masks(&options, &cameras, &frames)?,
+        frames,
         force: options.or("force", false)?,
         dump: options.get("dump_samples")?,
         source: options.or("source", String::new())?,
@@ -144,8 +150,29 @@ pub fn uncertainty(
 /// The cameras of a file with the images beside them; none if they come from elsewhere.
 fn beside(options: &Options, cameras: &[Camera]) -> PyResult<Vec<Frame>> {
     let beside = options.or("beside", Vec::<Beside>::new())?;
-    let frame = |(&camera, (image, mask)): (&Camera, Beside)| Frame { mask, ..Frame::new(camera, "", image) };
+    let frame = |(&camera, (image, mask, size)): (&Camera, Beside)| {
+        let mask = mask.map(|(path, keeps)| if keeps { MaskFile::Kept(path) } else { MaskFile::LeftOut(path) });
+        Frame { mask, size, ..Frame::new(camera, "", image) }
+    };
     Ok(cameras.iter().zip(beside).map(frame).collect())
+}
+
+/// Masks from arrays of bool `[H, W]`, or else those that a file names.
+fn masks(options: &Options, cameras: &[Camera], frames: &[Frame]) -> PyResult<Vec<Option<Mask>>> {
+    let masks = match options.0.get_item("masks")?.filter(|masks| !masks.is_none()) {
+        None => read_masks(frames).or_raise()?,
+        Some(given) => {
+            let given: Vec<Option<PyReadonlyArray2<'_, bool>>> = given.extract()?;
+            let mask = |(camera, given): (&Camera, Option<PyReadonlyArray2<'_, bool>>)| {
+                let given = given?;
+                let kept = given.as_array();
+                Some(Mask::new(camera.resolution, |column, row| kept[[row as usize, column as usize]]))
+            };
+            cameras.iter().zip(given).map(mask).collect()
+        }
+    };
+    check_masks(Path::new("cameras"), &masks).or_raise()?;
+    Ok(masks)
 }
 
 /// The training images, and how the model is rendered beside them.
@@ -188,13 +215,13 @@ impl ScaleOfData {
     }
 
     /// The scale of a run over `domain`.
-    fn of(&self, field: &dyn RadianceField, cameras: &[Camera], domain: &Domain) -> octobayes::Result<Scale> {
+    fn of(&self, field: &dyn RadianceField, pixels: u64, domain: &Domain) -> octobayes::Result<Scale> {
         let noise = self.noise.or_else(|| field.training_noise()).ok_or_else(|| {
             let expected = "the noise that training left, as noise or psnr";
             Error::setting("scale='data'", expected, "neither, nor a model that records it")
         })?;
         let prior = self.prior_deviation.unwrap_or_else(|| DataScale::default_prior_deviation(domain));
-        DataScale::new(cameras.iter().map(Camera::pixels).sum(), noise, prior).map(Scale::Data)
+        DataScale::new(pixels, noise, prior).map(Scale::Data)
     }
 }
 
@@ -208,8 +235,10 @@ impl Job {
         let mut warnings = Vec::new();
         let mut dump = self.dump.as_deref().map(SamplesWriter::create).transpose()?;
         let domain = self.domain.unwrap_or_else(|| field.natural_domain());
-        let scale = self.scale.map(|scale| scale.of(field, cameras, &domain)).transpose()?.unwrap_or_default();
+        let pixels = kept_pixels(cameras, &self.masks);
+        let scale = self.scale.map(|scale| scale.of(field, pixels, &domain)).transpose()?.unwrap_or_default();
         let estimation = Estimation::new(field, cameras)
+            .masks(&self.masks)
             .domain(domain)
             .rays(self.rays)
             .grid(self.grid.scale(scale))
@@ -285,11 +314,12 @@ fn looked_at(sight: &Sight) -> octobayes::Result<Option<String>> {
     Ok(Some(format!("the cameras see little of the model: {measured}; likely causes: {causes}")))
 }
 
-/// Paths of a camera's image, which need not exist, and of its mask, if it has one.
-type Beside = (PathBuf, Option<PathBuf>);
+/// Path of a camera's image, which need not exist; path of its mask, if it has one, and whether that keeps what is not
+/// black; and the size of both, pixels.
+type Beside = (PathBuf, Option<(PathBuf, bool)>, [u32; 2]);
 
-/// Rows of numbers, the frames' names, a note, and what lies beside the cameras.
-type CameraFile<'py> = (Bound<'py, PyArray2<f64>>, Vec<String>, String, Vec<Beside>);
+/// Rows of numbers, the frames' names, what a user should know, and what lies beside the cameras.
+type CameraFile<'py> = (Bound<'py, PyArray2<f64>>, Vec<String>, Vec<String>, Vec<Beside>);
 
 /// Reads the cameras of a file. `views` is "all", a number of frames or their indices; `part` is
 /// "training", "held out" or "every frame".
@@ -315,10 +345,14 @@ pub fn read_cameras<'py>(
             _ => Selection::BothParts,
         },
     };
-    let (frames, note) = py.detach(|| read(&path, part, &selection, width, height)).or_raise()?;
+    let (frames, notes) = py.detach(|| read(&path, part, &selection, width, height)).or_raise()?;
     let all: Vec<Camera> = frames.iter().map(|frame| frame.camera).collect();
-    let (names, beside) = frames.into_iter().map(|frame| (frame.name, (frame.image, frame.mask))).unzip();
-    Ok((PyArray1::from_vec(py, numbers(&all)).reshape([all.len(), NUMBERS])?, names, note, beside))
+    let beside = |frame: Frame| {
+        let mask = frame.mask.map(|mask| (mask.path().to_path_buf(), matches!(mask, MaskFile::Kept(_))));
+        (frame.name, (frame.image, mask, frame.size))
+    };
+    let (names, beside) = frames.into_iter().map(beside).unzip();
+    Ok((PyArray1::from_vec(py, numbers(&all)).reshape([all.len(), NUMBERS])?, names, notes, beside))
 }
 
 fn read(
@@ -327,7 +361,7 @@ fn read(
     selection: &Selection,
     width: Option<u32>,
     height: Option<u32>,
-) -> octobayes::Result<(Vec<Frame>, String)> {
+) -> octobayes::Result<(Vec<Frame>, Vec<String>)> {
     let mut views = Views::read(path, width.zip(height).map(Into::into))?;
     if let (Some(width), None) = (width, height) {
         for frame in &mut views.frames {
@@ -336,22 +370,20 @@ fn read(
             frame.camera = frame.camera.resized([width, height]);
         }
     }
-    let is_assumed = width.is_none() && views.resolution_source == ResolutionSource::Assumed;
-    let assumed = if is_assumed {
+    let mut notes: Vec<String> = views.notes.iter().map(|note| format!("{}: {note}", path.display())).collect();
+    if width.is_none() && views.resolution_source == ResolutionSource::Assumed {
         let [w, h] = views.frames[0].camera.resolution;
-        format!("; no image size is stated, and there are no images: {w} x {h} is assumed")
-    } else {
-        String::new()
-    };
-    let (frames, note) = match part {
-        "every frame" => (views.frames, String::new()),
+        notes.push(format!(
+            "{} states no image size and its images are not there: {w} x {h} is assumed (resolution=)",
+            path.display()
+        ));
+    }
+    let frames = match part {
+        "every frame" => views.frames,
         _ => {
-            let split = FrameSplit::new(views);
             let part = if part == "training" { Part::Training } else { Part::HeldOut };
-            let frames = split.select(part, selection, |_| true)?;
-            let note = split.describe(part, &frames);
-            (frames, note)
+            FrameSplit::new(views).select(part, selection, |_| true)?
         }
     };
-    Ok((frames, note + &assumed))
+    Ok((frames, notes))
 }
