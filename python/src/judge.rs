@@ -21,6 +21,7 @@ use serde_json::json;
 use crate::errors::OrRaise;
 use crate::field::Uncertainty;
 use crate::options::Options;
+use crate::pool::without_python;
 use crate::run::Source;
 use crate::view::image_settings;
 use crate::work::{Engine, work};
@@ -103,8 +104,8 @@ pub fn evaluate(
     let read = |(name, field): &(String, Arc<UncertaintyField>)| {
         Reading::from_field(name, field, covariances.as_deref(), averages.as_deref())
     };
-    let readings: Vec<Vec<Reading>> = fields.iter().map(read).collect::<octobayes::Result<_>>().or_raise()?;
-    let readings = readings.concat();
+    let readings = without_python(py, || fields.iter().map(read).collect::<octobayes::Result<Vec<Vec<Reading>>>>())?;
+    let readings = readings.or_raise()?.concat();
     let held_out = HeldOut::new(&options)?;
     let result = work(py, source.gate(nerf), progress, |engine| {
         source.with(engine, |model| {
