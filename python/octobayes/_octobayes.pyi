@@ -94,8 +94,11 @@ def compare(a: Uncertainty, b: Uncertainty, points: int, seed: int) -> str:
     """JSON."""
 
 def merge(fields: Sequence[Uncertainty], error_bars: bool, keep_sums: bool) -> tuple[Uncertainty, list[str]]: ...
-def accumulate(samples: Any, options: dict[str, Any], progress: Progress | None) -> Uncertainty:
-    """samples: a path, or positions [N, 3], jacobians [N, 9], ray uint64 [N], weight [N], rays in all."""
+def accumulate(samples: Any, options: dict[str, Any], progress: Progress | None) -> tuple[Uncertainty, str | None]:
+    """samples: a path, or positions [N, 3], jacobians [N, 9], ray uint64 [N], weight [N], rays in all.
+
+    The field and a warning.
+    """
 
 def export_field(field: Uncertainty, path: str, kind: str) -> None: ...
 def export_surfaces(
