@@ -12,16 +12,19 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from . import _octobayes, _shards
-from ._arguments import array, color, floats, names, real, whole, wrong
+from ._arguments import array, color, degrees, flag, floats, names, real, whole, wrong
 from ._arguments import box as as_box
 from ._arguments import path as as_path
 from ._cameras import Beside, named, resized
 from ._cameras import rows as camera_rows
 from ._cameras import size as as_size
-from ._gate import Gate
+from ._gate import Gate, remarks
 from ._model import Model
 from ._progress import Progress, reporting
 from ._uncertainty import Uncertainty
+
+#: What the official code draws unless told otherwise.
+OFFICIAL_RAYS = 4_096_000
 
 Nerf: TypeAlias = "str | os.PathLike[str] | Model | Callable[..., Any]"
 
@@ -58,7 +61,11 @@ def load(
     domain = _domain_options(box, contract, inner)
     if box is None and contract is None:
         raise wrong("box", "the box of the official grid, which its file does not name", "none")
-    return Uncertainty(_octobayes.load(path, domain, None if rays is None else whole("rays", rays, 1)))
+    if rays is None:
+        rays = OFFICIAL_RAYS
+        text = f"{path} is taken for sums of {rays} rays, the official default (rays=)"
+        warnings.warn(text, RuntimeWarning, stacklevel=2)
+    return Uncertainty(_octobayes.load(path, domain, whole("rays", rays, 1)))
 
 
 def _field(name: str, value: Any) -> Uncertainty:
@@ -96,6 +103,11 @@ def _asked(nerf: Any, box: Any, march_step: float | None, batch: int, u: Uncerta
     if box is None and u is not None:
         box = getattr(nerf, "box", u.box)
     return Gate(nerf, box=box, step=march_step, batch=batch, description=_source(nerf))
+
+
+def _remarks(asked: Any) -> list[str]:
+    """What is to be said of a callable's answers once it is no longer asked."""
+    return remarks(getattr(asked, "overshoot", 0.0))
 
 
 def _image_options(
@@ -137,6 +149,8 @@ def _grid_options(
     if cell_size is not None:
         if domain["contract"] is not None or domain["box"] is None:
             raise wrong("cell_size", "a box, whose edge it divides (level= else)", "none")
+        if level != 8:
+            raise wrong("level", "none beside cell_size, which sets it", level)
         longest = max(high - low for low, high in zip(*domain["box"]))
         level = max(1, int(np.ceil(np.log2(longest / real("cell_size", cell_size, above=0)))))
     return {
@@ -149,7 +163,7 @@ def _grid_options(
         "tolerance": real("tolerance", tolerance, low=0),
         "prior": prior,
         "min_rays": real("min_rays", min_rays, low=0),
-        "keep_sums": bool(keep_sums),
+        "keep_sums": flag("keep_sums", keep_sums),
         "surface_points": whole("surface_points", surface_points, 0),
     }
 
@@ -158,7 +172,8 @@ def _shard(shard: Any) -> list[int] | None:
     if shard is None:
         return None
     try:
-        index, of = map(int, shard.split("/") if isinstance(shard, str) else shard)
+        parts = map(int, shard.split("/")) if isinstance(shard, str) else shard
+        index, of = (whole("shard", part, 0, 2**64 - 1) for part in parts)
     except (TypeError, ValueError) as error:
         raise wrong("shard", "'I/N' or (I, N) with 0 <= I < N", shard) from error
     if not 0 <= index < of:
@@ -167,6 +182,7 @@ def _shard(shard: Any) -> list[int] | None:
 
 
 def _warn(texts: Iterable[str]) -> None:
+    """Warns the caller of the function that calls this."""
     for text in texts:
         warnings.warn(text, RuntimeWarning, stacklevel=3)
 
@@ -225,13 +241,15 @@ def uncertainty(
 ) -> Uncertainty:
     """Computes the uncertainty of a trained radiance field from its training cameras.
 
-    nerf: a callable, a model file, or a model of :func:`open_model`. A callable is
-    ``f(x: float32[N, 3], d: float32[N, 3]) -> (density[N], color[N, 3])``: positions in scene units and directions of
-    length 1; density in 1 / scene unit, colours in [0, 1]. What it returns at a point must not depend on the other
-    points. It may have attributes: ``derivatives(x, d) -> (density, color, d_density[N, 3], d_color[N, 3, 3])``, the
-    last by channel and axis; ``density(x)``, if that is cheaper; ``step``, the distance between samples along a ray
-    (default: the box's diagonal / 1024); ``background``; ``box``; ``pixel_offset``. It is called from this thread only,
-    with at least ``batch`` points while there are rays to begin, and fewer than twice as many.
+    nerf: a callable, a model file, or a model of :func:`open_model`. A callable is ``f(x: float32[N, 3], d: float32[N,
+    3]) -> (density[N], color[N, 3])``: positions in scene units and directions of length 1; density in 1 / scene unit,
+    0 or more; colours in [0, 1], in floating point. Other values are refused; colours that exceed the range by 0.05 at
+    most are clamped, with one RuntimeWarning, and their derivatives are 0 there. What it returns at a point must not
+    depend on the other points. It may have attributes: ``derivatives(x, d) -> (density, color, d_density[N, 3],
+    d_color[N, 3, 3])``, the last by channel and axis; ``density(x)``, if that is cheaper; ``step``, the distance
+    between samples along a ray (default: the box's diagonal / 1024); ``background``; ``box``; ``pixel_offset``. It is
+    called from this thread only, with at least ``batch`` points while there are rays to begin, and fewer than twice as
+    many.
 
     cameras: those that the model was trained on. A file (transforms.json, or a COLMAP model), a list of dictionaries,
     or one dictionary of arrays: ``pose`` (4x4, camera-to-world, OpenGL axes), ``focal`` (pixels; one or two) or ``fov``
@@ -277,6 +295,10 @@ def uncertainty(
         raise wrong("rays", "a whole number, 1 or more, or 'auto'", rays)
     if auto and (shard is not None or error_bars is not None or dump_samples is not None):
         raise wrong("rays='auto'", "a run by itself, to its end", "shard, error_bars or dump_samples")
+    if shard is not None and error_bars is not None:
+        raise wrong("error_bars", "None with shard, which is one group of rays", error_bars)
+    if flag("resume", resume) and checkpoint is None:
+        raise wrong("resume", "a checkpoint beside it", "none")
     if isinstance(nerf, Model) and cell_size is not None and domain["box"] is None and contract is None:
         domain["box"] = nerf.box.tolist()
     own_box = getattr(nerf, "box", None)
@@ -327,7 +349,7 @@ def uncertainty(
     asked = _asked(nerf, domain["box"], march_step, batch)
     with reporting(progress) as report:
         field, texts = _octobayes.uncertainty(asked, numbers, options, report)
-    _warn(texts)
+    _warn([*texts, *_remarks(asked)])
     return Uncertainty(field)
 
 
@@ -383,7 +405,7 @@ def _training_cameras(
 def _own_cameras(model: Model, resolution: Any, fov: float | None) -> tuple[Any, list[str], str]:
     """The cameras that come with a model."""
     width, height = as_size(resolution)
-    fov = None if fov is None else real("fov", fov, above=0)
+    fov = None if fov is None else degrees("fov", fov)
     numbers = model._model.cameras(fov, None if width is None or height is None else (width, height))
     if numbers is None:
         raise wrong("cameras", "a camera file or cameras, as this model brings none", "none")
@@ -404,7 +426,8 @@ def compare(
     a, b = _field("a", a), _field("b", b)
     if covariance is not None:
         a, b = a.with_covariance(covariance), b.with_covariance(covariance)
-    return json.loads(_octobayes.compare(a._field, b._field, whole("points", points, 0), whole("seed", seed, 0)))
+    points, seed = whole("points", points, 0), whole("seed", seed, 0, 2**64 - 1)
+    return json.loads(_octobayes.compare(a._field, b._field, points, seed))
 
 
 def merge(fields: Sequence[Uncertainty | str], *, error_bars: bool = False, keep_sums: bool = False) -> Uncertainty:
@@ -414,7 +437,7 @@ def merge(fields: Sequence[Uncertainty | str], *, error_bars: bool = False, keep
     sums (shards do). Raises ValueError if they do not belong together. Warns of missing shards.
     """
     given = [_field(f"fields[{i}]", field)._field for i, field in enumerate(fields)]
-    field, texts = _octobayes.merge(given, bool(error_bars), bool(keep_sums))
+    field, texts = _octobayes.merge(given, flag("error_bars", error_bars), flag("keep_sums", keep_sums))
     _warn(texts)
     return Uncertainty(field)
 
@@ -455,7 +478,9 @@ def accumulate(
     }  # fmt: skip
     with reporting(progress) as report:
         given = _samples(samples) if isinstance(samples, Mapping) else as_path("samples", samples)
-        return Uncertainty(_octobayes.accumulate(given, options, report))
+        field, text = _octobayes.accumulate(given, options, report)
+    _warn([] if text is None else [text])
+    return Uncertainty(field)
 
 
 def _samples(samples: Mapping[str, Any]) -> tuple[Any, ...]:
@@ -470,7 +495,10 @@ def _samples(samples: Mapping[str, Any]) -> tuple[Any, ...]:
         raise wrong("samples['ray']", f"an array of whole numbers of shape [{n}], 0 or more", ray)
     weight = samples.get("weight")
     weight = np.zeros(n, np.float32) if weight is None else floats("samples['weight']", weight, (n,))
-    total = whole("samples['rays_total']", array(samples["rays_total"]).item(), 1)
+    total = array(samples["rays_total"])
+    if total.size != 1:
+        raise wrong("samples['rays_total']", "a whole number, 1 or more", total)
+    total = whole("samples['rays_total']", total.item(), 1)
     return positions, jacobian, np.ascontiguousarray(ray, dtype=np.uint64), weight, total
 
 
@@ -501,10 +529,11 @@ def render(
     as '99%', what it exceeds on the most certain 99 percent of visible surfaces). depth_error: the standard deviation
     of depth, too; u must be one of scale='data'. box: for a callable, by default u's.
 
-    Returns float32 arrays: 'color' ``[H, W, 3]``, 'depth' ``[H, W]`` (median distance from the camera, scene units;
-    0 where nothing is), 'opacity' ``[H, W]``, with u 'log10_uncertainty' ``[H, W]`` (NaN where nothing is), and with
-    depth_error 'depth_error' ``[H, W]`` (scene units; NaN where nothing is) and, if u is calibrated, 'depth_interval'
-    ``[H, W]`` (half width of the interval, scene units).
+    Returns float32 arrays: 'color' ``[H, W, 3]``, 'depth' ``[H, W]`` (median distance from the camera, scene units; 0
+    where nothing is), 'opacity' ``[H, W]``, with u 'log10_uncertainty' ``[H, W]`` (NaN where the opacity is 0.05 or
+    less, or what is seen lies outside the box of u, as in the command line's pictures), and with depth_error
+    'depth_error' ``[H, W]`` (scene units; NaN where nothing is) and, if u is calibrated, 'depth_interval' ``[H, W]``
+    (half width of the interval, scene units).
     Raises as :func:`uncertainty` does.
     """
     nerf = _opened(nerf, coordinates)
@@ -525,19 +554,24 @@ def render(
         **_image_options(nerf, background, march_step, pixel_offset, occupancy),
         "ray_average": names("ray_average", ray_average)[:1],
         "threshold": threshold,
-        "depth_error": bool(depth_error),
+        "depth_error": flag("depth_error", depth_error),
     }
     asked = _asked(nerf, box, march_step, batch, u)
     field = None if u is None else u._field
     with reporting(progress) as report:
-        return _octobayes.render(asked, field, np.ascontiguousarray(numbers), options, report)
+        view = _octobayes.render(asked, field, np.ascontiguousarray(numbers), options, report)
+    _warn(_remarks(asked))
+    return view
 
 
 def _threshold(threshold: float | str, u: Uncertainty | None) -> float:
     if u is None:
         raise wrong("threshold", "an uncertainty to cut by", "none")
     if not isinstance(threshold, str):
-        log10 = real("threshold", threshold)
+        log10, prior = real("threshold", threshold), float(np.log10(u.prior))
+        if log10 >= prior:
+            text = f"no density lies above the threshold of {log10:g}: log10 U of the field's prior is {prior:.3f}"
+            warnings.warn(text, RuntimeWarning, stacklevel=3)
         text = u._field.threshold_warning(log10)
         _warn([] if text is None else [f"threshold: {text}"])
         return log10
@@ -608,6 +642,7 @@ def evaluate(
     with reporting(progress) as report:
         said, notes = _octobayes.evaluate(asked, given, options, report)
     _warn(notes)
+    _warn(_remarks(asked))
     return json.loads(said)
 
 
@@ -662,6 +697,7 @@ def calibrate(
     with reporting(progress) as report:
         field, said, notes = _octobayes.calibrate(asked, u._field, options, report)
     _warn(notes)
+    _warn(_remarks(asked))
     return Uncertainty(field), json.loads(said)
 
 
@@ -686,7 +722,7 @@ def _held_out_options(
         "depth": None if depth is None else as_path("depth", depth),
         "depth_encoding": depth_encoding,
         "depth_pattern": depth_pattern,
-        "z_depth": bool(z_depth),
+        "z_depth": flag("z_depth", z_depth),
         "stride": whole("stride", stride, 1),
         "every": whole("every", every, 1),
         "resolution": None if width is None else [width, height],

@@ -99,6 +99,21 @@ def names(name: str, value: Any) -> list[str]:
     return listed
 
 
+def degrees(name: str, value: Any) -> float:
+    """An angle of view."""
+    angle = real(name, value, above=0)
+    if angle >= 180:
+        raise wrong(name, "an angle above 0 and below 180 degrees", f"{angle:g}")
+    return angle
+
+
+def flag(name: str, value: Any) -> bool:
+    """True or False, but not what Python takes for it, such as the text 'false'."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise wrong(name, "True or False", repr(value))
+    return bool(value)
+
+
 def box(name: str, value: Any) -> list[list[float]]:
     """``(low, high)``, two corners."""
     corners = floats(name, value, (2, 3), np.float64)

@@ -13,13 +13,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import _octobayes
-from ._arguments import array, floats, whole, wrong
+from ._arguments import array, degrees, floats, real, whole, wrong
 
 #: Pose (row by row), focal lengths, principal point, image size, k1, k2, p1, p2.
 NUMBERS = 26
 
 #: Path of a camera's image, which need not exist; path of its mask, and whether that keeps what is not black; their size.
 Beside = tuple[Path, "tuple[Path, bool] | None", list[int]]
+
+#: Two names of the same thing, of which a camera has one.
+SYNONYMS = (("pose", "transform_matrix"), ("size", "w"), ("size", "h"), ("center", "cx"), ("center", "cy"))
+SYNONYMS += (("focal", "fl_x"), ("focal", "fl_y"), ("fov", "camera_angle_x"))
+
+#: Share by which a focal length and an angle of view may differ, both given: files round either.
+AGREE = 0.01
 
 EXPECTED = (
     "a camera file, or cameras as dictionaries: pose (4x4, camera-to-world, OpenGL axes), focal (pixels) or fov "
@@ -47,6 +54,9 @@ def one(name: str, camera: Mapping[str, Any]) -> NDArray[np.float64]:
     unknown = sorted(set(camera) - known - {"file_path", "name"})
     if unknown:
         raise wrong(f"{name}['{unknown[0]}']", f"one of {', '.join(sorted(known))}", unknown[0])
+    for one, other in SYNONYMS:
+        if camera.get(one) is not None and camera.get(other) is not None:
+            raise wrong(name, f"'{one}' or '{other}'", "both")
     pose = camera.get("pose", camera.get("transform_matrix"))
     if pose is None:
         raise wrong(name, "a camera with a pose", f"keys {sorted(camera)}")
@@ -58,20 +68,33 @@ def one(name: str, camera: Mapping[str, Any]) -> NDArray[np.float64]:
     if np.shape(sides) != (2,):
         raise wrong(f"{name}['size']", "width and height in pixels", sides)
     width, height = (whole(f"{name}['size']", side, 1, 65_536) for side in sides)
-    fov, angle = camera.get("fov"), camera.get("camera_angle_x")
+    fov = None
+    if camera.get("fov") is not None:
+        fov = degrees(f"{name}['fov']", camera["fov"])
+    elif camera.get("camera_angle_x") is not None:
+        angle = real(f"{name}['camera_angle_x']", camera["camera_angle_x"], above=0)
+        if angle >= math.pi:
+            raise wrong(f"{name}['camera_angle_x']", "radians, below pi (degrees: fov)", f"{angle:g}")
+        fov = math.degrees(angle)
+    of_view = None if fov is None else 0.5 * width / math.tan(0.5 * math.radians(fov))
     if "focal" in camera:
         focal = np.atleast_1d(array(camera["focal"]))
         focal = np.broadcast_to(floats(f"{name}['focal']", focal, (2 if len(focal) == 2 else 1,), np.float64), (2,))
     elif "fl_x" in camera:
-        focal = np.array([camera["fl_x"], camera.get("fl_y", camera["fl_x"])], dtype=np.float64)
-    elif fov is not None or angle is not None:
-        radians = math.radians(fov) if fov is not None else float(angle or 0)
-        focal = np.full(2, 0.5 * width / math.tan(0.5 * radians))
+        focal = np.array([real(f"{name}['fl_x']", camera["fl_x"], above=0)] * 2)
+        focal[1] = real(f"{name}['fl_y']", camera.get("fl_y", focal[0]), above=0)
+    elif "fl_y" in camera:
+        raise wrong(name, "'fl_x' beside 'fl_y'", f"keys {sorted(camera)}")
+    elif of_view is not None:
+        focal = np.full(2, of_view)
     else:
         raise wrong(name, "a camera with focal (pixels) or fov (degrees)", f"keys {sorted(camera)}")
+    if of_view is not None and abs(of_view - focal[0]) > AGREE * focal[0]:
+        both = f"a focal length of {focal[0]:g} pixels, and an angle of view of {fov:g} degrees, which is {of_view:g}"
+        raise wrong(name, "a focal length and an angle of view that agree, or one of them", both)
     center = camera.get("center", (camera.get("cx", 0.5 * width), camera.get("cy", 0.5 * height)))
     center = floats(f"{name}['center']", center, (2,), np.float64)
-    lens = [float(camera.get(key, 0.0)) for key in ("k1", "k2", "p1", "p2")]
+    lens = [real(f"{name}['{key}']", camera.get(key, 0.0)) for key in ("k1", "k2", "p1", "p2")]
     return np.concatenate([pose.ravel(), focal, center, [width, height], lens])
 
 

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from . import _octobayes
-from ._api import Nerf, _asked, _field, _image_options, _opened, _threshold, _training_cameras
+from ._api import Nerf, _asked, _field, _image_options, _opened, _remarks, _threshold, _training_cameras, _warn
+from ._arguments import flag, real, whole, wrong
 from ._arguments import path as as_path
-from ._arguments import real, whole, wrong
 from ._progress import Progress, reporting
 from ._uncertainty import Uncertainty
 
@@ -63,7 +63,7 @@ def export(
     if extension not in FIELD | SURFACES:
         expected = f"a name that ends in {', '.join(FIELD | SURFACES)} (Uncertainty.save writes .oct)"
         raise wrong("path", expected, path)
-    is_points = extension == ".ply" and not mesh
+    is_points = not flag("mesh", mesh) and extension == ".ply"
     if mesh and extension != ".ply":
         raise wrong("mesh", "a mesh only in a .ply", path)
     if ellipsoids and not is_points:
@@ -83,7 +83,7 @@ def export(
     options = {
         **_image_options(nerf, background, march_step, pixel_offset, occupancy),
         "kind": "mesh" if mesh else SURFACES[extension],
-        "ellipsoids": bool(ellipsoids),
+        "ellipsoids": flag("ellipsoids", ellipsoids),
         "threshold": None if threshold is None else _threshold(threshold, u),
         "pixels": whole("pixels", pixels, 1),
         "cells": whole("cells", cells, 8, 640),
@@ -92,3 +92,4 @@ def export(
     asked = _asked(nerf, box, march_step, batch, u)
     with reporting(progress) as report:
         _octobayes.export_surfaces(asked, u._field, path, np.ascontiguousarray(numbers), names, options, report)
+    _warn(_remarks(asked))

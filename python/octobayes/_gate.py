@@ -13,13 +13,24 @@ from ._arguments import box as as_box
 
 Floats = NDArray[np.float32]
 
+#: What colours may exceed 0 or 1 by. Spherical harmonics without a clamp, padded sigmoids and the like exceed them by
+#: less; another scale (0 to 255, -1 to 1) exceeds them by more.
+OVERSHOOT = 0.05
+#: What colours exceed 0 or 1 by for roundings alone.
+ROUNDING = 1e-6
+
 
 def _density(name: str, value: Any, n: int) -> Floats:
     given = array(value)
     if given.shape == (n, 1):
         given = given[:, 0]
-    # What is not finite drops the ray, and is counted.
-    return floats(name, given, (n,), finite=False)
+    # What is not finite drops the ray, and is counted; but -inf is a logarithm's, and says so.
+    density = floats(name, given, (n,), finite=False)
+    if (density < 0).any():
+        i = int(np.nanargmin(density))
+        expected = "0 or more (apply the activation that training applied, such as softplus or exp)"
+        raise wrong(name, expected, f"{density[i]:g} at [{i}]")
+    return density
 
 
 def _parts(name: str, answer: Any, count: int) -> tuple[Any, ...]:
@@ -28,6 +39,13 @@ def _parts(name: str, answer: Any, count: int) -> tuple[Any, ...]:
         kinds = {2: "(density, color)", 4: "(density, color, d_density, d_color)"}
         raise wrong(name, f"a tuple {kinds[count]}", answer)
     return tuple(answer)
+
+
+def remarks(overshoot: float) -> list[str]:
+    """The warning about colours that exceeded 0 or 1 by as much, if that is worth one."""
+    if overshoot <= ROUNDING:
+        return []
+    return [f"colors of nerf exceed the range from 0 to 1 by up to {overshoot:.2g}; they were clamped to it"]
 
 
 class Gate:
@@ -54,6 +72,29 @@ class Gate:
             "has_derivatives": self._derivatives is not None,
             "description": description,
         }
+        #: The most by which a colour exceeded 0 or 1.
+        self.overshoot = 0.0
+
+    def _color(self, name: str, value: Any, n: int) -> tuple[Floats, NDArray[np.bool_] | None]:
+        """Colour ``[N, 3]`` within [0, 1], and where it had to be clamped; ``None`` if nowhere."""
+        given = array(value)
+        if given.dtype.kind in "iu":
+            raise wrong(name, "values from 0 to 1", f"integers of type {given.dtype}, up to {given.max(initial=0)}")
+        color = floats(name, given, (n, 3), finite=False)
+        if color.min(initial=0) >= 0 and color.max(initial=0) <= 1:
+            return color, None
+        # What is not finite passes: it drops the ray, and is counted.
+        with np.errstate(invalid="ignore"):
+            excess = np.maximum(-color, color - 1)
+        excess[~np.isfinite(color)] = 0
+        most = float(excess.max(initial=0))
+        if most <= 0:
+            return color, None
+        if most > OVERSHOOT:
+            at = np.unravel_index(int(excess.argmax()), color.shape)
+            raise wrong(name, "values from 0 to 1", f"{color[at]:g} at {[int(i) for i in at]}")
+        self.overshoot = max(self.overshoot, most)
+        return np.clip(color, 0, 1), excess > 0
 
     def density(self, x: Floats) -> Floats:
         """Density ``[N]`` at ``x`` ``[N, 3]``."""
@@ -65,16 +106,20 @@ class Gate:
         n = len(x)
         return (
             _density("density, the first result of nerf", density, n),
-            floats("color, the second result of nerf", color, (n, 3), finite=False),
+            self._color("color, the second result of nerf", color, n)[0],
         )
 
     def derivatives(self, x: Floats, d: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Density, colour, and their derivatives by position: ``[N]``, ``[N, 3]``, ``[N, 3]``, ``[N, 3, 3]``."""
+        """Density, colour, and their derivatives by position: ``[N]``, ``[N, 3]``, ``[N, 3]``, ``[N, 3, 3]``.
+
+        A channel that was clamped has no derivative there, like the differences of clamped colours.
+        """
         density, color, slope, tint = _parts("the result of nerf.derivatives", self._derivatives(x, d), 4)
         n, of = len(x), "result of nerf.derivatives"
-        return (
-            _density(f"density, the first {of}", density, n),
-            floats(f"color, the second {of}", color, (n, 3), finite=False),
-            floats(f"d_density, the third {of}", slope, (n, 3), finite=False),
-            floats(f"d_color, the fourth {of}", tint, (n, 3, 3), finite=False),
-        )
+        density = _density(f"density, the first {of}", density, n)
+        color, is_clamped = self._color(f"color, the second {of}", color, n)
+        slope = floats(f"d_density, the third {of}", slope, (n, 3), finite=False)
+        tint = floats(f"d_color, the fourth {of}", tint, (n, 3, 3), finite=False)
+        if is_clamped is not None:
+            tint = np.where(is_clamped[:, :, None], np.float32(0), tint)
+        return density, color, slope, tint

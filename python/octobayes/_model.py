@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _octobayes
-from ._arguments import floats, points
+from ._arguments import degrees, floats, points, wrong
 
 Floats = NDArray[np.float32]
 
@@ -27,7 +27,7 @@ class Model:
     def __call__(self, x: ArrayLike, d: ArrayLike) -> tuple[Floats, Floats]:
         """Density and colour at points seen along directions.
 
-        x: float32 ``[N, 3]``, scene units. d: float32 ``[N, 3]``, of length 1.
+        x: float32 ``[N, 3]``, scene units. d: float32 ``[N, 3]``, of any length but 0.
         Returns density ``[N]`` (1 / scene unit) and colour ``[N, 3]`` (red, green, blue in [0, 1]), float32.
         """
         return self._model.radiance(*self._asked(x, d))
@@ -47,7 +47,14 @@ class Model:
     @staticmethod
     def _asked(x: ArrayLike, d: ArrayLike) -> tuple[Floats, Floats]:
         x = floats("x", x, (None, 3))
-        return x, floats("d", d, (len(x), 3))
+        d = floats("d", d, (len(x), 3))
+        lengths = np.linalg.norm(d.astype(np.float64), axis=1)
+        if (lengths == 0).any():
+            raise wrong("d", "directions, which have a length", f"[0.0, 0.0, 0.0] at [{int(lengths.argmin())}]")
+        # Models in Rust are asked with unit vectors only. What is one up to roundings stays as it is.
+        if (np.abs(lengths - 1) > 1e-5).any():
+            d = (d / lengths[:, None]).astype(np.float32)
+        return x, d
 
     def cameras(
         self, fov: float | None = None, resolution: tuple[int, int] | None = None
@@ -56,7 +63,7 @@ class Model:
 
         fov: horizontal angle of view in degrees, and resolution: (width, height), where the model does not know them.
         """
-        rows = self._model.cameras(fov, resolution)
+        rows = self._model.cameras(None if fov is None else degrees("fov", fov), resolution)
         if rows is None:
             return None
         each = {"focal": slice(16, 18), "center": slice(18, 20), "size": slice(20, 22)}

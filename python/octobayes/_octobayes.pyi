@@ -88,16 +88,19 @@ def uncertainty(
 
 def read_cameras(
     path: str | os.PathLike[str], part: str, views: Any = None, width: int | None = None, height: int | None = None
-) -> tuple[Doubles, list[str], str, list[tuple[Path, Path | None]]]:
-    """Cameras [C, 26], names, a note, and images (which need not exist) with their masks."""
+) -> tuple[Doubles, list[str], list[str], list[tuple[Path, tuple[Path, bool] | None, list[int]]]]:
+    """Cameras [C, 26], names, what a user should know, and images (which need not exist) with masks and sizes."""
 
 def load(path: str | os.PathLike[str], options: dict[str, Any], rays: int | None = None) -> Uncertainty: ...
 def compare(a: Uncertainty, b: Uncertainty, points: int, seed: int) -> str:
     """JSON."""
 
 def merge(fields: Sequence[Uncertainty], error_bars: bool, keep_sums: bool) -> tuple[Uncertainty, list[str]]: ...
-def accumulate(samples: Any, options: dict[str, Any], progress: Progress | None) -> Uncertainty:
-    """samples: a path, or positions [N, 3], jacobians [N, 9], ray uint64 [N], weight [N], rays in all."""
+def accumulate(samples: Any, options: dict[str, Any], progress: Progress | None) -> tuple[Uncertainty, str | None]:
+    """samples: a path, or positions [N, 3], jacobians [N, 9], ray uint64 [N], weight [N], rays in all.
+
+    The field and a warning.
+    """
 
 def export_field(field: Uncertainty, path: str, kind: str) -> None: ...
 def export_surfaces(

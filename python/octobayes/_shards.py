@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from . import _octobayes
 from ._arguments import whole, wrong
-from ._gate import Gate
+from ._gate import Gate, remarks
 from ._model import Model
 from ._uncertainty import Uncertainty
 
@@ -33,14 +33,14 @@ class Task:
     rows: NDArray[np.float64]
     options: Mapping[str, Any]
 
-    def __call__(self, index: int, of: int) -> tuple[Uncertainty, list[str]]:
-        """Computes shard ``index`` of ``of``. Runs in a worker."""
+    def __call__(self, index: int, of: int) -> tuple[Uncertainty, list[str], float]:
+        """Computes shard ``index`` of ``of``. Runs in a worker. Returns the gate's overshoot, too."""
         asked = self.nerf._model if isinstance(self.nerf, Model) else Gate(self.nerf, **self.gate)
         options = {**self.options, "shard": [index, of], "keep_sums": True}
         # What came through somebody's serialisation need not be aligned.
         rows = np.array(self.rows)
         field, texts = _octobayes.uncertainty(asked, rows, options, None)
-        return Uncertainty(field), texts
+        return Uncertainty(field), texts, getattr(asked, "overshoot", 0.0)
 
 
 class Tree:
@@ -88,15 +88,16 @@ def run(
 ) -> tuple[_octobayes.Uncertainty, list[str]]:
     """Runs all shards, and merges them as they come. The first exception cancels what has not begun."""
     indices: dict[Future[Any], int] = {executor.submit(task, i, shards): i for i in range(shards)}
-    tree, said, merged = Tree(shards), dict[str, None](), None
+    tree, said, merged, most = Tree(shards), dict[str, None](), None, 0.0
     pending = set(indices)
     try:
         while pending:
             # So that Ctrl-C is seen.
             done, pending = wait(pending, timeout=0.5, return_when=FIRST_COMPLETED)
             for future in sorted(done, key=indices.__getitem__):
-                part, texts = future.result()
+                part, texts, overshoot = future.result()
                 said.update(dict.fromkeys(texts))
+                most = max(most, overshoot)
                 merged = tree.add(indices.pop(future), part._field)
                 if report is not None:
                     report("shards", shards - len(indices), shards)
@@ -104,4 +105,4 @@ def run(
         for future in pending:
             future.cancel()
     assert merged is not None, "all shards have come"
-    return merged, list(said)
+    return merged, [*said, *remarks(most)]

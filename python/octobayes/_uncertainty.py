@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from . import _octobayes
 from ._arguments import path as as_path
 from ._arguments import points as as_points
-from ._arguments import wrong
+from ._arguments import real, wrong
 
 
 class Uncertainty:
@@ -124,6 +124,8 @@ class Uncertainty:
 
     def surface_quantile(self, share: float) -> float | None:
         """log10 U that the most certain ``share`` (0 to 1) of visible surfaces does not exceed; ``None`` if unknown."""
+        if real("share", share, low=0) > 1:
+            raise wrong("share", "a share from 0 to 1", share)
         return self._field.surface_quantile(share)
 
     @property

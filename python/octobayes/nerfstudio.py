@@ -12,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import math
 import os
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -223,6 +224,10 @@ def load(
     size of the training images, with their lens distortion and the images' names, in scene units. The field is what
     nerfstudio evaluates: appearance embeddings are averaged (or zero, as the model has it), on the model's device.
 
+    The cameras are those of the training split, as nerfstudio's data parser divides the frames: by the lists of names
+    in the dataset (``train_filenames``, ...), or as the run's configuration says. Masks are not applied: if the run
+    left out what they cover, a RuntimeWarning says so.
+
     Raises ImportError without nerfstudio, FileNotFoundError without config or checkpoint, ValueError for a model
     without a radiance field (splatfacto), for lenses that are not perspective, and what nerfstudio raises.
     """
@@ -246,15 +251,31 @@ def load(
     if not (hasattr(trained, "get_density") and hasattr(trained, "get_outputs")):
         raise wrong("config", "a model with a radiance field, such as nerfacto", type(model).__name__)
     # For inference the pipeline takes full-size images; the parser itself knows the size of those trained on.
-    parsed = settings.pipeline.datamanager.dataparser.setup().get_dataparser_outputs(split="train")
+    manager = settings.pipeline.datamanager
+    parsed = manager.dataparser.setup().get_dataparser_outputs(split="train")
+    if text := _masks(manager, parsed):
+        warnings.warn(text, RuntimeWarning, stacklevel=2)
+    if (factor := getattr(manager, "camera_res_scale_factor", 1.0)) != 1:
+        parsed.cameras.rescale_output_resolution(scaling_factor=factor)
     field = _field(model, trained, parsed, reach, step)
-    field.rays_per_batch = int(settings.pipeline.datamanager.train_num_rays_per_batch)
+    field.rays_per_batch = int(manager.train_num_rays_per_batch)
     optimizer = getattr(model, "camera_optimizer", None) if pose_corrections else None
     is_on = optimizer is not None and optimizer.config.mode != "off"
     found = cameras(parsed.cameras, optimizer.get_correction_matrices() if is_on else None)
     for camera, name in zip(found, parsed.image_filenames):
         camera["file_path"] = os.fspath(name)
     return field, found
+
+
+def _masks(manager: Any, parsed: Any) -> str | None:
+    """The warning about masks that the training applied, if there are any."""
+    count = len(getattr(parsed, "mask_filenames", None) or ())
+    if count == 0 or getattr(getattr(manager, "pixel_sampler", None), "ignore_mask", False):
+        return None
+    return (
+        f"mask_path: expected training images without masks, found {count} masks, which are not applied: pixels that "
+        "the training left out count as seen, and U is too small on what only they show"
+    )
 
 
 def _field(model: Any, trained: Any, parsed: Any, reach: float, step: float | None) -> NerfstudioField:

@@ -16,6 +16,7 @@ use pyo3::types::PyDict;
 use crate::errors::OrRaise;
 use crate::field::Uncertainty;
 use crate::options::{Options, cameras};
+use crate::pool::without_python;
 use crate::run::Source;
 use crate::work::{Engine, work};
 
@@ -23,14 +24,14 @@ use crate::work::{Engine, work};
 #[pyfunction]
 pub fn export_field(py: Python<'_>, field: &Bound<'_, Uncertainty>, path: PathBuf, kind: &str) -> PyResult<()> {
     let field = field.get().0.clone();
-    py.detach(|| match kind {
+    without_python(py, || match kind {
         "leaves" => {
             let matrices = field.sums().map(|_| field.matrices(field.protocol().covariance)).transpose()?;
             write_leaves(&path, &*field, matrices.as_ref())
         }
         "hyper tree" => write_hyper_tree(&path, &*field),
         _ => field.write_official(&path),
-    })
+    })?
     .or_raise()
 }
 

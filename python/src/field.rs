@@ -13,6 +13,7 @@ use pyo3::types::PyDict;
 use crate::errors::OrRaise;
 use crate::model::points;
 use crate::options::{Options, choose};
+use crate::pool::without_python;
 
 /// U(x), the standard deviation of displacements that the training images allow, in scene units.
 #[pyclass(frozen, module = "octobayes._octobayes")]
@@ -47,7 +48,7 @@ pub fn load(py: Python<'_>, path: PathBuf, options: &Bound<'_, PyDict>, rays: Op
         }
         None => UncertaintyField::read(&path),
     };
-    py.detach(read).or_raise().map(|field| Uncertainty(Arc::new(field)))
+    without_python(py, read)?.or_raise().map(|field| Uncertainty(Arc::new(field)))
 }
 
 #[pymethods]
@@ -55,7 +56,7 @@ impl Uncertainty {
     /// Estimates at points `[n, 3]`.
     fn query<'py>(&self, py: Python<'py>, x: PyReadonlyArray2<'py, f32>) -> PyResult<Estimates<'py>> {
         let x = points(&x)?;
-        let found = py.detach(|| self.0.query_all(&x));
+        let found = without_python(py, || self.0.query_all(&x))?;
         let numbers = |of: &dyn Fn(usize) -> f64| PyArray1::from_iter(py, (0..found.len()).map(of));
         Ok((
             numbers(&|i| found[i].uncertainty),
@@ -70,13 +71,13 @@ impl Uncertainty {
     fn seen<'py>(&self, py: Python<'py>, x: PyReadonlyArray2<'py, f32>) -> PyResult<Option<Seen<'py>>> {
         let x = points(&x)?;
         let Some(visits) = self.0.visits() else { return Ok(None) };
-        let (names, counts) = py.detach(|| {
+        let (names, counts) = without_python(py, || {
             let found = self.0.query_all(&x);
             let knowledge = x.iter().zip(&found).map(|(&x, found)| self.0.knowledge(x, found.uncertainty));
             let names: Vec<&str> = knowledge.map(|seen| seen.map_or("", Knowledge::name)).collect();
             let counts: Vec<u32> = x.iter().map(|&x| visits.at(x).unwrap_or(0)).collect();
             (names, counts)
-        });
+        })?;
         Ok(Some((names, PyArray1::from_vec(py, counts))))
     }
 
@@ -90,7 +91,7 @@ impl Uncertainty {
     ) -> PyResult<Bound<'py, PyArray3<f64>>> {
         let x = points(&x)?;
         let kind = kind.map(covariance).transpose()?.unwrap_or(self.0.protocol().covariance);
-        let found = py.detach(|| self.0.covariances(&x, kind)).or_raise()?;
+        let found = without_python(py, || self.0.covariances(&x, kind))?.or_raise()?;
         let full = found.iter().flat_map(|[xx, xy, xz, yy, yz, zz]| [xx, xy, xz, xy, yy, yz, xz, yz, zz]).copied();
         PyArray1::from_iter(py, full).reshape([x.len(), 3, 3])
     }
@@ -114,23 +115,23 @@ impl Uncertainty {
     /// The same field read with another covariance.
     fn with_covariance(&self, py: Python<'_>, kind: &str) -> PyResult<Self> {
         let kind = covariance(kind)?;
-        let field = py.detach(|| (*self.0).clone().with_covariance(kind)).or_raise()?;
+        let field = without_python(py, || (*self.0).clone().with_covariance(kind))?.or_raise()?;
         Ok(Self(Arc::new(field)))
     }
 
     /// Writes an `.oct` file.
     fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
-        py.detach(|| self.0.write(&path)).or_raise()
+        without_python(py, || self.0.write(&path))?.or_raise()
     }
 
     /// The field without what only merging needs.
-    fn for_queries(&self, py: Python<'_>) -> Self {
-        Self(Arc::new(py.detach(|| (*self.0).clone().for_queries())))
+    fn for_queries(&self, py: Python<'_>) -> PyResult<Self> {
+        without_python(py, || (*self.0).clone().for_queries()).map(|field| Self(Arc::new(field)))
     }
 
     /// log10 U that the most certain `share` of visible surfaces does not exceed; `None` without such points.
-    fn surface_quantile(&self, py: Python<'_>, share: f64) -> Option<f64> {
-        py.detach(|| self.0.surface_quantiles([share])).map(|[log10]| log10)
+    fn surface_quantile(&self, py: Python<'_>, share: f64) -> PyResult<Option<f64>> {
+        without_python(py, || self.0.surface_quantiles([share]).map(|[log10]| log10))
     }
 
     /// What is to be said of a threshold that leaves hardly any visible surface.
@@ -192,8 +193,8 @@ impl Uncertainty {
     }
 
     /// Size and structure, as JSON.
-    fn summary(&self) -> PyResult<String> {
-        json(&self.0.summary())
+    fn summary(&self, py: Python<'_>) -> PyResult<String> {
+        json(&without_python(py, || self.0.summary())?)
     }
 }
 

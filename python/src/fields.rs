@@ -18,6 +18,7 @@ use pyo3::types::PyDict;
 use crate::errors::OrRaise;
 use crate::field::{Uncertainty, json};
 use crate::options::Options;
+use crate::pool::without_python;
 use crate::work::work;
 
 /// Rays that are summed together.
@@ -33,7 +34,7 @@ pub fn compare(
     seed: u64,
 ) -> PyResult<String> {
     let (a, b) = (a.get().0.clone(), b.get().0.clone());
-    json(&py.detach(|| uncertainty::compare(&*a, &*b, points, seed)).or_raise()?)
+    json(&without_python(py, || uncertainty::compare(&*a, &*b, points, seed))?.or_raise()?)
 }
 
 /// Joins fields of one box from different rays. Returns the field with its warnings.
@@ -45,15 +46,15 @@ pub fn merge(
     keep_sums: bool,
 ) -> PyResult<(Uncertainty, Vec<String>)> {
     let parts: Vec<_> = fields.iter().map(|field| field.get().0.clone()).collect();
-    let joined = py.detach(|| {
+    let joined = without_python(py, || {
         let parts: Vec<UncertaintyField> = parts.iter().map(|part| (**part).clone()).collect();
         if error_bars { uncertainty::merge_with_error_bars(&parts) } else { uncertainty::merge(&parts) }
-    });
+    })?;
     let field = joined.or_raise()?;
     let missing = MissingShards::beside(field.draws());
     let warnings =
         missing.iter().map(|run| format!("the run over {} rays is not complete: {run} missing", run.rays)).collect();
-    let field = if keep_sums { field } else { field.for_queries() };
+    let field = if keep_sums { field } else { without_python(py, || field.for_queries())? };
     Ok((Uncertainty(Arc::new(field)), warnings))
 }
 
@@ -66,14 +67,40 @@ type Arrays<'py> = (
     u64,
 );
 
-/// Sums samples whose Jacobians were computed elsewhere: a file's, or arrays.
+/// Samples, and how many of them lie in the field's box.
+#[derive(Default)]
+struct Inside {
+    inside: usize,
+    all: usize,
+}
+
+impl Inside {
+    fn add(&mut self, builder: &FieldBuilder, batches: &[RaySamples]) {
+        let positions = || batches.iter().flat_map(|batch| &batch.positions);
+        self.inside += positions().filter(|x| builder.lattice().coordinates(**x).is_some()).count();
+        self.all += positions().count();
+    }
+
+    /// Refuses samples that all lie outside the box; a warning if half of them do.
+    fn check(&self) -> octobayes::Result<Option<String>> {
+        let Self { inside, all } = self;
+        let found = format!("{inside} of {all} samples");
+        if *inside == 0 && *all > 0 {
+            let expected = "positions inside the box; likely causes: box, units, or axes";
+            return Err(Error::setting("samples", expected, found));
+        }
+        Ok((2 * inside < *all).then(|| format!("{found} lie in the box; likely causes: box, units, or axes")))
+    }
+}
+
+/// Sums samples whose Jacobians were computed elsewhere: a file's, or arrays. Returns the field with a warning.
 #[pyfunction]
 pub fn accumulate(
     py: Python<'_>,
     samples: &Bound<'_, PyAny>,
     options: &Bound<'_, PyDict>,
     progress: Option<&Bound<'_, PyAny>>,
-) -> PyResult<Uncertainty> {
+) -> PyResult<(Uncertainty, Option<String>)> {
     let options = Options(options);
     let domain = match (options.contraction()?, options.bounds()?.map(Domain::Box)) {
         (Some(domain), _) | (None, Some(domain)) => domain,
@@ -93,15 +120,17 @@ pub fn accumulate(
         let progress = RunProgress { rays, samples, ..RunProgress::default() };
         builder.finish(&Provenance { source, progress, ..Provenance::default() })
     };
-    let field = if let Ok(path) = samples.extract::<PathBuf>() {
+    let mut inside = Inside::default();
+    let (field, warning) = if let Ok(path) = samples.extract::<PathBuf>() {
         work(py, None, progress, move |engine| {
             let reader = SamplesReader::open(&path)?;
             reader.run(engine.monitor(), |batches| {
+                inside.add(&builder, batches);
                 builder.add(batches);
                 Ok(())
             })?;
-            let source = format!("samples {}", path.display());
-            Ok(finish(builder, source, reader.rays_total(), reader.samples()))
+            let (warning, source) = (inside.check()?, format!("samples {}", path.display()));
+            Ok((finish(builder, source, reader.rays_total(), reader.samples()), warning))
         })?
     } else {
         let (positions, jacobians, rays, weights, total) = samples.extract::<Arrays>()?;
@@ -109,11 +138,13 @@ pub fn accumulate(
             batched(positions.as_slice()?, jacobians.as_slice()?, rays.as_slice()?, weights.as_slice()?, total)?;
         let count = rays.len()? as u64;
         work(py, None, progress, move |_| {
+            inside.add(&builder, &batches);
+            let warning = inside.check()?;
             builder.add(&batches);
-            Ok(finish(builder, "samples from Python".into(), total, count))
+            Ok((finish(builder, "samples from Python".into(), total, count), warning))
         })?
     };
-    Ok(Uncertainty(Arc::new(field)))
+    Ok((Uncertainty(Arc::new(field)), warning))
 }
 
 /// The samples in batches that are cut between rays.

@@ -19,6 +19,7 @@ use serde_json::json;
 use crate::errors::OrRaise;
 use crate::field::Uncertainty;
 use crate::options::Options;
+use crate::pool::without_python;
 use crate::run::Source;
 use crate::view::image_settings;
 use crate::work::{Engine, work};
@@ -99,8 +100,8 @@ pub fn evaluate(
     let read = |(name, field): &(String, Arc<UncertaintyField>)| {
         Reading::from_field(name, field, covariances.as_deref(), averages.as_deref())
     };
-    let readings: Vec<Vec<Reading>> = fields.iter().map(read).collect::<octobayes::Result<_>>().or_raise()?;
-    let readings = readings.concat();
+    let readings = without_python(py, || fields.iter().map(read).collect::<octobayes::Result<Vec<Vec<Reading>>>>())?;
+    let readings = readings.or_raise()?.concat();
     let asked = Asked::new(&options)?;
     let (result, notes) = work(py, source.gate(nerf), progress, |engine| {
         source.with(engine, |model| {

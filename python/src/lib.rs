@@ -10,6 +10,7 @@ mod fields;
 mod judge;
 mod model;
 mod options;
+mod pool;
 mod run;
 mod view;
 mod work;

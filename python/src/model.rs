@@ -13,6 +13,7 @@ use rayon::prelude::*;
 
 use crate::errors::OrRaise;
 use crate::options::{choose, numbers};
+use crate::pool::without_python;
 
 /// Points that one thread evaluates at a time.
 const CHUNK: usize = 4096;
@@ -55,11 +56,12 @@ impl Model {
     fn new(py: Python<'_>, name: String, coordinates: Option<&str>) -> PyResult<Self> {
         let known = Coordinates::ALL.map(|coordinates| (coordinates.name(), coordinates));
         let coordinates = coordinates.map(|found| choose("coordinates", found, &known)).transpose()?;
-        py.detach(|| {
-            let field: Arc<dyn RadianceField> = open::open_in(&name, coordinates).or_raise()?.into();
-            let checksum = open::checksum(&name, coordinates).or_raise()?;
-            Ok(Self { field, name, checksum })
-        })
+        let opened = without_python(py, || {
+            let field: Arc<dyn RadianceField> = open::open_in(&name, coordinates)?.into();
+            Ok((field, open::checksum(&name, coordinates)?))
+        })?;
+        let (field, checksum) = opened.or_raise()?;
+        Ok(Self { field, name, checksum })
     }
 
     /// Density `[n]` and colour `[n, 3]` at `x` `[n, 3]`, seen along `d` `[n, 3]`.
@@ -71,7 +73,7 @@ impl Model {
     ) -> PyResult<(Array1<'py>, Array2<'py>)> {
         let (x, d) = (triples(&x)?, triples(&d)?);
         let (mut density, mut color) = (vec![0.0; x.len()], vec![[0.0; 3]; x.len()]);
-        py.detach(|| {
+        without_python(py, || {
             let parts = x.par_chunks(CHUNK).zip(d.par_chunks(CHUNK));
             let parts = parts.zip(density.par_chunks_mut(CHUNK).zip(color.par_chunks_mut(CHUNK)));
             parts.for_each(|((x, d), (density, color))| {
@@ -81,7 +83,7 @@ impl Model {
                     (*density, *color) = (r.density, r.color.to_array());
                 }
             });
-        });
+        })?;
         Ok((PyArray1::from_vec(py, density), rows(py, color)?))
     }
 
@@ -89,10 +91,10 @@ impl Model {
     fn density<'py>(&self, py: Python<'py>, x: PyReadonlyArray2<'py, f32>) -> PyResult<Array1<'py>> {
         let x = triples(&x)?;
         let mut density = vec![0.0; x.len()];
-        py.detach(|| {
+        without_python(py, || {
             let parts = x.par_chunks(CHUNK).zip(density.par_chunks_mut(CHUNK));
             parts.for_each(|(x, out)| self.field.densities(&vectors(x), out));
-        });
+        })?;
         Ok(PyArray1::from_vec(py, density))
     }
 
@@ -110,7 +112,7 @@ impl Model {
         let (field, x, d) = (field.or_raise()?, triples(&x)?, triples(&d)?);
         let (mut density, mut color) = (vec![0.0; x.len()], vec![[0.0; 3]; x.len()]);
         let (mut slope, mut tint) = (vec![[0.0; 3]; x.len()], vec![[0.0; 9]; x.len()]);
-        py.detach(|| {
+        without_python(py, || {
             let parts = x.par_chunks(CHUNK).zip(d.par_chunks(CHUNK));
             let values = density.par_chunks_mut(CHUNK).zip(color.par_chunks_mut(CHUNK));
             let slopes = slope.par_chunks_mut(CHUNK).zip(tint.par_chunks_mut(CHUNK));
@@ -124,7 +126,7 @@ impl Model {
                     tint[i] = std::array::from_fn(|k| jet.color_gradients[k % 3][k / 3]);
                 }
             });
-        });
+        })?;
         Ok((PyArray1::from_vec(py, density), rows(py, color)?, rows(py, slope)?, rows(py, tint)?))
     }
 

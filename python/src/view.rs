@@ -5,7 +5,7 @@ use octobayes::estimate::RaySettings;
 use octobayes::evaluate::Reading;
 use octobayes::field::RadianceField;
 use octobayes::render::{DepthProbe, Pixel, Probe, RayAverage, RenderedView, render_view, render_view_with_depth};
-use octobayes::uncertainty::ThresholdedField;
+use octobayes::uncertainty::{ThresholdedField, shown_log10, unknowns};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -51,13 +51,21 @@ pub fn render<'py>(
             let tracer = settings.tracer(shown, 0.0, engine.monitor())?;
             let offset = settings.offset_for(model);
             engine.monitor().begin("rows", u64::from(camera.resolution[1]));
-            let Some(field) = field.as_deref().filter(|_| depth_error) else {
+            let Some(field) = field.as_deref() else {
                 return render_view(&tracer, &camera, offset, probes, engine.monitor());
             };
-            let posterior = field.depth_posterior()?;
-            let differentiation = settings.differentiation(shown, field.lattice())?;
-            let depth = DepthProbe { differentiation, variances: &[&posterior] };
-            render_view_with_depth(&tracer, &camera, offset, probes, &depth, engine.monitor())
+            let mut view = if depth_error {
+                let posterior = field.depth_posterior()?;
+                let differentiation = settings.differentiation(shown, field.lattice())?;
+                let depth = DepthProbe { differentiation, variances: &[&posterior] };
+                render_view_with_depth(&tracer, &camera, offset, probes, &depth, engine.monitor())?
+            } else {
+                render_view(&tracer, &camera, offset, probes, engine.monitor())?
+            };
+            let unknowns = unknowns(field, &camera, offset, &view)?;
+            let shown = view.log10_uncertainty.iter().map(|log10| shown_log10(&view, log10, &unknowns));
+            view.log10_uncertainty = shown.collect();
+            Ok(view)
         })
     })?;
     let factor = uncertainty.and_then(|field| field.get().0.conformal().map(|conformal| conformal.factor));

@@ -4,7 +4,10 @@
 //! Python waits for them, without the lock, and enters Python when there is something to do: to ask the field, to look
 //! for Ctrl-C, to report progress. So no thread of the work waits for the lock, and no thread that holds it waits for
 //! the work: a callable may itself use this package, from any thread.
+//!
+//! Nothing outlives a call but the pool of [`crate::pool`], so that a forked child may begin work of its own.
 
+use std::process;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender, SyncSender};
 use std::sync::{Mutex, PoisonError};
@@ -21,6 +24,7 @@ use pyo3::prelude::*;
 use rayon::prelude::*;
 
 use crate::errors::to_python;
+use crate::pool;
 
 /// Longest time between two looks at whether the user pressed Ctrl-C.
 const TICK: Duration = Duration::from_millis(50);
@@ -137,7 +141,7 @@ pub fn work<T: Send>(
     job: impl FnOnce(&Engine) -> octobayes::Result<T> + Send,
 ) -> PyResult<T> {
     // Threads of the common pool must not wait for Python: Python may wait for them.
-    let pool = rayon::ThreadPoolBuilder::new().build().map_err(|e| PyRuntimeError::new_err(e.to_string()))?;
+    let (pool, process) = (pool::build()?, process::id());
     let (link, inbox) = mpsc::channel();
     let (shared, inbox) = (Shared::default(), Mutex::new(inbox));
     thread::scope(|scope| {
@@ -146,7 +150,10 @@ pub fn work<T: Send>(
             let _end = End(engine.link.clone());
             pool.install(|| job(&engine))
         });
-        let failure = attend(py, gate, progress, &shared, &inbox).err();
+        let failure = attend(py, gate, progress, &shared, &inbox, process).err();
+        if process::id() != process {
+            end_child(py, failure);
+        }
         let outcome = py.detach(|| worker.join());
         match (failure, outcome) {
             // What was raised caused whatever else went wrong.
@@ -165,18 +172,38 @@ fn stop_unless(result: PyResult<()>, shared: &Shared) -> PyResult<()> {
     result
 }
 
-/// Answers until the work is over. After the first exception everything is answered with "none".
+/// Ends a child that was forked by the callable, or by the callback for progress, and came back from there: the threads
+/// that do the work, and that would end it, are its parent's.
+fn end_child(py: Python<'_>, failure: Option<PyErr>) -> ! {
+    let error = failure.unwrap_or_else(|| {
+        PyRuntimeError::new_err(
+            "octobayes: expected a callable that ends the processes that it forks (os._exit), found a forked child \
+             that goes on with its parent's work; start it with the method spawn or forkserver of multiprocessing",
+        )
+    });
+    // Of SystemExit, this is the end.
+    error.print(py);
+    let _ = py.import("os").and_then(|os| os.call_method1("_exit", (1,)));
+    process::abort()
+}
+
+/// Answers until the work is over, or no longer this `process`'s. After the first exception everything is answered
+/// with "none".
 fn attend(
     py: Python<'_>,
     gate: Option<&Bound<'_, PyAny>>,
     progress: Option<&Bound<'_, PyAny>>,
     shared: &Shared,
     inbox: &Mutex<Receiver<Message>>,
+    process: u32,
 ) -> PyResult<()> {
     let next = || inbox.lock().unwrap_or_else(PoisonError::into_inner).recv_timeout(TICK);
     let mut result = Ok(());
     let mut reporter = Reporter { progress, seen: Stage::default(), done: 0, last: Instant::now() };
     loop {
+        if process::id() != process {
+            return result;
+        }
         let message = py.detach(next);
         if result.is_ok() {
             result = stop_unless(py.check_signals(), shared);

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import warnings
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
@@ -200,3 +202,62 @@ def test_what_cannot_be_opened_is_said(tmp_path, capsys):
     assert main(["--load-config", str(tmp_path / "config.yml")]) == 2
     assert capsys.readouterr().err.startswith("error: config: expected")
     assert main(["--load-config", "x", "-o", "field.txt"]) == 2
+
+
+class Parser:
+    """A data parser as far as a run's training cameras are concerned."""
+
+    def __init__(self, masks):
+        self.asked, self.factors = [], []
+        cameras = SimpleNamespace(rescale_output_resolution=lambda scaling_factor: self.factors.append(scaling_factor))
+        self.outputs = SimpleNamespace(cameras=cameras, image_filenames=["a.png", "b.png"], mask_filenames=masks)
+
+    def setup(self):
+        return self
+
+    def get_dataparser_outputs(self, split):
+        self.asked.append(split)
+        return self.outputs
+
+
+@pytest.mark.parametrize(
+    ("masks", "ignored", "warned"),
+    [
+        (None, False, False),
+        ([], False, False),
+        (["m0.png", "m1.png"], True, False),
+        (["m0.png", "m1.png"], False, True),
+    ],
+)
+def test_masks_of_a_run_are_warned_of(masks, ignored, warned, tmp_path, monkeypatch):
+    """Without nerfstudio: what is asked of its data parser, and what is said of the answer."""
+    parser = Parser(masks)
+    manager = SimpleNamespace(
+        dataparser=parser,
+        train_num_rays_per_batch=64,
+        camera_res_scale_factor=0.5,
+        pixel_sampler=SimpleNamespace(ignore_mask=ignored),
+    )
+    trained = SimpleNamespace(get_density=None, get_outputs=None)
+    model = SimpleNamespace(field=trained, eval=lambda: model)
+    answer = SimpleNamespace(pipeline=SimpleNamespace(datamanager=manager)), SimpleNamespace(model=model), None, 0
+    utilities = ModuleType("nerfstudio.utils.eval_utils")
+    utilities.eval_setup = lambda path, test_mode: answer
+    for name in ("nerfstudio", "nerfstudio.utils"):
+        monkeypatch.setitem(sys.modules, name, ModuleType(name))
+    monkeypatch.setitem(sys.modules, utilities.__name__, utilities)
+    monkeypatch.setattr(ob.nerfstudio, "_readable", lambda: warnings.catch_warnings())
+    monkeypatch.setattr(ob.nerfstudio, "_field", lambda *_: SimpleNamespace())
+    monkeypatch.setattr(ob.nerfstudio, "cameras", lambda cameras, corrections: [{}, {}])
+    (tmp_path / "config.yml").write_text("")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        _, cameras = ob.nerfstudio.load(tmp_path / "config.yml")
+    said = [str(warning.message) for warning in caught]
+    assert [text[:66] for text in said] == [
+        "mask_path: expected training images without masks, found 2 masks, "
+    ] * warned
+    assert all(warning.filename == __file__ for warning in caught), "the caller is warned"
+    # The training split, of the size that was trained on.
+    assert (parser.asked, parser.factors) == (["train"], [0.5])
+    assert [camera["file_path"] for camera in cameras] == ["a.png", "b.png"]

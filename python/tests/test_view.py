@@ -34,6 +34,39 @@ def test_a_view_has_colour_depth_opacity_and_uncertainty(courtyard, cameras, fie
     assert courtyard.density(point[None])[0] > 1
 
 
+def test_what_hardly_shows_has_no_uncertainty(courtyard, cameras, field):
+    """As in the command line's pictures, and not the prior of a veil of opacity 1e-8."""
+
+    def foggy(x, d):
+        density, color = courtyard(x, d)
+        return density + 0.01, color
+
+    foggy.step = courtyard.step
+    view = ob.render(foggy, field, cameras[3], progress=False)
+    faint, shown = view["opacity"] <= 0.05, np.isfinite(view["log10_uncertainty"])
+    # The premise: a veil of fog, and matter.
+    assert (faint & (view["opacity"] > 0)).mean() > 0.1 and shown.mean() > 0.1
+    assert np.array_equal(shown, ~faint)
+    official = ob.render(foggy, field, cameras[3], ray_average="official", progress=False)
+    assert np.array_equal(np.isfinite(official["log10_uncertainty"]), ~faint)
+
+
+def test_what_lies_outside_the_box_has_no_uncertainty(courtyard, cameras):
+    low, high = courtyard.box
+    right = ob.uncertainty(courtyard, cameras, box=([low[0], 0, low[2]], high), **SMALL)
+    view = ob.render(courtyard, right, cameras[3], progress=False)
+    x, y = np.meshgrid(*[np.arange(48) + 0.5] * 2)
+    (fx, fy), (cx, cy) = cameras[3]["focal"], cameras[3]["center"]
+    along = np.stack([(x - cx) / fx, (cy - y) / fy, -np.ones_like(x)], axis=-1) @ cameras[3]["pose"][:3, :3].T
+    along /= np.linalg.norm(along, axis=-1, keepdims=True)
+    seen = cameras[3]["pose"][:3, 3] + view["depth"][..., None] * along
+    matter = view["opacity"] > 0.99
+    # But for f32 on the face itself.
+    left, inside = matter & (seen[..., 1] < -1e-4), matter & (seen[..., 1] > 1e-4)
+    assert left.sum() > 50 and inside.sum() > 50
+    assert np.isnan(view["log10_uncertainty"][left]).all() and np.isfinite(view["log10_uncertainty"][inside]).all()
+
+
 def test_a_callable_renders_the_same_view(courtyard, cameras, field):
     rust = ob.render(courtyard, field, cameras[0], progress=False)
     callable_ = in_python(courtyard, "step", "density")

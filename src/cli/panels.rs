@@ -1,19 +1,12 @@
 //! A rendered view as a row of labelled panels.
 
-use glam::Vec3;
-
-use crate::Result;
-use crate::geometry::Camera;
 use crate::metrics::quantile;
 use crate::picture::{Bar, Panel, color_panel, scalar_panel};
-use crate::render::{Pixel, RenderedView};
-use crate::uncertainty::{Answer, Answers, Conformal, Knowledge};
+use crate::render::RenderedView;
+use crate::uncertainty::{Conformal, Unknown, shown_log10};
 
 /// Meaning of a small U, in two lines.
 const CONSTRAINED: [&str; 2] = ["well", "constrained"];
-
-/// Pixels of this opacity or less show no log10 U.
-const FAINT: f64 = 0.05;
 
 /// Ends of the colour bars, the same for all rows of a sheet.
 #[derive(Clone, Copy)]
@@ -30,15 +23,6 @@ pub struct Ranges {
     pub prior: f64,
     /// What log10 U is called.
     pub quantity: &'static str,
-}
-
-/// Why U says nothing of what a pixel shows.
-#[derive(Clone, Copy, PartialEq, Eq)]
-pub enum Unknown {
-    /// No training ray reached it.
-    Unseen,
-    /// It lies outside the field's domain.
-    Outside,
 }
 
 /// Colour, median depth and log10 U of a view. log10 U is hatched where no training ray reached what is shown, and grey
@@ -61,8 +45,7 @@ pub fn view_panels(view: &RenderedView, name: &str, ranges: Ranges, unknown: &[O
         panels.push(scalar_panel(&title, view.resolution, shown, bar));
     }
     if let Some(log10) = view.log10_uncertainty.first() {
-        let is_shown = |i: usize| view.pixels[i].opacity > FAINT && unknown[i] != Some(Unknown::Outside);
-        let shown = (0..).zip(log10).map(|(i, u)| if is_shown(i) { *u } else { f64::NAN });
+        let shown = shown_log10(view, log10, unknown);
         let bar = Bar::new(ranges.log10, colorous::INFERNO).meaning(CONSTRAINED, ranges.prior, "never seen");
         let outside = if unknown.contains(&Some(Unknown::Outside)) { "; grey: outside the box" } else { "" };
         let title = format!("{} (hatched: never seen{outside})", ranges.quantity);
@@ -86,28 +69,4 @@ pub fn error_range<'a>(views: impl IntoIterator<Item = &'a RenderedView>) -> [f6
     let mut errors: Vec<f64> = seen.map(|(s, _)| *s).collect();
     errors.sort_unstable_by(f64::total_cmp);
     [0.0, if errors.is_empty() { 1.0 } else { quantile(&errors, 0.95) }]
-}
-
-/// Why U says nothing of what the pixels show at their median depths; `None` where it does.
-///
-/// # Errors
-/// If the field cannot be read.
-pub fn unknowns(
-    field: &dyn Answers,
-    camera: &Camera,
-    offset: f64,
-    view: &RenderedView,
-) -> Result<Vec<Option<Unknown>>> {
-    let width = view.resolution[0] as usize;
-    let point = |i: usize, pixel: &Pixel| {
-        let [x, y] = [i % width, i / width].map(|i| i as f64 + offset);
-        camera.ray(x, y).at(pixel.median_depth).as_vec3()
-    };
-    let points: Vec<Vec3> = view.pixels.iter().enumerate().map(|(i, pixel)| point(i, pixel)).collect();
-    let unknown = |(found, pixel): (Answer, &Pixel)| match found.knowledge {
-        _ if !found.estimate.inside => (pixel.opacity > FAINT).then_some(Unknown::Outside),
-        Some(Knowledge::Unseen) if pixel.opacity > 0.5 => Some(Unknown::Unseen),
-        _ => None,
-    };
-    Ok(field.answers(&points)?.into_iter().zip(&view.pixels).map(unknown).collect())
 }

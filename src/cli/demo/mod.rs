@@ -17,7 +17,7 @@ use self::matter::{Matter, Shares};
 use self::scene::{DemoScene, TOLERANCE};
 use super::files::CommandFiles;
 use super::options::{MOST, UTF_8, count};
-use super::panels::{Ranges, depth_range, error_range, unknowns, view_panels};
+use super::panels::{Ranges, depth_range, error_range, view_panels};
 use super::progress::Bars;
 use super::report;
 use crate::dataset::{Frame, write_transforms};
@@ -29,7 +29,7 @@ use crate::picture::{Panel, color_panel, write_sheet};
 use crate::rays::RunProgress;
 use crate::render::{GradientMethod, Probe, RayAverage, RenderedView, render_view};
 use crate::train::Quality;
-use crate::uncertainty::{ThresholdedField, UncertaintyField, compare};
+use crate::uncertainty::{ThresholdedField, UncertaintyField, compare, unknowns};
 use crate::viewer::{View, write_view};
 use crate::{Error, Result};
 

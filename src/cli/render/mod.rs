@@ -35,9 +35,9 @@ const PREVIEW: u32 = 800;
 /// Render colour, depth and uncertainty of one view
 ///
 /// OUT.png shows labelled panels for viewing; what no training ray reached is hatched. OUT.exr holds channels for
-/// tools: R, G, B, A, depth.Z (median distance from the camera), uncertainty.U (scene units), log10_uncertainty.U and,
-/// with --depth-error, depth_error.Z (one standard deviation, scene units) and, if the field is calibrated,
-/// depth_interval.Z (half width of the interval).
+/// tools: R, G, B, A, depth.Z (median distance from the camera), uncertainty.U (scene units), log10_uncertainty.U (both
+/// NaN where A is 0.05 or less, and outside the field's box) and, with --depth-error, depth_error.Z (one standard
+/// deviation, scene units) and, if the field is calibrated, depth_interval.Z (half width of the interval).
 #[derive(clap::Args)]
 #[command(after_help = "Example: octobayes render lego.safetensors lego.oct --cameras transforms_test.json --frame 0 \
     -o view.png")]
@@ -225,7 +225,11 @@ impl Args {
             if view.pixels.iter().all(|pixel| pixel.opacity <= 0.5) {
                 self.note_pixels(studio, &(studio.whole_view(camera)?, Some(view.clone())))?;
             }
-            return write_exr(path, view.resolution, channels(&view, studio.field));
+            return write_exr(
+                path,
+                view.resolution,
+                channels(&view, &studio.shown_log10(camera, &view)?, studio.field),
+            );
         }
         let views = studio.views(camera)?;
         self.note_pixels(studio, &views)?;
@@ -234,7 +238,7 @@ impl Args {
         }
         let (view, cleaned) = views;
         let view = cleaned.unwrap_or(view);
-        write_exr(path, view.resolution, channels(&view, studio.field))
+        write_exr(path, view.resolution, channels(&view, &studio.shown_log10(camera, &view)?, studio.field))
     }
 }
 
@@ -297,10 +301,9 @@ pub fn bar_of(field: &dyn Answers, range: Option<[f64; 2]>) -> Result<[f64; 2]> 
     Ok([low.min(prior - 0.5), prior])
 }
 
-/// The channels of the EXR.
-fn channels(view: &RenderedView, field: &UncertaintyField) -> Vec<(&'static str, Vec<f32>)> {
+/// The channels of the EXR, with `log10` of U.
+fn channels(view: &RenderedView, log10: &[f64], field: &UncertaintyField) -> Vec<(&'static str, Vec<f32>)> {
     let of_pixel = |value: &dyn Fn(&crate::render::Pixel) -> f64| view.pixels.iter().map(|p| value(p) as f32).collect();
-    let log10 = &view.log10_uncertainty[0];
     let mut channels = vec![
         ("R", of_pixel(&|p| p.color.x)),
         ("G", of_pixel(&|p| p.color.y)),

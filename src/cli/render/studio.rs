@@ -2,12 +2,12 @@
 
 use crate::Result;
 use crate::cli::options::ModelOptions;
-use crate::cli::panels::{Ranges, depth_range, error_range, unknowns, view_panels};
+use crate::cli::panels::{Ranges, depth_range, error_range, view_panels};
 use crate::cli::progress::Bars;
 use crate::geometry::Camera;
 use crate::picture::Panel;
 use crate::render::{DepthProbe, Probe, RayAverage, RenderedView, Tracer, render_view, render_view_with_depth};
-use crate::uncertainty::{Answers, ThresholdedField, UncertaintyField};
+use crate::uncertainty::{Answers, ThresholdedField, UncertaintyField, shown_log10, unknowns};
 
 /// What pictures are made of.
 pub struct Studio<'a> {
@@ -61,6 +61,12 @@ impl Studio<'_> {
     pub fn views(&self, camera: &Camera) -> Result<(RenderedView, Option<RenderedView>)> {
         let cleaned = self.cleaned_view(camera)?;
         Ok((self.whole_view(camera)?, cleaned))
+    }
+
+    /// log10 U as pictures show it, `[height · width]`: NaN where there is nothing to say.
+    pub fn shown_log10(&self, camera: &Camera, view: &RenderedView) -> Result<Vec<f64>> {
+        let unknowns = unknowns(self.space, camera, self.offset, view)?;
+        Ok(shown_log10(view, &view.log10_uncertainty[0], &unknowns))
     }
 
     /// Labelled panels of both, one row each.
