@@ -176,6 +176,18 @@ fn other_readings_of_poses_are_named_if_they_show_the_images() {
     }
 }
 
+/// Cameras that look past the model show blank images exactly, which is no reason to read their poses so.
+#[test]
+fn poses_that_see_nothing_are_not_named() {
+    let (folder, scene) = (tempfile::tempdir().unwrap(), ClosedForm::courtyard());
+    let right = frames(folder.path(), &scene, &ClosedForm::half_circle(2, [32; 2]));
+    for frame in &right {
+        image::RgbImage::from_pixel(32, 32, image::Rgb([255; 3])).save(&frame.image).unwrap();
+    }
+    let check = found(&scene, &right);
+    assert!(check.is_poor() && check.poses.is_none() && check.causes().contains("another scene"), "{check:?}");
+}
+
 #[test]
 fn masked_pixels_and_other_shapes() {
     let (folder, scene) = (tempfile::tempdir().unwrap(), ClosedForm::courtyard());
