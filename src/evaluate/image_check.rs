@@ -50,7 +50,7 @@ pub struct ImageCheck {
     pub shapes: Option<[[u32; 2]; 2]>,
     /// Number of images that cannot be compared, and why the first of them cannot.
     pub unread: Option<(usize, String)>,
-    /// Whether the model was trained on these very cameras: then it can only be a poor model.
+    /// Whether the model was trained on some of these very cameras: then it can only be a poor model.
     pub is_trained_on: bool,
 }
 
@@ -100,7 +100,7 @@ pub fn check_images(
         poses: None,
         shapes: shown.iter().find_map(Shown::shapes),
         unread,
-        is_trained_on: chosen.iter().all(is_stored),
+        is_trained_on: beside.iter().any(is_stored),
     };
     if pixels == 0 {
         return Ok(found.unread.is_some().then_some(found));
@@ -283,7 +283,7 @@ impl ImageCheck {
         warnings
     }
 
-    /// Refuses cameras whose images the model does not show at all, unless it was trained on these very cameras.
+    /// Refuses cameras whose images the model does not show at all, unless it was trained on some of them.
     ///
     /// # Errors
     /// If that is so.
