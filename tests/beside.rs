@@ -5,7 +5,7 @@ use std::path::Path;
 use std::process::Command;
 
 use glam::{DVec3, Vec3};
-use octobayes::dataset::{Frame, write_transforms};
+use octobayes::dataset::{Frame, MaskFile, write_transforms};
 use octobayes::estimate::RaySettings;
 use octobayes::evaluate::{ImageCheck, check_images};
 use octobayes::field::{ClosedForm, RadianceField};
@@ -176,19 +176,49 @@ fn other_readings_of_poses_are_named_if_they_show_the_images() {
     }
 }
 
+/// Cameras that look past the model show blank images exactly, which is no reason to read their poses so.
+#[test]
+fn poses_that_see_nothing_are_not_named() {
+    let (folder, scene) = (tempfile::tempdir().unwrap(), ClosedForm::courtyard());
+    let right = frames(folder.path(), &scene, &ClosedForm::half_circle(2, [32; 2]));
+    for frame in &right {
+        image::RgbImage::from_fn(32, 32, |x, _| image::Rgb([255 - (x % 2) as u8; 3])).save(&frame.image).unwrap();
+    }
+    let check = found(&scene, &right);
+    assert!(check.is_poor() && check.poses.is_none() && check.causes().contains("another scene"), "{check:?}");
+}
+
+/// Placeholders of pictures, of one colour each, tell nothing of cameras.
+#[test]
+fn images_of_one_color_are_not_compared() {
+    let (folder, scene) = (tempfile::tempdir().unwrap(), ClosedForm::courtyard());
+    let mut frames = frames(folder.path(), &scene, &ClosedForm::half_circle(3, [32; 2]));
+    image::RgbImage::from_pixel(32, 32, image::Rgb([0; 3])).save(&frames[1].image).unwrap();
+    let check = found(&scene, &frames);
+    assert!(check.images == 2 && check.blank == 1 && check.psnr > 50.0 && check.refuse().is_ok(), "{check:?}");
+    assert_eq!(check.warnings(), ["the model is not compared with 1 image of one colour beside the cameras"]);
+    frames.drain(2..);
+    frames.swap_remove(0);
+    let check = found(&scene, &frames);
+    assert!(
+        check.images == 0 && check.blank == 1 && check.refuse().is_ok() && check.warnings().len() == 1,
+        "{check:?}"
+    );
+}
+
 #[test]
 fn masked_pixels_and_other_shapes() {
     let (folder, scene) = (tempfile::tempdir().unwrap(), ClosedForm::courtyard());
     let cameras = ClosedForm::half_circle(2, [32; 2]);
     let mut frames = frames(folder.path(), &scene, &cameras);
-    // The left half of the images is black, and masks say so at half their size.
+    // The left half of the images is black, and masks say so.
     for (i, frame) in frames.iter_mut().enumerate() {
         let mut image = image::open(&frame.image).unwrap().to_rgb8();
         image.enumerate_pixels_mut().filter(|(x, ..)| *x < 16).for_each(|(.., pixel)| *pixel = image::Rgb([0; 3]));
         image.save(&frame.image).unwrap();
         let mask = folder.path().join(format!("mask_{i}.png"));
-        image::GrayImage::from_fn(16, 16, |x, _| image::Luma([if x < 8 { 0 } else { 255 }])).save(&mask).unwrap();
-        frame.mask = Some(mask);
+        image::GrayImage::from_fn(32, 32, |x, _| image::Luma([if x < 16 { 0 } else { 255 }])).save(&mask).unwrap();
+        frame.mask = Some(MaskFile::Kept(mask));
     }
     let check = found(&scene, &frames);
     assert!(check.psnr > 50.0 && (48..80).contains(&check.pixels), "{check:?}");

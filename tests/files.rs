@@ -11,7 +11,8 @@ use glam::Vec3;
 use octobayes::dataset::write_transforms;
 use octobayes::field::{ClosedForm, VoxelGrid};
 
-const RUN: &str = "uncertainty model.npz --cameras cameras.json --level 4 --rays 600 --occupancy 16 --keep-sums";
+const RUN: &str =
+    "uncertainty model.npz --cameras cameras.json --level 4 --rays 600 --occupancy 16 --keep-sums --force";
 const RENDER: &str = "render model.npz field.oct --cameras cameras.json --occupancy 16";
 const EVALUATE: &str =
     "evaluate model.npz field.oct --cameras cameras.json --depth . --depth-encoding 0,6 --occupancy 16 --views all";

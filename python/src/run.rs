@@ -260,6 +260,17 @@ impl Job {
         let run = estimation.prepare()?;
         let sight = run.sight()?;
         warnings.extend(looked_at(&sight)?);
+        warnings.extend(run.check_positions()?.warning());
+        if let Some(check) = run.check_step()?.filter(|check| check.is_bad) {
+            let best = check.errors.best().step;
+            warnings.push(format!(
+                "the finite-difference step of 1/{:.0} of a cell suits this field badly: step={best:.2e} has the least \
+                 error",
+                1.0 / check.step
+            ));
+        }
+        // Before the rays, so that a wrong image ends the work at once.
+        let misfit = self.images.as_ref().map(|images| images.misfit(field, &run, engine.monitor())).transpose()?;
         let frames = self.images.as_ref().map_or(&*self.frames, |images| images.images.frames());
         let stream = run.stream();
         if let Some(found) = check_images(&stream.tracer, frames, stream.pixel_offset, engine.monitor())? {
@@ -271,17 +282,6 @@ impl Job {
         if let Some(outside) = sight.cut_off().map(|share| 100.0 * share) {
             warnings.push(format!("{outside:.1} % of what the rays meet lies outside the box: U is the prior there"));
         }
-        warnings.extend(run.check_positions()?.warning());
-        if let Some(check) = run.check_step()?.filter(|check| check.is_bad) {
-            let best = check.errors.best().step;
-            warnings.push(format!(
-                "the finite-difference step of 1/{:.0} of a cell suits this field badly: step={best:.2e} has the least \
-                 error",
-                1.0 / check.step
-            ));
-        }
-        // Before the rays, so that a wrong image ends the work at once.
-        let misfit = self.images.map(|images| images.misfit(field, &run, engine.monitor())).transpose()?;
         let Outcome { field, progress, is_replanned, .. } = run.finish()?;
         if is_replanned {
             warnings.push("the rays took more or less memory than planned; the run started again".into());

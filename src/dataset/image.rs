@@ -79,6 +79,12 @@ impl PosedImage {
         self.pixels[i][3] == 255
     }
 
+    /// Returns true if all pixels are alike, as in the placeholder of a picture.
+    #[must_use]
+    pub fn is_of_one_color(&self) -> bool {
+        self.pixels.iter().all(|pixel| *pixel == self.pixels[0])
+    }
+
     /// Number of pixels.
     #[must_use]
     pub fn len(&self) -> usize {

@@ -27,6 +27,9 @@ const NOTHING: f64 = 8.0;
 /// What another background or other poses must gain to be named, dB: half of the squared error.
 const MORE: f64 = 3.0;
 
+/// Mean opacity of the pixels from which other poses see the model.
+const SEEN: f64 = 0.05;
+
 /// The backgrounds that are tried beside the tracer's.
 const BACKGROUNDS: [(&str, Vec3); 2] = [("white", Vec3::ONE), ("black", Vec3::ZERO)];
 
@@ -45,9 +48,11 @@ pub struct ImageCheck {
     pub poses: Option<(&'static str, f64)>,
     /// Sizes of the first camera and its image whose sides have different ratios, pixels.
     pub shapes: Option<[[u32; 2]; 2]>,
+    /// Number of images of one colour, which are placeholders of pictures and not compared.
+    pub blank: usize,
     /// Number of images that cannot be compared, and why the first of them cannot.
     pub unread: Option<(usize, String)>,
-    /// Whether the model was trained on these very cameras: then it can only be a poor model.
+    /// Whether the model was trained on some of these very cameras: then it can only be a poor model.
     pub is_trained_on: bool,
 }
 
@@ -64,8 +69,8 @@ struct Shown {
 type Rendered = Vec<(DVec3, f64)>;
 
 /// Compares some pixels of the images that lie beside `frames` with what the tracer renders there. `None` without
-/// images. Images of another size than their camera's are compared at the same place relative to their sides; pixels
-/// that a mask blackens are left out.
+/// images. Images of another size than their camera's are compared at the same place relative to their sides; masked
+/// pixels and images of one colour are left out.
 ///
 /// The same pixels every time, whatever the number of threads.
 ///
@@ -84,7 +89,8 @@ pub fn check_images(
     let read: Vec<Result<Shown>> = chosen.par_iter().map(read).collect::<Result<_>>()?;
     let why: Vec<String> = read.iter().filter_map(|read| read.as_ref().err()).map(ToString::to_string).collect();
     let unread = why.first().map(|first| (why.len(), first.clone()));
-    let shown: Vec<Shown> = read.into_iter().filter_map(Result::ok).filter(|shown| !shown.pixels.is_empty()).collect();
+    let read: Vec<Shown> = read.into_iter().filter_map(Result::ok).filter(|shown| !shown.pixels.is_empty()).collect();
+    let (blank, shown): (Vec<Shown>, Vec<Shown>) = read.into_iter().partition(|shown| shown.image.is_of_one_color());
     let pixels: usize = shown.iter().map(|shown| shown.pixels.len()).sum();
     let stored = tracer.field.training_cameras();
     let length = tracer.field.bounds().longest_edge();
@@ -96,11 +102,12 @@ pub fn check_images(
         background: None,
         poses: None,
         shapes: shown.iter().find_map(Shown::shapes),
+        blank: blank.len(),
         unread,
-        is_trained_on: chosen.iter().all(is_stored),
+        is_trained_on: beside.iter().any(is_stored),
     };
     if pixels == 0 {
-        return Ok(found.unread.is_some().then_some(found));
+        return Ok((found.unread.is_some() || found.blank > 0).then_some(found));
     }
 
     let rendered = render(tracer, &shown, |camera| *camera, monitor)?;
@@ -118,7 +125,11 @@ pub fn check_images(
         ];
         let mut others = Vec::new();
         for (name, reading) in readings {
-            others.push((name, psnr_over(&shown, &render(tracer, &shown, reading, monitor)?, background)));
+            let rendered = render(tracer, &shown, reading, monitor)?;
+            // Cameras that see nothing show blank images exactly.
+            if rendered.iter().map(|(_, passed)| 1.0 - passed).sum::<f64>() >= SEEN * pixels as f64 {
+                others.push((name, psnr_over(&shown, &rendered, background)));
+            }
         }
         found.poses = best(&mut others.into_iter()).filter(gains);
     }
@@ -261,6 +272,10 @@ impl ImageCheck {
             let images = if *count == 1 { "1 image".into() } else { format!("{count} images") };
             warnings.push(format!("the model is not compared with {images} beside the cameras: {why}"));
         }
+        if self.blank > 0 {
+            let images = if self.blank == 1 { "1 image".into() } else { format!("{} images", self.blank) };
+            warnings.push(format!("the model is not compared with {images} of one colour beside the cameras"));
+        }
         let (measured, causes) = (self.measured(), self.causes());
         if self.is_poor() {
             warnings.push(format!(
@@ -274,7 +289,7 @@ impl ImageCheck {
         warnings
     }
 
-    /// Refuses cameras whose images the model does not show at all, unless it was trained on these very cameras.
+    /// Refuses cameras whose images the model does not show at all, unless it was trained on some of them.
     ///
     /// # Errors
     /// If that is so.
@@ -285,95 +300,5 @@ impl ImageCheck {
         let expected =
             format!("images that the model shows with at least {NOTHING:.0} dB; likely causes: {}", self.causes());
         Err(Error::setting("images beside the cameras", expected, format!("{} (--force insists)", self.measured())))
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::dataset::MaskFile;
-    use crate::field::{ClosedForm, RadianceField};
-    use crate::monitor::Silent;
-    use crate::render::{Marcher, render_view};
-
-    /// Frames whose images are what `scene` shows from `cameras`, over white.
-    fn frames(folder: &Path, scene: &ClosedForm, cameras: &[Camera]) -> Vec<Frame> {
-        let tracer = tracer(scene);
-        let write = |(i, camera): (usize, &Camera)| {
-            let view = render_view(&tracer, camera, 0.5, &[], &Silent).unwrap();
-            let [w, h] = camera.resolution;
-            let pixel = |x: u32, y: u32| view.pixels[(y * w + x) as usize].color;
-            let image = image::RgbImage::from_fn(w, h, |x, y| {
-                image::Rgb(pixel(x, y).to_array().map(|v| (255.0 * v).round() as u8))
-            });
-            let path = folder.join(format!("{i}.png"));
-            image.save(&path).unwrap();
-            Frame::new(*camera, i.to_string(), path)
-        };
-        cameras.iter().enumerate().map(write).collect()
-    }
-
-    fn tracer(scene: &ClosedForm) -> Tracer<'_> {
-        let marcher = Marcher { step: 0.02, bounds: scene.bounds(), occupancy: None, cutoff: 0.0 };
-        Tracer { field: scene, marcher, background: Vec3::ONE }
-    }
-
-    fn found(scene: &ClosedForm, frames: &[Frame]) -> ImageCheck {
-        check_images(&tracer(scene), frames, 0.5, &Silent).unwrap().unwrap()
-    }
-
-    #[test]
-    fn other_readings_of_poses_are_named_if_they_show_the_images() {
-        let (folder, scene) = (tempfile::tempdir().unwrap(), ClosedForm::courtyard());
-        let right = frames(folder.path(), &scene, &ClosedForm::half_circle(4, [32; 2]));
-        let check = found(&scene, &right);
-        // Rounding to 8 bits alone is 59 dB.
-        assert!((58.0..60.5).contains(&check.psnr) && check.pixels == 256 && check.warnings().is_empty(), "{check:?}");
-        let read_as = |reading: &dyn Fn(&Camera) -> Camera| -> ImageCheck {
-            let frame = |frame: &Frame| Frame { camera: reading(&frame.camera), ..frame.clone() };
-            found(&scene, &right.iter().map(frame).collect::<Vec<_>>())
-        };
-        // Each reading undoes itself, but for axes that are turned in the world.
-        for (reading, name) in [
-            (&opencv as &dyn Fn(&Camera) -> Camera, "OpenCV axes"),
-            (&|camera: &Camera| inverted(camera)[0], "world-to-camera matrices in place"),
-            (&|camera: &Camera| inverted(&opencv(camera))[0], "world-to-camera matrices with OpenCV"),
-        ] {
-            let check = read_as(reading);
-            assert!(
-                check.is_poor() && check.poses.is_some_and(|(told, _)| told.starts_with(name)),
-                "{name}: {check:?}"
-            );
-            assert!(check.warnings()[0].contains(name), "{check:?}");
-        }
-    }
-
-    #[test]
-    fn masked_pixels_and_other_shapes() {
-        let (folder, scene) = (tempfile::tempdir().unwrap(), ClosedForm::courtyard());
-        let cameras = ClosedForm::half_circle(2, [32; 2]);
-        let mut frames = frames(folder.path(), &scene, &cameras);
-        // The left half of the images is black, and masks say so.
-        for (i, frame) in frames.iter_mut().enumerate() {
-            let mut image = image::open(&frame.image).unwrap().to_rgb8();
-            image.enumerate_pixels_mut().filter(|(x, ..)| *x < 16).for_each(|(.., pixel)| *pixel = image::Rgb([0; 3]));
-            image.save(&frame.image).unwrap();
-            let mask = folder.path().join(format!("mask_{i}.png"));
-            image::GrayImage::from_fn(32, 32, |x, _| image::Luma([if x < 16 { 0 } else { 255 }])).save(&mask).unwrap();
-            frame.mask = Some(MaskFile::Kept(mask));
-        }
-        let check = found(&scene, &frames);
-        assert!(check.psnr > 50.0 && (48..80).contains(&check.pixels), "{check:?}");
-        frames.iter_mut().for_each(|frame| frame.mask = None);
-        assert!(found(&scene, &frames).is_poor());
-        // Cameras that cut off what their images show.
-        for frame in &mut frames {
-            frame.camera.resolution = [32, 16];
-        }
-        let check = found(&scene, &frames);
-        assert!(check.shapes == Some([[32, 16], [32, 32]]) && check.causes().contains("32 x 32 pixels"), "{check:?}");
-        // Without images there is nothing to say.
-        frames.iter_mut().for_each(|frame| frame.image = "none.png".into());
-        assert_eq!(check_images(&tracer(&scene), &frames, 0.5, &Silent).unwrap(), None);
     }
 }

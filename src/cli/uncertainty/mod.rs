@@ -256,7 +256,6 @@ impl Args {
 
         let run = estimation.prepare()?;
         self.check_sight(&run.sight()?)?;
-        self.check_images(&run, images.as_ref().map_or(&inputs.views.frames, TrainingImages::frames), bars)?;
         run.check_positions()?.warning().iter().for_each(|text| announce!("warning: {text}"));
         let step = run.check_step()?;
         step.iter().for_each(report::step);
@@ -265,7 +264,9 @@ impl Args {
         }
         self.forecast(&run, &grid)?;
         // Before the rays, so that a wrong image ends the work at once.
-        let misfit = images.map(|images| images::misfit(&images, &self, &inputs, run.lattice(), bars)).transpose()?;
+        let misfit = images.as_ref().map(|images| images::misfit(images, &self, &inputs, run.lattice(), bars));
+        let misfit = misfit.transpose()?;
+        self.check_images(&run, images.as_ref().map_or(&inputs.views.frames, TrainingImages::frames), bars)?;
         let rays = run.rays();
         let Outcome { field, progress, sums_bytes, plan, is_replanned, sampling_error, .. } =
             run.finish().inspect_err(|error| {
