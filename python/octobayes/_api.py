@@ -253,7 +253,8 @@ def uncertainty(
 
     cameras: those that the model was trained on. A file (transforms.json, or a COLMAP model), a list of dictionaries,
     or one dictionary of arrays: ``pose`` (4x4, camera-to-world, OpenGL axes), ``focal`` (pixels; one or two) or ``fov``
-    (degrees), ``size`` (width, height), optional ``center``, ``k1``, ``k2``, ``p1``, ``p2``. ``None`` takes the model's
+    (degrees), ``size`` (width, height), optional ``center``, ``k1``, ``k2``, ``p1``, ``p2`` and ``mask_path``: an image
+    of that size (or ``image_size``) whose black pixels were not trained on. ``None`` takes the model's
     own. ``views`` (how many, or frames by their numbers in the file from 0, or 'all') and ``resolution`` choose frames
     of a file and image sizes. Where images lie beside a file's cameras, a few hundred of their pixels are compared with
     the model first: a RuntimeWarning if it shows them poorly, ValueError if not at all, unless ``force``.

@@ -14,11 +14,13 @@ from numpy.typing import NDArray
 
 from . import _octobayes
 from ._arguments import array, degrees, floats, real, whole, wrong
+from ._arguments import path as as_path
 
 #: Pose (row by row), focal lengths, principal point, image size, k1, k2, p1, p2.
 NUMBERS = 26
 
-#: Path of a camera's image, which need not exist; path of its mask, and whether that keeps what is not black; their size.
+#: Path of a camera's image, which need not exist; path of its mask, and whether that keeps what is not black; their
+#: size.
 Beside = tuple[Path, "tuple[Path, bool] | None", list[int]]
 
 #: Two names of the same thing, of which a camera has one.
@@ -50,7 +52,7 @@ def size(resolution: Any) -> tuple[int | None, int | None]:
 def one(name: str, camera: Mapping[str, Any]) -> NDArray[np.float64]:
     """The numbers of one camera."""
     known = {"pose", "transform_matrix", "focal", "fov", "center", "size", "fl_x", "fl_y", "cx", "cy", "w", "h"}
-    known |= {"k1", "k2", "p1", "p2", "camera_angle_x"}
+    known |= {"k1", "k2", "p1", "p2", "camera_angle_x", "mask_path", "image_size"}
     unknown = sorted(set(camera) - known - {"file_path", "name"})
     if unknown:
         raise wrong(f"{name}['{unknown[0]}']", f"one of {', '.join(sorted(known))}", unknown[0])
@@ -145,13 +147,27 @@ def rows(
     if not given:
         raise wrong("cameras", "at least one", "none")
     numbers = np.stack([one(f"cameras[{i}]", camera) for i, camera in enumerate(given)])
+    sizes = numbers[:, 20:22].astype(int).tolist()
     if width is not None:
         numbers = resized(numbers, width, height)
     names = [
         os.fspath(camera.get("file_path") or camera.get("name") or name)
         for camera, name in zip(given, named(len(given)))
     ]
-    return numbers, names, f"{len(numbers)} cameras", []
+    return numbers, names, f"{len(numbers)} cameras", _masks(given, sizes)
+
+
+def _masks(cameras: Sequence[Mapping[str, Any]], sizes: Sequence[list[int]]) -> list[Beside]:
+    """The mask of every camera, if any has one, with its size: ``image_size``, or else the camera's."""
+    if not any("mask_path" in camera for camera in cameras):
+        return []
+
+    def beside(i: int, camera: Mapping[str, Any]) -> Beside:
+        given = [whole(f"cameras[{i}]['image_size']", side, 1, 65_536) for side in camera.get("image_size", sizes[i])]
+        mask = camera.get("mask_path")
+        return Path(), None if mask is None else (Path(as_path(f"cameras[{i}]['mask_path']", mask)), True), given
+
+    return [beside(i, camera) for i, camera in enumerate(cameras)]
 
 
 def named(count: int) -> list[str]:

@@ -12,7 +12,6 @@ from __future__ import annotations
 import contextlib
 import math
 import os
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -225,8 +224,8 @@ def load(
     nerfstudio evaluates: appearance embeddings are averaged (or zero, as the model has it), on the model's device.
 
     The cameras are those of the training split, as nerfstudio's data parser divides the frames: by the lists of names
-    in the dataset (``train_filenames``, ...), or as the run's configuration says. Masks are not applied: if the run
-    left out what they cover, a RuntimeWarning says so.
+    in the dataset (``train_filenames``, ...), or as the run's configuration says. Cameras have the masks that the run
+    applied, as ``mask_path``.
 
     Raises ImportError without nerfstudio, FileNotFoundError without config or checkpoint, ValueError for a model
     without a radiance field (splatfacto), for lenses that are not perspective, and what nerfstudio raises.
@@ -253,8 +252,8 @@ def load(
     # For inference the pipeline takes full-size images; the parser itself knows the size of those trained on.
     manager = settings.pipeline.datamanager
     parsed = manager.dataparser.setup().get_dataparser_outputs(split="train")
-    if text := _masks(manager, parsed):
-        warnings.warn(text, RuntimeWarning, stacklevel=2)
+    masks = _masks(manager, parsed)
+    sizes = [(int(w), int(h)) for w, h in zip(parsed.cameras.width, parsed.cameras.height)] if masks else []
     if (factor := getattr(manager, "camera_res_scale_factor", 1.0)) != 1:
         parsed.cameras.rescale_output_resolution(scaling_factor=factor)
     field = _field(model, trained, parsed, reach, step)
@@ -264,18 +263,16 @@ def load(
     found = cameras(parsed.cameras, optimizer.get_correction_matrices() if is_on else None)
     for camera, name in zip(found, parsed.image_filenames):
         camera["file_path"] = os.fspath(name)
+    for camera, mask, size in zip(found, masks, sizes):
+        # At the size of the images, of which training may have taken smaller ones.
+        camera |= {"mask_path": os.fspath(mask), "image_size": size}
     return field, found
 
 
-def _masks(manager: Any, parsed: Any) -> str | None:
-    """The warning about masks that the training applied, if there are any."""
-    count = len(getattr(parsed, "mask_filenames", None) or ())
-    if count == 0 or getattr(getattr(manager, "pixel_sampler", None), "ignore_mask", False):
-        return None
-    return (
-        f"mask_path: expected training images without masks, found {count} masks, which are not applied: pixels that "
-        "the training left out count as seen, and U is too small on what only they show"
-    )
+def _masks(manager: Any, parsed: Any) -> list[Any]:
+    """The masks that the training applied, one for each image, if there are any."""
+    masks = list(getattr(parsed, "mask_filenames", None) or ())
+    return [] if getattr(getattr(manager, "pixel_sampler", None), "ignore_mask", False) else masks
 
 
 def _field(model: Any, trained: Any, parsed: Any, reach: float, step: float | None) -> NerfstudioField:

@@ -209,7 +209,11 @@ class Parser:
 
     def __init__(self, masks):
         self.asked, self.factors = [], []
-        cameras = SimpleNamespace(rescale_output_resolution=lambda scaling_factor: self.factors.append(scaling_factor))
+        cameras = SimpleNamespace(
+            width=[16, 16],
+            height=[8, 8],
+            rescale_output_resolution=lambda scaling_factor: self.factors.append(scaling_factor),
+        )
         self.outputs = SimpleNamespace(cameras=cameras, image_filenames=["a.png", "b.png"], mask_filenames=masks)
 
     def setup(self):
@@ -221,7 +225,7 @@ class Parser:
 
 
 @pytest.mark.parametrize(
-    ("masks", "ignored", "warned"),
+    ("masks", "ignored", "applied"),
     [
         (None, False, False),
         ([], False, False),
@@ -229,8 +233,8 @@ class Parser:
         (["m0.png", "m1.png"], False, True),
     ],
 )
-def test_masks_of_a_run_are_warned_of(masks, ignored, warned, tmp_path, monkeypatch):
-    """Without nerfstudio: what is asked of its data parser, and what is said of the answer."""
+def test_masks_of_a_run_go_with_its_cameras(masks, ignored, applied, tmp_path, monkeypatch):
+    """Without nerfstudio: what is asked of its data parser, and what becomes of the answer."""
     parser = Parser(masks)
     manager = SimpleNamespace(
         dataparser=parser,
@@ -250,14 +254,9 @@ def test_masks_of_a_run_are_warned_of(masks, ignored, warned, tmp_path, monkeypa
     monkeypatch.setattr(ob.nerfstudio, "_field", lambda *_: SimpleNamespace())
     monkeypatch.setattr(ob.nerfstudio, "cameras", lambda cameras, corrections: [{}, {}])
     (tmp_path / "config.yml").write_text("")
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        _, cameras = ob.nerfstudio.load(tmp_path / "config.yml")
-    said = [str(warning.message) for warning in caught]
-    assert [text[:66] for text in said] == [
-        "mask_path: expected training images without masks, found 2 masks, "
-    ] * warned
-    assert all(warning.filename == __file__ for warning in caught), "the caller is warned"
+    _, cameras = ob.nerfstudio.load(tmp_path / "config.yml")
+    found = [(camera.get("mask_path"), camera.get("image_size")) for camera in cameras]
+    assert found == ([("m0.png", (16, 8)), ("m1.png", (16, 8))] if applied else [(None, None)] * 2)
     # The training split, of the size that was trained on.
     assert (parser.asked, parser.factors) == (["train"], [0.5])
     assert [camera["file_path"] for camera in cameras] == ["a.png", "b.png"]
