@@ -27,6 +27,9 @@ const ASSUMED: [u32; 2] = [400, 400];
 /// [`MAX_SIDE`] and [`MAX_PIXELS`] in words.
 pub(super) const SIZES: &str = "sides from 1 to 65536 and at most 1e8 pixels, or a smaller size by --resolution";
 
+/// Focal lengths along x and y that differ by this factor are worth a note: no sensor's pixels do.
+const STRETCHED: f64 = 1.5;
+
 /// Checks the size of the images of a camera; the error is the size in words. It may have more than [`MAX_PIXELS`] if
 /// the camera is asked for at another size.
 pub(super) fn size(w: f64, h: f64, is_resized: bool) -> std::result::Result<[u32; 2], String> {
@@ -57,6 +60,8 @@ struct Reading<'a> {
     source: ResolutionSource,
     /// The first frame whose own focal length differs from the file's.
     contradiction: Option<usize>,
+    /// The first frame whose pixels are far from square, and its focal lengths.
+    stretched: Option<(usize, [f64; 2])>,
 }
 
 impl Reading<'_> {
@@ -99,6 +104,9 @@ impl Reading<'_> {
             self.source = ResolutionSource::Assumed;
         }
         let (focal, center) = stated.project(reference).map_err(fault)?;
+        if (focal[0] / focal[1]).ln().abs() > STRETCHED.ln() {
+            self.stretched = self.stretched.or(Some((i, focal)));
+        }
         let of_file = Intrinsics::default().over(&self.file.intrinsics).and_then(|file| file.project(reference));
         if of_file.is_ok_and(|(f, _)| (f[0] - focal[0]).abs() > 1e-3 * focal[0]) {
             self.contradiction = self.contradiction.or(Some(i));
@@ -155,13 +163,19 @@ pub(super) fn read(path: &Path, requested: Option<[u32; 2]>) -> Result<Views> {
     let mut notes = file.notes(&keys, &raw);
     let any_image = raw.iter().find_map(|frame| image_size(&image_path(folder, &frame.file_path)));
     let source = requested.map_or(ResolutionSource::File, |_| ResolutionSource::Requested);
-    let mut reading = Reading { path, folder, requested, file: &file, any_image, source, contradiction: None };
+    let mut reading =
+        Reading { path, folder, requested, file: &file, any_image, source, contradiction: None, stretched: None };
     let frames: Result<Vec<Frame>> = raw.into_iter().enumerate().map(|(i, raw)| reading.frame(i, raw)).collect();
     let mut frames = frames?;
     if let Some(i) = reading.contradiction {
         notes.push(format!(
             "frame {i} states a focal length other than the file's; the frame's is used, as in instant-ngp \
              (nerfstudio uses the file's)"
+        ));
+    }
+    if let Some((i, [fx, fy])) = reading.stretched {
+        notes.push(format!(
+            "frame {i} has focal lengths of {fx:.0} and {fy:.0} pixels, as of pixels that are not square"
         ));
     }
     let resolution_source = reading.source;

@@ -147,6 +147,9 @@ fn a_frame_that_contradicts_its_file_is_told() {
     let views = read(&json(66.0)).unwrap();
     assert_eq!(views.frames[1].camera.focal, [66.0; 2]);
     assert!(views.notes[0].starts_with("frame 1 states a focal length other than the file's"), "{:?}", views.notes);
+    let stretched = r#"{"fl_x": 467, "fl_y": 12692, "w": 100, "h": 80, "frames": ["#;
+    let views = read(&format!("{stretched}{{{POSE}}}]}}")).unwrap();
+    assert_eq!(views.notes, ["frame 0 has focal lengths of 467 and 12692 pixels, as of pixels that are not square"]);
 }
 
 #[test]
