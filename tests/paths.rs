@@ -114,15 +114,10 @@ fn pipes_are_refused_at_once_where_files_are_read() {
     for pipe in pipes {
         assert!(Command::new("mkfifo").arg(folder.join(pipe)).status().unwrap().success());
     }
-    std::fs::create_dir(folder.join("sparse")).unwrap();
-    for file in ["cameras.bin", "images.bin"] {
-        assert!(Command::new("mkfifo").arg(folder.join("sparse").join(file)).status().unwrap().success());
-    }
     let rays = "--occupancy 16 --march-step 0.05";
     let judged = format!("{rays} --cameras set/transforms_test.json --depth . --depth-pattern p.exr");
     for (args, pipe) in [
         (format!("{RUN} --cameras p.json -o x.oct"), "p.json"),
-        (format!("{RUN} --cameras sparse -o x.oct"), "sparse/"),
         ("train p.json -o x.safetensors --steps 2".into(), "p.json"),
         (format!("render scene:ball p.oct --cameras cameras.json {rays} -o x.png"), "p.oct"),
         ("query p.oct 0,0,0".into(), "p.oct"),
