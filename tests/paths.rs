@@ -57,8 +57,14 @@ fn names_that_are_no_utf_8_are_read_and_written() {
         ("compare odd@/f@.oct odd@/c@.oct --points 10 --json".into(), ""),
         ("query odd@/f@.oct 0,0,0 -o odd@/a@.csv".into(), "odd@/a@.csv"),
         (format!("render scene:ball odd@/f@.oct --cameras odd@/cameras.json {rays} -o odd@/r@.png"), "odd@/r@.png"),
-        (format!("view scene:ball odd@/f@.oct --cells 32 {rays} -o odd@/v@.html"), "odd@/v@.html"),
-        (format!("export scene:ball odd@/f@.oct --pixels 100 {rays} -o odd@/e@.csv"), "odd@/e@.csv"),
+        (
+            format!("view scene:ball odd@/f@.oct --cameras cameras.json --cells 32 {rays} -o odd@/v@.html"),
+            "odd@/v@.html",
+        ),
+        (
+            format!("export scene:ball odd@/f@.oct --cameras cameras.json --pixels 100 {rays} -o odd@/e@.csv"),
+            "odd@/e@.csv",
+        ),
         (format!("calibrate scene:ball field.oct {judged} -o odd@/k@.oct --json"), "odd@/k@.oct"),
         (
             format!(
