@@ -13,7 +13,7 @@ use octobayes::field::ClosedForm;
 const VALUES: [&str; 11] =
     ["", "0", "1", "-1", "18446744073709551615", "1e300", "-1e300", "1e-300", "1e12", "nan", "inf"];
 /// Most that a run may take before it is asked to stop: numbers of rays and steps may ask for days.
-const PATIENCE: Duration = Duration::from_secs(5);
+const PATIENCE: Duration = Duration::from_secs(2);
 /// Then, how soon it has to stop.
 const NOTICE: Duration = Duration::from_secs(60);
 /// Address space of a run, kB.
@@ -168,11 +168,9 @@ fn try_all(setup: &[&str], verb: &str, base: &str) {
             words.retain(|word| !word.starts_with(&format!("{left_out}=")));
         }
         for text in VALUES.iter().flat_map(|v| texts(option, name, v)) {
-            for left in ["set", "x.state", "x.chk"].map(|name| desk.0.path().join(name)) {
-                let _ = if left.is_dir() { std::fs::remove_dir_all(&left) } else { std::fs::remove_file(&left) };
-            }
-            if verb == "train" {
-                desk.good(setup[0]);
+            ["x.state", "x.chk"].iter().for_each(|name| drop(std::fs::remove_file(desk.0.path().join(name))));
+            if verb == "synth" {
+                let _ = std::fs::remove_dir_all(desk.0.path().join("set"));
             }
             let last = format!("{option}={text}");
             let args: Vec<String> = [verb.to_string()].into_iter().chain(words.clone()).chain([last]).collect();
@@ -240,10 +238,10 @@ fn export() {
 fn evaluate_and_calibrate() {
     let field = FIELD.replace("--keep-sums", "--scale data --psnr 20");
     let rays = "--occupancy 16 --march-step 0.05 --cameras other/transforms_test.json";
-    let set = SYNTH.replace("-o set", "-o other");
-    try_all(&[&field, &set], "evaluate", &format!("scene:ball field.oct {rays} --clean-up x.png"));
+    let set = "synth mesh.obj -o other --views 1 --test-views 3 --resolution 24 --samples-per-pixel 1";
+    try_all(&[&field, set], "evaluate", &format!("scene:ball field.oct {rays} --clean-up x.png"));
     let depth = "--depth other/depth --depth-pattern {}.exr -o x.oct";
-    try_all(&[&field, &set], "calibrate", &format!("scene:ball field.oct {rays} {depth}"));
+    try_all(&[&field, set], "calibrate", &format!("scene:ball field.oct {rays} {depth}"));
 }
 
 #[test]

@@ -165,7 +165,7 @@ fn bad_input_gets_one_line_exit_code_2_and_no_output() {
         ("render scene:courtyard field.oct --cameras huge.json -o x.png".into(), vec!["huge.json", "1e8 pixels"]),
         (format!("{run} --march-step 1e-6"), vec!["--march-step", "65536"]),
         (format!("{run} --shard 1/2 --dump-samples x.npz"), vec!["--shard", "--dump-samples"]),
-        (format!("{run} --lambda 1e-90"), vec!["lambda", "f32"]),
+        (format!("{run} --lambda 1e-90"), vec!["lambda", "from 1e-30"]),
         (format!("accumulate beyond.npz {sum}"), vec!["beyond.npz", "rays_total", "50"]),
         (format!("accumulate none_drawn.npz {sum}"), vec!["none_drawn.npz", "rays_total"]),
         (format!("accumulate nan.npz {sum}"), vec!["nan.npz", "positions"]),

@@ -42,7 +42,11 @@ fn what_they_need_is_said() {
     let folder = tempfile::tempdir().unwrap();
     for (more, expected) in [
         ("", "--correlations: expected --scale data"),
-        ("--scale data --psnr 30 --refine ray-count", "expected leaves as fine as the level"),
+        ("--scale data --psnr 30 --refine ray-count", "expected leaves as fine as the level, found --refine ray-count"),
+        (
+            "--scale data --psnr 30 --refine density",
+            "expected leaves as fine as the level wherever rays moved a vertex",
+        ),
         ("--scale data --psnr 30 --rays auto", "expected a number of rays"),
     ] {
         let base = RUN.replace(if more.contains("auto") { " --rays 4000" } else { "unchanged" }, "");

@@ -31,7 +31,9 @@ impl CommandFiles {
 
     /// Adds the files that `--cameras` means, if it is given.
     pub fn cameras(self, path: Option<&Path>) -> Self {
-        self.inputs("--cameras", path.iter().flat_map(|path| Views::files(path)))
+        // A folder that is still one holds no cameras, and its reader says so.
+        let files = path.iter().flat_map(|path| Views::files(path)).filter(|file| !file.is_dir());
+        self.inputs("--cameras", files)
     }
 
     /// Adds the images of a camera file.

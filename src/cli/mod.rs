@@ -91,7 +91,7 @@ enum Verb {
 /// Runs the command line of this process.
 #[must_use]
 pub fn main() -> ExitCode {
-    let cli = match Cli::try_parse() {
+    let cli = match Cli::try_parse_from(query::with_points(std::env::args_os())) {
         Ok(cli) => cli,
         Err(error) => return usage(&error),
     };

@@ -2,6 +2,7 @@
 
 mod rays;
 
+use std::ffi::{OsStr, OsString};
 use std::fs::File;
 use std::io::{BufReader, Write};
 use std::path::{Path, PathBuf};
@@ -50,8 +51,7 @@ pub struct Args {
     field: PathBuf,
 
     /// Points x,y,z; or one file of points: `.npy`, `.csv`, or `-`
-    // A point may begin with a minus.
-    #[arg(required_unless_present = "ray", conflicts_with = "ray", allow_hyphen_values = true)]
+    #[arg(required_unless_present = "ray", conflicts_with = "ray")]
     points: Vec<PathBuf>,
 
     #[command(flatten)]
@@ -87,8 +87,7 @@ enum Source {
 impl Source {
     /// What POINTS mean; `None` if there are none.
     fn of(points: &[PathBuf]) -> Result<Option<Self>> {
-        let numbers = |text: &str| text.contains(',') && text.split(',').all(|n| n.trim().parse::<f64>().is_ok());
-        let typed = |point: &PathBuf| point.to_str().filter(|text| numbers(text)).map(str::to_string);
+        let typed = |point: &PathBuf| point.to_str().filter(|text| is_point(text)).map(str::to_string);
         match points {
             [] => Ok(None),
             [file] if typed(file).is_none() => Ok(Some(Self::File(file.clone(), format(file)?))),
@@ -109,6 +108,21 @@ impl Source {
             _ => None,
         }
     }
+}
+
+/// Whether a word is a point rather than a file: numbers between commas.
+fn is_point(word: &str) -> bool {
+    word.contains(',') && word.split(',').all(|number| number.trim().parse::<f64>().is_ok())
+}
+
+/// The words of a command line, in which a point that begins with a minus is no option: a space goes before it.
+pub fn with_points(words: impl Iterator<Item = OsString>) -> impl Iterator<Item = OsString> {
+    let mut is_query = false;
+    words.map(move |word| {
+        is_query |= word == "query";
+        let begins_so = is_query && word.to_str().is_some_and(|word| word.starts_with('-') && is_point(word));
+        if begins_so { [OsStr::new(" "), &word].into_iter().collect() } else { word }
+    })
 }
 
 fn format(path: &Path) -> Result<Format> {

@@ -42,6 +42,10 @@ impl Together {
         if grid.rays_per_vertex() > 0.0 {
             return wrong("leaves as fine as the level", "--refine ray-count");
         }
+        // Where there is no density, vertices that rays moved would be missing, and their draws with them.
+        if !grid.criteria.sensitivity && !grid.criteria.uniform {
+            return wrong("leaves as fine as the level wherever rays moved a vertex", "--refine density alone");
+        }
         let draws = Draws { number: number.into(), seed: args.seed, residual: RESIDUAL, iterations: ITERATIONS };
         Ok(Some(Self { full: FullPosterior::new(grid.lattice(domain)?), scale, draws }))
     }
