@@ -86,7 +86,7 @@ fn the_right_images_pass_without_a_word() {
 #[test]
 fn images_of_another_scene_are_refused_unless_forced() {
     // Black where the courtyard shows a white background, and something else where it shows matter.
-    let desk = desk(&ClosedForm::ball(), SIDE, |_, _| [0.0, 0.0, 0.0, 1.0]);
+    let desk = desk(&ClosedForm::ball(), SIDE, |_, opacity| [0.05 * opacity, 0.0, 0.0, 1.0]);
     let (is_run, said) = told(desk.path(), "");
     assert!(!is_run && said.contains("another scene") && said.contains("dB over 320 pixels of 5 images"), "{said}");
     assert!(!desk.path().join("x.oct").exists());

@@ -407,10 +407,21 @@ fn every_faulty_file_has_its_row() {
     let rows = rows();
     let text: String = rows.iter().map(|row| row.command.as_str()).collect::<Vec<_>>().join(" ");
     // What the commands need besides the fault.
-    let good = ["bare.oct", "good.npy", "good.npz", "r_0.png", "r_1.png", "foreign_0.png", "foreign_1.png"];
+    let good = [
+        "bare.oct",
+        "good.npy",
+        "good.npz",
+        "r_0.png",
+        "r_1.png",
+        "o_0.png",
+        "o_1.png",
+        "foreign_0.png",
+        "foreign_1.png",
+    ];
     for path in desk.files() {
         let name = path.file_name().unwrap().to_str().unwrap();
-        let pictured = name.strip_prefix("r_0").is_some_and(|rest| text.contains(rest));
+        let is_of_frame = |frame: &&str| name.strip_prefix(frame).is_some_and(|rest| text.contains(rest));
+        let pictured = ["r_0", "o_0", "o_1"].iter().any(|frame| is_of_frame(&frame));
         assert!(text.contains(name) || pictured || good.contains(&name), "{name} is in no row");
     }
 }

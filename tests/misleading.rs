@@ -147,8 +147,8 @@ fn a_threshold_that_leaves_nothing_is_told_with_the_share_that_was_meant() {
         format!("render ball.npz x.oct {view} THRESHOLD -o x.exr"),
         format!("render ball.npz x.oct {view} THRESHOLD --frames 0..2 -o frames"),
         format!("render ball.npz x.oct {view} THRESHOLD --orbit 2 -o x.gif"),
-        format!("export x.oct ball.npz {view} THRESHOLD -o x.ply"),
-        format!("export x.oct ball.npz {view} THRESHOLD -o x.csv"),
+        format!("export ball.npz x.oct {view} THRESHOLD -o x.ply"),
+        format!("export ball.npz x.oct {view} THRESHOLD -o x.csv"),
     ];
     for verb in &verbs {
         let warnings = warned(verb, &below.to_string());
@@ -216,8 +216,12 @@ fn an_unknown_number_of_training_pixels_is_told() {
     assert!(!warns(&data.replace("--scale data --psnr 30", "")));
     // The file states no size, and its images are not there.
     let text = std::fs::read_to_string(desk.path().join("cameras.json")).unwrap();
-    let unsized_cameras = text.replace("\"w\"", "\"a\"").replace("\"h\"", "\"b\"");
-    std::fs::write(desk.path().join("unsized.json"), unsized_cameras).unwrap();
+    let mut file: serde_json::Value = serde_json::from_str(&text).unwrap();
+    for frame in file["frames"].as_array_mut().unwrap() {
+        let pose = frame["transform_matrix"].clone();
+        *frame = serde_json::json!({"camera_angle_x": 0.7, "transform_matrix": pose});
+    }
+    std::fs::write(desk.path().join("unsized.json"), file.to_string()).unwrap();
     assert!(warns(&format!("--cameras unsized.json {data}")));
     let told = said(desk.path(), &format!("uncertainty scene:ball --cameras cameras.json {data}"));
     assert!(!told.contains("warning"), "{told}");
