@@ -131,9 +131,8 @@ fn evaluate(maps: &str, options: &str) -> String {
 }
 
 fn calibrate(maps: &str, options: &str) -> String {
-    format!(
-        "calibrate scene:ball f.oct --cameras cameras.json --views all --occupancy 32 --stride 1 --depth {maps} {options}"
-    )
+    let views = "--cameras cameras.json --views all --stride 1";
+    format!("calibrate scene:ball f.oct {views} --occupancy 32 --depth {maps} {options}")
 }
 
 /// What the command finds, and what it says on stderr.
@@ -337,7 +336,7 @@ fn names_of_frames_are_text_on_terminals_and_in_spreadsheets() {
     let curves = cells("curves.csv");
     assert_eq!(curves[0].iter().find(is_formula), None);
     assert!(curves[0].iter().any(|name| name.starts_with("'=f ")), "{:?}", curves[0]);
-    good(desk, "export =f.oct --model scene:ball --cameras cameras.json --views all --occupancy 32 -o report.csv");
+    good(desk, "export scene:ball =f.oct --cameras cameras.json --views all --occupancy 32 -o report.csv");
     let report = cells("report.csv");
     assert_eq!(report.iter().flatten().find(is_formula), None);
     let cameras: Vec<&str> = report.iter().filter(|row| row[0] == "camera").map(|row| &*row[1]).collect();

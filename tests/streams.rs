@@ -74,7 +74,7 @@ const COMMANDS: [(&str, bool, &str); 15] = [
     (
         "new.html",
         true,
-        "view scene:ball field.oct --march-step 0.05 --occupancy 16 --cells 64 --size 110000 -o new.html",
+        "view scene:ball field.oct --march-step 0.05 --occupancy 16 --cells 64 --size 120000 -o new.html",
     ),
     ("new.htg", false, "export field.oct -o new.htg"),
     ("new.oct", false, "convert field.oct new.oct"),

@@ -116,17 +116,16 @@ fn a_model_is_trained_and_the_other_verbs_read_it() {
     desk.good("render a.safetensors a.oct --cameras transforms_test.json --background black --occupancy 32 -o a.png");
 }
 
-/// NaN in a model passes for a model until something is rendered.
+/// With such a rate every weight would be NaN after a few steps.
 #[test]
-fn a_run_that_diverges_writes_no_model() {
+fn a_learning_rate_that_no_training_survives_is_refused() {
     let desk = Desk::new();
     for rate in ["1e10", "1e30"] {
         let args = format!("train . -o x.safetensors --steps 300 {SMALL} --learning-rate {rate} --save-every 0.01");
         let output = desk.run(&args);
         let stderr = String::from_utf8(output.stderr).unwrap();
-        let said = stderr.lines().last().unwrap();
-        assert!(output.status.code() == Some(2) && said.starts_with("error: --learning-rate: expected"), "{stderr}");
-        assert!(said.contains("finite") && said.contains("at step ") && said.contains("0.02"), "{said}");
+        let said = stderr.lines().next().unwrap();
+        assert!(output.status.code() == Some(2) && said.contains("'--learning-rate <RATE>'"), "{stderr}");
         assert!(!desk.path("x.safetensors").exists() && !desk.path("x.state").exists(), "{rate}");
     }
 }

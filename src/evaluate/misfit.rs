@@ -83,7 +83,8 @@ impl TrainingImages {
 
 /// What training left unexplained in these images, for fields on a lattice.
 ///
-/// A pixel's residual lies at its expected depth; pixels that show no matter, and masked ones, have none. Images are taken one by one.
+/// A pixel's residual lies at its expected depth; pixels that show no matter, and masked ones, have none. Images are
+/// taken one by one.
 /// Advances the monitor by one per row.
 ///
 /// # Errors

@@ -84,8 +84,8 @@ impl Camera {
 
     /// Says if the lens folds the image over, so that many of its pixels have no ray: coefficients that no lens has.
     ///
-    /// Calibrations may do so in the outermost corners, where nothing was measured: one pixel in fifty is let pass, with
-    /// the ray of a neighbour.
+    /// Calibrations may do so in the outermost corners, where nothing was measured: one pixel in fifty is let pass,
+    /// with the ray of a neighbour.
     #[must_use]
     pub fn folds_over(&self) -> Option<String> {
         const SIDE: usize = 33;

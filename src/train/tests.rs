@@ -362,6 +362,18 @@ fn an_interrupted_run_keeps_its_state_and_reports_on_its_way() {
 }
 
 #[test]
+fn a_run_that_diverges_ends_with_an_error() {
+    let (domain, [shots, _]) = courtyard(24);
+    for rate in [1e10, 1e30] {
+        let settings = TrainSettings { learning_rate: rate, ..small() };
+        let mut trainer = Trainer::new(settings, domain, &shots).unwrap();
+        let run = Run { budget: Budget::Steps(300), held_out: &[], pixels: 500, looks: 0, state: None };
+        let error = run.train(&mut trainer, 0.0, &Silent, |_| ()).unwrap_err().to_string();
+        assert!(error.starts_with("learning rate: expected a rate at which") && error.contains("at step "), "{error}");
+    }
+}
+
+#[test]
 fn cells_that_no_camera_sees_stay_empty() {
     let scene = ClosedForm::courtyard();
     let space = Space::new(Domain::Box(scene.bounds())).unwrap();

@@ -31,8 +31,8 @@ pub struct CameraFile {
 pub struct FrameOptions {
     /// Frames of the camera file: how many, spread over its order; or their numbers in the file from 0, as in `render
     /// --frame`, such as 0,7,31 (`7,` for one); or `all`. Frames without an image are left out, unless there are no
-    /// images at all. If the file does not list its training frames, every eighth frame with an image is held out, as in
-    /// `train` [default: all training frames; in `evaluate`, all held-out frames]
+    /// images at all. If the file does not list its training frames, every eighth frame with an image is held out, as
+    /// in `train` [default: all training frames; in `evaluate`, all held-out frames]
     #[arg(long, value_name = "N|I,J,...|all", value_parser = parse_views, requires = "cameras")]
     pub views: Option<Selection>,
 }

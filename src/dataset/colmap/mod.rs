@@ -49,7 +49,7 @@ const MODELS: [(&str, usize); 18] = [
 const READ: usize = 5;
 
 /// Folders of a project in which a model, or numbered folders with models, may lie.
-const FOLDERS: [&str; 4] = ["", "sparse", "colmap", "colmap/sparse"];
+const FOLDERS: [&str; 3] = ["", "sparse", "colmap/sparse"];
 
 /// A kind of lens: an index into [`MODELS`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
