@@ -85,7 +85,7 @@ fn seen(path: &Path) -> String {
     let is_seen = |[x, y]: &[f64; 2]| {
         let front = Vec3::new(*x as f32, *y as f32, 0.19);
         // The prior is 4.6; what a ray saw is two decades below it.
-        let below = field.prior().log10() - f64::from(field.query(front).uncertainty).log10();
+        let below = field.prior().log10() - field.query(front).uncertainty.log10();
         assert!(!(0.2..1.5).contains(&below), "{below} decades below the prior at {front}");
         if below > 1.0 { '#' } else { '.' }
     };
@@ -153,7 +153,7 @@ fn masked_pixels_were_not_trained_on() {
     desk.run(&format!("{RUN} t.json --views all --keep-sums").replace("f.oct", "whole.oct"));
     assert!(desk.refused("merge whole.oct masked.oct -o x.oct").contains("model and cameras of masked.oct"));
     desk.cameras(|file| {
-        file["frames"].as_array_mut().unwrap().iter_mut().for_each(|f| f["mask_path"] = json!("black.png"))
+        file["frames"].as_array_mut().unwrap().iter_mut().for_each(|f| f["mask_path"] = json!("black.png"));
     });
     assert!(desk.refused(&format!("{RUN} t.json --views all")).contains("masks that keep none"));
     image::GrayImage::new(SIDE, SIDE - 1).save(desk.path("black.png")).unwrap();

@@ -180,7 +180,7 @@ fn focal_length(stated: Focal, side: f64) -> Checked<Option<f64>> {
     ];
     let mut values = values.into_iter().filter_map(|(key, value, f)| Some((key, value?, f?)));
     let Some((first, value, f)) = values.next() else { return Ok(None) };
-    match values.find(|(_, _, other)| !((other - f).abs() <= AGREE * f.abs())) {
+    match values.find(|(_, _, other)| (other - f).abs() > AGREE * f.abs() || !(other - f).is_finite()) {
         None => Ok(Some(f)),
         Some((key, other, g)) => Err(Fault::new(
             "intrinsics",

@@ -93,7 +93,8 @@ fn natural(a: &str, b: &str) -> Ordering {
         } else if x != y {
             return x.cmp(&y);
         } else {
-            (a.next(), b.next());
+            a.next();
+            b.next();
         }
     }
 }

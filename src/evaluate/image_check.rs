@@ -65,6 +65,9 @@ struct Shown {
     pixels: Vec<usize>,
 }
 
+/// How the poses of a camera file may have been meant.
+type Reading = fn(&Camera) -> Camera;
+
 /// What a tracer renders without what lies behind: colour, and the share of the background that passes.
 type Rendered = Vec<(DVec3, f64)>;
 
@@ -118,7 +121,7 @@ pub fn check_images(
     let others = BACKGROUNDS.iter().map(|(name, color)| (*name, psnr_over(&shown, &rendered, color.as_dvec3())));
     found.background = best(&mut others.into_iter()).filter(gains);
     if found.psnr < FAIR && found.background.is_none() {
-        let readings: [(&str, fn(&Camera) -> Camera); 3] = [
+        let readings: [(&str, Reading); 3] = [
             ("OpenCV axes (y down, looking along +z) in place of OpenGL's", opencv),
             ("world-to-camera matrices in place of camera-to-world", |camera| inverted(camera)[0]),
             ("world-to-camera matrices with OpenCV axes", |camera| inverted(camera)[1]),

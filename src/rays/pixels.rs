@@ -255,7 +255,7 @@ mod tests {
     #[test]
     fn every_pixel_that_masks_keep_is_drawn_equally_often_and_no_other() {
         // A mask of 30 pixels, one of none, and a whole image of 60.
-        let kept = |column: u32, row: u32| (column + row) % 2 == 0;
+        let kept = |column: u32, row: u32| (column + row).is_multiple_of(2);
         let masks = vec![Some(Mask::new([10, 6], kept)), Some(Mask::new([9, 9], |_, _| false)), None];
         let resolutions = vec![[10, 6], [9, 9], [12, 5]];
         for kind in [Pixels::Sobol, Pixels::Random] {
