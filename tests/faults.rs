@@ -420,8 +420,8 @@ fn every_faulty_file_has_its_row() {
     ];
     for path in desk.files() {
         let name = path.file_name().unwrap().to_str().unwrap();
-        let is_of_frame = |frame: &&str| name.strip_prefix(frame).is_some_and(|rest| text.contains(rest));
-        let pictured = ["r_0", "o_0", "o_1"].iter().any(|frame| is_of_frame(&frame));
+        let is_of_frame = |frame: &str| name.strip_prefix(frame).is_some_and(|rest| text.contains(rest));
+        let pictured = ["r_0", "o_0", "o_1"].into_iter().any(is_of_frame);
         assert!(text.contains(name) || pictured || good.contains(&name), "{name} is in no row");
     }
 }

@@ -98,7 +98,8 @@ fn a_scene_far_from_the_origin_is_right_or_told_or_refused() {
                 assert_eq!(code, Some(0), "{said}");
                 let field = UncertaintyField::read(&desk.path().join("far.oct")).unwrap();
                 // Points of the surface, and a grid around it.
-                let points = (0..17 * 17 * 17).map(|i| [i / 289, i / 17 % 17, i % 17].map(|k| 0.1 * k as f64 - 0.8));
+                let points =
+                    (0..17 * 17 * 17_i32).map(|i| [i / 289, i / 17 % 17, i % 17].map(|k| 0.1 * f64::from(k) - 0.8));
                 let log10 = points.map(|x| field.log10((DVec3::from(x) + offset).as_vec3()));
                 if offset == 0.0 {
                     at_origin = log10.collect();
