@@ -5,7 +5,8 @@ use std::path::Path;
 use crate::geometry::Camera;
 use crate::{Error, Result};
 
-/// Writes cameras, each with the `file_path` of its frame, as a transforms.json for [`Views::read`] and other tools.
+/// Writes cameras, each with the `file_path` of its frame, as a transforms.json for
+/// [`Views::read`](crate::dataset::Views::read) and other tools.
 ///
 /// # Errors
 /// If the file cannot be written.
