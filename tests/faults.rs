@@ -141,6 +141,8 @@ impl Desk {
             let run = "uncertainty scene:ball --cameras cameras.json --level 4 --rays 1200 --occupancy 16";
             self.good(&format!("{run} --{part} -o {file}.oct"));
         }
+        let run = "uncertainty scene:ball --cameras cameras.json --level 4 --rays 6000 --seed 1 --occupancy 16";
+        self.good(&format!("{run} --tile 0/4 -o other-tile.oct"));
         self.write("newer.oct", [&bytes[..8], &99_u32.to_le_bytes(), &bytes[12..]].concat());
         let recipe = forge::recipe(Kind::Field, &bytes);
         let forged = |name: &str, change: &dyn Fn(&mut Vec<Vec<u8>>)| {

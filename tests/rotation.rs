@@ -79,7 +79,7 @@ fn sphere(radius: f64) -> Vec<DVec3> {
 }
 
 #[test]
-fn trace_block_and_normal_change_no_more_than_discretisation_does() {
+fn trace_and_block_change_no_more_than_discretisation_does() {
     let scene = ClosedForm::ball();
     let turned = 45_f64.to_radians();
     // Shifts by fractions of the lattice edge, 2.5 / 32, show what discretisation alone does.
@@ -93,12 +93,19 @@ fn trace_block_and_normal_change_no_more_than_discretisation_does() {
             (f.0.clone().with_covariance(covariance).unwrap(), Moved { scene: f.1.scene.clone(), ..f.1 })
         };
         let [still, shifted, rotated] = [&still, &shifted, &rotated].map(read);
+        // The rays know these points: anywhere else nothing would change, whatever the method.
+        let known = points.iter().map(|x| still.0.prior().log10() - still.0.log10(still.1.forth(*x).as_vec3()));
+        let known = known.sum::<f64>() / points.len() as f64;
+        assert!(known > 1.0, "{covariance:?}: U lies {known} decades below the prior's");
         let discretisation = change(&still, &shifted, &points);
         let rotation = change(&still, &rotated, &points);
-        // The lattice turns against the scene in addition to shifting, so half as much again is allowed. Some
-        // change must remain.
+        // To a scalar that does not depend on the axes a turned lattice is one more place of the lattice, so both
+        // changes have one expectation. They are means over the ball's 500 cells (area π over edge²). Neighbours share
+        // vertices, so that about a quarter of the cells are independent; |Δ| of a normal Δ has a deviation of ¾ of its
+        // mean. Each mean has a standard error of ¾ / √125 = 7 %, their ratio 10 %: five of these are allowed. A method
+        // with less discretisation has to have less of both.
         assert!(
-            rotation <= 1.5 * discretisation && rotation >= 0.2 * discretisation,
+            rotation <= 1.5 * discretisation,
             "{covariance:?}: turning changes {rotation}, shifting {discretisation}"
         );
     }

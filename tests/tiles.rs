@@ -9,8 +9,8 @@ use octobayes::estimate::{Estimation, GridSettings, Outcome, RaySettings};
 use octobayes::export::{
     MeshSettings, surfaces, write_hyper_tree, write_leaves, write_mesh, write_points, write_report,
 };
-use octobayes::field::{ClosedForm, RadianceField};
-use octobayes::geometry::{Domain, Norm};
+use octobayes::field::{ClosedForm, Intrinsics, RadianceField};
+use octobayes::geometry::{Camera, Domain, Norm};
 use octobayes::monitor::Silent;
 use octobayes::octree::Tile;
 use octobayes::posterior::{Covariance, Criterion, Prior};
@@ -274,6 +274,8 @@ fn seams_are_where_refinement_crosses_them() {
     let Support::Octree(octree) = whole.support() else { unreachable!() };
     let lonely = |tile: Tile| {
         let part = run(grid, None, [0, 1], Some(tile)).field;
+        // With the box that the run gave it.
+        let tile = part.tile().unwrap();
         let (Support::Octree(own), Some(sums)) = (part.support(), part.sums()) else { unreachable!() };
         let least = sums.iter().filter(|sums| sums.rays > 0).count();
         assert!(least > 0);
@@ -300,7 +302,7 @@ fn shards_of_tiles_are_the_shards_of_the_whole() {
     assert!(message(&no_tile).contains("none of 0/4"), "{}", message(&no_tile));
     // The shards of one tile are that tile.
     let one = merge(&[parts[1].clone(), parts[5].clone(), parts[9].clone()]).unwrap();
-    assert_eq!((one.tile(), one.is_part()), (Tile::new(1, 4), true));
+    assert_eq!((one.tile(), one.is_part()), (parts[1].tile(), true));
 }
 
 #[test]
@@ -357,6 +359,84 @@ fn what_does_not_belong_together_is_named() -> Result<()> {
     let found = String::from_utf8_lossy(&info.stdout).to_string();
     assert!(info.status.success() && found.contains("tile 0 of 2"), "{found}");
     Ok(())
+}
+
+/// Numbers of vertices that rays touched in each of `of` tiles.
+fn touched(scene: &ClosedForm, cameras: &[Camera], level: u8, of: u32) -> Vec<usize> {
+    let count = |tile| {
+        let estimation = Estimation::new(scene, cameras).rays(RaySettings::default().rays(12_000).occupancy(64));
+        let field = estimation.grid(GridSettings::default().level(level).tile(tile)).run().unwrap().field;
+        field.sums().unwrap().iter().filter(|sums| sums.rays > 0).count()
+    };
+    tiles(of).map(count).collect()
+}
+
+/// Halved along z, the upper tile of a city has nothing in it, and the lower one has all.
+#[test]
+fn tiles_have_as_many_vertices_wherever_the_scene_is() {
+    let city = ClosedForm::named("city").unwrap();
+    let intrinsics = Intrinsics { fov_x: None, resolution: Some([48, 36]) };
+    let city_cameras = city.cameras(&intrinsics).unwrap().unwrap();
+    for (name, scene, cameras, level) in [
+        ("city", &city, city_cameras, 9),
+        ("courtyard", &ClosedForm::courtyard(), ClosedForm::half_circle(6, [64, 48]), 7),
+        ("ball", &ClosedForm::ball(), ClosedForm::half_circle(6, [64, 48]), 6),
+    ] {
+        for of in [2, 8] {
+            let counts = touched(scene, &cameras, level, of);
+            let mean = counts.iter().sum::<usize>() as f64 / counts.len() as f64;
+            let most = *counts.iter().max().unwrap() as f64 / mean;
+            assert!(most < 1.25, "{name}: {of} tiles have {counts:?}");
+        }
+    }
+}
+
+#[test]
+fn all_tiles_of_a_run_are_cut_alike_whatever_the_threads_shards_and_seed() {
+    let (scene, cameras) = (ClosedForm::courtyard(), ClosedForm::half_circle(5, [64, 48]));
+    let tile_of = |seed: u64, shard: [u64; 2], threads: usize, index: u32| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let rays = RaySettings::default().rays(24_000).occupancy(48).seed(seed);
+        let grid = GridSettings::default().level(6).tile(Tile::new(index, 4));
+        let run = || Estimation::new(&scene, &cameras).rays(rays).grid(grid).shard(shard[0], shard[1]).run();
+        pool.install(run).unwrap().field
+    };
+    let field = tile_of(0, [0, 1], 1, 2);
+    assert!(field.tile().unwrap().is_cut());
+    for (seed, shard, threads) in [(0, [0, 1], 3), (0, [2, 5], 2), (7, [0, 1], 2)] {
+        assert_eq!(tile_of(seed, shard, threads, 2).tile(), field.tile(), "{seed} {shard:?} {threads}");
+    }
+    // So the tiles of two seeds are those of the rays of both.
+    let parts: Vec<UncertaintyField> =
+        (0..4).flat_map(|index| [0, 7].map(|seed| tile_of(seed, [0, 1], 2, index))).collect();
+    let joined = merge(&parts).unwrap();
+    let wholes = [0, 7].map(|seed| {
+        let rays = RaySettings::default().rays(24_000).occupancy(48).seed(seed);
+        let grid = GridSettings::default().level(6).tolerance(0.01).keep_sums(true);
+        Estimation::new(&scene, &cameras).rays(rays).grid(grid).run().unwrap().field
+    });
+    let whole = merge(&wholes).unwrap();
+    assert_eq!(joined.protocol().rays, 48_000);
+    let same = compare(&joined, &whole, 20_000, 0).unwrap().in_box.unwrap();
+    // Each seed alone may leave out what is negligible for its own rays.
+    assert!(same.max <= 0.01 + 1e-6, "{}", same.max);
+}
+
+#[test]
+fn a_tile_without_vertices_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = |tile: &str| {
+        let args = format!(
+            "uncertainty scene:ball --resolution 16 --rays 2000 --occupancy 16 --level 4 --tile {tile} -o tile.oct"
+        );
+        let mut command = Command::new(env!("CARGO_BIN_EXE_octobayes"));
+        let output = command.args(args.split_whitespace()).current_dir(folder.path()).output().unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        String::from_utf8(output.stderr).unwrap()
+    };
+    let stderr = ["0/4096", "1/4096", "2047/4096", "4095/4096"].map(run);
+    assert!(stderr.iter().any(|said| said.contains("has no vertex that a ray touched")), "{stderr:?}");
+    assert!(!run("1/2").contains("no vertex"));
 }
 
 #[test]

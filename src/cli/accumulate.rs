@@ -7,9 +7,15 @@ use super::files::CommandFiles;
 use super::options::{DomainOptions, GridOptions, TrainingPixels, count};
 use super::progress::Bars;
 use super::report::Cost;
-use crate::estimate::{FieldBuilder, Provenance};
+use crate::estimate::{FieldBuilder, GridSettings, Provenance};
+use crate::geometry::Lattice;
+use crate::octree::{MaxLevels, Tile};
+use crate::posterior::Census;
 use crate::rays::{RunProgress, SamplesReader};
 use crate::{Error, Result};
+
+/// Maximal number of vertices in each of the samples by which space is cut into tiles.
+const CENSUS: usize = 1 << 16;
 
 /// Sum up ray samples whose Jacobians were computed elsewhere
 ///
@@ -51,6 +57,23 @@ impl Args {
         Ok(())
     }
 
+    /// The tile with its box, which depends on all samples. They are read once more for it.
+    fn cut(
+        &self,
+        settings: &GridSettings,
+        reader: &SamplesReader,
+        lattice: Lattice,
+        bars: &Bars,
+    ) -> Result<Option<Tile>> {
+        let Some(tile) = settings.tile else { return Ok(None) };
+        let mut census = Census::new(lattice, CENSUS, false);
+        reader.run(bars, |batches| {
+            census.add(batches);
+            Ok(())
+        })?;
+        Ok(Some(census.cut(1.0, &MaxLevels::none(lattice.level()), tile)))
+    }
+
     /// Runs the verb.
     pub fn run(self, bars: &Bars) -> Result<()> {
         CommandFiles::default().input("SAMPLES", &self.samples).output("--output", &self.grid.output).check()?;
@@ -62,6 +85,7 @@ impl Args {
             let expected = "`sensitivity`, and no --memory: the rest needs the model and its rays";
             return Err(Error::setting("--refine", expected, format!("{}", settings.criteria)));
         }
+        let settings = settings.tile(self.cut(&settings, &reader, settings.lattice(domain)?, bars)?);
         let mut builder = FieldBuilder::new(settings, domain)?;
         let start = Instant::now();
         let (mut inside, mut all) = (0_u64, 0_u64);

@@ -327,7 +327,7 @@ impl FieldBuilder {
             (AnyPosterior::Octree(_), None) => unreachable!("an octree was made of an octree's sums"),
         };
         let field = if settings.keep_sums { field } else { field.for_queries() };
-        let visits = visits.map(|visits| visits.within(settings.tile));
+        let visits = visits.map(|visits| visits.within(settings.tile, lattice.level()));
         field.with_surface(surface).with_visits(visits)
     }
 }

@@ -13,7 +13,7 @@ use super::{GridKind, GridSettings, RaySettings};
 use crate::geometry::Lattice;
 use crate::io::memory;
 use crate::monitor::Monitor;
-use crate::octree::MaxLevels;
+use crate::octree::{MaxLevels, Tile};
 use crate::posterior::{
     AT_ONCE, CONTRIBUTION_BYTES, Census, DensePosterior, FactoredSums, Needs, PilotCounts, VertexSums, spare_bytes,
 };
@@ -128,7 +128,7 @@ pub struct Planner {
 }
 
 impl Planner {
-    /// Maximal number of rays of the pilot.
+    /// Maximal number of rays of the pilot, but for one that cuts space into tiles.
     pub const PILOT: u64 = 16_384;
     /// Rays of the run per ray of a pilot that only predicts.
     pub const CHEAP: u64 = 32;
@@ -145,8 +145,14 @@ impl Planner {
         lattice: Lattice,
         monitor: &dyn Monitor,
     ) -> Result<Self> {
-        let most = if settings.needs_plan() { rays.rays } else { rays.rays.div_ceil(Self::CHEAP) };
-        let pilot = Shard::whole(Self::PILOT.min(most));
+        let cheap = rays.rays.div_ceil(Self::CHEAP);
+        let pilot = match settings.tile {
+            _ if settings.needs_plan() => Self::PILOT.min(rays.rays),
+            // Of few rays, vertices are counted too badly to be dealt out evenly.
+            Some(tile) if !tile.is_cut() => Self::PILOT.max(cheap).min(rays.rays),
+            _ => Self::PILOT.min(cheap),
+        };
+        let pilot = Shard::whole(pilot);
         let start = Instant::now();
         // Limits by ray count alone are exact.
         let is_exact = settings.memory.is_none() && settings.rays_per_vertex() > 0.0;
@@ -164,6 +170,8 @@ impl Planner {
         let scale = rays.rays as f64 / pilot.rays as f64;
         // All parts of a run expect the same.
         let own_scale = scale / shard.of as f64;
+        let counts = census.counts();
+        let settings = cut(settings, &census, &counts, scale);
         let vertices_unlimited = census.needs(own_scale, &MaxLevels::none(lattice.level()), settings.tile).vertices;
         let outside = match shard.of {
             1 => ((outside + lists + RESERVE) / GRAIN).ceil() * GRAIN,
@@ -172,7 +180,7 @@ impl Planner {
         Ok(Self {
             settings,
             lattice,
-            counts: census.counts(),
+            counts,
             census,
             vertices_unlimited,
             scale,
@@ -182,6 +190,12 @@ impl Planner {
             correction: Correction { sums: 1.0, vertices: 1.0 },
             time: start.elapsed().mul_f64(own_scale),
         })
+    }
+
+    /// The tile of the settings, with the box that the run's rays give it.
+    #[must_use]
+    pub fn tile(&self) -> Option<Tile> {
+        self.settings.tile
     }
 
     /// The plan for limits with at least `rays_per_vertex` rays per vertex; 0 for no limits.
@@ -303,6 +317,14 @@ impl Planner {
         let counted = summed.vertices.map(|count| count as f64 / vertices.max(1.0));
         self.correction = Correction { sums, vertices: counted.unwrap_or(sums) };
     }
+}
+
+/// The settings with the box of their tile, if they have one without.
+fn cut(settings: GridSettings, census: &Census, counts: &PilotCounts, scale: f64) -> GridSettings {
+    let Some(tile) = settings.tile.filter(|tile| !tile.is_cut()) else { return settings };
+    let rays = settings.rays_per_vertex();
+    let limits = if rays > 0.0 { counts.limits(scale, rays) } else { MaxLevels::none(census.level()) };
+    settings.tile(Some(census.cut(scale, &limits, tile)))
 }
 
 /// Bounds on rays per vertex: below the first no region gives up anything, beyond the second every region has given up

@@ -18,6 +18,7 @@ use super::{
 };
 use crate::geometry::{Aabb, Lattice};
 use crate::octree::{Leaves, Octree};
+use crate::posterior::Visits;
 use crate::rays::{RayStream, RunProgress, Shard};
 use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
@@ -79,7 +80,7 @@ impl<'a> Run<'a> {
         let limits = Limits::within(grid.memory);
         let mut run = Self { estimation, lattice, stream, limits };
         if run.estimation.grid.needs_plan() {
-            let planner = run.pilot()?;
+            let planner = run.pilot(&run.stream)?;
             let mut plan = planner.plan()?;
             // The interrupted run's plan depends on its budget, and on what its process took beside.
             let files = run.files();
@@ -89,7 +90,16 @@ impl<'a> Run<'a> {
             {
                 plan = planner.with_rays_per_vertex(state::rays_per_vertex(file)?);
             }
+            run.estimation.grid.tile = planner.tile();
             (run.limits.planner, run.limits.plan) = (Some(planner), Some(plan));
+        } else if run.estimation.grid.tile.is_some_and(|tile| !tile.is_cut()) {
+            // Runs of different seeds are added up tile by tile, so where space is cut does not depend on the seed.
+            let pixels = run.stream.with_pixels(run.stream.pixels.kind(), 0);
+            match run.pilot(&pixels) {
+                // Of the few rays of a pilot, too many may be at fault by chance. The tiles are equal boxes then.
+                Err(Error::NonFinite { .. }) => {}
+                planner => run.estimation.grid.tile = planner?.tile(),
+            }
         }
         // The pilot and all that is measured see all of space; the rays of the run need only reach the tile.
         run.stream.reach = run.reach();
@@ -107,10 +117,12 @@ impl<'a> Run<'a> {
         };
         // One cell more than that, for what f32 positions are rounded.
         let beyond = f64::from(2 * leaf + 1);
+        // Visits are counted in coarse cells, those that begin in the tile.
+        let visited = f64::from(1_u32 << self.lattice.level().saturating_sub(Visits::LEVEL));
         let (low, high) = self.estimation.grid.tile?.extent(self.lattice.level());
         let [low, high] = [low, high].map(|corner| DVec3::from(corner.map(f64::from)));
         let scene = |u: DVec3| bounds.min() + u * self.lattice.edge();
-        Aabb::new(scene(low - beyond), scene(high + beyond)).ok()
+        Aabb::new(scene(low - beyond), scene(high + beyond.max(visited))).ok()
     }
 
     /// Box and finest level.
@@ -139,7 +151,7 @@ impl<'a> Run<'a> {
     pub fn forecast(&self) -> Result<Plan> {
         let mut plan = match &self.limits.plan {
             Some(plan) => plan.clone(),
-            None => self.pilot()?.plan()?,
+            None => self.pilot(&self.stream)?.plan()?,
         };
         // Every group has its own sums, and finishing needs one more.
         let sums = self.estimation.groups().map_or(1.0, |groups| f64::from(groups) + 1.0);
@@ -150,9 +162,9 @@ impl<'a> Run<'a> {
         Ok(plan)
     }
 
-    fn pilot(&self) -> Result<Planner> {
+    fn pilot(&self, stream: &RayStream) -> Result<Planner> {
         let Estimation { rays, grid, monitor, .. } = &self.estimation;
-        Planner::new(*grid, rays, &self.stream, self.estimation.own_shard(), self.lattice, *monitor)
+        Planner::new(*grid, rays, stream, self.estimation.own_shard(), self.lattice, *monitor)
     }
 
     /// Measures, on a few thousand rays, whether the cameras see anything of the field within its domain.

@@ -32,7 +32,7 @@ pub use leaves::{Leaves, Masters, coarseness, masters, mean_volume};
 pub use max_levels::{DEPTH, MaxLevels};
 pub use nearby::Nearby;
 pub use set::MortonSet;
-pub use tile::Tile;
+pub use tile::{Tile, Tiling};
 pub use validate::{Defect, OctreeStats};
 
 use free::free_vertices;

@@ -66,13 +66,14 @@ impl Visits {
         Self { lattice, counts }
     }
 
-    /// The visits to a tile; none elsewhere.
+    /// The visits to the cells whose lowest corner is a tile's, on a lattice of 2^`finest` cells per axis; none
+    /// elsewhere.
     #[must_use]
-    pub fn within(mut self, tile: Option<Tile>) -> Self {
+    pub fn within(mut self, tile: Option<Tile>, finest: u8) -> Self {
         let Some(tile) = tile else { return self };
         let level = self.lattice.level();
         for (i, count) in self.counts.iter_mut().enumerate() {
-            if !tile.owns(level, cell_at(level, i)) {
+            if !tile.owns(finest, cell_at(level, i).map(|i| i << (finest - level))) {
                 *count = 0;
             }
         }

@@ -80,7 +80,7 @@ impl Header {
             return Err(Error::malformed(path, "header", expected, format!("{protocol:?}")));
         }
         let is_dense = matches!(self.kind, Kind::Dense);
-        if tile.is_some_and(|tile| is_dense || !tile.is_valid() || lattice.level() < tile.least_level()) {
+        if tile.is_some_and(|tile| is_dense || !tile.fits(lattice.level())) {
             return Err(Error::malformed(path, "header, tile", "a part of an octree's box", format!("{tile:?}")));
         }
         if !draws.iter().all(|draw| draw.shard.is_valid()) || !Draw::are_disjoint(draws.iter().copied()) {

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use super::merge::{Head, in_turn};
 use super::{Answer, Answers, Estimate, Protocol, RayCounts, StandardDeviations, Summary, Support, UncertaintyField};
 use crate::geometry::Lattice;
-use crate::octree::{CellTree, Octree, Tile, VertexId, Wanted};
+use crate::octree::{CellTree, Octree, Tile, Tiling, VertexId, Wanted};
 use crate::render::{Probed, ProbedField};
 use crate::{Error, Result};
 
@@ -27,6 +27,7 @@ pub struct TiledField {
     tiles: Vec<PathBuf>,
     protocol: Protocol,
     lattice: Lattice,
+    tiling: Tiling,
     /// Bytes that loaded tiles may take; those at hand, one for each thread, may take more.
     room: usize,
     loaded: Mutex<LruCache<usize, Arc<UncertaintyField>>>,
@@ -53,8 +54,8 @@ impl TiledField {
             return Err(Error::malformed(path, "tile", "a finished tile", "a field of all of space"));
         }
         let of = first.map_or(1, |tile| tile.of);
-        let expected = (0..of).map(|index| Tile::new(index, of));
-        if !expected.eq(tiles.iter().map(|(tile, ..)| *tile)) {
+        let numbers = tiles.iter().map(|(tile, ..)| tile.map(|tile| (tile.index, tile.of)));
+        if !numbers.eq((0..of).map(|index| Some((index, of)))) {
             let names = |(tile, ..): &(Option<Tile>, &PathBuf, &Head)| tile.map(|tile| tile.to_string());
             let found = tiles.iter().filter_map(names).collect::<Vec<_>>().join(", ");
             return Err(Error::malformed(folder, "files", format!("tiles 0 to {} of {of}", of - 1), found));
@@ -74,8 +75,13 @@ impl TiledField {
             }
         }
         let (protocol, lattice) = (head.protocol.clone(), head.lattice);
+        let boxes: Vec<Tile> = tiles.iter().filter_map(|(tile, ..)| *tile).collect();
+        let tiling = Tiling::new(lattice.level(), &boxes).ok_or_else(|| {
+            let found = "boxes that overlap or leave gaps";
+            Error::malformed(folder, "tiles", "the tiles of one run, which together are its box", found)
+        })?;
         let tiles = tiles.into_iter().map(|(_, path, _)| path.clone()).collect();
-        Ok(Self { tiles, protocol, lattice, room, loaded: Mutex::new(LruCache::unbounded()) })
+        Ok(Self { tiles, protocol, lattice, tiling, room, loaded: Mutex::new(LruCache::unbounded()) })
     }
 
     /// The files in `folder` that opening it reads.
@@ -150,8 +156,7 @@ impl TiledField {
     /// The number of the tile that owns a point; the first answers for what is outside the box.
     fn tile_of(&self, x: Vec3) -> usize {
         let cell = self.lattice.coordinates(x).map_or([0; 3], |u| self.lattice.cell(u).0);
-        let of = self.tiles.len() as u32;
-        Tile::owner(of, self.lattice.level(), cell) as usize
+        self.tiling.owner(cell)
     }
 
     /// A tile, from memory or from its file. What does not depend on the place is the same in all tiles.

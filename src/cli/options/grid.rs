@@ -128,8 +128,8 @@ pub struct GridOptions {
     /// Sum in part I of N of space only (I from 0; N = 2, 4, 8, ...), where the whole does not fit into memory; `merge`
     /// joins the parts to the same field
     ///
-    /// Each tile needs all rays that reach it, so N tiles take longer than one run, and a tile's file is as large as
-    /// that of a shard.
+    /// Space is cut so that all tiles have about as many vertices. Each tile needs all rays that reach it, so N tiles
+    /// take longer than one run, and a tile's file is as large as that of a shard.
     #[arg(long, value_name = "I/N", value_parser = parse_tile, conflicts_with = "memory")]
     pub tile: Option<Tile>,
 
@@ -198,6 +198,9 @@ impl GridOptions {
                 "note: half of the vertices that moved are supported by {median} rays or fewer; --min-rays 4 shares \
                  what their neighbours saw, more --rays is better"
             );
+        }
+        if let Some(tile) = field.tile().filter(|_| field.sums().is_some_and(|sums| sums.iter().all(|s| s.rays == 0))) {
+            announce!("note: tile {tile} has no vertex that a ray touched: the scene is too small for so many tiles");
         }
         field.write(&self.output)?;
         report::finished(field, cost, self.json)

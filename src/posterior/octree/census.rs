@@ -40,7 +40,7 @@ const VERTICES_PER_LEAF: f64 = 0.8;
 /// give Chao's lower bound V = d + f1 (f1 − 1) / (2 (f2 + 1)), of which the run finds V (1 − exp(−t s / V)). The
 /// larger number counts.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-struct Caught {
+pub(super) struct Caught {
     counts: Counts,
     /// f1, f2, f3.
     few: [f64; 3],
@@ -53,7 +53,7 @@ impl Caught {
     const MOST_THETA: f64 = 0.95;
     const LEAST_SHAPE: f64 = 0.02;
 
-    fn add(mut self, rays: u32) -> Self {
+    pub(super) fn add(mut self, rays: u32) -> Self {
         self.counts = self.counts.add(Counts::of(rays));
         if let Some(f) = self.few.get_mut((rays as usize).wrapping_sub(1)) {
             *f += 1.0;
@@ -62,7 +62,7 @@ impl Caught {
     }
 
     /// Expected number of species in the run.
-    fn expected(&self, s: f64) -> f64 {
+    pub(super) fn expected(&self, s: f64) -> f64 {
         if self.counts.distinct == 0.0 {
             return 0.0;
         }
@@ -187,6 +187,12 @@ impl Census {
         }
     }
 
+    /// The finest level.
+    #[must_use]
+    pub fn level(&self) -> u8 {
+        self.lattice.level()
+    }
+
     /// Largest number of vertices that a batch of rays touched.
     #[must_use]
     pub fn longest_batch(&self) -> usize {
@@ -258,7 +264,7 @@ impl Census {
         let is_owned = |point| tile.is_none_or(|tile| tile.owns(finest, point));
         let on_limit = |coarseness: u8, code: u64| {
             let vertex = morton::decode(code).map(|i| (i << coarseness).min(last));
-            limits.level(limits.region_of(vertex)) + coarseness == finest && is_owned(vertex)
+            is_on_limit(limits, coarseness, vertex) && is_owned(vertex)
         };
         let bricks = (0..).zip(&self.bricks);
         let bricks = bricks.map(|(coarseness, sample)| sample.expected(scale, |code| on_limit(coarseness, code << 3)));
@@ -279,12 +285,31 @@ impl Census {
         Needs { summing, sums, vertices: VERTICES_PER_LEAF * leaves }
     }
 
+    /// The vertices of the sample on the leaves of `limits`, by coarseness: lattice points with their numbers of rays,
+    /// and how many vertices each of them stands for.
+    pub(super) fn sampled(&self, limits: &MaxLevels) -> impl Iterator<Item = (Vec<([u32; 3], u32)>, f64)> {
+        let last = self.lattice.cells_per_axis() - 1;
+        (0..).zip(&self.vertices).map(move |(coarseness, sample)| {
+            let points = sample.rays.iter().map(|(&code, &rays)| {
+                let point = morton::decode(code).map(|i| i << coarseness);
+                (point, rays)
+            });
+            let on_limit = points.filter(|(point, _)| is_on_limit(limits, coarseness, point.map(|i| i.min(last))));
+            (on_limit.collect(), f64::from(sample.zeros).exp2())
+        })
+    }
+
     /// Bytes on the heap.
     #[must_use]
     pub fn memory(&self) -> usize {
         let samples = self.bricks.iter().chain(&self.split).chain(&self.vertices);
         samples.map(|sample| sample.rays.capacity() * 8 / 7 * (1 + size_of::<(u64, u32)>())).sum()
     }
+}
+
+/// Whether leaves around a cell have this coarseness.
+fn is_on_limit(limits: &MaxLevels, coarseness: u8, cell: [u32; 3]) -> bool {
+    limits.level(limits.region_of(cell)) + coarseness == limits.finest()
 }
 
 /// The corners of a cell, by Morton codes.

@@ -15,6 +15,7 @@
 //! its contributions in ray order, whatever the number of threads.
 
 mod census;
+mod cuts;
 mod key;
 mod lists;
 mod pilot_counts;
@@ -163,7 +164,8 @@ impl OctreePosterior {
             }
         }
         if let Some(tile) = self.tile {
-            all.retain(|key| tile.owns(self.lattice.level(), key.point()));
+            let finest = self.lattice.level();
+            all.retain(|key| tile.owns(finest, key.point()));
         }
         all
     }

@@ -52,8 +52,8 @@ pub fn merge_files(parts: &[PathBuf]) -> Result<UncertaintyField> {
 }
 
 /// Makes of the files of all tiles of a run as many files that answer queries, in `folder`: `tile-000-of-008.oct` and
-/// so on, which [`TiledField`](super::TiledField) opens as one field. No more than the sums of one tile and the octree
-/// of the whole are ever in memory.
+/// so on, which [`TiledField`](super::TiledField) opens as one field. No more than the sums of one tile, those that
+/// tiles need of each other, and the octree of the whole are ever in memory. Every file is read three times.
 ///
 /// # Errors
 /// As [`merge_files`], if the files are not of tiles, or if a file cannot be written.
@@ -64,10 +64,11 @@ pub fn finish_tiles(parts: &[PathBuf], folder: &Path) -> Result<()> {
         return Err(Error::setting("tiles to merge", "all tiles of a run", "fields of all of space, or of one tile"));
     }
     let tiles = || groups.iter().map(|shards| tile(parts, &heads, shards));
-    let survey = tiles::Survey::read(tiles())?;
+    let mut survey = tiles::Survey::read(tiles())?;
+    survey.read_seams(tiles())?;
     for part in tiles() {
         let field = survey.finish(&part?)?;
-        let Some(Tile { index, of }) = field.tile else { continue };
+        let Some(Tile { index, of, .. }) = field.tile else { continue };
         field.write(&folder.join(format!("tile-{index:03}-of-{of:03}.oct")))?;
     }
     Ok(())
@@ -161,3 +162,6 @@ fn in_one_order(heads: &[Head]) -> Vec<usize> {
     });
     order
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,8 +1,8 @@
 //! Puts tiles together: one octree for all of them, and the values at its vertices, tile by tile.
 //!
 //! A tile's sums are those of the whole run, but where the octree is refined depends, by balance, on what lies beyond
-//! its seams. So the tiles are read twice: first for the cells that they want and the sums on their seams, then for
-//! their values.
+//! its seams. So the tiles are read twice: first for the cells that they want, then for their values. Tiles that are to
+//! answer by themselves are read once more between, for what each needs of the others: leaves lie across seams.
 
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
@@ -10,7 +10,7 @@ use rustc_hash::FxHashMap;
 use super::parts::Head;
 use super::shards;
 use crate::geometry::Lattice;
-use crate::octree::{Cell, MaxLevels, Octree, Tile, VertexId, Wanted};
+use crate::octree::{Cell, MaxLevels, Octree, Tile, Tiling, VertexId, Wanted, cells_around};
 use crate::posterior::{OctreePosterior, VertexSums, Visits};
 use crate::rays::Draw;
 use crate::uncertainty::from_sums::value;
@@ -20,6 +20,13 @@ use crate::{Error, Result};
 /// Refuses tiles that do not cover the box, or that not all rays were summed in. `groups` has the parts of each.
 pub fn check(groups: &[(Tile, Vec<&Head>)]) -> Result<()> {
     let Some((first, parts)) = groups.first() else { return Ok(()) };
+    let names = |parts: &[&Head]| parts.iter().map(|head| head.name.as_str()).collect::<Vec<_>>().join(", ");
+    // By number, then by box: tiles of one number that differ stand beside each other.
+    if let Some([(tile, a), (_, b)]) = groups.windows(2).find(|pair| pair[0].0.index == pair[1].0.index) {
+        let expected = "tiles of runs with the same --rays, which decides where space is cut";
+        let found = format!("two boxes of tile {tile}: in {} and in {}", names(a), names(b));
+        return Err(Error::setting("tiles to merge", expected, found));
+    }
     let missing = (0..first.of).filter(|i| groups.iter().all(|(tile, _)| tile.index != *i));
     let missing: Vec<String> = missing.map(|i| format!("{i}/{}", first.of)).collect();
     if !missing.is_empty() {
@@ -29,17 +36,23 @@ pub fn check(groups: &[(Tile, Vec<&Head>)]) -> Result<()> {
     let draws = shards::draws(parts);
     for (tile, parts) in groups {
         let own = shards::draws(parts);
-        let names = || parts.iter().map(|head| head.name.as_str()).collect::<Vec<_>>().join(", ");
         if own.is_empty() || own.iter().any(Draw::is_part) {
             let expected = format!("all shards of tile {tile}");
-            return Err(Error::setting("tiles to merge", expected, format!("{} alone", names())));
+            return Err(Error::setting("tiles to merge", expected, format!("{} alone", names(parts))));
         }
         if own != draws {
             let expected = format!("the rays of tile {first} in tile {tile}, too");
-            return Err(Error::setting("tiles to merge", expected, format!("others in {}", names())));
+            return Err(Error::setting("tiles to merge", expected, format!("others in {}", names(parts))));
         }
     }
-    Ok(())
+    let boxes: Vec<Tile> = groups.iter().map(|(tile, _)| *tile).collect();
+    match Tiling::new(parts[0].lattice.level(), &boxes) {
+        Some(_) => Ok(()),
+        None => {
+            let expected = "the tiles of one run, which together are its box";
+            Err(Error::setting("tiles to merge", expected, "boxes that overlap or leave gaps"))
+        }
+    }
 }
 
 /// What must be known of all tiles before one of them can be finished.
@@ -50,14 +63,15 @@ pub struct Survey {
     draws: Vec<Draw>,
     /// The octree of the whole.
     octree: Octree,
-    /// Sums at the vertices that lie on a lower face of their tile: its neighbours have them, too.
+    tiles: Vec<Tile>,
+    /// Sums at the vertices that a tile needs of another.
     seams: FxHashMap<[u32; 3], VertexSums>,
     surfaces: Vec<Vec<[f32; 3]>>,
     visits: Option<Visits>,
 }
 
 impl Survey {
-    /// Reads all tiles once, in their order. Of each, only what lies on seams stays in memory.
+    /// Reads all tiles once, in their order, one at a time.
     pub fn read(tiles: impl IntoIterator<Item = Result<UncertaintyField>>) -> Result<Self> {
         let mut survey: Option<(Self, Wanted)> = None;
         for part in tiles {
@@ -68,16 +82,13 @@ impl Survey {
                 let expected = "the leaves of the first tile in all of them";
                 return Err(Error::setting("tiles to merge", expected, "others"));
             }
-            let (tile, protocol) = (part.tile, &mut survey.protocol);
+            let protocol = &mut survey.protocol;
             if protocol.criteria.sensitivity {
                 let wants = sums.wanted(protocol.floor(protocol.rays));
                 *wanted = std::mem::replace(wanted, Wanted::new(part.lattice.level())) | wants;
             }
             protocol.dropped = protocol.dropped.max(part.protocol.dropped);
-            let low = tile.map_or([0; 3], |tile| tile.extent(part.lattice.level()).0);
-            let on_seam = |point: &[u32; 3]| (0..3).any(|axis| point[axis] == low[axis]);
-            let on_seams = sums.touched().filter(|(point, _)| on_seam(point)).map(|(point, sums)| (point, *sums));
-            survey.seams.extend(on_seams.collect::<Vec<_>>());
+            survey.tiles.extend(part.tile);
             survey.visits = survey.visits.take().zip(part.visits).map(|(mut sum, more)| {
                 sum += &more;
                 sum
@@ -97,6 +108,7 @@ impl Survey {
             limits: first.limits.clone(),
             draws: first.draws.clone(),
             octree: Octree::refined(level, []),
+            tiles: Vec::new(),
             seams: FxHashMap::default(),
             surfaces: Vec::new(),
             visits: first.visits.as_ref().map(|_| Visits::new(&first.lattice)),
@@ -135,20 +147,35 @@ impl Survey {
         Ok(self.field(self.octree.clone(), (deviations, rays)).with_surface(surface))
     }
 
-    /// A tile that answers by itself for every point in it as the whole does: its leaves, those that touch it, and the
-    /// values at all of its vertices.
+    /// Reads all tiles a second time, for the sums that each needs of the others. They stay in memory.
+    pub fn read_seams(&mut self, tiles: impl IntoIterator<Item = Result<UncertaintyField>>) -> Result<()> {
+        let finest = self.lattice.level();
+        for tile in &self.tiles {
+            let octree = self.octree_of(*tile);
+            let foreign = octree.vertex_positions().filter(|point| !tile.owns(finest, *point));
+            self.seams.extend(foreign.map(|point| (point, VertexSums::default())));
+        }
+        for part in tiles {
+            let part = part?;
+            let sums = part.own_sums()?;
+            let is_own = |point| part.tile.is_some_and(|tile| tile.owns(finest, point));
+            self.seams.par_iter_mut().filter(|(point, _)| is_own(**point)).for_each(|(point, own)| {
+                *own = sums.sums(*point);
+            });
+        }
+        Ok(())
+    }
+
+    /// A tile that answers by itself for every point in it as the whole does: its leaves, those around them, and the
+    /// values at all of its vertices. [Seams](Self::read_seams) must have been read.
     pub fn finish(&self, part: &UncertaintyField) -> Result<UncertaintyField> {
         let sums = part.own_sums()?;
         let tile = part.tile.ok_or_else(|| Error::setting("tiles to merge", "a tile", "a field of all of space"))?;
         let finest = self.lattice.level();
-        let octree = Octree::refined(finest, self.leaves_touching(tile));
-        let (low, high) = tile.extent(finest);
-        let is_in = |point: [u32; 3]| (0..3).all(|axis| (low[axis]..=high[axis]).contains(&point[axis]));
+        let octree = self.octree_of(tile);
         let at = |point| match tile.owns(finest, point) {
             true => sums.sums(point),
-            false if is_in(point) => self.seams.get(&point).copied().unwrap_or_default(),
-            // Beyond the seams nothing is asked.
-            false => VertexSums::default(),
+            false => self.seams.get(&point).copied().unwrap_or_default(),
         };
         let (mut deviations, mut rays) = (Vec::new(), Vec::new());
         let values = octree.par_vertex_positions().map(|point| self.value(point, at(point)));
@@ -157,17 +184,29 @@ impl Survey {
         Ok(UncertaintyField { tile: Some(tile), ..field })
     }
 
-    /// The leaves of the whole inside a tile and those that touch it from outside, on which its corners may hang.
-    fn leaves_touching(&self, tile: Tile) -> Vec<Cell> {
+    /// The octree of a tile: the leaves of the whole that touch it, on which corners in it may hang, and those around
+    /// the corners of leaves that lie across a seam.
+    fn octree_of(&self, tile: Tile) -> Octree {
         let finest = self.lattice.level();
         let (low, high) = tile.extent(finest);
         let touches = |cell: Cell| {
             let (origin, edge) = cell.extent(finest);
             (0..3).all(|axis| origin[axis] <= high[axis] && origin[axis] + edge >= low[axis])
         };
-        let mut leaves = Vec::new();
-        self.octree.cells().for_each_leaf_where(touches, |leaf| leaves.push(leaf));
-        leaves
+        let mut wanted = Wanted::new(finest);
+        let cells = self.octree.cells();
+        cells.for_each_leaf_where(touches, |leaf| {
+            wanted.cell(leaf);
+            let (origin, edge) = leaf.extent(finest);
+            let is_asked = (0..3).all(|axis| origin[axis] < high[axis] && origin[axis] + edge > low[axis]);
+            for c in (0..8_u32).filter(|_| is_asked) {
+                let corner: [u32; 3] = std::array::from_fn(|axis| origin[axis] + edge * (c >> axis & 1));
+                if (0..3).any(|axis| corner[axis] < low[axis] || corner[axis] > high[axis]) {
+                    cells_around(corner, finest).for_each(|cell| wanted.cell(cells.leaf(cell)));
+                }
+            }
+        });
+        Octree::from_wanted(wanted)
     }
 }
 

@@ -1,0 +1,302 @@
+//! Whatever is merged in whatever order, nested or at once: nothing is lost and nothing is counted twice. Sums are
+//! small integers here, which f64 adds exactly, so that a plain sum over all parts is the result bit for bit.
+
+use std::collections::BTreeMap;
+
+use glam::DVec3;
+use proptest::prelude::*;
+use rand::seq::SliceRandom;
+use rand::{Rng, RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::*;
+use crate::geometry::{Aabb, Lattice};
+use crate::octree::VertexId;
+use crate::posterior::{Covariance, DataScale, DensePosterior, OctreePosterior, Scale, Visits, negligible_information};
+use crate::rays::Shard;
+use crate::uncertainty::{MisfitSums, Protocol, Support};
+
+const LEVEL: u8 = 4;
+
+/// What one part has.
+struct Made {
+    field: UncertaintyField,
+    sums: BTreeMap<[u32; 3], VertexSums>,
+}
+
+fn lattice() -> Lattice {
+    Lattice::new(Aabb::centered_cube(1.0), LEVEL).unwrap()
+}
+
+/// A part of a run with arbitrary sums; the points of all parts are few, so that they have many in common.
+fn part(seed: u64, shard: Shard, tile: Option<Tile>, is_dense: bool, random: &mut impl Rng) -> Made {
+    let lattice = lattice();
+    let data = DataScale::new(1000, 0.02, 0.05).unwrap();
+    let rays = shard.own_rays();
+    let protocol = Protocol {
+        dropped: random.random_range(1..30),
+        seed: Some(seed),
+        shard: Some(shard),
+        scale: Scale::Data(data),
+        lambda: data.lambda(),
+        // Nothing that a ray touched is negligible.
+        tolerance: 0.0,
+        ..crate::uncertainty::tests::protocol(&lattice, Covariance::Block, rays)
+    };
+    let mut sums = BTreeMap::new();
+    for _ in 0..200 {
+        let point = [0; 3].map(|_| 5 * random.random_range(0..=3) + random.random_range(0..=1));
+        let [a, b, c] = [0; 3].map(|_| f64::from(random.random_range(1..20)));
+        let own = VertexSums::new([a * a, a * b, a * c, b * b, b * c, c * c], random.random_range(1..9));
+        if tile.is_none_or(|tile| tile.owns(LEVEL, point)) {
+            sums.insert(point, own);
+        }
+    }
+    let field = if is_dense {
+        let mut all = DensePosterior::new(lattice).into_sums();
+        sums.iter().for_each(|(point, own)| all[lattice.dense_index(*point)] = *own);
+        UncertaintyField::new(protocol, lattice, Support::Dense, all)
+    } else {
+        let mut posterior = OctreePosterior::new(lattice).owning(tile);
+        sums.iter().for_each(|(point, own)| posterior.add_sums_at(*point, own));
+        UncertaintyField::from_octree(protocol, lattice, posterior, Vec::new())
+    };
+    let surface = (0..random.random_range(0..6)).map(|_| [random.random_range(-1.0..1.0); 3]).collect();
+    let cells = 1 << (3 * LEVEL);
+    let counts = (0..cells).map(|_| random.random_range(0..1000)).collect();
+    let visits = Visits::from_counts(&lattice, counts).map(|visits| visits.within(tile, LEVEL));
+    Made { field: field.with_surface(surface).with_visits(visits), sums }
+}
+
+/// Merges some of the parts, then the results, and so on.
+fn nested(mut fields: Vec<UncertaintyField>, random: &mut impl Rng) -> UncertaintyField {
+    while fields.len() > 1 {
+        fields.shuffle(random);
+        let together = random.random_range(2..=fields.len().min(4));
+        let some = fields.split_off(fields.len() - together);
+        fields.push(merge(&some).unwrap());
+    }
+    fields.pop().unwrap()
+}
+
+/// Adds what parts have, point by point.
+fn added<'a>(parts: impl IntoIterator<Item = &'a Made>) -> BTreeMap<[u32; 3], VertexSums> {
+    let mut all = BTreeMap::<[u32; 3], VertexSums>::new();
+    for (point, own) in parts.into_iter().flat_map(|part| &part.sums) {
+        let sum = all.entry(*point).or_default();
+        sum.information.iter_mut().zip(own.information).for_each(|(sum, more)| *sum += more);
+        sum.rays += own.rays;
+    }
+    all
+}
+
+/// Counts of visits, added cell by cell.
+fn visits_of(parts: &[Made]) -> Vec<u32> {
+    let each = parts.iter().map(|part| part.field.visits().unwrap().counts());
+    each.fold(vec![0; 1 << (3 * LEVEL)], |sum, more| sum.iter().zip(more).map(|(a, b)| a + b).collect())
+}
+
+/// Sums of a field at the points where it has any.
+fn sums_of(field: &UncertaintyField) -> BTreeMap<[u32; 3], VertexSums> {
+    let positions: Vec<[u32; 3]> = match field.support() {
+        Support::Dense => (0..field.sums().unwrap().len()).map(|v| field.lattice().dense_point(v)).collect(),
+        Support::Octree(octree) => octree.vertex_positions().collect(),
+    };
+    let all = positions.into_iter().zip(field.sums().unwrap().iter().copied());
+    all.filter(|(_, sums)| sums.rays > 0).collect()
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 40, failure_persistence: None, ..ProptestConfig::default() })]
+    #[test]
+    fn any_order_and_nesting_of_seeds_and_shards_gives_all_that_they_have(
+        choice: u64,
+        seeds in 1_u64..4,
+        of in 1_u64..4,
+        is_dense: bool,
+        misfit_of in proptest::option::of(0_usize..9),
+        without_visits in prop_oneof![3 => Just(None), 1 => (0_usize..9).prop_map(Some)],
+    ) {
+        let random = &mut ChaCha8Rng::seed_from_u64(choice);
+        let parts = seeds * of;
+        prop_assume!(parts > 1);
+        let all_rays = 512 * 6 * of;
+        let draws = (0..seeds).flat_map(|seed| (0..of).map(move |index| (seed, Shard::new(all_rays, index, of))));
+        let mut parts: Vec<Made> = draws.map(|(seed, shard)| part(seed, shard, None, is_dense, random)).collect();
+        let expected_visits = visits_of(&parts);
+        let n = parts.len();
+        if let Some(i) = without_visits {
+            parts[i % n].field.visits = None;
+        }
+        let mut misfit = MisfitSums::new(&lattice());
+        misfit.add(DVec3::ZERO.as_vec3(), 0.5);
+        let misfit = misfit.finish();
+        if let Some(i) = misfit_of {
+            parts[i % n].field.misfit = Some(misfit.clone());
+        }
+        let fields = || parts.iter().map(|part| part.field.clone()).collect::<Vec<_>>();
+        let most = parts.iter().map(|part| part.field.surface().len()).max();
+        let of_first = parts.iter().flat_map(|part| part.field.surface().to_vec());
+        let flat = merge(&fields()).unwrap();
+        let surface: Vec<[f32; 3]> = of_first.take(most.unwrap()).collect();
+        prop_assert_eq!(flat.surface(), &surface[..], "of the parts in order, as many as the part with the most has");
+        for (name, merged) in [("at once", flat), ("nested", nested(fields(), random))] {
+            prop_assert_eq!(sums_of(&merged), added(&parts), "{}", name);
+            let Protocol { rays, dropped, seed, shard, .. } = merged.protocol().clone();
+            prop_assert_eq!(rays, seeds * all_rays, "{}", name);
+            let each = parts.iter().map(|part| part.field.protocol().dropped);
+            prop_assert_eq!(dropped, each.sum::<u64>(), "{}", name);
+            let one = (seeds == 1).then_some(0);
+            prop_assert_eq!((seed, shard), (one, one.map(|_| Shard::whole(all_rays))), "{}", name);
+            let whole = |seed| Draw { seed, shard: Shard::whole(all_rays) };
+            prop_assert_eq!(merged.draws(), &(0..seeds).map(whole).collect::<Vec<_>>()[..], "{}", name);
+            prop_assert!(!merged.is_part(), "{}", name);
+            let counts = merged.visits().map(|visits| visits.counts().to_vec());
+            prop_assert_eq!(counts, without_visits.is_none().then(|| expected_visits.clone()), "{}", name);
+            prop_assert_eq!(merged.misfit(), misfit_of.map(|_| &misfit), "{}", name);
+            prop_assert_eq!(merged.surface().len(), most.unwrap(), "{}", name);
+            // U is that of the sums, whatever the parts said.
+            let protocol = merged.protocol().clone();
+            let sums = merged.sums().unwrap().to_vec();
+            let anew = UncertaintyField::new(protocol, lattice(), merged.support().clone(), sums);
+            prop_assert_eq!(anew.deviations(), merged.deviations(), "{}", name);
+            prop_assert_eq!(anew.rays(), merged.rays(), "{}", name);
+        }
+    }
+
+    #[test]
+    fn tiles_in_shards_have_together_what_they_have(choice: u64, of in 1_u64..4, bits in 1_u32..4, nests: bool) {
+        let random = &mut ChaCha8Rng::seed_from_u64(choice);
+        let all_rays = 512 * 6 * of;
+        let mut boxes = vec![([0; 3], [1 << LEVEL; 3])];
+        for _ in 0..bits {
+            // Cut anywhere, but not into nothing: every box has an edge of two cells or more.
+            let halves = boxes.into_iter().flat_map(|(low, high): ([u32; 3], [u32; 3])| {
+                let axis = (0..3).max_by_key(|&axis| high[axis] - low[axis]).unwrap_or(0);
+                let (mut middle, mut start) = (high, low);
+                start[axis] = random.random_range(low[axis] + 1..high[axis]);
+                middle[axis] = start[axis];
+                [(low, middle), (start, high)]
+            });
+            boxes = halves.collect();
+        }
+        let tiles = (0..).zip(boxes).map(|(index, (low, high))| Tile::new(index, 1 << bits).unwrap().within(low, high));
+        let tiles: Vec<Tile> = tiles.collect();
+        let shards: Vec<Shard> = (0..of).map(|index| Shard::new(all_rays, index, of)).collect();
+        let parts: Vec<Vec<Made>> = tiles
+            .iter()
+            .map(|tile| shards.iter().map(|&shard| part(0, shard, Some(*tile), false, random)).collect())
+            .collect();
+        let of_tile = |parts: &Vec<Made>| parts.iter().map(|part| part.field.clone()).collect::<Vec<_>>();
+        let mut fields: Vec<UncertaintyField> = if nests && of > 1 {
+            parts.iter().map(|parts| nested(of_tile(parts), random)).collect()
+        } else {
+            parts.iter().flat_map(of_tile).collect()
+        };
+        fields.shuffle(random);
+        let joined = merge(&fields).unwrap();
+        // Rays that reach several tiles may be dropped in each.
+        let dropped = |parts: &Vec<Made>| parts.iter().map(|part| part.field.protocol().dropped).sum::<u64>();
+        prop_assert_eq!(joined.protocol().dropped, parts.iter().map(dropped).max().unwrap());
+        prop_assert_eq!(joined.protocol().rays, all_rays);
+        let expected = added(parts.iter().flatten());
+        let Support::Octree(octree) = joined.support() else { panic!("an octree") };
+        for (v, point) in octree.vertex_positions().enumerate() {
+            let own = expected.get(&point).copied().unwrap_or_default();
+            let deviation = joined.protocol().deviation(&own, joined.protocol().lambda);
+            prop_assert_eq!(joined.deviations().get(v), f64::from(deviation as f32), "{:?}", point);
+            prop_assert_eq!(joined.rays().get(v), rounded(own.rays), "{:?}", point);
+        }
+        for point in expected.keys() {
+            prop_assert!(octree.vertex(*point).is_some_and(|VertexId(v)| v < octree.vertex_count() as u32));
+        }
+        let all: Vec<Made> = parts.into_iter().flatten().collect();
+        prop_assert_eq!(joined.visits().unwrap().counts(), &visits_of(&all)[..]);
+    }
+}
+
+/// A count as a field keeps it.
+fn rounded(rays: u32) -> u64 {
+    [rays].into_iter().collect::<crate::uncertainty::RayCounts>().get(0)
+}
+
+#[test]
+fn tiles_of_other_cuts_are_named() {
+    let random = &mut ChaCha8Rng::seed_from_u64(4);
+    let [lower, upper] = [0, 1].map(|index| Tile::new(index, 2).unwrap());
+    let whole = Shard::whole(512 * 6);
+    let mut field = |seed, tile| part(seed, whole, Some(tile), false, random).field;
+    let cut = |tile: Tile, plane: u32| match tile.index {
+        0 => tile.within([0; 3], [plane, 16, 16]),
+        _ => tile.within([plane, 0, 0], [16; 3]),
+    };
+    let message = |parts: &[UncertaintyField]| merge(parts).unwrap_err().to_string();
+    let seeds = [field(0, cut(lower, 5)), field(1, cut(lower, 6)), field(0, cut(upper, 5))];
+    let found = message(&seeds);
+    assert!(found.contains("two boxes of tile 0/2: in field 1 and in field 2"), "{found}");
+    for (a, b) in [(cut(lower, 5), cut(upper, 6)), (cut(lower, 6), cut(upper, 5)), (lower, cut(upper, 8))] {
+        let found = message(&[field(0, a), field(0, b)]);
+        assert!(found.contains("overlap or leave gaps"), "{found}");
+    }
+    assert!(merge(&[field(0, cut(upper, 5)), field(0, cut(lower, 5))]).is_ok());
+    assert!(merge(&[field(0, lower), field(0, upper)]).is_ok());
+}
+
+/// What was left out of the octree of a run was negligible for its rays: no more may be left out for those of all.
+#[test]
+fn what_counts_in_the_shorter_run_counts_in_both() {
+    let lattice = lattice();
+    let run = |seed: u64, rays: u64, point: [u32; 3], times: f64| {
+        let protocol = Protocol {
+            seed: Some(seed),
+            shard: Some(Shard::whole(rays)),
+            ..crate::uncertainty::tests::protocol(&lattice, Covariance::Block, rays)
+        };
+        let entry = times * negligible_information(protocol.tolerance, rays, protocol.lambda) / 3.0;
+        let mut posterior = OctreePosterior::new(lattice);
+        posterior.add_sums_at(point, &VertexSums::new([entry, 0.0, 0.0, entry, 0.0, entry], 3));
+        UncertaintyField::from_octree(protocol, lattice, posterior, Vec::new())
+    };
+    let (short, long) = (run(0, 1024, [5, 6, 7], 3.0), run(1, 102_400, [12, 3, 9], 3.0));
+    for parts in [[short.clone(), long.clone()], [long, short]] {
+        let merged = merge(&parts).unwrap();
+        let Support::Octree(octree) = merged.support() else { panic!("an octree") };
+        assert!([[5, 6, 7], [12, 3, 9]].iter().all(|point| octree.vertex(*point).is_some()));
+        assert!(octree.vertex_count() < 1000);
+    }
+}
+
+/// If the rays of one part are unknown, so are those of all.
+#[test]
+fn one_part_of_unknown_rays_makes_all_unknown() {
+    let random = &mut ChaCha8Rng::seed_from_u64(5);
+    for unknown in 0..3 {
+        let mut fields: Vec<UncertaintyField> =
+            (0..3).map(|seed| part(seed, Shard::whole(3072), None, false, random).field).collect();
+        for (i, field) in fields.iter_mut().enumerate() {
+            // As if other programs had drawn the rays: only then are parts told apart by their sources.
+            (field.protocol.march_step, field.protocol.source) = (None, i.to_string());
+        }
+        fields[unknown].draws = Vec::new();
+        assert_eq!(merge(&fields).unwrap().draws(), []);
+    }
+}
+
+/// Error bars compare parts with what each of them has, in whatever order they are given.
+#[test]
+fn error_bars_of_merged_parts_do_not_depend_on_their_order() {
+    let random = &mut ChaCha8Rng::seed_from_u64(3);
+    // Runs of different lengths: if rays and sums of different parts were paired, bars would be others.
+    let lengths = [512 * 6, 512 * 9, 512 * 30];
+    let parts: Vec<Made> = (0..3).map(|i| part(7 - i, Shard::whole(lengths[i as usize]), None, true, random)).collect();
+    let fields: Vec<UncertaintyField> = parts.iter().map(|part| part.field.clone()).collect();
+    let merged = merge_with_error_bars(&fields).unwrap();
+    let groups: Vec<Vec<VertexSums>> = fields.iter().map(|field| field.sums().unwrap().to_vec()).collect();
+    let expected = merge(&fields).unwrap().with_error_bars(&groups, &lengths);
+    let bars = |field: &UncertaintyField| {
+        let bars = field.error_bars().unwrap();
+        (0..bars.len()).map(|v| bars.get(v)).collect::<Vec<_>>()
+    };
+    assert!(bars(&merged).iter().flatten().count() > 50);
+    assert_eq!(bars(&merged), bars(&expected));
+}
