@@ -38,3 +38,22 @@ impl Sum for RunProgress {
         runs.fold(Self::default(), Self::add)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn all_counts_add_up_and_the_first_invalid_sample_stays_the_first() {
+        let run = |n: u64, first_invalid| RunProgress {
+            batches: n,
+            rays: 10 * n,
+            samples: 100 * n,
+            dropped: 1000 * n,
+            first_invalid,
+        };
+        let runs = [run(1, None), run(2, Some([1.0; 3])), run(4, Some([2.0; 3]))];
+        assert_eq!(runs.into_iter().sum::<RunProgress>(), run(7, Some([1.0; 3])));
+        assert_eq!(runs[2] + runs[0], run(5, Some([2.0; 3])));
+    }
+}

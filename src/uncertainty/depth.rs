@@ -116,7 +116,7 @@ impl DepthPosterior<'_> {
                 self.scale * (squares + 2.0 * (xy * g.x * g.y + xz * g.x * g.z + yz * g.y * g.z))
             }
             (None, Some(v)) => isotropic(deviations.get(v)),
-            (None, None) => isotropic(self.field.prior()),
+            (None, None) => isotropic(protocol.deviation(&VertexSums::default(), lambda)),
         }
     }
 }

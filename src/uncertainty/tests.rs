@@ -12,7 +12,9 @@ use crate::rays::{Draw, Pixels, Shard};
 use crate::render::{RaySample, RaySamples};
 use proptest::prelude::*;
 
-fn protocol(lattice: &Lattice, covariance: Covariance, rays: u64) -> Protocol {
+mod hanging;
+
+pub(super) fn protocol(lattice: &Lattice, covariance: Covariance, rays: u64) -> Protocol {
     Protocol {
         version: "test".into(),
         source: "test".into(),
