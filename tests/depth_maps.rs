@@ -257,10 +257,11 @@ fn maps_belong_to_frames_by_their_folders() {
 
     let front = evaluate("depth/front", &options);
     let calibrated = format!("{} -o cal.oct", calibrate("depth/front", &options));
-    // Whether the other frame is judged, too, or not.
-    for command in [front.clone(), front.replace("s all", "s 0,1"), front.replace("s all", "s 2,3"), calibrated] {
+    // Whether the other frame is judged, too, or not: without `--views all` the last frame alone is.
+    let last = front.replace("--views all ", "");
+    for (command, name) in [(front, "0.png"), (last, "1.PNG"), (calibrated, "0.png")] {
         let said = refused(desk, &command);
-        let both = "`images/front/0.png` and `images/back/0.png`";
+        let both = &format!("`images/front/{name}` and `images/back/{name}`");
         assert!(said.starts_with("depth/front: depth maps: expected ") && said.contains(both), "{command}: {said}");
     }
     // A map that is nowhere.
@@ -337,7 +338,7 @@ fn names_of_frames_are_text_on_terminals_and_in_spreadsheets() {
     let curves = cells("curves.csv");
     assert_eq!(curves[0].iter().find(is_formula), None);
     assert!(curves[0].iter().any(|name| name.starts_with("'=f ")), "{:?}", curves[0]);
-    good(desk, "export =f.oct --model scene:ball --cameras cameras.json --views all --occupancy 32 -o report.csv");
+    good(desk, "export =f.oct scene:ball --cameras cameras.json -o report.csv");
     let report = cells("report.csv");
     assert_eq!(report.iter().flatten().find(is_formula), None);
     let cameras: Vec<&str> = report.iter().filter(|row| row[0] == "camera").map(|row| &*row[1]).collect();
