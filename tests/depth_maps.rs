@@ -131,9 +131,8 @@ fn evaluate(maps: &str, options: &str) -> String {
 }
 
 fn calibrate(maps: &str, options: &str) -> String {
-    format!(
-        "calibrate scene:ball f.oct --cameras cameras.json --views all --occupancy 32 --stride 1 --depth {maps} {options}"
-    )
+    let views = "--cameras cameras.json --views all --occupancy 32 --stride 1";
+    format!("calibrate scene:ball f.oct {views} --depth {maps} {options}")
 }
 
 /// What the command finds, and what it says on stderr.

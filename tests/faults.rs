@@ -379,7 +379,8 @@ fn every_faulty_file_has_its_row() {
     let rows = rows();
     let text: String = rows.iter().map(|row| row.command.as_str()).collect::<Vec<_>>().join(" ");
     // What the commands need besides the fault.
-    let good = ["bare.oct", "good.npy", "good.npz", "r_0.png", "r_1.png"];
+    let pictures = ["r_0.png", "r_1.png", "o_0.png", "o_1.png", "o_0_far.png", "o_1_far.png"];
+    let good = [&["bare.oct", "good.npy", "good.npz"][..], &pictures].concat();
     for path in desk.files() {
         let name = path.file_name().unwrap().to_str().unwrap();
         let pictured = name.strip_prefix("r_0").is_some_and(|rest| text.contains(rest));

@@ -74,8 +74,8 @@ impl DepthEncoding {
             (Some([offset, scale]), false) => Ok(Self { offset, scale, kind }),
             (None, true) => Ok(Self { offset: 0.0, scale: 1.0, kind }),
             (None, false) => {
-                let expected = "offset and scale of the depth maps (those in .exr are in scene units), such as 0,65.535 \
-                    for 16 bits in millimetres of scenes in metres";
+                let expected = "offset and scale of the depth maps (those in .exr are in scene units), such as \
+                    0,65.535 for 16 bits in millimetres of scenes in metres";
                 refused(expected, "none".into())
             }
             (Some([offset, scale]), true) => {
@@ -96,8 +96,8 @@ pub struct DepthMap {
 
 impl DepthMap {
     /// Reads an 8- or 16-bit PNG (of a colour image, the first channel), or the depth channel of an EXR, which is in
-    /// scene units whatever the encoding's offset and scale. Values that are known to mean "unknown" or "no surface" are
-    /// no distances.
+    /// scene units whatever the encoding's offset and scale. Values that are known to mean "unknown" or "no surface"
+    /// are no distances.
     ///
     /// # Errors
     /// If the file is missing or damaged, or its size differs from the camera's.

@@ -39,7 +39,8 @@ pub struct DepthReadings {
     pub beyond: u64,
 }
 
-/// Of so many pixels at least one must hold a measurement. Otherwise the maps are in another unit, or of something else.
+/// Of so many pixels at least one must hold a measurement. Otherwise the maps are in another unit, or of something
+/// else.
 const FEWEST: u64 = 100;
 
 impl DepthReadings {

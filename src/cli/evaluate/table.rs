@@ -199,7 +199,8 @@ impl<'a> Evaluation<'a> {
         let args = self.args;
         let views = self.views.iter().map(|v| json!({ "name": v.name, "psnr": v.psnr, "pixels": v.pixels.len() }));
         json!({
-            "model": args.model.model, "cameras": args.cameras.cameras, "depth": self.ranked.as_ref().map(|_| self.source),
+            "model": args.model.model, "cameras": args.cameras.cameras,
+            "depth": self.ranked.as_ref().map(|_| self.source),
             "training_depth": args.training_depth, "ensemble": args.ensemble,
             "depth_kind": if args.maps.z_depth { "z" } else { "euclidean" }, "stride": args.stride,
             "mask": "alpha 255 and known depth", "alignment": "none",
