@@ -131,8 +131,8 @@ fn evaluate(maps: &str, options: &str) -> String {
 }
 
 fn calibrate(maps: &str, options: &str) -> String {
-    let views = "--cameras cameras.json --views all --stride 1";
-    format!("calibrate scene:ball f.oct {views} --occupancy 32 --depth {maps} {options}")
+    let views = "--cameras cameras.json --views all --occupancy 32 --stride 1";
+    format!("calibrate scene:ball f.oct {views} --depth {maps} {options}")
 }
 
 /// What the command finds, and what it says on stderr.
@@ -256,10 +256,11 @@ fn maps_belong_to_frames_by_their_folders() {
 
     let front = evaluate("depth/front", &options);
     let calibrated = format!("{} -o cal.oct", calibrate("depth/front", &options));
-    // Whether the other frame is judged, too, or not.
-    for command in [front.clone(), front.replace("s all", "s 0,1"), front.replace("s all", "s 2,3"), calibrated] {
+    // Whether the other frame is judged, too, or not: without `--views all` the last frame alone is.
+    let last = front.replace("--views all ", "");
+    for (command, name) in [(front, "0.png"), (last, "1.PNG"), (calibrated, "0.png")] {
         let said = refused(desk, &command);
-        let both = "`images/front/0.png` and `images/back/0.png`";
+        let both = &format!("`images/front/{name}` and `images/back/{name}`");
         assert!(said.starts_with("depth/front: depth maps: expected ") && said.contains(both), "{command}: {said}");
     }
     // A map that is nowhere.

@@ -1,9 +1,9 @@
 //! Checks whether an uncertainty shows where a field is wrong, on held-out views with known depth.
 //!
-//! All measures are compared on the same pixels. In the order in which data flows: a [`TrueView`] is what a
-//! camera should see. [`Evaluator`] renders it and gives every pixel its depth error and all [`Measure`]s of
-//! uncertainty; [`HeldOut`] does so for all frames. [`Score`] says how well each measure ranks the error. [`clean_up()`]
-//! removes what is too uncertain and compares the images.
+//! All measures are compared on the same pixels. In the order in which data flows: [`DepthFiles`] finds the depth maps
+//! of frames, and a [`TrueView`] is what a camera should see. [`Evaluator`] renders it and gives every pixel its depth
+//! error and all [`Measure`]s of uncertainty; [`HeldOut`] does so for all frames. [`Score`] says how well each measure
+//! ranks the error. [`clean_up()`] removes what is too uncertain and compares the images.
 
 mod clean_up;
 mod depth_files;

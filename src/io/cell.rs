@@ -2,8 +2,8 @@
 
 /// A text as a cell of CSV. One that a spreadsheet would take for a formula gets a `'` in front.
 ///
-/// Names of frames come from files of others, and a cell that starts with `=`, `+`, `-`, `@`, a tab or a carriage
-/// return may be run when the table is opened. Numbers are no texts: they stay as they are.
+/// Names of frames come from files of others, and a cell that starts with `=`, `+`, `-`, `@`, a tab or the end of a
+/// line may be run when the table is opened. Numbers are no texts: they stay as they are.
 pub fn cell(text: String) -> String {
     if text.starts_with(['=', '+', '-', '@', '\t', '\r', '\n']) { format!("'{text}") } else { text }
 }
