@@ -97,7 +97,8 @@ fn notes_that_nobody_can_take_are_dropped_and_the_work_is_done() {
         let written = folder.join(written);
         let usual = run(folder, args, Sink::Here, Sink::Here);
         let said = String::from_utf8(usual.stderr).unwrap();
-        assert_eq!((usual.status.code(), !said.is_empty()), (Some(0), speaks), "{args}: {said}");
+        // Others may have something to say, too: on a slow machine, how far they are.
+        assert!(usual.status.success() && (!speaks || !said.is_empty()), "{args}: {said}");
         for sink in [Sink::Gone, Sink::Full] {
             if written != folder {
                 remove(&written);
@@ -129,10 +130,16 @@ fn results_that_nobody_wants_are_no_failure_and_those_that_are_lost_are() {
     let ray =
         "query field.oct --model scene:ball --ray 0,-3,0.5,0,1,0".to_string() + &" --ray 0,-3,0,0,1,0".repeat(150);
     let more = ["query field.oct many.csv", ray.as_str(), "--help", "query --help", "--version"];
-    for args in COMMANDS.iter().map(|(.., args)| *args).chain(more) {
-        let usual = run(folder, args, Sink::Here, Sink::Here);
+    for (written, args) in COMMANDS.iter().map(|(written, _, args)| (*written, *args)).chain(more.map(|m| ("", m))) {
+        let run = |stdout: Sink| {
+            if !written.is_empty() {
+                remove(&folder.join(written));
+            }
+            run(folder, args, stdout, Sink::Here)
+        };
+        let usual = run(Sink::Here);
         assert!(usual.status.success(), "{args}: {}", String::from_utf8_lossy(&usual.stderr));
-        let gone = run(folder, args, Sink::Gone, Sink::Here);
+        let gone = run(Sink::Gone);
         let [said, silent] = [&usual, &gone].map(|output| String::from_utf8(output.stderr.clone()).unwrap());
         assert_eq!((gone.status.code(), silent.contains("\nerror:")), (Some(0), false), "{args}: {silent}");
         // Progress is told by the clock.
@@ -141,7 +148,7 @@ fn results_that_nobody_wants_are_no_failure_and_those_that_are_lost_are() {
         if usual.stdout.is_empty() {
             continue;
         }
-        let full = run(folder, args, Sink::Full, Sink::Here);
+        let full = run(Sink::Full);
         let said = String::from_utf8(full.stderr).unwrap();
         assert_eq!(full.status.code(), Some(2), "{args}: {said}");
         let errors: Vec<&str> = said.lines().filter(|line| line.starts_with("error:")).collect();
