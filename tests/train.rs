@@ -182,7 +182,8 @@ fn views_members_and_what_is_wrong_with_them() {
     for (args, expected) in [
         ("train . -o m.npz --steps 1", "--output"),
         ("train . -o x.safetensors --steps 1 --views 13", "at most 12"),
-        ("train . -o x.safetensors --steps 1 --views 0,12", "from 0 to 11"),
+        ("train . -o x.safetensors --steps 1 --views 0,12", "frame 12 (no "),
+        ("train . -o x.safetensors --steps 1 --views 0,13", "from 0 to 12"),
         (
             "train . -o x.safetensors --steps 1 --hemisphere left",
             "--hemisphere: expected a half that some training images were taken from",
