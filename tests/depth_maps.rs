@@ -337,7 +337,7 @@ fn names_of_frames_are_text_on_terminals_and_in_spreadsheets() {
     let curves = cells("curves.csv");
     assert_eq!(curves[0].iter().find(is_formula), None);
     assert!(curves[0].iter().any(|name| name.starts_with("'=f ")), "{:?}", curves[0]);
-    good(desk, "export scene:ball =f.oct --cameras cameras.json --views all --occupancy 32 -o report.csv");
+    good(desk, "export scene:ball =f.oct --cameras cameras.json -o report.csv");
     let report = cells("report.csv");
     assert_eq!(report.iter().flatten().find(is_formula), None);
     let cameras: Vec<&str> = report.iter().filter(|row| row[0] == "camera").map(|row| &*row[1]).collect();
