@@ -44,12 +44,14 @@ fn a_cell_size_chooses_the_level_that_is_as_fine() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     // The courtyard's box has edge 2. A size of 0.03 asks for 67 cells, so 128; 2/64 is met exactly.
-    for (size, level) in [("0.03", 7), ("0.03125", 6), ("5", 1)] {
+    for (size, level) in [("0.03", 7), ("0.03125", 6), ("1.5", 1)] {
         good(folder, &format!("{RUN} --cell-size {size} -o field.oct"));
         assert_eq!(read(folder, "field.oct").lattice().level(), level, "{size}");
     }
     let stderr = refused(folder, &format!("{RUN} --cell-size 1e-9 -o field.oct"));
     assert!(stderr.contains("--cell-size") && stderr.contains("level 16"), "{stderr}");
+    let stderr = refused(folder, &format!("{RUN} --cell-size 5 -o field.oct"));
+    assert!(stderr.contains("--cell-size: expected less than 2e0"), "{stderr}");
 }
 
 #[test]
