@@ -259,6 +259,43 @@ fn a_field_that_is_overwritten_while_it_is_read_is_whole_or_refused() {
     read_while(in_place, true);
 }
 
+/// A run names its input by checksums, so what it read must be what it names: the file is read for a checksum, for
+/// its content, and for a checksum again.
+#[test]
+fn cameras_that_change_while_they_are_read_are_refused() {
+    let folder = desk();
+    let folder = folder.path();
+    let cameras = std::fs::read_to_string(folder.join("cameras.json")).unwrap();
+    let ended = AtomicBool::new(false);
+    let change = |path: &Path| {
+        for i in 0.. {
+            if ended.load(Ordering::Relaxed) {
+                return;
+            }
+            // Whole at every moment, with a checksum of its own each time.
+            std::fs::write(folder.join("next.json"), format!("{cameras}{}", "\n".repeat(i % 7))).unwrap();
+            std::fs::rename(folder.join("next.json"), path).unwrap();
+        }
+    };
+    let changing = folder.join("changing.json");
+    std::fs::copy(folder.join("cameras.json"), &changing).unwrap();
+    let met = |(output, _): &(Output, bool)| text(&output.stderr).contains("as before it was read");
+    let mut outputs = Vec::new();
+    std::thread::scope(|scope| {
+        scope.spawn(|| change(&changing));
+        while outputs.len() < 100 && !outputs.last().is_some_and(met) {
+            let run = run(folder, "uncertainty scene:ball --cameras changing.json --level 2 --rays 600 -o x.oct");
+            let written = std::fs::remove_file(folder.join("x.oct")).is_ok();
+            outputs.push((run, written));
+        }
+        ended.store(true, Ordering::Relaxed);
+    });
+    let (refused, written) = outputs.pop().unwrap();
+    let stderr = text(&refused.stderr);
+    assert!(refused.status.code() == Some(2) && !written && stderr.contains("changing.json ("), "{stderr}");
+    assert!(outputs.iter().all(|(output, written)| output.status.success() && *written), "{outputs:?}");
+}
+
 /// `kill -9` at random moments while a field is written: the target is what it was, or the whole new field. What
 /// stays beside it has the name of a temporary file, and is a field only if it is whole.
 #[test]
