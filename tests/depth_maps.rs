@@ -4,7 +4,8 @@ mod program;
 
 use std::path::Path;
 
-use exr::prelude::{WritableImage, f16};
+use exr::image::IntoSample;
+use exr::prelude::{Image, SpecificChannels, Vec2, WritableImage, f16};
 use glam::{DVec3, Vec3};
 use octobayes::dataset::write_transforms;
 use octobayes::field::{ClosedForm, RadianceField};
@@ -29,38 +30,24 @@ enum Store {
     Png8(u8),
 }
 
+fn write_exr<T: IntoSample>(path: &Path, depth: &[Option<f64>], stored: impl Fn(Option<f64>) -> T + Sync) {
+    let side = SIDE as usize;
+    let value = |at: Vec2<usize>| (stored(depth[at.1 * side + at.0]),);
+    let channels = SpecificChannels::build().with_channel("Z").with_pixel_fn(value);
+    Image::from_channels((side, side), channels).write().to_file(path).unwrap();
+}
+
 impl Store {
     /// Writes maps; `depth` has `None` where there is no measurement.
     fn write(self, folder: &Path, stem: &str, depth: &[Option<f64>]) {
         std::fs::create_dir_all(folder).unwrap();
         let exr = folder.join(format!("{stem}.exr"));
         let png = folder.join(format!("{stem}.png"));
-        let size = (SIDE as usize, SIDE as usize);
         let share = |d: f64, steps: f64| (d / WHITE * steps).round();
         let at = |x: u32, y: u32| depth[(y * SIDE + x) as usize];
         match self {
-            Self::F32(nothing) => {
-                let value =
-                    |at: exr::prelude::Vec2<usize>| (depth[at.1 * size.0 + at.0].map_or(nothing, |d| d as f32),);
-                exr::prelude::Image::from_channels(
-                    size,
-                    exr::prelude::SpecificChannels::build().with_channel("Z").with_pixel_fn(value),
-                )
-                .write()
-                .to_file(exr)
-                .unwrap();
-            }
-            Self::F16(nothing) => {
-                let value =
-                    |at: exr::prelude::Vec2<usize>| (depth[at.1 * size.0 + at.0].map_or(nothing, f16::from_f64),);
-                exr::prelude::Image::from_channels(
-                    size,
-                    exr::prelude::SpecificChannels::build().with_channel("Z").with_pixel_fn(value),
-                )
-                .write()
-                .to_file(exr)
-                .unwrap();
-            }
+            Self::F32(nothing) => write_exr(&exr, depth, |d| d.map_or(nothing, |d| d as f32)),
+            Self::F16(nothing) => write_exr(&exr, depth, |d| d.map_or(nothing, f16::from_f64)),
             Self::Png16(nothing) => {
                 let value = |x, y| image::Luma([at(x, y).map_or(nothing, |d| share(d, 65535.0) as u16)]);
                 image::ImageBuffer::from_fn(SIDE, SIDE, value).save(png).unwrap();

@@ -23,7 +23,7 @@ NUMBERS = 26
 #: size.
 Beside = tuple[Path, "tuple[Path, bool] | None", list[int]]
 
-#: Two names of the same thing, of which a camera has one.
+#: Pairs of names for one value. A camera gives it by one of them.
 SYNONYMS = (("pose", "transform_matrix"), ("size", "w"), ("size", "h"), ("center", "cx"), ("center", "cy"))
 SYNONYMS += (("focal", "fl_x"), ("focal", "fl_y"), ("fov", "camera_angle_x"))
 

@@ -264,7 +264,7 @@ def load(
     for camera, name in zip(found, parsed.image_filenames):
         camera["file_path"] = os.fspath(name)
     for camera, mask, size in zip(found, masks, sizes):
-        # At the size of the images, of which training may have taken smaller ones.
+        # The size of the image on disk: training may have used a smaller copy.
         camera |= {"mask_path": os.fspath(mask), "image_size": size}
     return field, found
 

@@ -77,10 +77,9 @@ impl Asked {
             stride: self.stride,
         };
         let judged = held_out.evaluate(&evaluator, &found.source, monitor, drop)?;
-        let (depth, notes) = judged.depth(model)?;
-        // A warning in Python is one already.
-        let bare = |note: String| note.split_once(": ").map_or(note.clone(), |(_, text)| text.into());
-        Ok((judge(&evaluator, &judged, &depth)?, notes.into_iter().map(bare).collect()))
+        let fit = judged.depth(model)?;
+        let odd = [fit.notes, fit.warnings].concat();
+        Ok((judge(&evaluator, &judged, &fit.error)?, odd))
     }
 }
 

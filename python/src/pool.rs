@@ -19,7 +19,7 @@ struct Owned {
 
 static POOL: Mutex<Option<Owned>> = Mutex::new(None);
 
-/// A pool with a thread for each processor, or as many as `RAYON_NUM_THREADS` says.
+/// A pool of `RAYON_NUM_THREADS` threads; without that variable, of one for each processor.
 pub fn build() -> PyResult<ThreadPool> {
     let name = |i| format!("octobayes {i}");
     ThreadPoolBuilder::new().thread_name(name).build().map_err(|e| PyRuntimeError::new_err(e.to_string()))

@@ -6,7 +6,9 @@ use serde_json::json;
 
 use super::belongs::read_field;
 use super::files::CommandFiles;
-use super::options::{CameraFile, DepthOptions, FrameOptions, ModelOptions, check_field_name, parse_probability};
+use super::options::{
+    CameraFile, DepthOptions, FrameOptions, ModelOptions, check_field_name, depth, parse_probability,
+};
 use super::progress::Bars;
 use crate::Result;
 use crate::dataset::{DepthReadings, Frame};
@@ -96,9 +98,11 @@ impl Args {
             None => field,
         };
         field.depth_posterior()?;
-        let judged = self.cameras.held_out(&self.frames, &*model)?;
+        let views = self.cameras.read()?;
+        let all = views.frames.clone();
+        let judged = self.frames.held_out(views, &*model)?;
         let frames: Vec<Frame> = judged.iter().step_by(self.every as usize).cloned().collect();
-        let found = self.maps.find(self.depth.as_deref(), &self.cameras, &frames)?;
+        let found = self.maps.files(self.depth.clone()).find(&self.cameras.cameras, &frames, &all)?;
         let images = judged.iter().map(|frame| &frame.image);
         files.inputs("an image of --cameras", images).inputs("--depth", &found.files).check()?;
 
@@ -115,8 +119,7 @@ impl Args {
             stride: self.stride,
         };
         let judged = held_out.evaluate(&evaluator, &found.source, bars, drop)?;
-        let (_, notes) = judged.depth(&*model)?;
-        notes.iter().for_each(|note| announce!("{note}"));
+        depth::tell(&judged.depth(&*model)?);
         let few = || judged.too_few(&format!("more pixels of known depth, to hold {}", self.probability));
         let interval = Interval::calibrate(&evaluator, &judged.views, self.probability).ok_or_else(few)?;
         let [reading] = readings;

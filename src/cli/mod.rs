@@ -99,7 +99,11 @@ pub fn main() -> ExitCode {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(usize::from(threads));
         // No pool exists yet: the system refuses so many.
         if let Err(error) = pool.build_global() {
-            return ended(Err(Error::setting("--threads", "as many as can start", format!("{threads}: {error}"))));
+            return ended(Err(Error::setting(
+                "--threads",
+                "a number of threads that the system can start",
+                format!("{threads}: {error}"),
+            )));
         }
     }
     ended(run(cli.verb))

@@ -27,7 +27,7 @@ pub fn arrived(written: std::io::Result<()>) -> Result<()> {
 }
 
 /// Prints a line to stderr, at once and in one piece. Drops it if stderr cannot be written (`2>&1 | head`, a log on
-/// a full disk): no work ends for want of a reader.
+/// a full disk): the work goes on.
 pub fn announce(text: Arguments) {
     let _ = std::io::stderr().write_all(format!("{text}\n").as_bytes());
 }

@@ -44,6 +44,17 @@ pub struct Judged {
     source: PathBuf,
 }
 
+/// How depths fit the depth maps.
+#[derive(Debug, Clone)]
+pub struct DepthFit {
+    /// The error of depth.
+    pub error: DepthError,
+    /// What ought to be known of the maps, in sentences.
+    pub notes: Vec<String>,
+    /// What is probably wrong with them, in sentences.
+    pub warnings: Vec<String>,
+}
+
 impl HeldOut<'_> {
     /// Evaluates all frames; a stage of its own for the monitor. `seen` gets what the cameras should see. `source` is
     /// the folder or file of the depth maps, for messages.
@@ -83,23 +94,20 @@ impl HeldOut<'_> {
 }
 
 impl Judged {
-    /// The error of depth, and what ought to be known of it, in sentences.
+    /// The error of depth, and what is odd about the maps.
     ///
     /// # Errors
     /// If nearly no pixel of the depth maps holds a measurement, or if no error of this model explains half of them.
-    pub fn depth(&self, model: &dyn RadianceField) -> Result<(DepthError, Vec<String>)> {
+    pub fn depth(&self, model: &dyn RadianceField) -> Result<DepthFit> {
         if self.readings.are_nearly_all_unmeasured() {
             let expected = format!("depths of what the model shows in at least 1 % of the opaque pixels; {CAUSES}");
             return Err(Error::malformed(&self.source, "depth maps", expected, self.readings.to_string()));
         }
-        let depth = DepthError::new(&self.views).ok_or_else(|| self.too_few("pixels with depth"))?;
-        let mut notes = Vec::new();
-        if self.readings.measured < self.readings.total() {
-            notes.push(format!("note: {}", self.readings));
-        }
-        notes.extend(check_depth(&self.source, &depth, model)?);
-        notes.extend(self.fits_otherwise(&depth));
-        Ok((depth, notes))
+        let error = DepthError::new(&self.views).ok_or_else(|| self.too_few("pixels with depth"))?;
+        let unmeasured = (self.readings.measured < self.readings.total()).then(|| self.readings.to_string());
+        let notes = unmeasured.into_iter().chain(self.fits_otherwise(&error)).collect();
+        let warnings = check_depth(&self.source, &error, model)?.into_iter().collect();
+        Ok(DepthFit { error, notes, warnings })
     }
 
     /// The error that there are too few pixels of known depth.
@@ -124,7 +132,7 @@ impl Judged {
         };
         (other < 0.5 * found).then(|| {
             format!(
-                "note: half of the depths are off by more than {found:.4} scene units; if the maps hold {kind} \
+                "half of the depths are off by more than {found:.4} scene units; if the maps hold {kind} \
                  ({flag}), by more than {other:.4}"
             )
         })
@@ -147,5 +155,5 @@ fn check_depth(source: &Path, depth: &DepthError, model: &dyn RadianceField) -> 
         return Err(Error::malformed(source, "depth maps", expected, found));
     }
     let is_large = depth.median > 0.1 * size;
-    Ok(is_large.then(|| format!("warning: {found}, and the model is {size:.4} across; {CAUSES}")))
+    Ok(is_large.then(|| format!("{found}, and the model is {size:.4} across; {CAUSES}")))
 }

@@ -19,7 +19,7 @@ mod view;
 
 pub use clean_up::{CleanUp, SCALE, THRESHOLDS, clean_up};
 pub use depth_files::{DepthFiles, FramesWithDepth};
-pub use held_out::{HeldOut, Judged};
+pub use held_out::{DepthFit, HeldOut, Judged};
 pub use image_check::{ImageCheck, check_images};
 pub use interval::Interval;
 pub use measure::{Baseline, Measure, Reading};

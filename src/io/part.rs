@@ -1,7 +1,7 @@
 //! Temporary files and folders beside their targets, and what killed runs left of them.
 //!
-//! A part has the name `.octobayes-TARGET-XXXXXX.part`. Whoever writes it holds a lock on it, which the system
-//! releases when the process ends, however it ends. A part that nobody holds is therefore a leftover.
+//! A part has the name `.octobayes-TARGET-XXXXXX.part`. The process that writes it holds a lock, which the
+//! system releases when that process ends, however it ends. A part that nobody holds is therefore a leftover.
 
 use std::ffi::{OsStr, OsString};
 use std::fs::File;

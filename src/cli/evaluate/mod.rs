@@ -10,7 +10,7 @@ use self::ranking::Ranking;
 use self::table::Evaluation;
 use super::belongs::read_field;
 use super::files::CommandFiles;
-use super::options::{CameraFile, DepthOptions, FrameOptions, ModelOptions};
+use super::options::{CameraFile, DepthOptions, FrameOptions, ModelOptions, depth};
 use super::progress::Bars;
 use crate::dataset::Frame;
 use crate::evaluate::{
@@ -145,10 +145,13 @@ impl Args {
         let model = self.model.open()?;
         let readings = self.readings(&*model)?;
         let members = self.ensemble.iter().map(|name| self.member(name, &*model)).collect::<Result<Vec<_>>>()?;
-        let judged = self.cameras.held_out(&self.frames, &*model)?;
+        let views = self.cameras.read()?;
+        let all = views.frames.clone();
+        let judged = self.frames.held_out(views, &*model)?;
         let frames: Vec<Frame> = judged.iter().step_by(self.every as usize).cloned().collect();
         let is_judged = self.judges_depth(&frames);
-        let found = is_judged.then(|| self.maps.find(self.depth.as_deref(), &self.cameras, &frames)).transpose()?;
+        let maps = self.maps.files(self.depth.clone());
+        let found = is_judged.then(|| maps.find(&self.cameras.cameras, &frames, &all)).transpose()?;
         let training_maps =
             self.training_depth.as_ref().map(|folder| self.training_maps(folder, &*model)).transpose()?;
         files
@@ -314,9 +317,9 @@ fn truly_seen(maps: &FramesWithDepth, model: &dyn RadianceField, offset: f64, ba
 
 /// Scores every measure against the depth error, and says how large that error is. Says what is odd about the maps.
 fn rank(judged: &Judged, measures: usize, model: &dyn RadianceField) -> Result<(Vec<Score>, DepthError)> {
-    let (depth, notes) = judged.depth(model)?;
-    notes.iter().for_each(|note| announce!("{note}"));
+    let fit = judged.depth(model)?;
+    depth::tell(&fit);
     let scores: Option<Vec<Score>> = (0..measures).map(|m| Score::new(&judged.views, m)).collect();
     let few = || judged.too_few(&format!("at least {STEPS} pixels with depth and some error"));
-    Ok((scores.ok_or_else(few)?, depth))
+    Ok((scores.ok_or_else(few)?, fit.error))
 }

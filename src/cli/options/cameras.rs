@@ -45,17 +45,10 @@ impl FrameOptions {
         announce!("note: {}", split.describe(part, &frames));
         Ok(frames)
     }
-}
-
-impl CameraFile {
-    /// Of a folder, takes the file of held-out cameras.
-    pub fn find(&mut self) {
-        self.cameras = camera_file(&self.cameras, Part::HeldOut);
-    }
 
     /// Frames to evaluate `model` on. Warns if it was trained on some of them.
-    pub fn held_out(&self, options: &FrameOptions, model: &dyn RadianceField) -> Result<Vec<Frame>> {
-        let frames = options.select(Part::HeldOut, self.read()?)?;
+    pub fn held_out(&self, views: Views, model: &dyn RadianceField) -> Result<Vec<Frame>> {
+        let frames = self.select(Part::HeldOut, views)?;
         let known = matched(&frames, model).iter().flatten().count();
         if known > 0 {
             let n = frames.len();
@@ -64,6 +57,13 @@ impl CameraFile {
             );
         }
         Ok(frames)
+    }
+}
+
+impl CameraFile {
+    /// Of a folder, takes the file of held-out cameras.
+    pub fn find(&mut self) {
+        self.cameras = camera_file(&self.cameras, Part::HeldOut);
     }
 
     /// Reads the file. Says so if it has to assume the image size.

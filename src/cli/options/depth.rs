@@ -1,13 +1,12 @@
 //! How true depth maps are stored.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::Args;
 
-use super::{CameraFile, Resolution, parse_pair};
-use crate::Result;
-use crate::dataset::{DepthKind, Frame, Views};
-use crate::evaluate::{DepthFiles, FramesWithDepth};
+use super::parse_pair;
+use crate::dataset::DepthKind;
+use crate::evaluate::{DepthFiles, DepthFit};
 
 /// Names and values of depth maps. The folder is an option `depth` of the verb.
 #[derive(Args)]
@@ -39,10 +38,10 @@ impl DepthOptions {
         let kind = if self.z_depth { DepthKind::Z } else { DepthKind::Euclidean };
         DepthFiles { folder, pattern: self.depth_pattern.clone(), scale: self.depth_encoding, kind }
     }
+}
 
-    /// Some frames of a camera file with their maps in `folder`, or those that the file names.
-    pub fn find(&self, folder: Option<&Path>, cameras: &CameraFile, frames: &[Frame]) -> Result<FramesWithDepth> {
-        let all = Views::read(&cameras.cameras, cameras.resolution.and_then(Resolution::size))?;
-        self.files(folder.map(Into::into)).find(&cameras.cameras, frames, &all.frames)
-    }
+/// Says on stderr what is odd about depth maps.
+pub fn tell(fit: &DepthFit) {
+    fit.notes.iter().for_each(|note| announce!("note: {note}"));
+    fit.warnings.iter().for_each(|warning| announce!("warning: {warning}"));
 }

@@ -1,7 +1,7 @@
 //! Options shared by several verbs.
 
 mod cameras;
-mod depth;
+pub mod depth;
 mod grid;
 mod numbers;
 mod parse;

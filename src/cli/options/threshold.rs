@@ -55,8 +55,8 @@ impl Threshold {
         }
     }
 
-    /// Says on stderr if the threshold takes many more of a view's pixels than it seems to: a share many times its own,
-    /// a number nearly all, of which `field` did not warn.
+    /// Says on stderr if the threshold removes many more of a view's pixels than its value suggests: a share removes
+    /// several times itself, or a number removes nearly all, and `field` gave no warning.
     ///
     /// # Errors
     /// If a part of the field cannot be read.

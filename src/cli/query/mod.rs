@@ -139,7 +139,7 @@ impl Args {
     pub fn run(mut self, bars: &Bars) -> Result<()> {
         let source = Source::of(&std::mem::take(&mut self.points))?;
         let output = format(&self.output)?;
-        // Whoever waits for stdin or a pipe cannot look whether to stop, and ends at once.
+        // A read from stdin or a pipe blocks, so Ctrl-C must end the process at once.
         let waits = match &source {
             Some(Source::File(path, format)) => *format == Format::Stream || refuse_pipe(path).is_err(),
             _ => false,

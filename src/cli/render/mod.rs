@@ -220,7 +220,7 @@ impl Args {
     fn picture(&self, studio: &Studio, k: usize, camera: &Camera, path: &Path) -> Result<()> {
         let as_exr = path.extension().is_some_and(|e| e == "exr");
         if let (true, Some(Threshold::Log10(_))) = (as_exr, self.threshold) {
-            // An EXR holds the cleaned view only; what a threshold takes is told by both.
+            // An EXR holds the cleaned view only; to count what the threshold removes takes both views.
             let view = studio.cleaned_view(camera)?.unwrap_or_default();
             if view.pixels.iter().all(|pixel| pixel.opacity <= 0.5) {
                 self.note_pixels(studio, &(studio.whole_view(camera)?, Some(view.clone())))?;

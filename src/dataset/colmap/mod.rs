@@ -184,23 +184,16 @@ impl ModelFiles {
     }
 
     fn images(&self) -> Result<Vec<RawImage>> {
-        let path = &self.images;
-        let images = if self.is_binary {
-            binary::images(&crate::io::read(path)?)
-        } else {
-            text::images(&crate::io::read_text(path)?)
-        };
-        images.map_err(|e| e.in_file(path))
+        self.parse(&self.images, binary::images, text::images)
     }
 
     fn cameras(&self) -> Result<HashMap<u32, RawCamera>> {
-        let path = &self.cameras;
-        let cameras = if self.is_binary {
-            binary::cameras(&crate::io::read(path)?)
-        } else {
-            text::cameras(&crate::io::read_text(path)?)
-        };
-        cameras.map_err(|e| e.in_file(path))
+        self.parse(&self.cameras, binary::cameras, text::cameras)
+    }
+
+    fn parse<T>(&self, path: &Path, binary: fn(&[u8]) -> Parsed<T>, text: fn(&str) -> Parsed<T>) -> Result<T> {
+        let parsed = if self.is_binary { binary(&crate::io::read(path)?) } else { text(&crate::io::read_text(path)?) };
+        parsed.map_err(|e| e.in_file(path))
     }
 
     /// Reads the cameras. Images are sorted by name.

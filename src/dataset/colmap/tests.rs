@@ -207,7 +207,7 @@ fn a_large_sensor_is_read_at_a_smaller_size() {
 
 #[test]
 fn the_role_of_a_line_does_not_depend_on_how_many_words_it_has() {
-    // Names with two spaces make lines of twelve words, as many as four points have.
+    // A name with two spaces makes an image line of twelve words; so does a line of four points.
     let cameras: Vec<_> = cameras().into_iter().map(|(name, c, lens)| (format!("my own  {name}"), c, lens)).collect();
     let [lenses, images] = as_text(&cameras);
     let folder = tempfile::tempdir().unwrap();
