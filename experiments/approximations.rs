@@ -79,7 +79,7 @@ impl Row {
 }
 
 fn run(scene: &Scene, rays: RaySettings) -> Result<(UncertaintyField, u64)> {
-    let grid = scene.grid.tolerance(0.0).surface_points(POINTS);
+    let grid = scene.grid.tolerance(0.0);
     let Outcome { field, progress, .. } = scene.estimation(rays, grid).run()?;
     Ok((field, progress.samples))
 }
@@ -111,6 +111,7 @@ fn cutoffs(work: &Work, scene: &Scene) -> Result<(String, String)> {
     let rows = rows(work, scene, "cutoffs", |seed| {
         let rays = scene.settings.seed(seed);
         let (all, samples) = run(scene, rays.cutoff(0.0))?;
+        let all = scene.with_surfaces(all, rays, POINTS)?;
         let mut rows = vec![Row::new(&all, samples, &all)?];
         for cutoff in CUTOFFS {
             let (some, samples) = run(scene, rays.cutoff(cutoff))?;
@@ -138,7 +139,7 @@ fn steps(work: &Work, scene: &Scene) -> Result<(String, String)> {
     let rows = rows(work, scene, "steps", |seed| {
         let rays = scene.settings.seed(seed).gradient(GradientMethod::FiniteDifference);
         let best = if is_exact { rays.gradient(GradientMethod::Analytic) } else { rays.step(1.0 / 64.0) };
-        let (reference, _) = run(scene, best)?;
+        let reference = scene.with_surfaces(run(scene, best)?.0, best, POINTS)?;
         let row = |k: i32| {
             let (field, samples) = run(scene, rays.step(2_f64.powi(k)))?;
             Row::new(&field, samples, &reference)

@@ -60,13 +60,16 @@ struct Row {
 
 /// The rows of all [`COVARIANCES`], from the same rays.
 fn measure(scene: &Scene, seed: u64) -> Result<Vec<Row>> {
-    let finest = scene.grid.surface_points(POINTS);
-    let estimation = scene.estimation(scene.settings.seed(seed), finest);
-    let run = estimation.prepare()?;
+    let finest = scene.grid;
+    let rays = scene.settings.seed(seed);
+    let run = scene.estimation(rays, finest).prepare()?;
     let lambda = finest.prior_precision(run.lattice());
     let coarser = |k: u8| finest.level(finest.level - k).lambda(lambda * 8_f64.powi(k.into()));
     let grids: Vec<GridSettings> = [finest].into_iter().chain((1..=COARSEST).map(coarser)).collect();
-    let fields = run.finish_on(&grids)?.into_iter().map(|outcome| outcome.field).collect::<Vec<UncertaintyField>>();
+    let mut fields = run.finish_on(&grids)?.into_iter().map(|outcome| outcome.field);
+    let truth = fields.next().expect("the finest is the first");
+    let truth = scene.with_surfaces(truth, rays, POINTS)?;
+    let fields: Vec<UncertaintyField> = [truth].into_iter().chain(fields).collect();
     let rows = COVARIANCES.into_iter().map(|covariance| {
         let fields = fields.iter().map(|field| field.clone().with_covariance(covariance));
         Ok(shifts(&fields.collect::<Result<Vec<UncertaintyField>>>()?))

@@ -39,7 +39,7 @@ fn main() -> Result<()> {
 /// A seed's fields of all levels, with the vertices of each.
 fn fields(scene: &Scene, seed: u64) -> Result<Vec<UncertaintyField>> {
     let rays = scene.settings.seed(seed).gradient(GradientMethod::Auto);
-    let grids = LEVELS.map(|level| scene.grid.level(level).surface_points(0));
+    let grids = LEVELS.map(|level| scene.grid.level(level));
     let outcomes = scene.estimation(rays, grids[0]).prepare()?.finish_on(&grids)?;
     Ok(outcomes.into_iter().map(|outcome| outcome.field).collect())
 }

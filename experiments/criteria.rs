@@ -74,7 +74,8 @@ impl Row {
 fn of_seed(scene: &Scene, settings: GridSettings, seed: u64) -> Result<Vec<Row>> {
     let rays = scene.settings.seed(seed);
     let grid = |(criteria, tolerance, min_rays): &Rule| {
-        settings.criteria(criteria.iter().copied().collect()).tolerance(*tolerance).min_rays(*min_rays)
+        let settings = settings.criteria(criteria.iter().copied().collect()).tolerance(*tolerance);
+        settings.min_rays(*min_rays).ray_count(*min_rays)
     };
     let (limited, free): (Vec<GridSettings>, Vec<GridSettings>) =
         RULES.iter().map(grid).partition(GridSettings::needs_plan);
@@ -82,6 +83,7 @@ fn of_seed(scene: &Scene, settings: GridSettings, seed: u64) -> Result<Vec<Row>>
     let all: Vec<GridSettings> = [dense].into_iter().chain(free).collect();
     let mut fields = scene.estimation(rays, dense).prepare()?.finish_on(&all)?.into_iter().map(|outcome| outcome.field);
     let dense = fields.next().expect("the dense grid is the first").without_sums();
+    let dense = scene.with_surfaces(dense, rays, POINTS)?;
     let mut rows = fields.map(|field| Row::new(&field, &dense)).collect::<Result<Vec<Row>>>()?;
     for grid in limited {
         let Outcome { field, .. } = scene.estimation(rays, grid).run()?;
@@ -91,7 +93,7 @@ fn of_seed(scene: &Scene, settings: GridSettings, seed: u64) -> Result<Vec<Row>>
 }
 
 fn study(work: &Work, scene: &Scene) -> Result<(String, String)> {
-    let settings = scene.grid.surface_points(POINTS);
+    let settings = scene.grid;
     let rows = SEEDS.map(|seed| work.row(("criteria", scene.name, seed), || of_seed(scene, settings, seed)));
     let rows = rows.into_iter().collect::<Result<Vec<_>>>()?;
     let mut table = Table::new(&[

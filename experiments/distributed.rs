@@ -14,13 +14,13 @@ use std::time::Instant;
 
 use glam::Vec3;
 use octobayes::estimate::{GridSettings, RaySettings};
-use octobayes::internal::memory;
 use octobayes::octree::Tile;
-use octobayes::uncertainty::{Answers, TiledField, UncertaintyField, finish_tiles, merge_files};
+use octobayes::uncertainty::{Answers, TiledField, UncertaintyField, finish_tiles, merge};
 use octobayes::{Error, Result};
 use serde::{Deserialize, Serialize};
 
 use common::clock::{Clock, Time};
+use common::memory::peak;
 use common::program::{Needs, Program};
 use common::scenes::Scene;
 use common::settings::{describe, seeds};
@@ -99,7 +99,7 @@ fn step(what: &str, to: &Path, words: &[String]) -> Result<Row> {
             row.vertices = field.summary().vertices;
         }
         "merge" => {
-            let field = merge_files(&files())?;
+            let field = merge(&files())?;
             field.write(to)?;
             row.vertices = field.summary().vertices;
         }
@@ -124,7 +124,7 @@ fn step(what: &str, to: &Path, words: &[String]) -> Result<Row> {
     }
     row.bytes = size(to);
     row.time = clock.elapsed();
-    row.peak = memory::peak().unwrap_or(0);
+    row.peak = peak();
     Ok(row)
 }
 
@@ -139,7 +139,7 @@ fn size(path: &Path) -> u64 {
 
 /// Points everywhere near the ground of the city, in no order.
 fn points(field: &TiledField) -> Vec<Vec3> {
-    let bounds = field.lattice().domain().bounds().expect("the city is in a box");
+    let bounds = field.facts().lattice().domain().bounds().expect("the city is in a box");
     let mut state = 1_u64;
     let mut chance = || {
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);

@@ -8,8 +8,8 @@ mod common;
 use octobayes::Result;
 use octobayes::estimate::{GridKind, GridSettings};
 use octobayes::evaluate::Reading;
-use octobayes::internal::{Curve, write_plot};
 use octobayes::monitor::Silent;
+use octobayes::picture::{Curve, write_plot};
 use octobayes::posterior::trace;
 use octobayes::render::RayAverage;
 use octobayes::uncertainty::{Difference, Support, UncertaintyField, compare};
@@ -40,7 +40,7 @@ fn main() -> Result<()> {
 
 /// Octree, octree that leaves nothing out, dense grid.
 fn grids(scene: &Scene) -> [GridSettings; 3] {
-    let octree = scene.grid.surface_points(0);
+    let octree = scene.grid;
     [octree.tolerance(0.01), octree.tolerance(0.0), octree.tolerance(0.0).grid(GridKind::Dense)]
 }
 

@@ -10,7 +10,7 @@
 mod common;
 
 use octobayes::Result;
-use octobayes::estimate::{GridKind, RaySettings};
+use octobayes::estimate::{GridKind, GridSettings, RaySettings};
 use octobayes::posterior::{Covariance, VertexSums};
 use octobayes::rays::Pixels;
 use octobayes::render::GradientMethod;
@@ -41,9 +41,12 @@ fn main() -> Result<()> {
     program.part("lego", |work| study(work, &Scene::lego(&Program::data()?)?))
 }
 
+fn grid(scene: &Scene) -> GridSettings {
+    scene.grid.grid(GridKind::Dense).level(LEVEL)
+}
+
 fn run(scene: &Scene, rays: RaySettings) -> Result<UncertaintyField> {
-    let grid = scene.grid.grid(GridKind::Dense).level(LEVEL).surface_points(0);
-    Ok(scene.estimation(rays, grid).run()?.field)
+    Ok(scene.estimation(rays, grid(scene)).run()?.field)
 }
 
 fn log10(field: &UncertaintyField) -> Vec<f64> {
@@ -55,15 +58,11 @@ type Row = Vec<[[f64; 2]; 2]>;
 
 fn row(scene: &Scene, rays: RaySettings, truth: &[f64], prior: f64) -> Result<Row> {
     let random = run(scene, rays.pixels(Pixels::Random))?;
-    let sobol = run(scene, rays.pixels(Pixels::Sobol))?;
-    let mut estimates = vec![log10(&random), log10(&sobol)];
-    let blocks = by_blocks(&sobol);
-    let mut pooled = sobol;
-    for min_rays in [4.0, 8.0] {
-        pooled = pooled.with_pooling(min_rays, TOLERANCE)?;
-        estimates.push(log10(&pooled));
-    }
-    estimates.push(blocks);
+    let grids = [0.0, 4.0, 8.0].map(|min_rays| grid(scene).min_rays(min_rays).tolerance(TOLERANCE));
+    let sobol = scene.estimation(rays.pixels(Pixels::Sobol), grids[0]).prepare()?.finish_on(&grids)?;
+    let mut estimates = vec![log10(&random)];
+    estimates.extend(sobol.iter().map(|outcome| log10(&outcome.field)));
+    estimates.push(by_blocks(&sobol[0].field));
     let judge = |estimate: &Vec<f64>| {
         [false, true].map(|either| {
             let pairs = truth.iter().zip(estimate);

@@ -13,10 +13,11 @@ use std::time::Instant;
 
 use glam::Vec3;
 use octobayes::estimate::{GridSettings, Outcome, RaySettings};
-use octobayes::internal::{Curve, memory, write_plot};
+use octobayes::picture::{Curve, write_plot};
 use octobayes::{Error, Result};
 use serde::{Deserialize, Serialize};
 
+use common::memory::peak;
 use common::program::{Needs, Program, folder};
 use common::scenes::Scene;
 use common::settings::{describe, seeds};
@@ -77,11 +78,12 @@ fn words(rays: u64) -> String {
 
 fn measure((level, rays, memory): Case) -> Result<Row> {
     let city = Scene::city()?;
-    let grid = GridSettings::default().level(level).memory(memory).surface_points(QUERIES);
+    let grid = GridSettings::default().level(level).memory(memory);
     let start = Instant::now();
     let Outcome { field, .. } = city.estimation(settings(rays), grid).run()?;
     let seconds = start.elapsed().as_secs_f64();
-    let peak = memory::peak().unwrap_or(0);
+    let peak = peak();
+    let field = city.with_surfaces(field, settings(rays), QUERIES)?;
     let points: Vec<Vec3> = field.surface().iter().map(|&x| Vec3::from_array(x)).collect();
     // In an order that no cache likes.
     let n = points.len();

@@ -1,14 +1,13 @@
 //! One error type for the crate: every message names the file, the place, what was expected and what was found.
 
-use std::io;
 use std::path::{Path, PathBuf};
+use std::{fmt, io};
 
 /// Everything that can go wrong, printed as one line. The command line exits with [`Error::exit_code`].
-#[derive(Debug, thiserror::Error)]
+#[derive(Debug)]
 #[non_exhaustive]
 pub enum Error {
     /// The operating system refused: missing file, full disk, read-only folder.
-    #[error("{path}: {action}: {source}", path = shown(path))]
     Io {
         /// The file or folder.
         path: PathBuf,
@@ -18,21 +17,19 @@ pub enum Error {
         source: io::Error,
     },
     /// A file's content does not follow its format.
-    #[error("{path}: {place}: expected {expected}, found {found}", path = shown(path))]
     Malformed {
         /// The file.
         path: PathBuf,
         /// Where in the file: a key, an array, a byte offset, a line.
         place: String,
-        /// What the format asks for there.
+        /// What the format requires there.
         expected: String,
         /// What is there.
         found: String,
     },
     /// A setting makes no sense, or settings do not go together.
-    #[error("{what}: expected {expected}, found {found}")]
     Setting {
-        /// The setting's name as the user knows it.
+        /// The setting's name as the user sees it.
         what: String,
         /// The accepted range or form.
         expected: String,
@@ -40,10 +37,6 @@ pub enum Error {
         found: String,
     },
     /// The field returned NaN, ∞ or a negative density on too large a share of the rays.
-    #[error(
-        "the field is not finite: {dropped} of {rays} rays dropped (limit {limit_percent} %), first at position \
-         [{}, {}, {}]", first[0], first[1], first[2]
-    )]
     NonFinite {
         /// Rays dropped because a sample was NaN, infinite or of negative density.
         dropped: u64,
@@ -55,7 +48,6 @@ pub enum Error {
         first: [f32; 3],
     },
     /// Ctrl-C during training; the model so far was written.
-    #[error("interrupted; {path} holds the model after {steps} steps", path = shown(path))]
     Stopped {
         /// The model's file.
         path: PathBuf,
@@ -63,14 +55,43 @@ pub enum Error {
         steps: u64,
     },
     /// Ctrl-C; the work stopped between two of its results, and the first ones are there.
-    #[error("interrupted; {finished}")]
     InterruptedAfter {
         /// What is there.
         finished: String,
     },
     /// Ctrl-C; the work stopped between two batches and removed its temporary files.
-    #[error("interrupted; no output was written")]
     Interrupted,
+}
+
+impl fmt::Display for Error {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        match self {
+            Self::Io { path, action, source } => write!(f, "{}: {action}: {source}", shown(path)),
+            Self::Malformed { path, place, expected, found } => {
+                write!(f, "{}: {place}: expected {expected}, found {found}", shown(path))
+            }
+            Self::Setting { what, expected, found } => write!(f, "{what}: expected {expected}, found {found}"),
+            Self::NonFinite { dropped, rays, limit_percent, first: [x, y, z] } => write!(
+                f,
+                "the field is not finite: {dropped} of {rays} rays dropped (limit {limit_percent} %), first at \
+                 position [{x}, {y}, {z}]"
+            ),
+            Self::Stopped { path, steps } => {
+                write!(f, "interrupted; {} holds the model after {steps} steps", shown(path))
+            }
+            Self::InterruptedAfter { finished } => write!(f, "interrupted; {finished}"),
+            Self::Interrupted => write!(f, "interrupted; no output was written"),
+        }
+    }
+}
+
+impl std::error::Error for Error {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        match self {
+            Self::Io { source, .. } => Some(source),
+            _ => None,
+        }
+    }
 }
 
 /// The crate's result type.

@@ -1,8 +1,8 @@
 //! Where can a trained radiance field be trusted?
 //!
 //! octobayes computes a *post-hoc spatial uncertainty* for a trained NeRF. Post-hoc: it takes the finished model
-//! and its training cameras, and retrains nothing. Spatial: the answer U(x) is a function of position, in scene
-//! units. It says how far each part of space could be displaced without any training image noticing (Bayes' Rays:
+//! and its training cameras, and retrains nothing. Spatial: the result U(x) is a function of position, in scene
+//! units. It measures how far each part of space could be displaced before any training image changed (Bayes' Rays:
 //! Goli, Reading, Sellán, Jacobson, Tagliasacchi, CVPR 2024).
 //!
 //! Displacements live on *deformation vertices*, the corners of cells, and are interpolated in between. The paper
@@ -18,24 +18,26 @@
 //!   and directions.
 //! - [`render`] samples a ray through the field, composites its pixel, and differentiates the pixel with respect
 //!   to the positions of the samples: by central differences, or by the field's own derivatives.
+//! - [`splats`] are the other kind of model: Gaussian splats, their files, their images and how these change.
 //! - [`rays`] draws the training rays and hands on their samples with these Jacobians.
-//! - [`posterior`] spreads the Jacobians over the vertices around each sample, sums them along the ray, squares,
-//!   and sums over rays. It refines the octree where rays left a trace. Where rays or memory cannot support the
+//! - [`posterior`] spreads the Jacobians over the vertices around each sample, sums them along the ray, squares, and
+//!   sums over rays. It refines the octree where the sums are not negligible. Where rays or memory cannot support the
 //!   finest lattice, [`MaxLevels`](octree::MaxLevels) keep leaves coarser.
-//! - [`uncertainty`] reads one standard deviation per vertex off these sums and interpolates it. This is U(x), to
+//! - [`uncertainty`] computes one standard deviation per vertex from these sums and interpolates it. This is U(x), to
 //!   be stored, queried, compared and merged.
 //! - [`estimate`] runs all of this: an [`Estimation`](estimate::Estimation) holds the settings of a run, and a
-//!   [`Planner`](estimate::Planner) tells beforehand what it needs.
+//!   [`Planner`](estimate::Planner) predicts its time, memory and disk space.
+//! - [`session`] runs it as the command line and Python do: from files to files, with checks and remarks.
+//! - [`next_view`] ranks cameras by how much their images, not yet taken, would constrain the displacements.
 //! - [`evaluate`] checks whether U ranks the depth error of held-out views, beside measures that need no Hessian.
-//! - [`metrics`] has the formulas for that, and those of image quality.
+//! - [`metrics`] has the formulas for that, and those of image quality; [`picture`] draws numbers.
 //!
 //! Input comes from these:
 //!
 //! - [`dataset`] reads posed images, their split, and depth maps.
-//! - [`zoo`] has scenes that are hard, each in one way, with the result to expect.
 //! - [`train`] fits a hash grid to posed images.
 //! - [`synth`] ray-traces a mesh into images whose depth is known exactly.
-//! - [`open`] finds the model that a name means: a file or a built-in scene.
+//! - [`open`] opens a model by its name: a file or a built-in scene.
 //!
 //! # Example
 //!
@@ -65,31 +67,54 @@
 //! (what to compute), and [`uncertainty::UncertaintyField`] (the result). Jacobians from elsewhere, such as
 //! autograd on a GPU, go through [`estimate::FieldBuilder`] as [`render::RaySamples`].
 //!
+//! # Features
+//!
+//! The library alone (`default-features = false`) computes, stores, merges and queries fields of models that
+//! implement [`field::RadianceField`]. Each feature adds whole modules, and the crates that only they need:
+//!
+//! | feature | adds |
+//! |---|---|
+//! | `files` | files of others: [`dataset`], [`open`], [`splats`], models of [`field`], ray samples, official grids |
+//! | `evaluate` | [`evaluate`], [`session`], and the [`metrics`] of deviations and of perceived quality; with `files` |
+//! | `exr` | depth maps in OpenEXR; with `files` |
+//! | `export` | [`export`]; with `files` |
+//! | `train` | [`train`], and [`field::HashGrid`] that it trains; with `files` |
+//! | `synth` | [`synth`]; with `files` and `exr` |
+//! | `cli` | the program, and [`picture`]; with all others. The default |
+//!
+//! # Versions
+//!
+//! Rust 1.88 or newer; that rises only with a minor version. Before 1.0 a minor version (0.1 to 0.2) may change the
+//! interface and a patch version may not, by the rules that Cargo applies. Settings are built with setters and enums
+//! may gain variants, so that most additions break nothing. [`glam`] is part of the interface and re-exported: its
+//! major versions are ours. Field files state the version of their format, and a reader rejects unknown
+//! versions.
+//!
 //! # What holds
 //!
-//! - [`octree`] knows nothing of rays or colour. Only [`field`] knows how a model is stored. Only the command line
+//! - [`octree`] does not depend on rays or colour. How a model is stored is private to [`field`]. Only the command line
 //!   prints.
 //! - The dense reference ([`posterior::DensePosterior`]) shares no accumulation code with the octree: each checks
 //!   the other.
 //! - Results do not depend on the number of threads, bit for bit. Rays are drawn by index and summed in ray order.
 //! - Files are untrusted. Nothing is allocated by a length from a file before it is compared with the bytes
 //!   present.
-//! - No generic scalar. Fields speak f32, because they are trained in it. Geometry and sums are f64, because
+//! - No generic scalar. Fields compute in f32, because they are trained in it. Geometry and sums are f64, because
 //!   squares between 1e-12 and 1e6 are added millions of times. Deviations are stored as f32, which moves log10 U
 //!   by 3e-8 (or as 16-bit logarithms, by a stated amount).
 //! - No unsafe code.
 
-// Without the `cli` feature, code that only the command line or the trainer uses may be dead. Allowing that here is
-// better than a gate at every function.
-#![cfg_attr(not(feature = "cli"), allow(dead_code, unused_imports))]
 // Both macros panic if the stream cannot be written: `say!` and `announce!` of the command line do not.
 #![cfg_attr(not(test), warn(clippy::print_stderr, clippy::print_stdout))]
 
 #[cfg(feature = "cli")]
-mod cli;
+#[doc(hidden)]
+pub mod cli;
+#[cfg(feature = "files")]
 pub mod dataset;
 pub mod error;
 pub mod estimate;
+#[cfg(feature = "evaluate")]
 pub mod evaluate;
 #[cfg(feature = "export")]
 pub mod export;
@@ -98,13 +123,18 @@ pub mod geometry;
 mod io;
 pub mod metrics;
 pub mod monitor;
+pub mod next_view;
 pub mod octree;
+#[cfg(feature = "files")]
 pub mod open;
 #[cfg(feature = "cli")]
-mod picture;
+pub mod picture;
 pub mod posterior;
 pub mod rays;
 pub mod render;
+#[cfg(feature = "evaluate")]
+pub mod session;
+pub mod splats;
 #[cfg(feature = "synth")]
 pub mod synth;
 #[cfg(feature = "train")]
@@ -112,24 +142,9 @@ pub mod train;
 pub mod uncertainty;
 #[cfg(feature = "cli")]
 mod viewer;
-pub mod zoo;
 
 pub use error::{Error, Result};
 pub use glam;
-
-/// Not part of the public API: what the crate's own command line, tests, benches and experiments need.
-#[doc(hidden)]
-pub mod internal {
-    #[cfg(feature = "cli")]
-    pub use crate::cli::main;
-    #[cfg(feature = "synth")]
-    pub use crate::io::write_exr;
-    pub use crate::io::{AtomicFile, memory, npy, npz};
-    #[cfg(feature = "cli")]
-    pub use crate::picture::*;
-    #[cfg(feature = "train")]
-    pub use crate::train::pixel_gradient::{OUTPUTS as PIXEL_OUTPUTS, PixelGradient, PixelGradients};
-}
 
 /// The Rust of README and book is compiled and run like all documentation.
 #[cfg(doctest)]

@@ -3,5 +3,5 @@
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    octobayes::internal::main()
+    octobayes::cli::main()
 }

@@ -1,6 +1,6 @@
 //! How long work reports progress and learns that it should stop. The library itself never prints.
 
-/// Receives progress and is asked whether to stop. The command line implements it with progress bars.
+/// Receives progress, and may stop the work. The command line implements it with progress bars.
 pub trait Monitor: Sync {
     /// A new stage of `total` units begins.
     fn begin(&self, stage: &str, total: u64);

@@ -1,17 +1,98 @@
 //! Opens a model by the name the user gave.
 
 use std::path::Path;
+use std::sync::Arc;
 
 use crate::dataset::Views;
-use crate::field::{ClosedForm, Coordinates, HashGrid, NerfMlp, Ppng, RadianceField, VoxelGrid, is_checkpoint};
-use crate::{Error, Result, zoo};
+use crate::estimate::Subject;
+#[cfg(feature = "train")]
+use crate::field::HashGrid;
+use crate::field::{ClosedForm, Coordinates, NerfMlp, Ppng, RadianceField, VoxelGrid, is_checkpoint};
+use crate::splats::{RenderMode, Splats};
+use crate::{Error, Result};
+
+/// A model: a volume, whose rays are marched, or splats, which are projected.
+#[derive(Clone)]
+pub enum Model {
+    /// Density and colour at points.
+    Volume(Arc<dyn RadianceField>),
+    /// Gaussian splats.
+    Splats(Arc<Splats>),
+}
+
+impl Model {
+    /// What a run of the model is about.
+    #[must_use]
+    pub fn subject(&self) -> Subject<'_> {
+        match self {
+            Self::Volume(field) => Subject::Volume(&**field),
+            Self::Splats(splats) => Subject::Splats(splats),
+        }
+    }
+
+    /// The volume, if it is one.
+    #[must_use]
+    pub fn field(&self) -> Option<&dyn RadianceField> {
+        match self {
+            Self::Volume(field) => Some(&**field),
+            Self::Splats(_) => None,
+        }
+    }
+
+    /// The volume, for what only volumes have. `name` is the model's.
+    ///
+    /// # Errors
+    /// If it is splats.
+    pub fn volume(&self, name: &str) -> Result<&Arc<dyn RadianceField>> {
+        match self {
+            Self::Volume(field) => Ok(field),
+            Self::Splats(_) => Err(no_volume(name)),
+        }
+    }
+}
+
+fn no_volume(name: &str) -> Error {
+    let expected = "a volume, which has a density; the commands `uncertainty`, `render` and `export` take splats";
+    Error::setting(format!("model `{name}`"), expected, "Gaussian splats")
+}
+
+/// Opens the model that `name` names: what [`open_in`] opens, or a file of [`Splats`]. `mode` is how splats are drawn,
+/// if not as their file says.
+///
+/// # Errors
+/// As [`open_in`] and [`Splats::read`]; if a mode is given for a volume.
+pub fn open_model(name: &str, coordinates: Option<Coordinates>, mode: Option<RenderMode>) -> Result<Model> {
+    let path = Path::new(name);
+    if !is_of_splats(name) {
+        if let Some(mode) = mode {
+            return Err(Error::setting("mode of splats", "a file of splats", format!("`{mode}` for `{name}`")));
+        }
+        return open_volume(name, coordinates).map(|field| Model::Volume(field.into()));
+    }
+    if let Some(coordinates) = coordinates {
+        let found = format!("`{}` for `{name}`", coordinates.name());
+        return Err(Error::setting("coordinates", "a `.ppng` model: others have one kind only", found));
+    }
+    let splats = Splats::read(path)?;
+    Ok(Model::Splats(Arc::new(match mode {
+        Some(mode) => splats.with_mode(mode),
+        None => splats,
+    })))
+}
+
+/// True for a file of splats, by its name.
+#[must_use]
+pub fn is_of_splats(model: &str) -> bool {
+    let path = Path::new(model);
+    !model.starts_with("scene:") && Splats::is_splat_file(path) && !is_of_colmap(path)
+}
 
 /// Opens the field that `model` names.
 ///
-/// `scene:NAME` is a built-in scene or one of the [zoo]. Anything else is a file, read by its extension:
-/// `.safetensors` for a hash grid of `octobayes train` (its metadata says so) or an MLP NeRF, `.ckpt`, `.pt`, `.pth` or
-/// `.tar` for an MLP NeRF as nerf-pytorch saves it, `.npz` for a voxel grid, `.ppng` for a Plenoptic PNG in the
-/// coordinates of its file.
+/// `scene:NAME` is a built-in scene. Anything else is a file, read by its extension:
+/// `.safetensors` for a hash grid of `octobayes train` (its metadata says so; feature `train`) or an MLP NeRF, `.ckpt`,
+/// `.pt`, `.pth` or `.tar` for an MLP NeRF as nerf-pytorch saves it, `.npz` for a voxel grid, `.ppng` for a Plenoptic
+/// PNG in the coordinates of its file.
 ///
 /// # Errors
 /// If the scene or extension is unknown, or the file cannot be read as what its extension says.
@@ -24,9 +105,13 @@ pub fn open(model: &str) -> Result<Box<dyn RadianceField>> {
 /// # Errors
 /// As [`open`]; if coordinates are given for any other kind of model.
 pub fn open_in(model: &str, coordinates: Option<Coordinates>) -> Result<Box<dyn RadianceField>> {
+    if is_of_splats(model) { Err(no_volume(model)) } else { open_volume(model, coordinates) }
+}
+
+fn open_volume(model: &str, coordinates: Option<Coordinates>) -> Result<Box<dyn RadianceField>> {
     let path = Path::new(model);
     let extension = if model.starts_with("scene:") { None } else { path.extension().and_then(|e| e.to_str()) };
-    if extension == Some("ppng") {
+    if has_coordinates(model) {
         return Ok(Box::new(Ppng::read(path, coordinates.unwrap_or_default())?));
     }
     if let Some(coordinates) = coordinates {
@@ -34,9 +119,10 @@ pub fn open_in(model: &str, coordinates: Option<Coordinates>) -> Result<Box<dyn 
         return Err(Error::setting("coordinates", "a `.ppng` model: others have one kind only", found));
     }
     if let Some(scene) = model.strip_prefix("scene:") {
-        return scene_named(scene);
+        return Ok(Box::new(ClosedForm::named(scene)?));
     }
     match extension {
+        #[cfg(feature = "train")]
         Some("safetensors") if HashGrid::is_in(path)? => Ok(Box::new(HashGrid::read(path)?)),
         Some("safetensors") => Ok(Box::new(NerfMlp::read(path)?)),
         Some("npz") => Ok(Box::new(VoxelGrid::read(path)?)),
@@ -48,10 +134,17 @@ pub fn open_in(model: &str, coordinates: Option<Coordinates>) -> Result<Box<dyn 
         )),
         _ => Err(Error::setting(
             format!("model `{model}`"),
-            "`scene:NAME`, a `.safetensors` or `.ckpt` MLP NeRF, a `.ppng` Plenoptic PNG or an `.npz` voxel grid",
+            "`scene:NAME`, a `.safetensors` or `.ckpt` MLP NeRF, a `.ppng` Plenoptic PNG, an `.npz` voxel grid, or a \
+             `.ply`, `.spz` or `.splat` of splats",
             "another extension",
         )),
     }
+}
+
+/// True for a model whose scene coordinates are a choice: a Plenoptic PNG.
+#[must_use]
+pub fn has_coordinates(model: &str) -> bool {
+    !model.starts_with("scene:") && Path::new(model).extension().is_some_and(|extension| extension == "ppng")
 }
 
 /// True for a COLMAP model, its points or its database.
@@ -67,24 +160,25 @@ fn is_of_colmap(path: &Path) -> bool {
 /// # Errors
 /// If the file cannot be read.
 pub fn checksum(model: &str, coordinates: Option<Coordinates>) -> Result<u32> {
+    checksum_in(model, coordinates, None)
+}
+
+/// [`checksum`] of what [`open_model`] opens. Splats in a given mode are another model than those in their file's.
+///
+/// # Errors
+/// If the file cannot be read.
+pub fn checksum_in(model: &str, coordinates: Option<Coordinates>, mode: Option<RenderMode>) -> Result<u32> {
     if model.starts_with("scene:") {
         return Ok(crc32fast::hash(model.as_bytes()));
     }
     let path = Path::new(model);
     let mut hasher = crc32fast::Hasher::new();
     hasher.update(&crate::io::read(path)?);
-    if path.extension().is_some_and(|extension| extension == "ppng") {
+    if has_coordinates(model) {
         hasher.update(coordinates.unwrap_or_default().name().as_bytes());
     }
+    mode.iter().for_each(|mode| hasher.update(mode.to_string().as_bytes()));
     Ok(hasher.finalize())
-}
-
-/// The zoo scene of that name, or else the built-in one.
-fn scene_named(name: &str) -> Result<Box<dyn RadianceField>> {
-    if let Ok(scene) = zoo::by_name(name) {
-        return Ok(Box::new(scene.field));
-    }
-    Ok(Box::new(ClosedForm::named(name)?))
 }
 
 #[cfg(test)]

@@ -15,6 +15,7 @@ pub mod clock;
 pub mod index;
 pub mod kitchen;
 pub mod knot;
+pub mod memory;
 pub mod program;
 pub mod ranking;
 pub mod report;

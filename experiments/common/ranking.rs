@@ -9,7 +9,6 @@ use octobayes::evaluate::{
     DepthError, DepthFiles, DepthMeaning, EvaluatedView, Evaluator, Measure, Reading, Score, TrueView,
 };
 use octobayes::geometry::Aabb;
-use octobayes::metrics::ErrorKind;
 use octobayes::monitor::Silent;
 use serde::{Deserialize, Serialize};
 
@@ -79,10 +78,10 @@ impl Truth {
         };
         let rank = |(m, measure)| {
             let score = Score::new(&views, m).expect("pixels with depth and some error");
-            let curve = &score.pooled[0];
+            let curve = &score.curves[0];
             let left = curve.removed.iter().zip(&curve.by_uncertainty).zip(&curve.by_error);
             let curve = left.map(|((&r, &u), &e)| [r, u * curve.largest, e * curve.largest]).collect();
-            Rank { name: name(measure), mae: score.area(ErrorKind::Mae), rmse: score.area(ErrorKind::Rmse), curve }
+            Rank { name: name(measure), mae: score.ause_pooled.mae, rmse: score.ause_pooled.rmse, curve }
         };
         Ok(Ranking {
             ranks: evaluator.measures().into_iter().enumerate().map(rank).collect(),

@@ -10,11 +10,11 @@
 //!
 //! A name occurs once in a report, and blocks do not contain each other.
 
-use std::io::Write as _;
 use std::path::Path;
 
-use octobayes::internal::AtomicFile;
 use octobayes::{Error, Result};
+
+use super::work::write_whole;
 
 const BEGIN: &str = "<!-- begin generated: ";
 const END: &str = "<!-- end generated: ";
@@ -118,9 +118,7 @@ pub fn replaced(text: &str, name: &str, body: &str) -> std::result::Result<Strin
 pub fn rewrite(path: &Path, name: &str, body: &str) -> Result<()> {
     let text = std::fs::read_to_string(path).map_err(Error::io(path, "cannot read"))?;
     let new = replaced(&text, name, body).map_err(|fault| fault.in_file(path))?;
-    let mut file = AtomicFile::create(path)?;
-    file.write_all(new.as_bytes()).map_err(Error::io(path, "cannot write"))?;
-    file.commit()
+    write_whole(path, new.as_bytes())
 }
 
 /// When, with what and how long a block was made: the start of its first line.

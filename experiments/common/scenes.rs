@@ -8,7 +8,9 @@ use octobayes::dataset::Views;
 use octobayes::estimate::{Estimation, GridSettings, RaySettings};
 use octobayes::field::{ClosedForm, Coordinates, Intrinsics, RadianceField};
 use octobayes::geometry::Camera;
+use octobayes::monitor::Silent;
 use octobayes::open::open_in;
+use octobayes::uncertainty::UncertaintyField;
 
 /// A model with its training cameras, and how it is studied unless an experiment says otherwise.
 pub struct Scene {
@@ -84,6 +86,16 @@ impl Scene {
         let garden = own_poses(data, "360_v2/ppng_1/garden.ppng", "garden (unbounded)", 60.0, Vec3::ZERO)?;
         // A ray meets matter nearly everywhere: it takes ten times as long as one of lego.
         Ok(Self { settings: garden.settings.rays(204_800), ..garden })
+    }
+
+    /// The same field with more points on visible surfaces to compare at than a run keeps: those that its rays see
+    /// first.
+    ///
+    /// # Errors
+    /// As [`RaySettings::stream`].
+    pub fn with_surfaces(&self, field: UncertaintyField, rays: RaySettings, points: usize) -> Result<UncertaintyField> {
+        let stream = rays.stream(&*self.field, &self.cameras, field.lattice(), &Silent)?;
+        Ok(field.with_surface(stream.surface_points(points, rays.rays, &Silent)?))
     }
 
     /// An estimation of this scene with these settings.

@@ -1,10 +1,8 @@
 //! Rows that are finished, kept until their block is written.
 
 use std::cell::{Cell, RefCell};
-use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
-use octobayes::internal::AtomicFile;
 use octobayes::uncertainty::UncertaintyField;
 use octobayes::{Error, Result};
 use serde::de::DeserializeOwned;
@@ -29,9 +27,14 @@ pub fn kept<T: DeserializeOwned>(path: &Path, key: &serde_json::Value) -> Option
 pub fn keep<T: Serialize>(path: &Path, key: &serde_json::Value, value: T) -> Result<()> {
     let text = serde_json::to_vec_pretty(&Kept { key: key.clone(), value })
         .map_err(|e| Error::malformed(path, "value", "one that JSON can hold", e.to_string()))?;
-    let mut file = AtomicFile::create(path)?;
-    file.write_all(&text).map_err(Error::io(path, "cannot write"))?;
-    file.commit()
+    write_whole(path, &text)
+}
+
+/// Writes a file that appears as a whole, or not at all.
+pub fn write_whole(path: &Path, content: &[u8]) -> Result<()> {
+    let part = path.with_extension("part");
+    let written = std::fs::write(&part, content).and_then(|()| std::fs::rename(&part, path));
+    written.map_err(Error::io(path, "cannot write"))
 }
 
 /// A row with its date and time, so that a block that is written later states them.

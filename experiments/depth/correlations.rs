@@ -7,7 +7,7 @@ use octobayes::estimate::{Estimation, RaySettings};
 use octobayes::field::RadianceField;
 use octobayes::metrics::{Calibration, ErrorKind, PROBABILITIES, quantile, sparsification};
 use octobayes::monitor::Silent;
-use octobayes::posterior::{Covariance, DataScale, Draws, FullPosterior, Posterior, Scale};
+use octobayes::posterior::{Covariance, DataScale, Scale};
 use octobayes::render::{DepthProbe, DepthVariance, Probe, RayAverage, render_view_with_depth};
 use octobayes::uncertainty::UncertaintyField;
 use octobayes::{Error, Result};
@@ -16,6 +16,7 @@ use serde::{Deserialize, Serialize};
 use crate::common::clock::Clock;
 use crate::common::settings::describe;
 use crate::common::table::{Table, mean, whole};
+use crate::full::{DrawnPosterior, Draws, ExactPosterior, FullPosterior};
 use crate::judge::{grid, rays};
 use crate::scene::{Data, Scene};
 
@@ -61,8 +62,8 @@ pub struct Row {
 
 /// The exact inverse if it fits, else draws.
 enum Full {
-    Exact(octobayes::posterior::ExactPosterior),
-    Drawn(octobayes::posterior::DrawnPosterior),
+    Exact(ExactPosterior),
+    Drawn(DrawnPosterior),
 }
 
 impl Full {
@@ -104,7 +105,7 @@ pub fn measure(scene: &Scene, level: u8) -> Result<Row> {
     let (whole, iterations) = if full.vertices() <= FullPosterior::MOST_VERTICES {
         (Full::Exact(full.exact(drawn, scale)?), None)
     } else {
-        let found = full.draw(drawn, scale, DRAWS, &Silent)?;
+        let found = full.draw(drawn, scale, DRAWS)?;
         let iterations = found.iterations;
         (Full::Drawn(found), Some(iterations))
     };

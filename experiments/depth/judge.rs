@@ -4,7 +4,7 @@ use std::path::Path;
 
 use octobayes::estimate::{Estimation, GridSettings, RaySettings};
 use octobayes::evaluate::{
-    Baseline, DepthError, EvaluatedView, Evaluator, Measure, Reading, TrainingViews, measure_misfit,
+    Baseline, DepthError, EvaluatedView, Evaluator, Measure, Reading, TrainingViews, TrueView, measure_misfit,
 };
 use octobayes::field::RadianceField;
 use octobayes::geometry::Domain;
@@ -12,7 +12,7 @@ use octobayes::metrics::{Calibration, Detection, ErrorDensity, ErrorKind, PROBAB
 use octobayes::monitor::Silent;
 use octobayes::posterior::{Covariance, DataScale, Scale};
 use octobayes::render::{GradientMethod, RayAverage};
-use octobayes::uncertainty::UncertaintyField;
+use octobayes::uncertainty::{Misfit, UncertaintyField};
 use octobayes::{Error, Result};
 use serde::{Deserialize, Serialize};
 
@@ -32,7 +32,8 @@ pub const STRIDE: u32 = 2;
 const KEPT: usize = 4000;
 
 /// Baselines that are not the evaluator's, in the manner of what they are called after.
-const BESIDE: [&str; 3] = ["warped depth (WarpRF)", "warped colour (WarpRF)", "residual regression (PRIMU)"];
+const BESIDE: [&str; 4] =
+    ["warped depth (WarpRF)", "warped colour (WarpRF)", "residual regression (PRIMU)", "misfit of the training images"];
 
 /// What is known of a pixel.
 #[derive(Clone, Copy, Serialize, Deserialize)]
@@ -135,6 +136,17 @@ pub fn uncertainties(
     Ok((fields, summed))
 }
 
+/// Residuals of training images at the expected depths of a view's pixels.
+pub fn misfits(evaluator: &Evaluator, misfit: &Misfit, truth: &TrueView, view: &EvaluatedView) -> Vec<f64> {
+    let width = truth.camera.resolution[0] as usize;
+    let at = |&i: &usize| {
+        let [x, y] = [i % width, i / width].map(|n| n as f64 + truth.pixel_offset);
+        let x = truth.camera.ray(x, y).at(view.rendered.pixels[i].expected_depth);
+        misfit.at(evaluator.tracer.marcher.bounds.clamp(x.as_vec3()))
+    };
+    view.pixels.iter().map(at).collect()
+}
+
 /// The readings of the levels by `block`, and the first by `diagonal`.
 fn readings(fields: Vec<UncertaintyField>) -> Result<Vec<Reading>> {
     let mut readings = Vec::new();
@@ -170,9 +182,8 @@ pub fn judge(
     let edge = DataScale::longest_edge(fields[0].lattice().domain());
     let warp = Warp::render(&tracer, &cameras, pixel_offset)?;
     let readings = readings(fields)?;
-    let mut evaluator =
-        Evaluator { training: Some(&training), misfit: Some(&misfit), ..Evaluator::new(tracer, &readings) };
-    let regression = Regression::fit(&evaluator, &data.for_regression(pixel_offset))?;
+    let mut evaluator = Evaluator { training: Some(&training), ..Evaluator::new(tracer, &readings) };
+    let regression = Regression::fit(&evaluator, &misfit, &data.for_regression(pixel_offset))?;
     evaluator.differentiation = Some(differentiation);
     if !others.is_empty() {
         let members = others.iter().map(|other| &other.field as &dyn RadianceField).chain([field]);
@@ -196,7 +207,9 @@ pub fn judge(
             beside[0].1.push(warped.depth);
             beside[1].1.push(warped.color);
         }
-        beside[2].1.extend(regression.of(&evaluator, &view));
+        let misfits = misfits(&evaluator, &misfit, &truth, &view);
+        beside[2].1.extend(regression.of(&evaluator, &view, &misfits));
+        beside[3].1.extend(misfits);
         if let Some(parameters) = parameters {
             for ((_, all), values) in beside[BESIDE.len()..].iter_mut().zip(parameters.of(&truth, &view)) {
                 all.extend(values);
@@ -227,7 +240,7 @@ fn row(
         pooled(index(Measure::Baseline(Baseline::RayVariance))?).iter().map(|v| v + least).collect();
     let deviation = pooled(index(Measure::DepthDeviation(0))?);
     let posterior: Vec<f64> = deviation.iter().zip(&weights).map(|(d, w)| (d * d - w).max(0.0)).collect();
-    let misfit = pooled(index(Measure::Baseline(Baseline::Misfit))?);
+    let misfit = beside[BESIDE.len() - 1].1.clone();
     let named = measures.iter().map(|&measure| evaluator.name(measure)).zip((0..).map(pooled));
     let mut all: Vec<(String, Vec<f64>)> = named.take(measures.len()).collect();
     all.extend(beside);

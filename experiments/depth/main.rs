@@ -10,9 +10,9 @@ mod common;
 
 mod candidates;
 mod correlations;
+mod full;
 mod joint;
 mod judge;
-mod levels;
 mod parameters;
 mod pictures;
 mod pretrained;
@@ -95,7 +95,6 @@ fn main() -> Result<()> {
             ("meshes", Needs::Data),
             ("ensembles", Needs::Data),
             ("strong", Needs::Data),
-            ("levels", Needs::Data),
             ("lego", Needs::Data),
             ("lego-by-views", Needs::Data),
             ("kitchen", Needs::Data),
@@ -154,11 +153,6 @@ fn main() -> Result<()> {
         ];
         Ok((settings(STRONG, &SEEDS), text.join("\n")))
     })?;
-    program.part("levels", |work| {
-        let scenes = scenes(&PRICED, STEPS);
-        let rows = scenes.iter().map(|scene| work.row(scene.name(), || levels::measure(scene)));
-        Ok((levels::settings(), levels::table(&rows.collect::<Result<Vec<_>>>()?)))
-    })?;
     program.part("lego", |work| of_lego(work, &OF_LEGO))?;
     program.part("lego-by-views", |work| of_lego(work, &LEGO_BY_VIEWS))?;
     program.part("kitchen", |work| {
@@ -193,7 +187,7 @@ fn main() -> Result<()> {
     })
 }
 
-/// Scenes on which the prices of levels and of correlations are measured.
+/// Scenes on which the price of correlations is measured.
 const PRICED: [((&str, Up), Seen); 4] = [(BUNNY, FEW), (ARMADILLO, HALF), (SPOT, HOLE), (NEFERTITI, HOLE)];
 
 /// Coverage and ranking on lego, whose images have twice the side of the meshes'.

@@ -16,8 +16,8 @@ use glam::Vec3;
 use octobayes::evaluate::{EvaluatedView, TrueView};
 use octobayes::field::HashGrid;
 use octobayes::geometry::Camera;
-use octobayes::internal::{PIXEL_OUTPUTS as OUTPUTS, PixelGradient, PixelGradients};
 use octobayes::rays::{PixelSequence, Pixels};
+use octobayes::train::{PixelGradient, PixelGradients};
 use octobayes::{Error, Result};
 use rayon::prelude::*;
 
@@ -32,6 +32,7 @@ const JITTER: f64 = 0.5;
 /// The outputs that training pixels constrain, and the one that they do not.
 const COLOR: Range<usize> = 0..3;
 const DEPTH: usize = 3;
+const OUTPUTS: usize = PixelGradient::OUTPUTS;
 
 /// The diagonal of H without λ.
 struct Diagonal {

@@ -5,9 +5,9 @@ use std::path::Path;
 use octobayes::estimate::{Estimation, RaySettings};
 use octobayes::evaluate::{EvaluatedView, Evaluator, Measure, Reading, TrueView};
 use octobayes::field::RadianceField;
-use octobayes::internal::{Bar, Curve, Panel, color_panel, scalar_panel, write_plot, write_sheet};
 use octobayes::metrics::{DensityCalibration, quantile};
 use octobayes::monitor::Silent;
+use octobayes::picture::{Bar, Curve, Panel, color_panel, scalar_panel, write_plot, write_sheet};
 use octobayes::posterior::{DataScale, Scale};
 use octobayes::{Error, Result};
 

@@ -6,20 +6,23 @@ use glam::DVec3;
 use octobayes::Result;
 use octobayes::evaluate::{Baseline, EvaluatedView, Evaluator, Measure, TrueView};
 use octobayes::monitor::Silent;
+use octobayes::uncertainty::Misfit;
 
-/// What residuals are explained by; the angle to a training view is 0 on training views, and explains nothing there.
-const FEATURES: [Baseline; 7] = [
+use crate::judge::misfits;
+
+/// What residuals are explained by, with the misfit; the angle to a training view is 0 on training views, and explains
+/// nothing there.
+const FEATURES: [Baseline; 6] = [
     Baseline::RayVariance,
     Baseline::RayEntropy,
     Baseline::Transparency,
     Baseline::RayCount,
     Baseline::Visits,
     Baseline::TrainingViews,
-    Baseline::Misfit,
 ];
 /// The weight of coefficients of zero, in pixels.
 const RIDGE: f64 = 1.0;
-const WIDTH: usize = FEATURES.len() + 1;
+const WIDTH: usize = FEATURES.len() + 2;
 /// The smallest residual: half a step of 8 bits.
 const LEAST: f64 = 0.5 / 255.0;
 
@@ -32,11 +35,11 @@ pub struct Regression {
 
 impl Regression {
     /// Fits residuals of these training images.
-    pub fn fit(evaluator: &Evaluator, images: &[TrueView]) -> Result<Self> {
+    pub fn fit(evaluator: &Evaluator, misfit: &Misfit, images: &[TrueView]) -> Result<Self> {
         let (mut rows, mut residuals) = (Vec::new(), Vec::new());
         for image in images {
             let view = evaluator.evaluate(image, 0, &Silent)?;
-            rows.extend(features(evaluator, &view));
+            rows.extend(features(evaluator, &view, &misfits(evaluator, misfit, image, &view)));
             let residual = |&i: &usize| color_error(view.rendered.pixels[i].color, image.colors[i]);
             residuals.extend(view.pixels.iter().map(residual));
         }
@@ -73,9 +76,9 @@ impl Regression {
     }
 
     /// The residual that is expected at each pixel of a view.
-    pub fn of(&self, evaluator: &Evaluator, view: &EvaluatedView) -> Vec<f64> {
+    pub fn of(&self, evaluator: &Evaluator, view: &EvaluatedView, misfits: &[f64]) -> Vec<f64> {
         let expected = |row: [f64; WIDTH]| self.standard(&row).iter().zip(self.coefficients).map(|(x, c)| x * c).sum();
-        features(evaluator, view).map(expected).collect()
+        features(evaluator, view, misfits).map(expected).collect()
     }
 }
 
@@ -84,16 +87,21 @@ fn color_error(found: DVec3, truth: DVec3) -> f64 {
 }
 
 /// Features of the pixels of a view, the last of them one.
-fn features<'a>(evaluator: &Evaluator, view: &'a EvaluatedView) -> impl Iterator<Item = [f64; WIDTH]> + 'a {
+fn features<'a>(
+    evaluator: &Evaluator,
+    view: &'a EvaluatedView,
+    misfits: &'a [f64],
+) -> impl Iterator<Item = [f64; WIDTH]> + 'a {
     let measures = evaluator.measures();
     let index = |baseline| measures.iter().position(|found| *found == Measure::Baseline(baseline));
     let indices = FEATURES.map(|baseline| index(baseline).expect("a measure of the evaluator"));
-    (0..view.pixels.len()).map(move |i| {
+    let log10 = |value: f64| value.max(1e-12).log10();
+    misfits.iter().enumerate().map(move |(i, &misfit)| {
         std::array::from_fn(|k| {
-            let Some(&m) = indices.get(k) else { return 1.0 };
+            let Some(&m) = indices.get(k) else { return if k == FEATURES.len() { log10(misfit) } else { 1.0 } };
             let value = view.measures[m][i];
             match FEATURES[k] {
-                Baseline::RayVariance | Baseline::Misfit => value.max(1e-12).log10(),
+                Baseline::RayVariance => log10(value),
                 Baseline::RayCount | Baseline::Visits => (1.0 - value).log10(),
                 _ => value,
             }

@@ -1,7 +1,7 @@
 //! Every scene of the zoo against the oracle in f64.
 
 use octobayes::Result;
-use octobayes::zoo::{self, Verdict};
+use octobayes::render::GradientMethod;
 use serde::{Deserialize, Serialize};
 
 use crate::common::settings::describe;
@@ -9,6 +9,7 @@ use crate::common::table::{Table, whole_spread};
 use crate::common::work::Work;
 use crate::compare::{Case, error, nothing_left_out};
 use crate::oracle::Derivatives;
+use crate::scenes::{self, Verdict};
 
 /// Rays per scene: errors of single vertices do not depend on it much, the oracle's time does.
 const RAYS: u64 = 1024;
@@ -29,11 +30,19 @@ enum Found {
     },
 }
 
-fn look(scene: &zoo::HardScene, seed: u64) -> Result<Found> {
+fn words(verdict: Verdict) -> &'static str {
+    match verdict {
+        Verdict::Handled => "handled",
+        Verdict::Limit => "the method's own limit",
+        Verdict::Refused => "refused with an error",
+    }
+}
+
+fn look(scene: &scenes::HardScene, seed: u64, gradient: GradientMethod) -> Result<Found> {
     let cameras = scene.cameras();
     let case = Case { field: &scene.field, cameras: &cameras, level: scene.level, rays: RAYS };
     let (rays, grid) = case.defaults();
-    let rays = rays.seed(seed);
+    let rays = rays.seed(seed).gradient(gradient);
     let run = match case.run((rays, grid)) {
         Err(refusal) if scene.verdict == Verdict::Refused => return Ok(Found::Refused(refusal.to_string())),
         run => run?,
@@ -73,13 +82,14 @@ pub fn cases(work: &Work) -> Result<(String, String)> {
         "verdict",
     ]);
     let mut settings = String::new();
-    for scene in zoo::all() {
+    for scene in scenes::all() {
         let cameras = scene.cameras();
         let (rays, grid) = Case { field: &scene.field, cameras: &cameras, level: scene.level, rays: RAYS }.defaults();
         settings = describe(&rays, &grid, &["level"]);
-        let found = SEEDS.map(|seed| work.row((scene.name, RAYS, seed), || look(&scene, seed)));
+        let found =
+            SEEDS.map(|seed| work.row((scene.name, RAYS, seed), || look(&scene, seed, GradientMethod::default())));
         let found = found.into_iter().collect::<Result<Vec<_>>>()?;
-        let (name, mut verdict) = (scene.name.to_string(), scene.verdict.words().to_string());
+        let (name, mut verdict) = (scene.name.to_string(), words(scene.verdict).to_string());
         let (mut counts, mut drops, mut rounding) = (Vec::new(), Vec::new(), Some(0.0_f64));
         let (mut default, mut exact, mut refusal) = (Vec::new(), Vec::new(), None);
         for found in found {
@@ -111,6 +121,45 @@ pub fn cases(work: &Work) -> Result<(String, String)> {
         "{settings} Every scene at its own level, all vertices of the lattice. Seeds {}: counts are mean ± standard \
          deviation, means of |Δ log10 U| are means over seeds, maxima are over all seeds.",
         list.join(", ")
+    );
+    Ok((words, table.text().into()))
+}
+
+/// Scene × error against exact derivatives, by central and by forward differences.
+pub fn forward(work: &Work) -> Result<(String, String)> {
+    let methods = [GradientMethod::FiniteDifference, GradientMethod::ForwardDifference];
+    let mut table = Table::new(&["scene", "central: mean", "max", "forward: mean", "max", "forward / central"]);
+    let mut worse = (0, 0);
+    for scene in scenes::all() {
+        let mut exact = Vec::new();
+        for method in methods {
+            let mut found = Vec::new();
+            for seed in SEEDS {
+                let key = (scene.name, RAYS, seed, format!("{method:?}"));
+                if let Found::Compared { exact, .. } = work.row(key, || look(&scene, seed, method))? {
+                    found.push(exact);
+                }
+            }
+            exact.push(found);
+        }
+        // Scenes that are refused, and those whose rays see nothing.
+        if exact.iter().any(|found| found.iter().all(|[mean, _]| *mean == 0.0)) {
+            continue;
+        }
+        let mean = |found: &[[f64; 2]]| found.iter().map(|error| error[0]).sum::<f64>() / found.len() as f64;
+        let ratio = mean(&exact[1]) / mean(&exact[0]);
+        worse = (worse.0 + usize::from(ratio > 1.0), worse.1 + 1);
+        let ([central, central_max], [forward, forward_max]) = (worst(&exact[0]), worst(&exact[1]));
+        let row = [scene.name.into(), central, central_max, forward, forward_max, format!("{ratio:.1}")];
+        table.row(&row);
+    }
+    let list: Vec<String> = SEEDS.iter().map(u64::to_string).collect();
+    let words = format!(
+        "Settings: those of the first table. Seeds {}: |Δ log10 U| against exact derivatives, mean over seeds and \
+         largest over seeds. Forward differences have the larger mean error on {} of {} scenes.",
+        list.join(", "),
+        worse.0,
+        worse.1
     );
     Ok((words, table.text().into()))
 }

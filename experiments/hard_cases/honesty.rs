@@ -4,7 +4,6 @@ use octobayes::estimate::{GridSettings, RaySettings};
 use octobayes::octree::VertexId;
 use octobayes::render::GradientMethod;
 use octobayes::uncertainty::{Support, UncertaintyField};
-use octobayes::zoo::{self as hard, Verdict};
 use octobayes::{Error, Result};
 use serde::{Deserialize, Serialize};
 
@@ -12,6 +11,7 @@ use crate::common::scenes::Scene;
 use crate::common::settings::{describe, seeds};
 use crate::common::table::{Table, mean, spread, whole};
 use crate::common::work::Work;
+use crate::scenes::{self as hard, Verdict};
 
 /// Rays of the run that stands for the limit, per ray of the run that is judged.
 const MORE: u64 = 20;
@@ -34,7 +34,7 @@ const GROUPS: [u16; 3] = [2, 8, 16];
 const DEFAULT_GROUPS: u16 = 8;
 
 fn grid(scene: &Scene) -> GridSettings {
-    scene.grid.tolerance(0.0).surface_points(20_000)
+    scene.grid.tolerance(0.0)
 }
 
 fn settings(scene: &Scene) -> RaySettings {

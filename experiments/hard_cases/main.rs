@@ -11,13 +11,16 @@ mod waves;
 // Each experiment uses its part.
 #[path = "../common/mod.rs"]
 mod common;
-// The tests use all of both.
+// The tests use all of these.
 #[allow(dead_code)]
-#[path = "../../tests/zoo/compare.rs"]
+#[path = "../../tests/accuracy/compare.rs"]
 mod compare;
 #[allow(dead_code)]
-#[path = "../../tests/zoo/oracle/mod.rs"]
+#[path = "../../tests/accuracy/oracle/mod.rs"]
 mod oracle;
+#[allow(dead_code)]
+#[path = "../../tests/accuracy/scenes/mod.rs"]
+mod scenes;
 
 use octobayes::Result;
 
@@ -27,6 +30,7 @@ use common::scenes::Scene;
 fn main() -> Result<()> {
     let parts = [
         ("cases", Needs::Nothing),
+        ("forward", Needs::Nothing),
         ("steps", Needs::Nothing),
         ("steps-lego", Needs::Data),
         ("sums", Needs::Nothing),
@@ -36,6 +40,7 @@ fn main() -> Result<()> {
     ];
     let program = Program::start("hard_cases", &parts)?;
     program.part("cases", cases::cases)?;
+    program.part("forward", cases::forward)?;
     program.part("steps", |work| steps::steps(work, &steps::waves(), "hard_cases_steps.svg"))?;
     program.part("steps-lego", |work| {
         let data = Program::data()?;

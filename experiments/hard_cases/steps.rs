@@ -6,9 +6,9 @@ use octobayes::Result;
 use octobayes::estimate::{FieldBuilder, GridSettings, Provenance, RaySettings};
 use octobayes::field::{ClosedForm, Radiance, RadianceField, RadianceJet, VoxelGrid};
 use octobayes::geometry::Domain;
-use octobayes::internal::{Curve, write_plot};
 use octobayes::monitor::Silent;
 use octobayes::octree::VertexId;
+use octobayes::picture::{Curve, write_plot};
 use octobayes::rays::{RunProgress, Shard};
 use octobayes::render::{GradientMethod, RaySample, RaySamples};
 use octobayes::uncertainty::{MOVED, Support, UncertaintyField};
@@ -296,7 +296,7 @@ fn changes(truth: &UncertaintyField, field: &UncertaintyField) -> f64 {
 
 fn study(scene: &Scene, seed: u64) -> Result<Study> {
     let domain = Domain::Box(scene.field.bounds());
-    let grid = scene.grid.tolerance(0.0).surface_points(0);
+    let grid = scene.grid.tolerance(0.0);
     let lattice = grid.lattice(domain)?;
     let samples = samples(scene, seed, &grid)?;
     let exact: Vec<[DVec3; 4]> = samples.iter().map(|s| s.exact).collect();

@@ -15,12 +15,12 @@ use crate::common::work::Work;
 /// Every row is run with these; times are medians over them.
 pub const SEEDS: [u64; 3] = [0, 1, 2];
 /// Points of a comparison: of the box, and on visible surfaces.
-const POINTS: usize = 200_000;
+pub const POINTS: usize = 200_000;
 
-/// Grid of `level` with surface points to compare at.
+/// Grid of `level`.
 pub fn grid(kind: GridKind, level: u8) -> GridSettings {
     // Without sums in the field, as `octobayes uncertainty` runs.
-    GridSettings::default().grid(kind).level(level).surface_points(POINTS).keep_sums(false)
+    GridSettings::default().grid(kind).level(level).keep_sums(false)
 }
 
 /// A finished run.
@@ -44,7 +44,9 @@ pub fn run(scene: &Scene, rays: &RaySettings, grid: &GridSettings) -> Result<Run
 pub fn reference(work: &Work, scene: &Scene, rays: u64) -> Result<UncertaintyField> {
     let settings = scene.settings.rays(rays).gradient(GradientMethod::Auto).pixels(Pixels::Random);
     let settings = settings.seed(7_777).cutoff(1e-8);
-    work.field(("reference", scene.name, rays), || Ok(run(scene, &settings, &grid(GridKind::Dense, 8))?.field))
+    work.field(("reference", scene.name, rays), || {
+        scene.with_surfaces(run(scene, &settings, &grid(GridKind::Dense, 8))?.field, settings, POINTS)
+    })
 }
 
 /// What one run showed.

@@ -3,12 +3,12 @@
 use octobayes::Result;
 use octobayes::estimate::{GridKind, GridSettings, RaySettings};
 use octobayes::evaluate::Reading;
-use octobayes::internal::{Curve, write_plot};
+use octobayes::picture::{Curve, write_plot};
 use octobayes::posterior::Criterion;
 use octobayes::rays::Pixels;
 use octobayes::render::{GradientMethod, RayAverage};
 
-use super::measure::{Row, Rows, Run, SEEDS, grid, reference, run};
+use super::measure::{POINTS, Row, Rows, Run, SEEDS, grid, reference, run};
 use crate::common::clock::median;
 use crate::common::program::folder;
 use crate::common::ranking::Truth;
@@ -107,7 +107,9 @@ pub fn differences(work: &Work, scenes: &[Scene]) -> Result<(String, String)> {
     for scene in scenes {
         let settings = scene.settings.gradient(Analytic);
         let name = ("exact", scene.name, settings.rays);
-        let exact = work.field(name, || Ok(run(scene, &settings, &grid(GridKind::Octree, 8))?.field))?;
+        let exact = work.field(name, || {
+            scene.with_surfaces(run(scene, &settings, &grid(GridKind::Octree, 8))?.field, settings, POINTS)
+        })?;
         let mut first = f64::NAN;
         for (name, gradient, step) in ways {
             let settings = settings.gradient(gradient).step(step);

@@ -156,6 +156,7 @@ fn measure(lego: &Scene, gradient: Option<GradientMethod>) -> Result<Measured> {
                 Ok(())
             })?;
         } else {
+            let tracer = &stream.source.volume().expect("a volume is profiled").tracer;
             (0..RAYS / 512).into_par_iter().for_each(|batch| {
                 let picks = stream.pixels.picks(batch * 512, 512);
                 let offset = stream.pixel_offset;
@@ -165,11 +166,11 @@ fn measure(lego: &Scene, gradient: Option<GradientMethod>) -> Result<Measured> {
                     .collect();
                 let jitter: Vec<f64> = picks.iter().map(|p| p.jitter).collect();
                 let (mut buffers, mut quadrature) = (TraceBuffers::default(), CompositingWeights::default());
-                stream.tracer.trace(&rays, &jitter, &mut buffers);
+                tracer.trace(&rays, &jitter, &mut buffers);
                 let traced = &buffers.traced;
-                quadrature.set(traced, stream.tracer.marcher.step);
-                let colors = stream.tracer.visible_colors(&rays, traced, &quadrature);
-                let background = stream.tracer.background();
+                quadrature.set(traced, tracer.marcher.step);
+                let colors = tracer.visible_colors(&rays, traced, &quadrature);
+                let background = tracer.background();
                 let pixel = |r| quadrature.pixel(&traced.samples(r), &colors, &traced.t, background).color;
                 std::hint::black_box((0..rays.len()).map(pixel).collect::<Vec<_>>());
             });

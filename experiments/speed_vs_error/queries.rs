@@ -11,7 +11,7 @@ use octobayes::uncertainty::{BakedField, Estimate, UncertaintyField};
 use octobayes::{Error, Result};
 use serde::{Deserialize, Serialize};
 
-use super::measure::{grid, run};
+use super::measure::{self, grid, run};
 use crate::common::clock::median;
 use crate::common::scenes::Scene;
 use crate::common::settings::{describe, seeds};
@@ -66,6 +66,7 @@ pub fn queries(work: &Work, lego: &Scene) -> Result<(String, String)> {
     for level in [8, 9, FILE_LEVEL] {
         let row: LevelRow = work.row(("queries", level), || {
             let octree = run(lego, &rays, &grid(GridKind::Octree, level))?.field;
+            let octree = lego.with_surfaces(octree, rays, measure::POINTS)?;
             let file = (level == FILE_LEVEL).then(|| files(&octree)).transpose()?;
             Ok(LevelRow { file, ..of_level(lego, &octree)? })
         })?;

@@ -158,7 +158,7 @@ def contracted(work: Path, chosen: list[int], width: int, step: float) -> list[s
 def uncertainty(run: Run, work: Path, rays: int, level: int, width: int, k: int) -> dict:
     """The uncertainty, its files, and what the clean-up leaves of a training view."""
     start = time.perf_counter()
-    space = {"contract": run.field.contract, "inner": run.field.inner}
+    space = {"contract": run.field.contract}
     u = ob.uncertainty(
         run.field,
         run.cameras,

@@ -72,22 +72,25 @@ def dask_client(output: str) -> None:
 
 
 def on_slurm(work: Path) -> tuple[float, float]:
-    """The script of `octobayes plan`, with a program that also writes down what it took."""
-    folder = work / "slurm"
+    """The scripts of examples/slurm, with a program that also writes down what it took."""
+    folder, scripts = work / "slurm", ROOT / "examples/slurm"
     up, down = (str(ROOT / "tests/slurm" / name) for name in ("up", "down"))
-    timed, script = work / "timed", work / "run.sbatch"
+    timed = work / "timed"
     timed.write_text(TIMED)
     timed.chmod(0o755)
     subprocess.run([up, str(folder)], check=True)
     try:
-        environment = {**os.environ, "SLURM_CONF": str(folder / "slurm.conf")}
-        plan = [str(PROGRAM), "plan", *RUN, "--jobs", str(SHARDS), "--slurm", "--cpus", "1", "-o", str(script)]
-        subprocess.run(plan, check=True, stdout=subprocess.DEVNULL)
-        text = script.read_text()
-        script.write_text(text.replace(f"octobayes=({PROGRAM})", f"octobayes=({timed} {PROGRAM})"))
+        environment = {**os.environ, "SLURM_CONF": str(folder / "slurm.conf"), "OCTOBAYES": f"{timed} {PROGRAM}"}
+
+        def submit(*words: str) -> str:
+            command = ["sbatch", "--parsable", "--cpus-per-task=1", "--mem=1G", *words]
+            return subprocess.run(command, check=True, env=environment, cwd=work, capture_output=True, text=True).stdout
+
         start = time.monotonic()
-        said = subprocess.run(["bash", str(script)], check=True, env=environment, capture_output=True, text=True).stdout
-        merge = re.search(r"merge: job (\d+)", said).group(1)
+        shard = [str(scripts / "shard.sbatch"), str(SHARDS), "parts", *RUN]
+        array = submit(f"--array=0-{SHARDS - 1}", *shard).strip()
+        merge = [str(scripts / "merge.sbatch"), str(SHARDS), "parts", "run.oct"]
+        merge = submit(f"--dependency=afterany:{array}", *merge).strip()
         show = ["scontrol", "--oneliner", "show", "job", merge]
         state = "PENDING"
         while state in ("PENDING", "RUNNING", "COMPLETING"):

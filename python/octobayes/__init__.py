@@ -14,7 +14,7 @@ Arrays are NumPy's; anything with ``__array__`` or DLPack is accepted. Lengths a
 from __future__ import annotations
 
 from . import nerfstudio
-from ._api import accumulate, calibrate, compare, evaluate, load, merge, open_model, render, uncertainty
+from ._api import accumulate, calibrate, compare, evaluate, forecast, load, merge, open_model, render, uncertainty
 from ._autodiff import jax_field, torch_field
 from ._export import export
 from ._model import Model
@@ -30,6 +30,7 @@ __all__ = [
     "compare",
     "evaluate",
     "export",
+    "forecast",
     "jax_field",
     "load",
     "merge",

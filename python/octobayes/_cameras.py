@@ -6,6 +6,7 @@ import math
 import os
 import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,10 @@ from . import _octobayes
 from ._arguments import array, degrees, floats, real, whole, wrong
 from ._arguments import path as as_path
 
-#: Pose (row by row), focal lengths, principal point, image size, k1, k2, p1, p2.
-NUMBERS = 26
+#: Pose (row by row), focal lengths, principal point, image size, k1, k2, k3, k4, p1, p2.
+NUMBERS = 28
+#: Coefficients of the lens, in this order.
+LENS = ("k1", "k2", "k3", "k4", "p1", "p2")
 
 #: Path of a camera's image, which need not exist; path of its mask, and whether that keeps what is not black; their
 #: size.
@@ -52,7 +55,7 @@ def size(resolution: Any) -> tuple[int | None, int | None]:
 def one(name: str, camera: Mapping[str, Any]) -> NDArray[np.float64]:
     """The numbers of one camera."""
     known = {"pose", "transform_matrix", "focal", "fov", "center", "size", "fl_x", "fl_y", "cx", "cy", "w", "h"}
-    known |= {"k1", "k2", "p1", "p2", "camera_angle_x", "mask_path", "image_size"}
+    known |= {*LENS, "camera_angle_x", "mask_path", "image_size"}
     unknown = sorted(set(camera) - known - {"file_path", "name"})
     if unknown:
         raise wrong(f"{name}['{unknown[0]}']", f"one of {', '.join(sorted(known))}", unknown[0])
@@ -96,7 +99,7 @@ def one(name: str, camera: Mapping[str, Any]) -> NDArray[np.float64]:
         raise wrong(name, "a focal length and an angle of view that agree, or one of them", both)
     center = camera.get("center", (camera.get("cx", 0.5 * width), camera.get("cy", 0.5 * height)))
     center = floats(f"{name}['center']", center, (2,), np.float64)
-    lens = [real(f"{name}['{key}']", camera.get(key, 0.0)) for key in ("k1", "k2", "p1", "p2")]
+    lens = [real(f"{name}['{key}']", camera.get(key, 0.0)) for key in LENS]
     return np.concatenate([pose.ravel(), focal, center, [width, height], lens])
 
 
@@ -123,18 +126,56 @@ def _split(cameras: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
     return [{key: part(key, value, i) for key, value in cameras.items()} for i in range(len(pose))]
 
 
+def selected(views: Any) -> Any:
+    """Which frames of a file: None, 'all', how many, or their numbers."""
+    if views is None or (isinstance(views, str) and views == "all"):
+        return views
+    return whole("views", views, 1) if np.ndim(views) == 0 else [whole("views", i, 0) for i in views]
+
+
+@dataclass(frozen=True)
+class Cameras:
+    """Cameras, and what lies beside them."""
+
+    #: float64 ``[C, 28]``.
+    rows: NDArray[np.float64]
+    names: list[str]
+    beside: list[Beside]
+    #: What they are, in words.
+    source: str
+    #: Whether nobody knows the size of their images.
+    is_assumed: bool = False
+    is_file: bool = False
+
+    def options(self) -> dict[str, Any]:
+        """What the Rust part gets of them, beside their numbers."""
+        return {name: getattr(self, name) for name in ("names", "beside", "is_assumed", "is_file")}
+
+
 def rows(
-    cameras: Any, part: str = "training", views: Any = None, resolution: Any = None
-) -> tuple[NDArray[np.float64], list[str], str, list[Beside]]:
-    """Numbers of cameras ``[C, 26]``, their names, how they were chosen in words, and a file's images with masks."""
+    cameras: Any,
+    views: Any = None,
+    resolution: Any = None,
+    *,
+    model: Any = None,
+    fov: float | None = None,
+    every_frame: bool = False,
+) -> Cameras:
+    """The training cameras, or all, of a file; cameras that are given; or, for None, those of the model."""
     width, height = size(resolution)
-    if isinstance(cameras, (str, os.PathLike)):
-        if not (views is None or views == "all"):
-            views = whole("views", views, 1) if np.ndim(views) == 0 else [whole("views", i, 0) for i in views]
-        numbers, names, notes, beside = _octobayes.read_cameras(os.fspath(cameras), part, views, width, height)
-        for note in notes:
-            warnings.warn(note, RuntimeWarning, stacklevel=4)
-        return numbers, names, f"{len(numbers)} cameras of {os.fspath(cameras)}", beside
+    is_file = isinstance(cameras, (str, os.PathLike))
+    if is_file or cameras is None:
+        options = {
+            "views": selected(views),
+            "width": width,
+            "height": height,
+            "fov": None if fov is None else degrees("fov", fov),
+        }
+        path = os.fspath(cameras) if is_file else None
+        *found, said = _octobayes.read_cameras(None if model is None else model._model, path, every_frame, options)
+        for text, _ in said:
+            warnings.warn(text, RuntimeWarning, stacklevel=4)
+        return Cameras(*found, is_file)
     if views is not None:
         raise wrong("views", "None with cameras that are not a file", views)
     if isinstance(cameras, Mapping):
@@ -154,7 +195,7 @@ def rows(
         os.fspath(camera.get("file_path") or camera.get("name") or name)
         for camera, name in zip(given, named(len(given)))
     ]
-    return numbers, names, f"{len(numbers)} cameras", _masks(given, sizes)
+    return Cameras(numbers, names, _masks(given, sizes), f"{len(numbers)} cameras")
 
 
 def _masks(cameras: Sequence[Mapping[str, Any]], sizes: Sequence[list[int]]) -> list[Beside]:

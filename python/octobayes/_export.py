@@ -11,6 +11,8 @@ from . import _octobayes
 from ._api import Nerf, _asked, _field, _image_options, _opened, _remarks, _threshold, _training_cameras, _warn
 from ._arguments import flag, real, whole, wrong
 from ._arguments import path as as_path
+from ._cameras import NUMBERS
+from ._defaults import DEFAULT
 from ._progress import Progress, reporting
 from ._uncertainty import Uncertainty
 
@@ -28,19 +30,18 @@ def export(
     mesh: bool = False,
     ellipsoids: bool = False,
     threshold: float | str | None = None,
-    pixels: int = 400_000,
-    cells: int = 192,
+    pixels: int = DEFAULT.pixels,
+    cells: int = DEFAULT.cells,
     density: float | None = None,
     box: Any = None,
     background: Any = None,
     march_step: float | None = None,
     pixel_offset: float | None = None,
-    occupancy: int = 128,
-    coordinates: str | None = None,
+    occupancy: int = DEFAULT.occupancy,
     views: Any = None,
     resolution: Any = None,
     fov: float | None = None,
-    batch: int = 1 << 16,
+    batch: int = DEFAULT.batch,
     progress: Progress | bool | None = None,
 ) -> None:
     """Writes a field for other tools; the extension says what.
@@ -75,13 +76,14 @@ def export(
         return
     if nerf is None:
         raise wrong("nerf", "a model beside the field, for surfaces", "none")
-    nerf = _opened(nerf, coordinates)
+    nerf = _opened(nerf, cameras, u)
     if mesh:
-        numbers, names = np.empty((0, 26)), []
+        numbers, names = np.empty((0, NUMBERS)), []
     else:
-        numbers, names, *_ = _training_cameras(nerf, cameras, views, resolution, fov)
+        seen_by = _training_cameras(nerf, cameras, views, resolution, fov)
+        numbers, names = seen_by.rows, seen_by.names
     options = {
-        **_image_options(nerf, background, march_step, pixel_offset, occupancy),
+        **_image_options(nerf, background, march_step, pixel_offset, occupancy, u),
         "kind": "mesh" if mesh else SURFACES[extension],
         "ellipsoids": flag("ellipsoids", ellipsoids),
         "threshold": None if threshold is None else _threshold(threshold, u),

@@ -1,4 +1,4 @@
-"""A field in Python as the Rust part asks it: always from the thread that called, in batches, with checked answers."""
+"""A field in Python as the Rust part calls it: always from the calling thread, in batches, with checked values."""
 
 from __future__ import annotations
 
@@ -41,15 +41,15 @@ def _parts(name: str, answer: Any, count: int) -> tuple[Any, ...]:
     return tuple(answer)
 
 
-def remarks(overshoot: float) -> list[str]:
+def remarks(overshoot: float) -> list[tuple[str, bool]]:
     """The warning about colours that exceeded 0 or 1 by as much, if that is worth one."""
     if overshoot <= ROUNDING:
         return []
-    return [f"colors of nerf exceed the range from 0 to 1 by up to {overshoot:.2g}; they were clamped to it"]
+    return [(f"colors of nerf exceed the range from 0 to 1 by up to {overshoot:.2g}; they were clamped to it", False)]
 
 
 class Gate:
-    """What the Rust part knows of a callable, and how it asks it."""
+    """A callable's properties and methods, as the Rust part uses them."""
 
     def __init__(self, nerf: Callable[..., Any], *, box: Any, step: Any, batch: int, description: str) -> None:
         self._nerf = nerf

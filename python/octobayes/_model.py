@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import _octobayes
 from ._arguments import degrees, floats, points, wrong
+from ._cameras import LENS, NUMBERS
 
 Floats = NDArray[np.float32]
 
@@ -67,7 +68,7 @@ class Model:
         if rows is None:
             return None
         each = {"focal": slice(16, 18), "center": slice(18, 20), "size": slice(20, 22)}
-        lens = dict(zip(("k1", "k2", "p1", "p2"), range(22, 26)))
+        lens = dict(zip(LENS, range(22, NUMBERS)))
         return [
             {"pose": row[:16].reshape(4, 4)}
             | {key: row[part] for key, part in each.items()}

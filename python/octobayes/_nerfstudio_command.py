@@ -6,6 +6,7 @@ import argparse
 import sys
 
 from . import _api, nerfstudio
+from ._defaults import DEFAULT
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -41,7 +42,7 @@ def _parser() -> argparse.ArgumentParser:
         help="of a contracted scene: half the edge of the cube in which rays are followed, scene units [default: 4]",
     )
     add("--march-step", type=float, metavar="S", help="distance between samples along a ray, scene units")
-    add("--occupancy", type=int, default=128, metavar="N", help="cells per axis of the occupancy grid [default: 128]")
+    add("--occupancy", type=int, default=DEFAULT.occupancy, metavar="N", help="cells per axis of the occupancy grid")
     add("--seed", type=int, default=0, metavar="N", help="seed of pixels and jitter [default: 0]")
     add("--no-pose-corrections", action="store_true", help="leave out what nerfstudio's camera optimiser learnt")
     return parser
@@ -62,11 +63,10 @@ def _run(options: argparse.Namespace) -> None:
         cameras,
         level=options.lod,
         rays=options.rays or options.iters * field.rays_per_batch,
-        covariance=options.covariance or ("trace" if is_grid else "diagonal"),
+        covariance=options.covariance or ("trace" if is_grid else DEFAULT.covariance),
         keep_sums=is_grid,
         gradient="analytic",
         contract=field.contract,
-        inner=field.inner,
         occupancy=options.occupancy,
         seed=options.seed,
     )

@@ -12,8 +12,13 @@ Floats = NDArray[np.float32]
 Doubles = NDArray[np.float64]
 Box = list[list[float]]
 Progress = Callable[[str, int, int], Any]
+#: What a user should know, and whether it is only a note.
+Said = tuple[str, bool]
 
 __version__: str
+
+def defaults() -> str:
+    """JSON: the library's defaults by the names of arguments."""
 
 class Model:
     """A radiance field in Rust."""
@@ -26,7 +31,12 @@ class Model:
     def derivatives(self, x: Floats, d: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """x [N, 3], d [N, 3] -> density [N], color [N, 3], d_density [N, 3], d_color [N, 9] (channel, then axis)."""
     def cameras(self, fov: float | None = None, resolution: tuple[int, int] | None = None) -> Doubles | None:
-        """[cameras, 26]: pose by rows, focal lengths, principal point, size, k1, k2, p1, p2."""
+        """[cameras, 28]: pose by rows, focal lengths, principal point, size, k1, k2, k3, k4, p1, p2."""
+    def check(self, field: Uncertainty, name: str) -> list[Said]: ...
+    @property
+    def source(self) -> str: ...
+    @property
+    def checksum(self) -> int: ...
     @property
     def is_differentiable(self) -> bool: ...
     @property
@@ -53,8 +63,10 @@ class Uncertainty:
     def save(self, path: str | os.PathLike[str]) -> None: ...
     def for_queries(self) -> Uncertainty: ...
     def surface_quantile(self, share: float) -> float | None: ...
-    def threshold_warning(self, log10: float) -> str | None: ...
+    def threshold(self, threshold: float | str) -> tuple[float, list[Said]]: ...
     def protocol(self) -> str:
+        """JSON."""
+    def report(self) -> str:
         """JSON."""
     def summary(self) -> str:
         """JSON."""
@@ -83,24 +95,21 @@ class Uncertainty:
 
 def uncertainty(
     nerf: Any, rows: Doubles, options: dict[str, Any], progress: Progress | None
-) -> tuple[Uncertainty, list[str]]:
-    """nerf: a Model or a Gate; rows: cameras [C, 26]. The field and its warnings."""
+) -> tuple[Any, list[Said], str]:
+    """nerf: a Model or a Gate; rows: cameras [C, 28]. The field, or else JSON of what the run needs."""
 
 def read_cameras(
-    path: str | os.PathLike[str], part: str, views: Any = None, width: int | None = None, height: int | None = None
-) -> tuple[Doubles, list[str], list[str], list[tuple[Path, tuple[Path, bool] | None, list[int]]]]:
-    """Cameras [C, 26], names, what a user should know, and images (which need not exist) with masks and sizes."""
+    model: Model | None, path: str | os.PathLike[str] | None, every_frame: bool, options: dict[str, Any]
+) -> tuple[Doubles, list[str], list[tuple[Path, tuple[Path, bool] | None, list[int]]], str, bool, list[Said]]:
+    """Cameras [C, 28], names, images (which need not exist) with masks and sizes, source, and if sizes are assumed."""
 
 def load(path: str | os.PathLike[str], options: dict[str, Any], rays: int | None = None) -> Uncertainty: ...
-def compare(a: Uncertainty, b: Uncertainty, points: int, seed: int) -> str:
+def compare(a: Uncertainty, b: Uncertainty, points: int, seed: int) -> tuple[str, list[Said]]:
     """JSON."""
 
-def merge(fields: Sequence[Uncertainty], error_bars: bool, keep_sums: bool) -> tuple[Uncertainty, list[str]]: ...
-def accumulate(samples: Any, options: dict[str, Any], progress: Progress | None) -> tuple[Uncertainty, str | None]:
-    """samples: a path, or positions [N, 3], jacobians [N, 9], ray uint64 [N], weight [N], rays in all.
-
-    The field and a warning.
-    """
+def merge(fields: Sequence[Uncertainty], error_bars: bool, keep_sums: bool) -> tuple[Uncertainty, list[Said]]: ...
+def accumulate(samples: Any, options: dict[str, Any], progress: Progress | None) -> tuple[Uncertainty, list[Said]]:
+    """samples: a path, or positions [N, 3], jacobians [N, 9], ray uint64 [N], weight [N], rays in all."""
 
 def export_field(field: Uncertainty, path: str, kind: str) -> None: ...
 def export_surfaces(
@@ -118,11 +127,10 @@ def render(
     """color [H, W, 3], depth, opacity, log10_uncertainty, depth_error, depth_interval [H, W]."""
 
 def evaluate(
-    nerf: Any, fields: Sequence[tuple[str, Uncertainty]], options: dict[str, Any], progress: Progress | None
-) -> tuple[str, list[str]]:
-    """JSON, and what ought to be known of the depth maps."""
-
-def calibrate(
-    nerf: Any, uncertainty: Uncertainty, options: dict[str, Any], progress: Progress | None
-) -> tuple[Uncertainty, str, list[str]]:
-    """The calibrated field, JSON, and what ought to be known of the depth maps."""
+    nerf: Any,
+    fields: Sequence[tuple[str, Uncertainty]],
+    ensemble: Sequence[Model],
+    options: dict[str, Any],
+    progress: Progress | None,
+) -> tuple[str, list[Said], Uncertainty | None]:
+    """JSON, what a user should know, and the first field with its interval of depth, if calibrated."""

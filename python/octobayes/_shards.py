@@ -1,7 +1,7 @@
-"""Runs in shards on other people's executors.
+"""Runs in shards on executors of other packages.
 
-There is no scheduler here. A shard is idempotent, small to describe and exact: whoever runs it, and however often, gets
-the same bytes. What loses a worker runs its shard again by its own means.
+There is no scheduler here. A shard is idempotent, small to describe and exact: every run of it, on any machine, gives
+the same bytes. An executor that loses a worker runs its shard again by its own means.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from ._model import Model
 from ._uncertainty import Uncertainty
 
 # Arguments that belong to one process.
-ALONE = ("shard", "checkpoint", "dump_samples", "error_bars", "coarser_levels", "images")
+ALONE = ("shard", "tile", "checkpoint", "dump_samples", "error_bars", "images")
 
 
 @dataclass(frozen=True)
@@ -33,14 +33,14 @@ class Task:
     rows: NDArray[np.float64]
     options: Mapping[str, Any]
 
-    def __call__(self, index: int, of: int) -> tuple[Uncertainty, list[str], float]:
+    def __call__(self, index: int, of: int) -> tuple[Uncertainty, list[tuple[str, bool]], float]:
         """Computes shard ``index`` of ``of``. Runs in a worker. Returns the gate's overshoot, too."""
         asked = self.nerf._model if isinstance(self.nerf, Model) else Gate(self.nerf, **self.gate)
         options = {**self.options, "shard": [index, of], "keep_sums": True}
         # What came through somebody's serialisation need not be aligned.
         rows = np.array(self.rows)
-        field, texts = _octobayes.uncertainty(asked, rows, options, None)
-        return Uncertainty(field), texts, getattr(asked, "overshoot", 0.0)
+        field, said, _ = _octobayes.uncertainty(asked, rows, options, None)
+        return Uncertainty(field), said, getattr(asked, "overshoot", 0.0)
 
 
 class Tree:
@@ -73,22 +73,24 @@ class Tree:
         return len(self._waiting)
 
 
-def checked(executor: Any, shards: Any, arguments: Mapping[str, Any]) -> int:
+def checked(executor: Any, shards: Any, arguments: Mapping[str, Any], is_dry: bool) -> int:
     """The number of shards, if these arguments go with an executor."""
     if not callable(getattr(executor, "submit", None)):
         raise wrong("executor", "a concurrent.futures.Executor, or anything with its submit", executor)
     for name in ALONE:
         if arguments[name] is not None:
             raise wrong(name, "None with an executor, which has shards of its own", arguments[name])
+    if is_dry:
+        raise wrong("executor", "None for a forecast, which is of the whole run", "one")
     return whole("shards", shards, 1, 1 << 20)
 
 
 def run(
     task: Task, executor: Executor, shards: int, report: Callable[[str, int, int], Any] | None
-) -> tuple[_octobayes.Uncertainty, list[str]]:
+) -> tuple[_octobayes.Uncertainty, list[tuple[str, bool]]]:
     """Runs all shards, and merges them as they come. The first exception cancels what has not begun."""
     indices: dict[Future[Any], int] = {executor.submit(task, i, shards): i for i in range(shards)}
-    tree, said, merged, most = Tree(shards), dict[str, None](), None, 0.0
+    tree, said, merged, most = Tree(shards), dict[tuple[str, bool], None](), None, 0.0
     pending = set(indices)
     try:
         while pending:

@@ -50,7 +50,7 @@ class Uncertainty:
     def log10_error(self, points: ArrayLike) -> NDArray[np.float64]:
         """Root mean square error of log10 U due to the number of rays, float64 ``[N]``, decades.
 
-        NaN where too few rays passed to know it. Raises ValueError without error bars (``error_bars=`` of
+        NaN where too few rays passed for an estimate. Raises ValueError without error bars (``error_bars=`` of
         :func:`octobayes.uncertainty`).
         """
         if not self._field.has_error_bars:
@@ -70,9 +70,9 @@ class Uncertainty:
         return self._estimates(points)[4]
 
     def seen(self, points: ArrayLike) -> NDArray[np.str_]:
-        """What the training rays tell of each point, ``[N]`` of text.
+        """Whether training rays constrain each point, ``[N]`` of text.
 
-        'constrained': moving it changes training pixels. 'free': rays passed and met nothing. 'unseen': no ray came.
+        'constrained': moving it changes training pixels. 'free': rays passed and hit nothing. 'unseen': no ray came.
         Raises ValueError if it is not known where rays passed.
         """
         names, _, shape = self._seen(points)
@@ -177,6 +177,15 @@ class Uncertainty:
     def protocol(self) -> dict[str, Any]:
         """Everything that the numbers depend on: rays, seed, λ, steps, ..."""
         return json.loads(self._field.protocol())
+
+    @property
+    def report(self) -> dict[str, Any]:
+        """What ``octobayes uncertainty --json`` prints of the run that computed the field.
+
+        That is protocol, summary, log10 U on visible surfaces, seconds, memory, and under 'errors' how far log10 U is
+        from its limit. Of a field that was read or merged: what of this the field knows itself.
+        """
+        return json.loads(self._field.report())
 
     @property
     def summary(self) -> dict[str, Any]:

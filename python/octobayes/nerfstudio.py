@@ -1,7 +1,7 @@
 """Models that nerfstudio trained: their radiance fields, and the cameras that they were trained on.
 
     field, cameras = ob.nerfstudio.load("outputs/.../config.yml")
-    u = ob.uncertainty(field, cameras, contract="linf", inner=(0, 0, 0, 1), gradient="analytic")
+    u = ob.uncertainty(field, cameras, contract=field.contract, gradient="analytic")
 
 nerfstudio must be installed. It runs what config.yml and the checkpoint say as it loads them: open only your own.
 Tested with nerfacto of nerfstudio 1.1.5.
@@ -22,6 +22,7 @@ from ._arguments import path as as_path
 from ._arguments import points as as_points
 from ._arguments import real, wrong
 from ._autodiff import TorchField
+from ._cameras import LENS
 
 
 class NerfstudioField(TorchField):
@@ -36,11 +37,9 @@ class NerfstudioField(TorchField):
     box: NDArray[np.float64]
     #: Distance between samples along a ray, scene units.
     step: float
-    #: 'linf' or 'l2' if the model contracts all of space around the unit cube or ball, else None; for
-    #: :func:`octobayes.uncertainty`, together with :attr:`inner`.
-    contract: str | None
-    #: Centre and radius of what is not contracted, scene units, or None.
-    inner: tuple[float, float, float, float] | None
+    #: ('linf', 0, 0, 0, 1) or ('l2', 0, 0, 0, 1) if the model contracts all of space around the unit cube or ball, else
+    #: None; for :func:`octobayes.uncertainty`.
+    contract: tuple[str, float, float, float, float] | None
     #: ``[3, 4]``: original to scene axes and origin, before :attr:`scale`.
     transform: NDArray[np.float64]
     #: Scene units per original unit.
@@ -137,15 +136,15 @@ class _Backdrop:
         return (weights[..., None] * color).sum(dim=1) + (1 - weights.sum(dim=1, keepdim=True)) * behind
 
 
-def _contraction(field: Any) -> tuple[str | None, tuple[float, float, float, float] | None]:
-    """``contract`` and ``inner`` of a field of nerfstudio."""
+def _contraction(field: Any) -> tuple[str, float, float, float, float] | None:
+    """``contract`` of a field of nerfstudio."""
     distortion = getattr(field, "spatial_distortion", None)
     if distortion is None:
-        return None, None
+        return None
     order = getattr(distortion, "order", "unknown")
     if order not in (None, 2, math.inf):
         raise wrong("spatial_distortion", "a SceneContraction of order None, 2 or infinity", f"order {order!r}")
-    return "linf" if order == math.inf else "l2", (0.0, 0.0, 0.0, 1.0)
+    return "linf" if order == math.inf else "l2", 0.0, 0.0, 0.0, 1.0
 
 
 def _background(model: Any) -> Any:
@@ -178,7 +177,7 @@ def cameras(cameras: Any, corrections: Any = None) -> list[dict[str, Any]]:
     """Cameras of nerfstudio (``nerfstudio.cameras.cameras.Cameras``) as :func:`octobayes.uncertainty` takes them.
 
     corrections: ``[C, 3, 4]``, what nerfstudio's camera optimiser learnt: rotations and shifts in scene axes.
-    Raises ValueError for lenses other than perspective ones with OpenCV's k1, k2, p1, p2.
+    Raises ValueError for lenses other than perspective ones.
     """
     from nerfstudio.cameras.cameras import CameraType
 
@@ -193,10 +192,7 @@ def cameras(cameras: Any, corrections: Any = None) -> list[dict[str, Any]]:
             shift = np.asarray(corrections[i].detach().cpu(), dtype=np.float64)
             pose[:3, :3] = shift[:, :3] @ pose[:3, :3]
             pose[:3, 3] += shift[:, 3]
-        # nerfstudio's order is k1, k2, k3, k4, p1, p2.
         lens = [0.0] * 6 if cameras.distortion_params is None else cameras.distortion_params[i].tolist()
-        if lens[2] != 0 or lens[3] != 0:
-            raise wrong(f"cameras[{i}]", "a lens with k1, k2, p1, p2 only", f"k3 = {lens[2]}, k4 = {lens[3]}")
         number = {key: float(getattr(cameras, key)[i]) for key in ("fx", "fy", "cx", "cy", "width", "height")}
         camera = {
             "pose": pose,
@@ -204,7 +200,7 @@ def cameras(cameras: Any, corrections: Any = None) -> list[dict[str, Any]]:
             "center": (number["cx"], number["cy"]),
             "size": (int(number["width"]), int(number["height"])),
         }
-        found.append(camera | {"k1": lens[0], "k2": lens[1], "p1": lens[4], "p2": lens[5]})
+        found.append(camera | dict(zip(LENS, lens)))
     return found
 
 
@@ -277,7 +273,7 @@ def _masks(manager: Any, parsed: Any) -> list[Any]:
 
 def _field(model: Any, trained: Any, parsed: Any, reach: float, step: float | None) -> NerfstudioField:
     """The field of a model, with what its data parser did to space."""
-    contract, inner = _contraction(trained)
+    contract = _contraction(trained)
     behind, rest = _background(model), None
     if contract is None:
         box = np.asarray(trained.aabb.detach().cpu(), dtype=np.float64).reshape(2, 3)
@@ -291,7 +287,7 @@ def _field(model: Any, trained: Any, parsed: Any, reach: float, step: float | No
     device = next(trained.parameters()).device
     attributes = {"box": box, "step": step, "background": background, "pixel_offset": None}
     field = NerfstudioField(_radiance(trained, rest), device, None, attributes)
-    field.contract, field.inner, field.model = contract, inner, model
+    field.contract, field.model = contract, model
     field.transform = np.asarray(parsed.dataparser_transform, dtype=np.float64)[:3]
     field.scale = float(parsed.dataparser_scale)
     field.__qualname__ = f"{type(model).__name__} of nerfstudio"

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use numpy::PyReadonlyArray2;
 use octobayes::estimate::RaySettings;
 use octobayes::export::{
-    MeshSettings, surfaces, write_hyper_tree, write_leaves, write_mesh, write_points, write_report,
+    MeshSettings, Surfaces, surfaces, write_hyper_tree, write_leaves, write_mesh, write_points, write_report,
 };
 use octobayes::field::RadianceField;
 use octobayes::geometry::Camera;
@@ -23,7 +23,7 @@ use crate::work::{Engine, work};
 /// Writes what needs the field alone; `kind` is "official", "leaves" or "hyper tree".
 #[pyfunction]
 pub fn export_field(py: Python<'_>, field: &Bound<'_, Uncertainty>, path: PathBuf, kind: &str) -> PyResult<()> {
-    let field = field.get().0.clone();
+    let field = field.get().field.clone();
     without_python(py, || match kind {
         "leaves" => {
             let matrices = field.sums().map(|_| field.matrices(field.protocol().covariance)).transpose()?;
@@ -68,8 +68,7 @@ pub fn export_surfaces(
     let (source, cameras, options) = (Source::new(nerf)?, cameras(&rows)?, Options(options));
     let kind = match options.or("kind", String::new())?.as_str() {
         "mesh" => {
-            let default = MeshSettings { resolution: 192, density: None };
-            let resolution = options.or("cells", default.resolution)?;
+            let resolution = options.or("cells", MeshSettings::default().resolution)?;
             Kind::Mesh(MeshSettings { resolution, density: options.get("density")? })
         }
         "report" => Kind::Report { names },
@@ -80,10 +79,10 @@ pub fn export_surfaces(
         kind,
         settings: options.image(RaySettings::for_images())?,
         threshold: options.get("threshold")?,
-        pixels: options.or("pixels", 400_000)?,
+        pixels: options.or("pixels", Surfaces::PIXELS)?,
         cameras: &cameras,
     };
-    let field = field.get().0.clone();
+    let field = field.get().field.clone();
     work(py, source.gate(nerf), progress, |engine| source.with(engine, |model| job.write(engine, model, &field)))
 }
 

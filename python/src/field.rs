@@ -6,18 +6,46 @@ use std::sync::Arc;
 use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2};
 use octobayes::geometry::Domain;
 use octobayes::posterior::Covariance;
-use octobayes::uncertainty::{Knowledge, OfficialGrid, UncertaintyField, threshold_warning};
+use octobayes::session::{Finished, Threshold, described};
+use octobayes::uncertainty::{Knowledge, OfficialGrid, UncertaintyField};
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::errors::OrRaise;
+use crate::errors::{OrRaise, Said, said};
 use crate::model::points;
 use crate::options::{Options, choose};
 use crate::pool::without_python;
 
 /// U(x), the standard deviation of displacements that the training images allow, in scene units.
 #[pyclass(frozen, module = "octobayes._octobayes")]
-pub struct Uncertainty(pub Arc<UncertaintyField>);
+pub struct Uncertainty {
+    pub field: Arc<UncertaintyField>,
+    /// What the run reported that computed it, as JSON.
+    report: Option<String>,
+}
+
+impl From<UncertaintyField> for Uncertainty {
+    fn from(field: UncertaintyField) -> Self {
+        Self { field: Arc::new(field), report: None }
+    }
+}
+
+impl Uncertainty {
+    /// The field of a run, with its report.
+    pub fn of_run((field, report): Computed) -> Self {
+        Self { report: Some(report), ..field.into() }
+    }
+}
+
+/// What a run computed, and its report as JSON.
+pub type Computed = (UncertaintyField, String);
+
+/// The field of a run and its report, which is parallel work.
+pub fn computed(finished: Finished) -> Computed {
+    let report = finished.report().to_string();
+    (finished.field, report)
+}
 
 /// U, errors of log10 U (NaN if unknown), rays (NaN if unknown), levels, and whether a point is inside.
 type Estimates<'py> = (
@@ -28,11 +56,11 @@ type Estimates<'py> = (
     Bound<'py, PyArray1<bool>>,
 );
 
-/// What the rays tell of points, and how many came there.
+/// `constrained`, `free` or `unseen` for each point, and visits.
 type Seen<'py> = (Vec<&'static str>, Bound<'py, PyArray1<u32>>);
 
 fn covariance(name: &str) -> PyResult<Covariance> {
-    choose("covariance", name, &Covariance::ALL.map(|covariance| (covariance.name(), covariance)))
+    choose("covariance", name)
 }
 
 /// Reads a field: `.oct`, or the official code's `.npy` with the space that it covers and its number of rays.
@@ -40,7 +68,7 @@ fn covariance(name: &str) -> PyResult<Covariance> {
 #[pyo3(signature = (path, options, rays = None))]
 pub fn load(py: Python<'_>, path: PathBuf, options: &Bound<'_, PyDict>, rays: Option<u64>) -> PyResult<Uncertainty> {
     let options = Options(options);
-    let domain = options.contraction()?.or(options.bounds()?.map(Domain::Box));
+    let domain = options.domain()?;
     let read = || match domain {
         Some(domain) => {
             let rays = rays.unwrap_or(OfficialGrid::DEFAULT_RAYS);
@@ -48,7 +76,7 @@ pub fn load(py: Python<'_>, path: PathBuf, options: &Bound<'_, PyDict>, rays: Op
         }
         None => UncertaintyField::read(&path),
     };
-    without_python(py, read)?.or_raise().map(|field| Uncertainty(Arc::new(field)))
+    without_python(py, read)?.or_raise().map(Uncertainty::from)
 }
 
 #[pymethods]
@@ -56,7 +84,7 @@ impl Uncertainty {
     /// Estimates at points `[n, 3]`.
     fn query<'py>(&self, py: Python<'py>, x: PyReadonlyArray2<'py, f32>) -> PyResult<Estimates<'py>> {
         let x = points(&x)?;
-        let found = without_python(py, || self.0.query_all(&x))?;
+        let found = without_python(py, || self.field.query_all(&x))?;
         let numbers = |of: &dyn Fn(usize) -> f64| PyArray1::from_iter(py, (0..found.len()).map(of));
         Ok((
             numbers(&|i| found[i].uncertainty),
@@ -67,13 +95,13 @@ impl Uncertainty {
         ))
     }
 
-    /// What the rays tell of points `[n, 3]`, and how many came there; `None` if unknown.
+    /// `constrained`, `free` or `unseen` for points `[n, 3]`, and visits; `None` if unknown.
     fn seen<'py>(&self, py: Python<'py>, x: PyReadonlyArray2<'py, f32>) -> PyResult<Option<Seen<'py>>> {
         let x = points(&x)?;
-        let Some(visits) = self.0.visits() else { return Ok(None) };
+        let Some(visits) = self.field.visits() else { return Ok(None) };
         let (names, counts) = without_python(py, || {
-            let found = self.0.query_all(&x);
-            let knowledge = x.iter().zip(&found).map(|(&x, found)| self.0.knowledge(x, found.uncertainty));
+            let found = self.field.query_all(&x);
+            let knowledge = x.iter().zip(&found).map(|(&x, found)| self.field.knowledge(x, found.uncertainty));
             let names: Vec<&str> = knowledge.map(|seen| seen.map_or("", Knowledge::name)).collect();
             let counts: Vec<u32> = x.iter().map(|&x| visits.at(x).unwrap_or(0)).collect();
             (names, counts)
@@ -90,8 +118,8 @@ impl Uncertainty {
         kind: Option<&str>,
     ) -> PyResult<Bound<'py, PyArray3<f64>>> {
         let x = points(&x)?;
-        let kind = kind.map(covariance).transpose()?.unwrap_or(self.0.protocol().covariance);
-        let found = without_python(py, || self.0.covariances(&x, kind))?.or_raise()?;
+        let kind = kind.map(covariance).transpose()?.unwrap_or(self.field.protocol().covariance);
+        let found = without_python(py, || self.field.covariances(&x, kind))?.or_raise()?;
         let full = found.iter().flat_map(|[xx, xy, xz, yy, yz, zz]| [xx, xy, xz, xy, yy, yz, xz, yz, zz]).copied();
         PyArray1::from_iter(py, full).reshape([x.len(), 3, 3])
     }
@@ -99,7 +127,7 @@ impl Uncertainty {
     /// Counts of rays that reached each cell of a coarse grid, x slowest; `None` if unknown.
     #[getter]
     fn visits<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray3<u32>>>> {
-        let Some(visits) = self.0.visits() else { return Ok(None) };
+        let Some(visits) = self.field.visits() else { return Ok(None) };
         let counts = visits.counts();
         let side = (counts.len() as f64).cbrt().round() as usize;
         PyArray1::from_slice(py, counts).reshape([side; 3]).map(Some)
@@ -108,97 +136,112 @@ impl Uncertainty {
     /// Points on visible surfaces, `[n, 3]`.
     #[getter]
     fn surface<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
-        let points = self.0.surface();
+        let points = self.field.surface();
         PyArray1::from_iter(py, points.iter().flatten().copied()).reshape([points.len(), 3])
     }
 
     /// The same field read with another covariance.
     fn with_covariance(&self, py: Python<'_>, kind: &str) -> PyResult<Self> {
         let kind = covariance(kind)?;
-        let field = without_python(py, || (*self.0).clone().with_covariance(kind))?.or_raise()?;
-        Ok(Self(Arc::new(field)))
+        let field = without_python(py, || (*self.field).clone().with_covariance(kind))?.or_raise()?;
+        Ok(field.into())
     }
 
     /// Writes an `.oct` file.
     fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
-        without_python(py, || self.0.write(&path))?.or_raise()
+        without_python(py, || self.field.write(&path))?.or_raise()
     }
 
     /// The field without what only merging needs.
     fn for_queries(&self, py: Python<'_>) -> PyResult<Self> {
-        without_python(py, || (*self.0).clone().for_queries()).map(|field| Self(Arc::new(field)))
+        without_python(py, || (*self.field).clone().for_queries()).map(Self::from)
     }
 
     /// log10 U that the most certain `share` of visible surfaces does not exceed; `None` without such points.
     fn surface_quantile(&self, py: Python<'_>, share: f64) -> PyResult<Option<f64>> {
-        without_python(py, || self.0.surface_quantiles([share]).map(|[log10]| log10))
+        without_python(py, || self.field.surface_quantiles([share]).map(|[log10]| log10))
     }
 
-    /// What is to be said of a threshold that leaves hardly any visible surface.
-    fn threshold_warning(&self, py: Python<'_>, log10: f64) -> PyResult<Option<String>> {
-        py.detach(|| threshold_warning(&*self.0, log10)).or_raise()
+    /// log10 U of a threshold, a number or a text, and what a user should know.
+    fn threshold(&self, py: Python<'_>, threshold: &Bound<'_, PyAny>) -> PyResult<(f64, Vec<Said>)> {
+        let threshold = match threshold.extract::<String>() {
+            Err(_) => Threshold::Log10(threshold.extract()?),
+            Ok(text) => Threshold::parse(&text)
+                .map_err(|expected| PyValueError::new_err(format!("threshold: {expected}, found {text}")))?,
+        };
+        let mut texts = Vec::new();
+        let log10 = without_python(py, || threshold.log10(&*self.field, &mut |remark| texts.push(said(remark))))?;
+        Ok((log10.or_raise()?, texts))
     }
 
     /// U where nothing was seen, scene units.
     #[getter]
     fn prior(&self) -> f64 {
-        self.0.prior()
+        self.field.prior()
     }
 
     /// The finest level.
     #[getter]
     fn level(&self) -> u8 {
-        self.0.lattice().level()
+        self.field.lattice().level()
     }
 
     /// Corners of the box; `None` if all of space is covered, contracted.
     #[getter]
     fn r#box(&self) -> Option<[[f64; 3]; 2]> {
-        let Domain::Box(bounds) = self.0.lattice().domain() else { return None };
+        let Domain::Box(bounds) = self.field.lattice().domain() else { return None };
         Some([bounds.min().to_array(), bounds.max().to_array()])
     }
 
     /// The space that is covered, in words.
     #[getter]
     fn domain(&self) -> String {
-        self.0.lattice().domain().to_string()
+        self.field.lattice().domain().to_string()
     }
 
     /// True if the sums are kept, from which other covariances can be read.
     #[getter]
     fn keeps_sums(&self) -> bool {
-        self.0.sums().is_some()
+        self.field.sums().is_some()
     }
 
     /// True if there are error bars.
     #[getter]
     fn has_error_bars(&self) -> bool {
-        self.0.error_bars().is_some()
+        self.field.error_bars().is_some()
     }
 
     /// The calibrated interval of depth; JSON, or none.
     fn conformal(&self) -> Option<String> {
-        self.0.conformal().map(|conformal| serde_json::json!(conformal).to_string())
+        self.field.conformal().map(|conformal| serde_json::json!(conformal).to_string())
     }
 
     /// True if these are only some of the rays of a run.
     #[getter]
     fn is_part(&self) -> bool {
-        self.0.is_part()
+        self.field.is_part()
     }
 
     /// Everything that the numbers depend on, as JSON.
     fn protocol(&self) -> PyResult<String> {
-        json(self.0.protocol())
+        json(self.field.protocol())
+    }
+
+    /// What the run reported that computed it, or else what a field knows of itself, as JSON.
+    fn report(&self, py: Python<'_>) -> PyResult<String> {
+        match &self.report {
+            Some(report) => Ok(report.clone()),
+            None => json(&without_python(py, || described(&self.field))?),
+        }
     }
 
     /// Size and structure, as JSON.
     fn summary(&self, py: Python<'_>) -> PyResult<String> {
-        json(&without_python(py, || self.0.summary())?)
+        json(&without_python(py, || self.field.summary())?)
     }
 }
 
 /// A value as JSON.
 pub fn json(value: &impl serde::Serialize) -> PyResult<String> {
-    serde_json::to_string(value).map_err(|e| pyo3::exceptions::PyValueError::new_err(e.to_string()))
+    serde_json::to_string(value).map_err(|e| PyValueError::new_err(e.to_string()))
 }

@@ -1,22 +1,19 @@
 //! Several fields, and samples from elsewhere.
 
-use std::path::PathBuf;
-use std::sync::Arc;
+use std::path::{Path, PathBuf};
 
 use numpy::{PyReadonlyArray1, PyReadonlyArray2};
-use octobayes::Error;
-use octobayes::estimate::{FieldBuilder, Provenance};
-use octobayes::geometry::Domain;
 use octobayes::glam::Vec3;
-use octobayes::rays::{MissingShards, RunProgress, SamplesReader};
+use octobayes::rays::MissingShards;
 use octobayes::render::{RaySample, RaySamples};
+use octobayes::session::{Accumulation, ScaleKind, TrainingPixels, check_fields};
 use octobayes::uncertainty::{self, UncertaintyField};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::errors::OrRaise;
-use crate::field::{Uncertainty, json};
+use crate::errors::{OrRaise, Said, said};
+use crate::field::{Uncertainty, computed, json};
 use crate::options::Options;
 use crate::pool::without_python;
 use crate::work::work;
@@ -24,7 +21,7 @@ use crate::work::work;
 /// Rays that are summed together.
 const BATCH: usize = 512;
 
-/// Compares a field with a reference; JSON.
+/// Compares a field with a reference; JSON, and what a user should know.
 #[pyfunction]
 pub fn compare(
     py: Python<'_>,
@@ -32,9 +29,12 @@ pub fn compare(
     b: &Bound<'_, Uncertainty>,
     points: usize,
     seed: u64,
-) -> PyResult<String> {
-    let (a, b) = (a.get().0.clone(), b.get().0.clone());
-    json(&without_python(py, || uncertainty::compare(&*a, &*b, points, seed))?.or_raise()?)
+) -> PyResult<(String, Vec<Said>)> {
+    let (a, b) = (a.get().field.clone(), b.get().field.clone());
+    let mut texts = Vec::new();
+    let pair = [(Path::new("a"), &*a), (Path::new("b"), &*b)];
+    check_fields(pair, true, &mut |remark| texts.push(said(remark))).or_raise()?;
+    Ok((json(&without_python(py, || uncertainty::compare(&*a, &*b, points, seed))?.or_raise()?)?, texts))
 }
 
 /// Joins fields of one box from different rays. Returns the field with its warnings.
@@ -44,18 +44,19 @@ pub fn merge(
     fields: Vec<Bound<'_, Uncertainty>>,
     error_bars: bool,
     keep_sums: bool,
-) -> PyResult<(Uncertainty, Vec<String>)> {
-    let parts: Vec<_> = fields.iter().map(|field| field.get().0.clone()).collect();
+) -> PyResult<(Uncertainty, Vec<Said>)> {
+    let parts: Vec<_> = fields.iter().map(|field| field.get().field.clone()).collect();
     let joined = without_python(py, || {
         let parts: Vec<UncertaintyField> = parts.iter().map(|part| (**part).clone()).collect();
         if error_bars { uncertainty::merge_with_error_bars(&parts) } else { uncertainty::merge(&parts) }
     })?;
     let field = joined.or_raise()?;
     let missing = MissingShards::beside(field.draws());
-    let warnings =
-        missing.iter().map(|run| format!("the run over {} rays is not complete: {run} missing", run.rays)).collect();
+    let warning =
+        |run: &MissingShards| (format!("the run over {} rays is not complete: {run} missing", run.rays), false);
+    let warnings = missing.iter().map(warning).collect();
     let field = if keep_sums { field } else { without_python(py, || field.for_queries())? };
-    Ok((Uncertainty(Arc::new(field)), warnings))
+    Ok((field.into(), warnings))
 }
 
 /// Arrays of samples: positions `[n, 3]`, Jacobians `[n, 9]`, ray of each, weight of each, rays in all.
@@ -67,84 +68,36 @@ type Arrays<'py> = (
     u64,
 );
 
-/// Samples, and how many of them lie in the field's box.
-#[derive(Default)]
-struct Inside {
-    inside: usize,
-    all: usize,
-}
-
-impl Inside {
-    fn add(&mut self, builder: &FieldBuilder, batches: &[RaySamples]) {
-        let positions = || batches.iter().flat_map(|batch| &batch.positions);
-        self.inside += positions().filter(|x| builder.lattice().coordinates(**x).is_some()).count();
-        self.all += positions().count();
-    }
-
-    /// Refuses samples that all lie outside the box; a warning if half of them do.
-    fn check(&self) -> octobayes::Result<Option<String>> {
-        let Self { inside, all } = self;
-        let found = format!("{inside} of {all} samples");
-        if *inside == 0 && *all > 0 {
-            let expected = "positions inside the box; likely causes: box, units, or axes";
-            return Err(Error::setting("samples", expected, found));
-        }
-        Ok((2 * inside < *all).then(|| format!("{found} lie in the box; likely causes: box, units, or axes")))
-    }
-}
-
-/// Sums samples whose Jacobians were computed elsewhere: a file's, or arrays. Returns the field with a warning.
+/// Sums samples whose Jacobians were computed elsewhere: a file's, or arrays. Returns the field with what a user should
+/// know.
 #[pyfunction]
 pub fn accumulate(
     py: Python<'_>,
     samples: &Bound<'_, PyAny>,
     options: &Bound<'_, PyDict>,
     progress: Option<&Bound<'_, PyAny>>,
-) -> PyResult<(Uncertainty, Option<String>)> {
+) -> PyResult<(Uncertainty, Vec<Said>)> {
     let options = Options(options);
-    let domain = match (options.contraction()?, options.bounds()?.map(Domain::Box)) {
-        (Some(domain), _) | (None, Some(domain)) => domain,
-        (None, None) => {
-            return Err(PyValueError::new_err(
-                "box: expected the box of the field, or contract and inner, found neither",
-            ));
-        }
-    };
-    let settings = options.grid()?;
-    if settings.needs_plan() || settings.criteria.density {
-        let expected = "`sensitivity`, and no memory: the rest needs the model and its rays";
-        return Err(Error::setting("refine", expected, format!("{}", settings.criteria))).or_raise();
-    }
-    let mut builder = FieldBuilder::new(settings, domain).or_raise()?;
-    let finish = |builder: FieldBuilder, source: String, rays: u64, samples: u64| {
-        let progress = RunProgress { rays, samples, ..RunProgress::default() };
-        builder.finish(&Provenance { source, progress, ..Provenance::default() })
-    };
-    let mut inside = Inside::default();
-    let (field, warning) = if let Ok(path) = samples.extract::<PathBuf>() {
-        work(py, None, progress, move |engine| {
-            let reader = SamplesReader::open(&path)?;
-            reader.run(engine.monitor(), |batches| {
-                inside.add(&builder, batches);
-                builder.add(batches);
-                Ok(())
-            })?;
-            let (warning, source) = (inside.check()?, format!("samples {}", path.display()));
-            Ok((finish(builder, source, reader.rays_total(), reader.samples()), warning))
-        })?
+    let none = || PyValueError::new_err("box: expected the box of the field, or contract, found neither");
+    let domain = options.domain()?.ok_or_else(none)?;
+    let training = TrainingPixels { pixels: options.get("training_pixels")?, noise: None };
+    let scale = options.choice::<ScaleKind>("scale")?.unwrap_or_default();
+    let scale = scale.over(&domain, options.get("noise")?, training).or_raise()?;
+    let mut accumulation = Accumulation::new(options.grid()?.scale(scale), domain).or_raise()?;
+    let mut texts = Vec::new();
+    let mut tell = |remark| texts.push(said(remark));
+    let finished = if let Ok(path) = samples.extract::<PathBuf>() {
+        work(py, None, progress, |engine| accumulation.read(&path, engine.monitor(), &mut tell).map(computed))?
     } else {
         let (positions, jacobians, rays, weights, total) = samples.extract::<Arrays>()?;
         let batches =
             batched(positions.as_slice()?, jacobians.as_slice()?, rays.as_slice()?, weights.as_slice()?, total)?;
-        let count = rays.len()? as u64;
-        work(py, None, progress, move |_| {
-            inside.add(&builder, &batches);
-            let warning = inside.check()?;
-            builder.add(&batches);
-            Ok((finish(builder, "samples from Python".into(), total, count), warning))
+        work(py, None, progress, |_| {
+            accumulation.add(&batches);
+            accumulation.finish("samples".as_ref(), "samples from Python", total, &mut tell).map(computed)
         })?
     };
-    Ok((Uncertainty(Arc::new(field)), warning))
+    Ok((Uncertainty::of_run(finished), texts))
 }
 
 /// The samples in batches that are cut between rays.

@@ -1,7 +1,8 @@
 //! The part of the Python package `octobayes` that is Rust.
 //!
 //! `octobayes/` beside this crate is what users import; it checks arguments, and hands over NumPy arrays of the types
-//! that are expected here. A field in Python is asked in one place only ([`work`]).
+//! that are expected here. A field in Python is called in one place only ([`work`]).
+#![allow(clippy::needless_pass_by_value, reason = "PyO3 hands arguments over by value")]
 
 mod errors;
 mod export;
@@ -23,6 +24,7 @@ fn _octobayes(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     module.add_class::<field::Uncertainty>()?;
     module.add_class::<model::Model>()?;
+    module.add_function(wrap_pyfunction!(options::defaults, module)?)?;
     module.add_function(wrap_pyfunction!(run::uncertainty, module)?)?;
     module.add_function(wrap_pyfunction!(run::read_cameras, module)?)?;
     module.add_function(wrap_pyfunction!(field::load, module)?)?;
@@ -33,6 +35,5 @@ fn _octobayes(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(export::export_surfaces, module)?)?;
     module.add_function(wrap_pyfunction!(view::render, module)?)?;
     module.add_function(wrap_pyfunction!(judge::evaluate, module)?)?;
-    module.add_function(wrap_pyfunction!(judge::calibrate, module)?)?;
     Ok(())
 }

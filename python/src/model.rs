@@ -1,30 +1,46 @@
 //! A model that the library reads.
 
-use std::path::Path;
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
 use octobayes::Error;
 use octobayes::field::{Coordinates, Intrinsics, Radiance, RadianceField, RadianceJet};
 use octobayes::glam::Vec3;
-use octobayes::open;
+use octobayes::session::OpenedModel;
 use pyo3::prelude::*;
 use rayon::prelude::*;
 
-use crate::errors::OrRaise;
+use crate::errors::{OrRaise, Said, said};
+use crate::field::Uncertainty;
 use crate::options::{choose, numbers};
 use crate::pool::without_python;
 
 /// Points that one thread evaluates at a time.
 const CHUNK: usize = 4096;
 
+/// A model of the library that is a volume.
+#[derive(Clone)]
+pub struct Volume {
+    pub opened: OpenedModel,
+    pub field: Arc<dyn RadianceField>,
+}
+
+impl Volume {
+    /// Opens the model that `name` names.
+    ///
+    /// # Errors
+    /// As [`OpenedModel::open`], or if the model is no volume.
+    fn open(name: &str, coordinates: Option<Coordinates>) -> octobayes::Result<Self> {
+        let opened = OpenedModel::open(name, coordinates, None)?;
+        let field = opened.volume()?.clone();
+        Ok(Self { opened, field })
+    }
+}
+
 /// A radiance field in Rust.
 #[pyclass(frozen, module = "octobayes._octobayes")]
-pub struct Model {
-    pub field: Arc<dyn RadianceField>,
-    pub name: String,
-    pub checksum: u32,
-}
+pub struct Model(pub Volume);
 
 /// Rows of an array `[n, 3]`.
 fn triples<'a>(array: &'a PyReadonlyArray2<f32>) -> PyResult<&'a [[f32; 3]]> {
@@ -54,14 +70,21 @@ impl Model {
     #[new]
     #[pyo3(signature = (name, coordinates = None))]
     fn new(py: Python<'_>, name: String, coordinates: Option<&str>) -> PyResult<Self> {
-        let known = Coordinates::ALL.map(|coordinates| (coordinates.name(), coordinates));
-        let coordinates = coordinates.map(|found| choose("coordinates", found, &known)).transpose()?;
-        let opened = without_python(py, || {
-            let field: Arc<dyn RadianceField> = open::open_in(&name, coordinates)?.into();
-            Ok((field, open::checksum(&name, coordinates)?))
-        })?;
-        let (field, checksum) = opened.or_raise()?;
-        Ok(Self { field, name, checksum })
+        let coordinates = coordinates.map(|found| choose("coordinates", found)).transpose()?;
+        without_python(py, || Volume::open(&name, coordinates))?.or_raise().map(Self)
+    }
+
+    /// What a user should know if a field, named `name`, does not belong to the model.
+    fn check(&self, field: &Bound<'_, Uncertainty>, name: PathBuf) -> PyResult<Vec<Said>> {
+        let mut texts = Vec::new();
+        self.0.opened.check(&field.get().field, &name, true, &mut |remark| texts.push(said(remark))).or_raise()?;
+        Ok(texts)
+    }
+
+    /// Checksum of what was opened: content and coordinates.
+    #[getter]
+    fn checksum(&self) -> u32 {
+        self.0.opened.checksum
     }
 
     /// Density `[n]` and colour `[n, 3]` at `x` `[n, 3]`, seen along `d` `[n, 3]`.
@@ -78,7 +101,7 @@ impl Model {
             let parts = parts.zip(density.par_chunks_mut(CHUNK).zip(color.par_chunks_mut(CHUNK)));
             parts.for_each(|((x, d), (density, color))| {
                 let mut radiance = vec![Radiance::default(); x.len()];
-                self.field.evaluate(&vectors(x), &vectors(d), &mut radiance);
+                self.0.field.evaluate(&vectors(x), &vectors(d), &mut radiance);
                 for ((density, color), r) in density.iter_mut().zip(color).zip(radiance) {
                     (*density, *color) = (r.density, r.color.to_array());
                 }
@@ -93,7 +116,7 @@ impl Model {
         let mut density = vec![0.0; x.len()];
         without_python(py, || {
             let parts = x.par_chunks(CHUNK).zip(density.par_chunks_mut(CHUNK));
-            parts.for_each(|(x, out)| self.field.densities(&vectors(x), out));
+            parts.for_each(|(x, out)| self.0.field.densities(&vectors(x), out));
         })?;
         Ok(PyArray1::from_vec(py, density))
     }
@@ -105,8 +128,8 @@ impl Model {
         x: PyReadonlyArray2<'py, f32>,
         d: PyReadonlyArray2<'py, f32>,
     ) -> PyResult<(Array1<'py>, Array2<'py>, Array2<'py>, Array2<'py>)> {
-        let field = self.field.differentiable().ok_or_else(|| {
-            let found = format!("one that does not: {}", self.field.describe());
+        let field = self.0.field.differentiable().ok_or_else(|| {
+            let found = format!("one that does not: {}", self.0.field.describe());
             Error::setting("derivatives", "a model that differentiates itself", found)
         });
         let (field, x, d) = (field.or_raise()?, triples(&x)?, triples(&d)?);
@@ -139,7 +162,7 @@ impl Model {
         resolution: Option<[u32; 2]>,
     ) -> PyResult<Option<Bound<'py, PyArray2<f64>>>> {
         let intrinsics = Intrinsics { fov_x: fov.map(f64::to_radians), resolution };
-        let cameras = self.field.cameras(&intrinsics).or_raise()?;
+        let cameras = self.0.field.cameras(&intrinsics).or_raise()?;
         cameras
             .map(|all| PyArray1::from_vec(py, numbers(&all)).reshape([all.len(), crate::options::NUMBERS]))
             .transpose()
@@ -148,43 +171,43 @@ impl Model {
     /// True if the model computes its own derivatives.
     #[getter]
     fn is_differentiable(&self) -> bool {
-        self.field.differentiable().is_some()
+        self.0.field.differentiable().is_some()
     }
 
     /// Lower and upper corner of the box outside which the density is zero.
     #[getter]
     fn r#box(&self) -> [[f64; 3]; 2] {
-        let bounds = self.field.bounds();
+        let bounds = self.0.field.bounds();
         [bounds.min(), bounds.max()].map(|corner| corner.to_array())
     }
 
     /// Distance between samples along a ray that resolves the model, scene units.
     #[getter]
     fn step(&self) -> f64 {
-        self.field.suggested_step()
+        self.0.field.suggested_step()
     }
 
     /// Where in a pixel the training rays went.
     #[getter]
     fn pixel_offset(&self) -> f64 {
-        self.field.pixel_offset()
+        self.0.field.pixel_offset()
     }
 
     /// The name or file.
     #[getter]
     fn name(&self) -> &str {
-        &self.name
+        &self.0.opened.name
+    }
+
+    /// The name, with the checksum of the file and the coordinates.
+    #[getter]
+    fn source(&self) -> &str {
+        &self.0.opened.source
     }
 
     /// One line: architecture and size.
     #[getter]
     fn description(&self) -> String {
-        self.field.describe()
-    }
-
-    /// The model's file without its folder.
-    #[getter]
-    fn file(&self) -> String {
-        Path::new(&self.name).file_name().map_or_else(|| self.name.clone(), |name| name.to_string_lossy().into_owned())
+        self.0.field.describe()
     }
 }

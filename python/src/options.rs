@@ -1,17 +1,24 @@
 //! Settings and cameras as Python hands them over.
 
 use numpy::PyReadonlyArray2;
-use octobayes::dataset::rigid_pose;
-use octobayes::estimate::{GridKind, GridSettings, RaySettings};
+use octobayes::dataset::{Selection, rigid_pose};
+use octobayes::estimate::{GridSettings, RaySettings};
+use octobayes::evaluate::{DepthFiles, Evaluation};
+use octobayes::export::{MeshSettings, Surfaces};
 use octobayes::geometry::{Aabb, Camera, Distortion, Domain, Norm};
 use octobayes::glam::{DMat3, DVec3, Vec3};
-use octobayes::posterior::{Covariance, Criterion, Prior};
+use octobayes::octree::Tile;
+use octobayes::posterior::{Covariance, Criterion};
 use octobayes::rays::Pixels;
-use octobayes::render::{GradientMethod, RayAverage};
+use octobayes::render::RayAverage;
+use octobayes::session::{Resolution, ScaleKind};
+use octobayes::uncertainty::{Comparison, OfficialGrid};
 use pyo3::conversion::FromPyObjectOwned;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
+use serde::de::DeserializeOwned;
+use serde_json::json;
 
 use crate::errors::OrRaise;
 
@@ -32,33 +39,28 @@ impl<'py> Options<'_, 'py> {
         Ok(self.get(name)?.unwrap_or(default))
     }
 
-    /// The member of `all` that the argument names.
-    fn choice<T: Copy>(&self, name: &str, all: &[(&str, T)]) -> PyResult<Option<T>> {
-        self.get::<String>(name)?.map(|found| choose(name, &found, all)).transpose()
+    /// What the argument names.
+    pub fn choice<T: DeserializeOwned>(&self, name: &str) -> PyResult<Option<T>> {
+        self.get::<String>(name)?.map(|found| choose(name, &found)).transpose()
     }
 
-    /// The members of `all` that the argument lists.
-    fn choices<T: Copy>(&self, name: &str, all: &[(&str, T)]) -> PyResult<Option<Vec<T>>> {
+    /// What the argument lists.
+    fn choices<T: DeserializeOwned>(&self, name: &str) -> PyResult<Option<Vec<T>>> {
         let found = self.get::<Vec<String>>(name)?;
-        found.map(|found| found.iter().map(|found| choose(name, found, all)).collect()).transpose()
+        found.map(|found| found.iter().map(|found| choose(name, found)).collect()).transpose()
     }
 
     /// The settings of rays.
     pub fn rays(&self) -> PyResult<RaySettings> {
-        let default = RaySettings::default();
-        let pixels = self.choice("pixels", &[("random", Pixels::Random), ("sobol", Pixels::Sobol)])?;
-        let methods = [
-            ("finite-difference", GradientMethod::FiniteDifference),
-            ("analytic", GradientMethod::Analytic),
-            ("auto", GradientMethod::Auto),
-            ("forward-difference", GradientMethod::ForwardDifference),
-        ];
+        let mut default = RaySettings::default();
+        match self.get::<String>("rays") {
+            Ok(Some(all)) if all == "all" => default.pixels = Pixels::Every,
+            _ => default.rays = self.or("rays", default.rays)?,
+        }
         Ok(self
             .image(default)?
-            .rays(self.or("rays", default.rays)?)
-            .pixels(pixels.unwrap_or(default.pixels))
             .seed(self.or("seed", default.seed)?)
-            .gradient(self.choice("gradient", &methods)?.unwrap_or(default.gradient))
+            .gradient(self.choice("gradient")?.unwrap_or(default.gradient))
             .step(self.get("step")?)
             .cutoff(self.or("cutoff", default.cutoff)?))
     }
@@ -75,41 +77,41 @@ impl<'py> Options<'_, 'py> {
     /// The settings of the grid.
     pub fn grid(&self) -> PyResult<GridSettings> {
         let default = GridSettings::default();
-        let grids = [("octree", GridKind::Octree), ("dense", GridKind::Dense)];
-        let priors = [("uniform", Prior::Uniform), ("volume", Prior::Volume)];
-        let criteria = [
-            ("sensitivity", Criterion::Sensitivity),
-            ("density", Criterion::Density),
-            ("ray-count", Criterion::RayCount),
-        ];
-        let criteria = self.choices("refine", &criteria)?;
+        let criteria = self.choices::<Criterion>("refine")?;
         Ok(default
-            .grid(self.choice("grid", &grids)?.unwrap_or(default.grid))
+            .grid(self.choice("grid")?.unwrap_or(default.grid))
             .level(self.or("level", default.level)?)
             .covariance(self.covariance()?.unwrap_or(default.covariance))
             .lambda(self.get("lambda_")?)
             .tolerance(self.or("tolerance", default.tolerance)?)
-            .prior(self.choice("prior", &priors)?.unwrap_or(default.prior))
             .min_rays(self.or("min_rays", default.min_rays)?)
             .criteria(criteria.map_or(default.criteria, FromIterator::from_iter))
             .memory(self.get("memory")?)
-            .surface_points(self.or("surface_points", default.surface_points)?)
+            .tile(self.tile()?)
             .keep_sums(self.or("keep_sums", false)?))
+    }
+
+    /// The part of space, if not all of it.
+    fn tile(&self) -> PyResult<Option<Tile>> {
+        let Some([index, of]) = self.get::<[u32; 2]>("tile")? else { return Ok(None) };
+        let expected = "(I, N), N a power of two from 2 on, I from 0 to N - 1";
+        let wrong = || PyValueError::new_err(format!("tile: expected {expected}, found ({index}, {of})"));
+        Tile::new(index, of).ok_or_else(wrong).map(Some)
     }
 
     /// The covariance, if one was named.
     pub fn covariance(&self) -> PyResult<Option<Covariance>> {
-        self.choice("covariance", &Covariance::ALL.map(|covariance| (covariance.name(), covariance)))
+        self.choice("covariance")
     }
 
     /// Several covariances.
     pub fn covariances(&self) -> PyResult<Option<Vec<Covariance>>> {
-        self.choices("covariance", &Covariance::ALL.map(|covariance| (covariance.name(), covariance)))
+        self.choices("covariance")
     }
 
     /// Ray averages.
     pub fn ray_averages(&self) -> PyResult<Option<Vec<RayAverage>>> {
-        self.choices("ray_average", &RayAverage::ALL.map(|average| (average.name(), average)))
+        self.choices("ray_average")
     }
 
     /// The box, if there is one.
@@ -117,25 +119,89 @@ impl<'py> Options<'_, 'py> {
         self.get::<[[f64; 3]; 2]>("box")?.map(|[min, max]| Aabb::new(min.into(), max.into()).or_raise()).transpose()
     }
 
+    /// What a field covers: all of space, contracted, or a box.
+    pub fn domain(&self) -> PyResult<Option<Domain>> {
+        match self.contraction()? {
+            Some(contracted) => Ok(Some(contracted)),
+            None => Ok(self.bounds()?.map(Domain::Box)),
+        }
+    }
+
+    /// The size of images: a width, or both sides.
+    pub fn resolution(&self) -> PyResult<Option<Resolution>> {
+        let (width, height) = (self.get("width")?, self.get("height")?);
+        Ok(width.map(|width| height.map_or(Resolution::Width(width), |height| Resolution::Size([width, height]))))
+    }
+
+    /// The frames that "all", a number of them or their numbers select.
+    pub fn selection(&self) -> PyResult<Selection> {
+        let Some(views) = self.0.get_item("views")?.filter(|views| !views.is_none()) else {
+            return Ok(Selection::All);
+        };
+        Ok(match (views.extract::<usize>(), views.extract::<Vec<usize>>()) {
+            (Ok(count), _) => Selection::Count(count),
+            (_, Ok(mut indices)) => {
+                indices.sort_unstable();
+                indices.dedup();
+                Selection::Indices(indices)
+            }
+            _ => Selection::BothParts,
+        })
+    }
+
     /// The contraction, if there is one.
-    pub fn contraction(&self) -> PyResult<Option<Domain>> {
-        let norm = self.choice("contract", &[("l2", Norm::L2), ("linf", Norm::Linf)])?;
+    fn contraction(&self) -> PyResult<Option<Domain>> {
+        let norm = self.choice::<Norm>("contract")?;
         let (Some(norm), Some([x, y, z, radius])) = (norm, self.get::<[f64; 4]>("inner")?) else { return Ok(None) };
         Domain::contracted(DVec3::new(x, y, z), radius, norm).or_raise().map(Some)
     }
 }
 
-/// The member of `all` with the name that was found.
-pub fn choose<T: Copy>(name: &str, found: &str, all: &[(&str, T)]) -> PyResult<T> {
-    let member = all.iter().find(|(known, _)| *known == found);
-    member.map(|(_, value)| *value).ok_or_else(|| {
-        let known: Vec<String> = all.iter().map(|(known, _)| format!("'{known}'")).collect();
-        PyValueError::new_err(format!("{name}: expected {}, found '{found}'", known.join(", ")))
+/// What a text names, in the library's spelling.
+pub fn choose<T: DeserializeOwned>(name: &str, found: &str) -> PyResult<T> {
+    serde_json::from_value(json!(found)).map_err(|error| {
+        // serde lists the known variants: "unknown variant `x`, expected `a` or `b`", or "one of `a`, `b`, `c`".
+        let said = error.to_string().replace('`', "'");
+        let known = said.split_once("expected ").map_or(&*said, |(_, known)| known.trim_start_matches("one of "));
+        PyValueError::new_err(format!("{name}: expected {known}, found '{found}'"))
     })
 }
 
-/// Numbers of a camera: pose (row by row), focal lengths, principal point, image size, k1, k2, p1, p2.
-pub const NUMBERS: usize = 26;
+/// Least number of points in most calls of a callable.
+const BATCH: usize = 1 << 16;
+
+/// The library's defaults as JSON, by the names of arguments.
+#[pyfunction]
+pub fn defaults() -> String {
+    let (rays, grid, mesh) = (RaySettings::default(), GridSettings::default(), MeshSettings::default());
+    json!({
+        "rays": rays.rays,
+        "seed": rays.seed,
+        "gradient": rays.gradient,
+        "cutoff": rays.cutoff,
+        "occupancy": rays.occupancy,
+        "level": grid.level,
+        "grid": grid.grid,
+        "refine": grid.criteria.to_string(),
+        "covariance": grid.covariance,
+        "tolerance": grid.tolerance,
+        "min_rays": grid.min_rays,
+        "scale": ScaleKind::default(),
+        "official_rays": OfficialGrid::DEFAULT_RAYS,
+        "ray_average": RayAverage::default(),
+        "depth_pattern": DepthFiles::PATTERN,
+        "pixels": Surfaces::PIXELS,
+        "cells": mesh.resolution,
+        "points": Comparison::POINTS,
+        "stride": Evaluation::STRIDE,
+        "probability": Evaluation::PROBABILITY,
+        "batch": BATCH,
+    })
+    .to_string()
+}
+
+/// Numbers of a camera: pose (row by row), focal lengths, principal point, image size, k1, k2, k3, k4, p1, p2.
+pub const NUMBERS: usize = 28;
 
 /// Cameras from rows of [`NUMBERS`].
 ///
@@ -149,9 +215,9 @@ pub fn cameras(rows: &PyReadonlyArray2<f64>) -> PyResult<Vec<Camera>> {
         let (pose, rest) = row.split_at(16);
         let column = |k: usize| DVec3::new(pose[k], pose[4 + k], pose[8 + k]);
         let (axes, position) = (DMat3::from_cols(column(0), column(1), column(2)), column(3));
-        let [fx, fy, cx, cy, w, h, k1, k2, p1, p2] = std::array::from_fn(|n| rest[n]);
+        let [fx, fy, cx, cy, w, h, k1, k2, k3, k4, p1, p2] = std::array::from_fn(|n| rest[n]);
         let side = |side: f64| if side.fract() == 0.0 && side >= 0.0 { side as u32 } else { 0 };
-        let distortion = Distortion { k: [k1, k2], p: [p1, p2] };
+        let distortion = Distortion { k: [k1, k2, k3, k4], p: [p1, p2] };
         let camera =
             Camera { position, axes, focal: [fx, fy], center: [cx, cy], resolution: [side(w), side(h)], distortion };
         // A pose may come with a scale, as in files.

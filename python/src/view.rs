@@ -34,7 +34,7 @@ pub fn render<'py>(
     let (source, cameras, options) = (Source::new(nerf)?, cameras(&rows)?, Options(options));
     let [camera] = cameras[..] else { return Err(PyValueError::new_err("camera: expected one, found several")) };
     let settings = image_settings(&options)?;
-    let field = uncertainty.map(|field| field.get().0.clone());
+    let field = uncertainty.map(|field| field.get().field.clone());
     let threshold = options.get::<f64>("threshold")?;
     let depth_error = options.or("depth_error", false)?;
     let averages = options.ray_averages()?.unwrap_or_else(|| vec![RayAverage::default()]);
@@ -68,7 +68,7 @@ pub fn render<'py>(
             Ok(view)
         })
     })?;
-    let factor = uncertainty.and_then(|field| field.get().0.conformal().map(|conformal| conformal.factor));
+    let factor = uncertainty.and_then(|field| field.get().field.conformal().map(|conformal| conformal.factor));
     pictures(py, &view, factor)
 }
 

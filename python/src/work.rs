@@ -1,7 +1,7 @@
-//! Long work of the library, while Python stays responsive; and the one place that asks a field in Python.
+//! Long work of the library, while Python stays responsive; and the one place that calls a field in Python.
 //!
-//! The work runs on threads of its own, none of which ever holds the interpreter's lock. The thread that called from
-//! Python waits for them, without the lock, and enters Python when there is something to do: to ask the field, to look
+//! The work runs on threads of its own, which never hold the interpreter's lock. The thread that called from
+//! Python waits for them, without the lock, and enters Python when there is something to do: to call the field, to look
 //! for Ctrl-C, to report progress. So no thread of the work waits for the lock, and no thread that holds it waits for
 //! the work: a callable may itself use this package, from any thread.
 //!
@@ -31,7 +31,7 @@ const TICK: Duration = Duration::from_millis(50);
 /// Least time between two reports of progress.
 const REPORT: Duration = Duration::from_millis(100);
 
-/// What a field in Python is asked: the method of `octobayes._gate.Gate`.
+/// The method of `octobayes._gate.Gate` to call.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Kind {
     Density,
@@ -89,7 +89,7 @@ impl Monitor for Shared {
     }
 }
 
-/// What is known of a field in Python before it is asked.
+/// Properties of a field in Python, read before the first call.
 #[derive(Debug, Clone)]
 pub struct Traits {
     pub bounds: Aabb,
@@ -129,7 +129,7 @@ impl Drop for End {
     }
 }
 
-/// Does `job` on other threads. `gate` is the field in Python that it may ask; `progress` is called with the name of
+/// Does `job` on other threads. `gate` is the field in Python that it may call; `progress` is called with the name of
 /// the stage, the units done and their total.
 ///
 /// # Errors
@@ -158,7 +158,7 @@ pub fn work<T: Send>(
         match (failure, outcome) {
             // What was raised caused whatever else went wrong.
             (Some(failure), _) => Err(failure),
-            (None, Ok(outcome)) => outcome.map_err(|error| to_python(&error)),
+            (None, Ok(outcome)) => outcome.map_err(to_python),
             (None, Err(panic)) => std::panic::resume_unwind(panic),
         }
     })
@@ -217,7 +217,7 @@ fn attend(
                         ask(gate, question.kind, question.positions, question.directions).map(|found| answer = found);
                     result = stop_unless(result, shared);
                 }
-                // Whoever asked waits for this; it is gone only after a panic.
+                // The caller waits for this; it is gone only after a panic.
                 let _ = question.reply.send(answer);
             }
             Err(RecvTimeoutError::Timeout) => {}
@@ -291,7 +291,7 @@ impl Reporter<'_, '_> {
     }
 }
 
-/// A field in Python, asked by message.
+/// A field in Python, called by message.
 pub struct PythonField<'a> {
     traits: Traits,
     shared: &'a Shared,

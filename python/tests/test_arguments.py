@@ -23,7 +23,7 @@ POSE = np.eye(4)
         ({"fl_y": 30, "fov": 90}, "expected 'fl_x' beside 'fl_y', found keys"),
         ({"fl_x": -30}, r"fl_x'\]: expected a finite number above 0, found -30"),
         ({"focal": 30, "k1": np.nan}, r"k1'\]: expected a finite number, found nan"),
-        ({"focal": 30, "k3": 0.1}, r"k3'\]: expected one of .*, found k3"),
+        ({"focal": 30, "k5": 0.1}, r"k5'\]: expected one of .*, found k5"),
     ],
 )
 def test_cameras_that_contradict_themselves_are_refused(camera, sentence, courtyard):
@@ -43,8 +43,8 @@ def test_an_angle_and_a_focal_length_may_agree(courtyard, cameras):
     ("arguments", "sentence"),
     [
         ({"keep_sums": "false"}, "keep_sums: expected True or False, found 'false'"),
-        ({"resume": 1}, "resume: expected True or False, found 1"),
-        ({"resume": True}, "resume: expected a checkpoint beside it, found none"),
+        ({"restart": 1}, "restart: expected True or False, found 1"),
+        ({"restart": True}, "restart: expected a checkpoint beside it, found none"),
         (
             {"shard": (0, 2), "error_bars": 4},
             "error_bars: expected None with shard, which is one group of rays, found 4",
@@ -54,7 +54,6 @@ def test_an_angle_and_a_focal_length_may_agree(courtyard, cameras):
         ({"seed": -1}, "seed: expected a whole number, 0 to"),
         ({"box": ([1, 1, 1], [-1, -1, -1])}, "box: expected a lower and an upper corner, found"),
         ({"resolution": 47.5}, r"resolution: expected a width, or \(width, height\), found 47.5"),
-        ({"cell_size": 0.1, "box": ([-1, -1, -1], [1, 1, 1])}, "level: expected none beside cell_size, .* found 6"),
     ],
 )
 def test_runs_refuse_what_they_would_not_do(arguments, sentence, courtyard, cameras):
@@ -77,7 +76,7 @@ def test_samples_outside_the_box_are_refused_and_warned_of():
     n = 100
     samples = {"positions": np.full((n, 3), 5.0), "jacobian": np.ones((n, 3, 3)), "ray": np.arange(n), "rays_total": n}
     box = {"box": ([-1, -1, -1], [1, 1, 1]), "level": 3, "progress": False}
-    with pytest.raises(ValueError, match="samples: expected positions inside the box; .* found 0 of 100 samples"):
+    with pytest.raises(ValueError, match=r"samples: .* inside the box \(box=\); .* found 0 of 100 samples"):
         ob.accumulate(samples, **box)
     samples["positions"][:40] = 0.5
     with pytest.warns(RuntimeWarning, match="40 of 100 samples lie in the box"):
@@ -118,3 +117,14 @@ def test_what_is_assumed_is_said(courtyard, cameras, field, tmp_path):
     for share in (99, -0.1, np.nan):
         with pytest.raises(ValueError, match="share: expected"):
             field.surface_quantile(share)
+
+
+def test_all_rays_are_one_through_every_training_pixel():
+    scene = ob.open_model("scene:courtyard")
+    cameras = scene.cameras(resolution=(24, 16))
+    u = ob.uncertainty(scene, cameras, level=4, rays="all", occupancy=48, progress=False)
+    assert u.protocol["rays"] == len(cameras) * 24 * 16
+    with pytest.raises(ValueError, match="every pixel"):
+        ob.uncertainty(scene, cameras, level=4, rays="all", error_bars=4, occupancy=48, progress=False)
+    with pytest.raises(ValueError, match="rays: expected"):
+        ob.uncertainty(scene, cameras, level=4, rays="some", occupancy=48, progress=False)

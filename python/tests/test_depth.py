@@ -14,7 +14,7 @@ import octobayes as ob
 
 @pytest.fixture(scope="module")
 def metric(courtyard, cameras) -> ob.Uncertainty:
-    return ob.uncertainty(courtyard, cameras, scale="data", psnr=30, covariance="block", keep_sums=True, **SMALL)
+    return ob.uncertainty(courtyard, cameras, scale="data", noise=0.0316, covariance="block", keep_sums=True, **SMALL)
 
 
 def test_the_scale_of_the_data_is_a_length(metric, courtyard, cameras):
@@ -74,7 +74,7 @@ def check_what_was_added(nerf, camera, without, joined) -> np.ndarray:
 
 
 def test_deviations_count_what_images_show_and_the_model_does_not(metric, courtyard, cameras, images):
-    settings = {"scale": "data", "psnr": 30, "covariance": "block", "keep_sums": True, **SMALL}
+    settings = {"scale": "data", "noise": 0.0316, "covariance": "block", "keep_sums": True, **SMALL}
     joined = ob.uncertainty(courtyard, cameras, images=images, **settings)
     x = np.float32([[0.0, 0.0, -0.5], [0.3, 0.2, 0.1]])
     np.testing.assert_array_equal(joined.query(x), metric.query(x))
@@ -94,8 +94,8 @@ def test_deviations_count_what_images_show_and_the_model_does_not(metric, courty
 
 
 def test_images_that_are_not_there_get_a_sentence(courtyard, cameras, images):
-    settings = {"scale": "data", "psnr": 30, **SMALL}
-    with pytest.raises(ValueError, match="images: expected scale='data' beside it"):
+    settings = {"scale": "data", "noise": 0.0316, **SMALL}
+    with pytest.raises(ValueError, match="images: expected scale='data', in which depths have deviations"):
         ob.uncertainty(courtyard, cameras, images=images, **SMALL)
     with pytest.raises(ValueError, match=f"images: expected a file for each of {len(cameras)} cameras, found 1 files"):
         ob.uncertainty(courtyard, cameras, images=images[:1], **settings)
@@ -115,8 +115,10 @@ def test_images_that_are_not_there_get_a_sentence(courtyard, cameras, images):
         ({"scale": "metric"}, "scale: expected 'paper' or 'data'"),
         ({"noise": 0.1}, "noise: expected scale='data' beside it"),
         ({"scale": "data"}, "the noise that training left"),
-        ({"scale": "data", "psnr": 30, "noise": 0.1}, "noise: expected None with psnr"),
-        ({"scale": "data", "psnr": 30, "lambda_": 1e-9}, "lambda_: expected None with scale='data'"),
+        (
+            {"scale": "data", "noise": 0.0316, "lambda_": 1e-9},
+            "lambda_: expected none: the scale of the training pixels has",
+        ),
     ],
 )
 def test_scales_that_make_no_sense_get_a_sentence(courtyard, cameras, arguments, sentence):

@@ -18,7 +18,7 @@ FIGURES = ["pixels", "depth_error", "readings", "baselines", "psnr"]
 
 @pytest.fixture(scope="module")
 def metric(courtyard, cameras) -> ob.Uncertainty:
-    return ob.uncertainty(courtyard, cameras, scale="data", psnr=30, keep_sums=True, **SMALL)
+    return ob.uncertainty(courtyard, cameras, scale="data", noise=0.0316, keep_sums=True, **SMALL)
 
 
 @pytest.fixture(scope="module")
@@ -65,6 +65,16 @@ def test_values_that_are_no_measurements_change_no_figure(courtyard, metric, des
     assert all(figures == found[0] for figures in found[1:])
 
 
+def test_a_far_plane_within_reach_of_the_model_is_told(courtyard, metric, desk, tmp_path):
+    """It cannot be told from a measurement for certain, so it counts as one."""
+    folder, depths = desk
+    maps = {"depth": write(tmp_path, depths, 7.0), "depth_pattern": "{}.exr", "progress": False}
+    assert max(np.nanmax(depth) for depth in depths) < 7.0
+    with pytest.warns(RuntimeWarning, match="% of the depths are exactly 7, the largest of all: if it stands for no"):
+        judged = ob.evaluate(courtyard, metric, folder / "transforms_test.json", **maps)
+    assert judged["depth_readings"]["measured"] == np.stack(depths).size
+
+
 def test_depths_that_cannot_be_right_are_refused(courtyard, metric, desk, tmp_path):
     folder, depths = desk
     for name, change, sentence in (
@@ -99,7 +109,7 @@ def test_images_belong_to_one_frame(courtyard, cameras, desk):
     folder, _ = desk
     with pytest.raises(ValueError, match="training images: expected a file for each frame"):
         images = [folder / NAMES[0]] * len(cameras)
-        ob.uncertainty(courtyard, cameras, images=images, scale="data", psnr=30, **SMALL)
+        ob.uncertainty(courtyard, cameras, images=images, scale="data", noise=0.0316, **SMALL)
 
 
 def test_calibration_reads_the_covariance_that_it_is_told(courtyard, metric, desk, tmp_path):

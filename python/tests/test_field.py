@@ -53,7 +53,7 @@ def test_without_sums_there_is_a_sentence(courtyard, cameras, points):
     u = ob.uncertainty(courtyard, cameras, **SMALL)
     assert not u.keeps_sums
     for read in [lambda: u.covariance(points), lambda: u.with_covariance("block")]:
-        with pytest.raises(ValueError, match="kept sums: expected a field that keeps its sums.*found one of"):
+        with pytest.raises(ValueError, match="keep_sums: expected a field that keeps its sums.*found one of"):
             read()
     with pytest.raises(ValueError, match="log10_error: expected a field with error bars"):
         u.log10_error(points)
@@ -89,7 +89,7 @@ def test_the_official_grid_there_and_back(field, points, tmp_path):
 
 
 def test_the_official_grid_of_contracted_space(courtyard, cameras, points, tmp_path):
-    path, space = tmp_path / "unc.npy", {"contract": "linf", "inner": (0, 0, 0, 1)}
+    path, space = tmp_path / "unc.npy", {"contract": ("linf", 0, 0, 0, 1)}
     field = ob.uncertainty(courtyard, cameras, covariance="trace", **space, **SMALL)
     ob.export(field, path)
     again = ob.load(path, rays=field.protocol["rays"], **space)

@@ -33,7 +33,7 @@ WORKSHOP = """
             self.model = model = ob.open_model("scene:courtyard")
             self.cameras = cameras = model.cameras(resolution=(24, 24))
             self.u = u = ob.uncertainty(model, cameras, keep_sums=True, **small)
-            metric = ob.uncertainty(model, cameras, scale="data", psnr=30, keep_sums=True, **small)
+            metric = ob.uncertainty(model, cameras, scale="data", noise=0.0316, keep_sums=True, **small)
             shards = [ob.uncertainty(model, cameras, shard=(i, 2), **small) for i in range(2)]
             rng = np.random.default_rng(1)
             samples = dict(

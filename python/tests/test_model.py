@@ -103,7 +103,7 @@ def test_wrong_arguments_get_a_sentence(courtyard, points, tmp_path):
         ob.open_model(tmp_path / "model.bin")
     with pytest.raises(FileNotFoundError, match="none.npz"):
         ob.open_model(tmp_path / "none.npz")
-    with pytest.raises(ValueError, match="coordinates: expected 'ngp', 'blender', found 'colmap'"):
+    with pytest.raises(ValueError, match="coordinates: expected 'ngp' or 'blender', found 'colmap'"):
         ob.open_model("scene:courtyard", coordinates="colmap")
     with pytest.raises(ValueError, match="name: expected a path, found 3"):
         ob.open_model(3)

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import octobayes as ob
+from octobayes._cameras import LENS
 
 needs_nerfstudio = pytest.mark.nerfstudio
 
@@ -44,10 +45,10 @@ def dataset(folder) -> None:
     from PIL import Image
 
     scene = ob.open_model("scene:courtyard")
-    lens = {"k1": 0.06, "k2": -0.02, "p1": 0.001, "p2": -0.002}
+    lens = {"k1": 0.06, "k2": -0.02, "k3": 0.03, "k4": -0.01, "p1": 0.001, "p2": -0.002, "camera_model": "OPENCV"}
     frames = []
     for i, camera in enumerate(scene.cameras(resolution=(40, 30))[:12]):
-        camera |= lens
+        camera |= {key: lens[key] for key in LENS}
         color = ob.render(scene, None, camera, progress=False)["color"]
         Image.fromarray((255 * color).round().astype(np.uint8)).save(folder / f"{i:02}.png")
         pose = camera["pose"].copy()
@@ -90,7 +91,7 @@ def nerfstudio_cameras(cameras):
 
     poses = torch.tensor(np.stack([camera["pose"][:3] for camera in cameras]), dtype=torch.float32)
     first = cameras[0]
-    lens = torch.tensor([first["k1"], first["k2"], 0, 0, first["p1"], first["p2"]], dtype=torch.float32)
+    lens = torch.tensor([first[key] for key in LENS], dtype=torch.float32)
     (fx, fy), (cx, cy), (width, height) = first["focal"], first["center"], first["size"]
     return Cameras(poses, fx, fy, cx, cy, width, height, distortion_params=lens.expand(len(cameras), 6))
 
@@ -187,7 +188,7 @@ def test_the_command_writes_both_files(run, tmp_path):
     assert main([*few, "--iters", "9", "--output-path", str(tmp_path / "unc.npy")]) == 0
     u = ob.load(tmp_path / "field.oct")
     assert u.protocol["rays"] == 600 and (u.box is None) == (kind == "contracted")
-    space = {"contract": field.contract, "inner": field.inner} if field.contract else {"box": field.box}
+    space = {"contract": field.contract} if field.contract else {"box": field.box}
     grid = ob.load(tmp_path / "unc.npy", rays=9 * 64, **space)
     assert np.load(tmp_path / "unc.npy").shape == (17**3,) and np.load(tmp_path / "unc.npy").max() > 0
     # 3 / 2λ in place of 1 / λ.

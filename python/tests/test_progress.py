@@ -80,5 +80,5 @@ def test_arrays_of_jax_are_arrays(field, points):
 
 
 def test_rays_until_two_halves_agree(courtyard, cameras):
-    u = ob.uncertainty(courtyard, cameras, **{**SMALL, "rays": "auto", "max_rays": 131_072, "tolerance": 0.5})
+    u = ob.uncertainty(courtyard, cameras, **{**SMALL, "rays": 131_072, "target_error": 0.5})
     assert 65_536 <= u.protocol["rays"] <= 131_072

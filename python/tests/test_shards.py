@@ -146,7 +146,7 @@ def test_wrong_arguments_get_a_sentence(courtyard, cameras):
         ({"executor": 3, "shards": 4}, "executor: expected a concurrent.futures.Executor"),
         ({"executor": Backwards(1)}, "shards: expected a whole number"),
         ({"executor": Backwards(1), "shards": 4, "shard": "0/2"}, "shard: expected None with an executor"),
-        ({"executor": Backwards(1), "shards": 4, "memory": 10**9}, "executor: expected a number of rays"),
+        ({"executor": Backwards(1), "shards": 4, "memory": 10**9}, "executor: expected no target_error"),
     ):
         with pytest.raises(ValueError, match=sentence):
             ob.uncertainty(courtyard, cameras, **arguments, **SMALL)

@@ -4,30 +4,28 @@ use std::path::PathBuf;
 
 use serde_json::json;
 
-use super::belongs::check_fields;
 use super::opened::OpenedField;
-use super::options::{MOST_KEPT, OfficialOptions, count};
+use super::options::{MOST_KEPT, count};
 use super::report;
+use super::streams::tell;
 use crate::Result;
 use crate::posterior::Covariance;
+use crate::session::check_fields;
+use crate::uncertainty::Comparison;
 
 /// Compare two fields: memory, and |Δ log10 U| in the box and on visible surfaces
 #[derive(clap::Args)]
 #[command(after_help = "Example: octobayes compare lego.oct lego_dense.oct --points 1000000")]
 pub struct Args {
-    /// One field: `.oct`, or the official code's `.npy` with --box
+    /// One field
     a: PathBuf,
 
     /// The reference. Surfaces are compared at its surface points, if it has any
     b: PathBuf,
 
     /// Random points in the box, and at most as many on surfaces
-    #[arg(long, value_name = "N", default_value_t = 1_000_000, value_parser = count::<usize>(..=MOST_KEPT))]
+    #[arg(long, value_name = "N", default_value_t = Comparison::POINTS, value_parser = count::<usize>(..=MOST_KEPT))]
     points: usize,
-
-    /// Seed of the points
-    #[arg(long, default_value_t = 0)]
-    seed: u64,
 
     /// Read this covariance off both fields
     #[arg(long, value_enum)]
@@ -40,16 +38,13 @@ pub struct Args {
     /// Print one JSON object
     #[arg(long)]
     json: bool,
-
-    #[command(flatten)]
-    official: OfficialOptions,
 }
 
 impl Args {
     /// Runs the verb.
     pub fn run(self) -> Result<()> {
         let read = |path: &PathBuf| -> Result<OpenedField> {
-            let field = self.official.open(path)?;
+            let field = OpenedField::open(path)?;
             match self.covariance {
                 Some(covariance) => Ok(OpenedField::Whole(Box::new(field.whole()?.with_covariance(covariance)?))),
                 None => Ok(field),
@@ -57,15 +52,11 @@ impl Args {
         };
         let opened = [read(&self.a)?, read(&self.b)?];
         let [a, b] = [opened[0].facts(), opened[1].facts()];
-        check_fields((&self.a, a.protocol()), (&self.b, b.protocol()), self.force)?;
-        if a.protocol().covariance != b.protocol().covariance {
-            let names = [a, b].map(|f| f.protocol().covariance.name());
-            announce!("warning: `{}` of one field is compared with `{}` of the other", names[0], names[1]);
-        }
-        let result = crate::uncertainty::compare(opened[0].space(), opened[1].space(), self.points, self.seed)?;
+        check_fields([(&self.a, a), (&self.b, b)], self.force, &mut tell)?;
+        let result = crate::uncertainty::compare(opened[0].space(), opened[1].space(), self.points, 0)?;
         if self.json {
             let mut value = json!(result);
-            value["protocols"] = json!([report::protocol_json(a), report::protocol_json(b)]);
+            value["protocols"] = json!([crate::estimate::facts(a), crate::estimate::facts(b)]);
             value["files"] = json!([&self.a, &self.b].map(|path| path.to_string_lossy()));
             say!("{value}")?;
         } else {

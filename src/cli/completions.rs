@@ -1,4 +1,4 @@
-//! `completions`: what shells and `man` know of this program.
+//! `completions`: shell completions and man pages.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};

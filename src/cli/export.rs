@@ -2,29 +2,40 @@
 
 use std::path::{Path, PathBuf};
 
-use super::belongs::check_field;
 use super::files::CommandFiles;
+use super::given::Given;
 use super::opened::OpenedField;
-use super::options::{CameraOptions, MOST_KEPT, ModelOptions, RayOptions, Threshold, UTF_8, count, parse_positive};
+use super::options::{CameraOptions, MOST_KEPT, OfficialOptions, UTF_8, count, heading, parse_positive};
 use super::progress::Bars;
+use super::report;
+use super::streams::tell;
 use crate::dataset::{Part, Views};
+use crate::estimate::RaySettings;
 use crate::export::{
-    MeshSettings, Surfaces, surfaces, write_hyper_tree, write_leaves, write_mesh, write_points, write_report,
+    MeshSettings, SeenSplats, Surfaces, surfaces, write_hyper_tree, write_leaves, write_mesh, write_points,
+    write_report, write_splats,
 };
 use crate::field::RadianceField;
 use crate::geometry::{Camera, Domain};
+use crate::open::Model;
+use crate::session::{OpenedModel, Threshold, image_settings};
+use crate::splats::{SplatRenderer, Splats};
 use crate::uncertainty::ThresholdedField;
 use crate::{Error, Result};
 
-/// Write a field for other tools: NumPy, ParaView, CloudCompare, MeshLab, Blender, spreadsheets
+/// Write a field for other tools: NumPy, ParaView, CloudCompare, Blender, spreadsheets, the official code
 ///
 /// The extension of FILE says what is written. Of the field alone:
 ///
 ///   .npz  its leaves: centre, edge, level, log10 U, rays, what was seen, 3x3 covariance
 ///   .htg  the octree as VTK hyper tree grid (ParaView): log10 U, level, rays
+///   .npy  the official code's grid: (2^level + 1)^3 sums of squared derivatives in f32, in its index order
+///   .oct  the field without the 3x3 matrices that --keep-sums kept; or a field of the official code's .npy
 ///
 /// With the model and its training cameras:
 ///
+///   .ply  of splats: the splats with columns uncertainty, log10_uncertainty and, with --cameras, weight and views;
+///         with --threshold only those that stay
 ///   .ply  points on the surfaces that the cameras see: colour, normal, log10 U, sigma, rays
 ///   .ply  with --mesh, the surface as triangles with the same
 ///   .csv  per camera and per region: share of surfaces never seen, quantiles of sigma
@@ -36,7 +47,9 @@ use crate::{Error, Result};
     override_usage = "octobayes export [OPTIONS] --output <FILE> [MODEL] <FIELD.oct>",
     after_help = "Examples:\n  \
     octobayes export lego.oct -o lego.htg\n  \
-    octobayes export lego.safetensors lego.oct --mesh --threshold 99% -o lego.ply"
+    octobayes export unc.npy -o unc.oct --box=-1,-1,-1,1,1,1\n  \
+    octobayes export lego.safetensors lego.oct --mesh --threshold 99% -o lego.ply\n  \
+    octobayes export scene.ply scene.oct --cameras cameras.json -o scene-u.ply"
 )]
 pub struct Args {
     /// The field; before it, for `.ply` and `.csv`, the model that it was computed from
@@ -44,54 +57,81 @@ pub struct Args {
     names: Vec<PathBuf>,
 
     /// File to write: `.npz`, `.htg`, `.ply` or `.csv`
-    #[arg(short, long, value_name = "FILE")]
+    #[arg(short, long, value_name = "FILE", help_heading = heading::OUTPUT)]
     output: PathBuf,
 
     #[command(flatten)]
     cameras: CameraOptions,
 
-    #[command(flatten)]
-    rays: RayOptions,
-
     /// Pixels to look at, spread over all cameras, for points and report
-    #[arg(long, value_name = "N", default_value_t = 400_000, value_parser = count::<u64>(1..=MOST_KEPT))]
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = Surfaces::PIXELS,
+        value_parser = count::<u64>(1..=MOST_KEPT),
+        help_heading = heading::OUTPUT,
+        hide_short_help = true,
+    )]
     pixels: u64,
 
     /// Add the axes of the covariance at every point, as long as one standard deviation; the field must keep its sums
-    #[arg(long)]
+    #[arg(long, help_heading = heading::OUTPUT, hide_short_help = true)]
     ellipsoids: bool,
 
     /// Write the surface as a mesh instead of points
-    #[arg(long, conflicts_with = "ellipsoids")]
+    #[arg(long, conflicts_with = "ellipsoids", help_heading = heading::OUTPUT)]
     mesh: bool,
 
     /// Cells of the mesh along the longest edge of the model's box
     #[arg(
         long,
         value_name = "N",
-        default_value_t = 192,
+        default_value_t = MeshSettings::default().resolution,
         value_parser = clap::value_parser!(u32).range(8..=640),
         requires = "mesh",
+        help_heading = heading::OUTPUT,
+        hide_short_help = true,
     )]
     cells: u32,
 
     /// Density on the surface of the mesh, 1 / scene unit [default: what absorbs half of the light along a cell's edge]
-    #[arg(long, value_name = "SIGMA", value_parser = parse_positive, requires = "mesh")]
+    #[arg(
+        long,
+        value_name = "SIGMA",
+        value_parser = parse_positive,
+        requires = "mesh",
+        help_heading = heading::OUTPUT,
+        hide_short_help = true,
+    )]
     density: Option<f64>,
 
     /// First remove density where log10 U exceeds this, or, as `99%`, what it exceeds on the most certain 99 percent of
     /// visible surfaces
-    #[arg(long, value_name = "LOG10_U|PERCENT%", value_parser = Threshold::parse, allow_hyphen_values = true)]
+    #[arg(
+        long,
+        value_name = "LOG10_U|PERCENT%",
+        value_parser = Threshold::parse,
+        allow_hyphen_values = true,
+        help_heading = heading::OUTPUT,
+    )]
     threshold: Option<Threshold>,
 
     /// Use the field even if it was computed for another model
-    #[arg(long)]
+    #[arg(long, help_heading = heading::INPUT, hide_short_help = true)]
     force: bool,
+
+    #[command(flatten)]
+    official: OfficialOptions,
 }
+
+/// Options of the cameras that see surfaces.
+const OF_CAMERAS: [&str; 4] = ["--cameras", "--fov", "--resolution", "--pixels"];
 
 /// What is written.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Kind {
+    Field,
+    Official,
     Leaves,
     HyperTree,
     Points,
@@ -99,11 +139,25 @@ enum Kind {
     Report,
 }
 
+impl Kind {
+    /// Whether it needs no model.
+    fn is_of_field(self) -> bool {
+        matches!(self, Self::Field | Self::Official | Self::Leaves | Self::HyperTree)
+    }
+}
+
 impl Args {
     /// Runs the verb.
-    pub fn run(mut self, bars: &Bars) -> Result<()> {
-        let kind = self.kind()?;
+    pub fn run(mut self, given: &Given, bars: &Bars) -> Result<()> {
+        let kind = self.kind(given)?;
+        if !matches!(kind, Kind::Field | Kind::Official) {
+            bars.listen();
+        }
         let (model, path) = self.model_and_field()?;
+        if let Some(model) = model.as_ref().filter(|_| kind.is_of_field()) {
+            let found = format!("{model} for {}", self.output.display());
+            return Err(Error::setting("MODEL", "the field alone, for all but `.ply` and `.csv`", found));
+        }
         self.cameras.find(Part::Training);
         CommandFiles::default()
             .input("FIELD", &path)
@@ -111,9 +165,24 @@ impl Args {
             .cameras(self.cameras.cameras.as_deref())
             .output("--output", &self.output)
             .check()?;
-        let field = OpenedField::open(&path)?;
+        self.official.check(&path)?;
+        let field = self.official.open(&path)?;
         let facts = field.facts();
         match (kind, model) {
+            (Kind::Field, _) => {
+                let field = field.whole()?.for_queries();
+                field.write(&self.output)?;
+                return say!("{}: {}", self.output.display(), report::summary(&field.summary()));
+            }
+            (Kind::Official, _) => {
+                let field = field.whole()?;
+                field.write_official(&self.output)?;
+                let (rays, lambda) = (field.protocol().rays, field.protocol().lambda);
+                return say!(
+                    "{}: Σ tr(JᵀJ) of {rays} rays; uncertainty there is log10 of sqrt(1 / (Σ/{rays} + {lambda:e}))",
+                    self.output.display()
+                );
+            }
             (Kind::Leaves, _) => {
                 let matrices = facts.sums().map(|_| facts.matrices(facts.protocol().covariance)).transpose()?;
                 write_leaves(&self.output, field.space(), matrices.as_ref())?;
@@ -127,7 +196,7 @@ impl Args {
                 }
                 write_hyper_tree(&self.output, field.space())?;
             }
-            (_, Some(model)) => self.with_model(kind, model, &path, &field, bars)?,
+            (_, Some(model)) => self.with_model(kind, &model, &path, &field, bars)?,
             (_, None) => {
                 let expected = "a model beside the field, for surfaces";
                 return Err(Error::setting("MODEL", expected, "none"));
@@ -140,7 +209,8 @@ impl Args {
     fn model_and_field(&self) -> Result<(Option<String>, PathBuf)> {
         match &self.names[..] {
             [model, field] => {
-                let is_field = |path: &Path| path.extension().is_some_and(|e| e == "oct") || path.is_dir();
+                let is_field =
+                    |path: &Path| path.extension().is_some_and(|e| e == "oct" || e == "npy") || path.is_dir();
                 if is_field(model) && !is_field(field) {
                     let expected = "the model before the field: `export MODEL FIELD.oct`";
                     return Err(Error::setting("MODEL", expected, model.display().to_string()));
@@ -152,55 +222,65 @@ impl Args {
         }
     }
 
-    /// What the options ask for.
-    fn kind(&self) -> Result<Kind> {
+    /// The export that the options select.
+    fn kind(&self, given: &Given) -> Result<Kind> {
         let kind = match (self.output.extension().and_then(|e| e.to_str()), self.mesh) {
+            (Some("oct"), _) => Kind::Field,
+            (Some("npy"), _) => Kind::Official,
             (Some("npz"), _) => Kind::Leaves,
             (Some("htg"), _) => Kind::HyperTree,
             (Some("ply"), false) => Kind::Points,
             (Some("ply"), true) => Kind::Mesh,
             (Some("csv"), _) => Kind::Report,
             _ => {
-                let expected = "`.npz`, `.htg`, `.ply` or `.csv`";
+                let expected = "`.npz`, `.htg`, `.npy`, `.oct`, `.ply` or `.csv`";
                 return Err(Error::malformed(&self.output, "file name", expected, "another extension"));
             }
         };
-        let is_of_field = matches!(kind, Kind::Leaves | Kind::HyperTree);
-        let alone = [
-            ("--mesh", self.mesh && kind != Kind::Mesh, "a mesh only in a `.ply`"),
-            ("--ellipsoids", self.ellipsoids && kind != Kind::Points, "ellipsoids only with points in a `.ply`"),
-            ("--threshold", is_of_field && self.threshold.is_some(), "surfaces to clean, in a `.ply` or `.csv`"),
-            ("--cameras", is_of_field && self.cameras.cameras.is_some(), "cameras only for a `.ply` or `.csv`"),
-        ];
-        match alone.into_iter().find(|(_, is_wrong, _)| *is_wrong) {
-            Some((option, _, expected)) => Err(Error::setting(option, expected, self.output.display().to_string())),
-            None => Ok(kind),
+        let found = || self.output.display().to_string();
+        if self.mesh && kind != Kind::Mesh {
+            return Err(Error::setting("--mesh", "a mesh only in a `.ply`", found()));
         }
+        if kind != Kind::Points {
+            given.refuse(&["--ellipsoids"], "ellipsoids only with points in a `.ply`", found())?;
+        }
+        if kind.is_of_field() {
+            given.refuse(&["--threshold"], "surfaces to clean, in a `.ply` or `.csv`", found())?;
+            given.refuse(&["--force"], "a model beside the field, for a `.ply` or `.csv`", found())?;
+        }
+        if kind.is_of_field() || kind == Kind::Mesh {
+            let found = if kind == Kind::Mesh { "--mesh".into() } else { found() };
+            given.refuse(&OF_CAMERAS, "points in a `.ply`, or a `.csv`: what cameras see", found)?;
+        }
+        Ok(kind)
     }
 
     /// Writes what needs the model.
-    fn with_model(&self, kind: Kind, model: String, path: &Path, field: &OpenedField, bars: &Bars) -> Result<()> {
-        let options = ModelOptions { model, rays: self.rays };
-        let model = options.open()?;
-        check_field(path, field.facts(), &options, &*model, self.force)?;
-        let threshold = self.threshold.map(|threshold| threshold.log10(field.space())).transpose()?;
-        let cleaned = threshold.map(|threshold| ThresholdedField::new(&*model, field.space(), threshold));
+    fn with_model(&self, kind: Kind, model: &str, path: &Path, field: &OpenedField, bars: &Bars) -> Result<()> {
+        let opened = OpenedModel::of_field(field.facts(), path, model, self.force, &mut tell)?;
+        let settings = image_settings(field.facts());
+        let model = match &opened.model {
+            Model::Volume(model) => &**model,
+            Model::Splats(splats) => return self.of_splats(kind, splats, settings, field, bars),
+        };
+        let threshold = self.threshold.map(|threshold| threshold.log10(field.space(), &mut tell)).transpose()?;
+        let cleaned = threshold.map(|threshold| ThresholdedField::new(model, field.space(), threshold));
         if self.threshold.is_some() {
             // Reads every tile once, before any work: what cannot be read would count as removed.
             field.space().surface()?;
         }
         let check = || cleaned.as_ref().map_or(Ok(()), ThresholdedField::check);
-        let shown: &dyn RadianceField = cleaned.as_ref().map_or(&*model, |cleaned| cleaned);
+        let shown: &dyn RadianceField = cleaned.as_ref().map_or(model, |cleaned| cleaned);
         if kind == Kind::Mesh {
-            let settings = MeshSettings { resolution: self.cells, density: self.density };
-            let [vertices, triangles] = write_mesh(&self.output, shown, field.space(), settings, bars)?;
+            let mesh = MeshSettings { resolution: self.cells, density: self.density };
+            let [vertices, triangles] = write_mesh(&self.output, shown, field.space(), mesh, bars)?;
             check()?;
             announce!("note: {vertices} vertices, {triangles} triangles");
             return Ok(());
         }
-        let views = self.cameras.read(&*model, &options.model)?;
+        let views = self.cameras.read(Some(model), &opened.name)?;
         CommandFiles::default().images(&views).output("--output", &self.output).check()?;
-        let found = self.surfaces(&options, shown, &views, bars)?;
+        let found = self.surfaces(settings, shown, &views, bars)?;
         check()?;
         if kind == Kind::Report {
             let names: Vec<String> = views.frames.into_iter().map(|frame| frame.name).collect();
@@ -212,15 +292,47 @@ impl Args {
         write_points(&self.output, &found, field.space(), matrices.as_ref())
     }
 
+    /// Writes splats with their uncertainty.
+    fn of_splats(
+        &self,
+        kind: Kind,
+        splats: &Splats,
+        settings: RaySettings,
+        field: &OpenedField,
+        bars: &Bars,
+    ) -> Result<()> {
+        if kind != Kind::Points || self.ellipsoids {
+            let expected = "a `.ply` of the splats themselves: meshes, reports and ellipsoids are of volumes' surfaces";
+            let found = if self.ellipsoids { "--ellipsoids".into() } else { self.output.display().to_string() };
+            return Err(Error::setting("export of splats", expected, found));
+        }
+        let threshold = self.threshold.map(|threshold| threshold.log10(field.space(), &mut tell)).transpose()?;
+        let seen = match &self.cameras.cameras {
+            Some(_) => {
+                let views = self.cameras.read(None, "splats")?;
+                CommandFiles::default().images(&views).output("--output", &self.output).check()?;
+                let cameras: Vec<Camera> = views.frames.iter().map(|frame| frame.camera).collect();
+                let renderer = SplatRenderer::new(splats, settings.background);
+                Some(SeenSplats::measure(&renderer, &cameras, settings.offset_for_splats(), self.pixels, bars)?)
+            }
+            None => {
+                announce!("note: without --cameras, the columns weight and views are left out");
+                None
+            }
+        };
+        let left = write_splats(&self.output, splats, field.space(), seen.as_ref(), threshold)?;
+        announce!("note: {left} of {} splats", splats.len());
+        Ok(())
+    }
+
     /// The surfaces that the cameras see.
     fn surfaces(
         &self,
-        options: &ModelOptions,
+        settings: RaySettings,
         shown: &dyn RadianceField,
         views: &Views,
         bars: &Bars,
     ) -> Result<Surfaces> {
-        let settings = options.image_settings();
         let offset = settings.offset_for(shown);
         let tracer = settings.tracer(shown, 0.0, bars)?;
         let cameras: Vec<Camera> = views.frames.iter().map(|frame| frame.camera).collect();

@@ -3,8 +3,10 @@
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
+use super::identity::Identity;
 use crate::dataset::Views;
-use crate::io::{AtomicFile, Identity, folder_of};
+use crate::io::place::{destination, folder_of};
+use crate::io::{AtomicFile, part};
 use crate::uncertainty::TiledField;
 use crate::{Error, Result};
 
@@ -55,10 +57,6 @@ impl CommandFiles {
 
     /// Checks that every output can be written, that it is a different file from all others, and that it does not
     /// join the tiles of a folder that is read. Removes what killed runs left of the outputs.
-    ///
-    /// # Errors
-    /// If the folder of an output does not exist or cannot be written, if an output is no regular file, if it is the
-    /// same as another file of the command, or would pass for a tile.
     pub fn check(&self) -> Result<()> {
         let folders: Vec<&(String, PathBuf)> = self.inputs.iter().filter(|(_, path)| path.is_dir()).collect();
         let mut tiles = Vec::new();
@@ -79,7 +77,7 @@ impl CommandFiles {
                 let expected = format!("a file in another folder than the tiles of {}", folder_of(tile).display());
                 return Err(Error::setting(option, expected, path.display().to_string()));
             }
-            AtomicFile::clear_leftovers(path);
+            destination(path).iter().for_each(|path| part::clear_leftovers(path));
             drop(AtomicFile::create(path)?);
         }
         Ok(())

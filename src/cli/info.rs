@@ -8,14 +8,17 @@ use serde_json::{Value, json};
 use super::options::UTF_8;
 use super::report;
 use crate::error::printable;
-use crate::posterior::Covariance;
+use crate::estimate::ErrorBudget;
+use crate::session::described;
+use crate::splats::{QUANTILES, Splats, Summary};
 use crate::uncertainty::{Support, UncertaintyField};
 use crate::{Error, Result};
 
 /// Show what a field or model file holds, and its memory by part
 #[derive(clap::Args)]
 pub struct Args {
-    /// `.oct` field, or a model (`.safetensors`, `.ppng`, `.npz`, `scene:NAME`)
+    /// `.oct` field, Gaussian splats (`.ply`, `.splat`, `.spz`), or a model (`.safetensors`, `.ppng`, `.npz`,
+    /// `scene:NAME`)
     file: PathBuf,
 
     /// Print one JSON object
@@ -52,77 +55,56 @@ fn bars(counts: &[u64]) -> String {
     counts.iter().map(bar).collect()
 }
 
-/// A question, and whether a file answers it.
-struct Answer {
-    what: &'static str,
-    is_known: bool,
-    /// What it answers, or what of `uncertainty` would make it.
-    words: String,
-}
-
-/// What a field can answer, and what it cannot.
-fn answers(field: &UncertaintyField) -> Vec<Answer> {
-    let answer = |what, is_known: bool, yes: String, no: &str| {
-        let words = if is_known { yes } else { no.to_string() };
-        Answer { what, is_known, words }
-    };
-    let covariance = field.protocol().covariance.name();
-    let has_sums = field.sums().is_some();
-    let of_sums = format!("only `{covariance}`; uncertainty --keep-sums keeps what the others need");
-    let names: Vec<&str> = Covariance::ALL.iter().map(|covariance| covariance.name()).collect();
-    let points = field.surface().len();
-    vec![
-        answer("U at points", true, format!("by `{covariance}`"), ""),
-        answer("covariances", has_sums, names.join(", "), &of_sums),
-        answer(
-            "merging",
-            has_sums,
-            "with fields of other rays".into(),
-            "its sums were not kept (uncertainty --keep-sums)",
-        ),
-        answer("ray counts", !field.rays().is_empty(), "at every vertex".into(), "the file does not say"),
-        answer("never seen", field.visits().is_some(), "told from free space".into(), "where rays passed is not known"),
-        answer("error bars", field.error_bars().is_some(), "of log10 U".into(), "uncertainty --error-bars makes them"),
-        answer("surfaces", points > 0, format!("{points} points for compare and --threshold 99%"), "no points on them"),
-        answer("its model", field.protocol().origin.model.is_some(), "known by its checksum".into(), "not known"),
-    ]
+/// What a field can answer, and one line on each of its layers; errors are what it lacks.
+fn answers(field: &UncertaintyField) -> Vec<(&'static str, std::result::Result<String, &'static str>)> {
+    let known = |is_known: bool, yes: &str, no| if is_known { Ok(yes.to_string()) } else { Err(no) };
+    let mut answers = vec![
+        ("U at points", Ok(format!("by `{}`", field.protocol().covariance.name()))),
+        ("ray counts", known(!field.rays().is_empty(), "at every vertex", "the file does not say")),
+        ("its model", known(field.protocol().origin.model.is_some(), "known by its checksum", "not known")),
+    ];
+    answers.extend(field.layers());
+    answers
 }
 
 impl Args {
     /// Runs the verb.
     pub fn run(self) -> Result<()> {
-        if self.file.extension().is_some_and(|e| e == "oct") { self.field(&self.file) } else { self.model() }
+        if self.file.extension().is_some_and(|e| e == "oct") {
+            self.field(&self.file)
+        } else if Splats::is_splat_file(&self.file) {
+            self.splats(&self.file)
+        } else {
+            self.model()
+        }
     }
 
     fn field(&self, path: &Path) -> Result<()> {
         let field = UncertaintyField::read(path)?;
         let memory = field.memory();
         if self.json {
-            let mut value = report::protocol_json(&field);
-            value["summary"] = json!(field.summary());
-            value["surfaces"] = report::surfaces_json(&field);
+            let mut value = described(&field);
             value["octree"] = match field.support() {
                 Support::Octree(_) => json!({ "leaves_per_level": field.summary().leaves_per_level }),
                 Support::Dense => Value::Null,
             };
-            value["answers"] = answers(&field).iter().map(|a| (a.what.to_string(), json!(a.is_known))).collect();
+            value["answers"] =
+                answers(&field).iter().map(|(what, found)| (what.to_string(), json!(found.is_ok()))).collect();
             value["memory"] = memory.iter().map(|&(part, bytes)| (part.to_string(), json!(bytes))).collect();
             say!("{value}")?;
             return Ok(());
         }
         say!("{}\n{}", path.display(), report::protocol(&field))?;
+        say!("{}", report::errors(&ErrorBudget::of_field(&field)))?;
         say!("field\n  {}{}", report::summary(&field.summary()), report::surfaces(&field)?)?;
-        if let Some(tile) = field.tile() {
-            say!("  tile {} of {}: all else is as if never seen", tile.index, tile.of)?;
-        }
         say!("  {}", histogram(&field))?;
-        if let Some(visits) = field.visits() {
-            say!("  {:.0} % of the space was never seen", 100.0 * visits.unseen_share())?;
-        }
         say!("  prior U {:.4e} (log10 {:.4})", field.prior(), field.prior().log10())?;
         say!("answers")?;
-        for Answer { what, is_known, words } in answers(&field) {
-            say!("  {what:<16} {}{words}", if is_known { "" } else { "no: " })?;
+        for (what, found) in answers(&field) {
+            match found {
+                Ok(words) => say!("  {what:<16} {words}")?,
+                Err(without) => say!("  {what:<16} no: {without}")?,
+            }
         }
         say!("memory")?;
         for (part, bytes) in &memory {
@@ -133,6 +115,38 @@ impl Args {
             )?;
         }
         Ok(())
+    }
+
+    fn splats(&self, path: &Path) -> Result<()> {
+        let splats = Splats::read(path)?;
+        let Summary { count, degree, mode, means, largest_scales, smallest_scales, opacities, extras, memory } =
+            &splats.summary();
+        if self.json {
+            let mut value = json!(splats.summary());
+            value["quantiles"] = json!(QUANTILES);
+            value["comments"] = json!(splats.comments());
+            value["notes"] = json!(splats.notes());
+            say!("{value}")?;
+            return Ok(());
+        }
+        say!("{}\n  {count} splats, spherical harmonics of degree {degree}, drawn as {mode}", path.display())?;
+        let heads = QUANTILES.map(|share| format!("{:>10} %", 100.0 * share)).concat();
+        say!("  quantiles      {heads}")?;
+        let rows = [("x", &means[0]), ("y", &means[1]), ("z", &means[2])];
+        let others = [("largest scale", largest_scales), ("smallest scale", smallest_scales), ("opacity", opacities)];
+        for (name, values) in rows.into_iter().chain(others) {
+            say!("  {name:<14} {}", values.map(|v| format!("{v:>12.4e}")).concat())?;
+        }
+        if !extras.is_empty() {
+            say!("  properties     {}", printable(&extras.join(", ")))?;
+        }
+        for comment in splats.comments() {
+            say!("  comment        {}", printable(comment))?;
+        }
+        for note in splats.notes() {
+            say!("  note           {note}")?;
+        }
+        say!("  memory         {}", report::bytes(*memory))
     }
 
     fn model(&self) -> Result<()> {

@@ -8,7 +8,7 @@ use super::files::CommandFiles;
 use super::options::check_field_name;
 use super::report;
 use crate::rays::MissingShards;
-use crate::uncertainty::{TiledField, UncertaintyField, finish_tiles, merge_files, merge_files_with_error_bars};
+use crate::uncertainty::{TiledField, UncertaintyField, finish_tiles, merge, merge_with_error_bars};
 use crate::{Error, Result};
 
 /// Join fields of the same box, level and protocol that were computed from different rays
@@ -16,7 +16,7 @@ use crate::{Error, Result};
 /// The result is what one run over all the rays gives, up to the order of summation and the fields' tolerance. So
 /// any scheduler can split a job over machines. Shards keep what this needs; whole runs do with `--keep-sums`. If
 /// shards of a run are missing, a warning names them. Tiles (`uncertainty --tile`) become one field of all of space;
-/// all of them are needed. One part at a time is in memory. Error bars and coarser levels of the parts are dropped.
+/// all of them are needed. One part at a time is in memory. Error bars of the parts are dropped.
 #[derive(clap::Args)]
 #[command(
     after_help = "Example: for i in 0 1 2 3; do octobayes uncertainty model.npz --cameras transforms.json --shard $i/4 \
@@ -36,8 +36,7 @@ pub struct Args {
     #[arg(long)]
     keep_sums: bool,
 
-    /// Also store how far log10 U is from its limit for ever more rays, by comparing the fields (delete-one
-    /// jackknife)
+    /// Also store the sampling error of log10 U, by comparing the fields (delete-one jackknife)
     ///
     /// The fields must come from different seeds, or from independent rays computed elsewhere. The estimate
     /// improves with the number of fields: ten are many, two give half their difference.
@@ -67,8 +66,7 @@ impl Args {
         }
         files.output("--output", &self.output).check()?;
         check_field_name(&self.output)?;
-        let merge = if self.error_bars { merge_files_with_error_bars } else { merge_files };
-        let field = merge(&self.fields)?;
+        let field = if self.error_bars { merge_with_error_bars(&self.fields) } else { merge(&self.fields) }?;
         let mut parts = self.fields.iter().map(|path| UncertaintyField::has_error_bars(path));
         if !self.error_bars && parts.any(|has| matches!(has, Ok(true))) {
             announce!(
@@ -83,7 +81,7 @@ impl Args {
             announce!("warning: the run over {} rays is not complete: {run} missing", run.rays);
         }
         if self.json {
-            let mut value = report::protocol_json(&field);
+            let mut value = crate::estimate::facts(&field);
             value["summary"] = json!(field.summary());
             value["missing_shards"] = json!(missing);
             return say!("{value}");

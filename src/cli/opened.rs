@@ -1,32 +1,35 @@
 //! A field as verbs take it: a file, or a folder of tiles.
 
 use std::path::Path;
-use std::sync::Arc;
 
-use crate::io::memory::available;
+use crate::session::memory::available;
 use crate::uncertainty::{Answers, BakedField, TiledField, UncertaintyField};
 use crate::{Error, Result};
 
-/// Bytes for tiles where the system does not say what is free.
+/// Bytes for tiles if the system does not report free memory.
 const DEFAULT_ROOM: u64 = 4 << 30;
 
 /// A field whose answers may still be in files.
 pub enum OpenedField {
     /// In memory.
     Whole(Box<UncertaintyField>),
-    /// In a folder, and one of its tiles.
-    Tiles(Box<TiledField>, Arc<UncertaintyField>),
+    /// In a folder.
+    Tiles(Box<TiledField>),
 }
 
 impl OpenedField {
     /// Reads a field, or opens a folder of tiles, which may take half of the memory that is free. Refuses a tile, which
-    /// knows only a part of space.
+    /// covers only a part of space.
     pub fn open(path: &Path) -> Result<Self> {
         if path.is_dir() {
             let room = available().unwrap_or(DEFAULT_ROOM) / 2;
-            let tiles = TiledField::open(path, room as usize)?;
-            let any = tiles.tile(0)?;
-            return Ok(Self::Tiles(Box::new(tiles), any));
+            return Ok(Self::Tiles(Box::new(TiledField::open(path, room as usize)?)));
+        }
+        if path.extension().is_some_and(|extension| extension == "npy") {
+            let name = path.display();
+            let expected =
+                format!("`.oct`; of a grid of the official code, `export {name} -o FIELD.oct --box=BOX` makes one");
+            return Err(Error::malformed(path, "file name", expected, "`.npy`"));
         }
         let field = UncertaintyField::read(path)?;
         match field.tile() {
@@ -40,17 +43,14 @@ impl OpenedField {
 
     /// What does not depend on the place, such as the protocol and the box: the field, or one of its tiles.
     pub fn facts(&self) -> &UncertaintyField {
-        match self {
-            Self::Whole(field) => field,
-            Self::Tiles(_, any) => any,
-        }
+        self.space().facts()
     }
 
     /// What does.
     pub fn space(&self) -> &dyn Answers {
         match self {
             Self::Whole(field) => &**field,
-            Self::Tiles(tiles, _) => &**tiles,
+            Self::Tiles(tiles) => &**tiles,
         }
     }
 
@@ -67,7 +67,7 @@ impl OpenedField {
     pub fn whole(self) -> Result<UncertaintyField> {
         match self {
             Self::Whole(field) => Ok(*field),
-            Self::Tiles(tiles, _) => tiles.joined(),
+            Self::Tiles(tiles) => tiles.joined(),
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Progress on stderr: a bar on a terminal, else a line now and then. And the signals that ask to stop.
+//! Progress on stderr: a bar on a terminal, else a line now and then. Also the signals that stop the work.
 
 mod lines;
 
@@ -34,7 +34,7 @@ impl Bars {
         Self { current, interrupted: Arc::new(AtomicBool::new(false)) }
     }
 
-    /// From now on Ctrl-C, SIGTERM and SIGHUP ask the work to stop. Ctrl-C after any of them ends the process at
+    /// From now on Ctrl-C, SIGTERM and SIGHUP request the work to stop. Ctrl-C after any of them ends the process at
     /// once; the others may well come twice, from a shell that ends and from its terminal. A signal that was to be
     /// ignored, as `nohup` says of SIGHUP, still is.
     pub fn listen(&self) {
@@ -78,7 +78,7 @@ impl Monitor for Bars {
             lines.begin(stage, total, Instant::now());
             return;
         }
-        // No time is left to tell before anything is done.
+        // Before any progress, the remaining time is unknown.
         let left = |state: &ProgressState, out: &mut dyn std::fmt::Write| {
             let _ = match state.pos() {
                 0 => Ok(()),
@@ -112,7 +112,7 @@ impl Monitor for Bars {
     }
 }
 
-/// The signals that ask to stop.
+/// The signals that stop the work.
 fn signals() -> Vec<i32> {
     #[cfg(unix)]
     if !is_ignored(signal_hook::consts::SIGHUP) {
@@ -121,7 +121,7 @@ fn signals() -> Vec<i32> {
     vec![SIGINT, SIGTERM]
 }
 
-/// True if this process was started with the signal ignored, as far as the system tells (Linux does).
+/// True if this process was started with the signal ignored, as far as the system reports it (Linux does).
 #[cfg(unix)]
 fn is_ignored(signal: i32) -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();

@@ -1,49 +1,15 @@
 //! What runs print: protocol and results, human-readable or as JSON.
 
-use std::time::Duration;
-
-use serde_json::{Value, json};
-
 use crate::Result;
 use crate::error::printable;
-use crate::estimate::{Audit, GridKind, GridSettings, Plan, SamplingError, StepCheck};
-use crate::io::memory::peak;
-use crate::posterior::{DataScale, Prior, Scale};
+use crate::estimate::{ErrorBudget, Plan, RayError, SamplingError};
+use crate::posterior::{DataScale, Scale};
 use crate::rays::Pixels;
 use crate::render::GradientMethod;
-use crate::uncertainty::{
-    Answers, Comparison, Conformal, Correlations, Difference, ErrorSummary, Misfit, Summary, UncertaintyField,
-};
-
-/// A number of bytes, human-readable.
-pub fn bytes(n: usize) -> String {
-    let n = n as f64;
-    match n {
-        n if n < 1e3 => format!("{n} B"),
-        n if n < 1e6 => format!("{:.1} kB", n / 1e3),
-        n if n < 1e9 => format!("{:.2} MB", n / 1e6),
-        n => format!("{:.2} GB", n / 1e9),
-    }
-}
-
-/// A number, human-readable: four digits, without an exponent where none is needed.
-pub fn short(x: f64) -> String {
-    match x.abs() {
-        0.0 => "0".into(),
-        a if (1e-3..1e4).contains(&a) => format!("{x:.4}").trim_end_matches('0').trim_end_matches('.').into(),
-        _ => format!("{x:.3e}"),
-    }
-}
-
-/// Time and memory of a run, and the check of its step.
-pub struct Cost {
-    /// Time from the first ray to the finished field.
-    pub elapsed: Duration,
-    /// Largest size of the sums, bytes.
-    pub sums_bytes: usize,
-    /// Check of the finite-difference step, if there is one.
-    pub step: Option<StepCheck>,
-}
+pub use crate::session::memory::bytes;
+use crate::session::memory::peak;
+use crate::session::{Finished, PERCENTS};
+use crate::uncertainty::{Answers, Comparison, Difference, Summary, UncertaintyField};
 
 /// The protocol of a field as text, one setting per line.
 pub fn protocol(field: &UncertaintyField) -> String {
@@ -66,14 +32,23 @@ pub fn protocol(field: &UncertaintyField) -> String {
     line("rays", format!("{} ({} dropped as not finite)", p.rays, p.dropped));
     let part = p.shard.filter(|s| s.of > 1).map(|s| format!("{} of {} of {} rays", s.index, s.of, s.rays));
     part.into_iter().for_each(|part| line("shard", part));
-    line("pixels", known(p.pixels.map(|p| if p == Pixels::Sobol { "Owen-scrambled Sobol" } else { "random" }.into())));
+    line(
+        "pixels",
+        known(p.pixels.map(|pixels| {
+            match pixels {
+                Pixels::Sobol => "Owen-scrambled Sobol",
+                Pixels::Every => "every pixel once",
+                Pixels::Random => "random",
+            }
+            .into()
+        })),
+    );
     let sequences = match field.draws().len() {
         0 | 1 => String::new(),
         several => format!(", {several} sequences of pixels"),
     };
     line("seed", known(p.seed.map(|s| format!("{s}{sequences}"))));
-    let prior = if p.prior == Prior::Volume { ", times the volume of cells" } else { "" };
-    line("lambda", format!("{:.6e} per scene unit²{prior}", p.lambda));
+    line("lambda", format!("{:.6e} per scene unit²", p.lambda));
     line(
         "scale",
         match p.scale {
@@ -100,67 +75,7 @@ pub fn protocol(field: &UncertaintyField) -> String {
     line("cutoff", known(p.cutoff.map(|c| format!("{c:e}, not part of the tolerance (--audit)"))));
     line("background", known(p.background.map(|b| format!("{b:?}"))));
     line("pixel offset", known(p.pixel_offset.map(|o| o.to_string())));
-    line("interval", field.conformal().map_or("none: not calibrated".into(), interval));
-    if let Some(correlations) = field.correlations() {
-        line("correlations", format!("{} draws of all displacements together", correlations.draws()));
-    }
-    if !field.coarser().is_empty() {
-        let levels: Vec<String> = field.coarser().iter().map(|field| field.lattice().level().to_string()).collect();
-        line("coarser levels", format!("{}, read by `u-spread` and `u-spread-per-root-ray`", levels.join(", ")));
-    }
-    if let Some(misfit) = field.misfit() {
-        line("misfit", self::misfit(misfit));
-    }
-    line("error bars", field.error_summary().map_or("none".into(), |e| error_bars(&e)));
     out.trim_end().to_string()
-}
-
-/// A calibrated interval of depth in one line.
-pub fn interval(c: &Conformal) -> String {
-    let Conformal { probability, factor, pixels, views } = c;
-    format!(
-        "{:.0} % of depth errors below {factor:.3} deviations, by {pixels} pixels of {views} views",
-        100.0 * probability
-    )
-}
-
-/// What training left unexplained in one line.
-fn misfit(m: &Misfit) -> String {
-    format!(
-        "where it shows matter, the model is off its training images by {:.4} of their range (root mean square); \
-         kept on level {}, counted by deviations of depth",
-        m.mean(),
-        m.level()
-    )
-}
-
-/// Error bars in one line.
-fn error_bars(e: &ErrorSummary) -> String {
-    let share = 100.0 * e.known as f64 / e.moved.max(1) as f64;
-    format!(
-        "{} groups of rays: log10 U of moved vertices is off by {:.3} (root mean square), half of them by less than \
-         {:.3}; known at {share:.0} %",
-        e.groups, e.root_mean_square, e.median
-    )
-}
-
-/// The protocol as JSON.
-pub fn protocol_json(field: &UncertaintyField) -> Value {
-    json!({
-        "protocol": field.protocol(),
-        "origin": field.protocol().origin,
-        "box": field.lattice().domain().bounds().map(|b| json!({
-            "min": b.min().to_array(), "max": b.max().to_array(),
-        })),
-        "domain": field.lattice().domain(),
-        "level": field.lattice().level(),
-        "draws": field.draws(),
-        "limited": !field.limits().is_unlimited(),
-        "error_bars": field.error_summary(),
-        "correlations": field.correlations().map(Correlations::draws),
-        "coarser_levels": field.coarser().len(),
-        "misfit": field.misfit().map(|misfit| json!({ "root_mean_square": misfit.mean(), "level": misfit.level() })),
-    })
 }
 
 /// What a field consists of, in one line.
@@ -179,35 +94,15 @@ pub fn summary(s: &Summary) -> String {
 }
 
 /// Percentiles of log10 U over visible surfaces, by which thresholds are chosen; empty if there are no such points.
-///
-/// # Errors
-/// If the field cannot be read.
 pub fn surfaces(field: &dyn Answers) -> Result<String> {
     let Some(log10) = field.surface_quantiles(PERCENTS.map(|percent| 0.01 * percent))? else {
         return Ok(String::new());
     };
     let listed: Vec<String> = PERCENTS.iter().zip(log10).map(|(p, log10)| format!("{log10:.2} ({p}%)")).collect();
     let quantity = field.protocol().scale.quantity();
-    let prior = field.protocol().prior_deviation().log10();
+    let prior = field.protocol().reading().prior().log10();
     Ok(format!("\n  {quantity} on visible surfaces: {}; prior {prior:.2}", listed.join(", ")))
 }
-
-/// The same as JSON.
-pub fn surfaces_json(field: &UncertaintyField) -> Value {
-    let log10 = field.surface_quantiles(PERCENTS.map(|percent| 0.01 * percent));
-    json!({
-        "percent": PERCENTS,
-        "log10_uncertainty": log10,
-        "prior": field.prior().log10(),
-        "unseen_share": field.visits().map(crate::posterior::Visits::unseen_share),
-    })
-}
-
-/// A share of the time that is worth a word.
-const NOTABLE: f64 = 0.95;
-
-/// Percents of the visible surfaces of which log10 U is told.
-const PERCENTS: [f64; 5] = [1.0, 10.0, 50.0, 90.0, 99.0];
 
 /// Table of |Δ log10 U|.
 pub fn comparison(c: &Comparison) -> String {
@@ -235,27 +130,16 @@ pub fn comparison(c: &Comparison) -> String {
 }
 
 /// Says on stderr what a run is expected to need.
-pub fn plan(plan: &Plan, grid: &GridSettings) {
+pub fn plan(plan: &Plan, level: u8) {
     let memory = |b: f64| bytes(b as usize);
     let time = plan.time.as_secs_f64();
     announce!(
-        "plan: level {}, about {:.2e} vertices, {} the peak of the process, a file of {}, {time:.0} s",
-        grid.level,
+        "plan: level {level}, about {:.2e} vertices, {} the peak of the process, a file of {}, {time:.0} s",
         plan.vertices,
         memory(plan.peak()),
         memory(plan.file)
     );
     given_up(plan).into_iter().for_each(|text| announce!("{text}"));
-}
-
-/// Says on stderr what the field's own derivatives would save, if they would.
-pub fn own_derivatives(ratio: f64) {
-    if ratio < NOTABLE {
-        announce!(
-            "note: the model knows its own derivatives; with --gradient auto its rays take about {:.0} % of the time",
-            100.0 * ratio
-        );
-    }
 }
 
 /// What a plan gives up to stay within its limits, if it does.
@@ -282,107 +166,62 @@ pub fn given_up(plan: &Plan) -> Option<String> {
     ))
 }
 
-/// Warns on stderr if a finite-difference step is badly placed.
-pub fn step(check: &StepCheck) {
-    if check.is_bad {
+/// How far log10 U is from its limit, as a table.
+pub fn errors(budget: &ErrorBudget) -> String {
+    let mut out = format!("{:<42}     mean     95 %\n", "errors of log10 U, decades");
+    let mut line = |name: &str, what: &str| out.push_str(&format!("  {name:<38} {what}\n"));
+    let measured = |e: &SamplingError, how: String| format!("{:>8.1e} {:>8.1e}  {how}", e.mean, e.percentile_95);
+    let leaves = match (budget.coarse_leaves, budget.is_limited) {
+        (0.0, false) => "none".into(),
+        (bound, false) => format!("at most {bound:.1e}, certain"),
+        (bound, true) => format!("at most {bound:.1e}, and what leaves limited by memory or rays add"),
+    };
+    line("coarse leaves", &leaves);
+    let rays = match &budget.rays {
+        None => "not measured (--target-error, --error-bars)".into(),
+        Some(RayError::EveryPixel) => "none: a ray through every training pixel".into(),
+        Some(RayError::Halves(error)) => measured(error, format!("two halves, {} vertices", error.vertices)),
+        Some(RayError::Groups(e)) => format!(
+            "{:.3} root mean square, {:.3} median: {} groups, known at {:.0} % of {} vertices",
+            e.root_mean_square,
+            e.median,
+            e.groups,
+            100.0 * e.known as f64 / e.moved.max(1) as f64,
+            e.moved
+        ),
+    };
+    line("number of rays", &rays);
+    match &budget.audit {
+        None => line("samples left out, derivatives", "not measured (--audit)"),
+        Some(audit) => {
+            let how = || format!("{} rays, {} vertices", audit.rays, audit.cutoff.vertices);
+            line("samples left out", &measured(&audit.cutoff, how()));
+            match &audit.derivatives {
+                Some(error) => line("finite differences", &measured(error, how())),
+                None => line("derivatives", "the field's own, exact"),
+            }
+        }
+    }
+    if let Some(check) = &budget.step {
         let (here, best) = (check.errors.at(check.step), check.errors.best());
-        // Errors relative to the derivative itself: beyond it, their size means nothing.
-        let percent = |v: f64| if v <= 1.0 { format!("{:.2} %", 100.0 * v) } else { "more than 100 %".into() };
-        let exact = if check.knows_derivatives {
-            "; --gradient auto uses the field's own derivatives, which are exact"
-        } else {
-            ""
-        };
-        // Only central differences may be as wide as noise asks for.
-        let central = if check.is_forward { "--gradient finite-difference " } else { "" };
-        announce!(
-            "warning: with --step {} differences of the density are off by {} (rounding and noise {}, \
-             truncation {}); with {central}--step {:.2e} by {}{exact}",
-            check.step,
-            percent(here.total()),
-            percent(here.noise),
-            percent(here.truncation),
-            best.step,
-            percent(best.total())
+        let [own, least] = [here.in_log10(), best.in_log10()];
+        line(
+            "difference step",
+            &format!("{own:>8.1e}           step {}; {least:.1e} with {:.1e}", check.step, best.step),
         );
     }
-}
-
-/// The check of a step as JSON.
-fn step_json(check: &StepCheck) -> Value {
-    let (here, best) = (check.errors.at(check.step), check.errors.best());
-    json!({
-        "step": check.step,
-        "points": check.errors.points,
-        "noise_level": check.errors.noise,
-        "curvature": check.errors.curvature,
-        "error": here.total(),
-        "error_by_noise": here.noise,
-        "error_by_truncation": here.truncation,
-        "best_step": best.step,
-        "best_error": best.total(),
-        "badly_placed": check.is_bad,
-        "field_knows_derivatives": check.knows_derivatives,
-    })
-}
-
-/// Says on stderr what a run's approximations cost.
-pub fn audit(audit: &Audit, grid: &GridSettings) {
-    let row = |name: &str, e: &SamplingError| {
-        announce!("  {name:<44} {:.1e} in the mean, 95 % within {:.1e}", e.mean, e.percentile_95);
-    };
-    announce!("error budget in log10 U:");
-    match grid.grid {
-        GridKind::Dense => announce!("  {:<44} none", "coarser leaves"),
-        GridKind::Octree => announce!("  {:<44} at most {:.1e}, certain", "coarser leaves", grid.tolerance),
-    }
-    row("cutoff", &audit.cutoff);
-    match &audit.derivatives {
-        Some(error) => row("finite differences", error),
-        None => announce!("  {:<44} the field's own, exact", "derivatives"),
-    }
-    let n = audit.cutoff.vertices;
-    announce!(
-        "  (measured on {} rays, {n} vertices that they moved; for the rays' own error: --rays auto)",
-        audit.rays
-    );
-}
-
-/// Says on stderr how close a run to a mean error came.
-pub fn sampling_error(error: &SamplingError, rays: u64, wanted: f64) {
-    let SamplingError { vertices, mean, percentile_95 } = error;
-    if *vertices == 0 {
-        announce!("note: {rays} rays; no ray constrains anything");
-        return;
-    }
-    let within = if *mean <= wanted { "within" } else { "not within" };
-    announce!(
-        "note: {rays} rays; log10 U is off by {mean:.3} in the mean, 95 % by at most {percentile_95:.3} (two halves, \
-         {vertices} vertices that rays moved): {within} {wanted}"
-    );
+    out.trim_end().to_string()
 }
 
 /// Prints the results of a finished run.
-///
-/// # Errors
-/// If stdout cannot be written.
-pub fn finished(field: &UncertaintyField, cost: &Cost, as_json: bool) -> Result<()> {
-    let s = field.summary();
+pub fn finished(finished: &Finished, as_json: bool) -> Result<()> {
     if as_json {
-        let mut value = protocol_json(field);
-        value["summary"] = json!(s);
-        value["surfaces"] = surfaces_json(field);
-        value["threads"] = json!(rayon::current_num_threads());
-        value["seconds"] = json!(cost.elapsed.as_secs_f64());
-        value["peak_bytes"] = json!(peak());
-        value["posterior_bytes"] = json!(cost.sums_bytes);
-        value["differences"] = json!(cost.step.as_ref().map(step_json));
-        say!("{value}")?;
-    } else {
-        say!("protocol\n{}\n  threads      {}", protocol(field), rayon::current_num_threads())?;
-        say!("field\n  {}{}", summary(&s), surfaces(field)?)?;
-        let peak = peak().map_or(String::new(), |peak| format!(", {} the peak of the process", bytes(peak as usize)));
-        say!("  {} while summing{peak}, {:.1} s", bytes(cost.sums_bytes), cost.elapsed.as_secs_f64())?;
+        return say!("{}", finished.report());
     }
-    Ok(())
+    let Finished { field, errors: budget, sums_bytes, elapsed, .. } = finished;
+    say!("protocol\n{}\n  threads      {}", protocol(field), rayon::current_num_threads())?;
+    say!("field\n  {}{}", summary(&field.summary()), surfaces(field)?)?;
+    let peak = peak().map_or(String::new(), |peak| format!(", {} the peak of the process", bytes(peak as usize)));
+    say!("  {} while summing{peak}, {:.1} s", bytes(*sums_bytes), elapsed.as_secs_f64())?;
+    say!("{}", errors(budget))
 }

@@ -5,20 +5,15 @@ use std::fmt::Arguments;
 use std::io::{ErrorKind, Write};
 use std::path::Path;
 
+use crate::evaluate::Remark;
 use crate::{Error, Result};
 
 /// Prints a line to stdout. A reader that has seen enough (`| head`) is no failure.
-///
-/// # Errors
-/// If stdout cannot be written for another reason, such as a full disk.
 pub fn say(text: Arguments) -> Result<()> {
     arrived(writeln!(std::io::stdout(), "{text}"))
 }
 
 /// What writing to stdout came to. A reader that has seen enough (`| head`) is no failure.
-///
-/// # Errors
-/// If stdout cannot be written for another reason, such as a full disk.
 pub fn arrived(written: std::io::Result<()>) -> Result<()> {
     match written {
         Err(e) if e.kind() != ErrorKind::BrokenPipe => Err(Error::io(Path::new("stdout"), "cannot write")(e)),
@@ -30,6 +25,14 @@ pub fn arrived(written: std::io::Result<()>) -> Result<()> {
 /// a full disk): the work goes on.
 pub fn announce(text: Arguments) {
     let _ = std::io::stderr().write_all(format!("{text}\n").as_bytes());
+}
+
+/// Prints what a user should know to stderr.
+pub fn tell(remark: Remark) {
+    match remark {
+        Remark::Note(text) => announce(format_args!("note: {text}")),
+        Remark::Warning(text) => announce(format_args!("warning: {text}")),
+    }
 }
 
 /// The error of the stream under a writer of CSV, whose kind `std::io::Error::from` would hide.

@@ -3,10 +3,11 @@
 use std::path::PathBuf;
 use std::time::Instant;
 
-use super::options::{Resolution, count, parse_resolution};
+use super::options::{count, parse_resolution};
 use super::progress::Bars;
 use crate::Result;
 use crate::dataset::Hemisphere;
+use crate::session::Resolution;
 use crate::synth::{DatasetSettings, Up, write_dataset};
 
 /// Ray-trace a triangle mesh into a dataset: posed images and exact depth
@@ -18,7 +19,7 @@ use crate::synth::{DatasetSettings, Up, write_dataset};
 /// depth/*.png (the same in 16 bits), transforms_train.json, transforms_test.json, dataset.json and README.md. The
 /// folder appears once it is complete.
 #[derive(clap::Args)]
-#[command(after_help = "Example: octobayes synth bunny.obj -o bunny --views 60 --hemisphere left\n\
+#[command(after_help = "Example: octobayes synth bunny.obj -o bunny --count 60 --hemisphere left\n\
     then: octobayes evaluate MODEL FIELD.oct --cameras bunny/transforms_test.json --depth bunny/depth \
     --depth-pattern {}.exr")]
 pub struct Args {
@@ -31,8 +32,13 @@ pub struct Args {
     output: PathBuf,
 
     /// Training cameras
-    #[arg(long, value_name = "N", default_value_t = 100, value_parser = count::<u32>(1..=1_000_000))]
-    views: u32,
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = DatasetSettings::default().views,
+        value_parser = count::<u32>(1..=1_000_000),
+    )]
+    count: u32,
 
     /// Put training cameras in one half only, seen from the front (y < 0; right is x > 0); test cameras stand all
     /// around
@@ -44,11 +50,16 @@ pub struct Args {
     resolution: Resolution,
 
     /// Test cameras
-    #[arg(long, value_name = "N", default_value_t = 20, value_parser = count::<u32>(1..=1_000_000))]
-    test_views: u32,
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = DatasetSettings::default().test_views,
+        value_parser = count::<u32>(1..=1_000_000),
+    )]
+    test_count: u32,
 
     /// Turns the cameras and jitters the samples; mesh, light and texture do not depend on it
-    #[arg(long, default_value_t = 0)]
+    #[arg(long, default_value_t = DatasetSettings::default().seed)]
     seed: u64,
 
     /// Samples per pixel, a square number up to 1024
@@ -56,7 +67,7 @@ pub struct Args {
     samples_per_pixel: Square,
 
     /// Axis of the mesh that points up
-    #[arg(long, value_enum, value_name = "AXIS", default_value = "y")]
+    #[arg(long, value_enum, value_name = "AXIS", default_value_t)]
     up: Up,
 }
 
@@ -77,10 +88,10 @@ impl Args {
     pub fn run(self, bars: &Bars) -> Result<()> {
         let settings = DatasetSettings {
             up: self.up,
-            views: self.views,
+            views: self.count,
             hemisphere: self.hemisphere,
-            test_views: self.test_views,
-            // Its cameras have square images unless they are told otherwise.
+            test_views: self.test_count,
+            // Its cameras have square images by default.
             resolution: match self.resolution {
                 Resolution::Width(side) => [side; 2],
                 Resolution::Size(size) => size,
@@ -90,7 +101,7 @@ impl Args {
         };
         let start = Instant::now();
         write_dataset(&self.mesh, &self.output, &settings, bars)?;
-        let pictures = self.views + self.test_views;
+        let pictures = self.count + self.test_count;
         let seconds = start.elapsed().as_secs_f64();
         say!(
             "{}: {pictures} pictures in {seconds:.1} s, {:.2} s each",

@@ -1,18 +1,20 @@
 //! `view`: a viewer in one file.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use glam::Vec3;
 
-use super::belongs::read_field;
 use super::files::CommandFiles;
-use super::options::{CameraOptions, ModelOptions, parse_bytes, parse_range};
+use super::opened::OpenedField;
+use super::options::{CameraOptions, ModelArgument, heading, parse_bytes, parse_range};
 use super::progress::Bars;
 use super::render::bar_of;
 use super::report;
+use super::streams::tell;
 use crate::dataset::Part;
 use crate::export::surfaces;
 use crate::geometry::Camera;
+use crate::session::{OpenedModel, image_settings};
 use crate::viewer::{Shown, View, write_view};
 use crate::{Error, Result};
 
@@ -21,16 +23,17 @@ const PIXELS: u64 = 50_000;
 
 /// Write a viewer: one HTML file that opens from disk in any browser
 ///
-/// Shows the model as a volume that you turn with mouse, fingers or keys: colour, depth, log10 U, colour tinted by U. A
-/// slider removes what is uncertain. The training cameras can be shown and stepped through; the pointer reads position,
-/// U, rays, density and depth. The file holds everything and asks no server.
+/// Shows the model as a volume that you turn with mouse, fingers or keys: log10 U beside colour, depth, colour tinted
+/// by U. A slider removes what is uncertain, a switch what no training ray reached. The training cameras can be shown
+/// and stepped through; the pointer reads position, U, rays, density and depth. The file holds everything and asks no
+/// server.
 ///
 /// The volume is a regular lattice: detail finer than a cell is averaged, and colour does not depend on direction.
 #[derive(clap::Args)]
 #[command(after_help = "Example: octobayes view lego.safetensors lego.oct -o lego.html")]
 pub struct Args {
     #[command(flatten)]
-    model: ModelOptions,
+    model: ModelArgument,
 
     /// Uncertainty of the model
     #[arg(value_name = "FIELD.oct")]
@@ -40,24 +43,37 @@ pub struct Args {
     cameras: CameraOptions,
 
     /// File to write, `.html`
-    #[arg(short, long, value_name = "VIEW.html")]
+    #[arg(short, long, value_name = "VIEW.html", help_heading = heading::OUTPUT)]
     output: PathBuf,
 
     /// Cells of the volume along the longest edge of the model's box, or of contracted space; fewer if they do not fit
     /// into --size
-    #[arg(long, value_name = "N", default_value_t = 256, value_parser = clap::value_parser!(u32).range(32..=1024))]
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = 256,
+        value_parser = clap::value_parser!(u32).range(32..=1024),
+        help_heading = heading::OUTPUT,
+    )]
     cells: u32,
 
     /// Largest size of the file, such as 8MB
-    #[arg(long, value_name = "SIZE", default_value = "6MB", value_parser = parse_bytes)]
+    #[arg(long, value_name = "SIZE", default_value = "6MB", value_parser = parse_bytes, help_heading = heading::OUTPUT)]
     size: u64,
 
     /// Ends of the colour bar of log10 U [default: as in render]
-    #[arg(long, value_name = "LOW,HIGH", value_parser = parse_range, allow_hyphen_values = true)]
+    #[arg(
+        long,
+        value_name = "LOW,HIGH",
+        value_parser = parse_range,
+        allow_hyphen_values = true,
+        help_heading = heading::OUTPUT,
+        hide_short_help = true,
+    )]
     range: Option<[f64; 2]>,
 
     /// Use the field even if it was computed for another model
-    #[arg(long)]
+    #[arg(long, help_heading = heading::INPUT, hide_short_help = true)]
     force: bool,
 }
 
@@ -74,25 +90,26 @@ impl Args {
             .cameras(self.cameras.cameras.as_deref())
             .output("--output", &self.output);
         files.check()?;
-        let model = self.model.open()?;
-        let field = read_field(&self.field, &self.model, &*model, self.force)?;
-        let views = self.cameras.read(&*model, &self.model.model)?;
+        let field = OpenedField::open(&self.field)?.whole()?;
+        let opened = OpenedModel::of_field(&field, &self.field, &self.model.model, self.force, &mut tell)?;
+        let model = opened.volume()?;
+        let settings = image_settings(&field);
+        let views = self.cameras.read(Some(&**model), &opened.name)?;
         files.images(&views).check()?;
 
-        let settings = self.model.image_settings();
-        let offset = settings.offset_for(&*model);
-        let tracer = settings.tracer(&*model, 0.0, bars)?;
+        let offset = settings.offset_for(&**model);
+        let tracer = settings.tracer(&**model, 0.0, bars)?;
         let surface: Vec<Vec3> = if field.surface().is_empty() {
             let cameras: Vec<Camera> = views.frames.iter().map(|frame| frame.camera).collect();
             surfaces(&tracer, &cameras, offset, PIXELS, bars)?.positions
         } else {
             field.surface().iter().copied().map(Vec3::from_array).collect()
         };
-        let name = PathBuf::from(&self.model.model);
-        let title =
-            name.file_name().map_or_else(|| self.model.model.clone(), |name| name.to_string_lossy().into_owned());
+        let name = &opened.name;
+        let path = Path::new(name);
+        let title = path.file_name().map_or_else(|| name.clone(), |name| name.to_string_lossy().into_owned());
         let view = View {
-            model: &*model,
+            model: &**model,
             field: &field,
             tracer: &tracer,
             frames: &views.frames,

@@ -9,11 +9,6 @@ use super::image::decode;
 use crate::geometry::{Aabb, Camera};
 use crate::{Error, Result};
 
-/// Values of this size and above mean "no surface": Blender's Cycles writes 1e10, other programs the largest f32.
-const NO_SURFACE: f32 = 1e10;
-/// Largest f16, which larger numbers become.
-const LARGEST_F16: f32 = 65504.0;
-
 /// What a pixel of a depth map holds: a depth, or why it is none.
 type Reading = std::result::Result<f64, Unmeasured>;
 
@@ -95,7 +90,7 @@ pub struct DepthMap {
 }
 
 impl DepthMap {
-    /// Reads an 8- or 16-bit PNG (of a colour image, the first channel), or the depth channel of an EXR, which is in
+    /// Reads an 8- or 16-bit PNG (a colour image must be grey), or the depth channel of an EXR, which is in
     /// scene units whatever the encoding's offset and scale. Values that are known to mean "unknown" or "no surface"
     /// are no distances.
     ///
@@ -146,6 +141,10 @@ fn in_front(distance: f64) -> Reading {
 /// The depths of an EXR.
 #[cfg(feature = "exr")]
 fn exact(path: &Path, resolution: [u32; 2]) -> Result<Vec<Reading>> {
+    /// Values of this size and above mean "no surface": Blender's Cycles writes 1e10, other programs the largest f32.
+    const NO_SURFACE: f32 = 1e10;
+    /// Largest f16, which larger numbers become.
+    const LARGEST_F16: f32 = 65504.0;
     let is_depth = |depth: f32| depth < NO_SURFACE && depth != LARGEST_F16;
     let reading = |depth: f32| match in_front(f64::from(depth)) {
         Ok(_) if !is_depth(depth) => Err(Unmeasured::Largest),
@@ -161,7 +160,9 @@ fn exact(path: &Path, _: [u32; 2]) -> Result<Vec<Reading>> {
 
 /// The depths of a PNG.
 fn steps(path: &Path, encoding: DepthEncoding, resolution: [u32; 2]) -> Result<Vec<Reading>> {
-    let raw: Vec<f64> = match &decode(path, "depth map", resolution)? {
+    let image = decode(path, "depth map", resolution)?;
+    refuse_colours(path, &image)?;
+    let raw: Vec<f64> = match &image {
         image::DynamicImage::ImageLuma16(i) => i.pixels().map(|p| f64::from(p.0[0]) / 65535.0).collect(),
         image::DynamicImage::ImageLumaA16(i) => i.pixels().map(|p| f64::from(p.0[0]) / 65535.0).collect(),
         image::DynamicImage::ImageRgb16(i) => i.pixels().map(|p| f64::from(p.0[0]) / 65535.0).collect(),
@@ -174,6 +175,24 @@ fn steps(path: &Path, encoding: DepthEncoding, resolution: [u32; 2]) -> Result<V
         p => Ok(encoding.offset + encoding.scale * p),
     };
     Ok(raw.into_iter().map(reading).collect())
+}
+
+/// Refuses false colours, and depths packed into several channels: their first channel is no depth.
+fn refuse_colours(path: &Path, image: &image::DynamicImage) -> Result<()> {
+    /// Difference of channels that a JPEG makes by rounding: a step of 8 bits.
+    const ROUNDING: u16 = 257;
+    if !image.color().has_color() {
+        return Ok(());
+    }
+    let is_coloured = |[r, g, b]: [u16; 3]| r.max(g).max(b) - r.min(g).min(b) > ROUNDING;
+    match image.to_rgb16().pixels().find(|pixel| is_coloured(pixel.0)) {
+        None => Ok(()),
+        Some(pixel) => {
+            let expected = "shades of grey, as false colours and packed channels hold no depth that can be read";
+            let [r, g, b] = pixel.0.map(|value| f64::from(value) / 65535.0);
+            Err(Error::malformed(path, "depth map", expected, format!("a colour of ({r:.3}, {g:.3}, {b:.3})")))
+        }
+    }
 }
 
 #[cfg(test)]
@@ -225,16 +244,16 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("depth.png");
         let camera = Camera::look_at(DVec3::new(0.0, -4.0, 0.0), DVec3::ZERO, DVec3::Z, 0.7, [4, 1]);
-        // The first channel counts, whatever the others hold.
+        // Colour images are read if they are grey; whatever alpha holds.
         let eight = |x: u32| [0_u8, 51, 254, 255][x as usize];
         let sixteen = |x: u32| [0_u16, 13107, 65534, 65535][x as usize];
         let images: [image::DynamicImage; 6] = [
             image::ImageBuffer::from_fn(4, 1, |x, _| image::Luma([eight(x)])).into(),
-            image::ImageBuffer::from_fn(4, 1, |x, _| image::Rgb([eight(x), 9, 9])).into(),
-            image::ImageBuffer::from_fn(4, 1, |x, _| image::Rgba([eight(x), 9, 9, 0])).into(),
+            image::ImageBuffer::from_fn(4, 1, |x, _| image::Rgb([eight(x); 3])).into(),
+            image::ImageBuffer::from_fn(4, 1, |x, _| image::Rgba([eight(x), eight(x), eight(x), 0])).into(),
             image::ImageBuffer::from_fn(4, 1, |x, _| image::Luma([sixteen(x)])).into(),
             image::ImageBuffer::from_fn(4, 1, |x, _| image::LumaA([sixteen(x), 9])).into(),
-            image::ImageBuffer::from_fn(4, 1, |x, _| image::Rgb([sixteen(x), 9, 9])).into(),
+            image::ImageBuffer::from_fn(4, 1, |x, _| image::Rgb([sixteen(x); 3])).into(),
         ];
         for image in images {
             image.save(&path).unwrap();
@@ -248,5 +267,33 @@ mod tests {
             // Behind the camera.
             assert_eq!(read(-3.0, 10.0)[1], Err(Unmeasured::Negative), "{:?}", image.color());
         }
+    }
+    #[test]
+    fn false_colours_and_packed_depths_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("depth.png");
+        let camera = Camera::look_at(DVec3::new(0.0, -4.0, 0.0), DVec3::ZERO, DVec3::Z, 0.7, [4, 1]);
+        let encoding = DepthEncoding { offset: 0.0, scale: 10.0, kind: DepthKind::Euclidean };
+        let of = |packed: [u8; 3]| {
+            image::ImageBuffer::from_fn(4, 1, move |x, _| image::Rgb(if x == 3 { packed } else { [0; 3] }))
+        };
+        let images: [image::DynamicImage; 3] = [
+            of([51, 204, 102]).into(),
+            of([51, 53, 51]).into(),
+            image::ImageBuffer::from_fn(4, 1, |_, _| image::Rgba([13107_u16, 0, 0, 65535])).into(),
+        ];
+        for (image, found) in
+            images.iter().zip(["(0.200, 0.800, 0.400)", "(0.200, 0.208, 0.200)", "(0.200, 0.000, 0.000)"])
+        {
+            image.save(&path).unwrap();
+            let error = DepthMap::read(&path, encoding, &camera, 0.5).unwrap_err().to_string();
+            assert!(
+                error.contains("expected shades of grey") && error.ends_with(&format!("found a colour of {found}")),
+                "{error}"
+            );
+        }
+        // A JPEG rounds its colours.
+        image::DynamicImage::from(of([51, 52, 51])).save(&path).unwrap();
+        assert_eq!(DepthMap::read(&path, encoding, &camera, 0.5).unwrap().distance[3], Ok(2.0));
     }
 }

@@ -53,11 +53,13 @@ pub struct FrameSplit {
     total: usize,
     /// The usable frames and what each is for, in the file's order.
     frames: Vec<(Frame, Purpose)>,
-    /// True if the file says what its frames are for.
+    /// True if the file states the purpose of its frames.
     is_stated: bool,
     /// Frames without an image, if any other has one.
     missing: Vec<Frame>,
     has_images: bool,
+    /// True if images alone would have split the frames: they are named, but none exists.
+    would_be_split: bool,
 }
 
 impl FrameSplit {
@@ -75,7 +77,10 @@ impl FrameSplit {
         }
         let is_stated = usable.iter().any(|frame| frame.purpose.is_some());
         let all_held_out = is_held_out_by_name(&path);
-        let is_split = has_images && test_partner(&path).is_none() && !all_held_out;
+        let is_for_both = test_partner(&path).is_none() && !all_held_out;
+        let is_split = has_images && is_for_both;
+        let are_named = usable.iter().all(|frame| !frame.name.is_empty());
+        let would_be_split = !has_images && is_for_both && !is_stated && are_named && usable.len() >= HOLD_OUT / 2;
         let purpose = |(i, frame): (usize, &Frame)| match frame.purpose {
             _ if all_held_out => Purpose::HeldOut,
             Some(purpose) => purpose,
@@ -85,7 +90,15 @@ impl FrameSplit {
             None => Purpose::Training,
         };
         let purposes: Vec<Purpose> = usable.iter().enumerate().map(purpose).collect();
-        Self { path, total, frames: usable.into_iter().zip(purposes).collect(), is_stated, missing, has_images }
+        Self {
+            path,
+            total,
+            frames: usable.into_iter().zip(purposes).collect(),
+            is_stated,
+            missing,
+            has_images,
+            would_be_split,
+        }
     }
 
     /// Returns true if any frame has an image.
@@ -163,6 +176,10 @@ impl FrameSplit {
             let more = self.missing.len().saturating_sub(NAMED);
             let more = if more > 0 { format!(" and {more} more") } else { String::new() };
             others.push(format!("{} {has} no image ({}{more})", self.missing.len(), printable(&names.join(", "))));
+        }
+        if let Some(first) = self.frames.first().filter(|_| self.would_be_split).map(|(frame, _)| frame) {
+            let name = printable(&first.image.display().to_string());
+            others.push(format!("no image is there, such as {name}, so that no frame is held out"));
         }
         let [own, other] = part.purposes();
         // A file with one part serves as either.
@@ -364,8 +381,13 @@ mod tests {
             }
         }
         // Without any image it is a file of cameras.
-        let (_folder, split) = split("transforms.json", &[]);
+        let (folder, split) = split("transforms.json", &[]);
         assert!(!split.has_images() && split.missing() == 0);
-        assert_eq!(split.select(Part::Training, &Selection::All, |_| true).unwrap().len(), 20);
+        let frames = split.select(Part::Training, &Selection::All, |_| true).unwrap();
+        assert_eq!(frames.len(), 20);
+        let path = folder.path().display();
+        let said = format!("no image is there, such as {path}/r_0.png, so that no frame is held out");
+        let expected = format!("20 cameras of 20 frames of {path}/transforms.json: {said}");
+        assert_eq!(split.describe(Part::Training, &frames), expected);
     }
 }

@@ -120,22 +120,29 @@ impl Intrinsics {
         keys.into_iter().find_map(|(key, value)| value.map(|_| key))
     }
 
-    /// The lens distortion.
-    pub fn distortion(&self) -> Checked<Distortion> {
+    /// The lens distortion. If the file names no camera model, k3 and k4 must be 0: nerfstudio applies them,
+    /// instant-ngp does not.
+    pub fn distortion(&self, names_model: bool) -> Checked<Distortion> {
         let value = |v: Option<f64>| v.unwrap_or(0.0);
-        let distortion = Distortion { k: [self.k1, self.k2].map(value), p: [self.p1, self.p2].map(value) };
-        let expected = "a perspective lens with OpenCV's k1, k2, p1, p2";
+        let k = [self.k1, self.k2, self.k3, self.k4].map(value);
+        let distortion = Distortion { k, p: [self.p1, self.p2].map(value) };
         let higher = [("k3", self.k3), ("k4", self.k4), ("k5", self.k5), ("k6", self.k6)];
-        let higher: Vec<_> = higher.iter().filter(|(_, v)| value(*v) != 0.0).collect();
-        if !higher.is_empty() {
-            let found: Vec<String> = higher.iter().map(|(name, v)| format!("{name} {}", value(*v))).collect();
-            return Err(Fault::new("lens", expected, found.join(", ")));
+        let unread = if names_model { &higher[2..] } else { &higher[..] };
+        let unread: Vec<String> =
+            unread.iter().filter(|(_, v)| value(*v) != 0.0).map(|(name, v)| format!("{name} {}", value(*v))).collect();
+        let finite = distortion.k.iter().chain(&distortion.p).all(|c| c.is_finite());
+        if unread.is_empty() && finite {
+            return Ok(distortion);
         }
-        if distortion.k.iter().chain(&distortion.p).all(|c| c.is_finite()) {
-            Ok(distortion)
-        } else {
-            Err(Fault::new("lens", expected, format!("{distortion:?}")))
-        }
+        let found = if unread.is_empty() { distortion.to_string() } else { unread.join(", ") };
+        let expected = match names_model {
+            true => "a perspective lens with OpenCV's k1, k2, k3, p1, p2 and nerfstudio's k4",
+            false => {
+                "a perspective lens with OpenCV's k1, k2, p1, p2; k3 and k4 count beside a `camera_model`, such as \
+                 OPENCV, as in nerfstudio: instant-ngp passes them over"
+            }
+        };
+        Err(Fault::new("lens", expected, found))
     }
 
     /// Focal lengths and principal point in pixels of an image of `size`, to which the pixels of all keys refer.
@@ -241,19 +248,31 @@ mod tests {
     #[test]
     fn a_list_of_coefficients_is_what_single_ones_are() {
         let list = stated(r#"{"distortion_params": [0.1, -0.02, 0, 0, 0.003, -0.004], "p1": 0.003}"#);
-        let lens = Intrinsics::default().over(&list).unwrap().distortion().unwrap();
-        assert_eq!(lens, Distortion { k: [0.1, -0.02], p: [0.003, -0.004] });
+        let lens = Intrinsics::default().over(&list).unwrap().distortion(false).unwrap();
+        assert_eq!(lens, Distortion { k: [0.1, -0.02, 0.0, 0.0], p: [0.003, -0.004] });
         // A frame's own coefficient replaces that of the file's list.
-        let lens = stated(r#"{"k1": 0.3}"#).over(&list).unwrap().distortion().unwrap();
-        assert_eq!(lens.k, [0.3, -0.02]);
+        let lens = stated(r#"{"k1": 0.3}"#).over(&list).unwrap().distortion(false).unwrap();
+        assert_eq!(lens.k, [0.3, -0.02, 0.0, 0.0]);
         for (json, found) in [
             (r#"{"distortion_params": [0.1, 0, 0.5, 0, 0, 0]}"#, "k3 0.5"),
             (r#"{"k3": 0.5, "k6": 1}"#, "k3 0.5, k6 1"),
             (r#"{"distortion_params": [0.1, 0, 0, 0]}"#, "[0.1, 0.0, 0.0, 0.0]"),
         ] {
-            let fault = Intrinsics::default().over(&stated(json)).and_then(|i| i.distortion()).unwrap_err();
+            let fault = Intrinsics::default().over(&stated(json)).and_then(|i| i.distortion(false)).unwrap_err();
             assert_eq!(fault.found, found);
         }
+    }
+
+    #[test]
+    fn k3_and_k4_count_where_a_camera_model_is_named() {
+        let of = |json| Intrinsics::default().over(&stated(json)).unwrap().distortion(true);
+        let expected = Distortion { k: [0.1, -0.02, 0.5, -0.25], p: [0.003, -0.004] };
+        assert_eq!(of(r#"{"distortion_params": [0.1, -0.02, 0.5, -0.25, 0.003, -0.004]}"#).unwrap(), expected);
+        let single = r#"{"k1": 0.1, "k2": -0.02, "k3": 0.5, "k4": -0.25, "p1": 0.003, "p2": -0.004, "k5": 0, "k6": 0}"#;
+        assert_eq!(of(single).unwrap(), expected);
+        assert_eq!(of(r#"{"k3": 0.5, "k5": 1, "k6": 2}"#).unwrap_err().found, "k5 1, k6 2");
+        let endless = Intrinsics { k3: Some(f64::INFINITY), ..Intrinsics::default() };
+        assert_eq!(endless.distortion(true).unwrap_err().found, "k1 0, k2 0, k3 inf, p1 0, p2 0");
     }
 
     #[test]

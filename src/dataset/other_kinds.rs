@@ -21,9 +21,7 @@ pub(super) fn json(value: &Value) -> Option<Kind> {
 
 fn of_list(first: &Map<String, Value>) -> Option<Kind> {
     let has = |keys: &[&str]| keys.iter().all(|key| first.contains_key(*key));
-    if has(&["img_name", "rotation", "position"]) {
-        Some(("the cameras.json of a 3D Gaussian splatting run", "pass the COLMAP model that it was trained on"))
-    } else if has(&["file_path", "transform"]) {
+    if has(&["file_path", "transform"]) {
         let instead = "its poses are in the trainer's coordinates, without lenses: pass the data set's transforms.json";
         Some(("poses exported by `ns-export cameras`", instead))
     } else if has(&["shots"]) {
@@ -81,11 +79,6 @@ mod tests {
     #[test]
     fn files_of_other_programs_are_named() {
         for (text, name) in [
-            (
-                r#"[{"id": 0, "img_name": "a", "width": 4, "height": 4, "position": [0, 0, 0],
-                    "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "fx": 4, "fy": 4}]"#,
-                "Gaussian splatting",
-            ),
             (r#"[{"file_path": "a.png", "transform": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]}]"#, "ns-export"),
             (r#"[{"cameras": {}, "shots": {}, "points": {}}]"#, "OpenSfM"),
             ("[]", "an empty list"),

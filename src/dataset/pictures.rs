@@ -3,12 +3,11 @@
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
-use image::DynamicImage;
 use rayon::prelude::*;
 
 use super::Frame;
 use super::image::decode;
-use crate::geometry::{Camera, Mask};
+use crate::geometry::Mask;
 use crate::{Error, Result};
 
 /// Extensions of pictures, in the order in which they are tried.
@@ -53,7 +52,7 @@ fn with_suffix(path: &Path, extension: &str) -> PathBuf {
     PathBuf::from(name)
 }
 
-/// A picture that says which pixels of another one count.
+/// A mask: a picture that selects the pixels of another one.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum MaskFile {
@@ -84,13 +83,23 @@ impl MaskFile {
 
     /// Reads the mask of a picture of `size` pixels.
     fn read(&self, size: [u32; 2]) -> Result<Mask> {
-        // Black is zero in every channel but alpha; instant-ngp looks at the first only, nerfstudio has one only.
-        let image = decode(self.path(), "mask", size)?;
-        let is_black: Vec<bool> = match &image {
-            DynamicImage::ImageLuma16(image) => image.pixels().map(|p| p.0[0] == 0).collect(),
-            DynamicImage::ImageRgb16(image) => image.pixels().map(|p| p.0 == [0; 3]).collect(),
-            other => other.to_rgba8().pixels().map(|p| p.0[..3] == [0; 3]).collect(),
-        };
+        // 16 bits hold both depths of pixels exactly, so that only 0 becomes 0.
+        let image = decode(self.path(), "mask", size)?.into_rgba16();
+        // Programs that cut objects out leave the shape in alpha, and any colour elsewhere. nerfstudio refuses alpha.
+        if let Some(clear) = image.pixels().position(|p| p.0[3] != u16::MAX) {
+            let (row, column) = (clear / size[0] as usize, clear % size[0] as usize);
+            let expected = "an opaque image, in which black is what counts; save its alpha channel as a grey image";
+            let found = format!("a pixel that is not opaque in row {row}, column {column}");
+            return Err(Error::malformed(self.path(), "mask", expected, found));
+        }
+        // instant-ngp looks at the first channel only, nerfstudio has one only.
+        let is_black: Vec<bool> = image.pixels().map(|p| p.0[..3] == [0; 3]).collect();
+        // A palette may give the pixels that do not count any colour, and a JPEG makes black nearly black.
+        let first = image.get_pixel(0, 0);
+        if !is_black.contains(&true) && image.pixels().any(|pixel| pixel != first) {
+            let expected = "an image of one colour, or with pixels that are exactly black; save it as a grey PNG";
+            return Err(Error::malformed(self.path(), "mask", expected, "several colours, none of them black"));
+        }
         let keeps_black = matches!(self, Self::LeftOut(_));
         let at = |column: u32, row: u32| row as usize * size[0] as usize + column as usize;
         Ok(Mask::new(size, |column, row| is_black[at(column, row)] == keeps_black))
@@ -100,22 +109,13 @@ impl MaskFile {
 /// Reads the masks of frames, at the size of their cameras; none for frames without one.
 ///
 /// # Errors
-/// If a mask is missing, damaged, or of another size than its picture.
+/// If a mask is missing, damaged, of another size than its picture, not opaque, or of several colours without black.
 pub fn read_masks(frames: &[Frame]) -> Result<Vec<Option<Mask>>> {
     let read = |frame: &Frame| {
         let Some(file) = &frame.mask else { return Ok(None) };
         Ok(Some(file.read(frame.size)?.resized(frame.camera.resolution)))
     };
     frames.par_iter().map(read).collect()
-}
-
-/// The number of pixels of cameras that their masks keep; `masks` has one or none for each, or is empty.
-#[must_use]
-pub fn kept_pixels(cameras: &[Camera], masks: &[Option<Mask>]) -> u64 {
-    let kept = |(i, camera): (usize, &Camera)| {
-        masks.get(i).and_then(Option::as_ref).map_or_else(|| camera.pixels(), Mask::pixels)
-    };
-    cameras.iter().enumerate().map(kept).sum()
 }
 
 /// Refuses frames whose masks keep nothing at all.
@@ -132,6 +132,7 @@ pub fn check_masks(path: &Path, masks: &[Option<Mask>]) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::Camera;
     use glam::DVec3;
 
     #[test]
@@ -208,5 +209,65 @@ mod tests {
         let frame = Frame { mask: Some(MaskFile::Kept(path)), size: [8, 4], ..Frame::new(camera, "00", "") };
         let error = read_masks(&[frame]).unwrap_err().to_string();
         assert!(error.contains("mask: expected 8 x 4 pixels, found 4 x 2 pixels"), "{error}");
+    }
+
+    #[test]
+    fn a_mask_of_several_colours_has_a_black_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("mask.png");
+        let camera = Camera::look_at(DVec3::X, DVec3::ZERO, DVec3::Z, 0.7, [3, 2]);
+        let read = |colors: [[u8; 3]; 3]| {
+            image::RgbImage::from_fn(3, 2, |x, _| image::Rgb(colors[x as usize])).save(&path).unwrap();
+            let frame = Frame { mask: Some(MaskFile::Kept(path.clone())), ..Frame::new(camera, "00", "") };
+            read_masks(&[frame]).map(|mut masks| masks.remove(0).unwrap().pixels()).map_err(|e| e.to_string())
+        };
+        let [black, blue, red] = [[0, 0, 0], [0, 0, 128], [128, 0, 0]];
+        assert_eq!(read([black, red, blue]), Ok(4));
+        assert_eq!([read([black; 3]), read([red; 3])], [Ok(0), Ok(6)]);
+        for odd in [[blue, red, red], [[1; 3], [2; 3], [255; 3]]] {
+            let error = read(odd).unwrap_err();
+            assert!(error.ends_with("found several colours, none of them black"), "{error}");
+        }
+    }
+
+    #[test]
+    fn a_mask_whose_shape_is_in_its_alpha_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("mask.png");
+        let camera = Camera::look_at(DVec3::X, DVec3::ZERO, DVec3::Z, 0.7, [3, 2]);
+        let read = |image: image::DynamicImage| {
+            image.save(&path).unwrap();
+            let frame = Frame { mask: Some(MaskFile::Kept(path.clone())), ..Frame::new(camera, "00", "") };
+            read_masks(&[frame]).map(|mut masks| masks.remove(0).unwrap().pixels()).map_err(|e| e.to_string())
+        };
+        // Clear in row 1, column 2; black in column 0.
+        let clear = |x: u32, y: u32, most: u16| if [x, y] == [2, 1] { 0 } else { most };
+        let grey = |x: u32| u8::from(x > 0) * 255;
+        let wide = |x: u32| u16::from(x > 0);
+        type Alpha<'a> = &'a dyn Fn(u32, u32, u16) -> u16;
+        type Image = fn(Alpha, &dyn Fn(u32) -> u8, &dyn Fn(u32) -> u16) -> image::DynamicImage;
+        let images: [Image; 4] = [
+            |alpha, grey, _| {
+                let pixel = |x, y| image::LumaA([grey(x), alpha(x, y, 255) as u8]);
+                image::DynamicImage::from(image::ImageBuffer::from_fn(3, 2, pixel))
+            },
+            |alpha, grey, _| {
+                let pixel = |x, y| image::Rgba([grey(x), grey(x), grey(x), alpha(x, y, 255) as u8]);
+                image::ImageBuffer::from_fn(3, 2, pixel).into()
+            },
+            |alpha, _, wide| {
+                image::ImageBuffer::from_fn(3, 2, |x, y| image::LumaA([wide(x), alpha(x, y, u16::MAX)])).into()
+            },
+            |alpha, _, wide| {
+                let pixel = |x, y| image::Rgba([wide(x), wide(x), wide(x), alpha(x, y, u16::MAX)]);
+                image::ImageBuffer::from_fn(3, 2, pixel).into()
+            },
+        ];
+        for image in images {
+            let error = read(image(&clear, &grey, &wide)).unwrap_err();
+            assert!(error.contains("found a pixel that is not opaque in row 1, column 2"), "{error}");
+            // Of 65,536 shades, 1 is not black.
+            assert_eq!(read(image(&|_, _, most| most, &grey, &wide)), Ok(4));
+        }
     }
 }

@@ -5,7 +5,7 @@ use glam::{DMat3, DVec3};
 use crate::geometry::{MAX_SKEW, skew};
 
 /// Position and rotation of a camera-to-world matrix of 3 or more rows, from which a uniform scale is removed; the
-/// error says what is wrong with it.
+/// error names the fault.
 ///
 /// # Errors
 /// If the matrix is not a finite rigid pose times a positive scale.

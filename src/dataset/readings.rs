@@ -92,6 +92,52 @@ impl AddAssign for DepthReadings {
     }
 }
 
+/// The largest depth of maps and how many pixels hold it, in their own quantity ([`DepthKind`](super::DepthKind)).
+///
+/// Programs that end their view at a far plane write its depth where there is no surface. If it is nearer than
+/// everything that the model could show, it looks like a measurement.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct LargestDepth {
+    /// The largest depth, in scene units.
+    pub depth: f64,
+    /// Number of pixels that hold exactly this depth.
+    pub pixels: u64,
+}
+
+impl LargestDepth {
+    /// Depths are equal up to the rounding of [`DepthKind::stretch`](super::DepthKind::stretch) and back.
+    const ROUNDING: f64 = 1e-12;
+
+    /// Of surfaces, hardly any two pixels have the same depth; a wall of 8-bit maps may be an exception.
+    const MOST_OF_SURFACES: f64 = 0.02;
+
+    /// Fewer pixels may agree by chance.
+    const FEWEST: u64 = 100;
+
+    /// Counts pixels of this depth.
+    pub fn count(&mut self, other: Self) {
+        if (other.depth - self.depth).abs() <= Self::ROUNDING * self.depth {
+            self.pixels += other.pixels;
+        } else if other.depth > self.depth {
+            *self = other;
+        }
+    }
+
+    /// The sentence that this depth is probably a far plane, if it is, among so many measurements.
+    #[must_use]
+    pub fn doubt(&self, measured: u64) -> Option<String> {
+        let share = self.pixels as f64 / measured.max(1) as f64;
+        let percent = 100.0 * share;
+        (share > Self::MOST_OF_SURFACES && self.pixels >= Self::FEWEST).then(|| {
+            format!(
+                "{percent:.1} % of the depths are exactly {}, the largest of all: if it stands for no surface, as a \
+                 far plane does, write 0 or inf there",
+                self.depth as f32
+            )
+        })
+    }
+}
+
 /// The share of pixels without a measurement, with the reasons.
 impl fmt::Display for DepthReadings {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
@@ -131,5 +177,21 @@ mod tests {
         // One measurement in a hundred is enough, one in 101 is not.
         let few = |beyond| DepthReadings { measured: 1, beyond, ..DepthReadings::default() };
         assert_eq!([99, 100].map(|beyond| few(beyond).are_nearly_all_unmeasured()), [false, true]);
+    }
+
+    #[test]
+    fn a_far_plane_is_told_from_a_wall_of_many_depths() {
+        let mut largest = LargestDepth::default();
+        for i in 0..1000 {
+            largest.count(LargestDepth { depth: 3.0 + 1e-3 * f64::from(i % 500), pixels: 1 });
+        }
+        assert_eq!((largest.pixels, largest.doubt(1000)), (2, None));
+        largest.count(LargestDepth { depth: 4.0, pixels: 1 });
+        assert_eq!(largest, LargestDepth { depth: 4.0, pixels: 1 });
+        // Rounding is no difference.
+        largest.count(LargestDepth { depth: 4.0 * (1.0 + f64::EPSILON), pixels: 199 });
+        let said = largest.doubt(1200).unwrap();
+        assert!(said.starts_with("16.7 % of the depths are exactly 4, the largest"), "{said}");
+        assert_eq!(largest.doubt(10_001), None, "less than a fiftieth");
     }
 }

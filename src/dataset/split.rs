@@ -1,4 +1,4 @@
-//! What a camera file says that its frames are for.
+//! The purpose of the frames of a camera file: training, testing, or unstated.
 
 use std::cmp::Ordering;
 use std::path::{Component, Path, PathBuf};

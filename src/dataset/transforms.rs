@@ -1,24 +1,25 @@
-//! Camera files: transforms.json of the original NeRF, instant-ngp and nerfstudio.
+//! Camera files: transforms.json of the original NeRF, instant-ngp and nerfstudio; and the cameras.json of Gaussian
+//! splatting, which becomes one.
 //!
-//! A key that changes rays is applied or refused by name; keys that nobody here knows are listed in a note.
+//! A key that changes rays is applied or refused by name; unknown keys are listed in a note.
 //! `docs/src/formats.md` has the table of all keys. `transform_matrix` is camera-to-world with OpenGL axes (x right, y
 //! up, looking along −z).
 
 mod keys;
 mod write;
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashMap};
 use std::ffi::OsString;
 use std::path::Path;
 
 use self::keys::{PERSPECTIVE, RawFile, RawFrame};
 pub use self::write::write_transforms;
 use super::intrinsics::{Fault, Intrinsics};
-use super::other_kinds;
 use super::pictures::{MaskFile, image_path};
 use super::pose::rigid_pose;
 use super::split::Lists;
 use super::views::{Frame, ResolutionSource, Views};
+use super::{inria, other_kinds};
 use crate::geometry::{Camera, MAX_PIXELS, MAX_SIDE};
 use crate::{Error, Result};
 
@@ -31,7 +32,7 @@ pub(super) const SIZES: &str = "sides from 1 to 65536 and at most 1e8 pixels, or
 const STRETCHED: f64 = 1.5;
 
 /// Checks the size of the images of a camera; the error is the size in words. It may have more than [`MAX_PIXELS`] if
-/// the camera is asked for at another size.
+/// the camera is requested at another size.
 pub(super) fn size(w: f64, h: f64, is_resized: bool) -> std::result::Result<[u32; 2], String> {
     // BlenderNeRF writes a share of the resolution, which Blender rounds down.
     let [whole_w, whole_h] = [w, h].map(f64::floor);
@@ -111,7 +112,7 @@ impl Reading<'_> {
         if of_file.is_ok_and(|(f, _)| (f[0] - focal[0]).abs() > 1e-3 * focal[0]) {
             self.contradiction = self.contradiction.or(Some(i));
         }
-        let distortion = stated.distortion().map_err(fault)?;
+        let distortion = stated.distortion(raw.lens.names_model(&self.file.lens)).map_err(fault)?;
         let matrix = raw.transform_matrix_start.as_ref().or(raw.transform_matrix.as_ref());
         if raw.transform_matrix_end.as_ref().is_some_and(|end| matrix != Some(end)) {
             let expected = "a camera at rest, with one pose";
@@ -125,14 +126,19 @@ impl Reading<'_> {
             return Err(Error::malformed(path, at("lens"), "a lens that leaves every pixel its ray", found));
         }
         self.has_no_rays_of_its_own(&image)?;
-        let below = |path: String| self.folder.join(path.replace('\\', "/"));
-        let mask = raw.mask_path.filter(|_| self.file.has_mask != Some(false)).map(|path| MaskFile::Kept(below(path)));
+        let below = |key: &str, stated: Option<String>| match stated {
+            Some(stated) if stated.trim().is_empty() => {
+                Err(Error::malformed(path, at(&format!("`{key}`")), "the path of an image", "an empty one"))
+            }
+            stated => Ok(stated.map(|stated| self.folder.join(stated.replace('\\', "/")))),
+        };
+        let mask = below("mask_path", raw.mask_path.filter(|_| self.file.has_mask != Some(false)))?;
         Ok(Frame {
             camera: self.requested.map_or(camera, |requested| camera.resized(requested)),
             index: i,
             size: reference,
-            mask: mask.or_else(|| MaskFile::beside(&image)),
-            depth: raw.depth_file_path.map(below),
+            mask: mask.map(MaskFile::Kept).or_else(|| MaskFile::beside(&image)),
+            depth: below("depth_file_path", raw.depth_file_path)?,
             ..Frame::new(camera, name, image)
         })
     }
@@ -153,7 +159,7 @@ impl Reading<'_> {
 
 /// Reads a transforms.json. See [`Views::read`].
 pub(super) fn read(path: &Path, requested: Option<[u32; 2]>) -> Result<Views> {
-    let mut file = parse(path)?;
+    let (mut file, is_inria) = parse(path)?;
     file.check(path)?;
     let mut raw = file.frames.take().unwrap_or_default();
     let listed = raw.len();
@@ -161,12 +167,16 @@ pub(super) fn read(path: &Path, requested: Option<[u32; 2]>) -> Result<Views> {
     let folder = path.parent().unwrap_or(Path::new(""));
     let keys: BTreeSet<String> = raw.iter().flat_map(|frame| frame.unknown.keys().cloned()).collect();
     let mut notes = file.notes(&keys, &raw);
+    if is_inria {
+        notes.push(inria::NOTE.into());
+    }
     let any_image = raw.iter().find_map(|frame| image_size(&image_path(folder, &frame.file_path)));
     let source = requested.map_or(ResolutionSource::File, |_| ResolutionSource::Requested);
     let mut reading =
         Reading { path, folder, requested, file: &file, any_image, source, contradiction: None, stretched: None };
     let frames: Result<Vec<Frame>> = raw.into_iter().enumerate().map(|(i, raw)| reading.frame(i, raw)).collect();
     let mut frames = frames?;
+    notes.extend(listed_twice(&frames));
     if let Some(i) = reading.contradiction {
         notes.push(format!(
             "frame {i} states a focal length other than the file's; the frame's is used, as in instant-ngp \
@@ -189,8 +199,22 @@ pub(super) fn read(path: &Path, requested: Option<[u32; 2]>) -> Result<Views> {
     Ok(Views { path: path.to_path_buf(), frames, resolution_source, notes })
 }
 
-/// Parses the JSON of a camera file with at least one frame. The message names other kinds of files that it knows.
-fn parse(path: &Path) -> Result<RawFile> {
+/// The note that frames have the same image. Its pixels count as often as it is listed, as they do in training.
+fn listed_twice(frames: &[Frame]) -> Option<String> {
+    let mut last = HashMap::new();
+    let named = frames.iter().filter(|frame| !frame.name.is_empty());
+    let mut again = named.filter_map(|frame| Some((last.insert(&frame.image, frame.index)?, frame)));
+    let (earlier, Frame { index, name, .. }) = again.next()?;
+    let count = 1 + again.count();
+    Some(format!(
+        "frames {earlier} and {index} are the same image, `{name}`; an image counts as often as it is listed \
+         ({count} repeated)"
+    ))
+}
+
+/// Parses the JSON of a camera file with at least one frame; true if it is a `cameras.json` of Gaussian splatting. The
+/// message names other kinds of files that it knows.
+fn parse(path: &Path) -> Result<(RawFile, bool)> {
     let bytes = crate::io::read(path)?;
     let other = |(kind, instead): (&str, &str)| {
         Error::malformed(path, "cameras", format!("a transforms.json or a COLMAP model; {instead}"), kind)
@@ -201,11 +225,20 @@ fn parse(path: &Path) -> Result<RawFile> {
     let text = crate::io::text_of(path, bytes)?;
     let parsed: std::result::Result<RawFile, _> = serde_json::from_str(&text);
     let parsed = match parsed {
-        Ok(file) if file.frames.as_ref().is_some_and(|frames| !frames.is_empty()) => return Ok(file),
+        Ok(file) if file.frames.as_ref().is_some_and(|frames| !frames.is_empty()) => return Ok((file, false)),
         other => other,
     };
-    if let Some(kind) = serde_json::from_str(&text).ok().as_ref().and_then(other_kinds::json) {
-        return Err(other(kind));
+    if let Ok(value) = serde_json::from_str(&text) {
+        if let Some(cameras) = inria::cameras(&value) {
+            let file = serde_json::from_value(inria::as_transforms(path, cameras)?);
+            let expected = "a cameras.json";
+            return file
+                .map(|file| (file, true))
+                .map_err(|e| Error::malformed(path, "cameras", expected, e.to_string()));
+        }
+        if let Some(kind) = other_kinds::json(&value) {
+            return Err(other(kind));
+        }
     }
     Err(match parsed {
         Ok(_) => Error::malformed(path, "`frames`", "at least one frame", "none"),

@@ -17,7 +17,7 @@ pub struct Frame {
     pub name: String,
     /// Number of the frame, from 0, in the order of its file (COLMAP: sorted by name).
     pub index: usize,
-    /// Width and height of the image, pixels; `camera` may have been asked for at another size.
+    /// Width and height of the image, pixels; `camera` may be for another size.
     pub size: [u32; 2],
     /// Path of the image, which need not exist.
     pub image: PathBuf,
@@ -25,11 +25,11 @@ pub struct Frame {
     pub depth: Option<PathBuf>,
     /// Which of its pixels the model was trained on, if not all.
     pub mask: Option<MaskFile>,
-    /// What the camera file says that the frame is for.
+    /// The frame's purpose as the camera file states it.
     pub purpose: Option<Purpose>,
 }
 
-/// What a camera file says that a frame is for.
+/// A frame's purpose as a camera file states it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Purpose {
@@ -72,19 +72,20 @@ pub struct Views {
     pub frames: Vec<Frame>,
     /// Origin of the image size.
     pub resolution_source: ResolutionSource,
-    /// What a user should know of the file, a sentence each.
+    /// Messages to the user about the file, a sentence each.
     pub notes: Vec<String>,
 }
 
 impl Views {
-    /// Reads a camera file: a transforms.json, or a sparse model of COLMAP (one of its files, or its folder).
+    /// Reads a camera file: a transforms.json, the cameras.json of Gaussian splatting, or a sparse model of COLMAP (one
+    /// of its files, or its folder).
     ///
     /// Pixels of intrinsics refer to `w` and `h`, else to the frame's own image, else to the other images. The
     /// cameras' size is the `requested` one, else that size, else 400 × 400.
     ///
     /// # Errors
     /// If the file is missing or is not JSON, has no frames or no focal length, if a matrix is not a finite rigid pose
-    /// (a uniform scale is removed), if the size that pixels refer to is unknown, or if a key asks for rays or frames
+    /// (a uniform scale is removed), if the size that pixels refer to is unknown, or if a key requires rays or frames
     /// that are not supported.
     pub fn read(path: &Path, requested: Option<[u32; 2]>) -> Result<Self> {
         if let Some(model) = ModelFiles::find(path)? {

@@ -7,7 +7,8 @@
 
 use rayon::prelude::*;
 
-use super::{Estimation, FieldBuilder, GridSettings, RaySettings, SamplingError};
+use super::builder::{Builder, Finish};
+use super::{Estimation, GridSettings, RaySettings, SamplingError};
 use crate::Result;
 use crate::geometry::Lattice;
 use crate::rays::{RayStream, RunProgress, Shard};
@@ -30,12 +31,13 @@ impl Audit {
     pub const RAYS: u64 = 8_192;
 
     /// Audits a run whose rays are those of `stream`, on `lattice`.
-    pub(super) fn measure(run: &Estimation, stream: &RayStream, lattice: &Lattice) -> Result<Self> {
-        let Estimation { field, domain, rays, monitor, .. } = run;
+    pub(super) fn measure<P: Finish>(run: &Estimation, stream: &RayStream, lattice: &Lattice) -> Result<Self> {
+        let Estimation { subject, domain, rays, monitor, .. } = run;
+        let field = subject.volume("audit of samples and derivatives")?;
         let count = rays.rays.min(Self::RAYS);
-        let grid = GridSettings { surface_points: 0, memory: None, ..run.grid };
+        let grid = GridSettings { memory: None, ..run.grid };
         let sums_of = |stream: &RayStream| {
-            let mut builder = FieldBuilder::new(grid, *domain)?;
+            let mut builder = Builder::<P>::new(grid, *domain, None)?;
             stream.run(Shard::whole(count), RunProgress::default(), *monitor, |batches, _| {
                 builder.add(batches);
                 Ok(())
@@ -45,9 +47,9 @@ impl Audit {
         let sums = |rays: RaySettings| sums_of(&run.stream(&rays, lattice)?);
         let own = sums_of(stream)?;
         let cutoff = own.differs(&sums(RaySettings { cutoff: 0.0, ..*rays })?, count);
-        let better = match (rays.gradient.of(*field)?, field.differentiable()) {
+        let better = match (rays.gradient.of(field)?, field.differentiable()) {
             (Some(_), _) => None,
-            (None, Some(_)) => Some(RaySettings { gradient: GradientMethod::Analytic, ..*rays }),
+            (None, Some(_)) => Some(RaySettings { step: None, gradient: GradientMethod::Analytic, ..*rays }),
             (None, None) => {
                 // Forward differences of half the width would share half of their error.
                 let edges = rays.differences(lattice, &field.bounds()).step / lattice.edge();
@@ -60,7 +62,7 @@ impl Audit {
     }
 }
 
-impl FieldBuilder {
+impl<P: Finish> Builder<P> {
     /// The difference in log10 U between two treatments of the same `rays`, at vertices that either
     /// moves by more than half a decade.
     fn differs(&self, other: &Self, rays: u64) -> SamplingError {

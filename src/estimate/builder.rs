@@ -1,17 +1,16 @@
 //! A field under construction.
 
 use std::collections::BTreeSet;
-use std::ops::AddAssign;
+use std::ops::{AddAssign, Range};
 use std::path::Path;
 
-use rayon::prelude::*;
-
-use super::state::{self, AnyPosterior, RunKey};
+use super::checkpoint::{self, RunKey, State};
 use super::{GridKind, GridSettings, Plan, Summed};
 use crate::geometry::{Domain, Lattice};
+use crate::io::mix;
 use crate::octree::{Cell, MaxLevels, Octree, morton};
-use crate::posterior::{DensePosterior, OctreePosterior, Posterior, VertexSums, Visits};
-use crate::rays::{RayStream, RunProgress, SURFACE_WEIGHT, Shard};
+use crate::posterior::{DensePosterior, OctreePosterior, Posterior, Refinement, VertexSums, Visits};
+use crate::rays::{Draw, RayStream, RunProgress, SURFACE_WEIGHT, Shard, VolumeRays};
 use crate::render::RaySamples;
 use crate::uncertainty::{Origin, Protocol, Support, UncertaintyField};
 use crate::{Error, Result};
@@ -29,6 +28,14 @@ pub struct Provenance<'a> {
     pub stream: Option<&'a RayStream<'a>>,
 }
 
+/// Number of points on visible surfaces that a field keeps, for comparisons and shares of surfaces: 197 kB.
+///
+/// [`RayStream::surface_points`] finds more, and [`UncertaintyField::with_surface`] keeps them.
+pub const SURFACE_POINTS: usize = 16_384;
+
+/// About as many rays give that many points, where rays come camera by camera.
+const SURFACE_RAYS: u64 = SURFACE_POINTS as u64 / 4;
+
 /// Maximal number of cells that criteria other than sensitivity may ask for: 3 GB of their keys.
 const MOST_WANTED: u64 = 1 << 27;
 
@@ -42,55 +49,68 @@ fn every_cell(lattice: &Lattice) -> Result<Vec<Cell>> {
     Ok((0..1_u64 << (3 * u32::from(level))).map(cell).collect())
 }
 
-/// Builds an uncertainty field from ray samples.
-pub struct FieldBuilder {
+/// Sums of which a field can be made.
+pub(super) trait Finish: Posterior {
+    /// The field at these vertices of the sums.
+    fn field(self, protocol: Protocol, lattice: Lattice, at: Self::Vertices, keep_sums: bool) -> UncertaintyField;
+}
+
+impl Finish for DensePosterior {
+    fn field(self, protocol: Protocol, lattice: Lattice, (): (), _keep_sums: bool) -> UncertaintyField {
+        UncertaintyField::new(protocol, lattice, Support::Dense, self.into_sums())
+    }
+}
+
+impl Finish for OctreePosterior {
+    fn field(self, protocol: Protocol, lattice: Lattice, at: Octree, keep_sums: bool) -> UncertaintyField {
+        UncertaintyField::on_octree(protocol, lattice, self, at, keep_sums)
+    }
+}
+
+/// A field under construction, on one kind of grid.
+pub(super) struct Builder<P> {
     settings: GridSettings,
     lattice: Lattice,
     limits: MaxLevels,
-    /// Rays per vertex for which the limits were made.
+    /// Rays per vertex for which the limits were made; 0 without limits.
     rays_per_vertex: f64,
     /// Cells that must exist regardless of the rays.
     wanted: Vec<Cell>,
-    posterior: AnyPosterior,
+    posterior: P,
     surface: Vec<[f32; 3]>,
+    /// Rays whose mixed index is above this keep no surface points.
+    surface_rays: u64,
     /// Rays seen passing; `None` if it is not known where they passed.
     visits: Option<Visits>,
 }
 
-impl FieldBuilder {
-    /// Creates a builder without information.
+impl<P: Finish> Builder<P> {
+    /// Creates a builder without information, on the leaves of a plan, if there is one.
     ///
     /// # Errors
     /// As [`GridSettings::lattice`].
-    pub fn new(settings: GridSettings, domain: Domain) -> Result<Self> {
+    pub fn new(settings: GridSettings, domain: Domain, plan: Option<&Plan>) -> Result<Self> {
         let lattice = settings.lattice(domain)?;
-        let posterior = match settings.grid {
-            GridKind::Dense => AnyPosterior::Dense(DensePosterior::new(lattice)),
-            GridKind::Octree => AnyPosterior::Octree(OctreePosterior::new(lattice).owning(settings.tile)),
-        };
-        let limits = MaxLevels::none(lattice.level());
+        let limits = plan.map_or_else(|| MaxLevels::none(lattice.level()), |plan| plan.limits.clone());
+        let posterior = P::empty(lattice, &limits, settings.tile);
         let wanted = if settings.criteria.uniform { every_cell(&lattice)? } else { Vec::new() };
-        Ok(Self {
-            settings,
-            lattice,
-            limits,
-            rays_per_vertex: 0.0,
-            wanted,
-            posterior,
-            surface: Vec::new(),
-            visits: None,
-        })
+        let rays_per_vertex = plan.map_or(0.0, |plan| plan.rays_per_vertex);
+        let (surface, surface_rays, visits) = (Vec::new(), u64::MAX, None);
+        Ok(Self { settings, lattice, limits, rays_per_vertex, wanted, posterior, surface, surface_rays, visits })
     }
 
-    /// Starts over on the leaves of `plan`. No effect on a dense grid, whose leaves all have one size.
+    /// Takes surface points from rays that are spread over all of a run of `rays` rays, of which the first do not see
+    /// what the others see.
+    pub fn spread_surface(&mut self, rays: u64) {
+        self.surface_rays = u64::MAX / (rays / SURFACE_RAYS).max(1);
+    }
+
+    /// Starts over on the leaves of `plan`.
     pub fn limit(&mut self, plan: &Plan) {
-        if self.settings.grid == GridKind::Octree {
-            self.limits = plan.limits.clone();
-            self.rays_per_vertex = plan.rays_per_vertex;
-            self.posterior = self.empty_octree(plan.limits.clone());
-            self.surface.clear();
-            self.visits = None;
-        }
+        (self.limits, self.rays_per_vertex) = (plan.limits.clone(), plan.rays_per_vertex);
+        self.posterior = P::empty(self.lattice, &self.limits, self.settings.tile);
+        self.surface.clear();
+        self.visits = None;
     }
 
     /// Adds refinement where there is density, if the settings ask for it.
@@ -101,10 +121,13 @@ impl FieldBuilder {
     /// # Errors
     /// If there is no occupancy grid, or the number of cells exceeds what memory can hold.
     pub fn want_density(&mut self, stream: &RayStream) -> Result<()> {
-        if !self.settings.criteria.density || self.settings.grid == GridKind::Dense {
+        if !self.settings.criteria.density {
             return Ok(());
         }
-        let Some(occupancy) = &stream.tracer.marcher.occupancy else {
+        let Some(VolumeRays { tracer, .. }) = stream.source.volume() else {
+            return Err(Error::setting("criterion `density`", "a volume, which has a density", "splats"));
+        };
+        let Some(occupancy) = &tracer.marcher.occupancy else {
             return Err(Error::setting("criterion `density`", "a cutoff above 0, which makes an occupancy grid", "0"));
         };
         let edge = self.lattice.edge().max_element();
@@ -125,19 +148,23 @@ impl FieldBuilder {
     }
 
     /// Box and finest level.
-    #[must_use]
     pub fn lattice(&self) -> &Lattice {
         &self.lattice
     }
 
     /// Adds rays.
     pub fn add(&mut self, batches: &[RaySamples]) {
-        self.posterior_mut().add(batches);
+        self.posterior.add(batches);
         if batches.iter().any(|batch| !batch.sight.is_empty()) {
             self.visits.get_or_insert_with(|| Visits::new(&self.lattice)).add(batches);
         }
         // In a random sequence the first points are as good as any.
-        let visible = batches.iter().flat_map(|batch| batch.positions.iter().zip(&batch.weights));
+        let most = self.surface_rays;
+        let keeps = move |(ray, _): &(u64, Range<usize>)| mix(*ray) <= most;
+        let kept =
+            batches.iter().flat_map(|batch| batch.iter().filter(keeps).map(move |(_, samples)| (batch, samples)));
+        let visible =
+            kept.flat_map(|(batch, samples)| batch.positions[samples.clone()].iter().zip(&batch.weights[samples]));
         let lattice = self.lattice;
         // Matter outside the domain has no U of its own.
         let tile = self.settings.tile;
@@ -149,15 +176,35 @@ impl FieldBuilder {
         self.keep_surface(visible.map(|(x, _)| x.to_array()));
     }
 
-    /// Sums on the leaves of `limits`, in the tile, if there is one.
-    fn empty_octree(&self, limits: MaxLevels) -> AnyPosterior {
-        AnyPosterior::Octree(OctreePosterior::limited(self.lattice, limits).owning(self.settings.tile))
-    }
-
     /// Keeps as many of these points as there is room for.
     fn keep_surface(&mut self, points: impl Iterator<Item = [f32; 3]>) {
-        let room = self.settings.surface_points - self.surface.len();
+        let room = SURFACE_POINTS - self.surface.len();
         self.surface.extend(points.take(room));
+    }
+
+    /// The description of a run of `shard` of the rays of `stream`, which a resumed run must match. `source` names the
+    /// model, whatever its path; `occupancy` are the cells per axis of the occupancy grid.
+    pub fn run_key(&self, source: String, shard: Shard, stream: &RayStream, occupancy: usize) -> RunKey {
+        let marcher = stream.source.volume().map(|volume| &volume.tracer.marcher);
+        RunKey {
+            version: env!("CARGO_PKG_VERSION").into(),
+            source,
+            cameras: stream.cameras_checksum(),
+            lattice: self.lattice,
+            shard,
+            pixels: stream.pixels.kind(),
+            seed: stream.pixels.seed(),
+            march_step: marcher.map_or(0.0, |marcher| marcher.step),
+            gradient: stream.source.method(),
+            difference_step: stream.source.step().to_array(),
+            cutoff: marcher.map_or(0.0, |marcher| marcher.cutoff),
+            occupancy: occupancy as u64,
+            background: stream.source.background(),
+            pixel_offset: stream.pixel_offset,
+            rays_per_vertex: self.rays_per_vertex,
+            limits: crc32fast::hash(format!("{:?}", self.limits.packed()).as_bytes()),
+            tile: self.settings.tile,
+        }
     }
 
     /// Saves the state of the run `key` after the rays of `progress`.
@@ -165,7 +212,7 @@ impl FieldBuilder {
     /// # Errors
     /// If the file cannot be written.
     pub fn save(&self, path: &Path, key: &RunKey, progress: RunProgress) -> Result<()> {
-        state::save(path, key, progress, &self.posterior, &self.surface, self.visits.as_ref())
+        checkpoint::save(path, key, progress, &self.posterior, &self.surface, self.visits.as_ref())
     }
 
     /// Restores the state of the run `key` and returns its progress, from which the run continues.
@@ -173,97 +220,44 @@ impl FieldBuilder {
     /// # Errors
     /// If the file is not the complete state of a run with the same description.
     pub fn restore(&mut self, path: &Path, key: &RunKey) -> Result<RunProgress> {
-        let state = state::load(path, key, &self.limits, self.settings.grid == GridKind::Dense)?;
-        self.posterior = match state.posterior {
-            AnyPosterior::Octree(posterior) => AnyPosterior::Octree(posterior.owning(self.settings.tile)),
-            dense @ AnyPosterior::Dense(_) => dense,
-        };
-        self.surface = state.surface;
-        self.visits = state.visits;
-        Ok(state.progress)
+        let State { posterior, progress, surface, visits } =
+            checkpoint::load(path, key, &self.limits, self.settings.tile)?;
+        (self.posterior, self.surface, self.visits) = (posterior, surface, visits);
+        Ok(progress)
     }
 
     /// Current size of the sums, bytes.
-    #[must_use]
     pub fn memory(&self) -> usize {
-        match &self.posterior {
-            AnyPosterior::Dense(posterior) => posterior.memory(),
-            AnyPosterior::Octree(posterior) => posterior.memory(),
-        }
+        self.posterior.memory()
     }
 
     /// The same, apart from what is taken and not used.
-    pub(super) fn summed(&self) -> Summed {
-        let spare = match &self.posterior {
-            AnyPosterior::Dense(_) => 0,
-            AnyPosterior::Octree(posterior) => posterior.spare(),
-        };
+    pub fn summed(&self) -> Summed {
+        let spare = self.posterior.spare();
         Summed { used: self.memory() - spare, spare, vertices: None }
     }
 
-    /// The limits of the leaves on which rays are summed.
-    #[must_use]
-    pub fn limits(&self) -> &MaxLevels {
-        &self.limits
-    }
-
     /// The settings.
-    pub(super) fn settings(&self) -> &GridSettings {
+    pub fn settings(&self) -> &GridSettings {
         &self.settings
     }
 
-    /// The sums of this builder and of another on the same lattice, at every vertex that rays touched in
-    /// either. Neither may have limits.
-    pub(super) fn paired(&self, other: &Self) -> Vec<(VertexSums, VertexSums)> {
-        match (&self.posterior, &other.posterior) {
-            (AnyPosterior::Dense(mine), AnyPosterior::Dense(theirs)) => {
-                let pairs = mine.sums().iter().zip(theirs.sums());
-                pairs.filter(|(a, b)| a.rays > 0 || b.rays > 0).map(|(a, b)| (*a, *b)).collect()
-            }
-            (AnyPosterior::Octree(mine), AnyPosterior::Octree(theirs)) => {
-                let both = mine.touched().map(|(point, sums)| (*sums, theirs.sums(point)));
-                let new = theirs.touched().filter(|(point, _)| mine.sums(*point).rays == 0);
-                both.chain(new.map(|(_, sums)| (VertexSums::default(), *sums))).collect()
-            }
-            _ => unreachable!("both have the same settings"),
-        }
+    /// The sums of this builder and of another on the same leaves, at every vertex that rays touched in either.
+    pub fn paired(&self, other: &Self) -> Vec<(VertexSums, VertexSums)> {
+        self.posterior.paired(&other.posterior)
     }
 
     /// An empty builder with the same settings and limits.
-    pub(super) fn emptied(&self) -> Self {
-        let posterior = match self.settings.grid {
-            GridKind::Dense => AnyPosterior::Dense(DensePosterior::new(self.lattice)),
-            GridKind::Octree => self.empty_octree(self.limits.clone()),
-        };
+    fn emptied(&self) -> Self {
+        let posterior = P::empty(self.lattice, &self.limits, self.settings.tile);
         let (limits, wanted) = (self.limits.clone(), self.wanted.clone());
         Self { limits, wanted, posterior, surface: Vec::new(), visits: None, ..*self }
-    }
-
-    /// The sums at the vertices of `support`, in their order.
-    pub(super) fn sums_at(self, support: &Support) -> Vec<VertexSums> {
-        match (self.posterior, support) {
-            (AnyPosterior::Dense(posterior), _) => posterior.into_sums(),
-            (AnyPosterior::Octree(posterior), Support::Octree(octree)) => posterior.sums_at(octree),
-            (AnyPosterior::Octree(_), Support::Dense) => unreachable!("an octree's sums become an octree"),
-        }
-    }
-
-    /// Rays per vertex for which the limits were made; 0 without limits.
-    #[must_use]
-    pub fn rays_per_vertex(&self) -> f64 {
-        self.rays_per_vertex
-    }
-
-    fn posterior_mut(&mut self) -> &mut dyn Posterior {
-        match &mut self.posterior {
-            AnyPosterior::Dense(posterior) => posterior,
-            AnyPosterior::Octree(posterior) => posterior,
-        }
     }
 
     /// How the rays so far were drawn and summed.
     fn protocol(&self, provenance: &Provenance) -> Protocol {
         let (settings, stream) = (&self.settings, provenance.stream);
+        let volume = stream.and_then(|stream| stream.source.volume());
         Protocol {
             version: env!("CARGO_PKG_VERSION").into(),
             source: provenance.source.clone(),
@@ -275,7 +269,6 @@ impl FieldBuilder {
             shard: provenance.shard,
             lambda: settings.prior_precision(&self.lattice),
             scale: settings.scale,
-            prior: settings.prior,
             min_rays: settings.min_rays,
             criteria: settings.criteria,
             covariance: settings.covariance,
@@ -285,66 +278,165 @@ impl FieldBuilder {
             } else {
                 settings.tolerance
             },
-            march_step: stream.map(|s| s.tracer.marcher.step),
-            gradient: stream.map(|s| s.differentiation.method()),
-            difference_step: stream.and_then(|s| s.differentiation.difference_step()),
-            cutoff: stream.map(|s| s.tracer.marcher.cutoff),
-            background: stream.map(|s| s.tracer.background.to_array()),
+            march_step: volume.map(|volume| volume.tracer.marcher.step),
+            gradient: stream.map(|s| s.source.method()),
+            difference_step: volume.and_then(|volume| volume.differentiation.difference_step()),
+            cutoff: volume.map(|volume| volume.tracer.marcher.cutoff),
+            background: stream.map(|s| s.source.background()),
             pixel_offset: stream.map(|s| s.pixel_offset),
         }
     }
 
-    /// The octree of the field that the rays so far would give; none on a dense grid.
-    pub(super) fn octree(&mut self, provenance: &Provenance) -> Option<Octree> {
-        let protocol = self.protocol(provenance);
-        let AnyPosterior::Octree(posterior) = &self.posterior else { return None };
+    /// The vertices of the field that the rays so far would give, and how many they are.
+    pub fn vertices(&mut self, provenance: &Provenance) -> (P::Vertices, usize) {
+        let reading = self.protocol(provenance).reading();
+        // Of a part of a run, no vertex is negligible: the others may add to it.
+        let is_part = provenance.shard.is_some_and(|shard| shard.of > 1) || self.settings.tile.is_some();
+        let floor = if is_part { Refinement::EVERYTHING } else { reading.floor() };
         // There may be gigabytes of wanted cells.
-        let refinement = protocol.refinement(posterior, std::mem::take(&mut self.wanted));
-        let octree = posterior.octree(&refinement);
+        let wanted = std::mem::take(&mut self.wanted);
+        let refinement = Refinement::above(floor, &reading, self.settings.criteria, wanted);
+        let vertices = self.posterior.vertices(&refinement);
         self.wanted = refinement.wanted;
-        Some(octree)
+        let count = self.posterior.count(&vertices);
+        (vertices, count)
     }
 
     /// Computes the field from the rays so far.
-    #[must_use]
-    pub fn finish(self, provenance: &Provenance) -> UncertaintyField {
-        self.finish_on(None, provenance)
+    pub fn finish(mut self, provenance: &Provenance) -> UncertaintyField {
+        let (vertices, _) = self.vertices(provenance);
+        self.finish_at(vertices, provenance)
     }
 
-    /// [`FieldBuilder::finish`] with the [octree](FieldBuilder::octree) that was `made` for it, if it was.
-    pub(super) fn finish_on(mut self, made: Option<Octree>, provenance: &Provenance) -> UncertaintyField {
-        let octree = made.or_else(|| self.octree(provenance));
+    /// [`Builder::finish`] at the [vertices](Builder::vertices) that were found for it.
+    pub fn finish_at(self, vertices: P::Vertices, provenance: &Provenance) -> UncertaintyField {
         let protocol = self.protocol(provenance);
         let Self { settings, lattice, posterior, surface, visits, wanted, .. } = self;
         drop(wanted);
-        let field = match (posterior, octree) {
-            (AnyPosterior::Dense(posterior), _) => {
-                UncertaintyField::new(protocol, lattice, Support::Dense, posterior.into_sums())
-            }
-            (AnyPosterior::Octree(posterior), Some(octree)) => {
-                UncertaintyField::on_octree(protocol, lattice, posterior, octree, settings.keep_sums)
-            }
-            (AnyPosterior::Octree(_), None) => unreachable!("an octree was made of an octree's sums"),
-        };
+        let field = posterior.field(protocol, lattice, vertices, settings.keep_sums);
         let field = if settings.keep_sums { field } else { field.for_queries() };
         let visits = visits.map(|visits| visits.within(settings.tile, lattice.level()));
         field.with_surface(surface).with_visits(visits)
     }
+
+    /// Computes the field of all groups of rays, whose disagreement gives error bars.
+    ///
+    /// Each builder holds the sums of one group, all on the same leaves; the `draws` are theirs, and `progress` is that
+    /// of each. This takes the memory of one more group.
+    ///
+    /// # Errors
+    /// As [`Builder::want_density`].
+    pub fn finish_groups(
+        groups: Vec<Self>,
+        draws: Vec<Draw>,
+        progress: &[RunProgress],
+        provenance: &Provenance,
+    ) -> Result<UncertaintyField> {
+        let mut whole = groups[0].emptied();
+        groups.iter().for_each(|group| whole += group);
+        if let Some(stream) = provenance.stream {
+            whole.want_density(stream)?;
+        }
+        let (vertices, _) = whole.vertices(provenance);
+        let sums: Vec<_> = groups.into_iter().map(|group| group.posterior.gathered(&vertices)).collect();
+        let rays: Vec<u64> = progress.iter().map(|p| p.rays).collect();
+        Ok(whole.finish_at(vertices, provenance).with_error_bars(&sums, &rays).with_draws(draws))
+    }
 }
 
-impl AddAssign<&Self> for FieldBuilder {
+impl<P: Finish> AddAssign<&Self> for Builder<P> {
     /// Adds the sums of another builder with the same settings and limits, vertex by vertex.
     fn add_assign(&mut self, other: &Self) {
-        match (&mut self.posterior, &other.posterior) {
-            (AnyPosterior::Dense(mine), AnyPosterior::Dense(theirs)) => *mine += theirs,
-            (AnyPosterior::Octree(mine), AnyPosterior::Octree(theirs)) => *mine += theirs,
-            _ => unreachable!("both have the same settings"),
-        }
+        self.posterior += &other.posterior;
         self.keep_surface(other.surface.iter().copied());
         match (&mut self.visits, &other.visits) {
             (Some(mine), Some(theirs)) => *mine += theirs,
             (mine @ None, theirs) => mine.clone_from(theirs),
             (Some(_), None) => {}
         }
+    }
+}
+
+/// Builds an uncertainty field from ray samples, on the grid that the settings ask for.
+pub struct FieldBuilder(Kind);
+
+/// Either kind of grid.
+enum Kind {
+    Dense(Builder<DensePosterior>),
+    Octree(Builder<OctreePosterior>),
+}
+
+/// What a builder of either kind does.
+macro_rules! either {
+    ($kind:expr, $builder:ident => $call:expr) => {
+        match $kind {
+            Kind::Dense($builder) => $call,
+            Kind::Octree($builder) => $call,
+        }
+    };
+}
+
+impl FieldBuilder {
+    /// Creates a builder without information.
+    ///
+    /// # Errors
+    /// As [`GridSettings::lattice`].
+    pub fn new(settings: GridSettings, domain: Domain) -> Result<Self> {
+        Ok(Self(match settings.grid {
+            GridKind::Dense => Kind::Dense(Builder::new(settings, domain, None)?),
+            GridKind::Octree => Kind::Octree(Builder::new(settings, domain, None)?),
+        }))
+    }
+
+    /// Box and finest level.
+    #[must_use]
+    pub fn lattice(&self) -> &Lattice {
+        either!(&self.0, builder => builder.lattice())
+    }
+
+    /// Adds refinement where there is density, if the settings ask for it.
+    ///
+    /// # Errors
+    /// If there is no occupancy grid, or the number of cells exceeds what memory can hold.
+    pub fn want_density(&mut self, stream: &RayStream) -> Result<()> {
+        either!(&mut self.0, builder => builder.want_density(stream))
+    }
+
+    /// Takes surface points from rays that are spread over all of a run of `rays` rays.
+    pub(super) fn spread_surface(&mut self, rays: u64) {
+        either!(&mut self.0, builder => builder.spread_surface(rays));
+    }
+
+    /// Adds rays.
+    pub fn add(&mut self, batches: &[RaySamples]) {
+        either!(&mut self.0, builder => builder.add(batches));
+    }
+
+    /// Current size of the sums, bytes.
+    #[must_use]
+    pub fn memory(&self) -> usize {
+        either!(&self.0, builder => builder.memory())
+    }
+
+    /// Saves the state of the run `key` after the rays of `progress`.
+    ///
+    /// # Errors
+    /// If the file cannot be written.
+    pub fn save(&self, path: &Path, key: &RunKey, progress: RunProgress) -> Result<()> {
+        either!(&self.0, builder => builder.save(path, key, progress))
+    }
+
+    /// Restores the state of the run `key` and returns its progress, from which the run continues.
+    ///
+    /// # Errors
+    /// If the file is not the complete state of a run with the same description.
+    pub fn restore(&mut self, path: &Path, key: &RunKey) -> Result<RunProgress> {
+        either!(&mut self.0, builder => builder.restore(path, key))
+    }
+
+    /// Computes the field from the rays so far.
+    #[must_use]
+    pub fn finish(self, provenance: &Provenance) -> UncertaintyField {
+        either!(self.0, builder => builder.finish(provenance))
     }
 }

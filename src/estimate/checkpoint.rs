@@ -1,26 +1,46 @@
-//! The checkpoint of a long run: where its state is saved, and how often.
+//! The checkpoint of a long run, so that it survives Ctrl-C, `kill -9` and power cuts: where its state is saved, how
+//! often, and what the file holds.
+//!
+//! A container file with the sections `run` (the run and its progress, in bincode: only this program reads it), `keys`
+//! (u64, of vertices; empty for a dense grid), `sums` ([`VertexSums`], one per key, or per lattice point of a dense
+//! grid), `surface` and `visits`. Sums are kept bit for bit, and the run continues after the last counted ray. A
+//! resumed run therefore ends with the bits of an uninterrupted one. A run accepts only a state with its own
+//! description.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use super::FieldBuilder;
-use super::state::{self, RunKey};
-use crate::rays::RunProgress;
+use serde::{Deserialize, Serialize};
+
+use super::SURFACE_POINTS;
+use super::builder::{Builder, Finish};
+use crate::geometry::Lattice;
+use crate::io::container::{self, Format, Reader, Section};
+use crate::octree::{MaxLevels, Tile};
+use crate::posterior::{Posterior, VertexSums, Visits};
+use crate::rays::{Pixels, RunProgress, Shard};
+use crate::render::GradientMethod;
 use crate::{Error, Result};
 
-/// A file that lets a run survive Ctrl-C, `kill -9` and power cuts. The resumed run ends with the same bits.
+/// A file that lets a run survive Ctrl-C, `kill -9` and power cuts.
+///
+/// A run goes on from the file if it is there, and then ends with the same bits as without interruption. It refuses the
+/// state of another run.
 #[derive(Debug, Clone)]
 pub struct Checkpoint {
     path: PathBuf,
     every: Duration,
-    resume: bool,
+    restart: bool,
 }
 
 impl Checkpoint {
+    /// Time between two writes, unless [`Checkpoint::every`] sets another.
+    pub const EVERY: Duration = Duration::from_secs(60);
+
     /// Creates a checkpoint at `path`, written once a minute. A run in groups appends `.0`, `.1`, … for its groups.
     #[must_use]
     pub fn new(path: impl Into<PathBuf>) -> Self {
-        Self { path: path.into(), every: Duration::from_secs(60), resume: false }
+        Self { path: path.into(), every: Self::EVERY, restart: false }
     }
 
     /// Sets the time between two writes.
@@ -29,10 +49,22 @@ impl Checkpoint {
         Self { every, ..self }
     }
 
-    /// Resumes from the file if it exists. Otherwise an existing file is an error, because it may hold hours of work.
+    /// Starts over: a state that is there is not read, whatever run it is of, and replaced when there is another.
     #[must_use]
-    pub fn resume(self, resume: bool) -> Self {
-        Self { resume, ..self }
+    pub fn restart(self, restart: bool) -> Self {
+        Self { restart, ..self }
+    }
+
+    /// Where the state is saved.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Whether the run starts over.
+    #[must_use]
+    pub fn is_restart(&self) -> bool {
+        self.restart
     }
 
     /// The files of a run in `groups` groups, or of a run without groups.
@@ -46,21 +78,21 @@ impl Checkpoint {
         groups.map_or_else(|| vec![self.path.clone()], |n| (0..n).map(file).collect())
     }
 
-    /// Returns an error if a file would be overwritten.
-    pub(super) fn check(&self, files: &[PathBuf]) -> Result<()> {
-        match files.iter().find(|file| file.exists() && !self.resume) {
-            Some(file) => {
-                let found = format!("{}, the state of an unfinished run", file.display());
-                Err(Error::setting("checkpoint", "no file, or a run that resumes", found))
-            }
-            None => Ok(()),
-        }
+    /// Returns an error if a restart would replace a file that is no checkpoint.
+    pub(super) fn check(&self, groups: Option<u16>) -> Result<()> {
+        let files = if self.restart { self.files(groups) } else { Vec::new() };
+        files.iter().filter(|file| file.exists()).try_for_each(|file| progress(file).map(|_| ()))
+    }
+
+    /// Returns true if the run goes on from `file`.
+    pub(super) fn has(&self, file: &Path) -> bool {
+        !self.restart && file.exists()
     }
 
     /// Total number of rays in those files that exist and hold a complete state.
     #[must_use]
     pub fn rays(&self, groups: Option<u16>) -> u64 {
-        self.files(groups).iter().filter_map(|file| state::progress(file).ok()).map(|progress| progress.rays).sum()
+        self.files(groups).iter().filter_map(|file| progress(file).ok()).map(|progress| progress.rays).sum()
     }
 
     /// Removes the files of a run whose result is saved.
@@ -77,19 +109,19 @@ impl Checkpoint {
 /// Saves one builder's state at intervals; does nothing without a file.
 pub(super) struct Saver<'a> {
     file: Option<&'a Path>,
-    every: Duration,
+    checkpoint: Option<&'a Checkpoint>,
     saved: Instant,
 }
 
 impl<'a> Saver<'a> {
     /// Creates a saver for `file` with the interval of `checkpoint`.
-    pub fn new(checkpoint: Option<&Checkpoint>, file: Option<&'a Path>) -> Self {
-        Self { file, every: checkpoint.map_or(Duration::MAX, |c| c.every), saved: Instant::now() }
+    pub fn new(checkpoint: Option<&'a Checkpoint>, file: Option<&'a Path>) -> Self {
+        Self { file, checkpoint, saved: Instant::now() }
     }
 
     /// Restores the state in the file, if there is one, and returns its progress.
-    pub fn restore(&self, builder: &mut FieldBuilder, key: &RunKey) -> Result<RunProgress> {
-        match self.file.filter(|file| file.exists()) {
+    pub fn restore(&self, builder: &mut Builder<impl Finish>, key: &RunKey) -> Result<RunProgress> {
+        match self.file.filter(|file| self.checkpoint.is_some_and(|checkpoint| checkpoint.has(file))) {
             Some(file) => builder.restore(file, key),
             None => Ok(RunProgress::default()),
         }
@@ -98,11 +130,11 @@ impl<'a> Saver<'a> {
     /// Saves if the interval has passed.
     pub fn save_if_due(
         &mut self,
-        builder: &FieldBuilder,
+        builder: &Builder<impl Finish>,
         key: impl FnOnce() -> RunKey,
         progress: RunProgress,
     ) -> Result<()> {
-        if self.file.is_some() && self.saved.elapsed() >= self.every {
+        if self.checkpoint.is_some_and(|checkpoint| self.saved.elapsed() >= checkpoint.every) {
             self.save(builder, key, progress)
         } else {
             Ok(())
@@ -110,10 +142,202 @@ impl<'a> Saver<'a> {
     }
 
     /// Saves now.
-    pub fn save(&mut self, builder: &FieldBuilder, key: impl FnOnce() -> RunKey, progress: RunProgress) -> Result<()> {
+    pub fn save(
+        &mut self,
+        builder: &Builder<impl Finish>,
+        key: impl FnOnce() -> RunKey,
+        progress: RunProgress,
+    ) -> Result<()> {
         let Some(file) = self.file else { return Ok(()) };
         builder.save(file, &key(), progress)?;
         self.saved = Instant::now();
         Ok(())
     }
+}
+
+/// Fields of [`RunKey`] have no names in the file: a change there is a new version.
+const FORMAT: Format = (b"OCTOCHK\n", 1);
+/// Most bytes that the section `run` may claim. It takes some two hundred; only the source's name varies.
+const MOST: usize = 1 << 20;
+
+/// Everything that a sum depends on; a resumed run must match it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RunKey {
+    /// Version of this crate. Other versions may round or draw differently.
+    pub version: String,
+    /// The model, by its checksum.
+    pub source: String,
+    /// Checksum of the cameras in use. Their image size may come from a source other than the file.
+    pub cameras: u32,
+    /// Box and finest level.
+    pub lattice: Lattice,
+    /// The rays.
+    pub shard: Shard,
+    /// The method of choosing pixels.
+    pub pixels: Pixels,
+    /// Seed of pixels and jitter.
+    pub seed: u64,
+    /// Distance between samples, scene units.
+    pub march_step: f64,
+    /// Source of the field's derivatives.
+    pub gradient: GradientMethod,
+    /// Finite-difference step, scene units. Samples within this distance of matter are differentiated.
+    pub difference_step: [f64; 3],
+    /// Samples below this are left out.
+    pub cutoff: f64,
+    /// Cells per axis of the occupancy grid.
+    pub occupancy: u64,
+    /// Colour behind the scene.
+    pub background: [f32; 3],
+    /// Position of rays within their pixel.
+    pub pixel_offset: f64,
+    /// Rays per vertex for which the refinement limits were made; 0 for no limits.
+    pub rays_per_vertex: f64,
+    /// Checksum of these limits.
+    pub limits: u32,
+    /// The part of space whose sums are kept, if not all.
+    pub tile: Option<Tile>,
+}
+
+/// The section `run`.
+#[derive(Serialize, Deserialize)]
+struct Head {
+    key: RunKey,
+    progress: RunProgress,
+    dense: bool,
+}
+
+impl Head {
+    fn read(path: &Path) -> Result<(Self, Reader)> {
+        let ((), mut file) = Reader::open(path, FORMAT)?;
+        let bytes = file.section::<u8>("run")?;
+        let config = bincode::config::standard().with_limit::<MOST>();
+        match bincode::serde::decode_from_slice(&bytes, config) {
+            Ok((head, read)) if read == bytes.len() => Ok((head, file)),
+            decoded => {
+                let found =
+                    decoded.map_or_else(|e| e.to_string(), |(_, read)| format!("{read} of {} bytes", bytes.len()));
+                Err(Error::malformed(path, "section `run`", "the description of a run", found))
+            }
+        }
+    }
+}
+
+/// The state of a run that can be resumed.
+pub(super) struct State<P> {
+    /// The sums so far.
+    pub posterior: P,
+    /// Progress so far.
+    pub progress: RunProgress,
+    /// Points on visible surfaces so far, scene units.
+    pub surface: Vec<[f32; 3]>,
+    /// Rays seen passing so far, if known.
+    pub visits: Option<Visits>,
+}
+
+/// The sums as one section.
+struct Sums<'a, P>(&'a P);
+
+impl<P: Posterior> Section for Sums<'_, P> {
+    fn visit(&self, visit: &mut dyn FnMut(&[u8]) -> std::io::Result<()>) -> std::io::Result<()> {
+        self.0.slices().try_for_each(|sums| sums.visit(visit))
+    }
+}
+
+/// Writes a state. An older one under the same name is replaced only when the new one is complete.
+///
+/// # Errors
+/// If the folder is not writable or the disk is full.
+pub(super) fn save<P: Posterior>(
+    path: &Path,
+    key: &RunKey,
+    progress: RunProgress,
+    posterior: &P,
+    surface: &[[f32; 3]],
+    visits: Option<&Visits>,
+) -> Result<()> {
+    let head = Head { key: key.clone(), progress, dense: P::IS_DENSE };
+    let head = bincode::serde::encode_to_vec(head, bincode::config::standard())
+        .map_err(|e| Error::malformed(path, "section `run`", "an encodable description", e.to_string()))?;
+    let (keys, visits) = (posterior.keys(), visits.map_or(&[][..], Visits::counts));
+    let sections: [(&str, &dyn Section); 5] =
+        [("run", &head), ("keys", &keys), ("sums", &Sums(posterior)), ("surface", &surface), ("visits", &visits)];
+    container::write(path, FORMAT, &(), &sections)
+}
+
+/// The number of rays per vertex to which the saved run was limited. A memory budget may have increased it during
+/// the run.
+///
+/// # Errors
+/// If the file is missing or damaged.
+pub(super) fn rays_per_vertex(path: &Path) -> Result<f64> {
+    Head::read(path).map(|(head, _)| head.key.rays_per_vertex)
+}
+
+/// The progress of the saved run.
+///
+/// # Errors
+/// If the file is missing or damaged.
+fn progress(path: &Path) -> Result<RunProgress> {
+    Head::read(path).map(|(head, _)| head.progress)
+}
+
+/// Reads the state of a run with the description `key`, gathered on the leaves of `limits`.
+///
+/// # Errors
+/// If the file is missing, truncated, altered, or belongs to a run with another description.
+pub(super) fn load<P: Posterior>(
+    path: &Path,
+    key: &RunKey,
+    limits: &MaxLevels,
+    tile: Option<Tile>,
+) -> Result<State<P>> {
+    let (head, mut file) = Head::read(path)?;
+    if let Some((what, expected, found)) = first_difference(key, &head.key) {
+        let found = format!("{found}, of another run (a restart discards it)");
+        return Err(Error::malformed(path, format!("run, {what}"), expected, found));
+    }
+    if head.dense != P::IS_DENSE {
+        let name = |dense| if dense { "dense" } else { "octree" };
+        return Err(Error::malformed(path, "run, grid", name(P::IS_DENSE), name(head.dense)));
+    }
+    let keys = file.section::<u64>("keys")?;
+    let posterior = P::restore(key.lattice, limits, tile, &keys, file.section::<VertexSums>("sums")?);
+    let is_valid = |posterior: &P| posterior.slices().flatten().all(VertexSums::is_valid);
+    let posterior = posterior.filter(|posterior| is_valid(posterior) && key.shard.admits(&head.progress));
+    let posterior = posterior.ok_or_else(|| {
+        Error::malformed(
+            path,
+            "section `sums`",
+            "the sums of an unfinished run",
+            "keys, counts or sums that no such run gives",
+        )
+    })?;
+    let surface = file.section::<[f32; 3]>("surface")?;
+    if surface.len() > SURFACE_POINTS || !surface.iter().flatten().all(|v| v.is_finite()) {
+        let found = format!("{} points", surface.len());
+        let expected = format!("at most {SURFACE_POINTS} points with finite coordinates");
+        return Err(Error::malformed(path, "section `surface`", expected, found));
+    }
+    let visits = match file.section::<u32>("visits")? {
+        counts if counts.is_empty() => None,
+        counts => Some(Visits::from_counts(&key.lattice, counts).ok_or_else(|| {
+            Error::malformed(path, "section `visits`", "a count for every cell of the coarse grid", "another number")
+        })?),
+    };
+    Ok(State { posterior, progress: head.progress, surface, visits })
+}
+
+/// Name and values of the first setting that differs.
+fn first_difference(expected: &RunKey, found: &RunKey) -> Option<(String, String, String)> {
+    let fields = |key: &RunKey| match serde_json::to_value(key) {
+        Ok(serde_json::Value::Object(map)) => map,
+        _ => serde_json::Map::new(),
+    };
+    let (expected_fields, found_fields) = (fields(expected), fields(found));
+    let differing = expected_fields.iter().find(|(name, value)| found_fields.get(*name) != Some(value));
+    differing.map(|(name, value)| {
+        let other = found_fields.get(name).map_or("nothing".into(), ToString::to_string);
+        (name.clone(), value.to_string(), other)
+    })
 }

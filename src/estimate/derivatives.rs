@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use crate::monitor::Monitor;
-use crate::rays::{Purpose, RayStream, RunProgress, Shard};
+use crate::rays::{Purpose, RaySource, RayStream, RunProgress, Shard, VolumeRays};
 use crate::render::{Differentiation, GradientMethod};
 use crate::{Error, Result};
 
@@ -19,16 +19,18 @@ const TURNS: usize = 2;
 /// # Errors
 /// [`Error::Interrupted`] only.
 pub fn measure(stream: &RayStream, rays: u64, monitor: &dyn Monitor) -> Result<Option<f64>> {
-    let own = GradientMethod::Auto.of(stream.tracer.field)?;
-    if stream.differentiation.analytic.is_some() || own.is_none() {
+    let RaySource::Volume(volume) = &stream.source else { return Ok(None) };
+    let own = GradientMethod::Auto.of(volume.tracer.field)?;
+    if volume.differentiation.analytic.is_some() || own.is_none() {
         return Ok(None);
     }
     let shard = Shard::whole((rays / SHARE).clamp(1, MOST));
     let mut least = [Duration::MAX; 2];
     for _ in 0..TURNS {
         for (analytic, least) in [None, own].into_iter().zip(&mut least) {
-            let differentiation = Differentiation { analytic, ..stream.differentiation };
-            let stream = RayStream { differentiation, ..stream.for_purpose(Purpose::Pilot) };
+            let differentiation = Differentiation { analytic, ..volume.differentiation };
+            let source = RaySource::Volume(Box::new(VolumeRays { tracer: volume.tracer.clone(), differentiation }));
+            let stream = RayStream { source, ..stream.for_purpose(Purpose::Pilot) };
             let start = Instant::now();
             match stream.run(shard, RunProgress::default(), monitor, |_, _| Ok(())) {
                 // Of a few rays, too many may be at fault by chance; the run will tell.

@@ -1,24 +1,80 @@
-//! The settings of one run.
+//! The settings of a run.
 
-use super::run::Run;
-use super::{Checkpoint, GridSettings, Outcome, RaySettings};
+use super::{Checkpoint, GridSettings, RaySettings};
 use crate::field::RadianceField;
 use crate::geometry::{Camera, Domain, Lattice, Mask};
 use crate::monitor::{Monitor, Silent};
-use crate::rays::{RayStream, Shard};
+use crate::rays::{Pixels, RayStream, Shard};
 use crate::render::RaySamples;
-use crate::uncertainty::UncertaintyField;
+use crate::splats::Splats;
 use crate::{Error, Result};
 
 /// The rays that a run draws, and when it ends.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Goal {
-    /// Part `index` of `of` of the rays; the whole run is part 0 of 1.
-    Shard { index: u64, of: u64 },
+#[non_exhaustive]
+pub enum Goal {
+    /// A part of the rays; the whole run is part 0 of 1.
+    Shard {
+        /// Number of the part, from 0.
+        index: u64,
+        /// Number of parts.
+        of: u64,
+    },
     /// All rays, in this many independent groups; their disagreement gives error bars.
     Groups(u16),
     /// Rays until the mean error of log10 U is within this, decades.
     MeanError(f64),
+}
+
+impl Default for Goal {
+    fn default() -> Self {
+        Self::Shard { index: 0, of: 1 }
+    }
+}
+
+impl Goal {
+    /// What is asked for by a mean error in decades, a part as index and number of parts, or a number of groups; the
+    /// first that is given.
+    #[must_use]
+    pub fn of(mean_error: Option<f64>, part: Option<[u64; 2]>, groups: Option<u16>) -> Self {
+        match (mean_error, part, groups) {
+            (Some(decades), ..) => Self::MeanError(decades),
+            (_, Some([index, of]), _) => Self::Shard { index, of },
+            (.., Some(groups)) => Self::Groups(groups),
+            _ => Self::default(),
+        }
+    }
+
+    /// Number of groups, if there are any.
+    #[must_use]
+    pub fn groups(&self) -> Option<u16> {
+        match self {
+            Self::Groups(groups) => Some(*groups),
+            _ => None,
+        }
+    }
+}
+
+/// The model that a run is about.
+#[derive(Clone, Copy)]
+pub enum Subject<'a> {
+    /// Density and colour at points.
+    Volume(&'a dyn RadianceField),
+    /// Gaussian splats.
+    Splats(&'a Splats),
+}
+
+impl Subject<'_> {
+    /// The volume.
+    ///
+    /// # Errors
+    /// If it is splats, to which `what` does not apply.
+    pub fn volume(&self, what: &str) -> Result<&dyn RadianceField> {
+        match self {
+            Self::Volume(field) => Ok(*field),
+            Self::Splats(_) => Err(Error::setting(what, "a volume, whose rays are marched", "splats")),
+        }
+    }
 }
 
 /// Receives a run's samples as they are drawn.
@@ -43,7 +99,7 @@ pub(super) type Tap<'a> = Box<dyn FnMut(&[RaySamples]) -> Result<()> + 'a>;
 ///     .rays(RaySettings::default().rays(20_000).occupancy(48))
 ///     .grid(GridSettings::default().level(6))
 ///     .shard(0, 2)
-///     .checkpoint(Checkpoint::new(folder.path().join("run.chk")).resume(true))
+///     .checkpoint(Checkpoint::new(folder.path().join("run.chk")))
 ///     .run()?;
 /// outcome.field.write(&folder.path().join("part-0.oct"))?;
 /// # assert_eq!(outcome.progress.rays, 9_760);
@@ -51,7 +107,7 @@ pub(super) type Tap<'a> = Box<dyn FnMut(&[RaySamples]) -> Result<()> + 'a>;
 /// ```
 #[must_use]
 pub struct Estimation<'a> {
-    pub(super) field: &'a dyn RadianceField,
+    pub(super) subject: Subject<'a>,
     pub(super) cameras: &'a [Camera],
     pub(super) masks: &'a [Option<Mask>],
     pub(super) domain: Domain,
@@ -59,8 +115,6 @@ pub struct Estimation<'a> {
     pub(super) grid: GridSettings,
     pub(super) goal: Goal,
     pub(super) checkpoint: Option<Checkpoint>,
-    /// Levels below the grid's own that are summed from the same rays.
-    pub(super) coarser_levels: u8,
     pub(super) source: String,
     /// Checksum of the model's content, if known.
     pub(super) model: Option<u32>,
@@ -71,17 +125,30 @@ pub struct Estimation<'a> {
 impl<'a> Estimation<'a> {
     /// Creates a run for the uncertainty of `field` given its training `cameras`, over the field's own box.
     pub fn new(field: &'a dyn RadianceField, cameras: &'a [Camera]) -> Self {
+        Self::about(Subject::Volume(field), cameras, Domain::Box(field.bounds()), field.describe())
+    }
+
+    /// Creates a run for the uncertainty of `splats` given their training `cameras`, over the box of all centres.
+    ///
+    /// [`seen_domain`](crate::splats::seen_domain) is a better choice where stray splats lie far away. What only
+    /// volumes have is refused: a march step, finite differences, a cutoff, the criterion `density`, an audit. So are
+    /// a memory budget and a run to a mean error, which expect the first rays to be like the others: rays of splats are
+    /// drawn camera by camera.
+    pub fn of_splats(splats: &'a Splats, cameras: &'a [Camera]) -> Self {
+        Self::about(Subject::Splats(splats), cameras, Domain::Box(splats.bounds()), splats.describe())
+    }
+
+    fn about(subject: Subject<'a>, cameras: &'a [Camera], domain: Domain, source: String) -> Self {
         Self {
-            field,
+            subject,
             cameras,
             masks: &[],
-            domain: Domain::Box(field.bounds()),
+            domain,
             rays: RaySettings::default(),
             grid: GridSettings::default(),
-            goal: Goal::Shard { index: 0, of: 1 },
+            goal: Goal::default(),
             checkpoint: None,
-            coarser_levels: 0,
-            source: field.describe(),
+            source,
             model: None,
             monitor: &Silent,
             tap: None,
@@ -108,6 +175,11 @@ impl<'a> Estimation<'a> {
         Self { grid, ..self }
     }
 
+    /// Sets which rays are drawn, and when the run ends.
+    pub fn goal(self, goal: Goal) -> Self {
+        Self { goal, ..self }
+    }
+
     /// Draws only part `index` of `of` of the rays; [`merge`](crate::uncertainty::merge) joins the parts.
     pub fn shard(self, index: u64, of: u64) -> Self {
         Self { goal: Goal::Shard { index, of }, ..self }
@@ -127,20 +199,9 @@ impl<'a> Estimation<'a> {
         Self { goal: Goal::MeanError(decades), ..self }
     }
 
-    /// Saves the run's state in a file, from which it can be resumed.
+    /// Saves the run's state in a file, and goes on from there if the file is that of an interrupted run.
     pub fn checkpoint(self, checkpoint: Checkpoint) -> Self {
         Self { checkpoint: Some(checkpoint), ..self }
-    }
-
-    /// Also sums the rays on so many levels below the grid's own, at most [`MOST_COARSER`], so that
-    /// [`RayAverage::USpread`] and [`RayAverage::USpreadPerRootRay`] read the mean of log10 U over all of them. A level
-    /// has at most half as many vertices as the one before, on surfaces a quarter.
-    ///
-    /// [`MOST_COARSER`]: crate::uncertainty::UncertaintyField::MOST_COARSER
-    /// [`RayAverage::USpread`]: crate::render::RayAverage::USpread
-    /// [`RayAverage::USpreadPerRootRay`]: crate::render::RayAverage::USpreadPerRootRay
-    pub fn coarser_levels(self, coarser_levels: u8) -> Self {
-        Self { coarser_levels, ..self }
     }
 
     /// Sets a human-readable name of model and cameras for the result. The default is the field's description.
@@ -164,28 +225,13 @@ impl<'a> Estimation<'a> {
         Self { tap: Some(Box::new(tap)), ..self }
     }
 
-    /// Prepares everything that precedes the first ray: lattice, occupancy grid, and a plan if
-    /// memory or rays limit the octree.
-    ///
-    /// # Errors
-    /// If a setting is out of range, settings are incompatible, there is no camera, a checkpoint would be
-    /// overwritten or belongs to another run, the plan exceeds its budget, or the work was interrupted.
-    pub fn prepare(self) -> Result<Run<'a>> {
-        self.check()?;
-        Run::new(self)
-    }
-
-    /// Prepares the run and finishes it.
-    ///
-    /// # Errors
-    /// As [`Estimation::prepare`] and [`Run::finish`].
-    pub fn run(self) -> Result<Outcome> {
-        self.prepare()?.finish()
-    }
-
     /// The stream of training rays by these settings, differentiated for `lattice`.
     pub(super) fn stream(&self, rays: &RaySettings, lattice: &Lattice) -> Result<RayStream<'a>> {
-        rays.stream(self.field, self.cameras, lattice, self.monitor)?.with_masks(self.masks)
+        let stream = match self.subject {
+            Subject::Volume(field) => rays.stream(field, self.cameras, lattice, self.monitor),
+            Subject::Splats(splats) => rays.splat_stream(splats, self.cameras),
+        };
+        stream?.with_masks(self.masks)
     }
 
     /// The rays of the goal, if it draws one fixed set of them.
@@ -201,25 +247,28 @@ impl<'a> Estimation<'a> {
         self.model.map_or_else(|| self.source.clone(), |checksum| format!("model {checksum:08x}"))
     }
 
-    /// Number of groups of the goal, if it has any.
-    pub(super) fn groups(&self) -> Option<u16> {
-        match self.goal {
-            Goal::Groups(groups) => Some(groups),
-            _ => None,
-        }
-    }
-
     /// Rejects incompatible settings before any work is done.
-    fn check(&self) -> Result<()> {
+    pub(super) fn check(&self) -> Result<()> {
         if self.cameras.is_empty() {
             return Err(Error::setting("cameras", "at least one", "none"));
+        }
+        if let Subject::Splats(_) = self.subject {
+            let in_order = "a volume: rays of splats are drawn camera by camera, so that the first tell little";
+            let refused = [
+                (matches!(self.goal, Goal::MeanError(_)), "run to a mean error", in_order),
+                (self.grid.memory.is_some(), "memory budget", in_order),
+                (self.grid.criteria.density, "criterion `density`", "a volume, which has a density"),
+            ];
+            if let Some((_, what, expected)) = refused.into_iter().find(|(is_set, ..)| *is_set) {
+                return Err(Error::setting(what, expected, "splats"));
+            }
         }
         let shard = self.own_shard();
         if !shard.is_valid() || shard.own_rays() == 0 {
             let found = format!("part {} of {} of {} rays, which is empty", shard.index, shard.of, shard.rays);
             return Err(Error::setting("shard", "fewer parts than batches of 512 rays", found));
         }
-        if self.goal != (Goal::Shard { index: 0, of: 1 }) && self.tap.is_some() {
+        if self.goal != Goal::default() && self.tap.is_some() {
             return Err(Error::setting("samples as they are drawn", "a run of all rays in one group", "another"));
         }
         if self.tap.is_some() && (self.grid.memory.is_some() || self.checkpoint.is_some()) {
@@ -230,8 +279,11 @@ impl<'a> Estimation<'a> {
                 "one of them",
             ));
         }
-        self.check_levels()?;
         match self.goal {
+            Goal::Groups(_) | Goal::MeanError(_) if self.rays.pixels == Pixels::Every => {
+                let expected = "chosen ones, beside error bars or a mean error: every pixel leaves no such error";
+                Err(Error::setting("pixels", expected, "every pixel"))
+            }
             Goal::Groups(_) | Goal::MeanError(_) if self.grid.tile.is_some() => {
                 Err(Error::setting("tile", "a run of one set of rays", "error bars, or a run to a mean error"))
             }
@@ -247,23 +299,6 @@ impl<'a> Estimation<'a> {
             }
             _ => Ok(()),
         }?;
-        self.checkpoint.as_ref().map_or(Ok(()), |checkpoint| checkpoint.check(&checkpoint.files(self.groups())))
-    }
-
-    /// Rejects coarser levels that there cannot be.
-    fn check_levels(&self) -> Result<()> {
-        let (coarser, level) = (self.coarser_levels, self.grid.level);
-        let most = UncertaintyField::most_coarser(level);
-        if coarser > most {
-            let expected = format!("at most {most} below level {level}");
-            return Err(Error::setting("coarser levels", expected, coarser.to_string()));
-        }
-        let is_simple = self.goal == (Goal::Shard { index: 0, of: 1 }) && !self.grid.needs_plan();
-        if coarser > 0 && !(is_simple && self.checkpoint.is_none() && self.grid.tile.is_none()) {
-            let expected = "a run of a number of rays in one group, without a checkpoint, tile, memory budget \
-                            or criterion `ray-count`";
-            return Err(Error::setting("coarser levels", expected, "another"));
-        }
-        Ok(())
+        self.checkpoint.as_ref().map_or(Ok(()), |checkpoint| checkpoint.check(self.goal.groups()))
     }
 }

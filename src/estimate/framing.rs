@@ -7,7 +7,8 @@ use crate::geometry::{Aabb, Camera, Ray, inverted, opencv};
 pub(super) const RAYS: usize = 4096;
 /// Maximal number of cameras used, evenly spread over all.
 const CAMERAS: usize = 512;
-/// Fractions of rays below this are small. `tests/sight.rs` has values for correct and wrong settings of real models.
+/// Fractions of rays below this are small. `tests/accuracy/data/sight.rs` has values for correct and wrong settings of
+/// real models.
 pub(super) const LITTLE: f64 = 0.05;
 /// Fractions of cameras from this value on are large.
 pub(super) const MANY: f64 = 0.25;
@@ -38,6 +39,8 @@ pub(super) const WORLD_TO_CAMERA: &str = "world-to-camera matrices in place of c
 pub(super) struct View {
     pub camera: Camera,
     pub rays: Vec<Ray>,
+    /// Where on the image these are, pixels.
+    pub points: Vec<[f64; 2]>,
 }
 
 /// About `count` rays, equally many from each camera. All cameras use the same low-discrepancy sequence
@@ -51,7 +54,8 @@ pub(super) fn views(cameras: &[Camera], count: usize, pixel_offset: f64) -> Vec<
             let share = (0.5 + (n + 1) as f64 * [0.754_877_666_246_693, 0.569_840_290_998_053_3][axis]).fract();
             (share * f64::from(camera.resolution[axis])).floor() + pixel_offset
         };
-        View { camera, rays: (0..each).map(|n| camera.ray(pixel(n, 0), pixel(n, 1))).collect() }
+        let points: Vec<[f64; 2]> = (0..each).map(|n| [pixel(n, 0), pixel(n, 1)]).collect();
+        View { camera, rays: points.iter().map(|&[x, y]| camera.ray(x, y)).collect(), points }
     };
     (0..used).map(view).collect()
 }
@@ -66,7 +70,7 @@ impl Framing {
     pub(super) fn from_views(views: &[View], bounds: &Aabb) -> Self {
         let middle = 0.5 * (bounds.min() + bounds.max());
         let mut sums = [0.0; 6];
-        for View { camera, rays } in views {
+        for View { camera, rays, .. } in views {
             let meets = |ray: &Ray| bounds.clip(ray).is_some();
             // The share of the rays that meet the box if another camera took the picture.
             let share = |other: &Camera| {

@@ -4,12 +4,13 @@ use derive_setters::Setters;
 
 use crate::geometry::{Domain, Lattice};
 use crate::octree::Tile;
-use crate::posterior::{Covariance, Criteria, DensePosterior, Prior, Scale};
+use crate::posterior::{Covariance, Criteria, DensePosterior, Scale};
 use crate::{Error, Result};
 
 /// The structure that carries the field.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum GridKind {
     /// Adaptive octree, finest where rays are sensitive
@@ -37,19 +38,18 @@ pub struct GridSettings {
     /// Largest change of log10 U due to coarse leaves. Smaller values keep more vertices; 0 keeps all that any
     /// ray moved.
     pub tolerance: f64,
-    /// The dependence of λ on cell size.
-    pub prior: Prior,
     /// Approximate ray count below which a vertex borrows from its neighbours ([`crate::posterior::Pooling`]). 0
     /// pools nothing, as on the dense grid of the paper.
     pub min_rays: f64,
     /// Criteria for refining the octree.
     pub criteria: Criteria,
+    /// With [`Criterion::RayCount`](crate::posterior::Criterion::RayCount), approximate number of rays per vertex below
+    /// which leaves stay coarser.
+    pub ray_count: f64,
     /// Maximal peak memory of the process, bytes; `None` for no limit. Leaves stay coarser where it is short, so a
     /// field under a budget depends on what the process takes beside it.
     #[setters(into)]
     pub memory: Option<u64>,
-    /// Number of points on visible surfaces to keep for comparisons.
-    pub surface_points: usize,
     /// The part of space whose sums are kept; [`merge`](crate::uncertainty::merge) joins the tiles. `None` for all of
     /// it.
     #[setters(into)]
@@ -68,11 +68,10 @@ impl Default for GridSettings {
             lambda: None,
             scale: Scale::Paper,
             tolerance: 0.01,
-            prior: Prior::Uniform,
             min_rays: 0.0,
             criteria: Criteria::default(),
+            ray_count: 4.0,
             memory: None,
-            surface_points: 16_384,
             tile: None,
             keep_sums: true,
         }
@@ -86,11 +85,7 @@ impl GridSettings {
     /// Rays per vertex below which leaves stay coarser; 0 for no such limit.
     #[must_use]
     pub fn rays_per_vertex(&self) -> f64 {
-        match (self.criteria.ray_count, self.min_rays) {
-            (false, _) => 0.0,
-            (true, 0.0) => 4.0,
-            (true, min_rays) => min_rays,
-        }
+        if self.criteria.ray_count { self.ray_count } else { 0.0 }
     }
 
     /// Whether the run needs a plan.
@@ -118,6 +113,10 @@ impl GridSettings {
             let gigabytes = DensePosterior::required_memory(&lattice) as f64 / 1e9;
             let found = format!("level {}, which needs {gigabytes:.0} GB (an octree does not)", self.level);
             return Err(Error::setting("dense grid", format!("a level up to {MAX_DENSE_LEVEL}"), found));
+        }
+        if self.grid == GridKind::Dense && self.criteria != Criteria::default() {
+            let found = format!("{} on a dense grid", self.criteria);
+            return Err(Error::setting("criteria", "an octree, which is refined by them", found));
         }
         if let (Scale::Data(data), Some(lambda)) = (self.scale, self.lambda) {
             let expected = format!("none: the scale of the training pixels has {:e}", data.lambda());

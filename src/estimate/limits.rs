@@ -1,6 +1,9 @@
 //! The limits of a run's memory: its plan, and what becomes of it when rays or field take more or less.
 
+use std::ops::ControlFlow;
+
 use super::{Plan, Planner, Summed};
+use crate::{Error, Result};
 
 /// Limits to the memory of a run.
 #[derive(Default)]
@@ -45,19 +48,31 @@ impl Limits {
         self.plan = Some(plan);
     }
 
-    /// Whether a run whose sums came to `summed` would exceed the budget if it were finished now.
-    pub(super) fn is_exceeded(&self, summed: Summed) -> bool {
-        self.budget.zip(self.plan.as_ref()).is_some_and(|(budget, plan)| plan.peak_of(summed) > budget as f64)
+    /// Whether a run whose sums came to `summed` after the fraction `done` of its rays goes on, or starts over with a
+    /// better plan.
+    ///
+    /// # Errors
+    /// If the budget is exceeded, and nothing is left to give up.
+    pub(super) fn verdict(&mut self, done: f64, summed: Summed) -> Result<ControlFlow<Plan>> {
+        if self.is_exceeded(summed) {
+            return self.coarser(done, summed).map(ControlFlow::Break).ok_or_else(|| {
+                let found = format!("{} MB, used up on the coarsest leaves", self.budget.unwrap_or(0) / 1_000_000);
+                Error::setting("memory budget", "room for the field, or a lower level or fewer rays", found)
+            });
+        }
+        let is_due = self.budget.is_some() && !self.is_compared && done >= COMPARED_AT;
+        let better = if is_due { self.better(done, summed) } else { None };
+        Ok(better.map_or(ControlFlow::Continue(()), ControlFlow::Break))
     }
 
-    /// Whether it is time to compare the plan with what the fraction `done` of the rays took.
-    pub(super) fn is_due(&self, done: f64) -> bool {
-        self.budget.is_some() && !self.is_compared && done >= COMPARED_AT
+    /// Whether a run whose sums came to `summed` would exceed the budget if it were finished now.
+    fn is_exceeded(&self, summed: Summed) -> bool {
+        self.budget.zip(self.plan.as_ref()).is_some_and(|(budget, plan)| plan.peak_of(summed) > budget as f64)
     }
 
     /// A better plan, if there is one, for a run whose sums came to `summed` after the fraction `done` of its
     /// rays. Another plan is only better than one within the budget if that leaves much of it unused.
-    pub(super) fn better(&mut self, done: f64, summed: Summed) -> Option<Plan> {
+    fn better(&mut self, done: f64, summed: Summed) -> Option<Plan> {
         let (planner, plan, budget) = (self.planner.as_mut()?, self.plan.as_ref()?, self.budget? as f64);
         self.is_compared = true;
         planner.correct(plan, done, summed);
@@ -68,7 +83,7 @@ impl Limits {
     }
 
     /// A coarser plan, if there is one, for a run that exceeded its budget after the fraction `done` of its rays.
-    pub(super) fn coarser(&mut self, done: f64, summed: Summed) -> Option<Plan> {
+    fn coarser(&mut self, done: f64, summed: Summed) -> Option<Plan> {
         let (planner, plan, budget) = (self.planner.as_mut()?, self.plan.as_ref()?, self.budget? as f64);
         // Where leaves fill up early, the sums of the first rays foretell too little: every further plan aims lower.
         self.overflows += 1;

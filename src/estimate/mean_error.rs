@@ -7,7 +7,8 @@
 
 use rayon::prelude::*;
 
-use super::{FieldBuilder, GridSettings};
+use super::GridSettings;
+use super::builder::{Builder, Finish};
 use crate::Result;
 use crate::geometry::Domain;
 use crate::metrics::quantile;
@@ -47,7 +48,7 @@ impl SamplingError {
 }
 
 /// One half of the rays: its sums and its progress.
-type Half = (FieldBuilder, RunProgress);
+type Half<P> = (Builder<P>, RunProgress);
 
 /// Draws two halves of rays until the estimated mean error of log10 U is within `decades`, or `most` rays are drawn.
 ///
@@ -55,18 +56,18 @@ type Half = (FieldBuilder, RunProgress);
 ///
 /// # Errors
 /// As [`RayStream::run`].
-pub(super) fn draw(
+pub(super) fn draw<P: Finish>(
     stream: &RayStream,
     settings: GridSettings,
     domain: Domain,
     decades: f64,
     most: u64,
     monitor: &dyn Monitor,
-) -> Result<([Half; 2], SamplingError)> {
+) -> Result<([Half<P>; 2], SamplingError)> {
     let other_pixels = stream.for_purpose(Purpose::SecondHalf);
     let streams = [stream, &other_pixels];
-    let half = || Ok((FieldBuilder::new(settings, domain)?, RunProgress::default()));
-    let mut halves: [Half; 2] = [half()?, half()?];
+    let half = || Ok((Builder::new(settings, domain, None)?, RunProgress::default()));
+    let mut halves: [Half<P>; 2] = [half()?, half()?];
     let mut rays = FIRST.min(most);
     loop {
         for ((builder, progress), stream) in halves.iter_mut().zip(streams) {
@@ -85,12 +86,12 @@ pub(super) fn draw(
 }
 
 /// The draws of the two halves of `stream`'s rays.
-pub(super) fn draws(stream: &RayStream, halves: &[Half; 2]) -> Vec<Draw> {
+pub(super) fn draws<P>(stream: &RayStream, halves: &[Half<P>; 2]) -> Vec<Draw> {
     let [first, second] = halves.each_ref().map(|half| Shard::whole(half.1.rays));
     vec![stream.draw(first), stream.for_purpose(Purpose::SecondHalf).draw(second)]
 }
 
-impl FieldBuilder {
+impl<P: Finish> Builder<P> {
     /// log10 U of this builder and of another, each with half of `rays`, at the vertices that both together
     /// move by more than half a decade.
     fn both(&self, other: &Self, rays: u64) -> Vec<(f64, f64)> {
@@ -111,7 +112,7 @@ impl FieldBuilder {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::estimate::{Estimation, GridKind, Outcome, RaySettings};
+    use crate::estimate::{Estimation, GridKind, Outcome, RayError, RaySettings};
     use crate::field::ClosedForm;
     use crate::posterior::Criterion;
     use crate::uncertainty::MOVED;
@@ -122,7 +123,7 @@ mod tests {
         let rays = RaySettings { rays: most, ..RaySettings::default() };
         let grid = GridSettings { grid, level: 5, ..GridSettings::default() };
         let outcome = Estimation::new(&field, &cameras).rays(rays).grid(grid).until_mean_error(decades).run().unwrap();
-        let error = outcome.sampling_error.unwrap();
+        let Some(RayError::Halves(error)) = outcome.errors.rays else { panic!("{:?}", outcome.errors) };
         (outcome, error)
     }
 

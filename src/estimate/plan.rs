@@ -9,7 +9,7 @@
 
 use std::time::{Duration, Instant};
 
-use super::{GridKind, GridSettings, RaySettings};
+use super::{GridKind, GridSettings, RaySettings, SURFACE_POINTS};
 use crate::geometry::Lattice;
 use crate::io::memory;
 use crate::monitor::Monitor;
@@ -18,6 +18,7 @@ use crate::posterior::{
     AT_ONCE, CONTRIBUTION_BYTES, Census, DensePosterior, FactoredSums, Needs, PilotCounts, VertexSums, spare_bytes,
 };
 use crate::rays::{Purpose, RayStream, RunProgress, Shard};
+use crate::splats::Use;
 use crate::{Error, Result};
 
 /// Bytes per vertex of deviation and ray count, in memory and in the file.
@@ -109,6 +110,29 @@ struct Correction {
     vertices: f64,
 }
 
+/// What it takes to prepare views, if they have to be: this does not grow with the number of rays.
+struct Preparing {
+    /// Time for one view.
+    view: Duration,
+    /// Number of views that the pilot prepares, and that the run does.
+    of_pilot: u32,
+    of_run: u32,
+}
+
+impl Preparing {
+    fn measure(pilot: &RayStream) -> Option<Self> {
+        let splats = pilot.source.splats()?;
+        let timed = |_| {
+            let start = Instant::now();
+            drop(splats.prepare(&pilot.cameras[pilot.cameras.len() / 2], Use::Derivatives));
+            start.elapsed()
+        };
+        // The first one finds nothing in the cache.
+        let (view, of_run) = ((0..2).map(timed).min()?, pilot.cameras.len() as u32);
+        Some(Self { view, of_pilot: pilot.cameras_in_use() as u32, of_run })
+    }
+}
+
 /// A pilot run, from which plans are made.
 pub struct Planner {
     settings: GridSettings,
@@ -153,12 +177,17 @@ impl Planner {
             _ => Self::PILOT.min(cheap),
         };
         let pilot = Shard::whole(pilot);
-        let start = Instant::now();
         // Limits by ray count alone are exact.
         let is_exact = settings.memory.is_none() && settings.rays_per_vertex() > 0.0;
         let mut census = Census::new(lattice, if is_exact { usize::MAX } else { FEW }, settings.needs_plan());
         let mut outside = 0.0_f64;
-        let stream = stream.for_purpose(Purpose::Pilot);
+        let mut stream = stream.for_purpose(Purpose::Pilot);
+        if !settings.needs_plan() && settings.tile.is_none() {
+            // Only a forecast depends on these rays.
+            stream = stream.through_few_cameras();
+        }
+        let preparing = Preparing::measure(&stream);
+        let start = Instant::now();
         stream.run(pilot, RunProgress::default(), monitor, |batches, _| {
             let here = memory::resident().map_or(0.0, |bytes| bytes as f64 - census.memory() as f64);
             outside = outside.max(here);
@@ -175,7 +204,7 @@ impl Planner {
         let vertices_unlimited = census.needs(own_scale, &MaxLevels::none(lattice.level()), settings.tile).vertices;
         let outside = match shard.of {
             1 => ((outside + lists + RESERVE) / GRAIN).ceil() * GRAIN,
-            _ => OF_A_PART + stream.tracer.field.memory() as f64 + lists,
+            _ => OF_A_PART + stream.source.memory() as f64 + lists,
         };
         Ok(Self {
             settings,
@@ -188,7 +217,12 @@ impl Planner {
             is_part: shard.of > 1 || settings.tile.is_some(),
             outside,
             correction: Correction { sums: 1.0, vertices: 1.0 },
-            time: start.elapsed().mul_f64(own_scale),
+            time: match preparing {
+                None => start.elapsed().mul_f64(own_scale),
+                Some(Preparing { view, of_pilot, of_run }) => {
+                    start.elapsed().saturating_sub(view * of_pilot).mul_f64(own_scale) + view * of_run
+                }
+            },
         })
     }
 
@@ -240,7 +274,7 @@ impl Planner {
             finishing: vertices * (VALUES + structure + f64::max(building, gathered as f64)),
             spare: spare as f64,
             outside,
-            file: vertices * (VALUES + stored + in_file) + 12.0 * self.settings.surface_points as f64,
+            file: vertices * (VALUES + stored + in_file) + 12.0 * SURFACE_POINTS as f64,
             time: self.time,
             given_up,
         }

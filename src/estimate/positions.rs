@@ -48,11 +48,12 @@ impl PositionCheck {
         tolerance: f64,
         monitor: &dyn Monitor,
     ) -> Result<Self> {
-        let field = stream.tracer.field;
-        let mut found = Self::of_box(lattice, &field.bounds());
-        if found.is_bad || found.edges < FINE {
+        let mut found = Self::of_box(lattice, &stream.source.bounds());
+        // Splats are where they are: they have no density that changes between two positions.
+        let Some(volume) = stream.source.volume().filter(|_| !found.is_bad && found.edges >= FINE) else {
             return Ok(found);
-        }
+        };
+        let field = volume.tracer.field;
         let points = super::step::surface_points(stream, super::step::SEED, monitor)?;
         let next = |(i, x): (usize, &Vec3)| *x + found.apart as f32 * Vec3::AXES[i % 3];
         let moved: Vec<Vec3> = points.iter().enumerate().map(next).collect();

@@ -3,13 +3,13 @@
 use derive_setters::Setters;
 use glam::{DVec3, Vec3};
 
-use super::{FieldBuilder, GridSettings, PositionCheck};
-use crate::estimate::state::RunKey;
+use super::PositionCheck;
 use crate::field::RadianceField;
 use crate::geometry::{Aabb, Camera, Domain, Lattice};
 use crate::monitor::Monitor;
-use crate::rays::{PixelSequence, Pixels, RayStream, Shard};
+use crate::rays::{PixelSequence, Pixels, RaySource, RayStream, VolumeRays};
 use crate::render::{Differences, Differentiation, GradientMethod, LONGEST_STEP, Marcher, Occupancy, Stencil, Tracer};
+use crate::splats::{SplatRenderer, Splats};
 use crate::{Error, Result};
 
 /// Finite-difference step in lattice edges, unless f32 positions need more.
@@ -33,7 +33,7 @@ const MAX_STEPS: f64 = 65_536.0;
 #[derive(Debug, Clone, Copy, PartialEq, Setters)]
 #[non_exhaustive]
 pub struct RaySettings {
-    /// R, the number of rays.
+    /// R, the number of rays. [`Pixels::Every`] replaces it by the number of pixels that masks keep.
     pub rays: u64,
     /// The method of choosing pixels.
     pub pixels: Pixels,
@@ -126,37 +126,10 @@ impl RaySettings {
         self.pixel_offset.unwrap_or_else(|| field.pixel_offset())
     }
 
-    /// The description of a run of `shard` of these rays into `builder`, which a resumed run must match. `source`
-    /// names the model, whatever its path.
+    /// The same through splats: the centre, if none is set.
     #[must_use]
-    pub fn run_key(
-        &self,
-        source: String,
-        shard: Shard,
-        stream: &RayStream,
-        grid: &GridSettings,
-        builder: &FieldBuilder,
-    ) -> RunKey {
-        RunKey {
-            version: env!("CARGO_PKG_VERSION").into(),
-            source,
-            cameras: stream.cameras_checksum(),
-            lattice: *builder.lattice(),
-            shard,
-            pixels: self.pixels,
-            seed: self.seed,
-            march_step: stream.tracer.marcher.step,
-            gradient: stream.differentiation.method(),
-            difference_step: stream.differentiation.differences.step.to_array(),
-            cutoff: stream.tracer.marcher.cutoff,
-            occupancy: self.occupancy as u64,
-            background: stream.tracer.background.to_array(),
-            pixel_offset: stream.pixel_offset,
-            surface_points: grid.surface_points as u64,
-            rays_per_vertex: builder.rays_per_vertex(),
-            limits: crc32fast::hash(format!("{:?}", builder.limits().packed()).as_bytes()),
-            tile: grid.tile,
-        }
+    pub fn offset_for_splats(&self) -> f64 {
+        self.pixel_offset.unwrap_or(0.5)
     }
 
     /// The stream of rays from `cameras` through `field`, differentiated for `lattice`.
@@ -171,6 +144,25 @@ impl RaySettings {
         lattice: &Lattice,
         monitor: &dyn Monitor,
     ) -> Result<RayStream<'a>> {
+        Ok(RayStream {
+            source: RaySource::Volume(Box::new(self.volume(field, lattice, monitor)?)),
+            cameras,
+            pixel_offset: self.offset_for(field),
+            reach: None,
+            pixels: PixelSequence::new(self.pixels, self.seed, cameras.iter().map(|c| c.resolution).collect()),
+        })
+    }
+
+    /// `field` as training rays see it, differentiated for `lattice`.
+    ///
+    /// # Errors
+    /// As [`RaySettings::stream`].
+    pub fn volume<'a>(
+        &self,
+        field: &'a dyn RadianceField,
+        lattice: &Lattice,
+        monitor: &dyn Monitor,
+    ) -> Result<VolumeRays<'a>> {
         let differentiation = self.differentiation(field, lattice)?;
         // h is largest at the corner of the field's box that is farthest from the contraction's centre.
         let bounds = field.bounds();
@@ -180,23 +172,49 @@ impl RaySettings {
         let differences = &differentiation.differences;
         let farthest = (0..8).map(|c| differences.reach(corner(c).as_vec3())).fold(DVec3::ZERO, DVec3::max);
         let tracer = self.tracer(field, farthest.max_element(), monitor)?;
-        Ok(RayStream {
-            tracer,
-            differentiation,
-            cameras,
-            pixel_offset: self.offset_for(field),
-            reach: None,
-            pixels: PixelSequence::new(self.pixels, self.seed, cameras.iter().map(|c| c.resolution).collect()),
-        })
+        Ok(VolumeRays { tracer, differentiation })
     }
 }
 
 impl RaySettings {
+    /// The stream of rays from `cameras` through `splats`. Their images are differentiated exactly, splat by splat.
+    ///
+    /// # Errors
+    /// If a setting is that of a volume (march step, derivatives, finite-difference step, cutoff, occupancy grid), if
+    /// pixels are drawn at random, a lens distorts, or the pixel offset is no share.
+    pub fn splat_stream<'a>(&self, splats: &'a Splats, cameras: &'a [Camera]) -> Result<RayStream<'a>> {
+        let defaults = Self::default();
+        let of_volumes = [
+            ("march step", self.march_step.map(|step| format!("{step:e}"))),
+            ("finite-difference step", self.step.map(|step| format!("{step:e}"))),
+            ("gradient", (self.gradient != defaults.gradient).then(|| format!("{:?}", self.gradient))),
+            ("cutoff", (self.cutoff != defaults.cutoff).then(|| format!("{:e}", self.cutoff))),
+            ("occupancy", (self.occupancy != defaults.occupancy).then(|| self.occupancy.to_string())),
+            ("pixels", (self.pixels == Pixels::Random).then(|| format!("{:?}", self.pixels))),
+        ];
+        if let Some((what, found)) = of_volumes.into_iter().find_map(|(what, found)| Some((what, found?))) {
+            return Err(Error::setting(what, "no value for splats, to which it does not apply", found));
+        }
+        let pixel_offset = self.offset_for_splats();
+        if !(0.0..=1.0).contains(&pixel_offset) {
+            return Err(Error::setting("pixel offset", "a number from 0 to 1", format!("{pixel_offset:e}")));
+        }
+        SplatRenderer::check_cameras(cameras)?;
+        Ok(RayStream {
+            source: RaySource::Splats(SplatRenderer::new(splats, self.background)),
+            cameras,
+            pixel_offset,
+            reach: None,
+            pixels: PixelSequence::new(self.pixels, self.seed, cameras.iter().map(|c| c.resolution).collect()),
+        })
+    }
+
     /// How `field` is differentiated for `lattice`.
     ///
     /// # Errors
     /// If the field does not provide the requested derivatives, if the finite-difference step is longer than an edge,
-    /// or if the spacing of f32 positions exceeds the step or, without one, an edge of the lattice.
+    /// or stands beside derivatives of the field's own, or if the spacing of f32 positions exceeds the step or, without
+    /// one, an edge of the lattice.
     pub fn differentiation<'a>(&self, field: &'a dyn RadianceField, lattice: &Lattice) -> Result<Differentiation<'a>> {
         if let Some(step) = self.step.filter(|&step| !(step > 0.0 && step <= 1.0)) {
             // A longer step reaches over the neighbouring vertices: it is no derivative of this one's displacement.
@@ -205,6 +223,10 @@ impl RaySettings {
         }
         let differences = self.differences(lattice, &field.bounds());
         let analytic = self.gradient.of(field)?;
+        if let (Some(_), Some(step)) = (analytic, self.step) {
+            let expected = "none: the derivatives are the model's own (--gradient finite-difference takes a step)";
+            return Err(Error::setting("finite-difference step", expected, format!("{step:e} edges")));
+        }
         match analytic {
             None => check_resolution(&differences, &field.bounds())?,
             Some(_) => check_positions(lattice, &field.bounds())?,

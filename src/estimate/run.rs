@@ -1,31 +1,27 @@
-//! A prepared run, and how it draws its rays.
+//! A run, from its settings to a field: what is asked before its first ray, and how it draws its rays.
 
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use glam::DVec3;
 
-use super::checkpoint::Saver;
+use super::builder::{Builder, Finish};
+use super::checkpoint::{Saver, rays_per_vertex};
 use super::derivatives;
-use super::estimation::{Estimation, Goal, Tap};
-use super::groups::{self, RayGroup};
+use super::estimation::{Estimation, Goal};
 use super::limits::{COMPARED_AT, Limits};
 use super::mean_error;
-use super::state;
 use super::{
-    Audit, FieldBuilder, GridKind, Plan, Planner, PositionCheck, Provenance, RaySettings, SamplingError, Sight,
-    StepCheck, Summed,
+    Audit, ErrorBudget, FieldBuilder, GridKind, GridSettings, Plan, Planner, PositionCheck, Provenance, RayError,
+    Sight, StepCheck, Summed,
 };
-use crate::geometry::{Aabb, Lattice};
-use crate::octree::{Leaves, Octree};
-use crate::posterior::Visits;
-use crate::rays::{RayStream, RunProgress, Shard};
+use crate::geometry::{Aabb, Lattice, kept_pixels};
+use crate::octree::Leaves;
+use crate::posterior::{DensePosterior, OctreePosterior, Visits};
+use crate::rays::{End, Pixels, Purpose, RayStream, RunProgress, Shard};
 use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
-
-/// The most vertices of a level relative to those of the next finer one: half, where rays are so few that they touch
-/// vertices along lines. On surfaces it is a quarter, in fog an eighth.
-const COARSER: f64 = 0.5;
 
 /// A finished run.
 #[derive(Debug, Clone)]
@@ -43,15 +39,15 @@ pub struct Outcome {
     pub plan: Option<Plan>,
     /// Whether the rays took more or less memory than planned, so that the run started over with another plan.
     pub is_replanned: bool,
-    /// Estimated error of log10 U, if the run was to reach a mean error.
-    pub sampling_error: Option<SamplingError>,
+    /// How far log10 U is from its limit, as far as the run knows.
+    pub errors: ErrorBudget,
 }
 
 /// A prepared run before its first ray; see [`Estimation::prepare`].
 pub struct Run<'a> {
-    pub(super) estimation: Estimation<'a>,
+    settings: Estimation<'a>,
     lattice: Lattice,
-    pub(super) stream: RayStream<'a>,
+    stream: RayStream<'a>,
     pub(super) limits: Limits,
 }
 
@@ -59,50 +55,73 @@ pub struct Run<'a> {
 struct Part<'r> {
     stream: &'r RayStream<'r>,
     shard: Shard,
-    seed: u64,
     file: Option<&'r Path>,
 }
 
 /// What was drawn.
-pub(super) struct Drawn {
-    pub(super) progress: RunProgress,
+struct Drawn<P: Finish> {
+    progress: RunProgress,
     /// Time spent on summing.
-    pub(super) summing: Duration,
-    /// The octree of the field, if it was made to see whether the field fits the budget.
-    pub(super) octree: Option<Octree>,
+    summing: Duration,
+    /// The vertices of the field, if they were found to see whether the field fits the budget.
+    vertices: Option<P::Vertices>,
+}
+
+impl<'a> Estimation<'a> {
+    /// Prepares everything that precedes the first ray: lattice, occupancy grid, and a plan if
+    /// memory or rays limit the octree.
+    ///
+    /// # Errors
+    /// If a setting is out of range, settings are incompatible, there is no camera, a checkpoint belongs to another
+    /// run, the plan exceeds its budget, or the work was interrupted.
+    pub fn prepare(self) -> Result<Run<'a>> {
+        Run::new(self)
+    }
+
+    /// Prepares the run and finishes it.
+    ///
+    /// # Errors
+    /// As [`Estimation::prepare`] and [`Run::finish`].
+    pub fn run(self) -> Result<Outcome> {
+        self.prepare()?.finish()
+    }
 }
 
 impl<'a> Run<'a> {
-    pub(super) fn new(estimation: Estimation<'a>) -> Result<Self> {
-        let Estimation { domain, rays, grid, .. } = &estimation;
-        let lattice = grid.lattice(*domain)?;
-        let stream = estimation.stream(rays, &lattice)?;
-        let limits = Limits::within(grid.memory);
-        let mut run = Self { estimation, lattice, stream, limits };
-        if run.estimation.grid.needs_plan() {
+    fn new(mut settings: Estimation<'a>) -> Result<Self> {
+        if settings.rays.pixels == Pixels::Every {
+            settings.rays.rays = kept_pixels(settings.cameras, settings.masks);
+        }
+        settings.check()?;
+        let lattice = settings.grid.lattice(settings.domain)?;
+        let stream = settings.stream(&settings.rays, &lattice)?;
+        let limits = Limits::within(settings.grid.memory);
+        let mut run = Self { settings, lattice, stream, limits };
+        if run.settings.grid.needs_plan() {
             let planner = run.pilot(&run.stream)?;
             let mut plan = planner.plan()?;
             // The interrupted run's plan depends on its budget, and on what its process took beside.
             let files = run.files();
             if run.limits.budget.is_some()
                 && let [Some(file)] = files.as_slice()
-                && file.exists()
+                && run.settings.checkpoint.as_ref().is_some_and(|checkpoint| checkpoint.has(file))
             {
-                plan = planner.with_rays_per_vertex(state::rays_per_vertex(file)?);
+                plan = planner.with_rays_per_vertex(rays_per_vertex(file)?);
             }
-            run.estimation.grid.tile = planner.tile();
+            run.settings.grid.tile = planner.tile();
             (run.limits.planner, run.limits.plan) = (Some(planner), Some(plan));
-        } else if run.estimation.grid.tile.is_some_and(|tile| !tile.is_cut()) {
+        } else if run.settings.grid.tile.is_some_and(|tile| !tile.is_cut()) {
             // Runs of different seeds are added up tile by tile, so where space is cut does not depend on the seed.
             let pixels = run.stream.with_pixels(run.stream.pixels.kind(), 0);
             match run.pilot(&pixels) {
                 // Of the few rays of a pilot, too many may be at fault by chance. The tiles are equal boxes then.
                 Err(Error::NonFinite { .. }) => {}
-                planner => run.estimation.grid.tile = planner?.tile(),
+                planner => run.settings.grid.tile = planner?.tile(),
             }
         }
         // The pilot and all that is measured see all of space; the rays of the run need only reach the tile.
-        run.stream.reach = run.reach();
+        // What a ray of splats adds is where their centres are, beside the ray.
+        run.stream.reach = run.reach().filter(|_| run.stream.source.volume().is_some());
         Ok(run)
     }
 
@@ -119,7 +138,7 @@ impl<'a> Run<'a> {
         let beyond = f64::from(2 * leaf + 1);
         // Visits are counted in coarse cells, those that begin in the tile.
         let visited = f64::from(1_u32 << self.lattice.level().saturating_sub(Visits::LEVEL));
-        let (low, high) = self.estimation.grid.tile?.extent(self.lattice.level());
+        let (low, high) = self.settings.grid.tile?.extent(self.lattice.level());
         let [low, high] = [low, high].map(|corner| DVec3::from(corner.map(f64::from)));
         let scene = |u: DVec3| bounds.min() + u * self.lattice.edge();
         Aabb::new(scene(low - beyond), scene(high + beyond.max(visited))).ok()
@@ -140,7 +159,7 @@ impl<'a> Run<'a> {
     /// Maximal number of rays that the run will draw.
     #[must_use]
     pub fn rays(&self) -> u64 {
-        self.estimation.own_shard().own_rays()
+        self.settings.own_shard().own_rays()
     }
 
     /// Predicts what the run will need: the plan that limits it or, if nothing does, the
@@ -154,17 +173,14 @@ impl<'a> Run<'a> {
             None => self.pilot(&self.stream)?.plan()?,
         };
         // Every group has its own sums, and finishing needs one more.
-        let sums = self.estimation.groups().map_or(1.0, |groups| f64::from(groups) + 1.0);
-        let levels: f64 = (0..=self.estimation.coarser_levels).map(|below| COARSER.powi(below.into())).sum();
-        let parts = sums * levels;
-        (plan.summing, plan.spare, plan.finishing) = (parts * plan.summing, parts * plan.spare, parts * plan.finishing);
-        plan.file *= levels;
+        let sums = self.settings.goal.groups().map_or(1.0, |groups| f64::from(groups) + 1.0);
+        (plan.summing, plan.spare, plan.finishing) = (sums * plan.summing, sums * plan.spare, sums * plan.finishing);
         Ok(plan)
     }
 
     fn pilot(&self, stream: &RayStream) -> Result<Planner> {
-        let Estimation { rays, grid, monitor, .. } = &self.estimation;
-        Planner::new(*grid, rays, stream, self.estimation.own_shard(), self.lattice, *monitor)
+        let Estimation { rays, grid, monitor, .. } = &self.settings;
+        Planner::new(*grid, rays, stream, self.settings.own_shard(), self.lattice, *monitor)
     }
 
     /// Measures, on a few thousand rays, whether the cameras see anything of the field within its domain.
@@ -172,7 +188,7 @@ impl<'a> Run<'a> {
     /// # Errors
     /// [`Error::Interrupted`] only.
     pub fn sight(&self) -> Result<Sight> {
-        Sight::measure(&self.stream, &self.estimation.domain, self.estimation.monitor)
+        Sight::measure(&self.stream, &self.settings.domain, self.settings.monitor)
     }
 
     /// Checks the finite-difference step; `None` if the field's own derivatives are used, or if there is nothing
@@ -181,7 +197,7 @@ impl<'a> Run<'a> {
     /// # Errors
     /// [`Error::Interrupted`] only.
     pub fn check_step(&self) -> Result<Option<StepCheck>> {
-        StepCheck::measure(&self.stream, &self.lattice, self.estimation.grid.tolerance, self.estimation.monitor)
+        StepCheck::measure(&self.stream, &self.lattice, self.settings.grid.tolerance, self.settings.monitor)
     }
 
     /// Checks whether f32 holds positions finely enough.
@@ -189,7 +205,7 @@ impl<'a> Run<'a> {
     /// # Errors
     /// [`Error::Interrupted`] only.
     pub fn check_positions(&self) -> Result<PositionCheck> {
-        PositionCheck::measure(&self.stream, &self.lattice, self.estimation.grid.tolerance, self.estimation.monitor)
+        PositionCheck::measure(&self.stream, &self.lattice, self.settings.grid.tolerance, self.settings.monitor)
     }
 
     /// The time of a few rays with the field's own derivatives, relative to that with the run's differences; `None` if
@@ -199,7 +215,7 @@ impl<'a> Run<'a> {
     /// # Errors
     /// [`Error::Interrupted`] only.
     pub fn time_with_own_derivatives(&self) -> Result<Option<f64>> {
-        derivatives::measure(&self.stream, self.rays(), self.estimation.monitor)
+        derivatives::measure(&self.stream, self.rays(), self.settings.monitor)
     }
 
     /// Measures the cost of the run's approximations on a few of its own rays.
@@ -207,7 +223,11 @@ impl<'a> Run<'a> {
     /// # Errors
     /// As [`RayStream::run`].
     pub fn audit(&self) -> Result<Audit> {
-        Audit::measure(&self.estimation, &self.stream, &self.lattice)
+        let Self { settings, stream, lattice, .. } = self;
+        match settings.grid.grid {
+            GridKind::Dense => Audit::measure::<DensePosterior>(settings, stream, lattice),
+            GridKind::Octree => Audit::measure::<OctreePosterior>(settings, stream, lattice),
+        }
     }
 
     /// Draws the rays and computes the field.
@@ -219,49 +239,71 @@ impl<'a> Run<'a> {
     /// If the field is not finite on too many rays, the memory budget does not hold the coarsest leaves, a
     /// checkpoint cannot be read or written, a [tap](Estimation::tap) fails, or the work was interrupted.
     pub fn finish(self) -> Result<Outcome> {
-        match self.estimation.goal {
-            Goal::Shard { .. } if self.estimation.coarser_levels > 0 => self.finish_levels(),
-            Goal::Shard { .. } => self.finish_shard(),
-            Goal::Groups(groups) => self.finish_groups(groups),
-            Goal::MeanError(decades) => self.finish_mean_error(decades),
+        match self.settings.grid.grid {
+            GridKind::Dense => self.finish_with::<DensePosterior>(),
+            GridKind::Octree => self.finish_with::<OctreePosterior>(),
         }
     }
 
-    fn finish_shard(mut self) -> Result<Outcome> {
-        let (shard, seed) = (self.estimation.own_shard(), self.estimation.rays.seed);
-        let mut builder = self.builder()?;
+    fn finish_with<P: Finish>(self) -> Result<Outcome> {
+        match self.settings.goal {
+            Goal::Shard { .. } => self.finish_shard::<P>(),
+            Goal::Groups(groups) => self.finish_groups::<P>(groups),
+            Goal::MeanError(decades) => self.finish_mean_error::<P>(decades),
+        }
+    }
+
+    fn finish_shard<P: Finish>(mut self) -> Result<Outcome> {
+        let shard = self.settings.own_shard();
+        let mut builder = self.builder::<P>()?;
         builder.want_density(&self.stream)?;
         let files = self.files();
-        let part = Part { stream: &self.stream, shard, seed, file: files[0].as_deref() };
-        let drawn = draw(&mut self.estimation, &mut self.limits, &part, &mut builder)?;
-        Ok(self.outcome(builder, drawn, Some(shard)))
+        let part = Part { stream: &self.stream, shard, file: files[0].as_deref() };
+        let Drawn { progress, summing, vertices } = draw(&mut self.settings, &mut self.limits, &part, &mut builder)?;
+        let (sums_bytes, start) = (builder.memory(), Instant::now());
+        let provenance = self.provenance(progress, Some(shard));
+        let field = match vertices {
+            Some(vertices) => builder.finish_at(vertices, &provenance),
+            None => builder.finish(&provenance),
+        };
+        Ok(self.outcome(field, progress, sums_bytes, summing + start.elapsed()))
     }
 
-    fn finish_groups(mut self, count: u16) -> Result<Outcome> {
-        let files = self.files();
-        let (mut builders, mut progress, mut summing) = (Vec::new(), Vec::new(), Duration::ZERO);
-        let groups = groups::ray_groups(&self.stream, count, self.estimation.rays.rays)?;
-        for (group, file) in groups.iter().zip(&files) {
-            let mut builder = self.builder()?;
-            let part = Part { stream: &group.stream, shard: group.shard, seed: group.seed, file: file.as_deref() };
-            let drawn = draw(&mut self.estimation, &mut self.limits, &part, &mut builder)?;
+    /// Draws `count` groups of rays, whose sizes differ by at most one, each with its own sums and its own, independent
+    /// pixels.
+    ///
+    /// (Parts of one low-discrepancy sequence complement each other, so their differences would overstate the error.)
+    /// All groups together are slightly less accurate than the same number of rays from one sequence.
+    fn finish_groups<P: Finish>(mut self, count: u16) -> Result<Outcome> {
+        let (groups, rays) = (u64::from(count), self.settings.rays.rays);
+        if groups < 2 || rays < groups {
+            let expected = format!("2 to {rays}, the number of rays");
+            return Err(Error::setting("groups of rays", expected, groups.to_string()));
+        }
+        let (mut builders, mut draws) = (Vec::new(), Vec::new());
+        let (mut progress, mut summing) = (Vec::new(), Duration::ZERO);
+        for (group, file) in (0..count).zip(self.files()) {
+            let mut builder = self.builder::<P>()?;
+            let stream = self.stream.for_purpose(Purpose::Group(group));
+            let shard = Shard::whole(rays / groups + u64::from(u64::from(group) < rays % groups));
+            let part = Part { stream: &stream, shard, file: file.as_deref() };
+            let drawn = draw(&mut self.settings, &mut self.limits, &part, &mut builder)?;
             progress.push(drawn.progress);
             summing += drawn.summing;
+            draws.push(stream.draw(shard));
             builders.push(builder);
         }
-        let sums_bytes = builders.iter().map(FieldBuilder::memory).sum();
+        let sums_bytes = builders.iter().map(Builder::memory).sum();
         let whole = progress.iter().copied().sum();
         let start = Instant::now();
-        let field = FieldBuilder::finish_groups(builders, &progress, &self.provenance(whole, None))?;
-        let field = field.with_draws(groups.iter().map(RayGroup::draw).collect());
-        let summing = summing + start.elapsed();
-        Ok(Outcome { sums_bytes, ..self.outcome_of(field, whole, summing) })
+        let field = Builder::finish_groups(builders, draws, &progress, &self.provenance(whole, None))?;
+        Ok(self.outcome(field, whole, sums_bytes, summing + start.elapsed()))
     }
 
-    fn finish_mean_error(self, decades: f64) -> Result<Outcome> {
-        let Estimation { grid, domain, rays, monitor, .. } = &self.estimation;
+    fn finish_mean_error<P: Finish>(self, decades: f64) -> Result<Outcome> {
+        let Estimation { grid, domain, rays, monitor, .. } = &self.settings;
         let start = Instant::now();
-        let (halves, error) = mean_error::draw(&self.stream, *grid, *domain, decades, rays.rays, *monitor)?;
+        let (halves, error) = mean_error::draw::<P>(&self.stream, *grid, *domain, decades, rays.rays, *monitor)?;
         let progress = halves.iter().map(|half| half.1).sum();
         let sums_bytes = halves.iter().map(|half| half.0.memory()).sum();
         let draws = mean_error::draws(&self.stream, &halves);
@@ -269,53 +311,78 @@ impl<'a> Run<'a> {
         whole += &other;
         whole.want_density(&self.stream)?;
         // Two sequences of pixels do not form a shard that others could be added to.
-        let outcome = self.outcome(whole, Drawn { progress, summing: start.elapsed(), octree: None }, None);
-        let field = outcome.field.with_draws(draws);
-        Ok(Outcome { field, sums_bytes, sampling_error: Some(error), ..outcome })
+        let field = whole.finish(&self.provenance(progress, None)).with_draws(draws);
+        let outcome = self.outcome(field, progress, sums_bytes, start.elapsed());
+        Ok(Outcome { errors: ErrorBudget { rays: Some(RayError::Halves(error)), ..outcome.errors }, ..outcome })
+    }
+
+    /// Draws the rays once and computes a field on each of `grids` from them, for exact comparisons between
+    /// grids, levels and covariances.
+    ///
+    /// All fields cover the run's domain. The run's own grid determines how rays are differentiated.
+    ///
+    /// # Errors
+    /// As [`Run::finish`], or if the run's goal is not all rays in one group, or a grid needs a plan.
+    pub fn finish_on(mut self, grids: &[GridSettings]) -> Result<Vec<Outcome>> {
+        let Estimation { goal, checkpoint, domain, .. } = &self.settings;
+        let is_limited = checkpoint.is_some() || grids.iter().any(GridSettings::needs_plan);
+        if !matches!(goal, Goal::Shard { .. }) || is_limited {
+            let expected = "all rays, on grids without limits, without a checkpoint";
+            return Err(Error::setting("several grids", expected, "others"));
+        }
+        let mut builders = Vec::new();
+        for grid in grids {
+            let mut builder = FieldBuilder::new(*grid, *domain)?;
+            builder.want_density(&self.stream)?;
+            if self.stream.source.splats().is_some() {
+                builder.spread_surface(self.settings.rays.rays);
+            }
+            builders.push((builder, Duration::ZERO));
+        }
+        let shard = self.settings.own_shard();
+        let progress = self.stream.run(shard, RunProgress::default(), self.settings.monitor, |batches, _| {
+            for (builder, summing) in &mut builders {
+                let start = Instant::now();
+                builder.add(batches);
+                *summing += start.elapsed();
+            }
+            self.settings.tap.as_mut().map_or(Ok(()), |tap| tap(batches))
+        })?;
+        let outcome = |(builder, summing): (FieldBuilder, Duration)| {
+            let (sums_bytes, start) = (builder.memory(), Instant::now());
+            let field = builder.finish(&self.provenance(progress, Some(shard)));
+            self.outcome(field, progress, sums_bytes, summing + start.elapsed())
+        };
+        Ok(builders.into_iter().map(outcome).collect())
     }
 
     /// Creates a builder on the plan's leaves.
-    fn builder(&self) -> Result<FieldBuilder> {
-        let mut builder = FieldBuilder::new(self.estimation.grid, self.estimation.domain)?;
-        if let Some(plan) = &self.limits.plan {
-            builder.limit(plan);
+    fn builder<P: Finish>(&self) -> Result<Builder<P>> {
+        let mut builder = Builder::new(self.settings.grid, self.settings.domain, self.limits.plan.as_ref())?;
+        if self.stream.source.splats().is_some() {
+            builder.spread_surface(self.settings.rays.rays);
         }
         Ok(builder)
     }
 
     /// The checkpoint's files, one for each group; `[None]` without a checkpoint.
     fn files(&self) -> Vec<Option<PathBuf>> {
-        let groups = self.estimation.groups();
-        match &self.estimation.checkpoint {
+        let groups = self.settings.goal.groups();
+        match &self.settings.checkpoint {
             Some(checkpoint) => checkpoint.files(groups).into_iter().map(Some).collect(),
             None => vec![None; usize::from(groups.unwrap_or(1))],
         }
     }
 
     fn provenance(&self, progress: RunProgress, shard: Option<Shard>) -> Provenance<'_> {
-        Provenance { source: self.estimation.source.clone(), progress, shard, stream: Some(&self.stream) }
+        Provenance { source: self.settings.source.clone(), progress, shard, stream: Some(&self.stream) }
     }
 
-    pub(super) fn outcome(&self, builder: FieldBuilder, drawn: Drawn, shard: Option<Shard>) -> Outcome {
-        let Drawn { progress, summing, octree } = drawn;
-        let sums_bytes = builder.memory();
-        let start = Instant::now();
-        let field = builder.finish_on(octree, &self.provenance(progress, shard));
-        Outcome { sums_bytes, ..self.outcome_of(field, progress, summing + start.elapsed()) }
-    }
-
-    fn outcome_of(&self, field: UncertaintyField, progress: RunProgress, summing: Duration) -> Outcome {
-        let field = self.estimation.model.iter().fold(field, |field, &checksum| field.with_model(checksum));
-        let plan = self.limits.plan.clone().filter(|_| self.estimation.grid.grid == GridKind::Octree);
-        Outcome {
-            field,
-            progress,
-            sums_bytes: 0,
-            summing,
-            plan,
-            is_replanned: self.limits.is_replanned,
-            sampling_error: None,
-        }
+    fn outcome(&self, field: UncertaintyField, progress: RunProgress, sums_bytes: usize, summing: Duration) -> Outcome {
+        let field = self.settings.model.iter().fold(field, |field, &checksum| field.with_model(checksum));
+        let plan = self.limits.plan.clone().filter(|_| self.settings.grid.grid == GridKind::Octree);
+        let (errors, is_replanned) = (ErrorBudget::of_field(&field), self.limits.is_replanned);
+        Outcome { field, progress, sums_bytes, summing, plan, is_replanned, errors }
     }
 }
 
@@ -324,64 +391,59 @@ impl<'a> Run<'a> {
 /// If the budget is exhausted in spite of the plan, or would be by the field, or if the first rays show that much of it
 /// would remain unused, the part starts over with a better plan. The outcome is that of a run with this plan from the
 /// start.
-fn draw(estimation: &mut Estimation, limits: &mut Limits, part: &Part, builder: &mut FieldBuilder) -> Result<Drawn> {
-    let is_group = estimation.groups().is_some();
-    let key_source = estimation.key_source();
-    let Estimation { rays, grid, monitor, checkpoint, tap, .. } = estimation;
-    let rays = RaySettings { seed: part.seed, ..*rays };
-    let key = |builder: &FieldBuilder| rays.run_key(key_source.clone(), part.shard, part.stream, grid, builder);
-    let mut saver = Saver::new(checkpoint.as_ref(), part.file);
-    let mut progress = saver.restore(builder, &key(builder))?;
+fn draw<P: Finish>(
+    settings: &mut Estimation,
+    limits: &mut Limits,
+    part: &Part,
+    builder: &mut Builder<P>,
+) -> Result<Drawn<P>> {
+    let Part { stream, shard, file } = *part;
+    let (is_group, source) = (settings.goal.groups().is_some(), settings.key_source());
+    let Estimation { rays, monitor, checkpoint, tap, .. } = settings;
+    let key = |builder: &Builder<P>| builder.run_key(source.clone(), shard, stream, rays.occupancy);
+    let mut saver = Saver::new(checkpoint.as_ref(), file);
+    let mut from = saver.restore(builder, &key(builder))?;
     let mut summing = Duration::ZERO;
-    let all = part.shard.own_rays() as f64;
+    let all = shard.own_rays() as f64;
     // The plan of a part must be that of the others, so it is not compared with the part's own sums.
-    limits.is_compared |= part.shard.of > 1 || progress.rays as f64 >= COMPARED_AT * all;
+    limits.is_compared |= shard.of > 1 || from.rays as f64 >= COMPARED_AT * all;
     loop {
-        let mut next = None;
-        let mut is_over = false;
-        let result = part.stream.run(part.shard, progress, *monitor, |batches, so_far| {
+        let end = stream.run_until(shard, from, *monitor, |batches, progress| {
             let start = Instant::now();
             builder.add(batches);
             summing += start.elapsed();
-            let (done, summed) = (so_far.rays as f64 / all, builder.summed());
-            if limits.is_exceeded(summed) {
-                (is_over, next) = (true, limits.coarser(done, summed));
-            } else if limits.is_due(done) {
-                next = limits.better(done, summed);
+            let verdict = limits.verdict(progress.rays as f64 / all, builder.summed())?;
+            if verdict.is_continue() {
+                saver.save_if_due(builder, || key(builder), *progress)?;
+                tap.as_mut().map_or(Ok(()), |tap| tap(batches))?;
             }
-            if is_over || next.is_some() {
-                // Ends the stream; these two distinguish this from Ctrl-C.
+            Ok(verdict)
+        })?;
+        let plan = match end {
+            End::Broken(plan) => plan,
+            End::Stopped(progress) => {
+                saver.save(builder, || key(builder), progress)?;
                 return Err(Error::Interrupted);
             }
-            progress = *so_far;
-            saver.save_if_due(builder, || key(builder), progress)?;
-            tap.as_mut().map_or(Ok(()), |tap: &mut Tap| tap(batches))
-        });
-        let mut made = None;
-        if let Ok(progress) = result
-            && limits.budget.is_some()
-        {
-            // How many vertices there will be is a rougher forecast than what sums take.
-            let (shard, stream) = (Some(part.shard), Some(part.stream));
-            made = builder.octree(&Provenance { source: String::new(), progress, shard, stream });
-            let vertices = made.as_ref().map(Octree::vertex_count);
-            let summed = Summed { vertices, ..builder.summed() };
-            if limits.is_exceeded(summed) {
-                (is_over, next) = (true, limits.coarser(1.0, summed));
+            End::Complete(progress) => {
+                // How many vertices there will be is a rougher forecast than what sums take.
+                let provenance =
+                    Provenance { source: String::new(), progress, shard: Some(shard), stream: Some(stream) };
+                let found = limits.budget.map(|_| builder.vertices(&provenance));
+                let vertices = found.as_ref().map(|(_, count)| *count);
+                match limits.verdict(1.0, Summed { vertices, ..builder.summed() })? {
+                    ControlFlow::Break(plan) => plan,
+                    ControlFlow::Continue(()) => {
+                        // A completed group is not drawn again if a later one is interrupted.
+                        if is_group {
+                            saver.save(builder, || key(builder), progress)?;
+                        }
+                        return Ok(Drawn { progress, summing, vertices: found.map(|(vertices, _)| vertices) });
+                    }
+                }
             }
-        }
-        if !is_over && next.is_none() {
-            // A completed group is not drawn again if a later one is interrupted.
-            if matches!(result, Err(Error::Interrupted)) || is_group && result.is_ok() {
-                saver.save(builder, || key(builder), progress)?;
-            }
-            return result.map(|progress| Drawn { progress, summing, octree: made });
-        }
-        let Some(next) = next else {
-            let found = format!("{} MB, used up on the coarsest leaves", limits.budget.unwrap_or(0) / 1_000_000);
-            return Err(Error::setting("memory budget", "room for the field, or a lower level or fewer rays", found));
         };
-        builder.limit(&next);
-        (limits.plan, limits.is_replanned, progress) = (Some(next), true, RunProgress::default());
+        builder.limit(&plan);
+        (limits.plan, limits.is_replanned, from) = (Some(plan), true, RunProgress::default());
     }
 }

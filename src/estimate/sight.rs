@@ -5,12 +5,13 @@
 
 use rayon::prelude::*;
 
-use super::framing::{Framing, LITTLE, MANY, RAYS, View, WORLD_TO_CAMERA, views};
+use super::framing::{self, Framing, LITTLE, MANY, RAYS, View, WORLD_TO_CAMERA, views};
 use crate::Result;
 use crate::geometry::{Camera, Domain, Ray, inverted};
 use crate::monitor::{Monitor, check};
-use crate::rays::{RayStream, SURFACE_WEIGHT};
-use crate::render::{CompositingWeights, TraceBuffers};
+use crate::rays::{RaySource, RayStream, SURFACE_WEIGHT};
+use crate::render::{CompositingWeights, TraceBuffers, Tracer};
+use crate::splats::{Hit, Hits, SplatRenderer, Use};
 
 /// Factor by which rays are increased before a run reports that nothing is seen. A fraction of 10⁻⁴
 /// is then missed once in 26 runs.
@@ -21,6 +22,9 @@ const NEAR: f64 = 4.0;
 const WORTH_SAYING: f64 = 0.01;
 /// A model is fog if no ray is more opaque than this, and no density is above 1.
 const OPAQUE: f64 = 0.95;
+
+/// Most cameras that look at splats, each of whose views has to be prepared.
+const SPLAT_VIEWS: usize = 16;
 
 /// What cameras see of a field.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
@@ -88,19 +92,34 @@ impl Sight {
         monitor: &dyn Monitor,
     ) -> Result<Self> {
         let views = views(cameras, rays, stream.pixel_offset);
-        // A field that wants many points at once sees all views as one.
-        let each = if stream.tracer.field.batch() > 0 { views.len().max(1) } else { 1 };
-        let seen = views
-            .par_chunks(each)
-            .map_init(TraceBuffers::default, |buffers, views| {
-                check(monitor)?;
-                Ok(seen(views, stream, domain, buffers))
-            })
-            .collect::<Result<Vec<_>>>()?
-            .concat();
+        let seen = match &stream.source {
+            RaySource::Volume(volume) => {
+                let tracer = &volume.tracer;
+                // A field that wants many points at once sees all views as one.
+                let each = if tracer.field.batch() > 0 { views.len().max(1) } else { 1 };
+                let seen = views.par_chunks(each).map_init(TraceBuffers::default, |buffers, views| {
+                    check(monitor)?;
+                    Ok(seen(views, tracer, domain, buffers))
+                });
+                seen.collect::<Result<Vec<_>>>()?.concat()
+            }
+            RaySource::Splats(splats) => {
+                let few: Vec<Camera> = (0..cameras.len().min(SPLAT_VIEWS))
+                    .map(|i| cameras[i * cameras.len() / cameras.len().min(SPLAT_VIEWS)])
+                    .collect();
+                let few = framing::views(&few, rays, stream.pixel_offset);
+                let seen = few.iter().map(|view| check(monitor).map(|()| seen_splats(view, splats, domain)));
+                seen.collect::<Result<_>>()?
+            }
+        };
+        let bounds = match &stream.source {
+            // Stray splats lie far from the others.
+            RaySource::Splats(splats) => splats.splats().main_box(),
+            RaySource::Volume(_) => stream.source.bounds(),
+        };
         let mean = |of: &dyn Fn(&Seen) -> f64| seen.iter().map(of).sum::<f64>() / seen.len().max(1) as f64;
         Ok(Self {
-            framing: Framing::from_views(&views, &stream.tracer.field.bounds()),
+            framing: Framing::from_views(&views, &bounds),
             meet_matter: mean(&|seen| seen.matter),
             meet_domain: mean(&|seen| seen.within),
             inside_matter: mean(&|seen| f64::from(u8::from(seen.is_inside_matter))),
@@ -177,8 +196,7 @@ impl Sight {
     }
 }
 
-fn seen<'b>(views: &[View], stream: &'b RayStream, domain: &Domain, buffers: &mut TraceBuffers<'b>) -> Vec<Seen> {
-    let tracer = &stream.tracer;
+fn seen<'b>(views: &[View], tracer: &'b Tracer, domain: &Domain, buffers: &mut TraceBuffers<'b>) -> Vec<Seen> {
     let rays: Vec<Ray> = views.iter().flat_map(|view| &view.rays).copied().collect();
     tracer.trace(&rays, &vec![0.5; rays.len()], buffers);
     let traced = &buffers.traced;
@@ -212,6 +230,36 @@ fn seen<'b>(views: &[View], stream: &'b RayStream, domain: &Domain, buffers: &mu
         Seen { matter, within, is_inside_matter, dropped, weight, outside, most_opaque, densest }
     };
     views.iter().map(of_view).collect()
+}
+
+/// What a view sees of splats: they have no density, and a camera among them is not in matter.
+fn seen_splats(view: &View, splats: &SplatRenderer, domain: &Domain) -> Seen {
+    let prepared = splats.prepare(&view.camera, Use::Colors);
+    let (least, mut hits) = (f64::from(SURFACE_WEIGHT), Hits::default());
+    let (mut matter, mut within) = (0_usize, 0_usize);
+    let mut seen = Seen {
+        matter: 0.0,
+        within: 0.0,
+        is_inside_matter: false,
+        dropped: 0,
+        weight: 0.0,
+        outside: 0.0,
+        most_opaque: 0.0,
+        densest: 0.0,
+    };
+    for at in &view.points {
+        prepared.hits(*at, &mut hits);
+        let opacity = 1.0 - hits.passed;
+        let is_within = |hit: &&Hit| domain.to_unit(splats.splats().mean(prepared.splat(hit))).is_some();
+        let inside: f64 = hits.list.iter().filter(is_within).map(Hit::weight).sum();
+        matter += usize::from(opacity >= least);
+        within += usize::from(inside >= least);
+        seen.weight += opacity;
+        seen.outside += (opacity - inside).max(0.0);
+        seen.most_opaque = seen.most_opaque.max(opacity);
+    }
+    [seen.matter, seen.within] = [matter, within].map(|count| count as f64 / view.points.len() as f64);
+    seen
 }
 
 #[cfg(test)]

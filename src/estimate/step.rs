@@ -6,7 +6,7 @@ use super::rays::shortest_step;
 use crate::Result;
 use crate::geometry::Lattice;
 use crate::monitor::Monitor;
-use crate::rays::{Pixels, RayStream};
+use crate::rays::{Pixels, RayStream, VolumeRays};
 use crate::render::{DifferenceErrors, Differences, LONGEST_STEP, Stencil};
 
 /// Number of points on visible surfaces. A mean over them is known to about 1 / √1024 of its spread.
@@ -24,14 +24,14 @@ pub(super) fn surface_points(stream: &RayStream, seed: u64, monitor: &dyn Monito
 }
 
 /// A step, and the errors of central differences with this step and with others.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct StepCheck {
     /// The run's step, lattice edges.
     pub step: f64,
     /// Errors with this step and with others.
     pub errors: DifferenceErrors,
     /// Whether the step is unsuitable ([`DifferenceErrors::is_bad`]), or so long that forward differences are of
-    /// another place: their middle is as far away as central ones of [`LONGEST_STEP`] reach.
+    /// another place: their middle is as far away as central ones of the longest step that runs take reach.
     pub is_bad: bool,
     /// Whether the run's differences are forward ones. The errors are those of central differences of the same width,
     /// and do not count that the place is off by a step.
@@ -57,6 +57,30 @@ impl StepCheck {
         Self::with_seed(SEED, stream, lattice, tolerance, monitor)
     }
 
+    /// What is to be said, if the step is badly placed.
+    #[must_use]
+    pub fn warning(&self) -> Option<String> {
+        let (here, best) = (self.errors.at(self.step), self.errors.best());
+        // Errors relative to the derivative itself: beyond it, their size means nothing.
+        let percent = |v: f64| if v <= 1.0 { format!("{:.2} %", 100.0 * v) } else { "more than 100 %".into() };
+        let exact = match self.knows_derivatives {
+            true => "; --gradient auto uses the field's own derivatives, which are exact",
+            false => "",
+        };
+        self.is_bad.then(|| {
+            format!(
+                "differences of the density over {} edges of the finest lattice are off by {} (rounding and noise {}, \
+                 truncation {}); central ones over {:.2e} edges would be by {}{exact}",
+                self.step,
+                percent(here.total()),
+                percent(here.noise),
+                percent(here.truncation),
+                best.step,
+                percent(best.total())
+            )
+        })
+    }
+
     fn with_seed(
         seed: u64,
         stream: &RayStream,
@@ -64,17 +88,18 @@ impl StepCheck {
         tolerance: f64,
         monitor: &dyn Monitor,
     ) -> Result<Option<Self>> {
-        if stream.differentiation.analytic.is_some() {
+        let Some(VolumeRays { tracer, differentiation }) = stream.source.volume() else { return Ok(None) };
+        if differentiation.analytic.is_some() {
             return Ok(None);
         }
-        let field = stream.tracer.field;
+        let field = tracer.field;
         let points = surface_points(stream, seed, monitor)?;
         let edges = Differences { step: lattice.edge(), domain: *lattice.domain(), stencil: Stencil::Central };
-        let step = (stream.differentiation.differences.step / lattice.edge()).max_element();
+        let step = (differentiation.differences.step / lattice.edge()).max_element();
         let steps = DifferenceErrors::steps(shortest_step(lattice, &field.bounds()), step);
         let errors = DifferenceErrors::measure(field, &points, &edges, &steps);
         let knows_derivatives = field.differentiable().is_some();
-        let is_forward = stream.differentiation.differences.stencil == Stencil::Forward;
+        let is_forward = differentiation.differences.stencil == Stencil::Forward;
         let is_far = is_forward && step > LONGEST_STEP;
         let is_bad = |errors: &DifferenceErrors| is_far || errors.is_bad(step, tolerance);
         Ok(errors.map(|errors| Self { step, is_bad: is_bad(&errors), is_forward, errors, knows_derivatives }))

@@ -1,9 +1,14 @@
 //! The whole pipeline on small scenes.
 
+mod splats;
+
 use super::*;
 use crate::field::{ClosedForm, RadianceField, VoxelGrid};
 use crate::geometry::{Aabb, Camera, Domain};
 use crate::monitor::Silent;
+use crate::octree::MaxLevels;
+use crate::posterior::{Covariance, DataScale, OctreePosterior, Posterior, Refinement, Scale};
+use crate::render::{DepthProbe, Marcher, Tracer, render_view_with_depth};
 use crate::uncertainty::{Support, UncertaintyField};
 use glam::{DVec3, Vec3};
 
@@ -107,7 +112,7 @@ fn no_camera_is_an_error() {
 fn a_budget_of_memory_is_kept_by_giving_up_levels() {
     let field = ClosedForm::courtyard();
     let cameras = ClosedForm::half_circle(6, [64, 64]);
-    let free = GridSettings { level: 9, surface_points: 0, ..GridSettings::default() };
+    let free = GridSettings { level: 9, ..GridSettings::default() };
     let peak = |field: &UncertaintyField| field.memory().iter().map(|part| part.1).sum::<usize>();
     let Outcome { field: unlimited, .. } =
         Estimation::new(&field, &cameras).rays(settings(20_000)).grid(free).run().unwrap();
@@ -169,7 +174,7 @@ fn the_finest_level_of_all_works_and_says_the_same_as_a_scan_of_its_samples() {
     // 65,536 cells per axis, for which a dense grid would take a petabyte.
     let field = ClosedForm::courtyard();
     let cameras = ClosedForm::half_circle(3, [40, 40]);
-    let grid = GridSettings { level: 16, tolerance: 0.0, surface_points: 50, ..GridSettings::default() };
+    let grid = GridSettings { level: 16, tolerance: 0.0, ..GridSettings::default() };
     let Outcome { field: found, progress, .. } =
         Estimation::new(&field, &cameras).rays(settings(24)).grid(grid).run().unwrap();
     assert!(progress.samples > 50 && found.validate().is_ok());
@@ -184,7 +189,7 @@ fn the_finest_level_of_all_works_and_says_the_same_as_a_scan_of_its_samples() {
 /// A run with a plan, which its rays limit, and without a budget.
 fn limited_by_rays<'a>(field: &'a ClosedForm, cameras: &'a [Camera]) -> Run<'a> {
     let criteria = [crate::posterior::Criterion::RayCount].into_iter().collect();
-    let grid = GridSettings { level: 8, criteria, min_rays: 0.25, surface_points: 0, ..GridSettings::default() };
+    let grid = GridSettings { level: 8, criteria, min_rays: 0.25, ray_count: 0.25, ..GridSettings::default() };
     Estimation::new(field, cameras).rays(settings(20_000)).grid(grid).prepare().unwrap()
 }
 
@@ -235,7 +240,7 @@ fn a_field_of_more_vertices_than_planned_is_not_made() {
 fn error_bars_are_as_large_as_the_errors() {
     let field = ClosedForm::courtyard();
     let cameras = ClosedForm::half_circle(10, [100, 100]);
-    let grid = GridSettings { level: 5, tolerance: 0.0, surface_points: 0, ..GridSettings::default() };
+    let grid = GridSettings { level: 5, tolerance: 0.0, ..GridSettings::default() };
     let many = RaySettings { seed: 99, ..settings(400_000) };
     let truth = Estimation::new(&field, &cameras).rays(many).grid(grid).run().unwrap().field.on_dense_grid();
     let moved = truth.prior() / 10_f64.powf(crate::uncertainty::MOVED);
@@ -332,7 +337,7 @@ fn the_default_step_is_as_far_as_positions_need() {
 fn coarse_leaves_mean_what_fine_ones_do() {
     let field = ClosedForm::courtyard();
     let cameras = ClosedForm::half_circle(10, [64, 64]);
-    let grid = GridSettings { level: 6, surface_points: 2000, ..GridSettings::default() };
+    let grid = GridSettings { level: 6, ..GridSettings::default() };
     let run = Estimation::new(&field, &cameras).rays(settings(100_000)).grid(grid).prepare().unwrap();
     let lambda = grid.prior_precision(run.lattice());
     // A leaf k levels coarser: U of the coarser lattice, its information divided by 8ᵏ.
@@ -353,4 +358,75 @@ fn coarse_leaves_mean_what_fine_ones_do() {
         // By area, 4ᵏ, it would be lower by 0.15: outside. So would it by no division, 0.45 lower.
         assert!(mean.abs() < 0.1, "{k} levels: log10 U shifts by {mean} per level");
     }
+}
+
+/// Leaves that are kept one level coarser have eight times the information of the finest ones. A deviation of depth by
+/// that would be a third of what the finest lattice says from the same rays; it must mean the same, whether or not the
+/// sums were kept.
+#[test]
+fn coarser_leaves_say_of_depth_what_the_finest_lattice_does() {
+    let ball = ClosedForm::ball();
+    let cameras = ClosedForm::half_circle(40, [100; 2]);
+    let data = DataScale::from_cameras(&cameras, 0.03, &Domain::Box(ball.bounds())).unwrap();
+    let camera = Camera::look_at(DVec3::new(2.1, -1.7, 0.9), DVec3::ZERO, DVec3::Z, 0.6, [24, 24]);
+    let marcher = Marcher { step: 0.02, bounds: ball.bounds(), occupancy: None, cutoff: 1e-4 };
+    let tracer = Tracer { field: &ball, marcher, background: Vec3::ONE };
+    let deviations = |field: &UncertaintyField| -> Vec<f64> {
+        let differentiation = RaySettings::for_images().differentiation(&ball, field.lattice()).unwrap();
+        let posterior = field.depth_posterior().unwrap();
+        let probe = DepthProbe { differentiation, variances: &[&posterior] };
+        let view = render_view_with_depth(&tracer, &camera, 0.5, &[], &probe, &Silent).unwrap();
+        let hit = view.pixels.iter().zip(&view.posterior_variance[0]).filter(|(pixel, _)| pixel.opacity > 0.9);
+        hit.map(|(_, variance)| variance.sqrt()).collect()
+    };
+    for covariance in [Covariance::Diagonal, Covariance::Block] {
+        let grid = GridSettings { level: 5, covariance, scale: Scale::Data(data), ..GridSettings::default() };
+        let lattice = grid.lattice(Domain::Box(ball.bounds())).unwrap();
+        let limits = MaxLevels::balanced(5, [(0, 4)]);
+        let mut coarser = OctreePosterior::limited(lattice, limits);
+        let run = Estimation::new(&ball, &cameras).rays(settings(100_000)).grid(grid);
+        let finest = run.tap(|batches| {
+            coarser.add(batches);
+            Ok(())
+        });
+        let finest = finest.run().unwrap().field;
+        let protocol = finest.protocol().clone();
+        let reading = protocol.reading();
+        let octree = coarser.octree(&Refinement::above(reading.floor(), &reading, protocol.criteria, Vec::new()));
+        let coarser = UncertaintyField::on_octree(protocol, lattice, coarser, octree, true);
+        for [coarser, finest] in
+            [[coarser.clone(), finest.clone()], [coarser, finest].map(UncertaintyField::without_sums)]
+        {
+            let pairs = deviations(&coarser).into_iter().zip(deviations(&finest));
+            let mut off: Vec<f64> = pairs.map(|(coarser, finest)| (coarser / finest).log10()).collect();
+            off.sort_by(f64::total_cmp);
+            // In decades; sums that are not divided by the leaves' volume are off by -0.4.
+            let middle = off[off.len() / 2];
+            assert!(off.len() > 80 && middle.abs() < 0.1, "{covariance:?}: {middle}");
+        }
+    }
+}
+
+#[test]
+fn a_run_through_every_pixel_draws_as_many_rays_as_there_are() {
+    let field = ClosedForm::courtyard();
+    let cameras = ClosedForm::half_circle(3, [20, 14]);
+    let start = || Estimation::new(&field, &cameras).grid(GridSettings::default().level(4).keep_sums(true));
+    let rays = settings(1).pixels(crate::rays::Pixels::Every);
+    let whole = start().rays(rays).run().unwrap();
+    assert_eq!((whole.progress.rays, whole.field.protocol().rays), (840, 840));
+    assert_eq!(whole.errors.rays, Some(RayError::EveryPixel));
+    assert_eq!(start().rays(rays).shard(0, 2).run().unwrap().errors.rays, None, "half of the pixels");
+    // Another seed has other positions of samples along the same rays, and their order: little is left of the error.
+    let difference = |pixels, seeds: [u64; 2]| {
+        let of = |seed| start().rays(settings(840).pixels(pixels).seed(seed)).run().unwrap().field;
+        let [a, b] = seeds.map(of);
+        let points: Vec<Vec3> = whole.field.surface().iter().copied().map(Vec3::from_array).collect();
+        let off = |x: &Vec3| (a.query(*x).uncertainty / b.query(*x).uncertainty).log10().abs();
+        points.iter().map(off).sum::<f64>() / points.len() as f64
+    };
+    let [every, chosen] = [crate::rays::Pixels::Every, crate::rays::Pixels::Sobol].map(|p| difference(p, [1, 2]));
+    assert!(every > 0.0 && every < 0.5 * chosen, "{every} against {chosen}");
+    let refused = start().rays(rays).error_bars(2).run().err().unwrap().to_string();
+    assert!(refused.contains("every pixel leaves no such error, found every pixel"), "{refused}");
 }

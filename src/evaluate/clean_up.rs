@@ -92,16 +92,14 @@ fn thresholds_start_at(uncertainty: &dyn Answers) -> f64 {
     match uncertainty.protocol().scale {
         Scale::Data(_) => {
             let paper = uncertainty.protocol().covariance.prior(lattice.default_lambda());
-            edge + (uncertainty.protocol().prior_deviation() / paper).log10()
+            edge + (uncertainty.protocol().reading().prior() / paper).log10()
         }
         _ => edge,
     }
 }
 
 /// Renders `truths` before and after removing density above each of `thresholds`. The
-/// first entry is the field as it is.
-///
-/// Advances the monitor by one per row of each image. The caller begins and ends the stage.
+/// first entry is the field as it is. A stage of its own for the monitor.
 ///
 /// # Errors
 /// [`crate::Error::Interrupted`], and if the uncertainty cannot be read.
@@ -128,6 +126,8 @@ pub fn clean_up(
         };
         truths.iter().map(view).collect()
     };
+    let rows: u64 = truths.iter().map(|truth| u64::from(truth.camera.resolution[1])).sum();
+    monitor.begin("rows, cleaned", rows * (1 + thresholds.len() as u64));
     let before = render(tracer.field)?;
     let mut out = vec![(CleanUp::new(None, None, truths, &before), before)];
     for &share in thresholds {
@@ -138,5 +138,6 @@ pub fn clean_up(
         let cleaned = CleanUp::new(Some(share), Some(threshold), truths, &after);
         out.push((CleanUp { surfaces: kept(threshold), ..cleaned }, after));
     }
+    monitor.end();
     Ok(out)
 }

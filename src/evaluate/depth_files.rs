@@ -36,6 +36,9 @@ pub struct FramesWithDepth {
 }
 
 impl DepthFiles {
+    /// Name of a map where none is given: that of the NeRF-synthetic data sets.
+    pub const PATTERN: &str = "{}_depth_0001.png";
+
     /// Finds the maps of `frames`, some of `all` the frames of the camera file `cameras`.
     ///
     /// In a folder, a map is looked for below the directories of the frame's `file_path`, with and without a leading
@@ -85,7 +88,7 @@ impl DepthFiles {
         let places = candidates(folder, &self.pattern, &frame.name);
         match (existing(&places), &places[..]) {
             (Some(path), _) => Ok(path),
-            // Whoever reads it says what is wrong.
+            // Its reader reports the error.
             (None, [only]) => Ok(only.clone()),
             (None, _) => {
                 let below = |path: &PathBuf| path.strip_prefix(folder).unwrap_or(path).display().to_string();
@@ -215,7 +218,7 @@ mod tests {
         assert!(said(&frames, Some([0.0, 1.0])).starts_with("depth encoding: expected none"));
         let found = files(None, "{}.exr", Some([0.0, 65.535])).find(cameras, &png[..1], &png).unwrap();
         assert_eq!(found.encoding, DepthEncoding { offset: 0.0, scale: 65.535, kind: DepthKind::Z });
-        // One map of two frames, even if the other frame is not asked for.
+        // One map of two frames, even if the other frame is not selected.
         let twice = [frames[0].clone(), frame("1.png", Some(&path("a.exr")))];
         assert!(said(&twice, None).ends_with("a.exr for both `0.png` and `1.png`"), "{}", said(&twice, None));
         // None, and some.

@@ -5,14 +5,16 @@ use crate::metrics::{ErrorDensity, conformal_factor};
 use crate::uncertainty::Conformal;
 
 /// An interval of depth, calibrated on some views.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Interval {
     /// The interval.
     pub conformal: Conformal,
     /// Half width without calibration, from [`ErrorDensity::PREDICTIVE`], in deviations.
+    #[serde(rename = "predicted_factor")]
     pub predicted: f64,
     /// Share of a view's errors inside the interval that all other views give: smallest, median and largest over the
     /// views. NaN if there is one view only.
+    #[serde(rename = "views_left_out")]
     pub left_out: [f64; 3],
 }
 

@@ -42,7 +42,7 @@ impl Reading {
         wanted.into_iter().map(read).collect()
     }
 
-    /// The average that ranks depth errors best of those that `field` can be read by (`experiments/depth.md`).
+    /// The average that ranks depth errors best, of those that `field` supports (`experiments/depth.md`).
     #[must_use]
     pub fn best_average(field: &UncertaintyField) -> RayAverage {
         if field.rays().is_empty() { RayAverage::USpread } else { RayAverage::USpreadPerRootRay }
@@ -51,7 +51,7 @@ impl Reading {
     /// Whether `field` can be averaged like this.
     ///
     /// # Errors
-    /// If it does not know its ray counts, which [`RayAverage::USpreadPerRootRay`] needs.
+    /// If it has no ray counts, which [`RayAverage::USpreadPerRootRay`] needs.
     pub fn check(field: &UncertaintyField, average: RayAverage) -> Result<()> {
         if average == RayAverage::USpreadPerRootRay && field.rays().is_empty() {
             let expected = "`u-spread` or another that needs no ray counts, which this field does not know";
@@ -89,8 +89,6 @@ pub enum Baseline {
     TrainingViews,
     /// The angle to the nearest training camera that sees it, radians; π if none does.
     TrainingAngle,
-    /// [`Misfit`](crate::uncertainty::Misfit) at the expected depth.
-    Misfit,
     /// A random number per pixel.
     Random,
     /// [`crate::metrics::ensemble_variance`] of the median depth. Where a member shows nothing, its depth is that
@@ -114,17 +112,10 @@ impl Baseline {
             Self::Visits => "visits",
             Self::TrainingViews => "training views that see it",
             Self::TrainingAngle => "angle to a training view",
-            Self::Misfit => "misfit of the training images",
             Self::Random => "random",
             Self::EnsembleVariance => "ensemble depth variance",
             Self::DensityAware => "density-aware ensemble",
         }
-    }
-
-    /// Returns true if it needs nothing but one model and its rays.
-    #[must_use]
-    pub fn is_single_model(self) -> bool {
-        !matches!(self, Self::EnsembleVariance | Self::DensityAware)
     }
 }
 

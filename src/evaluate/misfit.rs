@@ -11,7 +11,7 @@ use crate::render::{Tracer, render_view};
 use crate::uncertainty::{Misfit, MisfitSums};
 use crate::{Error, Result};
 
-/// About as many pixels of all training images together are rendered.
+/// Approximate number of rendered pixels, over all training images.
 const PIXELS: u64 = 1 << 18;
 
 /// Training frames with their images.
@@ -19,7 +19,7 @@ const PIXELS: u64 = 1 << 18;
 pub struct TrainingImages(Vec<Frame>);
 
 impl TrainingImages {
-    /// Frames whose images are where they say.
+    /// Frames whose images exist at their paths.
     ///
     /// # Errors
     /// If two frames have one image.

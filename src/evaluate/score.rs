@@ -5,47 +5,69 @@ use serde::{Deserialize, Serialize};
 use super::EvaluatedView;
 use crate::metrics::{ErrorKind, Sparsification, quantile, sparsification, spearman};
 
-/// Area under the sparsification error (AUSE) of one measure.
-#[derive(Debug, Clone)]
+/// A figure for each [`ErrorKind`].
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct ByError {
+    /// Of the mean absolute error.
+    pub mae: f64,
+    /// Of the mean squared error.
+    pub mse: f64,
+    /// Of its root.
+    pub rmse: f64,
+}
+
+/// How well one measure ranks the depth error.
+#[derive(Debug, Clone, Serialize)]
 pub struct Score {
-    /// `[error kinds]`: curves and area over the pixels of all views together.
-    pub pooled: Vec<Sparsification>,
-    /// `[error kinds]`: mean of the areas of single views.
-    pub per_view_mean: Vec<f64>,
+    /// Area under the sparsification error, over the pixels of all views together.
+    pub ause_pooled: ByError,
+    /// Mean of the areas of single views.
+    pub ause_mean_over_views: ByError,
+    /// [`Sparsification::risk`] over all pixels.
+    pub risk: ByError,
+    /// [`Sparsification::least_risk`] of these pixels.
+    pub least_risk: ByError,
     /// Spearman's rank correlation with the absolute error over all pixels; 0 if the measure is the same everywhere.
     pub rank_correlation: f64,
     /// The same, mean of single views.
-    pub rank_correlation_per_view: f64,
+    pub rank_correlation_mean_over_views: f64,
+    /// In the order of [`ErrorKind::ALL`]: the curves over all pixels.
+    #[serde(skip)]
+    pub curves: [Sparsification; 3],
+}
+
+impl From<[f64; 3]> for ByError {
+    /// In the order of [`ErrorKind::ALL`].
+    fn from([mae, mse, rmse]: [f64; 3]) -> Self {
+        Self { mae, mse, rmse }
+    }
 }
 
 impl Score {
-    /// Scores the measure of index `m` for every [`ErrorKind`]; `None` if there is nothing to rank (see
-    /// [`sparsification`]).
+    /// Scores the measure of index `m`; `None` if there is nothing to rank (see [`sparsification`]).
     #[must_use]
     pub fn new(views: &[EvaluatedView], m: usize) -> Option<Self> {
         let errors: Vec<f64> = views.iter().flat_map(|v| &v.absolute_error).copied().collect();
         let measure: Vec<f64> = views.iter().flat_map(|v| &v.measures[m]).copied().collect();
-        let pooled = ErrorKind::ALL.iter().map(|&kind| sparsification(&measure, &errors, kind));
+        let [mae, mse, rmse] = ErrorKind::ALL.map(|kind| sparsification(&measure, &errors, kind));
+        let curves = [mae?, mse?, rmse?];
         let mean = |kind| {
             let areas = views.iter().filter_map(|v| sparsification(&v.measures[m], &v.absolute_error, kind));
             let areas: Vec<f64> = areas.map(|s| s.area).collect();
             areas.iter().sum::<f64>() / areas.len() as f64
         };
+        let pooled = |figure: fn(&Sparsification) -> f64| curves.each_ref().map(figure).into();
         let correlation = |v: &EvaluatedView| spearman(&v.measures[m], &v.absolute_error);
         let correlations: Vec<f64> = views.iter().filter_map(correlation).collect();
         Some(Self {
-            pooled: pooled.collect::<Option<_>>()?,
-            per_view_mean: ErrorKind::ALL.iter().map(|&kind| mean(kind)).collect(),
+            ause_pooled: pooled(|curve| curve.area),
+            ause_mean_over_views: ErrorKind::ALL.map(mean).into(),
+            risk: pooled(Sparsification::risk),
+            least_risk: pooled(Sparsification::least_risk),
             rank_correlation: spearman(&measure, &errors).unwrap_or(0.0),
-            rank_correlation_per_view: correlations.iter().sum::<f64>() / correlations.len().max(1) as f64,
+            rank_correlation_mean_over_views: correlations.iter().sum::<f64>() / correlations.len().max(1) as f64,
+            curves,
         })
-    }
-
-    /// Pooled area for one kind of error.
-    #[must_use]
-    pub fn area(&self, kind: ErrorKind) -> f64 {
-        let index = ErrorKind::ALL.iter().position(|k| *k == kind).unwrap_or(0);
-        self.pooled[index].area
     }
 }
 

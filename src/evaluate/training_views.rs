@@ -37,7 +37,7 @@ struct SeenDepth {
     depths: Vec<f32>,
 }
 
-/// What the training cameras know of a point.
+/// How the training cameras see a point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sighting {
     /// Number of cameras that see it.
@@ -48,7 +48,7 @@ pub struct Sighting {
 }
 
 impl TrainingViews {
-    /// Renders the depth that each camera sees, with at most 128 pixels a side. Advances the monitor by one per row.
+    /// Renders the depth that each camera sees, with at most 128 pixels a side; a stage of its own for the monitor.
     ///
     /// # Errors
     /// [`crate::Error::Interrupted`] only.
@@ -61,14 +61,15 @@ impl TrainingViews {
             };
             Ok(SeenDepth { camera, depths: rendered.pixels.iter().map(depth).collect() })
         };
+        let rows = cameras.iter().map(|camera| u64::from(small(camera).resolution[1]));
+        monitor.begin("rows of training views", rows.sum());
         let views = cameras.iter().map(view).collect::<Result<_>>()?;
+        monitor.end();
         Ok(Self { views, slack: STEPS * tracer.marcher.step })
     }
 
     /// The depth that the cameras of frames with depth maps truly saw, and what the maps hold. Where a map holds no
-    /// measurement, its camera saw to infinity.
-    ///
-    /// Advances the monitor by one per camera.
+    /// measurement, its camera saw to infinity. A stage of its own for the monitor.
     ///
     /// # Errors
     /// If a map is missing or damaged, or its size differs from its camera's; [`crate::Error::Interrupted`].
@@ -87,7 +88,9 @@ impl TrainingViews {
             monitor.advance(1);
             Ok((SeenDepth { camera: frame.camera, depths }, readings))
         };
+        monitor.begin("training depth maps", frames.len() as u64);
         let found: Vec<(SeenDepth, DepthReadings)> = frames.par_iter().map(view).collect::<Result<_>>()?;
+        monitor.end();
         let mut readings = DepthReadings::default();
         found.iter().for_each(|(_, of_view)| readings += *of_view);
         Ok((Self { views: found.into_iter().map(|(view, _)| view).collect(), slack: 0.0 }, readings))
@@ -105,13 +108,7 @@ impl TrainingViews {
         self.views.is_empty()
     }
 
-    /// Rows that [`TrainingViews::render`] renders.
-    #[must_use]
-    pub fn rows(cameras: &[Camera]) -> u64 {
-        cameras.iter().map(|camera| u64::from(small(camera).resolution[1])).sum()
-    }
-
-    /// What the cameras know of the point `x`, looked at from `eye`.
+    /// How the cameras see the point `x`, looked at from `eye`.
     #[must_use]
     pub fn sighting(&self, x: DVec3, eye: DVec3) -> Sighting {
         let mut found = Sighting { views: 0, angle: PI };
@@ -163,7 +160,6 @@ mod tests {
         let from = |eye: DVec3| Camera::look_at(eye, DVec3::ZERO, DVec3::Z, 0.7, [64; 2]);
         let cameras = [from(DVec3::new(3.0, 0.0, 0.1)), from(DVec3::new(0.0, 3.0, 0.1))];
         let views = TrainingViews::render(&tracer, &cameras, 0.5, &Silent).unwrap();
-        assert_eq!(TrainingViews::rows(&cameras), 128);
         // Where the rays through the middle of the pictures meet the ball.
         let hit = |towards: DVec3| {
             let camera = from(3.0 * towards);

@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-use crate::dataset::{DepthEncoding, DepthKind, DepthMap, DepthReadings, Frame, PosedImage, read_masks};
+use crate::dataset::{DepthEncoding, DepthKind, DepthMap, DepthReadings, Frame, LargestDepth, PosedImage, read_masks};
 use crate::geometry::{Aabb, Camera};
 use crate::{Error, Result};
 
@@ -94,12 +94,26 @@ impl TrueView {
     /// [`TrueView::distance`] if depth maps that were taken for depth of this kind hold the other one.
     #[must_use]
     pub fn distance_if_not(&self, kind: DepthKind) -> Vec<Option<f64>> {
-        let width = self.camera.resolution[0] as usize;
         let otherwise = |(i, distance): (usize, &Option<f64>)| {
-            let [x, y] = [i % width, i / width].map(|n| n as f64 + self.pixel_offset);
-            let stretch = |kind: DepthKind| kind.stretch(&self.camera, x, y);
-            Some((*distance)? * stretch(kind.other()) / stretch(kind))
+            Some((*distance)? * self.stretch(kind.other(), i) / self.stretch(kind, i))
         };
         self.distance.iter().enumerate().map(otherwise).collect()
+    }
+
+    /// The largest depth of this kind.
+    #[must_use]
+    pub fn largest_depth(&self, kind: DepthKind) -> LargestDepth {
+        let mut largest = LargestDepth::default();
+        for (i, distance) in self.distance.iter().enumerate().filter_map(|(i, distance)| Some((i, (*distance)?))) {
+            largest.count(LargestDepth { depth: distance / self.stretch(kind, i), pixels: 1 });
+        }
+        largest
+    }
+
+    /// Distance from the camera per depth of this kind at pixel `i`.
+    fn stretch(&self, kind: DepthKind, i: usize) -> f64 {
+        let width = self.camera.resolution[0] as usize;
+        let [x, y] = [i % width, i / width].map(|n| n as f64 + self.pixel_offset);
+        kind.stretch(&self.camera, x, y)
     }
 }

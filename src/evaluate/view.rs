@@ -13,12 +13,12 @@ use crate::render::{
     DepthProbe, DepthVariance, Differentiation, FEWEST, Probe, Probed, ProbedField, RayAverage, RenderedView, Tracer,
     render_view, render_view_with_depth,
 };
-use crate::uncertainty::{BakedField, DepthPosterior, Misfit, UncertaintyField};
+use crate::uncertainty::{BakedField, DepthPosterior, UncertaintyField};
 
 /// Bytes that a reading's field may take to answer faster.
 const ROOM: usize = 256 << 20;
 
-/// A field to evaluate, and everything that claims to know where it is wrong.
+/// A field to evaluate, and the measures to rank its errors by.
 pub struct Evaluator<'a> {
     /// The field.
     pub tracer: Tracer<'a>,
@@ -32,8 +32,6 @@ pub struct Evaluator<'a> {
     pub members: Vec<Tracer<'a>>,
     /// The cameras that the field was trained on, if they are known.
     pub training: Option<&'a TrainingViews>,
-    /// What training left unexplained: that of the first reading that knows it, unless told otherwise.
-    pub misfit: Option<&'a Misfit>,
     /// What those cameras truly saw, if that is known.
     pub truly_seen: Option<&'a TrainingViews>,
 }
@@ -77,20 +75,11 @@ pub struct EvaluatedView {
 }
 
 impl<'a> Evaluator<'a> {
-    /// Evaluates a field by these readings and by what its own rays tell.
+    /// Evaluates a field by these readings and by measures of its own rays.
     #[must_use]
     pub fn new(tracer: Tracer<'a>, readings: &'a [Reading]) -> Self {
         let baked = readings.iter().map(|reading| BakedField::within(ROOM, &reading.field)).collect();
-        Self {
-            tracer,
-            readings,
-            baked,
-            differentiation: None,
-            members: Vec::new(),
-            training: None,
-            misfit: readings.iter().find_map(|reading| reading.field.misfit()),
-            truly_seen: None,
-        }
+        Self { tracer, readings, baked, differentiation: None, members: Vec::new(), training: None, truly_seen: None }
     }
 
     /// All measures, in the order of [`EvaluatedView::measures`].
@@ -108,7 +97,6 @@ impl<'a> Evaluator<'a> {
         if self.training.is_some() {
             baselines.extend([Baseline::TrainingViews, Baseline::TrainingAngle]);
         }
-        baselines.extend(self.misfit.map(|_| Baseline::Misfit));
         baselines.push(Baseline::Random);
         if !self.members.is_empty() {
             baselines.extend([Baseline::EnsembleVariance, Baseline::DensityAware]);
@@ -136,17 +124,17 @@ impl<'a> Evaluator<'a> {
         readings.filter_map(|(i, reading)| Some((i, reading.field.depth_posterior().ok()?)))
     }
 
-    /// The first reading whose field knows its ray counts.
+    /// The first reading whose field stores its ray counts.
     fn counted(&self) -> Option<&Reading> {
         self.readings.iter().find(|reading| !reading.field.rays().is_empty())
     }
 
-    /// The first reading whose field knows how many training rays passed.
+    /// The first reading whose field stores visits.
     fn visited(&self) -> Option<&Visits> {
         self.readings.iter().find_map(|reading| reading.field.visits())
     }
 
-    /// Renders a view with the field and all members, and compares. Advances the monitor by [`Evaluator::rows`].
+    /// Renders a view with the field and all members, and compares. Advances the monitor by one per row of each.
     ///
     /// # Errors
     /// [`crate::Error::Interrupted`] only.
@@ -227,7 +215,6 @@ impl<'a> Evaluator<'a> {
                     }
                     Baseline::TrainingViews => sightings.iter().map(|found| -(found.views as f64)).collect(),
                     Baseline::TrainingAngle => sightings.iter().map(|found| found.angle).collect(),
-                    Baseline::Misfit => each(&|i| self.misfit.map_or(0.0, |misfit| misfit.at(hit(i)))),
                     Baseline::Random => pixels.iter().map(|_| random.random()).collect(),
                     Baseline::EnsembleVariance => each(&|i| {
                         let depth = |m: &RenderedView| self.depth(truth, m, i);
@@ -255,7 +242,7 @@ impl<'a> Evaluator<'a> {
         })
     }
 
-    /// How well the measure of index `m` tells the pixels that no training camera saw, over all views.
+    /// How well the measure of index `m` detects the pixels that no training camera saw, over all views.
     ///
     /// `None` if that is not known, or if all pixels or none were seen.
     #[must_use]
@@ -280,12 +267,6 @@ impl<'a> Evaluator<'a> {
         let deviations: Option<Vec<f64>> = views.iter().flat_map(|view| &view.measures[m]).map(deviation).collect();
         let errors: Vec<f64> = views.iter().flat_map(|view| &view.absolute_error).copied().collect();
         Calibration::new(&errors, &deviations?)
-    }
-
-    /// Rows that [`Evaluator::evaluate`] renders for a view.
-    #[must_use]
-    pub fn rows(&self, truth: &TrueView) -> u64 {
-        u64::from(truth.camera.resolution[1]) * (1 + self.members.len() as u64)
     }
 
     /// Median depth of a member's pixel. Where it shows nothing, the depth at which the ray leaves the box.

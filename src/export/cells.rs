@@ -7,7 +7,7 @@ use crate::geometry::Lattice;
 use crate::octree::{Cell, CellTree, morton};
 use crate::uncertainty::{Answer, Answers};
 
-/// Cells that are asked about together: enough to keep all threads busy, a few megabytes.
+/// Cells per query: enough to keep all threads busy, a few megabytes.
 const CHUNK: usize = 1 << 16;
 
 /// The leaves of a lattice in Morton order. Without an octree these are all of its cells.
@@ -26,7 +26,7 @@ pub fn leaves<'a>(lattice: &Lattice, cells: Option<&'a CellTree>) -> impl Iterat
     })
 }
 
-/// Whether a field knows how many rays support its answers, and where rays passed.
+/// Whether a field stores ray counts, and whether it stores visits.
 pub fn knows(field: &dyn Answers) -> Result<[bool; 2]> {
     let lattice = field.lattice();
     let middle = lattice.position(DVec3::splat(0.5 * f64::from(lattice.cells_per_axis()))).as_vec3();
@@ -115,7 +115,7 @@ fn middle(lattice: &Lattice, cell: Cell) -> DVec3 {
     DVec3::from(origin.map(f64::from)) + 0.5 * f64::from(edge)
 }
 
-/// What the field answers at the centres of `cells`, asked chunk by chunk.
+/// The field's values at the centres of `cells`, queried chunk by chunk.
 pub fn at_centers<'a>(
     field: &'a dyn Answers,
     cells: impl Iterator<Item = Cell> + 'a,

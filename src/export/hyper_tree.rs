@@ -28,8 +28,8 @@ struct Array {
     offset: u64,
 }
 
-/// Writes all cells, split ones too, with log10 U at their centres, their level, and as far as the field knows them the
-/// rays there and what they tell (0 never seen, 1 free, 2 constrained).
+/// Writes all cells, split ones too, with log10 U at their centres, their level, and if the field stores them the rays
+/// there and whether they were seen (0 never seen, 1 free, 2 constrained).
 ///
 /// A contracted domain is written as its cube: the part that is not contracted in scene units, the rest folded around
 /// it.

@@ -3,7 +3,6 @@
 use std::path::Path;
 
 use glam::Vec3;
-use itertools::process_results;
 
 use super::cells::{at_centers, center, edges, in_chunks, knows, leaves};
 use crate::Result;
@@ -11,7 +10,7 @@ use crate::io::npz::NpzWriter;
 use crate::uncertainty::{Answer, Answers, Knowledge, Matrices};
 
 /// Writes one row per leaf, in Morton order. The arrays are those of the book's chapter on `export`; `rays` and `seen`
-/// are there if the field knows them, `covariance` if its matrices are given.
+/// are there if the field stores them, `covariance` if its matrices are given.
 ///
 /// # Errors
 /// If the file cannot be written, or the field cannot be read.
@@ -43,7 +42,7 @@ pub fn write_leaves(path: &Path, field: &dyn Answers, matrices: Option<&Matrices
         let full = |[xx, xy, xz, yy, yz, zz]: [f64; 6]| [xx, xy, xz, xy, yy, yz, xz, yz, zz].map(|v| v as f32);
         npz.array("covariance", &[count, 3, 3], covariances.flat_map(full))?;
     }
-    npz.array("prior_log10_uncertainty", &[], [field.protocol().prior_deviation().log10()])?;
+    npz.array("prior_log10_uncertainty", &[], [field.protocol().reading().prior().log10()])?;
     npz.finish()
 }
 
@@ -55,7 +54,11 @@ fn put<T: npyz::AutoSerialize + npyz::Serialize>(
     answers: impl Iterator<Item = Result<Answer>>,
     value: impl Fn(Answer) -> T,
 ) -> Result<()> {
-    process_results(answers, |answers| npz.array(name, &[count], answers.map(value)))?
+    let mut failed = None;
+    let answers = answers.map_while(|answer| answer.map_err(|error| failed = Some(error)).ok());
+    let written = npz.array(name, &[count], answers.map(value));
+    // An array that ends too early is only what an error led to.
+    failed.map_or(written, Err)
 }
 
 /// What is known of a place, as a number: 0 never seen, 1 free, 2 constrained.

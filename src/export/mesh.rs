@@ -23,6 +23,12 @@ pub struct MeshSettings {
     pub density: Option<f64>,
 }
 
+impl Default for MeshSettings {
+    fn default() -> Self {
+        Self { resolution: 192, density: None }
+    }
+}
+
 /// A lattice of cubes that covers a box, with one cube of empty space around.
 struct Cubes {
     bounds: Aabb,
@@ -77,7 +83,7 @@ impl Cubes {
 }
 
 /// Writes the surface of `model` where its density is that of the settings, by surface nets, with the model's colour
-/// seen from outside, normals, and what `field` says. Returns the number of vertices and triangles.
+/// seen from outside, normals, and U of `field`. Returns the number of vertices and triangles.
 ///
 /// # Errors
 /// If the file cannot be written, the field cannot be read, if nothing is as dense, or [`Error::Interrupted`].

@@ -1,8 +1,7 @@
-//! Files for other people's tools: a field's leaves, the surfaces that its training views show, and what it says of
-//! them.
+//! Files for other tools: a field's leaves, and the surfaces that its training views show, with their U.
 //!
-//! What grows with the field is written as it is computed, so that a field takes little more memory than its own. The
-//! book's chapter on `export` says what every file holds.
+//! Data that grow with the field are written as they are computed, so an export takes little more memory than the
+//! field. The book's chapter on `export` lists the contents of every file.
 
 mod axes;
 mod cells;
@@ -12,9 +11,11 @@ mod mesh;
 mod ply;
 mod points;
 mod report;
+mod splats;
 
 pub use hyper_tree::write_hyper_tree;
 pub use leaves::write_leaves;
 pub use mesh::{MeshSettings, write_mesh};
 pub use points::{Surfaces, surfaces, write_points};
 pub use report::write_report;
+pub use splats::{SeenSplats, write_splats};

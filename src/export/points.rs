@@ -14,7 +14,7 @@ use crate::monitor::{Monitor, check};
 use crate::render::{Tracer, render_view};
 use crate::uncertainty::{Answers, Matrices};
 
-/// Points that are asked about together.
+/// Points per query.
 const CHUNK: usize = 1 << 16;
 
 /// Points on surfaces: where rays of cameras lose half of their light, if they lose as much.
@@ -30,6 +30,11 @@ pub struct Surfaces {
     pub cameras: Vec<u32>,
     /// Pixels looked at, of each camera.
     pub pixels: Vec<u64>,
+}
+
+impl Surfaces {
+    /// Default number of pixels.
+    pub const PIXELS: u64 = 400_000;
 }
 
 /// Looks at every k-th pixel of every k-th row of all cameras, with the least k that makes it at most `pixels` or so.
@@ -89,7 +94,7 @@ fn against_gradient(tracer: &Tracer, positions: &[Vec3], normals: &mut [Vec3]) {
     }
 }
 
-/// What is said of a point beside its surface: what was seen of it, and the index of the camera that shows it.
+/// Further properties of a point: whether it was seen, and the index of the camera that shows it.
 const POINT: [(&str, &str); 2] = [("float", "scalar_seen"), ("float", "scalar_camera")];
 
 /// Axes of the ellipsoids: three vectors, the longest first, as long as one standard deviation.
@@ -105,7 +110,7 @@ const AXES: [(&str, &str); 9] = [
     ("float", "scalar_axis_3_z"),
 ];
 
-/// Writes the points with what the field says of them, and the axes of the covariance there if its matrices are given.
+/// Writes the points with their U, and the axes of the covariance there if its matrices are given.
 ///
 /// # Errors
 /// If the file cannot be written, or the field cannot be read.

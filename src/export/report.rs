@@ -1,4 +1,4 @@
-//! What a field says of the surfaces that cameras see, camera by camera and region by region, as a table.
+//! U on the surfaces that cameras see, camera by camera and region by region, as a table.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -31,7 +31,7 @@ pub fn write_report(path: &Path, surfaces: &Surfaces, names: &[String], field: &
     let mut regions: BTreeMap<[u8; 3], Group> = BTreeMap::new();
     let mut all = Group::default();
     let answers = field.answers(&surfaces.positions)?;
-    // Without visits nobody knows what was seen.
+    // Without visits it is unknown what was seen.
     let knows_visits = answers.iter().any(|found| found.visits.is_some());
     for (i, found) in answers.iter().enumerate() {
         let x = surfaces.positions[i];

@@ -1,22 +1,34 @@
 //! Radiance fields: density and colour at a point, seen from a direction.
 //!
 //! Everything downstream sees a field only through [`RadianceField`], so any architecture can be a black box.
-//! Only this module knows how models are stored.
+//! How models are stored is private to this module.
 
 pub mod closed_form;
+#[cfg(feature = "files")]
 mod elementary;
+#[cfg(feature = "files")]
 mod harmonics;
+#[cfg(feature = "train")]
 pub mod hash_grid;
+#[cfg(feature = "files")]
 mod mlp;
+#[cfg(feature = "files")]
 mod ppng;
+#[cfg(feature = "files")]
 mod voxel;
+#[cfg(feature = "files")]
 mod window;
 
 pub use closed_form::ClosedForm;
+#[cfg(feature = "train")]
 pub use hash_grid::{HashGrid, HashGridConfig};
+#[cfg(feature = "files")]
 pub use mlp::NerfMlp;
+#[cfg(feature = "files")]
 pub(crate) use mlp::is_checkpoint;
+#[cfg(feature = "files")]
 pub use ppng::{Coordinates, Ppng};
+#[cfg(feature = "files")]
 pub use voxel::VoxelGrid;
 
 use glam::Vec3;
@@ -70,7 +82,7 @@ pub trait Differentiable: Send + Sync {
     }
 }
 
-/// What the user must add to a field that knows its training poses but not the lens.
+/// Intrinsics that the user must add to a field that stores its training poses but not the lens.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Intrinsics {
     /// Horizontal angle of view, radians.
@@ -142,7 +154,7 @@ pub trait RadianceField: Send + Sync {
     /// An upper bound of the density in the box from `min` to `max`, if the field has one that is cheap to find.
     ///
     /// Empty space is then skipped with certainty; without a bound, emptiness is estimated from samples. A
-    /// field may know bounds for some boxes only.
+    /// field may return bounds for some boxes only.
     fn density_bound(&self, _min: Vec3, _max: Vec3) -> Option<f32> {
         None
     }
@@ -162,7 +174,7 @@ pub trait RadianceField: Send + Sync {
         &[]
     }
 
-    /// Root mean square error of the training pixels' colours (0..1) that training left, if the model records it.
+    /// Root mean square error of the training pixels' colours (0..1) after training, if the model records it.
     fn training_noise(&self) -> Option<f64> {
         None
     }
@@ -180,16 +192,16 @@ pub trait RadianceField: Send + Sync {
         0.5
     }
 
-    /// Number of points from which on asking pays, 0 if a few hundred will do.
+    /// Smallest efficient batch, in points; 0 if a few hundred are enough.
     ///
-    /// A field that is dear to enter, such as one in another language or on a GPU, gets at least as many points at
-    /// once where rays permit: rays then run side by side until enough questions have come up
-    /// ([`RayStream::run`](crate::rays::RayStream::run)). Results are the same.
+    /// A field with a high cost per call, such as one in another language or on a GPU, gets nine of ten points in
+    /// batches of at least this size: thousands of rays then advance together
+    /// ([`RayStream::run`](crate::rays::RayStream::run)). Results do not depend on it.
     fn batch(&self) -> usize {
         0
     }
 
-    /// Size of parameters and tables, bytes; 0 if nobody knows.
+    /// Size of parameters and tables, bytes; 0 if unknown.
     fn memory(&self) -> usize {
         0
     }
@@ -198,4 +210,15 @@ pub trait RadianceField: Send + Sync {
     fn describe(&self) -> String {
         "a field of another program".into()
     }
+}
+
+/// For each camera, the index of the same one among those that the model was trained on ([`Camera::is_like`], seen from
+/// the far side of the model's box).
+pub fn known_cameras<'a>(
+    model: &dyn RadianceField,
+    cameras: impl IntoIterator<Item = &'a Camera>,
+) -> Vec<Option<usize>> {
+    let (known, length) = (model.training_cameras(), model.bounds().longest_edge());
+    let index = |camera: &Camera| known.iter().position(|known| known.camera.is_like(camera, length));
+    cameras.into_iter().map(index).collect()
 }

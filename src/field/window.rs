@@ -3,9 +3,9 @@
 //! Letters: `p` file position; `n` cells per axis (a multiple of 4); `k` cascade, the cube of side 2ᵏ around
 //! p = ½ in n³ cells. A point belongs to the finest cascade that contains it.
 //!
-//! The trainer samples occupied cells only. Elsewhere no loss ever saw the network, and it holds fog and
-//! floaters. A cut at the cells' faces would give the density jumps that no image asked for, and finite
-//! differences across a face would see them. So the window w is 1 in all occupied cells, falls linearly to 0
+//! The trainer samples occupied cells only. Elsewhere no loss constrains the network, and it has fog and
+//! floaters. A cut at the cells' faces would add jumps of density that are in no image, and finite
+//! differences across a face would include them. So the window w is 1 in all occupied cells, falls linearly to 0
 //! over the next cell, and is continuous everywhere inside the box. It is trilinear between cell corners, and
 //! a corner is 1 if one of its cells is occupied. Where cascades meet, fine corners that hang on a coarse
 //! face take the interpolated value of that face (as hanging vertices of an octree do). A coarse cell that

@@ -98,10 +98,9 @@ impl Camera {
             self.distortion.is_invertible([0, 1].map(|k| (at[k] - self.center[k]) / self.focal[k]))
         };
         let without = (0..SIDE * SIDE).filter(|&i| !has_ray(i)).count() as f64 / (SIDE * SIDE) as f64;
-        let Distortion { k: [k1, k2], p: [p1, p2] } = self.distortion;
         let percent = 100.0 * without;
         (without > MOST_WITHOUT_RAYS)
-            .then(|| format!("k1 {k1}, k2 {k2}, p1 {p1}, p2 {p2}, by which {percent:.0} % of the pixels have none"))
+            .then(|| format!("{}, by which {percent:.0} % of the pixels have none", self.distortion))
     }
 
     /// Number of pixels.
@@ -205,13 +204,53 @@ impl Camera {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::array::{uniform2, uniform3, uniform4};
+    use proptest::prelude::*;
+
+    proptest! {
+        /// Any pose, any lens of COLMAP's and nerfstudio's perspective cameras, any point on a ray.
+        #[test]
+        fn rays_of_every_lens_project_back_to_their_pixel(
+            eye in uniform3(-10.0..10.0_f64),
+            up in uniform3(0.1..1.0_f64),
+            focal in uniform2(300.0..2000.0_f64),
+            center in uniform2(-20.0..20.0_f64),
+            k in uniform4(-0.3..0.3_f64),
+            coefficients in 0..=4_usize,
+            p in uniform2(-1e-2..1e-2_f64),
+            is_tangential: bool,
+            pixel in (0.0..640.0_f64, 0.0..480.0_f64),
+            depth in 0.1..100.0_f64,
+        ) {
+            let (eye, up) = (DVec3::from(eye), DVec3::from(up));
+            prop_assume!(eye.length() > 0.1 && eye.normalize().cross(up.normalize()).length() > 0.1);
+            let k = std::array::from_fn(|i| if i < coefficients { k[i] } else { 0.0 });
+            let camera = Camera {
+                focal,
+                center: [320.0 + center[0], 240.0 + center[1]],
+                distortion: Distortion { k, p: if is_tangential { p } else { [0.0; 2] } },
+                ..Camera::look_at(eye, DVec3::ZERO, up, 1.0, [640, 480])
+            };
+            let pixel = [pixel.0, pixel.1];
+            // A pixel beyond the fold of a lens has no ray, one next to it no exact one.
+            let seen = [0, 1].map(|i| (pixel[i] - camera.center[i]) / camera.focal[i]);
+            prop_assume!(camera.distortion.is_invertible(seen.map(|v| 1.05 * v)));
+            let (found, found_depth) = camera.project(camera.ray(pixel[0], pixel[1]).at(depth)).unwrap();
+            prop_assert!(found_depth > 0.0 && found_depth <= depth * (1.0 + 1e-12));
+            // Positions of about 10 less positions of about 10, at a tenth of a unit, and times the focal length:
+            // ε · 100 · 2000 is 4e-11.
+            for i in 0..2 {
+                prop_assert!((found[i] - pixel[i]).abs() < 1e-9, "{:?} for {:?}", found, pixel);
+            }
+        }
+    }
 
     const PIXELS: [[f64; 2]; 4] = [[0.5, 0.5], [20.0, 15.0], [39.5, 0.5], [3.25, 29.0]];
 
     #[test]
     fn rays_project_back_to_their_pixel() {
         let pinhole = Camera::look_at(DVec3::new(3.0, -2.0, 1.5), DVec3::ZERO, DVec3::Z, 0.7, [40, 30]);
-        let distortion = Distortion { k: [0.0578, -0.0805], p: [-9.8e-4, 1.6e-4] };
+        let distortion = Distortion { k: [0.0578, -0.0805, 0.0, 0.0], p: [-9.8e-4, 1.6e-4] };
         for (camera, pixel) in
             [pinhole, Camera { distortion, ..pinhole }].into_iter().flat_map(|c| PIXELS.map(|p| (c, p)))
         {
@@ -237,7 +276,7 @@ mod tests {
         assert!(camera.is_like(&moved(1e-4), 2.0) && camera.is_like(&camera.resized([400, 300]), 2.0));
         assert!(camera.is_like(&moved(0.49 * pixel), 2.0) && !camera.is_like(&moved(0.51 * pixel), 2.0));
         assert!(camera.is_like(&turned(0.24 * pixel), 2.0) && !camera.is_like(&turned(0.26 * pixel), 2.0));
-        let other = Distortion { k: [0.2, 0.0], p: [0.0; 2] };
+        let other = Distortion { k: [0.2, 0.0, 0.0, 0.0], p: [0.0; 2] };
         assert!(!camera.is_like(&Camera { distortion: other, ..camera }, 2.0));
         assert!(!camera.is_like(&Camera { focal: [1.05 * camera.focal[0]; 2], ..camera }, 2.0));
     }
@@ -246,12 +285,14 @@ mod tests {
     fn every_number_is_in_the_checksum() {
         let camera = Camera::look_at(DVec3::new(3.0, -2.0, 1.5), DVec3::ZERO, DVec3::Z, 0.7, [40, 30]);
         let next = |v: &mut f64| *v = v.next_up();
-        let changes: [&dyn Fn(&mut Camera); 8] = [
+        let changes: [&dyn Fn(&mut Camera); 10] = [
             &|c| next(&mut c.position.y),
             &|c| next(&mut c.axes.z_axis.x),
             &|c| next(&mut c.focal[1]),
             &|c| next(&mut c.center[0]),
             &|c| next(&mut c.distortion.k[1]),
+            &|c| next(&mut c.distortion.k[2]),
+            &|c| next(&mut c.distortion.k[3]),
             &|c| next(&mut c.distortion.p[0]),
             &|c| c.resolution[0] += 1,
             &|c| c.resolution[1] += 1,
@@ -273,7 +314,9 @@ mod tests {
     #[test]
     fn lenses_that_fold_the_image_over_are_told() {
         let camera = Camera::look_at(DVec3::new(3.0, -2.0, 1.5), DVec3::ZERO, DVec3::Z, 0.9, [40, 30]);
-        let with = |k: [f64; 2], p: [f64; 2]| Camera { distortion: Distortion { k, p }, ..camera }.folds_over();
+        let with = |[k1, k2]: [f64; 2], p: [f64; 2]| {
+            Camera { distortion: Distortion { k: [k1, k2, 0.0, 0.0], p }, ..camera }.folds_over()
+        };
         // Real lenses: of an action camera, of a phone, and a barrel as strong as they get at this angle.
         for (k, p) in [([-0.27, 0.09], [1e-3, -5e-4]), ([0.06, -0.08], [-1e-3, 2e-4]), ([-0.4, 0.2], [0.0; 2])] {
             assert_eq!(with(k, p), None, "{k:?}, {p:?}");

@@ -2,6 +2,8 @@
 
 use std::sync::Arc;
 
+use super::Camera;
+
 /// The pixels of an image that a model was trained on; the others are masked.
 ///
 /// A copy shares its pixels with the original.
@@ -131,9 +133,19 @@ impl Mask {
     }
 }
 
+/// The number of pixels of cameras that their masks keep; `masks` has one or none for each, or is empty.
+#[must_use]
+pub fn kept_pixels(cameras: &[Camera], masks: &[Option<Mask>]) -> u64 {
+    let kept = |(i, camera): (usize, &Camera)| {
+        masks.get(i).and_then(Option::as_ref).map_or_else(|| camera.pixels(), Mask::pixels)
+    };
+    cameras.iter().enumerate().map(kept).sum()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use glam::DVec3;
     use proptest::prelude::*;
 
     proptest! {
@@ -163,6 +175,15 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn pixels_that_count_are_those_that_masks_keep() {
+        let cameras = [[4, 2], [3, 3]].map(|size| Camera::look_at(DVec3::X, DVec3::ZERO, DVec3::Z, 0.7, size));
+        let half = Mask::new([4, 2], |column, _| column < 2);
+        assert_eq!(kept_pixels(&cameras, &[]), 17);
+        assert_eq!(kept_pixels(&cameras, &[Some(half.clone()), None]), 13);
+        assert_eq!(kept_pixels(&cameras[..1], &[Some(half)]), 4);
     }
 
     #[test]

@@ -15,11 +15,13 @@ mod ray;
 
 pub use aabb::Aabb;
 pub use camera::Camera;
-pub(crate) use camera::{MAX_PIXELS, MAX_REACH, MAX_SIDE, MAX_SKEW, skew};
+pub(crate) use camera::MAX_PIXELS;
+#[cfg(feature = "files")]
+pub(crate) use camera::{MAX_REACH, MAX_SIDE, MAX_SKEW, skew};
 pub use distortion::Distortion;
 pub use domain::{Domain, Norm};
 pub use lattice::{Lattice, MAX_LEVEL};
-pub use mask::Mask;
+pub use mask::{Mask, kept_pixels};
 pub use named::NamedCamera;
 pub use poses::{inverted, opencv};
 pub use ray::Ray;

@@ -36,7 +36,7 @@ struct Stored {
     focal: [f64; 2],
     center: [f64; 2],
     resolution: [u32; 2],
-    k: [f64; 2],
+    k: [f64; 4],
     p: [f64; 2],
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     masked: bool,
@@ -72,7 +72,7 @@ mod tests {
 
     fn named() -> NamedCamera {
         let mut camera = Camera::look_at(DVec3::new(3.0, -2.0, 1.0 / 3.0), DVec3::ZERO, DVec3::Z, 0.7, [40, 30]);
-        camera.distortion = Distortion { k: [0.1, -1.0 / 7.0], p: [1e-3, 2e-3] };
+        camera.distortion = Distortion { k: [0.1, -1.0 / 7.0, 1.0 / 11.0, -0.3], p: [1e-3, 2e-3] };
         NamedCamera { is_masked: true, ..NamedCamera::new("r_0", camera) }
     }
 

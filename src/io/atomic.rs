@@ -1,6 +1,5 @@
 //! Files that appear complete or not at all.
 
-use std::fs::File;
 use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
@@ -12,7 +11,7 @@ use crate::{Error, Result};
 
 /// A buffered file under a temporary name beside its target. [`AtomicFile::commit`] renames it over the target
 /// once its content has reached the disk. A file that is dropped before that is removed. Files of processes that
-/// were killed stay until [`AtomicFile::clear_leftovers`] is called for the same target.
+/// were killed stay until [`part::clear_leftovers`] is called for the same target.
 #[derive(Debug)]
 pub struct AtomicFile {
     writer: BufWriter<NamedTempFile>,
@@ -22,9 +21,6 @@ pub struct AtomicFile {
 impl AtomicFile {
     /// Starts a file that will replace `target`. If `target` is a link, the link stays and the file behind it is
     /// replaced.
-    ///
-    /// # Errors
-    /// If the folder does not exist or cannot be written, or if `target` is a folder, a device or a pipe.
     pub fn create(target: &Path) -> Result<Self> {
         check_replaceable(target)?;
         let destination = destination(target)?;
@@ -43,33 +39,14 @@ impl AtomicFile {
         Ok(Self { writer: BufWriter::with_capacity(1 << 16, file), target: destination })
     }
 
-    /// Removes what processes that were killed left of `target`, and nothing that is still being written.
-    pub fn clear_leftovers(target: &Path) {
-        if let Ok(destination) = destination(target) {
-            part::clear_leftovers(&destination);
-        }
-    }
-
-    /// The path that the file will have, with symbolic links resolved.
-    #[must_use]
-    pub fn target(&self) -> &Path {
-        &self.target
-    }
-
     /// Flushes the content to disk. After that, [`AtomicFile::commit`] can hardly fail: files that belong together
     /// are all flushed before the first gets its name.
-    ///
-    /// # Errors
-    /// If the disk is full.
     pub fn sync(&mut self) -> Result<()> {
         let written = self.writer.flush().and_then(|()| self.writer.get_ref().as_file().sync_all());
         written.map_err(Error::io(&self.target, "cannot write"))
     }
 
-    /// Flushes the content to disk and gives the file its name.
-    ///
-    /// # Errors
-    /// If the disk is full or the rename fails. The target then stays as it was.
+    /// Flushes the content to disk and gives the file its name. If either fails, the target stays as it was.
     pub fn commit(mut self) -> Result<()> {
         self.sync()?;
         let Self { writer, target } = self;
@@ -79,10 +56,8 @@ impl AtomicFile {
     }
 
     /// Returns the temporary file, read from its start, for content that is copied elsewhere instead of committed.
-    ///
-    /// # Errors
-    /// If buffered data cannot be written.
-    pub fn into_reader(self) -> io::Result<(File, tempfile::TempPath)> {
+    #[cfg(feature = "files")]
+    pub fn into_reader(self) -> io::Result<(std::fs::File, tempfile::TempPath)> {
         let (mut file, path) = self.writer.into_inner().map_err(io::IntoInnerError::into_error)?.into_parts();
         file.seek(SeekFrom::Start(0))?;
         Ok((file, path))

@@ -7,11 +7,11 @@
 //! sections  raw little-endian, one after the other; nothing follows the last
 //! ```
 //!
-//! The header names what it holds, so a new setting breaks no old file. Unknown fields and sections are skipped,
-//! and missing ones get their defaults. The version is raised only when an older program would misread the file.
+//! The header names what it holds, so a new setting breaks no old file. Unknown fields and sections are skipped, and
+//! optional ones may be missing. The version is raised only when an older program would misread the file.
 //!
-//! A reader refuses files that are truncated, altered, newer, or longer than they say. It allocates no more than
-//! the file holds.
+//! A reader refuses files that are truncated, altered, of another version, or longer than they say. It allocates no
+//! more than the file holds.
 
 use std::collections::VecDeque;
 use std::fs::File;
@@ -26,7 +26,7 @@ use crate::{Error, Result};
 
 /// Largest accepted header, bytes. Headers take a few kilobytes; only a source's name and the number of draws
 /// vary.
-pub(super) const MAX_HEADER: usize = 1 << 20;
+const MAX_HEADER: usize = 1 << 20;
 /// Items read or written at a time, between 16 KiB and 768 KiB.
 const CHUNK: usize = 1 << 14;
 
@@ -83,9 +83,6 @@ fn pieces<T: Item>(items: &[T], mut visit: impl FnMut(&[u8]) -> std::io::Result<
 /// A section to be written.
 pub trait Section {
     /// Calls `visit` with the section's bytes, piece by piece.
-    ///
-    /// # Errors
-    /// What `visit` returns.
     fn visit(&self, visit: &mut dyn FnMut(&[u8]) -> std::io::Result<()>) -> std::io::Result<()>;
 }
 
@@ -109,17 +106,14 @@ struct Header<H> {
 }
 
 /// A section as the header describes it.
-#[derive(Debug, Clone, Serialize, Deserialize)]
-pub(super) struct Described {
-    pub name: String,
-    pub bytes: u64,
-    pub crc32: u32,
+#[derive(Serialize, Deserialize)]
+struct Described {
+    name: String,
+    bytes: u64,
+    crc32: u32,
 }
 
 /// Writes a file. It appears complete or not at all.
-///
-/// # Errors
-/// If the folder cannot be written or the disk is full.
 pub fn write(path: &Path, format: Format, content: &impl Serialize, sections: &[(&str, &dyn Section)]) -> Result<()> {
     let mut described = VecDeque::new();
     for (name, section) in sections {
@@ -150,18 +144,16 @@ pub fn write(path: &Path, format: Format, content: &impl Serialize, sections: &[
     file.commit()
 }
 
-/// The start of a file: its version, the bytes of its header, and the stream after them.
-pub(super) struct Start {
-    pub version: u32,
-    pub header: Vec<u8>,
+/// A file being read. Its sections are taken in order.
+pub struct Reader {
     file: BufReader<File>,
-    length: u64,
     path: PathBuf,
+    sections: VecDeque<Described>,
 }
 
-impl Start {
-    /// Opens a file of `format` or of an older version, and reads its header's bytes.
-    pub fn open(path: &Path, format: Format) -> Result<Self> {
+impl Reader {
+    /// Opens a file of this `format`, and reads its header. Checks the lengths of its sections against the file's.
+    pub fn open<H: DeserializeOwned>(path: &Path, format: Format) -> Result<(H, Self)> {
         let file = super::open(path)?;
         let length = file.metadata().map_err(Error::io(path, "cannot read"))?.len();
         let mut file = BufReader::with_capacity(1 << 16, file);
@@ -176,9 +168,10 @@ impl Start {
         }
         let word = |at: usize| u32::take(&start[at..]);
         let (version, header_length, crc) = (word(8), word(12) as usize, word(16));
-        if version == 0 || version > format.1 {
-            let found = format!("version {version}; a newer octobayes may read it");
-            return Err(Error::malformed(path, "format", format!("version 1 to {}", format.1), found));
+        if version != format.1 {
+            let newer = if version > format.1 { "; a newer octobayes may read it" } else { "" };
+            let found = format!("version {version}{newer}");
+            return Err(Error::malformed(path, "format", format!("version {}", format.1), found));
         }
         if header_length > MAX_HEADER {
             let expected = format!("at most {MAX_HEADER} bytes");
@@ -189,71 +182,23 @@ impl Start {
         if crc32fast::hash(&header) != crc {
             return Err(Error::malformed(path, "header", "its stored checksum", "altered data"));
         }
-        Ok(Self { version, header, file, length, path: path.to_path_buf() })
-    }
-
-    /// The sections after the header. Checks their lengths against the file's.
-    pub fn sections(self, sections: VecDeque<Described>) -> Result<Reader> {
-        let Self { header, file, length, path, .. } = self;
+        let Header { content, sections } = serde_json::from_slice::<Header<H>>(&header)
+            .map_err(|e| Error::malformed(path, "header", "a description of the file", e.to_string()))?;
         let expected = sections.iter().try_fold(20 + header.len() as u64, |sum, s| sum.checked_add(s.bytes));
         if expected != Some(length) {
             let expected = expected.map_or("a possible length".into(), |n| format!("{n} bytes"));
             let found = format!("{length} bytes (truncated or altered)");
-            return Err(Error::malformed(&path, "length", expected, found));
+            return Err(Error::malformed(path, "length", expected, found));
         }
-        Ok(Reader { file, path, sections })
-    }
-}
-
-/// A file being read. Its sections are taken in order.
-pub struct Reader {
-    file: BufReader<File>,
-    path: PathBuf,
-    sections: VecDeque<Described>,
-}
-
-/// The version of a file in `format` or an older version of it.
-///
-/// # Errors
-/// If the file is missing, of another format or newer, or if its header is damaged.
-pub fn version(path: &Path, format: Format) -> Result<u32> {
-    Start::open(path, format).map(|start| start.version)
-}
-
-impl Reader {
-    /// Opens a file of exactly this `format`, and reads its header.
-    ///
-    /// # Errors
-    /// If the file is missing or of another format or version, or if its header or length is damaged.
-    pub fn open<H: DeserializeOwned>(path: &Path, format: Format) -> Result<(H, Self)> {
-        let start = Start::open(path, format)?;
-        if start.version != format.1 {
-            let found = format!("version {}", start.version);
-            return Err(Error::malformed(path, "format", format!("version {}", format.1), found));
-        }
-        let Header { content, sections } = serde_json::from_slice(&start.header)
-            .map_err(|e| Error::malformed(path, "header", "a description of the file", e.to_string()))?;
-        Ok((content, start.sections(sections)?))
+        Ok((content, Self { file, path: path.to_path_buf(), sections }))
     }
 
     /// Whether a section of this name follows and holds anything.
-    #[must_use]
     pub fn has(&self, name: &str) -> bool {
         self.sections.iter().any(|section| section.name == name && section.bytes > 0)
     }
 
-    /// Like [`Reader::section`], but nothing if no such section follows.
-    ///
-    /// # Errors
-    /// As [`Reader::section`], but for a missing one.
-    pub fn optional<T: Item>(&mut self, name: &str) -> Result<Vec<T>> {
-        if self.sections.iter().any(|section| section.name == name) { self.section(name) } else { Ok(Vec::new()) }
-    }
-
     /// Reads and checks the next section of this name. Sections of other names before it are skipped.
-    ///
-    /// # Errors
-    /// If there is none, if its length is no multiple of the item's, if its checksum differs, or if reading fails.
     pub fn section<T: Item>(&mut self, name: &str) -> Result<Vec<T>> {
         let path = &self.path;
         let missing = || Error::malformed(path, "header", format!("a section `{name}`"), "none");

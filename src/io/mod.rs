@@ -5,27 +5,37 @@
 //! anything.
 
 mod atomic;
+#[cfg(feature = "export")]
 mod cell;
 pub mod container;
+#[cfg(feature = "files")]
 mod element;
 #[cfg(feature = "exr")]
 mod exr;
-pub mod legacy;
 pub mod memory;
 mod mix;
+#[cfg(feature = "files")]
 pub mod npy;
+#[cfg(feature = "files")]
 pub mod npz;
 pub mod part;
-mod place;
+pub mod place;
 mod source;
-mod text;
+#[cfg(feature = "files")]
+mod whole;
 
 pub use atomic::AtomicFile;
+#[cfg(feature = "export")]
 pub use cell::cell;
+#[cfg(feature = "files")]
 pub use element::{Element, Index, Real};
 #[cfg(feature = "exr")]
-pub use exr::{read_exr_depth, write_exr};
+pub use exr::read_exr_depth;
+#[cfg(feature = "synth")]
+pub use exr::write_exr;
 pub use mix::mix;
-pub use place::{Identity, destination, folder_of};
-pub use source::{open, read, refuse_pipe};
-pub use text::{read_text, text_of};
+pub use source::open;
+#[cfg(feature = "files")]
+pub use source::refuse_pipe;
+#[cfg(feature = "files")]
+pub use whole::{read, read_text, text_of};

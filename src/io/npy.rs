@@ -21,17 +21,6 @@ pub struct Array<T> {
     pub data: Vec<T>,
 }
 
-impl<T> Array<T> {
-    /// Checks the extents; `None` accepts any.
-    ///
-    /// # Errors
-    /// If the number of axes or an extent differs.
-    pub fn expect_shape(&self, path: &Path, name: &str, expected: &[Option<usize>]) -> Result<()> {
-        let shape: Vec<u64> = self.shape.iter().map(|&n| n as u64).collect();
-        check_shape(path, name, &shape, &expected.iter().map(|e| e.map(|n| n as u64)).collect::<Vec<_>>())
-    }
-}
-
 /// An array read element by element.
 pub struct ArrayStream<T: Element, R: Read> {
     reader: R,
@@ -44,11 +33,8 @@ pub struct ArrayStream<T: Element, R: Read> {
 }
 
 impl<T: Element, R: Read> ArrayStream<T, R> {
-    /// Starts reading the array `name` of the file `path`. At most `available` bytes are there, header included.
-    ///
-    /// # Errors
-    /// If the header is not that of a C-order array of `T`, or if it claims more elements than `available` bytes
-    /// can hold.
+    /// Starts reading the array `name` of the file `path`. At most `available` bytes are there, header included: a
+    /// header that claims more elements is refused.
     pub fn new(mut reader: R, available: u64, path: &Path, name: &str) -> Result<Self> {
         let place = || format!("array `{name}`");
         let header = read_header(&mut reader, path, name)?;
@@ -71,30 +57,22 @@ impl<T: Element, R: Read> ArrayStream<T, R> {
     }
 
     /// Extent along each axis.
-    #[must_use]
     pub fn shape(&self) -> &[u64] {
         &self.shape
     }
 
     /// The file's path and the array's name, for messages.
-    #[must_use]
     pub fn origin(&self) -> (&Path, &str) {
         (&self.path, &self.name)
     }
 
     /// Checks the extents; `None` accepts any.
-    ///
-    /// # Errors
-    /// If the number of axes or an extent differs.
     pub fn expect_shape(&self, expected: &[Option<u64>]) -> Result<()> {
         check_shape(&self.path, &self.name, &self.shape, expected)
     }
 
     /// The next element, or `None` after the last. There it checks that nothing follows, and an archive's
     /// checksum.
-    ///
-    /// # Errors
-    /// If the file ends early, if it goes on after the last element, or if an archive's checksum does not match.
     pub fn next_element(&mut self) -> Result<Option<T>> {
         let wrong = |found: String| {
             let expected = format!("data of shape {:?}", self.shape);
@@ -117,9 +95,6 @@ impl<T: Element, R: Read> ArrayStream<T, R> {
     }
 
     /// The remaining elements.
-    ///
-    /// # Errors
-    /// If the file ends early.
     pub fn into_array(mut self) -> Result<Array<T>> {
         let mut data = Vec::new();
         while let Some(value) = self.next_element()? {
@@ -131,9 +106,6 @@ impl<T: Element, R: Read> ArrayStream<T, R> {
 
 impl<R: Read> ArrayStream<Real, R> {
     /// The remaining elements as f32.
-    ///
-    /// # Errors
-    /// If the file ends early.
     pub fn into_reals(self) -> Result<Array<f32>> {
         let Array { shape, data } = self.into_array()?;
         Ok(Array { shape, data: data.into_iter().map(|Real(value)| value).collect() })
@@ -182,26 +154,7 @@ fn read_header(reader: &mut impl Read, path: &Path, name: &str) -> Result<Vec<u8
     Ok(header)
 }
 
-/// Reads a whole `.npy` file.
-///
-/// # Errors
-/// If the file is missing or is not a C-order array of `T`.
-pub fn read<T: Element>(path: &Path) -> Result<Array<T>> {
-    stream(path)?.into_array()
-}
-
-/// Reads a whole `.npy` file of real numbers of any type.
-///
-/// # Errors
-/// If the file is missing or is not a C-order array of numbers.
-pub fn read_reals(path: &Path) -> Result<Array<f32>> {
-    stream(path)?.into_reals()
-}
-
 /// Starts reading a `.npy` file.
-///
-/// # Errors
-/// If the file is missing or is not a C-order array of `T`.
 pub fn stream<T: Element>(path: &Path) -> Result<ArrayStream<T, BufReader<File>>> {
     let file = super::open(path)?;
     let available = file.metadata().map_err(Error::io(path, "cannot read"))?.len();
@@ -209,9 +162,6 @@ pub fn stream<T: Element>(path: &Path) -> Result<ArrayStream<T, BufReader<File>>
 }
 
 /// Writes `data` as an array of `shape` to any stream.
-///
-/// # Errors
-/// If writing fails or the number of elements is not the product of the shape.
 pub fn write_to<T: AutoSerialize + Serialize>(
     out: impl Write,
     path: &Path,
@@ -226,9 +176,6 @@ pub fn write_to<T: AutoSerialize + Serialize>(
 }
 
 /// Writes a `.npy` file.
-///
-/// # Errors
-/// If the file cannot be written.
 pub fn write<T: AutoSerialize + Serialize>(
     path: &Path,
     shape: &[u64],

@@ -21,9 +21,6 @@ pub struct NpzReader {
 
 impl NpzReader {
     /// Opens an archive.
-    ///
-    /// # Errors
-    /// If the file is missing or is no zip archive.
     pub fn open(path: &Path) -> Result<Self> {
         let file = super::open(path)?;
         let archive = ZipArchive::new(BufReader::new(file))
@@ -32,15 +29,11 @@ impl NpzReader {
     }
 
     /// True if the archive has the member `NAME.npy`.
-    #[must_use]
     pub fn has(&self, name: &str) -> bool {
         self.archive.index_for_name(&format!("{name}.npy")).is_some()
     }
 
     /// Starts reading the member `NAME.npy`.
-    ///
-    /// # Errors
-    /// If there is no such member or it is not a C-order array of `T`.
     pub fn stream<T: Element>(&mut self, name: &str) -> Result<ArrayStream<T, ZipFile<'_, BufReader<File>>>> {
         let Self { archive, path } = self;
         let names: Vec<String> =
@@ -56,18 +49,7 @@ impl NpzReader {
         ArrayStream::new(member, available, path, name)
     }
 
-    /// Reads the whole member `NAME.npy`.
-    ///
-    /// # Errors
-    /// As [`NpzReader::stream`], and if the member ends early.
-    pub fn array<T: Element>(&mut self, name: &str) -> Result<Array<T>> {
-        self.stream(name)?.into_array()
-    }
-
     /// Reads the whole member `NAME.npy`, real numbers of any type.
-    ///
-    /// # Errors
-    /// As [`NpzReader::stream`], and if the member ends early.
     pub fn reals(&mut self, name: &str) -> Result<Array<f32>> {
         self.stream(name)?.into_reals()
     }
@@ -85,7 +67,7 @@ impl Target {
     /// Notes a failure.
     fn noted<T>(&mut self, written: io::Result<T>) -> io::Result<T> {
         written.inspect_err(|error| match error.kind() {
-            // Whoever writes tries again.
+            // The caller's writer tries again.
             io::ErrorKind::Interrupted => {}
             kind => self.failed = Some((kind, 0)),
         })
@@ -132,18 +114,12 @@ pub struct NpzWriter {
 
 impl NpzWriter {
     /// Starts an archive.
-    ///
-    /// # Errors
-    /// If the folder cannot be written.
     pub fn create(path: &Path) -> Result<Self> {
         let target = Target { file: AtomicFile::create(path)?, failed: None };
         Ok(Self { zip: ZipWriter::new(target), path: path.to_path_buf() })
     }
 
     /// Starts the member `NAME.npy`, stored uncompressed as `numpy.savez` does, and returns the stream for its bytes.
-    ///
-    /// # Errors
-    /// If writing fails.
     pub fn member(&mut self, name: &str) -> Result<&mut impl Write> {
         let options = SimpleFileOptions::default().compression_method(CompressionMethod::Stored).large_file(true);
         self.zip
@@ -153,9 +129,6 @@ impl NpzWriter {
     }
 
     /// Writes an array of `shape` as member `NAME.npy`.
-    ///
-    /// # Errors
-    /// If writing fails or the number of elements is not the product of the shape.
     pub fn array<T: AutoSerialize + Serialize>(
         &mut self,
         name: &str,
@@ -167,9 +140,6 @@ impl NpzWriter {
     }
 
     /// Completes the archive and gives the file its name.
-    ///
-    /// # Errors
-    /// If writing fails.
     pub fn finish(self) -> Result<()> {
         let Self { zip, path } = self;
         let Target { file, failed } = zip.finish().map_err(|e| Error::io(&path, "cannot write")(e.into()))?;

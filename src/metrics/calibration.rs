@@ -10,12 +10,12 @@ pub const PROBABILITIES: [f64; 4] = [0.5, 0.68, 0.9, 0.95];
 /// Points of the reliability curve: nominal probabilities 1/100, 2/100, …, 99/100.
 const POINTS: usize = 99;
 
-/// How well deviations tell the size of errors of one density.
+/// How well deviations predict the size of errors, for one density.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct DensityCalibration {
     /// The density that errors are taken to have.
     pub density: ErrorDensity,
-    /// Each of [`PROBABILITIES`], and the share of the errors within the interval that should hold it.
+    /// Each of [`PROBABILITIES`] (nominal), and the coverage of its interval.
     pub coverage: [[f64; 2]; PROBABILITIES.len()],
     /// `[99]`: nominal probability and the share found, for the reliability diagram.
     pub reliability: Vec<[f64; 2]>,
@@ -28,7 +28,7 @@ pub struct DensityCalibration {
     pub nll_best_scale: f64,
 }
 
-/// How well deviations tell the size of errors.
+/// How well deviations predict the size of errors.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Calibration {
     /// Mean of e / s.

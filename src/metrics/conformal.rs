@@ -27,7 +27,7 @@ mod tests {
     #[test]
     fn the_factor_is_the_next_larger_of_the_ratios() {
         let ratios = [0.4, 0.1, 0.3, 0.2];
-        // (4 + 1) p = 4 at p = 0.8; beyond that four errors cannot tell.
+        // (4 + 1) p = 4 at p = 0.8; beyond that four errors are too few.
         assert_eq!(conformal_factor(&ratios, 0.8), Some(0.4));
         assert_eq!(conformal_factor(&ratios, 0.5), Some(0.3));
         assert_eq!(conformal_factor(&ratios, 0.81), None);

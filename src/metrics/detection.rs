@@ -1,4 +1,4 @@
-//! Does a score tell two kinds of pixels apart, such as those of surfaces that no training view saw?
+//! Does a score separate two kinds of pixels, such as those of surfaces that no training view saw?
 
 /// How well a score detects what is positive.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]

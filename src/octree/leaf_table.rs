@@ -94,12 +94,6 @@ impl LeafTable {
         self.leaves as usize
     }
 
-    /// Whether there are no leaves; there is always one.
-    #[must_use]
-    pub fn is_empty(&self) -> bool {
-        self.leaves == 0
-    }
-
     /// The leaf around a finest cell, and its number.
     #[must_use]
     #[inline(always)]
@@ -188,7 +182,7 @@ mod tests {
     fn an_octree_of_one_cell_has_one_leaf() {
         let octree = Octree::refined(3, []);
         let table = LeafTable::new(octree.cells());
-        assert_eq!((table.len(), table.is_empty()), (1, false));
+        assert_eq!(table.len(), 1);
         assert_eq!(table.find([7, 0, 3]), (Cell { level: 0, index: [0; 3] }, 0));
     }
 

@@ -99,3 +99,20 @@ pub fn ends(finest: u8, point: [u32; 3], larger: Cell) -> Masters {
     }
     Masters { points, count: 1 << axes }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::octree::Octree;
+
+    #[test]
+    fn a_volume_is_the_mean_over_octants() {
+        // One finest cell at the origin of a level-2 octree. Its siblings have the same size; all other leaves have
+        // edge 2.
+        let octree = Octree::refined(2, [Cell { level: 2, index: [0, 0, 0] }]);
+        let volume = |point| mean_volume(octree.cells(), point);
+        assert_eq!([volume([1, 1, 1]), volume([4, 4, 4])], [1.0, 8.0]);
+        // Seven octants of volume 8 and one of volume 1.
+        assert_eq!(volume([2, 2, 2]), 57.0 / 8.0);
+    }
+}

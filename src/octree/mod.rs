@@ -7,7 +7,7 @@
 //! continuous. Leaves that touch, even only at a corner, differ by at most one level (2:1 balance). Hence
 //! these corners and ends are themselves free.
 //!
-//! This module knows nothing of rays, colour or uncertainty.
+//! This module does not depend on rays, colour or uncertainty.
 
 mod balance;
 mod cells;
@@ -17,22 +17,26 @@ mod leaf_table;
 mod leaves;
 mod masks;
 mod max_levels;
-pub mod morton;
+pub(crate) mod morton;
 mod nearby;
 mod set;
 mod tile;
 mod validate;
 mod vertices;
 
-pub use balance::{Split, Wanted};
-pub use cells::{Cell, CellTree};
-pub use cursor::Cursor;
-pub use leaf_table::LeafTable;
-pub use leaves::{Leaves, Masters, coarseness, masters, mean_volume};
-pub use max_levels::{DEPTH, MaxLevels};
-pub use nearby::Nearby;
-pub use set::MortonSet;
-pub use tile::{Tile, Tiling};
+pub(crate) use balance::{Split, Wanted};
+pub use cells::Cell;
+pub(crate) use cells::CellTree;
+pub(crate) use cursor::Cursor;
+pub(crate) use leaf_table::LeafTable;
+pub use leaves::Leaves;
+pub(crate) use leaves::{coarseness, masters, mean_volume};
+pub(crate) use max_levels::DEPTH;
+pub use max_levels::MaxLevels;
+pub(crate) use nearby::Nearby;
+pub(crate) use set::MortonSet;
+pub use tile::Tile;
+pub(crate) use tile::Tiling;
 pub use validate::{Defect, OctreeStats};
 
 use free::free_vertices;

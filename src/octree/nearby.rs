@@ -11,7 +11,7 @@ pub struct Nearby {
     depth: u8,
     /// The lowest of the 3³ regions along every axis; wraps at the lower faces of the box.
     before: [u32; 3],
-    /// Limits of the 3³ regions, x first. Regions outside the box are never asked for.
+    /// Limits of the 3³ regions, x first. Regions outside the box are never used.
     levels: [u8; 27],
     is_uniform: bool,
 }

@@ -92,12 +92,6 @@ impl MortonSet {
         self.len as usize
     }
 
-    /// Checks whether the set has no members.
-    #[must_use]
-    pub fn is_empty(&self) -> bool {
-        self.len == 0
-    }
-
     /// Number of members smaller than `code`, if `code` is a member.
     #[must_use]
     pub fn rank(&self, code: u64) -> Option<u32> {
@@ -189,7 +183,7 @@ mod tests {
     #[test]
     fn the_empty_set_has_no_members() {
         let set = set_of(27, &[]);
-        assert!(set.is_empty() && set.rank(0).is_none() && set.iter().next().is_none());
+        assert!(set.len() == 0 && set.rank(0).is_none() && set.iter().next().is_none());
     }
 
     proptest! {

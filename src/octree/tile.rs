@@ -1,4 +1,4 @@
-//! Tiles: boxes along a binary tree of cuts, each of which owns the lattice points in it.
+//! Tiles: boxes along a binary tree of cuts. Each tile owns the lattice points in it.
 
 use super::morton;
 
@@ -210,7 +210,7 @@ mod tests {
         fn cuts_anywhere_leave_every_point_one_owner(bits in 1_u32..4, choice: u64, moved: usize, axis in 0_usize..3) {
             let tiles = cut(4, bits, choice);
             check_owners(4, &tiles);
-            // Tiles that lack one, or of which one is too large or too small, are not a whole.
+            // Tiles with one missing, too large or too small do not cover the whole.
             prop_assert_eq!(Tiling::new(4, &tiles[1..]), None);
             for by in [-1, 1] {
                 let mut tiles = tiles.clone();

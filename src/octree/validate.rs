@@ -1,6 +1,7 @@
 //! Lets the octree describe and check itself.
 
 use std::collections::BTreeSet;
+use std::fmt;
 
 use super::leaves::hanging_on;
 use super::{Cell, Corner, Octree, morton};
@@ -25,11 +26,10 @@ impl OctreeStats {
 }
 
 /// The first property that an octree lacks.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Defect {
     /// The leaves' volumes do not add up to the box: leaves are missing or overlap.
-    #[error("leaves cover {found} finest cells of {expected}")]
     NotComplete {
         /// Finest cells of the box.
         expected: u128,
@@ -37,7 +37,6 @@ pub enum Defect {
         found: u128,
     },
     /// Looking up a leaf by its own position finds another one.
-    #[error("leaf {leaf:?} is found as {found:?}")]
     NotFound {
         /// The leaf visited.
         leaf: Cell,
@@ -45,7 +44,6 @@ pub enum Defect {
         found: Cell,
     },
     /// Two touching leaves differ by more than one level.
-    #[error("leaf {leaf:?} touches {neighbor:?}: not 2:1 balanced")]
     NotBalanced {
         /// The smaller leaf.
         leaf: Cell,
@@ -53,7 +51,6 @@ pub enum Defect {
         neighbor: Cell,
     },
     /// A corner's status contradicts the leaves around it.
-    #[error("corner {point:?} of leaf {leaf:?}: {problem}")]
     WrongCorner {
         /// The leaf visited.
         leaf: Cell,
@@ -63,7 +60,6 @@ pub enum Defect {
         problem: &'static str,
     },
     /// The vertex table holds vertices that are corners of no leaf, or lacks some.
-    #[error("{found} vertices stored, {expected} free corners counted")]
     WrongVertexCount {
         /// Free corners found by walking the leaves.
         expected: u64,
@@ -71,6 +67,22 @@ pub enum Defect {
         found: u64,
     },
 }
+
+impl fmt::Display for Defect {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        match self {
+            Self::NotComplete { expected, found } => write!(f, "leaves cover {found} finest cells of {expected}"),
+            Self::NotFound { leaf, found } => write!(f, "leaf {leaf:?} is found as {found:?}"),
+            Self::NotBalanced { leaf, neighbor } => write!(f, "leaf {leaf:?} touches {neighbor:?}: not 2:1 balanced"),
+            Self::WrongCorner { leaf, point, problem } => write!(f, "corner {point:?} of leaf {leaf:?}: {problem}"),
+            Self::WrongVertexCount { expected, found } => {
+                write!(f, "{found} vertices stored, {expected} free corners counted")
+            }
+        }
+    }
+}
+
+impl std::error::Error for Defect {}
 
 impl Octree {
     /// Checks that the octree is sound and counts what it consists of.

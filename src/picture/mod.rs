@@ -1,4 +1,4 @@
-//! Pictures: labelled panels as PNG, moving ones, and plots as SVG for readers, EXR for tools.
+//! Pictures for readers: labelled panels as PNG, moving ones, and plots as SVG.
 
 mod animation;
 mod lettering;
@@ -6,5 +6,7 @@ mod panel;
 mod plot;
 
 pub use animation::write_animation;
-pub use panel::{Bar, Panel, color_panel, draw_sheet, scalar_panel, stage_sheet, write_sheet};
-pub use plot::{Curve, Plot, stage_plots, write_plot};
+pub(crate) use panel::stage_sheet;
+pub use panel::{Bar, Panel, color_panel, draw_sheet, scalar_panel, write_noted_sheet, write_sheet};
+pub use plot::{Curve, write_plot};
+pub(crate) use plot::{Plot, stage_plots};

@@ -160,13 +160,34 @@ pub fn write_sheet(path: &Path, rows: &[Vec<Panel>]) -> Result<()> {
     stage_sheet(path, rows)?.commit()
 }
 
+/// Writes rows of panels as one PNG, with a line of text below them.
+///
+/// # Errors
+/// As [`write_sheet`].
+pub fn write_noted_sheet(path: &Path, rows: &[Vec<Panel>], note: &str) -> Result<()> {
+    stage_picture(path, &noted(&draw_sheet(rows), note))?.commit()
+}
+
+/// The picture with a line of text below it.
+fn noted(sheet: &RgbImage, note: &str) -> RgbImage {
+    let width = sheet.width().max(width_of_line(note) + 2 * MARGIN);
+    let mut taller = RgbImage::from_pixel(width, sheet.height() + LINE, PAPER);
+    image::imageops::replace(&mut taller, sheet, 0, 0);
+    write_line(&mut taller, note, [MARGIN, sheet.height() - MARGIN / 2], FOREGROUND);
+    taller
+}
+
 /// Writes rows of panels as one PNG, in a file that appears when it is committed.
 ///
 /// # Errors
 /// As [`write_sheet`].
 pub fn stage_sheet(path: &Path, rows: &[Vec<Panel>]) -> Result<AtomicFile> {
+    stage_picture(path, &draw_sheet(rows))
+}
+
+fn stage_picture(path: &Path, picture: &RgbImage) -> Result<AtomicFile> {
     let mut bytes = Cursor::new(Vec::new());
-    draw_sheet(rows)
+    picture
         .write_to(&mut bytes, ImageFormat::Png)
         .map_err(|e| Error::malformed(path, "picture", "an encodable PNG", e.to_string()))?;
     let mut file = AtomicFile::create(path)?;
@@ -273,6 +294,11 @@ mod tests {
         let rows = [vec![panel("a", 2.0), panel("b", 5.55)], vec![panel(&"long ".repeat(20), 2.0), panel("d", 5.55)]];
         write_sheet(&path, &rows).unwrap();
         let sheet = image::open(&path).unwrap().to_rgb8();
+        write_noted_sheet(&path, &rows, "a line below").unwrap();
+        let noted = image::open(&path).unwrap().to_rgb8();
+        assert_eq!(noted.dimensions(), (sheet.width(), sheet.height() + LINE));
+        let ink = |picture: &RgbImage| picture.rows().skip(sheet.height() as usize - 9).flatten().any(|p| p.0[0] < 128);
+        assert!(ink(&noted) && !ink(&sheet), "the line stands below the panels");
         let yellow = rows[0][1].image.get_pixel(0, 0);
         let [first, second] = [0, 1].map(|half| {
             let row = (half * sheet.height() / 2..(half + 1) * sheet.height() / 2).step_by(5);

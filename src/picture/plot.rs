@@ -8,8 +8,12 @@ use plotters::prelude::*;
 use crate::io::AtomicFile;
 use crate::{Error, Result};
 
-/// Width and height of a plot, pixels.
-const SIZE: [u32; 2] = [760, 480];
+/// Width and height of a plot with its legend, pixels.
+const SIZE: [u32; 2] = [1060, 480];
+/// Width of the legend, which stands beside the curves so that it covers none.
+const LEGEND: u32 = 320;
+/// Height of a line of the legend.
+const ENTRY: i32 = 20;
 
 /// One line of a plot.
 #[derive(Debug, Clone)]
@@ -79,7 +83,8 @@ fn draw(area: &Area, title: &str, axes: [&str; 2], curves: &[Curve]) -> Drawn {
         if low < high { (low, high) } else { (low - 0.5, low + 0.5) }
     };
     let ((x0, x1), (y0, y1)) = (range(|p| p.0), range(|p| p.1));
-    let mut chart = ChartBuilder::on(area)
+    let (axes_area, legend) = area.split_horizontally(SIZE[0] - LEGEND);
+    let mut chart = ChartBuilder::on(&axes_area)
         .caption(title, ("sans-serif", 18))
         .margin(12)
         .x_label_area_size(42)
@@ -90,19 +95,42 @@ fn draw(area: &Area, title: &str, axes: [&str; 2], curves: &[Curve]) -> Drawn {
         let (r, g, b) = if curve.reference { (120, 120, 120) } else { Palette99::pick(i).rgb() };
         let color = RGBColor(r, g, b);
         let style = color.stroke_width(if curve.reference { 1 } else { 2 });
-        chart
-            .draw_series(LineSeries::new(curve.points.iter().copied(), style))?
-            .label(&curve.name)
-            .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], style));
+        chart.draw_series(LineSeries::new(curve.points.iter().copied(), style))?;
+        let y = 48 + ENTRY * i as i32;
+        legend.draw(&PathElement::new([(0, y), (18, y)], style))?;
+        legend.draw(&Text::new(curve.name.as_str(), (24, y - 7), ("sans-serif", 13)))?;
     }
-    // Curves that rise to the upper right leave room at the upper left, all others at the lower left.
-    let rises = curves.iter().all(|c| c.points.first().zip(c.points.last()).is_none_or(|(a, b)| a.1 <= b.1));
-    let place = if rises { SeriesLabelPosition::UpperLeft } else { SeriesLabelPosition::LowerLeft };
-    chart
-        .configure_series_labels()
-        .position(place)
-        .background_style(WHITE.mix(0.85))
-        .border_style(RGBColor(180, 180, 180))
-        .draw()?;
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_legend_stands_beside_the_curves() {
+        let curve = |k: usize| Curve {
+            name: format!("curve {k}"),
+            points: (0..=20).map(|i| (f64::from(i) / 20.0, k as f64 * f64::from(i))).collect(),
+            reference: k == 0,
+        };
+        let curves: Vec<Curve> = (0..6).map(curve).collect();
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("plot.svg");
+        write_plot(&path, "title", ["x", "y"], &curves).unwrap();
+        let svg = std::fs::read_to_string(&path).unwrap();
+        let beside = f64::from(SIZE[0] - LEGEND);
+        // Curves are the lines of 21 points.
+        let lines = svg.split("points=\"").skip(1).map(|rest| rest.split('"').next().unwrap_or_default());
+        let lines =
+            lines.map(|points| points.split_whitespace().collect::<Vec<_>>()).filter(|points| points.len() == 21);
+        let ends: Vec<f64> = lines.map(|points| points[20].split(',').next().unwrap().parse().unwrap()).collect();
+        assert!(ends.len() == 6 && ends.iter().all(|x| *x < beside), "{ends:?}");
+        for curve in &curves {
+            let (before, _) = svg.split_once(&curve.name).unwrap_or_else(|| panic!("no {}", curve.name));
+            let (_, x) = before.rsplit_once("<text x=\"").unwrap();
+            let x: f64 = x.split('"').next().unwrap().parse().unwrap();
+            assert!(x > beside, "{}: {x}", curve.name);
+        }
+    }
 }

@@ -47,7 +47,7 @@ impl Covariance {
 
     /// The covariance matrix (xx, xy, xz, yy, yz, zz) whose trace is σ_v², squared scene units.
     ///
-    /// `block` has all of H⁻¹, `diagonal` 1 / H_kk on its diagonal, and `trace`, which knows no directions, a third of
+    /// `block` has all of H⁻¹, `diagonal` 1 / H_kk on its diagonal, and `trace`, which has no directions, a third of
     /// σ_v² in each.
     #[must_use]
     pub fn matrix(self, sums: &VertexSums, rays: u64, lambda: f64) -> Information {

@@ -3,9 +3,9 @@
 use std::collections::BTreeMap;
 use std::ops::AddAssign;
 
-use super::{Posterior, VertexSums};
+use super::{Posterior, Refinement, VertexSums};
 use crate::geometry::Lattice;
-use crate::octree::trilinear;
+use crate::octree::{MaxLevels, Tile, trilinear};
 use crate::render::RaySamples;
 
 /// The sums at all (M + 1)³ lattice points, added in f64 in ray order.
@@ -21,12 +21,6 @@ impl DensePosterior {
     #[must_use]
     pub fn new(lattice: Lattice) -> Self {
         Self { lattice, sums: vec![VertexSums::default(); lattice.dense_vertices() as usize] }
-    }
-
-    /// Continues from `sums`, `[(M + 1)³]`, x slowest; `None` if their number is wrong.
-    #[must_use]
-    pub fn from_sums(lattice: Lattice, sums: Vec<VertexSums>) -> Option<Self> {
-        (sums.len() as u64 == lattice.dense_vertices()).then_some(Self { lattice, sums })
     }
 
     /// Bytes that a dense posterior of this lattice needs.
@@ -73,6 +67,14 @@ impl AddAssign<&Self> for DensePosterior {
 }
 
 impl Posterior for DensePosterior {
+    const IS_DENSE: bool = true;
+    /// All lattice points.
+    type Vertices = ();
+
+    fn empty(lattice: Lattice, _limits: &MaxLevels, _tile: Option<Tile>) -> Self {
+        Self::new(lattice)
+    }
+
     fn add(&mut self, batches: &[RaySamples]) {
         for batch in batches {
             for (_, samples) in batch.iter() {
@@ -97,6 +99,43 @@ impl Posterior for DensePosterior {
     fn memory(&self) -> usize {
         self.sums.capacity() * size_of::<VertexSums>()
     }
+
+    fn spare(&self) -> usize {
+        0
+    }
+
+    fn vertices(&self, _refinement: &Refinement) {}
+
+    fn count(&self, (): &()) -> usize {
+        self.sums.len()
+    }
+
+    fn gathered(self, (): &()) -> Vec<VertexSums> {
+        self.sums
+    }
+
+    fn paired(&self, other: &Self) -> Vec<(VertexSums, VertexSums)> {
+        let pairs = self.sums.iter().zip(&other.sums);
+        pairs.filter(|(a, b)| a.rays > 0 || b.rays > 0).map(|(a, b)| (*a, *b)).collect()
+    }
+
+    fn keys(&self) -> Vec<u64> {
+        Vec::new()
+    }
+
+    fn slices(&self) -> impl Iterator<Item = &[VertexSums]> {
+        std::iter::once(&self.sums[..])
+    }
+
+    fn restore(
+        lattice: Lattice,
+        _limits: &MaxLevels,
+        _tile: Option<Tile>,
+        _keys: &[u64],
+        sums: Vec<VertexSums>,
+    ) -> Option<Self> {
+        (sums.len() as u64 == lattice.dense_vertices()).then_some(Self { lattice, sums })
+    }
 }
 
 #[cfg(test)]
@@ -107,12 +146,12 @@ mod tests {
     use crate::geometry::Aabb;
     use crate::render::RaySample;
 
-    /// As in the octree: a run of more rays than a u32 counts goes on, and says "at least".
+    /// As in the octree: a run of more rays than a u32 counts continues, and reports "at least".
     #[test]
     fn a_full_count_of_rays_stays_full() {
         let lattice = Lattice::new(Aabb::centered_cube(1.0), 1).unwrap();
         let full = VertexSums::new([0.0; 6], u32::MAX);
-        let mut posterior = DensePosterior::from_sums(lattice, vec![full; 27]).unwrap();
+        let mut posterior = DensePosterior { lattice, sums: vec![full; 27] };
         let mut ray = RaySamples::default();
         ray.push(0, RaySample { position: Vec3::splat(0.3), jacobian: [1.0; 9], weight: 1.0 });
         posterior.add(&[ray]);

@@ -4,7 +4,7 @@ use std::ops::RangeInclusive;
 
 use glam::DVec3;
 
-use super::Covariance;
+use super::{Covariance, Information};
 use crate::geometry::{Camera, Domain};
 use crate::{Error, Result};
 
@@ -92,12 +92,6 @@ impl DataScale {
         10_f64.powf(-psnr / 20.0)
     }
 
-    /// The PSNR in dB that belongs to a noise.
-    #[must_use]
-    pub fn psnr_of(noise: f64) -> f64 {
-        -20.0 * noise.log10()
-    }
-
     /// The prior precision λ that C has in the paper's H, 1 / scene unit²: C = (2 s² / N) ((2/R) S + 2 λ I)⁻¹ with
     /// λ = s² / (N τ²).
     #[must_use]
@@ -105,10 +99,19 @@ impl DataScale {
         (self.noise / self.prior_deviation).powi(2) / self.pixels as f64
     }
 
-    /// k = N / (R s²), by which S of `rays` rays is weighed, 1 / colour².
+    /// k = N / (R s²): what S of `rays` rays is multiplied by, 1 / squared colour.
     #[must_use]
-    pub fn share_of_a_ray(&self, rays: u64) -> f64 {
-        self.pixels as f64 / (rays as f64 * self.noise * self.noise)
+    pub fn weight(&self, rays: u64) -> f64 {
+        self.pixels as f64 / (rays.max(1) as f64 * self.noise * self.noise)
+    }
+
+    /// P = k S + I / τ², the precision of a vertex's displacement after `rays` rays, 1 / scene unit²: xx, xy, xz, yy,
+    /// yz, zz.
+    #[must_use]
+    pub fn precision(&self, s: &Information, rays: u64) -> Information {
+        let (k, prior) = (self.weight(rays), self.prior_deviation.powi(-2));
+        let [xx, xy, xz, yy, yz, zz] = s.map(|s| k * s);
+        [xx + prior, xy, xz, yy + prior, yz, zz + prior]
     }
 
     /// Whether these are numbers that a run can have, for scales read from files.
@@ -154,9 +157,14 @@ mod tests {
         let data = DataScale::new(1_000_000, 0.03, 0.05).unwrap();
         let (rays, information) = (2_000_u64, [7.0, 1.0, -2.0, 5.0, 0.5, 9.0]);
         let k = data.pixels as f64 / (rays as f64 * data.noise * data.noise);
+        assert_relative_eq!(data.weight(rays), k, max_relative = 1e-15);
         let [xx, xy, xz, yy, yz, zz] = information.map(|s| k * s);
         let prior = data.prior_deviation.powi(-2);
         let precision = glam::DMat3::from_cols_array(&[xx + prior, xy, xz, xy, yy + prior, yz, xz, yz, zz + prior]);
+        let stated = data.precision(&information, rays);
+        let columns = precision.to_cols_array();
+        let defined = [0, 1, 2, 4, 5, 8].map(|k| columns[k]);
+        stated.iter().zip(defined).for_each(|(a, b)| assert_relative_eq!(*a, b, max_relative = 1e-14));
         let covariance = precision.inverse();
         let trace = (0..3).map(|i| covariance.col(i)[i]).sum::<f64>();
         let diagonal = (0..3).map(|i| 1.0 / precision.col(i)[i]).sum::<f64>();

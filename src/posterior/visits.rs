@@ -1,9 +1,9 @@
 //! How many training rays reached each part of space: what was seen, whether or not anything was there.
 //!
-//! U does not tell free air from space that no ray reached: neither moves a pixel, and both keep the prior. Visits
-//! do. A ray visits what it crosses before half of its light is lost, T > ½. Counts are kept in the cells of a coarse
-//! grid of their own: an octree's leaves in free space are far too large to tell what lies before a surface from what
-//! lies behind it.
+//! U does not distinguish free air from space that no ray reached: displacing either changes no pixel, and both keep
+//! the prior. Visits distinguish them. A ray visits the space that it crosses before half of its light is lost, T > ½.
+//! Counts are stored in the cells of a separate coarse grid, because an octree's leaves in free space are far too large
+//! to separate the space in front of a surface from that behind it.
 
 use std::ops::AddAssign;
 
@@ -89,8 +89,15 @@ impl Visits {
     /// Number of rays that reached the cell around a scene point; `None` outside the domain.
     #[must_use]
     pub fn at(&self, x: Vec3) -> Option<u32> {
+        self.cell(x).map(|cell| self.counts[cell])
+    }
+
+    /// The number of the cell around a scene point, the place of its count in [`Visits::counts`]; `None` outside the
+    /// domain.
+    #[must_use]
+    pub fn cell(&self, x: Vec3) -> Option<usize> {
         let u = self.lattice.coordinates(x)?;
-        Some(self.counts[index(&self.lattice, self.lattice.cell(u).0)])
+        Some(index(&self.lattice, self.lattice.cell(u).0))
     }
 
     /// Share of the cells that no ray reached.
@@ -243,6 +250,25 @@ mod tests {
     }
 
     proptest! {
+        /// Whole runs are coarsened before they are merged, parts of a run only after.
+        #[test]
+        fn added_after_coarsening_visits_are_an_upper_bound(
+            of in proptest::collection::vec(proptest::collection::vec(0_u32..3, 512), 2..4),
+            level in 1_u8..4,
+        ) {
+            let lattice = Lattice::new(Aabb::centered_cube(1.0), 3).unwrap();
+            let of: Vec<Visits> = of.into_iter().map(|counts| Visits::from_counts(&lattice, counts).unwrap()).collect();
+            let added = |mut each: Vec<Visits>| {
+                let first = each.swap_remove(0);
+                each.iter().fold(first, |mut sum, more| { sum += more; sum })
+            };
+            let exact = added(of.clone()).coarsened(level);
+            let bound = added(of.iter().map(|visits| visits.coarsened(level)).collect());
+            for (exact, bound) in exact.counts().iter().zip(bound.counts()) {
+                prop_assert!(exact <= bound && (*exact == 0) == (*bound == 0), "{exact} {bound}");
+            }
+        }
+
         /// Against thousands of points along the line.
         #[test]
         fn a_line_visits_the_cells_that_it_crosses_once(

@@ -5,18 +5,21 @@
 //! one process draws, and [`RunProgress`] records how far it has come. Samples with Jacobians that were computed
 //! elsewhere come from a [file](SamplesReader) instead.
 
+mod by_camera;
 mod missing;
 mod pixels;
-mod progress;
+#[cfg(feature = "files")]
 mod samples_file;
 mod seeds;
 mod shard;
+mod source;
 mod stream;
 
 pub use missing::MissingShards;
 pub use pixels::{Pick, PixelSequence, Pixels};
-pub use progress::RunProgress;
+#[cfg(feature = "files")]
 pub use samples_file::{SamplesReader, SamplesWriter};
 pub use seeds::Purpose;
-pub use shard::{Deal, Draw, Shard};
-pub use stream::{MAX_DROPPED_SHARE, RayStream, SURFACE_WEIGHT};
+pub use shard::{Draw, RunProgress, Shard};
+pub use source::{RaySource, VolumeRays};
+pub use stream::{End, MAX_DROPPED_SHARE, RayStream, SURFACE_WEIGHT};

@@ -11,15 +11,16 @@ use crate::io::mix;
 
 /// The method of choosing pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
-#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Pixels {
-    /// Uniformly at random from all images, as in the paper
+    /// Uniformly at random from all images, as in the paper; for comparisons
     Random,
     /// Cameras in turn, each with its own low-discrepancy sequence; less noise from the same number of rays
     #[default]
     Sobol,
+    /// Every pixel that counts, once: no error from the choice of pixels
+    Every,
 }
 
 /// Number of rays after which a camera's sequence starts again with another scramble: the limit of the generator.
@@ -52,6 +53,10 @@ pub struct PixelSequence {
     round: Vec<(u32, u32)>,
     /// Number of turns of each camera per round.
     turns: Vec<u64>,
+    /// `[cameras + 1]`: the pixels that count of all earlier cameras.
+    starts: Vec<u64>,
+    /// `[cameras + 1]`: pixels from a ray to the next of a run through every pixel of a camera; the last, of all.
+    strides: Vec<u64>,
 }
 
 impl PixelSequence {
@@ -75,16 +80,14 @@ impl PixelSequence {
         let sizes = (0..resolutions.len()).map(|c| mask(c).map_or_else(|| whole(resolutions[c]), Mask::pixels));
         let sizes: Vec<u64> = sizes.collect();
         assert!(sizes.iter().any(|&size| size > 0) || sizes.is_empty(), "masks that keep no pixel");
-        let turns = turns(&sizes);
-        // Turn t of a camera with m turns is due at (t + ½) / m of the round, which spreads turns evenly.
-        let mut due: Vec<(f64, u32, u32)> = turns
-            .iter()
-            .enumerate()
-            .flat_map(|(c, &m)| (0..m).map(move |t| ((t as f64 + 0.5) / m as f64, c as u32, t as u32)))
-            .collect();
-        due.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        let round = due.into_iter().map(|(_, camera, turn)| (camera, turn)).collect();
-        Self { kind, seed, resolutions, masks, round, turns }
+        let (round, turns) = rounds(&sizes);
+        let mut starts = vec![0];
+        starts.extend(sizes.iter().scan(0, |sum, size| {
+            *sum += size;
+            Some(*sum)
+        }));
+        let strides = sizes.iter().chain(&starts[sizes.len()..]).map(|&size| stride(size)).collect();
+        Self { kind, seed, resolutions, masks, round, turns, starts, strides }
     }
 
     /// A sequence over the same pixels in another order.
@@ -105,8 +108,12 @@ impl PixelSequence {
 
     /// Number of the camera's pixels that count.
     fn size(&self, camera: usize) -> u64 {
-        let [w, h] = self.resolutions[camera].map(u64::from);
-        self.mask(camera).map_or(w * h, Mask::pixels)
+        self.starts[camera + 1] - self.starts[camera]
+    }
+
+    /// Number of pixels that count, over all cameras.
+    fn total(&self) -> u64 {
+        self.starts[self.resolutions.len()]
     }
 
     /// The method of choosing pixels.
@@ -131,38 +138,92 @@ impl PixelSequence {
                 (0..count).map(|_| self.random(&mut rng)).collect()
             }
             Pixels::Sobol => (first..first + count).map(|k| self.sobol(k)).collect(),
+            Pixels::Every => (first..first + count)
+                .map(|k| self.every(k, 0, self.total(), self.strides[self.resolutions.len()]))
+                .collect(),
         }
     }
 
     fn random(&self, rng: &mut ChaCha8Rng) -> Pick {
-        let total: u64 = (0..self.resolutions.len()).map(|camera| self.size(camera)).sum();
-        let mut n = rng.random_range(0..total);
-        let mut camera = 0;
-        while n >= self.size(camera) {
-            n -= self.size(camera);
-            camera += 1;
-        }
-        let width = u64::from(self.resolutions[camera][0]);
+        let n = rng.random_range(0..self.total());
+        self.at(n, rng.next_u64())
+    }
+
+    /// Pixel `n` of all, in the order of the cameras, with a jitter made of random bits.
+    fn at(&self, n: u64, bits: u64) -> Pick {
+        let camera = self.starts.partition_point(|&start| start <= n) - 1;
+        let (n, width) = (n - self.starts[camera], u64::from(self.resolutions[camera][0]));
         let pixel = self.mask(camera).map_or_else(|| [(n % width) as u32, (n / width) as u32], |mask| mask.nth(n));
         // The upper 53 bits as a binary fraction in [0, 1).
-        let jitter = (rng.next_u64() >> 11) as f64 * 2.0_f64.powi(-53);
+        let jitter = (bits >> 11) as f64 * 2.0_f64.powi(-53);
         Pick { camera, pixel, jitter }
     }
 
-    /// An Owen-scrambled Sobol point in (column, row, jitter), with another scramble for every camera (Burley 2020).
+    /// Ray k of a run through every pixel from `start` on, of which there are `size`.
+    fn every(&self, k: u64, start: u64, size: u64, stride: u64) -> Pick {
+        let [k, size, stride, first] = [k, size, stride, mix(self.seed)].map(u128::from);
+        let n = start + ((k * stride + first) % size) as u64;
+        self.at(n, mix(mix(self.seed) ^ n))
+    }
+
     fn sobol(&self, k: u64) -> Pick {
         let length = self.round.len() as u64;
         let (camera, turn) = self.round[(k % length) as usize];
-        let n = k / length * self.turns[camera as usize] + u64::from(turn);
-        let scramble = mix(mix(mix(self.seed) ^ u64::from(camera)) ^ (n / SEQUENCE)) as u32;
+        self.of_camera(camera as usize, k / length * self.turns[camera as usize] + u64::from(turn))
+    }
+
+    /// `[cameras]`: how many of the first `rays` rays are each camera's.
+    pub(super) fn shares(&self, rays: u64) -> Vec<u64> {
+        if self.kind == Pixels::Every && rays == self.total() {
+            return (0..self.resolutions.len()).map(|camera| self.size(camera)).collect();
+        }
+        let length = self.round.len() as u64;
+        let mut shares: Vec<u64> = self.turns.iter().map(|turns| rays / length * turns).collect();
+        let rest = &self.round[..(rays % length) as usize];
+        rest.iter().for_each(|&(camera, _)| shares[camera as usize] += 1);
+        shares
+    }
+
+    /// A low-discrepancy sequence over the pixels of at most `most` of the cameras, spread over all that have pixels.
+    pub(super) fn thinned(&self, most: usize) -> Self {
+        let sizes: Vec<u64> = (0..self.resolutions.len()).map(|camera| self.size(camera)).collect();
+        let with_pixels: Vec<usize> = (0..sizes.len()).filter(|&camera| sizes[camera] > 0).collect();
+        let count = most.clamp(1, with_pixels.len().max(1));
+        let kept: Vec<usize> =
+            (0..count).filter_map(|i| with_pixels.get(i * with_pixels.len() / count)).copied().collect();
+        let size = |camera: usize| if kept.binary_search(&camera).is_ok() { sizes[camera] } else { 0 };
+        let (round, turns) = rounds(&(0..sizes.len()).map(size).collect::<Vec<u64>>());
+        Self { kind: Pixels::Sobol, round, turns, ..self.clone() }
+    }
+
+    /// Ray `n` of a camera: an Owen-scrambled Sobol point in (column, row, jitter), with another scramble for every
+    /// camera (Burley 2020); or the n-th of a run through every pixel.
+    pub(super) fn of_camera(&self, camera: usize, n: u64) -> Pick {
+        if self.kind == Pixels::Every {
+            return self.every(n, self.starts[camera], self.size(camera), self.strides[camera]);
+        }
+        let scramble = mix(mix(mix(self.seed) ^ camera as u64) ^ (n / SEQUENCE)) as u32;
         let [x, y, jitter, _] = sobol_burley::sample_4d((n % SEQUENCE) as u32, 0, scramble);
-        let ([w, h], place) = (self.resolutions[camera as usize], [x, y].map(f64::from));
-        let pixel = match self.mask(camera as usize) {
+        let ([w, h], place) = (self.resolutions[camera], [x, y].map(f64::from));
+        let pixel = match self.mask(camera) {
             Some(mask) => mask.at(place),
             None => [0, 1].map(|k| ((place[k] * f64::from([w, h][k])) as u32).min([w, h][k] - 1)),
         };
-        Pick { camera: camera as usize, pixel, jitter: f64::from(jitter) }
+        Pick { camera, pixel, jitter: f64::from(jitter) }
     }
+}
+
+/// One round of turns of cameras with so many pixels, and the number of turns of each.
+fn rounds(sizes: &[u64]) -> (Vec<(u32, u32)>, Vec<u64>) {
+    let turns = turns(sizes);
+    // Turn t of a camera with m turns is due at (t + ½) / m of the round, which spreads turns evenly.
+    let mut due: Vec<(f64, u32, u32)> = turns
+        .iter()
+        .enumerate()
+        .flat_map(|(c, &m)| (0..m).map(move |t| ((t as f64 + 0.5) / m as f64, c as u32, t as u32)))
+        .collect();
+    due.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    (due.into_iter().map(|(_, camera, turn)| (camera, turn)).collect(), turns)
 }
 
 /// Number of turns of each camera per round, in proportion to its pixels: exact if the round is
@@ -178,6 +239,14 @@ fn turns(sizes: &[u64]) -> Vec<u64> {
     sizes.iter().map(|&s| ((s as f64 / total * length).round() as u64).max(u64::from(s > 0))).collect()
 }
 
+/// A number without a common divisor with `total`: its multiples modulo `total` are all numbers below that, each once.
+/// It is about the golden ratio's share, by which the multiples are spread evenly at any time.
+fn stride(total: u64) -> u64 {
+    const GOLDEN: f64 = 0.618_033_988_749_895;
+    let golden = (total as f64 * GOLDEN) as u64;
+    (golden.max(1)..).find(|&stride| gcd(stride, total) == 1).unwrap_or(1)
+}
+
 fn gcd(a: u64, b: u64) -> u64 {
     if b == 0 { a } else { gcd(b, a % b) }
 }
@@ -186,6 +255,7 @@ fn gcd(a: u64, b: u64) -> u64 {
 mod tests {
     use super::*;
     use proptest::prelude::*;
+    use std::collections::HashSet;
 
     fn sequence(kind: Pixels, resolutions: &[[u32; 2]]) -> PixelSequence {
         PixelSequence::new(kind, 3, resolutions.to_vec())
@@ -219,6 +289,54 @@ mod tests {
             let mut parts = sequence.picks(first, cut);
             parts.extend(sequence.picks(first + cut, 64 - cut));
             prop_assert_eq!(parts, sequence.picks(first, 64));
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn a_run_through_every_pixel_meets_each_once(
+            sides in proptest::collection::vec((1_u32..12, 1_u32..12), 1..5),
+            seed: u64,
+            masked in 0_usize..5,
+        ) {
+            let resolutions: Vec<[u32; 2]> = sides.iter().map(|&(w, h)| [w, h]).collect();
+            let mask = |(i, &size): (usize, &[u32; 2])| {
+                (i == masked && size != [1, 1]).then(|| Mask::new(size, |column, row| (column + row) % 2 == 0))
+            };
+            let masks: Vec<Option<Mask>> = resolutions.iter().enumerate().map(mask).collect();
+            let keeps = |camera: usize, [column, row]: [u32; 2]| {
+                masks[camera].as_ref().is_none_or(|mask| mask.keeps(column, row))
+            };
+            let sequence = PixelSequence::masked(Pixels::Every, seed, resolutions.clone(), masks.clone());
+            let picks = sequence.picks(0, sequence.total());
+            let met: HashSet<(usize, [u32; 2])> = picks.iter().map(|pick| (pick.camera, pick.pixel)).collect();
+            let all = resolutions.iter().enumerate().flat_map(|(camera, &[w, h])| {
+                (0..w).flat_map(move |x| (0..h).map(move |y| (camera, [x, y])))
+            });
+            let wanted: HashSet<(usize, [u32; 2])> = all.filter(|&(camera, at)| keeps(camera, at)).collect();
+            prop_assert_eq!(picks.len(), met.len());
+            prop_assert_eq!(&met, &wanted);
+            prop_assert!(picks.iter().all(|pick| (0.0..1.0).contains(&pick.jitter)));
+            // Camera by camera they are the same rays.
+            let shares = sequence.shares(sequence.total());
+            let ranks = (0..shares.len()).flat_map(|camera| (0..shares[camera]).map(move |n| (camera, n)));
+            for pick in ranks.map(|(camera, n)| sequence.of_camera(camera, n)) {
+                prop_assert!(picks.contains(&pick), "{pick:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn few_rays_of_a_run_through_every_pixel_are_spread_over_the_image() {
+        let sequence = sequence(Pixels::Every, &[[40, 40], [30, 40]]);
+        let picks = |camera: usize| (0..64).map(|n| sequence.of_camera(camera, n)).collect::<Vec<_>>();
+        for picks in [sequence.picks(0, 128), picks(0), picks(1)] {
+            // Multiples of the golden ratio leave gaps of at most φ²/n = 2.62/64 (three-distance theorem): a quarter of
+            // an image has at least 64 / 4 / 2.62 − 1 = 5 of them.
+            for quarter in 0..4 {
+                let in_quarter = |pick: &&Pick| pick.pixel[1] / 10 == quarter;
+                assert!(picks.iter().filter(in_quarter).count() >= 5, "quarter {quarter}: {picks:?}");
+            }
         }
     }
 

@@ -1,23 +1,11 @@
-//! The part of a run that one process draws.
+//! The part of a run that one process draws, and how far it has come.
 
 use std::collections::{HashMap, HashSet};
-
-use super::progress::RunProgress;
+use std::iter::Sum;
+use std::ops::Add;
 
 /// Rays per batch. Batch b starts at ray b · 512, and any batch can be drawn by itself.
 pub(super) const BATCH: u64 = 512;
-
-/// How the batches of a run are dealt out to its parts.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Deal {
-    /// Part i has every n-th batch, from batch i, as in files of earlier versions. If cameras take turns with a period
-    /// that shares a divisor with n, a part never sees some of them.
-    #[default]
-    Strided,
-    /// The turn moves on from round to round by a Weyl sequence, so every part sees all cameras equally often.
-    Shifted,
-}
 
 /// A part of a run of `rays` rays. In every round of `of` batches, it draws one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
@@ -29,16 +17,13 @@ pub struct Shard {
     pub index: u64,
     /// Number of parts.
     pub of: u64,
-    /// Which batch of each round is this part's.
-    #[serde(default)]
-    pub deal: Deal,
 }
 
 impl Shard {
     /// Part `index` of `of` parts of a run.
     #[must_use]
     pub fn new(rays: u64, index: u64, of: u64) -> Self {
-        Self { rays, index, of, deal: Deal::Shifted }
+        Self { rays, index, of }
     }
 
     /// The whole of a run.
@@ -49,15 +34,14 @@ impl Shard {
 
     /// The place of this part's batch among the `of` batches of round `n`.
     ///
-    /// Fractions of multiples of the golden ratio fill [0, 1) evenly, together with any period of n. So a part's
-    /// batches fall evenly on the cameras, whatever the period in which these take turns.
+    /// The turn moves on from round to round by a Weyl sequence: fractions of multiples of the golden ratio fill [0, 1)
+    /// evenly, together with any period of n. So a part's batches fall evenly on the cameras, whatever the period in
+    /// which these take turns. With every n-th batch, a part would never see some of them if that period shares a
+    /// divisor with n.
     fn place(&self, n: u64) -> u64 {
         // The golden ratio's fraction, times 2^64.
         const GOLDEN: u64 = 0x9E37_79B9_7F4A_7C15;
-        let turn = match self.deal {
-            Deal::Strided => 0,
-            Deal::Shifted => (u128::from(n.wrapping_mul(GOLDEN)) * u128::from(self.of)) >> 64,
-        };
+        let turn = (u128::from(n.wrapping_mul(GOLDEN)) * u128::from(self.of)) >> 64;
         ((u128::from(self.index) + turn) % u128::from(self.of)) as u64
     }
 
@@ -117,7 +101,7 @@ impl Draw {
     /// Checks that no two of these draws can have a ray in common.
     ///
     /// Batch b of a seed is the same in every run, whatever the run's length. For one seed, therefore, only
-    /// different parts of the same run, dealt in the same way, are disjoint.
+    /// different parts of the same run are disjoint.
     #[must_use]
     pub fn are_disjoint(draws: impl IntoIterator<Item = Self>) -> bool {
         let mut split = HashMap::new();
@@ -128,10 +112,10 @@ impl Draw {
         })
     }
 
-    /// What the parts of one run have in common: seed, rays, number of parts, and how they are dealt.
-    pub(super) fn run(&self) -> (u64, u64, u64, Deal) {
-        let Shard { rays, of, deal, .. } = self.shard;
-        (self.seed, rays, of, deal)
+    /// What the parts of one run have in common: seed, rays and number of parts.
+    pub(super) fn run(&self) -> (u64, u64, u64) {
+        let Shard { rays, of, .. } = self.shard;
+        (self.seed, rays, of)
     }
 
     /// The same rays in as few draws as possible, sorted. If all parts of a run are present, they become one draw.
@@ -145,6 +129,42 @@ impl Draw {
             if are_all { vec![Self { seed, shard: Shard::whole(shard.rays) }] } else { parts.to_vec() }
         };
         draws.chunk_by(|a, b| a.run() == b.run()).flat_map(join).collect()
+    }
+}
+
+/// Counts of a run so far, without the samples themselves. A run can be resumed from here.
+#[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize, serde::Deserialize)]
+pub struct RunProgress {
+    /// Completed batches of the shard.
+    pub batches: u64,
+    /// R, the number of rays drawn.
+    pub rays: u64,
+    /// Number of samples with a Jacobian.
+    pub samples: u64,
+    /// Number of rays dropped because the field was not finite.
+    pub dropped: u64,
+    /// Position of the first sample where the field was not finite.
+    pub first_invalid: Option<[f32; 3]>,
+}
+
+impl Add for RunProgress {
+    type Output = Self;
+
+    /// The progress of both runs together.
+    fn add(self, other: Self) -> Self {
+        Self {
+            batches: self.batches + other.batches,
+            rays: self.rays + other.rays,
+            samples: self.samples + other.samples,
+            dropped: self.dropped + other.dropped,
+            first_invalid: self.first_invalid.or(other.first_invalid),
+        }
+    }
+}
+
+impl Sum for RunProgress {
+    fn sum<I: Iterator<Item = Self>>(runs: I) -> Self {
+        runs.fold(Self::default(), Self::add)
     }
 }
 
@@ -215,26 +235,16 @@ mod tests {
             (0..shard.batches()).for_each(|n| counts[(shard.batch(n) % period) as usize] += 1);
             counts
         };
-        let mut missed = 0;
-        for (of, period) in itertools::iproduct!([2, 3, 4, 8, 12, 64], [2, 3, 4, 6, 8, 16]) {
+        let cases = [2, 3, 4, 8, 12, 64].map(|of| [2, 3, 4, 6, 8, 16].map(|period| (of, period)));
+        for (of, period) in cases.into_iter().flatten() {
             for index in 0..of.min(16) {
                 let shard = Shard::new(1600 * of * BATCH, index, of);
                 let fair = shard.batches() as f64 / period as f64;
                 for count in counts(shard, period) {
                     assert!((count as f64 - fair).abs() <= 10.0, "{shard:?}, {period}: {count} for {fair}");
                 }
-                missed += counts(Shard { deal: Deal::Strided, ..shard }, period).iter().filter(|n| **n == 0).count();
             }
         }
-        assert!(missed > 0, "the test can tell the two apart");
-    }
-
-    #[test]
-    fn parts_that_are_dealt_differently_may_share_rays() {
-        let new = Draw { seed: 0, shard: Shard::new(5000, 0, 2) };
-        let old = Draw { seed: 0, shard: Shard { deal: Deal::Strided, ..Shard::new(5000, 1, 2) } };
-        assert!(!Draw::are_disjoint([new, old]));
-        assert!(Draw::are_disjoint([new, Draw { seed: 0, shard: Shard::new(5000, 1, 2) }]));
     }
 
     #[test]
@@ -244,5 +254,19 @@ mod tests {
         let whole = Draw { seed: 7, shard: Shard::whole(5000) };
         assert_eq!(Draw::joined([part(2), other, part(0), part(1)]), [other, whole]);
         assert_eq!(Draw::joined([part(2), part(0)]), [part(0), part(2)]);
+    }
+
+    #[test]
+    fn all_counts_add_up_and_the_first_invalid_sample_stays_the_first() {
+        let run = |n: u64, first_invalid| RunProgress {
+            batches: n,
+            rays: 10 * n,
+            samples: 100 * n,
+            dropped: 1000 * n,
+            first_invalid,
+        };
+        let runs = [run(1, None), run(2, Some([1.0; 3])), run(4, Some([2.0; 3]))];
+        assert_eq!(runs.into_iter().sum::<RunProgress>(), run(7, Some([1.0; 3])));
+        assert_eq!(runs[2] + runs[0], run(5, Some([2.0; 3])));
     }
 }

@@ -1,19 +1,18 @@
 //! Training rays as a stream of samples with Jacobians.
 
-use std::ops::Range;
+use std::convert::Infallible;
+use std::ops::{ControlFlow, Range};
 
 use rayon::prelude::*;
 
+use super::by_camera::CameraByCamera;
 use super::pixels::{Pick, PixelSequence, Pixels};
-use super::progress::RunProgress;
 use super::seeds::Purpose;
-use super::shard::{BATCH, Draw, Shard};
+use super::shard::{BATCH, Draw, RunProgress, Shard};
+use super::source::{RaySource, VolumeRays};
 use crate::geometry::{Aabb, Camera, Mask, Ray};
 use crate::monitor::{Monitor, check};
-use crate::render::{
-    CompositingWeights, Differentiation, JacobianBuffers, RayGroup, RaySamples, RaysTogether, TraceBuffers, TracedRays,
-    Tracer,
-};
+use crate::render::{CompositingWeights, JacobianBuffers, RayBatch, RaySamples, TraceBuffers, TracedRays};
 use crate::{Error, Result};
 
 /// Number of batches passed to the posterior together.
@@ -21,32 +20,36 @@ const GROUP: u64 = 16;
 /// Largest fraction of rays that may be dropped because the field was not finite. Beyond it, a run fails.
 pub const MAX_DROPPED_SHARE: f64 = 0.01;
 
+/// Threads that a group of rays of splats keeps busy. A group takes about 1.3 kB for each of its 8,192 rays, so that
+/// more of them at once than threads need only fill the memory.
+const THREADS_PER_GROUP: usize = 4;
+/// Most cameras that a pilot or a check looks through, if each of their views has to be prepared.
+const FEW_CAMERAS: usize = 16;
+
 /// Least weight in its pixel of a sample on a visible surface.
 pub const SURFACE_WEIGHT: f32 = 0.05;
 
-/// Points that a batch asks about when it begins: a round of samples along each ray.
+/// Points that a batch of rays asks about when it begins: a round of samples along each ray.
 const FIRST_POINTS: usize = 4096;
-/// A field that wants many points at once gets them from batches of rays in different stages. A batch whose last rays
-/// are long asks about few points for many rounds: 128 are enough for a hundred such rounds beside a fresh batch. More
-/// batches than that makes are not begun, for memory's sake.
-const LEAST_POINTS: usize = 128;
+/// Batches that go together ask, when they begin, about so many times the points that the field wants at once: when
+/// most rays have ended, the others still ask about enough.
+const AT_FIRST: usize = 4;
 
-/// A run whose batches ask the field together.
-struct TogetherRun<'t> {
-    shard: Shard,
-    /// Number of the shard's batches that have begun.
-    begun: u64,
-    /// Points that the field wants at once.
-    batch: usize,
-    together: RaysTogether<'t>,
+/// How a stream of rays ended.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum End<B> {
+    /// After its last ray.
+    Complete(RunProgress),
+    /// After these rays, because the monitor asked to stop.
+    Stopped(RunProgress),
+    /// Because who took the samples had seen enough.
+    Broken(B),
 }
 
 /// Draws pixels from all training images and differentiates them.
 pub struct RayStream<'a> {
-    /// Field, sampling and background.
-    pub tracer: Tracer<'a>,
-    /// The method of differentiating the field.
-    pub differentiation: Differentiation<'a>,
+    /// The model.
+    pub source: RaySource<'a>,
     /// Training cameras, at least one.
     pub cameras: &'a [Camera],
     /// Position of rays within their pixel; ½ is the centre.
@@ -62,7 +65,7 @@ impl<'a> RayStream<'a> {
     #[must_use]
     pub fn with_pixels(&self, kind: Pixels, seed: u64) -> RayStream<'a> {
         let pixels = self.pixels.reordered(kind, seed);
-        RayStream { tracer: self.tracer.clone(), pixels, reach: None, ..*self }
+        RayStream { source: self.source.clone(), pixels, reach: None, ..*self }
     }
 
     /// The same stream over the pixels that masks keep, one or none for each camera.
@@ -102,6 +105,22 @@ impl<'a> RayStream<'a> {
         hasher.finalize()
     }
 
+    /// The same stream through few cameras, spread over all, if each costs as much as thousands of rays.
+    #[must_use]
+    pub(crate) fn through_few_cameras(&self) -> RayStream<'a> {
+        let few = RayStream { source: self.source.clone(), pixels: self.pixels.clone(), ..*self };
+        match self.source {
+            RaySource::Volume(_) => few,
+            RaySource::Splats(_) => RayStream { pixels: self.pixels.thinned(FEW_CAMERAS), ..few },
+        }
+    }
+
+    /// Number of cameras that rays come from.
+    pub(crate) fn cameras_in_use(&self) -> usize {
+        // No round is longer.
+        self.pixels.shares(1 << 20).into_iter().filter(|share| *share > 0).count()
+    }
+
     /// The same stream with the pixels that its run draws for another purpose.
     #[must_use]
     pub fn for_purpose(&self, purpose: Purpose) -> RayStream<'a> {
@@ -114,51 +133,40 @@ impl<'a> RayStream<'a> {
         Draw { seed: self.pixels.seed(), shard }
     }
 
-    /// The samples of some batches of a shard, each for itself. Batches that begin after the monitor was interrupted
-    /// are left out.
-    fn draw_apart(&self, shard: &Shard, batches: Range<u64>, monitor: &dyn Monitor) -> Vec<RaySamples> {
-        batches
-            .into_par_iter()
-            .map_init(JacobianBuffers::default, |buffers, n| {
-                // So that slow fields stop soon; the caller checks, too.
-                if monitor.interrupted() {
-                    return RaySamples::default();
-                }
-                let batch = shard.batch(n);
-                let (rays, jitter) = self.batch(batch, shard.rays_of(batch));
-                let (first, how) = (batch * BATCH, &self.differentiation);
-                let samples = self.tracer.jacobians(&rays, &jitter, first, how, buffers);
-                monitor.advance(shard.rays_of(batch));
-                samples
-            })
-            .collect()
-    }
-
-    /// The samples of the next `count` batches, of which and of later ones the field is asked together.
-    fn draw_together(&self, run: &mut TogetherRun, count: u64, monitor: &dyn Monitor) -> Result<Vec<RaySamples>> {
-        let (shard, together) = (run.shard, &mut run.together);
-        while (together.finished() as u64) < count {
-            check(monitor)?;
-            while run.begun < shard.batches()
-                && together.points() < run.batch
-                && together.running() < run.batch / LEAST_POINTS + GROUP as usize
-            {
-                let lacking = (run.batch - together.points()).div_ceil(FIRST_POINTS) as u64;
-                let next = run.begun..(run.begun + lacking).min(shard.batches());
-                run.begun = next.end;
-                let group = |n| {
-                    let batch = shard.batch(n);
-                    let (rays, jitter) = self.batch(batch, shard.rays_of(batch));
-                    RayGroup { rays, jitter, first: batch * BATCH }
-                };
-                together.begin(next.into_par_iter().map(group).collect());
+    /// The samples of some batches of a shard. If the monitor was interrupted, some are missing.
+    fn samples(
+        &self,
+        shard: &Shard,
+        batches: Range<u64>,
+        by_camera: &mut Option<CameraByCamera<'_, 'a>>,
+        monitor: &dyn Monitor,
+    ) -> Result<Vec<RaySamples>> {
+        let rays = |n| shard.rays_of(shard.batch(n));
+        let VolumeRays { tracer, differentiation } = match (&self.source, by_camera) {
+            (RaySource::Volume(volume), _) => volume.as_ref(),
+            (RaySource::Splats(_), by_camera) => {
+                let of = |n| (shard.batch(n) * BATCH)..(shard.batch(n) * BATCH + rays(n));
+                return by_camera.as_mut().map_or(Ok(Vec::new()), |by_camera| {
+                    by_camera.samples(&batches.map(of).collect::<Vec<_>>(), monitor)
+                });
             }
-            together.ask();
+        };
+        if tracer.field.batch() > 0 {
+            let drawn: Vec<RayBatch> = batches.clone().into_par_iter().map(|n| self.batch(shard, n)).collect();
+            let samples = tracer.jacobians_together(&drawn, differentiation, monitor)?;
+            monitor.advance(batches.map(rays).sum());
+            return Ok(samples);
         }
-        let samples = together.take(count as usize);
-        let before = run.begun - together.len() as u64 - samples.len() as u64;
-        monitor.advance((before..).zip(&samples).map(|(n, _)| shard.rays_of(shard.batch(n))).sum());
-        Ok(samples)
+        let each = batches.into_par_iter().map_init(JacobianBuffers::default, |buffers, n| {
+            // So that slow fields stop soon; the caller checks, too.
+            if monitor.interrupted() {
+                return RaySamples::default();
+            }
+            let samples = tracer.jacobians(&self.batch(shard, n), differentiation, buffers);
+            monitor.advance(rays(n));
+            samples
+        });
+        Ok(each.collect())
     }
 
     /// Rays of one batch, each with its jitter.
@@ -171,10 +179,13 @@ impl<'a> RayStream<'a> {
         picks.iter().map(ray).collect()
     }
 
-    /// Rays and jitter of one batch, without the rays that reach nothing.
-    fn batch(&self, batch: u64, count: u64) -> (Vec<Ray>, Vec<f64>) {
-        let picked = self.picked(batch, count).into_iter();
-        picked.filter(|(ray, _)| self.reach.is_none_or(|reach| reach.clip(ray).is_some())).unzip()
+    /// Batch `n` of a shard, without the rays that reach nothing.
+    fn batch(&self, shard: &Shard, n: u64) -> RayBatch {
+        let batch = shard.batch(n);
+        let picked = self.picked(batch, shard.rays_of(batch)).into_iter();
+        let picked = picked.filter(|(ray, _)| self.reach.is_none_or(|reach| reach.clip(ray).is_some()));
+        let (rays, jitter) = picked.unzip();
+        RayBatch { rays, jitter, first: batch * BATCH }
     }
 
     /// Draws the rays of `shard` and passes their samples to `sink`, in ray order, with the progress that
@@ -194,32 +205,64 @@ impl<'a> RayStream<'a> {
         monitor: &dyn Monitor,
         mut sink: impl FnMut(&[RaySamples], &RunProgress) -> Result<()>,
     ) -> Result<RunProgress> {
+        let goes_on = |samples: &[RaySamples], progress: &RunProgress| {
+            sink(samples, progress)?;
+            Ok(ControlFlow::<Infallible>::Continue(()))
+        };
+        match self.run_until(shard, from, monitor, goes_on)? {
+            End::Complete(progress) => Ok(progress),
+            End::Stopped(_) => Err(Error::Interrupted),
+        }
+    }
+
+    /// As [`RayStream::run`], until `sink` breaks off. That, and a request of the monitor to stop, are no errors.
+    ///
+    /// # Errors
+    /// What `sink` returns, or [`Error::NonFinite`].
+    pub fn run_until<B>(
+        &self,
+        shard: Shard,
+        from: RunProgress,
+        monitor: &dyn Monitor,
+        mut sink: impl FnMut(&[RaySamples], &RunProgress) -> Result<ControlFlow<B>>,
+    ) -> Result<End<B>> {
         monitor.begin("rays", shard.own_rays());
         monitor.advance(from.rays);
         let mut progress = from;
-        let mut together = (self.tracer.field.batch() > 0).then(|| TogetherRun {
-            shard,
-            begun: from.batches,
-            batch: self.tracer.field.batch(),
-            together: RaysTogether::new(&self.tracer, &self.differentiation),
-        });
-        while progress.batches < shard.batches() {
-            check(monitor)?;
-            let group = progress.batches..(progress.batches + GROUP).min(shard.batches());
-            let samples = match &mut together {
-                Some(run) => self.draw_together(run, group.end - group.start, monitor)?,
-                None => self.draw_apart(&shard, group.clone(), monitor),
-            };
-            // Whoever asked to stop gets no group that may be incomplete.
-            check(monitor)?;
-            progress.batches = group.end;
-            progress.rays += group.map(|n| shard.rays_of(shard.batch(n))).sum::<u64>();
-            for batch in &samples {
-                progress.samples += batch.positions.len() as u64;
-                progress.dropped += batch.dropped;
-                progress.first_invalid = progress.first_invalid.or(batch.first_invalid.map(|x| x.to_array()));
+        // Groups of batches that are drawn at once.
+        let groups = match (self.source.batch(), &self.source) {
+            (_, RaySource::Splats(_)) => rayon::current_num_threads().div_ceil(THREADS_PER_GROUP) as u64,
+            (0, _) => 1,
+            (points, _) => (AT_FIRST * points).div_ceil(FIRST_POINTS * GROUP as usize) as u64,
+        };
+        let mut by_camera = match &self.source {
+            RaySource::Volume(_) => None,
+            RaySource::Splats(splats) => {
+                Some(CameraByCamera::new(*splats, self.cameras, &self.pixels, self.pixel_offset, shard.rays)?)
             }
-            sink(&samples, &progress)?;
+        };
+        while progress.batches < shard.batches() {
+            if monitor.interrupted() {
+                return Ok(End::Stopped(progress));
+            }
+            let drawn = progress.batches..(progress.batches + groups * GROUP).min(shard.batches());
+            let samples = self.samples(&shard, drawn, &mut by_camera, monitor);
+            // Whoever asked to stop gets no group that may be incomplete.
+            if matches!(samples, Err(Error::Interrupted)) || monitor.interrupted() {
+                return Ok(End::Stopped(progress));
+            }
+            for group in samples?.chunks(GROUP as usize) {
+                for batch in group {
+                    progress.rays += shard.rays_of(shard.batch(progress.batches));
+                    progress.batches += 1;
+                    progress.samples += batch.positions.len() as u64;
+                    progress.dropped += batch.dropped;
+                    progress.first_invalid = progress.first_invalid.or(batch.first_invalid.map(|x| x.to_array()));
+                }
+                if let ControlFlow::Break(with) = sink(group, &progress)? {
+                    return Ok(End::Broken(with));
+                }
+            }
         }
         monitor.end();
         match progress.first_invalid {
@@ -231,7 +274,7 @@ impl<'a> RayStream<'a> {
                     first,
                 })
             }
-            _ => Ok(progress),
+            _ => Ok(End::Complete(progress)),
         }
     }
 }
@@ -246,19 +289,23 @@ impl RayStream<'_> {
     /// [`Error::Interrupted`] only.
     pub fn surface_points(&self, count: usize, rays: u64, monitor: &dyn Monitor) -> Result<Vec<[f32; 3]>> {
         let mut points = Vec::new();
+        let VolumeRays { tracer, .. } = match &self.source {
+            RaySource::Volume(volume) => volume.as_ref(),
+            RaySource::Splats(_) => return self.through_few_cameras().surface_splats(count, rays, monitor),
+        };
         let batches = rays.div_ceil(BATCH);
         for group in (0..batches).step_by(GROUP as usize) {
             check(monitor)?;
             let group: Vec<u64> = (group..(group + GROUP).min(batches)).collect();
             // A field that wants many points at once sees the whole group as one.
-            let each = if self.tracer.field.batch() > 0 { group.len() } else { 1 };
+            let each = if tracer.field.batch() > 0 { group.len() } else { 1 };
             let found: Vec<Vec<[f32; 3]>> = group
                 .par_chunks(each)
                 .map_init(TraceBuffers::default, |buffers, batches| {
                     let (rays, jitter): (Vec<Ray>, Vec<f64>) =
                         batches.iter().flat_map(|&batch| self.picked(batch, BATCH)).unzip();
-                    self.tracer.trace(&rays, &jitter, buffers);
-                    visible(&buffers.traced, self.tracer.marcher.step)
+                    tracer.trace(&rays, &jitter, buffers);
+                    visible(&buffers.traced, tracer.marcher.step)
                 })
                 .collect();
             points.extend(found.into_iter().flatten().take(count - points.len()));
@@ -266,6 +313,18 @@ impl RayStream<'_> {
                 break;
             }
         }
+        Ok(points)
+    }
+
+    /// [`RayStream::surface_points`] of splats: their centres.
+    fn surface_splats(&self, count: usize, rays: u64, monitor: &dyn Monitor) -> Result<Vec<[f32; 3]>> {
+        let mut points = Vec::new();
+        self.run(Shard::whole(rays), RunProgress::default(), monitor, |batches, _| {
+            let weighted = batches.iter().flat_map(|batch| batch.positions.iter().zip(&batch.weights));
+            let visible = weighted.filter(|(_, weight)| **weight >= SURFACE_WEIGHT).map(|(x, _)| x.to_array());
+            points.extend(visible.take(count - points.len()));
+            Ok(())
+        })?;
         Ok(points)
     }
 }
@@ -364,15 +423,9 @@ mod tests {
                 assert!(progress.samples > 10_000, "{progress:?}");
                 let (together, same, calls) = draw(1 << 13, shard, from);
                 assert!(apart == together && progress == same, "{gradient:?}");
-                // Only when there is no other ray to begin do the last ones ask about less.
-                let all: usize = calls.iter().sum();
-                let mut so_far = 0;
-                let early = calls.iter().take_while(|points| {
-                    so_far += **points;
-                    so_far < all / 2
-                });
-                let early: Vec<usize> = early.copied().collect();
-                assert!(early.len() > 20 && early.iter().all(|points| *points >= 1 << 13), "{gradient:?}: {early:?}");
+                // The last rays of a group that still go on ask about fewer.
+                let [all, wide]: [usize; 2] = [0, 1 << 13].map(|least| calls.iter().filter(|n| **n >= least).sum());
+                assert!(calls.len() > 20 && wide as f64 > 0.9 * all as f64, "{gradient:?}: {wide} of {all} points");
             }
         }
     }

@@ -5,8 +5,8 @@
 
 use glam::{DVec3, Vec3};
 
-use super::choose::{Chosen, around};
 use super::gradient::GradientBuffers;
+use super::jacobian::{Chosen, around};
 use super::{CompositingWeights, Differentiation, TracedRays, Tracer};
 use crate::geometry::Ray;
 
@@ -19,7 +19,7 @@ pub struct DepthSample {
     pub gradient: DVec3,
 }
 
-/// What knows how certain the places of matter are.
+/// Variances of depth, from a posterior of displacements.
 pub trait DepthVariance: Sync {
     /// Variance of a ray's expected depth from the samples that move it, squared scene units.
     fn variance(&self, samples: &[DepthSample]) -> f64;
@@ -86,9 +86,9 @@ impl DepthProbe<'_> {
     fn density_gradients(&self, tracer: &Tracer, positions: &[Vec3]) -> Vec<Option<DVec3>> {
         let (mut buffers, mut gradients) = (GradientBuffers::default(), Vec::new());
         let how = &self.differentiation;
-        how.ask_density_gradients(&tracer.field.bounds(), positions, &mut buffers);
-        how.density_gradients_question(positions, &mut buffers).answer(tracer.field, how.analytic);
-        how.read_density_gradients(&buffers, &mut gradients);
+        how.place_density_gradients(&tracer.field.bounds(), positions, &mut buffers);
+        how.ask_density_gradients(tracer.field, std::iter::once((positions, &mut buffers)));
+        how.take_density_gradients(&buffers, &mut gradients);
         gradients
     }
 }

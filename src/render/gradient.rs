@@ -2,7 +2,8 @@
 
 use glam::{DVec3, Vec3};
 
-use super::Question;
+use super::jacobian::Chosen;
+use super::trace::{Points, ask_together};
 use crate::field::{Differentiable, Radiance, RadianceField, RadianceJet};
 use crate::geometry::{Aabb, Domain};
 use crate::{Error, Result};
@@ -195,22 +196,28 @@ impl Differentiation<'_> {
         self.analytic.is_none().then(|| self.differences.step.to_array())
     }
 
-    /// Prepares the question for the jets of a field at `positions` seen along `directions`.
-    pub(super) fn ask_jets(
-        &self,
-        bounds: &Aabb,
-        positions: &[Vec3],
-        directions: &[Vec3],
-        buffers: &mut GradientBuffers,
-    ) {
+    /// Number of points to evaluate for the jets at `samples` samples.
+    pub(super) fn jet_points(&self, samples: usize) -> usize {
+        samples * if self.analytic.is_some() { 1 } else { 1 + self.differences.stencil.others() }
+    }
+
+    /// Number of points to evaluate for ∇σ at `samples` samples.
+    pub(super) fn gradient_points(&self, samples: usize) -> usize {
+        let Differences { stencil, .. } = self.differences;
+        let of_differences = stencil.others() + usize::from(stencil == Stencil::Forward);
+        samples * if self.analytic.is_some() { 1 } else { of_differences }
+    }
+
+    /// Places the points at which the field is evaluated for its jets at `samples`.
+    pub(super) fn place_jets(&self, bounds: &Aabb, samples: &Chosen, buffers: &mut GradientBuffers) {
         if self.analytic.is_some() {
-            buffers.jets.resize(positions.len(), RadianceJet::default());
+            buffers.jets.resize(samples.positions.len(), RadianceJet::default());
             return;
         }
         let GradientBuffers { positions: around, directions: along, radiance, .. } = buffers;
         around.clear();
         along.clear();
-        for (&x, &direction) in positions.iter().zip(directions) {
+        for (&x, &direction) in samples.positions.iter().zip(&samples.directions) {
             around.push(x);
             around.extend(self.differences.around(x, bounds));
             along.extend(std::iter::repeat_n(direction, 1 + self.differences.stencil.others()));
@@ -219,23 +226,31 @@ impl Differentiation<'_> {
         radiance.resize(around.len(), Radiance::default());
     }
 
-    /// That question.
-    pub(super) fn jets_question<'q>(
+    /// Evaluates the field at the points that were placed for its jets, in one call.
+    pub(super) fn ask_jets<'q>(
         &self,
-        positions: &'q [Vec3],
-        directions: &'q [Vec3],
-        buffers: &'q mut GradientBuffers,
-    ) -> Question<'q> {
-        let GradientBuffers { positions: around, directions: along, radiance, jets, .. } = buffers;
-        if self.analytic.is_some() {
-            Question::Jets { positions, directions, out: jets }
+        field: &dyn RadianceField,
+        parts: impl Iterator<Item = (&'q Chosen, &'q mut GradientBuffers)>,
+    ) {
+        if let Some(analytic) = self.analytic {
+            let parts = parts.map(|(samples, buffers)| Points {
+                positions: &samples.positions,
+                directions: &samples.directions,
+                out: &mut buffers.jets[..],
+            });
+            ask_together(parts.collect(), |positions, directions, out| analytic.jets(positions, directions, out));
         } else {
-            Question::Radiance { positions: around, directions: along, out: radiance }
+            let parts = parts.map(|(_, buffers)| Points {
+                positions: &buffers.positions,
+                directions: &buffers.directions,
+                out: &mut buffers.radiance[..],
+            });
+            ask_together(parts.collect(), |positions, directions, out| field.evaluate(positions, directions, out));
         }
     }
 
-    /// Writes the jets to `out`, once the question is answered; `None` where the field is not finite there or nearby.
-    pub(super) fn read_jets(&self, buffers: &GradientBuffers, out: &mut Vec<Option<Jet>>) {
+    /// Writes the jets to `out`, once the field is evaluated; `None` where it is not finite there or nearby.
+    pub(super) fn take_jets(&self, buffers: &GradientBuffers, out: &mut Vec<Option<Jet>>) {
         out.clear();
         if self.analytic.is_some() {
             out.extend(buffers.jets.iter().map(|jet| {
@@ -264,14 +279,13 @@ impl Differentiation<'_> {
         }));
     }
 
-    /// Prepares the question for ∇σ of a field at `positions`.
-    pub(super) fn ask_density_gradients(&self, bounds: &Aabb, positions: &[Vec3], buffers: &mut GradientBuffers) {
+    /// Places the points at which the field is evaluated for ∇σ at `positions`.
+    pub(super) fn place_density_gradients(&self, bounds: &Aabb, positions: &[Vec3], buffers: &mut GradientBuffers) {
         let GradientBuffers { positions: around, densities, gradients, .. } = buffers;
         around.clear();
         densities.clear();
         if self.analytic.is_some() {
             gradients.resize(positions.len(), Vec3::ZERO);
-            densities.resize(positions.len(), 0.0);
         } else {
             for &x in positions {
                 around.extend((self.differences.stencil == Stencil::Forward).then_some(x));
@@ -281,22 +295,30 @@ impl Differentiation<'_> {
         }
     }
 
-    /// That question.
-    pub(super) fn density_gradients_question<'q>(
+    /// Evaluates the field at the points that were placed for ∇σ, in one call.
+    pub(super) fn ask_density_gradients<'q>(
         &self,
-        positions: &'q [Vec3],
-        buffers: &'q mut GradientBuffers,
-    ) -> Question<'q> {
-        let GradientBuffers { positions: around, densities, gradients, .. } = buffers;
-        if self.analytic.is_some() {
-            Question::DensityJets { positions, densities, gradients }
+        field: &dyn RadianceField,
+        parts: impl Iterator<Item = (&'q [Vec3], &'q mut GradientBuffers)>,
+    ) {
+        if let Some(analytic) = self.analytic {
+            let points = |positions, out| Points { positions, directions: &[], out };
+            let parts = parts.map(|(positions, buffers)| points(positions, &mut buffers.gradients[..]));
+            ask_together(parts.collect(), |positions, _, gradients| {
+                analytic.density_jets(positions, &mut vec![0.0; positions.len()], gradients);
+            });
         } else {
-            Question::Densities { positions: around, out: densities }
+            let parts = parts.map(|(_, GradientBuffers { positions, densities, .. })| Points {
+                positions,
+                directions: &[],
+                out: &mut densities[..],
+            });
+            ask_together(parts.collect(), |positions, _, densities| field.densities(positions, densities));
         }
     }
 
-    /// Writes ∇σ to `out`, once the question is answered; `None` where it is not finite.
-    pub(super) fn read_density_gradients(&self, buffers: &GradientBuffers, out: &mut Vec<Option<DVec3>>) {
+    /// Writes ∇σ to `out`, once the field is evaluated; `None` where it is not finite.
+    pub(super) fn take_density_gradients(&self, buffers: &GradientBuffers, out: &mut Vec<Option<DVec3>>) {
         let GradientBuffers { positions: around, densities, gradients, .. } = buffers;
         out.clear();
         if self.analytic.is_some() {
@@ -358,16 +380,18 @@ mod tests {
     }
 
     #[test]
-    fn forward_differences_ask_fewer_points() {
+    fn forward_differences_need_fewer_points() {
         let (bounds, positions) = (Aabb::centered_cube(1.0), [Vec3::ZERO, Vec3::splat(0.5)]);
-        let asked = |stencil| {
+        let placed = |stencil| {
             let how = Differentiation { differences: of(stencil), analytic: None };
-            let mut buffers = GradientBuffers::default();
-            how.ask_jets(&bounds, &positions, &positions, &mut buffers);
-            let jets = buffers.positions.len();
-            how.ask_density_gradients(&bounds, &positions, &mut buffers);
-            [jets, buffers.positions.len()]
+            let (mut samples, mut buffers) = (Chosen::default(), GradientBuffers::default());
+            positions.iter().enumerate().for_each(|(i, &x)| samples.push(i, 0, x, Vec3::Z));
+            how.place_jets(&bounds, &samples, &mut buffers);
+            assert_eq!(buffers.positions.len(), how.jet_points(2));
+            how.place_density_gradients(&bounds, &positions, &mut buffers);
+            assert_eq!(buffers.positions.len(), how.gradient_points(2));
+            [how.jet_points(2), how.gradient_points(2)]
         };
-        assert_eq!((asked(Stencil::Central), asked(Stencil::Forward)), ([14, 12], [8, 8]));
+        assert_eq!((placed(Stencil::Central), placed(Stencil::Forward)), ([14, 12], [8, 8]));
     }
 }

@@ -53,7 +53,7 @@ const BATCH: usize = 32;
 #[must_use]
 pub fn noise_level(values: &[f64; TABLE]) -> Option<f64> {
     let (low, high) = values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), &v| (l.min(v), h.max(v)));
-    // The function itself must not change much (Moré and Wild ask for a tenth).
+    // The function itself must not change much (Moré and Wild require a tenth).
     if high - low > 0.1 * high.abs().max(low.abs()) {
         return None;
     }
@@ -200,7 +200,7 @@ impl DifferenceErrors {
         Some(Self { points: used.len(), noise: relative.sqrt(), curvature, steps })
     }
 
-    /// The step with the smallest error among those up to [`LONGEST_STEP`]; the shortest step if all are longer.
+    /// The step with the smallest error among those that a run may take; the shortest step if all are longer.
     #[must_use]
     pub fn best(&self) -> DifferenceError {
         let least = |a: &&DifferenceError, b: &&DifferenceError| a.total().total_cmp(&b.total());
@@ -367,7 +367,7 @@ fn densities<const N: usize>(
     batches.collect()
 }
 
-/// ∂σ along every line's axis, if the field knows it.
+/// ∂σ along every line's axis, if the field can compute it.
 fn own_slopes(field: &dyn RadianceField, lines: &[Line]) -> Option<Vec<f64>> {
     let own = field.differentiable()?;
     let batches = lines.par_chunks(BATCH).flat_map_iter(|lines| {

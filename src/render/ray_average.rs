@@ -1,4 +1,4 @@
-//! The ways in which what is said of the samples of a ray becomes one number per pixel.
+//! Averages along a ray: from values at its samples to one number per pixel.
 
 /// Ray average: how log10 U at the samples of a ray becomes one number per pixel.
 ///
@@ -7,7 +7,7 @@
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum RayAverage {
-    /// Σ w u / Σ w: the mean over what the ray meets.
+    /// Σ w u / Σ w: the mean over what the ray hits.
     #[default]
     WeightedMean,
     /// Σ w u − 3 T_end, as in the official code, which counts empty space as certain.
@@ -16,26 +16,24 @@ pub enum RayAverage {
     AtExpected,
     /// log10 (U s): u at the expected depth + log10 s. s is the spread of the ray's weights, s² = Var t + δ²/12.
     ///
-    /// How loosely matter is held there, times how widely it is spread along the ray; scene units squared. It is
-    /// meant for ranking pixels by their depth error. Of a field that has coarser levels, u is the mean over all of
-    /// them.
+    /// The product of the uncertainty there and the spread of matter along the ray; scene units squared. It is meant
+    /// for ranking pixels by their depth error.
     USpread,
     /// log10 (U s / √n): [`RayAverage::USpread`] − ½ log10 n, where n is the number of training rays of the vertices
     /// around the expected depth, at least ½. NaN if the number is not known.
     ///
-    /// What few rays support is known less well than its U says. It ranks depth errors best (`experiments/depth.md`).
+    /// With few rays, U itself is noisy, and the factor 1/√n adds this noise. It ranks depth errors best
+    /// (`experiments/depth.md`).
     USpreadPerRootRay,
 }
 
-/// What a ray average asks a field about.
+/// The points at which a ray average needs the field.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Asked {
     /// Every sample that counts.
     Samples,
     /// The expected depth.
     Expected,
-    /// The same, over all levels that the field has.
-    OverLevels,
 }
 
 impl RayAverage {
@@ -55,12 +53,11 @@ impl RayAverage {
         }
     }
 
-    /// What it asks a field about.
+    /// The points at which it needs the field.
     pub(super) fn asks(self) -> Asked {
         match self {
             Self::WeightedMean | Self::Official => Asked::Samples,
-            Self::AtExpected => Asked::Expected,
-            Self::USpread | Self::USpreadPerRootRay => Asked::OverLevels,
+            Self::AtExpected | Self::USpread | Self::USpreadPerRootRay => Asked::Expected,
         }
     }
 }

@@ -78,6 +78,23 @@ impl RaySamples {
         }
     }
 
+    /// Appends rays whose indices are above those of this list.
+    pub(crate) fn append(&mut self, mut other: Self) {
+        if self.positions.is_empty() && self.sight.is_empty() && self.dropped == 0 {
+            *self = other;
+            return;
+        }
+        let first = self.positions.len();
+        self.rays.append(&mut other.rays);
+        self.offsets.extend(other.offsets[1..].iter().map(|offset| first + offset));
+        self.positions.append(&mut other.positions);
+        self.jacobians.append(&mut other.jacobians);
+        self.weights.append(&mut other.weights);
+        self.sight.append(&mut other.sight);
+        self.dropped += other.dropped;
+        self.first_invalid = self.first_invalid.or(other.first_invalid);
+    }
+
     /// Returns sample `i` of the list.
     #[must_use]
     pub fn sample(&self, i: usize) -> RaySample {

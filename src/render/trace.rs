@@ -1,10 +1,10 @@
-//! Density along groups of rays.
+//! Density along groups of rays, and one call of the field for the points of several batches.
 //!
 //! Colour is left to later steps: most samples lie before a surface or just behind it, and have no weight.
 
 use glam::{DVec3, Vec3};
 
-use super::{Marcher, Question, SampleDistances};
+use super::{Marcher, SampleDistances};
 use crate::field::RadianceField;
 use crate::geometry::Ray;
 
@@ -110,15 +110,20 @@ impl<'a> Tracer<'a> {
     /// transmittance falls below the marcher's cutoff.
     pub fn trace<'b>(&'b self, rays: &[Ray], jitter: &[f64], buffers: &mut TraceBuffers<'b>) {
         self.start(rays, jitter, buffers);
-        while self.next_round(rays, buffers) {
-            buffers.question().answer(self.field, None);
+        loop {
+            self.next_round(rays, buffers);
+            let Points { positions, out, .. } = buffers.round();
+            if positions.is_empty() {
+                break;
+            }
+            self.field.densities(positions, out);
             self.absorb(buffers);
         }
         buffers.gather();
     }
 
-    /// Begins to trace `rays`: [`Tracer::next_round`], the field's answers and [`Tracer::absorb`] follow in turns, and
-    /// [`TraceBuffers::gather`] when there is no further round.
+    /// Begins to trace `rays`: [`Tracer::next_round`], the densities of its points and [`Tracer::absorb`] follow in
+    /// turns, and [`TraceBuffers::gather`] after a round without points.
     pub(super) fn start<'b>(&'b self, rays: &[Ray], jitter: &[f64], buffers: &mut TraceBuffers<'b>) {
         let TraceBuffers { paths, samples, .. } = buffers;
         paths.clear();
@@ -131,8 +136,8 @@ impl<'a> Tracer<'a> {
         samples.clear();
     }
 
-    /// Places the next samples of all rays that go on; false if none does.
-    pub(super) fn next_round(&self, rays: &[Ray], buffers: &mut TraceBuffers) -> bool {
+    /// Places the next samples of all rays that go on.
+    pub(super) fn next_round(&self, rays: &[Ray], buffers: &mut TraceBuffers) {
         let TraceBuffers { paths, samples, round, .. } = buffers;
         let longest = if self.marcher.cutoff > 0.0 { -self.marcher.cutoff.ln() } else { f64::INFINITY };
         // Samples of round k follow those of round k - 1.
@@ -148,7 +153,6 @@ impl<'a> Tracer<'a> {
             }
         }
         samples.densities.resize(samples.owners.len(), 0.0);
-        samples.owners.len() > *round
     }
 
     /// Takes in the densities of the round.
@@ -164,10 +168,10 @@ impl<'a> Tracer<'a> {
 }
 
 impl TraceBuffers<'_> {
-    /// What the round asks of the field.
-    pub(super) fn question(&mut self) -> Question<'_> {
+    /// The samples of the round, and room for their densities.
+    pub(super) fn round(&mut self) -> Points<'_, f32> {
         let (samples, first) = (&mut self.samples, self.round);
-        Question::Densities { positions: &samples.positions[first..], out: &mut samples.densities[first..] }
+        Points { positions: &samples.positions[first..], directions: &[], out: &mut samples.densities[first..] }
     }
 
     /// Sorts the samples by ray into `traced`.
@@ -217,5 +221,71 @@ fn gather(paths: &[Path], samples: &Samples, traced: &mut TracedRays) {
         // The first invalid sample of the first such ray, independent of the rounds.
         let first = (0..samples.owners.len()).filter(invalid).min_by_key(|&i| samples.owners[i]);
         traced.first_invalid = first.map(|i| samples.positions[i]);
+    }
+}
+
+/// Points of one batch, and room for the field's answer.
+pub(super) struct Points<'p, T> {
+    /// `[n]`: scene units.
+    pub positions: &'p [Vec3],
+    /// `[n]`: unit directions; empty if the answer does not depend on them.
+    pub directions: &'p [Vec3],
+    /// `[n]`.
+    pub out: &'p mut [T],
+}
+
+/// Calls `ask` with positions, directions and room for the answers: once for all parts, or not at all if they have no
+/// points. Returns whether there were any.
+pub(super) fn ask_together<T: Copy + Default>(
+    mut parts: Vec<Points<'_, T>>,
+    ask: impl FnOnce(&[Vec3], &[Vec3], &mut [T]),
+) -> bool {
+    parts.retain(|part| !part.positions.is_empty());
+    match &mut parts[..] {
+        [] => return false,
+        [one] => ask(one.positions, one.directions, one.out),
+        several => {
+            let positions = several.iter().map(|part| part.positions).collect::<Vec<_>>().concat();
+            let directions = several.iter().map(|part| part.directions).collect::<Vec<_>>().concat();
+            let mut answers = vec![T::default(); positions.len()];
+            ask(&positions, &directions, &mut answers);
+            let mut rest = &answers[..];
+            for part in several {
+                let (own, others) = rest.split_at(part.out.len());
+                part.out.copy_from_slice(own);
+                rest = others;
+            }
+        }
+    }
+    true
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn parts_get_their_own_answers_in_one_call() {
+        let positions = [1.0, 2.0, 3.0, 4.0].map(|x| Vec3::X * x);
+        let directions = [Vec3::Y; 4].map(|d| 10.0 * d);
+        // All four in parts of one, none and three; then two alone; then none.
+        for (cuts, calls) in [(vec![0..1, 1..1, 1..4], 1), (vec![1..3, 0..0], 1), (vec![2..2, 0..0], 0)] {
+            let mut out: Vec<Vec<f32>> = cuts.iter().map(|cut| vec![0.0; cut.len()]).collect();
+            let parts = cuts.iter().zip(&mut out).map(|(cut, out)| Points {
+                positions: &positions[cut.clone()],
+                directions: &directions[cut.clone()],
+                out,
+            });
+            let mut asked = 0;
+            let any = ask_together(parts.collect(), |x, d, out| {
+                asked += 1;
+                assert!(x.len() == d.len() && x.len() == out.len());
+                x.iter().zip(d).zip(out).for_each(|((x, d), out)| *out = x.x + d.y);
+            });
+            assert!(asked == calls && any == (calls > 0), "{cuts:?}: {asked} calls");
+            for (cut, out) in cuts.iter().zip(&out) {
+                assert_eq!(*out, positions[cut.clone()].iter().map(|x| x.x + 10.0).collect::<Vec<f32>>());
+            }
+        }
     }
 }

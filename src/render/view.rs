@@ -1,22 +1,24 @@
 //! Rendering of whole images.
 
+use std::ops::Range;
+
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::ray_average::Asked;
 use super::trace::TraceBuffers;
-use super::{CompositingWeights, DepthProbe, Pixel, RayAverage, Tracer};
-use crate::geometry::{Camera, MAX_PIXELS, Ray};
+use super::{CompositingWeights, DepthProbe, DepthVariance, Pixel, RayAverage, Tracer};
+use crate::geometry::{Aabb, Camera, MAX_PIXELS, Ray};
 use crate::monitor::{Monitor, check};
 use crate::{Error, Result};
 
 /// log10 U that the official code assigns to the part of a ray that hits nothing.
 const OFFICIAL_EMPTY: f64 = -3.0;
 
-/// What no ray supports counts as if half a ray did: known less well than by one ray, but not infinitely so.
+/// Number of rays assumed where no ray supports U: less than one, but not zero, so that the score is finite.
 pub const FEWEST: f64 = 0.5;
 
-/// What a [`ProbedField`] says of a point.
+/// The value of a [`ProbedField`] at a point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Probed {
     /// The scalar there.
@@ -27,7 +29,7 @@ pub struct Probed {
 
 /// A scalar function of space; usually log10 U at a scene point.
 pub trait ProbedField: Sync {
-    /// About how many points it should be asked about at once; 0 if that does not matter.
+    /// Approximate number of points per efficient query; 0 if that does not matter.
     fn batch(&self) -> usize {
         0
     }
@@ -37,15 +39,6 @@ pub trait ProbedField: Sync {
     /// # Errors
     /// If it has to be read first, and cannot be.
     fn at(&self, points: &[Vec3]) -> Result<Vec<Probed>>;
-
-    /// What [`RayAverage::USpread`] and [`RayAverage::USpreadPerRootRay`] rank by: what the field says `at` the points,
-    /// or the mean over several levels.
-    ///
-    /// # Errors
-    /// As [`ProbedField::at`].
-    fn over_levels(&self, _points: &[Vec3], at: &[Probed]) -> Result<Vec<Probed>> {
-        Ok(at.to_vec())
-    }
 }
 
 /// A scalar function of space, averaged along rays beside the colour.
@@ -80,7 +73,7 @@ pub struct RenderedView {
     pub dropped: u64,
 }
 
-/// About as many points of a ray are asked about at once
+/// Approximate number of points of a ray per query
 /// ([`RadianceField::batch`](crate::field::RadianceField::batch)).
 const POINTS_PER_RAY: usize = 4;
 
@@ -121,6 +114,16 @@ pub fn render_view_with_depth(
     render(tracer, camera, pixel_offset, probes, Some(depth), monitor)
 }
 
+/// Refuses images that are too large.
+pub(crate) fn check_size(camera: &Camera) -> Result<()> {
+    let [width, height] = camera.resolution;
+    if camera.pixels() as f64 <= MAX_PIXELS {
+        return Ok(());
+    }
+    let expected = format!("an image of at most {MAX_PIXELS:e} pixels");
+    Err(Error::setting("resolution", expected, format!("{width} x {height}")))
+}
+
 fn render(
     tracer: &Tracer,
     camera: &Camera,
@@ -129,11 +132,8 @@ fn render(
     depth: Option<&DepthProbe>,
     monitor: &dyn Monitor,
 ) -> Result<RenderedView> {
+    check_size(camera)?;
     let [width, height] = camera.resolution;
-    if camera.pixels() as f64 > MAX_PIXELS {
-        let expected = format!("an image of at most {MAX_PIXELS:e} pixels");
-        return Err(Error::setting("resolution", expected, format!("{width} x {height}")));
-    }
     // A field that wants many points at once gets several rows: a ray asks about a few points at a time.
     let batch = probes.iter().map(|probe| probe.field.batch()).fold(tracer.field.batch(), usize::max);
     let together = batch.div_ceil(POINTS_PER_RAY * width.max(1) as usize).max(1);
@@ -149,28 +149,34 @@ fn render(
             Ok(rendered)
         })
         .collect::<Result<_>>()?;
-    let posteriors = depth.map_or(0, |depth| depth.variances.len());
-    let mut view = RenderedView {
-        resolution: camera.resolution,
-        log10_uncertainty: vec![Vec::new(); channels(probes)],
-        posterior_variance: vec![Vec::new(); posteriors],
-        depth_deviation: vec![Vec::new(); posteriors],
-        ..RenderedView::default()
-    };
-    for row in rows {
-        view.pixels.extend(row.pixels);
-        for (all, part) in view.posterior_variance.iter_mut().zip(row.posterior_variance) {
-            all.extend(part);
+    Ok(RenderedView::joined(camera.resolution, rows))
+}
+
+impl RenderedView {
+    /// The image of `resolution` pixels whose rows, one or several each, are `parts`.
+    pub(crate) fn joined(resolution: [u32; 2], parts: Vec<Self>) -> Self {
+        let lists = |of: fn(&Self) -> &Vec<Vec<f64>>| vec![Vec::new(); parts.first().map_or(0, |part| of(part).len())];
+        let mut view = Self {
+            resolution,
+            log10_uncertainty: lists(|part| &part.log10_uncertainty),
+            posterior_variance: lists(|part| &part.posterior_variance),
+            depth_deviation: lists(|part| &part.depth_deviation),
+            ..Self::default()
+        };
+        for part in parts {
+            view.pixels.extend(part.pixels);
+            view.dropped += part.dropped;
+            let lists = [
+                (&mut view.log10_uncertainty, part.log10_uncertainty),
+                (&mut view.posterior_variance, part.posterior_variance),
+                (&mut view.depth_deviation, part.depth_deviation),
+            ];
+            for (all, part) in lists {
+                all.iter_mut().zip(part).for_each(|(all, part)| all.extend(part));
+            }
         }
-        for (all, part) in view.depth_deviation.iter_mut().zip(row.depth_deviation) {
-            all.extend(part);
-        }
-        view.dropped += row.dropped;
-        for (all, part) in view.log10_uncertainty.iter_mut().zip(row.log10_uncertainty) {
-            all.extend(part);
-        }
+        view
     }
-    Ok(view)
 }
 
 /// Renders single rays, as an image of one row.
@@ -191,68 +197,116 @@ pub fn render_rays(
     let mut quadrature = CompositingWeights::default();
     quadrature.set(traced, tracer.marcher.step);
     let colors = tracer.visible_colors(rays, traced, &quadrature);
-    let mut row = RenderedView {
-        resolution: [rays.len() as u32, 1],
-        pixels: Vec::with_capacity(rays.len()),
-        log10_uncertainty: Vec::with_capacity(channels(probes)),
-        posterior_variance: depth.map_or_else(Vec::new, |depth| depth.ask(tracer, rays, traced, &quadrature)),
-        depth_deviation: vec![Vec::with_capacity(rays.len()); depth.map_or(0, |depth| depth.variances.len())],
-        dropped: traced.dropped,
+    let mut posterior_variance = depth.map_or_else(Vec::new, |depth| depth.ask(tracer, rays, traced, &quadrature));
+    let (mut samples, mut dropped) = (Vec::with_capacity(rays.len()), traced.dropped);
+    for r in 0..rays.len() {
+        let of_ray = traced.samples(r);
+        let is_finite = colors[of_ray.clone()].iter().all(|color| color.is_finite());
+        if !is_finite {
+            dropped += 1;
+            posterior_variance.iter_mut().for_each(|variances| variances[r] = f64::NAN);
+        }
+        samples.push(if is_finite { of_ray } else { 0..0 });
+    }
+    let weighted = WeightedRays {
+        rays,
+        samples,
+        quadrature: &quadrature,
+        positions: &traced.positions,
+        colors: &colors,
+        t: &traced.t,
+        // A sample may lie anywhere in its interval.
+        thickness: vec![tracer.marcher.step.powi(2) / 12.0; rays.len()],
+        background,
+        bounds: tracer.marcher.bounds,
+        posterior_variance,
+        dropped,
     };
-    let of_depth = depth.map_or(&[][..], |depth| depth.variances);
-    let mut weighted = Vec::with_capacity(rays.len());
-    for (r, ray) in rays.iter().enumerate() {
-        let mut samples = traced.samples(r);
-        if colors[samples.clone()].iter().any(|color| !color.is_finite()) {
-            row.dropped += 1;
-            samples = 0..0;
-            row.posterior_variance.iter_mut().for_each(|variances| variances[r] = f64::NAN);
-        }
-        let pixel = quadrature.pixel(&samples, &colors, &traced.t, background);
-        row.pixels.push(pixel);
-        let ray = WeightedRay {
-            weights: &quadrature.weights[samples.clone()],
-            positions: &traced.positions[samples.clone()],
-            end_transmittance: quadrature.end_transmittance(&samples),
-            at_expected: tracer.marcher.bounds.clamp(ray.at(pixel.expected_depth).as_vec3()),
-            spread: (pixel.depth_variance + tracer.marcher.step.powi(2) / 12.0).sqrt(),
-        };
-        for ((variances, out), variance) in row.posterior_variance.iter().zip(&mut row.depth_deviation).zip(of_depth) {
-            // No depth, no place to ask about.
-            let unexplained = if variances[r].is_nan() { f64::NAN } else { variance.unexplained(ray.at_expected) };
-            out.push((variances[r] + ray.spread.powi(2) + unexplained).sqrt());
-        }
-        weighted.push(ray);
-    }
-    for probe in probes {
-        row.log10_uncertainty.extend(averages(&weighted, probe)?);
-    }
-    Ok(row)
+    weighted.view(probes, depth.map_or(&[], |depth| depth.variances))
 }
 
-/// `[ray averages of the probe][rays]`. The probe's field is asked for all rays at once.
+/// Rays whose samples are weighted and coloured: all that an image of them needs.
+pub(crate) struct WeightedRays<'a> {
+    pub rays: &'a [Ray],
+    /// `[rays]`: which samples are each ray's.
+    pub samples: Vec<Range<usize>>,
+    pub quadrature: &'a CompositingWeights,
+    /// `[samples]`, scene units.
+    pub positions: &'a [Vec3],
+    pub colors: &'a [Vec3],
+    /// `[samples]`: distances along the ray, scene units.
+    pub t: &'a [f64],
+    /// `[rays]`: variance of the distance of what a ray meets within its samples, scene units².
+    pub thickness: Vec<f64>,
+    pub background: DVec3,
+    /// The box in which depths lie.
+    pub bounds: Aabb,
+    /// `[variances][rays]`: of each ray's expected depth.
+    pub posterior_variance: Vec<Vec<f64>>,
+    pub dropped: u64,
+}
+
+impl WeightedRays<'_> {
+    /// The image of one row.
+    ///
+    /// # Errors
+    /// Those of the probes.
+    pub fn view(self, probes: &[Probe], of_depth: &[&dyn DepthVariance]) -> Result<RenderedView> {
+        let rays = self.rays;
+        let mut row = RenderedView {
+            resolution: [rays.len() as u32, 1],
+            pixels: Vec::with_capacity(rays.len()),
+            log10_uncertainty: Vec::with_capacity(channels(probes)),
+            posterior_variance: self.posterior_variance,
+            depth_deviation: vec![Vec::with_capacity(rays.len()); of_depth.len()],
+            dropped: self.dropped,
+        };
+        let mut weighted = Vec::with_capacity(rays.len());
+        for (r, ray) in rays.iter().enumerate() {
+            let samples = self.samples[r].clone();
+            let pixel = self.quadrature.pixel(&samples, self.colors, self.t, self.background);
+            row.pixels.push(pixel);
+            let ray = WeightedRay {
+                weights: &self.quadrature.weights[samples.clone()],
+                positions: &self.positions[samples.clone()],
+                end_transmittance: self.quadrature.end_transmittance(&samples),
+                at_expected: self.bounds.clamp(ray.at(pixel.expected_depth).as_vec3()),
+                spread: (pixel.depth_variance + self.thickness[r]).sqrt(),
+            };
+            for ((variances, out), variance) in
+                row.posterior_variance.iter().zip(&mut row.depth_deviation).zip(of_depth)
+            {
+                // No depth, no place to ask about.
+                let unexplained = if variances[r].is_nan() { f64::NAN } else { variance.unexplained(ray.at_expected) };
+                out.push((variances[r] + ray.spread.powi(2) + unexplained).sqrt());
+            }
+            weighted.push(ray);
+        }
+        for probe in probes {
+            row.log10_uncertainty.extend(averages(&weighted, probe)?);
+        }
+        Ok(row)
+    }
+}
+
+/// `[ray averages of the probe][rays]`. The probe's field is queried for all rays at once.
 fn averages(rays: &[WeightedRay], probe: &Probe) -> Result<Vec<Vec<f64>>> {
     let needs = |asked| probe.averages.iter().any(|average| average.asks() == asked);
     let at_samples = match needs(Asked::Samples) {
         true => probe.field.at(&rays.iter().flat_map(WeightedRay::hit).map(|(_, x)| x).collect::<Vec<Vec3>>())?,
         false => Vec::new(),
     };
-    let (mut at_expected, mut over_levels) = (Vec::new(), Vec::new());
-    if needs(Asked::Expected) || needs(Asked::OverLevels) {
-        let points: Vec<Vec3> = rays.iter().map(|ray| ray.at_expected).collect();
-        at_expected = probe.field.at(&points)?;
-        if needs(Asked::OverLevels) {
-            over_levels = probe.field.over_levels(&points, &at_expected)?;
-        }
-    }
+    let at_expected = match needs(Asked::Expected) {
+        true => probe.field.at(&rays.iter().map(|ray| ray.at_expected).collect::<Vec<Vec3>>())?,
+        false => Vec::new(),
+    };
     let mut out = vec![Vec::with_capacity(rays.len()); probe.averages.len()];
     let mut rest = &at_samples[..];
     for (r, ray) in rays.iter().enumerate() {
         let (of_ray, others) = if rest.is_empty() { (rest, rest) } else { rest.split_at(ray.hit().count()) };
         rest = others;
         for (&average, out) in probe.averages.iter().zip(&mut out) {
-            let of_depth = if average.asks() == Asked::OverLevels { &over_levels } else { &at_expected };
-            out.push(ray.average(average, of_ray, of_depth.get(r).copied().unwrap_or(UNASKED)));
+            out.push(ray.average(average, of_ray, at_expected.get(r).copied().unwrap_or(UNASKED)));
         }
     }
     Ok(out)
@@ -277,7 +331,7 @@ impl WeightedRay<'_> {
         self.weights.iter().copied().zip(self.positions.iter().copied()).filter(|(w, _)| *w > 0.0)
     }
 
-    /// Computes a ray average from what is said of the samples that count and of the expected depth.
+    /// Computes a ray average from the values at the samples that count and at the expected depth.
     fn average(&self, average: RayAverage, at_samples: &[Probed], at_expected: Probed) -> f64 {
         let total: f64 = self.weights.iter().sum();
         let sum: f64 = self.hit().zip(at_samples).map(|((w, _), at)| w * at.value).sum();
@@ -337,7 +391,7 @@ mod tests {
         }
     }
 
-    /// The scalar x, and how often it was asked.
+    /// The scalar x, and the number of queries.
     #[derive(Default)]
     struct Counting(std::sync::Mutex<Vec<usize>>);
 
@@ -346,17 +400,13 @@ mod tests {
             self.0.lock().unwrap().push(points.len());
             Ok(points.iter().map(|x| Probed { value: f64::from(x.x), rays: 1.0 }).collect())
         }
-
-        fn over_levels(&self, _: &[Vec3], at: &[Probed]) -> Result<Vec<Probed>> {
-            Ok(at.iter().map(|probed| Probed { value: probed.value + 100.0, ..*probed }).collect())
-        }
     }
 
     #[test]
     fn all_rays_are_asked_about_at_once_and_get_their_own_answers() {
         let positions = [1.0, 2.0, 3.0, 4.0, 5.0].map(|x| Vec3::X * x);
         let weights = [0.5, 0.0, 0.25, 0.75, 0.0];
-        let ray = |samples: std::ops::Range<usize>, x| WeightedRay {
+        let ray = |samples: Range<usize>, x| WeightedRay {
             weights: &weights[samples.clone()],
             positions: &positions[samples],
             end_transmittance: 0.0,
@@ -371,11 +421,11 @@ mod tests {
         assert_eq!(found.iter().map(|values| known(values)).collect::<Vec<_>>(), [[1.0, 3.75], [7.0, 8.0]]);
         assert!(found.iter().all(|values| values[1].is_nan() && values[3].is_nan()), "{found:?}");
         assert_eq!(*field.0.lock().unwrap(), [3, 4]);
-        // What ranks reads all levels, and only that.
+        // Several averages may use the expected depth, which is queried once.
         let kinds = [RayAverage::USpread, RayAverage::AtExpected, RayAverage::USpreadPerRootRay];
         let found = averages(&rays, &Probe { field: &field, averages: &kinds }).unwrap();
         let known: Vec<_> = found.iter().map(|values| known(values)).collect();
-        assert_eq!(known, [[107.0, 108.0], [7.0, 8.0], [107.0, 108.0]]);
+        assert_eq!(known, [[7.0, 8.0]; 3]);
         assert_eq!(field.0.lock().unwrap()[2..], [4]);
     }
 }

@@ -3,7 +3,8 @@
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
-use crate::io::{destination, folder_of, part};
+use crate::io::part;
+use crate::io::place::{destination, folder_of};
 use crate::{Error, Result};
 
 /// A folder under a temporary name beside its target.

@@ -36,7 +36,7 @@ impl Adam {
         *p -= self.rate * *m / (v.sqrt() * self.correction + EPSILON);
     }
 
-    /// Like [`Adam::update`], for the entries of a hash table, of which a step visits few.
+    /// Like [`Adam::update`], for the entries of a hash table. A step visits few of them.
     ///
     /// The other entries keep their moments, as in instant-ngp. Gradients are cleared for the next step.
     pub fn update_visited<const F: usize>(

@@ -10,7 +10,7 @@ mod batch;
 mod loss;
 mod march;
 mod occupancy;
-pub(crate) mod pixel_gradient;
+mod pixel_gradient;
 mod quality;
 mod run;
 mod state;
@@ -19,6 +19,7 @@ mod trainer;
 mod views;
 
 pub use crate::dataset::Selection;
+pub use pixel_gradient::{PixelGradient, PixelGradients};
 pub use quality::{Quality, one_color, quality, quality_within};
 pub use run::{Budget, Description, Finished, Progress, Run, StateFile};
 pub use trainer::{StepReport, Trainer};

@@ -17,8 +17,7 @@ use crate::field::HashGrid;
 use crate::field::hash_grid::{Entry, LAYERS, N_FEATURES_PER_LEVEL, Transposed, harmonics};
 use crate::geometry::Ray;
 
-/// What is differentiated: red, green, blue, expected depth.
-pub const OUTPUTS: usize = 4;
+const OUTPUTS: usize = PixelGradient::OUTPUTS;
 
 /// The least Σ w of a ray that has a depth.
 const LEAST: f32 = 1e-20;
@@ -35,12 +34,17 @@ pub struct PixelGradients<'a> {
 #[derive(Debug, Clone)]
 pub struct PixelGradient {
     /// Red, green and blue over the background, in [0, 1]; expected depth, scene units, 0 where nothing is hit.
-    pub values: [f32; OUTPUTS],
+    pub values: [f32; Self::OUTPUTS],
     /// Entries of the hash tables that the pixel depends on, each once, by their index below
     /// [`PixelGradients::entries`], with their derivatives `[outputs][features]`. All others are zero.
-    pub entries: Vec<(u32, [Entry; OUTPUTS])>,
+    pub entries: Vec<(u32, [Entry; Self::OUTPUTS])>,
     /// Derivatives by the weights of both networks, `[outputs][weights]`; empty if the ray met nothing.
-    pub weights: [Vec<f32>; OUTPUTS],
+    pub weights: [Vec<f32>; Self::OUTPUTS],
+}
+
+impl PixelGradient {
+    /// What is differentiated: red, green, blue, expected depth.
+    pub const OUTPUTS: usize = 4;
 }
 
 impl<'a> PixelGradients<'a> {
@@ -55,7 +59,7 @@ impl<'a> PixelGradients<'a> {
         }
     }
 
-    /// Number of entries of the hash tables, each of [`N_FEATURES_PER_LEVEL`] features.
+    /// Number of entries of the hash tables, each of four features.
     #[must_use]
     pub fn entries(&self) -> usize {
         self.field.parameters().encoding.table.len()

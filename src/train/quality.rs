@@ -68,7 +68,7 @@ pub fn quality(field: &HashGrid, shots: &[Shot], background: Vec3, pixels: usize
     })
 }
 
-/// Pixels of a first comparison, which tells how long others take.
+/// Pixels of a first comparison, from which the time of others is estimated.
 const FIRST: usize = 256;
 
 /// Like [`quality`], on as many of the `pixels` as are compared within `allowance`, but on a few hundred at least: a

@@ -55,6 +55,11 @@ pub struct StateFile {
     pub every: Duration,
 }
 
+impl StateFile {
+    /// Time between two saves on the command line.
+    pub const EVERY: Duration = Duration::from_secs(60);
+}
+
 /// A training run with its limits.
 pub struct Run<'a> {
     /// When it ends.

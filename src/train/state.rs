@@ -8,15 +8,15 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::Trainer;
 use super::batch::GROUP;
 use super::occupancy::OccupancyGrid;
 use super::trainer::MAX_RAYS;
+use super::{StateFile, Trainer};
 use crate::field::hash_grid::{Entry, Network};
 use crate::io::container::{self, Format, Reader};
 use crate::{Error, Result};
 
-const FORMAT: Format = (b"OCTOTRN\n", 2);
+const FORMAT: Format = (b"OCTOTRN\n", 1);
 
 #[derive(Serialize, Deserialize)]
 struct Header {
@@ -27,6 +27,16 @@ struct Header {
     rays_per_step: u64,
     /// Time of training so far, in seconds.
     elapsed: f64,
+}
+
+impl StateFile {
+    /// Checks that the file is the state of a run, whatever run it is.
+    ///
+    /// # Errors
+    /// If it is missing, damaged or another file.
+    pub fn check(&self) -> Result<()> {
+        Reader::open::<Header>(&self.path, FORMAT).map(|_| ())
+    }
 }
 
 impl Trainer<'_> {
@@ -61,7 +71,8 @@ impl Trainer<'_> {
         let (header, mut file) = Reader::open::<Header>(path, FORMAT)?;
         if header.key != key {
             let expected = format!("a run with the same settings and data, {key}");
-            return Err(Error::malformed(path, "run", expected, header.key));
+            let found = format!("another, which a restart discards, {}", header.key);
+            return Err(Error::malformed(path, "run", expected, found));
         }
         let entries = self.parameters.encoding.table.len();
         let mut tables = [const { Vec::<Entry>::new() }; 3];

@@ -36,7 +36,7 @@ impl Tape {
     /// Samples rays whose directions have the harmonics `sh` (`[rays]`), each until it ends or is opaque.
     ///
     /// `window` multiplies the density at a position. It is folded into the interval, because only their product counts
-    /// in compositing. The loss of distortion, which uses the interval alone, wants a window of 1.
+    /// in compositing. The loss of distortion, which uses the interval alone, needs a window of 1.
     pub fn record(
         space: &Space,
         occupancy: &OccupancyGrid,

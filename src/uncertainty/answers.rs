@@ -14,27 +14,22 @@ use crate::render::{Probed, ProbedField};
 /// Fewer points than this are answered one by one: sorting them and waking threads would take longer.
 const FEW: usize = 64;
 
-/// All that a field knows of a point.
+/// The result of a query at a point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Answer {
     /// U and its circumstances.
     pub estimate: Estimate,
     /// Training rays that reached the space around the point with half of their light; `None` if unknown.
     pub visits: Option<u32>,
-    /// What the training rays tell of the point; `None` if unknown.
+    /// Whether the point is constrained, free or unseen; `None` if unknown.
     pub knowledge: Option<Knowledge>,
 }
 
-/// A field that answers at points. Along rays it is probed for log10 U and for the training rays behind it.
+/// A field that can be queried at points, in memory or in files. Along rays it is probed for log10 U and for the
+/// number of training rays that support it.
 pub trait Answers: ProbedField {
-    /// Everything that the numbers depend on.
-    fn protocol(&self) -> &Protocol;
-
-    /// Domain and finest level.
-    fn lattice(&self) -> &Lattice;
-
-    /// Whether answers may have errors of log10 U.
-    fn has_error_bars(&self) -> bool;
+    /// What does not depend on the place, such as the protocol and the box: the field, or one of its tiles.
+    fn facts(&self) -> &UncertaintyField;
 
     /// U at scene points, in their order.
     ///
@@ -42,32 +37,86 @@ pub trait Answers: ProbedField {
     /// If a part of the field cannot be read.
     fn estimates(&self, points: &[Vec3]) -> Result<Vec<Estimate>>;
 
-    /// U at scene points, in their order, and what rays tell of them.
+    /// U, visits and [`Knowledge`] at scene points, in their order.
     ///
     /// # Errors
     /// If a part of the field cannot be read.
-    fn answers(&self, points: &[Vec3]) -> Result<Vec<Answer>>;
+    fn answers(&self, points: &[Vec3]) -> Result<Vec<Answer>> {
+        let facts = self.facts();
+        let answer = |(&x, estimate): (&Vec3, Estimate)| Answer {
+            estimate,
+            visits: facts.visits().map(|visits| visits.at(x).unwrap_or(0)),
+            knowledge: facts.knowledge(x, estimate.uncertainty),
+        };
+        Ok(points.iter().zip(self.estimates(points)?).map(answer).collect())
+    }
+
+    /// Approximate number of points per efficient query; 0 if that does not matter.
+    fn points_at_once(&self) -> usize {
+        0
+    }
 
     /// `[n]`: points on visible surfaces.
     ///
     /// # Errors
     /// If a part of the field cannot be read.
-    fn surface(&self) -> Result<Cow<'_, [[f32; 3]]>>;
+    fn surface(&self) -> Result<Cow<'_, [[f32; 3]]>> {
+        Ok(Cow::Borrowed(self.facts().surface()))
+    }
 
     /// The cells of its octree; `None` on a dense grid.
     ///
     /// # Errors
     /// If a part of the field cannot be read.
-    fn cells(&self) -> Result<Option<Cow<'_, CellTree>>>;
+    fn cells(&self) -> Result<Option<Cow<'_, CellTree>>> {
+        Ok(match &self.facts().support {
+            Support::Dense => None,
+            Support::Octree(octree) => Some(Cow::Borrowed(octree.cells())),
+        })
+    }
 
     /// Size and structure.
     ///
     /// # Errors
     /// If a part of the field cannot be read.
-    fn summary(&self) -> Result<Summary>;
+    fn summary(&self) -> Result<Summary> {
+        Ok(self.facts().summary())
+    }
+}
+
+impl<F: Answers + ?Sized> ProbedField for F {
+    fn batch(&self) -> usize {
+        self.points_at_once()
+    }
+
+    fn at(&self, points: &[Vec3]) -> Result<Vec<Probed>> {
+        let probed = |found: Estimate| {
+            let rays = if found.inside { found.rays.unwrap_or(f64::NAN) } else { 0.0 };
+            Probed { value: found.uncertainty.log10(), rays }
+        };
+        Ok(self.estimates(points)?.into_iter().map(probed).collect())
+    }
 }
 
 impl dyn Answers + '_ {
+    /// Everything that the numbers depend on.
+    #[must_use]
+    pub fn protocol(&self) -> &Protocol {
+        self.facts().protocol()
+    }
+
+    /// Domain and finest level.
+    #[must_use]
+    pub fn lattice(&self) -> &Lattice {
+        self.facts().lattice()
+    }
+
+    /// Whether answers may have errors of log10 U.
+    #[must_use]
+    pub fn has_error_bars(&self) -> bool {
+        self.facts().error_bars().is_some()
+    }
+
     /// log10 U at these shares of the points on visible surfaces, from the most certain; `None` without such points.
     ///
     /// # Errors
@@ -79,16 +128,8 @@ impl dyn Answers + '_ {
 }
 
 impl Answers for UncertaintyField {
-    fn protocol(&self) -> &Protocol {
-        &self.protocol
-    }
-
-    fn lattice(&self) -> &Lattice {
-        &self.lattice
-    }
-
-    fn has_error_bars(&self) -> bool {
-        self.error_bars.is_some()
+    fn facts(&self) -> &UncertaintyField {
+        self
     }
 
     fn estimates(&self, points: &[Vec3]) -> Result<Vec<Estimate>> {
@@ -96,54 +137,5 @@ impl Answers for UncertaintyField {
             return Ok(points.iter().map(|&x| self.query(x)).collect());
         }
         Ok(self.query_all(points))
-    }
-
-    fn answers(&self, points: &[Vec3]) -> Result<Vec<Answer>> {
-        Ok(self.answered(points, self.estimates(points)?))
-    }
-
-    fn surface(&self) -> Result<Cow<'_, [[f32; 3]]>> {
-        Ok(Cow::Borrowed(&self.surface))
-    }
-
-    fn cells(&self) -> Result<Option<Cow<'_, CellTree>>> {
-        Ok(match &self.support {
-            Support::Dense => None,
-            Support::Octree(octree) => Some(Cow::Borrowed(octree.cells())),
-        })
-    }
-
-    fn summary(&self) -> Result<Summary> {
-        Ok(UncertaintyField::summary(self))
-    }
-}
-
-impl ProbedField for UncertaintyField {
-    fn at(&self, points: &[Vec3]) -> Result<Vec<Probed>> {
-        Ok(self.estimates(points)?.into_iter().map(Estimate::probed).collect())
-    }
-
-    fn over_levels(&self, points: &[Vec3], at: &[Probed]) -> Result<Vec<Probed>> {
-        self.mean_over_levels(points, at)
-    }
-}
-
-impl UncertaintyField {
-    /// Adds to estimates at points what rays tell of them.
-    pub(super) fn answered(&self, points: &[Vec3], estimates: Vec<Estimate>) -> Vec<Answer> {
-        let answer = |(&x, estimate): (&Vec3, Estimate)| Answer {
-            estimate,
-            visits: self.visits.as_ref().map(|visits| visits.at(x).unwrap_or(0)),
-            knowledge: self.knowledge(x, estimate.uncertainty),
-        };
-        points.iter().zip(estimates).map(answer).collect()
-    }
-}
-
-impl Estimate {
-    /// log10 U, and the rays that support it.
-    pub(super) fn probed(self) -> Probed {
-        let rays = if self.inside { self.rays.unwrap_or(f64::NAN) } else { 0.0 };
-        Probed { value: self.uncertainty.log10(), rays }
     }
 }

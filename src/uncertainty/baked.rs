@@ -4,18 +4,15 @@
 //! up to eight vertices, and more for hanging corners. Here every leaf has all that a query needs in one line of the
 //! cache.
 
-use std::borrow::Cow;
 use std::hint::black_box;
 use std::ops::Range;
 
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::{Answer, Answers, Estimate, Protocol, Summary, Support, UncertaintyField};
+use super::{Answers, Estimate, Summary, Support, UncertaintyField};
 use crate::Result;
-use crate::geometry::Lattice;
-use crate::octree::{Cell, CellTree, LeafTable, trilinear};
-use crate::render::{Probed, ProbedField};
+use crate::octree::{Cell, LeafTable, trilinear};
 
 /// Points whose leaves are found before the values of any are read, so that the memory works on many at a time.
 const TOGETHER: usize = 32;
@@ -23,7 +20,7 @@ const TOGETHER: usize = 32;
 /// The number of the leaf around a point, its level, and the weights of its corners.
 type Found = (usize, u8, [f64; 8]);
 
-/// What a leaf knows, in one line of the cache.
+/// The values of a leaf, in one cache line.
 #[derive(Debug, Clone, Copy)]
 #[repr(align(64))]
 struct Corners {
@@ -53,7 +50,7 @@ impl<'a> BakedField<'a> {
     #[must_use]
     pub fn within(room: usize, field: &'a UncertaintyField) -> Self {
         let octree = match &field.support {
-            Support::Octree(octree) if field.error_bars.is_none() => octree,
+            Support::Octree(octree) if field.error_bars().is_none() => octree,
             _ => return Self { field, baked: None },
         };
         let leaves: u64 = octree.cells().leaves_per_level().iter().sum();
@@ -138,47 +135,17 @@ impl<'a> BakedField<'a> {
     }
 }
 
-impl ProbedField for BakedField<'_> {
-    fn at(&self, points: &[Vec3]) -> Result<Vec<Probed>> {
-        Ok(self.query_all(points).into_iter().map(Estimate::probed).collect())
-    }
-
-    fn over_levels(&self, points: &[Vec3], at: &[Probed]) -> Result<Vec<Probed>> {
-        self.field.mean_over_levels(points, at)
-    }
-}
-
 impl Answers for BakedField<'_> {
-    fn protocol(&self) -> &Protocol {
-        &self.field.protocol
-    }
-
-    fn lattice(&self) -> &Lattice {
-        &self.field.lattice
-    }
-
-    fn has_error_bars(&self) -> bool {
-        self.field.has_error_bars()
+    fn facts(&self) -> &UncertaintyField {
+        self.field
     }
 
     fn estimates(&self, points: &[Vec3]) -> Result<Vec<Estimate>> {
         Ok(self.query_all(points))
     }
 
-    fn answers(&self, points: &[Vec3]) -> Result<Vec<Answer>> {
-        Ok(self.field.answered(points, self.query_all(points)))
-    }
-
-    fn surface(&self) -> Result<Cow<'_, [[f32; 3]]>> {
-        Answers::surface(self.field)
-    }
-
-    fn cells(&self) -> Result<Option<Cow<'_, CellTree>>> {
-        self.field.cells()
-    }
-
     fn summary(&self) -> Result<Summary> {
-        let mut summary = UncertaintyField::summary(self.field);
+        let mut summary = self.field.summary();
         summary.query_bytes += self.memory();
         summary.structure_bytes += self.memory();
         Ok(summary)

@@ -64,39 +64,46 @@ impl UncertaintyField {
 
     /// The values at the corners of the cursor's leaf.
     pub(super) fn leaf_values(&self, cursor: &Cursor) -> LeafValues {
+        self.corner_values(cursor.corners().each_ref().map(Corner::masters))
+    }
+
+    /// The values at corners. The value of a corner is the mean over its vertices.
+    pub(super) fn corner_values(&self, corners: [&[VertexId]; 8]) -> LeafValues {
+        let covariance = self.protocol.covariance;
         let deviation = |&VertexId(v): &VertexId| self.deviations.get(v as usize);
-        let deviations = cursor.corners().each_ref().map(|corner| match corner.masters() {
+        let deviations = corners.map(|masters| match masters {
             [vertex] => deviation(vertex),
-            masters => self.protocol.covariance.mean(masters.iter().map(deviation)),
+            masters => covariance.mean(masters.iter().map(deviation)),
         });
-        let errors = self.error_bars.as_ref().map(|errors| {
-            cursor.corners().each_ref().map(|corner| match corner.masters() {
+        let errors = self.error_bars().map(|errors| {
+            corners.map(|masters| match masters {
                 [VertexId(v)] => errors.get(*v as usize),
                 masters => {
-                    let each = |&VertexId(v): &VertexId| (errors.get(v as usize), self.deviations.get(v as usize), 1.0);
-                    self.protocol.covariance.joined_error(masters.iter().map(each))
+                    let each = |vertex: &VertexId| (errors.get(vertex.0 as usize), deviation(vertex), 1.0);
+                    covariance.joined_error(masters.iter().map(each))
                 }
             })
         });
         let rays = (!self.rays.is_empty()).then(|| {
-            let of_corner = |corner: &Corner| {
-                let masters = corner.masters();
-                masters.iter().map(|&VertexId(v)| self.rays.get(v as usize) as f64).sum::<f64>() / masters.len() as f64
-            };
-            cursor.corners().each_ref().map(of_corner)
+            let of_vertex = |&VertexId(v): &VertexId| self.rays.get(v as usize) as f64;
+            corners.map(|masters| masters.iter().map(of_vertex).sum::<f64>() / masters.len() as f64)
         });
         LeafValues { deviations, errors, rays }
     }
 
     /// The estimate at lattice coordinates `u` in the cursor's leaf, whose values are given.
     pub(super) fn interpolate(&self, values: &LeafValues, cursor: &Cursor, u: DVec3) -> Estimate {
-        let weights = cursor.weights(u);
+        self.interpolated_at(values, &cursor.weights(u), cursor.leaf().level)
+    }
+
+    /// The estimate in a leaf, from the values and the weights of its corners.
+    pub(super) fn interpolated_at(&self, values: &LeafValues, weights: &[f64; 8], level: u8) -> Estimate {
         let rays = values.rays.map(|rays| rays.iter().zip(weights).map(|(rays, w)| w * rays).sum());
         let covariance = self.protocol.covariance;
-        let uncertainty = covariance.interpolate(&values.deviations, &weights);
+        let uncertainty = covariance.interpolate(&values.deviations, weights);
         let errors = values.errors.as_ref();
-        let log10_error = errors.and_then(|errors| covariance.interpolate_errors(errors, &values.deviations, &weights));
-        Estimate { uncertainty, log10_error, rays, level: cursor.leaf().level, inside: true }
+        let log10_error = errors.and_then(|errors| covariance.interpolate_errors(errors, &values.deviations, weights));
+        Estimate { uncertainty, log10_error, rays, level, inside: true }
     }
 
     /// The estimate outside the box, which is the prior.

@@ -19,7 +19,7 @@ pub struct Summary {
     pub level: u8,
     /// Number of vertices that carry values.
     pub vertices: u64,
-    /// Bytes needed for queries: the structure, deviation and ray count of every vertex, and coarser levels.
+    /// Bytes needed for queries: the structure, deviation and ray count of every vertex.
     pub query_bytes: usize,
     /// Bytes of the structure alone.
     pub structure_bytes: usize,
@@ -44,6 +44,11 @@ pub struct Difference {
     pub max_at: [f32; 3],
     /// log10 U of the two fields there.
     pub log10_at_max: [f64; 2],
+}
+
+impl Comparison {
+    /// Default number of random points.
+    pub const POINTS: usize = 1_000_000;
 }
 
 /// The comparison of two fields.

@@ -1,15 +1,14 @@
-//! Constrained, free or never seen: what U alone does not tell.
+//! Constrained, free or never seen: U alone does not distinguish the last two.
 
 use glam::Vec3;
 
 use super::{Estimate, MOVED, UncertaintyField};
 use crate::metrics::quantile;
-use crate::posterior::Visits;
 
-/// Differences of log10 U that rounding to f32 does not make.
+/// Larger than any difference of log10 U that rounding to f32 causes.
 const ROUNDING: f64 = 1e-6;
 
-/// What the training rays tell of a point.
+/// Whether training rays constrain a point, crossed it, or never reached it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Knowledge {
@@ -35,47 +34,31 @@ impl Knowledge {
 }
 
 impl UncertaintyField {
-    /// The same field with the rays that reached each part of space.
-    ///
-    /// They are kept as finely as the number of rays allows ([`Visits::level_of`]), and as finely as can be in a part
-    /// of a run.
-    #[must_use]
-    pub fn with_visits(self, visits: Option<Visits>) -> Self {
-        let level = if self.is_to_be_merged() { Visits::LEVEL } else { Visits::level_of(self.protocol.rays) };
-        Self { visits: visits.map(|visits| visits.coarsened(level)), ..self }
-    }
-
-    /// Rays that reached each part of space; `None` if unknown.
-    #[must_use]
-    pub fn visits(&self) -> Option<&Visits> {
-        self.visits.as_ref()
-    }
-
     /// log10 U at these shares of the field's points on visible surfaces, from the most certain; `None` without such
     /// points.
     #[must_use]
     pub fn surface_quantiles<const N: usize>(&self, shares: [f64; N]) -> Option<[f64; N]> {
-        let points: Vec<Vec3> = self.surface.iter().copied().map(Vec3::from_array).collect();
+        let points: Vec<Vec3> = self.surface().iter().copied().map(Vec3::from_array).collect();
         at_shares(&self.query_all(&points), shares)
     }
 
     /// How far log10 U lies below the prior's where there is as much information as lowers it by [`MOVED`] with the
     /// default λ: σ² falls in the ratio of 2λ to h + 2λ along an axis of information h.
     ///
-    /// It is not below the tolerance, to which U is known at most.
+    /// It is at least the tolerance, because U is not more accurate than that.
     fn margin(&self) -> f64 {
         let information = (10_f64.powf(2.0 * MOVED) - 1.0) * self.lattice.default_lambda();
         let margin = 0.5 * (1.0 + information / self.protocol.lambda).log10();
         margin.max(self.protocol.tolerance.clamp(ROUNDING, MOVED))
     }
 
-    /// What the training rays tell of a scene point where U is `uncertainty`; `None` if it is not known where they
-    /// passed.
+    /// Whether a scene point with this U (`uncertainty`) is constrained, free or unseen; `None` if the field has no
+    /// visits.
     ///
     /// Outside the domain nothing was seen.
     #[must_use]
     pub fn knowledge(&self, x: Vec3, uncertainty: f64) -> Option<Knowledge> {
-        let visits = self.visits.as_ref()?.at(x).unwrap_or(0);
+        let visits = self.visits()?.at(x).unwrap_or(0);
         Some(if uncertainty < self.prior() * 10_f64.powf(-self.margin()) {
             Knowledge::Constrained
         } else if visits > 0 {

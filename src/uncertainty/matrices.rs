@@ -5,16 +5,15 @@ use std::borrow::Cow;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-use super::from_sums::LocalSums;
-use super::{Support, UncertaintyField};
+use super::{Protocol, Support, UncertaintyField};
 use crate::octree::{VertexId, trilinear};
-use crate::posterior::{Covariance, Information, trace};
+use crate::posterior::{Covariance, Information, LocalSums, trace};
 use crate::{Error, Result};
 
 /// Points that a thread looks up one after the other.
 const CHUNK: usize = 1024;
 
-/// Covariance matrices of a field's displacements, ready to be asked for at points.
+/// Covariance matrices of a field's displacements, for queries at points.
 pub struct Matrices<'a> {
     field: Cow<'a, UncertaintyField>,
     local: LocalSums<'a>,
@@ -35,7 +34,7 @@ impl UncertaintyField {
     /// # Errors
     /// If the sums were not kept.
     pub fn matrices(&self, covariance: Covariance) -> Result<Matrices<'_>> {
-        let Some(sums) = self.sums() else {
+        let Some(local) = self.local_sums() else {
             let found = format!("one of `{}` only", self.protocol().covariance.name());
             return Err(Error::setting("kept sums", "a field that keeps its sums, to give matrices", found));
         };
@@ -44,7 +43,6 @@ impl UncertaintyField {
         } else {
             Cow::Owned(self.clone().with_covariance(covariance)?)
         };
-        let local = LocalSums::new(&self.protocol, &self.lattice, &self.support, &self.limits, sums);
         Ok(Matrices { field, local, covariance })
     }
 }
@@ -56,11 +54,8 @@ impl Matrices<'_> {
     /// interpolated with the weights that interpolate U. Outside the box it is the prior's.
     #[must_use]
     pub fn at(&self, points: &[Vec3]) -> Vec<Information> {
-        let rays = self.field.protocol.rays;
-        let matrix = |v: usize| {
-            let (sums, lambda) = self.local.at(v);
-            self.covariance.matrix(&sums, rays, lambda)
-        };
+        let Protocol { rays, lambda, .. } = self.field.protocol;
+        let matrix = |v: usize| self.covariance.matrix(&self.local.at(v), rays, lambda);
         let mut out = vec![[0.0; 6]; points.len()];
         let chunks = points.par_chunks(CHUNK).zip(out.par_chunks_mut(CHUNK));
         chunks.for_each(|(points, out)| {

@@ -10,7 +10,7 @@ use std::path::Path;
 use super::{Protocol, Support, UncertaintyField};
 use crate::geometry::{Domain, Lattice};
 use crate::io::{Real, npy};
-use crate::posterior::{Covariance, VertexSums};
+use crate::posterior::{self, Covariance, VertexSums};
 use crate::{Error, Result};
 
 /// What the official file does not contain.
@@ -70,7 +70,7 @@ impl UncertaintyField {
             let found = format!("level {}", self.lattice.level());
             return Err(Error::setting("export", "a level up to 9: the official grid is dense", found));
         }
-        if !self.limits.is_unlimited() {
+        if !self.limits().is_unlimited() {
             let found = "one whose sums lie on coarser leaves";
             return Err(Error::setting("export", "a field on the finest lattice", found));
         }
@@ -86,6 +86,13 @@ impl UncertaintyField {
             return Err(Error::setting("kept sums", "a field that keeps its sums, or one of `trace`", found));
         }
         npy::write(path, &[sums.len() as u64], sums.into_iter().map(|s| s as f32))
+    }
+
+    /// tr S at a lattice point: exact at a vertex, 0 elsewhere, where it is negligible; `None` if the sums were
+    /// not kept.
+    pub(super) fn trace_at(&self, point: [u32; 3]) -> Option<f64> {
+        let sums = self.sums()?;
+        Some(self.vertex_at(point).map_or(0.0, |v| posterior::trace(&sums[v].information)))
     }
 
     /// tr S from σ² = 1 / (tr S / R + λ), if the covariance of the field is `trace`.

@@ -1,15 +1,11 @@
 //! The protocol of a field: everything that its numbers depend on.
 
-use crate::octree::Cell;
-use crate::posterior::{
-    Covariance, Criteria, OctreePosterior, Pooling, Prior, Refinement, Scale, VertexSums, negligible_information,
-};
+use crate::posterior::{Covariance, Criteria, Reading, Scale};
 use crate::rays::{Draw, Pixels, Shard};
 use crate::render::GradientMethod;
 
 /// Checksums of what a field was computed from: of contents, not of paths. `None` where unknown.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
-#[serde(default)]
 pub struct Origin {
     /// Checksum of the model ([`crate::open::checksum`]).
     pub model: Option<u32>,
@@ -26,7 +22,6 @@ pub struct Protocol {
     /// Model and cameras, or the samples file.
     pub source: String,
     /// Checksums of the model and cameras.
-    #[serde(default)]
     pub origin: Origin,
     /// R, the number of rays drawn, including those that hit nothing.
     pub rays: u64,
@@ -41,12 +36,9 @@ pub struct Protocol {
     /// Prior precision λ, 1 / scene unit².
     pub lambda: f64,
     /// What U is a deviation of.
-    #[serde(default)]
     pub scale: Scale,
     /// Definition of the standard deviation.
     pub covariance: Covariance,
-    /// The dependence of λ on cell size.
-    pub prior: Prior,
     /// Requested number of rays in pooling; 0 for no pooling.
     pub min_rays: f64,
     /// Criteria for refining the octree.
@@ -84,38 +76,11 @@ impl Protocol {
         self.shard.is_some_and(|share| share.of > 1)
     }
 
-    /// σ_v in scene units, from the `sums` of a vertex and its prior precision.
+    /// How the sums of these rays are read as deviations.
     #[must_use]
-    pub fn deviation(&self, sums: &VertexSums, lambda: f64) -> f64 {
-        self.scale.factor(self.covariance) * self.covariance.deviation(sums, self.rays, lambda)
-    }
-
-    /// σ_v in scene units where nothing was seen.
-    #[must_use]
-    pub fn prior_deviation(&self) -> f64 {
-        self.deviation(&VertexSums::default(), self.lambda)
-    }
-
-    /// Settings of pooling.
-    #[must_use]
-    pub fn pooling(&self) -> Pooling {
-        Pooling { min_rays: self.min_rays, floor: self.floor(self.rays) }
-    }
-
-    /// Where the octree of these sums is refined, and for `wanted`. A part of a run is refined wherever a ray passed.
-    pub(crate) fn refinement(&self, posterior: &OctreePosterior, wanted: Vec<Cell>) -> Refinement {
-        let is_part = self.is_part() || posterior.tile().is_some();
-        self.refinement_above(if is_part { Refinement::EVERYTHING } else { self.pooling().floor }, wanted)
-    }
-
-    /// The same around vertices with more information than `floor`.
-    pub(super) fn refinement_above(&self, floor: f64, wanted: Vec<Cell>) -> Refinement {
-        Refinement { floor: self.criteria.sensitivity.then_some(floor), pooling: self.pooling(), wanted }
-    }
-
-    /// Information (tr S) from `rays` rays that is negligible compared with the prior.
-    pub(super) fn floor(&self, rays: u64) -> f64 {
-        negligible_information(self.tolerance, rays, self.lambda)
+    pub fn reading(&self) -> Reading {
+        let Self { covariance, scale, lambda, rays, min_rays, tolerance, .. } = *self;
+        Reading { covariance, scale, lambda, rays, min_rays, tolerance }
     }
 
     /// Checks whether a run can have had this protocol, for protocols read from files.
@@ -142,7 +107,7 @@ impl Protocol {
             && self.background.iter().flatten().all(|v| (0.0..=1.0).contains(v))
     }
 
-    /// The protocol of a field from elsewhere, of which only these values are known.
+    /// The protocol of a field from another program, with only these values known.
     #[must_use]
     pub fn unstated(source: String, rays: u64, lambda: f64, covariance: Covariance) -> Self {
         Self {
@@ -157,7 +122,6 @@ impl Protocol {
             lambda,
             scale: Scale::Paper,
             covariance,
-            prior: Prior::Uniform,
             min_rays: 0.0,
             criteria: Criteria::default(),
             tolerance: 0.0,

@@ -3,7 +3,7 @@
 use glam::{DVec3, Vec3};
 
 use super::{Support, UncertaintyField};
-use crate::octree::trilinear;
+use crate::octree::{VertexId, trilinear};
 
 /// U at a point.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -40,7 +40,7 @@ impl UncertaintyField {
         }
     }
 
-    /// Number of training rays that support U at a scene point, interpolated; NaN if the field does not know, 0 outside
+    /// Number of training rays that support U at a scene point, interpolated; NaN if the field has no counts, 0 outside
     /// the box.
     #[must_use]
     pub fn support_at(&self, x: Vec3) -> f64 {
@@ -54,19 +54,13 @@ impl UncertaintyField {
         self.query(x).uncertainty.log10()
     }
 
-    pub(super) fn query_dense(&self, u: DVec3) -> Estimate {
+    fn query_dense(&self, u: DVec3) -> Estimate {
         let (cell, offset) = self.lattice.cell(u);
-        let vertices: [usize; 8] = std::array::from_fn(|c| {
-            self.lattice.dense_index(std::array::from_fn(|axis| cell[axis] + (c as u32 >> axis & 1)))
+        let vertices: [[VertexId; 1]; 8] = std::array::from_fn(|c| {
+            let corner = std::array::from_fn(|axis| cell[axis] + (c as u32 >> axis & 1));
+            [VertexId(self.lattice.dense_index(corner) as u32)]
         });
-        let weights = trilinear(offset);
-        let corners = vertices.map(|v| self.deviations.get(v));
-        let rays = (!self.rays.is_empty())
-            .then(|| vertices.iter().zip(weights).map(|(&v, w)| w * self.rays.get(v) as f64).sum());
-        let covariance = self.protocol.covariance;
-        let uncertainty = covariance.interpolate(&corners, &weights);
-        let errors = self.error_bars.as_ref().map(|errors| vertices.map(|v| errors.get(v)));
-        let log10_error = errors.and_then(|errors| covariance.interpolate_errors(&errors, &corners, &weights));
-        Estimate { uncertainty, log10_error, rays, level: self.lattice.level(), inside: true }
+        let values = self.corner_values(vertices.each_ref().map(|vertex| &vertex[..]));
+        self.interpolated_at(&values, &trilinear(offset), self.lattice.level())
     }
 }

@@ -10,7 +10,7 @@ use crate::render::{Pixel, RenderedView};
 /// Pixels of this opacity or less show no log10 U: it would be that of a veil nobody sees.
 const FAINT: f64 = 0.05;
 
-/// Why U says nothing of what a pixel shows.
+/// Why U is undefined for a pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Unknown {
     /// No training ray reached it.
@@ -19,7 +19,7 @@ pub enum Unknown {
     Outside,
 }
 
-/// Why U says nothing of what the pixels show at their median depths, `[height · width]`; `None` where it does.
+/// Why U is undefined at the median depths of the pixels, `[height · width]`; `None` where it is defined.
 /// `offset` is the position in a pixel that its ray passed through.
 ///
 /// # Errors

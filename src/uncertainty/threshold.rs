@@ -7,15 +7,16 @@ use glam::Vec3;
 use super::Answers;
 use crate::field::{Radiance, RadianceField};
 use crate::geometry::Aabb;
+use crate::splats::Splats;
 use crate::{Error, Result};
 
-/// Share of what is visible that a clean-up may remove without a word: who asks for one wants to see what is left.
+/// Largest share of the visible surfaces that a clean-up removes without a warning.
 pub const NEARLY_ALL: f64 = 0.9;
 /// The share of visible surfaces that a threshold of 1 may have meant, and any other that removes nearly all.
 const USUAL: f64 = 0.99;
 
-/// What is to be said of a threshold of log10 U, if nearly all points on visible surfaces lie above it: it may have
-/// been meant as a share of them. `None` if they do not, or if the field holds no such points.
+/// A warning for a threshold of log10 U that nearly all points on visible surfaces exceed: it may have been meant as a
+/// share of them. `None` if they do not exceed it, or if the field has no such points.
 ///
 /// # Errors
 /// If a part of the field cannot be read.
@@ -33,6 +34,15 @@ pub fn threshold_warning(field: &dyn Answers, log10: f64) -> Result<Option<Strin
              {share}%, the threshold is log10 U = {usual:.3}"
         )
     }))
+}
+
+/// `[n]`: which splats a clean-up keeps: those at whose centre log10 U is at most `threshold`.
+///
+/// # Errors
+/// If a part of the field cannot be read.
+pub fn is_certain(splats: &Splats, field: &dyn Answers, threshold: f64) -> Result<Vec<bool>> {
+    let found = field.estimates(splats.means())?;
+    Ok(found.iter().map(|at| at.uncertainty.log10() <= threshold).collect())
 }
 
 /// A radiance field whose density is zero wherever log10 U exceeds a threshold.
@@ -131,7 +141,7 @@ impl RadianceField for ThresholdedField<'_> {
     }
 
     fn batch(&self) -> usize {
-        self.field.batch().max(self.uncertainty.batch())
+        self.field.batch().max(self.uncertainty.points_at_once())
     }
 
     fn memory(&self) -> usize {

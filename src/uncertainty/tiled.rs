@@ -1,36 +1,35 @@
-//! A field in a folder of finished tiles, of which as many are in memory as there is room for.
+//! A field in a folder of finished tiles. Memory caches the tiles that fit.
 
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use glam::Vec3;
-use lru::LruCache;
 use rayon::prelude::*;
 
+use super::layers::Layers;
 use super::merge::{Head, in_turn};
-use super::{Answer, Answers, Estimate, Protocol, RayCounts, StandardDeviations, Summary, Support, UncertaintyField};
-use crate::geometry::Lattice;
+use super::{Answers, Estimate, Summary, Support, UncertaintyField};
 use crate::octree::{CellTree, Octree, Tile, Tiling, VertexId, Wanted};
-use crate::render::{Probed, ProbedField};
 use crate::{Error, Result};
 
-/// So many points together ask each tile that they reach for many of them; the rays behind them take some 100 MB.
+/// Points per query: enough that each tile evaluates many of them; their rays take some 100 MB.
 const BATCH: usize = 1 << 16;
 
-/// A field whose tiles are read when a point in them is asked for.
+/// A field whose tiles are read when a point in them is queried.
 ///
-/// Opening reads one header a tile. Points are answered tile by tile, so that a batch reads each tile at most once,
-/// whatever the order of its points.
+/// Opening reads the first tile, which stays in memory, and the headers of the others. Points are
+/// answered tile by tile, so that a batch reads each tile at most once, whatever the order of its points.
 pub struct TiledField {
     /// In the order of their numbers.
     tiles: Vec<PathBuf>,
-    protocol: Protocol,
-    lattice: Lattice,
+    /// The first of them, for what is the same in all.
+    first: Arc<UncertaintyField>,
     tiling: Tiling,
     /// Bytes that loaded tiles may take; those at hand, one for each thread, may take more.
     room: usize,
-    loaded: Mutex<LruCache<usize, Arc<UncertaintyField>>>,
+    /// Cached tiles with their numbers, the last one used at the end.
+    loaded: Mutex<Vec<(usize, Arc<UncertaintyField>)>>,
 }
 
 impl TiledField {
@@ -74,14 +73,14 @@ impl TiledField {
                 ));
             }
         }
-        let (protocol, lattice) = (head.protocol.clone(), head.lattice);
         let boxes: Vec<Tile> = tiles.iter().filter_map(|(tile, ..)| *tile).collect();
-        let tiling = Tiling::new(lattice.level(), &boxes).ok_or_else(|| {
+        let tiling = Tiling::new(head.lattice.level(), &boxes).ok_or_else(|| {
             let found = "boxes that overlap or leave gaps";
             Error::malformed(folder, "tiles", "the tiles of one run, which together are its box", found)
         })?;
-        let tiles = tiles.into_iter().map(|(_, path, _)| path.clone()).collect();
-        Ok(Self { tiles, protocol, lattice, tiling, room, loaded: Mutex::new(LruCache::unbounded()) })
+        let tiles: Vec<PathBuf> = tiles.into_iter().map(|(_, path, _)| path.clone()).collect();
+        let first = Arc::new(UncertaintyField::read(&tiles[0])?);
+        Ok(Self { tiles, first, tiling, room, loaded: Mutex::new(Vec::new()) })
     }
 
     /// The files in `folder` that opening it reads.
@@ -99,7 +98,7 @@ impl TiledField {
     ///
     /// # Errors
     /// If its header cannot be read.
-    pub(crate) fn is_tile(path: &Path) -> Result<bool> {
+    pub fn is_tile(path: &Path) -> Result<bool> {
         UncertaintyField::read_head(path).map(|head| head.tile.is_some())
     }
 
@@ -115,12 +114,12 @@ impl TiledField {
     /// # Errors
     /// If a tile cannot be read.
     pub fn joined(&self) -> Result<UncertaintyField> {
-        let finest = self.lattice.level();
+        let finest = self.first.lattice.level();
         let mut wanted = Wanted::new(finest);
         let mut tiles = Vec::new();
         for path in &self.tiles {
             let field = UncertaintyField::read(path)?;
-            // Beyond its seams a tile's leaves are coarser than the whole's, and want nothing that others do not.
+            // Beyond its seams a tile's leaves are coarser than the whole's, and require nothing that others do not.
             if let Support::Octree(octree) = &field.support {
                 octree.cells().for_each_leaf(|leaf| wanted.cell(leaf));
             }
@@ -133,7 +132,7 @@ impl TiledField {
         let mut deviations = vec![f32::NAN; octree.vertex_count()];
         let mut rays = vec![0; octree.vertex_count()];
         for field in &tiles {
-            let (Support::Octree(own), Some(tile)) = (&field.support, field.tile) else { continue };
+            let (Support::Octree(own), Some(tile)) = (&field.support, field.tile()) else { continue };
             let owned = (0..).zip(own.vertex_positions()).filter(|(_, point)| tile.owns(finest, *point));
             for (i, point) in owned {
                 if let Some(VertexId(v)) = octree.vertex(point) {
@@ -145,17 +144,18 @@ impl TiledField {
             let found = format!("vertex {v} in none of them");
             return Err(Error::malformed(&self.tiles[0], "tiles", "leaves that fit at their seams", found));
         }
-        let surfaces: Vec<Vec<[f32; 3]>> = tiles.iter_mut().map(|field| std::mem::take(&mut field.surface)).collect();
-        let UncertaintyField { limits, draws, visits, .. } = tiles.swap_remove(0);
-        let values = (StandardDeviations(deviations), RayCounts(rays));
+        let surfaces: Vec<Vec<[f32; 3]>> = tiles.iter().map(|field| field.surface().to_vec()).collect();
+        let first = &*self.first;
+        let (protocol, values) = (first.protocol.clone(), (deviations.into(), rays.into()));
         let support = Support::Octree(octree);
-        let field = UncertaintyField::from_values(self.protocol.clone(), self.lattice, support, limits, values);
-        Ok(UncertaintyField { visits, ..field.with_draws(draws).with_surface(in_turn(&surfaces)) })
+        let mut field = UncertaintyField::from_values(protocol, first.lattice, support, first.limits(), values);
+        field.layers = Layers { tile: None, ..first.layers.clone() };
+        Ok(field.with_surface(in_turn(&surfaces)))
     }
 
     /// The number of the tile that owns a point; the first answers for what is outside the box.
     fn tile_of(&self, x: Vec3) -> usize {
-        let cell = self.lattice.coordinates(x).map_or([0; 3], |u| self.lattice.cell(u).0);
+        let cell = self.first.lattice.coordinates(x).map_or([0; 3], |u| self.first.lattice.cell(u).0);
         self.tiling.owner(cell)
     }
 
@@ -164,79 +164,60 @@ impl TiledField {
     /// # Errors
     /// If its file cannot be read.
     pub fn tile(&self, index: usize) -> Result<Arc<UncertaintyField>> {
-        if let Some(tile) = self.loaded().get(&index) {
-            return Ok(Arc::clone(tile));
+        if index == 0 {
+            return Ok(Arc::clone(&self.first));
+        }
+        if let Some(tile) = last_asked(&mut self.loaded(), index) {
+            return Ok(tile);
         }
         // Not under the lock: reading works in parallel, and a thread that waits for its parts may be given another
         // question, which would wait for the lock that it holds. So threads may read a tile twice.
         let tile = Arc::new(UncertaintyField::read(&self.tiles[index])?);
         let mut loaded = self.loaded();
-        if let Some(tile) = loaded.get(&index) {
-            return Ok(Arc::clone(tile));
+        if let Some(tile) = last_asked(&mut loaded, index) {
+            return Ok(tile);
         }
         let taken = |field: &UncertaintyField| field.memory().iter().map(|(_, bytes)| bytes).sum::<usize>();
         let mut all = taken(&tile) + loaded.iter().map(|(_, tile)| taken(tile)).sum::<usize>();
-        while all > self.room {
-            let Some((_, oldest)) = loaded.pop_lru() else { break };
-            all -= taken(&oldest);
+        while all > self.room && !loaded.is_empty() {
+            all -= taken(&loaded.remove(0).1);
         }
-        loaded.put(index, Arc::clone(&tile));
+        loaded.push((index, Arc::clone(&tile)));
         Ok(tile)
     }
 
-    fn loaded(&self) -> MutexGuard<'_, LruCache<usize, Arc<UncertaintyField>>> {
+    fn loaded(&self) -> MutexGuard<'_, Vec<(usize, Arc<UncertaintyField>)>> {
         // A panic elsewhere leaves the list sound: it is changed by single calls.
         self.loaded.lock().unwrap_or_else(PoisonError::into_inner)
     }
-
-    /// What tiles say of their points, in the order of the points.
-    fn ask<T>(
-        &self,
-        points: &[Vec3],
-        of_tile: impl Fn(&UncertaintyField, &[Vec3]) -> Result<Vec<T>>,
-    ) -> Result<Vec<T>> {
-        let mut order: Vec<(usize, usize)> = points.iter().map(|&x| self.tile_of(x)).zip(0..).collect();
-        order.sort_unstable();
-        let mut answers = Vec::with_capacity(points.len());
-        for group in order.chunk_by(|a, b| a.0 == b.0) {
-            let own: Vec<Vec3> = group.iter().map(|&(_, i)| points[i]).collect();
-            let found = of_tile(&*self.tile(group[0].0)?, &own)?;
-            answers.extend(group.iter().map(|(_, i)| *i).zip(found));
-        }
-        answers.sort_unstable_by_key(|(i, _)| *i);
-        Ok(answers.into_iter().map(|(_, answer)| answer).collect())
-    }
 }
 
-impl ProbedField for TiledField {
-    fn batch(&self) -> usize {
-        BATCH
-    }
-
-    fn at(&self, points: &[Vec3]) -> Result<Vec<Probed>> {
-        Ok(self.estimates(points)?.into_iter().map(Estimate::probed).collect())
-    }
+/// A tile that is at hand; it becomes the last.
+fn last_asked(loaded: &mut [(usize, Arc<UncertaintyField>)], index: usize) -> Option<Arc<UncertaintyField>> {
+    let at = loaded.iter().position(|(own, _)| *own == index)?;
+    loaded[at..].rotate_left(1);
+    loaded.last().map(|(_, tile)| Arc::clone(tile))
 }
 
 impl Answers for TiledField {
-    fn protocol(&self) -> &Protocol {
-        &self.protocol
+    fn facts(&self) -> &UncertaintyField {
+        &self.first
     }
 
-    fn lattice(&self) -> &Lattice {
-        &self.lattice
-    }
-
-    fn has_error_bars(&self) -> bool {
-        false
+    fn points_at_once(&self) -> usize {
+        BATCH
     }
 
     fn estimates(&self, points: &[Vec3]) -> Result<Vec<Estimate>> {
-        self.ask(points, Answers::estimates)
-    }
-
-    fn answers(&self, points: &[Vec3]) -> Result<Vec<Answer>> {
-        self.ask(points, Answers::answers)
+        let mut order: Vec<(usize, usize)> = points.iter().map(|&x| self.tile_of(x)).zip(0..).collect();
+        order.sort_unstable();
+        let mut estimates = vec![self.first.outside(); points.len()];
+        for group in order.chunk_by(|a, b| a.0 == b.0) {
+            let own: Vec<Vec3> = group.iter().map(|&(_, i)| points[i]).collect();
+            let found = self.tile(group[0].0)?.estimates(&own)?;
+            group.iter().zip(found).for_each(|(&(_, i), found)| estimates[i] = found);
+        }
+        Ok(estimates)
     }
 
     fn surface(&self) -> Result<Cow<'_, [[f32; 3]]>> {
@@ -247,7 +228,7 @@ impl Answers for TiledField {
 
     /// Beyond its seams a tile's leaves are coarser than the whole's, and split nowhere else.
     fn cells(&self) -> Result<Option<Cow<'_, CellTree>>> {
-        let finest = self.lattice.level();
+        let finest = self.first.lattice.level();
         let mut split = vec![Vec::new(); usize::from(finest)];
         for i in 0..self.tiles.len() {
             let Support::Octree(octree) = &self.tile(i)?.support else { continue };
@@ -264,13 +245,13 @@ impl Answers for TiledField {
 
     /// Bytes are those of all tiles, which share some vertices.
     fn summary(&self) -> Result<Summary> {
-        let finest = self.lattice.level();
+        let finest = self.first.lattice.level();
         let (mut vertices, mut query_bytes, mut structure_bytes) = (0, 0, 0);
         for i in 0..self.tiles.len() {
             let field = self.tile(i)?;
-            let (Support::Octree(octree), Some(tile)) = (&field.support, field.tile) else { continue };
+            let (Support::Octree(octree), Some(tile)) = (&field.support, field.tile()) else { continue };
             vertices += octree.vertex_positions().filter(|point| tile.owns(finest, *point)).count() as u64;
-            let own = UncertaintyField::summary(&field);
+            let own = field.summary();
             query_bytes += own.query_bytes;
             structure_bytes += own.structure_bytes;
         }

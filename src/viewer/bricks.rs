@@ -4,7 +4,7 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::color::MeanColor;
-use super::fit::{Fit, deeper};
+use super::fit::{Fit, deeper, first_of_faces};
 use super::grid::{COARSE, Grid, SAMPLES, SIDE, neighbours, place, sample};
 use super::march::Volume;
 use super::opacity::fitted;
@@ -28,6 +28,8 @@ pub const AS_AT_POINT: u8 = 0;
 pub const RAYS: f64 = 31.0;
 /// The share of a cell's edge by which the points lie apart over which density is averaged.
 const APART: f64 = 0.2;
+/// Where they lie around a sample, in these shares: corners of a cube of which each edge has one.
+const TETRAHEDRON: [[f64; 3]; 4] = [[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]];
 /// Steps of the codes of log10 U: as it is seen, at a point, and at a point that is not seen. Few codes compress well.
 const STEPS: [u8; 3] = [1, 3, 9];
 /// Steps of the codes of matter: that is seen, and that is not.
@@ -119,8 +121,9 @@ pub fn bricks(grid: &Grid, source: &Source, monitor: &dyn Monitor) -> Result<(Pa
     let pages = Pages::new(grid, &places);
     let behind = |x: Vec3| source.baked.log10(x);
     let (density, depths) = unbiased(grid, &pages, &found, source.rays[0]);
-    let matter = coded(&fitted(depths, (grid, &pages), &places, source.rays, behind));
-    let fit = Fit::new(&Volume { grid, pages: &pages, matter: &matter }, &places, source.rays, behind);
+    let ids = first_of_faces(&places);
+    let matter = coded(&fitted(depths, (grid, &pages), &ids, source.rays, behind));
+    let fit = Fit::new(&Volume { grid, pages: &pages, matter: &matter }, ids, source.rays[0]);
     let codes = Codes::of(&found, source.field, density);
     let coded = found
         .into_par_iter()
@@ -188,7 +191,7 @@ fn may_hold(grid: &Grid, positions: &[Option<Vec3>], occupancy: &Occupancy) -> b
     positions.iter().flatten().any(holds)
 }
 
-/// What is absorbed along the edge of a cell at the samples of a brick: averaged over eight points around those that
+/// What is absorbed along the edge of a cell at the samples of a brick: averaged over four points around those that
 /// are marked.
 fn absorbed(
     grid: &Grid,
@@ -197,14 +200,14 @@ fn absorbed(
     is_marked: &[bool],
     model: &dyn RadianceField,
 ) -> Vec<f64> {
-    let corners = (0..8_u32).map(|c| DVec3::from([0, 1, 2].map(|axis| APART * (f64::from(c >> axis & 1) - 0.5) * 2.0)));
-    let corners: Vec<DVec3> = corners.collect();
-    let mut points = Vec::with_capacity(8 * SAMPLES);
+    let corners = TETRAHEDRON.map(|corner| APART * DVec3::from(corner));
+    let share = 1.0 / corners.len() as f64;
+    let mut points = Vec::with_capacity(corners.len() * SAMPLES);
     for (i, x) in positions.iter().enumerate() {
         match *x {
             Some(_) if is_marked[i] => {
                 let at = sample(index, i);
-                points.extend(corners.iter().filter_map(|corner| Some((i, 0.125, grid.position(at + *corner)?))));
+                points.extend(corners.iter().filter_map(|corner| Some((i, share, grid.position(at + *corner)?))));
             }
             Some(x) => points.push((i, 1.0, x)),
             None => {}
@@ -237,8 +240,8 @@ impl Codes {
         (1.0 + (PRIOR - 1.0) * share).round() as u8
     }
 
-    fn code(&self, brick: Matter, matter: &[u8], fitted: impl Fn(usize) -> (Option<f32>, Option<[f32; 3]>)) -> Brick {
-        let Matter { is_marked, mut color, found, .. } = brick;
+    fn code(&self, brick: Matter, matter: &[u8], fitted: impl Fn(usize) -> Option<f32>) -> Brick {
+        let Matter { is_marked, color, found, .. } = brick;
         let (mut seen, mut log10) = (vec![AS_AT_POINT; SAMPLES], vec![AS_AT_POINT; SAMPLES]);
         let mut matter = matter.to_vec();
         let rounded = |code: u8, step: u8| (f64::from(code) / f64::from(step)).round() as u8 * step;
@@ -251,12 +254,8 @@ impl Codes {
             if !is_marked[i] {
                 matter[i] = rounded(matter[i], ROUGH);
             }
-            let (of_u, of_color) = fitted(i);
-            if let Some(u) = of_u {
+            if let Some(u) = fitted(i) {
                 seen[i] = log10_code(u, STEPS[0]);
-            }
-            if let Some(channels) = of_color {
-                color[i] = channels.map(|v| (255.0 * v.clamp(0.0, 1.0)).round() as u8);
             }
         }
         let at_coarse = |i: &usize| place(*i).iter().all(|k| k % 2 == 0);

@@ -1,21 +1,17 @@
-//! The volume fitted to what cameras see.
+//! log10 U fitted to what cameras see.
 //!
-//! Values at the samples of a lattice that say of every ray, through the volume as the shader marches it, what `render`
-//! says of the ray. Letters: a = share of a sample in a ray, w · b with w the light lost at a step and b the sample's
-//! share in its interpolation; v = values at the samples; s = what is seen. First v = Σ a s / Σ a, then corrections
-//! v += Σ a r / Σ a by what is left, r = s − Σ a v / Σ a (SIRT: simultaneous iterative reconstruction).
+//! Values at the samples of a lattice, chosen such that every ray through the volume, as the shader marches it, has the
+//! log10 U that `render` gives it. Letters: a = share of a sample in a ray, w · b with w the light lost at a step and b
+//! the sample's share in its interpolation; v = values at the samples; s = what is seen. First v = Σ a s / Σ a, then
+//! corrections v += Σ a r / Σ a by the residual r = s − Σ a v / Σ a (SIRT: simultaneous iterative reconstruction).
 
 use std::collections::HashMap;
 
-use glam::Vec3;
 use rayon::prelude::*;
 
 use super::grid::{CELLS, SAMPLES, SIDE, place};
 use super::march::{Step, Volume};
 use super::seen::SeenRay;
-
-/// log10 U, red, green, blue.
-pub type Values = [f32; 4];
 
 /// Corrections. More of them follow the noise of single rays.
 const CORRECTIONS: usize = 3;
@@ -36,12 +32,11 @@ const JUDGES: usize = 20_000;
 pub struct Fit {
     /// `[bricks][SAMPLES]`: place among the values, or [`NONE`].
     ids: Vec<u32>,
-    values: Vec<Values>,
-    /// Light lost around each of them: by rays that tell log10 U, and by those that tell colour.
-    light: Vec<Light>,
+    /// log10 U.
+    values: Vec<f32>,
+    /// Light lost around each of them.
+    light: Vec<f32>,
 }
-
-type Light = [f32; 2];
 
 /// Rays with what they lose at their steps.
 #[derive(Default)]
@@ -49,24 +44,15 @@ struct Paths {
     /// One more than rays.
     ends: Vec<usize>,
     steps: Vec<Step>,
-    seen: Vec<Values>,
-    /// 1 for rays that tell log10 U, those through what is whole; else 0.
-    tells_u: Vec<f32>,
+    /// log10 U of each ray.
+    seen: Vec<f32>,
 }
 
 impl Fit {
-    /// Fits colour to rays through what is whole and through what is cleaned, of which `log10` tells what was removed;
-    /// and log10 U to the former, which is what the layers show.
-    pub fn new(
-        volume: &Volume,
-        bricks: &[[u32; 3]],
-        rays: [&[SeenRay]; 2],
-        log10: impl Fn(Vec3) -> f64 + Sync,
-    ) -> Self {
-        let rays: Vec<&SeenRay> = rays.into_iter().flatten().collect();
+    /// Fits log10 U at samples to that of `rays`; `ids` as [`first_of_faces`] returns them.
+    pub fn new(volume: &Volume, mut ids: Vec<u32>, rays: &[SeenRay]) -> Self {
         let part = rays.len().div_ceil(PARTS).max(1);
-        let mut paths: Vec<Paths> = rays.par_chunks(part).map(|rays| Paths::new(volume, rays, &log10)).collect();
-        let mut ids = first_of_faces(bricks);
+        let mut paths: Vec<Paths> = rays.par_chunks(part).map(|rays| Paths::new(volume, rays)).collect();
         let mut is_met = vec![false; ids.len()];
         for step in paths.iter().flat_map(|paths| &paths.steps) {
             step.corners().for_each(|(i, _)| is_met[ids[i] as usize] = true);
@@ -81,16 +67,16 @@ impl Fit {
             .collect();
         ids.iter_mut().for_each(|id| *id = numbers[*id as usize]);
         paths.retain(|paths| !paths.seen.is_empty());
-        let mut fit = Self { ids, values: vec![[0.0; 4]; count as usize], light: vec![[0.0; 2]; count as usize] };
+        let mut fit = Self { ids, values: vec![0.0; count as usize], light: vec![0.0; count as usize] };
         for round in 0..=CORRECTIONS {
-            let sums: Vec<(Vec<Values>, Vec<Light>)> = paths.par_iter().map(|paths| fit.left(paths)).collect();
-            let mut total = (vec![[0.0_f32; 4]; fit.values.len()], vec![[0.0_f32; 2]; fit.values.len()]);
+            let sums: Vec<(Vec<f32>, Vec<f32>)> = paths.par_iter().map(|paths| fit.left(paths)).collect();
+            let mut total = (vec![0.0_f32; fit.values.len()], vec![0.0_f32; fit.values.len()]);
             for (sums, light) in sums {
-                total.0.iter_mut().zip(sums).for_each(|(all, part)| (0..4).for_each(|k| all[k] += part[k]));
-                total.1.iter_mut().zip(light).for_each(|(all, part)| (0..2).for_each(|k| all[k] += part[k]));
+                total.0.iter_mut().zip(sums).for_each(|(all, part)| *all += part);
+                total.1.iter_mut().zip(light).for_each(|(all, part)| *all += part);
             }
             for (value, (sum, light)) in fit.values.iter_mut().zip(total.0.iter().zip(&total.1)) {
-                (0..4).for_each(|k| value[k] += sum[k] / light[k.min(1)].max(f32::MIN_POSITIVE));
+                *value += sum / light.max(f32::MIN_POSITIVE);
             }
             if round == 0 {
                 fit.light = total.1;
@@ -99,34 +85,29 @@ impl Fit {
         fit
     }
 
-    /// log10 U and colour at a sample of the atlas; `None` where hardly any ray came that tells it.
-    pub fn at(&self, sample: usize) -> (Option<f32>, Option<[f32; 3]>) {
+    /// log10 U at a sample of the atlas; `None` where hardly any ray came.
+    pub fn at(&self, sample: usize) -> Option<f32> {
         let id = self.ids[sample] as usize;
-        let Some([of_u, of_color]) = self.light.get(id) else { return (None, None) };
-        let [u, red, green, blue] = self.values[id];
-        ((*of_u >= LEAST).then_some(u), (*of_color >= LEAST).then_some([red, green, blue]))
+        self.light.get(id).filter(|light| **light >= LEAST).map(|_| self.values[id])
     }
 
     /// Σ a r and Σ a of all samples.
-    fn left(&self, paths: &Paths) -> (Vec<Values>, Vec<Light>) {
-        let (mut sums, mut light) = (vec![[0.0_f32; 4]; self.values.len()], vec![[0.0_f32; 2]; self.values.len()]);
-        for ((range, seen), tells_u) in paths.ends.windows(2).zip(&paths.seen).zip(&paths.tells_u) {
+    fn left(&self, paths: &Paths) -> (Vec<f32>, Vec<f32>) {
+        let (mut sums, mut light) = (vec![0.0_f32; self.values.len()], vec![0.0_f32; self.values.len()]);
+        for (range, seen) in paths.ends.windows(2).zip(&paths.seen) {
             let steps = &paths.steps[range[0]..range[1]];
             let total: f32 = steps.iter().map(|step| step.weight).sum();
             let mut left = *seen;
             for step in steps {
                 for (i, share) in step.corners() {
-                    let value = &self.values[self.ids[i] as usize];
-                    (0..4).for_each(|k| left[k] -= step.weight * share * value[k] / total);
+                    left -= step.weight * share * self.values[self.ids[i] as usize] / total;
                 }
             }
-            left[0] *= tells_u;
             for step in steps {
                 for (i, share) in step.corners() {
                     let (id, lost) = (self.ids[i] as usize, step.weight * share);
-                    light[id][0] += lost * tells_u;
-                    light[id][1] += lost;
-                    (0..4).for_each(|k| sums[id][k] += lost * left[k]);
+                    light[id] += lost;
+                    sums[id] += lost * left;
                 }
             }
         }
@@ -135,13 +116,13 @@ impl Fit {
 }
 
 impl Paths {
-    fn new(volume: &Volume, rays: &[&SeenRay], log10: impl Fn(Vec3) -> f64) -> Self {
+    fn new(volume: &Volume, rays: &[SeenRay]) -> Self {
         let mut paths = Self { ends: vec![0], ..Self::default() };
         for ray in rays.iter().filter(|ray| ray.opacity >= FAINT && ray.log10.is_finite()) {
             let before = paths.steps.len();
             let passed = volume.march(
                 &ray.ray,
-                |x| ray.keeps(x, &log10),
+                |_| true,
                 |step| {
                     if step.weight >= SHORT {
                         paths.steps.push(step);
@@ -153,9 +134,7 @@ impl Paths {
                 continue;
             }
             paths.ends.push(paths.steps.len());
-            let color = ray.color / ray.opacity;
-            paths.tells_u.push(if ray.most == f64::INFINITY { 1.0 } else { 0.0 });
-            paths.seen.push([ray.log10, color.x, color.y, color.z]);
+            paths.seen.push(ray.log10);
         }
         paths
     }
@@ -200,7 +179,7 @@ pub fn first_of_faces(bricks: &[[u32; 3]]) -> Vec<u32> {
 
 #[cfg(test)]
 mod tests {
-    use glam::{DVec3, Vec3};
+    use glam::DVec3;
 
     use super::*;
     use crate::geometry::{Aabb, Domain, Ray};
@@ -226,7 +205,6 @@ mod tests {
                 let depth = (target - eye).length();
                 SeenRay {
                     ray: Ray::new(eye, target - eye),
-                    color: Vec3::new(0.2, 0.5, 0.8),
                     opacity: 1.0,
                     log10: along(target) as f32,
                     depth,
@@ -249,7 +227,7 @@ mod tests {
         let filled = |x: &DVec3| ((FACE - x.x) / grid.edge + 0.5).clamp(0.0, 1.0);
         let matter: Vec<u8> = positions.iter().map(|x| (255.0 * filled(x).sqrt()).round() as u8).collect();
         let volume = Volume { grid: &grid, pages: &pages, matter: &matter };
-        let fit = Fit::new(&volume, &bricks, [&rays(60_000, 0.1), &[]], |_| 0.0);
+        let fit = Fit::new(&volume, first_of_faces(&bricks), &rays(60_000, 0.1));
 
         // Other rays, through both volumes: that of values at the samples, and the fitted one.
         let at_samples: Vec<f64> =
@@ -264,7 +242,7 @@ mod tests {
                     for (i, share) in step.corners() {
                         let weight = f64::from(step.weight * share);
                         sums[0] += weight * at_samples[i];
-                        sums[1] += weight * fit.at(i).0.map_or(at_samples[i], f64::from);
+                        sums[1] += weight * fit.at(i).map_or(at_samples[i], f64::from);
                     }
                     total += f64::from(step.weight);
                 },

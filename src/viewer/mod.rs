@@ -2,7 +2,7 @@
 //!
 //! The volume is a regular lattice of [`grid::Grid`] in bricks; only bricks with matter are stored ([`bricks`]), packed
 //! into 3D textures ([`pack`]). [`page`] puts them into a page with the scripts of `web/`. The book's chapter on `view`
-//! says what is approximated.
+//! lists the approximations.
 
 mod bricks;
 mod color;

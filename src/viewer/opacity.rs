@@ -9,7 +9,6 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::bricks::coded;
-use super::fit::first_of_faces;
 use super::grid::Grid;
 use super::march::Volume;
 use super::pack::Pages;
@@ -21,30 +20,29 @@ const ROUNDS: usize = 2;
 const DEPTHS: [f64; 2] = [0.02, 4.0];
 /// Largest correction at a time, a factor.
 const MOST: f64 = 3.0;
-/// One of so many rays through what is whole is asked. Most of them are opaque in both.
+/// One in this many rays through the whole scene is used. Most of them are opaque in both.
 const FEW: usize = 4;
 /// Light that must be lost around a sample for it to be corrected.
 const LEAST: f32 = 0.02;
 /// Sums are kept in so many parts, whatever the number of threads, so that values do not depend on it.
 const PARTS: usize = 4;
 
-/// Optical depths along the edges of cells, `[bricks][SAMPLES]`, corrected by rays through what is whole and through
-/// what is cleaned, of which `log10` tells what was removed.
+/// Optical depths along the edges of cells, `[bricks][SAMPLES]`, corrected by rays through the whole scene and through
+/// the cleaned one. `log10` determines what was removed. `ids` as [`super::fit::first_of_faces`] returns them.
 pub fn fitted(
     mut depths: Vec<f32>,
     (grid, pages): (&Grid, &Pages),
-    bricks: &[[u32; 3]],
+    ids: &[u32],
     [whole, cleaned]: [&[SeenRay]; 2],
     log10: impl Fn(Vec3) -> f64 + Sync,
 ) -> Vec<f32> {
-    let ids = first_of_faces(bricks);
     let rays: Vec<&SeenRay> = whole.iter().step_by(FEW).chain(cleaned).collect();
     let part = rays.len().div_ceil(PARTS).max(1);
     for _ in 0..ROUNDS {
         let matter = coded(&depths);
         let volume = Volume { grid, pages, matter: &matter };
-        let parts: Vec<Vec<[f32; 2]>> = rays.par_chunks(part).map(|rays| sums(&volume, &ids, rays, &log10)).collect();
-        depths.par_iter_mut().zip(&ids).for_each(|(depth, id)| {
+        let parts: Vec<Vec<[f32; 2]>> = rays.par_chunks(part).map(|rays| sums(&volume, ids, rays, &log10)).collect();
+        depths.par_iter_mut().zip(ids).for_each(|(depth, id)| {
             let add = |a: [f32; 2], b: [f32; 2]| [a[0] + b[0], a[1] + b[1]];
             let [sum, light] = parts.iter().map(|part| part[*id as usize]).fold([0.0; 2], add);
             if light >= LEAST {
@@ -83,9 +81,10 @@ mod tests {
 
     use super::*;
     use crate::geometry::{Aabb, Domain, Ray};
+    use crate::viewer::fit::first_of_faces;
     use crate::viewer::grid::{SAMPLES, sample};
 
-    /// A foggy slab across x, of which the slider removes the farther half.
+    /// A foggy slab across x. The slider removes its farther half.
     #[test]
     fn rays_lose_as_much_light_as_is_seen_whole_and_cleaned() {
         let bounds = Aabb::centered_cube(1.0);
@@ -101,7 +100,7 @@ mod tests {
             let ray = |k| {
                 let target = DVec3::new(0.0, share(k, 0.754_877), share(k, 0.569_840));
                 let ray = Ray::new(target + 3.0 * DVec3::X, -DVec3::X);
-                SeenRay { ray, color: Vec3::ONE, opacity, log10: 0.0, depth: 3.0, span: [3.0; 2], most }
+                SeenRay { ray, opacity, log10: 0.0, depth: 3.0, span: [3.0; 2], most }
             };
             (0..count).map(ray).collect()
         };
@@ -113,7 +112,7 @@ mod tests {
             1.0 - volume.march(&ray.ray, |x| ray.keeps(x, log10), |_| {}).transmittance
         };
         let before: Vec<f32> = depths;
-        let after = fitted(before.clone(), (&grid, &pages), &bricks, [&whole, &cleaned], log10);
+        let after = fitted(before.clone(), (&grid, &pages), &first_of_faces(&bricks), [&whole, &cleaned], log10);
         for (ray, seen) in [(&whole[77], 0.97), (&cleaned[77], 0.9)] {
             let [unfitted, fitted] = [&before, &after].map(|depths| lost(depths, ray));
             assert!((unfitted - seen).abs() > 0.2, "the fit has something to do: {unfitted} of {seen}");

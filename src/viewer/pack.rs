@@ -1,4 +1,4 @@
-//! Bricks as bytes: an atlas of those with matter, and a page for every brick of the lattice that says where it is.
+//! Bricks as bytes: an atlas of those with matter, and a page table with the position of every brick of the lattice.
 
 use std::io::Write;
 
@@ -10,6 +10,8 @@ use flate2::write::ZlibEncoder;
 use super::bricks::Brick;
 use super::grid::{COARSE, Grid, SAMPLES};
 
+/// Effort of zlib. The highest, 9, takes a second more for a file of 6 MB, and saves less than 1 %.
+const EFFORT: Compression = Compression::new(7);
 /// Step of the differences of red and blue to green.
 const CHROMA: f64 = 8.0;
 
@@ -117,7 +119,7 @@ fn distances(grid: &Grid, bricks: &[[u32; 3]]) -> Vec<[u8; 4]> {
 
 /// Base 64 of zlib.
 fn text(bytes: &[u8]) -> String {
-    let mut zlib = ZlibEncoder::new(Vec::new(), Compression::best());
+    let mut zlib = ZlibEncoder::new(Vec::new(), EFFORT);
     let packed = zlib.write_all(bytes).and_then(|()| zlib.finish()).expect("writing to memory cannot fail");
     BASE64_STANDARD.encode(packed)
 }

@@ -20,7 +20,7 @@ use crate::uncertainty::{BakedField, UncertaintyField};
 use crate::{Error, Result};
 
 /// The scripts, in the order in which they are read.
-const SCRIPTS: [&str; 8] = [
+const SCRIPTS: [&str; 9] = [
     include_str!("web/data.js"),
     include_str!("web/space.js"),
     include_str!("web/volume.js"),
@@ -28,6 +28,7 @@ const SCRIPTS: [&str; 8] = [
     include_str!("web/camera.js"),
     include_str!("web/overlay.js"),
     include_str!("web/panel.js"),
+    include_str!("web/input.js"),
     include_str!("web/main.js"),
 ];
 const PAGE: &str = include_str!("web/page.html");
@@ -40,12 +41,12 @@ const QUANTILES: usize = 1000;
 /// Cameras over whose directions colours are averaged.
 const EYES: usize = 48;
 /// About how many rays the volume is fitted to, times the square of its cells along the longest edge, and at most; and
-/// the share of them that tells what the slider shows with so much of the visible surfaces left.
+/// the share of them that is traced with this much of the visible surfaces left by the slider.
 const RAYS_SEEN: f64 = 12.0;
 const MOST_RAYS: f64 = 4e6;
 const RAYS_BEHIND: f64 = 0.3;
 const BEHIND: [f64; 2] = [2.0 / 3.0, 1.0 / 3.0];
-/// Most memory for the values at the corners of the field's leaves, bytes: rays ask for U millions of times.
+/// Most memory for the values at the corners of the field's leaves, bytes: rays query U millions of times.
 const ROOM: usize = 512 << 20;
 /// Most cameras in the file.
 const CAMERAS: usize = 1000;
@@ -56,7 +57,7 @@ const GROWTH: f64 = 2.5;
 const NEAR: f64 = 0.06;
 /// Cells along the longest edge, at least.
 const COARSEST: u32 = 32;
-/// The same of a first try that tells the size of finer ones.
+/// The same for a first try, from which the size of finer ones is extrapolated.
 const PILOT: u32 = 96;
 
 /// What a file shows.
@@ -65,7 +66,7 @@ pub struct View<'a> {
     pub model: &'a dyn RadianceField,
     /// Its uncertainty.
     pub field: &'a UncertaintyField,
-    /// Tells where the model may have density, and what lies behind it.
+    /// Traces rays through the model.
     pub tracer: &'a Tracer<'a>,
     /// The training cameras.
     pub frames: &'a [Frame],
@@ -92,23 +93,24 @@ pub struct Shown {
     pub is_reduced: bool,
 }
 
-/// Writes the viewer: `cells` along the longest edge, or as many as fit into `budget` bytes.
+/// Writes the viewer: `cells` along the longest edge, or the largest number that fits into `budget` bytes.
 ///
 /// # Errors
 /// If the file cannot be written, if even a coarse volume does not fit, or [`Error::Interrupted`].
 pub fn write_view(path: &Path, view: &View, cells: u32, budget: usize, monitor: &dyn Monitor) -> Result<Shown> {
-    // A coarse volume costs little and tells how fine a one will fit.
+    // A coarse volume takes little time, and predicts the finest one that fits.
     let pilot = (cells > 2 * PILOT).then_some(PILOT);
     let mut now = pilot.unwrap_or(cells);
     let mut is_pilot = pilot.is_some();
     let cameras: Vec<Camera> = view.frames.iter().map(|frame| frame.camera).collect();
     let occupancy = view.tracer.marcher.occupancy.as_ref().expect("pictures are rendered with occupancy");
     let eyes: Vec<Vec3> = spread(&cameras, EYES).iter().map(|camera| camera.position.as_vec3()).collect();
-    let count = (RAYS_SEEN * f64::from(cells).powi(2)).min(MOST_RAYS);
+    let rays_of = |cells: u32| (RAYS_SEEN * f64::from(cells).powi(2)).min(MOST_RAYS);
     let baked = &BakedField::within(ROOM, view.field);
-    let (rays, behind) = seen(view, baked, &cameras, count, monitor)?;
-    let source = Source { model: view.model, field: view.field, baked, occupancy, eyes: &eyes, rays: [&rays, &behind] };
+    let mut rays = seen(view, baked, &cameras, rays_of(now), monitor)?;
     loop {
+        let seen_rays = [rays.0.as_slice(), rays.1.as_slice()];
+        let source = Source { model: view.model, field: view.field, baked, occupancy, eyes: &eyes, rays: seen_rays };
         let grid = Grid::new(view.model.bounds(), view.field.lattice().domain(), now);
         let (pages, found, codes) = bricks(&grid, &source, monitor)?;
         let count = found.len();
@@ -130,12 +132,15 @@ pub fn write_view(path: &Path, view: &View, cells: u32, budget: usize, monitor: 
         let most = if is_pilot { cells } else { now - 1 };
         now = ((0.98 * f64::from(now) * share.powf(1.0 / GROWTH)) as u32).clamp(COARSEST, most);
         now = snapped(now, view.field.lattice().cells_per_axis()).min(most);
+        if is_pilot {
+            rays = seen(view, baked, &cameras, rays_of(now), monitor)?;
+        }
         is_pilot = false;
     }
 }
 
-/// The number of cells near to `cells`, if there is one, of which the field's `vertices` along an edge are a part: U
-/// can then be interpolated as the field does it.
+/// A number of cells near to `cells` that makes the field's `vertices` along an edge a subset of the samples, if there
+/// is one: U can then be interpolated as in the field.
 fn snapped(cells: u32, vertices: u32) -> u32 {
     let whole = (f64::from(cells) / f64::from(vertices)).round() as u32 * vertices;
     if f64::from(cells.abs_diff(whole)) <= NEAR * f64::from(cells) { whole } else { cells }
@@ -319,7 +324,7 @@ mod tests {
     fn names_cannot_end_the_page_s_data() {
         let (_, page) = written(32, 10_000_000, "a & <script>").unwrap();
         assert!(page.contains("<title>a &amp; &lt;script>") && !page.contains("</script><b>"), "names are data");
-        // As many ends as the page has scripts, whatever its data say.
+        // The page has as many ends as scripts, whatever its data.
         assert_eq!(page.matches("</script>").count(), PAGE.matches("</script>").count());
         assert!(!page.contains("{{"), "every mark is filled in");
     }

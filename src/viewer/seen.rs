@@ -22,8 +22,6 @@ const LEAST: f64 = 0.01;
 /// A ray that hits something.
 pub struct SeenRay {
     pub ray: Ray,
-    /// What was hit, without the background.
-    pub color: Vec3,
     /// 1 − the transmittance at its end.
     pub opacity: f32,
     /// Mean of log10 U over what was hit.
@@ -101,12 +99,10 @@ fn see(tracer: &Tracer, field: &BakedField, most: f64, rays: &[Ray]) -> Vec<Seen
     let traced = &buffers.traced;
     let mut quadrature = CompositingWeights::default();
     quadrature.set(traced, tracer.marcher.step);
-    let colors = tracer.visible_colors(rays, traced, &quadrature);
+    // Only depths are asked of the pixel.
+    let colors = vec![Vec3::ZERO; traced.t.len()];
     let of_ray = |(r, ray): (usize, &Ray)| {
         let samples = traced.samples(r);
-        if colors[samples.clone()].iter().any(|color| !color.is_finite()) {
-            return None;
-        }
         let pixel = quadrature.pixel(&samples, &colors, &traced.t, DVec3::ZERO);
         if pixel.opacity < FAINT {
             return None;
@@ -116,7 +112,6 @@ fn see(tracer: &Tracer, field: &BakedField, most: f64, rays: &[Ray]) -> Vec<Seen
         let sum: f64 = hit().map(|(i, weight)| weight * field.log10(traced.positions[i])).sum();
         Some(SeenRay {
             ray: *ray,
-            color: pixel.color.as_vec3(),
             opacity: pixel.opacity as f32,
             // Thin fog only, that is nowhere worth a place: it has no value.
             log10: (sum / total) as f32,

@@ -1,8 +1,12 @@
 """The viewer in a real browser, against `render` and `query` of the same model."""
 
+import base64
+import io
+
 import numpy as np
 import pytest
 from conftest import DATA, Page, Scene
+from PIL import Image
 
 COMMON = "--rays 60000 --level 6"
 LEGO = "ppng-pretrained/NeRFSynthetic/ppng_2/lego.ppng"
@@ -50,7 +54,7 @@ def cameras(folder):
 def contracted(folder):
     """All of space, with a part that is not contracted smaller than the scene."""
     options = "--resolution 200"
-    return Scene(folder, "scene:courtyard", options, f"{COMMON} --contract l2 --inner 0,0,0,0.7")
+    return Scene(folder, "scene:courtyard", options, f"{COMMON} --contract l2:0,0,0,0.7")
 
 
 @pytest.fixture(scope="module", params=[lego, voxels, contracted], ids=lambda make: make.__name__)
@@ -64,6 +68,10 @@ def page(scene, browser):
     assert page.said == "ready", page.said
     page.camera(1)
     return page
+
+
+def hide_unseen(page, wanted):
+    page.do("const b = document.getElementById('hide-unseen'); if (b.checked !== arguments[0]) b.click()", wanted)
 
 
 def psnr(a, b):
@@ -106,6 +114,8 @@ def test_the_slider_removes_what_render_removes(scene, page):
         threshold,
     )
     threshold = page.do("return v.shown.threshold")
+    # `render` also removes what was never seen, whose U is the prior's.
+    hide_unseen(page, True)
     page.layer("color")
     color, opacity, _, _ = scene.rendered(1, f"--threshold={threshold}")
     whole, _, _, _ = scene.rendered(1)
@@ -116,31 +126,117 @@ def test_the_slider_removes_what_render_removes(scene, page):
     # It did remove something.
     assert psnr(whole, color) < 40
     page.threshold(99)
+    hide_unseen(page, False)
 
 
-def test_the_slider_s_last_position_removes_nothing_and_the_one_before_says_what_goes(scene, page):
+def words(page, name):
+    return page.do("v.draw(); return document.getElementById(arguments[0]).textContent", name)
+
+
+def test_the_slider_s_last_position_removes_nothing_and_the_one_before_only_what_was_seen(scene, page):
     from selenium.webdriver.common.by import By
     from selenium.webdriver.common.keys import Keys
 
-    words = lambda name: page.do("v.draw(); return document.getElementById(arguments[0]).textContent", name)
     slider = page.driver.find_element(By.ID, "threshold")
     prior = page.do("return v.about.codes.prior")
     page.threshold(99)
     whole = page.numbers()[..., 0]
     slider.send_keys(Keys.END)
-    assert words("threshold-words") == "nothing is removed" and words("unseen-words") == ""
+    assert words(page, "threshold-words") == "the slider removes nothing"
+    assert "0.0 % is removed" in words(page, "unseen-words")
     assert np.array_equal(page.numbers()[..., 0], whole)
     slider.send_keys(Keys.ARROW_LEFT)
     threshold = page.do("return v.shown.threshold")
     assert prior - 0.02 < threshold < prior
     surfaces = np.array(page.do("return v.about.surfaces"))
     share = 100 * (surfaces <= threshold).mean()
-    assert f"{share:.1f} % of visible surfaces stay" in words("threshold-words")
-    assert "never seen" in words("unseen-words")
+    assert f"{share:.1f} % of visible surfaces stay" in words(page, "threshold-words")
+    # What was never seen is most of the matter inside of things, and stays.
+    gone, unseen = shares_of_matter(page)
+    assert unseen > 5 and gone < 0.5 * unseen, (gone, unseen)
     slider.send_keys(Keys.ARROW_RIGHT)
-    assert words("threshold-words") == "nothing is removed"
+    assert words(page, "threshold-words") == "the slider removes nothing"
     assert np.array_equal(page.numbers()[..., 0], whole)
     page.threshold(99)
+
+
+def shares_of_matter(page):
+    """Per cent of all matter that is removed, and that was never seen, as the panel says."""
+    return [float(part.split()[-1]) for part in words(page, "unseen-words").split(" %")[:2]]
+
+
+def test_never_seen_matter_goes_by_its_own_switch(scene, page):
+    page.threshold(99)
+    page.camera(1)
+    # From somewhere behind the surface that it looks at, the camera sees something that no ray reached.
+    for forward in (1.06, 1.02, 1.12, 1.2, 1.3, 0.95, 1.45, 1.6):
+        page.camera(1)
+        page.do("v.camera.move(0, 0, arguments[0]); v.draw()", forward)
+        whole = page.numbers()[..., :2]
+        assert shares_of_matter(page)[0] == 0
+        hide_unseen(page, True)
+        gone, unseen = shares_of_matter(page)
+        assert gone == unseen > 5
+        if (page.numbers()[..., :2] != whole).any(axis=-1).mean() > 0.05:
+            break
+        hide_unseen(page, False)
+    else:
+        raise AssertionError("nothing that was never seen is in view, wherever the camera stands")
+    # The key does the same as the switch.
+    press(page, "h")
+    assert np.array_equal(page.numbers()[..., :2], whole)
+    assert not page.do("return document.getElementById('hide-unseen').checked")
+    page.camera(1)
+
+
+def press(page, keys):
+    from selenium.webdriver import ActionChains
+
+    ActionChains(page.driver).send_keys(keys).perform()
+
+
+def test_it_opens_on_uncertainty_beside_colour(scene, page):
+    from selenium.webdriver import ActionChains
+    from selenium.webdriver.common.by import By
+
+    page = Page(page.driver, scene.html)
+    assert page.do("return [v.shown.layer, v.shown.split]") == ["uncertainty", 0.5]
+    page.camera(1)
+    both = page.picture()
+    page.layer("color")
+    color = page.picture()
+    page.do("document.getElementById('split').click()")
+    page.layer("uncertainty")
+    uncertainty = page.picture()
+    middle = page.size[0] // 2
+    assert np.array_equal(both[:, :middle], color[:, :middle])
+    assert np.array_equal(both[:, middle + 1 :], uncertainty[:, middle + 1 :])
+    assert not page.driver.find_element(By.ID, "divider").is_displayed()
+    # The key brings the divider back, and it can be dragged.
+    press(page, "v")
+    page.do("v.draw()")
+    divider, area = (page.driver.find_element(By.ID, name) for name in ("divider", "area"))
+    before = page.do("return v.camera.position")
+    ActionChains(page.driver).drag_and_drop_by_offset(divider, -area.size["width"] // 4, 0).perform()
+    assert abs(page.do("return v.shown.split") - 0.25) < 0.02
+    assert page.do("return v.camera.position") == before, "the camera stays where it is"
+
+
+def test_the_slider_has_ticks_and_words(scene, page):
+    ticks = page.do("return [...document.querySelectorAll('#ticks span')].map((t) => Number(t.textContent))")
+    low, high = page.do("const s = document.getElementById('threshold'); return [Number(s.min), Number(s.max)]")
+    assert 3 <= len(ticks) <= 7 and ticks == sorted(ticks) and low <= ticks[0] and ticks[-1] <= high
+    assert words(page, "threshold-unit") == page.do("return v.about.quantity")
+    # The middle of the thumb stands over the number.
+    places = page.do(
+        "return [...document.querySelectorAll('#ticks span')].map((t) => t.getBoundingClientRect())"
+        ".map((r) => r.x + r.width / 2)"
+    )
+    left, width = page.do(
+        "const r = document.getElementById('threshold').getBoundingClientRect(); return [r.x, r.width]"
+    )
+    expected = [left + 8 + (tick - low) / (high - low) * (width - 16) for tick in ticks]
+    assert np.allclose(places, expected, atol=1.5)
 
 
 def test_the_pointer_reads_what_query_says(scene, page):
@@ -185,6 +281,173 @@ def test_mouse_keys_and_buttons_move_the_camera(page):
     assert drawn, "frusta are drawn"
     page.driver.find_element(By.ID, "frusta").click()
     assert page.console() == []
+
+
+def test_the_horizon_stays_level_until_it_is_released(page):
+    from selenium.webdriver import ActionChains
+    from selenium.webdriver.common.by import By
+
+    page.camera(0)
+    area = page.driver.find_element(By.ID, "area")
+    tilt = lambda: abs(page.do("return v.camera.up.reduce((sum, n, k) => sum + n * v.camera.axes[k], 0)"))
+    drag = lambda x, y: ActionChains(page.driver).drag_and_drop_by_offset(area, x, y).perform()
+    for way in [(150, 60), (-90, 80), (120, -200), (0, 250)]:
+        drag(*way)
+        assert tilt() < 1e-6, way
+    press(page, "u")
+    for way in [(150, 60), (-90, 80), (120, -100)]:
+        drag(*way)
+    assert tilt() > 0.05
+    press(page, "u")
+    assert tilt() < 1e-6, "it is level at once"
+
+
+def test_up_is_what_the_cameras_right_axes_agree_on(page):
+    """Cameras of one side that look down: the mean of what is up in their images is not upright."""
+    script = """
+        const cameras = [-1, -0.5, 0, 0.5, 1].map((turn) => {
+          const back = unit([Math.cos(turn), Math.sin(turn), 0.8]);
+          const right = unit(cross([0, 0, 1], back));
+          return { axes: [...right, ...cross(back, right), ...back] };
+        });
+        const mean = unit(cameras.reduce((s, c) => add(s, column(c.axes, 1)), [0, 0, 0]));
+        return [upright(cameras), upright(cameras.slice(2, 3)), mean, cameras[2].axes.slice(3, 6)];"""
+    functions = page.do("return document.querySelector('script[type=module]').textContent").split(
+        "async function start"
+    )[0]
+    several, one, mean, above = page.do(functions + script)
+    assert mean[2] < 0.95
+    assert several[2] > 0.999
+    assert np.allclose(one, above, atol=1e-6), "a single camera is upright"
+
+
+def test_a_click_on_a_frustum_flies_there_and_a_double_click_looks_at_a_point(page):
+    from selenium.webdriver import ActionChains
+    from selenium.webdriver.common.by import By
+
+    page.camera(0)
+    page.do("v.frame(); v.camera.zoom(2); document.getElementById('frusta').click(); v.draw()")
+    area = page.driver.find_element(By.ID, "area")
+    apex = """
+        const [w, h] = v.fixed ?? v.size();
+        const shown = v.allFrusta(w, h).map((f) => f && f[0].map((n, k) => n / [w, h][k]));
+        const far = (a, b) => !b || Math.hypot(a[0] - b[0], a[1] - b[1]) > 0.03;
+        const k = shown.findIndex((a, i) => i > 0 && a && a.every((n) => n > 0.05 && n < 0.95) &&
+          shown.every((b, j) => i === j || far(a, b)));
+        return [k, ...(shown[k] ?? [])];"""
+    k, x, y = page.do(apex)
+    size = area.size
+    offset = int((x - 0.5) * size["width"]), int((y - 0.5) * size["height"])
+    ActionChains(page.driver).move_to_element_with_offset(area, *offset).click().perform()
+    assert page.do("return v.current") == k
+    arrived = "return Math.hypot(...v.camera.position.map((n, i) => n - v.about.cameras[v.current].position[i])) < 1e-9"
+    wait(page, arrived)
+    assert f"{k}: " in words(page, "camera-name")
+    page.do("document.getElementById('frusta').click()")
+    # Something beside the middle comes to the middle, and is as far away as it was.
+    page.camera(1)
+    wanted = page.do(
+        "const [w, h] = v.camera.resolution; const at = [0.4, 0.45, 0.5, 0.55, 0.6].flatMap((x) => "
+        "[0.4, 0.5, 0.6].map((y) => [x * w, y * h]))"
+        ".find(([x, y]) => Math.hypot(x - w / 2, y - h / 2) > 5 && v.read(x, y));"
+        "const found = v.read(...at); v.focus(...at); return [found.position, found.depth]"
+    )
+    assert np.allclose(page.do("return v.camera.target()"), wanted[0], atol=1e-5)
+    assert np.isclose(page.do("return v.camera.distance"), wanted[1])
+    page.camera(1)
+
+
+def wait(page, condition):
+    import time
+
+    for _ in range(200):
+        if page.do(condition):
+            return
+        time.sleep(0.05)
+    raise AssertionError(condition)
+
+
+def test_the_crop_box_cuts_and_is_drawn(page):
+    page.camera(1)
+    page.threshold(99)
+    whole = page.numbers()[..., :2]
+    press(page, "b")
+    assert page.do("return document.getElementById('crop').open")
+    page.do(
+        "const s = document.getElementById('crop-x-min'); s.value = 0.5; s.dispatchEvent(new Event('input')); v.draw()"
+    )
+    cut = page.numbers()[..., 0]
+    # What is left lies beyond the middle.
+    middle = page.do("return v.volume.anchor[0]")
+    points = page.do(
+        "const [w, h] = v.camera.resolution; return [0.3, 0.4, 0.5, 0.6, 0.7].flatMap((x) => [0.4, 0.5, 0.6]"
+        ".map((y) => v.read(x * w, y * h))).filter((f) => f).map((f) => f.position[0])"
+    )
+    assert all(x > middle - 0.02 for x in points), points
+    assert (cut < 0.5).sum() > (whole[..., 0] < 0.5).sum() + 100
+    lines = (
+        "const { width, height } = v.overlay; "
+        "return v.overlay.getContext('2d').getImageData(0, 0, width, height).data.some((n) => n > 0)"
+    )
+    assert page.do(lines), "the box is drawn"
+    page.do("document.getElementById('uncrop').click()")
+    assert np.array_equal(page.numbers()[..., :2], whole)
+    press(page, "b")
+    page.do("v.draw()")
+    assert not page.do(lines)
+
+
+def test_a_picture_is_saved_as_it_is_shown(page):
+    page.camera(1)
+    page.layer("color")
+    shown = page.picture()
+    text = page.do("return v.picture()").split(",")[1]
+    saved = np.asarray(Image.open(io.BytesIO(base64.b64decode(text))).convert("RGB")) / 255.0
+    assert np.array_equal(saved, shown)
+    link = page.do(
+        "let link; const click = HTMLAnchorElement.prototype.click;"
+        "HTMLAnchorElement.prototype.click = function () { link = [this.download, this.href.slice(0, 22)]; };"
+        "document.getElementById('save').click(); HTMLAnchorElement.prototype.click = click; return link"
+    )
+    assert link[0].endswith("-color.png") and "/" not in link[0] and link[1] == "data:image/png;base64,"
+
+
+def test_help_fits_into_800_pixels(page):
+    before = page.driver.get_window_size()
+    page.driver.set_window_size(800, 800)
+    press(page, "?")
+    fits = page.do(
+        "const h = document.getElementById('help'), r = h.getBoundingClientRect();"
+        "return h.open && r.left >= 0 && r.top >= 0 && r.right <= innerWidth && r.bottom <= innerHeight"
+        " && h.scrollHeight <= h.clientHeight && h.scrollWidth <= h.clientWidth"
+    )
+    assert fits
+    press(page, "?")
+    assert not page.do("return document.getElementById('help').open")
+    page.driver.set_window_size(before["width"], before["height"])
+
+
+def test_long_names_of_cameras_wrap(page):
+    page.do("v.about.cameras[1].name = 'folder_'.repeat(40); v.jump(1)")
+    within = "const n = document.getElementById('camera-name'); return n.scrollWidth <= n.clientWidth"
+    assert page.do(within)
+    page.do("v.about.cameras[1].name = 'r_1'; v.jump(1)")
+
+
+def test_tinted_keeps_the_colour_of_what_is_certain(page):
+    page.camera(1)
+    page.threshold(99)
+    page.layer("color")
+    color, numbers = page.picture(), page.numbers()
+    page.layer("tinted")
+    tinted = page.picture()
+    low, high = page.do("return v.about.range")
+    place = (numbers[..., 2] - low) / (high - low)
+    certain, not_certain = (numbers[..., 0] > 0.9) & (place < 0.1), (numbers[..., 0] > 0.9) & (place > 0.6)
+    assert certain.sum() > 20 and np.abs(tinted - color)[certain].max() < 0.02
+    if not_certain.sum() > 20:
+        assert np.abs(tinted - color)[not_certain].mean() > 0.05
+    page.layer("color")
 
 
 def test_without_webgl_it_says_so(scene, browser):

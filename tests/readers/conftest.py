@@ -39,7 +39,7 @@ COMMON = "--rays 20000 --resolution 48 --occupancy 48"
 FIELDS = {
     "octree.oct": f"scene:courtyard {COMMON} --level 6 --keep-sums",
     "dense.oct": f"scene:courtyard {COMMON} --level 4 --grid dense",
-    "contracted.oct": f"scene:courtyard {COMMON} --level 6 --contract l2 --inner 0,0,0,0.6",
+    "contracted.oct": f"scene:courtyard {COMMON} --level 6 --contract l2:0,0,0,0.6",
     "ball.oct": f"scene:ball {COMMON} --level 6 --keep-sums --scale data --noise 0.02",
 }
 

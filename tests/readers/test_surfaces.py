@@ -6,7 +6,8 @@ import numpy as np
 import trimesh
 from plyfile import PlyData
 
-BALL = "scene:ball ball.oct --resolution 48 --occupancy 48"
+BALL = "scene:ball ball.oct"
+POINTS = f"{BALL} --resolution 48"
 RADIUS = 0.5
 
 
@@ -25,7 +26,7 @@ def check_against_query(desk, field, table, x):
 
 
 def test_points_lie_on_the_ball_with_its_normals(desk):
-    desk.run(f"export {BALL} --ellipsoids -o points.ply")
+    desk.run(f"export {POINTS} --ellipsoids -o points.ply")
     ply, table, x, normal = vertices(desk, "points.ply")
     assert not ply.text and ply.byte_order == "<"
     own = {"x", "y", "z", "nx", "ny", "nz", "red", "green", "blue"}
@@ -77,8 +78,8 @@ def test_a_threshold_removes_what_is_uncertain_before_meshing(desk):
 
 
 def test_the_report_counts_the_points(desk):
-    desk.run(f"export {BALL} -o points.ply")
-    desk.run(f"export {BALL} -o report.csv")
+    desk.run(f"export {POINTS} -o points.ply")
+    desk.run(f"export {POINTS} -o report.csv")
     _, table, _, _ = vertices(desk, "points.ply")
     with open(desk.path("report.csv"), newline="") as file:
         rows = list(csv.DictReader(file))

@@ -12,7 +12,7 @@ use std::io::{Cursor, Read, Write};
 use super::{Kind, torch};
 
 /// Sections of containers, in the order of their parts.
-const FIELD: [&str; 19] = [
+const FIELD: [&str; 12] = [
     "masks",
     "deviations",
     "rays",
@@ -23,17 +23,10 @@ const FIELD: [&str; 19] = [
     "counted",
     "limits",
     "errors",
-    "correlations",
     "misfit vertices",
     "misfit",
-    "masks 1",
-    "deviations 1",
-    "factors 1",
-    "masks 2",
-    "deviations 2",
-    "factors 2",
 ];
-const CHECKPOINT: [&str; 4] = ["keys", "sums", "surface", "visits"];
+const CHECKPOINT: [&str; 5] = ["run", "keys", "sums", "surface", "visits"];
 
 /// Arrays that archives may have, in the order of their parts.
 const SAMPLES: [&str; 5] = ["positions", "jacobian", "ray", "rays_total", "weight"];
@@ -51,8 +44,8 @@ pub fn file(kind: Kind, recipe: &[u8]) -> Vec<u8> {
     let parts = split(rest);
     let part = |i: usize| parts.get(i).copied().unwrap_or_default();
     match kind {
-        Kind::Field => container(b"OCTOBAY\n", 3, &FIELD, &parts),
-        Kind::Checkpoint => container(b"OCTOCHK\n", 5, &CHECKPOINT, &parts),
+        Kind::Field => container(b"OCTOBAY\n", 1, &FIELD, &parts),
+        Kind::Checkpoint => container(b"OCTOCHK\n", 1, &CHECKPOINT, &parts),
         Kind::Samples => archive(&SAMPLES, &parts),
         Kind::Voxels => archive(&VOXELS, &parts),
         Kind::Safetensors => {
@@ -69,7 +62,8 @@ pub fn file(kind: Kind, recipe: &[u8]) -> Vec<u8> {
 /// is.
 pub fn recipe(kind: Kind, file: &[u8]) -> Vec<u8> {
     let parts = match kind {
-        Kind::Field | Kind::Checkpoint => container_parts(file),
+        Kind::Field => container_parts(&FIELD, file),
+        Kind::Checkpoint => container_parts(&CHECKPOINT, file),
         Kind::Samples => archive_parts(&SAMPLES, file),
         Kind::Voxels => archive_parts(&VOXELS, file),
         Kind::Safetensors => {
@@ -137,22 +131,24 @@ fn container(magic: &[u8; 8], version: u32, names: &[&str], parts: &[&[u8]]) -> 
     file
 }
 
-/// The header content and the sections of a valid container.
-fn container_parts(file: &[u8]) -> Vec<Vec<u8>> {
+/// The header content and the sections of a valid container; empty ones that it does not have.
+fn container_parts(names: &[&str], file: &[u8]) -> Vec<Vec<u8>> {
     let length = u32::from_le_bytes(file[12..16].try_into().unwrap()) as usize;
     let (header, mut rest) = file[20..].split_at(length);
     let header: serde_json::Value = serde_json::from_slice(header).unwrap();
-    let mut parts = vec![header["content"].to_string().into_bytes()];
+    let mut parts = vec![Vec::new(); 1 + names.len()];
+    parts[0] = header["content"].to_string().into_bytes();
     for section in header["sections"].as_array().unwrap() {
         let (own, behind) = rest.split_at(section["bytes"].as_u64().unwrap() as usize);
-        parts.push(own.to_vec());
+        let place = names.iter().position(|name| section["name"] == *name);
+        parts[1 + place.expect("a section of a known name")] = own.to_vec();
         rest = behind;
     }
     parts
 }
 
 /// A zip archive with the first few of these arrays, stored without compression.
-fn archive(names: &[&str], parts: &[&[u8]]) -> Vec<u8> {
+pub fn archive(names: &[&str], parts: &[&[u8]]) -> Vec<u8> {
     let mut zip = zip::ZipWriter::new(Cursor::new(Vec::new()));
     let options = zip::write::SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored);
     for (name, part) in names.iter().zip(parts) {

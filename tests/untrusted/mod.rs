@@ -2,10 +2,13 @@
 //! readers that also use what they read. The tests of damaged files and the fuzz targets in `fuzz/` share this
 //! module.
 
+#[path = "../arrays/mod.rs"]
+pub mod arrays;
 pub mod damage;
 pub mod forge;
 pub mod probe;
 pub mod samples;
+pub mod splats;
 pub mod torch;
 
 /// The kinds of files that the program reads.
@@ -39,12 +42,14 @@ pub enum Kind {
     Image,
     /// `.exr` depth map.
     Exr,
+    /// Gaussian splats: `.ply`, `.compressed.ply` or `.spz`, which are told apart by their content; and `.splat`.
+    Splats,
     /// `cameras` and `images` of COLMAP, in one file: see [`forge::colmap`].
     Colmap,
 }
 
 impl Kind {
-    pub const ALL: [Self; 15] = [
+    pub const ALL: [Self; 16] = [
         Self::Field,
         Self::Checkpoint,
         Self::Ppng,
@@ -59,6 +64,7 @@ impl Kind {
         Self::Csv,
         Self::Image,
         Self::Exr,
+        Self::Splats,
         Self::Colmap,
     ];
 
@@ -79,6 +85,7 @@ impl Kind {
             Self::Csv => "points.csv",
             Self::Image => "image.png",
             Self::Exr => "depth.exr",
+            Self::Splats => "scene.ply",
             Self::Colmap => "model.colmap",
         }
     }

@@ -4,14 +4,13 @@ use std::path::Path;
 
 use glam::{DVec3, Vec3};
 use octobayes::dataset::{DepthEncoding, DepthKind, DepthMap, PointReader, PosedImage, Views};
-use octobayes::estimate::state;
-use octobayes::estimate::{FieldBuilder, GridKind, GridSettings, Provenance};
+use octobayes::estimate::{Checkpoint, FieldBuilder, GridKind, GridSettings, Provenance, SURFACE_POINTS};
 use octobayes::field::{Coordinates, Intrinsics, NerfMlp, Ppng, Radiance, RadianceField, VoxelGrid};
 use octobayes::geometry::{Aabb, Camera, Domain};
 use octobayes::monitor::Silent;
-use octobayes::octree::MaxLevels;
 use octobayes::posterior::Covariance;
 use octobayes::rays::{RunProgress, SamplesReader};
+use octobayes::splats::Splats;
 use octobayes::synth::{Mesh, MeshScene, Up};
 use octobayes::uncertainty::{OfficialGrid, UncertaintyField, merge, merge_with_error_bars};
 use octobayes::{Error, Result};
@@ -33,8 +32,9 @@ pub fn open(kind: Kind, path: &Path) -> bool {
         Kind::Field => UncertaintyField::read(path).is_ok(),
         Kind::Checkpoint => [GridKind::Octree, GridKind::Dense].into_iter().any(|grid| {
             let key = samples::run_key(grid);
-            let limits = MaxLevels::none(key.lattice.level());
-            state::load(path, &key, &limits, grid == GridKind::Dense).is_ok()
+            let settings = GridSettings::default().grid(grid).level(key.lattice.level());
+            let mut builder = FieldBuilder::new(settings, *key.lattice.domain()).unwrap();
+            builder.restore(path, &key).is_ok()
         }),
         Kind::Ppng => Ppng::read(path, Coordinates::Ngp).is_ok(),
         Kind::Transforms => Views::read(path, None).is_ok(),
@@ -47,6 +47,7 @@ pub fn open(kind: Kind, path: &Path) -> bool {
         Kind::Csv => csv(path).is_ok(),
         Kind::Image => PosedImage::read(path, [4, 3]).is_ok(),
         Kind::Exr => depth_map(path).is_ok(),
+        Kind::Splats => Splats::read(path).is_ok(),
         Kind::Colmap => colmap(path).is_ok(),
     }
 }
@@ -68,6 +69,38 @@ fn colmap(path: &Path) -> Result<Views> {
 
 fn official(path: &Path) -> Result<UncertaintyField> {
     OfficialGrid { domain: Domain::Box(Aabb::centered_cube(1.0)), rays: 10, lambda: None }.read(path)
+}
+
+/// Reads a file by its content, and then as the `.splat` file that any bytes can be.
+fn splats(path: &Path) -> Result<()> {
+    let other = path.with_extension("splat");
+    std::fs::copy(path, &other).map_err(Error::io(path, "cannot copy"))?;
+    if let Ok(splats) = Splats::read(&other) {
+        splats_are_sound(&splats, path);
+    }
+    Splats::read(path).map(|splats| splats_are_sound(&splats, path))
+}
+
+fn splats_are_sound(splats: &Splats, path: &Path) {
+    let n = splats.len();
+    assert!(n > 0 && splats.notes().iter().all(|note| !note.contains('\n')));
+    for i in 0..n {
+        let rotation = splats.rotation(i);
+        assert!((rotation.length() - 1.0).abs() < 1e-5, "splat {i}: {rotation}");
+        assert!(splats.mean(i).is_finite() && splats.mean(i).length_squared().is_finite(), "splat {i}");
+        let scale = splats.scale(i);
+        assert!(scale.is_finite() && scale.min_element() >= 0.0 && scale.length_squared().is_finite(), "{scale}");
+        assert!((0.0..=1.0).contains(&splats.opacity(i)) && splats.sh(i).iter().all(|v| v.is_finite()));
+    }
+    assert_eq!(splats.summary().count, n);
+    if n < 10_000 {
+        let again = path.with_extension("again.ply");
+        splats.write_ply(&again, &[], &[]).unwrap();
+        let again = Splats::read(&again).unwrap();
+        assert_eq!((again.means(), again.log_scales()), (splats.means(), splats.log_scales()));
+        assert!((0..n).all(|i| again.rotation(i) == splats.rotation(i) && again.sh(i) == splats.sh(i)));
+        assert_eq!(again.extra_names(), splats.extra_names());
+    }
 }
 
 fn csv(path: &Path) -> Result<Vec<Vec3>> {
@@ -102,6 +135,7 @@ pub fn read(kind: Kind, path: &Path) -> Result<()> {
         Kind::Csv => csv(path).map(|points| assert!(points.iter().all(|x| x.is_finite()))),
         Kind::Image => picture(path),
         Kind::Exr => depth_map(path).map(|depth| depth_is_sound(&depth)),
+        Kind::Splats => splats(path),
         Kind::Colmap => colmap(path).map(|views| cameras_are_sound(&views.cameras())),
     };
     if let Err(error) = &outcome {
@@ -121,7 +155,6 @@ fn field_is_sound(field: &UncertaintyField, path: &Path) {
             assert!(found >= 0.0 && found.is_finite(), "a deviation of {found} at {x}");
         }
     }
-    field.coarser().iter().for_each(|coarser| field_is_sound(coarser, path));
     for covariance in Covariance::ALL {
         let Ok(field) = field.clone().with_covariance(covariance) else { continue };
         for (x, estimate) in points_around(cube).into_iter().map(|x| (x, field.query(x))) {
@@ -158,20 +191,17 @@ fn checkpoint(path: &Path) -> Result<()> {
     let mut outcome = Ok(());
     for grid in [GridKind::Octree, GridKind::Dense] {
         let key = samples::run_key(grid);
-        let level = key.lattice.level();
-        let limits = MaxLevels::none(level);
-        let _ = state::rays_per_vertex(path);
-        outcome = state::load(path, &key, &limits, grid == GridKind::Dense).map(|state| {
-            assert!(key.shard.admits(&state.progress));
-            assert!(state.surface.len() as u64 <= key.surface_points, "no more points than the run keeps");
-            assert!(state.surface.iter().flatten().all(|v| v.is_finite()), "surface points are finite");
-            let settings = GridSettings::default().grid(grid).level(level).surface_points(100);
-            let mut builder = FieldBuilder::new(settings, *key.lattice.domain()).unwrap();
-            builder.restore(path, &key).unwrap();
+        let _ = Checkpoint::new(path).rays(None);
+        let settings = GridSettings::default().grid(grid).level(key.lattice.level());
+        let mut builder = FieldBuilder::new(settings, *key.lattice.domain()).unwrap();
+        outcome = builder.restore(path, &key).map(|found| {
+            assert!(key.shard.admits(&found));
             builder.add(&[samples::ray_samples()]);
-            if state.progress.rays > 0 {
-                let progress = RunProgress { rays: state.progress.rays, ..RunProgress::default() };
-                field_is_sound(&builder.finish(&Provenance { progress, ..Provenance::default() }), path);
+            if found.rays > 0 {
+                let progress = RunProgress { rays: found.rays, ..RunProgress::default() };
+                let field = builder.finish(&Provenance { progress, ..Provenance::default() });
+                assert!(field.surface().len() <= SURFACE_POINTS, "no more points than the run keeps");
+                field_is_sound(&field, path);
             }
         });
         // The other grid belongs to another lattice, so a refusal says nothing about this file.

@@ -3,22 +3,22 @@
 
 use std::path::Path;
 
+use exr::prelude::{AnyChannel, AnyChannels, Encoding, FlatSamples, Image, Layer, LayerAttributes, WritableImage};
 use glam::{DVec3, Vec3};
 use half::f16;
 use minicbor::Encoder;
 use octobayes::dataset::write_transforms;
-use octobayes::estimate::state::RunKey;
-use octobayes::estimate::{Estimation, FieldBuilder, GridKind, GridSettings, Provenance, RaySettings};
+use octobayes::estimate::{Estimation, FieldBuilder, GridKind, GridSettings, Provenance, RaySettings, RunKey};
 use octobayes::field::{ClosedForm, VoxelGrid};
 use octobayes::geometry::{Aabb, Camera, Domain, Norm};
-use octobayes::internal::{npy, write_exr};
-use octobayes::posterior::{Covariance, Criteria, Criterion, DataScale, Prior, Scale, VertexSums};
+use octobayes::posterior::{Covariance, Criteria, Criterion, DataScale, Scale, VertexSums};
 use octobayes::rays::{Pixels, RunProgress, SamplesWriter, Shard};
 use octobayes::render::{GradientMethod, RaySample, RaySamples};
 use octobayes::uncertainty::{MisfitSums, UncertaintyField};
 use safetensors::tensor::{Dtype, TensorView};
 
-use super::{Kind, forge, torch};
+use super::arrays::npy;
+use super::{Kind, forge, splats, torch};
 
 /// Valid files of a kind. Each has something that the others lack.
 pub fn of(kind: Kind) -> Vec<Vec<u8>> {
@@ -32,11 +32,11 @@ pub fn of(kind: Kind) -> Vec<Vec<u8>> {
             VoxelGrid::bake(&ClosedForm::ball(), [2, 3, 2], Vec3::Z).write(path).unwrap();
         })],
         Kind::Points => vec![
-            written("p.npy", |path| npy::write(path, &[3, 3], (0..9).map(|i| i as f32 / 9.0)).unwrap()),
-            written("p.npy", |path| npy::write(path, &[1, 3], [0.5, 0.25, -3.0_f64]).unwrap()),
-            written("p.npy", |path| npy::write(path, &[0, 3], [0.0_f32; 0]).unwrap()),
+            npy(&[3, 3], (0..9).map(|i| i as f32 / 9.0)),
+            npy(&[1, 3], [0.5, 0.25, -3.0_f64]),
+            npy(&[0, 3], [0.0_f32; 0]),
         ],
-        Kind::Official => vec![written("o.npy", |path| npy::write(path, &[27], (0..27).map(|i| i as f32)).unwrap())],
+        Kind::Official => vec![npy(&[27], (0..27).map(|i| i as f32))],
         Kind::Safetensors => vec![safetensors()],
         Kind::Torch => vec![torch::archive(&torch::pickle(false)), torch::stream()],
         Kind::Mesh => vec![
@@ -48,6 +48,7 @@ pub fn of(kind: Kind) -> Vec<Vec<u8>> {
         Kind::Csv => vec![b"name,x,y,z\n,0.5,0.25,-1\nmore,1e-3, 2 ,3\n".to_vec(), b"1,2,3\r\n\"4\",5,6\r\n".to_vec()],
         Kind::Image => images(),
         Kind::Exr => exr(),
+        Kind::Splats => splats::files(),
         Kind::Colmap => colmap(),
     }
 }
@@ -79,7 +80,7 @@ fn colmap() -> Vec<Vec<u8>> {
 }
 
 /// The bytes that `write` writes.
-fn written(name: &str, write: impl FnOnce(&Path)) -> Vec<u8> {
+pub fn written(name: &str, write: impl FnOnce(&Path)) -> Vec<u8> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join(name);
     write(&path);
@@ -120,8 +121,8 @@ pub fn fields() -> Vec<UncertaintyField> {
     };
     let field = |settings, domain| drawn(settings, domain, Shard::whole(5));
     let block = small.covariance(Covariance::Block).level(3).min_rays(2.0);
-    let trace = small.covariance(Covariance::Trace).prior(Prior::Volume);
-    let limited = small.level(6).criteria(Criteria::from_iter([Criterion::RayCount])).surface_points(5);
+    let trace = small.covariance(Covariance::Trace);
+    let limited = small.level(6).criteria(Criteria::from_iter([Criterion::RayCount]));
     let rays = RaySettings::default().rays(100).occupancy(8);
     let cameras = ClosedForm::half_circle(2, [8, 8]);
     let limited = Estimation::new(&ClosedForm::ball(), &cameras).rays(rays).grid(limited).run().unwrap().field;
@@ -138,10 +139,6 @@ pub fn fields() -> Vec<UncertaintyField> {
         (0..20).for_each(|i| sums.add(Vec3::splat(0.1 * i as f32 - 1.0), 0.01 * f64::from(i % 3)));
         field.with_misfit(sums.finish()).unwrap()
     };
-    let levels = |settings: GridSettings| {
-        let [two, one] = [2, 1].map(|level| field(settings.level(level), cube));
-        field(settings.level(3), cube).with_coarser(vec![two, one]).unwrap()
-    };
     vec![
         field(small, cube),
         field(small.level(1), cube).without_sums(),
@@ -153,7 +150,6 @@ pub fn fields() -> Vec<UncertaintyField> {
         bars(field(small.grid(GridKind::Dense).level(1), cube)).without_sums(),
         drawn(small, cube, Shard::new(2_000, 0, 2)),
         images_known(small),
-        levels(small),
     ]
 }
 
@@ -175,7 +171,6 @@ pub fn run_key(grid: GridKind) -> RunKey {
         occupancy: 8,
         background: [1.0; 3],
         pixel_offset: 0.5,
-        surface_points: 100,
         rays_per_vertex: 0.0,
         limits: 0,
         tile: None,
@@ -261,14 +256,9 @@ fn samples() -> Vec<u8> {
 
 /// Without optional entries, and in NumPy's other integer types.
 fn few_samples() -> Vec<u8> {
-    written("samples.npz", |path| {
-        let mut npz = octobayes::internal::npz::NpzWriter::create(path).unwrap();
-        npz.array("positions", &[2, 3], [0.1_f32; 6]).unwrap();
-        npz.array("jacobian", &[2, 3, 3], [1.0_f32; 18]).unwrap();
-        npz.array("ray", &[2], [0_u32, 7]).unwrap();
-        npz.array("rays_total", &[1], [10_u32]).unwrap();
-        npz.finish().unwrap();
-    })
+    let arrays =
+        [npy(&[2, 3], [0.1_f32; 6]), npy(&[2, 3, 3], [1.0_f32; 18]), npy(&[2], [0_u32, 7]), npy(&[1], [10_u32])];
+    forge::archive(&["positions", "jacobian", "ray", "rays_total"], &arrays.each_ref().map(Vec::as_slice))
 }
 
 /// Layers of an MLP NeRF, with the numbers of their outputs and inputs.
@@ -298,7 +288,18 @@ fn safetensors() -> Vec<u8> {
 /// Depth alone, and among colours.
 fn exr() -> Vec<Vec<u8>> {
     let depth: Vec<f32> = (0..12).map(|i| i as f32 / 3.0).collect();
-    let save = |channels: Vec<(&str, Vec<f32>)>| written("d.exr", |path| write_exr(path, [4, 3], channels).unwrap());
+    let save = |channels: Vec<(&str, Vec<f32>)>| {
+        let channels = channels.into_iter().map(|(name, values)| AnyChannel::new(name, FlatSamples::F32(values)));
+        let layer = Layer::new(
+            (4, 3),
+            LayerAttributes::default(),
+            Encoding::SMALL_LOSSLESS,
+            AnyChannels::sort(channels.collect()),
+        );
+        let mut bytes = std::io::Cursor::new(Vec::new());
+        Image::from_layer(layer).write().to_buffered(&mut bytes).unwrap();
+        bytes.into_inner()
+    };
     vec![save(vec![("Z", depth.clone())]), save(vec![("R", vec![0.5; 12]), ("depth.Z", depth)])]
 }
 
@@ -309,9 +310,10 @@ fn images() -> Vec<Vec<u8>> {
         bytes.into_inner()
     };
     let value = |x: u32, y: u32| (40 * x + 9 * y) as u8;
-    let color = image::RgbaImage::from_fn(4, 3, |x, y| image::Rgba([value(x, y), 1, 2, 255]));
+    // Shades of grey, so that the same file is a depth map.
+    let color = image::RgbaImage::from_fn(4, 3, |x, y| image::Rgba([value(x, y), value(x, y), value(x, y), 255]));
     let gray = image::ImageBuffer::from_fn(4, 3, |x, y| image::Luma([u16::from(value(x, y)) * 257]));
-    let photo = image::RgbImage::from_fn(4, 3, |x, y| image::Rgb([value(x, y), 100, 2]));
+    let photo = image::RgbImage::from_fn(4, 3, |x, y| image::Rgb([value(x, y); 3]));
     vec![
         save(color.into(), image::ImageFormat::Png),
         save(gray.into(), image::ImageFormat::Png),

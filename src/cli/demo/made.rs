@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::io::{AtomicFile, Identity, read};
+use crate::cli::identity::Identity;
+use crate::io::{AtomicFile, read};
 use crate::{Error, Result};
 
 /// The list of these files, in their folder.
@@ -29,13 +30,10 @@ pub struct Made {
 
 impl Made {
     /// Claims `names` in `folder` for a run.
-    ///
-    /// # Errors
-    /// If one of them is a file that no demo made, or that changed since, or if the list cannot be written.
     pub fn claim<'a>(folder: &Path, names: impl Iterator<Item = &'a str>) -> Result<Self> {
         let refused = |file: &Path| {
             let expected = "nothing, or a file that `demo` wrote and nobody changed";
-            Err(Error::malformed(file, "file in --out", expected, "another file; choose another folder"))
+            Err(Error::malformed(file, "file in --output", expected, "another file; choose another folder"))
         };
         let path = folder.join(LIST);
         let mut list = List::default();
@@ -67,9 +65,6 @@ impl Made {
     }
 
     /// Stores what the run wrote.
-    ///
-    /// # Errors
-    /// If a file cannot be read again, or the list cannot be written.
     pub fn finish(mut self) -> Result<()> {
         for (name, _) in &self.before {
             let checksum = crc32fast::hash(&read(&self.folder.join(name))?);
@@ -113,10 +108,10 @@ mod tests {
         let claim = |names: &[&str]| Made::claim(folder.path(), names.iter().copied());
         let refused = |names: &[&str]| claim(names).err().map(|error| error.to_string()).unwrap_or_default();
         std::fs::write(path("transforms.json"), "precious").unwrap();
-        assert!(refused(&["a", "transforms.json"]).contains("transforms.json: file in --out: expected nothing"));
+        assert!(refused(&["a", "transforms.json"]).contains("transforms.json: file in --output: expected nothing"));
         assert!(!path(LIST).exists(), "a refusal writes nothing");
 
-        // A run that did not end has claimed its files; one that did knows what they were.
+        // An unfinished run has claimed its files; a finished one has recorded them.
         let made = claim(&["a", "b"]).unwrap();
         assert!(matches!(made.after(Error::Interrupted), Error::Interrupted));
         std::fs::write(path("a"), "half").unwrap();
@@ -129,11 +124,11 @@ mod tests {
         made.finish().unwrap();
         claim(&["a"]).unwrap().finish().unwrap();
         std::fs::write(path("b"), "changed").unwrap();
-        assert!(refused(&["a", "b"]).contains("b: file in --out"));
+        assert!(refused(&["a", "b"]).contains("b: file in --output"));
         claim(&["a"]).unwrap();
 
         std::fs::write(path(LIST), "{\"frames\": []}").unwrap();
-        assert!(refused(&["a"]).contains("demo.json: file in --out"));
+        assert!(refused(&["a"]).contains("demo.json: file in --output"));
         assert_eq!(std::fs::read(path("transforms.json")).unwrap(), b"precious");
     }
 }

@@ -33,9 +33,6 @@ struct Sample {
 
 impl Matter {
     /// What some of `cameras` see of `field`, with log10 U.
-    ///
-    /// # Errors
-    /// [`crate::Error::Interrupted`] only.
     pub fn seen(
         field: &dyn RadianceField,
         cameras: &[Camera],
@@ -109,9 +106,6 @@ pub struct Shares {
 
 impl Shares {
     /// Measures the clean-up of `model`.
-    ///
-    /// # Errors
-    /// [`crate::Error::Interrupted`] only.
     pub fn measure(model: &ThresholdedField, truth: &Truth, monitor: &dyn Monitor) -> Result<Self> {
         let (field, uncertainty, threshold) = (model.uncleaned(), model.uncertainty(), model.threshold());
         let made_up = |sample: &Sample| !truth.has_matter_near(sample.position);

@@ -25,7 +25,7 @@ use crate::estimate::{Estimation, GridKind, GridSettings, Outcome, RaySettings};
 use crate::field::RadianceField;
 use crate::geometry::Camera;
 use crate::monitor::Monitor;
-use crate::picture::{Panel, color_panel, write_sheet};
+use crate::picture::{Panel, color_panel, write_noted_sheet, write_sheet};
 use crate::rays::RunProgress;
 use crate::render::{GradientMethod, Probe, RayAverage, RenderedView, render_view};
 use crate::train::Quality;
@@ -39,6 +39,9 @@ const MODEL: &str = "courtyard.safetensors";
 /// Cells of the viewer's volume, and the most bytes of its file: it is written in a few seconds.
 const CELLS: u32 = 128;
 const SIZE: usize = 6_000_000;
+/// What stands below the pictures of the trained model.
+const HOLLOW: &str = "Cleaned, from behind: where the made-up back was removed, you look into the hollow front, which \
+    cameras saw from outside.";
 /// Share of the matter that cameras see which clean-up keeps. The rest, reached by few rays, leaves small holes.
 const KEPT: f64 = 0.99;
 /// Share of that matter whose log10 U lies below the colour bar.
@@ -53,24 +56,23 @@ const LEAST_BAR: f64 = 1.0;
 /// and measures against the true scene what was removed and what was kept. Writes pictures, the fields, the cameras
 /// and the model, which are input for the other verbs.
 ///
-/// With --scene, uses a built-in scene instead of a trained model. Some scenes are hard, each in one way: for
-/// these it prints what to expect beside what was measured.
+/// With --scene, uses a built-in scene instead of a trained model.
 ///
 /// Replaces files of an earlier demo, which demo.json in the folder lists, and no others.
 #[derive(clap::Args)]
 pub struct Args {
     /// Folder for the results
-    #[arg(long, value_name = "DIR", default_value = "octobayes-demo")]
-    out: PathBuf,
+    #[arg(short, long, value_name = "DIR", default_value = "octobayes-demo")]
+    output: PathBuf,
 
-    /// Built-in scene to use instead of the trained model, or `list` for all names; `scene:NAME` is a model for
-    /// the other verbs too
+    /// Built-in scene to use instead of the trained model: courtyard, ball, slab, wall, floater, city or city-SEED;
+    /// `scene:NAME` is a model for the other verbs too
     #[arg(long, value_name = "NAME")]
     scene: Option<String>,
 
-    /// Finest level, 4 to 9 [default: 7; a hard scene has its own]
-    #[arg(long, value_parser = clap::value_parser!(u8).range(4..=9))]
-    level: Option<u8>,
+    /// Finest level, 4 to 9
+    #[arg(long, default_value_t = 7, value_parser = clap::value_parser!(u8).range(4..=9))]
+    level: u8,
 
     /// Rays
     #[arg(long, default_value_t = 200_000, value_parser = count::<u64>(1000..=MOST))]
@@ -80,19 +82,16 @@ pub struct Args {
 impl Args {
     /// Runs the verb.
     pub fn run(self, bars: &Bars) -> Result<()> {
-        if self.scene.as_deref() == Some("list") {
-            return say!("{}", scene::list());
-        }
-        if self.out.to_str().is_none() {
-            return Err(Error::setting("--out", UTF_8, self.out.display().to_string()));
+        if self.output.to_str().is_none() {
+            return Err(Error::setting("--output", UTF_8, self.output.display().to_string()));
         }
         let named = self.scene.as_deref().map(scene::subject).transpose()?;
-        std::fs::create_dir_all(&self.out).map_err(Error::io(&self.out, "cannot create the folder"))?;
+        std::fs::create_dir_all(&self.output).map_err(Error::io(&self.output, "cannot create the folder"))?;
         let model = self.scene.is_none().then_some(MODEL);
         let results = ["view.html", "demo.png", "field.oct", "dense.oct", "transforms.json"].into_iter().chain(model);
-        let files = results.clone().chain([LIST]).map(|name| self.out.join(name));
-        CommandFiles::default().outputs("a file in --out", files).check()?;
-        let made = Made::claim(&self.out, results)?;
+        let files = results.clone().chain([LIST]).map(|name| self.output.join(name));
+        CommandFiles::default().outputs("a file in --output", files).check()?;
+        let made = Made::claim(&self.output, results)?;
         self.results(named, bars).map_err(|error| made.after(error))?;
         made.finish()?;
         self.suggest()
@@ -105,9 +104,6 @@ impl Args {
             None => self.trained(bars)?,
         };
         say!("scene: {}, seen by {} cameras", subject.field.describe(), subject.cameras.len())?;
-        if let Some(about) = subject.about() {
-            say!("{about}")?;
-        }
 
         let fields = self.both_fields(&subject, bars)?;
         let [octree, dense] = &fields;
@@ -115,9 +111,6 @@ impl Args {
         let comparison = compare(octree, dense, 200_000, 0)?;
         say!("protocol\n{}\n  threads      {}", report::protocol(octree), rayon::current_num_threads())?;
         say!("{}", report::comparison(&comparison))?;
-        if let Some(outcome) = subject.outcome(octree) {
-            say!("{outcome}")?;
-        }
 
         let shown = Shown::new(&subject, octree, bars)?;
         self.clean(&subject, octree, shown, bars)?;
@@ -125,9 +118,9 @@ impl Args {
         self.viewer(&subject, octree, shown, bars)?;
         let checksum = crate::open::checksum(&self.model_name(), None)?;
         for (field, name) in [(octree, "field.oct"), (dense, "dense.oct")] {
-            field.clone().for_queries().with_model(checksum).write(&self.out.join(name))?;
+            field.clone().for_queries().with_model(checksum).write(&self.output.join(name))?;
         }
-        write_transforms(&self.out.join("transforms.json"), &subject.cameras)
+        write_transforms(&self.output.join("transforms.json"), &subject.cameras)
     }
 
     /// Trains the model and writes its file.
@@ -138,21 +131,21 @@ impl Args {
         if let Some(Quality { psnr, views, .. }) = model.held_out {
             say!("  {psnr:.1} dB on {views} held-out pictures of the seen side; no camera saw the other one")?;
         }
-        model.field.write(&self.out.join(MODEL))?;
+        model.field.write(&self.output.join(MODEL))?;
         Ok(DemoScene::trained(model))
     }
 
     /// The model as other verbs call it.
     fn model_name(&self) -> String {
         match &self.scene {
-            None => self.out.join(MODEL).to_string_lossy().into_owned(),
+            None => self.output.join(MODEL).to_string_lossy().into_owned(),
             Some(scene) => format!("scene:{scene}"),
         }
     }
 
     /// Prints what was written, and what to try with it.
     fn suggest(&self) -> Result<()> {
-        let out = self.out.display();
+        let out = self.output.display();
         let model = self.model_name();
         let file = if self.scene.is_none() { format!(", {MODEL}") } else { String::new() };
         say!(
@@ -161,7 +154,7 @@ impl Args {
         )?;
         say!("now try, for example")?;
         say!("  octobayes info {out}/field.oct")?;
-        // The trained model knows its cameras.
+        // The trained model stores its cameras.
         let cameras = self.scene.as_ref().map_or(String::new(), |_| format!(" --cameras {out}/transforms.json"));
         say!("  octobayes uncertainty {model}{cameras} --level 6 --rays 50000 -o {out}/again.oct")?;
         say!("  octobayes render {model} {out}/again.oct{cameras} --frame 0 -o {out}/view.png")
@@ -169,10 +162,10 @@ impl Args {
 
     /// The octree and the dense field from the same samples. Prints a table of what they cost.
     fn both_fields(&self, subject: &DemoScene, bars: &dyn Monitor) -> Result<[UncertaintyField; 2]> {
-        let (scene, level) = (subject.field.as_ref(), self.level.unwrap_or(subject.level));
+        let (scene, level) = (subject.field.as_ref(), self.level);
         let cameras = subject.poses();
         let kinds = [GridKind::Octree, GridKind::Dense];
-        let grids = kinds.map(|grid| GridSettings { grid, level, surface_points: 200_000, ..GridSettings::default() });
+        let grids = kinds.map(|grid| GridSettings { grid, level, ..GridSettings::default() });
         let rays = RaySettings::default().rays(self.rays).gradient(GradientMethod::Auto);
         let start = Instant::now();
         let estimation =
@@ -229,7 +222,7 @@ impl Args {
             range: [shown.low, field.prior().log10()],
             title: &format!("the demo's {}", self.scene.as_deref().unwrap_or("courtyard")),
         };
-        write_view(&self.out.join("view.html"), &view, CELLS, SIZE, bars).map(|_| ())
+        write_view(&self.output.join("view.html"), &view, CELLS, SIZE, bars).map(|_| ())
     }
 
     /// Writes pictures of the scene from two sides: the truth or the depth, the model, log10 U, the model cleaned.
@@ -269,7 +262,8 @@ impl Args {
                 Ok(row)
             })
             .collect::<Result<_>>()?;
-        write_sheet(&self.out.join("demo.png"), &rows)
+        let path = self.output.join("demo.png");
+        if truth.is_some() { write_noted_sheet(&path, &rows, HOLLOW) } else { write_sheet(&path, &rows) }
     }
 }
 

@@ -1,16 +1,13 @@
-//! What the demo shows: a model trained on the courtyard, a built-in scene itself, or one of the zoo.
+//! What the demo shows: a model trained on the courtyard, or a built-in scene itself.
 
 use std::f64::consts::PI;
 
 use glam::{DVec3, Vec3};
 
 use super::model::DemoModel;
-use crate::cli::report;
 use crate::field::closed_form::{Primitive, Shape, Texture};
 use crate::field::{ClosedForm, Intrinsics, RadianceField};
 use crate::geometry::{Aabb, Camera};
-use crate::uncertainty::UncertaintyField;
-use crate::zoo::{self, HardScene};
 use crate::{Error, Result};
 
 /// Cameras of the courtyard, all on one side.
@@ -22,33 +19,24 @@ const DISTANCE: f64 = 2.8;
 /// The point that they look at.
 const TARGET: DVec3 = DVec3::new(0.0, 0.0, -0.25);
 /// The point at which pictures of the trained model look, and their angle of view, radians. The scene just fits.
-const PICTURED: (DVec3, f64) = (DVec3::new(0.0, 0.0, -0.5), 0.7);
+const PICTURED: (DVec3, f64) = (DVec3::new(0.0, 0.0, -0.75), 0.68);
 /// Half the width of a surface of the courtyard, scene units.
 const SOFTNESS: f32 = 0.016;
 /// Distance from true matter within which matter of the model counts as true, scene units: the width of a surface.
 /// At level 7 these are two cells.
 pub const TOLERANCE: f32 = 2.0 * SOFTNESS;
-/// Finest level, unless a hard scene has its own.
-const LEVEL: u8 = 7;
-/// Cameras with a smaller angle of view than this, radians, are close-ups. Pictures from anywhere else would show
-/// nothing.
-const CLOSE_UP: f64 = 0.2;
 /// Width and height of a picture, pixels.
-const PICTURE: [u32; 2] = [360, 360];
+const PICTURE: [u32; 2] = [400, 330];
 
 /// A scene with its cameras, and how to show it.
 pub struct DemoScene {
     pub field: Box<dyn RadianceField>,
     /// Name of each camera's picture, and the camera.
     pub cameras: Vec<(String, Camera)>,
-    /// Finest level, unless the user names one.
-    pub level: u8,
     /// Name of the model in the protocol.
     pub source: String,
     /// What the model was trained on, if it was.
     pub truth: Option<Truth>,
-    /// The scene of the zoo with its expectations, if it is one.
-    pub hard: Option<HardScene>,
 }
 
 /// The scene that a model was trained on, and cameras to compare the model with it.
@@ -61,7 +49,7 @@ pub struct Truth {
 }
 
 impl Truth {
-    /// `cameras` are those of the scene, of which `held_out` were not trained on.
+    /// `cameras` are those of the scene; the `held_out` ones among them were not trained on.
     pub fn new(scene: ClosedForm, cameras: &[Camera], held_out: Vec<Camera>) -> Self {
         Self { scene, held_out, behind: cameras.iter().map(mirrored).collect() }
     }
@@ -114,22 +102,11 @@ pub fn courtyard(resolution: u32) -> (ClosedForm, Vec<Camera>) {
 
 impl DemoScene {
     /// The scene of that name.
-    ///
-    /// # Errors
-    /// If there is none.
     pub fn named(name: &str) -> Result<Self> {
-        let hard = zoo::by_name(name).ok();
-        let (field, cameras): (Box<dyn RadianceField>, _) = match &hard {
-            Some(scene) => (Box::new(scene.field.clone()), scene.cameras()),
-            None => {
-                let field = ClosedForm::named(name)?;
-                let cameras = field.cameras(&Intrinsics::default())?.unwrap_or_default();
-                (Box::new(field), cameras)
-            }
-        };
-        let level = hard.as_ref().map_or(LEVEL, |scene| scene.level);
+        let field = ClosedForm::named(name)?;
+        let cameras = field.cameras(&Intrinsics::default())?.unwrap_or_default();
         let cameras = cameras.into_iter().enumerate().map(|(i, camera)| (format!("train/r_{i}"), camera)).collect();
-        Ok(Self { field, cameras, level, source: format!("scene:{name}"), truth: None, hard })
+        Ok(Self { field: Box::new(field), cameras, source: format!("scene:{name}"), truth: None })
     }
 
     /// The model trained on pictures of the courtyard.
@@ -137,7 +114,7 @@ impl DemoScene {
         let DemoModel { field, truth, .. } = model;
         let cameras = field.training_cameras().iter().map(|named| (named.name.clone(), named.camera)).collect();
         let (source, field) = (field.describe(), Box::new(field));
-        Self { field, cameras, level: LEVEL, source, truth: Some(truth), hard: None }
+        Self { field, cameras, source, truth: Some(truth) }
     }
 
     /// The cameras without their names.
@@ -145,45 +122,17 @@ impl DemoScene {
         self.cameras.iter().map(|named| named.1).collect()
     }
 
-    /// Two views. The trained model is shown by a camera that was held out, and from behind; a close-up by two of its
-    /// cameras. Other scenes are shown from x > 0, the side of the courtyard's cameras, and from x < 0.
+    /// Two views. The trained model is shown by a camera that was held out, and from behind. Other scenes are shown
+    /// from x > 0, the side of the courtyard's cameras, and from x < 0.
     pub fn views(&self) -> [(&'static str, Camera); 2] {
-        let first = &self.cameras[0].1;
-        let angle = 2.0 * (0.5 * f64::from(first.resolution[0]) / first.focal[0]).atan();
         if let Some(truth) = &self.truth {
             let seen = truth.held_out[truth.held_out.len() / 2];
             let seen = Camera::look_at(seen.position, PICTURED.0, DVec3::Z, PICTURED.1, PICTURE);
             [("seen side", seen), ("from behind", mirrored(&seen))]
-        } else if angle < CLOSE_UP {
-            let [one, other] = [0, self.cameras.len() / 2].map(|i| self.cameras[i].1.resized(PICTURE));
-            [("one side", one), ("other side", other)]
         } else {
             let [one, other] = [1.0, -1.0].map(|side| outside(&self.field.bounds(), side));
             [("side x > 0", one), ("side x < 0", other)]
         }
-    }
-
-    /// What is hard about the scene, if anything is.
-    pub fn about(&self) -> Option<String> {
-        let scene = self.hard.as_ref()?;
-        Some(format!("expected: {}\nverdict:  {}", scene.about, scene.verdict.words()))
-    }
-
-    /// What to expect of a hard scene, beside what was measured.
-    pub fn outcome(&self, field: &UncertaintyField) -> Option<String> {
-        let scene = self.hard.as_ref()?;
-        let line = |claim: &zoo::Claim| {
-            let (found, range) = (claim.quantity.read(field), &claim.range);
-            let judged = if range.contains(&found) { "as expected" } else { "NOT as expected" };
-            let [low, high, found] = [*range.start(), *range.end(), found].map(report::short);
-            format!(
-                "  {}: {}: {low} to {high} expected, {found} measured: {judged}",
-                claim.words,
-                claim.quantity.words()
-            )
-        };
-        let lines: Vec<String> = scene.claims.iter().map(line).collect();
-        Some(format!("expected at level {}, with 2000 rays or more\n{}", scene.level, lines.join("\n")))
     }
 }
 
@@ -193,18 +142,8 @@ fn outside(bounds: &Aabb, side: f64) -> Camera {
     Camera::look_at(center + half * DVec3::new(3.4 * side, 1.1, 1.5), center, DVec3::Z, 0.8, PICTURE)
 }
 
-/// All names, and what to expect of the hard scenes.
-pub fn list() -> String {
-    let built_in = ClosedForm::NAMES.join(", ");
-    let line = |scene: HardScene| format!("  {:<20} {}: {}", scene.name, scene.verdict.words(), scene.about);
-    let hard: Vec<String> = zoo::all().into_iter().map(line).collect();
-    format!("built-in: {built_in}, city-SEED\nhard, each in one way:\n{}", hard.join("\n"))
-}
-
 /// As [`DemoScene::named`], with an error that names `--scene`.
 pub fn subject(name: &str) -> Result<DemoScene> {
-    DemoScene::named(name).map_err(|_| {
-        let expected = format!("{}, city-SEED, or one that `--scene list` lists", ClosedForm::NAMES.join(", "));
-        Error::setting("--scene", expected, name)
-    })
+    DemoScene::named(name)
+        .map_err(|_| Error::setting("--scene", format!("{} or city-SEED", ClosedForm::NAMES.join(", ")), name))
 }

@@ -23,7 +23,7 @@ fn a_clean_up_removes_what_is_made_up_and_keeps_what_is_seen() {
     let source = "made up".to_owned();
     let named: Vec<(String, Camera)> = cameras.iter().map(|c| (String::new(), *c)).collect();
     let field = Box::new(model.clone());
-    let subject = DemoScene { field, cameras: named, level: 6, source, truth: None, hard: None };
+    let subject = DemoScene { field, cameras: named, source, truth: None };
     let rays = RaySettings::default().rays(60_000).gradient(GradientMethod::Auto).occupancy(64);
     let grid = GridSettings::default().level(6);
     let outcome = Estimation::new(&model, &cameras).rays(rays).grid(grid).run().unwrap();
@@ -52,12 +52,12 @@ fn a_clean_up_removes_what_is_made_up_and_keeps_what_is_seen() {
 }
 
 #[test]
-#[ignore = "trains the demo's model: about 45 s of processor time"]
+#[ignore = "slow: trains the demo's model"]
 fn the_demo_is_what_it_promises() {
     let model = model::train(0, &Silent).unwrap();
     let psnr = model.held_out.as_ref().unwrap().psnr;
     let subject = DemoScene::trained(model);
-    let args = Args { out: PathBuf::new(), scene: None, level: None, rays: 200_000 };
+    let args = Args { output: PathBuf::new(), scene: None, level: 7, rays: 200_000 };
     let [octree, dense] = args.both_fields(&subject, &Silent).unwrap();
     let vertices = octree.deviations().len() as f64 / dense.deviations().len() as f64;
     let Shown { threshold, .. } = Shown::new(&subject, &octree, &Silent).unwrap();

@@ -1,42 +1,10 @@
-//! The results of an evaluation: human-readable, as JSON, as CSV, and as a plot.
-
-use std::path::Path;
-
-use serde_json::json;
+//! What is printed of an evaluation.
 
 use super::Args;
-use crate::cli::report;
-use crate::dataset::DepthReadings;
-use crate::evaluate::{CleanUp, DepthError, EvaluatedView, Evaluator, Measure, Reading, Score};
-use crate::io::{AtomicFile, cell};
-use crate::metrics::{Calibration, Detection, ErrorKind, STEPS, Sparsification};
-use crate::picture::{Curve, Plot, stage_plots};
-use crate::{Error, Result};
-
-/// The results of an evaluation.
-pub struct Evaluation<'a> {
-    pub args: &'a Args,
-    pub evaluator: &'a Evaluator<'a>,
-    pub measures: Vec<Measure>,
-    pub views: &'a [EvaluatedView],
-    /// Where the depth maps come from.
-    pub source: &'a Path,
-    /// What they hold; `None` without true depth.
-    pub readings: Option<DepthReadings>,
-    /// A score per measure, and the error of depth; `None` without true depth.
-    pub ranked: Option<(Vec<Score>, DepthError)>,
-    /// One per measure with true depth; `None` for measures that are no deviations of depth.
-    pub calibrations: Vec<Option<Calibration>>,
-    /// One per measure; `None` unless it is known what was never seen.
-    pub detections: Vec<Option<Detection>>,
-    /// Empty unless asked for.
-    pub cleaned: Vec<CleanUp>,
-}
-
-/// The name of an error kind in files.
-fn kind_name(kind: ErrorKind) -> String {
-    format!("{kind:?}").to_lowercase()
-}
+use crate::Result;
+use crate::dataset::DepthKind;
+use crate::evaluate::{CleanUp, DepthError, Interval, Report, Score, Scored};
+use crate::metrics::{Detection, PROBABILITIES};
 
 /// JSON without control characters. Those that JSON lets stand in a name are obeyed by some terminals.
 fn escaped(json: &serde_json::Value) -> String {
@@ -44,226 +12,92 @@ fn escaped(json: &serde_json::Value) -> String {
     json.to_string().chars().map(escape).collect()
 }
 
-/// Which pixels are used, in words.
-fn every_pixel(stride: u32) -> String {
-    let ending = match (stride % 10, stride % 100) {
-        _ if stride == 1 => return "every pixel".into(),
-        (_, 11..=13) => "th",
-        (1, _) => "st",
-        (2, _) => "nd",
-        (3, _) => "rd",
-        _ => "th",
-    };
-    format!("every {stride}{ending} pixel along x and y")
-}
-
-impl<'a> Evaluation<'a> {
-    pub(super) fn named(&self) -> impl Iterator<Item = (Measure, String, &Score)> {
-        self.measures.iter().zip(self.scores()).map(|(&measure, score)| (measure, self.evaluator.name(measure), score))
-    }
-
-    fn scores(&self) -> &[Score] {
-        self.ranked.as_ref().map_or(&[], |ranked| &ranked.0)
-    }
-
-    fn depth(&self) -> Option<&DepthError> {
-        self.ranked.as_ref().map(|ranked| &ranked.1)
-    }
-
-    pub(super) fn psnr(&self) -> f64 {
-        self.views.iter().map(|v| v.psnr).sum::<f64>() / self.views.len() as f64
-    }
-
-    pub(super) fn empty(&self) -> usize {
-        self.views.iter().map(|v| v.empty).sum()
-    }
-
-    /// Draws how errors are ranked and, if there are deviations of depth, how reliable these are, in a file to be
-    /// committed.
-    pub fn plot(&self, path: &Path) -> Result<AtomicFile> {
-        let plots: Vec<Plot> = [self.sparsification()].into_iter().chain(self.reliability()).collect();
-        stage_plots(path, &plots)
-    }
-
-    /// The curves of mean absolute error, in scene units.
-    fn sparsification(&self) -> Plot {
-        let points = |s: &Sparsification, values: &[f64]| {
-            s.removed.iter().zip(values).map(|(&r, &v)| (r, v * s.largest)).collect()
-        };
-        let mut curves: Vec<Curve> = self
-            .named()
-            .map(|(_, name, score)| Curve {
-                name: format!("{name} (AUSE {:.3})", score.pooled[0].area),
-                points: points(&score.pooled[0], &score.pooled[0].by_uncertainty),
-                reference: false,
-            })
-            .collect();
-        if let Some(score) = self.scores().first() {
-            let oracle = points(&score.pooled[0], &score.pooled[0].by_error);
-            curves.push(Curve { name: "oracle: largest errors removed first".into(), points: oracle, reference: true });
-        }
-        let axes = ["removed share of pixels", "mean absolute depth error"];
-        Plot { title: "Mean depth error left, scene units", axes, curves }
-    }
-
-    /// The shares of errors within the intervals that should hold them; `None` without deviations from a field.
-    fn reliability(&self) -> Option<Plot> {
-        let is_of_field =
-            |(measure, ..): (Measure, String, &Calibration)| matches!(measure, Measure::DepthDeviation(_));
-        self.calibrated().any(is_of_field).then(|| {
-            let points = |curve: &[[f64; 2]]| curve.iter().map(|&[p, found]| (p, found)).collect();
-            let mut curves: Vec<Curve> = self
-                .calibrated()
-                .map(|(_, name, c)| Curve {
-                    name: format!("{name} (AUCE {:.3})", c.predictive().auce),
-                    points: points(&c.predictive().reliability),
-                    reference: false,
-                })
-                .collect();
-            let diagonal = vec![(0.0, 0.0), (1.0, 1.0)];
-            curves.push(Curve { name: "what it should be".into(), points: diagonal, reference: true });
-            let axes = ["share of errors that the interval should hold", "share that it holds"];
-            Plot { title: "Reliability of the deviation of depth", axes, curves }
-        })
-    }
-
-    /// The measures that are deviations of depth.
-    pub(super) fn calibrated(&self) -> impl Iterator<Item = (Measure, String, &Calibration)> {
-        let all = self.measures.iter().zip(&self.calibrations);
-        all.filter_map(|(&measure, found)| {
-            let name = match measure {
-                Measure::Baseline(_) => "deviation of the ray's weights".into(),
-                _ => self.evaluator.name(measure),
-            };
-            Some((measure, name, found.as_ref()?))
-        })
-    }
-
-    /// Writes one row per error kind and removed share, with values in scene units, in a file to be committed.
-    pub fn csv(&self, path: &Path) -> Result<AtomicFile> {
-        let mut file = AtomicFile::create(path)?;
-        let mut write = || -> csv::Result<()> {
-            let mut csv = csv::Writer::from_writer(&mut file);
-            let names: Vec<String> = self.named().map(|(_, name, _)| cell(name)).collect();
-            csv.write_record(["error", "removed", "oracle"].into_iter().chain(names.iter().map(|n| &**n)))?;
-            for (e, &kind) in ErrorKind::ALL.iter().enumerate() {
-                for k in 0..STEPS {
-                    let value = |s: &Sparsification, values: &[f64]| (values[k] * s.largest).to_string();
-                    let first = &self.scores()[0].pooled[e];
-                    let head = [kind_name(kind), first.removed[k].to_string(), value(first, &first.by_error)];
-                    let of = |s: &Score| value(&s.pooled[e], &s.pooled[e].by_uncertainty);
-                    csv.write_record(head.into_iter().chain(self.scores().iter().map(of)))?;
-                }
-            }
-            csv.flush()?;
-            Ok(())
-        };
-        write().map_err(|e| Error::io(path, "cannot write")(e.into()))?;
-        Ok(file)
-    }
-
-    fn json(&self) -> serde_json::Value {
-        let by_kind = |values: &dyn Fn(usize) -> f64| -> serde_json::Value {
-            ErrorKind::ALL.iter().enumerate().map(|(e, &kind)| (kind_name(kind), json!(values(e)))).collect()
-        };
-        let (mut readings, mut baselines) = (Vec::new(), Vec::new());
-        for (m, (measure, name, score)) in self.named().enumerate() {
-            let mut entry = json!({
-                "name": name,
-                "ause_pooled": by_kind(&|e| score.pooled[e].area),
-                "ause_mean_over_views": by_kind(&|e| score.per_view_mean[e]),
-                "risk": by_kind(&|e| score.pooled[e].risk()),
-                "least_risk": by_kind(&|e| score.pooled[e].least_risk()),
-                "rank_correlation": score.rank_correlation,
-                "rank_correlation_mean_over_views": score.rank_correlation_per_view,
-            });
-            if let Some(calibration) = &self.calibrations[m] {
-                entry["calibration"] = json!(calibration);
-            }
-            if let Some(detection) = &self.detections[m] {
-                entry["never_seen"] = json!(detection);
-            }
-            match measure {
-                Measure::DepthDeviation(r) => {
-                    entry["field"] = report::protocol_json(&self.evaluator.readings[r].field);
-                    readings.push(entry);
-                }
-                Measure::Reading(r, average) => {
-                    entry["ray_average"] = json!(average);
-                    entry["field"] = report::protocol_json(&self.evaluator.readings[r].field);
-                    readings.push(entry);
-                }
-                Measure::Baseline(_) => baselines.push(entry),
-            }
-        }
-        let args = self.args;
-        let views = self.views.iter().map(|v| json!({ "name": v.name, "psnr": v.psnr, "pixels": v.pixels.len() }));
-        json!({
-            "model": args.model.model, "cameras": args.cameras.cameras,
-            "depth": self.ranked.as_ref().map(|_| self.source),
-            "training_depth": args.training_depth, "ensemble": args.ensemble,
-            "depth_kind": if args.maps.z_depth { "z" } else { "euclidean" }, "stride": args.stride,
-            "mask": "alpha 255 and known depth", "alignment": "none",
-            "background": args.model.rays.background.to_array(),
-            "views": views.collect::<Vec<_>>(),
-            "pixels": self.depth().map_or(0, |depth| depth.pixels), "pixels_without_depth": self.empty(),
-            "depth_readings": self.readings, "psnr": self.psnr(),
-            "depth_error": self.depth().map(|depth| json!({
-                "median": depth.median, "mean": depth.mean, "percentile_95": depth.percentile_95,
-            })),
-            "readings": readings,
-            "baselines": baselines,
-            "conformal": self.conformal().map(|(reading, share)| json!({
-                "name": reading.name, "interval": reading.field.conformal(), "share_inside": share,
-            })).collect::<Vec<_>>(),
-            "clean_up": self.cleaned,
-        })
-    }
-
-    pub fn print(&self) -> Result<()> {
-        let args = self.args;
-        if args.json {
-            return say!("{}", escaped(&self.json()));
-        }
-        for reading in self.evaluator.readings.iter().filter(|_| args.verbose) {
-            say!("{}\n{}", reading.name, report::protocol(&reading.field))?;
+impl Args {
+    /// Prints a report. `first` is the name of the first reading.
+    pub(super) fn print(&self, report: &Report, first: &str) -> Result<()> {
+        if self.json {
+            return say!("{}", escaped(&serde_json::json!(report)));
         }
         say!("protocol of the evaluation")?;
-        let (n, cameras) = (self.views.len(), args.cameras.cameras.display());
-        say!("  views        {n} of {cameras}, {}", every_pixel(args.stride))?;
-        if let Some(depth) = self.depth() {
-            self.print_ranking(depth)?;
-        } else {
-            say!("PSNR {:.2} dB (mean over views)", self.psnr())?;
+        let (n, cameras, stride) = (report.views.len(), &report.cameras, report.stride);
+        let pixels = if stride == 1 { "every pixel".into() } else { format!("1 pixel in {stride} along x and y") };
+        say!("  views        {n} of {cameras}, {pixels}")?;
+        match &report.depth_error {
+            Some(depth) => self.print_ranking(report, depth)?,
+            None => say!("PSNR {:.2} dB (mean over views)", report.psnr)?,
         }
-        self.print_clean_up()
+        self.print_interval(report)?;
+        self.print_clean_up(report, first)
     }
 
-    /// The readings with a calibrated interval, and the share of errors that it holds here.
-    pub(super) fn conformal(&self) -> impl Iterator<Item = (&Reading, f64)> {
-        self.measures.iter().enumerate().filter_map(|(m, measure)| {
-            let Measure::DepthDeviation(r) = *measure else { return None };
-            let reading = &self.evaluator.readings[r];
-            let factor = reading.field.conformal()?.factor;
-            let of_view = |view: &'a EvaluatedView| view.absolute_error.iter().zip(&view.measures[m]);
-            let pixels: Vec<bool> = self.views.iter().flat_map(of_view).map(|(e, s)| *e <= factor * s).collect();
-            Some((reading, pixels.iter().filter(|inside| **inside).count() as f64 / pixels.len() as f64))
-        })
+    fn print_ranking(&self, report: &Report, depth: &DepthError) -> Result<()> {
+        let kind = if report.depth_kind == DepthKind::Z { "along the viewing axis" } else { "Euclidean" };
+        let folder = report.depth.as_deref().unwrap_or_default();
+        say!("  depth        median of the ray's weights, against {kind} depth of {folder}")?;
+        let empty = report.pixels_without_depth;
+        say!("  mask         alpha 255 and known depth; {empty} pixels left out where the field shows nothing")?;
+        say!("  alignment    none")?;
+        let mut averages: Vec<&str> = Vec::new();
+        for average in report.readings.iter().filter_map(|scored| scored.ray_average) {
+            if !averages.contains(&average.name()) {
+                averages.push(average.name());
+            }
+        }
+        say!("  U per pixel  log10 U averaged `{}`", averages.join("`, `"))?;
+        say!("  AUSE         100 steps, both curves over their common maximum, trapezoid; 0 is a perfect order")?;
+        say!("  risk         mean over 100 steps of the error left")?;
+        say!("PSNR {:.2} dB (mean over views)", report.psnr)?;
+        let DepthError { pixels, median, mean, percentile_95 } = depth;
+        say!(
+            "depth error over {pixels} pixels: median {median:.4}, mean {mean:.4}, 95 % {percentile_95:.4} scene units"
+        )?;
+        let width = report.scored().map(|scored| scored.name.chars().count()).max().unwrap_or(0).max(32);
+        say!("  {:<width$} AUSE, all pixels | mean over views  | risk, scene units  | rank correlation", "")?;
+        say!("{}", row(width, "", ["mae", "rmse", "mae", "rmse", "mae", "rmse", "all", "views"].map(String::from)))?;
+        if let Some(Scored { score: Score { least_risk, .. }, .. }) = report.scored().next() {
+            let mut least: [String; 8] = Default::default();
+            [least[4], least[5]] = [least_risk.mae, least_risk.rmse].map(|risk| format!("{risk:.5}"));
+            say!("{}", row(width, "the least possible", least))?;
+        }
+        for (i, Scored { name, score, .. }) in report.scored().enumerate() {
+            if i > 0 && i == report.readings.len() {
+                say!("  without a Hessian:")?;
+            }
+            let Score { ause_pooled: all, ause_mean_over_views: mean, risk, .. } = score;
+            let [a, b, c, d] = [all.mae, all.rmse, mean.mae, mean.rmse].map(|area| format!("{area:.4}"));
+            let [e, f] = [risk.mae, risk.rmse].map(|risk| format!("{risk:.5}"));
+            let ranks = [score.rank_correlation, score.rank_correlation_mean_over_views];
+            let [g, h] = ranks.map(|rank| format!("{rank:.3}"));
+            say!("{}", row(width, name, [a, b, c, d, e, f, g, h]))?;
+        }
+        print_detection(report, width)?;
+        print_calibration(report, width)
     }
 
-    fn print_clean_up(&self) -> Result<()> {
-        let (Some(path), Some(reading)) = (&self.args.clean_up, self.evaluator.readings.first()) else { return Ok(()) };
-        say!("clean-up by {}, pictures in {}", reading.name, path.display())?;
+    fn print_interval(&self, report: &Report) -> Result<()> {
+        let (Some(path), Some(interval)) = (&self.calibrate, &report.calibrated) else { return Ok(()) };
+        let Interval { conformal, predicted, left_out } = interval;
+        say!("calibrated on these views: {}", path.display())?;
+        say!("  {conformal}")?;
+        say!("  without calibration, as Student's t with five degrees of freedom: {predicted:.3} deviations")?;
+        let [least, middle, most] = left_out.map(|share| 100.0 * share);
+        if conformal.views > 1 {
+            say!(
+                "  a view, calibrated on the others: {least:.1} to {most:.1} % lie within, {middle:.1} % in the middle"
+            )?;
+        }
+        Ok(())
+    }
+
+    fn print_clean_up(&self, report: &Report, first: &str) -> Result<()> {
+        let Some(path) = &self.clean_up else { return Ok(()) };
+        say!("clean-up by {first}, pictures in {}", path.display())?;
         say!("  log10 U at most   surfaces kept    PSNR, dB   where shown      SSIM   SSIMULACRA 2   coverage")?;
-        let best = CleanUp::best(&self.cleaned);
-        for c in &self.cleaned {
+        let best = CleanUp::best(&report.clean_up).and_then(|best| best.threshold);
+        for c in &report.clean_up {
             let log10 = c.log10.map_or("as it is".into(), |u| format!("{u:.2}"));
             let surfaces = c.surfaces.map_or(String::new(), |share| format!("{:.1} %", 100.0 * share));
-            let mark = if c.threshold.is_some() && best.is_some_and(|best| best.threshold == c.threshold) {
-                "   best PSNR"
-            } else {
-                ""
-            };
+            let mark = if c.threshold.is_some() && c.threshold == best { "   best PSNR" } else { "" };
             say!(
                 "  {log10:>15} {surfaces:>15} {:>11.2} {:>13.2} {:>9.4} {:>14.1} {:>10.3}{mark}",
                 c.psnr,
@@ -277,16 +111,54 @@ impl<'a> Evaluation<'a> {
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
+/// A row of the ranking.
+fn row(width: usize, name: &str, cells: [String; 8]) -> String {
+    let [a, b, c, d, e, f, g, h] = cells;
+    format!("  {name:<width$} {a:>8} {b:>7} | {c:>8} {d:>7} | {e:>8} {f:>9} | {g:>8} {h:>7}")
+}
 
-    #[test]
-    fn strides_are_counted_as_people_do() {
-        let said = [1, 2, 3, 4, 11, 12, 21, 112].map(every_pixel);
-        assert_eq!(said[0], "every pixel");
-        for (text, number) in said[1..].iter().zip(["2nd", "3rd", "4th", "11th", "12th", "21st", "112th"]) {
-            assert_eq!(text, &format!("every {number} pixel along x and y"));
+/// Only if it is known which pixels show what no training view saw.
+fn print_detection(report: &Report, width: usize) -> Result<()> {
+    let Some(unseen) = report.never_seen else { return Ok(()) };
+    let share = 100.0 * unseen.share;
+    let head = format!("never seen by {} training views: {share:.1} % of the pixels", unseen.training_views);
+    if unseen.share == 0.0 || unseen.share == 1.0 {
+        return say!("{head}; there is nothing to detect");
+    }
+    say!("{head:<width$}    AUROC    AUPR (chance: 0.5, {:.3})", unseen.share, width = width + 2)?;
+    for Scored { name, never_seen, .. } in report.scored() {
+        if let Some(Detection { auroc, aupr, .. }) = never_seen {
+            say!("  {name:<width$} {auroc:>8.3} {aupr:>7.3}")?;
         }
     }
+    Ok(())
+}
+
+/// Only if a field gives deviations in scene units: the ray's weights alone are there to be compared with.
+fn print_calibration(report: &Report, width: usize) -> Result<()> {
+    if report.readings.iter().all(|scored| scored.calibration.is_none()) {
+        return Ok(());
+    }
+    let nominal = PROBABILITIES.map(|p| format!("{:>6.0} %", 100.0 * p)).concat();
+    say!(
+        "{:<width$}{nominal}    AUCE   mean e/s   NLL, nats: Gauss  Laplace  Student   (with the best scale)",
+        "errors of depth within",
+        width = width + 2
+    )?;
+    for (name, c) in report.calibrated_measures() {
+        let held = c.predictive().coverage.map(|[_, found]| format!("{:>6.1} %", 100.0 * found)).concat();
+        let [gauss, laplace, student] = c.densities.each_ref().map(|of| of.nll);
+        let [g, l, s] = c.densities.each_ref().map(|of| of.nll_best_scale);
+        say!(
+            "  {name:<width$}{held} {:>7.3} {:>10.2} {gauss:>18.2} {laplace:>8.2} {student:>8.2}   \
+             ({g:.2}, {l:.2}, {s:.2})",
+            c.predictive().auce,
+            c.mean_ratio
+        )?;
+    }
+    for inside in &report.conformal {
+        let held = &inside.interval;
+        say!("  {}: {held}; here {:.1} % are", inside.name, 100.0 * inside.share_inside)?;
+    }
+    Ok(())
 }

@@ -6,39 +6,33 @@ mod grid;
 mod numbers;
 mod parse;
 mod scale;
-mod threshold;
 
-pub use cameras::{CameraFile, CameraOptions, FrameOptions, warn_of_pixels};
+pub use cameras::{CameraFile, CameraOptions, FrameOptions};
 pub use depth::DepthOptions;
 pub use grid::{DomainOptions, GridOptions, OfficialOptions, check_field_name};
-pub use numbers::{MOST, MOST_KEPT, count, parse_interval, parse_time};
+pub use numbers::{MOST, MOST_KEPT, RayCount, count, parse_time};
 pub use parse::{
-    Resolution, UTF_8, model_name, numbers, parse_background, parse_box, parse_bytes, parse_frames, parse_non_negative,
-    parse_pair, parse_positive, parse_probability, parse_range, parse_resolution, parse_share, parse_views, scaled,
+    Frames, UTF_8, model_name, numbers, parse_background, parse_box, parse_bytes, parse_contraction, parse_frames,
+    parse_pair, parse_positive, parse_probability, parse_range, parse_resolution, parse_share, parse_tile, parse_views,
 };
-pub use scale::TrainingPixels;
-pub use threshold::Threshold;
+pub use scale::ScaleOptions;
 
 use clap::{Args, ValueEnum};
-use glam::Vec3;
 
-use crate::Result;
-use crate::estimate::RaySettings;
-use crate::field::{Coordinates, RadianceField};
-use crate::render::{Occupancy, RayAverage};
+use crate::render::RayAverage;
+use crate::splats::RenderMode;
 
-impl ValueEnum for Coordinates {
-    fn value_variants<'a>() -> &'a [Self] {
-        &Self::ALL
-    }
-
-    fn to_possible_value(&self) -> Option<clap::builder::PossibleValue> {
-        let help = match self {
-            Self::Ngp => "the file's own: the object in [0, 1]^3",
-            Self::Blender => "those of the NeRF-synthetic transforms.json files: 0.33 x + 0.5 with cycled axes",
-        };
-        Some(clap::builder::PossibleValue::new(self.name()).help(help))
-    }
+/// Headings of `--help`, in their order.
+pub mod heading {
+    pub const INPUT: &str = "Input";
+    pub const GRID: &str = "Grid";
+    pub const RAYS: &str = "Rays";
+    pub const TRAINING: &str = "Training";
+    pub const STATISTICS: &str = "Statistics";
+    pub const OUTPUT: &str = "Output";
+    pub const ADVANCED: &str = "Advanced";
+    /// Those of all verbs, which come last.
+    pub const GLOBAL: &str = "Everywhere";
 }
 
 impl ValueEnum for RayAverage {
@@ -64,70 +58,60 @@ impl ValueEnum for RayAverage {
     }
 }
 
-/// A radiance field, and how rays pass through it.
+impl ValueEnum for RenderMode {
+    fn value_variants<'a>() -> &'a [Self] {
+        &[Self::Classic, Self::Mip]
+    }
+
+    fn to_possible_value(&self) -> Option<clap::builder::PossibleValue> {
+        let (name, help) = match self {
+            Self::Classic => ("classic", "as the original code: small splats grow by 0.3 px^2 and keep their opacity"),
+            Self::Mip => ("mip", "as Mip-Splatting: what a splat gains in area it loses in opacity"),
+        };
+        Some(clap::builder::PossibleValue::new(name).help(help))
+    }
+}
+
+/// A trained model.
 #[derive(Args)]
-pub struct ModelOptions {
+pub struct ModelArgument {
     /// The trained model: a `.safetensors` hash grid (of `octobayes train`) or MLP NeRF, a `.ppng` Plenoptic PNG,
-    /// an `.npz` voxel grid (density, color, box), or `scene:NAME` for a built-in scene
+    /// an `.npz` voxel grid (density, color, box), Gaussian splats (`.ply`, `.compressed.ply`, `.spz`, `.splat`), or
+    /// `scene:NAME` for a built-in scene
     #[arg(value_name = "MODEL", value_parser = model_name())]
     pub model: String,
-
-    #[command(flatten)]
-    pub rays: RayOptions,
 }
 
-/// How rays pass through a radiance field.
-#[derive(Args, Clone, Copy)]
-pub struct RayOptions {
-    /// Scene units and axes of a `.ppng` model; fields, cameras and depth must use the same [default: ngp]
-    #[arg(long, value_enum)]
-    pub coordinates: Option<Coordinates>,
+#[cfg(test)]
+mod tests {
+    use std::fmt::Debug;
 
-    /// Colour behind the scene: white, black or r,g,b in [0, 1]. It enters the derivatives through the final
-    /// transmittance of rays, so use what the model was trained with
-    #[arg(long, value_name = "COLOR", default_value = "white", value_parser = parse_background)]
-    pub background: Vec3,
+    use serde::de::DeserializeOwned;
+    use serde_json::json;
 
-    /// Distance between samples along a ray, scene units [default: what the model suggests]
-    #[arg(long, value_name = "LENGTH", value_parser = parse_positive)]
-    pub march_step: Option<f64>,
+    use super::*;
+    use crate::estimate::GridKind;
+    use crate::geometry::Norm;
+    use crate::posterior::{Covariance, Criterion};
+    use crate::render::GradientMethod;
+    use crate::session::ScaleKind;
 
-    /// Where rays pass through a pixel: 0.5 for its centre, 0 for its upper left corner [default: as the model
-    /// was trained]
-    #[arg(long, value_name = "OFFSET", value_parser = parse_share)]
-    pub pixel_offset: Option<f64>,
-
-    /// Cells per axis of the occupancy grid that lets rays skip empty space
-    #[arg(
-        long,
-        value_name = "N",
-        default_value_t = Occupancy::DEFAULT_RESOLUTION as u16,
-        value_parser = clap::value_parser!(u16).range(4..=512),
-    )]
-    pub occupancy: u16,
-}
-
-impl ModelOptions {
-    /// Opens the model.
-    pub fn open(&self) -> Result<Box<dyn RadianceField>> {
-        crate::open::open_in(&self.model, self.rays.coordinates)
-    }
-
-    /// Settings for rendering images.
-    pub fn image_settings(&self) -> RaySettings {
-        self.rays.ray_settings(RaySettings::for_images())
-    }
-}
-
-impl RayOptions {
-    /// `others`, with these options filled in.
-    pub fn ray_settings(&self, others: RaySettings) -> RaySettings {
-        RaySettings {
-            march_step: self.march_step,
-            background: self.background,
-            pixel_offset: self.pixel_offset,
-            occupancy: usize::from(self.occupancy),
-            ..others
+    /// Files and Python read names by serde, the command line by clap.
+    #[test]
+    fn values_have_one_spelling_for_all() {
+        fn check<T: ValueEnum + DeserializeOwned + PartialEq + Debug>(count: usize) {
+            assert_eq!(T::value_variants().len(), count);
+            for value in T::value_variants() {
+                let name = value.to_possible_value().unwrap().get_name().to_string();
+                assert_eq!(&serde_json::from_value::<T>(json!(name)).unwrap(), value);
+            }
         }
+        check::<Covariance>(3);
+        check::<Criterion>(3);
+        check::<GradientMethod>(4);
+        check::<GridKind>(2);
+        check::<Norm>(2);
+        check::<RayAverage>(5);
+        check::<ScaleKind>(2);
     }
 }

@@ -16,6 +16,34 @@ pub fn count<T: TryFrom<u64>>(
     }
 }
 
+/// How many rays a run draws.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum RayCount {
+    /// So many, of chosen pixels.
+    Drawn(u64),
+    /// One through every training pixel.
+    All,
+}
+
+impl RayCount {
+    /// Parses a number of rays, or `all`, for clap.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        match text {
+            "all" => Ok(Self::All),
+            _ => count(1..=MOST)(text).map(Self::Drawn).map_err(|expected| expected + ", or all"),
+        }
+    }
+}
+
+impl std::fmt::Display for RayCount {
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        match self {
+            Self::Drawn(rays) => rays.fmt(f),
+            Self::All => f.write_str("all"),
+        }
+    }
+}
+
 /// What [`count`] takes, in words.
 fn expected_count(range: &impl RangeBounds<u64>) -> String {
     let low = match range.start_bound() {
@@ -68,24 +96,19 @@ fn digits(text: &str) -> Option<String> {
     is_sound.then(|| parts().collect())
 }
 
-/// Most that a command line may ask for of what takes time and not memory, such as rays: sums of so many stay exact.
+/// Largest number in options that cost time and not memory, such as rays: sums of that many stay exact.
 pub const MOST: u64 = 1_000_000_000_000_000;
-/// Most that it may ask for of what is kept in memory, such as points.
+/// Largest number in options that cost memory, such as points.
 pub const MOST_KEPT: u64 = 100_000_000;
 /// Longest time, ten years, far from where clocks overflow.
 const LONGEST: Duration = Duration::from_secs(10 * 365 * 86_400);
 
-/// What [`parse_time`] and [`parse_interval`] take, in words.
+/// What [`parse_time`] takes, in words.
 const TIMES: &str = "such as 90s, 5min, 1.5h or 1h30m; a number alone is seconds";
 
 /// A time above 0.
 pub fn parse_time(text: &str) -> Result<Duration, String> {
     time(text).filter(|time| !time.is_zero()).ok_or_else(|| format!("expected a time above 0, {TIMES}"))
-}
-
-/// A time, which may be 0.
-pub fn parse_interval(text: &str) -> Result<Duration, String> {
-    time(text).ok_or_else(|| format!("expected a time, {TIMES}"))
 }
 
 /// Numbers with units, summed; or one number of seconds.
@@ -190,15 +213,12 @@ mod tests {
         ];
         for (text, seconds) in cases {
             assert_eq!(parse_time(text), Ok(Duration::from_secs_f64(seconds)), "{text}");
-            assert_eq!(parse_time(text), parse_interval(text));
         }
         for text in
             ["", "-1s", "m", "3x", "1h30", "30 1h", "1e30h", "99999999999999999999h", "3651d", "1..2s", "s1", "5 é"]
         {
             assert!(parse_time(text).unwrap_err().contains("1h30m"), "{text}");
-            assert!(parse_interval(text).is_err(), "{text}");
         }
         assert!(parse_time("0").is_err());
-        assert_eq!(parse_interval("0"), Ok(Duration::ZERO));
     }
 }

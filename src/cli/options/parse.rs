@@ -1,12 +1,15 @@
 //! Parsers of option values.
 
+use clap::ValueEnum;
 use clap::builder::{OsStringValueParser, TypedValueParser};
 use glam::{DVec3, Vec3};
 
+use super::numbers::MOST_KEPT;
 use crate::dataset::Selection;
-use crate::geometry::{Aabb, Camera, MAX_PIXELS};
+use crate::geometry::{Aabb, MAX_PIXELS, Norm};
 use crate::octree::Tile;
 use crate::posterior::DataScale;
+use crate::session::Resolution;
 
 /// Largest coordinate, and other number of a list, that a command line may have: f32 positions are 64 apart there.
 const FARTHEST: f64 = 1e9;
@@ -46,6 +49,12 @@ pub fn parse_box(text: &str) -> Result<Aabb, String> {
         return Err(format!("edges must be {SHORTEST:e} or longer"));
     }
     Ok(bounds)
+}
+
+/// `l2:x,y,z,r`, or `linf:x,y,z,r`.
+pub fn parse_contraction(text: &str) -> Result<(Norm, [f64; 4]), String> {
+    let (name, ball) = text.split_once(':').ok_or("expected l2:x,y,z,r or linf:x,y,z,r")?;
+    Ok((Norm::from_str(name, false)?, numbers(ball)?))
 }
 
 /// `offset,scale`.
@@ -91,39 +100,6 @@ pub fn parse_views(text: &str) -> Result<Selection, String> {
     indices.sort_unstable();
     indices.dedup();
     Ok(Selection::Indices(indices))
-}
-
-/// A requested image size.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Resolution {
-    /// This width; the height follows from the camera's own aspect ratio.
-    Width(u32),
-    /// Width and height.
-    Size([u32; 2]),
-}
-
-impl Resolution {
-    /// The size to ask for before any camera is known, if it is known.
-    pub fn size(self) -> Option<[u32; 2]> {
-        match self {
-            Self::Width(_) => None,
-            Self::Size(size) => Some(size),
-        }
-    }
-
-    /// The camera at this size.
-    pub fn apply(self, camera: &Camera) -> Camera {
-        match self {
-            Self::Width(width) => scaled(camera, f64::from(width) / f64::from(camera.resolution[0])),
-            Self::Size(size) => camera.resized(size),
-        }
-    }
-}
-
-/// The camera with sides times `scale`, at least a pixel and at most what an image may have.
-pub fn scaled(camera: &Camera, scale: f64) -> Camera {
-    let side = |side: u32| (f64::from(side) * scale).round().clamp(1.0, 65_536.0) as u32;
-    camera.resized(camera.resolution.map(side))
 }
 
 /// `W` or `WxH`.
@@ -190,18 +166,6 @@ pub fn parse_noise(text: &str) -> Result<f64, String> {
     }
 }
 
-/// The same as PSNR in dB.
-pub fn parse_psnr(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(psnr) if DataScale::NOISE.contains(&DataScale::noise_of(psnr)) => Ok(psnr),
-        _ => Err(format!(
-            "expected a PSNR in dB, from {:.2}, which a plain grey picture reaches, to {:.0}, far beyond 8 bits",
-            DataScale::psnr_of(*DataScale::NOISE.end()),
-            DataScale::psnr_of(*DataScale::NOISE.start())
-        )),
-    }
-}
-
 /// A finite number, 0 or more.
 pub fn parse_non_negative(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
@@ -218,13 +182,39 @@ pub fn parse_fov(text: &str) -> Result<f64, String> {
     }
 }
 
-/// Frames from a first to before a last: `0..8`.
-pub fn parse_frames(text: &str) -> Result<std::ops::Range<usize>, String> {
-    let ends = text.split_once("..").map(|(a, b)| (a.parse::<usize>(), b.parse::<usize>()));
-    match ends {
-        Some((Ok(a), Ok(b))) if a < b && b - a <= 10_000 => Ok(a..b),
-        _ => Err("expected A..B with A < B, at most 10000 frames, as 0..8".into()),
+/// Frames by their numbers.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Frames {
+    One(usize),
+    /// From a first to before a last.
+    Many(std::ops::Range<usize>),
+}
+
+impl Frames {
+    /// Their numbers.
+    pub fn numbers(&self) -> std::ops::Range<usize> {
+        match self {
+            Self::One(k) => *k..k + 1,
+            Self::Many(range) => range.clone(),
+        }
     }
+
+    /// Whether a range was given, even if it has one frame only.
+    pub fn are_many(&self) -> bool {
+        matches!(self, Self::Many(_))
+    }
+}
+
+/// `3`, or frames from a first to before a last: `0..8`.
+pub fn parse_frames(text: &str) -> Result<Frames, String> {
+    let number = |text: &str| text.parse::<usize>().ok().filter(|k| *k as u64 <= MOST_KEPT);
+    let frames = match text.split_once("..") {
+        None => number(text).map(Frames::One),
+        Some((a, b)) => {
+            number(a).zip(number(b)).filter(|(a, b)| a < b && b - a <= 10_000).map(|(a, b)| Frames::Many(a..b))
+        }
+    };
+    frames.ok_or_else(|| format!("expected a frame from 0 to {MOST_KEPT}, or A..B with A < B, at most 10000, as 0..8"))
 }
 
 /// A number of bytes: `2GiB`, `500MB`, `1000000`.
@@ -252,17 +242,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_width_alone_keeps_the_aspect_ratio() {
-        let camera = Camera::look_at(DVec3::X, DVec3::ZERO, DVec3::Z, 0.7, [1080, 1920]);
-        let small = Resolution::Width(200).apply(&camera);
-        assert_eq!(small.resolution, [200, 356]);
-        // 355.6 is rounded, and the pixels with it: they stay square to within that.
-        assert!((small.focal[0] / small.focal[1] - 1.0).abs() < 0.5 / 356.0);
-        assert_eq!(Resolution::Size([30, 20]).apply(&camera).resolution, [30, 20]);
-        assert_eq!(scaled(&camera, 1e-9).resolution, [1, 1]);
-    }
-
-    #[test]
     fn texts_become_settings_or_reasons() {
         assert!(parse_box("-1,-1,-1,1,1,1").is_ok());
         assert!(parse_box("1,1,1,-1,-1,-1").unwrap_err().contains("min < max"));
@@ -280,6 +259,10 @@ mod tests {
         assert_eq!(parse_views("7,"), Ok(Selection::Indices(vec![7])));
         assert_eq!(parse_views("all"), Ok(Selection::BothParts));
         assert!(["0", "", "-1", "1,x", ","].iter().all(|text| parse_views(text).is_err()));
+        assert_eq!(parse_contraction("linf:0,0,0,1.5"), Ok((Norm::Linf, [0.0, 0.0, 0.0, 1.5])));
+        assert!(["l2", "l2:1", "l3:0,0,0,1", ""].iter().all(|text| parse_contraction(text).is_err()));
+        assert_eq!((parse_frames("3"), parse_frames("0..8")), (Ok(Frames::One(3)), Ok(Frames::Many(0..8))));
+        assert!(["", "-1", "8..8", "0..10001", "1e9", "0..", "x"].iter().all(|text| parse_frames(text).is_err()));
         assert!(parse_fov("60").is_ok() && ["179.91", "9e-4", "nan"].iter().all(|text| parse_fov(text).is_err()));
         assert_eq!((parse_bytes("2GiB"), parse_bytes("1.5 kB"), parse_bytes("7")), (Ok(2 << 30), Ok(1500), Ok(7)));
         assert!(parse_bytes("2 lines").is_err() && parse_bytes("0").is_err() && parse_bytes("1e30").is_err());

@@ -68,7 +68,7 @@ mod tests {
         assert_eq!(lines.advance(50, at(19)), None);
         lines.message("step 7".into());
         assert!(lines.advance(250, at(20)).unwrap().ends_with("(100 %), about 0 s left; step 7"));
-        // Short stages share the ten seconds, and nothing is told of a stage that has not moved.
+        // Short stages share the ten seconds, and a stage without progress prints nothing.
         lines.begin("rows", 10, at(28));
         assert_eq!(lines.advance(0, at(31)), None);
         assert_eq!(lines.advance(5, at(32)).unwrap(), "rows: 5 of 10 (50 %), about 4 s left");

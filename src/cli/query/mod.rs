@@ -11,7 +11,7 @@ use glam::Vec3;
 
 use self::rays::RayQuery;
 use super::files::CommandFiles;
-use super::options::OfficialOptions;
+use super::opened::OpenedField;
 use super::progress::Bars;
 use super::streams;
 use crate::dataset::PointReader;
@@ -45,7 +45,7 @@ const BATCH: usize = 1 << 18;
     octobayes query lego.oct points.csv -o answers.csv\n  \
     octobayes query lego.oct --ray 0,-3,0.5,0,1,0 --model lego.safetensors")]
 pub struct Args {
-    /// The field: `.oct`, a folder of its tiles, or the official code's `.npy`
+    /// The field: `.oct`, or a folder of its tiles
     ///
     /// Tiles are read when a point in them is asked for, and kept as long as half of the free memory holds them.
     field: PathBuf,
@@ -64,9 +64,6 @@ pub struct Args {
     /// Read another covariance than the field's own; the field must keep its sums
     #[arg(long, value_enum)]
     covariance: Option<Covariance>,
-
-    #[command(flatten)]
-    official: OfficialOptions,
 }
 
 /// Formats of points and answers.
@@ -154,7 +151,7 @@ impl Args {
             .inputs("--model", &self.rays.model)
             .outputs("--output", named(&self.output))
             .check()?;
-        let field = self.official.open(&self.field)?;
+        let field = OpenedField::open(&self.field)?;
         if let (None, Some(source)) = (self.covariance, &source) {
             return self.answer_points(field.space(), open(source)?, &output, bars);
         }

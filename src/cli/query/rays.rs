@@ -4,19 +4,18 @@ use std::io::Write;
 use std::path::Path;
 
 use clap::Args;
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 
 use crate::Result;
-use crate::cli::belongs::check_field;
-use crate::cli::options::{ModelOptions, RayOptions, model_name, numbers};
+use crate::cli::options::{model_name, numbers};
 use crate::cli::progress::Bars;
 use crate::cli::streams;
-use crate::field::Coordinates;
 use crate::geometry::Ray;
-use crate::render::{DepthProbe, DepthVariance, Occupancy, Probe, RayAverage, render_rays};
+use crate::render::{DepthProbe, DepthVariance, Probe, RayAverage, render_rays};
+use crate::session::{OpenedModel, image_settings};
 use crate::uncertainty::UncertaintyField;
 
-/// Rays to ask about, and the model that they pass through.
+/// Rays to query, and the model that they pass through.
 #[derive(Args)]
 pub struct RayQuery {
     /// Ask about the depth along a ray: its origin and direction (of any length), scene units. May be given several
@@ -33,12 +32,9 @@ pub struct RayQuery {
     pub ray: Vec<Ray>,
 
     /// The model that the rays of --ray pass through
-    #[arg(long, value_name = "MODEL", value_parser = model_name(), requires = "ray")]
+    // Beside POINTS, which exclude --ray, clap waives `requires`.
+    #[arg(long, value_name = "MODEL", value_parser = model_name(), requires = "ray", conflicts_with = "points")]
     pub model: Option<String>,
-
-    /// Scene units and axes of a `.ppng` model [default: ngp]
-    #[arg(long, value_enum, requires = "model")]
-    coordinates: Option<Coordinates>,
 
     /// Use the field even if it was computed for another model
     #[arg(long, requires = "model")]
@@ -63,22 +59,15 @@ impl RayQuery {
         out: &mut dyn Write,
         bars: &Bars,
     ) -> Result<std::io::Result<()>> {
-        let rays = RayOptions {
-            coordinates: self.coordinates,
-            background: Vec3::ONE,
-            march_step: None,
-            pixel_offset: None,
-            occupancy: Occupancy::DEFAULT_RESOLUTION as u16,
-        };
-        let options = ModelOptions { model: self.model.unwrap_or_default(), rays };
-        let model = options.open()?;
-        check_field(path, field, &options, &*model, self.force)?;
-        let settings = options.image_settings();
-        let tracer = settings.tracer(&*model, 0.0, bars)?;
+        let name = self.model.unwrap_or_default();
+        let opened = OpenedModel::of_field(field, path, &name, self.force, &mut streams::tell)?;
+        let model = opened.volume()?;
+        let settings = image_settings(field);
+        let tracer = settings.tracer(&**model, 0.0, bars)?;
         // Fields in the paper's scale have no deviations of depth.
         let posterior = field.depth_posterior().ok();
         let probes = [Probe { field, averages: &[RayAverage::WeightedMean] }];
-        let differentiation = settings.differentiation(&*model, field.lattice())?;
+        let differentiation = settings.differentiation(&**model, field.lattice())?;
         let variances: Vec<&dyn DepthVariance> = posterior.iter().map(|p| p as _).collect();
         let depth = DepthProbe { differentiation, variances: &variances };
         let view = render_rays(&tracer, &self.ray, &probes, Some(&depth))?;

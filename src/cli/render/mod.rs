@@ -3,33 +3,33 @@
 mod orbit;
 mod studio;
 
-use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use image::RgbImage;
 
 use self::orbit::orbit;
-use self::studio::Studio;
-use super::belongs::check_field;
+use self::studio::{Cleaned, Studio};
 use super::files::CommandFiles;
 use super::opened::OpenedField;
-use super::options::{
-    CameraOptions, MOST_KEPT, ModelOptions, Threshold, count, parse_frames, parse_positive, parse_range, scaled,
-};
+use super::options::{CameraOptions, Frames, ModelArgument, heading, parse_frames, parse_positive, parse_range};
 use super::progress::Bars;
-use super::report;
+use super::streams::tell;
 use crate::dataset::{Frame, Part};
+use crate::estimate::RaySettings;
 use crate::evaluate::Reading;
+use crate::field::RadianceField;
 use crate::geometry::{Camera, MAX_PIXELS};
 use crate::io::write_exr;
 use crate::monitor::Monitor;
+use crate::open::Model;
 use crate::picture::{draw_sheet, write_animation, write_sheet};
-use crate::posterior::Covariance;
-use crate::render::{RayAverage, RenderedView};
-use crate::uncertainty::{Answers, ThresholdedField, UncertaintyField};
+use crate::render::{RayAverage, RenderedView, Renderer, VolumeRenderer};
+use crate::session::{OpenedModel, Threshold, image_settings, scaled};
+use crate::splats::{SplatRenderer, Splats};
+use crate::uncertainty::{Answers, ThresholdedField, UncertaintyField, is_certain};
 use crate::{Error, Result};
 
-/// Longer side of a picture if nobody asks for another, pixels. A photograph at its own size takes minutes.
+/// Default longer side of a picture, pixels. A photograph at its own size takes minutes.
 const PREVIEW: u32 = 800;
 
 /// Render colour, depth and uncertainty of one view
@@ -43,7 +43,7 @@ const PREVIEW: u32 = 800;
     -o view.png")]
 pub struct Args {
     #[command(flatten)]
-    model: ModelOptions,
+    model: ModelArgument,
 
     /// Uncertainty of the model
     #[arg(value_name = "FIELD.oct")]
@@ -52,18 +52,23 @@ pub struct Args {
     #[command(flatten)]
     cameras: CameraOptions,
 
-    /// Frame of the camera file, or camera of the model, counted from 0
-    #[arg(long, value_name = "K", default_value_t = 0, value_parser = count::<usize>(..=MOST_KEPT))]
-    frame: usize,
+    /// Frame of the camera file, or camera of the model, counted from 0; or frames A to B - 1: OUT is then a folder,
+    /// and pictures are called after their frames
+    #[arg(long, value_name = "K|A..B", default_value = "0", value_parser = parse_frames, help_heading = heading::INPUT)]
+    frame: Frames,
 
     /// Size of the picture relative to the camera's image; 1 for its full size [default: 1, or less for a preview
     /// whose longer side has 800 pixels]
-    #[arg(long, value_name = "FACTOR", value_parser = parse_positive, conflicts_with = "resolution")]
-    scale: Option<f64>,
-
-    /// Frames A to B - 1 instead of one; OUT is then a folder, and pictures are called after their frames
-    #[arg(long, value_name = "A..B", value_parser = parse_frames, conflicts_with = "frame")]
-    frames: Option<Range<usize>>,
+    // Scripts that call it `--scale` go on working, and the help has one meaning for that word.
+    #[arg(
+        long,
+        alias = "scale",
+        value_name = "FACTOR",
+        value_parser = parse_positive,
+        conflicts_with = "resolution",
+        help_heading = heading::OUTPUT,
+    )]
+    resize: Option<f64>,
 
     /// A picture that moves, `.gif` or `.png`: N views on a circle that starts at the frame. Colour and log10 U, and
     /// with --threshold the colour of what is left
@@ -71,45 +76,51 @@ pub struct Args {
         long,
         value_name = "N",
         value_parser = clap::value_parser!(u32).range(2..=720),
-        conflicts_with_all = ["frames", "depth_error"],
+        conflicts_with = "depth_error",
+        help_heading = heading::OUTPUT,
     )]
     orbit: Option<u32>,
 
     /// Picture to write, `.png` or `.exr`
-    #[arg(short, long, value_name = "OUT")]
+    #[arg(short, long, value_name = "OUT", help_heading = heading::OUTPUT)]
     output: PathBuf,
 
     /// Remove density where log10 U exceeds this (the paper's clean-up), or, as `99%`, what it exceeds on the most
     /// certain 99 percent of visible surfaces; PNG shows both views, EXR the cleaned one
-    #[arg(long, value_name = "LOG10_U|PERCENT%", value_parser = Threshold::parse, allow_hyphen_values = true)]
+    #[arg(
+        long,
+        value_name = "LOG10_U|PERCENT%",
+        value_parser = Threshold::parse,
+        allow_hyphen_values = true,
+        help_heading = heading::OUTPUT,
+    )]
     threshold: Option<Threshold>,
 
     /// Ends of the colour bar of log10 U; -3,6 in the official code [default: from the most certain percent of the
     /// visible surfaces to the prior]
-    #[arg(long, value_name = "LOW,HIGH", value_parser = parse_range, allow_hyphen_values = true)]
+    #[arg(
+        long,
+        value_name = "LOW,HIGH",
+        value_parser = parse_range,
+        allow_hyphen_values = true,
+        help_heading = heading::OUTPUT,
+        hide_short_help = true,
+    )]
     range: Option<[f64; 2]>,
 
     /// How log10 U is averaged along a ray
-    #[arg(long, value_enum, default_value = "weighted-mean")]
+    #[arg(long, value_enum, default_value_t, help_heading = heading::OUTPUT, hide_short_help = true)]
     ray_average: RayAverage,
-
-    /// Read another covariance than the field's own; the field must keep its sums
-    #[arg(long, value_enum)]
-    covariance: Option<Covariance>,
 
     /// Show the standard deviation of depth, too, in scene units; the field must be one of `--scale data`. It joins
     /// what the training images leave open (matter that could be elsewhere) and how widely matter is spread along the
     /// ray
-    #[arg(long)]
+    #[arg(long, help_heading = heading::OUTPUT)]
     depth_error: bool,
 
     /// Use the field even if it was computed for another model
-    #[arg(long)]
+    #[arg(long, help_heading = heading::INPUT, hide_short_help = true)]
     force: bool,
-
-    /// Print the protocol of the field, too
-    #[arg(long)]
-    verbose: bool,
 }
 
 impl Args {
@@ -123,18 +134,16 @@ impl Args {
             .cameras(self.cameras.cameras.as_deref())
             .outputs("--output", self.outputs());
         files.check()?;
-        let model = self.model.open()?;
         let mut field = OpenedField::open(&self.field)?;
-        check_field(&self.field, field.facts(), &self.model, &*model, self.force)?;
-        if self.covariance.is_some() || self.depth_error {
-            let whole = field.whole()?;
-            let whole = self.covariance.into_iter().try_fold(whole, UncertaintyField::with_covariance)?;
-            field = OpenedField::Whole(Box::new(whole));
+        let opened = OpenedModel::of_field(field.facts(), &self.field, &self.model.model, self.force, &mut tell)?;
+        let settings = image_settings(field.facts());
+        if self.depth_error {
+            field = OpenedField::Whole(Box::new(field.whole()?));
         }
-        let views = self.cameras.read(&*model, &self.model.model)?;
+        let views = self.cameras.read(opened.model.field(), &opened.name)?;
         files.images(&views).check()?;
         // A frame that is not there is refused before any work.
-        let wanted = self.frames.clone().unwrap_or(self.frame..self.frame + 1);
+        let wanted = self.frame.numbers();
         let frames: Vec<&Frame> = wanted.clone().map(|k| views.frame(k)).collect::<Result<_>>()?;
         if self.depth_error {
             field.facts().depth_posterior()?;
@@ -151,20 +160,41 @@ impl Args {
         let pictures = if self.threshold.is_some() { 2 } else { 1 };
         let baked = field.baked(pictures * cameras.iter().map(Camera::pixels).sum::<u64>());
         let space: &dyn Answers = baked.as_ref().map_or(field.space(), |baked| baked);
-        let settings = self.model.image_settings();
-        let threshold = self.threshold.map(|threshold| threshold.log10(space)).transpose()?;
-        let cleaned = threshold.map(|threshold| ThresholdedField::new(&*model, space, threshold));
-        let cleaned = match &cleaned {
-            Some(cleaned) => Some((settings.tracer(cleaned, 0.0, bars)?, cleaned)),
-            None => None,
+        let threshold = self.threshold.map(|threshold| threshold.log10(space, &mut tell)).transpose()?;
+        let volume = |model| self.volume(&settings, model, field.facts(), bars);
+        let (thresholded, kept);
+        let (whole, left, asking): (Box<dyn Renderer>, Option<Box<dyn Renderer>>, _);
+        let offset = match &opened.model {
+            Model::Volume(model) => {
+                thresholded = threshold.map(|threshold| ThresholdedField::new(&**model, space, threshold));
+                whole = Box::new(volume(&**model)?);
+                left = match &thresholded {
+                    Some(cleaned) => Some(Box::new(volume(cleaned)?)),
+                    None => None,
+                };
+                asking = thresholded.as_ref();
+                settings.offset_for(&**model)
+            }
+            Model::Splats(splats) => {
+                if self.depth_error {
+                    announce!("note: deviations of depth are not calibrated for splats: they rank pixels, no more");
+                }
+                let keep = |threshold| Splats::clone(splats).keep(&is_certain(splats, space, threshold)?);
+                kept = threshold.map(keep).transpose()?;
+                whole = Box::new(SplatRenderer::new(splats, settings.background));
+                let cleaned = kept.as_ref().map(|kept| SplatRenderer::new(kept, settings.background));
+                left = cleaned.map(|cleaned| Box::new(cleaned) as _);
+                asking = None;
+                settings.offset_for_splats()
+            }
         };
+        let cleaned = left.as_deref().zip(threshold).map(|(left, threshold)| Cleaned { left, threshold, asking });
         let studio = Studio {
-            options: &self.model,
             field: field.facts(),
             space,
-            tracer: settings.tracer(&*model, 0.0, bars)?,
+            whole: &*whole,
             cleaned,
-            offset: settings.offset_for(&*model),
+            offset,
             average: self.ray_average,
             depth_error: self.depth_error,
             log10: bar_of(space, self.range)?,
@@ -187,21 +217,37 @@ impl Args {
             }
             bars.end();
         }
-        say!("{}", self.output.display())?;
-        if self.verbose {
-            say!("protocol of the field\n{}{}", report::protocol(field.facts()), report::surfaces(space)?)?;
-        }
-        Ok(())
+        say!("{}", self.output.display())
+    }
+
+    /// A volume as images show it, with what deviations of depth need if they are asked for.
+    fn volume<'a>(
+        &self,
+        settings: &RaySettings,
+        model: &'a dyn RadianceField,
+        field: &UncertaintyField,
+        bars: &Bars,
+    ) -> Result<VolumeRenderer<'a>> {
+        let differentiation =
+            if self.depth_error { Some(settings.differentiation(model, field.lattice())?) } else { None };
+        Ok(VolumeRenderer { tracer: settings.tracer(model, 0.0, bars)?, differentiation })
     }
 
     /// Checks the kind of the output, and makes the folder of several.
     fn check_output(&self) -> Result<()> {
-        if self.frames.is_some() {
+        if self.frame.are_many() && self.orbit.is_some() {
+            return Err(Error::setting("--orbit", "one frame, from which the circle starts", "several"));
+        }
+        if self.frame.are_many() {
             return std::fs::create_dir_all(&self.output).map_err(Error::io(&self.output, "cannot create the folder"));
         }
         let expected = if self.orbit.is_some() { ["gif", "png"] } else { ["png", "exr"] };
         let extension = self.output.extension().and_then(|e| e.to_str());
         if extension.is_some_and(|extension| expected.contains(&extension)) {
+            if extension == Some("exr") && self.range.is_some() {
+                let found = self.output.display().to_string();
+                return Err(Error::setting("--range", "a picture with a colour bar, `.png`", found));
+            }
             return Ok(());
         }
         let expected = expected.map(|extension| format!("`.{extension}`")).join(" or ");
@@ -210,10 +256,10 @@ impl Args {
 
     /// The files to write, in the order of the frames.
     fn outputs(&self) -> Vec<PathBuf> {
-        match &self.frames {
-            Some(frames) => frames.clone().map(|k| self.output.join(format!("frame_{k:04}.png"))).collect(),
-            None => vec![self.output.clone()],
+        if self.frame.are_many() {
+            return self.frame.numbers().map(|k| self.output.join(format!("frame_{k:04}.png"))).collect();
         }
+        vec![self.output.clone()]
     }
 
     /// Writes the picture of one camera.
@@ -246,7 +292,7 @@ impl Args {
     /// Says on stderr if the clean-up takes many more of a view's pixels than it seems to.
     fn note_pixels(&self, studio: &Studio, views: &(RenderedView, Option<RenderedView>)) -> Result<()> {
         match (self.threshold, views) {
-            (Some(threshold), (view, Some(cleaned))) => threshold.note_pixels(view, cleaned, studio.space),
+            (Some(threshold), (view, Some(cleaned))) => threshold.note_pixels(view, cleaned, studio.space, &mut tell),
             _ => Ok(()),
         }
     }
@@ -271,8 +317,8 @@ impl Args {
     /// The camera at the size of the picture. Says so on stderr if that is a preview.
     fn sized(&self, camera: &Camera) -> Result<Camera> {
         let longest = camera.resolution.into_iter().max().unwrap_or(1);
-        let shown = match self.scale {
-            Some(scale) => scaled(camera, scale),
+        let shown = match self.resize {
+            Some(factor) => scaled(camera, factor),
             None if self.cameras.resolution.is_none() && longest > PREVIEW => {
                 scaled(camera, f64::from(PREVIEW) / f64::from(longest))
             }
@@ -281,22 +327,22 @@ impl Args {
         let [[w, h], [full_w, full_h]] = [shown.resolution, camera.resolution];
         let pixels = f64::from(w) * f64::from(h);
         if pixels > MAX_PIXELS {
-            return Err(Error::setting("--scale", format!("at most {MAX_PIXELS:e} pixels"), format!("{w} x {h}")));
+            return Err(Error::setting("--resize", format!("at most {MAX_PIXELS:e} pixels"), format!("{w} x {h}")));
         }
-        if self.scale.is_none() {
-            announce!("note: a preview of {w} x {h} pixels; --scale 1 renders all {full_w} x {full_h}");
+        if self.resize.is_none() {
+            announce!("note: a preview of {w} x {h} pixels; --resize 1 renders all {full_w} x {full_h}");
         }
         Ok(shown)
     }
 }
 
-/// Ends of the colour bar of log10 U: those that are asked for, or from the most certain percent of the visible
+/// Ends of the colour bar of log10 U: those given, or from the most certain percent of the visible
 /// surfaces to the prior.
 pub fn bar_of(field: &dyn Answers, range: Option<[f64; 2]>) -> Result<[f64; 2]> {
     if let Some(range) = range {
         return Ok(range);
     }
-    let prior = field.protocol().prior_deviation().log10();
+    let prior = field.protocol().reading().prior().log10();
     let [low] = field.surface_quantiles([0.01])?.unwrap_or([-3.0]);
     Ok([low.min(prior - 0.5), prior])
 }

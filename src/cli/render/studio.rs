@@ -1,26 +1,23 @@
 //! A model with its uncertainty, ready for pictures.
 
 use crate::Result;
-use crate::cli::options::ModelOptions;
 use crate::cli::panels::{Ranges, depth_range, error_range, view_panels};
 use crate::cli::progress::Bars;
 use crate::geometry::Camera;
 use crate::picture::Panel;
-use crate::render::{DepthProbe, Probe, RayAverage, RenderedView, Tracer, render_view, render_view_with_depth};
+use crate::render::{Probe, RayAverage, RenderedView, Renderer};
 use crate::uncertainty::{Answers, ThresholdedField, UncertaintyField, shown_log10, unknowns};
 
 /// What pictures are made of.
 pub struct Studio<'a> {
-    /// The model's options.
-    pub options: &'a ModelOptions,
     /// The uncertainty, or a part of it: what does not depend on the place.
     pub field: &'a UncertaintyField,
     /// What does.
     pub space: &'a dyn Answers,
     /// The model.
-    pub tracer: Tracer<'a>,
-    /// The model without what is uncertain, as rays see it and by itself.
-    pub cleaned: Option<(Tracer<'a>, &'a ThresholdedField<'a>)>,
+    pub whole: &'a dyn Renderer,
+    /// The model without what is uncertain.
+    pub cleaned: Option<Cleaned<'a>>,
     /// Where in a pixel rays pass.
     pub offset: f64,
     /// How log10 U is averaged along a ray.
@@ -33,28 +30,37 @@ pub struct Studio<'a> {
     pub bars: &'a Bars,
 }
 
+/// A model without what is uncertain.
+#[derive(Clone, Copy)]
+pub struct Cleaned<'a> {
+    /// What is left.
+    pub left: &'a dyn Renderer,
+    /// The largest log10 U that is left.
+    pub threshold: f64,
+    /// What asks the uncertainty while rays are marched, and keeps its errors; splats are asked before.
+    pub asking: Option<&'a ThresholdedField<'a>>,
+}
+
 impl Studio<'_> {
-    fn view(&self, tracer: &Tracer, camera: &Camera) -> Result<RenderedView> {
+    fn view(&self, renderer: &dyn Renderer, camera: &Camera) -> Result<RenderedView> {
         let probes = [Probe { field: self.space, averages: &[self.average] }];
         if !self.depth_error {
-            return render_view(tracer, camera, self.offset, &probes, self.bars);
+            return renderer.image(camera, self.offset, &probes, &[], self.bars);
         }
         let posterior = self.field.depth_posterior()?;
-        let differentiation = self.options.image_settings().differentiation(tracer.field, self.field.lattice())?;
-        let depth = DepthProbe { differentiation, variances: &[&posterior] };
-        render_view_with_depth(tracer, camera, self.offset, &probes, &depth, self.bars)
+        renderer.image(camera, self.offset, &probes, &[&posterior], self.bars)
     }
 
     /// The view of a camera without what is uncertain, if that is wanted.
     pub fn cleaned_view(&self, camera: &Camera) -> Result<Option<RenderedView>> {
-        let Some((tracer, field)) = &self.cleaned else { return Ok(None) };
-        let view = self.view(tracer, camera)?;
-        field.check().map(|()| Some(view))
+        let Some(Cleaned { left, asking, .. }) = self.cleaned else { return Ok(None) };
+        let view = self.view(left, camera)?;
+        asking.map_or(Ok(()), ThresholdedField::check).map(|()| Some(view))
     }
 
     /// The view of a camera.
     pub fn whole_view(&self, camera: &Camera) -> Result<RenderedView> {
-        self.view(&self.tracer, camera)
+        self.view(self.whole, camera)
     }
 
     /// The views of a camera: the model, and the model cleaned.
@@ -90,8 +96,8 @@ impl Studio<'_> {
             Ok(view_panels(view, name, ranges, &unknowns))
         };
         let mut rows = vec![panels(name, view)?];
-        if let (Some(cleaned), Some((_, field))) = (cleaned, &self.cleaned) {
-            rows.push(panels(&format!("log10 U ≤ {:.3}", field.threshold()), cleaned)?);
+        if let (Some(cleaned), Some(Cleaned { threshold, .. })) = (cleaned, self.cleaned) {
+            rows.push(panels(&format!("log10 U ≤ {threshold:.3}"), cleaned)?);
         }
         Ok(rows)
     }

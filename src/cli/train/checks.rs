@@ -46,8 +46,8 @@ fn note_contracted_cameras(cameras: &[Camera], domain: &Domain) {
         let [x, y, z] = (0.5 * (low + high)).to_array();
         let radius = 0.5 * (high - low).length();
         announce!(
-            "note: {outside} of {} cameras stand where space is contracted; --inner {x:.3},{y:.3},{z:.3},{radius:.3} \
-             would hold them all",
+            "note: {outside} of {} cameras stand where space is contracted; a ball of {x:.3},{y:.3},{z:.3},{radius:.3} \
+             in --contract would hold them all",
             cameras.len()
         );
     }
@@ -70,15 +70,11 @@ pub(super) fn warn_of_one_color(images: [(&str, &[Shot], Option<Quality>); 2], b
     }
 }
 
-/// Checks that a finished model is of the same run.
-pub(super) fn check_finished(member: &Member) -> Result<()> {
-    let field = HashGrid::read(&member.path)?;
-    let other = member.description.as_object().into_iter().flatten().find(|(k, v)| field.training().get(k) != Some(v));
-    match other {
-        None => Ok(()),
-        Some((what, expected)) => {
-            let found = field.training().get(what).map_or("nothing".into(), ToString::to_string);
-            Err(Error::malformed(&member.path, format!("training, {what}"), expected.to_string(), found))
-        }
-    }
+/// Whether the same command has written this model before, and is done with it.
+pub(super) fn is_finished(member: &Member) -> bool {
+    let is_same = |field: HashGrid| {
+        let mut settings = member.description.as_object().into_iter().flatten();
+        settings.all(|(what, value)| field.training().get(what) == Some(value))
+    };
+    !member.state.path.exists() && HashGrid::read(&member.path).is_ok_and(is_same)
 }

@@ -5,15 +5,13 @@ mod checks;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use clap::ValueEnum;
 use glam::{DVec3, Vec3};
 use serde_json::json;
 
-use self::checks::{check_finished, check_framing, warn_of_one_color};
+use self::checks::{check_framing, is_finished, warn_of_one_color};
 use super::files::CommandFiles;
-use super::options::{
-    count, numbers, parse_background, parse_box, parse_interval, parse_non_negative, parse_positive, parse_time,
-    parse_views,
-};
+use super::options::{count, heading, parse_background, parse_box, parse_contraction, parse_time, parse_views};
 use super::progress::Bars;
 use crate::dataset::Hemisphere;
 use crate::field::{HashGrid, HashGridConfig, RadianceField};
@@ -28,6 +26,10 @@ use crate::{Error, Result};
 
 /// Pixels of held-out images that are compared during training.
 const LOOK_PIXELS: usize = 20_000;
+/// Pixels of held-out images that are compared at the end, over all images together; with --time fewer, if these take
+/// too long.
+const TEST_PIXELS: usize = 200_000;
+
 /// Train a model on posed images: a multiresolution hash grid (instant-ngp's design), on the CPU
 ///
 /// DATASET is a folder or a camera file, as `octobayes synth`, NeRF-synthetic, instant-ngp, nerfstudio and COLMAP
@@ -40,7 +42,7 @@ const LOOK_PIXELS: usize = 20_000;
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  octobayes train nerf_synthetic/lego -o lego.safetensors --time 10m\n  \
     octobayes train lego -o few.safetensors --views 10 --steps 3000 --seed 1\n  \
-    octobayes train fox -o fox.safetensors --contract linf --inner 2.5,-2,0,3.6 --time 5m\n  \
+    octobayes train fox -o fox.safetensors --contract linf:2.5,-2,0,3.6 --time 5m\n  \
     octobayes train lego -o member.safetensors --views 10 --steps 3000 --members 10      # member-0 ... member-9\n\
     then: octobayes uncertainty lego.safetensors -o lego.oct      # the model knows its cameras")]
 pub struct Args {
@@ -49,48 +51,65 @@ pub struct Args {
     dataset: PathBuf,
 
     /// Model to write
-    #[arg(short, long, value_name = "MODEL.safetensors")]
+    #[arg(short, long, value_name = "MODEL.safetensors", help_heading = heading::OUTPUT)]
     output: PathBuf,
 
     /// Training images: how many, spread over the file's order; or their numbers in the file from 0, such as 0,7,31
     /// (`7,` for one); or `all`, including those held out. Frames without an image are left out [default: all that are
     /// not held out]
-    #[arg(long, value_name = "N|I,J,...|all", value_parser = parse_views)]
+    #[arg(long, value_name = "N|I,J,...|all", value_parser = parse_views, help_heading = heading::INPUT)]
     views: Option<Selection>,
 
     /// Use only images taken from this half of the scene, seen from the front (y < 0; right is x > 0), around the
     /// middle of its box
-    #[arg(long, value_enum, value_name = "HALF")]
+    #[arg(long, value_enum, value_name = "HALF", help_heading = heading::INPUT, hide_short_help = true)]
     hemisphere: Option<Hemisphere>,
 
     /// Number of training steps; the result is reproducible
-    #[arg(long, value_name = "N", value_parser = count::<u64>(1..), conflicts_with = "time")]
+    #[arg(
+        long,
+        value_name = "N",
+        value_parser = count::<u64>(1..),
+        conflicts_with = "time",
+        help_heading = heading::TRAINING,
+    )]
     steps: Option<u64>,
 
     /// Time of training, such as 90s, 5min or 1h30m; before it images are loaded, and comparing the model with them
     /// takes up to three tenths of it, or 4 s, more. How many steps fit depends on the machine [default: 3m]
-    #[arg(long, value_name = "TIME", value_parser = parse_time)]
+    #[arg(long, value_name = "TIME", value_parser = parse_time, help_heading = heading::TRAINING)]
     time: Option<Duration>,
 
     /// Seed of initial weights, rays and backgrounds
-    #[arg(long, default_value_t = 0)]
+    #[arg(long, default_value_t = TrainSettings::default().seed, help_heading = heading::TRAINING)]
     seed: u64,
 
     /// Train this many models with seeds SEED, SEED + 1, ...: MODEL-0.safetensors, MODEL-1.safetensors, ...
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = count::<u64>(1..=1000))]
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = 1,
+        value_parser = count::<u64>(1..=1000),
+        help_heading = heading::TRAINING,
+    )]
     members: u64,
 
-    /// Continue where an interrupted run of the same command stopped; finished models are kept
-    #[arg(long)]
-    resume: bool,
-
-    /// Time between saves of the run's state (MODEL.state, removed at the end)
-    #[arg(long, value_name = "TIME", default_value = "60s", value_parser = parse_interval)]
-    save_every: Duration,
+    /// Start over and discard the state of an interrupted run, and the finished members of --members
+    ///
+    /// The state of a run, MODEL.state, is saved every minute and when it is stopped; the same command then goes on
+    /// from there.
+    #[arg(long, help_heading = heading::OUTPUT)]
+    restart: bool,
 
     /// Colour behind transparent pixels: `random` takes another for every ray, so that the model learns to be
     /// transparent there; else the colour that images without alpha show: white, black or r,g,b in [0, 1]
-    #[arg(long, value_name = "COLOR", default_value = "random", value_parser = parse_training_background)]
+    #[arg(
+        long,
+        value_name = "COLOR",
+        default_value = "random",
+        value_parser = parse_training_background,
+        help_heading = heading::INPUT,
+    )]
     background: Background,
 
     /// Box of the scene: x0,y0,z0,x1,y1,z1 in scene units; nothing is modelled outside [default: `aabb` of the
@@ -101,17 +120,14 @@ pub struct Args {
         value_parser = parse_box,
         allow_hyphen_values = true,
         conflicts_with = "contract",
+        help_heading = heading::GRID,
     )]
     bounds: Option<Aabb>,
 
-    /// Contract space outside --inner as in mip-NeRF 360, for unbounded scenes; modelled up to 8 radii away
-    #[arg(long, value_enum, value_name = "NORM")]
-    contract: Option<Norm>,
-
-    /// Centre and radius of the part that is not contracted: x,y,z,r in scene units [default: 0,0,0,1.515,
-    /// instant-ngp's cube]
-    #[arg(long, value_name = "BALL", value_parser = numbers::<4>, allow_hyphen_values = true, requires = "contract")]
-    inner: Option<[f64; 4]>,
+    /// Contract space outside a ball as in mip-NeRF 360, for unbounded scenes; modelled up to 8 radii away. NORM is l2
+    /// or linf, then come the ball's centre and radius in scene units [default ball: 0,0,0,1.515, instant-ngp's cube]
+    #[arg(long, value_name = "NORM[:X,Y,Z,R]", value_parser = parse_model_contraction, help_heading = heading::GRID)]
+    contract: Option<(Norm, Option<[f64; 4]>)>,
 
     /// Table entries per level, as a power of two; larger tables hold more detail and are slower
     #[arg(
@@ -119,6 +135,8 @@ pub struct Args {
         value_name = "LOG2",
         default_value_t = HashGridConfig::default().log2_hashmap_size,
         value_parser = clap::value_parser!(u32).range(8..=22),
+        help_heading = heading::ADVANCED,
+        hide_short_help = true,
     )]
     log2_hashmap_size: u32,
 
@@ -128,41 +146,22 @@ pub struct Args {
         value_name = "N",
         default_value_t = TrainSettings::default().samples_per_step,
         value_parser = count::<u64>(1024..=16_777_216),
+        help_heading = heading::ADVANCED,
+        hide_short_help = true,
     )]
     samples_per_step: u64,
 
-    /// Initial learning rate of Adam; it decays over the run
-    #[arg(
-        long,
-        value_name = "RATE",
-        default_value_t = TrainSettings::default().learning_rate,
-        value_parser = parse_rate,
-    )]
-    learning_rate: f32,
-
-    /// Factor of the distortion loss (mip-NeRF 360), which removes fog and floaters; 0 turns it off
-    #[arg(
-        long,
-        value_name = "FACTOR",
-        default_value_t = f64::from(TrainSettings::default().distortion),
-        value_parser = parse_non_negative,
-    )]
-    distortion: f64,
-
-    /// Pixels of held-out images compared at the end, over all images together; with --time fewer, if these take too
-    /// long
-    #[arg(long, value_name = "N", default_value_t = 200_000, value_parser = count::<usize>(..))]
-    test_pixels: usize,
-
     /// Print one JSON object
-    #[arg(long)]
+    #[arg(long, help_heading = heading::OUTPUT)]
     json: bool,
 }
 
-/// A learning rate, as f32. From 1 on, steps are larger than the weights.
-fn parse_rate(text: &str) -> std::result::Result<f32, String> {
-    let rate = parse_positive(text).ok().filter(|rate| *rate < 1.0);
-    rate.map(|rate| rate as f32).ok_or_else(|| "expected a number above 0 and below 1".into())
+/// `l2` or `linf`, with a ball or without.
+fn parse_model_contraction(text: &str) -> std::result::Result<(Norm, Option<[f64; 4]>), String> {
+    if text.contains(':') {
+        return parse_contraction(text).map(|(norm, ball)| (norm, Some(ball)));
+    }
+    Norm::from_str(text, false).map(|norm| (norm, None))
 }
 
 /// `random` or a colour.
@@ -209,9 +208,8 @@ impl Args {
         check_framing(&train, &domain)?;
         let mut models = Vec::new();
         for member in &members {
-            if self.resume && member.path.exists() && !member.state.path.exists() {
-                check_finished(member)?;
-                announce!("note: {} is finished", member.path.display());
+            if self.members > 1 && !self.restart && is_finished(member) {
+                announce!("note: {} is finished (--restart trains it again)", member.path.display());
                 continue;
             }
             models.push(self.train(member, domain, &train, &held_out, bars)?);
@@ -220,9 +218,9 @@ impl Args {
     }
 
     fn domain(&self, files: &DatasetFiles) -> Result<Domain> {
-        let Some(norm) = self.contract else { return Ok(Domain::Box(self.bounds.unwrap_or(files.bounds))) };
+        let Some((norm, ball)) = self.contract else { return Ok(Domain::Box(self.bounds.unwrap_or(files.bounds))) };
         let cube = DatasetFiles::unit_cube();
-        let [x, y, z, radius] = self.inner.unwrap_or([0.0, 0.0, 0.0, 0.5 * cube.longest_edge()]);
+        let [x, y, z, radius] = ball.unwrap_or([0.0, 0.0, 0.0, 0.5 * cube.longest_edge()]);
         Domain::contracted(DVec3::new(x, y, z), radius, norm)
     }
 
@@ -254,23 +252,17 @@ impl Args {
         self.output.with_file_name(name)
     }
 
-    /// The k-th model. Refuses to overwrite the state of an unfinished run.
+    /// The k-th model.
     fn member(&self, k: u64, files: &DatasetFiles) -> Result<Member> {
         let settings = TrainSettings {
             config: HashGridConfig { log2_hashmap_size: self.log2_hashmap_size, ..HashGridConfig::default() },
             seed: self.seed.wrapping_add(k),
             background: self.background,
             samples_per_step: self.samples_per_step,
-            learning_rate: self.learning_rate,
-            distortion: self.distortion as f32,
             ..TrainSettings::default()
         };
         let path = self.member_file(k);
         let state = state_file(&path);
-        if state.exists() && !self.resume {
-            let found = "the state of an unfinished run";
-            return Err(Error::malformed(&state, "state", "no file, or --resume", found));
-        }
         let budget = match self.budget() {
             Budget::Steps(steps) => format!("{steps} steps"),
             Budget::Time(time) => format!("{} s", time.as_secs_f64()),
@@ -289,7 +281,12 @@ impl Args {
         let description =
             serde_json::to_value(description).map_err(|e| Error::setting("run", "a description", e.to_string()))?;
         let key = description.to_string();
-        Ok(Member { settings, path, state: StateFile { path: state, key, every: self.save_every }, description })
+        let state = StateFile { path: state, key, every: StateFile::EVERY };
+        // A restart replaces this file, so it must not be another one.
+        if self.restart && state.path.exists() {
+            state.check()?;
+        }
+        Ok(Member { settings, path, state, description })
     }
 
     /// Trains one model and writes it, finished or not.
@@ -303,7 +300,7 @@ impl Args {
     ) -> Result<serde_json::Value> {
         let mut trainer = Trainer::new(member.settings, domain, train)?;
         let mut before = 0.0;
-        if member.state.path.exists() {
+        if member.state.path.exists() && !self.restart {
             before = trainer.restore(&member.state.path, &member.state.key)?;
             announce!("note: going on after {} steps", trainer.steps());
         }
@@ -357,7 +354,7 @@ impl Args {
         if member.state.path.exists() {
             std::fs::remove_file(&member.state.path).map_err(Error::io(&member.state.path, "cannot remove"))?;
         }
-        let quality = measure(&field, held_out, self.test_pixels);
+        let quality = measure(&field, held_out, TEST_PIXELS);
         warn_of_one_color([("training", train, shown), ("held-out", held_out, quality.clone())], background);
         self.report(member, &trainer, &field, finished, train.len(), quality.as_ref(), background)
     }

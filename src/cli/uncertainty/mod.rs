@@ -1,30 +1,28 @@
 //! `uncertainty`: from a model and its cameras to a field.
 
-mod correlations;
-mod images;
-mod inputs;
-mod sight;
-
-pub use inputs::Inputs;
-
 use std::path::PathBuf;
-use std::time::{Duration, Instant};
 
-use self::correlations::Together;
+use glam::Vec3;
+
 use super::files::CommandFiles;
+use super::given::Given;
 use super::options::{
-    CameraOptions, DomainOptions, FrameOptions, GridOptions, MOST, ModelOptions, count, parse_interval, parse_positive,
-    parse_share,
+    CameraOptions, DomainOptions, FrameOptions, GridOptions, ModelArgument, RayCount, check_field_name, heading,
+    parse_background, parse_bytes, parse_positive, parse_share, parse_tile,
 };
 use super::progress::Bars;
-use super::report::{self, Cost};
+use super::report;
+use super::streams::tell;
 use crate::dataset::Part;
-use crate::estimate::{Checkpoint, Estimation, GridSettings, Outcome, Planner, RaySettings, Run};
+use crate::estimate::{Checkpoint, Goal, GridSettings, RaySettings};
 use crate::evaluate::TrainingImages;
-use crate::io::memory::{available, resident};
-use crate::rays::{Pixels, RunProgress, SamplesWriter};
-use crate::render::GradientMethod;
-use crate::uncertainty::UncertaintyField;
+use crate::octree::Tile;
+use crate::open::Model;
+use crate::posterior::Criterion;
+use crate::rays::Pixels;
+use crate::render::{GradientMethod, Occupancy};
+use crate::session::{Needs, OpenedModel, Session};
+use crate::splats::RenderMode;
 use crate::{Error, Result};
 
 /// Compute the uncertainty of a trained field from its training cameras
@@ -35,73 +33,133 @@ use crate::{Error, Result};
 #[derive(clap::Args)]
 #[command(after_help = "Examples (a model of `train` knows its cameras):\n  \
     octobayes uncertainty lego.safetensors -o lego.oct --rays 409600\n  \
-    octobayes uncertainty lego.npz --cameras lego_train.json -o lego.oct --rays 409600")]
+    octobayes uncertainty lego.npz --cameras lego_train.json -o lego.oct --rays 409600\n  \
+    octobayes uncertainty scene.ply --cameras cameras.json -o scene.oct")]
 pub struct Args {
     #[command(flatten)]
-    pub(super) model: ModelOptions,
+    model: ModelArgument,
 
     #[command(flatten)]
-    pub(super) cameras: CameraOptions,
+    cameras: CameraOptions,
 
     #[command(flatten)]
     frames: FrameOptions,
 
-    #[command(flatten)]
-    pub(super) grid: GridOptions,
+    /// Colour behind the scene: white, black or r,g,b in [0, 1]. It enters the derivatives through the final
+    /// transmittance of rays, so use what the model was trained with
+    #[arg(
+        long,
+        value_name = "COLOR",
+        default_value = "white",
+        value_parser = parse_background,
+        help_heading = heading::INPUT,
+    )]
+    background: Vec3,
 
-    /// Rays to draw, such as 400k or 1M (the paper uses 4096000), or `auto` for as many as bring the estimated mean
-    /// error of log10 U within --tolerance
+    /// Use the cameras even if the model does not show the images that lie beside them
     ///
-    /// `auto` doubles the rays, from 65536, until two halves of them agree. Most scenes need tens of millions for
-    /// 0.05.
-    #[arg(long, value_name = "N|auto", default_value = "4096000", value_parser = parse_rays)]
-    pub(super) rays: Rays,
+    /// Before the run, a few hundred pixels of at most 8 of these images are compared with the model: below 15 dB a
+    /// warning names likely causes, such as cameras of another scene or another background; below 8 dB the cameras are
+    /// refused.
+    #[arg(long, help_heading = heading::INPUT, hide_short_help = true)]
+    force: bool,
 
-    /// Most rays that `--rays auto` draws
-    #[arg(long, value_name = "N", default_value_t = 32_768_000, value_parser = count::<u64>(1..=MOST))]
-    max_rays: u64,
-
-    /// How pixels are chosen
-    #[arg(long, value_enum, default_value = "sobol")]
-    pixels: Pixels,
-
-    /// Seed of pixels and sample positions
-    #[arg(long, default_value_t = 0)]
-    seed: u64,
+    /// How splats smaller than a pixel are drawn: as they were trained [default: as their file says, else classic]
+    #[arg(long, value_name = "MODE", value_enum, help_heading = heading::INPUT, hide_short_help = true)]
+    splat_mode: Option<RenderMode>,
 
     #[command(flatten)]
     domain: DomainOptions,
 
-    /// Where the field's derivatives come from
-    #[arg(long, value_enum, default_value_t)]
-    gradient: GradientMethod,
+    /// Most memory for the whole process, e.g. 2GiB; cells with the fewest rays stay coarse first
+    #[arg(long, value_name = "SIZE", value_parser = parse_bytes, help_heading = heading::GRID)]
+    memory: Option<u64>,
 
-    /// Finite-difference step h, in edges of the finest lattice [default: 1/512, or 1/2048 for forward differences,
-    /// which reach 2h to one side; larger where f32 positions need it]
-    ///
-    /// A few hundred points show how noisy the field is. A warning says if noise or truncation at this step moves
-    /// log10 U by more than --tolerance, and by more than three times as much as at another step.
-    #[arg(long, value_name = "EDGES", value_parser = parse_positive)]
-    step: Option<f64>,
-
-    /// Do not differentiate samples whose weight, and whose density bound times |dC/dsigma|, are both below this;
-    /// 0 skips none
-    ///
-    /// Rays end at this transmittance. The effect on log10 U is not part of --tolerance; --audit measures it.
+    /// Where to refine the octree; several criteria are separated by commas
     #[arg(
         long,
-        value_name = "WEIGHT",
-        default_value_t = RaySettings::default().cutoff,
-        value_parser = parse_share,
+        value_enum,
+        value_delimiter = ',',
+        default_values_t = [Criterion::Sensitivity],
+        help_heading = heading::GRID,
+        hide_short_help = true,
     )]
-    cutoff: f64,
+    refine: Vec<Criterion>,
 
-    /// Measure on a few rays what skipped samples and the derivatives cost, and print the error budget
-    #[arg(long)]
-    pub(super) audit: bool,
+    /// Sum in part I of N of space only (I from 0; N = 2, 4, 8, ...), where the whole does not fit into memory; `merge`
+    /// joins the parts to the same field
+    ///
+    /// Space is cut so that all tiles have about as many vertices. Each tile needs all rays that reach it, so N tiles
+    /// take longer than one run, and a tile's file is as large as that of a shard.
+    #[arg(
+        long,
+        value_name = "I/N",
+        value_parser = parse_tile,
+        conflicts_with = "memory",
+        help_heading = heading::GRID,
+        hide_short_help = true,
+    )]
+    tile: Option<Tile>,
 
-    /// Also store how far log10 U is from its limit for ever more rays, by comparing this many independent groups
-    /// of rays [without a number: 8]
+    #[command(flatten)]
+    grid: GridOptions,
+
+    /// Rays to draw, such as 400k or 1M, or `all` for every training pixel once; the default is the paper's. With
+    /// --target-error the most
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = RayCount::Drawn(RaySettings::default().rays),
+        value_parser = RayCount::parse,
+        help_heading = heading::RAYS,
+    )]
+    rays: RayCount,
+
+    /// Draw rays until the estimated mean error of log10 U is within this, at most --rays
+    ///
+    /// Doubles the rays, from 65536, until two halves of them agree. Most scenes need tens of millions for 0.05.
+    #[arg(
+        long,
+        value_name = "DECADES",
+        value_parser = parse_positive,
+        conflicts_with_all = ["shard", "error_bars", "dump_samples", "checkpoint", "dry_run"],
+        help_heading = heading::RAYS,
+    )]
+    target_error: Option<f64>,
+
+    /// Where the field's derivatives come from
+    #[arg(long, value_enum, default_value_t, help_heading = heading::RAYS)]
+    gradient: GradientMethod,
+
+    /// Seed of pixels and sample positions
+    #[arg(long, default_value_t = RaySettings::default().seed, help_heading = heading::RAYS, hide_short_help = true)]
+    seed: u64,
+
+    /// Draw only part I of N of the rays (I from 0); `merge` joins the parts
+    // Ray indices of a shard are those of the whole run, beyond the `rays_total` of a file of its own.
+    #[arg(
+        long,
+        value_name = "I/N",
+        value_parser = parse_shard,
+        conflicts_with = "dump_samples",
+        help_heading = heading::RAYS,
+        hide_short_help = true,
+    )]
+    shard: Option<[u64; 2]>,
+
+    /// Compare the model with its training images in this folder, and add the photometric residual to deviations of
+    /// depth
+    ///
+    /// The names of the training images start from DIR: it is the data set that the model was trained on, or the
+    /// folder of the camera file. They have the size of the cameras' pictures. Their residuals are kept at the points
+    /// of a lattice of at most 64 cells a side, and the deviation of depth becomes
+    /// sqrt(Var + s^2 + (c residual)^2), where c is a 10th of the longest edge of the field's box, for all scenes (in
+    /// contracted space, of the part that is not). U stays as it is. Of fields to merge, one that has them is enough.
+    /// Needs --scale data.
+    #[arg(long, value_name = "DIR", conflicts_with = "tile", help_heading = heading::STATISTICS)]
+    images: Option<PathBuf>,
+
+    /// Also store the sampling error of log10 U, from this many independent groups of rays [without a number: 8]
     ///
     /// Each group draws pixels of its own. The field stores the root mean square error of log10 U (decades, by the
     /// delete-one-group jackknife; 2 is split half), and `query` returns it. Where fewer than two groups or
@@ -115,102 +173,74 @@ pub struct Args {
         default_missing_value = "8",
         value_parser = clap::value_parser!(u16).range(2..=64),
         conflicts_with_all = ["dump_samples", "shard", "memory"],
+        help_heading = heading::STATISTICS,
     )]
-    pub(super) error_bars: Option<u16>,
+    error_bars: Option<u16>,
 
-    /// Also draw displacements of all vertices together, this many times, so that deviations of depth know that
-    /// neighbours move together [without a number: 32]
-    ///
-    /// For --level 6 and less and some 100k rays: every row of the Jacobian is kept, and solving takes minutes. At
-    /// level 6 depth errors rank better, and their deviations hold more of them (experiments/depth.md); U stays as it
-    /// is. Variances have a relative error of sqrt(2/DRAWS), a vertex takes 12 DRAWS bytes. Needs --scale data.
-    #[arg(
-        long,
-        value_name = "DRAWS",
-        num_args = 0..=1,
-        default_missing_value = "32",
-        value_parser = clap::value_parser!(u16).range(2..=1024),
-        conflicts_with_all = ["error_bars", "dump_samples", "shard", "tile", "memory", "checkpoint"],
-    )]
-    pub(super) correlations: Option<u16>,
+    /// Measure on a few rays what skipped samples and the derivatives cost, for the table of errors
+    #[arg(long, help_heading = heading::STATISTICS, hide_short_help = true)]
+    audit: bool,
 
-    /// Also compare the model with its training images in this folder, so that deviations of depth count what it
-    /// cannot show
-    ///
-    /// The names of the training images start from DIR: it is the data set that the model was trained on, or the
-    /// folder of the camera file. They have the size of the cameras' pictures. Their residuals are kept at the points
-    /// of a lattice of at most 64 cells a side, and the deviation of depth becomes
-    /// sqrt(Var + s^2 + (c residual)^2), where c is a 10th of the longest edge of the field's box, for all scenes (in
-    /// contracted space, of the part that is not). U stays as it is. Of fields to merge, one that has them is enough.
-    /// Needs --scale data.
-    #[arg(long, value_name = "DIR", conflicts_with = "tile")]
-    pub(super) images: Option<PathBuf>,
+    /// Where to write the field
+    #[arg(short, long, value_name = "FIELD.oct", required_unless_present = "dry_run", help_heading = heading::OUTPUT)]
+    output: Option<PathBuf>,
 
-    /// Also sum the same rays on this many coarser levels, so that no level has to be chosen for ranking pixels
-    /// [without a number: 2]
+    /// Print how much memory, time and disk the run will take, by a pilot of a few thousand rays, and write nothing
+    #[arg(long, conflicts_with = "dump_samples", help_heading = heading::OUTPUT)]
+    dry_run: bool,
+
+    /// Save the state of the run in this file every minute and when it is stopped; the same command then goes on from
+    /// there
     ///
-    /// `u-spread` and `u-spread-per-root-ray`, by which `evaluate` ranks, then read the mean of log10 U over all
-    /// levels, which ranks depth errors about as well as the best of them does (experiments/depth.md). U and deviations
-    /// of depth stay as they are. Fields that are merged lose their coarser levels.
-    #[arg(
-        long,
-        value_name = "N",
-        num_args = 0..=1,
-        default_missing_value = "2",
-        value_parser = clap::value_parser!(u8).range(1..=UncertaintyField::MOST_COARSER as i64),
-        conflicts_with_all = ["error_bars", "shard", "tile", "memory", "checkpoint"],
-    )]
-    pub(super) coarser_levels: Option<u8>,
+    /// The run survives Ctrl-C, kill -9 and power cuts, and ends with the same bytes. The file is removed at the end.
+    #[arg(long, value_name = "FILE", conflicts_with = "dump_samples", help_heading = heading::OUTPUT)]
+    checkpoint: Option<PathBuf>,
+
+    /// Start over and discard the checkpoint, if there is one
+    #[arg(long, requires = "checkpoint", help_heading = heading::OUTPUT, hide_short_help = true)]
+    restart: bool,
 
     /// Also write the ray samples with their Jacobians, in the format that `accumulate` reads
     ///
     /// Samples whose Jacobian is zero are left out, so that weights do not add up to the opacity.
     // Under a memory budget a run may start again, and would write its first rays twice.
-    #[arg(long, value_name = "SAMPLES.npz", conflicts_with = "memory")]
-    pub(super) dump_samples: Option<PathBuf>,
+    #[arg(
+        long,
+        value_name = "SAMPLES.npz",
+        conflicts_with = "memory",
+        help_heading = heading::OUTPUT,
+        hide_short_help = true,
+    )]
+    dump_samples: Option<PathBuf>,
 
-    /// Draw only part I of N of the rays (I from 0); `merge` joins the parts
-    // Ray indices of a shard are those of the whole run, beyond the `rays_total` of a file of its own.
-    #[arg(long, value_name = "I/N", value_parser = parse_shard, conflicts_with = "dump_samples")]
-    pub(super) shard: Option<[u64; 2]>,
+    /// Print one JSON object
+    #[arg(long, help_heading = heading::OUTPUT)]
+    json: bool,
 
-    /// Save the state of the run in this file, so that it survives Ctrl-C, kill -9 and power cuts
-    #[arg(long, value_name = "FILE", conflicts_with = "dump_samples")]
-    pub(super) checkpoint: Option<PathBuf>,
+    /// Cells per axis of the occupancy grid that lets rays skip empty space
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = Occupancy::DEFAULT_RESOLUTION as u16,
+        value_parser = clap::value_parser!(u16).range(4..=512),
+        help_heading = heading::ADVANCED,
+        hide_short_help = true,
+    )]
+    occupancy: u16,
 
-    /// Time between checkpoints, such as 90s, 5min or 1h30m
-    #[arg(long, value_name = "TIME", default_value = "60s", value_parser = parse_interval)]
-    checkpoint_every: Duration,
-
-    /// Continue from the checkpoint, if there is one
-    #[arg(long, requires = "checkpoint")]
-    resume: bool,
-
-    /// Use the cameras even if the model does not show the images that lie beside them
+    /// Do not differentiate samples whose weight, and whose density bound times |dC/dsigma|, are both below this;
+    /// 0 skips none
     ///
-    /// Before the run, a few hundred pixels of at most 8 of these images are compared with the model: below 15 dB a
-    /// warning names likely causes, such as cameras of another scene or another background; below 8 dB the cameras are
-    /// refused.
-    #[arg(long)]
-    force: bool,
-}
-
-/// A file of this many bytes is announced before the run.
-const LARGE_FILE: f64 = 5e7;
-
-/// How many rays to draw.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Rays {
-    Count(u64),
-    Auto,
-}
-
-/// A number of rays, or `auto`.
-fn parse_rays(text: &str) -> std::result::Result<Rays, String> {
-    if text == "auto" {
-        return Ok(Rays::Auto);
-    }
-    count(1..=MOST)(text).map(Rays::Count).map_err(|expected| format!("{expected}; or `auto`"))
+    /// Rays end at this transmittance. The effect on log10 U is not part of --tolerance; --audit measures it.
+    #[arg(
+        long,
+        value_name = "WEIGHT",
+        default_value_t = RaySettings::default().cutoff,
+        value_parser = parse_share,
+        help_heading = heading::ADVANCED,
+        hide_short_help = true,
+    )]
+    cutoff: f64,
 }
 
 /// Most shards of a run.
@@ -225,107 +255,103 @@ fn parse_shard(text: &str) -> std::result::Result<[u64; 2], String> {
     }
 }
 
-fn warn_of_dropped(progress: &RunProgress) {
-    if let Some(first) = progress.first_invalid {
-        announce!("warning: {} rays dropped, the field is not finite; first at {first:?}", progress.dropped);
-    }
-}
-
 impl Args {
     /// Runs the verb.
-    pub fn run(mut self, bars: &Bars) -> Result<()> {
+    pub fn run(mut self, given: &Given, bars: &Bars) -> Result<()> {
         self.cameras.find(Part::Training);
         self.command_files().check()?;
-        let inputs = self.read()?;
-        let start = Instant::now();
-        let (estimation, grid) = self.estimation(&inputs, bars)?;
-        let images = images::find(&self, &inputs, &grid)?;
-        let files = self.command_files().images(&inputs.views);
+        let model = OpenedModel::for_cameras(&self.model.model, self.cameras.cameras.is_some(), self.splat_mode)?;
+        if let Model::Splats(_) = &model.model {
+            self.refuse_for_splats(given)?;
+        }
+        let cameras = self.cameras.training(&self.frames, model.model.field(), &self.model.model)?;
+        let find = |folder: &PathBuf| {
+            self.grid.scale.scale.check_images()?;
+            TrainingImages::find(folder, &cameras.views.frames)
+        };
+        let images = self.images.as_ref().map(find).transpose()?;
+        let files = self.command_files().images(&cameras.views);
         files.inputs("an image of --images", images.iter().flat_map(TrainingImages::paths)).check()?;
-        self.grid.check_output()?;
-        let mut dump = self.dump_samples.as_deref().map(SamplesWriter::create).transpose()?;
+        self.output.as_deref().map_or(Ok(()), check_field_name)?;
 
-        let checkpoint = self.checkpoint();
-        let estimation = checkpoint.iter().cloned().fold(estimation, Estimation::checkpoint);
-        let mut together = Together::new(&self, &grid, inputs.domain())?;
-        let estimation = match (&mut dump, &mut together) {
-            (Some(dump), _) => estimation.tap(|batches| dump.add(batches)),
-            (None, Some(together)) => estimation.tap(|batches| together.add(batches)),
-            (None, None) => estimation,
+        let session = Session::new(cameras.views, format!("{} seen by {}", model.source, cameras.source))?
+            .checksum(Some(model.checksum))
+            .domain(self.domain.chosen()?)
+            .rays(self.ray_settings())
+            .grid(self.grid_settings())
+            .scale(self.grid.scale.scale)
+            .noise(self.grid.scale.noise)
+            .goal(Goal::of(self.target_error, self.shard, self.error_bars))
+            .checkpoint(self.checkpoint())
+            .images(images)
+            .dump(self.dump_samples.clone())
+            .audit(self.audit)
+            .force(self.force)
+            .has_chosen_coordinates(model.coordinates.is_some() && self.cameras.cameras.is_some())
+            .has_given_fov(self.cameras.fov.is_some());
+        let prepared = session.prepare(model.model.subject(), bars, &mut tell)?;
+        let Some(output) = self.output.as_ref().filter(|_| !self.dry_run) else {
+            return self.print(&prepared.needs(&mut tell)?);
         };
-
-        let run = estimation.prepare()?;
-        self.check_sight(&run.sight()?)?;
-        run.check_positions()?.warning().iter().for_each(|text| announce!("warning: {text}"));
-        let step = run.check_step()?;
-        step.iter().for_each(report::step);
-        if self.audit {
-            report::audit(&run.audit()?, &grid);
+        if let Some(plan) = prepared.forecast(&mut tell)? {
+            report::plan(&plan, self.grid.level);
         }
-        self.forecast(&run, &grid)?;
-        // Before the rays, so that a wrong image ends the work at once.
-        let misfit = images.as_ref().map(|images| images::misfit(images, &self, &inputs, run.lattice(), bars));
-        let misfit = misfit.transpose()?;
-        self.check_images(&run, images.as_ref().map_or(&inputs.views.frames, TrainingImages::frames), bars)?;
-        let rays = run.rays();
-        let Outcome { field, progress, sums_bytes, plan, is_replanned, sampling_error, .. } =
-            run.finish().inspect_err(|error| {
-                if let (Error::Interrupted, Some(checkpoint)) = (error, &checkpoint) {
-                    let (path, drawn) = (
-                        self.checkpoint.iter().next().map_or("".into(), |p| p.display().to_string()),
-                        checkpoint.rays(self.error_bars),
-                    );
-                    announce!("note: {path} holds {drawn} of {rays} rays; --resume goes on");
-                }
-            })?;
-        if let Some(error) = &sampling_error {
-            report::sampling_error(error, progress.rays, grid.tolerance);
-        }
-        if let Some(plan) = plan.filter(|_| is_replanned) {
-            announce!("note: the rays took more or less memory than planned; the run started again with this plan:");
-            report::plan(&plan, &grid);
-        }
-        warn_of_dropped(&progress);
-        if let Some(dump) = dump {
-            dump.finish(progress.rays)?;
-        }
-        let field = match together {
-            Some(together) => together.join(field, progress.rays, bars)?,
-            None => field,
-        };
-        let field = match misfit {
-            Some(misfit) => field.with_misfit(misfit)?,
-            None => field,
-        };
-        self.grid.write(&field, &Cost { elapsed: start.elapsed(), sums_bytes, step })?;
-        checkpoint.map_or(Ok(()), |checkpoint| checkpoint.remove(self.error_bars))
+        let finished = prepared.finish(&mut tell)?;
+        finished.replanned.iter().for_each(|plan| report::plan(plan, self.grid.level));
+        finished.save(output)?;
+        report::finished(&finished, self.json)
     }
 
-    /// Says on stderr what the run will need, if it is long, has limits or makes a large file. Refuses a run that needs
-    /// more memory than there is.
-    fn forecast(&self, run: &Run, grid: &GridSettings) -> Result<()> {
-        if self.rays == Rays::Auto {
-            return Ok(());
-        }
-        let plan = match run.forecast() {
-            // Of the few rays of a pilot, too many may be at fault by chance; the run will tell.
-            Err(Error::NonFinite { .. }) => return Ok(()),
-            plan => plan?,
-        };
-        let left = available().zip(resident()).map(|(available, resident)| (available + resident) as f64);
-        if let Some(left) = left.filter(|left| plan.peak() > *left) {
-            let expected = format!(
-                "{}, the peak of the process by a pilot of the run; --memory bounds it, a lower --level or \
-                 --refine ray-count need less",
-                report::bytes(plan.peak() as usize)
-            );
-            return Err(Error::setting("memory", expected, format!("{} free", report::bytes(left as usize))));
-        }
-        if grid.needs_plan() || run.rays() >= Planner::CHEAP * Planner::PILOT || plan.file > LARGE_FILE {
-            report::plan(&plan, grid);
-            run.time_with_own_derivatives()?.iter().for_each(|&ratio| report::own_derivatives(ratio));
+    /// Refuses options that mean nothing for splats, or that splats do not have yet.
+    fn refuse_for_splats(&self, given: &Given) -> Result<()> {
+        let marched = ["--gradient", "--cutoff", "--occupancy", "--audit"];
+        given.refuse(&marched, "a volume, whose rays are marched and whose density is differentiated", "splats")?;
+        let in_turn = ["--memory", "--target-error"];
+        given.refuse(
+            &in_turn,
+            "a volume: rays of splats are drawn camera by camera, so the first tell little",
+            "splats",
+        )?;
+        given.refuse(&["--images"], "a volume, whose training images are compared with it pixel by pixel", "splats")?;
+        if self.refine.contains(&Criterion::Density) {
+            return Err(Error::setting("--refine density", "a volume, which has a density", "splats"));
         }
         Ok(())
+    }
+
+    fn ray_settings(&self) -> RaySettings {
+        let (rays, pixels) = match self.rays {
+            RayCount::Drawn(rays) => (rays, Pixels::default()),
+            RayCount::All => (RaySettings::default().rays, Pixels::Every),
+        };
+        RaySettings {
+            rays,
+            pixels,
+            seed: self.seed,
+            gradient: self.gradient,
+            cutoff: self.cutoff,
+            background: self.background,
+            occupancy: usize::from(self.occupancy),
+            ..RaySettings::default()
+        }
+    }
+
+    fn grid_settings(&self) -> GridSettings {
+        let criteria = self.refine.iter().copied().collect();
+        GridSettings { memory: self.memory, criteria, tile: self.tile, ..self.grid.settings() }
+    }
+
+    /// Prints what the run will need.
+    fn print(&self, needs: &Needs) -> Result<()> {
+        if self.json {
+            return say!("{}", serde_json::json!(needs));
+        }
+        let Needs { rays, level, threads, plan, errors, .. } = needs;
+        say!("run     level {level}, {rays} rays, about {:.2e} vertices", plan.vertices)?;
+        report::given_up(plan).map_or(Ok(()), |given_up| say!("{given_up}"))?;
+        let [peak, file] = [plan.peak(), plan.file].map(|size| report::bytes(size as usize));
+        say!("        {peak} of memory, {:.0} s on {threads} threads, a file of {file}", needs.seconds.ceil())?;
+        say!("{}", report::errors(errors))
     }
 
     /// What is read and written. A checkpoint is both by design.
@@ -333,7 +359,7 @@ impl Args {
         let files = CommandFiles::default()
             .input("MODEL", &self.model.model)
             .cameras(self.cameras.cameras.as_deref())
-            .output("--output", &self.grid.output)
+            .outputs("--output", &self.output)
             .outputs("--dump-samples", &self.dump_samples);
         let states = self.checkpoint().map_or(Vec::new(), |checkpoint| checkpoint.files(self.error_bars));
         match self.error_bars {
@@ -344,8 +370,9 @@ impl Args {
         }
     }
 
-    /// Where and how often to save, if at all.
+    /// Where to save, if at all.
     fn checkpoint(&self) -> Option<Checkpoint> {
-        self.checkpoint.as_ref().map(|path| Checkpoint::new(path).every(self.checkpoint_every).resume(self.resume))
+        let path = self.checkpoint.as_ref().filter(|_| !self.dry_run);
+        path.map(|path| Checkpoint::new(path).restart(self.restart))
     }
 }

@@ -45,11 +45,18 @@ const MODELS: [(&str, usize); 18] = [
     ("EQUIRECTANGULAR", 2),
 ];
 
-/// Number of kinds that are read, the first of [`MODELS`].
-const READ: usize = 5;
+/// Kinds that are read; FULL_OPENCV only as long as it does not divide.
+const READ: [usize; 6] = [0, 1, 2, 3, 4, FULL_OPENCV];
 
-/// Folders of a project in which a model, or numbered folders with models, may lie.
-const FOLDERS: [&str; 3] = ["", "sparse", "colmap/sparse"];
+/// OpenCV's rational lens.
+const FULL_OPENCV: usize = 6;
+
+/// Folders of a project in which a model, or folders with models, may lie.
+const FOLDERS: [&str; 2] = ["sparse", "colmap/sparse"];
+
+/// Folders in which undistorted pictures are put, each set with a model of its own: in `sparse` below it, or below
+/// folders of its own.
+const UNDISTORTED: [&str; 2] = ["dense", "undistorted"];
 
 /// A kind of lens: an index into [`MODELS`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -69,7 +76,7 @@ impl Lens {
     }
 
     fn unknown(found: String) -> Complaint {
-        let known: Vec<&str> = MODELS[..READ].iter().map(|(name, _)| *name).collect();
+        let known = READ.map(|kind| MODELS[kind].0);
         let expected = format!("a perspective camera ({})", known.join(", "));
         Complaint { place: "camera model".into(), expected, found }
     }
@@ -137,7 +144,8 @@ impl ModelFiles {
     /// `None` if it is no such thing.
     ///
     /// # Errors
-    /// If there are several models. Their cameras are not in one coordinate system.
+    /// If there are several models. Their cameras are not in one coordinate system, or those of the pictures as they
+    /// were taken stand beside those of undistorted ones.
     pub fn find(path: &Path) -> Result<Option<Self>> {
         let mut models = Self::all(path);
         let counted: Vec<_> = models.iter().map(|model| model.images().map(|images| images.len()).ok()).collect();
@@ -169,11 +177,14 @@ impl ModelFiles {
             if !own.is_empty() {
                 return own;
             }
-            let below = FOLDERS.iter().flat_map(|folder| {
-                let folder = path.join(folder);
-                let numbered = numbered_folders(&folder);
-                [folder].into_iter().chain(numbered)
-            });
+            let with_folders = |folder: PathBuf| {
+                let below = folders_below(&folder);
+                [folder].into_iter().chain(below)
+            };
+            let numbered = folders_below(path).into_iter().filter(|folder| number(folder).is_some());
+            let named = FOLDERS.iter().flat_map(|folder| with_folders(path.join(folder)));
+            let undistorted = UNDISTORTED.iter().flat_map(|folder| with_folders(path.join(folder)));
+            let below = numbered.chain(named).chain(undistorted.map(|folder| folder.join("sparse")));
             return below.flat_map(|folder| both(&folder)).collect();
         }
         let (stem, extension) = (path.file_stem().and_then(|s| s.to_str()), path.extension().and_then(|e| e.to_str()));
@@ -254,14 +265,17 @@ impl ModelFiles {
     }
 }
 
-/// The folders in a folder whose names are numbers, in their order.
-fn numbered_folders(folder: &Path) -> Vec<PathBuf> {
-    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
-    let number = |path: &Path| path.file_name()?.to_str()?.parse::<u32>().ok();
-    let mut folders: Vec<(u32, PathBuf)> =
-        entries.map(|entry| entry.path()).filter_map(|path| Some((number(&path)?, path))).collect();
-    folders.sort();
-    folders.into_iter().map(|(_, path)| path).collect()
+/// The folders in a folder: those named by numbers in their order, then the others by their names.
+fn folders_below(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
+    let mut folders: Vec<PathBuf> = entries.filter(|path| path.is_dir()).collect();
+    folders.sort_by_cached_key(|path| (number(path).is_none(), number(path), path.clone()));
+    folders
+}
+
+/// The number that a folder is named by.
+fn number(folder: &Path) -> Option<u32> {
+    folder.file_name()?.to_str()?.parse().ok()
 }
 
 /// nerfstudio's lists of training and test images, beside the folder of the pictures.
@@ -293,6 +307,15 @@ fn lens(raw: &RawCamera, requested: Option<[u32; 2]>) -> Parsed<Camera> {
             let lens = Intrinsics { k1: Some(k1), k2: Some(k2), p1: Some(p1), p2: Some(p2), ..one(fx, cx, cy) };
             Intrinsics { fl_y: Some(fy), ..lens }
         }
+        (FULL_OPENCV, &[fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6]) => {
+            if [k4, k5, k6].iter().any(|divisor| *divisor != 0.0) {
+                let expected = "FULL_OPENCV that does not divide, k4 = k5 = k6 = 0; `colmap image_undistorter` makes \
+                                pinholes of others";
+                return Err(Complaint::new("parameters", expected, format!("k4 {k4}, k5 {k5}, k6 {k6}")));
+            }
+            let lens = Intrinsics { k1: Some(k1), k2: Some(k2), k3: Some(k3), ..one(fx, cx, cy) };
+            Intrinsics { fl_y: Some(fy), p1: Some(p1), p2: Some(p2), ..lens }
+        }
         _ => {
             let unknown = Lens::unknown(raw.lens.name().to_string());
             return Err(Complaint { place: "model".into(), ..unknown });
@@ -304,7 +327,7 @@ fn lens(raw: &RawCamera, requested: Option<[u32; 2]>) -> Parsed<Camera> {
         let expected = "positive focal lengths and a principal point near the image".into();
         wrong(Fault { expected, ..fault })
     })?;
-    let distortion = intrinsics.distortion().map_err(wrong)?;
+    let distortion = intrinsics.distortion(true).map_err(wrong)?;
     let camera = Camera { position: DVec3::ZERO, axes: DMat3::IDENTITY, focal, center, resolution, distortion };
     if let Some(found) = camera.folds_over() {
         return Err(Complaint::new("parameters", "a lens that leaves every pixel its ray", found));

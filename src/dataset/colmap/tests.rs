@@ -11,18 +11,19 @@ use crate::geometry::Distortion;
 fn cameras() -> Vec<(String, Camera, Lens)> {
     (0..7_u8)
         .map(|i| {
-            let (angle, kind) = (0.9 * f64::from(i) + 0.1, i as usize % READ);
+            let (angle, kind) = (0.9 * f64::from(i) + 0.1, READ[i as usize % READ.len()]);
             let position = 4.0 * DVec3::new(angle.cos(), angle.sin(), 0.3 * angle.cos() - 0.2);
             let mut camera = Camera::look_at(position, DVec3::splat(0.1), DVec3::Z, 0.7, [60 + u32::from(i), 40]);
             camera.center = [29.25 + 0.1 * f64::from(i), 20.125];
-            let [k1, k2, p1, p2] = [0.05, -0.01, 2e-3, -1e-3];
+            let ([k1, k2, k3], p) = ([0.05, -0.01, 0.03], [2e-3, -1e-3]);
             camera.distortion = match kind {
-                0 | 1 => Distortion { k: [0.0; 2], p: [0.0; 2] },
-                2 => Distortion { k: [k1, 0.0], p: [0.0; 2] },
-                3 => Distortion { k: [k1, k2], p: [0.0; 2] },
-                _ => Distortion { k: [k1, k2], p: [p1, p2] },
+                0 | 1 => Distortion::default(),
+                2 => Distortion { k: [k1, 0.0, 0.0, 0.0], p: [0.0; 2] },
+                3 => Distortion { k: [k1, k2, 0.0, 0.0], p: [0.0; 2] },
+                4 => Distortion { k: [k1, k2, 0.0, 0.0], p },
+                _ => Distortion { k: [k1, k2, k3, 0.0], p },
             };
-            if kind == 1 || kind == 4 {
+            if [1, 4, FULL_OPENCV].contains(&kind) {
                 camera.focal[1] *= 1.01;
             }
             (format!("picture {i}.png"), camera, Lens(kind))
@@ -31,14 +32,15 @@ fn cameras() -> Vec<(String, Camera, Lens)> {
 }
 
 fn parameters(camera: &Camera, lens: Lens) -> Vec<f64> {
-    let ([fx, fy], [cx, cy], Distortion { k: [k1, k2], p: [p1, p2] }) =
+    let ([fx, fy], [cx, cy], Distortion { k: [k1, k2, k3, _], p: [p1, p2] }) =
         (camera.focal, camera.center, camera.distortion);
     match lens.0 {
         0 => vec![fx, cx, cy],
         1 => vec![fx, fy, cx, cy],
         2 => vec![fx, cx, cy, k1],
         3 => vec![fx, cx, cy, k1, k2],
-        _ => vec![fx, fy, cx, cy, k1, k2, p1, p2],
+        4 => vec![fx, fy, cx, cy, k1, k2, p1, p2],
+        _ => vec![fx, fy, cx, cy, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0],
     }
 }
 
@@ -152,8 +154,9 @@ fn what_is_wrong_is_said() {
         write(folder.path(), "txt", [lenses.as_bytes(), images.as_bytes()]);
         Views::read(folder.path(), None).unwrap_err().to_string()
     };
-    let perspective = "expected a perspective camera (SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV)";
-    for (name, parameters) in &MODELS[READ..] {
+    let perspective =
+        "expected a perspective camera (SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV, FULL_OPENCV)";
+    for (_, (name, parameters)) in MODELS.iter().enumerate().filter(|(kind, _)| !READ.contains(kind)) {
         let other = format!("5 {name} 60 40{}\n", " 0.5".repeat(*parameters));
         let error = refused(&other, &images);
         let expected = format!("cameras.txt: camera 5, model: {perspective}, found {name}");
@@ -163,6 +166,10 @@ fn what_is_wrong_is_said() {
         write(folder.path(), "txt", [both.as_bytes(), images.as_bytes()]);
         assert_eq!(Views::read(folder.path(), None).unwrap().frames.len(), 1, "{name}");
     }
+    let error = refused("5 FULL_OPENCV 60 40 80 80 30 20 0.1 0 0 0 0.2 0 0.3 0", &images);
+    let expected = "cameras.txt: camera 5, parameters: expected FULL_OPENCV that does not divide, k4 = k5 = k6 = 0; \
+                    `colmap image_undistorter` makes pinholes of others, found k4 0, k5 0.3, k6 0";
+    assert!(error.ends_with(expected), "{error}");
     let error = refused(&lenses.replace("SIMPLE_PINHOLE", "PINHOLES"), &images);
     assert!(error.ends_with("found PINHOLES"), "{error}");
     let cases = [
@@ -224,6 +231,25 @@ fn the_role_of_a_line_does_not_depend_on_how_many_words_it_has() {
 }
 
 #[test]
+fn models_of_undistorted_pictures_are_models_too() {
+    for dense in ["dense/sparse", "dense/0/sparse", "undistorted/sparse"] {
+        let folder = tempfile::tempdir().unwrap();
+        let put = |name: &str, count: usize| {
+            let [lenses, images] = as_binary(&cameras()[..count]);
+            write(&folder.path().join(name), "bin", [&lenses, &images]);
+        };
+        put(dense, 5);
+        assert_eq!(Views::read(folder.path(), None).unwrap().frames.len(), 5, "{dense}");
+        // The lenses of the pictures as they were taken are others.
+        put("sparse/0", 2);
+        let error = Views::read(folder.path(), None).unwrap_err().to_string();
+        let found = format!("sparse/0/images.bin with 2 images; {dense}/images.bin with 5 images");
+        assert!(error.contains(&found), "{error}");
+        assert_eq!(Views::read(&folder.path().join(dense), None).unwrap().frames.len(), 5, "{dense}");
+    }
+}
+
+#[test]
 fn several_models_are_refused_with_the_number_of_their_images() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
@@ -240,6 +266,11 @@ fn several_models_are_refused_with_the_number_of_their_images() {
     for (name, count) in [("sparse/1", 5), ("sparse/0/cameras.bin", 2)] {
         assert_eq!(Views::read(&path(name), None).unwrap().frames.len(), count, "{name}");
     }
+    // Also models in folders with names.
+    put("sparse/geo", 3);
+    let error = Views::read(folder.path(), None).unwrap_err().to_string();
+    assert!(error.contains("sparse/1/images.bin with 5 images; sparse/geo/images.bin with 3 images"), "{error}");
+    std::fs::remove_dir_all(path("sparse/geo")).unwrap();
     // Text beside binary is one model, unless it has other images.
     let [lenses, images] = as_text(&cameras()[..5]);
     write(&path("sparse/1"), "txt", [lenses.as_bytes(), images.as_bytes()]);

@@ -26,6 +26,11 @@ pub struct LensKind {
 pub const PERSPECTIVE: [&str; 5] = ["PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "RADIAL", "SIMPLE_RADIAL"];
 
 impl LensKind {
+    /// Whether the frame or the file names a camera model.
+    pub fn names_model(&self, file: &Self) -> bool {
+        self.camera_model.is_some() || file.camera_model.is_some()
+    }
+
     /// Names what makes the lens other than perspective. What the frame says takes precedence over the file.
     pub fn other_than_perspective(&self, file: &Self) -> Option<String> {
         let model = self.camera_model.as_ref().or(file.camera_model.as_ref());

@@ -43,11 +43,29 @@ fn frames_override_the_file() {
 }
 
 #[test]
+fn a_frame_overrides_every_key_of_the_file() {
+    let keys = ["fl_x", "fl_y", "cx", "cy", "k1", "k2", "p1", "p2"];
+    let [file, own] =
+        [[80.0, 81.0, 40.0, 41.0, 0.01, 0.02, 0.001, 0.002], [90.0, 91.0, 42.0, 43.0, 0.03, 0.04, 0.003, 0.004]];
+    let stated = |values: [f64; 8]| {
+        let of: Vec<String> = keys.iter().zip(values).map(|(key, value)| format!(r#""{key}": {value}"#)).collect();
+        of.join(", ")
+    };
+    let frames = format!(r#"[{{"file_path": "a", {POSE}}}, {{"file_path": "b", {}, {POSE}}}]"#, stated(own));
+    let views = read(&format!(r#"{{"w": 80, "h": 80, {}, "frames": {frames}}}"#, stated(file))).unwrap();
+    for (frame, [fx, fy, cx, cy, k1, k2, p1, p2]) in views.frames.iter().zip([file, own]) {
+        let Camera { focal, center, distortion, .. } = frame.camera;
+        assert_eq!((focal, center), ([fx, fy], [cx, cy]), "{}", frame.name);
+        assert_eq!((distortion.k, distortion.p), ([k1, k2, 0.0, 0.0], [p1, p2]), "{}", frame.name);
+    }
+}
+
+#[test]
 fn perspective_cameras_of_any_name_are_read_with_their_distortion() {
     for name in PERSPECTIVE.into_iter().chain(["opencv"]) {
         let model = format!(r#""camera_model": "{name}""#);
         let json = format!(r#"{{"fl_x": 50, "w": 40, "h": 40, "k1": 0.1, {model}, "frames": [{{{model}, {POSE}}}]}}"#);
-        assert_eq!(read(&json).expect(name).frames[0].camera.distortion.k, [0.1, 0.0]);
+        assert_eq!(read(&json).expect(name).frames[0].camera.distortion.k, [0.1, 0.0, 0.0, 0.0]);
     }
     // A frame's own lens takes precedence over the file's.
     let json = format!(
@@ -83,7 +101,7 @@ fn pixels_refer_to_the_picture_of_their_frame_at_any_size() {
             assert_eq!((camera.focal, camera.center[0]), ([100.0 * scale; 2], 52.0 * scale), "{requested:?}");
         }
     }
-    // Without pictures nobody knows; an angle holds for any size.
+    // Without pictures the size is unknown; an angle is valid for any size.
     let (_folder, path) = folder(&json, &[]);
     for requested in [None, Some([50, 40])] {
         let error = Views::read(&path, requested).unwrap_err().to_string();
@@ -106,7 +124,15 @@ fn a_list_of_coefficients_bends_rays_as_single_keys_do() {
     };
     let list = lens(r#""distortion_params": [0.1, -0.02, 0.0, 0.0, 0.003, -0.004]"#);
     assert_eq!(list, lens(r#""k1": 0.1, "k2": -0.02, "p1": 0.003, "p2": -0.004"#));
-    assert_eq!(list.distortion, Distortion { k: [0.1, -0.02], p: [0.003, -0.004] });
+    assert_eq!(list.distortion, Distortion { k: [0.1, -0.02, 0.0, 0.0], p: [0.003, -0.004] });
+    // Higher ones as nerfstudio has them, beside its key for lenses.
+    let model = r#""camera_model": "OPENCV""#;
+    let list = lens(&format!(r#"{model}, "distortion_params": [0.1, -0.02, 0.05, -0.03, 0.003, -0.004]"#));
+    let single = r#""k1": 0.1, "k2": -0.02, "k3": 0.05, "k4": -0.03, "p1": 0.003, "p2": -0.004"#;
+    assert_eq!(list, lens(&format!("{model}, {single}")));
+    assert_eq!(list.distortion, Distortion { k: [0.1, -0.02, 0.05, -0.03], p: [0.003, -0.004] });
+    let of_frame = format!(r#"{{"fl_x": 60, "w": 100, "h": 80, "frames": [{{{model}, {single}, {POSE}}}]}}"#);
+    assert_eq!(list, read(&of_frame).unwrap().frames[0].camera);
 }
 
 #[test]
@@ -210,6 +236,10 @@ fn what_is_wrong_is_said() {
             "expected a lens that leaves every pixel its ray, found k1 -5",
         ),
         (&format!("{{\"camera_angle_x\": 1, \"k3\": 0.1, \"frames\": [{{{POSE}}}]}}"), "found k3 0.1"),
+        (
+            &format!("{{\"camera_angle_x\": 1, \"camera_model\": \"OPENCV\", \"k5\": 0.1, \"frames\": [{{{POSE}}}]}}"),
+            "found k5 0.1",
+        ),
         ("[{\"file_path\": \"a\", \"transform\": []}]", "found poses exported by `ns-export cameras`"),
         ("{\"frames\": 3}", "line 1"),
         ("3", "as an object with a list `frames`"),
@@ -217,5 +247,30 @@ fn what_is_wrong_is_said() {
     for (json, expected) in cases {
         let error = read(json).expect_err(json).to_string();
         assert!(error.contains(expected) && error.contains("transforms.json"), "{error}");
+    }
+}
+
+#[test]
+fn an_image_that_is_listed_twice_is_told() {
+    let frame = |name: &&str| format!(r#"{{"file_path": "{name}", {POSE}}}"#);
+    let notes = |names: &[&str]| {
+        let frames: Vec<String> = names.iter().map(frame).collect();
+        let json = format!(r#"{{"camera_angle_x": 1.0, "w": 100, "h": 50, "frames": [{}]}}"#, frames.join(", "));
+        read(&json).unwrap().notes
+    };
+    assert_eq!(notes(&["a", "b", "", ""]), [""; 0]);
+    let said = "frames 0 and 2 are the same image, `a.png`; an image counts as often as it is listed (1 repeated)";
+    assert_eq!(notes(&["a", "b", "a.png"]), [said]);
+    let said = "frames 0 and 1 are the same image, `a`; an image counts as often as it is listed (2 repeated)";
+    assert_eq!(notes(&["a", "a", "a"]), [said]);
+}
+
+#[test]
+fn an_empty_path_of_a_mask_or_a_depth_map_is_refused() {
+    for key in ["mask_path", "depth_file_path"] {
+        let frame = format!(r#"{{"file_path": "a", "{key}": " ", {POSE}}}"#);
+        let error = read(&format!(r#"{{"camera_angle_x": 1.0, "w": 100, "h": 50, "frames": [{frame}]}}"#)).unwrap_err();
+        let said = format!("frame 0 (`a`), `{key}`: expected the path of an image, found an empty one");
+        assert!(error.to_string().ends_with(&said), "{error}");
     }
 }

@@ -21,13 +21,14 @@ pub fn write_transforms(path: &Path, cameras: &[(String, Camera)]) -> Result<()>
                 "fl_x": camera.focal[0], "fl_y": camera.focal[1], "cx": camera.center[0], "cy": camera.center[1],
                 "w": camera.resolution[0], "h": camera.resolution[1],
                 "k1": camera.distortion.k[0], "k2": camera.distortion.k[1],
+                "k3": camera.distortion.k[2], "k4": camera.distortion.k[3],
                 "p1": camera.distortion.p[0], "p2": camera.distortion.p[1],
                 "transform_matrix": [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]],
             })
         })
         .collect();
     let mut file = crate::io::AtomicFile::create(path)?;
-    serde_json::to_writer_pretty(&mut file, &serde_json::json!({ "frames": frames }))
+    serde_json::to_writer_pretty(&mut file, &serde_json::json!({ "camera_model": "OPENCV", "frames": frames }))
         .map_err(|e| Error::io(path, "cannot write")(e.into()))?;
     file.commit()
 }

@@ -6,7 +6,7 @@
 
 mod city;
 mod columns;
-pub(crate) mod rig;
+mod rig;
 mod scenes;
 mod shapes;
 
@@ -57,11 +57,7 @@ impl ClosedForm {
             "city" => Self::city(0),
             other => match other.strip_prefix("city-").and_then(|seed| seed.parse().ok()) {
                 Some(seed) => Self::city(seed),
-                None => {
-                    let names = Self::NAMES.join(", ");
-                    let expected = format!("{names}, city-SEED, or one that `octobayes demo --scene list` lists");
-                    Err(Error::setting("scene", expected, other))
-                }
+                None => Err(Error::setting("scene", format!("{} or city-SEED", Self::NAMES.join(", ")), other)),
             },
         }
     }

@@ -8,9 +8,9 @@ use crate::field::Intrinsics;
 use crate::geometry::Camera;
 use crate::{Error, Result};
 
-/// Viewpoints, and the lens that all of them share unless told otherwise.
+/// Viewpoints, and the lens that all of them share by default.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Rig {
+pub struct Rig {
     /// Eye and look-at point, scene units; z is up.
     pub viewpoints: Vec<(DVec3, DVec3)>,
     /// Horizontal angle of view, radians.

@@ -25,7 +25,7 @@ fn field(domain: Domain, rng: &mut ChaCha8Rng) -> HashGrid {
     field_with(0.2, domain, rng)
 }
 
-/// A random field of which the given share of cells is occupied.
+/// A random field with the given share of occupied cells.
 fn field_with(share: f64, domain: Domain, rng: &mut ChaCha8Rng) -> HashGrid {
     let occupied = (0..512).map(|_| rng.random_bool(share)).collect();
     let training = serde_json::json!({ "seed": 7, "rate": 0.03_f32 });

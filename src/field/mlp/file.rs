@@ -14,7 +14,7 @@ use crate::{Error, Result};
 /// Extensions of checkpoints, as PyTorch's users choose them.
 const CHECKPOINTS: [&str; 4] = ["ckpt", "pt", "pth", "tar"];
 
-/// True if the name of the file says that it is a checkpoint of PyTorch.
+/// True if the file's name is that of a PyTorch checkpoint.
 pub fn is_checkpoint(path: &Path) -> bool {
     path.extension().and_then(|extension| extension.to_str()).is_some_and(|e| CHECKPOINTS.contains(&e))
 }
@@ -25,7 +25,7 @@ pub(super) enum File<'a> {
     Checkpoint(PytorchReader),
 }
 
-/// What a file says of a tensor.
+/// A tensor's entry in a file.
 struct Found {
     is_f32: bool,
     kind: String,

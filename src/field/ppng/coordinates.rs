@@ -11,7 +11,8 @@ use glam::{DMat3, DVec3, Vec3};
 use crate::geometry::{Aabb, Camera};
 
 /// Scene units and axes in which a model is used.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Coordinates {
     /// The file's own: the object region is [0, 1]³.
     #[default]

@@ -33,7 +33,7 @@ use super::{Differentiable, Intrinsics, Radiance, RadianceField, RadianceJet};
 use crate::geometry::{Aabb, Camera};
 use crate::{Error, Result};
 
-/// Image size of the file's cameras unless told otherwise.
+/// Default image size of the file's cameras.
 const RESOLUTION: [u32; 2] = [400, 400];
 
 /// A trained Plenoptic PNG.

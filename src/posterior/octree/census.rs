@@ -1,7 +1,7 @@
-//! Counts what a pilot's rays touch, without sums, and says from that how much a run will touch.
+//! Counts the vertices that a pilot's rays touch, without sums, and predicts the number that a run will touch.
 //!
 //! Vertices, bricks and split cells of the octree are *species*, rays are catches ([`Caught`] has the estimator). They
-//! are counted on the leaves of every coarseness that limits may ask for, because a coarse leaf is touched by more rays
+//! are counted on the leaves of every coarseness that limits may require, because a coarse leaf is touched by more rays
 //! than its part of the finest ones. Cells are counted level by level, as if every ray had an octree of its own. The
 //! octree of all rays splits what the octree of any ray splits, because balance is a rule from one cell to its
 //! neighbours.
@@ -20,7 +20,7 @@ use crate::octree::{Leaves, MaxLevels, Tile, Wanted, morton};
 use crate::posterior::VertexSums;
 use crate::render::RaySamples;
 
-/// One ray in this many is asked for its split cells, which takes longer than its bricks.
+/// Split cells are counted for one ray in this many, because they take longer than bricks.
 const OF_CELLS: u64 = 8;
 
 /// Number of free vertices per leaf. Measured: 0.62 where rays are far apart on the lattice, 0.9 on closed surfaces.
@@ -37,7 +37,7 @@ const VERTICES_PER_LEAF: f64 = 0.8;
 /// ```
 ///
 /// species. Rates are far apart where cameras are: what is distant is rarely hit. Rates that are all alike, r → ∞,
-/// give Chao's lower bound V = d + f1 (f1 − 1) / (2 (f2 + 1)), of which the run finds V (1 − exp(−t s / V)). The
+/// give Chao's lower bound V = d + f1 (f1 − 1) / (2 (f2 + 1)), and the run finds V (1 − exp(−t s / V)) of these. The
 /// larger number counts.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct Caught {
@@ -47,7 +47,7 @@ pub(super) struct Caught {
 }
 
 impl Caught {
-    /// Smallest f2 and f3 that tell how far apart rates are.
+    /// Smallest f2 and f3 from which the spread of rates can be estimated.
     const LEAST: [f64; 2] = [20.0, 5.0];
     /// Bounds on θ and r, beyond which the rates are not those of one gamma distribution.
     const MOST_THETA: f64 = 0.95;

@@ -21,7 +21,7 @@ struct Touched {
 
 impl Census {
     /// The tile with its box, where all tiles need about as much if `scale` times the pilot's rays are summed on the
-    /// leaves of `limits`. It is the same for the same pilot, whichever tile asks and by however many threads.
+    /// leaves of `limits`. It is the same for the same pilot, for any tile and any number of threads.
     #[must_use]
     pub fn cut(&self, scale: f64, limits: &MaxLevels, tile: Tile) -> Tile {
         let (mut touched, mut weights) = (Vec::new(), Vec::new());
@@ -53,7 +53,7 @@ impl Census {
     }
 }
 
-/// Axis and plane that cut a box in two, each of which is to be cut into `of` tiles; `None` if it is too small.
+/// Axis and plane that cut a box in two parts of `of` tiles each; `None` if it is too small.
 fn best(
     touched: &[Touched],
     low: [u32; 3],

@@ -1,10 +1,12 @@
-//! Names of vertices and of blocks: where their sums are found.
+//! Names of vertices and of blocks, where their sums are found, and the contributions of rays to these sums: in one
+//! list per partition, which that partition reads from beginning to end.
 //!
 //! The bits of a vertex's key, from the lowest: its number in its brick (3), the brick's number in its block (3), the
 //! rest of the Morton code of its point on the lattice of its own level, and from bit 57 on how much coarser than the
 //! finest lattice that level is.
 
 use crate::octree::morton;
+use crate::posterior::VertexSums;
 
 /// Shards: enough to keep many cores busy, few enough that their lists stay long.
 const SHARD_BITS: u32 = 6;
@@ -29,7 +31,7 @@ impl VertexKey {
         Self(u64::from(coarseness) << COARSENESS_SHIFT | morton::encode(point.map(|i| i >> coarseness)))
     }
 
-    /// A key as [`VertexKey::bits`] gave it, or as an untrusted file says.
+    /// A key from [`VertexKey::bits`], or from an untrusted file.
     pub fn from_bits(bits: u64) -> Self {
         Self(bits)
     }
@@ -98,6 +100,44 @@ impl BlockCode {
     /// One of its 64 vertices.
     pub fn vertex(self, in_block: u64) -> VertexKey {
         VertexKey(self.0 << 6 | in_block)
+    }
+}
+
+/// The contribution of one ray to one vertex.
+#[derive(Clone, Copy)]
+pub struct Contribution {
+    pub key: VertexKey,
+    pub sums: VertexSums,
+}
+
+/// The contributions of a batch of rays, by partition, each in ray order.
+pub struct Contributions(Vec<Vec<Contribution>>);
+
+impl Contributions {
+    /// Creates empty lists with room for about `expected` contributions.
+    pub fn new(expected: usize) -> Self {
+        Self((0..PARTITIONS).map(|_| Vec::with_capacity(expected / PARTITIONS)).collect())
+    }
+
+    /// Appends a contribution of the current ray or the next one.
+    #[inline(always)]
+    pub fn push(&mut self, key: VertexKey, sums: VertexSums) {
+        self.0[key.partition()].push(Contribution { key, sums });
+    }
+
+    /// Keeps the contributions to some vertices.
+    pub fn retain(&mut self, condition: impl Fn(VertexKey) -> bool) {
+        self.0.iter_mut().for_each(|list| list.retain(|contribution| condition(contribution.key)));
+    }
+
+    /// All of them, partition by partition.
+    pub fn iter(&self) -> impl Iterator<Item = &Contribution> {
+        self.0.iter().flatten()
+    }
+
+    /// The list of one partition.
+    pub fn partition(&self, s: usize) -> &[Contribution] {
+        &self.0[s]
     }
 }
 

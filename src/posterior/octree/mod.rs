@@ -10,42 +10,39 @@
 //! On limited leaves a corner may be a hanging vertex. Its part of J goes to the vertices that it is interpolated
 //! from, before squaring: the J of a free vertex includes what its hanging dependants would have received ([walk]).
 //!
-//! Threads: the rays of a batch are squared in parallel ([squares], [walk]) into [lists] of contributions, one
-//! list per partition. Then the partitions add their lists in parallel, each in ray order. Every sum therefore receives
+//! Threads: the rays of a batch are squared in parallel ([squares], [walk]) into lists of contributions, one list per
+//! partition ([key]). Then the partitions add their lists in parallel, each in ray order. Every sum therefore receives
 //! its contributions in ray order, whatever the number of threads.
 
 mod census;
 mod cuts;
 mod key;
-mod lists;
 mod pilot_counts;
 mod refine;
 mod sparse;
 mod squares;
-mod sums_list;
 mod walk;
 
 pub use census::{Census, Needs};
 pub use pilot_counts::PilotCounts;
-pub use refine::Refinement;
-pub(crate) use refine::TOGETHER;
+pub(super) use refine::TOGETHER;
+pub use refine::{Criteria, Criterion, Refinement};
 
-use std::ops::AddAssign;
+use std::ops::{AddAssign, Range};
 
-use key::VertexKey;
-use lists::Contributions;
+use key::{Contributions, VertexKey};
 use rayon::prelude::*;
 use sparse::SparseSums;
 use walk::LeafWalk;
 
 use super::{Posterior, VertexSums};
 use crate::geometry::Lattice;
-use crate::octree::{Leaves, MaxLevels, Tile, coarseness};
+use crate::octree::{Leaves, MaxLevels, Octree, Tile, coarseness};
 use crate::render::RaySamples;
 
 pub(crate) use sparse::spare_bytes;
 /// Bytes of one ray's contribution to one vertex, before it is summed.
-pub(crate) const CONTRIBUTION_BYTES: usize = size_of::<lists::Contribution>();
+pub(crate) const CONTRIBUTION_BYTES: usize = size_of::<key::Contribution>();
 
 /// Lists of contributions that each thread has at once.
 pub(crate) const AT_ONCE: usize = 2;
@@ -96,29 +93,6 @@ impl OctreePosterior {
         &self.limits
     }
 
-    /// Keys of vertices, in the order in which [`OctreePosterior::slices`] returns their sums.
-    pub(crate) fn keys(&self) -> impl Iterator<Item = u64> + '_ {
-        self.sums.keys().map(VertexKey::bits)
-    }
-
-    /// The sums, slice by slice.
-    pub(crate) fn slices(&self) -> impl Iterator<Item = &[VertexSums]> {
-        self.sums.slices()
-    }
-
-    /// Restores what [`OctreePosterior::keys`] and [`OctreePosterior::slices`] returned, in the same order.
-    ///
-    /// `None` if a key lies outside the lattice, is not that of a vertex on the leaves of `limits`, or occurs twice.
-    pub(crate) fn restore(lattice: Lattice, limits: MaxLevels, keys: &[u64], sums: Vec<VertexSums>) -> Option<Self> {
-        let sums = SparseSums::restore(lattice.cells_per_axis(), keys, sums)?;
-        let restored = Self { lattice, limits, tile: None, sums };
-        let is_found = |&key: &u64| {
-            let key = VertexKey::from_bits(key);
-            u64::from(restored.coarseness(key.point())) == key.coarseness()
-        };
-        keys.par_iter().all(is_found).then_some(restored)
-    }
-
     /// Adds sums at a lattice point, as part of joining another run.
     pub fn add_sums_at(&mut self, point: [u32; 3], sums: &VertexSums) {
         self.sums.add_one(VertexKey::new(point, self.coarseness(point)), sums);
@@ -136,11 +110,6 @@ impl OctreePosterior {
         self.sums.par_iter().filter(|(_, e)| e.rays > 0).map(|(key, e)| (key.point(), e))
     }
 
-    /// Of [`Posterior::memory`], the bytes that no sums use yet.
-    pub(crate) fn spare(&self) -> usize {
-        self.sums.spare()
-    }
-
     /// Number of levels between the finest level and the finest leaf that has `point` as a corner.
     ///
     /// A point that is not a corner of a leaf of that level has no sums under any key.
@@ -151,12 +120,30 @@ impl OctreePosterior {
         coarseness(&self.limits, point)
     }
 
+    /// Calls `visit` for every ray of a batch, in order, with what it adds at each vertex that it touches: lattice
+    /// point and sums. The sums so far do not count, and do not change.
+    pub fn each_ray(&self, batch: &RaySamples, mut visit: impl FnMut(u64, &[([u32; 3], VertexSums)])) {
+        let mut touched = Vec::new();
+        for (ray, samples) in batch.iter() {
+            let all = self.contributions_of(batch, std::iter::once(samples));
+            touched.clear();
+            touched.extend(all.iter().map(|added| (added.key.point(), added.sums)));
+            visit(ray, &touched);
+        }
+    }
+
     /// Squares every ray of a batch.
     fn contributions(&self, batch: &RaySamples) -> Contributions {
+        self.contributions_of(batch, batch.iter().map(|(_, samples)| samples))
+    }
+
+    /// Squares some rays of a batch, each given by its samples.
+    fn contributions_of(&self, batch: &RaySamples, rays: impl Iterator<Item = Range<usize>>) -> Contributions {
         let finest = self.limits.is_unlimited();
         let (mut places, mut walk) = (Vec::new(), LeafWalk::new(&self.lattice, &self.limits));
-        let mut all = Contributions::new(8 * batch.positions.len());
-        for (_, samples) in batch.iter() {
+        let (_, most) = rays.size_hint();
+        let mut all = Contributions::new(if most == Some(1) { 0 } else { 8 * batch.positions.len() });
+        for samples in rays {
             if finest && squares::places(&self.lattice, batch, samples.clone(), &mut places) {
                 squares::along(&places, batch, &mut all);
             } else {
@@ -179,8 +166,15 @@ impl AddAssign<&Self> for OctreePosterior {
 }
 
 impl Posterior for OctreePosterior {
+    const IS_DENSE: bool = false;
+    type Vertices = Octree;
+
+    fn empty(lattice: Lattice, limits: &MaxLevels, tile: Option<Tile>) -> Self {
+        Self::limited(lattice, limits.clone()).owning(tile)
+    }
+
     fn add(&mut self, batches: &[RaySamples]) {
-        // A list is several times as large as its batch, so there are only as many as keep the threads busy: threads
+        // A list is several times as large as its batch, so there are only enough to keep the threads busy: threads
         // wait for each other after these.
         for some in batches.chunks(AT_ONCE * rayon::current_num_threads()) {
             let lists: Vec<_> = some.par_iter().map(|batch| self.contributions(batch)).collect();
@@ -190,6 +184,56 @@ impl Posterior for OctreePosterior {
 
     fn memory(&self) -> usize {
         self.sums.memory()
+    }
+
+    fn spare(&self) -> usize {
+        self.sums.spare()
+    }
+
+    fn vertices(&self, refinement: &Refinement) -> Octree {
+        self.octree(refinement)
+    }
+
+    fn count(&self, octree: &Octree) -> usize {
+        octree.vertex_count()
+    }
+
+    fn gathered(self, octree: &Octree) -> Vec<VertexSums> {
+        self.sums_at(octree)
+    }
+
+    fn paired(&self, other: &Self) -> Vec<(VertexSums, VertexSums)> {
+        let both = self.touched().map(|(point, sums)| (*sums, other.sums(point)));
+        let new = other.touched().filter(|(point, _)| self.sums(*point).rays == 0);
+        both.chain(new.map(|(_, sums)| (VertexSums::default(), *sums))).collect()
+    }
+
+    fn keys(&self) -> Vec<u64> {
+        self.sums.keys().map(VertexKey::bits).collect()
+    }
+
+    fn slices(&self) -> impl Iterator<Item = &[VertexSums]> {
+        self.sums.slices()
+    }
+
+    /// `None` if a key lies outside the lattice, is not that of a vertex on the leaves of `limits`, or occurs twice.
+    fn restore(
+        lattice: Lattice,
+        limits: &MaxLevels,
+        tile: Option<Tile>,
+        keys: &[u64],
+        sums: Vec<VertexSums>,
+    ) -> Option<Self> {
+        if keys.len() != sums.len() {
+            return None;
+        }
+        let sums = SparseSums::restore(lattice.cells_per_axis(), keys, sums)?;
+        let restored = Self { lattice, limits: limits.clone(), tile, sums };
+        let is_found = |&key: &u64| {
+            let key = VertexKey::from_bits(key);
+            u64::from(restored.coarseness(key.point())) == key.coarseness()
+        };
+        keys.par_iter().all(is_found).then_some(restored)
     }
 }
 

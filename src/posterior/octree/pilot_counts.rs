@@ -5,8 +5,9 @@
 //! estimator of unseen species, gives the number of vertices that can be touched at all: V = d + f1 (f1 − 1) /
 //! (2 (f2 + 1)). R rays touch V (1 − exp(−t R / (P V))) of them.
 //!
-//! The bound says little where hardly a vertex was touched twice: where leaves are much finer than the pilot's rays lie
-//! apart. There the next coarser leaves say more, and surfaces have a quarter of the vertices on them.
+//! The bound is loose where hardly a vertex was touched twice, because leaves are much finer than the distance between
+//! the pilot's rays. There the next coarser leaves give a better estimate, and surfaces have a quarter of their
+//! vertices.
 
 use rustc_hash::FxHashMap;
 
@@ -69,7 +70,7 @@ struct Evidence {
 }
 
 impl Evidence {
-    /// From counts by coarseness, each of which stands for so many.
+    /// From counts by coarseness, each with its weight.
     fn new(counts: &[Counts; SIZES], weights: &[f64; SIZES]) -> Self {
         let mut rays_per_vertex = [0.0; SIZES];
         let mut coarser: Option<f64> = None;
@@ -87,7 +88,7 @@ impl Evidence {
     }
 }
 
-/// What the rays of a pilot tell of every region.
+/// The counts of a pilot's rays in every region.
 #[derive(Debug, Clone)]
 pub struct PilotCounts {
     finest: u8,
@@ -122,7 +123,7 @@ impl PilotCounts {
         self.limits_where(scale, |_| min_rays)
     }
 
-    /// As [`PilotCounts::limits`], but every region asks for up to twice as many rays, by chance.
+    /// As [`PilotCounts::limits`], but every region requires up to twice the number of rays, at random.
     ///
     /// Many regions have the same few counts. Their limits would all fall at the same number of rays, and a budget that
     /// lies between could not be used.

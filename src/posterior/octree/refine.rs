@@ -1,14 +1,84 @@
 //! From sums to an octree: finds where its leaves must be as fine as the sums.
 
+use std::fmt;
+
 use rayon::prelude::*;
 
 use super::OctreePosterior;
 use super::key::VertexKey;
 use crate::octree::{Cell, Leaves, Octree, Wanted, around, cells_around};
-use crate::posterior::{Pooling, VertexSums, trace};
+use crate::posterior::{Pooling, Reading, VertexSums, trace};
 
 /// Vertices whose sums are gathered together.
 pub const TOGETHER: usize = 64;
+
+/// A single criterion that requires refinement or limits it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Deserialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum Criterion {
+    /// Around vertices whose displacement would change some pixel
+    Sensitivity,
+    /// Wherever there is density, seen or not
+    Density,
+    /// No finer than the rays support: about 4 rays per vertex
+    RayCount,
+    /// Everywhere: the vertices of the dense grid, for comparisons
+    #[cfg_attr(feature = "cli", value(skip))]
+    #[serde(skip)]
+    Uniform,
+}
+
+/// A combination of criteria: refine where any of the first three requires it, but no finer than the rays support.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[non_exhaustive]
+pub struct Criteria {
+    /// [`Criterion::Sensitivity`].
+    pub sensitivity: bool,
+    /// [`Criterion::Density`].
+    pub density: bool,
+    /// [`Criterion::Uniform`].
+    pub uniform: bool,
+    /// [`Criterion::RayCount`].
+    pub ray_count: bool,
+}
+
+impl Default for Criteria {
+    fn default() -> Self {
+        Self::from_iter([Criterion::Sensitivity])
+    }
+}
+
+impl FromIterator<Criterion> for Criteria {
+    fn from_iter<T: IntoIterator<Item = Criterion>>(criteria: T) -> Self {
+        let mut all = Self { sensitivity: false, density: false, uniform: false, ray_count: false };
+        for criterion in criteria {
+            match criterion {
+                Criterion::Sensitivity => all.sensitivity = true,
+                Criterion::Density => all.density = true,
+                Criterion::RayCount => all.ray_count = true,
+                Criterion::Uniform => all.uniform = true,
+            }
+        }
+        // The ray count only limits. By itself it limits refinement by sensitivity.
+        all.sensitivity |= !all.density && !all.uniform;
+        all
+    }
+}
+
+impl fmt::Display for Criteria {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let all = [
+            (self.sensitivity, "sensitivity"),
+            (self.density, "density"),
+            (self.uniform, "uniform"),
+            (self.ray_count, "ray-count"),
+        ];
+        let names: Vec<&str> = all.iter().filter(|(on, _)| *on).map(|(_, name)| *name).collect();
+        write!(f, "{}", names.join(", "))
+    }
+}
 
 /// Whether a ray touched the vertex and its information exceeds `floor`.
 fn moves(sums: &VertexSums, floor: f64) -> bool {
@@ -29,6 +99,13 @@ pub struct Refinement {
 impl Refinement {
     /// A floor below all information: refines around every vertex that a ray touched.
     pub const EVERYTHING: f64 = f64::NEG_INFINITY;
+
+    /// Where `criteria` require it: around vertices with more information than `floor`, for deviations read by
+    /// `reading`, and for `wanted`.
+    #[must_use]
+    pub fn above(floor: f64, reading: &Reading, criteria: Criteria, wanted: Vec<Cell>) -> Self {
+        Self { floor: criteria.sensitivity.then_some(floor), pooling: reading.pooling(), wanted }
+    }
 }
 
 impl OctreePosterior {

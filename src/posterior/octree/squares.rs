@@ -10,8 +10,7 @@ use std::ops::Range;
 use glam::DVec3;
 use multiversion::multiversion;
 
-use super::key::VertexKey;
-use super::lists::Contributions;
+use super::key::{Contributions, VertexKey};
 use crate::geometry::Lattice;
 use crate::octree::morton;
 use crate::posterior::{Information, VertexSums};

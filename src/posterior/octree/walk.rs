@@ -10,8 +10,7 @@ use glam::DVec3;
 use multiversion::multiversion;
 use rustc_hash::FxHashMap;
 
-use super::key::VertexKey;
-use super::lists::Contributions;
+use super::key::{Contributions, VertexKey};
 use super::squares::{SampleJacobian, VertexJacobian};
 use crate::geometry::Lattice;
 use crate::octree::{Leaves, MaxLevels, Nearby, coarseness, masters, trilinear};

@@ -10,7 +10,12 @@ fn by_differences(tracer: &Tracer, rays: &[Ray], jitter: &[f64], first: u64, h: 
     let differences =
         Differences { step: DVec3::splat(h), domain: Domain::Box(tracer.field.bounds()), stencil: Stencil::Central };
     let differentiation = Differentiation { differences, analytic: None };
-    tracer.jacobians(rays, jitter, first, &differentiation, &mut JacobianBuffers::default())
+    let batch = RayBatch { rays: rays.to_vec(), jitter: jitter.to_vec(), first };
+    tracer.jacobians(&batch, &differentiation, &mut JacobianBuffers::default())
+}
+
+fn alone(ray: Ray, jitter: f64) -> RayBatch {
+    RayBatch { rays: vec![ray], jitter: vec![jitter], first: 0 }
 }
 
 /// Renders the ray's pixel with the position of sample `moved` displaced.
@@ -182,7 +187,7 @@ fn samples_without_a_jacobian_are_left_out() {
     let differences =
         Differences { step: DVec3::splat(1e-3), domain: Domain::Box(Slab.bounds()), stencil: Stencil::Central };
     let differentiation = Differentiation { differences, analytic: None };
-    let found = tracer.jacobians(&[ray], &[0.5], 0, &differentiation, &mut JacobianBuffers::default());
+    let found = tracer.jacobians(&alone(ray, 0.5), &differentiation, &mut JacobianBuffers::default());
     assert!(found.jacobians.iter().all(|jacobian| jacobian.iter().any(|entry| *entry != 0.0)));
     // Of the 80 samples of the slab between the ramps none, to within the step of the differences; of the two ramps'
     // 20 nearly all.
@@ -216,7 +221,7 @@ fn composites_what_is_not_differentiated(marcher: Marcher) {
     };
     let differentiation = Differentiation { differences, analytic: None };
     let jacobians =
-        |tracer: &Tracer| tracer.jacobians(&[ray], &[0.5], 0, &differentiation, &mut JacobianBuffers::default());
+        |tracer: &Tracer| tracer.jacobians(&alone(ray, 0.5), &differentiation, &mut JacobianBuffers::default());
     let exact = Tracer { marcher: Marcher { cutoff: 0.0, ..tracer.marcher.clone() }, ..tracer.clone() };
     let (exact, found) = (jacobians(&exact), jacobians(&tracer));
     // Behind the bump, T S = exp(-20 · 0.05 · 16/15) · 1.05e-5 = 3.6e-6; times δ |∇σ| of about 600 that is 2e-5.

@@ -58,7 +58,7 @@ fn sample_lattice(
 ) -> Vec<f32> {
     let bounds = field.bounds();
     let mut densities = vec![0.0_f32; count * count * count];
-    // A field that wants many points at once gets several slabs.
+    // A field with a large batch gets several slabs.
     let slabs = field.batch().div_ceil(count * count).max(1);
     densities.par_chunks_mut(slabs * count * count).enumerate().for_each(|(chunk, densities)| {
         if monitor.interrupted() {

@@ -5,8 +5,7 @@ use crate::rays::Draw;
 use crate::uncertainty::Protocol;
 use crate::{Error, Result};
 
-/// Refuses parts that differ in model, cameras or a setting that affects a sum, or of which two may count the same
-/// rays.
+/// Refuses parts that differ in model, cameras or a setting that affects a sum, and parts that may share rays.
 pub fn check(heads: &[Head]) -> Result<()> {
     let Some((first, rest)) = heads.split_first() else { return Ok(()) };
     for (i, head) in rest.iter().enumerate() {
@@ -67,7 +66,6 @@ fn check_alike(first: &Head, part: &Head) -> Result<()> {
             ("background", format!("{:?}", p.background)),
             ("pixel offset", format!("{:?}", p.pixel_offset)),
             ("pixels", format!("{:?}", p.pixels)),
-            ("prior", format!("{:?}", p.prior)),
             ("min rays", p.min_rays.to_string()),
             ("criteria", p.criteria.to_string()),
         ]

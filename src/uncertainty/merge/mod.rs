@@ -13,14 +13,15 @@ use std::path::{Path, PathBuf};
 pub(super) use parts::Head;
 pub(super) use tiles::in_turn;
 
-use self::parts::Parts;
+use self::parts::{Part, heads};
 use super::UncertaintyField;
 use crate::octree::Tile;
 use crate::posterior::VertexSums;
 use crate::rays::Draw;
 use crate::{Error, Result};
 
-/// Joins `parts` into the field of all their rays.
+/// Joins `parts`, fields or paths of their files, into the field of all their rays. Only one file is in memory at a
+/// time, beside what it is added to.
 ///
 /// Information adds up. Shards of one run keep all of theirs. Joined, they have the vertices of a run over all rays, at
 /// any tolerance. The sums differ only by the order of f64 additions, a relative n ε for n rays at a vertex. The order
@@ -30,7 +31,7 @@ use crate::{Error, Result};
 /// Runs with other seeds left out what was negligible for their own R rays, where their octrees are coarse. The
 /// total stays negligible for the sum of the R, and nothing beyond that is left out here. log10 U is within the
 /// tolerance of the dense grid of all rays. Error bars of the parts are dropped, because the sums of their groups
-/// are no longer available ([`merge_with_error_bars`]), and coarser levels.
+/// are no longer available ([`merge_with_error_bars`]).
 ///
 /// Tiles give the field of the run without tiles, bit for bit, except that its points on surfaces are others. Shards of
 /// tiles are joined tile by tile. The result has no sums: together they would take the memory that tiles avoid. Rays
@@ -38,17 +39,16 @@ use crate::{Error, Result};
 ///
 /// # Errors
 /// If there are fewer than two parts, a part has no sums, parts differ in model, cameras or a setting that
-/// affects a sum, two of them may count the same rays, or some but not all tiles of a run are given.
-pub fn merge(parts: &[UncertaintyField]) -> Result<UncertaintyField> {
-    join(parts)
-}
-
-/// Same as [`merge`], of files. Only one of them is in memory at a time, beside what it is added to.
-///
-/// # Errors
-/// As [`merge`], or if a file cannot be read. Messages name the file.
-pub fn merge_files(parts: &[PathBuf]) -> Result<UncertaintyField> {
-    join(parts)
+/// affects a sum, two of them may count the same rays, some but not all tiles of a run are given, or a file cannot be
+/// read.
+pub fn merge(parts: &[impl Part]) -> Result<UncertaintyField> {
+    let heads = heads(parts)?;
+    let groups = groups(&heads)?;
+    if let [all] = groups.as_slice() {
+        return shards::add(parts, &heads, all);
+    }
+    let tiles = || groups.iter().map(|shards| tile(parts, &heads, shards));
+    tiles::Survey::read(tiles())?.join(tiles())
 }
 
 /// Makes of the files of all tiles of a run as many files that answer queries, in `folder`: `tile-000-of-008.oct` and
@@ -56,9 +56,9 @@ pub fn merge_files(parts: &[PathBuf]) -> Result<UncertaintyField> {
 /// tiles need of each other, and the octree of the whole are ever in memory. Every file is read three times.
 ///
 /// # Errors
-/// As [`merge_files`], if the files are not of tiles, or if a file cannot be written.
+/// As [`merge`], if the files are not of tiles, or if a file cannot be written.
 pub fn finish_tiles(parts: &[PathBuf], folder: &Path) -> Result<()> {
-    let heads = parts.heads()?;
+    let heads = heads(parts)?;
     let groups = groups(&heads)?;
     if groups.len() < 2 {
         return Err(Error::setting("tiles to merge", "all tiles of a run", "fields of all of space, or of one tile"));
@@ -68,7 +68,7 @@ pub fn finish_tiles(parts: &[PathBuf], folder: &Path) -> Result<()> {
     survey.read_seams(tiles())?;
     for part in tiles() {
         let field = survey.finish(&part?)?;
-        let Some(Tile { index, of, .. }) = field.tile else { continue };
+        let Some(Tile { index, of, .. }) = field.tile() else { continue };
         field.write(&folder.join(format!("tile-{index:03}-of-{of:03}.oct")))?;
     }
     Ok(())
@@ -93,48 +93,26 @@ fn groups(heads: &[Head]) -> Result<Vec<Vec<usize>>> {
     Ok(by_tile.into_values().collect())
 }
 
-fn join(parts: &(impl Parts + ?Sized)) -> Result<UncertaintyField> {
-    let heads = parts.heads()?;
-    let groups = groups(&heads)?;
-    if let [all] = groups.as_slice() {
-        return shards::add(parts, &heads, all);
-    }
-    let tiles = || groups.iter().map(|shards| tile(parts, &heads, shards));
-    tiles::Survey::read(tiles())?.join(tiles())
-}
-
 /// One tile of all its shards.
-fn tile(parts: &(impl Parts + ?Sized), heads: &[Head], shards: &[usize]) -> Result<UncertaintyField> {
+fn tile(parts: &[impl Part], heads: &[Head], shards: &[usize]) -> Result<UncertaintyField> {
     match shards {
-        [one] => parts.part(*one).map(Cow::into_owned),
+        [one] => parts[*one].field().map(Cow::into_owned),
         shards => shards::add(parts, heads, shards),
     }
 }
 
-/// Same as [`merge`], with error bars. The parts are the groups of rays that the jackknife compares, whether or
-/// not they have error bars themselves.
+/// Same as [`merge`], with error bars, for which all parts are in memory. The parts are the groups of rays that the
+/// jackknife compares, whether or not they have error bars themselves.
 ///
 /// # Errors
 /// As [`merge`], if the parts are tiles, or if two parts are shards of one low-discrepancy sequence. They complement
 /// each other, so their differences would overstate the error.
-pub fn merge_with_error_bars(parts: &[UncertaintyField]) -> Result<UncertaintyField> {
-    join_with_error_bars(parts)
-}
-
-/// Same as [`merge_with_error_bars`], of files. All of them are in memory. Messages name the file.
-///
-/// # Errors
-/// As [`merge_with_error_bars`], or if a file cannot be read.
-pub fn merge_files_with_error_bars(parts: &[PathBuf]) -> Result<UncertaintyField> {
-    join_with_error_bars(parts)
-}
-
-fn join_with_error_bars(parts: &(impl Parts + ?Sized)) -> Result<UncertaintyField> {
-    let heads = parts.heads()?;
+pub fn merge_with_error_bars(parts: &[impl Part]) -> Result<UncertaintyField> {
+    let heads = heads(parts)?;
     if heads.iter().any(|head| head.tile.is_some()) {
         return Err(Error::setting("fields to compare", "fields of all of space", "tiles"));
     }
-    let merged = join(parts)?;
+    let merged = merge(parts)?;
     for (i, head) in heads.iter().enumerate() {
         let is_of_seed = |other: &&Head| head.draws.iter().any(|a| other.draws.iter().any(|b| a.seed == b.seed));
         if let Some(other) = heads[..i].iter().find(is_of_seed) {
@@ -144,7 +122,7 @@ fn join_with_error_bars(parts: &(impl Parts + ?Sized)) -> Result<UncertaintyFiel
         }
     }
     let order = in_one_order(&heads);
-    let sums = |&i: &usize| parts.part(i).map(|part| shards::sums_at(&merged, &part));
+    let sums = |&i: &usize| parts[i].field().map(|part| shards::sums_at(&merged, &part));
     let groups = order.iter().map(sums).collect::<Result<Vec<Vec<VertexSums>>>>()?;
     let rays: Vec<u64> = order.iter().map(|&i| heads[i].protocol.rays).collect();
     Ok(merged.with_error_bars(&groups, &rays))

@@ -1,4 +1,4 @@
-//! The parts of a run, of which one at a time needs to be in memory.
+//! The parts of a run. Only one of them at a time needs to be in memory.
 
 use std::borrow::Cow;
 use std::path::PathBuf;
@@ -19,50 +19,49 @@ pub struct Head {
     pub draws: Vec<Draw>,
     pub tile: Option<Tile>,
     pub is_dense: bool,
-    /// Whether it can be merged, and not only asked.
+    /// Whether it can be merged, and not only queried.
     pub has_sums: bool,
     pub has_error_bars: bool,
 }
 
-impl Head {
-    pub fn of(name: String, field: &UncertaintyField) -> Self {
-        Self {
-            name,
-            protocol: field.protocol.clone(),
-            lattice: field.lattice,
-            draws: field.draws.clone(),
-            tile: field.tile,
-            is_dense: matches!(field.support, Support::Dense),
-            has_sums: field.sums.is_some(),
-            has_error_bars: field.error_bars.is_some(),
-        }
+/// A part of a run: a field in memory, or in a file.
+pub trait Part {
+    /// What is known before its sums are read; messages count parts from 1.
+    fn head(&self, number: usize) -> Result<Head>;
+    /// The whole part.
+    fn field(&self) -> Result<Cow<'_, UncertaintyField>>;
+}
+
+impl Part for UncertaintyField {
+    fn head(&self, number: usize) -> Result<Head> {
+        Ok(Head {
+            name: format!("field {number}"),
+            protocol: self.protocol.clone(),
+            lattice: self.lattice,
+            draws: self.draws().to_vec(),
+            tile: self.tile(),
+            is_dense: matches!(self.support, Support::Dense),
+            has_sums: self.sums().is_some(),
+            has_error_bars: self.error_bars().is_some(),
+        })
+    }
+
+    fn field(&self) -> Result<Cow<'_, UncertaintyField>> {
+        Ok(Cow::Borrowed(self))
     }
 }
 
-/// Parts in memory or in files.
-pub trait Parts {
-    /// What is known of each of them.
-    fn heads(&self) -> Result<Vec<Head>>;
-    /// Part `i`, whole.
-    fn part(&self, i: usize) -> Result<Cow<'_, UncertaintyField>>;
-}
-
-impl Parts for [UncertaintyField] {
-    fn heads(&self) -> Result<Vec<Head>> {
-        Ok((1..).zip(self).map(|(number, field)| Head::of(format!("field {number}"), field)).collect())
+impl Part for PathBuf {
+    fn head(&self, _number: usize) -> Result<Head> {
+        UncertaintyField::read_head(self)
     }
 
-    fn part(&self, i: usize) -> Result<Cow<'_, UncertaintyField>> {
-        Ok(Cow::Borrowed(&self[i]))
+    fn field(&self) -> Result<Cow<'_, UncertaintyField>> {
+        UncertaintyField::read(self).map(Cow::Owned)
     }
 }
 
-impl Parts for [PathBuf] {
-    fn heads(&self) -> Result<Vec<Head>> {
-        self.iter().map(|path| UncertaintyField::read_head(path)).collect()
-    }
-
-    fn part(&self, i: usize) -> Result<Cow<'_, UncertaintyField>> {
-        UncertaintyField::read(&self[i]).map(Cow::Owned)
-    }
+/// The heads of all parts.
+pub fn heads(parts: &[impl Part]) -> Result<Vec<Head>> {
+    (1..).zip(parts).map(|(number, part)| part.head(number)).collect()
 }

@@ -1,38 +1,40 @@
 //! Adds up the sums of different rays.
 
-use super::parts::{Head, Parts};
-use crate::octree::{MaxLevels, VertexId};
-use crate::posterior::{DensePosterior, OctreePosterior, Refinement, VertexSums};
+use super::parts::{Head, Part};
+use crate::octree::VertexId;
+use crate::posterior::{DensePosterior, OctreePosterior, Reading, Refinement, VertexSums};
 use crate::rays::Draw;
+use crate::uncertainty::layers::Layers;
 use crate::uncertainty::{Protocol, Support, UncertaintyField};
 use crate::{Error, Result};
 
 /// Adds the parts of these numbers, one after the other. They are of one tile, if of any.
-pub fn add(parts: &(impl Parts + ?Sized), heads: &[Head], order: &[usize]) -> Result<UncertaintyField> {
+pub fn add(parts: &[impl Part], heads: &[Head], order: &[usize]) -> Result<UncertaintyField> {
     let of: Vec<&Head> = order.iter().map(|&i| &heads[i]).collect();
     let draws = draws(&of);
     let protocol = protocol(&of, &draws);
     let first = of[0];
-    let (mut surface, mut most) = (Vec::new(), 0);
-    let mut visits = None;
-    let mut misfit = None;
+    let (mut layers, mut most) = (None::<Layers>, 0);
     let mut wanted = Vec::new();
-    let mut limits: Option<MaxLevels> = None;
     let mut dense = first.is_dense.then(|| DensePosterior::new(first.lattice).into_sums());
     let mut posterior = OctreePosterior::new(first.lattice);
-    for (n, &i) in order.iter().enumerate() {
-        let part = parts.part(i)?;
+    for &i in order {
+        let part = parts[i].field()?;
         let kept = part.sums().ok_or_else(|| {
             Error::setting("kept sums", "fields that keep their sums", format!("{}, which does not", heads[i].name))
         })?;
-        if limits.as_ref().is_some_and(|limits| *limits != part.limits) {
-            let expected = format!("those of {}", first.name);
-            return Err(Error::setting(format!("limits to refinement of {}", heads[i].name), expected, "others"));
+        match &mut layers {
+            None => {
+                posterior = OctreePosterior::limited(first.lattice, part.limits()).owning(first.tile);
+                layers = Some(part.layers.to_merge());
+            }
+            Some(layers) if layers.limits != part.layers.limits => {
+                let expected = format!("those of {}", first.name);
+                return Err(Error::setting(format!("limits to refinement of {}", heads[i].name), expected, "others"));
+            }
+            Some(layers) => layers.merge(&part.layers),
         }
-        if limits.is_none() {
-            posterior = OctreePosterior::limited(first.lattice, part.limits.clone()).owning(first.tile);
-            limits = Some(part.limits.clone());
-        }
+        most = most.max(part.surface().len());
         match (&part.support, &mut dense) {
             (Support::Octree(octree), None) => {
                 // What was refined for reasons other than information stays refined.
@@ -44,30 +46,26 @@ pub fn add(parts: &(impl Parts + ?Sized), heads: &[Head], order: &[usize]) -> Re
             (_, Some(sums)) => sums.iter_mut().zip(kept).for_each(|(sum, more)| *sum += more),
             (Support::Dense, None) => unreachable!("the grids were compared"),
         }
-        most = most.max(part.surface.len());
-        surface.extend_from_slice(&part.surface);
-        // If it is not known where the rays of one field passed, it is not known of the whole.
-        visits = match (n, visits, &part.visits) {
-            (0, _, visits) => visits.clone(),
-            (_, Some(mut sum), Some(more)) => {
-                sum += more;
-                Some(sum)
-            }
-            _ => None,
-        };
-        // It is the model's, whatever the rays, and one part that knows it is enough.
-        misfit = misfit.or_else(|| part.misfit.clone());
     }
-    surface.truncate(most);
-    let field = match dense {
+    let mut field = match dense {
         Some(sums) => UncertaintyField::new(protocol, first.lattice, Support::Dense, sums),
         None => {
-            let octree = posterior.octree(&protocol.refinement_above(floor(&of, &draws), wanted));
+            let octree = posterior.octree(&Refinement::above(
+                floor(&of, &draws),
+                &protocol.reading(),
+                protocol.criteria,
+                wanted,
+            ));
             UncertaintyField::on_octree(protocol, first.lattice, posterior, octree, true)
         }
     };
-    let field = UncertaintyField { misfit, ..field };
-    Ok(field.with_surface(surface).with_draws(draws).with_visits(visits))
+    let mut layers = layers.unwrap_or_default();
+    if let Some(surface) = &mut layers.surface {
+        surface.truncate(most);
+    }
+    let (sums, visits) = (field.layers.sums.take(), layers.visits.take());
+    field.layers = Layers { sums, ..layers };
+    Ok(field.with_visits(visits))
 }
 
 /// The rays of all parts; unknown if those of one part are.
@@ -104,7 +102,8 @@ fn floor(of: &[&Head], draws: &[Draw]) -> f64 {
     let of_shards = of.iter().flat_map(|head| &head.draws).filter(|draw| draw.is_part());
     let complete = of_shards.fold(0_u64, |sum, draw| sum.saturating_add(draw.shard.own_rays()));
     let runs = of.iter().map(|head| head.protocol.rays);
-    of[0].protocol.floor(if complete > 0 { complete } else { runs.min().unwrap_or(0) })
+    let rays = if complete > 0 { complete } else { runs.min().unwrap_or(0) };
+    Reading { rays, ..of[0].protocol.reading() }.floor()
 }
 
 /// The protocol of the joined run of these draws. It is a whole run again if all its shards are present.

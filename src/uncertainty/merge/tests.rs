@@ -14,6 +14,7 @@ use crate::geometry::{Aabb, Lattice};
 use crate::octree::VertexId;
 use crate::posterior::{Covariance, DataScale, DensePosterior, OctreePosterior, Scale, Visits, negligible_information};
 use crate::rays::Shard;
+use crate::uncertainty::tests::on_own_octree;
 use crate::uncertainty::{MisfitSums, Protocol, Support};
 
 const LEVEL: u8 = 4;
@@ -59,7 +60,7 @@ fn part(seed: u64, shard: Shard, tile: Option<Tile>, is_dense: bool, random: &mu
     } else {
         let mut posterior = OctreePosterior::new(lattice).owning(tile);
         sums.iter().for_each(|(point, own)| posterior.add_sums_at(*point, own));
-        UncertaintyField::from_octree(protocol, lattice, posterior, Vec::new())
+        on_own_octree(protocol, lattice, posterior)
     };
     let surface = (0..random.random_range(0..6)).map(|_| [random.random_range(-1.0..1.0); 3]).collect();
     let cells = 1 << (3 * LEVEL);
@@ -126,13 +127,13 @@ proptest! {
         let expected_visits = visits_of(&parts);
         let n = parts.len();
         if let Some(i) = without_visits {
-            parts[i % n].field.visits = None;
+            parts[i % n].field.layers.visits = None;
         }
         let mut misfit = MisfitSums::new(&lattice());
         misfit.add(DVec3::ZERO.as_vec3(), 0.5);
         let misfit = misfit.finish();
         if let Some(i) = misfit_of {
-            parts[i % n].field.misfit = Some(misfit.clone());
+            parts[i % n].field.layers.misfit = Some(misfit.clone());
         }
         let fields = || parts.iter().map(|part| part.field.clone()).collect::<Vec<_>>();
         let most = parts.iter().map(|part| part.field.surface().len()).max();
@@ -155,7 +156,7 @@ proptest! {
             prop_assert_eq!(counts, without_visits.is_none().then(|| expected_visits.clone()), "{}", name);
             prop_assert_eq!(merged.misfit(), misfit_of.map(|_| &misfit), "{}", name);
             prop_assert_eq!(merged.surface().len(), most.unwrap(), "{}", name);
-            // U is that of the sums, whatever the parts said.
+            // U is that of the sums, whatever U of the parts was.
             let protocol = merged.protocol().clone();
             let sums = merged.sums().unwrap().to_vec();
             let anew = UncertaintyField::new(protocol, lattice(), merged.support().clone(), sums);
@@ -203,7 +204,7 @@ proptest! {
         let Support::Octree(octree) = joined.support() else { panic!("an octree") };
         for (v, point) in octree.vertex_positions().enumerate() {
             let own = expected.get(&point).copied().unwrap_or_default();
-            let deviation = joined.protocol().deviation(&own, joined.protocol().lambda);
+            let deviation = joined.protocol().reading().deviation(&own);
             prop_assert_eq!(joined.deviations().get(v), f64::from(deviation as f32), "{:?}", point);
             prop_assert_eq!(joined.rays().get(v), rounded(own.rays), "{:?}", point);
         }
@@ -255,7 +256,7 @@ fn what_counts_in_the_shorter_run_counts_in_both() {
         let entry = times * negligible_information(protocol.tolerance, rays, protocol.lambda) / 3.0;
         let mut posterior = OctreePosterior::new(lattice);
         posterior.add_sums_at(point, &VertexSums::new([entry, 0.0, 0.0, entry, 0.0, entry], 3));
-        UncertaintyField::from_octree(protocol, lattice, posterior, Vec::new())
+        on_own_octree(protocol, lattice, posterior)
     };
     let (short, long) = (run(0, 1024, [5, 6, 7], 3.0), run(1, 102_400, [12, 3, 9], 3.0));
     for parts in [[short.clone(), long.clone()], [long, short]] {
@@ -274,10 +275,10 @@ fn one_part_of_unknown_rays_makes_all_unknown() {
         let mut fields: Vec<UncertaintyField> =
             (0..3).map(|seed| part(seed, Shard::whole(3072), None, false, random).field).collect();
         for (i, field) in fields.iter_mut().enumerate() {
-            // As if other programs had drawn the rays: only then are parts told apart by their sources.
+            // As if other programs had drawn the rays: only then do sources distinguish parts.
             (field.protocol.march_step, field.protocol.source) = (None, i.to_string());
         }
-        fields[unknown].draws = Vec::new();
+        fields[unknown].layers.draws = None;
         assert_eq!(merge(&fields).unwrap().draws(), []);
     }
 }

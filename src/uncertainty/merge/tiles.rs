@@ -1,8 +1,8 @@
 //! Puts tiles together: one octree for all of them, and the values at its vertices, tile by tile.
 //!
-//! A tile's sums are those of the whole run, but where the octree is refined depends, by balance, on what lies beyond
-//! its seams. So the tiles are read twice: first for the cells that they want, then for their values. Tiles that are to
-//! answer by themselves are read once more between, for what each needs of the others: leaves lie across seams.
+//! A tile's sums are those of the whole run, but balance makes the refinement of the octree depend on the cells beyond
+//! its seams. So the tiles are read twice: first for the cells that they require, then for their values. Tiles that are
+//! queried separately are read once more in between, for the values at leaves that lie across seams.
 
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
@@ -13,8 +13,8 @@ use crate::geometry::Lattice;
 use crate::octree::{Cell, MaxLevels, Octree, Tile, Tiling, VertexId, Wanted, cells_around};
 use crate::posterior::{OctreePosterior, VertexSums, Visits};
 use crate::rays::Draw;
-use crate::uncertainty::from_sums::value;
-use crate::uncertainty::{Protocol, RayCounts, StandardDeviations, Support, UncertaintyField};
+use crate::uncertainty::by_vertex::encode;
+use crate::uncertainty::{Protocol, Support, UncertaintyField};
 use crate::{Error, Result};
 
 /// Refuses tiles that do not cover the box, or that not all rays were summed in. `groups` has the parts of each.
@@ -78,22 +78,22 @@ impl Survey {
             let part = part?;
             let sums = part.own_sums()?;
             let (survey, wanted) = survey.get_or_insert_with(|| Self::begin(&part));
-            if part.limits != survey.limits {
+            if part.limits() != survey.limits {
                 let expected = "the leaves of the first tile in all of them";
                 return Err(Error::setting("tiles to merge", expected, "others"));
             }
             let protocol = &mut survey.protocol;
             if protocol.criteria.sensitivity {
-                let wants = sums.wanted(protocol.floor(protocol.rays));
+                let wants = sums.wanted(protocol.reading().floor());
                 *wanted = std::mem::replace(wanted, Wanted::new(part.lattice.level())) | wants;
             }
             protocol.dropped = protocol.dropped.max(part.protocol.dropped);
-            survey.tiles.extend(part.tile);
-            survey.visits = survey.visits.take().zip(part.visits).map(|(mut sum, more)| {
-                sum += &more;
+            survey.tiles.extend(part.tile());
+            survey.visits = survey.visits.take().zip(part.visits()).map(|(mut sum, more)| {
+                sum += more;
                 sum
             });
-            survey.surfaces.push(part.surface);
+            survey.surfaces.push(part.surface().to_vec());
         }
         let (survey, wanted) = survey.ok_or_else(|| Error::setting("tiles to merge", "two or more", "none"))?;
         Ok(Self { octree: Octree::from_wanted(wanted), ..survey })
@@ -105,23 +105,23 @@ impl Survey {
         let survey = Self {
             protocol: first.protocol.clone(),
             lattice: first.lattice,
-            limits: first.limits.clone(),
-            draws: first.draws.clone(),
+            limits: first.limits(),
+            draws: first.draws().to_vec(),
             octree: Octree::refined(level, []),
             tiles: Vec::new(),
             seams: FxHashMap::default(),
             surfaces: Vec::new(),
-            visits: first.visits.as_ref().map(|_| Visits::new(&first.lattice)),
+            visits: first.visits().map(|_| Visits::new(&first.lattice)),
         };
         (survey, Wanted::new(level))
     }
 
     fn value(&self, point: [u32; 3], sums: VertexSums) -> (f32, u8) {
-        value(&self.protocol, &self.octree, &self.limits, point, sums)
+        (self.protocol.reading().deviation_at(&self.limits, point, sums), encode(sums.rays))
     }
 
     fn field(&self, octree: Octree, values: (Vec<f32>, Vec<u8>)) -> UncertaintyField {
-        let values = (StandardDeviations(values.0), RayCounts(values.1));
+        let values = (values.0.into(), values.1.into());
         let (protocol, limits) = (self.protocol.clone(), self.limits.clone());
         let field = UncertaintyField::from_values(protocol, self.lattice, Support::Octree(octree), limits, values);
         field.with_draws(self.draws.clone()).with_visits(self.visits.clone())
@@ -158,7 +158,7 @@ impl Survey {
         for part in tiles {
             let part = part?;
             let sums = part.own_sums()?;
-            let is_own = |point| part.tile.is_some_and(|tile| tile.owns(finest, point));
+            let is_own = |point| part.tile().is_some_and(|tile| tile.owns(finest, point));
             self.seams.par_iter_mut().filter(|(point, _)| is_own(**point)).for_each(|(point, own)| {
                 *own = sums.sums(*point);
             });
@@ -170,7 +170,7 @@ impl Survey {
     /// values at all of its vertices. [Seams](Self::read_seams) must have been read.
     pub fn finish(&self, part: &UncertaintyField) -> Result<UncertaintyField> {
         let sums = part.own_sums()?;
-        let tile = part.tile.ok_or_else(|| Error::setting("tiles to merge", "a tile", "a field of all of space"))?;
+        let tile = part.tile().ok_or_else(|| Error::setting("tiles to merge", "a tile", "a field of all of space"))?;
         let finest = self.lattice.level();
         let octree = self.octree_of(tile);
         let at = |point| match tile.owns(finest, point) {
@@ -180,8 +180,9 @@ impl Survey {
         let (mut deviations, mut rays) = (Vec::new(), Vec::new());
         let values = octree.par_vertex_positions().map(|point| self.value(point, at(point)));
         values.unzip_into_vecs(&mut deviations, &mut rays);
-        let field = self.field(octree, (deviations, rays)).with_surface(part.surface.clone());
-        Ok(UncertaintyField { tile: Some(tile), ..field })
+        let mut field = self.field(octree, (deviations, rays)).with_surface(part.surface().to_vec());
+        field.layers.tile = Some(tile);
+        Ok(field)
     }
 
     /// The octree of a tile: the leaves of the whole that touch it, on which corners in it may hang, and those around
@@ -216,7 +217,7 @@ impl UncertaintyField {
         let (Support::Octree(octree), Some(sums)) = (&self.support, self.sums()) else {
             return Err(Error::setting("tiles to merge", "tiles with their sums", "a tile that is finished"));
         };
-        let mut posterior = OctreePosterior::limited(self.lattice, self.limits.clone());
+        let mut posterior = OctreePosterior::limited(self.lattice, self.limits());
         let touched = octree.vertex_positions().zip(sums).filter(|(_, sums)| sums.rays > 0);
         touched.for_each(|(point, sums)| posterior.add_sums_at(point, sums));
         Ok(posterior)

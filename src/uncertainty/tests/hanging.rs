@@ -6,7 +6,7 @@ use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
-use crate::octree::Leaves;
+use crate::octree::{Cell, Leaves};
 use crate::render::{DepthSample, DepthVariance};
 
 /// All leaves: lower corner and edge, in finest cells.
@@ -134,7 +134,8 @@ fn queries_are_those_of_brute_force() {
         let points: Vec<Vec3> = (0..3000).map(|_| Vec3::from([0; 3].map(|_| random.random_range(-1.0..1.0)))).collect();
         let together = field.query_all(&points);
         let matrices = field.covariances(&points, covariance).unwrap();
-        let plain = UncertaintyField { error_bars: None, ..field.clone() };
+        let mut plain = field.clone();
+        plain.layers.error_bars = None;
         let baked = BakedField::new(&plain).query_all(&points);
         let bars = field.error_bars().unwrap();
         // What is interpolated, and how a mean of it is turned back.
@@ -185,8 +186,8 @@ fn queries_are_those_of_brute_force() {
     }
 }
 
-/// On leaves that are limited a ray moves with the functions of free vertices, too, and those without sums, or outside
-/// the octree, have the prior's variance.
+/// On leaves that are limited a ray moves with the functions of free vertices, too, whose sums are divided by the
+/// volume of the leaves around them. Those without sums, or outside the octree, have the prior's variance.
 #[test]
 fn variances_of_depth_are_those_of_brute_force() {
     let random = &mut ChaCha8Rng::seed_from_u64(6);
@@ -198,70 +199,65 @@ fn variances_of_depth_are_those_of_brute_force() {
     assert!(edges.len() > 1, "{edges:?}");
     let data = DataScale::new(1000, 0.02, 0.05).unwrap();
     for covariance in Covariance::ALL {
-        for prior in [Prior::Uniform, Prior::Volume] {
-            let scale = Scale::Data(data);
-            let protocol = Protocol { scale, prior, lambda: data.lambda(), ..protocol(&lattice, covariance, 20) };
-            // Not all leaves: in a part of the box the octree is coarser than its limits.
-            let mut wanted = Vec::new();
-            for &(origin, edge) in slow.0.iter().filter(|(origin, _)| origin[0] + origin[1] < 90) {
-                let level = 6 - edge.ilog2() as u8;
-                wanted.push(Cell { level, index: origin.map(|i| i / edge) });
-            }
-            let octree = Octree::refined(6, wanted);
-            let mut sums = arbitrary_sums(octree.vertex_count(), random);
-            // Three quarters were touched.
-            sums.iter_mut().step_by(4).for_each(|sums| *sums = VertexSums::default());
-            let vertices: BTreeMap<[u32; 3], usize> = octree.vertex_positions().zip(0..).collect();
-            let slow_octree = Slow::of_octree(&octree);
-            let support = Support::Octree(octree);
-            let kept = UncertaintyField::on_leaves(protocol, lattice, support, limits.clone(), sums.clone());
-            let bare = kept.clone().without_sums();
-            let (mut shared, mut without) = (0, 0);
-            for _ in 0..200 {
-                let samples: Vec<DepthSample> = (0..12)
-                    .map(|_| DepthSample {
-                        position: Vec3::from([0; 3].map(|_| random.random_range(-1.1..1.1))),
-                        gradient: DVec3::from([0; 3].map(|_| random.random_range(-1.0..1.0))),
-                    })
-                    .collect();
-                let mut gradients = BTreeMap::<[u32; 3], DVec3>::new();
-                let mut outside = 0.0;
-                for DepthSample { position, gradient } in &samples {
-                    match lattice.coordinates(*position) {
-                        Some(u) => {
-                            for (point, value) in slow.functions(u) {
-                                *gradients.entry(point).or_default() += value * *gradient;
-                            }
-                            shared += slow.corners(u).iter().filter(|(c, _)| slow.masters(*c).len() > 1).count();
-                        }
-                        None => outside += gradient.length_squared(),
-                    }
-                }
-                let prior_variance = kept.prior().powi(2) / 3.0;
-                let [mut of_kept, mut of_bare] = [prior_variance * outside; 2];
-                for (point, g) in gradients {
-                    let lambda = match prior {
-                        Prior::Volume => data.lambda() * slow_octree.volume_around(point),
-                        _ => data.lambda(),
-                    };
-                    let vertex = vertices.get(&point);
-                    without += usize::from(vertex.is_none());
-                    let own = vertex.map_or_else(VertexSums::default, |&v| sums[v]);
-                    let [xx, xy, xz, yy, yz, zz] = covariance.matrix(&own, 20, lambda);
-                    let matrix = glam::DMat3::from_cols_array(&[xx, xy, xz, xy, yy, yz, xz, yz, zz]);
-                    of_kept += scale.factor(covariance).powi(2) * g.dot(matrix * g);
-                    let of_prior = || scale.factor(covariance) * covariance.prior(lambda);
-                    let deviation = vertex.map_or_else(of_prior, |&v| kept.deviations().get(v));
-                    of_bare += deviation * deviation / 3.0 * g.length_squared();
-                }
-                for (field, expected) in [(&kept, of_kept), (&bare, of_bare)] {
-                    let found = field.depth_posterior().unwrap().variance(&samples);
-                    // Sums of a hundred terms of f64, none of them negative but for rounding.
-                    assert!((found / expected - 1.0).abs() < 1e-11, "{covariance:?} {prior:?}: {found} {expected}");
-                }
-            }
-            assert!(shared > 100 && without > 100, "{shared} corners hang, {without} vertices are the prior's");
+        let scale = Scale::Data(data);
+        let protocol = Protocol { scale, lambda: data.lambda(), ..protocol(&lattice, covariance, 20) };
+        // Not all leaves: in a part of the box the octree is coarser than its limits.
+        let mut wanted = Vec::new();
+        for &(origin, edge) in slow.0.iter().filter(|(origin, _)| origin[0] + origin[1] < 90) {
+            let level = 6 - edge.ilog2() as u8;
+            wanted.push(Cell { level, index: origin.map(|i| i / edge) });
         }
+        let octree = Octree::refined(6, wanted);
+        let mut sums = arbitrary_sums(octree.vertex_count(), random);
+        // Three quarters were touched.
+        sums.iter_mut().step_by(4).for_each(|sums| *sums = VertexSums::default());
+        let vertices: BTreeMap<[u32; 3], usize> = octree.vertex_positions().zip(0..).collect();
+        let support = Support::Octree(octree);
+        let kept = UncertaintyField::on_leaves(protocol, lattice, support, limits.clone(), sums.clone());
+        let bare = kept.clone().without_sums();
+        let (mut shared, mut without) = (0, 0);
+        for _ in 0..200 {
+            let samples: Vec<DepthSample> = (0..12)
+                .map(|_| DepthSample {
+                    position: Vec3::from([0; 3].map(|_| random.random_range(-1.1..1.1))),
+                    gradient: DVec3::from([0; 3].map(|_| random.random_range(-1.0..1.0))),
+                })
+                .collect();
+            let mut gradients = BTreeMap::<[u32; 3], DVec3>::new();
+            let mut outside = 0.0;
+            for DepthSample { position, gradient } in &samples {
+                match lattice.coordinates(*position) {
+                    Some(u) => {
+                        for (point, value) in slow.functions(u) {
+                            *gradients.entry(point).or_default() += value * *gradient;
+                        }
+                        shared += slow.corners(u).iter().filter(|(c, _)| slow.masters(*c).len() > 1).count();
+                    }
+                    None => outside += gradient.length_squared(),
+                }
+            }
+            let prior_variance = kept.prior().powi(2) / 3.0;
+            let [mut of_kept, mut of_bare] = [prior_variance * outside; 2];
+            for (point, g) in gradients {
+                let vertex = vertices.get(&point);
+                without += usize::from(vertex.is_none());
+                let mut own = vertex.map_or_else(VertexSums::default, |&v| sums[v]);
+                let volume = slow.volume_around(point);
+                own.information.iter_mut().for_each(|s| *s /= volume);
+                let [xx, xy, xz, yy, yz, zz] = covariance.matrix(&own, 20, data.lambda());
+                let matrix = glam::DMat3::from_cols_array(&[xx, xy, xz, xy, yy, yz, xz, yz, zz]);
+                of_kept += scale.factor(covariance).powi(2) * g.dot(matrix * g);
+                let of_prior = || scale.factor(covariance) * covariance.prior(data.lambda());
+                let deviation = vertex.map_or_else(of_prior, |&v| kept.deviations().get(v));
+                of_bare += deviation * deviation / 3.0 * g.length_squared();
+            }
+            for (field, expected) in [(&kept, of_kept), (&bare, of_bare)] {
+                let found = field.depth_posterior().unwrap().variance(&samples);
+                // Sums of a hundred terms of f64, none of them negative but for rounding.
+                assert!((found / expected - 1.0).abs() < 1e-11, "{covariance:?}: {found} {expected}");
+            }
+        }
+        assert!(shared > 100 && without > 100, "{shared} corners hang, {without} vertices are the prior's");
     }
 }
 
@@ -270,19 +266,48 @@ fn variances_of_depth_are_those_of_brute_force() {
 fn values_made_without_sums_are_those_made_with_them() {
     let lattice = Lattice::new(Aabb::centered_cube(1.0), 6).unwrap();
     for limits in [MaxLevels::none(6), MaxLevels::balanced(6, [(0, 4), (3, 3), (5, 5)])] {
-        for prior in [Prior::Uniform, Prior::Volume] {
-            let fields = [true, false].map(|keeps_sums| {
-                let protocol = Protocol { prior, ..protocol(&lattice, Covariance::Diagonal, 20) };
-                let mut posterior = OctreePosterior::limited(lattice, limits.clone());
-                posterior.add(&[samples(1.0)]);
-                let octree = posterior.octree(&protocol.refinement(&posterior, Vec::new()));
-                UncertaintyField::on_octree(protocol, lattice, posterior, octree, keeps_sums)
-            });
-            let [kept, bare] = &fields;
-            assert!(kept.sums().is_some() && bare.sums().is_none() && kept.support() == bare.support());
-            assert!(kept.deviations() == bare.deviations() && kept.rays() == bare.rays(), "{prior:?}");
-            let moved = kept.deviations().iter().filter(|deviation| *deviation < 0.9 * kept.prior()).count();
-            assert!(moved > 20, "{moved} vertices moved");
+        let fields = [true, false].map(|keeps_sums| {
+            let protocol = protocol(&lattice, Covariance::Diagonal, 20);
+            let mut posterior = OctreePosterior::limited(lattice, limits.clone());
+            posterior.add(&[samples(1.0)]);
+            let octree = posterior.octree(&refinement(&protocol, &posterior));
+            UncertaintyField::on_octree(protocol, lattice, posterior, octree, keeps_sums)
+        });
+        let [kept, bare] = &fields;
+        assert!(kept.sums().is_some() && bare.sums().is_none() && kept.support() == bare.support());
+        assert!(kept.deviations() == bare.deviations() && kept.rays() == bare.rays());
+        let moved = kept.deviations().iter().filter(|deviation| *deviation < 0.9 * kept.prior()).count();
+        assert!(moved > 20, "{moved} vertices moved");
+    }
+}
+
+/// `trace` has no directions, so that nothing is lost with the sums: a deviation of depth depends neither on whether
+/// they were kept, nor on pooling or limits.
+#[test]
+fn variances_of_depth_do_not_depend_on_whether_sums_are_kept() {
+    let random = &mut ChaCha8Rng::seed_from_u64(8);
+    let lattice = Lattice::new(Aabb::centered_cube(1.0), 6).unwrap();
+    let data = DataScale::new(1000, 0.02, 0.05).unwrap();
+    for limits in [MaxLevels::none(6), MaxLevels::balanced(6, [(0, 4), (3, 3), (5, 5)])] {
+        for min_rays in [0.0, 30.0] {
+            let plain = protocol(&lattice, Covariance::Trace, 20);
+            let protocol = Protocol { scale: Scale::Data(data), lambda: data.lambda(), min_rays, ..plain };
+            let octree = Octree::refined(6, (0..40).map(|i| Cell { level: 6, index: [i, 30, 63 - i] }));
+            let sums = arbitrary_sums(octree.vertex_count(), random);
+            let support = Support::Octree(octree);
+            let kept = UncertaintyField::on_leaves(protocol, lattice, support, limits.clone(), sums);
+            let bare = kept.clone().without_sums();
+            for _ in 0..50 {
+                let t = random.random_range(-0.9..0.2_f32);
+                let sample = |i: u8| DepthSample {
+                    position: Vec3::new(t + 0.02 * f32::from(i), -0.05, -t - 0.01 * f32::from(i)),
+                    gradient: DVec3::from([0; 3].map(|_| random.random_range(-1.0..1.0))),
+                };
+                let samples: Vec<DepthSample> = (0..12).map(sample).collect();
+                let [kept, bare] = [&kept, &bare].map(|f| f.depth_posterior().unwrap().variance(&samples));
+                // Deviations are stored in f32, relative error 6e-8.
+                assert!((bare / kept - 1.0).abs() < 1e-6, "{bare} without sums, {kept} with them");
+            }
         }
     }
 }

@@ -1,9 +1,13 @@
 // A camera that is moved by hand: about a point that it looks at.
 
+/** Smallest angle between the line of sight and the upright axis while the horizon is kept level, radians. */
+const POLE = 0.02;
+
 class Orbit {
   /** Starts at one of the cameras, about a point at `distance` in front of it. */
   constructor(camera, up, distance) {
     this.up = up;
+    this.isLevel = true;
     this.jump(camera, distance);
   }
 
@@ -23,20 +27,40 @@ class Orbit {
     return sub(this.position, scale(column(this.axes, 2), this.distance));
   }
 
-  /** Turns about the target: around the upright axis, and over it. */
+  /** Looks at a point from `distance` against the direction `back`, with the horizon level if it is kept so. */
+  look(target, back, distance) {
+    const up = this.isLevel ? this.up : column(this.axes, 1);
+    const side = cross(up, back);
+    const right = norm(side) > 0.1 * POLE ? unit(side) : column(this.axes, 0);
+    this.axes = [...right, ...cross(back, right), ...back];
+    this.distance = distance;
+    this.position = add(target, scale(back, distance));
+  }
+
+  /** Turns about the target: around the upright axis, and over it; without a level horizon around its own axes. */
   orbit(yaw, pitch) {
     const target = this.target();
-    const right = column(this.axes, 0);
-    const turn = (v) => turned(turned(v, right, pitch), this.up, yaw);
-    this.axes = [0, 1, 2].flatMap((k) => turn(column(this.axes, k)));
-    this.position = add(target, scale(column(this.axes, 2), this.distance));
+    const [right, above, back] = [0, 1, 2].map((k) => column(this.axes, k));
+    if (this.isLevel) {
+      const side = unit(cross(this.up, back));
+      const before = Math.acos(Math.min(Math.max(dot(this.up, back), -1), 1));
+      const after = Math.min(Math.max(before + pitch, POLE), Math.PI - POLE);
+      this.look(target, unit(turned(turned(back, side, after - before), this.up, yaw)), this.distance);
+    } else {
+      this.axes = [right, above, back].flatMap((v) => turned(turned(v, right, pitch), above, yaw));
+      this.position = add(target, scale(column(this.axes, 2), this.distance));
+    }
   }
 
   /** Moves sideways and up, in pixels of the camera's image at the distance of the target. */
   pan(x, y) {
-    const length = this.distance / this.focal[0];
-    const shift = add(scale(column(this.axes, 0), -x * length), scale(column(this.axes, 1), y * length));
-    this.position = add(this.position, shift);
+    this.move(-x / this.focal[0], y / this.focal[0], 0);
+  }
+
+  /** Moves to the right, up and forward together with the target, in parts of its distance. */
+  move(...parts) {
+    const [right, up, forward] = parts.map((part) => part * this.distance);
+    this.position = add(this.position, times(this.axes, [right, up, -forward]));
   }
 
   /** Goes nearer to the target (factor below 1) or away from it. */
@@ -46,7 +70,7 @@ class Orbit {
     this.position = add(target, scale(column(this.axes, 2), this.distance));
   }
 
-  /** The image point of a scene point, and its depth; null behind the camera. */
+  /** The image point of a scene point; null behind the camera. */
   project(x) {
     const p = sub(x, this.position);
     const [right, up, back] = [0, 1, 2].map((k) => dot(column(this.axes, k), p));
@@ -61,8 +85,26 @@ class Orbit {
   }
 }
 
-/** The direction that is up in most images. */
+/** The pose that is `part` of the way from one to another. */
+function between(from, to, part) {
+  const mix = (a, b) => add(scale(a, 1 - part), scale(b, part));
+  const back = unit(mix(column(from.axes, 2), column(to.axes, 2)));
+  const right = unit(cross(mix(column(from.axes, 1), column(to.axes, 1)), back));
+  return { position: mix(from.position, to.position), axes: [...right, ...cross(back, right), ...back] };
+}
+
+/**
+ * The upright axis: the direction to which the cameras' right axes r are most nearly perpendicular, as they are if
+ * horizons are level. It is the eigenvector of Σ r rᵀ with the smallest eigenvalue, by inverse iteration from the mean
+ * of what is up in images; if all cameras look the same way, that mean decides what the right axes leave open.
+ */
 function upright(cameras) {
   const sum = cameras.reduce((s, camera) => add(s, column(camera.axes, 1)), [0, 0, 0]);
-  return norm(sum) > 0.05 * cameras.length ? unit(sum) : [0, 0, 1];
+  const rights = cameras.map((camera) => column(camera.axes, 0));
+  const m = [0, 1, 2].map((k) => rights.reduce((s, r) => add(s, scale(r, r[k])), [0, 0, 0]));
+  m.forEach((v, k) => (v[k] += 0.01 * cameras.length));
+  const inverse = [cross(m[1], m[2]), cross(m[2], m[0]), cross(m[0], m[1])];
+  let up = norm(sum) > 0.05 * cameras.length ? unit(sum) : [0, 0, 1];
+  for (let i = 0; i < 10; i++) up = unit(inverse.map((row) => dot(row, up)));
+  return up;
 }

@@ -1,8 +1,10 @@
 // What the file holds: numbers and names as JSON, the volume as base 64 of zlib.
 
+const byId = (id) => document.getElementById(id);
+
 /** Bytes of an element's base 64, unpacked. */
 async function unpack(id) {
-  const text = document.getElementById(id).textContent.trim();
+  const text = byId(id).textContent.trim();
   const packed = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
   const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream('deflate'));
   return new Uint8Array(await new Response(stream).arrayBuffer());
@@ -10,7 +12,7 @@ async function unpack(id) {
 
 /** Everything in the file: `about` as written by octobayes, pages of bricks, and the atlas as texels. */
 async function readFile() {
-  const about = JSON.parse(document.getElementById('about').textContent);
+  const about = JSON.parse(byId('about').textContent);
   const pages = await unpack('pages');
   const planes = await unpack('planes');
   // Every byte was stored as its difference to the one before it in its row of eight.

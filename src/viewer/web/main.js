@@ -2,6 +2,8 @@
 
 /** Longest time that a picture may take while the camera moves, milliseconds; it gets smaller instead. */
 const PATIENCE = 80;
+/** How long it takes to fly to a camera, milliseconds. */
+const FLIGHT = 400;
 const LAYERS = ['color', 'depth', 'uncertainty', 'tinted'];
 
 class Viewer {
@@ -9,10 +11,12 @@ class Viewer {
     const { about } = file;
     this.about = about;
     this.volume = new Volume(file);
-    this.canvas = document.getElementById('picture');
-    this.overlay = document.getElementById('overlay');
+    this.canvas = byId('picture');
+    this.overlay = byId('overlay');
     this.renderer = new Renderer(this.canvas, this.volume);
-    this.shown = { layer: 'color', threshold: about.codes.prior, range: about.range, depths: [0, 1] };
+    this.shown = { layer: 'uncertainty', split: 0.5, hidesUnseen: false, range: about.range, depths: [0, 1] };
+    this.shown.threshold = about.codes.prior;
+    this.uncrop();
     this.current = 0;
     this.frusta = false;
     this.shrink = 1;
@@ -24,10 +28,9 @@ class Viewer {
   /** A view of the whole box, if there are no cameras. */
   someCamera() {
     const { min, max } = this.about.bounds;
-    const back = unit([1, -1, 0.6]);
-    const right = unit(cross([0, 0, 1], back));
+    const [right, up, back] = [[1, 1, 0], [-0.6, 0.6, 2], [1, -1, 0.6]].map(unit);
     const position = add(scale(add(min, max), 0.5), scale(back, 1.6 * this.volume.size));
-    const axes = [...right, ...cross(back, right), ...back];
+    const axes = [...right, ...up, ...back];
     return { position, axes, focal: [500, 500], center: [256, 256], resolution: [512, 512] };
   }
 
@@ -35,6 +38,7 @@ class Viewer {
   jump(k) {
     const { cameras } = this.about;
     if (cameras.length === 0) return;
+    cancelAnimationFrame(this.flight);
     this.current = (k + cameras.length) % cameras.length;
     const camera = cameras[this.current];
     this.camera.jump(camera, this.volume.size);
@@ -43,9 +47,97 @@ class Viewer {
     if (hit) this.camera.distance = hit.depth;
     const name = `${camera.index}: ${camera.name} (${resolution.join(' × ')})`;
     const lens = camera.isDistorted ? ', drawn without the distortion of its lens' : '';
-    document.getElementById('camera-name').textContent = name + lens;
+    say('camera-name', name + lens);
     this.fitDepths();
     this.changed();
+  }
+
+  /** Flies to training camera k. */
+  fly(k) {
+    const { position, axes } = this.camera;
+    this.jump(k);
+    const goal = { position: this.camera.position, axes: this.camera.axes };
+    const start = performance.now();
+    const step = () => {
+      const part = Math.min((performance.now() - start) / FLIGHT, 1);
+      Object.assign(this.camera, between({ position, axes }, goal, part * part * (3 - 2 * part)));
+      if (part < 1) this.flight = requestAnimationFrame(step);
+      else Object.assign(this.camera, goal);
+      this.changed(part < 1);
+    };
+    step();
+  }
+
+  /** Looks at all of the model's box, or at the middle of contracted space, from the direction of now. */
+  frame() {
+    const { contraction, bounds } = this.about;
+    const { focal, resolution } = this.camera;
+    const size = contraction ? 3 * contraction.radius : norm(sub(bounds.max, bounds.min));
+    const distance = (size * Math.max(...focal)) / Math.min(...resolution);
+    this.camera.look(this.volume.anchor, column(this.camera.axes, 2), distance);
+    this.moved();
+  }
+
+  /** Looks at what is under an image point, and turns about it from now on. */
+  focus(x, y) {
+    const found = this.read(x, y);
+    if (!found) return;
+    const back = sub(this.camera.position, found.position);
+    this.camera.look(found.position, unit(back), norm(back));
+    this.moved();
+  }
+
+  /** Which training camera's frustum is near to a point of the page; null if none is, or if they are not shown. */
+  pick(event, near) {
+    if (!this.frusta) return null;
+    const [width, height] = this.fixed ?? this.size();
+    const scale = width / this.canvas.clientWidth;
+    return picked(this.allFrusta(width, height), this.canvasPoint(event), near * scale);
+  }
+
+  /**
+   * Moves a face of the crop box to a part of the way across the longest edge, or across eight radii of contracted
+   * space. At its ends nothing is cropped.
+   */
+  crop(axis, end, part) {
+    const { contraction, bounds } = this.about;
+    const { anchor, unit } = this.volume;
+    const at = anchor[axis] + (contraction ? 8 : 1) * unit * (part - 0.5);
+    const isOpen = part === (end === 'min' ? 0 : 1);
+    const inside = Math.min(Math.max(at, bounds.min[axis]), bounds.max[axis]);
+    this.shown.crop[end][axis] = isOpen ? bounds[end][axis] : inside;
+  }
+
+  /** Shows the model's whole box. */
+  uncrop() {
+    const { min, max } = this.about.bounds;
+    this.shown.crop = { min: [...min], max: [...max] };
+    document.querySelectorAll('#crop input').forEach((slider) => (slider.value = Number(slider.id.endsWith('max'))));
+    if (this.camera) this.changed();
+  }
+
+  /** The picture and what is drawn over it, as the address of a PNG. */
+  picture() {
+    this.draw();
+    const both = document.createElement('canvas');
+    [both.width, both.height] = [this.overlay.width, this.overlay.height];
+    const pen = both.getContext('2d');
+    [this.canvas, this.overlay].forEach((layer) => pen.drawImage(layer, 0, 0));
+    if (this.isSplit()) pen.fillRect(this.shown.split * both.width - 1, 0, 2, both.height);
+    return both.toDataURL();
+  }
+
+  /** Saves the picture as a PNG. */
+  save() {
+    const link = document.createElement('a');
+    link.href = this.picture();
+    link.download = `${this.about.title}-${this.shown.layer}.png`.replace(/[^\w.-]+/g, '-');
+    link.click();
+  }
+
+  /** True if colour stands on the left of the divider. */
+  isSplit() {
+    return this.shown.split !== null && this.shown.layer !== 'color';
   }
 
   /** Lets the colour bar of depth span what is in view. */
@@ -74,14 +166,20 @@ class Viewer {
   layer(name) {
     this.shown.layer = name;
     this.fitDepths();
-    document.getElementById(`layer-${name}`).checked = true;
+    byId(`layer-${name}`).checked = true;
     this.changed();
   }
 
   threshold(log10U) {
     this.shown.threshold = log10U;
-    document.getElementById('threshold').value = log10U;
+    byId('threshold').value = log10U;
     this.changed();
+  }
+
+  /** The camera was moved by hand. */
+  moved() {
+    cancelAnimationFrame(this.flight);
+    this.changed(true);
   }
 
   /** Draws before the next frame; smaller while the camera moves. */
@@ -106,17 +204,24 @@ class Viewer {
     const took = performance.now() - start;
     if (this.isMoving) this.shrink = Math.min(8, Math.max(1, shrink * Math.sqrt(took / PATIENCE)));
     [this.overlay.width, this.overlay.height] = [width, height];
-    if (this.frusta) this.drawFrusta(width, height);
+    if (this.frusta) drawFrusta(this.overlay, this.allFrusta(width, height), this.current);
+    if (byId('crop').open) drawBox(this.overlay, this.camera, this.shown.crop, this.place(width, height));
+    showDivider(this.isSplit() ? this.shown : null);
     drawLegend(this.about, this.shown.layer, this.shown.depths);
     drawHistogram(this.about, this.shown.threshold);
-    sayRemoved(this.about, this.volume.matterByCode, this.shown.threshold);
+    sayRemoved(this.about, this.volume.matterByCode, this.shown);
     return took;
   }
 
-  drawFrusta(width, height) {
+  /** Takes image points of the moving camera to the canvas. */
+  place(width, height) {
     const [x, y, z] = this.renderer.placing(this.camera, width, height);
-    const place = ([u, v]) => [x + z * u, y + z * v];
-    drawFrusta(this.overlay, this.camera, this.about.cameras, this.current, place, 0.08 * this.volume.unit);
+    return ([u, v]) => [x + z * u, y + z * v];
+  }
+
+  allFrusta(width, height) {
+    const place = this.place(width, height);
+    return this.about.cameras.map((other) => frustum(this.camera, other, place, 0.08 * this.volume.unit));
   }
 
   /** Size of the picture, device pixels. */
@@ -125,117 +230,36 @@ class Viewer {
     return [clientWidth, clientHeight].map((n) => Math.max(1, Math.round(n * window.devicePixelRatio)));
   }
 
-  /** The image point under a point of the page. */
-  imagePoint(event) {
+  /** The canvas point under a point of the page. */
+  canvasPoint(event) {
     const box = this.canvas.getBoundingClientRect();
     const [width, height] = this.fixed ?? this.size();
-    const [x, y, z] = this.renderer.placing(this.camera, width, height);
-    const at = [((event.clientX - box.left) / box.width) * width, ((event.clientY - box.top) / box.height) * height];
+    return [((event.clientX - box.left) / box.width) * width, ((event.clientY - box.top) / box.height) * height];
+  }
+
+  /** The image point under a point of the page. */
+  imagePoint(event) {
+    const [x, y, z] = this.renderer.placing(this.camera, ...(this.fixed ?? this.size()));
+    const at = this.canvasPoint(event);
     return [(at[0] - x) / z, (at[1] - y) / z];
   }
 }
 
-/** Mouse, touch and keys. */
-function listen(viewer) {
-  const byId = (id) => document.getElementById(id);
-  const area = byId('area');
-  const pointers = new Map();
-  const speed = () => 4 / Math.min(area.clientWidth, area.clientHeight);
-  const moved = () => viewer.changed(true);
-
-  area.addEventListener('pointerdown', (event) => {
-    area.setPointerCapture(event.pointerId);
-    pointers.set(event.pointerId, [event.clientX, event.clientY]);
-  });
-  for (const name of ['pointerup', 'pointercancel']) {
-    area.addEventListener(name, (event) => pointers.delete(event.pointerId));
-  }
-  area.addEventListener('pointermove', (event) => {
-    const before = pointers.get(event.pointerId);
-    if (!before) {
-      byId('reading').textContent = describe(viewer.about, viewer.read(...viewer.imagePoint(event)));
-      return;
-    }
-    const others = [...pointers].filter(([id]) => id !== event.pointerId).map(([, at]) => at);
-    const [x, y] = [event.clientX - before[0], event.clientY - before[1]];
-    const isPan = event.shiftKey || event.buttons & 6;
-    if (others.length > 0) {
-      // Two fingers: their distance zooms, each moves the scene by half.
-      const apart = (at) => Math.hypot(at[0] - others[0][0], at[1] - others[0][1]);
-      viewer.camera.zoom(apart(before) / Math.max(apart([event.clientX, event.clientY]), 1));
-      viewer.camera.pan(x / 2, y / 2);
-    } else if (isPan) {
-      viewer.camera.pan(x, y);
-    } else {
-      viewer.camera.orbit(-x * speed(), -y * speed());
-    }
-    pointers.set(event.pointerId, [event.clientX, event.clientY]);
-    moved();
-  });
-  area.addEventListener('contextmenu', (event) => event.preventDefault());
-  area.addEventListener('wheel', (event) => {
-    event.preventDefault();
-    viewer.camera.zoom(Math.exp(0.001 * event.deltaY));
-    moved();
-  }, { passive: false });
-
-  const keys = {
-    ArrowLeft: () => viewer.camera.orbit(0.08, 0), ArrowRight: () => viewer.camera.orbit(-0.08, 0),
-    ArrowUp: () => viewer.camera.orbit(0, 0.08), ArrowDown: () => viewer.camera.orbit(0, -0.08),
-    w: () => viewer.camera.pan(0, 24), s: () => viewer.camera.pan(0, -24),
-    a: () => viewer.camera.pan(24, 0), d: () => viewer.camera.pan(-24, 0),
-    '+': () => viewer.camera.zoom(0.9), '-': () => viewer.camera.zoom(1 / 0.9),
-  };
-  const jumps = {
-    n: () => viewer.jump(viewer.current + 1),
-    p: () => viewer.jump(viewer.current - 1),
-    r: () => viewer.jump(viewer.current),
-    f: () => byId('frusta').click(),
-  };
-  window.addEventListener('keydown', (event) => {
-    if (event.target.matches('input[type=range], input[type=number]') || event.ctrlKey || event.metaKey) return;
-    const layer = LAYERS[Number(event.key) - 1];
-    if (keys[event.key]) {
-      event.preventDefault();
-      keys[event.key]();
-      moved();
-    } else if (jumps[event.key]) {
-      jumps[event.key]();
-    } else if (layer) {
-      viewer.layer(layer);
-    }
-  });
-
-  LAYERS.forEach((name) => byId(`layer-${name}`).addEventListener('change', () => viewer.layer(name)));
-  const slider = byId('threshold');
-  slider.addEventListener('input', () => {
-    // The last position removes nothing, however it was rounded.
-    viewer.shown.threshold = slider.value === slider.max ? viewer.about.codes.prior : Number(slider.value);
-    moved();
-  });
-  byId('frusta').addEventListener('change', (event) => {
-    viewer.frusta = event.target.checked;
-    viewer.changed();
-  });
-  byId('previous').addEventListener('click', () => viewer.jump(viewer.current - 1));
-  byId('next').addEventListener('click', () => viewer.jump(viewer.current + 1));
-  window.addEventListener('resize', () => viewer.changed());
-}
-
 /** Fills in what the file says of itself. */
-function introduce({ title, cells, codes, range, cameras }) {
-  document.getElementById('title').textContent = title;
-  document.getElementById('volume').textContent = `${cells} cells along the longest edge, ${cameras.length} cameras`;
-  const slider = document.getElementById('threshold');
+function introduce({ title, cells, codes, range, quantity, cameras }) {
+  say('title', title);
+  say('volume', `${cells} cells along the longest edge, ${cameras.length} cameras`);
+  const slider = byId('threshold');
   // Ends with two digits are whole steps apart. The last one removes nothing; the one before it is below the prior.
   const max = Math.ceil(100 * codes.prior - 0.05);
   const min = Math.min(Math.floor(100 * range[0]), max - 1);
   Object.assign(slider, { min: (min / 100).toFixed(2), max: (max / 100).toFixed(2), step: '0.01' });
   slider.value = slider.max;
+  drawTicks(slider, quantity);
 }
 
 async function start() {
-  const status = document.getElementById('status');
+  const status = byId('status');
   try {
     if (typeof DecompressionStream === 'undefined') {
       throw new Error('This browser cannot unpack the volume (DecompressionStream).');
@@ -243,7 +267,9 @@ async function start() {
     const file = await readFile();
     introduce(file.about);
     const viewer = new Viewer(file);
-    listen(viewer);
+    listenToPointers(viewer);
+    listenToKeys(viewer);
+    listenToPanel(viewer);
     status.hidden = true;
     return viewer;
   } catch (error) {

@@ -12,7 +12,7 @@ uniform vec2 focal;           // pixels of the camera's image
 uniform vec2 principal;       // pixels of the camera's image
 uniform vec3 placing;         // canvas pixel = xy + z * image pixel, y downwards
 uniform float canvasHeight;
-uniform vec3 low, high;       // the model's box
+uniform vec3 low, high;       // the model's box, cropped
 uniform vec3 origin;          // of the lattice
 uniform float edge;           // of a cell
 uniform ivec3 bricks;
@@ -20,10 +20,13 @@ uniform vec3 atlasSize;       // texels
 uniform int norm;             // 0: no contraction, 1: Euclidean, 2: largest coordinate
 uniform vec3 background;
 uniform float threshold;      // share of the prior above which matter is removed
+uniform float unseenFrom;     // share of the prior from which on no ray came
+uniform bool hidesUnseen;     // whether matter where no ray came is removed
 uniform vec2 codes;           // log10 U of code 1 and of the prior, which is code 254
 uniform vec2 range;           // ends of the colour bar of log10 U
 uniform vec2 depths;          // ends of the colour bar of depth
 uniform int layer;            // 0 colour, 1 depth, 2 log10 U, 3 colour tinted by U
+uniform float split;          // canvas x: to the left of it colour is shown
 uniform usampler3D pages;
 uniform sampler3D matter;     // red, green, blue, sqrt(absorbed along a cell)
 uniform sampler3D knowledge;  // code of log10 U as seen; share of the prior at the point, in PARTS, more if no ray came
@@ -102,7 +105,8 @@ void main() {
     uvec4 page = uvec4(0u);
     bool isLong = false;
     float most = 1.0005 * PARTS * threshold;
-    bool asksU = layer > 1 || threshold < 1.0 || NUMBERED;
+    int shownLayer = at.x < split ? 0 : layer;
+    bool asksU = shownLayer > 1 || threshold < 1.0 || hidesUnseen || NUMBERED;
     for (int i = 0; i < 4096 && t < ends.y && transmittance > END; i++) {
         vec3 p = eye + t * d;
         vec3 g = lattice(p);
@@ -151,7 +155,8 @@ void main() {
             reads++;
         }
         // What is removed is what is uncertain where it is; what is shown is what a ray as a whole says.
-        if (min(known.g, PARTS) <= most) {
+        bool isUnseen = known.g >= unseenFrom * PARTS;
+        if (isUnseen ? !hidesUnseen : min(known.g, PARTS) <= most) {
             float passed = pow(max(1.0 - found.a * found.a, 0.001), advance / (edge * stretch(p)));
             float weight = transmittance * (1.0 - passed);
             if (transmittance > 0.5 && transmittance - weight <= 0.5) {
@@ -172,16 +177,18 @@ void main() {
     float place = clamp((log10U - range.x) / (range.y - range.x), 0.0, 1.0);
     vec3 ofU = texture(maps, vec2((255.0 * place + 0.5) / 256.0, 0.25)).rgb;
     vec3 shown = color + transmittance * background;
-    if (layer == 1) {
+    if (shownLayer == 1) {
         float far = clamp((depth - depths.x) / (depths.y - depths.x), 0.0, 1.0);
         shown = opacity > 0.5 ? texture(maps, vec2((255.0 * far + 0.5) / 256.0, 0.75)).rgb : NOTHING;
-    } else if (layer == 2) {
+    } else if (shownLayer == 2) {
         shown = opacity > FAINT ? ofU : NOTHING;
         bool isStripe = mod(floor(at.x) + floor(at.y), 6.0) < 2.0;
         if (unseen > 0.5 && opacity > 0.5 && isStripe) shown = HATCHING;
-    } else if (layer == 3) {
+    } else if (shownLayer == 3) {
         float grey = dot(color, vec3(0.3, 0.59, 0.11)) / max(opacity, 1e-3);
-        vec3 tinted = mix(color / max(opacity, 1e-3), ofU * (0.35 + 0.65 * grey), 0.7);
+        // The dark end of the colour map would hide what is certain: there the colour itself is shown.
+        float tint = 0.8 * smoothstep(0.1, 0.6, place);
+        vec3 tinted = mix(color / max(opacity, 1e-3), ofU * (0.35 + 0.65 * grey), tint);
         shown = mix(background, tinted, opacity);
     }
     picture = vec4(shown, 1.0);

@@ -1,16 +1,43 @@
 // The panel beside the picture: legend, and the threshold with its histogram.
 
+/** What the layers are called. */
+const NAMES = { color: 'colour', depth: 'depth', uncertainty: 'log10 U', tinted: 'tinted' };
+
+const say = (id, text) => (byId(id).textContent = text);
+
+/** Puts the divider of the split view where it is; away if nothing is split. */
+function showDivider(shown) {
+  const divider = byId('divider');
+  divider.hidden = shown === null;
+  if (shown === null) return;
+  divider.style.left = `${100 * shown.split}%`;
+  say('divider-right', NAMES[shown.layer]);
+}
+
+/** Writes numbers under the slider: whole ones, halves or every other one. */
+function drawTicks(slider, quantity) {
+  const [min, max] = [Number(slider.min), Number(slider.max)];
+  const step = [0.1, 0.5, 1, 2].find((step) => max - min <= 6 * step) ?? 5;
+  const ticks = byId('ticks');
+  for (let k = Math.ceil(min / step); k * step <= max; k++) {
+    const tick = ticks.appendChild(document.createElement('span'));
+    tick.textContent = Number((k * step).toFixed(1));
+    // The thumb is 16 pixels wide, and its middle stands at the value.
+    tick.style.left = `calc(8px + ${(k * step - min) / (max - min)} * (100% - 16px))`;
+  }
+  say('threshold-unit', quantity);
+}
+
 /** Draws the colour bar of the layer, with words for people beside its ends. */
 function drawLegend(about, layer, depths) {
-  const bar = document.getElementById('bar').getContext('2d');
+  const bar = byId('bar').getContext('2d');
   const isDepth = layer === 'depth';
-  document.getElementById('legend').hidden = layer === 'color';
+  byId('legend').hidden = layer === 'color';
   const map = isDepth ? about.maps.depth : about.maps.uncertainty;
   map.forEach((color, i) => {
     bar.fillStyle = `rgb(${color})`;
     bar.fillRect(i, 0, 1, 16);
   });
-  const say = (id, text) => (document.getElementById(id).textContent = text);
   const [low, high] = isDepth ? depths : about.range;
   say('legend-name', isDepth ? 'depth (scene units)' : `${about.quantity}: larger = less certain`);
   say('legend-low', isDepth ? words(low) : `${low.toFixed(2)} well constrained`);
@@ -20,7 +47,7 @@ function drawLegend(about, layer, depths) {
 
 /** Draws how many points of visible surfaces have which log10 U, in its colours, and where the threshold is. */
 function drawHistogram(about, threshold) {
-  const canvas = document.getElementById('histogram');
+  const canvas = byId('histogram');
   const pen = canvas.getContext('2d');
   const bars = about.histogram;
   const most = Math.max(1, ...bars);
@@ -40,24 +67,23 @@ function drawHistogram(about, threshold) {
   pen.fillRect(Math.min(x, canvas.width - 2), 0, 2, canvas.height);
 }
 
-/** Says what the threshold removes of visible surfaces, and of what was never seen. */
-function sayRemoved(about, matterByCode, threshold) {
+/** Says what the slider removes of visible surfaces, and what it and the switch remove of all matter. */
+function sayRemoved(about, matterByCode, { threshold, hidesUnseen }) {
   const { codes, surfaces } = about;
-  const say = (id, text) => (document.getElementById(id).textContent = text);
-  if (threshold >= codes.prior) {
-    say('threshold-words', 'nothing is removed');
-    say('unseen-words', '');
-    return;
-  }
   const percent = (part, all) => `${((100 * part) / all).toFixed(1)} %`;
+  const removes = threshold < codes.prior;
   const kept = surfaces.filter((log10U) => log10U <= threshold).length;
-  const share = surfaces.length > 0 ? `${percent(kept, surfaces.length)} of visible surfaces stay` : '';
-  say('threshold-words', `log10 U ≤ ${threshold.toFixed(2)}: ${share}`);
-  const last = 1 + ((codes.last - 1) * (threshold - codes.low)) / (codes.prior - codes.low);
-  const sum = (from) => matterByCode.reduce((sum, weight, code) => sum + (code >= from ? weight : 0), 0);
-  const [all, gone, unseen] = [sum(0), sum(Math.floor(last) + 1), sum(codes.last)];
-  const never = `${percent(unseen, all)} has the prior’s U (“never seen”) and goes at any threshold`;
-  say('unseen-words', all > 0 ? `Of all matter, seen or hidden, ${percent(gone, all)} goes. ${never}.` : '');
+  const share = surfaces.length > 0 ? `: ${percent(kept, surfaces.length)} of visible surfaces stay` : '';
+  say('threshold-words', removes ? `log10 U ≤ ${threshold.toFixed(2)}${share}` : 'the slider removes nothing');
+  const last = removes ? 1 + ((codes.last - 1) * (threshold - codes.low)) / (codes.prior - codes.low) : codes.last;
+  // What no training ray reached has a code of its own, if the field knows it, or the prior's.
+  const first = about.knowsUnseen ? codes.last + 1 : codes.last;
+  const sum = (of) => matterByCode.reduce((sum, weight, code) => sum + (of(code) ? weight : 0), 0);
+  const [all, unseen] = [sum(() => true), sum((code) => code >= first)];
+  const gone = sum((code) => code > Math.floor(last) && code < first) + (hidesUnseen ? unseen : 0);
+  const never = `${percent(unseen, all)} was never seen`;
+  const matter = `Of all matter, seen or hidden, ${percent(gone, all)} is removed; ${never}.`;
+  say('unseen-words', all > 0 ? matter : '');
 }
 
 /** Says what is under the pointer. */

@@ -10,7 +10,7 @@ class Renderer {
     const gl = canvas.getContext('webgl2', wanted);
     if (!gl) throw new Error('This browser offers no WebGL2, which draws the volume.');
     Object.assign(this, { gl, canvas, volume });
-    const march = document.getElementById('march').textContent;
+    const march = byId('march').textContent;
     this.picture = this.program(`#version 300 es\n${march}`);
     this.numbers = this.program(`#version 300 es\n#define NUMBERS\n${march}`);
     this.upload();
@@ -69,7 +69,7 @@ class Renderer {
   /** Sets what both programs share. `placing` puts the camera's image on a target of this height. */
   prepare({ program, place }, camera, shown, placing, height) {
     const { gl, volume } = this;
-    const { bounds, grid, atlas, contraction, codes, background } = volume.about;
+    const { grid, atlas, contraction, codes, background, knowsUnseen } = volume.about;
     gl.useProgram(program);
     const set3 = (name, v) => gl.uniform3f(place(name), ...v);
     const set2 = (name, v) => gl.uniform2f(place(name), ...v);
@@ -80,8 +80,8 @@ class Renderer {
     set2('principal', camera.center);
     set3('placing', placing);
     set('canvasHeight', height);
-    set3('low', volume.local(bounds.min));
-    set3('high', volume.local(bounds.max));
+    set3('low', volume.local(shown.crop.min));
+    set3('high', volume.local(shown.crop.max));
     set3('origin', volume.local(grid.origin));
     set('edge', grid.edge / volume.unit);
     gl.uniform3i(place('bricks'), ...grid.bricks);
@@ -90,6 +90,10 @@ class Renderer {
     set3('background', background);
     // The prior itself is rounded: at the upper end nothing is removed.
     set('threshold', shown.threshold >= codes.prior ? 2 : volume.shareOf(shown.threshold));
+    gl.uniform1i(place('hidesUnseen'), shown.hidesUnseen ? 1 : 0);
+    // Where the field does not know what no ray reached, it is what has the prior's U.
+    set('unseenFrom', knowsUnseen ? 1.25 : 0.999);
+    set('split', shown.split === null ? 0 : shown.split * gl.drawingBufferWidth);
     set2('codes', [codes.low, codes.prior]);
     set2('range', shown.range);
     set2('depths', shown.depths.map((v) => v / volume.unit));

@@ -1,0 +1,287 @@
+//! `next-view`: which photograph should be taken next?
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use serde_json::{Value, json};
+
+use super::files::CommandFiles;
+use super::opened::OpenedField;
+use super::options::{CameraOptions, ModelArgument, heading};
+use super::progress::Bars;
+use super::streams::tell;
+use crate::dataset::{Part, Views, camera_file, write_transforms};
+use crate::geometry::Camera;
+use crate::io::{AtomicFile, write_exr};
+use crate::next_view::{Around, Gain, GainMap, NextView, Ranking, Settings, retain_free};
+use crate::picture::{Bar, scalar_panel, write_sheet};
+use crate::session::OpenedModel;
+use crate::uncertainty::UncertaintyField;
+use crate::{Error, Result};
+
+/// Most candidates and views.
+const MOST: i64 = 100_000;
+
+/// Rank cameras by what their images, not yet taken, would tell
+///
+/// Takes the candidate whose pixels would tell most of the displacements that the training images leave free, adds it,
+/// takes the best one beside it, and so on. The gain is the sum over vertices of 1/2 log det(I + P^-1 dP), nats, where
+/// P is the precision by `--scale data` and dP what the candidate's pixels add to it through the model. No image is
+/// needed.
+///
+/// Only matter is displaced: space behind opaque matter, where the model shows nothing, attracts no view, though no ray
+/// was there. FIELD needs `uncertainty --scale data --keep-sums`.
+#[derive(clap::Args)]
+#[command(after_help = "Examples:\n  \
+    octobayes next-view lego.safetensors lego.oct --candidates transforms_test.json --take 10 -o ranking.json\n  \
+    octobayes next-view lego.safetensors lego.oct --sphere 200 --upper --chosen next.json -o ranking.json")]
+pub struct Args {
+    #[command(flatten)]
+    model: ModelArgument,
+
+    /// The field of its uncertainty, of `--scale data --keep-sums`
+    #[arg(value_name = "FIELD.oct")]
+    field: PathBuf,
+
+    /// Cameras to choose from: a camera file, or its folder, as for --cameras. Their images need not exist
+    #[arg(
+        long,
+        value_name = "PATH",
+        required_unless_present_any = ["sphere", "orbit"],
+        help_heading = heading::INPUT,
+    )]
+    candidates: Option<PathBuf>,
+
+    /// Choose from N cameras spread over a sphere around the middle of the box, as far away as the training cameras
+    /// are, and with their lens; those that stand in matter are left out
+    #[arg(
+        long,
+        value_name = "N",
+        value_parser = clap::value_parser!(u32).range(1..=MOST),
+        conflicts_with = "candidates",
+        help_heading = heading::INPUT,
+    )]
+    sphere: Option<u32>,
+
+    /// Only the upper half of --sphere, where up is that of the training cameras
+    #[arg(long, requires = "sphere", conflicts_with = "orbit", help_heading = heading::INPUT)]
+    upper: bool,
+
+    /// Choose from N cameras on a circle at the training cameras' median height
+    #[arg(
+        long,
+        value_name = "N",
+        value_parser = clap::value_parser!(u32).range(1..=MOST),
+        conflicts_with_all = ["candidates", "sphere"],
+        help_heading = heading::INPUT,
+    )]
+    orbit: Option<u32>,
+
+    #[command(flatten)]
+    cameras: CameraOptions,
+
+    /// Number of views to take
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = 1,
+        value_parser = clap::value_parser!(u32).range(1..=MOST),
+        help_heading = heading::STATISTICS,
+    )]
+    take: u32,
+
+    /// What a view is worth
+    #[arg(long, value_enum, default_value = "logdet", help_heading = heading::STATISTICS)]
+    gain: Gain,
+
+    /// Pixels of a candidate whose rays are traced; they are scaled to all of its pixels
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = 4096,
+        value_parser = super::options::count::<u64>(1..=100_000_000),
+        help_heading = heading::RAYS,
+    )]
+    pixels: u64,
+
+    /// Seed of the pixels
+    #[arg(long, value_name = "N", default_value_t = 0, help_heading = heading::RAYS, hide_short_help = true)]
+    seed: u64,
+
+    /// Use the field even if it was computed for another model
+    #[arg(long, help_heading = heading::INPUT, hide_short_help = true)]
+    force: bool,
+
+    /// Where to write the ranking
+    #[arg(short, long, value_name = "RANKING.json", help_heading = heading::OUTPUT)]
+    output: PathBuf,
+
+    /// Write the cameras that were taken as a camera file
+    #[arg(long, value_name = "CAMERAS.json", help_heading = heading::OUTPUT)]
+    chosen: Option<PathBuf>,
+
+    /// Draw what each pixel of the first view would tell by itself, as .png or .exr; at most 256 pixels a side
+    #[arg(long, value_name = "GAIN.exr|png", help_heading = heading::OUTPUT)]
+    map: Option<PathBuf>,
+
+    /// Print the ranking as one JSON object
+    #[arg(long, help_heading = heading::OUTPUT)]
+    json: bool,
+}
+
+/// Cameras to choose from, with their names.
+struct Candidates {
+    names: Vec<String>,
+    cameras: Vec<Camera>,
+}
+
+impl Args {
+    /// Runs the verb.
+    pub fn run(mut self, bars: &Bars) -> Result<()> {
+        self.cameras.find(Part::Training);
+        self.candidates = self.candidates.take().map(|path| camera_file(&path, Part::HeldOut));
+        let files = CommandFiles::default()
+            .input("MODEL", &self.model.model)
+            .input("FIELD", &self.field)
+            .cameras(self.cameras.cameras.as_deref())
+            .inputs("--candidates", self.candidates.iter().flat_map(|path| Views::files(path)))
+            .output("--output", &self.output)
+            .outputs("--chosen", &self.chosen)
+            .outputs("--map", &self.map);
+        files.check()?;
+        if let Some(path) = &self.map {
+            is_exr(path)?;
+        }
+        let field = OpenedField::open(&self.field)?.whole()?;
+        let opened = OpenedModel::of_field(&field, &self.field, &self.model.model, self.force, &mut tell)?;
+        let candidates = self.candidates(&opened, &field)?;
+        let training = match self.gain {
+            Gain::Coverage => self.training(&opened)?,
+            _ => Vec::new(),
+        };
+        let settings = Settings::default().take(self.take as usize).gain(self.gain);
+        let next = NextView::new(&**opened.volume()?, &field, &candidates.cameras)
+            .training(&training)
+            .settings(settings.pixels(self.pixels).seed(self.seed))
+            .monitor(bars);
+        let ranking = next.run()?;
+        let value = self.facts(&candidates, &ranking);
+        self.write(&value, &candidates, &ranking)?;
+        self.print(&value, &candidates, &ranking)?;
+        if !ranking.complete {
+            let finished = format!("{} holds {} of {} views", self.output.display(), ranking.steps.len(), self.take);
+            return Err(Error::InterruptedAfter { finished });
+        }
+        if let (Some(path), Some(first)) = (&self.map, ranking.steps.first()) {
+            write_map(path, &next.map(&candidates.cameras[first.index])?)?;
+        }
+        Ok(())
+    }
+
+    /// The training cameras, of --cameras or the model's own.
+    fn training(&self, opened: &OpenedModel) -> Result<Vec<Camera>> {
+        let views = self.cameras.read(opened.model.field(), &opened.name)?;
+        Ok(views.frames.iter().map(|frame| frame.camera).collect())
+    }
+
+    fn candidates(&self, opened: &OpenedModel, field: &UncertaintyField) -> Result<Candidates> {
+        if let Some(path) = &self.candidates {
+            let views = Views::read(path, None)?;
+            let (names, cameras) = views.frames.into_iter().map(|frame| (frame.name, frame.camera)).unzip();
+            return Ok(Candidates { names, cameras });
+        }
+        let around = Around::like(&self.training(opened)?, field.lattice().domain())?;
+        let (kind, mut cameras) = match (self.sphere, self.orbit) {
+            (Some(count), _) => ("sphere", around.sphere(count, self.upper)),
+            (_, count) => ("orbit", around.orbit(count.unwrap_or(1))),
+        };
+        let model = &**opened.volume()?;
+        let step = field.protocol().march_step.unwrap_or_else(|| model.suggested_step());
+        let buried = retain_free(&mut cameras, model, step);
+        if buried > 0 {
+            announce!("note: {buried} cameras of --{kind} stand in matter and are left out");
+        }
+        let names = (0..cameras.len()).map(|k| format!("{kind} {k}")).collect();
+        Ok(Candidates { names, cameras })
+    }
+
+    /// What `ranking.json` holds.
+    fn facts(&self, candidates: &Candidates, ranking: &Ranking) -> Value {
+        let step = |step: &crate::next_view::Step| {
+            let mut value = json!(step);
+            value["name"] = json!(candidates.names[step.index]);
+            value
+        };
+        let candidate = |(index, name): (usize, &String)| {
+            let blank = ranking.blanks[index];
+            json!({ "index": index, "name": name, "gain": ranking.gains[index], "why_nothing": blank })
+        };
+        json!({
+            "version": env!("CARGO_PKG_VERSION"),
+            "model": self.model.model,
+            "field": self.field.to_string_lossy(),
+            "gain": self.gain.name(),
+            "pixels": self.pixels,
+            "seed": self.seed,
+            "complete": ranking.complete,
+            "steps": ranking.steps.iter().map(step).collect::<Vec<_>>(),
+            "candidates": candidates.names.iter().enumerate().map(candidate).collect::<Vec<_>>(),
+        })
+    }
+
+    fn write(&self, value: &Value, candidates: &Candidates, ranking: &Ranking) -> Result<()> {
+        let mut file = AtomicFile::create(&self.output)?;
+        let text = format!("{value:#}\n");
+        file.write_all(text.as_bytes()).map_err(Error::io(&self.output, "cannot write"))?;
+        file.commit()?;
+        let Some(path) = &self.chosen else { return Ok(()) };
+        let taken = ranking.steps.iter().map(|step| step.index);
+        let taken: Vec<_> = taken.map(|k| (candidates.names[k].clone(), candidates.cameras[k])).collect();
+        if taken.is_empty() {
+            announce!("note: no view tells anything, so that {} is not written", path.display());
+            return Ok(());
+        }
+        write_transforms(path, &taken)
+    }
+
+    fn print(&self, value: &Value, candidates: &Candidates, ranking: &Ranking) -> Result<()> {
+        if self.json {
+            return say!("{value}");
+        }
+        say!("view  gain, nats  nats/pixel  never seen, %  seconds  name")?;
+        for (n, step) in ranking.steps.iter().enumerate() {
+            let unseen = step.unseen.map_or("unknown".into(), |share| format!("{:.1}", 100.0 * share));
+            let (gain, each, seconds) = (step.gain, step.gain_per_pixel, step.seconds);
+            let name = crate::error::printable(&candidates.names[step.index]);
+            say!("{:>4}  {gain:>10.1}  {each:>10.4}  {unseen:>13}  {seconds:>7.2}  {name}", n + 1)?;
+        }
+        for (name, blank) in candidates.names.iter().zip(&ranking.blanks) {
+            if let Some(blank) = blank {
+                announce!("note: {}: gain 0, {}", crate::error::printable(name), blank.words());
+            }
+        }
+        if ranking.complete && ranking.steps.len() < self.take as usize {
+            announce!("note: no other candidate tells anything beside these {}", ranking.steps.len());
+        }
+        Ok(())
+    }
+}
+
+/// Whether the file is to be an EXR; refuses all but PNG and EXR.
+fn is_exr(path: &Path) -> Result<bool> {
+    match path.extension().and_then(|extension| extension.to_str()) {
+        Some("exr") => Ok(true),
+        Some("png") => Ok(false),
+        _ => Err(Error::setting("--map", "a name that ends in .png or .exr", path.display().to_string())),
+    }
+}
+
+fn write_map(path: &Path, map: &GainMap) -> Result<()> {
+    if is_exr(path)? {
+        return write_exr(path, map.resolution, vec![("gain", map.gains.clone())]);
+    }
+    let largest = map.gains.iter().copied().fold(f32::MIN_POSITIVE, f32::max);
+    let bar = Bar::new([0.0, f64::from(largest)], colorous::VIRIDIS);
+    let gains = map.gains.iter().map(|gain| f64::from(*gain));
+    write_sheet(path, &[vec![scalar_panel("gain of each pixel, nats", map.resolution, gains, bar)]])
+}

@@ -1,0 +1,162 @@
+//! The `cameras.json` that the original code of Gaussian splatting writes beside a model, as frames of a
+//! transforms.json.
+//!
+//! `position` is the camera's centre and `rotation` its camera-to-world axes, row by row: x right, y down, z forward.
+//! `width` and `height` are those of the original images, and focal lengths refer to them.
+
+use std::path::Path;
+
+use serde_json::{Map, Value, json};
+
+use super::pose::rigid_pose;
+use crate::{Error, Result};
+
+/// Keys that name a camera.
+const KEYS: [&str; 3] = ["img_name", "rotation", "position"];
+/// Largest difference of an axis's length from 1: programs store f32.
+const UNIT: f64 = 1e-3;
+
+/// What a user should know of every such file.
+pub(super) const NOTE: &str = "a cameras.json does not say which views were held out: a run with `--eval` lists them \
+                               first";
+
+/// The cameras of a file, if it is one of these.
+pub(super) fn cameras(file: &Value) -> Option<&[Value]> {
+    let Value::Array(cameras) = file else { return None };
+    let Some(Value::Object(first)) = cameras.first() else { return None };
+    KEYS.iter().all(|key| first.contains_key(*key)).then_some(cameras)
+}
+
+/// The same cameras as a transforms.json. Keys that are not of this format stay, to be read or named.
+///
+/// # Errors
+/// If a camera lacks a key, if its pose is no rotation and centre, or if its size or focal length is not positive.
+pub(super) fn as_transforms(path: &Path, cameras: &[Value]) -> Result<Value> {
+    let frames: Result<Vec<Value>> = cameras.iter().enumerate().map(|(i, camera)| frame(path, i, camera)).collect();
+    Ok(json!({ "frames": frames? }))
+}
+
+fn frame(path: &Path, i: usize, camera: &Value) -> Result<Value> {
+    let Value::Object(camera) = camera else {
+        return Err(Error::malformed(path, format!("camera {i}"), "an object", camera.to_string()));
+    };
+    let name = camera.get("img_name").and_then(Value::as_str).unwrap_or("?");
+    let wrong = |key: &str, expected: &str, found: String| {
+        Error::malformed(path, format!("camera {i} (`{name}`), `{key}`"), expected, found)
+    };
+    let of = |key: &str| camera.get(key).ok_or_else(|| wrong(key, "a value", "none".into()));
+    let image = of("img_name")?;
+    if !image.is_string() {
+        return Err(wrong("img_name", "the name of an image", image.to_string()));
+    }
+    let mut frame: Map<String, Value> = camera.clone();
+    frame.retain(|key, _| !KEYS.contains(&key.as_str()));
+    frame.insert("file_path".into(), image.clone());
+    frame.insert(
+        "transform_matrix".into(),
+        json!(pose(of("position")?, of("rotation")?).map_err(|(key, expected, found)| wrong(key, expected, found))?),
+    );
+    for (key, new) in [("width", "w"), ("height", "h"), ("fx", "fl_x"), ("fy", "fl_y")] {
+        let value = of(key)?;
+        if !value.as_f64().is_some_and(|v| v > 0.0) {
+            return Err(wrong(key, "a positive number of pixels", value.to_string()));
+        }
+        frame.remove(key);
+        frame.insert(new.into(), value.clone());
+    }
+    Ok(Value::Object(frame))
+}
+
+/// Camera-to-world with axes right, up, back; or the key that is wrong, what it should be, and what it is.
+fn pose(
+    position: &Value,
+    rotation: &Value,
+) -> std::result::Result<Vec<Vec<f64>>, (&'static str, &'static str, String)> {
+    let numbers = |list: &Value, count: usize| -> Option<Vec<f64>> {
+        let numbers: Option<Vec<f64>> = list.as_array()?.iter().map(Value::as_f64).collect();
+        numbers.filter(|numbers| numbers.len() == count)
+    };
+    let Some(centre) = numbers(position, 3) else {
+        return Err(("position", "three numbers, the camera's centre", position.to_string()));
+    };
+    let rows: Option<Vec<Vec<f64>>> =
+        rotation.as_array().and_then(|rows| rows.iter().map(|row| numbers(row, 3)).collect());
+    let Some(rows) = rows.filter(|rows| rows.len() == 3) else {
+        return Err(("rotation", "3 rows of 3 numbers", rotation.to_string()));
+    };
+    // The columns are right, down and forward.
+    let mut matrix: Vec<Vec<f64>> = rows.iter().zip(centre).map(|(row, x)| vec![row[0], -row[1], -row[2], x]).collect();
+    matrix.push(vec![0.0, 0.0, 0.0, 1.0]);
+    let expected = "camera-to-world axes of length 1";
+    rigid_pose(&matrix).map_err(|found| ("rotation", expected, found))?;
+    let length = rows.iter().map(|row| row[0] * row[0]).sum::<f64>().sqrt();
+    if (length - 1.0).abs() > UNIT {
+        return Err(("rotation", expected, format!("a first axis of length {length}")));
+    }
+    Ok(matrix)
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{DMat3, DVec3};
+
+    use super::super::Views;
+    use super::super::views::ResolutionSource;
+    use super::*;
+
+    const CAMERA: &str = r#"{"id": 0, "img_name": "a", "width": 40, "height": 30, "position": [1, 2, 3],
+        "rotation": [[1, 0, 0], [0, 0, 1], [0, -1, 0]], "fx": 50, "fy": 51}"#;
+
+    fn read(json: &str) -> Result<Views> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("cameras.json");
+        std::fs::write(&path, json).unwrap();
+        Views::read(&path, None)
+    }
+
+    #[test]
+    fn cameras_look_along_their_third_axis() {
+        let views = read(&format!("[{CAMERA}]")).unwrap();
+        let frame = &views.frames[0];
+        assert_eq!((frame.name.as_str(), frame.index, views.resolution_source), ("a", 0, ResolutionSource::File));
+        let camera = frame.camera;
+        assert_eq!((camera.focal, camera.center, camera.resolution), ([50.0, 51.0], [20.0, 15.0], [40, 30]));
+        assert_eq!(camera.position, DVec3::new(1.0, 2.0, 3.0));
+        // Right is x, down is −z, forward is y.
+        assert_eq!(camera.axes, DMat3::from_cols(DVec3::X, DVec3::Z, DVec3::NEG_Y));
+        let ray = camera.ray(20.0, 15.0);
+        assert_eq!(ray.direction, DVec3::Y);
+        assert!(camera.ray(20.0, 20.0).direction.z < 0.0, "lower in the image is lower in the scene");
+        assert_eq!(views.notes, [NOTE]);
+    }
+
+    #[test]
+    fn keys_of_other_programs_are_read_or_named() {
+        let more =
+            CAMERA.replace("\"a\"", "\"b\"").replace("\"fx\"", "\"cx\": 21, \"cy\": 14, \"depth_params\": 3, \"fx\"");
+        let views = read(&format!("[{CAMERA}, {more}]")).unwrap();
+        assert_eq!(views.frames[1].camera.center, [21.0, 14.0]);
+        assert_eq!(views.notes, ["keys that are not read: `depth_params` (of frames)", NOTE]);
+    }
+
+    #[test]
+    fn what_is_no_camera_is_refused_by_its_key() {
+        for (from, to, expected) in [
+            ("\"fx\": 50", "\"fx\": 0", "`fx`: expected a positive number of pixels, found 0"),
+            ("\"height\": 30, ", "", "`height`: expected a value, found none"),
+            ("\"a\"", "7", "camera 1 (`?`), `img_name`: expected the name of an image, found 7"),
+            ("[1, 2, 3]", "[1, 2]", "`position`: expected three numbers, the camera's centre, found [1,2]"),
+            ("[0, 0, 1], ", "", "`rotation`: expected 3 rows of 3 numbers, found [[1,0,0],[0,-1,0]]"),
+            ("[1, 0, 0]", "[-1, 0, 0]", "`rotation`: expected camera-to-world axes of length 1, found a singular or"),
+            (
+                "[[1, 0, 0], [0, 0, 1], [0, -1, 0]]",
+                "[[2, 0, 0], [0, 0, 2], [0, -2, 0]]",
+                "`rotation`: expected camera-to-world axes of length 1, found a first axis of length 2",
+            ),
+            (CAMERA, "3", "camera 1: expected an object, found 3"),
+        ] {
+            let error = read(&format!("[{CAMERA}, {}]", CAMERA.replacen(from, to, 1))).unwrap_err().to_string();
+            assert!(error.contains("cameras.json: camera 1") && error.contains(expected), "{to}: {error}");
+        }
+    }
+}

@@ -1,0 +1,24 @@
+//! What a finished field says of itself, for reports.
+
+use serde_json::{Value, json};
+
+use super::ErrorBudget;
+use crate::uncertainty::UncertaintyField;
+
+/// A field's protocol, and how far log10 U is from its limit, as JSON.
+#[must_use]
+pub fn facts(field: &UncertaintyField) -> Value {
+    json!({
+        "protocol": field.protocol(),
+        "origin": field.protocol().origin,
+        "box": field.lattice().domain().bounds().map(|b| json!({
+            "min": b.min().to_array(), "max": b.max().to_array(),
+        })),
+        "domain": field.lattice().domain(),
+        "level": field.lattice().level(),
+        "draws": field.draws(),
+        "limited": !field.limits().is_unlimited(),
+        "errors": ErrorBudget::of_field(field),
+        "misfit": field.misfit().map(|misfit| json!({ "root_mean_square": misfit.mean(), "level": misfit.level() })),
+    })
+}

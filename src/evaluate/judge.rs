@@ -1,0 +1,341 @@
+//! One evaluation, from its inputs to its report.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use super::{
+    CleanUp, DepthError, DepthFiles, DepthMeaning, EvaluatedView, Evaluator, FramesWithDepth, Interval, Reading,
+    Report, THRESHOLDS, TrainingViews, TrueView, clean_up,
+};
+use crate::dataset::{DepthKind, DepthReadings, Frame, FrameSplit, LargestDepth, Part, Selection, Views};
+use crate::estimate::RaySettings;
+use crate::field::{RadianceField, known_cameras};
+use crate::geometry::{Camera, Domain};
+use crate::metrics::{STEPS, quantile};
+use crate::monitor::Monitor;
+use crate::render::RenderedView;
+use crate::{Error, Result};
+
+/// What else may be wrong if depths are.
+const CAUSES: &str = "likely causes: --depth-encoding, --z-depth, or units of the cameras";
+
+/// A message to the user about an evaluation, one sentence.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Remark {
+    /// What was assumed or left out.
+    Note(String),
+    /// What is probably wrong.
+    Warning(String),
+}
+
+impl fmt::Display for Remark {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        match self {
+            Self::Note(text) => write!(f, "note: {text}"),
+            Self::Warning(text) => write!(f, "warning: {text}"),
+        }
+    }
+}
+
+/// What is judged, and by what.
+#[derive(Clone)]
+pub struct Evaluation<'a> {
+    /// The model.
+    pub model: &'a dyn RadianceField,
+    /// Its name, for the report.
+    pub name: String,
+    /// How its images are rendered.
+    pub settings: RaySettings,
+    /// Readings to rank its errors by. The first one is used for the clean-up and for calibration.
+    pub readings: &'a [Reading],
+    /// Models that were trained like it, by their names.
+    pub ensemble: Vec<(String, &'a dyn RadianceField)>,
+    /// The camera file with the held-out frames.
+    pub cameras: PathBuf,
+    /// Which of them are taken.
+    pub selection: Selection,
+    /// Every so many pixels along x and y are looked at.
+    pub stride: u32,
+    /// Their true depth.
+    pub depth: DepthFiles,
+    /// Folder of the true depth of the training frames, with names and values as in `depth`.
+    pub training_depth: Option<PathBuf>,
+    /// Share of errors that an interval of depth is to hold, if one is wanted.
+    pub calibrate: Option<f64>,
+    /// Whether density is removed above [`THRESHOLDS`].
+    pub clean_up: bool,
+    /// Whether curves are drawn, which need true depth.
+    pub curves: bool,
+}
+
+/// An evaluation whose files are found.
+pub struct Prepared<'a> {
+    evaluation: Evaluation<'a>,
+    frames: Vec<Frame>,
+    /// The true depth of the frames; `None` if depth is not judged.
+    pub depth: Option<FramesWithDepth>,
+    /// The true depth of the training frames.
+    pub training_depth: Option<FramesWithDepth>,
+    /// How many frames are used, and why the others are not.
+    pub used: String,
+    /// What is odd about the inputs.
+    pub remarks: Vec<Remark>,
+}
+
+/// What an evaluation found.
+pub struct Judged {
+    /// All figures.
+    pub report: Report,
+    /// What the cameras should see, for the pictures of a clean-up; empty without.
+    pub truths: Vec<TrueView>,
+    /// The views after each clean-up; the first is the model as it is.
+    pub cleaned: Vec<(CleanUp, Vec<RenderedView>)>,
+}
+
+impl Evaluation<'_> {
+    /// Default stride: every pixel.
+    pub const STRIDE: u32 = 1;
+    /// Default share of errors that a calibrated interval is to hold.
+    pub const PROBABILITY: f64 = 0.9;
+}
+
+impl<'a> Evaluation<'a> {
+    /// Whether depth is evaluated: always, unless only the clean-up is requested.
+    #[must_use]
+    pub fn judges_depth(&self) -> bool {
+        let DepthFiles { folder, scale, kind, .. } = &self.depth;
+        let has_maps = folder.is_some() || scale.is_some() || *kind == DepthKind::Z || self.training_depth.is_some();
+        !self.clean_up || has_maps || self.curves || self.calibrate.is_some() || !self.ensemble.is_empty()
+    }
+
+    /// Finds the files of the frames of [`Evaluation::cameras`], and checks what can be checked before any work.
+    ///
+    /// # Errors
+    /// If a member of the ensemble covers another box, if a field has no deviation of depth to calibrate, if there are
+    /// no such frames, or if depth maps are missing ([`DepthFiles::find`]).
+    pub fn prepare(self, views: Views) -> Result<Prepared<'a>> {
+        self.ensemble.iter().try_for_each(|(name, member)| check_member(name, *member, self.model))?;
+        if let (Some(_), Some(first)) = (self.calibrate, self.readings.first()) {
+            first.field.depth_posterior()?;
+        }
+        let all = views.frames.clone();
+        let split = FrameSplit::new(views);
+        let frames = split.select(Part::HeldOut, &self.selection, |_| true)?;
+        let mut remarks = Vec::new();
+        let known = known_cameras(self.model, frames.iter().map(|frame| &frame.camera)).iter().flatten().count();
+        if known > 0 {
+            let n = frames.len();
+            remarks.push(Remark::Warning(format!(
+                "the model was trained on {known} of these {n} frames: it knows them better than others"
+            )));
+        }
+        let depth = self.judges_depth().then(|| self.depth.find(&self.cameras, &frames, &all)).transpose()?;
+        if depth.is_none() && frames.iter().any(|frame| frame.depth.is_some()) {
+            let text = "the depth maps that the camera file names are not evaluated: --clean-up alone does without \
+                        (--depth-encoding, --z-depth or --plot use them)";
+            remarks.push(Remark::Note(text.into()));
+        }
+        let training_depth = self.training_depth.as_ref().map(|folder| self.training_maps(folder)).transpose()?;
+        let used = split.describe(Part::HeldOut, &frames);
+        Ok(Prepared { evaluation: self, frames, depth, training_depth, used, remarks })
+    }
+
+    /// The frames that the model was trained on, with their depth maps.
+    fn training_maps(&self, folder: &Path) -> Result<FramesWithDepth> {
+        let cameras = self.model.training_cameras();
+        if cameras.is_empty() {
+            let expected = "a model that knows its training cameras, such as those of `train`";
+            return Err(Error::setting("--training-depth", expected, self.model.describe()));
+        }
+        let frames: Vec<Frame> = cameras.iter().map(|named| Frame::new(named.camera, &named.name, "")).collect();
+        DepthFiles { folder: Some(folder.into()), ..self.depth.clone() }.find(folder, &frames, &frames)
+    }
+}
+
+/// A member of an ensemble must cover the same box as the model.
+fn check_member(name: &str, member: &dyn RadianceField, model: &dyn RadianceField) -> Result<()> {
+    let [expected, found] = [model, member].map(RadianceField::bounds);
+    let same = [expected.min() - found.min(), expected.max() - found.max()];
+    if same.iter().all(|d| d.abs().max_element() <= 1e-5 * expected.longest_edge()) {
+        return Ok(());
+    }
+    let [expected, found] = [expected, found].map(|b| format!("{} to {}", b.min(), b.max()));
+    Err(Error::setting(format!("box of the member `{name}`"), format!("the model's, {expected}"), found))
+}
+
+impl Prepared<'_> {
+    /// The frames that are judged.
+    #[must_use]
+    pub fn frames(&self) -> &[Frame] {
+        self.depth.as_ref().map_or(&self.frames, |found| &found.frames)
+    }
+
+    /// Renders all frames, compares, and cleans up and calibrates if requested. `tell` receives remarks as they arise.
+    ///
+    /// # Errors
+    /// If a file is damaged, if nearly no value of the depth maps is a measurement or no error of a model explains
+    /// half of them, if the pixels are too few, and [`Error::Interrupted`].
+    pub fn judge(&self, monitor: &dyn Monitor, tell: &mut dyn FnMut(Remark)) -> Result<Judged> {
+        let Evaluation { model, settings, readings, .. } = &self.evaluation;
+        let offset = settings.offset_for(*model);
+        let meaning = |found: &FramesWithDepth| DepthMeaning { encoding: found.encoding, bounds: model.bounds() };
+        let truly_seen =
+            self.training_depth.as_ref().map(|found| truly_seen(found, &meaning(found), offset, monitor, tell));
+        let truly_seen = truly_seen.transpose()?;
+        let tracer = settings.tracer(*model, 0.0, monitor)?;
+        let cameras: Vec<Camera> = model.training_cameras().iter().map(|named| named.camera).collect();
+        let knows_cameras = self.depth.is_some() && !cameras.is_empty();
+        let training = knows_cameras.then(|| TrainingViews::render(&tracer, &cameras, offset, monitor)).transpose()?;
+        let differentiation = readings.first().map(|r| settings.differentiation(*model, r.field.lattice()));
+        let members = self.evaluation.ensemble.iter().map(|(_, member)| settings.tracer(*member, 0.0, monitor));
+        let evaluator = Evaluator {
+            differentiation: differentiation.transpose()?,
+            members: members.collect::<Result<_>>()?,
+            training: training.as_ref(),
+            truly_seen: truly_seen.as_ref(),
+            ..Evaluator::new(tracer, readings)
+        };
+
+        let looked = self.look(&evaluator, self.depth.as_ref().map(meaning), offset, monitor)?;
+        let views = &looked.views;
+        let mut report = Report::new(&self.evaluation, &evaluator, views);
+        if let Some(found) = &self.depth {
+            report.depth = Some(found.source.to_string_lossy().into());
+            report.depth_readings = Some(looked.counts);
+            report.depth_error = Some(looked.error_of_depth(found, *model, tell)?);
+            let few = || looked.too_few(found, &format!("at least {STEPS} pixels with depth and some error"));
+            report.rank(&evaluator, views).ok_or_else(few)?;
+        }
+        if let (Some(probability), Some(found)) = (self.evaluation.calibrate, &self.depth) {
+            let few = || looked.too_few(found, &format!("more pixels of known depth, to hold {probability}"));
+            report.calibrated = Some(Interval::calibrate(&evaluator, views, probability).ok_or_else(few)?);
+        }
+        let cleaned = match (self.evaluation.clean_up, evaluator.baked.first()) {
+            (true, Some(field)) => clean_up(&evaluator.tracer, field, &looked.truths, &THRESHOLDS, monitor)?,
+            _ => Vec::new(),
+        };
+        report.clean_up = cleaned.iter().map(|(cleaned, _)| *cleaned).collect();
+        Ok(Judged { report, truths: looked.truths, cleaned })
+    }
+
+    /// The loop over all frames.
+    fn look(
+        &self,
+        evaluator: &Evaluator,
+        depth: Option<DepthMeaning>,
+        offset: f64,
+        monitor: &dyn Monitor,
+    ) -> Result<Looked> {
+        let Evaluation { settings, stride, clean_up, .. } = &self.evaluation;
+        let kind = depth.map(|depth| depth.encoding.kind).unwrap_or_default();
+        let mut looked = Looked::default();
+        let rows = self.frames().iter().map(|frame| u64::from(frame.camera.resolution[1].div_ceil(*stride)));
+        monitor.begin("rows", rows.sum::<u64>() * (1 + evaluator.members.len() as u64));
+        for (seed, frame) in (0..).zip(self.frames()) {
+            let truth = TrueView::read(frame, depth.as_ref(), settings.background.as_dvec3(), offset, *stride)?;
+            let view = evaluator.evaluate(&truth, seed, monitor)?;
+            let other = truth.distance_if_not(kind);
+            let error = |&i: &usize| Some((view.rendered.pixels[i].median_depth - other[i]?).abs());
+            looked.otherwise.extend(view.pixels.iter().filter_map(error));
+            looked.counts += truth.readings;
+            looked.largest.count(truth.largest_depth(kind));
+            // Whole images are large, and only the clean-up needs the true ones again.
+            looked.views.push(EvaluatedView { rendered: RenderedView::default(), ..view });
+            looked.truths.extend(clean_up.then_some(truth));
+        }
+        monitor.end();
+        Ok(looked)
+    }
+}
+
+/// What the training cameras truly saw. Notes what their depth maps lack.
+fn truly_seen(
+    maps: &FramesWithDepth,
+    depth: &DepthMeaning,
+    offset: f64,
+    monitor: &dyn Monitor,
+    tell: &mut dyn FnMut(Remark),
+) -> Result<TrainingViews> {
+    let (seen, counts) = TrainingViews::from_depth_maps(&maps.frames, depth, offset, monitor)?;
+    if counts.are_nearly_all_unmeasured() {
+        let expected = "depths of what the model shows in at least 1 % of the pixels (--depth-encoding)";
+        return Err(Error::malformed(&maps.source, "depth maps of training views", expected, counts.to_string()));
+    }
+    if counts.measured < counts.total() {
+        tell(Remark::Note(format!("training views: {counts}; such pixels count as seeing all that is there")));
+    }
+    Ok(seen)
+}
+
+/// What the loop over frames leaves.
+#[derive(Default)]
+struct Looked {
+    views: Vec<EvaluatedView>,
+    truths: Vec<TrueView>,
+    /// What the depth maps hold at opaque pixels.
+    counts: DepthReadings,
+    /// The largest depth at these pixels.
+    largest: LargestDepth,
+    /// `[n]`: the absolute errors if the maps hold the other kind of depth.
+    otherwise: Vec<f64>,
+}
+
+impl Looked {
+    /// The error of depth. Says what is odd about the maps. Refuses them if nearly no pixel holds a measurement, or if
+    /// no error of a model explains half of them.
+    ///
+    /// Models trained from five views are off by a hundredth of their box in the median, a wrong encoding by the
+    /// distance of the cameras.
+    fn error_of_depth(
+        &self,
+        maps: &FramesWithDepth,
+        model: &dyn RadianceField,
+        tell: &mut dyn FnMut(Remark),
+    ) -> Result<DepthError> {
+        let wrong = |expected, found| Err(Error::malformed(&maps.source, "depth maps", expected, found));
+        if self.counts.are_nearly_all_unmeasured() {
+            let expected = format!("depths of what the model shows in at least 1 % of the opaque pixels; {CAUSES}");
+            return wrong(expected, self.counts.to_string());
+        }
+        let error = DepthError::new(&self.views).ok_or_else(|| self.too_few(maps, "pixels with depth"))?;
+        let widest = model.bounds().longest_edge();
+        let size = match model.natural_domain() {
+            Domain::Box(bounds) => bounds.longest_edge(),
+            Domain::Contracted { radius, .. } => 2.0 * radius,
+        };
+        let found = format!("half of the depths are off by more than {:.4} scene units", error.median);
+        if error.median > widest {
+            return wrong(format!("depths within the model's box, {widest:.4} across; {CAUSES}"), found);
+        }
+        if self.counts.measured < self.counts.total() {
+            tell(Remark::Note(self.counts.to_string()));
+        }
+        if let Some(doubt) = self.largest.doubt(self.counts.measured) {
+            tell(Remark::Warning(doubt));
+        }
+        let mut otherwise = self.otherwise.clone();
+        otherwise.sort_unstable_by(f64::total_cmp);
+        let other = quantile(&otherwise, 0.5);
+        if other < 0.5 * error.median {
+            let (kind, flag) = match maps.encoding.kind {
+                DepthKind::Z => ("distance from the camera", "without --z-depth"),
+                DepthKind::Euclidean => ("depth along the viewing axis", "with --z-depth"),
+            };
+            tell(Remark::Note(format!("{found}; if the maps hold {kind} ({flag}), by more than {other:.4}")));
+        }
+        if error.median > 0.1 * size {
+            tell(Remark::Warning(format!("{found}, and the model is {size:.4} across; {CAUSES}")));
+        }
+        Ok(error)
+    }
+
+    /// The error that there are too few pixels of known depth.
+    fn too_few(&self, maps: &FramesWithDepth, expected: &str) -> Error {
+        let pixels: usize = self.views.iter().map(|view| view.pixels.len()).sum();
+        let mut found = format!("{pixels} pixels of {} views", self.views.len());
+        if self.counts.measured < self.counts.total() {
+            found += &format!("; {}", self.counts);
+        }
+        Error::malformed(&maps.source, "depth maps", expected, found)
+    }
+}

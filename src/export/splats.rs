@@ -1,0 +1,125 @@
+//! Splats with their uncertainty: a `.ply` that renderers and editors of splats read.
+
+use std::path::Path;
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use crate::Result;
+use crate::geometry::Camera;
+use crate::monitor::{Monitor, check};
+use crate::posterior::Scale;
+use crate::splats::{Hits, SplatRenderer, Splats, Use};
+use crate::uncertainty::{Answers, is_certain};
+
+/// A view counts if a splat's share of one of its pixels exceeds this.
+const SEEN: f64 = 0.05;
+
+/// What training views show of each splat.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SeenSplats {
+    /// `[n]`: sum of w, its share of a pixel, over the pixels that were looked at.
+    pub weights: Vec<f64>,
+    /// `[n]`: number of views in which w exceeds 0.05 at one of these pixels.
+    pub views: Vec<u32>,
+    /// Number of pixels that were looked at, and of all pixels.
+    pub pixels: [u64; 2],
+}
+
+impl SeenSplats {
+    /// Looks at about `pixels` pixels of all cameras together, evenly spread over each image.
+    ///
+    /// # Errors
+    /// If a lens distorts, or [`Error::Interrupted`](crate::Error::Interrupted).
+    pub fn measure(
+        renderer: &SplatRenderer,
+        cameras: &[Camera],
+        pixel_offset: f64,
+        pixels: u64,
+        monitor: &dyn Monitor,
+    ) -> Result<Self> {
+        SplatRenderer::check_cameras(cameras)?;
+        let all: u64 = cameras.iter().map(Camera::pixels).sum();
+        let stride = ((all as f64 / pixels.max(1) as f64).sqrt().round() as u32).max(1);
+        let n = renderer.splats().len();
+        let mut found = Self { weights: vec![0.0; n], views: vec![0; n], pixels: [0, all] };
+        monitor.begin("training views", cameras.len() as u64);
+        for camera in cameras {
+            check(monitor)?;
+            let view = renderer.prepare(camera, Use::Colors);
+            let start = (stride / 2).min(camera.resolution[0] - 1).min(camera.resolution[1] - 1);
+            let rows: Vec<u32> = (start..camera.resolution[1]).step_by(stride as usize).collect();
+            let of_row = |&row: &u32| {
+                let (mut hits, mut found) = (Hits::default(), Vec::new());
+                for column in (start..camera.resolution[0]).step_by(stride as usize) {
+                    view.hits([column, row].map(|i| f64::from(i) + pixel_offset), &mut hits);
+                    found.extend(hits.list.iter().map(|hit| (view.splat(hit), hit.weight())));
+                }
+                found
+            };
+            let mut is_seen = vec![false; n];
+            // Rows in their order, so that sums do not depend on threads.
+            for (splat, weight) in rows.par_iter().map(of_row).collect::<Vec<_>>().concat() {
+                found.weights[splat] += weight;
+                is_seen[splat] |= weight > SEEN;
+            }
+            found.views.iter_mut().zip(is_seen).for_each(|(views, is_seen)| *views += u32::from(is_seen));
+            found.pixels[0] += rows.len() as u64 * u64::from((camera.resolution[0] - start).div_ceil(stride));
+            monitor.advance(1);
+        }
+        monitor.end();
+        Ok(found)
+    }
+}
+
+/// Writes splats with the columns `uncertainty` and `log10_uncertainty` of their centres and, if views were looked at,
+/// `weight` and `views`. With a threshold, those above it are left out. Returns the number of splats in the file.
+///
+/// # Errors
+/// If the field cannot be read, no splat is left, or the file cannot be written.
+pub fn write_splats(
+    path: &Path,
+    splats: &Splats,
+    field: &dyn Answers,
+    seen: Option<&SeenSplats>,
+    threshold: Option<f64>,
+) -> Result<usize> {
+    let kept = match threshold {
+        Some(threshold) => is_certain(splats, field, threshold)?,
+        None => vec![true; splats.len()],
+    };
+    let left = threshold.map(|_| splats.clone().keep(&kept)).transpose()?;
+    let left = left.as_ref().unwrap_or(splats);
+    let means: &[Vec3] = left.means();
+    let uncertainty: Vec<f64> = field.estimates(means)?.iter().map(|at| at.uncertainty).collect();
+    let of_kept =
+        |values: &dyn Fn(usize) -> f32| -> Vec<f32> { (0..splats.len()).filter(|&i| kept[i]).map(values).collect() };
+    let protocol = field.protocol();
+    let (version, prior) = (env!("CARGO_PKG_VERSION"), protocol.reading().prior());
+    let unit = match protocol.scale {
+        Scale::Data(_) => "in scene units",
+        Scale::Paper => "for ranking, not a length (scale `paper`)",
+    };
+    let mut comments = vec![format!(
+        "octobayes {version} uncertainty = one standard deviation of the centre, {unit}, larger is less certain, prior \
+         = {prior:e}; log10_uncertainty = its decimal logarithm"
+    )];
+    let mut columns: Vec<(&str, Vec<f32>)> = vec![
+        ("uncertainty", uncertainty.iter().map(|&u| u as f32).collect()),
+        ("log10_uncertainty", uncertainty.iter().map(|u| u.log10() as f32).collect()),
+    ];
+    if let Some(SeenSplats { weights, views, pixels: [looked_at, all] }) = seen {
+        columns.push(("weight", of_kept(&|i| weights[i] as f32)));
+        columns.push(("views", of_kept(&|i| views[i] as f32)));
+        comments.push(format!(
+            "octobayes {version} weight = sum of the splat's shares of {looked_at} of {all} training pixels, 0 = never \
+             seen; views = training views with a share above {SEEN}"
+        ));
+    }
+    if let Some(threshold) = threshold {
+        comments.push(format!("octobayes {version} without splats of log10_uncertainty above {threshold}"));
+    }
+    let columns: Vec<(&str, &[f32])> = columns.iter().map(|(name, values)| (*name, &values[..])).collect();
+    left.write_ply(path, &columns, &comments)?;
+    Ok(left.len())
+}

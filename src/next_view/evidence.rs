@@ -1,0 +1,257 @@
+//! What a view would show, found by some of its pixels' rays through the model. Its image is not needed: Gauss-Newton's
+//! Hessian has Jacobians only.
+
+use glam::Vec3;
+use rayon::prelude::*;
+use rustc_hash::FxHashMap;
+
+use super::coverage::Facet;
+use crate::field::RadianceField;
+use crate::geometry::{Camera, Lattice, Ray};
+use crate::monitor::Monitor;
+use crate::posterior::{Posterior, Visits};
+use crate::rays::{MAX_DROPPED_SHARE, PixelSequence, Pixels, VolumeRays};
+use crate::render::{CompositingWeights, JacobianBuffers, RayBatch, RaySamples, TraceBuffers, VisibleSegment};
+use crate::uncertainty::{Added, Precision};
+use crate::{Error, Result};
+
+/// Rays that are differentiated together, as in a run.
+const BATCH: usize = 512;
+
+/// A camera stands in matter if half of its rays lose half of their light within so many samples.
+const NEAR: f64 = 4.0;
+
+/// Why a view tells nothing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum Blank {
+    /// The camera stands in matter: half of its rays end within four samples.
+    InMatter,
+    /// No ray crosses the model's box.
+    PastTheBox,
+    /// Rays cross the box, but none meets matter in the field's domain that a displacement would move.
+    MeetsNothing,
+}
+
+impl Blank {
+    /// In words, for tables.
+    #[must_use]
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::InMatter => "stands in matter",
+            Self::PastTheBox => "looks past the box",
+            Self::MeetsNothing => "meets nothing that a displacement would move",
+        }
+    }
+}
+
+/// What a view would show.
+#[derive(Debug, Clone, Default)]
+pub struct Evidence {
+    /// What its pixels add to the precision, by Morton code.
+    pub added: Vec<Added>,
+    /// The cells that its rays end in, and from where they are seen, by cell.
+    pub facets: Vec<Facet>,
+    /// The cells of the field's visits that its rays end in, and how many do.
+    pub ends: Vec<(usize, u32)>,
+    /// Rays, and those of them that end on a surface in the field's domain.
+    pub rays: u64,
+    /// See [`Evidence::rays`].
+    pub met: u64,
+    /// Number of the view's pixels.
+    pub pixels: u64,
+    /// Why it shows nothing, whatever a gain counts.
+    pub blank: Option<Blank>,
+}
+
+/// Shows what candidates would see.
+pub struct Viewer<'a> {
+    /// The model and how its rays are differentiated.
+    pub volume: &'a VolumeRays<'a>,
+    /// Where in a pixel its ray passes.
+    pub pixel_offset: f64,
+    /// What rays are added to; `None` if only their ends count.
+    pub precision: Option<&'a Precision<'a>>,
+    /// Where training rays passed.
+    pub visits: Option<&'a Visits>,
+    /// The cells of facets.
+    pub cells: Lattice,
+    /// Most pixels of a view.
+    pub pixels: u64,
+    /// Seed of pixels and jitter.
+    pub seed: u64,
+}
+
+impl Viewer<'_> {
+    /// Whether the model is to be asked from the calling thread, for many points at once.
+    pub fn asks_together(&self) -> bool {
+        self.volume.tracer.field.batch() > 0
+    }
+
+    /// The rays of a view: all of them cameras' first pixels of the same low-discrepancy sequence.
+    pub fn batches(&self, camera: &Camera) -> Vec<RayBatch> {
+        let count = self.pixels.min(camera.pixels());
+        let picks = PixelSequence::new(Pixels::Sobol, self.seed, vec![camera.resolution]).picks(0, count);
+        let batch = |(n, picks): (usize, &[crate::rays::Pick])| {
+            let ray = |[x, y]: [u32; 2]| {
+                let [x, y] = [x, y].map(|i| f64::from(i) + self.pixel_offset);
+                camera.ray(x, y)
+            };
+            let rays = picks.iter().map(|pick| ray(pick.pixel)).collect();
+            let jitter = picks.iter().map(|pick| pick.jitter).collect();
+            RayBatch { rays, jitter, first: (n * BATCH) as u64 }
+        };
+        picks.chunks(BATCH).enumerate().map(batch).collect()
+    }
+
+    /// What a view would show.
+    ///
+    /// # Errors
+    /// [`Error::NonFinite`] if more than [`MAX_DROPPED_SHARE`] of its rays were dropped, or [`Error::Interrupted`].
+    pub fn evidence(&self, camera: &Camera, monitor: &dyn Monitor) -> Result<Evidence> {
+        let batches = self.batches(camera);
+        let rays: u64 = batches.iter().map(|batch| batch.rays.len() as u64).sum();
+        let mut evidence = Evidence { rays, pixels: camera.pixels(), ..Evidence::default() };
+        let sight = match self.precision {
+            None => self.sight(&batches)?,
+            Some(precision) => {
+                let samples = self.samples(&batches, monitor)?;
+                let mut sums = precision.sums();
+                sums.add(&samples);
+                evidence.added = precision.added(&sums, camera.pixels() as f64 / rays as f64);
+                samples.into_iter().flat_map(|batch| batch.sight).collect()
+            }
+        };
+        self.look(camera, &sight, &mut evidence);
+        if evidence.blank.is_some() {
+            evidence.added.clear();
+            evidence.facets.clear();
+        }
+        Ok(evidence)
+    }
+
+    /// The samples of a view's rays.
+    ///
+    /// # Errors
+    /// As [`Viewer::evidence`].
+    pub fn samples(&self, batches: &[RayBatch], monitor: &dyn Monitor) -> Result<Vec<RaySamples>> {
+        let VolumeRays { tracer, differentiation } = self.volume;
+        let samples: Vec<RaySamples> = if self.asks_together() {
+            tracer.jacobians_together(batches, differentiation, monitor)?
+        } else {
+            let each = batches
+                .par_iter()
+                .map_init(JacobianBuffers::default, |buffers, batch| tracer.jacobians(batch, differentiation, buffers));
+            each.collect()
+        };
+        let rays = batches.iter().map(|batch| batch.rays.len() as u64).sum();
+        let first = samples.iter().find_map(|batch| batch.first_invalid);
+        refuse_dropped(samples.iter().map(|batch| batch.dropped).sum(), rays, first)?;
+        Ok(samples)
+    }
+
+    /// How far a view's rays see, without derivatives.
+    fn sight(&self, batches: &[RayBatch]) -> Result<Vec<VisibleSegment>> {
+        let tracer = &self.volume.tracer;
+        let step = tracer.marcher.step;
+        let (mut sight, mut dropped, mut first, mut rays) = (Vec::new(), 0, None, 0);
+        let (mut buffers, mut quadrature) = (TraceBuffers::default(), CompositingWeights::default());
+        for batch in batches {
+            tracer.trace(&batch.rays, &batch.jitter, &mut buffers);
+            let traced = &buffers.traced;
+            quadrature.set(traced, step);
+            (rays, dropped) = (rays + batch.rays.len() as u64, dropped + traced.dropped);
+            first = first.or(traced.first_invalid);
+            for (r, &ray) in batch.rays.iter().enumerate().filter(|(r, _)| !traced.is_dropped[*r]) {
+                let dark = traced.samples(r).find(|&i| quadrature.behind[i] < 0.5);
+                let until = dark.map_or(f64::INFINITY, |i| traced.t[i] + 0.5 * step);
+                sight.push(VisibleSegment { ray, until });
+            }
+        }
+        refuse_dropped(dropped, rays, first)?;
+        Ok(sight)
+    }
+
+    /// Notes where rays end, and why they tell nothing if they do not.
+    fn look(&self, camera: &Camera, sight: &[VisibleSegment], evidence: &mut Evidence) {
+        let marcher = &self.volume.tracer.marcher;
+        let mut seen: FxHashMap<usize, glam::DVec3> = FxHashMap::default();
+        let mut ends: FxHashMap<usize, u32> = FxHashMap::default();
+        let (mut near, mut crossing) = (0, 0);
+        for VisibleSegment { ray, until } in sight {
+            crossing += usize::from(marcher.bounds.clip(ray).is_some());
+            if !until.is_finite() {
+                continue;
+            }
+            near += usize::from(*until <= NEAR * marcher.step);
+            // In front of the surface rather than behind it: there training rays have passed, if any did.
+            let x = ray.at((until - marcher.step).max(0.0)).as_vec3();
+            let Some(cell) = cell_of(&self.cells, x) else { continue };
+            evidence.met += 1;
+            *seen.entry(cell).or_default() -= ray.direction;
+            if let Some(cell) = self.visits.and_then(|visits| visits.cell(x)) {
+                *ends.entry(cell).or_default() += 1;
+            }
+        }
+        let facet = |(cell, towards): (usize, glam::DVec3)| Some(Facet { cell, towards: towards.try_normalize()? });
+        evidence.facets = seen.into_iter().filter_map(facet).collect();
+        evidence.facets.sort_unstable_by_key(|facet| facet.cell);
+        evidence.ends = ends.into_iter().collect();
+        evidence.ends.sort_unstable();
+        let is_inside = marcher.bounds.contains(camera.position.as_vec3());
+        let nothing = if self.precision.is_some() { evidence.added.is_empty() } else { evidence.facets.is_empty() };
+        evidence.blank = if is_inside && 2 * near >= sight.len().max(1) {
+            Some(Blank::InMatter)
+        } else if crossing == 0 {
+            Some(Blank::PastTheBox)
+        } else {
+            nothing.then_some(Blank::MeetsNothing)
+        };
+    }
+}
+
+impl Evidence {
+    /// Share of the rays that end on a surface that neither a training ray nor a view before reached; `None` if it is
+    /// not known where training rays passed, or if no ray ends on a surface.
+    pub fn unseen_share(&self, is_seen: impl Fn(usize) -> bool) -> Option<f64> {
+        let all: u32 = self.ends.iter().map(|(_, rays)| rays).sum();
+        let new: u32 = self.ends.iter().filter(|(cell, _)| !is_seen(*cell)).map(|(_, rays)| rays).sum();
+        (all > 0).then(|| f64::from(new) / f64::from(all))
+    }
+
+    /// Bytes on the heap.
+    pub fn memory(&self) -> usize {
+        let Self { added, facets, ends, .. } = self;
+        size_of_val(&added[..]) + size_of_val(&facets[..]) + size_of_val(&ends[..])
+    }
+}
+
+/// Number of the cell around a point; `None` outside the domain.
+fn cell_of(cells: &Lattice, x: Vec3) -> Option<usize> {
+    let cell = cells.cell(cells.coordinates(x)?).0;
+    Some(cell.into_iter().fold(0, |index, i| index << cells.level() | i as usize))
+}
+
+fn refuse_dropped(dropped: u64, rays: u64, first: Option<Vec3>) -> Result<()> {
+    match first {
+        Some(first) if dropped as f64 > MAX_DROPPED_SHARE * rays as f64 => {
+            let limit_percent = 100.0 * MAX_DROPPED_SHARE;
+            Err(Error::NonFinite { dropped, rays, limit_percent, first: first.to_array() })
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Rays of a grid of a camera's pixels, row by row, at the middle of their samples.
+pub fn rays_of(camera: &Camera, offset: f64, rows: std::ops::Range<u32>) -> Vec<Ray> {
+    let row = |y: u32| (0..camera.resolution[0]).map(move |x| camera.ray(f64::from(x) + offset, f64::from(y) + offset));
+    rows.flat_map(row).collect()
+}
+
+/// Whether a ray that starts at `x` loses half of its light within [`NEAR`] samples.
+pub fn is_in_matter(field: &dyn RadianceField, step: f64, x: Vec3) -> bool {
+    let mut density = [0.0];
+    field.densities(&[x], &mut density);
+    f64::from(density[0]) * NEAR * step >= std::f64::consts::LN_2
+}

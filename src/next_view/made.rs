@@ -1,0 +1,93 @@
+//! Candidates that no file lists: around the box, looking at its middle, outside of matter.
+
+use glam::{DVec3, Vec3};
+
+use super::evidence::is_in_matter;
+use crate::field::RadianceField;
+use crate::geometry::{Camera, Domain};
+use crate::{Error, Result};
+
+/// Cameras around the middle of a domain, with the lens of one that there is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Around {
+    /// What they look at, scene units.
+    pub middle: DVec3,
+    /// How far they are from it, scene units.
+    pub distance: f64,
+    /// What is up.
+    pub up: DVec3,
+    /// Sine of the elevation of an orbit.
+    pub sine: f64,
+    /// Whose lens they have.
+    pub lens: Camera,
+}
+
+impl Around {
+    /// Around the middle of `domain`, as `cameras` are: their first one's lens, their median distance and elevation,
+    /// upright as they are on average.
+    ///
+    /// # Errors
+    /// If there is no camera, or all of them stand in the middle.
+    pub fn like(cameras: &[Camera], domain: &Domain) -> Result<Self> {
+        let Some(&lens) = cameras.first() else {
+            return Err(Error::setting("cameras", "at least one, whose lens the candidates get", "none"));
+        };
+        let middle = match domain {
+            Domain::Box(bounds) => 0.5 * (bounds.min() + bounds.max()),
+            Domain::Contracted { center, .. } => DVec3::from(*center),
+        };
+        let median = |of: &dyn Fn(&Camera) -> f64| {
+            let mut values: Vec<f64> = cameras.iter().map(of).collect();
+            values.sort_by(f64::total_cmp);
+            values[values.len() / 2]
+        };
+        let mean = cameras.iter().map(|camera| camera.axes.y_axis).sum::<DVec3>();
+        let up = mean.try_normalize().unwrap_or(DVec3::Z);
+        let distance = median(&|camera| camera.position.distance(middle));
+        if !(distance > 0.0 && distance.is_finite()) {
+            let found = format!("a median distance of {distance:e}");
+            return Err(Error::setting("cameras", "cameras away from the middle of the box", found));
+        }
+        let sine = median(&|camera| (camera.position - middle).normalize_or_zero().dot(up));
+        Ok(Self { middle, distance, up, sine: sine.clamp(-0.95, 0.95), lens })
+    }
+
+    /// `count` cameras on a golden spiral over the sphere, or over its upper half.
+    #[must_use]
+    pub fn sphere(&self, count: u32, is_upper: bool) -> Vec<Camera> {
+        let golden = 0.5 * (5.0_f64.sqrt() - 1.0);
+        let low = if is_upper { 0.0 } else { -1.0 };
+        let place = |n: u32| {
+            let sine = low + (1.0 - low) * (f64::from(n) + 0.5) / f64::from(count);
+            self.camera(sine, std::f64::consts::TAU * (f64::from(n) * golden).fract())
+        };
+        (0..count).map(place).collect()
+    }
+
+    /// `count` cameras on a level circle.
+    #[must_use]
+    pub fn orbit(&self, count: u32) -> Vec<Camera> {
+        let place = |n: u32| self.camera(self.sine, std::f64::consts::TAU * f64::from(n) / f64::from(count));
+        (0..count).map(place).collect()
+    }
+
+    fn camera(&self, sine: f64, azimuth: f64) -> Camera {
+        let right = self.up.any_orthonormal_vector();
+        let ahead = self.up.cross(right);
+        let level = (1.0 - sine * sine).max(0.0).sqrt();
+        let towards = level * (azimuth.cos() * right + azimuth.sin() * ahead) + sine * self.up;
+        let eye = self.middle + self.distance * towards;
+        let posed = Camera::look_at(eye, self.middle, self.up, 1.0, self.lens.resolution);
+        Camera { position: posed.position, axes: posed.axes, ..self.lens }
+    }
+}
+
+/// Removes the cameras that stand in matter of `field`, whose samples are `step` apart, and returns how many.
+pub fn retain_free(cameras: &mut Vec<Camera>, field: &dyn RadianceField, step: f64) -> usize {
+    let (bounds, before) = (field.bounds(), cameras.len());
+    cameras.retain(|camera| {
+        let x: Vec3 = camera.position.as_vec3();
+        !(bounds.contains(x) && is_in_matter(field, step, x))
+    });
+    before - cameras.len()
+}

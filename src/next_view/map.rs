@@ -1,0 +1,58 @@
+//! Where in a view the gain comes from.
+
+use super::evidence::{Viewer, rays_of};
+use super::objective::Objective;
+use crate::Result;
+use crate::geometry::Camera;
+use crate::monitor::{Monitor, check};
+use crate::render::RayBatch;
+use crate::uncertainty::{Added, Precision};
+
+/// Longest side of a map, pixels.
+const SIDE: u32 = 256;
+
+/// What each pixel of a view would tell by itself.
+///
+/// Pixels of one surface tell the same, so that the sum over pixels is more than the view's gain.
+#[derive(Debug, Clone, PartialEq)]
+pub struct GainMap {
+    /// Width and height.
+    pub resolution: [u32; 2],
+    /// `[height · width]`: nats.
+    pub gains: Vec<f32>,
+    /// The map's pixel (i, j) is the view's pixel (i · stride, j · stride).
+    pub stride: u32,
+}
+
+impl GainMap {
+    pub(super) fn of(
+        camera: &Camera,
+        viewer: &Viewer,
+        precision: &Precision,
+        objective: &Objective,
+        monitor: &dyn Monitor,
+    ) -> Result<Self> {
+        let stride = camera.resolution[0].max(camera.resolution[1]).div_ceil(SIDE);
+        let offset = viewer.pixel_offset;
+        let small = camera.strided(stride, offset);
+        let [width, height] = small.resolution;
+        let mut gains = vec![0.0; width as usize * height as usize];
+        monitor.begin("gain of pixels", u64::from(height));
+        let sums = precision.sums();
+        for row in 0..height {
+            check(monitor)?;
+            let rays = rays_of(&small, offset, row..row + 1);
+            let batch = RayBatch { jitter: vec![0.5; rays.len()], rays, first: u64::from(row) * u64::from(width) };
+            for samples in viewer.samples(&[batch], monitor)? {
+                sums.each_ray(&samples, |ray, touched| {
+                    let added: Vec<Added> =
+                        touched.iter().map(|(point, sums)| precision.added_at(*point, *sums, 1.0)).collect();
+                    gains[ray as usize] = objective.worth(&added) as f32;
+                });
+            }
+            monitor.advance(1);
+        }
+        monitor.end();
+        Ok(Self { resolution: small.resolution, gains, stride })
+    }
+}

@@ -1,0 +1,71 @@
+//! What has been seen so far, and what another view would add to it.
+
+use std::collections::BTreeSet;
+
+use rustc_hash::FxHashMap;
+
+use super::coverage::Coverage;
+use super::evidence::Evidence;
+use super::{Gain, first_order, log_det};
+use crate::posterior::{Information, Visits};
+use crate::uncertainty::{Added, Precision};
+
+/// The state of a greedy selection.
+pub struct Objective<'a> {
+    gain: Gain,
+    precision: Option<&'a Precision<'a>>,
+    visits: Option<&'a Visits>,
+    /// What the views taken so far added to P, by Morton code.
+    taken: FxHashMap<u64, Information>,
+    coverage: Coverage,
+    /// Cells of visits that these views saw.
+    seen: BTreeSet<usize>,
+}
+
+impl<'a> Objective<'a> {
+    /// Before any view; `precision` is needed but for [`Gain::Coverage`].
+    pub fn new(gain: Gain, precision: Option<&'a Precision<'a>>, visits: Option<&'a Visits>) -> Self {
+        let coverage = Coverage::default();
+        Self { gain, precision, visits, taken: FxHashMap::default(), coverage, seen: BTreeSet::new() }
+    }
+
+    /// P of a vertex with the views taken so far.
+    fn now(&self, precision: &Precision, added: &Added) -> Information {
+        let mut p = precision.before(added);
+        if let Some(taken) = self.taken.get(&added.code) {
+            p.iter_mut().zip(taken).for_each(|(p, taken)| *p += taken);
+        }
+        p
+    }
+
+    /// The gain of what rays add, vertex by vertex.
+    pub fn worth(&self, added: &[Added]) -> f64 {
+        let Some(precision) = self.precision else { return 0.0 };
+        let of = if self.gain == Gain::Trace { first_order } else { log_det };
+        added.iter().map(|added| of(&self.now(precision, added), &added.precision)).sum()
+    }
+
+    /// The gain of a view.
+    pub fn gain(&self, evidence: &Evidence) -> f64 {
+        match self.gain {
+            Gain::Logdet | Gain::Trace => self.worth(&evidence.added),
+            Gain::Coverage => self.coverage.gain(&evidence.facets),
+        }
+    }
+
+    /// Share of the view's surface that was never seen.
+    pub fn unseen_share(&self, evidence: &Evidence) -> Option<f64> {
+        let visits = self.visits?;
+        evidence.unseen_share(|cell| visits.counts()[cell] > 0 || self.seen.contains(&cell))
+    }
+
+    /// Takes a view.
+    pub fn add(&mut self, evidence: &Evidence) {
+        for added in &evidence.added {
+            let taken = self.taken.entry(added.code).or_default();
+            taken.iter_mut().zip(added.precision).for_each(|(taken, p)| *taken += p);
+        }
+        self.coverage.add(&evidence.facets);
+        self.seen.extend(evidence.ends.iter().map(|(cell, _)| *cell));
+    }
+}

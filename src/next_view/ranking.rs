@@ -1,0 +1,257 @@
+//! One ranking: candidates are looked at once, then taken one by one.
+
+use std::time::Instant;
+
+use derive_setters::Setters;
+use rayon::prelude::*;
+
+use super::evidence::{Blank, Evidence, Viewer};
+use super::greedy::Candidates;
+use super::objective::Objective;
+use super::{Gain, GainMap, Settings};
+use crate::estimate::RaySettings;
+use crate::field::RadianceField;
+use crate::geometry::{Camera, Lattice};
+use crate::monitor::{Monitor, Silent, check};
+use crate::posterior::Visits;
+use crate::rays::VolumeRays;
+use crate::render::GradientMethod;
+use crate::uncertainty::{Precision, UncertaintyField};
+use crate::{Error, Result};
+
+/// A view that was taken.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+#[non_exhaustive]
+pub struct Step {
+    /// Number of the candidate, from 0.
+    pub index: usize,
+    /// What its image would tell beside those taken before: nats.
+    pub gain: f64,
+    /// The same for each of its pixels.
+    pub gain_per_pixel: f64,
+    /// Share of its rays that end on a surface in the domain.
+    pub surface: f64,
+    /// Share of these whose surface neither training rays nor views taken before reached; `None` if it is not known
+    /// where training rays passed, or no ray ends on a surface.
+    pub unseen: Option<f64>,
+    /// Time of the step; the first one's includes the first look at all candidates.
+    pub seconds: f64,
+}
+
+/// Views in the order in which to take them.
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+#[non_exhaustive]
+pub struct Ranking {
+    /// The views, from the best. Fewer than asked for if there are not as many candidates that tell anything.
+    pub steps: Vec<Step>,
+    /// `[candidates]`: gain before any was taken.
+    pub gains: Vec<f64>,
+    /// `[candidates]`: why its gain is 0.
+    pub blanks: Vec<Option<Blank>>,
+    /// Number of gains found anew in later steps.
+    pub rescored: usize,
+    /// True if all steps are there, false if the monitor asked to stop.
+    pub complete: bool,
+}
+
+/// Ranks candidates for the next photograph.
+#[derive(Setters)]
+#[must_use]
+pub struct NextView<'a> {
+    #[setters(skip)]
+    model: &'a dyn RadianceField,
+    #[setters(skip)]
+    field: &'a UncertaintyField,
+    #[setters(skip)]
+    candidates: &'a [Camera],
+    /// The cameras of the images that were taken, for [`Gain::Coverage`].
+    training: &'a [Camera],
+    /// Settings.
+    settings: Settings,
+    /// Receives progress and can stop the work.
+    monitor: &'a dyn Monitor,
+}
+
+impl<'a> NextView<'a> {
+    /// Ranks `candidates` for the `model` whose uncertainty is `field`.
+    pub fn new(model: &'a dyn RadianceField, field: &'a UncertaintyField, candidates: &'a [Camera]) -> Self {
+        Self { model, field, candidates, training: &[], settings: Settings::default(), monitor: &Silent }
+    }
+
+    /// Takes views until there are enough. If the monitor asks to stop, those taken so far are returned.
+    ///
+    /// # Errors
+    /// If the field cannot be added to ([`UncertaintyField::precision`]), there is no candidate, a setting makes no
+    /// sense, the model is not finite on too many rays, or [`Error::Interrupted`] before the first view was taken.
+    pub fn run(&self) -> Result<Ranking> {
+        self.run_with(|_| Ok(()))
+    }
+
+    /// As [`NextView::run`]; passes on every view as it is taken.
+    ///
+    /// # Errors
+    /// Also what `on_step` returns.
+    pub fn run_with(&self, mut on_step: impl FnMut(&Step) -> Result<()>) -> Result<Ranking> {
+        let Settings { take, gain, .. } = self.settings;
+        self.check()?;
+        let precision = self.precision()?;
+        let volume = self.volume()?;
+        let viewer = self.viewer(&volume, precision.as_ref());
+        let mut objective = Objective::new(gain, precision.as_ref(), self.field.visits());
+        let mut start = Instant::now();
+        if gain == Gain::Coverage {
+            self.each(&viewer, self.training, "training views", |_, evidence| {
+                objective.add(&evidence);
+                Ok(())
+            })?;
+        }
+        let (mut gains, mut blanks, mut kept, mut room) = (Vec::new(), Vec::new(), Vec::new(), self.settings.memory);
+        self.each(&viewer, self.candidates, "candidates", |_, evidence| {
+            gains.push(objective.gain(&evidence));
+            blanks.push(evidence.blank);
+            let bytes = evidence.memory();
+            kept.push((bytes <= room).then_some(evidence));
+            room -= if kept.last().is_some_and(Option::is_some) { bytes } else { 0 };
+            Ok(())
+        })?;
+        let again = |kept: &[Option<Evidence>], candidate: usize| match &kept[candidate] {
+            Some(evidence) => Ok(evidence.clone()),
+            None => viewer.evidence(&self.candidates[candidate], self.monitor),
+        };
+        let mut candidates = Candidates::new(&gains);
+        let (mut steps, mut complete) = (Vec::new(), true);
+        self.monitor.begin("views", take as u64);
+        while steps.len() < take {
+            let best = candidates.take(self.settings.rescoring, |candidate| {
+                check(self.monitor)?;
+                match &kept[candidate] {
+                    Some(evidence) => Ok(objective.gain(evidence)),
+                    None => Ok(objective.gain(&again(&kept, candidate)?)),
+                }
+            });
+            let (index, gain) = match best {
+                Ok(Some(best)) if best.1 > 0.0 => best,
+                Ok(_) => break,
+                Err(Error::Interrupted) if !steps.is_empty() => {
+                    complete = false;
+                    break;
+                }
+                Err(error) => return Err(error),
+            };
+            let evidence = again(&kept, index)?;
+            let step = Step {
+                index,
+                gain,
+                gain_per_pixel: gain / evidence.pixels as f64,
+                surface: evidence.met as f64 / evidence.rays as f64,
+                unseen: objective.unseen_share(&evidence),
+                seconds: start.elapsed().as_secs_f64(),
+            };
+            start = Instant::now();
+            objective.add(&evidence);
+            kept[index] = None;
+            on_step(&step)?;
+            steps.push(step);
+            self.monitor.advance(1);
+        }
+        self.monitor.end();
+        Ok(Ranking { steps, gains, blanks, rescored: candidates.rescored, complete })
+    }
+
+    /// What each pixel of a view alone would tell, given the training images.
+    ///
+    /// # Errors
+    /// As [`NextView::run`]; also for [`Gain::Coverage`], which is no sum over pixels.
+    pub fn map(&self, camera: &Camera) -> Result<GainMap> {
+        let Some(precision) = self.precision()? else {
+            return Err(Error::setting("map", "a gain of `logdet` or `trace`, which pixels have", "`coverage`"));
+        };
+        let volume = self.volume()?;
+        let viewer = self.viewer(&volume, Some(&precision));
+        let objective = Objective::new(self.settings.gain, Some(&precision), None);
+        GainMap::of(camera, &viewer, &precision, &objective, self.monitor)
+    }
+
+    fn check(&self) -> Result<()> {
+        if self.candidates.is_empty() {
+            return Err(Error::setting("candidates", "at least one", "none"));
+        }
+        let Settings { take, pixels, gain, .. } = self.settings;
+        if take == 0 || pixels == 0 {
+            let found = format!("{take} views by {pixels} pixels");
+            return Err(Error::setting("views to take", "at least one, by at least one pixel", found));
+        }
+        if gain == Gain::Coverage && self.training.is_empty() {
+            let expected = "the training cameras, whose coverage counts";
+            return Err(Error::setting("cameras", expected, "none"));
+        }
+        Ok(())
+    }
+
+    fn precision(&self) -> Result<Option<Precision<'a>>> {
+        match self.settings.gain {
+            Gain::Coverage => Ok(None),
+            Gain::Logdet | Gain::Trace => self.field.precision().map(Some),
+        }
+    }
+
+    fn viewer<'v>(&self, volume: &'v VolumeRays<'v>, precision: Option<&'v Precision<'v>>) -> Viewer<'v>
+    where
+        'a: 'v,
+    {
+        let Settings { pixels, seed, .. } = self.settings;
+        // As fine as so many rays leave no holes by chance, for a view's own surface.
+        let cells: Lattice = self.field.lattice().coarsened(Visits::level_of(pixels));
+        Viewer { volume, pixel_offset: self.offset(), precision, visits: self.field.visits(), cells, pixels, seed }
+    }
+
+    /// The rays of the run that made the field, as far as its protocol states them.
+    fn volume(&self) -> Result<VolumeRays<'a>> {
+        let protocol = self.field.protocol();
+        let (lattice, defaults) = (self.field.lattice(), RaySettings::default());
+        let gradient = protocol.gradient.unwrap_or(GradientMethod::Auto);
+        // The same share of an edge along all axes, unless f32 positions needed more, as they will again.
+        let shares = protocol.difference_step.map(|step| [0, 1, 2].map(|k| step[k] / lattice.edge()[k]));
+        let is_even = |shares: &[f64; 3]| shares.iter().all(|share| (share / shares[0] - 1.0).abs() < 1e-9);
+        let rays = defaults
+            .gradient(gradient)
+            .step(shares.filter(is_even).map(|shares| shares[0].min(1.0)))
+            .cutoff(protocol.cutoff.unwrap_or(defaults.cutoff))
+            .march_step(protocol.march_step)
+            .background(protocol.background.map_or(defaults.background, glam::Vec3::from_array))
+            .occupancy(self.settings.occupancy);
+        rays.volume(self.model, lattice, self.monitor)
+    }
+
+    /// Where in a pixel its ray passes: as in the run that made the field.
+    fn offset(&self) -> f64 {
+        self.field.protocol().pixel_offset.unwrap_or_else(|| self.model.pixel_offset())
+    }
+
+    /// What each camera would see, in their order.
+    fn each(
+        &self,
+        viewer: &Viewer,
+        cameras: &[Camera],
+        stage: &'static str,
+        mut sink: impl FnMut(usize, Evidence) -> Result<()>,
+    ) -> Result<()> {
+        self.monitor.begin(stage, cameras.len() as u64);
+        let together = if viewer.asks_together() { 1 } else { rayon::current_num_threads() };
+        let mut done = 0;
+        for some in cameras.chunks(together) {
+            check(self.monitor)?;
+            let found: Vec<Result<Evidence>> = match some {
+                [camera] => vec![viewer.evidence(camera, self.monitor)],
+                several => several.par_iter().map(|camera| viewer.evidence(camera, self.monitor)).collect(),
+            };
+            for evidence in found {
+                sink(done, evidence?)?;
+                done += 1;
+            }
+            self.monitor.advance(some.len() as u64);
+        }
+        self.monitor.end();
+        Ok(())
+    }
+}

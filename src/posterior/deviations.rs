@@ -1,0 +1,179 @@
+//! From sums to deviations: pools the sums, makes leaves of different sizes comparable, and reads σ off them.
+
+use rayon::prelude::*;
+
+use super::octree::TOGETHER;
+use super::{Covariance, OctreePosterior, Pooling, Scale, VertexSums, negligible_information};
+use crate::geometry::Lattice;
+use crate::octree::{MaxLevels, Octree, VertexId, mean_volume};
+
+/// How sums are read: what σ depends on beside them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Reading {
+    /// Definition of the standard deviation.
+    pub covariance: Covariance,
+    /// What U is a deviation of.
+    pub scale: Scale,
+    /// Prior precision λ, 1 / scene unit².
+    pub lambda: f64,
+    /// R, the number of rays drawn.
+    pub rays: u64,
+    /// Requested number of rays in pooling; 0 for no pooling.
+    pub min_rays: f64,
+    /// Largest change of log10 U that is negligible.
+    pub tolerance: f64,
+}
+
+impl Reading {
+    /// σ_v in scene units, from the `sums` of a vertex.
+    #[must_use]
+    pub fn deviation(&self, sums: &VertexSums) -> f64 {
+        self.scale.factor(self.covariance) * self.covariance.deviation(sums, self.rays, self.lambda)
+    }
+
+    /// σ_v in scene units where nothing was seen.
+    #[must_use]
+    pub fn prior(&self) -> f64 {
+        self.deviation(&VertexSums::default())
+    }
+
+    /// Information (tr S) that is negligible compared with the prior.
+    #[must_use]
+    pub fn floor(&self) -> f64 {
+        negligible_information(self.tolerance, self.rays, self.lambda)
+    }
+
+    /// Settings of pooling.
+    #[must_use]
+    pub fn pooling(&self) -> Pooling {
+        Pooling { min_rays: self.min_rays, floor: self.floor() }
+    }
+
+    /// σ of a vertex from its pooled and comparable sums, as fields store it.
+    fn stored(&self, sums: &VertexSums) -> f32 {
+        (self.deviation(sums) as f32).max(f32::MIN_POSITIVE)
+    }
+
+    /// σ of the vertex at `point`, without pooling, which needs the sums of neighbours.
+    #[must_use]
+    pub fn deviation_at(&self, limits: &MaxLevels, point: [u32; 3], sums: VertexSums) -> f32 {
+        self.stored(&comparable(limits, point, sums))
+    }
+}
+
+/// The vertices that carry values.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Support {
+    /// All (M + 1)³ lattice points, x slowest.
+    Dense,
+    /// The free vertices of an octree.
+    Octree(Octree),
+}
+
+impl Support {
+    /// Number of vertices.
+    #[must_use]
+    pub fn vertices(&self, lattice: &Lattice) -> u64 {
+        match self {
+            Self::Dense => lattice.dense_vertices(),
+            Self::Octree(octree) => octree.vertex_count() as u64,
+        }
+    }
+}
+
+/// The sums at a lattice point, comparable with those of the finest lattice: divided by the volume of the leaves around
+/// it, in finest cells.
+///
+/// The hat function of a leaf k levels coarser is crossed by 4ᵏ times as many rays. Along each of them 2ᵏ times as
+/// many samples add to J; as far as these differ in sign, their square grows by another factor of 2ᵏ. Both depend on
+/// the scene; `experiments/coarse_leaves.md` has what U shifts by.
+#[must_use]
+pub fn comparable(limits: &MaxLevels, point: [u32; 3], mut sums: VertexSums) -> VertexSums {
+    if !limits.is_unlimited() {
+        let volume = mean_volume(limits, point);
+        sums.information.iter_mut().for_each(|s| *s /= volume);
+    }
+    sums
+}
+
+impl OctreePosterior {
+    /// What queries need of every vertex of `octree`, σ and a code of its number of rays, without a copy of the sums,
+    /// and without pooling.
+    pub(crate) fn values<C: Copy + Default + Send>(
+        &self,
+        reading: &Reading,
+        octree: &Octree,
+        code: impl Fn(u32) -> C + Sync,
+    ) -> (Vec<f32>, Vec<C>) {
+        let count = octree.vertex_count();
+        let (mut deviations, mut rays) = (vec![0.0; count], vec![C::default(); count]);
+        let values = deviations.par_chunks_mut(TOGETHER).zip(rays.par_chunks_mut(TOGETHER));
+        self.groups_at(octree).zip(values).for_each(|(group, (deviations, rays))| {
+            for ((point, sums), (deviation, count)) in group.into_iter().zip(deviations.iter_mut().zip(rays)) {
+                (*deviation, *count) = (reading.deviation_at(self.limits(), point, sums), code(sums.rays));
+            }
+        });
+        (deviations, rays)
+    }
+}
+
+/// What is read off each vertex: its pooled and comparable sums.
+pub struct LocalSums<'a> {
+    pooling: Pooling,
+    lattice: &'a Lattice,
+    support: &'a Support,
+    limits: MaxLevels,
+    sums: &'a [VertexSums],
+    /// `[vertices]` of an octree, if they are needed.
+    points: Vec<[u32; 3]>,
+}
+
+impl<'a> LocalSums<'a> {
+    /// Of `sums`, one entry per vertex of `support`, gathered on the leaves of `limits`.
+    #[must_use]
+    pub fn new(
+        reading: &Reading,
+        lattice: &'a Lattice,
+        support: &'a Support,
+        limits: &MaxLevels,
+        sums: &'a [VertexSums],
+    ) -> Self {
+        let pooling = reading.pooling();
+        let is_plain = !pooling.is_on() && limits.is_unlimited();
+        let points = match support {
+            Support::Octree(octree) if !is_plain => octree.vertex_positions().collect(),
+            _ => Vec::new(),
+        };
+        Self { pooling, lattice, support, limits: limits.clone(), sums, points }
+    }
+
+    /// The sums of a vertex, pooled and comparable with those of the finest lattice.
+    #[must_use]
+    pub fn at(&self, v: usize) -> VertexSums {
+        let last = self.lattice.cells_per_axis();
+        match self.support {
+            Support::Dense if self.pooling.is_on() => {
+                let at = |point| Some(self.sums[self.lattice.dense_index(point)]);
+                self.pooling.pooled(self.lattice.dense_point(v), last, at)
+            }
+            Support::Octree(octree) if !self.points.is_empty() => {
+                let point = self.points[v];
+                let at = |p| octree.vertex(p).map(|VertexId(v)| self.sums[v as usize]);
+                // Vertices of coarser leaves have no neighbours on the finest lattice and have larger hats, so they
+                // are not pooled.
+                let sums = match self.pooling.is_on() && octree.is_surrounded_by_finest(point) {
+                    true => self.pooling.pooled(point, last, at),
+                    false => self.sums[v],
+                };
+                comparable(&self.limits, point, sums)
+            }
+            _ => self.sums[v],
+        }
+    }
+
+    /// `[vertices]`: σ_v, read by the `reading` that pooled them.
+    #[must_use]
+    pub fn deviations(&self, reading: &Reading) -> Vec<f32> {
+        (0..self.sums.len()).into_par_iter().map(|v| reading.stored(&self.at(v))).collect()
+    }
+}

@@ -1,0 +1,83 @@
+//! From ray samples of any origin to a field.
+
+use std::path::Path;
+use std::time::Instant;
+
+use super::{Finished, checks};
+use crate::estimate::{ErrorBudget, FieldBuilder, GridSettings, Provenance};
+use crate::evaluate::Remark;
+use crate::geometry::Domain;
+use crate::monitor::Monitor;
+use crate::rays::{RunProgress, SamplesReader};
+use crate::render::RaySamples;
+use crate::{Error, Result};
+
+/// Sums of samples whose Jacobians were computed elsewhere.
+pub struct Accumulation {
+    builder: FieldBuilder,
+    min_rays: f64,
+    /// Samples inside the box, and all.
+    inside: u64,
+    all: u64,
+    start: Instant,
+}
+
+impl Accumulation {
+    /// Creates sums without samples.
+    ///
+    /// # Errors
+    /// If the settings need the model and its rays, or as [`FieldBuilder::new`].
+    pub fn new(settings: GridSettings, domain: Domain) -> Result<Self> {
+        if settings.needs_plan() || settings.criteria.density {
+            let expected = "`sensitivity`, and no memory: the rest needs the model and its rays";
+            return Err(Error::setting("--refine", expected, settings.criteria.to_string()));
+        }
+        let (builder, min_rays) = (FieldBuilder::new(settings, domain)?, settings.min_rays);
+        Ok(Self { builder, min_rays, inside: 0, all: 0, start: Instant::now() })
+    }
+
+    /// Adds samples, in ray order.
+    pub fn add(&mut self, batches: &[RaySamples]) {
+        let positions = || batches.iter().flat_map(|batch| &batch.positions);
+        self.inside += positions().filter(|x| self.builder.lattice().coordinates(**x).is_some()).count() as u64;
+        self.all += positions().count() as u64;
+        self.builder.add(batches);
+    }
+
+    /// Adds the samples of a file, and computes the field.
+    ///
+    /// # Errors
+    /// If the file cannot be read, as [`Accumulation::finish`], or if the work was interrupted.
+    pub fn read(mut self, path: &Path, monitor: &dyn Monitor, tell: &mut dyn FnMut(Remark)) -> Result<Finished> {
+        let reader = SamplesReader::open(path)?;
+        self.start = Instant::now();
+        reader.run(monitor, |batches| {
+            self.add(batches);
+            Ok(())
+        })?;
+        self.finish(path, &format!("samples {}", path.display()), reader.rays_total(), tell)
+    }
+
+    /// Computes the field of the samples so far, which belong to `rays` rays. `place` names them in errors, `source` in
+    /// the field.
+    ///
+    /// # Errors
+    /// If all samples lie outside the box.
+    pub fn finish(self, place: &Path, source: &str, rays: u64, tell: &mut dyn FnMut(Remark)) -> Result<Finished> {
+        let Self { builder, min_rays, inside, all, start } = self;
+        let found = format!("{inside} of {all} samples");
+        if inside == 0 && all > 0 {
+            let expected = "samples inside the box (--box); likely causes: units, or axes";
+            return Err(Error::malformed(place, "array `positions`", expected, found));
+        }
+        if 2 * inside < all {
+            tell(Remark::Warning(format!("{found} lie in the box; likely causes: --box, units, or axes")));
+        }
+        let sums_bytes = builder.memory();
+        let progress = RunProgress { rays, samples: all, ..RunProgress::default() };
+        let field = builder.finish(&Provenance { source: source.into(), progress, ..Provenance::default() });
+        checks::field(&field, min_rays, tell);
+        let errors = ErrorBudget::of_field(&field);
+        Ok(Finished { field, errors, elapsed: start.elapsed(), sums_bytes, replanned: None, checkpoint: None })
+    }
+}

@@ -1,0 +1,214 @@
+//! Where cameras come from: files, or the model.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+use super::identity::unchanged;
+use crate::dataset::{Frame, FrameSplit, Part, ResolutionSource, Selection, Views};
+use crate::error::printable;
+use crate::evaluate::Remark;
+use crate::field::{Intrinsics, RadianceField, known_cameras};
+use crate::geometry::Camera;
+use crate::{Error, Result};
+
+/// A requested image size.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Resolution {
+    /// This width; the height follows from the camera's own aspect ratio.
+    Width(u32),
+    /// Width and height.
+    Size([u32; 2]),
+}
+
+impl Resolution {
+    /// The size to ask for before any camera is known, if it is known.
+    #[must_use]
+    pub fn size(self) -> Option<[u32; 2]> {
+        match self {
+            Self::Width(_) => None,
+            Self::Size(size) => Some(size),
+        }
+    }
+
+    /// The camera at this size.
+    #[must_use]
+    pub fn apply(self, camera: &Camera) -> Camera {
+        match self {
+            Self::Width(width) => scaled(camera, f64::from(width) / f64::from(camera.resolution[0])),
+            Self::Size(size) => camera.resized(size),
+        }
+    }
+}
+
+/// The camera with sides times `scale`, at least a pixel and at most what an image may have.
+#[must_use]
+pub fn scaled(camera: &Camera, scale: f64) -> Camera {
+    let side = |side: u32| (f64::from(side) * scale).round().clamp(1.0, 65_536.0) as u32;
+    camera.resized(camera.resolution.map(side))
+}
+
+/// Where cameras come from.
+#[derive(Debug, Clone, Default)]
+pub struct CameraSource {
+    /// A camera file; `None` for the model's own cameras.
+    pub file: Option<PathBuf>,
+    /// Horizontal angle of view of the model's own cameras, degrees.
+    pub fov: Option<f64>,
+    /// Image size.
+    pub resolution: Option<Resolution>,
+}
+
+/// The cameras that a model was trained on.
+#[derive(Debug, Clone)]
+pub struct TrainingCameras {
+    /// The cameras, with what lies beside them.
+    pub views: Views,
+    /// How many there are, and why these.
+    pub used: String,
+    /// The camera file with its checksum, or what the model's own cameras are, for people.
+    pub source: String,
+}
+
+impl CameraSource {
+    /// Reads the camera file, or else asks the model, which has a name.
+    ///
+    /// # Errors
+    /// As [`Views::read`] and [`RadianceField::cameras`]; if there is neither a file nor a model with cameras.
+    pub fn read(&self, model: Option<(&dyn RadianceField, &str)>, tell: &mut dyn FnMut(Remark)) -> Result<Views> {
+        match (&self.file, model) {
+            (Some(path), _) => self.read_file(path, tell),
+            (None, Some((model, name))) => self.ask(model, name),
+            (None, None) => Err(none_for("this model")),
+        }
+    }
+
+    fn read_file(&self, path: &Path, tell: &mut dyn FnMut(Remark)) -> Result<Views> {
+        let mut views = Views::read(path, self.resolution.and_then(Resolution::size))?;
+        let mut note = |text: String| tell(Remark::Note(text));
+        views.notes.iter().for_each(|text| note(format!("{}: {}", path.display(), printable(text))));
+        if let Some(resolution) = self.resolution {
+            views.frames.iter_mut().for_each(|frame| frame.camera = resolution.apply(&frame.camera));
+            views.resolution_source = ResolutionSource::Requested;
+        }
+        if views.resolution_source == ResolutionSource::Assumed {
+            let [w, h] = views.frames[0].camera.resolution;
+            let path = path.display();
+            note(format!(
+                "{path} states no image size and its images are not there: assuming {w} x {h} (--resolution)"
+            ));
+        }
+        Ok(views)
+    }
+
+    fn ask(&self, model: &dyn RadianceField, name: &str) -> Result<Views> {
+        let size = self.resolution.and_then(Resolution::size);
+        let intrinsics = Intrinsics { fov_x: self.fov.map(f64::to_radians), resolution: size };
+        let cameras = model.cameras(&intrinsics)?.ok_or_else(|| none_for(&format!("`{name}`")))?;
+        let names = model.training_cameras();
+        let name_of = |i: usize| names.get(i).map_or_else(|| format!("pose {i}"), |named| named.name.clone());
+        let sized = |camera| self.resolution.map_or(camera, |resolution| resolution.apply(&camera));
+        let frame = |(index, camera)| Frame { index, ..Frame::new(sized(camera), name_of(index), "") };
+        Ok(Views {
+            path: PathBuf::from(name),
+            frames: cameras.into_iter().enumerate().map(frame).collect(),
+            // Cameras that a model was trained on come with the size of their images; mere poses do not.
+            resolution_source: match names {
+                [_, ..] if self.resolution.is_none() => ResolutionSource::File,
+                _ => ResolutionSource::Assumed,
+            },
+            notes: Vec::new(),
+        })
+    }
+
+    /// The cameras that the model was trained on: its own, or the training frames of the camera file. Warns if they
+    /// differ from those that the model knows.
+    ///
+    /// # Errors
+    /// As [`CameraSource::read`] and [`FrameSplit::select`]; if the camera file changes meanwhile, or if the model has
+    /// cameras with masks, which it does not store.
+    pub fn training(
+        &self,
+        selection: &Selection,
+        model: Option<(&dyn RadianceField, &str)>,
+        tell: &mut dyn FnMut(Remark),
+    ) -> Result<TrainingCameras> {
+        let files = || self.file.iter().flat_map(|path| Views::files(path)).collect();
+        let (views, files) = unchanged(files, || self.read(model, tell))?;
+        let (None, Some((own, _))) = (&self.file, model) else {
+            let (views, used) = chosen(views, selection, model.map(|(model, _)| model), tell)?;
+            return Ok(TrainingCameras { views, used, source: files.join(" and ") });
+        };
+        let stored = own.training_cameras();
+        let masked = stored.iter().filter(|named| named.is_masked).count();
+        if masked > 0 {
+            let expected = "the data set that the model was trained on: its masks are not stored in the model";
+            return Err(Error::setting("--cameras", expected, format!("{masked} cameras with masks")));
+        }
+        let whose = if stored.is_empty() { "the model's own" } else { "stored in the model" };
+        let ([w, h], n) = (views.frames[0].camera.resolution, views.frames.len());
+        let fov = self.fov.map_or(String::new(), |fov| format!(", {fov} degrees"));
+        let source = format!("its own {n} cameras of {w} x {h}{fov}");
+        Ok(TrainingCameras { views, used: format!("{n} cameras ({whose})"), source })
+    }
+}
+
+/// The training frames of a camera file, and why these.
+fn chosen(
+    views: Views,
+    selection: &Selection,
+    model: Option<&dyn RadianceField>,
+    tell: &mut dyn FnMut(Remark),
+) -> Result<(Views, String)> {
+    let (path, resolution_source) = (views.path.clone(), views.resolution_source);
+    let split = FrameSplit::new(views);
+    let frames = split.select(Part::Training, selection, |_| true)?;
+    if let Some(model) = model.filter(|model| !model.training_cameras().is_empty()) {
+        let stored = model.training_cameras().len();
+        let matches = known_cameras(model, frames.iter().map(|frame| &frame.camera));
+        let known: BTreeSet<usize> = matches.iter().flatten().copied().collect();
+        let (others, absent) = (matches.iter().filter(|m| m.is_none()).count(), stored - known.len());
+        if others + absent > 0 {
+            tell(Remark::Warning(format!(
+                "these are not the cameras that the model was trained on: {others} of these {} are others, {absent} of \
+                 its {stored} are not among these; without --cameras those stored in the model are used",
+                frames.len()
+            )));
+        }
+    }
+    let used = split.describe(Part::Training, &frames);
+    Ok((Views { path, frames, resolution_source, notes: Vec::new() }, used))
+}
+
+fn none_for(model: &str) -> Error {
+    let expected = "a transforms.json, COLMAP model or cameras.json, as this model brings no cameras";
+    Error::setting("--cameras", expected, format!("none for {model}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{DVec3, Vec3};
+
+    use super::*;
+    use crate::field::{ClosedForm, VoxelGrid};
+
+    #[test]
+    fn a_model_without_cameras_needs_a_camera_file() {
+        let scene = VoxelGrid::bake(&ClosedForm::ball(), [2; 3], Vec3::Z);
+        let read = |model| CameraSource::default().training(&Selection::All, model, &mut |_| ());
+        let error = read(Some((&scene, "ball.npz"))).unwrap_err().to_string();
+        assert!(error.contains("--cameras") && error.contains("`ball.npz`"), "{error}");
+        assert!(read(None).unwrap_err().to_string().contains("brings no cameras"));
+    }
+
+    #[test]
+    fn a_width_alone_keeps_the_aspect_ratio() {
+        let camera = Camera::look_at(DVec3::X, DVec3::ZERO, DVec3::Z, 0.7, [1080, 1920]);
+        let small = Resolution::Width(200).apply(&camera);
+        assert_eq!(small.resolution, [200, 356]);
+        // 355.6 is rounded, and the pixels with it: they stay square to within that.
+        assert!((small.focal[0] / small.focal[1] - 1.0).abs() < 0.5 / 356.0);
+        assert_eq!(Resolution::Size([30, 20]).apply(&camera).resolution, [30, 20]);
+        assert_eq!(scaled(&camera, 1e-9).resolution, [1, 1]);
+    }
+}

@@ -1,0 +1,68 @@
+//! What the checks before a run, and its result, have to say.
+
+use crate::dataset::{ResolutionSource, Views, check_masks};
+use crate::estimate::Sight;
+use crate::evaluate::Remark;
+use crate::geometry::{Camera, Mask, kept_pixels};
+use crate::uncertainty::UncertaintyField;
+use crate::{Error, Result};
+
+/// Fewer rays per vertex than this gain from pooling (`experiments/pooling.md`).
+const FEW_RAYS: u64 = 4;
+
+/// Refuses masks that leave nothing. Notes what they leave out.
+pub fn masks(views: &Views, masks: &[Option<Mask>], tell: &mut dyn FnMut(Remark)) -> Result<()> {
+    check_masks(&views.path, masks)?;
+    let masked = masks.iter().flatten().count();
+    if masked > 0 {
+        let cameras = views.cameras();
+        let all: u64 = cameras.iter().map(Camera::pixels).sum();
+        let left_out = 100.0 * (1.0 - kept_pixels(&cameras, masks) as f64 / all as f64);
+        let frames = cameras.len();
+        tell(Remark::Note(format!("masks of {masked} of {frames} frames leave out {left_out:.1} % of the pixels")));
+    }
+    Ok(())
+}
+
+/// Warns if the number of training pixels, by which the scale of the data weighs them, follows from an image size that
+/// nobody knows.
+pub fn pixels(views: &Views, pixels: u64, tell: &mut dyn FnMut(Remark)) {
+    if views.resolution_source == ResolutionSource::Assumed {
+        let [w, h] = views.frames[0].camera.resolution;
+        tell(Remark::Warning(format!(
+            "--scale data counts {pixels} training pixels, of images of {w} x {h} that neither model nor cameras vouch \
+             for; with sides k times as long, U of what images constrain would be k times as small"
+        )));
+    }
+}
+
+/// Refuses a run in which nothing is seen. Warns of one in which little is seen, for likely causes beside those that
+/// were measured.
+pub fn sight(sight: &Sight, others: &[&str], tell: &mut dyn FnMut(Remark)) -> Result<()> {
+    if let Some(outside) = sight.cut_off().map(|share| 100.0 * share) {
+        let text = format!("{outside:.1} % of what the rays meet lies outside --box: U is the prior there");
+        tell(Remark::Note(text));
+    }
+    let Some(causes) = sight.causes() else { return Ok(()) };
+    let (causes, measured) = ([&[causes.as_str()], others].concat().join(", or "), sight.measured());
+    if sight.is_nothing() {
+        let expected = format!("rays that meet matter in the field's domain; likely causes: {causes}");
+        return Err(Error::setting("cameras", expected, format!("none: {measured}")));
+    }
+    tell(Remark::Warning(format!("the cameras see little of the model: {measured}; likely causes: {causes}")));
+    Ok(())
+}
+
+/// Notes what is odd about a finished field.
+pub fn field(field: &UncertaintyField, min_rays: f64, tell: &mut dyn FnMut(Remark)) {
+    if let Some(median) = field.median_rays().filter(|&median| median < FEW_RAYS && min_rays == 0.0) {
+        tell(Remark::Note(format!(
+            "half of the vertices that moved are supported by {median} rays or fewer; --min-rays 4 shares what their \
+             neighbours saw, more --rays is better"
+        )));
+    }
+    if let Some(tile) = field.tile().filter(|_| field.sums().is_some_and(|sums| sums.iter().all(|s| s.rays == 0))) {
+        let text = format!("tile {tile} has no vertex that a ray touched: the scene is too small for so many tiles");
+        tell(Remark::Note(text));
+    }
+}

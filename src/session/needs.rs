@@ -1,0 +1,106 @@
+//! What a run will need, before its first ray.
+
+use super::Prepared;
+use super::memory::{available, bytes};
+use crate::estimate::{ErrorBudget, Plan, Planner};
+use crate::evaluate::Remark;
+use crate::io::memory::resident;
+use crate::{Error, Result};
+
+/// A share of the time that is worth a word.
+const NOTABLE: f64 = 0.95;
+/// A file of this many bytes is worth a word before the run.
+const LARGE_FILE: f64 = 5e7;
+
+/// What a run will need.
+#[derive(Debug, Clone, serde::Serialize)]
+#[non_exhaustive]
+pub struct Needs {
+    /// Number of rays.
+    pub rays: u64,
+    /// Finest level.
+    pub level: u8,
+    /// Number of vertices.
+    pub vertices: f64,
+    /// Rays per vertex below which leaves stay coarser; 0 without limits.
+    pub rays_per_vertex: f64,
+    /// Peak memory of the process, bytes.
+    pub peak_bytes: f64,
+    /// Size of the file, bytes.
+    pub file_bytes: f64,
+    /// Time of the run, its checks included.
+    pub seconds: f64,
+    /// Number of threads.
+    pub threads: usize,
+    /// How far log10 U will be from its limit, as far as that is known.
+    pub errors: ErrorBudget,
+    /// All that was predicted.
+    #[serde(skip)]
+    pub plan: Plan,
+}
+
+impl Prepared<'_> {
+    /// What the run will need, by a pilot of a few thousand rays.
+    ///
+    /// # Errors
+    /// As [`Run::forecast`](crate::estimate::Run::forecast).
+    pub fn needs(&self, tell: &mut dyn FnMut(Remark)) -> Result<Needs> {
+        let plan = self.run.forecast()?;
+        // The pilot's time belongs to the run as well, which makes one of its own.
+        let seconds = (plan.time + self.start.elapsed()).as_secs_f64();
+        self.note_own_derivatives(tell)?;
+        Ok(Needs {
+            rays: self.run.rays(),
+            level: self.grid.level,
+            vertices: plan.vertices.round(),
+            rays_per_vertex: plan.rays_per_vertex,
+            peak_bytes: plan.peak().round(),
+            file_bytes: plan.file.round(),
+            seconds,
+            threads: rayon::current_num_threads(),
+            errors: self.known_errors(),
+            plan,
+        })
+    }
+
+    /// Predicts what the run will need, if it is long, has limits or makes a large file.
+    ///
+    /// # Errors
+    /// If that is more memory than there is, or as [`Prepared::needs`].
+    pub fn forecast(&self, tell: &mut dyn FnMut(Remark)) -> Result<Option<Plan>> {
+        if !self.has_fixed_rays() {
+            return Ok(None);
+        }
+        let plan = match self.run.forecast() {
+            // Of the few rays of a pilot, too many may be at fault by chance; the run will tell.
+            Err(Error::NonFinite { .. }) => return Ok(None),
+            plan => plan?,
+        };
+        let left = available().zip(resident()).map(|(available, resident)| (available + resident) as f64);
+        if let Some(left) = left.filter(|left| plan.peak() > *left) {
+            let expected = format!(
+                "{}, the peak of the process by a pilot of the run; --memory bounds it, a lower --level or \
+                 --refine ray-count need less",
+                bytes(plan.peak() as usize)
+            );
+            return Err(Error::setting("memory", expected, format!("{} free", bytes(left as usize))));
+        }
+        let is_notable =
+            self.grid.needs_plan() || self.run.rays() >= Planner::CHEAP * Planner::PILOT || plan.file > LARGE_FILE;
+        if is_notable {
+            self.note_own_derivatives(tell)?;
+        }
+        Ok(is_notable.then_some(plan))
+    }
+
+    /// Notes what the field's own derivatives would save, if they would.
+    fn note_own_derivatives(&self, tell: &mut dyn FnMut(Remark)) -> Result<()> {
+        if let Some(ratio) = self.run.time_with_own_derivatives()?.filter(|&ratio| ratio < NOTABLE) {
+            tell(Remark::Note(format!(
+                "the model knows its own derivatives; with --gradient auto its rays take about {:.0} % of the time",
+                100.0 * ratio
+            )));
+        }
+        Ok(())
+    }
+}

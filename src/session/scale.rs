@@ -1,0 +1,63 @@
+//! What U is a deviation of, as users choose it.
+
+use crate::geometry::Domain;
+use crate::posterior::{DataScale, Scale};
+use crate::{Error, Result};
+
+/// What U is a deviation of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum ScaleKind {
+    /// The paper's: one ray of a pixel with noise 1/2; for ranking, and for comparison with the official code
+    #[default]
+    Paper,
+    /// A standard deviation in scene units: all training pixels with the noise that training left
+    Data,
+}
+
+/// What is known of the training images.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct TrainingPixels {
+    /// Their number of pixels.
+    pub pixels: Option<u64>,
+    /// Root mean square error of their colours that training left.
+    pub noise: Option<f64>,
+}
+
+impl ScaleKind {
+    /// Refuses training images beside the paper's scale, in which depths have no deviations.
+    ///
+    /// # Errors
+    /// If this is the paper's.
+    pub fn check_images(self) -> Result<()> {
+        match self {
+            Self::Paper => {
+                let expected = "--scale data, in which depths have deviations";
+                Err(Error::setting("--images", expected, "the paper's"))
+            }
+            Self::Data => Ok(()),
+        }
+    }
+
+    /// The scale over `domain`. `noise` takes the place of the one that is known.
+    ///
+    /// # Errors
+    /// If `noise` stands beside the paper's scale, if the scale of the data lacks pixels or noise, or as
+    /// [`DataScale::new`].
+    pub fn over(self, domain: &Domain, noise: Option<f64>, training: TrainingPixels) -> Result<Scale> {
+        if self == Self::Paper {
+            return match noise {
+                Some(_) => Err(Error::setting("--noise", "--scale data beside it", "--scale paper")),
+                None => Ok(Scale::Paper),
+            };
+        }
+        let missing =
+            |flags, what| Error::setting("--scale data", what, format!("neither {flags} nor a model that knows"));
+        let pixels = training.pixels.ok_or_else(|| missing("--training-pixels", "the number of training pixels"))?;
+        let noise = noise.or(training.noise);
+        let noise = noise.ok_or_else(|| missing("--noise", "the noise that training left"))?;
+        DataScale::new(pixels, noise, DataScale::default_prior_deviation(domain)).map(Scale::Data)
+    }
+}

@@ -1,0 +1,214 @@
+//! Splats as a camera sees them: ellipses on the image, and how these move when a splat does.
+//!
+//! Letters: `t` centre in camera axes (x right, y down, z forward), m = (fx x/z + cx, fy y/z + cy) its image in pixels;
+//! W covariance in camera axes; J Jacobian of m by t, with x/z and y/z limited to 1.3 half angles, so that splats
+//! beside the image do not fill it; Σ₂ = J W Jᵀ + 0.3 I; A = Σ₂⁻¹ the conic (Zwicker et al. 2001, "EWA Volume
+//! Splatting"; Kerbl et al. 2023). Everything is f64: an image of a million splats still takes less time to project
+//! than to composite.
+
+use glam::{DMat3, DQuat, DVec2, DVec3};
+
+use super::harmonics;
+use crate::geometry::Camera;
+use crate::splats::{RenderMode, Splats};
+
+/// Variance by which every splat grows on the image, pixels²: about what one pixel's width blurs.
+const DILATION: f64 = 0.3;
+/// Splats nearer than this are not drawn, scene units along the view axis: as in the original code.
+const NEAR: f64 = 0.2;
+/// Half angles to which the Jacobian's x/z and y/z are limited.
+const BEYOND: f64 = 1.3;
+/// Least opacity that is drawn.
+pub const FAINTEST: f64 = 1.0 / 255.0;
+
+/// A splat on the image.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Footprint {
+    /// Index of the splat.
+    pub splat: u32,
+    /// m, pixels.
+    pub mean: DVec2,
+    /// A₀₀, A₀₁, A₁₁, 1 / pixel².
+    pub conic: [f64; 3],
+    /// Half width and height of the ellipse in which the splat is drawn, pixels.
+    pub extent: DVec2,
+    /// Opacity at the centre, with the mode's compensation.
+    pub opacity: f64,
+    /// z, scene units.
+    pub depth: f64,
+    /// W₂₂, its variance along the view axis, scene units².
+    pub thickness: f64,
+    /// Colour in this view, 0 or more.
+    pub color: DVec3,
+}
+
+/// How a splat's share of a pixel changes as its centre moves: ∂α/∂μ = α Σ_k `of_alpha[k]` n_k with n = (v₀, v₁, v₀²,
+/// v₀v₁, v₁², 1), v = A (m − p).
+///
+/// f32: each entry is a number by itself, so that rounding is relative to it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Slope {
+    /// `[6]`, scene axes.
+    pub of_alpha: [[f32; 3]; 6],
+    /// ∂c/∂μ: row = channel, column = axis; 1 / scene unit.
+    pub of_color: [[f32; 3]; 3],
+}
+
+/// A camera as splats need it.
+pub struct Projector<'a> {
+    splats: &'a Splats,
+    eye: DVec3,
+    /// Scene to camera: rows right, down, forward.
+    pub rotation: DMat3,
+    focal: DVec2,
+    center: DVec2,
+    /// Least and largest x/z and y/z of the Jacobian.
+    limits: [DVec2; 2],
+    resolution: DVec2,
+}
+
+/// A splat's covariances in a view.
+struct Shape {
+    t: DVec3,
+    /// Rows of J.
+    j: [DVec3; 2],
+    is_limited: [bool; 2],
+    /// x/z and y/z as limited.
+    tangent: DVec2,
+    /// W.
+    w: DMat3,
+    /// J W Jᵀ: its entries 00, 01, 11.
+    raw: [f64; 3],
+}
+
+/// Inverse of a symmetric 2×2 matrix, and its determinant.
+fn inverse([a, b, c]: [f64; 3]) -> ([f64; 3], f64) {
+    let determinant = a * c - b * b;
+    ([c / determinant, -b / determinant, a / determinant], determinant)
+}
+
+fn dilated([a, b, c]: [f64; 3]) -> [f64; 3] {
+    [a + DILATION, b, c + DILATION]
+}
+
+impl<'a> Projector<'a> {
+    /// The splats in front of a camera without distortion.
+    pub fn new(splats: &'a Splats, camera: &Camera) -> Self {
+        let [right, up, back] = [camera.axes.x_axis, camera.axes.y_axis, camera.axes.z_axis];
+        let [focal, center] = [camera.focal, camera.center].map(DVec2::from);
+        let resolution = DVec2::new(f64::from(camera.resolution[0]), f64::from(camera.resolution[1]));
+        let margin = (BEYOND - 1.0) * 0.5 * resolution / focal;
+        Self {
+            splats,
+            eye: camera.position,
+            rotation: DMat3::from_cols(right, -up, -back).transpose(),
+            focal,
+            center,
+            limits: [-center / focal - margin, (resolution - center) / focal + margin],
+            resolution,
+        }
+    }
+
+    fn shape(&self, i: usize) -> Option<Shape> {
+        let t = self.rotation * (self.splats.mean(i).as_dvec3() - self.eye);
+        if t.z <= NEAR {
+            return None;
+        }
+        let ratio = DVec2::new(t.x, t.y) / t.z;
+        let tangent = ratio.clamp(self.limits[0], self.limits[1]);
+        let slope = self.focal / t.z;
+        let j = [DVec3::new(slope.x, 0.0, -slope.x * tangent.x), DVec3::new(0.0, slope.y, -slope.y * tangent.y)];
+        let q = self.splats.rotation(i);
+        let axes = DMat3::from_quat(
+            DQuat::from_xyzw(f64::from(q.x), f64::from(q.y), f64::from(q.z), f64::from(q.w)).normalize(),
+        );
+        let scales = self.splats.log_scales()[i].as_dvec3().exp();
+        let m = self.rotation * axes * DMat3::from_diagonal(scales);
+        let w = m * m.transpose();
+        let raw = [j[0].dot(w * j[0]), j[0].dot(w * j[1]), j[1].dot(w * j[1])];
+        let is_limited = [tangent.x != ratio.x, tangent.y != ratio.y];
+        Some(Shape { t, j, is_limited, tangent, w, raw })
+    }
+
+    /// Splat `i` on the image; `None` if no pixel shows it.
+    pub fn footprint(&self, i: usize) -> Option<Footprint> {
+        let shape = self.shape(i)?;
+        let mean = self.focal * DVec2::new(shape.t.x, shape.t.y) / shape.t.z + self.center;
+        let covariance = dilated(shape.raw);
+        let (conic, determinant) = inverse(covariance);
+        let logit = f64::from(self.splats.opacity_logits()[i]);
+        let mut opacity = 1.0 / (1.0 + (-logit).exp());
+        if self.splats.mode() == RenderMode::Mip {
+            opacity *= (inverse(shape.raw).1.max(0.0) / determinant).sqrt();
+        }
+        // exp(−q/2) o ≥ 1/255 is an ellipse in q.
+        let reach = 2.0 * (opacity / FAINTEST).ln();
+        if !(reach >= 0.0 && determinant > 0.0 && determinant.is_finite()) {
+            return None;
+        }
+        let extent = DVec2::new((reach * covariance[0]).sqrt(), (reach * covariance[2]).sqrt());
+        let is_inside = (mean + extent).cmpge(DVec2::ZERO).all() && (mean - extent).cmple(self.resolution).all();
+        is_inside.then(|| {
+            let away = self.splats.mean(i).as_dvec3() - self.eye;
+            Footprint {
+                splat: i as u32,
+                mean,
+                conic,
+                extent,
+                opacity,
+                depth: shape.t.z,
+                thickness: shape.w.z_axis.z,
+                color: harmonics::color(self.splats.sh(i), away.normalize()),
+            }
+        })
+    }
+
+    /// How a splat that is on the image changes it by moving.
+    ///
+    /// With v = A (m − p): ∂α/∂t = α (−J₀ᵀ v + Q(v)), Q_k(v) = vᵀ (∂J/∂t_k) W Jᵀ v, where J₀ is J without limits. In
+    /// mip mode the compensation adds ½ ∂ ln(det Σ₂raw / det Σ₂): vvᵀ becomes vvᵀ + Σ₂raw⁻¹ − Σ₂⁻¹.
+    pub fn slope(&self, footprint: &Footprint) -> Slope {
+        let i = footprint.splat as usize;
+        let Shape { t, j, is_limited, tangent, w, raw } =
+            self.shape(i).expect("a splat with a footprint is in front of the camera");
+        let z = t.z;
+        let [fx, fy] = self.focal.to_array();
+        // Columns of W Jᵀ.
+        let p = [w * j[0], w * j[1]];
+        // Rows of (∂J/∂t_k) W Jᵀ for k = x, y, z.
+        let row = |of: &dyn Fn(DVec3) -> f64| [of(p[0]), of(p[1])];
+        let free = |axis: usize| f64::from(u8::from(!is_limited[axis]));
+        let zero = [0.0; 2];
+        // ∂J₀₂/∂z of −f x/z², where x/z is either x over z or a limit.
+        let bend = |axis: usize, f: f64| (1.0 + free(axis)) * f * tangent[axis] / (z * z);
+        let by_axis = [
+            [row(&|p| -free(0) * fx / (z * z) * p.z), zero],
+            [zero, row(&|p| -free(1) * fy / (z * z) * p.z)],
+            [row(&|p| -fx / (z * z) * p.x + bend(0, fx) * p.z), row(&|p| -fy / (z * z) * p.y + bend(1, fy) * p.z)],
+        ];
+        let entry = |of: &dyn Fn(&[[f64; 2]; 2]) -> f64| DVec3::from(std::array::from_fn(|k| of(&by_axis[k])));
+        let constant = match self.splats.mode() {
+            RenderMode::Classic => DVec3::ZERO,
+            RenderMode::Mip => {
+                let (inner, outer) = (inverse(raw).0, footprint.conic);
+                let m: [f64; 3] = std::array::from_fn(|k| inner[k] - outer[k]);
+                entry(&|b| m[0] * b[0][0] + m[1] * (b[0][1] + b[1][0]) + m[2] * b[1][1])
+            }
+        };
+        let of_alpha = [
+            -DVec3::new(fx / z, 0.0, -fx * t.x / (z * z)),
+            -DVec3::new(0.0, fy / z, -fy * t.y / (z * z)),
+            entry(&|b| b[0][0]),
+            entry(&|b| b[0][1] + b[1][0]),
+            entry(&|b| b[1][1]),
+            constant,
+        ];
+        let to_scene = self.rotation.transpose();
+        let away = self.splats.mean(i).as_dvec3() - self.eye;
+        let of_color = harmonics::color_jacobian(self.splats.sh(i), away.normalize(), away.length());
+        Slope {
+            of_alpha: of_alpha.map(|column| (to_scene * column).as_vec3().to_array()),
+            of_color: std::array::from_fn(|channel| of_color.row(channel).as_vec3().to_array()),
+        }
+    }
+}

@@ -1,0 +1,320 @@
+//! Root mean square errors of log10 U relative to the limit of infinitely many rays, by the delete-one-group jackknife.
+//!
+//! Letters: `G` groups of rays with independent pixels; `m_g` rays of group g, R = Σ m_g, h_g = R / m_g;
+//! `θ` = log10 σ_v by all rays, `θ_g` by all but those of group g. With pseudo-values
+//! p_g = h_g θ − (h_g − 1) θ_g and their weighted mean p̄,
+//!
+//! ```text
+//! p̄ = G θ − Σ_g (1 − 1/h_g) θ_g        SE² = 1/G Σ_g (p_g − p̄)² / (h_g − 1)
+//! bias = θ − p̄                         E² = SE² + bias²
+//! ```
+//!
+//! (Quenouille 1956, Tukey 1958; for groups of unequal size Busing, Meijer, van der Leeden 1999. For two equal
+//! groups, SE is half their difference, as with `--target-error`.) The bias is due to the small number of rays. Most
+//! of H comes from the few rays that happen to see the edge of a texture, so U is more often too large than too
+//! small. `experiments/hard_cases.md` has the cost of ignoring the bias. Each θ_g is computed like the field
+//! itself, with the same pooling and refinement limits.
+//!
+//! **Few rays.** The jackknife compares groups. Where fewer than two groups, or fewer than four rays, saw a vertex,
+//! there is too little to compare, and the error is *unknown*: `None`, not 0. In space that no ray reached, U is the
+//! prior's, and no number states how much a first ray would change it.
+
+use half::f16;
+use rayon::prelude::*;
+
+use serde_json::Value;
+
+use super::super::file::Source;
+use super::{Change, Layer, Sections};
+use crate::Result;
+use crate::posterior::{Reading, VertexSums};
+use crate::uncertainty::{MOVED, UncertaintyField};
+
+/// Root mean square errors of log10 σ_v, decades.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ErrorBars {
+    groups: u16,
+    /// `[vertices]`: bits of f16, which has three digits; `UNKNOWN` where too few rays saw the vertex.
+    errors: Vec<u16>,
+}
+
+/// Summary of the error bars of the vertices that moved by more than half a decade from the prior.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+pub struct ErrorSummary {
+    /// Number of groups of rays that were compared.
+    pub groups: u16,
+    /// Number of vertices that moved.
+    pub moved: usize,
+    /// Number of those that enough rays saw for their error to be known.
+    pub known: usize,
+    /// Root mean square of their errors, decades.
+    pub root_mean_square: f64,
+    /// Median, decades.
+    pub median: f64,
+}
+
+/// Marks an unknown error: the bits of NaN.
+const UNKNOWN: u16 = 0x7e00;
+/// Fewest groups that must have seen a vertex, and fewest rays. With two or three rays the jackknife underrates the
+/// mean error by half: what rare rays would add cannot be known from so few (`experiments/hard_cases.md`).
+const LEAST_SEEN: (usize, u64) = (2, 4);
+/// Numbers of groups that are valid in a file.
+const GROUPS: std::ops::RangeInclusive<u16> = 2..=1024;
+
+/// Standard error and bias of a statistic by the jackknife.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Jackknife {
+    standard_error: f64,
+    /// Expected value minus limit.
+    bias: f64,
+}
+
+impl Jackknife {
+    /// Computes the jackknife from `theta` = θ, `deleted` = θ_g and `rays` = m_g of every group.
+    pub fn new(theta: f64, deleted: &[f64], rays: &[u64]) -> Self {
+        assert!(deleted.len() == rays.len() && rays.len() >= 2, "one value for each of two groups or more");
+        let all: u64 = rays.iter().sum();
+        let (groups, h) = (rays.len() as f64, |m: u64| all as f64 / m as f64);
+        let pairs = || deleted.iter().zip(rays);
+        // Uses differences from θ instead of θ itself, because they are small where errors are.
+        let mean: f64 = pairs().map(|(t, &m)| (1.0 - 1.0 / h(m)) * (theta - t)).sum();
+        let pseudo = |t: f64, m: u64| (h(m) - 1.0) * (theta - t);
+        let sum: f64 = pairs().map(|(&t, &m)| (pseudo(t, m) - mean).powi(2) / (h(m) - 1.0)).sum();
+        Self { standard_error: (sum / groups).sqrt(), bias: -mean }
+    }
+
+    /// Root mean square error.
+    pub fn error(&self) -> f64 {
+        self.standard_error.hypot(self.bias)
+    }
+}
+
+impl ErrorBars {
+    /// Number of groups of rays that were compared.
+    #[must_use]
+    pub fn groups(&self) -> u16 {
+        self.groups
+    }
+
+    /// Root mean square error of log10 σ at vertex `v`, decades; `None` where too few rays saw it.
+    #[must_use]
+    pub fn get(&self, v: usize) -> Option<f64> {
+        let bits = self.errors[v];
+        (bits != UNKNOWN).then(|| f16::from_bits(bits).to_f64())
+    }
+
+    /// Number of vertices.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.errors.len()
+    }
+
+    /// Whether there are no vertices.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.errors.is_empty()
+    }
+
+    /// The number of groups, followed by the bits of every error.
+    fn words(&self) -> Vec<u16> {
+        std::iter::once(self.groups).chain(self.errors.iter().copied()).collect()
+    }
+
+    /// Restores what [`ErrorBars::words`] returned. The words may come from an untrusted file.
+    ///
+    /// # Errors
+    /// What was expected and what was found instead.
+    fn from_words(words: &[u16], vertices: u64) -> std::result::Result<Self, (String, String)> {
+        let Some((&groups, bits)) = words.split_first() else {
+            return Err(("a number of groups and an error per vertex".into(), "nothing".into()));
+        };
+        if !GROUPS.contains(&groups) {
+            return Err((format!("{} to {} groups", GROUPS.start(), GROUPS.end()), groups.to_string()));
+        }
+        if bits.len() as u64 != vertices {
+            return Err((format!("{vertices} errors, one per vertex"), bits.len().to_string()));
+        }
+        let possible = |bits: u16| {
+            let error = f16::from_bits(bits);
+            bits == UNKNOWN || (error.is_finite() && !error.is_sign_negative())
+        };
+        match bits.iter().position(|&bits| !possible(bits)) {
+            None => Ok(Self { groups, errors: bits.to_vec() }),
+            Some(v) => {
+                let found = format!("{} at vertex {v}", f16::from_bits(bits[v]));
+                Err(("errors that are finite and not negative, or unknown".into(), found))
+            }
+        }
+    }
+}
+
+impl Layer for ErrorBars {
+    const NAME: &'static str = "error bars";
+    const DEPENDS_ON: &'static [Change] = &[Change::Covariance, Change::Prior, Change::Vertices];
+    const WITHOUT: &'static str = "uncertainty --error-bars makes them";
+
+    fn sections(&self, _to_be_merged: bool) -> Sections<'_> {
+        vec![("errors", Box::new(self.words()))]
+    }
+
+    fn read(_head: Value, file: &mut Source) -> Result<Self> {
+        let words: Vec<u16> = file.section("errors")?;
+        Self::from_words(&words, file.vertices)
+            .map_err(|(expected, found)| file.malformed("section `errors`", expected, found))
+    }
+
+    // A merge drops them: the sums of the groups are no longer there.
+
+    fn memory(&self) -> usize {
+        self.errors.capacity() * size_of::<u16>()
+    }
+
+    fn info(&self) -> String {
+        format!("of log10 U, by {} groups of rays", self.groups)
+    }
+}
+
+impl UncertaintyField {
+    /// Adds the error of every log10 σ_v to the field, computed from the sums of independent groups of rays.
+    ///
+    /// `groups[g]` is `[vertices]`, in the order of the field's own sums, and comes from `rays[g]` rays.
+    ///
+    /// # Panics
+    /// If there are fewer than two groups, a group has no rays, or the lengths differ.
+    #[must_use]
+    pub fn with_error_bars(mut self, groups: &[Vec<VertexSums>], rays: &[u64]) -> Self {
+        let vertices = self.deviations.len();
+        assert!(groups.iter().all(|group| group.len() == vertices), "one entry per vertex");
+        assert!(groups.len() == rays.len() && rays.len() >= 2 && rays.iter().all(|&m| m > 0), "groups with rays");
+        let all: u64 = rays.iter().sum();
+        let without = |deleted: usize| {
+            // Summed anew, because subtracting from the total would leave rounding where the result is 0.
+            let others = || groups.iter().enumerate().filter(move |(g, _)| *g != deleted).map(|(_, group)| group);
+            let sum = |v: usize| {
+                others().fold(VertexSums::default(), |mut sum, group| {
+                    sum += &group[v];
+                    sum
+                })
+            };
+            let sums: Vec<VertexSums> = (0..vertices).into_par_iter().map(sum).collect();
+            self.deviations_of(&Reading { rays: all - rays[deleted], ..self.protocol.reading() }, &sums)
+        };
+        let deleted: Vec<_> = (0..groups.len()).map(without).collect();
+        let error = |v: usize| {
+            let seen = groups.iter().filter(|group| group[v].rays > 0).count();
+            let rays_here: u64 = groups.iter().map(|group| u64::from(group[v].rays)).sum();
+            if seen < LEAST_SEEN.0 || rays_here < LEAST_SEEN.1 {
+                return UNKNOWN;
+            }
+            let others: Vec<f64> = deleted.iter().map(|d| d.get(v).log10()).collect();
+            f16::from_f64(Jackknife::new(self.deviations.get(v).log10(), &others, rays).error()).to_bits()
+        };
+        let errors = (0..vertices).into_par_iter().map(error).collect();
+        self.layers.error_bars = Some(ErrorBars { groups: groups.len() as u16, errors });
+        self
+    }
+
+    /// Summary of the error bars of the moved vertices, if the field has error bars.
+    #[must_use]
+    pub fn error_summary(&self) -> Option<ErrorSummary> {
+        let bars = self.error_bars()?;
+        let limit = self.prior() * 10_f64.powf(-MOVED);
+        let moved: Vec<usize> = (0..bars.len()).filter(|&v| self.deviations.get(v) < limit).collect();
+        let mut errors: Vec<f64> = moved.iter().filter_map(|&v| bars.get(v)).collect();
+        let known = errors.len();
+        let mean_square = errors.iter().map(|e| e * e).sum::<f64>() / known.max(1) as f64;
+        let median = if known > 0 { *errors.select_nth_unstable_by(known / 2, f64::total_cmp).1 } else { 0.0 };
+        let groups = bars.groups;
+        Some(ErrorSummary { groups, moved: moved.len(), known, root_mean_square: mean_square.sqrt(), median })
+    }
+
+    /// `[vertices]`: errors of log10 σ_v, if the field has them.
+    #[must_use]
+    pub fn error_bars(&self) -> Option<&ErrorBars> {
+        self.layers.error_bars.as_ref()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn of_a_mean_it_is_the_standard_error_of_the_mean(
+            groups in proptest::collection::vec((-3.0..3.0_f64, 1..1000_u64), 2..20), shift in -1e3..1e3_f64,
+        ) {
+            let (values, rays): (Vec<f64>, Vec<u64>) = groups.iter().map(|g| (g.0 + shift, g.1)).unzip();
+            let all: u64 = rays.iter().sum();
+            // A mean of n values of variance s² per ray has variance s²/R, where s² is estimated from each
+            // group's deviation. With p_g = x_g the formula is 1/G Σ (x_g − mean)² m_g / (R − m_g).
+            let mean = |skip: Option<usize>| {
+                let kept = || (0..values.len()).filter(|g| Some(*g) != skip);
+                kept().map(|g| values[g] * rays[g] as f64).sum::<f64>() / kept().map(|g| rays[g] as f64).sum::<f64>()
+            };
+            let theta = mean(None);
+            let deleted: Vec<f64> = (0..values.len()).map(|g| mean(Some(g))).collect();
+            let terms = values.iter().zip(&rays).map(|(x, &m)| (x - theta).powi(2) * m as f64 / (all - m) as f64);
+            let expected = (terms.sum::<f64>() / values.len() as f64).sqrt();
+            let found = Jackknife::new(theta, &deleted, &rays);
+            // θ and θ_g are rounded to 1e3 · 2⁻⁵³; pseudo-values magnify that by h ≤ 2e4.
+            let error = (found.standard_error - expected).abs();
+            prop_assert!(error <= 1e-8 * expected.max(1.0), "{:?} instead of {}", found, expected);
+            prop_assert!(found.bias.abs() <= 1e-8, "a mean has no bias: {:?}", found);
+        }
+
+        #[test]
+        fn two_groups_are_split_half(a in -5.0..5.0_f64, b in -5.0..5.0_f64) {
+            let found = Jackknife::new(0.5 * (a + b), &[b, a], &[7, 7]).error();
+            prop_assert!((found - 0.5 * (a - b).abs()).abs() < 1e-14);
+        }
+
+        #[test]
+        fn of_a_squared_mean_the_bias_is_the_means_variance(values in proptest::collection::vec(-3.0..3.0_f64, 2..20)) {
+            let n = values.len() as f64;
+            let sum: f64 = values.iter().sum();
+            let deleted: Vec<f64> = values.iter().map(|x| ((sum - x) / (n - 1.0)).powi(2)).collect();
+            let found = Jackknife::new((sum / n).powi(2), &deleted, &vec![5; values.len()]);
+            // Known (Efron 1982, Sec. 2.1): exactly s²/n.
+            let expected = values.iter().map(|x| (x - sum / n).powi(2)).sum::<f64>() / (n - 1.0) / n;
+            prop_assert!((found.bias - expected).abs() < 1e-12 * n * n, "{:?} instead of {}", found, expected);
+        }
+
+        #[test]
+        fn words_come_back(
+            errors in proptest::collection::vec(proptest::option::of(0.0..6.0_f64), 0..50),
+            groups in 2..=64_u16,
+        ) {
+            let bits = |e: &Option<f64>| e.map_or(UNKNOWN, |e| f16::from_f64(e).to_bits());
+            let bars = ErrorBars { groups, errors: errors.iter().map(bits).collect() };
+            let read = ErrorBars::from_words(&bars.words(), errors.len() as u64).unwrap();
+            prop_assert_eq!(read.words(), bars.words());
+            for (v, error) in errors.iter().enumerate() {
+                // 11 significant bits, or the smallest step of f16.
+                let close = |(a, b): (f64, f64)| (a - b).abs() <= b * 2.0_f64.powi(-11) + 2.0_f64.powi(-25);
+                prop_assert!(read.get(v).is_some() == error.is_some() && read.get(v).zip(*error).is_none_or(close));
+            }
+        }
+    }
+
+    #[test]
+    fn words_of_no_run_are_refused() {
+        let one = f16::ONE.to_bits();
+        for (words, named) in [
+            (vec![], "number of groups"),
+            (vec![1, one, one], "2 to 1024"),
+            (vec![2000, one, one], "2 to 1024"),
+            (vec![8, one], "2 errors"),
+            (vec![8, one, one, one], "2 errors"),
+            (vec![8, one, f16::NEG_ONE.to_bits()], "not negative"),
+            (vec![8, one, f16::NEG_ZERO.to_bits()], "not negative"),
+            (vec![8, f16::INFINITY.to_bits(), one], "finite"),
+            // A NaN with bits other than those that are written.
+            (vec![8, UNKNOWN | 1, one], "unknown"),
+        ] {
+            let (expected, found) = ErrorBars::from_words(&words, 2).unwrap_err();
+            assert!(expected.contains(named), "{words:?}: {expected}, {found}");
+        }
+    }
+}

@@ -1,0 +1,330 @@
+//! Photometric residuals of the training images, on the vertices of a lattice.
+//!
+//! The Laplace approximation measures how far matter could be moved before a training image changed. It does not
+//! include errors that no displacement explains: noise of the images, and content that the model cannot represent
+//! (Goli et al. 2024, section 6, "aleatoric"). So a deviation of depth adds them: σ² = Var + s² + (c m)².
+//!
+//! Letters: r² squared residual of a pixel's colour, mean over red, green and blue; φ trilinear weights; m root mean
+//! square residual around a point; c a length.
+
+use glam::Vec3;
+use rustc_hash::FxHashMap;
+
+use serde_json::{Value, json};
+
+use super::super::file::Source;
+use super::{Change, Layer, Merge, Sections};
+use crate::geometry::Lattice;
+use crate::octree::{corners, morton};
+use crate::posterior::{DataScale, Scale};
+use crate::uncertainty::UncertaintyField;
+use crate::{Error, Result};
+
+/// The weight of the mean over all pixels at every vertex, in pixels.
+const PRIOR: f64 = 1.0;
+
+/// Residuals of the training images around each point.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Misfit {
+    lattice: Lattice,
+    /// c as a share of the longest edge.
+    length_share: f64,
+    /// Mean r² over the pixels of all images that show matter.
+    mean: f32,
+    /// Vertices that some pixel showed, by the Morton code of their lattice point, ascending.
+    points: Vec<u64>,
+    /// `[points]`: mean r² around the vertex, drawn towards the mean of all as if one more pixel had it.
+    squares: Vec<f32>,
+}
+
+impl Misfit {
+    /// Finest level of the lattice: its cells should hold many pixels.
+    pub const LEVEL: u8 = 6;
+
+    /// c as a share of the longest edge of the part of space that is not contracted: an image that is off by a tenth of
+    /// its range leaves depth uncertain by a 100th of the edge. One constant for all scenes, chosen by likelihood
+    /// (`experiments/depth.md`): with a 20th, the intervals of well-trained models and of few views are narrower than
+    /// they should be; with 3/20, likelihood falls on all meshes.
+    ///
+    /// A field that was written with another share keeps that.
+    pub const LENGTH_SHARE: f64 = 1.0 / 10.0;
+
+    /// Level of the lattice.
+    #[must_use]
+    pub fn level(&self) -> u8 {
+        self.lattice.level()
+    }
+
+    /// Root mean square residual over the pixels of all images that show matter, in colours from 0 to 1.
+    #[must_use]
+    pub fn mean(&self) -> f64 {
+        f64::from(self.mean).sqrt()
+    }
+
+    /// m, the root mean square residual around a scene point, in colours from 0 to 1. Where no training image shows
+    /// matter it is that of all pixels.
+    #[must_use]
+    pub fn at(&self, x: Vec3) -> f64 {
+        let of = |point: [u32; 3]| {
+            let found = self.points.binary_search(&morton::encode(point));
+            f64::from(found.map_or(self.mean, |i| self.squares[i]))
+        };
+        let mean = self.lattice.coordinates(x).map_or(f64::from(self.mean), |u| {
+            let (cell, offset) = self.lattice.cell(u);
+            corners(cell, offset).into_iter().map(|(point, share)| share * of(point)).sum()
+        });
+        mean.sqrt()
+    }
+
+    /// c, scene units.
+    #[must_use]
+    pub fn length(&self) -> f64 {
+        self.length_share * DataScale::longest_edge(self.lattice.domain())
+    }
+
+    /// c m: the deviation of the depth of matter at a scene point that residuals there stand for, scene units.
+    #[must_use]
+    pub fn depth_deviation(&self, x: Vec3) -> f64 {
+        self.length() * self.at(x)
+    }
+
+    fn heading(&self) -> Head {
+        Head { level: self.lattice.level(), mean: self.mean, length_share: self.length_share }
+    }
+
+    /// Checks the contents of a file; the error names what was expected and found.
+    fn checked(
+        of_field: &Lattice,
+        Head { level, mean, length_share }: Head,
+        (points, squares): (Vec<u64>, Vec<f32>),
+    ) -> std::result::Result<Self, (String, String)> {
+        let lattice = of_field.coarsened(Self::LEVEL);
+        if level != lattice.level() {
+            return Err((format!("level {}", lattice.level()), format!("level {level}")));
+        }
+        let most = lattice.cells_per_axis();
+        let is_inside = |code: &u64| {
+            let point = morton::decode(*code);
+            morton::encode(point) == *code && point.iter().all(|coordinate| *coordinate <= most)
+        };
+        if points.len() != squares.len() {
+            return Err((format!("a residual for each of {} vertices", points.len()), squares.len().to_string()));
+        }
+        if let Some(pair) = points.windows(2).find(|pair| pair[0] >= pair[1]) {
+            return Err(("vertices in ascending order".into(), format!("{} before {}", pair[0], pair[1])));
+        }
+        if let Some(code) = points.iter().find(|code| !is_inside(code)) {
+            return Err((format!("lattice points of level {}", lattice.level()), format!("code {code}")));
+        }
+        let is_possible = |square: &f32| *square >= 0.0 && square.is_finite();
+        if let Some(square) = squares.iter().chain([&mean]).find(|square| !is_possible(square)) {
+            return Err(("squares of residuals".into(), square.to_string()));
+        }
+        if !(length_share >= 0.0 && length_share.is_finite()) {
+            return Err(("a share of the longest edge, 0 or more".into(), length_share.to_string()));
+        }
+        Ok(Self { lattice, length_share, mean, points, squares })
+    }
+}
+
+/// What the header of a field's file says of its misfit.
+#[derive(Debug, Clone, Copy, serde::Serialize, serde::Deserialize)]
+struct Head {
+    level: u8,
+    mean: f32,
+    length_share: f64,
+}
+
+impl Layer for Misfit {
+    const NAME: &'static str = "misfit";
+    /// Only in the scale of the data do depths have deviations.
+    const DEPENDS_ON: &'static [Change] = &[Change::Prior];
+    /// It depends on the model and not on the rays, so that of one part is enough.
+    const MERGE: Merge<Self> = Some(|sum, part| sum.or_else(|| part.cloned()));
+    const WITHOUT: &'static str = "what training left unexplained is not known (uncertainty --images)";
+
+    fn head(&self) -> Value {
+        json!(self.heading())
+    }
+
+    fn sections(&self, _to_be_merged: bool) -> Sections<'_> {
+        vec![("misfit vertices", Box::new(self.points.as_slice())), ("misfit", Box::new(self.squares.as_slice()))]
+    }
+
+    fn read(head: Value, file: &mut Source) -> Result<Self> {
+        let head: Head = file.head(Self::NAME, head)?;
+        if file.layers.tile.is_some() || file.protocol.scale == Scale::Paper {
+            let expected = "none in a tile, or where depths have no deviations";
+            return Err(file.malformed("header, misfit", expected, "one"));
+        }
+        let sections = (file.section("misfit vertices")?, file.section("misfit")?);
+        Self::checked(&file.lattice, head, sections)
+            .map_err(|(expected, found)| file.malformed("section `misfit`", expected, found))
+    }
+
+    fn memory(&self) -> usize {
+        self.points.capacity() * size_of::<u64>() + self.squares.capacity() * size_of::<f32>()
+    }
+
+    fn info(&self) -> String {
+        format!(
+            "where it shows matter, the model is off its training images by {:.4} of their range (root mean square); \
+             kept on level {}, counted by deviations of depth",
+            self.mean(),
+            self.level()
+        )
+    }
+}
+
+/// Sums from which a [`Misfit`] is made, pixel by pixel. They do not depend on anything but the order of the pixels.
+#[derive(Debug)]
+pub struct MisfitSums {
+    lattice: Lattice,
+    /// Σ φ r² and Σ φ over the pixels that show a vertex' surroundings, by lattice point.
+    sums: FxHashMap<[u32; 3], [f64; 2]>,
+    /// Σ r², and the number of pixels.
+    all: [f64; 2],
+}
+
+impl MisfitSums {
+    /// No pixels yet, on the lattice for fields on this one.
+    #[must_use]
+    pub fn new(of_field: &Lattice) -> Self {
+        let lattice = of_field.coarsened(Misfit::LEVEL);
+        Self { lattice, sums: FxHashMap::default(), all: [0.0; 2] }
+    }
+
+    /// Counts a pixel that shows matter at a scene point with residual r².
+    pub fn add(&mut self, x: Vec3, square: f64) {
+        self.all = [self.all[0] + square, self.all[1] + 1.0];
+        let Some(u) = self.lattice.coordinates(x) else { return };
+        let (cell, offset) = self.lattice.cell(u);
+        for (point, share) in corners(cell, offset) {
+            let sums = self.sums.entry(point).or_default();
+            *sums = [sums[0] + share * square, sums[1] + share];
+        }
+    }
+
+    /// The residuals from the sums of all pixels.
+    #[must_use]
+    pub fn finish(self) -> Misfit {
+        let mean = self.all[0] / self.all[1].max(1.0);
+        let square = |[sum, count]: [f64; 2]| ((sum + PRIOR * mean) / (count + PRIOR)) as f32;
+        let mut found: Vec<(u64, f32)> =
+            self.sums.into_iter().map(|(point, sums)| (morton::encode(point), square(sums))).collect();
+        found.sort_unstable_by_key(|(code, _)| *code);
+        let (points, squares) = found.into_iter().unzip();
+        Misfit { lattice: self.lattice, length_share: Misfit::LENGTH_SHARE, mean: mean as f32, points, squares }
+    }
+}
+
+impl UncertaintyField {
+    /// What training left unexplained, if it is known. Deviations of depth then count it.
+    #[must_use]
+    pub fn misfit(&self) -> Option<&Misfit> {
+        self.layers.misfit.as_ref()
+    }
+
+    /// The same field with what training left unexplained, without a calibrated interval: that was of other deviations.
+    ///
+    /// # Errors
+    /// If the field is not in the scale of its data, is a tile, or is on another lattice than that of the residuals.
+    pub fn with_misfit(mut self, misfit: Misfit) -> Result<Self> {
+        let wrong = |expected: &str, found: &str| Err(Error::setting("misfit", expected, found));
+        let Scale::Data(_) = self.protocol.scale else {
+            return wrong("a field in the scale of its data, whose depths have deviations", "the paper's scale");
+        };
+        if misfit.lattice != self.lattice.coarsened(Misfit::LEVEL) {
+            return wrong("residuals on the field's lattice", "another");
+        }
+        if self.layers.tile.is_some() {
+            return wrong("a field of all of space", "a tile");
+        }
+        self.layers.drop_dependent(Change::Misfit);
+        self.layers.misfit = Some(misfit);
+        Ok(self)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+
+    use super::*;
+    use crate::geometry::{Aabb, Domain};
+
+    fn lattice(level: u8) -> Lattice {
+        Lattice::from_domain(Domain::Box(Aabb::new(DVec3::splat(-1.5), DVec3::splat(1.5)).unwrap()), level).unwrap()
+    }
+
+    /// Two pixels at one place, off by 0.1 and 0.3, and many elsewhere that are right.
+    fn misfit(level: u8) -> Misfit {
+        let mut sums = MisfitSums::new(&lattice(level));
+        // A vertex of all levels: weights are 1 and 0.
+        let there = Vec3::ZERO;
+        sums.add(there, 0.01);
+        sums.add(there, 0.09);
+        (0..98).for_each(|_| sums.add(Vec3::splat(0.75), 0.0));
+        sums.finish()
+    }
+
+    #[test]
+    fn residuals_are_means_drawn_towards_the_mean_of_all() {
+        for (level, own) in [(4, 4), (6, 6), (9, 6)] {
+            let found = misfit(level);
+            // Of 100 pixels.
+            let mean = 0.1 / 100.0;
+            assert_eq!(found.level(), own);
+            let close = |found: f64, square: f64| (found / square.sqrt() - 1.0).abs() < 1e-6;
+            assert!(close(found.mean(), mean));
+            assert!(close(found.at(Vec3::ZERO), (0.1 + mean) / 3.0));
+            assert!(close(found.at(Vec3::splat(0.75)), mean / 99.0));
+            // Where nothing was shown, and outside the box.
+            assert!(close(found.at(Vec3::splat(-1.2)), mean) && close(found.at(Vec3::splat(9.0)), mean));
+            // Halfway between two vertices: the mean of the squares.
+            let half = Vec3::new(1.5 / f32::from(1_u8 << (own - 1)) / 2.0, 0.0, 0.0);
+            assert!(close(found.at(half), 0.5 * ((0.1 + mean) / 3.0 + mean)));
+            // The box has an edge of 3.
+            let length = 3.0 * Misfit::LENGTH_SHARE;
+            assert!((found.depth_deviation(Vec3::ZERO) / found.at(Vec3::ZERO) - length).abs() < 1e-12);
+            assert!((found.length() - length).abs() < 1e-15);
+        }
+        let nothing = MisfitSums::new(&lattice(4)).finish();
+        assert_eq!((nothing.mean(), nothing.at(Vec3::ZERO)), (0.0, 0.0));
+    }
+
+    #[test]
+    fn files_are_not_believed() {
+        let found = misfit(9);
+        let (points, squares, head) = (found.points.clone(), found.squares.clone(), found.heading());
+        let read = |head, points: &[u64], squares: &[f32]| {
+            Misfit::checked(&lattice(9), head, (points.to_vec(), squares.to_vec()))
+        };
+        assert_eq!(read(head, &points, &squares).unwrap(), found);
+        let n = points.len();
+        let with = |i: usize, code: u64| {
+            let mut points = points.clone();
+            points[i] = code;
+            points
+        };
+        // A field keeps the share that it was made with.
+        let own = read(Head { length_share: 0.3, ..head }, &points, &squares).unwrap();
+        assert!((own.length() - 0.9).abs() < 1e-12, "{}", own.length());
+        let with_square = |square: f32| [&squares[1..], &[square]].concat();
+        for (head, points, squares, expected) in [
+            (Head { level: 5, ..head }, points.clone(), squares.clone(), "level 6"),
+            (Head { mean: f32::NAN, ..head }, points.clone(), squares.clone(), "squares of residuals"),
+            (Head { length_share: -0.1, ..head }, points.clone(), squares.clone(), "a share of the longest edge"),
+            (Head { length_share: f64::NAN, ..head }, points.clone(), squares.clone(), "a share of the longest edge"),
+            (head, points.clone(), squares[1..].to_vec(), "a residual for each"),
+            (head, with(0, points[1]), squares.clone(), "vertices in ascending order"),
+            (head, with(n - 1, morton::encode([65, 0, 0])), squares.clone(), "lattice points"),
+            (head, with(n - 1, u64::MAX), squares.clone(), "lattice points"),
+            (head, points.clone(), with_square(-1.0), "squares of residuals"),
+            (head, points.clone(), with_square(f32::INFINITY), "squares of residuals"),
+        ] {
+            let (said, found) = read(head, &points, &squares).unwrap_err();
+            assert!(said.contains(expected), "{said}, found {found}");
+        }
+    }
+}

@@ -1,0 +1,15 @@
+//! The numbers: against an independent oracle in f64, against symmetries of space, within stated tolerances, and on
+//! pre-trained models.
+
+mod compare;
+mod data;
+mod depth;
+mod laws;
+mod oracle;
+mod rotation;
+mod scenes;
+mod self_check;
+mod single;
+mod tolerance;
+mod visits;
+mod zoo;

@@ -1,0 +1,137 @@
+//! `accumulate`: samples from elsewhere against NumPy, and our own samples, dumped and read back.
+
+use std::path::Path;
+use std::process::Command;
+
+use octobayes::estimate::{FieldBuilder, GridKind, GridSettings, Provenance};
+use octobayes::geometry::{Aabb, Domain};
+use octobayes::monitor::Silent;
+use octobayes::posterior::{Information, trace};
+use octobayes::rays::{RunProgress, SamplesReader};
+use octobayes::render::RaySamples;
+use octobayes::uncertainty::{Support, UncertaintyField};
+
+fn octobayes(args: &[&str]) {
+    let output = Command::new(env!("CARGO_BIN_EXE_octobayes")).args(args).output().unwrap();
+    assert!(output.status.success(), "{args:?}: {}", String::from_utf8_lossy(&output.stderr));
+}
+
+/// `tests/numpy/write_samples.py` wrote the samples, `brute_force.py` the expected sums.
+#[test]
+fn samples_written_by_numpy_give_numpys_sums() {
+    let numpy = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/numpy");
+    let expected = npyz::NpyFile::new(std::fs::File::open(numpy.join("expected.npy")).unwrap()).unwrap();
+    let expected: Vec<f64> = expected.into_vec().unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    for (grid, kind) in [("dense", GridKind::Dense), ("octree", GridKind::Octree)] {
+        let out = folder.path().join(format!("{grid}.oct"));
+        let samples = numpy.join("samples.npz");
+        let [samples, out] = [&samples, &out].map(|p| p.to_str().unwrap());
+        octobayes(&[
+            "accumulate",
+            samples,
+            "--box=-1,-1,-1,1,1,1",
+            "--level",
+            "3",
+            "--grid",
+            grid,
+            "--tolerance",
+            "0",
+            "--keep-sums",
+            "-o",
+            out,
+        ]);
+        let read = UncertaintyField::read(Path::new(out)).unwrap();
+        let reader = SamplesReader::open(Path::new(samples)).unwrap();
+        let settings = GridSettings::default().grid(kind).level(3).tolerance(0.0);
+        let mut builder = FieldBuilder::new(settings, Domain::Box(Aabb::centered_cube(1.0))).unwrap();
+        let add = |batches: &[RaySamples]| {
+            builder.add(batches);
+            Ok(())
+        };
+        reader.run(&Silent, add).unwrap();
+        let progress = RunProgress { rays: reader.rays_total(), ..RunProgress::default() };
+        let exact = builder.finish(&Provenance { progress, ..Provenance::default() });
+        compare_with_numpy(&exact, &expected, 1e-14, grid);
+        // Files keep factors in f32, each entry within 6e-8 of itself: six products of two entries.
+        compare_with_numpy(&read, &expected, 4e-7, grid);
+    }
+}
+
+/// Compares sums, relative to their trace. A vertex sums at most a few dozen products in f64.
+fn compare_with_numpy(field: &UncertaintyField, expected: &[f64], precision: f64, grid: &str) {
+    assert_eq!(field.protocol().rays, 150);
+    let found = |[x, y, z]: [u32; 3]| -> Option<Information> {
+        let vertex = match field.support() {
+            Support::Dense => ((x * 9 + y) * 9 + z) as usize,
+            Support::Octree(octree) => octree.vertex([x, y, z])?.0 as usize,
+        };
+        Some(field.sums().unwrap()[vertex].information)
+    };
+    let mut total = 0.0;
+    for row in expected.chunks_exact(9) {
+        let point = [row[0] as u32, row[1] as u32, row[2] as u32];
+        let s = found(point).unwrap_or_else(|| panic!("{point:?} is a vertex"));
+        let scale = trace(&s).max(row[3] + row[6] + row[8]);
+        total += trace(&s);
+        for k in 0..6 {
+            assert!((s[k] - row[3 + k]).abs() <= precision * scale, "{grid} {point:?}: {s:?} against {:?}", &row[3..]);
+        }
+    }
+    // There is nothing beyond what NumPy lists.
+    let all: f64 = field.sums().unwrap().iter().map(|e| trace(&e.information)).sum();
+    assert!((all / total - 1.0).abs() < 1e-12, "{grid}: {all} against {total}");
+}
+
+#[test]
+fn dumped_samples_give_the_same_field_bit_for_bit() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_string();
+    let (cameras, samples) = (path("transforms.json"), path("samples.npz"));
+    let named: Vec<_> = octobayes::field::ClosedForm::half_circle(6, [40, 40])
+        .into_iter()
+        .enumerate()
+        .map(|(i, camera)| (format!("r_{i}"), camera))
+        .collect();
+    octobayes::dataset::write_transforms(Path::new(&cameras), &named).unwrap();
+    for grid in ["octree", "dense"] {
+        let (first, second) = (path(&format!("{grid}_1.oct")), path(&format!("{grid}_2.oct")));
+        octobayes(&[
+            "uncertainty",
+            "scene:courtyard",
+            "--cameras",
+            &cameras,
+            "--level",
+            "6",
+            "--rays",
+            "20000",
+            "--grid",
+            grid,
+            "--occupancy",
+            "48",
+            "--dump-samples",
+            &samples,
+            "-o",
+            &first,
+        ]);
+        octobayes(&[
+            "accumulate",
+            &samples,
+            "--box=-1,-1,-1,1,1,1",
+            "--level",
+            "6",
+            "--grid",
+            grid,
+            "--threads",
+            "1",
+            "-o",
+            &second,
+        ]);
+        let [a, b] = [first, second].map(|p| UncertaintyField::read(Path::new(&p)).unwrap());
+        assert_eq!(a.support(), b.support());
+        // A field can hold neither NaN nor -0, so equal values have equal bits.
+        assert_eq!((a.deviations(), a.sums()), (b.deviations(), b.sums()));
+        assert_eq!(a.surface(), b.surface());
+        assert_eq!((a.protocol().rays, a.protocol().lambda), (b.protocol().rays, b.protocol().lambda));
+    }
+}

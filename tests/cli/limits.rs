@@ -1,0 +1,170 @@
+//! Limits in the user's own terms, as the binary takes them: memory, refinement criteria.
+
+#![cfg(unix)]
+
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+
+use crate::interrupt::stopped;
+use octobayes::estimate::{Estimation, GridKind, GridSettings, RaySettings};
+use octobayes::field::ClosedForm;
+use octobayes::posterior::{Covariance, Criteria, Criterion};
+use octobayes::uncertainty::{OfficialGrid, Support, UncertaintyField, compare, merge};
+
+const RUN: &str = "uncertainty scene:courtyard --resolution 64 --rays 40000 --occupancy 40";
+
+fn command(folder: &Path, args: &str) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_octobayes"));
+    command.args(args.split_whitespace()).current_dir(folder);
+    command
+}
+
+fn run(folder: &Path, args: &str) -> Output {
+    command(folder, args).output().unwrap()
+}
+
+fn good(folder: &Path, args: &str) -> String {
+    let output = run(folder, args);
+    let stderr = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.success(), "{args}: {stderr}");
+    stderr
+}
+
+fn refused(folder: &Path, args: &str) -> String {
+    let output = run(folder, args);
+    let stderr = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(2), "{args}: {stderr}");
+    stderr
+}
+
+fn read(folder: &Path, name: &str) -> UncertaintyField {
+    UncertaintyField::read(&folder.join(name)).unwrap()
+}
+
+#[test]
+fn a_budget_is_planned_kept_and_reported() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let stderr = good(folder, &format!("{RUN} --level 9 --memory 120MB -o limited.oct"));
+    assert!(stderr.contains("plan: level 9") && stderr.contains("given up"), "{stderr}");
+    let limited = read(folder, "limited.oct");
+    let bytes: usize = limited.memory().iter().map(|part| part.1).sum();
+    assert!(bytes <= 120_000_000 && !limited.limits().is_unlimited() && limited.validate().is_ok());
+    // A plan that cannot fit says what would.
+    let stderr = refused(folder, &format!("{RUN} --level 9 --memory 5kB -o x.oct"));
+    assert!(stderr.contains("--memory") && stderr.contains("at least"), "{stderr}");
+    let stderr = refused(folder, &format!("{RUN} --level 8 --grid dense --memory 100MB -o x.oct"));
+    assert!(stderr.contains("at least") && stderr.contains("lower level"), "{stderr}");
+    assert!(!folder.join("x.oct").exists());
+}
+
+#[test]
+fn a_limited_run_survives_and_merges() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let limited = format!("{RUN} --level 8 --refine ray-count --tolerance 0");
+    good(folder, &format!("{limited} -o whole.oct"));
+    // Stopped under way, a run resumes with its own limits.
+    let resumable = format!("{limited} --error-bars 8 -o again.oct --checkpoint run.chk");
+    let child = command(folder, &resumable).stderr(Stdio::piped()).stdout(Stdio::null()).spawn().unwrap();
+    let output = stopped(&folder.join("run.chk.0"), child, "-INT");
+    assert_eq!(output.status.code(), Some(130), "{}", String::from_utf8_lossy(&output.stderr));
+    good(folder, &format!("{limited} --error-bars 8 -o bars.oct"));
+    // Only a run with the same limits may continue it.
+    let other = resumable.replace("--refine ray-count", "--refine sensitivity");
+    assert!(refused(folder, &other).contains("run, limits"));
+    good(folder, &resumable);
+    assert_eq!(std::fs::read(folder.join("bars.oct")).unwrap(), std::fs::read(folder.join("again.oct")).unwrap());
+    for shard in 0..2 {
+        good(folder, &format!("{limited} --shard {shard}/2 -o part{shard}.oct"));
+    }
+    good(folder, "merge part0.oct part1.oct -o merged.oct");
+    let [whole, merged] = ["whole.oct", "merged.oct"].map(|name| read(folder, name));
+    assert_eq!((whole.support(), whole.limits()), (merged.support(), merged.limits()));
+    assert!(!whole.limits().is_unlimited());
+    // Sums in another order, rounded to f32.
+    assert!(compare(&whole, &merged, 20_000, 1).unwrap().in_box.unwrap().max < 1e-6);
+    good(folder, &format!("{RUN} --level 8 --tolerance 0 --seed 1 -o other.oct"));
+    assert!(refused(folder, "export whole.oct -o x.npy").contains("coarser leaves"));
+    let stderr = refused(folder, "merge whole.oct other.oct -o x.oct");
+    assert!(stderr.contains("criteria") || stderr.contains("limits"), "{stderr}");
+}
+
+#[test]
+fn criteria_refine_where_they_say() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let vertices = |refine: &str| {
+        good(folder, &format!("{RUN} --level 6 --refine {refine} -o field.oct"));
+        let field = read(folder, "field.oct");
+        let Support::Octree(octree) = field.support() else { panic!("an octree was asked for") };
+        (octree.vertex_count(), field)
+    };
+    let (sensitive, field) = vertices("sensitivity");
+    assert_eq!(field.protocol().criteria, Criteria::default());
+    let (dense, _) = vertices("density");
+    let (both, _) = vertices("sensitivity,density");
+    assert!(sensitive < both && dense < both && both < 65 * 65 * 65, "{sensitive} {dense} {both}");
+}
+
+/// An octree refined everywhere is the dense grid, bit for bit.
+#[test]
+fn the_dense_grid_is_a_uniform_octree() {
+    let (scene, cameras) = (ClosedForm::courtyard(), ClosedForm::half_circle(6, [64, 64]));
+    let dense = GridSettings::default().level(6).grid(GridKind::Dense);
+    let uniform = dense.grid(GridKind::Octree).criteria([Criterion::Uniform].into_iter().collect());
+    let run = |grid| Estimation::new(&scene, &cameras).rays(RaySettings::default().rays(20_000)).grid(grid);
+    let [of_grid, of_octree] = [dense, uniform].map(|grid| run(grid).run().unwrap().field);
+    let Support::Octree(octree) = of_octree.support() else { panic!("an octree") };
+    assert_eq!(octree.vertex_count(), 65 * 65 * 65);
+    assert_eq!(compare(&of_octree, &of_grid, 20_000, 1).unwrap().in_box.unwrap().max, 0.0);
+    // Shards of such a run merge into one field.
+    let parts = [0, 1].map(|index| run(uniform).shard(index, 2).run().unwrap().field);
+    assert_eq!(merge(&parts).unwrap().support(), of_octree.support());
+    let error = run(uniform.level(10)).run().err().unwrap().to_string();
+    assert!(error.contains("level up to 9"), "{error}");
+}
+
+#[test]
+fn contracted_fields_are_made_stored_and_asked_anywhere() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    good(folder, &format!("{RUN} --level 6 --contract l2:0,0,-0.3,0.5 --keep-sums -o all.oct"));
+    let field = read(folder, "all.oct");
+    assert!(field.lattice().domain().bounds().is_none());
+    let far = field.query(glam::Vec3::new(1e20, 0.0, 0.0));
+    assert!(far.inside && (far.uncertainty / field.prior() - 1.0).abs() < 1e-6);
+    let info = String::from_utf8(run(folder, "info all.oct").stdout).unwrap();
+    assert!(info.contains("L2 contraction outside 0.5"), "{info}");
+    let stderr = refused(folder, &format!("{RUN} --contract l2 -o x.oct"));
+    assert!(stderr.contains("l2:x,y,z,r"), "{stderr}");
+    // The official code's grid of a contracted scene has the same lattice, in contracted coordinates.
+    good(folder, "export all.oct -o x.npy");
+    let (domain, rays) = (*field.lattice().domain(), field.protocol().rays);
+    let official = OfficialGrid { domain, rays, lambda: None }.read(&folder.join("x.npy")).unwrap();
+    let trace = field.clone().with_covariance(Covariance::Trace).unwrap();
+    let mut moved = 0;
+    for point in field.surface() {
+        let x = glam::Vec3::from_array(*point);
+        let (found, expected) = (official.log10(x), trace.log10(x));
+        // The octree is within its tolerance of the dense grid, which the file holds.
+        assert!((found - expected).abs() < 0.02, "{x}: {found} against {expected}");
+        moved += usize::from(expected < field.prior().log10() - 1.0);
+    }
+    assert!(moved > 100, "{moved} points on surfaces that are known");
+}
+
+/// Processes are never of exactly the same size, but parts of one run must have the same leaves.
+#[test]
+fn parts_under_a_budget_make_the_same_plan_and_merge() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    for index in 0..3 {
+        let run = format!("{RUN} --level 10 --memory 200MB --shard {index}/3 -o part{index}.oct");
+        let stderr = good(folder, &run);
+        assert!(stderr.contains("given up"), "{stderr}");
+    }
+    good(folder, "merge part0.oct part1.oct part2.oct -o whole.oct");
+    let whole = read(folder, "whole.oct");
+    assert!(!whole.limits().is_unlimited() && !whole.is_part() && whole.validate().is_ok());
+}

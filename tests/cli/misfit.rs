@@ -1,0 +1,143 @@
+//! `uncertainty --images`, from the command line.
+
+use crate::program::{good, run};
+use octobayes::dataset::Views;
+use octobayes::field::{ClosedForm, RadianceField};
+use octobayes::monitor::Silent;
+use octobayes::render::{Marcher, Tracer, render_view};
+use octobayes::uncertainty::{Conformal, Misfit, UncertaintyField};
+
+const SIDE: u32 = 48;
+/// What the images are off by in one channel, of 255.
+const OFF: f64 = 20.0;
+
+const RUN: &str = "uncertainty scene:ball --cameras cameras.json --level 4 --rays 4000 --resolution 48 --occupancy 32";
+const DATA: &str = "--scale data --noise 0.0316 --covariance block --keep-sums";
+
+/// Two views of a ball from opposite sides; images of them whose red is off, in a folder beside.
+fn views() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let pose = |x: f64| [[0.0, 0.0, x, 3.0 * x], [x, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
+    let frame = |name, x| serde_json::json!({ "file_path": name, "transform_matrix": pose(x) });
+    let frames = [frame("./a", 1.0), frame("./b", -1.0)];
+    let file = serde_json::json!({ "camera_angle_x": 0.7, "w": SIDE, "h": SIDE, "frames": frames });
+    let path = folder.path().join("cameras.json");
+    std::fs::write(&path, file.to_string()).unwrap();
+    let images = folder.path().join("pictures");
+    std::fs::create_dir(&images).unwrap();
+    let ball = ClosedForm::ball();
+    let marcher = Marcher { step: 0.01, bounds: ball.bounds(), occupancy: None, cutoff: 0.0 };
+    let tracer = Tracer { field: &ball, marcher, background: glam::Vec3::ONE };
+    for (frame, name) in Views::read(&path, None).unwrap().frames.iter().zip(["a.png", "b.png"]) {
+        let view = render_view(&tracer, &frame.camera, ball.pixel_offset(), &[], &Silent).unwrap();
+        let image = image::RgbImage::from_fn(SIDE, SIDE, |x, y| {
+            let color = 255.0 * view.pixels[(y * SIDE + x) as usize].color;
+            // Where it stays within the range.
+            let red = if color.x < 128.0 { color.x + OFF } else { color.x - OFF };
+            image::Rgb([red, color.y, color.z].map(|value| value.round() as u8))
+        });
+        image.save(images.join(name)).unwrap();
+    }
+    folder
+}
+
+#[test]
+fn deviations_of_depth_count_what_images_show_and_the_model_does_not() {
+    let folder = views();
+    let folder = folder.path();
+    good(folder, &format!("{RUN} {DATA} -o plain.oct"));
+    good(folder, &format!("{RUN} {DATA} --images pictures -o joined.oct"));
+    let read = |name: &str| UncertaintyField::read(&folder.join(name)).unwrap();
+    let (plain, joined) = (read("plain.oct"), read("joined.oct"));
+    assert!(plain.misfit().is_none() && plain.deviations() == joined.deviations());
+
+    // One channel of three is off by as much everywhere; pictures round by up to half a step.
+    let misfit = joined.misfit().unwrap();
+    let m = OFF / 255.0 / 3_f64.sqrt();
+    assert!((misfit.mean() / m - 1.0).abs() < 0.5 / OFF, "{} and {m}", misfit.mean());
+    assert_eq!(misfit.level(), 4);
+    let info = good(folder, "info joined.oct");
+    assert!(info.contains("is off its training images by 0.045"), "{info}");
+    let json: serde_json::Value = serde_json::from_str(&good(folder, "info joined.oct --json")).unwrap();
+    assert_eq!(json["misfit"]["root_mean_square"].as_f64(), Some(misfit.mean()));
+
+    // Along a ray to the front, on top of what was there.
+    let deviation = |field: &str| -> f64 {
+        let csv = good(folder, &format!("query {field} --ray 3,0.05,0.1,-1,0,0 --model scene:ball"));
+        let rows: Vec<Vec<&str>> = csv.lines().map(|line| line.split(',').collect()).collect();
+        let column = rows[0].iter().position(|name| *name == "depth_error").unwrap();
+        rows[1][column].parse().unwrap()
+    };
+    let edge = ClosedForm::ball().bounds().longest_edge();
+    let (before, after) = (deviation("plain.oct"), deviation("joined.oct"));
+    let added = (after * after - before * before).sqrt();
+    let expected = Misfit::LENGTH_SHARE * edge * m;
+    assert!((added / expected - 1.0).abs() < 0.5 / OFF, "{added} and {expected}");
+
+    // Without the matrices, by one thread, of two seeds: it stays what it is.
+    good(folder, &format!("{RUN} {DATA} --images pictures --threads 1 --seed 7 -o other.oct"));
+    assert!(read("other.oct").misfit() == Some(misfit));
+    good(folder, "merge joined.oct other.oct --keep-sums -o both.oct");
+    assert!(read("both.oct").misfit() == Some(misfit) && joined.clone().without_sums().misfit() == Some(misfit));
+    // One that knows it is enough.
+    good(folder, "merge plain.oct other.oct -o some.oct");
+    assert!(read("some.oct").misfit() == Some(misfit));
+}
+
+#[test]
+fn it_stays_with_what_it_holds_for() {
+    let folder = views();
+    let folder = folder.path();
+    // Below a folder of their own, as COLMAP's are.
+    std::fs::create_dir(folder.join("set")).unwrap();
+    std::fs::rename(folder.join("pictures"), folder.join("set/images")).unwrap();
+    good(folder, &format!("{RUN} {DATA} --images set -o joined.oct"));
+    let joined = UncertaintyField::read(&folder.join("joined.oct")).unwrap();
+    let misfit = joined.misfit().unwrap().clone();
+    // An interval was of other deviations.
+    let conformal = Conformal { probability: 0.9, factor: 1.5, pixels: 100, views: 2 };
+    let calibrated = joined.clone().with_conformal(conformal);
+    assert!(calibrated.conformal().is_some());
+    assert!(calibrated.with_misfit(misfit.clone()).unwrap().conformal().is_none());
+    // The scale of the paper has no lengths.
+    let lambda = joined.protocol().lambda;
+    let paper = joined.clone().with_lambda(2.0 * lambda).unwrap();
+    assert!(paper.misfit().is_none());
+    assert!(paper.with_misfit(misfit.clone()).unwrap_err().to_string().contains("the scale of its data"));
+    // Another lattice, and a part of space.
+    good(folder, &format!("{} {DATA} -o fine.oct", RUN.replace("--level 4", "--level 5")));
+    good(folder, &format!("{RUN} {DATA} --tile 0/8 -o tile.oct"));
+    for (name, expected) in [("fine.oct", "on the field's lattice"), ("tile.oct", "of all of space")] {
+        let field = UncertaintyField::read(&folder.join(name)).unwrap();
+        let said = field.with_misfit(misfit.clone()).unwrap_err().to_string();
+        assert!(said.contains(expected), "{name}: {said}");
+    }
+}
+
+#[test]
+fn what_it_needs_is_said() {
+    let folder = views();
+    for (more, code, expected) in [
+        ("--images pictures", 2, "--images: expected --scale data"),
+        (
+            &*format!("{DATA} --images ."),
+            2,
+            "the folder from which the names of the training images start, found neither ././a.png nor",
+        ),
+        (&*format!("{DATA} --images pictures --tile 0/8"), 2, "cannot be used with"),
+    ] {
+        let output = run(folder.path(), &format!("{RUN} {more} -o x.oct"));
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.code() == Some(code) && said.contains(expected), "{more}: {said}");
+        assert!(!folder.path().join("x.oct").exists());
+    }
+    // Images of another size.
+    image::RgbImage::new(8, 8).save(folder.path().join("pictures/b.png")).unwrap();
+    let output = run(folder.path(), &format!("{RUN} {DATA} --images pictures -o x.oct"));
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(said.contains("b.png") && said.contains("expected 48 x 48 pixels, found 8 x 8"), "{said}");
+    // What is read is not written.
+    let output = run(folder.path(), &format!("{RUN} {DATA} --images pictures --dump-samples pictures/a.png -o x.oct"));
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.code() == Some(2) && said.contains("a.png"), "{said}");
+}

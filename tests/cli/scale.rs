@@ -1,0 +1,92 @@
+//! `--scale data`: deviations in scene units, from the command line.
+
+use crate::program::{good, run};
+use octobayes::field::ClosedForm;
+use octobayes::geometry::Camera;
+use octobayes::posterior::Scale;
+use octobayes::uncertainty::{Knowledge, UncertaintyField};
+
+const RUN: &str = "uncertainty scene:ball --cameras transforms.json --level 5 --rays 4000 --occupancy 32";
+
+#[test]
+fn more_pixels_and_less_noise_make_a_scene_more_certain() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let cameras = |size| {
+        let cameras = ClosedForm::half_circle(4, [size; 2]).into_iter().enumerate();
+        cameras.map(|(i, c)| (format!("r_{i}"), c)).collect::<Vec<(String, Camera)>>()
+    };
+    octobayes::dataset::write_transforms(&folder.join("transforms.json"), &cameras(32)).unwrap();
+    good(folder, &format!("{RUN} --scale data --noise 0.03162277660168379 --keep-sums -o data.oct"));
+    let field = UncertaintyField::read(&folder.join("data.oct")).unwrap();
+    let Scale::Data(data) = field.protocol().scale else { panic!("the scale is stored") };
+    // All pixels of the cameras, the noise of 30 dB, 0.02 of the longest edge.
+    let edge = field.lattice().domain().size().max_element();
+    assert_eq!((data.pixels, data.prior_deviation), (4 * 32 * 32, 0.02 * edge));
+    assert!((data.noise.powi(2) - 1e-3).abs() < 1e-15);
+    assert!((field.prior() / (3_f64.sqrt() * 0.02 * edge) - 1.0).abs() < 1e-6);
+
+    // A tenth of the noise's square: up to ten times as much is known, beside the prior.
+    good(folder, &format!("{RUN} --scale data --noise 0.01 -o sharp.oct"));
+    let sharp = UncertaintyField::read(&folder.join("sharp.oct")).unwrap();
+    let x = glam::Vec3::from_array(field.surface()[0]);
+    let [one, ten] = [&field, &sharp].map(|field| field.query(x).uncertainty);
+    assert!(ten < one && one < field.prior() && one < 10_f64.sqrt() * 1.001 * ten, "{ten}, {one}");
+    // Rays only sample the pixels: twice as many leave the posterior where it is, to their own noise of some tenths.
+    good(folder, &format!("{} --scale data --noise 0.03162277660168379 -o more.oct", RUN.replace("4000", "8000")));
+    let more = UncertaintyField::read(&folder.join("more.oct")).unwrap();
+    let median = |field: &UncertaintyField| field.surface_quantiles([0.5]).unwrap()[0];
+    assert!((median(&more) - median(&field)).abs() < 0.15, "{} and {}", median(&more), median(&field));
+
+    // The two scales are not compared in silence, and say what they are.
+    good(folder, &format!("{RUN} -o paper.oct"));
+    let output = run(folder, "compare paper.oct data.oct");
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.code() == Some(2) && said.contains("scale of data.oct: expected `paper`"), "{said}");
+    good(folder, "compare paper.oct data.oct --force --points 1000");
+    assert!(good(folder, "info data.oct").contains("a deviation in scene units, from 4096 pixels of noise 0.0316"));
+    let info = good(folder, "info paper.oct");
+    assert!(info.contains("not a length"));
+    // What a file has, and what would make what it lacks.
+    assert!(info.contains("sums             no: one covariance, and no merging; uncertainty --keep-sums"), "{info}");
+    assert!(good(folder, "info data.oct").contains("sums             every covariance"));
+    let value: serde_json::Value = serde_json::from_str(&good(folder, "info paper.oct --json")).unwrap();
+    assert_eq!((&value["answers"]["sums"], &value["answers"]["visits"]), (&false.into(), &true.into()));
+}
+
+/// Whether images say something of a place does not depend on what U is a deviation of.
+#[test]
+fn what_was_seen_is_the_same_on_both_scales() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let run = "uncertainty scene:courtyard --level 6 --rays 50000 --resolution 64 --occupancy 64";
+    good(folder, &format!("{run} -o paper.oct"));
+    good(folder, &format!("{run} --scale data --noise 0.03162277660168379 -o data.oct"));
+    let fields = ["paper.oct", "data.oct"].map(|name| UncertaintyField::read(&folder.join(name)).unwrap());
+    let words = |x: glam::Vec3| [0, 1].map(|i| fields[i].knowledge(x, fields[i].query(x).uncertainty).unwrap());
+    let at = |n: i32| -0.99 + 1.98 * n as f32 / 30.0;
+    let points = (0..31 * 31 * 31).map(|n| glam::Vec3::new(at(n / 961), at(n / 31 % 31), at(n % 31)));
+    let grid: Vec<_> = points.map(words).collect();
+    let surface: Vec<_> = fields[0].surface().iter().map(|x| words(glam::Vec3::from_array(*x))).collect();
+    for (what, words, least) in [("grid", grid, 0.95), ("surface", surface, 0.98)] {
+        let same = words.iter().filter(|[a, b]| a == b).count() as f64 / words.len() as f64;
+        let constrained: Vec<_> = words.iter().filter(|[a, _]| *a == Knowledge::Constrained).collect();
+        let kept = constrained.iter().filter(|[a, b]| a == b).count() as f64 / constrained.len() as f64;
+        assert!(same > least && kept > 0.9, "{what}: {same} of {}, {kept} of the constrained", words.len());
+    }
+}
+
+#[test]
+fn fields_of_two_models_are_not_compared_in_silence() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let args = "--level 4 --rays 1000 --resolution 32 --occupancy 16 --box=-1,-1,-1,1,1,1";
+    good(folder, &format!("uncertainty scene:ball {args} -o ball.oct"));
+    good(folder, &format!("uncertainty scene:courtyard {args} -o courtyard.oct"));
+    let output = run(folder, "compare ball.oct courtyard.oct");
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.code() == Some(2) && said.contains("model of courtyard.oct"), "{said}");
+    let output = run(folder, "compare ball.oct courtyard.oct --force --points 1000");
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.success() && said.contains("warning: model of courtyard.oct"), "{said}");
+}

@@ -1,0 +1,145 @@
+//! The commands of README and book, run as they are written.
+//!
+//! Blocks fenced as `sh` run from top to bottom, each page in an empty folder of its own, so that later commands find
+//! what earlier ones wrote. Blocks of `sh,data` need the data of `$OCTOBAYES_DATA` and run in an ignored test. Blocks
+//! of `text` are not run.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+/// What a fence may say. Whatever else looks like a shell would not be run, unnoticed.
+const FENCES: [&str; 6] = ["sh", "sh,data", "text", "rust", "python", "toml"];
+
+/// `cargo run --release -- …` is this program; any other use of cargo does not belong into a block that is run.
+const PRELUDE: &str = r#"cargo() {
+  if [ "$1 $2 $3" != "run --release --" ]; then echo "a block that is run cannot call cargo $*" >&2; return 97; fi
+  shift 3; octobayes "$@"
+}
+"#;
+
+/// A fenced block.
+#[derive(Debug, Clone, PartialEq)]
+struct Block {
+    fence: String,
+    /// Of the fence, from 1.
+    line: usize,
+    text: String,
+}
+
+fn blocks(page: &str) -> Vec<Block> {
+    let mut blocks = Vec::new();
+    let mut open: Option<Block> = None;
+    for (i, line) in page.lines().enumerate() {
+        match (line.strip_prefix("```"), open.as_mut()) {
+            (Some(fence), None) => {
+                open = Some(Block { fence: fence.trim().to_string(), line: i + 1, text: String::new() });
+            }
+            (Some(_), Some(_)) => blocks.extend(open.take()),
+            (None, Some(block)) => block.text += &format!("{line}\n"),
+            (None, None) => {}
+        }
+    }
+    assert!(open.is_none(), "a fence is not closed: {open:?}");
+    blocks
+}
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// README and the pages of the book, in the book's order.
+fn pages() -> Vec<PathBuf> {
+    let book = root().join("docs/src");
+    let summary = std::fs::read_to_string(book.join("SUMMARY.md")).unwrap();
+    let linked = summary.split("](").skip(1).filter_map(|rest| rest.split_once(')')).map(|(page, _)| book.join(page));
+    let pages: Vec<PathBuf> = [root().join("README.md")].into_iter().chain(linked).collect();
+    let files = std::fs::read_dir(&book).unwrap().map(|entry| entry.unwrap().path());
+    for file in files.filter(|file| file.extension().is_some_and(|e| e == "md") && !file.ends_with("SUMMARY.md")) {
+        assert!(pages.contains(&file), "{} is not in SUMMARY.md", file.display());
+    }
+    pages
+}
+
+/// Runs the blocks of `page` whose fence is one of `fences`, up to the first that fails.
+fn run(page: &Path, fences: &[&str]) -> Result<usize, String> {
+    let folder = tempfile::tempdir().unwrap();
+    let program = Path::new(env!("CARGO_BIN_EXE_octobayes"));
+    let path = std::env::join_paths(
+        [program.parent().unwrap().to_path_buf()]
+            .into_iter()
+            .chain(std::env::split_paths(&std::env::var_os("PATH").unwrap())),
+    )
+    .unwrap();
+    let text = std::fs::read_to_string(page).unwrap();
+    let mut count = 0;
+    for Block { line, text, .. } in blocks(&text).into_iter().filter(|b| fences.contains(&b.fence.as_str())) {
+        let output = Command::new("sh")
+            .args(["-eux", "-c", &format!("{PRELUDE}{text}")])
+            .current_dir(folder.path())
+            .env("PATH", &path)
+            .output()
+            .unwrap();
+        if !output.status.success() {
+            let page = page.strip_prefix(root()).unwrap().display();
+            let said = String::from_utf8_lossy(&output.stderr);
+            return Err(format!("{page}:{line}: {}\n{text}\n{said}", output.status));
+        }
+        count += 1;
+    }
+    Ok(count)
+}
+
+/// Runs blocks of all `pages`, and tells of all pages that fail.
+fn run_all(pages: &[PathBuf], fences: &[&str]) -> usize {
+    let results: Vec<_> = pages.iter().map(|page| run(page, fences)).collect();
+    let failures: Vec<&str> = results.iter().filter_map(|result| result.as_ref().err()).map(String::as_str).collect();
+    assert!(failures.is_empty(), "{}", failures.join("\n\n"));
+    results.into_iter().flatten().sum()
+}
+
+#[test]
+#[ignore = "slow: all commands of README and book"]
+fn every_command_works_as_it_is_written() {
+    let count = run_all(&pages(), &["sh"]);
+    assert!(count > 30, "blocks are found at all: {count}");
+}
+
+#[test]
+#[ignore = "needs OCTOBAYES_DATA"]
+fn commands_that_need_data_work_as_they_are_written() {
+    assert!(std::env::var_os("OCTOBAYES_DATA").is_some(), "OCTOBAYES_DATA is not set");
+    let needy = |page: &PathBuf| blocks(&std::fs::read_to_string(page).unwrap()).iter().any(|b| b.fence == "sh,data");
+    let pages: Vec<PathBuf> = pages().into_iter().filter(needy).collect();
+    assert!(!pages.is_empty(), "blocks are found at all");
+    // Such blocks stand on their own: what needs no data has run in the other test.
+    run_all(&pages, &["sh,data"]);
+}
+
+#[test]
+fn every_verb_is_shown_and_run() {
+    let mut run = String::new();
+    for page in pages() {
+        for Block { fence, line, text } in blocks(&std::fs::read_to_string(&page).unwrap()) {
+            assert!(FENCES.contains(&fence.as_str()), "{}:{line}: a fence of another kind: {fence}", page.display());
+            if fence == "sh" {
+                run += &text;
+            }
+        }
+    }
+    let help = Command::new(env!("CARGO_BIN_EXE_octobayes")).arg("--help").output().unwrap().stdout;
+    let help = String::from_utf8(help).unwrap();
+    let commands = help.split("Commands:\n").nth(1).and_then(|rest| rest.split("\n\n").next()).unwrap();
+    let verbs = commands.lines().filter(|line| line.starts_with("  ") && !line.starts_with("   "));
+    let verbs: Vec<&str> = verbs.filter_map(|line| line.split_whitespace().next()).filter(|v| *v != "help").collect();
+    assert!(verbs.len() > 8, "verbs are found at all: {verbs:?}");
+    for verb in verbs {
+        assert!(run.contains(&format!("octobayes {verb} ")), "no block that is run shows `{verb}`");
+    }
+}
+
+#[test]
+fn blocks_are_found_as_they_are_fenced() {
+    let page = "a\n```sh\nx \\\n  y\n```\nb ``` c\n```sh,data\nz\n```\n```text\n```\n";
+    let block = |fence: &str, line, text: &str| Block { fence: fence.into(), line, text: text.into() };
+    assert_eq!(blocks(page), [block("sh", 2, "x \\\n  y\n"), block("sh,data", 7, "z\n"), block("text", 10, "")]);
+}

@@ -1,0 +1,145 @@
+//! The reports of `experiments/`: all are in the table, their blocks say which version wrote them, and their commands
+//! exist. The unit tests of what the experiments share run here, too.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+use crate::common::program::folder;
+use crate::common::report::{self, Stamp};
+use crate::common::{index, table};
+
+const COMMAND: &str = "cargo run --release --example ";
+
+fn text(path: &Path) -> String {
+    std::fs::read_to_string(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
+}
+
+fn reports() -> Vec<PathBuf> {
+    let reports = index::reports(&folder()).unwrap();
+    assert!(reports.len() >= 10, "the reports are found at all: {reports:?}");
+    reports
+}
+
+fn name(path: &Path) -> String {
+    path.file_stem().unwrap().to_string_lossy().into_owned()
+}
+
+/// Names of the examples in Cargo.toml.
+fn examples() -> BTreeSet<String> {
+    let manifest = text(&Path::new(env!("CARGO_MANIFEST_DIR")).join("Cargo.toml"));
+    let sections = manifest.split("[[example]]").skip(1);
+    let name = |section: &str| section.split('"').nth(1).map(String::from);
+    sections.map(|section| name(section).expect("an example has a name")).collect()
+}
+
+#[test]
+fn the_table_of_reports_is_up_to_date() {
+    let readme = folder().join("README.md");
+    let text = text(&readme);
+    let blocks = report::blocks(&text).unwrap_or_else(|fault| panic!("{}", fault.in_file(&readme)));
+    let block = blocks.iter().find(|block| block.name == index::BLOCK).expect("the table of reports");
+    let table = index::table(&folder()).unwrap();
+    assert_eq!(block.body, table, "every experiment brings the table up to date when it writes its report");
+    for report in reports() {
+        let link = format!("[{0}]({0}.md)", name(&report));
+        assert!(table.contains(&link), "{link} is in the table");
+    }
+}
+
+/// The numbers of a version such as `0.1.0` or `0.2.0-rc.1`; `None` if it is none.
+fn numbers(version: &str) -> Option<[u64; 3]> {
+    let (release, extra) =
+        version.split_once(['-', '+']).map_or((version, None), |(release, rest)| (release, Some(rest)));
+    let is_number = |part: &&str| part.bytes().all(|b| b.is_ascii_digit()) && (*part == "0" || !part.starts_with('0'));
+    let parts: Vec<&str> = release.split('.').filter(is_number).collect();
+    let numbers = parts.iter().map(|part| part.parse().ok()).collect::<Option<Vec<u64>>>()?;
+    let is_whole = release.split('.').count() == 3 && extra.is_none_or(|extra| !extra.is_empty());
+    numbers.try_into().ok().filter(|_| is_whole)
+}
+
+#[test]
+fn versions_are_compared_by_numbers() {
+    assert!(numbers("0.10.0") > numbers("0.9.12") && numbers("1.0.0") > numbers("0.99.99"));
+    assert_eq!(numbers("0.2.0-rc.1"), Some([0, 2, 0]));
+    for wrong in ["", "0.1", "0.1.0.0", "0.1.x", "v0.1.0", "0.01.0", "0.1.0-", "0..1", "0.1.+0", "0.1. 0", "0.x.1.0"] {
+        assert_eq!(numbers(wrong), None, "{wrong}");
+    }
+}
+
+/// A report stays true of the version that made it. To measure again after every change of a number would take hours.
+#[test]
+fn all_blocks_say_which_version_wrote_them() {
+    let current = numbers(env!("CARGO_PKG_VERSION")).expect("the package has a version");
+    for path in reports() {
+        let text = text(&path);
+        let blocks = report::blocks(&text).unwrap_or_else(|fault| panic!("{}", fault.in_file(&path)));
+        assert!(!blocks.is_empty(), "{}: nothing in it is written by a program", path.display());
+        for block in blocks {
+            let stamp = Stamp::read(block.body);
+            let stamp = stamp.unwrap_or_else(|| panic!("{}: block `{}` has no stamp", path.display(), block.name));
+            let place = format!("{}: block `{}`", path.display(), block.name);
+            let version = numbers(&stamp.version).unwrap_or_else(|| panic!("{place}: version `{}`", stamp.version));
+            assert!(
+                version <= current,
+                "{place}: version {} is newer than {}",
+                stamp.version,
+                env!("CARGO_PKG_VERSION")
+            );
+        }
+    }
+}
+
+#[test]
+fn every_report_has_its_program_and_every_program_its_report() {
+    let named: BTreeSet<String> = reports().iter().map(|path| name(path)).collect();
+    assert_eq!(examples(), named, "examples in Cargo.toml, reports in experiments/");
+}
+
+#[test]
+fn every_experiment_that_is_named_exists() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let pages = |folder: PathBuf| -> Vec<PathBuf> {
+        let entries = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+        entries.filter(|path| path.extension().is_some_and(|e| e == "md")).collect()
+    };
+    let pages = [vec![root.join("README.md")], pages(folder()), pages(root.join("docs/src")), pages(root.join("docs"))];
+    let (examples, mut count) = (examples(), 0);
+    for page in pages.concat() {
+        for rest in text(&page).split(COMMAND).skip(1) {
+            let name: String = rest.chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect();
+            // NAME stands for any.
+            if name != "NAME" {
+                assert!(examples.contains(&name), "{}: no example `{name}`", page.display());
+                count += 1;
+            }
+        }
+    }
+    assert!(count >= 2 * examples.len(), "commands are found at all: {count}");
+}
+
+#[test]
+fn the_table_wants_titles_blocks_and_stamps() {
+    let folder = tempfile::tempdir().unwrap();
+    let report = folder.path().join("one.md");
+    let with = |text: &str| {
+        std::fs::write(&report, text).unwrap();
+        index::table(folder.path()).map_err(|e| e.to_string())
+    };
+    let stamp = "*octobayes 0.1.0, 2026-11-22, 2 threads on 2 cores, 1.5 min of time, 2.5 min of processors.*";
+    let block = |name: &str, stamp: &str| {
+        format!("<!-- begin generated: {name} -->\n{stamp}\n<!-- end generated: {name} -->\n")
+    };
+    assert!(with("no title").unwrap_err().contains("line 1"));
+    assert!(with("# Title\n").unwrap_err().contains("blocks that a program writes"));
+    assert!(with(&format!("# Title\n{}", block("a", "a table"))).unwrap_err().contains("block `a`"));
+    let two = format!("# Why?\n{}{}", block("a", stamp), block("b", &stamp.replace("11-22", "11-24")));
+    let expected =
+        "| [one](one.md) | Why? | `cargo run --release --example one` | 3.0 | 5.0 | 2026-11-22 to 2026-11-24 |";
+    assert!(with(&two).unwrap().contains(expected), "minutes add up, dates reach from first to last");
+    let unknown = stamp.replace("1.5 min", "0.0 min").replace("2.5 min", "0.0 min");
+    let unknown = with(&format!("# Why?\n{}", block("a", &unknown))).unwrap();
+    assert!(unknown.contains("| – | – | 2026-11-22 |"), "minutes that nobody kept: {unknown}");
+    let mut head = table::Table::new(&["report", "question", "command", "minutes", "of processors", "date"]);
+    head.row(&expected[2..expected.len() - 2].split(" | ").collect::<Vec<_>>());
+    assert_eq!(with(&two).unwrap(), head.text());
+}

@@ -1,0 +1,297 @@
+//! Long runs survive: killed at random moments and resumed, or split into shards and merged.
+
+#[cfg(unix)]
+use std::os::unix::fs::MetadataExt;
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+use std::time::Duration;
+
+#[cfg(unix)]
+use crate::interrupt::{send, stopped, wait_for};
+use octobayes::estimate::{Checkpoint, Estimation, GridKind, GridSettings, RaySettings};
+use octobayes::field::ClosedForm;
+use octobayes::uncertainty::{UncertaintyField, compare};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+fn command(folder: &Path, args: &str) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_octobayes"));
+    command.args(args.split_whitespace()).current_dir(folder).stdout(Stdio::null()).stderr(Stdio::piped());
+    command
+}
+
+fn run(folder: &Path, args: &str) -> Output {
+    command(folder, args).output().unwrap()
+}
+
+fn good(folder: &Path, args: &str) {
+    let output = run(folder, args);
+    assert!(output.status.success(), "{args}: {}", String::from_utf8_lossy(&output.stderr));
+}
+
+fn folder_with_cameras() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let cameras = ClosedForm::half_circle(6, [64, 64]);
+    let named: Vec<_> = cameras.into_iter().enumerate().map(|(i, camera)| (format!("r_{i}"), camera)).collect();
+    octobayes::dataset::write_transforms(&folder.path().join("transforms.json"), &named).unwrap();
+    folder
+}
+
+const RUN: &str = "uncertainty scene:courtyard --cameras transforms.json --level 6 --rays 40000 --occupancy 40";
+
+/// A run by the library, which saves its state as often as it is asked to.
+fn estimate(folder: &Path, grid: GridKind, every: Option<Duration>, output: &str) {
+    let (scene, cameras) = (ClosedForm::courtyard(), ClosedForm::half_circle(6, [64, 64]));
+    let rays = RaySettings::default().rays(40_000).occupancy(40);
+    let run = Estimation::new(&scene, &cameras).rays(rays).grid(GridSettings::default().grid(grid).level(6));
+    let checkpoint = every.map(|every| Checkpoint::new(folder.join("run.chk")).every(every));
+    let run = checkpoint.iter().cloned().fold(run, Estimation::checkpoint);
+    run.run().unwrap().field.write(&folder.join(output)).unwrap();
+    checkpoint.iter().for_each(|checkpoint| checkpoint.remove(None).unwrap());
+}
+
+/// Where the process of [`worker`] works, and on which grid.
+const WORKPLACE: [&str; 2] = ["OCTOBAYES_TEST_FOLDER", "OCTOBAYES_TEST_GRID"];
+
+/// No test but a process of its own for [`twenty_kills_at_random_moments_change_no_bit`], which kills it.
+#[test]
+#[ignore = "started by another test, which kills it"]
+fn worker() {
+    let [Ok(folder), Ok(grid)] = WORKPLACE.map(std::env::var) else { return };
+    let grid = if grid == "dense" { GridKind::Dense } else { GridKind::Octree };
+    estimate(Path::new(&folder), grid, Some(Duration::ZERO), "parts.oct");
+}
+
+/// `kill -9` gives a process no chance to do anything. Whatever moment it hits, the run can be resumed and ends
+/// with the same bytes.
+#[test]
+#[cfg(unix)]
+fn twenty_kills_at_random_moments_change_no_bit() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    for (grid, name) in [(GridKind::Octree, "octree"), (GridKind::Dense, "dense")] {
+        estimate(folder, grid, None, &format!("whole_{name}.oct"));
+    }
+    // Every state that is saved is another file under the same name.
+    let state = || std::fs::metadata(folder.join("run.chk")).map(|state| state.ino()).ok();
+    let is_part =
+        |entry: std::io::Result<std::fs::DirEntry>| entry.unwrap().path().extension() == Some("part".as_ref());
+    let is_saving = || std::fs::read_dir(folder).unwrap().any(is_part);
+    let mut rng = ChaCha8Rng::seed_from_u64(3);
+    let (mut kills, mut runs, mut resumed) = (0, 0, 0);
+    while kills < 20 || runs < 2 {
+        let grid = ["octree", "dense"][runs % 2];
+        let _ = std::fs::remove_file(folder.join("parts.oct"));
+        resumed += usize::from(folder.join("run.chk").exists());
+        let mut child = Command::new(std::env::current_exe().unwrap())
+            .args(["--exact", "survives::worker", "--include-ignored"])
+            .envs([(WORKPLACE[0], folder.as_os_str()), (WORKPLACE[1], grid.as_ref())])
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        // Most attempts are killed, each after some progress, some of them while they save more.
+        let (mut before, mut saved, mut status) = (state(), 0, None);
+        let (goal, in_the_midst) = (rng.random_range(1..=2), rng.random::<bool>());
+        while (saved < goal || in_the_midst && !is_saving()) && status.is_none() {
+            let now = state();
+            saved += u32::from(now != before);
+            before = now;
+            status = child.try_wait().unwrap();
+            std::thread::yield_now();
+        }
+        if status.is_none() {
+            child.kill().unwrap();
+        }
+        let output = child.wait_with_output().unwrap();
+        if let Some(status) = status {
+            assert!(status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+            let [whole, parts] =
+                [format!("whole_{grid}.oct"), "parts.oct".into()].map(|f| std::fs::read(folder.join(f)).unwrap());
+            assert!(whole == parts, "{grid}: the resumed field has other bytes");
+            assert!(!folder.join("run.chk").exists(), "a finished run removes its checkpoint");
+            runs += 1;
+        } else {
+            kills += 1;
+            // A kill can hit after the field got its name and before the checkpoint is removed. Then the field is
+            // whole.
+            if let Ok(parts) = std::fs::read(folder.join("parts.oct")) {
+                assert!(
+                    parts == std::fs::read(folder.join(format!("whole_{grid}.oct"))).unwrap(),
+                    "a field is whole or absent"
+                );
+            }
+        }
+    }
+    assert!(resumed >= 10, "{resumed} of {kills} attempts found a checkpoint: the test must interrupt real progress");
+}
+
+/// Each group of a run with error bars has its own state, saved when the group is complete. Killed in any group, the
+/// run ends with the same bytes.
+#[test]
+fn groups_of_rays_are_taken_up_where_they_stopped() {
+    let folder = folder_with_cameras();
+    let folder = folder.path();
+    good(folder, &format!("{RUN} --error-bars 4 -o whole.oct"));
+    let args = format!("{RUN} --error-bars 4 -o parts.oct --checkpoint run.chk");
+    let state = |g: usize| folder.join(format!("run.chk.{g}"));
+    // Killed as soon as a group has a state, which is in the next one.
+    for g in 0..3 {
+        let mut child = command(folder, &args).spawn().unwrap();
+        while !state(g).exists() {
+            assert!(child.try_wait().unwrap().is_none(), "the run ended before group {g} did");
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        child.kill().unwrap();
+        child.wait().unwrap();
+    }
+    // A group's state is that of its own rays.
+    let other = run(folder, &args.replace("--error-bars 4", "--error-bars 3"));
+    assert!(other.status.code() == Some(2) && String::from_utf8_lossy(&other.stderr).contains("run.chk.0: run, "));
+    let output = run(folder, &args);
+    let stderr = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.success() && stderr.contains("run.chk holds 30000 of 40000 rays"), "{stderr}");
+    let [whole, parts] = ["whole.oct", "parts.oct"].map(|f| std::fs::read(folder.join(f)).unwrap());
+    assert!(whole == parts, "the resumed field has other bytes");
+    assert!((0..4).all(|g| !state(g).exists()), "a finished run removes its checkpoints");
+}
+
+#[cfg(unix)]
+fn assert_stopped(output: &Output) {
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(130), "{stderr}");
+    assert!(stderr.contains("rays; the same command goes on"), "{stderr}");
+}
+
+/// The bytes of a whole run in eight groups. Stopped after the first of them, it is in the midst of its rays.
+#[cfg(unix)]
+fn whole(folder: &Path) -> Vec<u8> {
+    good(folder, &format!("{RUN} --error-bars 8 -o whole.oct"));
+    std::fs::read(folder.join("whole.oct")).unwrap()
+}
+
+/// SIGTERM is what batch systems send before they kill, SIGHUP what a terminal sends that is closed.
+#[test]
+#[cfg(target_os = "linux")]
+fn a_run_that_is_told_to_end_saves_its_state() {
+    let folder = folder_with_cameras();
+    let folder = folder.path();
+    let whole = whole(folder);
+    let args = format!("{RUN} --error-bars 8 -o parts.oct --checkpoint run.chk");
+    let spawn = |before: &str, args: &str| {
+        // Whoever runs the tests may ignore hangups.
+        let shell = format!("{before} exec env --default-signal=HUP {} {args}", env!("CARGO_BIN_EXE_octobayes"));
+        let shell = if before.is_empty() { shell } else { shell.replace("env --default-signal=HUP ", "") };
+        let mut command = Command::new("sh");
+        command.args(["-c", &shell]).current_dir(folder).stdout(Stdio::null()).stderr(Stdio::piped());
+        command.spawn().unwrap()
+    };
+    let state = |group: usize| folder.join(format!("run.chk.{group}"));
+    for signal in ["-TERM", "-HUP"] {
+        let mut child = spawn("", &args);
+        wait_for(&state(0), &mut child);
+        // A shell that ends and its terminal may both send one.
+        (0..2).for_each(|_| send(signal, &child));
+        assert_stopped(&child.wait_with_output().unwrap());
+        good(folder, &args);
+        assert!(std::fs::read(folder.join("parts.oct")).unwrap() == whole, "{signal}: the field has other bytes");
+    }
+    // `nohup` starts programs with hangups ignored, and they stay so: the run begins with further groups.
+    let mut child = spawn("trap '' HUP;", &args.replace("--rays 40000", "--rays 400000"));
+    wait_for(&state(0), &mut child);
+    send("-HUP", &child);
+    assert_stopped(&stopped(&state(3), child, "-TERM"));
+}
+
+#[test]
+#[cfg(unix)]
+fn ctrl_c_saves_the_state_and_the_same_command_goes_on() {
+    let folder = folder_with_cameras();
+    let folder = folder.path();
+    let whole = whole(folder);
+    let args = format!("{RUN} --error-bars 8 -o parts.oct --checkpoint run.chk");
+    assert_stopped(&stopped(&folder.join("run.chk.0"), command(folder, &args).spawn().unwrap(), "-INT"));
+    // A dry run looks at no checkpoint; with other settings it is not continued.
+    let state = std::fs::read(folder.join("run.chk.0")).unwrap();
+    good(folder, &format!("{args} --seed 5 --dry-run"));
+    for (other, said) in [("--seed 5", "of another run"), ("--resolution 20", "run, cameras")] {
+        let output = run(folder, &format!("{args} {other}"));
+        let stderr = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.code() == Some(2) && stderr.contains(said), "{stderr}");
+    }
+    assert!(std::fs::read(folder.join("run.chk.0")).unwrap() == state, "a refused run changes nothing");
+
+    let output = run(folder, &args);
+    let stderr = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.success() && stderr.contains("of 40000 rays; --restart discards them"), "{stderr}");
+    assert!(std::fs::read(folder.join("parts.oct")).unwrap() == whole, "the resumed field has other bytes");
+    // A restart takes no notice of the state that is there, and removes it in the end.
+    std::fs::write(folder.join("run.chk.0"), state).unwrap();
+    let other = format!("{RUN} --error-bars 8 --seed 5 -o parts.oct --checkpoint run.chk --restart");
+    good(folder, &other);
+    assert!(!folder.join("run.chk.0").exists());
+    good(folder, &format!("{RUN} --error-bars 8 --seed 5 -o whole.oct"));
+    let [whole, parts] = ["whole.oct", "parts.oct"].map(|f| std::fs::read(folder.join(f)).unwrap());
+    assert!(whole == parts, "the run that started over has other bytes");
+}
+
+#[test]
+fn merged_shards_are_the_whole_run() {
+    let folder = folder_with_cameras();
+    let folder = folder.path();
+    for (grid, tolerance) in [("octree", "0"), ("octree", "0.01"), ("dense", "0")] {
+        let settings = format!("{RUN} --keep-sums --grid {grid} --tolerance {tolerance}");
+        good(folder, &format!("{settings} -o whole.oct"));
+        for shard in 0..3 {
+            good(folder, &format!("{settings} --shard {shard}/3 -o part{shard}.oct"));
+        }
+        // In any order, to the last bit.
+        good(folder, "merge part0.oct part1.oct part2.oct -o a.oct");
+        good(folder, "merge part2.oct part0.oct part1.oct -o b.oct");
+        let [a, b] = ["a.oct", "b.oct"].map(|f| std::fs::read(folder.join(f)).unwrap());
+        assert!(a == b, "the order of the parts matters");
+        // And step by step.
+        let output = run(folder, "merge part2.oct part0.oct -o two.oct");
+        let stderr = String::from_utf8(output.stderr).unwrap();
+        let warning = "warning: the run over 40000 rays is not complete: part 1 of 3 (seed 0) missing\n";
+        assert!(output.status.success() && stderr == warning, "{stderr}");
+        let output = Command::new(env!("CARGO_BIN_EXE_octobayes"))
+            .args(["merge", "two.oct", "part1.oct", "-o", "merged.oct", "--json"])
+            .current_dir(folder)
+            .output()
+            .unwrap();
+        assert!(output.status.success() && output.stderr.is_empty(), "nothing is missing");
+        let value: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        assert_eq!(value["missing_shards"], serde_json::json!([]));
+        let [whole, merged] = ["whole.oct", "merged.oct"].map(|f| UncertaintyField::read(&folder.join(f)).unwrap());
+        assert_eq!((whole.protocol().rays, whole.protocol().shard), (merged.protocol().rays, merged.protocol().shard));
+        assert_eq!(whole.draws(), merged.draws());
+        assert_eq!(whole.support(), merged.support());
+        assert_eq!(whole.rays(), merged.rays());
+        for (a, b) in whole.deviations().iter().zip(merged.deviations().iter()) {
+            // At most 40,000 positive terms in another order: n ε relative. Deviations are stored as f32.
+            assert!((a - b).abs() <= f64::from(f32::EPSILON) * a, "{a} and {b}");
+        }
+        let difference = compare(&whole, &merged, 50_000, 0).unwrap();
+        assert!(difference.in_box.unwrap().max <= 1e-6 && difference.on_surfaces.unwrap().max <= 1e-6);
+    }
+    let twice = run(folder, "merge part0.oct part0.oct -o x.oct");
+    let stderr = String::from_utf8(twice.stderr).unwrap();
+    assert!(twice.status.code() == Some(2) && stderr.contains("rays in common"), "{stderr}");
+    let inside = run(folder, "merge two.oct part2.oct -o x.oct");
+    let stderr = String::from_utf8(inside.stderr).unwrap();
+    assert!(inside.status.code() == Some(2) && stderr.contains("rays in common"), "{stderr}");
+    // Shard 1 of 3 and shard 1 of 2 of the same seed have batches in common.
+    good(folder, &format!("{RUN} --keep-sums --grid dense --tolerance 0 --shard 1/2 -o half.oct"));
+    let overlapping = run(folder, "merge part1.oct half.oct -o x.oct");
+    let stderr = String::from_utf8(overlapping.stderr).unwrap();
+    assert!(overlapping.status.code() == Some(2) && stderr.contains("rays in common"), "{stderr}");
+    let ball = RUN.replace("courtyard", "ball");
+    good(folder, &format!("{ball} --keep-sums --grid dense --tolerance 0 --seed 8 -o ball.oct"));
+    let stderr = String::from_utf8(run(folder, "merge part0.oct ball.oct -o x.oct").stderr).unwrap();
+    assert!(stderr.contains("model and cameras of ball.oct: expected "), "{stderr}");
+    good(folder, &format!("{RUN} --keep-sums --grid dense --tolerance 0 --seed 9 --lambda 1e-3 -o other.oct"));
+    let unlike = run(folder, "merge part0.oct other.oct -o x.oct");
+    let stderr = String::from_utf8(unlike.stderr).unwrap();
+    assert!(unlike.status.code() == Some(2) && stderr.contains("lambda of other.oct: expected "), "{stderr}");
+}
