@@ -454,7 +454,8 @@ fn the_table_of_errors_is_true() {
 fn every_faulty_file_has_its_row() {
     let desk = Desk::new();
     let rows = rows();
-    let text: String = rows.iter().map(|row| row.command.as_str()).collect::<Vec<_>>().join(" ");
+    // The command names the file, or the message does where another file led to it.
+    let text: String = rows.iter().map(|row| format!("{} {} ", row.command, row.message)).collect();
     // What the commands need besides the fault.
     let good = [
         "bare.oct",
