@@ -15,9 +15,10 @@ use crate::session::{CameraSource, Resolution, TrainingCameras};
 /// A camera file.
 #[derive(Args)]
 pub struct CameraFile {
-    /// transforms.json with intrinsics and camera-to-world poses (OpenGL axes), or a COLMAP model: its folder
-    /// (cameras and images, .bin or .txt) or the folder with sparse/0; or a folder with transforms.json or
-    /// transforms_test.json
+    /// Camera file: transforms.json, or a COLMAP model (or the folder of either)
+    ///
+    /// transforms.json has intrinsics and camera-to-world poses with OpenGL axes. A COLMAP model is the folder of
+    /// cameras and images, .bin or .txt, or one above that has sparse/0. In a folder, transforms_test.json comes first.
     #[arg(long, value_name = "PATH", help_heading = heading::INPUT)]
     pub cameras: PathBuf,
 
@@ -36,10 +37,12 @@ pub struct CameraFile {
 /// Which frames of a camera file to use.
 #[derive(Args)]
 pub struct FrameOptions {
-    /// Frames of the camera file: how many, spread over its order; or their numbers in the file from 0, as in `render
-    /// --frame`, such as 0,7,31 (`7,` for one); or `all`. Frames without an image are left out, unless there are no
-    /// images at all. If the file does not list its training frames, every eighth frame with an image is held out, as
-    /// in `train` [default: all training frames; in `evaluate`, all held-out frames]
+    /// Use these frames of the camera file: N frames spread evenly, or a list such as 0,7,31 (`7,` is one frame), or
+    /// `all` [default: the training frames; in `evaluate`, the held-out frames]
+    ///
+    /// Frames are numbered from 0 in the order of the file, as in `render --frame`. Frames without an image are left
+    /// out, unless no frame has one. If the file does not list its training frames, every eighth frame with an image
+    /// is held out, as in `train`.
     #[arg(
         long,
         value_name = "N|I,J,...|all",
@@ -66,9 +69,11 @@ impl CameraFile {
 /// A camera file, or the cameras that come with the model.
 #[derive(Args)]
 pub struct CameraOptions {
-    /// transforms.json with intrinsics and camera-to-world poses (OpenGL axes), or a COLMAP model: its folder
-    /// (cameras and images, .bin or .txt) or the folder with sparse/0; or a folder with transforms.json or
-    /// transforms_train.json; or the cameras.json of Gaussian splatting [default: the model's own cameras, if any]
+    /// Training cameras: transforms.json, a COLMAP model (or the folder of either), or the cameras.json of Gaussian
+    /// splatting [default: the cameras that the model stores]
+    ///
+    /// transforms.json has intrinsics and camera-to-world poses with OpenGL axes. A COLMAP model is the folder of
+    /// cameras and images, .bin or .txt, or one above that has sparse/0. In a folder, transforms_train.json will do.
     #[arg(long, value_name = "PATH", help_heading = heading::INPUT)]
     pub cameras: Option<PathBuf>,
 

@@ -34,8 +34,8 @@ impl ValueEnum for Covariance {
 /// The part of space that a field covers.
 #[derive(Args)]
 pub struct DomainOptions {
-    /// Box of the field: x0,y0,z0,x1,y1,z1 in scene units [default: the space that the model covers, which may be
-    /// contracted; of splats, what the cameras see of them]
+    /// The box that the field covers: x0,y0,z0,x1,y1,z1 in scene units [default: the model's own, or the space in which
+    /// the cameras see splats]
     #[arg(
         long = "box",
         value_name = "BOX",
@@ -71,7 +71,7 @@ impl DomainOptions {
 /// How information becomes a field.
 #[derive(Args)]
 pub struct GridOptions {
-    /// Finest level, 1 to 16: 2^level cells per axis
+    /// Finest level L, 1 to 16: up to 2^L cells per axis. 6 is a quick look, 8 the paper's grid, 6 or 7 suit splats
     #[arg(
         long,
         default_value_t = GridSettings::default().level,
@@ -84,7 +84,8 @@ pub struct GridOptions {
     #[arg(long, value_enum, default_value_t, help_heading = heading::GRID, hide_short_help = true)]
     pub grid: GridKind,
 
-    /// Scalar read off the 3x3 matrices
+    /// How a vertex's 3x3 matrix H becomes one number: the paper's sum of 1/H_kk (diagonal), the official code's
+    /// 1/tr H (trace), or tr H^-1, which does not depend on the axes (block)
     #[arg(long, value_enum, default_value_t, help_heading = heading::STATISTICS)]
     pub covariance: Covariance,
 

@@ -45,8 +45,9 @@ pub struct Args {
     #[command(flatten)]
     frames: FrameOptions,
 
-    /// Colour behind the scene: white, black or r,g,b in [0, 1]. It enters the derivatives through the final
-    /// transmittance of rays, so use what the model was trained with
+    /// Background colour of the training: white, black or r,g,b in [0, 1]
+    ///
+    /// It enters the derivatives wherever a ray passes the scene without becoming opaque.
     #[arg(
         long,
         value_name = "COLOR",
@@ -71,7 +72,7 @@ pub struct Args {
     #[command(flatten)]
     domain: DomainOptions,
 
-    /// Most memory for the whole process, e.g. 2GiB; cells with the fewest rays stay coarse first
+    /// Memory limit of the whole process, e.g. 2GiB; cells with the fewest rays stay coarse first
     #[arg(long, value_name = "SIZE", value_parser = parse_bytes, help_heading = heading::GRID)]
     memory: Option<u64>,
 
@@ -104,8 +105,8 @@ pub struct Args {
     #[command(flatten)]
     grid: GridOptions,
 
-    /// Rays to draw, such as 400k or 1M, or `all` for every training pixel once; the default is the paper's. With
-    /// --target-error the most
+    /// Number of training rays, such as 400k or 1M, or `all` for every training pixel once; 4096000 is the paper's.
+    /// Time is proportional to it
     #[arg(
         long,
         value_name = "N",
@@ -115,7 +116,7 @@ pub struct Args {
     )]
     rays: RayCount,
 
-    /// Draw rays until the estimated mean error of log10 U is within this, at most --rays
+    /// Draw rays until the estimated mean error of log10 U falls below this, or --rays are drawn
     ///
     /// Doubles the rays, from 65536, until two halves of them agree. Most scenes need tens of millions for 0.05.
     #[arg(
@@ -127,7 +128,8 @@ pub struct Args {
     )]
     target_error: Option<f64>,
 
-    /// Where the field's derivatives come from
+    /// How the model is differentiated: by differences of its outputs, or faster by its own derivatives, if it has
+    /// them (analytic)
     #[arg(long, value_enum, default_value_t, help_heading = heading::RAYS)]
     gradient: GradientMethod,
 
@@ -147,8 +149,8 @@ pub struct Args {
     )]
     shard: Option<[u64; 2]>,
 
-    /// Compare the model with its training images in this folder, and add the photometric residual to deviations of
-    /// depth
+    /// Compare the model with its training images in this folder; deviations of depth then include the photometric
+    /// residual
     ///
     /// The names of the training images start from DIR: it is the data set that the model was trained on, or the
     /// folder of the camera file. They have the size of the cameras' pictures. Their residuals are kept at the points
@@ -185,7 +187,7 @@ pub struct Args {
     #[arg(short, long, value_name = "FIELD.oct", required_unless_present = "dry_run", help_heading = heading::OUTPUT)]
     output: Option<PathBuf>,
 
-    /// Print how much memory, time and disk the run will take, by a pilot of a few thousand rays, and write nothing
+    /// Predict time, memory and disk space from a few thousand rays, and write nothing
     #[arg(long, conflicts_with = "dump_samples", help_heading = heading::OUTPUT)]
     dry_run: bool,
 
