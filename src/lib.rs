@@ -101,7 +101,7 @@
 //!   present.
 //! - No generic scalar. Fields compute in f32, because they are trained in it. Geometry and sums are f64, because
 //!   squares between 1e-12 and 1e6 are added millions of times. Deviations are stored as f32, which moves log10 U
-//!   by 3e-8 (or as 16-bit logarithms, by a stated amount).
+//!   by 3e-8.
 //! - No unsafe code.
 
 // Both macros panic if the stream cannot be written: `say!` and `announce!` of the command line do not.

@@ -293,8 +293,8 @@ fn contents_that_no_run_writes_are_refused() {
         (Kind::Field, 6, 10, &|errors| errors[3] = 0x80, "errors"),
         (Kind::Field, 6, 10, &|errors| errors[..2].copy_from_slice(&[1, 0]), "errors"),
         // Residuals that are not finite, and of a vertex that is not there.
-        (Kind::Field, 9, 12, &|misfit| misfit[..4].fill(0xff), "misfit"),
-        (Kind::Field, 9, 12, &|misfit| misfit.truncate(4), "misfit"),
+        (Kind::Field, 9, 12, &|residuals| residuals[..4].fill(0xff), "residuals"),
+        (Kind::Field, 9, 12, &|residuals| residuals.truncate(4), "residuals"),
         // A run with something behind it.
         (Kind::Checkpoint, 0, 1, &|run| run.push(0), "`run`"),
         // Keys of vertices: so coarse that a shift by their levels overflows, then coarse and outside.

@@ -1,4 +1,4 @@
-//! One variance for displacements and misfit: σ² = a² Var + s² + (c · misfit)², with constants of other scenes.
+//! One variance for displacements and residuals: σ² = a² Var + s² + (c · residuals)², with constants of other scenes.
 
 use octobayes::metrics::{Calibration, ErrorDensity, ErrorKind, sparsification};
 
@@ -20,8 +20,8 @@ pub struct Joint {
 
 impl Joint {
     fn variance(self, pixel: &Kept) -> f64 {
-        let [posterior, weights, misfit] = [pixel.posterior, pixel.weights, pixel.misfit].map(f64::from);
-        self.factor * posterior + weights + (self.length * misfit).powi(2)
+        let [posterior, weights, residuals] = [pixel.posterior, pixel.weights, pixel.residuals].map(f64::from);
+        self.factor * posterior + weights + (self.length * residuals).powi(2)
     }
 
     /// How well the kept pixels of a model are calibrated by these constants. `truth` is the variance of the depth maps

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use octobayes::estimate::{Estimation, GridSettings, RaySettings};
 use octobayes::evaluate::{
-    Baseline, DepthError, EvaluatedView, Evaluator, Measure, Reading, TrainingViews, TrueView, measure_misfit,
+    Baseline, DepthError, EvaluatedView, Evaluator, Measure, Reading, TrainingViews, TrueView, measure_residuals,
 };
 use octobayes::field::RadianceField;
 use octobayes::geometry::Domain;
@@ -12,7 +12,7 @@ use octobayes::metrics::{Calibration, Detection, ErrorDensity, ErrorKind, PROBAB
 use octobayes::monitor::Silent;
 use octobayes::posterior::{Covariance, DataScale, Scale};
 use octobayes::render::{GradientMethod, RayAverage};
-use octobayes::uncertainty::{Misfit, UncertaintyField};
+use octobayes::uncertainty::{Residuals, UncertaintyField};
 use octobayes::{Error, Result};
 use serde::{Deserialize, Serialize};
 
@@ -32,8 +32,12 @@ pub const STRIDE: u32 = 2;
 const KEPT: usize = 4000;
 
 /// Baselines that are not the evaluator's, in the manner of what they are called after.
-const BESIDE: [&str; 4] =
-    ["warped depth (WarpRF)", "warped colour (WarpRF)", "residual regression (PRIMU)", "misfit of the training images"];
+const BESIDE: [&str; 4] = [
+    "warped depth (WarpRF)",
+    "warped colour (WarpRF)",
+    "residual regression (PRIMU)",
+    "residuals of the training images",
+];
 
 /// What is known of a pixel.
 #[derive(Clone, Copy, Serialize, Deserialize)]
@@ -44,7 +48,7 @@ pub struct Kept {
     pub weights: f32,
     pub posterior: f32,
     /// Residual of training images there, colours from 0 to 1.
-    pub misfit: f32,
+    pub residuals: f32,
 }
 
 /// How well a measure ranks errors, and tells what was never seen.
@@ -137,12 +141,17 @@ pub fn uncertainties(
 }
 
 /// Residuals of training images at the expected depths of a view's pixels.
-pub fn misfits(evaluator: &Evaluator, misfit: &Misfit, truth: &TrueView, view: &EvaluatedView) -> Vec<f64> {
+pub fn pixel_residuals(
+    evaluator: &Evaluator,
+    residuals: &Residuals,
+    truth: &TrueView,
+    view: &EvaluatedView,
+) -> Vec<f64> {
     let width = truth.camera.resolution[0] as usize;
     let at = |&i: &usize| {
         let [x, y] = [i % width, i / width].map(|n| n as f64 + truth.pixel_offset);
         let x = truth.camera.ray(x, y).at(view.rendered.pixels[i].expected_depth);
-        misfit.at(evaluator.tracer.marcher.bounds.clamp(x.as_vec3()))
+        residuals.at(evaluator.tracer.marcher.bounds.clamp(x.as_vec3()))
     };
     view.pixels.iter().map(at).collect()
 }
@@ -177,13 +186,13 @@ pub fn judge(
     let tracer = settings.tracer(field, 0.0, &Silent)?;
     let cameras = data.strided_cameras(pixel_offset);
     let training = TrainingViews::render(&tracer, &cameras, pixel_offset, &Silent)?;
-    let images = data.for_misfit(pixel_offset).into_iter().map(Ok);
-    let misfit = measure_misfit(&tracer, images, fields[0].lattice(), &Silent)?;
+    let images = data.for_residuals(pixel_offset).into_iter().map(Ok);
+    let residuals = measure_residuals(&tracer, images, fields[0].lattice(), &Silent)?;
     let edge = DataScale::longest_edge(fields[0].lattice().domain());
     let warp = Warp::render(&tracer, &cameras, pixel_offset)?;
     let readings = readings(fields)?;
     let mut evaluator = Evaluator { training: Some(&training), ..Evaluator::new(tracer, &readings) };
-    let regression = Regression::fit(&evaluator, &misfit, &data.for_regression(pixel_offset))?;
+    let regression = Regression::fit(&evaluator, &residuals, &data.for_regression(pixel_offset))?;
     evaluator.differentiation = Some(differentiation);
     if !others.is_empty() {
         let members = others.iter().map(|other| &other.field as &dyn RadianceField).chain([field]);
@@ -207,9 +216,9 @@ pub fn judge(
             beside[0].1.push(warped.depth);
             beside[1].1.push(warped.color);
         }
-        let misfits = misfits(&evaluator, &misfit, &truth, &view);
-        beside[2].1.extend(regression.of(&evaluator, &view, &misfits));
-        beside[3].1.extend(misfits);
+        let pixel_residuals = pixel_residuals(&evaluator, &residuals, &truth, &view);
+        beside[2].1.extend(regression.of(&evaluator, &view, &pixel_residuals));
+        beside[3].1.extend(pixel_residuals);
         if let Some(parameters) = parameters {
             for ((_, all), values) in beside[BESIDE.len()..].iter_mut().zip(parameters.of(&truth, &view)) {
                 all.extend(values);
@@ -240,7 +249,7 @@ fn row(
         pooled(index(Measure::Baseline(Baseline::RayVariance))?).iter().map(|v| v + least).collect();
     let deviation = pooled(index(Measure::DepthDeviation(0))?);
     let posterior: Vec<f64> = deviation.iter().zip(&weights).map(|(d, w)| (d * d - w).max(0.0)).collect();
-    let misfit = beside[BESIDE.len() - 1].1.clone();
+    let residuals = beside[BESIDE.len() - 1].1.clone();
     let named = measures.iter().map(|&measure| evaluator.name(measure)).zip((0..).map(pooled));
     let mut all: Vec<(String, Vec<f64>)> = named.take(measures.len()).collect();
     all.extend(beside);
@@ -252,7 +261,7 @@ fn row(
         error: errors[i] as f32,
         weights: weights[i] as f32,
         posterior: posterior[i] as f32,
-        misfit: misfit[i] as f32,
+        residuals: residuals[i] as f32,
     };
     let calibration = |variances: &mut dyn Iterator<Item = f64>| {
         Calibration::new(&errors, &variances.map(|v| (v + truth).sqrt()).collect::<Vec<_>>())

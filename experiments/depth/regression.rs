@@ -6,11 +6,11 @@ use glam::DVec3;
 use octobayes::Result;
 use octobayes::evaluate::{Baseline, EvaluatedView, Evaluator, Measure, TrueView};
 use octobayes::monitor::Silent;
-use octobayes::uncertainty::Misfit;
+use octobayes::uncertainty::Residuals;
 
-use crate::judge::misfits;
+use crate::judge::pixel_residuals;
 
-/// What residuals are explained by, with the misfit; the angle to a training view is 0 on training views, and explains
+/// What residuals are explained by, with the residuals; the angle to a training view is 0 on training views, and explains
 /// nothing there.
 const FEATURES: [Baseline; 6] = [
     Baseline::RayVariance,
@@ -35,11 +35,11 @@ pub struct Regression {
 
 impl Regression {
     /// Fits residuals of these training images.
-    pub fn fit(evaluator: &Evaluator, misfit: &Misfit, images: &[TrueView]) -> Result<Self> {
+    pub fn fit(evaluator: &Evaluator, shown: &Residuals, images: &[TrueView]) -> Result<Self> {
         let (mut rows, mut residuals) = (Vec::new(), Vec::new());
         for image in images {
             let view = evaluator.evaluate(image, 0, &Silent)?;
-            rows.extend(features(evaluator, &view, &misfits(evaluator, misfit, image, &view)));
+            rows.extend(features(evaluator, &view, &pixel_residuals(evaluator, shown, image, &view)));
             let residual = |&i: &usize| color_error(view.rendered.pixels[i].color, image.colors[i]);
             residuals.extend(view.pixels.iter().map(residual));
         }
@@ -76,9 +76,9 @@ impl Regression {
     }
 
     /// The residual that is expected at each pixel of a view.
-    pub fn of(&self, evaluator: &Evaluator, view: &EvaluatedView, misfits: &[f64]) -> Vec<f64> {
+    pub fn of(&self, evaluator: &Evaluator, view: &EvaluatedView, pixel_residuals: &[f64]) -> Vec<f64> {
         let expected = |row: [f64; WIDTH]| self.standard(&row).iter().zip(self.coefficients).map(|(x, c)| x * c).sum();
-        features(evaluator, view, misfits).map(expected).collect()
+        features(evaluator, view, pixel_residuals).map(expected).collect()
     }
 }
 
@@ -90,15 +90,15 @@ fn color_error(found: DVec3, truth: DVec3) -> f64 {
 fn features<'a>(
     evaluator: &Evaluator,
     view: &'a EvaluatedView,
-    misfits: &'a [f64],
+    pixel_residuals: &'a [f64],
 ) -> impl Iterator<Item = [f64; WIDTH]> + 'a {
     let measures = evaluator.measures();
     let index = |baseline| measures.iter().position(|found| *found == Measure::Baseline(baseline));
     let indices = FEATURES.map(|baseline| index(baseline).expect("a measure of the evaluator"));
     let log10 = |value: f64| value.max(1e-12).log10();
-    misfits.iter().enumerate().map(move |(i, &misfit)| {
+    pixel_residuals.iter().enumerate().map(move |(i, &residuals)| {
         std::array::from_fn(|k| {
-            let Some(&m) = indices.get(k) else { return if k == FEATURES.len() { log10(misfit) } else { 1.0 } };
+            let Some(&m) = indices.get(k) else { return if k == FEATURES.len() { log10(residuals) } else { 1.0 } };
             let value = view.measures[m][i];
             match FEATURES[k] {
                 Baseline::RayVariance => log10(value),

@@ -27,8 +27,8 @@ const VIEWS: u32 = 40;
 pub const TEST_VIEWS: u32 = 20;
 /// Pixels of training images by which their noise is measured, about.
 const PIXELS: usize = 20_000;
-/// Every so many pixels of the training images count for the misfit, along x and y.
-const MISFIT_STRIDE: u32 = 2;
+/// Every so many pixels of the training images count for the residuals, along x and y.
+const RESIDUAL_STRIDE: u32 = 2;
 /// Every so many pixels of the training images count for the regression, along x and y.
 const REGRESSION_STRIDE: u32 = 4;
 /// Distance between the values of lego's depth maps, scene units.
@@ -203,9 +203,9 @@ impl Data {
         self.cameras.iter().map(|camera| camera.strided(self.stride, pixel_offset)).collect()
     }
 
-    /// The training images, as the misfit looks at them.
-    pub fn for_misfit(&self, pixel_offset: f64) -> Vec<TrueView> {
-        self.images(pixel_offset, MISFIT_STRIDE, None)
+    /// The training images, as the residuals looks at them.
+    pub fn for_residuals(&self, pixel_offset: f64) -> Vec<TrueView> {
+        self.images(pixel_offset, RESIDUAL_STRIDE, None)
     }
 
     /// The training images, as a regression looks at them: every pixel has a depth, which means nothing.

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use octobayes::metrics::{ErrorDensity, PROBABILITIES};
-use octobayes::uncertainty::Misfit;
+use octobayes::uncertainty::Residuals;
 
 use crate::common::table::{Table, deviation, mean, spread};
 use crate::joint::{Fit, Joint};
@@ -199,7 +199,7 @@ pub fn joint(scenes: &[Scene], rows: &[Vec<Row>]) -> String {
     let mut cells = vec!["all".to_owned(), String::new(), String::new()];
     cells.extend(numbers(&means));
     table.row(&cells);
-    format!("### With the misfit of the training images\n\n{}", table.text())
+    format!("### With the residuals of the training images\n\n{}", table.text())
 }
 
 /// Values of c that are tried, as shares of the longest edge of the field's box.
@@ -223,7 +223,7 @@ pub fn lengths(of: &str, rows: &[Vec<Row>], truth: f64) -> String {
         let column = |k: usize| -> Vec<f64> {
             scenes.iter().map(|rows| mean(&rows.iter().map(|row| row[k]).collect::<Vec<_>>())).collect()
         };
-        let default = if (share - Misfit::LENGTH_SHARE).abs() < 1e-9 { " (`--images`)" } else { "" };
+        let default = if (share - Residuals::LENGTH_SHARE).abs() < 1e-9 { " (`--images`)" } else { "" };
         let mut cells = vec![if over == 0 { "0".into() } else { format!("{over}/{under}{default}") }];
         cells.extend((0..4).map(|k| {
             let found = column(k);
@@ -235,7 +235,7 @@ pub fn lengths(of: &str, rows: &[Vec<Row>], truth: f64) -> String {
     }
     let edges: Vec<f64> = rows.iter().flatten().map(|row| row.edge).collect();
     let edges = format!("Longest edge of the boxes: {:.2} scene units.", mean(&edges));
-    format!("### By the weight of the misfit{of}\n\n{edges}\n\n{}", table.text())
+    format!("### By the weight of the residuals{of}\n\n{edges}\n\n{}", table.text())
 }
 
 fn numbers(row: &[f64; 7]) -> impl Iterator<Item = String> {

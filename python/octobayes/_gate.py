@@ -114,12 +114,12 @@ class Gate:
 
         A channel that was clamped has no derivative there, like the differences of clamped colours.
         """
-        density, color, slope, tint = _parts("the result of nerf.derivatives", self._derivatives(x, d), 4)
+        density, color, slope, color_gradient = _parts("the result of nerf.derivatives", self._derivatives(x, d), 4)
         n, of = len(x), "result of nerf.derivatives"
         density = _density(f"density, the first {of}", density, n)
         color, is_clamped = self._color(f"color, the second {of}", color, n)
         slope = floats(f"d_density, the third {of}", slope, (n, 3), finite=False)
-        tint = floats(f"d_color, the fourth {of}", tint, (n, 3, 3), finite=False)
+        color_gradient = floats(f"d_color, the fourth {of}", color_gradient, (n, 3, 3), finite=False)
         if is_clamped is not None:
-            tint = np.where(is_clamped[:, :, None], np.float32(0), tint)
-        return density, color, slope, tint
+            color_gradient = np.where(is_clamped[:, :, None], np.float32(0), color_gradient)
+        return density, color, slope, color_gradient

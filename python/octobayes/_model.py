@@ -42,8 +42,8 @@ class Model:
 
         Raises ValueError if the model does not differentiate itself (:attr:`is_differentiable`).
         """
-        density, color, slope, tint = self._model.derivatives(*self._asked(x, d))
-        return density, color, slope, tint.reshape(-1, 3, 3)
+        density, color, slope, color_gradient = self._model.derivatives(*self._asked(x, d))
+        return density, color, slope, color_gradient.reshape(-1, 3, 3)
 
     @staticmethod
     def _asked(x: ArrayLike, d: ArrayLike) -> tuple[Floats, Floats]:

@@ -7,7 +7,7 @@ use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2};
 use octobayes::geometry::Domain;
 use octobayes::posterior::Covariance;
 use octobayes::session::{Finished, Threshold, described};
-use octobayes::uncertainty::{Knowledge, OfficialGrid, UncertaintyField};
+use octobayes::uncertainty::{Observability, OfficialGrid, UncertaintyField};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -101,8 +101,8 @@ impl Uncertainty {
         let Some(visits) = self.field.visits() else { return Ok(None) };
         let (names, counts) = without_python(py, || {
             let found = self.field.query_all(&x);
-            let knowledge = x.iter().zip(&found).map(|(&x, found)| self.field.knowledge(x, found.uncertainty));
-            let names: Vec<&str> = knowledge.map(|seen| seen.map_or("", Knowledge::name)).collect();
+            let observability = x.iter().zip(&found).map(|(&x, found)| self.field.observability(x, found.uncertainty));
+            let names: Vec<&str> = observability.map(|seen| seen.map_or("", Observability::name)).collect();
             let counts: Vec<u32> = x.iter().map(|&x| visits.at(x).unwrap_or(0)).collect();
             (names, counts)
         })?;

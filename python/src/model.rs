@@ -134,23 +134,23 @@ impl Model {
         });
         let (field, x, d) = (field.or_raise()?, triples(&x)?, triples(&d)?);
         let (mut density, mut color) = (vec![0.0; x.len()], vec![[0.0; 3]; x.len()]);
-        let (mut slope, mut tint) = (vec![[0.0; 3]; x.len()], vec![[0.0; 9]; x.len()]);
+        let (mut slope, mut color_gradient) = (vec![[0.0; 3]; x.len()], vec![[0.0; 9]; x.len()]);
         without_python(py, || {
             let parts = x.par_chunks(CHUNK).zip(d.par_chunks(CHUNK));
             let values = density.par_chunks_mut(CHUNK).zip(color.par_chunks_mut(CHUNK));
-            let slopes = slope.par_chunks_mut(CHUNK).zip(tint.par_chunks_mut(CHUNK));
-            parts.zip(values.zip(slopes)).for_each(|((x, d), ((density, color), (slope, tint)))| {
+            let slopes = slope.par_chunks_mut(CHUNK).zip(color_gradient.par_chunks_mut(CHUNK));
+            parts.zip(values.zip(slopes)).for_each(|((x, d), ((density, color), (slope, color_gradient)))| {
                 let mut jets = vec![RadianceJet::default(); x.len()];
                 field.jets(&vectors(x), &vectors(d), &mut jets);
                 for (i, jet) in jets.iter().enumerate() {
                     (density[i], color[i]) = (jet.value.density, jet.value.color.to_array());
                     slope[i] = jet.density_gradient.to_array();
                     // A jet has one colour for each axis; Python's rows are channels.
-                    tint[i] = std::array::from_fn(|k| jet.color_gradients[k % 3][k / 3]);
+                    color_gradient[i] = std::array::from_fn(|k| jet.color_gradients[k % 3][k / 3]);
                 }
             });
         })?;
-        Ok((PyArray1::from_vec(py, density), rows(py, color)?, rows(py, slope)?, rows(py, tint)?))
+        Ok((PyArray1::from_vec(py, density), rows(py, color)?, rows(py, slope)?, rows(py, color_gradient)?))
     }
 
     /// Rows of numbers of the model's cameras, `[cameras, 26]`; `None` if it has none. `fov` in degrees.

@@ -379,13 +379,14 @@ impl RadianceField for PythonField<'_> {
 
 impl Differentiable for PythonField<'_> {
     fn jets(&self, positions: &[Vec3], directions: &[Vec3], out: &mut [RadianceJet]) {
-        self.ask(Kind::Derivatives, positions, directions, |from, [density, color, slope, tint]| {
+        self.ask(Kind::Derivatives, positions, directions, |from, [density, color, slope, color_gradient]| {
             let values = density.par_iter().zip(color.as_chunks::<3>().0);
-            let slopes = slope.as_chunks::<3>().0.par_iter().zip(tint.as_chunks::<9>().0);
+            let slopes = slope.as_chunks::<3>().0.par_iter().zip(color_gradient.as_chunks::<9>().0);
             let jets = out[from..].par_iter_mut().zip(values.zip(slopes)).with_min_len(COPIED);
-            jets.for_each(|(out, ((density, color), (slope, tint)))| {
+            jets.for_each(|(out, ((density, color), (slope, color_gradient)))| {
                 // Python's rows are channels; a jet has one colour for each axis.
-                let gradient = |axis: usize| Vec3::new(tint[axis], tint[3 + axis], tint[6 + axis]);
+                let gradient =
+                    |axis: usize| Vec3::new(color_gradient[axis], color_gradient[3 + axis], color_gradient[6 + axis]);
                 *out = RadianceJet {
                     value: Radiance { density: *density, color: Vec3::from_array(*color) },
                     density_gradient: Vec3::from_array(*slope),

@@ -23,9 +23,9 @@ def derivatives_of_blob(x, d):
     r = np.linalg.norm(x, axis=1, keepdims=True)
     e = np.exp(40 * (r - 0.5))
     slope = -40 * 40 * e / (1 + e) ** 2 * x / r
-    tint = np.zeros((len(x), 3, 3))
-    tint[:, range(3), range(3)] = 2 * np.cos(5 * x + d)
-    return slope, tint
+    color_gradient = np.zeros((len(x), 3, 3))
+    color_gradient[:, range(3), range(3)] = 2 * np.cos(5 * x + d)
+    return slope, color_gradient
 
 
 def torch_blob():
@@ -64,12 +64,12 @@ numpy_blob.step = 1 / 64
 def test_values_and_derivatives_are_those_of_the_function(made, points):
     _, f = made
     d = np.tile(np.float32([0.6, 0.0, 0.8]), (len(points), 1))
-    density, _, slope, tint = (np.asarray(part) for part in f.derivatives(points, d))
-    assert density.reshape(-1).shape == (1000,) and slope.shape == (1000, 3) and tint.shape == (1000, 3, 3)
+    density, _, slope, color_gradient = (np.asarray(part) for part in f.derivatives(points, d))
+    assert density.reshape(-1).shape == (1000,) and slope.shape == (1000, 3) and color_gradient.shape == (1000, 3, 3)
     own_slope, own_tint = derivatives_of_blob(points.astype(np.float64), d)
     # exp in f32 of arguments up to 50 is off by 50 * 2^-24 = 3e-6, relative.
     np.testing.assert_allclose(slope, own_slope, rtol=1e-4, atol=1e-3)
-    np.testing.assert_allclose(tint, own_tint, atol=2e-5)
+    np.testing.assert_allclose(color_gradient, own_tint, atol=2e-5)
     for value, own in zip(f(points, d), blob(np, points, d)):
         np.testing.assert_allclose(np.asarray(value).reshape(own.shape), own, rtol=1e-4, atol=1e-5)
 

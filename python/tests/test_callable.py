@@ -51,9 +51,9 @@ class Differentiable(Nerf):
     """The same, with derivatives of its own."""
 
     def derivatives(self, x, d):
-        (density, slope), (color, tint) = ball(x), waves(x, self.amplitude)
-        changed = self.change(density, color, slope, tint)
-        return changed if len(changed) == 4 else (*changed, slope, tint)
+        (density, slope), (color, color_gradient) = ball(x), waves(x, self.amplitude)
+        changed = self.change(density, color, slope, color_gradient)
+        return changed if len(changed) == 4 else (*changed, slope, color_gradient)
 
 
 JOBS = {
@@ -142,8 +142,8 @@ def clamped(density, color, *derivatives):
     """As a careful user returns it."""
     if not derivatives:
         return density, color.clip(0, 1)
-    slope, tint = derivatives
-    return density, color.clip(0, 1), slope, np.where(((color < 0) | (color > 1))[:, :, None], 0, tint)
+    slope, color_gradient = derivatives
+    return density, color.clip(0, 1), slope, np.where(((color < 0) | (color > 1))[:, :, None], 0, color_gradient)
 
 
 @pytest.mark.parametrize("gradient", ["finite-difference", "forward-difference", "analytic"])

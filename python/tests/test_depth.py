@@ -59,7 +59,7 @@ def images(courtyard, cameras, tmp_path_factory) -> list[Path]:
 
 
 def check_what_was_added(nerf, camera, without, joined) -> np.ndarray:
-    """The misfit's share of the deviations, which are returned."""
+    """The residuals's share of the deviations, which are returned."""
     before, after = (
         ob.render(nerf, u, camera, depth_error=True, progress=False)["depth_error"] for u in (without, joined)
     )

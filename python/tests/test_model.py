@@ -33,8 +33,8 @@ def test_derivatives_are_those_of_the_values(points, tmp_path):
     assert model.is_differentiable
     x = points[np.linalg.norm(points, axis=1) < 0.4]
     d = np.tile(np.float32([0, 0, 1]), (len(x), 1))
-    density, color, slope, tint = model.derivatives(x, d)
-    assert slope.shape == (len(x), 3) and tint.shape == (len(x), 3, 3)
+    density, color, slope, color_gradient = model.derivatives(x, d)
+    assert slope.shape == (len(x), 3) and color_gradient.shape == (len(x), 3, 3)
     own_density, own_color = model(x, d)
     np.testing.assert_allclose(density, own_density, rtol=1e-6)
     np.testing.assert_allclose(color, own_color, rtol=1e-6)
@@ -46,7 +46,7 @@ def test_derivatives_are_those_of_the_values(points, tmp_path):
         near = abs(((x[:, axis] + 1) / 2 * 23 + 0.5) % 1 - 0.5) < 2 * h * 23 / 2
         # f32 densities up to 40 are rounded by 2e-6, and divided by 2 h.
         np.testing.assert_allclose(((up - down) / (2 * h))[~near], slope[~near, axis], atol=0.02)
-        np.testing.assert_allclose(((c_up - c_down) / (2 * h))[~near], tint[~near][:, :, axis], atol=1e-3)
+        np.testing.assert_allclose(((c_up - c_down) / (2 * h))[~near], color_gradient[~near][:, :, axis], atol=1e-3)
 
 
 def test_a_scene_without_derivatives_says_so(courtyard, points):

@@ -127,13 +127,13 @@ def test_derivatives_are_differences(run):
     rng = np.random.default_rng(0)
     x = rng.uniform(-0.9, 0.9, (200, 3)).astype(np.float32) * (3 if kind == "contracted" else 1)
     d = np.tile(np.float32([[0.6, 0, 0.8]]), (200, 1))
-    _, _, slope, tint = (np.asarray(part) for part in field.derivatives(x, d))
+    _, _, slope, color_gradient = (np.asarray(part) for part in field.derivatives(x, d))
     h = 1e-4
     for axis in range(3):
         ends = [field(x + sign * h * np.eye(3, dtype=np.float32)[axis], d) for sign in (1, -1)]
         along = (ends[0][0] - ends[1][0]).numpy() / (2 * h), (ends[0][1] - ends[1][1]).numpy() / (2 * h)
         # Hash grids have kinks at the faces of their cells, which some of the steps cross.
-        for differences, own in zip(along, (slope[:, axis], tint[:, :, axis])):
+        for differences, own in zip(along, (slope[:, axis], color_gradient[:, :, axis])):
             assert np.median(abs(own)) > 0
             assert np.median(abs(differences - own)) <= 0.05 * np.median(abs(own))
 

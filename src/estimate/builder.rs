@@ -33,7 +33,7 @@ pub struct Provenance<'a> {
 /// [`RayStream::surface_points`] finds more, and [`UncertaintyField::with_surface`] keeps them.
 pub const SURFACE_POINTS: usize = 16_384;
 
-/// About as many rays give that many points, where rays come camera by camera.
+/// Number of rays, spread over a run of splats, that yields about [`SURFACE_POINTS`] points.
 const SURFACE_RAYS: u64 = SURFACE_POINTS as u64 / 4;
 
 /// Maximal number of cells that criteria other than sensitivity may ask for: 3 GB of their keys.
@@ -99,8 +99,8 @@ impl<P: Finish> Builder<P> {
         Ok(Self { settings, lattice, limits, rays_per_vertex, wanted, posterior, surface, surface_rays, visits })
     }
 
-    /// Takes surface points from rays that are spread over all of a run of `rays` rays, of which the first do not see
-    /// what the others see.
+    /// Takes surface points from all of a run of `rays` rays: those of splats come camera by camera, so that the first
+    /// see only a part of the scene.
     pub fn spread_surface(&mut self, rays: u64) {
         self.surface_rays = u64::MAX / (rays / SURFACE_RAYS).max(1);
     }

@@ -19,6 +19,6 @@ pub fn facts(field: &UncertaintyField) -> Value {
         "draws": field.draws(),
         "limited": !field.limits().is_unlimited(),
         "errors": ErrorBudget::of_field(field),
-        "misfit": field.misfit().map(|misfit| json!({ "root_mean_square": misfit.mean(), "level": misfit.level() })),
+        "residuals": field.residuals().map(|residuals| json!({ "root_mean_square": residuals.mean(), "level": residuals.level() })),
     })
 }

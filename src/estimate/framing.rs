@@ -92,13 +92,13 @@ impl Framing {
 
     /// Whether no ray meets the box.
     #[must_use]
-    pub fn is_nothing(&self) -> bool {
+    pub fn is_empty(&self) -> bool {
         self.meet_box == 0.0
     }
 
     /// Whether few rays meet the box, or many cameras look away.
     #[must_use]
-    pub fn is_little(&self) -> bool {
+    pub fn is_below_threshold(&self) -> bool {
         self.meet_box < LITTLE || self.looking_away >= MANY
     }
 
@@ -114,7 +114,7 @@ impl Framing {
     pub fn causes(&self) -> Option<String> {
         let [turned, inverted] = [self.turned, self.inverted].map(|share| 100.0 * share);
         let enough = (2.0 * self.meet_box).max(LITTLE);
-        if !self.is_little() {
+        if !self.is_below_threshold() {
             None
         } else if self.inverted > enough.max(self.turned) {
             Some(format!("{WORLD_TO_CAMERA}: inverted, {inverted:.0} % of the rays meet the box"))

@@ -1,4 +1,4 @@
-//! The limits of a run's memory: its plan, and what becomes of it when rays or field take more or less.
+//! The limits of a run's memory: its plan, and how it is revised when rays or field take more or less than planned.
 
 use std::ops::ControlFlow;
 

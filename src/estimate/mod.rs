@@ -37,7 +37,7 @@ pub use plan::{Plan, Planner};
 pub use positions::PositionCheck;
 pub use rays::RaySettings;
 pub use run::{Outcome, Run};
-pub use sight::Sight;
+pub use sight::CoverageCheck;
 pub use step::StepCheck;
 
 #[cfg(test)]

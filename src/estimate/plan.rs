@@ -4,7 +4,7 @@
 //!
 //! - *outside*: program, model, cameras, occupancy grid, rays under way and their contributions. The operating system
 //!   says how much that is during the pilot, which draws rays as the run does.
-//! - *summing*: sums of vertices, by the pilot's [`Census`].
+//! - *summing*: sums of vertices, by the pilot's [`SpeciesEstimate`].
 //! - *finishing*: the field, made while the sums are still there.
 
 use std::time::{Duration, Instant};
@@ -15,7 +15,8 @@ use crate::io::memory;
 use crate::monitor::Monitor;
 use crate::octree::{MaxLevels, Tile};
 use crate::posterior::{
-    AT_ONCE, CONTRIBUTION_BYTES, Census, DensePosterior, FactoredSums, Needs, PilotCounts, VertexSums, spare_bytes,
+    AT_ONCE, CONTRIBUTION_BYTES, DensePosterior, FactoredSums, Needs, PilotCounts, SpeciesEstimate, VertexSums,
+    spare_bytes,
 };
 use crate::rays::{Purpose, RayStream, RunProgress, Shard};
 use crate::splats::Use;
@@ -137,7 +138,7 @@ impl Preparing {
 pub struct Planner {
     settings: GridSettings,
     lattice: Lattice,
-    census: Census,
+    census: SpeciesEstimate,
     counts: PilotCounts,
     /// Expected number of the field's vertices without limits.
     vertices_unlimited: f64,
@@ -179,7 +180,7 @@ impl Planner {
         let pilot = Shard::whole(pilot);
         // Limits by ray count alone are exact.
         let is_exact = settings.memory.is_none() && settings.rays_per_vertex() > 0.0;
-        let mut census = Census::new(lattice, if is_exact { usize::MAX } else { FEW }, settings.needs_plan());
+        let mut census = SpeciesEstimate::new(lattice, if is_exact { usize::MAX } else { FEW }, settings.needs_plan());
         let mut outside = 0.0_f64;
         let mut stream = stream.for_purpose(Purpose::Pilot);
         if !settings.needs_plan() && settings.tile.is_none() {
@@ -354,7 +355,7 @@ impl Planner {
 }
 
 /// The settings with the box of their tile, if they have one without.
-fn cut(settings: GridSettings, census: &Census, counts: &PilotCounts, scale: f64) -> GridSettings {
+fn cut(settings: GridSettings, census: &SpeciesEstimate, counts: &PilotCounts, scale: f64) -> GridSettings {
     let Some(tile) = settings.tile.filter(|tile| !tile.is_cut()) else { return settings };
     let rays = settings.rays_per_vertex();
     let limits = if rays > 0.0 { counts.limits(scale, rays) } else { MaxLevels::none(census.level()) };

@@ -13,8 +13,8 @@ use super::estimation::{Estimation, Goal};
 use super::limits::{COMPARED_AT, Limits};
 use super::mean_error;
 use super::{
-    Audit, ErrorBudget, FieldBuilder, GridKind, GridSettings, Plan, Planner, PositionCheck, Provenance, RayError,
-    Sight, StepCheck, Summed,
+    Audit, CoverageCheck, ErrorBudget, FieldBuilder, GridKind, GridSettings, Plan, Planner, PositionCheck, Provenance,
+    RayError, StepCheck, Summed,
 };
 use crate::geometry::{Aabb, Lattice, kept_pixels};
 use crate::octree::Leaves;
@@ -187,8 +187,8 @@ impl<'a> Run<'a> {
     ///
     /// # Errors
     /// [`Error::Interrupted`] only.
-    pub fn sight(&self) -> Result<Sight> {
-        Sight::measure(&self.stream, &self.settings.domain, self.settings.monitor)
+    pub fn sight(&self) -> Result<CoverageCheck> {
+        CoverageCheck::measure(&self.stream, &self.settings.domain, self.settings.monitor)
     }
 
     /// Checks the finite-difference step; `None` if the field's own derivatives are used, or if there is nothing

@@ -1,7 +1,7 @@
 //! Checks what cameras see of a field, before anything is computed from them.
 //!
 //! Cameras with other axes or units, another box, a model in other coordinates: each gives a field, but one that says
-//! "never seen" everywhere. A few thousand rays detect this: [`Framing`] by geometry alone, [`Sight`] by tracing them.
+//! "never seen" everywhere. A few thousand rays detect this: [`Framing`] by geometry alone, [`CoverageCheck`] by tracing them.
 
 use rayon::prelude::*;
 
@@ -28,7 +28,7 @@ const SPLAT_VIEWS: usize = 16;
 
 /// What cameras see of a field.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
-pub struct Sight {
+pub struct CoverageCheck {
     /// Their position relative to the field's box.
     pub framing: Framing,
     /// Fraction of the rays that meet matter, with opacity at least [`SURFACE_WEIGHT`].
@@ -43,7 +43,7 @@ pub struct Sight {
     pub most_opaque: f64,
     /// Largest density met, 1 / scene unit.
     pub densest: f64,
-    /// [`Sight::meet_domain`] if the poses were world-to-camera; 0 if the cameras see enough as they are.
+    /// [`CoverageCheck::meet_domain`] if the poses were world-to-camera; 0 if the cameras see enough as they are.
     pub inverted: f64,
     /// Number of rays dropped because the field was not finite.
     pub dropped: u64,
@@ -64,7 +64,7 @@ struct Seen {
     densest: f64,
 }
 
-impl Sight {
+impl CoverageCheck {
     /// Measures what the cameras of `stream` see inside `domain`, with a thousandth of a default run's rays.
     ///
     /// # Errors
@@ -72,10 +72,10 @@ impl Sight {
     pub fn measure(stream: &RayStream, domain: &Domain, monitor: &dyn Monitor) -> Result<Self> {
         let measured = |rays, cameras: &[Camera]| Self::with_rays(rays, cameras, stream, domain, monitor);
         let mut found = measured(RAYS, stream.cameras)?;
-        if found.is_nothing() {
+        if found.is_empty() {
             found = measured(INSISTENCE * RAYS, stream.cameras)?;
         }
-        if found.is_little() || found.is_nothing() {
+        if found.is_below_threshold() || found.is_empty() {
             for axes in 0..2 {
                 let cameras: Vec<Camera> = stream.cameras.iter().map(|camera| inverted(camera)[axes]).collect();
                 found.inverted = found.inverted.max(measured(RAYS, &cameras)?.meet_domain);
@@ -133,20 +133,20 @@ impl Sight {
 
     /// Whether no ray meets matter in the domain. Fields that are not finite are reported elsewhere.
     #[must_use]
-    pub fn is_nothing(&self) -> bool {
+    pub fn is_empty(&self) -> bool {
         self.meet_domain == 0.0 && self.dropped == 0
     }
 
-    /// [`Sight::outside_domain`], if that is worth saying.
+    /// [`CoverageCheck::outside_domain`], if that is worth saying.
     #[must_use]
     pub fn cut_off(&self) -> Option<f64> {
-        Some(self.outside_domain).filter(|share| *share >= WORTH_SAYING && !self.is_nothing())
+        Some(self.outside_domain).filter(|share| *share >= WORTH_SAYING && !self.is_empty())
     }
 
     /// Whether few rays meet matter, many cameras look away, many are inside matter, or all they see is fog.
     #[must_use]
-    pub fn is_little(&self) -> bool {
-        self.framing.is_little() || self.meet_domain < LITTLE || self.inside_matter >= MANY || self.is_fog()
+    pub fn is_below_threshold(&self) -> bool {
+        self.framing.is_below_threshold() || self.meet_domain < LITTLE || self.inside_matter >= MANY || self.is_fog()
     }
 
     /// Whether all that the rays meet is transparent, as it is if opacity takes the place of density.
@@ -169,7 +169,7 @@ impl Sight {
     /// The likely causes, if little is seen.
     #[must_use]
     pub fn causes(&self) -> Option<String> {
-        if !self.is_little() && !self.is_nothing() {
+        if !self.is_below_threshold() && !self.is_empty() {
             None
         } else if let Some(causes) = self.framing.causes() {
             Some(causes)
@@ -271,17 +271,17 @@ mod tests {
     use crate::monitor::Silent;
     use glam::{DMat3, DVec3, Vec3};
 
-    fn sight(cameras: &[Camera], domain: Option<Domain>) -> Sight {
+    fn sight(cameras: &[Camera], domain: Option<Domain>) -> CoverageCheck {
         sight_of(&ClosedForm::courtyard(), cameras, domain)
     }
 
-    fn sight_of(field: &dyn RadianceField, cameras: &[Camera], domain: Option<Domain>) -> Sight {
+    fn sight_of(field: &dyn RadianceField, cameras: &[Camera], domain: Option<Domain>) -> CoverageCheck {
         let domain = domain.unwrap_or(Domain::Box(field.bounds()));
         let grid = GridSettings { level: 4, ..GridSettings::default() };
         let lattice = grid.lattice(domain).unwrap();
         let rays = RaySettings { occupancy: 32, ..RaySettings::default() };
         let stream = rays.stream(field, cameras, &lattice, &Silent).unwrap();
-        Sight::measure(&stream, &domain, &Silent).unwrap()
+        CoverageCheck::measure(&stream, &domain, &Silent).unwrap()
     }
 
     fn changed(change: impl Fn(&mut Camera)) -> Vec<Camera> {
@@ -298,14 +298,14 @@ mod tests {
     fn what_is_right_gives_no_cause_for_complaint() {
         let right = sight(&changed(|_| {}), None);
         assert!(right.meet_matter > 0.3 && right.meet_domain == right.meet_matter, "{right:?}");
-        assert!(!right.is_little() && !right.is_nothing() && right.causes().is_none(), "{right:?}");
+        assert!(!right.is_below_threshold() && !right.is_empty() && right.causes().is_none(), "{right:?}");
         assert!((right.framing.rays as usize).abs_diff(RAYS) < 6 * 8, "{right:?}");
     }
 
     #[test]
     fn each_mistake_has_its_cause() {
         let turned = sight(&changed(opencv), None);
-        assert!(turned.is_nothing() && turned.framing.looking_away == 1.0, "{turned:?}");
+        assert!(turned.is_empty() && turned.framing.looking_away == 1.0, "{turned:?}");
         assert!(turned.causes().unwrap().contains("OpenCV"), "{turned:?}");
         // With their axes turned back, the same rays meet the box.
         let right = Framing::from_cameras(&changed(|_| {}), &ClosedForm::courtyard().bounds());
@@ -322,12 +322,12 @@ mod tests {
 
         let elsewhere = Aabb::new(DVec3::splat(5.0), DVec3::splat(6.0)).unwrap();
         let boxed = sight(&changed(|_| {}), Some(Domain::Box(elsewhere)));
-        assert!(boxed.is_nothing() && boxed.meet_matter > 0.3, "{boxed:?}");
+        assert!(boxed.is_empty() && boxed.meet_matter > 0.3, "{boxed:?}");
         assert!(boxed.causes().unwrap().contains("a domain"), "{boxed:?}");
 
         // Inside the ground, which is where z is about -0.75.
         let buried = sight(&changed(|camera| camera.position = DVec3::new(0.2, 0.2, -0.77)), None);
-        assert!(buried.is_little() && buried.inside_matter == 1.0, "{buried:?}");
+        assert!(buried.is_below_threshold() && buried.inside_matter == 1.0, "{buried:?}");
     }
 
     /// Poses as other programs write them: world-to-camera, with OpenGL's axes or OpenCV's.
@@ -348,7 +348,7 @@ mod tests {
                 None,
             );
             let causes = found.causes().unwrap();
-            assert!(found.is_little() && causes.contains("world-to-camera"), "{causes}: {found:?}");
+            assert!(found.is_below_threshold() && causes.contains("world-to-camera"), "{causes}: {found:?}");
             assert!(found.inverted > 0.3, "{found:?}");
         }
         assert!(!sight(&changed(opencv), None).causes().unwrap().contains("world-to-camera"));
@@ -393,7 +393,7 @@ mod tests {
         let cameras = changed(|_| {});
         assert_eq!(sight_of(&scene, &cameras, None).causes(), None);
         let fog = sight_of(&Opacity(scene), &cameras, None);
-        assert!(fog.is_little() && fog.causes().unwrap().contains("opacity"), "{fog:?}");
+        assert!(fog.is_below_threshold() && fog.causes().unwrap().contains("opacity"), "{fog:?}");
     }
 
     #[test]

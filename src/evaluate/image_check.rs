@@ -250,7 +250,7 @@ fn psnr_over(shown: &[Shown], rendered: &[(DVec3, f64)], background: DVec3) -> f
 impl ImageCheck {
     /// Whether the model shows nothing of the images.
     #[must_use]
-    pub fn is_nothing(&self) -> bool {
+    pub fn is_empty(&self) -> bool {
         self.psnr < NOTHING
     }
 
@@ -330,7 +330,7 @@ impl ImageCheck {
     /// # Errors
     /// If that is so.
     pub fn refuse(&self) -> Result<()> {
-        if !self.is_nothing() || self.is_trained_on {
+        if !self.is_empty() || self.is_trained_on {
             return Ok(());
         }
         let expected =

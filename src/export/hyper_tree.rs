@@ -91,7 +91,7 @@ pub fn write_hyper_tree(path: &Path, field: &dyn Answers) -> Result<()> {
             "rays" => {
                 answers.try_for_each(|found| put(&(found?.estimate.rays.unwrap_or(0.0) as f32).to_le_bytes()))?;
             }
-            "seen" => answers.try_for_each(|found| put(&[code(found?.knowledge)]))?,
+            "seen" => answers.try_for_each(|found| put(&[code(found?.observability)]))?,
             side => {
                 let axis = ["XCoordinates", "YCoordinates", "ZCoordinates"].iter().position(|name| *name == side);
                 sides[axis.expect("one of the arrays above")].iter().try_for_each(|v| put(&v.to_le_bytes()))?;

@@ -7,7 +7,7 @@ use glam::Vec3;
 use super::cells::{at_centers, center, edges, in_chunks, knows, leaves};
 use crate::Result;
 use crate::io::npz::NpzWriter;
-use crate::uncertainty::{Answer, Answers, Knowledge, Matrices};
+use crate::uncertainty::{Answer, Answers, Matrices, Observability};
 
 /// Writes one row per leaf, in Morton order. The arrays are those of the book's chapter on `export`; `rays` and `seen`
 /// are there if the field stores them, `covariance` if its matrices are given.
@@ -32,7 +32,7 @@ pub fn write_leaves(path: &Path, field: &dyn Answers, matrices: Option<&Matrices
         put(&mut npz, "rays", count, answers(), |found| found.estimate.rays.unwrap_or(0.0) as f32)?;
     }
     if knows_visits {
-        put(&mut npz, "seen", count, answers(), |found| code(found.knowledge))?;
+        put(&mut npz, "seen", count, answers(), |found| code(found.observability))?;
     }
     if let Some(matrices) = matrices {
         let covariances = in_chunks(leaves(), |cells| {
@@ -62,10 +62,10 @@ fn put<T: npyz::AutoSerialize + npyz::Serialize>(
 }
 
 /// What is known of a place, as a number: 0 never seen, 1 free, 2 constrained.
-pub fn code(knowledge: Option<Knowledge>) -> u8 {
-    match knowledge {
-        None | Some(Knowledge::Unseen) => 0,
-        Some(Knowledge::Free) => 1,
-        Some(Knowledge::Constrained) => 2,
+pub fn code(observability: Option<Observability>) -> u8 {
+    match observability {
+        None | Some(Observability::Unseen) => 0,
+        Some(Observability::Free) => 1,
+        Some(Observability::Constrained) => 2,
     }
 }

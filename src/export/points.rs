@@ -125,7 +125,7 @@ pub fn write_points(path: &Path, surfaces: &Surfaces, field: &dyn Answers, matri
         let matrices = matrices.map(|matrices| matrices.at(&surfaces.positions[chunk.clone()]));
         for (i, found) in chunk.zip(&answers) {
             ply.surface(surfaces.positions[i], surfaces.normals[i], surfaces.colors[i], &found.estimate)?;
-            let seen = if found.visits.is_some() { f32::from(code(found.knowledge)) } else { f32::NAN };
+            let seen = if found.visits.is_some() { f32::from(code(found.observability)) } else { f32::NAN };
             ply.floats([seen, surfaces.cameras[i] as f32])?;
             if let Some(matrices) = &matrices {
                 let axes = principal_axes(matrices[i % CHUNK]);

@@ -6,7 +6,7 @@ use std::path::Path;
 use super::points::Surfaces;
 use crate::io::{AtomicFile, cell};
 use crate::metrics::quantile;
-use crate::uncertainty::{Answers, Knowledge};
+use crate::uncertainty::{Answers, Observability};
 use crate::{Error, Result};
 
 /// Shares whose quantiles are reported.
@@ -35,7 +35,7 @@ pub fn write_report(path: &Path, surfaces: &Surfaces, names: &[String], field: &
     let knows_visits = answers.iter().any(|found| found.visits.is_some());
     for (i, found) in answers.iter().enumerate() {
         let x = surfaces.positions[i];
-        let (is_unseen, inside) = (found.knowledge == Some(Knowledge::Unseen), found.estimate.inside);
+        let (is_unseen, inside) = (found.observability == Some(Observability::Unseen), found.estimate.inside);
         let add = |group: &mut Group| {
             group.sigma.push(found.estimate.uncertainty);
             group.unseen += u64::from(is_unseen && inside);

@@ -76,8 +76,7 @@ impl Window {
 
     /// w at p = ½ + `c`; 0 outside the box.
     ///
-    /// Inlined, as the following: whether the compiler does so by itself changes from build to build, and costs 4 % of
-    /// a run.
+    /// Inlining is forced, here and below: left to the compiler it varies from build to build and costs 4 % of a run.
     #[inline(always)]
     pub fn at(&self, c: Vec3) -> f32 {
         let (corners, m, t) = match self.around(c) {

@@ -164,7 +164,7 @@ impl Viewer<'_> {
             (rays, dropped) = (rays + batch.rays.len() as u64, dropped + traced.dropped);
             first = first.or(traced.first_invalid);
             for (r, &ray) in batch.rays.iter().enumerate().filter(|(r, _)| !traced.is_dropped[*r]) {
-                let dark = traced.samples(r).find(|&i| quadrature.behind[i] < 0.5);
+                let dark = traced.samples(r).find(|&i| quadrature.transmittance_after[i] < 0.5);
                 let until = dark.map_or(f64::INFINITY, |i| traced.t[i] + 0.5 * step);
                 sight.push(VisibleSegment { ray, until });
             }

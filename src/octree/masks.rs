@@ -12,7 +12,7 @@ use super::morton;
 /// Places along an axis around a halved brick: two in the brick, one on either side.
 const AROUND: usize = 4;
 
-/// For each member of a brick, the places around the halved brick that it reaches.
+/// For each member of a brick, which cells of the lattice half as fine it reaches, as a mask: the 2:1 rule of balance.
 ///
 /// Bit x + 4 y + 16 z stands for the place 2 b − 1 + (x, y, z), where b are the coordinates of the brick.
 pub type Reach = [u64; 64];

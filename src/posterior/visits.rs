@@ -214,7 +214,7 @@ fn along_curved(lattice: &Lattice, line: &VisibleSegment, mut visit: impl FnMut(
         if last.is_none_or(|(last, _)| last != cell) {
             visit(cell);
         }
-        // Lengths along the direction to the centre grow faster than those across it, by which steps begin.
+        // Lengths along the direction to the centre grow faster than those across it, which set the first step.
         if t > 0.0 && moved < NOWHERE {
             return;
         }

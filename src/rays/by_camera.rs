@@ -83,7 +83,7 @@ impl<'r, 'a> CameraByCamera<'r, 'a> {
     /// Prepares to draw a run of `rays` rays.
     ///
     /// # Errors
-    /// If a lens distorts, or if pixels are drawn at random, camera after camera without order.
+    /// If a lens distorts, or if pixels are drawn at random, which cannot be sorted by camera.
     pub fn new(
         renderer: SplatRenderer<'a>,
         cameras: &'r [Camera],

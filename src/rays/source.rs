@@ -34,7 +34,7 @@ impl<'a> RaySource<'a> {
         }
     }
 
-    /// The splats, if it is those.
+    /// The splats, if the model is made of them.
     #[must_use]
     pub fn splats(&self) -> Option<&SplatRenderer<'a>> {
         match self {
@@ -82,7 +82,7 @@ impl<'a> RaySource<'a> {
         }
     }
 
-    /// Number of points from which on asking pays, 0 if that does not matter.
+    /// Smallest efficient batch, in points; 0 if a few hundred are enough.
     pub(super) fn batch(&self) -> usize {
         self.volume().map_or(0, |volume| volume.tracer.field.batch())
     }

@@ -31,8 +31,8 @@ pub const SURFACE_WEIGHT: f32 = 0.05;
 
 /// Points that a batch of rays asks about when it begins: a round of samples along each ray.
 const FIRST_POINTS: usize = 4096;
-/// Batches that go together ask, when they begin, about so many times the points that the field wants at once: when
-/// most rays have ended, the others still ask about enough.
+/// Batches drawn together start with this multiple of the field's batch size, so that calls stay large after most rays
+/// have ended.
 const AT_FIRST: usize = 4;
 
 /// How a stream of rays ended.
@@ -42,7 +42,7 @@ pub enum End<B> {
     Complete(RunProgress),
     /// After these rays, because the monitor asked to stop.
     Stopped(RunProgress),
-    /// Because who took the samples had seen enough.
+    /// Because the sink broke off.
     Broken(B),
 }
 

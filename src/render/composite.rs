@@ -59,14 +59,14 @@ pub struct CompositingWeights {
     /// w_i of each sample.
     pub weights: Vec<f64>,
     /// T_{i+1}, the transmittance behind each sample.
-    pub behind: Vec<f64>,
+    pub transmittance_after: Vec<f64>,
 }
 
 impl CompositingWeights {
     /// Computes the weights of all samples of `traced` for intervals of length `delta`.
     pub fn set(&mut self, traced: &TracedRays, delta: f64) {
         self.weights.clear();
-        self.behind.clear();
+        self.transmittance_after.clear();
         for ray in 0..traced.rays() {
             self.push_ray(&traced.densities[traced.samples(ray)], delta);
         }
@@ -82,14 +82,14 @@ impl CompositingWeights {
             let weight = transmittance * alpha;
             transmittance -= weight;
             self.weights.push(weight);
-            self.behind.push(transmittance);
+            self.transmittance_after.push(transmittance);
         }
     }
 
     /// T_end of the ray that owns `samples`.
     #[must_use]
     pub fn end_transmittance(&self, samples: &Range<usize>) -> f64 {
-        self.behind[samples.clone()].last().copied().unwrap_or(1.0)
+        self.transmittance_after[samples.clone()].last().copied().unwrap_or(1.0)
     }
 
     /// Composites the ray that owns `samples`. `colors` (linear RGB in `[0, 1]`) and
@@ -128,7 +128,7 @@ impl CompositingWeights {
         let mut behind = self.end_transmittance(samples) * background;
         for i in samples.clone().rev() {
             let color = colors[i].as_dvec3();
-            out[i] = delta * (self.behind[i] * color - behind);
+            out[i] = delta * (self.transmittance_after[i] * color - behind);
             behind += self.weights[i] * color;
         }
     }
@@ -151,7 +151,7 @@ impl CompositingWeights {
         let depth = weighted().map(|(w, t)| w * t).sum::<f64>() / opacity;
         let mut behind = 0.0;
         for i in samples.clone().rev() {
-            out[i] = delta / opacity * (self.behind[i] * (t[i] - depth) - behind);
+            out[i] = delta / opacity * (self.transmittance_after[i] * (t[i] - depth) - behind);
             behind += self.weights[i] * (t[i] - depth);
         }
     }
@@ -182,7 +182,7 @@ mod tests {
             let sum = quadrature.weights.iter().sum::<f64>() + quadrature.end_transmittance(&ray);
             // One rounding per sample in T and one in the sum, at most 40 samples.
             prop_assert!((sum - 1.0).abs() <= 80.0 * f64::EPSILON, "{}", sum);
-            prop_assert!(quadrature.weights.iter().chain(&quadrature.behind).all(|&w| w >= 0.0));
+            prop_assert!(quadrature.weights.iter().chain(&quadrature.transmittance_after).all(|&w| w >= 0.0));
         }
 
         #[test]
@@ -193,7 +193,7 @@ mod tests {
                 let before = f64::exp(-depth);
                 depth += f64::from(density) * delta;
                 // One rounding of T and one of α per sample, 40 samples.
-                prop_assert!((quadrature.behind[i] - f64::exp(-depth)).abs() <= 80.0 * f64::EPSILON);
+                prop_assert!((quadrature.transmittance_after[i] - f64::exp(-depth)).abs() <= 80.0 * f64::EPSILON);
                 let alpha = -(-f64::from(density) * delta).exp_m1();
                 prop_assert!((quadrature.weights[i] - before * alpha).abs() <= 80.0 * f64::EPSILON * alpha);
             }

@@ -105,8 +105,8 @@ impl Differences {
         self.stencil.reach() * self.at(x)
     }
 
-    /// The points beside x, in the order of axes, central ones up, down. Points are clipped to `bounds`, so that
-    /// central differences at its border are one-sided; forward ones look back there.
+    /// The points beside x, axis by axis; for central differences x + h, then x − h. Points are clipped to `bounds`, so
+    /// that central differences at its border are one-sided; forward ones look back there.
     fn around(&self, x: Vec3, bounds: &Aabb) -> impl Iterator<Item = Vec3> + use<> {
         let (stencil, bounds, step) = (self.stencil, *bounds, self.at(x));
         (0..stencil.others()).map(move |i| {

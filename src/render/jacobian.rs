@@ -9,17 +9,17 @@
 //! | | density | ∇σ | colour | ∇c |
 //! |---|---|---|---|---|
 //! | *visible*: w > cutoff | x | x | x | x |
-//! | *lurking*: w ≤ cutoff, but visible matter may lie within h: √3 δ T σ̂ > cutoff | x | x | if ∇σ ≠ 0 | |
-//! | *faint*: 0 < w ≤ cutoff, no visible matter near | x | | x | |
+//! | *near-surface*: w ≤ cutoff, but visible matter may lie within h: √3 δ T σ̂ > cutoff | x | x | if ∇σ ≠ 0 | |
+//! | *low-weight*: 0 < w ≤ cutoff, no visible matter near | x | | x | |
 //! | all others, behind surfaces or in empty space | x | | | |
 //!
-//! Faint samples have no derivatives but are composited: they are part of the colour behind others, which enters
+//! Low-weight samples have no derivatives but are composited: they are part of the colour behind others, which enters
 //! ∂C/∂σ.
 //!
 //! The two criteria bound what differences leave out. w > cutoff bounds the contribution of ∇c (|∇c| ≤ 1/2h), the
-//! criterion for lurking samples that of ∇σ (|∇σ| ≤ σ̂/2h). Here |∂C/∂σ| ≤ √3 δ T because colours lie in [0, 1], and
+//! criterion for near-surface samples that of ∇σ (|∇σ| ≤ σ̂/2h). Here |∂C/∂σ| ≤ √3 δ T because colours lie in [0, 1], and
 //! σ̂ is the density bound of the occupancy grid. A sample in the empty space before a surface has w = 0 but may see
-//! the surface within h: it is lurking. Cutoff 0 leaves out only exact zeros.
+//! the surface within h: it is near-surface. Cutoff 0 leaves out only exact zeros.
 //!
 //! A field's own derivatives are taken at the same samples, so the set of samples depends on h.
 //!
@@ -50,12 +50,12 @@ pub struct JacobianBuffers<'a> {
     pub(super) trace: TraceBuffers<'a>,
     pub(super) quadrature: CompositingWeights,
     pub(super) visible: Chosen,
-    pub(super) lurking: Chosen,
+    pub(super) near_surface: Chosen,
     gradient: GradientBuffers,
     jets: Vec<Option<Jet>>,
     density_gradients: Vec<Option<DVec3>>,
     /// Faint samples; in the end, all that need only their colour.
-    pub(super) faint: Chosen,
+    pub(super) low_weight: Chosen,
     radiance: Vec<Radiance>,
     /// `[samples]`: colours; black where nothing can be seen.
     colors: Vec<Vec3>,
@@ -165,20 +165,20 @@ impl Tracer<'_> {
             how.ask_jets(field, run.iter_mut().map(|member| member.buffers.jet_points()));
             each(run, |_, buffers| buffers.take_jets(how));
         }
-        for run in split(members, field.batch(), |buffers| how.gradient_points(buffers.lurking.positions.len())) {
+        for run in split(members, field.batch(), |buffers| how.gradient_points(buffers.near_surface.positions.len())) {
             check(monitor)?;
-            each(run, |_, JacobianBuffers { lurking, gradient, .. }| {
-                how.place_density_gradients(&bounds, &lurking.positions, gradient);
+            each(run, |_, JacobianBuffers { near_surface, gradient, .. }| {
+                how.place_density_gradients(&bounds, &near_surface.positions, gradient);
             });
             how.ask_density_gradients(field, run.iter_mut().map(|member| member.buffers.gradient_points()));
             each(run, |_, buffers| {
                 how.take_density_gradients(&buffers.gradient, &mut buffers.density_gradients);
-                self.weigh_lurking(buffers);
+                self.weigh_near_surface(buffers);
             });
         }
         check(monitor)?;
-        let faint = members.iter_mut().map(|member| member.buffers.color_points()).collect();
-        ask_together(faint, |positions, directions, out| field.evaluate(positions, directions, out));
+        let low_weight = members.iter_mut().map(|member| member.buffers.color_points()).collect();
+        ask_together(low_weight, |positions, directions, out| field.evaluate(positions, directions, out));
         each(members, |_, buffers| buffers.take_colors());
         Ok(())
     }
@@ -195,38 +195,41 @@ impl Tracer<'_> {
         colors.resize(trace.traced.positions.len(), Vec3::ZERO);
     }
 
-    /// Keeps the lurking samples that can change their pixel, and prepares for the colours of all that need no more.
-    fn weigh_lurking(&self, buffers: &mut JacobianBuffers) {
-        let JacobianBuffers { quadrature, lurking, faint, density_gradients, invalid, radiance, .. } = buffers;
-        // The few that can change their pixel move to the front; of the others, some are faint.
+    /// Keeps the near-surface samples that can change their pixel, and prepares for the colours of all that need no more.
+    fn weigh_near_surface(&self, buffers: &mut JacobianBuffers) {
+        let JacobianBuffers { quadrature, near_surface, low_weight, density_gradients, invalid, radiance, .. } =
+            buffers;
+        // The few that can change their pixel move to the front; of the others, some are low-weight.
         let mut kept = 0;
-        for i in 0..lurking.samples.len() {
-            let (sample, ray) = (lurking.samples[i], lurking.rays[i]);
+        for i in 0..near_surface.samples.len() {
+            let (sample, ray) = (near_surface.samples[i], near_surface.rays[i]);
             let Some(gradient) = density_gradients[i] else {
                 invalid[ray as usize].get_or_insert(sample);
                 continue;
             };
-            if self.influence(quadrature.behind[sample as usize]) * gradient.length() > 0.0 {
-                (lurking.samples[kept], lurking.rays[kept]) = (sample, ray);
-                (lurking.positions[kept], lurking.directions[kept]) = (lurking.positions[i], lurking.directions[i]);
+            if self.influence(quadrature.transmittance_after[sample as usize]) * gradient.length() > 0.0 {
+                (near_surface.samples[kept], near_surface.rays[kept]) = (sample, ray);
+                (near_surface.positions[kept], near_surface.directions[kept]) =
+                    (near_surface.positions[i], near_surface.directions[i]);
                 density_gradients[kept] = Some(gradient);
                 kept += 1;
             } else if quadrature.weights[sample as usize] > 0.0 {
-                faint.push(sample as usize, ray as usize, lurking.positions[i], lurking.directions[i]);
+                low_weight.push(sample as usize, ray as usize, near_surface.positions[i], near_surface.directions[i]);
             }
         }
-        lurking.truncate(kept);
+        near_surface.truncate(kept);
         density_gradients.truncate(kept);
-        faint.append(lurking);
+        low_weight.append(near_surface);
         radiance.clear();
-        radiance.resize(faint.samples.len(), Radiance::default());
+        radiance.resize(low_weight.samples.len(), Radiance::default());
     }
 
     /// Assembles the Jacobians of the chosen samples. A ray with an invalid evaluation is dropped as a whole, like
     /// a ray with an invalid density.
     fn assemble(&self, batch: &RayBatch, buffers: &mut JacobianBuffers) -> RaySamples {
-        let JacobianBuffers { trace, quadrature, visible, lurking, jets, density_gradients, colors, invalid, .. } =
-            buffers;
+        let JacobianBuffers {
+            trace, quadrature, visible, near_surface, jets, density_gradients, colors, invalid, ..
+        } = buffers;
         let traced = &trace.traced;
         let derivatives = &mut buffers.density_derivatives;
         derivatives.clear();
@@ -241,7 +244,7 @@ impl Tracer<'_> {
             } else {
                 quadrature.density_derivative(&samples, colors, self.marcher.step, self.background(), derivatives);
                 if !traced.is_dropped[r] {
-                    let dark = samples.clone().find(|&i| quadrature.behind[i] < 0.5);
+                    let dark = samples.clone().find(|&i| quadrature.transmittance_after[i] < 0.5);
                     let until = dark.map_or(f64::INFINITY, |i| traced.t[i] + 0.5 * self.marcher.step);
                     out.sight.push(VisibleSegment { ray: batch.rays[r], until });
                 }
@@ -249,12 +252,15 @@ impl Tracer<'_> {
         }
         let of_density = |gradient: &Option<DVec3>| gradient.map(|g| Jet { density_gradient: g, ..Jet::default() });
         let of_visible = visible.samples.iter().zip(&visible.rays).zip(jets.iter().copied());
-        let of_lurking = lurking.samples.iter().zip(&lurking.rays).zip(density_gradients.iter().map(of_density));
-        let (mut of_visible, mut of_lurking) = (of_visible.peekable(), of_lurking.peekable());
+        let of_near_surface =
+            near_surface.samples.iter().zip(&near_surface.rays).zip(density_gradients.iter().map(of_density));
+        let (mut of_visible, mut of_near_surface) = (of_visible.peekable(), of_near_surface.peekable());
         // In the order of the samples.
-        let next = || match (of_visible.peek(), of_lurking.peek()) {
-            (Some(((visible, _), _)), Some(((lurking, _), _))) if visible >= lurking => of_lurking.next(),
-            (None, _) => of_lurking.next(),
+        let next = || match (of_visible.peek(), of_near_surface.peek()) {
+            (Some(((visible, _), _)), Some(((near_surface, _), _))) if visible >= near_surface => {
+                of_near_surface.next()
+            }
+            (None, _) => of_near_surface.next(),
             _ => of_visible.next(),
         };
         for ((&sample, &ray), jet) in std::iter::from_fn(next) {
@@ -280,14 +286,18 @@ impl JacobianBuffers<'_> {
         (&self.visible, &mut self.gradient)
     }
 
-    /// The lurking samples, where ∇σ is needed, and room for it.
+    /// The near-surface samples, where ∇σ is needed, and room for it.
     fn gradient_points(&mut self) -> (&[Vec3], &mut GradientBuffers) {
-        (&self.lurking.positions, &mut self.gradient)
+        (&self.near_surface.positions, &mut self.gradient)
     }
 
     /// Samples whose colour alone is needed, and room for it.
     fn color_points(&mut self) -> Points<'_, Radiance> {
-        Points { positions: &self.faint.positions, directions: &self.faint.directions, out: &mut self.radiance }
+        Points {
+            positions: &self.low_weight.positions,
+            directions: &self.low_weight.directions,
+            out: &mut self.radiance,
+        }
     }
 
     /// Takes in the jets of the visible samples.
@@ -306,11 +316,11 @@ impl JacobianBuffers<'_> {
 
     /// Takes in the colours of samples that need no more.
     fn take_colors(&mut self) {
-        let Self { faint, radiance, colors, invalid, .. } = self;
+        let Self { low_weight, radiance, colors, invalid, .. } = self;
         for (i, radiance) in radiance.iter().enumerate() {
-            colors[faint.samples[i] as usize] = radiance.color;
+            colors[low_weight.samples[i] as usize] = radiance.color;
             if !radiance.is_valid() {
-                invalid[faint.rays[i] as usize].get_or_insert(faint.samples[i]);
+                invalid[low_weight.rays[i] as usize].get_or_insert(low_weight.samples[i]);
             }
         }
     }
@@ -375,11 +385,11 @@ impl Tracer<'_> {
         3_f64.sqrt() * self.marcher.step * transmittance
     }
 
-    /// Finds the visible, the lurking and the faint samples.
+    /// Finds the visible, the near-surface and the low-weight samples.
     pub(super) fn choose(&self, rays: &[Ray], differentiation: &Differentiation, buffers: &mut JacobianBuffers) {
-        let JacobianBuffers { trace, quadrature, visible, lurking, faint, .. } = buffers;
+        let JacobianBuffers { trace, quadrature, visible, near_surface, low_weight, .. } = buffers;
         let traced = &trace.traced;
-        [&mut *visible, lurking, faint].into_iter().for_each(Chosen::clear);
+        [&mut *visible, near_surface, low_weight].into_iter().for_each(Chosen::clear);
         for (r, ray) in rays.iter().enumerate() {
             let direction = ray.direction.as_vec3();
             let samples = traced.samples(r);
@@ -389,14 +399,14 @@ impl Tracer<'_> {
                     visible.push(i, r, x, direction);
                     continue;
                 }
-                let influence = self.influence(quadrature.behind[i]);
+                let influence = self.influence(quadrature.transmittance_after[i]);
                 let h = differentiation.differences.reach(x);
                 let is_resolved = FAR_APART * h.max_element() <= self.marcher.step;
                 let near = if is_resolved { around(&traced.densities, &samples, i) } else { f32::INFINITY };
                 if self.may_matter(influence, x, h, near) {
-                    lurking.push(i, r, x, direction);
+                    near_surface.push(i, r, x, direction);
                 } else if quadrature.weights[i] > 0.0 {
-                    faint.push(i, r, x, direction);
+                    low_weight.push(i, r, x, direction);
                 }
             }
         }

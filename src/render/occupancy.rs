@@ -109,7 +109,7 @@ impl Occupancy {
         self.cell(x).map_or(0.0, |cell| self.majorant.value(0, cell))
     }
 
-    /// Compares σ̂ at a point with `density`, and returns the distance within which the result is valid.
+    /// Compares σ̂ at a point with `density`, and returns the block within which the result is valid.
     pub(super) fn space(&self, x: DVec3, density: f32) -> Space {
         let Some(cell) = self.cell(x) else { return Space::Outside };
         let low = |level: usize| level < self.majorant.levels() && self.majorant.value(level, cell) <= density;

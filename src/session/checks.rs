@@ -1,7 +1,7 @@
 //! What the checks before a run, and its result, have to say.
 
 use crate::dataset::{ResolutionSource, Views, check_masks};
-use crate::estimate::Sight;
+use crate::estimate::CoverageCheck;
 use crate::evaluate::Remark;
 use crate::geometry::{Camera, Mask, kept_pixels};
 use crate::uncertainty::UncertaintyField;
@@ -38,14 +38,14 @@ pub fn pixels(views: &Views, pixels: u64, tell: &mut dyn FnMut(Remark)) {
 
 /// Refuses a run in which nothing is seen. Warns of one in which little is seen, for likely causes beside those that
 /// were measured.
-pub fn sight(sight: &Sight, others: &[&str], tell: &mut dyn FnMut(Remark)) -> Result<()> {
+pub fn sight(sight: &CoverageCheck, others: &[&str], tell: &mut dyn FnMut(Remark)) -> Result<()> {
     if let Some(outside) = sight.cut_off().map(|share| 100.0 * share) {
         let text = format!("{outside:.1} % of what the rays meet lies outside --box: U is the prior there");
         tell(Remark::Note(text));
     }
     let Some(causes) = sight.causes() else { return Ok(()) };
     let (causes, measured) = ([&[causes.as_str()], others].concat().join(", or "), sight.measured());
-    if sight.is_nothing() {
+    if sight.is_empty() {
         let expected = format!("rays that meet matter in the field's domain; likely causes: {causes}");
         return Err(Error::setting("cameras", expected, format!("none: {measured}")));
     }

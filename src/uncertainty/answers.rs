@@ -4,8 +4,8 @@ use std::borrow::Cow;
 
 use glam::Vec3;
 
-use super::knowledge::at_shares;
-use super::{Estimate, Knowledge, Protocol, Summary, Support, UncertaintyField};
+use super::observability::at_shares;
+use super::{Estimate, Observability, Protocol, Summary, Support, UncertaintyField};
 use crate::Result;
 use crate::geometry::Lattice;
 use crate::octree::CellTree;
@@ -22,7 +22,7 @@ pub struct Answer {
     /// Training rays that reached the space around the point with half of their light; `None` if unknown.
     pub visits: Option<u32>,
     /// Whether the point is constrained, free or unseen; `None` if unknown.
-    pub knowledge: Option<Knowledge>,
+    pub observability: Option<Observability>,
 }
 
 /// A field that can be queried at points, in memory or in files. Along rays it is probed for log10 U and for the
@@ -37,7 +37,7 @@ pub trait Answers: ProbedField {
     /// If a part of the field cannot be read.
     fn estimates(&self, points: &[Vec3]) -> Result<Vec<Estimate>>;
 
-    /// U, visits and [`Knowledge`] at scene points, in their order.
+    /// U, visits and [`Observability`] at scene points, in their order.
     ///
     /// # Errors
     /// If a part of the field cannot be read.
@@ -46,7 +46,7 @@ pub trait Answers: ProbedField {
         let answer = |(&x, estimate): (&Vec3, Estimate)| Answer {
             estimate,
             visits: facts.visits().map(|visits| visits.at(x).unwrap_or(0)),
-            knowledge: facts.knowledge(x, estimate.uncertainty),
+            observability: facts.observability(x, estimate.uncertainty),
         };
         Ok(points.iter().zip(self.estimates(points)?).map(answer).collect())
     }

@@ -187,7 +187,7 @@ mod tests {
                 let rays = found.rays.zip(other.rays).map_or(found.rays == other.rays, |(a, b)| near(a, b));
                 let same = (found.level, found.inside) == (other.level, other.inside);
                 assert!(same && rays && near(found.uncertainty, other.uncertainty), "{x}: {found:?}, {other:?}");
-                assert_eq!((a.visits, a.knowledge, baked.query(*x)), (b.visits, b.knowledge, found), "{x}");
+                assert_eq!((a.visits, a.observability, baked.query(*x)), (b.visits, b.observability, found), "{x}");
             }
             assert!(found.iter().filter(|answer| !answer.estimate.inside).count() > 1000);
             for few in [0, 1, TOGETHER - 1, TOGETHER, TOGETHER + 1] {

@@ -5,7 +5,7 @@
 //! posterior, so to first order Var(d) = Σ_v g_vᵀ C_v g_v. C_v is computed from the sums as U is: pooled, and on leaves
 //! that were kept coarser divided by their volume. The hat of a leaf k levels coarser gathers 8ᵏ times the information.
 //! Without the division, the deviation of depth would be √8ᵏ times smaller than that of the finest lattice from the
-//! same rays. The photometric residual ([`Misfit`](super::Misfit)) is no displacement and is added separately.
+//! same rays. The photometric residual ([`Residuals`](super::Residuals)) is no displacement and is added separately.
 
 use glam::{DVec3, Vec3};
 use rustc_hash::FxHashMap;
@@ -82,7 +82,7 @@ impl DepthVariance for DepthPosterior<'_> {
     }
 
     fn unexplained(&self, x: Vec3) -> f64 {
-        self.field.misfit().map_or(0.0, |misfit| misfit.depth_deviation(x).powi(2))
+        self.field.residuals().map_or(0.0, |residuals| residuals.depth_deviation(x).powi(2))
     }
 }
 

@@ -8,22 +8,22 @@ mod baked;
 mod batch;
 mod by_vertex;
 mod compare;
-mod densify;
 mod depth;
 mod file;
-mod knowledge;
 mod layers;
 mod matrices;
 mod merge;
+mod observability;
 #[cfg(feature = "files")]
 mod official;
 mod precision;
 mod protocol;
 mod query;
-mod reread;
+mod recompute;
 mod shown;
 mod threshold;
 mod tiled;
+mod to_dense;
 
 pub use answers::{Answer, Answers};
 pub use baked::BakedField;
@@ -31,10 +31,10 @@ pub use by_vertex::{ByVertex, RayCounts, StandardDeviations, Stored};
 pub use compare::{Comparison, Difference, Summary, compare};
 pub use depth::DepthPosterior;
 pub use file::FORMAT_VERSION;
-pub use knowledge::Knowledge;
-pub use layers::{Conformal, ErrorBars, ErrorSummary, Misfit, MisfitSums};
+pub use layers::{Conformal, ErrorBars, ErrorSummary, ResidualSums, Residuals};
 pub use matrices::Matrices;
 pub use merge::{finish_tiles, merge, merge_with_error_bars};
+pub use observability::Observability;
 #[cfg(feature = "files")]
 pub use official::OfficialGrid;
 pub use precision::{Added, Precision};
@@ -112,8 +112,8 @@ impl UncertaintyField {
         Self { protocol, lattice, support, deviations, rays, layers }
     }
 
-    /// The field on an octree that was made of the sums. Sums that are neither to be kept nor needed for others are not
-    /// gathered a second time, which takes less memory.
+    /// The field on an octree that was made of the sums. σ is read straight from the posterior unless the sums are kept
+    /// or needed, which saves a copy.
     pub(crate) fn on_octree(
         protocol: Protocol,
         lattice: Lattice,

@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 
-use super::{Answer, Answers, Knowledge};
+use super::{Answer, Answers, Observability};
 use crate::Result;
 use crate::geometry::Camera;
 use crate::render::{Pixel, RenderedView};
@@ -36,9 +36,9 @@ pub fn unknowns(
         camera.ray(x, y).at(pixel.median_depth).as_vec3()
     };
     let points: Vec<Vec3> = view.pixels.iter().enumerate().map(|(i, pixel)| point(i, pixel)).collect();
-    let unknown = |(found, pixel): (Answer, &Pixel)| match found.knowledge {
+    let unknown = |(found, pixel): (Answer, &Pixel)| match found.observability {
         _ if !found.estimate.inside => (pixel.opacity > FAINT).then_some(Unknown::Outside),
-        Some(Knowledge::Unseen) if pixel.opacity > 0.5 => Some(Unknown::Unseen),
+        Some(Observability::Unseen) if pixel.opacity > 0.5 => Some(Unknown::Unseen),
         _ => None,
     };
     Ok(field.answers(&points)?.into_iter().zip(&view.pixels).map(unknown).collect())

@@ -14,7 +14,7 @@ use crate::Result;
 use crate::field::RadianceField;
 use crate::monitor::{Monitor, check};
 use crate::render::Occupancy;
-use crate::uncertainty::{BakedField, Knowledge, UncertaintyField};
+use crate::uncertainty::{BakedField, Observability, UncertaintyField};
 
 /// Matter that absorbs less than this along the edge of a cell is left out, if a whole brick holds no more.
 const LEAST: f64 = 2e-4;
@@ -149,7 +149,7 @@ fn matter(grid: &Grid, index: [u32; 3], source: &Source, marks: &[Marks; 2]) -> 
     let is_asked = |i: usize| alpha[i] > 0.0 || neighbours(i).any(|j| alpha[j] > 0.0);
     let known = |x: Vec3| {
         let found = source.baked.query(x);
-        let is_unseen = source.field.knowledge(x, found.uncertainty) == Some(Knowledge::Unseen);
+        let is_unseen = source.field.observability(x, found.uncertainty) == Some(Observability::Unseen);
         Known { log10: found.uncertainty.log10() as f32, rays: found.rays.unwrap_or(0.0) as f32, is_unseen }
     };
     let found = (0..SAMPLES).map(|i| positions[i].filter(|_| is_asked(i)).map(known)).collect();

@@ -10,7 +10,7 @@ use octobayes::monitor::Silent;
 use octobayes::posterior::Visits;
 use octobayes::rays::{RunProgress, Shard};
 use octobayes::render::RaySamples;
-use octobayes::uncertainty::{Knowledge, UncertaintyField, merge};
+use octobayes::uncertainty::{Observability, UncertaintyField, merge};
 
 const RAYS: u64 = 3_000;
 
@@ -83,14 +83,14 @@ fn free_air_is_not_never_seen() {
     let field = estimation(&scene, &cameras).rays(rays).grid(grid).run().unwrap().field;
     let toward: DVec3 = cameras.iter().map(|camera| camera.ray(24.0, 24.0).origin).sum::<DVec3>().normalize();
     let at = |distance: f64| (distance * toward).as_vec3();
-    let knowledge = |x: Vec3| field.knowledge(x, field.query(x).uncertainty).unwrap();
+    let observability = |x: Vec3| field.observability(x, field.query(x).uncertainty).unwrap();
     // Before the ball, on its front, inside, and behind it.
     let surface = (0..1000).map(|i| f64::from(i) / 1000.0).rfind(|d| density(&scene, d * toward) > 20.0).unwrap();
-    assert_eq!(knowledge(at(surface + 0.15)), Knowledge::Free);
-    assert_eq!(knowledge(at(surface)), Knowledge::Constrained);
-    assert_eq!(knowledge(at(0.0)), Knowledge::Unseen);
-    assert_eq!(knowledge(at(-0.9 * surface)), Knowledge::Unseen);
-    assert_eq!(knowledge(Vec3::splat(9.0)), Knowledge::Unseen);
+    assert_eq!(observability(at(surface + 0.15)), Observability::Free);
+    assert_eq!(observability(at(surface)), Observability::Constrained);
+    assert_eq!(observability(at(0.0)), Observability::Unseen);
+    assert_eq!(observability(at(-0.9 * surface)), Observability::Unseen);
+    assert_eq!(observability(Vec3::splat(9.0)), Observability::Unseen);
     // U alone does not tell the first from the last.
     assert_eq!(field.query(at(surface + 0.15)).uncertainty, field.query(at(0.0)).uncertainty);
 }

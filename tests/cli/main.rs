@@ -17,12 +17,12 @@ mod evaluate;
 #[path = "../interrupt/mod.rs"]
 mod interrupt;
 mod limits;
-mod misfit;
 mod misleading;
 #[path = "../arrays/npz.rs"]
 mod npz;
 #[path = "../program/mod.rs"]
 mod program;
+mod residuals;
 mod scale;
 mod splats;
 mod streams;

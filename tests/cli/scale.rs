@@ -4,7 +4,7 @@ use crate::program::{good, run};
 use octobayes::field::ClosedForm;
 use octobayes::geometry::Camera;
 use octobayes::posterior::Scale;
-use octobayes::uncertainty::{Knowledge, UncertaintyField};
+use octobayes::uncertainty::{Observability, UncertaintyField};
 
 const RUN: &str = "uncertainty scene:ball --cameras transforms.json --level 5 --rays 4000 --occupancy 32";
 
@@ -63,14 +63,14 @@ fn what_was_seen_is_the_same_on_both_scales() {
     good(folder, &format!("{run} -o paper.oct"));
     good(folder, &format!("{run} --scale data --noise 0.03162277660168379 -o data.oct"));
     let fields = ["paper.oct", "data.oct"].map(|name| UncertaintyField::read(&folder.join(name)).unwrap());
-    let words = |x: glam::Vec3| [0, 1].map(|i| fields[i].knowledge(x, fields[i].query(x).uncertainty).unwrap());
+    let words = |x: glam::Vec3| [0, 1].map(|i| fields[i].observability(x, fields[i].query(x).uncertainty).unwrap());
     let at = |n: i32| -0.99 + 1.98 * n as f32 / 30.0;
     let points = (0..31 * 31 * 31).map(|n| glam::Vec3::new(at(n / 961), at(n / 31 % 31), at(n % 31)));
     let grid: Vec<_> = points.map(words).collect();
     let surface: Vec<_> = fields[0].surface().iter().map(|x| words(glam::Vec3::from_array(*x))).collect();
     for (what, words, least) in [("grid", grid, 0.95), ("surface", surface, 0.98)] {
         let same = words.iter().filter(|[a, b]| a == b).count() as f64 / words.len() as f64;
-        let constrained: Vec<_> = words.iter().filter(|[a, _]| *a == Knowledge::Constrained).collect();
+        let constrained: Vec<_> = words.iter().filter(|[a, _]| *a == Observability::Constrained).collect();
         let kept = constrained.iter().filter(|[a, b]| a == b).count() as f64 / constrained.len() as f64;
         assert!(same > least && kept > 0.9, "{what}: {same} of {}, {kept} of the constrained", words.len());
     }

@@ -142,7 +142,7 @@ fn sentences() -> Vec<(&'static str, &'static str, Vec<Figure>)> {
     let fox = |row| figure(FOX, row, "rank correlation with the error of colours");
     let [fox_12, fox_44] = ["| 12 | log10 U, weighted-mean |", "| 44 | log10 U, weighted-mean |"];
     let [angle_12, angle_44] = ["| 12 | angle", "| 44 | angle"];
-    let weight = "By the weight of the misfit";
+    let weight = "By the weight of the residuals";
     let ten = || coverage("meshes", "scenes that have no say");
     vec![
         (
@@ -167,7 +167,8 @@ fn sentences() -> Vec<(&'static str, &'static str, Vec<Figure>)> {
         ),
         (
             README,
-            "AUSE {} on ten scenes (0 is perfect); the ray's weights {}, a control without a Hessian {} |",
+            "AUSE {} on ten scenes (0 is perfect). Without a Hessian: variance of a ray's weights {}, their deviation / \
+             number of rays {} |",
             vec![tested(ours, mae), tested(variance, mae), tested(control, mae)],
         ),
         (

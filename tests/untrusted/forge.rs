@@ -23,8 +23,8 @@ const FIELD: [&str; 12] = [
     "counted",
     "limits",
     "errors",
-    "misfit vertices",
-    "misfit",
+    "residual points",
+    "residuals",
 ];
 const CHECKPOINT: [&str; 5] = ["run", "keys", "sums", "surface", "visits"];
 

@@ -150,8 +150,8 @@ fn field_is_sound(field: &UncertaintyField, path: &Path) {
     field.validate().expect("a field that was read is sound");
     assert!(field.prior() > 0.0 && field.prior().is_finite(), "prior {}", field.prior());
     let cube = field.lattice().domain().bounds().copied().unwrap_or(Aabb::centered_cube(3.0));
-    if let Some(misfit) = field.misfit() {
-        for (x, found) in points_around(cube).into_iter().map(|x| (x, misfit.depth_deviation(x))) {
+    if let Some(residuals) = field.residuals() {
+        for (x, found) in points_around(cube).into_iter().map(|x| (x, residuals.depth_deviation(x))) {
             assert!(found >= 0.0 && found.is_finite(), "a deviation of {found} at {x}");
         }
     }

@@ -14,7 +14,7 @@ use octobayes::geometry::{Aabb, Camera, Domain, Norm};
 use octobayes::posterior::{Covariance, Criteria, Criterion, DataScale, Scale, VertexSums};
 use octobayes::rays::{Pixels, RunProgress, SamplesWriter, Shard};
 use octobayes::render::{GradientMethod, RaySample, RaySamples};
-use octobayes::uncertainty::{MisfitSums, UncertaintyField};
+use octobayes::uncertainty::{ResidualSums, UncertaintyField};
 use safetensors::tensor::{Dtype, TensorView};
 
 use super::arrays::npy;
@@ -135,9 +135,9 @@ pub fn fields() -> Vec<UncertaintyField> {
     let images_known = |settings: GridSettings| {
         let scale = Scale::Data(DataScale::new(100, 0.1, 0.05).unwrap());
         let field = field(settings.scale(scale), cube);
-        let mut sums = MisfitSums::new(field.lattice());
+        let mut sums = ResidualSums::new(field.lattice());
         (0..20).for_each(|i| sums.add(Vec3::splat(0.1 * i as f32 - 1.0), 0.01 * f64::from(i % 3)));
-        field.with_misfit(sums.finish()).unwrap()
+        field.with_residuals(sums.finish()).unwrap()
     };
     vec![
         field(small, cube),

@@ -84,9 +84,9 @@ pub struct GridOptions {
     #[arg(long, value_enum, default_value_t, help_heading = heading::GRID, hide_short_help = true)]
     pub grid: GridKind,
 
-    /// How a vertex's 3x3 matrix H becomes one number: the paper's sum of 1/H_kk (diagonal), the official code's
-    /// 1/tr H (trace), or tr H^-1, which does not depend on the axes (block)
-    #[arg(long, value_enum, default_value_t, help_heading = heading::STATISTICS)]
+    /// What U^2 is of a vertex's 3x3 Hessian H: the paper's sum of 1/H_kk (diagonal), the official code's 1/tr H
+    /// (trace), or tr H^-1, which does not depend on the axes (block)
+    #[arg(long, value_enum, default_value_t, help_heading = heading::STATISTICS, hide_short_help = true)]
     pub covariance: Covariance,
 
     /// Prior precision, 1 / scene unit^2 [default: 1e-4 / 2^(3 level) per squared longest edge of the box]

@@ -9,13 +9,13 @@ use crate::session::ScaleKind;
 /// The scale of U, and what that of the training pixels needs.
 #[derive(Args)]
 pub struct ScaleOptions {
-    /// What U counts: one noisy training ray, as in the paper (it ranks places), or all training pixels (a standard
-    /// deviation in scene units)
+    /// The evidence behind U: one noisy training ray, as in the paper (U only ranks places), or all training pixels (U
+    /// is a standard deviation in scene units)
     #[arg(long, value_enum, default_value_t, help_heading = heading::STATISTICS)]
     pub scale: ScaleKind,
 
     /// For --scale data: RMSE of the model's colours (0..1) on its training images, 10^(-PSNR/20): 0.032 at 30 dB
-    /// [default: what the model records, if `train` made it]
+    /// [default: what a model of `train` records; others need it]
     #[arg(
         long,
         value_name = "RMSE",

@@ -19,7 +19,7 @@ use crate::error::printable;
 use crate::io::{AtomicFile, npy, refuse_pipe};
 use crate::monitor::check;
 use crate::posterior::Covariance;
-use crate::uncertainty::{Answer, Answers, Knowledge, UncertaintyField};
+use crate::uncertainty::{Answer, Answers, Observability, UncertaintyField};
 use crate::{Error, Result};
 
 /// Points that are answered together. More are no faster, and this many with their answers take 30 MB.
@@ -265,11 +265,11 @@ fn write_rows<W: Write>(
     answers: &[Answer],
     with_errors: bool,
 ) -> std::io::Result<()> {
-    for (x, Answer { estimate: a, visits, knowledge }) in points.iter().zip(answers) {
+    for (x, Answer { estimate: a, visits, observability }) in points.iter().zip(answers) {
         let numbers = [x.x.to_string(), x.y.to_string(), x.z.to_string(), a.uncertainty.to_string()];
         let rays = a.rays.map_or(String::new(), |rays| rays.to_string());
         let visits = visits.map_or(String::new(), |visits| visits.to_string());
-        let seen = knowledge.map_or("", Knowledge::name).to_string();
+        let seen = observability.map_or("", Observability::name).to_string();
         let inside = u8::from(a.inside).to_string();
         let rest = [a.uncertainty.log10().to_string(), a.level.to_string(), inside, rays, visits, seen];
         let error = with_errors.then(|| a.log10_error.map_or(String::new(), |error| error.to_string()));

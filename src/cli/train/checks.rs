@@ -28,7 +28,7 @@ pub(super) fn check_framing(train: &[Shot], domain: &Domain) -> Result<()> {
     let framing = Framing::from_cameras(&cameras, &bounds);
     let Some(causes) = framing.causes() else { return Ok(()) };
     let measured = framing.measured();
-    if is_all && framing.is_nothing() {
+    if is_all && framing.is_empty() {
         let expected = format!("rays that meet the box (--box); likely causes: {causes}");
         return Err(Error::setting("cameras", expected, format!("none: {measured}")));
     }

@@ -72,7 +72,7 @@ pub struct Args {
     #[command(flatten)]
     domain: DomainOptions,
 
-    /// Memory limit of the whole process, e.g. 2GiB; cells with the fewest rays stay coarse first
+    /// Memory limit of the whole process, e.g. 2GiB; to stay below it, cells with the fewest rays are not refined
     #[arg(long, value_name = "SIZE", value_parser = parse_bytes, help_heading = heading::GRID)]
     memory: Option<u64>,
 
@@ -116,7 +116,7 @@ pub struct Args {
     )]
     rays: RayCount,
 
-    /// Draw rays until the estimated mean error of log10 U falls below this, or --rays are drawn
+    /// Stop once the estimated mean sampling error of log10 U is below this; never draw more than --rays
     ///
     /// Doubles the rays, from 65536, until two halves of them agree. Most scenes need tens of millions for 0.05.
     #[arg(
@@ -137,7 +137,7 @@ pub struct Args {
     #[arg(long, default_value_t = RaySettings::default().seed, help_heading = heading::RAYS, hide_short_help = true)]
     seed: u64,
 
-    /// Draw only part I of N of the rays (I from 0); `merge` joins the parts
+    /// Draw only part I of N of the rays (I from 0), one part a job on a cluster; `merge` joins the parts
     // Ray indices of a shard are those of the whole run, beyond the `rays_total` of a file of its own.
     #[arg(
         long,
@@ -145,12 +145,11 @@ pub struct Args {
         value_parser = parse_shard,
         conflicts_with = "dump_samples",
         help_heading = heading::RAYS,
-        hide_short_help = true,
     )]
     shard: Option<[u64; 2]>,
 
-    /// Compare the model with its training images in this folder; deviations of depth then include the photometric
-    /// residual
+    /// Compare the model with its training images in this folder: standard deviations of depth then include its errors
+    /// of colour
     ///
     /// The names of the training images start from DIR: it is the data set that the model was trained on, or the
     /// folder of the camera file. They have the size of the cameras' pictures. Their residuals are kept at the points

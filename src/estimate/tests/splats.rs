@@ -250,12 +250,12 @@ fn what_is_seen_is_certain_and_what_is_not_is_unknown() {
 fn sight_tells_cameras_that_see_the_splats_from_others() {
     let (splats, cameras) = (shell(), cameras());
     let stream = settings(5000).splat_stream(&splats, &cameras).unwrap();
-    let right = Sight::measure(&stream, &domain(), &Silent).unwrap();
+    let right = CoverageCheck::measure(&stream, &domain(), &Silent).unwrap();
     assert!(right.meet_domain > 0.3 && right.causes().is_none() && right.cut_off().is_none(), "{right:?}");
     let turned: Vec<Camera> = cameras.iter().map(crate::geometry::opencv).collect();
     let stream = settings(5000).splat_stream(&splats, &turned).unwrap();
-    let wrong = Sight::measure(&stream, &domain(), &Silent).unwrap();
-    assert!(wrong.is_nothing() && wrong.causes().unwrap().contains("OpenCV"), "{wrong:?}");
+    let wrong = CoverageCheck::measure(&stream, &domain(), &Silent).unwrap();
+    assert!(wrong.is_empty() && wrong.causes().unwrap().contains("OpenCV"), "{wrong:?}");
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! Counts the vertices that a pilot's rays touch, without sums, and predicts the number that a run will touch.
 //!
-//! Vertices, bricks and split cells of the octree are *species*, rays are catches ([`Caught`] has the estimator). They
+//! Vertices, bricks and split cells of the octree are *species*, rays are catches ([`SpeciesCounts`] estimates). They
 //! are counted on the leaves of every coarseness that limits may require, because a coarse leaf is touched by more rays
 //! than its part of the finest ones. Cells are counted level by level, as if every ray had an octree of its own. The
 //! octree of all rays splits what the octree of any ray splits, because balance is a rule from one cell to its
@@ -40,13 +40,13 @@ const VERTICES_PER_LEAF: f64 = 0.8;
 /// give Chao's lower bound V = d + f1 (f1 − 1) / (2 (f2 + 1)), and the run finds V (1 − exp(−t s / V)) of these. The
 /// larger number counts.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub(super) struct Caught {
+pub(super) struct SpeciesCounts {
     counts: Counts,
     /// f1, f2, f3.
     few: [f64; 3],
 }
 
-impl Caught {
+impl SpeciesCounts {
     /// Smallest f2 and f3 from which the spread of rates can be estimated.
     const LEAST: [f64; 2] = [20.0, 5.0];
     /// Bounds on θ and r, beyond which the rates are not those of one gamma distribution.
@@ -119,7 +119,7 @@ impl Sample {
     fn expected(&self, scale: f64, condition: impl Fn(u64) -> bool) -> f64 {
         let rays = self.rays.iter().filter(|(code, _)| condition(**code)).map(|(_, &rays)| rays);
         // Sums of integers are the same in any order.
-        rays.fold(Caught::default(), Caught::add).expected(scale) * f64::from(self.zeros).exp2()
+        rays.fold(SpeciesCounts::default(), SpeciesCounts::add).expected(scale) * f64::from(self.zeros).exp2()
     }
 }
 
@@ -146,7 +146,7 @@ pub struct Needs {
 
 /// What the rays of a pilot touched.
 #[derive(Debug, Clone)]
-pub struct Census {
+pub struct SpeciesEstimate {
     lattice: Lattice,
     /// By coarseness of the leaves; of the finest alone if there will be no limits.
     vertices: Vec<Sample>,
@@ -158,7 +158,7 @@ pub struct Census {
     longest: usize,
 }
 
-impl Census {
+impl SpeciesEstimate {
     /// Counts nothing yet. Every sample has at most `most` species. Coarser leaves than the finest are looked at if
     /// there may be limits.
     #[must_use]

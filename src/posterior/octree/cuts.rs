@@ -3,7 +3,7 @@
 //! Boxes of equal size would not do. Surfaces fill a small part of their box, and those of a city the lowest part of a
 //! cube: halved along z, its upper half is empty.
 
-use super::census::{Caught, Census};
+use super::census::{SpeciesCounts, SpeciesEstimate};
 use crate::octree::{Leaves, MaxLevels, Tile};
 
 /// The larger half may have so many times the mean of both. Then space is cut across the longest axis of what is in it,
@@ -19,7 +19,7 @@ struct Touched {
     rays: u32,
 }
 
-impl Census {
+impl SpeciesEstimate {
     /// The tile with its box, where all tiles need about as much if `scale` times the pilot's rays are summed on the
     /// leaves of `limits`. It is the same for the same pilot, for any tile and any number of threads.
     #[must_use]
@@ -33,11 +33,12 @@ impl Census {
         let mut of = tile.of;
         while of > 1 {
             of /= 2;
-            let vertices = |caught: &[Caught]| {
+            let vertices = |caught: &[SpeciesCounts]| {
                 caught.iter().zip(&weights).map(|(caught, weight)| weight * caught.expected(scale)).sum::<f64>()
             };
             let halves = |axis: usize, plane: u32| {
-                let mut caught = [vec![Caught::default(); weights.len()], vec![Caught::default(); weights.len()]];
+                let mut caught =
+                    [vec![SpeciesCounts::default(); weights.len()], vec![SpeciesCounts::default(); weights.len()]];
                 for Touched { point, sample, rays } in &touched {
                     let half = &mut caught[usize::from(point[axis] >= plane)][*sample];
                     *half = half.add(*rays);
@@ -117,9 +118,9 @@ mod tests {
     use crate::render::{RaySample, RaySamples};
 
     /// What rays of one sample each touch, at points of a box of edge 2.
-    fn census(level: u8, points: impl Iterator<Item = DVec3>) -> Census {
+    fn census(level: u8, points: impl Iterator<Item = DVec3>) -> SpeciesEstimate {
         let lattice = Lattice::new(Aabb::centered_cube(1.0), level).unwrap();
-        let mut census = Census::new(lattice, 1 << 12, false);
+        let mut census = SpeciesEstimate::new(lattice, 1 << 12, false);
         let mut samples = RaySamples::default();
         for (ray, x) in (0..).zip(points) {
             samples.push(ray, RaySample { position: x.as_vec3(), jacobian: [Vec3::ONE.x; 9], weight: 1.0 });

@@ -8,9 +8,9 @@
 use crate::octree::morton;
 use crate::posterior::VertexSums;
 
-/// Shards: enough to keep many cores busy, few enough that their lists stay long.
-const SHARD_BITS: u32 = 6;
-pub const PARTITIONS: usize = 1 << SHARD_BITS;
+/// Partitions: enough to keep many cores busy, few enough that their lists stay long.
+const PARTITION_BITS: u32 = 6;
+pub const PARTITIONS: usize = 1 << PARTITION_BITS;
 const COARSENESS_SHIFT: u32 = 57;
 
 /// A vertex: a lattice point and the level of its leaves.
@@ -87,7 +87,7 @@ impl VertexKey {
     #[inline]
     pub fn partition(self) -> usize {
         // Fibonacci hashing of the block's code (Knuth, TAOCP 3, 6.4).
-        ((self.0 >> 6).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> (64 - SHARD_BITS)) as usize
+        ((self.0 >> 6).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> (64 - PARTITION_BITS)) as usize
     }
 }
 

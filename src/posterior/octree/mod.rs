@@ -23,7 +23,7 @@ mod sparse;
 mod squares;
 mod walk;
 
-pub use census::{Census, Needs};
+pub use census::{Needs, SpeciesEstimate};
 pub use pilot_counts::PilotCounts;
 pub(super) use refine::TOGETHER;
 pub use refine::{Criteria, Criterion, Refinement};
@@ -144,7 +144,7 @@ impl OctreePosterior {
         let (_, most) = rays.size_hint();
         let mut all = Contributions::new(if most == Some(1) { 0 } else { 8 * batch.positions.len() });
         for samples in rays {
-            if finest && squares::places(&self.lattice, batch, samples.clone(), &mut places) {
+            if finest && squares::locate(&self.lattice, batch, samples.clone(), &mut places) {
                 squares::along(&places, batch, &mut all);
             } else {
                 walk.ray(batch, samples, &mut all);

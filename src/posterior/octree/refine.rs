@@ -172,6 +172,7 @@ impl OctreePosterior {
         let masks = self.sums.par_masks(|sums| moves(sums, floor));
         let each = masks.fold(none, |mut wanted, (code, moved)| {
             if self.limits.is_unlimited() {
+                // A block of keys here is a brick of the octree's masks.
                 wanted.around_points(code.bits(), moved);
             } else {
                 let members = (0..64_u64).filter(|i| moved >> i & 1 == 1);

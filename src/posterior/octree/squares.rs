@@ -26,14 +26,14 @@ impl SampleJacobian {
     }
 }
 
-/// A vertex's weighted sum of rows over one ray.
+/// A vertex's weighted sum of samples' Jacobians over one ray.
 #[derive(Clone, Copy, Default)]
 pub struct VertexJacobian([f64; 9]);
 
 impl VertexJacobian {
     #[inline(always)]
-    pub fn add(&mut self, weight: f64, row: &SampleJacobian) {
-        for (sum, value) in self.0.iter_mut().zip(&row.0) {
+    pub fn add(&mut self, weight: f64, jacobian: &SampleJacobian) {
+        for (sum, value) in self.0.iter_mut().zip(&jacobian.0) {
             *sum += weight * value;
         }
     }
@@ -69,8 +69,8 @@ pub struct LocatedSample {
 /// Locates a ray's samples on the lattice.
 ///
 /// Returns false if the ray turns back along an axis. A contracted ray may do so, and so may the rounded
-/// positions of a ray within a lattice plane.
-pub fn places(lattice: &Lattice, batch: &RaySamples, samples: Range<usize>, places: &mut Vec<LocatedSample>) -> bool {
+/// positions of a ray within a lattice plane. Samples of splats are centres beside the ray, and usually do.
+pub fn locate(lattice: &Lattice, batch: &RaySamples, samples: Range<usize>, places: &mut Vec<LocatedSample>) -> bool {
     places.clear();
     let mut direction = [0_i64; 3];
     for i in samples {
@@ -110,7 +110,7 @@ impl Corners {
 
     /// Adds a sample at the given offset in the cell.
     #[inline(always)]
-    fn add(&mut self, offset: DVec3, row: &SampleJacobian) {
+    fn add(&mut self, offset: DVec3, jacobian: &SampleJacobian) {
         let mut along = [[0.0; 2]; 3];
         for axis in 0..3 {
             let lower = (self.cell[axis] & 1) as usize;
@@ -118,7 +118,7 @@ impl Corners {
             along[axis][lower ^ 1] = offset[axis];
         }
         for (s, sum) in self.sums.iter_mut().enumerate() {
-            sum.add(along[0][s & 1] * along[1][s >> 1 & 1] * along[2][s >> 2], row);
+            sum.add(along[0][s & 1] * along[1][s >> 1 & 1] * along[2][s >> 2], jacobian);
         }
     }
 

@@ -285,7 +285,7 @@ proptest! {
         let sorted = posterior.gather(&batch, range.clone());
         let (mut places, mut walked) = (Vec::new(), Contributions::new(0));
         // Rounded positions on a straight line do not turn back, because f32 products and sums are monotone.
-        prop_assert!(squares::places(&posterior.lattice, &batch, range, &mut places));
+        prop_assert!(squares::locate(&posterior.lattice, &batch, range, &mut places));
         squares::along(&places, &batch, &mut walked);
         prop_assert_eq!(by_vertex(&walked), sorted);
     }
@@ -324,7 +324,7 @@ fn a_ray_that_turns_back_is_squared_once() {
         batch.push(0, RaySample { position, jacobian: [1.0; 9], weight: 0.5 });
     }
     let posterior = OctreePosterior::new(lattice(3));
-    assert!(!squares::places(&posterior.lattice, &batch, 0..4, &mut Vec::new()));
+    assert!(!squares::locate(&posterior.lattice, &batch, 0..4, &mut Vec::new()));
     // Both samples in the cell from ¼ to ½ enter one square: (Σ φ)² rather than the sum of two squares.
     let mut whole = posterior.clone();
     whole.add(&[batch.clone()]);

@@ -143,10 +143,10 @@ fn walk(walk: &mut LeafWalk, batch: &RaySamples, samples: Range<usize>, out: &mu
         }
         let leaf = &walk.leaf;
         let weights = trilinear((u - DVec3::from(leaf.origin.map(f64::from))) / f64::from(leaf.edge));
-        let row = SampleJacobian::new(batch, i);
+        let jacobian = SampleJacobian::new(batch, i);
         for term in &leaf.terms {
             // Multiplication by ½ or ¼ is exact.
-            walk.touched.sums[term.vertex as usize].add(weights[usize::from(term.corner)] * term.share, &row);
+            walk.touched.sums[term.vertex as usize].add(weights[usize::from(term.corner)] * term.share, &jacobian);
         }
     }
     for (&key, sum) in walk.touched.keys.iter().zip(&walk.touched.sums) {

@@ -18,7 +18,8 @@ const BEYOND: f64 = 0.005;
 const MARGIN: f64 = 0.1;
 /// Parts of what is seen that lie beyond either side of the core along an axis.
 const BEYOND_CORE: f64 = 0.1;
-/// A scene has no bounds if its box is so many times as long as its core. An object or a room is about as long.
+/// A scene counts as unbounded if its box is more than this many times as long as its core; for an object or a room the
+/// two are similar.
 const FAR: f64 = 4.0;
 
 /// The value below which the share `share` of the weights lies.

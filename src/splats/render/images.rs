@@ -75,7 +75,7 @@ impl SplatView<'_> {
             for hit in &hits.list {
                 let footprint = &self.footprints[hit.footprint as usize];
                 quadrature.weights.push(hit.weight());
-                quadrature.behind.push(hit.before - hit.weight());
+                quadrature.transmittance_after.push(hit.before - hit.weight());
                 positions.push(self.renderer.splats.mean(footprint.splat as usize));
                 colors.push(footprint.color.as_vec3());
                 t.push(self.distance(hit, ray));

@@ -28,7 +28,7 @@ pub struct Conformal {
 impl Layer for Conformal {
     const NAME: &'static str = "interval";
     const DEPENDS_ON: &'static [Change] =
-        &[Change::Covariance, Change::Prior, Change::Matrices, Change::Vertices, Change::Misfit];
+        &[Change::Covariance, Change::Prior, Change::Matrices, Change::Vertices, Change::Residuals];
     const WITHOUT: &'static str = "not calibrated (evaluate --calibrate)";
 
     fn head(&self) -> Value {

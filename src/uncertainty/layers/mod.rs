@@ -7,7 +7,7 @@ mod conformal;
 mod draws;
 pub(super) mod error_bars;
 mod limits;
-mod misfit;
+mod residuals;
 mod sums;
 mod surface;
 mod tile;
@@ -17,7 +17,7 @@ use serde_json::{Map, Value};
 
 pub use self::conformal::Conformal;
 pub use self::error_bars::{ErrorBars, ErrorSummary};
-pub use self::misfit::{Misfit, MisfitSums};
+pub use self::residuals::{ResidualSums, Residuals};
 use super::file::Source;
 use crate::Result;
 use crate::io::container::Section;
@@ -37,7 +37,7 @@ pub enum Change {
     /// Values move to the vertices of another grid.
     Vertices,
     /// Deviations of depth count other residuals of the training images.
-    Misfit,
+    Residuals,
 }
 
 /// The sections of a layer, by name.
@@ -174,7 +174,7 @@ layers! {
     /// `[vertices]`: errors of log10 σ_v relative to its limit, if independent groups of rays were compared.
     error_bars: ErrorBars,
     /// What training left unexplained, if deviations of depth count it.
-    misfit: Misfit,
+    residuals: Residuals,
     /// An interval of depth that was calibrated for these deviations.
     conformal: Conformal,
 }

@@ -11,13 +11,13 @@ use crate::rays::Shard;
 use crate::uncertainty::tests::{on_own_octree, protocol, samples};
 use crate::uncertainty::{Protocol, Support, UncertaintyField, merge};
 
-fn misfit(lattice: &Lattice) -> Misfit {
-    let mut sums = MisfitSums::new(lattice);
+fn residuals(lattice: &Lattice) -> Residuals {
+    let mut sums = ResidualSums::new(lattice);
     (0..20_u8).for_each(|i| sums.add(Vec3::splat(0.1 * f32::from(i) - 1.0), 0.01 * f64::from(i % 3)));
     sums.finish()
 }
 
-/// A field of the rays of a shard with all layers, of which misfit and tile exclude each other, as do limits and a
+/// A field of the rays of a shard with all layers, of which residuals and tile exclude each other, as do limits and a
 /// dense grid.
 fn field(seed: u64, shard: Shard, is_dense: bool, is_tile: bool) -> UncertaintyField {
     let lattice = Lattice::new(Aabb::centered_cube(1.0), 6).unwrap();
@@ -43,7 +43,7 @@ fn field(seed: u64, shard: Shard, is_dense: bool, is_tile: bool) -> UncertaintyF
         .with_surface(vec![[0.25, -0.5, 0.125], [0.5; 3]])
         .with_visits(Visits::from_counts(&lattice, counts))
         .with_conformal(Conformal { probability: 0.9, factor: 1.5, pixels: 100, views: 2 });
-    field.layers.misfit = tile.is_none().then(|| misfit(&lattice));
+    field.layers.residuals = tile.is_none().then(|| residuals(&lattice));
     field
 }
 
@@ -57,11 +57,11 @@ fn changes_drop_the_layers_that_depend_on_them_and_no_others() {
     let changes: [(&str, Changed, &[&str]); 12] = [
         ("the same covariance", |f| f.with_covariance(Covariance::Diagonal).unwrap(), &[]),
         ("covariance", |f| f.with_covariance(Covariance::Block).unwrap(), &["error bars", "interval"]),
-        ("lambda", |f| f.with_lambda(1e9).unwrap(), &["error bars", "misfit", "interval"]),
+        ("lambda", |f| f.with_lambda(1e9).unwrap(), &["error bars", "residuals", "interval"]),
         ("sums", UncertaintyField::without_sums, &["sums", "interval"]),
         ("what queries need", UncertaintyField::for_queries, &["sums", "interval"]),
         ("grid", |f| f.on_dense_grid(), &["sums", "error bars", "interval"]),
-        ("misfit", |f| f.with_misfit(misfit(&whole().lattice)).unwrap(), &["interval"]),
+        ("residuals", |f| f.with_residuals(residuals(&whole().lattice)).unwrap(), &["interval"]),
         ("surface", |f| f.with_surface(Vec::new()), &["surface points"]),
         ("visits", |f| f.with_visits(None), &["visits"]),
         ("draws", |f| f.with_draws(Vec::new()), &["draws"]),
@@ -74,10 +74,10 @@ fn changes_drop_the_layers_that_depend_on_them_and_no_others() {
     ];
     for is_tile in [false, true] {
         let before = field(0, Shard::whole(3072), false, is_tile);
-        let lacks = if is_tile { "misfit" } else { "tile" };
+        let lacks = if is_tile { "residuals" } else { "tile" };
         assert_eq!(before.layers.names(), NAMES.into_iter().filter(|name| *name != lacks).collect::<Vec<_>>());
         for (change, apply, dropped) in &changes {
-            if is_tile && ["misfit", "what queries need"].contains(change) {
+            if is_tile && ["residuals", "what queries need"].contains(change) {
                 continue;
             }
             let mut expected = before.layers.clone();
@@ -94,12 +94,12 @@ fn changes_drop_the_layers_that_depend_on_them_and_no_others() {
 fn merging_adds_what_adds_up_and_drops_the_rest() {
     let parts = [0, 1].map(|seed| field(seed, Shard::whole(3072), false, false));
     let merged = merge(&parts).unwrap();
-    let kept = ["draws", "sums", "surface points", "visits", "limits", "misfit"];
+    let kept = ["draws", "sums", "surface points", "visits", "limits", "residuals"];
     assert_eq!(merged.layers.names(), kept);
     let [draws, surface] = [merged.draws().len(), merged.surface().len()];
     assert_eq!((draws, surface, merged.limits()), (2, 2, parts[0].limits()));
     // What one part lacks: sums and limits are those of all or there is no merge.
-    for (name, is_kept) in [("draws", false), ("surface points", true), ("visits", false), ("misfit", true)] {
+    for (name, is_kept) in [("draws", false), ("surface points", true), ("visits", false), ("residuals", true)] {
         for lacking in [0, 1] {
             let mut parts = parts.clone();
             parts[lacking].layers.remove(name);

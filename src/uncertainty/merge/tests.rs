@@ -15,7 +15,7 @@ use crate::octree::VertexId;
 use crate::posterior::{Covariance, DataScale, DensePosterior, OctreePosterior, Scale, Visits, negligible_information};
 use crate::rays::Shard;
 use crate::uncertainty::tests::on_own_octree;
-use crate::uncertainty::{MisfitSums, Protocol, Support};
+use crate::uncertainty::{Protocol, ResidualSums, Support};
 
 const LEVEL: u8 = 4;
 
@@ -115,7 +115,7 @@ proptest! {
         seeds in 1_u64..4,
         of in 1_u64..4,
         is_dense: bool,
-        misfit_of in proptest::option::of(0_usize..9),
+        residuals_of in proptest::option::of(0_usize..9),
         without_visits in prop_oneof![3 => Just(None), 1 => (0_usize..9).prop_map(Some)],
     ) {
         let random = &mut ChaCha8Rng::seed_from_u64(choice);
@@ -129,11 +129,11 @@ proptest! {
         if let Some(i) = without_visits {
             parts[i % n].field.layers.visits = None;
         }
-        let mut misfit = MisfitSums::new(&lattice());
-        misfit.add(DVec3::ZERO.as_vec3(), 0.5);
-        let misfit = misfit.finish();
-        if let Some(i) = misfit_of {
-            parts[i % n].field.layers.misfit = Some(misfit.clone());
+        let mut residuals = ResidualSums::new(&lattice());
+        residuals.add(DVec3::ZERO.as_vec3(), 0.5);
+        let residuals = residuals.finish();
+        if let Some(i) = residuals_of {
+            parts[i % n].field.layers.residuals = Some(residuals.clone());
         }
         let fields = || parts.iter().map(|part| part.field.clone()).collect::<Vec<_>>();
         let most = parts.iter().map(|part| part.field.surface().len()).max();
@@ -154,7 +154,7 @@ proptest! {
             prop_assert!(!merged.is_part(), "{}", name);
             let counts = merged.visits().map(|visits| visits.counts().to_vec());
             prop_assert_eq!(counts, without_visits.is_none().then(|| expected_visits.clone()), "{}", name);
-            prop_assert_eq!(merged.misfit(), misfit_of.map(|_| &misfit), "{}", name);
+            prop_assert_eq!(merged.residuals(), residuals_of.map(|_| &residuals), "{}", name);
             prop_assert_eq!(merged.surface().len(), most.unwrap(), "{}", name);
             // U is that of the sums, whatever U of the parts was.
             let protocol = merged.protocol().clone();

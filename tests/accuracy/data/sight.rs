@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use glam::DMat3;
 use octobayes::dataset::Views;
-use octobayes::estimate::{Framing, GridSettings, RaySettings, Sight};
+use octobayes::estimate::{CoverageCheck, Framing, GridSettings, RaySettings};
 use octobayes::field::{Coordinates, Intrinsics};
 use octobayes::geometry::{Camera, Domain};
 use octobayes::monitor::Silent;
@@ -23,7 +23,7 @@ fn mlp(scene: &str) -> (String, Vec<Camera>) {
     (model.display().to_string(), Views::read(&cameras, Some([400, 400])).unwrap().cameras())
 }
 
-fn sight(model: &str, coordinates: Option<Coordinates>, cameras: Option<Vec<Camera>>) -> Sight {
+fn sight(model: &str, coordinates: Option<Coordinates>, cameras: Option<Vec<Camera>>) -> CoverageCheck {
     let field = open_in(model, coordinates).unwrap();
     // The angle of the NeRF-synthetic cameras; phones have about 60 degrees.
     let fov = if model.contains("NeRFSynthetic") { 0.691_111_2 } else { 1.0 };
@@ -34,7 +34,7 @@ fn sight(model: &str, coordinates: Option<Coordinates>, cameras: Option<Vec<Came
     let lattice = grid.lattice(domain).unwrap();
     let rays = RaySettings::default().occupancy(64).gradient(GradientMethod::Auto);
     let stream = rays.stream(&*field, &cameras, &lattice, &Silent).unwrap();
-    Sight::measure(&stream, &domain, &Silent).unwrap()
+    CoverageCheck::measure(&stream, &domain, &Silent).unwrap()
 }
 
 #[test]
@@ -43,7 +43,7 @@ fn right_settings_of_real_models_are_left_in_peace() {
     for scene in ["lego", "chair", "drums", "materials", "ship"] {
         let (model, cameras) = mlp(scene);
         let found = sight(&model, None, Some(cameras));
-        assert!(!found.is_little(), "{scene}: {found:?}");
+        assert!(!found.is_below_threshold(), "{scene}: {found:?}");
     }
     let models =
         ["NeRFSynthetic/ppng_1/lego", "NeRFSynthetic/ppng_1/ficus", "360_v2/ppng_1/garden", "360_v2/ppng_1/kitchen"];
@@ -52,11 +52,11 @@ fn right_settings_of_real_models_are_left_in_peace() {
     {
         let found = sight(&data(&format!("ppng-pretrained/{name}.ppng")).display().to_string(), None, None);
         println!("{name}: {}", found.measured());
-        assert!(!found.is_little(), "{name}: {found:?}");
+        assert!(!found.is_below_threshold(), "{name}: {found:?}");
     }
     let fox = Views::read(&data("fox/transforms.json"), None).unwrap().cameras();
     let framing = Framing::from_cameras(&fox, &octobayes::geometry::Aabb::centered_cube(0.5 / 0.33));
-    assert!(!framing.is_little(), "{framing:?}");
+    assert!(!framing.is_below_threshold(), "{framing:?}");
 }
 
 #[test]
@@ -71,12 +71,12 @@ fn wrong_settings_of_real_models_are_noticed() {
     let opencv = |c: &mut Camera| c.axes = DMat3::from_cols(c.axes.x_axis, -c.axes.y_axis, -c.axes.z_axis);
     let ppng = data("ppng-pretrained/NeRFSynthetic/ppng_1/lego.ppng").display().to_string();
     for (model, coordinates) in [(&lego, None), (&ppng, Some(Coordinates::Blender))] {
-        assert!(sight(model, coordinates, Some(changed(&opencv))).is_nothing());
-        assert!(sight(model, coordinates, Some(changed(&|c| c.position *= 1e3))).is_nothing());
-        assert!(sight(model, coordinates, Some(changed(&|c| c.position *= 1e-3))).is_little());
+        assert!(sight(model, coordinates, Some(changed(&opencv))).is_empty());
+        assert!(sight(model, coordinates, Some(changed(&|c| c.position *= 1e3))).is_empty());
+        assert!(sight(model, coordinates, Some(changed(&|c| c.position *= 1e-3))).is_below_threshold());
     }
     assert!(
-        sight(&ppng, None, Some(cameras)).is_little(),
+        sight(&ppng, None, Some(cameras)).is_below_threshold(),
         "NeRF-synthetic cameras, and a model in its file's coordinates"
     );
 }

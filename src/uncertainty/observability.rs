@@ -11,7 +11,7 @@ const ROUNDING: f64 = 1e-6;
 /// Whether training rays constrain a point, crossed it, or never reached it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Knowledge {
+pub enum Observability {
     /// Moving it changes some training pixel: there is as much information as lowers log10 U by [`MOVED`] below the
     /// prior's on the paper's scale with the default λ.
     Constrained,
@@ -21,7 +21,7 @@ pub enum Knowledge {
     Unseen,
 }
 
-impl Knowledge {
+impl Observability {
     /// The name in tables and files.
     #[must_use]
     pub fn name(self) -> &'static str {
@@ -57,14 +57,14 @@ impl UncertaintyField {
     ///
     /// Outside the domain nothing was seen.
     #[must_use]
-    pub fn knowledge(&self, x: Vec3, uncertainty: f64) -> Option<Knowledge> {
+    pub fn observability(&self, x: Vec3, uncertainty: f64) -> Option<Observability> {
         let visits = self.visits()?.at(x).unwrap_or(0);
         Some(if uncertainty < self.prior() * 10_f64.powf(-self.margin()) {
-            Knowledge::Constrained
+            Observability::Constrained
         } else if visits > 0 {
-            Knowledge::Free
+            Observability::Free
         } else {
-            Knowledge::Unseen
+            Observability::Unseen
         })
     }
 }

@@ -8,7 +8,7 @@ use crate::dataset::{Frame, image_path};
 use crate::geometry::Lattice;
 use crate::monitor::Monitor;
 use crate::render::{Tracer, render_view};
-use crate::uncertainty::{Misfit, MisfitSums};
+use crate::uncertainty::{ResidualSums, Residuals};
 use crate::{Error, Result};
 
 /// Approximate number of rendered pixels, over all training images.
@@ -68,16 +68,22 @@ impl TrainingImages {
     ///
     /// # Errors
     /// If an image cannot be read, or if the work was interrupted.
-    pub fn misfit(&self, tracer: &Tracer, pixel_offset: f64, of: &Lattice, monitor: &dyn Monitor) -> Result<Misfit> {
+    pub fn residuals(
+        &self,
+        tracer: &Tracer,
+        pixel_offset: f64,
+        of: &Lattice,
+        monitor: &dyn Monitor,
+    ) -> Result<Residuals> {
         let pixels: u64 = self.0.iter().map(|frame| frame.camera.pixels()).sum();
         let stride = (pixels as f64 / PIXELS as f64).sqrt().ceil().max(1.0) as u32;
         let background = tracer.background.as_dvec3();
         let images = self.0.iter().map(|frame| TrueView::read(frame, None, background, pixel_offset, stride));
         let rows = |frame: &Frame| u64::from(frame.camera.resolution[1].div_ceil(stride));
         monitor.begin("rows of training images", self.0.iter().map(rows).sum());
-        let misfit = measure_misfit(tracer, images, of, monitor)?;
+        let residuals = measure_residuals(tracer, images, of, monitor)?;
         monitor.end();
-        Ok(misfit)
+        Ok(residuals)
     }
 }
 
@@ -89,13 +95,13 @@ impl TrainingImages {
 ///
 /// # Errors
 /// Those of the images, and [`crate::Error::Interrupted`].
-pub fn measure_misfit(
+pub fn measure_residuals(
     tracer: &Tracer,
     images: impl IntoIterator<Item = Result<TrueView>>,
     of: &Lattice,
     monitor: &dyn Monitor,
-) -> Result<Misfit> {
-    let mut sums = MisfitSums::new(of);
+) -> Result<Residuals> {
+    let mut sums = ResidualSums::new(of);
     for image in images {
         let image = image?;
         let view = render_view(tracer, &image.camera, image.pixel_offset, &[], monitor)?;
@@ -142,10 +148,10 @@ mod tests {
             readings: DepthReadings::default(),
         };
         let lattice = Lattice::new(ball.bounds(), 4).unwrap();
-        let misfit = measure_misfit(&tracer, [Ok(truth)], &lattice, &Silent).unwrap();
+        let residuals = measure_residuals(&tracer, [Ok(truth)], &lattice, &Silent).unwrap();
         let at = |x: f64, y: f64| {
             let pixel = &view.pixels[y as usize * 64 + x as usize];
-            misfit.at(camera.ray(x + 0.5, y + 0.5).at(pixel.expected_depth).as_vec3())
+            residuals.at(camera.ray(x + 0.5, y + 0.5).at(pixel.expected_depth).as_vec3())
         };
         let (high, low) = (at(32.0, 20.0), at(32.0, 44.0));
         let wrong = 0.2 / 3_f64.sqrt();
@@ -155,7 +161,7 @@ mod tests {
         // Behind the ball, where no image shows anything: the mean over the pixels that show matter.
         let matter: Vec<usize> = (0..64 * 64).filter(|&i| view.pixels[i].opacity > 0.5).collect();
         let mean = matter.iter().filter(|&&i| i < 32 * 64).count() as f64 / matter.len() as f64;
-        let behind = misfit.at(Vec3::new(-0.45, 0.0, 0.0));
+        let behind = residuals.at(Vec3::new(-0.45, 0.0, 0.0));
         assert!((behind - wrong * mean.sqrt()).abs() < 1e-6 * wrong, "{behind}");
     }
 }

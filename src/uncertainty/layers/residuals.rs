@@ -25,7 +25,7 @@ const PRIOR: f64 = 1.0;
 
 /// Residuals of the training images around each point.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Misfit {
+pub struct Residuals {
     lattice: Lattice,
     /// c as a share of the longest edge.
     length_share: f64,
@@ -37,7 +37,7 @@ pub struct Misfit {
     squares: Vec<f32>,
 }
 
-impl Misfit {
+impl Residuals {
     /// Finest level of the lattice: its cells should hold many pixels.
     pub const LEVEL: u8 = 6;
 
@@ -127,7 +127,7 @@ impl Misfit {
     }
 }
 
-/// What the header of a field's file says of its misfit.
+/// What the header of a field's file says of its residuals.
 #[derive(Debug, Clone, Copy, serde::Serialize, serde::Deserialize)]
 struct Head {
     level: u8,
@@ -135,8 +135,8 @@ struct Head {
     length_share: f64,
 }
 
-impl Layer for Misfit {
-    const NAME: &'static str = "misfit";
+impl Layer for Residuals {
+    const NAME: &'static str = "residuals";
     /// Only in the scale of the data do depths have deviations.
     const DEPENDS_ON: &'static [Change] = &[Change::Prior];
     /// It depends on the model and not on the rays, so that of one part is enough.
@@ -148,18 +148,18 @@ impl Layer for Misfit {
     }
 
     fn sections(&self, _to_be_merged: bool) -> Sections<'_> {
-        vec![("misfit vertices", Box::new(self.points.as_slice())), ("misfit", Box::new(self.squares.as_slice()))]
+        vec![("residual points", Box::new(self.points.as_slice())), ("residuals", Box::new(self.squares.as_slice()))]
     }
 
     fn read(head: Value, file: &mut Source) -> Result<Self> {
         let head: Head = file.head(Self::NAME, head)?;
         if file.layers.tile.is_some() || file.protocol.scale == Scale::Paper {
             let expected = "none in a tile, or where depths have no deviations";
-            return Err(file.malformed("header, misfit", expected, "one"));
+            return Err(file.malformed("header, residuals", expected, "one"));
         }
-        let sections = (file.section("misfit vertices")?, file.section("misfit")?);
+        let sections = (file.section("residual points")?, file.section("residuals")?);
         Self::checked(&file.lattice, head, sections)
-            .map_err(|(expected, found)| file.malformed("section `misfit`", expected, found))
+            .map_err(|(expected, found)| file.malformed("section `residuals`", expected, found))
     }
 
     fn memory(&self) -> usize {
@@ -176,9 +176,9 @@ impl Layer for Misfit {
     }
 }
 
-/// Sums from which a [`Misfit`] is made, pixel by pixel. They do not depend on anything but the order of the pixels.
+/// Sums from which a [`Residuals`] is made, pixel by pixel. They do not depend on anything but the order of the pixels.
 #[derive(Debug)]
-pub struct MisfitSums {
+pub struct ResidualSums {
     lattice: Lattice,
     /// Σ φ r² and Σ φ over the pixels that show a vertex' surroundings, by lattice point.
     sums: FxHashMap<[u32; 3], [f64; 2]>,
@@ -186,11 +186,11 @@ pub struct MisfitSums {
     all: [f64; 2],
 }
 
-impl MisfitSums {
+impl ResidualSums {
     /// No pixels yet, on the lattice for fields on this one.
     #[must_use]
     pub fn new(of_field: &Lattice) -> Self {
-        let lattice = of_field.coarsened(Misfit::LEVEL);
+        let lattice = of_field.coarsened(Residuals::LEVEL);
         Self { lattice, sums: FxHashMap::default(), all: [0.0; 2] }
     }
 
@@ -207,41 +207,41 @@ impl MisfitSums {
 
     /// The residuals from the sums of all pixels.
     #[must_use]
-    pub fn finish(self) -> Misfit {
+    pub fn finish(self) -> Residuals {
         let mean = self.all[0] / self.all[1].max(1.0);
         let square = |[sum, count]: [f64; 2]| ((sum + PRIOR * mean) / (count + PRIOR)) as f32;
         let mut found: Vec<(u64, f32)> =
             self.sums.into_iter().map(|(point, sums)| (morton::encode(point), square(sums))).collect();
         found.sort_unstable_by_key(|(code, _)| *code);
         let (points, squares) = found.into_iter().unzip();
-        Misfit { lattice: self.lattice, length_share: Misfit::LENGTH_SHARE, mean: mean as f32, points, squares }
+        Residuals { lattice: self.lattice, length_share: Residuals::LENGTH_SHARE, mean: mean as f32, points, squares }
     }
 }
 
 impl UncertaintyField {
     /// What training left unexplained, if it is known. Deviations of depth then count it.
     #[must_use]
-    pub fn misfit(&self) -> Option<&Misfit> {
-        self.layers.misfit.as_ref()
+    pub fn residuals(&self) -> Option<&Residuals> {
+        self.layers.residuals.as_ref()
     }
 
     /// The same field with what training left unexplained, without a calibrated interval: that was of other deviations.
     ///
     /// # Errors
     /// If the field is not in the scale of its data, is a tile, or is on another lattice than that of the residuals.
-    pub fn with_misfit(mut self, misfit: Misfit) -> Result<Self> {
-        let wrong = |expected: &str, found: &str| Err(Error::setting("misfit", expected, found));
+    pub fn with_residuals(mut self, residuals: Residuals) -> Result<Self> {
+        let wrong = |expected: &str, found: &str| Err(Error::setting("residuals", expected, found));
         let Scale::Data(_) = self.protocol.scale else {
             return wrong("a field in the scale of its data, whose depths have deviations", "the paper's scale");
         };
-        if misfit.lattice != self.lattice.coarsened(Misfit::LEVEL) {
+        if residuals.lattice != self.lattice.coarsened(Residuals::LEVEL) {
             return wrong("residuals on the field's lattice", "another");
         }
         if self.layers.tile.is_some() {
             return wrong("a field of all of space", "a tile");
         }
-        self.layers.drop_dependent(Change::Misfit);
-        self.layers.misfit = Some(misfit);
+        self.layers.drop_dependent(Change::Residuals);
+        self.layers.residuals = Some(residuals);
         Ok(self)
     }
 }
@@ -258,8 +258,8 @@ mod tests {
     }
 
     /// Two pixels at one place, off by 0.1 and 0.3, and many elsewhere that are right.
-    fn misfit(level: u8) -> Misfit {
-        let mut sums = MisfitSums::new(&lattice(level));
+    fn residuals(level: u8) -> Residuals {
+        let mut sums = ResidualSums::new(&lattice(level));
         // A vertex of all levels: weights are 1 and 0.
         let there = Vec3::ZERO;
         sums.add(there, 0.01);
@@ -271,7 +271,7 @@ mod tests {
     #[test]
     fn residuals_are_means_drawn_towards_the_mean_of_all() {
         for (level, own) in [(4, 4), (6, 6), (9, 6)] {
-            let found = misfit(level);
+            let found = residuals(level);
             // Of 100 pixels.
             let mean = 0.1 / 100.0;
             assert_eq!(found.level(), own);
@@ -285,20 +285,20 @@ mod tests {
             let half = Vec3::new(1.5 / f32::from(1_u8 << (own - 1)) / 2.0, 0.0, 0.0);
             assert!(close(found.at(half), 0.5 * ((0.1 + mean) / 3.0 + mean)));
             // The box has an edge of 3.
-            let length = 3.0 * Misfit::LENGTH_SHARE;
+            let length = 3.0 * Residuals::LENGTH_SHARE;
             assert!((found.depth_deviation(Vec3::ZERO) / found.at(Vec3::ZERO) - length).abs() < 1e-12);
             assert!((found.length() - length).abs() < 1e-15);
         }
-        let nothing = MisfitSums::new(&lattice(4)).finish();
+        let nothing = ResidualSums::new(&lattice(4)).finish();
         assert_eq!((nothing.mean(), nothing.at(Vec3::ZERO)), (0.0, 0.0));
     }
 
     #[test]
     fn files_are_not_believed() {
-        let found = misfit(9);
+        let found = residuals(9);
         let (points, squares, head) = (found.points.clone(), found.squares.clone(), found.heading());
         let read = |head, points: &[u64], squares: &[f32]| {
-            Misfit::checked(&lattice(9), head, (points.to_vec(), squares.to_vec()))
+            Residuals::checked(&lattice(9), head, (points.to_vec(), squares.to_vec()))
         };
         assert_eq!(read(head, &points, &squares).unwrap(), found);
         let n = points.len();

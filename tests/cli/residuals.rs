@@ -5,7 +5,7 @@ use octobayes::dataset::Views;
 use octobayes::field::{ClosedForm, RadianceField};
 use octobayes::monitor::Silent;
 use octobayes::render::{Marcher, Tracer, render_view};
-use octobayes::uncertainty::{Conformal, Misfit, UncertaintyField};
+use octobayes::uncertainty::{Conformal, Residuals, UncertaintyField};
 
 const SIDE: u32 = 48;
 /// What the images are off by in one channel, of 255.
@@ -49,17 +49,17 @@ fn deviations_of_depth_count_what_images_show_and_the_model_does_not() {
     good(folder, &format!("{RUN} {DATA} --images pictures -o joined.oct"));
     let read = |name: &str| UncertaintyField::read(&folder.join(name)).unwrap();
     let (plain, joined) = (read("plain.oct"), read("joined.oct"));
-    assert!(plain.misfit().is_none() && plain.deviations() == joined.deviations());
+    assert!(plain.residuals().is_none() && plain.deviations() == joined.deviations());
 
     // One channel of three is off by as much everywhere; pictures round by up to half a step.
-    let misfit = joined.misfit().unwrap();
+    let residuals = joined.residuals().unwrap();
     let m = OFF / 255.0 / 3_f64.sqrt();
-    assert!((misfit.mean() / m - 1.0).abs() < 0.5 / OFF, "{} and {m}", misfit.mean());
-    assert_eq!(misfit.level(), 4);
+    assert!((residuals.mean() / m - 1.0).abs() < 0.5 / OFF, "{} and {m}", residuals.mean());
+    assert_eq!(residuals.level(), 4);
     let info = good(folder, "info joined.oct");
     assert!(info.contains("is off its training images by 0.045"), "{info}");
     let json: serde_json::Value = serde_json::from_str(&good(folder, "info joined.oct --json")).unwrap();
-    assert_eq!(json["misfit"]["root_mean_square"].as_f64(), Some(misfit.mean()));
+    assert_eq!(json["residuals"]["root_mean_square"].as_f64(), Some(residuals.mean()));
 
     // Along a ray to the front, on top of what was there.
     let deviation = |field: &str| -> f64 {
@@ -71,17 +71,19 @@ fn deviations_of_depth_count_what_images_show_and_the_model_does_not() {
     let edge = ClosedForm::ball().bounds().longest_edge();
     let (before, after) = (deviation("plain.oct"), deviation("joined.oct"));
     let added = (after * after - before * before).sqrt();
-    let expected = Misfit::LENGTH_SHARE * edge * m;
+    let expected = Residuals::LENGTH_SHARE * edge * m;
     assert!((added / expected - 1.0).abs() < 0.5 / OFF, "{added} and {expected}");
 
     // Without the matrices, by one thread, of two seeds: it stays what it is.
     good(folder, &format!("{RUN} {DATA} --images pictures --threads 1 --seed 7 -o other.oct"));
-    assert!(read("other.oct").misfit() == Some(misfit));
+    assert!(read("other.oct").residuals() == Some(residuals));
     good(folder, "merge joined.oct other.oct --keep-sums -o both.oct");
-    assert!(read("both.oct").misfit() == Some(misfit) && joined.clone().without_sums().misfit() == Some(misfit));
+    assert!(
+        read("both.oct").residuals() == Some(residuals) && joined.clone().without_sums().residuals() == Some(residuals)
+    );
     // One that knows it is enough.
     good(folder, "merge plain.oct other.oct -o some.oct");
-    assert!(read("some.oct").misfit() == Some(misfit));
+    assert!(read("some.oct").residuals() == Some(residuals));
 }
 
 #[test]
@@ -93,23 +95,23 @@ fn it_stays_with_what_it_holds_for() {
     std::fs::rename(folder.join("pictures"), folder.join("set/images")).unwrap();
     good(folder, &format!("{RUN} {DATA} --images set -o joined.oct"));
     let joined = UncertaintyField::read(&folder.join("joined.oct")).unwrap();
-    let misfit = joined.misfit().unwrap().clone();
+    let residuals = joined.residuals().unwrap().clone();
     // An interval was of other deviations.
     let conformal = Conformal { probability: 0.9, factor: 1.5, pixels: 100, views: 2 };
     let calibrated = joined.clone().with_conformal(conformal);
     assert!(calibrated.conformal().is_some());
-    assert!(calibrated.with_misfit(misfit.clone()).unwrap().conformal().is_none());
+    assert!(calibrated.with_residuals(residuals.clone()).unwrap().conformal().is_none());
     // The scale of the paper has no lengths.
     let lambda = joined.protocol().lambda;
     let paper = joined.clone().with_lambda(2.0 * lambda).unwrap();
-    assert!(paper.misfit().is_none());
-    assert!(paper.with_misfit(misfit.clone()).unwrap_err().to_string().contains("the scale of its data"));
+    assert!(paper.residuals().is_none());
+    assert!(paper.with_residuals(residuals.clone()).unwrap_err().to_string().contains("the scale of its data"));
     // Another lattice, and a part of space.
     good(folder, &format!("{} {DATA} -o fine.oct", RUN.replace("--level 4", "--level 5")));
     good(folder, &format!("{RUN} {DATA} --tile 0/8 -o tile.oct"));
     for (name, expected) in [("fine.oct", "on the field's lattice"), ("tile.oct", "of all of space")] {
         let field = UncertaintyField::read(&folder.join(name)).unwrap();
-        let said = field.with_misfit(misfit.clone()).unwrap_err().to_string();
+        let said = field.with_residuals(residuals.clone()).unwrap_err().to_string();
         assert!(said.contains(expected), "{name}: {said}");
     }
 }
