@@ -164,7 +164,7 @@ fn run(verb: Verb, given: &Given) -> Result<()> {
         Verb::Merge(args) => args.run(),
         Verb::Info(args) => args.run(),
         Verb::Synth(args) => args.run(bars),
-        Verb::Train(args) => args.run(bars),
+        Verb::Train(args) => args.run(given, bars),
         Verb::Completions(args) => args.run(),
     }
 }

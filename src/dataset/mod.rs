@@ -20,6 +20,7 @@ pub use depth::{DepthEncoding, DepthKind, DepthMap};
 pub use frames::{FrameSplit, Part, Selection, camera_file, test_partner};
 pub use hemisphere::Hemisphere;
 pub use image::PosedImage;
+pub use inria::write_inria;
 pub use pictures::{MaskFile, check_masks, image_path, read_masks};
 pub use points::PointReader;
 pub use pose::rigid_pose;

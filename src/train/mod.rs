@@ -1,6 +1,6 @@
-//! Fits a [`HashGrid`](crate::field::HashGrid) to posed images.
+//! Fits a [`HashGrid`](crate::field::HashGrid), or [Gaussian splats](SplatTrainer), to posed images.
 //!
-//! One step draws rays from all training images, samples them where the occupancy grid is occupied, composites, and
+//! One step of a hash grid draws rays from all training images, samples them where the occupancy grid is occupied, composites, and
 //! moves the parameters against the gradient of the loss (Adam). The backward pass is derived by hand. The number
 //! of rays per step adapts to keep the number of samples near a budget, as in instant-ngp. Nothing depends on the
 //! number of threads.
@@ -13,6 +13,7 @@ mod occupancy;
 mod pixel_gradient;
 mod quality;
 mod run;
+mod splats;
 mod state;
 mod tape;
 mod trainer;
@@ -21,7 +22,8 @@ mod views;
 pub use crate::dataset::Selection;
 pub use pixel_gradient::{PixelGradient, PixelGradients};
 pub use quality::{Quality, one_color, quality, quality_within};
-pub use run::{Budget, Description, Finished, Progress, Run, StateFile};
+pub use run::{Budget, Description, Finished, Progress, Run, StateFile, Training};
+pub use splats::{Rates, SplatSettings, SplatTrainer};
 pub use trainer::{StepReport, Trainer};
 pub use views::{DatasetFiles, Shot};
 

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use glam::Vec3;
 use serde::Serialize;
 
-use super::{Background, Quality, Selection, Shot, Trainer, quality, quality_within};
+use super::{Background, Quality, Selection, Shot};
 use crate::Result;
 use crate::dataset::{Hemisphere, Views};
 use crate::geometry::Domain;
@@ -26,6 +26,34 @@ pub enum Budget {
 const REPORT: u64 = 16;
 /// Share of the training time that a run limited by time may spend on looking at held-out images.
 const LOOKING: f64 = 0.1;
+
+/// A model in training, of either kind.
+pub trait Training {
+    /// Number of steps so far.
+    fn steps(&self) -> u64;
+
+    /// Takes one step when `share` (0 to 1) of the run is done. Returns the loss and the mean squared error of the
+    /// colours, from before it changed the model.
+    ///
+    /// # Errors
+    /// If the loss, or a parameter that is quickly looked at, is not finite any more.
+    fn advance(&mut self, share: f64) -> Result<[f64; 2]>;
+
+    /// Looks at all parameters.
+    ///
+    /// # Errors
+    /// If some are not finite any more.
+    fn check(&self) -> Result<()>;
+
+    /// Saves the run under a description; `elapsed` is its time so far in seconds.
+    ///
+    /// # Errors
+    /// If the file cannot be written.
+    fn save(&self, path: &Path, key: &str, elapsed: f64) -> Result<()>;
+
+    /// Quality on images, of which about so many pixels are compared, and fewer if that takes longer than `within`.
+    fn look(&self, shots: &[Shot], pixels: usize, within: Option<Duration>) -> Option<Quality>;
+}
 
 /// Progress of a run while it is going on.
 #[derive(Debug, Clone, PartialEq)]
@@ -90,12 +118,11 @@ impl Run<'_> {
     /// If loss or parameters are not finite any more, or if the state cannot be saved.
     pub fn train(
         &self,
-        trainer: &mut Trainer,
+        trainer: &mut impl Training,
         elapsed: f64,
         monitor: &dyn Monitor,
         mut report: impl FnMut(&Progress),
     ) -> Result<Finished> {
-        let background = self.background(trainer);
         let mut clock = Clock { before: elapsed, start: Instant::now(), paused: 0.0 };
         let mut saved = Instant::now();
         let (mut loss, mut error, mut count) = (0.0, 0.0, 0_u64);
@@ -108,10 +135,9 @@ impl Run<'_> {
             if share >= 1.0 || monitor.interrupted() {
                 break share < 1.0;
             }
-            let step = trainer.step(share);
-            trainer.check_step(&step)?;
-            loss += step.loss;
-            error += step.squared_error;
+            let [step_loss, step_error] = trainer.advance(share)?;
+            loss += step_loss;
+            error += step_error;
             count += 1;
             let share = self.share(trainer, clock.elapsed());
             let due = share * f64::from(self.looks) >= next_look && share < 1.0;
@@ -120,7 +146,7 @@ impl Run<'_> {
                 let mut held_out = None;
                 if due {
                     next_look = (share * f64::from(self.looks)).floor() + 1.0;
-                    held_out = self.look(trainer, background, LOOKING * clock.elapsed_until(pause) - looked);
+                    held_out = self.look(trainer, LOOKING * clock.elapsed_until(pause) - looked);
                     looked += pause.elapsed().as_secs_f64();
                 }
                 let left = clock.elapsed_until(pause) - elapsed;
@@ -155,26 +181,19 @@ impl Run<'_> {
     }
 
     /// Quality on held-out images. A run that is limited by time looks no longer than `seconds`, or not at all.
-    fn look(&self, trainer: &Trainer, background: Vec3, seconds: f64) -> Option<Quality> {
-        let field = || trainer.field(serde_json::Value::Null);
-        match self.budget {
-            Budget::Steps(_) => quality(&field(), self.held_out, background, self.pixels),
-            Budget::Time(_) => {
-                let allowance = Duration::try_from_secs_f64(seconds).ok()?;
-                quality_within(&field(), self.held_out, background, self.pixels, allowance)
-            }
-        }
+    fn look(&self, trainer: &impl Training, seconds: f64) -> Option<Quality> {
+        let within = match self.budget {
+            Budget::Steps(_) => None,
+            Budget::Time(_) => Some(Duration::try_from_secs_f64(seconds).ok()?),
+        };
+        trainer.look(self.held_out, self.pixels, within)
     }
 
-    fn share(&self, trainer: &Trainer, elapsed: f64) -> f64 {
+    fn share(&self, trainer: &impl Training, elapsed: f64) -> f64 {
         match self.budget {
             Budget::Steps(steps) => (trainer.steps() as f64 / steps.max(1) as f64).min(1.0),
             Budget::Time(time) => (elapsed / time.as_secs_f64().max(1e-9)).min(1.0),
         }
-    }
-
-    fn background(&self, trainer: &Trainer) -> Vec3 {
-        trainer.settings.background.for_images()
     }
 }
 
@@ -208,7 +227,7 @@ impl Background {
 
 /// Origin of a run. The model's file records it, and a resumed run must share it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Description {
+pub struct Description<S = super::TrainSettings> {
     /// Version of this crate. Other versions may round or draw differently.
     pub version: &'static str,
     /// Path of the camera file.
@@ -222,7 +241,7 @@ pub struct Description {
     /// Number of training images.
     pub images: usize,
     /// All other settings.
-    pub settings: super::TrainSettings,
+    pub settings: S,
     /// Space that the model covers.
     pub domain: Domain,
     /// Limit of the run, in steps or seconds.

@@ -1,5 +1,8 @@
 //! The state of a training run, and one step of it.
 
+use std::path::Path;
+use std::time::Duration;
+
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -7,7 +10,7 @@ use rayon::prelude::*;
 use super::adam::Adam;
 use super::batch::{GROUP, GroupGradient, Scene, group};
 use super::occupancy::{INTERVAL, OccupancyGrid};
-use super::{Shot, TrainSettings};
+use super::{Quality, Shot, TrainSettings, Training, quality, quality_within};
 use crate::field::HashGrid;
 use crate::field::hash_grid::{
     Encoding, Entry, N_FEATURES_PER_LEVEL, N_LEVELS, Network, Parameters, Space, Transposed,
@@ -58,6 +61,35 @@ pub struct Trainer<'a> {
     pub(super) rays: u64,
     /// Number of rays of the next step.
     pub(super) rays_per_step: u64,
+}
+
+impl Training for Trainer<'_> {
+    fn steps(&self) -> u64 {
+        self.steps
+    }
+
+    fn advance(&mut self, share: f64) -> Result<[f64; 2]> {
+        let step = self.step(share);
+        self.check_step(&step)?;
+        Ok([step.loss, step.squared_error])
+    }
+
+    fn check(&self) -> Result<()> {
+        let is_finite = self.parameters.encoding.table.iter().flatten().all(|v| v.is_finite());
+        if is_finite { Ok(()) } else { Err(self.diverged("features of the grid are not finite")) }
+    }
+
+    fn save(&self, path: &Path, key: &str, elapsed: f64) -> Result<()> {
+        Trainer::save(self, path, key, elapsed)
+    }
+
+    fn look(&self, shots: &[Shot], pixels: usize, within: Option<Duration>) -> Option<Quality> {
+        let (field, background) = (self.field(serde_json::Value::Null), self.settings.background.for_images());
+        match within {
+            None => quality(&field, shots, background, pixels),
+            Some(allowance) => quality_within(&field, shots, background, pixels, allowance),
+        }
+    }
 }
 
 impl<'a> Trainer<'a> {
@@ -130,15 +162,6 @@ impl<'a> Trainer<'a> {
         }
         let is_finite = self.parameters.network.layers().iter().all(|layer| layer.iter().all(|v| v.is_finite()));
         if is_finite { Ok(()) } else { Err(self.diverged("weights of the networks are not finite")) }
-    }
-
-    /// Refuses features of the grid that are not finite.
-    ///
-    /// # Errors
-    /// If some are not.
-    pub(super) fn check(&self) -> Result<()> {
-        let is_finite = self.parameters.encoding.table.iter().flatten().all(|v| v.is_finite());
-        if is_finite { Ok(()) } else { Err(self.diverged("features of the grid are not finite")) }
     }
 
     /// What to say of a run whose loss or parameters are no longer finite.

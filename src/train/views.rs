@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use glam::DVec3;
 use serde::Deserialize;
 
 use crate::dataset::Hemisphere;
@@ -33,6 +34,36 @@ impl Shot {
     #[must_use]
     pub fn named_camera(&self) -> NamedCamera {
         NamedCamera { name: self.name.clone(), camera: self.camera, is_masked: self.mask.is_some() }
+    }
+
+    /// The same picture with fewer pixels, each the mean of as many as it covers.
+    ///
+    /// # Errors
+    /// If the picture's size is no whole multiple of `resolution`.
+    pub fn shrunk(self, resolution: [u32; 2]) -> Result<Self> {
+        let [[width, height], [w, h]] = [self.camera.resolution, resolution];
+        let times = width / w.max(1);
+        if times == 0 || [w * times, h * times] != [width, height] {
+            let expected = format!("a whole fraction of the {width} x {height} pixels of `{}`", self.name);
+            return Err(Error::setting("--resolution", expected, format!("{w} x {h}")));
+        }
+        let mean = |i: u32| {
+            let (left, top) = (i % w * times, i / w * times);
+            let (mut color, mut alpha) = (DVec3::ZERO, 0.0);
+            for y in top..top + times {
+                for pixel in (left..left + times).map(|x| (y * width + x) as usize) {
+                    color += self.image.over(pixel, DVec3::ZERO);
+                    alpha += self.image.alpha(pixel);
+                }
+            }
+            let straight = if alpha > 0.0 { color / alpha } else { color };
+            let byte = |v: f64| (255.0 * v).round().clamp(0.0, 255.0) as u8;
+            let [red, green, blue] = straight.to_array().map(byte);
+            [red, green, blue, byte(alpha / f64::from(times * times))]
+        };
+        let image = PosedImage::new(resolution, (0..w * h).map(mean).collect());
+        let mask = self.mask.map(|mask| mask.resized(resolution));
+        Ok(Self { name: self.name, camera: self.camera.resized(resolution), image, mask })
     }
 
     /// Returns true if pixel `i` is not masked.

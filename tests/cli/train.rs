@@ -228,3 +228,101 @@ fn ctrl_c_saves_a_usable_model_and_resume_ends_with_the_same_bytes() {
     assert!(desk.bytes("whole.safetensors") == desk.bytes("parts.safetensors"));
     assert!(!desk.path("parts.state").exists());
 }
+
+const SPLATS: &str = "--splats --background black --box=-1,-1,-1,1,1,1";
+
+#[test]
+fn splats_are_trained_and_the_other_verbs_read_them() {
+    let desk = Desk::new();
+    let train = |out: &str, more: &str| {
+        std::fs::create_dir(desk.path(out)).unwrap();
+        desk.good(&format!("train . -o {out}/s.ply {SPLATS} --steps 300 --json {more}"))
+    };
+    let [stdout, stderr] = train("a", "--threads 1");
+    assert!(stderr.contains("some images are opaque, so that splats begin anywhere in the box"), "{stderr}");
+    let report: Value = serde_json::from_str(&stdout).unwrap();
+    let model = &report["models"][0];
+    assert_eq!((&model["images"], &model["steps"], &model["seed"]), (&12.into(), &300.into(), &0.into()));
+    assert_eq!((&model["held_out"]["views"], &model["held_out"]["pixels"]), (&3.into(), &4800.into()));
+    // Black images have about 11 dB here.
+    let psnr = model["held_out"]["psnr"].as_f64().unwrap();
+    assert!(psnr > 17.0, "{psnr}");
+    // A quarter of the most, 1000, at first; it changed once before six tenths of the run.
+    let count = model["splats"].as_u64().unwrap();
+    assert!((200..=300).contains(&count), "{count}");
+
+    // Again with another number of threads: the same bytes.
+    train("b", "--threads 3");
+    for name in ["s.ply", "cameras.json", "transforms.json"] {
+        assert!(desk.bytes(&format!("a/{name}")) == desk.bytes(&format!("b/{name}")), "{name}");
+    }
+    let views = |path: &str| octobayes::dataset::Views::read(&desk.path(path), None).unwrap().frames;
+    for name in ["a/cameras.json", "a/transforms.json"] {
+        let (found, given) = (views(name), views("transforms_train.json"));
+        assert_eq!(found.len(), 12, "{name}");
+        for (found, given) in found.iter().zip(&given) {
+            assert!(found.name == given.name && found.camera.is_like(&given.camera, 1.0), "{name}: {}", found.name);
+        }
+    }
+    let [info, _] = desk.good("info a/s.ply");
+    assert!(info.contains("splats") && info.contains("degree 3"), "{info}");
+    desk.good("uncertainty a/s.ply --cameras a/cameras.json --rays 3000 --level 5 --background black -o a/s.oct");
+}
+
+#[test]
+fn splats_at_another_size_and_what_is_wrong_with_them() {
+    let desk = Desk::new();
+    std::fs::create_dir(desk.path("out")).unwrap();
+    desk.good(&format!("train . -o out/s.ply {SPLATS} --steps 3 --resolution 20"));
+    let views = octobayes::dataset::Views::read(&desk.path("out/cameras.json"), None).unwrap();
+    assert_eq!(views.frames[0].camera.resolution, [20, 20]);
+    for (args, expected) in [
+        ("train . --splats -o out/x.safetensors --steps 1", "--output: expected a name that ends in .ply"),
+        ("train . --splats -o out/x.ply --steps 1", "found out/cameras.json"),
+        (
+            "train . --splats -o x.ply --steps 1 --resolution 30",
+            "--resolution: expected a whole fraction of the 40 x 40",
+        ),
+        ("train . --splats -o x.ply --steps 1 --contract l2", "--contract: expected a hash grid"),
+        ("train . --splats -o x.ply --steps 1 --members 2", "--members: expected a hash grid"),
+        ("train . --splats -o x.ply --steps 1 --log2-hashmap-size 12", "--log2-hashmap-size: expected a hash grid"),
+        ("train . --splats -o x.ply --steps 1 --samples-per-step 4096", "--samples-per-step: expected a hash grid"),
+        ("train . -o x.safetensors --steps 1 --resolution 20", "--splats"),
+    ] {
+        let output = desk.run(args);
+        let stderr = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.code() == Some(2) && stderr.contains(expected), "{args}: {stderr}");
+        assert!(!desk.path("x.ply").exists() && !desk.path("cameras.json").exists(), "{args}");
+    }
+    // A data set's own camera file is not replaced.
+    std::fs::rename(desk.path("transforms_train.json"), desk.path("transforms.json")).unwrap();
+    let before = desk.bytes("transforms.json");
+    let output = desk.run("train . --splats -o x.ply --steps 1");
+    assert!(output.status.code() == Some(2) && desk.bytes("transforms.json") == before);
+}
+
+#[test]
+#[cfg(unix)]
+fn ctrl_c_saves_usable_splats_and_resume_ends_with_the_same_bytes() {
+    let desk = Desk::new();
+    let args = |out: &str| format!("train . -o {out}/s.ply {SPLATS} --steps 2000");
+    ["whole", "parts"].map(|name| std::fs::create_dir(desk.path(name)).unwrap());
+    let mut child = desk.command(&args("parts")).spawn().unwrap();
+    let mut lines = BufReader::new(child.stderr.take().unwrap()).lines().map(Result::unwrap);
+    assert!(lines.any(|line| line.starts_with("step ")), "it ended before it was told to");
+    send("-INT", &child);
+    let said = lines.collect::<Vec<_>>().join("\n");
+    assert!(child.wait().unwrap().code() == Some(130) && said.contains("the same command goes on"), "{said}");
+    let [info, _] = desk.good("info parts/s.ply");
+    assert!(info.contains("splats") && desk.path("parts/s.state").exists(), "{info}");
+    assert!(desk.path("parts/cameras.json").exists() && desk.path("parts/transforms.json").exists());
+
+    let other = desk.run(&args("parts").replace("2000", "2001"));
+    let stderr = String::from_utf8(other.stderr).unwrap();
+    assert!(other.status.code() == Some(2) && stderr.contains("which a restart discards"), "{stderr}");
+    let [_, stderr] = desk.good(&args("parts"));
+    assert!(stderr.contains("going on after "), "{stderr}");
+    desk.good(&args("whole"));
+    assert!(desk.bytes("whole/s.ply") == desk.bytes("parts/s.ply"));
+    assert!(!desk.path("parts/s.state").exists());
+}

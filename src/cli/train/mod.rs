@@ -1,26 +1,32 @@
 //! `train`: from images to a model, or to an ensemble of models.
 
 mod checks;
+mod splats;
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use clap::ValueEnum;
 use glam::{DVec3, Vec3};
+use serde::Serialize;
 use serde_json::json;
 
 use self::checks::{check_framing, is_finished, warn_of_one_color};
 use super::files::CommandFiles;
-use super::options::{count, heading, parse_background, parse_box, parse_contraction, parse_time, parse_views};
+use super::given::Given;
+use super::options::{
+    count, heading, parse_background, parse_box, parse_contraction, parse_resolution, parse_time, parse_views,
+};
 use super::progress::Bars;
 use crate::dataset::Hemisphere;
 use crate::field::{HashGrid, HashGridConfig, RadianceField};
 use crate::geometry::{Aabb, Domain, Norm};
 use crate::monitor::Monitor;
 use crate::posterior::DataScale;
+use crate::session::Resolution;
 use crate::train::{
     Background, Budget, DatasetFiles, Description, Finished, Quality, Run, Selection, Shot, StateFile, TrainSettings,
-    Trainer, quality, quality_within,
+    Trainer, Training, quality, quality_within,
 };
 use crate::{Error, Result};
 
@@ -30,12 +36,15 @@ const LOOK_PIXELS: usize = 20_000;
 /// too long.
 const TEST_PIXELS: usize = 200_000;
 
-/// Train a model on posed images: a multiresolution hash grid (instant-ngp's design), on the CPU
+/// Train a model on posed images, on the CPU: a multiresolution hash grid (instant-ngp's design), or Gaussian splats
 ///
 /// DATASET is a folder or a camera file, as `octobayes synth`, NeRF-synthetic, instant-ngp, nerfstudio and COLMAP
 /// (images and sparse/0) write them. Beside a transforms_train.json, transforms_test.json is held out for measuring.
 /// If the files do not list their training images, every eighth image is held out. `uncertainty`, `render`,
 /// `evaluate` and `info` read the model.
+///
+/// With --splats the model is a .ply of Gaussian splats, and cameras.json (as the original code writes it) and
+/// transforms.json are written beside it, with the cameras at the size of the images that were trained on.
 ///
 /// With --steps the result is the same bit for bit on any number of threads. With --time it depends on how many
 /// steps fit, hence on the machine.
@@ -43,6 +52,7 @@ const TEST_PIXELS: usize = 200_000;
 #[command(after_help = "Examples:\n  octobayes train nerf_synthetic/lego -o lego.safetensors --time 10m\n  \
     octobayes train lego -o few.safetensors --views 10 --steps 3000 --seed 1\n  \
     octobayes train fox -o fox.safetensors --contract linf:2.5,-2,0,3.6 --time 5m\n  \
+    octobayes train lego -o splats/lego.ply --splats --resolution 200 --steps 4000\n  \
     octobayes train lego -o member.safetensors --views 10 --steps 3000 --members 10      # member-0 ... member-9\n\
     then: octobayes uncertainty lego.safetensors -o lego.oct      # the model knows its cameras")]
 pub struct Args {
@@ -51,8 +61,25 @@ pub struct Args {
     dataset: PathBuf,
 
     /// Model to write
-    #[arg(short, long, value_name = "MODEL.safetensors", help_heading = heading::OUTPUT)]
+    #[arg(short, long, value_name = "MODEL.safetensors|MODEL.ply", help_heading = heading::OUTPUT)]
     output: PathBuf,
+
+    /// Train Gaussian splats: MODEL.ply, with cameras.json and transforms.json beside it. They begin at the visual hull
+    /// if all images have transparent pixels, else anywhere in the box, and become up to three for eight pixels of an
+    /// image
+    #[arg(long, help_heading = heading::TRAINING)]
+    splats: bool,
+
+    /// Size of the images to train splats on: W or WxH, a whole fraction of the size of the pictures, whose pixels are
+    /// averaged [default: the pictures' own]
+    #[arg(
+        long,
+        value_name = "W|WxH",
+        value_parser = parse_resolution,
+        requires = "splats",
+        help_heading = heading::INPUT,
+    )]
+    resolution: Option<Resolution>,
 
     /// Training images: how many, spread over the file's order; or their numbers in the file from 0, such as 0,7,31
     /// (`7,` for one); or `all`, including those held out. Frames without an image are left out [default: all that are
@@ -192,7 +219,10 @@ struct Member {
 
 impl Args {
     /// Runs the verb.
-    pub fn run(self, bars: &Bars) -> Result<()> {
+    pub fn run(self, given: &Given, bars: &Bars) -> Result<()> {
+        if self.splats {
+            return self.run_splats(given, bars);
+        }
         if self.output.extension().is_none_or(|extension| extension != "safetensors") {
             let found = self.output.display().to_string();
             return Err(Error::setting("--output", "a name that ends in .safetensors", found));
@@ -263,6 +293,23 @@ impl Args {
         };
         let path = self.member_file(k);
         let state = state_file(&path);
+        let description = self.description(files, settings, self.domain(files)?)?;
+        let key = description.to_string();
+        let state = StateFile { path: state, key, every: StateFile::EVERY };
+        // A restart replaces this file, so it must not be another one.
+        if self.restart && state.path.exists() {
+            state.check()?;
+        }
+        Ok(Member { settings, path, state, description })
+    }
+
+    /// What a run with these settings must share with the one that it resumes.
+    fn description<S: Serialize>(
+        &self,
+        files: &DatasetFiles,
+        settings: S,
+        domain: Domain,
+    ) -> Result<serde_json::Value> {
         let budget = match self.budget() {
             Budget::Steps(steps) => format!("{steps} steps"),
             Budget::Time(time) => format!("{} s", time.as_secs_f64()),
@@ -275,18 +322,10 @@ impl Args {
             hemisphere: self.hemisphere,
             images: files.names().len(),
             settings,
-            domain: self.domain(files)?,
+            domain,
             budget,
         };
-        let description =
-            serde_json::to_value(description).map_err(|e| Error::setting("run", "a description", e.to_string()))?;
-        let key = description.to_string();
-        let state = StateFile { path: state, key, every: StateFile::EVERY };
-        // A restart replaces this file, so it must not be another one.
-        if self.restart && state.path.exists() {
-            state.check()?;
-        }
-        Ok(Member { settings, path, state, description })
+        serde_json::to_value(description).map_err(|e| Error::setting("run", "a description", e.to_string()))
     }
 
     /// Trains one model and writes it, finished or not.
@@ -306,32 +345,7 @@ impl Args {
         }
         let run =
             Run { budget: self.budget(), held_out, pixels: LOOK_PIXELS, looks: 10, state: Some(member.state.clone()) };
-        let (unit, all, before_units) = match run.budget {
-            Budget::Time(time) => ("seconds of training", time.as_secs_f64(), before),
-            Budget::Steps(steps) => ("training steps", steps as f64, trainer.steps() as f64),
-        };
-        bars.begin(unit, (all - before_units).ceil().max(1.0) as u64);
-        let mut done = 0;
-        let finished = run.train(&mut trainer, before, bars, |progress| {
-            let now = (progress.share * all - before_units).max(0.0) as u64;
-            // The message first: the line that `advance` may print shows it.
-            let (loss, psnr, left) = (progress.loss, progress.train_psnr, progress.left.max(0.0));
-            bars.message(format!("step {}, loss {loss:.5}, {psnr:.1} dB", progress.steps));
-            bars.advance(now.saturating_sub(done));
-            done = done.max(now);
-            if let Some(Quality { psnr, views, .. }) = progress.held_out {
-                let steps = progress.steps;
-                bars.line(&format!(
-                    "step {steps}: loss {loss:.5}, PSNR {psnr:.2} dB on {views} held-out images, {left:.0} s left"
-                ));
-            }
-        });
-        bars.end();
-        // A run that has diverged would do so again.
-        if let Err(Error::Setting { .. }) = finished {
-            let _ = std::fs::remove_file(&member.state.path);
-        }
-        let finished = finished?;
+        let finished = self.follow(&run, &mut trainer, before, bars)?;
         let mut training = member.description.clone();
         training["steps"] = trainer.steps().into();
         training["rays"] = trainer.rays().into();
@@ -357,6 +371,36 @@ impl Args {
         let quality = measure(&field, held_out, TEST_PIXELS);
         warn_of_one_color([("training", train, shown), ("held-out", held_out, quality.clone())], background);
         self.report(member, &trainer, &field, finished, train.len(), quality.as_ref(), background)
+    }
+
+    /// Trains with bars and lines about how far it is, after `before` seconds of it.
+    fn follow(&self, run: &Run, trainer: &mut impl Training, before: f64, bars: &Bars) -> Result<Finished> {
+        let (unit, all, before_units) = match run.budget {
+            Budget::Time(time) => ("seconds of training", time.as_secs_f64(), before),
+            Budget::Steps(steps) => ("training steps", steps as f64, trainer.steps() as f64),
+        };
+        bars.begin(unit, (all - before_units).ceil().max(1.0) as u64);
+        let mut done = 0;
+        let finished = run.train(trainer, before, bars, |progress| {
+            let now = (progress.share * all - before_units).max(0.0) as u64;
+            // The message first: the line that `advance` may print shows it.
+            let (loss, psnr, left) = (progress.loss, progress.train_psnr, progress.left.max(0.0));
+            bars.message(format!("step {}, loss {loss:.5}, {psnr:.1} dB", progress.steps));
+            bars.advance(now.saturating_sub(done));
+            done = done.max(now);
+            if let Some(Quality { psnr, views, .. }) = progress.held_out {
+                let steps = progress.steps;
+                bars.line(&format!(
+                    "step {steps}: loss {loss:.5}, PSNR {psnr:.2} dB on {views} held-out images, {left:.0} s left"
+                ));
+            }
+        });
+        bars.end();
+        // A run that has diverged would do so again.
+        if let Err(Error::Setting { .. }) = finished {
+            run.state.iter().for_each(|state| drop(std::fs::remove_file(&state.path)));
+        }
+        finished
     }
 
     /// Says on stderr that training is over, and what follows.

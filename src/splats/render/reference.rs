@@ -10,11 +10,11 @@ type Matrix = [[f64; 3]; 3];
 #[derive(Clone)]
 pub struct Gaussian {
     pub mean: [f64; 3],
-    log_scale: [f64; 3],
+    pub log_scale: [f64; 3],
     /// w, x, y, z.
-    quaternion: [f64; 4],
-    opacity: f64,
-    sh: Vec<[f64; 3]>,
+    pub quaternion: [f64; 4],
+    pub opacity: f64,
+    pub sh: Vec<[f64; 3]>,
 }
 
 /// What a pixel shows.

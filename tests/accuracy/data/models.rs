@@ -12,7 +12,7 @@ use octobayes::geometry::Domain;
 use octobayes::metrics::psnr;
 use octobayes::monitor::Silent;
 use octobayes::render::{GradientMethod, render_view};
-use octobayes::train::{DatasetFiles, TrainSettings, Trainer, quality};
+use octobayes::train::{DatasetFiles, Shot, SplatSettings, SplatTrainer, TrainSettings, Trainer, Training, quality};
 
 /// Rows of three numbers.
 fn vectors(rows: &serde_json::Value) -> Vec<Vec3> {
@@ -198,6 +198,24 @@ fn a_short_training_on_lego_reaches_the_measured_quality() {
     // 20.07 dB were measured after these 300 steps. Half a decibel is allowed for processors that round expm1
     // otherwise.
     assert!((quality.psnr - 20.07).abs() < 0.5, "{quality:?}");
+}
+
+#[test]
+#[ignore = "needs OCTOBAYES_DATA/nerf-lego-400"]
+fn splats_trained_on_lego_reach_the_measured_quality() {
+    let files = DatasetFiles::read(&data("nerf-lego-400")).unwrap();
+    let half = |shots: Vec<Shot>| shots.into_iter().map(|shot| shot.shrunk([200; 2]).unwrap()).collect::<Vec<_>>();
+    let [shots, held_out] = files.load(&Silent).unwrap().map(half);
+    let settings = SplatSettings::default().most(SplatSettings::most_for(&shots));
+    let mut trainer = SplatTrainer::new(settings, files.bounds, &shots).unwrap();
+    assert!(trainer.began_at_hull());
+    for step in 0..4000 {
+        trainer.step(f64::from(step) / 4000.0);
+    }
+    assert_eq!(trainer.len(), 15_000);
+    let psnr = trainer.look(&held_out, usize::MAX, None).unwrap().psnr;
+    // 31.06 dB were measured, after 67 s of one core. Other processors round exp and ln otherwise, and a run diverges from there.
+    assert!((psnr - 31.06).abs() < 0.3, "{psnr}");
 }
 
 #[test]

@@ -1,0 +1,181 @@
+//! `train --splats`: from images to a file of Gaussian splats, with the cameras beside it.
+
+use std::path::{Path, PathBuf};
+
+use serde_json::json;
+
+use super::checks::{check_framing, warn_of_one_color};
+use super::{Args, LOOK_PIXELS, state_file};
+use crate::cli::files::CommandFiles;
+use crate::cli::given::Given;
+use crate::cli::progress::Bars;
+use crate::dataset::{write_inria, write_transforms};
+use crate::geometry::{Camera, Domain};
+use crate::io::place::folder_of;
+use crate::train::{
+    Budget, DatasetFiles, Finished, Quality, Run, Shot, SplatSettings, SplatTrainer, StateFile, Training,
+};
+use crate::{Error, Result};
+
+/// Pixels of images that are compared during training. An image of splats is drawn in a few milliseconds.
+const LOOK: usize = 20 * LOOK_PIXELS;
+/// Pixels of images that are compared at the end.
+const TEST: usize = 500 * LOOK_PIXELS;
+
+/// What is written beside a model: the cameras as the original code has them, and with all of their lens.
+struct Beside {
+    cameras: PathBuf,
+    transforms: PathBuf,
+}
+
+impl Beside {
+    fn new(model: &Path) -> Self {
+        let folder = folder_of(model);
+        Self { cameras: folder.join("cameras.json"), transforms: folder.join("transforms.json") }
+    }
+
+    /// Refuses to replace files that no run for this model has left.
+    fn check(&self, model: &Path, state: &Path) -> Result<()> {
+        if model.exists() || state.exists() {
+            return Ok(());
+        }
+        match [&self.cameras, &self.transforms].into_iter().find(|path| path.exists()) {
+            None => Ok(()),
+            Some(path) => {
+                let expected = "a folder without other cameras, as cameras.json and transforms.json are written there";
+                Err(Error::setting("--output", expected, path.display().to_string()))
+            }
+        }
+    }
+
+    fn write(&self, shots: &[Shot]) -> Result<()> {
+        let cameras: Vec<(String, Camera)> = shots.iter().map(|shot| (shot.name.clone(), shot.camera)).collect();
+        write_inria(&self.cameras, &cameras)?;
+        write_transforms(&self.transforms, &cameras)
+    }
+}
+
+impl Args {
+    /// Trains splats.
+    pub(super) fn run_splats(&self, given: &Given, bars: &Bars) -> Result<()> {
+        let of_grids = ["--log2-hashmap-size", "--samples-per-step", "--contract", "--members"];
+        given.refuse(&of_grids, "a hash grid, which it is an option of", "--splats")?;
+        let model = &self.output;
+        if model.extension().is_none_or(|extension| extension != "ply") {
+            let found = model.display().to_string();
+            return Err(Error::setting("--output", "a name that ends in .ply, for --splats", found));
+        }
+        let beside = Beside::new(model);
+        let command_files = |dataset: &Path| {
+            let files = CommandFiles::default().output("--output", model);
+            let files = files.output("the state of --output", state_file(model));
+            let files = files.output("the cameras of --output", &beside.cameras);
+            files.output("the cameras of --output", &beside.transforms).input("DATASET", dataset)
+        };
+        beside.check(model, &state_file(model))?;
+        let mut files = DatasetFiles::read(&self.dataset)?;
+        let partner = files.path.with_file_name("transforms_test.json");
+        command_files(&files.path).input("DATASET", partner).check()?;
+        files.select(&self.views.clone().unwrap_or_default(), self.hemisphere)?;
+        announce!("note: {}", files.describe());
+        let domain = self.domain(&files)?;
+        let [train, held_out] = files.load(bars)?;
+        let [train, held_out] = [self.shrunk(train)?, self.shrunk(held_out)?];
+        check_framing(&train, &domain)?;
+        let settings =
+            SplatSettings::default().seed(self.seed).background(self.background).most(SplatSettings::most_for(&train));
+        let mut trainer = SplatTrainer::new(settings, self.bounds.unwrap_or(files.bounds), &train)?;
+        if !trainer.began_at_hull() {
+            announce!(
+                "note: some images are opaque, so that splats begin anywhere in the box (--box), and not near the \
+                 surface of the object"
+            );
+        }
+        let state = self.state(&files, settings, domain, &train)?;
+        let mut before = 0.0;
+        if state.path.exists() && !self.restart {
+            before = trainer.restore(&state.path, &state.key)?;
+            announce!("note: going on after {} steps", trainer.steps());
+        }
+        let run =
+            Run { budget: self.budget(), held_out: &held_out, pixels: LOOK, looks: 10, state: Some(state.clone()) };
+        let finished = self.follow(&run, &mut trainer, before, bars)?;
+        self.announce(finished.elapsed, bars);
+        let background = settings.background.for_images();
+        let splats = trainer.splats()?;
+        let [width, height] = train[0].camera.resolution;
+        let comments = [
+            format!("{} train --splats, {} steps, seed {}", env!("CARGO_PKG_VERSION"), trainer.steps(), self.seed),
+            format!("{} images, the first of {width} x {height} pixels; background {background}", train.len()),
+        ];
+        splats.write_ply(model, &[], &comments)?;
+        beside.write(&train)?;
+        if finished.interrupted {
+            return Err(Error::Stopped { path: model.clone(), steps: trainer.steps() });
+        }
+        if state.path.exists() {
+            std::fs::remove_file(&state.path).map_err(Error::io(&state.path, "cannot remove"))?;
+        }
+        let within = match run.budget {
+            Budget::Time(time) => Some(super::measuring(time)),
+            _ => None,
+        };
+        let shown = trainer.look(&train, LOOK, within);
+        let quality = trainer.look(&held_out, TEST, within);
+        warn_of_one_color([("training", &train, shown), ("held-out", &held_out, quality.clone())], background);
+        self.report_splats(&trainer, finished, train.len(), quality.as_ref())
+    }
+
+    /// The images at the size that --resolution asks for.
+    fn shrunk(&self, shots: Vec<Shot>) -> Result<Vec<Shot>> {
+        let Some(resolution) = self.resolution else { return Ok(shots) };
+        let shrunk = |shot: Shot| {
+            let size = resolution.apply(&shot.camera).resolution;
+            shot.shrunk(size)
+        };
+        shots.into_iter().map(shrunk).collect()
+    }
+
+    fn state(
+        &self,
+        files: &DatasetFiles,
+        settings: SplatSettings,
+        domain: Domain,
+        train: &[Shot],
+    ) -> Result<StateFile> {
+        let mut description = self.description(files, settings, domain)?;
+        description["resolution"] = json!(train[0].camera.resolution);
+        let path = state_file(&self.output);
+        if self.restart && path.exists() {
+            SplatTrainer::check_state(&path)?;
+        }
+        Ok(StateFile { path, key: description.to_string(), every: StateFile::EVERY })
+    }
+
+    fn report_splats(
+        &self,
+        trainer: &SplatTrainer,
+        finished: Finished,
+        images: usize,
+        quality: Option<&Quality>,
+    ) -> Result<()> {
+        let (model, steps, elapsed) = (self.output.display(), trainer.steps(), finished.elapsed);
+        let background = self.background.for_images();
+        if self.json {
+            return say!(
+                "{}",
+                json!({ "models": [{
+                    "model": self.output.to_string_lossy(), "images": images, "splats": trainer.len(), "steps": steps,
+                    "seconds": elapsed, "seed": self.seed, "held_out": quality, "background": background.to_array(),
+                }] })
+            );
+        }
+        say!("{model}: {}", trainer.splats()?.describe())?;
+        let speed = steps as f64 / elapsed.max(1e-9);
+        say!("  {images} images, {steps} steps, {elapsed:.1} s, {speed:.1} steps/s, seed {}", self.seed)?;
+        if let Some(Quality { psnr, views, pixels }) = quality {
+            say!("  PSNR {psnr:.2} dB, mean over {views} held-out images, {pixels} pixels, background {background}")?;
+        }
+        Ok(())
+    }
+}

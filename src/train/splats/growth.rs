@@ -1,0 +1,83 @@
+//! More splats where images ask for them, fewer where they are transparent (adaptive density control of Kerbl et al.
+//! 2023, §5.2, with a fixed rate of growth).
+//!
+//! A splat is asked for more by the mean length of ∂L/∂m over the steps that showed it. Every interval the splats with
+//! the longest become two each: the longest axis of both shrinks, and they move apart along it. Splats that have become
+//! nearly transparent go.
+
+use glam::Vec3;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::cloud::{LOGIT, MEAN, Row, SCALE, WIDTH, opacity, rotation, three};
+
+/// Steps between two changes of the number of splats.
+pub const INTERVAL: u64 = 100;
+/// Share of a run after which the number stays.
+pub const UNTIL: f64 = 0.6;
+/// One splat in so many becomes two.
+const PART: usize = 12;
+/// Least opacity of a splat that stays.
+const TRANSPARENT: f32 = 0.01;
+/// Change of the logarithms of the deviations of a splat that becomes two.
+const SHRINK: f32 = -0.35;
+/// Deviations by which each of the two moves.
+const APART: f32 = 0.7;
+
+/// How much images ask of a splat: the sum of the lengths of ∂L/∂m, and the number of steps that showed it.
+pub type Asked = [f32; 2];
+
+/// The splats and what is kept for each.
+pub struct Crowd<'a> {
+    pub rows: &'a mut Vec<Row>,
+    pub means: &'a mut Vec<Row>,
+    pub squares: &'a mut Vec<Row>,
+    pub asked: &'a mut Vec<Asked>,
+}
+
+impl Crowd<'_> {
+    /// Removes transparent splats, if any others are there, and splits those that are asked for most, up to `most`
+    /// splats. Begins to count anew.
+    pub fn change(self, most: usize, seed: u64, step: u64) {
+        let is_kept: Vec<bool> = self.rows.iter().map(|row| opacity(row) >= TRANSPARENT).collect();
+        if is_kept.contains(&true) {
+            for rows in [&mut *self.rows, &mut *self.means, &mut *self.squares] {
+                let mut kept = is_kept.iter();
+                rows.retain(|_| kept.next() == Some(&true));
+            }
+            let mut kept = is_kept.iter();
+            self.asked.retain(|_| kept.next() == Some(&true));
+        }
+        let count = self.rows.len().div_ceil(PART).min(most.saturating_sub(self.rows.len()));
+        let mean = |i: usize| self.asked[i][0] / self.asked[i][1].max(1.0);
+        let mut order: Vec<usize> = (0..self.rows.len()).filter(|&i| mean(i) > 0.0).collect();
+        order.sort_by(|&a, &b| mean(b).total_cmp(&mean(a)).then(a.cmp(&b)));
+        order.truncate(count);
+        let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0x5911);
+        rng.set_stream(step);
+        for i in order {
+            let child = split(&mut self.rows[i], &mut rng);
+            self.rows.push(child);
+            for moments in [&mut *self.means, &mut *self.squares] {
+                moments[i] = [0.0; WIDTH];
+                moments.push([0.0; WIDTH]);
+            }
+        }
+        self.asked.clear();
+        self.asked.resize(self.rows.len(), [0.0; 2]);
+    }
+}
+
+/// Shrinks a splat and moves it; returns its twin, on the other side of where it was.
+fn split(row: &mut Row, rng: &mut ChaCha8Rng) -> Row {
+    // About normal: the sum of three uniform numbers with variance 1.
+    let mut normal = || (0..3).map(|_| rng.random_range(-1.0..1.0_f32)).sum::<f32>();
+    let along = Vec3::from_array(std::array::from_fn(|_| normal()));
+    let away = APART * (rotation(row) * (along * three(row, SCALE).exp()));
+    let mean = three(row, MEAN);
+    (SCALE..LOGIT).take(3).for_each(|k| row[k] += SHRINK);
+    let mut twin = *row;
+    row[MEAN..MEAN + 3].copy_from_slice(&(mean + away).to_array());
+    twin[MEAN..MEAN + 3].copy_from_slice(&(mean - away).to_array());
+    twin
+}
