@@ -19,6 +19,7 @@ mod interrupt;
 mod limits;
 mod misfit;
 mod misleading;
+mod next_view;
 #[path = "../arrays/npz.rs"]
 mod npz;
 #[path = "../program/mod.rs"]
