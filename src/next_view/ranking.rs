@@ -87,9 +87,9 @@ impl<'a> NextView<'a> {
     /// Takes views until there are enough. If the monitor asks to stop, those taken so far are returned.
     ///
     /// # Errors
-    /// If the field cannot be added to ([`UncertaintyField::precision`]), there is no candidate, a lens distorts in front
-    /// of splats, a setting makes no sense, the model is not finite on too many rays, or [`Error::Interrupted`] before
-    /// the first view was taken.
+    /// If the field cannot be added to ([`UncertaintyField::precision`]), there is no candidate, a lens distorts in
+    /// front of splats, a setting makes no sense, the model is not finite on too many rays, or [`Error::Interrupted`]
+    /// before the first view was taken.
     pub fn run(&self) -> Result<Ranking> {
         self.run_with(|_| Ok(()))
     }
