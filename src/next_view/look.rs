@@ -29,7 +29,7 @@ pub enum Look<'a> {
     /// A volume.
     Volume(&'a VolumeRays<'a>, Camera),
     /// Splats as it sees them.
-    Splats(SplatView<'a>),
+    Splats(Box<SplatView<'a>>),
 }
 
 impl<'a> Look<'a> {
@@ -37,7 +37,7 @@ impl<'a> Look<'a> {
     pub fn new(source: &'a RaySource<'a>, camera: &Camera, to: Use) -> Self {
         match source {
             RaySource::Volume(volume) => Self::Volume(volume, *camera),
-            RaySource::Splats(splats) => Self::Splats(splats.prepare(camera, to)),
+            RaySource::Splats(splats) => Self::Splats(Box::new(splats.prepare(camera, to))),
         }
     }
 
