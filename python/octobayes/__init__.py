@@ -19,6 +19,7 @@ from ._autodiff import jax_field, torch_field
 from ._export import export
 from ._model import Model
 from ._octobayes import __version__
+from ._plan import next_view
 from ._uncertainty import Uncertainty
 
 __all__ = [
@@ -35,6 +36,7 @@ __all__ = [
     "load",
     "merge",
     "nerfstudio",
+    "next_view",
     "open_model",
     "render",
     "torch_field",

@@ -216,6 +216,13 @@ def named(count: int) -> list[str]:
     return [f"camera {i}" for i in range(count)]
 
 
+def as_dictionary(row: NDArray[np.float64]) -> dict[str, Any]:
+    """A camera's numbers as a dictionary."""
+    each = {"focal": slice(16, 18), "center": slice(18, 20), "size": slice(20, 22)}
+    numbers = {key: row[part] for key, part in each.items()}
+    return {"pose": row[:16].reshape(4, 4), **numbers, **dict(zip(LENS, row[22:NUMBERS].tolist()))}
+
+
 def _refuse(camera: Any) -> Mapping[str, Any]:
     raise wrong("cameras", EXPECTED, camera)
 

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import _octobayes
 from ._arguments import degrees, floats, points, wrong
-from ._cameras import LENS, NUMBERS
+from ._cameras import as_dictionary
 
 Floats = NDArray[np.float32]
 
@@ -65,16 +65,7 @@ class Model:
         fov: horizontal angle of view in degrees, and resolution: (width, height), where the model does not know them.
         """
         rows = self._model.cameras(None if fov is None else degrees("fov", fov), resolution)
-        if rows is None:
-            return None
-        each = {"focal": slice(16, 18), "center": slice(18, 20), "size": slice(20, 22)}
-        lens = dict(zip(LENS, range(22, NUMBERS)))
-        return [
-            {"pose": row[:16].reshape(4, 4)}
-            | {key: row[part] for key, part in each.items()}
-            | {key: float(row[i]) for key, i in lens.items()}
-            for row in rows
-        ]
+        return None if rows is None else [as_dictionary(row) for row in rows]
 
     @property
     def box(self) -> NDArray[np.float64]:

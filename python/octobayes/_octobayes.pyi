@@ -134,3 +134,13 @@ def evaluate(
     progress: Progress | None,
 ) -> tuple[str, list[Said], Uncertainty | None]:
     """JSON, what a user should know, and the first field with its interval of depth, if calibrated."""
+
+def next_view(
+    nerf: Any,
+    uncertainty: Uncertainty,
+    candidates: Doubles | None,
+    training: Doubles | None,
+    options: dict[str, Any],
+    progress: Progress | None,
+) -> tuple[str, Doubles, Floats | None, list[Said]]:
+    """JSON, all candidates [C, 28], the gain of each pixel of the first view [H, W], and what a user should know."""

@@ -11,6 +11,7 @@ mod fields;
 mod judge;
 mod model;
 mod options;
+mod plan;
 mod pool;
 mod run;
 mod view;
@@ -35,5 +36,6 @@ fn _octobayes(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(export::export_surfaces, module)?)?;
     module.add_function(wrap_pyfunction!(view::render, module)?)?;
     module.add_function(wrap_pyfunction!(judge::evaluate, module)?)?;
+    module.add_function(wrap_pyfunction!(plan::next_view, module)?)?;
     Ok(())
 }

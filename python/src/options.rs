@@ -7,6 +7,7 @@ use octobayes::evaluate::{DepthFiles, Evaluation};
 use octobayes::export::{MeshSettings, Surfaces};
 use octobayes::geometry::{Aabb, Camera, Distortion, Domain, Norm};
 use octobayes::glam::{DMat3, DVec3, Vec3};
+use octobayes::next_view::Settings;
 use octobayes::octree::Tile;
 use octobayes::posterior::{Covariance, Criterion};
 use octobayes::rays::Pixels;
@@ -174,6 +175,7 @@ const BATCH: usize = 1 << 16;
 #[pyfunction]
 pub fn defaults() -> String {
     let (rays, grid, mesh) = (RaySettings::default(), GridSettings::default(), MeshSettings::default());
+    let views = Settings::default();
     json!({
         "rays": rays.rays,
         "seed": rays.seed,
@@ -196,6 +198,9 @@ pub fn defaults() -> String {
         "stride": Evaluation::STRIDE,
         "probability": Evaluation::PROBABILITY,
         "batch": BATCH,
+        "take": views.take,
+        "gain": views.gain,
+        "view_pixels": views.pixels,
     })
     .to_string()
 }

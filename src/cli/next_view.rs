@@ -7,15 +7,15 @@ use serde_json::{Value, json};
 
 use super::files::CommandFiles;
 use super::opened::OpenedField;
-use super::options::{CameraOptions, ModelArgument, heading};
+use super::options::{CameraOptions, FrameOptions, ModelArgument, heading};
 use super::progress::Bars;
 use super::streams::tell;
 use crate::dataset::{Part, Views, camera_file, write_transforms};
 use crate::geometry::Camera;
 use crate::io::{AtomicFile, write_exr};
-use crate::next_view::{Around, Gain, GainMap, NextView, Ranking, Settings, retain_free};
+use crate::next_view::{Around, Gain, GainMap, Made, NextView, Ranking, Report, Settings};
 use crate::picture::{Bar, scalar_panel, write_sheet};
-use crate::session::OpenedModel;
+use crate::session::{CameraSource, OpenedModel};
 use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
 
@@ -154,18 +154,17 @@ impl Args {
         }
         let field = OpenedField::open(&self.field)?.whole()?;
         let opened = OpenedModel::of_field(&field, &self.field, &self.model.model, self.force, &mut tell)?;
-        let candidates = self.candidates(&opened, &field)?;
-        let training = match self.gain {
-            Gain::Coverage => self.training(&opened)?,
-            _ => Vec::new(),
-        };
+        let counts = self.candidates.is_none() || self.gain == Gain::Coverage;
+        let training = if counts { self.training(&opened)? } else { Vec::new() };
+        let candidates = self.candidates(&opened, &field, &training)?;
         let settings = Settings::default().take(self.take as usize).gain(self.gain);
-        let next = NextView::new(&**opened.volume()?, &field, &candidates.cameras)
+        let settings = settings.pixels(self.pixels).seed(self.seed);
+        let next = NextView::of(opened.model.subject(), &field, &candidates.cameras)
             .training(&training)
-            .settings(settings.pixels(self.pixels).seed(self.seed))
+            .settings(settings)
             .monitor(bars);
         let ranking = next.run()?;
-        let value = self.facts(&candidates, &ranking);
+        let value = self.facts(&candidates, &settings, &ranking);
         self.write(&value, &candidates, &ranking)?;
         self.print(&value, &candidates, &ranking)?;
         if !ranking.complete {
@@ -180,53 +179,36 @@ impl Args {
 
     /// The training cameras, of --cameras or the model's own.
     fn training(&self, opened: &OpenedModel) -> Result<Vec<Camera>> {
-        let views = self.cameras.read(opened.model.field(), &opened.name)?;
-        Ok(views.frames.iter().map(|frame| frame.camera).collect())
+        let cameras = self.cameras.training(&FrameOptions { views: None }, opened.model.field(), &opened.name)?;
+        Ok(cameras.views.cameras())
     }
 
-    fn candidates(&self, opened: &OpenedModel, field: &UncertaintyField) -> Result<Candidates> {
-        if let Some(path) = &self.candidates {
-            let views = Views::read(path, None)?;
-            let (names, cameras) = views.frames.into_iter().map(|frame| (frame.name, frame.camera)).unzip();
-            return Ok(Candidates { names, cameras });
-        }
-        let around = Around::like(&self.training(opened)?, field.lattice().domain())?;
-        let (kind, mut cameras) = match (self.sphere, self.orbit) {
-            (Some(count), _) => ("sphere", around.sphere(count, self.upper)),
-            (_, count) => ("orbit", around.orbit(count.unwrap_or(1))),
+    fn candidates(&self, opened: &OpenedModel, field: &UncertaintyField, training: &[Camera]) -> Result<Candidates> {
+        let made = match (&self.candidates, self.sphere, self.orbit) {
+            (Some(path), ..) => {
+                let source = CameraSource { file: Some(path.clone()), fov: None, resolution: self.cameras.resolution };
+                let views = source.read(None, &mut tell)?;
+                let (names, cameras) = views.frames.into_iter().map(|frame| (frame.name, frame.camera)).unzip();
+                return Ok(Candidates { names, cameras });
+            }
+            (None, Some(count), _) => Made::Sphere { count, is_upper: self.upper },
+            (None, None, count) => Made::Orbit { count: count.unwrap_or(1) },
         };
-        let model = &**opened.volume()?;
-        let step = field.protocol().march_step.unwrap_or_else(|| model.suggested_step());
-        let buried = retain_free(&mut cameras, model, step);
+        let around = Around::like(training, field.lattice().domain())?;
+        let (names, cameras, buried) = made.cameras(&around, &opened.model.subject(), field.protocol().march_step);
         if buried > 0 {
-            announce!("note: {buried} cameras of --{kind} stand in matter and are left out");
+            announce!("note: {buried} cameras of --{} stand in matter and are left out", made.kind());
         }
-        let names = (0..cameras.len()).map(|k| format!("{kind} {k}")).collect();
         Ok(Candidates { names, cameras })
     }
 
     /// What `ranking.json` holds.
-    fn facts(&self, candidates: &Candidates, ranking: &Ranking) -> Value {
-        let step = |step: &crate::next_view::Step| {
-            let mut value = json!(step);
-            value["name"] = json!(candidates.names[step.index]);
-            value
-        };
-        let candidate = |(index, name): (usize, &String)| {
-            let blank = ranking.blanks[index];
-            json!({ "index": index, "name": name, "gain": ranking.gains[index], "why_nothing": blank })
-        };
-        json!({
-            "version": env!("CARGO_PKG_VERSION"),
-            "model": self.model.model,
-            "field": self.field.to_string_lossy(),
-            "gain": self.gain.name(),
-            "pixels": self.pixels,
-            "seed": self.seed,
-            "complete": ranking.complete,
-            "steps": ranking.steps.iter().map(step).collect::<Vec<_>>(),
-            "candidates": candidates.names.iter().enumerate().map(candidate).collect::<Vec<_>>(),
-        })
+    fn facts(&self, candidates: &Candidates, settings: &Settings, ranking: &Ranking) -> Value {
+        let mut value = json!(Report::new(settings, ranking, &candidates.names));
+        value["version"] = json!(env!("CARGO_PKG_VERSION"));
+        value["model"] = json!(self.model.model);
+        value["field"] = json!(self.field.to_string_lossy());
+        value
     }
 
     fn write(&self, value: &Value, candidates: &Candidates, ranking: &Ranking) -> Result<()> {

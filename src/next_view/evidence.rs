@@ -2,31 +2,29 @@
 //! Hessian has Jacobians only.
 
 use glam::Vec3;
-use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
 use super::coverage::Facet;
-use crate::field::RadianceField;
-use crate::geometry::{Camera, Lattice, Ray};
+use super::look::{Look, Points, in_front, stands_in_matter};
+use crate::Result;
+use crate::geometry::{Camera, Lattice};
 use crate::monitor::Monitor;
 use crate::posterior::{Posterior, Visits};
-use crate::rays::{MAX_DROPPED_SHARE, PixelSequence, Pixels, VolumeRays};
-use crate::render::{CompositingWeights, JacobianBuffers, RayBatch, RaySamples, TraceBuffers, VisibleSegment};
+use crate::rays::{Pick, PixelSequence, Pixels, RaySource};
+use crate::render::VisibleSegment;
+use crate::splats::{Use, tile_of};
 use crate::uncertainty::{Added, Precision};
-use crate::{Error, Result};
 
 /// Rays that are differentiated together, as in a run.
 const BATCH: usize = 512;
-
-/// A camera stands in matter if half of its rays lose half of their light within so many samples.
-const NEAR: f64 = 4.0;
 
 /// Why a view tells nothing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Blank {
-    /// The camera stands in matter: half of its rays end within four samples.
+    /// The camera stands in matter: half of its rays end within four samples, or a splat takes half of the light where
+    /// it is.
     InMatter,
     /// No ray crosses the model's box.
     PastTheBox,
@@ -68,7 +66,7 @@ pub struct Evidence {
 /// Shows what candidates would see.
 pub struct Viewer<'a> {
     /// The model and how its rays are differentiated.
-    pub volume: &'a VolumeRays<'a>,
+    pub source: &'a RaySource<'a>,
     /// Where in a pixel its ray passes.
     pub pixel_offset: f64,
     /// What rays are added to; `None` if only their ends count.
@@ -84,23 +82,29 @@ pub struct Viewer<'a> {
 }
 
 impl Viewer<'_> {
-    /// Whether the model is to be asked from the calling thread, for many points at once.
-    pub fn asks_together(&self) -> bool {
-        self.volume.tracer.field.batch() > 0
+    /// Whether cameras are to be looked through one after the other: if the model is asked from the calling thread, for
+    /// many points at once, or if a view takes memory and is itself prepared by all threads.
+    pub fn takes_turns(&self) -> bool {
+        self.source.volume().is_none_or(|volume| volume.tracer.field.batch() > 0)
     }
 
-    /// The rays of a view: all of them cameras' first pixels of the same low-discrepancy sequence.
-    pub fn batches(&self, camera: &Camera) -> Vec<RayBatch> {
+    /// The camera in front of the model, to be differentiated if that counts.
+    fn look(&self, camera: &Camera) -> Look<'_> {
+        Look::new(self.source, camera, if self.precision.is_some() { Use::Derivatives } else { Use::Colors })
+    }
+
+    /// The rays of a view: all of them cameras' first pixels of the same low-discrepancy sequence. Of splats, those of
+    /// one tile follow each other, whose splats then stay in the cache.
+    pub fn points(&self, camera: &Camera) -> Vec<Points> {
         let count = self.pixels.min(camera.pixels());
-        let picks = PixelSequence::new(Pixels::Sobol, self.seed, vec![camera.resolution]).picks(0, count);
-        let batch = |(n, picks): (usize, &[crate::rays::Pick])| {
-            let ray = |[x, y]: [u32; 2]| {
-                let [x, y] = [x, y].map(|i| f64::from(i) + self.pixel_offset);
-                camera.ray(x, y)
-            };
-            let rays = picks.iter().map(|pick| ray(pick.pixel)).collect();
-            let jitter = picks.iter().map(|pick| pick.jitter).collect();
-            RayBatch { rays, jitter, first: (n * BATCH) as u64 }
+        let mut picks = PixelSequence::new(Pixels::Sobol, self.seed, vec![camera.resolution]).picks(0, count);
+        if self.source.splats().is_some() {
+            picks.sort_by_key(|pick| tile_of(pick.pixel.map(f64::from)));
+        }
+        let batch = |(n, picks): (usize, &[Pick])| Points {
+            at: picks.iter().map(|pick| pick.pixel.map(|i| f64::from(i) + self.pixel_offset)).collect(),
+            jitter: picks.iter().map(|pick| pick.jitter).collect(),
+            first: (n * BATCH) as u64,
         };
         picks.chunks(BATCH).enumerate().map(batch).collect()
     }
@@ -108,22 +112,22 @@ impl Viewer<'_> {
     /// What a view would show.
     ///
     /// # Errors
-    /// [`Error::NonFinite`] if more than [`MAX_DROPPED_SHARE`] of its rays were dropped, or [`Error::Interrupted`].
+    /// As [`Look::samples`].
     pub fn evidence(&self, camera: &Camera, monitor: &dyn Monitor) -> Result<Evidence> {
-        let batches = self.batches(camera);
-        let rays: u64 = batches.iter().map(|batch| batch.rays.len() as u64).sum();
+        let (look, points) = (self.look(camera), self.points(camera));
+        let rays: u64 = points.iter().map(|points| points.at.len() as u64).sum();
         let mut evidence = Evidence { rays, pixels: camera.pixels(), ..Evidence::default() };
         let sight = match self.precision {
-            None => self.sight(&batches)?,
+            None => look.sight(&points)?,
             Some(precision) => {
-                let samples = self.samples(&batches, monitor)?;
+                let samples = look.samples(&points, monitor)?;
                 let mut sums = precision.sums();
                 sums.add(&samples);
                 evidence.added = precision.added(&sums, camera.pixels() as f64 / rays as f64);
                 samples.into_iter().flat_map(|batch| batch.sight).collect()
             }
         };
-        self.look(camera, &sight, &mut evidence);
+        self.note_ends(camera, &sight, &mut evidence);
         if evidence.blank.is_some() {
             evidence.added.clear();
             evidence.facets.clear();
@@ -131,6 +135,7 @@ impl Viewer<'_> {
         Ok(evidence)
     }
 
+<<<<<<< HEAD
     /// The samples of a view's rays.
     ///
     /// # Errors
@@ -173,20 +178,21 @@ impl Viewer<'_> {
         Ok(sight)
     }
 
+=======
+>>>>>>> b-next
     /// Notes where rays end, and why they tell nothing if they do not.
-    fn look(&self, camera: &Camera, sight: &[VisibleSegment], evidence: &mut Evidence) {
-        let marcher = &self.volume.tracer.marcher;
+    fn note_ends(&self, camera: &Camera, sight: &[VisibleSegment], evidence: &mut Evidence) {
+        let (bounds, in_front) = (self.source.bounds(), in_front(self.source));
         let mut seen: FxHashMap<usize, glam::DVec3> = FxHashMap::default();
         let mut ends: FxHashMap<usize, u32> = FxHashMap::default();
-        let (mut near, mut crossing) = (0, 0);
+        let mut crossing = 0;
         for VisibleSegment { ray, until } in sight {
-            crossing += usize::from(marcher.bounds.clip(ray).is_some());
+            crossing += usize::from(bounds.clip(ray).is_some());
             if !until.is_finite() {
                 continue;
             }
-            near += usize::from(*until <= NEAR * marcher.step);
             // In front of the surface rather than behind it: there training rays have passed, if any did.
-            let x = ray.at((until - marcher.step).max(0.0)).as_vec3();
+            let x = ray.at((until - in_front).max(0.0)).as_vec3();
             let Some(cell) = cell_of(&self.cells, x) else { continue };
             evidence.met += 1;
             *seen.entry(cell).or_default() -= ray.direction;
@@ -199,9 +205,8 @@ impl Viewer<'_> {
         evidence.facets.sort_unstable_by_key(|facet| facet.cell);
         evidence.ends = ends.into_iter().collect();
         evidence.ends.sort_unstable();
-        let is_inside = marcher.bounds.contains(camera.position.as_vec3());
         let nothing = if self.precision.is_some() { evidence.added.is_empty() } else { evidence.facets.is_empty() };
-        evidence.blank = if is_inside && 2 * near >= sight.len().max(1) {
+        evidence.blank = if stands_in_matter(self.source, camera, sight) {
             Some(Blank::InMatter)
         } else if crossing == 0 {
             Some(Blank::PastTheBox)
@@ -231,27 +236,4 @@ impl Evidence {
 fn cell_of(cells: &Lattice, x: Vec3) -> Option<usize> {
     let cell = cells.cell(cells.coordinates(x)?).0;
     Some(cell.into_iter().fold(0, |index, i| index << cells.level() | i as usize))
-}
-
-fn refuse_dropped(dropped: u64, rays: u64, first: Option<Vec3>) -> Result<()> {
-    match first {
-        Some(first) if dropped as f64 > MAX_DROPPED_SHARE * rays as f64 => {
-            let limit_percent = 100.0 * MAX_DROPPED_SHARE;
-            Err(Error::NonFinite { dropped, rays, limit_percent, first: first.to_array() })
-        }
-        _ => Ok(()),
-    }
-}
-
-/// Rays of a grid of a camera's pixels, row by row, at the middle of their samples.
-pub fn rays_of(camera: &Camera, offset: f64, rows: std::ops::Range<u32>) -> Vec<Ray> {
-    let row = |y: u32| (0..camera.resolution[0]).map(move |x| camera.ray(f64::from(x) + offset, f64::from(y) + offset));
-    rows.flat_map(row).collect()
-}
-
-/// Whether a ray that starts at `x` loses half of its light within [`NEAR`] samples.
-pub fn is_in_matter(field: &dyn RadianceField, step: f64, x: Vec3) -> bool {
-    let mut density = [0.0];
-    field.densities(&[x], &mut density);
-    f64::from(density[0]) * NEAR * step >= std::f64::consts::LN_2
 }

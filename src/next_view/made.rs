@@ -1,9 +1,9 @@
 //! Candidates that no file lists: around the box, looking at its middle, outside of matter.
 
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 
-use super::evidence::is_in_matter;
-use crate::field::RadianceField;
+use super::look::in_matter;
+use crate::estimate::Subject;
 use crate::geometry::{Camera, Domain};
 use crate::{Error, Result};
 
@@ -82,12 +82,47 @@ impl Around {
     }
 }
 
-/// Removes the cameras that stand in matter of `field`, whose samples are `step` apart, and returns how many.
-pub fn retain_free(cameras: &mut Vec<Camera>, field: &dyn RadianceField, step: f64) -> usize {
-    let (bounds, before) = (field.bounds(), cameras.len());
-    cameras.retain(|camera| {
-        let x: Vec3 = camera.position.as_vec3();
-        !(bounds.contains(x) && is_in_matter(field, step, x))
-    });
-    before - cameras.len()
+/// How candidates are made.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Made {
+    /// So many over a sphere, or over its upper half.
+    Sphere {
+        /// Their number.
+        count: u32,
+        /// Only the upper half.
+        is_upper: bool,
+    },
+    /// So many on a level circle.
+    Orbit {
+        /// Their number.
+        count: u32,
+    },
+}
+
+impl Made {
+    /// The kind, in one word.
+    #[must_use]
+    pub fn kind(self) -> &'static str {
+        match self {
+            Self::Sphere { .. } => "sphere",
+            Self::Orbit { .. } => "orbit",
+        }
+    }
+
+    /// The cameras that do not stand in matter of `model`, with their names, and how many do. Samples of a volume are
+    /// `step` apart, or as it suggests.
+    #[must_use]
+    pub fn cameras(self, around: &Around, model: &Subject, step: Option<f64>) -> (Vec<String>, Vec<Camera>, usize) {
+        let cameras = match self {
+            Self::Sphere { count, is_upper } => around.sphere(count, is_upper),
+            Self::Orbit { count } => around.orbit(count),
+        };
+        let eyes: Vec<DVec3> = cameras.iter().map(|camera| camera.position).collect();
+        let is_buried = in_matter(model, step, &eyes);
+        let free: Vec<Camera> =
+            cameras.iter().zip(&is_buried).filter(|(_, is_buried)| !**is_buried).map(|(camera, _)| *camera).collect();
+        let names = (0..free.len()).map(|k| format!("{} {k}", self.kind())).collect();
+        let buried = cameras.len() - free.len();
+        (names, free, buried)
+    }
 }

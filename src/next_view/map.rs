@@ -1,11 +1,12 @@
 //! Where in a view the gain comes from.
 
-use super::evidence::{Viewer, rays_of};
+use super::evidence::Viewer;
+use super::look::{Look, Points};
 use super::objective::Objective;
 use crate::Result;
 use crate::geometry::Camera;
 use crate::monitor::{Monitor, check};
-use crate::render::RayBatch;
+use crate::splats::Use;
 use crate::uncertainty::{Added, Precision};
 
 /// Longest side of a map, pixels.
@@ -34,16 +35,18 @@ impl GainMap {
     ) -> Result<Self> {
         let stride = camera.resolution[0].max(camera.resolution[1]).div_ceil(SIDE);
         let offset = viewer.pixel_offset;
-        let small = camera.strided(stride, offset);
-        let [width, height] = small.resolution;
+        let [width, height] = camera.resolution.map(|side| side.div_ceil(stride));
+        // The view's own pixels: splats grow by a part of a pixel, so that those of a smaller image differ.
+        let look = Look::new(viewer.source, camera, Use::Derivatives);
         let mut gains = vec![0.0; width as usize * height as usize];
         monitor.begin("gain of pixels", u64::from(height));
         let sums = precision.sums();
         for row in 0..height {
             check(monitor)?;
-            let rays = rays_of(&small, offset, row..row + 1);
-            let batch = RayBatch { jitter: vec![0.5; rays.len()], rays, first: u64::from(row) * u64::from(width) };
-            for samples in viewer.samples(&[batch], monitor)? {
+            let at = (0..width).map(|column| [column, row].map(|i| f64::from(i * stride) + offset)).collect();
+            let jitter = vec![0.5; width as usize];
+            let points = Points { at, jitter, first: u64::from(row) * u64::from(width) };
+            for samples in look.samples(&[points], monitor)? {
                 sums.each_ray(&samples, |ray, touched| {
                     let added: Vec<Added> =
                         touched.iter().map(|(point, sums)| precision.added_at(*point, *sums, 1.0)).collect();
@@ -53,6 +56,6 @@ impl GainMap {
             monitor.advance(1);
         }
         monitor.end();
-        Ok(Self { resolution: small.resolution, gains, stride })
+        Ok(Self { resolution: [width, height], gains, stride })
     }
 }

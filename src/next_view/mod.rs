@@ -41,16 +41,19 @@ mod coverage;
 mod evidence;
 mod gain;
 mod greedy;
+mod look;
 mod made;
 mod map;
 mod objective;
 mod ranking;
+mod report;
 
 pub use evidence::Blank;
 pub use gain::{first_order, log_det};
-pub use made::{Around, retain_free};
+pub use made::{Around, Made};
 pub use map::GainMap;
 pub use ranking::{NextView, Ranking, Step};
+pub use report::{NamedCandidate, NamedStep, Report};
 
 use derive_setters::Setters;
 
@@ -109,7 +112,7 @@ pub struct Settings {
     pub seed: u64,
     /// Which gains are found anew after a view was taken.
     pub rescoring: Rescoring,
-    /// Cells per axis of the occupancy grid that lets rays skip empty space.
+    /// Cells per axis of the occupancy grid that lets rays of a volume skip empty space.
     pub occupancy: usize,
     /// Bytes for what candidates add, kept from step to step; of others the rays are traced again.
     pub memory: usize,

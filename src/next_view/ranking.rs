@@ -9,13 +9,14 @@ use super::evidence::{Blank, Evidence, Viewer};
 use super::greedy::Candidates;
 use super::objective::Objective;
 use super::{Gain, GainMap, Settings};
-use crate::estimate::RaySettings;
+use crate::estimate::{RaySettings, Subject};
 use crate::field::RadianceField;
 use crate::geometry::{Camera, Lattice};
 use crate::monitor::{Monitor, Silent, check};
 use crate::posterior::Visits;
-use crate::rays::VolumeRays;
+use crate::rays::RaySource;
 use crate::render::GradientMethod;
+use crate::splats::SplatRenderer;
 use crate::uncertainty::{Precision, UncertaintyField};
 use crate::{Error, Result};
 
@@ -59,7 +60,7 @@ pub struct Ranking {
 #[must_use]
 pub struct NextView<'a> {
     #[setters(skip)]
-    model: &'a dyn RadianceField,
+    model: Subject<'a>,
     #[setters(skip)]
     field: &'a UncertaintyField,
     #[setters(skip)]
@@ -75,14 +76,20 @@ pub struct NextView<'a> {
 impl<'a> NextView<'a> {
     /// Ranks `candidates` for the `model` whose uncertainty is `field`.
     pub fn new(model: &'a dyn RadianceField, field: &'a UncertaintyField, candidates: &'a [Camera]) -> Self {
+        Self::of(Subject::Volume(model), field, candidates)
+    }
+
+    /// Ranks `candidates` for a volume or splats whose uncertainty is `field`.
+    pub fn of(model: Subject<'a>, field: &'a UncertaintyField, candidates: &'a [Camera]) -> Self {
         Self { model, field, candidates, training: &[], settings: Settings::default(), monitor: &Silent }
     }
 
     /// Takes views until there are enough. If the monitor asks to stop, those taken so far are returned.
     ///
     /// # Errors
-    /// If the field cannot be added to ([`UncertaintyField::precision`]), there is no candidate, a setting makes no
-    /// sense, the model is not finite on too many rays, or [`Error::Interrupted`] before the first view was taken.
+    /// If the field cannot be added to ([`UncertaintyField::precision`]), there is no candidate, a lens distorts in
+    /// front of splats, a setting makes no sense, the model is not finite on too many rays, or [`Error::Interrupted`]
+    /// before the first view was taken.
     pub fn run(&self) -> Result<Ranking> {
         self.run_with(|_| Ok(()))
     }
@@ -95,8 +102,8 @@ impl<'a> NextView<'a> {
         let Settings { take, gain, .. } = self.settings;
         self.check()?;
         let precision = self.precision()?;
-        let volume = self.volume()?;
-        let viewer = self.viewer(&volume, precision.as_ref());
+        let source = self.source()?;
+        let viewer = self.viewer(&source, precision.as_ref());
         let mut objective = Objective::new(gain, precision.as_ref(), self.field.visits());
         let mut start = Instant::now();
         if gain == Gain::Coverage {
@@ -166,8 +173,9 @@ impl<'a> NextView<'a> {
         let Some(precision) = self.precision()? else {
             return Err(Error::setting("map", "a gain of `logdet` or `trace`, which pixels have", "`coverage`"));
         };
-        let volume = self.volume()?;
-        let viewer = self.viewer(&volume, Some(&precision));
+        self.check_lenses([camera])?;
+        let source = self.source()?;
+        let viewer = self.viewer(&source, Some(&precision));
         let objective = Objective::new(self.settings.gain, Some(&precision), None);
         GainMap::of(camera, &viewer, &precision, &objective, self.monitor)
     }
@@ -185,7 +193,14 @@ impl<'a> NextView<'a> {
             let expected = "the training cameras, whose coverage counts";
             return Err(Error::setting("cameras", expected, "none"));
         }
-        Ok(())
+        self.check_lenses(self.candidates.iter().chain(self.training))
+    }
+
+    fn check_lenses<'c>(&self, cameras: impl IntoIterator<Item = &'c Camera>) -> Result<()> {
+        match self.model {
+            Subject::Volume(_) => Ok(()),
+            Subject::Splats(_) => SplatRenderer::check_cameras(cameras),
+        }
     }
 
     fn precision(&self) -> Result<Option<Precision<'a>>> {
@@ -195,20 +210,25 @@ impl<'a> NextView<'a> {
         }
     }
 
-    fn viewer<'v>(&self, volume: &'v VolumeRays<'v>, precision: Option<&'v Precision<'v>>) -> Viewer<'v>
+    fn viewer<'v>(&self, source: &'v RaySource<'v>, precision: Option<&'v Precision<'v>>) -> Viewer<'v>
     where
         'a: 'v,
     {
         let Settings { pixels, seed, .. } = self.settings;
         // As fine as so many rays leave no holes by chance, for a view's own surface.
         let cells: Lattice = self.field.lattice().coarsened(Visits::level_of(pixels));
-        Viewer { volume, pixel_offset: self.offset(), precision, visits: self.field.visits(), cells, pixels, seed }
+        Viewer { source, pixel_offset: self.offset(), precision, visits: self.field.visits(), cells, pixels, seed }
     }
 
     /// The rays of the run that made the field, as far as its protocol states them.
-    fn volume(&self) -> Result<VolumeRays<'a>> {
+    fn source(&self) -> Result<RaySource<'a>> {
         let protocol = self.field.protocol();
         let (lattice, defaults) = (self.field.lattice(), RaySettings::default());
+        let background = protocol.background.map_or(defaults.background, glam::Vec3::from_array);
+        let model = match self.model {
+            Subject::Volume(model) => model,
+            Subject::Splats(splats) => return Ok(RaySource::Splats(SplatRenderer::new(splats, background))),
+        };
         let gradient = protocol.gradient.unwrap_or(GradientMethod::Auto);
         // The same share of an edge along all axes, unless f32 positions needed more, as they will again.
         let shares = protocol.difference_step.map(|step| [0, 1, 2].map(|k| step[k] / lattice.edge()[k]));
@@ -218,14 +238,18 @@ impl<'a> NextView<'a> {
             .step(shares.filter(is_even).map(|shares| shares[0].min(1.0)))
             .cutoff(protocol.cutoff.unwrap_or(defaults.cutoff))
             .march_step(protocol.march_step)
-            .background(protocol.background.map_or(defaults.background, glam::Vec3::from_array))
+            .background(background)
             .occupancy(self.settings.occupancy);
-        rays.volume(self.model, lattice, self.monitor)
+        Ok(RaySource::Volume(Box::new(rays.volume(model, lattice, self.monitor)?)))
     }
 
     /// Where in a pixel its ray passes: as in the run that made the field.
     fn offset(&self) -> f64 {
-        self.field.protocol().pixel_offset.unwrap_or_else(|| self.model.pixel_offset())
+        let own = || match self.model {
+            Subject::Volume(model) => model.pixel_offset(),
+            Subject::Splats(_) => RaySettings::default().offset_for_splats(),
+        };
+        self.field.protocol().pixel_offset.unwrap_or_else(own)
     }
 
     /// What each camera would see, in their order.
@@ -237,7 +261,7 @@ impl<'a> NextView<'a> {
         mut sink: impl FnMut(usize, Evidence) -> Result<()>,
     ) -> Result<()> {
         self.monitor.begin(stage, cameras.len() as u64);
-        let together = if viewer.asks_together() { 1 } else { rayon::current_num_threads() };
+        let together = if viewer.takes_turns() { 1 } else { rayon::current_num_threads() };
         let mut done = 0;
         for some in cameras.chunks(together) {
             check(self.monitor)?;

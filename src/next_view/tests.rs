@@ -1,8 +1,11 @@
 //! Rankings on scenes so small that everything can be found otherwise.
 
+mod splats;
+
 use glam::{DMat3, DVec3};
 
 use super::evidence::{Evidence, Viewer};
+use super::look::Look;
 use super::*;
 use crate::estimate::RaySettings;
 use crate::field::{ClosedForm, RadianceField};
@@ -12,8 +15,9 @@ use crate::octree::{MaxLevels, morton};
 use crate::posterior::{
     Covariance, DataScale, Information, OctreePosterior, Pooling, Posterior, Reading, Refinement, Scale, comparable,
 };
-use crate::rays::VolumeRays;
+use crate::rays::RaySource;
 use crate::render::RaySamples;
+use crate::splats::Use;
 use crate::uncertainty::{Protocol, UncertaintyField};
 use crate::{Error, Result};
 
@@ -44,34 +48,40 @@ fn uneven() -> MaxLevels {
     MaxLevels::balanced(6, [(0, 6), (3, 5), (5, 6), (6, 4)])
 }
 
-fn volume(scene: &ClosedForm) -> VolumeRays<'_> {
-    RaySettings::default().occupancy(32).volume(scene, &lattice(), &Silent).unwrap()
+fn source(scene: &ClosedForm) -> RaySource<'_> {
+    RaySource::Volume(Box::new(RaySettings::default().occupancy(32).volume(scene, &lattice(), &Silent).unwrap()))
 }
 
-fn viewer<'a>(volume: &'a VolumeRays<'a>) -> Viewer<'a> {
+fn viewer<'a>(source: &'a RaySource<'a>) -> Viewer<'a> {
     let cells = lattice().coarsened(3);
-    Viewer { volume, pixel_offset: 0.5, precision: None, visits: None, cells, pixels: PIXELS, seed: 0 }
+    Viewer { source, pixel_offset: 0.5, precision: None, visits: None, cells, pixels: PIXELS, seed: 0 }
 }
 
 /// The samples of every pixel draw of some views.
 fn samples(cameras: &[Camera]) -> Vec<RaySamples> {
     let scene = scene();
-    let volume = volume(&scene);
-    let viewer = viewer(&volume);
-    cameras.iter().flat_map(|camera| viewer.samples(&viewer.batches(camera), &Silent).unwrap()).collect()
+    let source = source(&scene);
+    let viewer = viewer(&source);
+    let samples =
+        |camera| Look::new(&source, camera, Use::Derivatives).samples(&viewer.points(camera), &Silent).unwrap();
+    cameras.iter().flat_map(samples).collect()
 }
 
 /// The field of one ray for each pixel of `views` views, whose samples are these.
 fn field(samples: &[RaySamples], views: u64, limits: &MaxLevels) -> UncertaintyField {
+    field_on(lattice(), samples, views, limits)
+}
+
+fn field_on(lattice: Lattice, samples: &[RaySamples], views: u64, limits: &MaxLevels) -> UncertaintyField {
     let data = DataScale::new(views * PIXELS, NOISE, 0.05).unwrap();
     let mut protocol = Protocol::unstated("test".into(), views * PIXELS, data.lambda(), Covariance::Block);
     protocol.scale = Scale::Data(data);
-    let mut posterior = OctreePosterior::limited(lattice(), limits.clone());
+    let mut posterior = OctreePosterior::limited(lattice, limits.clone());
     posterior.add(samples);
     let pooling = Pooling { min_rays: 0.0, floor: 0.0 };
     let everything = Refinement { floor: Some(Refinement::EVERYTHING), pooling, wanted: Vec::new() };
     let octree = posterior.octree(&everything);
-    UncertaintyField::on_octree(protocol, lattice(), posterior, octree, true)
+    UncertaintyField::on_octree(protocol, lattice, posterior, octree, true)
 }
 
 fn settings() -> Settings {
@@ -105,8 +115,8 @@ fn totals(field: &UncertaintyField, evidence: &[Evidence]) -> Vec<(DMat3, DMat3)
 
 fn evidence(field: &UncertaintyField, cameras: &[Camera]) -> Vec<Evidence> {
     let (scene, precision) = (scene(), field.precision().unwrap());
-    let volume = volume(&scene);
-    let viewer = Viewer { precision: Some(&precision), ..viewer(&volume) };
+    let source = source(&scene);
+    let viewer = Viewer { precision: Some(&precision), ..viewer(&source) };
     cameras.iter().map(|camera| viewer.evidence(camera, &Silent).unwrap()).collect()
 }
 

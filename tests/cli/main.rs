@@ -18,6 +18,7 @@ mod evaluate;
 mod interrupt;
 mod limits;
 mod misleading;
+mod next_view;
 #[path = "../arrays/npz.rs"]
 mod npz;
 #[path = "../program/mod.rs"]

@@ -12,7 +12,7 @@ use crate::program::{good, run};
 const RUN: &str = "uncertainty scene.ply --cameras transforms.json --background black --level 5 --rays 6000";
 
 /// A ball of splats and four cameras on one side of it, in a folder.
-fn folder() -> tempfile::TempDir {
+pub fn folder() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     let count = 900;
     let normal = |i: usize| {
@@ -41,7 +41,7 @@ fn folder() -> tempfile::TempDir {
     folder
 }
 
-fn refused(folder: &Path, args: &str, words: &[&str]) {
+pub fn refused(folder: &Path, args: &str, words: &[&str]) {
     let output = run(folder, args);
     let said = String::from_utf8_lossy(&output.stderr).to_string();
     assert!(output.status.code() == Some(2), "{args}: {said}");

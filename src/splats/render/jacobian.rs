@@ -35,7 +35,7 @@ impl SplatView<'_> {
     pub(crate) fn push_samples(&self, at: [f64; 2], index: u64, hits: &mut Hits, out: &mut RaySamples) {
         self.hits(at, hits);
         let ray = self.camera.ray(at[0], at[1]);
-        out.sight.push(VisibleSegment { ray, until: self.seen_until(hits, &ray) });
+        out.sight.push(self.segment(hits, ray));
         let first = out.positions.len();
         let mut behind = hits.passed * self.renderer.background().as_dvec3();
         let mut samples = Vec::with_capacity(hits.list.len());
@@ -60,11 +60,17 @@ impl SplatView<'_> {
         debug_assert!(out.positions.len() == first + hits.list.len());
     }
 
-    /// Distance along a ray at which T falls to ½; infinite if it does not.
-    fn seen_until(&self, hits: &Hits, ray: &Ray) -> f64 {
+    /// How far the ray of an image point sees.
+    pub(crate) fn sight(&self, at: [f64; 2], hits: &mut Hits) -> VisibleSegment {
+        self.hits(at, hits);
+        self.segment(hits, self.camera.ray(at[0], at[1]))
+    }
+
+    /// The ray of these hits, until T falls to ½; without an end if it does not.
+    fn segment(&self, hits: &Hits, ray: Ray) -> VisibleSegment {
         let ends = |hit: &&Hit| hit.before - hit.weight() <= 0.5;
         let last = hits.list.iter().find(ends);
-        last.map_or(f64::INFINITY, |hit| self.distance(hit, ray))
+        VisibleSegment { ray, until: last.map_or(f64::INFINITY, |hit| self.distance(hit, &ray)) }
     }
 
     /// Distance of a splat along the ray of a pixel that shows it, scene units: where its depth lies on the ray.

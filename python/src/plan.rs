@@ -1,0 +1,84 @@
+//! Which photograph should be taken next.
+
+use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
+use octobayes::estimate::Subject;
+use octobayes::next_view::{Around, GainMap, Made, NextView, Report, Settings};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use serde_json::json;
+
+use crate::errors::Said;
+use crate::field::Uncertainty;
+use crate::options::{NUMBERS, Options, cameras, numbers};
+use crate::run::Source;
+use crate::work::work;
+
+/// The ranking as JSON, the numbers of all candidates, the gain of each pixel of the first view if it is asked for, and
+/// what a user should know.
+type Ranked<'py> = (String, Bound<'py, PyArray2<f64>>, Option<Bound<'py, PyArray2<f32>>>, Vec<Said>);
+
+/// Ranks candidates, or those that are made, for a model and its uncertainty. `training` are the cameras of the images
+/// that were taken, if they count.
+#[pyfunction]
+pub fn next_view<'py>(
+    py: Python<'py>,
+    nerf: &Bound<'py, PyAny>,
+    uncertainty: &Bound<'py, Uncertainty>,
+    candidates: Option<PyReadonlyArray2<'py, f64>>,
+    training: Option<PyReadonlyArray2<'py, f64>>,
+    options: &Bound<'py, PyDict>,
+    progress: Option<&Bound<'py, PyAny>>,
+) -> PyResult<Ranked<'py>> {
+    let (source, options) = (Source::new(nerf)?, Options(options));
+    let given = candidates.as_ref().map(cameras).transpose()?;
+    let training = training.as_ref().map(cameras).transpose()?.unwrap_or_default();
+    let names = options.or("names", Vec::<String>::new())?;
+    let made = made(&options)?;
+    let defaults = Settings::default();
+    let settings = defaults
+        .take(options.or("take", defaults.take)?)
+        .gain(options.choice("gain")?.unwrap_or_default())
+        .pixels(options.or("pixels", defaults.pixels)?)
+        .seed(options.or("seed", defaults.seed)?)
+        .occupancy(options.or("occupancy", defaults.occupancy)?);
+    let is_mapped = options.or("map", false)?;
+    let field = uncertainty.get().field.clone();
+    let (report, views, map, texts) = work(py, source.gate(nerf), progress, move |engine| {
+        source.with(engine, |model| {
+            let (model, mut texts) = (Subject::Volume(model), Vec::new());
+            let (names, views) = match (given, made) {
+                (Some(views), _) => (names, views),
+                (None, made) => {
+                    let around = Around::like(&training, field.lattice().domain())?;
+                    let (names, views, buried) = made.cameras(&around, &model, field.protocol().march_step);
+                    if buried > 0 {
+                        let kind = made.kind();
+                        texts.push((format!("{buried} cameras of {kind}= stand in matter and are left out"), true));
+                    }
+                    (names, views)
+                }
+            };
+            let next = NextView::of(model, &field, &views);
+            let next = next.training(&training).settings(settings).monitor(engine.monitor());
+            let ranking = next.run()?;
+            let first = ranking.steps.first().filter(|_| is_mapped);
+            let map = first.map(|step| next.map(&views[step.index])).transpose()?;
+            Ok((Report::new(&settings, &ranking, &names), views, map, texts))
+        })
+    })?;
+    let rows = PyArray1::from_vec(py, numbers(&views)).reshape([views.len(), NUMBERS])?;
+    let map = map.map(|GainMap { resolution: [width, height], gains, .. }| {
+        PyArray1::from_vec(py, gains).reshape([height as usize, width as usize])
+    });
+    Ok((json!(report).to_string(), rows, map.transpose()?, texts))
+}
+
+/// How candidates are made if none are given.
+fn made(options: &Options) -> PyResult<Made> {
+    let is_upper = options.or("upper", false)?;
+    let sphere = options.get("sphere")?.map(|count| Made::Sphere { count, is_upper });
+    Ok(match sphere {
+        Some(sphere) => sphere,
+        None => Made::Orbit { count: options.or("orbit", 1)? },
+    })
+}

@@ -1,0 +1,104 @@
+//! Rankings of views from file to file: of a volume and of splats, and what is refused.
+
+use octobayes::dataset::{Views, write_transforms};
+use octobayes::geometry::Camera;
+use serde_json::Value;
+
+use crate::program::good;
+use crate::splats::{folder, refused};
+
+const VOLUME: &str = "uncertainty scene:courtyard -o field.oct --level 5 --rays 4000 --resolution 32 --occupancy 32 \
+                      --scale data --noise 0.05 --keep-sums";
+const SPLATS: &str = "uncertainty scene.ply --cameras transforms.json -o scene.oct --level 5 --rays 6000 \
+                      --scale data --noise 0.05 --keep-sums";
+
+fn ranking(folder: &std::path::Path, name: &str) -> Value {
+    serde_json::from_str(&std::fs::read_to_string(folder.join(name)).unwrap()).unwrap()
+}
+
+/// All but times.
+fn figures(mut ranking: Value) -> Value {
+    for step in ranking["steps"].as_array_mut().unwrap() {
+        step.as_object_mut().unwrap().remove("seconds");
+    }
+    ranking
+}
+
+#[test]
+fn a_resolution_is_that_of_the_candidates_too() {
+    let folder = folder();
+    let folder = folder.path();
+    good(folder, VOLUME);
+    let rank = |cameras: &str, output: &str| {
+        good(folder, &format!("next-view scene:courtyard field.oct --candidates {cameras} --take 2 -o {output}"));
+        figures(ranking(folder, output))
+    };
+    let own = rank("transforms.json", "own.json");
+    let asked = rank("transforms.json --resolution 24x20 --chosen next.json", "asked.json");
+    let half = rank("transforms.json --resolution 24", "half.json");
+    // The same cameras, from a file that has them at half of the size.
+    let views = Views::read(&folder.join("transforms.json"), None).unwrap();
+    let small: Vec<(String, Camera)> =
+        views.frames.iter().map(|frame| (frame.name.clone(), frame.camera.resized([24, 20]))).collect();
+    write_transforms(&folder.join("small.json"), &small).unwrap();
+    assert_eq!(asked, rank("small.json", "small.ranking.json"));
+    assert_eq!(half, asked, "a width keeps the aspect ratio");
+    let pixels = |ranking: &Value| {
+        let step = &ranking["steps"][0];
+        (step["gain"].as_f64().unwrap() / step["gain_per_pixel"].as_f64().unwrap()).round() as u64
+    };
+    assert_eq!((pixels(&own), pixels(&asked)), (48 * 40, 24 * 20));
+    let chosen = Views::read(&folder.join("next.json"), None).unwrap();
+    assert!(chosen.frames.len() == 2 && chosen.frames.iter().all(|frame| frame.camera.resolution == [24, 20]));
+}
+
+#[test]
+fn views_of_splats_are_ranked_from_files_and_made() {
+    let folder = folder();
+    let folder = folder.path();
+    good(folder, SPLATS);
+    let rank = |options: &str| {
+        good(folder, &format!("next-view scene.ply scene.oct --cameras transforms.json -o r.json {options}"));
+        figures(ranking(folder, "r.json"))
+    };
+    let first = rank("--orbit 8 --take 3 --chosen next.json --map gain.png --threads 1");
+    assert_eq!(first, rank("--orbit 8 --take 3 --map gain.exr --threads 2"));
+    assert!(folder.join("gain.png").is_file() && folder.join("gain.exr").is_file());
+    let gains: Vec<f64> = first["steps"].as_array().unwrap().iter().map(|s| s["gain"].as_f64().unwrap()).collect();
+    assert!(gains.len() == 3 && gains[0] >= gains[1] && gains[1] >= gains[2] && gains[2] > 0.0, "{gains:?}");
+    // The cameras stand at x > 0; the best view is of the other side.
+    let chosen = Views::read(&folder.join("next.json"), None).unwrap();
+    assert!(chosen.frames[0].camera.position.x < 0.0, "{:?}", chosen.frames[0].camera);
+    // Chosen cameras are candidates of their own; the training cameras tell less than what was not seen.
+    let again = rank("--candidates next.json");
+    assert_eq!(again["candidates"][0]["gain"], first["steps"][0]["gain"]);
+    assert!(rank("--candidates transforms.json")["steps"][0]["gain"].as_f64().unwrap() < gains[0]);
+    let trace = rank("--sphere 12 --upper --gain trace --take 2");
+    assert_eq!((&trace["gain"], trace["candidates"].as_array().unwrap().len()), (&"trace".into(), 12));
+    let coverage = rank("--orbit 8 --gain coverage");
+    assert!(coverage["steps"][0]["gain"].as_f64().unwrap() > 0.0);
+    assert!(coverage["steps"][0]["unseen"].as_f64().unwrap() > 0.5);
+}
+
+#[test]
+fn what_splats_cannot_be_ranked_by_is_refused_by_name() {
+    let folder = folder();
+    let folder = folder.path();
+    good(folder, SPLATS);
+    let rank = "next-view scene.ply scene.oct -o r.json";
+    refused(folder, &format!("{rank} --orbit 4"), &["--cameras", "brings no cameras"]);
+    refused(
+        folder,
+        &format!("{rank} --candidates transforms.json --gain coverage"),
+        &["--cameras", "brings no cameras"],
+    );
+    let text = std::fs::read_to_string(folder.join("transforms.json")).unwrap();
+    let mut bent: Value = serde_json::from_str(&text).unwrap();
+    bent["frames"][1]["k1"] = 0.1.into();
+    bent["k1"] = 0.1.into();
+    std::fs::write(folder.join("bent.json"), bent.to_string()).unwrap();
+    refused(folder, &format!("{rank} --candidates bent.json"), &["cameras of splats", "no lens distortion"]);
+    good(folder, "uncertainty scene.ply --cameras transforms.json -o paper.oct --level 5 --rays 6000 --keep-sums");
+    refused(folder, "next-view scene.ply paper.oct --candidates transforms.json -o r.json", &["--scale data"]);
+    assert!(!folder.join("r.json").exists());
+}
