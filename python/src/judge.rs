@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use octobayes::dataset::{DepthKind, Part, camera_file};
+use octobayes::estimate::Subject;
 use octobayes::evaluate::{DepthFiles, Evaluation, Reading};
 use octobayes::session::CameraSource;
 use octobayes::uncertainty::UncertaintyField;
@@ -56,11 +57,11 @@ pub fn evaluate(
             let mut tell = |remark| texts.push(said(remark));
             let views = held_out.read(None, &mut tell)?;
             let evaluation = Evaluation {
-                model,
+                model: Subject::Volume(model),
                 name,
                 settings,
                 readings: &readings,
-                ensemble: members.iter().map(|(name, member)| (name.clone(), &**member)).collect(),
+                ensemble: members.iter().map(|(name, member)| (name.clone(), Subject::Volume(&**member))).collect(),
                 cameras,
                 selection,
                 stride,

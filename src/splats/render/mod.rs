@@ -15,7 +15,7 @@ mod images;
 mod jacobian;
 mod project;
 #[cfg(test)]
-mod reference;
+pub(crate) mod reference;
 #[cfg(test)]
 mod tests;
 mod tiles;
