@@ -14,15 +14,29 @@ Arrays are NumPy's; anything with ``__array__`` or DLPack is accepted. Lengths a
 from __future__ import annotations
 
 from . import nerfstudio
-from ._api import accumulate, calibrate, compare, evaluate, forecast, load, merge, open_model, render, uncertainty
+from ._api import (
+    accumulate,
+    calibrate,
+    compare,
+    evaluate,
+    forecast,
+    load,
+    merge,
+    open_model,
+    render,
+    splat_columns,
+    uncertainty,
+)
 from ._autodiff import jax_field, torch_field
 from ._export import export
 from ._model import Model
 from ._octobayes import __version__
+from ._splats import Splats
 from ._uncertainty import Uncertainty
 
 __all__ = [
     "Model",
+    "Splats",
     "Uncertainty",
     "__version__",
     "accumulate",
@@ -37,6 +51,7 @@ __all__ = [
     "nerfstudio",
     "open_model",
     "render",
+    "splat_columns",
     "torch_field",
     "uncertainty",
 ]
