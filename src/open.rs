@@ -39,6 +39,15 @@ impl Model {
         }
     }
 
+    /// The splats, if it is those.
+    #[must_use]
+    pub fn splats(&self) -> Option<&Splats> {
+        match self {
+            Self::Volume(_) => None,
+            Self::Splats(splats) => Some(splats),
+        }
+    }
+
     /// The volume, for what only volumes have. `name` is the model's.
     ///
     /// # Errors
@@ -52,7 +61,8 @@ impl Model {
 }
 
 fn no_volume(name: &str) -> Error {
-    let expected = "a volume, which has a density; the commands `uncertainty`, `render` and `export` take splats";
+    let expected = "a volume, which has a density; the commands `uncertainty`, `evaluate`, `render` and \
+                    `export` take splats";
     Error::setting(format!("model `{name}`"), expected, "Gaussian splats")
 }
 

@@ -10,6 +10,7 @@ use octobayes::evaluate::{
 };
 use octobayes::geometry::Aabb;
 use octobayes::monitor::Silent;
+use octobayes::render::VolumeRenderer;
 use serde::{Deserialize, Serialize};
 
 use super::scenes::Scene;
@@ -67,7 +68,8 @@ impl Truth {
     /// Ranks the depth error of a scene's model by these readings.
     pub fn rank(&self, scene: &Scene, readings: &[Reading]) -> Result<Ranking> {
         let tracer = scene.settings.cutoff(1e-4).tracer(&*scene.field, 0.0, &Silent)?;
-        let evaluator = Evaluator::new(tracer, readings);
+        let model = VolumeRenderer { tracer, differentiation: None };
+        let evaluator = Evaluator::new(&model, readings);
         let views: Vec<EvaluatedView> = (0..)
             .zip(&self.views)
             .map(|(seed, truth)| evaluator.evaluate(truth, seed, &Silent))

@@ -4,14 +4,14 @@ use std::path::Path;
 
 use octobayes::estimate::{Estimation, GridSettings, RaySettings};
 use octobayes::evaluate::{
-    Baseline, DepthError, EvaluatedView, Evaluator, Measure, Reading, TrainingViews, TrueView, measure_residuals,
+    DepthError, EvaluatedView, Evaluator, Measure, Reading, TrainingViews, TrueView, measure_residuals,
 };
 use octobayes::field::RadianceField;
 use octobayes::geometry::Domain;
 use octobayes::metrics::{Calibration, Detection, ErrorDensity, ErrorKind, PROBABILITIES, sparsification, spearman};
 use octobayes::monitor::Silent;
 use octobayes::posterior::{Covariance, DataScale, Scale};
-use octobayes::render::{GradientMethod, RayAverage};
+use octobayes::render::{GradientMethod, RayAverage, VolumeRenderer};
 use octobayes::uncertainty::{Residuals, UncertaintyField};
 use octobayes::{Error, Result};
 use serde::{Deserialize, Serialize};
@@ -151,7 +151,7 @@ pub fn pixel_residuals(
     let at = |&i: &usize| {
         let [x, y] = [i % width, i / width].map(|n| n as f64 + truth.pixel_offset);
         let x = truth.camera.ray(x, y).at(view.rendered.pixels[i].expected_depth);
-        residuals.at(evaluator.tracer.marcher.bounds.clamp(x.as_vec3()))
+        residuals.at(evaluator.model.bounds().clamp(x.as_vec3()))
     };
     view.pixels.iter().map(at).collect()
 }
@@ -185,18 +185,23 @@ pub fn judge(
     let differentiation = settings.differentiation(field, fields[0].lattice())?;
     let tracer = settings.tracer(field, 0.0, &Silent)?;
     let cameras = data.strided_cameras(pixel_offset);
-    let training = TrainingViews::render(&tracer, &cameras, pixel_offset, &Silent)?;
+    let plain = VolumeRenderer { tracer: tracer.clone(), differentiation: None };
+    let model = VolumeRenderer { differentiation: Some(differentiation), ..plain.clone() };
+    let training = TrainingViews::render(&plain, &cameras, pixel_offset, &Silent)?;
     let images = data.for_residuals(pixel_offset).into_iter().map(Ok);
     let residuals = measure_residuals(&tracer, images, fields[0].lattice(), &Silent)?;
     let edge = DataScale::longest_edge(fields[0].lattice().domain());
     let warp = Warp::render(&tracer, &cameras, pixel_offset)?;
     let readings = readings(fields)?;
-    let mut evaluator = Evaluator { training: Some(&training), ..Evaluator::new(tracer, &readings) };
+    let member = |other: &Model| -> Result<VolumeRenderer> {
+        Ok(VolumeRenderer { tracer: settings.tracer(&other.field, 0.0, &Silent)?, differentiation: None })
+    };
+    let members = others.iter().map(member).collect::<Result<Vec<_>>>()?;
+    let mut evaluator = Evaluator { training: Some(&training), ..Evaluator::new(&plain, &readings) };
     let regression = Regression::fit(&evaluator, &residuals, &data.for_regression(pixel_offset))?;
-    evaluator.differentiation = Some(differentiation);
-    if !others.is_empty() {
-        let members = others.iter().map(|other| &other.field as &dyn RadianceField).chain([field]);
-        evaluator.members = members.map(|field| settings.tracer(field, 0.0, &Silent)).collect::<Result<_>>()?;
+    evaluator.model = &model;
+    if !members.is_empty() {
+        evaluator.members = members.iter().map(|member| member as _).chain([&plain as _]).collect();
     }
     let (mut views, mut unseen) = (Vec::new(), Vec::new());
     let names = BESIDE.iter().chain(parameters.iter().flat_map(|_| &ParameterPosteriors::NAMES));
@@ -244,9 +249,7 @@ fn row(
     let index = |measure| measures.iter().position(|found| *found == measure);
     let errors: Vec<f64> = views.iter().flat_map(|view| &view.absolute_error).copied().collect();
     let pooled = |m: usize| -> Vec<f64> { views.iter().flat_map(|view| &view.measures[m]).copied().collect() };
-    let least = evaluator.tracer.marcher.step.powi(2) / 12.0;
-    let weights: Vec<f64> =
-        pooled(index(Measure::Baseline(Baseline::RayVariance))?).iter().map(|v| v + least).collect();
+    let weights: Vec<f64> = views.iter().flat_map(|view| &view.spread).map(|spread| spread * spread).collect();
     let deviation = pooled(index(Measure::DepthDeviation(0))?);
     let posterior: Vec<f64> = deviation.iter().zip(&weights).map(|(d, w)| (d * d - w).max(0.0)).collect();
     let residuals = beside[BESIDE.len() - 1].1.clone();

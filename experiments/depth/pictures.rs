@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use octobayes::estimate::{Estimation, RaySettings};
-use octobayes::evaluate::{EvaluatedView, Evaluator, Measure, Reading, TrueView};
+use octobayes::estimate::{Estimation, RaySettings, Subject};
+use octobayes::evaluate::{EvaluatedView, Evaluator, Measure, Reading, ShownModel, TrueView};
 use octobayes::field::RadianceField;
 use octobayes::metrics::{DensityCalibration, quantile};
 use octobayes::monitor::Silent;
@@ -68,12 +68,9 @@ fn judge(scene: &Scene) -> Result<Judged> {
     let estimation = Estimation::new(&model.field, &data.cameras).rays(rays()).grid(grid().scale(Scale::Data(scale)));
     let field = estimation.run()?.field;
     let settings = RaySettings::for_images();
-    let differentiation = settings.differentiation(&model.field, field.lattice())?;
+    let shown = ShownModel::new(Subject::Volume(&model.field), &settings, Some(field.lattice()), &Silent)?;
     let readings = [Reading { name: "block".into(), field, averages: Vec::new() }];
-    let evaluator = Evaluator {
-        differentiation: Some(differentiation),
-        ..Evaluator::new(settings.tracer(&model.field, 0.0, &Silent)?, &readings)
-    };
+    let evaluator = Evaluator::new(shown.renderer(), &readings);
     let deviation = evaluator.measures().iter().position(|m| *m == Measure::DepthDeviation(0)).expect("its deviation");
     let (mut truths, mut views) = (Vec::new(), Vec::new());
     for truth in data.held_out(model.field.pixel_offset(), 1)? {

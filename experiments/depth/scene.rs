@@ -257,5 +257,16 @@ fn image(shot: &Shot, pixel_offset: f64, stride: u32, depth: Option<f64>) -> Tru
     let colors: Vec<DVec3> = pixels.map(|i| shot.image.over(i, DVec3::ONE)).collect();
     let (kept, covered, distance) = (vec![true; colors.len()], vec![true; colors.len()], vec![depth; colors.len()]);
     let readings = DepthReadings::default();
-    TrueView { name: shot.name.clone(), camera, pixel_offset, colors, kept, covered, distance, readings }
+    TrueView {
+        name: shot.name.clone(),
+        camera,
+        whole: shot.camera,
+        stride,
+        pixel_offset,
+        colors,
+        kept,
+        covered,
+        distance,
+        readings,
+    }
 }

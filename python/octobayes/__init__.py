@@ -14,16 +14,30 @@ Arrays are NumPy's; anything with ``__array__`` or DLPack is accepted. Lengths a
 from __future__ import annotations
 
 from . import nerfstudio
-from ._api import accumulate, calibrate, compare, evaluate, forecast, load, merge, open_model, render, uncertainty
+from ._api import (
+    accumulate,
+    calibrate,
+    compare,
+    evaluate,
+    forecast,
+    load,
+    merge,
+    open_model,
+    render,
+    splat_columns,
+    uncertainty,
+)
 from ._autodiff import jax_field, torch_field
 from ._export import export
 from ._model import Model
 from ._octobayes import __version__
 from ._plan import next_view
+from ._splats import Splats
 from ._uncertainty import Uncertainty
 
 __all__ = [
     "Model",
+    "Splats",
     "Uncertainty",
     "__version__",
     "accumulate",
@@ -39,6 +53,7 @@ __all__ = [
     "next_view",
     "open_model",
     "render",
+    "splat_columns",
     "torch_field",
     "uncertainty",
 ]

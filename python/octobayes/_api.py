@@ -23,24 +23,40 @@ from ._cameras import rows as camera_rows
 from ._cameras import size as as_size
 from ._defaults import DEFAULT
 from ._gate import Gate, remarks
-from ._model import Model
+from ._model import Model, Opened
 from ._progress import Progress, reporting
+from ._splats import Splats
 from ._uncertainty import Uncertainty
 
 #: What a run assumed or left out.
 LOG = logging.getLogger("octobayes")
 
-Nerf: TypeAlias = "str | os.PathLike[str] | Model | Callable[..., Any]"
+Nerf: TypeAlias = "str | os.PathLike[str] | Model | Splats | Callable[..., Any]"
 
 
-def open_model(name: str | os.PathLike[str], coordinates: str | None = None) -> Model:
-    """Opens a model file or a built-in scene as a callable ``(x[N, 3], d[N, 3]) -> (density[N], color[N, 3])``.
+def open_model(
+    name: str | os.PathLike[str], coordinates: str | None = None, *, splat_mode: str | None = None
+) -> Model | Splats:
+    """Opens a model file or a built-in scene.
 
     name: a ``.safetensors`` hash grid (of ``octobayes train``) or MLP NeRF, a ``.ppng`` Plenoptic PNG, an ``.npz``
-    voxel grid, or ``scene:NAME``. coordinates: 'ngp' or 'blender', scene units and axes of a ``.ppng``.
+    voxel grid, or ``scene:NAME``: a callable ``(x[N, 3], d[N, 3]) -> (density[N], color[N, 3])``. Or a ``.ply``,
+    ``.compressed.ply``, ``.spz`` or ``.splat`` of Gaussian splats: :class:`Splats`. coordinates: 'ngp' or 'blender',
+    scene units and axes of a ``.ppng``. splat_mode: 'classic' or 'mip', how splats smaller than a pixel were drawn in
+    training; by default as their file says.
     Raises OSError or ValueError if it cannot be read.
     """
-    return Model(as_path("name", name), coordinates)
+    name = as_path("name", name)
+    if not _octobayes.Splats.is_file(name):
+        if splat_mode is not None:
+            raise wrong("splat_mode", "None but for splats", splat_mode)
+        return Model(name, coordinates)
+    if coordinates is not None:
+        raise wrong("coordinates", "None but for a .ppng", coordinates)
+    splats = Splats(name, splat_mode)
+    for note in splats._model.notes:
+        LOG.info(note)
+    return splats
 
 
 def load(
@@ -91,16 +107,21 @@ def _opened(nerf: Any, cameras: Any = None, u: Uncertainty | None = None) -> Any
         nerf = open_model(path, "blender" if path.endswith(".ppng") and in_blender else None)
         if path.endswith(".ppng") and u is not None and nerf._model.checksum != u.protocol["origin"]["model"]:
             nerf = open_model(path)
-    if not callable(nerf):
+        if isinstance(nerf, Splats) and u is not None:
+            # A field of splats in a mode that was chosen: they are drawn as they were then.
+            wanted = u.protocol["origin"]["model"]
+            others = (Splats(path, mode) for mode in (None, "classic", "mip"))
+            nerf = next((splats for splats in others if splats._model.checksum == wanted), nerf)
+    if not callable(nerf) and not isinstance(nerf, Splats):
         raise wrong("nerf", "a model file, a model of open_model or a callable (x, d) -> (density, color)", nerf)
-    if isinstance(nerf, Model) and u is not None:
+    if isinstance(nerf, Opened) and u is not None:
         _warn(nerf._model.check(u._field, "u"), stacklevel=4)
     return nerf
 
 
 def _source(nerf: Any) -> str:
     """A name for a model."""
-    if isinstance(nerf, Model):
+    if isinstance(nerf, Opened):
         return nerf.name
     name = getattr(nerf, "__qualname__", None) or type(nerf).__qualname__
     return f"the Python callable {name}"
@@ -109,7 +130,7 @@ def _source(nerf: Any) -> str:
 def _asked(nerf: Any, box: Any, march_step: float | None, batch: int, u: Uncertainty | None = None) -> Any:
     """What the Rust part asks: its own model, or the gate of a callable, by default in the box of ``u``."""
     batch = whole("batch", batch, 1)
-    if isinstance(nerf, Model):
+    if isinstance(nerf, Opened):
         return nerf._model
     if box is None and u is not None:
         box = getattr(nerf, "box", u.box)
@@ -121,6 +142,13 @@ def _remarks(asked: Any) -> list[tuple[str, bool]]:
     return remarks(getattr(asked, "overshoot", 0.0))
 
 
+def _refuse_for_splats(**given: tuple[Any, Any]) -> None:
+    """Refuses arguments that are not their defaults, because splats are not marched."""
+    for name, (value, default) in given.items():
+        if value != default:
+            raise wrong(name, "the default: splats are projected, and rays through them not marched", value)
+
+
 def _image_options(
     nerf: Any,
     background: Any,
@@ -130,12 +158,14 @@ def _image_options(
     u: Uncertainty | None = None,
 ) -> dict[str, Any]:
     """Options that say how rays pass through the model: beside ``u`` as they did for it."""
+    if isinstance(nerf, Splats):
+        _refuse_for_splats(march_step=(march_step, None), occupancy=(occupancy, DEFAULT.occupancy))
     protocol = {} if u is None else u.protocol
     if background is None:
         background = getattr(nerf, "background", None)
     if background is None:
         background = protocol.get("background")
-    if pixel_offset is None and isinstance(nerf, Model):
+    if pixel_offset is None and isinstance(nerf, Opened):
         pixel_offset = protocol.get("pixel_offset")
     return {
         "background": color("background", "white" if background is None else background),
@@ -314,7 +344,16 @@ def _run(given: SimpleNamespace, is_dry: bool = False) -> tuple[Any, list[tuple[
     """The field of a run (none if ``is_dry``), what a user should know, and what it will need."""
     nerf, executor, shards = _opened(given.nerf, given.cameras), given.executor, given.shards
     domain = _domain_options(given.box, given.contract)
-    if given.contract is not None and isinstance(nerf, Model) and given.box is not None:
+    if isinstance(nerf, Splats):
+        _refuse_for_splats(
+            gradient=(given.gradient, DEFAULT.gradient),
+            step=(given.step, None),
+            cutoff=(given.cutoff, DEFAULT.cutoff),
+            audit=(given.audit, False),
+        )
+        if given.images is not None:
+            raise wrong("images", "None for splats: only volumes are compared with their training images", given.images)
+    if given.contract is not None and isinstance(nerf, Opened) and given.box is not None:
         raise wrong("box", "None with contract", "a box")
     parts = {name: getattr(given, name) for name in ("shard", "error_bars", "dump_samples")}
     if given.target_error is not None and any(part is not None for part in parts.values()):
@@ -326,7 +365,7 @@ def _run(given: SimpleNamespace, is_dry: bool = False) -> tuple[Any, list[tuple[
     if given.tile is not None and given.images is not None:
         raise wrong("images", "None with tile", "some")
     own_box = getattr(nerf, "box", None)
-    if not isinstance(nerf, Model) and domain["box"] is None and own_box is not None:
+    if not isinstance(nerf, Opened) and domain["box"] is None and own_box is not None:
         domain["box"] = as_box("nerf.box", own_box)
     cameras = _training_cameras(nerf, given.cameras, given.views, given.resolution, given.fov)
     if executor is None and shards is not None:
@@ -357,7 +396,7 @@ def _run(given: SimpleNamespace, is_dry: bool = False) -> tuple[Any, list[tuple[
         "checkpoint": None if given.checkpoint is None else as_path("checkpoint", given.checkpoint),
         "restart": given.restart,
         "dump_samples": None if given.dump_samples is None else as_path("dump_samples", given.dump_samples),
-        "source": f"{nerf._model.source if isinstance(nerf, Model) else _source(nerf)} seen by {cameras.source}",
+        "source": f"{nerf._model.source if isinstance(nerf, Opened) else _source(nerf)} seen by {cameras.source}",
         "dry_run": is_dry,
     }
     if is_dry:
@@ -555,6 +594,42 @@ def render(
     return view
 
 
+def splat_columns(
+    splats: Splats | str | os.PathLike[str],
+    u: Uncertainty | str,
+    cameras: Any = None,
+    *,
+    pixels: int = DEFAULT.pixels,
+    background: Any = None,
+    pixel_offset: float | None = None,
+    views: Any = None,
+    resolution: Any = None,
+    progress: Progress | bool | None = None,
+) -> dict[str, np.ndarray]:
+    """What :func:`export` writes beside each splat, as arrays ``[n]``.
+
+    Returns 'uncertainty' (U at the centre; of a u of scale='data' in scene units) and 'log10_uncertainty'; and with the
+    training ``cameras`` 'weight' (sum of the splat's shares of about ``pixels`` pixels that were looked at, 0 is never
+    seen) and 'views' (training views in which its share of one of these pixels exceeds 0.05).
+    """
+    u = _field("u", u)
+    splats = _opened(splats, cameras, u)
+    if not isinstance(splats, Splats):
+        raise wrong("splats", "Gaussian splats, or a file of these", splats)
+    uncertainty = u.query(splats.means)
+    columns = {"uncertainty": uncertainty, "log10_uncertainty": np.log10(uncertainty)}
+    if cameras is not None:
+        rows = _training_cameras(splats, cameras, views, resolution, None).rows
+        options = {
+            **_image_options(splats, background, None, pixel_offset, DEFAULT.occupancy, u),
+            "pixels": whole("pixels", pixels, 1),
+        }
+        with reporting(progress) as report:
+            seen = _octobayes.seen_splats(splats._model, np.ascontiguousarray(rows), options, report)
+        columns |= dict(zip(("weight", "views"), seen))
+    return columns
+
+
 def _threshold(threshold: float | str, u: Uncertainty | None) -> float:
     if u is None:
         raise wrong("threshold", "an uncertainty to cut by", "none")
@@ -575,7 +650,7 @@ def evaluate(
     training_depth: str | os.PathLike[str] | None = None,
     covariance: str | Sequence[str] | None = None,
     ray_average: str | Sequence[str] | None = None,
-    ensemble: Sequence[str | os.PathLike[str] | Model] = (),
+    ensemble: Sequence[str | os.PathLike[str] | Model | Splats] = (),
     clean_up: bool = False,
     stride: int = DEFAULT.stride,
     views: Any = None,
@@ -603,7 +678,7 @@ def evaluate(
 
     training_depth: folder of the training views' maps; every measure then says how well it detects what no training
     view saw. ensemble: two or more models that were trained like this one, not callables. clean_up: also remove density
-    above ten thresholds of log10 U; alone, it needs no depth.
+    (or splats) above ten thresholds of log10 U; alone, it needs no depth.
 
     Returns what ``octobayes evaluate --json`` prints for these arguments, as a dictionary: 'readings' and 'baselines'
     (name; 'ause_pooled', 'ause_mean_over_views', 'risk' and 'least_risk' by error kind; 'rank_correlation' and
@@ -691,8 +766,14 @@ def _judged(
 ) -> tuple[dict[str, Any], Any]:
     """The report, and the calibrated field."""
     coordinates = getattr(nerf, "_coordinates", None)
-    members = [m if isinstance(m, Model) or callable(m) else open_model(m, coordinates) for m in ensemble]
-    if len(members) == 1 or not all(isinstance(member, Model) for member in members):
+    mode = nerf.mode if isinstance(nerf, Splats) else None
+
+    def member(of: Any) -> Any:
+        is_open = isinstance(of, Opened) or callable(of)
+        return of if is_open else open_model(of, coordinates, splat_mode=mode)
+
+    members = [member(of) for of in ensemble]
+    if len(members) == 1 or not all(isinstance(member, Opened) for member in members):
         raise wrong("ensemble", "two or more models, or files of models", ensemble)
     asked = _asked(nerf, box, march_step, batch, next(iter(fields.values()), None))
     given = [(name, field._field) for name, field in fields.items()]

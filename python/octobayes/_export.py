@@ -14,6 +14,7 @@ from ._arguments import path as as_path
 from ._cameras import NUMBERS
 from ._defaults import DEFAULT
 from ._progress import Progress, reporting
+from ._splats import Splats
 from ._uncertainty import Uncertainty
 
 # What is written of the field alone, and of surfaces.
@@ -51,11 +52,13 @@ def export(
     With ``nerf`` and its training ``cameras`` (both as in :func:`uncertainty`): ``.ply``, points on the surfaces that
     the cameras see, with colour, normal, log10 U, sigma and rays, and with ``ellipsoids`` the axes of the covariance;
     ``.ply`` with ``mesh``, the surface as triangles; ``.csv``, per camera and region the share of surfaces that was
-    never seen, and quantiles of sigma.
+    never seen, and quantiles of sigma. With Gaussian splats as ``nerf``: ``.ply``, the splats with columns
+    uncertainty and log10_uncertainty and, with ``cameras``, weight and views (:func:`splat_columns`).
 
-    threshold: first remove density where log10 U exceeds this (or, as '99%', what it exceeds on the most certain 99
-    percent of visible surfaces). pixels: how many to look at, over all cameras. cells: of the mesh, along the longest
-    edge. density: on the mesh's surface, 1 / scene unit; by default what absorbs half of the light along a cell's edge.
+    threshold: first remove density, or splats, where log10 U exceeds this (or, as '99%', what it exceeds on the most
+    certain 99 percent of visible surfaces). pixels: how many to look at, over all cameras. cells: of the mesh, along
+    the longest edge. density: on the mesh's surface, 1 / scene unit; by default what absorbs half of the light along a
+    cell's edge.
     Raises ValueError if the field does not keep what the file needs, OSError if it cannot be written, and whatever a
     callable raises.
     """
@@ -77,6 +80,21 @@ def export(
     if nerf is None:
         raise wrong("nerf", "a model beside the field, for surfaces", "none")
     nerf = _opened(nerf, cameras, u)
+    if isinstance(nerf, Splats):
+        if not is_points or ellipsoids:
+            found = "ellipsoids" if ellipsoids else "mesh" if mesh else path
+            raise wrong("export of splats", "a .ply of the splats themselves: the rest is of volumes' surfaces", found)
+        options = {
+            **_image_options(nerf, background, march_step, pixel_offset, occupancy, u),
+            "threshold": None if threshold is None else _threshold(threshold, u),
+            "pixels": whole("pixels", pixels, 1),
+        }
+        rows = None
+        if cameras is not None:
+            rows = np.ascontiguousarray(_training_cameras(nerf, cameras, views, resolution, fov).rows)
+        with reporting(progress) as report:
+            _octobayes.export_splats(nerf._model, u._field, path, rows, options, report)
+        return
     if mesh:
         numbers, names = np.empty((0, NUMBERS)), []
     else:

@@ -14,7 +14,26 @@ from ._cameras import as_dictionary
 Floats = NDArray[np.float32]
 
 
-class Model:
+class Opened:
+    """A model in Rust: a radiance field or Gaussian splats."""
+
+    _model: Any
+
+    @property
+    def box(self) -> NDArray[np.float64]:
+        """``[2, 3]``: corners of the box outside which nothing is, scene units. Of splats, that of all centres."""
+        return np.array(self._model.box)
+
+    @property
+    def name(self) -> str:
+        """The file or built-in scene."""
+        return self._model.name
+
+    def __repr__(self) -> str:
+        return f"<octobayes.{type(self).__name__} {self.name}: {self._model.description}>"
+
+
+class Model(Opened):
     """A radiance field in Rust: ``model(x, d) -> (density, color)``. See :func:`octobayes.open_model`."""
 
     def __init__(self, name: str, coordinates: str | None = None) -> None:
@@ -68,11 +87,6 @@ class Model:
         return None if rows is None else [as_dictionary(row) for row in rows]
 
     @property
-    def box(self) -> NDArray[np.float64]:
-        """``[2, 3]``: corners of the box outside which the density is zero, scene units."""
-        return np.array(self._model.box)
-
-    @property
     def step(self) -> float:
         """Distance between samples along a ray that resolves the model, scene units."""
         return self._model.step
@@ -86,11 +100,3 @@ class Model:
     def is_differentiable(self) -> bool:
         """Whether the model computes its own derivatives."""
         return self._model.is_differentiable
-
-    @property
-    def name(self) -> str:
-        """The file or built-in scene."""
-        return self._model.name
-
-    def __repr__(self) -> str:
-        return f"<octobayes.Model {self.name}: {self._model.description}>"

@@ -50,6 +50,44 @@ class Model:
     @property
     def description(self) -> str: ...
 
+class Splats:
+    """Gaussian splats in Rust."""
+
+    def __new__(cls, name: str, mode: str | None = None) -> Splats: ...
+    @staticmethod
+    def is_file(name: str) -> bool: ...
+    def check(self, field: Uncertainty, name: str) -> list[Said]: ...
+    def __len__(self) -> int: ...
+    @property
+    def checksum(self) -> int: ...
+    @property
+    def means(self) -> Floats:
+        """[n, 3]."""
+    @property
+    def scales(self) -> Floats:
+        """[n, 3]."""
+    @property
+    def rotations(self) -> Floats:
+        """[n, 4], w first."""
+    @property
+    def opacities(self) -> Floats:
+        """[n]."""
+    @property
+    def sh(self) -> Floats:
+        """[n, (degree + 1)**2, 3]."""
+    @property
+    def mode(self) -> str: ...
+    @property
+    def notes(self) -> list[str]: ...
+    @property
+    def box(self) -> Box: ...
+    @property
+    def name(self) -> str: ...
+    @property
+    def source(self) -> str: ...
+    @property
+    def description(self) -> str: ...
+
 class Uncertainty:
     """A finished field."""
 
@@ -96,7 +134,7 @@ class Uncertainty:
 def uncertainty(
     nerf: Any, rows: Doubles, options: dict[str, Any], progress: Progress | None
 ) -> tuple[Any, list[Said], str]:
-    """nerf: a Model or a Gate; rows: cameras [C, 28]. The field, or else JSON of what the run needs."""
+    """nerf: a Model, Splats or a Gate; rows: cameras [C, 28]. The field, or else JSON of what the run needs."""
 
 def read_cameras(
     model: Model | None, path: str | os.PathLike[str] | None, every_frame: bool, options: dict[str, Any]
@@ -121,6 +159,19 @@ def export_surfaces(
     options: dict[str, Any],
     progress: Progress | None,
 ) -> None: ...
+def seen_splats(
+    splats: Splats, rows: Doubles, options: dict[str, Any], progress: Progress | None
+) -> tuple[Doubles, NDArray[np.uint32]]:
+    """weight [n], views [n]."""
+
+def export_splats(
+    splats: Splats,
+    field: Uncertainty,
+    path: str,
+    rows: Doubles | None,
+    options: dict[str, Any],
+    progress: Progress | None,
+) -> None: ...
 def render(
     nerf: Any, uncertainty: Uncertainty | None, rows: Doubles, options: dict[str, Any], progress: Progress | None
 ) -> dict[str, Floats]:
@@ -129,7 +180,7 @@ def render(
 def evaluate(
     nerf: Any,
     fields: Sequence[tuple[str, Uncertainty]],
-    ensemble: Sequence[Model],
+    ensemble: Sequence[Model | Splats],
     options: dict[str, Any],
     progress: Progress | None,
 ) -> tuple[str, list[Said], Uncertainty | None]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from . import _octobayes
 from ._arguments import whole, wrong
 from ._gate import Gate, remarks
-from ._model import Model
+from ._model import Opened
 from ._uncertainty import Uncertainty
 
 # Arguments that belong to one process.
@@ -35,7 +35,7 @@ class Task:
 
     def __call__(self, index: int, of: int) -> tuple[Uncertainty, list[tuple[str, bool]], float]:
         """Computes shard ``index`` of ``of``. Runs in a worker. Returns the gate's overshoot, too."""
-        asked = self.nerf._model if isinstance(self.nerf, Model) else Gate(self.nerf, **self.gate)
+        asked = self.nerf._model if isinstance(self.nerf, Opened) else Gate(self.nerf, **self.gate)
         options = {**self.options, "shard": [index, of], "keep_sums": True}
         # What came through somebody's serialisation need not be aligned.
         rows = np.array(self.rows)

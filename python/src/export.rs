@@ -83,7 +83,9 @@ pub fn export_surfaces(
         cameras: &cameras,
     };
     let field = field.get().field.clone();
-    work(py, source.gate(nerf), progress, |engine| source.with(engine, |model| job.write(engine, model, &field)))
+    work(py, source.gate(nerf), progress, |engine| {
+        source.with(engine, |model| job.write(engine, model.volume("export")?, &field))
+    })
 }
 
 impl Job<'_> {

@@ -13,7 +13,6 @@ use serde_json::json;
 
 use crate::errors::{OrRaise, Said, said};
 use crate::field::Uncertainty;
-use crate::model::Model;
 use crate::options::Options;
 use crate::pool::without_python;
 use crate::run::Source;
@@ -27,7 +26,7 @@ pub fn evaluate(
     py: Python<'_>,
     nerf: &Bound<'_, PyAny>,
     fields: Vec<(String, Bound<'_, Uncertainty>)>,
-    ensemble: Vec<Bound<'_, Model>>,
+    ensemble: Vec<Bound<'_, PyAny>>,
     options: &Bound<'_, PyDict>,
     progress: Option<&Bound<'_, PyAny>>,
 ) -> PyResult<(String, Vec<Said>, Option<Uncertainty>)> {
@@ -39,8 +38,8 @@ pub fn evaluate(
     };
     let readings = without_python(py, || fields.iter().map(read).collect::<octobayes::Result<Vec<Vec<Reading>>>>())?;
     let readings = readings.or_raise()?.concat();
-    let members: Vec<_> =
-        ensemble.iter().map(|member| (member.get().0.opened.name.clone(), member.get().0.field.clone())).collect();
+    let member = |member: &Bound<'_, PyAny>| Ok((member.getattr("name")?.extract::<String>()?, Source::new(member)?));
+    let members: Vec<(String, Source)> = ensemble.iter().map(member).collect::<PyResult<_>>()?;
     let kind = if options.or("z_depth", false)? { DepthKind::Z } else { DepthKind::Euclidean };
     let pattern = options.or("depth_pattern", DepthFiles::PATTERN.to_string())?;
     let depth = DepthFiles { folder: options.get("depth")?, pattern, scale: options.get("depth_encoding")?, kind };
@@ -60,7 +59,7 @@ pub fn evaluate(
                 name,
                 settings,
                 readings: &readings,
-                ensemble: members.iter().map(|(name, member)| (name.clone(), &**member)).collect(),
+                ensemble: members.iter().filter_map(|(name, of)| Some((name.clone(), of.subject()?))).collect(),
                 cameras,
                 selection,
                 stride,

@@ -14,6 +14,7 @@ mod options;
 mod plan;
 mod pool;
 mod run;
+mod splats;
 mod view;
 mod work;
 
@@ -25,6 +26,7 @@ fn _octobayes(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     module.add_class::<field::Uncertainty>()?;
     module.add_class::<model::Model>()?;
+    module.add_class::<splats::Splats>()?;
     module.add_function(wrap_pyfunction!(options::defaults, module)?)?;
     module.add_function(wrap_pyfunction!(run::uncertainty, module)?)?;
     module.add_function(wrap_pyfunction!(run::read_cameras, module)?)?;
@@ -34,6 +36,8 @@ fn _octobayes(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(fields::accumulate, module)?)?;
     module.add_function(wrap_pyfunction!(export::export_field, module)?)?;
     module.add_function(wrap_pyfunction!(export::export_surfaces, module)?)?;
+    module.add_function(wrap_pyfunction!(splats::seen_splats, module)?)?;
+    module.add_function(wrap_pyfunction!(splats::export_splats, module)?)?;
     module.add_function(wrap_pyfunction!(view::render, module)?)?;
     module.add_function(wrap_pyfunction!(judge::evaluate, module)?)?;
     module.add_function(wrap_pyfunction!(plan::next_view, module)?)?;

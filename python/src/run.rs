@@ -6,9 +6,8 @@ use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
 use octobayes::dataset::{Frame, MaskFile, ResolutionSource, Views};
 use octobayes::estimate::{Checkpoint, Goal, Subject};
 use octobayes::evaluate::TrainingImages;
-use octobayes::field::RadianceField;
 use octobayes::geometry::{Camera, Mask};
-use octobayes::session::{CameraSource, Session};
+use octobayes::session::{CameraSource, OpenedModel, Session};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -19,11 +18,13 @@ use crate::field::{Uncertainty, computed};
 use crate::model::{Model, Volume};
 use crate::options::{NUMBERS, Options, cameras, numbers};
 use crate::pool::without_python;
+use crate::splats::{OpenedSplats, Splats};
 use crate::work::{Engine, PythonField, Traits, work};
 
 /// A model of the library, or a field in Python.
 pub enum Source {
     Rust(Volume),
+    Splats(OpenedSplats),
     Python(Traits),
 }
 
@@ -32,6 +33,9 @@ impl Source {
     pub fn new(nerf: &Bound<'_, PyAny>) -> PyResult<Self> {
         if let Ok(model) = nerf.cast::<Model>() {
             return Ok(Self::Rust(model.get().0.clone()));
+        }
+        if let Ok(splats) = nerf.cast::<Splats>() {
+            return Ok(Self::Splats(splats.get().0.clone()));
         }
         let traits = nerf.getattr("traits")?.cast_into::<PyDict>()?;
         let options = Options(&traits);
@@ -47,14 +51,33 @@ impl Source {
         }))
     }
 
-    /// Calls `job` with the field.
-    pub fn with<T>(&self, engine: &Engine, job: impl FnOnce(&dyn RadianceField) -> T) -> T {
+    /// Calls `job` with the model.
+    pub fn with<T>(&self, engine: &Engine, job: impl FnOnce(Subject) -> T) -> T {
         match self {
-            Self::Rust(model) => job(&*model.field),
+            Self::Rust(model) => job(Subject::Volume(&*model.field)),
+            Self::Splats(opened) => job(Subject::Splats(&opened.splats)),
             Self::Python(traits) => {
                 let field: PythonField = engine.field(traits.clone());
-                job(&field)
+                job(Subject::Volume(&field))
             }
+        }
+    }
+
+    /// The model, unless it is in Python.
+    pub fn subject(&self) -> Option<Subject<'_>> {
+        match self {
+            Self::Rust(model) => Some(Subject::Volume(&*model.field)),
+            Self::Splats(opened) => Some(Subject::Splats(&opened.splats)),
+            Self::Python(_) => None,
+        }
+    }
+
+    /// The model of the library, if it is one.
+    fn opened(&self) -> Option<&OpenedModel> {
+        match self {
+            Self::Rust(model) => Some(&model.opened),
+            Self::Splats(splats) => Some(&splats.opened),
+            Self::Python(_) => None,
         }
     }
 
@@ -75,8 +98,8 @@ pub fn uncertainty(
 ) -> PyResult<(Option<Uncertainty>, Vec<Said>, String)> {
     let (source, cameras, options) = (Source::new(nerf)?, cameras(&rows)?, Options(options));
     let views = views(&options, &cameras)?;
-    let chosen = matches!(&source, Source::Rust(model) if model.opened.coordinates.is_some());
-    let checksum = if let Source::Rust(model) = &source { Some(model.opened.checksum) } else { None };
+    let chosen = source.opened().is_some_and(|opened| opened.coordinates.is_some());
+    let checksum = source.opened().map(|opened| opened.checksum);
     let images = match options.get::<PathBuf>("images")? {
         Some(folder) => Some(TrainingImages::find(&folder, &views.frames).or_raise()?),
         None => options.get::<Vec<String>>("image_files")?.map(|files| images(&files, &cameras)).transpose()?,
@@ -110,7 +133,7 @@ pub fn uncertainty(
         source.with(engine, |model| {
             let mut texts = Vec::new();
             let mut tell = |remark| texts.push(said(remark));
-            let prepared = session.prepare(Subject::Volume(model), engine.monitor(), &mut tell)?;
+            let prepared = session.prepare(model, engine.monitor(), &mut tell)?;
             if is_dry {
                 let needs = prepared.needs(&mut tell)?;
                 return Ok((None, texts, json!(needs).to_string()));

@@ -1,11 +1,10 @@
 //! Pictures of a model and its uncertainty.
 
 use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray2};
-use octobayes::estimate::RaySettings;
-use octobayes::evaluate::Reading;
-use octobayes::field::RadianceField;
-use octobayes::render::{DepthProbe, Pixel, Probe, RayAverage, RenderedView, render_view, render_view_with_depth};
-use octobayes::uncertainty::{ThresholdedField, shown_log10, unknowns};
+use octobayes::estimate::{RaySettings, Subject};
+use octobayes::evaluate::{Reading, ShownModel};
+use octobayes::render::{DepthVariance, Pixel, Probe, RayAverage, RenderedView};
+use octobayes::uncertainty::{ThresholdedField, UncertaintyField, is_certain, shown_log10, unknowns};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -45,23 +44,28 @@ pub fn render<'py>(
         source.with(engine, |model| {
             let probes = field.as_deref().map(|field| Probe { field, averages: &averages });
             let probes = probes.as_slice();
-            let cleaned = field.as_deref().zip(threshold);
-            let cleaned = cleaned.map(|(field, threshold)| ThresholdedField::new(model, field, threshold));
-            let shown: &dyn RadianceField = cleaned.as_ref().map_or(model, |cleaned| cleaned);
-            let tracer = settings.tracer(shown, 0.0, engine.monitor())?;
-            let offset = settings.offset_for(model);
+            let posterior =
+                field.as_deref().filter(|_| depth_error).map(UncertaintyField::depth_posterior).transpose()?;
+            let posterior = posterior.iter().map(|posterior| posterior as _).collect::<Vec<&dyn DepthVariance>>();
+            let cut = field.as_deref().zip(threshold);
+            let lattice = field.as_deref().filter(|_| depth_error).map(UncertaintyField::lattice);
+            let (cleaned, kept);
+            let shown = match (model, cut) {
+                (Subject::Volume(model), Some((field, threshold))) => {
+                    cleaned = ThresholdedField::new(model, field, threshold);
+                    Subject::Volume(&cleaned)
+                }
+                (Subject::Splats(splats), Some((field, threshold))) => {
+                    kept = splats.clone().keep(&is_certain(splats, field, threshold)?)?;
+                    Subject::Splats(&kept)
+                }
+                (whole, None) => whole,
+            };
+            let shown = ShownModel::new(shown, &settings, lattice, engine.monitor())?;
+            let offset = settings.offset_of(model);
             engine.monitor().begin("rows", u64::from(camera.resolution[1]));
-            let Some(field) = field.as_deref() else {
-                return render_view(&tracer, &camera, offset, probes, engine.monitor());
-            };
-            let mut view = if depth_error {
-                let posterior = field.depth_posterior()?;
-                let differentiation = settings.differentiation(shown, field.lattice())?;
-                let depth = DepthProbe { differentiation, variances: &[&posterior] };
-                render_view_with_depth(&tracer, &camera, offset, probes, &depth, engine.monitor())?
-            } else {
-                render_view(&tracer, &camera, offset, probes, engine.monitor())?
-            };
+            let mut view = shown.renderer().image(&camera, offset, probes, &posterior, engine.monitor())?;
+            let Some(field) = field.as_deref() else { return Ok(view) };
             let unknowns = unknowns(field, &camera, offset, &view)?;
             let shown = view.log10_uncertainty.iter().map(|log10| shown_log10(&view, log10, &unknowns));
             view.log10_uncertainty = shown.collect();

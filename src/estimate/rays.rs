@@ -3,7 +3,7 @@
 use derive_setters::Setters;
 use glam::{DVec3, Vec3};
 
-use super::PositionCheck;
+use super::{PositionCheck, Subject};
 use crate::field::RadianceField;
 use crate::geometry::{Aabb, Camera, Domain, Lattice};
 use crate::monitor::Monitor;
@@ -130,6 +130,15 @@ impl RaySettings {
     #[must_use]
     pub fn offset_for_splats(&self) -> f64 {
         self.pixel_offset.unwrap_or(0.5)
+    }
+
+    /// [`RaySettings::offset_for`] or [`RaySettings::offset_for_splats`].
+    #[must_use]
+    pub fn offset_of(&self, model: Subject) -> f64 {
+        match model {
+            Subject::Volume(field) => self.offset_for(field),
+            Subject::Splats(_) => self.offset_for_splats(),
+        }
     }
 
     /// The stream of rays from `cameras` through `field`, differentiated for `lattice`.

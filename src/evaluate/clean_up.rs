@@ -1,4 +1,4 @@
-//! Clean-up (the paper, Sec. 5.2): do held-out images improve when uncertain density is removed?
+//! Clean-up (the paper, Sec. 5.2): do held-out images improve when uncertain density is removed, or uncertain splats?
 //!
 //! Thresholds are shares of the official code's scale: density stays where log10 U ≤ share · 6. Here U is measured in
 //! longest edges of the field's domain, so that a threshold means the same at any scale. At level 8, space that was
@@ -7,14 +7,14 @@
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 
-use super::TrueView;
+use super::shown::empty_view;
+use super::{ShownModel, TrueView};
 use crate::Result;
-use crate::field::RadianceField;
 use crate::metrics::{psnr, ssim, ssimulacra2};
 use crate::monitor::{Monitor, check};
 use crate::posterior::Scale;
-use crate::render::{RenderedView, Tracer, render_view};
-use crate::uncertainty::{Answers, ThresholdedField};
+use crate::render::{RenderedView, Renderer};
+use crate::uncertainty::Answers;
 
 /// log10 U at a share of 1, with U in longest edges of the domain.
 pub const SCALE: f64 = 6.0;
@@ -98,13 +98,13 @@ fn thresholds_start_at(uncertainty: &dyn Answers) -> f64 {
     }
 }
 
-/// Renders `truths` before and after removing density above each of `thresholds`. The
+/// Renders `truths` before and after removing density, or splats, above each of `thresholds`. The
 /// first entry is the field as it is. A stage of its own for the monitor.
 ///
 /// # Errors
 /// [`crate::Error::Interrupted`], and if the uncertainty cannot be read.
 pub fn clean_up(
-    tracer: &Tracer,
+    model: &ShownModel,
     uncertainty: &dyn Answers,
     truths: &[TrueView],
     thresholds: &[f64],
@@ -117,24 +117,23 @@ pub fn clean_up(
         let kept = surface.iter().filter(|log10| **log10 <= threshold).count();
         (!surface.is_empty()).then(|| kept as f64 / surface.len() as f64)
     };
-    let render = |field: &dyn RadianceField| -> Result<Vec<RenderedView>> {
-        // The samples stay the same: removing density keeps every upper bound of it valid.
-        let tracer = Tracer { field, ..tracer.clone() };
+    let render = |left: Option<&dyn Renderer>| -> Result<Vec<RenderedView>> {
         let view = |truth: &TrueView| {
             check(monitor)?;
-            render_view(&tracer, &truth.camera, truth.pixel_offset, &[], monitor)
+            match left {
+                Some(left) => left.strided_image(&truth.whole, truth.stride, truth.pixel_offset, &[], &[], monitor),
+                None => Ok(empty_view(truth, model.renderer())),
+            }
         };
         truths.iter().map(view).collect()
     };
     let rows: u64 = truths.iter().map(|truth| u64::from(truth.camera.resolution[1])).sum();
     monitor.begin("rows, cleaned", rows * (1 + thresholds.len() as u64));
-    let before = render(tracer.field)?;
+    let before = render(Some(model.renderer()))?;
     let mut out = vec![(CleanUp::new(None, None, truths, &before), before)];
     for &share in thresholds {
         let threshold = share * SCALE + unit;
-        let field = ThresholdedField::new(tracer.field, uncertainty, threshold);
-        let after = render(&field)?;
-        field.check()?;
+        let after = model.with_certain_part(uncertainty, threshold, render)?;
         let cleaned = CleanUp::new(Some(share), Some(threshold), truths, &after);
         out.push((CleanUp { surfaces: kept(threshold), ..cleaned }, after));
     }

@@ -3,17 +3,21 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 
+use super::shown::{bounds_of, size_of};
+use super::training_cameras::training_cameras;
 use super::{
     CleanUp, DepthError, DepthFiles, DepthMeaning, EvaluatedView, Evaluator, FramesWithDepth, Interval, Reading,
-    Report, THRESHOLDS, TrainingViews, TrueView, clean_up,
+    Report, ShownModel, THRESHOLDS, TrainingViews, TrueView, clean_up,
 };
+use glam::DVec3;
+
 use crate::dataset::{DepthKind, DepthReadings, Frame, FrameSplit, LargestDepth, Part, Selection, Views};
-use crate::estimate::RaySettings;
-use crate::field::{RadianceField, known_cameras};
-use crate::geometry::{Camera, Domain};
+use crate::estimate::{RaySettings, Subject};
+use crate::geometry::{Aabb, Camera, NamedCamera};
 use crate::metrics::{STEPS, quantile};
 use crate::monitor::Monitor;
 use crate::render::RenderedView;
+use crate::splats::SplatRenderer;
 use crate::{Error, Result};
 
 /// What else may be wrong if depths are.
@@ -41,15 +45,15 @@ impl fmt::Display for Remark {
 #[derive(Clone)]
 pub struct Evaluation<'a> {
     /// The model.
-    pub model: &'a dyn RadianceField,
+    pub model: Subject<'a>,
     /// Its name, for the report.
     pub name: String,
     /// How its images are rendered.
     pub settings: RaySettings,
     /// Readings to rank its errors by. The first one is used for the clean-up and for calibration.
     pub readings: &'a [Reading],
-    /// Models that were trained like it, by their names.
-    pub ensemble: Vec<(String, &'a dyn RadianceField)>,
+    /// Models of the same kind that were trained like it, by their names.
+    pub ensemble: Vec<(String, Subject<'a>)>,
     /// The camera file with the held-out frames.
     pub cameras: PathBuf,
     /// Which of them are taken.
@@ -62,7 +66,7 @@ pub struct Evaluation<'a> {
     pub training_depth: Option<PathBuf>,
     /// Share of errors that an interval of depth is to hold, if one is wanted.
     pub calibrate: Option<f64>,
-    /// Whether density is removed above [`THRESHOLDS`].
+    /// Whether density, or splats, are removed above [`THRESHOLDS`].
     pub clean_up: bool,
     /// Whether curves are drawn, which need true depth.
     pub curves: bool,
@@ -72,6 +76,8 @@ pub struct Evaluation<'a> {
 pub struct Prepared<'a> {
     evaluation: Evaluation<'a>,
     frames: Vec<Frame>,
+    /// The cameras that the model was trained on, if they are known.
+    training: Vec<NamedCamera>,
     /// The true depth of the frames; `None` if depth is not judged.
     pub depth: Option<FramesWithDepth>,
     /// The true depth of the training frames.
@@ -111,18 +117,25 @@ impl<'a> Evaluation<'a> {
     /// Finds the files of the frames of [`Evaluation::cameras`], and checks what can be checked before any work.
     ///
     /// # Errors
-    /// If a member of the ensemble covers another box, if a field has no deviation of depth to calibrate, if there are
-    /// no such frames, or if depth maps are missing ([`DepthFiles::find`]).
+    /// If a member of the ensemble covers another box or is of another kind, if a field has no deviation of depth to
+    /// calibrate, if there are no such frames, if a lens distorts the images of splats, or if depth maps are missing
+    /// ([`DepthFiles::find`]).
     pub fn prepare(self, views: Views) -> Result<Prepared<'a>> {
         self.ensemble.iter().try_for_each(|(name, member)| check_member(name, *member, self.model))?;
         if let (Some(_), Some(first)) = (self.calibrate, self.readings.first()) {
             first.field.depth_posterior()?;
         }
         let all = views.frames.clone();
+        let training = training_cameras(self.model, &self.name, self.readings, &self.cameras, &views);
         let split = FrameSplit::new(views);
         let frames = split.select(Part::HeldOut, &self.selection, |_| true)?;
         let mut remarks = Vec::new();
-        let known = known_cameras(self.model, frames.iter().map(|frame| &frame.camera)).iter().flatten().count();
+        if let Subject::Splats(_) = self.model {
+            SplatRenderer::check_cameras(frames.iter().map(|frame| &frame.camera))?;
+        }
+        let length = bounds_of(self.model).longest_edge();
+        let is_known = |frame: &&Frame| training.iter().any(|known| known.camera.is_like(&frame.camera, length));
+        let known = frames.iter().filter(is_known).count();
         if known > 0 {
             let n = frames.len();
             remarks.push(Remark::Warning(format!(
@@ -135,32 +148,69 @@ impl<'a> Evaluation<'a> {
                         (--depth-encoding, --z-depth or --plot use them)";
             remarks.push(Remark::Note(text.into()));
         }
-        let training_depth = self.training_depth.as_ref().map(|folder| self.training_maps(folder)).transpose()?;
+        if let (Subject::Splats(_), true, true) = (self.model, training.is_empty(), depth.is_some()) {
+            let text = "splats store no cameras, and no camera file beside them or --cameras has those of the field: \
+                        how many training views see a place, and from which angle, is left out";
+            remarks.push(Remark::Note(text.into()));
+        }
+        let maps = |folder: &PathBuf| self.training_maps(folder, &training);
+        let training_depth = self.training_depth.as_ref().map(maps).transpose()?;
         let used = split.describe(Part::HeldOut, &frames);
-        Ok(Prepared { evaluation: self, frames, depth, training_depth, used, remarks })
+        Ok(Prepared { evaluation: self, frames, training, depth, training_depth, used, remarks })
     }
 
     /// The frames that the model was trained on, with their depth maps.
-    fn training_maps(&self, folder: &Path) -> Result<FramesWithDepth> {
-        let cameras = self.model.training_cameras();
+    fn training_maps(&self, folder: &Path, cameras: &[NamedCamera]) -> Result<FramesWithDepth> {
         if cameras.is_empty() {
-            let expected = "a model that knows its training cameras, such as those of `train`";
-            return Err(Error::setting("--training-depth", expected, self.model.describe()));
+            let (expected, found) = match self.model {
+                Subject::Volume(field) => {
+                    ("a model that knows its training cameras, such as those of `train`", field.describe())
+                }
+                Subject::Splats(splats) => {
+                    ("the field's training cameras in a camera file beside the splats or --cameras", splats.describe())
+                }
+            };
+            return Err(Error::setting("--training-depth", expected, found));
         }
         let frames: Vec<Frame> = cameras.iter().map(|named| Frame::new(named.camera, &named.name, "")).collect();
         DepthFiles { folder: Some(folder.into()), ..self.depth.clone() }.find(folder, &frames, &frames)
     }
 }
 
-/// A member of an ensemble must cover the same box as the model.
-fn check_member(name: &str, member: &dyn RadianceField, model: &dyn RadianceField) -> Result<()> {
-    let [expected, found] = [model, member].map(RadianceField::bounds);
-    let same = [expected.min() - found.min(), expected.max() - found.max()];
-    if same.iter().all(|d| d.abs().max_element() <= 1e-5 * expected.longest_edge()) {
+/// A member of an ensemble must cover the same box as the model. Splats that were trained again have their own boxes,
+/// which must share half of what either covers.
+fn check_member(name: &str, member: Subject, model: Subject) -> Result<()> {
+    let (boxes, slack) = match (model, member) {
+        (Subject::Volume(model), Subject::Volume(member)) => ([model.bounds(), member.bounds()], Some(1e-5)),
+        (Subject::Splats(_), Subject::Splats(_)) => ([model, member].map(bounds_of), None),
+        _ => {
+            let kind = |of| if matches!(of, Subject::Splats(_)) { "splats" } else { "a volume" };
+            return Err(Error::setting(
+                format!("member `{name}`"),
+                format!("{}, as the model", kind(model)),
+                kind(member),
+            ));
+        }
+    };
+    let [expected, found] = boxes;
+    let is_same = match slack {
+        Some(slack) => [expected.min() - found.min(), expected.max() - found.max()]
+            .iter()
+            .all(|d| d.abs().max_element() <= slack * expected.longest_edge()),
+        None => shared(&expected, &found) >= 0.5,
+    };
+    if is_same {
         return Ok(());
     }
     let [expected, found] = [expected, found].map(|b| format!("{} to {}", b.min(), b.max()));
     Err(Error::setting(format!("box of the member `{name}`"), format!("the model's, {expected}"), found))
+}
+
+/// The share of the space in either of two boxes that is in both.
+fn shared(a: &Aabb, b: &Aabb) -> f64 {
+    let volume = |size: DVec3| size.max(DVec3::ZERO).element_product();
+    let both = volume(a.max().min(b.max()) - a.min().max(b.min()));
+    both / (volume(a.size()) + volume(b.size()) - both)
 }
 
 impl Prepared<'_> {
@@ -177,23 +227,26 @@ impl Prepared<'_> {
     /// half of them, if the pixels are too few, and [`Error::Interrupted`].
     pub fn judge(&self, monitor: &dyn Monitor, tell: &mut dyn FnMut(Remark)) -> Result<Judged> {
         let Evaluation { model, settings, readings, .. } = &self.evaluation;
-        let offset = settings.offset_for(*model);
-        let meaning = |found: &FramesWithDepth| DepthMeaning { encoding: found.encoding, bounds: model.bounds() };
+        let offset = settings.offset_of(*model);
+        let bounds = bounds_of(*model);
+        let meaning = |found: &FramesWithDepth| DepthMeaning { encoding: found.encoding, bounds };
         let truly_seen =
             self.training_depth.as_ref().map(|found| truly_seen(found, &meaning(found), offset, monitor, tell));
         let truly_seen = truly_seen.transpose()?;
-        let tracer = settings.tracer(*model, 0.0, monitor)?;
-        let cameras: Vec<Camera> = model.training_cameras().iter().map(|named| named.camera).collect();
+        let lattice = readings.first().map(|reading| reading.field.lattice());
+        let shown = ShownModel::new(*model, settings, lattice, monitor)?;
+        let cameras: Vec<Camera> = self.training.iter().map(|named| named.camera).collect();
         let knows_cameras = self.depth.is_some() && !cameras.is_empty();
-        let training = knows_cameras.then(|| TrainingViews::render(&tracer, &cameras, offset, monitor)).transpose()?;
-        let differentiation = readings.first().map(|r| settings.differentiation(*model, r.field.lattice()));
-        let members = self.evaluation.ensemble.iter().map(|(_, member)| settings.tracer(*member, 0.0, monitor));
+        let training = || TrainingViews::render(shown.renderer(), &cameras, offset, monitor);
+        let training = knows_cameras.then(training).transpose()?;
+        let members = self.evaluation.ensemble.iter();
+        let members = members.map(|(_, member)| ShownModel::new(*member, settings, None, monitor));
+        let members = members.collect::<Result<Vec<_>>>()?;
         let evaluator = Evaluator {
-            differentiation: differentiation.transpose()?,
-            members: members.collect::<Result<_>>()?,
+            members: members.iter().map(ShownModel::renderer).collect(),
             training: training.as_ref(),
             truly_seen: truly_seen.as_ref(),
-            ..Evaluator::new(tracer, readings)
+            ..Evaluator::new(shown.renderer(), readings)
         };
 
         let looked = self.look(&evaluator, self.depth.as_ref().map(meaning), offset, monitor)?;
@@ -211,7 +264,7 @@ impl Prepared<'_> {
             report.calibrated = Some(Interval::calibrate(&evaluator, views, probability).ok_or_else(few)?);
         }
         let cleaned = match (self.evaluation.clean_up, evaluator.baked.first()) {
-            (true, Some(field)) => clean_up(&evaluator.tracer, field, &looked.truths, &THRESHOLDS, monitor)?,
+            (true, Some(field)) => clean_up(&shown, field, &looked.truths, &THRESHOLDS, monitor)?,
             _ => Vec::new(),
         };
         report.clean_up = cleaned.iter().map(|(cleaned, _)| *cleaned).collect();
@@ -289,7 +342,7 @@ impl Looked {
     fn error_of_depth(
         &self,
         maps: &FramesWithDepth,
-        model: &dyn RadianceField,
+        model: Subject,
         tell: &mut dyn FnMut(Remark),
     ) -> Result<DepthError> {
         let wrong = |expected, found| Err(Error::malformed(&maps.source, "depth maps", expected, found));
@@ -298,11 +351,7 @@ impl Looked {
             return wrong(expected, self.counts.to_string());
         }
         let error = DepthError::new(&self.views).ok_or_else(|| self.too_few(maps, "pixels with depth"))?;
-        let widest = model.bounds().longest_edge();
-        let size = match model.natural_domain() {
-            Domain::Box(bounds) => bounds.longest_edge(),
-            Domain::Contracted { radius, .. } => 2.0 * radius,
-        };
+        let (widest, size) = (bounds_of(model).longest_edge(), size_of(model));
         let found = format!("half of the depths are off by more than {:.4} scene units", error.median);
         if error.median > widest {
             return wrong(format!("depths within the model's box, {widest:.4} across; {CAUSES}"), found);

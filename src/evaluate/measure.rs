@@ -130,6 +130,11 @@ pub enum Measure {
     ///
     /// [`RenderedView::depth_deviation`]: crate::render::RenderedView::depth_deviation
     DepthDeviation(usize),
+    /// The part of it that displacements explain, √Var ([`RenderedView::posterior_variance`]), scene units, by the
+    /// index of the reading. Only of splats, whose spread along a ray hides it in the sum.
+    ///
+    /// [`RenderedView::posterior_variance`]: crate::render::RenderedView::posterior_variance
+    DepthPosterior(usize),
     /// A measure without a Hessian.
     Baseline(Baseline),
 }

@@ -1,10 +1,10 @@
-//! Checks whether an uncertainty shows where a field is wrong, on held-out views with known depth.
+//! Checks whether an uncertainty shows where a model is wrong, on held-out views with known depth.
 //!
 //! All measures are compared on the same pixels. An [`Evaluation`] has the settings; it finds the files, renders all
 //! frames and returns a [`Report`]. In the order in which data flows: [`DepthFiles`] finds the depth maps of frames,
-//! and a [`TrueView`] is what a camera should see. [`Evaluator`] renders it, and computes the depth error and all
-//! [`Measure`]s of uncertainty of every pixel. [`Score`] is how well each measure ranks the error. [`clean_up()`]
-//! removes what is too uncertain and compares the images.
+//! and a [`TrueView`] is what a camera should see. [`Evaluator`] renders the [`ShownModel`] there, and computes the
+//! depth error and all [`Measure`]s of uncertainty of every pixel. [`Score`] is how well each measure ranks the error.
+//! [`clean_up()`] removes what is too uncertain and compares the images.
 
 mod clean_up;
 mod depth_files;
@@ -15,6 +15,8 @@ mod measure;
 mod report;
 mod residuals;
 mod score;
+mod shown;
+mod training_cameras;
 mod training_views;
 mod truth;
 mod view;
@@ -28,6 +30,7 @@ pub use measure::{Baseline, Measure, Reading};
 pub use report::{Inside, NeverSeen, Report, Scored, ViewReport};
 pub use residuals::{TrainingImages, measure_residuals};
 pub use score::{ByError, DepthError, Score};
+pub use shown::ShownModel;
 pub(crate) use training_views::Sighting;
 pub use training_views::TrainingViews;
 pub use truth::{DepthMeaning, TrueView};

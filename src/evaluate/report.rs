@@ -154,7 +154,7 @@ impl Report {
         for (m, measure) in evaluator.measures().into_iter().enumerate() {
             let (reading, ray_average) = match measure {
                 Measure::Reading(r, average) => (Some(&evaluator.readings[r]), Some(average)),
-                Measure::DepthDeviation(r) => (Some(&evaluator.readings[r]), None),
+                Measure::DepthDeviation(r) | Measure::DepthPosterior(r) => (Some(&evaluator.readings[r]), None),
                 Measure::Baseline(_) => (None, None),
             };
             let scored = Scored {

@@ -140,6 +140,8 @@ mod tests {
         let truth = TrueView {
             name: String::new(),
             camera,
+            whole: camera,
+            stride: 1,
             pixel_offset: 0.5,
             colors,
             kept: vec![true; 64 * 64],

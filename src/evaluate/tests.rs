@@ -1,5 +1,7 @@
 //! Tests on a ball whose geometry is known in closed form.
 
+mod splats;
+
 use glam::{DVec3, Vec3};
 
 use super::*;
@@ -10,7 +12,7 @@ use crate::geometry::{Aabb, Camera};
 use crate::metrics::{ErrorKind, density_aware, ensemble_variance};
 use crate::monitor::Silent;
 use crate::posterior::Covariance;
-use crate::render::{RayAverage, Tracer, render_view};
+use crate::render::{RayAverage, Renderer, VolumeRenderer};
 use crate::uncertainty::UncertaintyField;
 
 /// An empty field in the ball's box.
@@ -55,19 +57,21 @@ fn uncertainty(ball: &ClosedForm) -> UncertaintyField {
         .field
 }
 
-fn tracer(field: &dyn RadianceField) -> Tracer<'_> {
-    settings().tracer(field, 0.0, &Silent).unwrap()
+fn renderer(field: &dyn RadianceField) -> VolumeRenderer<'_> {
+    VolumeRenderer { tracer: settings().tracer(field, 0.0, &Silent).unwrap(), differentiation: None }
 }
 
 /// What the ball shows. Its true distance falls short of the median depth by 0.01 more for every pixel to the right.
 fn truth(ball: &ClosedForm, camera: &Camera) -> TrueView {
-    let view = render_view(&tracer(ball), camera, 0.5, &[], &Silent).unwrap();
+    let view = renderer(ball).image(camera, 0.5, &[], &[], &Silent).unwrap();
     let width = camera.resolution[0] as usize;
     let seen = |i: usize| view.pixels[i].opacity > 0.5;
     let n = view.pixels.len();
     TrueView {
         name: "view".into(),
         camera: *camera,
+        whole: *camera,
+        stride: 1,
         pixel_offset: 0.5,
         colors: view.pixels.iter().map(|p| p.color).collect(),
         kept: vec![true; n],
@@ -82,12 +86,13 @@ fn what_no_training_camera_saw_is_told_and_detected() {
     let ball = ClosedForm::ball();
     let field = uncertainty(&ball);
     let readings = [Reading { name: "U".into(), field, averages: vec![RayAverage::AtExpected] }];
-    let training = TrainingViews::render(&tracer(&ball), &cameras(), 0.5, &Silent).unwrap();
+    let model = renderer(&ball);
+    let training = TrainingViews::render(&model, &cameras(), 0.5, &Silent).unwrap();
     // From the side and from behind, where the half circle of cameras does not reach.
     let from = |eye: DVec3| Camera::look_at(eye, DVec3::ZERO, DVec3::Z, 0.7, [24, 24]);
     let views = [DVec3::new(-3.0, 0.0, -0.5), DVec3::new(0.0, 3.0, 0.5)].map(from);
-    let without = Evaluator::new(tracer(&ball), &readings);
-    let evaluator = Evaluator { truly_seen: Some(&training), ..Evaluator::new(tracer(&ball), &readings) };
+    let without = Evaluator::new(&model, &readings);
+    let evaluator = Evaluator { truly_seen: Some(&training), ..Evaluator::new(&model, &readings) };
     let (mut evaluated, mut expected) = (Vec::new(), Vec::new());
     for camera in &views {
         let truth = truth(&ball, camera);
@@ -124,8 +129,9 @@ fn every_measure_is_of_the_same_pixels() {
         })
         .collect();
     let nothing = Nothing(ball.bounds());
-    let members = vec![tracer(&ball), tracer(&nothing)];
-    let evaluator = Evaluator { members, ..Evaluator::new(tracer(&ball), &readings) };
+    let (model, nothing) = (renderer(&ball), renderer(&nothing));
+    let members: Vec<&dyn Renderer> = vec![&model, &nothing];
+    let evaluator = Evaluator { members, ..Evaluator::new(&model, &readings) };
     let camera = cameras()[1];
     let truth = truth(&ball, &camera);
     let view = evaluator.evaluate(&truth, 7, &Silent).unwrap();
@@ -150,7 +156,7 @@ fn every_measure_is_of_the_same_pixels() {
         let expected = density_aware(&[pixel.color, DVec3::ONE], &[pixel.opacity, 0.0]);
         assert_eq!(baseline(Baseline::DensityAware)[k], expected);
         let expected = ray.at(pixel.expected_depth).as_vec3();
-        let deviation = (pixel.depth_variance + evaluator.tracer.marcher.step.powi(2) / 12.0).sqrt();
+        let deviation = (pixel.depth_variance + model.tracer.marcher.step.powi(2) / 12.0).sqrt();
         for (r, reading) in readings.iter().enumerate() {
             let (name, log10) = (&reading.name, |x| reading.field.log10(x));
             assert_eq!(of(Measure::Reading(r, RayAverage::AtExpected))[k], log10(expected), "{name}");
@@ -169,7 +175,8 @@ fn every_measure_is_of_the_same_pixels() {
 #[test]
 fn a_measure_that_is_the_error_has_no_area() {
     let ball = ClosedForm::ball();
-    let evaluator = Evaluator::new(tracer(&ball), &[]);
+    let model = renderer(&ball);
+    let evaluator = Evaluator::new(&model, &[]);
     let truth = truth(&ball, &cameras()[0]);
     let mut view = evaluator.evaluate(&truth, 0, &Silent).unwrap();
     view.measures = vec![view.absolute_error.clone(), view.absolute_error.iter().map(|e| -e).collect()];
@@ -205,7 +212,8 @@ fn clean_up_removes_nothing_above_the_prior_and_everything_below_the_least() {
     let lowest = field.deviations().iter().fold(f64::INFINITY, f64::min);
     let [all, none] = [share(field.prior()) + 1e-9, share(lowest) - 1e-9];
     let middle = 0.5 * (all + none);
-    let cleaned = clean_up(&tracer(&ball), &field, &truths, &[none, middle, all], &Silent).unwrap();
+    let cleaned =
+        clean_up(&ShownModel::Volume(renderer(&ball)), &field, &truths, &[none, middle, all], &Silent).unwrap();
     let [before, gone, some, kept] = [0, 1, 2, 3].map(|k| &cleaned[k]);
     assert!(before.0.psnr == f64::INFINITY && before.0.ssim > 1.0 - 1e-9 && before.0.coverage == 1.0);
     for (a, b) in before.1.iter().zip(&kept.1) {

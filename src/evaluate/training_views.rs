@@ -13,7 +13,7 @@ use crate::Result;
 use crate::dataset::{DepthReadings, Frame};
 use crate::geometry::Camera;
 use crate::monitor::{Monitor, check};
-use crate::render::{Tracer, render_view};
+use crate::render::Renderer;
 
 /// Pixels along the longer side of a camera's depth map.
 const SIDE: u32 = 128;
@@ -48,24 +48,33 @@ pub struct Sighting {
 }
 
 impl TrainingViews {
-    /// Renders the depth that each camera sees, with at most 128 pixels a side; a stage of its own for the monitor.
+    /// Renders the depth that each camera sees, with at most 128 pixels a side; a stage of its own for the monitor. Of
+    /// splats, whose images of another size would be others, these are some pixels of the camera's own image.
     ///
     /// # Errors
-    /// [`crate::Error::Interrupted`] only.
-    pub fn render(tracer: &Tracer, cameras: &[Camera], pixel_offset: f64, monitor: &dyn Monitor) -> Result<Self> {
+    /// [`crate::Error::Interrupted`], or if the model cannot render a camera.
+    pub fn render(model: &dyn Renderer, cameras: &[Camera], pixel_offset: f64, monitor: &dyn Monitor) -> Result<Self> {
+        let at_size = |camera: &Camera| match model.march_step() {
+            Some(_) => (small(camera), 1),
+            None => (*camera, camera.resolution[0].max(camera.resolution[1]).div_ceil(SIDE).max(1)),
+        };
         let view = |camera: &Camera| {
-            let camera = small(camera);
-            let rendered = render_view(tracer, &camera, pixel_offset, &[], monitor)?;
+            let (camera, stride) = at_size(camera);
+            let rendered = model.strided_image(&camera, stride, pixel_offset, &[], &[], monitor)?;
+            let camera = camera.strided(stride, pixel_offset);
             let depth = |pixel: &crate::render::Pixel| {
                 if pixel.opacity > 0.5 { pixel.median_depth as f32 } else { f32::INFINITY }
             };
             Ok(SeenDepth { camera, depths: rendered.pixels.iter().map(depth).collect() })
         };
-        let rows = cameras.iter().map(|camera| u64::from(small(camera).resolution[1]));
-        monitor.begin("rows of training views", rows.sum());
+        let rows = |camera: &Camera| {
+            let (camera, stride) = at_size(camera);
+            u64::from(camera.resolution[1].div_ceil(stride))
+        };
+        monitor.begin("rows of training views", cameras.iter().map(rows).sum());
         let views = cameras.iter().map(view).collect::<Result<_>>()?;
         monitor.end();
-        Ok(Self { views, slack: STEPS * tracer.marcher.step })
+        Ok(Self { views, slack: STEPS * model.march_step().unwrap_or(0.0) })
     }
 
     /// The depth that the cameras of frames with depth maps truly saw, and what the maps hold. Where a map holds no
@@ -150,20 +159,21 @@ mod tests {
     use crate::evaluate::{DepthFiles, FramesWithDepth};
     use crate::field::{ClosedForm, RadianceField};
     use crate::monitor::Silent;
-    use crate::render::Marcher;
+    use crate::render::{Marcher, Tracer, VolumeRenderer};
 
     #[test]
     fn a_ball_is_seen_from_the_side_of_its_cameras() {
         let ball = ClosedForm::ball();
         let marcher = Marcher { step: 0.01, bounds: ball.bounds(), occupancy: None, cutoff: 0.0 };
         let tracer = Tracer { field: &ball, marcher, background: Vec3::ONE };
+        let model = VolumeRenderer { tracer, differentiation: None };
         let from = |eye: DVec3| Camera::look_at(eye, DVec3::ZERO, DVec3::Z, 0.7, [64; 2]);
         let cameras = [from(DVec3::new(3.0, 0.0, 0.1)), from(DVec3::new(0.0, 3.0, 0.1))];
-        let views = TrainingViews::render(&tracer, &cameras, 0.5, &Silent).unwrap();
+        let views = TrainingViews::render(&model, &cameras, 0.5, &Silent).unwrap();
         // Where the rays through the middle of the pictures meet the ball.
         let hit = |towards: DVec3| {
             let camera = from(3.0 * towards);
-            let view = render_view(&tracer, &camera, 0.5, &[], &Silent).unwrap();
+            let view = model.image(&camera, 0.5, &[], &[], &Silent).unwrap();
             camera.ray(32.5, 32.5).at(view.pixels[32 * 64 + 32].median_depth)
         };
         let front = views.sighting(hit(DVec3::X), DVec3::new(3.0, 0.0, 0.1));

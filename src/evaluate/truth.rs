@@ -35,6 +35,10 @@ pub struct TrueView {
     pub name: String,
     /// A camera with exactly these pixels.
     pub camera: Camera,
+    /// The camera of the whole image, of which every [`TrueView::stride`]-th pixel along x and y is one of these.
+    pub whole: Camera,
+    /// See [`TrueView::whole`].
+    pub stride: u32,
     /// Position in a pixel that its ray passes through, 0 to 1 along x and y.
     pub pixel_offset: f64,
     /// `[height · width]`: colour over the background, in [0, 1].
@@ -82,6 +86,8 @@ impl TrueView {
         Ok(Self {
             name: frame.name.clone(),
             camera,
+            whole: frame.camera,
+            stride,
             pixel_offset,
             colors: pixels.iter().map(|&i| image.over(i, background)).collect(),
             kept: pixels.iter().map(|&i| keeps(i)).collect(),

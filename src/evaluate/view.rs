@@ -9,28 +9,23 @@ use crate::Result;
 use crate::metrics::{Calibration, Detection, density_aware, ensemble_variance, psnr};
 use crate::monitor::{Monitor, check};
 use crate::posterior::Visits;
-use crate::render::{
-    DepthProbe, DepthVariance, Differentiation, FEWEST, Probe, Probed, ProbedField, RayAverage, RenderedView, Tracer,
-    render_view, render_view_with_depth,
-};
+use crate::render::{DepthVariance, FEWEST, Probe, Probed, ProbedField, RayAverage, RenderedView, Renderer};
 use crate::uncertainty::{BakedField, DepthPosterior, UncertaintyField};
 
 /// Bytes that a reading's field may take to answer faster.
 const ROOM: usize = 256 << 20;
 
-/// A field to evaluate, and the measures to rank its errors by.
+/// A model to evaluate, and the measures to rank its errors by.
 pub struct Evaluator<'a> {
-    /// The field.
-    pub tracer: Tracer<'a>,
+    /// The model. If it takes no variances, deviations of depth are left out.
+    pub model: &'a dyn Renderer,
     /// Its uncertainty, read in several ways.
     pub readings: &'a [Reading],
     /// The readings' fields, laid out for speed where that takes little memory.
     pub baked: Vec<BakedField<'a>>,
-    /// How the field is differentiated for the deviation of its depth; `None` leaves that out.
-    pub differentiation: Option<Differentiation<'a>>,
-    /// Other fields trained in the same way; may be empty.
-    pub members: Vec<Tracer<'a>>,
-    /// The cameras that the field was trained on, if they are known.
+    /// Other models trained in the same way; may be empty.
+    pub members: Vec<&'a dyn Renderer>,
+    /// The cameras that the model was trained on, if they are known.
     pub training: Option<&'a TrainingViews>,
     /// What those cameras truly saw, if that is known.
     pub truly_seen: Option<&'a TrainingViews>,
@@ -65,9 +60,11 @@ pub struct EvaluatedView {
     pub absolute_error: Vec<f64>,
     /// `[measures][n]`: larger means more uncertain.
     pub measures: Vec<Vec<f64>>,
+    /// `[n]`: [`RenderedView::spread`], scene units.
+    pub spread: Vec<f64>,
     /// `[n]`: whether no training camera saw the true surface; empty if that is not known.
     pub never_seen: Vec<bool>,
-    /// Pixels with a true depth where the field shows nothing. They are left out,
+    /// Pixels with a true depth where the model shows nothing. They are left out,
     /// because there is no depth to compare.
     pub empty: usize,
     /// The rendered view, whole.
@@ -75,11 +72,11 @@ pub struct EvaluatedView {
 }
 
 impl<'a> Evaluator<'a> {
-    /// Evaluates a field by these readings and by measures of its own rays.
+    /// Evaluates a model by these readings and by measures of its own rays.
     #[must_use]
-    pub fn new(tracer: Tracer<'a>, readings: &'a [Reading]) -> Self {
+    pub fn new(model: &'a dyn Renderer, readings: &'a [Reading]) -> Self {
         let baked = readings.iter().map(|reading| BakedField::within(ROOM, &reading.field)).collect();
-        Self { tracer, readings, baked, differentiation: None, members: Vec::new(), training: None, truly_seen: None }
+        Self { model, readings, baked, members: Vec::new(), training: None, truly_seen: None }
     }
 
     /// All measures, in the order of [`EvaluatedView::measures`].
@@ -102,7 +99,9 @@ impl<'a> Evaluator<'a> {
             baselines.extend([Baseline::EnsembleVariance, Baseline::DensityAware]);
         }
         let deviations = self.posteriors().map(|(i, _)| Measure::DepthDeviation(i));
-        readings.chain(deviations).chain(baselines.into_iter().map(Measure::Baseline)).collect()
+        let parts = self.posteriors().filter(|_| self.model.march_step().is_none());
+        let parts = parts.map(|(i, _)| Measure::DepthPosterior(i));
+        readings.chain(deviations).chain(parts).chain(baselines.into_iter().map(Measure::Baseline)).collect()
     }
 
     /// Name of a measure in tables.
@@ -114,13 +113,14 @@ impl<'a> Evaluator<'a> {
             }
             Measure::Reading(i, _) => self.readings[i].name.clone(),
             Measure::DepthDeviation(i) => format!("{}, depth deviation", self.readings[i].name),
+            Measure::DepthPosterior(i) => format!("{}, depth deviation without spread", self.readings[i].name),
             Measure::Baseline(baseline) => baseline.name().into(),
         }
     }
 
     /// The readings that give depths a deviation, by their index.
     fn posteriors(&self) -> impl Iterator<Item = (usize, DepthPosterior<'_>)> {
-        let readings = self.readings.iter().enumerate().filter(|_| self.differentiation.is_some());
+        let readings = self.readings.iter().enumerate().filter(|_| self.model.takes_variances());
         readings.filter_map(|(i, reading)| Some((i, reading.field.depth_posterior().ok()?)))
     }
 
@@ -134,10 +134,10 @@ impl<'a> Evaluator<'a> {
         self.readings.iter().find_map(|reading| reading.field.visits())
     }
 
-    /// Renders a view with the field and all members, and compares. Advances the monitor by one per row of each.
+    /// Renders a view with the model and all members, and compares. Advances the monitor by one per row of each.
     ///
     /// # Errors
-    /// [`crate::Error::Interrupted`] only.
+    /// [`crate::Error::Interrupted`], or if a model cannot render the camera.
     pub fn evaluate(&self, truth: &TrueView, seed: u64, monitor: &dyn Monitor) -> Result<EvaluatedView> {
         let probed = self.readings.iter().zip(&self.baked);
         let mut probes: Vec<Probe> =
@@ -148,18 +148,13 @@ impl<'a> Evaluator<'a> {
         let posteriors: Vec<DepthPosterior> = self.posteriors().map(|(_, posterior)| posterior).collect();
         let variances: Vec<&dyn DepthVariance> = posteriors.iter().map(|posterior| posterior as _).collect();
         let (camera, offset) = (&truth.camera, truth.pixel_offset);
-        let mut rendered = match self.differentiation {
-            Some(differentiation) if !variances.is_empty() => {
-                let depth = DepthProbe { differentiation, variances: &variances };
-                render_view_with_depth(&self.tracer, camera, offset, &probes, &depth, monitor)?
-            }
-            _ => render_view(&self.tracer, camera, offset, &probes, monitor)?,
-        };
+        let (whole, stride) = (&truth.whole, truth.stride);
+        let mut rendered = self.model.strided_image(whole, stride, offset, &probes, &variances, monitor)?;
         let mean_counts = rendered.log10_uncertainty.pop().expect("the last probe");
         let mut members = Vec::new();
         for member in &self.members {
             check(monitor)?;
-            members.push(render_view(member, camera, offset, &[], monitor)?);
+            members.push(member.strided_image(whole, stride, offset, &[], &[], monitor)?);
         }
 
         let with_truth = truth.distance.iter().enumerate().filter_map(|(i, d)| Some((i, (*d)?)));
@@ -173,7 +168,7 @@ impl<'a> Evaluator<'a> {
         };
         let hit = |i: usize| {
             let x = at(i, rendered.pixels[i].expected_depth);
-            self.tracer.marcher.bounds.clamp(x.as_vec3())
+            self.model.bounds().clamp(x.as_vec3())
         };
         let is_unseen = |views: &TrainingViews, i: usize, d: f64| views.sighting(at(i, d), camera.position).views == 0;
         let never_seen: Vec<bool> =
@@ -181,11 +176,12 @@ impl<'a> Evaluator<'a> {
         let sighting = |training: &TrainingViews, i: usize| training.sighting(hit(i).as_dvec3(), camera.position);
         let sightings: Vec<Sighting> =
             self.training.iter().flat_map(|training| pixels.iter().map(|&i| sighting(training, i))).collect();
-        let least = self.tracer.marcher.step.powi(2) / 12.0;
-        let spread = |i: usize| (rendered.pixels[i].depth_variance + least).sqrt();
+        let spread = |i: usize| rendered.spread[i];
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let mut readings = rendered.log10_uncertainty.iter();
-        let mut deviations = rendered.depth_deviation.iter();
+        let (mut deviations, mut parts) = (rendered.depth_deviation.iter(), rendered.posterior_variance.iter());
+        // Where ∇σ is not finite, the depth is not known at all.
+        let known = |deviation: f64| if deviation.is_nan() { f64::INFINITY } else { deviation };
         let mut measure = |measure| -> Vec<f64> {
             let each = |value: &dyn Fn(usize) -> f64| pixels.iter().map(|&i| value(i)).collect();
             match measure {
@@ -195,8 +191,11 @@ impl<'a> Evaluator<'a> {
                 }
                 Measure::DepthDeviation(_) => {
                     let deviations = deviations.next().expect("one image per posterior");
-                    // Where ∇σ is not finite, the depth is not known at all.
-                    each(&|i| if deviations[i].is_nan() { f64::INFINITY } else { deviations[i] })
+                    each(&|i| known(deviations[i]))
+                }
+                Measure::DepthPosterior(_) => {
+                    let variances = parts.next().expect("one image per posterior");
+                    each(&|i| known(variances[i].sqrt()))
                 }
                 Measure::Baseline(baseline) => match baseline {
                     Baseline::RayVariance => each(&|i| rendered.pixels[i].depth_variance),
@@ -234,6 +233,7 @@ impl<'a> Evaluator<'a> {
             name: truth.name.clone(),
             psnr: psnr(&colors, &truth.colors),
             absolute_error: seen.iter().map(|(i, d)| (rendered.pixels[*i].median_depth - d).abs()).collect(),
+            spread: pixels.iter().map(|&i| spread(i)).collect(),
             pixels,
             measures,
             never_seen,
@@ -254,19 +254,20 @@ impl<'a> Evaluator<'a> {
 
     /// Calibration over the pixels of all views, if the measure of index `m` is a standard deviation of depth.
     ///
-    /// [`Baseline::RayVariance`] stands for the root of itself + δ²/12, where δ is the marching step. `None` for other
-    /// measures, and if [`Calibration::new`] has none.
+    /// [`Baseline::RayVariance`] stands for [`EvaluatedView::spread`]. `None` for other measures, and if
+    /// [`Calibration::new`] has none.
     #[must_use]
     pub fn calibration(&self, views: &[EvaluatedView], m: usize) -> Option<Calibration> {
-        let (measure, least) = (self.measures()[m], self.tracer.marcher.step.powi(2) / 12.0);
-        let deviation = |value: &f64| match measure {
-            Measure::DepthDeviation(_) => Some(*value),
-            Measure::Baseline(Baseline::RayVariance) => Some((value + least).sqrt()),
-            _ => None,
+        let of_view = |view: &EvaluatedView| -> Option<Vec<f64>> {
+            match self.measures()[m] {
+                Measure::DepthDeviation(_) => Some(view.measures[m].clone()),
+                Measure::Baseline(Baseline::RayVariance) => Some(view.spread.clone()),
+                _ => None,
+            }
         };
-        let deviations: Option<Vec<f64>> = views.iter().flat_map(|view| &view.measures[m]).map(deviation).collect();
+        let deviations: Vec<Vec<f64>> = views.iter().map(of_view).collect::<Option<_>>()?;
         let errors: Vec<f64> = views.iter().flat_map(|view| &view.absolute_error).copied().collect();
-        Calibration::new(&errors, &deviations?)
+        Calibration::new(&errors, &deviations.concat())
     }
 
     /// Median depth of a member's pixel. Where it shows nothing, the depth at which the ray leaves the box.
@@ -276,6 +277,6 @@ impl<'a> Evaluator<'a> {
         }
         let width = member.resolution[0] as usize;
         let [x, y] = [i % width, i / width].map(|n| n as f64 + truth.pixel_offset);
-        self.tracer.marcher.bounds.clip(&truth.camera.ray(x, y)).map_or(0.0, |(_, exit)| exit)
+        self.model.bounds().clip(&truth.camera.ray(x, y)).map_or(0.0, |(_, exit)| exit)
     }
 }

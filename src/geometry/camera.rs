@@ -179,6 +179,9 @@ impl Camera {
     /// `offset` within the pixel.
     #[must_use]
     pub fn strided(&self, stride: u32, offset: f64) -> Self {
+        if stride == 1 {
+            return *self;
+        }
         let s = f64::from(stride);
         Self {
             focal: self.focal.map(|f| f / s),

@@ -135,51 +135,6 @@ impl Viewer<'_> {
         Ok(evidence)
     }
 
-<<<<<<< HEAD
-    /// The samples of a view's rays.
-    ///
-    /// # Errors
-    /// As [`Viewer::evidence`].
-    pub fn samples(&self, batches: &[RayBatch], monitor: &dyn Monitor) -> Result<Vec<RaySamples>> {
-        let VolumeRays { tracer, differentiation } = self.volume;
-        let samples: Vec<RaySamples> = if self.asks_together() {
-            tracer.jacobians_together(batches, differentiation, monitor)?
-        } else {
-            let each = batches
-                .par_iter()
-                .map_init(JacobianBuffers::default, |buffers, batch| tracer.jacobians(batch, differentiation, buffers));
-            each.collect()
-        };
-        let rays = batches.iter().map(|batch| batch.rays.len() as u64).sum();
-        let first = samples.iter().find_map(|batch| batch.first_invalid);
-        refuse_dropped(samples.iter().map(|batch| batch.dropped).sum(), rays, first)?;
-        Ok(samples)
-    }
-
-    /// How far a view's rays see, without derivatives.
-    fn sight(&self, batches: &[RayBatch]) -> Result<Vec<VisibleSegment>> {
-        let tracer = &self.volume.tracer;
-        let step = tracer.marcher.step;
-        let (mut sight, mut dropped, mut first, mut rays) = (Vec::new(), 0, None, 0);
-        let (mut buffers, mut quadrature) = (TraceBuffers::default(), CompositingWeights::default());
-        for batch in batches {
-            tracer.trace(&batch.rays, &batch.jitter, &mut buffers);
-            let traced = &buffers.traced;
-            quadrature.set(traced, step);
-            (rays, dropped) = (rays + batch.rays.len() as u64, dropped + traced.dropped);
-            first = first.or(traced.first_invalid);
-            for (r, &ray) in batch.rays.iter().enumerate().filter(|(r, _)| !traced.is_dropped[*r]) {
-                let dark = traced.samples(r).find(|&i| quadrature.transmittance_after[i] < 0.5);
-                let until = dark.map_or(f64::INFINITY, |i| traced.t[i] + 0.5 * step);
-                sight.push(VisibleSegment { ray, until });
-            }
-        }
-        refuse_dropped(dropped, rays, first)?;
-        Ok(sight)
-    }
-
-=======
->>>>>>> b-next
     /// Notes where rays end, and why they tell nothing if they do not.
     fn note_ends(&self, camera: &Camera, sight: &[VisibleSegment], evidence: &mut Evidence) {
         let (bounds, in_front) = (self.source.bounds(), in_front(self.source));

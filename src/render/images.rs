@@ -19,6 +19,13 @@ pub trait Renderer: Sync {
     /// Colour behind the model.
     fn background(&self) -> DVec3;
 
+    /// Distance between the samples of a ray, scene units. `None` for splats, whose rays are not marched; their images
+    /// depend on the size of a pixel, by a part of which every splat grows.
+    fn march_step(&self) -> Option<f64>;
+
+    /// Whether images may have variances of depth.
+    fn takes_variances(&self) -> bool;
+
     /// Renders a camera's image, with the ray averages of `probes` and `variances` of every pixel's expected depth.
     /// `pixel_offset` is the position in a pixel that its ray passes through (½ for the centre).
     ///
@@ -29,6 +36,22 @@ pub trait Renderer: Sync {
     fn image(
         &self,
         camera: &Camera,
+        pixel_offset: f64,
+        probes: &[Probe],
+        variances: &[&dyn DepthVariance],
+        monitor: &dyn Monitor,
+    ) -> Result<RenderedView> {
+        self.strided_image(camera, 1, pixel_offset, probes, variances, monitor)
+    }
+
+    /// Every `stride`-th pixel along x and y of [`Renderer::image`]: those of [`Camera::strided`].
+    ///
+    /// # Errors
+    /// As [`Renderer::image`].
+    fn strided_image(
+        &self,
+        camera: &Camera,
+        stride: u32,
         pixel_offset: f64,
         probes: &[Probe],
         variances: &[&dyn DepthVariance],
@@ -60,14 +83,24 @@ impl Renderer for VolumeRenderer<'_> {
         self.tracer.background()
     }
 
-    fn image(
+    fn march_step(&self) -> Option<f64> {
+        Some(self.tracer.marcher.step)
+    }
+
+    fn takes_variances(&self) -> bool {
+        self.differentiation.is_some()
+    }
+
+    fn strided_image(
         &self,
         camera: &Camera,
+        stride: u32,
         pixel_offset: f64,
         probes: &[Probe],
         variances: &[&dyn DepthVariance],
         monitor: &dyn Monitor,
     ) -> Result<RenderedView> {
+        let camera = &camera.strided(stride, pixel_offset);
         if variances.is_empty() {
             return render_view(&self.tracer, camera, pixel_offset, probes, monitor);
         }

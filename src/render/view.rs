@@ -57,6 +57,9 @@ pub struct RenderedView {
     pub resolution: [u32; 2],
     /// `[height · width]`.
     pub pixels: Vec<Pixel>,
+    /// `[height · width]`: s, the spread of the ray's weights, scene units. s² is their variance and, on average, that
+    /// of what lies within one sample: δ²/12 for samples δ apart, or a splat's own extent along the ray.
+    pub spread: Vec<f64>,
     /// `[ray averages of all probes in order][height · width]`: ray averages of log10 U. NaN where nothing was hit,
     /// except for [`RayAverage::Official`].
     pub log10_uncertainty: Vec<Vec<f64>>,
@@ -64,8 +67,7 @@ pub struct RenderedView {
     /// displacements, squared scene units; NaN where nothing was hit.
     pub posterior_variance: Vec<Vec<f64>>,
     /// The same with what the ray's weights leave open, and what moving matter does not explain: √(Var + s² + e²). Here
-    /// s² is the variance of the weights + δ²/12, and e² is [`DepthVariance::unexplained`] at the expected depth. A
-    /// standard deviation of depth, scene units.
+    /// e² is [`DepthVariance::unexplained`] at the expected depth. A standard deviation of depth, scene units.
     ///
     /// [`DepthVariance::unexplained`]: super::DepthVariance::unexplained
     pub depth_deviation: Vec<Vec<f64>>,
@@ -165,6 +167,7 @@ impl RenderedView {
         };
         for part in parts {
             view.pixels.extend(part.pixels);
+            view.spread.extend(part.spread);
             view.dropped += part.dropped;
             let lists = [
                 (&mut view.log10_uncertainty, part.log10_uncertainty),
@@ -256,6 +259,7 @@ impl WeightedRays<'_> {
         let mut row = RenderedView {
             resolution: [rays.len() as u32, 1],
             pixels: Vec::with_capacity(rays.len()),
+            spread: Vec::with_capacity(rays.len()),
             log10_uncertainty: Vec::with_capacity(channels(probes)),
             posterior_variance: self.posterior_variance,
             depth_deviation: vec![Vec::with_capacity(rays.len()); of_depth.len()],
@@ -273,6 +277,7 @@ impl WeightedRays<'_> {
                 at_expected: self.bounds.clamp(ray.at(pixel.expected_depth).as_vec3()),
                 spread: (pixel.depth_variance + self.thickness[r]).sqrt(),
             };
+            row.spread.push(ray.spread);
             for ((variances, out), variance) in
                 row.posterior_variance.iter().zip(&mut row.depth_deviation).zip(of_depth)
             {

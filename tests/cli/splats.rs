@@ -4,16 +4,17 @@ use std::path::Path;
 
 use glam::{DVec3, Quat, Vec3};
 use octobayes::geometry::Camera;
-use octobayes::splats::{RenderMode, Splats};
+use octobayes::monitor::Silent;
+use octobayes::render::Renderer;
+use octobayes::splats::{RenderMode, SplatRenderer, Splats};
 use octobayes::uncertainty::{UncertaintyField, compare};
 
 use crate::program::{good, run};
 
 const RUN: &str = "uncertainty scene.ply --cameras transforms.json --background black --level 5 --rays 6000";
 
-/// A ball of splats and four cameras on one side of it, in a folder.
-pub fn folder() -> tempfile::TempDir {
-    let folder = tempfile::tempdir().unwrap();
+/// A ball of splats, each moved out by `away` of its number.
+fn ball(away: impl Fn(usize) -> f32) -> Splats {
     let count = 900;
     let normal = |i: usize| {
         let z = 1.0 - (2.0 * i as f32 + 1.0) / count as f32;
@@ -21,7 +22,7 @@ pub fn folder() -> tempfile::TempDir {
         Vec3::new((1.0 - z * z).sqrt() * cos, (1.0 - z * z).sqrt() * sin, z)
     };
     let splats = Splats::new(
-        (0..count).map(|i| 0.7 * normal(i)).collect(),
+        (0..count).map(|i| (0.7 + away(i)) * normal(i)).collect(),
         vec![Vec3::new(-3.0, -3.1, -4.6); count],
         (0..count).map(|i| Quat::from_rotation_arc(Vec3::Z, normal(i))).collect(),
         (0..count).map(|i| 1.0 + (i % 5) as f32).collect(),
@@ -29,7 +30,13 @@ pub fn folder() -> tempfile::TempDir {
         1,
         RenderMode::Classic,
     );
-    splats.unwrap().write_ply(&folder.path().join("scene.ply"), &[], &[]).unwrap();
+    splats.unwrap()
+}
+
+/// A ball of splats and four cameras on one side of it, in a folder.
+pub fn folder() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    ball(|_| 0.0).write_ply(&folder.path().join("scene.ply"), &[], &[]).unwrap();
     let cameras: Vec<(String, Camera)> = (0..4)
         .map(|i| {
             let (sin, cos) = (0.5 * f64::from(i)).sin_cos();
@@ -148,7 +155,6 @@ fn what_splats_do_not_have_is_refused_by_name() {
     refused(folder, "export scene.ply scene.oct --mesh -o x.ply", &["splats"]);
     refused(folder, &format!("export scene.ply scene.oct {cameras} --ellipsoids -o x.ply"), &["--ellipsoids"]);
     refused(folder, &format!("export scene.ply scene.oct {cameras} -o x.csv"), &["splats"]);
-    refused(folder, &format!("evaluate scene.ply scene.oct {cameras}"), &["scene.ply", "splats"]);
     // Cameras that look away: the likely causes of splats are named.
     let text = std::fs::read_to_string(folder.join("transforms.json")).unwrap();
     let mut value: serde_json::Value = serde_json::from_str(&text).unwrap();
@@ -169,6 +175,110 @@ fn what_splats_do_not_have_is_refused_by_name() {
     kept[0] = false;
     splats.keep(&kept).unwrap().write_ply(&folder.join("other.ply"), &[], &[]).unwrap();
     refused(folder, "export other.ply scene.oct -o x.ply", &["checksum", "--force"]);
+}
+
+/// What three other cameras see of another ball, whose splats lie elsewhere: `transforms_test.json`, images, and depth
+/// maps of 16 bits, 1e-4 scene units each.
+fn write_held_out(folder: &Path) {
+    let truth = ball(|i| if i % 3 == 0 { 0.04 } else { -0.01 });
+    let renderer = SplatRenderer::new(&truth, Vec3::ZERO);
+    std::fs::create_dir(folder.join("depth")).unwrap();
+    let camera = |i: usize| {
+        let (sin, cos) = (0.25 + 0.5 * i as f64).sin_cos();
+        let eye = DVec3::new(2.2 * cos, 2.2 * sin, 0.4);
+        (format!("t_{i}"), Camera::look_at(eye, DVec3::ZERO, DVec3::Z, 0.8, [48, 40]))
+    };
+    let cameras: Vec<(String, Camera)> = (0..3).map(camera).collect();
+    for (name, camera) in &cameras {
+        let view = renderer.image(camera, 0.5, &[], &[], &Silent).unwrap();
+        let pixel = |x: u32, y: u32| &view.pixels[(48 * y + x) as usize];
+        let image = image::RgbaImage::from_fn(48, 40, |x, y| {
+            let [r, g, b] = pixel(x, y).color.to_array().map(|v| (255.0 * v.min(1.0)).round() as u8);
+            image::Rgba([r, g, b, if pixel(x, y).opacity > 0.9 { 255 } else { 0 }])
+        });
+        image.save(folder.join(format!("{name}.png"))).unwrap();
+        let depth = |x, y| image::Luma([(1e4 * pixel(x, y).median_depth).round() as u16]);
+        let depth: image::ImageBuffer<image::Luma<u16>, Vec<u16>> = image::ImageBuffer::from_fn(48, 40, depth);
+        depth.save(folder.join(format!("depth/{name}.png"))).unwrap();
+    }
+    octobayes::dataset::write_transforms(&folder.join("transforms_test.json"), &cameras).unwrap();
+}
+
+const JUDGE: &str = "--cameras transforms_test.json --depth depth --depth-pattern {}.png --depth-encoding 0,6.5535";
+
+#[test]
+fn splats_are_judged_like_volumes() {
+    let folder = folder();
+    let folder = folder.path();
+    write_held_out(folder);
+    good(folder, &format!("{RUN} --scale data --noise 0.03 --keep-sums --covariance block -o scene.oct"));
+    let files = "--plot plot.svg --csv curves.csv --clean-up sheet.png --calibrate calibrated.oct --probability 0.8";
+    let report = good(folder, &format!("evaluate scene.ply scene.oct {JUDGE} {files} --json"));
+    let report: serde_json::Value = serde_json::from_str(&report).unwrap();
+    let number = |value: &serde_json::Value| value.as_f64().unwrap();
+    let names = |key: &str| -> Vec<String> {
+        report[key].as_array().unwrap().iter().map(|row| row["name"].as_str().unwrap().to_string()).collect()
+    };
+    // Everything that a volume is measured by, and the cameras of the field, which lie beside the held-out ones.
+    let baselines = [
+        "ray-weight variance",
+        "weights' spread / sqrt(rays)",
+        "weights' spread / rays",
+        "ray entropy",
+        "1 - opacity",
+        "ray count",
+        "visits",
+        "training views that see it",
+        "angle to a training view",
+        "random",
+    ];
+    assert_eq!(names("baselines"), baselines);
+    assert!(names("readings").contains(&"scene block, depth deviation".to_string()), "{:?}", names("readings"));
+    let rows = ["readings", "baselines"].map(|key| report[key].as_array().unwrap().clone()).concat();
+    assert!(rows.iter().all(|row| (0.0..1.0).contains(&number(&row["ause_pooled"]["mae"]))));
+    // The splats lie 0.01 too far out, or 0.04 too far in.
+    let error = number(&report["depth_error"]["median"]);
+    assert!((0.003..0.04).contains(&error) && number(&report["psnr"]) > 15.0, "{error}, {}", report["psnr"]);
+    for (name, magic) in [("plot.svg", "<svg"), ("curves.csv", "error,"), ("sheet.png", "PNG")] {
+        let start = std::fs::read(folder.join(name)).unwrap();
+        assert!(String::from_utf8_lossy(&start[..200.min(start.len())]).contains(magic), "{name}");
+    }
+    let cleaned = report["clean_up"].as_array().unwrap();
+    assert!(cleaned.len() == 11 && number(&cleaned[10]["coverage"]) >= number(&cleaned[1]["coverage"]), "{cleaned:?}");
+
+    // A calibrated interval holds what it was counted on: 80 %, to within a pixel.
+    let conformal = *UncertaintyField::read(&folder.join("calibrated.oct")).unwrap().conformal().unwrap();
+    assert!(conformal.factor > 0.0 && conformal.views == 3, "{conformal:?}");
+    let again = good(folder, &format!("evaluate scene.ply calibrated.oct {JUDGE} --covariance block --json"));
+    let again: serde_json::Value = serde_json::from_str(&again).unwrap();
+    let inside = number(&again["conformal"][0]["share_inside"]);
+    assert!((0.8..0.8 + 2.0 / conformal.pixels as f64).contains(&inside), "{inside}");
+    // Every third pixel of the same images: neither larger splats nor other colours.
+    let strided = good(folder, &format!("evaluate scene.ply scene.oct {JUDGE} --stride 3 --json"));
+    let strided: serde_json::Value = serde_json::from_str(&strided).unwrap();
+    let [all, some] = [&report, &strided].map(|report| number(&report["psnr"]));
+    assert!((all - some).abs() < 1.0, "{all} and {some} dB");
+    let output = run(folder, "render scene.ply calibrated.oct --cameras transforms_test.json --depth-error -o x.exr");
+    let said = String::from_utf8_lossy(&output.stderr).to_string();
+    assert!(output.status.success() && !said.contains("mostly the spread"), "{said}");
+
+    // An ensemble of splats, and what is none.
+    ball(|i| 0.002 * (i % 7) as f32).write_ply(&folder.join("other.ply"), &[], &[]).unwrap();
+    let with = good(folder, &format!("evaluate scene.ply scene.oct {JUDGE} --ensemble scene.ply other.ply"));
+    assert!(with.contains("ensemble depth variance") && with.contains("density-aware"), "{with}");
+    let judge = format!("evaluate scene.ply scene.oct {JUDGE}");
+    refused(folder, &format!("{judge} --ensemble scene.ply scene:ball"), &["scene:ball", "splats"]);
+    let far = ball(|i| 0.002 * (i % 7) as f32 + 3.0);
+    far.write_ply(&folder.join("far.ply"), &[], &[]).unwrap();
+    refused(folder, &format!("{judge} --ensemble scene.ply far.ply"), &["box of the member `far.ply`"]);
+
+    // Without the training cameras: what needs them is left out, and named.
+    std::fs::rename(folder.join("transforms.json"), folder.join("moved.json")).unwrap();
+    let output = run(folder, &judge);
+    let [out, said] = [output.stdout, output.stderr].map(|text| String::from_utf8_lossy(&text).to_string());
+    assert!(output.status.success() && said.contains("which angle, is left out"), "{said}");
+    assert!(!out.contains("angle to a training view") && out.contains("1 - opacity"), "{out}");
+    refused(folder, &format!("{judge} --training-depth depth"), &["--training-depth", "training cameras"]);
 }
 
 #[test]

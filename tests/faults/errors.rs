@@ -263,6 +263,7 @@ impl Desk {
         let ply = &files[0];
         let plain = files.iter().find(|file| file.starts_with(b"NGSP\x02")).unwrap();
         self.write("text.ply", "this is no scene");
+        self.write("splats.ply", ply);
         self.write("scene.sog", "PK");
         self.write("short.ply", &ply[..ply.len() - 1]);
         self.write("ascii.ply", "ply\nformat ascii 1.0\nend_header\n");

@@ -17,6 +17,7 @@ use super::streams::tell;
 use crate::estimate::RaySettings;
 use crate::evaluate::{Evaluation, Judged, Reading};
 use crate::io::AtomicFile;
+use crate::open::Model;
 use crate::posterior::Covariance;
 use crate::render::RayAverage;
 use crate::session::{OpenedModel, image_settings};
@@ -86,8 +87,8 @@ pub struct Args {
     #[arg(long, value_name = "MODEL", num_args = 2.., help_heading = heading::STATISTICS)]
     ensemble: Vec<String>,
 
-    /// Remove density above ten thresholds of log10 U (the first field's first covariance), report how images
-    /// change, and write this sheet of pictures before and after
+    /// Remove density, or splats, above ten thresholds of log10 U (the first field's first covariance), report how
+    /// images change, and write this sheet of pictures before and after
     #[arg(long, value_name = "SHEET.png", help_heading = heading::OUTPUT)]
     clean_up: Option<PathBuf>,
 
@@ -161,14 +162,16 @@ impl Args {
             .outputs("--calibrate", &self.calibrate);
         files.check()?;
         let (opened, settings, readings) = self.open()?;
-        let members = self.ensemble.iter().map(|name| crate::open::open_in(name, opened.coordinates));
+        // Splats of an ensemble are drawn like the model.
+        let mode = opened.model.splats().map(|splats| splats.mode());
+        let members = self.ensemble.iter().map(|name| crate::open::open_model(name, opened.coordinates, mode));
         let members = members.collect::<Result<Vec<_>>>()?;
         let evaluation = Evaluation {
-            model: &**opened.volume()?,
+            model: opened.model.subject(),
             name: self.model.model.clone(),
             settings,
             readings: &readings,
-            ensemble: self.ensemble.iter().cloned().zip(members.iter().map(|member| &**member)).collect(),
+            ensemble: self.ensemble.iter().cloned().zip(members.iter().map(Model::subject)).collect(),
             cameras: self.cameras.cameras.clone(),
             selection: self.frames.views.clone().unwrap_or_default(),
             stride: self.stride,

@@ -176,8 +176,11 @@ impl Args {
                 settings.offset_for(&**model)
             }
             Model::Splats(splats) => {
-                if self.depth_error {
-                    announce!("note: deviations of depth are not calibrated for splats: they rank pixels, no more");
+                if self.depth_error && field.facts().conformal().is_none() {
+                    announce!(
+                        "note: deviations of depth are mostly the spread of the splats along a ray; `evaluate \
+                         --calibrate` scales them on views of known depth"
+                    );
                 }
                 let keep = |threshold| Splats::clone(splats).keep(&is_certain(splats, space, threshold)?);
                 kept = threshold.map(keep).transpose()?;

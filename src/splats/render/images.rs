@@ -21,9 +21,18 @@ impl Renderer for SplatRenderer<'_> {
         self.background.as_dvec3()
     }
 
-    fn image(
+    fn march_step(&self) -> Option<f64> {
+        None
+    }
+
+    fn takes_variances(&self) -> bool {
+        true
+    }
+
+    fn strided_image(
         &self,
         camera: &Camera,
+        stride: u32,
         pixel_offset: f64,
         probes: &[Probe],
         variances: &[&dyn DepthVariance],
@@ -32,19 +41,20 @@ impl Renderer for SplatRenderer<'_> {
         check_size(camera)?;
         Self::check_cameras([camera])?;
         let view = self.prepare(camera, if variances.is_empty() { Use::Colors } else { Use::Derivatives });
-        let [width, height] = camera.resolution;
+        let resolution = camera.strided(stride, pixel_offset).resolution;
+        let [width, height] = resolution;
         let bands: Vec<u32> = (0..height).step_by(ROWS as usize).collect();
         let part = |first: u32| {
             check(monitor)?;
             let rows = first..height.min(first + ROWS);
-            let at = |x: u32, y: u32| [x, y].map(|i| f64::from(i) + pixel_offset);
+            let at = |x: u32, y: u32| [x, y].map(|i| f64::from(i * stride) + pixel_offset);
             let points: Vec<[f64; 2]> = rows.clone().flat_map(|y| (0..width).map(move |x| at(x, y))).collect();
             let part = view.points(&points, probes, variances)?;
             monitor.advance(u64::from(rows.end - rows.start));
             Ok(part)
         };
         let parts = bands.into_par_iter().map(part).collect::<Result<_>>()?;
-        Ok(RenderedView::joined(camera.resolution, parts))
+        Ok(RenderedView::joined(resolution, parts))
     }
 
     fn points(&self, views: &[(Camera, Vec<[f64; 2]>)], monitor: &dyn Monitor) -> Result<RenderedView> {

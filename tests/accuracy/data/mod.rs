@@ -3,4 +3,5 @@
 mod models;
 mod sight;
 mod splat_depth;
+mod splat_judge;
 mod splats;

@@ -1,0 +1,51 @@
+//! The cameras that a model was trained on. Many models store them. Splats do not, but their field has the checksum of
+//! its cameras, by which a camera file is recognised.
+
+use std::path::{Path, PathBuf};
+
+use super::Reading;
+use crate::dataset::{Frame, FrameSplit, Part, Selection, Views};
+use crate::estimate::Subject;
+use crate::geometry::{Camera, NamedCamera};
+
+/// The training cameras of `model`, called `name`: those that it stores. Of splats, those that the first reading's
+/// field was computed with, if a camera file has them: `views`, of the file `path`, or one beside that file or the
+/// model, as it is or at the image size of `views`. None if they are unknown.
+pub(super) fn training_cameras(
+    model: Subject,
+    name: &str,
+    readings: &[Reading],
+    path: &Path,
+    views: &Views,
+) -> Vec<NamedCamera> {
+    let wanted = match model {
+        Subject::Volume(field) => return field.training_cameras().to_vec(),
+        Subject::Splats(_) => readings.first().and_then(|reading| reading.field.protocol().origin.cameras),
+    };
+    let Some(wanted) = wanted else { return Vec::new() };
+    let mut files: Vec<PathBuf> = ["transforms_train.json", "transforms.json", "cameras.json"]
+        .iter()
+        .flat_map(|file| [path, Path::new(name)].map(|beside| beside.with_file_name(file)))
+        .filter(|file| file != path && file.is_file())
+        .collect();
+    files.dedup();
+    // A file that cannot be read does not have the cameras.
+    let others = files.iter().filter_map(|file| Views::read(file, None).ok());
+    let size = views.frames.first().map(|frame| frame.camera.resolution);
+    std::iter::once(views.clone()).chain(others).find_map(|views| recognised(views, wanted, size)).unwrap_or_default()
+}
+
+/// The training frames of these views, or all frames, if their cameras have this checksum, as they are or at a size.
+fn recognised(views: Views, wanted: u32, size: Option<[u32; 2]>) -> Option<Vec<NamedCamera>> {
+    let split = FrameSplit::new(views);
+    let parts = [Selection::All, Selection::BothParts].into_iter();
+    let parts = parts.filter_map(|selection| split.select(Part::Training, &selection, |_| true).ok());
+    let of = |frames: Vec<Frame>| {
+        let at = |size: Option<[u32; 2]>| -> Vec<Camera> {
+            frames.iter().map(|frame| size.map_or(frame.camera, |size| frame.camera.resized(size))).collect()
+        };
+        let cameras = [None, size].into_iter().map(at).find(|cameras| Camera::checksum(cameras) == wanted)?;
+        Some(frames.iter().zip(cameras).map(|(frame, camera)| NamedCamera::new(&frame.name, camera)).collect())
+    };
+    parts.into_iter().find_map(of)
+}
