@@ -11,7 +11,7 @@ use octobayes::geometry::Domain;
 use octobayes::metrics::{Calibration, Detection, ErrorDensity, ErrorKind, PROBABILITIES, sparsification, spearman};
 use octobayes::monitor::Silent;
 use octobayes::posterior::{Covariance, DataScale, Scale};
-use octobayes::render::{GradientMethod, RayAverage, VolumeRenderer};
+use octobayes::render::{GradientMethod, RayAverage, Renderer, VolumeRenderer};
 use octobayes::uncertainty::{Residuals, UncertaintyField};
 use octobayes::{Error, Result};
 use serde::{Deserialize, Serialize};
@@ -193,15 +193,14 @@ pub fn judge(
     let edge = DataScale::longest_edge(fields[0].lattice().domain());
     let warp = Warp::render(&tracer, &cameras, pixel_offset)?;
     let readings = readings(fields)?;
-    let member = |other: &Model| -> Result<VolumeRenderer> {
-        Ok(VolumeRenderer { tracer: settings.tracer(&other.field, 0.0, &Silent)?, differentiation: None })
-    };
-    let members = others.iter().map(member).collect::<Result<Vec<_>>>()?;
+    let tracers = others.iter().map(|other| settings.tracer(&other.field, 0.0, &Silent));
+    let members = tracers.map(|tracer| Ok(VolumeRenderer { tracer: tracer?, differentiation: None }));
+    let members = members.collect::<Result<Vec<_>>>()?;
     let mut evaluator = Evaluator { training: Some(&training), ..Evaluator::new(&plain, &readings) };
     let regression = Regression::fit(&evaluator, &residuals, &data.for_regression(pixel_offset))?;
     evaluator.model = &model;
     if !members.is_empty() {
-        evaluator.members = members.iter().map(|member| member as _).chain([&plain as _]).collect();
+        evaluator.members = members.iter().chain([&plain]).map(|member| member as &dyn Renderer).collect();
     }
     let (mut views, mut unseen) = (Vec::new(), Vec::new());
     let names = BESIDE.iter().chain(parameters.iter().flat_map(|_| &ParameterPosteriors::NAMES));

@@ -14,7 +14,7 @@ use super::TrueView;
 #[derive(Clone)]
 pub enum ShownModel<'a> {
     /// Density and colour at points.
-    Volume(VolumeRenderer<'a>),
+    Volume(Box<VolumeRenderer<'a>>),
     /// Gaussian splats.
     Splats(SplatRenderer<'a>),
 }
@@ -35,7 +35,7 @@ impl<'a> ShownModel<'a> {
             Subject::Volume(field) => {
                 let tracer = settings.tracer(field, 0.0, monitor)?;
                 let differentiation = lattice.map(|lattice| settings.differentiation(field, lattice)).transpose()?;
-                Self::Volume(VolumeRenderer { tracer, differentiation })
+                Self::Volume(Box::new(VolumeRenderer { tracer, differentiation }))
             }
             Subject::Splats(splats) => Self::Splats(SplatRenderer::new(splats, settings.background)),
         })
@@ -45,7 +45,7 @@ impl<'a> ShownModel<'a> {
     #[must_use]
     pub fn renderer(&self) -> &dyn Renderer {
         match self {
-            Self::Volume(volume) => volume,
+            Self::Volume(volume) => volume.as_ref(),
             Self::Splats(splats) => splats,
         }
     }
@@ -62,7 +62,8 @@ impl<'a> ShownModel<'a> {
         job: impl FnOnce(Option<&dyn Renderer>) -> Result<T>,
     ) -> Result<T> {
         match self {
-            Self::Volume(VolumeRenderer { tracer, .. }) => {
+            Self::Volume(volume) => {
+                let tracer = &volume.tracer;
                 let field = ThresholdedField::new(tracer.field, uncertainty, threshold);
                 // The samples stay the same: removing density keeps every upper bound of it valid.
                 let tracer = Tracer { field: &field, ..tracer.clone() };

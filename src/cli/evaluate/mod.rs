@@ -21,6 +21,7 @@ use crate::open::Model;
 use crate::posterior::Covariance;
 use crate::render::RayAverage;
 use crate::session::{OpenedModel, image_settings};
+use crate::splats::Splats;
 use crate::{Error, Result};
 
 /// Evaluate fields against true depth: AUSE beside measures that need no Hessian, depth error, PSNR, clean-up
@@ -163,7 +164,7 @@ impl Args {
         files.check()?;
         let (opened, settings, readings) = self.open()?;
         // Splats of an ensemble are drawn like the model.
-        let mode = opened.model.splats().map(|splats| splats.mode());
+        let mode = opened.model.splats().map(Splats::mode);
         let members = self.ensemble.iter().map(|name| crate::open::open_model(name, opened.coordinates, mode));
         let members = members.collect::<Result<Vec<_>>>()?;
         let evaluation = Evaluation {

@@ -218,8 +218,8 @@ fn show(ellipses: &[Ellipse], members: &[u32], [x, y]: [usize; 2]) -> Shown {
             for l in 0..SIDE {
                 let weight = left[l] * alpha[l];
                 left[l] -= weight;
-                for channel in 0..3 {
-                    color[channel][l] += weight * ellipse.color[channel];
+                for (sums, value) in color.iter_mut().zip(ellipse.color) {
+                    sums[l] += weight * value;
                 }
             }
         }
