@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 
 from . import _octobayes
-from ._api import Nerf, _asked, _field, _opened, _remarks, _training_cameras, _warn
+from ._api import Nerf, _asked, _field, _opened, _refuse_for_splats, _remarks, _training_cameras, _warn
 from ._arguments import array, flag, floats, whole, wrong
 from ._cameras import Cameras, as_dictionary
 from ._cameras import rows as camera_rows
 from ._defaults import DEFAULT
 from ._progress import Progress, reporting
+from ._splats import Splats
 from ._uncertainty import Uncertainty
 
 #: Most candidates and views.
@@ -79,6 +80,8 @@ def next_view(
     """
     u = _field("u", u)
     nerf = _opened(nerf, cameras, u)
+    if isinstance(nerf, Splats):
+        _refuse_for_splats(march_step=(march_step, None), occupancy=(occupancy, DEFAULT.occupancy))
     made = {"sphere": sphere, "orbit": orbit}
     ways = [name for name, value in {"candidates": candidates, **made}.items() if value is not None]
     if len(ways) != 1:

@@ -1,7 +1,6 @@
 //! Which photograph should be taken next.
 
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
-use octobayes::estimate::Subject;
 use octobayes::next_view::{Around, GainMap, Made, NextView, Report, Settings};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -45,7 +44,7 @@ pub fn next_view<'py>(
     let field = uncertainty.get().field.clone();
     let (report, views, map, texts) = work(py, source.gate(nerf), progress, move |engine| {
         source.with(engine, |model| {
-            let (model, mut texts) = (Subject::Volume(model), Vec::new());
+            let mut texts = Vec::new();
             let (names, views) = match (given, made) {
                 (Some(views), _) => (names, views),
                 (None, made) => {

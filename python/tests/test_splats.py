@@ -205,3 +205,15 @@ def test_what_splats_do_not_have_is_refused(splats, field, path, held_out, court
         ob.splat_columns(courtyard, field)
     with pytest.raises(ValueError, match="splat_mode: expected 'classic' or 'mip'"):
         ob.open_model(path, splat_mode="fast")
+
+
+def test_views_that_no_camera_has_are_worth_most(splats, field):
+    angles = [0.25, 0.75, 2.0, 3.0, 4.0, 5.0]
+    found = ob.next_view(splats, field, [camera(a) for a in angles], take=2, pixels=512, progress=False)
+    first = [step["index"] for step in found["steps"]]
+    # The training cameras are at angles from 0 to 1.5.
+    assert set(first) <= {2, 3, 4, 5} and set(np.argsort(found["gains"])[:2].tolist()) == {0, 1}
+    one = ob.next_view(splats, field, [camera(3.0)], take=1, pixels=512, progress=False)
+    assert one["gains"][0] == found["gains"][3] > 0
+    with pytest.raises(ValueError, match="march_step.*splats are projected"):
+        ob.next_view(splats, field, [camera(3.0)], march_step=0.01, progress=False)

@@ -218,7 +218,7 @@ fn show(ellipses: &[Ellipse], members: &[u32], [x, y]: [usize; 2]) -> Shown {
             for l in 0..SIDE {
                 let weight = left[l] * alpha[l];
                 left[l] -= weight;
-                for (sums, value) in color.iter_mut().zip(ellipse.color) {
+                for (sums, value) in color.iter_mut().zip(ellipse.color.to_array()) {
                     sums[l] += weight * value;
                 }
             }
