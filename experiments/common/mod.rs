@@ -12,6 +12,7 @@
 #![allow(dead_code)]
 
 pub mod clock;
+pub mod halved;
 pub mod index;
 pub mod kitchen;
 pub mod knot;
