@@ -1,9 +1,9 @@
 //! Fits a [`HashGrid`](crate::field::HashGrid), or [Gaussian splats](SplatTrainer), to posed images.
 //!
-//! One step of a hash grid draws rays from all training images, samples them where the occupancy grid is occupied, composites, and
-//! moves the parameters against the gradient of the loss (Adam). The backward pass is derived by hand. The number
-//! of rays per step adapts to keep the number of samples near a budget, as in instant-ngp. Nothing depends on the
-//! number of threads.
+//! One step of a hash grid draws rays from all training images, samples them where the occupancy grid is occupied,
+//! composites, and moves the parameters against the gradient of the loss (Adam). The backward pass is derived by hand.
+//! The number of rays per step adapts to keep the number of samples near a budget, as in instant-ngp. Nothing depends
+//! on the number of threads.
 
 mod adam;
 mod batch;

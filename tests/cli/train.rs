@@ -306,7 +306,9 @@ fn splats_at_another_size_and_what_is_wrong_with_them() {
 fn ctrl_c_saves_usable_splats_and_resume_ends_with_the_same_bytes() {
     let desk = Desk::new();
     let args = |out: &str| format!("train . -o {out}/s.ply {SPLATS} --steps 2000");
-    ["whole", "parts"].iter().for_each(|name| std::fs::create_dir(desk.path(name)).unwrap());
+    for name in ["whole", "parts"] {
+        std::fs::create_dir(desk.path(name)).unwrap();
+    }
     let mut child = desk.command(&args("parts")).spawn().unwrap();
     let mut lines = BufReader::new(child.stderr.take().unwrap()).lines().map(Result::unwrap);
     assert!(lines.any(|line| line.starts_with("step ")), "it ended before it was told to");

@@ -130,7 +130,7 @@ fn gradients_are_those_of_the_reference() {
     println!("{of:?}, {changed} left out");
     for (k, (away, largest, count)) in of.into_iter().enumerate() {
         // Sums over dozens of pixels of terms that cancel, in f32.
-        assert!(away < 1e-4 * largest && largest > 1e-2 && count > 20, "{k}: {away:e} of {largest}, {count}");
+        assert!(away < 4e-5 * largest && largest > 1e-2 && count > 20, "{k}: {away:e} of {largest}, {count}");
     }
     assert!(changed < 60, "{changed}");
 }
@@ -192,7 +192,7 @@ fn training_shows_held_out_images_and_the_renderer_agrees() {
     run_steps(&mut trainer, 500, 500);
     let after = psnr(&trainer);
     println!("{before} dB, {after} dB");
-    assert!(before < 20.0 && after > 26.0, "{before} {after}");
+    assert!(before < 22.0 && after > 30.0, "{before} {after}");
     // It may grow by a twelfth three times.
     assert!((61..=78).contains(&trainer.len()), "{}", trainer.len());
     let splats: Splats = trainer.splats().unwrap();
@@ -259,11 +259,12 @@ fn a_resumed_run_ends_with_the_same_bits_for_any_number_of_threads() {
 #[test]
 fn a_run_that_diverges_ends_with_an_error() {
     let shots = shots(4);
-    let settings = small().rates(Rates { mean: 1e30, scale: 1e30, ..small().rates });
-    let mut trainer = SplatTrainer::new(settings, bounds(), &shots).unwrap();
-    let run = Run { budget: Budget::Steps(50), held_out: &[], pixels: 0, looks: 0, state: None::<StateFile> };
-    let error = run.train(&mut trainer, 0.0, &Silent, |_| ()).unwrap_err().to_string();
-    assert!(error.starts_with("rates: expected rates at which"), "{error}");
+    for rates in [Rates { mean: f32::INFINITY, ..small().rates }, Rates { color: f32::INFINITY, ..small().rates }] {
+        let mut trainer = SplatTrainer::new(small().rates(rates), bounds(), &shots).unwrap();
+        let run = Run { budget: Budget::Steps(5), held_out: &[], pixels: 0, looks: 0, state: None::<StateFile> };
+        let error = run.train(&mut trainer, 0.0, &Silent, |_| ()).unwrap_err().to_string();
+        assert!(error.starts_with("rates: expected rates at which"), "{error}");
+    }
 }
 
 #[test]

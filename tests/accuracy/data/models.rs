@@ -204,7 +204,8 @@ fn a_short_training_on_lego_reaches_the_measured_quality() {
 #[ignore = "needs OCTOBAYES_DATA/nerf-lego-400"]
 fn splats_trained_on_lego_reach_the_measured_quality() {
     let files = DatasetFiles::read(&data("nerf-lego-400")).unwrap();
-    let half = |shots: Vec<Shot>| shots.into_iter().map(|shot| shot.shrunk([200; 2]).unwrap()).collect::<Vec<_>>();
+    let half =
+        |shots: Vec<Shot>| -> Vec<Shot> { shots.into_iter().map(|shot| shot.shrunk([200; 2]).unwrap()).collect() };
     let [shots, held_out] = files.load(&Silent).unwrap().map(half);
     let settings = SplatSettings::default().most(SplatSettings::most_for(&shots));
     let mut trainer = SplatTrainer::new(settings, files.bounds, &shots).unwrap();
@@ -214,7 +215,8 @@ fn splats_trained_on_lego_reach_the_measured_quality() {
     }
     assert_eq!(trainer.len(), 15_000);
     let psnr = trainer.look(&held_out, usize::MAX, None).unwrap().psnr;
-    // 31.06 dB were measured, after 67 s of one core. Other processors round exp and ln otherwise, and a run diverges from there.
+    // 31.06 dB were measured, after 67 s of one core. Other processors round exp and ln otherwise, and a run leads
+    // elsewhere from there.
     assert!((psnr - 31.06).abs() < 0.3, "{psnr}");
 }
 
