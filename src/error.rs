@@ -129,6 +129,12 @@ impl Error {
         }
     }
 
+    /// [`Error::Malformed`] of a file whose name does not end as it should.
+    pub(crate) fn extension(path: &Path, expected: impl Into<String>) -> Self {
+        let found = path.extension().map_or("none".into(), |found| format!("`.{}`", found.display()));
+        Self::malformed(path, "file name", expected, found)
+    }
+
     /// [`Error::Setting`] from its parts, each made fit for one line on a terminal.
     pub fn setting(what: impl Into<String>, expected: impl Into<String>, found: impl Into<String>) -> Self {
         let [what, expected, found] = [what.into(), expected.into(), found.into()].map(|text: String| printable(&text));

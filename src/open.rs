@@ -146,7 +146,7 @@ fn open_volume(model: &str, coordinates: Option<Coordinates>) -> Result<Box<dyn 
             format!("model `{model}`"),
             "`scene:NAME`, a `.safetensors` or `.ckpt` MLP NeRF, a `.ppng` Plenoptic PNG, an `.npz` voxel grid, or a \
              `.ply`, `.spz` or `.splat` of splats",
-            "another extension",
+            extension.map_or("none".into(), |found| format!("`.{found}`")),
         )),
     }
 }

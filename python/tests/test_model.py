@@ -99,7 +99,7 @@ def test_wrong_arguments_get_a_sentence(courtyard, points, tmp_path):
         courtyard(points, points[1:])
     with pytest.raises(ValueError, match=r"x: expected .*\[N, 3\], found an array of shape \[3000\]"):
         courtyard(points.ravel(), points)
-    with pytest.raises(ValueError, match="another extension"):
+    with pytest.raises(ValueError, match=r"found `\.bin`"):
         ob.open_model(tmp_path / "model.bin")
     with pytest.raises(FileNotFoundError, match="none.npz"):
         ob.open_model(tmp_path / "none.npz")

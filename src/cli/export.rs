@@ -234,7 +234,7 @@ impl Args {
             (Some("csv"), _) => Kind::Report,
             _ => {
                 let expected = "`.npz`, `.htg`, `.npy`, `.oct`, `.ply` or `.csv`";
-                return Err(Error::malformed(&self.output, "file name", expected, "another extension"));
+                return Err(Error::extension(&self.output, expected));
             }
         };
         let found = || self.output.display().to_string();

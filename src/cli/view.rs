@@ -82,7 +82,7 @@ impl Args {
     pub fn run(mut self, bars: &Bars) -> Result<()> {
         self.cameras.find(Part::Training);
         if self.output.extension().is_none_or(|e| e != "html") {
-            return Err(Error::malformed(&self.output, "file name", "`.html`", "another extension"));
+            return Err(Error::extension(&self.output, "`.html`"));
         }
         let files = CommandFiles::default()
             .input("MODEL", &self.model.model)

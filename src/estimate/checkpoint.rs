@@ -321,9 +321,13 @@ pub(super) fn load<P: Posterior>(
     }
     let visits = match file.section::<u32>("visits")? {
         counts if counts.is_empty() => None,
-        counts => Some(Visits::from_counts(&key.lattice, counts).ok_or_else(|| {
-            Error::malformed(path, "section `visits`", "a count for every cell of the coarse grid", "another number")
-        })?),
+        counts => {
+            let found = counts.len();
+            Some(Visits::from_counts(&key.lattice, counts).ok_or_else(|| {
+                let expected = "a count for every cell of the coarse grid";
+                Error::malformed(path, "section `visits`", expected, found.to_string())
+            })?)
+        }
     };
     Ok(State { posterior, progress: head.progress, surface, visits })
 }

@@ -128,7 +128,7 @@ fn read_header(reader: &mut impl Read, path: &Path, name: &str) -> Result<Vec<u8
     let mut header = vec![0; 10];
     reader.read_exact(&mut header).map_err(|_| bad("the end of the data"))?;
     if !header.starts_with(b"\x93NUMPY") {
-        return Err(bad("other bytes"));
+        return Err(bad(&format!("{:?}", header[..6].escape_ascii().to_string())));
     }
     let length = if header[6] == 1 {
         usize::from(u16::from_le_bytes([header[8], header[9]]))

@@ -152,7 +152,7 @@ pub fn check_field_name(output: &Path) -> Result<()> {
         return Ok(());
     }
     let expected = "`.oct` (`export` writes `.npy` from it)";
-    Err(Error::malformed(output, "file name", expected, "another extension"))
+    Err(Error::extension(output, expected))
 }
 
 /// What an official `.npy` does not say: its box and its number of rays.

@@ -127,7 +127,7 @@ fn format(path: &Path) -> Result<Format> {
         (Some("-"), _) => Ok(Format::Stream),
         (_, Some("npy")) => Ok(Format::Npy),
         (_, Some("csv")) => Ok(Format::Csv),
-        _ => Err(Error::malformed(path, "file name", "`.npy`, `.csv` or `-`", "another extension")),
+        _ => Err(Error::extension(path, "`.npy`, `.csv` or `-`")),
     }
 }
 

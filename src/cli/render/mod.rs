@@ -254,7 +254,7 @@ impl Args {
             return Ok(());
         }
         let expected = expected.map(|extension| format!("`.{extension}`")).join(" or ");
-        Err(Error::malformed(&self.output, "file name", expected, "another extension"))
+        Err(Error::extension(&self.output, expected))
     }
 
     /// The files to write, in the order of the frames.
