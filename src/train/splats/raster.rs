@@ -210,17 +210,18 @@ fn show(ellipses: &[Ellipse], members: &[u32], [x, y]: [usize; 2]) -> Shown {
             break;
         }
         let ellipse = &ellipses[i as usize];
+        let [red, green, blue] = ellipse.color.to_array();
         let dx = ellipse.mean.x - x as f32 - 0.5;
         for r in rows(ellipse, y) {
             let across = Across { ellipse, dx, dy: ellipse.mean.y - (y + r) as f32 - 0.5 };
             let alpha = drawn(&free(&across), &shown.left[r], &mut live[r]);
-            let (left, color) = (&mut shown.left[r], &mut shown.color[r]);
+            let (left, [reds, greens, blues]) = (&mut shown.left[r], &mut shown.color[r]);
             for l in 0..SIDE {
                 let weight = left[l] * alpha[l];
                 left[l] -= weight;
-                for channel in 0..3 {
-                    color[channel][l] += weight * ellipse.color[channel];
-                }
+                reds[l] += weight * red;
+                greens[l] += weight * green;
+                blues[l] += weight * blue;
             }
         }
     }
