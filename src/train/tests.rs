@@ -403,3 +403,24 @@ fn a_fixed_background_and_a_contracted_space_train_too() {
     let after = psnr(&trainer);
     assert!(after > before + 6.0 && after > 15.0, "{before} {after}");
 }
+
+#[test]
+fn shrunk_pictures_have_the_mean_of_what_they_cover() {
+    let camera = Camera::look_at(DVec3::X, DVec3::ZERO, DVec3::Z, 1.0, [4, 2]);
+    let mut pixels = vec![[0; 4]; 8];
+    // Two of the four pixels on the left show something, one of them a fifth of it; one on the right is opaque.
+    (pixels[0], pixels[5], pixels[7]) = ([200, 0, 40, 255], [80, 0, 40, 51], [9, 8, 7, 255]);
+    let shot = Shot { name: "a".into(), camera, image: PosedImage::new([4, 2], pixels), mask: None };
+    let small = shot.clone().shrunk([2, 1]).unwrap();
+    assert_eq!((small.camera, small.image.resolution), (camera.resized([2, 1]), [2, 1]));
+    // Straight colours, weighed by alpha: (200 + 0.2 * 80) / 1.2 = 180.
+    let expected = [[180.0, 0.0, 40.0, 306.0 / 4.0], [9.0, 8.0, 7.0, 255.0 / 4.0]];
+    for (i, [r, g, b, a]) in expected.into_iter().enumerate() {
+        // Half a step of 8 bits, in alpha and in the colour times alpha.
+        assert!((255.0 * small.image.alpha(i) - a).abs() < 0.501, "{i}");
+        let over = 255.0 * small.image.over(i, DVec3::ZERO);
+        assert!((over - a / 255.0 * DVec3::new(r, g, b)).abs().max_element() <= 1.0, "{i}: {over}");
+    }
+    let error = shot.shrunk([3, 1]).unwrap_err().to_string();
+    assert_eq!(error, "--resolution: expected a whole fraction of the 4 x 2 pixels of `a`, found 3 x 1");
+}
