@@ -130,6 +130,7 @@ impl Error {
     }
 
     /// [`Error::Malformed`] of a file whose name does not end as it should.
+    #[cfg(feature = "cli")]
     pub(crate) fn extension(path: &Path, expected: impl Into<String>) -> Self {
         let found = path.extension().map_or("none".into(), |found| format!("`.{}`", found.display()));
         Self::malformed(path, "file name", expected, found)
