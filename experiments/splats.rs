@@ -1,7 +1,7 @@
 //! Question: does U rank errors of depth of Gaussian splats, and how wide are its intervals?
 //!
-//! Splats of lego, trained on 100 views, on 12 of one side and on 10, judged on 40 held-out views with true depth. Every
-//! reading and every measure without a Hessian is in the table. Writes the block of `experiments/splats.md`.
+//! Splats of lego, trained on 100 views, on 12 of one side and on 10, judged on 40 held-out views with true depth. All
+//! readings and all measures without a Hessian are in the table. Writes the block of `experiments/splats.md`.
 
 mod common;
 

@@ -10,8 +10,8 @@ use octobayes::uncertainty::Residuals;
 
 use crate::judge::pixel_residuals;
 
-/// What residuals are explained by, with the residuals; the angle to a training view is 0 on training views, and explains
-/// nothing there.
+/// What errors of colour are explained by, beside the residuals; the angle to a training view is 0 on training views,
+/// and explains nothing there.
 const FEATURES: [Baseline; 6] = [
     Baseline::RayVariance,
     Baseline::RayEntropy,

@@ -84,6 +84,8 @@ def export(
         if not is_points or ellipsoids:
             found = "ellipsoids" if ellipsoids else "mesh" if mesh else path
             raise wrong("export of splats", "a .ply of the splats themselves: the rest is of volumes' surfaces", found)
+        if os.path.exists(path) and os.path.samefile(path, nerf.name):
+            raise wrong("path", "a file other than the model", path)
         options = {
             **_image_options(nerf, background, march_step, pixel_offset, occupancy, u),
             "threshold": None if threshold is None else _threshold(threshold, u),

@@ -41,7 +41,6 @@ def next_view(
     resolution: Any = None,
     fov: float | None = None,
     box: Any = None,
-    march_step: float | None = None,
     occupancy: int = DEFAULT.occupancy,
     batch: int = DEFAULT.batch,
     progress: Progress | bool | None = None,
@@ -63,7 +62,7 @@ def next_view(
     take: how many views. gain: 'logdet' (Σ ½ log det(I + P⁻¹ ΔP) over vertices, nats), 'trace' (its first-order term
     Σ ½ tr(P⁻¹ ΔP)) or 'coverage' (from which sides visible surface was seen). pixels: how many of a candidate's pixels
     are traced; they are scaled to all. seed: of these pixels. map: also what each pixel of the first view would tell by
-    itself. box, march_step, batch and progress: as in :func:`render`. occupancy: cells per axis of the grid that lets
+    itself. box, batch and progress: as in :func:`render`. occupancy: cells per axis of the grid that lets
     rays skip empty space.
 
     Returns a dictionary: 'steps', a list of dictionaries in the order in which to take the views ('index' of the
@@ -81,7 +80,7 @@ def next_view(
     u = _field("u", u)
     nerf = _opened(nerf, cameras, u)
     if isinstance(nerf, Splats):
-        _refuse_for_splats(march_step=(march_step, None), occupancy=(occupancy, DEFAULT.occupancy))
+        _refuse_for_splats(occupancy=(occupancy, DEFAULT.occupancy))
     made = {"sphere": sphere, "orbit": orbit}
     ways = [name for name, value in {"candidates": candidates, **made}.items() if value is not None]
     if len(ways) != 1:
@@ -109,7 +108,7 @@ def next_view(
         "occupancy": whole("occupancy", occupancy, 4, 512),
         "map": flag("map", map),
     }
-    asked = _asked(nerf, box, march_step, batch, u)
+    asked = _asked(nerf, box, None, batch, u)
     rows = [None if known is None else np.ascontiguousarray(known.rows) for known in (given, training)]
     with reporting(progress) as report:
         found, all_rows, gains, said = _octobayes.next_view(asked, u._field, *rows, options, report)

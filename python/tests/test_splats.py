@@ -215,5 +215,5 @@ def test_views_that_no_camera_has_are_worth_most(splats, field):
     assert set(first) <= {2, 3, 4, 5} and set(np.argsort(found["gains"])[:2].tolist()) == {0, 1}
     one = ob.next_view(splats, field, [camera(3.0)], take=1, pixels=512, progress=False)
     assert one["gains"][0] == found["gains"][3] > 0
-    with pytest.raises(ValueError, match="march_step.*splats are projected"):
-        ob.next_view(splats, field, [camera(3.0)], march_step=0.01, progress=False)
+    with pytest.raises(ValueError, match="occupancy.*splats are projected"):
+        ob.next_view(splats, field, [camera(3.0)], occupancy=32, progress=False)

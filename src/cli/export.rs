@@ -9,7 +9,7 @@ use super::options::{CameraOptions, MOST_KEPT, OfficialOptions, UTF_8, count, he
 use super::progress::Bars;
 use super::report;
 use super::streams::tell;
-use crate::dataset::{Part, Views};
+use crate::dataset::{FrameSplit, Part, Selection, Views};
 use crate::estimate::RaySettings;
 use crate::export::{
     MeshSettings, SeenSplats, Surfaces, surfaces, write_hyper_tree, write_leaves, write_mesh, write_points,
@@ -311,7 +311,8 @@ impl Args {
             Some(_) => {
                 let views = self.cameras.read(None, "splats")?;
                 CommandFiles::default().images(&views).output("--output", &self.output).check()?;
-                let cameras: Vec<Camera> = views.frames.iter().map(|frame| frame.camera).collect();
+                let frames = FrameSplit::new(views).select(Part::Training, &Selection::All, |_| true)?;
+                let cameras: Vec<Camera> = frames.iter().map(|frame| frame.camera).collect();
                 let renderer = SplatRenderer::new(splats, settings.background);
                 Some(SeenSplats::measure(&renderer, &cameras, settings.offset_for_splats(), self.pixels, bars)?)
             }

@@ -19,6 +19,6 @@ pub fn facts(field: &UncertaintyField) -> Value {
         "draws": field.draws(),
         "limited": !field.limits().is_unlimited(),
         "errors": ErrorBudget::of_field(field),
-        "residuals": field.residuals().map(|residuals| json!({ "root_mean_square": residuals.mean(), "level": residuals.level() })),
+        "residuals": field.residuals().map(|found| json!({ "root_mean_square": found.mean(), "level": found.level() })),
     })
 }

@@ -1,7 +1,8 @@
 //! Checks what cameras see of a field, before anything is computed from them.
 //!
 //! Cameras with other axes or units, another box, a model in other coordinates: each gives a field, but one that says
-//! "never seen" everywhere. A few thousand rays detect this: [`Framing`] by geometry alone, [`CoverageCheck`] by tracing them.
+//! "never seen" everywhere. A few thousand rays detect this: [`Framing`] by geometry alone, [`CoverageCheck`] by
+//! tracing them.
 
 use rayon::prelude::*;
 

@@ -136,6 +136,15 @@ impl<'a> Evaluation<'a> {
         let length = bounds_of(self.model).longest_edge();
         let is_known = |frame: &&Frame| training.iter().any(|known| known.camera.is_like(&frame.camera, length));
         let known = frames.iter().filter(is_known).count();
+        if let (Subject::Splats(_), Some(first)) = (self.model, training.first())
+            && let Some(other) = frames.iter().find(|frame| frame.camera.resolution != first.camera.resolution)
+        {
+            let ([w, h], [width, height]) = (other.camera.resolution, first.camera.resolution);
+            remarks.push(Remark::Warning(format!(
+                "images of {w} x {h} pixels, but the splats were trained at {width} x {height}: they look right only at \
+                 the size of their training"
+            )));
+        }
         if known > 0 {
             let n = frames.len();
             remarks.push(Remark::Warning(format!(
@@ -180,6 +189,12 @@ impl<'a> Evaluation<'a> {
 /// A member of an ensemble must cover the same box as the model. Splats that were trained again have their own boxes,
 /// which must share half of what either covers.
 fn check_member(name: &str, member: Subject, model: Subject) -> Result<()> {
+    if let (Subject::Splats(model), Subject::Splats(member)) = (model, member)
+        && model.mode() != member.mode()
+    {
+        let expected = format!("splats drawn in {} mode, as the model", model.mode());
+        return Err(Error::setting(format!("member `{name}`"), expected, member.mode().to_string()));
+    }
     let (boxes, slack) = match (model, member) {
         (Subject::Volume(model), Subject::Volume(member)) => ([model.bounds(), member.bounds()], Some(1e-5)),
         (Subject::Splats(_), Subject::Splats(_)) => ([model, member].map(bounds_of), None),

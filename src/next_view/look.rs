@@ -153,12 +153,18 @@ pub fn in_matter(model: &Subject, step: Option<f64>, eyes: &[DVec3]) -> Vec<bool
     match model {
         Subject::Splats(splats) => eyes.iter().map(|eye| is_in_a_splat(splats, *eye)).collect(),
         Subject::Volume(field) => {
-            let (points, bounds) = (eyes.iter().map(|eye| eye.as_vec3()).collect::<Vec<Vec3>>(), field.bounds());
-            let step = step.unwrap_or_else(|| field.suggested_step());
+            // A model is asked only where it is.
+            let (bounds, step) = (field.bounds(), step.unwrap_or_else(|| field.suggested_step()));
+            let inside = |i: &usize| bounds.contains(eyes[*i].as_vec3());
+            let asked: Vec<usize> = (0..eyes.len()).filter(inside).collect();
+            let points: Vec<Vec3> = asked.iter().map(|&i| eyes[i].as_vec3()).collect();
             let mut densities = vec![0.0; points.len()];
             field.densities(&points, &mut densities);
-            let is_dense = |density: f32| f64::from(density) * NEAR * step >= std::f64::consts::LN_2;
-            points.iter().zip(densities).map(|(x, density)| bounds.contains(*x) && is_dense(density)).collect()
+            let mut found = vec![false; eyes.len()];
+            for (i, density) in asked.into_iter().zip(densities) {
+                found[i] = f64::from(density) * NEAR * step >= std::f64::consts::LN_2;
+            }
+            found
         }
     }
 }

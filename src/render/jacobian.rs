@@ -17,8 +17,8 @@
 //! ∂C/∂σ.
 //!
 //! The two criteria bound what differences leave out. w > cutoff bounds the contribution of ∇c (|∇c| ≤ 1/2h), the
-//! criterion for near-surface samples that of ∇σ (|∇σ| ≤ σ̂/2h). Here |∂C/∂σ| ≤ √3 δ T because colours lie in [0, 1], and
-//! σ̂ is the density bound of the occupancy grid. A sample in the empty space before a surface has w = 0 but may see
+//! criterion for near-surface samples that of ∇σ (|∇σ| ≤ σ̂/2h). Here |∂C/∂σ| ≤ √3 δ T because colours lie in [0, 1],
+//! and σ̂ is the density bound of the occupancy grid. A sample in the empty space before a surface has w = 0 but may see
 //! the surface within h: it is near-surface. Cutoff 0 leaves out only exact zeros.
 //!
 //! A field's own derivatives are taken at the same samples, so the set of samples depends on h.
@@ -195,7 +195,7 @@ impl Tracer<'_> {
         colors.resize(trace.traced.positions.len(), Vec3::ZERO);
     }
 
-    /// Keeps the near-surface samples that can change their pixel, and prepares for the colours of all that need no more.
+    /// Keeps the near-surface samples that can change their pixel, and prepares the colours of all that need no more.
     fn weigh_near_surface(&self, buffers: &mut JacobianBuffers) {
         let JacobianBuffers { quadrature, near_surface, low_weight, density_gradients, invalid, radiance, .. } =
             buffers;

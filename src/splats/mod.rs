@@ -19,7 +19,7 @@ use std::fmt;
 
 use glam::{Quat, Vec3};
 
-#[cfg(test)]
+#[cfg(all(test, any(feature = "evaluate", feature = "train")))]
 pub(crate) use render::reference;
 pub use render::{Hit, Hits, SplatRenderer, SplatView, Use, seen_domain, tile_of};
 

@@ -39,9 +39,13 @@ impl Shot {
     /// The same picture with fewer pixels, each the mean of as many as it covers.
     ///
     /// # Errors
-    /// If the picture's size is no whole multiple of `resolution`.
+    /// If the picture's size is no whole multiple of `resolution`, or if it has a mask.
     pub fn shrunk(self, resolution: [u32; 2]) -> Result<Self> {
         let [[width, height], [w, h]] = [self.camera.resolution, resolution];
+        if self.mask.is_some() {
+            let found = format!("a mask of `{}`", self.name);
+            return Err(Error::setting("--resolution", "pictures without masks, which have no means", found));
+        }
         let times = width / w.max(1);
         if times == 0 || [w * times, h * times] != [width, height] {
             let expected = format!("a whole fraction of the {width} x {height} pixels of `{}`", self.name);
@@ -62,8 +66,7 @@ impl Shot {
             [red, green, blue, byte(alpha / f64::from(times * times))]
         };
         let image = PosedImage::new(resolution, (0..w * h).map(mean).collect());
-        let mask = self.mask.map(|mask| mask.resized(resolution));
-        Ok(Self { name: self.name, camera: self.camera.resized(resolution), image, mask })
+        Ok(Self { name: self.name, camera: self.camera.resized(resolution), image, mask: None })
     }
 
     /// Returns true if pixel `i` is not masked.

@@ -239,7 +239,7 @@ fn splats_are_trained_and_the_other_verbs_read_them() {
         desk.good(&format!("train . -o {out}/s.ply {SPLATS} --steps 300 --json {more}"))
     };
     let [stdout, stderr] = train("a", "--threads 1");
-    assert!(stderr.contains("some images are opaque, so that splats begin anywhere in the box"), "{stderr}");
+    assert!(stderr.contains("splats begin anywhere in the box (--box)"), "{stderr}");
     let report: Value = serde_json::from_str(&stdout).unwrap();
     let model = &report["models"][0];
     assert_eq!((&model["images"], &model["steps"], &model["seed"]), (&12.into(), &300.into(), &0.into()));
@@ -272,15 +272,17 @@ fn splats_are_trained_and_the_other_verbs_read_them() {
 #[test]
 fn splats_at_another_size_and_what_is_wrong_with_them() {
     let desk = Desk::new();
-    std::fs::create_dir(desk.path("out")).unwrap();
+    ["out", "new"].iter().for_each(|name| std::fs::create_dir(desk.path(name)).unwrap());
     desk.good(&format!("train . -o out/s.ply {SPLATS} --steps 3 --resolution 20"));
     let views = octobayes::dataset::Views::read(&desk.path("out/cameras.json"), None).unwrap();
     assert_eq!(views.frames[0].camera.resolution, [20, 20]);
     for (args, expected) in [
         ("train . --splats -o out/x.safetensors --steps 1", "--output: expected a name that ends in .ply"),
         ("train . --splats -o out/x.ply --steps 1", "found out/cameras.json"),
+        // The cameras would be split again where their images are.
+        ("train . --splats -o x.ply --steps 1", "--output: expected a folder without the training images"),
         (
-            "train . --splats -o x.ply --steps 1 --resolution 30",
+            "train . --splats -o new/x.ply --steps 1 --resolution 30",
             "--resolution: expected a whole fraction of the 40 x 40",
         ),
         ("train . --splats -o x.ply --steps 1 --contract l2", "--contract: expected a hash grid"),

@@ -17,7 +17,7 @@ use super::streams::tell;
 use crate::estimate::RaySettings;
 use crate::evaluate::{Evaluation, Judged, Reading};
 use crate::io::AtomicFile;
-use crate::open::Model;
+use crate::open::{Model, is_of_splats, open_model};
 use crate::posterior::Covariance;
 use crate::render::RayAverage;
 use crate::session::{OpenedModel, image_settings};
@@ -165,7 +165,8 @@ impl Args {
         let (opened, settings, readings) = self.open()?;
         // Splats of an ensemble are drawn like the model.
         let mode = opened.model.splats().map(Splats::mode);
-        let members = self.ensemble.iter().map(|name| crate::open::open_model(name, opened.coordinates, mode));
+        let open = |name: &String| open_model(name, opened.coordinates, mode.filter(|_| is_of_splats(name)));
+        let members = self.ensemble.iter().map(open);
         let members = members.collect::<Result<Vec<_>>>()?;
         let evaluation = Evaluation {
             model: opened.model.subject(),

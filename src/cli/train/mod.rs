@@ -139,7 +139,8 @@ pub struct Args {
     )]
     background: Background,
 
-    /// Box of the scene: x0,y0,z0,x1,y1,z1 in scene units; nothing is modelled outside [default: `aabb` of the
+    /// Box of the scene: x0,y0,z0,x1,y1,z1 in scene units; a hash grid models nothing outside,
+    /// splats begin within [default: `aabb` of the
     /// camera file, else instant-ngp's cube of edge 3.03 around the origin, times `aabb_scale`]
     #[arg(
         long = "box",

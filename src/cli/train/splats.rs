@@ -1,5 +1,7 @@
 //! `train --splats`: from images to a file of Gaussian splats, with the cameras beside it.
 
+use std::fs::File;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use serde_json::json;
@@ -9,9 +11,10 @@ use super::{Args, LOOK_PIXELS, state_file};
 use crate::cli::files::CommandFiles;
 use crate::cli::given::Given;
 use crate::cli::progress::Bars;
-use crate::dataset::{write_inria, write_transforms};
+use crate::dataset::{image_path, write_inria, write_transforms};
 use crate::geometry::{Camera, Domain};
 use crate::io::place::folder_of;
+use crate::splats::SplatRenderer;
 use crate::train::{
     Budget, DatasetFiles, Finished, Quality, Run, Shot, SplatSettings, SplatTrainer, StateFile, Training,
 };
@@ -21,6 +24,9 @@ use crate::{Error, Result};
 const LOOK: usize = 20 * LOOK_PIXELS;
 /// Pixels of images that are compared at the end.
 const TEST: usize = 500 * LOOK_PIXELS;
+
+/// What the comment of a model that was trained here says.
+const MADE_BY: &str = " train --splats";
 
 /// What is written beside a model: the cameras as the original code has them, and with all of their lens.
 struct Beside {
@@ -36,7 +42,7 @@ impl Beside {
 
     /// Refuses to replace files that no run for this model has left.
     fn check(&self, model: &Path, state: &Path) -> Result<()> {
-        if model.exists() || state.exists() {
+        if is_own(model) || state.exists() {
             return Ok(());
         }
         match [&self.cameras, &self.transforms].into_iter().find(|path| path.exists()) {
@@ -48,11 +54,38 @@ impl Beside {
         }
     }
 
+    /// Refuses a folder in which the cameras would find images: those of a camera file with images and without a list
+    /// are split, and some of the training views would count as held out.
+    fn check_names(&self, shots: &[Shot]) -> Result<()> {
+        let folder = folder_of(&self.cameras);
+        match shots.iter().map(|shot| image_path(folder, &name_of(shot))).find(|path| path.exists()) {
+            None => Ok(()),
+            Some(path) => {
+                let expected = "a folder without the training images, beside which the cameras would be split again";
+                Err(Error::setting("--output", expected, path.display().to_string()))
+            }
+        }
+    }
+
     fn write(&self, shots: &[Shot]) -> Result<()> {
-        let cameras: Vec<(String, Camera)> = shots.iter().map(|shot| (shot.name.clone(), shot.camera)).collect();
+        let cameras: Vec<(String, Camera)> = shots.iter().map(|shot| (name_of(shot), shot.camera)).collect();
         write_inria(&self.cameras, &cameras)?;
         write_transforms(&self.transforms, &cameras)
     }
+}
+
+/// The name of a picture in the files that are written: of an absolute path, the end.
+fn name_of(shot: &Shot) -> String {
+    let path = Path::new(&shot.name);
+    let end = path.file_name().filter(|_| path.is_absolute());
+    end.map_or_else(|| shot.name.clone(), |end| end.to_string_lossy().into_owned())
+}
+
+/// Whether a `.ply` says that this program trained it.
+fn is_own(model: &Path) -> bool {
+    let mut start = Vec::new();
+    let read = File::open(model).and_then(|file| file.take(4096).read_to_end(&mut start));
+    read.is_ok() && String::from_utf8_lossy(&start).contains(MADE_BY)
 }
 
 impl Args {
@@ -80,6 +113,14 @@ impl Args {
         announce!("note: {}", files.describe());
         let domain = self.domain(&files)?;
         let [train, held_out] = files.load(bars)?;
+        beside.check_names(&train)?;
+        SplatRenderer::check_cameras(held_out.iter().map(|shot| &shot.camera))?;
+        if train.iter().any(|shot| shot.mask.is_some()) {
+            announce!(
+                "note: the cameras beside the model have no masks; pass --cameras {} to `uncertainty`",
+                self.dataset.display()
+            );
+        }
         let [train, held_out] = [self.shrunk(train)?, self.shrunk(held_out)?];
         check_framing(&train, &domain)?;
         let settings =
@@ -87,8 +128,8 @@ impl Args {
         let mut trainer = SplatTrainer::new(settings, self.bounds.unwrap_or(files.bounds), &train)?;
         if !trainer.began_at_hull() {
             announce!(
-                "note: some images are opaque, so that splats begin anywhere in the box (--box), and not near the \
-                 surface of the object"
+                "note: splats begin anywhere in the box (--box), and not near the surface of the object: some images are \
+                 opaque, or no part of the box is inside all outlines"
             );
         }
         let state = self.state(&files, settings, domain, &train)?;
@@ -105,7 +146,7 @@ impl Args {
         let splats = trainer.splats()?;
         let [width, height] = train[0].camera.resolution;
         let comments = [
-            format!("{} train --splats, {} steps, seed {}", env!("CARGO_PKG_VERSION"), trainer.steps(), self.seed),
+            format!("{}{MADE_BY}, {} steps, seed {}", env!("CARGO_PKG_VERSION"), trainer.steps(), self.seed),
             format!("{} images, the first of {width} x {height} pixels; background {background}", train.len()),
         ];
         splats.write_ply(model, &[], &comments)?;

@@ -283,8 +283,8 @@ pub fn expected_spare(bytes: usize) -> usize {
 /// Sums, one after the other.
 ///
 /// The first come from the heap, chunk by chunk. Those beyond lie in mappings of their own, for which the system is
-/// asked for pages of 2 MiB: access is random, and with pages of 4 KiB clearing and finding them took a quarter of a run
-/// at fine levels. What was never touched takes no memory (on Linux).
+/// asked for pages of 2 MiB: access is random, and with pages of 4 KiB clearing and finding them took a quarter of a
+/// run at fine levels. What was never touched takes no memory (on Linux).
 #[derive(Debug, Default)]
 pub struct SumsList {
     chunks: Vec<Box<[VertexSums; CHUNK]>>,

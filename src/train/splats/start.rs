@@ -202,7 +202,7 @@ fn spacing(points: &[DVec3]) -> f64 {
 fn row(x: DVec3, shots: &[Shot], spacing: f64) -> Row {
     let (mut color, mut weight) = (DVec3::ZERO, 1e-3);
     for shot in shots {
-        if let Some(i) = pixel(shot, x) {
+        if let Some(i) = pixel(shot, x).filter(|&i| shot.keeps(i)) {
             let alpha = shot.image.alpha(i);
             color += alpha * shot.image.over(i, DVec3::ZERO) / alpha.max(1e-3);
             weight += alpha;

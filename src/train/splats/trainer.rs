@@ -22,6 +22,8 @@ use crate::train::{Background, Quality, Shot, Training};
 use crate::{Error, Result};
 
 /// Decays of Adam's moments, and what keeps its steps finite: those of the original code.
+/// Most pixels of an image: every splat is drawn on all tiles that it touches, which takes memory.
+const MOST_PIXELS: u64 = 4_000_000;
 const BETA1: f32 = 0.9;
 const BETA2: f32 = 0.999;
 const EPSILON: f32 = 1e-15;
@@ -62,6 +64,11 @@ impl<'a> SplatTrainer<'a> {
     pub fn new(settings: SplatSettings, bounds: Aabb, shots: &'a [Shot]) -> Result<Self> {
         assert!(!shots.is_empty(), "no images to train on");
         SplatRenderer::check_cameras(shots.iter().map(|shot| &shot.camera))?;
+        let largest = shots.iter().map(|shot| shot.camera.pixels()).max().unwrap_or(0);
+        if largest > MOST_PIXELS {
+            let expected = format!("images of at most {MOST_PIXELS} pixels for splats; --resolution shrinks them");
+            return Err(Error::setting("images", expected, largest.to_string()));
+        }
         if settings.most == 0 {
             return Err(Error::setting("most splats", "at least one", "0"));
         }
