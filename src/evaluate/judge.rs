@@ -141,8 +141,8 @@ impl<'a> Evaluation<'a> {
         {
             let ([w, h], [width, height]) = (other.camera.resolution, first.camera.resolution);
             remarks.push(Remark::Warning(format!(
-                "images of {w} x {h} pixels, but the splats were trained at {width} x {height}: they look right only at \
-                 the size of their training"
+                "images of {w} x {h} pixels, but the splats were trained at {width} x {height}: they look right only \
+                 at the size of their training"
             )));
         }
         if known > 0 {

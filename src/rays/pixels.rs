@@ -1,8 +1,8 @@
 //! The pixel of the k-th training ray.
 //!
 //! Letters: `k` index of a ray in the whole run; `n` its index among the rays of its camera. A ray depends only
-//! on k and the seed, so shards, checkpoints and threads see the same rays. Rays of splats come camera by camera: k is a
-//! ray's place in that order.
+//! on k and the seed, so shards, checkpoints and threads see the same rays. Rays of splats come camera by camera: k is
+//! a ray's place in that order.
 
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;

@@ -18,8 +18,8 @@
 //!
 //! The two criteria bound what differences leave out. w > cutoff bounds the contribution of ∇c (|∇c| ≤ 1/2h), the
 //! criterion for near-surface samples that of ∇σ (|∇σ| ≤ σ̂/2h). Here |∂C/∂σ| ≤ √3 δ T because colours lie in [0, 1],
-//! and σ̂ is the density bound of the occupancy grid. A sample in the empty space before a surface has w = 0 but may see
-//! the surface within h: it is near-surface. Cutoff 0 leaves out only exact zeros.
+//! and σ̂ is the density bound of the occupancy grid. A sample in the empty space before a surface has w = 0 but may
+//! see the surface within h: it is near-surface. Cutoff 0 leaves out only exact zeros.
 //!
 //! A field's own derivatives are taken at the same samples, so the set of samples depends on h.
 //!

@@ -128,8 +128,8 @@ impl Args {
         let mut trainer = SplatTrainer::new(settings, self.bounds.unwrap_or(files.bounds), &train)?;
         if !trainer.began_at_hull() {
             announce!(
-                "note: splats begin anywhere in the box (--box), and not near the surface of the object: some images are \
-                 opaque, or no part of the box is inside all outlines"
+                "note: splats begin anywhere in the box (--box), and not near the surface of the object: some images \
+                 are opaque, or no part of the box is inside all outlines"
             );
         }
         let state = self.state(&files, settings, domain, &train)?;
