@@ -167,8 +167,8 @@ fn sentences() -> Vec<(&'static str, &'static str, Vec<Figure>)> {
         ),
         (
             README,
-            "AUSE {} on ten scenes (0 is perfect). Without a Hessian: variance of a ray's weights {}, their \
-             deviation / number of rays {} |",
+            "AUSE on ten scenes (0 is perfect): U {}, the variance of a ray's weights {}, their deviation divided by \
+             the number of rays {} |",
             vec![tested(ours, mae), tested(variance, mae), tested(control, mae)],
         ),
         (
