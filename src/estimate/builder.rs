@@ -49,7 +49,7 @@ fn every_cell(lattice: &Lattice) -> Result<Vec<Cell>> {
     Ok((0..1_u64 << (3 * u32::from(level))).map(cell).collect())
 }
 
-/// Sums of which a field can be made.
+/// Sums from which a field can be computed.
 pub(super) trait Finish: Posterior {
     /// The field at these vertices of the sums.
     fn field(self, protocol: Protocol, lattice: Lattice, at: Self::Vertices, keep_sums: bool) -> UncertaintyField;

@@ -35,7 +35,7 @@ pub struct TrueView {
     pub name: String,
     /// A camera with exactly these pixels.
     pub camera: Camera,
-    /// The camera of the whole image, of which every [`TrueView::stride`]-th pixel along x and y is one of these.
+    /// The camera of the whole image. These are every [`TrueView::stride`]-th of its pixels along x and y.
     pub whole: Camera,
     /// See [`TrueView::whole`].
     pub stride: u32,

@@ -3,9 +3,9 @@
 //! Letters: `P_v` = k S_v + I / τ², the precision of the displacement of vertex v given the training pixels, in the
 //! scale of the data ([`DataScale`](crate::posterior::DataScale)); `ΔP_v` = (1/s²) Σ JᵀJ over a candidate's pixels,
 //! where s is the noise of a pixel. A Gauss-Newton Hessian needs Jacobians of the model and no image. The gain of a
-//! candidate is Σ_v ½ log det(I + P_v⁻¹ ΔP_v), in nats: what its image would tell of the displacements (Lindley 1956;
-//! of blocks of a Hessian: POp-GS, CVPR 2025). FisherRF (ECCV 2024) takes the first-order term ½ tr(P_v⁻¹ ΔP_v), on the
-//! diagonal of a model's own parameters.
+//! candidate is Σ_v ½ log det(I + P_v⁻¹ ΔP_v), in nats: the information that its image would add about the
+//! displacements (Lindley 1956; of blocks of a Hessian: POp-GS, CVPR 2025). FisherRF (ECCV 2024) takes the first-order
+//! term ½ tr(P_v⁻¹ ΔP_v), on the diagonal of a model's own parameters.
 //!
 //! ΔP comes from some of the candidate's pixels, in a low-discrepancy sequence, scaled to all of them. Candidates are
 //! taken greedily, each with those before it added to P.

@@ -9,7 +9,7 @@ use crate::estimate::RaySettings;
 use crate::field::hash_grid::slow::SlowField;
 use crate::field::hash_grid::{LAYERS, N_FEATURES_PER_LEVEL, Space, Transposed, random_parameters};
 use crate::field::{ClosedForm, RadianceField};
-use crate::geometry::{Camera, Domain, Norm, Ray};
+use crate::geometry::{Camera, Domain, Mask, Norm, Ray};
 use crate::monitor::{Monitor, Silent};
 use crate::rays::{PixelSequence, Pixels};
 use crate::render::render_view;
@@ -421,6 +421,10 @@ fn shrunk_pictures_have_the_mean_of_what_they_cover() {
         let over = 255.0 * small.image.over(i, DVec3::ZERO);
         assert!((over - a / 255.0 * DVec3::new(r, g, b)).abs().max_element() <= 1.0, "{i}: {over}");
     }
+    // The mean of a block that is masked in part would be of pixels that do not count.
+    let masked = Shot { mask: Some(Mask::new([4, 2], |_, _| true)), ..shot.clone() };
+    let error = masked.shrunk([2, 1]).unwrap_err().to_string();
+    assert_eq!(error, "--resolution: expected pictures without masks, which have no means, found a mask of `a`");
     let error = shot.shrunk([3, 1]).unwrap_err().to_string();
     assert_eq!(error, "--resolution: expected a whole fraction of the 4 x 2 pixels of `a`, found 3 x 1");
 }
