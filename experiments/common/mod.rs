@@ -12,6 +12,7 @@
 #![allow(dead_code)]
 
 pub mod clock;
+pub mod fisher;
 pub mod halved;
 pub mod index;
 pub mod kitchen;
@@ -23,4 +24,5 @@ pub mod report;
 pub mod scenes;
 pub mod settings;
 pub mod table;
+pub mod visibility;
 pub mod work;

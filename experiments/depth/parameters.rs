@@ -21,52 +21,17 @@ use octobayes::train::{PixelGradient, PixelGradients};
 use octobayes::{Error, Result};
 use rayon::prelude::*;
 
+use crate::common::fisher::{COLOR, Diagonal, LAMBDA};
+
 /// Training pixels in the sum, which stands for all of them.
 const PIXELS: u64 = 100_000;
 /// Pixels that are differentiated before they are summed.
 const BATCH: usize = 250;
-/// λ of FisherRF.
-const LAMBDA: f64 = 1e-6;
 /// Shift of the samples of held-out rays, in steps.
 const JITTER: f64 = 0.5;
-/// The outputs that training pixels constrain, and the one that they do not.
-const COLOR: Range<usize> = 0..3;
+/// The output that training pixels do not constrain.
 const DEPTH: usize = 3;
 const OUTPUTS: usize = PixelGradient::OUTPUTS;
-
-/// The diagonal of H without λ.
-struct Diagonal {
-    /// `[entries][features]`.
-    entries: Vec<[f64; 4]>,
-    weights: Vec<f64>,
-}
-
-impl Diagonal {
-    fn add(&mut self, pixel: &PixelGradient, share: f64) {
-        for (entry, derivatives) in &pixel.entries {
-            for derivatives in &derivatives[COLOR] {
-                for (sum, d) in self.entries[*entry as usize].iter_mut().zip(derivatives) {
-                    *sum += share * f64::from(*d).powi(2);
-                }
-            }
-        }
-        for derivatives in &pixel.weights[COLOR] {
-            for (sum, d) in self.weights.iter_mut().zip(derivatives) {
-                *sum += share * f64::from(*d).powi(2);
-            }
-        }
-    }
-
-    /// Σ d² / (H + λ) of one output.
-    fn variance(&self, pixel: &PixelGradient, output: usize, lambda: f64) -> f64 {
-        let term = |(sum, d): (&f64, &f32)| f64::from(*d).powi(2) / (sum + lambda);
-        let of_entry = |(entry, derivatives): &(u32, [[f32; 4]; OUTPUTS])| -> f64 {
-            self.entries[*entry as usize].iter().zip(&derivatives[output]).map(term).sum()
-        };
-        let of_weights: f64 = self.weights.iter().zip(&pixel.weights[output]).map(term).sum();
-        pixel.entries.iter().map(of_entry).sum::<f64>() + of_weights
-    }
-}
 
 /// Derivatives by the last layers, a column for each of these outputs of each pixel.
 fn last_layers(pixels: &[PixelGradient], outputs: Range<usize>) -> Mat<f64> {
@@ -103,8 +68,7 @@ impl<'a> ParameterPosteriors<'a> {
         let all: u64 = cameras.iter().map(Camera::pixels).sum();
         let share = all as f64 / PIXELS as f64;
         let sequence = PixelSequence::new(Pixels::Sobol, 0, cameras.iter().map(|camera| camera.resolution).collect());
-        let mut diagonal =
-            Diagonal { entries: vec![[0.0; 4]; pixels.entries()], weights: vec![0.0; PixelGradients::weights()] };
+        let mut diagonal = Diagonal::new(&pixels);
         let width = PixelGradients::last_layers().map(|layer| layer.len()).iter().sum();
         let mut precision = Mat::<f64>::zeros(width, width);
         for picks in sequence.picks(0, PIXELS).chunks(BATCH) {

@@ -6,7 +6,7 @@ use glam::{DVec3, Vec3};
 use octobayes::dataset::{DepthKind, DepthReadings, Frame, Views};
 use octobayes::evaluate::{DepthFiles, DepthMeaning, TrueView};
 use octobayes::field::HashGrid;
-use octobayes::geometry::{Camera, Domain, Ray};
+use octobayes::geometry::{Camera, Domain};
 use octobayes::monitor::Silent;
 use octobayes::synth::{DEPTH_PNG_SCALE, DatasetSettings, Mesh, MeshScene, Up, write_dataset};
 use octobayes::train::{DatasetFiles, Selection, Shot, TrainSettings, Trainer, quality};
@@ -16,6 +16,7 @@ use serde::Serialize;
 use crate::common::kitchen::kitchen;
 use crate::common::knot::knot;
 use crate::common::program::Program;
+use crate::common::visibility::is_seen;
 
 /// Side of the images of meshes, pixels.
 pub const SIDE: u32 = 200;
@@ -35,8 +36,6 @@ const REGRESSION_STRIDE: u32 = 4;
 pub const LEGO_STEP: f64 = 8.0 / 255.0;
 /// Neighbouring depths that differ by more steps of the map than this straddle an edge.
 const EDGE: f64 = 2.5;
-/// A camera sees a point if nothing stands this much nearer on the way, scene units.
-const NEAR: f64 = 1e-3;
 
 /// Which views of a mesh a model is trained on.
 #[derive(Clone, Copy, PartialEq, Serialize)]
@@ -219,16 +218,7 @@ impl Data {
 
     /// Whether it is known that no training camera saw this point of the true surface.
     pub fn is_unseen(&self, x: DVec3) -> bool {
-        let is_seen = |mesh: &MeshScene, camera: &Camera| {
-            let Some(([column, row], _)) = camera.project(x) else { return false };
-            let [width, height] = camera.resolution.map(f64::from);
-            let distance = x.distance(camera.position);
-            let ray = Ray::new(camera.position, x - camera.position);
-            (0.0..width).contains(&column)
-                && (0.0..height).contains(&row)
-                && mesh.nearest(&ray).is_none_or(|hit| hit.t > distance - NEAR)
-        };
-        self.mesh.as_ref().is_some_and(|mesh| !self.cameras.iter().any(|camera| is_seen(mesh, camera)))
+        self.mesh.as_ref().is_some_and(|mesh| !self.cameras.iter().any(|camera| is_seen(mesh, camera, x)))
     }
 }
 

@@ -57,6 +57,12 @@ pub use report::{NamedCandidate, NamedStep, Report};
 
 use derive_setters::Setters;
 
+use crate::posterior::Information;
+
+/// What more precision at one vertex is worth, given P and ΔP, both symmetric 3×3: xx, xy, xz, yy, yz, zz, in
+/// 1 / scene unit². As [`log_det`] and [`first_order`].
+pub type VertexGain<'a> = &'a (dyn Fn(&Information, &Information) -> f64 + Sync);
+
 /// What a view is worth.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]

@@ -6,13 +6,15 @@ use rustc_hash::FxHashMap;
 
 use super::coverage::Coverage;
 use super::evidence::Evidence;
-use super::{Gain, first_order, log_det};
+use super::{Gain, VertexGain, first_order, log_det};
 use crate::posterior::{Information, Visits};
 use crate::uncertainty::{Added, Precision};
 
 /// The state of a greedy selection.
 pub struct Objective<'a> {
     gain: Gain,
+    /// What more precision at a vertex is worth.
+    of_vertex: VertexGain<'a>,
     precision: Option<&'a Precision<'a>>,
     visits: Option<&'a Visits>,
     /// What the views taken so far added to P, by Morton code.
@@ -25,8 +27,14 @@ pub struct Objective<'a> {
 impl<'a> Objective<'a> {
     /// Before any view; `precision` is needed but for [`Gain::Coverage`].
     pub fn new(gain: Gain, precision: Option<&'a Precision<'a>>, visits: Option<&'a Visits>) -> Self {
+        let of_vertex: VertexGain = if gain == Gain::Trace { &first_order } else { &log_det };
         let coverage = Coverage::default();
-        Self { gain, precision, visits, taken: FxHashMap::default(), coverage, seen: BTreeSet::new() }
+        Self { gain, of_vertex, precision, visits, taken: FxHashMap::default(), coverage, seen: BTreeSet::new() }
+    }
+
+    /// The same with another gain of a vertex, if there is one.
+    pub fn with(self, of_vertex: Option<VertexGain<'a>>) -> Self {
+        Self { of_vertex: of_vertex.unwrap_or(self.of_vertex), ..self }
     }
 
     /// P of a vertex with the views taken so far.
@@ -41,8 +49,7 @@ impl<'a> Objective<'a> {
     /// The gain of what rays add, vertex by vertex.
     pub fn worth(&self, added: &[Added]) -> f64 {
         let Some(precision) = self.precision else { return 0.0 };
-        let of = if self.gain == Gain::Trace { first_order } else { log_det };
-        added.iter().map(|added| of(&self.now(precision, added), &added.precision)).sum()
+        added.iter().map(|added| (self.of_vertex)(&self.now(precision, added), &added.precision)).sum()
     }
 
     /// The gain of a view.

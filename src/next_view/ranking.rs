@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use super::evidence::{Blank, Evidence, Viewer};
 use super::greedy::Candidates;
 use super::objective::Objective;
-use super::{Gain, GainMap, Settings};
+use super::{Gain, GainMap, Settings, VertexGain};
 use crate::estimate::{RaySettings, Subject};
 use crate::field::RadianceField;
 use crate::geometry::{Camera, Lattice};
@@ -67,6 +67,9 @@ pub struct NextView<'a> {
     candidates: &'a [Camera],
     /// The cameras of the images that were taken, for [`Gain::Coverage`].
     training: &'a [Camera],
+    /// Stands for the log det or trace of a vertex. It must not grow with P, or lazy and full rescoring may differ.
+    #[setters(strip_option)]
+    vertex_gain: Option<VertexGain<'a>>,
     /// Settings.
     settings: Settings,
     /// Receives progress and can stop the work.
@@ -81,7 +84,8 @@ impl<'a> NextView<'a> {
 
     /// Ranks `candidates` for a volume or splats whose uncertainty is `field`.
     pub fn of(model: Subject<'a>, field: &'a UncertaintyField, candidates: &'a [Camera]) -> Self {
-        Self { model, field, candidates, training: &[], settings: Settings::default(), monitor: &Silent }
+        let settings = Settings::default();
+        Self { model, field, candidates, training: &[], vertex_gain: None, settings, monitor: &Silent }
     }
 
     /// Takes views until there are enough. If the monitor asks to stop, those taken so far are returned.
@@ -104,7 +108,7 @@ impl<'a> NextView<'a> {
         let precision = self.precision()?;
         let source = self.source()?;
         let viewer = self.viewer(&source, precision.as_ref());
-        let mut objective = Objective::new(gain, precision.as_ref(), self.field.visits());
+        let mut objective = Objective::new(gain, precision.as_ref(), self.field.visits()).with(self.vertex_gain);
         let mut start = Instant::now();
         if gain == Gain::Coverage {
             self.each(&viewer, self.training, "training views", |_, evidence| {
@@ -176,7 +180,7 @@ impl<'a> NextView<'a> {
         self.check_lenses([camera])?;
         let source = self.source()?;
         let viewer = self.viewer(&source, Some(&precision));
-        let objective = Objective::new(self.settings.gain, Some(&precision), None);
+        let objective = Objective::new(self.settings.gain, Some(&precision), None).with(self.vertex_gain);
         GainMap::of(camera, &viewer, &precision, &objective, self.monitor)
     }
 
