@@ -27,14 +27,14 @@ use common::table::{Table, deviation, mean};
 use common::visibility::is_seen;
 use common::work::Work;
 use scene::{Held, Images, SCENES, Scene};
-use strategy::{Choice, FISHER_PIXELS, LEVEL, PIXELS, RAYS, STRATEGIES, Strategy, TAKE, farthest};
+use strategy::{Choice, FISHER_PIXELS, LEVEL, OCCUPANCY, PIXELS, RAYS, STRATEGIES, Strategy, TAKE, farthest};
 
 const SEEDS: [u64; 4] = [0, 1, 2, 3];
 const START: usize = 3;
 const END: usize = 9;
 /// Trainings of a row after the first.
 const STAGES: usize = (END - START) / TAKE;
-const STEPS: u64 = 500;
+const STEPS: u64 = 400;
 /// Pixels of training images by which their noise is measured, about.
 const NOISE_PIXELS: usize = 10_000;
 /// Most that one pixel counts as an error of depth, scene units; also where the model shows nothing.
@@ -159,7 +159,7 @@ fn run(strategy: Strategy, images: &Images, first: &OnceCell<Model>, seed: u64) 
 
 /// How good a model is on the held-out images.
 fn judge(images: &Images, model: &Model, cameras: &[Camera]) -> Result<Quality> {
-    let tracer = RaySettings::for_images().tracer(&model.field, 0.0, &Silent)?;
+    let tracer = RaySettings::for_images().occupancy(OCCUPANCY).tracer(&model.field, 0.0, &Silent)?;
     let renderer = VolumeRenderer { tracer, differentiation: None };
     let (mut psnrs, mut ssims, mut errors, mut unseen) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     for Held { camera, colors, distance } in &images.held_out {

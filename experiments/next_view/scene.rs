@@ -19,13 +19,13 @@ use crate::cup::cup;
 /// Width and height of the images that may be taken, pixels.
 const SIDE: u32 = 200;
 /// The same of held-out images.
-const TEST_SIDE: u32 = 100;
+const TEST_SIDE: u32 = 80;
 /// Images that may be taken.
 const VIEWS: u32 = 48;
 /// Held-out images, all around.
-const TEST_VIEWS: u32 = 12;
-/// Lego's images have twice the side, and its held-out images four times.
-const LEGO_STRIDE: u32 = 4;
+const TEST_VIEWS: u32 = 10;
+/// Lego's images have twice the side, and its held-out images five times.
+const LEGO_STRIDE: u32 = 5;
 /// Colour of surface without texture.
 const PLAIN: DVec3 = DVec3::splat(0.6);
 

@@ -25,7 +25,9 @@ pub const TAKE: usize = 2;
 pub const LEVEL: u8 = 6;
 const COUNT_LEVEL: u8 = 5;
 /// Rays of the field.
-pub const RAYS: u64 = 200_000;
+pub const RAYS: u64 = 100_000;
+/// Cells per axis of the grid that lets rays skip empty space.
+pub const OCCUPANCY: usize = 64;
 /// Pixels of a candidate, but for FisherRF.
 pub const PIXELS: u64 = 1024;
 /// Pixels of a candidate and of a training image whose derivatives FisherRF takes.
@@ -83,7 +85,8 @@ impl Strategy {
 
     /// The numbers of the candidates to take.
     pub fn choose(self, choice: &Choice) -> Result<Vec<usize>> {
-        let gain = |gain| Settings::default().take(TAKE).gain(gain).pixels(PIXELS).seed(choice.seed);
+        let gain =
+            |gain| Settings::default().take(TAKE).gain(gain).pixels(PIXELS).seed(choice.seed).occupancy(OCCUPANCY);
         match self {
             Self::Random => {
                 let mut order: Vec<usize> = (0..choice.candidates.len()).collect();
@@ -120,7 +123,8 @@ impl Choice<'_> {
 
     fn field(&self) -> Result<octobayes::uncertainty::UncertaintyField> {
         let grid = GridSettings::default().level(LEVEL).keep_sums(true).scale(Scale::Data(self.scale()?));
-        let rays = RaySettings::default().rays(RAYS).seed(self.seed);
+        // By the model's own derivatives.
+        let rays = RaySettings::for_images().rays(RAYS).seed(self.seed).occupancy(OCCUPANCY);
         Ok(Estimation::new(self.model, self.taken).rays(rays).grid(grid).domain(self.domain).run()?.field)
     }
 }
@@ -143,7 +147,7 @@ pub fn farthest(mut taken: Vec<Camera>, candidates: &[Camera], count: usize) -> 
 
 /// Those that show most of what few images showed: Σ over cells of surface in view of 1 / (1 + images so far).
 fn counted(choice: &Choice) -> Result<Vec<usize>> {
-    let tracer = RaySettings::for_images().tracer(choice.model, 0.0, &Silent)?;
+    let tracer = RaySettings::for_images().occupancy(OCCUPANCY).tracer(choice.model, 0.0, &Silent)?;
     let renderer = VolumeRenderer { tracer, differentiation: None };
     let lattice = GridSettings::default().level(COUNT_LEVEL).lattice(choice.domain)?;
     let offset = choice.model.pixel_offset();
