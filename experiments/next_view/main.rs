@@ -34,7 +34,7 @@ const START: usize = 3;
 const END: usize = 9;
 /// Trainings of a row after the first.
 const STAGES: usize = (END - START) / TAKE;
-const STEPS: u64 = 400;
+const STEPS: u64 = 300;
 /// Pixels of training images by which their noise is measured, about.
 const NOISE_PIXELS: usize = 10_000;
 /// Most that one pixel counts as an error of depth, scene units; also where the model shows nothing.
@@ -44,7 +44,7 @@ fn main() -> Result<()> {
     let program = Program::start("next_view", &[("strategies", Needs::Data)])?;
     program.part("strategies", |work| {
         let words = format!(
-            "{START} to {END} of 48 images, {TAKE} more after each training of {STEPS} steps; 200 × 200 pixels; field at \
+            "{START} to {END} of 36 images, {TAKE} more after each training of {STEPS} steps; 200 × 200 pixels; field at \
              level {LEVEL} from {RAYS} rays, `--scale data` with the noise of training; {PIXELS} pixels a candidate, \
              {FISHER_PIXELS} for FisherRF. Seeds 0 to {}.",
             SEEDS.len() - 1,

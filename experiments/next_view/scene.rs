@@ -21,7 +21,7 @@ const SIDE: u32 = 200;
 /// The same of held-out images.
 const TEST_SIDE: u32 = 80;
 /// Images that may be taken.
-const VIEWS: u32 = 48;
+const VIEWS: u32 = 36;
 /// Held-out images, all around.
 const TEST_VIEWS: u32 = 10;
 /// Lego's images have twice the side, and its held-out images five times.
@@ -128,7 +128,7 @@ fn read(text: &str) -> Result<Mesh> {
     Mesh::read(file.path())
 }
 
-/// Lego: every other image of the training cameras, and some test images, whose depth maps have steps of 0.03.
+/// Lego: every third image of the training cameras, and some test images, whose depth maps have steps of 0.03.
 fn lego() -> Result<Images> {
     let folder = Program::data()?.join("nerf-lego-400");
     let [shots, _] = DatasetFiles::read(&folder)?.load(&Silent)?;

@@ -25,11 +25,11 @@ pub const TAKE: usize = 2;
 pub const LEVEL: u8 = 6;
 const COUNT_LEVEL: u8 = 5;
 /// Rays of the field.
-pub const RAYS: u64 = 100_000;
+pub const RAYS: u64 = 50_000;
 /// Cells per axis of the grid that lets rays skip empty space.
 pub const OCCUPANCY: usize = 64;
 /// Pixels of a candidate, but for FisherRF.
-pub const PIXELS: u64 = 1024;
+pub const PIXELS: u64 = 512;
 /// Pixels of a candidate and of a training image whose derivatives FisherRF takes.
 pub const FISHER_PIXELS: u64 = 256;
 /// Every so many pixels of an image are counted, along x and y.

@@ -498,7 +498,7 @@ def accumulate(
     samples: an ``.npz`` file, or a dictionary of arrays: ``positions`` ``[N, 3]`` (scene units), ``jacobian``
     ``[N, 3, 3]`` (∂C_c/∂x_k, rows colour, columns axis), ``ray`` ``[N]`` (never decreasing), ``rays_total`` (all that
     were drawn), optional ``weight`` ``[N]``. scale='data' needs ``noise`` and ``training_pixels``, the number of
-    pixels of all training images. The other arguments are those of :func:`uncertainty`.
+    pixels of all training images, unless the file states it. The other arguments are those of :func:`uncertainty`.
     Raises ValueError or OSError.
     """
     options = {

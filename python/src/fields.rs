@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use numpy::{PyReadonlyArray1, PyReadonlyArray2};
 use octobayes::glam::Vec3;
-use octobayes::rays::MissingShards;
+use octobayes::rays::{MissingShards, SamplesReader};
 use octobayes::render::{RaySample, RaySamples};
 use octobayes::session::{Accumulation, ScaleKind, TrainingPixels, check_fields};
 use octobayes::uncertainty::{self, UncertaintyField};
@@ -80,14 +80,17 @@ pub fn accumulate(
     let options = Options(options);
     let none = || PyValueError::new_err("box: expected the box of the field, or contract, found neither");
     let domain = options.domain()?.ok_or_else(none)?;
-    let training = TrainingPixels { pixels: options.get("training_pixels")?, noise: None };
+    let path = samples.extract::<PathBuf>().ok();
+    let reader = path.map(|path| SamplesReader::open(&path)).transpose().or_raise()?;
+    let stated = reader.as_ref().and_then(SamplesReader::training_pixels);
+    let training = TrainingPixels { pixels: options.get("training_pixels")?.or(stated), noise: None };
     let scale = options.choice::<ScaleKind>("scale")?.unwrap_or_default();
     let scale = scale.over(&domain, options.get("noise")?, training).or_raise()?;
     let mut accumulation = Accumulation::new(options.grid()?.scale(scale), domain).or_raise()?;
     let mut texts = Vec::new();
     let mut tell = |remark| texts.push(said(remark));
-    let finished = if let Ok(path) = samples.extract::<PathBuf>() {
-        work(py, None, progress, |engine| accumulation.read(&path, engine.monitor(), &mut tell).map(computed))?
+    let finished = if let Some(reader) = reader {
+        work(py, None, progress, |engine| accumulation.read(&reader, engine.monitor(), &mut tell).map(computed))?
     } else {
         let (positions, jacobians, rays, weights, total) = samples.extract::<Arrays>()?;
         let batches =

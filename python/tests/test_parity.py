@@ -139,8 +139,8 @@ def test_accumulated_samples_are_the_same(desk, monkeypatch):
     octobayes(f"uncertainty m-0.safetensors {SMALL} -o theirs.oct --dump-samples theirs.npz")
     ob.uncertainty("m-0.safetensors", dump_samples="ours.npz", **SMALL_RUN)
     assert Path("ours.npz").read_bytes() == Path("theirs.npz").read_bytes()
-    options = "--box=-1,-1,-1,1,1,1 --level 5 --scale data --noise 0.05 --training-pixels 3456"
-    expected = json.loads(octobayes(f"accumulate theirs.npz {options} -o theirs.oct --json"))
+    options = "--box=-1,-1,-1,1,1,1 --level 5 --scale data --noise 0.05"
+    expected = json.loads(octobayes(f"uncertainty theirs.npz {options} -o theirs.oct --json"))
     field = ob.accumulate(
         "theirs.npz", box=[[-1] * 3, [1] * 3], level=5, scale="data", noise=0.05, training_pixels=3456, progress=False
     )

@@ -20,8 +20,17 @@ impl Given {
 
     /// Refuses the first of `options` that was given: it would have no effect.
     pub fn refuse(&self, options: &[&str], expected: &str, found: impl Into<String>) -> Result<()> {
-        match options.iter().find(|option| self.0.iter().any(|given| given == *option)) {
-            Some(option) => Err(Error::setting(*option, expected, found.into())),
+        self.refuse_those(|given| options.contains(&given), expected, found.into())
+    }
+
+    /// Refuses the first option that was given and is neither one of these nor one that all verbs have.
+    pub fn refuse_all_but(&self, options: &[&str], expected: &str, found: String) -> Result<()> {
+        self.refuse_those(|given| !options.contains(&given) && given != "--threads", expected, found)
+    }
+
+    fn refuse_those(&self, is_refused: impl Fn(&str) -> bool, expected: &str, found: String) -> Result<()> {
+        match self.0.iter().find(|given| is_refused(given)) {
+            Some(option) => Err(Error::setting(option.clone(), expected, found)),
             None => Ok(()),
         }
     }

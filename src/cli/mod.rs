@@ -11,7 +11,6 @@ macro_rules! announce {
     ($($arg:tt)*) => { crate::cli::streams::announce(format_args!($($arg)*)) };
 }
 
-mod accumulate;
 mod compare;
 mod completions;
 mod demo;
@@ -79,7 +78,6 @@ enum Verb {
     Demo(demo::Args),
     // Boxed: it has the most options.
     Uncertainty(Box<uncertainty::Args>),
-    Accumulate(accumulate::Args),
     Query(query::Args),
     Compare(compare::Args),
     Render(render::Args),
@@ -153,7 +151,6 @@ fn run(verb: Verb, given: &Given) -> Result<()> {
     match verb {
         Verb::Demo(args) => args.run(bars),
         Verb::Uncertainty(args) => args.run(given, bars),
-        Verb::Accumulate(args) => args.run(bars),
         Verb::Query(args) => args.run(bars),
         Verb::Compare(args) => args.run(),
         Verb::Render(args) => args.run(bars),

@@ -6,7 +6,7 @@ use glam::Vec3;
 
 use super::files::CommandFiles;
 use super::opened::OpenedField;
-use super::options::{CameraOptions, ModelArgument, heading, parse_bytes, parse_range};
+use super::options::{CameraOptions, ModelArgument, heading, parse_range};
 use super::progress::Bars;
 use super::render::bar_of;
 use super::report;
@@ -20,6 +20,9 @@ use crate::{Error, Result};
 
 /// Pixels looked at for the histogram, if the field holds no points on visible surfaces.
 const PIXELS: u64 = 50_000;
+/// Most cells along the longest edge, and bytes of the file, if no number of cells is given.
+const MOST_CELLS: u32 = 256;
+const DEFAULT_BYTES: usize = 6_000_000;
 
 /// Write a viewer: one HTML file that opens from disk in any browser
 ///
@@ -46,20 +49,15 @@ pub struct Args {
     #[arg(short, long, value_name = "VIEW.html", help_heading = heading::OUTPUT)]
     output: PathBuf,
 
-    /// Cells of the volume along the longest edge of the model's box, or of contracted space; fewer if they do not fit
-    /// into --size
+    /// Cells of the volume along the longest edge of the model's box, or of contracted space [default: as many as fit
+    /// into 6 MB, at most 256]
     #[arg(
         long,
         value_name = "N",
-        default_value_t = 256,
         value_parser = clap::value_parser!(u32).range(32..=1024),
         help_heading = heading::OUTPUT,
     )]
-    cells: u32,
-
-    /// Largest size of the file, such as 8MB
-    #[arg(long, value_name = "SIZE", default_value = "6MB", value_parser = parse_bytes, help_heading = heading::OUTPUT)]
-    size: u64,
+    cells: Option<u32>,
 
     /// Ends of the colour bar of log10 U [default: as in render]
     #[arg(
@@ -118,11 +116,8 @@ impl Args {
             range: bar_of(&field, self.range)?,
             title: &title,
         };
-        let Shown { cells, bytes, bricks, is_reduced } =
-            write_view(&self.output, &view, self.cells, self.size as usize, bars)?;
-        if is_reduced {
-            announce!("note: {cells} instead of {} cells along the longest edge, to fit into --size", self.cells);
-        }
+        let (cells, budget) = self.cells.map_or((MOST_CELLS, DEFAULT_BYTES), |cells| (cells, usize::MAX));
+        let Shown { cells, bytes, bricks } = write_view(&self.output, &view, cells, budget, bars)?;
         let bytes = report::bytes(bytes);
         say!("{}: {bytes}, {cells} cells along the longest edge, {bricks} bricks with matter", self.output.display())
     }

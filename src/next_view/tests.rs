@@ -241,6 +241,29 @@ fn the_trace_is_the_log_det_of_little_and_no_less_of_much() {
     assert!((1.0 - 1e-3..=1.0).contains(&ratio(1e-9)), "{}", ratio(1e-9));
 }
 
+/// A gain of one's own: the log det itself ranks as before, and that of vertices that no ray reached is a part of it.
+#[test]
+fn a_gain_of_ones_own_stands_for_that_of_a_vertex() {
+    let cameras = circle();
+    let training = field(&samples(&cameras[..2]), 2, &MaxLevels::none(6));
+    let Scale::Data(data) = training.protocol().scale else { panic!("the scale of the data") };
+    let scene = scene();
+    let next = || NextView::new(&scene, &training, &cameras[2..]).settings(settings().take(3));
+    let built_in = next().run().unwrap();
+    assert!(same(&built_in, &next().vertex_gain(&log_det).run().unwrap()));
+    let prior = data.precision(&[0.0; 6], 1);
+    let of_unseen = |p: &Information, added: &Information| if *p == prior { log_det(p, added) } else { 0.0 };
+    let unseen = next().vertex_gain(&of_unseen).run().unwrap();
+    let found = evidence(&training, &cameras[2..]);
+    let precision = training.precision().unwrap();
+    for ((part, whole), evidence) in unseen.gains.iter().zip(&built_in.gains).zip(&found) {
+        assert!(0.0 < *part && part < whole, "{part} of {whole}");
+        let new = evidence.added.iter().filter(|added| precision.before(added) == prior);
+        let expected: f64 = new.map(|added| log_det(&prior, &added.precision)).sum();
+        assert!((part / expected - 1.0).abs() < 1e-12, "{part}, {expected}");
+    }
+}
+
 #[test]
 fn threads_do_not_count() {
     let cameras = circle();

@@ -7,6 +7,8 @@
 //! - `rays_total`: integer scalar, the number of rays drawn, including those that hit nothing.
 //! - `weight` (optional): f32 `[N]`, the sample's weight in the pixel's colour, which identifies visible
 //!   surfaces.
+//! - `training_pixels` (optional): integer scalar, the number of pixels of all training images, for the scale of the
+//!   data.
 //!
 //! Reading and writing both stream: neither holds more than a few batches in memory.
 
@@ -80,7 +82,7 @@ impl SamplesWriter {
     ///
     /// # Errors
     /// If the disk is full.
-    pub fn finish(self, rays_total: u64) -> Result<()> {
+    pub fn finish(self, rays_total: u64, training_pixels: u64) -> Result<()> {
         let Self { target, parts, samples: n } = self;
         let mut npz = NpzWriter::create(&target)?;
         let float = f32::default_dtype();
@@ -103,6 +105,7 @@ impl SamplesWriter {
             std::io::copy(&mut data, member).map_err(failed())?;
         }
         npz.array("rays_total", &[], [rays_total as i64])?;
+        npz.array("training_pixels", &[], [training_pixels as i64])?;
         npz.finish()
     }
 }
@@ -111,11 +114,19 @@ impl SamplesWriter {
 pub struct SamplesReader {
     path: PathBuf,
     rays_total: u64,
+    training_pixels: Option<u64>,
     samples: u64,
     has_weights: bool,
 }
 
 impl SamplesReader {
+    /// True for an archive of arrays that holds Jacobians.
+    #[must_use]
+    pub fn is_samples(path: &Path) -> bool {
+        path.extension().is_some_and(|extension| extension == "npz")
+            && NpzReader::open(path).is_ok_and(|npz| npz.has("jacobian"))
+    }
+
     /// Opens a file and checks the shapes and types of its arrays.
     ///
     /// # Errors
@@ -132,14 +143,27 @@ impl SamplesReader {
         if has_weights {
             npz.stream::<Real>("weight")?.expect_shape(&[Some(samples)])?;
         }
-        let rays_total = read_rays_total(&mut npz, path)?;
-        Ok(Self { path: path.to_path_buf(), rays_total, samples, has_weights })
+        let rays_total = read_count(&mut npz, "rays_total", path)?;
+        let training_pixels =
+            npz.has("training_pixels").then(|| read_count(&mut npz, "training_pixels", path)).transpose()?;
+        Ok(Self { path: path.to_path_buf(), rays_total, training_pixels, samples, has_weights })
     }
 
     /// Number of rays drawn, including those that hit nothing.
     #[must_use]
     pub fn rays_total(&self) -> u64 {
         self.rays_total
+    }
+
+    /// The file.
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Number of pixels of all training images, if the file states it.
+    #[must_use]
+    pub fn training_pixels(&self) -> Option<u64> {
+        self.training_pixels
     }
 
     /// Number of samples in the file.
@@ -233,18 +257,17 @@ impl SamplesReader {
     }
 }
 
-/// Reads `rays_total` in any of NumPy's usual integer types, as a scalar or an array of one element.
-fn read_rays_total(npz: &mut NpzReader, path: &Path) -> Result<u64> {
-    let mut stream = npz.stream::<Index>("rays_total")?;
+/// Reads one number in any of NumPy's usual integer types, as a scalar or an array of one element.
+fn read_count(npz: &mut NpzReader, name: &str, path: &Path) -> Result<u64> {
+    let place = || format!("array `{name}`");
+    let mut stream = npz.stream::<Index>(name)?;
     // One number, whatever else the array claims to hold.
     let found = stream.shape().iter().product::<u64>();
     if found > 1 {
-        return Err(Error::malformed(path, "array `rays_total`", "one integer above 0", format!("{found} of them")));
+        return Err(Error::malformed(path, place(), "one integer above 0", format!("{found} of them")));
     }
     let value = stream.next_element()?.map(|Index(value)| value);
     // Reading past it verifies the archive's checksum.
     stream.next_element()?;
-    value
-        .filter(|&v| v > 0)
-        .ok_or_else(|| Error::malformed(path, "array `rays_total`", "one integer above 0", "none or less"))
+    value.filter(|&v| v > 0).ok_or_else(|| Error::malformed(path, place(), "one integer above 0", "none or less"))
 }

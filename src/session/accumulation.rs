@@ -48,13 +48,18 @@ impl Accumulation {
     ///
     /// # Errors
     /// If the file cannot be read, as [`Accumulation::finish`], or if the work was interrupted.
-    pub fn read(mut self, path: &Path, monitor: &dyn Monitor, tell: &mut dyn FnMut(Remark)) -> Result<Finished> {
-        let reader = SamplesReader::open(path)?;
+    pub fn read(
+        mut self,
+        reader: &SamplesReader,
+        monitor: &dyn Monitor,
+        tell: &mut dyn FnMut(Remark),
+    ) -> Result<Finished> {
         self.start = Instant::now();
         reader.run(monitor, |batches| {
             self.add(batches);
             Ok(())
         })?;
+        let path = reader.path();
         self.finish(path, &format!("samples {}", path.display()), reader.rays_total(), tell)
     }
 

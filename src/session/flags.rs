@@ -3,7 +3,7 @@
 use crate::Error;
 
 /// The library's name of a setting, and the flag that sets it.
-const FLAGS: [(&str, &str); 25] = [
+const FLAGS: [(&str, &str); 24] = [
     ("angle of view", "--fov"),
     ("candidates", "--candidates"),
     ("criteria", "--refine"),
@@ -14,7 +14,6 @@ const FLAGS: [(&str, &str); 25] = [
     ("depth encoding", "--depth-encoding"),
     ("error bars", "--error-bars"),
     ("groups of rays", "--error-bars"),
-    ("half of the scene", "--hemisphere"),
     ("kept sums", "--keep-sums"),
     ("lambda", "--lambda"),
     ("map", "--map"),

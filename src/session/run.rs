@@ -296,7 +296,7 @@ impl Prepared<'_> {
             tell(Remark::Warning(format!("{dropped} rays dropped, the field is not finite; first at {first:?}")));
         }
         if let Some(writer) = session.writer.take() {
-            writer.finish(progress.rays)?;
+            writer.finish(progress.rays, kept_pixels(&session.cameras, &session.masks))?;
         }
         let field = match residuals {
             Some(residuals) => field.with_residuals(residuals)?,

@@ -55,7 +55,7 @@ impl ScaleKind {
         }
         let missing =
             |flags, what| Error::setting("--scale data", what, format!("neither {flags} nor a model that knows"));
-        let pixels = training.pixels.ok_or_else(|| missing("--training-pixels", "the number of training pixels"))?;
+        let pixels = training.pixels.ok_or_else(|| missing("`training_pixels`", "the number of training pixels"))?;
         let noise = noise.or(training.noise);
         let noise = noise.ok_or_else(|| missing("--noise", "the noise that training left"))?;
         DataScale::new(pixels, noise, DataScale::default_prior_deviation(domain)).map(Scale::Data)

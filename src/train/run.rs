@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use super::{Background, Quality, Selection, Shot};
 use crate::Result;
-use crate::dataset::{Hemisphere, Views};
+use crate::dataset::Views;
 use crate::geometry::Domain;
 use crate::monitor::Monitor;
 
@@ -236,8 +236,6 @@ pub struct Description<S = super::TrainSettings> {
     pub cameras: u32,
     /// Selection of training images.
     pub views: Selection,
-    /// Half in which their cameras stand; `None` for all around.
-    pub hemisphere: Option<Hemisphere>,
     /// Number of training images.
     pub images: usize,
     /// All other settings.

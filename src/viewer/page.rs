@@ -89,8 +89,6 @@ pub struct Shown {
     pub bytes: usize,
     /// Bricks with matter.
     pub bricks: usize,
-    /// True if the budget made the cells coarser.
-    pub is_reduced: bool,
 }
 
 /// Writes the viewer: `cells` along the longest edge, or the largest number that fits into `budget` bytes.
@@ -121,11 +119,11 @@ pub fn write_view(path: &Path, view: &View, cells: u32, budget: usize, monitor: 
             let mut file = AtomicFile::create(path)?;
             file.write_all(page.as_bytes()).map_err(Error::io(path, "cannot write"))?;
             file.commit()?;
-            return Ok(Shown { cells: now, bytes: page.len(), bricks: count, is_reduced: now < cells });
+            return Ok(Shown { cells: now, bytes: page.len(), bricks: count });
         }
         if now <= COARSEST {
             let expected = format!("at least {} bytes, for {COARSEST} cells along the longest edge", page.len());
-            return Err(Error::setting("--size", expected, format!("{budget}")));
+            return Err(Error::setting("size of the viewer", expected, format!("{budget}")));
         }
         let fixed = page.len() - packed.bytes();
         let share = budget.saturating_sub(fixed) as f64 / packed.bytes() as f64;
@@ -296,13 +294,13 @@ mod tests {
     #[test]
     fn a_budget_is_kept_and_told() {
         let (whole, page) = written(64, 10_000_000, "ball").unwrap();
-        assert!(!whole.is_reduced && whole.cells == 64 && whole.bytes == page.len() && whole.bricks > 10, "{whole:?}");
+        assert!(whole.cells == 64 && whole.bytes == page.len() && whole.bricks > 10, "{whole:?}");
         let budget = whole.bytes - 10_000;
         let (less, page) = written(64, budget, "ball").unwrap();
-        assert!(less.is_reduced && less.cells < 64 && page.len() <= budget && less.bytes == page.len(), "{less:?}");
+        assert!(less.cells < 64 && page.len() <= budget && less.bytes == page.len(), "{less:?}");
         // The scripts alone are larger.
         let error = written(64, 10_000, "ball").unwrap_err().to_string();
-        assert!(error.contains("--size") && error.contains("32 cells"), "{error}");
+        assert!(error.contains("size of the viewer") && error.contains("32 cells"), "{error}");
     }
 
     #[test]

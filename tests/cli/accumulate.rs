@@ -28,7 +28,7 @@ fn samples_written_by_numpy_give_numpys_sums() {
         let samples = numpy.join("samples.npz");
         let [samples, out] = [&samples, &out].map(|p| p.to_str().unwrap());
         octobayes(&[
-            "accumulate",
+            "uncertainty",
             samples,
             "--box=-1,-1,-1,1,1,1",
             "--level",
@@ -115,7 +115,7 @@ fn dumped_samples_give_the_same_field_bit_for_bit() {
             &first,
         ]);
         octobayes(&[
-            "accumulate",
+            "uncertainty",
             &samples,
             "--box=-1,-1,-1,1,1,1",
             "--level",

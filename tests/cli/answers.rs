@@ -198,7 +198,7 @@ fn arrays_of_any_type_of_numbers_and_files_with_a_byte_order_mark_are_read() {
         }
         npz.array("rays_total", &[], [2_i16]);
         npz.finish();
-        desk.good(&format!("accumulate {name} --box=-1,-1,-1,1,1,1 --level 4 -o {name}.oct"));
+        desk.good(&format!("uncertainty {name} --box=-1,-1,-1,1,1,1 --level 4 -o {name}.oct"));
         UncertaintyField::read(&desk.path(&format!("{name}.oct"))).unwrap()
     };
     let [narrow, wide] = [write("narrow.npz", false), write("wide.npz", true)];

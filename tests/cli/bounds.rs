@@ -190,7 +190,7 @@ fn uncertainty() {
 #[test]
 fn accumulate() {
     let samples = format!("{FIELD} --dump-samples samples.npz");
-    try_all(&[&samples], "accumulate", "samples.npz --box=-1,-1,-1,1,1,1 --level 3 -o x.oct");
+    try_all(&[&samples], "uncertainty", "samples.npz --box=-1,-1,-1,1,1,1 --level 3 -o x.oct");
 }
 
 #[test]

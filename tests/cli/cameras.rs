@@ -252,7 +252,7 @@ fn a_field_of_unknown_origin_passes() {
     desk.good(&format!("train set -o m.safetensors --views 2 --steps 2 {SMALL}"));
     let jacobians = "--dump-samples samples.npz --box=-1,-1,-1,1,1,1";
     desk.good(&format!("uncertainty m.safetensors {jacobians} {RUN} -o own.oct"));
-    desk.good("accumulate samples.npz --box=-1,-1,-1,1,1,1 --level 4 -o unknown.oct");
+    desk.good("uncertainty samples.npz --box=-1,-1,-1,1,1,1 --level 4 -o unknown.oct");
     let model = |name: &str| desk.field(name).protocol().origin.model;
     assert!(model("own.oct").is_some() && model("unknown.oct").is_none());
     desk.good("render m.safetensors unknown.oct -o view.png");

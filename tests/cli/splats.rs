@@ -109,7 +109,7 @@ fn a_run_equals_the_sums_of_its_dumped_samples() {
     let folder = folder.path();
     let bounds = "--box=-0.8,-0.8,-0.8,0.8,0.8,0.8";
     good(folder, &format!("{RUN} {bounds} --dump-samples samples.npz -o run.oct"));
-    good(folder, &format!("accumulate samples.npz {bounds} --level 5 -o sums.oct"));
+    good(folder, &format!("uncertainty samples.npz {bounds} --level 5 -o sums.oct"));
     let [run, sums] = ["run.oct", "sums.oct"].map(|name| UncertaintyField::read(&folder.join(name)).unwrap());
     let compared = compare(&run, &sums, 5000, 1).unwrap();
     // Both may leave leaves coarser within the tolerance; the sums are the same.

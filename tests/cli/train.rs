@@ -169,9 +169,6 @@ fn views_members_and_what_is_wrong_with_them() {
         assert!(output.status.code() == Some(2) && stderr.contains("y.state: start: expected a file of"), "{stderr}");
     }
 
-    // The half circle is on the side x > 0.
-    let [stdout, _] = desk.good(&format!("train . -o half.safetensors --steps 2 --hemisphere right {SMALL}"));
-    assert!(stdout.contains("12 images"), "{stdout}");
     let [stdout, _] = desk.good(&format!("train . -o list.safetensors --steps 2 --views 0,2,11 {SMALL}"));
     assert!(stdout.contains("3 images"), "{stdout}");
 
@@ -186,10 +183,6 @@ fn views_members_and_what_is_wrong_with_them() {
         ("train . -o x.safetensors --steps 1 --views 13", "at most 12"),
         ("train . -o x.safetensors --steps 1 --views 0,12", "frame 12 (no "),
         ("train . -o x.safetensors --steps 1 --views 0,13", "from 0 to 12"),
-        (
-            "train . -o x.safetensors --steps 1 --hemisphere left",
-            "--hemisphere: expected a half that some training images were taken from",
-        ),
         ("train . -o x.safetensors --steps 1 --contract l3", "--contract"),
         ("train . -o x.safetensors --steps 1 --time 1s", "--time"),
         ("train no_images.json -o x.safetensors --steps 1", "images that exist"),

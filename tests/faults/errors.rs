@@ -364,6 +364,7 @@ impl Desk {
         let at = bytes.windows(4).position(|b| b == 0.1_f32.to_le_bytes()).unwrap();
         bytes[at] ^= 1;
         self.write("altered_samples.npz", bytes);
+        self.archive("no_positions.npz", &[("jacobian", &[2, 3, 3], 1.0)]);
         self.archive("flat_samples.npz", &[("positions", &[2, 3], 0.1), ("jacobian", &[2, 9], 1.0)]);
     }
 

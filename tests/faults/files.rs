@@ -15,7 +15,7 @@ const RUN: &str =
     "uncertainty model.npz --cameras cameras.json --level 4 --rays 600 --occupancy 16 --keep-sums --force";
 const RENDER: &str = "render model.npz field.oct --cameras cameras.json";
 const EVALUATE: &str = "evaluate model.npz field.oct --cameras cameras.json --depth . --depth-encoding 0,6 --views all";
-const ACCUMULATE: &str = "accumulate samples.npz --box=-1,-1,-1,1,1,1 --level 4";
+const ACCUMULATE: &str = "uncertainty samples.npz --box=-1,-1,-1,1,1,1 --level 4";
 const TRAIN: &str = "train cameras.json --steps 2 --log2-hashmap-size 8 --samples-per-step 1024";
 
 /// A folder with every kind of input.

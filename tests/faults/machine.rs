@@ -61,7 +61,7 @@ fn a_full_disk_leaves_what_was_there_and_nothing_else() {
     let commands = [
         format!("{RUN} --level 4 -o x.oct"),
         format!("{RUN} --level 4 -o y.oct --dump-samples x.npz"),
-        "accumulate samples.npz --box=-1,-1,-1,1,1,1 --level 4 --keep-sums -o x.oct".into(),
+        "uncertainty samples.npz --box=-1,-1,-1,1,1,1 --level 4 --keep-sums -o x.oct".into(),
         "export old.oct -o x.oct".into(),
         "export old.oct -o x.npy".into(),
         "merge old.oct new.oct -o x.oct".into(),

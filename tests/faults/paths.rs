@@ -112,7 +112,7 @@ fn pipes_are_refused_at_once_where_files_are_read() {
         ("query field.oct p.npy".into(), "p.npy"),
         ("info p.oct".into(), "p.oct"),
         ("export p.npy -o x.oct --box=-1,-1,-1,1,1,1".into(), "p.npy"),
-        ("accumulate p.npz --box=-1,-1,-1,1,1,1 -o x.oct".into(), "p.npz"),
+        ("uncertainty p.npz --box=-1,-1,-1,1,1,1 -o x.oct".into(), "p.npz"),
         ("merge field.oct p.oct -o x.oct".into(), "p.oct"),
         ("synth p.obj -o x".into(), "p.obj"),
         ("info p.safetensors".into(), "p.safetensors"),

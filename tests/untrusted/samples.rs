@@ -250,7 +250,7 @@ fn samples() -> Vec<u8> {
     written("samples.npz", |path| {
         let mut writer = SamplesWriter::create(path).unwrap();
         writer.add(&[ray_samples()]).unwrap();
-        writer.finish(10).unwrap();
+        writer.finish(10, 3456).unwrap();
     })
 }
 

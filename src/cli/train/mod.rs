@@ -18,7 +18,6 @@ use super::options::{
     count, heading, parse_background, parse_box, parse_contraction, parse_resolution, parse_time, parse_views,
 };
 use super::progress::Bars;
-use crate::dataset::Hemisphere;
 use crate::field::{HashGrid, HashGridConfig, RadianceField};
 use crate::geometry::{Aabb, Domain, Norm};
 use crate::monitor::Monitor;
@@ -86,11 +85,6 @@ pub struct Args {
     /// not held out]
     #[arg(long, value_name = "N|I,J,...|all", value_parser = parse_views, help_heading = heading::INPUT)]
     views: Option<Selection>,
-
-    /// Use only images taken from this half of the scene, seen from the front (y < 0; right is x > 0), around the
-    /// middle of its box
-    #[arg(long, value_enum, value_name = "HALF", help_heading = heading::INPUT, hide_short_help = true)]
-    hemisphere: Option<Hemisphere>,
 
     /// Number of training steps; the result is reproducible
     #[arg(
@@ -231,7 +225,7 @@ impl Args {
         self.command_files(&self.dataset).check()?;
         let mut files = DatasetFiles::read(&self.dataset)?;
         self.command_files(&files.path).input("DATASET", files.path.with_file_name("transforms_test.json")).check()?;
-        files.select(&self.views.clone().unwrap_or_default(), self.hemisphere)?;
+        files.select(&self.views.clone().unwrap_or_default(), None)?;
         announce!("note: {}", files.describe());
         let domain = self.domain(&files)?;
         let members = (0..self.members).map(|k| self.member(k, &files)).collect::<Result<Vec<_>>>()?;
@@ -320,7 +314,6 @@ impl Args {
             dataset: files.path.display().to_string(),
             cameras: Description::checksum(&files.path)?,
             views: self.views.clone().unwrap_or_default(),
-            hemisphere: self.hemisphere,
             images: files.names().len(),
             settings,
             domain,

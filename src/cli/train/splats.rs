@@ -109,7 +109,7 @@ impl Args {
         let mut files = DatasetFiles::read(&self.dataset)?;
         let partner = files.path.with_file_name("transforms_test.json");
         command_files(&files.path).input("DATASET", partner).check()?;
-        files.select(&self.views.clone().unwrap_or_default(), self.hemisphere)?;
+        files.select(&self.views.clone().unwrap_or_default(), None)?;
         announce!("note: {}", files.describe());
         let domain = self.domain(&files)?;
         let [train, held_out] = files.load(bars)?;

@@ -1,5 +1,7 @@
 //! `uncertainty`: from a model and its cameras to a field.
 
+mod samples;
+
 use std::path::PathBuf;
 
 use glam::Vec3;
@@ -19,7 +21,7 @@ use crate::evaluate::TrainingImages;
 use crate::octree::Tile;
 use crate::open::Model;
 use crate::posterior::Criterion;
-use crate::rays::Pixels;
+use crate::rays::{Pixels, SamplesReader};
 use crate::render::{GradientMethod, Occupancy};
 use crate::session::{Needs, OpenedModel, Session};
 use crate::splats::RenderMode;
@@ -30,6 +32,12 @@ use crate::{Error, Result};
 /// Draws training rays, differentiates their pixels with respect to displacements of space, and sums the squares
 /// at each deformation vertex. The cameras must be those that the model was trained on: a model of `train` stores
 /// them, others need --cameras. `query`, `render`, `compare` and `evaluate` read the resulting field.
+///
+/// An .npz of ray samples whose Jacobians were computed elsewhere stands in place of MODEL: it needs --box or
+/// --contract, and no cameras. It holds `positions` (f32, N x 3, scene units); `jacobian` (f32, N x 3 x 3, dC_c/dx_k,
+/// rows colour, columns axis); `ray` (u64, N, the index of each sample's ray, never decreasing); and `rays_total`, the
+/// number of rays drawn, including those that hit nothing. `weight` (f32, N, the sample's share of the pixel) is
+/// optional, and `training_pixels` is for --scale data. The file may be larger than memory.
 #[derive(clap::Args)]
 #[command(after_help = "Examples (a model of `train` knows its cameras):\n  \
     octobayes uncertainty lego.safetensors -o lego.oct --rays 409600\n  \
@@ -201,7 +209,7 @@ pub struct Args {
     #[arg(long, requires = "checkpoint", help_heading = heading::OUTPUT, hide_short_help = true)]
     restart: bool,
 
-    /// Also write the ray samples with their Jacobians, in the format that `accumulate` reads
+    /// Also write the ray samples with their Jacobians, which this command reads in place of a model
     ///
     /// Samples whose Jacobian is zero are left out, so that weights do not add up to the opacity.
     // Under a memory budget a run may start again, and would write its first rays twice.
@@ -259,6 +267,9 @@ fn parse_shard(text: &str) -> std::result::Result<[u64; 2], String> {
 impl Args {
     /// Runs the verb.
     pub fn run(mut self, given: &Given, bars: &Bars) -> Result<()> {
+        if SamplesReader::is_samples(self.model.model.as_ref()) {
+            return self.of_samples(given, bars);
+        }
         self.cameras.find(Part::Training);
         self.command_files().check()?;
         let model = OpenedModel::for_cameras(&self.model.model, self.cameras.cameras.is_some(), self.splat_mode)?;

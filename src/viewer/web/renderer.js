@@ -40,7 +40,7 @@ class Renderer {
     const most = gl.getParameter(gl.MAX_3D_TEXTURE_SIZE);
     if (side > most) {
       const found = `This device holds 3D textures of ${most} texels a side; the volume needs ${side}.`;
-      throw new Error(`${found} Write it with a smaller --size.`);
+      throw new Error(`${found} Write it with fewer --cells.`);
     }
     gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
     const volumeTexture = (unit, inner, outer, size, bytes, filter, type = gl.UNSIGNED_BYTE) => {

@@ -1,0 +1,54 @@
+//! From ray samples whose Jacobians were computed elsewhere to a field.
+
+use std::path::Path;
+
+use super::Args;
+use crate::cli::files::CommandFiles;
+use crate::cli::given::Given;
+use crate::cli::options::{ScaleOptions, check_field_name};
+use crate::cli::progress::Bars;
+use crate::cli::report;
+use crate::cli::streams::tell;
+use crate::rays::SamplesReader;
+use crate::session::{Accumulation, TrainingPixels};
+use crate::{Error, Result};
+
+/// The options that samples leave open; all others are about a model and its rays.
+const OPEN: [&str; 12] = [
+    "--box",
+    "--contract",
+    "--level",
+    "--grid",
+    "--tolerance",
+    "--covariance",
+    "--scale",
+    "--noise",
+    "--min-rays",
+    "--keep-sums",
+    "--output",
+    "--json",
+];
+
+impl Args {
+    /// Sums up the samples of a file.
+    pub(super) fn of_samples(&self, given: &Given, bars: &Bars) -> Result<()> {
+        let samples = Path::new(&self.model.model);
+        let found = || format!("samples in {}", samples.display());
+        given.refuse_all_but(&OPEN, "a model, whose rays are drawn", found())?;
+        let Some(output) = &self.output else {
+            return Err(Error::setting("--output", "a name for the field", "none"));
+        };
+        CommandFiles::default().input("MODEL", samples).output("--output", output).check()?;
+        check_field_name(output)?;
+        let neither = || Error::setting("--box", "the box of the field, or --contract", "neither");
+        let domain = self.domain.chosen()?.ok_or_else(neither)?;
+        let reader = SamplesReader::open(samples)?;
+        let ScaleOptions { scale, noise } = self.grid.scale;
+        let training = TrainingPixels { pixels: reader.training_pixels(), noise: None };
+        let scale = scale.over(&domain, noise, training)?;
+        let accumulation = Accumulation::new(self.grid.settings().scale(scale), domain)?;
+        let finished = accumulation.read(&reader, bars, &mut tell)?;
+        finished.save(output)?;
+        report::finished(&finished, self.json)
+    }
+}
