@@ -22,14 +22,14 @@ use crate::common::fisher::{Diagonal, LAMBDA};
 /// Images that are taken between two trainings.
 pub const TAKE: usize = 2;
 /// Level of the field, and of the cells that coverage counts.
-pub const LEVEL: u8 = 6;
+pub const LEVEL: u8 = 5;
 const COUNT_LEVEL: u8 = 5;
 /// Rays of the field.
 pub const RAYS: u64 = 50_000;
 /// Cells per axis of the grid that lets rays skip empty space.
 pub const OCCUPANCY: usize = 64;
 /// Pixels of a candidate, but for FisherRF.
-pub const PIXELS: u64 = 512;
+pub const PIXELS: u64 = 2048;
 /// Pixels of a candidate and of a training image whose derivatives FisherRF takes.
 pub const FISHER_PIXELS: u64 = 256;
 /// Every so many pixels of an image are counted, along x and y.
@@ -44,10 +44,11 @@ pub enum Strategy {
     Fisher,
     Trace,
     LogDet,
+    LogDetTight,
     LogDetUnseen,
 }
 
-pub const STRATEGIES: [Strategy; 8] = [
+pub const STRATEGIES: [Strategy; 9] = [
     Strategy::Random,
     Strategy::Farthest,
     Strategy::Count,
@@ -55,8 +56,11 @@ pub const STRATEGIES: [Strategy; 8] = [
     Strategy::Fisher,
     Strategy::Trace,
     Strategy::LogDet,
+    Strategy::LogDetTight,
     Strategy::LogDetUnseen,
 ];
+/// By how much the prior of one strategy is tighter than the default.
+const TIGHTER: f64 = 10.0;
 
 /// A model with the cameras that it was trained on and those that may be next.
 pub struct Choice<'a> {
@@ -79,6 +83,7 @@ impl Strategy {
             Self::Fisher => "FisherRF",
             Self::Trace => "trace",
             Self::LogDet => "log det",
+            Self::LogDetTight => "log det, τ / 10",
             Self::LogDetUnseen => "log det, never seen",
         }
     }
@@ -98,13 +103,14 @@ impl Strategy {
             Self::Count => counted(choice),
             Self::Fisher => Ok(fisher(choice)),
             Self::Cover => {
-                let field = choice.field()?;
+                let field = choice.field(1.0)?;
                 let view = NextView::new(choice.model, &field, choice.candidates).training(choice.taken);
                 Ok(view.settings(gain(Gain::Coverage)).run()?.steps.iter().map(|step| step.index).collect())
             }
-            Self::Trace | Self::LogDet | Self::LogDetUnseen => {
-                let field = choice.field()?;
-                let prior = choice.scale()?.precision(&[0.0; 6], 1)[0];
+            Self::Trace | Self::LogDet | Self::LogDetTight | Self::LogDetUnseen => {
+                let tighter = if self == Self::LogDetTight { TIGHTER } else { 1.0 };
+                let field = choice.field(tighter)?;
+                let prior = choice.scale(tighter)?.precision(&[0.0; 6], 1)[0];
                 let is_prior = |p: &Information| p[0] + p[3] + p[5] <= 3.0 * prior * (1.0 + 1e-9);
                 let unseen = |p: &Information, d: &Information| if is_prior(p) { log_det(p, d) } else { 0.0 };
                 let settings = gain(if self == Self::Trace { Gain::Trace } else { Gain::Logdet });
@@ -117,12 +123,15 @@ impl Strategy {
 }
 
 impl Choice<'_> {
-    fn scale(&self) -> Result<DataScale> {
-        DataScale::from_cameras(self.taken, DataScale::noise_of(self.psnr), &self.domain)
+    /// The scale of the data, with a prior so many times tighter than the default.
+    fn scale(&self, tighter: f64) -> Result<DataScale> {
+        let pixels = self.taken.iter().map(Camera::pixels).sum();
+        let deviation = DataScale::default_prior_deviation(&self.domain) / tighter;
+        DataScale::new(pixels, DataScale::noise_of(self.psnr), deviation)
     }
 
-    fn field(&self) -> Result<octobayes::uncertainty::UncertaintyField> {
-        let grid = GridSettings::default().level(LEVEL).keep_sums(true).scale(Scale::Data(self.scale()?));
+    fn field(&self, tighter: f64) -> Result<octobayes::uncertainty::UncertaintyField> {
+        let grid = GridSettings::default().level(LEVEL).keep_sums(true).scale(Scale::Data(self.scale(tighter)?));
         // By the model's own derivatives.
         let rays = RaySettings::for_images().rays(RAYS).seed(self.seed).occupancy(OCCUPANCY);
         Ok(Estimation::new(self.model, self.taken).rays(rays).grid(grid).domain(self.domain).run()?.field)
