@@ -30,7 +30,7 @@
 //! - [`session`] runs it as the command line and Python do: from files to files, with checks and remarks.
 //! - [`next_view`] ranks cameras by how much their images, not yet taken, would constrain the displacements.
 //! - [`evaluate`] checks whether U ranks the depth error of held-out views, beside measures that need no Hessian.
-//! - [`metrics`] has the formulas for that, and those of image quality; [`picture`] draws numbers.
+//! - [`metrics`] has the formulas for that, and those of image quality.
 //!
 //! Input comes from these:
 //!
@@ -80,7 +80,7 @@
 //! | `export` | [`export`]; with `files` |
 //! | `train` | [`train`], and [`field::HashGrid`] that it trains; with `files` |
 //! | `synth` | [`synth`]; with `files` and `exr` |
-//! | `cli` | the program, and [`picture`]; with all others. The default |
+//! | `cli` | the program, and its pictures; with all others. The default |
 //!
 //! # Versions
 //!
@@ -88,7 +88,8 @@
 //! interface and a patch version may not, by the rules that Cargo applies. Settings are built with setters and enums
 //! may gain variants, so that most additions break nothing. [`glam`] is part of the interface and re-exported: its
 //! major versions are ours. Field files state the version of their format, and a reader rejects unknown
-//! versions.
+//! versions. What these pages do not show is for this crate's own program and experiments, and may change at any
+//! time.
 //!
 //! # What holds
 //!
@@ -128,6 +129,7 @@ pub mod octree;
 #[cfg(feature = "files")]
 pub mod open;
 #[cfg(feature = "cli")]
+#[doc(hidden)]
 pub mod picture;
 pub mod posterior;
 pub mod rays;

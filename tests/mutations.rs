@@ -49,6 +49,8 @@ fn allowance(kind: Kind, length: usize) -> usize {
 /// Reads a file twice: once to count memory, once to use the result.
 fn read(kind: Kind, folder: &Path, bytes: &[u8]) -> octobayes::Result<()> {
     let path = folder.join(kind.file_name());
+    // Some file systems write a file to the disk at once if it is truncated, and not if it is new.
+    let _ = std::fs::remove_file(&path);
     std::fs::write(&path, bytes).unwrap();
     let region = Region::new(ALLOCATOR);
     probe::open(kind, &path);

@@ -38,8 +38,8 @@ pub struct GridSettings {
     /// Largest change of log10 U due to coarse leaves. Smaller values keep more vertices; 0 keeps all that any
     /// ray moved.
     pub tolerance: f64,
-    /// Approximate ray count below which a vertex borrows from its neighbours ([`crate::posterior::Pooling`]). 0
-    /// pools nothing, as on the dense grid of the paper.
+    /// Approximate ray count below which a vertex borrows from its neighbours. 0 pools nothing, as on the
+    /// dense grid of the paper.
     pub min_rays: f64,
     /// Criteria for refining the octree.
     pub criteria: Criteria,

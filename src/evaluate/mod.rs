@@ -22,18 +22,27 @@ mod truth;
 mod view;
 
 pub use clean_up::{CleanUp, SCALE, THRESHOLDS, clean_up};
-pub use depth_files::{DepthFiles, FramesWithDepth};
+pub use depth_files::DepthFiles;
 pub use image_check::{ImageCheck, check_images, check_splat_images};
 pub use interval::Interval;
 pub use judge::{Evaluation, Judged, Prepared, Remark};
-pub use measure::{Baseline, Measure, Reading};
+pub use measure::Reading;
 pub use report::{Inside, NeverSeen, Report, Scored, ViewReport};
 pub use residuals::{TrainingImages, measure_residuals};
 pub use score::{ByError, DepthError, Score};
 pub use shown::ShownModel;
 pub(crate) use training_views::Sighting;
+
+// The parts of an evaluation, for this crate's experiments.
+#[doc(hidden)]
+pub use depth_files::FramesWithDepth;
+#[doc(hidden)]
+pub use measure::{Baseline, Measure};
+#[doc(hidden)]
 pub use training_views::TrainingViews;
+#[doc(hidden)]
 pub use truth::{DepthMeaning, TrueView};
+#[doc(hidden)]
 pub use view::{EvaluatedView, Evaluator};
 
 #[cfg(test)]

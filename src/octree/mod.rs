@@ -73,6 +73,7 @@ impl Corner {
 }
 
 /// The leaf around a point, with everything needed to interpolate there.
+#[cfg(test)]
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Located {
     /// The leaf that contains the point.
@@ -202,6 +203,7 @@ impl Octree {
 
     /// The leaf, corners and weights at lattice coordinates `u` in `[0, M]`³.
     #[must_use]
+    #[cfg(test)]
     pub fn locate(&self, u: DVec3) -> Located {
         let mut cursor = self.cursor();
         cursor.seek(u);

@@ -21,13 +21,16 @@ mod visits;
 pub use covariance::Covariance;
 pub(crate) use covariance::negligible_information;
 pub use dense::DensePosterior;
+pub(crate) use deviations::Reading;
+pub use deviations::Support;
 pub(crate) use deviations::{LocalSums, comparable};
-pub use deviations::{Reading, Support};
+// How a file stores sums, for the experiment that measures what that costs.
+#[doc(hidden)]
 pub use factor::FactoredSums;
 pub(crate) use octree::{AT_ONCE, CONTRIBUTION_BYTES, spare_bytes};
 pub use octree::{Criteria, Criterion, OctreePosterior};
 pub(crate) use octree::{Needs, PilotCounts, Refinement, SpeciesEstimate};
-pub use pooling::Pooling;
+pub(crate) use pooling::Pooling;
 pub use scale::{DataScale, Scale};
 pub use visits::Visits;
 

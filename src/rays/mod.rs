@@ -16,10 +16,14 @@ mod source;
 mod stream;
 
 pub use missing::MissingShards;
-pub use pixels::{Pick, PixelSequence, Pixels};
+pub use pixels::Pixels;
+// The parts of a stream, for this crate's experiments and tests.
+#[doc(hidden)]
+pub use pixels::{Pick, PixelSequence};
 #[cfg(feature = "files")]
 pub use samples_file::{SamplesReader, SamplesWriter};
-pub use seeds::Purpose;
+pub(crate) use seeds::Purpose;
 pub use shard::{Draw, RunProgress, Shard};
+#[doc(hidden)]
 pub use source::{RaySource, VolumeRays};
 pub use stream::{End, MAX_DROPPED_SHARE, RayStream, SURFACE_WEIGHT};

@@ -49,12 +49,14 @@ pub enum End<B> {
 /// Draws pixels from all training images and differentiates them.
 pub struct RayStream<'a> {
     /// The model.
+    #[doc(hidden)]
     pub source: RaySource<'a>,
     /// Training cameras, at least one.
     pub cameras: &'a [Camera],
     /// Position of rays within their pixel; ½ is the centre.
     pub pixel_offset: f64,
     /// The pixels in their order.
+    #[doc(hidden)]
     pub pixels: PixelSequence,
     /// Rays that miss this box are drawn and counted, but neither traced nor passed on.
     pub reach: Option<Aabb>,
@@ -123,7 +125,7 @@ impl<'a> RayStream<'a> {
 
     /// The same stream with the pixels that its run draws for another purpose.
     #[must_use]
-    pub fn for_purpose(&self, purpose: Purpose) -> RayStream<'a> {
+    pub(crate) fn for_purpose(&self, purpose: Purpose) -> RayStream<'a> {
         self.with_pixels(self.pixels.kind(), purpose.seed(self.pixels.seed()))
     }
 

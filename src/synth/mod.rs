@@ -5,9 +5,9 @@
 //! and stored as f32. Radiance is a fixed function of position: a point has the same colour from anywhere. The
 //! scene lies in the box [−1, 1]³ with z up; front is −y, right is +x.
 //!
-//! In the order in which data flows: [`Mesh`] is read and placed. [`MeshScene`] intersects rays. [`LitScene`]
-//! gives hits a colour. [`viewpoints()`] places cameras. [`trace_view`] makes a picture. [`write_dataset`]
-//! writes all of it to a folder.
+//! In the order in which data flows: [`Mesh`] is read and placed. [`MeshScene`] intersects rays. Sun, sky
+//! and ground give hits a colour. [`viewpoints()`] places cameras. [`write_dataset`] writes pictures and depth to a
+//! folder.
 
 mod mesh;
 mod shade;
@@ -22,10 +22,7 @@ mod viewpoints;
 mod write;
 
 pub use mesh::{HALF_HEIGHT, Mesh, Placement, RADIUS, Up};
-pub use shade::LitScene;
 pub use texture::Texture;
 pub use trace::{GROUND_RADIUS, Hit, MeshScene, Surface};
-pub use triangle::{Crossing, ShearedRay};
-pub use view::{PixelSampling, TracedView, trace_view};
 pub use viewpoints::{ANGLE, DISTANCE, TARGET, viewpoints};
 pub use write::{DEPTH_PNG_SCALE, DatasetSettings, write_dataset};

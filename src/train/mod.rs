@@ -20,6 +20,8 @@ mod trainer;
 mod views;
 
 pub use crate::dataset::Selection;
+// For the experiment that compares measures with the gradients of all parameters.
+#[doc(hidden)]
 pub use pixel_gradient::{PixelGradient, PixelGradients};
 pub use quality::{Quality, one_color, quality, quality_within};
 pub use run::{Budget, Description, Finished, Progress, Run, StateFile, Training};

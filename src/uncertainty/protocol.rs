@@ -78,7 +78,7 @@ impl Protocol {
 
     /// How the sums of these rays are read as deviations.
     #[must_use]
-    pub fn reading(&self) -> Reading {
+    pub(crate) fn reading(&self) -> Reading {
         let Self { covariance, scale, lambda, rays, min_rays, tolerance, .. } = *self;
         Reading { covariance, scale, lambda, rays, min_rays, tolerance }
     }

@@ -1,7 +1,6 @@
 use std::fmt::Write;
 
 use glam::DVec3;
-use proptest::prelude::*;
 
 use super::*;
 use crate::dataset::{Purpose, write_transforms};
@@ -293,37 +292,4 @@ fn lists_of_training_images_beside_the_pictures_count() {
     let training: Vec<usize> =
         frames.iter().filter(|frame| frame.purpose == Some(Purpose::Training)).map(|frame| frame.index).collect();
     assert_eq!(training, [0, 4]);
-}
-
-/// Everything that is read from mutated files is finite, and nothing panics.
-fn use_mutated(extension: &str, lenses: &[u8], images: &[u8]) {
-    let folder = tempfile::tempdir().unwrap();
-    write(folder.path(), extension, [lenses, images]);
-    if let Ok(views) = Views::read(folder.path(), None) {
-        for frame in views.frames {
-            assert!(frame.camera.position.is_finite() && frame.camera.axes.is_finite(), "{:?}", frame.camera);
-            assert!(frame.camera.focal.iter().all(|f| f.is_finite() && *f > 0.0), "{:?}", frame.camera);
-        }
-    }
-}
-
-proptest! {
-    #![proptest_config(ProptestConfig::with_cases(2000))]
-
-    #[test]
-    fn mutated_files_never_panic(
-        is_binary: bool, in_images: bool, changes in proptest::collection::vec((0_usize..2000, any::<u8>()), 1..4),
-        cut in 0_usize..4000,
-    ) {
-        let cameras = cameras();
-        let mut files: [Vec<u8>; 2] =
-            if is_binary { as_binary(&cameras) } else { as_text(&cameras).map(String::into_bytes) };
-        let file = &mut files[usize::from(in_images)];
-        for (at, byte) in changes {
-            let length = file.len();
-            file[at % length] = byte;
-        }
-        file.truncate(cut);
-        use_mutated(if is_binary { "bin" } else { "txt" }, &files[0], &files[1]);
-    }
 }
