@@ -22,6 +22,7 @@ mod viewpoints;
 mod write;
 
 pub use mesh::{HALF_HEIGHT, Mesh, Placement, RADIUS, Up};
+pub use shade::LitScene;
 pub use texture::Texture;
 pub use trace::{GROUND_RADIUS, Hit, MeshScene, Surface};
 pub use viewpoints::{ANGLE, DISTANCE, TARGET, viewpoints};
