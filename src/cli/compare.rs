@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use serde_json::json;
 
 use super::opened::OpenedField;
-use super::options::{MOST_KEPT, count};
+use super::options::{MAX_KEPT_COUNT, count};
 use super::report;
 use super::streams::tell;
 use crate::Result;
@@ -24,7 +24,7 @@ pub struct Args {
     b: PathBuf,
 
     /// Random points in the box, and at most as many on surfaces
-    #[arg(long, value_name = "N", default_value_t = Comparison::POINTS, value_parser = count::<usize>(..=MOST_KEPT))]
+    #[arg(long, value_name = "N", default_value_t = Comparison::POINTS, value_parser = count::<usize>(..=MAX_KEPT_COUNT))]
     points: usize,
 
     /// Read this covariance off both fields

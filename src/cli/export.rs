@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use super::files::CommandFiles;
 use super::given::Given;
 use super::opened::OpenedField;
-use super::options::{CameraOptions, MOST_KEPT, OfficialOptions, UTF_8, count, heading, parse_positive};
+use super::options::{CameraOptions, MAX_KEPT_COUNT, OfficialOptions, UTF_8, count, heading, parse_positive};
 use super::progress::Bars;
 use super::report;
 use super::streams::tell;
@@ -68,7 +68,7 @@ pub struct Args {
         long,
         value_name = "N",
         default_value_t = Surfaces::PIXELS,
-        value_parser = count::<u64>(1..=MOST_KEPT),
+        value_parser = count::<u64>(1..=MAX_KEPT_COUNT),
         help_heading = heading::OUTPUT,
         hide_short_help = true,
     )]

@@ -20,7 +20,7 @@ use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
 
 /// Most candidates and views.
-const MOST: i64 = 100_000;
+const MAX_COUNT: i64 = 100_000;
 
 /// Rank cameras by what their images, not yet taken, would tell
 ///
@@ -57,7 +57,7 @@ pub struct Args {
     #[arg(
         long,
         value_name = "N",
-        value_parser = clap::value_parser!(u32).range(1..=MOST),
+        value_parser = clap::value_parser!(u32).range(1..=MAX_COUNT),
         conflicts_with = "candidates",
         help_heading = heading::INPUT,
     )]
@@ -71,7 +71,7 @@ pub struct Args {
     #[arg(
         long,
         value_name = "N",
-        value_parser = clap::value_parser!(u32).range(1..=MOST),
+        value_parser = clap::value_parser!(u32).range(1..=MAX_COUNT),
         conflicts_with_all = ["candidates", "sphere"],
         help_heading = heading::INPUT,
     )]
@@ -85,7 +85,7 @@ pub struct Args {
         long,
         value_name = "N",
         default_value_t = 1,
-        value_parser = clap::value_parser!(u32).range(1..=MOST),
+        value_parser = clap::value_parser!(u32).range(1..=MAX_COUNT),
         help_heading = heading::STATISTICS,
     )]
     take: u32,

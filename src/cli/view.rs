@@ -21,8 +21,8 @@ use crate::{Error, Result};
 /// Pixels looked at for the histogram, if the field holds no points on visible surfaces.
 const PIXELS: u64 = 50_000;
 /// Most cells along the longest edge, and bytes of the file, if no number of cells is given.
-const MOST_CELLS: u32 = 256;
-const DEFAULT_BYTES: usize = 6_000_000;
+const MAX_DEFAULT_CELLS: u32 = 256;
+const MAX_DEFAULT_BYTES: usize = 6_000_000;
 
 /// Write a viewer: one HTML file that opens from disk in any browser
 ///
@@ -116,7 +116,7 @@ impl Args {
             range: bar_of(&field, self.range)?,
             title: &title,
         };
-        let (cells, budget) = self.cells.map_or((MOST_CELLS, DEFAULT_BYTES), |cells| (cells, usize::MAX));
+        let (cells, budget) = self.cells.map_or((MAX_DEFAULT_CELLS, MAX_DEFAULT_BYTES), |cells| (cells, usize::MAX));
         let Shown { cells, bytes, bricks } = write_view(&self.output, &view, cells, budget, bars)?;
         let bytes = report::bytes(bytes);
         say!("{}: {bytes}, {cells} cells along the longest edge, {bricks} bricks with matter", self.output.display())

@@ -41,7 +41,7 @@ pub struct DepthReadings {
 
 /// Of so many pixels at least one must hold a measurement. Otherwise the maps are in another unit, or of something
 /// else.
-const FEWEST: u64 = 100;
+const MIN_READINGS: u64 = 100;
 
 impl DepthReadings {
     /// Counts a pixel.
@@ -76,7 +76,7 @@ impl DepthReadings {
     /// Returns true if nearly all pixels are without a measurement: more than 99 of 100.
     #[must_use]
     pub fn are_nearly_all_unmeasured(&self) -> bool {
-        FEWEST * self.measured < self.total()
+        MIN_READINGS * self.measured < self.total()
     }
 }
 
@@ -109,10 +109,10 @@ impl LargestDepth {
     const ROUNDING: f64 = 1e-12;
 
     /// Of surfaces, hardly any two pixels have the same depth; a wall of 8-bit maps may be an exception.
-    const MOST_OF_SURFACES: f64 = 0.02;
+    const MAX_SHARE_OF_SURFACES: f64 = 0.02;
 
     /// Fewer pixels may agree by chance.
-    const FEWEST: u64 = 100;
+    const MIN_READINGS: u64 = 100;
 
     /// Counts pixels of this depth.
     pub fn count(&mut self, other: Self) {
@@ -128,7 +128,7 @@ impl LargestDepth {
     pub fn doubt(&self, measured: u64) -> Option<String> {
         let share = self.pixels as f64 / measured.max(1) as f64;
         let percent = 100.0 * share;
-        (share > Self::MOST_OF_SURFACES && self.pixels >= Self::FEWEST).then(|| {
+        (share > Self::MAX_SHARE_OF_SURFACES && self.pixels >= Self::MIN_READINGS).then(|| {
             format!(
                 "{percent:.1} % of the depths are exactly {}, the largest of all: if it stands for no surface, as a \
                  far plane does, write 0 or inf there",

@@ -37,12 +37,12 @@ pub const SURFACE_POINTS: usize = 16_384;
 const SURFACE_RAYS: u64 = SURFACE_POINTS as u64 / 4;
 
 /// Maximal number of cells that criteria other than sensitivity may ask for: 3 GB of their keys.
-const MOST_WANTED: u64 = 1 << 27;
+const MAX_WANTED_CELLS: u64 = 1 << 27;
 
 /// All finest cells.
 fn every_cell(lattice: &Lattice) -> Result<Vec<Cell>> {
     let level = lattice.level();
-    if 1_u64 << (3 * u32::from(level)) > MOST_WANTED {
+    if 1_u64 << (3 * u32::from(level)) > MAX_WANTED_CELLS {
         return Err(Error::setting("criterion `uniform`", "a level up to 9", level.to_string()));
     }
     let cell = |code| Cell { level, index: morton::decode(code) };
@@ -138,9 +138,13 @@ impl<P: Finish> Builder<P> {
             .map(|u| morton::encode(self.lattice.cell(u).0.map(|i| i >> (self.lattice.level() - level))))
             .collect();
         let depth = 3 * u32::from(self.lattice.level() - level);
-        if coarse.len() as u64 >= MOST_WANTED >> depth {
+        if coarse.len() as u64 >= MAX_WANTED_CELLS >> depth {
             let found = format!("{:.1e} finest cells", coarse.len() as f64 * f64::from(depth).exp2());
-            return Err(Error::setting("criterion `density`", format!("at most {MOST_WANTED} finest cells"), found));
+            return Err(Error::setting(
+                "criterion `density`",
+                format!("at most {MAX_WANTED_CELLS} finest cells"),
+                found,
+            ));
         }
         let finest = coarse.iter().flat_map(|&code| (code << depth)..((code + 1) << depth));
         self.wanted.extend(finest.map(|code| Cell { level: self.lattice.level(), index: morton::decode(code) }));

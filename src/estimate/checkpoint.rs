@@ -158,7 +158,7 @@ impl<'a> Saver<'a> {
 /// Fields of [`RunKey`] have no names in the file: a change there is a new version.
 const FORMAT: Format = (b"OCTOCHK\n", 1);
 /// Most bytes that the section `run` may claim. It takes some two hundred; only the source's name varies.
-const MOST: usize = 1 << 20;
+const MAX_RUN_BYTES: usize = 1 << 20;
 
 /// Everything that a sum depends on; a resumed run must match it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -211,7 +211,7 @@ impl Head {
     fn read(path: &Path) -> Result<(Self, Reader)> {
         let ((), mut file) = Reader::open(path, FORMAT)?;
         let bytes = file.section::<u8>("run")?;
-        let config = bincode::config::standard().with_limit::<MOST>();
+        let config = bincode::config::standard().with_limit::<MAX_RUN_BYTES>();
         match bincode::serde::decode_from_slice(&bytes, config) {
             Ok((head, read)) if read == bytes.len() => Ok((head, file)),
             decoded => {

@@ -7,9 +7,9 @@ use crate::rays::{Purpose, RaySource, RayStream, RunProgress, Shard, VolumeRays}
 use crate::render::{Differentiation, GradientMethod};
 use crate::{Error, Result};
 
-/// One in so many of the run's rays is timed, and at most [`MOST`].
-const SHARE: u64 = 512;
-const MOST: u64 = 2048;
+/// One in so many of the run's rays is timed, and at most [`MAX_TIMED_RAYS`].
+const RAY_STRIDE: u64 = 512;
+const MAX_TIMED_RAYS: u64 = 2048;
 /// Each way is timed so often, in turns; the least counts.
 const TURNS: usize = 2;
 
@@ -24,7 +24,7 @@ pub fn measure(stream: &RayStream, rays: u64, monitor: &dyn Monitor) -> Result<O
     if volume.differentiation.analytic.is_some() || own.is_none() {
         return Ok(None);
     }
-    let shard = Shard::whole((rays / SHARE).clamp(1, MOST));
+    let shard = Shard::whole((rays / RAY_STRIDE).clamp(1, MAX_TIMED_RAYS));
     let mut least = [Duration::MAX; 2];
     for _ in 0..TURNS {
         for (analytic, least) in [None, own].into_iter().zip(&mut least) {

@@ -9,9 +9,9 @@ pub(super) const RAYS: usize = 4096;
 const CAMERAS: usize = 512;
 /// Fractions of rays below this are small. `tests/accuracy/data/sight.rs` has values for correct and wrong settings of
 /// real models.
-pub(super) const LITTLE: f64 = 0.05;
+pub(super) const SMALL_SHARE: f64 = 0.05;
 /// Fractions of cameras from this value on are large.
-pub(super) const MANY: f64 = 0.25;
+pub(super) const LARGE_SHARE: f64 = 0.25;
 /// Distance of cameras that look at a scene from around it, in half diagonals of its box.
 const USUAL_DISTANCE: f64 = 1.5;
 
@@ -99,7 +99,7 @@ impl Framing {
     /// Whether few rays meet the box, or many cameras look away.
     #[must_use]
     pub fn is_below_threshold(&self) -> bool {
-        self.meet_box < LITTLE || self.looking_away >= MANY
+        self.meet_box < SMALL_SHARE || self.looking_away >= LARGE_SHARE
     }
 
     /// Describes what was measured.
@@ -113,7 +113,7 @@ impl Framing {
     #[must_use]
     pub fn causes(&self) -> Option<String> {
         let [turned, inverted] = [self.turned, self.inverted].map(|share| 100.0 * share);
-        let enough = (2.0 * self.meet_box).max(LITTLE);
+        let enough = (2.0 * self.meet_box).max(SMALL_SHARE);
         if !self.is_below_threshold() {
             None
         } else if self.inverted > enough.max(self.turned) {

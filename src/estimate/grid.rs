@@ -136,7 +136,7 @@ impl GridSettings {
     fn check_tile(&self, lattice: &Lattice) -> Result<()> {
         let Some(tile) = self.tile else { return Ok(()) };
         if !tile.is_valid() {
-            let expected = format!("I/N, N a power of two from 2 to {}, I from 0 to N - 1", Tile::MOST);
+            let expected = format!("I/N, N a power of two from 2 to {}, I from 0 to N - 1", Tile::MAX_TILES);
             return Err(Error::setting("tile", expected, tile.to_string()));
         }
         if lattice.level() < tile.least_level() {

@@ -24,7 +24,7 @@ pub(super) const COMPARED_AT: f64 = 1.0 / 16.0;
 /// The fraction of the budget that a run without all its refinement should come to.
 const WELL_USED: f64 = 0.7;
 /// The fraction of the budget that a second plan aims at, so that there is no third.
-const AIM: f64 = 0.9;
+const TARGET_BUDGET_SHARE: f64 = 0.9;
 /// The factor by which every further plan after an exceeded budget aims lower than the one before.
 const LOWER: f64 = 0.8;
 
@@ -76,7 +76,7 @@ impl Limits {
         let (planner, plan, budget) = (self.planner.as_mut()?, self.plan.as_ref()?, self.budget? as f64);
         self.is_compared = true;
         planner.correct(plan, done, summed);
-        let other = planner.within(AIM * budget)?;
+        let other = planner.within(TARGET_BUDGET_SHARE * budget)?;
         let here = planner.with_rays_per_vertex(plan.rays_per_vertex).peak();
         let is_better = here > budget || here < WELL_USED * budget && other.rays_per_vertex < plan.rays_per_vertex;
         is_better.then_some(other)
@@ -87,7 +87,7 @@ impl Limits {
         let (planner, plan, budget) = (self.planner.as_mut()?, self.plan.as_ref()?, self.budget? as f64);
         // Where leaves fill up early, the sums of the first rays foretell too little: every further plan aims lower.
         self.overflows += 1;
-        let aims = (self.overflows..self.overflows + 8).map(|times| AIM * LOWER.powi(times - 1));
+        let aims = (self.overflows..self.overflows + 8).map(|times| TARGET_BUDGET_SHARE * LOWER.powi(times - 1));
         planner.correct(plan, done, summed);
         let is_coarser = |other: &Plan| other.rays_per_vertex > plan.rays_per_vertex && other.limits != plan.limits;
         let found = aims.filter_map(|aim| planner.within(aim * budget)).find(is_coarser);

@@ -41,11 +41,11 @@ const GRAIN: f64 = 16e6;
 const OF_A_PART: f64 = 96e6;
 /// The fraction of the budget that the plan of a part aims at. A part that exceeds its budget all the same plans
 /// anew, and then no longer fits the others.
-const AIM_OF_A_PART: f64 = 0.8;
+const TARGET_BUDGET_SHARE_OF_A_PART: f64 = 0.8;
 /// Contributions are kept in lists that double when they are full.
 const LISTS: f64 = 1.5;
 /// Maximal number of species in each of a census's samples, if memory is short.
-const FEW: usize = 1 << 16;
+const MAX_SPECIES: usize = 1 << 16;
 
 /// The expected course of a run.
 #[derive(Debug, Clone)]
@@ -180,7 +180,8 @@ impl Planner {
         let pilot = Shard::whole(pilot);
         // Limits by ray count alone are exact.
         let is_exact = settings.memory.is_none() && settings.rays_per_vertex() > 0.0;
-        let mut census = SpeciesEstimate::new(lattice, if is_exact { usize::MAX } else { FEW }, settings.needs_plan());
+        let mut census =
+            SpeciesEstimate::new(lattice, if is_exact { usize::MAX } else { MAX_SPECIES }, settings.needs_plan());
         let mut outside = 0.0_f64;
         let mut stream = stream.for_purpose(Purpose::Pilot);
         if !settings.needs_plan() && settings.tile.is_none() {
@@ -299,7 +300,7 @@ impl Planner {
             }
         };
         let is_safe = |plan: &Plan| budget >= least || plan.rays_per_vertex == wanted.rays_per_vertex;
-        let aim = if self.is_part { AIM_OF_A_PART * budget } else { budget };
+        let aim = if self.is_part { TARGET_BUDGET_SHARE_OF_A_PART * budget } else { budget };
         self.within(aim).filter(is_safe).ok_or_else(|| {
             // Enough for the next process, too, which may be just large enough to be rounded up to one grain more.
             let enough = ((least + GRAIN) / 1e6).ceil();
@@ -318,7 +319,7 @@ impl Planner {
         }
         let mut best = Some(self.coarsest()).filter(fits)?;
         // A region drops a level when its rays per vertex fall below the bound, so the peak falls with the bound.
-        let (mut low, mut high) = (least.max(LEAST).log2(), MOST.log2());
+        let (mut low, mut high) = (least.max(MIN_RATE).log2(), MAX_RATE.log2());
         while high - low > 0.02 {
             let middle = 0.5 * (low + high);
             let plan = self.with_rays_per_vertex(middle.exp2());
@@ -333,7 +334,7 @@ impl Planner {
 
     /// The plan with the coarsest leaves.
     pub(super) fn coarsest(&self) -> Plan {
-        self.with_rays_per_vertex(MOST)
+        self.with_rays_per_vertex(MAX_RATE)
     }
 
     /// Plans as if the process took nothing beside sums and field.
@@ -364,5 +365,5 @@ fn cut(settings: GridSettings, census: &SpeciesEstimate, counts: &PilotCounts, s
 
 /// Bounds on rays per vertex: below the first no region gives up anything, beyond the second every region has given up
 /// all its levels.
-const LEAST: f64 = 1e-6;
-const MOST: f64 = 1e12;
+const MIN_RATE: f64 = 1e-6;
+const MAX_RATE: f64 = 1e12;

@@ -24,7 +24,7 @@ fn default_step(stencil: Stencil) -> f64 {
 /// Shortest step that f32 positions allow, in multiples of their spacing.
 ///
 /// x ± h is then rounded by less than an eighth of h, and differences are divided by the rounded distance.
-const LEAST_STEP: f64 = 4.0;
+const MIN_STEP_SPACINGS: f64 = 4.0;
 
 /// Maximal number of samples along a ray; hundreds of rays are in progress at once.
 const MAX_STEPS: f64 = 65_536.0;
@@ -250,7 +250,7 @@ impl RaySettings {
             Some(step) => step * edge,
             None => DVec3::from(std::array::from_fn(|axis| {
                 let (_, apart) = resolution(&domain, bounds, axis);
-                let (step, least) = (default_step(stencil) * edge[axis], LEAST_STEP * apart);
+                let (step, least) = (default_step(stencil) * edge[axis], MIN_STEP_SPACINGS * apart);
                 if least <= LONGEST_STEP * edge[axis] { step.max(least) } else { step }
             })),
         };
@@ -260,7 +260,8 @@ impl RaySettings {
 
 /// The shortest step that f32 positions allow everywhere in a box, lattice edges.
 pub(super) fn shortest_step(lattice: &Lattice, bounds: &Aabb) -> f64 {
-    let edges = (0..3).map(|axis| LEAST_STEP * resolution(lattice.domain(), bounds, axis).1 / lattice.edge()[axis]);
+    let edges =
+        (0..3).map(|axis| MIN_STEP_SPACINGS * resolution(lattice.domain(), bounds, axis).1 / lattice.edge()[axis]);
     edges.fold(0.0, f64::max)
 }
 

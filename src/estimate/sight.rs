@@ -6,7 +6,7 @@
 
 use rayon::prelude::*;
 
-use super::framing::{self, Framing, LITTLE, MANY, RAYS, View, WORLD_TO_CAMERA, views};
+use super::framing::{self, Framing, LARGE_SHARE, RAYS, SMALL_SHARE, View, WORLD_TO_CAMERA, views};
 use crate::Result;
 use crate::geometry::{Camera, Domain, Ray, inverted};
 use crate::monitor::{Monitor, check};
@@ -16,11 +16,11 @@ use crate::splats::{Hit, Hits, SplatRenderer, Use};
 
 /// Factor by which rays are increased before a run reports that nothing is seen. A fraction of 10⁻⁴
 /// is then missed once in 26 runs.
-const INSISTENCE: usize = 8;
+const MAX_RETRY_FACTOR: usize = 8;
 /// A camera is inside matter if half the light of half its rays is lost within this many samples.
-const NEAR: f64 = 4.0;
+const INSIDE_MATTER_SAMPLES: f64 = 4.0;
 /// Share of the rays' weight outside the domain from which it is told.
-const WORTH_SAYING: f64 = 0.01;
+const MIN_OUTSIDE_SHARE: f64 = 0.01;
 /// A model is fog if no ray is more opaque than this, and no density is above 1.
 const OPAQUE: f64 = 0.95;
 
@@ -74,7 +74,7 @@ impl CoverageCheck {
         let measured = |rays, cameras: &[Camera]| Self::with_rays(rays, cameras, stream, domain, monitor);
         let mut found = measured(RAYS, stream.cameras)?;
         if found.is_empty() {
-            found = measured(INSISTENCE * RAYS, stream.cameras)?;
+            found = measured(MAX_RETRY_FACTOR * RAYS, stream.cameras)?;
         }
         if found.is_below_threshold() || found.is_empty() {
             for axes in 0..2 {
@@ -141,13 +141,16 @@ impl CoverageCheck {
     /// [`CoverageCheck::outside_domain`], if that is worth saying.
     #[must_use]
     pub fn cut_off(&self) -> Option<f64> {
-        Some(self.outside_domain).filter(|share| *share >= WORTH_SAYING && !self.is_empty())
+        Some(self.outside_domain).filter(|share| *share >= MIN_OUTSIDE_SHARE && !self.is_empty())
     }
 
     /// Whether few rays meet matter, many cameras look away, many are inside matter, or all they see is fog.
     #[must_use]
     pub fn is_below_threshold(&self) -> bool {
-        self.framing.is_below_threshold() || self.meet_domain < LITTLE || self.inside_matter >= MANY || self.is_fog()
+        self.framing.is_below_threshold()
+            || self.meet_domain < SMALL_SHARE
+            || self.inside_matter >= LARGE_SHARE
+            || self.is_fog()
     }
 
     /// Whether all that the rays meet is transparent, as it is if opacity takes the place of density.
@@ -174,7 +177,7 @@ impl CoverageCheck {
             None
         } else if let Some(causes) = self.framing.causes() {
             Some(causes)
-        } else if self.inverted > (2.0 * self.meet_domain).max(LITTLE) {
+        } else if self.inverted > (2.0 * self.meet_domain).max(SMALL_SHARE) {
             let inverted = 100.0 * self.inverted;
             Some(format!("{WORLD_TO_CAMERA}: inverted, {inverted:.0} % of the rays meet matter"))
         } else if self.is_fog() {
@@ -184,12 +187,12 @@ impl CoverageCheck {
                  more than {opaque:.0} % of its light"
             ))
         } else if let Some(units) =
-            self.framing.units().filter(|_| self.meet_matter < LITTLE || self.inside_matter >= MANY)
+            self.framing.units().filter(|_| self.meet_matter < SMALL_SHARE || self.inside_matter >= LARGE_SHARE)
         {
             Some(units)
-        } else if self.meet_matter < LITTLE {
+        } else if self.meet_matter < SMALL_SHARE {
             Some("cameras of another scene, or in other units or axes than the model".into())
-        } else if self.meet_domain < LITTLE {
+        } else if self.meet_domain < SMALL_SHARE {
             Some("a domain that is not where the cameras see matter".into())
         } else {
             Some("units that put the cameras into the scene's matter, or other axes".into())
@@ -218,7 +221,7 @@ fn seen<'b>(views: &[View], tracer: &'b Tracer, domain: &Domain, buffers: &mut T
             let inside = sum(&|i| domain.to_unit(traced.positions[i]).is_some());
             matter += usize::from(opacity >= least);
             within += usize::from(inside >= least);
-            near += usize::from(sum(&|i| traced.t[i] <= NEAR * tracer.marcher.step) >= 0.5);
+            near += usize::from(sum(&|i| traced.t[i] <= INSIDE_MATTER_SAMPLES * tracer.marcher.step) >= 0.5);
             dropped += u64::from(traced.is_dropped[ray]);
             weight += opacity;
             outside += opacity - inside;

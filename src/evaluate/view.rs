@@ -9,11 +9,13 @@ use crate::Result;
 use crate::metrics::{Calibration, Detection, density_aware, ensemble_variance, psnr};
 use crate::monitor::{Monitor, check};
 use crate::posterior::Visits;
-use crate::render::{DepthVariance, FEWEST, Probe, Probed, ProbedField, RayAverage, RenderedView, Renderer};
+use crate::render::{
+    DepthVariance, MIN_SUPPORTING_RAYS, Probe, Probed, ProbedField, RayAverage, RenderedView, Renderer,
+};
 use crate::uncertainty::{BakedField, DepthPosterior, UncertaintyField};
 
 /// Bytes that a reading's field may take to answer faster.
-const ROOM: usize = 256 << 20;
+const MAX_BAKED_BYTES: usize = 256 << 20;
 
 /// A model to evaluate, and the measures to rank its errors by.
 pub struct Evaluator<'a> {
@@ -75,7 +77,7 @@ impl<'a> Evaluator<'a> {
     /// Evaluates a model by these readings and by measures of its own rays.
     #[must_use]
     pub fn new(model: &'a dyn Renderer, readings: &'a [Reading]) -> Self {
-        let baked = readings.iter().map(|reading| BakedField::within(ROOM, &reading.field)).collect();
+        let baked = readings.iter().map(|reading| BakedField::within(MAX_BAKED_BYTES, &reading.field)).collect();
         Self { model, readings, baked, members: Vec::new(), training: None, truly_seen: None }
     }
 
@@ -202,10 +204,10 @@ impl<'a> Evaluator<'a> {
                     Baseline::RayEntropy => each(&|i| rendered.pixels[i].termination_entropy),
                     Baseline::Transparency => each(&|i| 1.0 - rendered.pixels[i].opacity),
                     Baseline::WeightsSpreadPerRootRay => {
-                        each(&|i| spread(i) / counts.at_point(hit(i)).clamp(FEWEST, f64::INFINITY).sqrt())
+                        each(&|i| spread(i) / counts.at_point(hit(i)).clamp(MIN_SUPPORTING_RAYS, f64::INFINITY).sqrt())
                     }
                     Baseline::WeightsSpreadPerRay => {
-                        each(&|i| spread(i) / counts.at_point(hit(i)).clamp(FEWEST, f64::INFINITY))
+                        each(&|i| spread(i) / counts.at_point(hit(i)).clamp(MIN_SUPPORTING_RAYS, f64::INFINITY))
                     }
                     Baseline::RayCount => each(&|i| -mean_counts[i]),
                     Baseline::Visits => {

@@ -18,7 +18,7 @@ pub(crate) const MAX_REACH: f64 = 1e6;
 pub(crate) const MAX_SKEW: f64 = 1e-2;
 
 /// Largest share of pixels that may lie beyond the fold of a lens.
-const MOST_WITHOUT_RAYS: f64 = 0.02;
+const MAX_SHARE_WITHOUT_RAYS: f64 = 0.02;
 
 /// How far axes A are from a rotation: the largest entry of AᵀA − 1.
 pub(crate) fn skew(axes: DMat3) -> f64 {
@@ -99,7 +99,7 @@ impl Camera {
         };
         let without = (0..SIDE * SIDE).filter(|&i| !has_ray(i)).count() as f64 / (SIDE * SIDE) as f64;
         let percent = 100.0 * without;
-        (without > MOST_WITHOUT_RAYS)
+        (without > MAX_SHARE_WITHOUT_RAYS)
             .then(|| format!("{}, by which {percent:.0} % of the pixels have none", self.distortion))
     }
 

@@ -142,13 +142,13 @@ impl Domain {
     /// radii out along their direction, as far as f32 still holds well.
     #[must_use]
     pub fn to_scene(&self, u: DVec3) -> DVec3 {
-        const FARTHEST: f64 = 1e6;
+        const MAX_DISTANCE: f64 = 1e6;
         match self {
             Self::Box(bounds) => bounds.min() + u * bounds.size(),
             Self::Contracted { center, radius, norm } => {
                 let y = 4.0 * u - 2.0;
                 let s = norm.length(y);
-                let r = if s > 1.0 { (1.0 / (2.0 - s).max(1.0 / FARTHEST)).min(FARTHEST) } else { s };
+                let r = if s > 1.0 { (1.0 / (2.0 - s).max(1.0 / MAX_DISTANCE)).min(MAX_DISTANCE) } else { s };
                 DVec3::from(*center) + if s > 1.0 { *radius * r / s * y } else { *radius * y }
             }
         }

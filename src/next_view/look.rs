@@ -12,7 +12,7 @@ use crate::splats::{Hits, SplatView, Splats, Use};
 use crate::{Error, Result};
 
 /// A camera stands in a volume's matter if half of its rays lose half of their light within so many samples.
-const NEAR: f64 = 4.0;
+const INSIDE_MATTER_SAMPLES: f64 = 4.0;
 
 /// Image points of a camera whose rays are differentiated together.
 pub struct Points {
@@ -141,7 +141,7 @@ pub fn stands_in_matter(source: &RaySource, camera: &Camera, sight: &[VisibleSeg
         RaySource::Splats(splats) => is_in_a_splat(splats.splats(), camera.position),
         RaySource::Volume(volume) => {
             let marcher = &volume.tracer.marcher;
-            let near = sight.iter().filter(|segment| segment.until <= NEAR * marcher.step).count();
+            let near = sight.iter().filter(|segment| segment.until <= INSIDE_MATTER_SAMPLES * marcher.step).count();
             marcher.bounds.contains(camera.position.as_vec3()) && 2 * near >= sight.len().max(1)
         }
     }
@@ -162,7 +162,7 @@ pub fn in_matter(model: &Subject, step: Option<f64>, eyes: &[DVec3]) -> Vec<bool
             field.densities(&points, &mut densities);
             let mut found = vec![false; eyes.len()];
             for (i, density) in asked.into_iter().zip(densities) {
-                found[i] = f64::from(density) * NEAR * step >= std::f64::consts::LN_2;
+                found[i] = f64::from(density) * INSIDE_MATTER_SAMPLES * step >= std::f64::consts::LN_2;
             }
             found
         }

@@ -47,12 +47,12 @@ pub struct LeafTable {
 
 impl LeafTable {
     /// Largest number of leaves.
-    pub const MOST: u64 = (1 << 30) - 1;
+    pub const MAX_LEAVES: u64 = (1 << 30) - 1;
 
     /// Numbers the leaves, level by level from the coarsest, in Morton order.
     ///
     /// # Panics
-    /// If there are more than [`LeafTable::MOST`].
+    /// If there are more than [`LeafTable::MAX_LEAVES`].
     #[must_use]
     pub fn new(cells: &CellTree) -> Self {
         let (finest, split) = (cells.finest(), cells.split());

@@ -32,9 +32,9 @@ pub struct Tile {
 
 impl Tile {
     /// Largest number of tiles: cells of level 4.
-    pub const MOST: u32 = 1 << 12;
+    pub const MAX_TILES: u32 = 1 << 12;
 
-    /// Tile `index` of `of`; `None` unless `of` is a power of two from 2 to [`Tile::MOST`] and `index` below it.
+    /// Tile `index` of `of`; `None` unless `of` is a power of two from 2 to [`Tile::MAX_TILES`] and `index` below it.
     #[must_use]
     pub fn new(index: u32, of: u32) -> Option<Self> {
         Some(Self { index, of, cut: None }).filter(|tile| tile.is_valid())
@@ -55,7 +55,7 @@ impl Tile {
     /// Checks what [`Tile::new`] does.
     #[must_use]
     pub fn is_valid(self) -> bool {
-        self.of.is_power_of_two() && (2..=Self::MOST).contains(&self.of) && self.index < self.of
+        self.of.is_power_of_two() && (2..=Self::MAX_TILES).contains(&self.of) && self.index < self.of
     }
 
     /// Checks that it is a valid part of the lattice with 2^`finest` cells per axis, for tiles read from files.
@@ -225,7 +225,7 @@ mod tests {
 
     #[test]
     fn only_powers_of_two_cut_a_cube() {
-        for (index, of) in [(0, 0), (0, 1), (0, 3), (2, 2), (0, 2 * Tile::MOST)] {
+        for (index, of) in [(0, 0), (0, 1), (0, 3), (2, 2), (0, 2 * Tile::MAX_TILES)] {
             assert!(Tile::new(index, of).is_none(), "{index}/{of}");
         }
         assert_eq!([2, 8, 16, 4096].map(|of| Tile::new(1, of).unwrap().least_level()), [1, 1, 2, 4]);

@@ -24,7 +24,7 @@ pub const MAX_DROPPED_SHARE: f64 = 0.01;
 /// more of them at once than threads need only fill the memory.
 const THREADS_PER_GROUP: usize = 4;
 /// Most cameras that a pilot or a check looks through, if each of their views has to be prepared.
-const FEW_CAMERAS: usize = 16;
+const MAX_PREPARED_CAMERAS: usize = 16;
 
 /// Least weight in its pixel of a sample on a visible surface.
 pub const SURFACE_WEIGHT: f32 = 0.05;
@@ -113,7 +113,7 @@ impl<'a> RayStream<'a> {
         let few = RayStream { source: self.source.clone(), pixels: self.pixels.clone(), ..*self };
         match self.source {
             RaySource::Volume(_) => few,
-            RaySource::Splats(_) => RayStream { pixels: self.pixels.thinned(FEW_CAMERAS), ..few },
+            RaySource::Splats(_) => RayStream { pixels: self.pixels.thinned(MAX_PREPARED_CAMERAS), ..few },
         }
     }
 

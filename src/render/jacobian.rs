@@ -330,7 +330,7 @@ impl JacobianBuffers<'_> {
 /// sample and its two neighbours.
 const STEEPEST: f64 = 100.0;
 /// Smallest distance between samples, in multiples of h, at which that bound is assumed.
-const FAR_APART: f64 = 8.0;
+const MIN_SPACING_STEPS: f64 = 8.0;
 
 /// Largest density at sample `i` of a ray and at its neighbours.
 pub(super) fn around(densities: &[f32], ray: &Range<usize>, i: usize) -> f32 {
@@ -401,7 +401,7 @@ impl Tracer<'_> {
                 }
                 let influence = self.influence(quadrature.transmittance_after[i]);
                 let h = differentiation.differences.reach(x);
-                let is_resolved = FAR_APART * h.max_element() <= self.marcher.step;
+                let is_resolved = MIN_SPACING_STEPS * h.max_element() <= self.marcher.step;
                 let near = if is_resolved { around(&traced.densities, &samples, i) } else { f32::INFINITY };
                 if self.may_matter(influence, x, h, near) {
                     near_surface.push(i, r, x, direction);

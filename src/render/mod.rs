@@ -28,5 +28,7 @@ pub use ray_average::RayAverage;
 pub use samples::{RaySample, RaySamples, VisibleSegment};
 pub(crate) use trace::TracedRays;
 pub use trace::{TraceBuffers, Tracer};
-pub use view::{FEWEST, Probe, Probed, ProbedField, RenderedView, render_rays, render_view, render_view_with_depth};
+pub use view::{
+    MIN_SUPPORTING_RAYS, Probe, Probed, ProbedField, RenderedView, render_rays, render_view, render_view_with_depth,
+};
 pub(crate) use view::{WeightedRays, check_size};

@@ -16,7 +16,7 @@ use crate::{Error, Result};
 const OFFICIAL_EMPTY: f64 = -3.0;
 
 /// Number of rays assumed where no ray supports U: less than one, but not zero, so that the score is finite.
-pub const FEWEST: f64 = 0.5;
+pub const MIN_SUPPORTING_RAYS: f64 = 0.5;
 
 /// The value of a [`ProbedField`] at a point.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -347,7 +347,7 @@ impl WeightedRay<'_> {
             RayAverage::AtExpected => at_expected.value,
             RayAverage::USpread => at_expected.value + self.spread.log10(),
             RayAverage::USpreadPerRootRay => {
-                let rays = at_expected.rays.clamp(FEWEST, f64::INFINITY);
+                let rays = at_expected.rays.clamp(MIN_SUPPORTING_RAYS, f64::INFINITY);
                 at_expected.value + self.spread.log10() - 0.5 * rays.log10()
             }
         }

@@ -8,7 +8,7 @@ use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
 
 /// Fewer rays per vertex than this gain from pooling (`experiments/pooling.md`).
-const FEW_RAYS: u64 = 4;
+const MIN_RAYS_PER_VERTEX: u64 = 4;
 
 /// Refuses masks that leave nothing. Notes what they leave out.
 pub fn masks(views: &Views, masks: &[Option<Mask>], tell: &mut dyn FnMut(Remark)) -> Result<()> {
@@ -55,7 +55,7 @@ pub fn sight(sight: &CoverageCheck, others: &[&str], tell: &mut dyn FnMut(Remark
 
 /// Notes what is odd about a finished field.
 pub fn field(field: &UncertaintyField, min_rays: f64, tell: &mut dyn FnMut(Remark)) {
-    if let Some(median) = field.median_rays().filter(|&median| median < FEW_RAYS && min_rays == 0.0) {
+    if let Some(median) = field.median_rays().filter(|&median| median < MIN_RAYS_PER_VERTEX && min_rays == 0.0) {
         tell(Remark::Note(format!(
             "half of the vertices that moved are supported by {median} rays or fewer; --min-rays 4 shares what their \
              neighbours saw, more --rays is better"

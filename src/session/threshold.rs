@@ -6,9 +6,9 @@ use crate::uncertainty::{Answers, NEARLY_ALL, threshold_warning};
 use crate::{Error, Result};
 
 /// Share of the pixels that a share of visible surfaces may take without a word.
-const FEW_PIXELS: f64 = 0.05;
+const MAX_QUIET_PIXEL_SHARE: f64 = 0.05;
 /// The same, in shares of the surfaces that go.
-const MANY_TIMES: f64 = 3.0;
+const MAX_QUIET_RATIO: f64 = 3.0;
 
 /// Where the clean-up cuts.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -78,12 +78,14 @@ impl Threshold {
         let Some(removed) = removed_share(view, cleaned) else { return Ok(()) };
         let percent = 100.0 * removed;
         match self {
-            Self::Share(kept) if removed > FEW_PIXELS.max(MANY_TIMES * (1.0 - kept)) => tell(Remark::Note(format!(
-                "the clean-up removes {percent:.1} % of the pixels that show matter in this view, although {}% \
+            Self::Share(kept) if removed > MAX_QUIET_PIXEL_SHARE.max(MAX_QUIET_RATIO * (1.0 - kept)) => {
+                tell(Remark::Note(format!(
+                    "the clean-up removes {percent:.1} % of the pixels that show matter in this view, although {}% \
                  of the visible surfaces stay: these pixels show fog, a side that no training ray saw, or what lies \
                  outside the field's box",
-                100.0 * kept
-            ))),
+                    100.0 * kept
+                )))
+            }
             Self::Log10(log10) if removed >= NEARLY_ALL && threshold_warning(field, log10)?.is_none() => {
                 tell(Remark::Warning(format!(
                     "the clean-up removes {percent:.1} % of the pixels that show matter in this view: log10 U is above \

@@ -20,7 +20,7 @@ use crate::geometry::Ray;
 const OUTPUTS: usize = PixelGradient::OUTPUTS;
 
 /// The least Σ w of a ray that has a depth.
-const LEAST: f32 = 1e-20;
+const MIN_HIT_WEIGHT: f32 = 1e-20;
 
 /// The features and weights of a hash grid as parameters of its pixels.
 pub struct PixelGradients<'a> {
@@ -131,7 +131,7 @@ fn pixel(samples: &[RaySample], background: Vec3) -> ([f32; OUTPUTS], [Vec<Sampl
         moment += weight * sample.s;
     }
     // Divided by less, derivatives would not be finite.
-    let is_hit = total > LEAST;
+    let is_hit = total > MIN_HIT_WEIGHT;
     let depth = if is_hit { moment / total } else { 0.0 };
     let gradients = std::array::from_fn(|output| {
         let axis = Vec3::AXES.get(output);

@@ -12,7 +12,7 @@ use crate::octree::CellTree;
 use crate::render::{Probed, ProbedField};
 
 /// Fewer points than this are answered one by one: sorting them and waking threads would take longer.
-const FEW: usize = 64;
+const MIN_SORTED_POINTS: usize = 64;
 
 /// The result of a query at a point.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -133,7 +133,7 @@ impl Answers for UncertaintyField {
     }
 
     fn estimates(&self, points: &[Vec3]) -> Result<Vec<Estimate>> {
-        if points.len() < FEW {
+        if points.len() < MIN_SORTED_POINTS {
             return Ok(points.iter().map(|&x| self.query(x)).collect());
         }
         Ok(self.query_all(points))

@@ -54,7 +54,7 @@ impl<'a> BakedField<'a> {
             _ => return Self { field, baked: None },
         };
         let leaves: u64 = octree.cells().leaves_per_level().iter().sum();
-        if leaves > LeafTable::MOST || leaves as usize * size_of::<Corners>() > room {
+        if leaves > LeafTable::MAX_LEAVES || leaves as usize * size_of::<Corners>() > room {
             return Self { field, baked: None };
         }
         let table = LeafTable::new(octree.cells());

@@ -93,7 +93,7 @@ impl UncertaintyField {
 }
 
 /// Most points of a comparison; they and what both fields say of them take some 10 GB.
-const MOST_COMPARED: usize = 100_000_000;
+const MAX_POINTS: usize = 100_000_000;
 
 /// Compares `a` with the reference `b`.
 ///
@@ -104,8 +104,8 @@ const MOST_COMPARED: usize = 100_000_000;
 /// # Errors
 /// If the fields have different domains, one of them cannot be read, or there are more than 100 million points.
 pub fn compare(a: &dyn Answers, b: &dyn Answers, points: usize, seed: u64) -> Result<Comparison> {
-    if points > MOST_COMPARED {
-        return Err(Error::setting("points", format!("at most {MOST_COMPARED}"), points.to_string()));
+    if points > MAX_POINTS {
+        return Err(Error::setting("points", format!("at most {MAX_POINTS}"), points.to_string()));
     }
     let domain = a.lattice().domain();
     if domain != b.lattice().domain() {

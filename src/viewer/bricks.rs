@@ -17,7 +17,7 @@ use crate::render::Occupancy;
 use crate::uncertainty::{BakedField, Observability, UncertaintyField};
 
 /// Matter that absorbs less than this along the edge of a cell is left out, if a whole brick holds no more.
-const LEAST: f64 = 2e-4;
+const MIN_ABSORBED_SHARE: f64 = 2e-4;
 /// Codes of log10 U run from 1 at the lower end to this at the prior.
 pub const PRIOR: f64 = 254.0;
 /// The code of what no training ray reached. U is the prior's there.
@@ -142,7 +142,7 @@ fn matter(grid: &Grid, index: [u32; 3], source: &Source, marks: &[Marks; 2]) -> 
     }
     let is_marked: Vec<bool> = (0..SAMPLES).map(|i| marks.iter().any(|marks| marks.has(sample(index, i)))).collect();
     let alpha = absorbed(grid, index, &positions, &is_marked, source.model);
-    if alpha.iter().all(|a| *a < LEAST) {
+    if alpha.iter().all(|a| *a < MIN_ABSORBED_SHARE) {
         return None;
     }
     let color = MeanColor { model: source.model, eyes: source.eyes }.of_brick(&positions, &alpha, &is_marked);
@@ -187,7 +187,9 @@ pub fn coded(depths: &[f32]) -> Vec<u8> {
 
 /// False if the model has no density at the samples of a brick, nor in the cells of the occupancy grid around them.
 fn may_hold(grid: &Grid, positions: &[Option<Vec3>], occupancy: &Occupancy) -> bool {
-    let holds = |x: &Vec3| !grid.is_plain(*x) || f64::from(occupancy.majorant(x.as_dvec3())) * grid.edge >= 0.1 * LEAST;
+    let holds = |x: &Vec3| {
+        !grid.is_plain(*x) || f64::from(occupancy.majorant(x.as_dvec3())) * grid.edge >= 0.1 * MIN_ABSORBED_SHARE
+    };
     positions.iter().flatten().any(holds)
 }
 

@@ -10,11 +10,11 @@ const DIRECTIONS: usize = 3;
 /// The same inside of matter, where hardly any camera sees.
 const INSIDE: usize = 2;
 /// One of so many samples is asked for the colour of a brick of which nothing is seen.
-const FEW: usize = 37;
+const SAMPLE_STRIDE: usize = 37;
 /// Matter that changes less than this from sample to sample has no surface.
 const FLAT: f32 = 0.02;
 /// Samples that absorb less than this get the colour of their neighbours.
-const LEAST: f64 = 1e-3;
+const MIN_ABSORBED_SHARE: f64 = 1e-3;
 
 /// Colours of a model as cameras at `eyes` see them.
 pub struct MeanColor<'a> {
@@ -30,8 +30,10 @@ impl MeanColor<'_> {
     pub fn of_brick(&self, positions: &[Option<Vec3>], alpha: &[f64], is_marked: &[bool]) -> Vec<[u8; 3]> {
         let mut owners = Vec::new();
         let (mut points, mut directions) = (Vec::new(), Vec::new());
-        let has_marked = (0..SAMPLES).any(|i| is_marked[i] && alpha[i] >= LEAST);
-        let is_asked = |i: usize| alpha[i] >= LEAST && if has_marked { is_marked[i] } else { i.is_multiple_of(FEW) };
+        let has_marked = (0..SAMPLES).any(|i| is_marked[i] && alpha[i] >= MIN_ABSORBED_SHARE);
+        let is_asked = |i: usize| {
+            alpha[i] >= MIN_ABSORBED_SHARE && if has_marked { is_marked[i] } else { i.is_multiple_of(SAMPLE_STRIDE) }
+        };
         for (i, x) in positions.iter().enumerate().filter(|(i, _)| is_asked(*i)) {
             let Some(x) = *x else { continue };
             for (direction, weight) in self.directions(x, outwards(alpha, i)) {

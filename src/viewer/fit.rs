@@ -16,7 +16,7 @@ use super::seen::SeenRay;
 /// Corrections. More of them follow the noise of single rays.
 const CORRECTIONS: usize = 3;
 /// Light that must be lost around a sample for it to be fitted.
-const LEAST: f32 = 0.02;
+const MIN_LOST_LIGHT: f32 = 0.02;
 /// Rays that lose less are not asked.
 const FAINT: f32 = 0.3;
 /// Steps that count for less of their ray are left out.
@@ -88,7 +88,7 @@ impl Fit {
     /// log10 U at a sample of the atlas; `None` where hardly any ray came.
     pub fn at(&self, sample: usize) -> Option<f32> {
         let id = self.ids[sample] as usize;
-        self.light.get(id).filter(|light| **light >= LEAST).map(|_| self.values[id])
+        self.light.get(id).filter(|light| **light >= MIN_LOST_LIGHT).map(|_| self.values[id])
     }
 
     /// Σ a r and Σ a of all samples.

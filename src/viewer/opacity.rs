@@ -19,11 +19,11 @@ const ROUNDS: usize = 2;
 /// Smallest and largest τ: what is thinner is clear, what is thicker is opaque.
 const DEPTHS: [f64; 2] = [0.02, 4.0];
 /// Largest correction at a time, a factor.
-const MOST: f64 = 3.0;
+const MAX_CORRECTION_FACTOR: f64 = 3.0;
 /// One in this many rays through the whole scene is used. Most of them are opaque in both.
-const FEW: usize = 4;
+const RAY_STRIDE: usize = 4;
 /// Light that must be lost around a sample for it to be corrected.
-const LEAST: f32 = 0.02;
+const MIN_LOST_LIGHT: f32 = 0.02;
 /// Sums are kept in so many parts, whatever the number of threads, so that values do not depend on it.
 const PARTS: usize = 4;
 
@@ -36,7 +36,7 @@ pub fn fitted(
     [whole, cleaned]: [&[SeenRay]; 2],
     log10: impl Fn(Vec3) -> f64 + Sync,
 ) -> Vec<f32> {
-    let rays: Vec<&SeenRay> = whole.iter().step_by(FEW).chain(cleaned).collect();
+    let rays: Vec<&SeenRay> = whole.iter().step_by(RAY_STRIDE).chain(cleaned).collect();
     let part = rays.len().div_ceil(PARTS).max(1);
     for _ in 0..ROUNDS {
         let matter = coded(&depths);
@@ -45,7 +45,7 @@ pub fn fitted(
         depths.par_iter_mut().zip(ids).for_each(|(depth, id)| {
             let add = |a: [f32; 2], b: [f32; 2]| [a[0] + b[0], a[1] + b[1]];
             let [sum, light] = parts.iter().map(|part| part[*id as usize]).fold([0.0; 2], add);
-            if light >= LEAST {
+            if light >= MIN_LOST_LIGHT {
                 *depth *= (sum / light).exp();
             }
         });
@@ -63,7 +63,7 @@ fn sums(volume: &Volume, ids: &[u32], rays: &[&SeenRay], log10: impl Fn(Vec3) ->
         steps.clear();
         let passed = volume.march(&ray.ray, |x| ray.keeps(x, &log10), |step| steps.push(step));
         let factor = depth(1.0 - f64::from(ray.opacity)) / depth(passed.transmittance);
-        let factor = factor.clamp(1.0 / MOST, MOST).ln() as f32;
+        let factor = factor.clamp(1.0 / MAX_CORRECTION_FACTOR, MAX_CORRECTION_FACTOR).ln() as f32;
         for step in &steps {
             for (i, share) in step.corners() {
                 let ([sum, light], lost) = (&mut sums[ids[i] as usize], step.weight * share);

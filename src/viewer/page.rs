@@ -43,18 +43,18 @@ const EYES: usize = 48;
 /// About how many rays the volume is fitted to, times the square of its cells along the longest edge, and at most; and
 /// the share of them that is traced with this much of the visible surfaces left by the slider.
 const RAYS_SEEN: f64 = 12.0;
-const MOST_RAYS: f64 = 4e6;
+const MAX_RAYS: f64 = 4e6;
 const RAYS_BEHIND: f64 = 0.3;
 const BEHIND: [f64; 2] = [2.0 / 3.0, 1.0 / 3.0];
 /// Most memory for the values at the corners of the field's leaves, bytes: rays query U millions of times.
-const ROOM: usize = 512 << 20;
+const MAX_BAKED_BYTES: usize = 512 << 20;
 /// Most cameras in the file.
 const CAMERAS: usize = 1000;
 
 /// The power of the resolution with which files grow: 2 for thin surfaces, 3 for fog.
 const GROWTH: f64 = 2.5;
 /// Numbers of cells that differ by less than this share are near.
-const NEAR: f64 = 0.06;
+const SNAP_SHARE: f64 = 0.06;
 /// Cells along the longest edge, at least.
 const COARSEST: u32 = 32;
 /// The same for a first try, from which the size of finer ones is extrapolated.
@@ -103,8 +103,8 @@ pub fn write_view(path: &Path, view: &View, cells: u32, budget: usize, monitor: 
     let cameras: Vec<Camera> = view.frames.iter().map(|frame| frame.camera).collect();
     let occupancy = view.tracer.marcher.occupancy.as_ref().expect("pictures are rendered with occupancy");
     let eyes: Vec<Vec3> = spread(&cameras, EYES).iter().map(|camera| camera.position.as_vec3()).collect();
-    let rays_of = |cells: u32| (RAYS_SEEN * f64::from(cells).powi(2)).min(MOST_RAYS);
-    let baked = &BakedField::within(ROOM, view.field);
+    let rays_of = |cells: u32| (RAYS_SEEN * f64::from(cells).powi(2)).min(MAX_RAYS);
+    let baked = &BakedField::within(MAX_BAKED_BYTES, view.field);
     let mut rays = seen(view, baked, &cameras, rays_of(now), monitor)?;
     loop {
         let seen_rays = [rays.0.as_slice(), rays.1.as_slice()];
@@ -141,7 +141,7 @@ pub fn write_view(path: &Path, view: &View, cells: u32, budget: usize, monitor: 
 /// is one: U can then be interpolated as in the field.
 fn snapped(cells: u32, vertices: u32) -> u32 {
     let whole = (f64::from(cells) / f64::from(vertices)).round() as u32 * vertices;
-    if f64::from(cells.abs_diff(whole)) <= NEAR * f64::from(cells) { whole } else { cells }
+    if f64::from(cells.abs_diff(whole)) <= SNAP_SHARE * f64::from(cells) { whole } else { cells }
 }
 
 /// What cameras see; and what they would see if the slider had removed a third or two of the visible surfaces.

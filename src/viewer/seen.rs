@@ -17,7 +17,7 @@ const TOGETHER: usize = 1024;
 /// Rays that lose less are left out.
 const FAINT: f64 = 0.02;
 /// What contributes less to its ray is not seen.
-const LEAST: f64 = 0.01;
+const MIN_CONTRIBUTION: f64 = 0.01;
 
 /// A ray that hits something.
 pub struct SeenRay {
@@ -107,7 +107,8 @@ fn see(tracer: &Tracer, field: &BakedField, most: f64, rays: &[Ray]) -> Vec<Seen
         if pixel.opacity < FAINT {
             return None;
         }
-        let hit = || samples.clone().map(|i| (i, quadrature.weights[i])).filter(|(_, weight)| *weight >= LEAST);
+        let hit =
+            || samples.clone().map(|i| (i, quadrature.weights[i])).filter(|(_, weight)| *weight >= MIN_CONTRIBUTION);
         let total: f64 = hit().map(|(_, weight)| weight).sum();
         let sum: f64 = hit().map(|(i, weight)| weight * field.log10(traced.positions[i])).sum();
         Some(SeenRay {

@@ -16,7 +16,7 @@ use self::made::{LIST, Made};
 use self::matter::{Matter, Shares};
 use self::scene::{DemoScene, TOLERANCE};
 use super::files::CommandFiles;
-use super::options::{MOST, UTF_8, count};
+use super::options::{MAX_COUNT, UTF_8, count};
 use super::panels::{Ranges, depth_range, error_range, view_panels};
 use super::progress::Bars;
 use super::report;
@@ -75,7 +75,7 @@ pub struct Args {
     level: u8,
 
     /// Rays
-    #[arg(long, default_value_t = 200_000, value_parser = count::<u64>(1000..=MOST))]
+    #[arg(long, default_value_t = 200_000, value_parser = count::<u64>(1000..=MAX_COUNT))]
     rays: u64,
 }
 

@@ -9,9 +9,9 @@ use crate::picture::{Curve, Plot, stage_plots};
 use crate::{Error, Result};
 
 /// Most curves of a plot beside the reference: those with the least area. The CSV has all.
-const MOST: usize = 5;
+const MAX_CURVES: usize = 5;
 /// Most of them that are readings of fields: at least one is a baseline.
-const MOST_READINGS: usize = 4;
+const MAX_READINGS: usize = 4;
 
 /// Draws how errors are ranked and, if there are deviations of depth, how reliable these are, in a file to be
 /// committed.
@@ -31,7 +31,7 @@ fn sparsification(report: &Report) -> Plot {
         curve(format!("{name} (AUSE {:.3})", s.area), s, &s.by_uncertainty, false)
     };
     let (readings, baselines) = (best(&report.readings), best(&report.baselines));
-    let shown = readings.into_iter().take(MOST_READINGS).chain(baselines).take(MOST);
+    let shown = readings.into_iter().take(MAX_READINGS).chain(baselines).take(MAX_CURVES);
     let mut curves: Vec<Curve> = shown.map(of).collect();
     let oracle = report.scored().next().map(|Scored { score, .. }| &score.curves[0]);
     curves.extend(oracle.map(|s| curve("oracle: largest errors removed first".into(), s, &s.by_error, true)));
@@ -53,7 +53,7 @@ fn reliability(report: &Report) -> Option<Plot> {
         best.sort_by(|a, b| a.1.predictive().auce.total_cmp(&b.1.predictive().auce));
         let mut curves: Vec<Curve> = best
             .into_iter()
-            .take(MOST)
+            .take(MAX_CURVES)
             .map(|(name, c)| Curve {
                 name: format!("{name} (AUCE {:.3})", c.predictive().auce),
                 points: c.predictive().reliability.iter().map(|&[p, found]| (p, found)).collect(),

@@ -6,7 +6,7 @@ use clap::{Args, ValueEnum};
 use glam::DVec3;
 
 use super::heading;
-use super::numbers::{MOST, count};
+use super::numbers::{MAX_COUNT, count};
 use super::parse::{parse_box, parse_contraction, parse_non_negative, parse_positive};
 use super::scale::ScaleOptions;
 use crate::cli::opened::OpenedField;
@@ -170,7 +170,7 @@ pub struct OfficialOptions {
     pub bounds: Option<Aabb>,
 
     /// Number of rays summed in the official code's `.npy` grids [default: 4096000]
-    #[arg(long, value_parser = count::<u64>(1..=MOST), help_heading = heading::INPUT, hide_short_help = true)]
+    #[arg(long, value_parser = count::<u64>(1..=MAX_COUNT), help_heading = heading::INPUT, hide_short_help = true)]
     pub rays: Option<u64>,
 }
 

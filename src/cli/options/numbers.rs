@@ -30,7 +30,7 @@ impl RayCount {
     pub fn parse(text: &str) -> Result<Self, String> {
         match text {
             "all" => Ok(Self::All),
-            _ => count(1..=MOST)(text).map(Self::Drawn).map_err(|expected| expected + ", or all"),
+            _ => count(1..=MAX_COUNT)(text).map(Self::Drawn).map_err(|expected| expected + ", or all"),
         }
     }
 }
@@ -97,9 +97,9 @@ fn digits(text: &str) -> Option<String> {
 }
 
 /// Largest number in options that cost time and not memory, such as rays: sums of that many stay exact.
-pub const MOST: u64 = 1_000_000_000_000_000;
+pub const MAX_COUNT: u64 = 1_000_000_000_000_000;
 /// Largest number in options that cost memory, such as points.
-pub const MOST_KEPT: u64 = 100_000_000;
+pub const MAX_KEPT_COUNT: u64 = 100_000_000;
 /// Longest time, ten years, far from where clocks overflow.
 const LONGEST: Duration = Duration::from_secs(10 * 365 * 86_400);
 

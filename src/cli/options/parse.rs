@@ -4,7 +4,7 @@ use clap::ValueEnum;
 use clap::builder::{OsStringValueParser, TypedValueParser};
 use glam::{DVec3, Vec3};
 
-use super::numbers::MOST_KEPT;
+use super::numbers::MAX_KEPT_COUNT;
 use crate::dataset::Selection;
 use crate::geometry::{Aabb, MAX_PIXELS, Norm};
 use crate::octree::Tile;
@@ -12,7 +12,7 @@ use crate::posterior::DataScale;
 use crate::session::Resolution;
 
 /// Largest coordinate, and other number of a list, that a command line may have: f32 positions are 64 apart there.
-const FARTHEST: f64 = 1e9;
+const MAX_COORDINATE: f64 = 1e9;
 /// Shortest edge of a box.
 const SHORTEST: f64 = 1e-9;
 /// Numbers that a command line may have apart from 0: their squares and inverses are numbers, too, and f32 holds them.
@@ -34,8 +34,8 @@ pub fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
         .split(',')
         .map(|part| part.trim().parse::<f64>().map_err(|_| format!("`{part}` is not a number")))
         .collect::<Result<_, _>>()?;
-    if parts.iter().any(|v| v.is_nan() || v.abs() > FARTHEST) {
-        return Err(format!("numbers must be finite, from -{FARTHEST:e} to {FARTHEST:e}"));
+    if parts.iter().any(|v| v.is_nan() || v.abs() > MAX_COORDINATE) {
+        return Err(format!("numbers must be finite, from -{MAX_COORDINATE:e} to {MAX_COORDINATE:e}"));
     }
     <[f64; N]>::try_from(parts)
         .map_err(|parts| format!("expected {N} numbers separated by commas, found {}", parts.len()))
@@ -142,7 +142,7 @@ pub fn parse_share(text: &str) -> Result<f64, String> {
 pub fn parse_tile(text: &str) -> Result<Tile, String> {
     let numbers = text.split_once('/').and_then(|(i, n)| Some((i.parse().ok()?, n.parse().ok()?)));
     let tile = numbers.and_then(|(index, of)| Tile::new(index, of));
-    tile.ok_or_else(|| format!("expected I/N with 0 <= I < N, N = 2, 4, 8, ... {}", Tile::MOST))
+    tile.ok_or_else(|| format!("expected I/N with 0 <= I < N, N = 2, 4, 8, ... {}", Tile::MAX_TILES))
 }
 
 /// A probability that is neither impossible nor certain.
@@ -207,14 +207,16 @@ impl Frames {
 
 /// `3`, or frames from a first to before a last: `0..8`.
 pub fn parse_frames(text: &str) -> Result<Frames, String> {
-    let number = |text: &str| text.parse::<usize>().ok().filter(|k| *k as u64 <= MOST_KEPT);
+    let number = |text: &str| text.parse::<usize>().ok().filter(|k| *k as u64 <= MAX_KEPT_COUNT);
     let frames = match text.split_once("..") {
         None => number(text).map(Frames::One),
         Some((a, b)) => {
             number(a).zip(number(b)).filter(|(a, b)| a < b && b - a <= 10_000).map(|(a, b)| Frames::Many(a..b))
         }
     };
-    frames.ok_or_else(|| format!("expected a frame from 0 to {MOST_KEPT}, or A..B with A < B, at most 10000, as 0..8"))
+    frames.ok_or_else(|| {
+        format!("expected a frame from 0 to {MAX_KEPT_COUNT}, or A..B with A < B, at most 10000, as 0..8")
+    })
 }
 
 /// A number of bytes: `2GiB`, `500MB`, `1000000`.

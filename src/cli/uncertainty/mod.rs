@@ -253,14 +253,14 @@ pub struct Args {
 }
 
 /// Most shards of a run.
-const MOST_SHARDS: u64 = 1 << 20;
+const MAX_SHARDS: u64 = 1 << 20;
 
 /// `I/N` with I < N.
 fn parse_shard(text: &str) -> std::result::Result<[u64; 2], String> {
     let parts = text.split_once('/').and_then(|(i, n)| Some([i.parse().ok()?, n.parse().ok()?]));
     match parts {
-        Some([i, n]) if i < n && n <= MOST_SHARDS => Ok([i, n]),
-        _ => Err(format!("expected I/N with 0 <= I < N <= {MOST_SHARDS}, as 0/4")),
+        Some([i, n]) if i < n && n <= MAX_SHARDS => Ok([i, n]),
+        _ => Err(format!("expected I/N with 0 <= I < N <= {MAX_SHARDS}, as 0/4")),
     }
 }
 

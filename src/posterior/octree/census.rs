@@ -48,7 +48,7 @@ pub(super) struct SpeciesCounts {
 
 impl SpeciesCounts {
     /// Smallest f2 and f3 from which the spread of rates can be estimated.
-    const LEAST: [f64; 2] = [20.0, 5.0];
+    const MIN_COUNTS: [f64; 2] = [20.0, 5.0];
     /// Bounds on θ and r, beyond which the rates are not those of one gamma distribution.
     const MOST_THETA: f64 = 0.95;
     const LEAST_SHAPE: f64 = 0.02;
@@ -69,7 +69,7 @@ impl SpeciesCounts {
         let alike = self.counts.vertices(s);
         let [f1, f2, f3] = self.few;
         let theta = 3.0 * f3 / f2 - 2.0 * f2 / f1;
-        if f2 < Self::LEAST[0] || f3 < Self::LEAST[1] || theta <= 0.0 {
+        if f2 < Self::MIN_COUNTS[0] || f3 < Self::MIN_COUNTS[1] || theta <= 0.0 {
             return alike;
         }
         let theta = theta.min(Self::MOST_THETA);

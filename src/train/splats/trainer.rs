@@ -23,7 +23,7 @@ use crate::{Error, Result};
 
 /// Decays of Adam's moments, and what keeps its steps finite: those of the original code.
 /// Most pixels of an image: every splat is drawn on all tiles that it touches, which takes memory.
-const MOST_PIXELS: u64 = 4_000_000;
+const MAX_IMAGE_PIXELS: u64 = 4_000_000;
 const BETA1: f32 = 0.9;
 const BETA2: f32 = 0.999;
 const EPSILON: f32 = 1e-15;
@@ -65,8 +65,8 @@ impl<'a> SplatTrainer<'a> {
         assert!(!shots.is_empty(), "no images to train on");
         SplatRenderer::check_cameras(shots.iter().map(|shot| &shot.camera))?;
         let largest = shots.iter().map(|shot| shot.camera.pixels()).max().unwrap_or(0);
-        if largest > MOST_PIXELS {
-            let expected = format!("images of at most {MOST_PIXELS} pixels for splats; --resolution shrinks them");
+        if largest > MAX_IMAGE_PIXELS {
+            let expected = format!("images of at most {MAX_IMAGE_PIXELS} pixels for splats; --resolution shrinks them");
             return Err(Error::setting("images", expected, largest.to_string()));
         }
         if settings.most == 0 {

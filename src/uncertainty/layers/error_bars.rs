@@ -57,7 +57,7 @@ pub struct ErrorSummary {
 const UNKNOWN: u16 = 0x7e00;
 /// Fewest groups that must have seen a vertex, and fewest rays. With two or three rays the jackknife underrates the
 /// mean error by half: what rare rays would add cannot be known from so few (`experiments/hard_cases.md`).
-const LEAST_SEEN: (usize, u64) = (2, 4);
+const MIN_GROUPS_AND_RAYS: (usize, u64) = (2, 4);
 /// Numbers of groups that are valid in a file.
 const GROUPS: std::ops::RangeInclusive<u16> = 2..=1024;
 
@@ -203,7 +203,7 @@ impl UncertaintyField {
         let error = |v: usize| {
             let seen = groups.iter().filter(|group| group[v].rays > 0).count();
             let rays_here: u64 = groups.iter().map(|group| u64::from(group[v].rays)).sum();
-            if seen < LEAST_SEEN.0 || rays_here < LEAST_SEEN.1 {
+            if seen < MIN_GROUPS_AND_RAYS.0 || rays_here < MIN_GROUPS_AND_RAYS.1 {
                 return UNKNOWN;
             }
             let others: Vec<f64> = deleted.iter().map(|d| d.get(v).log10()).collect();
