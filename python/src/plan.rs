@@ -1,12 +1,13 @@
 //! Which photograph should be taken next.
 
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
+use octobayes::evaluate::Remark;
 use octobayes::next_view::{Around, GainMap, Made, NextView, Report, Settings};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use serde_json::json;
 
-use crate::errors::Said;
+use crate::errors::{Said, said};
 use crate::field::Uncertainty;
 use crate::options::{NUMBERS, Options, cameras, numbers};
 use crate::run::Source;
@@ -60,6 +61,7 @@ pub fn next_view<'py>(
             let next = NextView::of(model, &field, &views);
             let next = next.training(&training).settings(settings).monitor(engine.monitor());
             let ranking = next.run()?;
+            texts.extend(ranking.doubt().map(|doubt| said(Remark::Note(doubt))));
             let first = ranking.steps.first().filter(|_| is_mapped);
             let map = first.map(|step| next.map(&views[step.index])).transpose()?;
             Ok((Report::new(&settings, &ranking, &names), views, map, texts))

@@ -11,6 +11,7 @@ use super::options::{CameraOptions, FrameOptions, ModelArgument, heading};
 use super::progress::Bars;
 use super::streams::tell;
 use crate::dataset::{Part, Views, camera_file, write_transforms};
+use crate::evaluate::Remark;
 use crate::geometry::Camera;
 use crate::io::{AtomicFile, write_exr};
 use crate::next_view::{Around, Gain, GainMap, Made, NextView, Ranking, Report, Settings};
@@ -164,6 +165,9 @@ impl Args {
             .settings(settings)
             .monitor(bars);
         let ranking = next.run()?;
+        if let Some(doubt) = ranking.doubt() {
+            tell(Remark::Note(doubt));
+        }
         let value = self.facts(&candidates, &settings, &ranking);
         self.write(&value, &candidates, &ranking)?;
         self.print(&value, &candidates, &ranking)?;

@@ -49,10 +49,29 @@ pub struct Ranking {
     pub gains: Vec<f64>,
     /// `[candidates]`: why its gain is 0.
     pub blanks: Vec<Option<Blank>>,
+    /// Mean number of a candidate's rays that meet a vertex that they meet at all; `None` for coverage, or if none meets
+    /// matter.
+    pub rays_per_vertex: Option<f64>,
     /// Number of gains found anew in later steps.
     pub rescored: usize,
     /// True if all steps are there, false if the monitor asked to stop.
     pub complete: bool,
+}
+
+/// Rays per vertex from which neighbouring pixels meet the same vertices, so that gains are not those of chance: a
+/// vertex's hat is two cells wide, and rays one and a half cells apart meet it about twice.
+const MIN_RAYS_PER_VERTEX: f64 = 2.0;
+
+impl Ranking {
+    /// In words, that candidates had too few pixels for the field's level, if they had.
+    #[must_use]
+    pub fn doubt(&self) -> Option<String> {
+        let rays = self.rays_per_vertex.filter(|rays| *rays < MIN_RAYS_PER_VERTEX)?;
+        Some(format!(
+            "{rays:.1} rays of a candidate meet each vertex that it shows; with fewer than {MIN_RAYS_PER_VERTEX}, gains \
+             depend on chance: take more --pixels, or a field of a coarser --level"
+        ))
+    }
 }
 
 /// Ranks candidates for the next photograph.
@@ -117,7 +136,10 @@ impl<'a> NextView<'a> {
             })?;
         }
         let (mut gains, mut blanks, mut kept, mut room) = (Vec::new(), Vec::new(), Vec::new(), self.settings.memory);
+        let (mut vertices, mut meetings) = (0_u64, 0_u64);
         self.each(&viewer, self.candidates, "candidates", |_, evidence| {
+            vertices += evidence.added.len() as u64;
+            meetings += evidence.added.iter().map(|added| u64::from(added.rays)).sum::<u64>();
             gains.push(objective.gain(&evidence));
             blanks.push(evidence.blank);
             let bytes = evidence.memory();
@@ -166,7 +188,8 @@ impl<'a> NextView<'a> {
             self.monitor.advance(1);
         }
         self.monitor.end();
-        Ok(Ranking { steps, gains, blanks, rescored: candidates.rescored, complete })
+        let rays_per_vertex = (vertices > 0).then(|| meetings as f64 / vertices as f64);
+        Ok(Ranking { steps, gains, blanks, rays_per_vertex, rescored: candidates.rescored, complete })
     }
 
     /// What each pixel of a view alone would tell, given the training images.

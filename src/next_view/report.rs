@@ -12,6 +12,8 @@ pub struct Report {
     pub pixels: u64,
     /// Seed of the pixels.
     pub seed: u64,
+    /// Mean number of a candidate's rays that meet a vertex that they meet at all; `None` for coverage.
+    pub rays_per_vertex: Option<f64>,
     /// False if the work was interrupted after the listed steps.
     pub complete: bool,
     /// The views in the order in which to take them.
@@ -63,6 +65,7 @@ impl Report {
             gain: settings.gain,
             pixels: settings.pixels,
             seed: settings.seed,
+            rays_per_vertex: ranking.rays_per_vertex,
             complete: ranking.complete,
             steps: ranking.steps.iter().map(step).collect(),
             candidates: names.iter().enumerate().map(candidate).collect(),

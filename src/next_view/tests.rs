@@ -265,6 +265,30 @@ fn a_gain_of_ones_own_stands_for_that_of_a_vertex() {
 }
 
 #[test]
+fn too_few_rays_for_the_vertices_are_told() {
+    let cameras = circle();
+    let ranked = |level: u8, pixels: u64| {
+        let lattice = Lattice::from_domain(Domain::Box(scene().bounds()), level).unwrap();
+        let training = field_on(lattice, &samples(&cameras[..1]), 1, &MaxLevels::none(level));
+        NextView::new(&scene(), &training, &cameras[1..]).settings(settings().pixels(pixels)).run().unwrap()
+    };
+    // Eight rays hardly ever meet the same vertices.
+    let few = ranked(6, 8).rays_per_vertex.unwrap();
+    assert!((1.0..1.2).contains(&few), "{few}");
+    // 16 x 16 rays over the scene: a sixteenth of it apart, beside cells of an eighth and of a 64th.
+    let [coarse, fine] = [3, 6].map(|level| ranked(level, PIXELS));
+    assert!(coarse.rays_per_vertex > Some(4.0) && coarse.doubt().is_none(), "{:?}", coarse.rays_per_vertex);
+    assert!(fine.rays_per_vertex < Some(2.0), "{:?}", fine.rays_per_vertex);
+    assert!(fine.doubt().unwrap().contains("--pixels"));
+    let coverage = NextView::new(&scene(), &field(&samples(&cameras[..1]), 1, &MaxLevels::none(6)), &cameras[1..])
+        .training(&cameras[..1])
+        .settings(settings().gain(Gain::Coverage))
+        .run()
+        .unwrap();
+    assert_eq!((coverage.rays_per_vertex, coverage.doubt()), (None, None));
+}
+
+#[test]
 fn threads_do_not_count() {
     let cameras = circle();
     let training = field(&samples(&cameras[..2]), 2, &uneven());

@@ -27,6 +27,8 @@ pub struct Added {
     pub code: u64,
     /// The vertex in the field, if it has one there.
     vertex: Option<u32>,
+    /// Number of these rays that met it.
+    pub rays: u32,
     /// ΔP, 1 / scene unit²: xx, xy, xz, yy, yz, zz.
     pub precision: Information,
 }
@@ -82,8 +84,9 @@ impl Precision<'_> {
             Support::Dense => Some(self.field.lattice.dense_index(point) as u32),
             Support::Octree(octree) => octree.vertex(point).map(|VertexId(v)| v),
         };
+        let rays = sums.rays;
         let precision = comparable(&self.limits, point, sums).information.map(|s| weight * s);
-        Added { code: morton::encode(point), vertex, precision }
+        Added { code: morton::encode(point), vertex, rays, precision }
     }
 
     /// P of the vertex that rays add to, before they do. Where an octree has no vertex, it is the prior's.
