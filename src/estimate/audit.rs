@@ -17,6 +17,7 @@ use crate::uncertainty::MOVED;
 
 /// Effect of the approximations on log10 U, at vertices that the audited rays moved by more than half a decade.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+#[non_exhaustive]
 pub struct Audit {
     /// Number of audited rays.
     pub rays: u64,
