@@ -89,7 +89,7 @@ def test_other_threads_of_python_run_meanwhile(courtyard, cameras):
     thread = threading.Thread(target=tick)
     thread.start()
     start = time.monotonic()
-    ob.uncertainty(courtyard, cameras, **{**SMALL, "rays": 200_000})
+    ob.uncertainty(courtyard, cameras, **{**SMALL, "rays": 60_000})
     end = time.monotonic()
     over.set()
     thread.join()
@@ -130,7 +130,7 @@ def test_many_threads_that_call_back_do_not_deadlock():
 
         def work(i):
             f = nerf if i % 2 else model
-            return ob.uncertainty(f, cameras, box=model.box, level=5, rays=8_192, occupancy=32, batch=1 << 12)
+            return ob.uncertainty(f, cameras, box=model.box, level=5, rays=4_096, occupancy=32, batch=1 << 12)
 
         count = 2 * (os.cpu_count() or 2) + 2
         with ThreadPoolExecutor(count) as pool:

@@ -173,8 +173,13 @@ def test_a_child_of_a_process_that_used_the_package_gives_its_answers(tmp_path):
 def test_a_child_of_a_process_in_the_middle_of_work_gives_its_answers(busy, tmp_path):
     code = f"""
         shop = Workshop()
-        expected = shop.answers()
         over, rounds = threading.Event(), [0, 0]
+
+        def some():
+            names = ("query", "seen", "compare", "model", "render", "run")
+            return {{name: repr(plain(shop.parts[name]())) for name in names}}
+
+        expected = some()
 
         def work(i):
             while not over.is_set():
@@ -188,10 +193,10 @@ def test_a_child_of_a_process_in_the_middle_of_work_gives_its_answers(busy, tmp_
             while min(rounds) == before[0]:
                 time.sleep(0.01)
             time.sleep(0.003 * i)
-            some = {{name: expected[name] for name in ("query", "seen", "compare", "model", "render", "run")}}
+
             def child():
-                found = {{name: repr(plain(shop.parts[name]())) for name in some}}
-                assert found == some
+                assert some() == expected
+
             assert ended(forked(child)) == 0, i
         over.set()
         [thread.join() for thread in threads]

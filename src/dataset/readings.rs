@@ -24,6 +24,7 @@ pub enum Unmeasured {
 
 /// Counts what the pixels of depth maps hold.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+#[non_exhaustive]
 pub struct DepthReadings {
     /// Pixels with a usable depth.
     pub measured: u64,

@@ -17,6 +17,7 @@ const USUAL_DISTANCE: f64 = 1.5;
 
 /// The position of cameras relative to a box.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+#[non_exhaustive]
 pub struct Framing {
     /// Number of rays.
     pub rays: u64,

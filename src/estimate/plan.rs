@@ -49,6 +49,7 @@ const MAX_SPECIES: usize = 1 << 16;
 
 /// The expected course of a run.
 #[derive(Debug, Clone)]
+#[non_exhaustive]
 pub struct Plan {
     /// The maximal level of leaves, by region.
     pub limits: MaxLevels,

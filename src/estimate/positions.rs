@@ -16,6 +16,7 @@ const FINE: f64 = 1.0 / 4096.0;
 
 /// How finely f32 holds positions in a field's box.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub struct PositionCheck {
     /// The coordinate that is farthest from the origin.
     pub farthest: f32,

@@ -25,6 +25,7 @@ pub(super) fn surface_points(stream: &RayStream, seed: u64, monitor: &dyn Monito
 
 /// A step, and the errors of central differences with this step and with others.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
+#[non_exhaustive]
 pub struct StepCheck {
     /// The run's step, lattice edges.
     pub step: f64,

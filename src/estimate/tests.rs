@@ -3,7 +3,7 @@
 mod splats;
 
 use super::*;
-use crate::field::{ClosedForm, RadianceField, VoxelGrid};
+use crate::field::{ClosedForm, RadianceField};
 use crate::geometry::{Aabb, Camera, Domain};
 use crate::monitor::Silent;
 use crate::octree::MaxLevels;
@@ -46,60 +46,6 @@ fn octree_and_dense_agree_on_the_same_samples() {
     assert!(compared.in_box.unwrap().max <= 0.01 + 1e-6);
     let on_surfaces = compared.on_surfaces.unwrap();
     assert!(on_surfaces.points > 1000 && on_surfaces.max <= 0.01 + 1e-6);
-}
-
-#[test]
-fn one_and_two_threads_give_the_same_bits() {
-    let field = ClosedForm::courtyard();
-    let cameras = ClosedForm::half_circle(5, [32, 32]);
-    let grid = GridSettings { level: 6, ..GridSettings::default() };
-    let run = |threads| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| Estimation::new(&field, &cameras).rays(settings(5000)).grid(grid).run().unwrap().field)
-    };
-    let [one, two] = [1, 2].map(run);
-    assert_eq!(one, two);
-}
-
-#[test]
-fn a_scene_scaled_by_s_has_its_uncertainty_scaled_by_s() {
-    // The same grid values in a box 8 times as large: lengths scale exactly in binary, densities by 1/8.
-    struct Scaled(VoxelGrid, f32);
-    impl RadianceField for Scaled {
-        fn bounds(&self) -> Aabb {
-            let b = self.0.bounds();
-            Aabb::new(b.min() * f64::from(self.1), b.max() * f64::from(self.1)).unwrap()
-        }
-        fn evaluate(&self, positions: &[Vec3], directions: &[Vec3], out: &mut [crate::field::Radiance]) {
-            let small: Vec<Vec3> = positions.iter().map(|x| *x / self.1).collect();
-            self.0.evaluate(&small, directions, out);
-            out.iter_mut().for_each(|r| r.density /= self.1);
-        }
-        fn suggested_step(&self) -> f64 {
-            self.0.suggested_step() * f64::from(self.1)
-        }
-        fn memory(&self) -> usize {
-            0
-        }
-        fn describe(&self) -> String {
-            "scaled".into()
-        }
-    }
-    let grid = GridSettings { level: 5, ..GridSettings::default() };
-    let field = |scale: f64| {
-        let scene = Scaled(VoxelGrid::bake(&ClosedForm::ball(), [24; 3], Vec3::Z), scale as f32);
-        let camera = |eye: DVec3| Camera::look_at(eye * scale, DVec3::ZERO, DVec3::Z, 0.7, [32, 32]);
-        let cameras = [camera(DVec3::new(3.0, 0.5, 0.25)), camera(DVec3::new(-1.0, 2.5, 1.0))];
-        Estimation::new(&scene, &cameras).rays(settings(2000)).grid(grid).run().unwrap().field
-    };
-    let [small, large] = [field(1.0), field(8.0)];
-    for i in 0..1000 {
-        let x = Vec3::new((i % 10) as f32, (i / 10 % 10) as f32, (i / 100) as f32) / 5.1 - 0.9;
-        let change = large.log10(8.0 * x) - small.log10(x) - 8.0_f64.log10();
-        // Powers of two scale f32 exactly, so only λ and the deviations are rounded.
-        assert!(change.abs() < 1e-6, "{change} at {x}");
-    }
-    assert!(small.deviations().iter().any(|d| d < 0.01 * small.prior()), "the rays said something");
 }
 
 #[test]
@@ -176,21 +122,21 @@ fn the_finest_level_of_all_works_and_says_the_same_as_a_scan_of_its_samples() {
     let cameras = ClosedForm::half_circle(3, [40, 40]);
     let grid = GridSettings { level: 16, tolerance: 0.0, ..GridSettings::default() };
     let Outcome { field: found, progress, .. } =
-        Estimation::new(&field, &cameras).rays(settings(24)).grid(grid).run().unwrap();
-    assert!(progress.samples > 50 && found.validate().is_ok());
+        Estimation::new(&field, &cameras).rays(settings(8)).grid(grid).run().unwrap();
+    assert!(progress.samples > 20 && found.validate().is_ok());
     // Here every ray meets vertices of its own. Where a sample was sensitive, one ray supports the number.
     let seen = found.surface().iter().filter(|x| {
         let estimate = found.query(Vec3::from_array(**x));
         estimate.level == 16 && estimate.uncertainty < 0.9 * found.prior() && estimate.rays == Some(1.0)
     });
-    assert!(seen.count() > 40, "of {}", found.surface().len());
+    assert!(seen.count() > 12, "of {}", found.surface().len());
 }
 
 /// A run with a plan, which its rays limit, and without a budget.
 fn limited_by_rays<'a>(field: &'a ClosedForm, cameras: &'a [Camera]) -> Run<'a> {
     let criteria = [crate::posterior::Criterion::RayCount].into_iter().collect();
     let grid = GridSettings { level: 8, criteria, min_rays: 0.25, ray_count: 0.25, ..GridSettings::default() };
-    Estimation::new(field, cameras).rays(settings(20_000)).grid(grid).prepare().unwrap()
+    Estimation::new(field, cameras).rays(settings(8_000)).grid(grid).prepare().unwrap()
 }
 
 /// A budget that the plan meets and the run exceeds. The outcome must be that of a run with the
@@ -201,11 +147,11 @@ fn a_run_that_starts_again_ends_as_if_it_had_been_planned_so() {
     let prepared = || limited_by_rays(&field, &cameras);
     // Planned without a budget, then run with one that the sums exceed.
     let mut run = prepared();
-    run.limits.bound_without_process(40_000_000);
+    run.limits.bound_without_process(16_000_000);
     let again = run.finish().unwrap();
-    assert!(again.is_replanned && again.progress.rays == 20_000);
+    assert!(again.is_replanned && again.progress.rays == 8_000);
     let plan = again.plan.unwrap();
-    assert!(plan.rays_per_vertex > 0.25 && again.sums_bytes <= 40_000_000);
+    assert!(plan.rays_per_vertex > 0.25 && again.sums_bytes <= 16_000_000);
     let mut planned = prepared();
     planned.limits.set_plan(plan);
     let planned = planned.finish().unwrap();

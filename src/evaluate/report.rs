@@ -63,6 +63,7 @@ pub struct Report {
 
 /// One view.
 #[derive(Debug, Clone, Serialize)]
+#[non_exhaustive]
 pub struct ViewReport {
     /// The frame's `file_path`.
     pub name: String,
@@ -74,6 +75,7 @@ pub struct ViewReport {
 
 /// The pixels that show what no training view saw.
 #[derive(Debug, Clone, Copy, Serialize)]
+#[non_exhaustive]
 pub struct NeverSeen {
     /// Number of training views.
     pub training_views: usize,
@@ -105,6 +107,7 @@ pub struct Scored {
 
 /// A calibrated interval, on other views than those that it was made on.
 #[derive(Debug, Clone, Serialize)]
+#[non_exhaustive]
 pub struct Inside {
     /// Name of the reading.
     pub name: String,

@@ -19,6 +19,7 @@ const CHUNK: usize = 1 << 16;
 
 /// Points on surfaces: where rays of cameras lose half of their light, if they lose as much.
 #[derive(Debug, Clone, Default)]
+#[non_exhaustive]
 pub struct Surfaces {
     /// `[n]`: scene units.
     pub positions: Vec<Vec3>,

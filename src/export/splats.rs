@@ -17,6 +17,7 @@ const SEEN: f64 = 0.05;
 
 /// What training views show of each splat.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct SeenSplats {
     /// `[n]`: sum of w, its share of a pixel, over the pixels that were looked at.
     pub weights: Vec<f64>,

@@ -28,6 +28,7 @@ impl ErrorKind {
 
 /// Two sparsification curves and the area between them.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
+#[non_exhaustive]
 pub struct Sparsification {
     /// `[STEPS]`: share of the pixels removed.
     pub removed: Vec<f64>,

@@ -51,6 +51,7 @@ pub struct VertexId(pub u32);
 
 /// Where the value at a leaf's corner comes from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[doc(hidden)]
 pub enum Corner {
     /// The corner is a free vertex.
     Free(VertexId),
@@ -221,6 +222,7 @@ impl Octree {
     /// # Panics
     /// If it is a corner of no leaf.
     #[must_use]
+    #[doc(hidden)]
     pub fn corner(&self, point: [u32; 3]) -> Corner {
         match self.vertex(point) {
             Some(vertex) => Corner::Free(vertex),

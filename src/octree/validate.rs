@@ -8,6 +8,7 @@ use super::{Cell, Corner, Octree, morton};
 
 /// What a sound octree consists of.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
+#[non_exhaustive]
 pub struct OctreeStats {
     /// Leaves of each level, 0 to finest.
     pub leaves_per_level: Vec<u64>,

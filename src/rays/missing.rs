@@ -7,6 +7,7 @@ use super::shard::{Draw, Shard};
 
 /// The parts of a run that nobody summed, although its other parts were.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
+#[non_exhaustive]
 pub struct MissingShards {
     /// Seed of the run.
     pub seed: u64,

@@ -84,6 +84,7 @@ impl Shard {
 
 /// Identifies summed rays by their seed and shard.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
+#[non_exhaustive]
 pub struct Draw {
     /// Seed of the sequence's pixels and jitter.
     pub seed: u64,

@@ -15,6 +15,7 @@ use super::TracedRays;
 
 /// What a ray shows.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[non_exhaustive]
 pub struct Pixel {
     /// C, background included.
     pub color: DVec3,

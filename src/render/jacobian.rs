@@ -110,6 +110,7 @@ fn split<'s, 'm, 'b>(
 impl Tracer<'_> {
     /// Traces the rays of a batch and differentiates their pixels.
     #[must_use]
+    #[doc(hidden)]
     pub fn jacobians<'b>(
         &'b self,
         batch: &RayBatch,
@@ -127,6 +128,7 @@ impl Tracer<'_> {
     ///
     /// # Errors
     /// [`crate::Error::Interrupted`] only.
+    #[doc(hidden)]
     pub fn jacobians_together(
         &self,
         batches: &[RayBatch],

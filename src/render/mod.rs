@@ -14,11 +14,10 @@ mod shade;
 mod trace;
 mod view;
 
-pub use composite::{CompositingWeights, Pixel, depth_variance, termination_entropy};
+pub use composite::Pixel;
 pub use depth::{DepthProbe, DepthSample, DepthVariance};
 pub use gradient::{Differences, Differentiation, GradientMethod, Stencil};
 pub use images::{Renderer, VolumeRenderer};
-pub use jacobian::{JacobianBuffers, RayBatch};
 pub use march::Marcher;
 pub(crate) use march::SampleDistances;
 pub(crate) use noise::LONGEST_STEP;
@@ -27,8 +26,16 @@ pub use occupancy::Occupancy;
 pub use ray_average::RayAverage;
 pub use samples::{RaySample, RaySamples, VisibleSegment};
 pub(crate) use trace::TracedRays;
-pub use trace::{TraceBuffers, Tracer};
+pub use trace::Tracer;
 pub use view::{
     MIN_SUPPORTING_RAYS, Probe, Probed, ProbedField, RenderedView, render_rays, render_view, render_view_with_depth,
 };
 pub(crate) use view::{WeightedRays, check_size};
+
+// The steps of a tracer, for this crate's experiments and tests.
+#[doc(hidden)]
+pub use composite::{CompositingWeights, depth_variance, termination_entropy};
+#[doc(hidden)]
+pub use jacobian::{JacobianBuffers, RayBatch};
+#[doc(hidden)]
+pub use trace::TraceBuffers;

@@ -80,6 +80,7 @@ pub fn noise_level(values: &[f64; TABLE]) -> Option<f64> {
 
 /// Error of central differences of a field's density at one step, relative to ∂σ.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+#[non_exhaustive]
 pub struct DifferenceError {
     /// Distance to both sides, in lattice edges.
     pub step: f64,
@@ -112,6 +113,7 @@ impl DifferenceError {
 
 /// Errors of central differences at all steps.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
+#[non_exhaustive]
 pub struct DifferenceErrors {
     /// Number of points at which the density changes.
     pub points: usize,

@@ -12,6 +12,7 @@ impl Tracer<'_> {
     /// The field's colour where a sample's share of its pixel exceeds the marcher's cutoff, black elsewhere. NaN
     /// where the field's colour is not finite.
     #[must_use]
+    #[doc(hidden)]
     pub fn visible_colors(&self, rays: &[Ray], traced: &TracedRays, quadrature: &CompositingWeights) -> Vec<Vec3> {
         let (mut which, mut positions, mut directions) = (Vec::new(), Vec::new(), Vec::new());
         for (r, ray) in rays.iter().enumerate() {

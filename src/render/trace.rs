@@ -108,6 +108,7 @@ impl<'a> Tracer<'a> {
 
     /// Samples `rays` into `buffers.traced`, each shifted by its `jitter` in `[0, 1)` steps. A ray ends when its
     /// transmittance falls below the marcher's cutoff.
+    #[doc(hidden)]
     pub fn trace<'b>(&'b self, rays: &[Ray], jitter: &[f64], buffers: &mut TraceBuffers<'b>) {
         self.start(rays, jitter, buffers);
         loop {

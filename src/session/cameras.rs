@@ -61,6 +61,7 @@ pub struct CameraSource {
 
 /// The cameras that a model was trained on.
 #[derive(Debug, Clone)]
+#[non_exhaustive]
 pub struct TrainingCameras {
     /// The cameras, with what lies beside them.
     pub views: Views,

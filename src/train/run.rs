@@ -57,6 +57,7 @@ pub trait Training {
 
 /// Progress of a run while it is going on.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct Progress {
     /// Number of steps so far.
     pub steps: u64,
@@ -104,6 +105,7 @@ pub struct Run<'a> {
 
 /// Outcome of a run.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub struct Finished {
     /// Seconds of training, including those before an interruption, without the time for measuring quality.
     pub elapsed: f64,

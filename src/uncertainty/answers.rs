@@ -16,6 +16,7 @@ const MIN_SORTED_POINTS: usize = 64;
 
 /// The result of a query at a point.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub struct Answer {
     /// U and its circumstances.
     pub estimate: Estimate,

@@ -12,6 +12,7 @@ use crate::{Error, Result};
 
 /// Size and structure of a field.
 #[derive(Debug, Clone, serde::Serialize)]
+#[non_exhaustive]
 pub struct Summary {
     /// `dense` or `octree`.
     pub grid: &'static str,
@@ -29,6 +30,7 @@ pub struct Summary {
 
 /// |Δ log10 U| over a set of points.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
+#[non_exhaustive]
 pub struct Difference {
     /// Number of points compared.
     pub points: usize,
@@ -53,6 +55,7 @@ impl Comparison {
 
 /// The comparison of two fields.
 #[derive(Debug, Clone, serde::Serialize)]
+#[non_exhaustive]
 pub struct Comparison {
     /// The fields.
     pub fields: [Summary; 2],

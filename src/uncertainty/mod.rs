@@ -37,6 +37,8 @@ pub use merge::{finish_tiles, merge, merge_with_error_bars};
 pub use observability::Observability;
 #[cfg(feature = "files")]
 pub use official::OfficialGrid;
+// For ranking views, and for the experiment that checks what it predicts.
+#[doc(hidden)]
 pub use precision::{Added, Precision};
 pub use protocol::{Origin, Protocol};
 pub use query::Estimate;

@@ -39,6 +39,7 @@ impl UncertaintyField {
     /// # Errors
     /// If the field is in the paper's scale, keeps no sums, is a part of a run, or was pooled: pooled sums are not
     /// those of a vertex's own rays.
+    #[doc(hidden)]
     pub fn precision(&self) -> Result<Precision<'_>> {
         let Scale::Data(data) = self.protocol.scale else {
             let expected = "a field in the scale of its data, which counts information in pixels";

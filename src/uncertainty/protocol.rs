@@ -6,6 +6,7 @@ use crate::render::GradientMethod;
 
 /// Checksums of what a field was computed from: of contents, not of paths. `None` where unknown.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+#[non_exhaustive]
 pub struct Origin {
     /// Checksum of the model ([`crate::open::checksum`]).
     pub model: Option<u32>,
@@ -16,6 +17,7 @@ pub struct Origin {
 /// Everything that the numbers in a field depend on. `None` where the field came from elsewhere and the value is
 /// unknown.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[non_exhaustive]
 pub struct Protocol {
     /// Version of this crate.
     pub version: String,

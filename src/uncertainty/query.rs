@@ -7,6 +7,7 @@ use crate::octree::{VertexId, trilinear};
 
 /// U at a point.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub struct Estimate {
     /// U, scene units.
     pub uncertainty: f64,

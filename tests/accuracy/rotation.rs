@@ -2,7 +2,6 @@
 
 use glam::{DMat3, DVec3, Mat3, Vec3};
 use octobayes::estimate::{Estimation, GridSettings, RaySettings};
-use octobayes::field::closed_form::{Primitive, Shape, Texture};
 use octobayes::field::{ClosedForm, Radiance, RadianceField};
 use octobayes::geometry::{Aabb, Camera};
 use octobayes::posterior::Covariance;
@@ -109,33 +108,4 @@ fn trace_and_block_change_no_more_than_discretisation_does() {
             "{covariance:?}: turning changes {rotation}, shifting {discretisation}"
         );
     }
-}
-
-/// A known fact of the paper's formula, not of its implementation. A textureless wall that faces an axis leaves
-/// two of the three diagonal entries of H at the prior; a wall turned by 45° leaves only one. So `σ² = Σ 1/H_kk`
-/// falls from two priors to one.
-#[test]
-fn diagonal_depends_on_the_axes_and_block_does_not() {
-    let shape = Shape::Slab { center: Vec3::ZERO, normal: Vec3::X, half: 0.2 };
-    let texture = Texture::Plain(Vec3::new(0.8, 0.3, 0.2));
-    let wall = Primitive { shape, peak: 40.0, softness: 0.2, texture };
-    let scene = ClosedForm::new("plain wall", vec![wall], Aabb::centered_cube(0.75), 1.0 / 256.0);
-    let [still, turned] = [0.0, 45_f64.to_radians()].map(|angle| field(&scene, angle, DVec3::ZERO));
-    // Lines along the normal through the middle of the front face, far from the wall's rims. The least U on each
-    // line lies where all surrounding vertices were seen.
-    let ratio = |covariance| {
-        let of = |f: &(UncertaintyField, Moved)| {
-            let read = f.0.clone().with_covariance(covariance).unwrap();
-            let log10 = |x, y, z| read.log10(f.1.forth(DVec3::new(x, y, z)).as_vec3());
-            let least =
-                |y: f64, z: f64| (0..100).map(|i| log10(0.005 * f64::from(i), y, z)).fold(f64::INFINITY, f64::min);
-            (0..100).map(|i| least(-0.2 + 0.04 * f64::from(i % 10), -0.2 + 0.04 * f64::from(i / 10))).sum::<f64>()
-                / 100.0
-        };
-        of(&still) - of(&turned)
-    };
-    // √2 in σ is 0.15 in log10. `block` keeps two priors' worth, however the wall is turned.
-    let diagonal = ratio(Covariance::Diagonal);
-    assert!((0.14..0.17).contains(&diagonal), "{diagonal}");
-    assert!(ratio(Covariance::Block).abs() < 0.005, "{}", ratio(Covariance::Block));
 }

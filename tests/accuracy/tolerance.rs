@@ -66,7 +66,7 @@ fn parts_joined_are_the_whole_run_at_any_tolerance() {
     let field = ClosedForm::courtyard();
     let cameras = ClosedForm::half_circle(6, [64, 64]);
     let domain = Domain::Box(field.bounds());
-    let rays = 20_000;
+    let rays = 8_000;
     for covariance in Covariance::ALL {
         let dense = GridSettings::default().grid(GridKind::Dense).level(5).covariance(covariance);
         let lattice = dense.lattice(domain).unwrap();
@@ -102,7 +102,7 @@ fn whole_runs_joined_stay_within_the_tolerance() {
         let dense = GridSettings::default().grid(GridKind::Dense).level(5).covariance(covariance);
         let fields = |grid: GridSettings| {
             let fields = (0..of).map(|seed| {
-                let rays = RaySettings::default().rays(3_000).seed(seed).occupancy(40);
+                let rays = RaySettings::default().rays(2_000).seed(seed).occupancy(40);
                 let lattice = grid.lattice(domain).unwrap();
                 let stream = rays.stream(&field, &cameras, &lattice, &Silent).unwrap();
                 part(&stream, grid, domain, Shard::whole(rays.rays))
@@ -156,7 +156,7 @@ fn models() -> impl Iterator<Item = Model> {
 fn octrees_of_the_data_are_within_the_tolerance_at_every_vertex() {
     let (tolerance, mut seen) = (0.01, 0);
     for (name, model, cameras) in models() {
-        let rays = RaySettings::default().rays(4_096).gradient(GradientMethod::Auto);
+        let rays = RaySettings::default().rays(2_048).gradient(GradientMethod::Auto);
         let grid = GridSettings::default().tolerance(tolerance);
         let run = Estimation::new(&*model, &cameras).rays(rays).grid(grid).prepare().unwrap();
         let [pruned, all] = run.finish_on(&[grid, grid.tolerance(0.0)]).unwrap().try_into().unwrap();

@@ -40,6 +40,7 @@ pub struct ErrorBars {
 
 /// Summary of the error bars of the vertices that moved by more than half a decade from the prior.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+#[non_exhaustive]
 pub struct ErrorSummary {
     /// Number of groups of rays that were compared.
     pub groups: u16,
