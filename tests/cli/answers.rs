@@ -7,6 +7,7 @@ use std::process::{Command, Output, Stdio};
 
 use crate::arrays::npy;
 use crate::npz::NpzWriter;
+use crate::program::{command, good};
 use glam::Vec3;
 use octobayes::field::{ClosedForm, VoxelGrid};
 use octobayes::geometry::Camera;
@@ -41,9 +42,7 @@ impl Desk {
     }
 
     fn command(&self, args: &str) -> Command {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_octobayes"));
-        command.args(args.split_whitespace()).current_dir(self.folder.path());
-        command
+        command(self.folder.path(), args)
     }
 
     fn run(&self, args: &str) -> Output {
@@ -52,9 +51,7 @@ impl Desk {
 
     /// Runs the program and returns stdout. Panics on failure.
     fn good(&self, args: &str) -> String {
-        let output = self.run(args);
-        assert!(output.status.success(), "{args}: {}", String::from_utf8_lossy(&output.stderr));
-        String::from_utf8(output.stdout).unwrap()
+        good(self.folder.path(), args)
     }
 
     fn files(&self) -> Vec<String> {
@@ -463,7 +460,8 @@ fn long_work_tells_off_a_terminal_how_far_it_is() {
     let short = desk.run(FIELD);
     assert!(!String::from_utf8(short.stderr).unwrap().lines().any(is_progress));
     let started = std::time::Instant::now();
-    let mut child = desk.command(&FIELD.replace("3000", "1G")).stderr(Stdio::piped()).spawn().unwrap();
+    let mut child =
+        desk.command(&format!("{} --threads 1", FIELD.replace("3000", "1G"))).stderr(Stdio::piped()).spawn().unwrap();
     let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
     let line = lines.by_ref().map(Result::unwrap).find(|line| is_progress(line));
     assert!(line.is_some() && started.elapsed().as_secs() >= 10, "{line:?} after {:?}", started.elapsed());

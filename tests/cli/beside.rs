@@ -2,8 +2,8 @@
 //! background or other poses would give a field that looks as good as any.
 
 use std::path::Path;
-use std::process::Command;
 
+use crate::program::outcome;
 use glam::{DVec3, Vec3};
 use octobayes::dataset::{Frame, MaskFile, write_transforms};
 use octobayes::estimate::RaySettings;
@@ -16,16 +16,9 @@ use octobayes::render::{Marcher, Tracer, render_view};
 const RUN: &str = "--level 4 --rays 1000 --occupancy 32 -o x.oct";
 const SIDE: u32 = 40;
 
-/// Exit code and stderr.
-fn run(folder: &Path, args: &str) -> (Option<i32>, String) {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_octobayes"));
-    let output = command.args(args.split_whitespace()).current_dir(folder).output().unwrap();
-    (output.status.code(), String::from_utf8(output.stderr).unwrap())
-}
-
 /// What a run over the courtyard says of the images beside its cameras, and whether it succeeded.
 fn told(folder: &Path, args: &str) -> (bool, String) {
-    let (code, said) = run(folder, &format!("uncertainty scene:courtyard --cameras cameras.json {RUN} {args}"));
+    let (code, _, said) = outcome(folder, &format!("uncertainty scene:courtyard --cameras cameras.json {RUN} {args}"));
     let line = said.lines().find(|line| line.contains("beside the cameras")).unwrap_or_default();
     assert!(code == Some(0) || line.starts_with("error: images beside the cameras"), "{said}");
     (code == Some(0), line.to_owned())
@@ -92,7 +85,8 @@ fn images_of_another_scene_are_refused_unless_forced() {
     assert!(!desk.path().join("x.oct").exists());
     let (is_run, said) = told(desk.path(), "--force");
     assert!(is_run && said.starts_with("warning: ") && said.contains("another scene"), "{said}");
-    let (code, said) = run(desk.path(), &format!("uncertainty scene:courtyard --cameras cameras.json {RUN} --dry-run"));
+    let (code, _, said) =
+        outcome(desk.path(), &format!("uncertainty scene:courtyard --cameras cameras.json {RUN} --dry-run"));
     assert!(code == Some(2) && said.contains("--force insists"), "{said}");
 }
 

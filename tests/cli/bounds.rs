@@ -6,6 +6,7 @@ use std::os::unix::process::ExitStatusExt;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
+use crate::program::good;
 use octobayes::dataset::write_transforms;
 use octobayes::field::ClosedForm;
 
@@ -13,7 +14,7 @@ use octobayes::field::ClosedForm;
 const VALUES: [&str; 11] =
     ["", "0", "1", "-1", "18446744073709551615", "1e300", "-1e300", "1e-300", "1e12", "nan", "inf"];
 /// Most that a run may take before it is asked to stop: numbers of rays and steps may ask for days.
-const PATIENCE: Duration = Duration::from_secs(2);
+const PATIENCE: Duration = Duration::from_secs(1);
 /// Then, how soon it has to stop.
 const NOTICE: Duration = Duration::from_secs(60);
 /// Address space of a run, kB.
@@ -51,10 +52,7 @@ impl Desk {
     }
 
     fn good(&self, args: &str) -> String {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_octobayes"));
-        let output = command.args(args.split_whitespace()).current_dir(&self.0).output().unwrap();
-        assert!(output.status.success(), "{args}: {}", String::from_utf8_lossy(&output.stderr));
-        String::from_utf8(output.stdout).unwrap()
+        good(self.0.path(), args)
     }
 
     /// What is wrong with what the program does, if anything.

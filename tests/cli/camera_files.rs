@@ -1,9 +1,9 @@
 //! What camera files say of frames and pixels decides what counts as seen.
 
 use std::path::{Path, PathBuf};
-use std::process::Command;
 
 use crate::npz::NpzWriter;
+use crate::program::outcome;
 use glam::{DVec3, Vec3};
 use octobayes::geometry::Camera;
 use octobayes::uncertainty::UncertaintyField;
@@ -61,9 +61,8 @@ impl Desk {
     }
 
     fn run(&self, args: &str) -> (Option<i32>, String) {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_octobayes"));
-        let output = command.args(args.split_whitespace()).current_dir(self.0.path()).output().unwrap();
-        (output.status.code(), String::from_utf8(output.stderr).unwrap())
+        let (code, _, said) = outcome(self.0.path(), args);
+        (code, said)
     }
 
     fn refused(&self, args: &str) -> String {

@@ -6,16 +6,7 @@ use std::sync::LazyLock;
 
 use serde_json::Value;
 
-/// Runs the program in `folder` and returns stdout.
-fn octobayes(folder: &Path, args: &str) -> String {
-    let output = Command::new(env!("CARGO_BIN_EXE_octobayes"))
-        .args(args.split_whitespace())
-        .current_dir(folder)
-        .output()
-        .unwrap();
-    assert!(output.status.success(), "{args}: {}", String::from_utf8_lossy(&output.stderr));
-    String::from_utf8(output.stdout).unwrap()
-}
+use crate::program::{good, outcome, run};
 
 /// A copy of [`MADE`] to work in.
 fn desk() -> tempfile::TempDir {
@@ -52,13 +43,13 @@ fn made() -> PathBuf {
         mesh += &format!("f {a} {b} {c}\n");
     }
     std::fs::write(folder.join("mesh.obj"), mesh).unwrap();
-    octobayes(&folder, "synth mesh.obj -o set --count 6 --test-count 2 --resolution 24 --samples-per-pixel 4");
-    octobayes(
+    good(&folder, "synth mesh.obj -o set --count 6 --test-count 2 --resolution 24 --samples-per-pixel 4");
+    good(
         &folder,
         "train set -o m.safetensors --steps 120 --members 2 --samples-per-step 4096 \
          --log2-hashmap-size 12",
     );
-    octobayes(
+    good(
         &folder,
         "uncertainty m-0.safetensors --cameras set/transforms_train.json --level 5 --rays 3000 --gradient auto \
          --keep-sums -o m.oct",
@@ -74,12 +65,8 @@ fn depths_in_other_units_are_noticed() {
     let desk = desk();
     let run = |encoding: &str| {
         let args = EVALUATE.replace("0,6.5535", encoding);
-        let output = Command::new(env!("CARGO_BIN_EXE_octobayes"))
-            .args(args.split_whitespace())
-            .current_dir(desk.path())
-            .output();
-        let output = output.unwrap();
-        (output.status.code(), String::from_utf8(output.stderr).unwrap())
+        let (code, _, said) = outcome(desk.path(), &args);
+        (code, said)
     };
     let (code, said) = run("0,6.5535");
     assert!(code == Some(0) && !said.contains("depths are off"), "{said}");
@@ -96,15 +83,15 @@ fn depths_in_other_units_are_noticed() {
 fn photographs_alone_can_be_cleaned_up() {
     let desk = desk();
     let command = "evaluate m-0.safetensors m.oct --cameras set/transforms_test.json --clean-up";
-    let json = octobayes(desk.path(), &format!("{command} sheet.png --json"));
+    let json = good(desk.path(), &format!("{command} sheet.png --json"));
     let found: Value = serde_json::from_str(&json).unwrap();
     assert_eq!((&found["depth_error"], &found["pixels"]), (&Value::Null, &0.into()));
     assert!(found["psnr"].as_f64().unwrap() > 10.0);
     assert!(std::fs::metadata(desk.path().join("sheet.png")).unwrap().len() > 1000);
-    let with_depth = octobayes(desk.path(), &format!("{EVALUATE} --clean-up other.png --json"));
+    let with_depth = good(desk.path(), &format!("{EVALUATE} --clean-up other.png --json"));
     let with_depth: Value = serde_json::from_str(&with_depth).unwrap();
     assert_eq!(found["clean_up"], with_depth["clean_up"], "depth changes nothing in it");
-    let text = octobayes(desk.path(), &format!("{command} sheet.png"));
+    let text = good(desk.path(), &format!("{command} sheet.png"));
     assert!(text.contains("surfaces kept") && !text.contains("AUSE"), "{text}");
 }
 
@@ -116,7 +103,7 @@ fn a_disk_that_is_full_at_the_last_file_leaves_no_half_set() {
     let names = ["sheet.png", "plot.svg", "curves.csv"];
     let outputs =
         "--clean-up sheet.png --plot plot.svg --csv curves.csv --ray-average u-spread,weighted-mean,at-expected";
-    octobayes(desk.path(), &format!("{EVALUATE} {outputs}"));
+    good(desk.path(), &format!("{EVALUATE} {outputs}"));
     let sizes = names.map(|name| std::fs::metadata(desk.path().join(name)).unwrap().len());
     for name in names {
         std::fs::write(desk.path().join(name), "precious").unwrap();
@@ -140,7 +127,7 @@ fn a_disk_that_is_full_at_the_last_file_leaves_no_half_set() {
 #[test]
 fn all_measures_and_the_clean_up_are_in_the_tables() {
     let desk = desk();
-    let run = |more: &str| octobayes(desk.path(), &format!("{EVALUATE} {more}"));
+    let run = |more: &str| good(desk.path(), &format!("{EVALUATE} {more}"));
     let text =
         run("--clean-up sheet.png --json --plot plot.svg --csv curves.csv --ray-average weighted-mean,at-expected");
     let json: Value = serde_json::from_str(&text).unwrap();
@@ -182,7 +169,7 @@ fn all_measures_and_the_clean_up_are_in_the_tables() {
         assert!(std::fs::metadata(desk.path().join(file)).unwrap().len() > 1000, "{file}");
     }
     // Results do not depend on the number of threads.
-    let one = octobayes(
+    let one = good(
         desk.path(),
         &format!("--threads 1 {EVALUATE} --ray-average weighted-mean,at-expected --clean-up sheet.png --json"),
     );
@@ -199,13 +186,12 @@ fn all_measures_and_the_clean_up_are_in_the_tables() {
 #[test]
 fn deviations_of_depth_are_calibrated_beside_those_of_the_weights() {
     let desk = desk();
-    octobayes(
+    good(
         desk.path(),
         "uncertainty m-0.safetensors --level 5 --rays 3000 --gradient auto --scale data --keep-sums -o data.oct",
     );
     let command = EVALUATE.replace("m.oct", "data.oct --covariance block");
-    let found: Value =
-        serde_json::from_str(&octobayes(desk.path(), &format!("{command} --json --plot both.svg"))).unwrap();
+    let found: Value = serde_json::from_str(&good(desk.path(), &format!("{command} --json --plot both.svg"))).unwrap();
     let calibration = |part: &str, name: &str| {
         let entries = found[part].as_array().unwrap();
         entries.iter().find(|entry| entry["name"] == name).unwrap()["calibration"].clone()
@@ -224,7 +210,7 @@ fn deviations_of_depth_are_calibrated_beside_those_of_the_weights() {
     for curve in ["depth deviation (AUCE 0.", "depth deviation (AUSE 0.", "oracle", "what it should be"] {
         assert!(both.contains(curve), "{curve}");
     }
-    let text = octobayes(desk.path(), &command);
+    let text = good(desk.path(), &command);
     assert!(text.contains("errors of depth within") && text.contains("deviation of the ray's weights"), "{text}");
     // The risk is the mean error left: at least the oracle's, and chance's is near the mean error.
     let figures = |part: &str, key: &str| -> Vec<(String, f64)> {
@@ -242,14 +228,13 @@ fn deviations_of_depth_are_calibrated_beside_those_of_the_weights() {
     let row = text.lines().find(|line| line.trim_start().starts_with("random")).unwrap();
     assert!(row.contains(&format!(" {:.5} ", risk("random"))) && text.contains(&format!(" {least:.5} ")), "{text}");
     // In the paper's scale there is nothing to calibrate.
-    assert!(!octobayes(desk.path(), &format!("{EVALUATE} --plot one.svg")).contains("errors of depth within"));
+    assert!(!good(desk.path(), &format!("{EVALUATE} --plot one.svg")).contains("errors of depth within"));
     assert!(!std::fs::read_to_string(desk.path().join("one.svg")).unwrap().contains("AUCE"));
 
     // Pictures, and the channel.
     let render = |more: &str| {
         let args = format!("render m-0.safetensors {more} --cameras set/transforms_test.json");
-        let mut command = Command::new(env!("CARGO_BIN_EXE_octobayes"));
-        command.args(args.split_whitespace()).current_dir(desk.path()).output().unwrap()
+        run(desk.path(), &args)
     };
     assert!(render("data.oct --depth-error -o view.exr").status.success());
     assert!(render("data.oct --depth-error -o with.png").status.success());
@@ -271,18 +256,15 @@ fn deviations_of_depth_are_calibrated_beside_those_of_the_weights() {
 #[test]
 fn a_calibrated_interval_holds_its_share_and_goes_with_the_field() {
     let desk = desk();
-    let run = |args: &str| {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_octobayes"));
-        command.args(args.split_whitespace()).current_dir(desk.path()).output().unwrap()
-    };
-    octobayes(
+    let run = |args: &str| run(desk.path(), args);
+    good(
         desk.path(),
         "uncertainty m-0.safetensors --level 5 --rays 3000 --gradient auto --scale data --keep-sums -o data.oct",
     );
     let calibrate = "evaluate m-0.safetensors data.oct --cameras set/transforms_test.json --depth set/depth \
         --depth-pattern {}.png --depth-encoding 0,6.5535 --calibrate cal.oct";
     let found: Value =
-        serde_json::from_str(&octobayes(desk.path(), &format!("{calibrate} --probability 0.8 --json"))).unwrap();
+        serde_json::from_str(&good(desk.path(), &format!("{calibrate} --probability 0.8 --json"))).unwrap();
     let found = &found["calibrated"];
     let (factor, pixels) =
         (found["conformal"]["factor"].as_f64().unwrap(), found["conformal"]["pixels"].as_f64().unwrap());
@@ -293,15 +275,15 @@ fn a_calibrated_interval_holds_its_share_and_goes_with_the_field() {
 
     let evaluate = EVALUATE.replace("m.oct", "cal.oct");
     let json: Value =
-        serde_json::from_str(&octobayes(desk.path(), &format!("{evaluate} --covariance diagonal --json"))).unwrap();
+        serde_json::from_str(&good(desk.path(), &format!("{evaluate} --covariance diagonal --json"))).unwrap();
     let share = json["conformal"][0]["share_inside"].as_f64().unwrap();
     // ⌈(n + 1) p⌉ of n.
     assert!((share - ((pixels + 1.0) * 0.8).ceil() / pixels).abs() < 1e-12, "{share} of {pixels}");
     // Of another covariance the deviations are others.
     let other: Value =
-        serde_json::from_str(&octobayes(desk.path(), &format!("{evaluate} --covariance block --json"))).unwrap();
+        serde_json::from_str(&good(desk.path(), &format!("{evaluate} --covariance block --json"))).unwrap();
     assert_eq!(other["conformal"].as_array().unwrap().len(), 0);
-    let said = octobayes(desk.path(), "info cal.oct");
+    let said = good(desk.path(), "info cal.oct");
     assert!(said.contains("80 % of depth errors below"), "{said}");
 
     // The same numbers along one ray as in the picture: the ray through the middle of a pixel.
@@ -324,7 +306,7 @@ fn a_calibrated_interval_holds_its_share_and_goes_with_the_field() {
         .map(|axis| pose[axis][3].to_string())
         .chain((0..3).map(|axis| ((0.5 * pose[axis][0] - 0.5 * pose[axis][1]) / focal - pose[axis][2]).to_string()))
         .collect();
-    let text = octobayes(desk.path(), &format!("query cal.oct --model m-0.safetensors --ray {}", ray.join(",")));
+    let text = good(desk.path(), &format!("query cal.oct --model m-0.safetensors --ray {}", ray.join(",")));
     let mut lines = text.lines().map(|line| line.split(',').collect::<Vec<_>>());
     let (head, row) = (lines.next().unwrap(), lines.next().unwrap());
     let value = |name: &str| row[head.iter().position(|h| *h == name).unwrap()].parse::<f64>().unwrap();

@@ -3,9 +3,10 @@
 #![cfg(unix)]
 
 use std::path::Path;
-use std::process::{Command, Output, Stdio};
+use std::process::Stdio;
 
 use crate::interrupt::stopped;
+use crate::program::{command, outcome};
 use octobayes::estimate::{Estimation, GridKind, GridSettings, RaySettings};
 use octobayes::field::ClosedForm;
 use octobayes::posterior::{Covariance, Criteria, Criterion};
@@ -13,28 +14,16 @@ use octobayes::uncertainty::{OfficialGrid, Support, UncertaintyField, compare, m
 
 const RUN: &str = "uncertainty scene:courtyard --resolution 64 --rays 40000 --occupancy 40";
 
-fn command(folder: &Path, args: &str) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_octobayes"));
-    command.args(args.split_whitespace()).current_dir(folder);
-    command
-}
-
-fn run(folder: &Path, args: &str) -> Output {
-    command(folder, args).output().unwrap()
-}
-
 fn good(folder: &Path, args: &str) -> String {
-    let output = run(folder, args);
-    let stderr = String::from_utf8(output.stderr).unwrap();
-    assert!(output.status.success(), "{args}: {stderr}");
-    stderr
+    let (code, _, said) = outcome(folder, args);
+    assert_eq!(code, Some(0), "{args}: {said}");
+    said
 }
 
 fn refused(folder: &Path, args: &str) -> String {
-    let output = run(folder, args);
-    let stderr = String::from_utf8(output.stderr).unwrap();
-    assert_eq!(output.status.code(), Some(2), "{args}: {stderr}");
-    stderr
+    let (code, _, said) = outcome(folder, args);
+    assert_eq!(code, Some(2), "{args}: {said}");
+    said
 }
 
 fn read(folder: &Path, name: &str) -> UncertaintyField {
@@ -134,7 +123,7 @@ fn contracted_fields_are_made_stored_and_asked_anywhere() {
     assert!(field.lattice().domain().bounds().is_none());
     let far = field.query(glam::Vec3::new(1e20, 0.0, 0.0));
     assert!(far.inside && (far.uncertainty / field.prior() - 1.0).abs() < 1e-6);
-    let info = String::from_utf8(run(folder, "info all.oct").stdout).unwrap();
+    let (_, info, _) = outcome(folder, "info all.oct");
     assert!(info.contains("L2 contraction outside 0.5"), "{info}");
     let stderr = refused(folder, &format!("{RUN} --contract l2 -o x.oct"));
     assert!(stderr.contains("l2:x,y,z,r"), "{stderr}");

@@ -1,26 +1,15 @@
 //! Results that would be wrong or misleading are not given without a word.
 
 use std::path::Path;
-use std::process::Command;
 
 use crate::npz::NpzWriter;
+use crate::program::outcome as run;
 use glam::{DVec3, Vec3};
 use octobayes::dataset::write_transforms;
 use octobayes::field::ClosedForm;
 use octobayes::geometry::Camera;
 use octobayes::picture::{color_panel, draw_sheet};
 use octobayes::uncertainty::UncertaintyField;
-
-/// Exit code, stdout and stderr.
-fn run(folder: &Path, args: &str) -> (Option<i32>, String, String) {
-    let output = Command::new(env!("CARGO_BIN_EXE_octobayes"))
-        .args(args.split_whitespace())
-        .current_dir(folder)
-        .output()
-        .unwrap();
-    let text = |bytes| String::from_utf8(bytes).unwrap();
-    (output.status.code(), text(output.stdout), text(output.stderr))
-}
 
 /// What a command says on stderr.
 fn said(folder: &Path, args: &str) -> String {

@@ -2,10 +2,11 @@
 
 use std::f64::consts::{PI, TAU};
 use std::path::Path;
-use std::process::{Command, Output, Stdio};
+use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
+use crate::program::{command, run};
 use glam::DVec3;
 use octobayes::Error;
 use octobayes::dataset::Hemisphere;
@@ -163,18 +164,13 @@ fn depth_of_a_plane_is_exact_to_f32() {
     assert!(hits > 3000, "{hits}");
 }
 
-fn octobayes(folder: &Path, args: &str) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_octobayes")).args(args.split_whitespace()).current_dir(folder).output().unwrap()
-}
-
 #[test]
 fn one_thread_and_two_write_the_same_bytes() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("ball.obj"), sphere(8)).unwrap();
     for threads in [1, 2] {
         let options = "--count 2 --test-count 1 --resolution 40x30 --samples-per-pixel 4 --up z";
-        let output =
-            octobayes(folder.path(), &format!("synth ball.obj -o data{threads} {options} --threads {threads}"));
+        let output = run(folder.path(), &format!("synth ball.obj -o data{threads} {options} --threads {threads}"));
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     }
     let names = [
@@ -217,7 +213,7 @@ fn refusals_are_one_line_and_leave_nothing() {
         ("synth good.obj -o out --resolution 65536", "resolution: expected 1 to 100000000 pixels"),
     ];
     for (args, expected) in cases {
-        let output = octobayes(folder.path(), args);
+        let output = run(folder.path(), args);
         let message = String::from_utf8_lossy(&output.stderr).into_owned();
         assert_eq!(output.status.code(), Some(2), "{args}: {message}");
         assert!(message.contains(expected) && message.trim_end().lines().count() == 1, "{args}: {message}");
@@ -271,9 +267,7 @@ fn a_program_that_is_told_to_end_leaves_nothing_and_one_that_is_killed_leaves_it
     let count = || std::fs::read_dir(folder.path()).unwrap().count();
     let start = |views: u32| {
         let args = format!("synth ball.obj -o data --count {views} --test-count 1 --resolution 60");
-        let mut command = Command::new(env!("CARGO_BIN_EXE_octobayes"));
-        command.args(args.split(' ')).current_dir(folder.path()).stdout(Stdio::null()).stderr(Stdio::null());
-        command.spawn().unwrap()
+        command(folder.path(), &args).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
     };
     for signal in ["-INT", "-TERM"] {
         let mut child = start(100_000);

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use crate::program::outcome;
 use glam::{DVec3, Vec3};
 use octobayes::Result;
 use octobayes::estimate::{Estimation, GridSettings, Outcome, RaySettings};
@@ -24,7 +25,7 @@ use rayon::prelude::*;
 fn run(grid: GridSettings, domain: Option<Domain>, shard: [u64; 2], tile: Option<Tile>) -> Outcome {
     let (scene, cameras) = (ClosedForm::courtyard(), ClosedForm::half_circle(5, [64, 48]));
     let estimation = Estimation::new(&scene, &cameras)
-        .rays(RaySettings::default().rays(24_000).occupancy(48))
+        .rays(RaySettings::default().rays(10_000).occupancy(48))
         .grid(grid.tile(tile).keep_sums(false))
         .shard(shard[0], shard[1]);
     domain.into_iter().fold(estimation, Estimation::domain).run().unwrap()
@@ -363,7 +364,7 @@ fn what_does_not_belong_together_is_named() -> Result<()> {
 /// Numbers of vertices that rays touched in each of `of` tiles.
 fn touched(scene: &ClosedForm, cameras: &[Camera], level: u8, of: u32) -> Vec<usize> {
     let count = |tile| {
-        let estimation = Estimation::new(scene, cameras).rays(RaySettings::default().rays(12_000).occupancy(64));
+        let estimation = Estimation::new(scene, cameras).rays(RaySettings::default().rays(6_000).occupancy(64));
         let field = estimation.grid(GridSettings::default().level(level).tile(tile)).run().unwrap().field;
         field.sums().unwrap().iter().filter(|sums| sums.rays > 0).count()
     };
@@ -395,7 +396,7 @@ fn all_tiles_of_a_run_are_cut_alike_whatever_the_threads_shards_and_seed() {
     let (scene, cameras) = (ClosedForm::courtyard(), ClosedForm::half_circle(5, [64, 48]));
     let tile_of = |seed: u64, shard: [u64; 2], threads: usize, index: u32| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        let rays = RaySettings::default().rays(24_000).occupancy(48).seed(seed);
+        let rays = RaySettings::default().rays(12_000).occupancy(48).seed(seed);
         let grid = GridSettings::default().level(6).tile(Tile::new(index, 4));
         let run = || Estimation::new(&scene, &cameras).rays(rays).grid(grid).shard(shard[0], shard[1]).run();
         pool.install(run).unwrap().field
@@ -410,12 +411,12 @@ fn all_tiles_of_a_run_are_cut_alike_whatever_the_threads_shards_and_seed() {
         (0..4).flat_map(|index| [0, 7].map(|seed| tile_of(seed, [0, 1], 2, index))).collect();
     let joined = merge(&parts).unwrap();
     let wholes = [0, 7].map(|seed| {
-        let rays = RaySettings::default().rays(24_000).occupancy(48).seed(seed);
+        let rays = RaySettings::default().rays(12_000).occupancy(48).seed(seed);
         let grid = GridSettings::default().level(6).tolerance(0.01).keep_sums(true);
         Estimation::new(&scene, &cameras).rays(rays).grid(grid).run().unwrap().field
     });
     let whole = merge(&wholes).unwrap();
-    assert_eq!(joined.protocol().rays, 48_000);
+    assert_eq!(joined.protocol().rays, 24_000);
     let same = compare(&joined, &whole, 20_000, 0).unwrap().in_box.unwrap();
     // Each seed alone may leave out what is negligible for its own rays.
     assert!(same.max <= 0.01 + 1e-6, "{}", same.max);
@@ -428,10 +429,9 @@ fn a_tile_without_vertices_is_told() {
         let args = format!(
             "uncertainty scene:ball --resolution 16 --rays 2000 --occupancy 16 --level 4 --tile {tile} -o tile.oct"
         );
-        let mut command = Command::new(env!("CARGO_BIN_EXE_octobayes"));
-        let output = command.args(args.split_whitespace()).current_dir(folder.path()).output().unwrap();
-        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-        String::from_utf8(output.stderr).unwrap()
+        let (code, _, said) = outcome(folder.path(), &args);
+        assert_eq!(code, Some(0), "{said}");
+        said
     };
     let stderr = ["0/4096", "1/4096", "2047/4096", "4095/4096"].map(run);
     assert!(stderr.iter().any(|said| said.contains("has no vertex that a ray touched")), "{stderr:?}");

@@ -7,6 +7,7 @@ use std::os::unix::fs::{FileTypeExt, symlink};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use crate::program::outcome;
 use glam::Vec3;
 use octobayes::dataset::write_transforms;
 use octobayes::field::{ClosedForm, VoxelGrid};
@@ -56,9 +57,8 @@ impl Desk {
     }
 
     fn run(&self, args: &str) -> (Option<i32>, String) {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_octobayes"));
-        let output = command.args(args.split_whitespace()).current_dir(self.0.path()).output().unwrap();
-        (output.status.code(), String::from_utf8(output.stderr).unwrap())
+        let (code, _, said) = outcome(self.0.path(), args);
+        (code, said)
     }
 
     fn good(&self, args: &str) {

@@ -9,6 +9,7 @@ use std::process::{Command, Output, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+use crate::program::{good, run};
 use octobayes::dataset::write_transforms;
 use octobayes::field::ClosedForm;
 use octobayes::uncertainty::UncertaintyField;
@@ -17,15 +18,6 @@ use rand_chacha::ChaCha8Rng;
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_octobayes");
 const RUN: &str = "uncertainty scene:ball --cameras cameras.json --rays 2000 --occupancy 16 --keep-sums";
-
-fn run(folder: &Path, args: &str) -> Output {
-    Command::new(PROGRAM).args(args.split_whitespace()).current_dir(folder).output().unwrap()
-}
-
-fn good(folder: &Path, args: &str) {
-    let output = run(folder, args);
-    assert!(output.status.success(), "{args}: {}", text(&output.stderr));
-}
 
 fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()

@@ -9,6 +9,8 @@ mod machine;
 #[path = "../arrays/npz.rs"]
 mod npz;
 mod paths;
+#[path = "../program/mod.rs"]
+mod program;
 mod survives;
 // The tests of damaged files use all of this module.
 #[allow(dead_code)]

@@ -8,6 +8,7 @@ use std::time::Duration;
 
 #[cfg(unix)]
 use crate::interrupt::{send, stopped, wait_for};
+use crate::program::{self, good, run};
 use octobayes::estimate::{Checkpoint, Estimation, GridKind, GridSettings, RaySettings};
 use octobayes::field::ClosedForm;
 use octobayes::uncertainty::{UncertaintyField, compare};
@@ -15,18 +16,9 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 fn command(folder: &Path, args: &str) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_octobayes"));
-    command.args(args.split_whitespace()).current_dir(folder).stdout(Stdio::null()).stderr(Stdio::piped());
+    let mut command = program::command(folder, args);
+    command.stdout(Stdio::null()).stderr(Stdio::piped());
     command
-}
-
-fn run(folder: &Path, args: &str) -> Output {
-    command(folder, args).output().unwrap()
-}
-
-fn good(folder: &Path, args: &str) {
-    let output = run(folder, args);
-    assert!(output.status.success(), "{args}: {}", String::from_utf8_lossy(&output.stderr));
 }
 
 fn folder_with_cameras() -> tempfile::TempDir {
@@ -37,12 +29,12 @@ fn folder_with_cameras() -> tempfile::TempDir {
     folder
 }
 
-const RUN: &str = "uncertainty scene:courtyard --cameras transforms.json --level 6 --rays 40000 --occupancy 40";
+const RUN: &str = "uncertainty scene:courtyard --cameras transforms.json --level 6 --rays 20000 --occupancy 40";
 
 /// A run by the library, which saves its state as often as it is asked to.
 fn estimate(folder: &Path, grid: GridKind, every: Option<Duration>, output: &str) {
     let (scene, cameras) = (ClosedForm::courtyard(), ClosedForm::half_circle(6, [64, 64]));
-    let rays = RaySettings::default().rays(40_000).occupancy(40);
+    let rays = RaySettings::default().rays(20_000).occupancy(40);
     let run = Estimation::new(&scene, &cameras).rays(rays).grid(GridSettings::default().grid(grid).level(6));
     let checkpoint = every.map(|every| Checkpoint::new(folder.join("run.chk")).every(every));
     let run = checkpoint.iter().cloned().fold(run, Estimation::checkpoint);
@@ -150,7 +142,7 @@ fn groups_of_rays_are_taken_up_where_they_stopped() {
     assert!(other.status.code() == Some(2) && String::from_utf8_lossy(&other.stderr).contains("run.chk.0: run, "));
     let output = run(folder, &args);
     let stderr = String::from_utf8(output.stderr).unwrap();
-    assert!(output.status.success() && stderr.contains("run.chk holds 30000 of 40000 rays"), "{stderr}");
+    assert!(output.status.success() && stderr.contains("run.chk holds 15000 of 20000 rays"), "{stderr}");
     let [whole, parts] = ["whole.oct", "parts.oct"].map(|f| std::fs::read(folder.join(f)).unwrap());
     assert!(whole == parts, "the resumed field has other bytes");
     assert!((0..4).all(|g| !state(g).exists()), "a finished run removes its checkpoints");
@@ -197,7 +189,7 @@ fn a_run_that_is_told_to_end_saves_its_state() {
         assert!(std::fs::read(folder.join("parts.oct")).unwrap() == whole, "{signal}: the field has other bytes");
     }
     // `nohup` starts programs with hangups ignored, and they stay so: the run begins with further groups.
-    let mut child = spawn("trap '' HUP;", &args.replace("--rays 40000", "--rays 400000"));
+    let mut child = spawn("trap '' HUP;", &args.replace("--rays 20000", "--rays 80000"));
     wait_for(&state(0), &mut child);
     send("-HUP", &child);
     assert_stopped(&stopped(&state(3), child, "-TERM"));
@@ -223,7 +215,7 @@ fn ctrl_c_saves_the_state_and_the_same_command_goes_on() {
 
     let output = run(folder, &args);
     let stderr = String::from_utf8(output.stderr).unwrap();
-    assert!(output.status.success() && stderr.contains("of 40000 rays; --restart discards them"), "{stderr}");
+    assert!(output.status.success() && stderr.contains("of 20000 rays; --restart discards them"), "{stderr}");
     assert!(std::fs::read(folder.join("parts.oct")).unwrap() == whole, "the resumed field has other bytes");
     // A restart takes no notice of the state that is there, and removes it in the end.
     std::fs::write(folder.join("run.chk.0"), state).unwrap();
@@ -253,13 +245,9 @@ fn merged_shards_are_the_whole_run() {
         // And step by step.
         let output = run(folder, "merge part2.oct part0.oct -o two.oct");
         let stderr = String::from_utf8(output.stderr).unwrap();
-        let warning = "warning: the run over 40000 rays is not complete: part 1 of 3 (seed 0) missing\n";
+        let warning = "warning: the run over 20000 rays is not complete: part 1 of 3 (seed 0) missing\n";
         assert!(output.status.success() && stderr == warning, "{stderr}");
-        let output = Command::new(env!("CARGO_BIN_EXE_octobayes"))
-            .args(["merge", "two.oct", "part1.oct", "-o", "merged.oct", "--json"])
-            .current_dir(folder)
-            .output()
-            .unwrap();
+        let output = run(folder, "merge two.oct part1.oct -o merged.oct --json");
         assert!(output.status.success() && output.stderr.is_empty(), "nothing is missing");
         let value: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
         assert_eq!(value["missing_shards"], serde_json::json!([]));
@@ -269,7 +257,7 @@ fn merged_shards_are_the_whole_run() {
         assert_eq!(whole.support(), merged.support());
         assert_eq!(whole.rays(), merged.rays());
         for (a, b) in whole.deviations().iter().zip(merged.deviations().iter()) {
-            // At most 40,000 positive terms in another order: n ε relative. Deviations are stored as f32.
+            // At most 20,000 positive terms in another order: n ε relative. Deviations are stored as f32.
             assert!((a - b).abs() <= f64::from(f32::EPSILON) * a, "{a} and {b}");
         }
         let difference = compare(&whole, &merged, 50_000, 0).unwrap();
