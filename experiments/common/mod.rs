@@ -11,6 +11,7 @@
 // Each experiment uses some of this.
 #![allow(dead_code)]
 
+pub mod ball;
 pub mod clock;
 pub mod fisher;
 pub mod halved;

@@ -10,15 +10,16 @@
 //! On limited leaves a corner may be a hanging vertex. Its part of J goes to the vertices that it is interpolated
 //! from, before squaring: the J of a free vertex includes what its hanging dependants would have received ([walk]).
 //!
-//! Threads: the rays of a batch are squared in parallel ([squares], [walk]) into lists of contributions, one list per
-//! partition ([key]). Then the partitions add their lists in parallel, each in ray order. Every sum therefore receives
-//! its contributions in ray order, whatever the number of threads.
+//! Threads: the rays of a batch are squared in parallel ([squares], [scattered], [walk]) into lists of contributions,
+//! one list per partition ([key]). Then the partitions add their lists in parallel, each in ray order. Every sum
+//! therefore receives its contributions in ray order, whatever the number of threads.
 
 mod census;
 mod cuts;
 mod key;
 mod pilot_counts;
 mod refine;
+mod scattered;
 mod sparse;
 mod squares;
 mod walk;
@@ -32,6 +33,7 @@ use std::ops::{AddAssign, Range};
 
 use key::{Contributions, VertexKey};
 use rayon::prelude::*;
+use scattered::Scattered;
 use sparse::SparseSums;
 use walk::LeafWalk;
 
@@ -141,11 +143,14 @@ impl OctreePosterior {
     fn contributions_of(&self, batch: &RaySamples, rays: impl Iterator<Item = Range<usize>>) -> Contributions {
         let finest = self.limits.is_unlimited();
         let (mut places, mut walk) = (Vec::new(), LeafWalk::new(&self.lattice, &self.limits));
+        let mut scattered = Scattered::new(&self.lattice);
         let (_, most) = rays.size_hint();
         let mut all = Contributions::new(if most == Some(1) { 0 } else { 8 * batch.positions.len() });
         for samples in rays {
             if finest && squares::locate(&self.lattice, batch, samples.clone(), &mut places) {
                 squares::along(&places, batch, &mut all);
+            } else if finest {
+                scattered.ray(batch, samples, &mut all);
             } else {
                 walk.ray(batch, samples, &mut all);
             }

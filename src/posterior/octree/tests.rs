@@ -314,6 +314,18 @@ proptest! {
             prop_assert_eq!(by_vertex(&walked), posterior.gather(&samples, range));
         }
     }
+
+    #[test]
+    fn rays_that_jump_from_cell_to_cell_give_the_squares_of_sorting(samples in ray_samples()) {
+        let posterior = OctreePosterior::new(lattice(7));
+        // One batch for all rays: nothing but places may remain from the previous ray.
+        let mut scattered = Scattered::new(&posterior.lattice);
+        for (_, range) in samples.iter() {
+            let mut found = Contributions::new(0);
+            scattered.ray(&samples, range.clone(), &mut found);
+            prop_assert_eq!(by_vertex(&found), posterior.gather(&samples, range));
+        }
+    }
 }
 
 #[test]

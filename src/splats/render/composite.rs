@@ -39,6 +39,8 @@ pub struct Hits {
     pub list: Vec<Hit>,
     /// T_end, the light that passes all of them.
     pub passed: f64,
+    /// `[list]`: G, if it was asked for.
+    pub(super) jacobians: Vec<[f32; 9]>,
 }
 
 impl SplatView<'_> {

@@ -3,7 +3,7 @@
 //! Order and signs are those of the original code (Kerbl et al. 2023). The functions are homogeneous polynomials in the
 //! components of the unit vector d.
 
-use glam::{DMat3, DVec3};
+use glam::DVec3;
 
 /// Number of functions up to degree 3.
 const COUNT: usize = 16;
@@ -70,32 +70,26 @@ fn gradients(d: DVec3) -> [DVec3; COUNT] {
 
 /// Colour of a splat with the coefficients `sh` (`[K, 3]`), seen along the unit vector `d`: ½ + Σ, not below 0.
 pub fn color(sh: &[f32], d: DVec3) -> DVec3 {
-    sum(sh, d).max(DVec3::ZERO)
-}
-
-fn sum(sh: &[f32], d: DVec3) -> DVec3 {
     let terms = sh.chunks_exact(3).zip(values(d));
-    terms.fold(DVec3::splat(0.5), |sum, (c, value)| sum + value * rgb(c))
+    terms.fold(DVec3::splat(0.5), |sum, (c, value)| sum + value * rgb(c)).max(DVec3::ZERO)
 }
 
 fn rgb(c: &[f32]) -> DVec3 {
     DVec3::new(f64::from(c[0]), f64::from(c[1]), f64::from(c[2]))
 }
 
-/// ∂c/∂μ (row = channel, column = axis) of that colour, for a splat whose centre lies along the unit vector `d` at
+/// Rows (by channel) of ∂c/∂μ of that colour, `shown`, for a splat whose centre lies along the unit vector `d` at
 /// `distance`: (∂SH/∂d)(I − d dᵀ) / distance, and 0 where the colour is cut off.
-pub fn color_jacobian(sh: &[f32], d: DVec3, distance: f64) -> DMat3 {
-    let shown = sum(sh, d);
+pub fn color_jacobian(sh: &[f32], shown: DVec3, d: DVec3, distance: f64) -> [DVec3; 3] {
     let mut rows = [DVec3::ZERO; 3];
     for (c, gradient) in sh.chunks_exact(3).zip(gradients(d)) {
         let c = rgb(c);
         (0..3).for_each(|channel| rows[channel] += c[channel] * gradient);
     }
-    let tangent = |channel: usize| match shown[channel] > 0.0 {
+    std::array::from_fn(|channel| match shown[channel] > 0.0 {
         true => (rows[channel] - rows[channel].dot(d) * d) / distance,
         false => DVec3::ZERO,
-    };
-    DMat3::from_cols(tangent(0), tangent(1), tangent(2)).transpose()
+    })
 }
 
 #[cfg(test)]

@@ -8,23 +8,45 @@
 //!
 //! The displacement moves centres only: that it would also stretch a splat, Σ → (I + ∇D) Σ (I + ∇D)ᵀ, is left out.
 
-use glam::{DVec3, Vec3};
+use glam::DVec3;
+use multiversion::multiversion;
 
-use super::project::Slope;
+use super::project::{Footprint, Slope};
 use super::{Hit, Hits, SplatView};
 use crate::geometry::Ray;
-use crate::render::{DepthSample, RaySample, RaySamples, VisibleSegment};
+use crate::render::{DepthSample, RaySamples, VisibleSegment};
 
 impl Slope {
     /// g = ∂α/∂μ, 1 / scene unit.
-    fn of(&self, hit: &Hit) -> DVec3 {
+    #[inline(always)]
+    fn of(&self, hit: &Hit) -> [f64; 4] {
         if hit.is_limited {
-            return DVec3::ZERO;
+            return [0.0; 4];
         }
         let v = hit.v;
         let n = [v.x, v.y, v.x * v.x, v.x * v.y, v.y * v.y, 1.0];
-        let sum: DVec3 = self.of_alpha.iter().zip(n).map(|(column, n)| n * Vec3::from(*column).as_dvec3()).sum();
-        hit.alpha * sum
+        let mut sum = [0.0; 4];
+        for (column, n) in self.of_alpha.iter().zip(n) {
+            (0..4).for_each(|axis| sum[axis] += n * f64::from(column[axis]));
+        }
+        sum.map(|sum| hit.alpha * sum)
+    }
+}
+
+/// G of every hit, from what is behind the last of them.
+#[multiversion(targets("x86_64+avx2+fma"))]
+fn jacobians(hits: &[Hit], footprints: &[Footprint], slopes: &[Slope], mut behind: DVec3, out: &mut [[f32; 9]]) {
+    for (hit, out) in hits.iter().zip(out).rev() {
+        let (footprint, slope) = (&footprints[hit.footprint as usize], &slopes[hit.footprint as usize]);
+        let (color, weight) = (footprint.color, hit.weight());
+        let b = hit.before * color - behind / (1.0 - hit.alpha);
+        let g = slope.of(hit);
+        for channel in 0..3 {
+            let of_color = &slope.of_color[channel];
+            let row: [f64; 4] = std::array::from_fn(|axis| b[channel] * g[axis] + weight * f64::from(of_color[axis]));
+            (0..3).for_each(|axis| out[3 * channel + axis] = row[axis] as f32);
+        }
+        behind += weight * color;
     }
 }
 
@@ -36,28 +58,24 @@ impl SplatView<'_> {
         self.hits(at, hits);
         let ray = self.camera.ray(at[0], at[1]);
         out.sight.push(self.segment(hits, ray));
-        let first = out.positions.len();
-        let mut behind = hits.passed * self.renderer.background().as_dvec3();
-        let mut samples = Vec::with_capacity(hits.list.len());
-        for hit in hits.list.iter().rev() {
-            let (footprint, slope) = (&self.footprints[hit.footprint as usize], &self.slopes[hit.footprint as usize]);
-            let (color, weight) = (footprint.color, hit.weight());
-            let b = hit.before * color - behind / (1.0 - hit.alpha);
-            let g = slope.of(hit);
-            let entry =
-                |channel: usize, axis: usize| b[channel] * g[axis] + weight * f64::from(slope.of_color[channel][axis]);
-            let jacobian = std::array::from_fn(|k| entry(k / 3, k % 3) as f32);
-            let position = self.renderer.splats().mean(footprint.splat as usize);
-            samples.push(RaySample { position, jacobian, weight: weight as f32 });
-            behind += weight * color;
-        }
-        if let Some(bad) = samples.iter().find(|sample| !sample.jacobian.iter().all(|v| v.is_finite())) {
-            out.dropped += 1;
-            out.first_invalid = out.first_invalid.or(Some(bad.position));
+        let Hits { list, passed, jacobians: found } = hits;
+        if list.is_empty() {
             return;
         }
-        samples.into_iter().rev().for_each(|sample| out.push(index, sample));
-        debug_assert!(out.positions.len() == first + hits.list.len());
+        found.resize(list.len(), [0.0; 9]);
+        let behind = *passed * self.renderer.background().as_dvec3();
+        jacobians(list, &self.footprints, &self.slopes, behind, found);
+        let centre = |hit: &Hit| self.renderer.splats().mean(self.splat(hit));
+        if let Some(bad) = found.iter().position(|jacobian| !jacobian.iter().all(|v| v.is_finite())) {
+            out.dropped += 1;
+            out.first_invalid = out.first_invalid.or(Some(centre(&list[bad])));
+            return;
+        }
+        out.rays.push(index);
+        out.positions.extend(list.iter().map(centre));
+        out.jacobians.extend_from_slice(found);
+        out.weights.extend(list.iter().map(|hit| hit.weight() as f32));
+        out.offsets.push(out.positions.len());
     }
 
     /// How far the ray of an image point sees.
@@ -90,7 +108,8 @@ impl SplatView<'_> {
             let offset = depth(hit) - mean;
             let by_alpha = hit.before * offset - behind / (1.0 - hit.alpha);
             let slope = &self.slopes[hit.footprint as usize];
-            let gradient = scale * (by_alpha * slope.of(hit) + hit.weight() * forward);
+            let [x, y, z, _] = slope.of(hit);
+            let gradient = scale * (by_alpha * DVec3::new(x, y, z) + hit.weight() * forward);
             samples.push(DepthSample { position: self.renderer.splats().mean(self.splat(hit)), gradient });
             behind += hit.weight() * offset;
         }

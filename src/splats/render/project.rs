@@ -32,6 +32,8 @@ pub struct Footprint {
     pub conic: [f64; 3],
     /// Half width and height of the ellipse in which the splat is drawn, pixels.
     pub extent: DVec2,
+    /// What q is at its edge.
+    pub reach: f64,
     /// Opacity at the centre, with the mode's compensation.
     pub opacity: f64,
     /// z, scene units.
@@ -45,13 +47,14 @@ pub struct Footprint {
 /// How a splat's share of a pixel changes as its centre moves: ∂α/∂μ = α Σ_k `of_alpha[k]` n_k with n = (v₀, v₁, v₀²,
 /// v₀v₁, v₁², 1), v = A (m − p).
 ///
-/// f32: each entry is a number by itself, so that rounding is relative to it.
+/// f32: each entry is a number by itself, so that rounding is relative to it. Vectors have a fourth entry of 0, because
+/// processors compute with four numbers at a time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Slope {
     /// `[6]`, scene axes.
-    pub of_alpha: [[f32; 3]; 6],
+    pub of_alpha: [[f32; 4]; 6],
     /// ∂c/∂μ: row = channel, column = axis; 1 / scene unit.
-    pub of_color: [[f32; 3]; 3],
+    pub of_color: [[f32; 4]; 3],
 }
 
 /// A camera as splats need it.
@@ -155,6 +158,7 @@ impl<'a> Projector<'a> {
                 mean,
                 conic,
                 extent,
+                reach,
                 opacity,
                 depth: shape.t.z,
                 thickness: shape.w.z_axis.z,
@@ -205,10 +209,8 @@ impl<'a> Projector<'a> {
         ];
         let to_scene = self.rotation.transpose();
         let away = self.splats.mean(i).as_dvec3() - self.eye;
-        let of_color = harmonics::color_jacobian(self.splats.sh(i), away.normalize(), away.length());
-        Slope {
-            of_alpha: of_alpha.map(|column| (to_scene * column).as_vec3().to_array()),
-            of_color: std::array::from_fn(|channel| of_color.row(channel).as_vec3().to_array()),
-        }
+        let rows = harmonics::color_jacobian(self.splats.sh(i), footprint.color, away.normalize(), away.length());
+        let wide = |v: DVec3| v.as_vec3().extend(0.0).to_array();
+        Slope { of_alpha: of_alpha.map(|column| wide(to_scene * column)), of_color: rows.map(wide) }
     }
 }

@@ -4,7 +4,7 @@ use glam::DVec2;
 use multiversion::multiversion;
 use rayon::prelude::*;
 
-use super::project::{FAINTEST, Footprint};
+use super::project::Footprint;
 
 /// Side of a tile, pixels. Tiles of 16 px, the original's, have twice as many candidates per pixel.
 pub const TILE: u32 = 8;
@@ -64,12 +64,24 @@ pub fn tile_of(at: [f64; 2]) -> [u32; 2] {
 /// Range of tiles that an interval of pixels meets, of `count` with sides of `side` pixels.
 fn span(middle: f64, extent: f64, count: u32, side: u32) -> std::ops::Range<u32> {
     let side = f64::from(side);
-    let bound = |at: f64| at.clamp(0.0, f64::from(count)) as u32;
-    bound(((middle - extent) / side).floor())..bound(((middle + extent) / side).floor() + 1.0)
+    // Casts cut off, and saturate.
+    let [low, high] = [(middle - extent) / side, (middle + extent) / side];
+    let end = if high < 0.0 { 0 } else { (high as u32).saturating_add(1) };
+    (low as u32).min(count)..end.min(count)
+}
+
+/// The numbers of footprints from front to back. Those of equal depth stay in the order of their splats.
+pub fn front_to_back(footprints: &[Footprint]) -> Vec<u32> {
+    // Depths are positive: their bits have their order.
+    let mut order: Vec<(u64, u32)> =
+        footprints.iter().zip(0..).map(|(footprint, i)| (footprint.depth.to_bits(), i)).collect();
+    order.par_sort_unstable();
+    order.into_iter().map(|(_, i)| i).collect()
 }
 
 impl Tiles {
-    /// Lists footprints of an image of `resolution` pixels. Those of equal depth stay in the order of their splats.
+    /// Lists footprints of an image of `resolution` pixels, which come from front to back: lists are then made in the
+    /// order of memory.
     pub fn new(footprints: &[Footprint], resolution: [u32; 2]) -> Self {
         let candidates = |side: u32| -> u64 {
             let [columns, rows] = resolution.map(|pixels| pixels.div_ceil(side));
@@ -84,13 +96,9 @@ impl Tiles {
             side *= 2;
         }
         let [columns, rows] = resolution.map(|pixels| pixels.div_ceil(side));
-        // Depths are positive: their bits have their order.
-        let mut order: Vec<(u64, u32)> =
-            footprints.iter().zip(0..).map(|(footprint, i)| (footprint.depth.to_bits(), i)).collect();
-        order.par_sort_unstable();
         let mut of_row: Vec<Vec<u32>> = vec![Vec::new(); rows as usize];
-        for (_, i) in order {
-            let Footprint { mean, extent, .. } = footprints[i as usize];
+        for (footprint, i) in footprints.iter().zip(0..) {
+            let Footprint { mean, extent, .. } = footprint;
             span(mean.y, extent.y, rows, side).for_each(|row| of_row[row as usize].push(i));
         }
         let row = |(row, members): (usize, Vec<u32>)| Row::new(footprints, &members, row as u32, columns, side);
@@ -107,11 +115,8 @@ impl Tiles {
         let at = [(at[0] - middle[0]) as f32, (at[1] - middle[1]) as f32];
         let list = starts[column as usize] as usize..starts[column as usize + 1] as usize;
         for first in list.step_by(TOGETHER) {
-            let of = |values: &[f32]| -> [f32; TOGETHER] {
-                values[first..first + TOGETHER].try_into().expect("lists are padded")
-            };
             let mut hit =
-                passing(at, [of(&all.x), of(&all.y), of(&all.xx), of(&all.xy), of(&all.yy), of(&all.reach)].each_ref());
+                passing(at, [&all.x, &all.y, &all.xx, &all.xy, &all.yy, &all.reach].map(|list| some(list, first)));
             while hit != 0 {
                 let lane = hit.trailing_zeros() as usize;
                 hit &= hit - 1;
@@ -121,6 +126,11 @@ impl Tiles {
             }
         }
     }
+}
+
+/// Those that are tested together, from the first on.
+fn some(list: &[f32], first: usize) -> &[f32; TOGETHER] {
+    list[first..first + TOGETHER].try_into().expect("lists are padded")
 }
 
 /// A bit for each candidate that may be drawn at a point.
@@ -163,10 +173,9 @@ impl Row {
         for &i in members {
             let footprint = of(i);
             let [a, b, c] = footprint.conic;
-            let reach = 2.0 * (footprint.opacity / FAINTEST).ln();
             let wide = footprint.extent + DVec2::splat(f64::from(side));
             let terms = a * wide.x * wide.x + 2.0 * b.abs() * wide.x * wide.y + c * wide.y * wide.y;
-            let reach = (reach + ROUNDING * terms + SLACK) as f32;
+            let reach = (footprint.reach + ROUNDING * terms + SLACK) as f32;
             for column in columns_of(footprint) {
                 let middle = DVec2::new(f64::from(column) + 0.5, f64::from(row) + 0.5) * f64::from(side);
                 let relative = (footprint.mean - middle).as_vec2();
@@ -185,16 +194,18 @@ mod tests {
     use glam::DVec3;
 
     use super::*;
+    use crate::splats::render::project::FAINTEST;
 
     /// A footprint that is round and has the given standard deviation.
     fn round(mean: DVec2, deviation: f64, depth: f64) -> Footprint {
-        let reach = (2.0 * (0.9 / FAINTEST).ln()).sqrt();
+        let reach = 2.0 * (0.9 / FAINTEST).ln();
         let a = deviation.powi(-2);
         Footprint {
             splat: 0,
             mean,
             conic: [a, 0.0, a],
-            extent: DVec2::splat(deviation * reach),
+            extent: DVec2::splat(deviation * reach.sqrt()),
+            reach,
             opacity: 0.9,
             depth,
             thickness: 0.0,
@@ -210,6 +221,8 @@ mod tests {
                 round(DVec2::new(x, y), 0.6 + f64::from(i % 7), 1.0 + depth)
             })
             .collect();
+        let footprints: Vec<Footprint> =
+            front_to_back(&footprints).into_iter().map(|i| footprints[i as usize]).collect();
         let tiles = Tiles::new(&footprints, [100, 66]);
         for at in [[0.5, 0.5], [50.3, 17.9], [99.5, 65.5], [8.0, 16.0]] {
             let mut found = Vec::new();
