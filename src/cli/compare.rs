@@ -24,7 +24,12 @@ pub struct Args {
     b: PathBuf,
 
     /// Random points in the box, and at most as many on surfaces
-    #[arg(long, value_name = "N", default_value_t = Comparison::POINTS, value_parser = count::<usize>(..=MAX_KEPT_COUNT))]
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = Comparison::POINTS,
+        value_parser = count::<usize>(..=MAX_KEPT_COUNT),
+    )]
     points: usize,
 
     /// Read this covariance off both fields

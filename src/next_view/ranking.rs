@@ -49,8 +49,8 @@ pub struct Ranking {
     pub gains: Vec<f64>,
     /// `[candidates]`: why its gain is 0.
     pub blanks: Vec<Option<Blank>>,
-    /// Mean number of a candidate's rays that meet a vertex that they meet at all; `None` for coverage, or if none meets
-    /// matter.
+    /// Mean number of a candidate's rays that meet a vertex that they meet at all; `None` for coverage, or if none
+    /// meets matter.
     pub rays_per_vertex: Option<f64>,
     /// Number of gains found anew in later steps.
     pub rescored: usize,
@@ -68,8 +68,8 @@ impl Ranking {
     pub fn doubt(&self) -> Option<String> {
         let rays = self.rays_per_vertex.filter(|rays| *rays < MIN_RAYS_PER_VERTEX)?;
         Some(format!(
-            "{rays:.1} rays of a candidate meet each vertex that it shows; with fewer than {MIN_RAYS_PER_VERTEX}, gains \
-             depend on chance: take more --pixels, or a field of a coarser --level"
+            "{rays:.1} rays of a candidate meet each vertex that it shows; with fewer than {MIN_RAYS_PER_VERTEX}, \
+             gains depend on chance: take more --pixels, or a field of a coarser --level"
         ))
     }
 }
