@@ -59,6 +59,9 @@ struct Figures {
     ranks: [f64; 2],
 }
 
+/// A figure by its name.
+type Shown = (&'static str, fn(&Figures) -> f64);
+
 /// One mesh.
 #[derive(Serialize, Deserialize)]
 struct Row {
@@ -88,7 +91,7 @@ pub fn tables(work: &Work) -> Result<String> {
         let others = [row.never_seen, row.left[0], row.left[1]].map(|value| format!("{value:.4}"));
         models.row(&[vec![mesh.to_string()], psnr.to_vec(), others.to_vec()].concat());
     }
-    let figures: [(&str, fn(&Figures) -> f64); 3] = [
+    let figures: [Shown; 3] = [
         ("AUROC of discs that no camera saw", |f| f.never_seen),
         ("Spearman's ρ with what is left of the displacement, discs that a camera saw", |f| f.ranks[0]),
         ("The same with what is left along the normal", |f| f.ranks[1]),

@@ -35,6 +35,9 @@ struct Figures {
     never_seen: f64,
 }
 
+/// A figure by its name.
+type Shown = (&'static str, fn(&Figures) -> f64);
+
 /// One trained model.
 #[derive(Serialize, Deserialize)]
 struct Row {
@@ -72,7 +75,7 @@ pub fn tables(work: &Work) -> Result<String> {
         let [floaters, unseen] = row.shares.map(|share| format!("{share:.3}"));
         models.row(&[name.clone(), row.splats.to_string(), format!("{:.1}", row.psnr), floaters, unseen]);
     }
-    let figures: [(&str, fn(&Figures) -> f64); 3] = [
+    let figures: [Shown; 3] = [
         ("AUROC of floaters", |f| f.floaters),
         ("Spearman's ρ with the distance from the surface", |f| f.rank),
         ("AUROC of splats that no camera saw", |f| f.never_seen),
