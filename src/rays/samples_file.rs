@@ -156,7 +156,8 @@ impl SamplesReader {
     }
 
     /// The file.
-    pub(crate) fn path(&self) -> &Path {
+    #[must_use]
+    pub fn path(&self) -> &Path {
         &self.path
     }
 
