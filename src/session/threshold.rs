@@ -81,8 +81,8 @@ impl Threshold {
             Self::Share(kept) if removed > MAX_QUIET_PIXEL_SHARE.max(MAX_QUIET_RATIO * (1.0 - kept)) => {
                 tell(Remark::Note(format!(
                     "the clean-up removes {percent:.1} % of the pixels that show matter in this view, although {}% \
-                     of the visible surfaces stay: these pixels show fog, a side that no training ray saw, or what lies \
-                     outside the field's box",
+                     of the visible surfaces stay: these pixels show fog, a side that no training ray saw, or what \
+                     lies outside the field's box",
                     100.0 * kept
                 )));
             }

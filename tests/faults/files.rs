@@ -119,7 +119,7 @@ fn two_files_of_a_command_are_never_the_same() {
         (format!("{RUN} -o x.1 --checkpoint x --error-bars 2"), ["--checkpoint, group 1", "--output"]),
         (format!("{RUN} -o x.oct --dump-samples x.oct"), ["--dump-samples", "--output"]),
         (format!("{RUN} -o x.oct --dump-samples model.npz"), ["--dump-samples", "MODEL"]),
-        (format!("{ACCUMULATE} -o samples.npz"), ["--output", "SAMPLES"]),
+        (format!("{ACCUMULATE} -o samples.npz"), ["--output", "MODEL"]),
         ("export field.oct -o field.oct".into(), ["--output", "FIELD"]),
         ("merge part0.oct part1.oct -o part1.oct".into(), ["--output", "FIELD"]),
         ("query field.oct points.csv -o points.csv".into(), ["--output", "POINTS"]),
