@@ -16,7 +16,7 @@ use serde::Serialize;
 use crate::common::kitchen::kitchen;
 use crate::common::knot::knot;
 use crate::common::program::Program;
-use crate::common::visibility::is_seen;
+use crate::common::visibility::{NEAR, is_seen};
 
 /// Side of the images of meshes, pixels.
 pub const SIDE: u32 = 200;
@@ -218,7 +218,7 @@ impl Data {
 
     /// Whether it is known that no training camera saw this point of the true surface.
     pub fn is_unseen(&self, x: DVec3) -> bool {
-        self.mesh.as_ref().is_some_and(|mesh| !self.cameras.iter().any(|camera| is_seen(mesh, camera, x)))
+        self.mesh.as_ref().is_some_and(|mesh| !self.cameras.iter().any(|camera| is_seen(mesh, camera, x, NEAR)))
     }
 }
 

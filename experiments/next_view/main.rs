@@ -25,7 +25,7 @@ use serde::{Deserialize, Serialize};
 use common::program::{Needs, Program};
 use common::settings::seeds;
 use common::table::{Table, deviation, mean};
-use common::visibility::is_seen;
+use common::visibility::{NEAR, is_seen};
 use common::work::Work;
 use scene::{Held, Images, SCENES, Scene};
 use strategy::{Choice, FISHER_PIXELS, LEVEL, OCCUPANCY, PIXELS, RAYS, STRATEGIES, Strategy, TAKE, farthest};
@@ -175,7 +175,7 @@ fn judge(images: &Images, model: &Model, cameras: &[Camera]) -> Result<Quality> 
             errors.push(error.min(CLIPPED));
             if let Some(mesh) = &images.mesh {
                 let x = camera.ray((i % width) as f64 + 0.5, (i / width) as f64 + 0.5).at(*distance);
-                let is_unseen = !model.taken.iter().any(|&i| is_seen(mesh, &cameras[i], x));
+                let is_unseen = !model.taken.iter().any(|&i| is_seen(mesh, &cameras[i], x, NEAR));
                 unseen.push(f64::from(u8::from(is_unseen)));
             }
         }

@@ -8,8 +8,7 @@ use octobayes::render::{DepthSample, DepthVariance, Probed, ProbedField, RaySamp
 use octobayes::splats::Splats;
 use rustc_hash::FxHashMap;
 
-/// Information that FisherRF adds to every parameter (Jiang et al. 2024).
-const FISHER_PRIOR: f64 = 1e-6;
+use crate::common::fisher::LAMBDA;
 
 /// Finds splats by their centres, as samples know no more of them.
 pub struct Index(FxHashMap<[u32; 3], usize>);
@@ -76,7 +75,7 @@ impl Sums {
             index: self.index,
             covariance: precision.iter().map(DMat3::inverse).collect(),
             precision,
-            fisher: self.squares.iter().map(|squares| share * squares + FISHER_PRIOR).collect(),
+            fisher: self.squares.iter().map(|squares| share * squares + LAMBDA).collect(),
         }
     }
 }

@@ -1,9 +1,11 @@
 //! The true surface: how far points are from it, and whether cameras see them.
 
 use glam::DVec3;
-use octobayes::geometry::{Camera, Ray};
+use octobayes::geometry::Camera;
 use octobayes::synth::{GROUND_RADIUS, HALF_HEIGHT, MeshScene};
 use rayon::prelude::*;
+
+use crate::common::visibility::is_seen;
 
 /// Distance of each point from the mesh or the ground under it, scene units.
 pub fn distances(scene: &MeshScene, points: &[DVec3]) -> Vec<f64> {
@@ -75,13 +77,5 @@ impl Face {
 
 /// Number of cameras that see each point: nothing stands more than `slack` in front of it.
 pub fn sightings(scene: &MeshScene, cameras: &[Camera], points: &[DVec3], slack: f64) -> Vec<usize> {
-    let sees = |camera: &Camera, x: DVec3| {
-        let Some(([column, row], _)) = camera.project(x) else { return false };
-        let [width, height] = camera.resolution.map(f64::from);
-        let ray = Ray::new(camera.position, x - camera.position);
-        (0.0..width).contains(&column)
-            && (0.0..height).contains(&row)
-            && scene.nearest(&ray).is_none_or(|hit| hit.t > x.distance(camera.position) - slack)
-    };
-    points.par_iter().map(|&x| cameras.iter().filter(|camera| sees(camera, x)).count()).collect()
+    points.par_iter().map(|&x| cameras.iter().filter(|camera| is_seen(scene, camera, x, slack)).count()).collect()
 }

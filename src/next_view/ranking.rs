@@ -220,6 +220,9 @@ impl<'a> NextView<'a> {
             let expected = "the training cameras, whose coverage counts";
             return Err(Error::setting("cameras", expected, "none"));
         }
+        if gain == Gain::Coverage && self.vertex_gain.is_some() {
+            return Err(Error::setting("gain of a vertex", "`logdet` or `trace`, which it stands for", "`coverage`"));
+        }
         self.check_lenses(self.candidates.iter().chain(self.training))
     }
 

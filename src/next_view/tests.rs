@@ -254,6 +254,8 @@ fn a_gain_of_ones_own_stands_for_that_of_a_vertex() {
     let prior = data.precision(&[0.0; 6], 1);
     let of_unseen = |p: &Information, added: &Information| if *p == prior { log_det(p, added) } else { 0.0 };
     let unseen = next().vertex_gain(&of_unseen).run().unwrap();
+    let coverage = next().training(&cameras[..2]).settings(settings().gain(Gain::Coverage)).vertex_gain(&of_unseen);
+    assert!(coverage.run().unwrap_err().to_string().contains("coverage"), "a gain without an effect is refused");
     let found = evidence(&training, &cameras[2..]);
     let precision = training.precision().unwrap();
     for ((part, whole), evidence) in unseen.gains.iter().zip(&built_in.gains).zip(&found) {
