@@ -21,7 +21,7 @@ const SIDE: u32 = 200;
 /// The same of held-out images.
 const TEST_SIDE: u32 = 80;
 /// Images that may be taken.
-const VIEWS: u32 = 36;
+pub const VIEWS: u32 = 36;
 /// Held-out images, all around.
 const TEST_VIEWS: u32 = 10;
 /// Lego's images have twice the side, and its held-out images five times.
