@@ -44,9 +44,9 @@ fn main() -> Result<()> {
     let program = Program::start("next_view", &[("strategies", Needs::Data)])?;
     program.part("strategies", |work| {
         let words = format!(
-            "{START} to {END} of {VIEWS} images (of lego 34), {TAKE} more after each training of {STEPS} steps; 200 × 200 pixels; \
-             field at level {LEVEL} from {RAYS} rays, `--scale data` with the noise of training; {PIXELS} pixels a \
-             candidate, {FISHER_PIXELS} for FisherRF. Seeds 0 to {}.",
+            "{START} to {END} of {VIEWS} images (of lego 34), {TAKE} more after each training of {STEPS} steps; \
+             200 × 200 pixels; field at level {LEVEL} from {RAYS} rays, `--scale data` with the noise of training; \
+             {PIXELS} pixels a candidate, {FISHER_PIXELS} for FisherRF. Seeds 0 to {}.",
             SEEDS.len() - 1,
         );
         Ok((words, tables(&Runs::all(work)?)))
