@@ -101,7 +101,7 @@ fn measure(mesh: &str, settings: &DatasetSettings) -> Result<Row> {
     let files = DatasetFiles::read(folder.path())?;
     let [shots, _] = files.load(&Silent)?;
     let most = SplatSettings::most_for(&shots);
-    let mut trainer = SplatTrainer::new(SplatSettings::default().most(most), files.bounds, &shots)?;
+    let mut trainer = SplatTrainer::new(SplatSettings::default().most(most), files.bounds, &[], &shots)?;
     while trainer.steps() < STEPS {
         trainer.step(trainer.steps() as f64 / STEPS as f64);
     }

@@ -16,6 +16,7 @@ mod split;
 mod transforms;
 mod views;
 
+pub use colmap::{ScenePoint, scene_points};
 pub use depth::{DepthEncoding, DepthKind, DepthMap};
 pub use frames::{Part, Selection, camera_file};
 pub use hemisphere::Hemisphere;

@@ -25,7 +25,7 @@ pub use crate::dataset::Selection;
 pub use pixel_gradient::{PixelGradient, PixelGradients};
 pub use quality::{Quality, one_color, quality, quality_within};
 pub use run::{Budget, Description, Finished, Progress, Run, StateFile, Training};
-pub use splats::{Rates, SplatSettings, SplatTrainer};
+pub use splats::{Rates, SplatOrigin, SplatSettings, SplatTrainer, box_of_points};
 pub use trainer::{StepReport, Trainer};
 pub use views::{DatasetFiles, Shot};
 

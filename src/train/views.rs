@@ -7,7 +7,8 @@ use serde::Deserialize;
 
 use crate::dataset::Hemisphere;
 use crate::dataset::{
-    Frame, FrameSplit, Part, PosedImage, Selection, Views, camera_file, check_masks, read_masks, test_partner,
+    Frame, FrameSplit, Part, PosedImage, ScenePoint, Selection, Views, camera_file, check_masks, read_masks,
+    scene_points, test_partner,
 };
 use crate::geometry::{Aabb, Camera, Mask, NamedCamera};
 use crate::monitor::{Monitor, check};
@@ -151,6 +152,14 @@ impl DatasetFiles {
         let train = &self.train;
         self.held_out.retain(|frame| !train.contains(frame));
         Ok(())
+    }
+
+    /// The points that COLMAP found, if it made the cameras.
+    ///
+    /// # Errors
+    /// If their file cannot be read.
+    pub fn points(&self) -> Result<Vec<ScenePoint>> {
+        scene_points(&self.path)
     }
 
     /// Describes in a sentence how many frames are trained on, and why the others of the file are not.

@@ -77,9 +77,9 @@ pub fn recipe(kind: Kind, file: &[u8]) -> Vec<u8> {
     join(&parts)
 }
 
-/// The files of a COLMAP model in one: the first byte is odd if they are binary, then follow `cameras` and `images`,
-/// each with its length before it.
-pub fn colmap(is_binary: bool, files: [&[u8]; 2]) -> Vec<u8> {
+/// The files of a COLMAP model in one: the first byte is odd if they are binary, then follow `cameras`, `images`
+/// and `points3D`, each with its length before it.
+pub fn colmap(is_binary: bool, files: [&[u8]; 3]) -> Vec<u8> {
     let mut bytes = join(&files.map(<[u8]>::to_vec));
     bytes[0] = is_binary.into();
     bytes

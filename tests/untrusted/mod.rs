@@ -44,7 +44,7 @@ pub enum Kind {
     Exr,
     /// Gaussian splats: `.ply`, `.compressed.ply` or `.spz`, which are told apart by their content; and `.splat`.
     Splats,
-    /// `cameras` and `images` of COLMAP, in one file: see [`forge::colmap`].
+    /// `cameras`, `images` and `points3D` of COLMAP, in one file: see [`forge::colmap`].
     Colmap,
 }
 

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use glam::{DVec3, Vec3};
-use octobayes::dataset::{DepthEncoding, DepthKind, DepthMap, PointReader, PosedImage, Views};
+use octobayes::dataset::{DepthEncoding, DepthKind, DepthMap, PointReader, PosedImage, Views, scene_points};
 use octobayes::estimate::{Checkpoint, FieldBuilder, GridKind, GridSettings, Provenance, SURFACE_POINTS};
 use octobayes::field::{Coordinates, Intrinsics, NerfMlp, Ppng, Radiance, RadianceField, VoxelGrid};
 use octobayes::geometry::{Aabb, Camera, Domain};
@@ -52,7 +52,7 @@ pub fn open(kind: Kind, path: &Path) -> bool {
     }
 }
 
-/// Reads the two files of a COLMAP model that `path` holds.
+/// Reads the three files of a COLMAP model that `path` holds.
 fn colmap(path: &Path) -> Result<Views> {
     let packed = std::fs::read(path).map_err(Error::io(path, "cannot read"))?;
     let (first, rest) = packed.split_first().map_or((0, &packed[..]), |(first, rest)| (*first, rest));
@@ -61,10 +61,12 @@ fn colmap(path: &Path) -> Result<Views> {
     let _ = std::fs::remove_dir_all(&folder);
     std::fs::create_dir(&folder).map_err(Error::io(&folder, "cannot create"))?;
     let extension = if first % 2 == 1 { "bin" } else { "txt" };
-    for (name, part) in ["cameras", "images"].iter().zip(parts) {
+    for (name, part) in ["cameras", "images", "points3D"].iter().zip(parts) {
         std::fs::write(folder.join(format!("{name}.{extension}")), part).map_err(Error::io(&folder, "cannot write"))?;
     }
-    Views::read(&folder, None)
+    let views = Views::read(&folder, None)?;
+    assert!(scene_points(&folder)?.iter().all(|point| point.position.is_finite()));
+    Ok(views)
 }
 
 fn official(path: &Path) -> Result<UncertaintyField> {

@@ -53,7 +53,8 @@ pub fn of(kind: Kind) -> Vec<Vec<u8>> {
     }
 }
 
-/// COLMAP models, as text and binary: two lenses, two pictures with and without points.
+/// COLMAP models, as text and binary: two lenses, two pictures with and without points, two points with and without
+/// pictures.
 fn colmap() -> Vec<Vec<u8>> {
     let cameras = b"# cameras\n1 PINHOLE 8 6 7 7.5 4 3\n2 OPENCV 8 6 7 7 4 3 0.1 -0.01 0 1e-3\n";
     let images = b"# images\n1 1 0 0 0 0.5 0 2 1 a.png\n1.5 2 -1 3 4 7\n2 0.6 0 0.8 0 0 1 2 2 b.png\n\n";
@@ -75,8 +76,15 @@ fn colmap() -> Vec<Vec<u8>> {
         image(2, &[0.6, 0.0, 0.8, 0.0, 0.0, 1.0, 2.0], 2, b"b.png", &[]),
     ];
     let count = 2_u64.to_le_bytes();
-    let binary = [[&count[..], &lenses].concat(), [&count[..], &poses.concat()].concat()];
-    vec![forge::colmap(false, [cameras, images]), forge::colmap(true, [&binary[0], &binary[1]])]
+    let points = b"# points\n3 0.5 -1 2 255 128 0 0.25 1 0\n4 1 1 1 0 0 0 0\n";
+    let point = |id: u64, position: &[f64; 3], track: &[u32]| {
+        let track: Vec<u8> = track.iter().flat_map(|v| v.to_le_bytes()).collect();
+        let images = (track.len() as u64 / 8).to_le_bytes();
+        [&id.to_le_bytes()[..], &floats(position), &[255, 128, 0], &floats(&[0.25]), &images, &track].concat()
+    };
+    let scene = [point(3, &[0.5, -1.0, 2.0], &[1, 0]), point(4, &[1.0, 1.0, 1.0], &[])].concat();
+    let binary = [&lenses, &poses.concat(), &scene].map(|file| [&count[..], file].concat());
+    vec![forge::colmap(false, [cameras, images, points]), forge::colmap(true, [&binary[0], &binary[1], &binary[2]])]
 }
 
 /// The bytes that `write` writes.

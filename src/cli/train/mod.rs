@@ -64,8 +64,8 @@ pub struct Args {
     output: PathBuf,
 
     /// Train Gaussian splats: MODEL.ply, with cameras.json and transforms.json beside it. They begin at the visual hull
-    /// if all images have transparent pixels, else anywhere in the box, and become up to three for eight pixels of an
-    /// image
+    /// if all images have transparent pixels, else at COLMAP's points, else anywhere in the box, and become up to three
+    /// for eight pixels of an image
     #[arg(long, help_heading = heading::TRAINING)]
     splats: bool,
 

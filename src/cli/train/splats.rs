@@ -16,7 +16,8 @@ use crate::geometry::{Camera, Domain};
 use crate::io::place::folder_of;
 use crate::splats::SplatRenderer;
 use crate::train::{
-    Budget, DatasetFiles, Finished, Quality, Run, Shot, SplatSettings, SplatTrainer, StateFile, Training,
+    Budget, DatasetFiles, Finished, Quality, Run, Shot, SplatOrigin, SplatSettings, SplatTrainer, StateFile, Training,
+    box_of_points,
 };
 use crate::{Error, Result};
 
@@ -111,7 +112,10 @@ impl Args {
         command_files(&files.path).input("DATASET", partner).check()?;
         files.select(&self.views.clone().unwrap_or_default(), None)?;
         announce!("note: {}", files.describe());
-        let domain = self.domain(&files)?;
+        let mut points = files.points()?;
+        points.retain(|point| self.bounds.is_none_or(|bounds| bounds.contains(point.position.as_vec3())));
+        let bounds = self.bounds.or_else(|| box_of_points(&points)).unwrap_or(files.bounds);
+        let domain = Domain::Box(bounds);
         let [train, held_out] = files.load(bars)?;
         beside.check_names(&train)?;
         SplatRenderer::check_cameras(held_out.iter().map(|shot| &shot.camera))?;
@@ -125,12 +129,16 @@ impl Args {
         check_framing(&train, &domain)?;
         let settings =
             SplatSettings::default().seed(self.seed).background(self.background).most(SplatSettings::most_for(&train));
-        let mut trainer = SplatTrainer::new(settings, self.bounds.unwrap_or(files.bounds), &train)?;
-        if !trainer.began_at_hull() {
-            announce!(
+        let mut trainer = SplatTrainer::new(settings, bounds, &points, &train)?;
+        match trainer.origin() {
+            SplatOrigin::Hull => {}
+            SplatOrigin::Points => {
+                announce!("note: splats begin at {} of COLMAP's {} points", trainer.len(), points.len())
+            }
+            SplatOrigin::Box => announce!(
                 "note: splats begin anywhere in the box (--box), and not near the surface of the object: some images \
-                 are opaque, or no part of the box is inside all outlines"
-            );
+                 are opaque, or no part of the box is inside all outlines, and COLMAP's points are not there"
+            ),
         }
         let state = self.state(&files, settings, domain, &train)?;
         let mut before = 0.0;

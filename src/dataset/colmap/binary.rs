@@ -2,10 +2,14 @@
 
 use std::collections::HashMap;
 
-use super::{Complaint, Lens, Parsed, RawCamera, RawImage, insert};
+use glam::DVec3;
+
+use super::{Complaint, Lens, Parsed, RawCamera, RawImage, ScenePoint, finite, insert};
 
 /// Bytes of a point in an image: two coordinates and the number of a point in space.
 const POINT: u64 = 24;
+/// Bytes of an image that shows a point in space: its number, and that of the point in it.
+const SIGHTING: u64 = 8;
 
 /// The rest of a file.
 struct Bytes<'a> {
@@ -105,4 +109,26 @@ pub fn images(file: &[u8]) -> Parsed<Vec<RawImage>> {
     }
     bytes.end()?;
     Ok(images)
+}
+
+/// Reads `points3D.bin`.
+pub fn points(file: &[u8]) -> Parsed<Vec<ScenePoint>> {
+    let mut bytes = Bytes { rest: file, place: "number of points".into() };
+    let mut points = Vec::new();
+    for i in 0..bytes.u64()? {
+        bytes.place = format!("point at index {i}");
+        bytes.u64()?;
+        let position = finite(DVec3::from(bytes.floats()?), &bytes.place)?;
+        let color = bytes.array()?;
+        // The error of its projections.
+        bytes.floats::<1>()?;
+        let images = bytes.u64()?;
+        let Some(sightings) = images.checked_mul(SIGHTING) else {
+            return Err(Complaint::new(&bytes.place, "a number of images", images.to_string()));
+        };
+        bytes.take(sightings)?;
+        points.push(ScenePoint { position, color });
+    }
+    bytes.end()?;
+    Ok(points)
 }

@@ -1,4 +1,4 @@
-//! Cameras of COLMAP's sparse models: `cameras` and `images`, as `.bin` or `.txt`.
+//! COLMAP's sparse models: cameras from `cameras` and `images`, points from `points3D`, as `.bin` or `.txt`.
 //!
 //! A camera holds size and lens, an image the pose of one picture: a quaternion (w, x, y, z) and a translation that
 //! take world to camera, with OpenCV's axes (x right, y down, looking along +z). Here poses are camera-to-world with
@@ -109,6 +109,24 @@ struct RawImage {
     name: String,
 }
 
+/// A point of the scene that several pictures show.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ScenePoint {
+    /// Scene units.
+    pub position: DVec3,
+    /// Red, green, blue.
+    pub color: [u8; 3],
+}
+
+/// The points of the model that the cameras of `path` belong to; none if it is no model of COLMAP, or has none.
+///
+/// # Errors
+/// If several models are there, or if the file of the points cannot be read, ends early or has a position that is not
+/// finite.
+pub fn scene_points(path: &Path) -> Result<Vec<ScenePoint>> {
+    ModelFiles::find(path)?.map_or(Ok(Vec::new()), |model| model.points())
+}
+
 /// What is wrong with a file, without its path.
 struct Complaint {
     place: String,
@@ -196,6 +214,11 @@ impl ModelFiles {
 
     fn images(&self) -> Result<Vec<RawImage>> {
         self.parse(&self.images, binary::images, text::images)
+    }
+
+    fn points(&self) -> Result<Vec<ScenePoint>> {
+        let path = self.images.with_file_name(if self.is_binary { "points3D.bin" } else { "points3D.txt" });
+        if path.is_file() { self.parse(&path, binary::points, text::points) } else { Ok(Vec::new()) }
     }
 
     fn cameras(&self) -> Result<HashMap<u32, RawCamera>> {
@@ -286,6 +309,14 @@ fn lists_beside(pictures: &Path) -> Result<Lists> {
         path.is_file().then(|| crate::io::read_text(&path).map(lines)).transpose()
     };
     Ok(Lists { training: read("train_list.txt")?, held_out: read("test_list.txt")?, ..Lists::default() })
+}
+
+/// A position that is a number along each axis.
+fn finite(position: DVec3, place: &str) -> Parsed<DVec3> {
+    if position.is_finite() {
+        return Ok(position);
+    }
+    Err(Complaint::new(place, "a finite position", position.to_string()))
 }
 
 /// A camera without its pose.

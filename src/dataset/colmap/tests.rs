@@ -293,3 +293,66 @@ fn lists_of_training_images_beside_the_pictures_count() {
         frames.iter().filter(|frame| frame.purpose == Some(Purpose::Training)).map(|frame| frame.index).collect();
     assert_eq!(training, [0, 4]);
 }
+
+/// Points of a model, the file that has them as text, and as binary.
+fn points() -> (Vec<ScenePoint>, String, Vec<u8>) {
+    let points: Vec<ScenePoint> = (0..5_u8)
+        .map(|i| ScenePoint { position: DVec3::new(0.1, -7.5, 1e4) * f64::from(i), color: [i, 255 - i, 128] })
+        .collect();
+    let (mut text, mut binary) = ("# 3D point list\n".to_string(), 5_u64.to_le_bytes().to_vec());
+    for (i, ScenePoint { position: p, color: [r, g, b] }) in points.iter().enumerate() {
+        // As many images as the point's index show it.
+        let track = (0..i).map(|k| format!(" {k} {}", 7 * k)).collect::<String>();
+        writeln!(text, "{} {} {} {} {r} {g} {b} 0.75{track}", 100 * i, p.x, p.y, p.z).unwrap();
+        binary.extend((100 * i as u64).to_le_bytes());
+        binary.extend(p.to_array().iter().flat_map(|v| v.to_le_bytes()));
+        binary.extend([*r, *g, *b]);
+        binary.extend(0.75_f64.to_le_bytes());
+        binary.extend((i as u64).to_le_bytes());
+        binary.extend((0..2 * i as u32).flat_map(u32::to_le_bytes));
+    }
+    (points, text, binary)
+}
+
+#[test]
+fn points_are_read_from_text_and_binary() {
+    let folder = tempfile::tempdir().unwrap();
+    let (expected, text, binary) = points();
+    let [lenses, images] = as_text(&cameras());
+    write(&folder.path().join("text"), "txt", [lenses.as_bytes(), images.as_bytes()]);
+    let [lenses, images] = as_binary(&cameras());
+    write(&folder.path().join("p/sparse/0"), "bin", [&lenses, &images]);
+    for name in ["text", "text/images.txt", "p", "p/sparse/0/cameras.bin"] {
+        assert_eq!(scene_points(&folder.path().join(name)).unwrap(), [], "{name}");
+    }
+    std::fs::write(folder.path().join("text/points3D.txt"), &text).unwrap();
+    std::fs::write(folder.path().join("p/sparse/0/points3D.bin"), &binary).unwrap();
+    for name in ["text", "text/images.txt", "p", "p/sparse/0/cameras.bin"] {
+        assert_eq!(scene_points(&folder.path().join(name)).unwrap(), expected, "{name}");
+    }
+    assert_eq!(scene_points(&folder.path().join("transforms.json")).unwrap(), []);
+}
+
+#[test]
+fn damaged_points_are_refused_with_their_place() {
+    let (_, text, binary) = points();
+    for end in 0..binary.len() {
+        assert!(binary::points(&binary[..end]).is_err(), "{end}");
+    }
+    let mut many = binary.clone();
+    many[0] = 255;
+    // The number of images of the first point.
+    many[59 - 8..59].fill(255);
+    for (file, place) in [(&many, "point at index 0"), (&[&binary[..], &[0]].concat(), "end")] {
+        assert_eq!(binary::points(file).unwrap_err().place, place);
+    }
+    let mut infinite = binary.clone();
+    infinite[16..24].copy_from_slice(&f64::NAN.to_le_bytes());
+    assert_eq!(binary::points(&infinite).unwrap_err().expected, "a finite position");
+    for (from, to) in [("0.75", ""), ("255", "256"), ("-7.5", "inf"), ("100 ", "x ")] {
+        let found = text::points(&text.replacen(from, to, 1));
+        // What stands behind the colour is not read.
+        assert_eq!(found.is_err(), from != "0.75", "{from}");
+    }
+    assert_eq!(text::points(&text.replacen("-7.5", "inf", 1)).unwrap_err().place, "line 3");
+}

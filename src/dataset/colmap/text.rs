@@ -3,7 +3,9 @@
 use std::collections::HashMap;
 use std::str::{FromStr, SplitWhitespace};
 
-use super::{Complaint, Lens, Parsed, RawCamera, RawImage, insert};
+use glam::DVec3;
+
+use super::{Complaint, Lens, Parsed, RawCamera, RawImage, ScenePoint, finite, insert};
 
 /// The words of a line.
 struct Words<'a> {
@@ -94,6 +96,22 @@ pub fn images(text: &str) -> Parsed<Vec<RawImage>> {
         }
     }
     Ok(images)
+}
+
+/// Reads `points3D.txt`: for each a line `POINT3D_ID X Y Z R G B ERROR TRACK[]`.
+pub fn points(text: &str) -> Parsed<Vec<ScenePoint>> {
+    let lines = (1..).zip(text.lines()).filter(|(_, line)| !is_comment(line) && !line.trim().is_empty());
+    let point = |(number, line)| {
+        let mut words = Words::new(line, number);
+        words.number::<u64>("the number of a point")?;
+        let position = finite(DVec3::from(words.numbers("a position")?), &format!("line {number}"))?;
+        let mut color = [0; 3];
+        for channel in &mut color {
+            *channel = words.number("a colour from 0 to 255")?;
+        }
+        Ok(ScenePoint { position, color })
+    };
+    lines.map(point).collect()
 }
 
 /// A line of points: x, y and a whole number for each, or nothing.

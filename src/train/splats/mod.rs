@@ -2,7 +2,7 @@
 //!
 //! One step draws one training image (Kerbl et al. 2023): ellipses on the image, tile by tile and front to back, the
 //! mean absolute error, and its derivatives by the chain rule back to centres, deviations, rotations, opacities and
-//! colours, which Adam moves. Splats begin near the surface of the visual hull, or anywhere in the box, and become more
+//! colours, which Adam moves. Splats begin near the surface of the visual hull, at COLMAP's points, or anywhere in the box, and become more
 //! where images ask for it. The code shares nothing with [`crate::splats`]' renderer, so that each checks the other.
 //! Nothing depends on the number of threads.
 
@@ -19,6 +19,7 @@ mod state;
 mod tests;
 mod trainer;
 
+pub use start::{SplatOrigin, box_of_points};
 pub use trainer::SplatTrainer;
 
 use derive_setters::Setters;

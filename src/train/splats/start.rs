@@ -1,17 +1,24 @@
-//! Where splats begin: near the surface of the visual hull, if images say where the object is; else anywhere in the
-//! box.
+//! Where splats begin: near the surface of the visual hull, if images say where the object is; else at the points of a
+//! reconstruction, if there is one; else anywhere in the box.
 //!
 //! The hull (Laurentini 1994) is what every camera shows as opaque. It is found on a lattice of cells, coarsely in the
 //! box of the scene and then finely in its own box. A cell counts as shown if any pixel near its centre's image is.
+//!
+//! At points, splats begin as in the original code (Kerbl et al. 2023): round, with the point's colour, as large as the
+//! distance to the three nearest others.
 
 use glam::{DVec3, Vec3};
+use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
+use rstar::RTree;
 
 use super::cloud::{LOGIT, MEAN, ROTATION, Row, SCALE, SH, WIDTH};
 use super::harmonics;
+use crate::dataset::ScenePoint;
 use crate::geometry::Aabb;
+use crate::metrics::quantile;
 use crate::train::Shot;
 
 /// Cells along the longest edge of the box, coarse and fine.
@@ -22,14 +29,35 @@ const OBJECT: f64 = 0.5;
 const OPACITY: f32 = 0.1;
 /// Places tried for each point that a camera has to see.
 const TRIES: usize = 20;
+/// Fewest points of a reconstruction that say where a scene is.
+const FEWEST_POINTS: usize = 100;
+/// Points around a point whose distances make its splat's size, as in the original code.
+const NEIGHBORS: usize = 3;
+/// Share of the points at either end of an axis that do not count for their extent: some are far away.
+const FAR_SHARE: f64 = 0.1;
+/// The same for the box of a scene, and by how much of its edges it is longer at either side.
+const OUTLIERS: f64 = 0.01;
+const MARGIN: f64 = 0.1;
+/// Least distance between points, in parts of their extent; some coincide.
+const LEAST_DISTANCE: f64 = 1e-5;
 
 /// The first splats and where they lie.
 pub struct Start {
     pub rows: Vec<Row>,
     /// Half of the longest edge of what they fill, scene units.
     pub extent: f32,
-    /// Whether images say where the object is.
-    pub is_hull: bool,
+    pub origin: SplatOrigin,
+}
+
+/// Where the first splats lie.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SplatOrigin {
+    /// Near the surface of the visual hull: images say where the object is.
+    Hull,
+    /// At the points of a reconstruction.
+    Points,
+    /// Anywhere in the box that a camera sees.
+    Box,
 }
 
 /// The pixels near which an image shows the object, and the camera; pixels outside the image show nothing.
@@ -131,18 +159,66 @@ fn box_of(cells: &Cells, is_in: &[bool]) -> Option<Aabb> {
 }
 
 impl Start {
-    /// `count` splats for these images in a box.
-    pub fn new(shots: &[Shot], bounds: Aabb, count: usize, seed: u64) -> Self {
+    /// At most `count` splats for these images: in a box, or at some of the points of a reconstruction.
+    pub fn new(shots: &[Shot], bounds: Aabb, known: &[ScenePoint], count: usize, seed: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let (points, extent, is_hull) = match hull_points(shots, bounds, count, &mut rng) {
-            Some((points, extent)) => (points, extent, true),
-            None => (points_in(shots, bounds, count, &mut rng), 0.5 * bounds.longest_edge(), false),
+        let (points, extent, origin) = match hull_points(shots, bounds, count, &mut rng) {
+            Some((points, extent)) => (points, extent, SplatOrigin::Hull),
+            None if box_of_points(known).is_some() => return Self::at(known, count, &mut rng),
+            None => (points_in(shots, bounds, count, &mut rng), 0.5 * bounds.longest_edge(), SplatOrigin::Box),
         };
         // A lattice with as many points in the same volume, for the distance between neighbours.
         let spacing = spacing(&points);
-        let rows = points.into_iter().map(|x| row(x, shots, spacing)).collect();
-        Self { rows, extent: extent as f32, is_hull }
+        let rows = points.into_iter().map(|x| row(x, color_at(x, shots), spacing)).collect();
+        Self { rows, extent: extent as f32, origin }
     }
+
+    /// Splats at points, of which at most `count` are drawn.
+    fn at(known: &[ScenePoint], count: usize, rng: &mut ChaCha8Rng) -> Self {
+        let mut points = known.to_vec();
+        let (points, _) = points.partial_shuffle(rng, count);
+        let extent = extent_of(points);
+        let tree = RTree::bulk_load(points.iter().map(|point| point.position.to_array()).collect());
+        let splat = |point: &ScenePoint| {
+            let at = point.position.to_array();
+            // The nearest is the point itself.
+            let others = tree.nearest_neighbor_iter_with_distance_2(at).skip(1).take(NEIGHBORS);
+            let squares: Vec<f64> = others.map(|(_, square)| square).collect();
+            let size = (squares.iter().sum::<f64>() / squares.len() as f64).sqrt();
+            let color = DVec3::from(point.color.map(f64::from)) / 255.0;
+            row(point.position, color.as_vec3(), size.max(LEAST_DISTANCE * extent))
+        };
+        Self { rows: points.par_iter().map(splat).collect(), extent: extent as f32, origin: SplatOrigin::Points }
+    }
+}
+
+/// The corners of the box around points without a share of them at either end of each axis.
+fn corners(points: &[ScenePoint], beyond: f64) -> [DVec3; 2] {
+    let mut corners = [DVec3::ZERO; 2];
+    for axis in 0..3 {
+        let mut at: Vec<f64> = points.iter().map(|point| point.position[axis]).collect();
+        at.sort_unstable_by(f64::total_cmp);
+        [corners[0][axis], corners[1][axis]] = [quantile(&at, beyond), quantile(&at, 1.0 - beyond)];
+    }
+    corners
+}
+
+/// Half of the longest edge of the box around most points.
+fn extent_of(points: &[ScenePoint]) -> f64 {
+    let [low, high] = corners(points, FAR_SHARE);
+    0.5 * (high - low).max_element()
+}
+
+/// The box of a scene of which these points are known: without a hundredth of them at either end of each axis, and then
+/// a tenth longer there. `None` if there are too few points, or if they have no volume.
+#[must_use]
+pub fn box_of_points(points: &[ScenePoint]) -> Option<Aabb> {
+    if points.len() < FEWEST_POINTS {
+        return None;
+    }
+    let [low, high] = corners(points, OUTLIERS);
+    let margin = MARGIN * (high - low);
+    Aabb::new(low - margin, high + margin).ok()
 }
 
 fn within(rng: &mut ChaCha8Rng) -> DVec3 {
@@ -198,8 +274,8 @@ fn spacing(points: &[DVec3]) -> f64 {
     distances.get(distances.len() / 2).copied().unwrap_or(1.0)
 }
 
-/// A round splat with the mean colour of the pixels at its image.
-fn row(x: DVec3, shots: &[Shot], spacing: f64) -> Row {
+/// The mean colour of the pixels that show `x`.
+fn color_at(x: DVec3, shots: &[Shot]) -> Vec3 {
     let (mut color, mut weight) = (DVec3::ZERO, 1e-3);
     for shot in shots {
         if let Some(i) = pixel(shot, x).filter(|&i| shot.keeps(i)) {
@@ -208,10 +284,14 @@ fn row(x: DVec3, shots: &[Shot], spacing: f64) -> Row {
             weight += alpha;
         }
     }
-    let color = (color / weight).as_vec3();
+    (color / weight).as_vec3()
+}
+
+/// A round splat.
+fn row(x: DVec3, color: Vec3, size: f64) -> Row {
     let mut row = [0.0; WIDTH];
     row[MEAN..MEAN + 3].copy_from_slice(&x.as_vec3().to_array());
-    row[SCALE..SCALE + 3].fill((spacing as f32).ln());
+    row[SCALE..SCALE + 3].fill((size as f32).ln());
     row[ROTATION + 3] = 1.0;
     row[LOGIT] = (OPACITY / (1.0 - OPACITY)).ln();
     row[SH..SH + 3].copy_from_slice(&Vec3::map(color, harmonics::constant_of).to_array());

@@ -5,7 +5,7 @@ use rand_chacha::ChaCha8Rng;
 use super::cloud::{LOGIT, MEAN, ROTATION, Row, SCALE, SH, WIDTH, splats};
 use super::picture::Picture;
 use super::*;
-use crate::dataset::PosedImage;
+use crate::dataset::{PosedImage, ScenePoint};
 use crate::geometry::{Aabb, Camera};
 use crate::monitor::Silent;
 use crate::render::Renderer;
@@ -185,8 +185,8 @@ fn bits(trainer: &SplatTrainer) -> Vec<u32> {
 fn training_shows_held_out_images_and_the_renderer_agrees() {
     let all = shots(16);
     let (train, held_out): (Vec<Shot>, Vec<Shot>) = all.into_iter().partition(|shot| shot.name != "r_5");
-    let mut trainer = SplatTrainer::new(small(), bounds(), &train).unwrap();
-    assert!(trainer.began_at_hull() && trainer.len() == 60);
+    let mut trainer = SplatTrainer::new(small(), bounds(), &[], &train).unwrap();
+    assert!(trainer.origin() == SplatOrigin::Hull && trainer.len() == 60);
     let psnr = |trainer: &SplatTrainer| trainer.look(&held_out, usize::MAX, None).unwrap().psnr;
     let before = psnr(&trainer);
     run_steps(&mut trainer, 500, 500);
@@ -203,8 +203,8 @@ fn training_shows_held_out_images_and_the_renderer_agrees() {
     assert!((crate::metrics::psnr(&found, &truth) - after).abs() < 0.01);
 }
 
-#[test]
-fn opaque_images_begin_anywhere_in_the_box() {
+/// The images of [`shots`] without transparency.
+fn opaque_shots(count: usize) -> Vec<Shot> {
     let opaque = |shot: Shot| {
         let pixels = (0..shot.image.len()).map(|i| {
             let [r, g, b] = shot.image.over(i, DVec3::ZERO).to_array().map(|v| (255.0 * v).round() as u8);
@@ -213,10 +213,15 @@ fn opaque_images_begin_anywhere_in_the_box() {
         let image = PosedImage::new(shot.image.resolution, pixels.collect());
         Shot { image, ..shot }
     };
-    let shots: Vec<Shot> = shots(8).into_iter().map(opaque).collect();
+    shots(count).into_iter().map(opaque).collect()
+}
+
+#[test]
+fn opaque_images_begin_anywhere_in_the_box() {
+    let shots = opaque_shots(8);
     let settings = small().background(Background::Fixed([0.0; 3]));
-    let mut trainer = SplatTrainer::new(settings, bounds(), &shots).unwrap();
-    assert!(!trainer.began_at_hull());
+    let mut trainer = SplatTrainer::new(settings, bounds(), &[], &shots).unwrap();
+    assert_eq!(trainer.origin(), SplatOrigin::Box);
     assert!(trainer.splats().unwrap().means().iter().all(|x| bounds().contains(*x)));
     let psnr = |trainer: &SplatTrainer| trainer.look(&shots, 1, None).unwrap().psnr;
     let before = psnr(&trainer);
@@ -225,19 +230,58 @@ fn opaque_images_begin_anywhere_in_the_box() {
 }
 
 #[test]
+fn opaque_images_begin_at_the_points_of_a_reconstruction() {
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    let mut number = || rng.random_range(-1.0..1.0);
+    let points: Vec<ScenePoint> = (0..150)
+        .map(|i| ScenePoint { position: DVec3::new(number(), number(), number()), color: [i, 0, 255] })
+        .collect();
+    let shots = opaque_shots(2);
+    let with = |points: &[ScenePoint], most: usize| SplatTrainer::new(small().most(most), bounds(), points, &shots);
+    // A quarter of the most at first: here all points; and as large as the distance to three neighbours.
+    let trainer = with(&points, 1000).unwrap();
+    assert_eq!((trainer.origin(), trainer.len()), (SplatOrigin::Points, 150));
+    for (i, row) in trainer.rows.iter().enumerate() {
+        let mean = DVec3::from(std::array::from_fn(|k| f64::from(row[MEAN + k])));
+        let point = points.iter().find(|point| point.position.distance(mean) < 1e-6).expect("one of the points");
+        let mut squares: Vec<f64> =
+            points.iter().map(|other| other.position.distance_squared(point.position)).collect();
+        squares.sort_by(f64::total_cmp);
+        let size = (squares[1..4].iter().sum::<f64>() / 3.0).sqrt();
+        assert!((f64::from(row[SCALE].exp()) / size - 1.0).abs() < 1e-5, "{i}");
+        let color = point.color.map(|v| harmonics::constant_of(f32::from(v) / 255.0));
+        assert!(row[SH..SH + 3].iter().zip(color).all(|(found, v)| (found - v).abs() < 1e-5), "{i}");
+    }
+    // Some of many points, the same for any order of threads; and no start at points that say too little.
+    let [a, b] = [with(&points, 240).unwrap(), with(&points, 240).unwrap()];
+    assert!(a.len() == 60 && bits(&a) == bits(&b));
+    assert_eq!(with(&points[..99], 1000).unwrap().origin(), SplatOrigin::Box);
+    // Points that coincide say no more than one; two that do among others still have a size.
+    let twins = vec![points[0]; 100];
+    assert_eq!(with(&twins, 1000).unwrap().origin(), SplatOrigin::Box);
+    let pair = [&points[..], &[points[0]; 4]].concat();
+    assert!(with(&pair, 1000).is_ok_and(|trainer| trainer.splats().is_ok()));
+    // The box of points leaves out those that are far away.
+    let far = ScenePoint { position: DVec3::splat(1e3), ..points[0] };
+    let found = box_of_points(&[&points[..], &[far]].concat()).unwrap();
+    assert!(found.size().max_element() < 2.5 && found.size().min_element() > 2.0, "{found:?}");
+    assert!(box_of_points(&points[..99]).is_none() && box_of_points(&twins).is_none());
+}
+
+#[test]
 fn a_resumed_run_ends_with_the_same_bits_for_any_number_of_threads() {
     let shots = shots(8);
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("run.state");
-    let mut whole = SplatTrainer::new(small(), bounds(), &shots).unwrap();
+    let mut whole = SplatTrainer::new(small(), bounds(), &[], &shots).unwrap();
     let with = |threads: usize| rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
     with(1).install(|| run_steps(&mut whole, 260, 260));
 
-    let mut first = SplatTrainer::new(small(), bounds(), &shots).unwrap();
+    let mut first = SplatTrainer::new(small(), bounds(), &[], &shots).unwrap();
     // After the first growth, in the middle of a round.
     with(3).install(|| run_steps(&mut first, 123, 260));
     first.save(&path, "this run", 1.5).unwrap();
-    let mut second = SplatTrainer::new(small(), bounds(), &shots).unwrap();
+    let mut second = SplatTrainer::new(small(), bounds(), &[], &shots).unwrap();
     assert_eq!(second.restore(&path, "this run").unwrap(), 1.5);
     assert!(second.len() > 60);
     with(2).install(|| run_steps(&mut second, 260, 260));
@@ -251,7 +295,8 @@ fn a_resumed_run_ends_with_the_same_bits_for_any_number_of_threads() {
         assert!(second.restore(&path, "this run").unwrap_err().to_string().contains("run.state"));
     }
     std::fs::write(&path, &bytes).unwrap();
-    let error = SplatTrainer::new(small().most(20), bounds(), &shots).unwrap().restore(&path, "this run").unwrap_err();
+    let error =
+        SplatTrainer::new(small().most(20), bounds(), &[], &shots).unwrap().restore(&path, "this run").unwrap_err();
     assert!(error.to_string().contains("up to 20"), "{error}");
     assert!(SplatTrainer::check_state(&path).is_ok());
 }
@@ -260,7 +305,7 @@ fn a_resumed_run_ends_with_the_same_bits_for_any_number_of_threads() {
 fn a_run_that_diverges_ends_with_an_error() {
     let shots = shots(4);
     for rates in [Rates { mean: f32::INFINITY, ..small().rates }, Rates { color: f32::INFINITY, ..small().rates }] {
-        let mut trainer = SplatTrainer::new(small().rates(rates), bounds(), &shots).unwrap();
+        let mut trainer = SplatTrainer::new(small().rates(rates), bounds(), &[], &shots).unwrap();
         let run = Run { budget: Budget::Steps(5), held_out: &[], pixels: 0, looks: 0, state: None::<StateFile> };
         let error = run.train(&mut trainer, 0.0, &Silent, |_| ()).unwrap_err().to_string();
         assert!(error.starts_with("rates: expected rates at which"), "{error}");
@@ -270,9 +315,9 @@ fn a_run_that_diverges_ends_with_an_error() {
 #[test]
 fn what_cannot_be_trained_is_refused() {
     let mut shots = shots(2);
-    let error = SplatTrainer::new(small().most(0), bounds(), &shots).err().unwrap().to_string();
+    let error = SplatTrainer::new(small().most(0), bounds(), &[], &shots).err().unwrap().to_string();
     assert_eq!(error, "most splats: expected at least one, found 0");
     shots[1].camera.distortion.k[0] = 0.1;
-    let error = SplatTrainer::new(small(), bounds(), &shots).err().unwrap().to_string();
+    let error = SplatTrainer::new(small(), bounds(), &[], &shots).err().unwrap().to_string();
     assert!(error.contains("no lens distortion"), "{error}");
 }

@@ -14,16 +14,17 @@ use super::cloud::{self, LOGIT, MEAN, ROTATION, Row, SCALE, SH, WIDTH, rotation}
 use super::growth::{Asked, Crowd, INTERVAL, UNTIL};
 use super::loss::loss;
 use super::picture::Picture;
-use super::start::Start;
+use super::start::{SplatOrigin, Start};
+use crate::dataset::ScenePoint;
 use crate::geometry::Aabb;
 use crate::metrics::psnr;
 use crate::splats::{MAX_DEGREE, SplatRenderer, Splats};
 use crate::train::{Background, Quality, Shot, Training};
 use crate::{Error, Result};
 
-/// Decays of Adam's moments, and what keeps its steps finite: those of the original code.
 /// Most pixels of an image: every splat is drawn on all tiles that it touches, which takes memory.
 const MAX_IMAGE_PIXELS: u64 = 4_000_000;
+/// Decays of Adam's moments, and what keeps its steps finite: those of the original code.
 const BETA1: f32 = 0.9;
 const BETA2: f32 = 0.999;
 const EPSILON: f32 = 1e-15;
@@ -48,20 +49,20 @@ pub struct SplatTrainer<'a> {
     /// `[rows]`.
     pub(super) asked: Vec<Asked>,
     extent: f32,
-    is_hull: bool,
+    origin: SplatOrigin,
     pub(super) steps: u64,
 }
 
 impl<'a> SplatTrainer<'a> {
     /// Starts a run in the box of a scene: near the surface of the visual hull if all images have transparent pixels,
-    /// else anywhere in the part of the box that a camera sees.
+    /// else at `points`, if there are a hundred, else anywhere in the part of the box that a camera sees.
     ///
     /// # Errors
     /// If a lens distorts, or if there may not be any splats.
     ///
     /// # Panics
     /// If there are no shots.
-    pub fn new(settings: SplatSettings, bounds: Aabb, shots: &'a [Shot]) -> Result<Self> {
+    pub fn new(settings: SplatSettings, bounds: Aabb, points: &[ScenePoint], shots: &'a [Shot]) -> Result<Self> {
         assert!(!shots.is_empty(), "no images to train on");
         SplatRenderer::check_cameras(shots.iter().map(|shot| &shot.camera))?;
         let largest = shots.iter().map(|shot| shot.camera.pixels()).max().unwrap_or(0);
@@ -72,10 +73,11 @@ impl<'a> SplatTrainer<'a> {
         if settings.most == 0 {
             return Err(Error::setting("most splats", "at least one", "0"));
         }
-        let Start { rows, extent, is_hull } = Start::new(shots, bounds, settings.most.div_ceil(FIRST), settings.seed);
+        let first = settings.most.div_ceil(FIRST);
+        let Start { rows, extent, origin } = Start::new(shots, bounds, points, first, settings.seed);
         let zeros = vec![[0.0; WIDTH]; rows.len()];
         let asked = vec![[0.0; 2]; rows.len()];
-        Ok(Self { settings, shots, means: zeros.clone(), squares: zeros, asked, rows, extent, is_hull, steps: 0 })
+        Ok(Self { settings, shots, means: zeros.clone(), squares: zeros, asked, rows, extent, origin, steps: 0 })
     }
 
     /// Number of splats.
@@ -85,10 +87,10 @@ impl<'a> SplatTrainer<'a> {
         self.rows.len()
     }
 
-    /// Whether the run began at the visual hull, as images say where the object is.
+    /// Where the run began.
     #[must_use]
-    pub fn began_at_hull(&self) -> bool {
-        self.is_hull
+    pub fn origin(&self) -> SplatOrigin {
+        self.origin
     }
 
     /// The splats in their present state.

@@ -12,7 +12,9 @@ use octobayes::geometry::Domain;
 use octobayes::metrics::psnr;
 use octobayes::monitor::Silent;
 use octobayes::render::{GradientMethod, render_view};
-use octobayes::train::{DatasetFiles, Shot, SplatSettings, SplatTrainer, TrainSettings, Trainer, Training, quality};
+use octobayes::train::{
+    DatasetFiles, Shot, SplatOrigin, SplatSettings, SplatTrainer, TrainSettings, Trainer, Training, quality,
+};
 
 /// Rows of three numbers.
 fn vectors(rows: &serde_json::Value) -> Vec<Vec3> {
@@ -208,8 +210,8 @@ fn splats_trained_on_lego_reach_the_measured_quality() {
         |shots: Vec<Shot>| -> Vec<Shot> { shots.into_iter().map(|shot| shot.shrunk([200; 2]).unwrap()).collect() };
     let [shots, held_out] = files.load(&Silent).unwrap().map(half);
     let settings = SplatSettings::default().most(SplatSettings::most_for(&shots));
-    let mut trainer = SplatTrainer::new(settings, files.bounds, &shots).unwrap();
-    assert!(trainer.began_at_hull());
+    let mut trainer = SplatTrainer::new(settings, files.bounds, &[], &shots).unwrap();
+    assert_eq!(trainer.origin(), SplatOrigin::Hull);
     for step in 0..4000 {
         trainer.step(f64::from(step) / 4000.0);
     }
