@@ -2,7 +2,7 @@
 
 use crate::Result;
 use crate::error::printable;
-use crate::estimate::{ErrorBudget, Plan, RayError, SamplingError};
+use crate::estimate::{ErrorBudget, MarchShift, Plan, RayError, SamplingError};
 use crate::posterior::{DataScale, Scale};
 use crate::rays::Pixels;
 use crate::render::GradientMethod;
@@ -192,7 +192,7 @@ pub fn errors(budget: &ErrorBudget) -> String {
     };
     line("number of rays", &rays);
     match &budget.audit {
-        None => line("samples left out, derivatives", "not measured (--audit)"),
+        None => line("samples left out, derivatives, march", "not measured (--audit)"),
         Some(audit) => {
             let how = || format!("{} rays, {} vertices", audit.rays, audit.cutoff.vertices);
             line("samples left out", &measured(&audit.cutoff, how()));
@@ -200,6 +200,9 @@ pub fn errors(budget: &ErrorBudget) -> String {
                 Some(error) => line("finite differences", &measured(error, how())),
                 None => line("derivatives", "the field's own, exact"),
             }
+            let (march, finer) = (&audit.march, MarchShift::FINER);
+            let how = format!("log10 U with {finer} times as many samples on a ray, minus that of the run");
+            line("march step", &format!("{:>+8.1e} {:>8.1e}  {how}", march.shift, march.percentile_95));
         }
     }
     if let Some(check) = &budget.step {

@@ -37,8 +37,13 @@ impl SamplingError {
         Self::from_errors(halves.iter().map(|(a, b)| 0.5 * (a - b).abs()).collect())
     }
 
+    /// From log10 U by two treatments at these vertices.
+    pub(super) fn from_pairs(pairs: &[(f64, f64)]) -> Self {
+        Self::from_errors(pairs.iter().map(|(a, b)| (a - b).abs()).collect())
+    }
+
     /// From |Δ log10 U| at these vertices.
-    pub(super) fn from_errors(mut errors: Vec<f64>) -> Self {
+    fn from_errors(mut errors: Vec<f64>) -> Self {
         if errors.is_empty() {
             return Self { vertices: 0, mean: 0.0, percentile_95: 0.0 };
         }

@@ -23,7 +23,7 @@ mod run;
 mod sight;
 mod step;
 
-pub use audit::Audit;
+pub use audit::{Audit, MarchShift};
 pub use builder::{FieldBuilder, Provenance, SURFACE_POINTS};
 pub use checkpoint::{Checkpoint, RunKey};
 pub use error_budget::{ErrorBudget, RayError};

@@ -15,8 +15,16 @@ use crate::monitor::{Monitor, check};
 use crate::render::{CompositingWeights, JacobianBuffers, RayBatch, RaySamples, TraceBuffers, TracedRays};
 use crate::{Error, Result};
 
-/// Number of batches passed to the posterior together.
+/// Most batches that are drawn, and passed to the posterior, together.
 const GROUP: u64 = 16;
+/// About how many samples a thread differentiates together, and how many are held until they are summed. Batches of rays
+/// with more samples, as through fog or unbounded scenes, are divided: before they are summed, a sample's contributions
+/// take some 500 bytes.
+const SAMPLES_TOGETHER: f64 = 4096.0;
+const SAMPLES_IN_FLIGHT: f64 = 65_536.0;
+/// Fewest rays that are differentiated together; and as many at the start, when nothing is known of their samples.
+const FEWEST_RAYS: u64 = 16;
+const FIRST_RAYS: u64 = 64;
 /// Largest fraction of rays that may be dropped because the field was not finite. Beyond it, a run fails.
 pub const MAX_DROPPED_SHARE: f64 = 0.01;
 
@@ -34,6 +42,33 @@ const FIRST_POINTS: usize = 4096;
 /// Batches drawn together start with this multiple of the field's batch size, so that calls stay large after most rays
 /// have ended.
 const AT_FIRST: usize = 4;
+
+/// How a thread's work is divided.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Portions {
+    /// Rays that are differentiated together, at most.
+    rays: u64,
+    /// Batches that are drawn before they are summed.
+    batches: u64,
+}
+
+impl Portions {
+    /// Of a run that has come so far. This does not depend on whether the run was interrupted, nor on threads.
+    fn after(progress: &RunProgress) -> Self {
+        if progress.rays == 0 {
+            return Self { rays: FIRST_RAYS, batches: 1 };
+        }
+        let per_ray = (progress.samples as f64 / progress.rays as f64).max(1.0);
+        let within = |most: f64| 1 << ((most / per_ray).max(1.0) as u64).ilog2();
+        Self {
+            rays: within(SAMPLES_TOGETHER).clamp(FEWEST_RAYS, BATCH),
+            batches: within(SAMPLES_IN_FLIGHT / BATCH as f64).clamp(1, GROUP),
+        }
+    }
+}
+
+/// Batches that are passed to the posterior together: their number, and their samples in ray order.
+type Group = (u64, Vec<RaySamples>);
 
 /// How a stream of rays ended.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -135,40 +170,52 @@ impl<'a> RayStream<'a> {
         Draw { seed: self.pixels.seed(), shard }
     }
 
-    /// The samples of some batches of a shard. If the monitor was interrupted, some are missing.
+    /// The samples of some batches of a shard, in groups. If the monitor was interrupted, some are missing.
     fn samples(
         &self,
         shard: &Shard,
         batches: Range<u64>,
+        rays_together: u64,
         by_camera: &mut Option<CameraByCamera<'_, 'a>>,
         monitor: &dyn Monitor,
-    ) -> Result<Vec<RaySamples>> {
+    ) -> Result<Vec<Group>> {
         let rays = |n| shard.rays_of(shard.batch(n));
+        let grouped = |all: Vec<RaySamples>| {
+            let mut all = all.into_iter();
+            let group = |_| all.by_ref().take(GROUP as usize).collect::<Vec<_>>();
+            let groups = batches.clone().step_by(GROUP as usize).map(group);
+            groups.map(|group| (group.len() as u64, group)).collect()
+        };
         let VolumeRays { tracer, differentiation } = match (&self.source, by_camera) {
             (RaySource::Volume(volume), _) => volume.as_ref(),
             (RaySource::Splats(_), by_camera) => {
                 let of = |n| (shard.batch(n) * BATCH)..(shard.batch(n) * BATCH + rays(n));
                 return by_camera.as_mut().map_or(Ok(Vec::new()), |by_camera| {
-                    by_camera.samples(&batches.map(of).collect::<Vec<_>>(), monitor)
+                    by_camera.samples(&batches.clone().map(of).collect::<Vec<_>>(), monitor).map(grouped)
                 });
             }
         };
+        let drawn: Vec<RayBatch> = batches.clone().into_par_iter().map(|n| self.batch(shard, n)).collect();
         if tracer.field.batch() > 0 {
-            let drawn: Vec<RayBatch> = batches.clone().into_par_iter().map(|n| self.batch(shard, n)).collect();
             let samples = tracer.jacobians_together(&drawn, differentiation, monitor)?;
-            monitor.advance(batches.map(rays).sum());
-            return Ok(samples);
+            monitor.advance(batches.clone().map(rays).sum());
+            return Ok(grouped(samples));
         }
-        let each = batches.into_par_iter().map_init(JacobianBuffers::default, |buffers, n| {
+        let portions: Vec<RayBatch> = drawn.iter().flat_map(|batch| batch.portions(rays_together as usize)).collect();
+        let each = portions.par_iter().map_init(JacobianBuffers::default, |buffers, portion| {
             // So that slow fields stop soon; the caller checks, too.
             if monitor.interrupted() {
                 return RaySamples::default();
             }
-            let samples = tracer.jacobians(&self.batch(shard, n), differentiation, buffers);
-            monitor.advance(rays(n));
+            let samples = tracer.jacobians(portion, differentiation, buffers);
+            monitor.advance(portion.rays.len() as u64);
             samples
         });
-        Ok(each.collect())
+        let samples: Vec<RaySamples> = each.collect();
+        // Rays that reach nothing are no part of a portion.
+        let (all, traced) = (batches.clone().map(rays).sum::<u64>(), portions.iter().map(|portion| portion.rays.len()));
+        monitor.advance(all - traced.sum::<usize>() as u64);
+        Ok(vec![(batches.end - batches.start, samples)])
     }
 
     /// Rays of one batch, each with its jitter.
@@ -231,10 +278,9 @@ impl<'a> RayStream<'a> {
         monitor.begin("rays", shard.own_rays());
         monitor.advance(from.rays);
         let mut progress = from;
-        // Groups of batches that are drawn at once.
+        // Groups of batches that are drawn at once; of a volume that answers any number of points, less than one.
         let groups = match (self.source.batch(), &self.source) {
             (_, RaySource::Splats(_)) => rayon::current_num_threads().div_ceil(THREADS_PER_GROUP) as u64,
-            (0, _) => 1,
             (points, _) => (AT_FIRST * points).div_ceil(FIRST_POINTS * GROUP as usize) as u64,
         };
         let mut by_camera = match &self.source {
@@ -247,21 +293,24 @@ impl<'a> RayStream<'a> {
             if monitor.interrupted() {
                 return Ok(End::Stopped(progress));
             }
-            let drawn = progress.batches..(progress.batches + groups * GROUP).min(shard.batches());
-            let samples = self.samples(&shard, drawn, &mut by_camera, monitor);
+            let portions = Portions::after(&progress);
+            let most = if groups == 0 { portions.batches } else { groups * GROUP };
+            let drawn = progress.batches..(progress.batches + most).min(shard.batches());
+            let samples = self.samples(&shard, drawn, portions.rays, &mut by_camera, monitor);
             // Whoever asked to stop gets no group that may be incomplete.
             if matches!(samples, Err(Error::Interrupted)) || monitor.interrupted() {
                 return Ok(End::Stopped(progress));
             }
-            for group in samples?.chunks(GROUP as usize) {
-                for batch in group {
-                    progress.rays += shard.rays_of(shard.batch(progress.batches));
-                    progress.batches += 1;
+            for (batches, group) in samples? {
+                let own = progress.batches..progress.batches + batches;
+                progress.rays += own.map(|n| shard.rays_of(shard.batch(n))).sum::<u64>();
+                progress.batches += batches;
+                for batch in &group {
                     progress.samples += batch.positions.len() as u64;
                     progress.dropped += batch.dropped;
                     progress.first_invalid = progress.first_invalid.or(batch.first_invalid.map(|x| x.to_array()));
                 }
-                if let ControlFlow::Break(with) = sink(group, &progress)? {
+                if let ControlFlow::Break(with) = sink(&group, &progress)? {
                     return Ok(End::Broken(with));
                 }
             }
@@ -399,6 +448,44 @@ mod tests {
         }
     }
 
+    /// What was handed on, however it was grouped.
+    fn joined(groups: impl IntoIterator<Item = Vec<RaySamples>>) -> RaySamples {
+        let mut all = RaySamples::default();
+        groups.into_iter().flatten().for_each(|samples| all.append(samples));
+        all
+    }
+
+    #[test]
+    fn portions_are_smaller_where_rays_have_more_samples() {
+        let after = |rays, samples| Portions::after(&RunProgress { rays, samples, ..RunProgress::default() });
+        assert_eq!(after(0, 0), Portions { rays: 64, batches: 1 });
+        // Nothing was seen; and the few samples of a ray that meets a surface.
+        assert_eq!(after(512, 0), Portions { rays: 512, batches: 16 });
+        assert_eq!(after(1000, 6400), Portions { rays: 512, batches: 16 });
+        // 200 a ray: 16 rays have 3,200, and a batch has 102,400.
+        assert_eq!(after(1000, 200_000), Portions { rays: 16, batches: 1 });
+        assert_eq!(after(1000, 20_000), Portions { rays: 128, batches: 4 });
+        assert_eq!(after(1000, 1_000_000_000), Portions { rays: 16, batches: 1 });
+    }
+
+    #[test]
+    fn portions_of_any_size_are_the_same_rays() {
+        let cameras = ClosedForm::half_circle(5, [64, 48]);
+        let (field, settings) = (scene(), RaySettings::default().occupancy(32));
+        let lattice = GridSettings::default().level(6).lattice(Domain::Box(field.bounds())).unwrap();
+        let stream = settings.stream(&field, &cameras, &lattice, &Silent).unwrap();
+        let of = |rays_together| {
+            let groups = stream.samples(&Shard::whole(2000), 0..4, rays_together, &mut None, &Silent).unwrap();
+            assert_eq!(groups.iter().map(|(batches, _)| batches).sum::<u64>(), 4);
+            joined(groups.into_iter().map(|(_, samples)| samples))
+        };
+        let whole = of(512);
+        assert!(whole.rays.len() > 500, "{}", whole.rays.len());
+        for rays in [1, 16, 100, 511] {
+            assert!(of(rays) == whole, "{rays}");
+        }
+    }
+
     #[test]
     fn rays_that_ask_together_get_what_they_get_apart() {
         let cameras = ClosedForm::half_circle(5, [64, 48]);
@@ -414,11 +501,12 @@ mod tests {
                 let mut groups = Vec::new();
                 let from = RunProgress { batches: from, rays: from * BATCH, ..RunProgress::default() };
                 let progress = stream.run(shard, from, &Silent, |samples, progress| {
-                    groups.push((samples.to_vec(), *progress));
+                    assert!(progress.batches <= shard.batches());
+                    groups.push(samples.to_vec());
                     Ok(())
                 });
                 let calls = field.calls.lock().unwrap().clone();
-                (groups, progress.unwrap(), calls)
+                (joined(groups), progress.unwrap(), calls)
             };
             for (shard, from) in [(Shard::whole(rays), 0), (Shard::new(rays, 1, 2), 16)] {
                 let (apart, progress, _) = draw(0, shard, from);

@@ -76,6 +76,19 @@ pub struct RayBatch {
     pub first: u64,
 }
 
+impl RayBatch {
+    /// The same rays in batches of at most `most`.
+    pub(crate) fn portions(&self, most: usize) -> impl Iterator<Item = Self> {
+        let rays = self.rays.chunks(most).zip(self.jitter.chunks(most));
+        let first = (0..).step_by(most);
+        rays.zip(first).map(|((rays, jitter), offset)| Self {
+            rays: rays.to_vec(),
+            jitter: jitter.to_vec(),
+            first: self.first + offset,
+        })
+    }
+}
+
 /// A batch and what was computed of it so far.
 struct Member<'m, 'b> {
     batch: &'m RayBatch,
