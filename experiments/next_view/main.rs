@@ -29,7 +29,7 @@ use common::work::Work;
 use scene::{Held, Images, SCENES, Scene, VIEWS};
 use strategy::{Choice, FISHER_PIXELS, LEVEL, OCCUPANCY, PIXELS, RAYS, STRATEGIES, Strategy, TAKE, farthest};
 
-const SEEDS: [u64; 2] = [0, 1];
+const SEEDS: [u64; 4] = [0, 1, 2, 3];
 const START: usize = 3;
 const END: usize = 9;
 /// Trainings of a row after the first.
