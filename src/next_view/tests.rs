@@ -7,7 +7,7 @@ use glam::{DMat3, DVec3};
 use super::evidence::{Evidence, Viewer};
 use super::look::Look;
 use super::*;
-use crate::estimate::RaySettings;
+use crate::estimate::{Estimation, GridSettings, RaySettings};
 use crate::field::{ClosedForm, RadianceField};
 use crate::geometry::{Camera, Domain, Lattice};
 use crate::monitor::{Monitor, Silent};
@@ -305,6 +305,37 @@ fn threads_do_not_count() {
         let [one, three] = [1, 3].map(|threads| ranked(threads, gain));
         assert!(same(&one, &three), "{gain:?}");
     }
+}
+
+#[test]
+fn rays_stand_for_all_pixels_of_their_view() {
+    let cameras = circle();
+    let field = field(&samples(&cameras[..2]), 2, &MaxLevels::none(6));
+    let (scene, precision) = (scene(), field.precision().unwrap());
+    let source = source(&scene);
+    let eye = DVec3::new(-2.8, 0.0, 0.9);
+    let camera = Camera::look_at(eye, DVec3::new(0.0, 0.0, -0.25), DVec3::Z, 0.8, [96, 96]);
+    let total = |pixels: u64| -> f64 {
+        let viewer = Viewer { precision: Some(&precision), pixels, ..viewer(&source) };
+        let found = viewer.evidence(&camera, &Silent).unwrap();
+        found.added.iter().map(|added| [0, 3, 5].map(|k| added.precision[k]).iter().sum::<f64>()).sum()
+    };
+    // Squares of J have heavy tails, which leaves a third open. Without a weight of 4, the ratio would be a quarter.
+    let ratio = total(96 * 96 / 4) / total(96 * 96);
+    assert!((0.6..1.6).contains(&ratio), "{ratio}");
+}
+
+#[test]
+fn what_a_view_shows_first_the_next_does_not_show_first() {
+    let (scene, cameras) = (scene(), circle());
+    let rays = RaySettings::default().rays(4000).occupancy(32);
+    let run = Estimation::new(&scene, &cameras[..1]).rays(rays).grid(GridSettings::default().level(6));
+    let field = run.run().unwrap().field;
+    let candidates = [cameras[4], cameras[4]];
+    let settings = settings().take(2).gain(Gain::Coverage);
+    let next = NextView::new(&scene, &field, &candidates).training(&cameras[..1]).settings(settings).run().unwrap();
+    let unseen: Vec<Option<f64>> = next.steps.iter().map(|step| step.unseen).collect();
+    assert!(unseen[0].is_some_and(|share| share > 0.1) && unseen[1] == Some(0.0), "{unseen:?}");
 }
 
 #[test]
