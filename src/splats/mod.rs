@@ -207,6 +207,13 @@ impl Splats {
         &self.sh[i * count..(i + 1) * count]
     }
 
+    /// Colour of splat `i` by the constant of its spherical harmonics alone, 0 or more: the mean over all directions,
+    /// if no direction's colour is cut off.
+    #[must_use]
+    pub fn constant_color(&self, i: usize) -> Vec3 {
+        render::color(&self.sh(i)[..3], glam::DVec3::Z).as_vec3()
+    }
+
     /// Degree of the spherical harmonics, 0 to [`MAX_DEGREE`].
     #[must_use]
     pub fn degree(&self) -> u8 {
