@@ -19,6 +19,8 @@ use std::fmt;
 
 use glam::{Quat, Vec3};
 
+#[cfg(feature = "cli")]
+pub(crate) use render::FAINTEST;
 #[cfg(all(test, any(feature = "evaluate", feature = "train")))]
 pub(crate) use render::reference;
 pub use render::{Hit, Hits, SplatRenderer, SplatView, Use, seen_domain, tile_of};
