@@ -61,7 +61,7 @@ impl Model {
 }
 
 fn no_volume(name: &str) -> Error {
-    let expected = "a volume, which has a density; the commands `uncertainty`, `evaluate`, `render` and \
+    let expected = "a volume, which has a density; the commands `uncertainty`, `evaluate`, `render`, `view` and \
                     `export` take splats";
     Error::setting(format!("model `{name}`"), expected, "Gaussian splats")
 }

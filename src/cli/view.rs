@@ -6,34 +6,42 @@ use glam::Vec3;
 
 use super::files::CommandFiles;
 use super::opened::OpenedField;
-use super::options::{CameraOptions, ModelArgument, heading, parse_range};
+use super::options::{CameraOptions, MAX_KEPT_COUNT, ModelArgument, count, heading, parse_range};
 use super::progress::Bars;
 use super::render::bar_of;
 use super::report;
 use super::streams::tell;
-use crate::dataset::Part;
-use crate::export::surfaces;
+use crate::dataset::{Frame, FrameSplit, Part, Selection};
+use crate::export::{SeenSplats, surfaces};
+use crate::field::RadianceField;
 use crate::geometry::Camera;
+use crate::open::Model;
 use crate::session::{OpenedModel, image_settings};
-use crate::viewer::{Shown, View, write_view};
+use crate::splats::{SplatRenderer, Splats};
+use crate::uncertainty::UncertaintyField;
+use crate::viewer::{Page, ShownSplats, ShownVolume, SplatsView, VolumeView, write_splats_view, write_volume};
 use crate::{Error, Result};
 
 /// Pixels looked at for the histogram, if the field holds no points on visible surfaces.
 const PIXELS: u64 = 50_000;
-/// Most cells along the longest edge, and bytes of the file, if no number of cells is given.
+/// Pixels of the training views that splats are ranked and coloured by.
+const PIXELS_OF_SPLATS: u64 = 1_000_000;
+/// Most cells along the longest edge, and bytes of the file, if no number of cells or splats is given.
 const MAX_DEFAULT_CELLS: u32 = 256;
 const MAX_DEFAULT_BYTES: usize = 6_000_000;
 
 /// Write a viewer: one HTML file that opens from disk in any browser
 ///
-/// Shows the model as a volume that you turn with mouse, fingers or keys: log10 U beside colour, depth, colour tinted
-/// by U. A slider removes what is uncertain, a switch what no training ray reached. The training cameras can be shown
-/// and stepped through; the pointer reads position, U, rays, density and depth. The file holds everything and asks no
-/// server.
+/// Shows a volume or Gaussian splats, which you turn with mouse, fingers or keys: log10 U beside colour, depth, colour
+/// tinted by U. A slider removes what is uncertain, a switch what no training ray reached. The training cameras can be
+/// shown and stepped through; the pointer reads position, U and depth. The file holds everything and asks no server.
 ///
-/// The volume is a regular lattice: detail finer than a cell is averaged, and colour does not depend on direction.
+/// A volume is shown as a regular lattice: detail finer than a cell is averaged. Splats are drawn one by one. Colour
+/// does not depend on direction.
 #[derive(clap::Args)]
-#[command(after_help = "Example: octobayes view lego.safetensors lego.oct -o lego.html")]
+#[command(after_help = "Examples:\n  \
+    octobayes view lego.safetensors lego.oct -o lego.html\n  \
+    octobayes view scene.ply scene.oct --cameras cameras.json -o scene.html")]
 pub struct Args {
     #[command(flatten)]
     model: ModelArgument,
@@ -49,7 +57,7 @@ pub struct Args {
     #[arg(short, long, value_name = "VIEW.html", help_heading = heading::OUTPUT)]
     output: PathBuf,
 
-    /// Cells of the volume along the longest edge of the model's box, or of contracted space [default: as many as fit
+    /// Cells of a volume along the longest edge of the model's box, or of contracted space [default: as many as fit
     /// into 6 MB, at most 256]
     #[arg(
         long,
@@ -58,6 +66,10 @@ pub struct Args {
         help_heading = heading::OUTPUT,
     )]
     cells: Option<u32>,
+
+    /// Splats in the file, those that matter most in the training views [default: as many as fit into 6 MB]
+    #[arg(long, value_name = "N", value_parser = count::<u64>(1..=MAX_KEPT_COUNT), help_heading = heading::OUTPUT)]
+    splats: Option<u64>,
 
     /// Ends of the colour bar of log10 U [default: as in render]
     #[arg(
@@ -82,43 +94,119 @@ impl Args {
         if self.output.extension().is_none_or(|e| e != "html") {
             return Err(Error::extension(&self.output, "`.html`"));
         }
-        let files = CommandFiles::default()
+        self.files().check()?;
+        let field = OpenedField::open(&self.field)?.whole()?;
+        let opened = OpenedModel::of_field(&field, &self.field, &self.model.model, self.force, &mut tell)?;
+        let said = match &opened.model {
+            Model::Volume(model) => self.of_volume(&**model, &opened.name, &field, bars)?,
+            Model::Splats(splats) => self.of_splats(splats, &opened.name, &field, bars)?,
+        };
+        say!("{}: {said}", self.output.display())
+    }
+
+    /// The files that are read and written.
+    fn files(&self) -> CommandFiles {
+        CommandFiles::default()
             .input("MODEL", &self.model.model)
             .input("FIELD", &self.field)
             .cameras(self.cameras.cameras.as_deref())
-            .output("--output", &self.output);
-        files.check()?;
-        let field = OpenedField::open(&self.field)?.whole()?;
-        let opened = OpenedModel::of_field(&field, &self.field, &self.model.model, self.force, &mut tell)?;
-        let model = opened.volume()?;
-        let settings = image_settings(&field);
-        let views = self.cameras.read(Some(&**model), &opened.name)?;
-        files.images(&views).check()?;
+            .output("--output", &self.output)
+    }
 
-        let offset = settings.offset_for(&**model);
-        let tracer = settings.tracer(&**model, 0.0, bars)?;
+    /// Writes the page of a volume, and describes it.
+    fn of_volume(
+        &self,
+        model: &dyn RadianceField,
+        name: &str,
+        field: &UncertaintyField,
+        bars: &Bars,
+    ) -> Result<String> {
+        if let Some(count) = self.splats {
+            return Err(Error::setting("--splats", "a model of splats", format!("{count} for a volume")));
+        }
+        let settings = image_settings(field);
+        let views = self.cameras.read(Some(model), name)?;
+        self.files().images(&views).check()?;
+        let offset = settings.offset_for(model);
+        let tracer = settings.tracer(model, 0.0, bars)?;
         let surface: Vec<Vec3> = if field.surface().is_empty() {
             let cameras: Vec<Camera> = views.frames.iter().map(|frame| frame.camera).collect();
             surfaces(&tracer, &cameras, offset, PIXELS, bars)?.positions
         } else {
-            field.surface().iter().copied().map(Vec3::from_array).collect()
+            stored_surface(field)
         };
-        let name = &opened.name;
-        let path = Path::new(name);
-        let title = path.file_name().map_or_else(|| name.clone(), |name| name.to_string_lossy().into_owned());
-        let view = View {
-            model: &**model,
-            field: &field,
-            tracer: &tracer,
+        let page = Page {
+            field,
             frames: &views.frames,
             offset,
+            background: tracer.background,
             surface: &surface,
-            range: bar_of(&field, self.range)?,
-            title: &title,
+            range: bar_of(field, self.range)?,
+            title: &title(name),
         };
+        let view = VolumeView { model, tracer: &tracer, page };
         let (cells, budget) = self.cells.map_or((MAX_DEFAULT_CELLS, MAX_DEFAULT_BYTES), |cells| (cells, usize::MAX));
-        let Shown { cells, bytes, bricks } = write_view(&self.output, &view, cells, budget, bars)?;
+        let ShownVolume { cells, bytes, bricks } = write_volume(&self.output, &view, cells, budget, bars)?;
         let bytes = report::bytes(bytes);
-        say!("{}: {bytes}, {cells} cells along the longest edge, {bricks} bricks with matter", self.output.display())
+        Ok(format!("{bytes}, {cells} cells along the longest edge, {bricks} bricks with matter"))
     }
+
+    /// Writes the page of splats, and describes it.
+    fn of_splats(&self, splats: &Splats, name: &str, field: &UncertaintyField, bars: &Bars) -> Result<String> {
+        if let Some(cells) = self.cells {
+            let expected = "a volume: splats are not cut into cells (`--splats` limits their number)";
+            return Err(Error::setting("--cells", expected, format!("{cells} for splats")));
+        }
+        let settings = image_settings(field);
+        let offset = settings.offset_for_splats();
+        let frames = self.training_frames()?;
+        let cameras: Vec<Camera> = frames.iter().map(|frame| frame.camera).collect();
+        let renderer = SplatRenderer::new(splats, settings.background);
+        let measure = || SeenSplats::measure(&renderer, &cameras, offset, PIXELS_OF_SPLATS, bars);
+        let seen = (!cameras.is_empty()).then(measure).transpose()?;
+        let surface = stored_surface(field);
+        let page = Page {
+            field,
+            frames: &frames,
+            offset,
+            background: settings.background,
+            surface: if surface.is_empty() { splats.means() } else { &surface },
+            range: bar_of(field, self.range)?,
+            title: &title(name),
+        };
+        let view = SplatsView { splats, seen: seen.as_ref(), page };
+        let (most, budget) = self.splats.map_or((usize::MAX, MAX_DEFAULT_BYTES), |count| (count as usize, usize::MAX));
+        let ShownSplats { count, visible, share, bytes } = write_splats_view(&self.output, &view, most, budget)?;
+        if count < visible {
+            let of_what = if seen.is_some() { "of what the training views show" } else { "of opacity times area" };
+            announce!(
+                "note: the {count} splats that matter most make up {:.1} % {of_what}; --splats {visible} keeps all",
+                100.0 * share
+            );
+        }
+        Ok(format!("{}, {count} of {} splats", report::bytes(bytes), splats.len()))
+    }
+
+    /// The training frames of the camera file; none without one, because splats store no cameras.
+    fn training_frames(&self) -> Result<Vec<Frame>> {
+        if self.cameras.cameras.is_none() {
+            announce!(
+                "note: without --cameras, the page has no training cameras, and colours are means over all directions"
+            );
+            return Ok(Vec::new());
+        }
+        let views = self.cameras.read(None, "splats")?;
+        self.files().images(&views).check()?;
+        FrameSplit::new(views).select(Part::Training, &Selection::All, |_| true)
+    }
+}
+
+/// The points on visible surfaces that a field stores.
+fn stored_surface(field: &UncertaintyField) -> Vec<Vec3> {
+    field.surface().iter().copied().map(Vec3::from_array).collect()
+}
+
+/// The model's name without its folder.
+fn title(name: &str) -> String {
+    Path::new(name).file_name().map_or_else(|| name.into(), |name| name.to_string_lossy().into_owned())
 }

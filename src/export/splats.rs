@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use crate::Result;
@@ -23,6 +23,8 @@ pub struct SeenSplats {
     pub weights: Vec<f64>,
     /// `[n]`: number of views in which w exceeds 0.05 at one of these pixels.
     pub views: Vec<u32>,
+    /// `[n]`: mean of the splat's colours in these pixels, by w; `None` where none shows it.
+    pub colors: Vec<Option<Vec3>>,
     /// Number of pixels that were looked at, and of all pixels.
     pub pixels: [u64; 2],
 }
@@ -43,7 +45,8 @@ impl SeenSplats {
         let all: u64 = cameras.iter().map(Camera::pixels).sum();
         let stride = ((all as f64 / pixels.max(1) as f64).sqrt().round() as u32).max(1);
         let n = renderer.splats().len();
-        let mut found = Self { weights: vec![0.0; n], views: vec![0; n], pixels: [0, all] };
+        let mut found = Self { weights: vec![0.0; n], views: vec![0; n], colors: Vec::new(), pixels: [0, all] };
+        let mut colors = vec![DVec3::ZERO; n];
         monitor.begin("training views", cameras.len() as u64);
         for camera in cameras {
             check(monitor)?;
@@ -54,14 +57,15 @@ impl SeenSplats {
                 let (mut hits, mut found) = (Hits::default(), Vec::new());
                 for column in (start..camera.resolution[0]).step_by(stride as usize) {
                     view.hits([column, row].map(|i| f64::from(i) + pixel_offset), &mut hits);
-                    found.extend(hits.list.iter().map(|hit| (view.splat(hit), hit.weight())));
+                    found.extend(hits.list.iter().map(|hit| (view.splat(hit), hit.weight(), view.color(hit))));
                 }
                 found
             };
             let mut is_seen = vec![false; n];
             // Rows in their order, so that sums do not depend on threads.
-            for (splat, weight) in rows.par_iter().map(of_row).collect::<Vec<_>>().concat() {
+            for (splat, weight, color) in rows.par_iter().map(of_row).collect::<Vec<_>>().concat() {
                 found.weights[splat] += weight;
+                colors[splat] += weight * color;
                 is_seen[splat] |= weight > SEEN;
             }
             found.views.iter_mut().zip(is_seen).for_each(|(views, is_seen)| *views += u32::from(is_seen));
@@ -69,6 +73,8 @@ impl SeenSplats {
             monitor.advance(1);
         }
         monitor.end();
+        let mean = |(sum, &weight): (&DVec3, &f64)| (weight > 0.0).then(|| (*sum / weight).as_vec3());
+        found.colors = colors.iter().zip(&found.weights).map(mean).collect();
         Ok(found)
     }
 }
@@ -109,7 +115,7 @@ pub fn write_splats(
         ("uncertainty", uncertainty.iter().map(|&u| u as f32).collect()),
         ("log10_uncertainty", uncertainty.iter().map(|u| u.log10() as f32).collect()),
     ];
-    if let Some(SeenSplats { weights, views, pixels: [looked_at, all] }) = seen {
+    if let Some(SeenSplats { weights, views, pixels: [looked_at, all], .. }) = seen {
         columns.push(("weight", of_kept(&|i| weights[i] as f32)));
         columns.push(("views", of_kept(&|i| views[i] as f32)));
         comments.push(format!(

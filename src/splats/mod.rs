@@ -19,6 +19,8 @@ use std::fmt;
 
 use glam::{Quat, Vec3};
 
+#[cfg(feature = "cli")]
+pub(crate) use render::FAINTEST;
 #[cfg(all(test, any(feature = "evaluate", feature = "train")))]
 pub(crate) use render::reference;
 pub use render::{Hit, Hits, SplatRenderer, SplatView, Use, seen_domain, tile_of};
@@ -205,6 +207,13 @@ impl Splats {
     pub fn sh(&self, i: usize) -> &[f32] {
         let count = 3 * coefficients(self.degree);
         &self.sh[i * count..(i + 1) * count]
+    }
+
+    /// Colour of splat `i` by the constant of its spherical harmonics alone, 0 or more: the mean over all directions,
+    /// if no direction's colour is cut off.
+    #[must_use]
+    pub fn constant_color(&self, i: usize) -> Vec3 {
+        render::color(&self.sh(i)[..3], glam::DVec3::Z).as_vec3()
     }
 
     /// Degree of the spherical harmonics, 0 to [`MAX_DEGREE`].

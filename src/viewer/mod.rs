@@ -1,7 +1,8 @@
-//! A viewer in one file: a model and its uncertainty as a sparse volume, and the scripts that show it in a browser.
+//! A viewer in one file: a model and its uncertainty, and the scripts that show it in a browser.
 //!
-//! The volume is a regular lattice of [`grid::Grid`] in bricks; only bricks with matter are stored ([`bricks`]), packed
-//! into 3D textures ([`pack`]). [`page`] puts them into a page with the scripts of `web/`. The book's chapter on `view`
+//! [`page`] puts either kind of model into a page with the scripts of `web/`. A volume is a regular lattice of
+//! [`grid::Grid`] in bricks; only bricks with matter are stored ([`bricks`]), packed into 3D textures ([`pack`]), and
+//! [`volume`] makes cells as small as the file allows. [`splats`] are stored one by one. The book's chapter on `view`
 //! lists the approximations.
 
 mod bricks;
@@ -13,5 +14,9 @@ mod opacity;
 mod pack;
 mod page;
 mod seen;
+mod splats;
+mod volume;
 
-pub use page::{Shown, View, write_view};
+pub use page::Page;
+pub use splats::{ShownSplats, SplatsView, write_splats_view};
+pub use volume::{ShownVolume, VolumeView, write_volume};

@@ -118,7 +118,7 @@ fn distances(grid: &Grid, bricks: &[[u32; 3]]) -> Vec<[u8; 4]> {
 }
 
 /// Base 64 of zlib.
-fn text(bytes: &[u8]) -> String {
+pub fn text(bytes: &[u8]) -> String {
     let mut zlib = ZlibEncoder::new(Vec::new(), EFFORT);
     let packed = zlib.write_all(bytes).and_then(|()| zlib.finish()).expect("writing to memory cannot fail");
     BASE64_STANDARD.encode(packed)

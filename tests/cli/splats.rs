@@ -151,7 +151,8 @@ fn what_splats_do_not_have_is_refused_by_name() {
     refused(folder, "uncertainty scene.ply -o x.oct", &["--cameras", "brings no cameras"]);
     good(folder, &format!("{RUN} -o scene.oct"));
     let cameras = "--cameras transforms.json";
-    refused(folder, &format!("view scene.ply scene.oct {cameras} -o x.html"), &["scene.ply", "splats"]);
+    refused(folder, &format!("view scene.ply scene.oct {cameras} --cells 64 -o x.html"), &["--cells", "`--splats`"]);
+    refused(folder, "view scene.ply scene.oct -o x.png", &["x.png", "`.html`"]);
     refused(folder, "export scene.ply scene.oct --mesh -o x.ply", &["splats"]);
     refused(folder, &format!("export scene.ply scene.oct {cameras} --ellipsoids -o x.ply"), &["--ellipsoids"]);
     refused(folder, &format!("export scene.ply scene.oct {cameras} -o x.csv"), &["splats"]);
@@ -175,6 +176,30 @@ fn what_splats_do_not_have_is_refused_by_name() {
     kept[0] = false;
     splats.keep(&kept).unwrap().write_ply(&folder.join("other.ply"), &[], &[]).unwrap();
     refused(folder, "export other.ply scene.oct -o x.ply", &["checksum", "--force"]);
+}
+
+#[test]
+fn view_keeps_the_splats_that_matter_most() {
+    let folder = folder();
+    let folder = folder.path();
+    good(folder, &format!("{RUN} -o scene.oct"));
+    let view = |options: &str| {
+        let output = run(folder, &format!("view scene.ply scene.oct {options} -o view.html"));
+        let said = [output.stdout, output.stderr].map(|text| String::from_utf8_lossy(&text).to_string());
+        assert!(output.status.success(), "{said:?}");
+        (said.concat(), std::fs::read_to_string(folder.join("view.html")).unwrap())
+    };
+    let (said, page) = view("--cameras transforms.json");
+    assert!(said.contains("900 of 900 splats") && page.contains("r_3"), "{said}");
+    assert!(page.contains("splats-vertex") && !page.contains("id=\"march\""), "a page has one renderer");
+    let (said, _) = view("--cameras transforms.json --splats 500");
+    assert!(said.contains("500 of 900 splats") && said.contains("what the training views show"), "{said}");
+    assert!(said.contains("--splats 900 keeps all"), "{said}");
+    let (said, page) = view("--splats 500");
+    assert!(said.contains("no training cameras") && said.contains("opacity times area"), "{said}");
+    assert!(!page.contains("r_3"));
+    good(folder, "uncertainty scene:ball -o ball.oct --level 4 --rays 2000 --resolution 40");
+    refused(folder, "view scene:ball ball.oct --splats 500 -o x.html", &["--splats", "a model of splats", "500"]);
 }
 
 /// What three other cameras see of another ball, whose splats lie elsewhere: `transforms_test.json`, images, and depth

@@ -30,7 +30,7 @@ use crate::rays::RunProgress;
 use crate::render::{GradientMethod, Probe, RayAverage, RenderedView, render_view};
 use crate::train::Quality;
 use crate::uncertainty::{ThresholdedField, UncertaintyField, compare, unknowns};
-use crate::viewer::{View, write_view};
+use crate::viewer::{Page, VolumeView, write_volume};
 use crate::{Error, Result};
 
 /// File name of the trained model, in the folder of results.
@@ -212,17 +212,17 @@ impl Args {
         let frame = |(name, camera): &(String, Camera)| Frame::new(*camera, name, "");
         let frames: Vec<Frame> = subject.cameras.iter().map(frame).collect();
         let surface: Vec<Vec3> = field.surface().iter().copied().map(Vec3::from_array).collect();
-        let view = View {
-            model,
+        let page = Page {
             field,
-            tracer: &tracer,
             frames: &frames,
             offset: 0.5,
+            background: tracer.background,
             surface: &surface,
             range: [shown.low, field.prior().log10()],
             title: &format!("the demo's {}", self.scene.as_deref().unwrap_or("courtyard")),
         };
-        write_view(&self.output.join("view.html"), &view, CELLS, SIZE, bars).map(|_| ())
+        let view = VolumeView { model, tracer: &tracer, page };
+        write_volume(&self.output.join("view.html"), &view, CELLS, SIZE, bars).map(|_| ())
     }
 
     /// Writes pictures of the scene from two sides: the truth or the depth, the model, log10 U, the model cleaned.

@@ -22,6 +22,8 @@ mod tiles;
 
 pub use composite::{Hit, Hits};
 pub use extent::seen_domain;
+pub(super) use harmonics::color;
+pub use project::FAINTEST;
 pub use tiles::tile_of;
 
 use glam::{DMat3, DVec3, Vec3};
@@ -140,6 +142,12 @@ impl SplatView<'_> {
     #[must_use]
     pub fn splat(&self, hit: &Hit) -> usize {
         self.footprints[hit.footprint as usize].splat as usize
+    }
+
+    /// Colour of the splat of a hit in this view, 0 or more.
+    #[must_use]
+    pub fn color(&self, hit: &Hit) -> DVec3 {
+        self.footprints[hit.footprint as usize].color
     }
 
     /// Direction of the view axis.

@@ -83,6 +83,11 @@ class Orbit {
     const seen = [(x - this.center[0]) / this.focal[0], -(y - this.center[1]) / this.focal[1], -1];
     return times(this.axes, unit(seen));
   }
+
+  /** The scene point at a distance along the ray through an image point. */
+  point(at, distance) {
+    return add(this.position, scale(this.direction(at), distance));
+  }
 }
 
 /** The pose that is `part` of the way from one to another. */

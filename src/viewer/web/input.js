@@ -107,7 +107,7 @@ function listenToPanel(viewer) {
   LAYERS.forEach((name) => on(`layer-${name}`, 'change', () => viewer.layer(name)));
   on('threshold', 'input', (slider) => {
     // The last position removes nothing, however it was rounded.
-    shown.threshold = slider.value === slider.max ? viewer.about.codes.prior : Number(slider.value);
+    shown.threshold = slider.value === slider.max ? viewer.about.prior : Number(slider.value);
     viewer.moved();
   });
   const boxes = {

@@ -4,32 +4,29 @@
 const PATIENCE = 80;
 /** How long it takes to fly to a camera, milliseconds. */
 const FLIGHT = 400;
-const LAYERS = ['color', 'depth', 'uncertainty', 'tinted'];
 
 class Viewer {
-  constructor(file) {
-    const { about } = file;
-    this.about = about;
-    this.volume = new Volume(file);
+  constructor(model) {
+    const { about } = model;
+    Object.assign(this, { about, model });
     this.canvas = byId('picture');
     this.overlay = byId('overlay');
-    this.renderer = new Renderer(this.canvas, this.volume);
+    this.renderer = model.renderer(this.canvas);
     this.shown = { layer: 'uncertainty', split: 0.5, hidesUnseen: false, range: about.range, depths: [0, 1] };
-    this.shown.threshold = about.codes.prior;
+    this.shown.threshold = about.prior;
     this.uncrop();
     this.current = 0;
     this.frusta = false;
     this.shrink = 1;
     const first = about.cameras[0] ?? this.someCamera();
-    this.camera = new Orbit(first, about.cameras.length ? upright(about.cameras) : [0, 0, 1], this.volume.size);
+    this.camera = new Orbit(first, about.cameras.length ? upright(about.cameras) : [0, 0, 1], this.model.size);
     this.jump(0);
   }
 
   /** A view of the whole box, if there are no cameras. */
   someCamera() {
-    const { min, max } = this.about.bounds;
     const [right, up, back] = [[1, 1, 0], [-0.6, 0.6, 2], [1, -1, 0.6]].map(unit);
-    const position = add(scale(add(min, max), 0.5), scale(back, 1.6 * this.volume.size));
+    const position = add(this.model.anchor, scale(back, 1.6 * this.model.size));
     const axes = [...right, ...up, ...back];
     return { position, axes, focal: [500, 500], center: [256, 256], resolution: [512, 512] };
   }
@@ -41,7 +38,7 @@ class Viewer {
     cancelAnimationFrame(this.flight);
     this.current = (k + cameras.length) % cameras.length;
     const camera = cameras[this.current];
-    this.camera.jump(camera, this.volume.size);
+    this.camera.jump(camera, this.model.size);
     const { resolution, center } = this.camera;
     const hit = this.read(center[0], center[1]);
     if (hit) this.camera.distance = hit.depth;
@@ -70,11 +67,9 @@ class Viewer {
 
   /** Looks at all of the model's box, or at the middle of contracted space, from the direction of now. */
   frame() {
-    const { contraction, bounds } = this.about;
     const { focal, resolution } = this.camera;
-    const size = contraction ? 3 * contraction.radius : norm(sub(bounds.max, bounds.min));
-    const distance = (size * Math.max(...focal)) / Math.min(...resolution);
-    this.camera.look(this.volume.anchor, column(this.camera.axes, 2), distance);
+    const distance = (this.model.framed * Math.max(...focal)) / Math.min(...resolution);
+    this.camera.look(this.model.anchor, column(this.camera.axes, 2), distance);
     this.moved();
   }
 
@@ -96,13 +91,11 @@ class Viewer {
   }
 
   /**
-   * Moves a face of the crop box to a part of the way across the longest edge, or across eight radii of contracted
-   * space. At its ends nothing is cropped.
+   * Moves a face of the crop box to a part of the way across what the sliders span. At its ends nothing is cropped.
    */
   crop(axis, end, part) {
-    const { contraction, bounds } = this.about;
-    const { anchor, unit } = this.volume;
-    const at = anchor[axis] + (contraction ? 8 : 1) * unit * (part - 0.5);
+    const { bounds } = this.about;
+    const at = this.model.anchor[axis] + this.model.span * (part - 0.5);
     const isOpen = part === (end === 'min' ? 0 : 1);
     const inside = Math.min(Math.max(at, bounds.min[axis]), bounds.max[axis]);
     this.shown.crop[end][axis] = isOpen ? bounds[end][axis] : inside;
@@ -154,13 +147,9 @@ class Viewer {
     }
   }
 
-  /** What is under an image point: position, depth, and what the volume holds there; null if nothing is hit. */
+  /** What is under an image point: position, depth, and what the model has there; null if nothing is hit. */
   read(x, y) {
-    // A target of one pixel, in whose middle the point lies.
-    const [opacity, depth] = this.renderer.measure(this.camera, this.shown, 1, 1, [0.5 - x, 0.5 - y, 1]);
-    if (opacity <= 0.5) return null;
-    const position = add(this.camera.position, scale(this.camera.direction([x, y]), depth));
-    return { position, depth, ...this.volume.read(position) };
+    return this.renderer.read(this.camera, this.shown, x, y);
   }
 
   layer(name) {
@@ -209,7 +198,7 @@ class Viewer {
     showDivider(this.isSplit() ? this.shown : null);
     drawLegend(this.about, this.shown.layer, this.shown.depths);
     drawHistogram(this.about, this.shown.threshold);
-    sayRemoved(this.about, this.volume.matterByCode, this.shown);
+    sayRemoved(this.model, this.shown);
     return took;
   }
 
@@ -221,7 +210,7 @@ class Viewer {
 
   allFrusta(width, height) {
     const place = this.place(width, height);
-    return this.about.cameras.map((other) => frustum(this.camera, other, place, 0.08 * this.volume.unit));
+    return this.about.cameras.map((other) => frustum(this.camera, other, place, 0.08 * this.model.unit));
   }
 
   /** Size of the picture, device pixels. */
@@ -246,12 +235,12 @@ class Viewer {
 }
 
 /** Fills in what the file says of itself. */
-function introduce({ title, cells, codes, range, quantity, cameras }) {
+function introduce({ words, about: { title, prior, range, quantity, cameras } }) {
   say('title', title);
-  say('volume', `${cells} cells along the longest edge, ${cameras.length} cameras`);
+  say('model', `${words}, ${cameras.length} cameras`);
   const slider = byId('threshold');
   // Ends with two digits are whole steps apart. The last one removes nothing; the one before it is below the prior.
-  const max = Math.ceil(100 * codes.prior - 0.05);
+  const max = Math.ceil(100 * prior - 0.05);
   const min = Math.min(Math.floor(100 * range[0]), max - 1);
   Object.assign(slider, { min: (min / 100).toFixed(2), max: (max / 100).toFixed(2), step: '0.01' });
   slider.value = slider.max;
@@ -262,11 +251,11 @@ async function start() {
   const status = byId('status');
   try {
     if (typeof DecompressionStream === 'undefined') {
-      throw new Error('This browser cannot unpack the volume (DecompressionStream).');
+      throw new Error('This browser cannot unpack the model (DecompressionStream).');
     }
-    const file = await readFile();
-    introduce(file.about);
-    const viewer = new Viewer(file);
+    const model = await openModel(JSON.parse(byId('about').textContent));
+    introduce(model);
+    const viewer = new Viewer(model);
     listenToPointers(viewer);
     listenToKeys(viewer);
     listenToPanel(viewer);

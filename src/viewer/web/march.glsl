@@ -1,6 +1,4 @@
 // One ray per pixel through the volume. Compiled twice: for the picture, and with NUMBERS for what it stands for.
-precision highp float;
-precision highp int;
 precision highp sampler3D;
 precision highp usampler3D;
 
@@ -18,19 +16,13 @@ uniform float edge;           // of a cell
 uniform ivec3 bricks;
 uniform vec3 atlasSize;       // texels
 uniform int norm;             // 0: no contraction, 1: Euclidean, 2: largest coordinate
-uniform vec3 background;
 uniform float threshold;      // share of the prior above which matter is removed
 uniform float unseenFrom;     // share of the prior from which on no ray came
 uniform bool hidesUnseen;     // whether matter where no ray came is removed
 uniform vec2 codes;           // log10 U of code 1 and of the prior, which is code 254
-uniform vec2 range;           // ends of the colour bar of log10 U
-uniform vec2 depths;          // ends of the colour bar of depth
-uniform int layer;            // 0 colour, 1 depth, 2 log10 U, 3 colour tinted by U
-uniform float split;          // canvas x: to the left of it colour is shown
 uniform usampler3D pages;
 uniform sampler3D matter;     // red, green, blue, sqrt(absorbed along a cell)
 uniform sampler3D knowledge;  // code of log10 U as seen; share of the prior at the point, in PARTS, more if no ray came
-uniform sampler2D maps;       // row 0: log10 U, row 1: depth
 
 #ifdef NUMBERS
 const bool NUMBERED = true;
@@ -44,9 +36,6 @@ const float CELLS = 7.0;
 const float PARTS = 32768.0;
 const float STEP = 0.5;            // of a cell
 const float END = 0.003;           // transmittance at which a ray ends
-const float FAINT = 0.05;          // opacity below which no log10 U is shown
-const vec3 NOTHING = vec3(225.0) / 255.0;
-const vec3 HATCHING = vec3(150.0) / 255.0;
 
 float reach(vec3 p) {
     vec3 a = abs(p);
@@ -105,8 +94,7 @@ void main() {
     uvec4 page = uvec4(0u);
     bool isLong = false;
     float most = 1.0005 * PARTS * threshold;
-    int shownLayer = at.x < split ? 0 : layer;
-    bool asksU = shownLayer > 1 || threshold < 1.0 || hidesUnseen || NUMBERED;
+    bool asksU = layerAt(at.x) > 1 || threshold < 1.0 || hidesUnseen || NUMBERED;
     for (int i = 0; i < 4096 && t < ends.y && transmittance > END; i++) {
         vec3 p = eye + t * d;
         vec3 g = lattice(p);
@@ -174,23 +162,6 @@ void main() {
 #ifdef NUMBERS
     numbers = floatBitsToUint(vec4(opacity, opacity > 0.5 ? depth : 0.0, log10U, float(reads)));
 #else
-    float place = clamp((log10U - range.x) / (range.y - range.x), 0.0, 1.0);
-    vec3 ofU = texture(maps, vec2((255.0 * place + 0.5) / 256.0, 0.25)).rgb;
-    vec3 shown = color + transmittance * background;
-    if (shownLayer == 1) {
-        float far = clamp((depth - depths.x) / (depths.y - depths.x), 0.0, 1.0);
-        shown = opacity > 0.5 ? texture(maps, vec2((255.0 * far + 0.5) / 256.0, 0.75)).rgb : NOTHING;
-    } else if (shownLayer == 2) {
-        shown = opacity > FAINT ? ofU : NOTHING;
-        bool isStripe = mod(floor(at.x) + floor(at.y), 6.0) < 2.0;
-        if (unseen > 0.5 && opacity > 0.5 && isStripe) shown = HATCHING;
-    } else if (shownLayer == 3) {
-        float grey = dot(color, vec3(0.3, 0.59, 0.11)) / max(opacity, 1e-3);
-        // The dark end of the colour map would hide what is certain: there the colour itself is shown.
-        float tint = 0.8 * smoothstep(0.1, 0.6, place);
-        vec3 tinted = mix(color / max(opacity, 1e-3), ofU * (0.35 + 0.65 * grey), tint);
-        shown = mix(background, tinted, opacity);
-    }
-    picture = vec4(shown, 1.0);
+    picture = vec4(layered(at, color, opacity, depth, log10U, unseen > 0.5), 1.0);
 #endif
 }

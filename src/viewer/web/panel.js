@@ -59,7 +59,7 @@ function drawHistogram(about, threshold) {
     pen.fillStyle = `rgb(${about.maps.uncertainty[Math.round((255 * (i + 0.5)) / bars.length)]})`;
     pen.fillRect(i * width, canvas.height - height, width - 1, height);
   });
-  const [low, high] = [about.range[0], about.codes.prior];
+  const [low, high] = [about.range[0], about.prior];
   const x = ((threshold - low) / (high - low)) * canvas.width;
   pen.fillStyle = 'rgba(255, 255, 255, 0.75)';
   pen.fillRect(x, 0, canvas.width - x, canvas.height);
@@ -68,22 +68,17 @@ function drawHistogram(about, threshold) {
 }
 
 /** Says what the slider removes of visible surfaces, and what it and the switch remove of all matter. */
-function sayRemoved(about, matterByCode, { threshold, hidesUnseen }) {
-  const { codes, surfaces } = about;
+function sayRemoved(model, shown) {
+  const { prior, surfaces } = model.about;
+  const { threshold } = shown;
   const percent = (part, all) => `${((100 * part) / all).toFixed(1)} %`;
-  const removes = threshold < codes.prior;
   const kept = surfaces.filter((log10U) => log10U <= threshold).length;
   const share = surfaces.length > 0 ? `: ${percent(kept, surfaces.length)} of visible surfaces stay` : '';
-  say('threshold-words', removes ? `log10 U ≤ ${threshold.toFixed(2)}${share}` : 'the slider removes nothing');
-  const last = removes ? 1 + ((codes.last - 1) * (threshold - codes.low)) / (codes.prior - codes.low) : codes.last;
-  // What no training ray reached has a code of its own, if the field knows it, or the prior's.
-  const first = about.knowsUnseen ? codes.last + 1 : codes.last;
-  const sum = (of) => matterByCode.reduce((sum, weight, code) => sum + (of(code) ? weight : 0), 0);
-  const [all, unseen] = [sum(() => true), sum((code) => code >= first)];
-  const gone = sum((code) => code > Math.floor(last) && code < first) + (hidesUnseen ? unseen : 0);
+  const words = threshold < prior ? `log10 U ≤ ${threshold.toFixed(2)}${share}` : 'the slider removes nothing';
+  say('threshold-words', words);
+  const { gone, unseen, all } = model.removed(shown);
   const never = `${percent(unseen, all)} was never seen`;
-  const matter = `Of all matter, seen or hidden, ${percent(gone, all)} is removed; ${never}.`;
-  say('unseen-words', all > 0 ? matter : '');
+  say('unseen-words', all > 0 ? `Of all ${model.noun} ${percent(gone, all)} is removed; ${never}.` : '');
 }
 
 /** Says what is under the pointer. */
@@ -96,10 +91,9 @@ function describe(about, found) {
   if (found.log10U !== undefined) {
     const length = about.isLength ? `U ${words(10 ** found.log10U)} scene units` : `U ${words(10 ** found.log10U)}`;
     lines.push(`log10 U ${found.log10U.toFixed(2)} (${length}), larger = less certain`);
-    const prior = `prior, "never seen": ${about.codes.prior.toFixed(2)}`;
+    const prior = `prior, "never seen": ${about.prior.toFixed(2)}`;
     lines.push(found.isUnseen ? 'no training ray came here: U is the prior’s' : prior);
-    lines.push(`density ${words(found.density)} per scene unit`);
-    if (about.knowsRays) lines.push(`training rays behind U: about ${words(Math.round(found.rays))}`);
+    lines.push(...found.more);
   }
   return lines.join('\n');
 }

@@ -1,25 +1,31 @@
-// The volume on the GPU: textures, the two programs, and what comes back.
+// What both kinds of model are drawn with: the canvas, programs, and what layers need.
 
-const VERTICES = `#version 300 es
+/** The layers, in the order of their numbers in layers.glsl. */
+const LAYERS = ['color', 'depth', 'uncertainty', 'tinted'];
+/** A triangle that covers the whole target. */
+const WHOLE_TARGET = `#version 300 es
 void main() { gl_Position = vec4(vec2(gl_VertexID == 1 ? 3 : -1, gl_VertexID == 2 ? 3 : -1), 0, 1); }`;
 
+/** Texture unit of the colour maps; models have those below it, targets those above. */
+const MAPS = 3;
+
 class Renderer {
-  constructor(canvas, volume) {
+  constructor(canvas, model) {
     // Screenshots are taken after drawing.
     const wanted = { antialias: false, preserveDrawingBuffer: true, powerPreference: 'high-performance' };
     const gl = canvas.getContext('webgl2', wanted);
-    if (!gl) throw new Error('This browser offers no WebGL2, which draws the volume.');
-    Object.assign(this, { gl, canvas, volume });
-    const march = byId('march').textContent;
-    this.picture = this.program(`#version 300 es\n${march}`);
-    this.numbers = this.program(`#version 300 es\n#define NUMBERS\n${march}`);
-    this.upload();
+    if (!gl) throw new Error('This browser offers no WebGL2, which draws the model.');
+    Object.assign(this, { gl, canvas, model });
+    const { maps } = model.about;
+    const rows = [maps.uncertainty, maps.depth].flat().flatMap((color) => [...color, 255]);
+    this.texture2D(MAPS);
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA8, 256, 2, 0, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(rows));
   }
 
-  program(fragments) {
+  program(vertices, fragments) {
     const { gl } = this;
     const program = gl.createProgram();
-    for (const [kind, source] of [[gl.VERTEX_SHADER, VERTICES], [gl.FRAGMENT_SHADER, fragments]]) {
+    for (const [kind, source] of [[gl.VERTEX_SHADER, vertices], [gl.FRAGMENT_SHADER, fragments]]) {
       const shader = gl.createShader(kind);
       gl.shaderSource(shader, source);
       gl.compileShader(shader);
@@ -33,72 +39,30 @@ class Renderer {
     return { program, place };
   }
 
-  upload() {
-    const { gl, volume } = this;
-    const { atlas, grid, maps } = volume.about;
-    const side = 8 * Math.max(...atlas);
-    const most = gl.getParameter(gl.MAX_3D_TEXTURE_SIZE);
-    if (side > most) {
-      const found = `This device holds 3D textures of ${most} texels a side; the volume needs ${side}.`;
-      throw new Error(`${found} Write it with fewer --cells.`);
+  /** Makes a texture of a unit, without interpolation. */
+  texture2D(unit) {
+    const { gl } = this;
+    const texture = gl.createTexture();
+    gl.activeTexture(gl.TEXTURE0 + unit);
+    gl.bindTexture(gl.TEXTURE_2D, texture);
+    for (const name of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) {
+      gl.texParameteri(gl.TEXTURE_2D, name, gl.NEAREST);
     }
-    gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
-    const volumeTexture = (unit, inner, outer, size, bytes, filter, type = gl.UNSIGNED_BYTE) => {
-      gl.activeTexture(gl.TEXTURE0 + unit);
-      gl.bindTexture(gl.TEXTURE_3D, gl.createTexture());
-      gl.texImage3D(gl.TEXTURE_3D, 0, inner, ...size, 0, outer, type, bytes);
-      for (const name of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_3D, name, filter);
-      for (const name of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T, gl.TEXTURE_WRAP_R]) {
-        gl.texParameteri(gl.TEXTURE_3D, name, gl.CLAMP_TO_EDGE);
-      }
-    };
-    const texels = atlas.map((n) => 8 * n);
-    volumeTexture(0, gl.RGBA8UI, gl.RGBA_INTEGER, grid.bricks, volume.pages, gl.NEAREST);
-    volumeTexture(1, gl.RGBA8, gl.RGBA, texels, volume.matter, gl.LINEAR);
-    volumeTexture(2, gl.RG16F, gl.RG, texels, volume.halves(), gl.LINEAR, gl.HALF_FLOAT);
-    const rows = [maps.uncertainty, maps.depth].flat().flatMap((color) => [...color, 255]);
-    gl.activeTexture(gl.TEXTURE3);
-    gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
-    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA8, 256, 2, 0, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(rows));
-    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
-    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
-    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_S, gl.CLAMP_TO_EDGE);
-    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
+    for (const name of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T]) {
+      gl.texParameteri(gl.TEXTURE_2D, name, gl.CLAMP_TO_EDGE);
+    }
+    return texture;
   }
 
-  /** Sets what both programs share. `placing` puts the camera's image on a target of this height. */
-  prepare({ program, place }, camera, shown, placing, height) {
-    const { gl, volume } = this;
-    const { grid, atlas, contraction, codes, background, knowsUnseen } = volume.about;
-    gl.useProgram(program);
-    const set3 = (name, v) => gl.uniform3f(place(name), ...v);
-    const set2 = (name, v) => gl.uniform2f(place(name), ...v);
-    const set = (name, v) => gl.uniform1f(place(name), v);
-    set3('eye', volume.local(camera.position));
-    gl.uniformMatrix3fv(place('axes'), false, camera.axes);
-    set2('focal', camera.focal);
-    set2('principal', camera.center);
-    set3('placing', placing);
-    set('canvasHeight', height);
-    set3('low', volume.local(shown.crop.min));
-    set3('high', volume.local(shown.crop.max));
-    set3('origin', volume.local(grid.origin));
-    set('edge', grid.edge / volume.unit);
-    gl.uniform3i(place('bricks'), ...grid.bricks);
-    set3('atlasSize', atlas.map((n) => 8 * n));
-    gl.uniform1i(place('norm'), contraction ? (contraction.norm === 'l2' ? 1 : 2) : 0);
-    set3('background', background);
-    // The prior itself is rounded: at the upper end nothing is removed.
-    set('threshold', shown.threshold >= codes.prior ? 2 : volume.shareOf(shown.threshold));
-    gl.uniform1i(place('hidesUnseen'), shown.hidesUnseen ? 1 : 0);
-    // Where the field does not know what no ray reached, it is what has the prior's U.
-    set('unseenFrom', knowsUnseen ? 1.25 : 0.999);
-    set('split', shown.split === null ? 0 : shown.split * gl.drawingBufferWidth);
-    set2('codes', [codes.low, codes.prior]);
-    set2('range', shown.range);
-    set2('depths', shown.depths.map((v) => v / volume.unit));
-    gl.uniform1i(place('layer'), ['color', 'depth', 'uncertainty', 'tinted'].indexOf(shown.layer));
-    ['pages', 'matter', 'knowledge', 'maps'].forEach((name, unit) => gl.uniform1i(place(name), unit));
+  /** Sets what layers.glsl reads. */
+  prepareLayers(place, shown) {
+    const { gl, model } = this;
+    gl.uniform3f(place('background'), ...model.about.background);
+    gl.uniform2f(place('range'), ...shown.range);
+    gl.uniform2f(place('depths'), ...shown.depths.map((v) => v / model.unit));
+    gl.uniform1i(place('layer'), LAYERS.indexOf(shown.layer));
+    gl.uniform1f(place('split'), shown.split === null ? 0 : shown.split * gl.drawingBufferWidth);
+    gl.uniform1i(place('maps'), MAPS);
   }
 
   /** Canvas pixel = xy + z * image pixel: the whole image of a camera, in the middle. */
@@ -106,46 +70,12 @@ class Renderer {
     const [w, h] = camera.resolution;
     const z = Math.min(width / w, height / h);
     // Rays pass through pixels at the place where the model was trained.
-    const shift = z * (0.5 - this.volume.about.pixelOffset);
+    const shift = z * (0.5 - this.model.about.pixelOffset);
     return [(width - z * w) / 2 + shift, (height - z * h) / 2 + shift, z];
-  }
-
-  draw(camera, shown) {
-    const { gl, canvas } = this;
-    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-    gl.viewport(0, 0, canvas.width, canvas.height);
-    this.prepare(this.picture, camera, shown, this.placing(camera, canvas.width, canvas.height), canvas.height);
-    gl.drawArrays(gl.TRIANGLES, 0, 3);
   }
 
   /** Waits until everything is drawn. */
   finish() {
     this.gl.readPixels(0, 0, 1, 1, this.gl.RGBA, this.gl.UNSIGNED_BYTE, new Uint8Array(4));
-  }
-
-  /** Opacity, depth (scene units), log10 U and texture reads of the pixels of a target, from the top left. */
-  measure(camera, shown, width, height, placing) {
-    const { gl } = this;
-    this.target ??= gl.createFramebuffer();
-    const texture = gl.createTexture();
-    gl.activeTexture(gl.TEXTURE4);
-    gl.bindTexture(gl.TEXTURE_2D, texture);
-    gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA32UI, width, height);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, this.target);
-    gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, texture, 0);
-    gl.viewport(0, 0, width, height);
-    this.prepare(this.numbers, camera, shown, placing ?? this.placing(camera, width, height), height);
-    gl.drawArrays(gl.TRIANGLES, 0, 3);
-    const bits = new Uint32Array(4 * width * height);
-    gl.readPixels(0, 0, width, height, gl.RGBA_INTEGER, gl.UNSIGNED_INT, bits);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-    gl.deleteTexture(texture);
-    const upwards = new Float32Array(bits.buffer);
-    const numbers = new Float32Array(upwards.length);
-    for (let row = 0; row < height; row++) {
-      numbers.set(upwards.subarray(4 * width * (height - 1 - row), 4 * width * (height - row)), 4 * width * row);
-    }
-    for (let i = 1; i < numbers.length; i += 4) numbers[i] *= this.volume.unit;
-    return numbers;
   }
 }

@@ -16,11 +16,18 @@ function turned(v, axis, angle) {
   return add(add(scale(v, c), scale(cross(axis, v), s)), scale(axis, dot(axis, v) * (1 - c)));
 }
 
-/** The bits of a number from 0 to 65504 as a float of 16 bits. */
-function half(x) {
-  if (x < 2 ** -14) return 0;
-  const exponent = Math.floor(Math.log2(x));
-  return ((exponent + 15) << 10) + Math.round((x / 2 ** exponent - 1) * 1024);
+/**
+ * What is moved and cropped by: the middle of the model or of contracted space, a unit of length, the longest edge of
+ * nearly all of the model, how much of it is looked at as a whole, and how far the sliders of the crop box reach.
+ */
+function lengths({ contraction, core }) {
+  const edges = sub(core.max, core.min);
+  const size = Math.max(...edges);
+  if (contraction) {
+    const { center, radius } = contraction;
+    return { anchor: center, unit: radius, size, framed: 3 * radius, span: 8 * radius };
+  }
+  return { anchor: scale(add(core.min, core.max), 0.5), unit: size, size, framed: norm(edges), span: size };
 }
 
 /** A number for people: four digits, without an exponent where none is needed. */

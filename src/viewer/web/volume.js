@@ -2,16 +2,16 @@
 
 class Volume {
   constructor({ about, pages, matter, knowledge, matterByCode, rays }) {
-    Object.assign(this, { about, pages, matter, knowledge, matterByCode, rays });
-    const { min, max } = about.bounds;
-    const size = sub(max, min);
-    // The shader's units: see march.glsl.
-    this.unit = about.contraction ? about.contraction.radius : Math.max(...size);
-    this.anchor = about.contraction ? about.contraction.center : scale(add(min, max), 0.5);
-    this.size = Math.max(...size);
+    Object.assign(this, { about, pages, matter, knowledge, matterByCode, rays }, lengths(about));
+    this.words = `${about.cells} cells along the longest edge`;
+    this.noun = 'matter, seen or hidden,';
   }
 
-  /** A scene point in the shader's units. */
+  renderer(canvas) {
+    return new VolumeRenderer(canvas, this);
+  }
+
+  /** A scene point in the shader's units: see march.glsl. */
   local(x) {
     return scale(sub(x, this.anchor), 1 / this.unit);
   }
@@ -42,22 +42,22 @@ class Volume {
    * vertices are among the samples; else 1 plus log10 U in parts of its range, which leaves out less between them.
    */
   share(code) {
-    const { codes, holdsField } = this.about;
+    const { codes, prior, holdsField } = this.about;
     const part = (Math.min(Math.max(code, 1), codes.last) - 1) / (codes.last - 1);
-    return holdsField ? 10 ** ((part - 1) * (codes.prior - codes.low)) : (1 + part) / 2;
+    return holdsField ? 10 ** ((part - 1) * (prior - codes.low)) : (1 + part) / 2;
   }
 
   /** log10 U of what was interpolated. */
   log10(share) {
-    const { codes, holdsField } = this.about;
-    return holdsField ? codes.prior + Math.log10(share) : codes.low + (2 * share - 1) * (codes.prior - codes.low);
+    const { codes, prior, holdsField } = this.about;
+    return holdsField ? prior + Math.log10(share) : codes.low + (2 * share - 1) * (prior - codes.low);
   }
 
   /** The same of log10 U. */
   shareOf(log10U) {
-    const { codes, holdsField } = this.about;
-    const beyond = Math.min(log10U - codes.prior, 0.1);
-    return holdsField ? 10 ** beyond : 1 + beyond / (2 * (codes.prior - codes.low));
+    const { codes, prior, holdsField } = this.about;
+    const beyond = Math.min(log10U - prior, 0.1);
+    return holdsField ? 10 ** beyond : 1 + beyond / (2 * (prior - codes.low));
   }
 
   /**
@@ -72,9 +72,21 @@ class Volume {
     return Uint16Array.from(knowledge, (code, i) => (i % 2 === 0 ? codes[code] : shares[code]));
   }
 
-  /** What is stored at a scene point: log10 U, density, rays and whether it was seen; null where there is no matter. */
-  read(x) {
-    const { grid, codes, atlas } = this.about;
+  /** What the slider and the switch remove of all matter, what was never seen of it, and all. */
+  removed({ threshold, hidesUnseen }) {
+    const { codes, prior, knowsUnseen } = this.about;
+    const part = (threshold - codes.low) / (prior - codes.low);
+    const last = threshold < prior ? 1 + (codes.last - 1) * part : codes.last;
+    // What no training ray reached has a code of its own, if the field knows it, or the prior's.
+    const first = knowsUnseen ? codes.last + 1 : codes.last;
+    const sum = (of) => this.matterByCode.reduce((sum, weight, code) => sum + (of(code) ? weight : 0), 0);
+    const [all, unseen] = [sum(() => true), sum((code) => code >= first)];
+    return { gone: sum((code) => code > Math.floor(last) && code < first) + (hidesUnseen ? unseen : 0), unseen, all };
+  }
+
+  /** What is stored at a scene point: log10 U, whether it was seen, and in words the rest; null without matter. */
+  at(x) {
+    const { grid, codes, atlas, knowsRays } = this.about;
     const g = this.lattice(x);
     const brick = g.map((v, k) => Math.min(Math.max(Math.floor(v / 7), 0), grid.bricks[k] - 1));
     const page = 4 * (brick[0] + grid.bricks[0] * (brick[1] + grid.bricks[1] * brick[2]));
@@ -98,11 +110,62 @@ class Volume {
     const slot = this.pages[page] + atlas[0] * (this.pages[page + 1] + atlas[1] * this.pages[page + 2]);
     const rays = this.rays[64 * slot + near[0] + 4 * (near[1] + 4 * near[2])];
     const absorbed = (sums[0] / 255) ** 2;
-    return {
-      log10U: this.log10(sums[1]),
-      density: -Math.log(Math.max(1 - absorbed, 0.001)) / this.length(x) / codes.density,
-      rays: 2 ** ((rays / codes.lastRays) * codes.rays) - 1,
-      isUnseen: sums[2] > 0.5,
-    };
+    const density = -Math.log(Math.max(1 - absorbed, 0.001)) / this.length(x) / codes.density;
+    const more = [`density ${words(density)} per scene unit`];
+    const count = Math.round(2 ** ((rays / codes.lastRays) * codes.rays) - 1);
+    if (knowsRays) more.push(`training rays behind U: about ${words(count)}`);
+    return { log10U: this.log10(sums[1]), isUnseen: sums[2] > 0.5, more };
   }
+}
+
+/** The bits of a number from 0 to 65504 as a float of 16 bits. */
+function half(x) {
+  if (x < 2 ** -14) return 0;
+  const exponent = Math.floor(Math.log2(x));
+  return ((exponent + 15) << 10) + Math.round((x / 2 ** exponent - 1) * 1024);
+}
+
+/** Unpacks the volume of the file. */
+async function openModel(about) {
+  const pages = await unpack('pages');
+  const planes = await unpack('planes');
+  // Every byte was stored as its difference to the one before it in its row of eight.
+  for (let i = 0; i < planes.length; i++) {
+    if (i % 8 !== 0) planes[i] = (planes[i] + planes[i - 1]) & 255;
+  }
+  return new Volume({ about, pages, ...atlas(about.atlas, planes) });
+}
+
+/**
+ * The planes of all bricks, as texels of an atlas: red, green, blue, matter; and codes of log10 U, as it is seen and at
+ * the point. Numbers of rays stay as they are, `[bricks][64]`. `matterByCode` is what matter absorbs, summed by its
+ * code of log10 U at the point.
+ */
+function atlas([width, height, depth], planes) {
+  const bricks = planes.length / (6 * 512 + 64);
+  const matter = new Uint8Array(width * height * depth * 512 * 4);
+  const knowledge = new Uint8Array(width * height * depth * 512 * 2);
+  const matterByCode = new Array(256).fill(0);
+  const plane = (k, from) => planes[k * bricks * 512 + from];
+  for (let brick = 0; brick < bricks; brick++) {
+    const x0 = 8 * (brick % width);
+    const y0 = 8 * (Math.floor(brick / width) % height);
+    const z0 = 8 * Math.floor(brick / (width * height));
+    for (let i = 0; i < 512; i++) {
+      const texel = x0 + (i & 7) + 8 * width * (y0 + ((i >> 3) & 7) + 8 * height * (z0 + (i >> 6)));
+      const from = brick * 512 + i;
+      // Red and blue are eighths of differences to green, with a sign.
+      const green = plane(0, from);
+      const beyond = (k) => Math.min(Math.max(green + 8 * ((plane(k, from) << 24) >> 24), 0), 255);
+      matter[4 * texel] = beyond(1);
+      matter[4 * texel + 1] = green;
+      matter[4 * texel + 2] = beyond(2);
+      matter[4 * texel + 3] = plane(3, from);
+      // What no camera sees is shown as it is at the point.
+      knowledge[2 * texel] = plane(4, from) || Math.min(plane(5, from), 254);
+      knowledge[2 * texel + 1] = plane(5, from);
+      matterByCode[plane(5, from)] += plane(3, from) ** 2;
+    }
+  }
+  return { matter, knowledge, matterByCode, rays: planes.subarray(6 * 512 * bricks) };
 }
