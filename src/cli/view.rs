@@ -6,7 +6,7 @@ use glam::Vec3;
 
 use super::files::CommandFiles;
 use super::opened::OpenedField;
-use super::options::{CameraOptions, MAX_KEPT_COUNT, ModelArgument, count, heading, parse_range};
+use super::options::{CameraOptions, ModelArgument, heading, parse_range};
 use super::progress::Bars;
 use super::render::bar_of;
 use super::report;
@@ -26,9 +26,11 @@ use crate::{Error, Result};
 const PIXELS: u64 = 50_000;
 /// Pixels of the training views that splats are ranked and coloured by.
 const PIXELS_OF_SPLATS: u64 = 1_000_000;
-/// Most cells along the longest edge, and bytes of the file, if no number of cells or splats is given.
+/// Most cells along the longest edge, and bytes of the file, if no number of cells is given.
 const MAX_DEFAULT_CELLS: u32 = 256;
 const MAX_DEFAULT_BYTES: usize = 6_000_000;
+/// Most bytes of a file of splats: about a million of them. A browser sorts as many in a tenth of a second.
+const MAX_SPLATS_BYTES: usize = 32_000_000;
 
 /// Write a viewer: one HTML file that opens from disk in any browser
 ///
@@ -66,10 +68,6 @@ pub struct Args {
         help_heading = heading::OUTPUT,
     )]
     cells: Option<u32>,
-
-    /// Splats in the file, those that matter most in the training views [default: as many as fit into 6 MB]
-    #[arg(long, value_name = "N", value_parser = count::<u64>(1..=MAX_KEPT_COUNT), help_heading = heading::OUTPUT)]
-    splats: Option<u64>,
 
     /// Ends of the colour bar of log10 U [default: as in render]
     #[arg(
@@ -121,9 +119,6 @@ impl Args {
         field: &UncertaintyField,
         bars: &Bars,
     ) -> Result<String> {
-        if let Some(count) = self.splats {
-            return Err(Error::setting("--splats", "a model of splats", format!("{count} for a volume")));
-        }
         let settings = image_settings(field);
         let views = self.cameras.read(Some(model), name)?;
         self.files().images(&views).check()?;
@@ -154,7 +149,7 @@ impl Args {
     /// Writes the page of splats, and describes it.
     fn of_splats(&self, splats: &Splats, name: &str, field: &UncertaintyField, bars: &Bars) -> Result<String> {
         if let Some(cells) = self.cells {
-            let expected = "a volume: splats are not cut into cells (`--splats` limits their number)";
+            let expected = "a volume: splats are not cut into cells";
             return Err(Error::setting("--cells", expected, format!("{cells} for splats")));
         }
         let settings = image_settings(field);
@@ -175,12 +170,12 @@ impl Args {
             title: &title(name),
         };
         let view = SplatsView { splats, seen: seen.as_ref(), page };
-        let (most, budget) = self.splats.map_or((usize::MAX, MAX_DEFAULT_BYTES), |count| (count as usize, usize::MAX));
-        let ShownSplats { count, visible, share, bytes } = write_splats_view(&self.output, &view, most, budget)?;
+        let ShownSplats { count, visible, share, bytes } = write_splats_view(&self.output, &view, MAX_SPLATS_BYTES)?;
         if count < visible {
             let of_what = if seen.is_some() { "of what the training views show" } else { "of opacity times area" };
             announce!(
-                "note: the {count} splats that matter most make up {:.1} % {of_what}; --splats {visible} keeps all",
+                "note: {count} of {visible} splats fit into {}; they make up {:.1} % {of_what}",
+                report::bytes(MAX_SPLATS_BYTES),
                 100.0 * share
             );
         }

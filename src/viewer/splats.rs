@@ -57,11 +57,11 @@ pub struct ShownSplats {
     pub bytes: usize,
 }
 
-/// Writes the viewer with at most `most` splats, or as many as fit into `budget` bytes: those that matter most.
+/// Writes the viewer with as many splats as fit into `budget` bytes: those that matter most.
 ///
 /// # Errors
 /// If the file cannot be written, if no splat can be seen, or if not even one fits.
-pub fn write_splats_view(path: &Path, view: &SplatsView, most: usize, budget: usize) -> Result<ShownSplats> {
+pub fn write_splats_view(path: &Path, view: &SplatsView, budget: usize) -> Result<ShownSplats> {
     let splats = view.splats;
     let importance = importance(splats, view.seen);
     let mut order: Vec<usize> = (0..splats.len()).filter(|&i| f64::from(splats.opacity(i)) >= FAINTEST).collect();
@@ -75,7 +75,6 @@ pub fn write_splats_view(path: &Path, view: &SplatsView, most: usize, budget: us
         ));
     }
     let total: f64 = order.iter().map(|&i| importance[i]).sum();
-    order.truncate(most);
     loop {
         let packed = Packed::new(view, &order)?;
         let page = page(view, &packed);
@@ -337,7 +336,7 @@ mod tests {
     }
 
     /// Writes the viewer of 600 discs on a ball, of which three cameras see one side.
-    fn written(most: usize, budget: usize) -> Result<(ShownSplats, String)> {
+    fn written(budget: usize) -> Result<(ShownSplats, String)> {
         let count = 600;
         let normal = |i: usize| {
             let z = 1.0 - (2.0 * i as f32 + 1.0) / count as f32;
@@ -375,7 +374,7 @@ mod tests {
         };
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("view.html");
-        let shown = write_splats_view(&path, &SplatsView { splats: &splats, seen: Some(&seen), page }, most, budget)?;
+        let shown = write_splats_view(&path, &SplatsView { splats: &splats, seen: Some(&seen), page }, budget)?;
         Ok((shown, std::fs::read_to_string(path).unwrap()))
     }
 
@@ -386,7 +385,7 @@ mod tests {
 
     #[test]
     fn a_budget_is_kept_by_leaving_out_what_matters_least() {
-        let (whole, page) = written(usize::MAX, 10_000_000).unwrap();
+        let (whole, page) = written(10_000_000).unwrap();
         assert_eq!((whole.count, whole.visible, whole.bytes), (500, 500, page.len()));
         assert!(whole.share == 1.0, "{whole:?}");
         check(&page);
@@ -397,14 +396,12 @@ mod tests {
         assert_eq!(planes.len(), BYTES * whole.count);
 
         let budget = whole.bytes - 5000;
-        let (less, page) = written(usize::MAX, budget).unwrap();
+        let (less, page) = written(budget).unwrap();
         assert!(less.count < 500 && less.count > 200 && page.len() <= budget, "{less:?}");
         // More than half of the splats are on the side that hardly a pixel shows.
         assert!(less.share > 0.9, "{less:?}");
-        let (few, _) = written(50, usize::MAX).unwrap();
-        assert!(few.count == 50 && few.share > 0.1 && few.share < 0.9, "{few:?}");
         // The scripts alone are larger.
-        let error = written(usize::MAX, 10_000).unwrap_err().to_string();
+        let error = written(10_000).unwrap_err().to_string();
         assert!(error.contains("size of the viewer") && error.contains("one splat"), "{error}");
     }
 }
