@@ -63,7 +63,7 @@ pub struct Parts<'a> {
 
 impl Page<'_> {
     /// The page as text.
-    pub fn text(&self, bounds: [Aabb; 2], parts: Parts) -> String {
+    pub fn text(&self, bounds: [Aabb; 2], parts: &Parts) -> String {
         let mut about = self.about(bounds);
         let members = about.as_object_mut().expect("an object is made");
         members.extend(parts.about.as_object().expect("parts are an object").clone());

@@ -133,7 +133,7 @@ impl Args {
         match trainer.origin() {
             SplatOrigin::Hull => {}
             SplatOrigin::Points => {
-                announce!("note: splats begin at {} of COLMAP's {} points", trainer.len(), points.len())
+                announce!("note: splats begin at {} of COLMAP's {} points", trainer.len(), points.len());
             }
             SplatOrigin::Box => announce!(
                 "note: splats begin anywhere in the box (--box), and not near the surface of the object: some images \

@@ -23,6 +23,7 @@ mod tiles;
 pub use composite::{Hit, Hits};
 pub use extent::seen_domain;
 pub(super) use harmonics::color;
+#[cfg(feature = "cli")]
 pub use project::FAINTEST;
 pub use tiles::tile_of;
 

@@ -194,13 +194,12 @@ impl Start {
 
 /// The corners of the box around points without a share of them at either end of each axis.
 fn corners(points: &[ScenePoint], beyond: f64) -> [DVec3; 2] {
-    let mut corners = [DVec3::ZERO; 2];
-    for axis in 0..3 {
+    let ends = [0, 1, 2].map(|axis| {
         let mut at: Vec<f64> = points.iter().map(|point| point.position[axis]).collect();
         at.sort_unstable_by(f64::total_cmp);
-        [corners[0][axis], corners[1][axis]] = [quantile(&at, beyond), quantile(&at, 1.0 - beyond)];
-    }
-    corners
+        [beyond, 1.0 - beyond].map(|share| quantile(&at, share))
+    });
+    [0, 1].map(|end| DVec3::from(ends.map(|ends| ends[end])))
 }
 
 /// Half of the longest edge of the box around most points.
