@@ -29,7 +29,7 @@ const PIXELS_OF_SPLATS: u64 = 1_000_000;
 /// Most cells along the longest edge, and bytes of the file, if no number of cells is given.
 const MAX_DEFAULT_CELLS: u32 = 256;
 const MAX_DEFAULT_BYTES: usize = 6_000_000;
-/// Most bytes of a file of splats: about a million of them. A browser sorts as many in a tenth of a second.
+/// Most bytes of a file of splats: about a million of them.
 const MAX_SPLATS_BYTES: usize = 32_000_000;
 
 /// Write a viewer: one HTML file that opens from disk in any browser
