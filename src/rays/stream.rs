@@ -17,9 +17,9 @@ use crate::{Error, Result};
 
 /// Most batches that are drawn, and passed to the posterior, together.
 const GROUP: u64 = 16;
-/// About how many samples a thread differentiates together, and how many are held until they are summed. Batches of rays
-/// with more samples, as through fog or unbounded scenes, are divided: before they are summed, a sample's contributions
-/// take some 500 bytes.
+/// About how many samples a thread differentiates together, and how many are held until they are summed. Batches of
+/// rays with more samples, as through fog or unbounded scenes, are divided: before they are summed, a sample's
+/// contributions take some 500 bytes.
 const SAMPLES_TOGETHER: f64 = 4096.0;
 const SAMPLES_IN_FLIGHT: f64 = 65_536.0;
 /// Fewest rays that are differentiated together; and as many at the start, when nothing is known of their samples.
