@@ -57,17 +57,19 @@ impl SeenSplats {
                 let (mut hits, mut found) = (Hits::default(), Vec::new());
                 for column in (start..camera.resolution[0]).step_by(stride as usize) {
                     view.hits([column, row].map(|i| f64::from(i) + pixel_offset), &mut hits);
-                    found.extend(hits.list.iter().map(|hit| (view.splat(hit), hit.weight(), view.color(hit))));
+                    found.extend(hits.list.iter().map(|hit| (view.splat(hit), hit.weight())));
                 }
                 found
             };
-            let mut is_seen = vec![false; n];
+            let (mut is_seen, mut of_view) = (vec![false; n], vec![0.0; n]);
             // Rows in their order, so that sums do not depend on threads.
-            for (splat, weight, color) in rows.par_iter().map(of_row).collect::<Vec<_>>().concat() {
+            for (splat, weight) in rows.par_iter().map(of_row).collect::<Vec<_>>().concat() {
                 found.weights[splat] += weight;
-                colors[splat] += weight * color;
+                of_view[splat] += weight;
                 is_seen[splat] |= weight > SEEN;
             }
+            // A splat has one colour in a view.
+            view.colors().for_each(|(splat, color)| colors[splat] += of_view[splat] * color);
             found.views.iter_mut().zip(is_seen).for_each(|(views, is_seen)| *views += u32::from(is_seen));
             found.pixels[0] += rows.len() as u64 * u64::from((camera.resolution[0] - start).div_ceil(stride));
             monitor.advance(1);

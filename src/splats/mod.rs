@@ -24,6 +24,8 @@ pub(crate) use render::FAINTEST;
 #[cfg(all(test, any(feature = "evaluate", feature = "train")))]
 pub(crate) use render::reference;
 pub use render::{Hit, Hits, SplatRenderer, SplatView, Use, seen_domain, tile_of};
+#[cfg(feature = "train")]
+pub(crate) use render::{boxed, middle};
 
 #[cfg(feature = "files")]
 use self::columns::Layout;

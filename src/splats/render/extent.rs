@@ -52,15 +52,18 @@ impl Splats {
     }
 }
 
-/// The middle of weighted points along each axis, without the parts `beyond` at either side, grown; `None` if it has no
-/// volume at all.
-fn boxed(points: &[(DVec3, f64)], beyond: f64) -> Option<Aabb> {
-    let bound = |share: f64| {
+/// The corners of the middle of weighted points along each axis, without the parts `beyond` at either side.
+pub fn middle(points: &[(DVec3, f64)], beyond: f64) -> [DVec3; 2] {
+    [beyond, 1.0 - beyond].map(|share| {
         DVec3::from(std::array::from_fn(|axis| {
             quantile(&mut points.iter().map(|(x, weight)| (x[axis], *weight)).collect::<Vec<_>>(), share)
         }))
-    };
-    let (low, high) = (bound(beyond), bound(1.0 - beyond));
+    })
+}
+
+/// The box of that middle, a tenth longer at either side; `None` if it has no volume at all.
+pub fn boxed(points: &[(DVec3, f64)], beyond: f64) -> Option<Aabb> {
+    let [low, high] = middle(points, beyond);
     let margin = MARGIN * (high - low);
     solid(low - margin, high + margin)
 }

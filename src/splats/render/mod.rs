@@ -22,6 +22,8 @@ mod tiles;
 
 pub use composite::{Hit, Hits};
 pub use extent::seen_domain;
+#[cfg(feature = "train")]
+pub use extent::{boxed, middle};
 pub(super) use harmonics::color;
 #[cfg(feature = "cli")]
 pub use project::FAINTEST;
@@ -145,10 +147,9 @@ impl SplatView<'_> {
         self.footprints[hit.footprint as usize].splat as usize
     }
 
-    /// Colour of the splat of a hit in this view, 0 or more.
-    #[must_use]
-    pub fn color(&self, hit: &Hit) -> DVec3 {
-        self.footprints[hit.footprint as usize].color
+    /// The splats that this view may show, and their colours in it, 0 or more.
+    pub fn colors(&self) -> impl Iterator<Item = (usize, DVec3)> {
+        self.footprints.iter().map(|footprint| (footprint.splat as usize, footprint.color))
     }
 
     /// Direction of the view axis.

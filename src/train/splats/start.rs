@@ -18,7 +18,7 @@ use super::cloud::{LOGIT, MEAN, ROTATION, Row, SCALE, SH, WIDTH};
 use super::harmonics;
 use crate::dataset::ScenePoint;
 use crate::geometry::Aabb;
-use crate::metrics::quantile;
+use crate::splats::{boxed, middle};
 use crate::train::Shot;
 
 /// Cells along the longest edge of the box, coarse and fine.
@@ -35,9 +35,8 @@ const FEWEST_POINTS: usize = 100;
 const NEIGHBORS: usize = 3;
 /// Share of the points at either end of an axis that do not count for their extent: some are far away.
 const FAR_SHARE: f64 = 0.1;
-/// The same for the box of a scene, and by how much of its edges it is longer at either side.
+/// The same for the box of a scene.
 const OUTLIERS: f64 = 0.01;
-const MARGIN: f64 = 0.1;
 /// Least distance between points, in parts of their extent; some coincide.
 const LEAST_DISTANCE: f64 = 1e-5;
 
@@ -173,7 +172,7 @@ impl Start {
         Self { rows, extent: extent as f32, origin }
     }
 
-    /// Splats at points, of which at most `count` are drawn.
+    /// Puts a splat at each point, or at `count` of them by chance.
     fn at(known: &[ScenePoint], count: usize, rng: &mut ChaCha8Rng) -> Self {
         let mut points = known.to_vec();
         let (points, _) = points.partial_shuffle(rng, count);
@@ -192,32 +191,21 @@ impl Start {
     }
 }
 
-/// The corners of the box around points without a share of them at either end of each axis.
-fn corners(points: &[ScenePoint], beyond: f64) -> [DVec3; 2] {
-    let ends = [0, 1, 2].map(|axis| {
-        let mut at: Vec<f64> = points.iter().map(|point| point.position[axis]).collect();
-        at.sort_unstable_by(f64::total_cmp);
-        [beyond, 1.0 - beyond].map(|share| quantile(&at, share))
-    });
-    [0, 1].map(|end| DVec3::from(ends.map(|ends| ends[end])))
+fn positions(points: &[ScenePoint]) -> Vec<(DVec3, f64)> {
+    points.iter().map(|point| (point.position, 1.0)).collect()
 }
 
 /// Half of the longest edge of the box around most points.
 fn extent_of(points: &[ScenePoint]) -> f64 {
-    let [low, high] = corners(points, FAR_SHARE);
+    let [low, high] = middle(&positions(points), FAR_SHARE);
     0.5 * (high - low).max_element()
 }
 
-/// The box of a scene of which these points are known: without a hundredth of them at either end of each axis, and then
-/// a tenth longer there. `None` if there are too few points, or if they have no volume.
+/// The box in which a scene lies, by points of it: without the outermost hundredth at either end of each axis, then a
+/// tenth longer there. `None` if there are too few points, or if they have no volume.
 #[must_use]
 pub fn box_of_points(points: &[ScenePoint]) -> Option<Aabb> {
-    if points.len() < FEWEST_POINTS {
-        return None;
-    }
-    let [low, high] = corners(points, OUTLIERS);
-    let margin = MARGIN * (high - low);
-    Aabb::new(low - margin, high + margin).ok()
+    if points.len() < FEWEST_POINTS { None } else { boxed(&positions(points), OUTLIERS) }
 }
 
 fn within(rng: &mut ChaCha8Rng) -> DVec3 {
