@@ -320,9 +320,10 @@ fn rays_stand_for_all_pixels_of_their_view() {
         let found = viewer.evidence(&camera, &Silent).unwrap();
         found.added.iter().map(|added| [0, 3, 5].map(|k| added.precision[k]).iter().sum::<f64>()).sum()
     };
-    // Squares of J have heavy tails, which leaves a third open. Without a weight of 4, the ratio would be a quarter.
+    // If squares of J spread five times as widely as their mean, 2,304 rays leave a tenth open: two deviations. Without
+    // a weight of 4, the ratio would be a quarter.
     let ratio = total(96 * 96 / 4) / total(96 * 96);
-    assert!((0.6..1.6).contains(&ratio), "{ratio}");
+    assert!((0.8..1.25).contains(&ratio), "{ratio}");
 }
 
 #[test]

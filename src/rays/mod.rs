@@ -8,6 +8,7 @@
 mod by_camera;
 mod missing;
 mod pixels;
+mod portions;
 #[cfg(feature = "files")]
 mod samples_file;
 mod seeds;

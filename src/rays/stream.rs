@@ -7,6 +7,7 @@ use rayon::prelude::*;
 
 use super::by_camera::CameraByCamera;
 use super::pixels::{Pick, PixelSequence, Pixels};
+use super::portions::{GROUP, Portions};
 use super::seeds::Purpose;
 use super::shard::{BATCH, Draw, RunProgress, Shard};
 use super::source::{RaySource, VolumeRays};
@@ -15,16 +16,6 @@ use crate::monitor::{Monitor, check};
 use crate::render::{CompositingWeights, JacobianBuffers, RayBatch, RaySamples, TraceBuffers, TracedRays};
 use crate::{Error, Result};
 
-/// Most batches that are drawn, and passed to the posterior, together.
-const GROUP: u64 = 16;
-/// About how many samples a thread differentiates together, and how many are held until they are summed. Batches of
-/// rays with more samples, as through fog or unbounded scenes, are divided: before they are summed, a sample's
-/// contributions take some 500 bytes.
-const SAMPLES_TOGETHER: f64 = 4096.0;
-const SAMPLES_IN_FLIGHT: f64 = 65_536.0;
-/// Fewest rays that are differentiated together; and as many at the start, when nothing is known of their samples.
-const FEWEST_RAYS: u64 = 16;
-const FIRST_RAYS: u64 = 64;
 /// Largest fraction of rays that may be dropped because the field was not finite. Beyond it, a run fails.
 pub const MAX_DROPPED_SHARE: f64 = 0.01;
 
@@ -42,30 +33,6 @@ const FIRST_POINTS: usize = 4096;
 /// Batches drawn together start with this multiple of the field's batch size, so that calls stay large after most rays
 /// have ended.
 const AT_FIRST: usize = 4;
-
-/// How a thread's work is divided.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Portions {
-    /// Rays that are differentiated together, at most.
-    rays: u64,
-    /// Batches that are drawn before they are summed.
-    batches: u64,
-}
-
-impl Portions {
-    /// Of a run that has come so far. This does not depend on whether the run was interrupted, nor on threads.
-    fn after(progress: &RunProgress) -> Self {
-        if progress.rays == 0 {
-            return Self { rays: FIRST_RAYS, batches: 1 };
-        }
-        let per_ray = (progress.samples as f64 / progress.rays as f64).max(1.0);
-        let within = |most: f64| 1 << ((most / per_ray).max(1.0) as u64).ilog2();
-        Self {
-            rays: within(SAMPLES_TOGETHER).clamp(FEWEST_RAYS, BATCH),
-            batches: within(SAMPLES_IN_FLIGHT / BATCH as f64).clamp(1, GROUP),
-        }
-    }
-}
 
 /// Batches that are passed to the posterior together: their number, and their samples in ray order.
 type Group = (u64, Vec<RaySamples>);
@@ -453,19 +420,6 @@ mod tests {
         let mut all = RaySamples::default();
         groups.into_iter().flatten().for_each(|samples| all.append(samples));
         all
-    }
-
-    #[test]
-    fn portions_are_smaller_where_rays_have_more_samples() {
-        let after = |rays, samples| Portions::after(&RunProgress { rays, samples, ..RunProgress::default() });
-        assert_eq!(after(0, 0), Portions { rays: 64, batches: 1 });
-        // Nothing was seen; and the few samples of a ray that meets a surface.
-        assert_eq!(after(512, 0), Portions { rays: 512, batches: 16 });
-        assert_eq!(after(1000, 6400), Portions { rays: 512, batches: 16 });
-        // 200 a ray: 16 rays have 3,200, and a batch has 102,400.
-        assert_eq!(after(1000, 200_000), Portions { rays: 16, batches: 1 });
-        assert_eq!(after(1000, 20_000), Portions { rays: 128, batches: 4 });
-        assert_eq!(after(1000, 1_000_000_000), Portions { rays: 16, batches: 1 });
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! A page of splats: 26 bytes a splat, of as many as fit into the file.
+//! Writes the page of splats: as many as fit into the file, at 26 bytes each.
 //!
 //! Splats are drawn as `render` draws them, so all that is lost is what the rounding of their parameters takes, and the
 //! dependence of colour on direction.
@@ -335,7 +335,7 @@ mod tests {
         assert!(decoded(&codes, codes.code(&round)).log_scales.abs().max_element() <= 1e-3);
     }
 
-    /// Writes the viewer of 600 discs on a ball, of which three cameras see one side.
+    /// Writes the viewer of 600 discs on a ball. Three cameras see one side of it.
     fn written(budget: usize) -> Result<(ShownSplats, String)> {
         let count = 600;
         let normal = |i: usize| {

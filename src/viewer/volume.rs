@@ -30,7 +30,7 @@ const BEHIND: [f64; 2] = [2.0 / 3.0, 1.0 / 3.0];
 /// Most memory for the values at the corners of the field's leaves, bytes: rays query U millions of times.
 const MAX_BAKED_BYTES: usize = 512 << 20;
 
-/// The power of the resolution with which files grow: 2 for thin surfaces, 3 for fog.
+/// Files grow as this power of the resolution: 2 for thin surfaces, 3 for fog.
 const GROWTH: f64 = 2.5;
 /// Numbers of cells that differ by less than this share are near.
 const SNAP_SHARE: f64 = 0.06;

@@ -137,7 +137,7 @@ impl Args {
             }
             SplatOrigin::Box => announce!(
                 "note: splats begin anywhere in the box (--box), and not near the surface of the object: some images \
-                 are opaque, or no part of the box is inside all outlines, and COLMAP's points are not there"
+                 are opaque, or no part of the box is inside all outlines, and COLMAP's points are too few or not there"
             ),
         }
         let state = self.state(&files, settings, domain, &train)?;

@@ -29,7 +29,7 @@ class SplatsRenderer extends Renderer {
     const rows = Math.ceil(model.about.count / ROW);
     const most = gl.getParameter(gl.MAX_TEXTURE_SIZE);
     if (rows > most || TEXELS * ROW > most) {
-      throw new Error(`This device holds ${most * ROW} splats, not ${model.about.count}. Write fewer with --splats.`);
+      throw new Error(`This device holds ${most * ROW} splats, and the file has ${model.about.count}.`);
     }
     const texels = new Float32Array(4 * TEXELS * ROW * rows);
     const { means, covariances, colors, opacities, log10U, unseen } = model;
