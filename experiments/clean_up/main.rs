@@ -3,7 +3,7 @@
 //! Models of few views, or of the half of the views on one side, are cleaned up by the paper's thresholds of log10 U,
 //! and held-out views of them are compared with the images.
 //!
-//!     cargo run --release --example clean_up -- [PART ...] [--work DIR] [--fresh]
+//!     cargo experiment clean_up -- [PART ...] [--work DIR] [--fresh]
 //!
 //! Rows are kept in the work folder until their block is written: a run that was stopped goes on where it was.
 

@@ -46,7 +46,7 @@ pub fn table(folder: &Path) -> Result<String> {
         };
         let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let [wall, cpu] = minutes;
-        let command = format!("`cargo run --release --example {name}`");
+        let command = format!("`cargo experiment {name}`");
         table.row(&[format!("[{name}]({name}.md)"), title.into(), command, wall, cpu, date]);
     }
     Ok(table.text().into())

@@ -16,7 +16,7 @@ use octobayes::uncertainty::UncertaintyField;
 struct Desk(tempfile::TempDir);
 
 const SMALL: &str = "--samples-per-step 4096 --log2-hashmap-size 12";
-const RUN: &str = "--level 4 --rays 2000 --gradient auto --occupancy 16 --keep-sums";
+const RUN: &str = "--level 4 --rays 1000 --gradient auto --occupancy 16 --keep-sums";
 
 impl Desk {
     fn new() -> Self {
@@ -155,7 +155,7 @@ fn all_verbs_select_frames_by_one_rule() {
     let missing = format!("{}, {}", first.display(), second.file_name().unwrap().display());
     let why = format!("of 20 frames of set/transforms.json: 2 have no image ({missing})");
     let held = "2 are held out, every eighth (views `all` takes both)";
-    let stderr = desk.good(&format!("train set/transforms.json -o m.safetensors --steps 60 {SMALL}"));
+    let stderr = desk.good(&format!("train set/transforms.json -o m.safetensors --steps 40 {SMALL}"));
     assert!(stderr.contains(&format!("16 cameras {why}, {held}")), "{stderr}");
     let file = "--cameras set/transforms.json";
     for model in ["m.safetensors", "scene:ball"] {
@@ -181,7 +181,7 @@ fn all_verbs_select_frames_by_one_rule() {
 #[test]
 fn a_field_of_another_model_is_refused_wherever_models_lie() {
     let desk = Desk::new();
-    desk.good(&format!("train set -o m.safetensors --views 4 --steps 60 --members 2 {SMALL}"));
+    desk.good(&format!("train set -o m.safetensors --views 4 --steps 40 --members 2 {SMALL}"));
     desk.good(&format!("uncertainty m-0.safetensors {RUN} -o field.oct"));
     let judged =
         "--cameras set/transforms_test.json --depth set/depth --depth-pattern {}.png --depth-encoding 0,6.5535";
@@ -214,11 +214,11 @@ fn a_field_of_another_model_is_refused_wherever_models_lie() {
 #[cfg(unix)]
 fn a_run_goes_on_with_a_model_that_has_moved() {
     let desk = Desk::new();
-    desk.good(&format!("train set -o m.safetensors --views 4 --steps 60 {SMALL}"));
+    desk.good(&format!("train set -o m.safetensors --views 4 --steps 40 {SMALL}"));
     std::fs::create_dir(desk.path("moved")).unwrap();
     std::fs::copy(desk.path("m.safetensors"), desk.path("moved/n.safetensors")).unwrap();
     let run = |model: &str, out: &str| {
-        format!("uncertainty {model} --level 4 --rays 30000 --error-bars 8 --gradient auto --occupancy 16 -o {out}")
+        format!("uncertainty {model} --level 4 --rays 8000 --error-bars 8 --gradient auto --occupancy 16 -o {out}")
     };
     desk.good(&run("m.safetensors", "whole.oct"));
     let begun = format!("{} --checkpoint run.chk", run("m.safetensors", "parts.oct"));
@@ -234,7 +234,7 @@ fn a_run_goes_on_with_a_model_that_has_moved() {
 fn a_contracted_model_gives_a_contracted_field() {
     let desk = Desk::new();
     // Hardly a step of training leaves fog, whose rays are long.
-    let run = RUN.replace("--rays 2000", "--rays 200");
+    let run = RUN.replace("--rays 1000", "--rays 200");
     desk.good(&format!("train set -o m.safetensors --contract linf:0,0,0,1.5 --views 2 --steps 2 {SMALL}"));
     let model = HashGrid::read(&desk.path("m.safetensors")).unwrap();
     let stderr = desk.good(&format!("uncertainty m.safetensors {run} -o field.oct"));

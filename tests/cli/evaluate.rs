@@ -51,7 +51,7 @@ fn made() -> PathBuf {
     );
     good(
         &folder,
-        "uncertainty m-0.safetensors --cameras set/transforms_train.json --level 5 --rays 3000 --gradient auto \
+        "uncertainty m-0.safetensors --cameras set/transforms_train.json --level 5 --rays 1200 --gradient auto \
          --keep-sums -o m.oct",
     );
     folder
@@ -188,7 +188,7 @@ fn deviations_of_depth_are_calibrated_beside_those_of_the_weights() {
     let desk = desk();
     good(
         desk.path(),
-        "uncertainty m-0.safetensors --level 5 --rays 3000 --gradient auto --scale data --keep-sums -o data.oct",
+        "uncertainty m-0.safetensors --level 5 --rays 1200 --gradient auto --scale data --keep-sums -o data.oct",
     );
     let command = EVALUATE.replace("m.oct", "data.oct --covariance block");
     let found: Value = serde_json::from_str(&good(desk.path(), &format!("{command} --json --plot both.svg"))).unwrap();
@@ -259,7 +259,7 @@ fn a_calibrated_interval_holds_its_share_and_goes_with_the_field() {
     let run = |args: &str| run(desk.path(), args);
     good(
         desk.path(),
-        "uncertainty m-0.safetensors --level 5 --rays 3000 --gradient auto --scale data --keep-sums -o data.oct",
+        "uncertainty m-0.safetensors --level 5 --rays 1200 --gradient auto --scale data --keep-sums -o data.oct",
     );
     let calibrate = "evaluate m-0.safetensors data.oct --cameras set/transforms_test.json --depth set/depth \
         --depth-pattern {}.png --depth-encoding 0,6.5535 --calibrate cal.oct";

@@ -12,7 +12,7 @@ use octobayes::field::ClosedForm;
 use octobayes::posterior::{Covariance, Criteria, Criterion};
 use octobayes::uncertainty::{OfficialGrid, Support, UncertaintyField, compare, merge};
 
-const RUN: &str = "uncertainty scene:courtyard --resolution 64 --rays 40000 --occupancy 40";
+const RUN: &str = "uncertainty scene:courtyard --resolution 64 --rays 10000 --occupancy 40";
 
 fn good(folder: &Path, args: &str) -> String {
     let (code, _, said) = outcome(folder, args);
@@ -34,11 +34,11 @@ fn read(folder: &Path, name: &str) -> UncertaintyField {
 fn a_budget_is_planned_kept_and_reported() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
-    let stderr = good(folder, &format!("{RUN} --level 9 --memory 120MB -o limited.oct"));
-    assert!(stderr.contains("plan: level 9") && stderr.contains("given up"), "{stderr}");
+    let stderr = good(folder, &format!("{RUN} --level 8 --memory 50MB -o limited.oct"));
+    assert!(stderr.contains("plan: level 8") && stderr.contains("given up"), "{stderr}");
     let limited = read(folder, "limited.oct");
     let bytes: usize = limited.memory().iter().map(|part| part.1).sum();
-    assert!(bytes <= 120_000_000 && !limited.limits().is_unlimited() && limited.validate().is_ok());
+    assert!(bytes <= 50_000_000 && !limited.limits().is_unlimited() && limited.validate().is_ok());
     // A plan that cannot fit says what would.
     let stderr = refused(folder, &format!("{RUN} --level 9 --memory 5kB -o x.oct"));
     assert!(stderr.contains("--memory") && stderr.contains("at least"), "{stderr}");
@@ -149,7 +149,7 @@ fn parts_under_a_budget_make_the_same_plan_and_merge() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     for index in 0..3 {
-        let run = format!("{RUN} --level 10 --memory 200MB --shard {index}/3 -o part{index}.oct");
+        let run = format!("{RUN} --level 8 --memory 50MB --shard {index}/3 -o part{index}.oct");
         let stderr = good(folder, &run);
         assert!(stderr.contains("given up"), "{stderr}");
     }

@@ -25,7 +25,7 @@ use rayon::prelude::*;
 fn run(grid: GridSettings, domain: Option<Domain>, shard: [u64; 2], tile: Option<Tile>) -> Outcome {
     let (scene, cameras) = (ClosedForm::courtyard(), ClosedForm::half_circle(5, [64, 48]));
     let estimation = Estimation::new(&scene, &cameras)
-        .rays(RaySettings::default().rays(10_000).occupancy(48))
+        .rays(RaySettings::default().rays(5_000).occupancy(48))
         .grid(grid.tile(tile).keep_sums(false))
         .shard(shard[0], shard[1]);
     domain.into_iter().fold(estimation, Estimation::domain).run().unwrap()
@@ -396,7 +396,7 @@ fn all_tiles_of_a_run_are_cut_alike_whatever_the_threads_shards_and_seed() {
     let (scene, cameras) = (ClosedForm::courtyard(), ClosedForm::half_circle(5, [64, 48]));
     let tile_of = |seed: u64, shard: [u64; 2], threads: usize, index: u32| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        let rays = RaySettings::default().rays(12_000).occupancy(48).seed(seed);
+        let rays = RaySettings::default().rays(4_000).occupancy(48).seed(seed);
         let grid = GridSettings::default().level(6).tile(Tile::new(index, 4));
         let run = || Estimation::new(&scene, &cameras).rays(rays).grid(grid).shard(shard[0], shard[1]).run();
         pool.install(run).unwrap().field
@@ -411,12 +411,12 @@ fn all_tiles_of_a_run_are_cut_alike_whatever_the_threads_shards_and_seed() {
         (0..4).flat_map(|index| [0, 7].map(|seed| tile_of(seed, [0, 1], 2, index))).collect();
     let joined = merge(&parts).unwrap();
     let wholes = [0, 7].map(|seed| {
-        let rays = RaySettings::default().rays(12_000).occupancy(48).seed(seed);
+        let rays = RaySettings::default().rays(4_000).occupancy(48).seed(seed);
         let grid = GridSettings::default().level(6).tolerance(0.01).keep_sums(true);
         Estimation::new(&scene, &cameras).rays(rays).grid(grid).run().unwrap().field
     });
     let whole = merge(&wholes).unwrap();
-    assert_eq!(joined.protocol().rays, 24_000);
+    assert_eq!(joined.protocol().rays, 8_000);
     let same = compare(&joined, &whole, 20_000, 0).unwrap().in_box.unwrap();
     // Each seed alone may leave out what is negligible for its own rays.
     assert!(same.max <= 0.01 + 1e-6, "{}", same.max);

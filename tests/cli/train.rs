@@ -100,17 +100,17 @@ fn a_model_is_trained_and_the_other_verbs_read_it() {
     // A model that has learnt nothing is a poor one; its cameras are right, and need no --force.
     desk.good(&format!("train . -o poor.safetensors --steps 1 {SMALL}"));
     let [_, stderr] = desk.good(
-        "uncertainty poor.safetensors --cameras transforms_train.json --rays 3000 --level 5 --background white \
+        "uncertainty poor.safetensors --cameras transforms_train.json --rays 600 --level 5 --background white \
          --occupancy 32 -o poor.oct",
     );
     assert!(stderr.contains("hardly shows the images") && stderr.contains("hardly trained"), "{stderr}");
     desk.good(
-        "uncertainty a.safetensors --cameras transforms_train.json --rays 3000 --level 5 --background black \
+        "uncertainty a.safetensors --cameras transforms_train.json --rays 600 --level 5 --background black \
          --occupancy 32 -o a.oct",
     );
     // The model knows the noise that training left: somewhat below that of held-out images.
     desk.good(
-        "uncertainty a.safetensors --rays 3000 --level 5 --background black --occupancy 32 --scale data -o scaled.oct",
+        "uncertainty a.safetensors --rays 600 --level 5 --background black --occupancy 32 --scale data -o scaled.oct",
     );
     let noise = field.training_noise().unwrap();
     assert!(noise < 10_f64.powf(-psnr / 20.0) && noise > 0.3 * 10_f64.powf(-psnr / 20.0), "{noise}");
@@ -197,7 +197,7 @@ fn views_members_and_what_is_wrong_with_them() {
 #[cfg(unix)]
 fn ctrl_c_saves_a_usable_model_and_resume_ends_with_the_same_bytes() {
     let desk = Desk::new();
-    let args = |out: &str| format!("train . -o {out} --steps 250 {SMALL}");
+    let args = |out: &str| format!("train . -o {out} --steps 120 {SMALL}");
     desk.good(&args("whole.safetensors"));
     let mut child = desk.command(&args("parts.safetensors")).spawn().unwrap();
     // On its way it says how good the model is.
@@ -208,9 +208,9 @@ fn ctrl_c_saves_a_usable_model_and_resume_ends_with_the_same_bytes() {
     assert!(child.wait().unwrap().code() == Some(130) && said.contains("the same command goes on"), "{said}");
     let steps = |path: &Path| HashGrid::read(path).unwrap().training()["steps"].as_u64().unwrap();
     let so_far = steps(&desk.path("parts.safetensors"));
-    assert!((1..250).contains(&so_far), "{so_far}");
+    assert!((1..120).contains(&so_far), "{so_far}");
 
-    let other = desk.run(&args("parts.safetensors").replace("250", "251"));
+    let other = desk.run(&args("parts.safetensors").replace("120", "121"));
     let stderr = String::from_utf8(other.stderr).unwrap();
     assert!(other.status.code() == Some(2) && stderr.contains("which a restart discards"), "{stderr}");
     let [_, stderr] = desk.good(&args("parts.safetensors"));
@@ -256,7 +256,7 @@ fn splats_are_trained_and_the_other_verbs_read_them() {
     }
     let [info, _] = desk.good("info a/s.ply");
     assert!(info.contains("splats") && info.contains("degree 3"), "{info}");
-    desk.good("uncertainty a/s.ply --cameras a/cameras.json --rays 3000 --level 5 --background black -o a/s.oct");
+    desk.good("uncertainty a/s.ply --cameras a/cameras.json --rays 600 --level 5 --background black -o a/s.oct");
 }
 
 #[test]
