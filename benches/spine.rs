@@ -5,7 +5,7 @@ use std::hint::black_box;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use glam::{DMat3, Vec3};
-use octobayes::estimate::{Estimation, FieldBuilder, GridKind, GridSettings, Provenance, RaySettings};
+use octobayes::estimate::{Estimation, FieldBuilder, FieldSource, GridKind, GridSettings, RaySettings};
 use octobayes::field::{ClosedForm, Radiance, RadianceField};
 use octobayes::geometry::{Camera, Domain};
 use octobayes::monitor::Silent;
@@ -116,7 +116,7 @@ fn build(c: &mut Criterion) {
         };
         let finish = |builder: FieldBuilder| {
             let progress = RunProgress { rays: RAYS, ..RunProgress::default() };
-            builder.finish(&Provenance { source: name.into(), progress, ..Provenance::default() })
+            builder.finish(&FieldSource { source: name.into(), progress, ..FieldSource::default() })
         };
         group.bench_function(name, |b| b.iter_batched(make, finish, criterion::BatchSize::PerIteration));
     }

@@ -7,7 +7,7 @@ mod common;
 
 use octobayes::Result;
 use octobayes::estimate::{GridKind, GridSettings, Outcome};
-use octobayes::posterior::Criterion;
+use octobayes::posterior::{Criterion, Pooling};
 use octobayes::uncertainty::{Difference, UncertaintyField, compare};
 use serde::{Deserialize, Serialize};
 
@@ -75,7 +75,8 @@ fn of_seed(scene: &Scene, settings: GridSettings, seed: u64) -> Result<Vec<Row>>
     let rays = scene.settings.seed(seed);
     let grid = |(criteria, tolerance, min_rays): &Rule| {
         let settings = settings.criteria(criteria.iter().copied().collect()).tolerance(*tolerance);
-        settings.min_rays(*min_rays).ray_count(*min_rays)
+        let pooling = if *min_rays > 0.0 { Pooling::Below(*min_rays) } else { Pooling::Off };
+        settings.pooling(pooling).ray_count(*min_rays)
     };
     let (limited, free): (Vec<GridSettings>, Vec<GridSettings>) =
         RULES.iter().map(grid).partition(GridSettings::needs_plan);

@@ -97,8 +97,8 @@ fn of_seed(scene: &Scene, seed: u64) -> Result<Vec<Row>> {
 fn information_difference(octree: &UncertaintyField, dense: &UncertaintyField) -> [f64; 2] {
     let Support::Octree(tree) = octree.support() else { return [0.0; 2] };
     let (a, b) = (octree.sums().expect("kept"), dense.sums().expect("kept"));
-    let protocol = octree.protocol();
-    let prior = 3.0 * protocol.lambda * protocol.rays as f64;
+    let record = octree.record();
+    let prior = 3.0 * record.lambda * record.rays as f64;
     let (mut vertices, mut worst) = (0.0, 0.0_f64);
     for (s, [x, y, z]) in a.iter().map(|sums| &sums.information).zip(tree.vertex_positions()) {
         if tree.is_surrounded_by_finest([x, y, z]) {

@@ -11,7 +11,7 @@ mod common;
 
 use octobayes::Result;
 use octobayes::estimate::{GridKind, GridSettings, RaySettings};
-use octobayes::posterior::{Covariance, VertexSums};
+use octobayes::posterior::{Covariance, Pooling, VertexSums};
 use octobayes::rays::Pixels;
 use octobayes::render::GradientMethod;
 use octobayes::uncertainty::{MOVED, UncertaintyField};
@@ -58,7 +58,8 @@ type Row = Vec<[[f64; 2]; 2]>;
 
 fn row(scene: &Scene, rays: RaySettings, truth: &[f64], prior: f64) -> Result<Row> {
     let random = run(scene, rays.pixels(Pixels::Random))?;
-    let grids = [0.0, 4.0, 8.0].map(|min_rays| grid(scene).min_rays(min_rays).tolerance(TOLERANCE));
+    let grids =
+        [Pooling::Off, Pooling::Below(4.0), Pooling::Below(8.0)].map(|p| grid(scene).pooling(p).tolerance(TOLERANCE));
     let sobol = scene.estimation(rays.pixels(Pixels::Sobol), grids[0]).prepare()?.finish_on(&grids)?;
     let mut estimates = vec![log10(&random)];
     estimates.extend(sobol.iter().map(|outcome| log10(&outcome.field)));
@@ -113,7 +114,7 @@ fn study(work: &Work, scene: &Scene) -> Result<(String, String)> {
 fn by_blocks(field: &UncertaintyField) -> Vec<f64> {
     let kept = field.sums().expect("kept");
     let n = (1_usize << LEVEL) + 1;
-    let protocol = field.protocol();
+    let record = field.record();
     let mut settled: Vec<Option<VertexSums>> = kept.iter().map(|sums| (sums.rays >= 4).then_some(*sums)).collect();
     for edge in [2, 4, 8] {
         let blocks = n.div_ceil(edge);
@@ -126,6 +127,6 @@ fn by_blocks(field: &UncertaintyField) -> Vec<f64> {
             *settled = (sum.rays >= 4).then(|| VertexSums::new(sum.information.map(|s| s / volume), sum.rays));
         }
     }
-    let read = |sums: VertexSums| Covariance::Diagonal.deviation(&sums, protocol.rays, protocol.lambda).log10();
+    let read = |sums: VertexSums| Covariance::Diagonal.deviation(&sums, record.rays, record.lambda).log10();
     settled.into_iter().zip(kept).map(|(pooled, own)| read(pooled.unwrap_or(*own))).collect()
 }

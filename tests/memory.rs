@@ -69,7 +69,7 @@ fn parts_add_up_to_what_was_allocated_and_structure_is_small() {
     }
 }
 
-/// Strings of the protocol, and headers of vectors inside vectors, come on top of what `memory` lists.
+/// Strings of the record, and headers of vectors inside vectors, come on top of what `memory` lists.
 fn check(allocated: usize, field: &UncertaintyField) {
     let listed: usize = field.memory().iter().map(|part| part.1).sum();
     assert!(listed <= allocated && allocated <= listed + 4096, "{listed} bytes listed, {allocated} allocated");

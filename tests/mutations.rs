@@ -257,7 +257,7 @@ fn small_files_that_claim_much_are_refused_without_the_memory() {
 fn contents_that_no_run_writes_are_refused() {
     let _alone = alone();
     let folder = tempfile::tempdir().unwrap();
-    let lambda = format!("\"lambda\":{}", serde_json::json!(samples::fields()[0].protocol().lambda));
+    let lambda = format!("\"lambda\":{}", serde_json::json!(samples::fields()[0].record().lambda));
     // Kind, sample, part, change, what the message names.
     type Change<'a> = &'a dyn Fn(&mut Vec<u8>);
     let cases: [(Kind, usize, usize, Change, &str); 20] = [
@@ -286,9 +286,9 @@ fn contents_that_no_run_writes_are_refused() {
         (Kind::Field, 0, 4, &|factors| factors[..4].fill(0xff), "factors"),
         (Kind::Field, 0, 4, &|factors| [3, 11, 23].into_iter().for_each(|at| factors[at] |= 0x80), "factors"),
         (Kind::Field, 0, 6, &|surface| surface[..4].fill(0xff), "surface"),
-        // Ray counts of one vertex too many, and visits of no grid.
+        // Ray counts of one vertex too many, and ray coverage of no grid.
         (Kind::Field, 0, 3, &|rays| rays.push(0), "rays"),
-        (Kind::Field, 5, 7, &|visits| visits.truncate(7), "visits"),
+        (Kind::Field, 5, 7, &|ray_coverage| ray_coverage.truncate(7), "ray_coverage"),
         // Exact counts, which only parts keep: written again they would be rounded.
         (Kind::Field, 5, 8, &|counted| counted.extend([1, 0, 0, 0]), "counted"),
         // Error bars that are negative, and error bars of one group.

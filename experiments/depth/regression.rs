@@ -17,7 +17,7 @@ const FEATURES: [Baseline; 6] = [
     Baseline::RayEntropy,
     Baseline::Transparency,
     Baseline::RayCount,
-    Baseline::Visits,
+    Baseline::RayCoverage,
     Baseline::TrainingViews,
 ];
 /// The weight of coefficients of zero, in pixels.
@@ -102,7 +102,7 @@ fn features<'a>(
             let value = view.measures[m][i];
             match FEATURES[k] {
                 Baseline::RayVariance => log10(value),
-                Baseline::RayCount | Baseline::Visits => (1.0 - value).log10(),
+                Baseline::RayCount | Baseline::RayCoverage => (1.0 - value).log10(),
                 _ => value,
             }
         })

@@ -3,7 +3,7 @@
 
 use glam::{DVec3, Vec3};
 use octobayes::Result;
-use octobayes::estimate::{FieldBuilder, GridSettings, Provenance, RaySettings};
+use octobayes::estimate::{FieldBuilder, FieldSource, GridSettings, RaySettings};
 use octobayes::field::{ClosedForm, Radiance, RadianceField, RadianceJet, VoxelGrid};
 use octobayes::geometry::Domain;
 use octobayes::monitor::Silent;
@@ -281,7 +281,7 @@ fn field_of(
     let mut builder = FieldBuilder::new(grid, domain)?;
     builder.add(&[batch]);
     let progress = RunProgress { rays, ..RunProgress::default() };
-    Ok(builder.finish(&Provenance { source: "steps".into(), progress, ..Provenance::default() }))
+    Ok(builder.finish(&FieldSource { source: "steps".into(), progress, ..FieldSource::default() }))
 }
 
 /// Mean |Δ log10 U| over the vertices that moved by more than half a decade.

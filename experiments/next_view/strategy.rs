@@ -201,7 +201,7 @@ fn fisher(choice: &Choice) -> Vec<usize> {
     let offset = choice.model.pixel_offset();
     let gradients = |camera: &Camera| -> Vec<PixelGradient> {
         let picks = PixelSequence::new(Pixels::Sobol, choice.seed, vec![camera.resolution]).picks(0, FISHER_PIXELS);
-        let of = |pick: &octobayes::rays::Pick| {
+        let of = |pick: &octobayes::rays::PixelSample| {
             let [x, y] = pick.pixel.map(|i| f64::from(i) + offset);
             pixels.of(&camera.ray(x, y), pick.jitter)
         };

@@ -4,7 +4,7 @@ use octobayes::Result;
 use octobayes::estimate::{GridKind, GridSettings, RaySettings};
 use octobayes::evaluate::Reading;
 use octobayes::picture::{Curve, write_plot};
-use octobayes::posterior::Criterion;
+use octobayes::posterior::{Criterion, Pooling};
 use octobayes::rays::Pixels;
 use octobayes::render::{GradientMethod, RayAverage};
 
@@ -73,7 +73,7 @@ pub fn ablation(work: &Work, lego: &Scene) -> Result<(String, String)> {
         ("  or cutoff 1e-4", coarse, octree),
         ("+ low-discrepancy rays (default)", sobol, octree),
         ("+ the field's own derivatives (`--gradient auto`)", analytic, octree),
-        ("+ `--min-rays 4`", analytic, octree.min_rays(4.0)),
+        ("+ `--min-rays 4`", analytic, octree.pooling(Pooling::Below(4.0))),
         ("dense grid with all of the rays' features", analytic, dense),
     ];
     let head = ["", "s, median", "samples / ray", "bytes for queries"];
@@ -188,8 +188,13 @@ const METHODS: [Method; 6] = [
         most: 4_096_000,
     },
     Method { name: "octree, own derivatives", rays: own, grid: |grid| grid, most: u64::MAX },
-    Method { name: "own, `--min-rays 4`", rays: own, grid: |grid| grid.min_rays(4.0), most: u64::MAX },
-    Method { name: "own, `--min-rays 16`", rays: own, grid: |grid| grid.min_rays(16.0), most: 409_600 },
+    Method { name: "own, `--min-rays auto`", rays: own, grid: |grid| grid.pooling(Pooling::Auto), most: u64::MAX },
+    Method {
+        name: "own, `--min-rays 16`",
+        rays: own,
+        grid: |grid| grid.pooling(Pooling::Below(16.0)),
+        most: 4_096_000,
+    },
     Method {
         name: "own, `--refine sensitivity,ray-count`",
         rays: own,

@@ -78,7 +78,7 @@ pub fn sums(work: &Work, lego: &Scene) -> Result<(String, String)> {
     let (vertices, errors): (u64, Errors) = work.row("sums", || {
         let Outcome { field, .. } = lego.estimation(rays, octree).run()?;
         let sums: Vec<VertexSums> = field.sums().expect("kept").iter().copied().filter(|s| s.rays > 0).collect();
-        let (lambda, drawn) = (field.protocol().lambda, field.protocol().rays);
+        let (lambda, drawn) = (field.record().lambda, field.record().rays);
         let factors: Vec<FactoredSums> = sums.iter().map(Into::into).collect();
         let range = Range::of(&factors);
         let error = |bits: Option<u32>, covariance: Covariance| {

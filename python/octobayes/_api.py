@@ -105,11 +105,11 @@ def _opened(nerf: Any, cameras: Any = None, u: Uncertainty | None = None) -> Any
         path = as_path("nerf", nerf)
         in_blender = isinstance(cameras, (str, os.PathLike)) if u is None else True
         nerf = open_model(path, "blender" if path.endswith(".ppng") and in_blender else None)
-        if path.endswith(".ppng") and u is not None and nerf._model.checksum != u.protocol["origin"]["model"]:
+        if path.endswith(".ppng") and u is not None and nerf._model.checksum != u.record["model_checksum"]:
             nerf = open_model(path)
         if isinstance(nerf, Splats) and u is not None:
             # A field of splats in a mode that was chosen: they are drawn as they were then.
-            wanted = u.protocol["origin"]["model"]
+            wanted = u.record["model_checksum"]
             others = (Splats(path, mode) for mode in (None, "classic", "mip"))
             nerf = next((splats for splats in others if splats._model.checksum == wanted), nerf)
     if not callable(nerf) and not isinstance(nerf, Splats):
@@ -160,13 +160,13 @@ def _image_options(
     """Options that say how rays pass through the model: beside ``u`` as they did for it."""
     if isinstance(nerf, Splats):
         _refuse_for_splats(march_step=(march_step, None), occupancy=(occupancy, DEFAULT.occupancy))
-    protocol = {} if u is None else u.protocol
+    record = {} if u is None else u.record
     if background is None:
         background = getattr(nerf, "background", None)
     if background is None:
-        background = protocol.get("background")
+        background = record.get("background")
     if pixel_offset is None and isinstance(nerf, Opened):
-        pixel_offset = protocol.get("pixel_offset")
+        pixel_offset = record.get("pixel_offset")
     return {
         "background": color("background", "white" if background is None else background),
         "march_step": None if march_step is None else real("march_step", march_step, above=0),
@@ -195,11 +195,16 @@ def _grid_options(given: SimpleNamespace) -> dict[str, Any]:
         "covariance": given.covariance,
         "lambda_": None if given.lambda_ is None else real("lambda_", given.lambda_, above=0),
         "tolerance": real("tolerance", given.tolerance, low=0),
-        "min_rays": real("min_rays", given.min_rays, low=0),
+        "min_rays": _pooling(given.min_rays),
         "keep_sums": flag("keep_sums", given.keep_sums),
         "scale": given.scale,
         "noise": None if given.noise is None else real("noise", given.noise, above=0),
     }
+
+
+def _pooling(min_rays: Any) -> str:
+    """A number of rays, or ``'auto'``, as the command line spells it."""
+    return min_rays if min_rays == "auto" else repr(real("min_rays", min_rays, low=0))
 
 
 def _part(name: str, part: Any) -> list[int] | None:
@@ -246,7 +251,7 @@ def uncertainty(
     tolerance: float = DEFAULT.tolerance,
     scale: str = DEFAULT.scale,
     noise: float | None = None,
-    min_rays: float = DEFAULT.min_rays,
+    min_rays: float | str = DEFAULT.min_rays,
     step: float | None = None,
     cutoff: float = DEFAULT.cutoff,
     error_bars: int | None = None,
@@ -464,7 +469,7 @@ def compare(
 
 
 def merge(fields: Sequence[Uncertainty | str], *, error_bars: bool = False, keep_sums: bool = False) -> Uncertainty:
-    """Joins fields of one box, level and protocol from different rays: shards of a run, or other seeds.
+    """Joins fields of one box, level and record from different rays: shards of a run, or other seeds.
 
     error_bars: also the error of log10 U, from the fields' differences (of different seeds). The fields must keep their
     sums (shards do). Raises ValueError if they do not belong together. Warns of missing shards.
@@ -489,7 +494,7 @@ def accumulate(
     scale: str = DEFAULT.scale,
     noise: float | None = None,
     training_pixels: int | None = None,
-    min_rays: float = DEFAULT.min_rays,
+    min_rays: float | str = DEFAULT.min_rays,
     keep_sums: bool = False,
     progress: Progress | bool | None = None,
 ) -> Uncertainty:
@@ -746,7 +751,7 @@ def calibrate(
         **_image_options(nerf, background, march_step, pixel_offset, occupancy, u),
         **_held_out_options(cameras, depth, depth_encoding, depth_pattern, z_depth, stride, views, resolution),
         "probability": real("probability", probability, above=0),
-        "covariance": [u.protocol["covariance"] if covariance is None else covariance],
+        "covariance": [u.record["covariance"] if covariance is None else covariance],
     }
     if not options["probability"] < 1:
         raise wrong("probability", "a share between 0 and 1", probability)

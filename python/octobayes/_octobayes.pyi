@@ -102,7 +102,7 @@ class Uncertainty:
     def for_queries(self) -> Uncertainty: ...
     def surface_quantile(self, share: float) -> float | None: ...
     def threshold(self, threshold: float | str) -> tuple[float, list[Said]]: ...
-    def protocol(self) -> str:
+    def record(self) -> str:
         """JSON."""
     def report(self) -> str:
         """JSON."""
@@ -111,7 +111,7 @@ class Uncertainty:
     def conformal(self) -> str | None:
         """JSON."""
     @property
-    def visits(self) -> NDArray[np.uint32] | None:
+    def ray_coverage(self) -> NDArray[np.uint32] | None:
         """[M, M, M]."""
     @property
     def surface(self) -> Floats:

@@ -78,7 +78,7 @@ class Uncertainty:
         names, _, shape = self._seen(points)
         return np.array(names, dtype="<U11").reshape(shape)
 
-    def visits_at(self, points: ArrayLike) -> NDArray[np.uint32]:
+    def ray_coverage_at(self, points: ArrayLike) -> NDArray[np.uint32]:
         """Number of training rays that reached the space around each point with half of their light, uint32 ``[N]``.
 
         Raises ValueError if it is not known where rays passed.
@@ -90,16 +90,16 @@ class Uncertainty:
         x, shape = as_points("points", points)
         found = self._field.seen(x)
         if found is None:
-            raise wrong("visits", "a field that knows where rays passed", "one that does not")
+            raise wrong("ray coverage", "a field that knows where rays passed", "one that does not")
         return found[0], found[1], shape
 
     @property
-    def visits(self) -> NDArray[np.uint32] | None:
+    def ray_coverage(self) -> NDArray[np.uint32] | None:
         """uint32 ``[M, M, M]`` (x, y, z): rays that reached each cell of a coarse grid over the box.
 
         ``None`` if unknown.
         """
-        return self._field.visits
+        return self._field.ray_coverage
 
     def covariance(self, points: ArrayLike, kind: str | None = None) -> NDArray[np.float64]:
         """Covariance matrices of the displacement, float64 ``[N, 3, 3]``, squared scene units; their trace is U².
@@ -174,15 +174,15 @@ class Uncertainty:
         return self._field.is_part
 
     @property
-    def protocol(self) -> dict[str, Any]:
+    def record(self) -> dict[str, Any]:
         """Everything that the numbers depend on: rays, seed, λ, steps, ..."""
-        return json.loads(self._field.protocol())
+        return json.loads(self._field.record())
 
     @property
     def report(self) -> dict[str, Any]:
         """What ``octobayes uncertainty --json`` prints of the run that computed the field.
 
-        That is protocol, summary, log10 U on visible surfaces, seconds, memory, and under 'errors' how far log10 U is
+        That is record, summary, log10 U on visible surfaces, seconds, memory, and under 'errors' how far log10 U is
         from its limit. Of a field that was read or merged: what of this the field knows itself.
         """
         return json.loads(self._field.report())
@@ -193,10 +193,10 @@ class Uncertainty:
         return json.loads(self._field.summary())
 
     def __repr__(self) -> str:
-        summary, protocol = self.summary, self.protocol
+        summary, record = self.summary, self.record
         return (
             f"<octobayes.Uncertainty {summary['grid']} of level {summary['level']} over {self._field.domain}: "
-            f"{summary['vertices']} vertices, {protocol['rays']} rays>"
+            f"{summary['vertices']} vertices, {record['rays']} rays>"
         )
 
 

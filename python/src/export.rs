@@ -26,7 +26,7 @@ pub fn export_field(py: Python<'_>, field: &Bound<'_, Uncertainty>, path: PathBu
     let field = field.get().field.clone();
     without_python(py, || match kind {
         "leaves" => {
-            let matrices = field.sums().map(|_| field.matrices(field.protocol().covariance)).transpose()?;
+            let matrices = field.sums().map(|_| field.matrices(field.record().covariance)).transpose()?;
             write_leaves(&path, &*field, matrices.as_ref())
         }
         "hyper tree" => write_hyper_tree(&path, &*field),
@@ -106,7 +106,7 @@ impl Job<'_> {
         match self.kind {
             Kind::Report { names } => write_report(&self.path, &found, &names, uncertainty),
             Kind::Points { ellipsoids } => {
-                let covariance = uncertainty.protocol().covariance;
+                let covariance = uncertainty.record().covariance;
                 let matrices = ellipsoids.then(|| uncertainty.matrices(covariance)).transpose()?;
                 write_points(&self.path, &found, uncertainty, matrices.as_ref())
             }

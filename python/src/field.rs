@@ -56,7 +56,7 @@ type Estimates<'py> = (
     Bound<'py, PyArray1<bool>>,
 );
 
-/// `constrained`, `free` or `unseen` for each point, and visits.
+/// `constrained`, `free` or `unseen` for each point, and ray coverage.
 type Seen<'py> = (Vec<&'static str>, Bound<'py, PyArray1<u32>>);
 
 fn covariance(name: &str) -> PyResult<Covariance> {
@@ -95,15 +95,15 @@ impl Uncertainty {
         ))
     }
 
-    /// `constrained`, `free` or `unseen` for points `[n, 3]`, and visits; `None` if unknown.
+    /// `constrained`, `free` or `unseen` for points `[n, 3]`, and ray coverage; `None` if unknown.
     fn seen<'py>(&self, py: Python<'py>, x: PyReadonlyArray2<'py, f32>) -> PyResult<Option<Seen<'py>>> {
         let x = points(&x)?;
-        let Some(visits) = self.field.visits() else { return Ok(None) };
+        let Some(ray_coverage) = self.field.ray_coverage() else { return Ok(None) };
         let (names, counts) = without_python(py, || {
             let found = self.field.query_all(&x);
             let observability = x.iter().zip(&found).map(|(&x, found)| self.field.observability(x, found.uncertainty));
             let names: Vec<&str> = observability.map(|seen| seen.map_or("", Observability::name)).collect();
-            let counts: Vec<u32> = x.iter().map(|&x| visits.at(x).unwrap_or(0)).collect();
+            let counts: Vec<u32> = x.iter().map(|&x| ray_coverage.at(x).unwrap_or(0)).collect();
             (names, counts)
         })?;
         Ok(Some((names, PyArray1::from_vec(py, counts))))
@@ -118,7 +118,7 @@ impl Uncertainty {
         kind: Option<&str>,
     ) -> PyResult<Bound<'py, PyArray3<f64>>> {
         let x = points(&x)?;
-        let kind = kind.map(covariance).transpose()?.unwrap_or(self.field.protocol().covariance);
+        let kind = kind.map(covariance).transpose()?.unwrap_or(self.field.record().covariance);
         let found = without_python(py, || self.field.covariances(&x, kind))?.or_raise()?;
         let full = found.iter().flat_map(|[xx, xy, xz, yy, yz, zz]| [xx, xy, xz, xy, yy, yz, xz, yz, zz]).copied();
         PyArray1::from_iter(py, full).reshape([x.len(), 3, 3])
@@ -126,9 +126,9 @@ impl Uncertainty {
 
     /// Counts of rays that reached each cell of a coarse grid, x slowest; `None` if unknown.
     #[getter]
-    fn visits<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray3<u32>>>> {
-        let Some(visits) = self.field.visits() else { return Ok(None) };
-        let counts = visits.counts();
+    fn ray_coverage<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray3<u32>>>> {
+        let Some(ray_coverage) = self.field.ray_coverage() else { return Ok(None) };
+        let counts = ray_coverage.counts();
         let side = (counts.len() as f64).cbrt().round() as usize;
         PyArray1::from_slice(py, counts).reshape([side; 3]).map(Some)
     }
@@ -223,8 +223,8 @@ impl Uncertainty {
     }
 
     /// Everything that the numbers depend on, as JSON.
-    fn protocol(&self) -> PyResult<String> {
-        json(self.field.protocol())
+    fn record(&self) -> PyResult<String> {
+        json(self.field.record())
     }
 
     /// What the run reported that computed it, or else what a field knows of itself, as JSON.

@@ -51,7 +51,7 @@ pub fn merge(
         if error_bars { uncertainty::merge_with_error_bars(&parts) } else { uncertainty::merge(&parts) }
     })?;
     let field = joined.or_raise()?;
-    let missing = MissingShards::beside(field.draws());
+    let missing = MissingShards::beside(field.ray_sets());
     let warning =
         |run: &MissingShards| (format!("the run over {} rays is not complete: {run} missing", run.rays), false);
     let warnings = missing.iter().map(warning).collect();

@@ -50,7 +50,7 @@ pub fn next_view<'py>(
                 (Some(views), _) => (names, views),
                 (None, made) => {
                     let around = Around::like(&training, field.lattice().domain())?;
-                    let (names, views, buried) = made.cameras(&around, &model, field.protocol().march_step);
+                    let (names, views, buried) = made.cameras(&around, &model, field.record().march_step);
                     if buried > 0 {
                         let kind = made.kind();
                         texts.push((format!("{buried} cameras of {kind}= stand in matter and are left out"), true));

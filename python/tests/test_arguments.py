@@ -123,7 +123,7 @@ def test_all_rays_are_one_through_every_training_pixel():
     scene = ob.open_model("scene:courtyard")
     cameras = scene.cameras(resolution=(24, 16))
     u = ob.uncertainty(scene, cameras, level=4, rays="all", occupancy=48, progress=False)
-    assert u.protocol["rays"] == len(cameras) * 24 * 16
+    assert u.record["rays"] == len(cameras) * 24 * 16
     with pytest.raises(ValueError, match="every pixel"):
         ob.uncertainty(scene, cameras, level=4, rays="all", error_bars=4, occupancy=48, progress=False)
     with pytest.raises(ValueError, match="rays: expected"):

@@ -116,8 +116,8 @@ def test_a_networks_own_attributes_are_used(cameras):
 
     net = Net()
     u = ob.uncertainty(ob.torch_field(net), cameras, box=BOX, gradient="analytic", **{**RUN, "march_step": None})
-    assert net.densities > 10 and u.protocol["background"] == [0, 0, 0] and u.protocol["march_step"] == 1 / 64
-    assert u.protocol["gradient"] == "analytic" and "Net" in u.protocol["source"]
+    assert net.densities > 10 and u.record["background"] == [0, 0, 0] and u.record["march_step"] == 1 / 64
+    assert u.record["gradient"] == "analytic" and "Net" in u.record["source"]
 
 
 def test_a_module_without_gradients_says_so(points):

@@ -30,11 +30,11 @@ def test_the_front_is_known_and_the_back_is_not(field):
     assert list(field.seen([[0.75, -0.5, -0.35], [0.3, -0.5, -0.4]])) == ["constrained", "unseen"]
 
 
-def test_visits_are_counts_of_a_coarse_grid(field, points):
-    visits = field.visits
-    assert visits.ndim == 3 and len(set(visits.shape)) == 1 and visits.dtype == np.uint32
-    cells = ((points + 1) / 2 * len(visits)).astype(int).clip(0, len(visits) - 1)
-    assert np.array_equal(field.visits_at(points), visits[tuple(cells.T)])
+def test_ray_coverage_counts_of_a_coarse_grid(field, points):
+    ray_coverage = field.ray_coverage
+    assert ray_coverage.ndim == 3 and len(set(ray_coverage.shape)) == 1 and ray_coverage.dtype == np.uint32
+    cells = ((points + 1) / 2 * len(ray_coverage)).astype(int).clip(0, len(ray_coverage) - 1)
+    assert np.array_equal(field.ray_coverage_at(points), ray_coverage[tuple(cells.T)])
 
 
 def test_matrices_have_the_trace_of_the_squared_uncertainty(field, points):
@@ -64,7 +64,7 @@ def test_files_come_back(field, points, tmp_path):
     field.save(path)
     again = ob.load(path)
     assert np.array_equal(again.query(points), field.query(points))
-    assert again.protocol == field.protocol and again.summary == field.summary
+    assert again.record == field.record and again.summary == field.summary
     assert ob.compare(field, str(path), points=1000)["in_box"]["max"] == 0.0
     with pytest.raises(FileNotFoundError, match="none.oct: cannot open"):
         ob.load(tmp_path / "none.oct")
@@ -79,7 +79,7 @@ def test_the_official_grid_there_and_back(field, points, tmp_path):
     path = tmp_path / "unc.npy"
     ob.export(field, path)
     assert np.load(path).shape == (65**3,)
-    again = ob.load(path, box=field.box, rays=field.protocol["rays"])
+    again = ob.load(path, box=field.box, rays=field.record["rays"])
     inner = points[(abs(points) < 0.9).all(axis=1)]
     own = field.with_covariance("trace").log10(inner)
     # The octree leaves out what moves log10 U by less than its tolerance.
@@ -92,7 +92,7 @@ def test_the_official_grid_of_contracted_space(courtyard, cameras, points, tmp_p
     path, space = tmp_path / "unc.npy", {"contract": ("linf", 0, 0, 0, 1)}
     field = ob.uncertainty(courtyard, cameras, covariance="trace", **space, **SMALL)
     ob.export(field, path)
-    again = ob.load(path, rays=field.protocol["rays"], **space)
+    again = ob.load(path, rays=field.record["rays"], **space)
     spread = np.concatenate([points, 4 * points])
     assert np.ptp(field.log10(spread)) > 1
     assert abs(again.log10(spread) - field.log10(spread)).max() <= 0.01 + 1e-6
@@ -116,7 +116,7 @@ def test_error_bars_and_other_seeds(courtyard, cameras, points):
     assert errors.shape == (1000,) and np.nanmax(errors) > 0
     seeds = [ob.uncertainty(courtyard, cameras, seed=seed, keep_sums=True, **SMALL) for seed in (1, 2, 3)]
     joined = ob.merge(seeds, error_bars=True)
-    assert joined.has_error_bars and joined.protocol["rays"] == 3 * SMALL["rays"]
+    assert joined.has_error_bars and joined.record["rays"] == 3 * SMALL["rays"]
 
 
 def test_samples_accumulate_to_the_run_that_wrote_them(courtyard, cameras, points, tmp_path):

@@ -71,7 +71,7 @@ WORKSHOP = """
                 log10=lambda: u.log10(x[0]),
                 rays=lambda: u.rays(x),
                 seen=lambda: u.seen(x),
-                visits=lambda: u.visits_at(x),
+                ray_coverage=lambda: u.ray_coverage_at(x),
                 matrices=lambda: u.covariance(x),
                 summary=lambda: u.summary,
                 covariance=lambda: u.with_covariance("block").query(x),
@@ -258,7 +258,7 @@ def test_a_child_that_comes_back_into_its_parents_work_ends_at_once(place, ends,
 
         cameras = model.cameras(resolution=(16, 16))
         u = ob.uncertainty(nerf, cameras, box=model.box, level=4, rays=20_000, occupancy=16, progress=tell)
-        print("parent", u.protocol["rays"], "child", ended(children[0]))
+        print("parent", u.record["rays"], "child", ended(children[0]))
     """
     head = textwrap.dedent(WORKSHOP).format(tests=str(Path(__file__).parent), patience=PATIENCE)
     done = subprocess.run(

@@ -187,7 +187,7 @@ def test_the_command_writes_both_files(run, tmp_path):
     assert main([*few, "--rays", "600", "-o", str(tmp_path / "field.oct")]) == 0
     assert main([*few, "--iters", "9", "--output-path", str(tmp_path / "unc.npy")]) == 0
     u = ob.load(tmp_path / "field.oct")
-    assert u.protocol["rays"] == 600 and (u.box is None) == (kind == "contracted")
+    assert u.record["rays"] == 600 and (u.box is None) == (kind == "contracted")
     space = {"contract": field.contract} if field.contract else {"box": field.box}
     grid = ob.load(tmp_path / "unc.npy", rays=9 * 64, **space)
     assert np.load(tmp_path / "unc.npy").shape == (17**3,) and np.load(tmp_path / "unc.npy").max() > 0

@@ -75,7 +75,7 @@ RUNS = {
     ),
     "some cameras, another size": (
         "m-0.safetensors --cameras set/transforms_train.json --views 3 --resolution 20 "
-        "--box=-0.7,-0.7,-0.7,0.7,0.7,0.7 --refine sensitivity,ray-count --min-rays 2 --seed 3 --covariance block "
+        "--box=-0.7,-0.7,-0.7,0.7,0.7,0.7 --refine sensitivity,ray-count --min-rays auto --seed 3 --covariance block "
         "--lambda 0.01 --tolerance 0.1",
         {
             "nerf": "m-0.safetensors",
@@ -84,7 +84,7 @@ RUNS = {
             "resolution": 20,
             "box": CUBE,
             "refine": ["sensitivity", "ray-count"],
-            "min_rays": 2,
+            "min_rays": "auto",
             "seed": 3,
             "covariance": "block",
             "lambda_": 0.01,

@@ -81,4 +81,4 @@ def test_arrays_of_jax_are_arrays(field, points):
 
 def test_rays_until_two_halves_agree(courtyard, cameras):
     u = ob.uncertainty(courtyard, cameras, **{**SMALL, "rays": 131_072, "target_error": 0.5})
-    assert 65_536 <= u.protocol["rays"] <= 131_072
+    assert 65_536 <= u.record["rays"] <= 131_072

@@ -64,7 +64,7 @@ def undisturbed(courtyard, cameras):
 
 
 def test_shards_are_the_whole_run(courtyard, cameras, field, undisturbed, points):
-    assert undisturbed.protocol["rays"] == field.protocol["rays"]
+    assert undisturbed.record["rays"] == field.record["rays"]
     # 16,384 positive terms in another order; U is stored as f32.
     assert abs(undisturbed.log10(points) - field.log10(points)).max() < 1e-6
     assert (undisturbed.rays(points) == field.rays(points)).all()
@@ -137,7 +137,7 @@ def merged_by(order, merged):
 
 def test_fields_pass_between_processes(field, points):
     again = pickle.loads(pickle.dumps(field))
-    assert (again.query(points) == field.query(points)).all() and again.protocol == field.protocol
+    assert (again.query(points) == field.query(points)).all() and again.record == field.record
 
 
 def test_wrong_arguments_get_a_sentence(courtyard, cameras):

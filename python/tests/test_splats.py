@@ -96,7 +96,7 @@ def test_a_run_is_that_of_the_command_line(splats, path, field, tmp_path):
     )
     other = ob.load(out)
     assert (other.query(splats.means) == field.query(splats.means)).all()
-    assert ob.uncertainty(path, file, **RUN).protocol["origin"]["model"] == other.protocol["origin"]["model"]
+    assert ob.uncertainty(path, file, **RUN).record["model_checksum"] == other.record["model_checksum"]
 
 
 def test_pictures_show_splats_and_what_is_left_of_them(splats, field):

@@ -54,7 +54,7 @@ def test_a_model_called_back_from_python_gives_the_same_bits(names, cameras, poi
     python = ob.uncertainty(callable_, cameras, box=model.box, batch=5_000, **run)
     assert (rust.query(points) < 0.1 * rust.prior).sum() > 50
     assert np.array_equal(rust.query(points), python.query(points))
-    assert rust.protocol["gradient"] == python.protocol["gradient"] == gradient
+    assert rust.record["gradient"] == python.record["gradient"] == gradient
 
 
 def test_python_is_entered_from_one_thread_in_large_batches(courtyard, cameras):
@@ -131,14 +131,14 @@ def test_a_callable_brings_what_it_knows(courtyard, cameras):
     f = in_python(courtyard, "box", "step", "pixel_offset")
     f.background, f.cameras = "black", cameras
     u = ob.uncertainty(f, **SMALL)
-    assert u.protocol["background"] == [0, 0, 0] and u.protocol["march_step"] == courtyard.step
-    assert "InPython" in u.protocol["source"]
-    assert ob.uncertainty(f, background="white", **SMALL).protocol["background"] == [1, 1, 1]
+    assert u.record["background"] == [0, 0, 0] and u.record["march_step"] == courtyard.step
+    assert "InPython" in u.record["source"]
+    assert ob.uncertainty(f, background="white", **SMALL).record["background"] == [1, 1, 1]
 
 
 def test_a_model_file_is_named_by_its_content(courtyard, cameras):
     u = ob.uncertainty("scene:courtyard", cameras, **SMALL)
-    assert u.protocol["origin"]["model"] is not None and "scene:courtyard seen by 40 cameras" in u.protocol["source"]
+    assert u.record["model_checksum"] is not None and "scene:courtyard seen by 40 cameras" in u.record["source"]
 
 
 def test_what_is_not_finite_is_dropped_and_told(courtyard, cameras):

@@ -61,12 +61,12 @@ impl Args {
         let result = crate::uncertainty::compare(opened[0].space(), opened[1].space(), self.points, 0)?;
         if self.json {
             let mut value = json!(result);
-            value["protocols"] = json!([crate::estimate::facts(a), crate::estimate::facts(b)]);
+            value["records"] = json!([crate::estimate::facts(a), crate::estimate::facts(b)]);
             value["files"] = json!([&self.a, &self.b].map(|path| path.to_string_lossy()));
             say!("{value}")?;
         } else {
             for (name, (path, field)) in ["A", "B"].iter().zip([(&self.a, a), (&self.b, b)]) {
-                say!("{name} {}\n{}", path.display(), report::protocol(field))?;
+                say!("{name} {}\n{}", path.display(), report::record(field))?;
             }
             for (name, summary) in ["A", "B"].iter().zip(&result.fields) {
                 say!("{name}: {}", report::summary(summary))?;

@@ -177,14 +177,14 @@ impl Args {
             (Kind::Official, _) => {
                 let field = field.whole()?;
                 field.write_official(&self.output)?;
-                let (rays, lambda) = (field.protocol().rays, field.protocol().lambda);
+                let (rays, lambda) = (field.record().rays, field.record().lambda);
                 return say!(
                     "{}: Σ tr(JᵀJ) of {rays} rays; uncertainty there is log10 of sqrt(1 / (Σ/{rays} + {lambda:e}))",
                     self.output.display()
                 );
             }
             (Kind::Leaves, _) => {
-                let matrices = facts.sums().map(|_| facts.matrices(facts.protocol().covariance)).transpose()?;
+                let matrices = facts.sums().map(|_| facts.matrices(facts.record().covariance)).transpose()?;
                 write_leaves(&self.output, field.space(), matrices.as_ref())?;
             }
             (Kind::HyperTree, _) => {
@@ -288,7 +288,7 @@ impl Args {
         }
         announce!("note: {} points", found.positions.len());
         let facts = field.facts();
-        let matrices = self.ellipsoids.then(|| facts.matrices(facts.protocol().covariance)).transpose()?;
+        let matrices = self.ellipsoids.then(|| facts.matrices(facts.record().covariance)).transpose()?;
         write_points(&self.output, &found, field.space(), matrices.as_ref())
     }
 

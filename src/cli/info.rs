@@ -59,9 +59,9 @@ fn bars(counts: &[u64]) -> String {
 fn answers(field: &UncertaintyField) -> Vec<(&'static str, std::result::Result<String, &'static str>)> {
     let known = |is_known: bool, yes: &str, no| if is_known { Ok(yes.to_string()) } else { Err(no) };
     let mut answers = vec![
-        ("U at points", Ok(format!("by `{}`", field.protocol().covariance.name()))),
+        ("U at points", Ok(format!("by `{}`", field.record().covariance.name()))),
         ("ray counts", known(!field.rays().is_empty(), "at every vertex", "the file does not say")),
-        ("its model", known(field.protocol().origin.model.is_some(), "known by its checksum", "not known")),
+        ("its model", known(field.record().model_checksum.is_some(), "known by its checksum", "not known")),
     ];
     answers.extend(field.layers());
     answers
@@ -94,7 +94,7 @@ impl Args {
             say!("{value}")?;
             return Ok(());
         }
-        say!("{}\n{}", path.display(), report::protocol(&field))?;
+        say!("{}\n{}", path.display(), report::record(&field))?;
         say!("{}", report::errors(&ErrorBudget::of_field(&field)))?;
         say!("field\n  {}{}", report::summary(&field.summary()), report::surfaces(&field)?)?;
         say!("  {}", histogram(&field))?;

@@ -11,7 +11,7 @@ use crate::rays::MissingShards;
 use crate::uncertainty::{TiledField, UncertaintyField, finish_tiles, merge, merge_with_error_bars};
 use crate::{Error, Result};
 
-/// Join fields of the same box, level and protocol that were computed from different rays
+/// Join fields of the same box, level and record that were computed from different rays
 ///
 /// The result is what one run over all the rays gives, up to the order of summation and the fields' tolerance. So
 /// any scheduler can split a job over machines. Shards keep what this needs; whole runs do with `--keep-sums`. If
@@ -75,7 +75,7 @@ impl Args {
             );
         }
         let field = if self.keep_sums { field } else { field.for_queries() };
-        let missing = MissingShards::beside(field.draws());
+        let missing = MissingShards::beside(field.ray_sets());
         field.write(&self.output)?;
         for run in &missing {
             announce!("warning: the run over {} rays is not complete: {run} missing", run.rays);
@@ -86,7 +86,7 @@ impl Args {
             value["missing_shards"] = json!(missing);
             return say!("{value}");
         }
-        say!("protocol\n{}\nfield\n  {}", report::protocol(&field), report::summary(&field.summary()))
+        say!("record\n{}\nfield\n  {}", report::record(&field), report::summary(&field.summary()))
     }
 
     /// Leaves the tiles apart.

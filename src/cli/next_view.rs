@@ -199,7 +199,7 @@ impl Args {
             (None, None, count) => Made::Orbit { count: count.unwrap_or(1) },
         };
         let around = Around::like(training, field.lattice().domain())?;
-        let (names, cameras, buried) = made.cameras(&around, &opened.model.subject(), field.protocol().march_step);
+        let (names, cameras, buried) = made.cameras(&around, &opened.model.subject(), field.record().march_step);
         if buried > 0 {
             announce!("note: {buried} cameras of --{} stand in matter and are left out", made.kind());
         }

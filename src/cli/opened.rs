@@ -41,7 +41,7 @@ impl OpenedField {
         }
     }
 
-    /// What does not depend on the place, such as the protocol and the box: the field, or one of its tiles.
+    /// What does not depend on the place, such as the record and the box: the field, or one of its tiles.
     pub fn facts(&self) -> &UncertaintyField {
         self.space().facts()
     }

@@ -1,9 +1,9 @@
-//! What runs print: protocol and results, human-readable or as JSON.
+//! What runs print: record and results, human-readable or as JSON.
 
 use crate::Result;
 use crate::error::printable;
 use crate::estimate::{ErrorBudget, MarchShift, Plan, RayError, SamplingError};
-use crate::posterior::{DataScale, Scale};
+use crate::posterior::{DataScale, Pooling, Scale};
 use crate::rays::Pixels;
 use crate::render::GradientMethod;
 pub use crate::session::memory::bytes;
@@ -11,9 +11,9 @@ use crate::session::memory::peak;
 use crate::session::{Finished, PERCENTS};
 use crate::uncertainty::{Answers, Comparison, Difference, Summary, UncertaintyField};
 
-/// The protocol of a field as text, one setting per line.
-pub fn protocol(field: &UncertaintyField) -> String {
-    let p = field.protocol();
+/// The record of a field as text, one setting per line.
+pub fn record(field: &UncertaintyField) -> String {
+    let p = field.record();
     let lattice = field.lattice();
     let known = |v: Option<String>| v.unwrap_or_else(|| "not stated".into());
     let mut out = String::new();
@@ -43,7 +43,7 @@ pub fn protocol(field: &UncertaintyField) -> String {
             .into()
         })),
     );
-    let sequences = match field.draws().len() {
+    let sequences = match field.ray_sets().len() {
         0 | 1 => String::new(),
         several => format!(", {several} sequences of pixels"),
     };
@@ -60,7 +60,14 @@ pub fn protocol(field: &UncertaintyField) -> String {
         },
     );
     line("covariance", p.covariance.name().into());
-    line("pooling", if p.min_rays > 0.0 { format!("below about {} rays", p.min_rays) } else { "none".into() });
+    line(
+        "pooling",
+        match p.pooling {
+            Pooling::Off => "none".into(),
+            Pooling::Below(rays) => format!("below about {rays} rays"),
+            Pooling::Auto => "by the rays around a vertex".into(),
+        },
+    );
     let limits = if field.limits().is_unlimited() { "" } else { ", limited" };
     line("refinement", format!("{}, tolerance {} in log10 U{limits}", p.criteria, p.tolerance));
     line("march step", known(p.march_step.map(|s| format!("{s:.6} scene units"))));
@@ -99,8 +106,8 @@ pub fn surfaces(field: &dyn Answers) -> Result<String> {
         return Ok(String::new());
     };
     let listed: Vec<String> = PERCENTS.iter().zip(log10).map(|(p, log10)| format!("{log10:.2} ({p}%)")).collect();
-    let quantity = field.protocol().scale.quantity();
-    let prior = field.protocol().reading().prior().log10();
+    let quantity = field.record().scale.quantity();
+    let prior = field.record().reading().prior().log10();
     Ok(format!("\n  {quantity} on visible surfaces: {}; prior {prior:.2}", listed.join(", ")))
 }
 
@@ -222,7 +229,7 @@ pub fn finished(finished: &Finished, as_json: bool) -> Result<()> {
         return say!("{}", finished.report());
     }
     let Finished { field, errors: budget, sums_bytes, elapsed, .. } = finished;
-    say!("protocol\n{}\n  threads      {}", protocol(field), rayon::current_num_threads())?;
+    say!("record\n{}\n  threads      {}", record(field), rayon::current_num_threads())?;
     say!("field\n  {}{}", summary(&field.summary()), surfaces(field)?)?;
     let peak = peak().map_or(String::new(), |peak| format!(", {} the peak of the process", bytes(peak as usize)));
     say!("  {} while summing{peak}, {:.1} s", bytes(*sums_bytes), elapsed.as_secs_f64())?;

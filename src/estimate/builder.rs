@@ -9,15 +9,15 @@ use super::{GridKind, GridSettings, Plan, Summed};
 use crate::geometry::{Domain, Lattice};
 use crate::io::mix;
 use crate::octree::{Cell, MaxLevels, Octree, morton};
-use crate::posterior::{DensePosterior, OctreePosterior, Posterior, Refinement, VertexSums, Visits};
-use crate::rays::{Draw, RayStream, RunProgress, SURFACE_WEIGHT, Shard, VolumeRays};
+use crate::posterior::{DensePosterior, OctreePosterior, Posterior, RayCoverage, Refinement, VertexSums};
+use crate::rays::{RaySet, RayStream, RunProgress, SURFACE_WEIGHT, Shard, VolumeRays};
 use crate::render::RaySamples;
-use crate::uncertainty::{Origin, Protocol, Support, UncertaintyField};
+use crate::uncertainty::{RunRecord, Support, UncertaintyField};
 use crate::{Error, Result};
 
-/// The source of a field's numbers: the part of its protocol that the grid does not know.
+/// The source of a field's numbers: the part of its record that the grid does not know.
 #[derive(Clone, Default)]
-pub struct Provenance<'a> {
+pub struct FieldSource<'a> {
     /// Model and cameras, or the samples file.
     pub source: String,
     /// Counts of rays drawn and dropped.
@@ -52,18 +52,18 @@ fn every_cell(lattice: &Lattice) -> Result<Vec<Cell>> {
 /// Sums from which a field can be computed.
 pub(super) trait Finish: Posterior {
     /// The field at these vertices of the sums.
-    fn field(self, protocol: Protocol, lattice: Lattice, at: Self::Vertices, keep_sums: bool) -> UncertaintyField;
+    fn field(self, record: RunRecord, lattice: Lattice, at: Self::Vertices, keep_sums: bool) -> UncertaintyField;
 }
 
 impl Finish for DensePosterior {
-    fn field(self, protocol: Protocol, lattice: Lattice, (): (), _keep_sums: bool) -> UncertaintyField {
-        UncertaintyField::new(protocol, lattice, Support::Dense, self.into_sums())
+    fn field(self, record: RunRecord, lattice: Lattice, (): (), _keep_sums: bool) -> UncertaintyField {
+        UncertaintyField::new(record, lattice, Support::Dense, self.into_sums())
     }
 }
 
 impl Finish for OctreePosterior {
-    fn field(self, protocol: Protocol, lattice: Lattice, at: Octree, keep_sums: bool) -> UncertaintyField {
-        UncertaintyField::on_octree(protocol, lattice, self, at, keep_sums)
+    fn field(self, record: RunRecord, lattice: Lattice, at: Octree, keep_sums: bool) -> UncertaintyField {
+        UncertaintyField::on_octree(record, lattice, self, at, keep_sums)
     }
 }
 
@@ -81,7 +81,7 @@ pub(super) struct Builder<P> {
     /// Rays whose mixed index is above this keep no surface points.
     surface_rays: u64,
     /// Rays seen passing; `None` if it is not known where they passed.
-    visits: Option<Visits>,
+    ray_coverage: Option<RayCoverage>,
 }
 
 impl<P: Finish> Builder<P> {
@@ -95,8 +95,8 @@ impl<P: Finish> Builder<P> {
         let posterior = P::empty(lattice, &limits, settings.tile);
         let wanted = if settings.criteria.uniform { every_cell(&lattice)? } else { Vec::new() };
         let rays_per_vertex = plan.map_or(0.0, |plan| plan.rays_per_vertex);
-        let (surface, surface_rays, visits) = (Vec::new(), u64::MAX, None);
-        Ok(Self { settings, lattice, limits, rays_per_vertex, wanted, posterior, surface, surface_rays, visits })
+        let (surface, surface_rays, ray_coverage) = (Vec::new(), u64::MAX, None);
+        Ok(Self { settings, lattice, limits, rays_per_vertex, wanted, posterior, surface, surface_rays, ray_coverage })
     }
 
     /// Takes surface points from all of a run of `rays` rays: those of splats come camera by camera, so that the first
@@ -110,7 +110,7 @@ impl<P: Finish> Builder<P> {
         (self.limits, self.rays_per_vertex) = (plan.limits.clone(), plan.rays_per_vertex);
         self.posterior = P::empty(self.lattice, &self.limits, self.settings.tile);
         self.surface.clear();
-        self.visits = None;
+        self.ray_coverage = None;
     }
 
     /// Adds refinement where there is density, if the settings ask for it.
@@ -160,7 +160,7 @@ impl<P: Finish> Builder<P> {
     pub fn add(&mut self, batches: &[RaySamples]) {
         self.posterior.add(batches);
         if batches.iter().any(|batch| !batch.sight.is_empty()) {
-            self.visits.get_or_insert_with(|| Visits::new(&self.lattice)).add(batches);
+            self.ray_coverage.get_or_insert_with(|| RayCoverage::new(&self.lattice)).add(batches);
         }
         // In a random sequence the first points are as good as any.
         let most = self.surface_rays;
@@ -216,7 +216,7 @@ impl<P: Finish> Builder<P> {
     /// # Errors
     /// If the file cannot be written.
     pub fn save(&self, path: &Path, key: &RunKey, progress: RunProgress) -> Result<()> {
-        checkpoint::save(path, key, progress, &self.posterior, &self.surface, self.visits.as_ref())
+        checkpoint::save(path, key, progress, &self.posterior, &self.surface, self.ray_coverage.as_ref())
     }
 
     /// Restores the state of the run `key` and returns its progress, from which the run continues.
@@ -224,9 +224,9 @@ impl<P: Finish> Builder<P> {
     /// # Errors
     /// If the file is not the complete state of a run with the same description.
     pub fn restore(&mut self, path: &Path, key: &RunKey) -> Result<RunProgress> {
-        let State { posterior, progress, surface, visits } =
+        let State { posterior, progress, surface, ray_coverage } =
             checkpoint::load(path, key, &self.limits, self.settings.tile)?;
-        (self.posterior, self.surface, self.visits) = (posterior, surface, visits);
+        (self.posterior, self.surface, self.ray_coverage) = (posterior, surface, ray_coverage);
         Ok(progress)
     }
 
@@ -255,29 +255,30 @@ impl<P: Finish> Builder<P> {
     fn emptied(&self) -> Self {
         let posterior = P::empty(self.lattice, &self.limits, self.settings.tile);
         let (limits, wanted) = (self.limits.clone(), self.wanted.clone());
-        Self { limits, wanted, posterior, surface: Vec::new(), visits: None, ..*self }
+        Self { limits, wanted, posterior, surface: Vec::new(), ray_coverage: None, ..*self }
     }
 
     /// How the rays so far were drawn and summed.
-    fn protocol(&self, provenance: &Provenance) -> Protocol {
-        let (settings, stream) = (&self.settings, provenance.stream);
+    fn record(&self, source: &FieldSource) -> RunRecord {
+        let (settings, stream) = (&self.settings, source.stream);
         let volume = stream.and_then(|stream| stream.source.volume());
-        Protocol {
+        RunRecord {
             version: env!("CARGO_PKG_VERSION").into(),
-            source: provenance.source.clone(),
-            origin: Origin { model: None, cameras: stream.map(RayStream::cameras_checksum) },
-            rays: provenance.progress.rays,
-            dropped: provenance.progress.dropped,
+            source: source.source.clone(),
+            model_checksum: None,
+            cameras_checksum: stream.map(RayStream::cameras_checksum),
+            rays: source.progress.rays,
+            dropped: source.progress.dropped,
             pixels: stream.map(|s| s.pixels.kind()),
             seed: stream.map(|s| s.pixels.seed()),
-            shard: provenance.shard,
+            shard: source.shard,
             lambda: settings.prior_precision(&self.lattice),
             scale: settings.scale,
-            min_rays: settings.min_rays,
+            pooling: settings.pooling,
             criteria: settings.criteria,
             covariance: settings.covariance,
             // A dense grid leaves nothing out, but pooling needs to know which vertices moved.
-            tolerance: if settings.grid == GridKind::Dense && settings.min_rays == 0.0 {
+            tolerance: if settings.grid == GridKind::Dense && !settings.pooling.is_on() {
                 0.0
             } else {
                 settings.tolerance
@@ -292,10 +293,10 @@ impl<P: Finish> Builder<P> {
     }
 
     /// The vertices of the field that the rays so far would give, and how many they are.
-    pub fn vertices(&mut self, provenance: &Provenance) -> (P::Vertices, usize) {
-        let reading = self.protocol(provenance).reading();
+    pub fn vertices(&mut self, source: &FieldSource) -> (P::Vertices, usize) {
+        let reading = self.record(source).reading();
         // Of a part of a run, no vertex is negligible: the others may add to it.
-        let is_part = provenance.shard.is_some_and(|shard| shard.of > 1) || self.settings.tile.is_some();
+        let is_part = source.shard.is_some_and(|shard| shard.of > 1) || self.settings.tile.is_some();
         let floor = if is_part { Refinement::EVERYTHING } else { reading.floor() };
         // There may be gigabytes of wanted cells.
         let wanted = std::mem::take(&mut self.wanted);
@@ -307,20 +308,20 @@ impl<P: Finish> Builder<P> {
     }
 
     /// Computes the field from the rays so far.
-    pub fn finish(mut self, provenance: &Provenance) -> UncertaintyField {
-        let (vertices, _) = self.vertices(provenance);
-        self.finish_at(vertices, provenance)
+    pub fn finish(mut self, source: &FieldSource) -> UncertaintyField {
+        let (vertices, _) = self.vertices(source);
+        self.finish_at(vertices, source)
     }
 
     /// [`Builder::finish`] at the [vertices](Builder::vertices) that were found for it.
-    pub fn finish_at(self, vertices: P::Vertices, provenance: &Provenance) -> UncertaintyField {
-        let protocol = self.protocol(provenance);
-        let Self { settings, lattice, posterior, surface, visits, wanted, .. } = self;
+    pub fn finish_at(self, vertices: P::Vertices, source: &FieldSource) -> UncertaintyField {
+        let record = self.record(source);
+        let Self { settings, lattice, posterior, surface, ray_coverage, wanted, .. } = self;
         drop(wanted);
-        let field = posterior.field(protocol, lattice, vertices, settings.keep_sums);
+        let field = posterior.field(record, lattice, vertices, settings.keep_sums);
         let field = if settings.keep_sums { field } else { field.for_queries() };
-        let visits = visits.map(|visits| visits.within(settings.tile, lattice.level()));
-        field.with_surface(surface).with_visits(visits)
+        let ray_coverage = ray_coverage.map(|ray_coverage| ray_coverage.within(settings.tile, lattice.level()));
+        field.with_surface(surface).with_ray_coverage(ray_coverage)
     }
 
     /// Computes the field of all groups of rays, whose disagreement gives error bars.
@@ -332,19 +333,19 @@ impl<P: Finish> Builder<P> {
     /// As [`Builder::want_density`].
     pub fn finish_groups(
         groups: Vec<Self>,
-        draws: Vec<Draw>,
+        ray_sets: Vec<RaySet>,
         progress: &[RunProgress],
-        provenance: &Provenance,
+        source: &FieldSource,
     ) -> Result<UncertaintyField> {
         let mut whole = groups[0].emptied();
         groups.iter().for_each(|group| whole += group);
-        if let Some(stream) = provenance.stream {
+        if let Some(stream) = source.stream {
             whole.want_density(stream)?;
         }
-        let (vertices, _) = whole.vertices(provenance);
+        let (vertices, _) = whole.vertices(source);
         let sums: Vec<_> = groups.into_iter().map(|group| group.posterior.gathered(&vertices)).collect();
         let rays: Vec<u64> = progress.iter().map(|p| p.rays).collect();
-        Ok(whole.finish_at(vertices, provenance).with_error_bars(&sums, &rays).with_draws(draws))
+        Ok(whole.finish_at(vertices, source).with_error_bars(&sums, &rays).with_ray_sets(ray_sets))
     }
 }
 
@@ -353,7 +354,7 @@ impl<P: Finish> AddAssign<&Self> for Builder<P> {
     fn add_assign(&mut self, other: &Self) {
         self.posterior += &other.posterior;
         self.keep_surface(other.surface.iter().copied());
-        match (&mut self.visits, &other.visits) {
+        match (&mut self.ray_coverage, &other.ray_coverage) {
             (Some(mine), Some(theirs)) => *mine += theirs,
             (mine @ None, theirs) => mine.clone_from(theirs),
             (Some(_), None) => {}
@@ -440,7 +441,7 @@ impl FieldBuilder {
 
     /// Computes the field from the rays so far.
     #[must_use]
-    pub fn finish(self, provenance: &Provenance) -> UncertaintyField {
-        either!(self.0, builder => builder.finish(provenance))
+    pub fn finish(self, source: &FieldSource) -> UncertaintyField {
+        either!(self.0, builder => builder.finish(source))
     }
 }

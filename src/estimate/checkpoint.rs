@@ -3,7 +3,7 @@
 //!
 //! A container file with the sections `run` (the run and its progress, in bincode: only this program reads it), `keys`
 //! (u64, of vertices; empty for a dense grid), `sums` ([`VertexSums`], one per key, or per lattice point of a dense
-//! grid), `surface` and `visits`. Sums are kept bit for bit, and the run continues after the last counted ray. A
+//! grid), `surface` and `ray_coverage`. Sums are kept bit for bit, and the run continues after the last counted ray. A
 //! resumed run therefore ends with the bits of an uninterrupted one. A run accepts only a state with its own
 //! description.
 
@@ -17,7 +17,7 @@ use super::builder::{Builder, Finish};
 use crate::geometry::Lattice;
 use crate::io::container::{self, Format, Reader, Section};
 use crate::octree::{MaxLevels, Tile};
-use crate::posterior::{Posterior, VertexSums, Visits};
+use crate::posterior::{Posterior, RayCoverage, VertexSums};
 use crate::rays::{Pixels, RunProgress, Shard};
 use crate::render::GradientMethod;
 use crate::{Error, Result};
@@ -232,7 +232,7 @@ pub(super) struct State<P> {
     /// Points on visible surfaces so far, scene units.
     pub surface: Vec<[f32; 3]>,
     /// Rays seen passing so far, if known.
-    pub visits: Option<Visits>,
+    pub ray_coverage: Option<RayCoverage>,
 }
 
 /// The sums as one section.
@@ -254,14 +254,19 @@ pub(super) fn save<P: Posterior>(
     progress: RunProgress,
     posterior: &P,
     surface: &[[f32; 3]],
-    visits: Option<&Visits>,
+    ray_coverage: Option<&RayCoverage>,
 ) -> Result<()> {
     let head = Head { key: key.clone(), progress, dense: P::IS_DENSE };
     let head = bincode::serde::encode_to_vec(head, bincode::config::standard())
         .map_err(|e| Error::malformed(path, "section `run`", "an encodable description", e.to_string()))?;
-    let (keys, visits) = (posterior.keys(), visits.map_or(&[][..], Visits::counts));
-    let sections: [(&str, &dyn Section); 5] =
-        [("run", &head), ("keys", &keys), ("sums", &Sums(posterior)), ("surface", &surface), ("visits", &visits)];
+    let (keys, ray_coverage) = (posterior.keys(), ray_coverage.map_or(&[][..], RayCoverage::counts));
+    let sections: [(&str, &dyn Section); 5] = [
+        ("run", &head),
+        ("keys", &keys),
+        ("sums", &Sums(posterior)),
+        ("surface", &surface),
+        ("ray_coverage", &ray_coverage),
+    ];
     container::write(path, FORMAT, &(), &sections)
 }
 
@@ -319,17 +324,17 @@ pub(super) fn load<P: Posterior>(
         let expected = format!("at most {SURFACE_POINTS} points with finite coordinates");
         return Err(Error::malformed(path, "section `surface`", expected, found));
     }
-    let visits = match file.section::<u32>("visits")? {
+    let ray_coverage = match file.section::<u32>("ray_coverage")? {
         counts if counts.is_empty() => None,
         counts => {
             let found = counts.len();
-            Some(Visits::from_counts(&key.lattice, counts).ok_or_else(|| {
+            Some(RayCoverage::from_counts(&key.lattice, counts).ok_or_else(|| {
                 let expected = "a count for every cell of the coarse grid";
-                Error::malformed(path, "section `visits`", expected, found.to_string())
+                Error::malformed(path, "section `ray_coverage`", expected, found.to_string())
             })?)
         }
     };
-    Ok(State { posterior, progress: head.progress, surface, visits })
+    Ok(State { posterior, progress: head.progress, surface, ray_coverage })
 }
 
 /// Name and values of the first setting that differs.

@@ -39,10 +39,10 @@ impl ErrorBudget {
     #[must_use]
     pub fn of_field(field: &UncertaintyField) -> Self {
         let coarse_leaves = match field.support() {
-            Support::Octree(_) => field.protocol().tolerance,
+            Support::Octree(_) => field.record().tolerance,
             Support::Dense => 0.0,
         };
-        let every = field.protocol().pixels == Some(Pixels::Every) && !field.is_part();
+        let every = field.record().pixels == Some(Pixels::Every) && !field.is_part();
         let rays = field.error_summary().map(RayError::Groups).or(every.then_some(RayError::EveryPixel));
         Self { coarse_leaves, is_limited: !field.limits().is_unlimited(), rays, audit: None, step: None }
     }

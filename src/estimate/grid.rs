@@ -4,7 +4,7 @@ use derive_setters::Setters;
 
 use crate::geometry::{Domain, Lattice};
 use crate::octree::Tile;
-use crate::posterior::{Covariance, Criteria, DensePosterior, Scale};
+use crate::posterior::{Covariance, Criteria, DensePosterior, Pooling, Scale};
 use crate::{Error, Result};
 
 /// The structure that carries the field.
@@ -38,9 +38,8 @@ pub struct GridSettings {
     /// Largest change of log10 U due to coarse leaves. Smaller values keep more vertices; 0 keeps all that any
     /// ray moved.
     pub tolerance: f64,
-    /// Approximate ray count below which a vertex borrows from its neighbours. 0 pools nothing, as on the
-    /// dense grid of the paper.
-    pub min_rays: f64,
+    /// How a vertex near few rays borrows from its neighbours; off by default, as on the dense grid of the paper.
+    pub pooling: Pooling,
     /// Criteria for refining the octree.
     pub criteria: Criteria,
     /// With [`Criterion::RayCount`](crate::posterior::Criterion::RayCount), approximate number of rays per vertex below
@@ -68,7 +67,7 @@ impl Default for GridSettings {
             lambda: None,
             scale: Scale::Paper,
             tolerance: 0.01,
-            min_rays: 0.0,
+            pooling: Pooling::Off,
             criteria: Criteria::default(),
             ray_count: 4.0,
             memory: None,
@@ -122,6 +121,10 @@ impl GridSettings {
             let expected = format!("none: the scale of the training pixels has {:e}", data.lambda());
             return Err(Error::setting("lambda", expected, format!("{lambda:e}")));
         }
+        if self.memory.is_some() && self.pooling == Pooling::Auto {
+            let found = "`auto`, whose memory no plan predicts";
+            return Err(Error::setting("memory budget", "pooling that is off or by a number of rays", found));
+        }
         self.check_tile(&lattice)?;
         let lambda = self.prior_precision(&lattice);
         let prior = self.covariance.prior(lambda);
@@ -146,7 +149,7 @@ impl GridSettings {
         let others = [
             (self.grid == GridKind::Dense, "a dense grid"),
             (self.memory.is_some(), "a memory budget, which each tile would meet with other leaves"),
-            (self.min_rays > 0.0, "pooling, which needs the sums of neighbours"),
+            (self.pooling.is_on(), "pooling, which needs the sums of neighbours"),
             (self.criteria.density, "criterion `density`, which refines where no ray passed"),
             (self.criteria.uniform, "criterion `uniform`"),
         ];

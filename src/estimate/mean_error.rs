@@ -13,7 +13,7 @@ use crate::Result;
 use crate::geometry::Domain;
 use crate::metrics::quantile;
 use crate::monitor::Monitor;
-use crate::rays::{Draw, Purpose, RayStream, RunProgress, Shard};
+use crate::rays::{Purpose, RaySet, RayStream, RunProgress, Shard};
 use crate::uncertainty::MOVED;
 
 /// Number of rays before the first measurement.
@@ -92,9 +92,9 @@ pub(super) fn draw<P: Finish>(
 }
 
 /// The draws of the two halves of `stream`'s rays.
-pub(super) fn draws<P>(stream: &RayStream, halves: &[Half<P>; 2]) -> Vec<Draw> {
+pub(super) fn ray_sets<P>(stream: &RayStream, halves: &[Half<P>; 2]) -> Vec<RaySet> {
     let [first, second] = halves.each_ref().map(|half| Shard::whole(half.1.rays));
-    vec![stream.draw(first), stream.for_purpose(Purpose::SecondHalf).draw(second)]
+    vec![stream.ray_set(first), stream.for_purpose(Purpose::SecondHalf).ray_set(second)]
 }
 
 impl<P: Finish> Builder<P> {

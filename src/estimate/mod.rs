@@ -24,7 +24,7 @@ mod sight;
 mod step;
 
 pub use audit::{Audit, MarchShift};
-pub use builder::{FieldBuilder, Provenance, SURFACE_POINTS};
+pub use builder::{FieldBuilder, FieldSource, SURFACE_POINTS};
 pub use checkpoint::{Checkpoint, RunKey};
 pub use error_budget::{ErrorBudget, RayError};
 pub use estimation::{Estimation, Goal, Subject};

@@ -31,8 +31,8 @@ const STRUCTURE: [f64; 2] = [1.0, 0.2];
 const BUILDING: f64 = 4.0;
 /// Bytes of a part's sums in the file.
 const EXACT: f64 = (6 * size_of::<f64>() + size_of::<u32>()) as f64;
-/// Bytes that every process needs beyond what the pilot shows, such as for visits. Small scenes were found to need up
-/// to 12 MB, in sums that grow and in what the allocator keeps.
+/// Bytes that every process needs beyond what the pilot shows, such as for ray coverage. Small scenes were found to
+/// need up to 12 MB, in sums that grow and in what the allocator keeps.
 const RESERVE: f64 = 12e6;
 /// What the process holds is rounded up to multiples of this, so that runs on equal machines usually make the same plan
 /// although no two processes are of exactly the same size.
@@ -259,7 +259,7 @@ impl Planner {
         };
         let [structure, stored] = if self.settings.grid == GridKind::Dense { [0.0; 2] } else { STRUCTURE };
         let building = if self.settings.grid == GridKind::Dense { 0.0 } else { BUILDING };
-        let keeps_sums = self.settings.keep_sums || self.is_part || self.settings.min_rays > 0.0;
+        let keeps_sums = self.settings.keep_sums || self.is_part || self.settings.pooling.is_on();
         let gathered = if keeps_sums && self.settings.grid == GridKind::Octree { size_of::<VertexSums>() } else { 0 };
         let in_file = match (self.is_part, self.settings.keep_sums) {
             (true, _) => EXACT,

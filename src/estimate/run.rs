@@ -13,12 +13,12 @@ use super::estimation::{Estimation, Goal};
 use super::limits::{COMPARED_AT, Limits};
 use super::mean_error;
 use super::{
-    Audit, CoverageCheck, ErrorBudget, FieldBuilder, GridKind, GridSettings, Plan, Planner, PositionCheck, Provenance,
+    Audit, CoverageCheck, ErrorBudget, FieldBuilder, FieldSource, GridKind, GridSettings, Plan, Planner, PositionCheck,
     RayError, StepCheck, Summed,
 };
 use crate::geometry::{Aabb, Lattice, kept_pixels};
 use crate::octree::Leaves;
-use crate::posterior::{DensePosterior, OctreePosterior, Visits};
+use crate::posterior::{DensePosterior, OctreePosterior, RayCoverage};
 use crate::rays::{End, Pixels, Purpose, RayStream, RunProgress, Shard};
 use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
@@ -136,8 +136,8 @@ impl<'a> Run<'a> {
         };
         // One cell more than that, for what f32 positions are rounded.
         let beyond = f64::from(2 * leaf + 1);
-        // Visits are counted in coarse cells, those that begin in the tile.
-        let visited = f64::from(1_u32 << self.lattice.level().saturating_sub(Visits::LEVEL));
+        // RayCoverage are counted in coarse cells, those that begin in the tile.
+        let visited = f64::from(1_u32 << self.lattice.level().saturating_sub(RayCoverage::LEVEL));
         let (low, high) = self.settings.grid.tile?.extent(self.lattice.level());
         let [low, high] = [low, high].map(|corner| DVec3::from(corner.map(f64::from)));
         let scene = |u: DVec3| bounds.min() + u * self.lattice.edge();
@@ -261,10 +261,10 @@ impl<'a> Run<'a> {
         let part = Part { stream: &self.stream, shard, file: files[0].as_deref() };
         let Drawn { progress, summing, vertices } = draw(&mut self.settings, &mut self.limits, &part, &mut builder)?;
         let (sums_bytes, start) = (builder.memory(), Instant::now());
-        let provenance = self.provenance(progress, Some(shard));
+        let source = self.source(progress, Some(shard));
         let field = match vertices {
-            Some(vertices) => builder.finish_at(vertices, &provenance),
-            None => builder.finish(&provenance),
+            Some(vertices) => builder.finish_at(vertices, &source),
+            None => builder.finish(&source),
         };
         Ok(self.outcome(field, progress, sums_bytes, summing + start.elapsed()))
     }
@@ -280,7 +280,7 @@ impl<'a> Run<'a> {
             let expected = format!("2 to {rays}, the number of rays");
             return Err(Error::setting("groups of rays", expected, groups.to_string()));
         }
-        let (mut builders, mut draws) = (Vec::new(), Vec::new());
+        let (mut builders, mut ray_sets) = (Vec::new(), Vec::new());
         let (mut progress, mut summing) = (Vec::new(), Duration::ZERO);
         for (group, file) in (0..count).zip(self.files()) {
             let mut builder = self.builder::<P>()?;
@@ -290,13 +290,13 @@ impl<'a> Run<'a> {
             let drawn = draw(&mut self.settings, &mut self.limits, &part, &mut builder)?;
             progress.push(drawn.progress);
             summing += drawn.summing;
-            draws.push(stream.draw(shard));
+            ray_sets.push(stream.ray_set(shard));
             builders.push(builder);
         }
         let sums_bytes = builders.iter().map(Builder::memory).sum();
         let whole = progress.iter().copied().sum();
         let start = Instant::now();
-        let field = Builder::finish_groups(builders, draws, &progress, &self.provenance(whole, None))?;
+        let field = Builder::finish_groups(builders, ray_sets, &progress, &self.source(whole, None))?;
         Ok(self.outcome(field, whole, sums_bytes, summing + start.elapsed()))
     }
 
@@ -306,12 +306,12 @@ impl<'a> Run<'a> {
         let (halves, error) = mean_error::draw::<P>(&self.stream, *grid, *domain, decades, rays.rays, *monitor)?;
         let progress = halves.iter().map(|half| half.1).sum();
         let sums_bytes = halves.iter().map(|half| half.0.memory()).sum();
-        let draws = mean_error::draws(&self.stream, &halves);
+        let ray_sets = mean_error::ray_sets(&self.stream, &halves);
         let [(mut whole, _), (other, _)] = halves;
         whole += &other;
         whole.want_density(&self.stream)?;
         // Two sequences of pixels do not form a shard that others could be added to.
-        let field = whole.finish(&self.provenance(progress, None)).with_draws(draws);
+        let field = whole.finish(&self.source(progress, None)).with_ray_sets(ray_sets);
         let outcome = self.outcome(field, progress, sums_bytes, start.elapsed());
         Ok(Outcome { errors: ErrorBudget { rays: Some(RayError::Halves(error)), ..outcome.errors }, ..outcome })
     }
@@ -350,7 +350,7 @@ impl<'a> Run<'a> {
         })?;
         let outcome = |(builder, summing): (FieldBuilder, Duration)| {
             let (sums_bytes, start) = (builder.memory(), Instant::now());
-            let field = builder.finish(&self.provenance(progress, Some(shard)));
+            let field = builder.finish(&self.source(progress, Some(shard)));
             self.outcome(field, progress, sums_bytes, summing + start.elapsed())
         };
         Ok(builders.into_iter().map(outcome).collect())
@@ -374,8 +374,8 @@ impl<'a> Run<'a> {
         }
     }
 
-    fn provenance(&self, progress: RunProgress, shard: Option<Shard>) -> Provenance<'_> {
-        Provenance { source: self.settings.source.clone(), progress, shard, stream: Some(&self.stream) }
+    fn source(&self, progress: RunProgress, shard: Option<Shard>) -> FieldSource<'_> {
+        FieldSource { source: self.settings.source.clone(), progress, shard, stream: Some(&self.stream) }
     }
 
     fn outcome(&self, field: UncertaintyField, progress: RunProgress, sums_bytes: usize, summing: Duration) -> Outcome {
@@ -427,9 +427,8 @@ fn draw<P: Finish>(
             }
             End::Complete(progress) => {
                 // How many vertices there will be is a rougher forecast than what sums take.
-                let provenance =
-                    Provenance { source: String::new(), progress, shard: Some(shard), stream: Some(stream) };
-                let found = limits.budget.map(|_| builder.vertices(&provenance));
+                let source = FieldSource { source: String::new(), progress, shard: Some(shard), stream: Some(stream) };
+                let found = limits.budget.map(|_| builder.vertices(&source));
                 let vertices = found.as_ref().map(|(_, count)| *count);
                 match limits.verdict(1.0, Summed { vertices, ..builder.summed() })? {
                     ControlFlow::Break(plan) => plan,

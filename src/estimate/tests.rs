@@ -7,7 +7,7 @@ use crate::field::{ClosedForm, RadianceField};
 use crate::geometry::{Aabb, Camera, Domain};
 use crate::monitor::Silent;
 use crate::octree::MaxLevels;
-use crate::posterior::{Covariance, DataScale, OctreePosterior, Posterior, Refinement, Scale};
+use crate::posterior::{Covariance, DataScale, OctreePosterior, Pooling, Posterior, Refinement, Scale};
 use crate::render::{DepthProbe, Marcher, Tracer, render_view_with_depth};
 use crate::uncertainty::{Support, UncertaintyField};
 use glam::{DVec3, Vec3};
@@ -135,7 +135,8 @@ fn the_finest_level_of_all_works_and_says_the_same_as_a_scan_of_its_samples() {
 /// A run with a plan, which its rays limit, and without a budget.
 fn limited_by_rays<'a>(field: &'a ClosedForm, cameras: &'a [Camera]) -> Run<'a> {
     let criteria = [crate::posterior::Criterion::RayCount].into_iter().collect();
-    let grid = GridSettings { level: 8, criteria, min_rays: 0.25, ray_count: 0.25, ..GridSettings::default() };
+    let grid =
+        GridSettings { level: 8, criteria, pooling: Pooling::Below(0.25), ray_count: 0.25, ..GridSettings::default() };
     Estimation::new(field, cameras).rays(settings(8_000)).grid(grid).prepare().unwrap()
 }
 
@@ -193,7 +194,7 @@ fn error_bars_are_as_large_as_the_errors() {
     for groups in [2, 8] {
         let Outcome { field: few, progress, .. } =
             Estimation::new(&field, &cameras).rays(settings(20_000)).grid(grid).error_bars(groups).run().unwrap();
-        assert_eq!((progress.rays, few.protocol().rays, few.protocol().shard), (20_000, 20_000, None));
+        assert_eq!((progress.rays, few.record().rays, few.record().shard), (20_000, 20_000, None));
         let bars = few.error_bars().unwrap();
         assert_eq!(bars.groups(), groups);
         let Support::Octree(tree) = few.support() else { panic!("an octree was asked for") };
@@ -233,7 +234,7 @@ fn groups_add_up_and_differ_on_any_grid_with_any_threads() {
     };
     let octree = run(GridKind::Octree, 1);
     assert_eq!(octree, run(GridKind::Octree, 2));
-    assert_eq!(octree.protocol().rays, 5003);
+    assert_eq!(octree.record().rays, 5003);
     let dense = run(GridKind::Dense, 2);
     let Support::Octree(tree) = octree.support() else { panic!("an octree was asked for") };
     let (mut known, mut unknown) = (0, 0);
@@ -336,10 +337,10 @@ fn coarser_leaves_say_of_depth_what_the_finest_lattice_does() {
             Ok(())
         });
         let finest = finest.run().unwrap().field;
-        let protocol = finest.protocol().clone();
-        let reading = protocol.reading();
-        let octree = coarser.octree(&Refinement::above(reading.floor(), &reading, protocol.criteria, Vec::new()));
-        let coarser = UncertaintyField::on_octree(protocol, lattice, coarser, octree, true);
+        let record = finest.record().clone();
+        let reading = record.reading();
+        let octree = coarser.octree(&Refinement::above(reading.floor(), &reading, record.criteria, Vec::new()));
+        let coarser = UncertaintyField::on_octree(record, lattice, coarser, octree, true);
         for [coarser, finest] in
             [[coarser.clone(), finest.clone()], [coarser, finest].map(UncertaintyField::without_sums)]
         {
@@ -360,7 +361,7 @@ fn a_run_through_every_pixel_draws_as_many_rays_as_there_are() {
     let start = || Estimation::new(&field, &cameras).grid(GridSettings::default().level(4).keep_sums(true));
     let rays = settings(1).pixels(crate::rays::Pixels::Every);
     let whole = start().rays(rays).run().unwrap();
-    assert_eq!((whole.progress.rays, whole.field.protocol().rays), (840, 840));
+    assert_eq!((whole.progress.rays, whole.field.record().rays), (840, 840));
     assert_eq!(whole.errors.rays, Some(RayError::EveryPixel));
     assert_eq!(start().rays(rays).shard(0, 2).run().unwrap().errors.rays, None, "half of the pixels");
     // Another seed has other positions of samples along the same rays, and their order: little is left of the error.

@@ -89,10 +89,10 @@ impl CleanUp {
 fn thresholds_start_at(uncertainty: &dyn Answers) -> f64 {
     let lattice = uncertainty.lattice();
     let edge = lattice.domain().size().max_element().log10();
-    match uncertainty.protocol().scale {
+    match uncertainty.record().scale {
         Scale::Data(_) => {
-            let paper = uncertainty.protocol().covariance.prior(lattice.default_lambda());
-            edge + (uncertainty.protocol().reading().prior() / paper).log10()
+            let paper = uncertainty.record().covariance.prior(lattice.default_lambda());
+            edge + (uncertainty.record().reading().prior() / paper).log10()
         }
         _ => edge,
     }

@@ -30,7 +30,7 @@ impl Reading {
     ) -> Result<Vec<Self>> {
         let averages = averages.map_or_else(|| vec![Self::best_average(field)], <[_]>::to_vec);
         averages.iter().try_for_each(|&average| Self::check(field, average))?;
-        let own = field.protocol().covariance;
+        let own = field.record().covariance;
         let mut wanted = covariances.map_or_else(|| vec![own], <[_]>::to_vec);
         if covariances.is_none() && field.sums().is_some() {
             wanted.extend(Covariance::ALL.into_iter().filter(|c| *c != own));
@@ -83,8 +83,8 @@ pub enum Baseline {
     /// averaged along the ray like [`RayAverage::WeightedMean`].
     RayCount,
     /// Minus the number of training rays that reached the expected depth
-    /// ([`Visits`](crate::posterior::Visits)).
-    Visits,
+    /// ([`RayCoverage`](crate::posterior::RayCoverage)).
+    RayCoverage,
     /// Minus the number of training cameras that see the point at the expected depth.
     TrainingViews,
     /// The angle to the nearest training camera that sees it, radians; π if none does.
@@ -109,7 +109,7 @@ impl Baseline {
             Self::RayEntropy => "ray entropy",
             Self::Transparency => "1 - opacity",
             Self::RayCount => "ray count",
-            Self::Visits => "visits",
+            Self::RayCoverage => "ray coverage",
             Self::TrainingViews => "training views that see it",
             Self::TrainingAngle => "angle to a training view",
             Self::Random => "random",

@@ -20,7 +20,7 @@ pub(super) fn training_cameras(
 ) -> Vec<NamedCamera> {
     let wanted = match model {
         Subject::Volume(field) => return field.training_cameras().to_vec(),
-        Subject::Splats(_) => readings.first().and_then(|reading| reading.field.protocol().origin.cameras),
+        Subject::Splats(_) => readings.first().and_then(|reading| reading.field.record().cameras_checksum),
     };
     let Some(wanted) = wanted else { return Vec::new() };
     let mut files: Vec<PathBuf> = ["transforms_train.json", "transforms.json", "cameras.json"]

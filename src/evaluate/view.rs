@@ -8,7 +8,7 @@ use super::{Baseline, Measure, Reading, Sighting, TrainingViews, TrueView};
 use crate::Result;
 use crate::metrics::{Calibration, Detection, density_aware, ensemble_variance, psnr};
 use crate::monitor::{Monitor, check};
-use crate::posterior::Visits;
+use crate::posterior::RayCoverage;
 use crate::render::{
     DepthVariance, MIN_SUPPORTING_RAYS, Probe, Probed, ProbedField, RayAverage, RenderedView, Renderer,
 };
@@ -92,7 +92,7 @@ impl<'a> Evaluator<'a> {
         }
         baselines.extend([Baseline::RayEntropy, Baseline::Transparency]);
         baselines.extend(self.counted().map(|_| Baseline::RayCount));
-        baselines.extend(self.visited().map(|_| Baseline::Visits));
+        baselines.extend(self.visited().map(|_| Baseline::RayCoverage));
         if self.training.is_some() {
             baselines.extend([Baseline::TrainingViews, Baseline::TrainingAngle]);
         }
@@ -131,9 +131,9 @@ impl<'a> Evaluator<'a> {
         self.readings.iter().find(|reading| !reading.field.rays().is_empty())
     }
 
-    /// The first reading whose field stores visits.
-    fn visited(&self) -> Option<&Visits> {
-        self.readings.iter().find_map(|reading| reading.field.visits())
+    /// The first reading whose field stores ray coverage.
+    fn visited(&self) -> Option<&RayCoverage> {
+        self.readings.iter().find_map(|reading| reading.field.ray_coverage())
     }
 
     /// Renders a view with the model and all members, and compares. Advances the monitor by one per row of each.
@@ -210,9 +210,10 @@ impl<'a> Evaluator<'a> {
                         each(&|i| spread(i) / counts.at_point(hit(i)).clamp(MIN_SUPPORTING_RAYS, f64::INFINITY))
                     }
                     Baseline::RayCount => each(&|i| -mean_counts[i]),
-                    Baseline::Visits => {
-                        let visits = |i| self.visited().and_then(|visits| visits.at(hit(i))).unwrap_or(0);
-                        each(&|i| -f64::from(visits(i)))
+                    Baseline::RayCoverage => {
+                        let ray_coverage =
+                            |i| self.visited().and_then(|ray_coverage| ray_coverage.at(hit(i))).unwrap_or(0);
+                        each(&|i| -f64::from(ray_coverage(i)))
                     }
                     Baseline::TrainingViews => sightings.iter().map(|found| -(found.views as f64)).collect(),
                     Baseline::TrainingAngle => sightings.iter().map(|found| found.angle).collect(),

@@ -26,13 +26,13 @@ pub fn leaves<'a>(lattice: &Lattice, cells: Option<&'a CellTree>) -> impl Iterat
     })
 }
 
-/// Whether a field stores ray counts, and whether it stores visits.
+/// Whether a field stores ray counts, and whether it stores ray coverage.
 pub fn knows(field: &dyn Answers) -> Result<[bool; 2]> {
     let lattice = field.lattice();
     let middle = lattice.position(DVec3::splat(0.5 * f64::from(lattice.cells_per_axis()))).as_vec3();
     let answers = field.answers(&[middle])?;
     let any = |has: fn(&Answer) -> bool| answers.iter().any(has);
-    Ok([any(|answer| answer.estimate.rays.is_some()), any(|answer| answer.visits.is_some())])
+    Ok([any(|answer| answer.estimate.rays.is_some()), any(|answer| answer.ray_coverage.is_some())])
 }
 
 /// The split cells of every level above the finest, as Morton codes in order.

@@ -42,7 +42,7 @@ pub fn write_leaves(path: &Path, field: &dyn Answers, matrices: Option<&Matrices
         let full = |[xx, xy, xz, yy, yz, zz]: [f64; 6]| [xx, xy, xz, xy, yy, yz, xz, yz, zz].map(|v| v as f32);
         npz.array("covariance", &[count, 3, 3], covariances.flat_map(full))?;
     }
-    npz.array("prior_log10_uncertainty", &[], [field.protocol().reading().prior().log10()])?;
+    npz.array("prior_log10_uncertainty", &[], [field.record().reading().prior().log10()])?;
     npz.finish()
 }
 

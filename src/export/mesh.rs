@@ -125,7 +125,7 @@ pub fn write_mesh(
     let triangles = net.indices.len() / 3;
     let elements =
         [("vertex", positions.len(), &SURFACE[..]), ("face", triangles, &[("list uchar int", "vertex_indices")])];
-    let comments = [format!("density {density:.6} per scene unit; {}", field.protocol().scale.quantity())];
+    let comments = [format!("density {density:.6} per scene unit; {}", field.record().scale.quantity())];
     let mut ply = PlyWriter::create(path, &comments, &elements)?;
     for (i, found) in found.iter().enumerate() {
         ply.surface(positions[i], normals[i], radiance[i].color, found)?;

@@ -118,7 +118,7 @@ const AXES: [(&str, &str); 9] = [
 pub fn write_points(path: &Path, surfaces: &Surfaces, field: &dyn Answers, matrices: Option<&Matrices>) -> Result<()> {
     let axes = if matrices.is_some() { &AXES[..] } else { &[] };
     let properties = [&SURFACE[..], &POINT, axes].concat();
-    let comments = [format!("surfaces of training views; {}", field.protocol().scale.quantity())];
+    let comments = [format!("surfaces of training views; {}", field.record().scale.quantity())];
     let mut ply = PlyWriter::create(path, &comments, &[("vertex", surfaces.positions.len(), &properties)])?;
     for first in (0..surfaces.positions.len()).step_by(CHUNK) {
         let chunk = first..(first + CHUNK).min(surfaces.positions.len());
@@ -126,7 +126,7 @@ pub fn write_points(path: &Path, surfaces: &Surfaces, field: &dyn Answers, matri
         let matrices = matrices.map(|matrices| matrices.at(&surfaces.positions[chunk.clone()]));
         for (i, found) in chunk.zip(&answers) {
             ply.surface(surfaces.positions[i], surfaces.normals[i], surfaces.colors[i], &found.estimate)?;
-            let seen = if found.visits.is_some() { f32::from(code(found.observability)) } else { f32::NAN };
+            let seen = if found.ray_coverage.is_some() { f32::from(code(found.observability)) } else { f32::NAN };
             ply.floats([seen, surfaces.cameras[i] as f32])?;
             if let Some(matrices) = &matrices {
                 let axes = principal_axes(matrices[i % CHUNK]);

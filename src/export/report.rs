@@ -31,8 +31,8 @@ pub fn write_report(path: &Path, surfaces: &Surfaces, names: &[String], field: &
     let mut regions: BTreeMap<[u8; 3], Group> = BTreeMap::new();
     let mut all = Group::default();
     let answers = field.answers(&surfaces.positions)?;
-    // Without visits it is unknown what was seen.
-    let knows_visits = answers.iter().any(|found| found.visits.is_some());
+    // Without ray coverage it is unknown what was seen.
+    let knows_visits = answers.iter().any(|found| found.ray_coverage.is_some());
     for (i, found) in answers.iter().enumerate() {
         let x = surfaces.positions[i];
         let (is_unseen, inside) = (found.observability == Some(Observability::Unseen), found.estimate.inside);

@@ -103,9 +103,9 @@ pub fn write_splats(
     let uncertainty: Vec<f64> = field.estimates(means)?.iter().map(|at| at.uncertainty).collect();
     let of_kept =
         |values: &dyn Fn(usize) -> f32| -> Vec<f32> { (0..splats.len()).filter(|&i| kept[i]).map(values).collect() };
-    let protocol = field.protocol();
-    let (version, prior) = (env!("CARGO_PKG_VERSION"), protocol.reading().prior());
-    let unit = match protocol.scale {
+    let record = field.record();
+    let (version, prior) = (env!("CARGO_PKG_VERSION"), record.reading().prior());
+    let unit = match record.scale {
         Scale::Data(_) => "in scene units",
         Scale::Paper => "for ranking, not a length (scale `paper`)",
     };

@@ -9,8 +9,8 @@ use super::look::{Look, Points, in_front, stands_in_matter};
 use crate::Result;
 use crate::geometry::{Camera, Lattice};
 use crate::monitor::Monitor;
-use crate::posterior::{Posterior, Visits};
-use crate::rays::{Pick, PixelSequence, Pixels, RaySource};
+use crate::posterior::{Posterior, RayCoverage};
+use crate::rays::{PixelSample, PixelSequence, Pixels, RaySource};
 use crate::render::VisibleSegment;
 use crate::splats::{Use, tile_of};
 use crate::uncertainty::{Added, Precision};
@@ -51,7 +51,7 @@ pub struct Evidence {
     pub added: Vec<Added>,
     /// The cells that its rays end in, and from where they are seen, by cell.
     pub facets: Vec<Facet>,
-    /// The cells of the field's visits that its rays end in, and how many do.
+    /// The cells of the field's ray coverage that its rays end in, and how many do.
     pub ends: Vec<(usize, u32)>,
     /// Rays, and those of them that end on a surface in the field's domain.
     pub rays: u64,
@@ -72,7 +72,7 @@ pub struct Viewer<'a> {
     /// What rays are added to; `None` if only their ends count.
     pub precision: Option<&'a Precision<'a>>,
     /// Where training rays passed.
-    pub visits: Option<&'a Visits>,
+    pub ray_coverage: Option<&'a RayCoverage>,
     /// The cells of facets.
     pub cells: Lattice,
     /// Most pixels of a view.
@@ -101,7 +101,7 @@ impl Viewer<'_> {
         if self.source.splats().is_some() {
             picks.sort_by_key(|pick| tile_of(pick.pixel.map(f64::from)));
         }
-        let batch = |(n, picks): (usize, &[Pick])| Points {
+        let batch = |(n, picks): (usize, &[PixelSample])| Points {
             at: picks.iter().map(|pick| pick.pixel.map(|i| f64::from(i) + self.pixel_offset)).collect(),
             jitter: picks.iter().map(|pick| pick.jitter).collect(),
             first: (n * BATCH) as u64,
@@ -151,7 +151,7 @@ impl Viewer<'_> {
             let Some(cell) = cell_of(&self.cells, x) else { continue };
             evidence.met += 1;
             *seen.entry(cell).or_default() -= ray.direction;
-            if let Some(cell) = self.visits.and_then(|visits| visits.cell(x)) {
+            if let Some(cell) = self.ray_coverage.and_then(|ray_coverage| ray_coverage.cell(x)) {
                 *ends.entry(cell).or_default() += 1;
             }
         }

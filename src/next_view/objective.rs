@@ -7,7 +7,7 @@ use rustc_hash::FxHashMap;
 use super::coverage::Coverage;
 use super::evidence::Evidence;
 use super::{Gain, VertexGain, first_order, log_det};
-use crate::posterior::{Information, Visits};
+use crate::posterior::{Information, RayCoverage};
 use crate::uncertainty::{Added, Precision};
 
 /// The state of a greedy selection.
@@ -16,20 +16,20 @@ pub struct Objective<'a> {
     /// What more precision at a vertex is worth.
     of_vertex: VertexGain<'a>,
     precision: Option<&'a Precision<'a>>,
-    visits: Option<&'a Visits>,
+    ray_coverage: Option<&'a RayCoverage>,
     /// What the views taken so far added to P, by Morton code.
     taken: FxHashMap<u64, Information>,
     coverage: Coverage,
-    /// Cells of visits that these views saw.
+    /// Cells of ray coverage that these views saw.
     seen: BTreeSet<usize>,
 }
 
 impl<'a> Objective<'a> {
     /// Before any view; `precision` is needed but for [`Gain::Coverage`].
-    pub fn new(gain: Gain, precision: Option<&'a Precision<'a>>, visits: Option<&'a Visits>) -> Self {
+    pub fn new(gain: Gain, precision: Option<&'a Precision<'a>>, ray_coverage: Option<&'a RayCoverage>) -> Self {
         let of_vertex: VertexGain = if gain == Gain::Trace { &first_order } else { &log_det };
         let coverage = Coverage::default();
-        Self { gain, of_vertex, precision, visits, taken: FxHashMap::default(), coverage, seen: BTreeSet::new() }
+        Self { gain, of_vertex, precision, ray_coverage, taken: FxHashMap::default(), coverage, seen: BTreeSet::new() }
     }
 
     /// The same with another gain of a vertex, if there is one.
@@ -62,8 +62,8 @@ impl<'a> Objective<'a> {
 
     /// Share of the view's surface that was never seen.
     pub fn unseen_share(&self, evidence: &Evidence) -> Option<f64> {
-        let visits = self.visits?;
-        evidence.unseen_share(|cell| visits.counts()[cell] > 0 || self.seen.contains(&cell))
+        let ray_coverage = self.ray_coverage?;
+        evidence.unseen_share(|cell| ray_coverage.counts()[cell] > 0 || self.seen.contains(&cell))
     }
 
     /// Takes a view.

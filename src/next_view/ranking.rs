@@ -13,7 +13,7 @@ use crate::estimate::{RaySettings, Subject};
 use crate::field::RadianceField;
 use crate::geometry::{Camera, Lattice};
 use crate::monitor::{Monitor, Silent, check};
-use crate::posterior::Visits;
+use crate::posterior::RayCoverage;
 use crate::rays::RaySource;
 use crate::render::GradientMethod;
 use crate::splats::SplatRenderer;
@@ -127,7 +127,7 @@ impl<'a> NextView<'a> {
         let precision = self.precision()?;
         let source = self.source()?;
         let viewer = self.viewer(&source, precision.as_ref());
-        let mut objective = Objective::new(gain, precision.as_ref(), self.field.visits()).with(self.vertex_gain);
+        let mut objective = Objective::new(gain, precision.as_ref(), self.field.ray_coverage()).with(self.vertex_gain);
         let mut start = Instant::now();
         if gain == Gain::Coverage {
             self.each(&viewer, self.training, "training views", |_, evidence| {
@@ -246,28 +246,36 @@ impl<'a> NextView<'a> {
     {
         let Settings { pixels, seed, .. } = self.settings;
         // As fine as so many rays leave no holes by chance, for a view's own surface.
-        let cells: Lattice = self.field.lattice().coarsened(Visits::level_of(pixels));
-        Viewer { source, pixel_offset: self.offset(), precision, visits: self.field.visits(), cells, pixels, seed }
+        let cells: Lattice = self.field.lattice().coarsened(RayCoverage::level_of(pixels));
+        Viewer {
+            source,
+            pixel_offset: self.offset(),
+            precision,
+            ray_coverage: self.field.ray_coverage(),
+            cells,
+            pixels,
+            seed,
+        }
     }
 
-    /// The rays of the run that made the field, as far as its protocol states them.
+    /// The rays of the run that made the field, as far as its record states them.
     fn source(&self) -> Result<RaySource<'a>> {
-        let protocol = self.field.protocol();
+        let record = self.field.record();
         let (lattice, defaults) = (self.field.lattice(), RaySettings::default());
-        let background = protocol.background.map_or(defaults.background, glam::Vec3::from_array);
+        let background = record.background.map_or(defaults.background, glam::Vec3::from_array);
         let model = match self.model {
             Subject::Volume(model) => model,
             Subject::Splats(splats) => return Ok(RaySource::Splats(SplatRenderer::new(splats, background))),
         };
-        let gradient = protocol.gradient.unwrap_or(GradientMethod::Auto);
+        let gradient = record.gradient.unwrap_or(GradientMethod::Auto);
         // The same share of an edge along all axes, unless f32 positions needed more, as they will again.
-        let shares = protocol.difference_step.map(|step| [0, 1, 2].map(|k| step[k] / lattice.edge()[k]));
+        let shares = record.difference_step.map(|step| [0, 1, 2].map(|k| step[k] / lattice.edge()[k]));
         let is_even = |shares: &[f64; 3]| shares.iter().all(|share| (share / shares[0] - 1.0).abs() < 1e-9);
         let rays = defaults
             .gradient(gradient)
             .step(shares.filter(is_even).map(|shares| shares[0].min(1.0)))
-            .cutoff(protocol.cutoff.unwrap_or(defaults.cutoff))
-            .march_step(protocol.march_step)
+            .cutoff(record.cutoff.unwrap_or(defaults.cutoff))
+            .march_step(record.march_step)
             .background(background)
             .occupancy(self.settings.occupancy);
         Ok(RaySource::Volume(Box::new(rays.volume(model, lattice, self.monitor)?)))
@@ -279,7 +287,7 @@ impl<'a> NextView<'a> {
             Subject::Volume(model) => model.pixel_offset(),
             Subject::Splats(_) => RaySettings::default().offset_for_splats(),
         };
-        self.field.protocol().pixel_offset.unwrap_or_else(own)
+        self.field.record().pixel_offset.unwrap_or_else(own)
     }
 
     /// What each camera would see, in their order.

@@ -13,12 +13,12 @@ use crate::geometry::{Camera, Domain, Lattice};
 use crate::monitor::{Monitor, Silent};
 use crate::octree::{MaxLevels, morton};
 use crate::posterior::{
-    Covariance, DataScale, Information, OctreePosterior, Pooling, Posterior, Reading, Refinement, Scale, comparable,
+    Covariance, Criteria, DataScale, Information, OctreePosterior, Posterior, Reading, Refinement, Scale, comparable,
 };
 use crate::rays::RaySource;
 use crate::render::RaySamples;
 use crate::splats::Use;
-use crate::uncertainty::{Protocol, UncertaintyField};
+use crate::uncertainty::{RunRecord, UncertaintyField};
 use crate::{Error, Result};
 
 const SIDE: u32 = 16;
@@ -54,7 +54,7 @@ fn source(scene: &ClosedForm) -> RaySource<'_> {
 
 fn viewer<'a>(source: &'a RaySource<'a>) -> Viewer<'a> {
     let cells = lattice().coarsened(3);
-    Viewer { source, pixel_offset: 0.5, precision: None, visits: None, cells, pixels: PIXELS, seed: 0 }
+    Viewer { source, pixel_offset: 0.5, precision: None, ray_coverage: None, cells, pixels: PIXELS, seed: 0 }
 }
 
 /// The samples of every pixel draw of some views.
@@ -74,14 +74,13 @@ fn field(samples: &[RaySamples], views: u64, limits: &MaxLevels) -> UncertaintyF
 
 fn field_on(lattice: Lattice, samples: &[RaySamples], views: u64, limits: &MaxLevels) -> UncertaintyField {
     let data = DataScale::new(views * PIXELS, NOISE, 0.05).unwrap();
-    let mut protocol = Protocol::unstated("test".into(), views * PIXELS, data.lambda(), Covariance::Block);
-    protocol.scale = Scale::Data(data);
+    let mut record = RunRecord::unstated("test".into(), views * PIXELS, data.lambda(), Covariance::Block);
+    record.scale = Scale::Data(data);
     let mut posterior = OctreePosterior::limited(lattice, limits.clone());
     posterior.add(samples);
-    let pooling = Pooling { min_rays: 0.0, floor: 0.0 };
-    let everything = Refinement { floor: Some(Refinement::EVERYTHING), pooling, wanted: Vec::new() };
+    let everything = Refinement::above(Refinement::EVERYTHING, &record.reading(), Criteria::default(), Vec::new());
     let octree = posterior.octree(&everything);
-    UncertaintyField::on_octree(protocol, lattice, posterior, octree, true)
+    UncertaintyField::on_octree(record, lattice, posterior, octree, true)
 }
 
 fn settings() -> Settings {
@@ -136,8 +135,8 @@ fn the_predicted_deviations_are_those_found_once_the_rays_are_added() {
         let after = field(&[training.clone(), candidate.clone()].concat(), 4, &limits);
         let precision = before.precision().unwrap();
         let found = evidence(&before, &cameras[5..6]);
-        let Scale::Data(data) = after.protocol().scale else { panic!("{:?}", after.protocol().scale) };
-        let reading: Reading = after.protocol().reading();
+        let Scale::Data(data) = after.record().scale else { panic!("{:?}", after.record().scale) };
+        let reading: Reading = after.record().reading();
         let mut later = OctreePosterior::limited(lattice(), limits.clone());
         later.add(&training);
         later.add(&candidate);
@@ -246,7 +245,7 @@ fn the_trace_is_the_log_det_of_little_and_no_less_of_much() {
 fn a_gain_of_ones_own_stands_for_that_of_a_vertex() {
     let cameras = circle();
     let training = field(&samples(&cameras[..2]), 2, &MaxLevels::none(6));
-    let Scale::Data(data) = training.protocol().scale else { panic!("the scale of the data") };
+    let Scale::Data(data) = training.record().scale else { panic!("the scale of the data") };
     let scene = scene();
     let next = || NextView::new(&scene, &training, &cameras[2..]).settings(settings().take(3));
     let built_in = next().run().unwrap();
@@ -405,7 +404,7 @@ fn what_cannot_be_ranked_is_refused_by_name() {
     let refusal = |field: &UncertaintyField, candidates: &[Camera], settings: Settings| {
         NextView::new(&scene(), field, candidates).settings(settings).run().unwrap_err().to_string()
     };
-    let paper = whole.clone().with_lambda(whole.protocol().lambda).unwrap();
+    let paper = whole.clone().with_lambda(whole.record().lambda).unwrap();
     let said = refusal(&paper, &cameras, settings());
     assert!(said.starts_with("scale: ") && said.contains("paper"), "{said}");
     let said = refusal(&whole.clone().without_sums(), &cameras, settings());

@@ -1,9 +1,13 @@
 //! From sums to deviations: pools the sums, makes leaves of different sizes comparable, and reads σ off them.
 
+use std::borrow::Cow;
+
 use rayon::prelude::*;
 
 use super::octree::TOGETHER;
-use super::{Covariance, OctreePosterior, Pooling, Scale, VertexSums, negligible_information};
+use super::pooling::{Pooler, Pooling};
+use super::shrinkage::{BLOCK, Block, Shrinkage};
+use super::{Covariance, OctreePosterior, Scale, VertexSums, negligible_information};
 use crate::geometry::Lattice;
 use crate::octree::{MaxLevels, Octree, VertexId, mean_volume};
 
@@ -18,8 +22,8 @@ pub struct Reading {
     pub lambda: f64,
     /// R, the number of rays drawn.
     pub rays: u64,
-    /// Requested number of rays in pooling; 0 for no pooling.
-    pub min_rays: f64,
+    /// How sums are pooled.
+    pub pooling: Pooling,
     /// Largest change of log10 U that is negligible.
     pub tolerance: f64,
 }
@@ -43,10 +47,11 @@ impl Reading {
         negligible_information(self.tolerance, self.rays, self.lambda)
     }
 
-    /// Settings of pooling.
+    /// Pools sums.
     #[must_use]
-    pub fn pooling(&self) -> Pooling {
-        Pooling { min_rays: self.min_rays, floor: self.floor() }
+    pub fn pooler(&self) -> Pooler {
+        let shrinkage = Shrinkage { floor: self.floor(), prior: self.lambda * self.rays as f64 };
+        Pooler { pooling: self.pooling, shrinkage }
     }
 
     /// σ of a vertex from its pooled and comparable sums, as fields store it.
@@ -119,11 +124,11 @@ impl OctreePosterior {
 
 /// What is read off each vertex: its pooled and comparable sums.
 pub struct LocalSums<'a> {
-    pooling: Pooling,
+    pooler: Pooler,
     lattice: &'a Lattice,
     support: &'a Support,
     limits: MaxLevels,
-    sums: &'a [VertexSums],
+    sums: Cow<'a, [VertexSums]>,
     /// `[vertices]` of an octree, if they are needed.
     points: Vec<[u32; 3]>,
 }
@@ -138,13 +143,22 @@ impl<'a> LocalSums<'a> {
         limits: &MaxLevels,
         sums: &'a [VertexSums],
     ) -> Self {
-        let pooling = reading.pooling();
-        let is_plain = !pooling.is_on() && limits.is_unlimited();
+        let mut pooler = reading.pooler();
+        let is_plain = !pooler.pooling.is_on() && limits.is_unlimited();
         let points = match support {
             Support::Octree(octree) if !is_plain => octree.vertex_positions().collect(),
             _ => Vec::new(),
         };
-        Self { pooling, lattice, support, limits: limits.clone(), sums, points }
+        let mut sums = Cow::Borrowed(sums);
+        if pooler.pooling == Pooling::Auto {
+            // All at once, in blocks.
+            sums = Cow::Owned(match support {
+                Support::Dense => shrunk_on_grid(&pooler.shrinkage, lattice, &sums),
+                Support::Octree(octree) => shrunk_on_octree(&pooler.shrinkage, lattice, (octree, &points), &sums),
+            });
+            pooler.pooling = Pooling::Off;
+        }
+        Self { pooler, lattice, support, limits: limits.clone(), sums, points }
     }
 
     /// The sums of a vertex, pooled and comparable with those of the finest lattice.
@@ -152,17 +166,17 @@ impl<'a> LocalSums<'a> {
     pub fn at(&self, v: usize) -> VertexSums {
         let last = self.lattice.cells_per_axis();
         match self.support {
-            Support::Dense if self.pooling.is_on() => {
+            Support::Dense if self.pooler.pooling.is_on() => {
                 let at = |point| Some(self.sums[self.lattice.dense_index(point)]);
-                self.pooling.pooled(self.lattice.dense_point(v), last, at)
+                self.pooler.pooled(self.lattice.dense_point(v), last, at)
             }
             Support::Octree(octree) if !self.points.is_empty() => {
                 let point = self.points[v];
                 let at = |p| octree.vertex(p).map(|VertexId(v)| self.sums[v as usize]);
                 // Vertices of coarser leaves have no neighbours on the finest lattice and have larger hats, so they
                 // are not pooled.
-                let sums = match self.pooling.is_on() && octree.is_surrounded_by_finest(point) {
-                    true => self.pooling.pooled(point, last, at),
+                let sums = match self.pooler.pooling.is_on() && octree.is_surrounded_by_finest(point) {
+                    true => self.pooler.pooled(point, last, at),
                     false => self.sums[v],
                 };
                 comparable(&self.limits, point, sums)
@@ -176,4 +190,54 @@ impl<'a> LocalSums<'a> {
     pub fn deviations(&self, reading: &Reading) -> Vec<f32> {
         (0..self.sums.len()).into_par_iter().map(|v| reading.stored(&self.at(v))).collect()
     }
+}
+
+/// The sums of a dense grid, shrunk.
+fn shrunk_on_grid(shrinkage: &Shrinkage, lattice: &Lattice, sums: &[VertexSums]) -> Vec<VertexSums> {
+    let last = lattice.cells_per_axis();
+    let mut all = sums.to_vec();
+    // Planes of a block along x, which is slowest.
+    let plane = lattice.dense_index([1, 0, 0]);
+    all.par_chunks_mut(BLOCK as usize * plane).enumerate().for_each(|(i, slab)| {
+        for (j, k) in (0..=last / BLOCK).flat_map(|j| (0..=last / BLOCK).map(move |k| (j, k))) {
+            let number = [i as u32, j, k];
+            let near = Block::reach(number, last).map(|point| (point, &sums[lattice.dense_index(point)]));
+            let block = shrinkage.block(number, near);
+            for point in block.points(last) {
+                let v = lattice.dense_index(point);
+                slab[v - i * BLOCK as usize * plane] = block.at(point, sums[v].rays);
+            }
+        }
+    });
+    all
+}
+
+/// The sums at the vertices of an octree, shrunk. Vertices of coarser leaves have no neighbours on the finest lattice
+/// and have larger hats, so they are left alone.
+fn shrunk_on_octree(
+    shrinkage: &Shrinkage,
+    lattice: &Lattice,
+    (octree, points): (&Octree, &[[u32; 3]]),
+    sums: &[VertexSums],
+) -> Vec<VertexSums> {
+    let mut vertices: Vec<([u32; 3], u32)> = (0..points.len()).map(|v| (Block::number(points[v]), v as u32)).collect();
+    vertices.par_sort_unstable();
+    let of_block = |number: [u32; 3]| {
+        let first = vertices.partition_point(|vertex| vertex.0 < number);
+        vertices[first..].iter().take_while(move |vertex| vertex.0 == number).map(|vertex| vertex.1 as usize)
+    };
+    let shrunk = |of: &[([u32; 3], u32)]| {
+        let number = of[0].0;
+        let near = Block::near(number, lattice.cells_per_axis()).flat_map(of_block);
+        let block = shrinkage.block(number, near.map(|v| (points[v], &sums[v])));
+        let pooled = |v: usize| match octree.is_surrounded_by_finest(points[v]) {
+            true => block.at(points[v], sums[v].rays),
+            false => sums[v],
+        };
+        of.iter().map(|vertex| (vertex.1 as usize, pooled(vertex.1 as usize))).collect::<Vec<_>>()
+    };
+    let found: Vec<(usize, VertexSums)> = vertices.par_chunk_by(|a, b| a.0 == b.0).flat_map_iter(shrunk).collect();
+    let mut all = vec![VertexSums::default(); points.len()];
+    found.into_iter().for_each(|(v, sums)| all[v] = sums);
+    all
 }

@@ -15,8 +15,9 @@ mod double_double;
 mod factor;
 mod octree;
 mod pooling;
+mod ray_coverage;
 mod scale;
-mod visits;
+mod shrinkage;
 
 pub use covariance::Covariance;
 pub(crate) use covariance::negligible_information;
@@ -30,9 +31,9 @@ pub use factor::FactoredSums;
 pub(crate) use octree::{AT_ONCE, CONTRIBUTION_BYTES, spare_bytes};
 pub use octree::{Criteria, Criterion, OctreePosterior};
 pub(crate) use octree::{Needs, PilotCounts, Refinement, SpeciesEstimate};
-pub(crate) use pooling::Pooling;
+pub use pooling::Pooling;
+pub use ray_coverage::RayCoverage;
 pub use scale::{DataScale, Scale};
-pub use visits::Visits;
 
 use std::ops::AddAssign;
 

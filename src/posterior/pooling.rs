@@ -1,8 +1,9 @@
-//! Pooling by ray count: a vertex near few rays borrows from its neighbours.
+//! Pooling: a vertex near few rays borrows from its neighbours.
 //!
-//! Letters, at vertex v: `N` the lattice points within one lattice edge of v along every axis (27, fewer at the
-//! faces of the cube); `t_u` tent weights 1, ½, ¼, ⅛ for points that differ in 0, 1, 2, 3 coordinates, normalised
-//! over N; `n` the largest ray count of any moved vertex in N; `m` the requested number of rays. The pooled sums are
+//! Either by [`Shrinkage`], or below a number of rays that the user requests. Letters of the latter, at vertex v: `N`
+//! the lattice points within one lattice edge of v along every axis (27, fewer at the faces of the cube); `t_u` tent
+//! weights 1, ½, ¼, ⅛ for points that differ in 0, 1, 2, 3 coordinates, normalised over N; `n` the largest ray count of
+//! any moved vertex in N; `m` the requested number of rays. The pooled sums are
 //!
 //! ```text
 //! w Σ_v + (1 − w) Σ_{u ∈ N} t_u Σ_u        w = n³ / (n³ + (m/2)³)
@@ -13,45 +14,96 @@
 //! none has many, v's sums are due to chance. Counting only v's own rays, or taking block means until there are
 //! enough rays, smears surfaces into the adjacent empty space; `experiments/pooling.md` has the comparison.
 
+use std::fmt::{Display, Formatter};
+use std::str::FromStr;
+
+use super::shrinkage::Shrinkage;
 use super::{VertexSums, trace};
 use crate::octree::around;
+use crate::{Error, Result};
 
-/// Settings of pooling.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Pooling {
-    /// Requested number of rays m; 0 leaves every vertex unpooled.
-    pub min_rays: f64,
-    /// Vertices with no more information (tr S) than this have not moved, and their rays do not count.
-    pub floor: f64,
+/// How a vertex near few rays uses the sums of its neighbours.
+#[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Pooling {
+    /// Not at all, as in the paper.
+    #[default]
+    Off,
+    /// The more, the fewer rays its neighbourhood has below this number.
+    Below(f64),
+    /// By shrinkage towards what surrounds it, which fades as rays grow.
+    Auto,
 }
 
 impl Pooling {
-    /// Whether pooling is enabled.
+    /// Whether sums are pooled.
     #[must_use]
-    pub fn is_on(&self) -> bool {
-        self.min_rays > 0.0
+    pub fn is_on(self) -> bool {
+        self != Self::Off
     }
 
+    /// Whether this is a setting that a run can have.
+    #[must_use]
+    pub fn is_possible(self) -> bool {
+        !matches!(self, Self::Below(rays) if !(rays > 0.0 && rays.is_finite()))
+    }
+}
+
+/// As the option `--min-rays` spells it: `auto`, or a number of rays.
+impl Display for Pooling {
+    fn fmt(&self, f: &mut Formatter) -> std::fmt::Result {
+        match self {
+            Self::Off => write!(f, "0"),
+            Self::Below(rays) => write!(f, "{rays}"),
+            Self::Auto => write!(f, "auto"),
+        }
+    }
+}
+
+impl FromStr for Pooling {
+    type Err = Error;
+
+    fn from_str(text: &str) -> Result<Self> {
+        if text == "auto" {
+            return Ok(Self::Auto);
+        }
+        match text.parse::<f64>() {
+            Ok(0.0) => Ok(Self::Off),
+            Ok(rays) if Self::Below(rays).is_possible() => Ok(Self::Below(rays)),
+            _ => Err(Error::setting("min-rays", "`auto`, or a number of rays from 0 on", text)),
+        }
+    }
+}
+
+/// Pools the sums of single vertices.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pooler {
+    /// How.
+    pub pooling: Pooling,
+    /// What shrinkage weighs, and the information (tr S) above which a vertex moved: rays of others do not count.
+    pub shrinkage: Shrinkage,
+}
+
+impl Pooler {
     /// The pooled sums at the lattice point `center` of a lattice {0..`last`}³ whose sums are `at`.
     ///
     /// The ray count remains that of the point itself.
     #[must_use]
     pub fn pooled(&self, center: [u32; 3], last: u32, at: impl Fn([u32; 3]) -> Option<VertexSums>) -> VertexSums {
         let own = at(center).unwrap_or_default();
-        if !self.is_on() {
-            return own;
-        }
+        // Shrinkage is computed in blocks.
+        let Pooling::Below(min_rays) = self.pooling else { return own };
         let mut information = [0.0; 6];
         let (mut total, mut most) = (0.0, 0_u32);
         for (point, tent) in around(center, last) {
             total += tent;
             let Some(e) = at(point) else { continue };
             information.iter_mut().zip(e.information).for_each(|(s, v)| *s += tent * v);
-            if trace(&e.information) > self.floor {
+            if trace(&e.information) > self.shrinkage.floor {
                 most = most.max(e.rays);
             }
         }
-        let cubes = [f64::from(most), 0.5 * self.min_rays].map(|n| n * n * n);
+        let cubes = [f64::from(most), 0.5 * min_rays].map(|n| n * n * n);
         let share = cubes[0] / (cubes[0] + cubes[1]);
         let mix = |own: f64, sum: f64| share * own + (1.0 - share) * sum / total;
         VertexSums::new(std::array::from_fn(|k| mix(own.information[k], information[k])), own.rays)
@@ -62,7 +114,7 @@ impl Pooling {
 mod tests {
     use super::*;
 
-    const POOLING: Pooling = Pooling { min_rays: 4.0, floor: 0.5 };
+    const POOLING: Pooler = Pooler { pooling: Pooling::Below(4.0), shrinkage: Shrinkage { floor: 0.5, prior: 1.0 } };
 
     fn seen(xx: f64, rays: u32) -> VertexSums {
         VertexSums::new([xx, 0.0, 0.0, 0.0, 0.0, 0.0], rays)
@@ -112,7 +164,7 @@ mod tests {
 
     #[test]
     fn zero_switches_it_off() {
-        let off = Pooling { min_rays: 0.0, floor: 0.0 };
+        let off = Pooler { pooling: Pooling::Off, ..POOLING };
         assert_eq!(off.pooled([1, 1, 1], 8, |p| (p == [1, 1, 1]).then(|| seen(5.0, 1))), seen(5.0, 1));
     }
 }

@@ -3,7 +3,7 @@
 use std::fmt;
 use std::ops::RangeInclusive;
 
-use super::shard::{Draw, Shard};
+use super::shard::{RaySet, Shard};
 
 /// The parts of a run that nobody summed, although its other parts were.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
@@ -22,15 +22,15 @@ pub struct MissingShards {
 impl MissingShards {
     /// What is missing beside these draws, by run. Nothing is, if they are of whole runs only.
     #[must_use]
-    pub fn beside(draws: &[Draw]) -> Vec<Self> {
-        let mut parts: Vec<&Draw> = draws.iter().filter(|draw| draw.is_part()).collect();
-        parts.sort_unstable_by_key(|draw| (draw.run(), draw.shard.index));
+    pub fn beside(ray_sets: &[RaySet]) -> Vec<Self> {
+        let mut parts: Vec<&RaySet> = ray_sets.iter().filter(|ray_set| ray_set.is_part()).collect();
+        parts.sort_unstable_by_key(|ray_set| (ray_set.run(), ray_set.shard.index));
         let missing = parts.chunk_by(|a, b| a.run() == b.run()).map(|run| {
-            let Draw { seed, shard: Shard { rays, of, .. } } = *run[0];
+            let RaySet { seed, shard: Shard { rays, of, .. } } = *run[0];
             // The end of a run stands for one more part. Runs may be split into more parts than can be listed.
             let mut indices = Vec::new();
             let mut next = 0;
-            for index in run.iter().map(|draw| draw.shard.index).chain([of]) {
+            for index in run.iter().map(|ray_set| ray_set.shard.index).chain([of]) {
                 if next < index {
                     indices.push(next..=index - 1);
                 }
@@ -65,9 +65,10 @@ mod tests {
 
     #[test]
     fn gaps_are_named() {
-        let part = |seed, of, index| Draw { seed, shard: Shard::new(5000, index, of) };
-        let said =
-            |draws: &[Draw]| -> Vec<String> { MissingShards::beside(draws).iter().map(ToString::to_string).collect() };
+        let part = |seed, of, index| RaySet { seed, shard: Shard::new(5000, index, of) };
+        let said = |ray_sets: &[RaySet]| -> Vec<String> {
+            MissingShards::beside(ray_sets).iter().map(ToString::to_string).collect()
+        };
         assert_eq!(said(&[part(0, 3, 2), part(0, 3, 0)]), ["part 1 of 3 (seed 0)"]);
         assert_eq!(said(&[part(7, 9, 2), part(7, 9, 8)]), ["parts 0 to 1, 3 to 7 of 9 (seed 7)"]);
         assert_eq!(said(&[part(1, 2, 0), part(0, 2, 1)]), ["part 0 of 2 (seed 0)", "part 1 of 2 (seed 1)"]);

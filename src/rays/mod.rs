@@ -20,11 +20,11 @@ pub use missing::MissingShards;
 pub use pixels::Pixels;
 // The parts of a stream, for this crate's experiments and tests.
 #[doc(hidden)]
-pub use pixels::{Pick, PixelSequence};
+pub use pixels::{PixelSample, PixelSequence};
 #[cfg(feature = "files")]
 pub use samples_file::{SamplesReader, SamplesWriter};
 pub(crate) use seeds::Purpose;
-pub use shard::{Draw, RunProgress, Shard};
+pub use shard::{RaySet, RunProgress, Shard};
 #[doc(hidden)]
 pub use source::{RaySource, VolumeRays};
 pub use stream::{End, MAX_DROPPED_SHARE, RayStream, SURFACE_WEIGHT};

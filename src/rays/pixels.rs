@@ -32,7 +32,7 @@ const LONGEST_ROUND: u64 = 1 << 14;
 
 /// The pixel of one ray and the shift of its samples.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Pick {
+pub struct PixelSample {
     /// Index of the camera.
     pub camera: usize,
     /// Column and row.
@@ -131,7 +131,7 @@ impl PixelSequence {
 
     /// The picks of the rays `first..first + count`. Random rays are drawn per batch, so ask for whole batches.
     #[must_use]
-    pub fn picks(&self, first: u64, count: u64) -> Vec<Pick> {
+    pub fn picks(&self, first: u64, count: u64) -> Vec<PixelSample> {
         match self.kind {
             Pixels::Random => {
                 let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
@@ -145,29 +145,29 @@ impl PixelSequence {
         }
     }
 
-    fn random(&self, rng: &mut ChaCha8Rng) -> Pick {
+    fn random(&self, rng: &mut ChaCha8Rng) -> PixelSample {
         let n = rng.random_range(0..self.total());
         self.at(n, rng.next_u64())
     }
 
     /// Pixel `n` of all, in the order of the cameras, with a jitter made of random bits.
-    fn at(&self, n: u64, bits: u64) -> Pick {
+    fn at(&self, n: u64, bits: u64) -> PixelSample {
         let camera = self.starts.partition_point(|&start| start <= n) - 1;
         let (n, width) = (n - self.starts[camera], u64::from(self.resolutions[camera][0]));
         let pixel = self.mask(camera).map_or_else(|| [(n % width) as u32, (n / width) as u32], |mask| mask.nth(n));
         // The upper 53 bits as a binary fraction in [0, 1).
         let jitter = (bits >> 11) as f64 * 2.0_f64.powi(-53);
-        Pick { camera, pixel, jitter }
+        PixelSample { camera, pixel, jitter }
     }
 
     /// Ray k of a run through every pixel from `start` on, of which there are `size`.
-    fn every(&self, k: u64, start: u64, size: u64, stride: u64) -> Pick {
+    fn every(&self, k: u64, start: u64, size: u64, stride: u64) -> PixelSample {
         let [k, size, stride, first] = [k, size, stride, mix(self.seed)].map(u128::from);
         let n = start + ((k * stride + first) % size) as u64;
         self.at(n, mix(mix(self.seed) ^ n))
     }
 
-    fn sobol(&self, k: u64) -> Pick {
+    fn sobol(&self, k: u64) -> PixelSample {
         let length = self.round.len() as u64;
         let (camera, turn) = self.round[(k % length) as usize];
         self.of_camera(camera as usize, k / length * self.turns[camera as usize] + u64::from(turn))
@@ -199,7 +199,7 @@ impl PixelSequence {
 
     /// Ray `n` of a camera: an Owen-scrambled Sobol point in (column, row, jitter), with another scramble for every
     /// camera (Burley 2020); or the n-th of a run through every pixel.
-    pub(super) fn of_camera(&self, camera: usize, n: u64) -> Pick {
+    pub(super) fn of_camera(&self, camera: usize, n: u64) -> PixelSample {
         if self.kind == Pixels::Every {
             return self.every(n, self.starts[camera], self.size(camera), self.strides[camera]);
         }
@@ -210,7 +210,7 @@ impl PixelSequence {
             Some(mask) => mask.at(place),
             None => [0, 1].map(|k| ((place[k] * f64::from([w, h][k])) as u32).min([w, h][k] - 1)),
         };
-        Pick { camera, pixel, jitter: f64::from(jitter) }
+        PixelSample { camera, pixel, jitter: f64::from(jitter) }
     }
 }
 
@@ -335,7 +335,7 @@ mod tests {
             // Multiples of the golden ratio leave gaps of at most φ²/n = 2.62/64 (three-distance theorem): a quarter of
             // an image has at least 64 / 4 / 2.62 − 1 = 5 of them.
             for quarter in 0..4 {
-                let in_quarter = |pick: &&Pick| pick.pixel[1] / 10 == quarter;
+                let in_quarter = |pick: &&PixelSample| pick.pixel[1] / 10 == quarter;
                 assert!(picks.iter().filter(in_quarter).count() >= 5, "quarter {quarter}: {picks:?}");
             }
         }

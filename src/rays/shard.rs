@@ -85,14 +85,14 @@ impl Shard {
 /// Identifies summed rays by their seed and shard.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
 #[non_exhaustive]
-pub struct Draw {
+pub struct RaySet {
     /// Seed of the sequence's pixels and jitter.
     pub seed: u64,
     /// The part of the sequence.
     pub shard: Shard,
 }
 
-impl Draw {
+impl RaySet {
     /// Whether these rays are only a part of a run.
     #[must_use]
     pub fn is_part(&self) -> bool {
@@ -104,12 +104,12 @@ impl Draw {
     /// Batch b of a seed is the same in every run, whatever the run's length. For one seed, therefore, only
     /// different parts of the same run are disjoint.
     #[must_use]
-    pub fn are_disjoint(draws: impl IntoIterator<Item = Self>) -> bool {
+    pub fn are_disjoint(ray_sets: impl IntoIterator<Item = Self>) -> bool {
         let mut split = HashMap::new();
         let mut parts = HashSet::new();
-        draws.into_iter().all(|draw| {
-            let run = draw.run();
-            *split.entry(draw.seed).or_insert(run) == run && parts.insert(draw)
+        ray_sets.into_iter().all(|ray_set| {
+            let run = ray_set.run();
+            *split.entry(ray_set.seed).or_insert(run) == run && parts.insert(ray_set)
         })
     }
 
@@ -121,15 +121,15 @@ impl Draw {
 
     /// The same rays in as few draws as possible, sorted. If all parts of a run are present, they become one draw.
     #[must_use]
-    pub fn joined(draws: impl IntoIterator<Item = Self>) -> Vec<Self> {
-        let mut draws: Vec<Self> = draws.into_iter().collect();
-        draws.sort_unstable_by_key(|draw| (draw.run(), draw.shard.index));
+    pub fn joined(ray_sets: impl IntoIterator<Item = Self>) -> Vec<Self> {
+        let mut ray_sets: Vec<Self> = ray_sets.into_iter().collect();
+        ray_sets.sort_unstable_by_key(|ray_set| (ray_set.run(), ray_set.shard.index));
         let join = |parts: &[Self]| {
             let Self { seed, shard } = parts[0];
             let are_all = parts.iter().map(|part| part.shard.index).eq(0..shard.of);
             if are_all { vec![Self { seed, shard: Shard::whole(shard.rays) }] } else { parts.to_vec() }
         };
-        draws.chunk_by(|a, b| a.run() == b.run()).flat_map(join).collect()
+        ray_sets.chunk_by(|a, b| a.run() == b.run()).flat_map(join).collect()
     }
 }
 
@@ -194,34 +194,34 @@ mod tests {
         /// Draws with a common batch of one seed are never called disjoint; parts of one run always are.
         #[test]
         fn disjoint_draws_have_no_batch_in_common(
-            draws in proptest::collection::vec((0_u64..2, 1_u64..3, 1_u64..4, 0_u64..3), 0..5)
+            ray_sets in proptest::collection::vec((0_u64..2, 1_u64..3, 1_u64..4, 0_u64..3), 0..5)
         ) {
-            let draws: Vec<Draw> = draws
+            let ray_sets: Vec<RaySet> = ray_sets
                 .into_iter()
-                .map(|(seed, rays, of, index)| Draw { seed, shard: Shard::new(4000 * rays, index % of, of) })
+                .map(|(seed, rays, of, index)| RaySet { seed, shard: Shard::new(4000 * rays, index % of, of) })
                 .collect();
-            let batches = |draw: &Draw| -> Vec<(u64, u64)> {
-                let Draw { seed, shard } = *draw;
+            let batches = |ray_set: &RaySet| -> Vec<(u64, u64)> {
+                let RaySet { seed, shard } = *ray_set;
                 (0..shard.batches()).map(|n| (seed, shard.batch(n))).collect()
             };
-            let mut all: Vec<(u64, u64)> = draws.iter().flat_map(batches).collect();
+            let mut all: Vec<(u64, u64)> = ray_sets.iter().flat_map(batches).collect();
             let drawn = all.len();
             all.sort_unstable();
-            if Draw::are_disjoint(draws.iter().copied()) {
-                let joined = Draw::joined(draws.iter().copied());
+            if RaySet::are_disjoint(ray_sets.iter().copied()) {
+                let joined = RaySet::joined(ray_sets.iter().copied());
                 let mut again: Vec<(u64, u64)> = joined.iter().flat_map(batches).collect();
                 again.sort_unstable();
                 prop_assert_eq!(&again, &all);
-                prop_assert!(joined.len() <= draws.len());
+                prop_assert!(joined.len() <= ray_sets.len());
                 all.dedup();
                 prop_assert_eq!(all.len(), drawn);
             } else {
-                let same_run = |a: &Draw, b: &Draw| (a.shard.rays, a.shard.of) == (b.shard.rays, b.shard.of);
-                let doubtful = |i: usize| draws[..i].iter().any(|a| {
-                    let b = &draws[i];
+                let same_run = |a: &RaySet, b: &RaySet| (a.shard.rays, a.shard.of) == (b.shard.rays, b.shard.of);
+                let doubtful = |i: usize| ray_sets[..i].iter().any(|a| {
+                    let b = &ray_sets[i];
                     a.seed == b.seed && (a == b || !same_run(a, b))
                 });
-                prop_assert!((0..draws.len()).any(doubtful));
+                prop_assert!((0..ray_sets.len()).any(doubtful));
             }
         }
     }
@@ -250,11 +250,11 @@ mod tests {
 
     #[test]
     fn the_parts_of_a_run_are_the_run() {
-        let part = |index| Draw { seed: 7, shard: Shard::new(5000, index, 3) };
-        let other = Draw { seed: 1, shard: Shard::whole(10) };
-        let whole = Draw { seed: 7, shard: Shard::whole(5000) };
-        assert_eq!(Draw::joined([part(2), other, part(0), part(1)]), [other, whole]);
-        assert_eq!(Draw::joined([part(2), part(0)]), [part(0), part(2)]);
+        let part = |index| RaySet { seed: 7, shard: Shard::new(5000, index, 3) };
+        let other = RaySet { seed: 1, shard: Shard::whole(10) };
+        let whole = RaySet { seed: 7, shard: Shard::whole(5000) };
+        assert_eq!(RaySet::joined([part(2), other, part(0), part(1)]), [other, whole]);
+        assert_eq!(RaySet::joined([part(2), part(0)]), [part(0), part(2)]);
     }
 
     #[test]

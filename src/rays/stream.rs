@@ -6,10 +6,10 @@ use std::ops::{ControlFlow, Range};
 use rayon::prelude::*;
 
 use super::by_camera::CameraByCamera;
-use super::pixels::{Pick, PixelSequence, Pixels};
+use super::pixels::{PixelSample, PixelSequence, Pixels};
 use super::portions::{GROUP, Portions};
 use super::seeds::Purpose;
-use super::shard::{BATCH, Draw, RunProgress, Shard};
+use super::shard::{BATCH, RaySet, RunProgress, Shard};
 use super::source::{RaySource, VolumeRays};
 use crate::geometry::{Aabb, Camera, Mask, Ray};
 use crate::monitor::{Monitor, check};
@@ -133,8 +133,8 @@ impl<'a> RayStream<'a> {
 
     /// The draw made by a complete run of this shard of the stream.
     #[must_use]
-    pub fn draw(&self, shard: Shard) -> Draw {
-        Draw { seed: self.pixels.seed(), shard }
+    pub fn ray_set(&self, shard: Shard) -> RaySet {
+        RaySet { seed: self.pixels.seed(), shard }
     }
 
     /// The samples of some batches of a shard, in groups. If the monitor was interrupted, some are missing.
@@ -188,7 +188,7 @@ impl<'a> RayStream<'a> {
     /// Rays of one batch, each with its jitter.
     fn picked(&self, batch: u64, count: u64) -> Vec<(Ray, f64)> {
         let picks = self.pixels.picks(batch * BATCH, count);
-        let ray = |pick: &Pick| {
+        let ray = |pick: &PixelSample| {
             let [x, y] = pick.pixel.map(|i| f64::from(i) + self.pixel_offset);
             (self.cameras[pick.camera].ray(x, y), pick.jitter)
         };

@@ -4,10 +4,11 @@ use std::path::Path;
 use std::time::Instant;
 
 use super::{Finished, checks};
-use crate::estimate::{ErrorBudget, FieldBuilder, GridSettings, Provenance};
+use crate::estimate::{ErrorBudget, FieldBuilder, FieldSource, GridSettings};
 use crate::evaluate::Remark;
 use crate::geometry::Domain;
 use crate::monitor::Monitor;
+use crate::posterior::Pooling;
 use crate::rays::{RunProgress, SamplesReader};
 use crate::render::RaySamples;
 use crate::{Error, Result};
@@ -15,7 +16,7 @@ use crate::{Error, Result};
 /// Sums of samples whose Jacobians were computed elsewhere.
 pub struct Accumulation {
     builder: FieldBuilder,
-    min_rays: f64,
+    pooling: Pooling,
     /// Samples inside the box, and all.
     inside: u64,
     all: u64,
@@ -32,8 +33,8 @@ impl Accumulation {
             let expected = "`sensitivity`, and no memory: the rest needs the model and its rays";
             return Err(Error::setting("--refine", expected, settings.criteria.to_string()));
         }
-        let (builder, min_rays) = (FieldBuilder::new(settings, domain)?, settings.min_rays);
-        Ok(Self { builder, min_rays, inside: 0, all: 0, start: Instant::now() })
+        let (builder, pooling) = (FieldBuilder::new(settings, domain)?, settings.pooling);
+        Ok(Self { builder, pooling, inside: 0, all: 0, start: Instant::now() })
     }
 
     /// Adds samples, in ray order.
@@ -69,7 +70,7 @@ impl Accumulation {
     /// # Errors
     /// If all samples lie outside the box.
     pub fn finish(self, place: &Path, source: &str, rays: u64, tell: &mut dyn FnMut(Remark)) -> Result<Finished> {
-        let Self { builder, min_rays, inside, all, start } = self;
+        let Self { builder, pooling, inside, all, start } = self;
         let found = format!("{inside} of {all} samples");
         if inside == 0 && all > 0 {
             let expected = "samples inside the box (--box); likely causes: units, or axes";
@@ -80,8 +81,8 @@ impl Accumulation {
         }
         let sums_bytes = builder.memory();
         let progress = RunProgress { rays, samples: all, ..RunProgress::default() };
-        let field = builder.finish(&Provenance { source: source.into(), progress, ..Provenance::default() });
-        checks::field(&field, min_rays, tell);
+        let field = builder.finish(&FieldSource { source: source.into(), progress, ..FieldSource::default() });
+        checks::field(&field, pooling, tell);
         let errors = ErrorBudget::of_field(&field);
         Ok(Finished { field, errors, elapsed: start.elapsed(), sums_bytes, replanned: None, checkpoint: None })
     }

@@ -12,7 +12,7 @@ use crate::geometry::Aabb;
 use crate::open::{self, Model};
 use crate::posterior::Scale;
 use crate::splats::RenderMode;
-use crate::uncertainty::{Protocol, UncertaintyField};
+use crate::uncertainty::{RunRecord, UncertaintyField};
 use crate::{Error, Result};
 
 impl OpenedModel {
@@ -27,7 +27,7 @@ impl OpenedModel {
         force: bool,
         tell: &mut dyn FnMut(Remark),
     ) -> Result<Self> {
-        let checksum = field.protocol().origin.model;
+        let checksum = field.record().model_checksum;
         let opened = Self::open(name, coordinates_of(name, checksum)?, mode_of(name, checksum)?)?;
         opened.check(field, path, force, tell)?;
         Ok(opened)
@@ -48,14 +48,14 @@ impl OpenedModel {
         if let Model::Volume(model) = &self.model {
             check_box(&self.name, &model.bounds(), field)?;
         }
-        let Some(expected) = field.protocol().origin.model else {
+        let Some(expected) = field.record().model_checksum else {
             tell(Remark::Note(format!("{} does not say which model it was computed from", path.display())));
             return Ok(());
         };
         if expected == self.checksum {
             return Ok(());
         }
-        let expected = format!("checksum {expected:08x}, as in \"{}\"", field.protocol().source);
+        let expected = format!("checksum {expected:08x}, as in \"{}\"", field.record().source);
         let (found, more) = (format!("checksum {:08x} of `{}`", self.checksum, self.name), ", another model");
         refuse(format!("model of {}", path.display()), &expected, &found, more, force, tell)
     }
@@ -64,7 +64,7 @@ impl OpenedModel {
 /// Settings for images: with the background and the position of rays in their pixels that a field was computed with.
 #[must_use]
 pub fn image_settings(field: &UncertaintyField) -> RaySettings {
-    let Protocol { background, pixel_offset, .. } = *field.protocol();
+    let RunRecord { background, pixel_offset, .. } = *field.record();
     let images = RaySettings::for_images();
     images.background(background.map_or(images.background, Vec3::from)).pixel_offset(pixel_offset)
 }
@@ -140,8 +140,8 @@ pub fn check_fields(
     force: bool,
     tell: &mut dyn FnMut(Remark),
 ) -> Result<()> {
-    let [first, second] = [first, second].map(UncertaintyField::protocol);
-    let models = first.origin.model.zip(second.origin.model).filter(|(a, b)| a != b);
+    let [first, second] = [first, second].map(UncertaintyField::record);
+    let models = first.model_checksum.zip(second.model_checksum).filter(|(a, b)| a != b);
     let differences = [
         models.map(|(a, b)| ("model", format!("checksum {a:08x}"), format!("checksum {b:08x}"))),
         (first.scale != second.scale).then(|| ("scale", scale(first.scale), scale(second.scale))),
@@ -151,10 +151,10 @@ pub fn check_fields(
         refuse(format!("{what} of {}", other.display()), &expected, &found, "", force, tell)?;
     }
     if first.covariance != second.covariance {
-        let [first, second] = [first, second].map(|protocol| protocol.covariance.name());
+        let [first, second] = [first, second].map(|record| record.covariance.name());
         tell(Remark::Warning(format!("`{first}` of one field is compared with `{second}` of the other")));
     }
-    if first.origin.cameras.zip(second.origin.cameras).is_some_and(|(a, b)| a != b) {
+    if first.cameras_checksum.zip(second.cameras_checksum).is_some_and(|(a, b)| a != b) {
         tell(Remark::Note("the two fields were seen by different cameras".into()));
     }
     Ok(())

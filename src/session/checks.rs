@@ -4,6 +4,7 @@ use crate::dataset::{ResolutionSource, Views, check_masks};
 use crate::estimate::CoverageCheck;
 use crate::evaluate::Remark;
 use crate::geometry::{Camera, Mask, kept_pixels};
+use crate::posterior::Pooling;
 use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
 
@@ -54,11 +55,11 @@ pub fn sight(sight: &CoverageCheck, others: &[&str], tell: &mut dyn FnMut(Remark
 }
 
 /// Notes what is odd about a finished field.
-pub fn field(field: &UncertaintyField, min_rays: f64, tell: &mut dyn FnMut(Remark)) {
-    if let Some(median) = field.median_rays().filter(|&median| median < MIN_RAYS_PER_VERTEX && min_rays == 0.0) {
+pub fn field(field: &UncertaintyField, pooling: Pooling, tell: &mut dyn FnMut(Remark)) {
+    if let Some(median) = field.median_rays().filter(|&median| median < MIN_RAYS_PER_VERTEX && !pooling.is_on()) {
         tell(Remark::Note(format!(
-            "half of the vertices that moved are supported by {median} rays or fewer; --min-rays 4 shares what their \
-             neighbours saw, more --rays is better"
+            "half of the vertices that moved are supported by {median} rays or fewer; --min-rays auto uses what \
+             their neighbours saw, more --rays is better"
         )));
     }
     if let Some(tile) = field.tile().filter(|_| field.sums().is_some_and(|sums| sums.iter().all(|s| s.rays == 0))) {

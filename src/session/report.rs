@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 use super::memory::peak;
 use crate::Result;
 use crate::estimate::{Checkpoint, ErrorBudget, Plan, facts};
-use crate::posterior::Visits;
+use crate::posterior::RayCoverage;
 use crate::uncertainty::UncertaintyField;
 
 /// Percentages of the visible surfaces at which log10 U is reported.
@@ -71,7 +71,7 @@ pub fn described(field: &UncertaintyField) -> Value {
         "percent": PERCENTS,
         "log10_uncertainty": field.surface_quantiles(PERCENTS.map(|percent| 0.01 * percent)),
         "prior": field.prior().log10(),
-        "unseen_share": field.visits().map(Visits::unseen_share),
+        "unseen_share": field.ray_coverage().map(RayCoverage::unseen_share),
     });
     value
 }

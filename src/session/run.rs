@@ -302,7 +302,7 @@ impl Prepared<'_> {
             Some(residuals) => field.with_residuals(residuals)?,
             None => field,
         };
-        checks::field(&field, session.grid.min_rays, tell);
+        checks::field(&field, session.grid.pooling, tell);
         Ok(Finished {
             field,
             errors,

@@ -40,7 +40,7 @@ impl Threshold {
     /// # Errors
     /// If a share is asked of a field without points on visible surfaces, or if the field cannot be read.
     pub fn log10(self, field: &dyn Answers, tell: &mut dyn FnMut(Remark)) -> Result<f64> {
-        let prior = field.protocol().reading().prior().log10();
+        let prior = field.record().reading().prior().log10();
         match self {
             Self::Log10(log10) => {
                 if log10 >= prior {

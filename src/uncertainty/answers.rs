@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use glam::Vec3;
 
 use super::observability::at_shares;
-use super::{Estimate, Observability, Protocol, Summary, Support, UncertaintyField};
+use super::{Estimate, Observability, RunRecord, Summary, Support, UncertaintyField};
 use crate::Result;
 use crate::geometry::Lattice;
 use crate::octree::CellTree;
@@ -21,7 +21,7 @@ pub struct Answer {
     /// U and its circumstances.
     pub estimate: Estimate,
     /// Training rays that reached the space around the point with half of their light; `None` if unknown.
-    pub visits: Option<u32>,
+    pub ray_coverage: Option<u32>,
     /// Whether the point is constrained, free or unseen; `None` if unknown.
     pub observability: Option<Observability>,
 }
@@ -29,7 +29,7 @@ pub struct Answer {
 /// A field that can be queried at points, in memory or in files. Along rays it is probed for log10 U and for the
 /// number of training rays that support it.
 pub trait Answers: ProbedField {
-    /// What does not depend on the place, such as the protocol and the box: the field, or one of its tiles.
+    /// What does not depend on the place, such as the record and the box: the field, or one of its tiles.
     fn facts(&self) -> &UncertaintyField;
 
     /// U at scene points, in their order.
@@ -38,7 +38,7 @@ pub trait Answers: ProbedField {
     /// If a part of the field cannot be read.
     fn estimates(&self, points: &[Vec3]) -> Result<Vec<Estimate>>;
 
-    /// U, visits and [`Observability`] at scene points, in their order.
+    /// U, ray coverage and [`Observability`] at scene points, in their order.
     ///
     /// # Errors
     /// If a part of the field cannot be read.
@@ -46,7 +46,7 @@ pub trait Answers: ProbedField {
         let facts = self.facts();
         let answer = |(&x, estimate): (&Vec3, Estimate)| Answer {
             estimate,
-            visits: facts.visits().map(|visits| visits.at(x).unwrap_or(0)),
+            ray_coverage: facts.ray_coverage().map(|ray_coverage| ray_coverage.at(x).unwrap_or(0)),
             observability: facts.observability(x, estimate.uncertainty),
         };
         Ok(points.iter().zip(self.estimates(points)?).map(answer).collect())
@@ -102,8 +102,8 @@ impl<F: Answers + ?Sized> ProbedField for F {
 impl dyn Answers + '_ {
     /// Everything that the numbers depend on.
     #[must_use]
-    pub fn protocol(&self) -> &Protocol {
-        self.facts().protocol()
+    pub fn record(&self) -> &RunRecord {
+        self.facts().record()
     }
 
     /// Domain and finest level.

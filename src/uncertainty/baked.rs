@@ -129,7 +129,7 @@ impl<'a> BakedField<'a> {
     fn estimate(&self, corners: &[Corners], found: Option<Found>) -> Estimate {
         let Some((number, level, weights)) = found else { return self.field.outside() };
         let Corners { deviations, rays } = &corners[number];
-        let uncertainty = self.field.protocol.covariance.interpolate(&deviations.map(f64::from), &weights);
+        let uncertainty = self.field.record.covariance.interpolate(&deviations.map(f64::from), &weights);
         let rays: f64 = rays.iter().zip(weights).map(|(rays, w)| w * f64::from(*rays)).sum();
         Estimate { uncertainty, log10_error: None, rays: (!rays.is_nan()).then_some(rays), level, inside: true }
     }
@@ -187,7 +187,11 @@ mod tests {
                 let rays = found.rays.zip(other.rays).map_or(found.rays == other.rays, |(a, b)| near(a, b));
                 let same = (found.level, found.inside) == (other.level, other.inside);
                 assert!(same && rays && near(found.uncertainty, other.uncertainty), "{x}: {found:?}, {other:?}");
-                assert_eq!((a.visits, a.observability, baked.query(*x)), (b.visits, b.observability, found), "{x}");
+                assert_eq!(
+                    (a.ray_coverage, a.observability, baked.query(*x)),
+                    (b.ray_coverage, b.observability, found),
+                    "{x}"
+                );
             }
             assert!(found.iter().filter(|answer| !answer.estimate.inside).count() > 1000);
             for few in [0, 1, TOGETHER - 1, TOGETHER, TOGETHER + 1] {

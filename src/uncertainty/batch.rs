@@ -69,7 +69,7 @@ impl UncertaintyField {
 
     /// The values at corners. The value of a corner is the mean over its vertices.
     pub(super) fn corner_values(&self, corners: [&[VertexId]; 8]) -> LeafValues {
-        let covariance = self.protocol.covariance;
+        let covariance = self.record.covariance;
         let deviation = |&VertexId(v): &VertexId| self.deviations.get(v as usize);
         let deviations = corners.map(|masters| match masters {
             [vertex] => deviation(vertex),
@@ -99,7 +99,7 @@ impl UncertaintyField {
     /// The estimate in a leaf, from the values and the weights of its corners.
     pub(super) fn interpolated_at(&self, values: &LeafValues, weights: &[f64; 8], level: u8) -> Estimate {
         let rays = values.rays.map(|rays| rays.iter().zip(weights).map(|(rays, w)| w * rays).sum());
-        let covariance = self.protocol.covariance;
+        let covariance = self.record.covariance;
         let uncertainty = covariance.interpolate(&values.deviations, weights);
         let errors = values.errors.as_ref();
         let log10_error = errors.and_then(|errors| covariance.interpolate_errors(errors, &values.deviations, weights));

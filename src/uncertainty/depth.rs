@@ -38,14 +38,14 @@ impl UncertaintyField {
     /// # Errors
     /// If the field is in the paper's scale, in which deviations are no lengths.
     pub fn depth_posterior(&self) -> Result<DepthPosterior<'_>> {
-        let Scale::Data(_) = self.protocol.scale else {
+        let Scale::Data(_) = self.record.scale else {
             return Err(Error::setting(
                 "scale",
                 "a field in the scale of its data, for errors of depth",
                 "the paper's",
             ));
         };
-        let scale = self.protocol.scale.factor(self.protocol.covariance).powi(2);
+        let scale = self.record.scale.factor(self.record.covariance).powi(2);
         Ok(DepthPosterior { field: self, sums: self.local_sums(), limits: self.limits(), scale })
     }
 }
@@ -89,13 +89,13 @@ impl DepthVariance for DepthPosterior<'_> {
 impl DepthPosterior<'_> {
     /// gᵀ C_v g of the vertex at a lattice point.
     fn of_vertex(&self, point: [u32; 3], g: DVec3) -> f64 {
-        let UncertaintyField { protocol, deviations, .. } = self.field;
+        let UncertaintyField { record, deviations, .. } = self.field;
         let vertex = self.field.vertex_at(point);
         let isotropic = |deviation: f64| deviation * deviation / 3.0 * g.length_squared();
         match (&self.sums, vertex) {
             (Some(sums), _) => {
                 let sums = vertex.map_or_else(VertexSums::default, |v| sums.at(v));
-                let [xx, xy, xz, yy, yz, zz] = protocol.covariance.matrix(&sums, protocol.rays, protocol.lambda);
+                let [xx, xy, xz, yy, yz, zz] = record.covariance.matrix(&sums, record.rays, record.lambda);
                 let squares = xx * g.x * g.x + yy * g.y * g.y + zz * g.z * g.z;
                 self.scale * (squares + 2.0 * (xy * g.x * g.y + xz * g.x * g.z + yz * g.y * g.z))
             }

@@ -1,6 +1,6 @@
 //! The field file, `.oct`.
 //!
-//! It is a [`container`] whose header holds protocol, lattice, and what the field's
+//! It is a [`container`] whose header holds record, lattice, and what the field's
 //! [layers](super::layers) say in JSON, each under its name. A layer that a field does not have is not named. Sections
 //! are
 //!
@@ -16,8 +16,8 @@
 //! factors      28 bytes   sums: Cholesky factors of the sums, by vertex: f32 × 6, u32 rays
 //! exact        52 bytes   instead of `factors`, the sums themselves: f64 × 6 information, u32 rays
 //! surface      f32 × 3    surface points
-//! visits       u8         visits: codes of ray counts by cell of the coarse grid, x slowest
-//! counted      u32        instead of `visits`: the counts themselves
+//! ray_coverage u8         ray coverage: codes of ray counts by cell of the coarse grid, x slowest
+//! counted      u32        instead of `ray_coverage`: the counts themselves
 //! limits       u64        the regions' level, then region · 256 + limit
 //! errors       u16        error bars: number of groups, then bits of f16, errors of log10 σ_v, NaN where not known
 //! residual points u64     residuals: Morton codes of points of its lattice, ascending
@@ -35,7 +35,7 @@ use serde_json::{Map, Value};
 
 use super::layers::{ErrorBars, Layer, Layers};
 use super::merge::Head;
-use super::{Protocol, Support, UncertaintyField};
+use super::{RunRecord, Support, UncertaintyField};
 use crate::geometry::Lattice;
 use crate::io::container::{self, Format, Item, Reader, Section};
 use crate::octree::Octree;
@@ -48,7 +48,7 @@ const FORMAT: Format = (b"OCTOBAY\n", FORMAT_VERSION);
 
 #[derive(serde::Serialize, serde::Deserialize)]
 struct Header {
-    protocol: Protocol,
+    record: RunRecord,
     lattice: Lattice,
     kind: Kind,
     /// Those that the field has, by name.
@@ -68,7 +68,7 @@ pub struct Source {
     kind: Kind,
     /// Layers that are still to be read.
     heads: Map<String, Value>,
-    pub protocol: Protocol,
+    pub record: RunRecord,
     pub lattice: Lattice,
     pub is_dense: bool,
     /// Number of vertices, once it is known.
@@ -81,16 +81,16 @@ impl Source {
     /// Opens a file, and checks what constructors would: deserialisation bypasses them.
     fn open(path: &Path) -> Result<Self> {
         let (header, file) = Reader::open::<Header>(path, FORMAT)?;
-        let Header { protocol, lattice, kind, layers: heads } = header;
+        let Header { record, lattice, kind, layers: heads } = header;
         let lattice = lattice.domain().checked().and_then(|domain| Lattice::from_domain(domain, lattice.level()));
         let lattice =
             lattice.map_err(|e| Error::malformed(path, "header", "a valid domain and level", e.to_string()))?;
-        if !protocol.is_possible() {
-            let expected = "a protocol that a run can have";
-            return Err(Error::malformed(path, "header", expected, format!("{protocol:?}")));
+        if !record.is_possible() {
+            let expected = "a record that a run can have";
+            return Err(Error::malformed(path, "header", expected, format!("{record:?}")));
         }
         let (is_dense, layers) = (matches!(kind, Kind::Dense), Layers::default());
-        Ok(Self { path: path.to_path_buf(), file, kind, heads, protocol, lattice, is_dense, vertices: 0, layers })
+        Ok(Self { path: path.to_path_buf(), file, kind, heads, record, lattice, is_dense, vertices: 0, layers })
     }
 
     /// The vertices, which are all of a dense grid or those of an octree.
@@ -158,8 +158,8 @@ impl UncertaintyField {
                 (Kind::Octree { root_split }, masks)
             }
         };
-        let (protocol, layers) = (self.protocol.clone(), self.layers.heads());
-        let header = Header { protocol, lattice: self.lattice, kind, layers };
+        let (record, layers) = (self.record.clone(), self.layers.heads());
+        let header = Header { record, lattice: self.lattice, kind, layers };
         let of_layers = self.layers.sections(self.is_to_be_merged());
         let mut sections: Vec<(&str, &dyn Section)> =
             vec![("masks", &masks), ("deviations", &self.deviations.0), ("rays", &self.rays.0)];
@@ -175,10 +175,10 @@ impl UncertaintyField {
         let mut file = Source::open(path)?;
         let [has_sums, has_error_bars] =
             [Vec::<VertexSums>::NAME, ErrorBars::NAME].map(|name| file.heads.contains_key(name));
-        let (tile, draws) = (file.layer()?, file.layer()?.unwrap_or_default());
-        let Source { protocol, lattice, is_dense, .. } = file;
+        let (tile, ray_sets) = (file.layer()?, file.layer()?.unwrap_or_default());
+        let Source { record, lattice, is_dense, .. } = file;
         let name = path.display().to_string();
-        Ok(Head { name, protocol, lattice, draws, tile, is_dense, has_sums, has_error_bars })
+        Ok(Head { name, record, lattice, ray_sets, tile, is_dense, has_sums, has_error_bars })
     }
 
     /// Whether a file holds error bars, by its header.
@@ -207,7 +207,7 @@ impl UncertaintyField {
             file.expect_one_per_vertex("rays", rays.len())?;
         }
         let layers = Layers::read(&mut file)?;
-        let Source { protocol, lattice, .. } = file;
-        Ok(Self { protocol, lattice, support, deviations: deviations.into(), rays: rays.into(), layers })
+        let Source { record, lattice, .. } = file;
+        Ok(Self { record, lattice, support, deviations: deviations.into(), rays: rays.into(), layers })
     }
 }

@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-use super::{Protocol, Support, UncertaintyField};
+use super::{RunRecord, Support, UncertaintyField};
 use crate::octree::{VertexId, trilinear};
 use crate::posterior::{Covariance, Information, LocalSums, trace};
 use crate::{Error, Result};
@@ -35,10 +35,10 @@ impl UncertaintyField {
     /// If the sums were not kept.
     pub fn matrices(&self, covariance: Covariance) -> Result<Matrices<'_>> {
         let Some(local) = self.local_sums() else {
-            let found = format!("one of `{}` only", self.protocol().covariance.name());
+            let found = format!("one of `{}` only", self.record().covariance.name());
             return Err(Error::setting("kept sums", "a field that keeps its sums, to give matrices", found));
         };
-        let field = if covariance == self.protocol().covariance {
+        let field = if covariance == self.record().covariance {
             Cow::Borrowed(self)
         } else {
             Cow::Owned(self.clone().with_covariance(covariance)?)
@@ -54,7 +54,7 @@ impl Matrices<'_> {
     /// interpolated with the weights that interpolate U. Outside the box it is the prior's.
     #[must_use]
     pub fn at(&self, points: &[Vec3]) -> Vec<Information> {
-        let Protocol { rays, lambda, .. } = self.field.protocol;
+        let RunRecord { rays, lambda, .. } = self.field.record;
         let matrix = |v: usize| self.covariance.matrix(&self.local.at(v), rays, lambda);
         let mut out = vec![[0.0; 6]; points.len()];
         let chunks = points.par_chunks(CHUNK).zip(out.par_chunks_mut(CHUNK));

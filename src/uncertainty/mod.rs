@@ -17,9 +17,9 @@ mod observability;
 #[cfg(feature = "files")]
 mod official;
 mod precision;
-mod protocol;
 mod query;
 mod recompute;
+mod record;
 mod shown;
 mod threshold;
 mod tiled;
@@ -40,8 +40,8 @@ pub use official::OfficialGrid;
 // For ranking views, and for the experiment that checks what it predicts.
 #[doc(hidden)]
 pub use precision::{Added, Precision};
-pub use protocol::{Origin, Protocol};
 pub use query::Estimate;
+pub use record::RunRecord;
 pub use shown::{Unknown, shown_log10, unknowns};
 pub use threshold::{NEARLY_ALL, ThresholdedField, is_certain, threshold_warning};
 pub use tiled::TiledField;
@@ -52,7 +52,7 @@ use self::layers::Layers;
 use crate::geometry::Lattice;
 use crate::octree::{MaxLevels, Octree, VertexId};
 use crate::posterior::{LocalSums, OctreePosterior, Reading, VertexSums};
-use crate::rays::Draw;
+use crate::rays::RaySet;
 
 /// A vertex counts as moved if log10 U lies more than this many decades below the prior's.
 ///
@@ -63,7 +63,7 @@ pub const MOVED: f64 = 0.5;
 /// A spatial uncertainty field.
 #[derive(Debug, Clone, PartialEq)]
 pub struct UncertaintyField {
-    protocol: Protocol,
+    record: RunRecord,
     lattice: Lattice,
     support: Support,
     /// `[vertices]`: σ_v, scene units.
@@ -75,63 +75,63 @@ pub struct UncertaintyField {
 }
 
 impl UncertaintyField {
-    /// Computes the field from `sums` under `protocol`, one entry per vertex of `support`.
+    /// Computes the field from `sums` under `record`, one entry per vertex of `support`.
     ///
     /// # Panics
     /// If the number of entries differs from the number of vertices.
     #[must_use]
-    pub fn new(protocol: Protocol, lattice: Lattice, support: Support, sums: Vec<VertexSums>) -> Self {
+    pub fn new(record: RunRecord, lattice: Lattice, support: Support, sums: Vec<VertexSums>) -> Self {
         let vertices = support.vertices(&lattice);
         assert_eq!(sums.len() as u64, vertices, "one entry per vertex");
         let limits = MaxLevels::none(lattice.level());
-        Self::on_leaves(protocol, lattice, support, limits, sums)
+        Self::on_leaves(record, lattice, support, limits, sums)
     }
 
     fn on_leaves(
-        protocol: Protocol,
+        record: RunRecord,
         lattice: Lattice,
         support: Support,
         limits: MaxLevels,
         sums: Vec<VertexSums>,
     ) -> Self {
         let rays = sums.iter().map(|sums| sums.rays).collect();
-        let mut field = Self::from_values(protocol, lattice, support, limits, (StandardDeviations::default(), rays));
-        field.deviations = field.deviations_of(&field.protocol.reading(), &sums);
+        let mut field = Self::from_values(record, lattice, support, limits, (StandardDeviations::default(), rays));
+        field.deviations = field.deviations_of(&field.record.reading(), &sums);
         field.layers.sums = Some(sums);
         field
     }
 
     fn from_values(
-        protocol: Protocol,
+        record: RunRecord,
         lattice: Lattice,
         support: Support,
         limits: MaxLevels,
         (deviations, rays): (StandardDeviations, RayCounts),
     ) -> Self {
-        let draws = protocol.draw().map(|draw| vec![draw]);
+        let ray_sets = record.ray_set().map(|ray_set| vec![ray_set]);
         let limits = Some(limits).filter(|limits| !limits.is_unlimited());
-        let layers = Layers { draws, limits, ..Layers::default() };
-        Self { protocol, lattice, support, deviations, rays, layers }
+        let layers = Layers { ray_sets, limits, ..Layers::default() };
+        Self { record, lattice, support, deviations, rays, layers }
     }
 
     /// The field on an octree that was made of the sums. σ is read straight from the posterior unless the sums are kept
     /// or needed, which saves a copy.
     pub(crate) fn on_octree(
-        protocol: Protocol,
+        record: RunRecord,
         lattice: Lattice,
         posterior: OctreePosterior,
         octree: Octree,
         keep_sums: bool,
     ) -> Self {
         let (limits, tile) = (posterior.limits().clone(), posterior.tile());
-        let mut field = if keep_sums || protocol.is_part() || protocol.min_rays > 0.0 || tile.is_some() {
+        let mut field = if keep_sums || record.is_part() || record.pooling.is_on() || tile.is_some() {
             let sums = posterior.sums_at(&octree);
             drop(posterior);
-            Self::on_leaves(protocol, lattice, Support::Octree(octree), limits, sums)
+            Self::on_leaves(record, lattice, Support::Octree(octree), limits, sums)
         } else {
-            let (deviations, rays) = posterior.values(&protocol.reading(), &octree, by_vertex::encode);
+            let (deviations, rays) = posterior.values(&record.reading(), &octree, by_vertex::encode);
             let values = (deviations.into(), rays.into());
-            Self::from_values(protocol, lattice, Support::Octree(octree), limits, values)
+            Self::from_values(record, lattice, Support::Octree(octree), limits, values)
         };
         field.layers.tile = tile;
         field
@@ -140,7 +140,7 @@ impl UncertaintyField {
     /// Whether this is only a part of a run, whose other shards or tiles are missing.
     #[must_use]
     pub fn is_part(&self) -> bool {
-        self.layers.is_part(&self.protocol)
+        self.layers.is_part(&self.record)
     }
 
     /// Whether other shards or tiles are still to be added: its sums and counts are exact.
@@ -151,14 +151,14 @@ impl UncertaintyField {
     /// The same field with the [checksum](crate::open::checksum) of the model that it was computed from.
     #[must_use]
     pub fn with_model(mut self, checksum: u32) -> Self {
-        self.protocol.origin.model = Some(checksum);
+        self.record.model_checksum = Some(checksum);
         self
     }
 
     /// Everything that the numbers depend on.
     #[must_use]
-    pub fn protocol(&self) -> &Protocol {
-        &self.protocol
+    pub fn record(&self) -> &RunRecord {
+        &self.record
     }
 
     /// Box and finest level.
@@ -200,7 +200,7 @@ impl UncertaintyField {
     /// U where nothing was seen, scene units.
     #[must_use]
     pub fn prior(&self) -> f64 {
-        self.protocol.reading().prior()
+        self.record.reading().prior()
     }
 
     /// σ_v of `sums`, one entry per vertex, under `reading`.
@@ -211,7 +211,7 @@ impl UncertaintyField {
     /// What is read off each vertex, if the field keeps its sums.
     fn local_sums(&self) -> Option<LocalSums<'_>> {
         let sums = self.sums()?;
-        Some(LocalSums::new(&self.protocol.reading(), &self.lattice, &self.support, &self.limits(), sums))
+        Some(LocalSums::new(&self.record.reading(), &self.lattice, &self.support, &self.limits(), sums))
     }
 
     /// The vertex at a lattice point. An octree has none where the information is negligible.
@@ -255,9 +255,9 @@ impl UncertaintyField {
 }
 
 impl Layers {
-    /// Whether a field with this protocol is only a part of a run.
-    fn is_part(&self, protocol: &Protocol) -> bool {
-        self.tile.is_some() || protocol.is_part() || self.draws.iter().flatten().any(Draw::is_part)
+    /// Whether a field with this record is only a part of a run.
+    fn is_part(&self, record: &RunRecord) -> bool {
+        self.tile.is_some() || record.is_part() || self.ray_sets.iter().flatten().any(RaySet::is_part)
     }
 }
 

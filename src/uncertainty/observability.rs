@@ -48,20 +48,20 @@ impl UncertaintyField {
     /// It is at least the tolerance, because U is not more accurate than that.
     fn margin(&self) -> f64 {
         let information = (10_f64.powf(2.0 * MOVED) - 1.0) * self.lattice.default_lambda();
-        let margin = 0.5 * (1.0 + information / self.protocol.lambda).log10();
-        margin.max(self.protocol.tolerance.clamp(ROUNDING, MOVED))
+        let margin = 0.5 * (1.0 + information / self.record.lambda).log10();
+        margin.max(self.record.tolerance.clamp(ROUNDING, MOVED))
     }
 
     /// Whether a scene point with this U (`uncertainty`) is constrained, free or unseen; `None` if the field has no
-    /// visits.
+    /// ray coverage.
     ///
     /// Outside the domain nothing was seen.
     #[must_use]
     pub fn observability(&self, x: Vec3, uncertainty: f64) -> Option<Observability> {
-        let visits = self.visits()?.at(x).unwrap_or(0);
+        let ray_coverage = self.ray_coverage()?.at(x).unwrap_or(0);
         Some(if uncertainty < self.prior() * 10_f64.powf(-self.margin()) {
             Observability::Constrained
-        } else if visits > 0 {
+        } else if ray_coverage > 0 {
             Observability::Free
         } else {
             Observability::Unseen

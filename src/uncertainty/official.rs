@@ -7,7 +7,7 @@
 
 use std::path::Path;
 
-use super::{Protocol, Support, UncertaintyField};
+use super::{RunRecord, Support, UncertaintyField};
 use crate::geometry::{Domain, Lattice};
 use crate::io::{Real, npy};
 use crate::posterior::{self, Covariance, VertexSums};
@@ -53,9 +53,9 @@ impl OfficialGrid {
         });
         let source = format!("official grid {}", path.display());
         let lambda = self.lambda.unwrap_or_else(|| lattice.default_lambda());
-        let protocol = Protocol::unstated(source, self.rays, lambda, Covariance::Trace);
+        let record = RunRecord::unstated(source, self.rays, lambda, Covariance::Trace);
         // An isotropic stand-in supports no other covariance, so the matrices are not kept.
-        Ok(UncertaintyField::new(protocol, lattice, Support::Dense, sums).without_sums())
+        Ok(UncertaintyField::new(record, lattice, Support::Dense, sums).without_sums())
     }
 }
 
@@ -82,7 +82,7 @@ impl UncertaintyField {
             None => missing = true,
         });
         if missing {
-            let found = format!("a field that holds `{}` only", self.protocol.covariance.name());
+            let found = format!("a field that holds `{}` only", self.record.covariance.name());
             return Err(Error::setting("kept sums", "a field that keeps its sums, or one of `trace`", found));
         }
         npy::write(path, &[sums.len() as u64], sums.into_iter().map(|s| s as f32))
@@ -97,17 +97,17 @@ impl UncertaintyField {
 
     /// tr S from σ² = 1 / (tr S / R + λ), if the covariance of the field is `trace`.
     fn trace_from_deviation(&self, point: [u32; 3]) -> Option<f64> {
-        if self.protocol.covariance != Covariance::Trace {
+        if self.record.covariance != Covariance::Trace {
             return None;
         }
         let x = self.lattice.position(glam::DVec3::from(point.map(f64::from))).as_vec3();
-        let factor = self.protocol.scale.factor(Covariance::Trace);
+        let factor = self.record.scale.factor(Covariance::Trace);
         let deviation = self.query(self.lattice.domain().clamp(x)).uncertainty / factor;
-        Some((self.protocol.rays as f64 * (deviation.powi(-2) - self.protocol.lambda)).max(0.0))
+        Some((self.record.rays as f64 * (deviation.powi(-2) - self.record.lambda)).max(0.0))
     }
 }
 
-/// Visits every vertex, x slowest, with its index in the official order.
+/// RayCoverage every vertex, x slowest, with its index in the official order.
 fn for_each_vertex(m: u32, mut visit: impl FnMut([u32; 3], usize)) {
     for x in 0..=m {
         for y in 0..=m {

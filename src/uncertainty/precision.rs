@@ -41,7 +41,7 @@ impl UncertaintyField {
     /// those of a vertex's own rays.
     #[doc(hidden)]
     pub fn precision(&self) -> Result<Precision<'_>> {
-        let Scale::Data(data) = self.protocol.scale else {
+        let Scale::Data(data) = self.record.scale else {
             let expected = "a field in the scale of its data, which counts information in pixels";
             return Err(Error::setting("scale", expected, "the paper's"));
         };
@@ -49,9 +49,9 @@ impl UncertaintyField {
             let expected = "a whole run, whose parts `merge` joins";
             return Err(Error::setting("field", expected, "a part of one"));
         }
-        if self.protocol.min_rays > 0.0 {
+        if self.record.pooling.is_on() {
             let expected = "0, as a vertex's information is to be that of its own rays";
-            return Err(Error::setting("pooling", expected, format!("{}", self.protocol.min_rays)));
+            return Err(Error::setting("pooling", expected, self.record.pooling.to_string()));
         }
         let Some(sums) = self.local_sums() else {
             let expected = "a field that keeps its sums, to which the rays of a view can be added";
@@ -94,6 +94,6 @@ impl Precision<'_> {
     #[must_use]
     pub fn before(&self, added: &Added) -> Information {
         let sums = added.vertex.map_or_else(VertexSums::default, |v| self.sums.at(v as usize));
-        self.data.precision(&sums.information, self.field.protocol.rays)
+        self.data.precision(&sums.information, self.field.record.rays)
     }
 }

@@ -7,7 +7,7 @@ use super::*;
 use crate::geometry::{Aabb, Domain};
 use crate::octree::trilinear;
 use crate::posterior::{
-    Covariance, Criteria, DataScale, DensePosterior, OctreePosterior, Posterior, Refinement, Scale, trace,
+    Covariance, Criteria, DataScale, DensePosterior, OctreePosterior, Pooling, Posterior, Refinement, Scale, trace,
 };
 use crate::rays::Pixels;
 use crate::render::{RaySample, RaySamples};
@@ -15,11 +15,12 @@ use proptest::prelude::*;
 
 mod hanging;
 
-pub(super) fn protocol(lattice: &Lattice, covariance: Covariance, rays: u64) -> Protocol {
-    Protocol {
+pub(super) fn record(lattice: &Lattice, covariance: Covariance, rays: u64) -> RunRecord {
+    RunRecord {
         version: "test".into(),
         source: "test".into(),
-        origin: Origin::default(),
+        model_checksum: None,
+        cameras_checksum: None,
         rays,
         dropped: 0,
         pixels: Some(Pixels::Sobol),
@@ -28,7 +29,7 @@ pub(super) fn protocol(lattice: &Lattice, covariance: Covariance, rays: u64) -> 
         lambda: lattice.default_lambda(),
         scale: Scale::Paper,
         covariance,
-        min_rays: 0.0,
+        pooling: Pooling::Off,
         criteria: Criteria::default(),
         tolerance: 0.01,
         march_step: Some(0.1),
@@ -54,35 +55,35 @@ pub(super) fn samples(scale: f32) -> RaySamples {
 }
 
 fn fields(covariance: Covariance, scale: f64) -> [UncertaintyField; 2] {
-    pooled_fields(covariance, scale, 0.0)
+    pooled_fields(covariance, scale, Pooling::Off)
 }
 
 /// As in a run: a part is refined wherever a ray passed.
-pub(super) fn refinement(protocol: &Protocol, posterior: &OctreePosterior) -> Refinement {
-    let reading = protocol.reading();
-    let is_part = protocol.is_part() || posterior.tile().is_some();
+pub(super) fn refinement(record: &RunRecord, posterior: &OctreePosterior) -> Refinement {
+    let reading = record.reading();
+    let is_part = record.is_part() || posterior.tile().is_some();
     let floor = if is_part { Refinement::EVERYTHING } else { reading.floor() };
-    Refinement::above(floor, &reading, protocol.criteria, Vec::new())
+    Refinement::above(floor, &reading, record.criteria, Vec::new())
 }
 
 /// The field of sums on the octree that is refined for them.
-pub(super) fn on_own_octree(protocol: Protocol, lattice: Lattice, posterior: OctreePosterior) -> UncertaintyField {
-    let octree = posterior.octree(&refinement(&protocol, &posterior));
-    UncertaintyField::on_octree(protocol, lattice, posterior, octree, true)
+pub(super) fn on_own_octree(record: RunRecord, lattice: Lattice, posterior: OctreePosterior) -> UncertaintyField {
+    let octree = posterior.octree(&refinement(&record, &posterior));
+    UncertaintyField::on_octree(record, lattice, posterior, octree, true)
 }
 
-fn pooled_fields(covariance: Covariance, scale: f64, min_rays: f64) -> [UncertaintyField; 2] {
+fn pooled_fields(covariance: Covariance, scale: f64, pooling: Pooling) -> [UncertaintyField; 2] {
     let lattice = Lattice::new(Aabb::centered_cube(scale), 5).unwrap();
     let samples = [samples(scale as f32)];
-    let protocol = Protocol { min_rays, ..protocol(&lattice, covariance, 20) };
+    let record = RunRecord { pooling, ..record(&lattice, covariance, 20) };
     let mut dense = DensePosterior::new(lattice);
     dense.add(&samples);
     let mut sparse = OctreePosterior::new(lattice);
     sparse.add(&samples);
     let surface = vec![[0.25, -0.5, 0.125]];
     [
-        UncertaintyField::new(protocol.clone(), lattice, Support::Dense, dense.into_sums()),
-        on_own_octree(protocol, lattice, sparse).with_surface(surface),
+        UncertaintyField::new(record.clone(), lattice, Support::Dense, dense.into_sums()),
+        on_own_octree(record, lattice, sparse).with_surface(surface),
     ]
 }
 
@@ -112,7 +113,7 @@ fn with_bars(field: UncertaintyField) -> UncertaintyField {
 #[test]
 fn error_bars_are_those_of_fields_without_each_group() {
     for covariance in Covariance::ALL {
-        for field in pooled_fields(covariance, 1.0, 2.0).into_iter().chain(fields(covariance, 1.0)) {
+        for field in pooled_fields(covariance, 1.0, Pooling::Below(2.0)).into_iter().chain(fields(covariance, 1.0)) {
             let field = with_bars(field);
             let sums = field.sums().unwrap();
             let bars = field.error_bars().unwrap();
@@ -128,9 +129,9 @@ fn error_bars_are_those_of_fields_without_each_group() {
                 let part = |(v, e): (usize, &VertexSums)| {
                     VertexSums::new(e.information.map(|s| kept(v) * s), rays(v) * rays_of_a_group(v, e))
                 };
-                let protocol = Protocol { rays: [12, 13, 15][g], ..field.protocol.clone() };
+                let record = RunRecord { rays: [12, 13, 15][g], ..field.record.clone() };
                 let sums = sums.iter().enumerate().map(part).collect();
-                UncertaintyField::new(protocol, field.lattice, field.support.clone(), sums)
+                UncertaintyField::new(record, field.lattice, field.support.clone(), sums)
             };
             let others = [0, 1, 2].map(without);
             let mut known = 0;
@@ -197,10 +198,12 @@ proptest! {
         y in -1.0..=1.0_f32,
         z in -1.0..=1.0_f32,
     ) {
-        // Plain ones, and three that are pooled.
-        static FIELDS: std::sync::LazyLock<[[UncertaintyField; 2]; 5]> = std::sync::LazyLock::new(|| {
-            let block = |min_rays| pooled_fields(Covariance::Block, 1.0, min_rays);
-            let made = [fields(Covariance::Diagonal, 1.0), block(0.0), block(2.0), block(4.0), block(12.0)];
+        // Plain ones, and four that are pooled.
+        static FIELDS: std::sync::LazyLock<Vec<[UncertaintyField; 2]>> = std::sync::LazyLock::new(|| {
+            let block = |pooling| pooled_fields(Covariance::Block, 1.0, pooling);
+            let plain = [fields(Covariance::Diagonal, 1.0), block(Pooling::Off)];
+            let pooled = [2.0, 4.0, 12.0].map(Pooling::Below).into_iter().chain([Pooling::Auto]).map(block);
+            let made: Vec<_> = plain.into_iter().chain(pooled).collect();
             assert!(made.iter().all(|[_, octree]| octree.validate().is_ok()));
             assert!(made[2..].iter().all(|[dense, _]| dense.deviations() != made[1][0].deviations()), "pooled");
             made
@@ -333,7 +336,7 @@ fn a_dense_copy_has_the_values_of_every_vertex() {
 fn another_lambda_is_read_off_the_same_sums() {
     for covariance in Covariance::ALL {
         for field in fields(covariance, 1.0) {
-            let lambda = field.protocol().lambda;
+            let lambda = field.record().lambda;
             let larger = field.clone().with_lambda(100.0 * lambda).unwrap();
             // Where nothing was seen, σ falls with √λ. It grows nowhere.
             assert!((larger.prior() * 10.0 / field.prior() - 1.0).abs() < 1e-9);
@@ -354,16 +357,16 @@ fn another_lambda_is_read_off_the_same_sums() {
 #[test]
 fn the_scale_of_the_data_is_a_factor_and_a_prior() {
     // λ = s² / (N τ²) a hundred times the default.
-    let data = DataScale::new(1000, 0.02, 2e-3 / (1e5 * fields(Covariance::Block, 1.0)[0].protocol().lambda).sqrt());
+    let data = DataScale::new(1000, 0.02, 2e-3 / (1e5 * fields(Covariance::Block, 1.0)[0].record().lambda).sqrt());
     let data = data.unwrap();
     for covariance in Covariance::ALL {
         for field in fields(covariance, 1.0) {
-            let protocol = Protocol { scale: Scale::Data(data), lambda: data.lambda(), ..field.protocol().clone() };
+            let record = RunRecord { scale: Scale::Data(data), lambda: data.lambda(), ..field.record().clone() };
             let sums = field.sums().unwrap().to_vec();
-            let scaled = UncertaintyField::new(protocol, *field.lattice(), field.support().clone(), sums);
+            let scaled = UncertaintyField::new(record, *field.lattice(), field.support().clone(), sums);
             let factor = Scale::Data(data).factor(covariance);
             for (sums, found) in field.sums().unwrap().iter().zip(scaled.deviations().iter()) {
-                let expected = factor * covariance.deviation(sums, field.protocol().rays, data.lambda());
+                let expected = factor * covariance.deviation(sums, field.record().rays, data.lambda());
                 assert!((found / expected - 1.0).abs() < 1e-6, "{found} for {expected}");
             }
             let axes = if covariance == Covariance::Trace { 1.0 } else { 3.0_f64 };
@@ -371,8 +374,8 @@ fn the_scale_of_the_data_is_a_factor_and_a_prior() {
             let folder = tempfile::tempdir().unwrap();
             let path = folder.path().join("scaled.oct");
             scaled.write(&path).unwrap();
-            assert_eq!(UncertaintyField::read(&path).unwrap().protocol(), scaled.protocol());
-            assert_eq!(scaled.with_lambda(data.lambda()).unwrap().protocol().scale, Scale::Paper);
+            assert_eq!(UncertaintyField::read(&path).unwrap().record(), scaled.record());
+            assert_eq!(scaled.with_lambda(data.lambda()).unwrap().record().scale, Scale::Paper);
         }
     }
 }
@@ -401,9 +404,9 @@ fn headers_may_grow() {
     let length = u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize;
     let (header, sections) = bytes[20..].split_at(length);
     let mut header: serde_json::Value = serde_json::from_slice(header).unwrap();
-    header["content"]["protocol"]["lens"] = "wide".into();
-    header["content"]["protocol"].as_object_mut().unwrap().remove("difference_step").unwrap();
-    let new = serde_json::json!({"name": "visits", "bytes": 5, "crc32": 0});
+    header["content"]["record"]["lens"] = "wide".into();
+    header["content"]["record"].as_object_mut().unwrap().remove("difference_step").unwrap();
+    let new = serde_json::json!({"name": "ray_coverage", "bytes": 5, "crc32": 0});
     header["sections"].as_array_mut().unwrap().insert(1, new);
     let masks = header["sections"][0]["bytes"].as_u64().unwrap() as usize;
     let header = serde_json::to_vec(&header).unwrap();
@@ -423,8 +426,8 @@ fn matrices_have_the_trace_of_the_squared_uncertainty() {
         .chain(samples(1.0).positions)
         .collect();
     for covariance in Covariance::ALL {
-        for min_rays in [0.0, 4.0] {
-            let [dense, octree] = pooled_fields(Covariance::Diagonal, 1.0, min_rays);
+        for pooling in [Pooling::Off, Pooling::Below(4.0), Pooling::Auto] {
+            let [dense, octree] = pooled_fields(Covariance::Diagonal, 1.0, pooling);
             let [found, on_octree] = [&dense, &octree].map(|field| field.covariances(&points, covariance).unwrap());
             let read = dense.clone().with_covariance(covariance).unwrap();
             let is_slanted: fn(&[f64; 6]) -> bool = |m| m[1].abs() > 1e-3 * trace(m);
@@ -457,10 +460,10 @@ fn information_of_coarse_leaves_is_divided_by_their_volume() {
     let limits = MaxLevels::balanced(6, (0..8).map(|region| (region, 6 - levels_up)));
     for covariance in Covariance::ALL {
         let field = |lattice: Lattice, limits: MaxLevels, lambda: f64| {
-            let protocol = Protocol { tolerance: 0.0, lambda, ..protocol(&lattice, covariance, 20) };
+            let record = RunRecord { tolerance: 0.0, lambda, ..record(&lattice, covariance, 20) };
             let mut posterior = OctreePosterior::limited(lattice, limits);
             posterior.add(&[samples(1.0)]);
-            on_own_octree(protocol, lattice, posterior)
+            on_own_octree(record, lattice, posterior)
         };
         let (lambda, volume) = (lattice.default_lambda(), 8_f64.powi(levels_up.into()));
         let limited = field(lattice, limits.clone(), lambda);

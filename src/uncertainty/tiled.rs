@@ -64,7 +64,7 @@ impl TiledField {
                 let expected = "a finished tile (`merge` finishes all tiles of a run)";
                 return Err(Error::malformed(path, "tile", expected, "the sums of one"));
             }
-            if (&other.protocol, &other.lattice, &other.draws) != (&head.protocol, &head.lattice, &head.draws) {
+            if (&other.record, &other.lattice, &other.ray_sets) != (&head.record, &head.lattice, &head.ray_sets) {
                 return Err(Error::malformed(
                     path,
                     "tile",
@@ -146,9 +146,9 @@ impl TiledField {
         }
         let surfaces: Vec<Vec<[f32; 3]>> = tiles.iter().map(|field| field.surface().to_vec()).collect();
         let first = &*self.first;
-        let (protocol, values) = (first.protocol.clone(), (deviations.into(), rays.into()));
+        let (record, values) = (first.record.clone(), (deviations.into(), rays.into()));
         let support = Support::Octree(octree);
-        let mut field = UncertaintyField::from_values(protocol, first.lattice, support, first.limits(), values);
+        let mut field = UncertaintyField::from_values(record, first.lattice, support, first.limits(), values);
         field.layers = Layers { tile: None, ..first.layers.clone() };
         Ok(field.with_surface(in_turn(&surfaces)))
     }

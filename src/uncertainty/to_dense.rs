@@ -33,7 +33,7 @@ impl UncertaintyField {
         };
         let mut layers = self.layers.clone();
         layers.drop_dependent(Change::Vertices);
-        let (protocol, lattice, rays) = (self.protocol.clone(), self.lattice, RayCounts::default());
-        Self { protocol, lattice, support: Support::Dense, deviations, rays, layers }
+        let (record, lattice, rays) = (self.record.clone(), self.lattice, RayCounts::default());
+        Self { record, lattice, support: Support::Dense, deviations, rays, layers }
     }
 }

@@ -6,7 +6,7 @@ use octobayes::estimate::{Estimation, GridKind, GridSettings, Outcome, RaySettin
 use octobayes::field::RadianceField;
 use octobayes::geometry::Camera;
 use octobayes::posterior::{Covariance, VertexSums};
-use octobayes::rays::{Pick, RunProgress};
+use octobayes::rays::{PixelSample, RunProgress};
 use octobayes::uncertainty::UncertaintyField;
 
 use crate::oracle::ground::Ground;
@@ -25,7 +25,7 @@ pub struct Case<'a> {
 pub struct Run {
     pub field: UncertaintyField,
     pub progress: RunProgress,
-    pub picks: Vec<Pick>,
+    pub picks: Vec<PixelSample>,
     /// Half the width h of the differences.
     pub h: DVec3,
 }
@@ -125,7 +125,7 @@ pub fn error(case: &Case, run: &Run, truth: &Sums) -> Error {
         error.hessian = error.hessian.max(norm(a - b) / norm(b));
         let exact = readings(truth, rays, lambda);
         let deviations = [Covariance::Diagonal, Covariance::Trace, Covariance::Block]
-            .map(|covariance| covariance.deviation(found, rays, run.field.protocol().lambda));
+            .map(|covariance| covariance.deviation(found, rays, run.field.record().lambda));
         let moved = exact[1].min(deviations[1]).log10() < prior - 0.1;
         error.moved += usize::from(moved);
         for k in 0..3 {

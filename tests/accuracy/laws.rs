@@ -102,7 +102,7 @@ proptest! {
         let normal = Vec3::from(normal).normalize();
         let wall = surfaces::specimen(surfaces::wall(normal, Texture::Plain(Vec3::new(0.8, 0.3, 0.2))));
         let field = dense(&wall, &cameras(&wall)).unwrap();
-        let (lambda, prior) = (field.protocol().lambda, field.prior());
+        let (lambda, prior) = (field.record().lambda, field.prior());
         let best = field.sums().unwrap().iter().max_by(|a, b| trace(&a.information).total_cmp(&trace(&b.information)));
         let best = best.unwrap();
         let s = trace(&best.information);

@@ -1,7 +1,7 @@
 //! The oracle against definitions: it must not be wrong in the same way as what it checks.
 
 use glam::{DMat3, DVec3};
-use octobayes::rays::Pick;
+use octobayes::rays::PixelSample;
 
 use crate::oracle::ground::Ground;
 use crate::oracle::{Derivatives, Oracle, eigenvalues};
@@ -23,7 +23,7 @@ fn jacobians_are_the_pixels_response_to_a_displaced_vertex() {
         };
         let mut compared = 0;
         for (camera, pixel) in [(0, [31, 33]), (1, [25, 30]), (2, [36, 28])] {
-            let pick = Pick { camera, pixel, jitter: 0.3 };
+            let pick = PixelSample { camera, pixel, jitter: 0.3 };
             let jacobians = oracle.vertex_jacobians(&pick).unwrap();
             let scale =
                 jacobians.iter().map(|(_, j)| j.to_cols_array().into_iter().fold(0.0, |a: f64, b| a.max(b.abs())));

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use glam::{DVec3, Vec3};
 use octobayes::dataset::Views;
-use octobayes::estimate::{Estimation, FieldBuilder, GridKind, GridSettings, Provenance, RaySettings};
+use octobayes::estimate::{Estimation, FieldBuilder, FieldSource, GridKind, GridSettings, RaySettings};
 use octobayes::field::{ClosedForm, Coordinates, Intrinsics, NerfMlp, Ppng, RadianceField};
 use octobayes::geometry::{Camera, Domain};
 use octobayes::monitor::Silent;
@@ -22,9 +22,9 @@ fn part(stream: &RayStream, grid: GridSettings, domain: Domain, shard: Shard) ->
         builder.add(batches);
         Ok(())
     });
-    let provenance =
-        Provenance { source: "test".into(), progress: progress.unwrap(), shard: Some(shard), stream: Some(stream) };
-    builder.finish(&provenance)
+    let source =
+        FieldSource { source: "test".into(), progress: progress.unwrap(), shard: Some(shard), stream: Some(stream) };
+    builder.finish(&source)
 }
 
 /// Largest |Δ log10 U| over all lattice points. `dense` has one value for each.
@@ -47,10 +47,10 @@ fn check_equal(merged: &UncertaintyField, whole: &UncertaintyField, n: f64, what
     }
     // H is off by less than `off` I, so every eigenvalue and every σ² is off by less than off / 2λ of itself. U is
     // stored as f32.
-    let (covariance, lambda) = (whole.protocol().covariance, whole.protocol().lambda);
+    let (covariance, lambda) = (whole.record().covariance, whole.record().lambda);
     let sigmas = merged.deviations().iter().zip(whole.deviations().iter());
     for ((a, b), (_, sums)) in sigmas.zip(pairs()) {
-        let off = 2.0 / whole.protocol().rays as f64 * n * f64::EPSILON * trace(&sums.information) / (2.0 * lambda);
+        let off = 2.0 / whole.record().rays as f64 * n * f64::EPSILON * trace(&sums.information) / (2.0 * lambda);
         let limit = match covariance {
             Covariance::Diagonal | Covariance::Trace => n * f64::EPSILON,
             Covariance::Block => off / (1.0 - f64::min(off, 0.5)),

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::process::Command;
 
-use octobayes::estimate::{FieldBuilder, GridKind, GridSettings, Provenance};
+use octobayes::estimate::{FieldBuilder, FieldSource, GridKind, GridSettings};
 use octobayes::geometry::{Aabb, Domain};
 use octobayes::monitor::Silent;
 use octobayes::posterior::{Information, trace};
@@ -51,7 +51,7 @@ fn samples_written_by_numpy_give_numpys_sums() {
         };
         reader.run(&Silent, add).unwrap();
         let progress = RunProgress { rays: reader.rays_total(), ..RunProgress::default() };
-        let exact = builder.finish(&Provenance { progress, ..Provenance::default() });
+        let exact = builder.finish(&FieldSource { progress, ..FieldSource::default() });
         compare_with_numpy(&exact, &expected, 1e-14, grid);
         // Files keep factors in f32, each entry within 6e-8 of itself: six products of two entries.
         compare_with_numpy(&read, &expected, 4e-7, grid);
@@ -60,7 +60,7 @@ fn samples_written_by_numpy_give_numpys_sums() {
 
 /// Compares sums, relative to their trace. A vertex sums at most a few dozen products in f64.
 fn compare_with_numpy(field: &UncertaintyField, expected: &[f64], precision: f64, grid: &str) {
-    assert_eq!(field.protocol().rays, 150);
+    assert_eq!(field.record().rays, 150);
     let found = |[x, y, z]: [u32; 3]| -> Option<Information> {
         let vertex = match field.support() {
             Support::Dense => ((x * 9 + y) * 9 + z) as usize,
@@ -132,6 +132,6 @@ fn dumped_samples_give_the_same_field_bit_for_bit() {
         // A field can hold neither NaN nor -0, so equal values have equal bits.
         assert_eq!((a.deviations(), a.sums()), (b.deviations(), b.sums()));
         assert_eq!(a.surface(), b.surface());
-        assert_eq!((a.protocol().rays, a.protocol().lambda), (b.protocol().rays, b.protocol().lambda));
+        assert_eq!((a.record().rays, a.record().lambda), (b.record().rays, b.record().lambda));
     }
 }

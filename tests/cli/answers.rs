@@ -136,7 +136,7 @@ fn queries_answer_in_all_formats() {
     desk.good("query field.oct points.csv -o out.csv");
     let text = std::fs::read_to_string(desk.path("out.csv")).unwrap();
     let lines: Vec<&str> = text.lines().collect();
-    assert_eq!(lines[0], "x,y,z,uncertainty,log10_uncertainty,level,inside,rays,visits,seen");
+    assert_eq!(lines[0], "x,y,z,uncertainty,log10_uncertainty,level,inside,rays,ray_coverage,seen");
     assert_eq!(lines.len(), 4);
     // Level, whether the point is inside, how many rays support the number, and what was seen. Outside, none can be.
     assert!(lines[1].contains(",5,1,") && !lines[1].ends_with(',') && lines[3].ends_with(",0,0,,0,unseen"), "{text}");
@@ -290,7 +290,7 @@ fn error_bars_are_told_wherever_a_field_is() {
     desk.good("query bars.oct points.npy -o out.csv");
     let text = std::fs::read_to_string(desk.path("out.csv")).unwrap();
     let lines: Vec<&str> = text.lines().collect();
-    assert_eq!(lines[0], "x,y,z,uncertainty,log10_uncertainty,level,inside,rays,visits,seen,log10_error");
+    assert_eq!(lines[0], "x,y,z,uncertainty,log10_uncertainty,level,inside,rays,ray_coverage,seen,log10_error");
     assert!(lines[1].ends_with(&format!(",{}", answers[2])) && lines[2].ends_with(','), "{text}");
     // Leaving the sums out leaves the errors alone. Another scalar has none.
     desk.good("export bars.oct -o bare.oct");
@@ -340,12 +340,12 @@ fn error_bars_of_different_seeds_are_of_different_rays() {
         desk.good(&format!("{run} --seed {seed} -o plain{seed}.oct"));
     }
     let [zero, three] = ["bars0.oct", "bars3.oct"].map(read);
-    assert_eq!((zero.draws().len(), three.draws().len()), (8, 8));
+    assert_eq!((zero.ray_sets().len(), three.ray_sets().len()), (8, 8));
     assert!(zero.deviations() != three.deviations(), "the same rays");
 
     desk.good("merge bars0.oct bars3.oct -o both.oct --error-bars --keep-sums");
     let both = read("both.oct");
-    assert_eq!((both.protocol().rays, both.draws().len()), (6000, 16));
+    assert_eq!((both.record().rays, both.ray_sets().len()), (6000, 16));
     // Twice the rays give 1/√2 of the error, within a factor of 3 because two groups are few. The same rays would
     // give 0.
     let [one, two] = [&zero, &both].map(|field| field.error_summary().unwrap().root_mean_square);
@@ -360,12 +360,12 @@ fn error_bars_of_different_seeds_are_of_different_rays() {
     };
     refused("both.oct bars3.oct");
     refused("bars0.oct plain3.oct both.oct");
-    let group = zero.draws()[5].seed;
+    let group = zero.ray_sets()[5].seed;
     desk.good(&format!("{run} --seed {group} -o group.oct"));
     refused("bars0.oct group.oct");
     desk.good("merge bars3.oct group.oct -o x.oct");
     desk.good("merge bars0.oct plain0.oct plain3.oct -o x.oct");
-    assert_eq!(read("x.oct").draws().len(), 10);
+    assert_eq!(read("x.oct").ray_sets().len(), 10);
 }
 
 #[test]
@@ -373,9 +373,9 @@ fn json_is_one_object_and_states_the_protocol() {
     let desk = Desk::new();
     let out = desk.good(&format!("{FIELD} --json --seed 3"));
     let value: serde_json::Value = serde_json::from_str(&out).unwrap();
-    assert_eq!((value["protocol"]["rays"].as_u64(), value["protocol"]["seed"].as_u64()), (Some(3000), Some(3)));
+    assert_eq!((value["record"]["rays"].as_u64(), value["record"]["seed"].as_u64()), (Some(3000), Some(3)));
     for key in ["lambda", "covariance", "tolerance", "march_step", "difference_step", "cutoff", "background"] {
-        assert!(!value["protocol"][key].is_null(), "{key}: {out}");
+        assert!(!value["record"][key].is_null(), "{key}: {out}");
     }
     assert!(value["threads"].as_u64() > Some(0) && value["level"] == 5);
     for args in ["info field.oct --json", "compare field.oct field.oct --points 1000 --json", "info scene:ball --json"]
@@ -531,7 +531,7 @@ fn derivatives_and_the_number_of_rays_can_be_chosen() {
     {
         assert!(said.contains(row), "{row}: {said}");
     }
-    let rays = UncertaintyField::read(&desk.path("a.oct")).unwrap().protocol().rays;
+    let rays = UncertaintyField::read(&desk.path("a.oct")).unwrap().record().rays;
     assert!(rays < 200_000 && rays.is_power_of_two(), "{rays}");
     let output = desk.run(&format!("{base} --rays 2000 --target-error 1e-9"));
     assert!(String::from_utf8(output.stderr).unwrap().contains("do not bring the mean error within 1e-9 decades"));

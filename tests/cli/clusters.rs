@@ -165,7 +165,7 @@ fn the_scripts_run_shards_and_merge_whatever_the_names() {
     succeeds(&desk.shard(1));
     succeeds(&desk.merge());
     let [single, merged] = ["single.oct", "whole.oct"].map(|name| UncertaintyField::read(&desk.path(name)).unwrap());
-    assert_eq!(single.protocol().rays, merged.protocol().rays);
+    assert_eq!(single.record().rays, merged.record().rays);
     assert!(merged.sums().is_some(), "what stands behind the field's name goes to `merge`");
     let difference = compare(&single, &merged, 20_000, 0).unwrap();
     assert!(difference.in_box.unwrap().max <= 1e-6 && difference.on_surfaces.unwrap().max <= 1e-6);

@@ -342,7 +342,7 @@ fn calibration_reads_the_covariance_that_it_is_told() {
     };
     let covariance = || -> Value {
         let info = good(desk, "info cal.oct --json");
-        serde_json::from_str::<Value>(&info).unwrap()["protocol"]["covariance"].clone()
+        serde_json::from_str::<Value>(&info).unwrap()["record"]["covariance"].clone()
     };
     let own = calibrated("f.oct", "");
     let expected = covariance();

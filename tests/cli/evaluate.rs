@@ -145,7 +145,7 @@ fn all_measures_and_the_clean_up_are_in_the_tables() {
         "ray entropy",
         "1 - opacity",
         "ray count",
-        "visits",
+        "ray coverage",
         "training views that see it",
         "angle to a training view",
         "random",
@@ -222,7 +222,8 @@ fn deviations_of_depth_are_calibrated_beside_those_of_the_weights() {
     let risk = |name: &str| risks.iter().find(|(found, _)| found == name).unwrap().1;
     let mean = found["depth_error"]["mean"].as_f64().unwrap();
     assert!(least < risk("ray-weight variance") && (risk("random") / mean - 1.0).abs() < 0.3, "{risks:?}, {mean}");
-    for control in ["weights' spread / rays", "visits", "training views that see it", "angle to a training view"] {
+    for control in ["weights' spread / rays", "ray coverage", "training views that see it", "angle to a training view"]
+    {
         assert!(risk(control) >= least, "{control}: {risks:?}");
     }
     let row = text.lines().find(|line| line.trim_start().starts_with("random")).unwrap();

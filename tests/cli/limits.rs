@@ -90,7 +90,7 @@ fn criteria_refine_where_they_say() {
         (octree.vertex_count(), field)
     };
     let (sensitive, field) = vertices("sensitivity");
-    assert_eq!(field.protocol().criteria, Criteria::default());
+    assert_eq!(field.record().criteria, Criteria::default());
     let (dense, _) = vertices("density");
     let (both, _) = vertices("sensitivity,density");
     assert!(sensitive < both && dense < both && both < 65 * 65 * 65, "{sensitive} {dense} {both}");
@@ -129,7 +129,7 @@ fn contracted_fields_are_made_stored_and_asked_anywhere() {
     assert!(stderr.contains("l2:x,y,z,r"), "{stderr}");
     // The official code's grid of a contracted scene has the same lattice, in contracted coordinates.
     good(folder, "export all.oct -o x.npy");
-    let (domain, rays) = (*field.lattice().domain(), field.protocol().rays);
+    let (domain, rays) = (*field.lattice().domain(), field.record().rays);
     let official = OfficialGrid { domain, rays, lambda: None }.read(&folder.join("x.npy")).unwrap();
     let trace = field.clone().with_covariance(Covariance::Trace).unwrap();
     let mut moved = 0;
@@ -149,7 +149,7 @@ fn parts_under_a_budget_make_the_same_plan_and_merge() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     for index in 0..3 {
-        let run = format!("{RUN} --level 8 --memory 50MB --shard {index}/3 -o part{index}.oct");
+        let run = format!("{RUN} --level 10 --memory 200MB --shard {index}/3 -o part{index}.oct");
         let stderr = good(folder, &run);
         assert!(stderr.contains("given up"), "{stderr}");
     }

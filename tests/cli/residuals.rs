@@ -102,7 +102,7 @@ fn it_stays_with_what_it_holds_for() {
     assert!(calibrated.conformal().is_some());
     assert!(calibrated.with_residuals(residuals.clone()).unwrap().conformal().is_none());
     // The scale of the paper has no lengths.
-    let lambda = joined.protocol().lambda;
+    let lambda = joined.record().lambda;
     let paper = joined.clone().with_lambda(2.0 * lambda).unwrap();
     assert!(paper.residuals().is_none());
     assert!(paper.with_residuals(residuals.clone()).unwrap_err().to_string().contains("the scale of its data"));

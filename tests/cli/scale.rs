@@ -19,7 +19,7 @@ fn more_pixels_and_less_noise_make_a_scene_more_certain() {
     octobayes::dataset::write_transforms(&folder.join("transforms.json"), &cameras(32)).unwrap();
     good(folder, &format!("{RUN} --scale data --noise 0.03162277660168379 --keep-sums -o data.oct"));
     let field = UncertaintyField::read(&folder.join("data.oct")).unwrap();
-    let Scale::Data(data) = field.protocol().scale else { panic!("the scale is stored") };
+    let Scale::Data(data) = field.record().scale else { panic!("the scale is stored") };
     // All pixels of the cameras, the noise of 30 dB, 0.02 of the longest edge.
     let edge = field.lattice().domain().size().max_element();
     assert_eq!((data.pixels, data.prior_deviation), (4 * 32 * 32, 0.02 * edge));
@@ -51,7 +51,7 @@ fn more_pixels_and_less_noise_make_a_scene_more_certain() {
     assert!(info.contains("sums             no: one covariance, and no merging; uncertainty --keep-sums"), "{info}");
     assert!(good(folder, "info data.oct").contains("sums             every covariance"));
     let value: serde_json::Value = serde_json::from_str(&good(folder, "info paper.oct --json")).unwrap();
-    assert_eq!((&value["answers"]["sums"], &value["answers"]["visits"]), (&false.into(), &true.into()));
+    assert_eq!((&value["answers"]["sums"], &value["answers"]["ray coverage"]), (&false.into(), &true.into()));
 }
 
 /// Whether images say something of a place does not depend on what U is a deviation of.

@@ -123,7 +123,7 @@ fn the_mode_is_part_of_the_model() {
     good(folder, &format!("{RUN} --splat-mode mip -o mip.oct"));
     good(folder, &format!("{RUN} -o classic.oct"));
     let [mip, classic] = ["mip.oct", "classic.oct"].map(|name| UncertaintyField::read(&folder.join(name)).unwrap());
-    assert_ne!(mip.protocol().origin.model, classic.protocol().origin.model);
+    assert_ne!(mip.record().model_checksum, classic.record().model_checksum);
     // Each is drawn as it was computed.
     for field in ["mip", "classic"] {
         good(folder, &format!("render scene.ply {field}.oct --cameras transforms.json -o {field}.exr"));
@@ -250,7 +250,7 @@ fn splats_are_judged_like_volumes() {
         "ray entropy",
         "1 - opacity",
         "ray count",
-        "visits",
+        "ray coverage",
         "training views that see it",
         "angle to a training view",
         "random",

@@ -14,7 +14,7 @@ use octobayes::field::{ClosedForm, Intrinsics, RadianceField};
 use octobayes::geometry::{Camera, Domain, Norm};
 use octobayes::monitor::Silent;
 use octobayes::octree::Tile;
-use octobayes::posterior::{Covariance, Criterion};
+use octobayes::posterior::{Covariance, Criterion, Pooling};
 use octobayes::render::{Probe, RayAverage, render_view};
 use octobayes::uncertainty::{
     Answers, Estimate, Support, ThresholdedField, TiledField, UncertaintyField, compare, finish_tiles, merge,
@@ -42,10 +42,10 @@ fn difference(a: &UncertaintyField, b: &UncertaintyField) -> Option<&'static str
         ("octree", a.support() == b.support()),
         ("deviations", bits(a) == bits(b)),
         ("ray counts", a.rays() == b.rays()),
-        ("visits", a.visits() == b.visits()),
+        ("ray_coverage", a.ray_coverage() == b.ray_coverage()),
         ("limits", a.limits() == b.limits()),
-        ("draws", a.draws() == b.draws()),
-        ("protocol", a.protocol() == b.protocol()),
+        ("ray_sets", a.ray_sets() == b.ray_sets()),
+        ("record", a.record() == b.record()),
         ("sums", a.sums().is_none() && b.sums().is_none()),
     ];
     parts.into_iter().find(|(_, same)| !same).map(|(name, _)| name)
@@ -65,7 +65,7 @@ fn tiles_joined_are_the_whole_bit_for_bit() {
     let contracted = Domain::contracted([0.0, 0.0, 0.0].into(), 1.0, Norm::L2).unwrap();
     let cases = [
         ("plain", grid(), None, 8),
-        ("coarser than the cells of visits", grid(), None, 2),
+        ("coarser than the cells of ray_coverage", grid(), None, 2),
         ("many", grid().level(5), None, 64),
         ("everything that moved", grid().tolerance(0.0), None, 4),
         ("coarse leaves are negligible", grid().tolerance(0.3), None, 8),
@@ -102,7 +102,7 @@ fn tiles_joined_are_the_whole_bit_for_bit() {
         let finished = folder.path().join("tiles");
         std::fs::create_dir(&finished).unwrap();
         finish_tiles(&paths, &finished).unwrap();
-        // Files round counts of visits.
+        // Files round counts of ray coverage.
         let stored = folder.path().join("whole.oct");
         whole.field.write(&stored).unwrap();
         let stored = UncertaintyField::read(&stored).unwrap();
@@ -416,7 +416,7 @@ fn all_tiles_of_a_run_are_cut_alike_whatever_the_threads_shards_and_seed() {
         Estimation::new(&scene, &cameras).rays(rays).grid(grid).run().unwrap().field
     });
     let whole = merge(&wholes).unwrap();
-    assert_eq!(joined.protocol().rays, 8_000);
+    assert_eq!(joined.record().rays, 8_000);
     let same = compare(&joined, &whole, 20_000, 0).unwrap().in_box.unwrap();
     // Each seed alone may leave out what is negligible for its own rays.
     assert!(same.max <= 0.01 + 1e-6, "{}", same.max);
@@ -447,7 +447,7 @@ fn settings_that_tiles_cannot_have_are_refused() {
         estimation.grid(grid).run().map(|_| ()).unwrap_err().to_string()
     };
     for (grid, why) in [
-        (grid().min_rays(4.0), "pooling"),
+        (grid().pooling(Pooling::Below(4.0)), "pooling"),
         (grid().memory(1_u64 << 30), "memory budget"),
         (grid().criteria([Criterion::Density].into_iter().collect()), "density"),
         (grid().grid(octobayes::estimate::GridKind::Dense), "dense"),

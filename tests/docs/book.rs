@@ -7,6 +7,8 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use rayon::prelude::*;
+
 /// What a fence may say. Whatever else looks like a shell would not be run, unnoticed.
 const FENCES: [&str; 6] = ["sh", "sh,data", "text", "rust", "python", "toml"];
 
@@ -91,7 +93,7 @@ fn run(page: &Path, fences: &[&str]) -> Result<usize, String> {
 
 /// Runs blocks of all `pages`, and tells of all pages that fail.
 fn run_all(pages: &[PathBuf], fences: &[&str]) -> usize {
-    let results: Vec<_> = pages.iter().map(|page| run(page, fences)).collect();
+    let results: Vec<_> = pages.par_iter().map(|page| run(page, fences)).collect();
     let failures: Vec<&str> = results.iter().filter_map(|result| result.as_ref().err()).map(String::as_str).collect();
     assert!(failures.is_empty(), "{}", failures.join("\n\n"));
     results.into_iter().flatten().sum()

@@ -133,8 +133,7 @@ fn the_table_wants_titles_blocks_and_stamps() {
     assert!(with("# Title\n").unwrap_err().contains("blocks that a program writes"));
     assert!(with(&format!("# Title\n{}", block("a", "a table"))).unwrap_err().contains("block `a`"));
     let two = format!("# Why?\n{}{}", block("a", stamp), block("b", &stamp.replace("11-22", "11-24")));
-    let expected =
-        "| [one](one.md) | Why? | `cargo experiment one` | 3.0 | 5.0 | 2026-11-22 to 2026-11-24 |";
+    let expected = "| [one](one.md) | Why? | `cargo experiment one` | 3.0 | 5.0 | 2026-11-22 to 2026-11-24 |";
     assert!(with(&two).unwrap().contains(expected), "minutes add up, dates reach from first to last");
     let unknown = stamp.replace("1.5 min", "0.0 min").replace("2.5 min", "0.0 min");
     let unknown = with(&format!("# Why?\n{}", block("a", &unknown))).unwrap();

@@ -150,10 +150,10 @@ impl Desk {
         forged("nan.oct", &|parts| parts[2][..4].copy_from_slice(&f32::NAN.to_le_bytes()));
         forged("masks.oct", &|parts| parts[1].push(0));
         forged("twice.oct", &|parts| {
-            let draw = r#"{"seed":0,"shard":{"index":0,"of":1,"rays":600}}"#;
+            let ray_set = r#"{"seed":0,"shard":{"index":0,"of":1,"rays":600}}"#;
             let header = String::from_utf8(parts[0].clone()).unwrap();
-            assert!(header.contains(draw), "{header}");
-            parts[0] = header.replacen(draw, &format!("{draw},{draw}"), 1).into_bytes();
+            assert!(header.contains(ray_set), "{header}");
+            parts[0] = header.replacen(ray_set, &format!("{ray_set},{ray_set}"), 1).into_bytes();
         });
         forged("fewer.oct", &|parts| parts[2].truncate(40));
     }

@@ -252,8 +252,8 @@ fn merged_shards_are_the_whole_run() {
         let value: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
         assert_eq!(value["missing_shards"], serde_json::json!([]));
         let [whole, merged] = ["whole.oct", "merged.oct"].map(|f| UncertaintyField::read(&folder.join(f)).unwrap());
-        assert_eq!((whole.protocol().rays, whole.protocol().shard), (merged.protocol().rays, merged.protocol().shard));
-        assert_eq!(whole.draws(), merged.draws());
+        assert_eq!((whole.record().rays, whole.record().shard), (merged.record().rays, merged.record().shard));
+        assert_eq!(whole.ray_sets(), merged.ray_sets());
         assert_eq!(whole.support(), merged.support());
         assert_eq!(whole.rays(), merged.rays());
         for (a, b) in whole.deviations().iter().zip(merged.deviations().iter()) {

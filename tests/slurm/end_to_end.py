@@ -148,8 +148,8 @@ def main() -> None:
         difference = compared[where]
         say(f"{where}: {difference['max']:.2e} decades at most, {difference['mean']:.2e} in the mean")
         assert difference["max"] <= TOLERANCE and difference["points"] > 10_000
-    draws = [protocol["draws"] for protocol in compared["protocols"]]
-    assert draws[0] == draws[1], "the same rays"
+    ray_sets = [record["ray_sets"] for record in compared["records"]]
+    assert ray_sets[0] == ray_sets[1], "the same rays"
     merged = (folder / "run.oct").read_bytes()
     say(f"the same bytes: {merged == (folder / 'single.oct').read_bytes()}")
 

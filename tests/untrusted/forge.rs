@@ -19,14 +19,14 @@ const FIELD: [&str; 12] = [
     "factors",
     "exact",
     "surface",
-    "visits",
+    "ray_coverage",
     "counted",
     "limits",
     "errors",
     "residual points",
     "residuals",
 ];
-const CHECKPOINT: [&str; 5] = ["run", "keys", "sums", "surface", "visits"];
+const CHECKPOINT: [&str; 5] = ["run", "keys", "sums", "surface", "ray_coverage"];
 
 /// Arrays that archives may have, in the order of their parts.
 const SAMPLES: [&str; 5] = ["positions", "jacobian", "ray", "rays_total", "weight"];

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use glam::{DVec3, Vec3};
 use octobayes::dataset::{DepthEncoding, DepthKind, DepthMap, PointReader, PosedImage, Views, scene_points};
-use octobayes::estimate::{Checkpoint, FieldBuilder, GridKind, GridSettings, Provenance, SURFACE_POINTS};
+use octobayes::estimate::{Checkpoint, FieldBuilder, FieldSource, GridKind, GridSettings, SURFACE_POINTS};
 use octobayes::field::{Coordinates, Intrinsics, NerfMlp, Ppng, Radiance, RadianceField, VoxelGrid};
 use octobayes::geometry::{Aabb, Camera, Domain};
 use octobayes::monitor::Silent;
@@ -172,7 +172,7 @@ fn field_is_sound(field: &UncertaintyField, path: &Path) {
     }
     assert!(field.surface().iter().flatten().all(|v| v.is_finite()), "surface points are finite");
     let _ =
-        (field.summary(), field.median_rays(), field.error_summary(), serde_json::to_string(field.protocol()).unwrap());
+        (field.summary(), field.median_rays(), field.error_summary(), serde_json::to_string(field.record()).unwrap());
     if field.deviations().len() < 10_000 {
         let _ = merge(&[field.clone(), field.clone()]);
         let _ = merge_with_error_bars(&[field.clone(), field.clone()]);
@@ -201,7 +201,7 @@ fn checkpoint(path: &Path) -> Result<()> {
             builder.add(&[samples::ray_samples()]);
             if found.rays > 0 {
                 let progress = RunProgress { rays: found.rays, ..RunProgress::default() };
-                let field = builder.finish(&Provenance { progress, ..Provenance::default() });
+                let field = builder.finish(&FieldSource { progress, ..FieldSource::default() });
                 assert!(field.surface().len() <= SURFACE_POINTS, "no more points than the run keeps");
                 field_is_sound(&field, path);
             }
@@ -252,7 +252,7 @@ fn samples_are_sound(path: &Path) -> Result<()> {
         Ok(())
     })?;
     let progress = RunProgress { rays: reader.rays_total(), samples: reader.samples(), ..RunProgress::default() };
-    let field = builder.finish(&Provenance { source: "samples".into(), progress, ..Provenance::default() });
+    let field = builder.finish(&FieldSource { source: "samples".into(), progress, ..FieldSource::default() });
     let x = Vec3::new(0.1, 0.2, 0.3);
     assert!(field.query(x).uncertainty > 0.0, "{:?}", field.query(x));
     Ok(())

@@ -8,10 +8,10 @@ use glam::{DVec3, Vec3};
 use half::f16;
 use minicbor::Encoder;
 use octobayes::dataset::write_transforms;
-use octobayes::estimate::{Estimation, FieldBuilder, GridKind, GridSettings, Provenance, RaySettings, RunKey};
+use octobayes::estimate::{Estimation, FieldBuilder, FieldSource, GridKind, GridSettings, RaySettings, RunKey};
 use octobayes::field::{ClosedForm, VoxelGrid};
 use octobayes::geometry::{Aabb, Camera, Domain, Norm};
-use octobayes::posterior::{Covariance, Criteria, Criterion, DataScale, Scale, VertexSums};
+use octobayes::posterior::{Covariance, Criteria, Criterion, DataScale, Pooling, Scale, VertexSums};
 use octobayes::rays::{Pixels, RunProgress, SamplesWriter, Shard};
 use octobayes::render::{GradientMethod, RaySample, RaySamples};
 use octobayes::uncertainty::{ResidualSums, UncertaintyField};
@@ -125,10 +125,15 @@ pub fn fields() -> Vec<UncertaintyField> {
     let small = GridSettings::default().level(2);
     let drawn = |settings, domain, shard| {
         let source = "tests".into();
-        builder(settings, domain).finish(&Provenance { source, progress: progress(), shard: Some(shard), stream: None })
+        builder(settings, domain).finish(&FieldSource {
+            source,
+            progress: progress(),
+            shard: Some(shard),
+            stream: None,
+        })
     };
     let field = |settings, domain| drawn(settings, domain, Shard::whole(5));
-    let block = small.covariance(Covariance::Block).level(3).min_rays(2.0);
+    let block = small.covariance(Covariance::Block).level(3).pooling(Pooling::Below(2.0));
     let trace = small.covariance(Covariance::Trace);
     let limited = small.level(6).criteria(Criteria::from_iter([Criterion::RayCount]));
     let rays = RaySettings::default().rays(100).occupancy(8);

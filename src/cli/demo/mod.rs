@@ -109,7 +109,7 @@ impl Args {
         let [octree, dense] = &fields;
 
         let comparison = compare(octree, dense, 200_000, 0)?;
-        say!("protocol\n{}\n  threads      {}", report::protocol(octree), rayon::current_num_threads())?;
+        say!("record\n{}\n  threads      {}", report::record(octree), rayon::current_num_threads())?;
         say!("{}", report::comparison(&comparison))?;
 
         let shown = Shown::new(&subject, octree, bars)?;
@@ -242,7 +242,7 @@ impl Args {
         };
         let (views, cleaned) = (render(field)?, render(&cleaned)?);
         let truths = truth.map(render).transpose()?;
-        let quantity = uncertainty.protocol().scale.quantity();
+        let quantity = uncertainty.record().scale.quantity();
         let (depth, error) = (depth_range(&views), error_range(&views));
         let ranges = Ranges { depth, error, conformal: None, log10: [low, prior], prior, quantity };
         let colors = |title: &str, view: &RenderedView| {

@@ -33,7 +33,7 @@ pub struct DemoScene {
     pub field: Box<dyn RadianceField>,
     /// Name of each camera's picture, and the camera.
     pub cameras: Vec<(String, Camera)>,
-    /// Name of the model in the protocol.
+    /// Name of the model in the record.
     pub source: String,
     /// What the model was trained on, if it was.
     pub truth: Option<Truth>,

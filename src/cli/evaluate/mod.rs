@@ -32,9 +32,9 @@ use crate::{Error, Result};
 ///
 /// Several fields, covariances and ray averages share the rendering. The same pixels are ranked by what any field gives
 /// for nothing: the variance and the entropy of the ray's weights, the weights' spread over the number of training
-/// rays, 1 - opacity, the rays and visits themselves, and chance; and, if the model knows its training cameras, by how
-/// many of them see the place, and from how near an angle. With --ensemble they are also ranked by the disagreement of
-/// several models.
+/// rays, 1 - opacity, the rays and the ray coverage themselves, and chance; and, if the model knows its training
+/// cameras, by how many of them see the place, and from how near an angle. With --ensemble they are also ranked by the
+/// disagreement of several models.
 ///
 /// Depth is compared where the true depth is known and the image is fully opaque (alpha 255; images without alpha
 /// are opaque everywhere).
@@ -142,7 +142,7 @@ pub struct Args {
     #[arg(long, help_heading = heading::INPUT, hide_short_help = true)]
     force: bool,
 
-    /// Print one JSON object, with all protocols
+    /// Print one JSON object, with all settings
     #[arg(long, help_heading = heading::OUTPUT)]
     json: bool,
 }

@@ -12,7 +12,7 @@ use super::scale::ScaleOptions;
 use crate::cli::opened::OpenedField;
 use crate::estimate::{GridKind, GridSettings};
 use crate::geometry::{Aabb, Domain, Norm};
-use crate::posterior::Covariance;
+use crate::posterior::{Covariance, Pooling};
 use crate::uncertainty::OfficialGrid;
 use crate::{Error, Result};
 
@@ -113,17 +113,16 @@ pub struct GridOptions {
     )]
     pub tolerance: f64,
 
-    /// Pool sums where rays are few: vertices whose neighbourhood has fewer rays than about this share what their
-    /// neighbours saw; 0 leaves every vertex by itself, as in the paper
+    /// Pool sums where rays are few. `auto` weighs a vertex against what surrounds it by the rays behind both; a number
+    /// pools vertices whose neighbourhood has fewer rays than about this; 0 pools nothing, as in the paper
     #[arg(
         long,
-        value_name = "RAYS",
-        default_value_t = GridSettings::default().min_rays,
-        value_parser = parse_non_negative,
+        value_name = "RAYS|auto",
+        default_value_t = GridSettings::default().pooling,
         help_heading = heading::STATISTICS,
         hide_short_help = true,
     )]
-    pub min_rays: f64,
+    pub min_rays: Pooling,
 
     /// Keep the 3x3 matrices too: 28 bytes more a vertex. Other covariances, and `merge` with other seeds, need them
     #[arg(long, help_heading = heading::STATISTICS, hide_short_help = true)]
@@ -139,7 +138,7 @@ impl GridOptions {
             covariance: self.covariance,
             lambda: self.lambda,
             tolerance: self.tolerance,
-            min_rays: self.min_rays,
+            pooling: self.min_rays,
             keep_sums: self.keep_sums,
             ..GridSettings::default()
         }

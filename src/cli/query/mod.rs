@@ -30,10 +30,10 @@ const BATCH: usize = 1 << 18;
 /// POINTS are points x,y,z in scene units, or one file of them: `.npy` (N x 3, numbers of any type) or `.csv`. If the
 /// first row of a `.csv` names its columns, those named x, y and z are read, in any order; without names there are
 /// exactly three. OUT is `.npy` (f64, N x 2: uncertainty, log10 uncertainty) or `.csv` (x,y,z,uncertainty,
-/// log10_uncertainty,level,inside,rays,visits,seen). `-` is CSV on stdin or stdout. Points outside the box get the
-/// prior and inside = 0.
+/// log10_uncertainty,level,inside,rays,ray_coverage,seen). `-` is CSV on stdin or stdout. Points outside the box get
+/// the prior and inside = 0.
 ///
-/// `visits` counts the training rays that reached the space around a point with half of their light; `seen` is
+/// `ray_coverage` counts the training rays that reached the space around a point with half of their light; `seen` is
 /// `constrained` (moving the point changes training pixels), `free` (rays passed and met nothing) or `unseen`.
 ///
 /// CSV is answered as it is read: the list may be longer than memory.
@@ -242,7 +242,7 @@ fn write_csv(
 ) -> Result<std::io::Result<()>> {
     let with_errors = field.has_error_bars();
     let mut writer = csv::Writer::from_writer(out);
-    let header = ["x", "y", "z", "uncertainty", "log10_uncertainty", "level", "inside", "rays", "visits", "seen"];
+    let header = ["x", "y", "z", "uncertainty", "log10_uncertainty", "level", "inside", "rays", "ray_coverage", "seen"];
     if let Err(error) = writer.write_record(header.iter().chain(with_errors.then_some(&"log10_error"))) {
         return Ok(Err(streams::of_csv(error)));
     }
@@ -265,13 +265,13 @@ fn write_rows<W: Write>(
     answers: &[Answer],
     with_errors: bool,
 ) -> std::io::Result<()> {
-    for (x, Answer { estimate: a, visits, observability }) in points.iter().zip(answers) {
+    for (x, Answer { estimate: a, ray_coverage, observability }) in points.iter().zip(answers) {
         let numbers = [x.x.to_string(), x.y.to_string(), x.z.to_string(), a.uncertainty.to_string()];
         let rays = a.rays.map_or(String::new(), |rays| rays.to_string());
-        let visits = visits.map_or(String::new(), |visits| visits.to_string());
+        let ray_coverage = ray_coverage.map_or(String::new(), |ray_coverage| ray_coverage.to_string());
         let seen = observability.map_or("", Observability::name).to_string();
         let inside = u8::from(a.inside).to_string();
-        let rest = [a.uncertainty.log10().to_string(), a.level.to_string(), inside, rays, visits, seen];
+        let rest = [a.uncertainty.log10().to_string(), a.level.to_string(), inside, rays, ray_coverage, seen];
         let error = with_errors.then(|| a.log10_error.map_or(String::new(), |error| error.to_string()));
         writer.write_record(numbers.iter().chain(&rest).chain(&error)).map_err(streams::of_csv)?;
     }

@@ -311,7 +311,7 @@ impl Args {
         row.drain(1..row.len() - 1);
         // Titles that are the same in all pictures keep these of one size.
         if let Some(panel) = row.last_mut() {
-            panel.title = format!("{} (hatched: never seen)", studio.field.protocol().scale.quantity());
+            panel.title = format!("{} (hatched: never seen)", studio.field.record().scale.quantity());
         }
         row.extend(rows.next().into_iter().flatten().next());
         Ok(draw_sheet(&[row]))
@@ -345,7 +345,7 @@ pub fn bar_of(field: &dyn Answers, range: Option<[f64; 2]>) -> Result<[f64; 2]> 
     if let Some(range) = range {
         return Ok(range);
     }
-    let prior = field.protocol().reading().prior().log10();
+    let prior = field.record().reading().prior().log10();
     let [low] = field.surface_quantiles([0.01])?.unwrap_or([-3.0]);
     Ok([low.min(prior - 0.5), prior])
 }

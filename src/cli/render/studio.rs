@@ -89,7 +89,7 @@ impl Studio<'_> {
             conformal: self.field.conformal().copied(),
             log10: self.log10,
             prior: self.field.prior().log10(),
-            quantity: self.field.protocol().scale.quantity(),
+            quantity: self.field.record().scale.quantity(),
         };
         let panels = |name: &str, view: &RenderedView| -> Result<Vec<Panel>> {
             let unknowns = unknowns(self.space, camera, self.offset, view)?;

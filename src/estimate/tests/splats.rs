@@ -89,9 +89,9 @@ fn drawn(stream: &RayStream, shard: Shard) -> Vec<RaySamples> {
 fn sums(batches: &[RaySamples]) -> Vec<VertexSums> {
     let mut builder = FieldBuilder::new(grid().grid(GridKind::Dense), domain()).unwrap();
     builder.add(batches);
-    let provenance =
-        Provenance { progress: RunProgress { rays: 5000, ..RunProgress::default() }, ..Provenance::default() };
-    builder.finish(&provenance).sums().unwrap().to_vec()
+    let source =
+        FieldSource { progress: RunProgress { rays: 5000, ..RunProgress::default() }, ..FieldSource::default() };
+    builder.finish(&source).sums().unwrap().to_vec()
 }
 
 #[test]
@@ -175,7 +175,7 @@ fn a_run_through_every_pixel_is_drawn_camera_by_camera() {
     let whole = start().run().unwrap();
     assert_eq!(whole.progress.rays, total);
     let merged = merge(&[0, 1].map(|i| start().shard(i, 2).run().unwrap().field)).unwrap();
-    assert_eq!(merged.protocol().rays, total);
+    assert_eq!(merged.record().rays, total);
     let compared = crate::uncertainty::compare(&merged, &whole.field, 5000, 1).unwrap();
     assert!(compared.in_box.clone().unwrap().max < 1e-5, "{compared:?}");
 }
@@ -231,7 +231,7 @@ fn a_run_is_the_sum_of_its_samples() {
         Ok(())
     });
     let outcome = tapped.run().unwrap();
-    let other = builder.finish(&Provenance { progress: outcome.progress, ..Provenance::default() });
+    let other = builder.finish(&FieldSource { progress: outcome.progress, ..FieldSource::default() });
     let compared = crate::uncertainty::compare(&outcome.field, &other, 5000, 1).unwrap();
     assert_eq!(compared.in_box.clone().unwrap().max, 0.0, "{compared:?}");
 }

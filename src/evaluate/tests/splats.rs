@@ -55,8 +55,8 @@ fn field_of(splats: &Splats) -> UncertaintyField {
 /// C_v of every vertex with its place in lattice edges, straight from its definition: the sums of squared derivatives
 /// of one ray on average stand for those of all pixels, over the variance of their noise.
 fn covariances(field: &UncertaintyField) -> Vec<([u32; 3], DMat3)> {
-    let Scale::Data(DataScale { pixels, noise, .. }) = field.protocol().scale else { panic!("of its data") };
-    let (rays, lambda) = (field.protocol().rays as f64, field.protocol().lambda);
+    let Scale::Data(DataScale { pixels, noise, .. }) = field.record().scale else { panic!("of its data") };
+    let (rays, lambda) = (field.record().rays as f64, field.record().lambda);
     let all = field.sums().unwrap().iter().enumerate().map(|(v, sums)| {
         let [xx, xy, xz, yy, yz, zz] = sums.information;
         let sum = DMat3::from_cols_array(&[xx, xy, xz, xy, yy, yz, xz, yz, zz]);

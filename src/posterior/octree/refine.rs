@@ -7,7 +7,8 @@ use rayon::prelude::*;
 use super::OctreePosterior;
 use super::key::VertexKey;
 use crate::octree::{Cell, Leaves, Octree, Wanted, around, cells_around};
-use crate::posterior::{Pooling, Reading, VertexSums, trace};
+use crate::posterior::pooling::{Pooler, Pooling};
+use crate::posterior::{Reading, VertexSums, trace};
 
 /// Vertices whose sums are gathered together.
 pub const TOGETHER: usize = 64;
@@ -91,7 +92,7 @@ pub struct Refinement {
     /// Refine around touched vertices with more information (tr S) than this; `None` does not refine by sensitivity.
     pub floor: Option<f64>,
     /// Also refine around vertices whose pooled information exceeds the floor.
-    pub pooling: Pooling,
+    pub pooler: Pooler,
     /// Cells that must exist for other reasons; limits apply to them too.
     pub wanted: Vec<Cell>,
 }
@@ -104,7 +105,7 @@ impl Refinement {
     /// `reading`, and for `wanted`.
     #[must_use]
     pub fn above(floor: f64, reading: &Reading, criteria: Criteria, wanted: Vec<Cell>) -> Self {
-        Self { floor: criteria.sensitivity.then_some(floor), pooling: reading.pooling(), wanted }
+        Self { floor: criteria.sensitivity.then_some(floor), pooler: reading.pooler(), wanted }
     }
 }
 
@@ -119,7 +120,7 @@ impl OctreePosterior {
     pub fn octree(&self, refinement: &Refinement) -> Octree {
         let finest = self.lattice.level();
         let mut wanted = refinement.floor.map_or_else(|| Wanted::new(finest), |floor| self.wanted(floor));
-        if refinement.pooling.is_on() {
+        if refinement.pooler.pooling.is_on() {
             // A key is a point on the lattice of its own level, so sorted unique keys are unique points.
             let mut moved: Vec<VertexKey> = match refinement.floor {
                 Some(floor) => self.sums.par_iter().filter(|(_, e)| moves(e, floor)).map(|(key, _)| key).collect(),
@@ -206,11 +207,14 @@ impl OctreePosterior {
             .collect();
         beside.par_sort_unstable();
         beside.dedup();
-        let floor = refinement.pooling.floor;
+        if refinement.pooler.pooling == Pooling::Auto {
+            // All of them get something.
+            return beside;
+        }
         let at = |point| self.sums.get(VertexKey::new(point, 0)).copied();
         let is_moved = |key: &VertexKey| {
-            let pooled = refinement.pooling.pooled(key.point(), last, at);
-            trace(&pooled.information) > floor
+            let pooled = refinement.pooler.pooled(key.point(), last, at);
+            trace(&pooled.information) > refinement.pooler.shrinkage.floor
         };
         beside.into_par_iter().filter(is_moved).collect()
     }

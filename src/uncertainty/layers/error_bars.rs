@@ -198,7 +198,7 @@ impl UncertaintyField {
                 })
             };
             let sums: Vec<VertexSums> = (0..vertices).into_par_iter().map(sum).collect();
-            self.deviations_of(&Reading { rays: all - rays[deleted], ..self.protocol.reading() }, &sums)
+            self.deviations_of(&Reading { rays: all - rays[deleted], ..self.record.reading() }, &sums)
         };
         let deleted: Vec<_> = (0..groups.len()).map(without).collect();
         let error = |v: usize| {

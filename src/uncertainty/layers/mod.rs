@@ -4,14 +4,14 @@
 //! A new layer is a type that implements [`Layer`], and one line of `layers!` below.
 
 mod conformal;
-mod draws;
 pub(super) mod error_bars;
 mod limits;
+mod ray_coverage;
+mod ray_sets;
 mod residuals;
 mod sums;
 mod surface;
 mod tile;
-mod visits;
 
 use serde_json::{Map, Value};
 
@@ -22,8 +22,8 @@ use super::file::Source;
 use crate::Result;
 use crate::io::container::Section;
 use crate::octree::{MaxLevels, Tile};
-use crate::posterior::{VertexSums, Visits};
-use crate::rays::Draw;
+use crate::posterior::{RayCoverage, VertexSums};
+use crate::rays::RaySet;
 
 /// What may change about a field, so that layers no longer describe it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -162,13 +162,13 @@ layers! {
     /// The part of space whose vertices have sums, if not all. Elsewhere nothing is known.
     tile: Tile,
     /// The rays that were summed, if known; never empty.
-    draws: Vec<Draw>,
+    ray_sets: Vec<RaySet>,
     /// `[vertices]`: sums over the rays, if kept, from which other covariances can be computed.
     sums: Vec<VertexSums>,
     /// `[n]`: points on visible surfaces, scene units, for comparisons; never empty.
     surface: Vec<[f32; 3]>,
     /// Rays that reached each part of space, if known.
-    visits: Visits,
+    ray_coverage: RayCoverage,
     /// Limits of the leaves on which rays were summed, if there were any.
     limits: MaxLevels,
     /// `[vertices]`: errors of log10 σ_v relative to its limit, if independent groups of rays were compared.

@@ -153,7 +153,7 @@ impl Layer for Residuals {
 
     fn read(head: Value, file: &mut Source) -> Result<Self> {
         let head: Head = file.head(Self::NAME, head)?;
-        if file.layers.tile.is_some() || file.protocol.scale == Scale::Paper {
+        if file.layers.tile.is_some() || file.record.scale == Scale::Paper {
             let expected = "none in a tile, or where depths have no deviations";
             return Err(file.malformed("header, residuals", expected, "one"));
         }
@@ -231,7 +231,7 @@ impl UncertaintyField {
     /// If the field is not in the scale of its data, is a tile, or is on another lattice than that of the residuals.
     pub fn with_residuals(mut self, residuals: Residuals) -> Result<Self> {
         let wrong = |expected: &str, found: &str| Err(Error::setting("residuals", expected, found));
-        let Scale::Data(_) = self.protocol.scale else {
+        let Scale::Data(_) = self.record.scale else {
             return wrong("a field in the scale of its data, whose depths have deviations", "the paper's scale");
         };
         if residuals.lattice != self.lattice.coarsened(Residuals::LEVEL) {

@@ -8,8 +8,8 @@ use crate::geometry::{Aabb, Lattice};
 use crate::octree::Tile;
 use crate::posterior::{Covariance, DataScale, OctreePosterior, Posterior, Scale};
 use crate::rays::Shard;
-use crate::uncertainty::tests::{on_own_octree, protocol, samples};
-use crate::uncertainty::{Protocol, Support, UncertaintyField, merge};
+use crate::uncertainty::tests::{on_own_octree, record, samples};
+use crate::uncertainty::{RunRecord, Support, UncertaintyField, merge};
 
 fn residuals(lattice: &Lattice) -> Residuals {
     let mut sums = ResidualSums::new(lattice);
@@ -23,17 +23,17 @@ fn field(seed: u64, shard: Shard, is_dense: bool, is_tile: bool) -> UncertaintyF
     let lattice = Lattice::new(Aabb::centered_cube(1.0), 6).unwrap();
     let data = DataScale::new(1000, 0.02, 0.05).unwrap();
     let (seed, shard) = (Some(seed), Some(shard));
-    let plain = protocol(&lattice, Covariance::Diagonal, 3072);
-    let protocol = Protocol { scale: Scale::Data(data), lambda: data.lambda(), seed, shard, ..plain };
+    let plain = record(&lattice, Covariance::Diagonal, 3072);
+    let record = RunRecord { scale: Scale::Data(data), lambda: data.lambda(), seed, shard, ..plain };
     let tile = Tile::new(5, 8).filter(|_| is_tile);
     let mut posterior =
         OctreePosterior::limited(lattice, MaxLevels::balanced(6, [(0, 4), (3, 3), (5, 5)])).owning(tile);
     posterior.add(&[samples(1.0)]);
-    let mut field = on_own_octree(protocol, lattice, posterior);
+    let mut field = on_own_octree(record, lattice, posterior);
     if is_dense {
         let count = lattice.dense_vertices() as usize;
         let sums = field.sums().unwrap().iter().copied().cycle().take(count).collect();
-        field = UncertaintyField::new(field.protocol.clone(), lattice, Support::Dense, sums);
+        field = UncertaintyField::new(field.record.clone(), lattice, Support::Dense, sums);
     }
     let sums = field.sums().unwrap().to_vec();
     let more = sums.iter().map(|own| VertexSums::new(own.information.map(|s| 2.0 * s), 9)).collect();
@@ -41,7 +41,7 @@ fn field(seed: u64, shard: Shard, is_dense: bool, is_tile: bool) -> UncertaintyF
     field = field
         .with_error_bars(&[sums, more], &[1000, 2072])
         .with_surface(vec![[0.25, -0.5, 0.125], [0.5; 3]])
-        .with_visits(Visits::from_counts(&lattice, counts))
+        .with_ray_coverage(RayCoverage::from_counts(&lattice, counts))
         .with_conformal(Conformal { probability: 0.9, factor: 1.5, pixels: 100, views: 2 });
     field.layers.residuals = tile.is_none().then(|| residuals(&lattice));
     field
@@ -63,8 +63,8 @@ fn changes_drop_the_layers_that_depend_on_them_and_no_others() {
         ("grid", |f| f.on_dense_grid(), &["sums", "error bars", "interval"]),
         ("residuals", |f| f.with_residuals(residuals(&whole().lattice)).unwrap(), &["interval"]),
         ("surface", |f| f.with_surface(Vec::new()), &["surface points"]),
-        ("visits", |f| f.with_visits(None), &["visits"]),
-        ("draws", |f| f.with_draws(Vec::new()), &["draws"]),
+        ("ray coverage", |f| f.with_ray_coverage(None), &["ray coverage"]),
+        ("ray sets", |f| f.with_ray_sets(Vec::new()), &["ray sets"]),
         ("model", |f| f.with_model(7), &[]),
         (
             "sums and covariance",
@@ -94,18 +94,19 @@ fn changes_drop_the_layers_that_depend_on_them_and_no_others() {
 fn merging_adds_what_adds_up_and_drops_the_rest() {
     let parts = [0, 1].map(|seed| field(seed, Shard::whole(3072), false, false));
     let merged = merge(&parts).unwrap();
-    let kept = ["draws", "sums", "surface points", "visits", "limits", "residuals"];
+    let kept = ["ray sets", "sums", "surface points", "ray coverage", "limits", "residuals"];
     assert_eq!(merged.layers.names(), kept);
-    let [draws, surface] = [merged.draws().len(), merged.surface().len()];
-    assert_eq!((draws, surface, merged.limits()), (2, 2, parts[0].limits()));
+    let [ray_sets, surface] = [merged.ray_sets().len(), merged.surface().len()];
+    assert_eq!((ray_sets, surface, merged.limits()), (2, 2, parts[0].limits()));
     // What one part lacks: sums and limits are those of all or there is no merge.
-    for (name, is_kept) in [("draws", false), ("surface points", true), ("visits", false), ("residuals", true)] {
+    for (name, is_kept) in [("ray sets", false), ("surface points", true), ("ray coverage", false), ("residuals", true)]
+    {
         for lacking in [0, 1] {
             let mut parts = parts.clone();
             parts[lacking].layers.remove(name);
             // As if other programs had drawn the rays.
             parts.iter_mut().zip(["a", "b"]).for_each(|(part, source)| {
-                (part.protocol.march_step, part.protocol.source) = (None, source.into());
+                (part.record.march_step, part.record.source) = (None, source.into());
             });
             let names = merge(&parts).unwrap().layers.names();
             let expected: Vec<&str> = kept.into_iter().filter(|other| *other != name || is_kept).collect();
@@ -142,7 +143,7 @@ proptest! {
     ) {
         let shard = Shard::new(3072, 0, if is_part { 2 } else { 1 });
         let mut field = field(3, shard, is_dense && !is_tile, is_tile);
-        field.protocol.origin.model = checksum;
+        field.record.model_checksum = checksum;
         NAMES.iter().zip(kept).filter(|(_, kept)| !kept).for_each(|(name, _)| field.layers.remove(name));
         // Only parts keep exact counts; these are small enough to be exact in any case.
         let folder = tempfile::tempdir().unwrap();

@@ -1,8 +1,8 @@
 //! Checks that parts belong to one run, or to runs that can be added.
 
 use super::parts::Head;
-use crate::rays::Draw;
-use crate::uncertainty::Protocol;
+use crate::rays::RaySet;
+use crate::uncertainty::RunRecord;
 use crate::{Error, Result};
 
 /// Refuses parts that differ in model, cameras or a setting that affects a sum, and parts that may share rays.
@@ -24,21 +24,21 @@ fn may_share_rays(a: &Head, b: &Head) -> bool {
     if a.tile != b.tile {
         return false;
     }
-    if a.draws.is_empty() || b.draws.is_empty() {
-        // The draws of samples files are unknown; only their origin can be compared.
-        let [a, b] = [&a.protocol, &b.protocol];
-        return a.source == b.source || a.origin.model.is_some() && a.origin == b.origin;
+    if a.ray_sets.is_empty() || b.ray_sets.is_empty() {
+        // The ray sets of samples files are unknown; only their origin can be compared.
+        let [a, b] = [&a.record, &b.record];
+        return a.source == b.source || a.model_checksum.is_some() && have_one_origin(a, b);
     }
-    !Draw::are_disjoint(a.draws.iter().chain(&b.draws).copied())
+    !RaySet::are_disjoint(a.ray_sets.iter().chain(&b.ray_sets).copied())
 }
 
 /// Whether model and cameras are the same.
 ///
 /// They are compared by checksum, whatever their paths. If a checksum is unknown, they are compared by name,
 /// provided that this crate drew the rays.
-fn have_one_origin(a: &Protocol, b: &Protocol) -> bool {
+fn have_one_origin(a: &RunRecord, b: &RunRecord) -> bool {
     let same = |a: Option<u32>, b: Option<u32>| a.zip(b).map(|(a, b)| a == b);
-    let same = [same(a.origin.model, b.origin.model), same(a.origin.cameras, b.origin.cameras)];
+    let same = [same(a.model_checksum, b.model_checksum), same(a.cameras_checksum, b.cameras_checksum)];
     match same {
         [Some(model), Some(cameras)] => model && cameras,
         _ => !same.contains(&Some(false)) && (a.march_step.is_none() || a.source == b.source),
@@ -49,7 +49,7 @@ fn have_one_origin(a: &Protocol, b: &Protocol) -> bool {
 /// the rays.
 fn check_alike(first: &Head, part: &Head) -> Result<()> {
     let settings = |head: &Head| {
-        let p = &head.protocol;
+        let p = &head.record;
         let tiles = head.tile.map_or("all of space".into(), |tile| format!("one of {} tiles", tile.of));
         [
             ("box and level", format!("{:?}", head.lattice)),
@@ -66,18 +66,18 @@ fn check_alike(first: &Head, part: &Head) -> Result<()> {
             ("background", format!("{:?}", p.background)),
             ("pixel offset", format!("{:?}", p.pixel_offset)),
             ("pixels", format!("{:?}", p.pixels)),
-            ("min rays", p.min_rays.to_string()),
+            ("min rays", p.pooling.to_string()),
             ("criteria", p.criteria.to_string()),
         ]
     };
-    if !have_one_origin(&first.protocol, &part.protocol) {
-        let name = |p: &Protocol| {
+    if !have_one_origin(&first.record, &part.record) {
+        let name = |p: &RunRecord| {
             let sum = |sum: Option<u32>| sum.map_or("unknown".into(), |sum| format!("{sum:08x}"));
-            format!("{} (model {}, cameras {})", p.source, sum(p.origin.model), sum(p.origin.cameras))
+            format!("{} (model {}, cameras {})", p.source, sum(p.model_checksum), sum(p.cameras_checksum))
         };
         let what = format!("model and cameras of {}", part.name);
-        let expected = format!("{}, as in {}", name(&first.protocol), first.name);
-        return Err(Error::setting(what, expected, name(&part.protocol)));
+        let expected = format!("{}, as in {}", name(&first.record), first.name);
+        return Err(Error::setting(what, expected, name(&part.record)));
     }
     for ((name, expected), (_, found)) in settings(first).into_iter().zip(settings(part)) {
         if expected != found {

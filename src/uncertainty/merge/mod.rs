@@ -1,4 +1,4 @@
-//! Joins fields with the same box, level and protocol: of different rays, as if one run had drawn all of them, and of
+//! Joins fields with the same box, level and record: of different rays, as if one run had drawn all of them, and of
 //! different tiles, as if one process had summed all of space.
 
 mod alike;
@@ -17,7 +17,7 @@ use self::parts::{Part, heads};
 use super::UncertaintyField;
 use crate::octree::Tile;
 use crate::posterior::VertexSums;
-use crate::rays::Draw;
+use crate::rays::RaySet;
 use crate::{Error, Result};
 
 /// Joins `parts`, fields or paths of their files, into the field of all their rays. Only one file is in memory at a
@@ -114,7 +114,7 @@ pub fn merge_with_error_bars(parts: &[impl Part]) -> Result<UncertaintyField> {
     }
     let merged = merge(parts)?;
     for (i, head) in heads.iter().enumerate() {
-        let is_of_seed = |other: &&Head| head.draws.iter().any(|a| other.draws.iter().any(|b| a.seed == b.seed));
+        let is_of_seed = |other: &&Head| head.ray_sets.iter().any(|a| other.ray_sets.iter().any(|b| a.seed == b.seed));
         if let Some(other) = heads[..i].iter().find(is_of_seed) {
             let expected = "different seeds: shards of one seed are not independent";
             let found = format!("{} and {} of one seed", other.name, head.name);
@@ -124,7 +124,7 @@ pub fn merge_with_error_bars(parts: &[impl Part]) -> Result<UncertaintyField> {
     let order = in_one_order(&heads);
     let sums = |&i: &usize| parts[i].field().map(|part| shards::sums_at(&merged, &part));
     let groups = order.iter().map(sums).collect::<Result<Vec<Vec<VertexSums>>>>()?;
-    let rays: Vec<u64> = order.iter().map(|&i| heads[i].protocol.rays).collect();
+    let rays: Vec<u64> = order.iter().map(|&i| heads[i].record.rays).collect();
     Ok(merged.with_error_bars(&groups, &rays))
 }
 
@@ -132,11 +132,11 @@ pub fn merge_with_error_bars(parts: &[impl Part]) -> Result<UncertaintyField> {
 /// bit: f64 additions do not commute over three summands.
 fn in_one_order(heads: &[Head]) -> Vec<usize> {
     let mut order: Vec<usize> = (0..heads.len()).collect();
-    let key = |draw: &Draw| (draw.seed, draw.shard.rays, draw.shard.of, draw.shard.index);
+    let key = |ray_set: &RaySet| (ray_set.seed, ray_set.shard.rays, ray_set.shard.of, ray_set.shard.index);
     order.sort_by(|&a, &b| {
         let [a, b] = [&heads[a], &heads[b]];
-        let by_draws = a.draws.iter().map(key).cmp(b.draws.iter().map(key));
-        by_draws.then_with(|| a.protocol.source.cmp(&b.protocol.source))
+        let by_draws = a.ray_sets.iter().map(key).cmp(b.ray_sets.iter().map(key));
+        by_draws.then_with(|| a.record.source.cmp(&b.record.source))
     });
     order
 }

@@ -6,17 +6,17 @@ use std::path::PathBuf;
 use crate::Result;
 use crate::geometry::Lattice;
 use crate::octree::Tile;
-use crate::rays::Draw;
-use crate::uncertainty::{Protocol, Support, UncertaintyField};
+use crate::rays::RaySet;
+use crate::uncertainty::{RunRecord, Support, UncertaintyField};
 
 /// What is known of a part before its sums are read.
 #[derive(Debug, Clone)]
 pub struct Head {
     /// What messages call it.
     pub name: String,
-    pub protocol: Protocol,
+    pub record: RunRecord,
     pub lattice: Lattice,
-    pub draws: Vec<Draw>,
+    pub ray_sets: Vec<RaySet>,
     pub tile: Option<Tile>,
     pub is_dense: bool,
     /// Whether it can be merged, and not only queried.
@@ -36,9 +36,9 @@ impl Part for UncertaintyField {
     fn head(&self, number: usize) -> Result<Head> {
         Ok(Head {
             name: format!("field {number}"),
-            protocol: self.protocol.clone(),
+            record: self.record.clone(),
             lattice: self.lattice,
-            draws: self.draws().to_vec(),
+            ray_sets: self.ray_sets().to_vec(),
             tile: self.tile(),
             is_dense: matches!(self.support, Support::Dense),
             has_sums: self.sums().is_some(),

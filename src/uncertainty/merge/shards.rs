@@ -3,16 +3,16 @@
 use super::parts::{Head, Part};
 use crate::octree::VertexId;
 use crate::posterior::{DensePosterior, OctreePosterior, Reading, Refinement, VertexSums};
-use crate::rays::Draw;
+use crate::rays::RaySet;
 use crate::uncertainty::layers::Layers;
-use crate::uncertainty::{Protocol, Support, UncertaintyField};
+use crate::uncertainty::{RunRecord, Support, UncertaintyField};
 use crate::{Error, Result};
 
 /// Adds the parts of these numbers, one after the other. They are of one tile, if of any.
 pub fn add(parts: &[impl Part], heads: &[Head], order: &[usize]) -> Result<UncertaintyField> {
     let of: Vec<&Head> = order.iter().map(|&i| &heads[i]).collect();
-    let draws = draws(&of);
-    let protocol = protocol(&of, &draws);
+    let ray_sets = ray_sets(&of);
+    let record = record(&of, &ray_sets);
     let first = of[0];
     let (mut layers, mut most) = (None::<Layers>, 0);
     let mut wanted = Vec::new();
@@ -38,7 +38,7 @@ pub fn add(parts: &[impl Part], heads: &[Head], order: &[usize]) -> Result<Uncer
         match (&part.support, &mut dense) {
             (Support::Octree(octree), None) => {
                 // What was refined for reasons other than information stays refined.
-                if protocol.criteria.density || protocol.criteria.uniform {
+                if record.criteria.density || record.criteria.uniform {
                     octree.cells().for_each_leaf(|leaf| wanted.push(leaf));
                 }
                 octree.vertex_positions().zip(kept).for_each(|(point, sums)| posterior.add_sums_at(point, sums));
@@ -48,32 +48,28 @@ pub fn add(parts: &[impl Part], heads: &[Head], order: &[usize]) -> Result<Uncer
         }
     }
     let mut field = match dense {
-        Some(sums) => UncertaintyField::new(protocol, first.lattice, Support::Dense, sums),
+        Some(sums) => UncertaintyField::new(record, first.lattice, Support::Dense, sums),
         None => {
-            let octree = posterior.octree(&Refinement::above(
-                floor(&of, &draws),
-                &protocol.reading(),
-                protocol.criteria,
-                wanted,
-            ));
-            UncertaintyField::on_octree(protocol, first.lattice, posterior, octree, true)
+            let octree =
+                posterior.octree(&Refinement::above(floor(&of, &ray_sets), &record.reading(), record.criteria, wanted));
+            UncertaintyField::on_octree(record, first.lattice, posterior, octree, true)
         }
     };
     let mut layers = layers.unwrap_or_default();
     if let Some(surface) = &mut layers.surface {
         surface.truncate(most);
     }
-    let (sums, visits) = (field.layers.sums.take(), layers.visits.take());
+    let (sums, ray_coverage) = (field.layers.sums.take(), layers.ray_coverage.take());
     field.layers = Layers { sums, ..layers };
-    Ok(field.with_visits(visits))
+    Ok(field.with_ray_coverage(ray_coverage))
 }
 
 /// The rays of all parts; unknown if those of one part are.
-pub fn draws(of: &[&Head]) -> Vec<Draw> {
-    if of.iter().any(|head| head.draws.is_empty()) {
+pub fn ray_sets(of: &[&Head]) -> Vec<RaySet> {
+    if of.iter().any(|head| head.ray_sets.is_empty()) {
         return Vec::new();
     }
-    Draw::joined(of.iter().flat_map(|head| &head.draws).copied())
+    RaySet::joined(of.iter().flat_map(|head| &head.ray_sets).copied())
 }
 
 /// The sums of `part` at the vertices of `whole`.
@@ -94,33 +90,33 @@ pub fn sums_at(whole: &UncertaintyField, part: &UncertaintyField) -> Vec<VertexS
 /// Shards lack nothing, and nothing is left out as long as some shards are missing. A vertex that the octree of a
 /// whole run lacks may have lost what was negligible for the rays of that run. Every vertex considered here
 /// belongs to some part, whose sums are complete there.
-fn floor(of: &[&Head], draws: &[Draw]) -> f64 {
+fn floor(of: &[&Head], ray_sets: &[RaySet]) -> f64 {
     // What is negligible in a tile may still be a vertex because of a neighbour's leaves.
-    if of[0].tile.is_some() || draws.iter().any(Draw::is_part) {
+    if of[0].tile.is_some() || ray_sets.iter().any(RaySet::is_part) {
         return Refinement::EVERYTHING;
     }
-    let of_shards = of.iter().flat_map(|head| &head.draws).filter(|draw| draw.is_part());
-    let complete = of_shards.fold(0_u64, |sum, draw| sum.saturating_add(draw.shard.own_rays()));
-    let runs = of.iter().map(|head| head.protocol.rays);
+    let of_shards = of.iter().flat_map(|head| &head.ray_sets).filter(|ray_set| ray_set.is_part());
+    let complete = of_shards.fold(0_u64, |sum, ray_set| sum.saturating_add(ray_set.shard.own_rays()));
+    let runs = of.iter().map(|head| head.record.rays);
     let rays = if complete > 0 { complete } else { runs.min().unwrap_or(0) };
-    Reading { rays, ..of[0].protocol.reading() }.floor()
+    Reading { rays, ..of[0].record.reading() }.floor()
 }
 
-/// The protocol of the joined run of these draws. It is a whole run again if all its shards are present.
-pub fn protocol(of: &[&Head], draws: &[Draw]) -> Protocol {
-    let protocols = || of.iter().map(|head| &head.protocol);
-    let first = &of[0].protocol;
-    let one_seed = first.seed.filter(|_| protocols().all(|p| p.seed == first.seed));
-    let whole = match draws {
-        [draw] if one_seed == Some(draw.seed) => Some(draw.shard),
+/// The record of the joined run of these draws. It is a whole run again if all its shards are present.
+pub fn record(of: &[&Head], ray_sets: &[RaySet]) -> RunRecord {
+    let records = || of.iter().map(|head| &head.record);
+    let first = &of[0].record;
+    let one_seed = first.seed.filter(|_| records().all(|p| p.seed == first.seed));
+    let whole = match ray_sets {
+        [ray_set] if one_seed == Some(ray_set.seed) => Some(ray_set.shard),
         _ => None,
     };
-    let mut sources: Vec<&str> = protocols().map(|p| p.source.as_str()).collect();
+    let mut sources: Vec<&str> = records().map(|p| p.source.as_str()).collect();
     sources.dedup();
-    Protocol {
+    RunRecord {
         source: sources.join(" + "),
-        rays: protocols().fold(0, |sum, p| sum.saturating_add(p.rays)),
-        dropped: protocols().fold(0, |sum, p| sum.saturating_add(p.dropped)),
+        rays: records().fold(0, |sum, p| sum.saturating_add(p.rays)),
+        dropped: records().fold(0, |sum, p| sum.saturating_add(p.dropped)),
         seed: one_seed,
         shard: whole,
         ..first.clone()

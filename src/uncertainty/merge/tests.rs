@@ -12,10 +12,12 @@ use rand_chacha::ChaCha8Rng;
 use super::*;
 use crate::geometry::{Aabb, Lattice};
 use crate::octree::VertexId;
-use crate::posterior::{Covariance, DataScale, DensePosterior, OctreePosterior, Scale, Visits, negligible_information};
+use crate::posterior::{
+    Covariance, DataScale, DensePosterior, OctreePosterior, RayCoverage, Scale, negligible_information,
+};
 use crate::rays::Shard;
 use crate::uncertainty::tests::on_own_octree;
-use crate::uncertainty::{Protocol, ResidualSums, Support};
+use crate::uncertainty::{ResidualSums, RunRecord, Support};
 
 const LEVEL: u8 = 4;
 
@@ -34,7 +36,7 @@ fn part(seed: u64, shard: Shard, tile: Option<Tile>, is_dense: bool, random: &mu
     let lattice = lattice();
     let data = DataScale::new(1000, 0.02, 0.05).unwrap();
     let rays = shard.own_rays();
-    let protocol = Protocol {
+    let record = RunRecord {
         dropped: random.random_range(1..30),
         seed: Some(seed),
         shard: Some(shard),
@@ -42,7 +44,7 @@ fn part(seed: u64, shard: Shard, tile: Option<Tile>, is_dense: bool, random: &mu
         lambda: data.lambda(),
         // Nothing that a ray touched is negligible.
         tolerance: 0.0,
-        ..crate::uncertainty::tests::protocol(&lattice, Covariance::Block, rays)
+        ..crate::uncertainty::tests::record(&lattice, Covariance::Block, rays)
     };
     let mut sums = BTreeMap::new();
     for _ in 0..200 {
@@ -56,17 +58,17 @@ fn part(seed: u64, shard: Shard, tile: Option<Tile>, is_dense: bool, random: &mu
     let field = if is_dense {
         let mut all = DensePosterior::new(lattice).into_sums();
         sums.iter().for_each(|(point, own)| all[lattice.dense_index(*point)] = *own);
-        UncertaintyField::new(protocol, lattice, Support::Dense, all)
+        UncertaintyField::new(record, lattice, Support::Dense, all)
     } else {
         let mut posterior = OctreePosterior::new(lattice).owning(tile);
         sums.iter().for_each(|(point, own)| posterior.add_sums_at(*point, own));
-        on_own_octree(protocol, lattice, posterior)
+        on_own_octree(record, lattice, posterior)
     };
     let surface = (0..random.random_range(0..6)).map(|_| [random.random_range(-1.0..1.0); 3]).collect();
     let cells = 1 << (3 * LEVEL);
     let counts = (0..cells).map(|_| random.random_range(0..1000)).collect();
-    let visits = Visits::from_counts(&lattice, counts).map(|visits| visits.within(tile, LEVEL));
-    Made { field: field.with_surface(surface).with_visits(visits), sums }
+    let ray_coverage = RayCoverage::from_counts(&lattice, counts).map(|ray_coverage| ray_coverage.within(tile, LEVEL));
+    Made { field: field.with_surface(surface).with_ray_coverage(ray_coverage), sums }
 }
 
 /// Merges some of the parts, then the results, and so on.
@@ -91,9 +93,9 @@ fn added<'a>(parts: impl IntoIterator<Item = &'a Made>) -> BTreeMap<[u32; 3], Ve
     all
 }
 
-/// Counts of visits, added cell by cell.
+/// Counts of ray coverage, added cell by cell.
 fn visits_of(parts: &[Made]) -> Vec<u32> {
-    let each = parts.iter().map(|part| part.field.visits().unwrap().counts());
+    let each = parts.iter().map(|part| part.field.ray_coverage().unwrap().counts());
     each.fold(vec![0; 1 << (3 * LEVEL)], |sum, more| sum.iter().zip(more).map(|(a, b)| a + b).collect())
 }
 
@@ -122,12 +124,12 @@ proptest! {
         let parts = seeds * of;
         prop_assume!(parts > 1);
         let all_rays = 512 * 6 * of;
-        let draws = (0..seeds).flat_map(|seed| (0..of).map(move |index| (seed, Shard::new(all_rays, index, of))));
-        let mut parts: Vec<Made> = draws.map(|(seed, shard)| part(seed, shard, None, is_dense, random)).collect();
+        let ray_sets = (0..seeds).flat_map(|seed| (0..of).map(move |index| (seed, Shard::new(all_rays, index, of))));
+        let mut parts: Vec<Made> = ray_sets.map(|(seed, shard)| part(seed, shard, None, is_dense, random)).collect();
         let expected_visits = visits_of(&parts);
         let n = parts.len();
         if let Some(i) = without_visits {
-            parts[i % n].field.layers.visits = None;
+            parts[i % n].field.layers.ray_coverage = None;
         }
         let mut residuals = ResidualSums::new(&lattice());
         residuals.add(DVec3::ZERO.as_vec3(), 0.5);
@@ -143,23 +145,23 @@ proptest! {
         prop_assert_eq!(flat.surface(), &surface[..], "of the parts in order, as many as the part with the most has");
         for (name, merged) in [("at once", flat), ("nested", nested(fields(), random))] {
             prop_assert_eq!(sums_of(&merged), added(&parts), "{}", name);
-            let Protocol { rays, dropped, seed, shard, .. } = merged.protocol().clone();
+            let RunRecord { rays, dropped, seed, shard, .. } = merged.record().clone();
             prop_assert_eq!(rays, seeds * all_rays, "{}", name);
-            let each = parts.iter().map(|part| part.field.protocol().dropped);
+            let each = parts.iter().map(|part| part.field.record().dropped);
             prop_assert_eq!(dropped, each.sum::<u64>(), "{}", name);
             let one = (seeds == 1).then_some(0);
             prop_assert_eq!((seed, shard), (one, one.map(|_| Shard::whole(all_rays))), "{}", name);
-            let whole = |seed| Draw { seed, shard: Shard::whole(all_rays) };
-            prop_assert_eq!(merged.draws(), &(0..seeds).map(whole).collect::<Vec<_>>()[..], "{}", name);
+            let whole = |seed| RaySet { seed, shard: Shard::whole(all_rays) };
+            prop_assert_eq!(merged.ray_sets(), &(0..seeds).map(whole).collect::<Vec<_>>()[..], "{}", name);
             prop_assert!(!merged.is_part(), "{}", name);
-            let counts = merged.visits().map(|visits| visits.counts().to_vec());
+            let counts = merged.ray_coverage().map(|ray_coverage| ray_coverage.counts().to_vec());
             prop_assert_eq!(counts, without_visits.is_none().then(|| expected_visits.clone()), "{}", name);
             prop_assert_eq!(merged.residuals(), residuals_of.map(|_| &residuals), "{}", name);
             prop_assert_eq!(merged.surface().len(), most.unwrap(), "{}", name);
             // U is that of the sums, whatever U of the parts was.
-            let protocol = merged.protocol().clone();
+            let record = merged.record().clone();
             let sums = merged.sums().unwrap().to_vec();
-            let anew = UncertaintyField::new(protocol, lattice(), merged.support().clone(), sums);
+            let anew = UncertaintyField::new(record, lattice(), merged.support().clone(), sums);
             prop_assert_eq!(anew.deviations(), merged.deviations(), "{}", name);
             prop_assert_eq!(anew.rays(), merged.rays(), "{}", name);
         }
@@ -197,14 +199,14 @@ proptest! {
         fields.shuffle(random);
         let joined = merge(&fields).unwrap();
         // Rays that reach several tiles may be dropped in each.
-        let dropped = |parts: &Vec<Made>| parts.iter().map(|part| part.field.protocol().dropped).sum::<u64>();
-        prop_assert_eq!(joined.protocol().dropped, parts.iter().map(dropped).max().unwrap());
-        prop_assert_eq!(joined.protocol().rays, all_rays);
+        let dropped = |parts: &Vec<Made>| parts.iter().map(|part| part.field.record().dropped).sum::<u64>();
+        prop_assert_eq!(joined.record().dropped, parts.iter().map(dropped).max().unwrap());
+        prop_assert_eq!(joined.record().rays, all_rays);
         let expected = added(parts.iter().flatten());
         let Support::Octree(octree) = joined.support() else { panic!("an octree") };
         for (v, point) in octree.vertex_positions().enumerate() {
             let own = expected.get(&point).copied().unwrap_or_default();
-            let deviation = joined.protocol().reading().deviation(&own);
+            let deviation = joined.record().reading().deviation(&own);
             prop_assert_eq!(joined.deviations().get(v), f64::from(deviation as f32), "{:?}", point);
             prop_assert_eq!(joined.rays().get(v), rounded(own.rays), "{:?}", point);
         }
@@ -212,7 +214,7 @@ proptest! {
             prop_assert!(octree.vertex(*point).is_some_and(|VertexId(v)| v < octree.vertex_count() as u32));
         }
         let all: Vec<Made> = parts.into_iter().flatten().collect();
-        prop_assert_eq!(joined.visits().unwrap().counts(), &visits_of(&all)[..]);
+        prop_assert_eq!(joined.ray_coverage().unwrap().counts(), &visits_of(&all)[..]);
     }
 }
 
@@ -248,15 +250,15 @@ fn tiles_of_other_cuts_are_named() {
 fn what_counts_in_the_shorter_run_counts_in_both() {
     let lattice = lattice();
     let run = |seed: u64, rays: u64, point: [u32; 3], times: f64| {
-        let protocol = Protocol {
+        let record = RunRecord {
             seed: Some(seed),
             shard: Some(Shard::whole(rays)),
-            ..crate::uncertainty::tests::protocol(&lattice, Covariance::Block, rays)
+            ..crate::uncertainty::tests::record(&lattice, Covariance::Block, rays)
         };
-        let entry = times * negligible_information(protocol.tolerance, rays, protocol.lambda) / 3.0;
+        let entry = times * negligible_information(record.tolerance, rays, record.lambda) / 3.0;
         let mut posterior = OctreePosterior::new(lattice);
         posterior.add_sums_at(point, &VertexSums::new([entry, 0.0, 0.0, entry, 0.0, entry], 3));
-        on_own_octree(protocol, lattice, posterior)
+        on_own_octree(record, lattice, posterior)
     };
     let (short, long) = (run(0, 1024, [5, 6, 7], 3.0), run(1, 102_400, [12, 3, 9], 3.0));
     for parts in [[short.clone(), long.clone()], [long, short]] {
@@ -276,10 +278,10 @@ fn one_part_of_unknown_rays_makes_all_unknown() {
             (0..3).map(|seed| part(seed, Shard::whole(3072), None, false, random).field).collect();
         for (i, field) in fields.iter_mut().enumerate() {
             // As if other programs had drawn the rays: only then do sources distinguish parts.
-            (field.protocol.march_step, field.protocol.source) = (None, i.to_string());
+            (field.record.march_step, field.record.source) = (None, i.to_string());
         }
-        fields[unknown].layers.draws = None;
-        assert_eq!(merge(&fields).unwrap().draws(), []);
+        fields[unknown].layers.ray_sets = None;
+        assert_eq!(merge(&fields).unwrap().ray_sets(), []);
     }
 }
 

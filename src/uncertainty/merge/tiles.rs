@@ -11,10 +11,10 @@ use super::parts::Head;
 use super::shards;
 use crate::geometry::Lattice;
 use crate::octree::{Cell, MaxLevels, Octree, Tile, Tiling, VertexId, Wanted, cells_around};
-use crate::posterior::{OctreePosterior, VertexSums, Visits};
-use crate::rays::Draw;
+use crate::posterior::{OctreePosterior, RayCoverage, VertexSums};
+use crate::rays::RaySet;
 use crate::uncertainty::by_vertex::encode;
-use crate::uncertainty::{Protocol, Support, UncertaintyField};
+use crate::uncertainty::{RunRecord, Support, UncertaintyField};
 use crate::{Error, Result};
 
 /// Refuses tiles that do not cover the box, or that not all rays were summed in. `groups` has the parts of each.
@@ -33,14 +33,14 @@ pub fn check(groups: &[(Tile, Vec<&Head>)]) -> Result<()> {
         let found = format!("none of {}", missing.join(", "));
         return Err(Error::setting("tiles to merge", format!("all {} tiles", first.of), found));
     }
-    let draws = shards::draws(parts);
+    let ray_sets = shards::ray_sets(parts);
     for (tile, parts) in groups {
-        let own = shards::draws(parts);
-        if own.is_empty() || own.iter().any(Draw::is_part) {
+        let own = shards::ray_sets(parts);
+        if own.is_empty() || own.iter().any(RaySet::is_part) {
             let expected = format!("all shards of tile {tile}");
             return Err(Error::setting("tiles to merge", expected, format!("{} alone", names(parts))));
         }
-        if own != draws {
+        if own != ray_sets {
             let expected = format!("the rays of tile {first} in tile {tile}, too");
             return Err(Error::setting("tiles to merge", expected, format!("others in {}", names(parts))));
         }
@@ -57,17 +57,17 @@ pub fn check(groups: &[(Tile, Vec<&Head>)]) -> Result<()> {
 
 /// What must be known of all tiles before one of them can be finished.
 pub struct Survey {
-    protocol: Protocol,
+    record: RunRecord,
     lattice: Lattice,
     limits: MaxLevels,
-    draws: Vec<Draw>,
+    ray_sets: Vec<RaySet>,
     /// The octree of the whole.
     octree: Octree,
     tiles: Vec<Tile>,
     /// Sums at the vertices that a tile needs of another.
     seams: FxHashMap<[u32; 3], VertexSums>,
     surfaces: Vec<Vec<[f32; 3]>>,
-    visits: Option<Visits>,
+    ray_coverage: Option<RayCoverage>,
 }
 
 impl Survey {
@@ -82,14 +82,14 @@ impl Survey {
                 let expected = "the leaves of the first tile in all of them";
                 return Err(Error::setting("tiles to merge", expected, "others"));
             }
-            let protocol = &mut survey.protocol;
-            if protocol.criteria.sensitivity {
-                let wants = sums.wanted(protocol.reading().floor());
+            let record = &mut survey.record;
+            if record.criteria.sensitivity {
+                let wants = sums.wanted(record.reading().floor());
                 *wanted = std::mem::replace(wanted, Wanted::new(part.lattice.level())) | wants;
             }
-            protocol.dropped = protocol.dropped.max(part.protocol.dropped);
+            record.dropped = record.dropped.max(part.record.dropped);
             survey.tiles.extend(part.tile());
-            survey.visits = survey.visits.take().zip(part.visits()).map(|(mut sum, more)| {
+            survey.ray_coverage = survey.ray_coverage.take().zip(part.ray_coverage()).map(|(mut sum, more)| {
                 sum += more;
                 sum
             });
@@ -103,28 +103,28 @@ impl Survey {
     fn begin(first: &UncertaintyField) -> (Self, Wanted) {
         let level = first.lattice.level();
         let survey = Self {
-            protocol: first.protocol.clone(),
+            record: first.record.clone(),
             lattice: first.lattice,
             limits: first.limits(),
-            draws: first.draws().to_vec(),
+            ray_sets: first.ray_sets().to_vec(),
             octree: Octree::refined(level, []),
             tiles: Vec::new(),
             seams: FxHashMap::default(),
             surfaces: Vec::new(),
-            visits: first.visits().map(|_| Visits::new(&first.lattice)),
+            ray_coverage: first.ray_coverage().map(|_| RayCoverage::new(&first.lattice)),
         };
         (survey, Wanted::new(level))
     }
 
     fn value(&self, point: [u32; 3], sums: VertexSums) -> (f32, u8) {
-        (self.protocol.reading().deviation_at(&self.limits, point, sums), encode(sums.rays))
+        (self.record.reading().deviation_at(&self.limits, point, sums), encode(sums.rays))
     }
 
     fn field(&self, octree: Octree, values: (Vec<f32>, Vec<u8>)) -> UncertaintyField {
         let values = (values.0.into(), values.1.into());
-        let (protocol, limits) = (self.protocol.clone(), self.limits.clone());
-        let field = UncertaintyField::from_values(protocol, self.lattice, Support::Octree(octree), limits, values);
-        field.with_draws(self.draws.clone()).with_visits(self.visits.clone())
+        let (record, limits) = (self.record.clone(), self.limits.clone());
+        let field = UncertaintyField::from_values(record, self.lattice, Support::Octree(octree), limits, values);
+        field.with_ray_sets(self.ray_sets.clone()).with_ray_coverage(self.ray_coverage.clone())
     }
 
     /// One field of all tiles, which are read a second time. It takes 5.4 to 5.8 bytes a vertex, its octree included;

@@ -105,7 +105,7 @@ fn field(covariance: Covariance, random: &mut impl Rng) -> UncertaintyField {
     let finest = [[0, 0, 0], [9, 4, 6], [15, 15, 2], [5, 12, 11]];
     let octree = Octree::refined(4, finest.map(|index| Cell { level: 4, index }));
     let sums = arbitrary_sums(octree.vertex_count(), random);
-    UncertaintyField::new(protocol(&lattice, covariance, 20), lattice, Support::Octree(octree), sums)
+    UncertaintyField::new(record(&lattice, covariance, 20), lattice, Support::Octree(octree), sums)
 }
 
 /// The field with error bars, unknown at every 23rd vertex.
@@ -159,7 +159,7 @@ fn queries_are_those_of_brute_force() {
                     let share = weight.powi(power) * field.deviations().get(v).powi(power) / n;
                     error = error.zip(bars.get(v)).map(|(sum, error)| sum + share * error);
                     of_error += share;
-                    let of_vertex = covariance.matrix(&field.sums().unwrap()[v], 20, field.protocol().lambda);
+                    let of_vertex = covariance.matrix(&field.sums().unwrap()[v], 20, field.record().lambda);
                     matrix.iter_mut().zip(of_vertex).for_each(|(sum, entry)| *sum += weight / n * entry);
                 }
             }
@@ -200,7 +200,7 @@ fn variances_of_depth_are_those_of_brute_force() {
     let data = DataScale::new(1000, 0.02, 0.05).unwrap();
     for covariance in Covariance::ALL {
         let scale = Scale::Data(data);
-        let protocol = Protocol { scale, lambda: data.lambda(), ..protocol(&lattice, covariance, 20) };
+        let record = RunRecord { scale, lambda: data.lambda(), ..record(&lattice, covariance, 20) };
         // Not all leaves: in a part of the box the octree is coarser than its limits.
         let mut wanted = Vec::new();
         for &(origin, edge) in slow.0.iter().filter(|(origin, _)| origin[0] + origin[1] < 90) {
@@ -213,7 +213,7 @@ fn variances_of_depth_are_those_of_brute_force() {
         sums.iter_mut().step_by(4).for_each(|sums| *sums = VertexSums::default());
         let vertices: BTreeMap<[u32; 3], usize> = octree.vertex_positions().zip(0..).collect();
         let support = Support::Octree(octree);
-        let kept = UncertaintyField::on_leaves(protocol, lattice, support, limits.clone(), sums.clone());
+        let kept = UncertaintyField::on_leaves(record, lattice, support, limits.clone(), sums.clone());
         let bare = kept.clone().without_sums();
         let (mut shared, mut without) = (0, 0);
         for _ in 0..200 {
@@ -267,11 +267,11 @@ fn values_made_without_sums_are_those_made_with_them() {
     let lattice = Lattice::new(Aabb::centered_cube(1.0), 6).unwrap();
     for limits in [MaxLevels::none(6), MaxLevels::balanced(6, [(0, 4), (3, 3), (5, 5)])] {
         let fields = [true, false].map(|keeps_sums| {
-            let protocol = protocol(&lattice, Covariance::Diagonal, 20);
+            let record = record(&lattice, Covariance::Diagonal, 20);
             let mut posterior = OctreePosterior::limited(lattice, limits.clone());
             posterior.add(&[samples(1.0)]);
-            let octree = posterior.octree(&refinement(&protocol, &posterior));
-            UncertaintyField::on_octree(protocol, lattice, posterior, octree, keeps_sums)
+            let octree = posterior.octree(&refinement(&record, &posterior));
+            UncertaintyField::on_octree(record, lattice, posterior, octree, keeps_sums)
         });
         let [kept, bare] = &fields;
         assert!(kept.sums().is_some() && bare.sums().is_none() && kept.support() == bare.support());
@@ -289,13 +289,13 @@ fn variances_of_depth_do_not_depend_on_whether_sums_are_kept() {
     let lattice = Lattice::new(Aabb::centered_cube(1.0), 6).unwrap();
     let data = DataScale::new(1000, 0.02, 0.05).unwrap();
     for limits in [MaxLevels::none(6), MaxLevels::balanced(6, [(0, 4), (3, 3), (5, 5)])] {
-        for min_rays in [0.0, 30.0] {
-            let plain = protocol(&lattice, Covariance::Trace, 20);
-            let protocol = Protocol { scale: Scale::Data(data), lambda: data.lambda(), min_rays, ..plain };
+        for pooling in [Pooling::Off, Pooling::Below(30.0), Pooling::Auto] {
+            let plain = record(&lattice, Covariance::Trace, 20);
+            let record = RunRecord { scale: Scale::Data(data), lambda: data.lambda(), pooling, ..plain };
             let octree = Octree::refined(6, (0..40).map(|i| Cell { level: 6, index: [i, 30, 63 - i] }));
             let sums = arbitrary_sums(octree.vertex_count(), random);
             let support = Support::Octree(octree);
-            let kept = UncertaintyField::on_leaves(protocol, lattice, support, limits.clone(), sums);
+            let kept = UncertaintyField::on_leaves(record, lattice, support, limits.clone(), sums);
             let bare = kept.clone().without_sums();
             for _ in 0..50 {
                 let t = random.random_range(-0.9..0.2_f32);

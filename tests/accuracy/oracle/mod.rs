@@ -19,7 +19,7 @@ pub mod ground;
 
 use glam::{DMat3, DVec3};
 use octobayes::geometry::Camera;
-use octobayes::rays::Pick;
+use octobayes::rays::PixelSample;
 use rayon::prelude::*;
 
 use ground::{Ground, Jet};
@@ -58,7 +58,7 @@ struct Sample {
 
 impl Oracle<'_> {
     /// The ray of a pick: origin and unit direction.
-    pub fn ray(&self, pick: &Pick) -> (DVec3, DVec3) {
+    pub fn ray(&self, pick: &PixelSample) -> (DVec3, DVec3) {
         let camera = &self.cameras[pick.camera];
         let right = (f64::from(pick.pixel[0]) + 0.5 - camera.center[0]) / camera.focal[0];
         let down = (f64::from(pick.pixel[1]) + 0.5 - camera.center[1]) / camera.focal[1];
@@ -158,7 +158,7 @@ impl Oracle<'_> {
     }
 
     /// J_v of one ray at every vertex that it touches. `None` if the ray is left out.
-    pub fn vertex_jacobians(&self, pick: &Pick) -> Option<Vec<(usize, DMat3)>> {
+    pub fn vertex_jacobians(&self, pick: &PixelSample) -> Option<Vec<(usize, DMat3)>> {
         let (origin, direction) = self.ray(pick);
         let distances = self.distances(origin, direction, pick.jitter);
         let at = |&t: &f64| origin + t * direction;
@@ -182,7 +182,7 @@ impl Oracle<'_> {
     }
 
     /// The sums over all rays of `picks`.
-    pub fn sums(&self, picks: &[Pick]) -> Sums {
+    pub fn sums(&self, picks: &[PixelSample]) -> Sums {
         let mut sums = Sums { information: vec![DMat3::ZERO; (self.cells + 1).pow(3)], dropped: 0 };
         for part in picks.chunks(256) {
             let rays: Vec<_> = part.par_iter().map(|pick| self.vertex_jacobians(pick)).collect();
@@ -201,7 +201,7 @@ impl Oracle<'_> {
 
     /// The colour of a ray when the vertex `moved` is displaced by `by`. This composites the model itself,
     /// `x → x + φ_v(x) θ`.
-    pub fn color_with_displaced_vertex(&self, pick: &Pick, moved: usize, by: DVec3) -> DVec3 {
+    pub fn color_with_displaced_vertex(&self, pick: &PixelSample, moved: usize, by: DVec3) -> DVec3 {
         let (origin, direction) = self.ray(pick);
         let (mut color, mut depth) = (DVec3::ZERO, 0.0_f64);
         for t in self.distances(origin, direction, pick.jitter) {

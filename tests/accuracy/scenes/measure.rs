@@ -13,12 +13,12 @@ impl Quantity {
     /// Measures the quantity for a field that was not pooled. [`Quantity::Diagonal`], [`Quantity::Block`] and
     /// [`Quantity::Lowered`] are 0 if the field did not keep its vertex sums.
     pub fn read(self, field: &UncertaintyField) -> f64 {
-        let protocol = field.protocol();
+        let record = field.record();
         // Decades below the prior, for every vertex.
         let gains = |covariance: Covariance| {
-            let prior = covariance.prior(protocol.lambda);
+            let prior = covariance.prior(record.lambda);
             let sums = field.sums().unwrap_or_default().iter();
-            sums.map(move |e| (prior / covariance.deviation(e, protocol.rays, protocol.lambda)).log10())
+            sums.map(move |e| (prior / covariance.deviation(e, record.rays, record.lambda)).log10())
         };
         match self {
             Self::Diagonal => gains(Covariance::Diagonal).fold(0.0, f64::max),
@@ -27,7 +27,7 @@ impl Quantity {
                 let lowered = gains(Covariance::Trace).filter(|&gain| gain > LOWERED).count();
                 lowered as f64 / field.lattice().dense_vertices() as f64
             }
-            Self::Dropped => protocol.dropped as f64 / protocol.rays.max(1) as f64,
+            Self::Dropped => record.dropped as f64 / record.rays.max(1) as f64,
         }
     }
 }

@@ -5,14 +5,14 @@ use serde_json::{Value, json};
 use super::super::file::Source;
 use super::{Layer, Merge};
 use crate::Result;
-use crate::rays::Draw;
+use crate::rays::RaySet;
 use crate::uncertainty::UncertaintyField;
 
-impl Layer for Vec<Draw> {
-    const NAME: &'static str = "draws";
+impl Layer for Vec<RaySet> {
+    const NAME: &'static str = "ray sets";
     /// The rays of both; unknown if those of one are.
     const MERGE: Merge<Self> =
-        Some(|sum, part| sum.zip(part).map(|(sum, part)| Draw::joined(sum.iter().chain(part).copied())));
+        Some(|sum, part| sum.zip(part).map(|(sum, part)| RaySet::joined(sum.iter().chain(part).copied())));
     const WITHOUT: &'static str = "which rays were summed is not known";
 
     fn head(&self) -> Value {
@@ -21,35 +21,35 @@ impl Layer for Vec<Draw> {
 
     fn read(head: Value, file: &mut Source) -> Result<Self> {
         let head: Self = file.head(Self::NAME, head)?;
-        if !head.iter().all(|draw| draw.shard.is_valid()) || !Draw::are_disjoint(head.iter().copied()) {
+        if !head.iter().all(|ray_set| ray_set.shard.is_valid()) || !RaySet::are_disjoint(head.iter().copied()) {
             let found = "an empty part, or two that may have rays in common";
-            return Err(file.malformed("header, draws", "parts of runs, each ray in one of them", found));
+            return Err(file.malformed("header, ray sets", "parts of runs, each ray in one of them", found));
         }
         Ok(head)
     }
 
     fn memory(&self) -> usize {
-        self.capacity() * size_of::<Draw>()
+        self.capacity() * size_of::<RaySet>()
     }
 
     fn info(&self) -> String {
         match self.as_slice() {
-            [Draw { seed, shard }] if shard.of == 1 => format!("all {} rays of seed {seed}", shard.rays),
-            [Draw { seed, shard }] => format!("part {} of {} of seed {seed}", shard.index, shard.of),
+            [RaySet { seed, shard }] if shard.of == 1 => format!("all {} rays of seed {seed}", shard.rays),
+            [RaySet { seed, shard }] => format!("part {} of {} of seed {seed}", shard.index, shard.of),
             several => format!("{} sequences of pixels", several.len()),
         }
     }
 }
 
 impl UncertaintyField {
-    /// The same field with the rays of several draws. A protocol alone names only one.
+    /// The same field with the rays of several draws. A record alone names only one.
     ///
     /// # Panics
     /// If two of them may have rays in common.
     #[must_use]
-    pub fn with_draws(mut self, draws: Vec<Draw>) -> Self {
-        assert!(Draw::are_disjoint(draws.iter().copied()), "a ray is counted once");
-        self.layers.draws = Some(draws).filter(|draws| !draws.is_empty());
+    pub fn with_ray_sets(mut self, ray_sets: Vec<RaySet>) -> Self {
+        assert!(RaySet::are_disjoint(ray_sets.iter().copied()), "a ray is counted once");
+        self.layers.ray_sets = Some(ray_sets).filter(|ray_sets| !ray_sets.is_empty());
         self
     }
 
@@ -57,7 +57,7 @@ impl UncertaintyField {
     ///
     /// Empty if they are unknown: they come from a samples file or another program.
     #[must_use]
-    pub fn draws(&self) -> &[Draw] {
-        self.layers.draws.as_deref().unwrap_or_default()
+    pub fn ray_sets(&self) -> &[RaySet] {
+        self.layers.ray_sets.as_deref().unwrap_or_default()
     }
 }

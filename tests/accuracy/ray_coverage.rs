@@ -1,4 +1,4 @@
-//! Seen and empty is not never seen: visits against ray tracing, in closed-form scenes.
+//! Seen and empty is not never seen: ray coverage against ray tracing, in closed-form scenes.
 
 use std::collections::BTreeSet;
 
@@ -7,7 +7,7 @@ use octobayes::estimate::{Estimation, GridKind, GridSettings, RaySettings};
 use octobayes::field::{ClosedForm, Radiance, RadianceField};
 use octobayes::geometry::{Camera, Lattice, Ray};
 use octobayes::monitor::Silent;
-use octobayes::posterior::Visits;
+use octobayes::posterior::RayCoverage;
 use octobayes::rays::{RunProgress, Shard};
 use octobayes::render::RaySamples;
 use octobayes::uncertainty::{Observability, UncertaintyField, merge};
@@ -28,12 +28,12 @@ fn density(scene: &ClosedForm, x: DVec3) -> f64 {
 }
 
 #[test]
-fn visits_are_those_of_ray_tracing() {
+fn ray_coverage_is_that_of_ray_tracing() {
     let (scene, cameras) = (ClosedForm::courtyard(), ClosedForm::half_circle(6, [48, 48]));
     let run = estimation(&scene, &cameras).prepare().unwrap();
     let offset = run.stream().pixel_offset;
     let picks = run.stream().pixels.picks(0, RAYS);
-    let lattice = Lattice::from_domain(*run.lattice().domain(), Visits::LEVEL).unwrap();
+    let lattice = Lattice::from_domain(*run.lattice().domain(), RayCoverage::LEVEL).unwrap();
     let n = lattice.cells_per_axis() as usize;
     let mut traced = vec![0_u32; n * n * n];
     // Two hundred steps per cell.
@@ -53,13 +53,13 @@ fn visits_are_those_of_ray_tracing() {
         }
         cells.into_iter().for_each(|cell| traced[cell] += 1);
     }
-    let mut visits = Visits::new(run.lattice());
+    let mut ray_coverage = RayCoverage::new(run.lattice());
     let add = |batches: &[RaySamples], _: &RunProgress| {
-        visits.add(batches);
+        ray_coverage.add(batches);
         Ok(())
     };
     run.stream().run(Shard::whole(RAYS), RunProgress::default(), &Silent, add).unwrap();
-    let counts = visits.counts();
+    let counts = ray_coverage.counts();
     let (mut equal, mut close, mut blind) = (0, 0, 0);
     for (found, expected) in counts.iter().zip(&traced) {
         equal += usize::from(found == expected);
@@ -95,14 +95,14 @@ fn free_air_is_not_never_seen() {
     assert_eq!(field.query(at(surface + 0.15)).uncertainty, field.query(at(0.0)).uncertainty);
 }
 
-/// Shards, groups, dense grids and files have the visits of the whole run.
+/// Shards, groups, dense grids and files have the ray coverage of the whole run.
 #[test]
-fn visits_do_not_depend_on_how_the_run_was_made() {
+fn ray_coverage_does_not_depend_on_how_the_run_was_made() {
     let (scene, cameras) = (ClosedForm::courtyard(), ClosedForm::half_circle(6, [48, 48]));
     let run = || estimation(&scene, &cameras);
     let whole = run().run().unwrap().field;
     let dense = run().grid(GridSettings::default().level(7).grid(GridKind::Dense)).run().unwrap().field;
-    assert_eq!(whole.visits(), dense.visits());
+    assert_eq!(whole.ray_coverage(), dense.ray_coverage());
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("field.oct");
     let through_a_file = |field: &UncertaintyField| {
@@ -110,10 +110,10 @@ fn visits_do_not_depend_on_how_the_run_was_made() {
         UncertaintyField::read(&path).unwrap()
     };
     let parts = [0, 1, 2].map(|i| through_a_file(&run().shard(i, 3).run().unwrap().field));
-    assert_eq!(merge(&parts).unwrap().visits(), whole.visits());
+    assert_eq!(merge(&parts).unwrap().ray_coverage(), whole.ray_coverage());
     // A finished field keeps them to a sixteenth.
     let read = through_a_file(&whole);
-    for (kept, exact) in read.visits().unwrap().counts().iter().zip(whole.visits().unwrap().counts()) {
+    for (kept, exact) in read.ray_coverage().unwrap().counts().iter().zip(whole.ray_coverage().unwrap().counts()) {
         assert!(16 * kept.abs_diff(*exact) <= *exact, "{kept} for {exact}");
     }
 }

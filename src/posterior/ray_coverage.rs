@@ -1,9 +1,9 @@
 //! How many training rays reached each part of space: what was seen, whether or not anything was there.
 //!
 //! U does not distinguish free air from space that no ray reached: displacing either changes no pixel, and both keep
-//! the prior. Visits distinguish them. A ray visits the space that it crosses before half of its light is lost, T > ½.
-//! Counts are stored in the cells of a separate coarse grid, because an octree's leaves in free space are far too large
-//! to separate the space in front of a surface from that behind it.
+//! the prior. Ray coverage distinguishes them. A ray covers the space that it crosses before half of its light is lost,
+//! T > ½. Counts are stored in the cells of a separate coarse grid, because an octree's leaves in free space are far
+//! too large to separate the space in front of a surface from that behind it.
 
 use std::ops::AddAssign;
 
@@ -19,24 +19,25 @@ const STEPS_PER_CELL: f64 = 2.0;
 
 /// Ray counts in the cells of a coarse grid over a domain.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Visits {
+pub struct RayCoverage {
     lattice: Lattice,
     /// `[cells]`, x slowest, z fastest.
     counts: Vec<u32>,
 }
 
-impl Visits {
+impl RayCoverage {
     /// Finest level: 64 cells per axis, a megabyte of counts. At level 8 a cell is four finest cells wide.
     pub const LEVEL: u8 = 6;
 
-    /// No visits to the domain of `finest`, on a grid of its level but at most [`Visits::LEVEL`].
+    /// No ray coverage to the domain of `finest`, on a grid of its level but at most [`RayCoverage::LEVEL`].
     #[must_use]
     pub fn new(finest: &Lattice) -> Self {
         let lattice = finest.coarsened(Self::LEVEL);
         Self { lattice, counts: vec![0; 1 << (3 * u32::from(lattice.level()))] }
     }
 
-    /// The visits of `counts`, `[cells]`, x slowest; `None` if no grid over the domain of `finest` has as many cells.
+    /// The ray coverage of `counts`, `[cells]`, x slowest; `None` if no grid over the domain of `finest` has as many
+    /// cells.
     #[must_use]
     pub fn from_counts(finest: &Lattice, counts: Vec<u32>) -> Option<Self> {
         let level = (1..=finest.level().min(Self::LEVEL)).find(|level| counts.len() == 1 << (3 * u32::from(*level)))?;
@@ -52,7 +53,7 @@ impl Visits {
         (1..=Self::LEVEL).rev().find(|level| rays >= 10 << (2 * u32::from(*level))).unwrap_or(1)
     }
 
-    /// The same visits in the cells of a coarser level: the most that any part of such a cell had.
+    /// The same ray coverage in the cells of a coarser level: the most that any part of such a cell had.
     #[must_use]
     pub fn coarsened(&self, level: u8) -> Self {
         let lattice = self.lattice.coarsened(level);
@@ -66,7 +67,7 @@ impl Visits {
         Self { lattice, counts }
     }
 
-    /// The visits to the cells whose lowest corner is a tile's, on a lattice of 2^`finest` cells per axis; none
+    /// The ray coverage to the cells whose lowest corner is a tile's, on a lattice of 2^`finest` cells per axis; none
     /// elsewhere.
     #[must_use]
     pub fn within(mut self, tile: Option<Tile>, finest: u8) -> Self {
@@ -92,8 +93,8 @@ impl Visits {
         self.cell(x).map(|cell| self.counts[cell])
     }
 
-    /// The number of the cell around a scene point, the place of its count in [`Visits::counts`]; `None` outside the
-    /// domain.
+    /// The number of the cell around a scene point, the place of its count in [`RayCoverage::counts`]; `None` outside
+    /// the domain.
     #[must_use]
     pub fn cell(&self, x: Vec3) -> Option<usize> {
         let u = self.lattice.coordinates(x)?;
@@ -132,7 +133,7 @@ impl Visits {
     }
 }
 
-impl AddAssign<&Self> for Visits {
+impl AddAssign<&Self> for RayCoverage {
     /// Adds other rays. The sum has the coarser level of the two.
     fn add_assign(&mut self, other: &Self) {
         let level = self.lattice.level().min(other.lattice.level());
@@ -238,10 +239,10 @@ mod tests {
     use proptest::array::uniform3;
     use proptest::prelude::*;
 
-    fn visits(domain: Domain, lines: Vec<VisibleSegment>) -> Visits {
-        let mut visits = Visits::new(&Lattice::from_domain(domain, 8).unwrap());
-        visits.add(&[RaySamples { sight: lines, ..RaySamples::default() }]);
-        visits
+    fn ray_coverage(domain: Domain, lines: Vec<VisibleSegment>) -> RayCoverage {
+        let mut ray_coverage = RayCoverage::new(&Lattice::from_domain(domain, 8).unwrap());
+        ray_coverage.add(&[RaySamples { sight: lines, ..RaySamples::default() }]);
+        ray_coverage
     }
 
     fn line(origin: [f64; 3], direction: [f64; 3], until: f64) -> Option<VisibleSegment> {
@@ -252,18 +253,19 @@ mod tests {
     proptest! {
         /// Whole runs are coarsened before they are merged, parts of a run only after.
         #[test]
-        fn added_after_coarsening_visits_are_an_upper_bound(
+        fn counts_added_after_coarsening_are_an_upper_bound(
             of in proptest::collection::vec(proptest::collection::vec(0_u32..3, 512), 2..4),
             level in 1_u8..4,
         ) {
             let lattice = Lattice::new(Aabb::centered_cube(1.0), 3).unwrap();
-            let of: Vec<Visits> = of.into_iter().map(|counts| Visits::from_counts(&lattice, counts).unwrap()).collect();
-            let added = |mut each: Vec<Visits>| {
+            let of = of.into_iter().map(|counts| RayCoverage::from_counts(&lattice, counts).unwrap());
+            let of: Vec<RayCoverage> = of.collect();
+            let added = |mut each: Vec<RayCoverage>| {
                 let first = each.swap_remove(0);
                 each.iter().fold(first, |mut sum, more| { sum += more; sum })
             };
             let exact = added(of.clone()).coarsened(level);
-            let bound = added(of.iter().map(|visits| visits.coarsened(level)).collect());
+            let bound = added(of.iter().map(|ray_coverage| ray_coverage.coarsened(level)).collect());
             for (exact, bound) in exact.counts().iter().zip(bound.counts()) {
                 prop_assert!(exact <= bound && (*exact == 0) == (*bound == 0), "{exact} {bound}");
             }
@@ -271,7 +273,7 @@ mod tests {
 
         /// Against thousands of points along the line.
         #[test]
-        fn a_line_visits_the_cells_that_it_crosses_once(
+        fn a_line_covers_the_cells_that_it_crosses_once(
             origin in uniform3(-2.0..2.0_f64),
             direction in uniform3(-1.0..1.0_f64),
             until in prop_oneof![Just(f64::INFINITY), 0.0..4.0_f64],
@@ -282,7 +284,7 @@ mod tests {
                 None => Domain::Box(Aabb::centered_cube(1.0)),
             };
             let Some(line) = line(origin, direction, until) else { return Ok(()) };
-            let found = visits(domain, vec![line]);
+            let found = ray_coverage(domain, vec![line]);
             let lattice = found.lattice;
             // How far the line goes within every cell that it crosses, in cells.
             let mut crossed = std::collections::BTreeMap::<usize, f64>::new();
@@ -315,7 +317,7 @@ mod tests {
     #[test]
     fn a_line_ends_where_half_of_the_light_is_lost() {
         let cube = Domain::Box(Aabb::centered_cube(1.0));
-        let wall = visits(cube, vec![line([-3.0, 0.01, 0.01], [1.0, 0.0, 0.0], 3.2).unwrap()]);
+        let wall = ray_coverage(cube, vec![line([-3.0, 0.01, 0.01], [1.0, 0.0, 0.0], 3.2).unwrap()]);
         let at = |x: f32| wall.at(Vec3::new(x, 0.01, 0.01));
         assert_eq!([-0.99, 0.0, 0.19].map(at), [Some(1); 3]);
         assert_eq!([0.25, 0.99, 1.01].map(at), [Some(0), Some(0), None]);
@@ -324,18 +326,18 @@ mod tests {
         let more =
             [([0.5, 0.5, 0.5], [0.0, 0.0, -1.0]), ([-1.0, -1.0, -3.0], [0.0, 0.0, 1.0]), ([-3.0; 3], [0.0, 1.0, 0.0])];
         let more = more.map(|(origin, direction)| line(origin, direction, f64::INFINITY).unwrap());
-        let mut both = visits(cube, more.to_vec());
+        let mut both = ray_coverage(cube, more.to_vec());
         assert_eq!(both.counts.iter().sum::<u32>(), 49 + 64);
         both += &wall;
         assert_eq!(both.counts.iter().sum::<u32>(), 49 + 64 + 39);
-        assert_eq!(Visits::from_counts(&both.lattice, both.counts.clone()), Some(both.clone()));
-        assert_eq!(Visits::from_counts(&both.lattice, vec![0; 7]), None);
+        assert_eq!(RayCoverage::from_counts(&both.lattice, both.counts.clone()), Some(both.clone()));
+        assert_eq!(RayCoverage::from_counts(&both.lattice, vec![0; 7]), None);
         // Coarser cells hold the most of their parts, and may be added to finer ones.
         let coarse = both.coarsened(1);
         assert_eq!(coarse.counts, [1, 1, 0, 1, 0, 0, 1, 1]);
         let mut sum = both.clone();
         sum += &coarse;
         assert_eq!(sum.counts, [2, 2, 0, 2, 0, 0, 2, 2]);
-        assert_eq!([10, 159, 160, 40_959, 40_960].map(Visits::level_of), [1, 1, 2, 5, 6]);
+        assert_eq!([10, 159, 160, 40_959, 40_960].map(RayCoverage::level_of), [1, 1, 2, 5, 6]);
     }
 }

@@ -5,11 +5,11 @@ use serde_json::Value;
 use super::super::file::Source;
 use super::{Layer, Merge, Sections};
 use crate::Result;
-use crate::posterior::Visits;
+use crate::posterior::RayCoverage;
 use crate::uncertainty::{RayCounts, UncertaintyField};
 
-impl Layer for Visits {
-    const NAME: &'static str = "visits";
+impl Layer for RayCoverage {
+    const NAME: &'static str = "ray coverage";
     /// If it is not known where the rays of one field passed, it is not known of the whole.
     const MERGE: Merge<Self> = Some(|sum, part| {
         sum.zip(part).map(|(mut sum, part)| {
@@ -23,24 +23,24 @@ impl Layer for Visits {
     fn sections(&self, to_be_merged: bool) -> Sections<'_> {
         match to_be_merged {
             true => vec![("counted", Box::new(self.counts()))],
-            false => vec![("visits", Box::new(self.counts().iter().copied().collect::<RayCounts>().0))],
+            false => vec![("ray_coverage", Box::new(self.counts().iter().copied().collect::<RayCounts>().0))],
         }
     }
 
     fn read(_head: Value, file: &mut Source) -> Result<Self> {
-        let is_part = file.layers.is_part(&file.protocol);
+        let is_part = file.layers.is_part(&file.record);
         let counts = if file.has("counted") {
             if !is_part {
                 return Err(file.malformed("section `counted`", "counts of a part of a run", "a whole run's"));
             }
             file.section("counted")?
         } else {
-            let codes = RayCounts::from(file.section::<u8>("visits")?);
+            let codes = RayCounts::from(file.section::<u8>("ray_coverage")?);
             codes.iter().map(|n| n.min(u32::MAX.into()) as u32).collect()
         };
         let found = counts.len();
         Self::from_counts(&file.lattice, counts).ok_or_else(|| {
-            file.malformed("section `visits`", "a count for every cell of the coarse grid", found.to_string())
+            file.malformed("section `ray_coverage`", "a count for every cell of the coarse grid", found.to_string())
         })
     }
 
@@ -56,18 +56,18 @@ impl Layer for Visits {
 impl UncertaintyField {
     /// The same field with the rays that reached each part of space.
     ///
-    /// They are kept as finely as the number of rays allows ([`Visits::level_of`]), and as finely as can be in a part
-    /// of a run.
+    /// They are kept as finely as the number of rays allows ([`RayCoverage::level_of`]), and as finely as can be in a
+    /// part of a run.
     #[must_use]
-    pub fn with_visits(mut self, visits: Option<Visits>) -> Self {
-        let level = if self.is_to_be_merged() { Visits::LEVEL } else { Visits::level_of(self.protocol.rays) };
-        self.layers.visits = visits.map(|visits| visits.coarsened(level));
+    pub fn with_ray_coverage(mut self, ray_coverage: Option<RayCoverage>) -> Self {
+        let level = if self.is_to_be_merged() { RayCoverage::LEVEL } else { RayCoverage::level_of(self.record.rays) };
+        self.layers.ray_coverage = ray_coverage.map(|ray_coverage| ray_coverage.coarsened(level));
         self
     }
 
     /// Rays that reached each part of space; `None` if unknown.
     #[must_use]
-    pub fn visits(&self) -> Option<&Visits> {
-        self.layers.visits.as_ref()
+    pub fn ray_coverage(&self) -> Option<&RayCoverage> {
+        self.layers.ray_coverage.as_ref()
     }
 }

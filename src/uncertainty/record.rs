@@ -1,30 +1,22 @@
-//! The protocol of a field: everything that its numbers depend on.
+//! The record of a run: everything that the numbers of its field depend on.
 
-use crate::posterior::{Covariance, Criteria, Reading, Scale};
-use crate::rays::{Draw, Pixels, Shard};
+use crate::posterior::{Covariance, Criteria, Pooling, Reading, Scale};
+use crate::rays::{Pixels, RaySet, Shard};
 use crate::render::GradientMethod;
-
-/// Checksums of what a field was computed from: of contents, not of paths. `None` where unknown.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
-#[non_exhaustive]
-pub struct Origin {
-    /// Checksum of the model ([`crate::open::checksum`]).
-    pub model: Option<u32>,
-    /// Checksum of its cameras ([`crate::geometry::Camera::checksum`]).
-    pub cameras: Option<u32>,
-}
 
 /// Everything that the numbers in a field depend on. `None` where the field came from elsewhere and the value is
 /// unknown.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[non_exhaustive]
-pub struct Protocol {
+pub struct RunRecord {
     /// Version of this crate.
     pub version: String,
     /// Model and cameras, or the samples file.
     pub source: String,
-    /// Checksums of the model and cameras.
-    pub origin: Origin,
+    /// Checksum of the model's content ([`crate::open::checksum`]), wherever its file lies.
+    pub model_checksum: Option<u32>,
+    /// Checksum of its cameras ([`crate::geometry::Camera::checksum`]).
+    pub cameras_checksum: Option<u32>,
     /// R, the number of rays drawn, including those that hit nothing.
     pub rays: u64,
     /// Number of rays dropped because the field was not finite.
@@ -41,13 +33,13 @@ pub struct Protocol {
     pub scale: Scale,
     /// Definition of the standard deviation.
     pub covariance: Covariance,
-    /// Requested number of rays in pooling; 0 for no pooling.
-    pub min_rays: f64,
+    /// How sums were pooled where rays are few.
+    pub pooling: Pooling,
     /// Criteria for refining the octree.
     pub criteria: Criteria,
     /// Largest change of log10 U due to leaves coarser than the finest level.
     ///
-    /// What [`Protocol::cutoff`] leaves out is not included. On a dense grid it only determines which vertices count
+    /// What [`RunRecord::cutoff`] leaves out is not included. On a dense grid it only determines which vertices count
     /// for pooling.
     pub tolerance: f64,
     /// Distance between samples along rays, scene units.
@@ -65,11 +57,11 @@ pub struct Protocol {
     pub pixel_offset: Option<f64>,
 }
 
-impl Protocol {
+impl RunRecord {
     /// The draw named by the seed and shard, if both are known.
     #[must_use]
-    pub fn draw(&self) -> Option<Draw> {
-        self.seed.zip(self.shard).map(|(seed, shard)| Draw { seed, shard })
+    pub fn ray_set(&self) -> Option<RaySet> {
+        self.seed.zip(self.shard).map(|(seed, shard)| RaySet { seed, shard })
     }
 
     /// Whether these rays are only a part of a run.
@@ -81,11 +73,11 @@ impl Protocol {
     /// How the sums of these rays are read as deviations.
     #[must_use]
     pub(crate) fn reading(&self) -> Reading {
-        let Self { covariance, scale, lambda, rays, min_rays, tolerance, .. } = *self;
-        Reading { covariance, scale, lambda, rays, min_rays, tolerance }
+        let Self { covariance, scale, lambda, rays, pooling, tolerance, .. } = *self;
+        Reading { covariance, scale, lambda, rays, pooling, tolerance }
     }
 
-    /// Checks whether a run can have had this protocol, for protocols read from files.
+    /// Checks whether a run can have had this record, for records read from files.
     #[must_use]
     pub fn is_possible(&self) -> bool {
         let counts = self.rays > 0 && self.dropped <= self.rays && self.shard.is_none_or(|s| s.is_valid());
@@ -97,7 +89,7 @@ impl Protocol {
             Scale::Paper => true,
             Scale::Data(data) => data.is_possible() && data.lambda() == self.lambda,
         };
-        let limits = [self.tolerance, self.min_rays].iter().all(|v| *v >= 0.0 && v.is_finite());
+        let limits = self.tolerance >= 0.0 && self.tolerance.is_finite() && self.pooling.is_possible();
         let lengths = self.march_step.iter().chain(self.difference_step.iter().flatten());
         let others = self.cutoff.iter().chain(&self.pixel_offset);
         counts
@@ -109,13 +101,14 @@ impl Protocol {
             && self.background.iter().flatten().all(|v| (0.0..=1.0).contains(v))
     }
 
-    /// The protocol of a field from another program, with only these values known.
+    /// The record of a field from another program, with only these values known.
     #[must_use]
     pub fn unstated(source: String, rays: u64, lambda: f64, covariance: Covariance) -> Self {
         Self {
             version: env!("CARGO_PKG_VERSION").into(),
             source,
-            origin: Origin::default(),
+            model_checksum: None,
+            cameras_checksum: None,
             rays,
             dropped: 0,
             pixels: None,
@@ -124,7 +117,7 @@ impl Protocol {
             lambda,
             scale: Scale::Paper,
             covariance,
-            min_rays: 0.0,
+            pooling: Pooling::Off,
             criteria: Criteria::default(),
             tolerance: 0.0,
             march_step: None,
