@@ -174,7 +174,7 @@ def uncertainty(run: Run, work: Path, rays: int, level: int, width: int, k: int)
     u.save(work / "field.oct")
     ob.export(u, work / "unc.npy")
     space = space if run.field.contract else {"box": run.field.box}
-    again = ob.load(work / "unc.npy", rays=u.protocol["rays"], **space)
+    again = ob.load(work / "unc.npy", rays=u.record["rays"], **space)
     surface = u.surface[:: max(1, len(u.surface) // 4000)]
     own = u.with_covariance("trace").log10(surface)
     _, camera = run.nerfstudio_cameras(k, width)
