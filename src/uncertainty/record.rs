@@ -23,7 +23,7 @@ pub struct RunRecord {
     pub dropped: u64,
     /// The method of choosing pixels.
     pub pixels: Option<Pixels>,
-    /// Seed of the run's pixels and jitter; [`super::UncertaintyField::draws`] has those of all its sequences.
+    /// Seed of the run's pixels and jitter; [`super::UncertaintyField::ray_sets`] has those of all its sequences.
     pub seed: Option<u64>,
     /// The part of a run that drew these rays.
     pub shard: Option<Shard>,
