@@ -160,7 +160,8 @@ def test_remarks_are_the_same_in_the_words_of_either(desk, monkeypatch, caplog):
         ob.uncertainty("scene:courtyard", scale="data", noise=0.1, **run)
     ours = [f"warning: {warning.message}" for warning in caught]
     ours += [f"note: {record.getMessage()}" for record in caplog.records if record.name == "octobayes"]
-    for option, argument in {"--scale data": "scale='data'", "--min-rays auto": "min_rays='auto'", "--rays": "rays="}.items():
+    arguments = {"--scale data": "scale='data'", "--min-rays auto": "min_rays='auto'", "--rays": "rays="}
+    for option, argument in arguments.items():
         theirs = [line.replace(option, argument) for line in theirs]
     assert sorted(ours) == sorted(theirs) and len(ours) == 2
     with pytest.raises(ValueError, match="^noise: expected scale='data' beside it, found scale='paper'"):

@@ -23,7 +23,7 @@ const SHADER: &str = include_str!("web/march.glsl");
 const EYES: usize = 48;
 /// About how many rays the volume is fitted to, times the square of its cells along the longest edge, and at most; and
 /// the share of them that is traced with this much of the visible surfaces left by the slider.
-const RAYS_SEEN: f64 = 6.0;
+const RAYS_SEEN: f64 = 12.0;
 const MAX_RAYS: f64 = 4e6;
 const RAYS_BEHIND: f64 = 0.3;
 const BEHIND: [f64; 2] = [2.0 / 3.0, 1.0 / 3.0];
