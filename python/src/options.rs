@@ -192,7 +192,11 @@ pub fn defaults() -> String {
         "refine": grid.criteria.to_string(),
         "covariance": grid.covariance,
         "tolerance": grid.tolerance,
-        "min_rays": grid.pooling.to_string().parse::<f64>().map_or_else(|_| json!("auto"), |rays| json!(rays)),
+        "min_rays": match grid.pooling {
+            Pooling::Auto => json!("auto"),
+            Pooling::Below(rays) => json!(rays),
+            _ => json!(0.0),
+        },
         "scale": ScaleKind::default(),
         "official_rays": OfficialGrid::DEFAULT_RAYS,
         "ray_average": RayAverage::default(),

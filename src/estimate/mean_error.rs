@@ -91,7 +91,7 @@ pub(super) fn draw<P: Finish>(
     }
 }
 
-/// The draws of the two halves of `stream`'s rays.
+/// The two halves of `stream`'s rays.
 pub(super) fn ray_sets<P>(stream: &RayStream, halves: &[Half<P>; 2]) -> Vec<RaySet> {
     let [first, second] = halves.each_ref().map(|half| Shard::whole(half.1.rays));
     vec![stream.ray_set(first), stream.for_purpose(Purpose::SecondHalf).ray_set(second)]

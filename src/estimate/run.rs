@@ -136,7 +136,7 @@ impl<'a> Run<'a> {
         };
         // One cell more than that, for what f32 positions are rounded.
         let beyond = f64::from(2 * leaf + 1);
-        // RayCoverage are counted in coarse cells, those that begin in the tile.
+        // Ray coverage is counted in coarse cells, those that begin in the tile.
         let visited = f64::from(1_u32 << self.lattice.level().saturating_sub(RayCoverage::LEVEL));
         let (low, high) = self.settings.grid.tile?.extent(self.lattice.level());
         let [low, high] = [low, high].map(|corner| DVec3::from(corner.map(f64::from)));

@@ -100,7 +100,7 @@ pub struct Scored {
     /// How it is averaged along a ray.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ray_average: Option<RayAverage>,
-    /// RunRecord of the field that it is read off.
+    /// Record of the field that it is read off.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub field: Option<Value>,
 }

@@ -92,7 +92,7 @@ impl<'a> Evaluator<'a> {
         }
         baselines.extend([Baseline::RayEntropy, Baseline::Transparency]);
         baselines.extend(self.counted().map(|_| Baseline::RayCount));
-        baselines.extend(self.visited().map(|_| Baseline::RayCoverage));
+        baselines.extend(self.ray_coverage().map(|_| Baseline::RayCoverage));
         if self.training.is_some() {
             baselines.extend([Baseline::TrainingViews, Baseline::TrainingAngle]);
         }
@@ -132,7 +132,7 @@ impl<'a> Evaluator<'a> {
     }
 
     /// The first reading whose field stores ray coverage.
-    fn visited(&self) -> Option<&RayCoverage> {
+    fn ray_coverage(&self) -> Option<&RayCoverage> {
         self.readings.iter().find_map(|reading| reading.field.ray_coverage())
     }
 
@@ -212,7 +212,7 @@ impl<'a> Evaluator<'a> {
                     Baseline::RayCount => each(&|i| -mean_counts[i]),
                     Baseline::RayCoverage => {
                         let ray_coverage =
-                            |i| self.visited().and_then(|ray_coverage| ray_coverage.at(hit(i))).unwrap_or(0);
+                            |i| self.ray_coverage().and_then(|ray_coverage| ray_coverage.at(hit(i))).unwrap_or(0);
                         each(&|i| -f64::from(ray_coverage(i)))
                     }
                     Baseline::TrainingViews => sightings.iter().map(|found| -(found.views as f64)).collect(),

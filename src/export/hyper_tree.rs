@@ -61,11 +61,11 @@ pub fn write_hyper_tree(path: &Path, field: &dyn Answers) -> Result<()> {
     array("UInt32", "DepthPerTree", 1, 32);
     array("Float32", "log10_uncertainty", cells, 32);
     array("UInt8", "level", cells, 8);
-    let [knows_rays, knows_visits] = knows(field)?;
+    let [knows_rays, knows_coverage] = knows(field)?;
     if knows_rays {
         array("Float32", "rays", cells, 32);
     }
-    if knows_visits {
+    if knows_coverage {
         array("UInt8", "seen", cells, 8);
     }
 

@@ -24,14 +24,14 @@ pub fn write_leaves(path: &Path, field: &dyn Answers, matrices: Option<&Matrices
     npz.array("edge", &[count, 3], leaves().flat_map(|cell| edges(lattice, cell).to_array()))?;
     npz.array("level", &[count], leaves().map(|cell| cell.level))?;
     npz.array("index", &[count, 3], leaves().flat_map(|cell| cell.index))?;
-    let [knows_rays, knows_visits] = knows(field)?;
+    let [knows_rays, knows_coverage] = knows(field)?;
     let answers = || at_centers(field, leaves());
     let log10 = |found: Answer| found.estimate.uncertainty.log10() as f32;
     put(&mut npz, "log10_uncertainty", count, answers(), log10)?;
     if knows_rays {
         put(&mut npz, "rays", count, answers(), |found| found.estimate.rays.unwrap_or(0.0) as f32)?;
     }
-    if knows_visits {
+    if knows_coverage {
         put(&mut npz, "seen", count, answers(), |found| code(found.observability))?;
     }
     if let Some(matrices) = matrices {

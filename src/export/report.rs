@@ -32,7 +32,7 @@ pub fn write_report(path: &Path, surfaces: &Surfaces, names: &[String], field: &
     let mut all = Group::default();
     let answers = field.answers(&surfaces.positions)?;
     // Without ray coverage it is unknown what was seen.
-    let knows_visits = answers.iter().any(|found| found.ray_coverage.is_some());
+    let knows_coverage = answers.iter().any(|found| found.ray_coverage.is_some());
     for (i, found) in answers.iter().enumerate() {
         let x = surfaces.positions[i];
         let (is_unseen, inside) = (found.observability == Some(Observability::Unseen), found.estimate.inside);
@@ -58,7 +58,7 @@ pub fn write_report(path: &Path, surfaces: &Surfaces, names: &[String], field: &
         group.sigma.sort_unstable_by(f64::total_cmp);
         let n = group.sigma.len();
         let share = |part: u64| if n > 0 { format!("{:.6}", part as f64 / n as f64) } else { String::new() };
-        let unseen = if knows_visits { share(group.unseen) } else { String::new() };
+        let unseen = if knows_coverage { share(group.unseen) } else { String::new() };
         let number = |v: f64| if v.is_nan() { String::new() } else { format!("{v:e}") };
         let fixed = [
             kind.to_string(),

@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use rayon::prelude::*;
 
 use super::octree::TOGETHER;
-use super::pooling::{Pooler, Pooling};
+use super::pooling::{Pooler, Pooling, Tent};
 use super::shrinkage::{BLOCK, Block, Shrinkage};
 use super::{Covariance, OctreePosterior, Scale, VertexSums, negligible_information};
 use crate::geometry::Lattice;
@@ -47,11 +47,15 @@ impl Reading {
         negligible_information(self.tolerance, self.rays, self.lambda)
     }
 
-    /// Pools sums.
+    /// How sums are pooled, with what that needs.
     #[must_use]
     pub fn pooler(&self) -> Pooler {
-        let shrinkage = Shrinkage { floor: self.floor(), prior: self.lambda * self.rays as f64 };
-        Pooler { pooling: self.pooling, shrinkage }
+        let floor = self.floor();
+        match self.pooling {
+            Pooling::Off => Pooler::Off,
+            Pooling::Below(min_rays) => Pooler::Tent(Tent { min_rays, floor }),
+            Pooling::Auto => Pooler::Shrinkage(Shrinkage { floor, prior: self.lambda * self.rays as f64 }),
+        }
     }
 
     /// σ of a vertex from its pooled and comparable sums, as fields store it.
@@ -124,10 +128,11 @@ impl OctreePosterior {
 
 /// What is read off each vertex: its pooled and comparable sums.
 pub struct LocalSums<'a> {
-    pooler: Pooler,
+    tent: Option<Tent>,
     lattice: &'a Lattice,
     support: &'a Support,
     limits: MaxLevels,
+    /// As they are, or shrunk.
     sums: Cow<'a, [VertexSums]>,
     /// `[vertices]` of an octree, if they are needed.
     points: Vec<[u32; 3]>,
@@ -143,41 +148,41 @@ impl<'a> LocalSums<'a> {
         limits: &MaxLevels,
         sums: &'a [VertexSums],
     ) -> Self {
-        let mut pooler = reading.pooler();
-        let is_plain = !pooler.pooling.is_on() && limits.is_unlimited();
+        let pooler = reading.pooler();
         let points = match support {
-            Support::Octree(octree) if !is_plain => octree.vertex_positions().collect(),
+            Support::Octree(octree) if pooler != Pooler::Off || !limits.is_unlimited() => {
+                octree.vertex_positions().collect()
+            }
             _ => Vec::new(),
         };
-        let mut sums = Cow::Borrowed(sums);
-        if pooler.pooling == Pooling::Auto {
-            // All at once, in blocks.
-            sums = Cow::Owned(match support {
-                Support::Dense => shrunk_on_grid(&pooler.shrinkage, lattice, &sums),
-                Support::Octree(octree) => shrunk_on_octree(&pooler.shrinkage, lattice, (octree, &points), &sums),
-            });
-            pooler.pooling = Pooling::Off;
-        }
-        Self { pooler, lattice, support, limits: limits.clone(), sums, points }
+        let (tent, sums) = match (pooler, support) {
+            (Pooler::Off, _) => (None, Cow::Borrowed(sums)),
+            (Pooler::Tent(tent), _) => (Some(tent), Cow::Borrowed(sums)),
+            (Pooler::Shrinkage(by), Support::Dense) => (None, Cow::Owned(shrunk_on_grid(&by, lattice, sums))),
+            (Pooler::Shrinkage(by), Support::Octree(octree)) => {
+                (None, Cow::Owned(shrunk_on_octree(&by, lattice, (octree, &points), sums)))
+            }
+        };
+        Self { tent, lattice, support, limits: limits.clone(), sums, points }
     }
 
     /// The sums of a vertex, pooled and comparable with those of the finest lattice.
     #[must_use]
     pub fn at(&self, v: usize) -> VertexSums {
         let last = self.lattice.cells_per_axis();
-        match self.support {
-            Support::Dense if self.pooler.pooling.is_on() => {
+        match (self.support, &self.tent) {
+            (Support::Dense, Some(tent)) => {
                 let at = |point| Some(self.sums[self.lattice.dense_index(point)]);
-                self.pooler.pooled(self.lattice.dense_point(v), last, at)
+                tent.pooled(self.lattice.dense_point(v), last, at)
             }
-            Support::Octree(octree) if !self.points.is_empty() => {
+            (Support::Octree(octree), tent) if !self.points.is_empty() => {
                 let point = self.points[v];
                 let at = |p| octree.vertex(p).map(|VertexId(v)| self.sums[v as usize]);
                 // Vertices of coarser leaves have no neighbours on the finest lattice and have larger hats, so they
                 // are not pooled.
-                let sums = match self.pooler.pooling.is_on() && octree.is_surrounded_by_finest(point) {
-                    true => self.pooler.pooled(point, last, at),
-                    false => self.sums[v],
+                let sums = match tent {
+                    Some(tent) if octree.is_surrounded_by_finest(point) => tent.pooled(point, last, at),
+                    _ => self.sums[v],
                 };
                 comparable(&self.limits, point, sums)
             }

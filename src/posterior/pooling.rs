@@ -25,6 +25,7 @@ use crate::{Error, Result};
 /// How a vertex near few rays uses the sums of its neighbours.
 #[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
+#[non_exhaustive]
 pub enum Pooling {
     /// Not at all, as in the paper.
     #[default]
@@ -75,35 +76,44 @@ impl FromStr for Pooling {
     }
 }
 
-/// Pools the sums of single vertices.
+/// How sums are pooled, with what each way needs.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Pooler {
-    /// How.
-    pub pooling: Pooling,
-    /// What shrinkage weighs, and the information (tr S) above which a vertex moved: rays of others do not count.
-    pub shrinkage: Shrinkage,
+pub enum Pooler {
+    /// Not at all.
+    Off,
+    /// Vertex by vertex.
+    Tent(Tent),
+    /// Block by block.
+    Shrinkage(Shrinkage),
 }
 
-impl Pooler {
+/// Pools a vertex whose neighbourhood has few rays.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Tent {
+    /// Requested number of rays m.
+    pub min_rays: f64,
+    /// Vertices with no more information (tr S) than this have not moved, and their rays do not count.
+    pub floor: f64,
+}
+
+impl Tent {
     /// The pooled sums at the lattice point `center` of a lattice {0..`last`}³ whose sums are `at`.
     ///
     /// The ray count remains that of the point itself.
     #[must_use]
     pub fn pooled(&self, center: [u32; 3], last: u32, at: impl Fn([u32; 3]) -> Option<VertexSums>) -> VertexSums {
         let own = at(center).unwrap_or_default();
-        // Shrinkage is computed in blocks.
-        let Pooling::Below(min_rays) = self.pooling else { return own };
         let mut information = [0.0; 6];
         let (mut total, mut most) = (0.0, 0_u32);
         for (point, tent) in around(center, last) {
             total += tent;
             let Some(e) = at(point) else { continue };
             information.iter_mut().zip(e.information).for_each(|(s, v)| *s += tent * v);
-            if trace(&e.information) > self.shrinkage.floor {
+            if trace(&e.information) > self.floor {
                 most = most.max(e.rays);
             }
         }
-        let cubes = [f64::from(most), 0.5 * min_rays].map(|n| n * n * n);
+        let cubes = [f64::from(most), 0.5 * self.min_rays].map(|n| n * n * n);
         let share = cubes[0] / (cubes[0] + cubes[1]);
         let mix = |own: f64, sum: f64| share * own + (1.0 - share) * sum / total;
         VertexSums::new(std::array::from_fn(|k| mix(own.information[k], information[k])), own.rays)
@@ -114,7 +124,7 @@ impl Pooler {
 mod tests {
     use super::*;
 
-    const POOLING: Pooler = Pooler { pooling: Pooling::Below(4.0), shrinkage: Shrinkage { floor: 0.5, prior: 1.0 } };
+    const POOLING: Tent = Tent { min_rays: 4.0, floor: 0.5 };
 
     fn seen(xx: f64, rays: u32) -> VertexSums {
         VertexSums::new([xx, 0.0, 0.0, 0.0, 0.0, 0.0], rays)
@@ -163,8 +173,16 @@ mod tests {
     }
 
     #[test]
-    fn zero_switches_it_off() {
-        let off = Pooler { pooling: Pooling::Off, ..POOLING };
-        assert_eq!(off.pooled([1, 1, 1], 8, |p| (p == [1, 1, 1]).then(|| seen(5.0, 1))), seen(5.0, 1));
+    fn settings_are_read_as_they_are_written() {
+        for (text, pooling) in
+            [("0", Pooling::Off), ("4", Pooling::Below(4.0)), ("0.5", Pooling::Below(0.5)), ("auto", Pooling::Auto)]
+        {
+            assert_eq!(text.parse::<Pooling>().unwrap(), pooling);
+            assert_eq!(pooling.to_string(), text);
+        }
+        for text in ["-1", "nan", "inf", "some", ""] {
+            let error = text.parse::<Pooling>().unwrap_err().to_string();
+            assert!(error.contains("`auto`, or a number of rays from 0 on"), "{error}");
+        }
     }
 }

@@ -29,7 +29,7 @@ impl RayCoverage {
     /// Finest level: 64 cells per axis, a megabyte of counts. At level 8 a cell is four finest cells wide.
     pub const LEVEL: u8 = 6;
 
-    /// No ray coverage to the domain of `finest`, on a grid of its level but at most [`RayCoverage::LEVEL`].
+    /// No rays yet in the domain of `finest`, on a grid of its level but at most [`RayCoverage::LEVEL`].
     #[must_use]
     pub fn new(finest: &Lattice) -> Self {
         let lattice = finest.coarsened(Self::LEVEL);
@@ -67,7 +67,7 @@ impl RayCoverage {
         Self { lattice, counts }
     }
 
-    /// The ray coverage to the cells whose lowest corner is a tile's, on a lattice of 2^`finest` cells per axis; none
+    /// The ray coverage of the cells whose lowest corner is a tile's, on a lattice of 2^`finest` cells per axis; none
     /// elsewhere.
     #[must_use]
     pub fn within(mut self, tile: Option<Tile>, finest: u8) -> Self {

@@ -39,7 +39,7 @@ const VOLUME: usize = SIDE * SIDE * SIDE;
 const STRIDES: [usize; 3] = [1, SIDE, SIDE * SIDE];
 /// Order of the coarser level.
 const COARSE: i32 = 4;
-/// Rays around a vertex with which a level weighs as much as the coarser ones: of t_1, and of the vertex's own sums.
+/// With so many rays around a vertex, its level weighs as much as the mixture of coarser ones: t_1, then its own sums.
 const HALF_COUNTS: [f32; 2] = [12.0, 16.0];
 /// How fast that weight changes with the number of rays.
 const EXPONENT: f32 = 1.5;

@@ -20,7 +20,7 @@ pub struct MissingShards {
 }
 
 impl MissingShards {
-    /// What is missing beside these draws, by run. Nothing is, if they are of whole runs only.
+    /// What is missing beside these sets, by run. Nothing is, if they are of whole runs only.
     #[must_use]
     pub fn beside(ray_sets: &[RaySet]) -> Vec<Self> {
         let mut parts: Vec<&RaySet> = ray_sets.iter().filter(|ray_set| ray_set.is_part()).collect();

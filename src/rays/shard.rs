@@ -99,7 +99,7 @@ impl RaySet {
         self.shard.of > 1
     }
 
-    /// Checks that no two of these draws can have a ray in common.
+    /// Checks that no two of these sets can have a ray in common.
     ///
     /// Batch b of a seed is the same in every run, whatever the run's length. For one seed, therefore, only
     /// different parts of the same run are disjoint.
@@ -119,7 +119,7 @@ impl RaySet {
         (self.seed, rays, of)
     }
 
-    /// The same rays in as few draws as possible, sorted. If all parts of a run are present, they become one draw.
+    /// The same rays in as few sets as possible, sorted. If all parts of a run are present, they become one set.
     #[must_use]
     pub fn joined(ray_sets: impl IntoIterator<Item = Self>) -> Vec<Self> {
         let mut ray_sets: Vec<Self> = ray_sets.into_iter().collect();
@@ -191,7 +191,7 @@ mod tests {
             prop_assert_eq!(batches, (0..rays.div_ceil(BATCH)).collect::<Vec<_>>());
         }
 
-        /// Draws with a common batch of one seed are never called disjoint; parts of one run always are.
+        /// Sets with a common batch of one seed are never called disjoint; parts of one run always are.
         #[test]
         fn disjoint_draws_have_no_batch_in_common(
             ray_sets in proptest::collection::vec((0_u64..2, 1_u64..3, 1_u64..4, 0_u64..3), 0..5)

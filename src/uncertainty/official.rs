@@ -107,7 +107,7 @@ impl UncertaintyField {
     }
 }
 
-/// RayCoverage every vertex, x slowest, with its index in the official order.
+/// Visits every vertex, x slowest, with its index in the official order.
 fn for_each_vertex(m: u32, mut visit: impl FnMut([u32; 3], usize)) {
     for x in 0..=m {
         for y in 0..=m {

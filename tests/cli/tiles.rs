@@ -65,7 +65,7 @@ fn tiles_joined_are_the_whole_bit_for_bit() {
     let contracted = Domain::contracted([0.0, 0.0, 0.0].into(), 1.0, Norm::L2).unwrap();
     let cases = [
         ("plain", grid(), None, 8),
-        ("coarser than the cells of ray_coverage", grid(), None, 2),
+        ("coarser than the cells of ray coverage", grid(), None, 2),
         ("many", grid().level(5), None, 64),
         ("everything that moved", grid().tolerance(0.0), None, 4),
         ("coarse leaves are negligible", grid().tolerance(0.3), None, 8),

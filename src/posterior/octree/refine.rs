@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use super::OctreePosterior;
 use super::key::VertexKey;
 use crate::octree::{Cell, Leaves, Octree, Wanted, around, cells_around};
-use crate::posterior::pooling::{Pooler, Pooling};
+use crate::posterior::pooling::Pooler;
 use crate::posterior::{Reading, VertexSums, trace};
 
 /// Vertices whose sums are gathered together.
@@ -120,7 +120,7 @@ impl OctreePosterior {
     pub fn octree(&self, refinement: &Refinement) -> Octree {
         let finest = self.lattice.level();
         let mut wanted = refinement.floor.map_or_else(|| Wanted::new(finest), |floor| self.wanted(floor));
-        if refinement.pooler.pooling.is_on() {
+        if refinement.pooler != Pooler::Off {
             // A key is a point on the lattice of its own level, so sorted unique keys are unique points.
             let mut moved: Vec<VertexKey> = match refinement.floor {
                 Some(floor) => self.sums.par_iter().filter(|(_, e)| moves(e, floor)).map(|(key, _)| key).collect(),
@@ -207,15 +207,12 @@ impl OctreePosterior {
             .collect();
         beside.par_sort_unstable();
         beside.dedup();
-        if refinement.pooler.pooling == Pooling::Auto {
-            // All of them get something.
+        let Pooler::Tent(tent) = refinement.pooler else {
+            // By shrinkage all of them get something.
             return beside;
-        }
-        let at = |point| self.sums.get(VertexKey::new(point, 0)).copied();
-        let is_moved = |key: &VertexKey| {
-            let pooled = refinement.pooler.pooled(key.point(), last, at);
-            trace(&pooled.information) > refinement.pooler.shrinkage.floor
         };
+        let at = |point| self.sums.get(VertexKey::new(point, 0)).copied();
+        let is_moved = |key: &VertexKey| trace(&tent.pooled(key.point(), last, at).information) > tent.floor;
         beside.into_par_iter().filter(is_moved).collect()
     }
 }

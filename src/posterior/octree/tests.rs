@@ -7,8 +7,7 @@ use super::squares::{SampleJacobian, VertexJacobian};
 use super::*;
 use crate::geometry::Aabb;
 use crate::octree::{Cell, Corner, Octree, VertexId, cells_around, masters, morton, trilinear};
-use crate::posterior::pooling::{Pooler, Pooling};
-use crate::posterior::shrinkage::Shrinkage;
+use crate::posterior::pooling::Pooler;
 use crate::posterior::{Covariance, DensePosterior, negligible_information, trace};
 use crate::render::RaySample;
 use glam::{DVec3, Vec3};
@@ -49,12 +48,8 @@ fn with_sums(posterior: &OctreePosterior, refinement: &Refinement) -> (Octree, V
     (octree, sums)
 }
 
-fn unpooled(floor: f64) -> Pooler {
-    Pooler { pooling: Pooling::Off, shrinkage: Shrinkage { floor, prior: 1.0 } }
-}
-
 fn refinement(floor: f64) -> Refinement {
-    Refinement { floor: Some(floor), pooler: unpooled(floor), wanted: Vec::new() }
+    Refinement { floor: Some(floor), pooler: Pooler::Off, wanted: Vec::new() }
 }
 
 /// The basis function of vertex `id` at lattice coordinates `u`: the octree's interpolant of 1 at
@@ -231,7 +226,7 @@ proptest! {
 type Touch = (VertexKey, usize, f64);
 
 impl OctreePosterior {
-    /// RayCoverage the vertices that a sample touches, with their weights: the corners of its leaf,
+    /// Visits the vertices that a sample touches, with their weights: the corners of its leaf,
     /// with hanging vertices resolved.
     fn for_each_vertex(&self, x: Vec3, mut visit: impl FnMut(VertexKey, f64)) {
         let Some(u) = self.lattice.coordinates(x) else { return };

@@ -42,7 +42,7 @@ impl Layer for Vec<RaySet> {
 }
 
 impl UncertaintyField {
-    /// The same field with the rays of several draws. A record alone names only one.
+    /// The same field with the rays of several sets. A record alone names only one.
     ///
     /// # Panics
     /// If two of them may have rays in common.

@@ -135,8 +135,8 @@ fn in_one_order(heads: &[Head]) -> Vec<usize> {
     let key = |ray_set: &RaySet| (ray_set.seed, ray_set.shard.rays, ray_set.shard.of, ray_set.shard.index);
     order.sort_by(|&a, &b| {
         let [a, b] = [&heads[a], &heads[b]];
-        let by_draws = a.ray_sets.iter().map(key).cmp(b.ray_sets.iter().map(key));
-        by_draws.then_with(|| a.record.source.cmp(&b.record.source))
+        let by_ray_sets = a.ray_sets.iter().map(key).cmp(b.ray_sets.iter().map(key));
+        by_ray_sets.then_with(|| a.record.source.cmp(&b.record.source))
     });
     order
 }

@@ -102,7 +102,7 @@ fn floor(of: &[&Head], ray_sets: &[RaySet]) -> f64 {
     Reading { rays, ..of[0].record.reading() }.floor()
 }
 
-/// The record of the joined run of these draws. It is a whole run again if all its shards are present.
+/// The record of the joined run of these sets. It is a whole run again if all its shards are present.
 pub fn record(of: &[&Head], ray_sets: &[RaySet]) -> RunRecord {
     let records = || of.iter().map(|head| &head.record);
     let first = &of[0].record;

@@ -94,7 +94,7 @@ fn added<'a>(parts: impl IntoIterator<Item = &'a Made>) -> BTreeMap<[u32; 3], Ve
 }
 
 /// Counts of ray coverage, added cell by cell.
-fn visits_of(parts: &[Made]) -> Vec<u32> {
+fn coverage_of(parts: &[Made]) -> Vec<u32> {
     let each = parts.iter().map(|part| part.field.ray_coverage().unwrap().counts());
     each.fold(vec![0; 1 << (3 * LEVEL)], |sum, more| sum.iter().zip(more).map(|(a, b)| a + b).collect())
 }
@@ -118,7 +118,7 @@ proptest! {
         of in 1_u64..4,
         is_dense: bool,
         residuals_of in proptest::option::of(0_usize..9),
-        without_visits in prop_oneof![3 => Just(None), 1 => (0_usize..9).prop_map(Some)],
+        without_coverage in prop_oneof![3 => Just(None), 1 => (0_usize..9).prop_map(Some)],
     ) {
         let random = &mut ChaCha8Rng::seed_from_u64(choice);
         let parts = seeds * of;
@@ -126,9 +126,9 @@ proptest! {
         let all_rays = 512 * 6 * of;
         let ray_sets = (0..seeds).flat_map(|seed| (0..of).map(move |index| (seed, Shard::new(all_rays, index, of))));
         let mut parts: Vec<Made> = ray_sets.map(|(seed, shard)| part(seed, shard, None, is_dense, random)).collect();
-        let expected_visits = visits_of(&parts);
+        let expected_coverage = coverage_of(&parts);
         let n = parts.len();
-        if let Some(i) = without_visits {
+        if let Some(i) = without_coverage {
             parts[i % n].field.layers.ray_coverage = None;
         }
         let mut residuals = ResidualSums::new(&lattice());
@@ -155,7 +155,7 @@ proptest! {
             prop_assert_eq!(merged.ray_sets(), &(0..seeds).map(whole).collect::<Vec<_>>()[..], "{}", name);
             prop_assert!(!merged.is_part(), "{}", name);
             let counts = merged.ray_coverage().map(|ray_coverage| ray_coverage.counts().to_vec());
-            prop_assert_eq!(counts, without_visits.is_none().then(|| expected_visits.clone()), "{}", name);
+            prop_assert_eq!(counts, without_coverage.is_none().then(|| expected_coverage.clone()), "{}", name);
             prop_assert_eq!(merged.residuals(), residuals_of.map(|_| &residuals), "{}", name);
             prop_assert_eq!(merged.surface().len(), most.unwrap(), "{}", name);
             // U is that of the sums, whatever U of the parts was.
@@ -214,7 +214,7 @@ proptest! {
             prop_assert!(octree.vertex(*point).is_some_and(|VertexId(v)| v < octree.vertex_count() as u32));
         }
         let all: Vec<Made> = parts.into_iter().flatten().collect();
-        prop_assert_eq!(joined.ray_coverage().unwrap().counts(), &visits_of(&all)[..]);
+        prop_assert_eq!(joined.ray_coverage().unwrap().counts(), &coverage_of(&all)[..]);
     }
 }
 
