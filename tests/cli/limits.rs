@@ -9,7 +9,7 @@ use crate::interrupt::stopped;
 use crate::program::{command, outcome};
 use octobayes::estimate::{Estimation, GridKind, GridSettings, RaySettings};
 use octobayes::field::ClosedForm;
-use octobayes::posterior::{Covariance, Criteria, Criterion};
+use octobayes::posterior::{Covariance, Criteria, Criterion, Pooling};
 use octobayes::uncertainty::{OfficialGrid, Support, UncertaintyField, compare, merge};
 
 const RUN: &str = "uncertainty scene:courtyard --resolution 64 --rays 10000 --occupancy 40";
@@ -112,6 +112,26 @@ fn the_dense_grid_is_a_uniform_octree() {
     assert_eq!(merge(&parts).unwrap().support(), of_octree.support());
     let error = run(uniform.level(10)).run().err().unwrap().to_string();
     assert!(error.contains("level up to 9"), "{error}");
+}
+
+/// Neither who draws the rays nor the octree changes what pooling makes of them.
+#[test]
+fn pooled_parts_merge_to_the_pooled_whole_which_is_that_of_the_dense_grid() {
+    let (scene, cameras) = (ClosedForm::courtyard(), ClosedForm::half_circle(6, [64, 64]));
+    for pooling in [Pooling::Below(4.0), Pooling::Auto] {
+        let grid = GridSettings::default().level(6).pooling(pooling);
+        let run = |grid| Estimation::new(&scene, &cameras).rays(RaySettings::default().rays(10_000)).grid(grid);
+        let [whole, dense] = [grid, grid.grid(GridKind::Dense)].map(|grid| run(grid).run().unwrap().field);
+        let parts = [0, 1, 2].map(|index| run(grid).shard(index, 3).run().unwrap().field);
+        let merged = merge(&parts).unwrap();
+        assert_eq!(merged.support(), whole.support(), "{pooling}");
+        let [parts, kinds] = [&merged, &dense].map(|other| compare(&whole, other, 20_000, 1).unwrap().in_box.unwrap());
+        // Sums in another order, rounded to f32; and what is negligible is left out.
+        assert!(parts.max < 1e-6, "{pooling}: {}", parts.max);
+        assert!(kinds.max <= 0.01 + 1e-6, "{pooling}: {}", kinds.max);
+        let plain = run(grid.pooling(Pooling::Off)).run().unwrap().field;
+        assert!(compare(&whole, &plain, 20_000, 1).unwrap().in_box.unwrap().mean > 0.01, "{pooling} changes something");
+    }
 }
 
 #[test]
