@@ -326,8 +326,8 @@ impl<P: Finish> Builder<P> {
 
     /// Computes the field of all groups of rays, whose disagreement gives error bars.
     ///
-    /// Each builder holds the sums of one group, all on the same leaves; the `ray_sets` are theirs, and `progress` is that
-    /// of each. This takes the memory of one more group.
+    /// Each builder holds the sums of one group, all on the same leaves; the `ray_sets` are theirs, and `progress` is
+    /// that of each. This takes the memory of one more group.
     ///
     /// # Errors
     /// As [`Builder::want_density`].

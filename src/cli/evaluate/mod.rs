@@ -32,9 +32,9 @@ use crate::{Error, Result};
 ///
 /// Several fields, covariances and ray averages share the rendering. The same pixels are ranked by what any field gives
 /// for nothing: the variance and the entropy of the ray's weights, the weights' spread over the number of training
-/// rays, 1 - opacity, the numbers of rays and of those that reached the place, and chance; and, if the model knows its training
-/// cameras, by how many of them see the place, and from how near an angle. With --ensemble they are also ranked by the
-/// disagreement of several models.
+/// rays, 1 - opacity, the numbers of rays and of those that reached the place, and chance; and, if the model knows its
+/// training cameras, by how many of them see the place, and from how near an angle. With --ensemble they are also
+/// ranked by the disagreement of several models.
 ///
 /// Depth is compared where the true depth is known and the image is fully opaque (alpha 255; images without alpha
 /// are opaque everywhere).
