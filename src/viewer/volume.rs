@@ -23,9 +23,9 @@ const SHADER: &str = include_str!("web/march.glsl");
 const EYES: usize = 48;
 /// About how many rays the volume is fitted to, times the square of its cells along the longest edge, and at most; and
 /// the share of them that is traced with this much of the visible surfaces left by the slider.
-const RAYS_SEEN: f64 = 12.0;
+const RAYS_SEEN: f64 = 8.0;
 const MAX_RAYS: f64 = 4e6;
-const RAYS_BEHIND: f64 = 0.3;
+const RAYS_BEHIND: f64 = 0.25;
 const BEHIND: [f64; 2] = [2.0 / 3.0, 1.0 / 3.0];
 /// Most memory for the values at the corners of the field's leaves, bytes: rays query U millions of times.
 const MAX_BAKED_BYTES: usize = 512 << 20;
@@ -37,7 +37,7 @@ const SNAP_SHARE: f64 = 0.06;
 /// Cells along the longest edge, at least.
 const COARSEST: u32 = 32;
 /// The same for a first try, from which the size of finer ones is extrapolated.
-const PILOT: u32 = 96;
+const PILOT: u32 = 48;
 
 /// What a file shows of a volume.
 pub struct VolumeView<'a> {
