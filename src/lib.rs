@@ -84,7 +84,7 @@
 //!
 //! # Versions
 //!
-//! Rust 1.88 or newer; that rises only with a minor version. Before 1.0 a minor version (0.1 to 0.2) may change the
+//! Rust 1.89 or newer; that rises only with a minor version. Before 1.0 a minor version (0.1 to 0.2) may change the
 //! interface and a patch version may not, by the rules that Cargo applies. Settings are built with setters and enums
 //! may gain variants, so that most additions break nothing. [`glam`] is part of the interface and re-exported: its
 //! major versions are ours. Field files state the version of their format, and a reader rejects unknown

@@ -13,6 +13,7 @@ mod correlations;
 mod full;
 mod joint;
 mod judge;
+mod misses;
 mod parameters;
 mod pictures;
 mod pretrained;
@@ -21,10 +22,12 @@ mod scene;
 mod tables;
 mod warp;
 
-use octobayes::Result;
+use std::path::Path;
+
 use octobayes::evaluate::Baseline;
 use octobayes::render::RayAverage;
 use octobayes::synth::Up;
+use octobayes::{Error, Result};
 
 use common::program::{Needs, Program};
 use common::settings::{describe, seeds};
@@ -99,6 +102,7 @@ fn main() -> Result<()> {
             ("lego-by-views", Needs::Data),
             ("kitchen", Needs::Data),
             ("pretrained", Needs::Data),
+            ("misses", Needs::Data),
             ("correlations", Needs::Data),
         ],
     )?;
@@ -176,6 +180,33 @@ fn main() -> Result<()> {
         ];
         Ok((pretrained::settings(), text.join("\n")))
     })?;
+    program.part("misses", |work| {
+        let scenes = scenes(&MISSED, STEPS);
+        let mut names = names(&scenes);
+        let trained = |scene: &Scene, degrees: f64, seed: &u64| {
+            work.row((scene.name(), scene.steps, degrees, *seed), || {
+                let folder =
+                    tempfile::tempdir().map_err(Error::io(Path::new("a temporary folder"), "cannot create"))?;
+                let data = scene.data(folder.path())?.turned(degrees);
+                let model = scene.train(&data, *seed)?;
+                misses::judge(&data, &model.field, model.psnr, rays().seed(*seed))
+            })
+        };
+        let mut rows = Vec::new();
+        for scene in &scenes {
+            rows.push(MISSED_SEEDS.iter().map(|seed| trained(scene, 0.0, seed)).collect::<Result<Vec<_>>>()?);
+        }
+        for degrees in TURNED {
+            names.push(format!("{}, poses off by {degrees}°", scenes[0].name()));
+            rows.push(MISSED_SEEDS.iter().map(|seed| trained(&scenes[0], degrees, seed)).collect::<Result<Vec<_>>>()?);
+        }
+        for name in pretrained::NAMES {
+            names.push(name.to_owned());
+            rows.push(vec![work.row(name, || pretrained::missed(name))?]);
+        }
+        let text = [misses::coverage(&names, &rows), misses::causes(&names, &rows)];
+        Ok((settings(STEPS, &MISSED_SEEDS), text.join("\n")))
+    })?;
     program.part("correlations", |work| {
         let mut rows = Vec::new();
         for scene in scenes(&PRICED, STEPS) {
@@ -186,6 +217,20 @@ fn main() -> Result<()> {
         Ok((correlations::settings(), correlations::table(&rows)))
     })
 }
+
+/// Scenes whose misses are looked at: those where intervals fail, and two where they hold.
+const MISSED: [((&str, Up), Seen); 7] = [
+    (SPOT, FEW),
+    (ARMADILLO, HALF),
+    (LEGO, FEW),
+    (LEGO, HALF),
+    (LEGO, HOLE),
+    (LEGO, SIDE_ONLY),
+    (KITCHEN, Seen::Few(15)),
+];
+const MISSED_SEEDS: [u64; 2] = [0, 1];
+/// How far the poses of the first of them are turned, degrees: a pixel is 0.2.
+const TURNED: [f64; 2] = [0.2, 1.0];
 
 /// Scenes on which the price of correlations is measured.
 const PRICED: [((&str, Up), Seen); 4] = [(BUNNY, FEW), (ARMADILLO, HALF), (SPOT, HOLE), (NEFERTITI, HOLE)];

@@ -17,6 +17,7 @@ use crate::common::settings::describe;
 use crate::common::table::mean;
 use crate::compared;
 use crate::judge::{self, Row, grid, judge, uncertainties};
+use crate::misses;
 use crate::scene::{Data, TEST_VIEWS};
 
 /// Rays of each level: an MLP takes its time.
@@ -59,6 +60,14 @@ pub fn measure(name: &str) -> Result<Row> {
     let mut row = judge(&data, &*field, None, &[], fields)?;
     row.seconds = [0.0, summed, clock.elapsed().cpu, 0.0];
     Ok(row)
+}
+
+/// Looks at the misses of one of them.
+pub fn missed(name: &str) -> Result<misses::Row> {
+    let (data, field) = (Data::lego(&Selection::All, STRIDE)?, model(name)?);
+    let tracer = RaySettings::for_images().tracer(&*field, 0.0, &Silent)?;
+    let psnr = quality(&tracer, &data.for_regression(field.pixel_offset()))?;
+    misses::judge(&data, &*field, psnr, rays())
 }
 
 /// Mean PSNR of images, dB.

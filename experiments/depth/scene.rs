@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use glam::{DVec3, Vec3};
+use glam::{DMat3, DVec3, Vec3};
 use octobayes::dataset::{DepthKind, DepthReadings, Frame, Views};
 use octobayes::evaluate::{DepthFiles, DepthMeaning, TrueView};
 use octobayes::field::HashGrid;
@@ -11,6 +11,8 @@ use octobayes::monitor::Silent;
 use octobayes::synth::{DEPTH_PNG_SCALE, DatasetSettings, Mesh, MeshScene, Up, write_dataset};
 use octobayes::train::{DatasetFiles, Selection, Shot, TrainSettings, Trainer, quality};
 use octobayes::{Error, Result};
+use rand::rngs::ChaCha8Rng;
+use rand::{RngExt, SeedableRng};
 use serde::Serialize;
 
 use crate::common::kitchen::kitchen;
@@ -169,6 +171,18 @@ impl Data {
         let depth = DepthFiles { folder: maps, pattern, scale: Some([8.0, -8.0]), kind: DepthKind::Euclidean };
         let data = Self::read(folder, selection, depth, LEGO_STEP, stride)?;
         Ok(Self { edge: Some(EDGE * LEGO_STEP), ..data })
+    }
+
+    /// The same with each training camera turned about an axis of its own: poses that are off.
+    pub fn turned(mut self, degrees: f64) -> Self {
+        let mut random = ChaCha8Rng::seed_from_u64(0);
+        for (shot, camera) in self.shots.iter_mut().zip(&mut self.cameras) {
+            let axis =
+                DVec3::from_array(std::array::from_fn(|_| random.random_range(-1.0..1.0))).normalize_or(DVec3::X);
+            shot.camera.axes = DMat3::from_axis_angle(axis, degrees.to_radians()) * shot.camera.axes;
+            *camera = shot.camera;
+        }
+        self
     }
 
     /// Every so many pixels of the held-out views, along x and y.

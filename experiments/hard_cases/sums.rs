@@ -1,8 +1,8 @@
 //! Sums: what order, precision and compensation make of ten million contributions over eighteen decades.
 
 use octobayes::Result;
+use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 
 use crate::common::table::Table;
 

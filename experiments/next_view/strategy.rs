@@ -12,8 +12,8 @@ use octobayes::rays::{PixelSequence, Pixels};
 use octobayes::render::{Renderer, VolumeRenderer};
 use octobayes::train::{PixelGradient, PixelGradients};
 use rand::SeedableRng;
+use rand::rngs::ChaCha8Rng;
 use rand::seq::SliceRandom;
-use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use rustc_hash::{FxHashMap, FxHashSet};
 

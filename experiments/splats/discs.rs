@@ -16,8 +16,8 @@ use octobayes::rays::{Pixels, RunProgress, Shard};
 use octobayes::render::{RenderedView, Renderer};
 use octobayes::splats::{RenderMode, SplatRenderer, Splats};
 use octobayes::synth::{MeshScene, Texture, Up, viewpoints};
+use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
 use crate::blocks::Index;

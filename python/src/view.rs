@@ -2,7 +2,8 @@
 
 use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray2};
 use octobayes::estimate::{RaySettings, Subject};
-use octobayes::evaluate::{Reading, ShownModel};
+use octobayes::evaluate::{Reading, ShownModel, TrainingViews};
+use octobayes::geometry::Camera;
 use octobayes::render::{DepthVariance, Pixel, Probe, RayAverage, RenderedView};
 use octobayes::uncertainty::{ThresholdedField, UncertaintyField, is_certain, shown_log10, unknowns};
 use pyo3::exceptions::PyValueError;
@@ -40,7 +41,7 @@ pub fn render<'py>(
     if let Some(field) = &field {
         averages.iter().try_for_each(|&average| Reading::check(field, average)).or_raise()?;
     }
-    let view = work(py, source.gate(nerf), progress, |engine| {
+    let (view, confirmed) = work(py, source.gate(nerf), progress, |engine| {
         source.with(engine, |model| {
             let probes = field.as_deref().map(|field| Probe { field, averages: &averages });
             let probes = probes.as_slice();
@@ -65,15 +66,31 @@ pub fn render<'py>(
             let offset = settings.offset_of(model);
             engine.monitor().begin("rows", u64::from(camera.resolution[1]));
             let mut view = shown.renderer().image(&camera, offset, probes, &posterior, engine.monitor())?;
-            let Some(field) = field.as_deref() else { return Ok(view) };
+            let known = match model {
+                Subject::Volume(model) if depth_error => model.training_cameras(),
+                _ => &[],
+            };
+            let known: Vec<Camera> = known.iter().map(|named| named.camera).collect();
+            let confirmed = if known.is_empty() {
+                None
+            } else {
+                let training = TrainingViews::render(shown.renderer(), &known, offset, engine.monitor())?;
+                Some(training.confirmed(&camera, offset, &view))
+            };
+            let Some(field) = field.as_deref() else { return Ok((view, confirmed)) };
             let unknowns = unknowns(field, &camera, offset, &view)?;
             let shown = view.log10_uncertainty.iter().map(|log10| shown_log10(&view, log10, &unknowns));
             view.log10_uncertainty = shown.collect();
-            Ok(view)
+            Ok((view, confirmed))
         })
     })?;
     let factor = uncertainty.and_then(|field| field.get().field.conformal().map(|conformal| conformal.factor));
-    pictures(py, &view, factor)
+    let out = pictures(py, &view, factor)?;
+    if let Some(confirmed) = confirmed {
+        let [width, height] = view.resolution.map(|side| side as usize);
+        out.set_item("depth_confirmed", PyArray1::from_vec(py, confirmed).reshape([height, width])?)?;
+    }
+    Ok(out)
 }
 
 /// The arrays of a view, f32; with the half width of a calibrated interval in deviations.

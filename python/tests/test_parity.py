@@ -212,6 +212,23 @@ def test_calibrated_fields_are_the_same(desk, monkeypatch):
     assert Path("ours.oct").read_bytes() == Path("theirs.oct").read_bytes()
 
 
+def test_depths_are_confirmed_by_the_cameras_that_a_model_stores(desk, monkeypatch):
+    monkeypatch.chdir(desk)
+    maps = {"depth": "set/depth", "depth_pattern": "{}.png", "depth_encoding": (0, 6.5535)}
+    report = judged("metric", **maps, covariance="block", stride=1)
+    deviation = next(entry for entry in report["readings"] if entry["name"] == "metric block, depth deviation")
+    counted = deviation["confirmed"]["share"] * report["pixels"]
+    test = "set/transforms_test.json"
+    views = [
+        ob.render("m-0.safetensors", "metric.oct", test, frame=k, depth_error=True, progress=False) for k in range(2)
+    ]
+    confirmed = sum(int(view["depth_confirmed"].sum()) for view in views)
+    assert all(view["depth_confirmed"].dtype == bool for view in views)
+    # The evaluation leaves pixels without a true depth out, and no others.
+    assert 0 < counted <= confirmed <= sum(int((view["opacity"] > 0).sum()) for view in views)
+    assert "depth_confirmed" not in ob.render("m-0.safetensors", "metric.oct", test, progress=False)
+
+
 def test_what_is_no_ensemble_is_refused(courtyard, field, tmp_path):
     for members in (["scene:courtyard"], ["scene:courtyard", lambda x, d: (x, d)]):
         with pytest.raises(ValueError, match="ensemble: expected two or more models, or files of models, found "):

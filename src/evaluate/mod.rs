@@ -27,7 +27,7 @@ pub use image_check::{ImageCheck, check_images, check_splat_images};
 pub use interval::Interval;
 pub use judge::{Evaluation, Judged, Prepared, Remark};
 pub use measure::Reading;
-pub use report::{Inside, NeverSeen, Report, Scored, ViewReport};
+pub use report::{Confirmed, Inside, NeverSeen, Report, Scored, ViewReport};
 pub use residuals::{TrainingImages, measure_residuals};
 pub use score::{ByError, DepthError, Score};
 pub use shown::ShownModel;
@@ -39,7 +39,7 @@ pub use depth_files::FramesWithDepth;
 #[doc(hidden)]
 pub use measure::{Baseline, Measure};
 #[doc(hidden)]
-pub use training_views::TrainingViews;
+pub use training_views::{CONFIRMING_VIEWS, TrainingViews};
 #[doc(hidden)]
 pub use truth::{DepthMeaning, TrueView};
 #[doc(hidden)]

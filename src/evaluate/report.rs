@@ -94,6 +94,9 @@ pub struct Scored {
     /// Calibration, if it is a deviation of depth.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub calibration: Option<Calibration>,
+    /// The same over the pixels whose depth training views confirm, if those are known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub confirmed: Option<Confirmed>,
     /// How it detects what was never seen, if that is known.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub never_seen: Option<Detection>,
@@ -103,6 +106,16 @@ pub struct Scored {
     /// Record of the field that it is read off.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub field: Option<Value>,
+}
+
+/// The pixels whose depth training views confirm ([`EvaluatedView::confirmed`]).
+#[derive(Debug, Clone, Serialize)]
+#[non_exhaustive]
+pub struct Confirmed {
+    /// Their share of all.
+    pub share: f64,
+    /// Calibration over them.
+    pub calibration: Calibration,
 }
 
 /// A calibrated interval, on other views than those that it was made on.
@@ -164,6 +177,9 @@ impl Report {
                 name: evaluator.name(measure),
                 score: Score::new(views, m)?,
                 calibration: evaluator.calibration(views, m),
+                confirmed: evaluator
+                    .confirmed_calibration(views, m)
+                    .map(|(share, calibration)| Confirmed { share, calibration }),
                 never_seen: Evaluator::detection(views, m),
                 ray_average,
                 field: reading.map(|reading| facts(&reading.field)),

@@ -9,7 +9,7 @@ use crate::dataset::DepthReadings;
 use crate::estimate::{Estimation, GridSettings, RaySettings};
 use crate::field::{ClosedForm, Radiance, RadianceField};
 use crate::geometry::{Aabb, Camera};
-use crate::metrics::{ErrorKind, density_aware, ensemble_variance};
+use crate::metrics::{Calibration, ErrorKind, density_aware, ensemble_variance};
 use crate::monitor::Silent;
 use crate::posterior::Covariance;
 use crate::render::{RayAverage, Renderer, VolumeRenderer};
@@ -114,6 +114,58 @@ fn what_no_training_camera_saw_is_told_and_detected() {
     let [of_u, of_chance] = [0, last].map(|m| Evaluator::detection(&evaluated, m).unwrap());
     assert_eq!(of_u.positives, unseen as f64 / found.len() as f64);
     assert!(of_u.auroc > 0.8 && (0.3..0.7).contains(&of_chance.auroc), "{of_u:?}, {of_chance:?}");
+}
+
+/// What faces the middle of three cameras is seen by all of them, the sides by fewer.
+#[test]
+fn depths_that_training_cameras_see_are_confirmed_and_calibrated_by_themselves() {
+    let ball = ClosedForm::ball();
+    let model = renderer(&ball);
+    let around = |azimuth: f64| {
+        Camera::look_at(DVec3::new(3.0 * azimuth.cos(), 3.0 * azimuth.sin(), 0.5), DVec3::ZERO, DVec3::Z, 0.7, [96; 2])
+    };
+    let cameras = [-0.4, 0.0, 0.4].map(around);
+    let training = TrainingViews::render(&model, &cameras, 0.5, &Silent).unwrap();
+    let without = Evaluator::new(&model, &[]);
+    let evaluator = Evaluator { training: Some(&training), ..Evaluator::new(&model, &[]) };
+    let from = |eye: DVec3| Camera::look_at(eye, DVec3::ZERO, DVec3::Z, 0.7, [48; 2]);
+    let views: Vec<EvaluatedView> = [DVec3::new(3.0, 0.0, 0.5), DVec3::new(0.0, -3.0, 0.5)]
+        .iter()
+        .map(|eye| evaluator.evaluate(&truth(&ball, &from(*eye)), 0, &Silent).unwrap())
+        .collect();
+    let (mut errors, mut deviations, mut all, mut certain) = (Vec::new(), Vec::new(), 0, [0; 2]);
+    for (view, eye) in views.iter().zip([DVec3::new(3.0, 0.0, 0.5), DVec3::new(0.0, -3.0, 0.5)]) {
+        assert_eq!(view.confirmed.len(), view.pixels.len());
+        for (k, &i) in view.pixels.iter().enumerate() {
+            let [x, y] = [i % 48, i / 48].map(|n| n as f64 + 0.5);
+            let point = from(eye).ray(x, y).at(view.rendered.pixels[i].median_depth);
+            // What the ball itself says, whose middle is the origin; unless a camera looks along its surface. What
+            // faces away from a camera by a cosine of 0.4 lies 0.4 behind what it sees, which may be 0.06 off.
+            let normal = point.normalize();
+            let cosines: Vec<f64> =
+                cameras.iter().map(|camera| normal.dot((camera.position - point).normalize())).collect();
+            if cosines.iter().all(|cosine| cosine.abs() > 0.4) {
+                let facing = cosines.iter().filter(|cosine| **cosine > 0.0).count();
+                assert_eq!(view.confirmed[k], facing >= CONFIRMING_VIEWS, "{point}: {cosines:?}");
+                certain[usize::from(view.confirmed[k])] += 1;
+            }
+            if view.confirmed[k] {
+                errors.push(view.absolute_error[k]);
+                deviations.push(view.spread[k]);
+            }
+            all += 1;
+        }
+    }
+    assert!(certain.iter().all(|count| *count > 20), "{certain:?} of {all}");
+    let measures = evaluator.measures();
+    let weights = measures.iter().position(|m| *m == Measure::Baseline(Baseline::RayVariance)).unwrap();
+    let (share, found) = evaluator.confirmed_calibration(&views, weights).unwrap();
+    assert_eq!(share, errors.len() as f64 / all as f64);
+    assert_eq!(found, Calibration::new(&errors, &deviations).unwrap());
+    assert_ne!(found, evaluator.calibration(&views, weights).unwrap());
+    // Without training cameras nothing is confirmed, and nothing refused.
+    let view = without.evaluate(&truth(&ball, &from(DVec3::new(3.0, 0.0, 0.5))), 0, &Silent).unwrap();
+    assert!(view.confirmed.is_empty() && without.confirmed_calibration(&[view], 0).is_none());
 }
 
 #[test]

@@ -13,14 +13,20 @@ use crate::Result;
 use crate::dataset::{DepthReadings, Frame};
 use crate::geometry::Camera;
 use crate::monitor::{Monitor, check};
-use crate::render::Renderer;
+use crate::render::{Pixel, RenderedView, Renderer};
 
 /// Pixels along the longer side of a camera's depth map.
 const SIDE: u32 = 128;
-/// A camera sees what lies no further behind its depth than this many of its pixels' widths there…
+/// A camera sees what lies no further behind its depth than this many of its pixels' widths there, and agrees with what
+/// lies no further from it…
 const PIXELS: f64 = 2.0;
 /// … and this many marching steps.
 const STEPS: f64 = 3.0;
+
+/// Training cameras that must see a surface where a pixel's median depth is, for that depth to be confirmed. Two agree
+/// by chance more often: on one model of a kitchen, that its photographs hardly determine, the interval of 95 % held
+/// 88 % of the errors where two agree and 94 % where three do.
+pub const CONFIRMING_VIEWS: usize = 3;
 
 /// The training cameras, each with the depth to which it sees.
 #[derive(Debug, Clone)]
@@ -42,6 +48,8 @@ struct SeenDepth {
 pub struct Sighting {
     /// Number of cameras that see it.
     pub views: usize,
+    /// How many of them see a surface there, and not through it.
+    pub agreeing: usize,
     /// Smallest angle between the direction it is looked at from and that of a camera that sees it, radians; π if none
     /// does.
     pub angle: f64,
@@ -62,7 +70,7 @@ impl TrainingViews {
             let (camera, stride) = at_size(camera);
             let rendered = model.strided_image(&camera, stride, pixel_offset, &[], &[], monitor)?;
             let camera = camera.strided(stride, pixel_offset);
-            let depth = |pixel: &crate::render::Pixel| {
+            let depth = |pixel: &Pixel| {
                 if pixel.opacity > 0.5 { pixel.median_depth as f32 } else { f32::INFINITY }
             };
             Ok(SeenDepth { camera, depths: rendered.pixels.iter().map(depth).collect() })
@@ -117,12 +125,36 @@ impl TrainingViews {
         self.views.is_empty()
     }
 
+    /// Whether [`CONFIRMING_VIEWS`] cameras see a surface at the point `x`. A deviation of depth is for such points: it
+    /// knows how far a surface can be moved, and not whether matter that only one image needs is a surface at all.
+    #[must_use]
+    pub fn confirm(&self, x: DVec3) -> bool {
+        self.sighting(x, x).agreeing >= CONFIRMING_VIEWS
+    }
+
+    /// The same for each pixel of a camera's view at its median depth, `[height · width]`; false where nothing is shown.
+    #[must_use]
+    pub fn confirmed(&self, camera: &Camera, pixel_offset: f64, view: &RenderedView) -> Vec<bool> {
+        let width = camera.resolution[0] as usize;
+        let is_confirmed = |(i, pixel): (usize, &Pixel)| {
+            let [x, y] = [i % width, i / width].map(|n| n as f64 + pixel_offset);
+            pixel.opacity > 0.0 && self.confirm(camera.ray(x, y).at(pixel.median_depth))
+        };
+        view.pixels.iter().enumerate().map(is_confirmed).collect()
+    }
+
     /// How the cameras see the point `x`, looked at from `eye`.
     #[must_use]
     pub fn sighting(&self, x: DVec3, eye: DVec3) -> Sighting {
-        let mut found = Sighting { views: 0, angle: PI };
-        for view in self.views.iter().filter(|view| view.sees(x, self.slack)) {
+        let mut found = Sighting { views: 0, agreeing: 0, angle: PI };
+        for view in &self.views {
+            let Some((before_surface, slack)) = view.before_surface(x) else { continue };
+            let slack = slack + self.slack;
+            if before_surface < -slack {
+                continue;
+            }
             found.views += 1;
+            found.agreeing += usize::from(before_surface <= slack);
             found.angle = found.angle.min((eye - x).angle_between(view.camera.position - x));
         }
         found
@@ -136,15 +168,18 @@ fn small(camera: &Camera) -> Camera {
 }
 
 impl SeenDepth {
-    fn sees(&self, x: DVec3, slack: f64) -> bool {
-        let Some(([column, row], _)) = self.camera.project(x) else { return false };
+    /// How far a point lies before what the camera sees in its direction, negative behind it, and what that may be off
+    /// by, scene units. `None` outside the image.
+    fn before_surface(&self, x: DVec3) -> Option<(f64, f64)> {
+        let ([column, row], _) = self.camera.project(x)?;
         let [width, height] = self.camera.resolution.map(f64::from);
         if !(0.0..width).contains(&column) || !(0.0..height).contains(&row) {
-            return false;
+            return None;
         }
         let distance = x.distance(self.camera.position);
-        let behind = PIXELS * distance / self.camera.focal[0].min(self.camera.focal[1]) + slack;
-        distance <= f64::from(self.depths[row as usize * self.camera.resolution[0] as usize + column as usize]) + behind
+        let slack = PIXELS * distance / self.camera.focal[0].min(self.camera.focal[1]);
+        let depth = self.depths[row as usize * self.camera.resolution[0] as usize + column as usize];
+        Some((f64::from(depth) - distance, slack))
     }
 }
 
@@ -177,16 +212,17 @@ mod tests {
             camera.ray(32.5, 32.5).at(view.pixels[32 * 64 + 32].median_depth)
         };
         let front = views.sighting(hit(DVec3::X), DVec3::new(3.0, 0.0, 0.1));
-        assert!(front.views == 1 && front.angle < 0.05, "{front:?}");
+        assert!((front.views, front.agreeing) == (1, 1) && front.angle < 0.05, "{front:?}");
         let between = views.sighting(hit(DVec3::new(1.0, 1.0, 0.0).normalize()), DVec3::new(2.0, 2.0, 0.0));
-        assert!(between.views == 2 && (0.6..1.2).contains(&between.angle), "{between:?}");
+        assert!((between.views, between.agreeing) == (2, 2) && (0.6..1.2).contains(&between.angle), "{between:?}");
         let back = views.sighting(hit(DVec3::new(-1.0, -1.0, 0.0).normalize()), DVec3::new(-3.0, -3.0, 0.0));
-        assert_eq!(back, Sighting { views: 0, angle: PI });
+        assert_eq!(back, Sighting { views: 0, agreeing: 0, angle: PI });
         // Outside of all pictures, and behind a camera.
         assert_eq!(views.sighting(DVec3::new(0.0, 0.0, 3.0), DVec3::ZERO).views, 0);
         assert_eq!(views.sighting(DVec3::new(8.0, 0.0, 0.0), DVec3::ZERO).views, 0);
-        // Air in front of the ball, in the picture of one camera only.
-        assert_eq!(views.sighting(DVec3::new(1.4, 0.0, 0.0), DVec3::ZERO).views, 1);
+        // Air in front of the ball, in the picture of one camera only: it is seen through.
+        let air = views.sighting(DVec3::new(1.4, 0.0, 0.0), DVec3::ZERO);
+        assert_eq!((air.views, air.agreeing), (1, 0));
     }
 
     #[test]

@@ -1,8 +1,8 @@
 //! A rendered view beside the truth: depth errors and measures of uncertainty for the same pixels.
 
 use glam::{DVec3, Vec3};
+use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 
 use super::{Baseline, Measure, Reading, Sighting, TrainingViews, TrueView};
 use crate::Result;
@@ -66,6 +66,8 @@ pub struct EvaluatedView {
     pub spread: Vec<f64>,
     /// `[n]`: whether no training camera saw the true surface; empty if that is not known.
     pub never_seen: Vec<bool>,
+    /// `[n]`: whether training cameras [confirm](TrainingViews::confirm) the median depth; empty if they are not known.
+    pub confirmed: Vec<bool>,
     /// Pixels with a true depth where the model shows nothing. They are left out,
     /// because there is no depth to compare.
     pub empty: usize,
@@ -178,6 +180,10 @@ impl<'a> Evaluator<'a> {
         let sighting = |training: &TrainingViews, i: usize| training.sighting(hit(i).as_dvec3(), camera.position);
         let sightings: Vec<Sighting> =
             self.training.iter().flat_map(|training| pixels.iter().map(|&i| sighting(training, i))).collect();
+        let is_confirmed =
+            |training: &TrainingViews, i: usize| training.confirm(at(i, rendered.pixels[i].median_depth));
+        let confirmed: Vec<bool> =
+            self.training.iter().flat_map(|training| pixels.iter().map(|&i| is_confirmed(training, i))).collect();
         let spread = |i: usize| rendered.spread[i];
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let mut readings = rendered.log10_uncertainty.iter();
@@ -240,6 +246,7 @@ impl<'a> Evaluator<'a> {
             pixels,
             measures,
             never_seen,
+            confirmed,
             empty: empty.len(),
             rendered,
         })
@@ -261,6 +268,24 @@ impl<'a> Evaluator<'a> {
     /// [`Calibration::new`] has none.
     #[must_use]
     pub fn calibration(&self, views: &[EvaluatedView], m: usize) -> Option<Calibration> {
+        let errors: Vec<f64> = views.iter().flat_map(|view| &view.absolute_error).copied().collect();
+        Calibration::new(&errors, &self.deviations(views, m)?)
+    }
+
+    /// The same over the pixels whose depth is [confirmed](EvaluatedView::confirmed), and their share. `None` also if
+    /// the training cameras are not known.
+    #[must_use]
+    pub fn confirmed_calibration(&self, views: &[EvaluatedView], m: usize) -> Option<(f64, Calibration)> {
+        let confirmed: Vec<bool> = views.iter().flat_map(|view| &view.confirmed).copied().collect();
+        let errors: Vec<f64> = views.iter().flat_map(|view| &view.absolute_error).copied().collect();
+        let deviations = self.deviations(views, m)?;
+        let pairs = errors.into_iter().zip(deviations).zip(&confirmed).filter(|(_, is)| **is).map(|(pair, _)| pair);
+        let (errors, deviations): (Vec<f64>, Vec<f64>) = pairs.unzip();
+        Some((errors.len() as f64 / confirmed.len() as f64, Calibration::new(&errors, &deviations)?))
+    }
+
+    /// The measure of index `m` over the pixels of all views, if it is a standard deviation of depth.
+    fn deviations(&self, views: &[EvaluatedView], m: usize) -> Option<Vec<f64>> {
         let of_view = |view: &EvaluatedView| -> Option<Vec<f64>> {
             match self.measures()[m] {
                 Measure::DepthDeviation(_) => Some(view.measures[m].clone()),
@@ -268,9 +293,7 @@ impl<'a> Evaluator<'a> {
                 _ => None,
             }
         };
-        let deviations: Vec<Vec<f64>> = views.iter().map(of_view).collect::<Option<_>>()?;
-        let errors: Vec<f64> = views.iter().flat_map(|view| &view.absolute_error).copied().collect();
-        Calibration::new(&errors, &deviations.concat())
+        views.iter().map(of_view).collect::<Option<Vec<_>>>().map(|found| found.concat())
     }
 
     /// Median depth of a member's pixel. Where it shows nothing, the depth at which the ray leaves the box.

@@ -8,6 +8,8 @@ mod leftovers;
 
 use std::ffi::OsString;
 use std::fs::File;
+#[cfg(unix)]
+use std::fs::TryLockError;
 use std::path::Path;
 
 #[cfg(any(feature = "cli", feature = "synth"))]
@@ -56,11 +58,10 @@ enum Lock {
 
 #[cfg(unix)]
 fn lock(file: &File) -> Lock {
-    use rustix::fs::{FlockOperation, flock};
-    match flock(file, FlockOperation::NonBlockingLockExclusive) {
+    match file.try_lock() {
         Ok(()) => Lock::Held,
-        Err(rustix::io::Errno::WOULDBLOCK) => Lock::Taken,
-        Err(_) => Lock::Unsupported,
+        Err(TryLockError::WouldBlock) => Lock::Taken,
+        Err(TryLockError::Error(_)) => Lock::Unsupported,
     }
 }
 

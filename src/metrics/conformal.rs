@@ -19,8 +19,8 @@ pub fn conformal_factor(ratios: &[f64], probability: f64) -> Option<f64> {
 
 #[cfg(test)]
 mod tests {
+    use rand::rngs::ChaCha8Rng;
     use rand::{RngExt, SeedableRng};
-    use rand_chacha::ChaCha8Rng;
 
     use super::*;
 

@@ -4,8 +4,8 @@
 //! on k and the seed, so shards, checkpoints and threads see the same rays. Rays of splats come camera by camera: k is
 //! a ray's place in that order.
 
+use rand::rngs::ChaCha8Rng;
 use rand::{Rng, RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 
 use crate::geometry::Mask;
 use crate::io::mix;

@@ -8,8 +8,8 @@
 use std::f64::consts::TAU;
 
 use glam::{DMat3, DVec3};
+use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 use super::mesh::{HALF_HEIGHT, flat_normal};

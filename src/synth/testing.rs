@@ -1,8 +1,8 @@
 //! Meshes for tests.
 
 use glam::DVec3;
+use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 use rustc_hash::FxHashMap;
 
 use super::Mesh;

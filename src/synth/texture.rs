@@ -7,8 +7,8 @@
 use std::f64::consts::TAU;
 
 use glam::DVec3;
+use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 
 /// Shortest wavelength in scene units: 8 pixels at 400 × 400 from the distance of the cameras.
 pub const FINEST: f64 = 0.05;

@@ -1,8 +1,8 @@
 //! A single picture: colour and coverage from jittered samples, depth from the ray through the pixel's centre.
 
 use glam::DVec3;
+use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 use super::shade::LitScene;

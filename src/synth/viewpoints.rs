@@ -6,8 +6,8 @@
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 use glam::DVec3;
+use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 
 use super::mesh::{HALF_HEIGHT, RADIUS};
 use super::trace::GROUND_RADIUS;

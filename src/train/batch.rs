@@ -2,8 +2,8 @@
 //! depend on the number of threads.
 
 use glam::Vec3;
+use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 
 use super::loss::{SampleGradient, ray_loss};
 use super::march::Walk;

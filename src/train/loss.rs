@@ -124,8 +124,8 @@ pub fn ray_loss(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rand::rngs::ChaCha8Rng;
     use rand::{RngExt, SeedableRng};
-    use rand_chacha::ChaCha8Rng;
 
     fn random_ray(rng: &mut ChaCha8Rng) -> Vec<RaySample> {
         let mut s = 0.1;

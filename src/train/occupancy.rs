@@ -5,8 +5,8 @@
 //! camera sees stay empty.
 
 use glam::DVec3;
+use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 use crate::field::hash_grid::{BLOCK, N_GEOMETRY, N_NEURONS, Parameters, Space, WIDTH, density_pass};

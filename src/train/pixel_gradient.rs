@@ -153,8 +153,8 @@ fn pixel(samples: &[RaySample], background: Vec3) -> ([f32; OUTPUTS], [Vec<Sampl
 #[cfg(test)]
 mod tests {
     use glam::DVec3;
+    use rand::rngs::ChaCha8Rng;
     use rand::{RngExt, SeedableRng};
-    use rand_chacha::ChaCha8Rng;
 
     use super::*;
     use crate::field::hash_grid::slow::SlowField;

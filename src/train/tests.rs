@@ -69,7 +69,7 @@ fn bits(trainer: &Trainer) -> Vec<u32> {
 #[test]
 fn gradients_are_those_of_the_definition() {
     use rand::{RngExt, SeedableRng};
-    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(1);
+    let mut rng = rand::rngs::ChaCha8Rng::seed_from_u64(1);
     let (_, [shots, _]) = courtyard(24);
     // Contracted, so that steps differ in length; few samples, so that the definition is fast.
     for domain in [
@@ -193,7 +193,7 @@ fn loss_slowly(field: &SlowField, space: &Space, ray: &Ray, target: DVec3, sampl
 #[test]
 fn leaps_keep_the_samples_that_single_steps_keep() {
     use rand::{RngExt, SeedableRng};
-    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(2);
+    let mut rng = rand::rngs::ChaCha8Rng::seed_from_u64(2);
     let space = Space::new(Domain::Box(ClosedForm::courtyard().bounds())).unwrap();
     let mut kept = 0;
     for share in [0.002, 0.05] {

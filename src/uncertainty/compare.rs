@@ -1,8 +1,8 @@
 //! Measures the difference between two fields.
 
 use glam::{DVec3, Vec3};
+use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 use super::{Answers, Support, UncertaintyField};

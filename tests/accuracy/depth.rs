@@ -11,8 +11,8 @@ use octobayes::render::{
     render_view_with_depth,
 };
 use octobayes::uncertainty::UncertaintyField;
+use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 
 /// A field whose matter is moved along an axis by a hat function around a lattice point.
 struct Deformed<'a> {

@@ -212,6 +212,16 @@ fn deviations_of_depth_are_calibrated_beside_those_of_the_weights() {
     }
     let text = good(desk.path(), &command);
     assert!(text.contains("errors of depth within") && text.contains("deviation of the ray's weights"), "{text}");
+    // The training views confirm some depths. Their line has the coverage of the JSON.
+    let entries = found["readings"].as_array().unwrap();
+    let confirmed = &entries.iter().find(|entry| entry["name"] == "data block, depth deviation").unwrap()["confirmed"];
+    let share = confirmed["share"].as_f64().unwrap();
+    assert!((0.05..=1.0).contains(&share), "{confirmed}");
+    let mut lines = text.lines().skip_while(|line| !line.contains("where 3 training views see a surface"));
+    assert!(lines.next().unwrap().contains(&format!("{:.1} % of the pixels", 100.0 * share)), "{text}");
+    let of_them = held(&confirmed["calibration"]);
+    let line = lines.next().unwrap();
+    assert!(of_them.iter().all(|p| line.contains(&format!("{:.1} %", 100.0 * p))), "{line}, {of_them:?}");
     // The risk is the mean error left: at least the oracle's, and chance's is near the mean error.
     let figures = |part: &str, key: &str| -> Vec<(String, f64)> {
         let entries = found[part].as_array().unwrap().iter();
@@ -245,6 +255,17 @@ fn deviations_of_depth_are_calibrated_beside_those_of_the_weights() {
     let values: Vec<f32> = channel.sample_data.values_as_f32().collect();
     let known = values.iter().filter(|s| s.is_finite()).count();
     assert!(known > 50 && values.iter().all(|s| s.is_nan() || *s > 0.0), "{known} of {}", values.len());
+    let confirmed = |file: &str| -> Option<Vec<f32>> {
+        let image = exr::prelude::read_first_flat_layer_from_file(desk.path().join(file)).unwrap();
+        let channels = image.layer_data.channel_data.list;
+        let found = channels.into_iter().find(|c| c.name.to_string() == "depth_confirmed.Z")?;
+        Some(found.sample_data.values_as_f32().collect())
+    };
+    // The same pixels as the evaluation counts, of one view; none without the deviation.
+    let told = confirmed("view.exr").unwrap();
+    let count = told.iter().filter(|is| **is == 1.0).count();
+    assert!(count > 20 && count < told.len() && told.iter().all(|is| [0.0, 1.0].contains(is)), "{count}");
+    assert!(render("data.oct -o plain.exr").status.success() && confirmed("plain.exr").is_none());
     let width = |name: &str| image::image_dimensions(desk.path().join(name)).unwrap().0;
     assert!(width("with.png") > width("without.png"), "one panel more");
     let refused = render("m.oct --depth-error -o no.png");

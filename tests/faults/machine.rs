@@ -13,8 +13,8 @@ use crate::program::{good, run};
 use octobayes::dataset::write_transforms;
 use octobayes::field::ClosedForm;
 use octobayes::uncertainty::UncertaintyField;
+use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_octobayes");
 const RUN: &str = "uncertainty scene:ball --cameras cameras.json --rays 2000 --occupancy 16 --keep-sums";

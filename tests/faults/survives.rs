@@ -12,8 +12,8 @@ use crate::program::{self, good, run};
 use octobayes::estimate::{Checkpoint, Estimation, GridKind, GridSettings, RaySettings};
 use octobayes::field::ClosedForm;
 use octobayes::uncertainty::{UncertaintyField, compare};
+use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 
 fn command(folder: &Path, args: &str) -> Command {
     let mut command = program::command(folder, args);

@@ -13,8 +13,8 @@ use glam::{DMat3, DVec3};
 use octobayes::posterior::DataScale;
 use octobayes::render::{DepthSample, DepthVariance};
 use octobayes::{Error, Result};
+use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 
 use super::rows::{Columns, Rows};
 use super::{FullPosterior, Vertices, share_of_a_ray};

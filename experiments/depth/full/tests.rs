@@ -5,8 +5,8 @@ use octobayes::geometry::Aabb;
 use octobayes::octree::trilinear;
 use octobayes::posterior::{Covariance, DataScale, DensePosterior, Posterior, Scale};
 use octobayes::render::{DepthVariance, RaySample};
+use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 
 use super::*;
 

@@ -3,8 +3,8 @@
 use super::Args;
 use crate::Result;
 use crate::dataset::DepthKind;
-use crate::evaluate::{CleanUp, DepthError, Interval, Report, Score, Scored};
-use crate::metrics::{Detection, PROBABILITIES};
+use crate::evaluate::{CONFIRMING_VIEWS, CleanUp, Confirmed, DepthError, Interval, Report, Score, Scored};
+use crate::metrics::{Calibration, Detection, PROBABILITIES};
 
 /// JSON without control characters. Those that JSON lets stand in a name are obeyed by some terminals.
 fn escaped(json: &serde_json::Value) -> String {
@@ -145,7 +145,7 @@ fn print_calibration(report: &Report, width: usize) -> Result<()> {
         "errors of depth within",
         width = width + 2
     )?;
-    for (name, c) in report.calibrated_measures() {
+    let line = |name: &str, c: &Calibration| {
         let held = c.predictive().coverage.map(|[_, found]| format!("{:>6.1} %", 100.0 * found)).concat();
         let [gauss, laplace, student] = c.densities.each_ref().map(|of| of.nll);
         let [g, l, s] = c.densities.each_ref().map(|of| of.nll_best_scale);
@@ -154,7 +154,16 @@ fn print_calibration(report: &Report, width: usize) -> Result<()> {
              ({g:.2}, {l:.2}, {s:.2})",
             c.predictive().auce,
             c.mean_ratio
-        )?;
+        )
+    };
+    report.calibrated_measures().try_for_each(|(name, calibration)| line(name, calibration))?;
+    let confirmed = report.readings.iter().filter_map(|scored| Some((&*scored.name, scored.confirmed.as_ref()?)));
+    for (i, (name, Confirmed { share, calibration })) in confirmed.enumerate() {
+        if i == 0 {
+            let share = 100.0 * share;
+            say!("where {CONFIRMING_VIEWS} training views see a surface at that depth, {share:.1} % of the pixels")?;
+        }
+        line(name, calibration)?;
     }
     for inside in &report.conformal {
         let held = &inside.interval;

@@ -17,6 +17,7 @@ use super::streams::tell;
 use crate::dataset::{Frame, Part};
 use crate::estimate::RaySettings;
 use crate::evaluate::Reading;
+use crate::evaluate::TrainingViews;
 use crate::field::RadianceField;
 use crate::geometry::{Camera, MAX_PIXELS};
 use crate::io::write_exr;
@@ -37,7 +38,9 @@ const PREVIEW: u32 = 800;
 /// OUT.png shows labelled panels for viewing; what no training ray reached is hatched. OUT.exr holds channels for
 /// tools: R, G, B, A, depth.Z (median distance from the camera), uncertainty.U (scene units), log10_uncertainty.U (both
 /// NaN where A is 0.05 or less, and outside the field's box) and, with --depth-error, depth_error.Z (one standard
-/// deviation, scene units) and, if the field is calibrated, depth_interval.Z (half width of the interval).
+/// deviation, scene units), depth_confirmed.Z if the model stores its training cameras (1 where three of them see a
+/// surface at that depth, else 0: do not rely on the deviation there) and, if the field is calibrated, depth_interval.Z
+/// (half width of the interval).
 #[derive(clap::Args)]
 #[command(after_help = "Example: octobayes render lego.safetensors lego.oct --cameras transforms_test.json --frame 0 \
     -o view.png")]
@@ -191,6 +194,10 @@ impl Args {
                 settings.offset_for_splats()
             }
         };
+        let known = opened.model.field().map_or(&[][..], |model| model.training_cameras());
+        let known: Vec<Camera> = known.iter().map(|named| named.camera).collect();
+        let is_told = self.depth_error && self.is_exr() && !known.is_empty();
+        let training = is_told.then(|| TrainingViews::render(&*whole, &known, offset, bars)).transpose()?;
         let cleaned = left.as_deref().zip(threshold).map(|(left, threshold)| Cleaned { left, threshold, asking });
         let studio = Studio {
             field: field.facts(),
@@ -200,6 +207,7 @@ impl Args {
             offset,
             average: self.ray_average,
             depth_error: self.depth_error,
+            training,
             log10: bar_of(space, self.range)?,
             bars,
         };
@@ -265,29 +273,32 @@ impl Args {
         vec![self.output.clone()]
     }
 
+    /// Whether the output holds channels for tools.
+    fn is_exr(&self) -> bool {
+        !self.frame.are_many() && self.output.extension().is_some_and(|extension| extension == "exr")
+    }
+
     /// Writes the picture of one camera.
     fn picture(&self, studio: &Studio, k: usize, camera: &Camera, path: &Path) -> Result<()> {
-        let as_exr = path.extension().is_some_and(|e| e == "exr");
-        if let (true, Some(Threshold::Log10(_))) = (as_exr, self.threshold) {
+        let write = |view: &RenderedView| {
+            let (log10, confirmed) = (studio.shown_log10(camera, view)?, studio.confirmed(camera, view));
+            write_exr(path, view.resolution, channels(view, &log10, confirmed.as_deref(), studio.field))
+        };
+        if let (true, Some(Threshold::Log10(_))) = (self.is_exr(), self.threshold) {
             // An EXR holds the cleaned view only; to count what the threshold removes takes both views.
             let view = studio.cleaned_view(camera)?.unwrap_or_default();
             if view.pixels.iter().all(|pixel| pixel.opacity <= 0.5) {
                 self.note_pixels(studio, &(studio.whole_view(camera)?, Some(view.clone())))?;
             }
-            return write_exr(
-                path,
-                view.resolution,
-                channels(&view, &studio.shown_log10(camera, &view)?, studio.field),
-            );
+            return write(&view);
         }
         let views = studio.views(camera)?;
         self.note_pixels(studio, &views)?;
-        if !as_exr {
+        if !self.is_exr() {
             return write_sheet(path, &studio.rows(&format!("frame {k}"), camera, &views)?);
         }
         let (view, cleaned) = views;
-        let view = cleaned.unwrap_or(view);
-        write_exr(path, view.resolution, channels(&view, &studio.shown_log10(camera, &view)?, studio.field))
+        write(&cleaned.unwrap_or(view))
     }
 }
 
@@ -350,8 +361,13 @@ pub fn bar_of(field: &dyn Answers, range: Option<[f64; 2]>) -> Result<[f64; 2]> 
     Ok([low.min(prior - 0.5), prior])
 }
 
-/// The channels of the EXR, with `log10` of U.
-fn channels(view: &RenderedView, log10: &[f64], field: &UncertaintyField) -> Vec<(&'static str, Vec<f32>)> {
+/// The channels of the EXR, with `log10` of U, and whether depths are confirmed.
+fn channels(
+    view: &RenderedView,
+    log10: &[f64],
+    confirmed: Option<&[bool]>,
+    field: &UncertaintyField,
+) -> Vec<(&'static str, Vec<f32>)> {
     let of_pixel = |value: &dyn Fn(&crate::render::Pixel) -> f64| view.pixels.iter().map(|p| value(p) as f32).collect();
     let mut channels = vec![
         ("R", of_pixel(&|p| p.color.x)),
@@ -364,6 +380,8 @@ fn channels(view: &RenderedView, log10: &[f64], field: &UncertaintyField) -> Vec
     ];
     let errors = view.depth_deviation.iter().map(|of_pixels| of_pixels.iter().map(|&s| s as f32).collect());
     channels.extend(errors.map(|errors| ("depth_error.Z", errors)));
+    let confirmed = confirmed.map(|all| all.iter().map(|is| f32::from(u8::from(*is))).collect());
+    channels.extend(confirmed.map(|confirmed| ("depth_confirmed.Z", confirmed)));
     let interval = |factor: f64| {
         let scaled = move |of_pixels: &Vec<f64>| of_pixels.iter().map(|s| (factor * s) as f32).collect();
         view.depth_deviation.iter().map(move |of_pixels| ("depth_interval.Z", scaled(of_pixels)))

@@ -3,6 +3,7 @@
 use crate::Result;
 use crate::cli::panels::{Ranges, depth_range, error_range, view_panels};
 use crate::cli::progress::Bars;
+use crate::evaluate::TrainingViews;
 use crate::geometry::Camera;
 use crate::picture::Panel;
 use crate::render::{Probe, RayAverage, RenderedView, Renderer};
@@ -24,6 +25,8 @@ pub struct Studio<'a> {
     pub average: RayAverage,
     /// Whether depth gets its standard deviation.
     pub depth_error: bool,
+    /// What the model's training cameras see of it, if that is to be told beside the deviation.
+    pub training: Option<TrainingViews>,
     /// Ends of the colour bar of log10 U.
     pub log10: [f64; 2],
     /// Progress, one unit a row of pixels.
@@ -73,6 +76,11 @@ impl Studio<'_> {
     pub fn shown_log10(&self, camera: &Camera, view: &RenderedView) -> Result<Vec<f64>> {
         let unknowns = unknowns(self.space, camera, self.offset, view)?;
         Ok(shown_log10(view, &view.log10_uncertainty[0], &unknowns))
+    }
+
+    /// Whether training cameras confirm the depth of each pixel, `[height · width]`; `None` if that is not to be told.
+    pub fn confirmed(&self, camera: &Camera, view: &RenderedView) -> Option<Vec<bool>> {
+        self.training.as_ref().map(|training| training.confirmed(camera, self.offset, view))
     }
 
     /// Labelled panels of both, one row each.

@@ -6,8 +6,8 @@
 use std::f32::consts::TAU;
 
 use glam::{DVec3, Vec2, Vec3};
+use rand::rngs::ChaCha8Rng;
 use rand::{Rng, RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 
 use super::columns::Columns;
 use super::rig::Rig;

@@ -4,8 +4,8 @@ use std::f64::consts::PI;
 
 use half::f16;
 use minicbor::Encoder;
+use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 
 use super::*;
 use crate::estimate::RaySettings;

@@ -3,8 +3,8 @@
 mod data;
 
 use glam::{DVec3, Quat, Vec3};
+use rand::rngs::ChaCha8Rng;
 use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 
 use super::reference::{Gaussian, gaussians, shown};
 use super::*;

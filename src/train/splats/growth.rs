@@ -6,8 +6,8 @@
 //! nearly transparent go.
 
 use glam::Vec3;
+use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 
 use super::cloud::{LOGIT, MEAN, Row, SCALE, WIDTH, opacity, rotation, three};
 

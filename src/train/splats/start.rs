@@ -8,9 +8,9 @@
 //! distance to the three nearest others.
 
 use glam::{DVec3, Vec3};
+use rand::rngs::ChaCha8Rng;
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use rstar::RTree;
 

@@ -1,6 +1,6 @@
 use glam::{DVec3, Quat, Vec3};
+use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 
 use super::cloud::{LOGIT, MEAN, ROTATION, Row, SCALE, SH, WIDTH, splats};
 use super::picture::Picture;

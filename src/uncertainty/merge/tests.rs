@@ -5,9 +5,9 @@ use std::collections::BTreeMap;
 
 use glam::DVec3;
 use proptest::prelude::*;
+use rand::rngs::ChaCha8Rng;
 use rand::seq::SliceRandom;
 use rand::{Rng, RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 
 use super::*;
 use crate::geometry::{Aabb, Lattice};
