@@ -546,6 +546,7 @@ def render(
     ray_average: str = DEFAULT.ray_average,
     threshold: float | str | None = None,
     depth_error: bool = False,
+    confirm: bool = False,
     box: Any = None,
     background: Any = None,
     march_step: float | None = None,
@@ -561,15 +562,15 @@ def render(
     rendered. u: the model's uncertainty, or None for none. ray_average: how log10 U becomes a pixel's
     ('weighted-mean', 'official', 'at-expected', 'u-spread', 'u-spread-per-root-ray'). threshold: remove density where
     log10 U exceeds this (or, as '99%', what it exceeds on the most certain 99 percent of visible surfaces).
-    depth_error: the standard deviation of depth, too; u must be one of scale='data'. box: for a callable, by default
-    u's.
+    depth_error: the standard deviation of depth, too; u must be one of scale='data'. confirm: where three training
+    cameras see a surface at the pixel's depth, for a model that stores its cameras; do not rely on the deviation
+    elsewhere. Each call renders them all, with at most 128 pixels a side. box: for a callable, by default u's.
 
     Returns float32 arrays: 'color' ``[H, W, 3]``, 'depth' ``[H, W]`` (median distance from the camera, scene units; 0
     where nothing is), 'opacity' ``[H, W]``, with u 'log10_uncertainty' ``[H, W]`` (NaN where the opacity is 0.05 or
     less, or what is seen lies outside the box of u, as in the command line's pictures), and with depth_error
-    'depth_error' ``[H, W]`` (scene units; NaN where nothing is), if the model stores its training cameras
-    'depth_confirmed' ``[H, W]`` (bool: three of them see a surface at that depth; do not rely on the deviation
-    elsewhere) and, if u is calibrated, 'depth_interval' ``[H, W]`` (half width of the interval, scene units).
+    'depth_error' ``[H, W]`` (scene units; NaN where nothing is) and, if u is calibrated, 'depth_interval' ``[H, W]``
+    (half width of the interval, scene units). With confirm also 'depth_confirmed' ``[H, W]``, which is bool.
     Raises as :func:`uncertainty` does.
     """
     u = None if u is None else _field("u", u)
@@ -591,6 +592,7 @@ def render(
         "ray_average": names("ray_average", ray_average)[:1],
         "threshold": threshold,
         "depth_error": flag("depth_error", depth_error),
+        "confirm": flag("confirm", confirm),
     }
     asked = _asked(nerf, box, march_step, batch, u)
     field = None if u is None else u._field

@@ -4,8 +4,10 @@ use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray2};
 use octobayes::estimate::{RaySettings, Subject};
 use octobayes::evaluate::{Reading, ShownModel, TrainingViews};
 use octobayes::geometry::Camera;
+use octobayes::monitor::Monitor;
 use octobayes::render::{DepthVariance, Pixel, Probe, RayAverage, RenderedView};
 use octobayes::uncertainty::{ThresholdedField, UncertaintyField, is_certain, shown_log10, unknowns};
+use octobayes::{Error, Result};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -37,6 +39,7 @@ pub fn render<'py>(
     let field = uncertainty.map(|field| field.get().field.clone());
     let threshold = options.get::<f64>("threshold")?;
     let depth_error = options.or("depth_error", false)?;
+    let confirm = options.or("confirm", false)?;
     let averages = options.ray_averages()?.unwrap_or_else(|| vec![RayAverage::default()]);
     if let Some(field) = &field {
         averages.iter().try_for_each(|&average| Reading::check(field, average)).or_raise()?;
@@ -66,16 +69,11 @@ pub fn render<'py>(
             let offset = settings.offset_of(model);
             engine.monitor().begin("rows", u64::from(camera.resolution[1]));
             let mut view = shown.renderer().image(&camera, offset, probes, &posterior, engine.monitor())?;
-            let known = match model {
-                Subject::Volume(model) if depth_error => model.training_cameras(),
-                _ => &[],
-            };
-            let known: Vec<Camera> = known.iter().map(|named| named.camera).collect();
-            let confirmed = if known.is_empty() {
-                None
-            } else {
-                let training = TrainingViews::render(shown.renderer(), &known, offset, engine.monitor())?;
+            let confirmed = if confirm {
+                let training = training_views(model, &shown, offset, engine.monitor())?;
                 Some(training.confirmed(&camera, offset, &view))
+            } else {
+                None
             };
             let Some(field) = field.as_deref() else { return Ok((view, confirmed)) };
             let unknowns = unknowns(field, &camera, offset, &view)?;
@@ -91,6 +89,19 @@ pub fn render<'py>(
         out.set_item("depth_confirmed", PyArray1::from_vec(py, confirmed).reshape([height, width])?)?;
     }
     Ok(out)
+}
+
+/// What the cameras that a model stores see of what is shown of it.
+fn training_views(model: Subject, shown: &ShownModel, offset: f64, monitor: &dyn Monitor) -> Result<TrainingViews> {
+    let known = match model {
+        Subject::Volume(model) => model.training_cameras(),
+        Subject::Splats(_) => &[],
+    };
+    if known.is_empty() {
+        return Err(Error::setting("confirm", "a model that stores its training cameras", "one that stores none"));
+    }
+    let cameras: Vec<Camera> = known.iter().map(|named| named.camera).collect();
+    TrainingViews::render(shown.renderer(), &cameras, offset, monitor)
 }
 
 /// The arrays of a view, f32; with the half width of a calibrated interval in deviations.

@@ -64,6 +64,7 @@ def test_runs_refuse_what_they_would_not_do(arguments, sentence, courtyard, came
 def test_flags_are_true_or_false(courtyard, cameras, field, tmp_path):
     for job in (
         lambda: ob.render(courtyard, field, cameras[0], depth_error="no", progress=False),
+        lambda: ob.render(courtyard, field, cameras[0], confirm="no", progress=False),
         lambda: ob.merge([field], keep_sums="no"),
         lambda: ob.export(field, tmp_path / "u.ply", courtyard, cameras, mesh="no", progress=False),
         lambda: ob.evaluate(courtyard, field, "x.json", depth=tmp_path, z_depth="no", progress=False),

@@ -219,14 +219,14 @@ def test_depths_are_confirmed_by_the_cameras_that_a_model_stores(desk, monkeypat
     deviation = next(entry for entry in report["readings"] if entry["name"] == "metric block, depth deviation")
     counted = deviation["confirmed"]["share"] * report["pixels"]
     test = "set/transforms_test.json"
-    views = [
-        ob.render("m-0.safetensors", "metric.oct", test, frame=k, depth_error=True, progress=False) for k in range(2)
-    ]
+    views = [ob.render("m-0.safetensors", None, test, frame=k, confirm=True, progress=False) for k in range(2)]
     confirmed = sum(int(view["depth_confirmed"].sum()) for view in views)
     assert all(view["depth_confirmed"].dtype == bool for view in views)
     # The evaluation leaves pixels without a true depth out, and no others.
     assert 0 < counted <= confirmed <= sum(int((view["opacity"] > 0).sum()) for view in views)
-    assert "depth_confirmed" not in ob.render("m-0.safetensors", "metric.oct", test, progress=False)
+    assert "depth_confirmed" not in ob.render("m-0.safetensors", "metric.oct", test, depth_error=True, progress=False)
+    with pytest.raises(ValueError, match="^confirm: expected a model that stores its training cameras, found one that"):
+        ob.render("scene:courtyard", None, test, confirm=True, progress=False)
 
 
 def test_what_is_no_ensemble_is_refused(courtyard, field, tmp_path):

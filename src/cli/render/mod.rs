@@ -16,8 +16,7 @@ use super::progress::Bars;
 use super::streams::tell;
 use crate::dataset::{Frame, Part};
 use crate::estimate::RaySettings;
-use crate::evaluate::Reading;
-use crate::evaluate::TrainingViews;
+use crate::evaluate::{Reading, TrainingViews};
 use crate::field::RadianceField;
 use crate::geometry::{Camera, MAX_PIXELS};
 use crate::io::write_exr;
@@ -194,10 +193,11 @@ impl Args {
                 settings.offset_for_splats()
             }
         };
-        let known = opened.model.field().map_or(&[][..], |model| model.training_cameras());
-        let known: Vec<Camera> = known.iter().map(|named| named.camera).collect();
+        let known = opened.model.field().into_iter().flat_map(RadianceField::training_cameras);
+        let known: Vec<Camera> = known.map(|named| named.camera).collect();
         let is_told = self.depth_error && self.is_exr() && !known.is_empty();
-        let training = is_told.then(|| TrainingViews::render(&*whole, &known, offset, bars)).transpose()?;
+        let shown = left.as_deref().unwrap_or(&*whole);
+        let training = is_told.then(|| TrainingViews::render(shown, &known, offset, bars)).transpose()?;
         let cleaned = left.as_deref().zip(threshold).map(|(left, threshold)| Cleaned { left, threshold, asking });
         let studio = Studio {
             field: field.facts(),
