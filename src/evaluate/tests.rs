@@ -133,7 +133,7 @@ fn depths_that_training_cameras_see_are_confirmed_and_calibrated_by_themselves()
         .iter()
         .map(|eye| evaluator.evaluate(&truth(&ball, &from(*eye)), 0, &Silent).unwrap())
         .collect();
-    let (mut errors, mut deviations, mut all, mut certain) = (Vec::new(), Vec::new(), 0, [0; 2]);
+    let (mut errors, mut deviations, mut all, mut certain) = (Vec::new(), Vec::new(), 0_usize, [0; 2]);
     for (view, eye) in views.iter().zip([DVec3::new(3.0, 0.0, 0.5), DVec3::new(0.0, -3.0, 0.5)]) {
         assert_eq!(view.confirmed.len(), view.pixels.len());
         for (k, &i) in view.pixels.iter().enumerate() {
