@@ -37,7 +37,7 @@ def test_depth_has_an_error_beside_it(metric, courtyard, cameras, field):
     again = ob.render(lambda x, d: courtyard(x, d), metric, cameras[0], depth_error=True, progress=False)
     same = shown & (again["opacity"] > 0.5)
     assert np.median(np.abs(np.log(again["depth_error"][same] / error[same]))) < 0.05
-    with pytest.raises(ValueError, match="in the scale of its data"):
+    with pytest.raises(ValueError, match="scale='data': expected a field computed with it"):
         ob.render(courtyard, field, cameras[0], depth_error=True, progress=False)
 
 

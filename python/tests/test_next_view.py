@@ -115,7 +115,7 @@ def test_views_of_nothing_say_why(courtyard, front, known):
 def test_what_cannot_be_ranked_is_refused_by_name(courtyard, front, known, field):
     poses = around(np.array([1.0]))
     refused = [
-        ({"u": field, "candidates": poses}, "^scale='data': expected a field in the scale of its data"),
+        ({"u": field, "candidates": poses}, "^scale='data': expected a field computed with it"),
         ({}, "^candidates: expected candidates, sphere or orbit, one of them, found none"),
         ({"candidates": poses, "orbit": 3}, "found candidates and orbit"),
         ({"orbit": 3, "upper": True}, "^upper: expected sphere beside it"),

@@ -32,7 +32,7 @@ pub struct Args {
     #[arg(short, long, value_name = "FIELD.oct")]
     output: PathBuf,
 
-    /// Keep the 3x3 matrices in the joined field too; they stay by themselves as long as shards are missing
+    /// Keep the 3x3 matrices in the joined field; always kept while shards are missing
     #[arg(long)]
     keep_sums: bool,
 

@@ -19,7 +19,7 @@ use crate::splats::{Hit, Hits, SplatRenderer, Use};
 const MAX_RETRY_FACTOR: usize = 8;
 /// A camera is inside matter if half the light of half its rays is lost within this many samples.
 const INSIDE_MATTER_SAMPLES: f64 = 4.0;
-/// Share of the rays' weight outside the domain from which it is told.
+/// Warn when more than this share of the rays' weight lies outside the domain.
 const MIN_OUTSIDE_SHARE: f64 = 0.01;
 /// A model is fog if no ray is more opaque than this, and no density is above 1.
 const OPAQUE: f64 = 0.95;

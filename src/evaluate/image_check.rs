@@ -335,6 +335,10 @@ impl ImageCheck {
         }
         let expected =
             format!("images that the model shows with at least {NOTHING:.0} dB; likely causes: {}", self.causes());
-        Err(Error::setting("images beside the cameras", expected, format!("{} (--force insists)", self.measured())))
+        Err(Error::setting(
+            "images beside the cameras",
+            expected,
+            format!("{} (override with --force)", self.measured()),
+        ))
     }
 }

@@ -79,7 +79,7 @@ fn refuse(
     tell: &mut dyn FnMut(Remark),
 ) -> Result<()> {
     if !force {
-        return Err(Error::setting(what, expected, format!("{found}{more} (--force insists)")));
+        return Err(Error::setting(what, expected, format!("{found}{more} (override with --force)")));
     }
     tell(Remark::Warning(Error::setting(what, expected, found).to_string()));
     Ok(())

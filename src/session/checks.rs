@@ -31,8 +31,8 @@ pub fn pixels(views: &Views, pixels: u64, tell: &mut dyn FnMut(Remark)) {
     if views.resolution_source == ResolutionSource::Assumed {
         let [w, h] = views.frames[0].camera.resolution;
         tell(Remark::Warning(format!(
-            "--scale data counts {pixels} training pixels, of images of {w} x {h} that neither model nor cameras vouch \
-             for; with sides k times as long, U of what images constrain would be k times as small"
+            "training images of unknown size: --scale data counts {pixels} training pixels, as for {w} x {h}. \
+             Constrained U is proportional to 1 / width; set the size by --resolution"
         )));
     }
 }

@@ -7,9 +7,9 @@ use crate::evaluate::Remark;
 use crate::io::memory::resident;
 use crate::{Error, Result};
 
-/// A share of the time that is worth a word.
+/// Smallest share of the time by which a part of it is reported.
 const NOTABLE: f64 = 0.95;
-/// A file of this many bytes is worth a word before the run.
+/// Report the size of a file before the run if it has more bytes than this.
 const LARGE_FILE: f64 = 5e7;
 
 /// What a run will need.

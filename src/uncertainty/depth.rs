@@ -41,8 +41,8 @@ impl UncertaintyField {
         let Scale::Data(_) = self.record.scale else {
             return Err(Error::setting(
                 "scale",
-                "a field in the scale of its data, for errors of depth",
-                "the paper's",
+                "a field computed with it, because deviations of depth need scene units",
+                "one in the paper's scale",
             ));
         };
         let scale = self.record.scale.factor(self.record.covariance).powi(2);

@@ -42,8 +42,8 @@ impl UncertaintyField {
     #[doc(hidden)]
     pub fn precision(&self) -> Result<Precision<'_>> {
         let Scale::Data(data) = self.record.scale else {
-            let expected = "a field in the scale of its data, which counts information in pixels";
-            return Err(Error::setting("scale", expected, "the paper's"));
+            let expected = "a field computed with it, which counts information in pixels";
+            return Err(Error::setting("scale", expected, "one in the paper's scale"));
         };
         if self.is_part() {
             let expected = "a whole run, whose parts `merge` joins";

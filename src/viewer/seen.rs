@@ -35,7 +35,7 @@ pub struct SeenRay {
 }
 
 impl SeenRay {
-    /// True if there is density at x, of which `log10` tells log10 U.
+    /// True if there is density at x; `log10` returns log10 U.
     pub fn keeps(&self, x: Vec3, log10: impl Fn(Vec3) -> f64) -> bool {
         self.most == f64::INFINITY || log10(x) <= self.most
     }

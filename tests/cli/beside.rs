@@ -87,7 +87,7 @@ fn images_of_another_scene_are_refused_unless_forced() {
     assert!(is_run && said.starts_with("warning: ") && said.contains("another scene"), "{said}");
     let (code, _, said) =
         outcome(desk.path(), &format!("uncertainty scene:courtyard --cameras cameras.json {RUN} --dry-run"));
-    assert!(code == Some(2) && said.contains("--force insists"), "{said}");
+    assert!(code == Some(2) && said.contains("override with --force"), "{said}");
 }
 
 #[test]

@@ -270,7 +270,10 @@ fn deviations_of_depth_are_calibrated_beside_those_of_the_weights() {
     assert!(width("with.png") > width("without.png"), "one panel more");
     let refused = render("m.oct --depth-error -o no.png");
     let said = String::from_utf8(refused.stderr).unwrap();
-    assert!(refused.status.code() == Some(2) && said.contains("--scale data: expected a field in the scale"), "{said}");
+    assert!(
+        refused.status.code() == Some(2) && said.contains("--scale data: expected a field computed with it"),
+        "{said}"
+    );
 }
 
 /// The interval that calibration gives holds what it should on the views that it was made on, to one pixel; it goes
@@ -344,7 +347,7 @@ fn a_calibrated_interval_holds_its_share_and_goes_with_the_field() {
     // Too few pixels, the paper's scale, and a ray without a model.
     for (args, says) in [
         (format!("{calibrate} --probability 0.99999"), "more pixels of known depth"),
-        (calibrate.replace("data.oct", "m.oct"), "--scale data: expected a field in the scale"),
+        (calibrate.replace("data.oct", "m.oct"), "--scale data: expected a field computed with it"),
         ("query cal.oct --ray 0,0,0,0,0,0 --model m-0.safetensors".into(), "a direction that is not zero"),
         ("query cal.oct --ray 0,0,0,0,0,1".into(), "--model"),
         ("query cal.oct 0,0,0 --model m-0.safetensors".into(), "cannot be used with"),

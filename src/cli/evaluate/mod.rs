@@ -30,10 +30,10 @@ use crate::{Error, Result};
 /// the area under the sparsification error by the official code's procedure: 100 steps, both curves over their
 /// common maximum, trapezoid rule. Only the order of pixels counts, so nothing is normalised per image.
 ///
-/// Several fields, covariances and ray averages share the rendering. The same pixels are ranked by what any field gives
-/// for nothing: the variance and the entropy of the ray's weights, the weights' spread over the number of training
-/// rays, 1 - opacity, the numbers of rays and of those that reached the place, and chance; and, if the model knows its
-/// training cameras, by how many of them see the place, and from how near an angle. With --ensemble they are also
+/// Several fields, covariances and ray averages share the rendering. The table also lists baselines that need no
+/// Hessian: the variance and the entropy of the ray's weights, the weights' spread over the number of training rays,
+/// 1 - opacity, the numbers of rays and of those that reached the place, and chance; and, if the model knows its
+/// training cameras, how many of them see the place, and from how near an angle. With --ensemble they are also
 /// ranked by the disagreement of several models.
 ///
 /// Depth is compared where the true depth is known and the image is fully opaque (alpha 255; images without alpha

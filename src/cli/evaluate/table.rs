@@ -82,9 +82,7 @@ impl Args {
         say!("  without calibration, as Student's t with five degrees of freedom: {predicted:.3} deviations")?;
         let [least, middle, most] = left_out.map(|share| 100.0 * share);
         if conformal.views > 1 {
-            say!(
-                "  a view, calibrated on the others: {least:.1} to {most:.1} % lie within, {middle:.1} % in the middle"
-            )?;
+            say!("  leaving one view out at a time: coverage {least:.1} to {most:.1} %, median {middle:.1} %")?;
         }
         Ok(())
     }

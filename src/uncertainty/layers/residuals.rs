@@ -232,7 +232,7 @@ impl UncertaintyField {
     pub fn with_residuals(mut self, residuals: Residuals) -> Result<Self> {
         let wrong = |expected: &str, found: &str| Err(Error::setting("residuals", expected, found));
         let Scale::Data(_) = self.record.scale else {
-            return wrong("a field in the scale of its data, whose depths have deviations", "the paper's scale");
+            return wrong("a field in the scale of its data, which has deviations of depth", "the paper's scale");
         };
         if residuals.lattice != self.lattice.coarsened(Residuals::LEVEL) {
             return wrong("residuals on the field's lattice", "another");
