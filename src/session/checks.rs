@@ -31,8 +31,8 @@ pub fn pixels(views: &Views, pixels: u64, tell: &mut dyn FnMut(Remark)) {
     if views.resolution_source == ResolutionSource::Assumed {
         let [w, h] = views.frames[0].camera.resolution;
         tell(Remark::Warning(format!(
-            "training images of unknown size: --scale data counts {pixels} training pixels, as for {w} x {h}. \
-             Constrained U is proportional to 1 / width; set the size by --resolution"
+            "the size of the training images is not known: --scale data counts {pixels} training pixels, as for {w} x \
+             {h}. With sides k times as long, constrained U would be k times as small"
         )));
     }
 }
