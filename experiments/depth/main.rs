@@ -205,7 +205,13 @@ fn main() -> Result<()> {
             rows.push(vec![work.row(name, || pretrained::missed(name))?]);
         }
         let text = [misses::coverage(&names, &rows), misses::causes(&names, &rows)];
-        Ok((settings(STEPS, &MISSED_SEEDS), text.join("\n")))
+        let (described, of) = (describe(&rays(), &grid(), &[]), seeds(&MISSED_SEEDS));
+        let settings = format!(
+            "{STEPS} steps; images and held-out pixels as in the parts of meshes, lego, kitchen and pretrained. \
+             {described} {of} Models that others trained: {}",
+            pretrained::settings()
+        );
+        Ok((settings, text.join("\n")))
     })?;
     program.part("correlations", |work| {
         let mut rows = Vec::new();

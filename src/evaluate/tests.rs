@@ -139,9 +139,9 @@ fn depths_that_training_cameras_see_are_confirmed_and_calibrated_by_themselves()
         for (k, &i) in view.pixels.iter().enumerate() {
             let [x, y] = [i % 48, i / 48].map(|n| n as f64 + 0.5);
             let point = from(eye).ray(x, y).at(view.rendered.pixels[i].median_depth);
-            // What the ball itself says, whose middle is the origin. What faces away from a camera by a cosine of 0.3
-            // lies 0.3 behind what that sees. Across a pixel of the camera, 0.02 wide, the depth of what faces it by
-            // 0.8 changes by 0.015, of which half counts; 0.026 is allowed.
+            // The ball answers for itself: its middle is the origin. A surface that faces away from a camera by a
+            // cosine of 0.3 lies 0.3 behind what the camera sees. A surface that faces it by 0.8 has its depth wrong by
+            // at most 0.008, half of what depth changes across a pixel of the camera. The tolerance is 0.026.
             let normal = point.normalize();
             let cosines: Vec<f64> =
                 cameras.iter().map(|camera| normal.dot((camera.position - point).normalize())).collect();

@@ -127,15 +127,14 @@ impl TrainingViews {
         self.views.is_empty()
     }
 
-    /// Whether [`CONFIRMING_VIEWS`] cameras see a surface at the point `x`. A deviation of depth is for such points: it
-    /// knows how far a surface can be moved, and not whether matter that only one image needs is a surface at all.
-    #[must_use]
-    pub fn confirm(&self, x: DVec3) -> bool {
+    /// Whether [`CONFIRMING_VIEWS`] cameras see a surface at the point `x`.
+    fn confirm(&self, x: DVec3) -> bool {
         self.sighting(x, x).agreeing >= CONFIRMING_VIEWS
     }
 
-    /// The same for each pixel of a camera's view at its median depth, `[height · width]`; false where nothing is
-    /// shown.
+    /// Whether [`CONFIRMING_VIEWS`] cameras see a surface at a pixel's median depth, for each pixel of a camera's view,
+    /// `[height · width]`; false where nothing is shown. A deviation of depth is for such pixels: it knows how far a
+    /// surface can be moved, and not whether matter that only one image needs is a surface at all.
     #[must_use]
     pub fn confirmed(&self, camera: &Camera, pixel_offset: f64, view: &RenderedView) -> Vec<bool> {
         let width = camera.resolution[0] as usize;

@@ -66,7 +66,8 @@ pub struct EvaluatedView {
     pub spread: Vec<f64>,
     /// `[n]`: whether no training camera saw the true surface; empty if that is not known.
     pub never_seen: Vec<bool>,
-    /// `[n]`: whether training cameras [confirm](TrainingViews::confirm) the median depth; empty if they are not known.
+    /// `[n]`: whether training cameras [confirm](TrainingViews::confirmed) the median depth; empty if they are not
+    /// known.
     pub confirmed: Vec<bool>,
     /// Pixels with a true depth where the model shows nothing. They are left out,
     /// because there is no depth to compare.
@@ -180,10 +181,8 @@ impl<'a> Evaluator<'a> {
         let sighting = |training: &TrainingViews, i: usize| training.sighting(hit(i).as_dvec3(), camera.position);
         let sightings: Vec<Sighting> =
             self.training.iter().flat_map(|training| pixels.iter().map(|&i| sighting(training, i))).collect();
-        let is_confirmed =
-            |training: &TrainingViews, i: usize| training.confirm(at(i, rendered.pixels[i].median_depth));
-        let confirmed: Vec<bool> =
-            self.training.iter().flat_map(|training| pixels.iter().map(|&i| is_confirmed(training, i))).collect();
+        let confirmed = self.training.map(|training| training.confirmed(camera, offset, &rendered));
+        let confirmed: Vec<bool> = confirmed.iter().flat_map(|all| pixels.iter().map(|&i| all[i])).collect();
         let spread = |i: usize| rendered.spread[i];
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let mut readings = rendered.log10_uncertainty.iter();
