@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import shlex
 import signal
 import subprocess
@@ -105,17 +106,33 @@ def process_of(array: str, task: int) -> int | None:
     return None
 
 
+def processor_seconds(process: int) -> float:
+    """What a process has used: fields 14 and 15 of its stat, counted behind the name (field 2) in parentheses."""
+    fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def measured(*words: str, cwd: Path) -> tuple[str, float]:
+    """Runs a command that must succeed; what it prints, and its processor seconds."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    printed = run(*words, cwd=cwd)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return printed, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
 def main() -> None:
     folder = Path(sys.argv[1], "a run")
     folder.mkdir(parents=True)
     cluster = Cluster(folder)
-    start = time.monotonic()
-    run(PROGRAM, "uncertainty", *RUN, "-o", "single.oct", cwd=folder)
-    say(f"the single run took {time.monotonic() - start:.1f} s")
-
-    needs = json.loads(run(PROGRAM, "uncertainty", *RUN, "--shard", f"0/{SHARDS}", "--dry-run", "--json", cwd=folder))
-    say(f"a shard needs {needs}")
+    _, single = measured(PROGRAM, "uncertainty", *RUN, "-o", "single.oct", cwd=folder)
+    shard = ["--shard", f"0/{SHARDS}", "--dry-run", "--json"]
+    printed, before_rays = measured(PROGRAM, "uncertainty", *RUN, *shard, cwd=folder)
+    say(f"the single run took {single:.1f} processor seconds, {before_rays:.1f} of them before its rays")
+    needs = json.loads(printed)
+    say(f"a shard needs {needs['peak_bytes'] / 1e6:.0f} MB")
     assert needs["peak_bytes"] < 512e6, "what REQUESTS asks for"
+    # Processor time, because beside other work a process may have got next to none in any number of seconds.
+    under_way = before_rays + (single - before_rays) / SHARDS / 3
     parts = folder / "parts"
     part = [parts / f"{i}.oct" for i in range(SHARDS)]
 
@@ -131,9 +148,10 @@ def main() -> None:
         cluster.wait_until_queued_again(f"{array}_{task}")
     assert not part[0].exists() and not part[1].exists(), "they were killed under way"
     cluster.wait("task 2 computes", lambda: process_of(array, 2))
-    time.sleep(1.5)  # It has drawn some rays.
+    task = process_of(array, 2)
+    cluster.wait("task 2 has drawn a third of its rays", lambda: processor_seconds(task) > under_way)
     # Slurm looks at the time every half minute; until then the process stands still. SIGCONT comes with SIGTERM.
-    os.kill(process_of(array, 2), signal.SIGSTOP)
+    os.kill(task, signal.SIGSTOP)
     cluster.update(f"{array}_2", "TimeLimit=1")
     cluster.wait_until_queued_again(f"{array}_2")
     assert "rays; the same command goes on" in (folder / "2.log").read_text(), "it saved its state"
