@@ -5,8 +5,8 @@
 
 use super::{Cell, CellTree};
 
-/// Levels that the table jumps over: 1 MB.
-const JUMP: u8 = 6;
+/// Most levels that the table jumps over. It then takes 8 MB.
+const MOST_JUMP: u8 = 7;
 
 /// Where the way to a point goes on, in two bits for the kind and 30 for a number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -80,7 +80,8 @@ impl LeafTable {
             }
         }
         leaves += 8 * split.last().map_or(0, Vec::len);
-        let jump = JUMP.min(finest.saturating_sub(2));
+        // The table has no more cells than there are leaves: 4 bytes for the 64 of a leaf's values.
+        let jump = (leaves.ilog2() as u8 / 3).min(MOST_JUMP).min(finest.saturating_sub(2));
         let mut table = Self { finest, jump, table: Vec::new(), nodes, leaves: count(leaves) };
         let side = 1_u32 << jump;
         let corner = |i: u32| [i % side, i / side % side, i / side / side].map(|i| i << (finest - jump));
@@ -188,7 +189,7 @@ mod tests {
 
     #[test]
     fn leaves_below_the_table_are_found() {
-        // One cell of level 9, three levels below the table.
+        // One cell of level 9; its few leaves make a small table.
         let octree = Octree::refined(9, [Cell { level: 9, index: [300, 5, 511] }]);
         let table = LeafTable::new(octree.cells());
         let mut found = vec![false; table.len()];
