@@ -116,19 +116,21 @@ impl RayCoverage {
     /// Adds rays.
     pub fn add(&mut self, batches: &[RaySamples]) {
         let lattice = &self.lattice;
-        let visited = |batch: &RaySamples| {
-            let mut cells = Vec::new();
-            for line in &batch.sight {
+        // Each thread counts by itself. Counts of one call are far from what a u32 holds.
+        let counted = |batches: &[RaySamples]| {
+            let mut counts = vec![0_u32; self.counts.len()];
+            for line in batches.iter().flat_map(|batch| &batch.sight) {
                 match lattice.domain() {
-                    Domain::Box(_) => along_straight(lattice, line, |cell| cells.push(cell)),
-                    Domain::Contracted { .. } => along_curved(lattice, line, |cell| cells.push(cell)),
+                    Domain::Box(_) => along_straight(lattice, line, |cell| counts[cell] += 1),
+                    Domain::Contracted { .. } => along_curved(lattice, line, |cell| counts[cell] += 1),
                 }
             }
-            cells
+            counts
         };
-        let visited: Vec<Vec<usize>> = batches.par_iter().map(visited).collect();
-        for cell in visited.into_iter().flatten() {
-            self.counts[cell] = self.counts[cell].saturating_add(1);
+        let share = batches.len().div_ceil(rayon::current_num_threads()).max(1);
+        let counted: Vec<Vec<u32>> = batches.par_chunks(share).map(counted).collect();
+        for counts in counted {
+            self.counts.iter_mut().zip(counts).for_each(|(sum, count)| *sum = sum.saturating_add(count));
         }
     }
 }
@@ -169,28 +171,55 @@ fn along_straight(lattice: &Lattice, line: &VisibleSegment, mut visit: impl FnMu
     let last = i64::from(lattice.cells_per_axis()) - 1;
     let [origin, direction] = [line.ray.origin - bounds.min(), line.ray.direction].map(|v| (v * scale).to_array());
     let start = [0, 1, 2].map(|axis| origin[axis] + enter * direction[axis]);
-    let mut cell = start.map(|u| (u as i64).clamp(0, last));
-    let step = direction.map(|d| if d < 0.0 { -1 } else { 1 });
-    // Distance along the ray between two planes of an axis, and to its next plane.
-    let between = direction.map(|d| 1.0 / d.abs());
-    let mut next = [0, 1, 2].map(|axis| match direction[axis] {
-        0.0 => f64::INFINITY,
-        d => ((cell[axis] + i64::from(d > 0.0)) as f64 - origin[axis]) / d,
+    let cell = start.map(|u| (u as i64).clamp(0, last));
+    let mut place = index(lattice, cell.map(|i| i as u32));
+    let [mut x, mut y, mut z] = [0, 1, 2].map(|axis| {
+        let (d, i) = (direction[axis], cell[axis]);
+        let stride = 1 << ((2 - axis) * usize::from(lattice.level()));
+        Crossing {
+            next: if d == 0.0 { f64::INFINITY } else { ((i + i64::from(d > 0.0)) as f64 - origin[axis]) / d },
+            between: 1.0 / d.abs(),
+            stride: if d < 0.0 { -stride } else { stride },
+            left: if d < 0.0 { i } else { last - i },
+        }
     });
     loop {
-        visit(index(lattice, cell.map(|i| i as u32)));
-        let axis = if next[0] <= next[1] && next[0] <= next[2] {
-            0
-        } else if next[1] <= next[2] {
-            1
+        visit(place);
+        // Each arm for itself: through a reference to the axis, all of them would live in memory.
+        let stride = if x.next <= y.next && x.next <= z.next {
+            x.pass(exit)
+        } else if y.next <= z.next {
+            y.pass(exit)
         } else {
-            2
+            z.pass(exit)
         };
-        cell[axis] += step[axis];
-        if next[axis] >= exit || !(0..=last).contains(&cell[axis]) {
-            return;
+        let Some(stride) = stride else { return };
+        place = place.wrapping_add_signed(stride);
+    }
+}
+
+/// A line's crossings of the planes of an axis.
+struct Crossing {
+    /// Distance along the ray to the next plane.
+    next: f64,
+    /// Distance between two planes.
+    between: f64,
+    /// How far the next cell is in the array of counts.
+    stride: isize,
+    /// Cells that follow in the grid.
+    left: i64,
+}
+
+impl Crossing {
+    /// Passes the next plane, unless the line or the grid ends before it; how far the next cell is then.
+    #[inline(always)]
+    fn pass(&mut self, exit: f64) -> Option<isize> {
+        if self.next >= exit || self.left == 0 {
+            return None;
         }
-        next[axis] += between[axis];
+        self.next += self.between;
+        self.left -= 1;
+        Some(self.stride)
     }
 }
 
