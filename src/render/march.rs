@@ -5,7 +5,7 @@
 //! their places, so skipping moves none of them.
 
 use super::Occupancy;
-use super::occupancy::{SkipBlock, Space};
+use super::occupancy::{Crossings, SkipBlock, Space};
 use crate::geometry::{Aabb, Ray};
 
 /// Places samples along rays.
@@ -38,7 +38,21 @@ impl Marcher {
         // Thin fog adds up. No ray through the box is longer than its diagonal.
         let least = (self.cutoff / self.bounds.size().length()) as f32;
         let known = if self.occupancy.is_none() { steps } else { 0 };
-        SampleDistances { marcher: self, ray: *ray, jitter, entry, exit, steps, least, k: 0, known }
+        let crossings = self.occupancy.as_ref().map(|occupancy| occupancy.crossings(ray)).unwrap_or_default();
+        let per_step = 1.0 / self.step;
+        SampleDistances {
+            marcher: self,
+            ray: *ray,
+            jitter,
+            entry,
+            exit,
+            steps,
+            least,
+            k: 0,
+            known,
+            crossings,
+            per_step,
+        }
     }
 
     /// Density bound at a point; ∞ without an occupancy grid.
@@ -63,6 +77,9 @@ pub struct SampleDistances<'a> {
     k: u64,
     /// All candidates before this one are samples.
     known: u64,
+    crossings: Crossings,
+    /// Steps per scene unit.
+    per_step: f64,
 }
 
 impl SampleDistances<'_> {
@@ -75,7 +92,8 @@ impl SampleDistances<'_> {
     fn behind(&self, block: SkipBlock, occupancy: &Occupancy) -> u64 {
         // Cell indices are monotone along a ray: if a later candidate is in the block, so are those between.
         // Division finds the last one. Rounding may put it just behind the block's face; then it is the one before.
-        let last = ((occupancy.exit(&self.ray, block) - self.entry) / self.marcher.step - self.jitter) as u64;
+        let exit = Occupancy::exit(&self.crossings, block);
+        let last = ((exit - self.entry) * self.per_step - self.jitter) as u64;
         let mut lasts = [last, last.saturating_sub(1)].into_iter().map(|last| last.min(self.steps - 1));
         let inside = |k: u64| k > self.k && occupancy.is_in(self.ray.at(self.place(k)), block);
         lasts.find(|&k| inside(k)).unwrap_or(self.k) + 1

@@ -4,10 +4,12 @@ mod bounded;
 mod pyramid;
 mod sampled;
 
+use std::sync::OnceLock;
+
 use glam::DVec3;
 
 use self::bounded::Bounder;
-use self::pyramid::{BRICK, Pyramid, blocks};
+use self::pyramid::{Above, BRICK, Pyramid, blocks};
 use crate::Result;
 use crate::field::RadianceField;
 use crate::geometry::{Aabb, Ray};
@@ -28,6 +30,8 @@ pub struct Occupancy {
     per_unit: DVec3,
     /// σ̂, 1 / scene unit.
     majorant: Pyramid,
+    /// Marks of the cells above the density that was asked for first.
+    above: OnceLock<Above>,
     /// True if the field bounded all of it, so that nothing was sampled.
     is_certain: bool,
 }
@@ -37,6 +41,13 @@ pub struct Occupancy {
 pub(super) struct SkipBlock {
     cell: [usize; 3],
     level: usize,
+}
+
+/// Distances along a ray to the planes between cells: of plane i of an axis, `origin + i · per_cell`.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Crossings {
+    origin: DVec3,
+    per_cell: DVec3,
 }
 
 /// The space around a point, compared with a density.
@@ -86,6 +97,7 @@ impl Occupancy {
             resolution,
             per_unit: resolution as f64 / bounds.size(),
             majorant: Pyramid::new(resolution, bricks),
+            above: OnceLock::new(),
             is_certain,
         })
     }
@@ -112,16 +124,16 @@ impl Occupancy {
     /// Compares σ̂ at a point with `density`, and returns the block within which the result is valid.
     pub(super) fn space(&self, x: DVec3, density: f32) -> Space {
         let Some(cell) = self.cell(x) else { return Space::Outside };
-        let low = |level: usize| level < self.majorant.levels() && self.majorant.value(level, cell) <= density;
-        // Most of space is far from everything, so its bricks are low.
-        match [BRICK, 0].into_iter().find(|&level| low(level)) {
-            Some(mut level) => {
-                while low(level + 1) {
-                    level += 1;
-                }
-                Space::Low(SkipBlock { cell, level })
-            }
-            None => Space::Matter(SkipBlock { cell, level: if self.majorant.is_uniform(cell) { BRICK } else { 0 } }),
+        // The rays of a run all ask for the same density.
+        let above = self.above.get_or_init(|| self.majorant.above(density));
+        let found = if above.density() == density {
+            self.majorant.largest_low(above, cell)
+        } else {
+            self.majorant.largest_low_by_values(density, cell)
+        };
+        match found {
+            Ok(level) => Space::Low(SkipBlock { cell, level }),
+            Err(level) => Space::Matter(SkipBlock { cell, level }),
         }
     }
 
@@ -131,16 +143,23 @@ impl Occupancy {
         self.cell(x).is_some_and(same)
     }
 
-    /// Distance at which a ray that is in the block leaves it, up to rounding.
-    pub(super) fn exit(&self, ray: &Ray, block: SkipBlock) -> f64 {
-        let edge = 1.0 / self.per_unit;
+    /// Where a ray crosses the faces of cells.
+    pub(super) fn crossings(&self, ray: &Ray) -> Crossings {
+        let per_cell = 1.0 / (ray.direction * self.per_unit);
+        Crossings { origin: (self.bounds.min() - ray.origin) / ray.direction, per_cell }
+    }
+
+    /// Distance at which a ray with these crossings that is in the block leaves it, up to rounding.
+    #[inline]
+    pub(super) fn exit(crossings: &Crossings, block: SkipBlock) -> f64 {
         let mut exit = f64::INFINITY;
         for axis in 0..3 {
-            let direction = ray.direction[axis];
-            if direction != 0.0 {
-                let face = ((block.cell[axis] >> block.level) + usize::from(direction > 0.0)) << block.level;
-                let at = self.bounds.min()[axis] + face as f64 * edge[axis];
-                exit = exit.min((at - ray.origin[axis]) / direction);
+            let per_cell = crossings.per_cell[axis];
+            let face = ((block.cell[axis] >> block.level) + usize::from(per_cell > 0.0)) << block.level;
+            // NaN and ∞ along an axis that the ray does not move along: the other axes decide.
+            let at = crossings.origin[axis] + face as f64 * per_cell;
+            if at < exit {
+                exit = at;
             }
         }
         exit
@@ -180,7 +199,7 @@ impl Occupancy {
     /// Bytes on the heap.
     #[must_use]
     pub fn memory(&self) -> usize {
-        self.majorant.memory()
+        self.majorant.memory() + self.above.get().map_or(0, Above::memory)
     }
 }
 

@@ -25,6 +25,45 @@ pub struct Pyramid {
     tops: Vec<Vec<f32>>,
 }
 
+/// The cells whose value exceeds a density: 64 bytes for a brick, one line of the cache.
+#[derive(Debug, Clone)]
+pub struct Above {
+    density: f32,
+    /// Of the bricks with several values: a word for each x, with bit 8 y + z.
+    bricks: Vec<[u64; EDGE]>,
+}
+
+impl Above {
+    /// The density.
+    pub fn density(&self) -> f32 {
+        self.density
+    }
+
+    /// Bytes on the heap.
+    pub fn memory(&self) -> usize {
+        size_of_val(self.bricks.as_slice())
+    }
+
+    /// The level of the largest block around a cell of a brick without a marked cell; `None` if it is marked itself.
+    #[inline]
+    fn largest_low(&self, brick: usize, [x, y, z]: [usize; 3]) -> Option<usize> {
+        let rows = &self.bricks[brick];
+        if rows[x] >> (EDGE * y + z) & 1 == 1 {
+            return None;
+        }
+        let pair = rows[x & !1] | rows[x | 1];
+        if pair & 0x0303 << (EDGE * (y & !1) + (z & !1)) != 0 {
+            return Some(0);
+        }
+        let four = pair | rows[(x & !1) ^ 2] | rows[(x | 1) ^ 2];
+        if four & 0x0f0f_0f0f << (EDGE * (y & 4) + (z & 4)) != 0 {
+            return Some(1);
+        }
+        let all = rows.iter().fold(0, |any, row| any | row);
+        Some(if all == 0 { BRICK } else { 2 })
+    }
+}
+
 /// Number of blocks of `level` along an axis of `cells` cells.
 pub fn blocks(cells: usize, level: usize) -> usize {
     cells.div_ceil(1 << level)
@@ -80,8 +119,53 @@ impl Pyramid {
         }
     }
 
+    /// Marks the cells whose value exceeds `density`.
+    pub fn above(&self, density: f32) -> Above {
+        let brick = |values: &[f32]| {
+            let row = |x: usize| {
+                let cells = &values[x * EDGE * EDGE..][..EDGE * EDGE];
+                cells.iter().enumerate().fold(0, |row, (i, &value)| row | u64::from(value > density) << i)
+            };
+            std::array::from_fn(row)
+        };
+        Above { density, bricks: self.detail.chunks_exact(OFFSETS[BRICK]).map(brick).collect() }
+    }
+
+    /// The level of the largest block around a cell in which no value exceeds the density of `above`; `Err` if the
+    /// cell's does, with the level of a block in which all do.
+    #[inline]
+    pub fn largest_low(&self, above: &Above, cell: [usize; 3]) -> Result<usize, usize> {
+        let [x, y, z] = cell.map(|i| i >> BRICK);
+        let n = blocks(self.cells, BRICK);
+        let block = (x * n + y) * n + z;
+        if let Some(brick) = self.detail_of[block] {
+            let level = above.largest_low(brick as usize, cell.map(|i| i & (EDGE - 1))).ok_or(0_usize)?;
+            if level < BRICK {
+                return Ok(level);
+            }
+        } else if self.tops[0][block] > above.density {
+            return Err(BRICK);
+        }
+        Ok(self.largest_low_from(BRICK, above.density, cell))
+    }
+
+    /// The same as [`Pyramid::largest_low`] from the values, for any density.
+    pub fn largest_low_by_values(&self, density: f32, cell: [usize; 3]) -> Result<usize, usize> {
+        if self.value(0, cell) > density {
+            return Err(if self.is_uniform(cell) { BRICK } else { 0 });
+        }
+        Ok(self.largest_low_from(0, density, cell))
+    }
+
+    /// The level of the largest block around a cell without a value above `density`, given that the block of `level` is
+    /// one.
+    fn largest_low_from(&self, level: usize, density: f32, cell: [usize; 3]) -> usize {
+        let low = |level: usize| level < self.levels() && self.value(level, cell) <= density;
+        (level..).find(|level| !low(level + 1)).unwrap_or(level)
+    }
+
     /// Returns true if all cells of the brick around a cell share one value.
-    pub fn is_uniform(&self, cell: [usize; 3]) -> bool {
+    fn is_uniform(&self, cell: [usize; 3]) -> bool {
         let [x, y, z] = cell.map(|i| i >> BRICK);
         let n = blocks(self.cells, BRICK);
         self.detail_of[(x * n + y) * n + z].is_none()
@@ -139,6 +223,14 @@ mod tests {
                         }
                     }
                     prop_assert_eq!(pyramid.value(level, cell), maximum, "level {} at {:?}", level, cell);
+                }
+            }
+            for density in [0.0, 4.0, 5.0, 10.0] {
+                let above = pyramid.above(density);
+                for i in 0..n * n * n {
+                    let cell = [i / (n * n), i / n % n, i % n];
+                    let expected = pyramid.largest_low_by_values(density, cell);
+                    prop_assert_eq!(pyramid.largest_low(&above, cell), expected, "{} at {:?}", density, cell);
                 }
             }
         }
