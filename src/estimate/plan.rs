@@ -16,7 +16,6 @@ use crate::monitor::Monitor;
 use crate::octree::{MaxLevels, Tile};
 use crate::posterior::{
     AT_ONCE, CONTRIBUTION_BYTES, DensePosterior, FactoredSums, Needs, PilotCounts, SpeciesEstimate, VertexSums,
-    spare_bytes,
 };
 use crate::rays::{Purpose, RayStream, RunProgress, Shard};
 use crate::splats::Use;
@@ -249,12 +248,12 @@ impl Planner {
         };
         let (vertices, summing, spare) = match self.settings.grid {
             GridKind::Dense => {
-                (self.lattice.dense_vertices() as f64, DensePosterior::required_memory(&self.lattice) as f64, 0)
+                (self.lattice.dense_vertices() as f64, DensePosterior::required_memory(&self.lattice) as f64, 0.0)
             }
             GridKind::Octree => {
-                let Needs { summing, sums, vertices } = self.census.needs(self.own_scale, &limits, self.settings.tile);
+                let Needs { summing, spare, vertices } = self.census.needs(self.own_scale, &limits, self.settings.tile);
                 let Correction { sums: of_sums, vertices: of_vertices } = self.correction;
-                (of_vertices * vertices, of_sums * summing, spare_bytes((of_sums * sums) as usize))
+                (of_vertices * vertices, of_sums * summing, spare)
             }
         };
         let [structure, stored] = if self.settings.grid == GridKind::Dense { [0.0; 2] } else { STRUCTURE };
@@ -276,7 +275,7 @@ impl Planner {
             vertices_unlimited: self.correction.vertices * self.vertices_unlimited,
             summing,
             finishing: vertices * (VALUES + structure + f64::max(building, gathered as f64)),
-            spare: spare as f64,
+            spare,
             outside,
             file: vertices * (VALUES + stored + in_file) + 12.0 * SURFACE_POINTS as f64,
             time: self.time,

@@ -6,7 +6,7 @@
 //! finest lattice that level is.
 
 use crate::octree::morton;
-use crate::posterior::VertexSums;
+use crate::posterior::Information;
 
 /// Partitions: enough to keep many cores busy, few enough that their lists stay long.
 const PARTITION_BITS: u32 = 6;
@@ -107,7 +107,7 @@ impl BlockCode {
 #[derive(Clone, Copy)]
 pub struct Contribution {
     pub key: VertexKey,
-    pub sums: VertexSums,
+    pub information: Information,
 }
 
 /// The contributions of a batch of rays, by partition, each in ray order.
@@ -121,8 +121,8 @@ impl Contributions {
 
     /// Appends a contribution of the current ray or the next one.
     #[inline(always)]
-    pub fn push(&mut self, key: VertexKey, sums: VertexSums) {
-        self.0[key.partition()].push(Contribution { key, sums });
+    pub fn push(&mut self, key: VertexKey, information: Information) {
+        self.0[key.partition()].push(Contribution { key, information });
     }
 
     /// Keeps the contributions to some vertices.

@@ -17,6 +17,7 @@
 mod census;
 mod cuts;
 mod key;
+mod pages;
 mod pilot_counts;
 mod refine;
 mod scattered;
@@ -42,7 +43,6 @@ use crate::geometry::Lattice;
 use crate::octree::{Leaves, MaxLevels, Octree, Tile, coarseness};
 use crate::render::RaySamples;
 
-pub(crate) use sparse::spare_bytes;
 /// Bytes of one ray's contribution to one vertex, before it is summed.
 pub(crate) const CONTRIBUTION_BYTES: usize = size_of::<key::Contribution>();
 
@@ -129,7 +129,7 @@ impl OctreePosterior {
         for (ray, samples) in batch.iter() {
             let all = self.contributions_of(batch, std::iter::once(samples));
             touched.clear();
-            touched.extend(all.iter().map(|added| (added.key.point(), added.sums)));
+            touched.extend(all.iter().map(|added| (added.key.point(), VertexSums::new(added.information, 1))));
             visit(ray, &touched);
         }
     }

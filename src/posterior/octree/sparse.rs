@@ -10,17 +10,18 @@
 use std::hint::black_box;
 use std::ops::AddAssign;
 
-use bytemuck::{cast_slice, from_bytes, from_bytes_mut};
-use memmap2::MmapMut;
+use bytemuck::{Pod, Zeroable};
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
 use super::key::{BlockCode, Contribution, Contributions, PARTITIONS, VertexKey};
+use super::pages::PagedList;
 use crate::posterior::VertexSums;
 
 /// Where the eight parts of something are in a list of its partition: a block's bricks, or the sums of a brick's
 /// vertices.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable)]
+#[repr(transparent)]
 struct Slots([u32; 8]);
 
 impl Slots {
@@ -44,14 +45,17 @@ impl Slots {
     }
 }
 
-/// Expected bytes of a brick: itself, in a list that doubles when it is full, and its part of the table of blocks,
-/// which have two to four bricks.
-pub const BRICK_BYTES: f64 = (size_of::<Slots>() + 11 + 20) as f64;
+/// Bytes of a brick.
+pub const BRICK_BYTES: f64 = size_of::<Slots>() as f64;
+/// Expected bytes of its part of the table of blocks, which have two to four bricks.
+pub const BLOCK_BYTES: f64 = 20.0;
 
-/// Expected bytes that are not used beside sums of `bytes` bytes, in chunks and pages that are not yet full: half of
-/// one in every partition.
-pub fn spare_bytes(bytes: usize) -> usize {
-    PARTITIONS * expected_spare(bytes / PARTITIONS)
+/// Expected bytes that are not used yet beside so many bytes of sums and of bricks.
+pub fn spare_bytes(sums: f64, bricks: f64) -> f64 {
+    let of_lists =
+        |bytes: f64, expected: fn(usize) -> usize| PARTITIONS * expected((bytes / PARTITIONS as f64) as usize);
+    (of_lists(sums, PagedList::<VertexSums>::expected_spare) + of_lists(bricks, PagedList::<Slots>::expected_spare))
+        as f64
 }
 
 /// Number of contributions whose slots are looked up before the first of them is added.
@@ -61,9 +65,9 @@ const AHEAD: usize = 32;
 #[derive(Debug, Clone, Default)]
 struct Partition {
     blocks: FxHashMap<BlockCode, Slots>,
-    bricks: Vec<Slots>,
+    bricks: PagedList<Slots>,
     /// In the order in which rays first touched their vertices.
-    sums: SumsList,
+    sums: PagedList<VertexSums>,
 }
 
 impl Partition {
@@ -76,17 +80,17 @@ impl Partition {
             for run in some.chunk_by(|a, b| a.key.block() == b.key.block()) {
                 let block = self.blocks.entry(run[0].key.block()).or_insert(Slots::EMPTY);
                 for (c, slot) in run.iter().zip(&mut next) {
-                    *slot = block.slot(c.key.brick_in_block(), || empty(&mut self.bricks));
+                    *slot = block.slot(c.key.brick_in_block(), || self.bricks.push(Slots::EMPTY));
                 }
             }
             // Touches all of them first, here and below, so that their cache misses overlap.
-            black_box(slots.iter().fold(0, |any, &slot| any | self.bricks[slot as usize].0[0]));
+            black_box(slots.iter().fold(0, |any, &slot| any | self.bricks.get(slot).0[0]));
             for (c, slot) in some.iter().zip(&mut *slots) {
-                *slot = self.bricks[*slot as usize].slot(c.key.in_brick(), || self.sums.push());
+                *slot = self.bricks.get_mut(*slot).slot(c.key.in_brick(), || self.sums.push(VertexSums::default()));
             }
             black_box(slots.iter().fold(0, |any, &slot| any | self.sums.get(slot).rays));
             for (c, &slot) in some.iter().zip(&*slots) {
-                *self.sums.get_mut(slot) += &c.sums;
+                self.sums.get_mut(slot).add_ray(&c.information);
             }
         }
     }
@@ -94,14 +98,14 @@ impl Partition {
     /// The sums of a vertex, made if they are new.
     fn vertex(&mut self, key: VertexKey) -> &mut VertexSums {
         let block = self.blocks.entry(key.block()).or_insert(Slots::EMPTY);
-        let brick = block.slot(key.brick_in_block(), || empty(&mut self.bricks));
-        let slot = self.bricks[brick as usize].slot(key.in_brick(), || self.sums.push());
+        let brick = block.slot(key.brick_in_block(), || self.bricks.push(Slots::EMPTY));
+        let slot = self.bricks.get_mut(brick).slot(key.in_brick(), || self.sums.push(VertexSums::default()));
         self.sums.get_mut(slot)
     }
 
     /// The vertices of a block: number in it, slot of their sums.
     fn members(&self, block: Slots) -> impl Iterator<Item = (usize, u32)> {
-        block.parts().flat_map(|(b, brick)| self.bricks[brick as usize].parts().map(move |(i, slot)| (8 * b + i, slot)))
+        block.parts().flat_map(|(b, brick)| self.bricks.get(brick).parts().map(move |(i, slot)| (8 * b + i, slot)))
     }
 
     /// All vertices with the slots of their sums, block by block.
@@ -125,15 +129,9 @@ impl Partition {
     fn memory(&self) -> usize {
         // hashbrown has one control byte and one pair per bucket; one bucket in eight stays empty.
         self.sums.memory()
-            + self.bricks.capacity() * size_of::<Slots>()
+            + self.bricks.memory()
             + self.blocks.capacity() * 8 / 7 * (1 + size_of::<(BlockCode, Slots)>())
     }
-}
-
-/// Appends a brick without vertices and returns its slot.
-fn empty(bricks: &mut Vec<Slots>) -> u32 {
-    bricks.push(Slots::EMPTY);
-    (bricks.len() - 1) as u32
 }
 
 /// The sums at all vertices that rays touched.
@@ -224,9 +222,9 @@ impl SparseSums {
         self.partitions.iter().map(Partition::memory).sum()
     }
 
-    /// Of these, the bytes that no sums use yet.
+    /// Of these, the bytes that nothing uses yet.
     pub fn spare(&self) -> usize {
-        self.partitions.iter().map(|partition| partition.sums.spare()).sum()
+        self.partitions.iter().map(|partition| partition.sums.spare() + partition.bricks.spare()).sum()
     }
 }
 
@@ -247,8 +245,11 @@ impl<'a> Reader<'a> {
             self.code = Some(key.block());
             self.block = self.partition.blocks.get(&key.block()).copied().unwrap_or(Slots::EMPTY);
         }
-        let brick = self.partition.bricks.get(self.block.0[key.brick_in_block()] as usize)?;
-        let slot = brick.0[key.in_brick()];
+        let brick = self.block.0[key.brick_in_block()];
+        if brick == Slots::NONE {
+            return None;
+        }
+        let slot = self.partition.bricks.get(brick).0[key.in_brick()];
         (slot != Slots::NONE).then(|| self.partition.sums.get(slot))
     }
 }
@@ -262,130 +263,6 @@ impl AddAssign<&Self> for SparseSums {
             }
         });
     }
-}
-
-/// Sums per chunk, which takes 56 KiB.
-const CHUNK: usize = 1024;
-/// Chunks that come from the heap.
-const CHUNKS: usize = 64;
-/// Sums that they hold, 3.7 MB.
-const SMALL: usize = CHUNKS * CHUNK;
-/// Sums in each mapping that holds those beyond: seven pages of 2 MiB.
-const MAPPED: usize = 1 << 18;
-/// Bytes of a large page.
-const PAGE: usize = 2 << 20;
-
-/// Expected bytes that are unused at the end of a list with sums of `bytes` bytes: half a chunk, or half a large page.
-pub fn expected_spare(bytes: usize) -> usize {
-    if bytes > SMALL * size_of::<VertexSums>() { PAGE / 2 } else { CHUNK * size_of::<VertexSums>() / 2 }
-}
-
-/// Sums, one after the other.
-///
-/// The first come from the heap, chunk by chunk. Those beyond lie in mappings of their own, for which the system is
-/// asked for pages of 2 MiB: access is random, and with pages of 4 KiB clearing and finding them took a quarter of a
-/// run at fine levels. What was never touched takes no memory (on Linux).
-#[derive(Debug, Default)]
-pub struct SumsList {
-    chunks: Vec<Box<[VertexSums; CHUNK]>>,
-    mapped: Vec<MmapMut>,
-    len: usize,
-}
-
-impl SumsList {
-    pub fn len(&self) -> usize {
-        self.len
-    }
-
-    /// Appends zeros and returns their slot.
-    pub fn push(&mut self) -> u32 {
-        if self.len < SMALL {
-            if self.len == self.chunks.len() * CHUNK {
-                self.chunks.push(Box::new([VertexSums::default(); CHUNK]));
-            }
-        } else if self.len == SMALL + self.mapped.len() * MAPPED {
-            self.mapped.push(mapping());
-        }
-        let slot = self.len as u32;
-        self.len += 1;
-        // Written before it is read: to read a page that was never written takes a page of its own.
-        *self.get_mut(slot) = VertexSums::default();
-        slot
-    }
-
-    #[inline]
-    pub fn get(&self, slot: u32) -> &VertexSums {
-        let slot = slot as usize;
-        match slot.checked_sub(SMALL) {
-            None => &self.chunks[slot / CHUNK][slot % CHUNK],
-            Some(slot) => from_bytes(&self.mapped[slot / MAPPED][bytes_of(slot % MAPPED)]),
-        }
-    }
-
-    #[inline]
-    pub fn get_mut(&mut self, slot: u32) -> &mut VertexSums {
-        let slot = slot as usize;
-        match slot.checked_sub(SMALL) {
-            None => &mut self.chunks[slot / CHUNK][slot % CHUNK],
-            Some(slot) => from_bytes_mut(&mut self.mapped[slot / MAPPED][bytes_of(slot % MAPPED)]),
-        }
-    }
-
-    /// All sums in order, piece by piece.
-    pub fn slices(&self) -> impl Iterator<Item = &[VertexSums]> {
-        let chunks = self.chunks.iter().map(|chunk| &chunk[..]);
-        let mapped = self.mapped.iter().map(|bytes| cast_slice(bytes));
-        let mut left = self.len;
-        chunks.chain(mapped).map(move |sums: &[VertexSums]| {
-            let here = left.min(sums.len());
-            left -= here;
-            &sums[..here]
-        })
-    }
-
-    /// Bytes that are taken: of mappings, those up to the last page that was touched.
-    pub fn memory(&self) -> usize {
-        self.len * size_of::<VertexSums>() + self.spare() + self.chunks.capacity() * 8
-    }
-
-    /// Of these, the bytes that no sums use yet.
-    pub fn spare(&self) -> usize {
-        let mapped = (self.len.saturating_sub(SMALL) * size_of::<VertexSums>()).next_multiple_of(PAGE);
-        let taken = self.chunks.len() * CHUNK * size_of::<VertexSums>() + mapped;
-        taken - self.len * size_of::<VertexSums>()
-    }
-}
-
-impl Clone for SumsList {
-    fn clone(&self) -> Self {
-        let mut left = self.len.saturating_sub(SMALL);
-        let copy = |from: &MmapMut| {
-            let (mut to, here) = (mapping(), left.min(MAPPED) * size_of::<VertexSums>());
-            left -= left.min(MAPPED);
-            to[..here].copy_from_slice(&from[..here]);
-            to
-        };
-        let mapped = self.mapped.iter().map(copy).collect();
-        Self { chunks: self.chunks.clone(), mapped, len: self.len }
-    }
-}
-
-/// Where sums lie in their mapping.
-#[inline]
-fn bytes_of(at: usize) -> std::ops::Range<usize> {
-    at * size_of::<VertexSums>()..(at + 1) * size_of::<VertexSums>()
-}
-
-/// Zeros for [`MAPPED`] sums, in large pages where the system has them.
-///
-/// # Panics
-/// If there is no memory.
-fn mapping() -> MmapMut {
-    let bytes = MmapMut::map_anon(MAPPED * size_of::<VertexSums>()).expect("memory for the sums");
-    // Where there are no large pages, small ones do.
-    #[cfg(target_os = "linux")]
-    let _ = bytes.advise(memmap2::Advice::HugePage);
-    bytes
 }
 
 #[cfg(test)]
@@ -409,9 +286,8 @@ mod tests {
                         for i in 0..10 {
                             let key = VertexKey::from_bits((state >> 40) % (1 << 18) + 3 * i);
                             let value = (state >> 11) as f64 / (1_u64 << 53) as f64 + i as f64;
-                            let sums = VertexSums::new([value; 6], 1);
-                            *map.entry(key).or_default() += &sums;
-                            list.push(key, sums);
+                            *map.entry(key).or_default() += &VertexSums::new([value; 6], 1);
+                            list.push(key, [value; 6]);
                         }
                     }
                     list
@@ -436,41 +312,5 @@ mod tests {
         let twice = [&keys[..1], &keys[..]].concat();
         assert!(SparseSums::restore(1 << 7, &twice, [&sums()[..1], &sums()].concat()).is_none());
         assert!(SparseSums::restore(1 << 3, &keys, sums()).is_none(), "outside");
-    }
-
-    #[test]
-    fn sums_stay_where_they_are_from_the_heap_into_mappings() {
-        let mut list = SumsList::default();
-        let count = SMALL + MAPPED + 5;
-        for i in 0..count {
-            let slot = list.push();
-            assert_eq!((slot as usize, *list.get(slot)), (i, VertexSums::default()));
-            *list.get_mut(slot) = VertexSums::new([i as f64; 6], i as u32);
-        }
-        let expected = |i: usize| VertexSums::new([i as f64; 6], i as u32);
-        assert!((0..count).all(|i| *list.get(i as u32) == expected(i)));
-        assert!(list.slices().flatten().copied().eq((0..count).map(expected)));
-        assert!(list.clone().slices().eq(list.slices()) && list.len() == count);
-        let pages = (MAPPED + 5) * size_of::<VertexSums>() / PAGE + 1;
-        let chunks = SMALL * size_of::<VertexSums>() + list.chunks.capacity() * 8;
-        assert_eq!(list.memory(), chunks + pages * PAGE);
-        assert_eq!((MAPPED * size_of::<VertexSums>()) % PAGE, 0);
-    }
-
-    #[test]
-    fn so_much_room_is_spare_in_the_mean() {
-        let mut list = SumsList::default();
-        // Few sums in chunks, then many in large pages; the numbers have no common divisor with either.
-        for (lists, step) in [(60, 1_009), (40, 7_919)] {
-            let (mut spare, mut expected) = (0, 0);
-            for _ in 0..lists {
-                for _ in 0..step {
-                    list.push();
-                }
-                spare += list.spare();
-                expected += expected_spare(list.len() * size_of::<VertexSums>());
-            }
-            assert!((spare as f64 / expected as f64 - 1.0).abs() < 0.15, "{spare}, {expected} expected");
-        }
     }
 }

@@ -13,7 +13,7 @@ use multiversion::multiversion;
 use super::key::{Contributions, VertexKey};
 use crate::geometry::Lattice;
 use crate::octree::morton;
-use crate::posterior::{Information, VertexSums};
+use crate::posterior::Information;
 use crate::render::RaySamples;
 
 /// Derivatives of a sample: ∂C_c/∂x_k at 3·c + k.
@@ -38,10 +38,10 @@ impl VertexJacobian {
         }
     }
 
-    /// The contribution of this ray to the vertex: JᵀJ and one ray.
+    /// The contribution of this ray to the vertex: JᵀJ.
     #[inline(always)]
-    pub fn squared(&self) -> VertexSums {
-        VertexSums::new(gram(&self.0), 1)
+    pub fn squared(&self) -> Information {
+        gram(&self.0)
     }
 }
 

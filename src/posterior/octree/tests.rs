@@ -251,7 +251,7 @@ impl OctreePosterior {
         let square = |group: &[Touch]| {
             let mut partial = VertexJacobian::default();
             group.iter().for_each(|&(_, sample, weight)| partial.add(weight, &SampleJacobian::new(batch, sample)));
-            (group[0].0, vec![partial.squared()])
+            (group[0].0, vec![VertexSums::new(partial.squared(), 1)])
         };
         touched.chunk_by(|a, b| a.0 == b.0).map(square).collect()
     }
@@ -261,7 +261,7 @@ impl OctreePosterior {
 fn by_vertex(contributions: &Contributions) -> BTreeMap<VertexKey, Vec<VertexSums>> {
     let mut found: BTreeMap<VertexKey, Vec<VertexSums>> = BTreeMap::new();
     let all = (0..key::PARTITIONS).flat_map(|s| contributions.partition(s));
-    all.for_each(|c| found.entry(c.key).or_default().push(c.sums));
+    all.for_each(|c| found.entry(c.key).or_default().push(VertexSums::new(c.information, 1)));
     found
 }
 
