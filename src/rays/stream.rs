@@ -467,9 +467,9 @@ mod tests {
                 assert!(progress.samples > 10_000, "{progress:?}");
                 let (together, same, calls) = draw(1 << 13, shard, from);
                 assert!(apart == together && progress == same, "{gradient:?}");
-                // The last rays of a group that still go on ask about fewer.
+                // The last rays of a group that still go on ask about fewer, and so do all for faint samples' colours.
                 let [all, wide]: [usize; 2] = [0, 1 << 13].map(|least| calls.iter().filter(|n| **n >= least).sum());
-                assert!(calls.len() > 20 && wide as f64 > 0.9 * all as f64, "{gradient:?}: {wide} of {all} points");
+                assert!(calls.len() > 20 && wide as f64 > 0.85 * all as f64, "{gradient:?}: {wide} of {all} points");
             }
         }
     }

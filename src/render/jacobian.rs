@@ -10,11 +10,11 @@
 //! |---|---|---|---|---|
 //! | *visible*: w > cutoff | x | x | x | x |
 //! | *near-surface*: w ≤ cutoff, but visible matter may lie within h: √3 δ T σ̂ > cutoff | x | x | if ∇σ ≠ 0 | |
-//! | *low-weight*: 0 < w ≤ cutoff, no visible matter near | x | | x | |
+//! | *low-weight*: cutoff / n < w ≤ cutoff of the n samples of a ray, no visible matter near | x | | x | |
 //! | all others, behind surfaces or in empty space | x | | | |
 //!
 //! Low-weight samples have no derivatives but are composited: they are part of the colour behind others, which enters
-//! ∂C/∂σ.
+//! ∂C/∂σ. Only the faintest have not even a colour: all of a ray together weigh at most the cutoff.
 //!
 //! The two criteria bound what differences leave out. w > cutoff bounds the contribution of ∇c (|∇c| ≤ 1/2h), the
 //! criterion for near-surface samples that of ∇σ (|∇σ| ≤ σ̂/2h). Here |∂C/∂σ| ≤ √3 δ T because colours lie in [0, 1],
@@ -420,7 +420,7 @@ impl Tracer<'_> {
                 let near = if is_resolved { around(&traced.densities, &samples, i) } else { f32::INFINITY };
                 if self.may_matter(influence, x, h, near) {
                     near_surface.push(i, r, x, direction);
-                } else if quadrature.weights[i] > 0.0 {
+                } else if quadrature.weights[i] * samples.len() as f64 > self.marcher.cutoff {
                     low_weight.push(i, r, x, direction);
                 }
             }

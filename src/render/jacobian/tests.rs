@@ -129,8 +129,9 @@ fn not_a_number_drops_the_ray_and_is_reported() {
     assert!(samples.first_invalid.unwrap().y > 0.49);
 }
 
-/// A black bump in front of white fog, against black. Each sample of the fog weighs 1e-7, all of them 1e-5.
-struct BumpBeforeFog;
+/// A black bump in front of white fog of this density, against black. With 1e-5, each sample of the fog weighs 1e-7,
+/// and all of them 1e-5.
+struct BumpBeforeFog(f32);
 
 impl RadianceField for BumpBeforeFog {
     fn bounds(&self) -> crate::geometry::Aabb {
@@ -139,7 +140,7 @@ impl RadianceField for BumpBeforeFog {
     fn evaluate(&self, positions: &[Vec3], _: &[Vec3], out: &mut [Radiance]) {
         for (x, out) in positions.iter().zip(out) {
             let bump = f32::max(0.0, 1.0 - ((x.x + 0.5) / 0.05).powi(2)).powi(2);
-            let fog = if x.x > 0.0 { 1e-5 } else { 0.0 };
+            let fog = if x.x > 0.0 { self.0 } else { 0.0 };
             *out = Radiance { density: 20.0 * bump + fog, color: if x.x > 0.0 { Vec3::ONE } else { Vec3::ZERO } };
         }
     }
@@ -204,26 +205,38 @@ fn samples_without_a_jacobian_are_left_out() {
 /// out.
 #[test]
 fn what_is_not_differentiated_is_composited() {
-    let grid = Occupancy::build(&BumpBeforeFog, 32, 1e-3, &Silent).unwrap();
+    let field = BumpBeforeFog(1e-5);
+    let grid = Occupancy::build(&field, 32, 1e-3, &Silent).unwrap();
     for occupancy in [None, Some(grid)] {
-        let marcher = Marcher { step: 0.01, bounds: BumpBeforeFog.bounds(), occupancy, cutoff: 1e-6 };
-        composites_what_is_not_differentiated(marcher);
+        composites_what_is_not_differentiated(&field, occupancy);
     }
 }
 
-fn composites_what_is_not_differentiated(marcher: Marcher) {
-    let tracer = Tracer { field: &BumpBeforeFog, marcher, background: Vec3::ZERO };
+/// Jacobians with cutoff 0, and with the default.
+fn of_bump_before_fog(field: &BumpBeforeFog, occupancy: Option<Occupancy>) -> [RaySamples; 2] {
+    let marcher = Marcher { step: 0.01, bounds: field.bounds(), occupancy, cutoff: 1e-6 };
+    let tracer = Tracer { field, marcher, background: Vec3::ZERO };
     let ray = Ray::new(DVec3::new(-2.0, 0.1, 0.2), DVec3::X);
-    let differences = Differences {
-        step: DVec3::splat(1e-3),
-        domain: Domain::Box(BumpBeforeFog.bounds()),
-        stencil: Stencil::Central,
-    };
+    let differences =
+        Differences { step: DVec3::splat(1e-3), domain: Domain::Box(field.bounds()), stencil: Stencil::Central };
     let differentiation = Differentiation { differences, analytic: None };
-    let jacobians =
-        |tracer: &Tracer| tracer.jacobians(&alone(ray, 0.5), &differentiation, &mut JacobianBuffers::default());
     let exact = Tracer { marcher: Marcher { cutoff: 0.0, ..tracer.marcher.clone() }, ..tracer.clone() };
-    let (exact, found) = (jacobians(&exact), jacobians(&tracer));
+    [exact, tracer].map(|t| t.jacobians(&alone(ray, 0.5), &differentiation, &mut JacobianBuffers::default()))
+}
+
+/// The fog's 100 samples together weigh 1e-7, less than the cutoff: the field is not asked for their colours, so that
+/// nothing is seen behind the bump. Its derivatives are then at most δ · cutoff · |∇σ|.
+#[test]
+fn colours_that_are_left_out_weigh_less_than_the_cutoff() {
+    let [exact, found] = of_bump_before_fog(&BumpBeforeFog(1e-7), None);
+    let steepest = exact.jacobians.iter().map(|j| j[0].abs()).fold(0.0, f32::max);
+    // A hundredth of the test below, where the fog is a hundred times as dense; |∇σ| is 600 at most.
+    assert!((1e-7..4e-7).contains(&steepest) && f64::from(steepest) < 0.01 * 1e-6 * 600.0, "{steepest}");
+    assert!(found.positions.iter().all(|x| x.x > 0.0), "{:?}", found.positions);
+}
+
+fn composites_what_is_not_differentiated(field: &BumpBeforeFog, occupancy: Option<Occupancy>) {
+    let [exact, found] = of_bump_before_fog(field, occupancy);
     // Behind the bump, T S = exp(-20 · 0.05 · 16/15) · 1.05e-5 = 3.6e-6; times δ |∇σ| of about 600 that is 2e-5.
     let steepest = exact.jacobians.iter().map(|j| j[0].abs()).fold(0.0, f32::max);
     assert!((1e-5..4e-5).contains(&steepest), "{steepest}");
