@@ -157,7 +157,8 @@ fn octrees_of_the_data_are_within_the_tolerance_at_every_vertex() {
     let (tolerance, mut seen) = (0.01, 0);
     for (name, model, cameras) in models() {
         let rays = RaySettings::default().rays(2_048).gradient(GradientMethod::Auto);
-        let grid = GridSettings::default().tolerance(tolerance);
+        // Two levels coarser than the default, for time: what is claimed holds at every level.
+        let grid = GridSettings::default().level(6).tolerance(tolerance);
         let run = Estimation::new(&*model, &cameras).rays(rays).grid(grid).prepare().unwrap();
         let [pruned, all] = run.finish_on(&[grid, grid.tolerance(0.0)]).unwrap().try_into().unwrap();
         let [pruned, all] = [pruned, all].map(|outcome| outcome.field);

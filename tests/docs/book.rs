@@ -12,10 +12,14 @@ use rayon::prelude::*;
 /// What a fence may say. Whatever else looks like a shell would not be run, unnoticed.
 const FENCES: [&str; 6] = ["sh", "sh,data", "text", "rust", "python", "toml"];
 
-/// `cargo run --release -- …` is this program; any other use of cargo does not belong into a block that is run.
+/// `cargo run --release -- …` is this program; any other use of cargo does not belong into a block that is run. The
+/// demo, with which several pages begin, has run in the folder `$DEMO`.
 const PRELUDE: &str = r#"cargo() {
   if [ "$1 $2 $3" != "run --release --" ]; then echo "a block that is run cannot call cargo $*" >&2; return 97; fi
   shift 3; octobayes "$@"
+}
+octobayes() {
+  if [ "$*" = demo ]; then cp -r "$DEMO/octobayes-demo" .; else command octobayes "$@"; fi
 }
 "#;
 
@@ -63,7 +67,7 @@ fn pages() -> Vec<PathBuf> {
 }
 
 /// Runs the blocks of `page` whose fence is one of `fences`, up to the first that fails.
-fn run(page: &Path, fences: &[&str]) -> Result<usize, String> {
+fn run(page: &Path, fences: &[&str], demo: &Path) -> Result<usize, String> {
     let folder = tempfile::tempdir().unwrap();
     let program = Path::new(env!("CARGO_BIN_EXE_octobayes"));
     let path = std::env::join_paths(
@@ -78,7 +82,7 @@ fn run(page: &Path, fences: &[&str]) -> Result<usize, String> {
         let output = Command::new("sh")
             .args(["-eux", "-c", &format!("{PRELUDE}{text}")])
             .current_dir(folder.path())
-            .env("PATH", &path)
+            .envs([("PATH", path.as_os_str()), ("DEMO", demo.as_os_str())])
             .output()
             .unwrap();
         if !output.status.success() {
@@ -92,17 +96,33 @@ fn run(page: &Path, fences: &[&str]) -> Result<usize, String> {
 }
 
 /// Runs blocks of all `pages`, and tells of all pages that fail.
-fn run_all(pages: &[PathBuf], fences: &[&str]) -> usize {
-    let results: Vec<_> = pages.par_iter().map(|page| run(page, fences)).collect();
+fn run_all(pages: &[PathBuf], fences: &[&str], demo: &Path) -> usize {
+    let results: Vec<_> = pages.par_iter().map(|page| run(page, fences, demo)).collect();
     let failures: Vec<&str> = results.iter().filter_map(|result| result.as_ref().err()).map(String::as_str).collect();
     assert!(failures.is_empty(), "{}", failures.join("\n\n"));
     results.into_iter().flatten().sum()
 }
 
+/// The files that the book says the demo writes.
+fn files_of_the_demo() -> Vec<String> {
+    let page = std::fs::read_to_string(root().join("docs/src/getting-started.md")).unwrap();
+    let table = page.split("All output goes to").nth(1).and_then(|rest| rest.split("\n\n").nth(1)).unwrap();
+    let rows = table.lines().skip(2).filter_map(|row| row.split('|').nth(1));
+    let files: Vec<String> = rows.flat_map(|cell| cell.split('`').skip(1).step_by(2)).map(str::to_owned).collect();
+    assert!(files.len() > 5, "files are found at all: {files:?}");
+    files
+}
+
 #[test]
 #[ignore = "slow: all commands of README and book"]
 fn every_command_works_as_it_is_written() {
-    let count = run_all(&pages(), &["sh"]);
+    let demo = tempfile::tempdir().unwrap();
+    let ran = Command::new(env!("CARGO_BIN_EXE_octobayes")).arg("demo").current_dir(&demo).output().unwrap();
+    assert!(ran.status.success(), "octobayes demo: {}", String::from_utf8_lossy(&ran.stderr));
+    for file in files_of_the_demo() {
+        assert!(demo.path().join("octobayes-demo").join(&file).is_file(), "the demo has written no {file}");
+    }
+    let count = run_all(&pages(), &["sh"], demo.path());
     assert!(count > 30, "blocks are found at all: {count}");
 }
 
@@ -114,7 +134,7 @@ fn commands_that_need_data_work_as_they_are_written() {
     let pages: Vec<PathBuf> = pages().into_iter().filter(needy).collect();
     assert!(!pages.is_empty(), "blocks are found at all");
     // Such blocks stand on their own: what needs no data has run in the other test.
-    run_all(&pages, &["sh,data"]);
+    run_all(&pages, &["sh,data"], Path::new("no demo"));
 }
 
 #[test]

@@ -212,14 +212,15 @@ fn splats_trained_on_lego_reach_the_measured_quality() {
     let settings = SplatSettings::default().most(SplatSettings::most_for(&shots));
     let mut trainer = SplatTrainer::new(settings, files.bounds, &[], &shots).unwrap();
     assert_eq!(trainer.origin(), SplatOrigin::Hull);
-    for step in 0..4000 {
-        trainer.step(f64::from(step) / 4000.0);
+    for step in 0..1500 {
+        trainer.step(f64::from(step) / 1500.0);
     }
-    assert_eq!(trainer.len(), 15_000);
+    let count = trainer.len();
+    assert!((7_300..8_100).contains(&count), "{count}");
     let psnr = trainer.look(&held_out, usize::MAX, None).unwrap().psnr;
-    // 31.06 dB were measured, after 67 s of one core. Other processors round exp and ln otherwise, and a run leads
-    // elsewhere from there.
-    assert!((psnr - 31.06).abs() < 0.3, "{psnr}");
+    // 7,702 splats and 28.59 dB were measured, after 20 s of one core; 4,000 steps lead to 31.06 dB. Other processors
+    // round exp and ln otherwise, and a run leads elsewhere from there.
+    assert!((psnr - 28.59).abs() < 0.3, "{psnr}");
 }
 
 #[test]
