@@ -207,6 +207,17 @@ fn own(rays: RaySettings) -> RaySettings {
     rays.gradient(GradientMethod::Auto)
 }
 
+/// Rays a second of the published algorithm in JAX with lego: a tuned program that is not part of this repository, on
+/// the machine of the table `targets` and right after it.
+const PEER_SPEED: f64 = 22_105.0;
+
+/// The peer's curve: it draws random rays for a dense grid, so its errors are those of the first method, at the times
+/// that it takes for as many rays.
+fn peer(errors: &[(u64, f64)]) -> Curve {
+    let points = errors.iter().map(|&(rays, error)| ((rays as f64 / PEER_SPEED).log10(), error.log10())).collect();
+    Curve { name: "published algorithm in JAX".into(), points, reference: true }
+}
+
 /// Numbers of rays, and the most that are run with all seeds; more are run with the first.
 const COUNTS: [u64; 7] = [10_240, 40_960, 102_400, 409_600, 1_024_000, 4_096_000, 10_240_000];
 const REPEATED: u64 = 102_400;
@@ -221,6 +232,7 @@ pub fn rays(work: &Work, scenes: &[(Scene, u64, u64)], truth: Option<&Truth>) ->
         let reference = reference(work, scene, *of_reference)?;
         let mut curves: Vec<Curve> =
             METHODS.iter().map(|m| Curve { name: m.name.into(), points: Vec::new(), reference: false }).collect();
+        let mut of_random_rays = Vec::new();
         for rays in COUNTS.into_iter().filter(|rays| rays <= most) {
             let fitting = METHODS.iter().zip(&mut curves).filter(|(method, _)| rays <= method.most);
             for (Method { name, rays: with, grid: on, .. }, curve) in fitting {
@@ -232,7 +244,11 @@ pub fn rays(work: &Work, scenes: &[(Scene, u64, u64)], truth: Option<&Truth>) ->
                     row.ause = truth.map(|truth| ause(scene, truth, run)).transpose()?;
                     Ok(row)
                 })?;
-                curve.points.push((rows.seconds().log10(), rows.mean(|row| row.surfaces[0]).log10()));
+                let error = rows.mean(|row| row.surfaces[0]);
+                curve.points.push((rows.seconds().log10(), error.log10()));
+                if *name == METHODS[0].name {
+                    of_random_rays.push((settings.rays, error));
+                }
                 let ause: Option<Vec<f64>> = rows.0.iter().map(|row| row.ause).collect();
                 let head = [
                     scene.name.to_string(),
@@ -244,6 +260,10 @@ pub fn rays(work: &Work, scenes: &[(Scene, u64, u64)], truth: Option<&Truth>) ->
                 let ause = ause.map_or("–".into(), |values| spread(&values, 3));
                 table.row(&[&head[..], &rows.errors(), &[ause]].concat());
             }
+        }
+        // Its speed was measured with this model alone, and only there is the truth known.
+        if truth.is_some() {
+            curves.push(peer(&of_random_rays));
         }
         let word = scene.name.split([' ', ',']).next().unwrap_or(scene.name);
         let file = folder().join(format!("speed_vs_error_{word}.svg"));
