@@ -213,8 +213,9 @@ const PEER_SPEED: f64 = 23_254.0;
 
 /// The peer's curve: it draws random rays for a dense grid, so its errors are those of the first method, at the times
 /// that it takes for as many rays.
-fn peer(errors: &[(u64, f64)]) -> Curve {
-    let points = errors.iter().map(|&(rays, error)| ((rays as f64 / PEER_SPEED).log10(), error.log10())).collect();
+fn peer(random: &Curve) -> Curve {
+    let points = COUNTS.iter().zip(&random.points);
+    let points = points.map(|(&rays, &(_, error))| ((rays as f64 / PEER_SPEED).log10(), error)).collect();
     Curve { name: "published algorithm in JAX".into(), points, reference: true }
 }
 
@@ -232,7 +233,6 @@ pub fn rays(work: &Work, scenes: &[(Scene, u64, u64)], truth: Option<&Truth>) ->
         let reference = reference(work, scene, *of_reference)?;
         let mut curves: Vec<Curve> =
             METHODS.iter().map(|m| Curve { name: m.name.into(), points: Vec::new(), reference: false }).collect();
-        let mut of_random_rays = Vec::new();
         for rays in COUNTS.into_iter().filter(|rays| rays <= most) {
             let fitting = METHODS.iter().zip(&mut curves).filter(|(method, _)| rays <= method.most);
             for (Method { name, rays: with, grid: on, .. }, curve) in fitting {
@@ -244,11 +244,7 @@ pub fn rays(work: &Work, scenes: &[(Scene, u64, u64)], truth: Option<&Truth>) ->
                     row.ause = truth.map(|truth| ause(scene, truth, run)).transpose()?;
                     Ok(row)
                 })?;
-                let error = rows.mean(|row| row.surfaces[0]);
-                curve.points.push((rows.seconds().log10(), error.log10()));
-                if *name == METHODS[0].name {
-                    of_random_rays.push((settings.rays, error));
-                }
+                curve.points.push((rows.seconds().log10(), rows.mean(|row| row.surfaces[0]).log10()));
                 let ause: Option<Vec<f64>> = rows.0.iter().map(|row| row.ause).collect();
                 let head = [
                     scene.name.to_string(),
@@ -263,7 +259,7 @@ pub fn rays(work: &Work, scenes: &[(Scene, u64, u64)], truth: Option<&Truth>) ->
         }
         // Its speed was measured with this model alone, and only there is the truth known.
         if truth.is_some() {
-            curves.push(peer(&of_random_rays));
+            curves.push(peer(&curves[0]));
         }
         let word = scene.name.split([' ', ',']).next().unwrap_or(scene.name);
         let file = folder().join(format!("speed_vs_error_{word}.svg"));

@@ -16,6 +16,7 @@ use crate::monitor::Monitor;
 use crate::octree::{MaxLevels, Tile};
 use crate::posterior::{
     AT_ONCE, CONTRIBUTION_BYTES, DensePosterior, FactoredSums, Needs, PilotCounts, SpeciesEstimate, VertexSums,
+    spare_bytes,
 };
 use crate::rays::{Purpose, RayStream, RunProgress, Shard};
 use crate::splats::Use;
@@ -251,9 +252,10 @@ impl Planner {
                 (self.lattice.dense_vertices() as f64, DensePosterior::required_memory(&self.lattice) as f64, 0.0)
             }
             GridKind::Octree => {
-                let Needs { summing, spare, vertices } = self.census.needs(self.own_scale, &limits, self.settings.tile);
+                let Needs { summing, sums, bricks, vertices } =
+                    self.census.needs(self.own_scale, &limits, self.settings.tile);
                 let Correction { sums: of_sums, vertices: of_vertices } = self.correction;
-                (of_vertices * vertices, of_sums * summing, spare)
+                (of_vertices * vertices, of_sums * summing, spare_bytes(of_sums * sums, of_sums * bricks))
             }
         };
         let [structure, stored] = if self.settings.grid == GridKind::Dense { [0.0; 2] } else { STRUCTURE };

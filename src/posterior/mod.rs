@@ -28,7 +28,7 @@ pub(crate) use deviations::{LocalSums, comparable};
 // How a file stores sums, for the experiment that measures what that costs.
 #[doc(hidden)]
 pub use factor::FactoredSums;
-pub(crate) use octree::{AT_ONCE, CONTRIBUTION_BYTES};
+pub(crate) use octree::{AT_ONCE, CONTRIBUTION_BYTES, spare_bytes};
 pub use octree::{Criteria, Criterion, OctreePosterior};
 pub(crate) use octree::{Needs, PilotCounts, Refinement, SpeciesEstimate};
 pub use pooling::Pooling;
@@ -141,14 +141,6 @@ impl VertexSums {
             && bounded(xy, xx, yy)
             && bounded(xz, xx, zz)
             && bounded(yz, yy, zz)
-    }
-}
-
-impl VertexSums {
-    /// Adds one ray.
-    #[inline]
-    pub(crate) fn add_ray(&mut self, information: &Information) {
-        *self += &Self::new(*information, 1);
     }
 }
 

@@ -14,6 +14,9 @@ use crate::geometry::{Domain, Lattice};
 use crate::octree::Tile;
 use crate::render::{RaySamples, VisibleSegment};
 
+/// Most counters at once. One thread adds them up, a megabyte each, and takes longer with each of them.
+const MOST_COUNTERS: usize = 4;
+
 /// Steps per coarse cell along a contracted ray, which is curved on the grid.
 const STEPS_PER_CELL: f64 = 2.0;
 
@@ -116,7 +119,7 @@ impl RayCoverage {
     /// Adds rays.
     pub fn add(&mut self, batches: &[RaySamples]) {
         let lattice = &self.lattice;
-        // Each thread counts by itself. Counts of one call are far from what a u32 holds.
+        // Some threads count by themselves. Counts of one call are far from what a u32 holds.
         let counted = |batches: &[RaySamples]| {
             let mut counts = vec![0_u32; self.counts.len()];
             for line in batches.iter().flat_map(|batch| &batch.sight) {
@@ -127,7 +130,7 @@ impl RayCoverage {
             }
             counts
         };
-        let share = batches.len().div_ceil(rayon::current_num_threads()).max(1);
+        let share = batches.len().div_ceil(rayon::current_num_threads().min(MOST_COUNTERS)).max(1);
         let counted: Vec<Vec<u32>> = batches.par_chunks(share).map(counted).collect();
         for counts in counted {
             self.counts.iter_mut().zip(counts).for_each(|(sum, count)| *sum = sum.saturating_add(count));

@@ -92,8 +92,7 @@ impl SampleDistances<'_> {
     fn behind(&self, block: SkipBlock, occupancy: &Occupancy) -> u64 {
         // Cell indices are monotone along a ray: if a later candidate is in the block, so are those between.
         // Division finds the last one. Rounding may put it just behind the block's face; then it is the one before.
-        let exit = Occupancy::exit(&self.crossings, block);
-        let last = ((exit - self.entry) * self.per_step - self.jitter) as u64;
+        let last = ((self.crossings.exit(block) - self.entry) * self.per_step - self.jitter) as u64;
         let mut lasts = [last, last.saturating_sub(1)].into_iter().map(|last| last.min(self.steps - 1));
         let inside = |k: u64| k > self.k && occupancy.is_in(self.ray.at(self.place(k)), block);
         lasts.find(|&k| inside(k)).unwrap_or(self.k) + 1

@@ -50,6 +50,24 @@ pub(super) struct Crossings {
     per_cell: DVec3,
 }
 
+impl Crossings {
+    /// Distance at which the ray leaves a block that it is in, up to rounding.
+    #[inline]
+    pub fn exit(&self, block: SkipBlock) -> f64 {
+        let mut exit = f64::INFINITY;
+        for axis in 0..3 {
+            let per_cell = self.per_cell[axis];
+            let face = ((block.cell[axis] >> block.level) + usize::from(per_cell > 0.0)) << block.level;
+            // NaN on an axis along which the ray does not move: the other axes decide.
+            let at = self.origin[axis] + face as f64 * per_cell;
+            if at < exit {
+                exit = at;
+            }
+        }
+        exit
+    }
+}
+
 /// The space around a point, compared with a density.
 pub(super) enum Space {
     /// Outside the box.
@@ -147,22 +165,6 @@ impl Occupancy {
     pub(super) fn crossings(&self, ray: &Ray) -> Crossings {
         let per_cell = 1.0 / (ray.direction * self.per_unit);
         Crossings { origin: (self.bounds.min() - ray.origin) / ray.direction, per_cell }
-    }
-
-    /// Distance at which a ray with these crossings that is in the block leaves it, up to rounding.
-    #[inline]
-    pub(super) fn exit(crossings: &Crossings, block: SkipBlock) -> f64 {
-        let mut exit = f64::INFINITY;
-        for axis in 0..3 {
-            let per_cell = crossings.per_cell[axis];
-            let face = ((block.cell[axis] >> block.level) + usize::from(per_cell > 0.0)) << block.level;
-            // NaN and ∞ along an axis that the ray does not move along: the other axes decide.
-            let at = crossings.origin[axis] + face as f64 * per_cell;
-            if at < exit {
-                exit = at;
-            }
-        }
-        exit
     }
 
     /// Returns true if the field bounds its density everywhere, so that nothing had to be estimated.

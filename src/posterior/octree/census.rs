@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
 use super::pilot_counts::{Counts, PilotCounts};
-use super::sparse::{BLOCK_BYTES, BRICK_BYTES, spare_bytes};
+use super::sparse::{BLOCK_BYTES, BRICK_BYTES};
 use crate::geometry::Lattice;
 use crate::io::mix;
 use crate::octree::{Leaves, MaxLevels, Tile, Wanted, morton};
@@ -138,8 +138,10 @@ struct Touched {
 pub struct Needs {
     /// Bytes of sums, and of the bricks that find them, without what is spare.
     pub summing: f64,
-    /// Bytes beside them that no sums and no bricks use yet.
-    pub spare: f64,
+    /// Of these, the bytes of sums.
+    pub sums: f64,
+    /// Of these, the bytes of bricks.
+    pub bricks: f64,
     /// Number of vertices of the finished octree.
     pub vertices: f64,
 }
@@ -272,7 +274,7 @@ impl SpeciesEstimate {
         let touched = touched.map(|(coarseness, sample)| sample.expected(scale, |code| on_limit(coarseness, code)));
         let sums = size_of::<VertexSums>() as f64 * touched.sum::<f64>();
         let bricks = bricks.sum::<f64>();
-        let summing = sums + (BRICK_BYTES + BLOCK_BYTES) * bricks;
+        let (blocks, bricks) = (BLOCK_BYTES * bricks, BRICK_BYTES * bricks);
         let is_split = |level: u8, code: u64| {
             let is_on_limit = level < region || level < limits.level(code >> (3 * (level - region)));
             is_on_limit && is_owned(morton::decode(code << (3 * (finest - level))))
@@ -283,7 +285,7 @@ impl SpeciesEstimate {
             sample.expected(scale * OF_CELLS as f64, |code| is_split(level, code)).min(most)
         });
         let leaves = 1.0 + 7.0 * split.sum::<f64>();
-        Needs { summing, spare: spare_bytes(sums, BRICK_BYTES * bricks), vertices: VERTICES_PER_LEAF * leaves }
+        Needs { summing: sums + bricks + blocks, sums, bricks, vertices: VERTICES_PER_LEAF * leaves }
     }
 
     /// The vertices of the sample on the leaves of `limits`, by coarseness: lattice points with their numbers of rays,

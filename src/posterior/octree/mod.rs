@@ -43,6 +43,7 @@ use crate::geometry::Lattice;
 use crate::octree::{Leaves, MaxLevels, Octree, Tile, coarseness};
 use crate::render::RaySamples;
 
+pub(crate) use sparse::spare_bytes;
 /// Bytes of one ray's contribution to one vertex, before it is summed.
 pub(crate) const CONTRIBUTION_BYTES: usize = size_of::<key::Contribution>();
 

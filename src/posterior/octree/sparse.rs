@@ -52,10 +52,9 @@ pub const BLOCK_BYTES: f64 = 20.0;
 
 /// Expected bytes that are not used yet beside so many bytes of sums and of bricks.
 pub fn spare_bytes(sums: f64, bricks: f64) -> f64 {
-    let of_lists =
-        |bytes: f64, expected: fn(usize) -> usize| PARTITIONS * expected((bytes / PARTITIONS as f64) as usize);
-    (of_lists(sums, PagedList::<VertexSums>::expected_spare) + of_lists(bricks, PagedList::<Slots>::expected_spare))
-        as f64
+    let [sums, bricks] = [sums, bricks].map(|bytes| (bytes / PARTITIONS as f64) as usize);
+    let of_partition = PagedList::<VertexSums>::expected_spare(sums) + PagedList::<Slots>::expected_spare(bricks);
+    (PARTITIONS * of_partition) as f64
 }
 
 /// Number of contributions whose slots are looked up before the first of them is added.
@@ -90,7 +89,7 @@ impl Partition {
             }
             black_box(slots.iter().fold(0, |any, &slot| any | self.sums.get(slot).rays));
             for (c, &slot) in some.iter().zip(&*slots) {
-                self.sums.get_mut(slot).add_ray(&c.information);
+                *self.sums.get_mut(slot) += &VertexSums::new(c.information, 1);
             }
         }
     }
