@@ -210,18 +210,18 @@ fn splats_trained_on_lego_reach_the_measured_quality() {
         |shots: Vec<Shot>| -> Vec<Shot> { shots.into_iter().map(|shot| shot.shrunk([200; 2]).unwrap()).collect() };
     let [shots, held_out] = files.load(&Silent).unwrap().map(half);
     assert_eq!(SplatSettings::most_for(&shots), 15_000);
-    // A third of them takes a third of the time.
-    let settings = SplatSettings::default().most(5_000);
+    // A sixth of them is enough to be compared with what was measured.
+    let settings = SplatSettings::default().most(2_500);
     let mut trainer = SplatTrainer::new(settings, files.bounds, &[], &shots).unwrap();
     assert_eq!(trainer.origin(), SplatOrigin::Hull);
     for step in 0..3000 {
         trainer.step(f64::from(step) / 3000.0);
     }
-    assert_eq!(trainer.len(), 5_000);
+    assert_eq!(trainer.len(), 2_500);
     let psnr = trainer.look(&held_out, usize::MAX, None).unwrap().psnr;
-    // 28.44 dB were measured, after 26 s of one core; all 15,000 and 4,000 steps reach 31.06 dB in 67 s. Other
+    // 26.91 dB were measured, after 11 s of two cores; all 15,000 and 4,000 steps reach 31.06 dB in 67 s of one. Other
     // processors round exp and ln otherwise, and a run leads elsewhere from there.
-    assert!((psnr - 28.44).abs() < 0.3, "{psnr}");
+    assert!((psnr - 26.91).abs() < 0.3, "{psnr}");
 }
 
 #[test]
