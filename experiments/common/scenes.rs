@@ -7,9 +7,11 @@ use octobayes::Result;
 use octobayes::dataset::Views;
 use octobayes::estimate::{Estimation, GridSettings, RaySettings};
 use octobayes::field::{ClosedForm, Coordinates, Intrinsics, RadianceField};
-use octobayes::geometry::Camera;
+use octobayes::geometry::{Camera, Domain};
 use octobayes::monitor::Silent;
 use octobayes::open::open_in;
+use octobayes::synth::{DatasetSettings, Up, write_dataset};
+use octobayes::train::{DatasetFiles, TrainSettings, Trainer};
 use octobayes::uncertainty::UncertaintyField;
 
 /// A model with its training cameras, and how it is studied unless an experiment says otherwise.
@@ -86,6 +88,37 @@ impl Scene {
         let garden = own_poses(data, "360_v2/ppng_1/garden.ppng", "garden (unbounded)", 60.0, Vec3::ZERO)?;
         // A ray meets matter nearly everywhere: it takes ten times as long as one of lego.
         Ok(Self { settings: garden.settings.rays(204_800), ..garden })
+    }
+
+    /// A hash grid that is trained here, once in `folder`, on a hundred pictures of a scanned mesh from all around.
+    ///
+    /// # Errors
+    /// If the mesh cannot be read or the folder not be written.
+    pub fn armadillo(data: &Path, folder: &Path) -> Result<Self> {
+        const STEPS: u64 = 2000;
+        let images = folder.join("armadillo");
+        if !images.exists() {
+            let settings = DatasetSettings::default().up(Up::Y).views(100).test_views(1);
+            let settings = settings.resolution([200; 2]).samples_per_side(2);
+            write_dataset(&data.join("meshes/armadillo.obj"), &images, &settings, &Silent)?;
+        }
+        let files = DatasetFiles::read(&images)?;
+        let [shots, _] = files.load(&Silent)?;
+        let model = folder.join("armadillo.safetensors");
+        if !model.exists() {
+            let mut trainer = Trainer::new(TrainSettings::default(), Domain::Box(files.bounds), &shots)?;
+            while trainer.steps() < STEPS {
+                trainer.step(trainer.steps() as f64 / STEPS as f64);
+            }
+            trainer.field(serde_json::Value::Null).write(&model)?;
+        }
+        Ok(Self {
+            name: "armadillo (trained hash grid)",
+            field: open_in(&model.to_string_lossy(), None)?,
+            cameras: shots.iter().map(|shot| shot.camera).collect(),
+            settings: RaySettings::default().rays(204_800),
+            grid: GridSettings::default(),
+        })
     }
 
     /// The same field with more points on visible surfaces to compare at than a run keeps: those that its rays see

@@ -76,6 +76,11 @@ impl Work {
         Ok(Self { folder, dates: RefCell::new(vec![today()]), rows, now, clock: Clock::start() })
     }
 
+    /// Where a part keeps what its rows are made from.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
     /// The row that was kept under these settings by this version of the program, or a new one.
     pub fn row<T: Serialize + DeserializeOwned>(
         &self,

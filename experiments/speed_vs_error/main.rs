@@ -5,6 +5,7 @@
 //! against a dense grid of more random rays with exact derivatives ([`measure::reference`]). Writes the blocks of
 //! `experiments/speed_vs_error.md` and its plots.
 
+mod allocation;
 #[path = "../common/mod.rs"]
 mod common;
 mod measure;
@@ -36,6 +37,7 @@ fn main() -> Result<()> {
         ("audit", Needs::Data),
         ("rays", Needs::Data),
         ("scenes", Needs::Data),
+        ("allocation", Needs::Data),
         ("levels", Needs::Data),
         ("queries", Needs::Data),
         ("sums", Needs::Data),
@@ -68,8 +70,14 @@ fn main() -> Result<()> {
             // A ray meets matter nearly everywhere: it takes ten times as long as one of lego.
             (Scene::garden(&data)?, PAPER / 40, PAPER / 4),
             (Scene::city()?, PAPER / 4, PAPER),
+            (Scene::armadillo(&data, work.folder())?, PAPER / 4, PAPER),
         ];
         parts::rays(work, &scenes, None)
+    })?;
+    program.part("allocation", |work| {
+        let data = Program::data()?;
+        let scenes = [Scene::lego(&data)?, Scene::ignatius(&data)?, Scene::city()?];
+        allocation::allocation(work, &scenes, PAPER)
     })?;
     program.part("levels", |work| parts::levels(work, &lego()?))?;
     program.part("queries", |work| queries::queries(work, &lego()?))?;

@@ -169,7 +169,7 @@ fn parts_under_a_budget_make_the_same_plan_and_merge() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     for index in 0..3 {
-        let run = format!("{RUN} --level 10 --memory 200MB --shard {index}/3 -o part{index}.oct");
+        let run = format!("{RUN} --level 9 --memory 150MB --shard {index}/3 -o part{index}.oct");
         let stderr = good(folder, &run);
         assert!(stderr.contains("given up"), "{stderr}");
     }
