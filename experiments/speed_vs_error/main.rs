@@ -37,6 +37,7 @@ fn main() -> Result<()> {
         ("audit", Needs::Data),
         ("rays", Needs::Data),
         ("scenes", Needs::Data),
+        ("trained", Needs::Data),
         ("allocation", Needs::Data),
         ("levels", Needs::Data),
         ("queries", Needs::Data),
@@ -70,9 +71,12 @@ fn main() -> Result<()> {
             // A ray meets matter nearly everywhere: it takes ten times as long as one of lego.
             (Scene::garden(&data)?, PAPER / 40, PAPER / 4),
             (Scene::city()?, PAPER / 4, PAPER),
-            (Scene::armadillo(&data, work.folder())?, PAPER / 4, PAPER),
         ];
         parts::rays(work, &scenes, None)
+    })?;
+    program.part("trained", |work| {
+        let armadillo = Scene::armadillo(&Program::data()?, work.folder())?;
+        parts::rays(work, &[(armadillo, PAPER / 4, PAPER)], None)
     })?;
     program.part("allocation", |work| {
         let data = Program::data()?;
