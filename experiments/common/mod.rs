@@ -25,5 +25,6 @@ pub mod report;
 pub mod scenes;
 pub mod settings;
 pub mod table;
+pub mod train;
 pub mod visibility;
 pub mod work;

@@ -11,8 +11,10 @@ use octobayes::geometry::{Camera, Domain};
 use octobayes::monitor::Silent;
 use octobayes::open::open_in;
 use octobayes::synth::{DatasetSettings, Up, write_dataset};
-use octobayes::train::{DatasetFiles, TrainSettings, Trainer};
+use octobayes::train::{DatasetFiles, TrainSettings};
 use octobayes::uncertainty::UncertaintyField;
+
+use super::train::hash_grid;
 
 /// A model with its training cameras, and how it is studied unless an experiment says otherwise.
 pub struct Scene {
@@ -106,11 +108,7 @@ impl Scene {
         let [shots, _] = files.load(&Silent)?;
         let model = folder.join("armadillo.safetensors");
         if !model.exists() {
-            let mut trainer = Trainer::new(TrainSettings::default(), Domain::Box(files.bounds), &shots)?;
-            while trainer.steps() < STEPS {
-                trainer.step(trainer.steps() as f64 / STEPS as f64);
-            }
-            trainer.field(serde_json::Value::Null).write(&model)?;
+            hash_grid(TrainSettings::default(), Domain::Box(files.bounds), &shots, STEPS)?.write(&model)?;
         }
         Ok(Self {
             name: "armadillo (trained hash grid)",

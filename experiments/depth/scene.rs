@@ -9,7 +9,7 @@ use octobayes::field::HashGrid;
 use octobayes::geometry::{Camera, Domain};
 use octobayes::monitor::Silent;
 use octobayes::synth::{DEPTH_PNG_SCALE, DatasetSettings, Mesh, MeshScene, Up, write_dataset};
-use octobayes::train::{DatasetFiles, Selection, Shot, TrainSettings, Trainer, quality};
+use octobayes::train::{DatasetFiles, Selection, Shot, TrainSettings, quality};
 use octobayes::{Error, Result};
 use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
@@ -18,6 +18,7 @@ use serde::Serialize;
 use crate::common::kitchen::kitchen;
 use crate::common::knot::knot;
 use crate::common::program::Program;
+use crate::common::train::hash_grid;
 use crate::common::visibility::{NEAR, is_seen};
 
 /// Side of the images of meshes, pixels.
@@ -116,11 +117,7 @@ impl Scene {
 
     /// Trains a model of the scene.
     pub fn train(&self, data: &Data, seed: u64) -> Result<Model> {
-        let mut trainer = Trainer::new(TrainSettings::default().seed(seed), data.domain, &data.shots)?;
-        while trainer.steps() < self.steps {
-            trainer.step(trainer.steps() as f64 / self.steps as f64);
-        }
-        let field = trainer.field(serde_json::Value::Null);
+        let field = hash_grid(TrainSettings::default().seed(seed), data.domain, &data.shots, self.steps)?;
         let psnr = quality(&field, &data.shots, Vec3::ONE, PIXELS).map_or(f64::NAN, |quality| quality.psnr);
         Ok(Model { field, psnr })
     }

@@ -19,11 +19,12 @@ use octobayes::geometry::{Camera, Domain};
 use octobayes::metrics::{psnr, ssim};
 use octobayes::monitor::Silent;
 use octobayes::render::{Renderer, VolumeRenderer};
-use octobayes::train::{Shot, TrainSettings, Trainer, quality};
+use octobayes::train::{Shot, TrainSettings, quality};
 use serde::{Deserialize, Serialize};
 
 use common::program::{Needs, Program};
 use common::table::{Table, deviation, mean};
+use common::train::hash_grid;
 use common::visibility::{NEAR, is_seen};
 use common::work::Work;
 use scene::{Held, Images, SCENES, Scene, VIEWS};
@@ -115,11 +116,8 @@ struct Model {
 impl Model {
     fn train(images: &Images, taken: Vec<usize>, seed: u64) -> Result<Self> {
         let shots: Vec<Shot> = taken.iter().map(|&i| images.shots[i].clone()).collect();
-        let mut trainer = Trainer::new(TrainSettings::default().seed(seed), Domain::Box(images.bounds), &shots)?;
-        while trainer.steps() < STEPS {
-            trainer.step(trainer.steps() as f64 / STEPS as f64);
-        }
-        let field = trainer.field(serde_json::Value::Null);
+        let settings = TrainSettings::default().seed(seed);
+        let field = hash_grid(settings, Domain::Box(images.bounds), &shots, STEPS)?;
         let psnr = quality(&field, &shots, Vec3::ONE, NOISE_PIXELS).map_or(f64::NAN, |quality| quality.psnr);
         Ok(Self { taken, field, psnr })
     }

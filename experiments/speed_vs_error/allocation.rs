@@ -10,7 +10,8 @@ use std::collections::HashMap;
 use glam::Vec3;
 use octobayes::Result;
 use octobayes::estimate::{FieldBuilder, FieldSource, GridKind, GridSettings, RaySettings};
-use octobayes::geometry::{Domain, Lattice, Mask};
+use octobayes::geometry::{Camera, Domain, Lattice, Mask};
+use octobayes::metrics::quantile;
 use octobayes::monitor::Silent;
 use octobayes::posterior::Pooling;
 use octobayes::rays::{Pixels, RunProgress, Shard};
@@ -50,10 +51,9 @@ pub fn allocation(work: &Work, scenes: &[Scene], of_reference: u64) -> Result<(S
         let reference = reference(work, scene, of_reference)?;
         let mut rays = surface_counts(&reference);
         rays.sort_by(f64::total_cmp);
-        let quantile = |share: f64| whole(rays[(share * (rays.len() - 1) as f64) as usize]);
         let of = |power: f64| mean(&rays.iter().map(|n| n.powf(power)).collect::<Vec<f64>>());
         let least = of(-1.0 / 3.0).powf(1.5) / of(-0.5);
-        let quantiles = [0.05, 0.5, 0.95].map(quantile);
+        let quantiles = [0.05, 0.5, 0.95].map(|share| whole(quantile(&rays, share)));
         bounds.row(&[&[scene.name.to_string()][..], &quantiles, &[format!("{least:.2}")]].concat());
         for (pooling, word) in [(Pooling::Off, "none"), (Pooling::Auto, "auto")] {
             let grid = grid(GridKind::Octree, 8).pooling(pooling);
@@ -92,7 +92,8 @@ pub fn allocation(work: &Work, scenes: &[Scene], of_reference: u64) -> Result<(S
             }
         }
     }
-    let described = describe(&scenes[0].settings, &grid(GridKind::Octree, 8), &["rays", "occupancy", "min-rays"]);
+    let settings = scenes[0].settings.gradient(GradientMethod::Auto);
+    let described = describe(&settings, &grid(GridKind::Octree, 8), &["rays", "occupancy", "min-rays"]);
     let words = format!(
         "{described} {} Errors are |Δ log10 U| on surfaces against a dense grid of {} random rays.",
         seeds(&SEEDS),
@@ -182,7 +183,7 @@ fn allocated(scene: &Scene, rays: &RaySettings, grid: &GridSettings, power: f64)
     }
     let progress = RunProgress { rays: total, ..RunProgress::default() };
     let source = FieldSource { progress, stream: Some(&stream), ..FieldSource::default() };
-    // No time is told: a program that did this for its users would not build masks.
+    // The time would mislead: it is mostly that of building masks, which only this experiment needs.
     Ok(Run { field: builder.finish(&source).without_sums(), seconds: 0.0, samples })
 }
 
@@ -224,7 +225,7 @@ impl Tiles {
     }
 
     fn masks(&self, scene: &Scene, keeps: impl Fn(usize) -> bool) -> Vec<Option<Mask>> {
-        let mask = |(camera, of): (usize, &octobayes::geometry::Camera)| {
+        let mask = |(camera, of): (usize, &Camera)| {
             Some(Mask::new(of.resolution, |column, row| keeps(self.of(camera, [column, row]))))
         };
         scene.cameras.iter().enumerate().map(mask).collect()

@@ -119,7 +119,7 @@ impl RayCoverage {
     /// Adds rays.
     pub fn add(&mut self, batches: &[RaySamples]) {
         let lattice = &self.lattice;
-        // Some threads count by themselves. Counts of one call are far from what a u32 holds.
+        // Each part has a counter of its own. One call counts far fewer rays than a u32 holds.
         let counted = |batches: &[RaySamples]| {
             let mut counts = vec![0_u32; self.counts.len()];
             for line in batches.iter().flat_map(|batch| &batch.sight) {
