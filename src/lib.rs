@@ -27,17 +27,12 @@
 //!   be stored, queried, compared and merged.
 //! - [`estimate`] runs all of this: an [`Estimation`](estimate::Estimation) holds the settings of a run, and a
 //!   [`Planner`](estimate::Planner) predicts its time, memory and disk space.
-//! - [`session`] runs it as the command line and Python do: from files to files, with checks and remarks.
 //! - [`next_view`] ranks cameras by how much their images, not yet taken, would constrain the displacements.
-//! - [`evaluate`] checks whether U ranks the depth error of held-out views, beside measures that need no Hessian.
-//! - [`metrics`] has the formulas for that, and those of image quality.
+//! - [`dataset`] reads camera files, and [`open`] opens a model by its name: a file or a built-in scene.
 //!
-//! Input comes from these:
-//!
-//! - [`dataset`] reads posed images, their split, and depth maps.
-//! - [`train`] fits a hash grid to posed images.
-//! - [`synth`] ray-traces a mesh into images whose depth is known exactly.
-//! - [`open`] opens a model by its name: a file or a built-in scene.
+//! The program and the Python package are made of more modules: `session` runs from files to files, `evaluate` and
+//! `metrics` judge fields on held-out views, `train` and `synth` make models and data, `export` writes for other
+//! tools. They are not part of the interface, and these pages do not show them.
 //!
 //! # Example
 //!
@@ -75,11 +70,11 @@
 //! | feature | adds |
 //! |---|---|
 //! | `files` | files of others: [`dataset`], [`open`], [`splats`], models of [`field`], ray samples, official grids |
-//! | `evaluate` | [`evaluate`], [`session`], and the [`metrics`] of deviations and of perceived quality; with `files` |
+//! | `train` | [`field::HashGrid`], and its trainer; with `files` |
+//! | `evaluate` | `session`, `evaluate` and their metrics; with `files` |
 //! | `exr` | depth maps in OpenEXR; with `files` |
-//! | `export` | [`export`]; with `files` |
-//! | `train` | [`train`], and [`field::HashGrid`] that it trains; with `files` |
-//! | `synth` | [`synth`]; with `files` and `exr` |
+//! | `export` | `export`; with `files` |
+//! | `synth` | `synth`; with `files` and `exr` |
 //! | `cli` | the program, and its pictures; with all others. The default |
 //!
 //! # Versions
@@ -116,12 +111,15 @@ pub mod dataset;
 pub mod error;
 pub mod estimate;
 #[cfg(feature = "evaluate")]
+#[doc(hidden)]
 pub mod evaluate;
 #[cfg(feature = "export")]
+#[doc(hidden)]
 pub mod export;
 pub mod field;
 pub mod geometry;
 mod io;
+#[doc(hidden)]
 pub mod metrics;
 pub mod monitor;
 pub mod next_view;
@@ -135,11 +133,14 @@ pub mod posterior;
 pub mod rays;
 pub mod render;
 #[cfg(feature = "evaluate")]
+#[doc(hidden)]
 pub mod session;
 pub mod splats;
 #[cfg(feature = "synth")]
+#[doc(hidden)]
 pub mod synth;
 #[cfg(feature = "train")]
+#[doc(hidden)]
 pub mod train;
 pub mod uncertainty;
 #[cfg(feature = "cli")]

@@ -2,6 +2,7 @@
 
 use octobayes::estimate::{GridSettings, RaySettings};
 use octobayes::octree::VertexId;
+use octobayes::posterior::Pooling;
 use octobayes::render::GradientMethod;
 use octobayes::uncertainty::{Support, UncertaintyField};
 use octobayes::{Error, Result};
@@ -33,8 +34,9 @@ const GROUPS: [u16; 3] = [2, 8, 16];
 /// The number of groups by default.
 const DEFAULT_GROUPS: u16 = 8;
 
+/// Pooling needs a tolerance, below which vertices have not moved.
 fn grid(scene: &Scene) -> GridSettings {
-    scene.grid.tolerance(0.0)
+    scene.grid.tolerance(if scene.grid.pooling == Pooling::Off { 0.0 } else { 0.01 })
 }
 
 fn settings(scene: &Scene) -> RaySettings {
@@ -44,7 +46,8 @@ fn settings(scene: &Scene) -> RaySettings {
 /// What stands for the limit.
 fn limit(scene: &Scene) -> Result<UncertaintyField> {
     let many = settings(scene).rays(MORE * scene.settings.rays).seed(LIMIT_SEED);
-    Ok(scene.estimation(many, grid(scene)).run()?.field.without_sums())
+    let grid = scene.grid.pooling(Pooling::Off).tolerance(0.0);
+    Ok(scene.estimation(many, grid).run()?.field.without_sums())
 }
 
 fn with_error_bars(scene: &Scene, seed: u64, groups: u16) -> Result<UncertaintyField> {
@@ -243,8 +246,9 @@ impl Calibration {
     }
 }
 
-/// All scenes of the zoo that are not refused and move enough vertices, one row each.
-pub fn zoo(work: &Work) -> Result<(String, String)> {
+/// All scenes of the zoo that are not refused and move enough vertices, one row each; `pooling` is that of the runs
+/// that are judged, never of the limit.
+pub fn zoo(work: &Work, pooling: Pooling) -> Result<(String, String)> {
     let mut table = Table::new(&[&["scene"][..], &COLUMNS[..]].concat());
     let mut said = String::new();
     for case in hard::all().into_iter().filter(|scene| scene.verdict != Verdict::Refused) {
@@ -256,14 +260,15 @@ pub fn zoo(work: &Work) -> Result<(String, String)> {
             grid: GridSettings::default().level(case.level),
             field: Box::new(case.field),
         };
-        said = words(&scene);
         let limit = work.field(("limit", name, ZOO_RAYS), || limit(&scene))?;
+        let scene = Scene { grid: scene.grid.pooling(pooling), ..scene };
+        said = words(&scene);
         // A group whose rays meet a fault too often is refused as a run of its own would be.
         let make = |seed| match of_seed(&scene, &limit, seed, DEFAULT_GROUPS) {
             Err(Error::NonFinite { .. }) => Ok(None),
             made => made.map(Some),
         };
-        let of = |seed| work.row((name, ZOO_RAYS, DEFAULT_GROUPS, seed), || make(seed));
+        let of = |seed| work.row((name, ZOO_RAYS, DEFAULT_GROUPS, pooling, seed), || make(seed));
         let found = SEEDS.into_iter().map(of).collect::<Result<Vec<Option<OfSeed>>>>()?;
         if let Some(cells) = cells(found.iter().flatten().map(|seed| &seed.all)) {
             table.row(&[&[name.to_string()][..], &cells[..]].concat());

@@ -23,9 +23,15 @@ mod oracle;
 mod scenes;
 
 use octobayes::Result;
+use octobayes::posterior::Pooling;
 
 use common::program::{Needs, Program};
 use common::scenes::Scene;
+
+fn lego(pooling: Pooling) -> Result<Scene> {
+    let lego = Scene::lego(&Program::data()?)?;
+    Ok(Scene { settings: lego.settings.rays(204_800), grid: lego.grid.level(7).pooling(pooling), ..lego })
+}
 
 fn main() -> Result<()> {
     let parts = [
@@ -36,7 +42,9 @@ fn main() -> Result<()> {
         ("sums", Needs::Nothing),
         ("error-bars", Needs::Nothing),
         ("error-bars-lego", Needs::Data),
+        ("error-bars-lego-pooled", Needs::Data),
         ("error-bars-zoo", Needs::Nothing),
+        ("error-bars-pooled", Needs::Nothing),
     ];
     let program = Program::start("hard_cases", &parts)?;
     program.part("cases", cases::cases)?;
@@ -55,10 +63,8 @@ fn main() -> Result<()> {
         let courtyard = Scene { settings: courtyard.settings.rays(102_400), ..courtyard };
         honesty::scenes(work, &[courtyard, Scene::built_in("wall")?, Scene::built_in("floater")?])
     })?;
-    program.part("error-bars-lego", |work| {
-        let lego = Scene::lego(&Program::data()?)?;
-        let (settings, grid) = (lego.settings.rays(204_800), lego.grid.level(7));
-        honesty::scenes(work, &[Scene { settings, grid, ..lego }])
-    })?;
-    program.part("error-bars-zoo", honesty::zoo)
+    program.part("error-bars-lego", |work| honesty::scenes(work, &[lego(Pooling::Off)?]))?;
+    program.part("error-bars-lego-pooled", |work| honesty::scenes(work, &[lego(Pooling::Auto)?]))?;
+    program.part("error-bars-zoo", |work| honesty::zoo(work, Pooling::Off))?;
+    program.part("error-bars-pooled", |work| honesty::zoo(work, Pooling::Auto))
 }

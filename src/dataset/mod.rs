@@ -16,24 +16,22 @@ mod split;
 mod transforms;
 mod views;
 
-pub use colmap::{ScenePoint, scene_points};
-pub use depth::{DepthEncoding, DepthKind, DepthMap};
-pub use frames::{Part, Selection, camera_file};
-pub use hemisphere::Hemisphere;
-pub use image::PosedImage;
-pub use pictures::MaskFile;
-pub use points::PointReader;
+pub use frames::{Selection, camera_file};
 pub use pose::rigid_pose;
-pub use readings::{DepthReadings, Unmeasured};
-pub use transforms::write_transforms;
-pub use views::{Frame, Purpose, ResolutionSource, Views};
+pub use views::{Frame, Purpose, Views};
 
-// What other features of this crate need. Not `pub(crate)`, because without them it would be unused.
+// What only the program, Python and the experiments name.
 #[doc(hidden)]
-pub use frames::{FrameSplit, test_partner};
-#[doc(hidden)]
-pub use inria::write_inria;
-#[doc(hidden)]
-pub use pictures::{check_masks, image_path, read_masks};
-#[doc(hidden)]
-pub use readings::LargestDepth;
+pub use self::{
+    colmap::{ScenePoint, scene_points},
+    depth::{DepthEncoding, DepthKind, DepthMap},
+    frames::{FrameSplit, Part, test_partner},
+    hemisphere::Hemisphere,
+    image::PosedImage,
+    inria::write_inria,
+    pictures::{MaskFile, check_masks, image_path, read_masks},
+    points::PointReader,
+    readings::{DepthReadings, LargestDepth, Unmeasured},
+    transforms::write_transforms,
+    views::ResolutionSource,
+};

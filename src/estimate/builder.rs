@@ -427,6 +427,7 @@ impl FieldBuilder {
     ///
     /// # Errors
     /// If the file cannot be written.
+    #[doc(hidden)]
     pub fn save(&self, path: &Path, key: &RunKey, progress: RunProgress) -> Result<()> {
         either!(&self.0, builder => builder.save(path, key, progress))
     }
@@ -435,6 +436,7 @@ impl FieldBuilder {
     ///
     /// # Errors
     /// If the file is not the complete state of a run with the same description.
+    #[doc(hidden)]
     pub fn restore(&mut self, path: &Path, key: &RunKey) -> Result<RunProgress> {
         either!(&mut self.0, builder => builder.restore(path, key))
     }

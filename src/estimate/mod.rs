@@ -25,7 +25,7 @@ mod step;
 
 pub use audit::{Audit, MarchShift};
 pub use builder::{FieldBuilder, FieldSource, SURFACE_POINTS};
-pub use checkpoint::{Checkpoint, RunKey};
+pub use checkpoint::Checkpoint;
 pub use error_budget::{ErrorBudget, RayError};
 pub use estimation::{Estimation, Goal, Subject};
 pub use facts::facts;
@@ -39,6 +39,10 @@ pub use rays::RaySettings;
 pub use run::{Outcome, Run};
 pub use sight::CoverageCheck;
 pub use step::StepCheck;
+
+// What only the program, Python and the experiments name.
+#[doc(hidden)]
+pub use checkpoint::RunKey;
 
 #[cfg(test)]
 mod tests;

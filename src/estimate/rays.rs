@@ -92,6 +92,7 @@ impl RaySettings {
     ///
     /// # Errors
     /// If the step is too small or too large for the field's box, a number makes no sense, or [`Error::Interrupted`].
+    #[doc(hidden)]
     pub fn tracer<'a>(&self, field: &'a dyn RadianceField, reach: f64, monitor: &dyn Monitor) -> Result<Tracer<'a>> {
         let shares = [("pixel offset", self.pixel_offset.unwrap_or(0.0)), ("cutoff", self.cutoff)];
         if let Some((what, value)) = shares.into_iter().find(|(_, value)| !(0.0..=1.0).contains(value)) {
@@ -166,6 +167,7 @@ impl RaySettings {
     ///
     /// # Errors
     /// As [`RaySettings::stream`].
+    #[doc(hidden)]
     pub fn volume<'a>(
         &self,
         field: &'a dyn RadianceField,

@@ -3,13 +3,14 @@
 //! Everything downstream sees a field only through [`RadianceField`], so any architecture can be a black box.
 //! How models are stored is private to this module.
 
+#[doc(hidden)]
 pub mod closed_form;
 #[cfg(feature = "files")]
 mod elementary;
 #[cfg(feature = "files")]
 mod harmonics;
 #[cfg(feature = "train")]
-pub mod hash_grid;
+pub(crate) mod hash_grid;
 #[cfg(feature = "files")]
 mod mlp;
 #[cfg(feature = "files")]

@@ -49,11 +49,16 @@ mod ranking;
 mod report;
 
 pub use evidence::Blank;
-pub use gain::{first_order, log_det};
-pub use made::{Around, Made};
-pub use map::GainMap;
 pub use ranking::{NextView, Ranking, Step};
-pub use report::{NamedCandidate, NamedStep, Report};
+
+// What only the program, Python and the experiments name.
+#[doc(hidden)]
+pub use self::{
+    gain::{first_order, log_det},
+    made::{Around, Made},
+    map::GainMap,
+    report::{NamedCandidate, NamedStep, Report},
+};
 
 use derive_setters::Setters;
 
@@ -61,6 +66,7 @@ use crate::posterior::Information;
 
 /// What more precision at one vertex is worth, given P and ΔP, both symmetric 3×3: xx, xy, xz, yy, yz, zz, in
 /// 1 / scene unit². As [`log_det`] and [`first_order`].
+#[doc(hidden)]
 pub type VertexGain<'a> = &'a (dyn Fn(&Information, &Information) -> f64 + Sync);
 
 /// What a view is worth.

@@ -37,6 +37,9 @@ pub(crate) use nearby::Nearby;
 pub(crate) use set::MortonSet;
 pub use tile::Tile;
 pub(crate) use tile::Tiling;
+
+// What only the program, Python and the experiments name.
+#[doc(hidden)]
 pub use validate::{Defect, OctreeStats};
 
 use free::free_vertices;

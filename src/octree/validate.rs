@@ -94,6 +94,7 @@ impl Octree {
     ///
     /// # Errors
     /// The first defect found.
+    #[doc(hidden)]
     pub fn validate(&self) -> Result<OctreeStats, Defect> {
         let finest = self.finest();
         let mut leaves = Vec::new();

@@ -25,15 +25,15 @@ pub use dense::DensePosterior;
 pub(crate) use deviations::Reading;
 pub use deviations::Support;
 pub(crate) use deviations::{LocalSums, comparable};
-// How a file stores sums, for the experiment that measures what that costs.
-#[doc(hidden)]
-pub use factor::FactoredSums;
 pub(crate) use octree::{AT_ONCE, CONTRIBUTION_BYTES, spare_bytes};
 pub use octree::{Criteria, Criterion, OctreePosterior};
 pub(crate) use octree::{Needs, PilotCounts, Refinement, SpeciesEstimate};
 pub use pooling::Pooling;
-pub use ray_coverage::RayCoverage;
 pub use scale::{DataScale, Scale};
+
+// What only the program, Python and the experiments name.
+#[doc(hidden)]
+pub use self::{factor::FactoredSums, ray_coverage::RayCoverage};
 
 use std::ops::AddAssign;
 

@@ -18,13 +18,16 @@ mod stream;
 
 pub use missing::MissingShards;
 pub use pixels::Pixels;
-// The parts of a stream, for this crate's experiments and tests.
-#[doc(hidden)]
-pub use pixels::{PixelSample, PixelSequence};
 #[cfg(feature = "files")]
 pub use samples_file::{SamplesReader, SamplesWriter};
 pub(crate) use seeds::Purpose;
 pub use shard::{RaySet, RunProgress, Shard};
+pub use stream::{MAX_DROPPED_SHARE, RayStream, SURFACE_WEIGHT};
+
+// What only the program, Python and the experiments name.
 #[doc(hidden)]
-pub use source::{RaySource, VolumeRays};
-pub use stream::{End, MAX_DROPPED_SHARE, RayStream, SURFACE_WEIGHT};
+pub use self::{
+    pixels::{PixelSample, PixelSequence},
+    source::{RaySource, VolumeRays},
+    stream::End,
+};

@@ -235,6 +235,7 @@ impl<'a> RayStream<'a> {
     ///
     /// # Errors
     /// What `sink` returns, or [`Error::NonFinite`].
+    #[doc(hidden)]
     pub fn run_until<B>(
         &self,
         shard: Shard,

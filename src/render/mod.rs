@@ -15,27 +15,28 @@ mod trace;
 mod view;
 
 pub use composite::Pixel;
-pub use depth::{DepthProbe, DepthSample, DepthVariance};
-pub use gradient::{Differences, Differentiation, GradientMethod, Stencil};
+pub use depth::DepthVariance;
+pub use gradient::{Differentiation, GradientMethod};
 pub use images::{Renderer, VolumeRenderer};
-pub use march::Marcher;
 pub(crate) use march::SampleDistances;
+pub use noise::DifferenceErrors;
 pub(crate) use noise::LONGEST_STEP;
-pub use noise::{DifferenceError, DifferenceErrors};
-pub use occupancy::Occupancy;
 pub use ray_average::RayAverage;
 pub use samples::{RaySample, RaySamples, VisibleSegment};
 pub(crate) use trace::TracedRays;
-pub use trace::Tracer;
-pub use view::{
-    MIN_SUPPORTING_RAYS, Probe, Probed, ProbedField, RenderedView, render_rays, render_view, render_view_with_depth,
-};
+pub use view::{MIN_SUPPORTING_RAYS, Probe, Probed, ProbedField, RenderedView};
 pub(crate) use view::{WeightedRays, check_size};
 
-// The steps of a tracer, for this crate's experiments and tests.
+// What only the program, Python and the experiments name.
 #[doc(hidden)]
-pub use composite::{CompositingWeights, depth_variance, termination_entropy};
-#[doc(hidden)]
-pub use jacobian::{JacobianBuffers, RayBatch};
-#[doc(hidden)]
-pub use trace::TraceBuffers;
+pub use self::{
+    composite::{CompositingWeights, depth_variance, termination_entropy},
+    depth::{DepthProbe, DepthSample},
+    gradient::{Differences, Stencil},
+    jacobian::{JacobianBuffers, RayBatch},
+    march::Marcher,
+    noise::DifferenceError,
+    occupancy::Occupancy,
+    trace::{TraceBuffers, Tracer},
+    view::{render_rays, render_view, render_view_with_depth},
+};

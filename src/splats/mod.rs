@@ -23,13 +23,17 @@ use glam::{Quat, Vec3};
 pub(crate) use render::FAINTEST;
 #[cfg(all(test, any(feature = "evaluate", feature = "train")))]
 pub(crate) use render::reference;
-pub use render::{Hit, Hits, SplatRenderer, SplatView, Use, seen_domain, tile_of};
+pub use render::{SplatRenderer, seen_domain, tile_of};
 #[cfg(feature = "train")]
 pub(crate) use render::{boxed, middle};
+// What only the program, Python and the experiments name.
+#[doc(hidden)]
+pub use render::{Hit, Hits, SplatView, Use};
 
 #[cfg(feature = "files")]
 use self::columns::Layout;
 #[cfg(feature = "files")]
+#[doc(hidden)]
 pub use self::summary::{QUANTILES, Summary};
 use crate::geometry::Aabb;
 use crate::{Error, Result};

@@ -40,6 +40,7 @@ fn quantiles(values: impl Iterator<Item = f32>) -> [f32; 5] {
 
 impl Splats {
     /// Describes the scene in a few numbers.
+    #[doc(hidden)]
     #[must_use]
     pub fn summary(&self) -> Summary {
         let all = || 0..self.len();

@@ -87,6 +87,7 @@ impl UncertaintyField {
     ///
     /// # Errors
     /// The first defect.
+    #[doc(hidden)]
     pub fn validate(&self) -> std::result::Result<Option<OctreeStats>, crate::octree::Defect> {
         match &self.support {
             Support::Dense => Ok(None),

@@ -27,24 +27,28 @@ mod to_dense;
 
 pub use answers::{Answer, Answers};
 pub use baked::BakedField;
-pub use by_vertex::{ByVertex, RayCounts, StandardDeviations, Stored};
 pub use compare::{Comparison, Difference, Summary, compare};
-pub use depth::DepthPosterior;
 pub use file::FORMAT_VERSION;
-pub use layers::{Conformal, ErrorBars, ErrorSummary, ResidualSums, Residuals};
+pub use layers::{ErrorBars, ErrorSummary};
 pub use matrices::Matrices;
 pub use merge::{finish_tiles, merge, merge_with_error_bars};
 pub use observability::Observability;
 #[cfg(feature = "files")]
 pub use official::OfficialGrid;
-// For ranking views, and for the experiment that checks what it predicts.
-#[doc(hidden)]
-pub use precision::{Added, Precision};
 pub use query::Estimate;
 pub use record::RunRecord;
 pub use shown::{Unknown, shown_log10, unknowns};
 pub use threshold::{NEARLY_ALL, ThresholdedField, is_certain, threshold_warning};
 pub use tiled::TiledField;
+
+// What only the program, Python and the experiments name.
+#[doc(hidden)]
+pub use self::{
+    by_vertex::{ByVertex, RayCounts, StandardDeviations, Stored},
+    depth::DepthPosterior,
+    layers::{Conformal, ResidualSums, Residuals},
+    precision::{Added, Precision},
+};
 
 pub use crate::posterior::Support;
 

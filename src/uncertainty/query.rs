@@ -18,7 +18,7 @@ pub struct Estimate {
     /// cancellation: an upper bound to first order.
     pub log10_error: Option<f64>,
     /// Number of rays that support this estimate, interpolated from the vertices'
-    /// [`RayCounts`](super::RayCounts). `None` if they are unknown.
+    /// [`UncertaintyField::rays`](super::UncertaintyField::rays). `None` if they are unknown.
     pub rays: Option<f64>,
     /// Level of the leaf around the point (the finest level on a dense grid); 0 outside the box.
     pub level: u8,

@@ -2,7 +2,7 @@
 
 use glam::{DVec3, Vec3};
 
-use super::layers::error_bars::Jackknife;
+use super::layers::error_bars::{Jackknife, Replicates};
 use super::*;
 use crate::geometry::{Aabb, Domain};
 use crate::octree::trilinear;
@@ -113,13 +113,15 @@ fn with_bars(field: UncertaintyField) -> UncertaintyField {
 #[test]
 fn error_bars_are_those_of_fields_without_each_group() {
     for covariance in Covariance::ALL {
-        for field in pooled_fields(covariance, 1.0, Pooling::Below(2.0)).into_iter().chain(fields(covariance, 1.0)) {
+        let of = |pooling| pooled_fields(covariance, 1.0, pooling);
+        for field in [Pooling::Off, Pooling::Below(2.0), Pooling::Auto].into_iter().flat_map(of) {
             let field = with_bars(field);
             let sums = field.sums().unwrap();
             let bars = field.error_bars().unwrap();
             assert_eq!((bars.groups(), bars.len()), (3, sums.len()));
             // By hand: the fields of the other groups' rays, computed as fields are.
-            let without = |g: usize| {
+            let field_of = |record, sums| UncertaintyField::new(record, field.lattice, field.support.clone(), sums);
+            let without = |g: usize, pooling: Pooling| {
                 let kept = |v: usize| match v % 5 {
                     0 => [0.0, 1.0, 1.0][g],
                     n => 1.0 - [0.5, 0.3 - 0.05 * n as f64, 0.2 + 0.05 * n as f64][g],
@@ -129,15 +131,30 @@ fn error_bars_are_those_of_fields_without_each_group() {
                 let part = |(v, e): (usize, &VertexSums)| {
                     VertexSums::new(e.information.map(|s| kept(v) * s), rays(v) * rays_of_a_group(v, e))
                 };
-                let record = RunRecord { rays: [12, 13, 15][g], ..field.record.clone() };
-                let sums = sums.iter().enumerate().map(part).collect();
-                UncertaintyField::new(record, field.lattice, field.support.clone(), sums)
+                let record = RunRecord { rays: [12, 13, 15][g], pooling, ..field.record.clone() };
+                field_of(record, sums.iter().enumerate().map(part).collect())
             };
-            let others = [0, 1, 2].map(without);
+            let pooling = field.record.pooling;
+            let others = [0, 1, 2].map(|g| without(g, pooling));
+            let own = field_of(RunRecord { pooling: Pooling::Off, ..field.record.clone() }, sums.to_vec());
+            let own_others = [0, 1, 2].map(|g| without(g, Pooling::Off));
             let mut known = 0;
             for (v, e) in sums.iter().enumerate() {
-                let deleted = others.each_ref().map(|other| other.deviations().get(v).log10());
-                let expected = Jackknife::new(field.deviations().get(v).log10(), &deleted, &[8, 7, 5]).error();
+                let at = |of: &UncertaintyField| of.deviations().get(v).log10();
+                let jackknife = |value, deleted: [f64; 3]| {
+                    Jackknife::new(&Replicates { value, deleted: deleted.to_vec() }, &[8, 7, 5])
+                };
+                let [theta, tau] = [&field, &own].map(at);
+                let [thetas, taus] = [&others, &own_others].map(|all| all.each_ref().map(at));
+                let found = jackknife(theta, thetas);
+                let expected = if pooling == Pooling::Off {
+                    found.error()
+                } else {
+                    let limit = tau - jackknife(tau, taus).bias;
+                    let noise = jackknife(theta - tau, [0, 1, 2].map(|g| thetas[g] - taus[g])).standard_error;
+                    let bias = ((theta - limit).powi(2) - noise.powi(2)).max(0.0).sqrt();
+                    found.standard_error.hypot(bias)
+                };
                 if e.rays == 0 || v.is_multiple_of(5) || v % 25 == 1 {
                     assert_eq!(bars.get(v), None, "one group, three rays or none saw vertex {v}");
                 } else {

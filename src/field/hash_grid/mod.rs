@@ -17,7 +17,7 @@ mod file;
 mod network;
 mod space;
 
-pub use config::{HashGridConfig, MAX_OCCUPANCY, N_FEATURES_PER_LEVEL, N_GEOMETRY, N_LEVELS, N_NEURONS};
+pub use config::{HashGridConfig, N_FEATURES_PER_LEVEL, N_GEOMETRY, N_LEVELS, N_NEURONS};
 pub(crate) use encoding::{Encoding, Entry, WIDTH};
 pub(crate) use network::{Backward, Forward, LAYERS, N_COLOR, N_VIEW, Network, Transposed, density_derivative};
 pub(crate) use space::Space;

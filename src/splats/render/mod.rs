@@ -112,6 +112,7 @@ impl<'a> SplatRenderer<'a> {
 
     /// Projects, lists and sorts the splats that a camera without distortion sees.
     #[must_use]
+    #[doc(hidden)]
     pub fn prepare(&self, camera: &Camera, to: Use) -> SplatView<'a> {
         let projector = Projector::new(self.splats, camera);
         let footprints: Vec<Footprint> =

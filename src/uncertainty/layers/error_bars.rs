@@ -15,6 +15,14 @@
 //! small. `experiments/hard_cases.md` has the cost of ignoring the bias. Each θ_g is computed like the field
 //! itself, with the same pooling and refinement limits.
 //!
+//! **Pooling.** What surfaces smear into the space beside them is the same in all groups, so that they cannot show it.
+//! The vertex's own sums do: they are noisy, but not smeared. With `τ` and τ_g the same as θ and θ_g, without pooling,
+//! and p̄ of τ, θ − p̄ is the bias and what noise SE_δ leaves in it, that of δ = θ − τ:
+//!
+//! ```text
+//! E² = SE² + max(0, (θ − p̄)² − SE_δ²)
+//! ```
+//!
 //! **Few rays.** The jackknife compares groups. Where fewer than two groups, or fewer than four rays, saw a vertex,
 //! there is too little to compare, and the error is *unknown*: `None`, not 0. In space that no ray reached, U is the
 //! prior's, and no number states how much a first ray would change it.
@@ -27,8 +35,8 @@ use serde_json::Value;
 use super::super::file::Source;
 use super::{Change, Layer, Sections};
 use crate::Result;
-use crate::posterior::{Reading, VertexSums};
-use crate::uncertainty::{MOVED, UncertaintyField};
+use crate::posterior::{Pooling, Reading, VertexSums};
+use crate::uncertainty::{MOVED, StandardDeviations, UncertaintyField};
 
 /// Root mean square errors of log10 σ_v, decades.
 #[derive(Debug, Clone, PartialEq)]
@@ -62,17 +70,25 @@ const MIN_GROUPS_AND_RAYS: (usize, u64) = (2, 4);
 /// Numbers of groups that are valid in a file.
 const GROUPS: std::ops::RangeInclusive<u16> = 2..=1024;
 
+/// A statistic of all rays, θ, and of all but each group's, θ_g.
+#[derive(Debug, Clone)]
+pub struct Replicates {
+    pub value: f64,
+    pub deleted: Vec<f64>,
+}
+
 /// Standard error and bias of a statistic by the jackknife.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Jackknife {
-    standard_error: f64,
+    pub standard_error: f64,
     /// Expected value minus limit.
-    bias: f64,
+    pub bias: f64,
 }
 
 impl Jackknife {
-    /// Computes the jackknife from `theta` = θ, `deleted` = θ_g and `rays` = m_g of every group.
-    pub fn new(theta: f64, deleted: &[f64], rays: &[u64]) -> Self {
+    /// Of groups with these `rays`, m_g.
+    pub fn new(of: &Replicates, rays: &[u64]) -> Self {
+        let Replicates { value: theta, deleted } = of;
         assert!(deleted.len() == rays.len() && rays.len() >= 2, "one value for each of two groups or more");
         let all: u64 = rays.iter().sum();
         let (groups, h) = (rays.len() as f64, |m: u64| all as f64 / m as f64);
@@ -88,6 +104,16 @@ impl Jackknife {
     pub fn error(&self) -> f64 {
         self.standard_error.hypot(self.bias)
     }
+}
+
+/// Root mean square error of a pooled statistic, beside the `own` one, which is not pooled.
+fn error_of_pooled(pooled: &Replicates, own: &Replicates, rays: &[u64]) -> f64 {
+    let deleted = pooled.deleted.iter().zip(&own.deleted).map(|(p, o)| p - o).collect();
+    let apart = Replicates { value: pooled.value - own.value, deleted };
+    let bias = apart.value + Jackknife::new(own, rays).bias;
+    let noise = Jackknife::new(&apart, rays).standard_error;
+    let square = (bias * bias - noise * noise).max(0.0);
+    (Jackknife::new(pooled, rays).standard_error.powi(2) + square).sqrt()
 }
 
 impl ErrorBars {
@@ -175,6 +201,20 @@ impl Layer for ErrorBars {
     }
 }
 
+/// `[vertices]`: the sums of all groups but `deleted`.
+///
+/// They are summed anew, because subtracting from the total would leave rounding where the result is 0.
+fn summed(groups: &[Vec<VertexSums>], deleted: Option<usize>) -> Vec<VertexSums> {
+    let others = || groups.iter().enumerate().filter(move |(g, _)| Some(*g) != deleted).map(|(_, group)| group);
+    let sum = |v: usize| {
+        others().fold(VertexSums::default(), |mut sum, group| {
+            sum += &group[v];
+            sum
+        })
+    };
+    (0..groups[0].len()).into_par_iter().map(sum).collect()
+}
+
 impl UncertaintyField {
     /// Adds the error of every log10 σ_v to the field, computed from the sums of independent groups of rays.
     ///
@@ -188,27 +228,35 @@ impl UncertaintyField {
         assert!(groups.iter().all(|group| group.len() == vertices), "one entry per vertex");
         assert!(groups.len() == rays.len() && rays.len() >= 2 && rays.iter().all(|&m| m > 0), "groups with rays");
         let all: u64 = rays.iter().sum();
-        let without = |deleted: usize| {
-            // Summed anew, because subtracting from the total would leave rounding where the result is 0.
-            let others = || groups.iter().enumerate().filter(move |(g, _)| *g != deleted).map(|(_, group)| group);
-            let sum = |v: usize| {
-                others().fold(VertexSums::default(), |mut sum, group| {
-                    sum += &group[v];
-                    sum
-                })
-            };
-            let sums: Vec<VertexSums> = (0..vertices).into_par_iter().map(sum).collect();
-            self.deviations_of(&Reading { rays: all - rays[deleted], ..self.record.reading() }, &sums)
+        let reading = self.record.reading();
+        let own_reading = reading.pooling.is_on().then_some(Reading { pooling: Pooling::Off, ..reading });
+        let read = |reading: &Reading, deleted: Option<usize>, sums: &[VertexSums]| {
+            self.deviations_of(&Reading { rays: all - deleted.map_or(0, |g| rays[g]), ..*reading }, sums)
         };
-        let deleted: Vec<_> = (0..groups.len()).map(without).collect();
+        let (mut deleted, mut own_deleted) = (Vec::new(), Vec::new());
+        for g in 0..groups.len() {
+            let others = summed(groups, Some(g));
+            deleted.push(read(&reading, Some(g), &others));
+            own_deleted.extend(own_reading.map(|reading| read(&reading, Some(g), &others)));
+        }
+        let own = own_reading.map(|reading| read(&reading, None, &summed(groups, None)));
+        let log10 = |deviations: &StandardDeviations, v: usize| deviations.get(v).log10();
+        let logs = |of: &[StandardDeviations], v: usize| of.iter().map(|d| log10(d, v)).collect::<Vec<f64>>();
         let error = |v: usize| {
             let seen = groups.iter().filter(|group| group[v].rays > 0).count();
             let rays_here: u64 = groups.iter().map(|group| u64::from(group[v].rays)).sum();
             if seen < MIN_GROUPS_AND_RAYS.0 || rays_here < MIN_GROUPS_AND_RAYS.1 {
                 return UNKNOWN;
             }
-            let others: Vec<f64> = deleted.iter().map(|d| d.get(v).log10()).collect();
-            f16::from_f64(Jackknife::new(self.deviations.get(v).log10(), &others, rays).error()).to_bits()
+            let theta = Replicates { value: log10(&self.deviations, v), deleted: logs(&deleted, v) };
+            let error = match &own {
+                None => Jackknife::new(&theta, rays).error(),
+                Some(own) => {
+                    let own = Replicates { value: log10(own, v), deleted: logs(&own_deleted, v) };
+                    error_of_pooled(&theta, &own, rays)
+                }
+            };
+            f16::from_f64(error).to_bits()
         };
         let errors = (0..vertices).into_par_iter().map(error).collect();
         self.layers.error_bars = Some(ErrorBars { groups: groups.len() as u16, errors });
@@ -258,7 +306,7 @@ mod tests {
             let deleted: Vec<f64> = (0..values.len()).map(|g| mean(Some(g))).collect();
             let terms = values.iter().zip(&rays).map(|(x, &m)| (x - theta).powi(2) * m as f64 / (all - m) as f64);
             let expected = (terms.sum::<f64>() / values.len() as f64).sqrt();
-            let found = Jackknife::new(theta, &deleted, &rays);
+            let found = Jackknife::new(&Replicates { value: theta, deleted }, &rays);
             // θ and θ_g are rounded to 1e3 · 2⁻⁵³; pseudo-values magnify that by h ≤ 2e4.
             let error = (found.standard_error - expected).abs();
             prop_assert!(error <= 1e-8 * expected.max(1.0), "{:?} instead of {}", found, expected);
@@ -267,7 +315,8 @@ mod tests {
 
         #[test]
         fn two_groups_are_split_half(a in -5.0..5.0_f64, b in -5.0..5.0_f64) {
-            let found = Jackknife::new(0.5 * (a + b), &[b, a], &[7, 7]).error();
+            let halves = Replicates { value: 0.5 * (a + b), deleted: vec![b, a] };
+            let found = Jackknife::new(&halves, &[7, 7]).error();
             prop_assert!((found - 0.5 * (a - b).abs()).abs() < 1e-14);
         }
 
@@ -276,7 +325,8 @@ mod tests {
             let n = values.len() as f64;
             let sum: f64 = values.iter().sum();
             let deleted: Vec<f64> = values.iter().map(|x| ((sum - x) / (n - 1.0)).powi(2)).collect();
-            let found = Jackknife::new((sum / n).powi(2), &deleted, &vec![5; values.len()]);
+            let squared = Replicates { value: (sum / n).powi(2), deleted };
+            let found = Jackknife::new(&squared, &vec![5; values.len()]);
             // Known (Efron 1982, Sec. 2.1): exactly s²/n.
             let expected = values.iter().map(|x| (x - sum / n).powi(2)).sum::<f64>() / (n - 1.0) / n;
             prop_assert!((found.bias - expected).abs() < 1e-12 * n * n, "{:?} instead of {}", found, expected);
