@@ -258,6 +258,13 @@ impl<P: Finish> Builder<P> {
         Self { limits, wanted, posterior, surface: Vec::new(), ray_coverage: None, ..*self }
     }
 
+    /// The same sums again.
+    pub fn copied(&self) -> Self {
+        let mut copy = self.emptied();
+        copy += self;
+        copy
+    }
+
     /// How the rays so far were drawn and summed.
     fn record(&self, source: &FieldSource) -> RunRecord {
         let (settings, stream) = (&self.settings, source.stream);

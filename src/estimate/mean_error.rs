@@ -4,17 +4,20 @@
 //! log10 U of the halves differs by Δ, the whole is off by about Δ/2, because its variance is half of theirs. Δ
 //! is measured at every vertex that moved from the prior, each time that the number of rays has doubled. (Halves
 //! of one low-discrepancy sequence would complement each other, and their difference would be twice too large.)
+//!
+//! Of pooled fields, the halves share what pooling smears. There, the mean of the halves'
+//! [error bars](crate::uncertainty::ErrorBars) takes the place of Δ/2, over the vertices whose error they know.
 
 use rayon::prelude::*;
 
 use super::GridSettings;
-use super::builder::{Builder, Finish};
+use super::builder::{Builder, FieldSource, Finish};
 use crate::Result;
 use crate::geometry::Domain;
 use crate::metrics::quantile;
 use crate::monitor::Monitor;
 use crate::rays::{Purpose, RaySet, RayStream, RunProgress, Shard};
-use crate::uncertainty::MOVED;
+use crate::uncertainty::{MOVED, UncertaintyField};
 
 /// Number of rays before the first measurement.
 const FIRST: u64 = 65_536;
@@ -35,6 +38,14 @@ impl SamplingError {
     /// From log10 U of both halves at these vertices.
     fn from_halves(halves: &[(f64, f64)]) -> Self {
         Self::from_errors(halves.iter().map(|(a, b)| 0.5 * (a - b).abs()).collect())
+    }
+
+    /// From the error bars of two halves.
+    fn from_bars(field: &UncertaintyField) -> Self {
+        let moved = field.prior() * 10_f64.powf(-MOVED);
+        let bars = field.error_bars().into_iter().flat_map(|bars| (0..bars.len()).map(|v| (v, bars.get(v))));
+        let known = bars.filter(|(v, _)| field.deviations().get(*v) < moved).filter_map(|(_, error)| error);
+        Self::from_errors(known.collect())
     }
 
     /// From log10 U by two treatments at these vertices.
@@ -82,13 +93,25 @@ pub(super) fn draw<P: Finish>(
                 Ok(())
             })?;
         }
-        let drawn = halves.iter().map(|half| half.1.rays).sum();
-        let error = SamplingError::from_halves(&halves[0].0.both(&halves[1].0, drawn));
+        let error = if settings.pooling.is_on() {
+            SamplingError::from_bars(&with_error_bars(&halves, stream)?)
+        } else {
+            let drawn = halves.iter().map(|half| half.1.rays).sum();
+            SamplingError::from_halves(&halves[0].0.both(&halves[1].0, drawn))
+        };
         if error.vertices > 0 && error.mean <= decades || rays == most {
             return Ok((halves, error));
         }
         rays = (2 * rays).min(most);
     }
+}
+
+/// The field of two halves so far, with the error bars of their disagreement.
+fn with_error_bars<P: Finish>(halves: &[Half<P>; 2], stream: &RayStream) -> Result<UncertaintyField> {
+    let groups = halves.iter().map(|(builder, _)| builder.copied()).collect();
+    let progress = halves.each_ref().map(|half| half.1);
+    let source = FieldSource { progress: progress.into_iter().sum(), stream: Some(stream), ..FieldSource::default() };
+    Builder::finish_groups(groups, ray_sets(stream, halves), &progress, &source)
 }
 
 /// The two halves of `stream`'s rays.
@@ -120,14 +143,18 @@ mod tests {
     use super::*;
     use crate::estimate::{Estimation, GridKind, Outcome, RayError, RaySettings};
     use crate::field::ClosedForm;
-    use crate::posterior::Criterion;
-    use crate::uncertainty::MOVED;
+    use crate::posterior::{Criterion, Pooling};
+    use crate::uncertainty::{MOVED, Support};
 
     fn run(grid: GridKind, decades: f64, most: u64) -> (Outcome, SamplingError) {
+        run_on(GridSettings::default().grid(grid), decades, most)
+    }
+
+    fn run_on(grid: GridSettings, decades: f64, most: u64) -> (Outcome, SamplingError) {
         let field = ClosedForm::courtyard();
         let cameras = ClosedForm::half_circle(10, [100, 100]);
         let rays = RaySettings { rays: most, ..RaySettings::default() };
-        let grid = GridSettings { grid, level: 5, ..GridSettings::default() };
+        let grid = GridSettings { level: 5, ..grid };
         let outcome = Estimation::new(&field, &cameras).rays(rays).grid(grid).until_mean_error(decades).run().unwrap();
         let Some(RayError::Halves(error)) = outcome.errors.rays else { panic!("{:?}", outcome.errors) };
         (outcome, error)
@@ -162,19 +189,29 @@ mod tests {
 
     #[test]
     fn the_estimate_is_about_the_true_error_and_ends_the_run() {
-        let many = 200_000;
+        let many = 400_000;
         let truth = run(GridKind::Octree, 1e-9, many).0.field.on_dense_grid();
         let moved = truth.prior() * 10_f64.powf(-MOVED);
-        let (Outcome { field, progress, .. }, error) = run(GridKind::Octree, 0.1, many);
-        let field = field.on_dense_grid();
-        assert!(error.mean <= 0.1 && progress.rays < many / 2, "{progress:?} {error:?}");
-        let pairs = field.deviations().iter().zip(truth.deviations().iter());
-        let errors: Vec<f64> = pairs.filter(|(a, _)| *a < moved).map(|(a, b)| (a / b).log10().abs()).collect();
-        let mean = errors.iter().sum::<f64>() / errors.len() as f64;
-        // The reference has the run's own rays and more: of n and N rays, they differ by √(1 − n/N) of the error.
-        let mean = mean / (1.0 - progress.rays as f64 / many as f64).sqrt();
-        // Two-sided: a quarter more or less allows for the error of the reference itself and for vertices
-        // on either side of half a decade.
-        assert!((0.75..1.33).contains(&(error.mean / mean)), "estimated {}, found {mean}", error.mean);
+        for pooling in [Pooling::Off, Pooling::Auto] {
+            let grid = GridSettings::default().pooling(pooling);
+            let (Outcome { field, progress, .. }, error) = run_on(grid, 0.1, many);
+            assert!(error.mean <= 0.1 && progress.rays < many / 2, "{progress:?} {error:?}");
+            let Support::Octree(tree) = field.support() else { panic!("an octree was asked for") };
+            // Where pooling says something of a vertex that few rays have seen, the error is unknown.
+            let least = if pooling.is_on() { 4 } else { 0 };
+            let counts = |v: usize| field.deviations().get(v) < moved && field.sums().unwrap()[v].rays >= least;
+            let error_at = |(v, point)| {
+                let at_limit = truth.deviations().get(truth.lattice().dense_index(point));
+                (field.deviations().get(v) / at_limit).log10().abs()
+            };
+            let vertices = tree.vertex_positions().enumerate().filter(|(v, _)| counts(*v));
+            let errors: Vec<f64> = vertices.map(error_at).collect();
+            let mean = errors.iter().sum::<f64>() / errors.len() as f64;
+            // The reference has the run's own rays and more: of n and N rays, they differ by √(1 − n/N) of the error.
+            let mean = mean / (1.0 - progress.rays as f64 / many as f64).sqrt();
+            // Two-sided: a quarter more or less allows for the error of the reference itself and for vertices
+            // on either side of half a decade.
+            assert!((0.75..1.33).contains(&(error.mean / mean)), "{pooling}: estimated {}, found {mean}", error.mean);
+        }
     }
 }
