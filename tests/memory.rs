@@ -157,7 +157,7 @@ fn a_budget_bounds_the_peak_of_the_process_and_is_used() {
 fn a_budget_bounds_the_peak_with_models_of_the_data() {
     let _alone = ALONE.lock();
     let data = std::env::var("OCTOBAYES_DATA").unwrap();
-    let ppng = |name: &str, more: &str| format!("{data}/ppng-pretrained/{name}.ppng {more}");
+    let ppng = |name: &str, more: &str| format!("{data}/ppng-pretrained/{name}.ppng {more} --gradient auto");
     keeps_and_uses(&ppng("NeRFSynthetic/ppng_1/lego", "--rays 400k --fov 39.6"), &[(8, 100e6), (10, 200e6)]);
     keeps_and_uses(&ppng("NeRFSynthetic/ppng_1/lego", "--rays 200k --fov 39.6"), &[(12, 500e6)]);
     keeps_and_uses(&ppng("TanksAndTemple/ppng_1/Ignatius", "--rays 400k --fov 50"), &[(10, 500e6)]);

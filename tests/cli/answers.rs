@@ -452,6 +452,7 @@ fn pictures_are_previews_with_the_cameras_aspect_ratio_unless_told_otherwise() {
 /// A log file of a long run says how far it is; one of a short run holds nothing.
 #[test]
 #[cfg(unix)]
+#[ignore = "slow: whole runs as processes"]
 fn long_work_tells_off_a_terminal_how_far_it_is() {
     use std::io::{BufRead, BufReader};
     let desk = Desk::with_field();

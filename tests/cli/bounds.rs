@@ -180,6 +180,7 @@ const FIELD: &str = "uncertainty scene:ball --cameras cameras.json --level 3 --r
 const SYNTH: &str = "synth mesh.obj -o set --count 2 --test-count 1 --resolution 8 --samples-per-pixel 1";
 
 #[test]
+#[ignore = "slow: whole runs as processes"]
 fn uncertainty() {
     let base = "scene:ball --cameras cameras.json --level 3 --rays 600 --occupancy 16 -o x.oct";
     try_all(&[], "uncertainty", base);
@@ -238,6 +239,7 @@ fn synth() {
 }
 
 #[test]
+#[ignore = "slow: whole runs as processes"]
 fn train() {
     let base = "set -o x.safetensors --steps 2 --log2-hashmap-size 8 --samples-per-step 1024";
     try_all(&[SYNTH], "train", base);

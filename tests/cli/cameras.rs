@@ -83,6 +83,7 @@ impl Desk {
 }
 
 #[test]
+#[ignore = "slow: whole runs as processes"]
 fn uncertainty_uses_the_cameras_that_the_model_was_trained_on() {
     let desk = Desk::new();
     let stderr = desk.good(&format!("train set -o m.safetensors --views 4 --steps 40 {SMALL}"));
@@ -154,6 +155,7 @@ fn models_without_cameras_are_read_and_damaged_cameras_refused() {
 }
 
 #[test]
+#[ignore = "slow: whole runs as processes"]
 fn all_verbs_select_frames_by_one_rule() {
     let desk = Desk::new();
     let [first, second] = desk.one_file();
@@ -184,6 +186,7 @@ fn all_verbs_select_frames_by_one_rule() {
 }
 
 #[test]
+#[ignore = "slow: whole runs as processes"]
 fn a_field_of_another_model_is_refused_wherever_models_lie() {
     let desk = Desk::new();
     desk.good(&format!("train set -o m.safetensors --views 4 --steps 40 --members 2 {SMALL}"));
@@ -217,6 +220,7 @@ fn a_field_of_another_model_is_refused_wherever_models_lie() {
 
 #[test]
 #[cfg(unix)]
+#[ignore = "slow: whole runs as processes"]
 fn a_run_goes_on_with_a_model_that_has_moved() {
     let desk = Desk::new();
     desk.good(&format!("train set -o m.safetensors --views 4 --steps 40 {SMALL}"));
@@ -236,6 +240,7 @@ fn a_run_goes_on_with_a_model_that_has_moved() {
 }
 
 #[test]
+#[ignore = "slow: whole runs as processes"]
 fn a_contracted_model_gives_a_contracted_field() {
     let desk = Desk::new();
     // Hardly a step of training leaves fog, whose rays are long.

@@ -61,6 +61,7 @@ const EVALUATE: &str = "evaluate m-0.safetensors m.oct --cameras set/transforms_
     --depth-pattern {}.png --depth-encoding 0,6.5535 --ensemble m-0.safetensors m-1.safetensors";
 
 #[test]
+#[ignore = "slow: whole runs as processes"]
 fn depths_in_other_units_are_noticed() {
     let desk = desk();
     let run = |encoding: &str| {
@@ -80,6 +81,7 @@ fn depths_in_other_units_are_noticed() {
 
 /// PSNR, SSIM and coverage need no depth.
 #[test]
+#[ignore = "slow: whole runs as processes"]
 fn photographs_alone_can_be_cleaned_up() {
     let desk = desk();
     let command = "evaluate m-0.safetensors m.oct --cameras set/transforms_test.json --clean-up";
@@ -98,6 +100,7 @@ fn photographs_alone_can_be_cleaned_up() {
 /// The outputs of one command appear together or not at all.
 #[test]
 #[cfg(unix)]
+#[ignore = "slow: whole runs as processes"]
 fn a_disk_that_is_full_at_the_last_file_leaves_no_half_set() {
     let desk = desk();
     let names = ["sheet.png", "plot.svg", "curves.csv"];
@@ -125,6 +128,7 @@ fn a_disk_that_is_full_at_the_last_file_leaves_no_half_set() {
 }
 
 #[test]
+#[ignore = "slow: whole runs as processes"]
 fn all_measures_and_the_clean_up_are_in_the_tables() {
     let desk = desk();
     let run = |more: &str| good(desk.path(), &format!("{EVALUATE} {more}"));
@@ -184,6 +188,7 @@ fn all_measures_and_the_clean_up_are_in_the_tables() {
 /// A field in the scale of its data gives depths a standard deviation; its coverage stands beside that of the ray's
 /// weights, which know nothing of the training images.
 #[test]
+#[ignore = "slow: whole runs as processes"]
 fn deviations_of_depth_are_calibrated_beside_those_of_the_weights() {
     let desk = desk();
     good(
@@ -279,6 +284,7 @@ fn deviations_of_depth_are_calibrated_beside_those_of_the_weights() {
 /// The interval that calibration gives holds what it should on the views that it was made on, to one pixel; it goes
 /// with the file, and into every answer about depth.
 #[test]
+#[ignore = "slow: whole runs as processes"]
 fn a_calibrated_interval_holds_its_share_and_goes_with_the_field() {
     let desk = desk();
     let run = |args: &str| run(desk.path(), args);

@@ -48,6 +48,7 @@ fn a_budget_is_planned_kept_and_reported() {
 }
 
 #[test]
+#[ignore = "slow: whole runs as processes"]
 fn a_limited_run_survives_and_merges() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
@@ -116,6 +117,7 @@ fn the_dense_grid_is_a_uniform_octree() {
 
 /// Neither who draws the rays nor the octree changes what pooling makes of them.
 #[test]
+#[ignore = "slow: whole runs as processes"]
 fn pooled_parts_merge_to_the_pooled_whole_which_is_that_of_the_dense_grid() {
     let (scene, cameras) = (ClosedForm::courtyard(), ClosedForm::half_circle(6, [64, 64]));
     for pooling in [Pooling::Below(4.0), Pooling::Auto] {
@@ -165,6 +167,7 @@ fn contracted_fields_are_made_stored_and_asked_anywhere() {
 
 /// Processes are never of exactly the same size, but parts of one run must have the same leaves.
 #[test]
+#[ignore = "slow: whole runs as processes"]
 fn parts_under_a_budget_make_the_same_plan_and_merge() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();

@@ -119,6 +119,7 @@ fn a_scene_far_from_the_origin_is_right_or_told_or_refused() {
 
 /// 0.99 is no share: without a percent sign it is log10 U, and lies below that of nearly everything.
 #[test]
+#[ignore = "slow: whole runs as processes"]
 fn a_threshold_that_leaves_nothing_is_told_with_the_share_that_was_meant() {
     let desk = desk();
     voxels(&desk.path().join("ball.npz"), |x| if length(x) < 0.5 { 80.0 } else { 0.0 });

@@ -287,6 +287,7 @@ fn seams_are_where_refinement_crosses_them() {
 }
 
 #[test]
+#[ignore = "slow: whole runs as processes"]
 fn shards_of_tiles_are_the_shards_of_the_whole() {
     let grid = GridSettings::default().level(6);
     let of_shards: Vec<UncertaintyField> = (0..3).map(|i| run(grid, None, [i, 3], None).field).collect();
@@ -373,6 +374,7 @@ fn touched(scene: &ClosedForm, cameras: &[Camera], level: u8, of: u32) -> Vec<us
 
 /// Halved along z, the upper tile of a city has nothing in it, and the lower one has all.
 #[test]
+#[ignore = "slow: whole runs as processes"]
 fn tiles_have_as_many_vertices_wherever_the_scene_is() {
     let city = ClosedForm::named("city").unwrap();
     let intrinsics = Intrinsics { fov_x: None, resolution: Some([48, 36]) };

@@ -78,6 +78,7 @@ impl Desk {
 }
 
 #[test]
+#[ignore = "slow: whole runs as processes"]
 fn a_model_is_trained_and_the_other_verbs_read_it() {
     let desk = Desk::new();
     let [stdout, stderr] = desk.good(&format!("train . -o a.safetensors --steps 150 {SMALL} --json"));
@@ -141,6 +142,7 @@ fn a_run_limited_by_time_keeps_to_it_until_its_end() {
 }
 
 #[test]
+#[ignore = "slow: whole runs as processes"]
 fn views_members_and_what_is_wrong_with_them() {
     let desk = Desk::new();
     let two = format!("train transforms_train.json -o m.safetensors --steps 5 --views 3 --members 2 --seed 7 {SMALL}");
@@ -195,6 +197,7 @@ fn views_members_and_what_is_wrong_with_them() {
 
 #[test]
 #[cfg(unix)]
+#[ignore = "slow: whole runs as processes"]
 fn ctrl_c_saves_a_usable_model_and_resume_ends_with_the_same_bytes() {
     let desk = Desk::new();
     let args = |out: &str| format!("train . -o {out} --steps 120 {SMALL}");
