@@ -36,7 +36,7 @@ const DEFAULT_GROUPS: u16 = 8;
 
 /// Pooling needs a tolerance, below which vertices have not moved.
 fn grid(scene: &Scene) -> GridSettings {
-    scene.grid.tolerance(if scene.grid.pooling == Pooling::Off { 0.0 } else { 0.01 })
+    scene.grid.tolerance(if scene.grid.pooling.is_on() { 0.01 } else { 0.0 })
 }
 
 fn settings(scene: &Scene) -> RaySettings {

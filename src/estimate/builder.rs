@@ -50,7 +50,7 @@ fn every_cell(lattice: &Lattice) -> Result<Vec<Cell>> {
 }
 
 /// Sums from which a field can be computed.
-pub(super) trait Finish: Posterior {
+pub(super) trait Finish: Posterior + Clone {
     /// The field at these vertices of the sums.
     fn field(self, record: RunRecord, lattice: Lattice, at: Self::Vertices, keep_sums: bool) -> UncertaintyField;
 }
@@ -68,6 +68,7 @@ impl Finish for OctreePosterior {
 }
 
 /// A field under construction, on one kind of grid.
+#[derive(Clone)]
 pub(super) struct Builder<P> {
     settings: GridSettings,
     lattice: Lattice,
@@ -258,13 +259,6 @@ impl<P: Finish> Builder<P> {
         Self { limits, wanted, posterior, surface: Vec::new(), ray_coverage: None, ..*self }
     }
 
-    /// The same sums again.
-    pub fn copied(&self) -> Self {
-        let mut copy = self.emptied();
-        copy += self;
-        copy
-    }
-
     /// How the rays so far were drawn and summed.
     fn record(&self, source: &FieldSource) -> RunRecord {
         let (settings, stream) = (&self.settings, source.stream);
@@ -366,91 +360,5 @@ impl<P: Finish> AddAssign<&Self> for Builder<P> {
             (mine @ None, theirs) => mine.clone_from(theirs),
             (Some(_), None) => {}
         }
-    }
-}
-
-/// Builds an uncertainty field from ray samples, on the grid that the settings ask for.
-pub struct FieldBuilder(Kind);
-
-/// Either kind of grid.
-enum Kind {
-    Dense(Builder<DensePosterior>),
-    Octree(Builder<OctreePosterior>),
-}
-
-/// What a builder of either kind does.
-macro_rules! either {
-    ($kind:expr, $builder:ident => $call:expr) => {
-        match $kind {
-            Kind::Dense($builder) => $call,
-            Kind::Octree($builder) => $call,
-        }
-    };
-}
-
-impl FieldBuilder {
-    /// Creates a builder without information.
-    ///
-    /// # Errors
-    /// As [`GridSettings::lattice`].
-    pub fn new(settings: GridSettings, domain: Domain) -> Result<Self> {
-        Ok(Self(match settings.grid {
-            GridKind::Dense => Kind::Dense(Builder::new(settings, domain, None)?),
-            GridKind::Octree => Kind::Octree(Builder::new(settings, domain, None)?),
-        }))
-    }
-
-    /// Box and finest level.
-    #[must_use]
-    pub fn lattice(&self) -> &Lattice {
-        either!(&self.0, builder => builder.lattice())
-    }
-
-    /// Adds refinement where there is density, if the settings ask for it.
-    ///
-    /// # Errors
-    /// If there is no occupancy grid, or the number of cells exceeds what memory can hold.
-    pub fn want_density(&mut self, stream: &RayStream) -> Result<()> {
-        either!(&mut self.0, builder => builder.want_density(stream))
-    }
-
-    /// Takes surface points from rays that are spread over all of a run of `rays` rays.
-    pub(super) fn spread_surface(&mut self, rays: u64) {
-        either!(&mut self.0, builder => builder.spread_surface(rays));
-    }
-
-    /// Adds rays.
-    pub fn add(&mut self, batches: &[RaySamples]) {
-        either!(&mut self.0, builder => builder.add(batches));
-    }
-
-    /// Current size of the sums, bytes.
-    #[must_use]
-    pub fn memory(&self) -> usize {
-        either!(&self.0, builder => builder.memory())
-    }
-
-    /// Saves the state of the run `key` after the rays of `progress`.
-    ///
-    /// # Errors
-    /// If the file cannot be written.
-    #[doc(hidden)]
-    pub fn save(&self, path: &Path, key: &RunKey, progress: RunProgress) -> Result<()> {
-        either!(&self.0, builder => builder.save(path, key, progress))
-    }
-
-    /// Restores the state of the run `key` and returns its progress, from which the run continues.
-    ///
-    /// # Errors
-    /// If the file is not the complete state of a run with the same description.
-    #[doc(hidden)]
-    pub fn restore(&mut self, path: &Path, key: &RunKey) -> Result<RunProgress> {
-        either!(&mut self.0, builder => builder.restore(path, key))
-    }
-
-    /// Computes the field from the rays so far.
-    #[must_use]
-    pub fn finish(self, source: &FieldSource) -> UncertaintyField {
-        either!(self.0, builder => builder.finish(source))
     }
 }

@@ -22,7 +22,8 @@ use crate::uncertainty::{MOVED, UncertaintyField};
 /// Number of rays before the first measurement.
 const FIRST: u64 = 65_536;
 
-/// Estimated error of log10 U at the vertices that moved by more than half a decade from the prior.
+/// Estimated error of log10 U at the vertices that moved by more than half a decade from the prior; of pooled fields at
+/// those whose error is known.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 #[non_exhaustive]
 pub struct SamplingError {
@@ -42,10 +43,7 @@ impl SamplingError {
 
     /// From the error bars of two halves.
     fn from_bars(field: &UncertaintyField) -> Self {
-        let moved = field.prior() * 10_f64.powf(-MOVED);
-        let bars = field.error_bars().into_iter().flat_map(|bars| (0..bars.len()).map(|v| (v, bars.get(v))));
-        let known = bars.filter(|(v, _)| field.deviations().get(*v) < moved).filter_map(|(_, error)| error);
-        Self::from_errors(known.collect())
+        Self::from_errors(field.errors_of_moved().into_iter().flatten().collect())
     }
 
     /// From log10 U by two treatments at these vertices.
@@ -108,7 +106,7 @@ pub(super) fn draw<P: Finish>(
 
 /// The field of two halves so far, with the error bars of their disagreement.
 fn with_error_bars<P: Finish>(halves: &[Half<P>; 2], stream: &RayStream) -> Result<UncertaintyField> {
-    let groups = halves.iter().map(|(builder, _)| builder.copied()).collect();
+    let groups = halves.iter().map(|(builder, _)| builder.clone()).collect();
     let progress = halves.each_ref().map(|half| half.1);
     let source = FieldSource { progress: progress.into_iter().sum(), stream: Some(stream), ..FieldSource::default() };
     Builder::finish_groups(groups, ray_sets(stream, halves), &progress, &source)

@@ -266,15 +266,20 @@ impl UncertaintyField {
     /// Summary of the error bars of the moved vertices, if the field has error bars.
     #[must_use]
     pub fn error_summary(&self) -> Option<ErrorSummary> {
-        let bars = self.error_bars()?;
-        let limit = self.prior() * 10_f64.powf(-MOVED);
-        let moved: Vec<usize> = (0..bars.len()).filter(|&v| self.deviations.get(v) < limit).collect();
-        let mut errors: Vec<f64> = moved.iter().filter_map(|&v| bars.get(v)).collect();
+        let groups = self.error_bars()?.groups;
+        let moved = self.errors_of_moved();
+        let mut errors: Vec<f64> = moved.iter().copied().flatten().collect();
         let known = errors.len();
         let mean_square = errors.iter().map(|e| e * e).sum::<f64>() / known.max(1) as f64;
         let median = if known > 0 { *errors.select_nth_unstable_by(known / 2, f64::total_cmp).1 } else { 0.0 };
-        let groups = bars.groups;
         Some(ErrorSummary { groups, moved: moved.len(), known, root_mean_square: mean_square.sqrt(), median })
+    }
+
+    /// `[moved vertices]`: the error of each, decades, `None` where it is unknown. Empty without error bars.
+    pub(crate) fn errors_of_moved(&self) -> Vec<Option<f64>> {
+        let limit = self.prior() * 10_f64.powf(-MOVED);
+        let bars = self.error_bars().into_iter().flat_map(|bars| (0..bars.len()).map(|v| (v, bars.get(v))));
+        bars.filter(|(v, _)| self.deviations.get(*v) < limit).map(|(_, error)| error).collect()
     }
 
     /// `[vertices]`: errors of log10 σ_v, if the field has them.
