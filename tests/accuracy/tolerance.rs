@@ -156,7 +156,7 @@ fn models() -> impl Iterator<Item = Model> {
 fn octrees_of_the_data_are_within_the_tolerance_at_every_vertex() {
     let (tolerance, mut seen) = (0.01, 0);
     for (name, model, cameras) in models() {
-        let rays = RaySettings::default().rays(2_048).gradient(GradientMethod::Auto);
+        let rays = RaySettings::default().rays(2_048).gradient(GradientMethod::Auto).occupancy(64);
         // Two levels coarser than the default, for time: what is claimed holds at every level.
         let grid = GridSettings::default().level(6).tolerance(tolerance);
         let run = Estimation::new(&*model, &cameras).rays(rays).grid(grid).prepare().unwrap();

@@ -10,7 +10,7 @@
 //! On limited leaves a corner may be a hanging vertex. Its part of J goes to the vertices that it is interpolated
 //! from, before squaring: the J of a free vertex includes what its hanging dependants would have received ([walk]).
 //!
-//! Threads: the rays of a batch are squared in parallel ([squares], [scattered], [walk]) into lists of contributions,
+//! Threads: batches are squared in parallel ([squares], [scattered], [walk]), each into lists of contributions,
 //! one list per partition ([key]). Then the partitions add their lists in parallel, each in ray order. Every sum
 //! therefore receives its contributions in ray order, whatever the number of threads.
 
