@@ -3,7 +3,6 @@
 import base64
 import io
 import os
-import re
 import subprocess
 from pathlib import Path
 
@@ -23,17 +22,6 @@ def run(folder, line):
     done = subprocess.run([BINARY, *line.split()], cwd=folder, capture_output=True, text=True)
     assert done.returncode == 0, f"{line}: {done.stderr}"
     return done.stdout
-
-
-def pytest_configure(config):
-    config.addinivalue_line("markers", "panel: of buttons, keys and words, which are the same for all models of a kind")
-
-
-def pytest_collection_modifyitems(config, items):
-    """Tests of the panel run on one volume and on splats: software GL takes seconds for each picture."""
-    left_out = [item for item in items if item.get_closest_marker("panel") and re.search("lego|contracted", item.name)]
-    items[:] = [item for item in items if item not in left_out]
-    config.hook.pytest_deselected(items=left_out)
 
 
 @pytest.fixture(scope="session")

@@ -230,7 +230,6 @@ def press(page, keys):
     ActionChains(page.driver).send_keys(keys).perform()
 
 
-@pytest.mark.panel
 def test_it_opens_on_uncertainty_beside_colour(scene, page):
     from selenium.webdriver import ActionChains
     from selenium.webdriver.common.by import By
@@ -258,7 +257,6 @@ def test_it_opens_on_uncertainty_beside_colour(scene, page):
     assert page.do("return v.camera.position") == before, "the camera stays where it is"
 
 
-@pytest.mark.panel
 def test_the_slider_has_ticks_and_words(scene, page):
     ticks = page.do("return [...document.querySelectorAll('#ticks span')].map((t) => Number(t.textContent))")
     low, high = page.do("const s = document.getElementById('threshold'); return [Number(s.min), Number(s.max)]")
@@ -289,7 +287,6 @@ def test_the_pointer_reads_what_query_or_render_says(scene, page):
     assert np.quantile(off, 0.8) <= scene.pointer, np.sort(off)
 
 
-@pytest.mark.panel
 def test_mouse_keys_and_buttons_move_the_camera(page):
     from selenium.webdriver import ActionChains
     from selenium.webdriver.common.by import By
@@ -322,7 +319,6 @@ def test_mouse_keys_and_buttons_move_the_camera(page):
     assert page.console() == []
 
 
-@pytest.mark.panel
 def test_the_horizon_stays_level_until_it_is_released(page):
     from selenium.webdriver import ActionChains
     from selenium.webdriver.common.by import By
@@ -342,7 +338,6 @@ def test_the_horizon_stays_level_until_it_is_released(page):
     assert tilt() < 1e-6, "it is level at once"
 
 
-@pytest.mark.panel
 def test_up_is_what_the_cameras_right_axes_agree_on(page):
     """Cameras of one side that look down: the mean of what is up in their images is not upright."""
     script = """
@@ -438,7 +433,6 @@ def test_the_crop_box_cuts_and_is_drawn(page):
     assert not page.do(lines)
 
 
-@pytest.mark.panel
 def test_a_picture_is_saved_as_it_is_shown(page):
     page.camera(1)
     page.layer("color")
@@ -454,7 +448,6 @@ def test_a_picture_is_saved_as_it_is_shown(page):
     assert link[0].endswith("-color.png") and "/" not in link[0] and link[1] == "data:image/png;base64,"
 
 
-@pytest.mark.panel
 def test_help_fits_into_800_pixels(page):
     before = page.driver.get_window_size()
     page.driver.set_window_size(800, 800)
@@ -470,7 +463,6 @@ def test_help_fits_into_800_pixels(page):
     page.driver.set_window_size(before["width"], before["height"])
 
 
-@pytest.mark.panel
 def test_long_names_of_cameras_wrap(page):
     page.do("v.about.cameras[1].name = 'folder_'.repeat(40); v.jump(1)")
     within = "const n = document.getElementById('camera-name'); return n.scrollWidth <= n.clientWidth"
@@ -494,7 +486,6 @@ def test_tinted_keeps_the_colour_of_what_is_certain(page):
     page.layer("color")
 
 
-@pytest.mark.panel
 def test_without_webgl_it_says_so(scene, browser):
     browser.execute_cdp_cmd("Page.enable", {})
     broken = "HTMLCanvasElement.prototype.getContext = () => null"
