@@ -156,8 +156,8 @@ fn models() -> impl Iterator<Item = Model> {
 fn octrees_of_the_data_are_within_the_tolerance_at_every_vertex() {
     let (tolerance, mut seen) = (0.01, 0);
     for (name, model, cameras) in models() {
+        // A coarser lattice and occupancy grid than the default ones, for time: what is claimed holds on all.
         let rays = RaySettings::default().rays(2_048).gradient(GradientMethod::Auto).occupancy(64);
-        // Two levels coarser than the default, for time: what is claimed holds at every level.
         let grid = GridSettings::default().level(6).tolerance(tolerance);
         let run = Estimation::new(&*model, &cameras).rays(rays).grid(grid).prepare().unwrap();
         let [pruned, all] = run.finish_on(&[grid, grid.tolerance(0.0)]).unwrap().try_into().unwrap();

@@ -193,13 +193,13 @@ fn a_short_training_on_lego_reaches_the_measured_quality() {
     let [shots, held_out] = files.load(&Silent).unwrap();
     assert_eq!((shots.len(), held_out.len(), files.missing), (100, 40, 0));
     let mut trainer = Trainer::new(TrainSettings::default(), Domain::Box(files.bounds), &shots).unwrap();
-    for step in 0..200 {
-        trainer.step(f64::from(step) / 200.0);
+    for step in 0..300 {
+        trainer.step(f64::from(step) / 300.0);
     }
     let quality = quality(&trainer.field(serde_json::Value::Null), &held_out, Vec3::ONE, 50_000).unwrap();
-    // 18.90 dB were measured after these 200 steps. Half a decibel is allowed for processors that round expm1
+    // 20.07 dB were measured after these 300 steps. Half a decibel is allowed for processors that round expm1
     // otherwise.
-    assert!((quality.psnr - 18.90).abs() < 0.5, "{quality:?}");
+    assert!((quality.psnr - 20.07).abs() < 0.5, "{quality:?}");
 }
 
 #[test]

@@ -24,7 +24,7 @@ fn judge(splats: &Splats, cameras: &[Camera], level: u8, folder: &Path) -> Repor
     let scale = DataScale::new(pixels, 0.03, DataScale::default_prior_deviation(&domain)).unwrap();
     let grid = GridSettings::default().level(level).covariance(Covariance::Block).scale(Scale::Data(scale));
     let run = Estimation::of_splats(splats, cameras).domain(domain).grid(grid.keep_sums(true));
-    let field = run.rays(RaySettings::default().rays(300_000)).run().unwrap().field;
+    let field = run.rays(RaySettings::default().rays(1_000_000)).run().unwrap().field;
     let readings = Reading::from_field("lego", &field, Some(&[Covariance::Block]), None).unwrap();
     let cameras = folder.join("transforms_test.json");
     let views = Views::read(&cameras, None).unwrap();
