@@ -2,8 +2,9 @@
 //!
 //! The closed-form city with the cameras of its drive, occupancy 512: levels 8 to 12 with as many vertices as it takes,
 //! and levels 12 and 13 with four times the rays in at most 4 GiB. Every row is a process of its own, so that its peak
-//! memory is its own; point queries are at a million random points of the surfaces that the rays saw. Writes the blocks
-//! of `experiments/scaling.md` and its plot.
+//! memory is its own; point queries are at a million random points of the surfaces that the rays saw. An unbounded
+//! scene of the data at levels that a dense grid can hold shows what a run takes beside its sums. Writes the blocks of
+//! `experiments/scaling.md` and its plot.
 
 mod common;
 
@@ -11,10 +12,12 @@ use std::path::Path;
 use std::process::Command;
 use std::time::Instant;
 
-use glam::Vec3;
-use octobayes::estimate::{GridSettings, Outcome, RaySettings};
+use glam::{DVec3, Vec3};
+use octobayes::estimate::{GridKind, GridSettings, Outcome, RaySettings};
+use octobayes::geometry::{Domain, Norm};
 use octobayes::picture::{Curve, write_plot};
 use octobayes::{Error, Result};
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use common::memory::peak;
@@ -30,8 +33,9 @@ type Case = (u8, u64, Option<u64>);
 const UNLIMITED: [Case; 5] =
     [(8, 1_024_000, None), (9, 1_024_000, None), (10, 1_024_000, None), (11, 1_024_000, None), (12, 1_024_000, None)];
 const LIMITED: [Case; 2] = [(12, 4_096_000, Some(4 << 30)), (13, 4_096_000, Some(4 << 30))];
-/// The first argument of a process that measures one row.
+/// The first argument of a process that measures one row of the city, and of the unbounded scene.
 const ROW: &str = "row";
+const UNBOUNDED_ROW: &str = "unbounded-row";
 
 fn main() -> Result<()> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -41,13 +45,21 @@ fn main() -> Result<()> {
         println!("{}", serde_json::to_string(&row).expect("numbers"));
         return Ok(());
     }
-    let program = Program::start("scaling", &[("growth", Needs::Nothing), ("budget", Needs::Nothing)])?;
+    if let [UNBOUNDED_ROW, level, grid] = arguments.iter().map(String::as_str).collect::<Vec<_>>()[..] {
+        let level = level.parse().expect("a whole number");
+        let grid = if grid == "dense" { GridKind::Dense } else { GridKind::Octree };
+        println!("{}", serde_json::to_string(&measure_unbounded(level, grid)?).expect("numbers"));
+        return Ok(());
+    }
+    let parts = [("growth", Needs::Nothing), ("budget", Needs::Nothing), ("unbounded", Needs::Data)];
+    let program = Program::start("scaling", &parts)?;
     program.part("growth", |work| {
         let rows = rows(work, &UNLIMITED)?;
         plot(&rows)?;
         Ok((words(1_024_000), table(&UNLIMITED, &rows)))
     })?;
-    program.part("budget", |work| Ok((words(4_096_000), table(&LIMITED, &rows(work, &LIMITED)?))))
+    program.part("budget", |work| Ok((words(4_096_000), table(&LIMITED, &rows(work, &LIMITED)?))))?;
+    program.part("unbounded", |work| unbounded(work, &Scene::bicycle(&Program::data()?)?.settings))
 }
 
 /// What a process measures.
@@ -104,23 +116,93 @@ fn measure((level, rays, memory): Case) -> Result<Row> {
     })
 }
 
+/// What a process with these arguments measures.
+fn measured<T: DeserializeOwned>(arguments: &[String]) -> Result<T> {
+    let this = Path::new("this program");
+    let program = std::env::current_exe().map_err(Error::io(this, "cannot find"))?;
+    let output = Command::new(program).args(arguments).output().map_err(Error::io(this, "cannot run"))?;
+    if !output.status.success() {
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        return Err(Error::malformed(this, arguments.join(" "), "a row", said));
+    }
+    serde_json::from_slice(&output.stdout).map_err(|e| Error::malformed(this, "row", "JSON", e.to_string()))
+}
+
 /// One process a row.
 fn rows(work: &Work, cases: &[Case]) -> Result<Vec<Row>> {
-    let this = Path::new("this program");
     let row = |&(level, rays, memory): &Case| {
-        work.row(("scaling", level, rays, memory), || {
-            let program = std::env::current_exe().map_err(Error::io(this, "cannot find"))?;
-            let numbers = [u64::from(level), rays, memory.unwrap_or(0)].map(|v| v.to_string());
-            let output =
-                Command::new(program).arg(ROW).args(numbers).output().map_err(Error::io(this, "cannot run"))?;
-            let said = String::from_utf8_lossy(&output.stderr).into_owned();
-            if !output.status.success() {
-                return Err(Error::malformed(this, format!("level {level}"), "a row", said));
-            }
-            serde_json::from_slice(&output.stdout).map_err(|e| Error::malformed(this, "row", "JSON", e.to_string()))
-        })
+        let numbers = [u64::from(level), rays, memory.unwrap_or(0)].map(|v| v.to_string());
+        let arguments = [&[ROW.to_owned()][..], &numbers].concat();
+        work.row(("scaling", level, rays, memory), || measured(&arguments))
     };
     cases.iter().map(row).collect()
+}
+
+/// What a run of the unbounded scene takes.
+#[derive(Serialize, Deserialize)]
+struct Taken {
+    /// Before the run: program and model.
+    before: u64,
+    /// Of the process.
+    peak: u64,
+    /// Of all sums, at the end.
+    sums: usize,
+    vertices: u64,
+    seconds: f64,
+}
+
+fn measure_unbounded(level: u8, grid: GridKind) -> Result<Taken> {
+    let bicycle = Scene::bicycle(&Program::data()?)?;
+    let domain = Domain::contracted(DVec3::splat(0.5), 0.5, Norm::L2)?;
+    let before = peak();
+    let grid = GridSettings::default().level(level).grid(grid);
+    let start = Instant::now();
+    let outcome = bicycle.estimation(bicycle.settings, grid).domain(domain).run()?;
+    let seconds = start.elapsed().as_secs_f64();
+    let (sums, vertices) = (outcome.sums_bytes, outcome.field.summary().vertices);
+    Ok(Taken { before, peak: peak(), sums, vertices, seconds })
+}
+
+/// Peaks of dense grid and octree.
+fn unbounded(work: &Work, settings: &RaySettings) -> Result<(String, String)> {
+    let mut table = Table::new(&[
+        "level",
+        "grid",
+        "vertices",
+        "program and model, MB",
+        "sums, MB",
+        "peak of the process, MB",
+        "to dense",
+        "time, s",
+    ]);
+    for level in [7, 8] {
+        let mut dense = f64::NAN;
+        for grid in ["dense", "octree"] {
+            let arguments = [UNBOUNDED_ROW.to_owned(), level.to_string(), grid.to_owned()];
+            let row: Taken = work.row((UNBOUNDED_ROW, level, grid, settings.rays), || measured(&arguments))?;
+            if grid == "dense" {
+                dense = row.peak as f64;
+            }
+            let megabytes = |bytes: f64| whole(bytes / 1e6);
+            table.row(&[
+                level.to_string(),
+                grid.into(),
+                whole(row.vertices as f64),
+                megabytes(row.before as f64),
+                megabytes(row.sums as f64),
+                megabytes(row.peak as f64),
+                format!("{:.2}", row.peak as f64 / dense),
+                format!("{:.1}", row.seconds),
+            ]);
+        }
+    }
+    let described = describe(settings, &GridSettings::default(), &["level", "grid"]);
+    let words = format!(
+        "bicycle (mip-NeRF 360), contracted around its object region, in its own poses at 400 × 300. {described} {} \
+         Times and peaks are of one process a row.",
+        seeds(&[0])
+    );
+    Ok((words, table.text().into()))
 }
 
 fn table(cases: &[Case], rows: &[Row]) -> String {

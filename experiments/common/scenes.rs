@@ -92,6 +92,12 @@ impl Scene {
         Ok(Self { settings: garden.settings.rays(204_800), ..garden })
     }
 
+    /// An unbounded scene that is meant to be contracted (mip-NeRF 360).
+    pub fn bicycle(data: &Path) -> Result<Self> {
+        let bicycle = own_poses(data, "360_v2/ppng_1/bicycle.ppng", "bicycle (unbounded)", 60.0, Vec3::ZERO)?;
+        Ok(Self { settings: bicycle.settings.rays(102_400), ..bicycle })
+    }
+
     /// A hash grid that is trained here, once in `folder`, on a hundred pictures of a scanned mesh from all around.
     ///
     /// # Errors

@@ -43,6 +43,21 @@ pub const PARENTS_OF_NEIGHBORS: Reach = reach([0b0011, 0b0110, 0b0110, 0b1100]);
 /// Reaches the parents of the eight cells around a point.
 pub const PARENTS_AROUND_POINT: Reach = reach([0b0011, 0b0010, 0b0110, 0b0100]);
 
+/// The members of a brick at each of its four places along each axis.
+const PLACES: [[u64; 4]; 3] = {
+    let mut places = [[0; 4]; 3];
+    let mut member = 0;
+    while member < 64 {
+        let mut axis = 0;
+        while axis < 3 {
+            places[axis][(member >> axis & 1 | (member >> (axis + 3) & 1) << 1) as usize] |= 1 << member;
+            axis += 1;
+        }
+        member += 1;
+    }
+    places
+};
+
 /// A set of cells or points of one lattice.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct MaskSet {
@@ -88,6 +103,37 @@ impl MaskSet {
             let at = std::array::from_fn(|axis| ((first[axis] >> 2) + (which as i64 >> axis & 1)) as u32);
             self.insert_mask(morton::encode(at), mask);
         }
+    }
+
+    /// The members and their neighbours, up to 26 of each, on the lattice {0..`last`}³.
+    #[must_use]
+    pub fn dilated(&self, last: u32) -> Self {
+        (0..3).fold(self.clone(), |set, axis| set.dilated_along(axis, last))
+    }
+
+    /// The members and their neighbours along one axis.
+    fn dilated_along(&self, axis: usize, last: u32) -> Self {
+        // Places 0 and 1, and 2 and 3, differ in the lower bit of this axis; from 1 to 2 the upper one changes as well,
+        // and from 3 both, together with the brick.
+        let (in_pair, between, beyond) = (1 << axis, 7 << axis, 9 << axis);
+        let [a, b, c, d] = PLACES[axis];
+        let mut all = Self::default();
+        for (brick, mask) in self.bricks() {
+            let at = morton::decode(brick);
+            let places = (last - 4 * at[axis]).min(3) as usize;
+            let within = PLACES[axis][..=places].iter().fold(0, |all, place| all | place);
+            let up = (mask & (a | c)) << in_pair | (mask & b) << between;
+            let down = (mask & (b | d)) >> in_pair | (mask & c) >> between;
+            all.insert_mask(brick, (mask | up | down) & within);
+            let next_to = |i: u32| morton::encode(std::array::from_fn(|k| if k == axis { i } else { at[k] }));
+            if let Some(before) = at[axis].checked_sub(1) {
+                all.insert_mask(next_to(before), (mask & a) << beyond);
+            }
+            if 4 * at[axis] + 4 <= last {
+                all.insert_mask(next_to(at[axis] + 1), (mask & d) >> beyond);
+            }
+        }
+        all
     }
 
     /// The members of a brick, as a mask.
@@ -136,6 +182,7 @@ impl BitOrAssign for MaskSet {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::octree::around;
     use proptest::prelude::*;
     use std::collections::BTreeSet;
 
@@ -161,6 +208,19 @@ mod tests {
                 set.insert_reached(morton::encode(brick), mask, reach, 8);
                 prop_assert_eq!(set.codes(), expected.into_iter().collect::<Vec<_>>());
             }
+        }
+
+        #[test]
+        fn neighbours_of_all_are_those_of_each(
+            last in 1_u32..=16,
+            points in proptest::collection::vec(proptest::array::uniform3(0_u32..=16), 0..9),
+        ) {
+            let points: Vec<[u32; 3]> = points.into_iter().map(|point| point.map(|i| i.min(last))).collect();
+            let mut set = MaskSet::default();
+            points.iter().for_each(|&point| set.insert(morton::encode(point)));
+            let near = points.iter().flat_map(|&point| around(point, last));
+            let expected: BTreeSet<u64> = near.map(|(point, _)| morton::encode(point)).collect();
+            prop_assert_eq!(set.dilated(last).codes(), expected.into_iter().collect::<Vec<_>>());
         }
 
         #[test]

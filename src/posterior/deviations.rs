@@ -3,6 +3,7 @@
 use std::borrow::Cow;
 
 use rayon::prelude::*;
+use rustc_hash::FxHashMap;
 
 use super::octree::TOGETHER;
 use super::pooling::{Pooler, Pooling, Tent};
@@ -151,7 +152,7 @@ impl<'a> LocalSums<'a> {
         let pooler = reading.pooler();
         let points = match support {
             Support::Octree(octree) if pooler != Pooler::Off || !limits.is_unlimited() => {
-                octree.vertex_positions().collect()
+                octree.par_vertex_positions().collect()
             }
             _ => Vec::new(),
         };
@@ -227,15 +228,16 @@ fn shrunk_on_octree(
 ) -> Vec<VertexSums> {
     let mut vertices: Vec<([u32; 3], u32)> = (0..points.len()).map(|v| (Block::number(points[v]), v as u32)).collect();
     vertices.par_sort_unstable();
-    let of_block = |number: [u32; 3]| {
-        let first = vertices.partition_point(|vertex| vertex.0 < number);
-        vertices[first..].iter().take_while(move |vertex| vertex.0 == number).map(|vertex| vertex.1 as usize)
-    };
+    let blocks: FxHashMap<[u32; 3], &[([u32; 3], u32)]> =
+        vertices.chunk_by(|a, b| a.0 == b.0).map(|of| (of[0].0, of)).collect();
+    let of_block =
+        |number: [u32; 3]| blocks.get(&number).into_iter().copied().flatten().map(|vertex| vertex.1 as usize);
     let shrunk = |of: &[([u32; 3], u32)]| {
         let number = of[0].0;
         let near = Block::near(number, lattice.cells_per_axis()).flat_map(of_block);
         let block = shrinkage.block(number, near.map(|v| (points[v], &sums[v])));
-        let pooled = |v: usize| match octree.is_surrounded_by_finest(points[v]) {
+        let mut surrounded = octree.surrounded_in(number.map(|i| i * BLOCK), BLOCK);
+        let mut pooled = |v: usize| match surrounded(points[v]) {
             true => block.at(points[v], sums[v].rays),
             false => sums[v],
         };

@@ -122,7 +122,8 @@ impl Shrinkage {
         let mut cubes: [Cube; 7] = std::array::from_fn(|_| Vec::new());
         for (point, sums) in vertices {
             let offset: [u32; 3] = std::array::from_fn(|axis| (point[axis] + HALO).wrapping_sub(origin[axis]));
-            if sums.rays == 0 || trace(&sums.information) <= self.floor || offset.iter().any(|o| *o >= SIDE as u32) {
+            // Most are too far away, and their sums are not read.
+            if offset.iter().any(|o| *o >= SIDE as u32) || sums.rays == 0 || trace(&sums.information) <= self.floor {
                 continue;
             }
             if cubes[0].is_empty() {
@@ -183,7 +184,8 @@ fn core() -> impl Iterator<Item = usize> {
 
 /// T of a cube.
 fn mean(cube: &Cube) -> Cube {
-    STRIDES.iter().fold(cube.clone(), |cube, &stride| along(&cube, stride, MEAN))
+    let [x, y, z] = STRIDES;
+    along(&along(&along(cube, x, MEAN), y, MEAN), z, MEAN)
 }
 
 /// t_k of what was averaged k − 1 times.
@@ -211,12 +213,12 @@ fn level(cube: &Cube, order: i32) -> Cube {
 #[multiversion(targets("x86_64+avx2+fma"))]
 fn along(cube: &Cube, stride: usize, weights: [f32; 3]) -> Cube {
     let [before, own, after] = weights;
-    let mut sums = vec![0.0; VOLUME];
     let inner = VOLUME - 2 * stride;
     let [a, b, c] = [0, stride, 2 * stride].map(|from| &cube[from..from + inner]);
-    for (sum, ((a, b), c)) in sums[stride..stride + inner].iter_mut().zip(a.iter().zip(b).zip(c)) {
-        *sum = before * a + own * b + after * c;
-    }
+    let mut sums = Vec::with_capacity(VOLUME);
+    sums.resize(stride, 0.0);
+    sums.extend(a.iter().zip(b).zip(c).map(|((a, b), c)| before * a + own * b + after * c));
+    sums.resize(VOLUME, 0.0);
     sums
 }
 

@@ -97,6 +97,16 @@ impl BlockCode {
         self.0
     }
 
+    /// The block of finest vertices with these bits.
+    pub fn finest(bits: u64) -> Self {
+        Self(bits)
+    }
+
+    /// Whether its vertices are those of the finest leaves.
+    pub fn is_finest(self) -> bool {
+        self.vertex(0).coarseness() == 0
+    }
+
     /// One of its 64 vertices.
     pub fn vertex(self, in_block: u64) -> VertexKey {
         VertexKey(self.0 << 6 | in_block)

@@ -5,8 +5,8 @@ use std::fmt;
 use rayon::prelude::*;
 
 use super::OctreePosterior;
-use super::key::VertexKey;
-use crate::octree::{Cell, Leaves, Octree, Wanted, around, cells_around};
+use super::key::{BlockCode, VertexKey};
+use crate::octree::{Cell, Leaves, MaskSet, Octree, Wanted, cells_around};
 use crate::posterior::pooling::Pooler;
 use crate::posterior::{Reading, VertexSums, trace};
 
@@ -120,16 +120,8 @@ impl OctreePosterior {
     pub fn octree(&self, refinement: &Refinement) -> Octree {
         let finest = self.lattice.level();
         let mut wanted = refinement.floor.map_or_else(|| Wanted::new(finest), |floor| self.wanted(floor));
-        if refinement.pooler != Pooler::Off {
-            // A key is a point on the lattice of its own level, so sorted unique keys are unique points.
-            let mut moved: Vec<VertexKey> = match refinement.floor {
-                Some(floor) => self.sums.par_iter().filter(|(_, e)| moves(e, floor)).map(|(key, _)| key).collect(),
-                None => Vec::new(),
-            };
-            moved.par_sort_unstable();
-            for key in self.moved_by_pooling(&moved, refinement) {
-                self.want_around(&mut wanted, key);
-            }
+        if let (Some(floor), true) = (refinement.floor, refinement.pooler != Pooler::Off) {
+            wanted = wanted | self.wanted_around(self.moved_by_pooling(floor, refinement.pooler).into_par_iter());
         }
         for &cell in &refinement.wanted {
             let (origin, _) = cell.extent(finest);
@@ -169,50 +161,59 @@ impl OctreePosterior {
     /// The leaves around every vertex with more information than `floor`.
     #[must_use]
     pub fn wanted(&self, floor: f64) -> Wanted {
+        self.wanted_around(self.sums.par_masks(|sums| moves(sums, floor)))
+    }
+
+    /// The leaves around vertices of these blocks.
+    fn wanted_around(&self, vertices: impl ParallelIterator<Item = (BlockCode, u64)>) -> Wanted {
         let none = || Wanted::new(self.lattice.level());
-        let masks = self.sums.par_masks(|sums| moves(sums, floor));
-        let each = masks.fold(none, |mut wanted, (code, moved)| {
+        let each = vertices.fold(none, |mut wanted, (code, vertices)| {
             if self.limits.is_unlimited() {
                 // A block of keys here is a brick of the octree's masks.
-                wanted.around_points(code.bits(), moved);
+                wanted.around_points(code.bits(), vertices);
             } else {
-                let members = (0..64_u64).filter(|i| moved >> i & 1 == 1);
-                members.for_each(|i| self.want_around(&mut wanted, code.vertex(i)));
+                for point in members(code, vertices) {
+                    let around = cells_around(point, self.lattice.level());
+                    around.for_each(|cell| wanted.cell(self.limits.leaf(cell)));
+                }
             }
             wanted
         });
         each.reduce(none, |a, b| a | b)
     }
 
-    /// The leaves around one vertex.
-    fn want_around(&self, wanted: &mut Wanted, key: VertexKey) {
-        let around = cells_around(key.point(), self.lattice.level());
-        around.for_each(|cell| wanted.cell(self.limits.leaf(cell)));
-    }
-
-    /// Vertices of the finest lattice next to `moved` (sorted keys) that move by pooling.
-    fn moved_by_pooling(&self, moved: &[VertexKey], refinement: &Refinement) -> Vec<VertexKey> {
+    /// Vertices of the finest leaves that move by pooling alone: each is next to one that moves by its own sums.
+    fn moved_by_pooling(&self, floor: f64, pooler: Pooler) -> Vec<(BlockCode, u64)> {
         let last = self.lattice.cells_per_axis();
-        let is_finest = |key: &VertexKey| VertexKey::new(key.point(), 0) == *key;
-        let mut beside: Vec<VertexKey> = moved
-            .par_chunks(64)
-            .flat_map_iter(|keys| {
-                let near = keys.iter().filter(|key| is_finest(key)).flat_map(|&key| around(key.point(), last));
-                let mut near: Vec<VertexKey> = near.map(|(point, _)| VertexKey::new(point, 0)).collect();
-                near.sort_unstable();
-                near.dedup();
-                near.retain(|key| moved.binary_search(key).is_err() && self.coarseness(key.point()) == 0);
-                near
-            })
-            .collect();
-        beside.par_sort_unstable();
-        beside.dedup();
-        let Pooler::Tent(tent) = refinement.pooler else {
-            // By shrinkage all of them get something.
-            return beside;
-        };
+        let finest = self.sums.par_masks(|sums| moves(sums, floor)).filter(|(code, _)| code.is_finest());
+        let moved = finest.fold(MaskSet::default, |mut moved, (code, vertices)| {
+            moved.insert_mask(code.bits(), vertices);
+            moved
+        });
+        let moved = moved.reduce(MaskSet::default, |mut a, b| {
+            a |= b;
+            a
+        });
         let at = |point| self.sums.get(VertexKey::new(point, 0)).copied();
-        let is_moved = |key: &VertexKey| trace(&tent.pooled(key.point(), last, at).information) > tent.floor;
-        beside.into_par_iter().filter(is_moved).collect()
+        let is_moved = |point: [u32; 3]| {
+            self.coarseness(point) == 0
+                && match pooler {
+                    Pooler::Tent(tent) => trace(&tent.pooled(point, last, at).information) > tent.floor,
+                    // By shrinkage all of them get something.
+                    _ => true,
+                }
+        };
+        let near: Vec<(u64, u64)> = moved.dilated(last).bricks().collect();
+        let beside = near.into_par_iter().map(|(brick, vertices)| {
+            let (code, beside) = (BlockCode::finest(brick), vertices & !moved.mask(brick));
+            let of = |i: &u64| beside >> i & 1 == 1 && is_moved(code.vertex(*i).point());
+            (code, (0..64).filter(of).fold(0, |all, i| all | 1 << i))
+        });
+        beside.collect()
     }
+}
+
+/// Lattice points of the vertices of a block.
+fn members(code: BlockCode, vertices: u64) -> impl Iterator<Item = [u32; 3]> {
+    (0..64).filter(move |i| vertices >> i & 1 == 1).map(move |i| code.vertex(i).point())
 }
