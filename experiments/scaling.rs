@@ -155,7 +155,7 @@ fn measure_unbounded(level: u8, grid: GridKind) -> Result<Taken> {
     let bicycle = Scene::bicycle(&Program::data()?)?;
     let domain = Domain::contracted(DVec3::splat(0.5), 0.5, Norm::L2)?;
     let before = peak();
-    let grid = GridSettings::default().level(level).grid(grid);
+    let grid = GridSettings::default().level(level).grid(grid).keep_sums(false);
     let start = Instant::now();
     let outcome = bicycle.estimation(bicycle.settings, grid).domain(domain).run()?;
     let seconds = start.elapsed().as_secs_f64();

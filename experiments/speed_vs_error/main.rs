@@ -22,8 +22,8 @@ use common::scenes::Scene;
 
 /// Rays of the paper's workload.
 const PAPER: u64 = 4_096_000;
-/// Rays of the reference that lego is compared with.
-pub const LEGO_TRUTH: u64 = 5 * PAPER;
+/// Rays of the reference that scenes are compared with.
+pub const MANY: u64 = 5 * PAPER;
 /// Of the test views one in so many for the depth ranking, and of their pixels along x and y.
 const EVERY: usize = 5;
 const STRIDE: u32 = 2;
@@ -62,21 +62,21 @@ fn main() -> Result<()> {
     program.part("audit", |work| parts::audit(work, &lego()?))?;
     program.part("rays", |work| {
         let truth = Truth::lego(&Program::data()?, EVERY, STRIDE)?;
-        parts::rays(work, &[(lego()?, u64::MAX, LEGO_TRUTH)], Some(&truth))
+        parts::rays(work, &[(lego()?, u64::MAX, MANY)], Some(&truth))
     })?;
     program.part("scenes", |work| {
         let data = Program::data()?;
         let scenes = [
-            (Scene::ignatius(&data)?, PAPER / 4, PAPER),
+            (Scene::ignatius(&data)?, PAPER / 4, MANY),
             // A ray meets matter nearly everywhere: it takes ten times as long as one of lego.
             (Scene::garden(&data)?, PAPER / 40, PAPER / 4),
-            (Scene::city()?, PAPER / 4, PAPER),
+            (Scene::city()?, PAPER / 4, MANY),
         ];
         parts::rays(work, &scenes, None)
     })?;
     program.part("trained", |work| {
         let armadillo = Scene::armadillo(&Program::data()?, work.folder())?;
-        parts::rays(work, &[(armadillo, PAPER / 4, PAPER)], None)
+        parts::rays(work, &[(armadillo, PAPER / 4, MANY)], None)
     })?;
     program.part("allocation", |work| {
         let data = Program::data()?;

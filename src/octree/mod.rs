@@ -10,6 +10,7 @@
 //! This module does not depend on rays, colour or uncertainty.
 
 mod balance;
+mod blocks;
 mod cells;
 mod cursor;
 mod free;
@@ -204,21 +205,6 @@ impl Octree {
     #[must_use]
     pub fn is_surrounded_by_finest(&self, point: [u32; 3]) -> bool {
         cells_around(point, self.finest()).all(|cell| self.cells.leaf(cell).level == self.finest())
-    }
-
-    /// [`Octree::is_surrounded_by_finest`] of points in the cube of `edge` points along each axis from `first`, which
-    /// is even. Cells with the same parent are leaves together, so each parent is looked up once.
-    pub(crate) fn surrounded_in(&self, first: [u32; 3], edge: u32) -> impl FnMut([u32; 3]) -> bool + '_ {
-        let finest = self.finest();
-        let (low, side) = (first.map(|i| (i / 2).saturating_sub(1)), edge / 2 + 1);
-        let mut parents: Vec<Option<bool>> = vec![None; side.pow(3) as usize];
-        move |point| {
-            cells_around(point, finest).all(|cell| {
-                let [x, y, z] = [0, 1, 2].map(|axis| cell[axis] / 2 - low[axis]);
-                let parent = &mut parents[(x + side * (y + side * z)) as usize];
-                *parent.get_or_insert_with(|| self.cells.leaf(cell).level == finest)
-            })
-        }
     }
 
     /// The leaf, corners and weights at lattice coordinates `u` in `[0, M]`³.

@@ -28,6 +28,16 @@ pub struct BrickRank {
 }
 
 impl BrickRank {
+    /// The low six bits of every member's code, with its rank.
+    pub fn members(self) -> impl Iterator<Item = (u64, u32)> {
+        let mut rest = self.mask;
+        (self.base..).map_while(move |rank| {
+            let slot = (rest != 0).then(|| rest.trailing_zeros())?;
+            rest &= rest - 1;
+            Some((u64::from(slot), rank))
+        })
+    }
+
     /// The rank of `code`, which must belong to this brick; `None` if it is not a member.
     #[must_use]
     pub fn rank(&self, code: u64) -> Option<u32> {

@@ -89,16 +89,6 @@ proptest! {
     }
 
     #[test]
-    fn points_among_finest_leaves_are_found_together(octree in octrees()) {
-        let mut cubes = std::collections::HashMap::new();
-        for point in octree.vertex_positions() {
-            let first = point.map(|i| i / 4 * 4);
-            let surrounded = cubes.entry(first).or_insert_with(|| octree.surrounded_in(first, 4));
-            prop_assert_eq!(surrounded(point), octree.is_surrounded_by_finest(point));
-        }
-    }
-
-    #[test]
     fn corners_found_together_are_those_found_one_by_one(
         octree in octrees(),
         u in proptest::array::uniform3(0.0..=1.0_f64),

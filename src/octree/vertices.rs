@@ -77,6 +77,12 @@ impl VertexTable {
         Self { sets, offsets }
     }
 
+    /// The vertices of finest leaves, whose numbers are their ranks.
+    #[must_use]
+    pub fn finest(&self) -> &MortonSet {
+        &self.sets[0]
+    }
+
     /// Number of vertices.
     #[must_use]
     pub fn len(&self) -> usize {

@@ -3,11 +3,11 @@
 use std::borrow::Cow;
 
 use rayon::prelude::*;
-use rustc_hash::FxHashMap;
 
+use super::means::BLOCK;
 use super::octree::TOGETHER;
 use super::pooling::{Pooler, Pooling, Tent};
-use super::shrinkage::{BLOCK, Block, Shrinkage};
+use super::shrinkage::{Block, Shrinkage};
 use super::{Covariance, OctreePosterior, Scale, VertexSums, negligible_information};
 use crate::geometry::Lattice;
 use crate::octree::{MaxLevels, Octree, VertexId, mean_volume};
@@ -151,7 +151,7 @@ impl<'a> LocalSums<'a> {
     ) -> Self {
         let pooler = reading.pooler();
         let points = match support {
-            Support::Octree(octree) if pooler != Pooler::Off || !limits.is_unlimited() => {
+            Support::Octree(octree) if matches!(pooler, Pooler::Tent(_)) || !limits.is_unlimited() => {
                 octree.par_vertex_positions().collect()
             }
             _ => Vec::new(),
@@ -160,9 +160,7 @@ impl<'a> LocalSums<'a> {
             (Pooler::Off, _) => (None, Cow::Borrowed(sums)),
             (Pooler::Tent(tent), _) => (Some(tent), Cow::Borrowed(sums)),
             (Pooler::Shrinkage(by), Support::Dense) => (None, Cow::Owned(shrunk_on_grid(&by, lattice, sums))),
-            (Pooler::Shrinkage(by), Support::Octree(octree)) => {
-                (None, Cow::Owned(shrunk_on_octree(&by, lattice, (octree, &points), sums)))
-            }
+            (Pooler::Shrinkage(by), Support::Octree(octree)) => (None, Cow::Owned(shrunk_on_octree(&by, octree, sums))),
         };
         Self { tent, lattice, support, limits: limits.clone(), sums, points }
     }
@@ -208,7 +206,7 @@ fn shrunk_on_grid(shrinkage: &Shrinkage, lattice: &Lattice, sums: &[VertexSums])
         for (j, k) in (0..=last / BLOCK).flat_map(|j| (0..=last / BLOCK).map(move |k| (j, k))) {
             let number = [i as u32, j, k];
             let near = Block::reach(number, last).map(|point| (point, &sums[lattice.dense_index(point)]));
-            let block = shrinkage.block(number, near);
+            let block = shrinkage.block(number, last, near);
             for point in block.points(last) {
                 let v = lattice.dense_index(point);
                 slab[v - i * BLOCK as usize * plane] = block.at(point, sums[v].rays);
@@ -219,32 +217,24 @@ fn shrunk_on_grid(shrinkage: &Shrinkage, lattice: &Lattice, sums: &[VertexSums])
 }
 
 /// The sums at the vertices of an octree, shrunk. Vertices of coarser leaves have no neighbours on the finest lattice
-/// and have larger hats, so they are left alone.
-fn shrunk_on_octree(
-    shrinkage: &Shrinkage,
-    lattice: &Lattice,
-    (octree, points): (&Octree, &[[u32; 3]]),
-    sums: &[VertexSums],
-) -> Vec<VertexSums> {
-    let mut vertices: Vec<([u32; 3], u32)> = (0..points.len()).map(|v| (Block::number(points[v]), v as u32)).collect();
-    vertices.par_sort_unstable();
-    let blocks: FxHashMap<[u32; 3], &[([u32; 3], u32)]> =
-        vertices.chunk_by(|a, b| a.0 == b.0).map(|of| (of[0].0, of)).collect();
-    let of_block =
-        |number: [u32; 3]| blocks.get(&number).into_iter().copied().flatten().map(|vertex| vertex.1 as usize);
-    let shrunk = |of: &[([u32; 3], u32)]| {
-        let number = of[0].0;
-        let near = Block::near(number, lattice.cells_per_axis()).flat_map(of_block);
-        let block = shrinkage.block(number, near.map(|v| (points[v], &sums[v])));
-        let mut surrounded = octree.surrounded_in(number.map(|i| i * BLOCK), BLOCK);
-        let mut pooled = |v: usize| match surrounded(points[v]) {
-            true => block.at(points[v], sums[v].rays),
-            false => sums[v],
-        };
-        of.iter().map(|vertex| (vertex.1 as usize, pooled(vertex.1 as usize))).collect::<Vec<_>>()
-    };
-    let found: Vec<(usize, VertexSums)> = vertices.par_chunk_by(|a, b| a.0 == b.0).flat_map_iter(shrunk).collect();
-    let mut all = vec![VertexSums::default(); points.len()];
-    found.into_iter().for_each(|(v, sums)| all[v] = sums);
+/// and have larger hats, so they are left alone, and say nothing of others.
+fn shrunk_on_octree(shrinkage: &Shrinkage, octree: &Octree, sums: &[VertexSums]) -> Vec<VertexSums> {
+    let mut all = sums.to_vec();
+    let (mut rest, mut blocks) = (&mut all[..], Vec::new());
+    for (code, ids) in octree.finest_blocks() {
+        let (own, others) = rest.split_at_mut(ids.len());
+        blocks.push((code, own));
+        rest = others;
+    }
+    blocks.into_par_iter().for_each(|(code, own)| {
+        let vertices = octree.finest_block(code);
+        let around = vertices.around().map(|(point, v)| (point, &sums[v]));
+        let block = shrinkage.block(vertices.number(), 1 << octree.finest(), around);
+        for ((point, _), pooled) in vertices.own().zip(own) {
+            if vertices.is_surrounded(point) {
+                *pooled = block.at(point, pooled.rays);
+            }
+        }
+    });
     all
 }
