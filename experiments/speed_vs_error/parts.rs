@@ -282,8 +282,8 @@ pub fn rays(work: &Work, scenes: &[(Scene, u64, u64)], truth: Option<&Truth>) ->
         scenes.iter().map(|(scene, _, rays)| format!("{} for {}", whole(*rays as f64), scene.name)).collect();
     Ok((
         format!(
-            "{described} {} Rows without a spread are of the first seed alone. {TIMES}. Errors are |Δ log10 U| against a dense grid \
-             of random rays of another seed, with exact derivatives and cutoff 1e-8: {}.",
+            "{described} {} Rows without a spread are of the first seed alone. {TIMES}. Errors are |Δ log10 U| against \
+             a dense grid of random rays of another seed, with exact derivatives and cutoff 1e-8: {}.",
             seeds(&SEEDS),
             references.join(", ")
         ),

@@ -1,8 +1,8 @@
 //! Binomial means of numbers at lattice points, block by block.
 //!
 //! `T` is the mean with weights ¼, ½, ¼ along each axis, and T^k k such means. Along one axis, T^k has binomial weights
-//! over 2k + 1 points. `D_k` has the weights of k − 1 means and then half a central difference, ¼ (f(x + 1) − f(x − 1)):
-//! of f = exp(a x), D_k f = tanh(a/2) T^k f.
+//! over 2k + 1 points. `D_k` has the weights of k − 1 means and then half a central difference, ¼ (f(x + 1) −
+//! f(x − 1)): of f = exp(a x), D_k f = tanh(a/2) T^k f.
 
 use multiversion::multiversion;
 

@@ -21,10 +21,10 @@
 //! then below the logarithm of the mean, which the last factor makes up for. It and the two counts were chosen on lego
 //! and Ignatius (`experiments/speed_vs_error.md`). All vanishes as rays grow: S* tends to S, relative to it by Tn^−1.
 //!
-//! Only what is [enclosed](Enclosed) by vertices that moved is pooled. In the gaps between these, Tn = 0: either none of
-//! few rays met the surface there, or there is no surface. The more rays are around, the less likely is the former: by
-//! exp(−3 T⁴n), L is drawn from ln l towards ln(t_4 + l) there. (At a vertex of a plane, T⁴n is half of the rays at each
-//! vertex. The 3 was chosen on the same two scenes.)
+//! Only what is [enclosed](Enclosed) by vertices that moved is pooled. In the gaps between these, Tn = 0: either none
+//! of few rays met the surface there, or there is no surface. The more rays are around, the less likely is the former:
+//! by exp(−3 T⁴n), L is drawn from ln l towards ln(t_4 + l) there. (At a vertex of a plane, T⁴n is half of the rays at
+//! each vertex. The 3 was chosen on the same two scenes.)
 //!
 //! Blocks of 8³ vertices are computed together, with the 4 points around them that T⁴ reaches.
 
@@ -335,7 +335,7 @@ mod tests {
         }
     }
 
-    /// In a gap between vertices that few rays saw, there is something too; between vertices that many saw, there is not.
+    /// A gap between vertices that few rays saw is not empty; one between vertices that many saw is.
     #[test]
     fn what_many_rays_missed_is_empty() {
         let pooled = |rays: u32| {
