@@ -1,6 +1,6 @@
 //! The vertices of finest leaves, in blocks of 8³ lattice points with what surrounds each.
 //!
-//! A block is 2³ bricks, and the bricks around it reach 4 points beyond. Ids of vertices of finest leaves run in Morton
+//! A block is 2³ bricks, and is seen with the bricks around it. Ids of vertices of finest leaves run in Morton
 //! order, so that those of a block follow each other.
 
 use std::ops::Range;
@@ -8,14 +8,14 @@ use std::ops::Range;
 use super::set::BrickRank;
 use super::{Octree, morton};
 
+/// Points of a brick along an axis: those around a block reach so far beyond it.
+pub const BRICK: u32 = 4;
 /// Points of a block along an axis.
-pub const EDGE: u32 = 8;
-/// Points of a brick along an axis.
-const BRICK: u32 = 4;
+pub const BLOCK: u32 = 2 * BRICK;
 /// Bricks along an axis in and around a block.
-const BRICKS: u32 = EDGE / BRICK + 2;
+const BRICKS: u32 = BLOCK / BRICK + 2;
 
-/// The vertices of finest leaves in a block, and at up to 4 points around it.
+/// The vertices of finest leaves in a block and in the bricks around it.
 pub struct FinestBlock {
     number: [u32; 3],
     /// The last lattice point along an axis.
@@ -47,7 +47,7 @@ impl Octree {
             let at = [0, 1, 2].map(|axis| i as u32 / BRICKS.pow(axis) % BRICKS);
             let mut brick = [0; 3];
             for axis in 0..3 {
-                brick[axis] = (EDGE / BRICK * number[axis] + at[axis]).checked_sub(1)?;
+                brick[axis] = (BLOCK / BRICK * number[axis] + at[axis]).checked_sub(1)?;
             }
             let is_inside = brick.iter().all(|i| BRICK * i <= last);
             is_inside.then(|| self.vertices.finest().brick(morton::encode(brick))).flatten()
@@ -57,7 +57,7 @@ impl Octree {
 }
 
 impl FinestBlock {
-    /// The number of the block: its points over [`EDGE`].
+    /// The number of the block: its points over [`BLOCK`].
     #[must_use]
     pub fn number(&self) -> [u32; 3] {
         self.number
@@ -79,7 +79,7 @@ impl FinestBlock {
         let members = self.bricks[i].into_iter().flat_map(BrickRank::members);
         members.map(move |(slot, id)| {
             let within = morton::decode(slot);
-            let point = |axis: usize| EDGE * self.number[axis] + BRICK * at[axis] - BRICK + within[axis];
+            let point = |axis: usize| BLOCK * self.number[axis] + BRICK * at[axis] - BRICK + within[axis];
             ([0, 1, 2].map(point), id as usize)
         })
     }
@@ -100,7 +100,7 @@ impl FinestBlock {
 
     /// Whether there is a vertex at a point of the block or beside it.
     fn has(&self, point: [u32; 3]) -> bool {
-        let [x, y, z] = [0, 1, 2].map(|axis| (point[axis] + BRICK - EDGE * self.number[axis]) / BRICK);
+        let [x, y, z] = [0, 1, 2].map(|axis| (point[axis] + BRICK - BLOCK * self.number[axis]) / BRICK);
         let brick = self.bricks[(x + BRICKS * (y + BRICKS * z)) as usize];
         brick.is_some_and(|brick| brick.rank(morton::encode(point.map(|i| i % BRICK))).is_some())
     }

@@ -26,6 +26,7 @@ mod validate;
 mod vertices;
 
 pub(crate) use balance::{Split, Wanted};
+pub(crate) use blocks::{BLOCK, BRICK};
 pub use cells::Cell;
 pub(crate) use cells::CellTree;
 pub(crate) use cursor::Cursor;

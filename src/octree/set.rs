@@ -159,14 +159,8 @@ impl MortonSet {
 
     /// All members in increasing order.
     pub fn iter(&self) -> impl Iterator<Item = u64> + '_ {
-        self.bricks().flat_map(|(brick, mask, _)| {
-            let mut rest = mask;
-            std::iter::from_fn(move || {
-                let slot = (rest != 0).then(|| rest.trailing_zeros())?;
-                rest &= rest - 1;
-                Some(brick << 6 | u64::from(slot))
-            })
-        })
+        self.bricks()
+            .flat_map(|(brick, mask, base)| BrickRank { mask, base }.members().map(move |(slot, _)| brick << 6 | slot))
     }
 
     /// Bytes on the heap, spare capacity included.

@@ -6,10 +6,10 @@
 
 use multiversion::multiversion;
 
-/// Vertices of a block along an axis.
-pub const BLOCK: u32 = 8;
-/// Points around a block that its means depend on.
-pub const HALO: u32 = 4;
+pub(super) use crate::octree::BLOCK;
+
+/// Points around a block that its means depend on: T⁴ reaches the bricks around it.
+pub const HALO: u32 = crate::octree::BRICK;
 /// Points along an axis of what the means of a block are computed from.
 pub const SIDE: u32 = BLOCK + 2 * HALO;
 

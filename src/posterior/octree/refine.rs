@@ -182,7 +182,8 @@ impl OctreePosterior {
         each.reduce(none, |a, b| a | b)
     }
 
-    /// Vertices of the finest leaves that move by pooling alone: each is next to one that moves by its own sums.
+    /// Vertices of the finest leaves that move by pooling alone and are next to one that moves by its own sums. Those
+    /// that shrinkage moves in gaps have finest leaves around them then.
     fn moved_by_pooling(&self, floor: f64, pooler: Pooler) -> Vec<(BlockCode, u64)> {
         let last = self.lattice.cells_per_axis();
         let finest = self.sums.par_masks(|sums| moves(sums, floor)).filter(|(code, _)| code.is_finest());
