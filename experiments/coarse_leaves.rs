@@ -149,7 +149,7 @@ fn study(work: &Work, scenes: &[Scene]) -> Result<(String, String)> {
     let described: Vec<String> = scenes
         .iter()
         .map(|scene| {
-            let varied = ["grid", "min-rays", "covariance"];
+            let varied = ["grid", "pooling", "covariance"];
             format!(
                 "{}, {} cameras. {}",
                 scene.name,

@@ -7,7 +7,7 @@ mod common;
 
 use octobayes::Result;
 use octobayes::estimate::{GridKind, GridSettings, Outcome};
-use octobayes::posterior::{Criterion, Pooling};
+use octobayes::posterior::Criterion;
 use octobayes::uncertainty::{Difference, UncertaintyField, compare};
 use serde::{Deserialize, Serialize};
 
@@ -75,8 +75,7 @@ fn of_seed(scene: &Scene, settings: GridSettings, seed: u64) -> Result<Vec<Row>>
     let rays = scene.settings.seed(seed);
     let grid = |(criteria, tolerance, min_rays): &Rule| {
         let settings = settings.criteria(criteria.iter().copied().collect()).tolerance(*tolerance);
-        let pooling = if *min_rays > 0.0 { Pooling::Below(*min_rays) } else { Pooling::Off };
-        settings.pooling(pooling).ray_count(*min_rays)
+        settings.ray_count(*min_rays)
     };
     let (limited, free): (Vec<GridSettings>, Vec<GridSettings>) =
         RULES.iter().map(grid).partition(GridSettings::needs_plan);
@@ -132,7 +131,7 @@ fn study(work: &Work, scene: &Scene) -> Result<(String, String)> {
     let words = format!(
         "{}, {cameras} cameras; the dense grid takes {dense} bytes. {} {} Points: {} of the box, as many on surfaces.",
         scene.name,
-        describe(&scene.settings, &settings, &["grid", "tolerance", "min-rays"]),
+        describe(&scene.settings, &settings, &["grid", "tolerance"]),
         seeds(&SEEDS),
         whole(POINTS as f64),
     );

@@ -1,7 +1,7 @@
-//! Question: what do low-discrepancy pixels and pooling by ray counts gain, and what does pooling spoil?
+//! Question: what do low-discrepancy pixels and pooling gain, and what does pooling spoil?
 //!
-//! Dense grids of the same rays, read with every vertex by itself, pooled by this crate's rule (`--min-rays`), and
-//! pooled as block means (the smallest aligned block of 1, 2³, 4³ or 8³ vertices with at least 4 rays, counted at the
+//! Dense grids of the same rays, read with every vertex by itself, pooled as by default, and pooled as
+//! block means (the smallest aligned block of 1, 2³, 4³ or 8³ vertices with at least 4 rays, counted at the
 //! vertices themselves), against a dense grid of 4,096,000 random rays of another seed. |Δ log10 U|, mean / rms, over
 //! two sets of vertices: those that the truth moved by more than half a decade, and those that the truth or the
 //! estimate moved so far. The second set is the one that sees surfaces smeared into empty space. Writes the blocks of
@@ -30,8 +30,7 @@ const TRUTH_SEED: u64 = 99;
 const TOLERANCE: f64 = 0.01;
 
 /// How a field is estimated.
-const METHODS: [&str; 5] =
-    ["random, by itself", "Sobol, by itself", "Sobol, `--min-rays 4`", "Sobol, `--min-rays 8`", "Sobol, block means"];
+const METHODS: [&str; 4] = ["random, by itself", "Sobol, by itself", "Sobol, pooled", "Sobol, block means"];
 /// Which vertices are judged.
 const SETS: [&str; 2] = ["moved in truth", "moved in either"];
 
@@ -58,8 +57,7 @@ type Row = Vec<[[f64; 2]; 2]>;
 
 fn row(scene: &Scene, rays: RaySettings, truth: &[f64], prior: f64) -> Result<Row> {
     let random = run(scene, rays.pixels(Pixels::Random))?;
-    let grids =
-        [Pooling::Off, Pooling::Below(4.0), Pooling::Below(8.0)].map(|p| grid(scene).pooling(p).tolerance(TOLERANCE));
+    let grids = [Pooling::Off, Pooling::Auto].map(|pooling| grid(scene).pooling(pooling).tolerance(TOLERANCE));
     let sobol = scene.estimation(rays.pixels(Pixels::Sobol), grids[0]).prepare()?.finish_on(&grids)?;
     let mut estimates = vec![log10(&random)];
     estimates.extend(sobol.iter().map(|outcome| log10(&outcome.field)));
@@ -101,7 +99,7 @@ fn study(work: &Work, scene: &Scene) -> Result<(String, String)> {
         "{}. Mean / rms of |Δ log10 U|. {} {} The truth: {} random rays of seed {TRUTH_SEED}; it moved {} of {} \
         vertices.",
         scene.name,
-        describe(&settings, &grid, &["rays", "pixels", "min-rays", "tolerance"]),
+        describe(&settings, &grid, &["rays", "pixels", "pooling", "tolerance"]),
         seeds(&SEEDS),
         whole(TRUTH as f64),
         whole(moved as f64),

@@ -15,7 +15,7 @@ pub fn describe(rays: &RaySettings, grid: &GridSettings, varied: &[&str]) -> Str
         ("occupancy", rays.occupancy.to_string()),
         ("grid", format!("{:?}", grid.grid)),
         ("tolerance", grid.tolerance.to_string()),
-        ("min-rays", grid.pooling.to_string()),
+        ("pooling", grid.pooling.to_string()),
         ("covariance", grid.covariance.name().into()),
     ];
     let kept = all.into_iter().filter(|(name, _)| !varied.contains(name));

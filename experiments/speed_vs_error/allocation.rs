@@ -13,7 +13,6 @@ use octobayes::estimate::{FieldBuilder, FieldSource, GridKind, GridSettings, Ray
 use octobayes::geometry::{Camera, Domain, Lattice, Mask};
 use octobayes::metrics::quantile;
 use octobayes::monitor::Silent;
-use octobayes::posterior::Pooling;
 use octobayes::rays::{Pixels, RunProgress, Shard};
 use octobayes::render::{GradientMethod, RaySamples};
 use octobayes::uncertainty::UncertaintyField;
@@ -44,8 +43,7 @@ const POWERS: [(&str, f64); 3] = [("0", 0.0), ("−⅓", -1.0 / 3.0), ("−⅔",
 /// The table of what could be gained, and that of what was.
 pub fn allocation(work: &Work, scenes: &[Scene], of_reference: u64) -> Result<(String, String)> {
     let mut bounds = Table::new(&["scene", "rays at a surface point: 5 %", "50 %", "95 %", "least error, even = 1"]);
-    let head =
-        ["scene", "pooling", "rays", "r ∝ p to the", "samples", "error on surfaces", "even = 1, for as many samples"];
+    let head = ["scene", "rays", "r ∝ p to the", "samples", "error on surfaces", "even = 1, for as many samples"];
     let mut gains = Table::new(&head);
     for scene in scenes {
         let reference = reference(work, scene, of_reference)?;
@@ -55,45 +53,42 @@ pub fn allocation(work: &Work, scenes: &[Scene], of_reference: u64) -> Result<(S
         let least = of(-1.0 / 3.0).powf(1.5) / of(-0.5);
         let quantiles = [0.05, 0.5, 0.95].map(|share| whole(quantile(&rays, share)));
         bounds.row(&[&[scene.name.to_string()][..], &quantiles, &[format!("{least:.2}")]].concat());
-        for (pooling, word) in [(Pooling::Off, "none"), (Pooling::Auto, "auto")] {
-            let grid = grid(GridKind::Octree, 8).pooling(pooling);
-            let rows = |count: u64, power: Option<f64>| {
-                let of = |&seed: &u64| {
-                    work.row((scene.name, word, count, power.map(|p| p.to_string()), seed), || {
-                        let rays = scene.settings.gradient(GradientMethod::Auto).rays(count).seed(seed);
-                        let run = match power {
-                            None => run(scene, &rays, &grid)?,
-                            Some(power) => allocated(scene, &rays, &grid, power)?,
-                        };
-                        Row::new(&run, Some(&reference))
-                    })
-                };
-                Ok(Rows(SEEDS.iter().map(of).collect::<Result<_>>()?))
+        let grid = grid(GridKind::Octree, 8);
+        let rows = |count: u64, power: Option<f64>| {
+            let of = |&seed: &u64| {
+                work.row((scene.name, count, power.map(|p| p.to_string()), seed), || {
+                    let rays = scene.settings.gradient(GradientMethod::Auto).rays(count).seed(seed);
+                    let run = match power {
+                        None => run(scene, &rays, &grid)?,
+                        Some(power) => allocated(scene, &rays, &grid, power)?,
+                    };
+                    Row::new(&run, Some(&reference))
+                })
             };
-            let point = |rows: &Rows| [rows.mean(|row| row.samples), rows.mean(|row| row.surfaces[0])];
-            let mut even = Vec::new();
-            for count in EVEN {
-                even.push(point(&rows(count, None)?));
-            }
-            for count in ALLOCATED {
-                for (name, power) in POWERS {
-                    let rows = rows(count, Some(power))?;
-                    let [samples, error] = point(&rows);
-                    gains.row(&[
-                        scene.name.into(),
-                        word.into(),
-                        whole(count as f64),
-                        name.into(),
-                        whole(samples),
-                        spread(&rows.all(|row| row.surfaces[0]), 3),
-                        format!("{:.2}", error / interpolated(&even, samples)),
-                    ]);
-                }
+            Ok(Rows(SEEDS.iter().map(of).collect::<Result<_>>()?))
+        };
+        let point = |rows: &Rows| [rows.mean(|row| row.samples), rows.mean(|row| row.surfaces[0])];
+        let mut even = Vec::new();
+        for count in EVEN {
+            even.push(point(&rows(count, None)?));
+        }
+        for count in ALLOCATED {
+            for (name, power) in POWERS {
+                let rows = rows(count, Some(power))?;
+                let [samples, error] = point(&rows);
+                gains.row(&[
+                    scene.name.into(),
+                    whole(count as f64),
+                    name.into(),
+                    whole(samples),
+                    spread(&rows.all(|row| row.surfaces[0]), 3),
+                    format!("{:.2}", error / interpolated(&even, samples)),
+                ]);
             }
         }
     }
     let settings = scenes[0].settings.gradient(GradientMethod::Auto);
-    let described = describe(&settings, &grid(GridKind::Octree, 8), &["rays", "occupancy", "min-rays"]);
+    let described = describe(&settings, &grid(GridKind::Octree, 8), &["rays", "occupancy"]);
     let words = format!(
         "{described} {} Errors are |Δ log10 U| on surfaces against a dense grid of {} random rays.",
         seeds(&SEEDS),

@@ -73,7 +73,7 @@ pub fn ablation(work: &Work, lego: &Scene) -> Result<(String, String)> {
         ("  or cutoff 1e-4", coarse, octree),
         ("+ low-discrepancy rays (default)", sobol, octree),
         ("+ the field's own derivatives (`--gradient auto`)", analytic, octree),
-        ("+ `--min-rays 4`", analytic, octree.pooling(Pooling::Below(4.0))),
+        ("+ `--pooling auto`", analytic, octree.pooling(Pooling::Auto)),
         ("dense grid with all of the rays' features", analytic, dense),
     ];
     let head = ["", "s, median", "samples / ray", "bytes for queries"];
@@ -88,7 +88,7 @@ pub fn ablation(work: &Work, lego: &Scene) -> Result<(String, String)> {
         ];
         table.row(&[&head[..], &rows.errors()].concat());
     }
-    let described = describe(&lego.settings, &octree, &["gradient", "pixels", "cutoff", "grid", "min-rays"]);
+    let described = describe(&lego.settings, &octree, &["gradient", "pixels", "cutoff", "grid", "pooling"]);
     Ok((format!("{}. {described} {} {TIMES}. {ERRORS}.", lego.name, seeds(&SEEDS)), table.text().into()))
 }
 
@@ -176,7 +176,7 @@ struct Method {
     repeated: u64,
 }
 
-const METHODS: [Method; 6] = [
+const METHODS: [Method; 5] = [
     Method {
         name: "dense, random",
         rays: |rays| rays.pixels(Pixels::Random).gradient(GradientMethod::FiniteDifference),
@@ -193,17 +193,10 @@ const METHODS: [Method; 6] = [
     },
     Method { name: "octree, own derivatives", rays: own, grid: |grid| grid, most: u64::MAX, repeated: 1_024_000 },
     Method {
-        name: "own, `--min-rays auto`",
+        name: "own, `--pooling auto`",
         rays: own,
         grid: |grid| grid.pooling(Pooling::Auto),
         most: u64::MAX,
-        repeated: 1_024_000,
-    },
-    Method {
-        name: "own, `--min-rays 16`",
-        rays: own,
-        grid: |grid| grid.pooling(Pooling::Below(16.0)),
-        most: 4_096_000,
         repeated: 1_024_000,
     },
     Method {
@@ -276,7 +269,7 @@ pub fn rays(work: &Work, scenes: &[(Scene, u64, u64)], truth: Option<&Truth>) ->
         let title = format!("{}: error on surfaces against time", scene.name);
         write_plot(&file, &title, ["log10 seconds", "log10 mean |Δ log10 U|"], &curves)?;
     }
-    let varied = ["rays", "pixels", "gradient", "grid", "occupancy", "min-rays"];
+    let varied = ["rays", "pixels", "gradient", "grid", "occupancy", "pooling"];
     let described = describe(&scenes[0].0.settings, &grid(GridKind::Octree, 8), &varied);
     let references: Vec<String> =
         scenes.iter().map(|(scene, _, rays)| format!("{} for {}", whole(*rays as f64), scene.name)).collect();

@@ -195,16 +195,11 @@ def _grid_options(given: SimpleNamespace) -> dict[str, Any]:
         "covariance": given.covariance,
         "lambda_": None if given.lambda_ is None else real("lambda_", given.lambda_, above=0),
         "tolerance": real("tolerance", given.tolerance, low=0),
-        "min_rays": _pooling(given.min_rays),
+        "pooling": given.pooling,
         "keep_sums": flag("keep_sums", given.keep_sums),
         "scale": given.scale,
         "noise": None if given.noise is None else real("noise", given.noise, above=0),
     }
-
-
-def _pooling(min_rays: Any) -> str:
-    """A number of rays, or ``'auto'``, as the command line spells it."""
-    return min_rays if min_rays == "auto" else repr(real("min_rays", min_rays, low=0))
 
 
 def _part(name: str, part: Any) -> list[int] | None:
@@ -251,7 +246,7 @@ def uncertainty(
     tolerance: float = DEFAULT.tolerance,
     scale: str = DEFAULT.scale,
     noise: float | None = None,
-    min_rays: float | str = DEFAULT.min_rays,
+    pooling: str = DEFAULT.pooling,
     step: float | None = None,
     cutoff: float = DEFAULT.cutoff,
     error_bars: int | None = None,
@@ -494,7 +489,7 @@ def accumulate(
     scale: str = DEFAULT.scale,
     noise: float | None = None,
     training_pixels: int | None = None,
-    min_rays: float | str = DEFAULT.min_rays,
+    pooling: str = DEFAULT.pooling,
     keep_sums: bool = False,
     progress: Progress | bool | None = None,
 ) -> Uncertainty:

@@ -24,7 +24,7 @@ pub fn said(remark: Remark) -> Said {
 /// Values of options that are words.
 const WORDS: [&str; 6] = ["auto", "data", "dense", "density", "paper", "ray-count"];
 
-/// The command line's options in a text as arguments: `--min-rays 4` is `min_rays=4`, `--scale data` is `scale='data'`,
+/// The command line's options in a text as arguments: `--rays 4` is `rays=4`, `--scale data` is `scale='data'`,
 /// `--box` alone is `box=`, and without the sign where it is what an error is about.
 fn in_arguments(text: &str) -> String {
     let (mut out, mut rest) = (String::new(), text);

@@ -9,7 +9,7 @@ use octobayes::geometry::{Aabb, Camera, Distortion, Domain, Norm};
 use octobayes::glam::{DMat3, DVec3, Vec3};
 use octobayes::next_view::Settings;
 use octobayes::octree::Tile;
-use octobayes::posterior::{Covariance, Criterion, Pooling};
+use octobayes::posterior::{Covariance, Criterion};
 use octobayes::rays::Pixels;
 use octobayes::render::RayAverage;
 use octobayes::session::{Resolution, ScaleKind};
@@ -21,7 +21,7 @@ use pyo3::types::PyDict;
 use serde::de::DeserializeOwned;
 use serde_json::json;
 
-use crate::errors::{OrRaise, to_python};
+use crate::errors::OrRaise;
 
 /// Keyword arguments that were checked in Python; what is absent or `None` was not given.
 pub struct Options<'a, 'py>(pub &'a Bound<'py, PyDict>);
@@ -85,16 +85,11 @@ impl<'py> Options<'_, 'py> {
             .covariance(self.covariance()?.unwrap_or(default.covariance))
             .lambda(self.get("lambda_")?)
             .tolerance(self.or("tolerance", default.tolerance)?)
-            .pooling(self.pooling()?.unwrap_or(default.pooling))
+            .pooling(self.choice("pooling")?.unwrap_or(default.pooling))
             .criteria(criteria.map_or(default.criteria, FromIterator::from_iter))
             .memory(self.get("memory")?)
             .tile(self.tile()?)
             .keep_sums(self.or("keep_sums", false)?))
-    }
-
-    /// How sums are pooled, as the command line spells it.
-    fn pooling(&self) -> PyResult<Option<Pooling>> {
-        self.get::<String>("min_rays")?.map(|text| text.parse().map_err(to_python)).transpose()
     }
 
     /// The part of space, if not all of it.
@@ -192,11 +187,7 @@ pub fn defaults() -> String {
         "refine": grid.criteria.to_string(),
         "covariance": grid.covariance,
         "tolerance": grid.tolerance,
-        "min_rays": match grid.pooling {
-            Pooling::Auto => json!("auto"),
-            Pooling::Below(rays) => json!(rays),
-            _ => json!(0.0),
-        },
+        "pooling": grid.pooling,
         "scale": ScaleKind::default(),
         "official_rays": OfficialGrid::DEFAULT_RAYS,
         "ray_average": RayAverage::default(),

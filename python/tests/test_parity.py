@@ -75,7 +75,7 @@ RUNS = {
     ),
     "some cameras, another size": (
         "m-0.safetensors --cameras set/transforms_train.json --views 3 --resolution 20 "
-        "--box=-0.7,-0.7,-0.7,0.7,0.7,0.7 --refine sensitivity,ray-count --min-rays auto --seed 3 --covariance block "
+        "--box=-0.7,-0.7,-0.7,0.7,0.7,0.7 --refine sensitivity,ray-count --pooling auto --seed 3 --covariance block "
         "--lambda 0.01 --tolerance 0.1",
         {
             "nerf": "m-0.safetensors",
@@ -84,7 +84,7 @@ RUNS = {
             "resolution": 20,
             "box": CUBE,
             "refine": ["sensitivity", "ray-count"],
-            "min_rays": "auto",
+            "pooling": "auto",
             "seed": 3,
             "covariance": "block",
             "lambda_": 0.01,
@@ -160,7 +160,7 @@ def test_remarks_are_the_same_in_the_words_of_either(desk, monkeypatch, caplog):
         ob.uncertainty("scene:courtyard", scale="data", noise=0.1, **run)
     ours = [f"warning: {warning.message}" for warning in caught]
     ours += [f"note: {record.getMessage()}" for record in caplog.records if record.name == "octobayes"]
-    arguments = {"--scale data": "scale='data'", "--min-rays auto": "min_rays='auto'", "--rays": "rays="}
+    arguments = {"--scale data": "scale='data'", "--pooling auto": "pooling='auto'", "--rays": "rays="}
     for option, argument in arguments.items():
         theirs = [line.replace(option, argument) for line in theirs]
     assert sorted(ours) == sorted(theirs) and len(ours) == 2

@@ -64,7 +64,6 @@ pub fn record(field: &UncertaintyField) -> String {
         "pooling",
         match p.pooling {
             Pooling::Off => "none".into(),
-            Pooling::Below(rays) => format!("below about {rays} rays"),
             Pooling::Auto => "by the rays around a vertex".into(),
         },
     );

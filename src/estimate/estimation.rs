@@ -258,10 +258,15 @@ impl<'a> Estimation<'a> {
                 (matches!(self.goal, Goal::MeanError(_)), "run to a mean error", in_order),
                 (self.grid.memory.is_some(), "memory budget", in_order),
                 (self.grid.criteria.density, "criterion `density`", "a volume, which has a density"),
+                (self.grid.pooling.is_on(), "pooling", "a volume: splats are smooth, and pooling would only smear"),
             ];
             if let Some((_, what, expected)) = refused.into_iter().find(|(is_set, ..)| *is_set) {
                 return Err(Error::setting(what, expected, "splats"));
             }
+        }
+        if self.grid.pooling.is_on() && self.rays.pixels == Pixels::Every {
+            let expected = "some of the pixels: where all are drawn, nothing is left to chance";
+            return Err(Error::setting("pooling", expected, "every pixel"));
         }
         let shard = self.own_shard();
         if !shard.is_valid() || shard.own_rays() == 0 {

@@ -38,7 +38,7 @@ pub struct GridSettings {
     /// Largest change of log10 U due to coarse leaves. Smaller values keep more vertices; 0 keeps all that any
     /// ray moved.
     pub tolerance: f64,
-    /// How a vertex near few rays borrows from its neighbours; off by default, as on the dense grid of the paper.
+    /// Whether a vertex near few rays borrows from its neighbours; off by default, as on the dense grid of the paper.
     pub pooling: Pooling,
     /// Criteria for refining the octree.
     pub criteria: Criteria,
@@ -123,7 +123,7 @@ impl GridSettings {
         }
         if self.memory.is_some() && self.pooling == Pooling::Auto {
             let found = "`auto`, whose memory no plan predicts";
-            return Err(Error::setting("memory budget", "pooling that is off or by a number of rays", found));
+            return Err(Error::setting("memory budget", "no pooling", found));
         }
         self.check_tile(&lattice)?;
         let lambda = self.prior_precision(&lattice);

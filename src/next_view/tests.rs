@@ -13,7 +13,8 @@ use crate::geometry::{Camera, Domain, Lattice};
 use crate::monitor::{Monitor, Silent};
 use crate::octree::{MaxLevels, morton};
 use crate::posterior::{
-    Covariance, Criteria, DataScale, Information, OctreePosterior, Posterior, Reading, Refinement, Scale, comparable,
+    Covariance, Criteria, DataScale, Information, OctreePosterior, Pooling, Posterior, Reading, Refinement, Scale,
+    comparable,
 };
 use crate::rays::RaySource;
 use crate::render::RaySamples;
@@ -73,9 +74,19 @@ fn field(samples: &[RaySamples], views: u64, limits: &MaxLevels) -> UncertaintyF
 }
 
 fn field_on(lattice: Lattice, samples: &[RaySamples], views: u64, limits: &MaxLevels) -> UncertaintyField {
+    field_by(Pooling::Off, lattice, samples, views, limits)
+}
+
+fn field_by(
+    pooling: Pooling,
+    lattice: Lattice,
+    samples: &[RaySamples],
+    views: u64,
+    limits: &MaxLevels,
+) -> UncertaintyField {
     let data = DataScale::new(views * PIXELS, NOISE, 0.05).unwrap();
     let mut record = RunRecord::unstated("test".into(), views * PIXELS, data.lambda(), Covariance::Block);
-    record.scale = Scale::Data(data);
+    (record.scale, record.pooling) = (Scale::Data(data), pooling);
     let mut posterior = OctreePosterior::limited(lattice, limits.clone());
     posterior.add(samples);
     let everything = Refinement::above(Refinement::EVERYTHING, &record.reading(), Criteria::default(), Vec::new());
@@ -171,6 +182,17 @@ fn the_predicted_deviations_are_those_found_once_the_rays_are_added() {
         };
         assert!(differ <= touched && differ > touched / 2, "{differ} of {touched}");
     }
+}
+
+/// Pooled sums are not those of a vertex's own rays, to which the rays of a view are added.
+#[test]
+fn views_of_a_pooled_field_are_worth_what_they_are_without_pooling() {
+    let (circle, limits) = (circle(), MaxLevels::none(lattice().level()));
+    let samples = samples(&circle[..2]);
+    let fields = [Pooling::Off, Pooling::Auto].map(|by| field_by(by, lattice(), &samples, 2, &limits));
+    assert!(fields[0].deviations() != fields[1].deviations());
+    let [plain, pooled] = fields.each_ref().map(|field| worth(field, &evidence(field, &circle[2..4])));
+    assert!(plain > 0.0 && (plain / pooled - 1.0).abs() < 1e-12, "{plain} and {pooled}");
 }
 
 #[test]

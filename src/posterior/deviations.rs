@@ -6,11 +6,11 @@ use rayon::prelude::*;
 
 use super::means::BLOCK;
 use super::octree::TOGETHER;
-use super::pooling::{Pooler, Pooling, Tent};
+use super::pooling::Pooling;
 use super::shrinkage::{Block, Shrinkage};
 use super::{Covariance, OctreePosterior, Scale, VertexSums, negligible_information};
 use crate::geometry::Lattice;
-use crate::octree::{MaxLevels, Octree, VertexId, mean_volume};
+use crate::octree::{MaxLevels, Octree, mean_volume};
 
 /// How sums are read: what σ depends on beside them.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -48,15 +48,11 @@ impl Reading {
         negligible_information(self.tolerance, self.rays, self.lambda)
     }
 
-    /// How sums are pooled, with what that needs.
+    /// What pools sums, if anything does.
     #[must_use]
-    pub fn pooler(&self) -> Pooler {
-        let floor = self.floor();
-        match self.pooling {
-            Pooling::Off => Pooler::Off,
-            Pooling::Below(min_rays) => Pooler::Tent(Tent { min_rays, floor }),
-            Pooling::Auto => Pooler::Shrinkage(Shrinkage { floor, prior: self.lambda * self.rays as f64 }),
-        }
+    pub fn shrinkage(&self) -> Option<Shrinkage> {
+        let shrinkage = Shrinkage { floor: self.floor(), prior: self.lambda * self.rays as f64 };
+        self.pooling.is_on().then_some(shrinkage)
     }
 
     /// σ of a vertex from its pooled and comparable sums, as fields store it.
@@ -129,13 +125,10 @@ impl OctreePosterior {
 
 /// What is read off each vertex: its pooled and comparable sums.
 pub struct LocalSums<'a> {
-    tent: Option<Tent>,
-    lattice: &'a Lattice,
-    support: &'a Support,
     limits: MaxLevels,
     /// As they are, or shrunk.
     sums: Cow<'a, [VertexSums]>,
-    /// `[vertices]` of an octree, if they are needed.
+    /// `[vertices]` of an octree with limits.
     points: Vec<[u32; 3]>,
 }
 
@@ -149,50 +142,51 @@ impl<'a> LocalSums<'a> {
         limits: &MaxLevels,
         sums: &'a [VertexSums],
     ) -> Self {
-        let pooler = reading.pooler();
         let points = match support {
-            Support::Octree(octree) if matches!(pooler, Pooler::Tent(_)) || !limits.is_unlimited() => {
-                octree.par_vertex_positions().collect()
-            }
+            Support::Octree(octree) if !limits.is_unlimited() => octree.par_vertex_positions().collect(),
             _ => Vec::new(),
         };
-        let (tent, sums) = match (pooler, support) {
-            (Pooler::Off, _) => (None, Cow::Borrowed(sums)),
-            (Pooler::Tent(tent), _) => (Some(tent), Cow::Borrowed(sums)),
-            (Pooler::Shrinkage(by), Support::Dense) => (None, Cow::Owned(shrunk_on_grid(&by, lattice, sums))),
-            (Pooler::Shrinkage(by), Support::Octree(octree)) => (None, Cow::Owned(shrunk_on_octree(&by, octree, sums))),
+        let sums = match (reading.shrinkage(), support) {
+            (None, _) => Cow::Borrowed(sums),
+            (Some(by), Support::Dense) => Cow::Owned(shrunk_on_grid(&by, lattice, sums)),
+            (Some(by), Support::Octree(octree)) => Cow::Owned(shrunk_on_octree(&by, octree, sums)),
         };
-        Self { tent, lattice, support, limits: limits.clone(), sums, points }
+        Self { limits: limits.clone(), sums, points }
     }
 
     /// The sums of a vertex, pooled and comparable with those of the finest lattice.
     #[must_use]
     pub fn at(&self, v: usize) -> VertexSums {
-        let last = self.lattice.cells_per_axis();
-        match (self.support, &self.tent) {
-            (Support::Dense, Some(tent)) => {
-                let at = |point| Some(self.sums[self.lattice.dense_index(point)]);
-                tent.pooled(self.lattice.dense_point(v), last, at)
-            }
-            (Support::Octree(octree), tent) if !self.points.is_empty() => {
-                let point = self.points[v];
-                let at = |p| octree.vertex(p).map(|VertexId(v)| self.sums[v as usize]);
-                // Vertices of coarser leaves have no neighbours on the finest lattice and have larger hats, so they
-                // are not pooled.
-                let sums = match tent {
-                    Some(tent) if octree.is_surrounded_by_finest(point) => tent.pooled(point, last, at),
-                    _ => self.sums[v],
-                };
-                comparable(&self.limits, point, sums)
-            }
-            _ => self.sums[v],
+        match self.points.get(v) {
+            Some(&point) => comparable(&self.limits, point, self.sums[v]),
+            None => self.sums[v],
         }
     }
 
-    /// `[vertices]`: σ_v, read by the `reading` that pooled them.
-    #[must_use]
-    pub fn deviations(&self, reading: &Reading) -> Vec<f32> {
+    /// `[vertices]`: σ_v of each.
+    fn deviations(&self, reading: &Reading) -> Vec<f32> {
         (0..self.sums.len()).into_par_iter().map(|v| reading.stored(&self.at(v))).collect()
+    }
+}
+
+/// `[vertices]`: σ_v of `sums`, as [`LocalSums::new`] takes them, without a copy of those of an octree.
+#[must_use]
+pub fn deviations(
+    reading: &Reading,
+    lattice: &Lattice,
+    support: &Support,
+    limits: &MaxLevels,
+    sums: &[VertexSums],
+) -> Vec<f32> {
+    let local = |reading: &Reading| LocalSums::new(reading, lattice, support, limits, sums).deviations(reading);
+    match (reading.shrinkage(), support) {
+        (Some(shrinkage), Support::Octree(octree)) => {
+            let mut deviations = local(&Reading { pooling: Pooling::Off, ..*reading });
+            // Leaves around what is pooled are finest, so that its sums are comparable as they are.
+            pool(&shrinkage, octree, sums, &mut deviations, |sums| reading.stored(&sums));
+            deviations
+        }
+        _ => local(reading),
     }
 }
 
@@ -216,11 +210,24 @@ fn shrunk_on_grid(shrinkage: &Shrinkage, lattice: &Lattice, sums: &[VertexSums])
     all
 }
 
-/// The sums at the vertices of an octree, shrunk. Vertices of coarser leaves have no neighbours on the finest lattice
-/// and have larger hats, so they are left alone, and say nothing of others.
+/// The sums at the vertices of an octree, shrunk.
 fn shrunk_on_octree(shrinkage: &Shrinkage, octree: &Octree, sums: &[VertexSums]) -> Vec<VertexSums> {
     let mut all = sums.to_vec();
-    let (mut rest, mut blocks) = (&mut all[..], Vec::new());
+    pool(shrinkage, octree, sums, &mut all, |sums| sums);
+    all
+}
+
+/// Replaces those of `all` whose vertices are pooled by what `value` makes of the pooled sums. Vertices of coarser
+/// leaves have no neighbours on the finest lattice and have larger hats, so they are left alone, and say nothing of
+/// others.
+fn pool<T: Send>(
+    shrinkage: &Shrinkage,
+    octree: &Octree,
+    sums: &[VertexSums],
+    all: &mut [T],
+    value: impl Fn(VertexSums) -> T + Sync,
+) {
+    let (mut rest, mut blocks) = (all, Vec::new());
     for (code, ids) in octree.finest_blocks() {
         let (own, others) = rest.split_at_mut(ids.len());
         blocks.push((code, own));
@@ -230,11 +237,10 @@ fn shrunk_on_octree(shrinkage: &Shrinkage, octree: &Octree, sums: &[VertexSums])
         let vertices = octree.finest_block(code);
         let around = vertices.around().map(|(point, v)| (point, &sums[v]));
         let block = shrinkage.block(vertices.number(), 1 << octree.finest(), around);
-        for ((point, _), pooled) in vertices.own().zip(own) {
+        for ((point, v), pooled) in vertices.own().zip(own) {
             if vertices.is_surrounded(point) {
-                *pooled = block.at(point, pooled.rays);
+                *pooled = value(block.at(point, sums[v].rays));
             }
         }
     });
-    all
 }

@@ -26,7 +26,7 @@ pub(crate) use covariance::negligible_information;
 pub use dense::DensePosterior;
 pub(crate) use deviations::Reading;
 pub use deviations::Support;
-pub(crate) use deviations::{LocalSums, comparable};
+pub(crate) use deviations::{LocalSums, comparable, deviations};
 pub(crate) use octree::{AT_ONCE, CONTRIBUTION_BYTES, spare_bytes};
 pub use octree::{Criteria, Criterion, OctreePosterior};
 pub(crate) use octree::{Needs, PilotCounts, Refinement, SpeciesEstimate};

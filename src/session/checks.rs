@@ -8,7 +8,7 @@ use crate::posterior::Pooling;
 use crate::uncertainty::UncertaintyField;
 use crate::{Error, Result};
 
-/// Fewer rays per vertex than this gain from pooling (`experiments/pooling.md`).
+/// Fewer rays per vertex than this gain from pooling (`experiments/speed_vs_error.md`).
 const MIN_RAYS_PER_VERTEX: u64 = 4;
 
 /// Refuses masks that leave nothing. Notes what they leave out.
@@ -58,8 +58,8 @@ pub fn sight(sight: &CoverageCheck, others: &[&str], tell: &mut dyn FnMut(Remark
 pub fn field(field: &UncertaintyField, pooling: Pooling, tell: &mut dyn FnMut(Remark)) {
     if let Some(median) = field.median_rays().filter(|&median| median < MIN_RAYS_PER_VERTEX && !pooling.is_on()) {
         tell(Remark::Note(format!(
-            "half of the vertices that moved are supported by {median} rays or fewer; --min-rays auto uses what \
-             their neighbours saw, more --rays is better"
+            "half of the vertices that moved are supported by {median} rays or fewer; --pooling auto uses what their \
+             neighbours saw, more --rays is better"
         )));
     }
     if let Some(tile) = field.tile().filter(|_| field.sums().is_some_and(|sums| sums.iter().all(|s| s.rays == 0))) {

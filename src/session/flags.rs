@@ -19,7 +19,7 @@ const FLAGS: [(&str, &str); 24] = [
     ("map", "--map"),
     ("memory budget", "--memory"),
     ("points", "--points"),
-    ("pooling", "--min-rays"),
+    ("pooling", "--pooling"),
     ("probability", "--probability"),
     ("ray average", "--ray-average"),
     ("resolution", "--resolution"),

@@ -37,8 +37,7 @@ impl UncertaintyField {
     /// The precision of all displacements.
     ///
     /// # Errors
-    /// If the field is in the paper's scale, keeps no sums, is a part of a run, or was pooled: pooled sums are not
-    /// those of a vertex's own rays.
+    /// If the field is in the paper's scale, keeps no sums, or is a part of a run.
     #[doc(hidden)]
     pub fn precision(&self) -> Result<Precision<'_>> {
         let Scale::Data(data) = self.record.scale else {
@@ -49,11 +48,7 @@ impl UncertaintyField {
             let expected = "a whole run, whose parts `merge` joins";
             return Err(Error::setting("field", expected, "a part of one"));
         }
-        if self.record.pooling.is_on() {
-            let expected = "0, as a vertex's information is to be that of its own rays";
-            return Err(Error::setting("pooling", expected, self.record.pooling.to_string()));
-        }
-        let Some(sums) = self.local_sums() else {
+        let Some(sums) = self.unpooled_sums() else {
             let expected = "a field that keeps its sums, to which the rays of a view can be added";
             return Err(Error::setting("kept sums", expected, "one that keeps deviations only"));
         };

@@ -89,7 +89,7 @@ impl RunRecord {
             Scale::Paper => true,
             Scale::Data(data) => data.is_possible() && data.lambda() == self.lambda,
         };
-        let limits = self.tolerance >= 0.0 && self.tolerance.is_finite() && self.pooling.is_possible();
+        let limits = self.tolerance >= 0.0 && self.tolerance.is_finite();
         let lengths = self.march_step.iter().chain(self.difference_step.iter().flatten());
         let others = self.cutoff.iter().chain(&self.pixel_offset);
         counts

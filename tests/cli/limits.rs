@@ -120,20 +120,18 @@ fn the_dense_grid_is_a_uniform_octree() {
 #[ignore = "slow: whole runs as processes"]
 fn pooled_parts_merge_to_the_pooled_whole_which_is_that_of_the_dense_grid() {
     let (scene, cameras) = (ClosedForm::courtyard(), ClosedForm::half_circle(6, [64, 64]));
-    for pooling in [Pooling::Below(4.0), Pooling::Auto] {
-        let grid = GridSettings::default().level(6).pooling(pooling);
-        let run = |grid| Estimation::new(&scene, &cameras).rays(RaySettings::default().rays(10_000)).grid(grid);
-        let [whole, dense] = [grid, grid.grid(GridKind::Dense)].map(|grid| run(grid).run().unwrap().field);
-        let parts = [0, 1, 2].map(|index| run(grid).shard(index, 3).run().unwrap().field);
-        let merged = merge(&parts).unwrap();
-        assert_eq!(merged.support(), whole.support(), "{pooling}");
-        let [parts, kinds] = [&merged, &dense].map(|other| compare(&whole, other, 20_000, 1).unwrap().in_box.unwrap());
-        // Sums in another order, rounded to f32; and what is negligible is left out.
-        assert!(parts.max < 1e-6, "{pooling}: {}", parts.max);
-        assert!(kinds.max <= 0.01 + 1e-6, "{pooling}: {}", kinds.max);
-        let plain = run(grid.pooling(Pooling::Off)).run().unwrap().field;
-        assert!(compare(&whole, &plain, 20_000, 1).unwrap().in_box.unwrap().mean > 0.01, "{pooling} changes something");
-    }
+    let grid = GridSettings::default().level(6);
+    let run = |grid| Estimation::new(&scene, &cameras).rays(RaySettings::default().rays(10_000)).grid(grid);
+    let [whole, dense] = [grid, grid.grid(GridKind::Dense)].map(|grid| run(grid).run().unwrap().field);
+    let parts = [0, 1, 2].map(|index| run(grid).shard(index, 3).run().unwrap().field);
+    let merged = merge(&parts).unwrap();
+    assert_eq!(merged.support(), whole.support());
+    let [parts, kinds] = [&merged, &dense].map(|other| compare(&whole, other, 20_000, 1).unwrap().in_box.unwrap());
+    // Sums in another order, rounded to f32; and what is negligible is left out.
+    assert!(parts.max < 1e-6, "{}", parts.max);
+    assert!(kinds.max <= 0.01 + 1e-6, "{}", kinds.max);
+    let plain = run(grid.pooling(Pooling::Off)).run().unwrap().field;
+    assert!(compare(&whole, &plain, 20_000, 1).unwrap().in_box.unwrap().mean > 0.01, "pooling changes something");
 }
 
 #[test]

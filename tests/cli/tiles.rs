@@ -449,7 +449,7 @@ fn settings_that_tiles_cannot_have_are_refused() {
         estimation.grid(grid).run().map(|_| ()).unwrap_err().to_string()
     };
     for (grid, why) in [
-        (grid().pooling(Pooling::Below(4.0)), "pooling"),
+        (grid().pooling(Pooling::Auto), "pooling"),
         (grid().memory(1_u64 << 30), "memory budget"),
         (grid().criteria([Criterion::Density].into_iter().collect()), "density"),
         (grid().grid(octobayes::estimate::GridKind::Dense), "dense"),

@@ -136,7 +136,7 @@ fn sentences() -> Vec<(&'static str, &'static str, Vec<Figure>)> {
         "| lego, Plenoptic PNG | 1,024,000 | octree, own derivatives |",
         "| lego, Plenoptic PNG | 4,096,000 | octree, own derivatives |",
     ];
-    let pooled = "| lego, Plenoptic PNG | 102,400 | own, `--min-rays auto` |";
+    let pooled = "| lego, Plenoptic PNG | 102,400 | own, `--pooling auto` |";
     let (took, error) = ("s, median", "surfaces: mean");
     let [l12, l13] = ["| 12 | 4096 |", "| 13 | 8192 |"];
     let fox = |row| figure(FOX, row, "rank correlation with the error of colours");
@@ -157,7 +157,7 @@ fn sentences() -> Vec<(&'static str, &'static str, Vec<Figure>)> {
         ),
         (
             README,
-            "log10 U on surfaces is off by {} with 102,400 rays and `--min-rays auto`, by {} with four million |",
+            "log10 U on surfaces is off by {} with 102,400 rays and `--pooling auto`, by {} with four million |",
             vec![lego(pooled, error).rounded(2), lego(own_4, error).rounded(2)],
         ),
         (
@@ -222,7 +222,7 @@ fn sentences() -> Vec<(&'static str, &'static str, Vec<Figure>)> {
         (RESULTS, "| central differences | {} s | {} |", vec![time("| FiniteDifference"), plain("| differences |")]),
         (
             RESULTS,
-            "| 102,400, `--min-rays auto` | {} | {} s | | 409,600 | {} | {} s | | 1,024,000 | {} | {} s | \
+            "| 102,400, `--pooling auto` | {} | {} s | | 409,600 | {} | {} s | | 1,024,000 | {} | {} s | \
              | 4,096,000 | {} |",
             vec![
                 lego(pooled, error).rounded(2),

@@ -23,7 +23,7 @@ const OPEN: [&str; 12] = [
     "--covariance",
     "--scale",
     "--noise",
-    "--min-rays",
+    "--pooling",
     "--keep-sums",
     "--output",
     "--json",

@@ -7,7 +7,6 @@ use rayon::prelude::*;
 use super::OctreePosterior;
 use super::key::{BlockCode, VertexKey};
 use crate::octree::{Cell, Leaves, MaskSet, Octree, Wanted, cells_around};
-use crate::posterior::pooling::Pooler;
 use crate::posterior::{Reading, VertexSums, trace};
 
 /// Vertices whose sums are gathered together.
@@ -91,8 +90,8 @@ fn moves(sums: &VertexSums, floor: f64) -> bool {
 pub struct Refinement {
     /// Refine around touched vertices with more information (tr S) than this; `None` does not refine by sensitivity.
     pub floor: Option<f64>,
-    /// Also refine around vertices whose pooled information exceeds the floor.
-    pub pooler: Pooler,
+    /// Also refine around vertices that move by pooling.
+    pub is_pooled: bool,
     /// Cells that must exist for other reasons; limits apply to them too.
     pub wanted: Vec<Cell>,
 }
@@ -105,7 +104,7 @@ impl Refinement {
     /// `reading`, and for `wanted`.
     #[must_use]
     pub fn above(floor: f64, reading: &Reading, criteria: Criteria, wanted: Vec<Cell>) -> Self {
-        Self { floor: criteria.sensitivity.then_some(floor), pooler: reading.pooler(), wanted }
+        Self { floor: criteria.sensitivity.then_some(floor), is_pooled: reading.pooling.is_on(), wanted }
     }
 }
 
@@ -120,8 +119,8 @@ impl OctreePosterior {
     pub fn octree(&self, refinement: &Refinement) -> Octree {
         let finest = self.lattice.level();
         let mut wanted = refinement.floor.map_or_else(|| Wanted::new(finest), |floor| self.wanted(floor));
-        if let (Some(floor), true) = (refinement.floor, refinement.pooler != Pooler::Off) {
-            wanted = wanted | self.wanted_around(self.moved_by_pooling(floor, refinement.pooler).into_par_iter());
+        if let (Some(floor), true) = (refinement.floor, refinement.is_pooled) {
+            wanted = wanted | self.wanted_around(self.moved_by_pooling(floor).into_par_iter());
         }
         for &cell in &refinement.wanted {
             let (origin, _) = cell.extent(finest);
@@ -184,7 +183,7 @@ impl OctreePosterior {
 
     /// Vertices of the finest leaves that move by pooling alone and are next to one that moves by its own sums. Those
     /// that shrinkage moves in gaps have finest leaves around them then.
-    fn moved_by_pooling(&self, floor: f64, pooler: Pooler) -> Vec<(BlockCode, u64)> {
+    fn moved_by_pooling(&self, floor: f64) -> Vec<(BlockCode, u64)> {
         let last = self.lattice.cells_per_axis();
         let finest = self.sums.par_masks(|sums| moves(sums, floor)).filter(|(code, _)| code.is_finest());
         let moved = finest.fold(MaskSet::default, |mut moved, (code, vertices)| {
@@ -195,19 +194,10 @@ impl OctreePosterior {
             a |= b;
             a
         });
-        let at = |point| self.sums.get(VertexKey::new(point, 0)).copied();
-        let is_moved = |point: [u32; 3]| {
-            self.coarseness(point) == 0
-                && match pooler {
-                    Pooler::Tent(tent) => trace(&tent.pooled(point, last, at).information) > tent.floor,
-                    // By shrinkage all of them get something.
-                    _ => true,
-                }
-        };
         let near: Vec<(u64, u64)> = moved.dilated(last).bricks().collect();
         let beside = near.into_par_iter().map(|(brick, vertices)| {
             let (code, beside) = (BlockCode::finest(brick), vertices & !moved.mask(brick));
-            let of = |i: &u64| beside >> i & 1 == 1 && is_moved(code.vertex(*i).point());
+            let of = |i: &u64| beside >> i & 1 == 1 && self.coarseness(code.vertex(*i).point()) == 0;
             (code, (0..64).filter(of).fold(0, |all, i| all | 1 << i))
         });
         beside.collect()

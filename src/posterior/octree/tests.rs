@@ -9,8 +9,6 @@ use crate::geometry::Aabb;
 use crate::octree::{
     Cell, Corner, Leaves, Octree, VertexId, Wanted, around, cells_around, coarseness, masters, morton, trilinear,
 };
-use crate::posterior::pooling::{Pooler, Tent};
-use crate::posterior::shrinkage::Shrinkage;
 use crate::posterior::{Covariance, DensePosterior, negligible_information, trace};
 use crate::render::RaySample;
 use glam::{DVec3, Vec3};
@@ -52,7 +50,7 @@ fn with_sums(posterior: &OctreePosterior, refinement: &Refinement) -> (Octree, V
 }
 
 fn refinement(floor: f64) -> Refinement {
-    Refinement { floor: Some(floor), pooler: Pooler::Off, wanted: Vec::new() }
+    Refinement { floor: Some(floor), is_pooled: false, wanted: Vec::new() }
 }
 
 /// The basis function of vertex `id` at lattice coordinates `u`: the octree's interpolant of 1 at
@@ -148,14 +146,9 @@ proptest! {
     fn pooling_refines_around_each_vertex_that_it_moves(
         samples in ray_samples(),
         floor in (-9..0_i32).prop_map(|decade| 10_f64.powi(decade)),
-        by_shrinkage: bool,
         limits in prop_oneof![Just(Vec::new()), proptest::collection::vec((0_u64..8, 1_u8..=6), 1..5)],
     ) {
         let level = 6;
-        let pooler = match by_shrinkage {
-            true => Pooler::Shrinkage(Shrinkage { floor, prior: 1e-3 }),
-            false => Pooler::Tent(Tent { min_rays: 4.0, floor }),
-        };
         let limits = if limits.is_empty() { MaxLevels::none(level) } else { MaxLevels::balanced(level, limits) };
         let mut posterior = OctreePosterior::limited(lattice(level), limits.clone());
         posterior.add(&[samples]);
@@ -164,20 +157,15 @@ proptest! {
         let touched: BTreeMap<[u32; 3], VertexSums> = posterior.touched().map(|(point, sums)| (point, *sums)).collect();
         let moved = |point: [u32; 3]| touched.get(&point).is_some_and(|sums| trace(&sums.information) > floor);
         let finest = |point: [u32; 3]| coarseness(&limits, point) == 0;
-        let at = |point: [u32; 3]| touched.get(&point).filter(|_| finest(point)).copied();
-        let pooled = |point: [u32; 3]| match pooler {
-            Pooler::Tent(tent) => trace(&tent.pooled(point, last, at).information) > floor,
-            _ => true,
-        };
         let mut wanted = Wanted::new(level);
         let near: BTreeSet<[u32; 3]> = touched.keys().flat_map(|&at| around(at, last).map(|(near, _)| near)).collect();
         for point in near {
             let is_beside = || around(point, last).any(|(near, _)| finest(near) && moved(near));
-            if moved(point) || finest(point) && is_beside() && pooled(point) {
+            if moved(point) || finest(point) && is_beside() {
                 cells_around(point, level).for_each(|cell| wanted.cell(limits.leaf(cell)));
             }
         }
-        let found = posterior.octree(&Refinement { floor: Some(floor), pooler, wanted: Vec::new() });
+        let found = posterior.octree(&Refinement { floor: Some(floor), is_pooled: true, wanted: Vec::new() });
         let expected = Octree::from_wanted(wanted);
         prop_assert_eq!(found.cells(), expected.cells());
     }

@@ -66,7 +66,7 @@ fn check_alike(first: &Head, part: &Head) -> Result<()> {
             ("background", format!("{:?}", p.background)),
             ("pixel offset", format!("{:?}", p.pixel_offset)),
             ("pixels", format!("{:?}", p.pixels)),
-            ("min rays", p.pooling.to_string()),
+            ("pooling", p.pooling.to_string()),
             ("criteria", p.criteria.to_string()),
         ]
     };

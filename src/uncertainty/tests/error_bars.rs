@@ -30,7 +30,7 @@ pub(super) fn with_bars(field: UncertaintyField) -> UncertaintyField {
 fn error_bars_are_those_of_fields_without_each_group() {
     for covariance in Covariance::ALL {
         let of = |pooling| pooled_fields(covariance, 1.0, pooling);
-        for field in [Pooling::Off, Pooling::Below(2.0), Pooling::Auto].into_iter().flat_map(of) {
+        for field in [Pooling::Off, Pooling::Auto].into_iter().flat_map(of) {
             let field = with_bars(field);
             let sums = field.sums().unwrap();
             let bars = field.error_bars().unwrap();

@@ -289,7 +289,7 @@ fn variances_of_depth_do_not_depend_on_whether_sums_are_kept() {
     let lattice = Lattice::new(Aabb::centered_cube(1.0), 6).unwrap();
     let data = DataScale::new(1000, 0.02, 0.05).unwrap();
     for limits in [MaxLevels::none(6), MaxLevels::balanced(6, [(0, 4), (3, 3), (5, 5)])] {
-        for pooling in [Pooling::Off, Pooling::Below(30.0), Pooling::Auto] {
+        for pooling in [Pooling::Off, Pooling::Auto] {
             let plain = record(&lattice, Covariance::Trace, 20);
             let record = RunRecord { scale: Scale::Data(data), lambda: data.lambda(), pooling, ..plain };
             let octree = Octree::refined(6, (0..40).map(|i| Cell { level: 6, index: [i, 30, 63 - i] }));
