@@ -120,7 +120,7 @@ fn the_dense_grid_is_a_uniform_octree() {
 #[ignore = "slow: whole runs as processes"]
 fn pooled_parts_merge_to_the_pooled_whole_which_is_that_of_the_dense_grid() {
     let (scene, cameras) = (ClosedForm::courtyard(), ClosedForm::half_circle(6, [64, 64]));
-    let grid = GridSettings::default().level(6);
+    let grid = GridSettings::default().level(6).pooling(Pooling::Auto);
     let run = |grid| Estimation::new(&scene, &cameras).rays(RaySettings::default().rays(10_000)).grid(grid);
     let [whole, dense] = [grid, grid.grid(GridKind::Dense)].map(|grid| run(grid).run().unwrap().field);
     let parts = [0, 1, 2].map(|index| run(grid).shard(index, 3).run().unwrap().field);
