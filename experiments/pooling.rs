@@ -1,7 +1,7 @@
 //! Question: what do low-discrepancy pixels and pooling gain, and what does pooling spoil?
 //!
-//! Dense grids of the same rays, read with every vertex by itself, pooled as by default, and pooled as
-//! block means (the smallest aligned block of 1, 2³, 4³ or 8³ vertices with at least 4 rays, counted at the
+//! Dense grids of the same rays, read with every vertex by itself, pooled (`--pooling auto`), and pooled
+//! as block means (the smallest aligned block of 1, 2³, 4³ or 8³ vertices with at least 4 rays, counted at the
 //! vertices themselves), against a dense grid of 4,096,000 random rays of another seed. |Δ log10 U|, mean / rms, over
 //! two sets of vertices: those that the truth moved by more than half a decade, and those that the truth or the
 //! estimate moved so far. The second set is the one that sees surfaces smeared into empty space. Writes the blocks of

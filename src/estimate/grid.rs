@@ -121,7 +121,7 @@ impl GridSettings {
             let expected = format!("none: the scale of the training pixels has {:e}", data.lambda());
             return Err(Error::setting("lambda", expected, format!("{lambda:e}")));
         }
-        if self.memory.is_some() && self.pooling == Pooling::Auto {
+        if self.memory.is_some() && self.pooling.is_on() {
             let found = "`auto`, whose memory no plan predicts";
             return Err(Error::setting("memory budget", "no pooling", found));
         }

@@ -135,7 +135,7 @@ fn the_finest_level_of_all_works_and_says_the_same_as_a_scan_of_its_samples() {
 /// A run with a plan, which its rays limit, and without a budget.
 fn limited_by_rays<'a>(field: &'a ClosedForm, cameras: &'a [Camera]) -> Run<'a> {
     let criteria = [crate::posterior::Criterion::RayCount].into_iter().collect();
-    let grid = GridSettings { level: 8, criteria, pooling: Pooling::Off, ray_count: 0.25, ..GridSettings::default() };
+    let grid = GridSettings { level: 8, criteria, ray_count: 0.25, ..GridSettings::default() };
     Estimation::new(field, cameras).rays(settings(8_000)).grid(grid).prepare().unwrap()
 }
 

@@ -55,6 +55,12 @@ impl Reading {
         self.pooling.is_on().then_some(shrinkage)
     }
 
+    /// The same without pooling: every vertex has the sums of its own rays.
+    #[must_use]
+    pub fn unpooled(self) -> Self {
+        Self { pooling: Pooling::Off, ..self }
+    }
+
     /// σ of a vertex from its pooled and comparable sums, as fields store it.
     fn stored(&self, sums: &VertexSums) -> f32 {
         (self.deviation(sums) as f32).max(f32::MIN_POSITIVE)
@@ -181,7 +187,7 @@ pub fn deviations(
     let local = |reading: &Reading| LocalSums::new(reading, lattice, support, limits, sums).deviations(reading);
     match (reading.shrinkage(), support) {
         (Some(shrinkage), Support::Octree(octree)) => {
-            let mut deviations = local(&Reading { pooling: Pooling::Off, ..*reading });
+            let mut deviations = local(&reading.unpooled());
             // Leaves around what is pooled are finest, so that its sums are comparable as they are.
             pool(&shrinkage, octree, sums, &mut deviations, |sums| reading.stored(&sums));
             deviations

@@ -46,7 +46,7 @@ impl UncertaintyField {
             ));
         };
         let scale = self.record.scale.factor(self.record.covariance).powi(2);
-        Ok(DepthPosterior { field: self, sums: self.local_sums(), limits: self.limits(), scale })
+        Ok(DepthPosterior { field: self, sums: self.local_sums(&self.record.reading()), limits: self.limits(), scale })
     }
 }
 

@@ -34,7 +34,7 @@ impl UncertaintyField {
     /// # Errors
     /// If the sums were not kept.
     pub fn matrices(&self, covariance: Covariance) -> Result<Matrices<'_>> {
-        let Some(local) = self.local_sums() else {
+        let Some(local) = self.local_sums(&self.record.reading()) else {
             let found = format!("one of `{}` only", self.record().covariance.name());
             return Err(Error::setting("kept sums", "a field that keeps its sums, to give matrices", found));
         };

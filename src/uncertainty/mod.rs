@@ -55,7 +55,7 @@ pub use crate::posterior::Support;
 use self::layers::Layers;
 use crate::geometry::Lattice;
 use crate::octree::{MaxLevels, Octree, VertexId};
-use crate::posterior::{LocalSums, OctreePosterior, Pooling, Reading, VertexSums, deviations};
+use crate::posterior::{LocalSums, OctreePosterior, Reading, VertexSums, deviations};
 use crate::rays::RaySet;
 
 /// A vertex counts as moved if log10 U lies more than this many decades below the prior's.
@@ -212,16 +212,9 @@ impl UncertaintyField {
         deviations(reading, &self.lattice, &self.support, &self.limits(), sums).into()
     }
 
-    /// What is read off each vertex, if the field keeps its sums.
-    fn local_sums(&self) -> Option<LocalSums<'_>> {
-        let sums = self.sums()?;
-        Some(LocalSums::new(&self.record.reading(), &self.lattice, &self.support, &self.limits(), sums))
-    }
-
-    /// The same without pooling: every vertex has the information of its own rays.
-    fn unpooled_sums(&self) -> Option<LocalSums<'_>> {
-        let reading = Reading { pooling: Pooling::Off, ..self.record.reading() };
-        Some(LocalSums::new(&reading, &self.lattice, &self.support, &self.limits(), self.sums()?))
+    /// What `reading` reads off each vertex, if the field keeps its sums.
+    fn local_sums(&self, reading: &Reading) -> Option<LocalSums<'_>> {
+        Some(LocalSums::new(reading, &self.lattice, &self.support, &self.limits(), self.sums()?))
     }
 
     /// The vertex at a lattice point. An octree has none where the information is negligible.

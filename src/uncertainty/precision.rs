@@ -48,7 +48,7 @@ impl UncertaintyField {
             let expected = "a whole run, whose parts `merge` joins";
             return Err(Error::setting("field", expected, "a part of one"));
         }
-        let Some(sums) = self.unpooled_sums() else {
+        let Some(sums) = self.local_sums(&self.record.reading().unpooled()) else {
             let expected = "a field that keeps its sums, to which the rays of a view can be added";
             return Err(Error::setting("kept sums", expected, "one that keeps deviations only"));
         };

@@ -133,7 +133,7 @@ pub fn fields() -> Vec<UncertaintyField> {
         })
     };
     let field = |settings, domain| drawn(settings, domain, Shard::whole(5));
-    let block = small.covariance(Covariance::Block).level(3).pooling(Pooling::Off);
+    let block = small.covariance(Covariance::Block).level(3).pooling(Pooling::Auto);
     let trace = small.covariance(Covariance::Trace);
     let limited = small.level(6).criteria(Criteria::from_iter([Criterion::RayCount]));
     let rays = RaySettings::default().rays(100).occupancy(8);

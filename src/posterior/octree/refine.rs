@@ -118,10 +118,15 @@ impl OctreePosterior {
     #[must_use]
     pub fn octree(&self, refinement: &Refinement) -> Octree {
         let finest = self.lattice.level();
-        let mut wanted = refinement.floor.map_or_else(|| Wanted::new(finest), |floor| self.wanted(floor));
-        if let (Some(floor), true) = (refinement.floor, refinement.is_pooled) {
-            wanted = wanted | self.wanted_around(self.moved_by_pooling(floor).into_par_iter());
-        }
+        let mut wanted = match refinement.floor {
+            None => Wanted::new(finest),
+            Some(floor) if refinement.is_pooled => {
+                let moved: Vec<(BlockCode, u64)> = self.moved(floor).collect();
+                let beside = self.moved_by_pooling(&moved);
+                self.wanted_around(moved.par_iter().copied().chain(beside))
+            }
+            Some(floor) => self.wanted(floor),
+        };
         for &cell in &refinement.wanted {
             let (origin, _) = cell.extent(finest);
             let limit = self.limits.leaf(origin);
@@ -160,7 +165,12 @@ impl OctreePosterior {
     /// The leaves around every vertex with more information than `floor`.
     #[must_use]
     pub fn wanted(&self, floor: f64) -> Wanted {
-        self.wanted_around(self.sums.par_masks(|sums| moves(sums, floor)))
+        self.wanted_around(self.moved(floor))
+    }
+
+    /// The vertices with more information than `floor`, block by block.
+    fn moved(&self, floor: f64) -> impl ParallelIterator<Item = (BlockCode, u64)> {
+        self.sums.par_masks(move |sums| moves(sums, floor))
     }
 
     /// The leaves around vertices of these blocks.
@@ -181,13 +191,13 @@ impl OctreePosterior {
         each.reduce(none, |a, b| a | b)
     }
 
-    /// Vertices of the finest leaves that move by pooling alone and are next to one that moves by its own sums. Those
-    /// that shrinkage moves in gaps have finest leaves around them then.
-    fn moved_by_pooling(&self, floor: f64) -> Vec<(BlockCode, u64)> {
+    /// Vertices of the finest leaves that move by pooling alone and are next to one of those that `moved` by their own
+    /// sums. Those that shrinkage moves in gaps have finest leaves around them then.
+    fn moved_by_pooling(&self, moved: &[(BlockCode, u64)]) -> impl ParallelIterator<Item = (BlockCode, u64)> {
         let last = self.lattice.cells_per_axis();
-        let finest = self.sums.par_masks(|sums| moves(sums, floor)).filter(|(code, _)| code.is_finest());
+        let finest = moved.par_iter().filter(|(code, _)| code.is_finest());
         let moved = finest.fold(MaskSet::default, |mut moved, (code, vertices)| {
-            moved.insert_mask(code.bits(), vertices);
+            moved.insert_mask(code.bits(), *vertices);
             moved
         });
         let moved = moved.reduce(MaskSet::default, |mut a, b| {
@@ -195,12 +205,11 @@ impl OctreePosterior {
             a
         });
         let near: Vec<(u64, u64)> = moved.dilated(last).bricks().collect();
-        let beside = near.into_par_iter().map(|(brick, vertices)| {
+        near.into_par_iter().map(move |(brick, vertices)| {
             let (code, beside) = (BlockCode::finest(brick), vertices & !moved.mask(brick));
             let of = |i: &u64| beside >> i & 1 == 1 && self.coarseness(code.vertex(*i).point()) == 0;
             (code, (0..64).filter(of).fold(0, |all, i| all | 1 << i))
-        });
-        beside.collect()
+        })
     }
 }
 

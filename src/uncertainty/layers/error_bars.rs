@@ -35,7 +35,7 @@ use serde_json::Value;
 use super::super::file::Source;
 use super::{Change, Layer, Sections};
 use crate::Result;
-use crate::posterior::{Pooling, Reading, VertexSums};
+use crate::posterior::{Reading, VertexSums};
 use crate::uncertainty::{MOVED, StandardDeviations, UncertaintyField};
 
 /// Root mean square errors of log10 σ_v, decades.
@@ -229,7 +229,7 @@ impl UncertaintyField {
         assert!(groups.len() == rays.len() && rays.len() >= 2 && rays.iter().all(|&m| m > 0), "groups with rays");
         let all: u64 = rays.iter().sum();
         let reading = self.record.reading();
-        let own_reading = reading.pooling.is_on().then_some(Reading { pooling: Pooling::Off, ..reading });
+        let own_reading = reading.pooling.is_on().then(|| reading.unpooled());
         let read = |reading: &Reading, deleted: Option<usize>, sums: &[VertexSums]| {
             self.deviations_of(&Reading { rays: all - deleted.map_or(0, |g| rays[g]), ..*reading }, sums)
         };
