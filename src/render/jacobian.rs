@@ -265,6 +265,7 @@ impl Tracer<'_> {
                 }
             }
         }
+        out.reserve(visible.samples.len() + near_surface.samples.len());
         let of_density = |gradient: &Option<DVec3>| gradient.map(|g| Jet { density_gradient: g, ..Jet::default() });
         let of_visible = visible.samples.iter().zip(&visible.rays).zip(jets.iter().copied());
         let of_near_surface =

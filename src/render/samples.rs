@@ -64,6 +64,13 @@ pub struct RaySample {
 }
 
 impl RaySamples {
+    /// Makes room for so many samples more, and not for any beyond.
+    pub(super) fn reserve(&mut self, samples: usize) {
+        self.positions.reserve_exact(samples);
+        self.jacobians.reserve_exact(samples);
+        self.weights.reserve_exact(samples);
+    }
+
     /// Appends one sample to the ray of index `ray`, which must not be below the last one.
     pub fn push(&mut self, ray: u64, sample: RaySample) {
         if self.rays.last() != Some(&ray) {

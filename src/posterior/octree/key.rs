@@ -114,19 +114,26 @@ impl BlockCode {
 }
 
 /// The contribution of one ray to one vertex.
-#[derive(Clone, Copy)]
+#[derive(Debug, Clone, Copy)]
 pub struct Contribution {
     pub key: VertexKey,
     pub information: Information,
 }
 
 /// The contributions of a batch of rays, by partition, each in ray order.
+#[derive(Debug)]
 pub struct Contributions(Vec<Vec<Contribution>>);
 
+impl Default for Contributions {
+    fn default() -> Self {
+        Self((0..PARTITIONS).map(|_| Vec::new()).collect())
+    }
+}
+
 impl Contributions {
-    /// Creates empty lists with room for about `expected` contributions.
-    pub fn new(expected: usize) -> Self {
-        Self((0..PARTITIONS).map(|_| Vec::with_capacity(expected / PARTITIONS)).collect())
+    /// Empties the lists; their room stays.
+    pub fn clear(&mut self) {
+        self.0.iter_mut().for_each(Vec::clear);
     }
 
     /// Appends a contribution of the current ray or the next one.

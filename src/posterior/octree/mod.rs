@@ -126,9 +126,9 @@ impl OctreePosterior {
     /// Calls `visit` for every ray of a batch, in order, with what it adds at each vertex that it touches: lattice
     /// point and sums. The sums so far do not count, and do not change.
     pub fn each_ray(&self, batch: &RaySamples, mut visit: impl FnMut(u64, &[([u32; 3], VertexSums)])) {
-        let mut touched = Vec::new();
+        let (mut all, mut touched) = (Contributions::default(), Vec::new());
         for (ray, samples) in batch.iter() {
-            let all = self.contributions_of(batch, std::iter::once(samples));
+            self.square(batch, std::iter::once(samples), &mut all);
             touched.clear();
             touched.extend(all.iter().map(|added| (added.key.point(), VertexSums::new(added.information, 1))));
             visit(ray, &touched);
@@ -137,30 +137,31 @@ impl OctreePosterior {
 
     /// Squares every ray of a batch.
     fn contributions(&self, batch: &RaySamples) -> Contributions {
-        self.contributions_of(batch, batch.iter().map(|(_, samples)| samples))
+        // How much room they need depends on how many samples share their vertices: they grow.
+        let mut all = Contributions::default();
+        self.square(batch, batch.iter().map(|(_, samples)| samples), &mut all);
+        all
     }
 
-    /// Squares some rays of a batch, each given by its samples.
-    fn contributions_of(&self, batch: &RaySamples, rays: impl Iterator<Item = Range<usize>>) -> Contributions {
+    /// Squares some rays of a batch, each given by its samples, into lists whose content is replaced.
+    fn square(&self, batch: &RaySamples, rays: impl Iterator<Item = Range<usize>>, all: &mut Contributions) {
         let finest = self.limits.is_unlimited();
         let (mut places, mut walk) = (Vec::new(), LeafWalk::new(&self.lattice, &self.limits));
         let mut scattered = Scattered::new(&self.lattice);
-        let (_, most) = rays.size_hint();
-        let mut all = Contributions::new(if most == Some(1) { 0 } else { 8 * batch.positions.len() });
+        all.clear();
         for samples in rays {
             if finest && squares::locate(&self.lattice, batch, samples.clone(), &mut places) {
-                squares::along(&places, batch, &mut all);
+                squares::along(&places, batch, all);
             } else if finest {
-                scattered.ray(batch, samples, &mut all);
+                scattered.ray(batch, samples, all);
             } else {
-                walk.ray(batch, samples, &mut all);
+                walk.ray(batch, samples, all);
             }
         }
         if let Some(tile) = self.tile {
             let finest = self.lattice.level();
             all.retain(|key| tile.owns(finest, key.point()));
         }
-        all
     }
 }
 
@@ -180,7 +181,7 @@ impl Posterior for OctreePosterior {
     }
 
     fn add(&mut self, batches: &[RaySamples]) {
-        // A list is several times as large as its batch, so there are only enough to keep the threads busy: threads
+        // A list may be several times as large as its batch, so there are only enough to keep the threads busy: threads
         // wait for each other after these.
         for some in batches.chunks(AT_ONCE * rayon::current_num_threads()) {
             let lists: Vec<_> = some.par_iter().map(|batch| self.contributions(batch)).collect();
@@ -234,7 +235,7 @@ impl Posterior for OctreePosterior {
             return None;
         }
         let sums = SparseSums::restore(lattice.cells_per_axis(), keys, sums)?;
-        let restored = Self { lattice, limits: limits.clone(), tile, sums };
+        let restored = Self { sums, ..Self::limited(lattice, limits.clone()).owning(tile) };
         let is_found = |&key: &u64| {
             let key = VertexKey::from_bits(key);
             u64::from(restored.coarseness(key.point())) == key.coarseness()

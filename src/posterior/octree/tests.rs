@@ -317,7 +317,7 @@ proptest! {
         let posterior = OctreePosterior::new(lattice(4));
         let range = 0..batch.positions.len();
         let sorted = posterior.gather(&batch, range.clone());
-        let (mut places, mut walked) = (Vec::new(), Contributions::new(0));
+        let (mut places, mut walked) = (Vec::new(), Contributions::default());
         // Rounded positions on a straight line do not turn back, because f32 products and sums are monotone.
         prop_assert!(squares::locate(&posterior.lattice, &batch, range, &mut places));
         squares::along(&places, &batch, &mut walked);
@@ -343,7 +343,7 @@ proptest! {
         // One walk for all rays: no state may remain from the previous ray.
         let mut walk = LeafWalk::new(&posterior.lattice, &posterior.limits);
         for (_, range) in samples.iter() {
-            let mut walked = Contributions::new(0);
+            let mut walked = Contributions::default();
             walk.ray(&samples, range.clone(), &mut walked);
             prop_assert_eq!(by_vertex(&walked), posterior.gather(&samples, range));
         }
@@ -355,7 +355,7 @@ proptest! {
         // One batch for all rays: nothing but places may remain from the previous ray.
         let mut scattered = Scattered::new(&posterior.lattice);
         for (_, range) in samples.iter() {
-            let mut found = Contributions::new(0);
+            let mut found = Contributions::default();
             scattered.ray(&samples, range.clone(), &mut found);
             prop_assert_eq!(by_vertex(&found), posterior.gather(&samples, range));
         }
