@@ -15,36 +15,38 @@ use crate::common::work::Work;
 use crate::scenes::{self as hard, Verdict};
 
 /// Rays of the run that stands for the limit, per ray of the run that is judged.
-const MORE: u64 = 20;
+pub const MORE: u64 = 20;
 
 /// A vertex that moved: rays, log10 U minus its limit, its error bar.
-struct Judged {
-    rays: u32,
-    error: f64,
+pub struct Judged {
+    pub rays: u32,
+    pub error: f64,
     bar: Option<f64>,
+    /// Whether it moved by more than half a decade in the run that is judged.
+    pub has_moved: bool,
 }
 
 /// Rays of a scene of the zoo.
-const ZOO_RAYS: u64 = 16_384;
+pub const ZOO_RAYS: u64 = 16_384;
 
-const SEEDS: [u64; 3] = [0, 1, 2];
+pub const SEEDS: [u64; 3] = [0, 1, 2];
 /// Of the run that stands for the limit.
-const LIMIT_SEED: u64 = 77;
+pub const LIMIT_SEED: u64 = 77;
 const GROUPS: [u16; 3] = [2, 8, 16];
 /// The number of groups by default.
 const DEFAULT_GROUPS: u16 = 8;
 
 /// Pooling needs a tolerance, below which vertices have not moved.
-fn grid(scene: &Scene) -> GridSettings {
+pub fn grid(scene: &Scene) -> GridSettings {
     scene.grid.tolerance(if scene.grid.pooling.is_on() { 0.01 } else { 0.0 })
 }
 
-fn settings(scene: &Scene) -> RaySettings {
+pub fn settings(scene: &Scene) -> RaySettings {
     scene.settings.gradient(GradientMethod::Auto)
 }
 
 /// What stands for the limit.
-fn limit(scene: &Scene) -> Result<UncertaintyField> {
+pub fn limit(scene: &Scene) -> Result<UncertaintyField> {
     let many = settings(scene).rays(MORE * scene.settings.rays).seed(LIMIT_SEED);
     let grid = scene.grid.pooling(Pooling::Off).tolerance(0.0);
     Ok(scene.estimation(many, grid).run()?.field.without_sums())
@@ -172,7 +174,7 @@ pub fn scenes(work: &Work, scenes: &[Scene]) -> Result<(String, String)> {
 }
 
 /// Vertices of both fields' octrees; where one has none, it says the prior.
-fn judged(field: &UncertaintyField, limit: &UncertaintyField) -> Vec<Judged> {
+pub fn judged(field: &UncertaintyField, limit: &UncertaintyField) -> Vec<Judged> {
     let (Support::Octree(a), Support::Octree(b)) = (field.support(), limit.support()) else { return Vec::new() };
     let (bars, sums) = (field.error_bars(), field.sums().unwrap_or_default());
     let moved = field.prior() / 10_f64.sqrt();
@@ -182,7 +184,8 @@ fn judged(field: &UncertaintyField, limit: &UncertaintyField) -> Vec<Judged> {
         let at_limit = theirs.map_or(limit.prior(), |v| limit.deviations().get(v));
         if u.min(at_limit) < moved {
             let bar = mine.zip(bars).and_then(|(v, bars)| bars.get(v));
-            out.push(Judged { rays: mine.map_or(0, |v| sums[v].rays), error: (u / at_limit).log10(), bar });
+            let (rays, error) = (mine.map_or(0, |v| sums[v].rays), (u / at_limit).log10());
+            out.push(Judged { rays, error, bar, has_moved: u < moved });
         }
     };
     for (v, point) in a.vertex_positions().enumerate() {
@@ -217,7 +220,7 @@ struct Calibration {
 }
 
 /// Fewer vertices say nothing of a calibration.
-const FEWEST: usize = 30;
+pub const FEWEST: usize = 30;
 
 fn rms(values: impl Iterator<Item = f64>) -> f64 {
     let squares: Vec<f64> = values.map(|v| v * v).collect();
@@ -246,20 +249,24 @@ impl Calibration {
     }
 }
 
-/// All scenes of the zoo that are not refused and move enough vertices, one row each; `pooling` is that of the runs
-/// that are judged, never of the limit.
+/// All scenes of the zoo that are not refused.
+pub fn zoo_scenes() -> impl Iterator<Item = Scene> {
+    hard::all().into_iter().filter(|scene| scene.verdict != Verdict::Refused).map(|case| Scene {
+        name: case.name,
+        cameras: case.cameras(),
+        settings: RaySettings::default().rays(ZOO_RAYS),
+        grid: GridSettings::default().level(case.level),
+        field: Box::new(case.field),
+    })
+}
+
+/// All scenes of the zoo that move enough vertices, one row each; `pooling` is that of the runs that are judged, never
+/// of the limit.
 pub fn zoo(work: &Work, pooling: Pooling) -> Result<(String, String)> {
     let mut table = Table::new(&[&["scene"][..], &COLUMNS[..]].concat());
     let mut said = String::new();
-    for case in hard::all().into_iter().filter(|scene| scene.verdict != Verdict::Refused) {
-        let (name, cameras) = (case.name, case.cameras());
-        let scene = Scene {
-            name,
-            cameras,
-            settings: RaySettings::default().rays(ZOO_RAYS),
-            grid: GridSettings::default().level(case.level),
-            field: Box::new(case.field),
-        };
+    for scene in zoo_scenes() {
+        let name = scene.name;
         let limit = work.field(("limit", name, ZOO_RAYS), || limit(&scene))?;
         let scene = Scene { grid: scene.grid.pooling(pooling), ..scene };
         said = words(&scene);

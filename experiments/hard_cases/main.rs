@@ -7,6 +7,7 @@ mod cases;
 mod honesty;
 mod steps;
 mod sums;
+mod target;
 mod waves;
 // Each experiment uses its part.
 #[path = "../common/mod.rs"]
@@ -45,6 +46,7 @@ fn main() -> Result<()> {
         ("error-bars-lego-pooled", Needs::Data),
         ("error-bars-zoo", Needs::Nothing),
         ("error-bars-pooled", Needs::Nothing),
+        ("target-error", Needs::Nothing),
     ];
     let program = Program::start("hard_cases", &parts)?;
     program.part("cases", cases::cases)?;
@@ -66,5 +68,6 @@ fn main() -> Result<()> {
     program.part("error-bars-lego", |work| honesty::scenes(work, &[lego(Pooling::Off)?]))?;
     program.part("error-bars-lego-pooled", |work| honesty::scenes(work, &[lego(Pooling::Auto)?]))?;
     program.part("error-bars-zoo", |work| honesty::zoo(work, Pooling::Off))?;
-    program.part("error-bars-pooled", |work| honesty::zoo(work, Pooling::Auto))
+    program.part("error-bars-pooled", |work| honesty::zoo(work, Pooling::Auto))?;
+    program.part("target-error", target::zoo)
 }
