@@ -73,9 +73,8 @@ impl Row {
 /// All octrees of one seed. Those without limits share one stream of rays with the dense grid.
 fn of_seed(scene: &Scene, settings: GridSettings, seed: u64) -> Result<Vec<Row>> {
     let rays = scene.settings.seed(seed);
-    let grid = |(criteria, tolerance, min_rays): &Rule| {
-        let settings = settings.criteria(criteria.iter().copied().collect()).tolerance(*tolerance);
-        settings.ray_count(*min_rays)
+    let grid = |(criteria, tolerance, ray_count): &Rule| {
+        settings.criteria(criteria.iter().copied().collect()).tolerance(*tolerance).ray_count(*ray_count)
     };
     let (limited, free): (Vec<GridSettings>, Vec<GridSettings>) =
         RULES.iter().map(grid).partition(GridSettings::needs_plan);

@@ -272,7 +272,7 @@ mod tests {
 
     #[test]
     fn sums_are_those_of_a_map() {
-        // Half a million additions in runs of neighbours, to some 200,000 vertices.
+        // Half a million additions in runs of neighbours, to some 200,000 vertices. Each partition needs many pages.
         let (mut sparse, mut map) = (SparseSums::new(), BTreeMap::<VertexKey, VertexSums>::new());
         let mut state = 1_u64;
         for _ in 0..5 {
@@ -293,6 +293,7 @@ mod tests {
                 .collect();
             sparse.add(&lists);
         }
+        assert!(sparse.slices().count() == PARTITIONS && sparse.slices().all(|sums| size_of_val(sums) > 16 << 12));
         let found: BTreeMap<VertexKey, VertexSums> = sparse.par_iter().map(|(key, e)| (key, *e)).collect();
         assert_eq!(found, map);
         let mut reader = sparse.reader();
