@@ -207,7 +207,9 @@ impl Planner {
         let settings = cut(settings, &census, &counts, scale);
         let vertices_unlimited = census.needs(own_scale, &MaxLevels::none(lattice.level()), settings.tile).vertices;
         let outside = match shard.of {
-            1 => ((outside + lists + RESERVE) / GRAIN).ceil() * GRAIN,
+            1 if settings.needs_plan() => ((outside + lists + RESERVE) / GRAIN).ceil() * GRAIN,
+            // What is expected, where nothing is bounded.
+            1 => outside + lists + 0.5 * RESERVE,
             _ => OF_A_PART + stream.source.memory() as f64 + lists,
         };
         Ok(Self {
