@@ -208,7 +208,7 @@ impl Planner {
         let vertices_unlimited = census.needs(own_scale, &MaxLevels::none(lattice.level()), settings.tile).vertices;
         let outside = match shard.of {
             1 if settings.needs_plan() => ((outside + lists + RESERVE) / GRAIN).ceil() * GRAIN,
-            // What is expected, where nothing is bounded.
+            // Where nothing is bounded, no more than is expected: the reserve is what the neediest scenes took.
             1 => outside + lists + 0.5 * RESERVE,
             _ => OF_A_PART + stream.source.memory() as f64 + lists,
         };
