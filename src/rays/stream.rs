@@ -28,6 +28,9 @@ const MAX_PREPARED_CAMERAS: usize = 16;
 /// Least weight in its pixel of a sample on a visible surface.
 pub const SURFACE_WEIGHT: f32 = 0.05;
 
+/// Rays that a thread traces together in search of surfaces: one may have hundreds of samples.
+const RAYS_TRACED: usize = 32;
+
 /// Points that a batch of rays asks about when it begins: a round of samples along each ray.
 const FIRST_POINTS: usize = 4096;
 /// Batches drawn together start with this multiple of the field's batch size, so that calls stay large after most rays
@@ -317,14 +320,18 @@ impl RayStream<'_> {
             check(monitor)?;
             let group: Vec<u64> = (group..(group + GROUP).min(batches)).collect();
             // A field that wants many points at once sees the whole group as one.
-            let each = if tracer.field.batch() > 0 { group.len() } else { 1 };
+            let (each, together) = if tracer.field.batch() > 0 { (group.len(), usize::MAX) } else { (1, RAYS_TRACED) };
             let found: Vec<Vec<[f32; 3]>> = group
                 .par_chunks(each)
                 .map_init(TraceBuffers::default, |buffers, batches| {
                     let (rays, jitter): (Vec<Ray>, Vec<f64>) =
                         batches.iter().flat_map(|&batch| self.picked(batch, BATCH)).unzip();
-                    tracer.trace(&rays, &jitter, buffers);
-                    visible(&buffers.traced, tracer.marcher.step)
+                    let mut found = Vec::new();
+                    for (rays, jitter) in rays.chunks(together).zip(jitter.chunks(together)) {
+                        tracer.trace(rays, jitter, buffers);
+                        visible(&buffers.traced, tracer.marcher.step, &mut found);
+                    }
+                    found
                 })
                 .collect();
             points.extend(found.into_iter().flatten().take(count - points.len()));
@@ -348,12 +355,12 @@ impl RayStream<'_> {
     }
 }
 
-/// Positions of samples of weight ≥ [`SURFACE_WEIGHT`].
-fn visible(traced: &TracedRays, step: f64) -> Vec<[f32; 3]> {
+/// Appends the positions of samples of weight ≥ [`SURFACE_WEIGHT`].
+fn visible(traced: &TracedRays, step: f64, found: &mut Vec<[f32; 3]>) {
     let mut quadrature = CompositingWeights::default();
     quadrature.set(traced, step);
     let weighted = quadrature.weights.iter().zip(&traced.positions);
-    weighted.filter(|(w, _)| **w >= f64::from(SURFACE_WEIGHT)).map(|(_, x)| x.to_array()).collect()
+    found.extend(weighted.filter(|(w, _)| **w >= f64::from(SURFACE_WEIGHT)).map(|(_, x)| x.to_array()));
 }
 
 #[cfg(test)]
